@@ -1,0 +1,117 @@
+"""A sensor file (sensors/*.yaml): its gel, optics, camera and markers, each number with its source.
+
+Frame: x right and y down in the image, z out of the gel toward the object; the origin is the centre of the
+untouched coated face, so the gel fills -thickness < z < 0, the plate lies below it and the camera below that.
+"""
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from tacgen.part import Part
+
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+Fraction = Annotated[float, Field(ge=0, le=1)]
+Index = Annotated[float, Field(ge=1, le=4)]
+Vec2 = tuple[float, float]
+Vec3 = tuple[float, float, float]
+Rgb = tuple[NotNegative, NotNegative, NotNegative]
+
+
+class Layer(Part):
+    """One layer of gel; layers are listed from the bonded base outward to the coated face."""
+
+    name: str
+    thickness_mm: Positive
+    law: Literal["neo_hooke"] = "neo_hooke"
+    youngs_modulus_mpa: Positive
+    poissons_ratio: Annotated[float, Field(ge=0, lt=0.5)]
+    refractive_index: Index = 1.41
+    source: str
+
+
+class Gel(Part):
+    """A pad bonded at its base: a rectangle in plan whose four upright edges are rounded."""
+
+    width_mm: Positive  # along x
+    height_mm: Positive  # along y
+    corner_radius_mm: NotNegative = 0.0
+    layers: Annotated[tuple[Layer, ...], Field(min_length=1)]
+    source: str
+
+
+class Plate(Part):
+    """The clear plate that the gel is bonded to."""
+
+    thickness_mm: Positive
+    refractive_index: Index
+    source: str
+
+
+class Coating(Part):
+    """The opaque coat on the outer face, seen from inside: diffuse plus a rough metallic part."""
+
+    albedo: tuple[Fraction, Fraction, Fraction]
+    specular: Fraction  # weight of the rough conductor
+    roughness: Annotated[float, Field(gt=0, le=1)]  # GGX alpha
+    source: str
+
+
+class Walls(Part):
+    """The housing around plate and gel."""
+
+    albedo: Fraction
+    source: str
+
+
+class Led(Part):
+    """A rectangular area light inside plate or gel. Size is (along up x normal, along up)."""
+
+    name: str
+    center_mm: Vec3
+    normal: Vec3
+    up: Vec3 = (0.0, 0.0, 1.0)
+    size_mm: tuple[Positive, Positive]
+    radiance: Rgb
+    source: str
+
+
+class Camera(Part):
+    """A pinhole in air behind the plate, looking along +z."""
+
+    distance_mm: Positive  # from the plate's air face to the pinhole
+    center_mm: Vec2 = (0.0, 0.0)  # where the optical axis meets the coating
+    mm_per_px: Positive  # on the untouched coating, at the image centre
+    width_px: Annotated[int, Field(ge=8)]
+    height_px: Annotated[int, Field(ge=8)]
+    exposure: Positive = 1.0  # linear radiance to sensor full scale
+    ambient: Rgb = (0.0, 0.0, 0.0)  # stray light added before the response, fraction of full scale
+    vignette_mm: Positive | None = None  # r0 of the fall-off 1/(1+(r/r0)^2)^2 on the coating; none if absent
+    source: str
+
+
+class Markers(Part):
+    """Dots printed on the coating, a grid centred on the pad."""
+
+    columns: Annotated[int, Field(ge=1)]  # along x
+    rows: Annotated[int, Field(ge=1)]  # along y
+    pitch_mm: tuple[Positive, Positive]
+    diameter_mm: Positive
+    albedo: Fraction
+    source: str
+
+
+class Sensor(Part):
+    """Everything known of one sensor type."""
+
+    tacgen_sensor: Literal[1]
+    name: str
+    description: str
+    gel: Gel
+    plate: Plate
+    coating: Coating
+    walls: Walls
+    leds: Annotated[tuple[Led, ...], Field(min_length=1)]
+    camera: Camera
+    markers: Markers | None = None
