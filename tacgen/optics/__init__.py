@@ -1,1 +1,1 @@
-"""Optics of a tactile sensor: numbers in, arrays or plain dictionaries out. Knows no stage and opens no file."""
+"""Optics as numbers in, arrays or plain dictionaries out; knows no stage, opens no file, imports no renderer."""

@@ -1,0 +1,133 @@
+"""A pinhole camera behind flat clear layers: exact refraction, forward (project) and back (rays).
+
+Frame: x right, y down in the image, z from the camera to the object; z = 0 is the untouched coated face.
+"""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from tacgen.sensor import Sensor
+
+    Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Stack:
+    """Flat layers crossed from the pinhole to the coated face, in that order; the first is the air.
+
+    A ray keeps k = n sin(theta) through them (Snell), and with x = tan(theta) in the air, k^2 = x^2/(1+x^2), its
+    sideways travel in a layer of thickness t is t x / sqrt(n^2 + (n^2 - 1) x^2): concave in x for every n >= 1.
+    """
+
+    thicknesses: tuple[float, ...]  # [mm]
+    indices: tuple[float, ...]  # [-], >= 1
+
+    @property
+    def tops(self) -> "Floats":
+        """z of each layer's far side [mm], (layers,); the last is 0."""
+        below = np.cumsum(self.thicknesses)
+        return np.asarray(below - below[-1])
+
+    @property
+    def effective_depth(self) -> float:
+        """Sum of t/n [mm]: the pinhole distance at which air alone would give the same paraxial scale."""
+        return float(sum(t / n for t, n in zip(self.thicknesses, self.indices, strict=True)))
+
+    def lengths(self, z: "Floats") -> "Floats":
+        """Thickness of each layer below height z [mm], (layers, n); beyond the face the last layer goes on."""
+        tops, t = self.tops[:, None], np.array(self.thicknesses)[:, None]
+        inside = np.clip(z[None, :] - (tops - t), 0.0, t)
+        inside[-1] += np.maximum(z, 0.0)
+        return np.asarray(inside)
+
+    def travel(self, x: "Floats", lengths: "Floats") -> tuple["Floats", "Floats"]:
+        """Sideways travel [mm] of a ray with slope x in air through `lengths` (layers, n), and d/dx; each (n,)."""
+        n2 = np.square(self.indices)[:, None]
+        root = np.sqrt(n2 + (n2 - 1.0) * x * x)
+        return (lengths * x / root).sum(axis=0), (lengths * n2 / root**3).sum(axis=0)
+
+    def slope(self, rho: "Floats", z: "Floats") -> "Floats":
+        """Slope in air, tan(theta) [-], of the ray that reaches radius rho at height z [mm]; all (n,).
+
+        Newton on the travel: it rises and is concave in x, so from any start at or left of the root, such as the
+        paraxial slope, every step stays left of it and climbs; no safeguard is needed.
+
+        Raises:
+            ValueError: a point lies at or behind the pinhole.
+        """
+        lengths = self.lengths(z)
+        depth = (lengths / np.array(self.indices)[:, None]).sum(axis=0)
+        if not np.all(depth > 0.0):
+            raise ValueError("a point lies at or behind the camera's pinhole")
+        x = rho / depth
+        for _ in range(50):
+            value, derivative = self.travel(x, lengths)
+            step = (rho - value) / derivative
+            x = x + step
+            if np.all(np.abs(step) <= 1e-14 * (1.0 + x)):
+                break
+        return np.asarray(x)
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole that looks along +z through a stack, its optical axis meeting the coating at `center`."""
+
+    stack: Stack
+    center: tuple[float, float]  # x, y [mm]
+    focal_px: float  # pixels per unit slope in air
+    shape: tuple[int, int]  # H, W [px]
+
+    @classmethod
+    def from_sensor(cls, sensor: "Sensor") -> "Camera":
+        """The camera of a sensor file; mm_per_px holds at the image centre on the untouched face."""
+        eye, layers = sensor.camera, sensor.gel.layers
+        stack = Stack(
+            (eye.distance_mm, sensor.plate.thickness_mm, *(layer.thickness_mm for layer in layers)),
+            (1.0, sensor.plate.refractive_index, *(layer.refractive_index for layer in layers)),
+        )
+        return cls(stack, eye.center_mm, stack.effective_depth / eye.mm_per_px, (eye.height_px, eye.width_px))
+
+    @property
+    def pinhole(self) -> tuple[float, float, float]:
+        """Position of the pinhole [mm]."""
+        return (*self.center, -sum(self.stack.thicknesses))
+
+    def project(self, points: Any) -> "Floats":
+        """Pixels (n, 2), x right and y down, pixel centres at +0.5, of points (n, 3) [mm] in the gel.
+
+        Raises:
+            ValueError: a point lies at or behind the pinhole.
+        """
+        points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
+        across = points[:, :2] - self.center
+        rho = np.hypot(across[:, 0], across[:, 1])
+        x = self.stack.slope(rho, points[:, 2])
+        scale = self.focal_px * np.divide(x, rho, out=np.zeros_like(rho), where=rho > 0)
+        return np.asarray(across * scale[:, None] + self._middle)
+
+    def rays(self, pixels: Any) -> tuple["Floats", "Floats"]:
+        """Rays in the outermost gel layer through pixels (n, 2): origins (n, 3) [mm] on that layer's inner side and
+        unit directions (n, 3), +z being outward. `project(origin + s direction)` is the pixel for every s >= 0."""
+        pixels = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
+        slope = (pixels - self._middle) / self.focal_px  # (n, 2)
+        x = np.hypot(slope[:, 0], slope[:, 1])
+        inner = np.repeat(np.array(self.stack.thicknesses)[:, None], len(x), axis=1)
+        inner[-1] = 0.0
+        travel, paraxial = self.stack.travel(x, inner)
+        ratio = np.divide(travel, x, out=paraxial.copy(), where=x > 0)
+        origins = np.empty((len(x), 3))
+        origins[:, :2] = slope * ratio[:, None] + self.center
+        origins[:, 2] = -self.stack.thicknesses[-1]
+        sine = slope / np.sqrt(1.0 + x * x)[:, None] / self.stack.indices[-1]
+        directions = np.column_stack([sine, np.sqrt(1.0 - (sine * sine).sum(axis=1))])
+        return origins, directions
+
+    @property
+    def _middle(self) -> "Floats":
+        return np.array([self.shape[1] / 2, self.shape[0] / 2])
