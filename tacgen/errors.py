@@ -1,0 +1,19 @@
+"""Errors that a person can act on; everything else is a bug and keeps its traceback."""
+
+from collections.abc import Iterable
+
+
+class UserError(Exception):
+    """Messages for the person at the keyboard: the command prints them on stderr and exits with 2.
+
+    A message is one line; indented lines under it (the offending source line and a caret) belong to it.
+    """
+
+    def __init__(self, messages: str | Iterable[str]) -> None:
+        texts = [messages] if isinstance(messages, str) else list(messages)
+        self.lines: tuple[str, ...] = tuple(line for text in texts for line in text.splitlines())
+        super().__init__("\n".join(self.lines))
+
+    def __reduce__(self) -> tuple[type["UserError"], tuple[list[str]]]:
+        """Survive the trip back from a worker process."""
+        return (type(self), (list(self.lines),))

@@ -1,0 +1,258 @@
+"""YAML 1.2 read into plain values, remembering where every key and value was written.
+
+PyYAML is not used: it reads 1e5 as a string and `no` as False, and takes duplicate keys silently.
+"""
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from tacgen.errors import UserError
+
+KeyPath = tuple[str | int, ...]
+MAX_VALUES = 1_000_000  # aliases can multiply a small file without end
+
+
+@dataclass(frozen=True)
+class Source:
+    """A text that values come from: a file, or one `--set` of the command line."""
+
+    name: str
+    lines: tuple[str, ...] = ()
+    folder: Path | None = None  # where relative paths in it start; None: the working directory
+
+
+@dataclass(frozen=True)
+class Mark:
+    """A position in a source; line and column count from 0."""
+
+    source: Source
+    line: int = 0
+    column: int = 0
+
+    def point(self, message: str) -> str:
+        """`file:line:column: message`, then the line itself and a caret under the place."""
+        if not self.source.lines:
+            return f"{self.source.name}: {message}"
+        head = f"{self.source.name}:{self.line + 1}:{self.column + 1}: {message}"
+        if self.line >= len(self.source.lines):
+            return head
+        text = self.source.lines[self.line].rstrip()
+        before = "".join(c if c == "\t" else " " for c in text[: self.column].ljust(self.column))
+        return f"{head}\n    {text}\n    {before}^" if text.strip() else head
+
+
+@dataclass(frozen=True)
+class Spot:
+    """Where a key and its value stand; an item of a list has no key of its own."""
+
+    key: Mark
+    value: Mark
+
+
+@dataclass(frozen=True)
+class Tree:
+    """Plain values (dict, list, str, int, float, bool, None) and the spot of each path that was written."""
+
+    data: Any
+    spots: dict[KeyPath, Spot] = field(default_factory=dict)
+
+    def spot(self, path: KeyPath) -> Spot:
+        """The spot of `path`, or of the nearest thing around it that was written."""
+        for length in range(len(path), -1, -1):
+            if path[:length] in self.spots:
+                return self.spots[path[:length]]
+        return Spot(*[Mark(Source("recipe"))] * 2)
+
+    def replaced(self, path: KeyPath, other: "Tree") -> "Tree":
+        """A copy with `other` at `path`; mappings on the way are made, lists must be long enough.
+
+        Raises:
+            LookupError: the way leads through a scalar or past the end of a list.
+        """
+        data = put(self.data, path, other.data)
+        spots = {p: s for p, s in self.spots.items() if p[: len(path)] != path}
+        spots.update({path + p: s for p, s in other.spots.items()})
+        return Tree(data, spots)
+
+    def merged(self, other: "Tree", path: KeyPath = ()) -> "Tree":
+        """A copy with `other` laid over `path`: mappings merge key by key, anything else is replaced.
+
+        Two mappings stand for one choice and are replaced whole: an indenter of another shape, and the
+        distribution of a varied path.
+        """
+        mine = at(self.data, path)
+        choice = len(path) == 3 and path[:2] == ("vary", "over")
+        if isinstance(mine, dict) and isinstance(other.data, dict) and "shape" in mine:
+            choice = other.data.get("shape", mine["shape"]) != mine["shape"]
+        if choice or not isinstance(mine, dict) or not isinstance(other.data, dict):
+            return self.replaced(path, other)
+        result = self
+        for key in other.data:
+            result = result.merged(other.under((key,)), (*path, key))
+        return result
+
+    def under(self, path: KeyPath) -> "Tree":
+        """The part of the tree at `path`."""
+        n = len(path)
+        return Tree(at(self.data, path), {p[n:]: s for p, s in self.spots.items() if p[:n] == path})
+
+    def without(self, key: str) -> "Tree":
+        """A copy without one top-level key."""
+        data = {k: v for k, v in self.data.items() if k != key}
+        return Tree(data, {p: s for p, s in self.spots.items() if p[:1] != (key,)})
+
+
+def at(data: Any, path: KeyPath) -> Any:
+    """The value at `path`, None where there is none."""
+    for step in path:
+        if isinstance(data, dict) and step in data:
+            data = data[step]
+        elif isinstance(data, list) and isinstance(step, int) and 0 <= step < len(data):
+            data = data[step]
+        else:
+            return None
+    return data
+
+
+def put(data: Any, path: KeyPath, value: Any) -> Any:
+    """A copy of plain `data` with `value` at `path`; LookupError says which step cannot be taken."""
+    if not path:
+        return value
+    step, rest = path[0], path[1:]
+    if isinstance(step, int):
+        if not isinstance(data, list):
+            raise LookupError(f"[{step}] needs a list, and there is {describe(data)}")
+        if not 0 <= step < len(data):
+            raise LookupError(f"[{step}] is past the end: there are {len(data)} entries, counted from 0")
+        return [put(item, rest, value) if i == step else item for i, item in enumerate(data)]
+    if data is None:
+        data = {}
+    if not isinstance(data, dict):
+        raise LookupError(f"{step} needs a mapping, and there is {describe(data)}")
+    return {**data, step: put(data.get(step), rest, value)}
+
+
+def describe(value: Any) -> str:
+    """A value in an error message: short, and as YAML would write it."""
+    if value is None:
+        return "nothing"
+    if isinstance(value, dict):
+        return "a mapping"
+    if isinstance(value, list):
+        return "a list"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return repr(value if len(value) <= 40 else value[:37] + "...")
+    return format(value, ".10g") if isinstance(value, float) else str(value)
+
+
+def format_path(path: KeyPath) -> str:
+    """('trajectory', 0, 'press') -> trajectory[0].press; a key that holds dots itself stands in brackets."""
+    text = ""
+    for step in path:
+        if isinstance(step, int) or not re.fullmatch(r"[^.\[\]]+", step):
+            text += f"[{step}]"
+        else:
+            text += f".{step}" if text else step
+    return text
+
+
+def parse_path(text: str) -> KeyPath:
+    """trajectory[0].press -> ('trajectory', 0, 'press'). Raises ValueError, in words, for anything else."""
+    if not re.fullmatch(r"\w+(\[\d+\])*(\.\w+(\[\d+\])*)*", text, re.ASCII):
+        raise ValueError(f"{text!r} is not a path such as trajectory[0].press.depth_mm")
+    return tuple(int(n) if n else name for n, name in re.findall(r"\[(\d+)\]|(\w+)", text))
+
+
+def load(path: Path) -> Tree:
+    """Read a YAML file. Raises UserError: cannot be read, is no text, is no YAML, holds a key twice."""
+    name = str(path)
+    try:
+        raw = path.read_bytes()
+    except FileNotFoundError:
+        raise UserError(f"{name}: no such file") from None
+    except IsADirectoryError:
+        raise UserError(f"{name}: is a folder, not a file") from None
+    except (OSError, ValueError) as error:
+        raise UserError(f"{name}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+    try:
+        text = raw.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise UserError(f"{name}: is not a text file (UTF-8)") from None
+    if "\0" in text:
+        raise UserError(f"{name}: is not a text file (UTF-8)")
+    return parse(text, Source(name, tuple(text.splitlines()) or ("",), path.parent))
+
+
+def parse(text: str, source: Source) -> Tree:
+    """Read YAML text; marks point into `source`. Raises UserError as `load` does."""
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import MarkedYAMLError, YAMLError
+
+    try:
+        node = YAML(typ="rt").load(text)
+    except MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        place = Mark(source, mark.line, mark.column) if mark else Mark(source)
+        raise UserError(place.point(_say(error.problem or error.context or "is not YAML"))) from None
+    except YAMLError as error:
+        raise UserError(f"{source.name}: is not YAML: {_say(str(error))}") from None
+    except RecursionError:
+        raise UserError(f"{source.name}: is nested too deeply") from None
+    except (ValueError, TypeError, AssertionError, AttributeError, NotImplementedError, LookupError) as error:
+        # the parser itself stumbles over some malformed scalars and tags
+        raise UserError(f"{source.name}: is not YAML that can be read here: {_say(str(error))}") from None
+    spots = {(): Spot(Mark(source), Mark(source))}
+    budget = iter(range(MAX_VALUES))
+    return Tree(_plain(node, (), spots, budget, ()), spots)
+
+
+def _say(problem: str) -> str:
+    """The parser's complaint in one line of words."""
+    first = " ".join(problem.split("\n")[0].split())
+    if first == "but found another document":
+        return "a second document starts here, and one file holds one"
+    match = re.match(r'found duplicate key "(.*?)"', first)
+    return f"{match[1]}: this key is there twice" if match else first or "is not YAML"
+
+
+def _plain(node: Any, path: KeyPath, spots: dict[KeyPath, Spot], budget: Iterator[int], inside: tuple[int, ...]) -> Any:
+    """ruamel's round-trip value as plain data, noting the spot of each path below `path`."""
+    import datetime
+
+    here = spots[path].value
+    if next(budget, None) is None or len(path) > 100:
+        raise UserError(here.point("too many values, or nested too deeply"))
+    if id(node) in inside:
+        raise UserError(here.point("an alias refers to the mapping or list around it"))
+    inside = (*inside, id(node))
+    if isinstance(node, dict):
+        lines = getattr(node, "lc", None)
+        for key in node:
+            where = ((lines.data or {}) if lines else {}).get(key)
+            key_mark = Mark(here.source, where[0], where[1]) if where else here
+            value_mark = Mark(here.source, where[2], where[3]) if where and node[key] is not None else key_mark
+            if not isinstance(key, str):
+                raise UserError(key_mark.point(f"a key must be a word (got {describe(key)})"))
+            spots[(*path, str(key))] = Spot(key_mark, value_mark)
+        return {str(key): _plain(value, (*path, str(key)), spots, budget, inside) for key, value in node.items()}
+    if isinstance(node, list):
+        for i in range(len(node)):
+            where = (node.lc.data or {}).get(i)
+            mark = Mark(here.source, where[0], where[1]) if where else here
+            spots[(*path, i)] = Spot(mark, mark)
+        return [_plain(value, (*path, i), spots, budget, inside) for i, value in enumerate(node)]
+    if node is None or isinstance(node, bool):
+        return node
+    if type(node).__name__ == "ScalarBoolean":
+        return bool(node)
+    for kind in (int, float, str):
+        if isinstance(node, kind):
+            return kind(node)
+    if isinstance(node, datetime.date):
+        return str(node)
+    raise UserError(here.point(f"a {type(node).__name__} cannot stand here: only text, numbers, lists and mappings can"))
