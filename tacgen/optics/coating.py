@@ -1,0 +1,64 @@
+"""The coat seen from inside, and the dots printed on it: bodies of plain dictionaries and a mask over rest coordinates."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tacgen.optics.lights import diffuse
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from tacgen.sensor import Coating, Markers
+
+    Floats = NDArray[np.float64]
+
+METAL = 0.9  # [-] reflectance of the metallic part, aluminium's over the visible range
+
+
+def bsdf(coating: "Coating") -> dict[str, Any]:
+    """Diffuse plus a rough (GGX) metallic part of constant reflectance METAL, mixed by `specular`."""
+    if coating.specular == 0.0:
+        return diffuse(coating.albedo)
+    return {
+        "type": "blendbsdf",
+        "weight": coating.specular,
+        "matt": diffuse(coating.albedo),
+        "metal": {
+            "type": "roughconductor",
+            "material": "none",
+            "distribution": "ggx",
+            "alpha": coating.roughness,
+            "specular_reflectance": {"type": "rgb", "value": [METAL] * 3},
+        },
+    }
+
+
+def dotted(coat: dict[str, Any], markers: "Markers", mask: "Floats") -> dict[str, Any]:
+    """The coat with dots: where `mask` (h, w) in [0, 1] over UV is 1, the marker's paint."""
+    texture = {"type": "bitmap", "bitmap": mask, "raw": True, "filter_type": "bilinear", "wrap_mode": "clamp"}
+    return {"type": "blendbsdf", "weight": texture, "coat": coat, "paint": diffuse(markers.albedo)}
+
+
+def centers(markers: "Markers") -> "Floats":
+    """Rest positions of the dots on the coated face [mm], (rows * columns, 2), row by row from the top left."""
+    x = (np.arange(markers.columns) - (markers.columns - 1) / 2) * markers.pitch_mm[0]
+    y = (np.arange(markers.rows) - (markers.rows - 1) / 2) * markers.pitch_mm[1]
+    grid = np.meshgrid(x, y)
+    return np.column_stack([grid[0].ravel(), grid[1].ravel()])
+
+
+def paint(markers: "Markers", xy: "Floats", edge: "float | Floats") -> "Floats":
+    """Share of paint at rest positions xy (..., 2) [mm], 0 to 1; `edge` [mm] is the width over which a rim fades."""
+    pitch = np.array(markers.pitch_mm)
+    last = (np.array([markers.columns, markers.rows]) - 1) / 2
+    nearest = np.clip(np.round(xy / pitch + last) - last, -last, last) * pitch
+    distance = np.linalg.norm(xy - nearest, axis=-1)
+    return np.asarray(np.clip((markers.diameter_mm / 2 - distance) / edge + 0.5, 0.0, 1.0))
+
+
+def mask(markers: "Markers", size: tuple[float, float], pixel: float) -> "Floats":
+    """`paint` as a picture over a rectangle of `size` (x, y) [mm] centred on the pad: (h, w), row 0 at the least y."""
+    count = [max(2, round(s / pixel)) for s in size]
+    x, y = ((np.arange(n) + 0.5) / n * s - s / 2 for n, s in zip(count, size, strict=True))
+    return paint(markers, np.stack(np.meshgrid(x, y), axis=-1), pixel)

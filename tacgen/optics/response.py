@@ -1,0 +1,35 @@
+"""From linear radiance to the camera's 8-bit picture: vignette, exposure, stray light, sRGB."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from tacgen.sensor import Camera
+
+    Floats = NDArray[np.float64]
+
+
+def vignette(camera: "Camera") -> "Floats":
+    """Fall-off (H, W) of the lens, 1 on the axis: 1 / (1 + (r/r0)^2)^2 with r on the untouched coating."""
+    y, x = np.mgrid[: camera.height_px, : camera.width_px] + 0.5
+    r2 = ((x - camera.width_px / 2) ** 2 + (y - camera.height_px / 2) ** 2) * camera.mm_per_px**2
+    return np.ones_like(r2) if camera.vignette_mm is None else 1.0 / (1.0 + r2 / camera.vignette_mm**2) ** 2
+
+
+def srgb(linear: "Floats") -> "Floats":
+    """The sRGB curve (IEC 61966-2-1) of linear values clipped to [0, 1]."""
+    x = np.clip(linear, 0.0, 1.0)
+    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
+
+
+def expose(radiance: "Floats", camera: "Camera") -> "Floats":
+    """Linear fraction of full scale (H, W, 3) of a radiance picture (H, W, 3)."""
+    return np.asarray(radiance * (camera.exposure * vignette(camera)[..., None]) + np.array(camera.ambient))
+
+
+def develop(radiance: "Floats", camera: "Camera") -> "NDArray[np.uint8]":
+    """The 8-bit sRGB picture (H, W, 3) of a radiance picture (H, W, 3)."""
+    return np.asarray(np.round(255.0 * srgb(expose(radiance, camera))), dtype=np.uint8)

@@ -1,0 +1,85 @@
+"""The coated face as a fine regular sheet over rest coordinates, so that what is printed on it moves with it."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from tacgen.sensor import Gel
+
+    Floats = NDArray[np.float64]
+
+
+class Surface(Protocol):
+    """A deformed coated face: rest positions (n, 2) [mm] on it to current positions (n, 3) [mm]."""
+
+    def at(self, xy: Any) -> Any:
+        """Current positions (n, 3) [mm]."""
+
+
+class Flat:
+    """The untouched face."""
+
+    def at(self, xy: Any) -> "Floats":
+        """Current positions (n, 3) [mm] of rest positions (n, 2) [mm]."""
+        xy = np.asarray(xy, dtype=np.float64)
+        return np.column_stack([xy, np.zeros(len(xy))])
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """Nodes of a rectangular grid over the pad, row by row from the least y, and its triangles."""
+
+    size: tuple[float, float]  # x, y extent [mm], centred on 0
+    corner: float  # radius of the pad's rounded corners [mm]
+    shape: tuple[int, int]  # rows, columns of nodes
+
+    @classmethod
+    def over(cls, gel: "Gel", spacing: float) -> "Sheet":
+        """A sheet over the whole pad with nodes about `spacing` [mm] apart."""
+        size = (gel.width_mm, gel.height_mm)
+        return cls(size, gel.corner_radius_mm, (round(size[1] / spacing) + 1, round(size[0] / spacing) + 1))
+
+    @property
+    def rest(self) -> "Floats":
+        """Rest positions of the nodes [mm], (nodes, 2)."""
+        x, y = (np.linspace(-s / 2, s / 2, n) for s, n in zip(self.size, self.shape[::-1], strict=True))
+        return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+
+    @property
+    def uv(self) -> "Floats":
+        """Rest positions scaled to the unit square, (nodes, 2)."""
+        return np.asarray(self.rest / self.size + 0.5)
+
+    @property
+    def faces(self) -> "NDArray[np.uint32]":
+        """Triangles (2 cells, 3), wound so that their normals point at the camera (-z)."""
+        i = np.arange(self.shape[0] * self.shape[1], dtype=np.uint32).reshape(self.shape)
+        a, b, c, d = i[:-1, :-1].ravel(), i[:-1, 1:].ravel(), i[1:, 1:].ravel(), i[1:, :-1].ravel()
+        return np.concatenate([np.stack([a, c, b], 1), np.stack([a, d, c], 1)])
+
+    def at(self, surface: Surface) -> "Floats":
+        """Current positions of the nodes [mm], (nodes, 3). A node in a cut-off corner rides with the nearest point of
+        the pad, so that `surface` is only asked where it exists."""
+        rest = self.rest
+        core = np.array(self.size) / 2 - self.corner
+        inner = np.clip(rest, -core, core)
+        out = rest - inner
+        far = np.linalg.norm(out, axis=1)
+        shrink = (
+            np.minimum(1.0, self.corner * (1 - 1e-9) / np.maximum(far, 1e-300)) if self.corner else np.ones(len(far))
+        )
+        pad = inner + out * shrink[:, None]
+        now = np.array(surface.at(pad), dtype=np.float64)
+        now[:, :2] += rest - pad
+        return now
+
+    def normals(self, now: "Floats") -> "Floats":
+        """Unit normals toward the camera (nodes, 3) of node positions (nodes, 3), by central differences."""
+        grid = now.reshape(*self.shape, 3)
+        du, dv = np.gradient(grid, axis=1), np.gradient(grid, axis=0)
+        n = np.cross(dv, du).reshape(-1, 3)
+        return np.asarray(n / np.linalg.norm(n, axis=1, keepdims=True))
