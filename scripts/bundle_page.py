@@ -1,0 +1,41 @@
+"""Print docs/BUNDLE.md, made from the tables in tacgen/bundle.py: python scripts/bundle_page.py > docs/BUNDLE.md"""
+
+import numpy as np
+
+from tacgen.bundle import ATTRS, FORMAT, LAYOUT, OPTIONAL, UNITS
+
+
+def page() -> str:
+    """docs/BUNDLE.md, made from the tables above."""
+    lines = [
+        f"# The bundle, format {FORMAT}",
+        "",
+        "Made from the tables in `tacgen/bundle.py` by `python scripts/bundle_page.py > docs/BUNDLE.md`; do not edit.",
+        "",
+        "One HDF5 file a scene. Sensor frame: x right and y down in the image, z out of the gel toward the object;",
+        f"the origin is the centre of the untouched coated face. One unit system: {UNITS}. A dataset that is absent",
+        "was not asked for: nothing is filled with zeros. Everything is gzip-1 + shuffle + fletcher32, which any HDF5",
+        "since 1.10 reads without plugins. The same inputs give the same bytes; how long the stages took stands beside",
+        "the bundle in `<name>.timing.json`. A map (`h` x `w`) covers the image (`H` x `W`): its sample (i, j) lies at",
+        "image row (i + 1/2) H/h and column (j + 1/2) W/w, where the centre of the first pixel is (1/2, 1/2).",
+        "",
+        "## Datasets",
+        "",
+        "`N` frames, `H` x `W` image, `h` x `w` map, `M` markers, `n` nodes, `m` cells, `*` any size. Each dataset",
+        "carries `units`, `long_name` and `axes`.",
+        "",
+        "| path | shape | type | unit | what | axes |",
+        "|---|---|---|---|---|---|",
+    ]
+    for path, row in LAYOUT.items():
+        shape = ", ".join(str(d).replace("*", "\\*") for d in row.dims)
+        kind = np.dtype(row.dtype).name
+        lines.append(f"| `{path}` | ({shape}) | {kind} | {row.units} | {row.long_name} | {row.axes} |")
+    lines += ["", "## Attributes of the file", "", "| name | type | what |", "|---|---|---|"]
+    lines += [f"| `{name}` | {kind.__name__} | {text} |" for name, (kind, text) in ATTRS.items()]
+    lines += [f"| `{name}` (optional) | {kind.__name__} | {text} |" for name, (kind, text) in OPTIONAL.items()]
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    print(page(), end="")

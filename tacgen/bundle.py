@@ -1,0 +1,413 @@
+"""Write, read and verify a bundle: one HDF5 file a scene, format 1. The layout is the table below.
+
+The same inputs give the same bytes, so nothing here depends on the clock: how long each stage took belongs
+in `<name>.timing.json` beside the bundle (the pipeline writes it), never in the bundle.
+
+docs/BUNDLE.md is made from the same tables by scripts/bundle_page.py.
+"""
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from tacgen import __version__, partfile
+from tacgen.errors import UserError
+
+FORMAT = 1
+UNITS = "mm N MPa s rad"
+KEYS = ("digest", "complete")  # written last; not part of what the digest covers
+
+Attr = str | int | float | bool
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One dataset. A letter in `dims` is a size shared by every dataset that names it; "*" is any size."""
+
+    dtype: str
+    dims: tuple[str | int, ...]
+    units: str  # "1" is dimensionless
+    long_name: str
+    axes: str  # one word an axis
+
+
+MAP = "frame row column"
+
+LAYOUT: dict[str, Entry] = {
+    "/frames/pose": Entry("<f8", ("N", 4, 4), "mm", "pose of the indenter in the sensor frame", "frame row column"),
+    "/frames/segment": Entry("<i4", ("N",), "1", "index of the trajectory segment the frame belongs to", "frame"),
+    "/frames/force": Entry("<f8", ("N", 3), "N", "force on the gel", "frame xyz"),
+    "/frames/torque": Entry("<f8", ("N", 3), "N mm", "torque on the gel about the sensor origin", "frame xyz"),
+    "/frames/rgb": Entry("|u1", ("N", "H", "W", 3), "1", "camera image, sRGB", "frame row column rgb"),
+    "/frames/pressure": Entry("<f4", ("N", "h", "w"), "MPa", "pressure normal to the deformed coated face", MAP),
+    "/frames/traction": Entry("<f4", ("N", "h", "w", 2), "MPa", "tangential traction on the coated face", MAP + " xy"),
+    "/frames/height": Entry("<f4", ("N", "h", "w"), "mm", "z of the deformed coated face, negative in a dent", MAP),
+    "/frames/contact": Entry("|b1", ("N", "h", "w"), "1", "in contact", MAP),
+    "/frames/slip": Entry("|b1", ("N", "h", "w"), "1", "in contact and sliding", MAP),
+    "/frames/markers": Entry("<f4", ("N", "M", 2), "px", "marker centres through the optics", "frame marker xy"),
+    "/frames/marker_flow": Entry("<f4", ("N", "M", 2), "px", "markers less their reference", "frame marker xy"),
+    "/frames/quality/newton_iterations": Entry("<i4", ("N",), "1", "Newton iterations spent on the frame", "frame"),
+    "/frames/quality/substeps": Entry("<i4", ("N",), "1", "steps the frame was split into", "frame"),
+    "/frames/quality/min_gap_mm": Entry("<f8", ("N",), "mm", "smallest gap between gel and indenter", "frame"),
+    "/frames/quality/mean_gap_mm": Entry("<f8", ("N",), "mm", "pressure-weighted mean gap", "frame"),
+    "/frames/quality/force_balance": Entry("<f8", ("N",), "1", "norm of force + base reaction, over force", "frame"),
+    "/frames/quality/residual": Entry("<f8", ("N",), "1", "largest unbalanced nodal force over force", "frame"),
+    "/reference/rgb": Entry("|u1", ("H", "W", 3), "1", "camera image of the untouched sensor", "row column rgb"),
+    "/reference/markers": Entry("<f4", ("M", 2), "px", "marker centres on the untouched sensor", "marker xy"),
+    "/reference/height": Entry("<f4", ("h", "w"), "mm", "z of the untouched coated face", "row column"),
+    "/mesh/points": Entry("<f8", ("n", 3), "mm", "nodes of the rest mesh", "node xyz"),
+    "/mesh/cells": Entry("<i4", ("m", "*"), "1", "nodes of each cell", "cell corner"),
+    "/mesh/layer": Entry("<i4", ("m",), "1", "gel layer of each cell, 0 at the base", "cell"),
+    "/mesh/facets/*": Entry("<i4", ("*", "*"), "1", "nodes of each facet of a named patch", "facet corner"),
+    "/fields/displacement": Entry("<f4", ("N", "n", 3), "mm", "nodal displacement", "frame node xyz"),
+    "/fields/cauchy_stress": Entry("<f4", ("N", "m", 6), "MPa", "stress, xx yy zz yz xz xy", "frame cell component"),
+    "/fields/nodal_stress": Entry("<f4", ("N", "n", 6), "MPa", "stress, xx yy zz yz xz xy", "frame node component"),
+}
+
+ATTRS: dict[str, tuple[type, str]] = {
+    "tacgen_format": (int, f"format of this file, {FORMAT}"),
+    "tacgen_version": (str, "version of tacgen that wrote it"),
+    "recipe": (str, "resolved recipe, JSON"),
+    "scene_index": (int, "row of the plan"),
+    "seed": (int, "seed of this scene's random numbers"),
+    "sensor": (str, "name of the sensor"),
+    "sensor_sha256": (str, "of the resolved sensor"),
+    "units": (str, f"unit system, `{UNITS}`"),
+    "solver": (str, "linear solver and versions"),
+    "input_key": (str, "sha256 of all resolved inputs: equal keys, equal bundles"),
+    "frames_planned": (int, "frames the trajectory asks for; `status` tells whether all are here"),
+    "status": (str, "`ok`, or `rejected`: the solver gave up and only the frames before that are here"),
+    "reason": (str, "why it was rejected; empty if ok"),
+    "digest": (str, "sha256 over every dataset's path, type, shape, bytes and attributes, and these attributes"),
+    "complete": (bool, "true, written last"),
+}
+OPTIONAL: dict[str, tuple[type, str]] = {
+    "renderer": (str, "Mitsuba variant and version, where images were rendered"),
+    "values": (str, "the varied paths of a batch and their values, JSON"),
+    "notes": (str, "what a reader should know of this scene, JSON list of lines"),
+}
+
+
+def entry(path: str) -> Entry | None:
+    """The layout's row for a dataset path, None if the format has no such dataset."""
+    return LAYOUT.get(path) or LAYOUT.get(path.rpartition("/")[0] + "/*")
+
+
+def _row(path: str) -> Entry:
+    row = entry(path)
+    if row is None:
+        raise ValueError(f"format {FORMAT} has no dataset {path}")
+    return row
+
+
+def misfit(path: str, shape: tuple[int, ...], sizes: dict[str, int]) -> str | None:
+    """Why `shape` is not what the layout gives `path`, or None. Sizes met for the first time join `sizes`."""
+    row = _row(path)
+    wanted = [sizes.get(d, d) if isinstance(d, str) else d for d in row.dims]
+    fits = len(wanted) == len(shape)
+    fits = fits and all(n == w for n, w in zip(shape, wanted, strict=True) if isinstance(w, int))
+    if not fits:
+        return f"{path} has shape {shape}, expected ({', '.join(str(w) for w in wanted)})"
+    sizes.update({w: n for n, w in zip(shape, wanted, strict=True) if isinstance(w, str) and w != "*"})
+    return None
+
+
+class Writer:
+    """Writes one bundle. Nothing stands under the bundle's name until `finish` has read it all back.
+
+        with Writer(path, attrs, frames=15) as writer:
+            writer.put("/reference/rgb", flat)
+            for ...:
+                writer.append({"/frames/force": force, "/frames/rgb": image})
+            writer.finish()
+
+    Leaving the block without `finish`, or with an exception, removes the part file. `attrs` holds what ATTRS and
+    OPTIONAL name, less what the writer knows itself; mappings and lists are stored as JSON. Arrays must have the
+    layout's shape and be safely castable to its type.
+
+    Raises:
+        ValueError, TypeError: an attribute, path, shape or type that is not in the tables (a bug of the caller).
+        OSError: with its errno, e.g. ENOSPC when the disk is full.
+        UserError: another process is writing this very bundle.
+    """
+
+    def __init__(self, path: Path, attrs: Mapping[str, Any], frames: int) -> None:
+        own = {"tacgen_format": FORMAT, "tacgen_version": __version__, "units": UNITS, "frames_planned": frames}
+        self.path = Path(path)
+        self.frames = frames
+        self.appended = 0
+        self._attrs: dict[str, Attr] = _checked({**{k: _plain(v) for k, v in attrs.items()}, **own})
+        self._sizes: dict[str, int] = {}
+        self._data: dict[str, Any] = {}  # path -> h5py.Dataset
+        self._hashes: dict[str, Any] = {}  # path -> running sha256 of the bytes we were given
+        self._framed: set[str] = set()  # what the first frame brought
+        self._finished = False
+
+    def __enter__(self) -> "Writer":
+        import h5py
+
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        partfile.sweep(self.path.parent)
+        self._sink = partfile.Sink(self.path)
+        try:
+            with self._disk():
+                # v110: every piece of metadata carries a checksum, and any HDF5 since 1.10 reads it
+                self._file = h5py.File(self._sink, "w", libver=("v110", "v110"))
+                for name, value in sorted(self._attrs.items()):
+                    self._file.attrs[name] = value
+        except BaseException:
+            self._sink.discard()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if not self._finished:
+            self._sink.dead = True  # what HDF5 still has to flush goes nowhere
+            with suppress(Exception):
+                self._file.close()
+            self._sink.discard()
+
+    def put(self, path: str, array: np.ndarray) -> None:
+        """Store a dataset that belongs to the scene, not to a frame: /reference, /mesh."""
+        values = self._cast(path, array, per_frame=False)
+        with self._disk():
+            self._create(path, values.shape, values.shape, None)[...] = values
+        self._hashes[path].update(values.tobytes())
+
+    def append(self, arrays: Mapping[str, np.ndarray]) -> None:
+        """Store the next frame: the same datasets each time, each without its frame axis."""
+        if self.appended and arrays.keys() != self._framed:
+            raise ValueError(f"frame {self.appended} has other datasets than frame 0: {sorted(arrays)}")
+        if self.appended == self.frames:
+            raise ValueError(f"{self.frames} frames were planned and are all written")
+        values = {path: self._cast(path, array, per_frame=True) for path, array in arrays.items()}
+        with self._disk():
+            for path, value in sorted(values.items()):
+                if not self.appended:
+                    # images and maps: one chunk a frame; a few numbers a frame: one chunk of 4 KiB
+                    rows = max(1, min(self.frames, 4096 // max(1, value.nbytes)))
+                    self._create(path, (0, *value.shape), (rows, *value.shape), (self.frames, *value.shape))
+                self._data[path].resize(self.appended + 1, axis=0)
+                self._data[path][self.appended] = value
+                self._hashes[path].update(value.tobytes())
+        self._framed = set(arrays)
+        self.appended += 1
+
+    def finish(self, status: str = "ok", reason: str = "") -> None:
+        """Close, read everything back, and only then give the file its name; `status` is ok or rejected."""
+        if (status == "ok") != (self.appended == self.frames) or (status == "rejected") != bool(reason):
+            raise ValueError(f"{status!r} ({reason!r}) with {self.appended} of {self.frames} frames")
+        self._attrs.update(status=status, reason=reason)
+        found = {
+            p: _Dataset(d.dtype.str, d.shape, _row_attrs(p), self._hashes[p].hexdigest()) for p, d in self._data.items()
+        }
+        digest = _digest(self._attrs, found)
+        with self._disk():
+            for name, value in {"status": status, "reason": reason, "digest": digest, "complete": True}.items():
+                self._file.attrs[name] = value
+            self._file.close()
+        read(self._sink.path, part=True).verify()
+        self._sink.publish()
+        self._finished = True
+
+    def _cast(self, path: str, array: np.ndarray, *, per_frame: bool) -> np.ndarray:
+        row = _row(path)
+        if (row.dims[0] == "N") != per_frame:
+            raise ValueError(f"{path}: {'put' if per_frame else 'append'} it, not {'append' if per_frame else 'put'}")
+        values = np.ascontiguousarray(np.asarray(array).astype(row.dtype, casting="same_kind"))
+        self._sizes.pop("N", None)
+        if problem := misfit(path, (self.appended + 1, *values.shape) if per_frame else values.shape, self._sizes):
+            raise ValueError(problem)
+        return values
+
+    def _create(self, path: str, shape: tuple, chunks: tuple, maxshape: tuple | None) -> Any:
+        filters = {"compression": "gzip", "compression_opts": 1, "shuffle": True, "fletcher32": True}
+        size = {"shape": shape, "chunks": tuple(max(1, n) for n in chunks), "maxshape": maxshape}
+        kind = np.dtype(_row(path).dtype)
+        self._data[path] = data = self._file.create_dataset(path, dtype=kind, track_times=False, **size, **filters)
+        for name, value in sorted(_row_attrs(path).items()):
+            data.attrs[name] = value
+        self._hashes[path] = hashlib.sha256()
+        return data
+
+    @contextmanager
+    def _disk(self) -> Iterator[None]:
+        """Turn whatever HDF5 makes of a failed write back into the OSError that caused it."""
+        try:
+            yield
+        except Exception:
+            if self._sink.error is None:
+                raise
+        if self._sink.error is not None:
+            raise self._sink.error
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """A finished bundle. Arrays are read when asked for; no file stays open, so it pickles and needs no closing."""
+
+    path: Path
+    attrs: dict[str, Any]
+    shapes: dict[str, tuple[int, ...]]
+    recipe: dict[str, Any] = field(repr=False)
+
+    def __contains__(self, path: str) -> bool:
+        return path in self.shapes
+
+    def __getitem__(self, path: str) -> np.ndarray:
+        """A whole dataset. Raises KeyError if the bundle has none of that name, UserError if the file is damaged."""
+        return self._read(path, ())
+
+    def frame(self, path: str, index: int) -> np.ndarray:
+        """One frame of a dataset whose first axis is the frame."""
+        if not 0 <= index < self.frames:
+            raise IndexError(f"{self.path} has no frame {index}")
+        return self._read(path, index)
+
+    @property
+    def frames(self) -> int:
+        """How many frames are stored; fewer than planned in a rejected scene."""
+        return max((n[0] for p, n in self.shapes.items() if p.startswith(("/frames/", "/fields/"))), default=0)
+
+    @property
+    def segments(self) -> tuple[str, ...]:
+        """For each frame, the kind of trajectory segment it belongs to (press, slide, ...)."""
+        kinds = [_kind(s) for s in self.recipe.get("trajectory", ())]
+        if "/frames/segment" not in self:
+            return ("",) * self.frames
+        return tuple(kinds[i] if 0 <= i < len(kinds) else "" for i in self["/frames/segment"])
+
+    def verify(self) -> None:
+        """Read everything back against the digest; UserError if a single bit has changed."""
+        found = {}
+        with _opened(self.path) as file:
+            for path in self.shapes:
+                data = file[path]
+                hashed = hashlib.sha256()
+                rows = data.chunks[0] if data.chunks else 1
+                for start in range(0, data.shape[0] if data.shape else 0, rows):
+                    hashed.update(data[start : start + rows].tobytes())
+                attrs = {name: _plain(value) for name, value in data.attrs.items()}
+                found[path] = _Dataset(data.dtype.str, data.shape, attrs, hashed.hexdigest())
+        if _digest(self.attrs, found) != self.attrs["digest"]:
+            raise UserError(f"{self.path}: damaged: its contents do not match its digest")
+
+    def _read(self, path: str, index: Any) -> np.ndarray:
+        if path not in self.shapes:
+            raise KeyError(f"{self.path} has no {path}")
+        with _opened(self.path) as file:
+            return np.asarray(file[path][index])
+
+
+def read(path: Path, *, part: bool = False) -> Bundle:
+    """Open a finished bundle; the data itself is checked by `Bundle.verify`.
+
+    Raises:
+        UserError: missing, no bundle, unfinished, damaged or of a newer format. `part` accepts a part file's name.
+    """
+    path = Path(path)
+    if partfile.MARK in path.name and not part:
+        raise UserError(f"{path}: unfinished: what a writer that was stopped left behind, or is still writing")
+    with _opened(path) as file:
+        attrs = {name: _plain(value) for name, value in file.attrs.items()}
+        shapes: dict[str, tuple[int, ...]] = {}
+        file.visititems(lambda name, item: shapes.update({"/" + name: item.shape}) if hasattr(item, "shape") else None)
+    if not isinstance(attrs.get("tacgen_format"), int):
+        raise UserError(f"{path}: an HDF5 file, but no tacgen bundle")
+    if attrs["tacgen_format"] > FORMAT:
+        newer, version = attrs["tacgen_format"], attrs.get("tacgen_version", "unknown")
+        raise UserError(f"{path}: bundle format {newer}, written by tacgen {version}; this tacgen reads up to {FORMAT}")
+    if attrs.get("complete") is not True:
+        raise UserError(f"{path}: unfinished: its writer was stopped")
+    try:
+        attrs = _checked(attrs, finished=True)
+        return Bundle(path, attrs, dict(sorted(shapes.items())), json.loads(attrs["recipe"]))
+    except (ValueError, TypeError) as error:
+        raise UserError(f"{path}: damaged: {error}") from error
+
+
+def is_complete(path: Path, key: str) -> bool:
+    """Whether `path` is a whole, undamaged bundle made from the inputs that `key` stands for. Reads all of it."""
+    try:
+        bundle = read(path)
+        if bundle.attrs["input_key"] != key:
+            return False
+        bundle.verify()
+    except UserError:
+        return False
+    return True
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    """The open h5py.File. Whatever goes wrong while it is read becomes one line: run nothing else here."""
+    import h5py
+
+    try:
+        with path.open("rb") as raw:
+            signature = raw.read(8)
+        if signature != b"\x89HDF\r\n\x1a\n":
+            raise UserError(f"{path}: not an HDF5 file")
+        with h5py.File(path, "r", locking=False) as file:
+            yield file
+    except (OSError, RuntimeError, ValueError, KeyError, TypeError, AttributeError) as error:
+        if isinstance(error, OSError) and error.strerror and not str(error).startswith("Unable"):
+            raise UserError(f"{path}: {error.strerror}") from error
+        raise UserError(f"{path}: damaged or cut short ({str(error).splitlines()[0]})") from error
+
+
+@dataclass(frozen=True)
+class _Dataset:
+    dtype: str
+    shape: tuple[int, ...]
+    attrs: dict[str, Any]
+    sha256: str
+
+
+def _digest(attrs: Mapping[str, Any], found: Mapping[str, _Dataset]) -> str:
+    """Of the content, not of the file: paths, types, shapes, bytes and attributes, all sorted."""
+    root = {name: value for name, value in attrs.items() if name not in KEYS}
+    rows = [[path, d.dtype, list(d.shape), d.attrs, d.sha256] for path, d in sorted(found.items())]
+    return hashlib.sha256(json.dumps([root, rows], sort_keys=True, default=repr).encode()).hexdigest()
+
+
+def _row_attrs(path: str) -> dict[str, str]:
+    row = _row(path)
+    return {"units": row.units, "long_name": row.long_name, "axes": row.axes}
+
+
+def _plain(value: Any) -> Any:
+    """An attribute as Python's own str, int, float or bool; mappings and sequences become JSON."""
+    if isinstance(value, np.generic | np.ndarray):
+        value = value.tolist()
+    if isinstance(value, Mapping | list | tuple):
+        return json.dumps(value, sort_keys=True)
+    return value
+
+
+def _checked(attrs: dict[str, Any], *, finished: bool = False) -> dict[str, Any]:
+    """The attributes themselves; ValueError unless they are what ATTRS and OPTIONAL say."""
+    last = set() if finished else {"status", "reason", *KEYS}
+    if missing := [name for name in ATTRS if name not in attrs and name not in last]:
+        raise ValueError(f"attribute {missing[0]!r} is missing")
+    for name, value in attrs.items():
+        wanted = (ATTRS | OPTIONAL).get(name)
+        if wanted is None or name in last:
+            raise ValueError(f"attribute {name!r} is not in the table of format {FORMAT}")
+        if type(value) is not wanted[0]:
+            raise ValueError(f"attribute {name!r} is {value!r}, expected {wanted[0].__name__}")
+    return attrs
+
+
+def _kind(segment: Any) -> str:
+    """`{"press": {...}}` is a press; so is `{"kind": "press", ...}`."""
+    return str(segment.get("kind", next(iter(segment), "")))

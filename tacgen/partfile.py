@@ -1,0 +1,128 @@
+"""A file that gets its name only when it is finished; what a killed process leaves behind is swept away."""
+
+import fcntl
+import os
+import time
+from contextlib import suppress
+from pathlib import Path
+
+from tacgen.errors import UserError
+
+MARK = ".part-"  # x.h5.part-<pid>
+
+
+def leftovers(folder: Path) -> list[Path]:
+    """Every part file in a folder, a living writer's included, sorted."""
+    return sorted(p for p in folder.glob(f"*{MARK}*") if p.name.rpartition(MARK)[2].isdigit())
+
+
+def sweep(folder: Path) -> list[Path]:
+    """Delete part files whose writer is dead, and return them.
+
+    A writer holds a lock on its part file and the system drops it when the process ends, however it ends. So this is
+    right where process ids are not: in containers, and on a folder that several machines write into.
+    """
+    gone = []
+    for path in leftovers(folder):
+        with suppress(OSError):  # held, deleted by another, or a file system without locks: leave it
+            handle = os.open(path, os.O_RDWR)
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                os.unlink(path)
+                gone.append(path)
+            finally:
+                os.close(handle)
+    return gone
+
+
+class Sink:
+    """The file object that HDF5 writes a part file through.
+
+    HDF5's own driver reports a full disk as a RuntimeError on close, and again when the interpreter exits. Here the
+    first OSError is kept in `error` and every later write is swallowed, so that HDF5 can close in peace; the caller
+    looks at `error` after each operation.
+    """
+
+    def __init__(self, target: Path) -> None:
+        self.target = target
+        self.path = target.with_name(f"{target.name}{MARK}{os.getpid()}")
+        self.error: OSError | None = None
+        self.dead = False  # set to swallow all further writes
+        self._at = 0
+        self._handle = self._open()
+
+    def _open(self) -> int:
+        """Open and lock. A sweeper may hold or delete the file between the two, so look again until both hold."""
+        for _ in range(50):
+            handle = os.open(self.path, os.O_RDWR | os.O_CREAT, 0o666)
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                if os.path.samestat(os.fstat(handle), os.stat(self.path)):
+                    os.ftruncate(handle, 0)
+                    return handle
+            except (BlockingIOError, FileNotFoundError):
+                pass
+            except OSError:  # a file system without locks
+                return handle
+            os.close(handle)
+            time.sleep(0.02)
+        raise UserError(f"{self.path}: another writer holds it")
+
+    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
+        if whence == os.SEEK_SET:
+            self._at = offset
+        else:
+            self._at = os.lseek(self._handle, offset, whence)
+        return self._at
+
+    def tell(self) -> int:
+        return self._at
+
+    def read(self, size: int) -> bytes:
+        """h5py knows a file object by this name and then reads through `readinto`."""
+        buffer = bytearray(size)
+        return bytes(buffer[: self.readinto(memoryview(buffer))])
+
+    def readinto(self, buffer: memoryview) -> int:
+        count = 0
+        while count < len(buffer) and (part := os.preadv(self._handle, [buffer[count:]], self._at)):
+            count += part
+            self._at += part
+        return count
+
+    def write(self, data: memoryview) -> int:
+        count = 0
+        while count < len(data) and not self.dead:
+            try:
+                count += os.pwrite(self._handle, data[count:], self._at + count)
+            except OSError as error:
+                self.error, self.dead = error, True
+        self._at += len(data)
+        return len(data)
+
+    def truncate(self, size: int) -> int:
+        if not self.dead:
+            try:
+                os.ftruncate(self._handle, size)
+            except OSError as error:
+                self.error, self.dead = error, True
+        return size
+
+    def flush(self) -> None:
+        """Nothing is buffered here; `publish` syncs."""
+
+    def publish(self) -> None:
+        """Bring the file to the disk and give it its name, atomically."""
+        os.fsync(self._handle)
+        os.replace(self.path, self.target)
+        os.close(self._handle)
+        folder = os.open(self.target.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+
+    def discard(self) -> None:
+        with suppress(FileNotFoundError):
+            os.unlink(self.path)
+        os.close(self._handle)
