@@ -206,7 +206,7 @@ def parse(text: str, source: Source) -> Tree:
     except (ValueError, TypeError, AssertionError, AttributeError, NotImplementedError, LookupError) as error:
         # the parser itself stumbles over some malformed scalars and tags
         raise UserError(f"{source.name}: is not YAML that can be read here: {_say(str(error))}") from None
-    spots = {(): Spot(Mark(source), Mark(source))}
+    spots: dict[KeyPath, Spot] = {(): Spot(Mark(source), Mark(source))}
     budget = iter(range(MAX_VALUES))
     return Tree(_plain(node, (), spots, budget, ()), spots)
 
@@ -241,8 +241,9 @@ def _plain(node: Any, path: KeyPath, spots: dict[KeyPath, Spot], budget: Iterato
             spots[(*path, str(key))] = Spot(key_mark, value_mark)
         return {str(key): _plain(value, (*path, str(key)), spots, budget, inside) for key, value in node.items()}
     if isinstance(node, list):
+        lines = getattr(node, "lc", None)
         for i in range(len(node)):
-            where = (node.lc.data or {}).get(i)
+            where = ((lines.data or {}) if lines else {}).get(i)
             mark = Mark(here.source, where[0], where[1]) if where else here
             spots[(*path, i)] = Spot(mark, mark)
         return [_plain(value, (*path, i), spots, budget, inside) for i, value in enumerate(node)]
@@ -255,4 +256,5 @@ def _plain(node: Any, path: KeyPath, spots: dict[KeyPath, Spot], budget: Iterato
             return kind(node)
     if isinstance(node, datetime.date):
         return str(node)
-    raise UserError(here.point(f"a {type(node).__name__} cannot stand here: only text, numbers, lists and mappings can"))
+    kind_name = type(node).__name__
+    raise UserError(here.point(f"a {kind_name} cannot stand here: only text, numbers, lists and mappings can"))

@@ -1,0 +1,71 @@
+"""What cannot be done on this sensor: the checks that need the recipe and the sensor side by side."""
+
+import math
+
+from tacgen.explain import Problem
+from tacgen.recipe import Recipe
+from tacgen.sensor import Gel, Sensor
+from tacgen.yamlfile import KeyPath
+
+
+def sensor_problems(sensor: Sensor) -> list[Problem]:
+    """What contradicts itself in a sensor file; paths start at the sensor's root."""
+    gel, half = sensor.gel, min(sensor.gel.width_mm, sensor.gel.height_mm) / 2
+    if gel.corner_radius_mm <= half:
+        return []
+    text = f"must be at most half the pad's shorter side, {half:g} (got {gel.corner_radius_mm:g})"
+    return [Problem(("gel", "corner_radius_mm"), text)]
+
+
+def recipe_problems(recipe: Recipe, sensor: Sensor) -> list[Problem]:
+    """What this recipe asks for and this sensor cannot give; paths start at the recipe's root."""
+    return [*_depths(recipe, sensor), *_places(recipe, sensor.gel), *_outputs(recipe, sensor)]
+
+
+def thickness_mm(gel: Gel) -> float:
+    """From the bonded base to the coated face [mm]."""
+    return sum(layer.thickness_mm for layer in gel.layers)
+
+
+def on_pad(gel: Gel, x_mm: float, y_mm: float) -> bool:
+    """Whether a point of the plane lies inside the pad's outline, or on it."""
+    r = gel.corner_radius_mm
+    past_x = max(abs(x_mm) - (gel.width_mm / 2 - r), 0.0)
+    past_y = max(abs(y_mm) - (gel.height_mm / 2 - r), 0.0)
+    return math.hypot(past_x, past_y) <= r + 1e-9 * gel.width_mm
+
+
+def _depths(recipe: Recipe, sensor: Sensor) -> list[Problem]:
+    thick = thickness_mm(sensor.gel)
+    return [
+        Problem(
+            ("trajectory", i, "press", "depth_mm"),
+            f"must be less than the gel is thick, {thick:g} mm (got {segment.press.depth_mm:g})",
+        )
+        for i, segment in enumerate(recipe.trajectory)
+        if segment.press and segment.press.depth_mm >= thick
+    ]
+
+
+def _places(recipe: Recipe, gel: Gel) -> list[Problem]:
+    """The indenter's axis must stay over the pad; the first move off it is named, and ends the search."""
+    pad = f"the pad of {gel.width_mm:g} x {gel.height_mm:g} mm"
+    x, y = recipe.start.x_mm, recipe.start.y_mm
+    if not on_pad(gel, x, y):
+        path: KeyPath = ("start", "x_mm" if abs(x) > gel.width_mm / 2 else "y_mm")
+        if abs(x) <= gel.width_mm / 2 and abs(y) <= gel.height_mm / 2:
+            path = ("start",)  # in the cut-off corner: neither alone is to blame
+        return [Problem(path, f"the indenter would start beside {pad}, at ({x:g}, {y:g})")]
+    for i, segment in enumerate(recipe.trajectory):
+        if segment.slide:
+            x, y = x + segment.slide.x_mm, y + segment.slide.y_mm
+            if not on_pad(gel, x, y):
+                text = f"would carry the indenter's axis off {pad}, to ({x:g}, {y:g})"
+                return [Problem(("trajectory", i, "slide"), text)]
+    return []
+
+
+def _outputs(recipe: Recipe, sensor: Sensor) -> list[Problem]:
+    if "markers" in recipe.outputs and sensor.markers is None:
+        return [Problem(("outputs",), f"asks for markers, and the sensor {sensor.name} has none")]
+    return []

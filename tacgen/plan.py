@@ -1,0 +1,268 @@
+"""Recipe -> Plan: the table of resolved scenes; the only place that draws numbers.
+
+Numbers come from SeedSequence((seed, scene, purpose)), never from the order of work: row i drawn alone equals
+row i of the whole plan.
+"""
+
+import hashlib
+import json
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tacgen import limits
+from tacgen.errors import UserError
+from tacgen.explain import Problem, validate
+from tacgen.load import Loaded, check_sensor, read
+from tacgen.recipe import Distribution, Recipe, Vary
+from tacgen.sensor import Sensor
+from tacgen.yamlfile import KeyPath, Tree, format_path, parse_path, put
+
+if TYPE_CHECKING:
+    import numpy as np
+
+FORMAT = 1  # of the bundles that the keys speak of
+DRAW, NOISE = 1, 2  # purposes of random numbers; a new purpose gets a new number
+FIXED = ("tacgen", "name", "sensor", "sensor_overrides", "extends", "vary")  # cannot be varied
+MAX_SCENES = 1_000_000
+
+
+@dataclass(frozen=True)
+class Row:
+    """One scene, resolved: nothing is left to draw or to look up."""
+
+    index: int
+    name: str  # scene-00000
+    seed: int  # of this scene's noise
+    recipe: Recipe  # without vary; varied values are in it
+    sensor: Sensor  # overrides are in it
+    values: dict[str, Any] = field(default_factory=dict)  # varied path -> this scene's value
+
+    @property
+    def key(self) -> str:
+        """SHA-256 over everything the bundle depends on: another key, another bundle."""
+        inputs = [FORMAT, self.index, self.seed, self.document(), self.sensor_document()]
+        return _sha256(inputs)
+
+    @property
+    def frames(self) -> int:
+        """How many frames the scene has."""
+        return self.recipe.frames
+
+    def document(self) -> dict[str, Any]:
+        """The resolved recipe as JSON values; read back, it gives this scene again."""
+        return self.recipe.document()
+
+    def sensor_document(self) -> dict[str, Any]:
+        """The resolved sensor as JSON values."""
+        plain: dict[str, Any] = self.sensor.model_dump(mode="json", exclude_none=True)
+        return plain
+
+    @property
+    def sensor_sha256(self) -> str:
+        """SHA-256 of the resolved sensor."""
+        return _sha256(self.sensor_document())
+
+
+@dataclass(frozen=True)
+class Plan:
+    """All scenes of a recipe, in order."""
+
+    name: str
+    rows: tuple[Row, ...]
+    paths: tuple[str, ...] = ()  # what is varied
+
+
+def load(path: Path, sets: Iterable[str] = ()) -> Plan:
+    """Read a recipe file and expand it. Raises UserError: every problem of recipe, sensor and varied scenes."""
+    loaded = read(path, sets)
+    return expand(loaded.recipe, loaded.sensor, loaded=loaded)
+
+
+def expand(
+    recipe: Recipe, sensor: Sensor, indices: Sequence[int] | None = None, *, loaded: Loaded | None = None
+) -> Plan:
+    """The scenes of a recipe.
+
+    Args:
+        recipe: what a person wrote.
+        sensor: its sensor, the recipe's overrides laid over it.
+        indices: only these rows (each as in the whole plan), or None for all.
+        loaded: where things were written, for errors that point there.
+
+    Raises:
+        UserError: a varied value makes a scene invalid; the lines name scene and path.
+    """
+    tree = loaded.tree if loaded else Tree(recipe.document())
+    vary = recipe.vary
+    if vary is None:
+        wrong = limits.recipe_problems(recipe, sensor)
+        if wrong:
+            raise UserError(problem.point(tree) for problem in wrong)
+        return Plan(recipe.name, (Row(0, "scene-00000", scene_seed(0, 0), recipe, sensor),))
+    _check(vary, tree)
+    count = scene_count(vary)
+    wanted = range(count) if indices is None else indices
+    base = recipe.model_copy(update={"vary": None}).document()
+    plain_sensor = sensor.model_dump(mode="json", exclude_none=True)
+    rows: list[Row] = []
+    problems: dict[tuple[KeyPath, str], list[tuple[str, Problem]]] = {}
+    for index, values in zip(wanted, draw(vary, wanted), strict=True):
+        row, wrong = _resolve(index, values, base, plain_sensor, sensor, scene_seed(vary.seed, index))
+        if row:
+            rows.append(row)
+        for problem in wrong:
+            problems.setdefault((problem.path, problem.message.split(" (got")[0]), []).append(
+                (f"scene-{index:05d}", problem)
+            )
+    if problems:
+        raise UserError(_say(group, tree, vary) for group in problems.values())
+    return Plan(recipe.name, tuple(rows), tuple(vary.over))
+
+
+def scene_count(vary: Vary) -> int:
+    """How many scenes a `vary` gives."""
+    if vary.method != "grid":
+        return vary.samples or 0
+    return math.prod(len(_points(spread)) for spread in vary.over.values())
+
+
+def scene_seed(seed: int, index: int) -> int:
+    """The seed of one scene's noise."""
+    from numpy.random import SeedSequence
+
+    return int(SeedSequence((seed, index, NOISE)).generate_state(1)[0])
+
+
+def draw(vary: Vary, indices: Sequence[int]) -> list[dict[str, Any]]:
+    """The varied values of these scenes; each is what the whole plan has there."""
+    paths, spreads = list(vary.over), list(vary.over.values())
+    if vary.method == "grid":
+        columns = [_points(spread) for spread in spreads]
+        return [dict(zip(paths, _grid_point(columns, index), strict=True)) for index in indices]
+    return [
+        {path: _value(spread, float(u)) for path, spread, u in zip(paths, spreads, point, strict=True)}
+        for point in _unit_points(vary, len(paths), indices)
+    ]
+
+
+def _unit_points(vary: Vary, d: int, indices: Sequence[int]) -> "list[np.ndarray]":
+    """Points of the unit cube, one a scene."""
+    from numpy.random import SeedSequence, default_rng
+    from scipy.stats import qmc
+
+    if vary.method == "random":
+        return [default_rng(SeedSequence((vary.seed, i, DRAW))).random(d) for i in indices]
+    rng = default_rng(SeedSequence((vary.seed, 0, DRAW)))
+    if vary.method == "lhs":  # a point of a latin hypercube depends on all others: draw them all
+        points = qmc.LatinHypercube(d, rng=rng).random(vary.samples)
+        return [points[i] for i in indices]
+    engine = qmc.Sobol(d, rng=rng) if vary.method == "sobol" else qmc.Halton(d, rng=rng)
+    points = []
+    for i in indices:
+        if i < engine.num_generated:
+            engine.reset()
+        if i > engine.num_generated:
+            engine.fast_forward(i - engine.num_generated)
+        points.append(engine.random(1)[0])
+    return points
+
+
+def _value(spread: Distribution, u: float) -> Any:
+    """The value of a distribution at u in [0, 1)."""
+    if spread.uniform:
+        low, high = spread.uniform
+        return low + (high - low) * u
+    if spread.loguniform:
+        low, high = spread.loguniform
+        return min(max(low * (high / low) ** u, low), high)
+    if spread.integers:
+        first, last = spread.integers
+        return min(first + int(u * (last - first + 1)), last)
+    points = _points(spread)
+    return points[min(int(u * len(points)), len(points) - 1)]
+
+
+def _points(spread: Distribution) -> Sequence[Any]:
+    """The values of a choice or linspace."""
+    if spread.choice is not None:
+        return spread.choice
+    first, last, n = spread.linspace or (0.0, 0.0, 0)
+    return [first + (last - first) * i / max(n - 1, 1) for i in range(n)]
+
+
+def _grid_point(columns: list[Sequence[Any]], index: int) -> list[Any]:
+    """Point `index` of the product of the columns; the last varies fastest."""
+    point: list[Any] = []
+    for column in reversed(columns):
+        index, i = divmod(index, len(column))
+        point.insert(0, column[i])
+    return point
+
+
+def _check(vary: Vary, tree: Tree) -> None:
+    """Raise UserError for what cannot be varied, or not by this method."""
+    problems: list[Problem] = []
+    for name, spread in vary.over.items():
+        here: KeyPath = ("vary", "over", name)
+        try:
+            path = parse_path(name)
+        except ValueError as error:
+            problems.append(Problem(here, str(error), at_key=True))
+            continue
+        if path[0] in FIXED and not (path[0] == "sensor" and len(path) > 1):
+            problems.append(Problem(here, f"{path[0]} cannot be varied", at_key=True))
+        if vary.method == "grid" and spread.choice is None and spread.linspace is None:
+            problems.append(Problem(here, "a grid takes choice or linspace only"))
+    if not problems and scene_count(vary) > MAX_SCENES:
+        problems.append(Problem(("vary", "over"), f"gives {scene_count(vary)} scenes; at most {MAX_SCENES} can be"))
+    if problems:
+        raise UserError(problem.point(tree) for problem in problems)
+
+
+def _resolve(
+    index: int, values: dict[str, Any], base: dict[str, Any], plain_sensor: dict[str, Any], sensor: Sensor, seed: int
+) -> tuple[Row | None, list[Problem]]:
+    """One row, checked as if a person had written it; or what is wrong with it."""
+    data: Any = base
+    try:
+        for name, value in values.items():
+            path, inner = parse_path(name), name.removeprefix("sensor.")
+            if path[0] == "sensor":
+                plain_sensor = put(plain_sensor, path[1:], value)
+                data = put(data, ("sensor_overrides", inner), value)
+            else:
+                data = put(data, path, value)
+    except LookupError as error:
+        return None, [Problem(path, str(error))]
+    recipe, wrong = validate(Recipe, data)
+    if any(name.startswith("sensor.") for name in values):
+        varied, more = check_sensor(plain_sensor)
+        wrong += [Problem(("sensor", *problem.path), problem.message, problem.at_key) for problem in more]
+        if varied is None:
+            return None, wrong
+        sensor = varied
+    if recipe is not None:
+        wrong += limits.recipe_problems(recipe, sensor)
+    if recipe is None or wrong:
+        return None, wrong
+    return Row(index, f"scene-{index:05d}", seed, recipe, sensor, values), []
+
+
+def _say(group: list[tuple[str, Problem]], tree: Tree, vary: Vary) -> str:
+    """One line for all scenes that fail alike, pointing at the varied path to blame when there is one."""
+    scene, problem = group[0]
+    more = f" (and {len(group) - 1} more scenes)" if len(group) > 1 else ""
+    blame = problem.path
+    for name in vary.over:
+        path = parse_path(name)
+        if path == blame[: len(path)] or blame == path[: len(blame)]:
+            blame = ("vary", "over", name)
+    text = f"{scene}: {format_path(problem.path)}: {problem.message}{more}"
+    return Problem(blame, text, at_key=True).mark(tree).point(text)
+
+
+def _sha256(value: Any) -> str:
+    return hashlib.sha256(json.dumps(value, sort_keys=True, separators=(",", ":")).encode()).hexdigest()

@@ -1,0 +1,315 @@
+"""YAML -> Recipe: what a person wrote, checked, with line numbers. Lengths in mm, angles in degrees."""
+
+from typing import Annotated, Any, Literal, NamedTuple, get_args
+
+from pydantic import AfterValidator, Discriminator, Field, Tag, ValidationInfo, field_validator, model_validator
+
+from tacgen.part import Part
+
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+Acute = Annotated[float, Field(gt=0, lt=90)]
+Frames = Annotated[int, Field(ge=1, le=10_000)]
+OutputName = Literal["force", "traction", "height", "stress", "markers", "rgb"]
+OUTPUTS: tuple[str, ...] = get_args(OutputName)
+
+
+def _smaller(value: float, limit: float | None, what: str, *, equal: bool = True) -> float:
+    """Raise ValueError unless value <= limit (or < limit); `limit` is None when it is itself wrong."""
+    if limit is not None and (value > limit or (value == limit and not equal)):
+        raise ValueError(f"must be {'at most' if equal else 'less than'} {what}, {limit:g} (got {value:g})")
+    return value
+
+
+class Sphere(Part):
+    """A ball."""
+
+    shape: Literal["sphere"]
+    radius_mm: Positive
+
+
+class Cylinder(Part):
+    """A flat punch: a round rod whose axis is z, its lower edge rounded."""
+
+    shape: Literal["cylinder"]
+    radius_mm: Positive
+    fillet_mm: Annotated[float, Field(gt=0, validate_default=True)] = 0.2
+
+    @field_validator("fillet_mm")
+    @classmethod
+    def _fits(cls, value: float, info: ValidationInfo) -> float:
+        return _smaller(value, info.data.get("radius_mm"), "radius_mm")
+
+
+class Cone(Part):
+    """A cone pointing down with a ball for a tip; the half angle is measured from its axis."""
+
+    shape: Literal["cone"]
+    half_angle_deg: Acute
+    tip_radius_mm: Positive
+
+
+class Box(Part):
+    """A block with rounded edges, flat side down."""
+
+    shape: Literal["box"]
+    size_x_mm: Positive
+    size_y_mm: Positive
+    fillet_mm: Annotated[float, Field(gt=0, validate_default=True)] = 0.2
+
+    @field_validator("fillet_mm")
+    @classmethod
+    def _fits(cls, value: float, info: ValidationInfo) -> float:
+        sides = [info.data[side] for side in ("size_x_mm", "size_y_mm") if side in info.data]
+        return _smaller(value, min(sides) / 2 if sides else None, "half the shorter side")
+
+
+class Wedge(Part):
+    """A wedge pointing down whose rounded edge lies along y; the half angle is measured from z."""
+
+    shape: Literal["wedge"]
+    half_angle_deg: Acute
+    tip_radius_mm: Positive
+    length_mm: Positive
+
+
+class Capsule(Part):
+    """A rod with round ends lying along x; the length is between the centres of its two balls."""
+
+    shape: Literal["capsule"]
+    radius_mm: Positive
+    length_mm: Positive
+
+
+class Torus(Part):
+    """A ring lying flat: `radius_mm` from its axis to the centre of the tube."""
+
+    shape: Literal["torus"]
+    radius_mm: Positive
+    tube_radius_mm: Positive
+
+    @field_validator("tube_radius_mm")
+    @classmethod
+    def _fits(cls, value: float, info: ValidationInfo) -> float:
+        return _smaller(value, info.data.get("radius_mm"), "radius_mm", equal=False)
+
+
+Indenter = Annotated[Sphere | Cylinder | Cone | Box | Wedge | Capsule | Torus, Field(discriminator="shape")]
+SHAPES: dict[str, type[Part]] = {
+    kind.model_fields["shape"].annotation.__args__[0]: kind  # type: ignore[union-attr]
+    for kind in (Sphere, Cylinder, Cone, Box, Wedge, Capsule, Torus)
+}
+
+
+class Start(Part):
+    """Where the indenter stands before it moves: its lowest point `clearance_mm` over the untouched face."""
+
+    x_mm: float = 0.0
+    y_mm: float = 0.0
+    clearance_mm: float = 0.0
+    yaw_deg: float = 0.0
+    tilt_deg: Annotated[float, Field(ge=0, lt=90)] = 0.0
+    tilt_axis_deg: float = 0.0
+
+    @field_validator("clearance_mm")
+    @classmethod
+    def _outside(cls, value: float) -> float:
+        if value < 0:
+            raise ValueError(f"must be at least 0 (got {value:g}): the indenter would start inside the gel")
+        return value
+
+
+class Press(Part):
+    """Move along z until the lowest point is `depth_mm` below the untouched face."""
+
+    depth_mm: Positive
+    frames: Frames
+
+
+class Slide(Part):
+    """Move sideways by this much from where the indenter is."""
+
+    x_mm: float = 0.0
+    y_mm: float = 0.0
+    frames: Frames
+
+
+class Twist(Part):
+    """Turn about the indenter's own axis by this much."""
+
+    angle_deg: float
+    frames: Frames
+
+
+class Hold(Part):
+    """Stay."""
+
+    frames: Frames
+
+
+class Release(Part):
+    """Lift back to the height of the start."""
+
+    frames: Frames
+
+
+def _exactly_one(part: Part, what: str) -> None:
+    """Raise ValueError unless one field is given."""
+    given = [name for name in type(part).model_fields if getattr(part, name) is not None]
+    if len(given) != 1:
+        names = ", ".join(type(part).model_fields)
+        raise ValueError(f"must hold exactly one {what} of {names} (got {', '.join(given) or 'none'})")
+
+
+ONE_KEY: dict[str, Any] = {"minProperties": 1, "maxProperties": 1}
+
+
+class Segment(Part, json_schema_extra=ONE_KEY):
+    """One step of the trajectory: `press: {depth_mm: 1, frames: 5}` and the like."""
+
+    press: Press | None = None
+    slide: Slide | None = None
+    twist: Twist | None = None
+    hold: Hold | None = None
+    release: Release | None = None
+
+    @model_validator(mode="after")
+    def _one(self) -> "Segment":
+        _exactly_one(self, "movement")
+        return self
+
+    @property
+    def kind(self) -> str:
+        """press, slide, twist, hold or release."""
+        return next(name for name in type(self).model_fields if getattr(self, name) is not None)
+
+    @property
+    def move(self) -> Press | Slide | Twist | Hold | Release:
+        """The one movement that is given."""
+        found: Press | Slide | Twist | Hold | Release = getattr(self, self.kind)
+        return found
+
+    @property
+    def frames(self) -> int:
+        """How many frames it gives."""
+        return self.move.frames
+
+
+class Contact(Part):
+    """How indenter and gel touch."""
+
+    friction: NotNegative = 0.0
+
+
+class Quality(NamedTuple):
+    """Numbers that trade time for error."""
+
+    edge_mm: float  # of the mesh under the contact
+    dhat_mm: float  # range of the contact barrier
+    spp: int  # samples a pixel
+
+
+QUALITIES = {
+    "draft": Quality(0.6, 0.05, 16),
+    "default": Quality(0.4, 0.05, 64),
+    "reference": Quality(0.25, 0.02, 512),
+}
+
+
+class QualityNumbers(Part):
+    """Numbers given one by one; what is left out is as in `default`."""
+
+    edge_mm: Positive | None = None
+    dhat_mm: Positive | None = None
+    spp: Annotated[int, Field(ge=1)] | None = None
+
+
+def _quality_tag(value: Any) -> str:
+    return "numbers" if isinstance(value, dict | QualityNumbers) else "preset"
+
+
+class Distribution(Part, json_schema_extra=ONE_KEY):
+    """Where the values of one varied path come from."""
+
+    uniform: tuple[float, float] | None = None
+    loguniform: tuple[Positive, Positive] | None = None
+    integers: tuple[int, int] | None = None  # both ends included
+    choice: Annotated[tuple[Any, ...], Field(min_length=1)] | None = None
+    linspace: tuple[float, float, Annotated[int, Field(ge=1, le=1_000_000)]] | None = None
+
+    @field_validator("uniform", "loguniform", "integers")
+    @classmethod
+    def _ordered(cls, value: tuple[float, float] | None) -> tuple[float, float] | None:
+        if value is not None and not value[0] < value[1]:
+            raise ValueError(f"must be [low, high] with low < high (got [{value[0]:g}, {value[1]:g}])")
+        return value
+
+    @model_validator(mode="after")
+    def _one(self) -> "Distribution":
+        _exactly_one(self, "distribution")
+        return self
+
+
+class Vary(Part):
+    """A batch: many scenes from one recipe."""
+
+    method: Literal["grid", "random", "sobol", "lhs", "halton"] = "sobol"
+    samples: Annotated[int | None, Field(ge=1, le=1_000_000, validate_default=True)] = None
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    over: Annotated[dict[str, Distribution], Field(min_length=1)]
+
+    @field_validator("samples")
+    @classmethod
+    def _when_needed(cls, value: int | None, info: ValidationInfo) -> int | None:
+        method = info.data.get("method")
+        if method == "grid" and value is not None:
+            raise ValueError("must be left out: a grid has as many scenes as its choices and linspaces give")
+        if method not in (None, "grid") and value is None:
+            raise ValueError(f"is missing: how many scenes to draw by {method}")
+        return value
+
+
+def _filled(value: frozenset[str]) -> frozenset[str]:
+    if not value:
+        raise ValueError(f"must name at least one of {', '.join(OUTPUTS)}")
+    return value
+
+
+Outputs = Annotated[frozenset[OutputName], AfterValidator(_filled)]
+
+
+class Recipe(Part):
+    """What a person wrote: one scene, or with `vary` a batch of them."""
+
+    tacgen: Literal[1]
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=100)]
+    sensor: Annotated[str, Field(min_length=1)]
+    sensor_overrides: dict[str, Any] = Field(default_factory=dict)
+    indenter: Indenter
+    start: Start = Start()
+    trajectory: Annotated[tuple[Segment, ...], Field(min_length=1)]
+    contact: Contact = Contact()
+    outputs: Outputs
+    quality: Annotated[
+        Annotated[Literal["draft", "default", "reference"], Tag("preset")] | Annotated[QualityNumbers, Tag("numbers")],
+        Discriminator(_quality_tag),
+    ] = "default"
+    vary: Vary | None = None
+
+    def resolved(self) -> Quality:
+        """The quality as numbers."""
+        if isinstance(self.quality, str):
+            return QUALITIES[self.quality]
+        given = {name: value for name, value in self.quality.model_dump().items() if value is not None}
+        return QUALITIES["default"]._replace(**given)
+
+    @property
+    def frames(self) -> int:
+        """How many frames a scene has."""
+        return sum(segment.frames for segment in self.trajectory)
+
+    def document(self) -> dict[str, Any]:
+        """Plain values that YAML and JSON can hold and that read back as the same recipe."""
+        plain: dict[str, Any] = self.model_dump(mode="json", exclude_none=True)
+        plain["outputs"] = [name for name in OUTPUTS if name in self.outputs]
+        return plain
