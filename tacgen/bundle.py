@@ -11,8 +11,8 @@ import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from errno import EIO
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -23,8 +23,6 @@ from tacgen.errors import UserError
 FORMAT = 1
 UNITS = "mm N MPa s rad"
 KEYS = ("digest", "complete")  # written last; not part of what the digest covers
-
-Attr = str | int | float | bool
 
 
 @dataclass(frozen=True)
@@ -95,13 +93,9 @@ OPTIONAL: dict[str, tuple[type, str]] = {
 }
 
 
-def entry(path: str) -> Entry | None:
-    """The layout's row for a dataset path, None if the format has no such dataset."""
-    return LAYOUT.get(path) or LAYOUT.get(path.rpartition("/")[0] + "/*")
-
-
-def _row(path: str) -> Entry:
-    row = entry(path)
+def entry(path: str) -> Entry:
+    """The layout's row for a dataset path; ValueError if the format has no such dataset."""
+    row = LAYOUT.get(path) or LAYOUT.get(path.rpartition("/")[0] + "/*")
     if row is None:
         raise ValueError(f"format {FORMAT} has no dataset {path}")
     return row
@@ -109,11 +103,8 @@ def _row(path: str) -> Entry:
 
 def misfit(path: str, shape: tuple[int, ...], sizes: dict[str, int]) -> str | None:
     """Why `shape` is not what the layout gives `path`, or None. Sizes met for the first time join `sizes`."""
-    row = _row(path)
-    wanted = [sizes.get(d, d) if isinstance(d, str) else d for d in row.dims]
-    fits = len(wanted) == len(shape)
-    fits = fits and all(n == w for n, w in zip(shape, wanted, strict=True) if isinstance(w, int))
-    if not fits:
+    wanted = [sizes.get(d, d) if isinstance(d, str) else d for d in entry(path).dims]
+    if len(wanted) != len(shape) or any(isinstance(w, int) and w != n for n, w in zip(shape, wanted, strict=True)):
         return f"{path} has shape {shape}, expected ({', '.join(str(w) for w in wanted)})"
     sizes.update({w: n for n, w in zip(shape, wanted, strict=True) if isinstance(w, str) and w != "*"})
     return None
@@ -143,7 +134,7 @@ class Writer:
         self.path = Path(path)
         self.frames = frames
         self.appended = 0
-        self._attrs: dict[str, Attr] = _checked({**{k: _plain(v) for k, v in attrs.items()}, **own})
+        self._attrs: dict[str, Any] = _checked({**{k: _plain(v) for k, v in attrs.items()}, **own})
         self._sizes: dict[str, int] = {}
         self._data: dict[str, Any] = {}  # path -> h5py.Dataset
         self._hashes: dict[str, Any] = {}  # path -> running sha256 of the bytes we were given
@@ -163,13 +154,11 @@ class Writer:
                 for name, value in sorted(self._attrs.items()):
                     self._file.attrs[name] = value
         except BaseException:
-            self._sink.discard()
+            self.__exit__()
             raise
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if not self._finished:
             self._sink.dead = True  # what HDF5 still has to flush goes nowhere
             with suppress(Exception):
@@ -207,20 +196,23 @@ class Writer:
         if (status == "ok") != (self.appended == self.frames) or (status == "rejected") != bool(reason):
             raise ValueError(f"{status!r} ({reason!r}) with {self.appended} of {self.frames} frames")
         self._attrs.update(status=status, reason=reason)
-        found = {
-            p: _Dataset(d.dtype.str, d.shape, _row_attrs(p), self._hashes[p].hexdigest()) for p, d in self._data.items()
-        }
-        digest = _digest(self._attrs, found)
+        found = {}
+        for path, data in self._data.items():
+            found[path] = _Dataset(data.dtype.str, data.shape, _row_attrs(path), self._hashes[path].hexdigest())
+        last = {"status": status, "reason": reason, "digest": _digest(self._attrs, found), "complete": True}
         with self._disk():
-            for name, value in {"status": status, "reason": reason, "digest": digest, "complete": True}.items():
+            for name, value in last.items():
                 self._file.attrs[name] = value
             self._file.close()
-        read(self._sink.path, part=True).verify()
+        try:
+            read(self._sink.path, part=True).verify()
+        except UserError as error:
+            raise OSError(EIO, "what was written does not read back", str(self.path)) from error
         self._sink.publish()
         self._finished = True
 
     def _cast(self, path: str, array: np.ndarray, *, per_frame: bool) -> np.ndarray:
-        row = _row(path)
+        row = entry(path)
         if (row.dims[0] == "N") != per_frame:
             raise ValueError(f"{path}: {'put' if per_frame else 'append'} it, not {'append' if per_frame else 'put'}")
         values = np.ascontiguousarray(np.asarray(array).astype(row.dtype, casting="same_kind"))
@@ -232,7 +224,7 @@ class Writer:
     def _create(self, path: str, shape: tuple, chunks: tuple, maxshape: tuple | None) -> Any:
         filters = {"compression": "gzip", "compression_opts": 1, "shuffle": True, "fletcher32": True}
         size = {"shape": shape, "chunks": tuple(max(1, n) for n in chunks), "maxshape": maxshape}
-        kind = np.dtype(_row(path).dtype)
+        kind = np.dtype(entry(path).dtype)
         self._data[path] = data = self._file.create_dataset(path, dtype=kind, track_times=False, **size, **filters)
         for name, value in sorted(_row_attrs(path).items()):
             data.attrs[name] = value
@@ -281,7 +273,7 @@ class Bundle:
     @property
     def segments(self) -> tuple[str, ...]:
         """For each frame, the kind of trajectory segment it belongs to (press, slide, ...)."""
-        kinds = [_kind(s) for s in self.recipe.get("trajectory", ())]
+        kinds = [next(kind for kind, move in s.items() if move is not None) for s in self.recipe.get("trajectory", ())]
         if "/frames/segment" not in self:
             return ("",) * self.frames
         return tuple(kinds[i] if 0 <= i < len(kinds) else "" for i in self["/frames/segment"])
@@ -324,8 +316,8 @@ def read(path: Path, *, part: bool = False) -> Bundle:
     if not isinstance(attrs.get("tacgen_format"), int):
         raise UserError(f"{path}: an HDF5 file, but no tacgen bundle")
     if attrs["tacgen_format"] > FORMAT:
-        newer, version = attrs["tacgen_format"], attrs.get("tacgen_version", "unknown")
-        raise UserError(f"{path}: bundle format {newer}, written by tacgen {version}; this tacgen reads up to {FORMAT}")
+        newer = f"bundle format {attrs['tacgen_format']}, written by tacgen {attrs.get('tacgen_version')}"
+        raise UserError(f"{path}: {newer}; this tacgen reads up to {FORMAT}: upgrade it")
     if attrs.get("complete") is not True:
         raise UserError(f"{path}: unfinished: its writer was stopped")
     try:
@@ -339,12 +331,12 @@ def is_complete(path: Path, key: str) -> bool:
     """Whether `path` is a whole, undamaged bundle made from the inputs that `key` stands for. Reads all of it."""
     try:
         bundle = read(path)
-        if bundle.attrs["input_key"] != key:
-            return False
-        bundle.verify()
+        if bundle.attrs["input_key"] == key:
+            bundle.verify()
+            return True
     except UserError:
-        return False
-    return True
+        pass
+    return False
 
 
 @contextmanager
@@ -355,14 +347,15 @@ def _opened(path: Path) -> Iterator[Any]:
     try:
         with path.open("rb") as raw:
             signature = raw.read(8)
-        if signature != b"\x89HDF\r\n\x1a\n":
-            raise UserError(f"{path}: not an HDF5 file")
+    except OSError as error:
+        raise UserError(f"{path}: {error.strerror}") from error
+    if signature != b"\x89HDF\r\n\x1a\n":
+        raise UserError(f"{path}: not an HDF5 file")
+    try:
         with h5py.File(path, "r", locking=False) as file:
             yield file
     except (OSError, RuntimeError, ValueError, KeyError, TypeError, AttributeError) as error:
-        if isinstance(error, OSError) and error.strerror and not str(error).startswith("Unable"):
-            raise UserError(f"{path}: {error.strerror}") from error
-        raise UserError(f"{path}: damaged or cut short ({str(error).splitlines()[0]})") from error
+        raise UserError(f"{path}: damaged or cut short ({str(error).partition(chr(10))[0]})") from error
 
 
 @dataclass(frozen=True)
@@ -381,7 +374,7 @@ def _digest(attrs: Mapping[str, Any], found: Mapping[str, _Dataset]) -> str:
 
 
 def _row_attrs(path: str) -> dict[str, str]:
-    row = _row(path)
+    row = entry(path)
     return {"units": row.units, "long_name": row.long_name, "axes": row.axes}
 
 
@@ -406,8 +399,3 @@ def _checked(attrs: dict[str, Any], *, finished: bool = False) -> dict[str, Any]
         if type(value) is not wanted[0]:
             raise ValueError(f"attribute {name!r} is {value!r}, expected {wanted[0].__name__}")
     return attrs
-
-
-def _kind(segment: Any) -> str:
-    """`{"press": {...}}` is a press; so is `{"kind": "press", ...}`."""
-    return str(segment.get("kind", next(iter(segment), "")))

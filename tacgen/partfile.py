@@ -96,7 +96,7 @@ class Sink:
             try:
                 count += os.pwrite(self._handle, data[count:], self._at + count)
             except OSError as error:
-                self.error, self.dead = error, True
+                self._fail(error)
         self._at += len(data)
         return len(data)
 
@@ -105,8 +105,11 @@ class Sink:
             try:
                 os.ftruncate(self._handle, size)
             except OSError as error:
-                self.error, self.dead = error, True
+                self._fail(error)
         return size
+
+    def _fail(self, error: OSError) -> None:
+        self.error, self.dead = OSError(error.errno, error.strerror, str(self.target)), True
 
     def flush(self) -> None:
         """Nothing is buffered here; `publish` syncs."""
@@ -115,14 +118,15 @@ class Sink:
         """Bring the file to the disk and give it its name, atomically."""
         os.fsync(self._handle)
         os.replace(self.path, self.target)
-        os.close(self._handle)
         folder = os.open(self.target.parent, os.O_RDONLY)
         try:
             os.fsync(folder)
         finally:
             os.close(folder)
+        os.close(self._handle)
 
     def discard(self) -> None:
+        """Delete the part file."""
         with suppress(FileNotFoundError):
             os.unlink(self.path)
         os.close(self._handle)
