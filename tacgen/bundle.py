@@ -215,7 +215,7 @@ class Writer:
         row = entry(path)
         if (row.dims[0] == "N") != per_frame:
             raise ValueError(f"{path}: {'put' if per_frame else 'append'} it, not {'append' if per_frame else 'put'}")
-        values = np.ascontiguousarray(np.asarray(array).astype(row.dtype, casting="same_kind"))
+        values = np.asarray(array).astype(row.dtype, order="C", casting="same_kind")
         self._sizes.pop("N", None)
         if problem := misfit(path, (self.appended + 1, *values.shape) if per_frame else values.shape, self._sizes):
             raise ValueError(problem)
