@@ -142,7 +142,7 @@ def _written(data: Any, loc: KeyPath, *, missing: bool) -> KeyPath:
     for i, step in enumerate(loc):
         here = at(data, path)
         last = i == len(loc) - 1
-        if isinstance(here, dict) and step in here or isinstance(here, list) and isinstance(step, int):
+        if (isinstance(here, dict) and step in here) or (isinstance(here, list) and isinstance(step, int)):
             path = (*path, step)
         elif last and isinstance(here, dict) and (missing or str(step).isidentifier()):
             path = (*path, step)  # a key that was not written: missing, or a default that does not fit

@@ -108,9 +108,8 @@ class Tree:
 def at(data: Any, path: KeyPath) -> Any:
     """The value at `path`, None where there is none."""
     for step in path:
-        if isinstance(data, dict) and step in data:
-            data = data[step]
-        elif isinstance(data, list) and isinstance(step, int) and 0 <= step < len(data):
+        there = isinstance(data, list) and isinstance(step, int) and 0 <= step < len(data)
+        if there or (isinstance(data, dict) and step in data):
             data = data[step]
         else:
             return None

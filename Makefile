@@ -1,0 +1,62 @@
+# The front door. Needs python3 (3.11 to 3.13), make and git; everything else goes into .venv.
+#   make demo    one press, slide and twist: a bundle and a picture of it in out/
+#   make test    the tests
+
+SUITABLE = import sys, venv, ensurepip; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))
+CANDIDATES = python3 python3.13 python3.12 python3.11 python
+PYTHON ?= $(shell for p in $(CANDIDATES); do $$p -c '$(SUITABLE)' >/dev/null 2>&1 && { echo $$p; break; }; done)
+BIN = .venv/bin
+PYTEST_FLAGS ?= -n auto
+
+# one thread per process: sums are added in one order, and two test processes do not fight over cores
+export OMP_NUM_THREADS ?= 1
+export OPENBLAS_NUM_THREADS ?= 1
+export MKL_NUM_THREADS ?= 1
+export NUMBA_NUM_THREADS ?= 1
+
+.PHONY: help sync check test test-slow smoke bench demo clean
+
+help:
+	@echo "make demo | test | check | test-slow | smoke | bench | sync | clean"
+
+sync: .venv/synced
+
+.venv/synced: pyproject.toml
+	@test -x $(BIN)/python || { p="$(PYTHON)"; test -n "$$p" && $$p -c '$(SUITABLE)' 2>/dev/null; } || { \
+	  echo "tacgen needs Python 3.11, 3.12 or 3.13 with its venv module (Debian, Ubuntu: apt install python3-venv)."; \
+	  echo "Found: $$($(or $(PYTHON),python3) --version 2>&1). Choose another with: make $(MAKECMDGOALS) PYTHON=/path/to/python3.12"; \
+	  exit 1; }
+	@test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	@echo "installing tacgen and its tools into .venv (a few minutes the first time)"
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[dev]"
+	@touch $@
+
+check: sync
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+test: sync
+	$(BIN)/python -m pytest -m "not slow" $(PYTEST_FLAGS)
+
+test-slow: sync
+	$(BIN)/python -m pytest -m slow $(PYTEST_FLAGS)
+
+smoke: sync
+	@for recipe in recipes/*.yaml; do \
+	  name=$$(basename $$recipe .yaml); \
+	  $(BIN)/tacgen run $$recipe -o out/smoke/$$name --set quality=draft --set vary=null && \
+	  $(BIN)/tacgen check out/smoke/$$name || exit 1; \
+	done
+
+bench: sync
+	$(BIN)/tacgen run recipes/quickstart.yaml -o out/bench --overwrite --json
+
+demo: sync
+	$(BIN)/tacgen run recipes/quickstart.yaml -o out/quickstart
+	$(BIN)/tacgen show out/quickstart/scene-00000.h5 -o out/quickstart.png
+	@echo "bundle:  out/quickstart/scene-00000.h5"
+	@echo "picture: out/quickstart.png"
+
+clean:
+	rm -rf .venv build dist out .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -1,0 +1,98 @@
+"""What works on this machine, found by trying it."""
+
+import os
+import platform
+import shutil
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import NamedTuple
+
+PACKAGES = (
+    *("numpy", "scipy", "numba", "mitsuba", "drjit", "h5py", "pydantic", "ruamel.yaml"),
+    *("typer", "click", "rich", "platformdirs", "cvxopt", "pymetis", "matplotlib"),
+)
+FREE_GB = 1.0  # below this a batch will not get far
+
+
+class Finding(NamedTuple):
+    """One thing that was tried."""
+
+    name: str
+    ok: bool
+    note: str
+    needed: bool = True  # tacgen does not work without it
+
+
+def examine() -> list[Finding]:
+    """Try everything; a trial that fails is a finding, never an exception."""
+    found: list[Finding] = []
+    for trial in (_python, _packages, _solvers, _rendering, _hdf5, _threads, _disk):
+        found += _tried(trial)
+    return found
+
+
+def _tried(trial: Callable[[], Iterator[Finding]]) -> list[Finding]:
+    try:
+        return list(trial())
+    except Exception as error:  # whatever goes wrong here is the diagnosis asked for
+        return [Finding(trial.__name__.strip("_"), False, f"{type(error).__name__}: {error}".split("\n")[0])]
+
+
+def _python() -> Iterator[Finding]:
+    fits = (3, 11) <= sys.version_info[:2] < (3, 14)
+    yield Finding("python", fits, f"{platform.python_version()} ({sys.executable}); 3.11 to 3.13 are supported")
+
+
+def _packages() -> Iterator[Finding]:
+    for name in PACKAGES:
+        try:
+            yield Finding(name, True, version(name))
+        except PackageNotFoundError:
+            yield Finding(name, False, "is not installed")
+
+
+def _solvers() -> Iterator[Finding]:
+    from tacgen.fem import linear
+
+    names = linear.available()
+    yield Finding("linear solvers", bool(names), ", ".join(names) or "none can be imported")
+
+
+def _rendering() -> Iterator[Finding]:
+    from tacgen import render
+
+    tried = render.variants()
+    for one in tried:
+        yield Finding(one.variant, one.works, f"{one.note} {one.library}".strip(), needed=False)
+    working = [one.variant for one in tried if one.works]
+    yield Finding("rendering", bool(working), f"uses {working[0]}" if working else "no Mitsuba variant renders")
+
+
+def _hdf5() -> Iterator[Finding]:
+    import h5py
+    import numpy as np
+
+    data = np.arange(12.0).reshape(3, 4)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "trial.h5"
+        with h5py.File(path, "w") as file:
+            file.create_dataset("data", data=data, compression="gzip", shuffle=True, fletcher32=True)
+        with h5py.File(path) as file:
+            same = bool(np.array_equal(file["data"][()], data))
+    yield Finding("HDF5", same, f"round trip with HDF5 {h5py.version.hdf5_version}")
+
+
+def _threads() -> Iterator[Finding]:
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    pinned = {name: os.environ[name] for name in ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS") if name in os.environ}
+    note = ", ".join(f"{name}={value}" for name, value in pinned.items()) or "a run pins BLAS and numba to 1"
+    yield Finding("threads", True, f"{cores} cores; {note}")
+
+
+def _disk() -> Iterator[Finding]:
+    for name, folder in (("disk here", Path.cwd()), ("disk for scratch", Path(tempfile.gettempdir()))):
+        free = shutil.disk_usage(folder).free / 1e9
+        yield Finding(name, free > FREE_GB, f"{free:.1f} GB free", needed=False)
