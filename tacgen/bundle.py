@@ -1,8 +1,7 @@
-"""Write, read and verify a bundle: one HDF5 file a scene, format 1. The layout is the table below.
+"""Write, read and verify a bundle: one HDF5 file a scene. The layout is the table below.
 
 The same inputs give the same bytes, so nothing here depends on the clock: how long each stage took belongs
 in `<name>.timing.json` beside the bundle (the pipeline writes it), never in the bundle.
-
 docs/BUNDLE.md is made from the same tables by scripts/bundle_page.py.
 """
 
@@ -34,6 +33,10 @@ class Entry:
     units: str  # "1" is dimensionless
     long_name: str
     axes: str  # one word an axis
+
+    @property
+    def attrs(self) -> dict[str, str]:
+        return {"units": self.units, "long_name": self.long_name, "axes": self.axes}
 
 
 MAP = "frame row column"
@@ -87,6 +90,7 @@ ATTRS: dict[str, tuple[type, str]] = {
     "complete": (bool, "true, written last"),
 }
 OPTIONAL: dict[str, tuple[type, str]] = {
+    "sensor_document": (str, "resolved sensor, JSON"),
     "renderer": (str, "Mitsuba variant and version, where images were rendered"),
     "values": (str, "the varied paths of a batch and their values, JSON"),
     "notes": (str, "what a reader should know of this scene, JSON list of lines"),
@@ -119,9 +123,8 @@ class Writer:
                 writer.append({"/frames/force": force, "/frames/rgb": image})
             writer.finish()
 
-    Leaving the block without `finish`, or with an exception, removes the part file. `attrs` holds what ATTRS and
-    OPTIONAL name, less what the writer knows itself; mappings and lists are stored as JSON. Arrays must have the
-    layout's shape and be safely castable to its type.
+    Leaving the block without `finish` removes the part file. `attrs` holds what ATTRS and OPTIONAL name, less what
+    the writer knows itself; mappings and lists are stored as JSON. Arrays must have the layout's shape and kind.
 
     Raises:
         ValueError, TypeError: an attribute, path, shape or type that is not in the tables (a bug of the caller).
@@ -131,9 +134,7 @@ class Writer:
 
     def __init__(self, path: Path, attrs: Mapping[str, Any], frames: int) -> None:
         own = {"tacgen_format": FORMAT, "tacgen_version": __version__, "units": UNITS, "frames_planned": frames}
-        self.path = Path(path)
-        self.frames = frames
-        self.appended = 0
+        self.path, self.frames, self.appended = Path(path), frames, 0
         self._attrs: dict[str, Any] = _checked({**{k: _plain(v) for k, v in attrs.items()}, **own})
         self._sizes: dict[str, int] = {}
         self._data: dict[str, Any] = {}  # path -> h5py.Dataset
@@ -198,7 +199,7 @@ class Writer:
         self._attrs.update(status=status, reason=reason)
         found = {}
         for path, data in self._data.items():
-            found[path] = _Dataset(data.dtype.str, data.shape, _row_attrs(path), self._hashes[path].hexdigest())
+            found[path] = Dataset(data.dtype.str, data.shape, entry(path).attrs, self._hashes[path].hexdigest())
         last = {"status": status, "reason": reason, "digest": _digest(self._attrs, found), "complete": True}
         with self._disk():
             for name, value in last.items():
@@ -222,12 +223,13 @@ class Writer:
         return values
 
     def _create(self, path: str, shape: tuple, chunks: tuple, maxshape: tuple | None) -> Any:
+        row = entry(path)
         filters = {"compression": "gzip", "compression_opts": 1, "shuffle": True, "fletcher32": True}
         size = {"shape": shape, "chunks": tuple(max(1, n) for n in chunks), "maxshape": maxshape}
-        kind = np.dtype(entry(path).dtype)
-        self._data[path] = data = self._file.create_dataset(path, dtype=kind, track_times=False, **size, **filters)
-        for name, value in sorted(_row_attrs(path).items()):
+        data = self._file.create_dataset(path, dtype=np.dtype(row.dtype), track_times=False, **size, **filters)
+        for name, value in row.attrs.items():
             data.attrs[name] = value
+        self._data[path] = data
         self._hashes[path] = hashlib.sha256()
         return data
 
@@ -278,8 +280,8 @@ class Bundle:
             return ("",) * self.frames
         return tuple(kinds[i] if 0 <= i < len(kinds) else "" for i in self["/frames/segment"])
 
-    def verify(self) -> None:
-        """Read everything back against the digest; UserError if a single bit has changed."""
+    def verify(self) -> dict[str, "Dataset"]:
+        """Read everything back against the digest; UserError if a single bit has changed. Returns what is there."""
         found = {}
         with _opened(self.path) as file:
             for path in self.shapes:
@@ -289,9 +291,10 @@ class Bundle:
                 for start in range(0, data.shape[0] if data.shape else 0, rows):
                     hashed.update(data[start : start + rows].tobytes())
                 attrs = {name: _plain(value) for name, value in data.attrs.items()}
-                found[path] = _Dataset(data.dtype.str, data.shape, attrs, hashed.hexdigest())
+                found[path] = Dataset(data.dtype.str, data.shape, attrs, hashed.hexdigest())
         if _digest(self.attrs, found) != self.attrs["digest"]:
             raise UserError(f"{self.path}: damaged: its contents do not match its digest")
+        return found
 
     def _read(self, path: str, index: Any) -> np.ndarray:
         if path not in self.shapes:
@@ -307,7 +310,7 @@ def read(path: Path, *, part: bool = False) -> Bundle:
         UserError: missing, no bundle, unfinished, damaged or of a newer format. `part` accepts a part file's name.
     """
     path = Path(path)
-    if partfile.MARK in path.name and not part:
+    if partfile.is_part(path) and not part:
         raise UserError(f"{path}: unfinished: what a writer that was stopped left behind, or is still writing")
     with _opened(path) as file:
         attrs = {name: _plain(value) for name, value in file.attrs.items()}
@@ -359,23 +362,20 @@ def _opened(path: Path) -> Iterator[Any]:
 
 
 @dataclass(frozen=True)
-class _Dataset:
+class Dataset:
+    """Everything about one dataset that the digest covers."""
+
     dtype: str
     shape: tuple[int, ...]
     attrs: dict[str, Any]
     sha256: str
 
 
-def _digest(attrs: Mapping[str, Any], found: Mapping[str, _Dataset]) -> str:
+def _digest(attrs: Mapping[str, Any], found: Mapping[str, Dataset]) -> str:
     """Of the content, not of the file: paths, types, shapes, bytes and attributes, all sorted."""
     root = {name: value for name, value in attrs.items() if name not in KEYS}
     rows = [[path, d.dtype, list(d.shape), d.attrs, d.sha256] for path, d in sorted(found.items())]
     return hashlib.sha256(json.dumps([root, rows], sort_keys=True, default=repr).encode()).hexdigest()
-
-
-def _row_attrs(path: str) -> dict[str, str]:
-    row = entry(path)
-    return {"units": row.units, "long_name": row.long_name, "axes": row.axes}
 
 
 def _plain(value: Any) -> Any:

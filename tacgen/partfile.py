@@ -11,9 +11,10 @@ from tacgen.errors import UserError
 MARK = ".part-"  # x.h5.part-<pid>
 
 
-def leftovers(folder: Path) -> list[Path]:
-    """Every part file in a folder, a living writer's included, sorted."""
-    return sorted(p for p in folder.glob(f"*{MARK}*") if p.name.rpartition(MARK)[2].isdigit())
+def is_part(path: Path) -> bool:
+    """Whether this is the name of a part file, a living writer's or a dead one's."""
+    name, mark, number = path.name.rpartition(MARK)
+    return bool(name and mark and number.isdigit())
 
 
 def sweep(folder: Path) -> list[Path]:
@@ -23,7 +24,7 @@ def sweep(folder: Path) -> list[Path]:
     right where process ids are not: in containers, and on a folder that several machines write into.
     """
     gone = []
-    for path in leftovers(folder):
+    for path in filter(is_part, folder.iterdir()):
         with suppress(OSError):  # held, deleted by another, or a file system without locks: leave it
             handle = os.open(path, os.O_RDWR)
             try:
