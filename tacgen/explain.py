@@ -48,6 +48,7 @@ class Problem:
     path: KeyPath
     message: str
     at_key: bool = False  # it is the key that is wrong, not the value
+    meant: str = ""  # the key that was meant, when it is plain
 
     def point(self, tree: Tree, prefix: str = "") -> str:
         """The problem as a line, with the source line and a caret under it."""
@@ -64,8 +65,9 @@ def validate(model: type[Model], data: Any) -> tuple[Model | None, list[Problem]
     try:
         return model.model_validate_json(json.dumps(data), strict=True), []
     except ValidationError as error:
-        details = [e for e in error.errors(include_url=False) if not _echo(data, e)]
-        return None, [_problem(model, data, e) for e in details]
+        found = [_problem(model, data, e) for e in error.errors(include_url=False) if not _echo(data, e)]
+        misspelt = {(*p.path[:-1], p.meant) for p in found if p.meant}
+        return None, [p for p in found if p.path not in misspelt]  # a misspelt key is not also missing
 
 
 def report(found: Iterable[tuple[Problem, Tree]]) -> UserError:
@@ -88,7 +90,9 @@ def _problem(model: type[BaseModel], data: Any, error: ErrorDetails) -> Problem:
     path = _written(data, loc, missing=kind == "missing")
     got = f"(got {describe(given)})"
     if kind == "extra_forbidden":
-        return Problem(path, "unknown key" + suggest(str(loc[-1]), _keys(model, loc[:-1])), at_key=True)
+        hint = suggest(str(loc[-1]), _keys(model, loc[:-1]))
+        meant = hint.removeprefix(", did you mean ").rstrip("?")
+        return Problem(path, f"unknown key{hint}", at_key=True, meant=meant)
     if kind == "missing":
         return Problem(path, "is missing", at_key=True)
     if kind in NOUNS:

@@ -7,6 +7,7 @@ row i of the whole plan.
 import hashlib
 import json
 import math
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -114,9 +115,8 @@ def expand(
         if row:
             rows.append(row)
         for problem in wrong:
-            problems.setdefault((problem.path, problem.message.split(" (got")[0]), []).append(
-                (f"scene-{index:05d}", problem)
-            )
+            alike = re.sub(r"-?\d[\d.e+-]*", "#", problem.message)  # numbers differ from scene to scene
+            problems.setdefault((problem.path, alike), []).append((f"scene-{index:05d}", problem))
     if problems:
         raise UserError(_say(group, tree, vary) for group in problems.values())
     return Plan(recipe.name, tuple(rows), tuple(vary.over))

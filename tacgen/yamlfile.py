@@ -12,7 +12,7 @@ from typing import Any
 from tacgen.errors import UserError
 
 KeyPath = tuple[str | int, ...]
-MAX_VALUES = 1_000_000  # aliases can multiply a small file without end
+MAX_VALUES = 100_000  # aliases can multiply a small file without end
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,161 @@
+"""The house rules that a reader relies on: who may import whom, what starts cold, how long a file may be."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+PACKAGE = ROOT / "tacgen"
+
+# A module imports only from lines above its own. The line of the product is marked with *.
+ORDER = [
+    {"__init__", "errors", "part"},
+    {"yamlfile", "assets", "sensor", "partfile", "variants"},
+    {"explain"},
+    {"recipe"},  # *
+    {"limits"},
+    {"load"},
+    {"plan"},  # *
+    {"scene"},  # *
+    {"mesh"},  # *
+    {"solve"},  # *
+    {"fields"},  # *
+    {"render"},  # *
+    {"bundle"},  # *
+    {"pipeline", "check", "show", "doctor", "schema", "listing", "table", "progress"},
+    {"cli", "__main__"},
+]
+LIBRARIES = {"fem", "optics"}  # know no stage; from `scene` on, stages may use them
+FIRST_USER_OF_LIBRARIES = next(i for i, line in enumerate(ORDER) if "scene" in line)
+ALLOWED_IN_LIBRARIES = {"numpy", "scipy", "numba"}
+
+# Heavy packages and where they may be imported, always inside functions.
+HOMES = {
+    "mitsuba": {"render"},
+    "drjit": {"render"},
+    "matplotlib": {"show"},
+    "mpl_toolkits": {"show"},
+    "h5py": {"bundle", "doctor"},
+    "cvxopt": {"fem.linear"},
+    "pymetis": {"fem.linear"},
+    "pypardiso": {"fem.linear"},
+    "ruamel": {"yamlfile"},
+    "platformdirs": {"variants"},
+    "rich": {"progress"},
+}
+NOT_NUMPY = {"cli", "errors", "part", "recipe", "sensor", "assets", "plan", "load", "limits", "explain", "yamlfile"}
+
+
+def files() -> dict[str, Path]:
+    """Every module by its name below the package: `recipe`, `fem.linear`."""
+    return {".".join(path.relative_to(PACKAGE).with_suffix("").parts): path for path in sorted(PACKAGE.rglob("*.py"))}
+
+
+def imports(path: Path) -> list[tuple[str, bool]]:
+    """(module, whether at module level) of every import but those for type checkers only."""
+    found: list[tuple[str, bool]] = []
+
+    def walk(node: ast.AST, top: bool) -> None:
+        for child in ast.iter_child_nodes(node):
+            if isinstance(child, ast.If) and "TYPE_CHECKING" in ast.unparse(child.test):
+                continue
+            if isinstance(child, ast.Import):
+                found.extend((alias.name, top) for alias in child.names)
+            elif isinstance(child, ast.ImportFrom):
+                assert child.level == 0, f"{path}: relative import"
+                if child.module in ("tacgen", "tacgen.fem", "tacgen.optics"):
+                    found.extend((f"{child.module}.{alias.name}", top) for alias in child.names)
+                else:
+                    found.append((child.module or "", top))
+            walk(child, top and not isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda))
+
+    walk(ast.parse(path.read_text(encoding="utf-8")), True)
+    return found
+
+
+def rank(module: str) -> int:
+    name = module.split(".")[0]
+    assert any(name in line for line in ORDER), f"{name}: say in ORDER where this module stands"
+    return next(i for i, line in enumerate(ORDER) if name in line)
+
+
+def inside(module: str) -> str:
+    """tacgen.fem.linear -> fem.linear; tacgen.__version__ -> __init__."""
+    name = module.removeprefix("tacgen").lstrip(".")
+    return "__init__" if not name or name.startswith("__version") else name
+
+
+@pytest.mark.parametrize("name", files())
+def test_imports_point_up_the_line(name: str):
+    for module, _ in imports(files()[name]):
+        package = module.split(".")[0]
+        if package != "tacgen":
+            continue
+        target = inside(module)
+        library = target.split(".")[0] in LIBRARIES
+        if name.split(".")[0] in LIBRARIES:
+            assert target.split(".")[0] == name.split(".")[0], f"{name} imports {module}"
+        elif library:
+            assert rank(name) >= FIRST_USER_OF_LIBRARIES, f"{name} imports {module}"
+        else:
+            assert rank(target) < rank(name), f"{name} imports {module}"
+
+
+@pytest.mark.parametrize("name", [n for n in files() if n.split(".")[0] in LIBRARIES])
+def test_libraries_need_numerics_only(name: str):
+    for module, _ in imports(files()[name]):
+        package = module.split(".")[0]
+        known = package in sys.stdlib_module_names | ALLOWED_IN_LIBRARIES | {"tacgen"}
+        assert known or name in HOMES.get(package, ()), f"{name} imports {module}"
+
+
+@pytest.mark.parametrize("name", files())
+def test_heavy_packages_are_imported_at_home_and_late(name: str):
+    for module, top in imports(files()[name]):
+        package = module.split(".")[0]
+        if package in HOMES:
+            assert name in HOMES[package], f"{name} imports {module}"
+            assert not top, f"{name} imports {module} at module level"
+        if package in ("numpy", "scipy", "numba") and name in NOT_NUMPY:
+            assert not top, f"{name} imports {module} at module level"
+
+
+@pytest.mark.parametrize("name", files())
+def test_a_file_is_one_idea(name: str):
+    assert len(files()[name].read_text(encoding="utf-8").splitlines()) <= 400
+
+
+def loaded_by(code: str) -> set[str]:
+    """Top-level packages that a fresh interpreter holds after running `code`."""
+    ask = "import sys; print(' '.join(sorted({m.split('.')[0] for m in sys.modules})), file=sys.__stderr__)"
+    done = subprocess.run(
+        [sys.executable, "-c", f"{code}\n{ask}"], capture_output=True, text=True, cwd=ROOT, timeout=60
+    )
+    assert done.returncode == 0, done.stderr
+    return set(done.stderr.splitlines()[-1].split())
+
+
+def command(*args: str) -> str:
+    return f"from tacgen.cli import app\ntry:\n    app({list(args)!r})\nexcept SystemExit as e:\n    assert not e.code"
+
+
+HEAVY = {"numpy", "scipy", "numba", "mitsuba", "drjit", "h5py", "matplotlib", "cvxopt", "pymetis"}
+
+
+def test_help_starts_cold():
+    assert loaded_by(command("--help")).isdisjoint({*HEAVY, "pydantic", "ruamel"})
+
+
+@pytest.mark.parametrize("args", [("validate", "quickstart"), ("list",), ("schema",)])
+def test_looking_at_recipes_starts_no_numerics(args: tuple[str, ...]):
+    # one scene needs a seed, which NumPy draws; nothing heavier
+    assert loaded_by(command(*args)).isdisjoint(HEAVY - {"numpy"})
+
+
+def test_the_check_sees_a_bad_import(tmp_path: Path):
+    bad = tmp_path / "bad.py"
+    bad.write_text("import mitsuba\ndef f():\n    from tacgen import cli\n    import h5py\n")
+    assert imports(bad) == [("mitsuba", True), ("tacgen.cli", False), ("h5py", False)]
