@@ -188,13 +188,11 @@ def check(
     as_json: AsJson = False,
 ) -> None:
     """Check finished bundles: whole, unchanged, finite, balanced. Findings are printed and give exit code 1."""
-    if not path.exists():
-        raise UserError(f"{path}: no such file or folder")
     from tacgen.check import check as find
 
     findings = find(path)
     plain = [{"path": str(f.path), "level": f.level, "message": f.message} for f in findings]
-    lines = [f"{f.path}: {f.level}: {f.message}" for f in findings] or [f"{path}: nothing found wrong"]
+    lines = [str(finding) for finding in findings] or [f"{path}: nothing found wrong"]
     _show(plain, "\n".join(lines), as_json)
     raise typer.Exit(1 if findings else 0)
 
@@ -205,8 +203,6 @@ def show(
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Write a picture here instead of a summary.")] = None,
 ) -> None:
     """Say what is in a bundle, or draw it: images, pressure, traction and height over the frames."""
-    if not path.exists():
-        raise UserError(f"{path}: no such file")
     from tacgen import show as showing
 
     if out is None:
@@ -267,6 +263,9 @@ def _probe(folder: Path) -> None:
     """Make the folder and write to it now, not after the first scene is solved."""
     import tempfile
 
-    folder.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryFile(dir=folder) as file:
-        file.write(b"\0" * 4096)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder) as file:
+            file.write(b"\0" * 4096)
+    except OSError as error:  # whatever stands in the way, it is the folder that must be another
+        raise UserError(f"{folder}: cannot be written: {error.strerror}") from None

@@ -1,0 +1,282 @@
+"""Commands, through Typer's runner: what is said where, and the exit code. The pipeline is a stand-in here."""
+
+import csv
+import errno
+import io
+import json
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner, Result
+
+import tacgen
+from tacgen import assets, cli, plan
+from tacgen.errors import UserError
+
+ROOT = Path(__file__).parent.parent
+
+
+def tacgen_(*args: str) -> Result:
+    return CliRunner().invoke(cli.app, list(args))
+
+
+@dataclass(frozen=True)
+class Done:
+    """What the pipeline says of a scene."""
+
+    name: str
+    path: Path
+    status: str = "ok"
+    reason: str = ""
+    frames: int = 15
+    seconds: dict[str, float] = field(default_factory=dict)
+
+
+Pipeline = Callable[..., list[Done]]
+
+
+@pytest.fixture
+def pipeline(monkeypatch: pytest.MonkeyPatch) -> Callable[[Pipeline], None]:
+    """Put a function in the place of `pipeline.run`."""
+
+    def stand_in(run: Pipeline) -> None:
+        monkeypatch.setattr(tacgen, "pipeline", SimpleNamespace(run=run), raising=False)
+
+    return stand_in
+
+
+def all_ok(rows: Any, folder: Path, *, overwrite: bool, on_event: Callable[[object], None]) -> list[Done]:
+    results = []
+    for row in rows:
+        for i in range(row.frames):
+            on_event(f"{row.name}: frame {i + 1} of {row.frames}")
+        results.append(Done(row.name, folder / f"{row.name}.h5"))
+        on_event(results[-1])
+    return results
+
+
+def test_version_and_help():
+    assert tacgen_("--version").stdout == f"tacgen {tacgen.__version__}\n"
+    for args in (("--help",), ("run", "--help"), ("plan", "-h")):
+        assert tacgen_(*args).exit_code == 0
+
+
+def test_run_says_progress_on_stderr_and_the_outcome_on_stdout(tmp_path: Path, pipeline: Any):
+    pipeline(all_ok)
+    done = tacgen_("run", "quickstart", "-o", str(tmp_path / "a" / "b"))
+    assert done.exit_code == 0, done.stderr
+    assert done.stdout == f"{tmp_path}/a/b: 1 scene kept, 0 rejected\n"
+    assert "scene-00000: frame 3 of 15 (about " in done.stderr
+    assert "scene-00000: ok" in done.stderr
+
+
+def test_run_prints_json(tmp_path: Path, pipeline: Any):
+    pipeline(all_ok)
+    done = tacgen_("run", "quickstart", "-o", str(tmp_path), "--json")
+    (scene,) = json.loads(done.stdout)["scenes"]
+    assert scene["name"] == "scene-00000"
+    assert scene["path"] == str(tmp_path / "scene-00000.h5")
+    assert (scene["status"], scene["frames"]) == ("ok", 15)
+
+
+def test_a_rejected_scene_is_exit_code_1(tmp_path: Path, pipeline: Any):
+    def run(rows: Any, folder: Path, **_: Any) -> list[Done]:
+        return [Done("scene-00000", folder / "x.h5", "rejected", "frame 7 of 15: the solver stalled")]
+
+    pipeline(run)
+    done = tacgen_("run", "quickstart", "-o", str(tmp_path))
+    assert done.exit_code == 1
+    assert done.stdout.splitlines() == [
+        "scene-00000: rejected: frame 7 of 15: the solver stalled",
+        f"{tmp_path}: 0 scenes kept, 1 rejected",
+    ]
+
+
+def test_overwrite_and_set_reach_the_pipeline(tmp_path: Path, pipeline: Any):
+    seen: list[Any] = []
+
+    def run(rows: Any, folder: Path, *, overwrite: bool, on_event: Any) -> list[Done]:
+        seen.extend([overwrite, rows[0].recipe.indenter.radius_mm, rows[0].sensor.camera.exposure])
+        return []
+
+    pipeline(run)
+    sets = ("--set", "indenter.radius_mm=3", "--set", "sensor.camera.exposure=2")
+    assert tacgen_("run", "quickstart", "-o", str(tmp_path), "--overwrite", *sets).exit_code == 0
+    assert seen == [True, 3.0, 2.0]
+
+
+def test_run_pins_threads_and_respects_the_user(tmp_path: Path, pipeline: Any, monkeypatch: pytest.MonkeyPatch):
+    pipeline(all_ok)
+    for name in cli.THREADS:
+        monkeypatch.setenv(name, "1")
+        monkeypatch.delenv(name)
+    monkeypatch.setenv("OMP_NUM_THREADS", "3")
+    assert tacgen_("run", "quickstart", "-o", str(tmp_path)).exit_code == 0
+    assert [os.environ[name] for name in cli.THREADS] == ["3", "1", "1", "1"]
+
+
+def test_a_dry_run_does_nothing(tmp_path: Path):
+    done = tacgen_("run", "batch", "-o", str(tmp_path / "out"), "--dry-run")
+    assert done.exit_code == 0
+    assert "would hold 8 scenes of batch, 48 frames" in done.stdout
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("args", "says"),
+    [
+        (("run", "recpie", "-o", "x"), "no recipe is called 'recpie'"),
+        (("run", "no/such.yaml", "-o", "x"), "no/such.yaml: no such recipe file"),
+        (("run", "quickstart", "-o", "x", "--set", "indenter.radius_mm=-3"), "--set indenter.radius_mm=-3: indenter."),
+        (("run", "quickstart", "-o", "x", "--set", "sensor=digot"), "--set sensor=digot: sensor: no sensor is called"),
+        (("validate", str(ROOT)), "is a folder, not a file"),
+        (("validate", str(ROOT / "no.yaml")), "no such recipe file"),
+        (("list", "shape"), "shape: must be one of sensors, recipes, objects, shapes"),
+        (("check", "no/such/folder"), "no/such/folder: no such file or folder"),
+        (("show", "no.h5"), "no.h5: No such file"),
+        (("run", "quickstart"), "Missing option"),
+        (("run", "quickstart", "-o", "x", "--ovrwrite"), "No such option"),
+        (("runn",), "No such command"),
+    ],
+)
+def test_a_mistake_is_exit_code_2_and_lines_on_stderr(args: tuple[str, ...], says: str):
+    done = tacgen_(*args)
+    assert done.exit_code == 2, done.output
+    assert says in done.stderr
+    assert done.stdout == ""
+
+
+def test_binary_junk_is_one_line(tmp_path: Path):
+    path = tmp_path / "recipe.yaml"
+    path.write_bytes(bytes(range(256)))
+    done = tacgen_("run", str(path), "-o", str(tmp_path))
+    assert done.exit_code == 2
+    assert done.stderr == f"{path}: is not a text file (UTF-8)\n"
+
+
+@pytest.mark.parametrize("out", ["file", "file/below", "/proc/nowhere/out"])
+def test_an_output_folder_that_cannot_be_written_is_one_line(tmp_path: Path, pipeline: Any, out: str):
+    def run(*args: Any, **kwargs: Any) -> list[Done]:
+        raise AssertionError("found out only after solving")
+
+    pipeline(run)
+    (tmp_path / "file").write_text("")
+    done = tacgen_("run", "quickstart", "-o", str(tmp_path / out))
+    assert done.exit_code == 2
+    assert len(done.stderr.splitlines()) == 1
+    assert "cannot be written: " in done.stderr
+
+
+@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EROFS, errno.EACCES])
+def test_a_disk_that_fills_up_on_the_way_is_one_line(tmp_path: Path, pipeline: Any, code: int):
+    def run(*args: Any, **kwargs: Any) -> list[Done]:
+        raise OSError(code, os.strerror(code))
+
+    pipeline(run)
+    done = tacgen_("run", "quickstart", "-o", str(tmp_path))
+    assert done.exit_code == 2
+    assert done.stderr == f"{tmp_path}: cannot be written: {os.strerror(code)}\n"
+
+
+def test_what_the_pipeline_refuses_is_exit_code_2(tmp_path: Path, pipeline: Any):
+    def run(*args: Any, **kwargs: Any) -> list[Done]:
+        raise UserError(["scene-00000.h5: was made from other inputs; --overwrite replaces it", "    second line"])
+
+    pipeline(run)
+    done = tacgen_("run", "quickstart", "-o", str(tmp_path))
+    assert done.exit_code == 2
+    assert done.stderr.splitlines()[0].endswith("--overwrite replaces it")
+
+
+def test_an_interrupt_is_exit_code_130(tmp_path: Path, pipeline: Any):
+    def run(*args: Any, **kwargs: Any) -> list[Done]:
+        raise KeyboardInterrupt
+
+    pipeline(run)
+    done = tacgen_("run", "quickstart", "-o", str(tmp_path))
+    assert done.exit_code == 130
+    assert done.stderr.startswith("interrupted; ")
+
+
+@pytest.mark.parametrize("bug", [ZeroDivisionError("bug"), OSError(errno.EBADF, "bug")])
+def test_a_bug_keeps_its_traceback(tmp_path: Path, pipeline: Any, bug: Exception):
+    def run(*args: Any, **kwargs: Any) -> list[Done]:
+        raise bug
+
+    pipeline(run)
+    assert tacgen_("run", "quickstart", "-o", str(tmp_path)).exception is bug
+
+
+def test_validate_tells_recipes_and_sensors_apart(tmp_path: Path):
+    assert "a valid recipe, batch: 8 scenes, sensor gelsight_mini" in tacgen_("validate", "batch").stdout
+    sensor = assets.sensor_path("gelsight_mini")
+    assert tacgen_("validate", str(sensor)).stdout == f"{sensor}: a valid sensor, gelsight_mini\n"
+    bad = tmp_path / "s.yaml"
+    bad.write_text(sensor.read_text().replace("poissons_ratio: 0.49", "poissons_ratio: 0.5"))
+    done = tacgen_("validate", str(bad))
+    assert done.exit_code == 2
+    assert "gel.layers[0].poissons_ratio: must be less than 0.5 (got 0.5)" in done.stderr
+
+
+def test_validate_finds_what_only_a_varied_scene_does_wrong():
+    spread = "{samples: 4, over: {indenter.radius_mm: {uniform: [-2, -1]}}}"
+    done = tacgen_("validate", "quickstart", "--set", f"vary={spread}")
+    assert done.exit_code == 2
+    assert "scene-00000: indenter.radius_mm: must be greater than 0" in done.stderr
+
+
+def test_plan_prints_text_csv_and_json():
+    assert tacgen_("plan", "batch").stdout.splitlines()[0].split()[:3] == ["scene", "frames", "seed"]
+    table = list(csv.DictReader(io.StringIO(tacgen_("plan", "batch", "--csv").stdout)))
+    rows = plan.load(assets.recipe_path("batch")).rows
+    assert [float(line["start.x_mm"]) for line in table] == [row.values["start.x_mm"] for row in rows]
+    found = json.loads(tacgen_("plan", "batch", "--json").stdout)
+    assert [scene["key"] for scene in found["scenes"]] == [row.key for row in rows]
+
+
+def test_init_writes_a_recipe_that_validates_with_its_schema(tmp_path: Path):
+    path = tmp_path / "new" / "mine.yaml"
+    assert tacgen_("init", str(path)).exit_code == 0
+    text = path.read_text()
+    assert text.startswith("# yaml-language-server: $schema=tacgen.schema.json\n")
+    schema = json.loads((path.parent / "tacgen.schema.json").read_text())
+    assert "extends" in schema["properties"]
+    assert tacgen_("validate", str(path)).exit_code == 0
+    again = tacgen_("init", str(path))
+    assert again.exit_code == 2
+    assert again.stderr == f"{path}: is there already; --overwrite replaces it\n"
+    assert tacgen_("init", str(path), "--overwrite").exit_code == 0
+
+
+def test_schemas_name_every_shape_and_unit():
+    recipe = json.loads(tacgen_("schema").stdout)
+    assert set(recipe["properties"]["indenter"]["discriminator"]["mapping"]) >= {"sphere", "torus"}
+    assert recipe["additionalProperties"] is False
+    assert "gel" in json.loads(tacgen_("schema", "--sensor").stdout)["properties"]
+
+
+def test_list_names_what_there_is():
+    everything = tacgen_("list").stdout
+    for word in ("gelsight_mini", "quickstart", "torus", "objects:"):
+        assert word in everything
+    assert list(json.loads(tacgen_("list", "sensors", "--json").stdout)) == ["sensors"]
+    assert "torus" not in tacgen_("list", "sensors").stdout
+    assert "  none" in tacgen_("list", "objects").stdout
+
+
+def test_check_prints_findings_and_exits_with_1(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    from tacgen import check
+
+    found = [check.Finding(tmp_path / "a.h5", "error", "frame 3 holds nan")]
+    monkeypatch.setattr(check, "check", lambda path: found)
+    done = tacgen_("check", str(tmp_path))
+    assert (done.exit_code, done.stdout) == (1, f"{tmp_path}/a.h5: error: frame 3 holds nan\n")
+    assert json.loads(tacgen_("check", str(tmp_path), "--json").stdout)[0]["message"] == "frame 3 holds nan"
+    monkeypatch.setattr(check, "check", lambda path: [])
+    done = tacgen_("check", str(tmp_path))
+    assert (done.exit_code, done.stdout) == (0, f"{tmp_path}: nothing found wrong\n")

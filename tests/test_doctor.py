@@ -1,0 +1,50 @@
+"""The doctor tries things, never crashes, and tells what is needed from what is only nice."""
+
+import json
+from types import SimpleNamespace
+
+import pytest
+from typer.testing import CliRunner
+
+import tacgen
+from tacgen import cli, doctor
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch: pytest.MonkeyPatch):
+    """Probing Mitsuba starts processes; here it has been done."""
+    tried = [
+        SimpleNamespace(variant="llvm_ad_rgb", library="", works=False, note="no LLVM found"),
+        SimpleNamespace(variant="scalar_rgb", library="", works=True, note="renders"),
+    ]
+    monkeypatch.setattr(tacgen, "render", SimpleNamespace(variants=lambda: tried), raising=False)
+
+
+def test_all_is_well_here():
+    found = {f.name: f for f in doctor.examine()}
+    assert not [f for f in found.values() if f.needed and not f.ok]
+    assert found["rendering"].note == "uses scalar_rgb"
+    assert not found["llvm_ad_rgb"].ok
+    assert found["HDF5"].ok
+    done = CliRunner().invoke(cli.app, ["doctor"])
+    assert done.exit_code == 0, done.output
+    assert "ok  HDF5" in done.stdout
+
+
+def test_what_is_missing_is_a_finding_and_exit_code_1(monkeypatch: pytest.MonkeyPatch):
+    def gone():
+        raise ImportError("no module named tacgen.render")
+
+    monkeypatch.setattr(tacgen, "render", SimpleNamespace(variants=gone))
+    monkeypatch.setattr(doctor, "PACKAGES", ("numpy", "no-such-package"))
+    done = CliRunner().invoke(cli.app, ["doctor", "--json"])
+    assert done.exit_code == 1
+    found = {f["name"]: f for f in json.loads(done.stdout)}
+    assert found["rendering"] == {
+        "name": "rendering",
+        "ok": False,
+        "note": "ImportError: no module named tacgen.render",
+        "needed": True,
+    }
+    assert not found["no-such-package"]["ok"]
+    assert found["numpy"]["ok"]
