@@ -194,7 +194,7 @@ class Writer:
 
     def finish(self, status: str = "ok", reason: str = "") -> None:
         """Close, read everything back, and only then give the file its name; `status` is ok or rejected."""
-        if (status == "ok") != (self.appended == self.frames) or (status == "rejected") != bool(reason):
+        if (status, bool(reason)) != (("ok", False) if self.appended == self.frames else ("rejected", True)):
             raise ValueError(f"{status!r} ({reason!r}) with {self.appended} of {self.frames} frames")
         self._attrs.update(status=status, reason=reason)
         found = {}

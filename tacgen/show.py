@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tacgen.bundle import Bundle, read
+from tacgen.errors import UserError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,30 +22,39 @@ LINES = {"$F_x$": "#d55e00", "$F_y$": "#009e73", "$F_z$": "#0072b2"}  # Okabe an
 
 
 def picture(path: Path, out: Path) -> None:
-    """Draw up to eight frames of a bundle, and its forces, into `out` (png, pdf, svg: by its ending).
-
-    A row whose dataset is not in the bundle is left out. Image axes: x right, y down.
+    """Draw a bundle into `out` (png, pdf, svg: by its ending).
 
     Raises:
-        UserError: `path` is no whole bundle.
+        UserError: `path` is no whole bundle, or `out` does not end in a kind of picture.
         OSError: `out` cannot be written.
+    """
+    drawn = figure(read(path))
+    kinds = drawn.canvas.get_supported_filetypes()
+    if out.suffix.lstrip(".").lower() not in kinds:
+        raise UserError(f"{out}: unknown kind of picture, use one of {', '.join('.' + kind for kind in sorted(kinds))}")
+    drawn.savefig(out, dpi=150)
+
+
+def figure(bundle: Bundle) -> "Figure":
+    """Up to eight frames of a bundle, spread over its trajectory, and its forces.
+
+    A row whose dataset is not in the bundle is left out. Image axes: x right, y down.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    bundle = read(path)
     rows = [draw for wanted, draw in ROWS if any(p in bundle for p in wanted) and bundle.frames]
     shown = np.unique(np.linspace(0, max(bundle.frames - 1, 0), COLUMNS).round().astype(int)) if rows else np.zeros(0)
     image, window = _image_size(bundle), _window(bundle)
     tall = PANEL * image[0] / image[1]
     wide = max(len(shown) * (PANEL + GAP), 5.5)
     size = (LEFT + wide + RIGHT, (TOP if rows else 0.2) + len(rows) * (tall + GAP) + ABOVE_FORCES + FORCES + BELOW)
-    figure = Figure(figsize=size)
-    FigureCanvasAgg(figure)
+    sheet = Figure(figsize=size)
+    FigureCanvasAgg(sheet)
 
     def axes(x: float, y: float, w: float, h: float) -> "Axes":
         """At x from the left and y from the top [inch]."""
-        return figure.add_axes((x / size[0], 1 - (y + h) / size[1], w / size[0], h / size[1]))
+        return sheet.add_axes((x / size[0], 1 - (y + h) / size[1], w / size[0], h / size[1]))
 
     for r, draw in enumerate(rows):
         y = TOP + r * (tall + GAP)
@@ -52,14 +62,14 @@ def picture(path: Path, out: Path) -> None:
         colours = draw(bundle, panels, shown, image, window)
         if colours is not None:
             bar = axes(LEFT + len(shown) * (PANEL + GAP) + 0.03, y + 0.04, 0.1, tall - 0.08)
-            figure.colorbar(colours[0], cax=bar).set_label(colours[1], fontsize=8)
+            sheet.colorbar(colours[0], cax=bar).set_label(colours[1], fontsize=8)
             bar.tick_params(labelsize=7, length=2)
         if r == 0:
             for panel, k in zip(panels, shown, strict=True):
                 panel.set_title(f"frame {k}\n{bundle.segments[k]}", fontsize=8, pad=4)
     _forces(axes(LEFT, size[1] - BELOW - FORCES, wide - GAP, FORCES), bundle, shown)
-    _title(figure, bundle, size[1])
-    figure.savefig(out, dpi=150)
+    _title(sheet, bundle, size[1])
+    return sheet
 
 
 def summary(path: Path) -> str:
@@ -96,12 +106,12 @@ def _indenter(bundle: Bundle) -> str:
     return ", ".join(words)
 
 
-def _title(figure: "Figure", bundle: Bundle, height: float) -> None:
+def _title(sheet: "Figure", bundle: Bundle, height: float) -> None:
     text = f"{bundle.recipe.get('name', bundle.path.stem)}: {_indenter(bundle)}, on {bundle.attrs['sensor']}"
-    figure.text(0.5, 1 - 0.12 / height, text, ha="center", va="top", fontsize=11)
+    sheet.text(0.5, 1 - 0.12 / height, text, ha="center", va="top", fontsize=11)
     if bundle.attrs["status"] != "ok":
         text = f"{bundle.attrs['status']}: {bundle.attrs['reason']}"
-        figure.text(0.5, 1 - 0.34 / height, text, ha="center", va="top", fontsize=8, color="#b00000")
+        sheet.text(0.5, 1 - 0.34 / height, text, ha="center", va="top", fontsize=8, color="#b00000")
 
 
 def _image_size(bundle: Bundle) -> tuple[int, int]:
