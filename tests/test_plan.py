@@ -86,6 +86,8 @@ def test_another_seed_is_another_batch(tmp_path: Path, method: str):
     one, two = (expanded(loaded(tmp_path, text, (f"vary.seed={seed}",))).rows for seed in (0, 1))
     assert {row.key for row in one}.isdisjoint(row.key for row in two)
     assert {row.seed for row in one}.isdisjoint(row.seed for row in two)
+    first, second = ({row.values["indenter.radius_mm"] for row in rows} for rows in (one, two))
+    assert first.isdisjoint(second)
 
 
 def test_a_grid_is_the_product_with_the_last_varying_fastest(tmp_path: Path):
@@ -197,6 +199,7 @@ def test_a_key_changes_with_any_input_and_with_nothing_else():
         row_with(quality="draft"),
         plan.load(assets.recipe_path("quickstart"), ["sensor.camera.exposure=9.5"]).rows[0],
         plan.Row(1, row.name, row.seed, row.recipe, row.sensor),
+        plan.Row(row.index, row.name, row.seed, row.recipe, row.sensor.model_copy(update={"name": "edited file"})),
         plan.Row(row.index, row.name, row.seed + 1, row.recipe, row.sensor),
     ]
     assert len({row.key, *(other.key for other in others)}) == len(others) + 1
