@@ -1,15 +1,147 @@
-"""Resolved scene -> Scene: gel, laws, indenter, path and camera as plain arrays and numbers."""
+"""Resolved scene -> Scene: gel, laws, indenter, path and tolerances as plain arrays and numbers."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
+from tacgen.errors import UserError
+from tacgen.fem.materials import LAWS, Law
+from tacgen.fem.shapes import Box, Capsule, Cone, Cylinder, Shape, Sphere, Torus, Wedge
+from tacgen.plan import Row
+from tacgen.recipe import Indenter, Recipe, Start
 from tacgen.sensor import Sensor
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class Layer:
+    """A slab of one material; thickness [mm]."""
+
+    thickness: float
+    law: Law
+    youngs_modulus: float  # [MPa]
+
+
+@dataclass(frozen=True)
+class Gel:
+    """A pad bonded at its base, layers from base to face; width along x, height along y [mm]."""
+
+    width: float
+    height: float
+    corner_radius: float
+    layers: tuple[Layer, ...]
+
+    @property
+    def thickness(self) -> float:
+        return sum(layer.thickness for layer in self.layers)
+
+    def contains(self, x: Array, y: Array) -> Array:
+        """Whether points lie inside the outline; x and y broadcast."""
+        r = self.corner_radius
+        beyond = np.hypot(
+            np.maximum(np.abs(x) - (self.width / 2 - r), 0), np.maximum(np.abs(y) - (self.height / 2 - r), 0)
+        )
+        return (np.abs(x) <= self.width / 2) & (np.abs(y) <= self.height / 2) & (beyond <= max(r, 1e-12))
 
 
 @dataclass(frozen=True)
 class Scene:
-    """All that the numerics need of one scene; nothing in it is a recipe."""
+    """All that the numerics need of one scene; nothing in it is a recipe.
 
-    sensor: Sensor
-    poses: np.ndarray
+    poses (N, 4, 4): indenter frame to sensor frame at each frame; segment (N,): number of the trajectory segment;
+    start (4, 4): the pose before the first frame, clear of the gel.
+    """
+
+    gel: Gel
+    shape: Shape
+    poses: Array
+    start: Array
+    segment: Array
+    friction: float
+    edge: float  # element edge under the contact [mm]
+    dhat: float  # [mm]
+
+
+def _shape(i: Indenter) -> Shape:
+    match i.shape:
+        case "sphere":
+            return Sphere(i.radius_mm)
+        case "cylinder":
+            return Cylinder(i.radius_mm, i.fillet_mm)
+        case "cone":
+            return Cone(np.radians(i.half_angle_deg), i.tip_radius_mm)
+        case "box":
+            return Box(i.size_x_mm, i.size_y_mm, i.fillet_mm)
+        case "wedge":
+            return Wedge(np.radians(i.half_angle_deg), i.tip_radius_mm, i.length_mm)
+        case "capsule":
+            return Capsule(i.radius_mm, i.length_mm)
+        case "torus":
+            return Torus(i.radius_mm, i.tube_radius_mm)
+
+
+def gel_of(sensor: Sensor) -> Gel:
+    """The gel with its laws: E and nu become mu and the bulk modulus here."""
+    layers = []
+    for layer in sensor.gel.layers:
+        E, nu = layer.youngs_modulus_mpa, layer.poissons_ratio
+        layers.append(Layer(layer.thickness_mm, LAWS[layer.law](E / (2 * (1 + nu)), E / (3 * (1 - 2 * nu))), E))
+    g = sensor.gel
+    return Gel(g.width_mm, g.height_mm, g.corner_radius_mm, tuple(layers))
+
+
+def _about(axis: Array, angle: float) -> Array:
+    """Rotation (3, 3) about a unit axis by `angle` [rad]."""
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_rotvec(axis * angle).as_matrix()
+
+
+def _first_pose(shape: Shape, start: Start) -> Array:
+    tilt = _about(np.array([np.cos(a := np.radians(start.tilt_axis_deg)), np.sin(a), 0.0]), np.radians(start.tilt_deg))
+    pose = np.eye(4)
+    pose[:3, :3] = tilt @ _about(np.array([0.0, 0.0, 1.0]), np.radians(start.yaw_deg))
+    drop = shape.support(-pose[2, :3])  # how far the turned shape hangs below its own origin
+    if not np.isfinite(drop):
+        raise UserError(f"start.tilt_deg: tilted by {start.tilt_deg} deg the indenter's flank meets the gel before its tip")
+    pose[:3, 3] = start.x_mm, start.y_mm, start.clearance_mm + drop
+    return pose
+
+
+def path(recipe: Recipe, first: Array) -> tuple[Array, Array]:
+    """Poses (N, 4, 4) at every frame and the segment (N,) each belongs to."""
+    poses: list[Array] = []
+    segments: list[int] = []
+    contact_z = first[2, 3] - recipe.start.clearance_mm
+    pose = first
+    for number, segment in enumerate(recipe.trajectory):
+        kind, value = segment.kind, segment.move
+        for k in range(1, value.frames + 1):
+            part = k / value.frames
+            new = pose.copy()
+            match kind:
+                case "press":
+                    new[2, 3] += part * (contact_z - value.depth_mm - pose[2, 3])
+                case "release":
+                    new[2, 3] += part * (first[2, 3] - pose[2, 3])
+                case "slide":
+                    new[:2, 3] += part * np.array([value.x_mm, value.y_mm])
+                case "twist":
+                    axis = pose[:3, 2]
+                    new[:3, :3] = _about(axis, part * np.radians(value.angle_deg)) @ pose[:3, :3]
+            poses.append(new)
+            segments.append(number)
+        pose = poses[-1]
+    return np.array(poses), np.array(segments)
+
+
+def build(row: Row) -> Scene:
+    """The scene of one row of a plan."""
+    recipe, quality = row.recipe, row.recipe.resolved()
+    shape = _shape(recipe.indenter)
+    first = _first_pose(shape, recipe.start)
+    poses, segment = path(recipe, first)
+    return Scene(
+        gel_of(row.sensor), shape, poses, first, segment, recipe.contact.friction, quality.edge_mm, quality.dhat_mm
+    )

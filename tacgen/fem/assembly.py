@@ -1,0 +1,278 @@
+"""Element kernels and the sparsity pattern they write into: invariants, nodal forces and the stiffness matrix.
+
+The kernels know the law only through derivatives in the invariants (see materials). Exact and projected stiffness come
+from one formula, the analytic eigensystem of an isotropic energy in the principal stretches (Smith, de Goes & Kim 2019,
+"Analytic eigensystems for isotropic distortion energies"): projecting clamps its eigenvalues at zero.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+Array = np.ndarray
+
+
+@njit(cache=True)
+def _eigen3(A, V):
+    """Cyclic Jacobi on the symmetric A: eigenvalues end on its diagonal, eigenvectors in the columns of V."""
+    for i in range(3):
+        for j in range(3):
+            V[i, j] = 1.0 if i == j else 0.0
+    for _ in range(12):
+        off = A[0, 1] ** 2 + A[0, 2] ** 2 + A[1, 2] ** 2
+        if off < 1e-30 * (A[0, 0] ** 2 + A[1, 1] ** 2 + A[2, 2] ** 2):
+            break
+        for p in range(2):
+            for q in range(p + 1, 3):
+                a = A[p, q]
+                if a == 0.0:
+                    continue
+                h = (A[q, q] - A[p, p]) / (2 * a)
+                t = 1.0 / (abs(h) + np.sqrt(h * h + 1.0))
+                if h < 0:
+                    t = -t
+                c = 1 / np.sqrt(t * t + 1)
+                s = t * c
+                A[p, p] -= t * a
+                A[q, q] += t * a
+                A[p, q] = 0.0
+                A[q, p] = 0.0
+                r = 3 - p - q
+                u, v = A[r, p], A[r, q]
+                A[r, p] = A[p, r] = c * u - s * v
+                A[r, q] = A[q, r] = s * u + c * v
+                for k in range(3):
+                    u, v = V[k, p], V[k, q]
+                    V[k, p] = c * u - s * v
+                    V[k, q] = s * u + c * v
+
+
+@njit(cache=True)
+def _cofactor(F, C):
+    for i in range(3):
+        i1, i2 = (i + 1) % 3, (i + 2) % 3
+        for j in range(3):
+            j1, j2 = (j + 1) % 3, (j + 2) % 3
+            C[i, j] = F[i1, j1] * F[i2, j2] - F[i1, j2] * F[i2, j1]
+
+
+@njit(cache=True)
+def deformation(x, conn, B):
+    """F (e, q, 3, 3) at every integration point."""
+    ne, nq, na, _ = B.shape
+    F = np.zeros((ne, nq, 3, 3))
+    for e in range(ne):
+        for q in range(nq):
+            for a in range(na):
+                node = conn[e, a]
+                for i in range(3):
+                    for j in range(3):
+                        F[e, q, i, j] += x[node, i] * B[e, q, a, j]
+    return F
+
+
+@njit(cache=True)
+def invariants(F):
+    """I1, I2, J, each (e, q)."""
+    ne, nq = F.shape[:2]
+    I1, I2, J = np.empty((ne, nq)), np.empty((ne, nq)), np.empty((ne, nq))
+    C = np.empty((3, 3))
+    for e in range(ne):
+        for q in range(nq):
+            _cofactor(F[e, q], C)
+            a = b = 0.0
+            for i in range(3):
+                for j in range(3):
+                    a += F[e, q, i, j] ** 2
+                    b += C[i, j] ** 2  # tr(cof F^T cof F) = I2
+            I1[e, q] = a
+            I2[e, q] = b
+            J[e, q] = F[e, q, 0, 0] * C[0, 0] + F[e, q, 0, 1] * C[0, 1] + F[e, q, 0, 2] * C[0, 2]
+    return I1, I2, J
+
+
+@njit(cache=True)
+def _piola(F, C, I1, w1, w2, w3, P):
+    """P = 2 w1 F + 2 w2 (I1 F - F F^T F) + w3 cof F."""
+    for i in range(3):
+        for j in range(3):
+            P[i, j] = 2 * (w1 + w2 * I1) * F[i, j] + w3 * C[i, j]
+    if w2 != 0.0:
+        for i in range(3):
+            for j in range(3):
+                t = 0.0
+                for k in range(3):
+                    for m in range(3):
+                        t += F[i, k] * F[m, k] * F[m, j]
+                P[i, j] -= 2 * w2 * t
+
+
+@njit(cache=True)
+def add_forces(F, conn, B, weights, I1, first, out):
+    """Add dE/dx to out (n, 3); first (e, q, 3) holds dW/dI1, dW/dI2, dW/dJ."""
+    ne, nq, na, _ = B.shape
+    C, P = np.empty((3, 3)), np.empty((3, 3))
+    for e in range(ne):
+        for q in range(nq):
+            _cofactor(F[e, q], C)
+            _piola(F[e, q], C, I1[e, q], first[e, q, 0], first[e, q, 1], first[e, q, 2], P)
+            for a in range(na):
+                node = conn[e, a]
+                for i in range(3):
+                    t = P[i, 0] * B[e, q, a, 0] + P[i, 1] * B[e, q, a, 1] + P[i, 2] * B[e, q, a, 2]
+                    out[node, i] += weights[e, q] * t
+
+
+@njit(cache=True)
+def _tangent(F, f, s2, project, A, V, W, Hs, U, Q, D):
+    """D (9, 9) = dP/dF, index 3 i + J, from the derivatives f (3,) and s2 (6,) of W in (I1, I2, J)."""
+    for i in range(3):
+        for j in range(3):
+            A[i, j] = F[0, i] * F[0, j] + F[1, i] * F[1, j] + F[2, i] * F[2, j]
+    _eigen3(A, V)
+    s = np.sqrt(np.array([A[0, 0], A[1, 1], A[2, 2]]))
+    for i in range(3):
+        for j in range(3):
+            U[i, j] = (F[i, 0] * V[0, j] + F[i, 1] * V[1, j] + F[i, 2] * V[2, j]) / s[j]
+    I1 = A[0, 0] + A[1, 1] + A[2, 2]
+    J = s[0] * s[1] * s[2]
+    for i in range(3):  # second derivatives in the stretches
+        d1i, d2i, d3i = 2 * s[i], 2 * s[i] * (I1 - s[i] ** 2), J / s[i]
+        for j in range(3):
+            d1j, d2j, d3j = 2 * s[j], 2 * s[j] * (I1 - s[j] ** 2), J / s[j]
+            v = s2[0] * d1i * d1j + s2[1] * d2i * d2j + s2[2] * d3i * d3j
+            v += s2[3] * (d1i * d2j + d2i * d1j) + s2[4] * (d1i * d3j + d3i * d1j) + s2[5] * (d2i * d3j + d3i * d2j)
+            if i == j:
+                v += 2 * f[0] + 2 * f[1] * (I1 - s[i] ** 2)
+            else:
+                v += 4 * f[1] * s[i] * s[j] + f[2] * s[3 - i - j]
+            Hs[i, j] = v
+    _eigen3(Hs, W)
+    lam = np.empty(9)
+    for k in range(3):
+        lam[k] = Hs[k, k]
+        for i in range(3):
+            for j in range(3):
+                Q[k, 3 * i + j] = W[0, k] * U[i, 0] * V[j, 0] + W[1, k] * U[i, 1] * V[j, 1] + W[2, k] * U[i, 2] * V[j, 2]
+    n, r2 = 3, np.sqrt(0.5)
+    for a in range(2):
+        for b in range(a + 1, 3):
+            c = s[3 - a - b]
+            lam[n] = 2 * f[0] + 2 * f[1] * (c * c - s[a] * s[b]) - f[2] * c  # flip
+            lam[n + 1] = 2 * f[0] + 2 * f[1] * (c * c + s[a] * s[b]) + f[2] * c  # twist
+            for i in range(3):
+                for j in range(3):
+                    Q[n, 3 * i + j] = r2 * (U[i, a] * V[j, b] + U[i, b] * V[j, a])
+                    Q[n + 1, 3 * i + j] = r2 * (U[i, a] * V[j, b] - U[i, b] * V[j, a])
+            n += 2
+    for a in range(9):
+        for b in range(9):
+            D[a, b] = 0.0
+    for k in range(9):
+        v = max(lam[k], 0.0) if project else lam[k]
+        if v != 0.0:
+            for a in range(9):
+                t = v * Q[k, a]
+                for b in range(9):
+                    D[a, b] += t * Q[k, b]
+
+
+@njit(cache=True)
+def add_stiffness(F, conn, B, weights, first, second, dilatation, project, slots, data):
+    """Add d2E/dx2 to the CSR `data` at `slots` (e, 3a*3a), -1 where nothing is kept.
+
+    dilatation (e,): U''(theta)/volume of elements with mean dilatation, a rank-one term; 0 elsewhere.
+    """
+    ne, nq, na, _ = B.shape
+    nd = 3 * na
+    A, V, W, Hs, U = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    C, Q, D = np.empty((3, 3)), np.empty((9, 9)), np.empty((9, 9))
+    K, BD, g = np.empty((nd, nd)), np.empty((nd, 9)), np.empty(nd)
+    for e in range(ne):
+        K[:] = 0.0
+        g[:] = 0.0
+        for q in range(nq):
+            w = weights[e, q]
+            _tangent(F[e, q], first[e, q], second[e, q], project, A, V, W, Hs, U, Q, D)
+            b = B[e, q]
+            for a in range(na):
+                for i in range(3):
+                    for c in range(9):
+                        BD[3 * a + i, c] = w * (b[a, 0] * D[3 * i, c] + b[a, 1] * D[3 * i + 1, c] + b[a, 2] * D[3 * i + 2, c])
+            for r in range(nd):
+                for a in range(r // 3, na):
+                    for k in range(3):
+                        K[r, 3 * a + k] += BD[r, 3 * k] * b[a, 0] + BD[r, 3 * k + 1] * b[a, 1] + BD[r, 3 * k + 2] * b[a, 2]
+            if dilatation[e] != 0.0:
+                _cofactor(F[e, q], C)
+                for a in range(na):
+                    for i in range(3):
+                        g[3 * a + i] += w * (C[i, 0] * b[a, 0] + C[i, 1] * b[a, 1] + C[i, 2] * b[a, 2])
+        for r in range(nd):
+            for c in range(r // 3 * 3, nd):
+                v = K[r, c] + dilatation[e] * g[r] * g[c]
+                slot = slots[e, r * nd + c]
+                if slot >= 0:
+                    data[slot] += v
+                if c // 3 > r // 3:
+                    slot = slots[e, c * nd + r]
+                    if slot >= 0:
+                        data[slot] += v
+
+
+@njit(cache=True)
+def add_blocks(blocks, slots, data):
+    """Add dense blocks (f, k, k) to the CSR `data` at `slots` (f, k*k)."""
+    flat = blocks.reshape(blocks.shape[0], -1)
+    for f in range(flat.shape[0]):
+        for k in range(flat.shape[1]):
+            if slots[f, k] >= 0:
+                data[slots[f, k]] += flat[f, k]
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """Upper triangle of the stiffness matrix on the free dofs, in CSR, fixed for a mesh.
+
+    indptr (m+1,), indices (nnz,) int32; free (m,) numbers of the free dofs among all 3n; pairs: sorted keys of the
+    node pairs present; blocks (pairs, 3, 3): slot of each entry of a pair's block, -1 where it is not kept.
+    """
+
+    indptr: Array
+    indices: Array
+    free: Array
+    nodes: int
+    pairs: Array
+    blocks: Array
+
+    def slots(self, conn: Array) -> Array:
+        """Slots (e, 3a*3a) of the element blocks of conn (e, a), rows and columns in the order 3a+i."""
+        e, a = conn.shape
+        keys = conn[:, :, None].astype(np.int64) * self.nodes + conn[:, None, :]
+        found = np.searchsorted(self.pairs, keys.ravel()).reshape(e, a, a)
+        return np.ascontiguousarray(self.blocks[found].transpose(0, 1, 3, 2, 4).reshape(e, -1))
+
+    @property
+    def size(self) -> int:
+        return len(self.free)
+
+
+def pattern(conns: Sequence[Array], free: Array) -> Pattern:
+    """The pattern that holds every block of `conns` (e, a) between the free dofs; free (n, 3) bool."""
+    n = len(free)
+    keys = [np.unique((c[:, :, None].astype(np.int64) * n + c[:, None, :]).ravel()) for c in conns]
+    pairs = np.unique(np.concatenate(keys))
+    number = np.full(3 * n, -1, dtype=np.int64)
+    kept = np.flatnonzero(free.ravel())
+    number[kept] = np.arange(len(kept))
+    dof = number.reshape(n, 3)
+    rows = np.broadcast_to(dof[pairs // n][:, :, None], (len(pairs), 3, 3)).ravel()
+    cols = np.broadcast_to(dof[pairs % n][:, None, :], (len(pairs), 3, 3)).ravel()
+    keep = np.flatnonzero((rows >= 0) & (cols >= rows))
+    order = np.lexsort((cols[keep], rows[keep]))
+    slot = np.full(len(rows), -1, dtype=np.int32)
+    slot[keep[order]] = np.arange(len(keep), dtype=np.int32)
+    indptr = np.searchsorted(rows[keep][order], np.arange(len(kept) + 1)).astype(np.int32)
+    return Pattern(indptr, cols[keep][order].astype(np.int32), kept, n, pairs, slot.reshape(-1, 3, 3))

@@ -1,0 +1,145 @@
+"""Contact of the coated face with a rigid indenter: a barrier on the signed distance at surface quadrature points.
+
+Li et al. (2020), "Incremental Potential Contact", clamped barrier; scaled to a length times a pressure as in Li et al.
+(2023), "Convergent IPC", and weighted by area, so that kappa [MPa] does not depend on the mesh.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tacgen.fem import assembly
+from tacgen.fem.assembly import Pattern
+from tacgen.fem.elements import quad_areas, quad_points
+from tacgen.fem.shapes import Shape
+
+Array = np.ndarray
+SOFT = 0.5  # below SOFT * dhat the barrier goes on as a parabola, so that Newton can start from an overlap
+
+
+def barrier(d: Array, dhat: float) -> tuple[Array, Array, Array]:
+    """Clamped log barrier in millimetres with its first two derivatives.
+
+        b(d) = -dhat (d/dhat - 1)^2 ln(d/dhat)     for SOFT dhat < d < dhat
+
+    0 from dhat on and C2 there; below SOFT dhat its second-order Taylor polynomial. Times kappa [MPa] and an area
+    [mm^2] it is an energy [N mm].
+
+    Args:
+        d: gaps [mm], any shape. dhat: gap below which the barrier acts [mm].
+
+    Returns:
+        b [mm], db/dd [-], d2b/dd2 [1/mm], each of the shape of d.
+    """
+    s = d / dhat
+    t = np.clip(s, SOFT, 1.0)
+    ln, r = np.log(t), 1 - t
+    b, db, ddb = -(r**2) * ln, 2 * r * ln - r**2 / t, -2 * ln + 4 * r / t + (r / t) ** 2
+    below = np.minimum(s - SOFT, 0.0)
+    return dhat * (b + db * below + ddb / 2 * below**2), db + ddb * below, ddb / dhat
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where the indenter is: x = rotation @ X + position takes its own frame to the sensor's."""
+
+    rotation: Array
+    position: Array
+
+    @classmethod
+    def of(cls, matrix: Array) -> "Pose":
+        """From a homogeneous (4, 4) matrix."""
+        return cls(matrix[:3, :3], matrix[:3, 3])
+
+    def local(self, x: Array) -> Array:
+        """Points (..., 3) in the indenter's frame."""
+        return (x - self.position) @ self.rotation
+
+    def world(self, X: Array) -> Array:
+        """Points (..., 3) of the indenter's frame in the sensor's."""
+        return X @ self.rotation.T + self.position
+
+
+@dataclass(frozen=True)
+class Faces:
+    """Quadrature on the coated face: conn (f, 4); N (q, 4); rest areas (f, q) [mm^2]; slots of the (12, 12) blocks."""
+
+    conn: Array
+    N: Array
+    areas: Array
+    slots: Array
+
+    @classmethod
+    def on(cls, pattern: Pattern, points: Array, quads: Array) -> "Faces":
+        return cls(quads, quad_points()[0], quad_areas(points, quads)[0], pattern.slots(quads))
+
+    def at(self, x: Array) -> Array:
+        """Positions (f, q, 3) of the quadrature points."""
+        return np.einsum("qa,fai->fqi", self.N, x[self.conn])
+
+    def scatter(self, forces: Array, nodes: int) -> Array:
+        """Nodal sums (n, 3) of forces (f, q, 3) at the quadrature points."""
+        out = np.zeros((nodes, 3))
+        np.add.at(out, self.conn, np.einsum("qa,fqi->fai", self.N, forces))
+        return out
+
+    def add_blocks(self, which: Array, D: Array, data: Array) -> None:
+        """Add the stiffness D (k, q, 3, 3) of the faces numbered `which` (k,)."""
+        blocks = np.einsum("qa,qb,fqij->faibj", self.N, self.N, D, optimize=True)
+        assembly.add_blocks(np.ascontiguousarray(blocks).reshape(len(which), 12, 12), self.slots[which], data)
+
+
+@dataclass(frozen=True)
+class Contact:
+    """The barrier between the coated face and an indenter shrunk by `offset`.
+
+    The barrier holds the gel off by some gap; shrinking the indenter by the mean gap puts the face where the real
+    surface would hold it (see solve).
+    """
+
+    faces: Faces
+    shape: Shape
+    pose: Pose
+    dhat: float  # [mm]
+    kappa: float  # [MPa]
+    offset: float = 0.0  # [mm]
+
+    def moved(self, pose: Pose, offset: float) -> "Contact":
+        return replace(self, pose=pose, offset=offset)
+
+    def gaps(self, x: Array) -> tuple[Array, Array, Array]:
+        """Gap to the shrunk indenter (f, q) [mm], outward normal (f, q, 3), Hessian (f, q, 3, 3), in the sensor frame."""
+        at = self.faces.at(x)
+        R = self.pose.rotation
+        d, n, H = self.shape.distance(self.pose.local(at).reshape(-1, 3))
+        fq = at.shape[:2]
+        return d.reshape(fq) + self.offset, (n @ R.T).reshape(*fq, 3), (R @ H @ R.T).reshape(*fq, 3, 3)
+
+    def pressure(self, x: Array) -> tuple[Array, Array, Array]:
+        """Force of each quadrature point on the indenter (f, q) [N], normals (f, q, 3) and gaps (f, q) [mm]."""
+        d, n, _ = self.gaps(x)
+        return -self.kappa * self.faces.areas * barrier(d, self.dhat)[1], n, d
+
+    def value(self, x: Array) -> float:
+        d, _, _ = self.gaps(x)
+        return float(self.kappa * (self.faces.areas * barrier(d, self.dhat)[0]).sum())
+
+    def gradient(self, x: Array) -> Array:
+        force, n, _ = self.pressure(x)
+        return self.faces.scatter(-force[..., None] * n, len(x))
+
+    def add_hessian(self, x: Array, data: Array, project: bool) -> None:
+        d, n, H = self.gaps(x)
+        which = np.flatnonzero((d < self.dhat).any(1))
+        _, db, ddb = barrier(d[which], self.dhat)
+        w = (self.kappa * self.faces.areas[which])[..., None, None]
+        D = w * ddb[..., None, None] * n[which][..., :, None] * n[which][..., None, :]
+        if not project:  # the indenter's curvature only ever softens a convex contact
+            D += w * db[..., None, None] * H[which]
+        self.faces.add_blocks(which, D, data)
+
+    def max_step(self, x: Array, p: Array) -> float:
+        """Signed distance is 1-Lipschitz: a point that moves less than its gap cannot pass the surface, and one that
+        also moves less than half the indenter's reach cannot leave it on the far side."""
+        allowed = np.maximum(self.gaps(x)[0], 0.0) + self.shape.reach / 2
+        return float(min(1.0, (allowed / np.maximum(np.linalg.norm(self.faces.at(p), axis=2), 1e-300)).min()))

@@ -1,0 +1,145 @@
+"""Direct solvers for the symmetric positive definite systems of Newton's method, behind one small interface.
+
+Each takes the upper triangle in CSR with a pattern that never changes: the ordering and symbolic factorisation are done
+once, `factor` then takes new numbers. `best()` picks the fastest one installed; SuperLU, part of SciPy, always works.
+"""
+
+import importlib.util
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+import scipy.sparse as sp
+
+from tacgen.fem.assembly import Pattern
+
+Array = np.ndarray
+
+
+class NotPositiveDefinite(ArithmeticError):
+    """The matrix has no Cholesky factor."""
+
+
+class Solver(Protocol):
+    """Factorise once, solve many times."""
+
+    name: str
+
+    def factor(self, data: Array) -> None:
+        """Raises NotPositiveDefinite, where the method can tell."""
+
+    def solve(self, b: Array) -> Array: ...
+
+
+def dissection(pattern: Pattern) -> Array:
+    """Fill-reducing elimination order of the free dofs by METIS nested dissection of the nodes."""
+    import pymetis
+
+    n = pattern.nodes
+    i, j = pattern.pairs // n, pattern.pairs % n
+    off = i != j
+    starts = np.searchsorted(i[off], np.arange(n + 1))
+    order, _ = pymetis.nested_dissection(xadj=starts, adjncy=j[off])
+    number = np.full(3 * n, -1)
+    number[pattern.free] = np.arange(pattern.size)
+    dofs = number.reshape(n, 3)[np.asarray(order)].ravel()
+    return dofs[dofs >= 0]
+
+
+class Cholmod:
+    """CHOLMOD's supernodal Cholesky through cvxopt, ordered by METIS."""
+
+    name = "cholmod"
+
+    def __init__(self, pattern: Pattern) -> None:
+        import cvxopt
+        from cvxopt import cholmod
+
+        cholmod.options["supernodal"] = 2
+        n = pattern.size
+        # the upper triangle by rows is the lower triangle by columns, which is what cvxopt keeps
+        columns = np.repeat(np.arange(n), np.diff(pattern.indptr))
+        as_list = cvxopt.matrix(pattern.indices.astype(np.int64)), cvxopt.matrix(columns)
+        self._cvxopt, self._cholmod = cvxopt, cholmod
+        self._A = cvxopt.spmatrix(1.0, *as_list, (n, n))
+        order = cvxopt.matrix(dissection(pattern).astype(np.int64))
+        self._F = cholmod.symbolic(self._A, p=order)
+
+    def factor(self, data: Array) -> None:
+        self._A.V = self._cvxopt.matrix(data)
+        try:
+            self._cholmod.numeric(self._A, self._F)
+        except ArithmeticError as e:
+            raise NotPositiveDefinite from e
+
+    def solve(self, b: Array) -> Array:
+        x = self._cvxopt.matrix(b)
+        self._cholmod.solve(self._F, x)
+        return np.asarray(x).ravel()
+
+
+class Pardiso:
+    """MKL PARDISO's Cholesky through pypardiso."""
+
+    name = "pardiso"
+
+    def __init__(self, pattern: Pattern) -> None:
+        from pypardiso import PyPardisoSolver
+
+        n = pattern.size
+        self._solver = PyPardisoSolver(mtype=2)
+        self._A = sp.csr_matrix((np.ones(len(pattern.indices)), pattern.indices, pattern.indptr), shape=(n, n))
+
+    def factor(self, data: Array) -> None:
+        from pypardiso.pardiso_wrapper import PyPardisoError
+
+        self._A.data[:] = data
+        try:
+            self._solver.factorize(self._A)
+        except PyPardisoError as e:
+            raise NotPositiveDefinite from e
+
+    def solve(self, b: Array) -> Array:
+        return np.asarray(self._solver.solve(self._A, b)).ravel()
+
+
+class SuperLU:
+    """SciPy's SuperLU on the whole symmetric matrix; it cannot tell an indefinite one."""
+
+    name = "superlu"
+
+    def __init__(self, pattern: Pattern) -> None:
+        n = pattern.size
+        upper = sp.csr_matrix((np.arange(1, len(pattern.indices) + 1), pattern.indices, pattern.indptr), shape=(n, n))
+        full = (upper + sp.triu(upper, 1).T).tocsc()
+        self._slots = full.data - 1
+        self._A = sp.csc_matrix((np.ones(full.nnz), full.indices, full.indptr), shape=(n, n))
+
+    def factor(self, data: Array) -> None:
+        from scipy.sparse.linalg import splu
+
+        self._A.data[:] = data[self._slots]
+        try:
+            self._lu = splu(self._A, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+        except RuntimeError as e:  # exactly singular
+            raise NotPositiveDefinite from e
+
+    def solve(self, b: Array) -> Array:
+        return np.asarray(self._lu.solve(b))
+
+
+SOLVERS: dict[str, tuple[Callable[[Pattern], Solver], tuple[str, ...]]] = {  # fastest first, with the packages each needs
+    "pardiso": (Pardiso, ("pypardiso",)),
+    "cholmod": (Cholmod, ("cvxopt", "pymetis")),
+    "superlu": (SuperLU, ()),
+}
+
+
+def available() -> list[str]:
+    """Names of the solvers that can be used here, fastest first."""
+    return [name for name, (_, needs) in SOLVERS.items() if all(importlib.util.find_spec(m) for m in needs)]
+
+
+def best(pattern: Pattern) -> Solver:
+    """The fastest installed solver, prepared for this pattern."""
+    return SOLVERS[available()[0]][0](pattern)

@@ -1,0 +1,110 @@
+"""Newton's method on a potential: projected while far, exact when near, with a line search on the true energy."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from tacgen.fem.assembly import Pattern
+from tacgen.fem.linear import NotPositiveDefinite, Solver
+from tacgen.fem.potentials import Potential
+
+Array = np.ndarray
+ARMIJO = 1e-4
+SHORTEST = 1e-10  # a line search that gets here has stalled
+
+
+class Status(StrEnum):
+    converged = "converged"
+    out_of_steps = "out of steps"
+    stalled = "stalled"
+    nonfinite = "not finite"
+
+
+@dataclass(frozen=True)
+class Step:
+    """What one iteration did: energy before it [N mm], longest nodal move proposed [mm], fraction taken, projected."""
+
+    energy: float
+    length: float
+    fraction: float
+    projected: bool
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Positions x (n, 3), how it ended and what each iteration did."""
+
+    x: Array
+    status: Status
+    steps: tuple[Step, ...]
+
+
+def direction(potential: Potential, x: Array, g: Array, pattern: Pattern, solver: Solver, exact: bool) -> tuple[Array, bool]:
+    """Newton direction (n, 3) and whether the stiffness was projected: it is where the exact one is not definite."""
+    for project in (False, True) if exact else (True,):
+        data = np.zeros(len(pattern.indices))
+        potential.add_hessian(x, data, project)
+        p = np.zeros(x.size)
+        try:
+            solver.factor(data)
+        except NotPositiveDefinite:
+            if project:
+                raise
+            continue
+        p[pattern.free] = solver.solve(-g.ravel()[pattern.free])
+        if project or g.ravel() @ p < 0:
+            break
+    return p.reshape(x.shape), project
+
+
+def backtrack(value: Callable[[Array], float], x: Array, p: Array, energy: float, slope: float, fraction: float) -> float:
+    """Fraction of p by Armijo's rule; 0 where none down to SHORTEST lowers the energy."""
+    noise = 1e-13 * abs(energy)
+    while fraction > SHORTEST:
+        if value(x + fraction * p) <= energy + ARMIJO * fraction * slope + noise:
+            return fraction
+        fraction /= 2
+    return 0.0
+
+
+def minimise(
+    potential: Potential,
+    x: Array,
+    pattern: Pattern,
+    solver: Solver,
+    *,
+    xtol: float,
+    near: float = 0.05,
+    max_steps: int = 60,
+) -> Solution:
+    """Lower `potential` over the pattern's free dofs until a full step moves no node by xtol [mm].
+
+    Args:
+        x: start (n, 3) [mm], of finite energy.
+        near: steps longer than this [mm] use the projected stiffness.
+    """
+    steps: list[Step] = []
+    length = np.inf
+    energy = potential.value(x)
+    while len(steps) < max_steps:
+        g = potential.gradient(x)
+        try:
+            p, projected = direction(potential, x, g, pattern, solver, exact=length <= near)
+        except NotPositiveDefinite:
+            return Solution(x, Status.nonfinite, tuple(steps))
+        length = float(np.abs(p).max())
+        if not np.isfinite(length):
+            return Solution(x, Status.nonfinite, tuple(steps))
+        limit = potential.max_step(x, p)
+        fraction = backtrack(potential.value, x, p, energy, float((g * p).sum()), limit)
+        if fraction == 0.0:
+            # at rounding level a step may fail to lower the energy though it is as short as asked for
+            return Solution(x, Status.converged if length <= xtol else Status.stalled, tuple(steps))
+        x = x + fraction * p
+        steps.append(Step(energy, length, fraction, projected))
+        if length <= xtol and fraction == 1.0:
+            return Solution(x, Status.converged, tuple(steps))
+        energy = potential.value(x)
+    return Solution(x, Status.out_of_steps, tuple(steps))

@@ -1,0 +1,133 @@
+"""Everything that resists the press is a Potential; their sum is one too. Elasticity is the first."""
+
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from tacgen.fem import assembly
+from tacgen.fem.assembly import Pattern
+from tacgen.fem.elements import Elements
+from tacgen.fem.materials import Derivatives, Law
+
+Array = np.ndarray
+
+
+@runtime_checkable
+class Potential(Protocol):
+    """An energy of the nodal positions x (n, 3) [mm]."""
+
+    def value(self, x: Array) -> float:
+        """Energy [N mm]; +inf where x is not admissible."""
+
+    def gradient(self, x: Array) -> Array:
+        """dE/dx (n, 3) [N]."""
+
+    def add_hessian(self, x: Array, data: Array, project: bool) -> None:
+        """Add d2E/dx2 to `data`, the entries of the Pattern; positive semi-definite if `project`."""
+
+    def max_step(self, x: Array, p: Array) -> float:
+        """Largest a in (0, 1] such that x + a p is reached without passing through anything."""
+
+
+@dataclass(frozen=True)
+class Total:
+    """The sum of some potentials."""
+
+    parts: tuple[Potential, ...]
+
+    def value(self, x: Array) -> float:
+        return sum(part.value(x) for part in self.parts)
+
+    def gradient(self, x: Array) -> Array:
+        total = np.zeros_like(x)
+        for part in self.parts:
+            total += part.gradient(x)
+        return total
+
+    def add_hessian(self, x: Array, data: Array, project: bool) -> None:
+        for part in self.parts:
+            part.add_hessian(x, data, project)
+
+    def max_step(self, x: Array, p: Array) -> float:
+        return min(part.max_step(x, p) for part in self.parts)
+
+
+@dataclass(frozen=True)
+class Point:
+    """The law at the integration points: F (e, q, 3, 3), J (e, q), mean J (e,), pressure-like U' and stiffness U''."""
+
+    F: Array
+    I1: Array
+    J: Array
+    energy: Array  # per element [N mm]
+    iso: Derivatives
+    first: Array  # (e, q, 3), U' included
+    second: Array  # (e, q, 6), U'' included unless the dilatation is the element's mean
+    dilatation: Array  # (e,) U''(theta)/volume, 0 without mean dilatation
+
+
+@dataclass(frozen=True)
+class Elastic:
+    """Strain energy of elements of one law. Elements that turn inside out have infinite energy."""
+
+    elements: Elements
+    law: Law
+    slots: Array
+
+    @classmethod
+    def on(cls, pattern: Pattern, elements: Elements, law: Law) -> "Elastic":
+        return cls(elements, law, pattern.slots(elements.conn))
+
+    def _admissible(self, x: Array) -> tuple[Array, tuple[Array, Array, Array]]:
+        F = assembly.deformation(x, self.elements.conn, self.elements.gradients)
+        return F, assembly.invariants(F)
+
+    def at(self, x: Array) -> Point:
+        """Invariants, energies and derivatives at x; J must be positive everywhere."""
+        F, (I1, I2, J) = self._admissible(x)
+        w = self.elements.weights
+        iso = self.law.iso(I1, I2, J)
+        volume = w.sum(1)
+        if self.elements.mean_dilatation:
+            U, dU, ddU = self.law.vol((w * J).sum(1) / volume)
+            energy = (w * iso.value).sum(1) + volume * U
+            dilatation = ddU / volume
+            dU, ddU = dU[:, None], np.zeros((1, 1))
+        else:
+            U, dU, ddU = self.law.vol(J)
+            energy, dilatation = (w * (iso.value + U)).sum(1), np.zeros(len(w))
+        first, second = iso.first.copy(), iso.second.copy()
+        first[..., 2] += dU
+        second[..., 2] += ddU
+        return Point(F, I1, J, energy, iso, first, second, dilatation)
+
+    def value(self, x: Array) -> float:
+        F, (_, _, J) = self._admissible(x)
+        if not (J > 0).all():
+            return np.inf
+        return float(self.at(x).energy.sum())
+
+    def gradient(self, x: Array) -> Array:
+        e, at = self.elements, self.at(x)
+        out = np.zeros_like(x)
+        assembly.add_forces(at.F, e.conn, e.gradients, e.weights, at.I1, at.first, out)
+        return out
+
+    def add_hessian(self, x: Array, data: Array, project: bool) -> None:
+        e, at = self.elements, self.at(x)
+        assembly.add_stiffness(
+            at.F, e.conn, e.gradients, e.weights, at.first, at.second, at.dilatation, project, self.slots, data
+        )
+
+    def max_step(self, x: Array, p: Array) -> float:
+        return 1.0
+
+    def cauchy(self, x: Array) -> tuple[Array, Array]:
+        """Cauchy stress (e, q, 3, 3) [MPa] from the law, sigma = P F^T / J, and current volumes (e, q) [mm^3]."""
+        at = self.at(x)
+        b = at.F @ at.F.swapaxes(-1, -2)
+        f = at.first[..., None, None]
+        PFt = 2 * (f[..., 0, :, :] + f[..., 1, :, :] * at.I1[..., None, None]) * b - 2 * f[..., 1, :, :] * (b @ b)
+        J = at.J[..., None, None]
+        return PFt / J + f[..., 2, :, :] * np.eye(3), self.elements.weights * at.J

@@ -1,0 +1,307 @@
+"""Indenters as signed distances: every analytic shape is a core grown by a rounding radius.
+
+In its own frame an indenter touches the plane z = 0 from above at the origin and its body rises along +z
+(punch, cone, box and wedge without end). A core says, for each point, which of its points is closest; distance,
+normal and curvature follow from that for all shapes alike:
+
+    d = |p - c(p)| - r,    n = (p - c)/|p - c|,    H = (I - n n^T - dc/dp) / |p - c|
+
+Inside a core d goes on decreasing linearly, so that a gel that starts overlapped is pushed out.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+Array = np.ndarray
+
+
+class Shape(Protocol):
+    """A rigid indenter in its own frame."""
+
+    @property
+    def smallest_radius(self) -> float:
+        """Smallest radius of curvature that can touch the gel [mm]."""
+
+    @property
+    def reach(self) -> float:
+        """How far a gel point may lie inside and still be pushed out the way it came [mm]."""
+
+    def distance(self, p: Array) -> tuple[Array, Array, Array]:
+        """Signed distance [mm] (n,), its gradient (n, 3) and Hessian [1/mm] (n, 3, 3) at points p (n, 3) [mm]."""
+
+    def support(self, direction: Array) -> float:
+        """How far the shape extends along a unit vector (3,) [mm]; inf where it has no end."""
+
+
+@dataclass(frozen=True)
+class Core:
+    """Closest core points c (n, 3), dc/dp (n, 3, 3), depth inside the core (n,) >= 0 and the way out there (n, 3)."""
+
+    closest: Array
+    jacobian: Array
+    depth: Array
+    out: Array
+
+
+def _grown(p: Array, core: Core, radius: float) -> tuple[Array, Array, Array]:
+    v = p - core.closest
+    length = np.linalg.norm(v, axis=1)
+    inside = (core.depth > 0) | (length < 1e-12)
+    safe = np.where(inside, 1.0, length)
+    n = np.where(inside[:, None], core.out, v / safe[:, None])
+    H = (np.eye(3) - n[:, :, None] * n[:, None, :] - core.jacobian) / safe[:, None, None]
+    H[inside] = 0.0
+    return np.where(inside, -core.depth, length) - radius, n, H
+
+
+def _polar(p: Array) -> tuple[Array, Array, Array]:
+    """Distance from the z axis (n,), radial (n, 3) and azimuthal (n, 3) unit vectors; x and y on the axis itself."""
+    rho = np.hypot(p[:, 0], p[:, 1])
+    on_axis = rho < 1e-12
+    c = np.where(on_axis, 1.0, p[:, 0] / np.where(on_axis, 1.0, rho))
+    s = np.where(on_axis, 0.0, p[:, 1] / np.where(on_axis, 1.0, rho))
+    zero = np.zeros_like(c)
+    return rho, np.stack([c, s, zero], 1), np.stack([-s, c, zero], 1)
+
+
+def _outer(a: Array) -> Array:
+    return a[:, :, None] * a[:, None, :]
+
+
+def _diagonal(entries: Array) -> Array:
+    return np.asarray(entries[:, :, None] * np.eye(3))
+
+
+def _inside_box(core_point_offsets: Array, normals: Array) -> tuple[Array, Array]:
+    """Depth (n,) and way out (n, 3) from distances to each face (n, k), positive inside, and face normals (n, k, 3)."""
+    face = core_point_offsets.argmin(1)
+    rows = np.arange(len(face))
+    return np.maximum(core_point_offsets[rows, face], 0.0), normals[rows, face]
+
+
+@dataclass(frozen=True)
+class Sphere:
+    radius: float  # [mm]
+
+    @property
+    def smallest_radius(self) -> float:
+        return self.radius
+
+    @property
+    def reach(self) -> float:
+        return self.radius
+
+    def support(self, direction: Array) -> float:
+        return self.radius * (1 + float(direction[2]))
+
+    def distance(self, p: Array) -> tuple[Array, Array, Array]:
+        n = len(p)
+        up = np.broadcast_to([0.0, 0.0, -1.0], (n, 3))
+        c = np.broadcast_to([0.0, 0.0, self.radius], (n, 3))
+        return _grown(p, Core(c, np.zeros((n, 3, 3)), np.zeros(n), up), self.radius)
+
+
+@dataclass(frozen=True)
+class Capsule:
+    """Lying along x; `length` is between the centres of its two ends."""
+
+    radius: float  # [mm]
+    length: float  # [mm]
+
+    @property
+    def smallest_radius(self) -> float:
+        return self.radius
+
+    @property
+    def reach(self) -> float:
+        return self.radius
+
+    def support(self, direction: Array) -> float:
+        return self.radius * (1 + float(direction[2])) + self.length / 2 * abs(float(direction[0]))
+
+    def distance(self, p: Array) -> tuple[Array, Array, Array]:
+        half = self.length / 2
+        along = np.clip(p[:, 0], -half, half)
+        c = np.stack([along, np.zeros_like(along), np.full_like(along, self.radius)], 1)
+        jac = np.zeros((len(p), 3, 3))
+        jac[:, 0, 0] = np.abs(p[:, 0]) < half
+        down = np.broadcast_to([0.0, 0.0, -1.0], p.shape)
+        return _grown(p, Core(c, jac, np.zeros(len(p)), down), self.radius)
+
+
+@dataclass(frozen=True)
+class Torus:
+    """Lying flat; `radius` is that of the ring's centre line."""
+
+    radius: float  # [mm]
+    tube_radius: float  # [mm]
+
+    @property
+    def smallest_radius(self) -> float:
+        return self.tube_radius
+
+    @property
+    def reach(self) -> float:
+        return self.tube_radius
+
+    def support(self, direction: Array) -> float:
+        return self.tube_radius * (1 + float(direction[2])) + self.radius * float(np.hypot(*direction[:2]))
+
+    def distance(self, p: Array) -> tuple[Array, Array, Array]:
+        rho, radial, azimuth = _polar(p)
+        c = self.radius * radial
+        c[:, 2] = self.tube_radius
+        jac = _outer(azimuth) * (self.radius / np.maximum(rho, 1e-12))[:, None, None]
+        down = np.broadcast_to([0.0, 0.0, -1.0], p.shape)
+        return _grown(p, Core(c, jac, np.zeros(len(p)), down), self.tube_radius)
+
+
+@dataclass(frozen=True)
+class Cylinder:
+    """A flat punch along z whose lower edge is rounded by `fillet`."""
+
+    radius: float  # [mm]
+    fillet: float  # [mm]
+
+    @property
+    def smallest_radius(self) -> float:
+        return self.fillet
+
+    @property
+    def reach(self) -> float:
+        return self.radius
+
+    def support(self, direction: Array) -> float:
+        if direction[2] > 1e-12:
+            return np.inf
+        return self.fillet * (1 + float(direction[2])) + (self.radius - self.fillet) * float(np.hypot(*direction[:2]))
+
+    def distance(self, p: Array) -> tuple[Array, Array, Array]:
+        rho, radial, azimuth = _polar(p)
+        rim, low = self.radius - self.fillet, self.fillet
+        c_rho, c_z = np.minimum(rho, rim), np.maximum(p[:, 2], low)
+        c = c_rho[:, None] * radial
+        c[:, 2] = c_z
+        jac = _outer(azimuth) * np.where(rho > rim, rim / np.maximum(rho, 1e-12), 1.0)[:, None, None]
+        jac += _outer(radial) * (rho < rim)[:, None, None]
+        jac[:, 2, 2] += p[:, 2] > low
+        down = np.broadcast_to([0.0, 0.0, -1.0], p.shape)
+        depth, out = _inside_box(np.stack([p[:, 2] - low, rim - rho], 1), np.stack([down, radial], 1))
+        return _grown(p, Core(c, jac, depth, out), self.fillet)
+
+
+@dataclass(frozen=True)
+class Box:
+    """A square-ended punch, sides along x and y, all edges rounded by `fillet`."""
+
+    size_x: float  # [mm]
+    size_y: float  # [mm]
+    fillet: float  # [mm]
+
+    @property
+    def smallest_radius(self) -> float:
+        return self.fillet
+
+    @property
+    def reach(self) -> float:
+        return min(self.size_x, self.size_y) / 2
+
+    def support(self, direction: Array) -> float:
+        if direction[2] > 1e-12:
+            return np.inf
+        half = np.array([self.size_x, self.size_y]) / 2 - self.fillet
+        return self.fillet * (1 + float(direction[2])) + float(half @ np.abs(direction[:2]))
+
+    def distance(self, p: Array) -> tuple[Array, Array, Array]:
+        half = np.array([self.size_x, self.size_y]) / 2 - self.fillet
+        c = np.stack([*np.clip(p[:, :2], -half, half).T, np.maximum(p[:, 2], self.fillet)], 1)
+        jac = _diagonal((c == p).astype(float))
+        side = half - np.abs(p[:, :2])
+        sign = np.where(p[:, :2] >= 0, 1.0, -1.0)
+        down = np.broadcast_to([0.0, 0.0, -1.0], p.shape)
+        x_out, y_out = (np.outer(sign[:, k], np.eye(3)[k]) for k in (0, 1))
+        offsets = np.stack([p[:, 2] - self.fillet, side[:, 0], side[:, 1]], 1)
+        depth, out = _inside_box(offsets, np.stack([down, x_out, y_out], 1))
+        return _grown(p, Core(c, jac, depth, out), self.fillet)
+
+
+@dataclass(frozen=True)
+class Cone:
+    """Tip down, rounded by `tip_radius`; `half_angle` [rad] is from the axis."""
+
+    half_angle: float
+    tip_radius: float  # [mm]
+
+    @property
+    def smallest_radius(self) -> float:
+        return self.tip_radius
+
+    @property
+    def reach(self) -> float:
+        return np.inf
+
+    def support(self, direction: Array) -> float:
+        flank = np.hypot(*direction[:2]) * np.sin(self.half_angle) + direction[2] * np.cos(self.half_angle)
+        return np.inf if flank > 1e-12 else self.tip_radius * (1 + float(direction[2]))
+
+    def distance(self, p: Array) -> tuple[Array, Array, Array]:
+        rho, radial, azimuth = _polar(p)
+        s, c = np.sin(self.half_angle), np.cos(self.half_angle)
+        z = p[:, 2] - self.tip_radius
+        along = np.maximum(rho * s + z * c, 0.0)
+        outward = rho * c - z * s  # distance outside the core's side, where along > 0
+        side = (along > 0)[:, None, None]
+        inside = (along > 0) & (outward < 0)
+        closest = (along * s)[:, None] * radial
+        closest[:, 2] = along * c + self.tip_radius
+        generator = radial * s + np.array([0.0, 0.0, c])
+        jac = side * (_outer(generator) + _outer(azimuth) * (along * s / np.maximum(rho, 1e-12))[:, None, None])
+        normal = radial * c - np.array([0.0, 0.0, s])
+        normal = np.where(side[:, :, 0], normal, [0.0, 0.0, -1.0])
+        return _grown(p, Core(closest, jac, np.where(inside, -outward, 0.0), normal), self.tip_radius)
+
+
+@dataclass(frozen=True)
+class Wedge:
+    """An edge along y, rounded by `tip_radius`; `half_angle` [rad] is from the z axis; `length` includes the ends."""
+
+    half_angle: float
+    tip_radius: float  # [mm]
+    length: float  # [mm]
+
+    @property
+    def smallest_radius(self) -> float:
+        return self.tip_radius
+
+    @property
+    def reach(self) -> float:
+        return self.length / 2
+
+    def support(self, direction: Array) -> float:
+        flank = abs(direction[0]) * np.sin(self.half_angle) + direction[2] * np.cos(self.half_angle)
+        along = (self.length / 2 - self.tip_radius) * abs(float(direction[1]))
+        return np.inf if flank > 1e-12 else self.tip_radius * (1 + float(direction[2])) + along
+
+    def distance(self, p: Array) -> tuple[Array, Array, Array]:
+        s, c = np.sin(self.half_angle), np.cos(self.half_angle)
+        sign = np.where(p[:, 0] >= 0, 1.0, -1.0)
+        z = p[:, 2] - self.tip_radius
+        along = np.maximum(np.abs(p[:, 0]) * s + z * c, 0.0)
+        outward = np.abs(p[:, 0]) * c - z * s
+        within = (along > 0) & (outward < 0)  # in the cross-section
+        half = self.length / 2 - self.tip_radius
+        y = np.clip(p[:, 1], -half, half)
+        closest = np.stack([sign * along * s, y, along * c + self.tip_radius], 1)
+        closest[within, 0], closest[within, 2] = p[within, 0], p[within, 2]
+        zero = np.zeros_like(sign)
+        generator = np.stack([sign * s, zero, np.full_like(sign, c)], 1)
+        jac = (along > 0)[:, None, None] * _outer(generator)
+        jac[within] = np.diag([1.0, 0.0, 1.0])
+        jac[:, 1, 1] += np.abs(p[:, 1]) < half
+        side_out = np.stack([sign * c, zero, np.full_like(sign, -s)], 1)
+        end_out = np.stack([zero, np.where(p[:, 1] >= 0, 1.0, -1.0), zero], 1)
+        offsets = np.stack([np.where(along > 0, -outward, -1.0), half - np.abs(p[:, 1])], 1)
+        depth, out = _inside_box(offsets, np.stack([side_out, end_out], 1))
+        return _grown(p, Core(closest, jac, depth, out), self.tip_radius)

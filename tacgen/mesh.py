@@ -1,0 +1,93 @@
+"""Gel + contact footprint -> Mesh: a tensor grid of hexes, fine where the scene can touch and growing away from there."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tacgen.scene import Gel
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Arrays with named patches.
+
+    points (n, 3) [mm]; cells (e, 8) hexes; layer (e,) number of the gel layer of each cell, 0 at the base;
+    facets: quads (f, 4) seen from outside, by name: "bonded" (held), "coated" (pressed and photographed).
+    """
+
+    points: Array
+    cells: Array
+    layer: Array
+    facets: dict[str, Array]
+
+
+def graded(start: float, end: float, fine: tuple[float, float], edge: float, growth: float, coarsest: float) -> Array:
+    """Coordinates from start to end: at most `edge` apart inside `fine`, each next interval up to `growth` times longer.
+
+    The ends are met exactly by shrinking the intervals on each side a little together.
+    """
+    low, high = max(start, fine[0]), min(end, fine[1])
+    middle = np.linspace(low, high, max(1, int(np.ceil((high - low) / edge - 1e-9))) + 1)
+    if high <= low:
+        middle = np.array([np.clip(low, start, end)])
+
+    def side(length: float) -> Array:
+        steps: list[float] = []
+        while sum(steps) < length - 1e-9:
+            steps.append(min((steps[-1] if steps else edge) * growth, coarsest))
+        return np.cumsum(steps) * (length / sum(steps)) if steps else np.zeros(0)
+
+    below, above = middle[0] - side(middle[0] - start)[::-1], middle[-1] + side(end - middle[-1])
+    return np.concatenate([below, middle, above])
+
+
+def heights(gel: Gel, edge: float, growth: float, coarsest: float) -> tuple[Array, Array]:
+    """Grid heights z from base to face and the layer of each interval: fine at the face, graded down, and every
+    interface is a grid height."""
+    z = [0.0]
+    layer: list[int] = []
+    step = edge
+    for number in reversed(range(len(gel.layers))):
+        left = gel.layers[number].thickness
+        steps: list[float] = []
+        while sum(steps) < left - 1e-9:
+            steps.append(step)
+            step = min(step * growth, coarsest)
+        scaled = np.array(steps) * (left / sum(steps))
+        step = min(float(scaled[-1]) * growth, coarsest)
+        z.extend(z[-1] - np.cumsum(scaled))
+        layer.extend([number] * len(steps))
+    return np.array(z[::-1]), np.array(layer[::-1], dtype=np.int32)
+
+
+def build(
+    gel: Gel, footprint: tuple[float, float, float, float], edge: float, *, growth: float = 1.5, coarsest: float = 3.0
+) -> Mesh:
+    """Graded hexes for a gel with a flat base and face.
+
+    Args:
+        footprint: x0, x1, y0, y1 [mm] of all that the trajectory can touch; its cells are `edge` wide.
+        edge: target edge under the contact [mm]. growth: ratio of neighbouring edges outside. coarsest: edge far away [mm].
+    """
+    x0, x1, y0, y1 = footprint
+    xs = graded(-gel.width / 2, gel.width / 2, (x0, x1), edge, growth, coarsest)
+    ys = graded(-gel.height / 2, gel.height / 2, (y0, y1), edge, growth, coarsest)
+    zs, layer = heights(gel, edge, 1.3, min(coarsest, 1.0))
+    shape = len(xs), len(ys), len(zs)
+    points = np.stack(np.meshgrid(xs, ys, zs, indexing="ij"), -1).reshape(-1, 3)
+    number = np.arange(len(points)).reshape(shape)
+    corners = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]
+    i, j, k = (n - 1 for n in shape)
+    hexes = np.stack([number[a : a + i, b : b + j, c : c + k] for a, b, c in corners], -1)
+    centre = (xs[1:] + xs[:-1])[:, None] / 2, (ys[1:] + ys[:-1])[None] / 2
+    inside = gel.contains(*centre)  # a column whose centre is outside the outline is left out
+    bonded = hexes[inside][:, 0][:, [0, 3, 2, 1]]
+    coated = hexes[inside][:, -1][:, [4, 5, 6, 7]]
+    cells = hexes[inside].reshape(-1, 8)
+    layers = np.tile(layer, int(inside.sum()))
+    used, compact = np.unique(cells, return_inverse=True)
+    rename = np.full(len(points), -1)
+    rename[used] = np.arange(len(used))
+    return Mesh(points[used], compact.reshape(-1, 8), layers, {"bonded": rename[bonded], "coated": rename[coated]})

@@ -1,0 +1,234 @@
+"""One scene down the line. What its outputs do not need is neither imported nor computed."""
+
+import json
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tacgen import bundle, mesh, scene, solve
+from tacgen.errors import UserError
+from tacgen.plan import Row
+
+Array = np.ndarray
+Say = Callable[[Any], None]
+
+
+@dataclass(frozen=True)
+class SceneResult:
+    """What became of a scene; seconds by stage, empty if the bundle was there already."""
+
+    name: str
+    path: Path
+    status: str  # ok or rejected
+    reason: str
+    frames: int
+    seconds: dict[str, float] = field(default_factory=dict)
+
+
+class Clock:
+    """Seconds spent in each stage."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+
+
+class Products:
+    """What a scene's outputs ask for beyond the solve: datasets of the reference, the mesh and each frame."""
+
+    def __init__(self, row: Row, problem: solve.Problem, clock: Clock) -> None:
+        from tacgen import fields
+
+        self.outputs, self.problem, self.clock, self.fields = row.recipe.outputs, problem, clock, fields
+        optical = self.outputs & {"traction", "height", "markers", "rgb"}
+        if optical:
+            from tacgen.optics.layers import Camera
+
+            self.camera = Camera.from_sensor(row.sensor)
+            self.surface = fields.Surface(problem.mesh.points, problem.mesh.facets["coated"])
+        if "height" in self.outputs:
+            from tacgen.optics.sheet import Sheet
+
+            self.sheet = Sheet.over(row.sensor.gel, 0.1)
+        if "markers" in self.outputs:
+            from tacgen.optics.coating import centers
+
+            if row.sensor.markers is None:
+                raise UserError(f"outputs: the sensor {row.sensor.name} has no markers")
+            self.dots = centers(row.sensor.markers)
+            self.undisturbed = self.camera.project(self.surface.at(self.dots))
+        if "rgb" in self.outputs:
+            from tacgen.render import Renderer
+
+            with clock.stage("render"):
+                spp = row.recipe.resolved().spp
+                self.renderer = Renderer(row.sensor, spp, row.seed, markers=row.sensor.markers is not None)
+
+    def still(self) -> dict[str, Array]:
+        """Datasets that do not change from frame to frame."""
+        out: dict[str, Array] = {}
+        if "height" in self.outputs:
+            out["/reference/height"] = self.fields.height(self.sheet, self.surface, self.camera)
+        if "markers" in self.outputs:
+            out["/reference/markers"] = self.undisturbed
+        if "rgb" in self.outputs:
+            with self.clock.stage("render"):
+                out["/reference/rgb"] = self.renderer.develop(self.renderer.flat())
+        if "stress" in self.outputs:
+            m = self.problem.mesh
+            out.update({"/mesh/points": m.points, "/mesh/cells": m.cells, "/mesh/layer": m.layer})
+            out.update({f"/mesh/facets/{name}": quads for name, quads in m.facets.items()})
+        return out
+
+    def frame(self, state: solve.State, segment: int) -> dict[str, Array]:
+        """Datasets of one frame."""
+        with self.clock.stage("fields"):
+            out = self._labels(state, segment)
+        if "rgb" in self.outputs:
+            with self.clock.stage("render"):
+                surface = self.surface.moved(state.x)
+                out["/frames/rgb"] = self.renderer.develop(self.renderer.image(surface))
+        return out
+
+    def _labels(self, state: solve.State, segment: int) -> dict[str, Array]:
+        force, torque = self.fields.wrench(self.problem, state)
+        out: dict[str, Any] = {
+            "/frames/pose": state.pose,
+            "/frames/segment": segment,
+            "/frames/force": force,
+            "/frames/torque": torque,
+            "/frames/quality/newton_iterations": state.iterations,
+            "/frames/quality/substeps": state.substeps,
+            "/frames/quality/min_gap_mm": state.min_gap,
+            "/frames/quality/mean_gap_mm": state.mean_gap,
+            "/frames/quality/force_balance": state.balance,
+            "/frames/quality/residual": state.residual,
+        }
+        if self.outputs & {"traction", "height", "markers"}:
+            surface = self.surface.moved(state.x)
+        if "traction" in self.outputs:
+            maps = self.fields.maps(self.problem, surface, state, self.camera)
+            out |= {"/frames/pressure": maps.pressure, "/frames/traction": maps.traction, "/frames/contact": maps.contact}
+            if state.sliding is not None:
+                out["/frames/slip"] = maps.slip
+        if "height" in self.outputs:
+            out["/frames/height"] = self.fields.height(self.sheet, surface, self.camera)
+        if "markers" in self.outputs:
+            pixels = self.camera.project(surface.at(self.dots))
+            out |= {"/frames/markers": pixels, "/frames/marker_flow": pixels - self.undisturbed}
+        if "stress" in self.outputs:
+            stress = self.fields.stress(self.problem, state.x)
+            out["/fields/displacement"] = state.x - self.problem.mesh.points
+            out |= {"/fields/cauchy_stress": stress.element, "/fields/nodal_stress": stress.node}
+        return {path: np.asarray(value) for path, value in out.items()}
+
+
+def _attributes(row: Row, problem: solve.Problem, products: Products) -> dict[str, Any]:
+    from importlib.metadata import version
+
+    found: dict[str, Any] = {
+        "recipe": row.document(),
+        "scene_index": row.index,
+        "seed": row.seed,
+        "sensor": row.sensor.name,
+        "sensor_sha256": row.sensor_sha256,
+        "sensor_document": row.sensor_document(),
+        "input_key": row.key,
+        "solver": f"{problem.linear.name}, numpy {version('numpy')}, scipy {version('scipy')}, numba {version('numba')}",
+        "values": row.values,
+    }
+    if "rgb" in row.recipe.outputs:
+        found["renderer"] = f"mitsuba {version('mitsuba')} {products.renderer.variant}"
+    if problem.contact.shape.smallest_radius < problem.edge:
+        found["notes"] = [
+            f"the indenter's smallest radius, {problem.contact.shape.smallest_radius:g} mm, is below the mesh's edge,"
+            f" {problem.edge:g} mm: forces are converged, details that fine are not"
+        ]
+    return found
+
+
+def run_scene(row: Row, folder: Path, *, overwrite: bool = False, say: Say | None = None) -> SceneResult:
+    """Solve, label, render and write one scene; a finished bundle of the same inputs is kept unless `overwrite`.
+
+    Raises:
+        UserError: the bundle's place is taken by a file made from other inputs.
+    """
+    path = folder / f"{row.name}.h5"
+    if path.exists() and not overwrite:
+        if bundle.is_complete(path, row.key):
+            kept = bundle.read(path).attrs
+            return SceneResult(row.name, path, kept["status"], kept["reason"], row.frames)
+        _refuse(path)
+    clock = Clock()
+    with clock.stage("mesh"):
+        built = scene.build(row)
+        problem = solve.Problem.of(built, mesh.build(built.gel, solve.footprint(built), built.edge))
+    products = Products(row, problem, clock)
+    reason = ""
+    with bundle.Writer(path, _attributes(row, problem, products), row.frames) as writer:
+        for name, array in products.still().items():
+            writer.put(name, array)
+        states = solve.states(built, problem)
+        while True:
+            try:
+                with clock.stage("solve"):
+                    state = next(states, None)
+            except solve.NotConverged as problem_found:
+                reason = f"frame {writer.appended + 1} of {row.frames}: {problem_found}"
+                break
+            if state is None:
+                break
+            frame = products.frame(state, int(built.segment[state.index]))
+            with clock.stage("bundle"):
+                writer.append(frame)
+            if say:
+                say(f"{row.name}: frame {state.index + 1} of {row.frames}")
+        with clock.stage("bundle"):
+            writer.finish("rejected" if reason else "ok", reason)
+    seconds = {name: round(value, 4) for name, value in clock.seconds.items()}
+    path.with_suffix(".timing.json").write_text(json.dumps({"frames": row.frames, "seconds": seconds}, indent=1) + "\n")
+    return SceneResult(row.name, path, "rejected" if reason else "ok", reason, row.frames, seconds)
+
+
+def _refuse(path: Path) -> None:
+    """Complain of a whole bundle of other inputs; what is broken or incomplete is redone."""
+    try:
+        other = bundle.read(path)
+    except UserError as error:
+        if "incomplete" in str(error) or "truncated" in str(error):
+            return
+        raise UserError(f"{path}: {error}; pass --overwrite to replace it") from None
+    raise UserError(
+        f"{path}: made from other inputs (recipe {other.recipe.get('name', '?')}); pass --overwrite or choose another folder"
+    )
+
+
+def run(rows: Sequence[Row], folder: Path, *, overwrite: bool = False, on_event: Say | None = None) -> list[SceneResult]:
+    """Every scene in order; on_event hears a line a frame and each SceneResult.
+
+    Raises:
+        UserError: before anything is computed, if a bundle of other inputs is in the way.
+    """
+    if not overwrite:
+        for row in rows:
+            path = folder / f"{row.name}.h5"
+            if path.exists() and not bundle.is_complete(path, row.key):
+                _refuse(path)
+    results = []
+    for row in rows:
+        results.append(run_scene(row, folder, overwrite=overwrite, say=on_event))
+        if on_event:
+            on_event(results[-1])
+    return results

@@ -1,0 +1,278 @@
+"""Scene + Mesh -> States: which potentials are in the sum, and stepping them along the path.
+
+Each frame is found at exactly the pose asked for. Within it a few passes fix what is lagged: the mean gap by which the
+indenter is shrunk, and, where there is friction, the normal forces. A frame that Newton cannot reach is approached in
+halved substeps; one that cannot be reached at all ends the scene as rejected.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tacgen.fem import friction as fr
+from tacgen.fem import linear
+from tacgen.fem.assembly import Pattern, pattern
+from tacgen.fem.contact import Contact, Faces, Pose
+from tacgen.fem.elements import Elements, hexes
+from tacgen.fem.friction import Friction
+from tacgen.fem.newton import Solution, Status, Step, minimise
+from tacgen.fem.potentials import Elastic, Potential, Total
+from tacgen.mesh import Mesh
+from tacgen.scene import Scene
+
+Array = np.ndarray
+XTOL = 1e-3  # no node moves by more than this in the last step, nor does the mean gap between passes [mm]
+LOOK = 0.03  # the first pass of a frame stops here [mm]
+RESIDUAL = 1e-3  # of the contact force
+LAG = 0.02  # normal forces may be this far from the ones friction used, as a part of their sum
+PASSES = 6
+HALVINGS = 5
+EPS = 2e-3  # slip over which friction builds up [mm]
+
+
+class NotConverged(ArithmeticError):
+    """A frame has no solution that meets the tolerances; the message says why."""
+
+
+def footprint(scene: Scene) -> tuple[float, float, float, float]:
+    """x0, x1, y0, y1 [mm] of all of the untouched face that the indenter overlaps anywhere on its path, and one edge more.
+
+    A rigid body cuts a wider patch out of the untouched face than it touches of a soft one, so this is on the safe side.
+    """
+    gel, step = scene.gel, scene.edge / 3
+    x, y = (np.arange(-size / 2, size / 2 + step, step) for size in (gel.width, gel.height))
+    grid = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
+    face = np.column_stack([grid, np.zeros(len(grid))])
+    touched = np.zeros(len(face), bool)
+    for matrix in np.unique(scene.poses.reshape(-1, 16), axis=0).reshape(-1, 4, 4):
+        rest = ~touched
+        touched[rest] = scene.shape.distance(Pose.of(matrix).local(face[rest]))[0] < 0
+    where = grid[touched] if touched.any() else scene.start[None, :2, 3]
+    low, high = where.min(0) - scene.edge, where.max(0) + scene.edge
+    return float(low[0]), float(high[0]), float(low[1]), float(high[1])
+
+
+@dataclass(frozen=True)
+class State:
+    """The gel at one frame.
+
+    x (n, 3) nodal positions [mm]; normal_force (f, q) [N] pressing on the gel's quadrature points, normal (f, q, 3)
+    outward from the indenter, friction (f, q, 3) [N] on the gel or None without friction; sliding (f, q) bool.
+    """
+
+    index: int
+    pose: Array
+    x: Array
+    normal_force: Array
+    normal: Array
+    friction: Array | None
+    sliding: Array | None
+    iterations: int
+    substeps: int
+    offset: float  # by which the indenter was shrunk [mm]
+    mean_gap: float  # [mm], to the shrunk indenter; equal to offset within XTOL
+    min_gap: float  # [mm], to the shrunk indenter
+    residual: float  # of the free nodes' forces, as a part of the contact force
+    balance: float  # |indenter force + base reaction| / indenter force
+
+    @property
+    def traction_force(self) -> Array:
+        """Force of the indenter on each quadrature point of the gel (f, q, 3) [N]."""
+        push = self.normal_force[..., None] * self.normal
+        return push if self.friction is None else push + self.friction
+
+
+@dataclass(frozen=True)
+class _Memory:
+    """What a pose inherits from the one before; anchors and normals are in the indenter's frame."""
+
+    pose: Pose
+    x: Array
+    before: Array  # x one pose earlier, for extrapolation
+    offset: float
+    normal_force: Array
+    normal: Array
+    anchor: Array
+    gap: Array
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A mesh made ready: elasticity, contact and the linear solver. `solver` names the linear solver."""
+
+    mesh: Mesh
+    elastic: tuple[Elastic, ...]
+    contact: Contact
+    linear: linear.Solver
+    pattern: Pattern
+    friction: float
+    edge: float  # [mm]
+
+    @classmethod
+    def of(cls, scene: Scene, mesh: Mesh) -> "Problem":
+        free = np.ones((len(mesh.points), 3), bool)
+        free[np.unique(mesh.facets["bonded"])] = False
+        pat = pattern([mesh.cells], free)
+        elastic = []
+        for number, layer in enumerate(scene.gel.layers):
+            cells = mesh.cells[mesh.layer == number]
+            elastic.append(Elastic.on(pat, hexes(mesh.points, cells), layer.law))
+        faces = Faces.on(pat, mesh.points, mesh.facets["coated"])
+        kappa = 2 * scene.gel.layers[-1].youngs_modulus
+        contact = Contact(faces, scene.shape, Pose.of(scene.start), scene.dhat, kappa)
+        return cls(mesh, tuple(elastic), contact, linear.best(pat), pat, scene.friction, scene.edge)
+
+    @property
+    def elements(self) -> tuple[Elements, ...]:
+        return tuple(e.elements for e in self.elastic)
+
+    def rest(self, pose: Pose) -> _Memory:
+        """The untouched gel below an indenter at `pose`."""
+        x = self.mesh.points
+        force, normal, gap = self.contact.moved(pose, 0.0).pressure(x)
+        local = normal @ pose.rotation
+        return _Memory(pose, x, x, 0.0, np.zeros_like(force), local, pose.local(self.contact.faces.at(x)), gap)
+
+
+def _start(problem: Problem, memory: _Memory, contact: Contact) -> Array:
+    """The last positions, or those carried on by the last increment where that has the lower energy."""
+    carried = 2 * memory.x - memory.before
+    energy = [Total((*problem.elastic, contact)).value(x) for x in (memory.x, carried)]
+    return carried if energy[1] < energy[0] else memory.x
+
+
+def _friction(problem: Problem, memory: _Memory, pose: Pose, solved: Array | None, contact: Contact) -> Friction | None:
+    """Friction lagged from the last pose, turned with the indenter; once `solved` is known, from this pose."""
+    if problem.friction == 0:
+        return None
+    force, normal, anchor = memory.normal_force, memory.normal @ pose.rotation.T, memory.anchor
+    if solved is not None:
+        force, normal, _ = contact.pressure(solved)
+        carried = 2 * memory.x - memory.before
+        ahead, gap_ahead = pose.local(contact.faces.at(carried)), contact.gaps(carried)[0]
+        touch = fr.onset(anchor, ahead, memory.gap - contact.offset, gap_ahead - contact.offset)
+        anchor = np.where(memory.normal_force[..., None] > 0, anchor, touch)
+    return Friction(problem.contact.faces, problem.friction, force, normal, pose.world(anchor), EPS)
+
+
+def _mean_gap(contact: Contact, x: Array) -> tuple[float, Array]:
+    """Force-weighted mean gap to the shrunk indenter [mm] and the normal forces (f, q) [N]."""
+    force, _, gap = contact.pressure(x)
+    total = force.sum()
+    return (float((force * gap).sum() / total) if total > 0 else 0.0), force
+
+
+def _imbalance(problem: Problem, parts: tuple[Potential, ...], x: Array) -> tuple[float, float]:
+    """Residual on the free dofs and |indenter + base| as parts of the contact force; 0 where nothing touches."""
+    inner = Total(parts[: len(problem.elastic)]).gradient(x)
+    outer = Total(parts[len(problem.elastic) :]).gradient(x)
+    g = (inner + outer).ravel()
+    held = np.ones(g.size, bool)
+    held[problem.pattern.free] = False
+    reaction = np.where(held.reshape(x.shape), inner, 0.0).sum(0)
+    force = float(np.linalg.norm(outer.sum(0)))
+    if force == 0:
+        return 0.0, 0.0
+    return float(np.linalg.norm(g[~held])) / force, float(np.linalg.norm(outer.sum(0) - reaction)) / force
+
+
+def _settle(problem: Problem, parts: tuple[Potential, ...], x: Array) -> tuple[Solution, float, float]:
+    """Newton until both tolerances hold, the step's and the residual's."""
+    steps: tuple[Step, ...] = ()
+    for xtol in (XTOL, XTOL / 30, XTOL / 900):
+        found = minimise(Total(parts), x, problem.pattern, problem.linear, xtol=xtol)
+        x, steps = found.x, (*steps, *found.steps)
+        if found.status != Status.converged:
+            raise NotConverged(f"Newton {found.status} after {len(steps)} iterations")
+        residual, balance = _imbalance(problem, parts, x)
+        if residual <= RESIDUAL and balance <= RESIDUAL:
+            return replace(found, steps=steps), residual, balance
+    raise NotConverged(f"residual {residual:.1e}, balance {balance:.1e} of the contact force")
+
+
+def _advance(problem: Problem, memory: _Memory, pose: Pose, index: int, matrix: Array) -> tuple[_Memory, State]:
+    """One pose on: solve, then correct what was lagged until it no longer changes."""
+    contact = problem.contact.moved(pose, memory.offset)
+    friction = _friction(problem, memory, pose, None, contact)
+    x = _start(problem, memory, contact)
+    iterations = 0
+    # a first look, only close enough to see where the gap and the normal forces are going
+    for passed in range(PASSES):
+        parts = (*problem.elastic, contact) if friction is None else (*problem.elastic, contact, friction)
+        if passed == 0:
+            found = minimise(Total(parts), x, problem.pattern, problem.linear, xtol=LOOK)
+        else:
+            found, residual, balance = _settle(problem, parts, x)
+        x = found.x
+        iterations += len(found.steps)
+        gap, force = _mean_gap(contact, x)
+        drift = abs(gap - contact.offset)
+        lag = 0.0 if friction is None else float(np.abs(force - friction.normal_force).sum() / max(force.sum(), 1e-300))
+        if passed and (force.sum() == 0 or (drift <= XTOL and lag <= LAG)):
+            break
+        friction = _friction(problem, memory, pose, x, contact)
+        contact = contact.moved(pose, gap)
+    else:
+        raise NotConverged(f"lagged quantities still move after {PASSES} passes (gap {drift:.1e} mm, force {lag:.1%})")
+    return _record(problem, memory, contact, friction, x, index, matrix, iterations, residual, balance)
+
+
+def _record(
+    problem: Problem, memory: _Memory, contact: Contact, friction: Friction | None, x: Array, index: int, matrix: Array,
+    iterations: int, residual: float, balance: float,
+) -> tuple[_Memory, State]:  # fmt: skip
+    force, normal, gap = contact.pressure(x)
+    if gap.min() <= 0:
+        raise NotConverged(f"a point of the gel is {-gap.min():.1e} mm inside the indenter")
+    pose, at = contact.pose, contact.faces.at(x)
+    rub = sliding = None
+    anchor = memory.anchor
+    if friction is not None:
+        rub = friction.force(x)
+        sliding = (np.linalg.norm(friction.slip(x), axis=-1) >= friction.eps) & (friction.normal_force > 0)
+        anchor = fr.dragged(friction.anchor, at, friction.normal, friction.normal_force, friction.eps, pose)
+    mean = _mean_gap(contact, x)[0]
+    carried = _Memory(pose, x, memory.x, contact.offset, force, normal @ pose.rotation, anchor, gap)
+    state = State(
+        index, matrix, x, force, normal, rub, sliding, iterations, 1, contact.offset, mean, float(gap.min()), residual, balance
+    )
+    return carried, state
+
+
+def between(a: Array, b: Array, part: float) -> Array:
+    """The pose (4, 4) a part of the way from a to b: straight in position, steady in rotation."""
+    from scipy.spatial.transform import Rotation
+
+    turn = Rotation.from_matrix(b[:3, :3] @ a[:3, :3].T).as_rotvec() * part
+    out = np.eye(4)
+    out[:3, :3] = Rotation.from_rotvec(turn).as_matrix() @ a[:3, :3]
+    out[:3, 3] = (1 - part) * a[:3, 3] + part * b[:3, 3]
+    return out
+
+
+def _reach(problem: Problem, memory: _Memory, a: Array, b: Array, index: int, depth: int) -> tuple[_Memory, State]:
+    """From pose a to pose b in one step, or in two halves where that fails."""
+    try:
+        return _advance(problem, memory, Pose.of(b), index, b)
+    except NotConverged:
+        if depth == HALVINGS:
+            raise
+    middle = between(a, b, 0.5)
+    memory, first = _reach(problem, memory, a, middle, index, depth + 1)
+    memory, second = _reach(problem, memory, middle, b, index, depth + 1)
+    total = replace(second, iterations=first.iterations + second.iterations, substeps=first.substeps + second.substeps)
+    return memory, total
+
+
+def states(scene: Scene, problem: Problem) -> Iterator[State]:
+    """The gel at every frame of the path, in order.
+
+    Raises:
+        NotConverged: a frame could not be reached; it and all after it are missing, because each stands on the last.
+    """
+    memory, last = problem.rest(Pose.of(scene.start)), scene.start
+    for index, pose in enumerate(scene.poses):
+        memory, state = _reach(problem, memory, last, pose, index, 0)
+        yield state
+        last = pose
