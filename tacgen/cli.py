@@ -36,9 +36,18 @@ class Commands(TyperGroup):
             for line in error.lines:
                 typer.echo(line, err=True)
             raise typer.Exit(2) from None
-        except KeyboardInterrupt:
+        except (KeyboardInterrupt, SystemError) as error:
+            if not _interrupted(error):
+                raise
             typer.echo("interrupted; finished scenes are kept, run again to go on", err=True)
             raise typer.Exit(130) from None
+
+
+def _interrupted(error: BaseException | None) -> bool:
+    """Whether an error is Ctrl-C, which compiled code passes on as a SystemError that it caused."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
 
 
 app = typer.Typer(

@@ -193,17 +193,26 @@ def test_what_the_pipeline_refuses_is_exit_code_2(tmp_path: Path, pipeline: Any)
     assert done.stderr.splitlines()[0].endswith("--overwrite replaces it")
 
 
-def test_an_interrupt_is_exit_code_130(tmp_path: Path, pipeline: Any):
-    def run(*args: Any, **kwargs: Any) -> list[Done]:
+def interrupted_in_compiled_code() -> None:
+    try:
         raise KeyboardInterrupt
+    except KeyboardInterrupt as stop:
+        raise SystemError("returned a result with an exception set") from stop
 
-    pipeline(run)
+
+def interrupted() -> None:
+    raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("stop", [interrupted, interrupted_in_compiled_code])
+def test_an_interrupt_is_exit_code_130(tmp_path: Path, pipeline: Any, stop: Callable[[], None]):
+    pipeline(lambda *args, **kwargs: stop())
     done = tacgen_("run", "quickstart", "-o", str(tmp_path))
     assert done.exit_code == 130
-    assert done.stderr.startswith("interrupted; ")
+    assert done.stderr.splitlines()[-1].startswith("interrupted; ")
 
 
-@pytest.mark.parametrize("bug", [ZeroDivisionError("bug"), OSError(errno.EBADF, "bug")])
+@pytest.mark.parametrize("bug", [ZeroDivisionError("bug"), OSError(errno.EBADF, "bug"), SystemError("bug")])
 def test_a_bug_keeps_its_traceback(tmp_path: Path, pipeline: Any, bug: Exception):
     def run(*args: Any, **kwargs: Any) -> list[Done]:
         raise bug
