@@ -152,8 +152,7 @@ class Writer:
             with self._disk():
                 # v110: every piece of metadata carries a checksum, and any HDF5 since 1.10 reads it
                 self._file = h5py.File(self._sink, "w", libver=("v110", "v110"))
-                for name, value in sorted(self._attrs.items()):
-                    self._file.attrs[name] = value
+                self._file.attrs.update(sorted(self._attrs.items()))
         except BaseException:
             self.__exit__()
             raise
@@ -170,7 +169,7 @@ class Writer:
         """Store a dataset that belongs to the scene, not to a frame: /reference, /mesh."""
         values = self._cast(path, array, per_frame=False)
         with self._disk():
-            self._create(path, values.shape, values.shape, None)[...] = values
+            self._create(path, values.shape, values.shape, values.shape)[...] = values
         self._hashes[path].update(values.tobytes())
 
     def append(self, arrays: Mapping[str, np.ndarray]) -> None:
@@ -202,8 +201,7 @@ class Writer:
             found[path] = Dataset(data.dtype.str, data.shape, entry(path).attrs, self._hashes[path].hexdigest())
         last = {"status": status, "reason": reason, "digest": _digest(self._attrs, found), "complete": True}
         with self._disk():
-            for name, value in last.items():
-                self._file.attrs[name] = value
+            self._file.attrs.update(last)
             self._file.close()
         try:
             read(self._sink.path, part=True).verify()
@@ -222,13 +220,12 @@ class Writer:
             raise ValueError(problem)
         return values
 
-    def _create(self, path: str, shape: tuple, chunks: tuple, maxshape: tuple | None) -> Any:
+    def _create(self, path: str, shape: tuple, chunks: tuple, maxshape: tuple) -> Any:
         row = entry(path)
         filters = {"compression": "gzip", "compression_opts": 1, "shuffle": True, "fletcher32": True}
-        size = {"shape": shape, "chunks": tuple(max(1, n) for n in chunks), "maxshape": maxshape}
-        data = self._file.create_dataset(path, dtype=np.dtype(row.dtype), track_times=False, **size, **filters)
-        for name, value in row.attrs.items():
-            data.attrs[name] = value
+        sizes = {"chunks": tuple(max(1, n) for n in chunks), "maxshape": tuple(n or None for n in maxshape)}
+        data = self._file.create_dataset(path, shape, np.dtype(row.dtype), track_times=False, **sizes, **filters)
+        data.attrs.update(row.attrs)
         self._data[path] = data
         self._hashes[path] = hashlib.sha256()
         return data
@@ -331,7 +328,10 @@ def read(path: Path, *, part: bool = False) -> Bundle:
 
 
 def is_complete(path: Path, key: str) -> bool:
-    """Whether `path` is a whole, undamaged bundle made from the inputs that `key` stands for. Reads all of it."""
+    """Whether `path` is a whole, undamaged bundle made from the inputs that `key` stands for. Reads all of it.
+
+    A rejected scene is complete too: the same inputs would be rejected again.
+    """
     try:
         bundle = read(path)
         if bundle.attrs["input_key"] == key:
@@ -363,7 +363,7 @@ def _opened(path: Path) -> Iterator[Any]:
 
 @dataclass(frozen=True)
 class Dataset:
-    """Everything about one dataset that the digest covers."""
+    """What the digest covers of one dataset."""
 
     dtype: str
     shape: tuple[int, ...]

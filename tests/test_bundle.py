@@ -35,11 +35,11 @@ def random_array(rng: np.random.Generator, dtype: str, shape: tuple[int, ...]) -
 
 @st.composite
 def contents(draw: st.DrawFn) -> tuple[int, int, dict[str, np.ndarray]]:
-    """(frames planned, frames written, arrays by path), any part of the layout at any size, 0 markers included."""
+    """(frames planned, frames written, arrays by path), any part of the layout at any size, no markers included."""
     planned = draw(st.integers(1, 4))
     written = draw(st.integers(0, planned))
     rng = np.random.default_rng(draw(st.integers(0, 2**32)))
-    sizes = {name: draw(st.integers(0 if name == "M" else 1, 5)) for name in "HWhwMnm"} | {"N": written, "*": 3}
+    sizes = {name: draw(st.integers(1 if name in "HWhw" else 0, 5)) for name in "HWhwMnm*"} | {"N": written}
     paths = draw(st.sets(st.sampled_from(sorted(LAYOUT))))
     arrays = {}
     for path in paths:
@@ -248,7 +248,7 @@ def test_no_flipped_bit_goes_unseen(tmp_path: Path) -> None:
     whole, digest = path.read_bytes(), read(path).attrs["digest"]
     rng = np.random.default_rng(0)
     refused = 0
-    for bit in rng.integers(0, 8 * len(whole), 200):
+    for bit in rng.integers(0, 8 * len(whole), 120):
         spoilt = bytearray(whole)
         spoilt[bit // 8] ^= 1 << (bit % 8)
         path.write_bytes(spoilt)
@@ -259,7 +259,7 @@ def test_no_flipped_bit_goes_unseen(tmp_path: Path) -> None:
             refused += 1
         else:
             assert found.attrs["digest"] == digest, bit
-    assert refused > 50
+    assert refused > 30
 
 
 def test_a_flipped_bit_in_an_image_is_seen_by_whoever_reads_it(tmp_path: Path) -> None:
