@@ -139,7 +139,6 @@ class Writer:
         self._sizes: dict[str, int] = {}
         self._data: dict[str, Any] = {}  # path -> h5py.Dataset
         self._hashes: dict[str, Any] = {}  # path -> running sha256 of the bytes we were given
-        self._framed: set[str] = set()  # what the first frame brought
         self._finished = False
 
     def __enter__(self) -> "Writer":
@@ -174,7 +173,7 @@ class Writer:
 
     def append(self, arrays: Mapping[str, np.ndarray]) -> None:
         """Store the next frame: the same datasets each time, each without its frame axis."""
-        if self.appended and arrays.keys() != self._framed:
+        if self.appended and arrays.keys() != {p for p in self._data if entry(p).dims[0] == "N"}:
             raise ValueError(f"frame {self.appended} has other datasets than frame 0: {sorted(arrays)}")
         if self.appended == self.frames:
             raise ValueError(f"{self.frames} frames were planned and are all written")
@@ -188,7 +187,6 @@ class Writer:
                 self._data[path].resize(self.appended + 1, axis=0)
                 self._data[path][self.appended] = value
                 self._hashes[path].update(value.tobytes())
-        self._framed = set(arrays)
         self.appended += 1
 
     def finish(self, status: str = "ok", reason: str = "") -> None:
