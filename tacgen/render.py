@@ -1,12 +1,22 @@
-"""Sensor + deformed coated face -> camera images; the home of Mitsuba, which is imported only inside functions."""
+"""Sensor + deformed coated face -> camera images; the home of Mitsuba, which is imported only inside functions.
 
+An image is direct light and its mirror image in the plate, summed without noise (optics/direct), plus what light that
+was scattered before adds: the difference between Mitsuba's `path` and that sum on the untouched face, a smooth map
+traced once per sensor and kept in the cache. `PathTracer` is the whole truth at any spp, for checking it.
+"""
+
+import hashlib
+import json
 import os
+from importlib.metadata import version
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from tacgen import variants as probing
 from tacgen.optics import coating, lights, response
+from tacgen.optics.direct import Direct
 from tacgen.optics.layers import Camera
 from tacgen.optics.sheet import Flat, Sheet, Surface
 
@@ -20,6 +30,9 @@ if TYPE_CHECKING:
 SPACING = 0.1  # [mm] between the sheet's nodes
 MASK_PIXEL = 0.02  # [mm] of the marker texture
 MAX_DEPTH = 12  # path vertices, interfaces included
+COARSE = 8  # pixels of the image per pixel of the map of scattered light
+SMOOTH = 2.0  # [map pixels] the Gaussian that takes the noise off that map
+MAP_VERSION = 1  # of how the map is made; part of its cache key
 
 
 def variant() -> str:
@@ -92,30 +105,31 @@ def realise(mi: Any, node: Any) -> Any:
     return node
 
 
-class Renderer:
-    """One sensor's camera. The scene is built once and only its vertices move, because `load_dict` never frees all."""
+class PathTracer:
+    """One sensor in Mitsuba. The scene is built once and only vertices move, because `load_dict` never frees all."""
 
-    def __init__(self, sensor: "Sensor", spp: int, seed: int, markers: bool, variant: str | None = None) -> None:
-        """Raises: ValueError if spp < 1."""
-        if spp < 1:
-            raise ValueError(f"spp must be at least 1, not {spp}")
-        self.sensor, self.spp, self.seed = sensor, spp, seed
-        self.variant = variant or probing.best().variant
-        self.sheet = Sheet.over(sensor.gel, SPACING)
-        self._mi = mitsuba(self.variant)
-        scene, coat = description(sensor, self.sheet, markers)
+    def __init__(self, sensor: "Sensor", sheet: Sheet, markers: bool, variant: str) -> None:
+        """Imports Mitsuba and switches it to `variant`."""
+        self.sheet, self.variant = sheet, variant
+        self._mi = mitsuba(variant)
+        scene, coat = description(sensor, sheet, markers)
         built = realise(self._mi, scene)
         built["face"] = self._mesh(self._mi.load_dict(realise(self._mi, coat)))
         self._scene = self._mi.load_dict(built)
         self._params = self._mi.traverse(self._scene)
-        self._vertices = next(k for k in self._params.keys() if k.endswith("vertex_positions"))
-        self._normals = self._vertices.replace("vertex_positions", "vertex_normals")
+        self._vertices = next(k for k, _ in self._params if k.endswith("vertex_positions"))
+
+    def radiance(self, surface: Surface, spp: int, seed: int) -> "Floats":
+        """Linear radiance (H, W, 3) by `path`: unbiased, noisy, the same for a seed at any thread count."""
+        self._mi.set_variant(self.variant)
+        self._params[self._vertices] = self.sheet.at(surface).astype(np.float32).ravel()
+        self._params.update()
+        return np.array(self._mi.render(self._scene, spp=spp, seed=seed), dtype=np.float64)
 
     def _mesh(self, bsdf: Any) -> Any:
-        mi, sheet = self._mi, self.sheet
+        mi, sheet, faces = self._mi, self.sheet, self.sheet.faces
         props = mi.Properties()
         props["bsdf"] = bsdf
-        faces = sheet.faces
         mesh = mi.Mesh(
             "face", len(sheet.uv), len(faces), has_vertex_normals=True, has_vertex_texcoords=True, props=props
         )
@@ -126,17 +140,28 @@ class Renderer:
         params.update()
         return mesh
 
-    def path(self, surface: Surface, spp: int, seed: int) -> "Floats":
-        """Linear radiance (H, W, 3) by Mitsuba's `path`, unbiased, with its noise."""
-        now = self.sheet.at(surface)
-        self._params[self._vertices] = now.astype(np.float32).ravel()
-        self._params.update()
-        self._mi.set_variant(self.variant)
-        return np.array(self._mi.render(self._scene, spp=spp, seed=seed), dtype=np.float64)
+
+class Renderer:
+    """One sensor's camera."""
+
+    def __init__(self, sensor: "Sensor", spp: int, seed: int, markers: bool, variant: str | None = None) -> None:
+        """`spp` paths a pixel go into the map of scattered light; `variant` is Mitsuba's, the best here if None.
+
+        Raises:
+            ValueError: spp < 1.
+        """
+        if spp < 1:
+            raise ValueError(f"spp must be at least 1, not {spp}")
+        self.sensor, self.spp, self.seed, self.markers = sensor, spp, seed, markers
+        self.variant = variant or probing.best().variant
+        self.sheet = Sheet.over(sensor.gel, SPACING)
+        fine = spp > 256
+        self._direct = Direct(sensor, self.sheet, markers, (12, 4) if fine else (6, 2), 2 if fine else 1)
+        self._scattered: Floats | None = None
 
     def image(self, surface: Surface) -> "NDArray[np.float32]":
-        """Linear radiance (H, W, 3) of a deformed face, before the response."""
-        return self.path(surface, self.spp, self.seed).astype(np.float32)
+        """Linear radiance (H, W, 3) of a deformed face, before the response; its only noise is the map's."""
+        return self._direct.radiance(surface, self.scattered()).astype(np.float32)
 
     def flat(self) -> "NDArray[np.float32]":
         """Linear radiance (H, W, 3) of the untouched face."""
@@ -145,3 +170,60 @@ class Renderer:
     def develop(self, radiance: "NDArray[np.float32]") -> "NDArray[np.uint8]":
         """The camera's 8-bit sRGB picture (H, W, 3) of a radiance picture."""
         return response.develop(radiance.astype(np.float64), self.sensor.camera)
+
+    def scattered(self) -> "Floats":
+        """Radiance (H, W, 3) that scattered light adds on the untouched bare coat: from the cache, else traced."""
+        if self._scattered is None:
+            store = probing.cache_folder() / "scattered" / f"{self._key()}.npy"
+            try:
+                coarse = np.load(store, allow_pickle=False)
+            except (OSError, ValueError):
+                coarse = self._trace()
+                keep(store, coarse)
+            self._scattered = spread(coarse, Camera.from_sensor(self.sensor).shape)
+        return self._scattered
+
+    def _trace(self) -> "Floats":
+        from scipy.ndimage import gaussian_filter
+
+        eye = self.sensor.camera
+        w, h = max(8, round(eye.width_px / COARSE)), max(8, round(eye.height_px / COARSE))
+        scale = eye.width_px / w
+        coarse = eye.model_copy(update={"width_px": w, "height_px": h, "mm_per_px": eye.mm_per_px * scale})
+        sensor = self.sensor.model_copy(update={"camera": coarse})
+        full = PathTracer(sensor, self.sheet, False, self.variant).radiance(Flat(), round(self.spp * scale**2), 0)
+        rest = full - Direct(sensor, self.sheet, False, (12, 4), 4).radiance(Flat())
+        return np.asarray(gaussian_filter(rest, (SMOOTH, SMOOTH, 0), mode="nearest"))
+
+    def _key(self) -> str:
+        """What the map depends on, hashed: the sensor's optics, spp, variant and versions; not the gel's mechanics."""
+        seen = self.sensor.model_dump(mode="json", include={"plate", "coating", "walls", "leds", "camera", "gel"})
+        for layer in seen["gel"]["layers"]:
+            for mechanical in ("law", "youngs_modulus_mpa", "poissons_ratio"):
+                layer.pop(mechanical)
+        parts = [seen, self.spp, self.variant, version("mitsuba"), MAP_VERSION, COARSE, SMOOTH, SPACING, MAX_DEPTH]
+        return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:32]
+
+
+def spread(coarse: "Floats", shape: tuple[int, int]) -> "Floats":
+    """A smooth map (h, w, 3) over the same field of view at a finer shape (H, W, 3), by cubic splines."""
+    from scipy.ndimage import map_coordinates
+
+    scale = coarse.shape[1] / shape[1]  # rows share it: the coarse camera keeps the field of view in x
+    y, x = np.mgrid[: shape[0], : shape[1]] + 0.5
+    at = [
+        (y - shape[0] / 2) * scale + coarse.shape[0] / 2 - 0.5,
+        (x - shape[1] / 2) * scale + coarse.shape[1] / 2 - 0.5,
+    ]
+    return np.stack([map_coordinates(coarse[..., c], at, order=3, mode="nearest") for c in range(3)], axis=-1)
+
+
+def keep(store: Path, array: "Floats") -> None:
+    """Write an array to the cache in one step; a cache that cannot be written costs time, never the run."""
+    part = store.with_suffix(f".part-{os.getpid()}.npy")
+    try:
+        store.parent.mkdir(parents=True, exist_ok=True)
+        np.save(part, array)
+        part.replace(store)
+    except OSError:
+        part.unlink(missing_ok=True)

@@ -80,6 +80,7 @@ def probe(variant: str, library: str = "") -> Probed:
     try:
         ran = subprocess.run(
             [sys.executable, "-c", PROBE, variant],
+            check=False,
             env=environment(library),
             capture_output=True,
             text=True,

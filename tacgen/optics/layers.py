@@ -98,6 +98,11 @@ class Camera:
         """Position of the pinhole [mm]."""
         return (*self.center, -sum(self.stack.thicknesses))
 
+    @property
+    def mm_per_px(self) -> float:
+        """Scale at the image centre on the untouched face [mm/px]."""
+        return self.stack.effective_depth / self.focal_px
+
     def project(self, points: Any) -> "Floats":
         """Pixels (n, 2), x right and y down, pixel centres at +0.5, of points (n, 3) [mm] in the gel.
 

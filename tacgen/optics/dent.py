@@ -1,0 +1,47 @@
+"""The dent of a rigid ball by Hertz's formulas: a stand-in for a solved gel in calibration and tests."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tacgen.optics.layers import Camera
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
+
+FADE = 2.0  # [mm] over which a thin bonded gel, unlike Hertz's half-space, forgets the dent
+
+
+@dataclass(frozen=True)
+class BallDent:
+    """A spherical cap of the ball inside the contact circle, Hertz's fading dip outside it."""
+
+    radius: float  # of the ball [mm]
+    contact: float  # radius of the contact circle [mm], < radius
+    center: tuple[float, float] = (0.0, 0.0)  # [mm]
+
+    @classmethod
+    def seen(cls, camera: Camera, radius: float, center_px: tuple[float, float], contact_px: float) -> "BallDent":
+        """The dent whose contact circle a photograph shows at `center_px` with radius `contact_px` [px]."""
+        contact, center = contact_px * camera.mm_per_px, (0.0, 0.0)
+        for _ in range(5):  # the circle lies below the untouched face, where everything looks larger
+            plane = -(contact**2) / (2 * radius)
+            edges = np.array(center_px) + [[-contact_px, 0], [contact_px, 0], [0, -contact_px], [0, contact_px]]
+            origin, direction = camera.rays(edges)
+            hit = (origin + direction * ((plane - origin[:, 2]) / direction[:, 2])[:, None])[:, :2]
+            contact, center = float(np.linalg.norm(hit - hit.mean(axis=0), axis=1).mean()), tuple(hit.mean(axis=0))
+        return cls(radius, contact, (float(center[0]), float(center[1])))
+
+    def at(self, xy: Any) -> "Floats":
+        """Current positions (n, 3) [mm] of rest positions (n, 2) [mm]; points move along z only."""
+        xy = np.asarray(xy, dtype=np.float64)
+        r = np.hypot(xy[:, 0] - self.center[0], xy[:, 1] - self.center[1])
+        a, ball = self.contact, self.radius
+        far = np.maximum(r, a)
+        dip = (2 * a * a - far**2) * np.arcsin(a / far) + a * np.sqrt(far**2 - a * a)
+        dip *= np.exp(-(far - a) / FADE) / (np.pi * ball)
+        cap = np.sqrt(np.maximum(ball**2 - np.minimum(r, a) ** 2, 0)) - np.sqrt(ball**2 - a * a)
+        return np.column_stack([xy, -(dip + cap)])

@@ -1,0 +1,103 @@
+"""The camera's picture by direct light and its mirror image alone: no noise, no scattered light."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tacgen.optics import coating, transport
+from tacgen.optics.layers import Camera
+from tacgen.optics.raster import draw
+from tacgen.optics.sheet import Sheet, Surface
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from tacgen.sensor import Sensor
+
+    Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Where rays meet the coated face; nan where they miss the pad."""
+
+    position: "Floats"  # [mm], (samples, 3)
+    normal: "Floats"  # unit, into the gel, (samples, 3)
+    rest: "Floats"  # rest position [mm], (samples, 2)
+    heights: "Floats"  # the whole face, for shadows [mm], (rows, columns)
+
+
+class Direct:
+    """One sensor's LEDs, layers and camera, ready to look at any deformed face."""
+
+    def __init__(
+        self, sensor: "Sensor", sheet: Sheet, markers: bool, pieces: tuple[int, int] = (6, 2), samples: int = 1
+    ) -> None:
+        """`pieces` of each strip (along, up); `samples` x `samples` rays a pixel."""
+        self.sensor, self.sheet, self.samples = sensor, sheet, samples
+        self.markers = sensor.markers if markers else None
+        self.camera = Camera.from_sensor(sensor)
+        self.points = transport.points(sensor.leds, *pieces)
+        self.slab = transport.Slab.of(sensor)
+        h, w = self.camera.shape[0] * samples, self.camera.shape[1] * samples
+        pixels = np.stack(np.meshgrid(np.arange(w) + 0.5, np.arange(h) + 0.5), axis=-1).reshape(-1, 2) / samples
+        self.view = -self.camera.rays(pixels)[1]
+        self.seen = camera_transmission(self.camera, pixels)
+
+    def look(self, surface: Surface) -> "Samples":
+        """What the camera's rays meet."""
+        nodes = self.sheet.at(surface)
+        shape = (self.camera.shape[0] * self.samples, self.camera.shape[1] * self.samples)
+        values = np.column_stack([nodes, self.sheet.normals(nodes), self.sheet.rest])
+        screen = self.camera.project(nodes) * self.samples
+        hit = draw(self.sheet.faces, screen, nodes[:, 2].copy(), values, shape).reshape(-1, 8)
+        normal = hit[:, 3:6] / np.linalg.norm(hit[:, 3:6], axis=1, keepdims=True)
+        return Samples(np.ascontiguousarray(hit[:, :3]), normal, hit[:, 6:8], self._heights(nodes))
+
+    def light(self, at: "Samples") -> "Floats":
+        """What the camera sees of a white matt and of a mirror-rough coat per unit radiance of each LED:
+        (samples, strips, 2), 0 off the pad."""
+        light, slab = self.points, self.slab
+        gathered = transport.gather(
+            at.position, at.normal, self.view,
+            light.at, light.normal, light.area, light.half, light.strip, len(self.sensor.leds),
+            slab.bottoms, slab.tops, slab.indices, self.sensor.coating.roughness,
+            at.heights, np.array(self.sheet.size),
+        )  # fmt: skip
+        return np.asarray(gathered * self.seen[:, None, None])
+
+    def radiance(self, surface: Surface, scattered: "Floats | None" = None) -> "Floats":
+        """Linear radiance (H, W, 3); `scattered` (H, W, 3) is what a bare coat shows of all other light."""
+        coat, at, n, (h, w) = self.sensor.coating, self.look(surface), self.samples, self.camera.shape
+        light = np.einsum("nkc,kr->ncr", self.light(at), [led.radiance for led in self.sensor.leds])
+        seen = (1 - coat.specular) * light[:, 0] * coat.albedo + coat.specular * coating.METAL * light[:, 1]
+        other = np.zeros(3)
+        if scattered is not None:
+            other = np.repeat(np.repeat(scattered, n, axis=0), n, axis=1).reshape(-1, 3)
+        if self.markers is not None:
+            fade = self.sensor.camera.mm_per_px / self.samples
+            dot = np.nan_to_num(coating.paint(self.markers, at.rest, fade))[:, None]
+            bare = (1 - coat.specular) * np.array(coat.albedo) + coat.specular * coating.METAL
+            seen += dot * (self.markers.albedo * light[:, 0] - seen)
+            other = other * (1 + dot * (self.markers.albedo / bare - 1))
+        return np.asarray((seen + other).reshape(h, n, w, n, 3).mean(axis=(1, 3)))
+
+    def _heights(self, nodes: "Floats") -> "Floats":
+        """The deformed face as heights (rows, columns) [mm] over the pad's rectangle, 0 where it drew back."""
+        rows, columns = self.sheet.shape
+        scale = np.array([columns - 1, rows - 1]) / self.sheet.size
+        screen = (nodes[:, :2] + np.array(self.sheet.size) / 2) * scale + 0.5
+        z = nodes[:, 2].copy()
+        return np.nan_to_num(draw(self.sheet.faces, screen, z, z[:, None], (rows, columns))[..., 0])
+
+
+def camera_transmission(camera: Camera, pixels: "Floats") -> "Floats":
+    """What is left in the air of a unit radiance in the gel, per pixel (n,): Fresnel's losses and 1/n^2."""
+    slope = (pixels - [camera.shape[1] / 2, camera.shape[0] / 2]) / camera.focal_px
+    k = np.hypot(*slope.T) / np.sqrt(1 + (slope**2).sum(axis=1))
+    share, n = np.ones(len(k)), camera.stack.indices
+    for a, b in pairwise(n):
+        share *= transport.fresnel_transmission(k, a, b)
+    return np.asarray(share / n[-1] ** 2)

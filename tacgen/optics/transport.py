@@ -1,0 +1,254 @@
+"""Light from LED strips, and from their mirror images in the plate, to the coated face through flat clear layers.
+
+A deterministic sum over points of each strip. Every connection bends at the layers as Snell says (a 1-D Newton on the
+ray's k = n sin(theta)), carries Fresnel's losses, and is checked for a shadow against the deformed face. Light that was
+scattered before (coat to coat, walls) is not here.
+"""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numba import njit, prange, vectorize
+
+from tacgen.optics.lights import bottom_depth, frame
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from tacgen.sensor import Led, Sensor
+
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Points:
+    """Points that stand for pieces of the strips."""
+
+    at: Floats  # positions [mm], (p, 3)
+    normal: Floats  # unit, (p, 3)
+    area: Floats  # of the piece [mm^2], (p,)
+    half: Floats  # half the piece's extent [mm], (p,): how soft its shadow is
+    strip: NDArray[np.int64]  # which LED, (p,)
+
+
+def points(leds: "Sequence[Led]", along: int, up: int) -> Points:
+    """Each strip cut into `along` x `up` equal pieces, a point in the middle of each."""
+    at, normal, area, half, strip = [], [], [], [], []
+    for k, led in enumerate(leds):
+        axes, (w, h) = frame(led.normal, led.up), led.size_mm
+        for i in range(along):
+            for j in range(up):
+                a, b = ((i + 0.5) / along - 0.5) * w, ((j + 0.5) / up - 0.5) * h
+                at.append(np.array(led.center_mm) + a * axes[:, 0] + b * axes[:, 1])
+                normal.append(axes[:, 2])
+                area.append(w * h / (along * up))
+                half.append(h / up / 2)
+                strip.append(k)
+    return Points(np.array(at), np.array(normal), np.array(area), np.array(half), np.array(strip))
+
+
+@dataclass(frozen=True)
+class Slab:
+    """Flat layers outside the air: bottoms and tops [mm] and indices, from the plate outward, each (layers,)."""
+
+    bottoms: Floats
+    tops: Floats
+    indices: Floats
+
+    @classmethod
+    def of(cls, sensor: "Sensor") -> "Slab":
+        """The plate and the gel's layers; the outermost has no top."""
+        t = np.array([sensor.plate.thickness_mm, *(layer.thickness_mm for layer in sensor.gel.layers)])
+        n = np.array([sensor.plate.refractive_index, *(layer.refractive_index for layer in sensor.gel.layers)])
+        bottoms = np.concatenate([[0.0], np.cumsum(t)[:-1]]) - bottom_depth(sensor)
+        tops = bottoms + t
+        tops[-1] = np.inf
+        return cls(bottoms, tops, n)
+
+
+@vectorize(cache=True)
+def fresnel_transmission(k: float, n1: float, n2: float) -> float:
+    """Share of unpolarised light that passes from n1 to n2 at k = n sin(theta); 0 beyond the critical angle."""
+    if k >= n1 or k >= n2:
+        return 0.0
+    c1, c2 = np.sqrt(1 - (k / n1) ** 2), np.sqrt(1 - (k / n2) ** 2)
+    s, p = (n1 * c1 - n2 * c2) / (n1 * c1 + n2 * c2), (n2 * c1 - n1 * c2) / (n2 * c1 + n1 * c2)
+    return 1.0 - 0.5 * (s * s + p * p)
+
+
+@njit(cache=True)
+def connect(rho: float, lengths: Floats, indices: Floats) -> tuple[float, float]:
+    """k of the ray that travels sideways by rho [mm] through layers of given lengths, and d rho/dk [mm]; see Stack."""
+    low = np.inf
+    paraxial = 0.0
+    for i in range(len(lengths)):
+        if lengths[i] > 0.0:
+            low = min(low, indices[i])
+    for i in range(len(lengths)):
+        paraxial += lengths[i] * low / indices[i]
+    x = rho / paraxial
+    for _ in range(20):
+        value, slope = 0.0, 0.0
+        for i in range(len(lengths)):
+            if lengths[i] > 0.0:
+                n2 = indices[i] * indices[i]
+                root = np.sqrt(n2 + (n2 - low * low) * x * x)
+                value += lengths[i] * low * x / root
+                slope += lengths[i] * low * n2 / (root * root * root)
+        step = (rho - value) / slope
+        x += step
+        if abs(step) <= 1e-6 * (1.0 + x):
+            break
+    root = np.sqrt(1.0 + x * x)
+    k = low * x / root
+    derivative = 0.0
+    for i in range(len(lengths)):
+        if lengths[i] > 0.0:
+            n2 = indices[i] * indices[i]
+            c2 = n2 - k * k
+            derivative += lengths[i] * n2 / (c2 * np.sqrt(c2))
+    return k, derivative
+
+
+@njit(cache=True)
+def visibility(
+    heights: Floats, size: Floats, lowest: float, p: Floats, direction: Floats, reach: float, half: float
+) -> float:
+    """Share (0 to 1) of a piece of strip, of half extent `half` and `reach` [mm] away, seen from p along `direction`.
+
+    `heights` (h, w) is the deformed face over a rectangle of `size` (x, y) [mm] centred on 0; the gel is below it.
+    """
+    rows, columns = heights.shape
+    dx, dy = size[0] / (columns - 1), size[1] / (rows - 1)
+    across = np.sqrt(direction[0] ** 2 + direction[1] ** 2)
+    if across < 1e-6:
+        return 1.0
+    seen = 1.0
+    step = 0.5 * (dx + dy) / across
+    s = 1.5 * step
+    while s < reach:
+        z = p[2] + s * direction[2]
+        if z < lowest and direction[2] <= 0.0:
+            break
+        u = (p[0] + s * direction[0] + size[0] / 2) / dx
+        v = (p[1] + s * direction[1] + size[1] / 2) / dy
+        if u < 0 or v < 0 or u >= columns - 1 or v >= rows - 1:
+            break
+        i, j = int(u), int(v)
+        a, b = u - i, v - j
+        face = (1 - b) * ((1 - a) * heights[j, i] + a * heights[j, i + 1]) + b * (
+            (1 - a) * heights[j + 1, i] + a * heights[j + 1, i + 1]
+        )
+        share = 0.5 + 0.5 * (face - z) / max(half * s / reach, 1e-3)
+        if share < seen:
+            seen = share
+            if seen <= 0.0:
+                return 0.0
+        s += step
+        step *= 1.02
+    return seen
+
+
+@njit(cache=True)
+def ggx(n: Floats, wi: Floats, wo: Floats, ci: float, co: float, alpha: float) -> float:
+    """GGX reflection times cos(wo) of a perfect mirror's microfacets: D G1 G1 / (4 cos wi); cosines must be > 0."""
+    h = wi + wo
+    ch = (h[0] * n[0] + h[1] * n[1] + h[2] * n[2]) / np.sqrt(h[0] ** 2 + h[1] ** 2 + h[2] ** 2)
+    a2 = alpha * alpha
+    q = ch * ch * (a2 - 1.0) + 1.0
+    g = 4 * ci * co / ((ci + np.sqrt(a2 + (1 - a2) * ci * ci)) * (co + np.sqrt(a2 + (1 - a2) * co * co)))
+    return float(a2 / (np.pi * q * q) * g / (4 * ci))
+
+
+@njit(cache=True, parallel=True)
+def gather(
+    p: Floats,
+    n: Floats,
+    view: Floats,
+    at: Floats,
+    light_normal: Floats,
+    area: Floats,
+    half: Floats,
+    strip: NDArray[np.int64],
+    strips: int,
+    bottoms: Floats,
+    tops: Floats,
+    indices: Floats,
+    alpha: float,
+    heights: Floats,
+    size: Floats,
+) -> Floats:
+    """Radiance toward the camera per unit LED radiance: (samples, strips, 2), for a white matt and a mirror-rough coat.
+
+    Args:
+        p, n, view: samples of the face: positions [mm], unit normals into the gel, unit directions to the camera in
+            the gel, each (samples, 3).
+        at, light_normal, area, half, strip: see Points.
+        strips: how many LEDs there are.
+        bottoms, tops, indices: see Slab; light mirrors at bottoms[0], against air.
+        alpha: GGX roughness.
+        heights, size: the face for shadows, see visibility.
+    """
+    out = np.zeros((len(p), strips, 2))
+    lowest = heights.min()
+    count, last = len(indices), len(indices) - 1
+    for s in prange(len(p)):
+        if np.isnan(p[s, 0]):
+            continue
+        lengths, wo = np.empty(count), np.empty(3)
+        ci = max(n[s, 0] * view[s, 0] + n[s, 1] * view[s, 1] + n[s, 2] * view[s, 2], 0.05)
+        for q in range(len(at)):
+            dx, dy = at[q, 0] - p[s, 0], at[q, 1] - p[s, 1]
+            rho = max(np.sqrt(dx * dx + dy * dy), 1e-9)
+            dx, dy = dx / rho, dy / rho
+            home = 0
+            while home < last and at[q, 2] >= tops[home]:
+                home += 1
+            for image in range(2):
+                sign = -1.0  # of the ray's z direction as it leaves the face
+                if image == 0:
+                    low, high = min(at[q, 2], p[s, 2]), max(at[q, 2], p[s, 2])
+                    sign = 1.0 if at[q, 2] > p[s, 2] else -1.0
+                    for i in range(count):
+                        lengths[i] = max(min(high, tops[i]) - max(low, bottoms[i]), 0.0)
+                else:
+                    for i in range(count):
+                        lengths[i] = max(min(p[s, 2], tops[i]) - bottoms[i], 0.0)
+                        lengths[i] += max(min(at[q, 2], tops[i]) - bottoms[i], 0.0)
+                lengths[last] += 1e-9  # a strip point level with the sample
+                k, derivative = connect(rho, lengths, indices)
+                ng, nl = indices[last], indices[home]
+                sg, sl = k / ng, k / nl
+                cg, cl = np.sqrt(max(1 - sg * sg, 1e-12)), np.sqrt(max(1 - sl * sl, 1e-12))
+                wo[0], wo[1], wo[2] = dx * sg, dy * sg, sign * cg
+                co = n[s, 0] * wo[0] + n[s, 1] * wo[1] + n[s, 2] * wo[2]
+                if co <= 0.0:
+                    continue
+                turn = -1.0 if image == 1 else 1.0
+                facing = -(
+                    light_normal[q, 0] * dx * sl + light_normal[q, 1] * dy * sl + turn * sign * cl * light_normal[q, 2]
+                )
+                if facing <= 0.0:
+                    continue
+                passed = 1.0
+                for i in range(last):
+                    if indices[i] != indices[i + 1]:
+                        if image == 1 or i >= home:
+                            passed *= fresnel_transmission(k, indices[i + 1], indices[i])
+                        if image == 1 and i < home:
+                            passed *= fresnel_transmission(k, indices[i], indices[i + 1])
+                if image == 1:
+                    passed *= 1.0 - fresnel_transmission(k, indices[0], 1.0)
+                if passed <= 0.0:
+                    continue
+                # solid angle in the gel per area of strip, and radiance carried over as L/n^2
+                weight = sg / (ng * cg * derivative * rho) * facing / cl * area[q] * (ng / nl) ** 2 * passed
+                weight *= visibility(heights, size, lowest, p[s], wo, rho / max(sg, 1e-9), half[q])
+                if weight <= 0.0:
+                    continue
+                out[s, strip[q], 0] += weight * co / np.pi
+                out[s, strip[q], 1] += weight * ggx(n[s], view[s], wo, ci, co, alpha)
+    return out
