@@ -114,6 +114,14 @@ def misfit(path: str, shape: tuple[int, ...], sizes: dict[str, int]) -> str | No
     return None
 
 
+class Unfinished(UserError):
+    """The writer was stopped: writing the bundle again mends it."""
+
+
+class Damaged(UserError):
+    """The bundle is not what was written: writing it again mends it."""
+
+
 class Writer:
     """Writes one bundle. Nothing stands under the bundle's name until `finish` has read it all back.
 
@@ -148,7 +156,7 @@ class Writer:
         partfile.sweep(self.path.parent)
         self._sink = partfile.Sink(self.path)
         try:
-            with self._disk():
+            with self._sink.guard():
                 # v110: every piece of metadata carries a checksum, and any HDF5 since 1.10 reads it
                 self._file = h5py.File(self._sink, "w", libver=("v110", "v110"))
                 self._file.attrs.update(sorted(self._attrs.items()))
@@ -167,7 +175,7 @@ class Writer:
     def put(self, path: str, array: np.ndarray) -> None:
         """Store a dataset that belongs to the scene, not to a frame: /reference, /mesh."""
         values = self._cast(path, array, per_frame=False)
-        with self._disk():
+        with self._sink.guard():
             self._create(path, values.shape, values.shape, values.shape)[...] = values
         self._hashes[path].update(values.tobytes())
 
@@ -178,7 +186,7 @@ class Writer:
         if self.appended == self.frames:
             raise ValueError(f"{self.frames} frames were planned and are all written")
         values = {path: self._cast(path, array, per_frame=True) for path, array in arrays.items()}
-        with self._disk():
+        with self._sink.guard():
             for path, value in sorted(values.items()):
                 if not self.appended:
                     # images and maps: one chunk a frame; a few numbers a frame: one chunk of 4 KiB
@@ -198,7 +206,7 @@ class Writer:
         for path, data in self._data.items():
             found[path] = Dataset(data.dtype.str, data.shape, entry(path).attrs, self._hashes[path].hexdigest())
         last = {"status": status, "reason": reason, "digest": _digest(self._attrs, found), "complete": True}
-        with self._disk():
+        with self._sink.guard():
             self._file.attrs.update(last)
             self._file.close()
         try:
@@ -227,17 +235,6 @@ class Writer:
         self._data[path] = data
         self._hashes[path] = hashlib.sha256()
         return data
-
-    @contextmanager
-    def _disk(self) -> Iterator[None]:
-        """Turn whatever HDF5 makes of a failed write back into the OSError that caused it."""
-        try:
-            yield
-        except Exception:
-            if self._sink.error is None:
-                raise
-        if self._sink.error is not None:
-            raise self._sink.error
 
 
 @dataclass(frozen=True)
@@ -288,7 +285,7 @@ class Bundle:
                 attrs = {name: _plain(value) for name, value in data.attrs.items()}
                 found[path] = Dataset(data.dtype.str, data.shape, attrs, hashed.hexdigest())
         if _digest(self.attrs, found) != self.attrs["digest"]:
-            raise UserError(f"{self.path}: damaged: its contents do not match its digest")
+            raise Damaged(f"{self.path}: damaged: its contents do not match its digest")
         return found
 
     def _read(self, path: str, index: Any) -> np.ndarray:
@@ -302,11 +299,12 @@ def read(path: Path, *, part: bool = False) -> Bundle:
     """Open a finished bundle; the data itself is checked by `Bundle.verify`.
 
     Raises:
-        UserError: missing, no bundle, unfinished, damaged or of a newer format. `part` accepts a part file's name.
+        Unfinished, Damaged: writing it again mends it. `part` accepts the name of a part file.
+        UserError: missing, no bundle, or of a newer format.
     """
     path = Path(path)
     if partfile.is_part(path) and not part:
-        raise UserError(f"{path}: unfinished: what a writer that was stopped left behind, or is still writing")
+        raise Unfinished(f"{path}: unfinished: what a writer that was stopped left behind, or is still writing")
     with _opened(path) as file:
         attrs = {name: _plain(value) for name, value in file.attrs.items()}
         shapes: dict[str, tuple[int, ...]] = {}
@@ -317,12 +315,12 @@ def read(path: Path, *, part: bool = False) -> Bundle:
         newer = f"bundle format {attrs['tacgen_format']}, written by tacgen {attrs.get('tacgen_version')}"
         raise UserError(f"{path}: {newer}; this tacgen reads up to {FORMAT}: upgrade it")
     if attrs.get("complete") is not True:
-        raise UserError(f"{path}: unfinished: its writer was stopped")
+        raise Unfinished(f"{path}: unfinished: its writer was stopped")
     try:
         attrs = _checked(attrs, finished=True)
         return Bundle(path, attrs, dict(sorted(shapes.items())), json.loads(attrs["recipe"]))
     except (ValueError, TypeError) as error:
-        raise UserError(f"{path}: damaged: {error}") from error
+        raise Damaged(f"{path}: damaged: {error}") from error
 
 
 def is_complete(path: Path, key: str) -> bool:
@@ -356,7 +354,7 @@ def _opened(path: Path) -> Iterator[Any]:
         with h5py.File(path, "r", locking=False) as file:
             yield file
     except (OSError, RuntimeError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise UserError(f"{path}: damaged or cut short ({str(error).partition(chr(10))[0]})") from error
+        raise Damaged(f"{path}: damaged or cut short ({str(error).partition(chr(10))[0]})") from error
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from tacgen import partfile
-from tacgen.bundle import Bundle, Dataset, entry, misfit, read
+from tacgen.bundle import Bundle, Dataset, Unfinished, entry, misfit, read
 from tacgen.errors import UserError
 
 FORCE_BALANCE = 1e-3  # largest imbalance of a converged frame [-]
@@ -59,7 +59,7 @@ def _file(path: Path) -> list[Finding]:
         bundle = read(path)
         datasets = bundle.verify()
     except UserError as error:
-        level: Literal["error", "incomplete"] = "incomplete" if "unfinished" in str(error) else "error"
+        level: Literal["error", "incomplete"] = "incomplete" if isinstance(error, Unfinished) else "error"
         return [Finding(path, level, line.removeprefix(f"{path}: ")) for line in error.lines]
     found = [Finding(path, "error", message) for message in _layout(bundle, datasets)]
     if not found:  # the checks below rely on the layout

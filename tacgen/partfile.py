@@ -3,7 +3,8 @@
 import fcntl
 import os
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from tacgen.errors import UserError
@@ -41,7 +42,7 @@ class Sink:
 
     HDF5's own driver reports a full disk as a RuntimeError on close, and again when the interpreter exits. Here the
     first OSError is kept in `error` and every later write is swallowed, so that HDF5 can close in peace; the caller
-    looks at `error` after each operation.
+    works under `guard`, which raises it.
     """
 
     def __init__(self, target: Path) -> None:
@@ -108,6 +109,17 @@ class Sink:
             except OSError as error:
                 self._fail(error)
         return size
+
+    @contextmanager
+    def guard(self) -> Iterator[None]:
+        """Turn whatever HDF5 makes of a failed write back into the OSError that caused it."""
+        try:
+            yield
+        except Exception:
+            if self.error is None:
+                raise
+        if self.error is not None:
+            raise self.error
 
     def _fail(self, error: OSError) -> None:
         self.error, self.dead = OSError(error.errno, error.strerror, str(self.target)), True

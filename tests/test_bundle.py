@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from synthetic import attributes, write
 
 from tacgen import bundle, partfile
-from tacgen.bundle import LAYOUT, Writer, is_complete, read
+from tacgen.bundle import LAYOUT, Damaged, Unfinished, Writer, is_complete, read
 from tacgen.check import check
 from tacgen.errors import UserError
 
@@ -239,6 +239,7 @@ def test_a_truncated_file_is_refused(tmp_path: Path) -> None:
         with pytest.raises(UserError) as caught:
             read(tmp_path / "x.h5").verify()
         assert len(caught.value.lines) == 1
+        assert isinstance(caught.value, Damaged) == (size >= 8), "shorter, nobody can tell what it was"
         assert [f.level for f in check(tmp_path / "x.h5")] == ["error"]
 
 
@@ -285,7 +286,7 @@ def change(path: Path, **attrs: object) -> None:
     ("attrs", "message"),
     [
         ({"tacgen_format": 2}, r"bundle format 2, written by tacgen .*; this tacgen reads up to 1"),
-        ({"complete": False}, "unfinished"),
+        ({"complete": False}, "unfinished: its writer was stopped"),
         ({"seed": "seven"}, "damaged: attribute 'seed' is 'seven', expected int"),
         ({"recipe": "{"}, "damaged"),
         ({"solver": "a better one"}, "its contents do not match its digest"),
@@ -296,6 +297,13 @@ def test_changed_attributes_are_refused(tmp_path: Path, attrs: dict, message: st
     with pytest.raises(UserError, match=message) as caught:
         read(tmp_path / "x.h5").verify()
     assert len(caught.value.lines) == 1
+
+
+def test_a_writer_that_was_stopped_is_told_from_damage(tmp_path: Path) -> None:
+    change(write(tmp_path / "x.h5"), complete=False)
+    with pytest.raises(Unfinished):
+        read(tmp_path / "x.h5")
+    assert [f.level for f in check(tmp_path / "x.h5")] == ["incomplete"]
 
 
 def test_changed_data_are_refused_even_with_valid_checksums(tmp_path: Path) -> None:
