@@ -275,7 +275,7 @@ def _filled(value: frozenset[str]) -> frozenset[str]:
     return value
 
 
-Outputs = Annotated[frozenset[OutputName], AfterValidator(_filled)]
+Outputs = Annotated[frozenset[OutputName], AfterValidator(_filled), Field(json_schema_extra={"minItems": 1})]
 
 
 class Recipe(Part):
