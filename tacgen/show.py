@@ -158,6 +158,8 @@ def _camera(bundle: Bundle, panels: list["Axes"], shown: np.ndarray, image: tupl
         if "/frames/rgb" in bundle:
             panel.imshow(bundle.frame("/frames/rgb", k), extent=(0, width, height, 0), interpolation="antialiased")
         if flow is not None:
+            if "/frames/rgb" not in bundle:
+                panel.plot(*start.T, "o", color="black", markersize=2)
             _arrows(panel, start, flow[k] * times, width)
         if "dotted" in label:
             corner, size = (x0 * width, y0 * height), ((x1 - x0) * width, (y1 - y0) * height)
