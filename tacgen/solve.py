@@ -1,7 +1,7 @@
 """Scene + Mesh -> States: which potentials are in the sum, and stepping them along the path.
 
-Each frame is found at exactly the pose asked for. Within it a few passes fix what is lagged: the mean gap by which the
-indenter is shrunk, and, where there is friction, the normal forces. A frame that Newton cannot reach is approached in
+Each frame is found at exactly the pose asked for. What is lagged, the mean gap by which the indenter is shrunk and, with
+friction, the normal forces, is renewed on the way until it agrees with the answer. A frame that Newton cannot reach is approached in
 halved substeps; one that cannot be reached at all ends the scene as rejected.
 """
 
@@ -16,19 +16,18 @@ from tacgen.fem.assembly import Pattern, pattern
 from tacgen.fem.contact import Contact, Faces, Pose
 from tacgen.fem.elements import Elements, hexes
 from tacgen.fem.friction import Friction
-from tacgen.fem.newton import Solution, Status, Step, minimise
+from tacgen.fem.newton import Status, minimise
 from tacgen.fem.potentials import Elastic, Potential, Total
 from tacgen.mesh import Mesh
 from tacgen.scene import Scene
 
 Array = np.ndarray
 XTOL = 1e-3  # no node moves by more than this in the last step, nor does the mean gap between passes [mm]
-LOOK = 0.03  # the first pass of a frame stops here [mm]
 RESIDUAL = 1e-3  # of the contact force
-LAG = 0.02  # normal forces may be this far from the ones friction used, as a part of their sum
-PASSES = 6
+LAG = 0.005  # normal forces may be this far from the ones friction used, as a part of their sum
+NEGLIGIBLE = 1e-3  # of the largest contact force so far
 HALVINGS = 5
-EPS = 2e-3  # slip over which friction builds up [mm]
+EPS = 5e-3  # slip over which friction builds up [mm]
 
 
 class NotConverged(ArithmeticError):
@@ -95,6 +94,7 @@ class _Memory:
     normal: Array
     anchor: Array
     gap: Array
+    scale: float  # force below which nothing is told apart [N]
 
 
 @dataclass(frozen=True)
@@ -132,112 +132,111 @@ class Problem:
         x = self.mesh.points
         force, normal, gap = self.contact.moved(pose, 0.0).pressure(x)
         local = normal @ pose.rotation
-        return _Memory(pose, x, x, 0.0, np.zeros_like(force), local, pose.local(self.contact.faces.at(x)), gap)
+        return _Memory(pose, x, x, 0.0, np.zeros_like(force), local, pose.local(self.contact.faces.at(x)), gap, 0.0)
 
 
-def _start(problem: Problem, memory: _Memory, contact: Contact) -> Array:
-    """The last positions, or those carried on by the last increment where that has the lower energy."""
-    carried = 2 * memory.x - memory.before
-    energy = [Total((*problem.elastic, contact)).value(x) for x in (memory.x, carried)]
-    return carried if energy[1] < energy[0] else memory.x
+class _Lagged:
+    """The potentials at one pose, with what is lagged in them: the mean gap and, with friction, the normal forces.
 
+    Newton asks `refresh` on its way to the answer and ends only when both agree with it.
+    """
 
-def _friction(problem: Problem, memory: _Memory, pose: Pose, solved: Array | None, contact: Contact) -> Friction | None:
-    """Friction lagged from the last pose, turned with the indenter; once `solved` is known, from this pose."""
-    if problem.friction == 0:
-        return None
-    force, normal, anchor = memory.normal_force, memory.normal @ pose.rotation.T, memory.anchor
-    if solved is not None:
-        force, normal, _ = contact.pressure(solved)
+    def __init__(self, problem: Problem, memory: _Memory, pose: Pose) -> None:
+        self.problem, self.memory = problem, memory
+        self.contact = problem.contact.moved(pose, memory.offset)
+        self.friction = None
+        if problem.friction > 0:  # lagged from the last pose, turned with the indenter
+            normal, anchor = memory.normal @ pose.rotation.T, pose.world(memory.anchor)
+            self.friction = Friction(problem.contact.faces, problem.friction, memory.normal_force, normal, anchor, EPS)
+
+    @property
+    def loads(self) -> tuple[Potential, ...]:
+        return (self.contact,) if self.friction is None else (self.contact, self.friction)
+
+    @property
+    def total(self) -> Total:
+        return Total((*self.problem.elastic, *self.loads))
+
+    def refresh(self, x: Array) -> Total | None:
+        """Take gap and normal forces from x if they are off by more than the tolerances."""
+        force, normal, _ = self.contact.pressure(x)
+        gap = mean_gap(self.contact, x)
+        scale = max(float(force.sum()), self.memory.scale)
+        lag = 0.0 if self.friction is None else float(np.abs(force - self.friction.normal_force).sum())
+        if scale == 0 or (abs(gap - self.contact.offset) <= XTOL and lag <= LAG * scale):
+            return None
+        if self.friction is not None:
+            anchor = self.contact.pose.world(self._anchors())
+            self.friction = replace(self.friction, normal_force=force, normal=normal, anchor=anchor)
+        self.contact = self.contact.moved(self.contact.pose, gap)
+        return self.total
+
+    def _anchors(self) -> Array:
+        """Anchors in the indenter's frame; a point new to the contact gets one where it will have touched."""
+        memory, contact = self.memory, self.contact
         carried = 2 * memory.x - memory.before
-        ahead, gap_ahead = pose.local(contact.faces.at(carried)), contact.gaps(carried)[0]
-        touch = fr.onset(anchor, ahead, memory.gap - contact.offset, gap_ahead - contact.offset)
-        anchor = np.where(memory.normal_force[..., None] > 0, anchor, touch)
-    return Friction(problem.contact.faces, problem.friction, force, normal, pose.world(anchor), EPS)
+        ahead, gap_ahead = contact.pose.local(contact.faces.at(carried)), contact.gaps(carried)[0]
+        touch = fr.onset(memory.anchor, ahead, memory.gap - contact.offset, gap_ahead - contact.offset)
+        return np.where(memory.normal_force[..., None] > 0, memory.anchor, touch)
+
+    def imbalance(self, x: Array) -> tuple[float, float]:
+        """Residual on the free dofs and |indenter + base| as parts of the contact force; 0 where nothing touches."""
+        inner, outer = Total(self.problem.elastic).gradient(x), Total(self.loads).gradient(x)
+        held = np.ones(x.size, bool)
+        held[self.problem.pattern.free] = False
+        reaction = np.where(held.reshape(x.shape), inner, 0.0).sum(0)
+        residual = float(np.linalg.norm((inner + outer).ravel()[~held]))
+        force = max(float(np.linalg.norm(outer.sum(0))), self.memory.scale)
+        return (residual / force, float(np.linalg.norm(outer.sum(0) - reaction)) / force) if force > 0 else (0.0, 0.0)
 
 
-def _mean_gap(contact: Contact, x: Array) -> tuple[float, Array]:
-    """Force-weighted mean gap to the shrunk indenter [mm] and the normal forces (f, q) [N]."""
+def mean_gap(contact: Contact, x: Array) -> float:
+    """Force-weighted mean gap to the shrunk indenter [mm]; the present shrinkage where nothing touches."""
     force, _, gap = contact.pressure(x)
     total = force.sum()
-    return (float((force * gap).sum() / total) if total > 0 else 0.0), force
+    return float((force * gap).sum() / total) if total > 0 else contact.offset
 
 
-def _imbalance(problem: Problem, parts: tuple[Potential, ...], x: Array) -> tuple[float, float]:
-    """Residual on the free dofs and |indenter + base| as parts of the contact force; 0 where nothing touches."""
-    inner = Total(parts[: len(problem.elastic)]).gradient(x)
-    outer = Total(parts[len(problem.elastic) :]).gradient(x)
-    g = (inner + outer).ravel()
-    held = np.ones(g.size, bool)
-    held[problem.pattern.free] = False
-    reaction = np.where(held.reshape(x.shape), inner, 0.0).sum(0)
-    force = float(np.linalg.norm(outer.sum(0)))
-    if force == 0:
-        return 0.0, 0.0
-    return float(np.linalg.norm(g[~held])) / force, float(np.linalg.norm(outer.sum(0) - reaction)) / force
-
-
-def _settle(problem: Problem, parts: tuple[Potential, ...], x: Array) -> tuple[Solution, float, float]:
-    """Newton until both tolerances hold, the step's and the residual's."""
-    steps: tuple[Step, ...] = ()
+def _advance(problem: Problem, memory: _Memory, matrix: Array, index: int) -> tuple[_Memory, State]:
+    """One pose on, from the last positions or those carried on by the last increment, whichever has the lower energy."""
+    lagged = _Lagged(problem, memory, Pose.of(matrix))
+    carried = 2 * memory.x - memory.before
+    x = carried if lagged.total.value(carried) < lagged.total.value(memory.x) else memory.x
+    expect, iterations = np.inf, 0
     for xtol in (XTOL, XTOL / 30, XTOL / 900):
-        found = minimise(Total(parts), x, problem.pattern, problem.linear, xtol=xtol)
-        x, steps = found.x, (*steps, *found.steps)
+        found = minimise(
+            lagged.total, x, problem.pattern, problem.linear, xtol=xtol, expect=expect, refresh=lagged.refresh
+        )
+        x, expect, iterations = found.x, xtol, iterations + len(found.steps)
         if found.status != Status.converged:
-            raise NotConverged(f"Newton {found.status} after {len(steps)} iterations")
-        residual, balance = _imbalance(problem, parts, x)
+            raise NotConverged(f"Newton {found.status} after {iterations} iterations")
+        residual, balance = lagged.imbalance(x)
         if residual <= RESIDUAL and balance <= RESIDUAL:
-            return replace(found, steps=steps), residual, balance
+            return _record(lagged, x, index, matrix, iterations, residual, balance)
     raise NotConverged(f"residual {residual:.1e}, balance {balance:.1e} of the contact force")
 
 
-def _advance(problem: Problem, memory: _Memory, pose: Pose, index: int, matrix: Array) -> tuple[_Memory, State]:
-    """One pose on: solve, then correct what was lagged until it no longer changes."""
-    contact = problem.contact.moved(pose, memory.offset)
-    friction = _friction(problem, memory, pose, None, contact)
-    x = _start(problem, memory, contact)
-    iterations = 0
-    # a first look, only close enough to see where the gap and the normal forces are going
-    for passed in range(PASSES):
-        parts = (*problem.elastic, contact) if friction is None else (*problem.elastic, contact, friction)
-        if passed == 0:
-            found = minimise(Total(parts), x, problem.pattern, problem.linear, xtol=LOOK)
-        else:
-            found, residual, balance = _settle(problem, parts, x)
-        x = found.x
-        iterations += len(found.steps)
-        gap, force = _mean_gap(contact, x)
-        drift = abs(gap - contact.offset)
-        lag = 0.0 if friction is None else float(np.abs(force - friction.normal_force).sum() / max(force.sum(), 1e-300))
-        if passed and (force.sum() == 0 or (drift <= XTOL and lag <= LAG)):
-            break
-        friction = _friction(problem, memory, pose, x, contact)
-        contact = contact.moved(pose, gap)
-    else:
-        raise NotConverged(f"lagged quantities still move after {PASSES} passes (gap {drift:.1e} mm, force {lag:.1%})")
-    return _record(problem, memory, contact, friction, x, index, matrix, iterations, residual, balance)
-
-
 def _record(
-    problem: Problem, memory: _Memory, contact: Contact, friction: Friction | None, x: Array, index: int, matrix: Array,
-    iterations: int, residual: float, balance: float,
-) -> tuple[_Memory, State]:  # fmt: skip
+    lagged: _Lagged, x: Array, index: int, matrix: Array, iterations: int, residual: float, balance: float
+) -> tuple[_Memory, State]:
+    contact, friction, memory = lagged.contact, lagged.friction, lagged.memory
     force, normal, gap = contact.pressure(x)
     if gap.min() <= 0:
         raise NotConverged(f"a point of the gel is {-gap.min():.1e} mm inside the indenter")
-    pose, at = contact.pose, contact.faces.at(x)
     rub = sliding = None
     anchor = memory.anchor
     if friction is not None:
-        rub = friction.force(x)
+        rub, at = friction.force(x), contact.faces.at(x)
         sliding = (np.linalg.norm(friction.slip(x), axis=-1) >= friction.eps) & (friction.normal_force > 0)
-        anchor = fr.dragged(friction.anchor, at, friction.normal, friction.normal_force, friction.eps, pose)
-    mean = _mean_gap(contact, x)[0]
-    carried = _Memory(pose, x, memory.x, contact.offset, force, normal @ pose.rotation, anchor, gap)
-    state = State(
-        index, matrix, x, force, normal, rub, sliding, iterations, 1, contact.offset, mean, float(gap.min()), residual, balance
+        anchor = fr.dragged(friction.anchor, at, friction.normal, friction.normal_force, friction.eps, contact.pose)
+    scale = max(memory.scale, NEGLIGIBLE * float(force.sum()))
+    carried = _Memory(
+        contact.pose, x, memory.x, contact.offset, force, normal @ contact.pose.rotation, anchor, gap, scale
     )
-    return carried, state
+    mean, least = mean_gap(contact, x), float(gap.min())
+    return carried, State(
+        index, matrix, x, force, normal, rub, sliding, iterations, 1, contact.offset, mean, least, residual, balance
+    )
 
 
 def between(a: Array, b: Array, part: float) -> Array:
@@ -254,7 +253,7 @@ def between(a: Array, b: Array, part: float) -> Array:
 def _reach(problem: Problem, memory: _Memory, a: Array, b: Array, index: int, depth: int) -> tuple[_Memory, State]:
     """From pose a to pose b in one step, or in two halves where that fails."""
     try:
-        return _advance(problem, memory, Pose.of(b), index, b)
+        return _advance(problem, memory, b, index)
     except NotConverged:
         if depth == HALVINGS:
             raise

@@ -1,8 +1,8 @@
 """Element kernels and the sparsity pattern they write into: invariants, nodal forces and the stiffness matrix.
 
-The kernels know the law only through derivatives in the invariants (see materials). Exact and projected stiffness come
-from one formula, the analytic eigensystem of an isotropic energy in the principal stretches (Smith, de Goes & Kim 2019,
-"Analytic eigensystems for isotropic distortion energies"): projecting clamps its eigenvalues at zero.
+The kernels know the law only through derivatives in the invariants (see materials). The projected stiffness clamps the
+analytic eigenvalues of an isotropic energy in the principal stretches (Smith, de Goes & Kim 2019, "Analytic eigensystems
+for isotropic distortion energies").
 """
 
 from collections.abc import Sequence
@@ -12,9 +12,10 @@ import numpy as np
 from numba import njit
 
 Array = np.ndarray
+MILD = 0.1
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath=True)
 def _eigen3(A, V):
     """Cyclic Jacobi on the symmetric A: eigenvalues end on its diagonal, eigenvectors in the columns of V."""
     for i in range(3):
@@ -22,7 +23,7 @@ def _eigen3(A, V):
             V[i, j] = 1.0 if i == j else 0.0
     for _ in range(12):
         off = A[0, 1] ** 2 + A[0, 2] ** 2 + A[1, 2] ** 2
-        if off < 1e-30 * (A[0, 0] ** 2 + A[1, 1] ** 2 + A[2, 2] ** 2):
+        if off < 1e-22 * (A[0, 0] ** 2 + A[1, 1] ** 2 + A[2, 2] ** 2):
             break
         for p in range(2):
             for q in range(p + 1, 3):
@@ -49,7 +50,7 @@ def _eigen3(A, V):
                     V[k, q] = s * u + c * v
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath=True)
 def _cofactor(F, C):
     for i in range(3):
         i1, i2 = (i + 1) % 3, (i + 2) % 3
@@ -125,9 +126,55 @@ def add_forces(F, conn, B, weights, I1, first, out):
                     out[node, i] += weights[e, q] * t
 
 
-@njit(cache=True)
-def _tangent(F, f, s2, project, A, V, W, Hs, U, Q, D):
-    """D (9, 9) = dP/dF, index 3 i + J, from the derivatives f (3,) and s2 (6,) of W in (I1, I2, J)."""
+@njit(cache=True, fastmath=True)
+def _exact(F, C, f, s2, G, D):
+    """D (9, 9) = dP/dF, index 3 i + J, from the derivatives f (3,) and s2 (6,) of W in (I1, I2, J); C = cof F."""
+    I1 = 0.0
+    for i in range(3):
+        for j in range(3):
+            G[0, 3 * i + j] = 2 * F[i, j]
+            G[2, 3 * i + j] = C[i, j]
+            I1 += F[i, j] ** 2
+    quadratic = f[1] != 0.0
+    for i in range(3):
+        for j in range(3):
+            t = 0.0
+            if quadratic:
+                for k in range(3):
+                    for m in range(3):
+                        t += F[i, k] * F[m, k] * F[m, j]
+            G[1, 3 * i + j] = 2 * (I1 * F[i, j] - t) if quadratic else 0.0
+    for b in range(9):
+        x, y, z = G[0, b], G[1, b], G[2, b]
+        h1 = s2[0] * x + s2[3] * y + s2[4] * z
+        h2 = s2[3] * x + s2[1] * y + s2[5] * z
+        h3 = s2[4] * x + s2[5] * y + s2[2] * z
+        for a in range(9):
+            D[b, a] = G[0, a] * h1 + G[1, a] * h2 + G[2, a] * h3
+        D[b, b] += 2 * (f[0] + f[1] * I1)
+    for i in range(3):
+        i1, i2 = (i + 1) % 3, (i + 2) % 3
+        for j in range(3):
+            j1, j2 = (j + 1) % 3, (j + 2) % 3
+            D[3 * i + j, 3 * i1 + j1] += f[2] * F[i2, j2]
+            D[3 * i + j, 3 * i2 + j2] += f[2] * F[i1, j1]
+            D[3 * i + j, 3 * i1 + j2] -= f[2] * F[i2, j1]
+            D[3 * i + j, 3 * i2 + j1] -= f[2] * F[i1, j2]
+    if quadratic:
+        for i in range(3):
+            for j in range(3):
+                for k in range(3):
+                    c = F[0, k] * F[0, j] + F[1, k] * F[1, j] + F[2, k] * F[2, j]
+                    D[3 * i + j, 3 * i + k] -= 2 * f[1] * c
+                    b = F[i, 0] * F[k, 0] + F[i, 1] * F[k, 1] + F[i, 2] * F[k, 2]
+                    D[3 * i + j, 3 * k + j] -= 2 * f[1] * b
+                    for m in range(3):
+                        D[3 * i + j, 3 * k + m] += f[1] * (4 * F[i, j] * F[k, m] - 2 * F[i, m] * F[k, j])
+
+
+@njit(cache=True, fastmath=True)
+def _projected(F, f, s2, A, V, W, Hs, U, Q, D):
+    """The positive semi-definite part of dP/dF: its eigenvalues in the principal stretches clamped at zero."""
     for i in range(3):
         for j in range(3):
             A[i, j] = F[0, i] * F[0, j] + F[1, i] * F[1, j] + F[2, i] * F[2, j]
@@ -171,55 +218,69 @@ def _tangent(F, f, s2, project, A, V, W, Hs, U, Q, D):
         for b in range(9):
             D[a, b] = 0.0
     for k in range(9):
-        v = max(lam[k], 0.0) if project else lam[k]
-        if v != 0.0:
+        v = lam[k]
+        if v > 0.0:
             for a in range(9):
                 t = v * Q[k, a]
                 for b in range(9):
                     D[a, b] += t * Q[k, b]
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath=True)
+def _strained(F):
+    """Whether |F^T F - I| is beyond MILD: nearer to rest the exact tangent is as good as positive."""
+    total = 0.0
+    for i in range(3):
+        for j in range(3):
+            c = F[0, i] * F[0, j] + F[1, i] * F[1, j] + F[2, i] * F[2, j] - (1.0 if i == j else 0.0)
+            total += c * c
+    return total > MILD * MILD
+
+
+@njit(cache=True, fastmath=True)
 def add_stiffness(F, conn, B, weights, first, second, dilatation, project, slots, data):
     """Add d2E/dx2 to the CSR `data` at `slots` (e, 3a*3a), -1 where nothing is kept.
 
-    dilatation (e,): U''(theta)/volume of elements with mean dilatation, a rank-one term; 0 elsewhere.
+    dilatation (e,): U''(theta)/volume of elements with mean dilatation, a rank-one term; 0 elsewhere. project: 0 not at
+    all, 1 where the material is strained, 2 everywhere.
     """
     ne, nq, na, _ = B.shape
     nd = 3 * na
     A, V, W, Hs, U = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
-    C, Q, D = np.empty((3, 3)), np.empty((9, 9)), np.empty((9, 9))
-    K, BD, g = np.empty((nd, nd)), np.empty((nd, 9)), np.empty(nd)
+    C, G, Q, D = np.empty((3, 3)), np.empty((3, 9)), np.empty((9, 9)), np.empty((9, 9))
+    # K[k, r, a] is the entry (r, 3a+k) and b[j, a] = dN_a/dX_j: the innermost loops run over nodes, side by side in memory
+    K, BD, g, b = np.empty((3, nd, na)), np.empty((nd, 9)), np.empty(nd), np.empty((3, na))
     for e in range(ne):
         K[:] = 0.0
         g[:] = 0.0
         for q in range(nq):
             w = weights[e, q]
-            _tangent(F[e, q], first[e, q], second[e, q], project, A, V, W, Hs, U, Q, D)
-            b = B[e, q]
+            _cofactor(F[e, q], C)
+            if project == 2 or (project == 1 and _strained(F[e, q])):
+                _projected(F[e, q], first[e, q], second[e, q], A, V, W, Hs, U, Q, D)
+            else:
+                _exact(F[e, q], C, first[e, q], second[e, q], G, D)
             for a in range(na):
+                for j in range(3):
+                    b[j, a] = B[e, q, a, j]
                 for i in range(3):
                     for c in range(9):
-                        BD[3 * a + i, c] = w * (b[a, 0] * D[3 * i, c] + b[a, 1] * D[3 * i + 1, c] + b[a, 2] * D[3 * i + 2, c])
-            for r in range(nd):
-                for a in range(r // 3, na):
-                    for k in range(3):
-                        K[r, 3 * a + k] += BD[r, 3 * k] * b[a, 0] + BD[r, 3 * k + 1] * b[a, 1] + BD[r, 3 * k + 2] * b[a, 2]
+                        BD[3 * a + i, c] = w * (b[0, a] * D[3 * i, c] + b[1, a] * D[3 * i + 1, c] + b[2, a] * D[3 * i + 2, c])
+            for k in range(3):
+                for r in range(nd):
+                    x, y, z = BD[r, 3 * k], BD[r, 3 * k + 1], BD[r, 3 * k + 2]
+                    for a in range(na):
+                        K[k, r, a] += x * b[0, a] + y * b[1, a] + z * b[2, a]
             if dilatation[e] != 0.0:
-                _cofactor(F[e, q], C)
                 for a in range(na):
                     for i in range(3):
-                        g[3 * a + i] += w * (C[i, 0] * b[a, 0] + C[i, 1] * b[a, 1] + C[i, 2] * b[a, 2])
+                        g[3 * a + i] += w * (C[i, 0] * b[0, a] + C[i, 1] * b[1, a] + C[i, 2] * b[2, a])
         for r in range(nd):
-            for c in range(r // 3 * 3, nd):
-                v = K[r, c] + dilatation[e] * g[r] * g[c]
-                slot = slots[e, r * nd + c]
-                if slot >= 0:
-                    data[slot] += v
-                if c // 3 > r // 3:
-                    slot = slots[e, c * nd + r]
+            for a in range(na):
+                for k in range(3):
+                    slot = slots[e, r * nd + 3 * a + k]
                     if slot >= 0:
-                        data[slot] += v
+                        data[slot] += K[k, r, a] + dilatation[e] * g[r] * g[3 * a + k]
 
 
 @njit(cache=True)

@@ -128,7 +128,7 @@ class Contact:
         force, n, _ = self.pressure(x)
         return self.faces.scatter(-force[..., None] * n, len(x))
 
-    def add_hessian(self, x: Array, data: Array, project: bool) -> None:
+    def add_hessian(self, x: Array, data: Array, project: int) -> None:
         d, n, H = self.gaps(x)
         which = np.flatnonzero((d < self.dhat).any(1))
         _, db, ddb = barrier(d[which], self.dhat)

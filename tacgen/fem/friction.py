@@ -55,7 +55,7 @@ class Friction:
     def gradient(self, x: Array) -> Array:
         return self.faces.scatter(-self.force(x), len(x))
 
-    def add_hessian(self, x: Array, data: Array, project: bool) -> None:
+    def add_hessian(self, x: Array, data: Array, project: int) -> None:
         which = np.flatnonzero((self.normal_force > 0).any(1))
         u, n = self.slip(x)[which], self.normal[which]
         _, slope, bend = smooth(np.linalg.norm(u, axis=-1), self.eps)

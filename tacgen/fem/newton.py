@@ -12,6 +12,7 @@ from tacgen.fem.potentials import Potential
 
 Array = np.ndarray
 ARMIJO = 1e-4
+NEAR = 0.05
 SHORTEST = 1e-10  # a line search that gets here has stalled
 
 
@@ -43,30 +44,33 @@ class Solution:
 
 def direction(potential: Potential, x: Array, g: Array, pattern: Pattern, solver: Solver, exact: bool) -> tuple[Array, bool]:
     """Newton direction (n, 3) and whether the stiffness was projected: it is where the exact one is not definite."""
-    for project in (False, True) if exact else (True,):
+    for project in (0, 2) if exact else (1, 2):
         data = np.zeros(len(pattern.indices))
         potential.add_hessian(x, data, project)
         p = np.zeros(x.size)
         try:
             solver.factor(data)
+            p[pattern.free] = solver.solve(-g.ravel()[pattern.free])
         except NotPositiveDefinite:
-            if project:
+            if project == 2:
                 raise
             continue
-        p[pattern.free] = solver.solve(-g.ravel()[pattern.free])
-        if project or g.ravel() @ p < 0:
+        if g.ravel() @ p < 0:
             break
-    return p.reshape(x.shape), project
+    return p.reshape(x.shape), project > 0
 
 
-def backtrack(value: Callable[[Array], float], x: Array, p: Array, energy: float, slope: float, fraction: float) -> float:
-    """Fraction of p by Armijo's rule; 0 where none down to SHORTEST lowers the energy."""
+def backtrack(
+    value: Callable[[Array], float], x: Array, p: Array, energy: float, slope: float, fraction: float
+) -> tuple[float, float]:
+    """Fraction of p by Armijo's rule and the energy there; 0 where none down to SHORTEST lowers the energy."""
     noise = 1e-13 * abs(energy)
     while fraction > SHORTEST:
-        if value(x + fraction * p) <= energy + ARMIJO * fraction * slope + noise:
-            return fraction
+        new = value(x + fraction * p)
+        if new <= energy + ARMIJO * fraction * slope + noise:
+            return fraction, new
         fraction /= 2
-    return 0.0
+    return 0.0, energy
 
 
 def minimise(
@@ -76,17 +80,22 @@ def minimise(
     solver: Solver,
     *,
     xtol: float,
-    near: float = 0.05,
-    max_steps: int = 60,
+    expect: float = np.inf,
+    refresh: Callable[[Array], Potential | None] = lambda x: None,
+    near: float = NEAR,
+    max_steps: int = 80,
 ) -> Solution:
     """Lower `potential` over the pattern's free dofs until a full step moves no node by xtol [mm].
 
     Args:
         x: start (n, 3) [mm], of finite energy.
+        expect: how far the start may be from the answer [mm].
+        refresh: asked after each full step shorter than `near` for the potential to go on with, where it depends on the
+            answer (lagged quantities); None if it may stay as it is, which is needed to end.
         near: steps longer than this [mm] use the projected stiffness.
     """
     steps: list[Step] = []
-    length = np.inf
+    length = expect
     energy = potential.value(x)
     while len(steps) < max_steps:
         g = potential.gradient(x)
@@ -98,13 +107,17 @@ def minimise(
         if not np.isfinite(length):
             return Solution(x, Status.nonfinite, tuple(steps))
         limit = potential.max_step(x, p)
-        fraction = backtrack(potential.value, x, p, energy, float((g * p).sum()), limit)
+        before = energy
+        fraction, energy = backtrack(potential.value, x, p, energy, float((g * p).sum()), limit)
         if fraction == 0.0:
             # at rounding level a step may fail to lower the energy though it is as short as asked for
             return Solution(x, Status.converged if length <= xtol else Status.stalled, tuple(steps))
         x = x + fraction * p
-        steps.append(Step(energy, length, fraction, projected))
-        if length <= xtol and fraction == 1.0:
-            return Solution(x, Status.converged, tuple(steps))
-        energy = potential.value(x)
+        steps.append(Step(before, length, fraction, projected))
+        if length <= near and fraction == 1.0:
+            fresh = refresh(x)
+            if fresh is None and length <= xtol:
+                return Solution(x, Status.converged, tuple(steps))
+            if fresh is not None:
+                potential, energy = fresh, fresh.value(x)
     return Solution(x, Status.out_of_steps, tuple(steps))

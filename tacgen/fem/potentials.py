@@ -23,8 +23,9 @@ class Potential(Protocol):
     def gradient(self, x: Array) -> Array:
         """dE/dx (n, 3) [N]."""
 
-    def add_hessian(self, x: Array, data: Array, project: bool) -> None:
-        """Add d2E/dx2 to `data`, the entries of the Pattern; positive semi-definite if `project`."""
+    def add_hessian(self, x: Array, data: Array, project: int) -> None:
+        """Add d2E/dx2 to `data`, the entries of the Pattern: exact (0), mended where that pays (1) or made positive
+        semi-definite (2)."""
 
     def max_step(self, x: Array, p: Array) -> float:
         """Largest a in (0, 1] such that x + a p is reached without passing through anything."""
@@ -45,7 +46,7 @@ class Total:
             total += part.gradient(x)
         return total
 
-    def add_hessian(self, x: Array, data: Array, project: bool) -> None:
+    def add_hessian(self, x: Array, data: Array, project: int) -> None:
         for part in self.parts:
             part.add_hessian(x, data, project)
 
@@ -114,7 +115,7 @@ class Elastic:
         assembly.add_forces(at.F, e.conn, e.gradients, e.weights, at.I1, at.first, out)
         return out
 
-    def add_hessian(self, x: Array, data: Array, project: bool) -> None:
+    def add_hessian(self, x: Array, data: Array, project: int) -> None:
         e, at = self.elements, self.at(x)
         assembly.add_stiffness(
             at.F, e.conn, e.gradients, e.weights, at.first, at.second, at.dilatation, project, self.slots, data
