@@ -8,6 +8,7 @@ traced once per sensor and kept in the cache. `PathTracer` is the whole truth at
 import hashlib
 import json
 import os
+from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -226,4 +227,5 @@ def keep(store: Path, array: "Floats") -> None:
         np.save(part, array)
         part.replace(store)
     except OSError:
-        part.unlink(missing_ok=True)
+        with suppress(OSError):
+            part.unlink()

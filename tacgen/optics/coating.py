@@ -1,4 +1,4 @@
-"""The coat seen from inside, and the dots printed on it: bodies of plain dictionaries and a mask over rest coordinates."""
+"""The coat seen from inside, and the dots printed on it: plain dictionaries and a mask over rest coordinates."""
 
 from typing import TYPE_CHECKING, Any
 

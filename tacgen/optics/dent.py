@@ -29,8 +29,8 @@ class BallDent:
         contact, center = contact_px * camera.mm_per_px, (0.0, 0.0)
         for _ in range(5):  # the circle lies below the untouched face, where everything looks larger
             plane = -(contact**2) / (2 * radius)
-            edges = np.array(center_px) + [[-contact_px, 0], [contact_px, 0], [0, -contact_px], [0, contact_px]]
-            origin, direction = camera.rays(edges)
+            around = contact_px * np.array([[-1, 0], [1, 0], [0, -1], [0, 1]])
+            origin, direction = camera.rays(around + center_px)
             hit = (origin + direction * ((plane - origin[:, 2]) / direction[:, 2])[:, None])[:, :2]
             contact, center = float(np.linalg.norm(hit - hit.mean(axis=0), axis=1).mean()), tuple(hit.mean(axis=0))
         return cls(radius, contact, (float(center[0]), float(center[1])))

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tacgen.optics import coating, transport
+from tacgen.optics import coating, sparse, transport
 from tacgen.optics.layers import Camera
 from tacgen.optics.raster import draw
 from tacgen.optics.sheet import Sheet, Surface
@@ -59,26 +59,32 @@ class Direct:
     def light(self, at: "Samples") -> "Floats":
         """What the camera sees of a white matt and of a mirror-rough coat per unit radiance of each LED:
         (samples, strips, 2), 0 off the pad."""
-        light, slab = self.points, self.slab
-        gathered = transport.gather(
-            at.position, at.normal, self.view,
-            light.at, light.normal, light.area, light.half, light.strip, len(self.sensor.leds),
-            slab.bottoms, slab.tops, slab.indices, self.sensor.coating.roughness,
-            at.heights, np.array(self.sheet.size),
-        )  # fmt: skip
-        return np.asarray(gathered * self.seen[:, None, None])
+        points, slab, strips = self.points, self.slab, len(self.sensor.leds)
+
+        def gather(index: "NDArray[np.int64]") -> "Floats":
+            gathered = transport.gather(
+                at.position[index], at.normal[index], self.view[index],
+                points.at, points.normal, points.area, points.half, points.strip, strips,
+                slab.bottoms, slab.tops, slab.indices, self.sensor.coating.roughness,
+                at.heights, np.array(self.sheet.size),
+            )  # fmt: skip
+            return np.asarray(gathered.reshape(len(index), -1))
+
+        h, w = self.camera.shape[0] * self.samples, self.camera.shape[1] * self.samples
+        found = sparse.evaluate(gather, at.normal, (h, w)) * self.seen[:, None]
+        return np.asarray(found.reshape(h * w, strips, 2))
 
     def radiance(self, surface: Surface, scattered: "Floats | None" = None) -> "Floats":
         """Linear radiance (H, W, 3); `scattered` (H, W, 3) is what a bare coat shows of all other light."""
         coat, at, n, (h, w) = self.sensor.coating, self.look(surface), self.samples, self.camera.shape
         light = np.einsum("nkc,kr->ncr", self.light(at), [led.radiance for led in self.sensor.leds])
         seen = (1 - coat.specular) * light[:, 0] * coat.albedo + coat.specular * coating.METAL * light[:, 1]
-        other = np.zeros(3)
+        other = np.zeros((1, 3))
         if scattered is not None:
             other = np.repeat(np.repeat(scattered, n, axis=0), n, axis=1).reshape(-1, 3)
         if self.markers is not None:
             fade = self.sensor.camera.mm_per_px / self.samples
-            dot = np.nan_to_num(coating.paint(self.markers, at.rest, fade))[:, None]
+            dot = np.nan_to_num(coating.paint(self.markers, at.rest, fade))[:, np.newaxis]
             bare = (1 - coat.specular) * np.array(coat.albedo) + coat.specular * coating.METAL
             seen += dot * (self.markers.albedo * light[:, 0] - seen)
             other = other * (1 + dot * (self.markers.albedo / bare - 1))

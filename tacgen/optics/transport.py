@@ -100,7 +100,7 @@ def connect(rho: float, lengths: Floats, indices: Floats) -> tuple[float, float]
                 slope += lengths[i] * low * n2 / (root * root * root)
         step = (rho - value) / slope
         x += step
-        if abs(step) <= 1e-6 * (1.0 + x):
+        if abs(step) <= 1e-4 * (1.0 + x):  # Newton doubles the digits once more than this
             break
     root = np.sqrt(1.0 + x * x)
     k = low * x / root

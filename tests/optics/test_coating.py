@@ -1,0 +1,49 @@
+"""Dots, lights and the camera's response."""
+
+import numpy as np
+import pytest
+
+from tacgen.optics import coating, lights, response
+
+from .tiny import sensor
+
+
+def test_dots_lie_on_their_grid_and_cover_their_area():
+    markers = sensor().markers
+    centers = coating.centers(markers)
+    assert centers.shape == (9, 2)
+    assert centers[0] == pytest.approx([-2.4, -2.0])
+    assert coating.paint(markers, centers, 0.02) == pytest.approx(np.ones(9))
+    picture = coating.mask(markers, (12.0, 10.0), 0.02)
+    assert picture.mean() * 120.0 == pytest.approx(9 * np.pi * 0.45**2, rel=5e-3)
+    assert coating.paint(markers, np.array([[4.8, 0.0]]), 0.02) == 0.0  # where a fourth column would be
+
+
+def test_a_rectangle_keeps_size_place_and_front():
+    matrix = lights.rectangle((1, 2, 3), (0, 0, -2), (0, 1, 0), (4.0, 6.0))
+    corners = np.array([[x, y, 0, 1] for x in (-1, 1) for y in (-1, 1)]) @ matrix.T
+    assert np.ptp(corners[:, :3], axis=0) == pytest.approx([4.0, 6.0, 0.0])
+    assert corners[:, :3].mean(axis=0) == pytest.approx([1, 2, 3])
+    assert matrix[:3, 2] == pytest.approx([0, 0, -1])
+    assert np.linalg.det(matrix[:3, :3]) > 0
+    with pytest.raises(ValueError, match="parallel"):
+        lights.frame((0, 0, 1), (0, 0, -1))
+
+
+def test_equal_indices_leave_no_interface():
+    assert set(lights.interfaces(sensor())) == {"into_plate", "into_gel"}
+    assert set(lights.interfaces(sensor(plate={"refractive_index": 1.41}))) == {"into_plate"}
+
+
+def test_response_is_srgb_with_a_vignette():
+    assert response.srgb(np.array([0.0, 0.0031308, 0.2140, 1.0, 7.0])) == pytest.approx(
+        [0, 0.04045, 0.5, 1, 1], abs=2e-4
+    )
+    camera = sensor().camera
+    fall = response.vignette(camera)
+    assert fall.max() == pytest.approx(1.0, abs=1e-3)
+    r2 = ((19.5**2 + 15.5**2) * 0.04) / 81.0
+    assert fall[0, 0] == pytest.approx(1 / (1 + r2) ** 2)
+    picture = response.develop(np.full((32, 40, 3), 0.2140), camera)
+    assert picture.dtype == np.uint8
+    assert picture[16, 20, 0] in (127, 128)

@@ -1,0 +1,134 @@
+"""The renderer against Mitsuba's path, against the projection, and against itself."""
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from optics.tiny import sensor
+
+from tacgen import render, variants
+from tacgen.optics.dent import BallDent
+from tacgen.optics.layers import Camera
+from tacgen.optics.sheet import Flat, Sheet
+
+DENT = BallDent(2.0, 1.0, (0.6, -0.4))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _cache(tmp_path_factory):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TACGEN_CACHE_DIR", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
+@pytest.fixture(scope="module")
+def renderer():
+    return render.Renderer(sensor(), spp=64, seed=0, markers=False, variant=variants.SCALAR)
+
+
+@pytest.fixture(scope="module")
+def tracer(renderer):
+    return render.PathTracer(renderer.sensor, renderer.sheet, False, variants.SCALAR)
+
+
+@pytest.mark.parametrize("surface", [Flat(), DENT], ids=["flat", "dent"])
+def test_image_agrees_with_path_within_paths_own_noise(renderer, tracer, surface):
+    halves = np.array([tracer.radiance(surface, 256, seed) for seed in (1, 2)])
+    truth, noise = halves.mean(axis=0), np.mean((halves[0] - halves[1]) ** 2) / 4
+    image = renderer.image(surface)
+    assert image.mean(axis=(0, 1)) == pytest.approx(truth.mean(axis=(0, 1)), rel=0.03)
+    corrected = np.sqrt(max(np.mean((image - truth) ** 2) - noise, 0.0))
+    assert corrected < 0.04 * truth.mean()
+
+
+def test_leaving_out_the_mirror_would_be_noticed(renderer, tracer):
+    """The plate's mirror image is a large part: without interfaces path is far off."""
+    clear = sensor(plate={"refractive_index": 1.0})
+    alone = render.Renderer(clear, 4, 0, False, variants.SCALAR).image(Flat())
+    assert abs(alone.mean() / renderer.image(Flat()).mean() - 1) > 0.1
+
+
+def test_the_dent_moves_the_vertices_and_flat_comes_back(tracer):
+    before = tracer.radiance(Flat(), 8, 3)
+    dented = tracer.radiance(DENT, 8, 3)
+    after = tracer.radiance(Flat(), 8, 3)
+    assert np.array_equal(before, after)
+    assert not np.array_equal(before, dented)
+
+
+def test_markers_appear_where_the_camera_projects_them():
+    made = render.Renderer(sensor(), 4, 0, markers=True, variant=variants.SCALAR)
+    bare = render.Renderer(sensor(), 4, 0, markers=False, variant=variants.SCALAR)
+    share = made.image(Flat()).sum(axis=2) / bare.image(Flat()).sum(axis=2)
+    y, x = np.mgrid[:32, :40] + 0.5
+    dark = (1 - share) * ((np.abs(x - 20) < 6) & (np.abs(y - 16) < 5))
+    middle = [(dark * x).sum() / dark.sum(), (dark * y).sum() / dark.sum()]
+    assert middle == pytest.approx(Camera.from_sensor(sensor()).project([[0, 0, 0]])[0], abs=0.1)
+    assert share.min() == pytest.approx(0.08, abs=0.08)
+
+
+def test_image_axes_are_x_right_and_y_down():
+    image = render.Renderer(sensor(), 4, 0, False, variants.SCALAR).flat()
+    red, green, blue = (image[..., c] for c in range(3))
+    assert red[:8].mean() > 1.3 * red[-8:].mean()
+    assert green[:, -8:].mean() > 1.3 * green[:, :8].mean()
+    assert blue[-8:].mean() > 1.3 * blue[:8].mean()
+
+
+def test_path_sees_the_same_axes_as_the_projection():
+    """A tall, narrow dent at (1.5, 1) changes path's picture where the camera projects it."""
+    model = sensor()
+    tracer = render.PathTracer(model, Sheet.over(model.gel, 0.1), False, variants.SCALAR)
+    dent = BallDent(0.8, 0.6, (1.5, 1.0))
+    change = np.abs(tracer.radiance(dent, 64, 1) - tracer.radiance(Flat(), 64, 1)).sum(axis=2)
+    y, x = np.mgrid[:32, :40] + 0.5
+    weight = np.where(change > 0.3 * change.max(), change, 0)
+    found = [(weight * x).sum() / weight.sum(), (weight * y).sum() / weight.sum()]
+    assert found == pytest.approx(Camera.from_sensor(model).project([[1.5, 1.0, -0.3]])[0], abs=2.0)
+
+
+def test_the_map_is_cached_by_optics_and_not_by_mechanics(renderer, monkeypatch):
+    renderer.image(Flat())
+    layer = {**sensor().gel.layers[0].model_dump(), "youngs_modulus_mpa": 9.0}
+    stiff = sensor(gel={"layers": [layer]})
+    monkeypatch.setattr(render, "PathTracer", None)  # any tracing now would fail
+    again = render.Renderer(stiff, 64, 5, False, variants.SCALAR)
+    assert np.array_equal(again.image(Flat()), renderer.image(Flat()))
+    darker = render.Renderer(sensor(walls={"albedo": 0.3}), 64, 0, False, variants.SCALAR)
+    with pytest.raises(TypeError):
+        darker.image(Flat())
+
+
+def test_a_cache_that_cannot_be_written_costs_nothing_but_time(tmp_path, monkeypatch):
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    monkeypatch.setenv("TACGEN_CACHE_DIR", str(blocked))
+    made = render.Renderer(sensor(), 2, 0, False, variants.SCALAR)
+    assert np.isfinite(made.flat()).all()
+
+
+def test_bytes_are_the_same_at_any_thread_count(tmp_path):
+    code = (
+        "import sys, hashlib; import mitsuba as mi; mi.set_variant('scalar_rgb'); "
+        "import drjit as dr; dr.set_thread_count(int(sys.argv[1])); "
+        "from optics.tiny import sensor; from tacgen import render; "
+        "from tacgen.optics.dent import BallDent; DENT = BallDent(2.0, 1.0, (0.6, -0.4)); "
+        "r = render.Renderer(sensor(), 8, 0, True, 'scalar_rgb'); "
+        "print(hashlib.sha256(r.develop(r.image(DENT)).tobytes() + r.scattered().tobytes()).hexdigest())"
+    )
+    digests = set()
+    for threads in ("1", "2"):
+        env = {**os.environ, "NUMBA_NUM_THREADS": threads, "TACGEN_CACHE_DIR": str(tmp_path / threads)}
+        env["PYTHONPATH"] = os.path.dirname(__file__)
+        ran = subprocess.run(
+            [sys.executable, "-c", code, threads], env=env, capture_output=True, text=True, check=True, timeout=120
+        )
+        digests.add(ran.stdout.strip())
+    assert len(digests) == 1
+
+
+def test_no_paths_are_refused():
+    with pytest.raises(ValueError, match="spp"):
+        render.Renderer(sensor(), 0, 0, False, variants.SCALAR)
