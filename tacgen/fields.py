@@ -157,8 +157,8 @@ def maps(problem: Problem, surface: Surface, state: State, camera: "Camera") -> 
     place = np.einsum("pk,pkc->pc", share, surface.now[nodes])
     moved = problem.contact.moved(type(problem.contact.pose).of(state.pose), state.offset)
     local = moved.pose.local(place)
-    # the barrier's force fades out over its range: the rim is put midway between where it carries and where it ends
-    rim = (state.mean_gap + moved.dhat) / 2
+    # the barrier's force fades out over its range: the rim is put three quarters of the way to its end
+    rim = moved.dhat - (moved.dhat - state.mean_gap) / 4
     contact[seen] = (moved.shape.distance(local)[0] + state.offset < rim) & (pressure[seen] > 0)
     if state.sliding is not None:
         touching = np.maximum((state.normal_force > 0).sum(1), 1)

@@ -203,16 +203,16 @@ def run_scene(row: Row, folder: Path, *, overwrite: bool = False, say: Say | Non
 
 
 def _refuse(path: Path) -> None:
-    """Complain of a whole bundle of other inputs; what is broken or incomplete is redone."""
+    """Complain of a whole bundle of other inputs; one that is unfinished or damaged is redone."""
     try:
         other = bundle.read(path)
+        other.verify()
+    except (bundle.Unfinished, bundle.Damaged):
+        return
     except UserError as error:
-        if "incomplete" in str(error) or "truncated" in str(error):
-            return
-        raise UserError(f"{path}: {error}; pass --overwrite to replace it") from None
-    raise UserError(
-        f"{path}: made from other inputs (recipe {other.recipe.get('name', '?')}); pass --overwrite or choose another folder"
-    )
+        raise UserError([*error.lines[:-1], f"{error.lines[-1]}; pass --overwrite to replace it"]) from None
+    made = other.recipe.get("name", "?")
+    raise UserError(f"{path}: made from other inputs (recipe {made}); pass --overwrite or choose another folder")
 
 
 def run(rows: Sequence[Row], folder: Path, *, overwrite: bool = False, on_event: Say | None = None) -> list[SceneResult]:

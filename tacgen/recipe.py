@@ -211,8 +211,8 @@ class Quality(NamedTuple):
 
 QUALITIES = {
     "draft": Quality(0.6, 0.05, 16),
-    "default": Quality(0.4, 0.05, 64),
-    "reference": Quality(0.25, 0.02, 512),
+    "default": Quality(0.35, 0.02, 64),
+    "reference": Quality(0.2, 0.01, 512),
 }
 
 

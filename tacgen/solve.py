@@ -88,7 +88,8 @@ class _Memory:
 
     pose: Pose
     x: Array
-    before: Array  # x one pose earlier, for extrapolation
+    before: Array  # x one pose earlier, and two: for extrapolation
+    earlier: Array
     offset: float
     normal_force: Array
     normal: Array
@@ -132,7 +133,7 @@ class Problem:
         x = self.mesh.points
         force, normal, gap = self.contact.moved(pose, 0.0).pressure(x)
         local = normal @ pose.rotation
-        return _Memory(pose, x, x, 0.0, np.zeros_like(force), local, pose.local(self.contact.faces.at(x)), gap, 0.0)
+        return _Memory(pose, x, x, x, 0.0, np.zeros_like(force), local, pose.local(self.contact.faces.at(x)), gap, 0.0)
 
 
 class _Lagged:
@@ -174,7 +175,7 @@ class _Lagged:
     def _anchors(self) -> Array:
         """Anchors in the indenter's frame; a point new to the contact gets one where it will have touched."""
         memory, contact = self.memory, self.contact
-        carried = 2 * memory.x - memory.before
+        carried = 3 * memory.x - 3 * memory.before + memory.earlier  # second order: friction then lags little in big steps
         ahead, gap_ahead = contact.pose.local(contact.faces.at(carried)), contact.gaps(carried)[0]
         touch = fr.onset(memory.anchor, ahead, memory.gap - contact.offset, gap_ahead - contact.offset)
         return np.where(memory.normal_force[..., None] > 0, memory.anchor, touch)
@@ -231,7 +232,7 @@ def _record(
         anchor = fr.dragged(friction.anchor, at, friction.normal, friction.normal_force, friction.eps, contact.pose)
     scale = max(memory.scale, NEGLIGIBLE * float(force.sum()))
     carried = _Memory(
-        contact.pose, x, memory.x, contact.offset, force, normal @ contact.pose.rotation, anchor, gap, scale
+        contact.pose, x, memory.x, memory.before, contact.offset, force, normal @ contact.pose.rotation, anchor, gap, scale
     )
     mean, least = mean_gap(contact, x), float(gap.min())
     return carried, State(

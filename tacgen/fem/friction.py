@@ -72,7 +72,7 @@ class Friction:
 def onset(before: Array, ahead: Array, gap_before: Array, gap_ahead: Array) -> Array:
     """Where points that come into contact during a frame first touch (f, q, 3), in the indenter's frame.
 
-    `before` and `ahead` are a point's positions at the start of the frame and, had it kept its velocity, at its end; the
+    `before` and `ahead` are a point's positions at the start of the frame and, going on as it did, at its end; the
     gaps there [mm] are to the surface it will rest on. It touches where the straight way between them meets the surface.
     """
     closing = gap_before - gap_ahead
