@@ -65,7 +65,7 @@ def photos(folder: Path, camera: Camera) -> list[Photo]:
     base = read(folder / "background.png")
     found = [Photo("background.png", base, Flat(), np.ones(base.shape[:2], bool))]
     y, x = (np.mgrid[: base.shape[0], : base.shape[1]] + 0.5) * STEP
-    for row in csv.DictReader((folder / "circles.csv").open()):
+    for row in csv.DictReader((folder / "circles.csv").read_text().splitlines()):
         cx, cy, a = float(row["cx_px"]), float(row["cy_px"]), float(row["contact_radius_px"])
         dent = BallDent.seen(camera, float(row["ball_diameter_mm"]) / 2, (cx, cy), a)
         found.append(Photo(row["image"], read(folder / row["image"]), dent, np.hypot(x - cx, y - cy) < 1.7 * a))

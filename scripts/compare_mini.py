@@ -54,7 +54,7 @@ def presses(folder: Path) -> list[Press]:
             row["image"], load(folder / row["image"]), (float(row["cx_px"]), float(row["cy_px"])),
             float(row["contact_radius_px"]), float(row["ball_diameter_mm"]) / 2,
         )
-        for row in csv.DictReader((folder / "circles.csv").open())
+        for row in csv.DictReader((folder / "circles.csv").read_text().splitlines())
     ]  # fmt: skip
 
 

@@ -58,7 +58,7 @@ def main() -> None:
     sensor = sensor.model_copy(update={"camera": camera})
     renderer = render.Renderer(sensor, 64, 0, False, asked.variant)
     tracer = render.PathTracer(sensor, renderer.sheet, False, renderer.variant)
-    alone = Direct(sensor, renderer.sheet, False, (6, 2))
+    alone = Direct(sensor, renderer.sheet, False, render.effort(64)[0])
 
     def shown(radiance: np.ndarray) -> np.ndarray:
         return response.srgb(response.expose(radiance, camera))

@@ -31,9 +31,10 @@ if TYPE_CHECKING:
 SPACING = 0.1  # [mm] between the sheet's nodes
 MASK_PIXEL = 0.02  # [mm] of the marker texture
 MAX_DEPTH = 12  # path vertices, interfaces included
+BLOCK = 8  # [px] side of the blocks that scalar variants work on
 COARSE = 8  # pixels of the image per pixel of the map of scattered light
 SMOOTH = 2.0  # [map pixels] the Gaussian that takes the noise off that map
-MAP_VERSION = 1  # of how the map is made; part of its cache key
+MAP_VERSION = 2  # of how the map is made; part of its cache key
 
 
 def variant() -> str:
@@ -65,7 +66,8 @@ def description(sensor: "Sensor", sheet: Sheet, markers: bool) -> tuple[dict[str
     to_world[:3, 3] = pinhole
     scene: dict[str, Any] = {
         "type": "scene",
-        "integrator": {"type": "path", "max_depth": MAX_DEPTH},
+        # blocks seed the sampler, and Mitsuba would cut as many as there are threads
+        "integrator": {"type": "path", "max_depth": MAX_DEPTH, "block_size": BLOCK},
         "sensor": {
             "type": "perspective",
             "fov": float(np.degrees(2 * np.arctan(eye.width_px / 2 / camera.focal_px))),
@@ -115,8 +117,9 @@ class PathTracer:
         self._mi = mitsuba(variant)
         scene, coat = description(sensor, sheet, markers)
         built = realise(self._mi, scene)
-        built["face"] = self._mesh(self._mi.load_dict(realise(self._mi, coat)))
-        self._scene = self._mi.load_dict(built)
+        # merged shapes would stand in another order each time, and the LEDs so draw other random numbers
+        built["face"] = self._mesh(self._mi.load_dict(realise(self._mi, coat), parallel=False, optimize=False))
+        self._scene = self._mi.load_dict(built, parallel=False, optimize=False)
         self._params = self._mi.traverse(self._scene)
         self._vertices = next(k for k, _ in self._params if k.endswith("vertex_positions"))
 
@@ -156,8 +159,8 @@ class Renderer:
         self.sensor, self.spp, self.seed, self.markers = sensor, spp, seed, markers
         self.variant = variant or probing.best().variant
         self.sheet = Sheet.over(sensor.gel, SPACING)
-        fine = spp > 256
-        self._direct = Direct(sensor, self.sheet, markers, (12, 4) if fine else (6, 2), 2 if fine else 1)
+        self._pieces, rays = effort(spp)
+        self._direct = Direct(sensor, self.sheet, markers, self._pieces, rays)
         self._scattered: Floats | None = None
 
     def image(self, surface: Surface) -> "NDArray[np.float32]":
@@ -193,7 +196,8 @@ class Renderer:
         coarse = eye.model_copy(update={"width_px": w, "height_px": h, "mm_per_px": eye.mm_per_px * scale})
         sensor = self.sensor.model_copy(update={"camera": coarse})
         full = PathTracer(sensor, self.sheet, False, self.variant).radiance(Flat(), round(self.spp * scale**2), 0)
-        rest = full - Direct(sensor, self.sheet, False, (12, 4), 4).radiance(Flat())
+        # the same points on the strips as in the images, so that the map also mends what so few of them miss
+        rest = full - Direct(sensor, self.sheet, False, self._pieces, 4).radiance(Flat())
         return np.asarray(gaussian_filter(rest, (SMOOTH, SMOOTH, 0), mode="nearest"))
 
     def _key(self) -> str:
@@ -202,8 +206,26 @@ class Renderer:
         for layer in seen["gel"]["layers"]:
             for mechanical in ("law", "youngs_modulus_mpa", "poissons_ratio"):
                 layer.pop(mechanical)
-        parts = [seen, self.spp, self.variant, version("mitsuba"), MAP_VERSION, COARSE, SMOOTH, SPACING, MAX_DEPTH]
+        parts = [
+            seen,
+            self.spp,
+            self._pieces,
+            self.variant,
+            version("mitsuba"),
+            MAP_VERSION,
+            COARSE,
+            SMOOTH,
+            SPACING,
+            MAX_DEPTH,
+        ]
         return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:32]
+
+
+def effort(spp: int) -> tuple[tuple[int, int], int]:
+    """Points on each strip (along, up), and rays along a pixel's side, that go with `spp` paths a pixel."""
+    if spp < 32:
+        return (6, 3), 1
+    return ((8, 4), 1) if spp <= 256 else ((16, 8), 2)
 
 
 def spread(coarse: "Floats", shape: tuple[int, int]) -> "Floats":

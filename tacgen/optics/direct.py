@@ -33,9 +33,9 @@ class Direct:
     """One sensor's LEDs, layers and camera, ready to look at any deformed face."""
 
     def __init__(
-        self, sensor: "Sensor", sheet: Sheet, markers: bool, pieces: tuple[int, int] = (6, 2), samples: int = 1
+        self, sensor: "Sensor", sheet: Sheet, markers: bool, pieces: tuple[int, int] = (8, 4), samples: int = 1
     ) -> None:
-        """`pieces` of each strip (along, up); `samples` x `samples` rays a pixel."""
+        """`pieces`: points on each strip (along, up); `samples` x `samples` rays a pixel."""
         self.sensor, self.sheet, self.samples = sensor, sheet, samples
         self.markers = sensor.markers if markers else None
         self.camera = Camera.from_sensor(sensor)

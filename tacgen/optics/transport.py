@@ -25,27 +25,27 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Points:
-    """Points that stand for pieces of the strips."""
+    """Points that stand for pieces of the strips, as in Gauss's quadrature."""
 
     at: Floats  # positions [mm], (p, 3)
     normal: Floats  # unit, (p, 3)
-    area: Floats  # of the piece [mm^2], (p,)
+    area: Floats  # that each stands for [mm^2], (p,)
     half: Floats  # half the piece's extent [mm], (p,): how soft its shadow is
     strip: NDArray[np.int64]  # which LED, (p,)
 
 
 def points(leds: "Sequence[Led]", along: int, up: int) -> Points:
-    """Each strip cut into `along` x `up` equal pieces, a point in the middle of each."""
+    """`along` x `up` points of Gauss and Legendre on each strip, with their shares of its area."""
     at, normal, area, half, strip = [], [], [], [], []
+    (a, share_a), (b, share_b) = (np.polynomial.legendre.leggauss(n) for n in (along, up))
     for k, led in enumerate(leds):
         axes, (w, h) = frame(led.normal, led.up), led.size_mm
         for i in range(along):
             for j in range(up):
-                a, b = ((i + 0.5) / along - 0.5) * w, ((j + 0.5) / up - 0.5) * h
-                at.append(np.array(led.center_mm) + a * axes[:, 0] + b * axes[:, 1])
+                at.append(np.array(led.center_mm) + a[i] * w / 2 * axes[:, 0] + b[j] * h / 2 * axes[:, 1])
                 normal.append(axes[:, 2])
-                area.append(w * h / (along * up))
-                half.append(h / up / 2)
+                area.append(w * h * share_a[i] * share_b[j] / 4)
+                half.append(h * share_b[j] / 4)
                 strip.append(k)
     return Points(np.array(at), np.array(normal), np.array(area), np.array(half), np.array(strip))
 
@@ -69,14 +69,14 @@ class Slab:
         return cls(bottoms, tops, n)
 
 
-@vectorize(cache=True)
+@vectorize(cache=True)  # type: ignore[untyped-decorator, no-untyped-call]
 def fresnel_transmission(k: float, n1: float, n2: float) -> float:
     """Share of unpolarised light that passes from n1 to n2 at k = n sin(theta); 0 beyond the critical angle."""
     if k >= n1 or k >= n2:
         return 0.0
     c1, c2 = np.sqrt(1 - (k / n1) ** 2), np.sqrt(1 - (k / n2) ** 2)
     s, p = (n1 * c1 - n2 * c2) / (n1 * c1 + n2 * c2), (n2 * c1 - n1 * c2) / (n2 * c1 + n1 * c2)
-    return 1.0 - 0.5 * (s * s + p * p)
+    return float(1.0 - 0.5 * (s * s + p * p))
 
 
 @njit(cache=True)
