@@ -60,17 +60,19 @@ def main() -> None:
     tracer = render.PathTracer(sensor, renderer.sheet, False, renderer.variant)
     alone = Direct(sensor, renderer.sheet, False, render.effort(64)[0])
 
+    stray = response.stray(camera)
+
     def shown(radiance: np.ndarray) -> np.ndarray:
         return response.srgb(response.expose(radiance, camera))
 
     print(f"{camera.width_px} x {camera.height_px}, {renderer.variant}, reference 2 x {asked.spp} spp")
     print(f"{'face':18s} {'method':32s} {'dB':>6s} {'(plain)':>8s} {'s':>7s}")
     for name, face in FACES.items():
-        halves = np.array([shown(tracer.radiance(face, asked.spp, seed)) for seed in (11, 12)])
+        halves = np.array([shown(tracer.radiance(face, asked.spp, seed) + stray) for seed in (11, 12)])
         methods: dict[str, Callable[[], np.ndarray]] = {
-            "path, 16 spp": lambda face=face: tracer.radiance(face, 16, 1),
-            "path, 64 spp": lambda face=face: tracer.radiance(face, 64, 1),
-            "direct + mirror images": lambda face=face: alone.radiance(face),
+            "path, 16 spp": lambda face=face: tracer.radiance(face, 16, 1) + stray,
+            "path, 64 spp": lambda face=face: tracer.radiance(face, 64, 1) + stray,
+            "direct + mirror images": lambda face=face: alone.radiance(face, stray),
             "the same + map of scattered": lambda face=face: renderer.image(face).astype(float),
         }
         for method, work in methods.items():

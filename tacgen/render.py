@@ -165,7 +165,8 @@ class Renderer:
 
     def image(self, surface: Surface) -> "NDArray[np.float32]":
         """Linear radiance (H, W, 3) of a deformed face, before the response; its only noise is the map's."""
-        return self._direct.radiance(surface, self.scattered()).astype(np.float32)
+        rest = self.scattered() + response.stray(self.sensor.camera)
+        return self._direct.radiance(surface, rest).astype(np.float32)
 
     def flat(self) -> "NDArray[np.float32]":
         """Linear radiance (H, W, 3) of the untouched face."""

@@ -86,7 +86,7 @@ class Camera(Part):
     width_px: Annotated[int, Field(ge=8)]
     height_px: Annotated[int, Field(ge=8)]
     exposure: Positive = 1.0  # linear radiance to sensor full scale
-    ambient: Rgb = (0.0, 0.0, 0.0)  # stray light added before the response, fraction of full scale
+    ambient: Rgb = (0.0, 0.0, 0.0)  # what even stray light adds to a bare coat, fraction of full scale
     vignette_mm: Positive | None = None  # r0 of the fall-off 1/(1+(r/r0)^2)^2 on the coating; none if absent
     source: str
 

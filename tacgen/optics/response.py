@@ -1,4 +1,4 @@
-"""From linear radiance to the camera's 8-bit picture: vignette, exposure, stray light, sRGB."""
+"""From linear radiance to the camera's 8-bit picture: vignette, exposure, sRGB; and the stray light."""
 
 from typing import TYPE_CHECKING
 
@@ -25,9 +25,14 @@ def srgb(linear: "Floats") -> "Floats":
     return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
 
 
+def stray(camera: "Camera") -> "Floats":
+    """Radiance (H, W, 3) of a bare coat in the stray light alone: `ambient` after the vignette and the exposure."""
+    return np.asarray(np.array(camera.ambient) / (camera.exposure * vignette(camera)[..., None]))
+
+
 def expose(radiance: "Floats", camera: "Camera") -> "Floats":
     """Linear fraction of full scale (H, W, 3) of a radiance picture (H, W, 3)."""
-    return np.asarray(radiance * (camera.exposure * vignette(camera)[..., None]) + np.array(camera.ambient))
+    return np.asarray(radiance * (camera.exposure * vignette(camera)[..., None]))
 
 
 def develop(radiance: "Floats", camera: "Camera") -> "NDArray[np.uint8]":
