@@ -73,3 +73,18 @@ def test_a_rough_mirror_reflects_nearly_all_and_never_more():
         wo = np.column_stack([np.sqrt(1 - u) * np.cos(phi), np.sqrt(1 - u) * np.sin(phi), co])
         total = np.mean([np.pi * transport.ggx(n, wi, o, cos, c, 0.3) / c for o, c in zip(wo, co, strict=True)])
         assert 0.8 < total < 1.02
+
+
+def test_a_ridge_takes_a_strips_light_away():
+    p, down = np.array([[-3.0, 0.0, 0.0]]), np.array([[0.0, 0.0, -1.0]])
+    light = (np.array([[4.0, 0.0, -0.8]]), np.array([[-1.0, 0.0, 0.0]]), np.array([1e-3]), np.array([0.05]))
+    slab = (np.array([-10.0]), np.array([np.inf]), np.array([1.0]))
+    flat, size = np.zeros((101, 101)), np.array([10.0, 10.0])
+    ridge = flat.copy()
+    ridge[:, 50:53] = -1.2
+    clear, shaded = (
+        transport.gather(p, down, down, *light, np.array([0]), 1, *slab, 0.4, heights, size)[0, 0, 0]
+        for heights in (flat, ridge)
+    )
+    assert clear > 0.0
+    assert shaded == 0.0
