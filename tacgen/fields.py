@@ -97,7 +97,7 @@ def stress(problem: Problem, x: Array) -> Stress:
 class Maps:
     """What acts on the deformed coated face, on the image grid (h, w).
 
-    pressure [MPa] along the indenter's normal, positive in compression; traction (h, w, 2) [MPa] the x and y of the rest;
+    pressure [MPa] along the indenter's normal, positive in compression; traction (h, w, 2) [MPa] x and y of friction;
     contact, slip: bool; area [mm^2] of the deformed face behind each pixel, 0 outside the pad; stress (h, w, 3) [MPa]
     the whole traction vector: its sum with `area` is the force on the gel that the camera can see.
     """
@@ -142,16 +142,14 @@ def maps(problem: Problem, surface: Surface, state: State, camera: "Camera") -> 
 
     def spread(per_point: Array) -> Array:
         force = problem.contact.faces.scatter(per_point, len(state.x))[surface.nodes]
-        out = np.zeros((*shape, 3))
+        out = np.zeros((*shape, per_point.shape[-1]))
         out[seen] = np.einsum("pk,pkc->pc", share, (force / weight[:, None])[nodes])
         return out
 
-    push = spread(state.normal_force[..., None] * state.normal)
-    whole = push if state.friction is None else push + spread(state.friction)
-    pressure = np.linalg.norm(push, axis=-1)
-    normal = push / np.maximum(pressure, 1e-300)[..., None]
-    pressure = np.asarray((whole * normal).sum(-1))
-    tangential = (whole - pressure[..., None] * normal)[..., :2]
+    # the normal forces are spread as numbers: their vectors partly cancel around an edge sharper than the mesh
+    pressure = spread(state.normal_force[..., None])[..., 0]
+    whole = spread(state.traction_force)
+    tangential = np.zeros((*shape, 2)) if state.friction is None else spread(state.friction[..., :2])
 
     contact, slip = np.zeros(shape, bool), np.zeros(shape, bool)
     place = np.einsum("pk,pkc->pc", share, surface.now[nodes])

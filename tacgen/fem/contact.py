@@ -78,8 +78,8 @@ class Faces:
         return np.einsum("qa,fai->fqi", self.N, x[self.conn])
 
     def scatter(self, forces: Array, nodes: int) -> Array:
-        """Nodal sums (n, 3) of forces (f, q, 3) at the quadrature points."""
-        out = np.zeros((nodes, 3))
+        """Nodal sums (n, c) of forces (f, q, c) at the quadrature points."""
+        out = np.zeros((nodes, forces.shape[-1]))
         np.add.at(out, self.conn, np.einsum("qa,fqi->fai", self.N, forces))
         return out
 

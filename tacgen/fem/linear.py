@@ -39,7 +39,7 @@ def dissection(pattern: Pattern) -> Array:
     i, j = pattern.pairs // n, pattern.pairs % n
     off = i != j
     starts = np.searchsorted(i[off], np.arange(n + 1))
-    order, _ = pymetis.nested_dissection(xadj=starts, adjncy=j[off])
+    order, _ = pymetis.nested_dissection(pymetis.CSRAdjacency(starts, j[off]))
     number = np.full(3 * n, -1)
     number[pattern.free] = np.arange(pattern.size)
     dofs = number.reshape(n, 3)[np.asarray(order)].ravel()

@@ -3,7 +3,7 @@
     W(F) = w(I1, I2, J) + U(J),    I1 = F:F,    I2 = (I1^2 - tr(C^2))/2,    J = det F
 
 `iso` gives w with its first and second derivatives; `vol` gives U, U', U''. Elements with mean dilatation evaluate U
-at the mean J of the element (Q1P0), all others pointwise. Shapes are whatever the invariants' shape is.
+at the mean J of the element (Q1P0), all others pointwise. Shapes are whatever the invariants' shape is. W is 0 at rest.
 """
 
 from dataclasses import dataclass
@@ -26,7 +26,13 @@ class Derivatives:
 class Law(Protocol):
     """A hyperelastic law in invariants."""
 
-    mu: float  # shear modulus at rest [MPa]
+    @property
+    def mu(self) -> float:
+        """Shear modulus at rest [MPa]."""
+
+    @property
+    def kappa(self) -> float:
+        """Bulk modulus at rest [MPa]."""
 
     def iso(self, I1: Array, I2: Array, J: Array) -> Derivatives: ...
 
@@ -57,4 +63,95 @@ class NeoHooke:
         return _bulk(self.kappa, J)
 
 
-LAWS = {"neo_hooke": NeoHooke}
+@dataclass(frozen=True)
+class MooneyRivlin:
+    """w = c10 (J^-2/3 I1 - 3) + c01 (J^-4/3 I2 - 3): Mooney (1940) and Rivlin (1948), made isochoric."""
+
+    c10: float  # [MPa]
+    c01: float  # [MPa]
+    kappa: float  # bulk modulus [MPa]
+
+    @property
+    def mu(self) -> float:
+        return 2 * (self.c10 + self.c01)
+
+    def iso(self, I1: Array, I2: Array, J: Array) -> Derivatives:
+        a, b = self.c10 * J ** (-2 / 3), self.c01 * J ** (-4 / 3)
+        zero = np.zeros_like(J)
+        value = a * I1 + b * I2 - 3 * (self.c10 + self.c01)
+        first = [a, b, (-2 / 3 * a * I1 - 4 / 3 * b * I2) / J]
+        second = [zero, zero, (10 / 9 * a * I1 + 28 / 9 * b * I2) / J**2, zero, -2 / 3 * a / J, -4 / 3 * b / J]
+        return Derivatives(value, np.stack(first, -1), np.stack(second, -1))
+
+    def vol(self, J: Array) -> tuple[Array, Array, Array]:
+        return _bulk(self.kappa, J)
+
+
+@dataclass(frozen=True)
+class Yeoh:
+    """w = sum over k = 1, 2, 3 of ck0 (J^-2/3 I1 - 3)^k, Yeoh (1993), "Some forms of the strain energy function for rubber"."""
+
+    c10: float  # [MPa]
+    c20: float  # [MPa]
+    c30: float  # [MPa]
+    kappa: float  # bulk modulus [MPa]
+
+    @property
+    def mu(self) -> float:
+        return 2 * self.c10
+
+    def iso(self, I1: Array, I2: Array, J: Array) -> Derivatives:
+        a = J ** (-2 / 3)
+        y = a * I1 - 3
+        w = ((self.c30 * y + self.c20) * y + self.c10) * y
+        dw = (3 * self.c30 * y + 2 * self.c20) * y + self.c10
+        ddw = 6 * self.c30 * y + 2 * self.c20
+        zero = np.zeros_like(J)
+        y1, y3 = a, -2 / 3 * a / J * I1  # dy/dI1, dy/dJ
+        y13, y33 = -2 / 3 * a / J, 10 / 9 * a / J**2 * I1
+        first = [dw * y1, zero, dw * y3]
+        second = [ddw * y1**2, zero, ddw * y3**2 + dw * y33, zero, ddw * y1 * y3 + dw * y13, zero]
+        return Derivatives(w, np.stack(first, -1), np.stack(second, -1))
+
+    def vol(self, J: Array) -> tuple[Array, Array, Array]:
+        return _bulk(self.kappa, J)
+
+
+@dataclass(frozen=True)
+class StableNeoHooke:
+    """W = mu/2 (I1 - 3) + lam/2 (J - 1 - mu/lam)^2 - mu^2/(2 lam), Smith, de Goes & Kim (2018), "Stable neo-Hookean flesh
+    simulation", as UIPC has it (without their logarithm); the constant makes W 0 at rest. Finite through J = 0: the
+    elements end it there.
+
+    `lam` is not Lamé's first parameter but that plus mu, so that the small-strain moduli come out right.
+    """
+
+    mu: float  # shear modulus [MPa]
+    lam: float  # [MPa]
+
+    @property
+    def kappa(self) -> float:
+        return self.lam - self.mu / 3
+
+    def iso(self, I1: Array, I2: Array, J: Array) -> Derivatives:
+        zero = np.zeros_like(J)
+        half = zero + self.mu / 2
+        return Derivatives(half * (I1 - 3), np.stack([half, zero, zero], -1), np.stack([zero] * 6, -1))
+
+    def vol(self, J: Array) -> tuple[Array, Array, Array]:
+        return (
+            self.lam / 2 * (J - 1) ** 2 - self.mu * (J - 1),
+            self.lam * (J - 1) - self.mu,
+            self.lam + np.zeros_like(J),
+        )
+
+
+LAWS = {"neo_hooke": NeoHooke, "mooney_rivlin": MooneyRivlin, "yeoh": Yeoh, "stable_neo_hooke": StableNeoHooke}
+
+# One of each with the same moduli at rest, mu = 0.05 MPa and kappa = 0.4 MPa: what the tests of laws try.
+EXAMPLES: dict[str, Law] = {
+    "neo_hooke": NeoHooke(0.05, 0.4),
+    "mooney_rivlin": MooneyRivlin(0.015, 0.01, 0.4),
+    "yeoh": Yeoh(0.025, -0.002, 0.0005, 0.4),
+    "stable_neo_hooke": StableNeoHooke(0.05, 0.4 + 0.05 / 3),
+}
