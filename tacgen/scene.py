@@ -4,12 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tacgen import sensor as sensors
 from tacgen.errors import UserError
-from tacgen.fem.materials import LAWS, Law
+from tacgen.fem.materials import Law, MooneyRivlin, NeoHooke, StableNeoHooke, Yeoh
 from tacgen.fem.shapes import Box, Capsule, Cone, Cylinder, Shape, Sphere, Torus, Wedge
 from tacgen.plan import Row
 from tacgen.recipe import Indenter, Recipe, Start
-from tacgen.sensor import Sensor
+from tacgen.sensor import MooneyRivlinLayer, NeoHookeLayer, Sensor, StableNeoHookeLayer, YeohLayer
 
 Array = np.ndarray
 
@@ -81,12 +82,33 @@ def _shape(i: Indenter) -> Shape:
             return Torus(i.radius_mm, i.tube_radius_mm)
 
 
+def law_of(layer: sensors.Layer) -> Law:
+    """The law of a layer; what a sensor file says in E and nu becomes mu and the bulk modulus here."""
+    match layer:
+        case NeoHookeLayer() | StableNeoHookeLayer():
+            mu = layer.youngs_modulus_mpa / (2 * (1 + layer.poissons_ratio))
+            kappa = bulk(mu, layer.poissons_ratio)
+            return NeoHooke(mu, kappa) if layer.law == "neo_hooke" else StableNeoHooke(mu, kappa + mu / 3)
+        case MooneyRivlinLayer():
+            mu = 2 * (layer.c10_mpa + layer.c01_mpa)
+            return MooneyRivlin(layer.c10_mpa, layer.c01_mpa, layer.bulk_modulus_mpa or bulk(mu, layer.poissons_ratio))
+        case YeohLayer():
+            kappa = layer.bulk_modulus_mpa or bulk(2 * layer.c10_mpa, layer.poissons_ratio)
+            return Yeoh(layer.c10_mpa, layer.c20_mpa, layer.c30_mpa, kappa)
+
+
+def bulk(mu: float, nu: float | None) -> float:
+    """Bulk modulus [MPa] from the shear modulus and Poisson's ratio."""
+    assert nu is not None, "the sensor file's check lets no layer through without"
+    return 2 * mu * (1 + nu) / (3 * (1 - 2 * nu))
+
+
 def gel_of(sensor: Sensor) -> Gel:
-    """The gel with its laws: E and nu become mu and the bulk modulus here."""
+    """The gel with its laws."""
     layers = []
     for layer in sensor.gel.layers:
-        E, nu = layer.youngs_modulus_mpa, layer.poissons_ratio
-        layers.append(Layer(layer.thickness_mm, LAWS[layer.law](E / (2 * (1 + nu)), E / (3 * (1 - 2 * nu))), E))
+        law = law_of(layer)
+        layers.append(Layer(layer.thickness_mm, law, 9 * law.kappa * law.mu / (3 * law.kappa + law.mu)))
     g = sensor.gel
     return Gel(g.width_mm, g.height_mm, g.corner_radius_mm, tuple(layers))
 
@@ -104,7 +126,9 @@ def _first_pose(shape: Shape, start: Start) -> Array:
     pose[:3, :3] = tilt @ _about(np.array([0.0, 0.0, 1.0]), np.radians(start.yaw_deg))
     drop = shape.support(-pose[2, :3])  # how far the turned shape hangs below its own origin
     if not np.isfinite(drop):
-        raise UserError(f"start.tilt_deg: tilted by {start.tilt_deg} deg the indenter's flank meets the gel before its tip")
+        raise UserError(
+            f"start.tilt_deg: tilted by {start.tilt_deg} deg the indenter's flank meets the gel before its tip"
+        )
     pose[:3, 3] = start.x_mm, start.y_mm, start.clearance_mm + drop
     return pose
 

@@ -4,9 +4,9 @@ Frame: x right and y down in the image, z out of the gel toward the object; the 
 untouched coated face, so the gel fills -thickness < z < 0, the plate lies below it and the camera below that.
 """
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field, model_validator
 
 from tacgen.part import Part
 
@@ -14,21 +14,86 @@ Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Index = Annotated[float, Field(ge=1, le=4)]
+Poisson = Annotated[float, Field(ge=0, lt=0.5)]
 Vec2 = tuple[float, float]
 Vec3 = tuple[float, float, float]
 Rgb = tuple[NotNegative, NotNegative, NotNegative]
 
 
-class Layer(Part):
-    """One layer of gel; layers are listed from the bonded base outward to the coated face."""
+class LayerBase(Part):
+    """What every layer of gel has, whatever its law."""
 
     name: str
     thickness_mm: Positive
-    law: Literal["neo_hooke"] = "neo_hooke"
-    youngs_modulus_mpa: Positive
-    poissons_ratio: Annotated[float, Field(ge=0, lt=0.5)]
     refractive_index: Index = 1.41
     source: str
+
+
+class NeoHookeLayer(LayerBase):
+    """Isochoric neo-Hookean; the law of a layer that names none."""
+
+    law: Literal["neo_hooke"] = "neo_hooke"
+    youngs_modulus_mpa: Positive
+    poissons_ratio: Poisson
+
+
+class StableNeoHookeLayer(LayerBase):
+    """Smith et al. (2018), what UIPC calls stable neo-Hookean."""
+
+    law: Literal["stable_neo_hooke"]
+    youngs_modulus_mpa: Positive
+    poissons_ratio: Poisson
+
+
+class Nearly(LayerBase):
+    """How compressible a layer is: one of two numbers."""
+
+    poissons_ratio: Poisson | None = None
+    bulk_modulus_mpa: Positive | None = None
+
+    @model_validator(mode="after")
+    def _one(self) -> Self:
+        if (self.poissons_ratio is None) == (self.bulk_modulus_mpa is None):
+            raise ValueError("must hold exactly one of poissons_ratio, bulk_modulus_mpa")
+        return self
+
+
+class MooneyRivlinLayer(Nearly):
+    """Mooney-Rivlin: the shear modulus at rest is 2 (c10 + c01)."""
+
+    law: Literal["mooney_rivlin"]
+    c10_mpa: Positive
+    c01_mpa: NotNegative
+
+
+class YeohLayer(Nearly):
+    """Yeoh, of third order: the shear modulus at rest is 2 c10."""
+
+    law: Literal["yeoh"]
+    c10_mpa: Positive
+    c20_mpa: float = 0.0
+    c30_mpa: NotNegative = 0.0
+
+    @model_validator(mode="after")
+    def _stiff(self) -> Self:
+        least = -((3 * self.c10_mpa * self.c30_mpa) ** 0.5)
+        if self.c20_mpa < least:  # c10 + 2 c20 y + 3 c30 y^2 falls below zero at some stretch
+            raise ValueError(
+                f"c20_mpa must be at least -sqrt(3 c10 c30), {least:g} (got {self.c20_mpa:g}): softens to nothing"
+            )
+        return self
+
+
+def _named(value: Any) -> Any:
+    return {"law": "neo_hooke", **value} if isinstance(value, dict) else value
+
+
+# Layers are listed from the bonded base outward to the coated face.
+Layer = Annotated[
+    NeoHookeLayer | StableNeoHookeLayer | MooneyRivlinLayer | YeohLayer,
+    Field(discriminator="law"),
+    BeforeValidator(_named),
+]
 
 
 class Gel(Part):

@@ -166,7 +166,7 @@ def sensor_text() -> str:
             "gel.corner_radius_mm: must be at most half the pad's shorter",
         ),
         ("youngs_modulus_mpa", "young_modulus_mpa", "unknown key, did you mean youngs_modulus_mpa?"),
-        ("law: neo_hooke", "law: neo_hook", "law: must be neo_hooke (got 'neo_hook'), did you mean neo_hooke?"),
+        ("law: neo_hooke", "law: neo_hook", "(got 'neo_hook'), did you mean neo_hooke?"),
         ("  width_mm: 25.25", "  width_mm: 25.25\n  width_mm: 25.25", "width_mm: this key is there twice"),
         ("gel:\n", "gel: [\n", "mine.yaml:"),
     ],

@@ -89,7 +89,8 @@ class MooneyRivlin:
 
 @dataclass(frozen=True)
 class Yeoh:
-    """w = sum over k = 1, 2, 3 of ck0 (J^-2/3 I1 - 3)^k, Yeoh (1993), "Some forms of the strain energy function for rubber"."""
+    """w = c10 y + c20 y^2 + c30 y^3 with y = J^-2/3 I1 - 3, Yeoh (1993), "Some forms of the strain energy function for
+    rubber"."""
 
     c10: float  # [MPa]
     c20: float  # [MPa]
@@ -119,9 +120,9 @@ class Yeoh:
 
 @dataclass(frozen=True)
 class StableNeoHooke:
-    """W = mu/2 (I1 - 3) + lam/2 (J - 1 - mu/lam)^2 - mu^2/(2 lam), Smith, de Goes & Kim (2018), "Stable neo-Hookean flesh
-    simulation", as UIPC has it (without their logarithm); the constant makes W 0 at rest. Finite through J = 0: the
-    elements end it there.
+    """W = mu/2 (I1 - 3) + lam/2 (J - 1 - mu/lam)^2 - mu^2/(2 lam), Smith, de Goes & Kim (2018), "Stable neo-Hookean
+    flesh simulation", as UIPC has it (without their logarithm); the constant makes W 0 at rest. Finite through J = 0:
+    the elements end it there.
 
     `lam` is not Lamé's first parameter but that plus mu, so that the small-strain moduli come out right.
     """
