@@ -1,8 +1,8 @@
 """Element kernels and the sparsity pattern they write into: invariants, nodal forces and the stiffness matrix.
 
 The kernels know the law only through derivatives in the invariants (see materials). The projected stiffness clamps the
-analytic eigenvalues of an isotropic energy in the principal stretches (Smith, de Goes & Kim 2019, "Analytic eigensystems
-for isotropic distortion energies").
+analytic eigenvalues of an isotropic energy in the principal stretches (Smith, de Goes & Kim 2019, "Analytic
+eigensystems for isotropic distortion energies").
 """
 
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ MILD = 0.1
 
 
 @njit(cache=True, fastmath=True)
-def _eigen3(A, V):
+def _eigen3(A: Array, V: Array) -> None:
     """Cyclic Jacobi on the symmetric A: eigenvalues end on its diagonal, eigenvectors in the columns of V."""
     for i in range(3):
         for j in range(3):
@@ -51,7 +51,7 @@ def _eigen3(A, V):
 
 
 @njit(cache=True, fastmath=True)
-def _cofactor(F, C):
+def _cofactor(F: Array, C: Array) -> None:
     for i in range(3):
         i1, i2 = (i + 1) % 3, (i + 2) % 3
         for j in range(3):
@@ -60,7 +60,7 @@ def _cofactor(F, C):
 
 
 @njit(cache=True)
-def deformation(x, conn, B):
+def deformation(x: Array, conn: Array, B: Array) -> Array:
     """F (e, q, 3, 3) at every integration point."""
     ne, nq, na, _ = B.shape
     F = np.zeros((ne, nq, 3, 3))
@@ -75,7 +75,7 @@ def deformation(x, conn, B):
 
 
 @njit(cache=True)
-def invariants(F):
+def invariants(F: Array) -> tuple[Array, Array, Array]:
     """I1, I2, J, each (e, q)."""
     ne, nq = F.shape[:2]
     I1, I2, J = np.empty((ne, nq)), np.empty((ne, nq)), np.empty((ne, nq))
@@ -95,7 +95,7 @@ def invariants(F):
 
 
 @njit(cache=True)
-def _piola(F, C, I1, w1, w2, w3, P):
+def _piola(F: Array, C: Array, I1: float, w1: float, w2: float, w3: float, P: Array) -> None:
     """P = 2 w1 F + 2 w2 (I1 F - F F^T F) + w3 cof F."""
     for i in range(3):
         for j in range(3):
@@ -111,7 +111,7 @@ def _piola(F, C, I1, w1, w2, w3, P):
 
 
 @njit(cache=True)
-def add_forces(F, conn, B, weights, I1, first, out):
+def add_forces(F: Array, conn: Array, B: Array, weights: Array, I1: Array, first: Array, out: Array) -> None:
     """Add dE/dx to out (n, 3); first (e, q, 3) holds dW/dI1, dW/dI2, dW/dJ."""
     ne, nq, na, _ = B.shape
     C, P = np.empty((3, 3)), np.empty((3, 3))
@@ -127,7 +127,7 @@ def add_forces(F, conn, B, weights, I1, first, out):
 
 
 @njit(cache=True, fastmath=True)
-def _exact(F, C, f, s2, G, D):
+def _exact(F: Array, C: Array, f: Array, s2: Array, G: Array, D: Array) -> None:
     """D (9, 9) = dP/dF, index 3 i + J, from the derivatives f (3,) and s2 (6,) of W in (I1, I2, J); C = cof F."""
     I1 = 0.0
     for i in range(3):
@@ -173,7 +173,9 @@ def _exact(F, C, f, s2, G, D):
 
 
 @njit(cache=True, fastmath=True)
-def _projected(F, f, s2, A, V, W, Hs, U, Q, D):
+def _projected(
+    F: Array, f: Array, s2: Array, A: Array, V: Array, W: Array, Hs: Array, U: Array, Q: Array, D: Array
+) -> None:
     """The positive semi-definite part of dP/dF: its eigenvalues in the principal stretches clamped at zero."""
     for i in range(3):
         for j in range(3):
@@ -202,7 +204,9 @@ def _projected(F, f, s2, A, V, W, Hs, U, Q, D):
         lam[k] = Hs[k, k]
         for i in range(3):
             for j in range(3):
-                Q[k, 3 * i + j] = W[0, k] * U[i, 0] * V[j, 0] + W[1, k] * U[i, 1] * V[j, 1] + W[2, k] * U[i, 2] * V[j, 2]
+                t = W[0, k] * U[i, 0] * V[j, 0]
+                t += W[1, k] * U[i, 1] * V[j, 1]
+                Q[k, 3 * i + j] = t + W[2, k] * U[i, 2] * V[j, 2]
     n, r2 = 3, np.sqrt(0.5)
     for a in range(2):
         for b in range(a + 1, 3):
@@ -227,7 +231,7 @@ def _projected(F, f, s2, A, V, W, Hs, U, Q, D):
 
 
 @njit(cache=True, fastmath=True)
-def _strained(F):
+def _strained(F: Array) -> bool:
     """Whether |F^T F - I| is beyond MILD: nearer to rest the exact tangent is as good as positive."""
     total = 0.0
     for i in range(3):
@@ -238,7 +242,18 @@ def _strained(F):
 
 
 @njit(cache=True, fastmath=True)
-def add_stiffness(F, conn, B, weights, first, second, dilatation, project, slots, data):
+def add_stiffness(
+    F: Array,
+    conn: Array,
+    B: Array,
+    weights: Array,
+    first: Array,
+    second: Array,
+    dilatation: Array,
+    project: int,
+    slots: Array,
+    data: Array,
+) -> None:
     """Add d2E/dx2 to the CSR `data` at `slots` (e, 3a*3a), -1 where nothing is kept.
 
     dilatation (e,): U''(theta)/volume of elements with mean dilatation, a rank-one term; 0 elsewhere. project: 0 not at
@@ -248,7 +263,7 @@ def add_stiffness(F, conn, B, weights, first, second, dilatation, project, slots
     nd = 3 * na
     A, V, W, Hs, U = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     C, G, Q, D = np.empty((3, 3)), np.empty((3, 9)), np.empty((9, 9)), np.empty((9, 9))
-    # K[k, r, a] is the entry (r, 3a+k) and b[j, a] = dN_a/dX_j: the innermost loops run over nodes, side by side in memory
+    # K[k, r, a] is the entry (r, 3a+k) and b[j, a] = dN_a/dX_j: the innermost loops run over nodes, side by side
     K, BD, g, b = np.empty((3, nd, na)), np.empty((nd, 9)), np.empty(nd), np.empty((3, na))
     for e in range(ne):
         K[:] = 0.0
@@ -265,7 +280,8 @@ def add_stiffness(F, conn, B, weights, first, second, dilatation, project, slots
                     b[j, a] = B[e, q, a, j]
                 for i in range(3):
                     for c in range(9):
-                        BD[3 * a + i, c] = w * (b[0, a] * D[3 * i, c] + b[1, a] * D[3 * i + 1, c] + b[2, a] * D[3 * i + 2, c])
+                        t = b[0, a] * D[3 * i, c] + b[1, a] * D[3 * i + 1, c] + b[2, a] * D[3 * i + 2, c]
+                        BD[3 * a + i, c] = w * t
             for k in range(3):
                 for r in range(nd):
                     x, y, z = BD[r, 3 * k], BD[r, 3 * k + 1], BD[r, 3 * k + 2]
@@ -284,7 +300,7 @@ def add_stiffness(F, conn, B, weights, first, second, dilatation, project, slots
 
 
 @njit(cache=True)
-def add_blocks(blocks, slots, data):
+def add_blocks(blocks: Array, slots: Array, data: Array) -> None:
     """Add dense blocks (f, k, k) to the CSR `data` at `slots` (f, k*k)."""
     flat = blocks.reshape(blocks.shape[0], -1)
     for f in range(flat.shape[0]):

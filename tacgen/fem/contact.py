@@ -53,11 +53,11 @@ class Pose:
 
     def local(self, x: Array) -> Array:
         """Points (..., 3) in the indenter's frame."""
-        return (x - self.position) @ self.rotation
+        return np.asarray((x - self.position) @ self.rotation)
 
     def world(self, X: Array) -> Array:
         """Points (..., 3) of the indenter's frame in the sensor's."""
-        return X @ self.rotation.T + self.position
+        return np.asarray(X @ self.rotation.T + self.position)
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class Faces:
 
     def at(self, x: Array) -> Array:
         """Positions (f, q, 3) of the quadrature points."""
-        return np.einsum("qa,fai->fqi", self.N, x[self.conn])
+        return np.asarray(np.einsum("qa,fai->fqi", self.N, x[self.conn]))
 
     def scatter(self, forces: Array, nodes: int) -> Array:
         """Nodal sums (n, c) of forces (f, q, c) at the quadrature points."""
@@ -108,7 +108,7 @@ class Contact:
         return replace(self, pose=pose, offset=offset)
 
     def gaps(self, x: Array) -> tuple[Array, Array, Array]:
-        """Gap to the shrunk indenter (f, q) [mm], outward normal (f, q, 3), Hessian (f, q, 3, 3), in the sensor frame."""
+        """Gap to the shrunk indenter (f, q) [mm], normal (f, q, 3) and Hessian (f, q, 3, 3), in the sensor frame."""
         at = self.faces.at(x)
         R = self.pose.rotation
         d, n, H = self.shape.distance(self.pose.local(at).reshape(-1, 3))

@@ -1,8 +1,8 @@
 """Smoothed Coulomb friction with lagged normal force: a potential of the slip from anchors on the indenter.
 
 D(u) = friction * lambda * f0(|u|), with f0' rising smoothly from 0 to 1 over `eps` (Li et al. 2020, Eq. 15). Each
-quadrature point keeps an anchor on the indenter that moves only when it slips (return mapping), so that a sticking point
-does not creep from frame to frame.
+quadrature point keeps an anchor on the indenter that moves only when it slips (return mapping), so that a sticking
+point does not creep from frame to frame.
 """
 
 from dataclasses import dataclass
@@ -40,13 +40,13 @@ class Friction:
     def slip(self, x: Array) -> Array:
         """Tangential displacement (f, q, 3) from the anchors [mm]."""
         u = self.faces.at(x) - self.anchor
-        return u - (u * self.normal).sum(-1, keepdims=True) * self.normal
+        return np.asarray(u - (u * self.normal).sum(-1, keepdims=True) * self.normal)
 
     def force(self, x: Array) -> Array:
         """Friction on the gel (f, q, 3) [N]."""
         u = self.slip(x)
         _, slope, _ = smooth(np.linalg.norm(u, axis=-1), self.eps)
-        return -(self.coefficient * self.normal_force * slope)[..., None] * u
+        return np.asarray(-(self.coefficient * self.normal_force * slope)[..., None] * u)
 
     def value(self, x: Array) -> float:
         f0, _, _ = smooth(np.linalg.norm(self.slip(x), axis=-1), self.eps)
@@ -73,7 +73,7 @@ def onset(before: Array, ahead: Array, gap_before: Array, gap_ahead: Array) -> A
     """Where points that come into contact during a frame first touch (f, q, 3), in the indenter's frame.
 
     `before` and `ahead` are a point's positions at the start of the frame and, going on as it did, at its end; the
-    gaps there [mm] are to the surface it will rest on. It touches where the straight way between them meets the surface.
+    gaps there [mm] are to the surface it will rest on. It touches where the straight way between them meets it.
     """
     closing = gap_before - gap_ahead
     part = np.where(gap_ahead < 0, np.clip(gap_before / np.maximum(closing, 1e-12), 0.0, 1.0), 1.0)

@@ -42,7 +42,9 @@ class Solution:
     steps: tuple[Step, ...]
 
 
-def direction(potential: Potential, x: Array, g: Array, pattern: Pattern, solver: Solver, exact: bool) -> tuple[Array, bool]:
+def direction(
+    potential: Potential, x: Array, g: Array, pattern: Pattern, solver: Solver, exact: bool
+) -> tuple[Array, bool]:
     """Newton direction (n, 3) and whether the stiffness was projected: it is where the exact one is not definite."""
     for project in (0, 2) if exact else (1, 2):
         data = np.zeros(len(pattern.indices))

@@ -104,7 +104,7 @@ class Elastic:
         return Point(F, I1, J, energy, iso, first, second, dilatation)
 
     def value(self, x: Array) -> float:
-        F, (_, _, J) = self._admissible(x)
+        _, (_, _, J) = self._admissible(x)
         if not (J > 0).all():
             return np.inf
         return float(self.at(x).energy.sum())

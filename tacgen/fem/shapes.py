@@ -67,7 +67,7 @@ def _polar(p: Array) -> tuple[Array, Array, Array]:
 
 
 def _outer(a: Array) -> Array:
-    return a[:, :, None] * a[:, None, :]
+    return np.asarray(a[:, :, None] * a[:, None, :])
 
 
 def _diagonal(entries: Array) -> Array:
