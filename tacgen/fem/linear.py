@@ -43,7 +43,7 @@ def dissection(pattern: Pattern) -> Array:
     number = np.full(3 * n, -1)
     number[pattern.free] = np.arange(pattern.size)
     dofs = number.reshape(n, 3)[np.asarray(order)].ravel()
-    return dofs[dofs >= 0]
+    return np.asarray(dofs[dofs >= 0])
 
 
 class Cholmod:
@@ -180,7 +180,8 @@ class Stale:
         return None
 
 
-SOLVERS: dict[str, tuple[Callable[[Pattern], Solver], tuple[str, ...]]] = {  # fastest first, with the packages each needs
+# fastest first, with the packages each needs
+SOLVERS: dict[str, tuple[Callable[[Pattern], Solver], tuple[str, ...]]] = {
     "pardiso": (Pardiso, ("pypardiso",)),
     "cholmod": (Cholmod, ("cvxopt", "pymetis")),
     "superlu": (SuperLU, ()),
