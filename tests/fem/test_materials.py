@@ -1,0 +1,198 @@
+"""Every law in LAWS by existing: derivatives, stress, stiffness, projection; kernels by a law of all invariants."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from tacgen.fem.elements import Elements, hexes
+from tacgen.fem.materials import EXAMPLES, LAWS, Derivatives, Law
+from tacgen.fem.potentials import Elastic
+
+from .small import dense, distorted, slope, turn, whole
+
+Array = np.ndarray
+GEL: dict[str, Law] = {name: EXAMPLES[name] for name in LAWS}
+
+
+@dataclass(frozen=True)
+class Mixed:
+    """w = a (I1-3) + b (I2-3) + c (I1 I2 J - 9) + d/2 (J-1)^2, so that no derivative of the kernels is zero."""
+
+    mu: float = 0.05
+    kappa: float = 0.4
+
+    def iso(self, I1: Array, I2: Array, J: Array) -> Derivatives:
+        a, b, c, d = 0.03, 0.02, 0.004, 0.3
+        value = a * (I1 - 3) + b * (I2 - 3) + c * (I1 * I2 * J - 9) + d / 2 * (J - 1) ** 2
+        first = [a + c * I2 * J, b + c * I1 * J, c * I1 * I2 + d * (J - 1)]
+        zero = np.zeros_like(J)
+        second = [zero, zero, zero + d, c * J, c * I2, c * I1]
+        return Derivatives(value, np.stack(first, -1), np.stack(second, -1))
+
+    def vol(self, J: Array) -> tuple[Array, Array, Array]:
+        return -0.4 * np.log(J), -0.4 / J, 0.4 / J**2
+
+
+KERNELS: dict[str, Law] = {**GEL, "mixed": Mixed()}
+
+
+def hex_of(law: Law) -> tuple[Elastic, Array]:
+    """A distorted hex and a strained state of it, turned."""
+    points, conn = distorted()
+    stretched = points @ np.diag([1.3, 0.8, 1.1]) + np.random.default_rng(5).uniform(-0.1, 0.1, points.shape)
+    return Elastic.on(whole(conn, 8), hexes(points, conn), law), stretched @ turn(2).T
+
+
+def simplex(law: Law) -> Elastic:
+    """One linear tetrahedron whose corners 1..3 at x = F e_a have deformation gradient F and volume 1/6."""
+    conn = np.arange(4, dtype=np.int32)[None]
+    gradients = np.array([[[[-1.0, -1, -1], [1, 0, 0], [0, 1, 0], [0, 0, 1]]]])
+    elements = Elements(conn, gradients, np.array([[1 / 6]]), False, np.full((1, 4), 0.25))
+    return Elastic.on(whole(conn, 4), elements, law)
+
+
+def material_tangent(law: Law, F: Array, project: int) -> Array:
+    """dP/dF (9, 9) as the kernels make it, index 3 J + i."""
+    x = np.concatenate([np.zeros((1, 3)), F.T])
+    return dense(simplex(law), x, whole(np.arange(4)[None], 4), project)[3:, 3:] * 6
+
+
+def gradients_away_from_rest() -> list[Array]:
+    rng = np.random.default_rng(0)
+    return [turn(k) @ np.diag(rng.uniform(0.4, 1.8, 3)) @ turn(k + 50) for k in range(12)]
+
+
+def test_every_law_has_an_example_and_they_differ() -> None:
+    assert EXAMPLES.keys() == LAWS.keys()
+    assert all(type(EXAMPLES[name]) is LAWS[name] for name in LAWS)
+    far = np.diag([1.6, 0.7, 1.0])
+    energies = [simplex(law).value(np.concatenate([np.zeros((1, 3)), far])) for law in EXAMPLES.values()]
+    assert np.diff(sorted(energies)).min() > 1e-5
+
+
+@pytest.mark.parametrize("name", KERNELS)
+def test_derivatives_in_the_invariants(name: str) -> None:
+    law = KERNELS[name]
+    rng = np.random.default_rng(3)
+    for _ in range(5):
+        at = np.array([rng.uniform(2, 6), rng.uniform(2, 6), rng.uniform(0.5, 1.6)])
+        found = law.iso(*at)
+        first = slope(lambda p: law.iso(*p).value, at, 1e-6)
+        assert np.abs(first).max() > 1e-3
+        assert found.first == pytest.approx(first, rel=1e-7, abs=1e-9)
+        i, j = [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]
+        second = slope(lambda p: law.iso(*p).first, at, 1e-6)
+        assert np.abs(second).max() > 1e-3 or name == "stable_neo_hooke"  # linear in the invariants
+        assert found.second == pytest.approx(second[i, j], rel=1e-6, abs=1e-9)
+
+
+@pytest.mark.parametrize("name", KERNELS)
+def test_derivatives_of_the_volumetric_part(name: str) -> None:
+    law = KERNELS[name]
+    J = np.array([0.5, 0.9, 1.3])
+    _, first, second = law.vol(J)
+    assert np.abs(first).min() > 1e-3
+    assert first == pytest.approx((law.vol(J + 1e-6)[0] - law.vol(J - 1e-6)[0]) / 2e-6, rel=1e-7)
+    assert second == pytest.approx((law.vol(J + 1e-6)[1] - law.vol(J - 1e-6)[1]) / 2e-6, rel=1e-7)
+
+
+@pytest.mark.parametrize("name", GEL)
+def test_moduli_at_rest(name: str) -> None:
+    """No stress at rest; shear and bulk moduli are the ones asked for."""
+    x = np.concatenate([np.zeros((1, 3)), np.eye(3)])
+    assert simplex(GEL[name]).value(x) == pytest.approx(0, abs=1e-15)
+    assert simplex(GEL[name]).gradient(x) == pytest.approx(np.zeros((4, 3)), abs=1e-15)
+    D = material_tangent(GEL[name], np.eye(3), 0).reshape(3, 3, 3, 3)
+    mu, kappa = GEL[name].mu, GEL[name].kappa
+    assert (mu, kappa) == pytest.approx((0.05, 0.4))
+    assert D[0, 1, 0, 1] == pytest.approx(mu, rel=1e-9)
+    assert D[0, 0, 0, 0] == pytest.approx(kappa + 4 / 3 * mu, rel=1e-9)
+    assert D[0, 0, 1, 1] == pytest.approx(kappa - 2 / 3 * mu, rel=1e-9)
+
+
+@pytest.mark.parametrize("name", KERNELS)
+def test_nodal_forces_are_the_slope_of_the_energy(name: str) -> None:
+    potential, x = hex_of(KERNELS[name])
+    g = potential.gradient(x)
+    assert np.abs(g).max() > 1e-3
+    assert g.ravel() == pytest.approx(slope(potential.value, x, 1e-5), abs=1e-8 * np.abs(g).max())
+
+
+@pytest.mark.parametrize("name", KERNELS)
+def test_stiffness_is_the_slope_of_the_nodal_forces(name: str) -> None:
+    potential, x = hex_of(KERNELS[name])
+    stiffness = dense(potential, x, whole(np.arange(8)[None], 8))
+    size = np.abs(stiffness).max()
+    assert size > 1e-2
+    by_differences = slope(lambda y: potential.gradient(y).ravel(), x, 1e-5)
+    assert stiffness == pytest.approx(by_differences, abs=1e-7 * size)
+
+
+@pytest.mark.parametrize("name", KERNELS)
+def test_turned_inside_out_costs_without_end(name: str) -> None:
+    potential, x = hex_of(KERNELS[name])
+    assert np.isfinite(potential.value(x))
+    assert potential.value(x * [1, 1, -1]) == np.inf
+    flat = x.copy()
+    flat[:] = flat.mean(0)
+    assert potential.value(flat) == np.inf
+    one = x.copy()
+    one[6] = x[0] - (x[6] - x[0])  # a single corner pushed through the element
+    assert potential.value(one) == np.inf
+
+
+@pytest.mark.parametrize("name", KERNELS)
+def test_turning_the_body_turns_its_forces(name: str) -> None:
+    potential, x = hex_of(KERNELS[name])
+    R = turn(9)
+    assert potential.value(x @ R.T) == pytest.approx(potential.value(x), rel=1e-12)
+    g = potential.gradient(x)
+    assert potential.gradient(x @ R.T) == pytest.approx(g @ R.T, abs=1e-12 * np.abs(g).max())
+    assert g.sum(0) == pytest.approx(np.zeros(3), abs=1e-13)
+    assert np.cross(x, g).sum(0) == pytest.approx(np.zeros(3), abs=1e-13)
+
+
+@pytest.mark.parametrize("name", KERNELS)
+def test_projection_clamps_the_eigenvalues_of_the_exact_tangent(name: str) -> None:
+    clamped = 0
+    for F in gradients_away_from_rest():
+        exact = material_tangent(KERNELS[name], F, 0)
+        values, vectors = np.linalg.eigh(exact)
+        clamped += int((values < -1e-3 * values.max()).sum())
+        expected = (vectors * np.maximum(values, 0)) @ vectors.T
+        assert material_tangent(KERNELS[name], F, 2) == pytest.approx(expected, abs=1e-9 * values.max())
+    assert clamped >= 3
+
+
+@pytest.mark.parametrize("name", GEL)
+def test_half_projection_leaves_what_is_hardly_strained_exact(name: str) -> None:
+    law = GEL[name]
+    mild, strained = np.diag([1.02, 0.98, 0.99]), np.diag([1.5, 0.6, 1.1])
+    assert material_tangent(law, mild, 1) == pytest.approx(material_tangent(law, mild, 0), abs=1e-14)
+    assert material_tangent(law, strained, 1) == pytest.approx(material_tangent(law, strained, 2), abs=1e-14)
+
+
+@pytest.mark.parametrize("name", KERNELS)
+def test_projected_stiffness_of_a_hex_has_no_negative_eigenvalue(name: str) -> None:
+    potential, x = hex_of(KERNELS[name])
+    pat = whole(np.arange(8)[None], 8)
+    squeezed = x @ np.diag([1.5, 0.5, 0.9])
+    exact, projected = (np.linalg.eigvalsh(dense(potential, squeezed, pat, p)) for p in (0, 2))
+    assert exact.min() < -1e-6
+    assert projected.min() > -1e-10
+    assert projected.max() > 1e-2
+
+
+@pytest.mark.parametrize("name", KERNELS)
+def test_cauchy_stress_gives_the_nodal_forces_back(name: str) -> None:
+    """f_a = sum over points of sigma grad(N_a) dv, with gradients in the deformed body."""
+    potential, x = hex_of(KERNELS[name])
+    sigma, volume = potential.cauchy(x)
+    e = potential.elements
+    F = potential.at(x).F
+    now = np.einsum("eqaJ,eqJi->eqai", e.gradients, np.linalg.inv(F))
+    forces = np.einsum("eq,eqij,eqaj->eai", volume, sigma, now)[0]
+    assert sigma == pytest.approx(sigma.swapaxes(-1, -2), abs=1e-15)
+    assert forces == pytest.approx(potential.gradient(x), abs=1e-13)
+    assert volume.sum() == pytest.approx((e.weights * np.linalg.det(F)).sum(), rel=1e-12)
