@@ -1,4 +1,4 @@
-"""Gel + contact footprint -> Mesh: a tensor grid of hexes, fine where the scene can touch and growing away from there."""
+"""Gel + contact footprint -> Mesh: a tensor grid of hexes, fine where the scene can touch and growing away."""
 
 from dataclasses import dataclass
 
@@ -24,11 +24,13 @@ class Mesh:
 
 
 def graded(start: float, end: float, fine: tuple[float, float], edge: float, growth: float, coarsest: float) -> Array:
-    """Coordinates from start to end: at most `edge` apart inside `fine`, each next interval up to `growth` times longer.
+    """Coordinates from start to end: at most `edge` apart inside `fine`, the next ones up to `growth` times as long.
 
-    The ends are met exactly by shrinking the intervals on each side a little together.
+    The ends are met exactly by shrinking the intervals on each side a little together; a fine part that ends within
+    half an edge of an end is drawn out to it, so that no sliver is left between them.
     """
     low, high = max(start, fine[0]), min(end, fine[1])
+    low, high = start if low < start + edge / 2 else low, end if high > end - edge / 2 else high
     middle = np.linspace(low, high, max(1, int(np.ceil((high - low) / edge - 1e-9))) + 1)
     if high <= low:
         middle = np.array([np.clip(low, start, end)])
@@ -69,7 +71,7 @@ def build(
 
     Args:
         footprint: x0, x1, y0, y1 [mm] of all that the trajectory can touch; its cells are `edge` wide.
-        edge: target edge under the contact [mm]. growth: ratio of neighbouring edges outside. coarsest: edge far away [mm].
+        edge: target edge under the contact [mm]. growth: ratio of neighbouring edges outside. coarsest: far away [mm].
     """
     x0, x1, y0, y1 = footprint
     xs = graded(-gel.width / 2, gel.width / 2, (x0, x1), edge, growth, coarsest)
