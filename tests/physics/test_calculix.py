@@ -1,0 +1,116 @@
+"""Whole presses of the Mini's pad against CalculiX 2.20 with quadratic hexes, through recipe, plan, scene, mesh, solve.
+
+Sphere of 4 mm, 1 mm deep, E = 0.15 MPa, nu = 0.48: 1.000 +- .003 N without friction and 1.087 +- .012 N at 0.6.
+Sphere of 3 mm, 0.8 mm deep, E = 0.1 MPa, nu = 0.49: 0.3465 N.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tacgen import fields, load, mesh, plan, solve
+from tacgen import scene as stage
+from tacgen.optics.layers import Camera
+
+from .presses import Run
+
+Array = np.ndarray
+RECIPE = """\
+tacgen: 1
+name: calculix
+sensor: gelsight_mini
+sensor_overrides: {"gel.layers[0].youngs_modulus_mpa": 0.15, "gel.layers[0].poissons_ratio": 0.48}
+indenter: {shape: sphere, radius_mm: 4.0}
+trajectory: [{press: {depth_mm: 1.0, frames: 1}}]
+outputs: [force, traction]
+"""
+SMALLER = (
+    "indenter.radius_mm=3",
+    "trajectory[0].press.depth_mm=0.8",
+    "sensor.gel.layers[0].youngs_modulus_mpa=0.1",
+    "sensor.gel.layers[0].poissons_ratio=0.49",
+)
+
+
+def resolved(folder: Path, sets: tuple[str, ...] = ()) -> plan.Row:
+    path = folder / "calculix.yaml"
+    path.write_text(RECIPE)
+    found = load.read(path, sets)
+    return plan.expand(found.recipe, found.sensor, loaded=found).rows[0]
+
+
+def solved(row: plan.Row, shift: tuple[float, float] = (0.0, 0.0)) -> Run:
+    """The row's frames; `shift` moves the mesh under the indenter, in parts of an edge."""
+    made = stage.build(row)
+    dx, dy = (made.edge * s for s in shift)
+    x0, x1, y0, y1 = solve.footprint(made)
+    problem = solve.Problem.of(made, mesh.build(made.gel, (x0 + dx, x1 + dx, y0 + dy, y1 + dy), made.edge))
+    return Run(made, problem, list(solve.states(made, problem)))
+
+
+@pytest.fixture(scope="module")
+def row(tmp_path_factory: pytest.TempPathFactory) -> plan.Row:
+    return resolved(tmp_path_factory.mktemp("calculix"))
+
+
+@pytest.fixture(scope="module")
+def press(row: plan.Row) -> Run:
+    return solved(row)
+
+
+@pytest.fixture(scope="module")
+def maps(row: plan.Row, press: Run) -> fields.Maps:
+    surface = fields.Surface(press.problem.mesh.points, press.problem.mesh.facets["coated"])
+    state = press.states[-1]
+    return fields.maps(press.problem, surface.moved(state.x), state, Camera.from_sensor(row.sensor))
+
+
+def test_force_wherever_the_sphere_sits_in_a_cell(row: plan.Row, press: Run) -> None:
+    found = [-press.forces[-1, 2]] + [-solved(row, shift).forces[-1, 2] for shift in ((0.5, 0.0), (0.3, 0.5))]
+    assert found == pytest.approx([1.0] * 3, abs=0.015)
+    assert np.ptp(found) < 0.005
+
+
+def test_force_with_friction(tmp_path: Path) -> None:
+    row = resolved(tmp_path, ("trajectory[0].press.frames=5", "contact.friction=0.6"))
+    forces = solved(row).forces
+    assert -forces[-1, 2] == pytest.approx(1.087, rel=0.015)
+    assert np.abs(forces[-1, :2]).max() < 2e-3
+    assert (np.diff(-forces[:, 2], prepend=0) > 0).all()
+
+
+def test_force_of_a_smaller_sphere_on_a_softer_gel(tmp_path: Path) -> None:
+    assert -solved(resolved(tmp_path, SMALLER)).forces[-1, 2] == pytest.approx(0.3465, rel=0.015)
+
+
+def test_contact_radius(maps: fields.Maps) -> None:
+    assert np.sqrt((maps.area * maps.contact).sum() / np.pi) == pytest.approx(2.32, rel=0.03)
+
+
+def test_peak_pressure(maps: fields.Maps) -> None:
+    assert maps.pressure.max() == pytest.approx(0.0874, rel=0.03)
+
+
+def test_the_dimple(press: Run) -> None:
+    """u_z of the coated face over the distance at rest from the axis, along both axes."""
+    surface = fields.Surface(press.problem.mesh.points, press.problem.mesh.facets["coated"]).moved(press.states[-1].x)
+    expected = [-0.9995, -0.8459, -0.4074, -0.0529, 0.0217, 0.0345, 0.0291]
+    for direction in ([1, 0], [-1, 0], [0, 1], [0, -1], [0.6, 0.8]):
+        assert surface.at(np.outer(np.arange(7), direction))[:, 2] == pytest.approx(expected, abs=0.03)
+
+
+def test_one_force_three_ways(press: Run, maps: fields.Maps) -> None:
+    """What the indenter gives, what the traction map sums up to, and what the base takes."""
+    problem, state = press.problem, press.states[-1]
+    force = press.forces[-1]
+    mapped = (maps.stress * maps.area[..., None]).sum((0, 1))
+    inner = sum(e.gradient(state.x) for e in problem.elastic)
+    base = np.asarray(inner)[np.unique(problem.mesh.facets["bonded"])].sum(0)
+    size = np.linalg.norm(force)
+    assert np.linalg.norm(mapped - force) < 1e-3 * size
+    assert np.linalg.norm(base + force) < 1e-3 * size
+    assert state.balance < 1e-3
+    assert state.residual < 1e-3
+    assert state.min_gap > 0
+    assert state.mean_gap == pytest.approx(state.offset, abs=1e-3)

@@ -1,0 +1,136 @@
+"""The element: patch test, order of convergence, a closed form at finite strain."""
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from tacgen.fem.assembly import Pattern, pattern
+from tacgen.fem.elements import HEX_CORNERS, hexes
+from tacgen.fem.linear import Cholmod
+from tacgen.fem.materials import EXAMPLES, Law, NeoHooke
+from tacgen.fem.newton import Solution, Status, minimise
+from tacgen.fem.potentials import Elastic, Potential, Total
+
+Array = np.ndarray
+LAW = NeoHooke(0.05, 0.6)
+
+
+def block(n: int, shake: float = 0.0) -> tuple[Array, Array]:
+    """Points and hexes of a unit cube, n a side; nodes inside are moved by up to shake/n each way."""
+    ticks = np.linspace(0, 1, n + 1)
+    points = np.stack(np.meshgrid(ticks, ticks, ticks, indexing="ij"), -1).reshape(-1, 3)
+    number = np.arange(len(points)).reshape(n + 1, n + 1, n + 1)
+    corners = ((HEX_CORNERS + 1) / 2).astype(int)
+    cells = np.stack([number[a : a + n, b : b + n, c : c + n] for a, b, c in corners], -1).reshape(-1, 8)
+    inner = np.all((points > 1e-9) & (points < 1 - 1e-9), axis=1)
+    return points + inner[:, None] * np.random.default_rng(0).uniform(-1, 1, points.shape) * shake / n, cells
+
+
+def inside(points: Array) -> Array:
+    """Free dofs (n, 3): none on the cube's faces."""
+    free = np.all((points > 1e-9) & (points < 1 - 1e-9), axis=1)
+    return np.repeat(free[:, None], 3, 1)
+
+
+def solve(potential: Potential, x: Array, pat: Pattern) -> Solution:
+    found = minimise(potential, x, pat, Cholmod(pat), xtol=1e-11)
+    assert found.status is Status.converged
+    return found
+
+
+@pytest.mark.parametrize("law", EXAMPLES.values(), ids=list(EXAMPLES))
+def test_a_linear_displacement_gives_a_uniform_stress_on_any_mesh(law: Law) -> None:
+    points, cells = block(3, 0.3)
+    F = np.array([[1.2, 0.3, 0.0], [-0.1, 0.9, 0.2], [0.1, 0.0, 1.1]])
+    free = inside(points)
+    pat = pattern([cells], free)
+    body = Elastic.on(pat, hexes(points, cells), law)
+    exact = points @ F.T
+    found = solve(body, np.where(free, exact + 0.02 * np.sin(7 * points), exact), pat)
+    assert found.x == pytest.approx(exact, abs=1e-10)
+    sigma = body.cauchy(found.x)[0].reshape(-1, 3, 3)
+    assert np.abs(sigma[0]).max() > 0.01
+    assert np.ptp(sigma, axis=0) == pytest.approx(np.zeros((3, 3)), abs=1e-10)
+
+
+class Load:
+    """Dead nodal forces (n, 3) [N]."""
+
+    def __init__(self, force: Array) -> None:
+        self.force = force
+
+    def value(self, x: Array) -> float:
+        return -float((self.force * x).sum())
+
+    def gradient(self, x: Array) -> Array:
+        return -self.force
+
+    def add_hessian(self, x: Array, data: Array, project: int) -> None:
+        pass
+
+    def max_step(self, x: Array, p: Array) -> float:
+        return 1.0
+
+
+def u(X: Array) -> Array:
+    """A smooth displacement, amplitude .08."""
+    x, y, z = np.moveaxis(X, -1, 0)
+    parts = [np.sin(2 * x + y) * np.cos(z), np.cos(x - 2 * z) * y, np.sin(x * y) + np.cos(2 * z + x)]
+    return 0.08 * np.stack(parts, -1)
+
+
+def displacement_error(n: int) -> float:
+    """L2 error on n^3 hexes. The load is the weak form of the exact stress, so Div P never has to be derived."""
+    points, cells = block(n)
+    free = inside(points)
+    pat = pattern([cells], free)
+    e = hexes(points, cells)
+    body = Elastic.on(pat, e, LAW)
+    at = np.einsum("qa,eai->eqi", e.shape, points[cells])
+    h = 1e-6
+    slopes = [(u(at + h * axis) - u(at - h * axis)) / (2 * h) for axis in np.eye(3)]
+    F = np.eye(3) + np.stack(slopes, -1)
+    J, G = np.linalg.det(F), np.linalg.inv(F).swapaxes(-1, -2)
+    I1 = (F**2).sum((-1, -2))
+    J_, I1_ = J[..., None, None], I1[..., None, None]
+    P = LAW.mu * J_ ** (-2 / 3) * (F - I1_ / 3 * G) + LAW.kappa / 2 * (J_**2 - 1) * G
+    force = np.zeros_like(points)
+    np.add.at(force, cells, np.einsum("eq,eqiJ,eqaJ->eai", e.weights, P, e.gradients))
+    exact = points + u(points)
+    found = solve(Total((body, Load(force))), exact, pat)
+    off = np.einsum("qa,eai->eqi", e.shape, (found.x - points)[cells]) - u(at)
+    return float(np.sqrt((e.weights * (off**2).sum(-1)).sum()))
+
+
+def test_displacements_converge_at_second_order() -> None:
+    n = np.array([4, 6, 9, 13])
+    errors = [displacement_error(k) for k in n]
+    rate = -np.polyfit(np.log(n), np.log(errors), 1)[0]
+    assert rate == pytest.approx(2.0, abs=0.2), errors  # too fast is a bug as well
+
+
+@pytest.mark.parametrize("nu", [0.3, 0.48, 0.4999])
+def test_uniaxial_tension_follows_the_closed_form(nu: float) -> None:
+    """sigma = mu J^(-5/3) (l^2 - t^2) with the transverse stretch t from vanishing transverse stress."""
+    E, stretch = 0.15, 1.5
+    law = NeoHooke(E / (2 * (1 + nu)), E / (3 * (1 - 2 * nu)))
+    points, cells = block(2, 0.2)
+    free = points > 1e-9  # each lower face slides in its plane
+    free[points[:, 2] > 1 - 1e-9, 2] = False
+    pat = pattern([cells], free)
+    body = Elastic.on(pat, hexes(points, cells), law)
+    x = points.copy()
+    x[points[:, 2] > 1 - 1e-9, 2] = stretch
+    found = solve(body, x, pat)
+
+    def transverse(t: float) -> float:
+        J, I1 = stretch * t**2, stretch**2 + 2 * t**2
+        return float(law.mu * J ** (-5 / 3) * (t**2 - I1 / 3) + law.kappa / 2 * (J - 1 / J))
+
+    t = brentq(transverse, 0.5, 1.2, xtol=1e-15)
+    expected = law.mu * (stretch * t**2) ** (-5 / 3) * (stretch**2 - t**2) * t**2
+    force = body.gradient(found.x)[points[:, 2] > 1 - 1e-9, 2].sum()
+    assert force == pytest.approx(expected, rel=1e-8)
+    assert np.ptp(found.x[:, 0]) == pytest.approx(t, abs=1e-8)
+    if nu == 0.4999:  # as good as incompressible
+        assert force == pytest.approx(law.mu * (stretch - stretch**-2), rel=1e-3)
