@@ -122,10 +122,9 @@ def test_the_footprint_covers_all_that_is_touched_and_little_more() -> None:
     s = scene(Sphere(3.0), path, pad=gel(20, 20, 3))
     x0, x1, y0, y1 = solve.footprint(s)
     rim = np.sqrt(3.0**2 - 2.5**2)
-    assert [x0, y0] == pytest.approx([-2 - rim - s.edge, -1 - rim - s.edge], abs=0.6 * s.edge)
-    assert [x1, y1] == pytest.approx([2 + rim + s.edge, 0.5 + rim + s.edge], abs=0.6 * s.edge)
-    assert x0 < -2 - rim < 2 + rim < x1
-    assert y0 < -1 - rim < 0.5 + rim < y1
+    margin = np.array([-2 - rim - x0, x1 - 2 - rim, -1 - rim - y0, y1 - 0.5 - rim])
+    assert margin.min() > 0
+    assert margin.max() < 1.5 * s.edge
 
 
 def test_what_is_touched_lies_within_the_footprint() -> None:
@@ -145,7 +144,9 @@ def test_what_is_touched_lies_within_the_footprint() -> None:
 def test_an_indenter_that_never_touches_has_a_footprint_and_no_force() -> None:
     s = scene(Sphere(2.0), poses([(1.0, 0, 0.5), (1.0, 0, 0.2)]), pad=gel(8, 8, 2), friction=0.5)
     x0, x1, y0, y1 = solve.footprint(s)
-    assert (x1 - x0, y1 - y0) == pytest.approx((2 * s.edge, 2 * s.edge))
+    assert x0 < 1.0 < x1
+    assert y0 < 0.0 < y1
+    assert max(x1 - x0, y1 - y0) < 2.5 * s.edge
     found = run(s)
     assert np.abs(found.forces).max() == 0
     for state in found.states:
