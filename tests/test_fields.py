@@ -140,7 +140,7 @@ def test_the_height_of_a_dent_follows_the_ball(
     pressed: Run, surface: fields.Surface, maps: list[fields.Maps], mini: Sensor, camera: Camera
 ) -> None:
     z = fields.height(Sheet.over(mini.gel, 0.1), surface.moved(pressed.states[PRESSED].x), camera)
-    assert z.min() == pytest.approx(-0.8, abs=0.02)
+    assert z.min() == pytest.approx(-0.8, abs=0.03)
     assert 0 < z.max() < 0.1  # the rim bulges
     rows, columns = np.nonzero(maps[PRESSED].contact)
     origins, rays = camera.rays(np.column_stack([columns, rows]) + 0.5)
