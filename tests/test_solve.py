@@ -73,13 +73,13 @@ def test_a_point_inside_the_indenter_is_refused(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_substeps_are_taken_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Newton is made to refuse any advance of more than .15 mm: the first .2 mm need two, the next .2 mm again."""
+    """Newton is made to refuse any advance of more than .09 mm: .2 mm need four, and .3 mm too."""
     true, depths = solve._advance, [0.0]
 
     def careful(
         problem: Problem, memory: solve._Memory, matrix: np.ndarray, index: int
     ) -> tuple[solve._Memory, solve.State]:
-        if np.linalg.norm(matrix[:3, 3] - memory.pose.position) > 0.15:
+        if np.linalg.norm(matrix[:3, 3] - memory.pose.position) > 0.09:
             raise NotConverged("too far")
         depths.append(matrix[2, 3])
         return true(problem, memory, matrix, index)
@@ -88,8 +88,8 @@ def test_substeps_are_taken_and_counted(monkeypatch: pytest.MonkeyPatch) -> None
     direct = list(states(s, problem))
     monkeypatch.setattr(solve, "_advance", careful)
     found = list(states(s, problem))
-    assert [state.substeps for state in found] == [2, 2, 2]
-    assert depths == pytest.approx([0, -0.1, -0.2, -0.3, -0.4, -0.4, -0.4])
+    assert [state.substeps for state in found] == [4, 4, 4]
+    assert depths == pytest.approx([*(-0.05 * k for k in range(9)), *[-0.4] * 4])
     assert [state.index for state in found] == [0, 1, 2]
     assert (found[1].pose == s.poses[1]).all()
     for a, b in zip(direct, found, strict=True):
