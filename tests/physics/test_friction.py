@@ -122,3 +122,20 @@ def test_frames_hardly_matter() -> None:
         return float(F[0] / -F[2])
 
     assert ratio(3) == pytest.approx(ratio(9), rel=0.02)
+
+
+def test_a_twist_turns_the_gel_along_until_all_slips() -> None:
+    """Turned about +z the ball drags the gel the same way round; in the end its moment is that of full slip."""
+    path = np.concatenate([poses([(0, 0, -0.5)], yaw=np.radians(a)) for a in (0, 2, 8, 20, 40)])
+    found = run(scene(Sphere(3.0), path, friction=COEFFICIENT), (-2.4, 2.4, -2.4, 2.4))
+    moment, full = [], []
+    for state, force in zip(found.states, found.forces, strict=True):
+        at = found.problem.contact.faces.at(state.x)
+        assert state.friction is not None
+        moment.append(np.cross(at, state.friction)[..., 2].sum())
+        full.append(COEFFICIENT * (state.normal_force * np.hypot(at[..., 0], at[..., 1])).sum())
+        assert np.abs(force[:2]).max() < 5e-3 * -force[2]
+    assert abs(moment[0]) < 1e-3 * full[0]
+    assert 0.05 * full[1] < moment[1] < 0.8 * full[1]
+    assert moment[1] < moment[2] < moment[3]
+    assert 0.97 * full[4] < moment[4] <= 1.002 * full[4]
