@@ -94,10 +94,28 @@ class Torus(Part):
         return _smaller(value, info.data.get("radius_mm"), "radius_mm", equal=False)
 
 
-Indenter = Annotated[Sphere | Cylinder | Cone | Box | Wedge | Capsule | Torus, Field(discriminator="shape")]
+class Mesh(Part):
+    """A closed triangle mesh (STL, OBJ, PLY), its lowest point at the gel and its middle over it."""
+
+    shape: Literal["mesh"]
+    file: Annotated[str, Field(min_length=1)]  # an object's name, or a path that starts at the recipe's folder
+    up: Literal["+x", "-x", "+y", "-y", "+z", "-z"] = "+z"  # which axis of the file points away from the gel
+    scale: Positive = 1.0  # mm per unit of the file
+    size_mm: Positive | None = None  # instead of scale: the longest side
+    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = None  # the file must be this one; bundles say it
+
+    @field_validator("size_mm")
+    @classmethod
+    def _alone(cls, value: float | None, info: ValidationInfo) -> float | None:
+        if value is not None and info.data.get("scale", 1.0) != 1.0:
+            raise ValueError("cannot be given beside scale")
+        return value
+
+
+Indenter = Annotated[Sphere | Cylinder | Cone | Box | Wedge | Capsule | Torus | Mesh, Field(discriminator="shape")]
 SHAPES: dict[str, type[Part]] = {
     kind.model_fields["shape"].annotation.__args__[0]: kind  # type: ignore[union-attr]
-    for kind in (Sphere, Cylinder, Cone, Box, Wedge, Capsule, Torus)
+    for kind in (Sphere, Cylinder, Cone, Box, Wedge, Capsule, Torus, Mesh)
 }
 
 

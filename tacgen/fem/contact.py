@@ -118,7 +118,8 @@ class Contact:
     def pressure(self, x: Array) -> tuple[Array, Array, Array]:
         """Force of each quadrature point on the indenter (f, q) [N], normals (f, q, 3) and gaps (f, q) [mm]."""
         d, n, _ = self.gaps(x)
-        return -self.kappa * self.faces.areas * barrier(d, self.dhat)[1], n, d
+        slope = np.maximum(np.linalg.norm(n, axis=2), 1e-12)  # 1, but for a distance that is interpolated
+        return -self.kappa * self.faces.areas * barrier(d, self.dhat)[1] * slope, n / slope[..., None], d
 
     def value(self, x: Array) -> float:
         d, _, _ = self.gaps(x)
