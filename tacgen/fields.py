@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from tacgen.optics.sheet import Sheet
 
 Array = np.ndarray
+RIM = 0.4  # share of points in contact at the rim of the contact map: less than half, for the rim passes outside of them
 VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))  # xx yy zz yz xz xy
 
 
@@ -151,17 +152,18 @@ def maps(problem: Problem, surface: Surface, state: State, camera: "Camera") -> 
     whole = spread(state.traction_force)
     tangential = np.zeros((*shape, 2)) if state.friction is None else spread(state.friction[..., :2])
 
-    contact, slip = np.zeros(shape, bool), np.zeros(shape, bool)
-    place = np.einsum("pk,pkc->pc", share, surface.now[nodes])
-    moved = problem.contact.moved(type(problem.contact.pose).of(state.pose), state.offset)
-    local = moved.pose.local(place)
-    # the barrier's force fades out over its range: the rim is put three quarters of the way to its end
-    rim = moved.dhat - (moved.dhat - state.mean_gap) / 4
-    contact[seen] = (moved.shape.distance(local)[0] + state.offset < rim) & (pressure[seen] > 0)
-    if state.sliding is not None:
-        touching = np.maximum((state.normal_force > 0).sum(1), 1)
-        sliding = state.sliding.sum(1) > touching / 2
-        slip[seen] = sliding[t % len(surface.quads)] & contact[seen]
+    faces = problem.contact.faces
+    whole_face = faces.scatter(faces.areas[..., None], len(state.x))[surface.nodes, 0]
+
+    def mostly(points: Array, level: float) -> Array:
+        """Pixels where the share of the face around that `points` (f, q) bool make up reaches `level`."""
+        part = faces.scatter((faces.areas * points)[..., None], len(state.x))[surface.nodes, 0] / whole_face
+        out = np.zeros(shape, bool)
+        out[seen] = (share * part[nodes]).sum(1) >= level
+        return out
+
+    contact = mostly(state.normal_force > 0, RIM)
+    slip = np.zeros(shape, bool) if state.sliding is None else contact & mostly(state.sliding, RIM / 2)
     return Maps(pressure, tangential, contact, slip, area, whole)
 
 

@@ -65,7 +65,7 @@ def heights(gel: Gel, edge: float, growth: float, coarsest: float) -> tuple[Arra
 
 
 def build(
-    gel: Gel, footprint: tuple[float, float, float, float], edge: float, *, growth: float = 1.5, coarsest: float = 3.0
+    gel: Gel, footprint: tuple[float, float, float, float], edge: float, *, growth: float = 1.7, coarsest: float = 4.0
 ) -> Mesh:
     """Graded hexes for a gel with a flat base and face.
 
@@ -76,7 +76,7 @@ def build(
     x0, x1, y0, y1 = footprint
     xs = graded(-gel.width / 2, gel.width / 2, (x0, x1), edge, growth, coarsest)
     ys = graded(-gel.height / 2, gel.height / 2, (y0, y1), edge, growth, coarsest)
-    zs, layer = heights(gel, edge, 1.3, min(coarsest, 1.0))
+    zs, layer = heights(gel, 1.1 * edge, 1.1, coarsest / 2)
     shape = len(xs), len(ys), len(zs)
     points = np.stack(np.meshgrid(xs, ys, zs, indexing="ij"), -1).reshape(-1, 3)
     number = np.arange(len(points)).reshape(shape)

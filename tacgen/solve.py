@@ -35,7 +35,7 @@ class NotConverged(ArithmeticError):
 
 
 def footprint(scene: Scene) -> tuple[float, float, float, float]:
-    """x0, x1, y0, y1 [mm] of all of the untouched face that the indenter overlaps anywhere on its path, and one edge more.
+    """x0, x1, y0, y1 [mm] of all of the untouched face that the indenter overlaps anywhere on its path, and half an edge more.
 
     A rigid body cuts a wider patch out of the untouched face than it touches of a soft one, so this is on the safe side.
     """
@@ -48,7 +48,7 @@ def footprint(scene: Scene) -> tuple[float, float, float, float]:
         rest = ~touched
         touched[rest] = scene.shape.distance(Pose.of(matrix).local(face[rest]))[0] < 0
     where = grid[touched] if touched.any() else scene.start[None, :2, 3]
-    low, high = where.min(0) - scene.edge, where.max(0) + scene.edge
+    low, high = where.min(0) - scene.edge / 2, where.max(0) + scene.edge / 2
     return float(low[0]), float(high[0]), float(low[1]), float(high[1])
 
 
@@ -145,6 +145,7 @@ class _Lagged:
     def __init__(self, problem: Problem, memory: _Memory, pose: Pose) -> None:
         self.problem, self.memory = problem, memory
         self.contact = problem.contact.moved(pose, memory.offset)
+        self.contact_force = 0.0
         self.friction = None
         if problem.friction > 0:  # lagged from the last pose, turned with the indenter
             normal, anchor = memory.normal @ pose.rotation.T, pose.world(memory.anchor)
@@ -162,7 +163,8 @@ class _Lagged:
         """Take gap and normal forces from x if they are off by more than the tolerances."""
         force, normal, _ = self.contact.pressure(x)
         gap = mean_gap(self.contact, x)
-        scale = max(float(force.sum()), self.memory.scale)
+        self.contact_force = float(force.sum())
+        scale = max(self.contact_force, self.memory.scale)
         lag = 0.0 if self.friction is None else float(np.abs(force - self.friction.normal_force).sum())
         if scale == 0 or (abs(gap - self.contact.offset) <= XTOL and lag <= LAG * scale):
             return None
@@ -171,6 +173,11 @@ class _Lagged:
             self.friction = replace(self.friction, normal_force=force, normal=normal, anchor=anchor)
         self.contact = self.contact.moved(self.contact.pose, gap)
         return self.total
+
+    def negligible(self, g: Array) -> bool:
+        """Whether a gradient (n, 3) is a tenth of what a frame may leave unbalanced."""
+        force = max(self.contact_force, self.memory.scale)
+        return float(np.linalg.norm(g.ravel()[self.problem.pattern.free])) <= RESIDUAL / 10 * force
 
     def _anchors(self) -> Array:
         """Anchors in the indenter's frame; a point new to the contact gets one where it will have touched."""
@@ -206,8 +213,9 @@ def _advance(problem: Problem, memory: _Memory, matrix: Array, index: int) -> tu
     expect, iterations = np.inf, 0
     for xtol in (XTOL, XTOL / 30, XTOL / 900):
         found = minimise(
-            lagged.total, x, problem.pattern, problem.linear, xtol=xtol, expect=expect, refresh=lagged.refresh
-        )
+            lagged.total, x, problem.pattern, problem.linear, xtol=xtol, expect=expect,
+            refresh=lagged.refresh, negligible=lagged.negligible,
+        )  # fmt: skip
         x, expect, iterations = found.x, xtol, iterations + len(found.steps)
         if found.status != Status.converged:
             raise NotConverged(f"Newton {found.status} after {iterations} iterations")

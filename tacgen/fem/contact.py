@@ -4,13 +4,14 @@ Li et al. (2020), "Incremental Potential Contact", clamped barrier; scaled to a 
 (2023), "Convergent IPC", and weighted by area, so that kappa [MPa] does not depend on the mesh.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from tacgen.fem import assembly
 from tacgen.fem.assembly import Pattern
 from tacgen.fem.elements import quad_areas, quad_points
+from tacgen.fem.last import Last
 from tacgen.fem.shapes import Shape
 
 Array = np.ndarray
@@ -103,12 +104,17 @@ class Contact:
     dhat: float  # [mm]
     kappa: float  # [MPa]
     offset: float = 0.0  # [mm]
+    _last: Last = field(default_factory=Last, init=False, compare=False, repr=False)
 
     def moved(self, pose: Pose, offset: float) -> "Contact":
         return replace(self, pose=pose, offset=offset)
 
     def gaps(self, x: Array) -> tuple[Array, Array, Array]:
         """Gap to the shrunk indenter (f, q) [mm], normal (f, q, 3) and Hessian (f, q, 3, 3), in the sensor frame."""
+        found: tuple[Array, Array, Array] = self._last.of(x, self._measure)
+        return found
+
+    def _measure(self, x: Array) -> tuple[Array, Array, Array]:
         at = self.faces.at(x)
         R = self.pose.rotation
         d, n, H = self.shape.distance(self.pose.local(at).reshape(-1, 3))

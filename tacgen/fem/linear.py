@@ -135,7 +135,7 @@ class Stale:
     factor are cheaper than a new one.
     """
 
-    def __init__(self, inner: Solver, pattern: Pattern, rtol: float = 1e-3, most: int = 12) -> None:
+    def __init__(self, inner: Solver, pattern: Pattern, rtol: float = 0.1, most: int = 6) -> None:
         n = pattern.size
         self.name, self._inner, self._rtol, self._most = inner.name, inner, rtol, most
         self._upper = sp.csr_matrix((np.ones(len(pattern.indices)), pattern.indices, pattern.indptr), shape=(n, n))

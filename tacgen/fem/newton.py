@@ -64,15 +64,16 @@ def direction(
 
 def backtrack(
     value: Callable[[Array], float], x: Array, p: Array, energy: float, slope: float, fraction: float
-) -> tuple[float, float]:
-    """Fraction of p by Armijo's rule and the energy there; 0 where none down to SHORTEST lowers the energy."""
+) -> tuple[float, Array, float]:
+    """Fraction of p by Armijo's rule, where it leads and the energy there; 0 where none down to SHORTEST lowers it."""
     noise = 1e-13 * abs(energy)
     while fraction > SHORTEST:
-        new = value(x + fraction * p)
+        there = x + fraction * p
+        new = value(there)
         if new <= energy + ARMIJO * fraction * slope + noise:
-            return fraction, new
+            return fraction, there, new
         fraction /= 2
-    return 0.0, energy
+    return 0.0, x, energy
 
 
 def minimise(
@@ -84,6 +85,7 @@ def minimise(
     xtol: float,
     expect: float = np.inf,
     refresh: Callable[[Array], Potential | None] = lambda x: None,
+    negligible: Callable[[Array], bool] = lambda g: False,
     near: float = NEAR,
     max_steps: int = 80,
 ) -> Solution:
@@ -94,13 +96,18 @@ def minimise(
         expect: how far the start may be from the answer [mm].
         refresh: asked after each full step shorter than `near` for the potential to go on with, where it depends on the
             answer (lagged quantities); None if it may stay as it is, which is needed to end.
+        negligible: whether a gradient (n, 3) is too small to matter; after a full step of at most 10 xtol that ends it too,
+            since the step it would lead to is shorter still.
         near: steps longer than this [mm] use the projected stiffness.
     """
     steps: list[Step] = []
     length = expect
     energy = potential.value(x)
+    settled = False  # the last step was short and changed nothing that is lagged
     while len(steps) < max_steps:
         g = potential.gradient(x)
+        if settled and negligible(g):
+            return Solution(x, Status.converged, tuple(steps))
         try:
             p, projected = direction(potential, x, g, pattern, solver, exact=length <= near)
         except NotPositiveDefinite:
@@ -110,16 +117,17 @@ def minimise(
             return Solution(x, Status.nonfinite, tuple(steps))
         limit = potential.max_step(x, p)
         before = energy
-        fraction, energy = backtrack(potential.value, x, p, energy, float((g * p).sum()), limit)
+        fraction, x, energy = backtrack(potential.value, x, p, energy, float((g * p).sum()), limit)
         if fraction == 0.0:
             # at rounding level a step may fail to lower the energy though it is as short as asked for
             return Solution(x, Status.converged if length <= xtol else Status.stalled, tuple(steps))
-        x = x + fraction * p
         steps.append(Step(before, length, fraction, projected))
+        settled = False
         if length <= near and fraction == 1.0:
             fresh = refresh(x)
             if fresh is None and length <= xtol:
                 return Solution(x, Status.converged, tuple(steps))
             if fresh is not None:
                 potential, energy = fresh, fresh.value(x)
+            settled = fresh is None and length <= 10 * xtol
     return Solution(x, Status.out_of_steps, tuple(steps))

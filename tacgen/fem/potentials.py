@@ -1,6 +1,6 @@
 """Everything that resists the press is a Potential; their sum is one too. Elasticity is the first."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -8,7 +8,8 @@ import numpy as np
 from tacgen.fem import assembly
 from tacgen.fem.assembly import Pattern
 from tacgen.fem.elements import Elements
-from tacgen.fem.materials import Derivatives, Law
+from tacgen.fem.last import Last
+from tacgen.fem.materials import Law
 
 Array = np.ndarray
 
@@ -56,13 +57,12 @@ class Total:
 
 @dataclass(frozen=True)
 class Point:
-    """The law at the integration points: F (e, q, 3, 3), J (e, q), mean J (e,), pressure-like U' and stiffness U''."""
+    """The law at the integration points: F (e, q, 3, 3), I1 and J (e, q), and its derivatives in the invariants."""
 
     F: Array
     I1: Array
     J: Array
-    energy: Array  # per element [N mm]
-    iso: Derivatives
+    energy: float  # [N mm], +inf where an element is turned inside out
     first: Array  # (e, q, 3), U' included
     second: Array  # (e, q, 6), U'' included unless the dilatation is the element's mean
     dilatation: Array  # (e,) U''(theta)/volume, 0 without mean dilatation
@@ -75,39 +75,41 @@ class Elastic:
     elements: Elements
     law: Law
     slots: Array
+    _last: Last = field(default_factory=Last, init=False, compare=False, repr=False)
 
     @classmethod
     def on(cls, pattern: Pattern, elements: Elements, law: Law) -> "Elastic":
         return cls(elements, law, pattern.slots(elements.conn))
 
-    def _admissible(self, x: Array) -> tuple[Array, tuple[Array, Array, Array]]:
-        F = assembly.deformation(x, self.elements.conn, self.elements.gradients)
-        return F, assembly.invariants(F)
-
     def at(self, x: Array) -> Point:
-        """Invariants, energies and derivatives at x; J must be positive everywhere."""
-        F, (I1, I2, J) = self._admissible(x)
+        """Invariants, energies and derivatives at x; the energy is +inf, and the rest nonsense, where J <= 0."""
+        point: Point = self._last.of(x, self._evaluate)
+        return point
+
+    def _evaluate(self, x: Array) -> Point:
+        F = assembly.deformation(x, self.elements.conn, self.elements.gradients)
+        I1, I2, J = assembly.invariants(F)
         w = self.elements.weights
+        bad = not (J > 0).all()
+        if bad:
+            J = np.where(J > 0, J, 1.0)
         iso = self.law.iso(I1, I2, J)
         volume = w.sum(1)
         if self.elements.mean_dilatation:
             U, dU, ddU = self.law.vol((w * J).sum(1) / volume)
-            energy = (w * iso.value).sum(1) + volume * U
+            energy = float((w * iso.value).sum() + volume @ U)
             dilatation = ddU / volume
             dU, ddU = dU[:, None], np.zeros((1, 1))
         else:
             U, dU, ddU = self.law.vol(J)
-            energy, dilatation = (w * (iso.value + U)).sum(1), np.zeros(len(w))
+            energy, dilatation = float((w * (iso.value + U)).sum()), np.zeros(len(w))
         first, second = iso.first.copy(), iso.second.copy()
         first[..., 2] += dU
         second[..., 2] += ddU
-        return Point(F, I1, J, energy, iso, first, second, dilatation)
+        return Point(F, I1, J, np.inf if bad else energy, first, second, dilatation)
 
     def value(self, x: Array) -> float:
-        _, (_, _, J) = self._admissible(x)
-        if not (J > 0).all():
-            return np.inf
-        return float(self.at(x).energy.sum())
+        return self.at(x).energy
 
     def gradient(self, x: Array) -> Array:
         e, at = self.elements, self.at(x)
