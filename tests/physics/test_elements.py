@@ -134,3 +134,11 @@ def test_uniaxial_tension_follows_the_closed_form(nu: float) -> None:
     assert np.ptp(found.x[:, 0]) == pytest.approx(t, abs=1e-8)
     if nu == 0.4999:  # as good as incompressible
         assert force == pytest.approx(law.mu * (stretch - stretch**-2), rel=1e-3)
+
+
+def test_a_hex_turned_inside_out_is_refused() -> None:
+    points, cells = block(2)
+    assert hexes(points, cells).weights.sum() == pytest.approx(1.0)
+    points[13, 2] += 0.9  # the middle node, above the top
+    with pytest.raises(ValueError, match="4 hexes are turned inside out"):
+        hexes(points, cells)
