@@ -1,11 +1,13 @@
 """Files that ship with tacgen (sensors, recipes, objects), found by name in a checkout and in an installed wheel."""
 
 import difflib
+import hashlib
 from pathlib import Path
 
 from tacgen.errors import UserError
 
 PACKAGE = Path(__file__).resolve().parent
+MESHES = (".stl", ".obj", ".ply")
 
 
 def folder(kind: str) -> Path:
@@ -42,11 +44,33 @@ def recipe_path(name_or_path: str) -> Path:
 
 def object_path(name_or_path: str, base: Path | None = None) -> Path:
     """The folder of a shipped object, or a path, which starts at `base` (the recipe's folder)."""
-    if _is_path(name_or_path, (".stl", ".obj", ".ply")):
+    if _is_path(name_or_path, MESHES):
         return _existing("object", (base or Path()) / Path(name_or_path).expanduser())
     if name_or_path not in list_objects():
         raise UserError(_unknown("object", name_or_path, list_objects()))
     return folder("objects") / name_or_path
+
+
+def mesh_path(name_or_path: str, base: Path | None = None) -> Path:
+    """The mesh file of a shipped object, or a path, which starts at `base` (the recipe's folder)."""
+    found = object_path(name_or_path, base)
+    if found.is_dir():
+        meshes = sorted(p for p in found.iterdir() if p.suffix.lower() in MESHES)
+        if not meshes:
+            raise UserError(f"{found}: holds no mesh ({', '.join(MESHES)})")
+        return meshes[0]
+    if found.suffix.lower() not in MESHES:
+        raise UserError(f"{found}: must be a mesh file ({', '.join(MESHES)})")
+    return found
+
+
+def sha256(path: Path) -> str:
+    """SHA-256 of a file's bytes. Raises UserError: it cannot be read."""
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read: {error.strerror or error}") from None
 
 
 def _names(kind: str) -> list[str]:

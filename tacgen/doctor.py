@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 PACKAGES = (
     *("numpy", "scipy", "numba", "mitsuba", "drjit", "h5py", "pydantic", "ruamel.yaml"),
-    *("typer", "click", "rich", "platformdirs", "cvxopt", "pymetis", "matplotlib"),
+    *("typer", "click", "rich", "platformdirs", "cvxopt", "pymetis", "matplotlib", "trimesh", "libigl"),
 )
 FREE_GB = 1.0  # below this a batch will not get far
 

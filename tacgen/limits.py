@@ -1,9 +1,12 @@
 """What cannot be done on this sensor: the checks that need the recipe and the sensor side by side."""
 
 import math
+from pathlib import Path
 
+from tacgen import assets
+from tacgen.errors import UserError
 from tacgen.explain import Problem
-from tacgen.recipe import Recipe
+from tacgen.recipe import Indenter, Recipe
 from tacgen.sensor import Gel, Sensor
 from tacgen.yamlfile import KeyPath
 
@@ -17,9 +20,13 @@ def sensor_problems(sensor: Sensor) -> list[Problem]:
     return [Problem(("gel", "corner_radius_mm"), text)]
 
 
-def recipe_problems(recipe: Recipe, sensor: Sensor) -> list[Problem]:
-    """What this recipe asks for and this sensor cannot give; paths start at the recipe's root."""
-    return [*_depths(recipe, sensor), *_places(recipe, sensor.gel), *_outputs(recipe, sensor)]
+def recipe_problems(recipe: Recipe, sensor: Sensor, folder: Path | None = None) -> list[Problem]:
+    """What this recipe asks for and this sensor cannot give; paths start at the recipe's root.
+
+    `folder` is where the path of the indenter's mesh starts; None: the working directory.
+    """
+    wrong = [*_depths(recipe, sensor), *_places(recipe, sensor.gel), *_outputs(recipe, sensor)]
+    return [*wrong, *_mesh(recipe.indenter, folder)]
 
 
 def thickness_mm(gel: Gel) -> float:
@@ -69,3 +76,15 @@ def _outputs(recipe: Recipe, sensor: Sensor) -> list[Problem]:
     if "markers" in recipe.outputs and sensor.markers is None:
         return [Problem(("outputs",), f"asks for markers, and the sensor {sensor.name} has none")]
     return []
+
+
+def _mesh(indenter: Indenter, folder: Path | None) -> list[Problem]:
+    if indenter.shape != "mesh":
+        return []
+    try:
+        found = assets.sha256(assets.mesh_path(indenter.file, folder))
+    except UserError as error:
+        return [Problem(("indenter", "file"), error.lines[0])]
+    if indenter.sha256 in (None, found):
+        return []
+    return [Problem(("indenter", "sha256"), f"{indenter.file} is another file now ({found[:12]}...)")]

@@ -1,6 +1,7 @@
 """What there is to choose from, one line each: for `tacgen list`."""
 
 from collections.abc import Callable
+from pathlib import Path
 
 from tacgen import assets
 from tacgen.load import read_sensor
@@ -26,21 +27,30 @@ def recipes() -> Entries:
 
 
 def objects() -> Entries:
-    """Shipped objects."""
-    return {name: str(assets.object_path(name)) for name in assets.list_objects()}
+    """Shipped objects; the line about one is the first of its README, less the name."""
+    return {name: _about(assets.object_path(name) / "README.md") for name in assets.list_objects()}
+
+
+def _about(readme: Path) -> str:
+    first = readme.read_text(encoding="utf-8").split("\n", 1)[0] if readme.is_file() else ""
+    return first.lstrip("# ").split(": ", 1)[-1]
 
 
 def shapes() -> Entries:
     """Indenter shapes and their fields; those with a default can be left out."""
     return {
         name: ", ".join(
-            key if info.is_required() else f"{key}={info.default:g}"
+            key if info.is_required() else f"{key}={_short(info.default)}"
             for key, info in kind.model_fields.items()
-            if key != "shape"
+            if key != "shape" and (info.is_required() or info.default is not None)
         )
         + f"  ({(kind.__doc__ or '').rstrip('.')})"
         for name, kind in SHAPES.items()
     }
+
+
+def _short(value: object) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 KINDS: dict[str, Callable[[], Entries]] = {

@@ -41,7 +41,7 @@ def read(path: Path, sets: Iterable[str] = ()) -> Loaded:
         raise UserError([*report(problems).lines, *error.lines]) from None
     problems += more
     if recipe and sensor:
-        problems += [(problem, tree) for problem in limits.recipe_problems(recipe, sensor)]
+        problems += [(problem, tree) for problem in limits.recipe_problems(recipe, sensor, mesh_folder(tree))]
     if problems or recipe is None or sensor is None:
         raise report(problems)
     return Loaded(recipe, sensor, tree, sensor_tree)
@@ -62,6 +62,12 @@ def check_sensor(data: Any) -> tuple[Sensor | None, list[Problem]]:
     if sensor is not None:
         wrong = limits.sensor_problems(sensor)
     return (None if wrong else sensor), wrong
+
+
+def mesh_folder(tree: Tree, varied: Iterable[str] = ()) -> Path | None:
+    """The folder in which the path of an indenter's mesh starts: that of the file it was written in."""
+    spots: list[KeyPath] = [("vary", "over", name) for name in varied if name.split(".")[0] == "indenter"]
+    return tree.spot([*spots, ("indenter", "file")][0]).value.source.folder
 
 
 def _extended(path: Path, chain: tuple[Path, ...]) -> Tree:

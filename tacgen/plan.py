@@ -13,10 +13,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tacgen import limits
+from tacgen import assets, limits
 from tacgen.errors import UserError
 from tacgen.explain import Problem, validate
-from tacgen.load import Loaded, check_sensor, read
+from tacgen.load import Loaded, check_sensor, mesh_folder, read
 from tacgen.recipe import Distribution, Recipe, Vary
 from tacgen.sensor import Sensor
 from tacgen.yamlfile import KeyPath, Tree, format_path, parse_path, put
@@ -40,6 +40,7 @@ class Row:
     recipe: Recipe  # without vary; varied values are in it
     sensor: Sensor  # overrides are in it
     values: dict[str, Any] = field(default_factory=dict)  # varied path -> this scene's value
+    folder: Path | None = None  # where the path of its indenter's mesh starts
 
     @property
     def key(self) -> str:
@@ -53,8 +54,17 @@ class Row:
         return self.recipe.frames
 
     def document(self) -> dict[str, Any]:
-        """The resolved recipe as JSON values; read back, it gives this scene again."""
-        return self.recipe.document()
+        """The resolved recipe as JSON values; read back, it gives this scene again. A mesh is named with its hash."""
+        plain = self.recipe.document()
+        if self.recipe.indenter.shape == "mesh":
+            plain["indenter"]["sha256"] = assets.sha256(self.mesh_path)
+        return plain
+
+    @property
+    def mesh_path(self) -> Path:
+        """The file of an indenter that is a mesh."""
+        assert self.recipe.indenter.shape == "mesh"
+        return assets.mesh_path(self.recipe.indenter.file, self.folder)
 
     def sensor_document(self) -> dict[str, Any]:
         """The resolved sensor as JSON values."""
@@ -98,11 +108,12 @@ def expand(
     """
     tree = loaded.tree if loaded else Tree(recipe.document())
     vary = recipe.vary
+    folder = mesh_folder(tree, vary.over if vary else ())
     if vary is None:
-        wrong = limits.recipe_problems(recipe, sensor)
+        wrong = limits.recipe_problems(recipe, sensor, folder)
         if wrong:
             raise UserError(problem.point(tree) for problem in wrong)
-        return Plan(recipe.name, (Row(0, "scene-00000", scene_seed(0, 0), recipe, sensor),))
+        return Plan(recipe.name, (Row(0, "scene-00000", scene_seed(0, 0), recipe, sensor, folder=folder),))
     _check(vary, tree)
     count = scene_count(vary)
     wanted = range(count) if indices is None else indices
@@ -111,7 +122,7 @@ def expand(
     rows: list[Row] = []
     problems: dict[tuple[KeyPath, str], list[tuple[str, Problem]]] = {}
     for index, values in zip(wanted, draw(vary, wanted), strict=True):
-        row, wrong = _resolve(index, values, base, plain_sensor, sensor, scene_seed(vary.seed, index))
+        row, wrong = _resolve(index, values, base, plain_sensor, sensor, scene_seed(vary.seed, index), folder)
         if row:
             rows.append(row)
         for problem in wrong:
@@ -223,7 +234,13 @@ def _check(vary: Vary, tree: Tree) -> None:
 
 
 def _resolve(
-    index: int, values: dict[str, Any], base: dict[str, Any], plain_sensor: dict[str, Any], sensor: Sensor, seed: int
+    index: int,
+    values: dict[str, Any],
+    base: dict[str, Any],
+    plain_sensor: dict[str, Any],
+    sensor: Sensor,
+    seed: int,
+    folder: Path | None,
 ) -> tuple[Row | None, list[Problem]]:
     """One row, checked as if a person had written it; or what is wrong with it."""
     data: Any = base
@@ -245,10 +262,10 @@ def _resolve(
             return None, wrong
         sensor = varied
     if recipe is not None:
-        wrong += limits.recipe_problems(recipe, sensor)
+        wrong += limits.recipe_problems(recipe, sensor, folder)
     if recipe is None or wrong:
         return None, wrong
-    return Row(index, f"scene-{index:05d}", seed, recipe, sensor, values), []
+    return Row(index, f"scene-{index:05d}", seed, recipe, sensor, values, folder), []
 
 
 def _say(group: list[tuple[str, Problem]], tree: Tree, vary: Vary) -> str:

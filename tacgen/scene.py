@@ -1,11 +1,15 @@
 """Resolved scene -> Scene: gel, laws, indenter, path and tolerances as plain arrays and numbers."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
+from tacgen import geometry
+from tacgen import recipe as recipes
 from tacgen import sensor as sensors
 from tacgen.errors import UserError
+from tacgen.fem.field import Field
 from tacgen.fem.materials import Law, MooneyRivlin, NeoHooke, StableNeoHooke, Yeoh
 from tacgen.fem.shapes import Box, Capsule, Cone, Cylinder, Shape, Sphere, Torus, Wedge
 from tacgen.plan import Row
@@ -13,6 +17,7 @@ from tacgen.recipe import Indenter, Recipe, Start
 from tacgen.sensor import MooneyRivlinLayer, NeoHookeLayer, Sensor, StableNeoHookeLayer, YeohLayer
 
 Array = np.ndarray
+CELLS = (0.04, 0.15)  # least and largest grid spacing of a mesh's signed distance [mm]
 
 
 @dataclass(frozen=True)
@@ -43,7 +48,8 @@ class Gel:
         beyond = np.hypot(
             np.maximum(np.abs(x) - (self.width / 2 - r), 0), np.maximum(np.abs(y) - (self.height / 2 - r), 0)
         )
-        return (np.abs(x) <= self.width / 2) & (np.abs(y) <= self.height / 2) & (beyond <= max(r, 1e-12))
+        within = (np.abs(x) <= self.width / 2) & (np.abs(y) <= self.height / 2) & (beyond <= max(r, 1e-12))
+        return np.asarray(within)
 
 
 @dataclass(frozen=True)
@@ -64,7 +70,7 @@ class Scene:
     dhat: float  # [mm]
 
 
-def _shape(i: Indenter) -> Shape:
+def _shape(i: Indenter, field: Callable[[recipes.Mesh], Shape]) -> Shape:
     match i.shape:
         case "sphere":
             return Sphere(i.radius_mm)
@@ -80,6 +86,18 @@ def _shape(i: Indenter) -> Shape:
             return Capsule(i.radius_mm, i.length_mm)
         case "torus":
             return Torus(i.radius_mm, i.tube_radius_mm)
+        case "mesh":
+            return field(i)
+
+
+def _field(i: recipes.Mesh, row: Row) -> Field:
+    """A mesh as far as the gel can come to it; its grid follows the quality's edge, as what the gel resolves does."""
+    gel, tilted = row.sensor.gel, row.recipe.start.tilt_deg > 0
+    rise = sum(layer.thickness_mm for layer in gel.layers) + 1.0  # no press is deeper, and gel bulges beside it
+    cell = float(np.clip(row.recipe.resolved().edge_mm / 4, *CELLS))
+    solid = geometry.placed(geometry.read(row.mesh_path), up=i.up, scale=i.scale, size=i.size_mm)
+    half = float(np.hypot(gel.width_mm, gel.height_mm)) + 1.0
+    return geometry.field(solid, cell=cell, height=np.inf if tilted else rise, half=half)
 
 
 def law_of(layer: sensors.Layer) -> Law:
@@ -117,7 +135,8 @@ def _about(axis: Array, angle: float) -> Array:
     """Rotation (3, 3) about a unit axis by `angle` [rad]."""
     from scipy.spatial.transform import Rotation
 
-    return Rotation.from_rotvec(axis * angle).as_matrix()
+    turn: Array = Rotation.from_rotvec(axis * angle).as_matrix()
+    return turn
 
 
 def _first_pose(shape: Shape, start: Start) -> Array:
@@ -140,20 +159,20 @@ def path(recipe: Recipe, first: Array) -> tuple[Array, Array]:
     contact_z = first[2, 3] - recipe.start.clearance_mm
     pose = first
     for number, segment in enumerate(recipe.trajectory):
-        kind, value = segment.kind, segment.move
-        for k in range(1, value.frames + 1):
-            part = k / value.frames
+        for k in range(1, segment.frames + 1):
+            part = k / segment.frames
             new = pose.copy()
-            match kind:
-                case "press":
-                    new[2, 3] += part * (contact_z - value.depth_mm - pose[2, 3])
-                case "release":
+            match segment.move:
+                case recipes.Press(depth_mm=depth):
+                    new[2, 3] += part * (contact_z - depth - pose[2, 3])
+                case recipes.Release():
                     new[2, 3] += part * (first[2, 3] - pose[2, 3])
-                case "slide":
-                    new[:2, 3] += part * np.array([value.x_mm, value.y_mm])
-                case "twist":
+                case recipes.Slide(x_mm=x, y_mm=y):
+                    new[0, 3] += part * x
+                    new[1, 3] += part * y
+                case recipes.Twist(angle_deg=angle):
                     axis = pose[:3, 2]
-                    new[:3, :3] = _about(axis, part * np.radians(value.angle_deg)) @ pose[:3, :3]
+                    new[:3, :3] = _about(axis, part * np.radians(angle)) @ pose[:3, :3]
             poses.append(new)
             segments.append(number)
         pose = poses[-1]
@@ -163,7 +182,7 @@ def path(recipe: Recipe, first: Array) -> tuple[Array, Array]:
 def build(row: Row) -> Scene:
     """The scene of one row of a plan."""
     recipe, quality = row.recipe, row.recipe.resolved()
-    shape = _shape(recipe.indenter)
+    shape = _shape(recipe.indenter, lambda mesh: _field(mesh, row))
     first = _first_pose(shape, recipe.start)
     poses, segment = path(recipe, first)
     return Scene(

@@ -100,6 +100,7 @@ def _indenter(bundle: Bundle) -> str:
     """`sphere, radius 4 mm`"""
     fields: dict[str, Any] = dict(bundle.recipe.get("indenter", {}))
     words = [str(fields.pop("shape", "indenter"))]
+    fields.pop("sha256", None)
     for name, value in fields.items():
         what, _, unit = name.rpartition("_")
         words.append(f"{what.replace('_', ' ')} {value:g} {unit}" if isinstance(value, int | float) else f"{value}")

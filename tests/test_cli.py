@@ -275,7 +275,7 @@ def test_list_names_what_there_is():
         assert word in everything
     assert list(json.loads(tacgen_("list", "sensors", "--json").stdout)) == ["sensors"]
     assert "torus" not in tacgen_("list", "sensors").stdout
-    assert "  none" in tacgen_("list", "objects").stdout
+    assert "Head of an M5 bolt" in tacgen_("list", "objects").stdout
 
 
 def test_check_prints_findings_and_exits_with_1(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

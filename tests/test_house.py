@@ -19,6 +19,7 @@ ORDER = [
     {"limits"},
     {"load"},
     {"plan"},  # *
+    {"geometry"},
     {"scene"},  # *
     {"mesh"},  # *
     {"solve"},  # *
@@ -28,8 +29,8 @@ ORDER = [
     {"pipeline", "check", "show", "doctor", "schema", "listing", "table", "progress"},
     {"cli", "__main__"},
 ]
-LIBRARIES = {"fem", "optics"}  # know no stage; from `scene` on, stages may use them
-FIRST_USER_OF_LIBRARIES = next(i for i, line in enumerate(ORDER) if "scene" in line)
+LIBRARIES = {"fem", "optics"}  # know no stage; from `geometry` on, modules may use them
+FIRST_USER_OF_LIBRARIES = next(i for i, line in enumerate(ORDER) if "geometry" in line)
 ALLOWED_IN_LIBRARIES = {"numpy", "scipy", "numba"}
 
 # Heavy packages and where they may be imported, always inside functions.
@@ -43,6 +44,8 @@ HOMES = {
     "pymetis": {"fem.linear"},
     "pypardiso": {"fem.linear"},
     "ruamel": {"yamlfile"},
+    "trimesh": {"geometry"},
+    "igl": {"geometry"},
     "platformdirs": {"variants"},
     "rich": {"progress"},
 }
@@ -142,7 +145,7 @@ def command(*args: str) -> str:
     return f"from tacgen.cli import app\ntry:\n    app({list(args)!r})\nexcept SystemExit as e:\n    assert not e.code"
 
 
-HEAVY = {"numpy", "scipy", "numba", "mitsuba", "drjit", "h5py", "matplotlib", "cvxopt", "pymetis"}
+HEAVY = {"numpy", "scipy", "numba", "mitsuba", "drjit", "h5py", "matplotlib", "cvxopt", "pymetis", "trimesh", "igl"}
 
 
 def test_help_starts_cold():

@@ -314,6 +314,9 @@ frames = st.integers(1, 20)
 def indenters(draw: Any) -> dict[str, Any]:
     shape = draw(st.sampled_from(sorted(SHAPES)))
     fields: dict[str, Any] = {"shape": shape}
+    if shape == "mesh":
+        size = st.sampled_from(["scale", "size_mm"]).map(lambda name: {name: 2.5})
+        return {**fields, "file": "hex_bolt", "up": draw(st.sampled_from(["+x", "-y", "+z"])), **draw(size)}
     for name in SHAPES[shape].model_fields:
         if name == "half_angle_deg":
             fields[name] = draw(st.floats(1, 89))
