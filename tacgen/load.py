@@ -64,10 +64,10 @@ def check_sensor(data: Any) -> tuple[Sensor | None, list[Problem]]:
     return (None if wrong else sensor), wrong
 
 
-def mesh_folder(tree: Tree, varied: Iterable[str] = ()) -> Path | None:
-    """The folder in which the path of an indenter's mesh starts: that of the file it was written in."""
+def mesh_folder(tree: Tree, varied: Iterable[str] = ()) -> Path:
+    """The folder, from the root, in which the path of an indenter's mesh starts: that of the file it was written in."""
     spots: list[KeyPath] = [("vary", "over", name) for name in varied if name.split(".")[0] == "indenter"]
-    return tree.spot([*spots, ("indenter", "file")][0]).value.source.folder
+    return (tree.spot([*spots, ("indenter", "file")][0]).value.source.folder or Path()).resolve()
 
 
 def _extended(path: Path, chain: tuple[Path, ...]) -> Tree:

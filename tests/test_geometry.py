@@ -243,6 +243,15 @@ def test_a_mesh_that_was_changed_since_is_said(tmp_path: Path):
     assert "indenter.sha256: ball.stl is another file now" in caught.value.lines[0]
 
 
+def test_a_row_finds_its_mesh_from_another_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    written(tmp_path / "a")
+    monkeypatch.chdir(tmp_path)
+    (row,) = plan.load(Path("a/r.yaml")).rows
+    (other,) = plan.load(Path("a/r.yaml"), ["indenter.file=a/ball.stl"]).rows
+    monkeypatch.chdir("/")
+    assert row.mesh_path == other.mesh_path == tmp_path / "a" / "ball.stl"
+
+
 def test_varied_meshes(tmp_path: Path):
     vary = "vary: {method: grid, over: {indenter.file: {choice: [ball.stl, letters]}}}\n"
     rows = plan.load(written(tmp_path / "a", RECIPE + vary)).rows

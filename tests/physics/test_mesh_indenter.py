@@ -1,0 +1,53 @@
+"""A mesh presses as the shape it stands for, with friction, and fine detail does not stall the solver."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from tacgen import mesh, plan, scene, solve
+
+RECIPE = """tacgen: 1
+name: press
+sensor: gelsight_mini
+indenter: {shape: sphere, radius_mm: 4}
+trajectory: [{press: {depth_mm: 0.8, frames: 1}}, {slide: {x_mm: 0.4, frames: 2}}]
+contact: {friction: 0.5}
+outputs: [force]
+quality: {edge_mm: 0.8, dhat_mm: 0.05}
+"""
+
+
+def pressed(folder: Path, *sets: str) -> list[solve.State]:
+    (folder / "r.yaml").write_text(RECIPE)
+    built = scene.build(plan.load(folder / "r.yaml", sets).rows[0])
+    ready = solve.Problem.of(built, mesh.build(built.gel, solve.footprint(built), built.edge))
+    return list(solve.states(built, ready))
+
+
+@pytest.fixture(autouse=True)
+def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TACGEN_CACHE_DIR", str(tmp_path / "cache"))
+
+
+def test_a_ball_of_triangles_presses_as_a_ball(tmp_path: Path):
+    trimesh.creation.icosphere(subdivisions=5, radius=1.0).export(tmp_path / "ball.stl")
+    ball = pressed(tmp_path)
+    triangles = pressed(tmp_path, f"indenter={{shape: mesh, file: {tmp_path / 'ball.stl'}, scale: 4}}")
+    for one, other in zip(ball, triangles, strict=True):
+        force, same = (state.traction_force.sum((0, 1)) for state in (one, other))
+        assert np.linalg.norm(same - force) < 0.005 * np.linalg.norm(force)
+        assert other.iterations <= one.iterations + 4
+    assert np.linalg.norm(force) > 1
+
+
+def test_letters_are_reached_in_one_step(tmp_path: Path):
+    """Friction with normals that are not of length one stalled here."""
+    press = "trajectory=[{press: {depth_mm: 0.4, frames: 2}}]"
+    for state in pressed(tmp_path, "indenter={shape: mesh, file: letters}", press):
+        assert state.substeps == 1
+        assert state.iterations <= 30
+        assert state.min_gap > 0
+        assert state.balance < 1e-3
+        assert state.traction_force[..., 2].sum() < -0.5
