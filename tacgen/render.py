@@ -204,9 +204,10 @@ class Renderer:
     def _key(self) -> str:
         """What the map depends on, hashed: the sensor's optics, spp, variant and versions; not the gel's mechanics."""
         seen = self.sensor.model_dump(mode="json", include={"plate", "coating", "walls", "leds", "camera", "gel"})
-        for layer in seen["gel"]["layers"]:
-            for mechanical in ("law", "youngs_modulus_mpa", "poissons_ratio"):
-                layer.pop(mechanical)
+        from tacgen.sensor import LayerBase
+
+        optical = LayerBase.model_fields  # the law's own fields are not among them
+        seen["gel"]["layers"] = [{k: v for k, v in layer.items() if k in optical} for layer in seen["gel"]["layers"]]
         parts = [
             seen,
             self.spp,

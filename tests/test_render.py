@@ -96,6 +96,9 @@ def test_the_map_is_cached_by_optics_and_not_by_mechanics(renderer, monkeypatch)
     monkeypatch.setattr(render, "PathTracer", None)  # any tracing now would fail
     again = render.Renderer(stiff, 64, 5, False, variants.SCALAR)
     assert np.array_equal(again.image(Flat()), renderer.image(Flat()))
+    rest = {name: layer[name] for name in ("name", "thickness_mm", "refractive_index", "source")}
+    other = sensor(gel={"layers": [{**rest, "law": "yeoh", "c10_mpa": 0.1, "poissons_ratio": 0.4}]})
+    assert np.array_equal(render.Renderer(other, 64, 5, False, variants.SCALAR).image(Flat()), renderer.image(Flat()))
     darker = render.Renderer(sensor(walls={"albedo": 0.3}), 64, 0, False, variants.SCALAR)
     with pytest.raises(TypeError):
         darker.image(Flat())
