@@ -50,7 +50,7 @@ smoke: sync
 	done
 
 bench: sync
-	$(BIN)/tacgen run recipes/quickstart.yaml -o out/bench --overwrite --json
+	$(BIN)/python scripts/bench_mechanics.py
 
 demo: sync
 	$(BIN)/tacgen run recipes/quickstart.yaml -o out/quickstart

@@ -17,7 +17,9 @@ if TYPE_CHECKING:
     from tacgen.optics.sheet import Sheet
 
 Array = np.ndarray
-RIM = 0.4  # share of points in contact at the rim of the contact map: less than half, for the rim passes outside of them
+RIM = (
+    0.4  # share of points in contact at the rim of the contact map: less than half, for the rim passes outside of them
+)
 VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))  # xx yy zz yz xz xy
 
 
@@ -127,7 +129,9 @@ def maps(problem: Problem, surface: Surface, state: State, camera: "Camera") -> 
 
     # each triangle with corners of its own, drawn with its number and barycentric coordinates
     own = np.arange(3 * len(triangles), dtype=np.uint32).reshape(-1, 3)
-    values = np.concatenate([np.repeat(np.arange(len(triangles)), 3)[:, None], np.tile(np.eye(3), (len(triangles), 1))], 1)
+    values = np.concatenate(
+        [np.repeat(np.arange(len(triangles)), 3)[:, None], np.tile(np.eye(3), (len(triangles), 1))], 1
+    )
     picture = draw(own, screen.reshape(-1, 2), -corner[..., 2].ravel(), values, shape)
     seen = np.isfinite(picture[..., 0])
     t = np.round(picture[seen][:, 0]).astype(int)

@@ -120,7 +120,11 @@ class Products:
             surface = self.surface.moved(state.x)
         if "traction" in self.outputs:
             maps = self.fields.maps(self.problem, surface, state, self.camera)
-            out |= {"/frames/pressure": maps.pressure, "/frames/traction": maps.traction, "/frames/contact": maps.contact}
+            out |= {
+                "/frames/pressure": maps.pressure,
+                "/frames/traction": maps.traction,
+                "/frames/contact": maps.contact,
+            }
             if state.sliding is not None:
                 out["/frames/slip"] = maps.slip
         if "height" in self.outputs:
@@ -146,7 +150,7 @@ def _attributes(row: Row, problem: solve.Problem, products: Products) -> dict[st
         "sensor_sha256": row.sensor_sha256,
         "sensor_document": row.sensor_document(),
         "input_key": row.key,
-        "solver": f"{problem.linear.name}, numpy {version('numpy')}, scipy {version('scipy')}, numba {version('numba')}",
+        "solver": ", ".join([problem.linear.name, *(f"{p} {version(p)}" for p in ("numpy", "scipy", "numba"))]),
         "values": row.values,
     }
     if "rgb" in row.recipe.outputs:
@@ -215,7 +219,9 @@ def _refuse(path: Path) -> None:
     raise UserError(f"{path}: made from other inputs (recipe {made}); pass --overwrite or choose another folder")
 
 
-def run(rows: Sequence[Row], folder: Path, *, overwrite: bool = False, on_event: Say | None = None) -> list[SceneResult]:
+def run(
+    rows: Sequence[Row], folder: Path, *, overwrite: bool = False, on_event: Say | None = None
+) -> list[SceneResult]:
     """Every scene in order; on_event hears a line a frame and each SceneResult.
 
     Raises:

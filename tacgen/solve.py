@@ -1,8 +1,8 @@
 """Scene + Mesh -> States: which potentials are in the sum, and stepping them along the path.
 
-Each frame is found at exactly the pose asked for. What is lagged, the mean gap by which the indenter is shrunk and, with
-friction, the normal forces, is renewed on the way until it agrees with the answer. A frame that Newton cannot reach is approached in
-halved substeps; one that cannot be reached at all ends the scene as rejected.
+Each frame is found at exactly the pose asked for. What is lagged, the mean gap by which the indenter is shrunk and,
+with friction, the normal forces, is renewed on the way until it agrees with the answer. A frame that Newton cannot
+reach is approached in halved substeps; one that cannot be reached at all ends the scene as rejected.
 """
 
 from collections.abc import Iterator
@@ -35,9 +35,9 @@ class NotConverged(ArithmeticError):
 
 
 def footprint(scene: Scene) -> tuple[float, float, float, float]:
-    """x0, x1, y0, y1 [mm] of all of the untouched face that the indenter overlaps anywhere on its path, and half an edge more.
+    """x0, x1, y0, y1 [mm] of all of the untouched face that the indenter overlaps on its path, and half an edge more.
 
-    A rigid body cuts a wider patch out of the untouched face than it touches of a soft one, so this is on the safe side.
+    A rigid body cuts a wider patch out of the untouched face than it touches of a soft one: this is on the safe side.
     """
     gel, step = scene.gel, scene.edge / 3
     x, y = (np.arange(-size / 2, size / 2 + step, step) for size in (gel.width, gel.height))
@@ -79,7 +79,7 @@ class State:
     def traction_force(self) -> Array:
         """Force of the indenter on each quadrature point of the gel (f, q, 3) [N]."""
         push = self.normal_force[..., None] * self.normal
-        return push if self.friction is None else push + self.friction
+        return np.asarray(push if self.friction is None else push + self.friction)
 
 
 @dataclass(frozen=True)
@@ -165,7 +165,10 @@ class _Lagged:
         gap = mean_gap(self.contact, x)
         self.contact_force = float(force.sum())
         scale = max(self.contact_force, self.memory.scale)
-        lag = 0.0 if self.friction is None else float(np.abs(force - self.friction.normal_force).sum())
+        lag = 0.0
+        if self.friction is not None:  # in sum, and half as strictly at every point, since Coulomb's law holds at each
+            off = np.abs(force - self.friction.normal_force)
+            lag = max(float(off.sum()), float(off.max()) / max(float(force.max()), 1e-300) * scale / 2)
         if scale == 0 or (abs(gap - self.contact.offset) <= XTOL and lag <= LAG * scale):
             return None
         if self.friction is not None:
@@ -182,7 +185,9 @@ class _Lagged:
     def _anchors(self) -> Array:
         """Anchors in the indenter's frame; a point new to the contact gets one where it will have touched."""
         memory, contact = self.memory, self.contact
-        carried = 3 * memory.x - 3 * memory.before + memory.earlier  # second order: friction then lags little in big steps
+        carried = (
+            3 * memory.x - 3 * memory.before + memory.earlier
+        )  # second order: friction then lags little in big steps
         ahead, gap_ahead = contact.pose.local(contact.faces.at(carried)), contact.gaps(carried)[0]
         touch = fr.onset(memory.anchor, ahead, memory.gap - contact.offset, gap_ahead - contact.offset)
         return np.where(memory.normal_force[..., None] > 0, memory.anchor, touch)
@@ -206,7 +211,7 @@ def mean_gap(contact: Contact, x: Array) -> float:
 
 
 def _advance(problem: Problem, memory: _Memory, matrix: Array, index: int) -> tuple[_Memory, State]:
-    """One pose on, from the last positions or those carried on by the last increment, whichever has the lower energy."""
+    """One pose on, from the last positions or those carried on by the last increment: the ones of lower energy."""
     lagged = _Lagged(problem, memory, Pose.of(matrix))
     carried = 2 * memory.x - memory.before
     x = carried if lagged.total.value(carried) < lagged.total.value(memory.x) else memory.x
@@ -240,7 +245,16 @@ def _record(
         anchor = fr.dragged(friction.anchor, at, friction.normal, friction.normal_force, friction.eps, contact.pose)
     scale = max(memory.scale, NEGLIGIBLE * float(force.sum()))
     carried = _Memory(
-        contact.pose, x, memory.x, memory.before, contact.offset, force, normal @ contact.pose.rotation, anchor, gap, scale
+        contact.pose,
+        x,
+        memory.x,
+        memory.before,
+        contact.offset,
+        force,
+        normal @ contact.pose.rotation,
+        anchor,
+        gap,
+        scale,
     )
     mean, least = mean_gap(contact, x), float(gap.min())
     return carried, State(

@@ -27,7 +27,8 @@ ORDER = [
     {"render"},  # *
     {"bundle"},  # *
     {"pipeline", "check", "show", "doctor", "schema", "listing", "table", "progress"},
-    {"cli", "__main__"},
+    {"cli"},
+    {"__main__"},
 ]
 LIBRARIES = {"fem", "optics"}  # know no stage; from `geometry` on, modules may use them
 FIRST_USER_OF_LIBRARIES = next(i for i, line in enumerate(ORDER) if "geometry" in line)

@@ -7,7 +7,7 @@ import numpy as np
 
 
 class Last:
-    """Keeps what was computed for the last array asked about, told by identity; arrays of positions are never edited."""
+    """Keeps what was computed for the last array asked about, told by identity: positions are never edited."""
 
     def __init__(self) -> None:
         self._key: np.ndarray | None = None

@@ -96,8 +96,8 @@ def minimise(
         expect: how far the start may be from the answer [mm].
         refresh: asked after each full step shorter than `near` for the potential to go on with, where it depends on the
             answer (lagged quantities); None if it may stay as it is, which is needed to end.
-        negligible: whether a gradient (n, 3) is too small to matter; after a full step of at most 10 xtol that ends it too,
-            since the step it would lead to is shorter still.
+        negligible: whether a gradient (n, 3) is too small to matter; after a full step of at most 10 xtol that ends it
+            too, since the step it would lead to is shorter still.
         near: steps longer than this [mm] use the projected stiffness.
     """
     steps: list[Step] = []

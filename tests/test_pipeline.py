@@ -1,0 +1,159 @@
+"""One scene down the line: only what is asked for, the same bytes twice, and nothing lost when it is killed."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tacgen import bundle, fields, pipeline, plan, solve
+from tacgen.check import check
+from tacgen.errors import UserError
+
+RECIPE = """
+tacgen: 1
+name: small
+sensor: gelsight_mini
+indenter: {shape: sphere, radius_mm: 4.0}
+trajectory:
+  - press: {depth_mm: 0.4, frames: 2}
+  - slide: {x_mm: 0.2, frames: 1}
+contact: {friction: 0.4}
+outputs: [force]
+quality: {edge_mm: 1.0, dhat_mm: 0.1, spp: 4}
+"""
+SMALL_CAMERA = ("sensor.camera.width_px=64", "sensor.camera.height_px=48", "sensor.camera.mm_per_px=0.317")
+EVERYTHING = "outputs=[force, traction, height, stress, markers, rgb]"
+
+
+@pytest.fixture
+def recipe(tmp_path: Path) -> Path:
+    path = tmp_path / "small.yaml"
+    path.write_text(RECIPE)
+    return path
+
+
+def test_force_alone_imports_no_renderer_and_computes_no_stress(recipe: Path, tmp_path: Path) -> None:
+    program = f"""
+import sys
+from pathlib import Path
+from tacgen import fields, pipeline, plan
+def refuse(*a, **k): raise AssertionError("not asked for")
+fields.stress = fields.maps = fields.height = refuse
+row = plan.load(Path({str(recipe)!r})).rows[0]
+print(pipeline.run_scene(row, Path({str(tmp_path)!r}) / "out").status)
+heavy = ("mitsuba", "drjit", "tacgen.render", "matplotlib", "trimesh", "pytetwild")
+print([name for name in heavy if name in sys.modules])
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.split("\n")[:2] == ["ok", "[]"], done.stdout + done.stderr
+    shapes = bundle.read(tmp_path / "out" / "scene-00000.h5").shapes
+    assert "/frames/force" in shapes
+    assert not [path for path in shapes if path.startswith(("/fields", "/mesh", "/reference"))]
+    assert not {"/frames/rgb", "/frames/pressure", "/frames/markers", "/frames/height"} & shapes.keys()
+
+
+@pytest.mark.parametrize(
+    ("output", "datasets"),
+    [
+        ("traction", {"/frames/pressure", "/frames/traction", "/frames/contact", "/frames/slip"}),
+        ("height", {"/frames/height", "/reference/height"}),
+        ("markers", {"/frames/markers", "/frames/marker_flow", "/reference/markers"}),
+    ],
+)
+def test_an_output_brings_its_datasets_and_no_others(
+    recipe: Path, output: str, datasets: set[str], tmp_path: Path
+) -> None:
+    row = plan.load(recipe, [f"outputs=[{output}]", *SMALL_CAMERA]).rows[0]
+    found = pipeline.run_scene(row, tmp_path / "out")
+    shapes = bundle.read(found.path).shapes
+    always = {p for p in shapes if p.startswith("/frames/quality/")}
+    always |= {"/frames/pose", "/frames/segment", "/frames/force", "/frames/torque"}
+    assert set(shapes) == datasets | always
+
+
+def test_the_same_recipe_and_seed_give_the_same_bytes(recipe: Path, tmp_path: Path) -> None:
+    for name in ("one", "two"):
+        row = plan.load(recipe, [EVERYTHING, *SMALL_CAMERA]).rows[0]
+        assert pipeline.run_scene(row, tmp_path / name).status == "ok"
+    one, two = ((tmp_path / name / "scene-00000.h5").read_bytes() for name in ("one", "two"))
+    assert one == two
+    assert check(tmp_path / "one") == []
+
+
+def test_a_killed_run_leaves_an_incomplete_file_that_the_next_run_redoes(recipe: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "tacgen", "run", str(recipe), "-o", str(out), "--set", "outputs=[force, stress]"]
+    child = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        deadline = time.monotonic() + 120
+        while not list(out.glob("*.part-*")):
+            assert child.poll() is None, "ended before it could be killed"
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+    finally:
+        os.kill(child.pid, signal.SIGKILL)
+        child.wait()
+    assert not (out / "scene-00000.h5").exists()
+    assert [f.level for f in check(out)] == ["incomplete"]
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    assert check(out) == []
+
+
+def test_a_finished_bundle_is_kept_and_one_of_other_inputs_is_not_overwritten(recipe: Path, tmp_path: Path) -> None:
+    first = pipeline.run(plan.load(recipe).rows, tmp_path / "out")[0]
+    before = first.path.read_bytes()
+    assert pipeline.run(plan.load(recipe).rows, tmp_path / "out")[0].seconds == {}
+    other = plan.load(recipe, ["indenter.radius_mm=3"]).rows
+    with pytest.raises(UserError, match="made from other inputs"):
+        pipeline.run(other, tmp_path / "out")
+    assert first.path.read_bytes() == before
+    assert pipeline.run(other, tmp_path / "out", overwrite=True)[0].status == "ok"
+    assert first.path.read_bytes() != before
+
+
+def test_a_damaged_bundle_is_redone(recipe: Path, tmp_path: Path) -> None:
+    rows = plan.load(recipe).rows
+    path = pipeline.run(rows, tmp_path / "out")[0].path
+    good = path.read_bytes()
+    path.write_bytes(good[: len(good) // 2])
+    pipeline.run(rows, tmp_path / "out")
+    assert path.read_bytes() == good
+
+
+def test_a_frame_that_does_not_converge_is_recorded_and_not_shipped(
+    recipe: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    advance = solve._advance
+
+    def fail_late(problem, memory, matrix, index):  # type: ignore[no-untyped-def]
+        if index == 2:
+            raise solve.NotConverged("made to fail")
+        return advance(problem, memory, matrix, index)
+
+    monkeypatch.setattr(solve, "_advance", fail_late)
+    found = pipeline.run_scene(plan.load(recipe).rows[0], tmp_path / "out")
+    assert (found.status, found.reason) == ("rejected", "frame 3 of 3: made to fail")
+    kept = bundle.read(found.path)
+    assert kept.frames == 2
+    assert kept.attrs["status"] == "rejected"
+    assert [f.level for f in check(found.path)] == ["rejected"]
+
+
+def test_forces_agree_with_the_maps_and_the_base(recipe: Path, tmp_path: Path) -> None:
+    row = plan.load(recipe, ["outputs=[traction]"]).rows[0]
+    kept = bundle.read(pipeline.run_scene(row, tmp_path / "out").path)
+    assert kept["/frames/quality/force_balance"].max() < 1e-3
+    force = kept["/frames/force"]
+    assert (force[:, 2] < 0).all()  # the indenter pushes the gel down
+    assert force[2, 0] > 0.05  # and drags it along when it slides to the right
+    assert np.isfinite(kept["/frames/pressure"]).all()
+
+
+def test_fields_names_its_outputs() -> None:
+    """Products calls these by name; renaming one must be seen here and not in a user's run."""
+    assert all(callable(getattr(fields, name)) for name in ("wrench", "stress", "maps", "height"))
