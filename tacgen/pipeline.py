@@ -74,7 +74,8 @@ class Products:
 
             with clock.stage("render"):
                 spp = row.recipe.resolved().spp
-                self.renderer = Renderer(row.sensor, spp, row.seed, markers=row.sensor.markers is not None)
+                markers = row.sensor.markers is not None
+                self.renderer = Renderer(row.sensor, spp, row.seed, markers, method=row.recipe.render.method)
 
     def still(self) -> dict[str, Array]:
         """Datasets that do not change from frame to frame."""

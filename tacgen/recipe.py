@@ -219,6 +219,12 @@ class Contact(Part):
     friction: NotNegative = 0.0
 
 
+class Render(Part):
+    """How camera images are made: `transport` without noise, or Mitsuba's `path` with the noise of `spp` paths."""
+
+    method: Literal["transport", "path"] = "transport"
+
+
 class Quality(NamedTuple):
     """Numbers that trade time for error."""
 
@@ -307,6 +313,7 @@ class Recipe(Part):
     start: Start = Start()
     trajectory: Annotated[tuple[Segment, ...], Field(min_length=1)]
     contact: Contact = Contact()
+    render: Render = Render()
     outputs: Outputs
     quality: Annotated[
         Annotated[Literal["draft", "default", "reference"], Tag("preset")] | Annotated[QualityNumbers, Tag("numbers")],

@@ -11,7 +11,7 @@ import os
 from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -32,9 +32,10 @@ SPACING = 0.1  # [mm] between the sheet's nodes
 MASK_PIXEL = 0.02  # [mm] of the marker texture
 MAX_DEPTH = 12  # path vertices, interfaces included
 BLOCK = 8  # [px] side of the blocks that scalar variants work on
-COARSE = 8  # pixels of the image per pixel of the map of scattered light
+COLUMNS = 40  # of the map of scattered light, whatever the image's: its blur must stay short of the strips
+PATHS = 64  # in a pixel of the map, for each path a pixel that was asked for
 SMOOTH = 2.0  # [map pixels] the Gaussian that takes the noise off that map
-MAP_VERSION = 2  # of how the map is made; part of its cache key
+MAP_VERSION = 3  # of how the map is made; part of its cache key
 
 
 def variant() -> str:
@@ -148,8 +149,18 @@ class PathTracer:
 class Renderer:
     """One sensor's camera."""
 
-    def __init__(self, sensor: "Sensor", spp: int, seed: int, markers: bool, variant: str | None = None) -> None:
-        """`spp` paths a pixel go into the map of scattered light; `variant` is Mitsuba's, the best here if None.
+    def __init__(
+        self,
+        sensor: "Sensor",
+        spp: int,
+        seed: int,
+        markers: bool,
+        variant: str | None = None,
+        method: Literal["transport", "path"] = "transport",
+    ) -> None:
+        """By `transport`, `spp` paths a pixel go into the map of scattered light; by `path`, into every image.
+
+        `variant` is Mitsuba's, the best here if None; `seed` is that of the paths in images.
 
         Raises:
             ValueError: spp < 1.
@@ -162,9 +173,17 @@ class Renderer:
         self._pieces, rays = effort(spp)
         self._direct = Direct(sensor, self.sheet, markers, self._pieces, rays)
         self._scattered: Floats | None = None
+        self._tracer = PathTracer(sensor, self.sheet, markers, self.variant) if method == "path" else None
+        self._traced = 0  # images so far: each gets noise of its own
 
     def image(self, surface: Surface) -> "NDArray[np.float32]":
-        """Linear radiance (H, W, 3) of a deformed face, before the response; its only noise is the map's."""
+        """Linear radiance (H, W, 3) of a deformed face, before the response; transport's only noise is the map's."""
+        if self._tracer is not None:
+            self._traced += 1
+            seed = int(np.random.SeedSequence((self.seed, self._traced)).generate_state(1)[0])
+            traced = self._tracer.radiance(surface, self.spp, seed)
+            stray = self._direct.dimmed(self._direct.look(surface), response.stray(self.sensor.camera))
+            return (traced + stray).astype(np.float32)
         rest = self.scattered() + response.stray(self.sensor.camera)
         return self._direct.radiance(surface, rest).astype(np.float32)
 
@@ -192,11 +211,11 @@ class Renderer:
         from scipy.ndimage import gaussian_filter
 
         eye = self.sensor.camera
-        w, h = max(8, round(eye.width_px / COARSE)), max(8, round(eye.height_px / COARSE))
-        scale = eye.width_px / w
+        scale = eye.width_px / COLUMNS
+        w, h = COLUMNS, max(1, round(eye.height_px / scale))
         coarse = eye.model_copy(update={"width_px": w, "height_px": h, "mm_per_px": eye.mm_per_px * scale})
         sensor = self.sensor.model_copy(update={"camera": coarse})
-        full = PathTracer(sensor, self.sheet, False, self.variant).radiance(Flat(), round(self.spp * scale**2), 0)
+        full = PathTracer(sensor, self.sheet, False, self.variant).radiance(Flat(), self.spp * PATHS, 0)
         # the same points on the strips as in the images, so that the map also mends what so few of them miss
         rest = full - Direct(sensor, self.sheet, False, self._pieces, 4).radiance(Flat())
         return np.asarray(gaussian_filter(rest, (SMOOTH, SMOOTH, 0), mode="nearest"))
@@ -215,7 +234,8 @@ class Renderer:
             self.variant,
             version("mitsuba"),
             MAP_VERSION,
-            COARSE,
+            COLUMNS,
+            PATHS,
             SMOOTH,
             SPACING,
             MAX_DEPTH,

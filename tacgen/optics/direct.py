@@ -76,19 +76,33 @@ class Direct:
 
     def radiance(self, surface: Surface, scattered: "Floats | None" = None) -> "Floats":
         """Linear radiance (H, W, 3); `scattered` (H, W, 3) is what a bare coat shows of all other light."""
-        coat, at, n, (h, w) = self.sensor.coating, self.look(surface), self.samples, self.camera.shape
+        coat, at = self.sensor.coating, self.look(surface)
         light = np.einsum("nkc,kr->ncr", self.light(at), [led.radiance for led in self.sensor.leds])
         seen = (1 - coat.specular) * light[:, 0] * coat.albedo + coat.specular * coating.METAL * light[:, 1]
-        other = np.zeros((1, 3))
-        if scattered is not None:
-            other = np.repeat(np.repeat(scattered, n, axis=0), n, axis=1).reshape(-1, 3)
         if self.markers is not None:
-            fade = self.sensor.camera.mm_per_px / self.samples
-            dot = np.nan_to_num(coating.paint(self.markers, at.rest, fade))[:, np.newaxis]
-            bare = (1 - coat.specular) * np.array(coat.albedo) + coat.specular * coating.METAL
-            seen += dot * (self.markers.albedo * light[:, 0] - seen)
-            other = other * (1 + dot * (self.markers.albedo / bare - 1))
-        return np.asarray((seen + other).reshape(h, n, w, n, 3).mean(axis=(1, 3)))
+            seen += self._dots(at) * (self.markers.albedo * light[:, 0] - seen)
+        picture = self._pixels(seen)
+        return picture if scattered is None else picture + self.dimmed(at, scattered)
+
+    def dimmed(self, at: "Samples", bare: "Floats") -> "Floats":
+        """What the coat with its dots shows (H, W, 3) of light by which a bare coat would show `bare` (H, W, 3)."""
+        coat, n = self.sensor.coating, self.samples
+        other = np.repeat(np.repeat(bare, n, axis=0), n, axis=1).reshape(-1, 3)
+        if self.markers is not None:
+            white = (1 - coat.specular) * np.array(coat.albedo) + coat.specular * coating.METAL
+            other = other * (1 + self._dots(at) * (self.markers.albedo / white - 1))
+        return self._pixels(other)
+
+    def _dots(self, at: "Samples") -> "Floats":
+        """Share of marker paint at each sample (samples, 1)."""
+        assert self.markers is not None
+        fade = self.sensor.camera.mm_per_px / self.samples
+        return np.nan_to_num(coating.paint(self.markers, at.rest, fade))[:, np.newaxis]
+
+    def _pixels(self, samples: "Floats") -> "Floats":
+        """Means (H, W, 3) over each pixel's samples (samples, 3)."""
+        (h, w), n = self.camera.shape, self.samples
+        return np.asarray(samples.reshape(h, n, w, n, 3).mean(axis=(1, 3)))
 
     def _heights(self, nodes: "Floats") -> "Floats":
         """The deformed face as heights (rows, columns) [mm] over the pad's rectangle, 0 where it drew back."""
