@@ -27,6 +27,8 @@ RESIDUAL = 1e-3  # of the contact force
 LAG = 0.01  # normal forces may be this far from the ones friction used, as a part of their sum
 NEGLIGIBLE = 1e-3  # of the largest contact force so far
 HALVINGS = 5
+TRIES = 8  # at a pose, each with a smaller tolerance or a stiffer barrier than the last
+STIFFER = 4
 EPS = 5e-3  # slip over which friction builds up [mm]
 
 
@@ -95,6 +97,7 @@ class _Memory:
     normal: Array
     anchor: Array
     gap: Array
+    kappa: float  # barrier stiffness [MPa]
     scale: float  # force below which nothing is told apart [N]
 
 
@@ -133,7 +136,8 @@ class Problem:
         x = self.mesh.points
         force, normal, gap = self.contact.moved(pose, 0.0).pressure(x)
         local = normal @ pose.rotation
-        return _Memory(pose, x, x, x, 0.0, np.zeros_like(force), local, pose.local(self.contact.faces.at(x)), gap, 0.0)
+        at, kappa = pose.local(self.contact.faces.at(x)), self.contact.kappa
+        return _Memory(pose, x, x, x, 0.0, np.zeros_like(force), local, at, gap, kappa, 0.0)
 
 
 class _Lagged:
@@ -144,7 +148,7 @@ class _Lagged:
 
     def __init__(self, problem: Problem, memory: _Memory, pose: Pose) -> None:
         self.problem, self.memory = problem, memory
-        self.contact = problem.contact.moved(pose, memory.offset)
+        self.contact = replace(problem.contact, pose=pose, offset=memory.offset, kappa=memory.kappa)
         self.contact_force = 0.0
         self.friction = None
         if problem.friction > 0:  # lagged from the last pose, turned with the indenter
@@ -176,6 +180,13 @@ class _Lagged:
             self.friction = replace(self.friction, normal_force=force, normal=normal, anchor=anchor)
         self.contact = self.contact.moved(self.contact.pose, gap)
         return self.total
+
+    def stiffened(self, x: Array) -> bool:
+        """Whether a point of the gel is inside the shrunk indenter, so that the barrier was made stiffer."""
+        inside = bool(self.contact.gaps(x)[0].min() <= 0)
+        if inside:
+            self.contact = replace(self.contact, kappa=STIFFER * self.contact.kappa)
+        return inside
 
     def negligible(self, g: Array) -> bool:
         """Whether a gradient (n, 3) is a tenth of what a frame may leave unbalanced."""
@@ -215,19 +226,25 @@ def _advance(problem: Problem, memory: _Memory, matrix: Array, index: int) -> tu
     lagged = _Lagged(problem, memory, Pose.of(matrix))
     carried = 2 * memory.x - memory.before
     x = carried if lagged.total.value(carried) < lagged.total.value(memory.x) else memory.x
-    expect, iterations = np.inf, 0
-    for xtol in (XTOL, XTOL / 30, XTOL / 900):
+    expect, iterations, xtol = np.inf, 0, XTOL
+    for _ in range(TRIES):
         found = minimise(
             lagged.total, x, problem.pattern, problem.linear, xtol=xtol, expect=expect,
             refresh=lagged.refresh, negligible=lagged.negligible,
         )  # fmt: skip
-        x, expect, iterations = found.x, xtol, iterations + len(found.steps)
+        x, expect, iterations = found.x, XTOL, iterations + len(found.steps)
         if found.status != Status.converged:
             raise NotConverged(f"Newton {found.status} after {iterations} iterations")
         residual, balance = lagged.imbalance(x)
-        if residual <= RESIDUAL and balance <= RESIDUAL:
+        if residual > RESIDUAL or balance > RESIDUAL:
+            xtol /= 30
+        elif not lagged.stiffened(x):
             return _record(lagged, x, index, matrix, iterations, residual, balance)
-    raise NotConverged(f"residual {residual:.1e}, balance {balance:.1e} of the contact force")
+    least = lagged.contact.gaps(x)[0].min()
+    raise NotConverged(
+        f"after {iterations} iterations residual {residual:.1e} and balance {balance:.1e} of the contact force,"
+        f" smallest gap {least:.1e} mm"
+    )
 
 
 def _record(
@@ -235,8 +252,6 @@ def _record(
 ) -> tuple[_Memory, State]:
     contact, friction, memory = lagged.contact, lagged.friction, lagged.memory
     force, normal, gap = contact.pressure(x)
-    if gap.min() <= 0:
-        raise NotConverged(f"a point of the gel is {-gap.min():.1e} mm inside the indenter")
     rub = sliding = None
     anchor = memory.anchor
     if friction is not None:
@@ -254,6 +269,7 @@ def _record(
         normal @ contact.pose.rotation,
         anchor,
         gap,
+        contact.kappa,
         scale,
     )
     mean, least = mean_gap(contact, x), float(gap.min())
