@@ -14,6 +14,7 @@ from tacgen.errors import UserError
 
 FORCE_BALANCE = 1e-3  # largest imbalance of a converged frame [-]
 PULL = 1e-3  # how far interpolation may bring a pressure below zero, as a part of the frame's peak
+FAINT = 0.01  # of the scene's peak pressure
 COULOMB = 0.01  # by how much of friction x peak pressure interpolation may exceed friction x pressure
 ROUNDING = 1e-6  # of float32 maps, as a part of the frame's peak
 MOVED = {"/frames/height": 0.02, "/frames/marker_flow": 0.5}  # a change [mm, px] that no camera image can hide
@@ -130,7 +131,9 @@ def _friction(bundle: Bundle) -> Iterator[str]:
         friction = float(bundle.recipe.get("contact", {}).get("friction", 0.0))
         pressure, size = bundle["/frames/pressure"], np.linalg.norm(bundle["/frames/traction"], axis=-1)
         excess = (size - friction * np.maximum(pressure, 0)).max(axis=(1, 2))
-        allowed = (COULOMB * friction + ROUNDING) * pressure.max(axis=(1, 2))
+        peak = pressure.max(axis=(1, 2))
+        peak = np.maximum(peak, FAINT * peak.max(initial=0.0))  # a touch that fades is not held to its own peak
+        allowed = (COULOMB * friction + ROUNDING) * peak
         yield from _each(excess > allowed, f"/frames/traction exceeds {friction:g} x pressure by", excess, "MPa")
     if "/frames/slip" in bundle and "/frames/contact" in bundle:
         stray = (bundle["/frames/slip"] & ~bundle["/frames/contact"]).any(axis=(1, 2))
