@@ -170,9 +170,9 @@ class _Lagged:
         self.contact_force = float(force.sum())
         scale = max(self.contact_force, self.memory.scale)
         lag = 0.0
-        if self.friction is not None:  # in sum, and at every point, since Coulomb's law holds at each
+        if self.friction is not None:  # in sum, and half as strictly at every point, since Coulomb's law holds at each
             off = np.abs(force - self.friction.normal_force)
-            lag = max(float(off.sum()), float(off.max()) / max(float(force.max()), 1e-300) * scale)
+            lag = max(float(off.sum()), float(off.max()) / max(float(force.max()), 1e-300) * scale / 2)
         if scale == 0 or (abs(gap - self.contact.offset) <= XTOL and lag <= LAG * scale):
             return None
         if self.friction is not None:
