@@ -44,7 +44,7 @@ def solved(*sets: str) -> tuple[solve.Problem, list[solve.State], list[float]]:
     """The quickstart with changes: its problem, states and processor seconds of each frame."""
     row = plan.load(assets.recipe_path("quickstart"), sets).rows[0]
     made = scene.build(row)
-    problem = solve.Problem.of(made, mesh.build(made.gel, solve.footprint(made), made.edge))
+    problem = solve.Problem.of(made, mesh.build(made.gel, mesh.footprint(made), made.edge))
     states, seconds = [], []
     start = time.process_time()
     for state in solve.states(made, problem):

@@ -50,7 +50,7 @@ def _depths(recipe: Recipe, sensor: Sensor) -> list[Problem]:
             f"must be less than the gel is thick, {thick:g} mm (got {segment.press.depth_mm:g})",
         )
         for i, segment in enumerate(recipe.trajectory)
-        if segment.press and segment.press.depth_mm >= thick
+        if segment.press and segment.press.depth_mm is not None and segment.press.depth_mm >= thick
     ]
 
 

@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tacgen.scene import Gel
+from tacgen.fem.contact import Pose
+from tacgen.scene import Gel, Scene
 
 Array = np.ndarray
 
@@ -93,3 +94,25 @@ def build(
     rename = np.full(len(points), -1)
     rename[used] = np.arange(len(used))
     return Mesh(points[used], compact.reshape(-1, 8), layers, {"bonded": rename[bonded], "coated": rename[coated]})
+
+
+def footprint(scene: Scene) -> tuple[float, float, float, float]:
+    """x0, x1, y0, y1 [mm] of all of the untouched face that the indenter overlaps on its path, and half an edge more.
+
+    A rigid body cuts a wider patch out of the untouched face than it touches of a soft one: this is on the safe side.
+    """
+    gel, step = scene.gel, scene.edge / 3
+    x, y = (np.arange(-size / 2, size / 2 + step, step) for size in (gel.width, gel.height))
+    grid = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
+    face = np.column_stack([grid, np.zeros(len(grid))])
+    touched = np.zeros(len(face), bool)
+    poses = scene.poses
+    if scene.forced is not None:
+        poses = poses.copy()
+        poses[:, 2, 3] -= scene.forced.allowance
+    for matrix in np.unique(poses.reshape(-1, 16), axis=0).reshape(-1, 4, 4):
+        rest = ~touched
+        touched[rest] = scene.shape.distance(Pose.of(matrix).local(face[rest]))[0] < 0
+    where = grid[touched] if touched.any() else scene.start[None, :2, 3]
+    low, high = where.min(0) - scene.edge / 2, where.max(0) + scene.edge / 2
+    return float(low[0]), float(high[0]), float(low[1]), float(high[1])

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from tacgen import bundle, mesh, scene, solve
+from tacgen import bundle, foresee, mesh, scene, solve
 from tacgen.errors import UserError
 from tacgen.plan import Row
 
@@ -178,8 +178,8 @@ def run_scene(row: Row, folder: Path, *, overwrite: bool = False, say: Say | Non
         _refuse(path)
     clock = Clock()
     with clock.stage("mesh"):
-        built = scene.build(row)
-        problem = solve.Problem.of(built, mesh.build(built.gel, solve.footprint(built), built.edge))
+        built = foresee.foreseen(scene.build(row))
+        problem = solve.Problem.of(built, mesh.build(built.gel, mesh.footprint(built), built.edge))
     products = Products(row, problem, clock)
     reason = ""
     with bundle.Writer(path, _attributes(row, problem, products), row.frames) as writer:

@@ -119,6 +119,14 @@ SHAPES: dict[str, type[Part]] = {
 }
 
 
+def _exactly_one(part: Part, what: str, names: tuple[str, ...] = ()) -> None:
+    """Raise ValueError unless one field is given, of `names` or of all."""
+    names = names or tuple(type(part).model_fields)
+    given = [name for name in names if getattr(part, name) is not None]
+    if len(given) != 1:
+        raise ValueError(f"must hold exactly one {what} of {', '.join(names)} (got {', '.join(given) or 'none'})")
+
+
 class Start(Part):
     """Where the indenter stands before it moves: its lowest point `clearance_mm` over the untouched face."""
 
@@ -138,10 +146,19 @@ class Start(Part):
 
 
 class Press(Part):
-    """Move along z until the lowest point is `depth_mm` below the untouched face."""
+    """Move along z until the lowest point is `depth_mm` below the untouched face, or until the gel bears `force_n`.
 
-    depth_mm: Positive
+    With a force the frames go in equal steps of the normal force, from the one before to the one asked for.
+    """
+
+    depth_mm: Positive | None = None
+    force_n: Positive | None = None
     frames: Frames
+
+    @model_validator(mode="after")
+    def _one(self) -> "Press":
+        _exactly_one(self, "aim", ("depth_mm", "force_n"))
+        return self
 
 
 class Slide(Part):
@@ -159,6 +176,14 @@ class Twist(Part):
     frames: Frames
 
 
+class Tilt(Part):
+    """Turn about a horizontal axis through the indenter's lowest point; the axis is `axis_deg` from x towards y."""
+
+    angle_deg: Annotated[float, Field(gt=-90, lt=90)]
+    axis_deg: float = 0.0
+    frames: Frames
+
+
 class Hold(Part):
     """Stay."""
 
@@ -171,14 +196,7 @@ class Release(Part):
     frames: Frames
 
 
-def _exactly_one(part: Part, what: str) -> None:
-    """Raise ValueError unless one field is given."""
-    given = [name for name in type(part).model_fields if getattr(part, name) is not None]
-    if len(given) != 1:
-        names = ", ".join(type(part).model_fields)
-        raise ValueError(f"must hold exactly one {what} of {names} (got {', '.join(given) or 'none'})")
-
-
+Move = Press | Slide | Twist | Tilt | Hold | Release
 ONE_KEY: dict[str, Any] = {"minProperties": 1, "maxProperties": 1}
 
 
@@ -188,6 +206,7 @@ class Segment(Part, json_schema_extra=ONE_KEY):
     press: Press | None = None
     slide: Slide | None = None
     twist: Twist | None = None
+    tilt: Tilt | None = None
     hold: Hold | None = None
     release: Release | None = None
 
@@ -198,13 +217,13 @@ class Segment(Part, json_schema_extra=ONE_KEY):
 
     @property
     def kind(self) -> str:
-        """press, slide, twist, hold or release."""
+        """press, slide, twist, tilt, hold or release."""
         return next(name for name in type(self).model_fields if getattr(self, name) is not None)
 
     @property
-    def move(self) -> Press | Slide | Twist | Hold | Release:
+    def move(self) -> Move:
         """The one movement that is given."""
-        found: Press | Slide | Twist | Hold | Release = getattr(self, self.kind)
+        found: Move = getattr(self, self.kind)
         return found
 
     @property

@@ -1,6 +1,6 @@
 """Resolved scene -> Scene: gel, laws, indenter, path and tolerances as plain arrays and numbers."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +17,8 @@ from tacgen.recipe import Indenter, Recipe, Start
 from tacgen.sensor import MooneyRivlinLayer, NeoHookeLayer, Sensor, StableNeoHookeLayer, YeohLayer
 
 Array = np.ndarray
+FORCE_DEPTH = 0.8  # of the gel's thickness: no force is looked for below
+FIRST_GUESS = 0.1  # of the thickness: where the search for a force starts
 CELLS = (0.04, 0.15)  # least and largest grid spacing of a mesh's signed distance [mm]
 
 
@@ -53,10 +55,37 @@ class Gel:
 
 
 @dataclass(frozen=True)
+class Forced:
+    """Frames (N,) whose height is found from a force; without friction, history or mesh nobody can know it before.
+
+    asked: normal force at the end of the segment [N], nan where the pose is given; part: of the way there from the
+    force before the segment; carry: the part of what a height was found off its guess that later poses are off too;
+    floor: height of the indenter's origin that no trial goes below [mm]; below: how far under its guess a frame may
+    come, for which the mesh is made fine [mm].
+    """
+
+    asked: Array
+    part: Array
+    carry: Array
+    floor: Array
+    below: Array
+
+    @property
+    def allowance(self) -> Array:
+        """How far below its guess (N,) each frame may come, those that follow a found height included [mm]."""
+        below, out = 0.0, np.zeros(len(self.asked))
+        for i, asked in enumerate(self.asked):
+            below = self.below[i] if np.isfinite(asked) else below
+            out[i] = self.carry[i] * below
+        return out
+
+
+@dataclass(frozen=True)
 class Scene:
     """All that the numerics need of one scene; nothing in it is a recipe.
 
-    poses (N, 4, 4): indenter frame to sensor frame at each frame; segment (N,): number of the trajectory segment;
+    poses (N, 4, 4): indenter frame to sensor frame at each frame, a guess of the height where `forced` says so;
+    segment (N,): number of the trajectory segment;
     start (4, 4): the pose before the first frame, clear of the gel.
     """
 
@@ -68,6 +97,7 @@ class Scene:
     friction: float
     edge: float  # element edge under the contact [mm]
     dhat: float  # [mm]
+    forced: Forced | None = None
 
 
 def _shape(i: Indenter, field: Callable[[recipes.Mesh], Shape]) -> Shape:
@@ -92,7 +122,8 @@ def _shape(i: Indenter, field: Callable[[recipes.Mesh], Shape]) -> Shape:
 
 def _field(i: recipes.Mesh, row: Row) -> Field:
     """A mesh as far as the gel can come to it; its grid follows the quality's edge, as what the gel resolves does."""
-    gel, tilted = row.sensor.gel, row.recipe.start.tilt_deg > 0
+    gel = row.sensor.gel
+    tilted = row.recipe.start.tilt_deg > 0 or any(segment.tilt for segment in row.recipe.trajectory)
     rise = sum(layer.thickness_mm for layer in gel.layers) + 1.0  # no press is deeper, and gel bulges beside it
     cell = float(np.clip(row.recipe.resolved().edge_mm / 4, *CELLS))
     solid = geometry.placed(geometry.read(row.mesh_path), up=i.up, scale=i.scale, size=i.size_mm)
@@ -152,39 +183,101 @@ def _first_pose(shape: Shape, start: Start) -> Array:
     return pose
 
 
-def path(recipe: Recipe, first: Array) -> tuple[Array, Array]:
-    """Poses (N, 4, 4) at every frame and the segment (N,) each belongs to."""
-    poses: list[Array] = []
-    segments: list[int] = []
-    contact_z = first[2, 3] - recipe.start.clearance_mm
-    pose = first
-    for number, segment in enumerate(recipe.trajectory):
-        for k in range(1, segment.frames + 1):
-            part = k / segment.frames
-            new = pose.copy()
-            match segment.move:
-                case recipes.Press(depth_mm=depth):
-                    new[2, 3] += part * (contact_z - depth - pose[2, 3])
+def lowest(shape: Shape, rotation: Array) -> Array:
+    """The lowest point (3,) of a turned shape from its own origin [mm]: the middle of them where it is an edge or face.
+
+    The slope of the support function, by central differences; inf in z where the shape has no lowest point.
+    """
+    down = -rotation[2]
+    step = 1e-5 * np.eye(3)
+    slope = [shape.support(_unit(down + s)) - shape.support(_unit(down - s)) for s in step]
+    height = shape.support(down)
+    flat = rotation @ (np.array(slope) / 2e-5)  # its part along `down` is lost in the unit vectors
+    return np.array([flat[0], flat[1], -height])
+
+
+def _unit(v: Array) -> Array:
+    return np.asarray(v / np.linalg.norm(v))
+
+
+@dataclass
+class _Walk:
+    """Where a path has come to, while it is laid."""
+
+    shape: Shape
+    thickness: float
+    first: Array
+    contact_z: float  # height of the origin where the lowest point meets the untouched face [mm]
+    pose: Array
+    carry: float = 0.0
+
+    def steps(self, move: recipes.Move, where: str) -> Iterator[tuple[Array, tuple[float, ...]]]:
+        """Pose, and asked, part, carry, floor and below of Forced, at each frame of one segment."""
+        begun, carried = self.pose, self.carry
+        floor = self.contact_z - FORCE_DEPTH * self.thickness
+        for k in range(1, move.frames + 1):
+            part = k / move.frames
+            new = begun.copy()
+            asked = below = np.nan
+            match move:
+                case recipes.Press(force_n=float(force)):
+                    asked, self.carry = force, 1.0
+                    new[2, 3] = self.contact_z - FIRST_GUESS * part * self.thickness
+                    below = new[2, 3] - floor
+                case recipes.Press(depth_mm=float(depth)):
+                    new[2, 3] += part * (self.contact_z - depth - begun[2, 3])
+                    self.carry = (1 - part) * carried
                 case recipes.Release():
-                    new[2, 3] += part * (first[2, 3] - pose[2, 3])
+                    new[2, 3] += part * (self.first[2, 3] - begun[2, 3])
+                    self.carry = (1 - part) * carried
                 case recipes.Slide(x_mm=x, y_mm=y):
                     new[0, 3] += part * x
                     new[1, 3] += part * y
                 case recipes.Twist(angle_deg=angle):
-                    axis = pose[:3, 2]
-                    new[:3, :3] = _about(axis, part * np.radians(angle)) @ pose[:3, :3]
-            poses.append(new)
+                    new[:3, :3] = _about(begun[:3, 2], part * np.radians(angle)) @ begun[:3, :3]
+                case recipes.Tilt(angle_deg=angle, axis_deg=axis):
+                    self._tilt(new, begun, part * np.radians(angle), np.radians(axis), where)
+            self.pose = new
+            yield new, (asked, part, self.carry, floor, below)
+
+    def _tilt(self, new: Array, begun: Array, angle: float, axis: float, where: str) -> None:
+        """Turn about the lowest point of the pose at which the segment began."""
+        from_origin = lowest(self.shape, begun[:3, :3])
+        turn = _about(np.array([np.cos(axis), np.sin(axis), 0.0]), angle)
+        new[:3, :3] = turn @ begun[:3, :3]
+        new[:3, 3] = begun[:3, 3] + from_origin - turn @ from_origin
+        drop = self.shape.support(-new[2, :3])
+        if not np.isfinite([*from_origin, drop]).all():
+            raise UserError(f"{where}.angle_deg: the indenter's flank would meet the gel before its tip")
+        if new[2, 3] - drop <= -self.thickness:
+            raise UserError(f"{where}.angle_deg: would turn the indenter's edge to the base of the gel, or below")
+        self.contact_z = drop
+
+
+def path(recipe: Recipe, first: Array, shape: Shape, thickness: float) -> tuple[Array, Array, Forced | None]:
+    """Poses (N, 4, 4) at every frame, the segment (N,) each belongs to, and what forces ask for.
+
+    Raises:
+        UserError: a tilt that cannot be.
+    """
+    walk = _Walk(shape, thickness, first, first[2, 3] - recipe.start.clearance_mm, first)
+    poses: list[Array] = []
+    segments: list[int] = []
+    asked: list[tuple[float, ...]] = []
+    for number, segment in enumerate(recipe.trajectory):
+        for pose, ask in walk.steps(segment.move, f"trajectory[{number}].{segment.kind}"):
+            poses.append(pose)
             segments.append(number)
-        pose = poses[-1]
-    return np.array(poses), np.array(segments)
+            asked.append(ask)
+    of, part, carry, floor, below = np.array(asked).T
+    forced = Forced(of, part, carry, floor, np.nan_to_num(below))
+    return np.array(poses), np.array(segments), forced if np.isfinite(forced.asked).any() else None
 
 
 def build(row: Row) -> Scene:
     """The scene of one row of a plan."""
-    recipe, quality = row.recipe, row.recipe.resolved()
+    recipe, quality, gel = row.recipe, row.recipe.resolved(), gel_of(row.sensor)
     shape = _shape(recipe.indenter, lambda mesh: _field(mesh, row))
     first = _first_pose(shape, recipe.start)
-    poses, segment = path(recipe, first)
-    return Scene(
-        gel_of(row.sensor), shape, poses, first, segment, recipe.contact.friction, quality.edge_mm, quality.dhat_mm
-    )
+    poses, segment, forced = path(recipe, first, shape, gel.thickness)
+    return Scene(gel, shape, poses, first, segment, recipe.contact.friction, quality.edge_mm, quality.dhat_mm, forced)

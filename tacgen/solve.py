@@ -6,6 +6,7 @@ reach is approached in halved substeps; one that cannot be reached at all ends t
 """
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,8 +19,9 @@ from tacgen.fem.elements import Elements, hexes
 from tacgen.fem.friction import Friction
 from tacgen.fem.newton import Status, minimise
 from tacgen.fem.potentials import Elastic, Potential, Total
+from tacgen.fem.rising import POWER, OutOfReach, meet
 from tacgen.mesh import Mesh
-from tacgen.scene import Scene
+from tacgen.scene import FORCE_DEPTH, Scene
 
 Array = np.ndarray
 XTOL = 1e-3  # no node moves by more than this in the last step, nor does the mean gap between passes [mm]
@@ -29,29 +31,13 @@ NEGLIGIBLE = 1e-3  # of the largest contact force so far
 HALVINGS = 5
 TRIES = 8  # at a pose, each with a smaller tolerance or a stiffer barrier than the last
 STIFFER = 4
+FORCE_TOL = 3e-3  # of a force that is asked for; of those on the way to it, 1e-2
+RISE = np.outer(np.eye(4)[2], np.eye(4)[3])  # added to a pose: 1 mm along z
 EPS = 5e-3  # slip over which friction builds up [mm]
 
 
 class NotConverged(ArithmeticError):
     """A frame has no solution that meets the tolerances; the message says why."""
-
-
-def footprint(scene: Scene) -> tuple[float, float, float, float]:
-    """x0, x1, y0, y1 [mm] of all of the untouched face that the indenter overlaps on its path, and half an edge more.
-
-    A rigid body cuts a wider patch out of the untouched face than it touches of a soft one: this is on the safe side.
-    """
-    gel, step = scene.gel, scene.edge / 3
-    x, y = (np.arange(-size / 2, size / 2 + step, step) for size in (gel.width, gel.height))
-    grid = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
-    face = np.column_stack([grid, np.zeros(len(grid))])
-    touched = np.zeros(len(face), bool)
-    for matrix in np.unique(scene.poses.reshape(-1, 16), axis=0).reshape(-1, 4, 4):
-        rest = ~touched
-        touched[rest] = scene.shape.distance(Pose.of(matrix).local(face[rest]))[0] < 0
-    where = grid[touched] if touched.any() else scene.start[None, :2, 3]
-    low, high = where.min(0) - scene.edge / 2, where.max(0) + scene.edge / 2
-    return float(low[0]), float(high[0]), float(low[1]), float(high[1])
 
 
 @dataclass(frozen=True)
@@ -126,6 +112,11 @@ class Problem:
         kappa = 2 * scene.gel.layers[-1].youngs_modulus
         contact = Contact(faces, scene.shape, Pose.of(scene.start), scene.dhat, kappa)
         return cls(mesh, tuple(elastic), contact, linear.best(pat), pat, scene.friction, scene.edge)
+
+    @property
+    def thickness(self) -> float:
+        """Of the gel [mm]."""
+        return float(np.ptp(self.mesh.points[:, 2]))
 
     @property
     def elements(self) -> tuple[Elements, ...]:
@@ -221,10 +212,15 @@ def mean_gap(contact: Contact, x: Array) -> float:
     return float((force * gap).sum() / total) if total > 0 else contact.offset
 
 
-def _advance(problem: Problem, memory: _Memory, matrix: Array, index: int) -> tuple[_Memory, State]:
-    """One pose on, from the last positions or those carried on by the last increment: the ones of lower energy."""
-    lagged = _Lagged(problem, memory, Pose.of(matrix))
-    carried = 2 * memory.x - memory.before
+def _advance(
+    problem: Problem, memory: _Memory, matrix: Array, index: int, near: State | None = None
+) -> tuple[_Memory, State]:
+    """One pose on, from the last positions or those carried on by the last increment: the ones of lower energy.
+
+    `near` is another answer to the same memory, at a pose close by: Newton starts there, and inherits nothing of it.
+    """
+    lagged = _Lagged(problem, memory if near is None else replace(memory, offset=near.offset), Pose.of(matrix))
+    carried = 2 * memory.x - memory.before if near is None else near.x
     x = carried if lagged.total.value(carried) < lagged.total.value(memory.x) else memory.x
     expect, iterations, xtol = np.inf, 0, XTOL
     for _ in range(TRIES):
@@ -303,14 +299,92 @@ def _reach(problem: Problem, memory: _Memory, a: Array, b: Array, index: int, de
     return memory, total
 
 
-def states(scene: Scene, problem: Problem) -> Iterator[State]:
-    """The gel at every frame of the path, in order.
+def _reach_force(
+    problem: Problem,
+    memory: _Memory,
+    last: Array,
+    guess: Array,
+    index: int,
+    target: float,
+    had: float,
+    floor: float,
+    tol: float,
+) -> tuple[_Memory, State]:
+    """From pose `last`, where the gel bears `had`, straight to where it bears `target` [N] at the turn of `guess`.
+
+    Every trial starts from the same memory, so that friction knows only of the frames that are kept.
+    """
+    low = -max(last[2, 3], guess[2, 3], floor + problem.thickness)
+    found: list[tuple[_Memory, State]] = []
+    refused: list[NotConverged] = []
+
+    def bears(u: float) -> float:
+        pose = guess.copy()
+        pose[2, 3] = -u
+        try:
+            found.append(_trial(problem, memory, last, pose, index, found[-1][1] if found else None))
+        except NotConverged as error:
+            refused.append(error)
+            return float("nan")
+        return normal_force(found[-1][1])
+
+    try:
+        known, at = (-float(last[2, 3]), had), -float(guess[2, 3])
+        if had > 0 and (at <= known[0]) == (target > had):  # the guess lies on the wrong side of what is known
+            face = floor + FORCE_DEPTH * problem.thickness
+            at = -face + (known[0] + face) * (target / had) ** POWER
+        meet(bears, target, known=known, guess=at, low=low, high=-floor, tol=tol)
+    except OutOfReach as error:
+        raise NotConverged(
+            f"{target:g} N asked for, and {FORCE_DEPTH:.0%} of the gel's thickness gives {error.most:.3g} N"
+        ) from None
+    except ArithmeticError as error:
+        most = max((normal_force(state) for _, state in found), default=had)
+        why = refused[-1] if refused else error
+        raise NotConverged(
+            f"{target:g} N asked for, and as far as the gel could be solved it gives {most:.3g} N: {why}"
+        ) from None
+    carried, state = found[-1]
+    return carried, replace(state, iterations=sum(trial.iterations for _, trial in found))
+
+
+def _trial(
+    problem: Problem, memory: _Memory, last: Array, pose: Array, index: int, near: State | None
+) -> tuple[_Memory, State]:
+    if near is not None:
+        with suppress(NotConverged):
+            return _advance(problem, memory, pose, index, near)
+    return _reach(problem, memory, last, pose, index, 0)
+
+
+def normal_force(state: State) -> float:
+    """Along z, positive when it presses the gel down [N]."""
+    return -float(state.traction_force[..., 2].sum())
+
+
+def states(scene: Scene, problem: Problem, *, tol: float = FORCE_TOL) -> Iterator[State]:
+    """The gel at every frame of the path, in order; a force that is asked for is met within the part `tol` of it.
 
     Raises:
         NotConverged: a frame could not be reached; it and all after it are missing, because each stands on the last.
     """
     memory, last = problem.rest(Pose.of(scene.start)), scene.start
+    forced, shift, had, begun = scene.forced, 0.0, 0.0, 0.0
     for index, pose in enumerate(scene.poses):
-        memory, state = _reach(problem, memory, last, pose, index, 0)
+        if forced is not None and (index == 0 or scene.segment[index] != scene.segment[index - 1]):
+            begun = had  # the force before the segment
+        if forced is not None and np.isfinite(asked := forced.asked[index]):
+            target = begun + forced.part[index] * (asked - begun)
+            part_tol = tol if forced.part[index] == 1 else max(tol, 1e-2)
+            memory, state = _reach_force(problem, memory, last, pose, index, target, had, forced.floor[index], part_tol)
+            shift = state.pose[2, 3] - pose[2, 3]
+            if -shift > forced.below[index] + 1e-9:
+                raise NotConverged(f"{target:g} N are {-shift:.3g} mm deeper than the mesh was made for")
+        else:
+            if forced is not None and shift:
+                pose = pose + forced.carry[index] * shift * RISE
+            memory, state = _reach(problem, memory, last, pose, index, 0)
+        if forced is not None:
+            had = normal_force(state)
         yield state
-        last = pose
+        last = state.pose

@@ -23,6 +23,7 @@ ORDER = [
     {"scene"},  # *
     {"mesh"},  # *
     {"solve"},  # *
+    {"foresee"},
     {"fields"},  # *
     {"render"},  # *
     {"bundle"},  # *

@@ -47,7 +47,14 @@ def lines_of(tmp_path: Path, text: str, sets: tuple[str, ...] = ()) -> list[str]
         ("depth_mm: 1.0", "depth_mm: yes", "8:23: trajectory[0].press.depth_mm: must be a number (got 'yes')"),
         ("depth_mm: 1.0", "depth_mm: true", "8:23: trajectory[0].press.depth_mm: must be a number (got true)"),
         ("depth_mm: 1.0", 'depth_mm: "1"', "8:23: trajectory[0].press.depth_mm: must be a number (got '1')"),
-        ("depth_mm: 1.0, ", "", "8:5: trajectory[0].press.depth_mm: is missing"),
+        ("depth_mm: 1.0, ", "", "8:12: trajectory[0].press: must hold exactly one aim of depth_mm, force_n (got none)"),
+        (
+            "depth_mm: 1.0",
+            "depth_mm: 1.0, force_n: 2",
+            "8:12: trajectory[0].press: must hold exactly one aim of depth_mm, force_n (got depth_mm, force_n)",
+        ),
+        ("depth_mm: 1.0", "force_n: 0", "8:22: trajectory[0].press.force_n: must be greater than 0 (got 0)"),
+        ("slide: {x_mm: 1.0", "tilt: {angle_deg: 90", "9:23: trajectory[1].tilt.angle_deg: must be less than 90"),
         (
             "frames: 5}\n  - slide",
             "frames: 5.5}\n  - slide",
@@ -333,6 +340,8 @@ segments = st.one_of(
     st.fixed_dictionaries({"depth_mm": lengths, "frames": frames}).map(lambda s: {"press": s}),
     st.fixed_dictionaries({"x_mm": angles, "frames": frames}, optional={"y_mm": angles}).map(lambda s: {"slide": s}),
     st.fixed_dictionaries({"angle_deg": angles, "frames": frames}).map(lambda s: {"twist": s}),
+    st.fixed_dictionaries({"force_n": lengths, "frames": frames}).map(lambda s: {"press": s}),
+    st.fixed_dictionaries({"angle_deg": st.floats(-89, 89), "frames": frames}).map(lambda s: {"tilt": s}),
     st.fixed_dictionaries({"frames": frames}).map(lambda s: {"hold": s}),
     st.fixed_dictionaries({"frames": frames}).map(lambda s: {"release": s}),
 )

@@ -125,7 +125,7 @@ def test_the_way_between_two_poses_is_straight_and_steady() -> None:
 def test_the_footprint_covers_all_that_is_touched_and_little_more() -> None:
     path = poses([(-2, -1, -0.5), (2, 0.5, -0.5), (2, 0.5, 0.3)])
     s = scene(Sphere(3.0), path, pad=gel(20, 20, 3))
-    x0, x1, y0, y1 = solve.footprint(s)
+    x0, x1, y0, y1 = mesh.footprint(s)
     rim = np.sqrt(3.0**2 - 2.5**2)
     margin = np.array([-2 - rim - x0, x1 - 2 - rim, -1 - rim - y0, y1 - 0.5 - rim])
     assert margin.min() > 0
@@ -135,7 +135,7 @@ def test_the_footprint_covers_all_that_is_touched_and_little_more() -> None:
 def test_what_is_touched_lies_within_the_footprint() -> None:
     s = scene(Box(2.0, 1.0, 0.2), poses([(0.5, 0, -0.4), (0.5, 1.0, -0.4)], yaw=0.5), pad=gel(10, 10, 2), friction=0.4)
     found = run(s)
-    x0, x1, y0, y1 = solve.footprint(s)
+    x0, x1, y0, y1 = mesh.footprint(s)
     rest = found.problem.contact.faces.at(found.problem.mesh.points)
     for state in found.states:
         where = rest[state.normal_force > 0]
@@ -148,7 +148,7 @@ def test_what_is_touched_lies_within_the_footprint() -> None:
 
 def test_an_indenter_that_never_touches_has_a_footprint_and_no_force() -> None:
     s = scene(Sphere(2.0), poses([(1.0, 0, 0.5), (1.0, 0, 0.2)]), pad=gel(8, 8, 2), friction=0.5)
-    x0, x1, y0, y1 = solve.footprint(s)
+    x0, x1, y0, y1 = mesh.footprint(s)
     assert x0 < 1.0 < x1
     assert y0 < 0.0 < y1
     assert max(x1 - x0, y1 - y0) < 2.5 * s.edge

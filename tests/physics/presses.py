@@ -51,6 +51,6 @@ def scene(shape: Shape, path: Array, *, pad: Gel | None = None, friction: float 
 
 def run(made: Scene, footprint: Footprint | None = None) -> Run:
     """Solve all frames, on a mesh that is fine over `footprint`."""
-    grid = mesh.build(made.gel, footprint or solve.footprint(made), made.edge)
+    grid = mesh.build(made.gel, footprint or mesh.footprint(made), made.edge)
     problem = solve.Problem.of(made, grid)
     return Run(made, problem, list(solve.states(made, problem)))

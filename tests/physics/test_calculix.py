@@ -44,7 +44,7 @@ def solved(row: plan.Row, shift: tuple[float, float] = (0.0, 0.0)) -> Run:
     """The row's frames; `shift` moves the mesh under the indenter, in parts of an edge."""
     made = stage.build(row)
     dx, dy = (made.edge * s for s in shift)
-    x0, x1, y0, y1 = solve.footprint(made)
+    x0, x1, y0, y1 = mesh.footprint(made)
     problem = solve.Problem.of(made, mesh.build(made.gel, (x0 + dx, x1 + dx, y0 + dy, y1 + dy), made.edge))
     return Run(made, problem, list(solve.states(made, problem)))
 

@@ -50,7 +50,7 @@ def test_it_converges_without_inversion_or_penetration(sets: tuple[str, ...], tm
     path = tmp_path / "extreme.yaml"
     path.write_text(RECIPE)
     made = stage.build(plan.load(path, sets).rows[0])
-    problem = solve.Problem.of(made, mesh.build(made.gel, solve.footprint(made), made.edge))
+    problem = solve.Problem.of(made, mesh.build(made.gel, mesh.footprint(made), made.edge))
     states = list(solve.states(made, problem))
     assert len(states) == len(made.poses)
     for state in states:

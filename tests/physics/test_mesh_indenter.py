@@ -22,7 +22,7 @@ quality: {edge_mm: 0.8, dhat_mm: 0.05}
 def pressed(folder: Path, *sets: str) -> list[solve.State]:
     (folder / "r.yaml").write_text(RECIPE)
     built = scene.build(plan.load(folder / "r.yaml", sets).rows[0])
-    ready = solve.Problem.of(built, mesh.build(built.gel, solve.footprint(built), built.edge))
+    ready = solve.Problem.of(built, mesh.build(built.gel, mesh.footprint(built), built.edge))
     return list(solve.states(built, ready))
 
 
