@@ -7,17 +7,13 @@ from tacgen import assets
 from tacgen.errors import UserError
 from tacgen.explain import Problem
 from tacgen.recipe import Indenter, Recipe
-from tacgen.sensor import Gel, Sensor
+from tacgen.sensor import LIGHTS, Gel, Sensor
 from tacgen.yamlfile import KeyPath
 
 
 def sensor_problems(sensor: Sensor) -> list[Problem]:
     """What contradicts itself in a sensor file; paths start at the sensor's root."""
-    gel, half = sensor.gel, min(sensor.gel.width_mm, sensor.gel.height_mm) / 2
-    if gel.corner_radius_mm <= half:
-        return []
-    text = f"must be at most half the pad's shorter side, {half:g} (got {gel.corner_radius_mm:g})"
-    return [Problem(("gel", "corner_radius_mm"), text)]
+    return [*_outline(sensor.gel), *_lights(sensor)]
 
 
 def recipe_problems(recipe: Recipe, sensor: Sensor, folder: Path | None = None) -> list[Problem]:
@@ -40,6 +36,23 @@ def on_pad(gel: Gel, x_mm: float, y_mm: float) -> bool:
     past_x = max(abs(x_mm) - (gel.width_mm / 2 - r), 0.0)
     past_y = max(abs(y_mm) - (gel.height_mm / 2 - r), 0.0)
     return math.hypot(past_x, past_y) <= r + 1e-9 * gel.width_mm
+
+
+def _outline(gel: Gel) -> list[Problem]:
+    half = min(gel.width_mm, gel.height_mm) / 2
+    if gel.corner_radius_mm <= half:
+        return []
+    text = f"must be at most half the pad's shorter side, {half:g} (got {gel.corner_radius_mm:g})"
+    return [Problem(("gel", "corner_radius_mm"), text)]
+
+
+def _lights(sensor: Sensor) -> list[Problem]:
+    """A plate may stand alone; coating, walls and LEDs come together and with it, for none makes an image alone."""
+    there = [name for name in LIGHTS if getattr(sensor, name) is not None]
+    if sensor.lit or there in ([], ["plate"]):
+        return []
+    missing = [name for name in LIGHTS if name not in there]
+    return [Problem((name,), f"is missing, and {there[-1]} is there", at_key=True) for name in missing]
 
 
 def _depths(recipe: Recipe, sensor: Sensor) -> list[Problem]:
@@ -73,9 +86,12 @@ def _places(recipe: Recipe, gel: Gel) -> list[Problem]:
 
 
 def _outputs(recipe: Recipe, sensor: Sensor) -> list[Problem]:
+    wrong = []
     if "markers" in recipe.outputs and sensor.markers is None:
-        return [Problem(("outputs",), f"asks for markers, and the sensor {sensor.name} has none")]
-    return []
+        wrong.append(Problem(("outputs",), f"asks for markers, and the sensor {sensor.name} has none"))
+    if "rgb" in recipe.outputs and not sensor.lit:
+        wrong.append(Problem(("outputs",), f"asks for rgb: the sensor file {sensor.name} describes no lights yet"))
+    return wrong
 
 
 def _mesh(indenter: Indenter, folder: Path | None) -> list[Problem]:

@@ -6,13 +6,14 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from tacgen import bundle, foresee, mesh, scene, solve
 from tacgen.errors import UserError
 from tacgen.plan import Row
+from tacgen.sensor import LitSensor
 
 Array = np.ndarray
 Say = Callable[[Any], None]
@@ -74,8 +75,8 @@ class Products:
 
             with clock.stage("render"):
                 spp = row.recipe.resolved().spp
-                markers = row.sensor.markers is not None
-                self.renderer = Renderer(row.sensor, spp, row.seed, markers, method=row.recipe.render.method)
+                lit = cast(LitSensor, row.sensor)  # limits.py lets no other through
+                self.renderer = Renderer(lit, spp, row.seed, lit.markers is not None, method=row.recipe.render.method)
 
     def still(self) -> dict[str, Array]:
         """Datasets that do not change from frame to frame."""

@@ -24,7 +24,7 @@ from tacgen.optics.sheet import Flat, Sheet, Surface
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from tacgen.sensor import Sensor
+    from tacgen.sensor import LitSensor
 
     Floats = NDArray[np.float64]
 
@@ -58,7 +58,7 @@ def mitsuba(name: str) -> Any:
     return mi
 
 
-def description(sensor: "Sensor", sheet: Sheet, markers: bool) -> tuple[dict[str, Any], dict[str, Any]]:
+def description(sensor: "LitSensor", sheet: Sheet, markers: bool) -> tuple[dict[str, Any], dict[str, Any]]:
     """The sensor without its coated face, and the coated face's BSDF, as plain dictionaries."""
     eye, camera = sensor.camera, Camera.from_sensor(sensor)
     pinhole = np.array(camera.pinhole)
@@ -112,7 +112,7 @@ def realise(mi: Any, node: Any) -> Any:
 class PathTracer:
     """One sensor in Mitsuba. The scene is built once and only vertices move, because `load_dict` never frees all."""
 
-    def __init__(self, sensor: "Sensor", sheet: Sheet, markers: bool, variant: str) -> None:
+    def __init__(self, sensor: "LitSensor", sheet: Sheet, markers: bool, variant: str) -> None:
         """Imports Mitsuba and switches it to `variant`."""
         self.sheet, self.variant = sheet, variant
         self._mi = mitsuba(variant)
@@ -151,7 +151,7 @@ class Renderer:
 
     def __init__(
         self,
-        sensor: "Sensor",
+        sensor: "LitSensor",
         spp: int,
         seed: int,
         markers: bool,
@@ -222,7 +222,8 @@ class Renderer:
 
     def _key(self) -> str:
         """What the map depends on, hashed: the sensor's optics, spp, variant and versions; not the gel's mechanics."""
-        seen = self.sensor.model_dump(mode="json", include={"plate", "coating", "walls", "leds", "camera", "gel"})
+        parts_seen = {"plate", "coating", "walls", "leds", "camera", "gel"}
+        seen = self.sensor.model_dump(mode="json", exclude_none=True, include=parts_seen)
         from tacgen.sensor import LayerBase
 
         optical = LayerBase.model_fields  # the law's own fields are not among them

@@ -145,7 +145,7 @@ class Led(Part):
 class Camera(Part):
     """A pinhole in air behind the plate, looking along +z."""
 
-    distance_mm: Positive  # from the plate's air face to the pinhole
+    distance_mm: Positive  # from the plate's air face, or the gel's base where no plate is described, to the pinhole
     center_mm: Vec2 = (0.0, 0.0)  # where the optical axis meets the coating
     mm_per_px: Positive  # on the untouched coating, at the image centre
     width_px: Annotated[int, Field(ge=8)]
@@ -167,16 +167,33 @@ class Markers(Part):
     source: str
 
 
+LIGHTS = ("plate", "coating", "walls", "leds")
+
+
 class Sensor(Part):
-    """Everything known of one sensor type."""
+    """Everything known of one sensor type. One whose lights nobody has described yet has all but images."""
 
     tacgen_sensor: Literal[1]
     name: str
     description: str
     gel: Gel
+    plate: Plate | None = None
+    coating: Coating | None = None
+    walls: Walls | None = None
+    leds: Annotated[tuple[Led, ...], Field(min_length=1)] | None = None
+    camera: Camera
+    markers: Markers | None = None
+
+    @property
+    def lit(self) -> bool:
+        """Whether plate, coating, walls and LEDs are all there, as images need them."""
+        return all(getattr(self, name) is not None for name in LIGHTS)
+
+
+class LitSensor(Sensor):
+    """A sensor that is `lit`, for the type checker: what makes images takes no other."""
+
     plate: Plate
     coating: Coating
     walls: Walls
     leds: Annotated[tuple[Led, ...], Field(min_length=1)]
-    camera: Camera
-    markers: Markers | None = None

@@ -14,7 +14,7 @@ from tacgen.optics.sheet import Sheet, Surface
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from tacgen.sensor import Sensor
+    from tacgen.sensor import LitSensor
 
     Floats = NDArray[np.float64]
 
@@ -33,7 +33,7 @@ class Direct:
     """One sensor's LEDs, layers and camera, ready to look at any deformed face."""
 
     def __init__(
-        self, sensor: "Sensor", sheet: Sheet, markers: bool, pieces: tuple[int, int] = (8, 4), samples: int = 1
+        self, sensor: "LitSensor", sheet: Sheet, markers: bool, pieces: tuple[int, int] = (8, 4), samples: int = 1
     ) -> None:
         """`pieces`: points on each strip (along, up); `samples` x `samples` rays a pixel."""
         self.sensor, self.sheet, self.samples = sensor, sheet, samples

@@ -85,11 +85,14 @@ class Camera:
 
     @classmethod
     def from_sensor(cls, sensor: "Sensor") -> "Camera":
-        """The camera of a sensor file; mm_per_px holds at the image centre on the untouched face."""
-        eye, layers = sensor.camera, sensor.gel.layers
+        """The camera of a sensor file; mm_per_px holds at the image centre on the untouched face.
+
+        A file that describes no plate yet is taken to have none.
+        """
+        eye, clear = sensor.camera, (*((sensor.plate,) if sensor.plate else ()), *sensor.gel.layers)
         stack = Stack(
-            (eye.distance_mm, sensor.plate.thickness_mm, *(layer.thickness_mm for layer in layers)),
-            (1.0, sensor.plate.refractive_index, *(layer.refractive_index for layer in layers)),
+            (eye.distance_mm, *(slab.thickness_mm for slab in clear)),
+            (1.0, *(slab.refractive_index for slab in clear)),
         )
         return cls(stack, eye.center_mm, stack.effective_depth / eye.mm_per_px, (eye.height_px, eye.width_px))
 

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from tacgen.sensor import Led, Sensor
+    from tacgen.sensor import Led, LitSensor
 
     Floats = NDArray[np.float64]
 
@@ -59,7 +59,7 @@ def led(light: "Led", wall_albedo: float) -> dict[str, Any]:
     }
 
 
-def housing(sensor: "Sensor") -> dict[str, dict[str, Any]]:
+def housing(sensor: "LitSensor") -> dict[str, dict[str, Any]]:
     """The four dark walls around gel and plate, from the plate's air face past the coated face."""
     w, h = sensor.gel.width_mm, sensor.gel.height_mm
     bottom = -bottom_depth(sensor)
@@ -75,7 +75,7 @@ def housing(sensor: "Sensor") -> dict[str, dict[str, Any]]:
     }
 
 
-def interfaces(sensor: "Sensor") -> dict[str, dict[str, Any]]:
+def interfaces(sensor: "LitSensor") -> dict[str, dict[str, Any]]:
     """Clear interfaces from the air inward; one between equal indices does not exist."""
     w, h = sensor.gel.width_mm, sensor.gel.height_mm
     z, outside, made = -bottom_depth(sensor), 1.0, {}
@@ -94,6 +94,6 @@ def interfaces(sensor: "Sensor") -> dict[str, dict[str, Any]]:
     return made
 
 
-def bottom_depth(sensor: "Sensor") -> float:
+def bottom_depth(sensor: "LitSensor") -> float:
     """Depth of the plate's air face below the untouched coated face [mm]."""
     return sensor.plate.thickness_mm + sum(layer.thickness_mm for layer in sensor.gel.layers)

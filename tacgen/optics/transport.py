@@ -16,7 +16,7 @@ from tacgen.optics.lights import bottom_depth, frame
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from tacgen.sensor import Led, Sensor
+    from tacgen.sensor import Led, LitSensor
 
 from numpy.typing import NDArray
 
@@ -59,7 +59,7 @@ class Slab:
     indices: Floats
 
     @classmethod
-    def of(cls, sensor: "Sensor") -> "Slab":
+    def of(cls, sensor: "LitSensor") -> "Slab":
         """The plate and the gel's layers; the outermost has no top."""
         t = np.array([sensor.plate.thickness_mm, *(layer.thickness_mm for layer in sensor.gel.layers)])
         n = np.array([sensor.plate.refractive_index, *(layer.refractive_index for layer in sensor.gel.layers)])
