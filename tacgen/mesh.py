@@ -67,7 +67,7 @@ def heights(gel: Gel, edge: float, growth: float, coarsest: float) -> tuple[Arra
 def build(
     gel: Gel, footprint: tuple[float, float, float, float], edge: float, *, growth: float = 1.7, coarsest: float = 4.0
 ) -> Mesh:
-    """Graded hexes for a gel with a flat base and face.
+    """Graded hexes for a gel with a flat base; each column of the grid is squeezed to the height of the face there.
 
     Args:
         footprint: x0, x1, y0, y1 [mm] of all that the trajectory can touch; its cells are `edge` wide.
@@ -79,6 +79,7 @@ def build(
     zs, layer = heights(gel, 1.1 * edge, 1.1, coarsest / 2)
     shape = len(xs), len(ys), len(zs)
     points = np.stack(np.meshgrid(xs, ys, zs, indexing="ij"), -1).reshape(-1, 3)
+    points[:, 2] += gel.top(points[:, 0], points[:, 1]) * (points[:, 2] + gel.thickness) / gel.thickness
     number = np.arange(len(points)).reshape(shape)
     corners = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]
     i, j, k = (n - 1 for n in shape)

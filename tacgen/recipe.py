@@ -138,7 +138,7 @@ class Start(Part):
 
 
 class Press(Part):
-    """Move along z until the lowest point is `depth_mm` below the untouched face."""
+    """Move along z to `depth_mm` below first touch of the untouched face (on a dome, wherever that is)."""
 
     depth_mm: Positive
     frames: Frames

@@ -42,7 +42,7 @@ def footprint(scene: Scene) -> tuple[float, float, float, float]:
     gel, step = scene.gel, scene.edge / 3
     x, y = (np.arange(-size / 2, size / 2 + step, step) for size in (gel.width, gel.height))
     grid = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
-    face = np.column_stack([grid, np.zeros(len(grid))])
+    face = np.column_stack([grid, gel.top(*grid.T)])
     touched = np.zeros(len(face), bool)
     for matrix in np.unique(scene.poses.reshape(-1, 16), axis=0).reshape(-1, 4, 4):
         rest = ~touched
