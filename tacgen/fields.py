@@ -48,7 +48,7 @@ class Surface:
     def _smooth(self) -> "object":
         from scipy.interpolate import CloughTocher2DInterpolator
 
-        return CloughTocher2DInterpolator(self._plan, self.now - self.rest)
+        return CloughTocher2DInterpolator(self._plan, self.now - self.rest * (1.0, 1.0, 0.0))
 
     def at(self, xy: Array) -> Array:
         """Positions (n, 3) [mm] now of the points that rest at xy (n, 2) [mm]; nan outside the face."""

@@ -10,6 +10,8 @@ from tacgen.recipe import Indenter, Recipe
 from tacgen.sensor import LIGHTS, Gel, Sensor
 from tacgen.yamlfile import KeyPath
 
+LEAST_RIM = 0.1  # of the crown's thickness: cells squeezed more would not be worth having
+
 
 def sensor_problems(sensor: Sensor) -> list[Problem]:
     """What contradicts itself in a sensor file; paths start at the sensor's root."""
@@ -32,6 +34,11 @@ def thickness_mm(gel: Gel) -> float:
 
 def on_pad(gel: Gel, x_mm: float, y_mm: float) -> bool:
     """Whether a point of the plane lies inside the pad's outline, or on it."""
+    if gel.tip:
+        r = gel.width_mm / 2
+        past = gel.tip * y_mm - (gel.height_mm / 2 - r)  # beyond the semicircle's centre, toward the tip
+        beside = abs(x_mm) <= r * (1 + 1e-9) and -gel.tip * y_mm <= gel.height_mm / 2 * (1 + 1e-9)
+        return beside and math.hypot(x_mm, max(past, 0.0)) <= r * (1 + 1e-9)
     r = gel.corner_radius_mm
     past_x = max(abs(x_mm) - (gel.width_mm / 2 - r), 0.0)
     past_y = max(abs(y_mm) - (gel.height_mm / 2 - r), 0.0)
@@ -39,11 +46,20 @@ def on_pad(gel: Gel, x_mm: float, y_mm: float) -> bool:
 
 
 def _outline(gel: Gel) -> list[Problem]:
-    half = min(gel.width_mm, gel.height_mm) / 2
-    if gel.corner_radius_mm <= half:
-        return []
-    text = f"must be at most half the pad's shorter side, {half:g} (got {gel.corner_radius_mm:g})"
-    return [Problem(("gel", "corner_radius_mm"), text)]
+    half, wrong = min(gel.width_mm, gel.height_mm) / 2, []
+    if gel.corner_radius_mm > half:
+        text = f"must be at most half the pad's shorter side, {half:g} (got {gel.corner_radius_mm:g})"
+        wrong.append(Problem(("gel", "corner_radius_mm"), text))
+    if gel.tip and gel.corner_radius_mm:
+        wrong.append(Problem(("gel", "corner_radius_mm"), "must be 0 beside an outline with a semicircular end"))
+    if gel.tip and gel.width_mm / 2 > gel.height_mm:
+        text = f"a semicircle over {gel.width_mm:g} mm does not fit into the pad's height, {gel.height_mm:g}"
+        wrong.append(Problem(("gel", "outline"), text))
+    rim = thickness_mm(gel) - gel.drop_mm(gel.width_mm / 2, gel.height_mm / 2)
+    if rim < LEAST_RIM * thickness_mm(gel):
+        text = f"leaves {rim:.3g} mm of gel at the pad's corner, less than a tenth of what the crown has"
+        wrong.append(Problem(("gel", "dome"), text))
+    return wrong
 
 
 def _lights(sensor: Sensor) -> list[Problem]:
@@ -56,7 +72,9 @@ def _lights(sensor: Sensor) -> list[Problem]:
 
 
 def _depths(recipe: Recipe, sensor: Sensor) -> list[Problem]:
-    thick = thickness_mm(sensor.gel)
+    """Depth counts from first touch: on a dome, from no lower than the face under the start."""
+    gel, start = sensor.gel, recipe.start
+    thick = thickness_mm(gel) - gel.drop_mm(start.x_mm, start.y_mm)
     return [
         Problem(
             ("trajectory", i, "press", "depth_mm"),

@@ -68,7 +68,7 @@ def heights(gel: Gel, edge: float, growth: float, coarsest: float) -> tuple[Arra
 def build(
     gel: Gel, footprint: tuple[float, float, float, float], edge: float, *, growth: float = 1.7, coarsest: float = 4.0
 ) -> Mesh:
-    """Graded hexes for a gel with a flat base and face.
+    """Graded hexes for a gel with a flat base; each column of the grid is squeezed to the height of the face there.
 
     Args:
         footprint: x0, x1, y0, y1 [mm] of all that the trajectory can touch; its cells are `edge` wide.
@@ -80,6 +80,7 @@ def build(
     zs, layer = heights(gel, 1.1 * edge, 1.1, coarsest / 2)
     shape = len(xs), len(ys), len(zs)
     points = np.stack(np.meshgrid(xs, ys, zs, indexing="ij"), -1).reshape(-1, 3)
+    points[:, 2] += gel.top(points[:, 0], points[:, 1]) * (points[:, 2] + gel.thickness) / gel.thickness
     number = np.arange(len(points)).reshape(shape)
     corners = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]
     i, j, k = (n - 1 for n in shape)
@@ -104,7 +105,7 @@ def footprint(scene: Scene) -> tuple[float, float, float, float]:
     gel, step = scene.gel, scene.edge / 3
     x, y = (np.arange(-size / 2, size / 2 + step, step) for size in (gel.width, gel.height))
     grid = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
-    face = np.column_stack([grid, np.zeros(len(grid))])
+    face = np.column_stack([grid, gel.top(*grid.T)])
     touched = np.zeros(len(face), bool)
     poses = scene.poses
     if scene.forced is not None:

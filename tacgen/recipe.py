@@ -146,7 +146,9 @@ class Start(Part):
 
 
 class Press(Part):
-    """Move along z until the lowest point is `depth_mm` below the untouched face, or until the gel bears `force_n`.
+    """Move along z to `depth_mm` below first touch of the untouched face, or until the gel bears `force_n`.
+
+    On a dome first touch is wherever that is.
 
     With a force the frames go in equal steps of the normal force, from the one before to the one asked for.
     """

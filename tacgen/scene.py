@@ -9,6 +9,7 @@ from tacgen import geometry
 from tacgen import recipe as recipes
 from tacgen import sensor as sensors
 from tacgen.errors import UserError
+from tacgen.fem.contact import Pose
 from tacgen.fem.field import Field
 from tacgen.fem.materials import Law, MooneyRivlin, NeoHooke, StableNeoHooke, Yeoh
 from tacgen.fem.shapes import Box, Capsule, Cone, Cylinder, Shape, Sphere, Torus, Wedge
@@ -33,19 +34,33 @@ class Layer:
 
 @dataclass(frozen=True)
 class Gel:
-    """A pad bonded at its base, layers from base to face; width along x, height along y [mm]."""
+    """A pad bonded at its base, layers from base to face; width along x, height along y [mm].
+
+    tip: the end in y (-1, +1) that is a semicircle over the whole width, 0 for none; radii: of the dome along x and y.
+    """
 
     width: float
     height: float
     corner_radius: float
     layers: tuple[Layer, ...]
+    tip: int = 0
+    radii: tuple[float, float] = (np.inf, np.inf)
 
     @property
     def thickness(self) -> float:
+        """At the crown [mm]."""
         return sum(layer.thickness for layer in self.layers)
+
+    def top(self, x: Array, y: Array) -> Array:
+        """z of the untouched face [mm], 0 at the crown; x and y broadcast."""
+        return np.asarray(0.0 - np.hypot(x * x / (2 * self.radii[0]), y * y / (2 * self.radii[1])))
 
     def contains(self, x: Array, y: Array) -> Array:
         """Whether points lie inside the outline; x and y broadcast."""
+        if self.tip:
+            r = self.width / 2
+            past = self.tip * y - (self.height / 2 - r)  # beyond the semicircle's centre, toward the tip
+            return np.asarray((-self.tip * y <= self.height / 2) & (np.hypot(x, np.maximum(past, 0)) <= r))
         r = self.corner_radius
         beyond = np.hypot(
             np.maximum(np.abs(x) - (self.width / 2 - r), 0), np.maximum(np.abs(y) - (self.height / 2 - r), 0)
@@ -159,7 +174,8 @@ def gel_of(sensor: Sensor) -> Gel:
         law = law_of(layer)
         layers.append(Layer(layer.thickness_mm, law, 9 * law.kappa * law.mu / (3 * law.kappa + law.mu)))
     g = sensor.gel
-    return Gel(g.width_mm, g.height_mm, g.corner_radius_mm, tuple(layers))
+    radii = (np.inf, np.inf) if g.dome is None else (g.dome.radius_x_mm, g.dome.radius_y_mm)
+    return Gel(g.width_mm, g.height_mm, g.corner_radius_mm, tuple(layers), g.tip, radii)
 
 
 def _about(axis: Array, angle: float) -> Array:
@@ -170,7 +186,33 @@ def _about(axis: Array, angle: float) -> Array:
     return turn
 
 
-def _first_pose(shape: Shape, start: Start) -> Array:
+def _sunk(shape: Shape, pose: Array, gel: Gel) -> float:
+    """How far a shape that stands on z = 0 may sink along z until it touches the untouched face [mm].
+
+    Each round lowers it by its distance from the face, which cannot carry it past; a second grid, 20 times as fine,
+    lies around the point found on the first.
+    """
+    if np.isinf(gel.radii).all():
+        return 0.0
+    sunk, step, middle, half = 0.0, 0.2, np.zeros(2), np.array([gel.width, gel.height]) / 2
+    for _ in range(2):
+        ends = zip(middle - half, middle + half, half, strict=True)
+        x, y = np.meshgrid(*(np.linspace(low, high, 2 * round(h / step) + 1) for low, high, h in ends))
+        here = gel.contains(x, y)
+        face = np.column_stack([x[here], y[here], gel.top(x[here], y[here])])
+        lowered = pose.copy()
+        for _ in range(200):
+            lowered[2, 3] = pose[2, 3] - sunk
+            gap = shape.distance(Pose.of(lowered).local(face))[0]
+            nearest = int(np.argmin(gap))
+            sunk += gap[nearest]  # the finer grid, that finds points in between, takes a little back
+            if abs(gap[nearest]) < 1e-6:
+                break
+        middle, half, step = face[nearest, :2], np.array([step, step]), step / 20
+    return float(sunk)
+
+
+def _first_pose(shape: Shape, start: Start, gel: Gel) -> Array:
     tilt = _about(np.array([np.cos(a := np.radians(start.tilt_axis_deg)), np.sin(a), 0.0]), np.radians(start.tilt_deg))
     pose = np.eye(4)
     pose[:3, :3] = tilt @ _about(np.array([0.0, 0.0, 1.0]), np.radians(start.yaw_deg))
@@ -179,7 +221,8 @@ def _first_pose(shape: Shape, start: Start) -> Array:
         raise UserError(
             f"start.tilt_deg: tilted by {start.tilt_deg} deg the indenter's flank meets the gel before its tip"
         )
-    pose[:3, 3] = start.x_mm, start.y_mm, start.clearance_mm + drop
+    pose[:3, 3] = start.x_mm, start.y_mm, drop
+    pose[2, 3] = start.clearance_mm + drop - _sunk(shape, pose, gel)
     return pose
 
 
@@ -278,6 +321,6 @@ def build(row: Row) -> Scene:
     """The scene of one row of a plan."""
     recipe, quality, gel = row.recipe, row.recipe.resolved(), gel_of(row.sensor)
     shape = _shape(recipe.indenter, lambda mesh: _field(mesh, row))
-    first = _first_pose(shape, recipe.start)
+    first = _first_pose(shape, recipe.start, gel)
     poses, segment, forced = path(recipe, first, shape, gel.thickness)
     return Scene(gel, shape, poses, first, segment, recipe.contact.friction, quality.edge_mm, quality.dhat_mm, forced)

@@ -1,9 +1,11 @@
 """A sensor file (sensors/*.yaml): its gel, optics, camera and markers, each number with its source.
 
 Frame: x right and y down in the image, z out of the gel toward the object; the origin is the centre of the
-untouched coated face, so the gel fills -thickness < z < 0, the plate lies below it and the camera below that.
+untouched coated face, its highest point, so the gel fills -thickness < z < 0, the plate lies below it and the camera
+below that.
 """
 
+import math
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
@@ -96,14 +98,46 @@ Layer = Annotated[
 ]
 
 
+class StadiumEnd(Part):
+    """One short side of the rectangle is a semicircle over the whole width; the other stays square."""
+
+    shape: Literal["stadium_end"]
+    end: Literal["-y", "+y"]
+    source: str
+
+
+class Dome(Part):
+    """A face that falls by hypot(x^2 / 2 radius_x, y^2 / 2 radius_y) from its crown, the pad's centre.
+
+    The layers' thicknesses are those at the crown; elsewhere they shrink in proportion.
+    """
+
+    radius_x_mm: Positive
+    radius_y_mm: Positive
+    source: str
+
+
 class Gel(Part):
-    """A pad bonded at its base: a rectangle in plan whose four upright edges are rounded."""
+    """A pad bonded at its flat base: a rectangle in plan, its four upright edges rounded or one side a semicircle."""
 
     width_mm: Positive  # along x
     height_mm: Positive  # along y
     corner_radius_mm: NotNegative = 0.0
+    outline: StadiumEnd | None = None  # a rectangle if absent
+    dome: Dome | None = None  # a flat face if absent
     layers: Annotated[tuple[Layer, ...], Field(min_length=1)]
     source: str
+
+    @property
+    def tip(self) -> int:
+        """The end in y that is a semicircle: -1, +1, or 0 for none."""
+        return 0 if self.outline is None else (-1 if self.outline.end == "-y" else 1)
+
+    def drop_mm(self, x_mm: float, y_mm: float) -> float:
+        """How far the untouched face lies below its highest point at (x, y) [mm]."""
+        if self.dome is None:
+            return 0.0
+        return math.hypot(x_mm**2 / (2 * self.dome.radius_x_mm), y_mm**2 / (2 * self.dome.radius_y_mm))
 
 
 class Plate(Part):

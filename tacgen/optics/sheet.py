@@ -36,12 +36,14 @@ class Sheet:
     size: tuple[float, float]  # x, y extent [mm], centred on 0
     corner: float  # radius of the pad's rounded corners [mm]
     shape: tuple[int, int]  # rows, columns of nodes
+    tip: int = 0  # the end in y (-1, +1) that is a semicircle over the whole width; 0: none
 
     @classmethod
     def over(cls, gel: "Gel", spacing: float) -> "Sheet":
         """A sheet over the whole pad with nodes about `spacing` [mm] apart."""
         size = (gel.width_mm, gel.height_mm)
-        return cls(size, gel.corner_radius_mm, (round(size[1] / spacing) + 1, round(size[0] / spacing) + 1))
+        shape = round(size[1] / spacing) + 1, round(size[0] / spacing) + 1
+        return cls(size, gel.corner_radius_mm, shape, gel.tip)
 
     @property
     def rest(self) -> "Floats":
@@ -65,6 +67,28 @@ class Sheet:
         """Current positions of the nodes [mm], (nodes, 3). A node in a cut-off corner rides with the nearest point of
         the pad, so that `surface` is only asked where it exists."""
         rest = self.rest
+        pad = self._rounded(rest) if self.tip else self._cut(rest)
+        now = np.array(surface.at(pad), dtype=np.float64)
+        lost = np.isnan(now[:, 2])
+        if self.tip and lost.any():  # between the outline and the stairs that a mesh makes of it
+            from scipy.spatial import cKDTree
+
+            near = np.flatnonzero(~lost)[cKDTree(pad[~lost]).query(pad[lost])[1]]
+            now[lost] = now[near]
+            now[lost, :2] += pad[lost] - pad[near]
+        now[:, :2] += rest - pad
+        return now
+
+    def _rounded(self, rest: "Floats") -> "Floats":
+        """Nodes (n, 2) beyond the semicircular end drawn in to it."""
+        radius = self.size[0] / 2
+        out = rest - (0.0, self.tip * (self.size[1] / 2 - radius))
+        far = np.linalg.norm(out, axis=1)
+        beyond = (self.tip * out[:, 1] > 0) & (far > radius)
+        return np.asarray(rest + np.where(beyond, radius / np.maximum(far, 1e-300) - 1.0, 0.0)[:, None] * out)
+
+    def _cut(self, rest: "Floats") -> "Floats":
+        """Nodes (n, 2) in the cut-off corners drawn in to their arcs."""
         core = np.array(self.size) / 2 - self.corner
         inner = np.clip(rest, -core, core)
         out = rest - inner
@@ -72,10 +96,7 @@ class Sheet:
         shrink = (
             np.minimum(1.0, self.corner * (1 - 1e-9) / np.maximum(far, 1e-300)) if self.corner else np.ones(len(far))
         )
-        pad = inner + out * shrink[:, None]
-        now = np.array(surface.at(pad), dtype=np.float64)
-        now[:, :2] += rest - pad
-        return now
+        return np.asarray(inner + out * shrink[:, None])
 
     def normals(self, now: "Floats") -> "Floats":
         """Unit normals toward the camera (nodes, 3) of node positions (nodes, 3), by central differences."""
