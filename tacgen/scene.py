@@ -248,7 +248,7 @@ class _Walk:
     """Where a path has come to, while it is laid."""
 
     shape: Shape
-    thickness: float
+    gel: Gel
     first: Array
     contact_z: float  # height of the origin where the lowest point meets the untouched face [mm]
     pose: Array
@@ -257,7 +257,7 @@ class _Walk:
     def steps(self, move: recipes.Move, where: str) -> Iterator[tuple[Array, tuple[float, ...]]]:
         """Pose, and asked, part, carry, floor and below of Forced, at each frame of one segment."""
         begun, carried = self.pose, self.carry
-        floor = self.contact_z - FORCE_DEPTH * self.thickness
+        floor = self.contact_z - FORCE_DEPTH * self.gel.thickness
         for k in range(1, move.frames + 1):
             part = k / move.frames
             new = begun.copy()
@@ -265,7 +265,7 @@ class _Walk:
             match move:
                 case recipes.Press(force_n=float(force)):
                     asked, self.carry = force, 1.0
-                    new[2, 3] = self.contact_z - FIRST_GUESS * part * self.thickness
+                    new[2, 3] = self.contact_z - FIRST_GUESS * part * self.gel.thickness
                     below = new[2, 3] - floor
                 case recipes.Press(depth_mm=float(depth)):
                     new[2, 3] += part * (self.contact_z - depth - begun[2, 3])
@@ -292,18 +292,20 @@ class _Walk:
         drop = self.shape.support(-new[2, :3])
         if not np.isfinite([*from_origin, drop]).all():
             raise UserError(f"{where}.angle_deg: the indenter's flank would meet the gel before its tip")
-        if new[2, 3] - drop <= -self.thickness:
+        if new[2, 3] - drop <= -self.gel.thickness:
             raise UserError(f"{where}.angle_deg: would turn the indenter's edge to the base of the gel, or below")
-        self.contact_z = drop
+        standing = new.copy()
+        standing[2, 3] = drop
+        self.contact_z = drop - _sunk(self.shape, standing, self.gel)
 
 
-def path(recipe: Recipe, first: Array, shape: Shape, thickness: float) -> tuple[Array, Array, Forced | None]:
+def path(recipe: Recipe, first: Array, shape: Shape, gel: Gel) -> tuple[Array, Array, Forced | None]:
     """Poses (N, 4, 4) at every frame, the segment (N,) each belongs to, and what forces ask for.
 
     Raises:
         UserError: a tilt that cannot be.
     """
-    walk = _Walk(shape, thickness, first, first[2, 3] - recipe.start.clearance_mm, first)
+    walk = _Walk(shape, gel, first, first[2, 3] - recipe.start.clearance_mm, first)
     poses: list[Array] = []
     segments: list[int] = []
     asked: list[tuple[float, ...]] = []
@@ -322,5 +324,5 @@ def build(row: Row) -> Scene:
     recipe, quality, gel = row.recipe, row.recipe.resolved(), gel_of(row.sensor)
     shape = _shape(recipe.indenter, lambda mesh: _field(mesh, row))
     first = _first_pose(shape, recipe.start, gel)
-    poses, segment, forced = path(recipe, first, shape, gel.thickness)
+    poses, segment, forced = path(recipe, first, shape, gel)
     return Scene(gel, shape, poses, first, segment, recipe.contact.friction, quality.edge_mm, quality.dhat_mm, forced)
