@@ -15,7 +15,7 @@ from tacgen.fem import friction as fr
 from tacgen.fem import linear
 from tacgen.fem.assembly import Pattern, pattern
 from tacgen.fem.contact import Contact, Faces, Pose
-from tacgen.fem.elements import Elements, hexes
+from tacgen.fem.elements import hexes
 from tacgen.fem.friction import Friction
 from tacgen.fem.newton import Status, minimise
 from tacgen.fem.potentials import Elastic, Potential, Total
@@ -117,10 +117,6 @@ class Problem:
     def thickness(self) -> float:
         """Of the gel [mm]."""
         return float(np.ptp(self.mesh.points[:, 2]))
-
-    @property
-    def elements(self) -> tuple[Elements, ...]:
-        return tuple(e.elements for e in self.elastic)
 
     def rest(self, pose: Pose) -> _Memory:
         """The untouched gel below an indenter at `pose`."""
