@@ -1,303 +1,30 @@
-"""Scene + Mesh -> States: which potentials are in the sum, and stepping them along the path.
+"""Scene + Mesh -> States: stepping along the path.
 
-Each frame is found at exactly the pose asked for. What is lagged, the mean gap by which the indenter is shrunk and,
-with friction, the normal forces, is renewed on the way until it agrees with the answer. A frame that Newton cannot
-reach is approached in halved substeps; one that cannot be reached at all ends the scene as rejected.
+Each frame is found at exactly the pose asked for, or where the gel bears the force asked for. One that cannot be
+reached ends the scene as rejected.
 """
 
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from tacgen.fem import friction as fr
-from tacgen.fem import linear
-from tacgen.fem.assembly import Pattern, pattern
-from tacgen.fem.contact import Contact, Faces, Pose
-from tacgen.fem.elements import hexes
-from tacgen.fem.friction import Friction
-from tacgen.fem.newton import Status, minimise
-from tacgen.fem.potentials import Elastic, Potential, Total
+from tacgen.advance import Memory, NotConverged, Problem, State, advance, reach
+from tacgen.fem.contact import Pose
 from tacgen.fem.rising import POWER, OutOfReach, meet
-from tacgen.mesh import Mesh
 from tacgen.scene import FORCE_DEPTH, Scene
 
+__all__ = ["NotConverged", "Problem", "State", "normal_force", "states"]
+
 Array = np.ndarray
-XTOL = 1e-3  # no node moves by more than this in the last step, nor does the mean gap between passes [mm]
-RESIDUAL = 1e-3  # of the contact force
-LAG = 0.01  # normal forces may be this far from the ones friction used, as a part of their sum
-NEGLIGIBLE = 1e-3  # of the largest contact force so far
-HALVINGS = 5
-TRIES = 8  # at a pose, each with a smaller tolerance or a stiffer barrier than the last
-STIFFER = 4
 FORCE_TOL = 3e-3  # of a force that is asked for; of those on the way to it, 1e-2
 RISE = np.outer(np.eye(4)[2], np.eye(4)[3])  # added to a pose: 1 mm along z
-EPS = 5e-3  # slip over which friction builds up [mm]
-
-
-class NotConverged(ArithmeticError):
-    """A frame has no solution that meets the tolerances; the message says why."""
-
-
-@dataclass(frozen=True)
-class State:
-    """The gel at one frame.
-
-    x (n, 3) nodal positions [mm]; normal_force (f, q) [N] pressing on the gel's quadrature points, normal (f, q, 3)
-    outward from the indenter, friction (f, q, 3) [N] on the gel or None without friction; sliding (f, q) bool.
-    """
-
-    index: int
-    pose: Array
-    x: Array
-    normal_force: Array
-    normal: Array
-    friction: Array | None
-    sliding: Array | None
-    iterations: int
-    substeps: int
-    offset: float  # by which the indenter was shrunk [mm]
-    mean_gap: float  # [mm], to the shrunk indenter; equal to offset within XTOL
-    min_gap: float  # [mm], to the shrunk indenter
-    residual: float  # of the free nodes' forces, as a part of the contact force
-    balance: float  # |indenter force + base reaction| / indenter force
-
-    @property
-    def traction_force(self) -> Array:
-        """Force of the indenter on each quadrature point of the gel (f, q, 3) [N]."""
-        push = self.normal_force[..., None] * self.normal
-        return np.asarray(push if self.friction is None else push + self.friction)
-
-
-@dataclass(frozen=True)
-class _Memory:
-    """What a pose inherits from the one before; anchors and normals are in the indenter's frame."""
-
-    pose: Pose
-    x: Array
-    before: Array  # x one pose earlier, and two: for extrapolation
-    earlier: Array
-    offset: float
-    normal_force: Array
-    normal: Array
-    anchor: Array
-    gap: Array
-    kappa: float  # barrier stiffness [MPa]
-    scale: float  # force below which nothing is told apart [N]
-
-
-@dataclass(frozen=True)
-class Problem:
-    """A mesh made ready: elasticity, contact and the linear solver. `solver` names the linear solver."""
-
-    mesh: Mesh
-    elastic: tuple[Elastic, ...]
-    contact: Contact
-    linear: linear.Solver
-    pattern: Pattern
-    friction: float
-    edge: float  # [mm]
-
-    @classmethod
-    def of(cls, scene: Scene, mesh: Mesh) -> "Problem":
-        free = np.ones((len(mesh.points), 3), bool)
-        free[np.unique(mesh.facets["bonded"])] = False
-        pat = pattern([mesh.cells], free)
-        elastic = []
-        for number, layer in enumerate(scene.gel.layers):
-            cells = mesh.cells[mesh.layer == number]
-            elastic.append(Elastic.on(pat, hexes(mesh.points, cells), layer.law))
-        faces = Faces.on(pat, mesh.points, mesh.facets["coated"])
-        kappa = 2 * scene.gel.layers[-1].youngs_modulus
-        contact = Contact(faces, scene.shape, Pose.of(scene.start), scene.dhat, kappa)
-        return cls(mesh, tuple(elastic), contact, linear.best(pat), pat, scene.friction, scene.edge)
-
-    @property
-    def thickness(self) -> float:
-        """Of the gel [mm]."""
-        return float(np.ptp(self.mesh.points[:, 2]))
-
-    def rest(self, pose: Pose) -> _Memory:
-        """The untouched gel below an indenter at `pose`."""
-        x = self.mesh.points
-        force, normal, gap = self.contact.moved(pose, 0.0).pressure(x)
-        local = normal @ pose.rotation
-        at, kappa = pose.local(self.contact.faces.at(x)), self.contact.kappa
-        return _Memory(pose, x, x, x, 0.0, np.zeros_like(force), local, at, gap, kappa, 0.0)
-
-
-class _Lagged:
-    """The potentials at one pose, with what is lagged in them: the mean gap and, with friction, the normal forces.
-
-    Newton asks `refresh` on its way to the answer and ends only when both agree with it.
-    """
-
-    def __init__(self, problem: Problem, memory: _Memory, pose: Pose) -> None:
-        self.problem, self.memory = problem, memory
-        self.contact = replace(problem.contact, pose=pose, offset=memory.offset, kappa=memory.kappa)
-        self.contact_force = 0.0
-        self.friction = None
-        if problem.friction > 0:  # lagged from the last pose, turned with the indenter
-            normal, anchor = memory.normal @ pose.rotation.T, pose.world(memory.anchor)
-            self.friction = Friction(problem.contact.faces, problem.friction, memory.normal_force, normal, anchor, EPS)
-
-    @property
-    def loads(self) -> tuple[Potential, ...]:
-        return (self.contact,) if self.friction is None else (self.contact, self.friction)
-
-    @property
-    def total(self) -> Total:
-        return Total((*self.problem.elastic, *self.loads))
-
-    def refresh(self, x: Array) -> Total | None:
-        """Take gap and normal forces from x if they are off by more than the tolerances."""
-        force, normal, _ = self.contact.pressure(x)
-        gap = mean_gap(self.contact, x)
-        self.contact_force = float(force.sum())
-        scale = max(self.contact_force, self.memory.scale)
-        lag = 0.0
-        if self.friction is not None:  # in sum, and half as strictly at every point, since Coulomb's law holds at each
-            off = np.abs(force - self.friction.normal_force)
-            lag = max(float(off.sum()), float(off.max()) / max(float(force.max()), 1e-300) * scale / 2)
-        if scale == 0 or (abs(gap - self.contact.offset) <= XTOL and lag <= LAG * scale):
-            return None
-        if self.friction is not None:
-            anchor = self.contact.pose.world(self._anchors())
-            self.friction = replace(self.friction, normal_force=force, normal=normal, anchor=anchor)
-        self.contact = self.contact.moved(self.contact.pose, gap)
-        return self.total
-
-    def stiffened(self, x: Array) -> bool:
-        """Whether a point of the gel is inside the shrunk indenter, so that the barrier was made stiffer."""
-        inside = bool(self.contact.gaps(x)[0].min() <= 0)
-        if inside:
-            self.contact = replace(self.contact, kappa=STIFFER * self.contact.kappa)
-        return inside
-
-    def negligible(self, g: Array) -> bool:
-        """Whether a gradient (n, 3) is a tenth of what a frame may leave unbalanced."""
-        force = max(self.contact_force, self.memory.scale)
-        return float(np.linalg.norm(g.ravel()[self.problem.pattern.free])) <= RESIDUAL / 10 * force
-
-    def _anchors(self) -> Array:
-        """Anchors in the indenter's frame; a point new to the contact gets one where it will have touched."""
-        memory, contact = self.memory, self.contact
-        carried = (
-            3 * memory.x - 3 * memory.before + memory.earlier
-        )  # second order: friction then lags little in big steps
-        ahead, gap_ahead = contact.pose.local(contact.faces.at(carried)), contact.gaps(carried)[0]
-        touch = fr.onset(memory.anchor, ahead, memory.gap - contact.offset, gap_ahead - contact.offset)
-        return np.where(memory.normal_force[..., None] > 0, memory.anchor, touch)
-
-    def imbalance(self, x: Array) -> tuple[float, float]:
-        """Residual on the free dofs and |indenter + base| as parts of the contact force; 0 where nothing touches."""
-        inner, outer = Total(self.problem.elastic).gradient(x), Total(self.loads).gradient(x)
-        held = np.ones(x.size, bool)
-        held[self.problem.pattern.free] = False
-        reaction = np.where(held.reshape(x.shape), inner, 0.0).sum(0)
-        residual = float(np.linalg.norm((inner + outer).ravel()[~held]))
-        force = max(float(np.linalg.norm(outer.sum(0))), self.memory.scale)
-        return (residual / force, float(np.linalg.norm(outer.sum(0) - reaction)) / force) if force > 0 else (0.0, 0.0)
-
-
-def mean_gap(contact: Contact, x: Array) -> float:
-    """Force-weighted mean gap to the shrunk indenter [mm]; the present shrinkage where nothing touches."""
-    force, _, gap = contact.pressure(x)
-    total = force.sum()
-    return float((force * gap).sum() / total) if total > 0 else contact.offset
-
-
-def _advance(
-    problem: Problem, memory: _Memory, matrix: Array, index: int, near: State | None = None
-) -> tuple[_Memory, State]:
-    """One pose on, from the last positions or those carried on by the last increment: the ones of lower energy.
-
-    `near` is another answer to the same memory, at a pose close by: Newton starts there, and inherits nothing of it.
-    """
-    lagged = _Lagged(problem, memory if near is None else replace(memory, offset=near.offset), Pose.of(matrix))
-    carried = 2 * memory.x - memory.before if near is None else near.x
-    x = carried if lagged.total.value(carried) < lagged.total.value(memory.x) else memory.x
-    expect, iterations, xtol = np.inf, 0, XTOL
-    for _ in range(TRIES):
-        found = minimise(
-            lagged.total, x, problem.pattern, problem.linear, xtol=xtol, expect=expect,
-            refresh=lagged.refresh, negligible=lagged.negligible,
-        )  # fmt: skip
-        x, expect, iterations = found.x, XTOL, iterations + len(found.steps)
-        if found.status != Status.converged:
-            raise NotConverged(f"Newton {found.status} after {iterations} iterations")
-        residual, balance = lagged.imbalance(x)
-        if residual > RESIDUAL or balance > RESIDUAL:
-            xtol /= 30
-        elif not lagged.stiffened(x):
-            return _record(lagged, x, index, matrix, iterations, residual, balance)
-    least = lagged.contact.gaps(x)[0].min()
-    raise NotConverged(
-        f"after {iterations} iterations residual {residual:.1e} and balance {balance:.1e} of the contact force,"
-        f" smallest gap {least:.1e} mm"
-    )
-
-
-def _record(
-    lagged: _Lagged, x: Array, index: int, matrix: Array, iterations: int, residual: float, balance: float
-) -> tuple[_Memory, State]:
-    contact, friction, memory = lagged.contact, lagged.friction, lagged.memory
-    force, normal, gap = contact.pressure(x)
-    rub = sliding = None
-    anchor = memory.anchor
-    if friction is not None:
-        rub, at = friction.force(x), contact.faces.at(x)
-        sliding = (np.linalg.norm(friction.slip(x), axis=-1) >= friction.eps) & (friction.normal_force > 0)
-        anchor = fr.dragged(friction.anchor, at, friction.normal, friction.normal_force, friction.eps, contact.pose)
-    scale = max(memory.scale, NEGLIGIBLE * float(force.sum()))
-    carried = _Memory(
-        contact.pose,
-        x,
-        memory.x,
-        memory.before,
-        contact.offset,
-        force,
-        normal @ contact.pose.rotation,
-        anchor,
-        gap,
-        contact.kappa,
-        scale,
-    )
-    mean, least = mean_gap(contact, x), float(gap.min())
-    return carried, State(
-        index, matrix, x, force, normal, rub, sliding, iterations, 1, contact.offset, mean, least, residual, balance
-    )
-
-
-def between(a: Array, b: Array, part: float) -> Array:
-    """The pose (4, 4) a part of the way from a to b: straight in position, steady in rotation."""
-    from scipy.spatial.transform import Rotation
-
-    turn = Rotation.from_matrix(b[:3, :3] @ a[:3, :3].T).as_rotvec() * part
-    out = np.eye(4)
-    out[:3, :3] = Rotation.from_rotvec(turn).as_matrix() @ a[:3, :3]
-    out[:3, 3] = (1 - part) * a[:3, 3] + part * b[:3, 3]
-    return out
-
-
-def _reach(problem: Problem, memory: _Memory, a: Array, b: Array, index: int, depth: int) -> tuple[_Memory, State]:
-    """From pose a to pose b in one step, or in two halves where that fails."""
-    try:
-        return _advance(problem, memory, b, index)
-    except NotConverged:
-        if depth == HALVINGS:
-            raise
-    middle = between(a, b, 0.5)
-    memory, first = _reach(problem, memory, a, middle, index, depth + 1)
-    memory, second = _reach(problem, memory, middle, b, index, depth + 1)
-    total = replace(second, iterations=first.iterations + second.iterations, substeps=first.substeps + second.substeps)
-    return memory, total
 
 
 def _reach_force(
     problem: Problem,
-    memory: _Memory,
+    memory: Memory,
     last: Array,
     guess: Array,
     index: int,
@@ -305,13 +32,13 @@ def _reach_force(
     had: float,
     floor: float,
     tol: float,
-) -> tuple[_Memory, State]:
+) -> tuple[Memory, State]:
     """From pose `last`, where the gel bears `had`, straight to where it bears `target` [N] at the turn of `guess`.
 
     Every trial starts from the same memory, so that friction knows only of the frames that are kept.
     """
     low = -max(last[2, 3], guess[2, 3], floor + problem.thickness)
-    found: list[tuple[_Memory, State]] = []
+    found: list[tuple[Memory, State]] = []
     refused: list[NotConverged] = []
 
     def bears(u: float) -> float:
@@ -345,12 +72,12 @@ def _reach_force(
 
 
 def _trial(
-    problem: Problem, memory: _Memory, last: Array, pose: Array, index: int, near: State | None
-) -> tuple[_Memory, State]:
+    problem: Problem, memory: Memory, last: Array, pose: Array, index: int, near: State | None
+) -> tuple[Memory, State]:
     if near is not None:
         with suppress(NotConverged):
-            return _advance(problem, memory, pose, index, near)
-    return _reach(problem, memory, last, pose, index, 0)
+            return advance(problem, memory, pose, index, near)
+    return reach(problem, memory, last, pose, index, 0)
 
 
 def normal_force(state: State) -> float:
@@ -379,7 +106,7 @@ def states(scene: Scene, problem: Problem, *, tol: float = FORCE_TOL) -> Iterato
         else:
             if forced is not None and shift:
                 pose = pose + forced.carry[index] * shift * RISE
-            memory, state = _reach(problem, memory, last, pose, index, 0)
+            memory, state = reach(problem, memory, last, pose, index, 0)
         if forced is not None:
             had = normal_force(state)
         yield state

@@ -22,6 +22,7 @@ ORDER = [
     {"geometry"},
     {"scene"},  # *
     {"mesh"},  # *
+    {"advance"},
     {"solve"},  # *
     {"foresee"},
     {"fields"},  # *

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tacgen import bundle, fields, pipeline, plan, solve
+from tacgen import advance, bundle, fields, pipeline, plan, solve
 from tacgen.check import check
 from tacgen.errors import UserError
 
@@ -128,14 +128,14 @@ def test_a_damaged_bundle_is_redone(recipe: Path, tmp_path: Path) -> None:
 def test_a_frame_that_does_not_converge_is_recorded_and_not_shipped(
     recipe: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    advance = solve._advance
+    usual = advance.advance
 
     def fail_late(problem, memory, matrix, index):  # type: ignore[no-untyped-def]
         if index == 2:
             raise solve.NotConverged("made to fail")
-        return advance(problem, memory, matrix, index)
+        return usual(problem, memory, matrix, index)
 
-    monkeypatch.setattr(solve, "_advance", fail_late)
+    monkeypatch.setattr(advance, "advance", fail_late)
     found = pipeline.run_scene(plan.load(recipe).rows[0], tmp_path / "out")
     assert (found.status, found.reason) == ("rejected", "frame 3 of 3: made to fail")
     kept = bundle.read(found.path)
