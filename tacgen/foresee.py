@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from tacgen import mesh, solve
-from tacgen.scene import FORCE_DEPTH, Scene
+from tacgen.scene import Scene
+from tacgen.trajectory import FORCE_DEPTH
 
 COARSE = 5  # edges through the thickness, of the mesh on which depths are foreseen
 

@@ -1,6 +1,6 @@
 """Resolved scene -> Scene: gel, laws, indenter, path and tolerances as plain arrays and numbers."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,18 +8,15 @@ import numpy as np
 from tacgen import geometry
 from tacgen import recipe as recipes
 from tacgen import sensor as sensors
-from tacgen.errors import UserError
-from tacgen.fem.contact import Pose
 from tacgen.fem.field import Field
 from tacgen.fem.materials import Law, MooneyRivlin, NeoHooke, StableNeoHooke, Yeoh
 from tacgen.fem.shapes import Box, Capsule, Cone, Cylinder, Shape, Sphere, Torus, Wedge
 from tacgen.plan import Row
-from tacgen.recipe import Indenter, Recipe, Start
+from tacgen.recipe import Indenter
 from tacgen.sensor import MooneyRivlinLayer, NeoHookeLayer, Sensor, StableNeoHookeLayer, YeohLayer
+from tacgen.trajectory import Forced, first_pose, lay
 
 Array = np.ndarray
-FORCE_DEPTH = 0.8  # of the gel's thickness: no force is looked for below
-FIRST_GUESS = 0.1  # of the thickness: where the search for a force starts
 CELLS = (0.04, 0.15)  # least and largest grid spacing of a mesh's signed distance [mm]
 
 
@@ -67,32 +64,6 @@ class Gel:
         )
         within = (np.abs(x) <= self.width / 2) & (np.abs(y) <= self.height / 2) & (beyond <= max(r, 1e-12))
         return np.asarray(within)
-
-
-@dataclass(frozen=True)
-class Forced:
-    """Frames (N,) whose height is found from a force; without friction, history or mesh nobody can know it before.
-
-    asked: normal force at the end of the segment [N], nan where the pose is given; part: of the way there from the
-    force before the segment; carry: the part of what a height was found off its guess that later poses are off too;
-    floor: height of the indenter's origin that no trial goes below [mm]; below: how far under its guess a frame may
-    come, for which the mesh is made fine [mm].
-    """
-
-    asked: Array
-    part: Array
-    carry: Array
-    floor: Array
-    below: Array
-
-    @property
-    def allowance(self) -> Array:
-        """How far below its guess (N,) each frame may come, those that follow a found height included [mm]."""
-        below, out = 0.0, np.zeros(len(self.asked))
-        for i, asked in enumerate(self.asked):
-            below = self.below[i] if np.isfinite(asked) else below
-            out[i] = self.carry[i] * below
-        return out
 
 
 @dataclass(frozen=True)
@@ -178,151 +149,10 @@ def gel_of(sensor: Sensor) -> Gel:
     return Gel(g.width_mm, g.height_mm, g.corner_radius_mm, tuple(layers), g.tip, radii)
 
 
-def _about(axis: Array, angle: float) -> Array:
-    """Rotation (3, 3) about a unit axis by `angle` [rad]."""
-    from scipy.spatial.transform import Rotation
-
-    turn: Array = Rotation.from_rotvec(axis * angle).as_matrix()
-    return turn
-
-
-def _sunk(shape: Shape, pose: Array, gel: Gel) -> float:
-    """How far a shape that stands on z = 0 may sink along z until it touches the untouched face [mm].
-
-    Each round lowers it by its distance from the face, which cannot carry it past; a second grid, 20 times as fine,
-    lies around the point found on the first.
-    """
-    if np.isinf(gel.radii).all():
-        return 0.0
-    sunk, step, middle, half = 0.0, 0.2, np.zeros(2), np.array([gel.width, gel.height]) / 2
-    for _ in range(2):
-        ends = zip(middle - half, middle + half, half, strict=True)
-        x, y = np.meshgrid(*(np.linspace(low, high, 2 * round(h / step) + 1) for low, high, h in ends))
-        here = gel.contains(x, y)
-        face = np.column_stack([x[here], y[here], gel.top(x[here], y[here])])
-        lowered = pose.copy()
-        for _ in range(200):
-            lowered[2, 3] = pose[2, 3] - sunk
-            gap = shape.distance(Pose.of(lowered).local(face))[0]
-            nearest = int(np.argmin(gap))
-            sunk += gap[nearest]  # the finer grid, that finds points in between, takes a little back
-            if abs(gap[nearest]) < 1e-6:
-                break
-        middle, half, step = face[nearest, :2], np.array([step, step]), step / 20
-    return float(sunk)
-
-
-def _first_pose(shape: Shape, start: Start, gel: Gel) -> Array:
-    tilt = _about(np.array([np.cos(a := np.radians(start.tilt_axis_deg)), np.sin(a), 0.0]), np.radians(start.tilt_deg))
-    pose = np.eye(4)
-    pose[:3, :3] = tilt @ _about(np.array([0.0, 0.0, 1.0]), np.radians(start.yaw_deg))
-    drop = shape.support(-pose[2, :3])  # how far the turned shape hangs below its own origin
-    if not np.isfinite(drop):
-        raise UserError(
-            f"start.tilt_deg: tilted by {start.tilt_deg} deg the indenter's flank meets the gel before its tip"
-        )
-    pose[:3, 3] = start.x_mm, start.y_mm, drop
-    pose[2, 3] = start.clearance_mm + drop - _sunk(shape, pose, gel)
-    return pose
-
-
-def lowest(shape: Shape, rotation: Array) -> Array:
-    """The lowest point (3,) of a turned shape from its own origin [mm]: the middle of them where it is an edge or face.
-
-    The slope of the support function, by central differences; inf in z where the shape has no lowest point.
-    """
-    down = -rotation[2]
-    step = 1e-5 * np.eye(3)
-    slope = [shape.support(_unit(down + s)) - shape.support(_unit(down - s)) for s in step]
-    height = shape.support(down)
-    flat = rotation @ (np.array(slope) / 2e-5)  # its part along `down` is lost in the unit vectors
-    return np.array([flat[0], flat[1], -height])
-
-
-def _unit(v: Array) -> Array:
-    return np.asarray(v / np.linalg.norm(v))
-
-
-@dataclass
-class _Walk:
-    """Where a path has come to, while it is laid."""
-
-    shape: Shape
-    gel: Gel
-    first: Array
-    contact_z: float  # height of the origin where the lowest point meets the untouched face [mm]
-    pose: Array
-    carry: float = 0.0
-
-    def steps(self, move: recipes.Move, where: str) -> Iterator[tuple[Array, tuple[float, ...]]]:
-        """Pose, and asked, part, carry, floor and below of Forced, at each frame of one segment."""
-        begun, carried = self.pose, self.carry
-        floor = self.contact_z - FORCE_DEPTH * self.gel.thickness
-        for k in range(1, move.frames + 1):
-            part = k / move.frames
-            new = begun.copy()
-            asked = below = np.nan
-            match move:
-                case recipes.Press(force_n=float(force)):
-                    asked, self.carry = force, 1.0
-                    new[2, 3] = self.contact_z - FIRST_GUESS * part * self.gel.thickness
-                    below = new[2, 3] - floor
-                case recipes.Press(depth_mm=float(depth)):
-                    new[2, 3] += part * (self.contact_z - depth - begun[2, 3])
-                    self.carry = (1 - part) * carried
-                case recipes.Release():
-                    new[2, 3] += part * (self.first[2, 3] - begun[2, 3])
-                    self.carry = (1 - part) * carried
-                case recipes.Slide(x_mm=x, y_mm=y):
-                    new[0, 3] += part * x
-                    new[1, 3] += part * y
-                case recipes.Twist(angle_deg=angle):
-                    new[:3, :3] = _about(begun[:3, 2], part * np.radians(angle)) @ begun[:3, :3]
-                case recipes.Tilt(angle_deg=angle, axis_deg=axis):
-                    self._tilt(new, begun, part * np.radians(angle), np.radians(axis), where)
-            self.pose = new
-            yield new, (asked, part, self.carry, floor, below)
-
-    def _tilt(self, new: Array, begun: Array, angle: float, axis: float, where: str) -> None:
-        """Turn about the lowest point of the pose at which the segment began."""
-        from_origin = lowest(self.shape, begun[:3, :3])
-        turn = _about(np.array([np.cos(axis), np.sin(axis), 0.0]), angle)
-        new[:3, :3] = turn @ begun[:3, :3]
-        new[:3, 3] = begun[:3, 3] + from_origin - turn @ from_origin
-        drop = self.shape.support(-new[2, :3])
-        if not np.isfinite([*from_origin, drop]).all():
-            raise UserError(f"{where}.angle_deg: the indenter's flank would meet the gel before its tip")
-        if new[2, 3] - drop <= -self.gel.thickness:
-            raise UserError(f"{where}.angle_deg: would turn the indenter's edge to the base of the gel, or below")
-        standing = new.copy()
-        standing[2, 3] = drop
-        self.contact_z = drop - _sunk(self.shape, standing, self.gel)
-
-
-def path(recipe: Recipe, first: Array, shape: Shape, gel: Gel) -> tuple[Array, Array, Forced | None]:
-    """Poses (N, 4, 4) at every frame, the segment (N,) each belongs to, and what forces ask for.
-
-    Raises:
-        UserError: a tilt that cannot be.
-    """
-    walk = _Walk(shape, gel, first, first[2, 3] - recipe.start.clearance_mm, first)
-    poses: list[Array] = []
-    segments: list[int] = []
-    asked: list[tuple[float, ...]] = []
-    for number, segment in enumerate(recipe.trajectory):
-        for pose, ask in walk.steps(segment.move, f"trajectory[{number}].{segment.kind}"):
-            poses.append(pose)
-            segments.append(number)
-            asked.append(ask)
-    of, part, carry, floor, below = np.array(asked).T
-    forced = Forced(of, part, carry, floor, np.nan_to_num(below))
-    return np.array(poses), np.array(segments), forced if np.isfinite(forced.asked).any() else None
-
-
 def build(row: Row) -> Scene:
     """The scene of one row of a plan."""
     recipe, quality, gel = row.recipe, row.recipe.resolved(), gel_of(row.sensor)
     shape = _shape(recipe.indenter, lambda mesh: _field(mesh, row))
-    first = _first_pose(shape, recipe.start, gel)
-    poses, segment, forced = path(recipe, first, shape, gel)
+    first = first_pose(shape, recipe.start, gel)
+    poses, segment, forced = lay(recipe, first, shape, gel)
     return Scene(gel, shape, poses, first, segment, recipe.contact.friction, quality.edge_mm, quality.dhat_mm, forced)

@@ -13,7 +13,8 @@ import numpy as np
 from tacgen.advance import Memory, NotConverged, Problem, State, advance, reach
 from tacgen.fem.contact import Pose
 from tacgen.fem.rising import POWER, OutOfReach, meet
-from tacgen.scene import FORCE_DEPTH, Scene
+from tacgen.scene import Scene
+from tacgen.trajectory import FORCE_DEPTH
 
 __all__ = ["NotConverged", "Problem", "State", "normal_force", "states"]
 

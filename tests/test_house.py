@@ -20,6 +20,7 @@ ORDER = [
     {"load"},
     {"plan"},  # *
     {"geometry"},
+    {"trajectory"},
     {"scene"},  # *
     {"mesh"},  # *
     {"advance"},

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tacgen import bundle, foresee, mesh, pipeline, plan, scene, solve
+from tacgen import bundle, foresee, mesh, pipeline, plan, scene, solve, trajectory
 from tacgen.errors import UserError
 from tacgen.fem.rising import OutOfReach, meet
 
@@ -68,7 +68,7 @@ def test_a_second_force_may_be_smaller_and_a_depth_may_follow(tmp_path: Path) ->
 
 
 def test_a_force_the_gel_cannot_give_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in (scene, solve, foresee):
+    for module in (trajectory, solve, foresee):
         monkeypatch.setattr(module, "FORCE_DEPTH", 0.2)
     found = pipeline.run_scene(row(tmp_path, "press: {force_n: 500, frames: 1}"), tmp_path / "out")
     assert found.status == "rejected"
