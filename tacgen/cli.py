@@ -175,10 +175,10 @@ def init(
 
 @app.command("list")
 def show_list(
-    kind: Annotated[str, typer.Argument(help="sensors, recipes, objects or shapes; all when left out.")] = "",
+    kind: Annotated[str, typer.Argument(help="sensors, recipes, objects, shapes or formats; all when left out.")] = "",
     as_json: AsJson = False,
 ) -> None:
-    """List sensors, recipes, objects and indenter shapes."""
+    """List sensors, recipes, objects, indenter shapes and formats to export to."""
     from tacgen.listing import KINDS
 
     if kind and kind not in KINDS:
@@ -221,6 +221,21 @@ def show(
         out.parent.mkdir(parents=True, exist_ok=True)
         showing.picture(path, out)
     typer.echo(str(out))
+
+
+@app.command()
+def export(
+    kind: Annotated[str, typer.Argument(metavar="FORMAT", help="`tacgen list formats` names them.")],
+    source: Annotated[Path, typer.Argument(help="A bundle, or a folder of bundles.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Where to write.")],
+    as_json: AsJson = False,
+) -> None:
+    """Write finished bundles in the format of another tool."""
+    from tacgen import export as exporting
+
+    with _writing(out):
+        made = exporting.export(kind, source, out)
+    _show([str(path) for path in made], "\n".join(map(str, made)), as_json)
 
 
 @app.command()

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from tacgen import assets
+from tacgen.export import EXPORTERS
 from tacgen.load import read_sensor
 from tacgen.recipe import SHAPES
 from tacgen.yamlfile import load
@@ -58,4 +59,5 @@ KINDS: dict[str, Callable[[], Entries]] = {
     "recipes": recipes,
     "objects": objects,
     "shapes": shapes,
+    "formats": lambda: EXPORTERS,
 }

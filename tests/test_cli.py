@@ -136,7 +136,7 @@ def test_a_dry_run_does_nothing(tmp_path: Path):
         (("run", "quickstart", "-o", "x", "--set", "sensor=digot"), "--set sensor=digot: sensor: no sensor is called"),
         (("validate", str(ROOT)), "is a folder, not a file"),
         (("validate", str(ROOT / "no.yaml")), "no such recipe file"),
-        (("list", "shape"), "shape: must be one of sensors, recipes, objects, shapes"),
+        (("list", "shape"), "shape: must be one of sensors, recipes, objects, shapes, formats"),
         (("check", "no/such/folder"), "no/such/folder: no such file or folder"),
         (("show", "no.h5"), "no.h5: No such file"),
         (("run", "quickstart"), "Missing option"),

@@ -1,0 +1,68 @@
+"""Finished bundles into the files of other tools: a module a format, each with `write(bundles, out)`.
+
+A format is a line of EXPORTERS and a module of that name with
+
+    def write(bundles: Sequence[Bundle], out: Path) -> list[Path]: ...
+
+that writes below the folder `out` (or to the file `out`, where the format is one file) and says which files it made.
+"""
+
+from collections.abc import Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tacgen.errors import UserError
+
+if TYPE_CHECKING:
+    from tacgen.bundle import Bundle
+
+EXPORTERS = {
+    "vtkhdf": "mesh, displacement and stress over the frames, for ParaView: one .vtkhdf file a scene",
+}
+
+
+def bundles(source: Path) -> "list[Bundle]":
+    """The finished bundle `source`, or all of those in a folder and below, in order; rejected scenes are left out.
+
+    Raises:
+        UserError: there is none, or one is damaged.
+    """
+    from tacgen.bundle import read
+
+    if not source.exists():
+        raise UserError(f"{source}: no such file or folder")
+    paths = sorted(source.rglob("*.h5")) if source.is_dir() else [source]
+    found = [bundle for bundle in map(read, paths) if bundle.attrs["status"] == "ok"]
+    if not found:
+        raise UserError(f"{source}: no finished scene to export")
+    return found
+
+
+def export(kind: str, source: Path, out: Path) -> list[Path]:
+    """Write the bundles at `source` in a format of EXPORTERS, and return the files made.
+
+    Raises:
+        UserError: an unknown format, nothing to export, or a bundle without what the format needs.
+        OSError: `out` cannot be written.
+    """
+    if kind not in EXPORTERS:
+        raise UserError(f"{kind}: unknown format, use one of {', '.join(EXPORTERS)}")
+    made: list[Path] = import_module(f"tacgen.export.{kind}").write(bundles(source), out)
+    return made
+
+
+def needs(bundle: "Bundle", paths: Sequence[str], output: str) -> None:
+    """UserError unless the bundle holds every dataset of `paths`, which the recipe's `output` brings."""
+    if missing := [path for path in paths if path not in bundle]:
+        raise UserError(f"{bundle.path}: has no {missing[0]}: the recipe's outputs need {output}")
+
+
+def names(bundles: "Sequence[Bundle]") -> list[str]:
+    """A name of its own for each bundle: that of its file, with its folders before it as far as they are needed."""
+    parts = [bundle.path.with_suffix("").parts for bundle in bundles]
+    for depth in range(1, max(map(len, parts)) + 1):
+        found = ["-".join(part[-depth:]) for part in parts]
+        if len(set(found)) == len(found):
+            break
+    return found
