@@ -12,7 +12,7 @@ from tacgen.fem import friction as fr
 from tacgen.fem import linear
 from tacgen.fem.assembly import Pattern, pattern
 from tacgen.fem.contact import Contact, Faces, Pose
-from tacgen.fem.elements import hexes
+from tacgen.fem.elements import elements
 from tacgen.fem.friction import Friction
 from tacgen.fem.newton import Status, minimise
 from tacgen.fem.potentials import Elastic, Potential, Total
@@ -101,7 +101,7 @@ class Problem:
         elastic = []
         for number, layer in enumerate(scene.gel.layers):
             cells = mesh.cells[mesh.layer == number]
-            elastic.append(Elastic.on(pat, hexes(mesh.points, cells), layer.law))
+            elastic.append(Elastic.on(pat, elements(mesh.points, cells), layer.law))
         faces = Faces.on(pat, mesh.points, mesh.facets["coated"])
         kappa = 2 * scene.gel.layers[-1].youngs_modulus
         contact = Contact(faces, scene.shape, Pose.of(scene.start), scene.dhat, kappa)

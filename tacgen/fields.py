@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tacgen.fem.elements import triangles as pieces
 from tacgen.optics.raster import draw
 from tacgen.solve import Problem, State
 
@@ -26,21 +27,21 @@ VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))  # xx yy zz yz xz xy
 class Surface:
     """The coated face of a mesh at rest and now, smooth between its nodes (C1, Clough & Tocher).
 
-    rest, now (s, 3) [mm]; quads (f, 4) numbers among them; nodes (s,) their numbers in the mesh.
+    rest, now (s, 3) [mm]; facets (f, a) numbers among them; nodes (s,) their numbers in the mesh.
     """
 
-    def __init__(self, points: Array, quads: Array) -> None:
+    def __init__(self, points: Array, facets: Array) -> None:
         from scipy.spatial import Delaunay
 
-        self.nodes = np.unique(quads)
-        self.quads = np.searchsorted(self.nodes, quads)
+        self.nodes = np.unique(facets)
+        self.facets = np.searchsorted(self.nodes, facets)
         self.rest = self.now = points[self.nodes]
         self._plan = Delaunay(self.rest[:, :2])
 
     def moved(self, x: Array) -> "Surface":
         """The same face of the mesh at nodal positions x (n, 3)."""
         new = object.__new__(Surface)
-        new.nodes, new.quads, new.rest, new._plan = self.nodes, self.quads, self.rest, self._plan
+        new.nodes, new.facets, new.rest, new._plan = self.nodes, self.facets, self.rest, self._plan
         new.now = x[self.nodes]
         return new
 
@@ -85,7 +86,7 @@ def stress(problem: Problem, x: Array) -> Stress:
         sigma, volume = elastic.cauchy(x)
         voigt = np.stack([sigma[..., i, j] for i, j in VOIGT], -1)
         element[mesh.layer == number] = np.einsum("eq,eqc->ec", volume, voigt) / volume.sum(1)[:, None]
-        share = elastic.elements.shape
+        share = np.abs(elastic.elements.shape)  # N is negative at some corners of quadratic tets
         conn = elastic.elements.conn
         weight = np.zeros(len(x))
         total = np.zeros((len(x), 6))
@@ -120,7 +121,7 @@ def maps(problem: Problem, surface: Surface, state: State, camera: "Camera") -> 
     resultant is kept exactly, whatever the pixels. A node partly out of view keeps the area it has on the mesh.
     """
     shape = camera.shape
-    triangles = np.concatenate([surface.quads[:, [0, 1, 2]], surface.quads[:, [0, 2, 3]]])
+    triangles = pieces(surface.facets)
     corner = surface.now[triangles]  # (t, 3, 3)
     screen = camera.project(surface.now)[triangles]
     face_area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1) / 2
@@ -146,7 +147,7 @@ def maps(problem: Problem, surface: Surface, state: State, camera: "Camera") -> 
     weight = np.where(visible > 0.9 * lumped, visible, lumped)
 
     def spread(per_point: Array) -> Array:
-        force = problem.contact.faces.scatter(per_point, len(state.x))[surface.nodes]
+        force = problem.contact.faces.shared(per_point, len(state.x))[surface.nodes]
         out = np.zeros((*shape, per_point.shape[-1]))
         out[seen] = np.einsum("pk,pkc->pc", share, (force / weight[:, None])[nodes])
         return out
@@ -157,11 +158,11 @@ def maps(problem: Problem, surface: Surface, state: State, camera: "Camera") -> 
     tangential = np.zeros((*shape, 2)) if state.friction is None else spread(state.friction[..., :2])
 
     faces = problem.contact.faces
-    whole_face = faces.scatter(faces.areas[..., None], len(state.x))[surface.nodes, 0]
+    whole_face = faces.shared(faces.areas[..., None], len(state.x))[surface.nodes, 0]
 
     def mostly(points: Array, level: float) -> Array:
         """Pixels where the share of the face around that `points` (f, q) bool make up reaches `level`."""
-        part = faces.scatter((faces.areas * points)[..., None], len(state.x))[surface.nodes, 0] / whole_face
+        part = faces.shared((faces.areas * points)[..., None], len(state.x))[surface.nodes, 0] / whole_face
         out = np.zeros(shape, bool)
         out[seen] = (share * part[nodes]).sum(1) >= level
         return out

@@ -11,7 +11,7 @@ from tacgen import assets, fields, limits, load, mesh, plan, solve
 from tacgen import scene as stage
 from tacgen.errors import UserError
 from tacgen.fem.contact import Pose
-from tacgen.fem.elements import hexes, quad_areas
+from tacgen.fem.elements import facet_areas, hexes
 from tacgen.optics.layers import Camera
 from tacgen.optics.sheet import Sheet
 from tacgen.sensor import Sensor
@@ -86,7 +86,7 @@ def test_the_outline_has_one_round_end(digit: Sensor) -> None:
     assert [limits.on_pad(digit.gel, a, b) for a, b in zip(x, y, strict=True)] == inside.tolist()
     assert gel.top(x, y) == pytest.approx([-digit.gel.drop_mm(a, b) for a, b in zip(x, y, strict=True)])
     grid = mesh.build(gel, (-12, 12, -14, 14), 0.4)
-    area = quad_areas(grid.points, grid.facets["bonded"])[0].sum()
+    area = facet_areas(grid.points, grid.facets["bonded"])[0].sum()
     assert area == pytest.approx(18.35 * (2 * half - r) + np.pi * r**2 / 2, rel=5e-3)
 
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tacgen import mesh
-from tacgen.fem.elements import hexes, quad_areas
+from tacgen.fem.elements import facet_areas, hexes
 from tacgen.fem.materials import NeoHooke
 from tacgen.scene import Gel, Layer
 
@@ -89,7 +89,7 @@ def test_facets_are_named_and_seen_from_outside() -> None:
     assert set(made.facets) == {"bonded", "coated"}
     for name, z, out in (("bonded", -2.7, -1.0), ("coated", 0.0, 1.0)):
         quads = made.facets[name]
-        area, normal = quad_areas(made.points, quads)
+        area, normal = facet_areas(made.points, quads)
         assert area.sum() == pytest.approx(120)
         assert made.points[np.unique(quads), 2] == pytest.approx(z)
         assert normal[..., 2] == pytest.approx(out)
@@ -111,9 +111,9 @@ def test_columns_outside_the_rounded_outline_are_left_out() -> None:
     made = mesh.build(pad, (-6, 6, -5, 5), 0.25)
     centre = made.points[made.cells].mean(1)
     assert pad.contains(centre[:, 0], centre[:, 1]).all()
-    area = quad_areas(made.points, made.facets["coated"])[0].sum()
+    area = facet_areas(made.points, made.facets["coated"])[0].sum()
     assert area == pytest.approx(120 - (4 - np.pi) * 2.5**2, rel=5e-3)
-    assert quad_areas(made.points, made.facets["bonded"])[0].sum() == pytest.approx(area)
+    assert facet_areas(made.points, made.facets["bonded"])[0].sum() == pytest.approx(area)
     assert hexes(made.points, made.cells).weights.sum() == pytest.approx(2 * area)
     assert np.abs(made.points[:, :2]).max(0) == pytest.approx([6, 5])
 

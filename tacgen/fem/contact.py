@@ -10,7 +10,7 @@ import numpy as np
 
 from tacgen.fem import assembly
 from tacgen.fem.assembly import Pattern
-from tacgen.fem.elements import quad_areas, quad_points
+from tacgen.fem.elements import facet_areas, facet_hats, facet_points
 from tacgen.fem.last import Last
 from tacgen.fem.shapes import Shape
 
@@ -63,7 +63,7 @@ class Pose:
 
 @dataclass(frozen=True)
 class Faces:
-    """Quadrature on the coated face: conn (f, 4); N (q, 4); rest areas (f, q) [mm^2]; slots of the (12, 12) blocks."""
+    """Quadrature on the coated face: conn (f, a); N (q, a); rest areas (f, q) [mm^2]; slots of the (3a, 3a) blocks."""
 
     conn: Array
     N: Array
@@ -71,23 +71,32 @@ class Faces:
     slots: Array
 
     @classmethod
-    def on(cls, pattern: Pattern, points: Array, quads: Array) -> "Faces":
-        return cls(quads, quad_points()[0], quad_areas(points, quads)[0], pattern.slots(quads))
+    def on(cls, pattern: Pattern, points: Array, facets: Array) -> "Faces":
+        N, _, _ = facet_points(facets.shape[1])
+        return cls(facets, N, facet_areas(points, facets)[0], pattern.slots(facets))
 
     def at(self, x: Array) -> Array:
         """Positions (f, q, 3) of the quadrature points."""
         return np.asarray(np.einsum("qa,fai->fqi", self.N, x[self.conn]))
 
     def scatter(self, forces: Array, nodes: int) -> Array:
-        """Nodal sums (n, c) of forces (f, q, c) at the quadrature points."""
+        """Nodal sums (n, c) of forces (f, q, c) at the quadrature points: what they do to the nodes."""
+        return self._sum(self.N, forces, nodes)
+
+    def shared(self, forces: Array, nodes: int) -> Array:
+        """Nodal sums (n, c) for drawing: as `scatter`, but even where a uniform pressure is (see facet_hats)."""
+        return self._sum(facet_hats(6) if self.conn.shape[1] == 6 else self.N, forces, nodes)
+
+    def _sum(self, weights: Array, forces: Array, nodes: int) -> Array:
         out = np.zeros((nodes, forces.shape[-1]))
-        np.add.at(out, self.conn, np.einsum("qa,fqi->fai", self.N, forces))
+        np.add.at(out, self.conn, np.einsum("qa,fqi->fai", weights, forces))
         return out
 
     def add_blocks(self, which: Array, D: Array, data: Array) -> None:
         """Add the stiffness D (k, q, 3, 3) of the faces numbered `which` (k,)."""
         blocks = np.einsum("qa,qb,fqij->faibj", self.N, self.N, D, optimize=True)
-        assembly.add_blocks(np.ascontiguousarray(blocks).reshape(len(which), 12, 12), self.slots[which], data)
+        side = 3 * self.conn.shape[1]
+        assembly.add_blocks(np.ascontiguousarray(blocks).reshape(len(which), side, side), self.slots[which], data)
 
 
 @dataclass(frozen=True)

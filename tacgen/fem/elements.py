@@ -12,6 +12,15 @@ HEX_CORNERS = np.array(
 )
 QUAD_CORNERS = HEX_CORNERS[:4, :2]
 GAUSS2 = np.array([-1.0, 1.0]) / np.sqrt(3.0)
+TET_EDGES = np.array([(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)])
+TRIANGLE_EDGES = np.array([(0, 1), (1, 2), (2, 0)])
+TET4 = (5 - np.sqrt(5.0)) / 20  # smaller barycentric coordinate of the 4-point rule of degree 2
+# smaller barycentric coordinate and weight of each orbit of three points, by the nodes of the triangle
+DUNAVANT = {
+    3: ((1 / 6, 1 / 3),),
+    6: ((0.445948490915965, 0.223381589678011), (0.091576213509771, 0.109951743655322)),
+}
+PIECES = {3: ([0, 1, 2],), 4: ([0, 1, 2], [0, 2, 3]), 6: ([0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5])}
 
 
 @dataclass(frozen=True)
@@ -46,18 +55,108 @@ def hexes(points: Array, conn: Array) -> Elements:
     return Elements(conn.astype(np.int32), np.ascontiguousarray(gradients), volume, True, f.prod(2) / 8)
 
 
-def quad_points() -> tuple[Array, Array]:
-    """2x2 Gauss points on a quad: shape functions N (q, 4) and reference derivatives dN (q, 4, 2)."""
-    g = np.array([[a, b] for b in GAUSS2 for a in GAUSS2])
-    f = 1 + QUAD_CORNERS[None] * g[:, None]
-    dN = np.stack([QUAD_CORNERS[:, 0] * f[..., 1], f[..., 0] * QUAD_CORNERS[:, 1]], -1) / 4
-    return f.prod(2) / 4, dN
+def barycentric(L: Array, corners: int) -> tuple[Array, Array]:
+    """Shape functions N (q, a) of a simplex and dN/dL (q, a, corners) at barycentric points L (q, corners).
+
+    Linear on the corners alone, and quadratic with a node on each edge: N_i = L_i (2 L_i - 1), N_ij = 4 L_i L_j.
+    """
+    edges = TET_EDGES if L.shape[1] == 4 else TRIANGLE_EDGES
+    if corners == L.shape[1]:
+        return L, np.broadcast_to(np.eye(corners), (len(L), corners, corners)).copy()
+    i, j = edges.T
+    dN = np.zeros((len(L), L.shape[1] + len(edges), L.shape[1]))
+    for k in range(L.shape[1]):
+        dN[:, k, k] = 4 * L[:, k] - 1
+    for k, (a, b) in enumerate(edges):
+        dN[:, L.shape[1] + k, a], dN[:, L.shape[1] + k, b] = 4 * L[:, b], 4 * L[:, a]
+    return np.concatenate([L * (2 * L - 1), 4 * L[:, i] * L[:, j]], 1), dN
 
 
-def quad_areas(points: Array, quads: Array) -> tuple[Array, Array]:
-    """Areas at the 2x2 points (f, q) [mm^2] (each point's weight is 1) and unit normals (f, q, 3) of curved quads."""
-    _, dN = quad_points()
-    tangents = np.einsum("qak,fai->fqki", dN, points[quads])
+def tets(points: Array, conn: Array) -> Elements:
+    """Tetrahedra: quadratic with 10 nodes and 4 points, or linear with 4 nodes and 1 point, which lock.
+
+    Nodes as in VTK: corners, then the edges' in the order of TET_EDGES; they may lie off the edges' middles.
+
+    Raises:
+        ValueError: an element is turned inside out.
+    """
+    linear = conn.shape[1] == 4
+    L = np.full((1, 4), 0.25) if linear else np.full((4, 4), TET4) + np.eye(4) * (1 - 4 * TET4)
+    N, dL = barycentric(L, conn.shape[1])
+    dN = dL[..., 1:] - dL[..., :1]
+    jacobian = np.einsum("qaj,eai->eqij", dN, points[conn])
+    volume = np.linalg.det(jacobian)
+    if (volume <= 0).any():
+        raise ValueError(f"{int((volume <= 0).any(1).sum())} tets are turned inside out")
+    gradients = np.einsum("qaj,eqjI->eqaI", dN, np.linalg.inv(jacobian))
+    return Elements(conn.astype(np.int32), np.ascontiguousarray(gradients), volume / 6 / len(L), False, N)
+
+
+def quadratic(points: Array, *conns: Array) -> tuple[Array, ...]:
+    """Points and linear tets (e, 4) or triangles (f, 3), with a node in the middle of every edge."""
+    ends = [np.sort(conn[:, TET_EDGES if conn.shape[1] == 4 else TRIANGLE_EDGES], -1) for conn in conns]
+    keys = [low * len(points) + high for low, high in (np.moveaxis(e, -1, 0) for e in ends)]
+    edges = np.unique(np.concatenate([key.ravel() for key in keys]))
+    middle = (points[edges // len(points)] + points[edges % len(points)]) / 2
+    more = [len(points) + np.searchsorted(edges, key) for key in keys]
+    both = (np.concatenate([conn, new], 1) for conn, new in zip(conns, more, strict=True))
+    return np.concatenate([points, middle]), *both
+
+
+KINDS = {8: hexes, 10: tets, 4: tets}  # by the number of nodes
+
+
+def elements(points: Array, conn: Array) -> Elements:
+    """The elements that the number of nodes in conn (e, a) says."""
+    return KINDS[conn.shape[1]](points, conn)
+
+
+def facet_points(nodes: int) -> tuple[Array, Array, Array]:
+    """Quadrature on a facet of 4 (quad), 6 or 3 (triangle) nodes: N (q, a), dN (q, a, 2) and weights (q,).
+
+    2x2 Gauss points; 6 points of degree 4 and 3 of degree 2, Dunavant (1985).
+    """
+    if nodes == 4:
+        g = np.array([[a, b] for b in GAUSS2 for a in GAUSS2])
+        f = 1 + QUAD_CORNERS[None] * g[:, None]
+        dN = np.stack([QUAD_CORNERS[:, 0] * f[..., 1], f[..., 0] * QUAD_CORNERS[:, 1]], -1) / 4
+        return f.prod(2) / 4, dN, np.ones(4)
+    rule = DUNAVANT[nodes]
+    L = np.concatenate([np.full((3, 3), a) + np.eye(3) * (1 - 3 * a) for a, _ in rule])
+    N, dL = barycentric(L, nodes)
+    return N, dL[..., 1:] - dL[..., :1], np.repeat([w for _, w in rule], 3) / 2
+
+
+def facet_areas(points: Array, facets: Array) -> tuple[Array, Array]:
+    """Areas of the quadrature points (f, q) [mm^2] and unit normals (f, q, 3) of curved facets (f, a)."""
+    _, dN, weights = facet_points(facets.shape[1])
+    tangents = np.einsum("qak,fai->fqki", dN, points[facets])
     normal = np.cross(tangents[:, :, 0], tangents[:, :, 1])
     area = np.linalg.norm(normal, axis=2)
-    return area, normal / area[..., None]
+    return area * weights, normal / area[..., None]
+
+
+def facet_hats(nodes: int) -> Array:
+    """How a force at a quadrature point is shared among a facet's nodes to be drawn (q, a): linear on flat pieces.
+
+    A quadratic triangle's own shape functions give its corners nothing of a uniform pressure; those of the four
+    triangles that `triangles` makes of it share it evenly, as N does on the others.
+    """
+    N, _, _ = facet_points(nodes)
+    if nodes != 6:
+        return N
+    L = N @ np.vstack([np.eye(3), (np.eye(3) + np.eye(3)[[1, 2, 0]]) / 2])
+    hats = np.zeros((len(L), 6))
+    for q, point in enumerate(L):
+        k = int(point.argmax())
+        after, before = (k + 1) % 3, (k + 2) % 3
+        if point[k] > 0.5:  # in corner k's own triangle
+            hats[q, [k, 3 + k, 3 + before]] = 2 * point[k] - 1, 2 * point[after], 2 * point[before]
+        else:  # in the middle one; edge 3 + i runs from corner i to the next
+            hats[q, [4, 5, 3]] = 1 - 2 * point
+    return hats
+
+
+def triangles(facets: Array) -> Array:
+    """Flat triangles (t, 3) that facets (f, a) are drawn with."""
+    return np.concatenate([facets[:, corners] for corners in PIECES[facets.shape[1]]])

@@ -1,4 +1,4 @@
-"""What the tests of fem/ share: finite differences, dense stiffness, a distorted block of hexes, a patch of quads."""
+"""What the tests of fem/ share: finite differences, dense stiffness, distorted blocks, a patch of facets."""
 
 from collections.abc import Callable
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from tacgen.fem.assembly import Pattern, pattern
 from tacgen.fem.contact import Faces
-from tacgen.fem.elements import HEX_CORNERS
+from tacgen.fem.elements import HEX_CORNERS, quadratic
 from tacgen.fem.potentials import Potential
 
 Array = np.ndarray
@@ -61,17 +61,31 @@ def block(n: int, shake: float = 0.0, seed: int = 0) -> tuple[Array, Array]:
     return points + inner[:, None] * move, cells
 
 
+def tetrahedral(points: Array, hexes: Array, nodes: int = 10) -> tuple[Array, Array]:
+    """Each hex of a block in six tets around its diagonal (Kuhn), of 4 or 10 nodes."""
+    ways = [(0, a, b, 6) for a, b in ((1, 2), (1, 5), (4, 5), (4, 7), (3, 7), (3, 2))]
+    cells = np.concatenate([hexes[:, way] for way in ways])
+    side = points[cells[:, 1:]] - points[cells[:, :1]]
+    turned = np.linalg.det(side) < 0
+    cells[turned] = cells[turned][:, [0, 2, 1, 3]]
+    points, cells = quadratic(points, cells) if nodes == 10 else (points, cells)
+    return points, cells
+
+
 def distorted(amount: float = 0.15, seed: int = 1) -> tuple[Array, Array]:
     """One hex of about a unit cube with every corner moved."""
     points = (HEX_CORNERS + 1) / 2
     return points + np.random.default_rng(seed).uniform(-amount, amount, points.shape), np.arange(8)[None]
 
 
-def patch(n: int, size: float) -> tuple[Array, Faces, Pattern]:
-    """A flat square of n x n quads about the origin of z = 0, facing +z, with its quadrature."""
+def patch(n: int, size: float, nodes: int = 4) -> tuple[Array, Faces, Pattern]:
+    """A flat square of n x n quads, or twice as many triangles, about the origin of z = 0, facing +z."""
     ticks = np.linspace(-size / 2, size / 2, n + 1)
     points = np.stack([*np.meshgrid(ticks, ticks, indexing="ij"), np.zeros((n + 1, n + 1))], -1).reshape(-1, 3)
     number = np.arange(len(points)).reshape(n + 1, n + 1)
     quads = np.stack([number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]], -1).reshape(-1, 4)
-    pat = whole(quads, len(points))
-    return points, Faces.on(pat, points, quads), pat
+    facets = quads if nodes == 4 else np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    if nodes == 6:
+        points, facets = quadratic(points, facets)
+    pat = whole(facets, len(points))
+    return points, Faces.on(pat, points, facets), pat

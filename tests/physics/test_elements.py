@@ -1,11 +1,12 @@
-"""The element: patch test, order of convergence, a closed form at finite strain."""
+"""The elements: patch test, order of convergence, a closed form at finite strain."""
 
 import numpy as np
 import pytest
+from fem import small
 from scipy.optimize import brentq
 
 from tacgen.fem.assembly import Pattern, pattern
-from tacgen.fem.elements import HEX_CORNERS, hexes
+from tacgen.fem.elements import elements
 from tacgen.fem.linear import Cholmod
 from tacgen.fem.materials import EXAMPLES, Law, NeoHooke
 from tacgen.fem.newton import Solution, Status, minimise
@@ -15,15 +16,13 @@ Array = np.ndarray
 LAW = NeoHooke(0.05, 0.6)
 
 
-def block(n: int, shake: float = 0.0) -> tuple[Array, Array]:
-    """Points and hexes of a unit cube, n a side; nodes inside are moved by up to shake/n each way."""
-    ticks = np.linspace(0, 1, n + 1)
-    points = np.stack(np.meshgrid(ticks, ticks, ticks, indexing="ij"), -1).reshape(-1, 3)
-    number = np.arange(len(points)).reshape(n + 1, n + 1, n + 1)
-    corners = ((HEX_CORNERS + 1) / 2).astype(int)
-    cells = np.stack([number[a : a + n, b : b + n, c : c + n] for a, b, c in corners], -1).reshape(-1, 8)
-    inner = np.all((points > 1e-9) & (points < 1 - 1e-9), axis=1)
-    return points + inner[:, None] * np.random.default_rng(0).uniform(-1, 1, points.shape) * shake / n, cells
+ELEMENTS = {"hex": 8, "tet": 10, "linear_tet": 4}  # nodes
+
+
+def block(n: int, shake: float = 0.0, nodes: int = 8) -> tuple[Array, Array]:
+    """A unit cube, n hexes a side or six tets for each; corners inside are moved by up to shake/n each way."""
+    points, cells = small.block(n, shake)
+    return (points, cells) if nodes == 8 else small.tetrahedral(points, cells, nodes)
 
 
 def inside(points: Array) -> Array:
@@ -39,12 +38,13 @@ def solve(potential: Potential, x: Array, pat: Pattern) -> Solution:
 
 
 @pytest.mark.parametrize("law", EXAMPLES.values(), ids=list(EXAMPLES))
-def test_a_linear_displacement_gives_a_uniform_stress_on_any_mesh(law: Law) -> None:
-    points, cells = block(3, 0.3)
+@pytest.mark.parametrize(("kind", "shake"), [("hex", 0.3), ("tet", 0.2), ("linear_tet", 0.2)])
+def test_a_linear_displacement_gives_a_uniform_stress_on_any_mesh(law: Law, kind: str, shake: float) -> None:
+    points, cells = block(3 if kind == "hex" else 2, shake, ELEMENTS[kind])
     F = np.array([[1.2, 0.3, 0.0], [-0.1, 0.9, 0.2], [0.1, 0.0, 1.1]])
     free = inside(points)
     pat = pattern([cells], free)
-    body = Elastic.on(pat, hexes(points, cells), law)
+    body = Elastic.on(pat, elements(points, cells), law)
     exact = points @ F.T
     found = solve(body, np.where(free, exact + 0.02 * np.sin(7 * points), exact), pat)
     assert found.x == pytest.approx(exact, abs=1e-10)
@@ -79,12 +79,12 @@ def u(X: Array) -> Array:
     return 0.08 * np.stack(parts, -1)
 
 
-def displacement_error(n: int) -> float:
-    """L2 error on n^3 hexes. The load is the weak form of the exact stress, so Div P never has to be derived."""
-    points, cells = block(n)
+def displacement_error(n: int, nodes: int) -> float:
+    """L2 error on an n^3 block. The load is the weak form of the exact stress, so Div P never has to be derived."""
+    points, cells = block(n, 0.0, nodes)
     free = inside(points)
     pat = pattern([cells], free)
-    e = hexes(points, cells)
+    e = elements(points, cells)
     body = Elastic.on(pat, e, LAW)
     at = np.einsum("qa,eai->eqi", e.shape, points[cells])
     h = 1e-6
@@ -102,23 +102,26 @@ def displacement_error(n: int) -> float:
     return float(np.sqrt((e.weights * (off**2).sum(-1)).sum()))
 
 
-def test_displacements_converge_at_second_order() -> None:
-    n = np.array([4, 6, 9, 13])
-    errors = [displacement_error(k) for k in n]
-    rate = -np.polyfit(np.log(n), np.log(errors), 1)[0]
-    assert rate == pytest.approx(2.0, abs=0.2), errors  # too fast is a bug as well
+@pytest.mark.parametrize(
+    ("kind", "sizes", "order"), [("hex", (4, 6, 9, 13), 2), ("tet", (2, 3, 4, 6), 3), ("linear_tet", (4, 6, 9, 13), 2)]
+)
+def test_displacements_converge_at_the_elements_order(kind: str, sizes: tuple[int, ...], order: int) -> None:
+    errors = [displacement_error(n, ELEMENTS[kind]) for n in sizes]
+    rate = -np.polyfit(np.log(sizes), np.log(errors), 1)[0]
+    assert rate == pytest.approx(order, abs=0.2), errors  # too fast is a bug as well
 
 
+@pytest.mark.parametrize("kind", ELEMENTS)
 @pytest.mark.parametrize("nu", [0.3, 0.48, 0.4999])
-def test_uniaxial_tension_follows_the_closed_form(nu: float) -> None:
+def test_uniaxial_tension_follows_the_closed_form(nu: float, kind: str) -> None:
     """sigma = mu J^(-5/3) (l^2 - t^2) with the transverse stretch t from vanishing transverse stress."""
     E, stretch = 0.15, 1.5
     law = NeoHooke(E / (2 * (1 + nu)), E / (3 * (1 - 2 * nu)))
-    points, cells = block(2, 0.2)
+    points, cells = block(2, 0.2, ELEMENTS[kind])
     free = points > 1e-9  # each lower face slides in its plane
     free[points[:, 2] > 1 - 1e-9, 2] = False
     pat = pattern([cells], free)
-    body = Elastic.on(pat, hexes(points, cells), law)
+    body = Elastic.on(pat, elements(points, cells), law)
     x = points.copy()
     x[points[:, 2] > 1 - 1e-9, 2] = stretch
     found = solve(body, x, pat)
@@ -136,9 +139,10 @@ def test_uniaxial_tension_follows_the_closed_form(nu: float) -> None:
         assert force == pytest.approx(law.mu * (stretch - stretch**-2), rel=1e-3)
 
 
-def test_a_hex_turned_inside_out_is_refused() -> None:
-    points, cells = block(2)
-    assert hexes(points, cells).weights.sum() == pytest.approx(1.0)
+@pytest.mark.parametrize(("kind", "count"), [("hex", "4 hexes"), ("tet", "6 tets"), ("linear_tet", "6 tets")])
+def test_an_element_turned_inside_out_is_refused(kind: str, count: str) -> None:
+    points, cells = block(2, 0.0, ELEMENTS[kind])
+    assert elements(points, cells).weights.sum() == pytest.approx(1.0)
     points[13, 2] += 0.9  # the middle node, above the top
-    with pytest.raises(ValueError, match="4 hexes are turned inside out"):
-        hexes(points, cells)
+    with pytest.raises(ValueError, match=f"{count} are turned inside out"):
+        elements(points, cells)

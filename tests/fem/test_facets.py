@@ -1,0 +1,61 @@
+"""Quadrature on facets of every kind: what it integrates, contact on it, and how forces are shared to be drawn."""
+
+import numpy as np
+import pytest
+
+from tacgen.fem.contact import Contact, Pose
+from tacgen.fem.elements import facet_areas, facet_hats, facet_points, triangles
+from tacgen.fem.shapes import Sphere
+
+from .small import dense, patch, slope
+
+KINDS = pytest.mark.parametrize("nodes", [4, 3, 6])
+
+
+@KINDS
+def test_areas_and_normals_of_a_bent_patch(nodes: int) -> None:
+    """z = x^2 / 2 on a square of side 1: quadratic triangles lie on it, flat ones come near."""
+    points, faces, _ = patch(6, 1.0, nodes)
+    assert faces.areas.sum() == pytest.approx(1.0)
+    points[:, 2] = points[:, 0] ** 2 / 2
+    area, normal = facet_areas(points, faces.conn)
+    exact = np.sqrt(1.25) / 2 + np.arcsinh(0.5)
+    assert area.sum() == pytest.approx(exact, rel=1e-6 if nodes == 6 else 2e-3)
+    x = faces.at(points)[..., 0]
+    true = np.stack([-x, 0 * x, np.ones_like(x)], -1) / np.sqrt(1 + x**2)[..., None]
+    assert (normal * true).sum(-1).min() > (1 - 1e-12 if nodes == 6 else 0.99)
+
+
+@KINDS
+def test_a_force_is_shared_evenly_and_wholly(nodes: int) -> None:
+    N, _, weights = facet_points(nodes)
+    hats = facet_hats(nodes)
+    assert hats.min() >= 0
+    assert hats.sum(1) == pytest.approx(1.0)
+    place = np.random.default_rng(0).normal(size=(3, 2))  # any linear function is kept
+    at = {
+        3: place,
+        6: np.concatenate([place, (place + place[[1, 2, 0]]) / 2]),
+        4: np.array([[0, 0], [2, 0], [2, 1], [0, 1.0]]),
+    }[nodes]
+    assert hats @ at == pytest.approx(N @ at)
+    share = weights @ hats / weights.sum()
+    assert share.min() > 0.5 * share.max() / 3  # no node is left out of a uniform pressure
+    pieces = at[triangles(np.arange(nodes)[None])]
+    turned = np.linalg.det(pieces[:, 1:] - pieces[:, :1])
+    assert (turned * turned[0] > 0).all()
+
+
+@KINDS
+def test_contact_derivatives(nodes: int) -> None:
+    points, faces, pat = patch(2, 1.2, nodes)
+    x = points + np.random.default_rng(3).uniform(-0.05, 0.05, points.shape)
+    contact = Contact(faces, Sphere(0.8), Pose(np.eye(3), np.array([0.1, 0.0, -0.06])), 0.3, 0.7, 0.04)
+    g = contact.gradient(x)
+    assert np.abs(g).max() > 1e-3
+    assert g.ravel() == pytest.approx(slope(contact.value, x, 1e-6), abs=1e-7)
+    H = slope(lambda y: contact.gradient(y).ravel(), x, 1e-6)
+    assert dense(contact, x, pat) == pytest.approx(H, abs=1e-5)
+    assert contact.gradient(x).sum(0) == pytest.approx(
+        faces.shared(-contact.pressure(x)[0][..., None] * contact.pressure(x)[1], len(x)).sum(0)
+    )
