@@ -135,6 +135,8 @@ class _Lagged:
         if problem.friction > 0:  # lagged from the last pose, turned with the indenter
             normal, anchor = memory.normal @ pose.rotation.T, pose.world(memory.anchor)
             self.friction = Friction(problem.contact.faces, problem.friction, memory.normal_force, normal, anchor, EPS)
+        self.ahead = 2 * memory.x - memory.before
+        self.goes_on = self.total.value(self.ahead) < self.total.value(memory.x)  # not where the indenter turns back
 
     @property
     def loads(self) -> tuple[Potential, ...]:
@@ -177,10 +179,10 @@ class _Lagged:
     def _anchors(self) -> Array:
         """Anchors in the indenter's frame; a point new to the contact gets one where it will have touched."""
         memory, contact = self.memory, self.contact
-        carried = (
-            3 * memory.x - 3 * memory.before + memory.earlier
-        )  # second order: friction then lags little in big steps
-        ahead, gap_ahead = contact.pose.local(contact.faces.at(carried)), contact.gaps(carried)[0]
+        x = memory.x
+        if self.goes_on:  # second order: friction then lags little in big steps
+            x = 3 * x - 3 * memory.before + memory.earlier
+        ahead, gap_ahead = contact.pose.local(contact.faces.at(x)), contact.gaps(x)[0]
         touch = fr.onset(memory.anchor, ahead, memory.gap - contact.offset, gap_ahead - contact.offset)
         return np.where(memory.normal_force[..., None] > 0, memory.anchor, touch)
 
@@ -210,8 +212,9 @@ def advance(
     `near` is another answer to the same memory, at a pose close by: Newton starts there, and inherits nothing of it.
     """
     lagged = _Lagged(problem, memory if near is None else replace(memory, offset=near.offset), Pose.of(matrix))
-    carried = 2 * memory.x - memory.before if near is None else near.x
-    x = carried if lagged.total.value(carried) < lagged.total.value(memory.x) else memory.x
+    x = lagged.ahead if lagged.goes_on else memory.x
+    if near is not None and lagged.total.value(near.x) < lagged.total.value(x):
+        x = near.x
     expect, iterations, xtol = np.inf, 0, XTOL
     for _ in range(TRIES):
         found = minimise(
@@ -249,7 +252,7 @@ def _record(
         contact.pose,
         x,
         memory.x,
-        memory.before,
+        memory.before if lagged.goes_on else 2 * memory.x - x,  # what was before a turn says nothing of what comes
         contact.offset,
         force,
         normal @ contact.pose.rotation,

@@ -157,3 +157,8 @@ def test_an_indenter_that_never_touches_has_a_footprint_and_no_force() -> None:
     for state in found.states:
         assert state.x == pytest.approx(found.problem.mesh.points, abs=1e-12)
     assert [state.balance for state in found.states] == [0, 0]
+
+
+def test_where_nothing_touches_one_iteration_is_enough() -> None:
+    s = scene(Sphere(2.0), poses([(1.0, 0, 0.5), (1.0, 0, 0.2)]), pad=gel(8, 8, 2), friction=0.5)
+    assert max(state.iterations for state in run(s).states) <= 1

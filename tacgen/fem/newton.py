@@ -13,6 +13,7 @@ from tacgen.fem.potentials import Potential
 Array = np.ndarray
 ARMIJO = 1e-4
 NEAR = 0.05
+NOTHING = 1e-6  # of xtol
 SHORTEST = 1e-10  # a line search that gets here has stalled
 
 
@@ -115,6 +116,12 @@ def minimise(
         length = float(np.abs(p).max())
         if not np.isfinite(length):
             return Solution(x, Status.nonfinite, tuple(steps))
+        if length <= NOTHING * xtol:  # rounding: no line search could tell whether that lowers the energy
+            if (fresh := refresh(x)) is None:
+                return Solution(x, Status.converged, tuple(steps))
+            steps.append(Step(energy, length, 0.0, projected))
+            potential, energy = fresh, fresh.value(x)
+            continue
         limit = potential.max_step(x, p)
         before = energy
         fraction, x, energy = backtrack(potential.value, x, p, energy, float((g * p).sum()), limit)

@@ -139,3 +139,13 @@ def test_a_twist_turns_the_gel_along_until_all_slips() -> None:
     assert 0.05 * full[1] < moment[1] < 0.8 * full[1]
     assert moment[1] < moment[2] < moment[3]
     assert 0.97 * full[4] < moment[4] <= 1.002 * full[4]
+
+
+def test_a_second_touch_knows_nothing_of_the_first() -> None:
+    """After a slide and a lift, a ball set down again drags the gel nowhere: it came straight from above."""
+    slid = [(0.0, 0.0, -DEPTH), (0.5, 0.0, -DEPTH), (0.5, 0.0, -0.3), (0.5, 0.0, 0.3)]
+    found = run(scene(Sphere(3.0), poses([*slid, (0.5, 0.0, -0.1), (0.5, 0.0, -DEPTH)]), friction=COEFFICIENT))
+    assert found.forces[1, 0] > 0.2 * -found.forces[1, 2]
+    assert np.abs(found.forces[4:, :2]).max() < 0.01 * -found.forces[5, 2]
+    fresh = run(scene(Sphere(3.0), poses([(0.5, 0.0, -0.1), (0.5, 0.0, -DEPTH)]), friction=COEFFICIENT))
+    assert found.forces[5, 2] == pytest.approx(fresh.forces[1, 2], rel=0.02)
