@@ -1,11 +1,10 @@
 """Commands: arguments in, exit code out, nothing computed.
 
-Results go to stdout, progress and errors to stderr. Exit codes: 0 done, 1 findings or rejected scenes,
+Results go to stdout, progress and errors to stderr. Exit codes: 0 done, 1 findings, rejected or failed scenes,
 2 usage or recipe error, 130 interrupted.
 """
 
 import errno
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -22,7 +21,6 @@ DISK = tuple(
     getattr(errno, name)
     for name in ("ENOSPC", "EACCES", "EPERM", "EROFS", "ENOTDIR", "EISDIR", "EEXIST", "EDQUOT", "ENAMETOOLONG", "EFBIG")
 )
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
 class Commands(TyperGroup):
@@ -85,16 +83,25 @@ def run(
     recipe: RecipeFile,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the bundles.")],
     sets: Sets = None,
+    workers: Annotated[int, typer.Option(min=1, help="Scenes at a time, a process and a core each.")] = 1,
+    shard: Annotated[
+        str, typer.Option(metavar="I/N", help="Only this part of the scenes, 0/N to N-1/N: for job arrays.")
+    ] = "0/1",
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Replace bundles made from other inputs, and remake finished ones.")
     ] = False,
+    engine: Annotated[str, typer.Option(help="local: this machine; dask: a cluster.")] = "local",
+    scheduler: Annotated[str, typer.Option(help="Address of a Dask scheduler, such as tcp://host:8786.")] = "",
+    silence_s: Annotated[float, typer.Option(min=0.1, help="Stop a scene after so long without a new frame.")] = 1800,
+    memory_gb: Annotated[
+        float | None, typer.Option(min=0.01, help="Stop a scene that uses more; by default an even share of it all.")
+    ] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be done, and do nothing.")] = False,
-    as_json: AsJson = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print events, a JSON object a line.")] = False,
 ) -> None:
     """Generate every scene of a recipe; scenes that are finished already are kept."""
-    for name in THREADS:  # before NumPy is imported: one thread adds in one order, so bundles are byte-identical
-        os.environ.setdefault(name, "1")
-    plan = _plan(recipe, sets)
+    part = _shard(shard)
+    plan = _plan(recipe, sets, part)
     if dry_run:
         frames = sum(row.frames for row in plan.rows)
         _show(
@@ -105,17 +112,55 @@ def run(
         return
     with _writing(out):
         _probe(out)
-        from tacgen import pipeline
+        from tacgen import batch
         from tacgen.progress import Progress
 
         with Progress(plan.rows) as progress:
-            results = pipeline.run(plan.rows, out, overwrite=overwrite, on_event=progress)
-    rejected = [r for r in results if r.status != "ok"]
-    lines = [f"{r.name}: {r.status}: {r.reason}" for r in rejected]
-    kept = len(results) - len(rejected)
-    lines.append(f"{out}: {_count(kept, 'scene')} kept, {len(rejected)} rejected")
-    _show({"folder": str(out), "scenes": [_result(r) for r in results]}, "\n".join(lines), as_json)
-    raise typer.Exit(1 if rejected else 0)
+
+            def hear(event: dict[str, Any]) -> None:
+                progress(event)
+                if as_json:
+                    _line(event)
+
+            results = batch.run(
+                plan,
+                out,
+                workers=workers,
+                overwrite=overwrite,
+                shard=None if shard == "0/1" else part,
+                limits=batch.Limits(silence_s, memory_gb),
+                engine=engine,
+                scheduler=scheduler,
+                hear=hear,
+            )
+    count = {status: sum(r.status == status for r in results) for status in ("ok", "rejected", "failed")}
+    if as_json:
+        _line({"event": "end", "folder": str(out), **count})
+    else:
+        for result in results:
+            if result.status != "ok":
+                typer.echo(f"{result.name}: {result.status}: {result.reason}")
+        more = f", {count['failed']} failed" if count["failed"] else ""
+        typer.echo(f"{out}: {_count(count['ok'], 'scene')} kept, {count['rejected']} rejected{more}")
+    raise typer.Exit(0 if count["ok"] == len(results) else 1)
+
+
+@app.command()
+def status(
+    folder: Annotated[Path, typer.Argument(help="A folder that `run` writes into.")],
+    as_json: AsJson = False,
+) -> None:
+    """Say how far a folder is: scenes done, rejected or failed with their reasons, at work and waiting."""
+    from tacgen.survey import survey
+
+    found = survey(folder)
+    count, total = found.count(), len(found.scenes)
+    said = [scene for scene in found.scenes if scene.reason]
+    plain = [{"scene": scene.name, "state": scene.state, "reason": scene.reason} for scene in found.scenes]
+    lines = [f"{scene.name}: {scene.state}: {scene.reason}" for scene in said]
+    lines.append(f"{folder}: {found.name}, {_count(total, 'scene')}: {', '.join(f'{n} {s}' for s, n in count.items())}")
+    _show({"name": found.name, "count": count, "scenes": plain}, "\n".join(lines), as_json)
+    raise typer.Exit(0 if count.get("ok", 0) == total else 1)
 
 
 @app.command()
@@ -150,13 +195,14 @@ def schema(
 def show_plan(
     recipe: RecipeFile,
     sets: Sets = None,
+    shard: Annotated[str, typer.Option(metavar="I/N", help="Only this part of the scenes.")] = "0/1",
     as_csv: Annotated[bool, typer.Option("--csv", help="Print CSV.")] = False,
     as_json: AsJson = False,
 ) -> None:
     """Show the table of scenes that a recipe gives."""
     from tacgen import table
 
-    plan = _plan(recipe, sets)
+    plan = _plan(recipe, sets, _shard(shard))
     typer.echo((table.as_json if as_json else table.as_csv if as_csv else table.as_text)(plan), nl=False)
 
 
@@ -249,11 +295,19 @@ def doctor(as_json: AsJson = False) -> None:
     raise typer.Exit(1 if any(f.needed and not f.ok for f in findings) else 0)
 
 
-def _plan(recipe: str, sets: list[str] | None) -> Any:
-    """The plan of a recipe given by path or name."""
+def _plan(recipe: str, sets: list[str] | None, shard: tuple[int, int] = (0, 1)) -> Any:
+    """The plan of a recipe given by path or name, or a shard of it."""
     from tacgen import assets, plan
 
-    return plan.load(assets.recipe_path(recipe), sets or ())
+    return plan.load(assets.recipe_path(recipe), sets or (), shard)
+
+
+def _shard(text: str) -> tuple[int, int]:
+    """`1/4` as numbers."""
+    index, slash, count = text.partition("/")
+    if not (slash and index.isdecimal() and count.isdecimal() and int(index) < int(count)):
+        raise UserError(f"--shard {text}: must be I/N with I from 0 to N - 1, such as 0/4, 1/4, 2/4 and 3/4")
+    return int(index), int(count)
 
 
 def _show(plain: Any, text: str, as_json: bool) -> None:
@@ -263,9 +317,11 @@ def _show(plain: Any, text: str, as_json: bool) -> None:
     typer.echo(json.dumps(plain, indent=1) if as_json else text)
 
 
-def _result(result: Any) -> dict[str, Any]:
-    names = ("name", "status", "reason", "frames", "seconds")
-    return {"path": str(result.path), **{name: getattr(result, name) for name in names}}
+def _line(event: dict[str, Any]) -> None:
+    """Print an event for a program that listens while the run goes on."""
+    import json
+
+    typer.echo(json.dumps(event))
 
 
 def _count(n: int, noun: str) -> str:

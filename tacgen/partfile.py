@@ -10,6 +10,11 @@ from pathlib import Path
 from tacgen.errors import UserError
 
 MARK = ".part-"  # x.h5.part-<pid>
+CLAIM = ".claim"  # .x.h5.claim
+
+
+class Busy(UserError):
+    """Another process is at work on this very file."""
 
 
 def is_part(path: Path) -> bool:
@@ -18,14 +23,24 @@ def is_part(path: Path) -> bool:
     return bool(name and mark and number.isdigit())
 
 
+def is_claim(path: Path) -> bool:
+    """Whether this is the name of a file that only says that a process is at work."""
+    return path.name.startswith(".") and path.name.endswith(CLAIM)
+
+
+def claim_path(target: Path) -> Path:
+    """The file that is locked by whoever works on `target`."""
+    return target.with_name(f".{target.name}{CLAIM}")
+
+
 def sweep(folder: Path) -> list[Path]:
-    """Delete part files whose writer is dead, and return them.
+    """Delete part files whose writer is dead and claims of the dead, and return them.
 
     A writer holds a lock on its part file and the system drops it when the process ends, however it ends. So this is
     right where process ids are not: in containers, and on a folder that several machines write into.
     """
     gone = []
-    for path in filter(is_part, folder.iterdir()):
+    for path in [path for path in folder.iterdir() if is_part(path) or is_claim(path)]:
         with suppress(OSError):  # held, deleted by another, or a file system without locks: leave it
             handle = os.open(path, os.O_RDWR)
             try:
@@ -35,6 +50,58 @@ def sweep(folder: Path) -> list[Path]:
             finally:
                 os.close(handle)
     return gone
+
+
+def is_claimed(target: Path) -> bool:
+    """Whether a living process is at work on `target`."""
+    try:
+        handle = os.open(claim_path(target), os.O_RDWR)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:  # a file system without locks
+        pass
+    finally:
+        os.close(handle)
+    return False
+
+
+@contextmanager
+def claim(target: Path) -> Iterator[None]:
+    """Be the only process at work on `target`; on a file system without locks, hope so. Raises Busy at once."""
+    path = claim_path(target)
+    handle = _locked(path, tries=3)
+    if handle is None:
+        raise Busy(f"{target}: another process is at work on it")
+    try:
+        yield
+    finally:
+        with suppress(FileNotFoundError):
+            os.unlink(path)
+        os.close(handle)
+
+
+def _locked(path: Path, tries: int) -> int | None:
+    """A handle of the file, locked; None while another holds it.
+
+    A sweeper may hold or delete the file between opening and locking, so look again until both hold.
+    """
+    for _ in range(tries):
+        handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if os.path.samestat(os.fstat(handle), os.stat(path)):
+                return handle
+        except (BlockingIOError, FileNotFoundError):
+            pass
+        except OSError:  # a file system without locks
+            return handle
+        os.close(handle)
+        time.sleep(0.02)
+    return None
 
 
 class Sink:
@@ -51,24 +118,11 @@ class Sink:
         self.error: OSError | None = None
         self.dead = False  # set to swallow all further writes
         self._at = 0
-        self._handle = self._open()
-
-    def _open(self) -> int:
-        """Open and lock. A sweeper may hold or delete the file between the two, so look again until both hold."""
-        for _ in range(50):
-            handle = os.open(self.path, os.O_RDWR | os.O_CREAT, 0o666)
-            try:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                if os.path.samestat(os.fstat(handle), os.stat(self.path)):
-                    os.ftruncate(handle, 0)
-                    return handle
-            except (BlockingIOError, FileNotFoundError):
-                pass
-            except OSError:  # a file system without locks
-                return handle
-            os.close(handle)
-            time.sleep(0.02)
-        raise UserError(f"{self.path}: another writer holds it")
+        handle = _locked(self.path, tries=50)
+        if handle is None:
+            raise Busy(f"{self.path}: another writer holds it")
+        self._handle = handle
+        os.ftruncate(handle, 0)
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
         if whence == os.SEEK_SET:

@@ -4,31 +4,19 @@ import json
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 
-from tacgen import bundle, foresee, mesh, scene, solve
+from tacgen import bundle, foresee, mesh, resume, scene, solve
 from tacgen.errors import UserError
 from tacgen.plan import Row
+from tacgen.resume import SceneResult
 from tacgen.sensor import LitSensor
 
 Array = np.ndarray
-Say = Callable[[Any], None]
-
-
-@dataclass(frozen=True)
-class SceneResult:
-    """What became of a scene; seconds by stage, empty if the bundle was there already."""
-
-    name: str
-    path: Path
-    status: str  # ok or rejected
-    reason: str
-    frames: int
-    seconds: dict[str, float] = field(default_factory=dict)
+Say = Callable[[dict[str, Any]], None]
 
 
 class Clock:
@@ -168,15 +156,17 @@ def _attributes(row: Row, problem: solve.Problem, products: Products) -> dict[st
 def run_scene(row: Row, folder: Path, *, overwrite: bool = False, say: Say | None = None) -> SceneResult:
     """Solve, label, render and write one scene; a finished bundle of the same inputs is kept unless `overwrite`.
 
+    `say` hears an event after each frame: `{"event": "frame", "scene": "scene-00000", "frame": 3, "frames": 15}`.
+
     Raises:
         UserError: the bundle's place is taken by a file made from other inputs.
+        partfile.Busy: another process is making this very bundle.
     """
-    path = folder / f"{row.name}.h5"
-    if path.exists() and not overwrite:
-        if bundle.is_complete(path, row.key):
-            kept = bundle.read(path).attrs
-            return SceneResult(row.name, path, kept["status"], kept["reason"], row.frames)
-        _refuse(path)
+    return resume.once(row, folder, lambda path: _make(row, path, say), overwrite=overwrite)
+
+
+def _make(row: Row, path: Path, say: Say | None) -> SceneResult:
+    """The work itself: everything between a row of the plan and its bundle."""
     clock = Clock()
     with clock.stage("mesh"):
         built = foresee.foreseen(scene.build(row))
@@ -200,7 +190,7 @@ def run_scene(row: Row, folder: Path, *, overwrite: bool = False, say: Say | Non
             with clock.stage("bundle"):
                 writer.append(frame)
             if say:
-                say(f"{row.name}: frame {state.index + 1} of {row.frames}")
+                say({"event": "frame", "scene": row.name, "frame": state.index + 1, "frames": row.frames})
         with clock.stage("bundle"):
             writer.finish("rejected" if reason else "ok", reason)
     seconds = {name: round(value, 4) for name, value in clock.seconds.items()}
@@ -208,35 +198,12 @@ def run_scene(row: Row, folder: Path, *, overwrite: bool = False, say: Say | Non
     return SceneResult(row.name, path, "rejected" if reason else "ok", reason, row.frames, seconds)
 
 
-def _refuse(path: Path) -> None:
-    """Complain of a whole bundle of other inputs; one that is unfinished or damaged is redone."""
-    try:
-        other = bundle.read(path)
-        other.verify()
-    except (bundle.Unfinished, bundle.Damaged):
-        return
-    except UserError as error:
-        raise UserError([*error.lines[:-1], f"{error.lines[-1]}; pass --overwrite to replace it"]) from None
-    made = other.recipe.get("name", "?")
-    raise UserError(f"{path}: made from other inputs (recipe {made}); pass --overwrite or choose another folder")
-
-
-def run(
-    rows: Sequence[Row], folder: Path, *, overwrite: bool = False, on_event: Say | None = None
-) -> list[SceneResult]:
-    """Every scene in order; on_event hears a line a frame and each SceneResult.
+def run(rows: Sequence[Row], folder: Path, *, overwrite: bool = False, say: Say | None = None) -> list[SceneResult]:
+    """Every scene in order, in this process; tacgen.batch spreads them over others.
 
     Raises:
         UserError: before anything is computed, if a bundle of other inputs is in the way.
     """
     if not overwrite:
-        for row in rows:
-            path = folder / f"{row.name}.h5"
-            if path.exists() and not bundle.is_complete(path, row.key):
-                _refuse(path)
-    results = []
-    for row in rows:
-        results.append(run_scene(row, folder, overwrite=overwrite, say=on_event))
-        if on_event:
-            on_event(results[-1])
-    return results
+        resume.refuse_foreign(rows, folder)
+    return [run_scene(row, folder, overwrite=overwrite, say=say) for row in rows]

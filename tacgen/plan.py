@@ -86,10 +86,14 @@ class Plan:
     paths: tuple[str, ...] = ()  # what is varied
 
 
-def load(path: Path, sets: Iterable[str] = ()) -> Plan:
-    """Read a recipe file and expand it. Raises UserError: every problem of recipe, sensor and varied scenes."""
+def load(path: Path, sets: Iterable[str] = (), shard: tuple[int, int] = (0, 1)) -> Plan:
+    """Read a recipe file and expand it, or shard i of N: the scenes whose index leaves i when divided by N.
+
+    Raises UserError: every problem of recipe, sensor and varied scenes.
+    """
     loaded = read(path, sets)
-    return expand(loaded.recipe, loaded.sensor, loaded=loaded)
+    count = scene_count(loaded.recipe.vary) if loaded.recipe.vary else 1
+    return expand(loaded.recipe, loaded.sensor, range(shard[0], count, shard[1]), loaded=loaded)
 
 
 def expand(
@@ -113,13 +117,14 @@ def expand(
         wrong = limits.recipe_problems(recipe, sensor, folder)
         if wrong:
             raise UserError(problem.point(tree) for problem in wrong)
-        return Plan(recipe.name, (Row(0, "scene-00000", scene_seed(0, 0), recipe, sensor, folder=folder),))
+        rows = [Row(0, "scene-00000", scene_seed(0, 0), recipe, sensor, folder=folder)]
+        return Plan(recipe.name, tuple(rows if indices is None else (rows[i] for i in indices)))
     _check(vary, tree)
     count = scene_count(vary)
     wanted = range(count) if indices is None else indices
     base = recipe.model_copy(update={"vary": None}).document()
     plain_sensor = sensor.model_dump(mode="json", exclude_none=True)
-    rows: list[Row] = []
+    rows = []
     problems: dict[tuple[KeyPath, str], list[tuple[str, Problem]]] = {}
     for index, values in zip(wanted, draw(vary, wanted), strict=True):
         row, wrong = _resolve(index, values, base, plain_sensor, sensor, scene_seed(vary.seed, index), folder)

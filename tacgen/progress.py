@@ -11,17 +11,19 @@ from tacgen.plan import Row
 
 
 class Progress:
-    """Takes what the pipeline says while it runs; frames are what is counted.
+    """Takes the events of a run; frames are what is counted.
 
-    Two things are understood: a line of text, and a finished scene (with name, status, reason). A line that ends
-    in `frame 3 of 15` moves the bar.
+    Without a terminal there is a line a scene, and a line a frame only where there is a single scene.
     """
 
     def __init__(self, rows: Sequence[Row], stream: TextIO | None = None) -> None:
         self.stream = stream or sys.stderr
         self.total = sum(row.frames for row in rows)
         self.frames = {row.name: row.frames for row in rows}
+        self.under_way: dict[str, int] = {}  # scene -> frames it has
         self.done = 0  # frames of finished scenes
+        self.kept = 0  # of these, those that were there already: they say nothing about speed
+        self.finished = 0
         self.started = time.monotonic()
         self.bar: Any = None
         self.task: Any = None
@@ -29,13 +31,13 @@ class Progress:
     def __enter__(self) -> "Progress":
         if self.stream.isatty() and not os.environ.get("NO_COLOR"):
             from rich.console import Console
-            from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+            from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
             from rich.progress import Progress as Bar
 
             columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn())
-            times = (TextColumn("frames"), TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())
+            times = (TextColumn("frames"), TimeElapsedColumn(), TextColumn("{task.fields[left]}"))
             self.bar = Bar(*columns, *times, console=Console(file=self.stream), transient=True)
-            self.task = self.bar.add_task("starting", total=self.total)
+            self.task = self.bar.add_task("starting", total=self.total, left="")
             self.bar.start()
         return self
 
@@ -45,38 +47,42 @@ class Progress:
         if self.bar is not None:
             self.bar.stop()
 
-    def __call__(self, event: object) -> None:
-        """Show an event of the pipeline."""
-        if isinstance(event, str):
-            self._line(event)
+    def __call__(self, event: dict[str, Any]) -> None:
+        """Show an event: a frame, a retry or the end of a scene."""
+        name = event["scene"]
+        if event["event"] == "frame":
+            self.under_way[name] = event["frame"]
+            self._say(f"{name}: frame {event['frame']} of {event['frames']}", lasting=False)
+        elif event["event"] == "retry":
+            self.under_way.pop(name, None)
+            self._say(f"{name}: once more: {event['reason']}")
         else:
-            self._finished(event)
+            self.under_way.pop(name, None)
+            self.finished += 1
+            self.done += self.frames.get(name, 0)
+            self.kept += 0 if event["seconds"] else self.frames.get(name, 0)
+            good = event["status"] == "ok"
+            text = f"{name}: {event['status']}" + (f": {event['reason']}" if event["reason"] else "")
+            self._say(text, lasting=not good)
 
-    def _line(self, text: str) -> None:
-        words = text.replace("/", " of ").split()
-        frame = 0
-        if len(words) >= 4 and words[-4] == "frame" and words[-2] == "of" and words[-3].isdigit():
-            frame = int(words[-3])
-        if self.bar is None:
-            print(f"{text}{self._left(self.done + frame)}", file=self.stream, flush=True)
-        elif frame:
-            self.bar.update(self.task, completed=self.done + frame, description=text)
-        else:
-            self.bar.update(self.task, description=text)
-
-    def _finished(self, result: Any) -> None:
-        self.done += self.frames.get(result.name, 0)
-        text = f"{result.name}: {result.status}" + (f": {result.reason}" if result.reason else "")
-        if self.bar is None:
-            print(f"{text}{self._left(self.done)}", file=self.stream, flush=True)
-        else:
-            self.bar.update(self.task, completed=self.done, description=text)
-            if result.status != "ok":
+    def _say(self, text: str, *, lasting: bool = True) -> None:
+        """A line; on a terminal only what should stay is one, and the bar says the rest."""
+        at = self.done + sum(self.under_way.values())
+        left = self._left(at)
+        if self.bar is not None:
+            if lasting:
                 self.bar.console.print(text, markup=False, highlight=False)
+            scenes = f"{self.finished} of {len(self.frames)} scenes" if len(self.frames) > 1 else text
+            self.bar.update(self.task, completed=at, description=scenes, left=left)
+        elif len(self.frames) == 1 or ": frame " not in text:
+            print(text + (f" ({left})" if left else ""), file=self.stream, flush=True)
 
     def _left(self, frames: int) -> str:
-        """` (about 40 s left)`, once there is something to judge by."""
-        if not 0 < frames < self.total:
+        """`about 40 s left`, once there is something to judge by."""
+        made = frames - self.kept
+        if made <= 0 or frames >= self.total:
             return ""
-        seconds = (time.monotonic() - self.started) * (self.total - frames) / frames
-        return f" (about {seconds:.0f} s left)" if seconds < 120 else f" (about {seconds / 60:.0f} min left)"
+        seconds = (time.monotonic() - self.started) * (self.total - frames) / made
+        if seconds < 120:
+            return f"about {seconds:.0f} s left"
+        return f"about {seconds / 60:.0f} min left" if seconds < 7200 else f"about {seconds / 3600:.1f} h left"

@@ -1,4 +1,4 @@
-"""Commands, through Typer's runner: what is said where, and the exit code. The pipeline is a stand-in here."""
+"""Commands, through Typer's runner: what is said where, and the exit code. The engine is a stand-in here."""
 
 import csv
 import errno
@@ -6,17 +6,17 @@ import io
 import json
 import os
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from typer.testing import CliRunner, Result
 
-import tacgen
+import tacgen.batch
 from tacgen import assets, cli, plan
+from tacgen.batch.local import outcome
 from tacgen.errors import UserError
+from tacgen.resume import SceneResult
 
 ROOT = Path(__file__).parent.parent
 
@@ -25,38 +25,26 @@ def tacgen_(*args: str) -> Result:
     return CliRunner().invoke(cli.app, list(args))
 
 
-@dataclass(frozen=True)
-class Done:
-    """What the pipeline says of a scene."""
-
-    name: str
-    path: Path
-    status: str = "ok"
-    reason: str = ""
-    frames: int = 15
-    seconds: dict[str, float] = field(default_factory=dict)
-
-
-Pipeline = Callable[..., list[Done]]
+Batch = Callable[..., list[SceneResult]]
 
 
 @pytest.fixture
-def pipeline(monkeypatch: pytest.MonkeyPatch) -> Callable[[Pipeline], None]:
-    """Put a function in the place of `pipeline.run`."""
+def batch(monkeypatch: pytest.MonkeyPatch) -> Callable[[Batch], None]:
+    """Put a function in the place of `batch.run`."""
 
-    def stand_in(run: Pipeline) -> None:
-        monkeypatch.setattr(tacgen, "pipeline", SimpleNamespace(run=run), raising=False)
+    def stand_in(run: Batch) -> None:
+        monkeypatch.setattr(tacgen.batch, "run", run)
 
     return stand_in
 
 
-def all_ok(rows: Any, folder: Path, *, overwrite: bool, on_event: Callable[[object], None]) -> list[Done]:
+def all_ok(plan: Any, folder: Path, *, hear: Callable[[dict[str, Any]], None], **_: Any) -> list[SceneResult]:
     results = []
-    for row in rows:
+    for row in plan.rows:
         for i in range(row.frames):
-            on_event(f"{row.name}: frame {i + 1} of {row.frames}")
-        results.append(Done(row.name, folder / f"{row.name}.h5"))
-        on_event(results[-1])
+            hear({"event": "frame", "scene": row.name, "frame": i + 1, "frames": row.frames})
+        results.append(SceneResult(row.name, folder / f"{row.name}.h5", "ok", "", row.frames, {"solve": 1.0}))
+        hear(outcome(results[-1]))
     return results
 
 
@@ -66,8 +54,8 @@ def test_version_and_help():
         assert tacgen_(*args).exit_code == 0
 
 
-def test_run_says_progress_on_stderr_and_the_outcome_on_stdout(tmp_path: Path, pipeline: Any):
-    pipeline(all_ok)
+def test_run_says_progress_on_stderr_and_the_outcome_on_stdout(tmp_path: Path, batch: Any):
+    batch(all_ok)
     done = tacgen_("run", "quickstart", "-o", str(tmp_path / "a" / "b"))
     assert done.exit_code == 0, done.stderr
     assert done.stdout == f"{tmp_path}/a/b: 1 scene kept, 0 rejected\n"
@@ -75,49 +63,50 @@ def test_run_says_progress_on_stderr_and_the_outcome_on_stdout(tmp_path: Path, p
     assert "scene-00000: ok" in done.stderr
 
 
-def test_run_prints_json(tmp_path: Path, pipeline: Any):
-    pipeline(all_ok)
+def test_run_prints_events_as_json(tmp_path: Path, batch: Any):
+    batch(all_ok)
     done = tacgen_("run", "quickstart", "-o", str(tmp_path), "--json")
-    (scene,) = json.loads(done.stdout)["scenes"]
-    assert scene["name"] == "scene-00000"
-    assert scene["path"] == str(tmp_path / "scene-00000.h5")
-    assert (scene["status"], scene["frames"]) == ("ok", 15)
+    events = [json.loads(line) for line in done.stdout.splitlines()]
+    assert [event["event"] for event in events] == ["frame"] * 15 + ["scene", "end"]
+    assert events[2] == {"event": "frame", "scene": "scene-00000", "frame": 3, "frames": 15}
+    assert events[-2]["path"] == str(tmp_path / "scene-00000.h5")
+    assert events[-1] == {"event": "end", "folder": str(tmp_path), "ok": 1, "rejected": 0, "failed": 0}
 
 
-def test_a_rejected_scene_is_exit_code_1(tmp_path: Path, pipeline: Any):
-    def run(rows: Any, folder: Path, **_: Any) -> list[Done]:
-        return [Done("scene-00000", folder / "x.h5", "rejected", "frame 7 of 15: the solver stalled")]
+def test_rejected_and_failed_scenes_are_exit_code_1(tmp_path: Path, batch: Any):
+    def run(plan: Any, folder: Path, **_: Any) -> list[SceneResult]:
+        return [
+            SceneResult("scene-00000", folder / "x.h5", "rejected", "frame 7 of 15: the solver stalled", 15),
+            SceneResult("scene-00001", folder / "y.h5", "failed", "its worker was killed by SIGSEGV", 15),
+        ]
 
-    pipeline(run)
+    batch(run)
     done = tacgen_("run", "quickstart", "-o", str(tmp_path))
     assert done.exit_code == 1
     assert done.stdout.splitlines() == [
         "scene-00000: rejected: frame 7 of 15: the solver stalled",
-        f"{tmp_path}: 0 scenes kept, 1 rejected",
+        "scene-00001: failed: its worker was killed by SIGSEGV",
+        f"{tmp_path}: 0 scenes kept, 1 rejected, 1 failed",
     ]
 
 
-def test_overwrite_and_set_reach_the_pipeline(tmp_path: Path, pipeline: Any):
-    seen: list[Any] = []
+def test_what_is_asked_for_reaches_the_engine(tmp_path: Path, batch: Any):
+    seen: dict[str, Any] = {}
 
-    def run(rows: Any, folder: Path, *, overwrite: bool, on_event: Any) -> list[Done]:
-        seen.extend([overwrite, rows[0].recipe.indenter.radius_mm, rows[0].sensor.camera.exposure])
+    def run(plan: Any, folder: Path, **options: Any) -> list[SceneResult]:
+        seen.update(options, rows=plan.rows)
         return []
 
-    pipeline(run)
-    sets = ("--set", "indenter.radius_mm=3", "--set", "sensor.camera.exposure=2")
-    assert tacgen_("run", "quickstart", "-o", str(tmp_path), "--overwrite", *sets).exit_code == 0
-    assert seen == [True, 3.0, 2.0]
-
-
-def test_run_pins_threads_and_respects_the_user(tmp_path: Path, pipeline: Any, monkeypatch: pytest.MonkeyPatch):
-    pipeline(all_ok)
-    for name in cli.THREADS:
-        monkeypatch.setenv(name, "1")
-        monkeypatch.delenv(name)
-    monkeypatch.setenv("OMP_NUM_THREADS", "3")
-    assert tacgen_("run", "quickstart", "-o", str(tmp_path)).exit_code == 0
-    assert [os.environ[name] for name in cli.THREADS] == ["3", "1", "1", "1"]
+    batch(run)
+    sets = ("--set", "start.x_mm=3", "--set", "sensor.camera.exposure=2")
+    more = ("--workers", "3", "--shard", "1/4", "--silence-s", "60", "--memory-gb", "2", "--overwrite")
+    assert tacgen_("run", "batch", "-o", str(tmp_path), *sets, *more).exit_code == 0
+    assert (seen["workers"], seen["shard"], seen["overwrite"]) == (3, (1, 4), True)
+    assert (seen["limits"].silence_s, seen["limits"].memory_gb) == (60.0, 2.0)
+    assert [row.index for row in seen["rows"]] == [1, 5]
+    assert seen["rows"][0].sensor.camera.exposure == 2.0
+    whole = plan.load(assets.recipe_path("batch"), [sets[1], sets[3]]).rows
+    assert [row.key for row in seen["rows"]] == [whole[1].key, whole[5].key]
 
 
 def test_a_dry_run_does_nothing(tmp_path: Path):
@@ -142,6 +131,9 @@ def test_a_dry_run_does_nothing(tmp_path: Path):
         (("run", "quickstart"), "Missing option"),
         (("run", "quickstart", "-o", "x", "--ovrwrite"), "No such option"),
         (("runn",), "No such command"),
+        (("run", "quickstart", "-o", "x", "--shard", "4/4"), "--shard 4/4: must be I/N with I from 0 to N - 1"),
+        (("status", "no/such"), "no/such: no such folder"),
+        (("status", "recipes"), "recipes: holds no plan.json"),
     ],
 )
 def test_a_mistake_is_exit_code_2_and_lines_on_stderr(args: tuple[str, ...], says: str):
@@ -160,11 +152,11 @@ def test_binary_junk_is_one_line(tmp_path: Path):
 
 
 @pytest.mark.parametrize("out", ["file", "file/below", "/proc/nowhere/out"])
-def test_an_output_folder_that_cannot_be_written_is_one_line(tmp_path: Path, pipeline: Any, out: str):
-    def run(*args: Any, **kwargs: Any) -> list[Done]:
+def test_an_output_folder_that_cannot_be_written_is_one_line(tmp_path: Path, batch: Any, out: str):
+    def run(*args: Any, **kwargs: Any) -> list[SceneResult]:
         raise AssertionError("found out only after solving")
 
-    pipeline(run)
+    batch(run)
     (tmp_path / "file").write_text("")
     done = tacgen_("run", "quickstart", "-o", str(tmp_path / out))
     assert done.exit_code == 2
@@ -173,21 +165,21 @@ def test_an_output_folder_that_cannot_be_written_is_one_line(tmp_path: Path, pip
 
 
 @pytest.mark.parametrize("code", [errno.ENOSPC, errno.EROFS, errno.EACCES])
-def test_a_disk_that_fills_up_on_the_way_is_one_line(tmp_path: Path, pipeline: Any, code: int):
-    def run(*args: Any, **kwargs: Any) -> list[Done]:
+def test_a_disk_that_fills_up_on_the_way_is_one_line(tmp_path: Path, batch: Any, code: int):
+    def run(*args: Any, **kwargs: Any) -> list[SceneResult]:
         raise OSError(code, os.strerror(code))
 
-    pipeline(run)
+    batch(run)
     done = tacgen_("run", "quickstart", "-o", str(tmp_path))
     assert done.exit_code == 2
     assert done.stderr == f"{tmp_path}: cannot be written: {os.strerror(code)}\n"
 
 
-def test_what_the_pipeline_refuses_is_exit_code_2(tmp_path: Path, pipeline: Any):
-    def run(*args: Any, **kwargs: Any) -> list[Done]:
+def test_what_the_pipeline_refuses_is_exit_code_2(tmp_path: Path, batch: Any):
+    def run(*args: Any, **kwargs: Any) -> list[SceneResult]:
         raise UserError(["scene-00000.h5: was made from other inputs; --overwrite replaces it", "    second line"])
 
-    pipeline(run)
+    batch(run)
     done = tacgen_("run", "quickstart", "-o", str(tmp_path))
     assert done.exit_code == 2
     assert done.stderr.splitlines()[0].endswith("--overwrite replaces it")
@@ -205,19 +197,19 @@ def interrupted() -> None:
 
 
 @pytest.mark.parametrize("stop", [interrupted, interrupted_in_compiled_code])
-def test_an_interrupt_is_exit_code_130(tmp_path: Path, pipeline: Any, stop: Callable[[], None]):
-    pipeline(lambda *args, **kwargs: stop())
+def test_an_interrupt_is_exit_code_130(tmp_path: Path, batch: Any, stop: Callable[[], None]):
+    batch(lambda *args, **kwargs: stop())
     done = tacgen_("run", "quickstart", "-o", str(tmp_path))
     assert done.exit_code == 130
     assert done.stderr.splitlines()[-1].startswith("interrupted; ")
 
 
 @pytest.mark.parametrize("bug", [ZeroDivisionError("bug"), OSError(errno.EBADF, "bug"), SystemError("bug")])
-def test_a_bug_keeps_its_traceback(tmp_path: Path, pipeline: Any, bug: Exception):
-    def run(*args: Any, **kwargs: Any) -> list[Done]:
+def test_a_bug_keeps_its_traceback(tmp_path: Path, batch: Any, bug: Exception):
+    def run(*args: Any, **kwargs: Any) -> list[SceneResult]:
         raise bug
 
-    pipeline(run)
+    batch(run)
     assert tacgen_("run", "quickstart", "-o", str(tmp_path)).exception is bug
 
 

@@ -1,0 +1,76 @@
+"""Many scenes at once: they are handed to an engine, and what becomes of each is written down.
+
+Engines know nothing of physics: they call one function, `pipeline.run_scene`, for each row of a plan.
+"""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from tacgen import partfile
+from tacgen.batch.journal import Journal, Shard, write_plan
+from tacgen.batch.local import TASK, Hear, Pool
+from tacgen.batch.watch import Limits
+from tacgen.plan import Plan
+from tacgen.resume import SceneResult, refuse_foreign
+
+__all__ = ["ENGINES", "Limits", "run"]
+
+
+@contextmanager
+def _local(workers: int, limits: Limits, task: str, scheduler: str) -> Iterator[Callable[..., list[SceneResult]]]:
+    with Pool(workers, limits, task) as pool:
+        yield pool.run
+
+
+ENGINES = {"local": _local}
+
+
+def run(
+    plan: Plan,
+    folder: Path,
+    *,
+    workers: int = 1,
+    overwrite: bool = False,
+    shard: Shard | None = None,
+    limits: Limits | None = None,
+    engine: str = "local",
+    scheduler: str = "",
+    task: str = TASK,
+    hear: Hear = lambda event: None,
+) -> list[SceneResult]:
+    """Make every scene of a plan that is not finished yet; run again, it goes on where it was stopped.
+
+    Args:
+        plan: the scenes, of this shard alone if there is one.
+        folder: where bundles, plan and journal go; other runs may be at work in it.
+        workers: processes at a time; with a scheduler, its workers are used instead.
+        overwrite: make finished scenes again, and replace bundles of other inputs.
+        shard: which part of the whole plan this is.
+        limits: of a scene and of a worker.
+        engine: a name in ENGINES.
+        scheduler: address of a Dask scheduler.
+        task: `module:function` that makes a scene, as pipeline.run_scene does.
+        hear: is told of frames, retries and outcomes.
+
+    Raises:
+        UserError: a bundle of other inputs is in the way, or no worker starts.
+        OSError: the disk is full, read-only or not ours.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    partfile.sweep(folder)
+    if not overwrite:
+        refuse_foreign(plan.rows, folder)
+    write_plan(plan, folder, shard)
+    with Journal(folder, shard) as journal:
+
+        def note(event: dict[str, Any]) -> None:
+            journal.write(event)
+            hear(event)
+
+        try:
+            with ENGINES[engine](workers, limits or Limits(), task, scheduler) as make:
+                return make(plan.rows, folder, overwrite=overwrite, hear=note)
+        finally:
+            partfile.sweep(folder)

@@ -1,0 +1,168 @@
+"""The local engine: one scene is lost with its worker, tried again, and recorded; the rest never notice."""
+
+import hashlib
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from batch.scenes import TASK, made, make, make_plan, spoil
+from tacgen import batch
+from tacgen.batch import Limits
+from tacgen.batch.journal import read_journal
+from tacgen.batch.local import Pool
+from tacgen.check import check
+from tacgen.errors import UserError
+from tacgen.survey import survey
+
+QUICK = Limits(silence_s=3.0)
+
+
+def run(folder: Path, samples: int = 8, **options: Any) -> list[Any]:
+    """Run the stand-in scenes; `shard` is a pair."""
+    plan = make_plan(folder.parent, samples, options.get("shard") or (0, 1))
+    return batch.run(plan, folder, **{"task": TASK, "limits": QUICK, **options})
+
+
+def digests(folder: Path) -> dict[str, str]:
+    return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(folder.glob("*.h5"))}
+
+
+def leftovers(folder: Path) -> list[str]:
+    known = (".h5", ".json", ".jsonl", ".log")
+    return [path.name for path in folder.iterdir() if path.is_file() and not path.name.endswith(known)]
+
+
+def test_shards_on_any_number_of_workers_give_what_one_process_gives(tmp_path: Path):
+    serial = tmp_path / "serial"
+    for row in make_plan(tmp_path).rows:
+        make(row, serial)
+    for i, workers in enumerate((1, 2, 1)):
+        results = run(tmp_path / "sharded", shard=(i, 3), workers=workers)
+        assert [result.status for result in results] == ["ok"] * len(results)
+    assert digests(tmp_path / "sharded") == digests(serial)
+    assert len(digests(serial)) == len(set(digests(serial).values())) == 8
+    assert survey(tmp_path / "sharded").count() == {"ok": 8}
+
+
+def test_every_kind_of_lost_worker_costs_one_scene_which_a_later_run_makes(tmp_path: Path):
+    out = tmp_path / "out"
+    faults = {
+        "scene-00000": ("kill once", "ok", ""),
+        "scene-00001": ("kill writing", "failed", "killed by SIGKILL"),
+        "scene-00002": ("hang once writing", "ok", ""),
+        "scene-00003": ("exit", "failed", "ended with exit code 7"),
+        "scene-00004": ("raise", "failed", "ZeroDivisionError: made to fail"),
+        "scene-00005": ("refuse", "failed", "this cannot be made"),
+    }
+    for scene, (words, _, _) in faults.items():
+        spoil(out, scene, words)
+    heard: list[dict[str, Any]] = []
+    results = run(out, workers=2, hear=heard.append)
+    assert [r.name for r in results] == [f"scene-{i:05d}" for i in range(8)]
+    wanted = {scene: (status, reason) for scene, (_, status, reason) in faults.items()}
+    for result in results:
+        status, reason = wanted.get(result.name, ("ok", ""))
+        assert (result.status, reason in result.reason) == (status, True), result
+    retries = {event["scene"]: event["reason"] for event in heard if event["event"] == "retry"}
+    assert set(retries) == set(faults) - {"scene-00005"}  # what is refused will be refused again
+    assert retries["scene-00002"] == "its worker was stopped: no new frame for 3 s"
+    assert sorted(event["scene"] for event in heard if event["event"] == "scene") == [r.name for r in results]
+    assert leftovers(out) == []
+    assert survey(out).count() == {"ok": 4, "failed": 4}
+    assert {s.name: s.reason for s in survey(out).scenes if s.reason}["scene-00005"] == "this cannot be made"
+    traceback = [event["traceback"] for event in read_journal(out) if "traceback" in event]
+    assert "scenes.py" in traceback[0]
+    for fault in (out / "faults").iterdir():
+        fault.unlink()
+    assert {r.status for r in run(out, workers=2)} == {"ok"}
+    assert sorted(made(out)) == [f"scene-{i:05d}" for i in range(8)]  # each once: what was done stayed done
+    assert check(out) == []
+    assert survey(out).count() == {"ok": 8}
+
+
+def test_a_worker_that_eats_the_memory_is_stopped(tmp_path: Path):
+    out = tmp_path / "out"
+    spoil(out, "scene-00001", "eat")
+    results = run(out, samples=3, limits=Limits(memory_gb=0.35))
+    assert [r.status for r in results] == ["ok", "failed", "ok"]
+    assert "GB of memory used, 0.35 allowed" in results[1].reason
+
+
+def test_workers_are_replaced_after_their_share(tmp_path: Path):
+    results = run(tmp_path / "out", samples=5, limits=Limits(scenes=2))
+    pids = [result.seconds["pid"] for result in results]
+    assert pids[0] == pids[1] != pids[2] == pids[3] != pids[4]
+
+
+def test_a_pool_stays_for_the_next_batch(tmp_path: Path):
+    rows = make_plan(tmp_path, 2).rows
+    with Pool(task=TASK) as pool:
+        first, second = (pool.run([row], tmp_path / "out")[0] for row in rows)
+    assert first.seconds["pid"] == second.seconds["pid"]
+    assert pool.workers == []
+
+
+def test_workers_that_cannot_start_are_one_line(tmp_path: Path):
+    with pytest.raises(UserError, match="workers end before their first scene: its worker ended with exit code 1"):
+        run(tmp_path / "out", task="no.such.module:make")
+
+
+def test_workers_use_one_thread_and_respect_the_user(monkeypatch: pytest.MonkeyPatch):
+    from tacgen.batch.watch import THREADS, Worker
+
+    for name in THREADS:
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("OMP_NUM_THREADS", "3")
+    worker = Worker(TASK)
+    environment = Path(f"/proc/{worker.process.pid}/environ").read_bytes().decode().split("\0")
+    worker.stop(patience=10)
+    assert {f"{name}=1" for name in THREADS[1:]} | {"OMP_NUM_THREADS=3"} <= set(environment)
+
+
+def test_a_larger_plan_keeps_what_is_there_and_another_recipe_is_refused(tmp_path: Path):
+    out = tmp_path / "out"
+    run(out, samples=2)
+    results = run(out, samples=4)
+    assert [bool(result.seconds) for result in results] == [False, False, True, True]
+    plan = make_plan(tmp_path, 4)
+    changed = replace(plan, rows=tuple(replace(row, seed=row.seed + 1) for row in plan.rows[:1]))
+    with pytest.raises(UserError, match="made from other inputs"):
+        batch.run(changed, out, task=TASK)
+    assert batch.run(changed, out, task=TASK, overwrite=True)[0].seconds
+
+
+def test_plans_of_another_division_are_replaced(tmp_path: Path):
+    out = tmp_path / "out"
+    run(out, samples=4, shard=(1, 2))
+    assert survey(out).count() == {"ok": 2}
+    run(out, samples=4)
+    assert [path.name for path in out.glob("plan*.json")] == ["plan.json"]
+    assert survey(out).count() == {"ok": 4}
+
+
+def test_a_journal_line_cut_short_is_passed_over(tmp_path: Path):
+    out = tmp_path / "out"
+    run(out, samples=1)
+    journal = out / "journal.jsonl"
+    whole = [json.loads(line)["event"] for line in journal.read_text().splitlines()]
+    assert whole == ["begin", "scene", "end"]
+    journal.write_text(journal.read_text() + '{"event": "sce')
+    assert [event["event"] for event in read_journal(out)] == whole
+
+
+def test_status_tells_damage_other_inputs_and_work_in_progress(tmp_path: Path):
+    from tacgen import partfile
+
+    out = tmp_path / "out"
+    run(out, samples=5)
+    (out / "scene-00000.h5").write_bytes(b"\x89HDF\r\n\x1a\n and no more")
+    (out / "scene-00001.h5").unlink()
+    (out / "scene-00002.h5").unlink()
+    (out / "scene-00003.h5").write_bytes((out / "scene-00004.h5").read_bytes())
+    with partfile.claim(out / "scene-00001.h5"):
+        states = [scene.state for scene in survey(out).scenes]
+    assert states == ["damaged", "at work", "waiting", "waiting", "ok"]
+    assert [scene.state for scene in survey(out).scenes][1] == "waiting"
