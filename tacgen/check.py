@@ -151,7 +151,7 @@ def _quality(bundle: Bundle) -> Iterator[str]:
 
 
 def _repeats(bundle: Bundle) -> Iterator[str]:
-    """Outside a hold no frame has the pose and force of the one before; no image stays the same while the gel moves.
+    """Outside holds and replays no frame has pose and force of the one before; no image stays while the gel moves.
 
     An image may well repeat: nothing is touched yet, or a ball without friction turns about its own axis.
     """
@@ -159,7 +159,7 @@ def _repeats(bundle: Bundle) -> Iterator[str]:
         return
     if "/frames/pose" in bundle and "/frames/force" in bundle:
         same = ~_changed(bundle["/frames/pose"]) & ~_changed(bundle["/frames/force"])
-        held = np.array([kind == "hold" for kind in bundle.segments[1:]])
+        held = np.array([kind in ("hold", "replay") for kind in bundle.segments[1:]])
         yield from _each(np.append(False, same & ~held), "pose and force repeat the frame before")
     if "/frames/rgb" in bundle:
         moved = np.zeros(bundle.frames - 1, bool)

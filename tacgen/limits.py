@@ -1,14 +1,13 @@
 """What cannot be done on this sensor: the checks that need the recipe and the sensor side by side."""
 
-import math
 from pathlib import Path
 
-from tacgen import assets
+from tacgen import assets, motions
 from tacgen.errors import UserError
 from tacgen.explain import Problem
+from tacgen.motions import Folders
 from tacgen.recipe import Indenter, Recipe
 from tacgen.sensor import LIGHTS, Gel, Sensor
-from tacgen.yamlfile import KeyPath
 
 LEAST_RIM = 0.1  # of the crown's thickness: cells squeezed more would not be worth having
 
@@ -18,31 +17,19 @@ def sensor_problems(sensor: Sensor) -> list[Problem]:
     return [*_outline(sensor.gel), *_lights(sensor)]
 
 
-def recipe_problems(recipe: Recipe, sensor: Sensor, folder: Path | None = None) -> list[Problem]:
+def recipe_problems(recipe: Recipe, sensor: Sensor, folders: Folders | None = None) -> list[Problem]:
     """What this recipe asks for and this sensor cannot give; paths start at the recipe's root.
 
-    `folder` is where the path of the indenter's mesh starts; None: the working directory.
+    `folders` says where the paths of its files start; the working directory for those that it does not hold.
     """
-    wrong = [*_depths(recipe, sensor), *_places(recipe, sensor.gel), *_outputs(recipe, sensor)]
-    return [*wrong, *_mesh(recipe.indenter, folder)]
+    folders = folders or {}
+    wrong = [*_depths(recipe, sensor), *motions.problems(recipe, sensor.gel, folders), *_outputs(recipe, sensor)]
+    return [*wrong, *_mesh(recipe.indenter, folders.get(("indenter", "file")))]
 
 
 def thickness_mm(gel: Gel) -> float:
     """From the bonded base to the coated face [mm]."""
     return sum(layer.thickness_mm for layer in gel.layers)
-
-
-def on_pad(gel: Gel, x_mm: float, y_mm: float) -> bool:
-    """Whether a point of the plane lies inside the pad's outline, or on it."""
-    if gel.tip:
-        r = gel.width_mm / 2
-        past = gel.tip * y_mm - (gel.height_mm / 2 - r)  # beyond the semicircle's centre, toward the tip
-        beside = abs(x_mm) <= r * (1 + 1e-9) and -gel.tip * y_mm <= gel.height_mm / 2 * (1 + 1e-9)
-        return beside and math.hypot(x_mm, max(past, 0.0)) <= r * (1 + 1e-9)
-    r = gel.corner_radius_mm
-    past_x = max(abs(x_mm) - (gel.width_mm / 2 - r), 0.0)
-    past_y = max(abs(y_mm) - (gel.height_mm / 2 - r), 0.0)
-    return math.hypot(past_x, past_y) <= r + 1e-9 * gel.width_mm
 
 
 def _outline(gel: Gel) -> list[Problem]:
@@ -83,24 +70,6 @@ def _depths(recipe: Recipe, sensor: Sensor) -> list[Problem]:
         for i, segment in enumerate(recipe.trajectory)
         if segment.press and segment.press.depth_mm is not None and segment.press.depth_mm >= thick
     ]
-
-
-def _places(recipe: Recipe, gel: Gel) -> list[Problem]:
-    """The indenter's axis must stay over the pad; the first move off it is named, and ends the search."""
-    pad = f"the pad of {gel.width_mm:g} x {gel.height_mm:g} mm"
-    x, y = recipe.start.x_mm, recipe.start.y_mm
-    if not on_pad(gel, x, y):
-        path: KeyPath = ("start", "x_mm" if abs(x) > gel.width_mm / 2 else "y_mm")
-        if abs(x) <= gel.width_mm / 2 and abs(y) <= gel.height_mm / 2:
-            path = ("start",)  # in the cut-off corner: neither alone is to blame
-        return [Problem(path, f"the indenter would start beside {pad}, at ({x:g}, {y:g})")]
-    for i, segment in enumerate(recipe.trajectory):
-        if segment.slide:
-            x, y = x + segment.slide.x_mm, y + segment.slide.y_mm
-            if not on_pad(gel, x, y):
-                text = f"would carry the indenter's axis off {pad}, to ({x:g}, {y:g})"
-                return [Problem(("trajectory", i, "slide"), text)]
-    return []
 
 
 def _outputs(recipe: Recipe, sensor: Sensor) -> list[Problem]:

@@ -41,7 +41,7 @@ def read(path: Path, sets: Iterable[str] = ()) -> Loaded:
         raise UserError([*report(problems).lines, *error.lines]) from None
     problems += more
     if recipe and sensor:
-        problems += [(problem, tree) for problem in limits.recipe_problems(recipe, sensor, mesh_folder(tree))]
+        problems += [(problem, tree) for problem in limits.recipe_problems(recipe, sensor, folders(tree, recipe))]
     if problems or recipe is None or sensor is None:
         raise report(problems)
     return Loaded(recipe, sensor, tree, sensor_tree)
@@ -64,10 +64,16 @@ def check_sensor(data: Any) -> tuple[Sensor | None, list[Problem]]:
     return (None if wrong else sensor), wrong
 
 
-def mesh_folder(tree: Tree, varied: Iterable[str] = ()) -> Path:
-    """The folder, from the root, in which the path of an indenter's mesh starts: that of the file it was written in."""
-    spots: list[KeyPath] = [("vary", "over", name) for name in varied if name.split(".")[0] == "indenter"]
-    return (tree.spot([*spots, ("indenter", "file")][0]).value.source.folder or Path()).resolve()
+def folders(tree: Tree, recipe: Recipe, varied: Iterable[str] = ()) -> dict[KeyPath, Path]:
+    """The folder, from the root, in which the path of each file of a recipe starts: that of the file it was written in.
+
+    `varied` are the paths of `vary.over`, one of which may name the file instead.
+    """
+    found: dict[KeyPath, Path] = {}
+    for path in recipe.files:
+        spots: list[KeyPath] = [("vary", "over", name) for name in varied if path[: len(p := parse_path(name))] == p]
+        found[path] = (tree.spot([*spots, path][0]).value.source.folder or Path()).resolve()
+    return found
 
 
 def _extended(path: Path, chain: tuple[Path, ...]) -> Tree:

@@ -8,7 +8,7 @@ import hashlib
 import json
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,7 +16,9 @@ from typing import TYPE_CHECKING, Any
 from tacgen import assets, limits
 from tacgen.errors import UserError
 from tacgen.explain import Problem, validate
-from tacgen.load import Loaded, check_sensor, mesh_folder, read
+from tacgen.load import Loaded, check_sensor, folders, read
+from tacgen.motions import replayed, resolved
+from tacgen.posetable import Pose
 from tacgen.recipe import Distribution, Recipe, Vary
 from tacgen.sensor import Sensor
 from tacgen.yamlfile import KeyPath, Tree, format_path, parse_path, put
@@ -40,7 +42,7 @@ class Row:
     recipe: Recipe  # without vary; varied values are in it
     sensor: Sensor  # overrides are in it
     values: dict[str, Any] = field(default_factory=dict)  # varied path -> this scene's value
-    folder: Path | None = None  # where the path of its indenter's mesh starts
+    folders: Mapping[KeyPath, Path] = field(default_factory=dict)  # where the paths of its files start
 
     @property
     def key(self) -> str:
@@ -64,7 +66,13 @@ class Row:
     def mesh_path(self) -> Path:
         """The file of an indenter that is a mesh."""
         assert self.recipe.indenter.shape == "mesh"
-        return assets.mesh_path(self.recipe.indenter.file, self.folder)
+        return assets.mesh_path(self.recipe.indenter.file, self.folders.get(("indenter", "file")))
+
+    def replayed(self, segment: int) -> tuple[Pose, ...]:
+        """The poses of a segment that is a replay, one a frame, in the sensor's frame."""
+        move = self.recipe.trajectory[segment].replay
+        assert move is not None
+        return replayed(move, self.folders.get(("trajectory", segment, "replay", "file")))
 
     def sensor_document(self) -> dict[str, Any]:
         """The resolved sensor as JSON values."""
@@ -112,12 +120,12 @@ def expand(
     """
     tree = loaded.tree if loaded else Tree(recipe.document())
     vary = recipe.vary
-    folder = mesh_folder(tree, vary.over if vary else ())
     if vary is None:
-        wrong = limits.recipe_problems(recipe, sensor, folder)
+        starts = folders(tree, recipe)
+        wrong = limits.recipe_problems(recipe, sensor, starts)
         if wrong:
             raise UserError(problem.point(tree) for problem in wrong)
-        rows = [Row(0, "scene-00000", scene_seed(0, 0), recipe, sensor, folder=folder)]
+        rows = [Row(0, "scene-00000", scene_seed(0, 0), resolved(recipe, starts), sensor, folders=starts)]
         return Plan(recipe.name, tuple(rows if indices is None else (rows[i] for i in indices)))
     _check(vary, tree)
     count = scene_count(vary)
@@ -127,7 +135,7 @@ def expand(
     rows = []
     problems: dict[tuple[KeyPath, str], list[tuple[str, Problem]]] = {}
     for index, values in zip(wanted, draw(vary, wanted), strict=True):
-        row, wrong = _resolve(index, values, base, plain_sensor, sensor, scene_seed(vary.seed, index), folder)
+        row, wrong = _resolve(index, values, base, plain_sensor, sensor, scene_seed(vary.seed, index), tree)
         if row:
             rows.append(row)
         for problem in wrong:
@@ -245,7 +253,7 @@ def _resolve(
     plain_sensor: dict[str, Any],
     sensor: Sensor,
     seed: int,
-    folder: Path | None,
+    tree: Tree,
 ) -> tuple[Row | None, list[Problem]]:
     """One row, checked as if a person had written it; or what is wrong with it."""
     data: Any = base
@@ -266,11 +274,13 @@ def _resolve(
         if varied is None:
             return None, wrong
         sensor = varied
-    if recipe is not None:
-        wrong += limits.recipe_problems(recipe, sensor, folder)
-    if recipe is None or wrong:
+    if recipe is None:
         return None, wrong
-    return Row(index, f"scene-{index:05d}", seed, recipe, sensor, values, folder), []
+    starts = folders(tree, recipe, values)
+    wrong += limits.recipe_problems(recipe, sensor, starts)
+    if wrong:
+        return None, wrong
+    return Row(index, f"scene-{index:05d}", seed, resolved(recipe, starts), sensor, values, starts), []
 
 
 def _say(group: list[tuple[str, Problem]], tree: Tree, vary: Vary) -> str:

@@ -5,6 +5,8 @@ from typing import Annotated, Any, Literal, NamedTuple, get_args
 from pydantic import AfterValidator, Discriminator, Field, Tag, ValidationInfo, field_validator, model_validator
 
 from tacgen.part import Part
+from tacgen.turns import UPRIGHT, Quaternion, Vector, unit
+from tacgen.yamlfile import KeyPath
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
@@ -186,6 +188,34 @@ class Tilt(Part):
     frames: Frames
 
 
+class Placement(Part):
+    """Where one frame stands in another: its origin there, and its turn as a unit quaternion w, x, y, z."""
+
+    position_mm: Vector = (0.0, 0.0, 0.0)
+    quaternion: Quaternion = UPRIGHT
+
+    @field_validator("quaternion")
+    @classmethod
+    def _unit(cls, value: Quaternion) -> Quaternion:
+        return unit(value)
+
+
+class Replay(Part):
+    """Go through the poses of a table, a frame a row: where the indenter's own frame stands in the sensor's.
+
+    The table is CSV with a header: time_s, x_mm, y_mm, z_mm (or x_m, ...), qw, qx, qy, qz. Rows in another frame than
+    the sensor's need `sensor_pose`, rows of another body's frame than the indenter's `indenter_pose`.
+    """
+
+    file: Annotated[str, Field(min_length=1)]  # a path that starts at the recipe's folder
+    units: Literal["mm", "m"] | None = None  # of x, y, z where the header does not say; mm if neither does
+    sensor_pose: Placement = Placement()  # of the sensor in the frame that the rows are given in
+    indenter_pose: Placement = Placement()  # of the indenter in the frame of the body whose poses the rows are
+    every: Annotated[int, Field(ge=1)] = 1  # take the first row and then each so many
+    frames: Frames | None = None  # stop after so many; None: at the table's end
+    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = None  # the file must be this one; bundles say it
+
+
 class Hold(Part):
     """Stay."""
 
@@ -198,7 +228,8 @@ class Release(Part):
     frames: Frames
 
 
-Move = Press | Slide | Twist | Tilt | Hold | Release
+Made = Press | Slide | Twist | Tilt | Hold | Release  # of as many frames as one says
+Move = Made | Replay
 ONE_KEY: dict[str, Any] = {"minProperties": 1, "maxProperties": 1}
 
 
@@ -209,6 +240,7 @@ class Segment(Part, json_schema_extra=ONE_KEY):
     slide: Slide | None = None
     twist: Twist | None = None
     tilt: Tilt | None = None
+    replay: Replay | None = None
     hold: Hold | None = None
     release: Release | None = None
 
@@ -219,7 +251,7 @@ class Segment(Part, json_schema_extra=ONE_KEY):
 
     @property
     def kind(self) -> str:
-        """press, slide, twist, tilt, hold or release."""
+        """press, slide, twist, tilt, replay, hold or release."""
         return next(name for name in type(self).model_fields if getattr(self, name) is not None)
 
     @property
@@ -231,6 +263,7 @@ class Segment(Part, json_schema_extra=ONE_KEY):
     @property
     def frames(self) -> int:
         """How many frames it gives."""
+        assert self.move.frames is not None, "only a plan knows how many rows a table has"
         return self.move.frames
 
 
@@ -353,6 +386,12 @@ class Recipe(Part):
     def frames(self) -> int:
         """How many frames a scene has."""
         return sum(segment.frames for segment in self.trajectory)
+
+    @property
+    def files(self) -> tuple[KeyPath, ...]:
+        """Where it names files by a path that starts at the recipe's folder."""
+        tables = [("trajectory", i, "replay", "file") for i, step in enumerate(self.trajectory) if step.replay]
+        return (*([("indenter", "file")] if self.indenter.shape == "mesh" else []), *tables)
 
     def document(self) -> dict[str, Any]:
         """Plain values that YAML and JSON can hold and that read back as the same recipe."""

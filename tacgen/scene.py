@@ -1,5 +1,6 @@
 """Resolved scene -> Scene: gel, laws, indenter, path and tolerances as plain arrays and numbers."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -14,7 +15,7 @@ from tacgen.fem.shapes import Box, Capsule, Cone, Cylinder, Shape, Sphere, Torus
 from tacgen.plan import Row
 from tacgen.recipe import Indenter
 from tacgen.sensor import MooneyRivlinLayer, NeoHookeLayer, Sensor, StableNeoHookeLayer, YeohLayer
-from tacgen.trajectory import Forced, first_pose, lay
+from tacgen.trajectory import Forced, lay
 
 Array = np.ndarray
 CELLS = (0.04, 0.15)  # least and largest grid spacing of a mesh's signed distance [mm]
@@ -109,7 +110,10 @@ def _shape(i: Indenter, field: Callable[[recipes.Mesh], Shape]) -> Shape:
 def _field(i: recipes.Mesh, row: Row) -> Field:
     """A mesh as far as the gel can come to it; its grid follows the quality's edge, as what the gel resolves does."""
     gel = row.sensor.gel
-    tilted = row.recipe.start.tilt_deg > 0 or any(segment.tilt for segment in row.recipe.trajectory)
+    steps = row.recipe.trajectory
+    replays = (row.replayed(number) for number, step in enumerate(steps) if step.replay)
+    leans = any(math.hypot(*p.place.quaternion[1:3]) > 1e-9 for poses in replays for p in poses)
+    tilted = leans or row.recipe.start.tilt_deg > 0 or any(step.tilt for step in steps)
     rise = sum(layer.thickness_mm for layer in gel.layers) + 1.0  # no press is deeper, and gel bulges beside it
     cell = float(np.clip(row.recipe.resolved().edge_mm / 4, *CELLS))
     solid = geometry.placed(geometry.read(row.mesh_path), up=i.up, scale=i.scale, size=i.size_mm)
@@ -153,6 +157,6 @@ def build(row: Row) -> Scene:
     """The scene of one row of a plan."""
     recipe, quality, gel = row.recipe, row.recipe.resolved(), gel_of(row.sensor)
     shape = _shape(recipe.indenter, lambda mesh: _field(mesh, row))
-    first = first_pose(shape, recipe.start, gel)
-    poses, segment, forced = lay(recipe, first, shape, gel)
-    return Scene(gel, shape, poses, first, segment, recipe.contact.friction, quality.edge_mm, quality.dhat_mm, forced)
+    way = lay(recipe, shape, gel, row.replayed)
+    friction, edge, dhat = recipe.contact.friction, quality.edge_mm, quality.dhat_mm
+    return Scene(gel, shape, way.poses, way.start, way.segment, friction, edge, dhat, way.forced)

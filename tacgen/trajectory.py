@@ -1,21 +1,24 @@
-"""Trajectory -> poses: that of the indenter at every frame, and which of them a force will correct."""
+"""A trajectory laid out: the pose of the indenter at every frame, and which of them a force will correct."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tacgen import posetable
 from tacgen import recipe as recipes
 from tacgen.errors import UserError
 from tacgen.fem.contact import Pose
 from tacgen.fem.shapes import Shape
 from tacgen.recipe import Recipe, Start
+from tacgen.turns import Placement
 
 if TYPE_CHECKING:
     from tacgen.scene import Gel
 
 Array = np.ndarray
+Step = tuple[Array, tuple[float, ...]]  # pose, and asked, part, carry, floor and below of Forced
 FORCE_DEPTH = 0.8  # of the gel's thickness: no force is looked for below
 FIRST_GUESS = 0.1  # of the thickness: where the search for a force starts
 
@@ -46,6 +49,17 @@ class Forced:
         return out
 
 
+@dataclass(frozen=True)
+class Path:
+    """Poses (N, 4, 4) at every frame, the segment (N,) each belongs to, what forces ask for, and the pose (4, 4)
+    before the first frame, clear of the gel."""
+
+    start: Array
+    poses: Array
+    segment: Array
+    forced: Forced | None
+
+
 def _about(axis: Array, angle: float) -> Array:
     """Rotation (3, 3) about a unit axis by `angle` [rad]."""
     from scipy.spatial.transform import Rotation
@@ -62,6 +76,7 @@ def _sunk(shape: Shape, pose: Array, gel: "Gel") -> float:
     """
     if np.isinf(gel.radii).all():
         return 0.0
+    most = -float(gel.top(np.array(gel.width / 2), np.array(gel.height / 2)))  # beside the pad nothing is touched
     sunk, step, middle, half = 0.0, 0.2, np.zeros(2), np.array([gel.width, gel.height]) / 2
     for _ in range(2):
         ends = zip(middle - half, middle + half, half, strict=True)
@@ -74,30 +89,42 @@ def _sunk(shape: Shape, pose: Array, gel: "Gel") -> float:
             gap = shape.distance(Pose.of(lowered).local(face))[0]
             nearest = int(np.argmin(gap))
             sunk += gap[nearest]  # the finer grid, that finds points in between, takes a little back
-            if abs(gap[nearest]) < 1e-6:
+            if abs(gap[nearest]) < 1e-6 or sunk > most:
                 break
         middle, half, step = face[nearest, :2], np.array([step, step]), step / 20
-    return float(sunk)
+    return min(float(sunk), most)
 
 
-def first_pose(shape: Shape, start: Start, gel: "Gel") -> Array:
+def _first(shape: Shape, start: Start, gel: "Gel") -> Array:
+    """The pose before the first frame."""
     tilt = _about(np.array([np.cos(a := np.radians(start.tilt_axis_deg)), np.sin(a), 0.0]), np.radians(start.tilt_deg))
     pose = np.eye(4)
     pose[:3, :3] = tilt @ _about(np.array([0.0, 0.0, 1.0]), np.radians(start.yaw_deg))
-    drop = shape.support(-pose[2, :3])  # how far the turned shape hangs below its own origin
-    if not np.isfinite(drop):
-        raise UserError(
-            f"start.tilt_deg: tilted by {start.tilt_deg} deg the indenter's flank meets the gel before its tip"
-        )
-    pose[:3, 3] = start.x_mm, start.y_mm, drop
-    pose[2, 3] = start.clearance_mm + drop - _sunk(shape, pose, gel)
+    pose[:2, 3] = start.x_mm, start.y_mm
+    pose[2, 3] = start.clearance_mm + _contact(shape, pose, gel)
+    return pose
+
+
+def _contact(shape: Shape, pose: Array, gel: "Gel") -> float:
+    """Height of the origin at which an indenter of this turn and place would first touch the untouched face [mm]."""
+    standing = pose.copy()
+    standing[2, 3] = drop = shape.support(-pose[2, :3])  # how far it hangs below its own origin
+    return drop - _sunk(shape, standing, gel)
+
+
+def _placed(place: Placement) -> Array:
+    from scipy.spatial.transform import Rotation
+
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_quat(place.quaternion, scalar_first=True).as_matrix()
+    pose[:3, 3] = place.position
     return pose
 
 
 def lowest(shape: Shape, rotation: Array) -> Array:
     """The lowest point (3,) of a turned shape from its own origin [mm]: the middle of them where it is an edge or face.
 
-    The slope of the support function, by central differences; inf in z where the shape has no lowest point.
+    The slope of the support function, by central differences.
     """
     down = -rotation[2]
     step = 1e-5 * np.eye(3)
@@ -113,19 +140,21 @@ def _unit(v: Array) -> Array:
 
 @dataclass
 class _Walk:
-    """Where a path has come to, while it is laid."""
+    """Where a path has come to, while it is laid; `home` is the height that a release goes back to [mm]."""
 
     shape: Shape
     gel: "Gel"
-    first: Array
-    contact_z: float  # height of the origin where the lowest point meets the untouched face [mm]
     pose: Array
+    home: float
     carry: float = 0.0
 
-    def steps(self, move: recipes.Move, where: str) -> Iterator[tuple[Array, tuple[float, ...]]]:
-        """Pose, and asked, part, carry, floor and below of Forced, at each frame of one segment."""
+    def steps(self, move: recipes.Made, where: str) -> Iterator[Step]:
+        """The frames of one segment."""
         begun, carried = self.pose, self.carry
-        floor = self.contact_z - FORCE_DEPTH * self.gel.thickness
+        contact = floor = np.nan
+        if isinstance(move, recipes.Press):
+            contact = _contact(self.shape, begun, self.gel)
+            floor = contact - FORCE_DEPTH * self.gel.thickness
         for k in range(1, move.frames + 1):
             part = k / move.frames
             new = begun.copy()
@@ -133,13 +162,13 @@ class _Walk:
             match move:
                 case recipes.Press(force_n=float(force)):
                     asked, self.carry = force, 1.0
-                    new[2, 3] = self.contact_z - FIRST_GUESS * part * self.gel.thickness
+                    new[2, 3] = contact - FIRST_GUESS * part * self.gel.thickness
                     below = new[2, 3] - floor
                 case recipes.Press(depth_mm=float(depth)):
-                    new[2, 3] += part * (self.contact_z - depth - begun[2, 3])
+                    new[2, 3] += part * (contact - depth - begun[2, 3])
                     self.carry = (1 - part) * carried
                 case recipes.Release():
-                    new[2, 3] += part * (self.first[2, 3] - begun[2, 3])
+                    new[2, 3] += part * (self.home - begun[2, 3])
                     self.carry = (1 - part) * carried
                 case recipes.Slide(x_mm=x, y_mm=y):
                     new[0, 3] += part * x
@@ -157,31 +186,48 @@ class _Walk:
         turn = _about(np.array([np.cos(axis), np.sin(axis), 0.0]), angle)
         new[:3, :3] = turn @ begun[:3, :3]
         new[:3, 3] = begun[:3, 3] + from_origin - turn @ from_origin
-        drop = self.shape.support(-new[2, :3])
-        if not np.isfinite([*from_origin, drop]).all():
-            raise UserError(f"{where}.angle_deg: the indenter's flank would meet the gel before its tip")
-        if new[2, 3] - drop <= -self.gel.thickness:
+        if new[2, 3] - self.shape.support(-new[2, :3]) <= -self.gel.thickness:
             raise UserError(f"{where}.angle_deg: would turn the indenter's edge to the base of the gel, or below")
-        standing = new.copy()
-        standing[2, 3] = drop
-        self.contact_z = drop - _sunk(self.shape, standing, self.gel)
+
+    def replay(self, rows: tuple[posetable.Pose, ...], where: str) -> Iterator[Step]:
+        """Frames at the rows of a table; no height found before is carried into them."""
+        self.carry = 0.0
+        for row in rows:
+            self.pose = _placed(row.place)
+            if self.pose[2, 3] - self.shape.support(-self.pose[2, :3]) <= -self.gel.thickness:
+                raise UserError(f"{where}.file: line {row.line}: the indenter would be at the gel's base, or below")
+            yield self.pose, (np.nan, 1.0, 0.0, np.nan, np.nan)
+        self.home = max(self.home, _contact(self.shape, self.pose, self.gel))
 
 
-def lay(recipe: Recipe, first: Array, shape: Shape, gel: "Gel") -> tuple[Array, Array, Forced | None]:
-    """Poses (N, 4, 4) at every frame, the segment (N,) each belongs to, and what forces ask for.
+def lay(recipe: Recipe, shape: Shape, gel: "Gel", replayed: Callable[[int], tuple[posetable.Pose, ...]]) -> Path:
+    """The path of an indenter over a gel; `replayed` gives the rows of a segment's table.
+
+    A replay that comes first is begun from above: over its first row if that is in the gel, at it otherwise.
 
     Raises:
-        UserError: a tilt that cannot be.
+        UserError: a leaning mesh, or an indenter on a dome, that comes to the base of the gel.
     """
-    walk = _Walk(shape, gel, first, first[2, 3] - recipe.start.clearance_mm, first)
+    if recipe.trajectory[0].replay:
+        start = _placed(replayed(0)[0].place)
+        start[2, 3] = max(start[2, 3], _contact(shape, start, gel))
+    else:
+        start = _first(shape, recipe.start, gel)
+    walk = _Walk(shape, gel, start, float(start[2, 3]))
     poses: list[Array] = []
     segments: list[int] = []
     asked: list[tuple[float, ...]] = []
     for number, segment in enumerate(recipe.trajectory):
-        for pose, ask in walk.steps(segment.move, f"trajectory[{number}].{segment.kind}"):
+        where = f"trajectory[{number}].{segment.kind}"
+        move = segment.move
+        if isinstance(move, recipes.Replay):
+            steps = walk.replay(replayed(number), where)
+        else:
+            steps = walk.steps(move, where)
+        for pose, ask in steps:
             poses.append(pose)
             segments.append(number)
             asked.append(ask)
     of, part, carry, floor, below = np.array(asked).T
     forced = Forced(of, part, carry, floor, np.nan_to_num(below))
-    return np.array(poses), np.array(segments), forced if np.isfinite(forced.asked).any() else None
+    return Path(start, np.array(poses), np.array(segments), forced if np.isfinite(forced.asked).any() else None)

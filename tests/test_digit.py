@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from physics.presses import Run
 
-from tacgen import assets, fields, limits, load, mesh, plan, solve
+from tacgen import assets, fields, load, mesh, motions, plan, solve
 from tacgen import scene as stage
 from tacgen.errors import UserError
 from tacgen.fem.contact import Pose
@@ -83,7 +83,7 @@ def test_the_outline_has_one_round_end(digit: Sensor) -> None:
     assert not gel.contains(np.array([0.0, 9.1, 9.1, 6.6, 0]), np.array([-12.6, 12.6, -6, -9.9, 12.6])).any()
     x, y = np.random.default_rng(0).uniform([-10, -13], [10, 13], (500, 2)).T
     inside = gel.contains(x, y)
-    assert [limits.on_pad(digit.gel, a, b) for a, b in zip(x, y, strict=True)] == inside.tolist()
+    assert [motions.on_pad(digit.gel, a, b) for a, b in zip(x, y, strict=True)] == inside.tolist()
     assert gel.top(x, y) == pytest.approx([-digit.gel.drop_mm(a, b) for a, b in zip(x, y, strict=True)])
     grid = mesh.build(gel, (-12, 12, -14, 14), 0.4)
     area = facet_areas(grid.points, grid.facets["bonded"])[0].sum()

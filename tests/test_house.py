@@ -13,9 +13,11 @@ PACKAGE = ROOT / "tacgen"
 # A module imports only from lines above its own. The line of the product is marked with *.
 ORDER = [
     {"__init__", "errors", "part"},
-    {"yamlfile", "assets", "sensor", "partfile", "variants"},
+    {"turns"},
+    {"yamlfile", "assets", "sensor", "partfile", "variants", "posetable"},
     {"explain"},
     {"recipe"},  # *
+    {"motions"},
     {"limits"},
     {"load"},
     {"plan"},  # *
@@ -57,6 +59,7 @@ HOMES = {
     "rich": {"progress"},
 }
 NOT_NUMPY = {"cli", "errors", "part", "recipe", "sensor", "assets", "plan", "load", "limits", "explain", "yamlfile"}
+NOT_NUMPY |= {"turns", "posetable", "motions"}
 
 
 def files() -> dict[str, Path]:
