@@ -9,8 +9,9 @@ from typing import Literal
 import numpy as np
 
 from tacgen import partfile
-from tacgen.bundle import Bundle, Dataset, Unfinished, entry, misfit, read
+from tacgen.bundle import Bundle, Dataset, Unfinished, read
 from tacgen.errors import UserError
+from tacgen.layout import entry, misfit
 
 FORCE_BALANCE = 1e-3  # largest imbalance of a converged frame [-]
 PULL = 1e-3  # how far interpolation may bring a pressure below zero, as a part of the frame's peak
@@ -71,7 +72,7 @@ def _file(path: Path) -> list[Finding]:
 
 
 def _layout(bundle: Bundle, datasets: dict[str, Dataset]) -> Iterator[str]:
-    """Paths, types, shapes and attributes against the table in bundle.py."""
+    """Paths, types, shapes and attributes against the table in layout.py."""
     sizes: dict[str, int] = {}
     for path, data in datasets.items():
         try:

@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -15,7 +15,12 @@ from tacgen.plan import Row
 from tacgen.resume import SceneResult
 from tacgen.sensor import LitSensor
 
+if TYPE_CHECKING:
+    from tacgen.fields import Surface
+
 Array = np.ndarray
+ON_FACE = ("traction", "force_map")  # outputs: what the contact does to the face
+SEEN = ("height", "normals", "gap")  # what the face looks like
 Say = Callable[[dict[str, Any]], None]
 
 
@@ -41,16 +46,19 @@ class Products:
         from tacgen import fields
 
         self.outputs, self.problem, self.clock, self.fields = row.recipe.outputs, problem, clock, fields
-        optical = self.outputs & {"traction", "height", "markers", "rgb"}
-        if optical:
+        if self.outputs & {*ON_FACE, *SEEN, "markers", "rgb"}:
             from tacgen.optics.layers import Camera
 
             self.camera = Camera.from_sensor(row.sensor)
             self.surface = fields.Surface(problem.mesh.points, problem.mesh.facets["coated"])
-        if "height" in self.outputs:
+        if self.outputs & {*SEEN}:
             from tacgen.optics.sheet import Sheet
 
             self.sheet = Sheet.over(row.sensor.gel, 0.1)
+        if "stress" in self.outputs:
+            from tacgen.stress import Stresses
+
+            self.stresses = Stresses(problem)
         if "markers" in self.outputs:
             from tacgen.optics.coating import centers
 
@@ -69,8 +77,11 @@ class Products:
     def still(self) -> dict[str, Array]:
         """Datasets that do not change from frame to frame."""
         out: dict[str, Array] = {}
-        if "height" in self.outputs:
-            out["/reference/height"] = self.fields.height(self.sheet, self.surface, self.camera)
+        if self.outputs & {"height", "normals"}:
+            view = self.fields.View(self.sheet, self.surface, self.camera)
+            out |= {
+                f"/reference/{name}": getattr(view, name)() for name in ("height", "normals") if name in self.outputs
+            }
         if "markers" in self.outputs:
             out["/reference/markers"] = self.undisturbed
         if "rgb" in self.outputs:
@@ -106,27 +117,45 @@ class Products:
             "/frames/quality/force_balance": state.balance,
             "/frames/quality/residual": state.residual,
         }
-        if self.outputs & {"traction", "height", "markers"}:
+        if self.outputs & {*ON_FACE, *SEEN, "markers"}:
             surface = self.surface.moved(state.x)
-        if "traction" in self.outputs:
-            maps = self.fields.maps(self.problem, surface, state, self.camera)
-            out |= {
-                "/frames/pressure": maps.pressure,
-                "/frames/traction": maps.traction,
-                "/frames/contact": maps.contact,
-            }
-            if state.sliding is not None:
-                out["/frames/slip"] = maps.slip
-        if "height" in self.outputs:
-            out["/frames/height"] = self.fields.height(self.sheet, surface, self.camera)
+        if self.outputs & {*ON_FACE}:
+            out |= self._maps(surface, state)
+        if self.outputs & {*SEEN}:
+            out |= self._seen(surface, state)
         if "markers" in self.outputs:
             pixels = self.camera.project(surface.at(self.dots))
             out |= {"/frames/markers": pixels, "/frames/marker_flow": pixels - self.undisturbed}
         if "stress" in self.outputs:
-            stress = self.fields.stress(self.problem, state.x)
+            stress = self.stresses.at(state.x)
             out["/fields/displacement"] = state.x - self.problem.mesh.points
             out |= {"/fields/cauchy_stress": stress.element, "/fields/nodal_stress": stress.node}
+            quality = self.stresses.quality(stress, state)
+            out |= {f"/frames/quality/{name}": value for name, value in quality.items()}
         return {path: np.asarray(value) for path, value in out.items()}
+
+    def _maps(self, surface: "Surface", state: solve.State) -> dict[str, Array]:
+        """What the contact does to the face."""
+        from tacgen.maps import maps
+
+        found, out = maps(self.problem, surface, state, self.camera), {}
+        if "traction" in self.outputs:
+            out = {f"/frames/{name}": getattr(found, name) for name in ("pressure", "traction", "contact")}
+            out |= {"/frames/slip": found.slip} if state.sliding is not None else {}
+        if "force_map" in self.outputs:
+            out |= {"/frames/force_map": found.force, "/frames/area": found.area}
+        return out
+
+    def _seen(self, surface: "Surface", state: solve.State) -> dict[str, Array]:
+        """What the face looks like."""
+        view, out = self.fields.View(self.sheet, surface, self.camera), {}
+        if "height" in self.outputs:
+            out["/frames/height"] = view.height()
+        if "normals" in self.outputs:
+            out["/frames/normals"] = view.normals()
+        if "gap" in self.outputs:
+            out["/frames/gap"] = view.gap(self.problem.contact.shape, state.pose)
+        return out
 
 
 def _attributes(row: Row, problem: solve.Problem, products: Products) -> dict[str, Any]:

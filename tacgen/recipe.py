@@ -12,7 +12,7 @@ Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 Acute = Annotated[float, Field(gt=0, lt=90)]
 Frames = Annotated[int, Field(ge=1, le=10_000)]
-OutputName = Literal["force", "traction", "height", "stress", "markers", "rgb"]
+OutputName = Literal["force", "traction", "force_map", "height", "normals", "gap", "stress", "markers", "rgb"]
 OUTPUTS: tuple[str, ...] = get_args(OutputName)
 
 

@@ -17,10 +17,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from synthetic import attributes, write
 
-from tacgen import bundle, partfile
-from tacgen.bundle import LAYOUT, Damaged, Unfinished, Writer, is_complete, read
+from tacgen import layout, partfile
+from tacgen.bundle import Damaged, Unfinished, Writer, is_complete, read
 from tacgen.check import check
 from tacgen.errors import UserError
+from tacgen.layout import LAYOUT
 
 KEY = attributes()["input_key"]
 QUICK = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -369,4 +370,4 @@ def test_a_disk_that_lies_is_found_out_before_the_bundle_has_its_name(tmp_path: 
         write(tmp_path / "x.h5")
     assert caught.value.errno == errno.EIO
     assert os.listdir(tmp_path) == []
-    assert bundle.FORMAT == 1
+    assert layout.FORMAT == 1

@@ -12,6 +12,7 @@ from tacgen import scene as stage
 from tacgen.errors import UserError
 from tacgen.fem.contact import Pose
 from tacgen.fem.elements import facet_areas, hexes
+from tacgen.maps import maps as maps_of
 from tacgen.optics.layers import Camera
 from tacgen.optics.sheet import Sheet
 from tacgen.sensor import Sensor
@@ -154,7 +155,7 @@ def test_the_face_and_its_picture_follow_the_dome(pressed: Run, digit: Sensor) -
     now = sheet.at(surface)
     assert np.isfinite(now).all()  # at the round end too
     assert gel.contains(*(sheet._rounded(sheet.rest) * (1 - 1e-9)).T).all()
-    rest, z = (fields.height(sheet, s, camera) for s in (surface, surface.moved(state.x)))
+    rest, z = (fields.View(sheet, s, camera).height() for s in (surface, surface.moved(state.x)))
     rows, columns = np.nonzero(np.isfinite(rest))
     assert len(rows) == rest.size
     origins, rays = camera.rays(np.column_stack([columns, rows]) + 0.5)
@@ -163,7 +164,7 @@ def test_the_face_and_its_picture_follow_the_dome(pressed: Run, digit: Sensor) -
     assert rest.max() == pytest.approx(0, abs=0.002)
     assert rest.min() < -0.4
     assert np.nanmin(z - rest) == pytest.approx(-1.0, abs=0.1)
-    maps = fields.maps(pressed.problem, surface.moved(state.x), state, camera)
+    maps = maps_of(pressed.problem, surface.moved(state.x), state, camera)
     assert maps.pressure.max() > 0.02
 
 

@@ -29,8 +29,11 @@ ORDER = [
     {"solve"},  # *
     {"foresee"},
     {"fields"},  # *
+    {"maps", "stress"},
     {"render"},  # *
+    {"layout"},
     {"bundle"},  # *
+    {"derived"},
     {"export", "resume"},
     {"pipeline", "check", "show", "doctor", "schema", "listing", "table", "progress"},
     {"batch"},

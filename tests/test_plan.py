@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from tacgen import assets, plan, table
+from tacgen import assets, layout, plan, table
 from tacgen.errors import UserError
 from tacgen.explain import validate
 from tacgen.load import Loaded, read
@@ -225,9 +225,7 @@ def test_tables_hold_every_scene(tmp_path: Path):
 
 
 def test_the_format_in_keys_is_that_of_the_bundles():
-    from tacgen import bundle
-
-    assert plan.FORMAT == bundle.FORMAT
+    assert plan.FORMAT == layout.FORMAT
 
 
 def test_scene_seeds_do_not_repeat():

@@ -70,7 +70,11 @@ def lines_of(tmp_path: Path, text: str, sets: tuple[str, ...] = ()) -> list[str]
         ("radius_mm: 4.0", "radius_mm:", "6:3: indenter.radius_mm: must be a number (got nothing)"),
         ("shape: sphere", "shape: sphre", "5:10: indenter.shape: must be one of sphere, cylinder, cone, box, wedge"),
         ("  shape: sphere\n", "", "4:1: indenter.shape: is missing"),
-        ("outputs: [force]", "outputs: [forse]", "10:11: outputs[0]: must be one of force, traction, height, stress"),
+        (
+            "outputs: [force]",
+            "outputs: [forse]",
+            "10:11: outputs[0]: must be one of force, traction, force_map",
+        ),
         ("outputs: [force]", "outputs: []", "10:10: outputs: must name at least one of force"),
         ("outputs: [force]", "outputs: force", "10:10: outputs: must be a list (got 'force')"),
         ("name: test", "name: a test", "2:7: name: must be letters, digits, dots, dashes and underscores only"),

@@ -126,6 +126,16 @@ class Elastic:
     def max_step(self, x: Array, p: Array) -> float:
         return 1.0
 
+    def energies(self, x: Array) -> Array:
+        """Strain energy (e,) [N mm] of each element."""
+        F = assembly.deformation(x, self.elements.conn, self.elements.gradients)
+        I1, I2, J = assembly.invariants(F)
+        w, volume = self.elements.weights, self.elements.weights.sum(1)
+        iso = (w * self.law.iso(I1, I2, J).value).sum(1)
+        if self.elements.mean_dilatation:
+            return np.asarray(iso + volume * self.law.vol((w * J).sum(1) / volume)[0])
+        return np.asarray(iso + (w * self.law.vol(J)[0]).sum(1))
+
     def cauchy(self, x: Array) -> tuple[Array, Array]:
         """Cauchy stress (e, q, 3, 3) [MPa] from the law, sigma = P F^T / J, and current volumes (e, q) [mm^3]."""
         at = self.at(x)

@@ -11,6 +11,8 @@ import pytest
 
 from tacgen import fields, load, mesh, plan, solve
 from tacgen import scene as stage
+from tacgen.maps import Maps
+from tacgen.maps import maps as maps_of
 from tacgen.optics.layers import Camera
 
 from .presses import Run
@@ -60,10 +62,10 @@ def press(row: plan.Row) -> Run:
 
 
 @pytest.fixture(scope="module")
-def maps(row: plan.Row, press: Run) -> fields.Maps:
+def maps(row: plan.Row, press: Run) -> Maps:
     surface = fields.Surface(press.problem.mesh.points, press.problem.mesh.facets["coated"])
     state = press.states[-1]
-    return fields.maps(press.problem, surface.moved(state.x), state, Camera.from_sensor(row.sensor))
+    return maps_of(press.problem, surface.moved(state.x), state, Camera.from_sensor(row.sensor))
 
 
 def test_force_wherever_the_sphere_sits_in_a_cell(row: plan.Row, press: Run) -> None:
@@ -84,14 +86,14 @@ def test_force_of_a_smaller_sphere_on_a_softer_gel(tmp_path: Path) -> None:
     assert -solved(resolved(tmp_path, SMALLER)).forces[-1, 2] == pytest.approx(0.3465, rel=0.015)
 
 
-def test_contact_radius(row: plan.Row, maps: fields.Maps) -> None:
+def test_contact_radius(row: plan.Row, maps: Maps) -> None:
     """In plan, as CalculiX's is: the rim lies 0.26 mm below the face's rest."""
     ends = Camera.from_sensor(row.sensor).project(np.array([[-1.0, 0.0, -0.26], [1.0, 0.0, -0.26]]))
     pixel = 2.0 / np.linalg.norm(ends[1] - ends[0])
     assert pixel * np.sqrt(maps.contact.sum() / np.pi) == pytest.approx(2.32, rel=0.03)
 
 
-def test_peak_pressure(maps: fields.Maps) -> None:
+def test_peak_pressure(maps: Maps) -> None:
     assert maps.pressure.max() == pytest.approx(0.0874, rel=0.03)
 
 
@@ -103,11 +105,11 @@ def test_the_dimple(press: Run) -> None:
         assert surface.at(np.outer(np.arange(7), direction))[:, 2] == pytest.approx(expected, abs=0.03)
 
 
-def test_one_force_three_ways(press: Run, maps: fields.Maps) -> None:
+def test_one_force_three_ways(press: Run, maps: Maps) -> None:
     """What the indenter gives, what the traction map sums up to, and what the base takes."""
     problem, state = press.problem, press.states[-1]
     force = press.forces[-1]
-    mapped = (maps.stress * maps.area[..., None]).sum((0, 1))
+    mapped = maps.force.sum((0, 1))
     inner = sum(e.gradient(state.x) for e in problem.elastic)
     base = np.asarray(inner)[np.unique(problem.mesh.facets["bonded"])].sum(0)
     size = np.linalg.norm(force)

@@ -1,0 +1,138 @@
+"""Nodal stress from element stress: superconvergent patch recovery, one material at a time.
+
+Zienkiewicz & Zhu (1992), "The superconvergent patch recovery", Part 1: around each vertex a linear polynomial is fitted
+to the values at the centres of the elements that meet there (the superconvergent points of hexes), and taken at the
+vertex. A vertex whose patch does not determine the polynomial, because it lies on a face, an edge or a corner, takes
+that of the nearest vertices whose patch does. What alternates from element to element, as the pressure of Q1P0 may, is
+orthogonal to every linear polynomial on a patch of 2 x 2 x 2 hexes: none of it reaches the nodes.
+"""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tacgen.fem.elements import TET_EDGES
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+Array = np.ndarray
+FLAT = 0.1  # spread of a patch's centres, as a part of half its extent, below which a direction is not determined
+VERTICES = {8: 8, 4: 4, 10: 4}  # of an element, by its number of nodes
+HEX_EDGES = np.array([[0, 1], [1, 2], [2, 3], [3, 0], [4, 5], [5, 6], [6, 7], [7, 4], [0, 4], [1, 5], [2, 6], [3, 7]])
+
+
+@dataclass(frozen=True)
+class Recovery:
+    """A node that several materials share has a row for each of them.
+
+    node (k,) its number; material (k,) ascending; matrix (k, e): element values (e, c) to values of the rows (k, c);
+    mean (e, k): values of the rows to their means over the vertices of each element.
+    """
+
+    node: Array
+    material: Array
+    matrix: "csr_array"
+    mean: "csr_array"
+
+    @classmethod
+    def on(cls, points: Array, cells: Array, material: Array) -> "Recovery":
+        """On a mesh of points (n, 3) and cells (e, a), hexes or tetrahedra, each of one material (e,)."""
+        from scipy.sparse import csr_array, vstack
+
+        vertices = cells[:, : VERTICES[cells.shape[1]]]
+        centres, (e, v) = points[vertices].mean(1), vertices.shape
+        nodes: list[Array] = []
+        materials, blocks, rows, count = [], [], np.zeros((e, v), int), 0
+        for number in np.unique(material):
+            here = np.flatnonzero(material == number)
+            found, local = np.unique(cells[here], return_inverse=True)
+            local = local.reshape(len(here), -1)
+            pick = csr_array((np.ones(len(here)), (np.arange(len(here)), here)), shape=(len(here), e))
+            blocks.append(_weights(points[found], local, centres[here]) @ pick)
+            rows[here], count = count + local[:, :v], count + len(found)
+            nodes.append(found)
+            materials.append(np.full(len(found), number))
+        node = np.concatenate(nodes)
+        mean = csr_array((np.full(e * v, 1 / v), (np.repeat(np.arange(e), v), rows.ravel())), shape=(e, len(node)))
+        return cls(node, np.concatenate(materials), csr_array(vstack(blocks)), mean)
+
+    def outermost(self, values: Array, nodes: int) -> Array:
+        """Values (n, c) at the nodes: of the last of its materials where a node has several."""
+        out = np.zeros((nodes, values.shape[1]))
+        out[self.node] = values
+        return out
+
+
+def _weights(points: Array, cells: Array, centres: Array) -> "csr_array":
+    """Weights (n, e) with which the nodes take the values of the elements, of one material."""
+    from scipy.sparse import csr_array
+
+    n, corners = len(points), cells[:, : VERTICES[cells.shape[1]]]
+    rows = np.repeat(np.arange(len(cells)), corners.shape[1])
+    around = csr_array((np.ones(len(rows)), (corners.ravel(), rows)), shape=(n, len(cells)))
+    fits, ranks = _fits(points, corners, centres, around)
+    asked, taken = _taken(cells, n, ranks)
+    # one entry for each node, each patch it takes and each element of that patch
+    share = 1 / np.bincount(asked, minlength=n)[asked]
+    size = np.diff(around.indptr)[taken]
+    pair = np.repeat(np.arange(len(taken)), size)
+    entry = np.arange(len(pair)) - np.repeat(np.cumsum(size) - size, size) + around.indptr[taken][pair]
+    shift = np.concatenate([np.ones((len(taken), 1)), points[asked] - fits.middle[taken]], 1)
+    value = share[pair] * (shift[pair] * fits.columns[entry]).sum(1)
+    return csr_array((value, (asked[pair], around.indices[entry])), shape=(n, len(cells)))
+
+
+@dataclass(frozen=True)
+class _Fits:
+    """Of each vertex the middle of its patch (n, 3); columns (entries, 4) of the fits, in the order of the patches."""
+
+    middle: Array
+    columns: Array
+
+
+def _fits(points: Array, corners: Array, centres: Array, around: "csr_array") -> tuple[_Fits, Array]:
+    """Least-squares fits of 1, x, y, z on all patches, and how many of the four each determines (n,)."""
+    sizes, n = np.diff(around.indptr), len(points)
+    middle, columns, ranks = np.zeros((n, 3)), np.zeros((len(around.indices), 4)), np.zeros(n, int)
+    low, high = points[corners].min(1), points[corners].max(1)
+    for k in np.unique(sizes[sizes > 0]):
+        which = np.flatnonzero(sizes == k)
+        entry = around.indptr[which][:, None] + np.arange(k)
+        patch = around.indices[entry]
+        middle[which] = centres[patch].mean(1)
+        half = (high[patch].max(1) - low[patch].min(1)) / 2
+        x = (centres[patch] - middle[which][:, None]) / half[:, None]
+        u, s, vt = np.linalg.svd(x, full_matrices=False)  # x is orthogonal to the constant
+        clear = s > FLAT * np.sqrt(k)
+        inverse = np.einsum("gik,gi,gji->gjk", vt, np.where(clear, 1 / np.where(clear, s, 1.0), 0.0), u)
+        columns[entry] = np.concatenate([np.full((*entry.shape, 1), 1 / k), inverse / half[:, None]], -1)
+        ranks[which] = 1 + clear.sum(1)
+    return _Fits(middle, columns), ranks
+
+
+def _taken(cells: Array, n: int, ranks: Array) -> tuple[Array, Array]:
+    """Which node takes the polynomial of which vertex's patch: (pairs,) each."""
+    from scipy.sparse import csr_array, eye_array
+
+    edges = HEX_EDGES if cells.shape[1] == 8 else TET_EDGES
+    ends = cells[:, edges].reshape(-1, 2)
+    if cells.shape[1] == 10:  # nodes within edges follow those at its ends
+        middle = np.repeat(cells[:, 4:].reshape(-1, 1), 2, 1)
+        ends = np.concatenate([ends, np.stack([middle, ends], -1).reshape(-1, 2)])
+    both = np.concatenate([ends, ends[:, ::-1]])
+    beside = csr_array((np.ones(len(both)), (both[:, 0], both[:, 1])), shape=(n, n))
+    known = ranks == ranks.max()
+    taken = csr_array(eye_array(n).tocsr()[known].T @ eye_array(n).tocsr()[known])
+    while not known.all():
+        reached = ~known & (beside @ known.astype(float) > 0)
+        if not reached.any():  # a piece that hangs on by a corner: its own fits, as far as they go
+            reached = ~known & (ranks > 0)
+            taken = taken + csr_array((reached.astype(float), (np.arange(n), np.arange(n))), shape=(n, n))
+        else:
+            rows = csr_array((reached.astype(float), (np.arange(n), np.arange(n))), shape=(n, n))
+            taken = taken + rows @ beside @ taken
+        known = known | reached
+    found = taken.tocoo()
+    return found.row, found.col

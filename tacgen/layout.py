@@ -1,0 +1,109 @@
+"""What a bundle holds: the table of datasets and those of attributes. docs/BUNDLE.md is made from them by
+scripts/bundle_page.py, and check reads finished files against them."""
+
+from dataclasses import dataclass
+
+FORMAT = 1
+UNITS = "mm N MPa s rad"
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One dataset. A letter in `dims` is a size shared by every dataset that names it; "*" is any size."""
+
+    dtype: str
+    dims: tuple[str | int, ...]
+    units: str  # "1" is dimensionless
+    long_name: str
+    axes: str  # one word an axis
+
+    @property
+    def attrs(self) -> dict[str, str]:
+        return {"units": self.units, "long_name": self.long_name, "axes": self.axes}
+
+
+MAP = "frame row column"
+
+LAYOUT: dict[str, Entry] = {
+    "/frames/pose": Entry("<f8", ("N", 4, 4), "mm", "pose of the indenter in the sensor frame", "frame row column"),
+    "/frames/segment": Entry("<i4", ("N",), "1", "index of the trajectory segment the frame belongs to", "frame"),
+    "/frames/force": Entry("<f8", ("N", 3), "N", "force on the gel", "frame xyz"),
+    "/frames/torque": Entry("<f8", ("N", 3), "N mm", "torque on the gel about the sensor origin", "frame xyz"),
+    "/frames/rgb": Entry("|u1", ("N", "H", "W", 3), "1", "camera image, sRGB", "frame row column rgb"),
+    "/frames/pressure": Entry("<f4", ("N", "h", "w"), "MPa", "pressure normal to the deformed coated face", MAP),
+    "/frames/traction": Entry(
+        "<f4", ("N", "h", "w", 2), "MPa", "friction on the gel, in the tangent plane", MAP + " xy"
+    ),
+    "/frames/force_map": Entry("<f4", ("N", "h", "w", 3), "N", "force on the gel behind each sample", MAP + " xyz"),
+    "/frames/area": Entry("<f4", ("N", "h", "w"), "mm^2", "area of the deformed coated face behind each sample", MAP),
+    "/frames/height": Entry("<f4", ("N", "h", "w"), "mm", "z of the deformed coated face, negative in a dent", MAP),
+    "/frames/normals": Entry("<f4", ("N", "h", "w", 3), "1", "unit normal of the deformed face, outward", MAP + " xyz"),
+    "/frames/gap": Entry("<f4", ("N", "h", "w"), "mm", "distance of the deformed coated face from the indenter", MAP),
+    "/frames/contact": Entry("|b1", ("N", "h", "w"), "1", "in contact", MAP),
+    "/frames/slip": Entry("|b1", ("N", "h", "w"), "1", "in contact and sliding", MAP),
+    "/frames/markers": Entry("<f4", ("N", "M", 2), "px", "marker centres through the optics", "frame marker xy"),
+    "/frames/marker_flow": Entry("<f4", ("N", "M", 2), "px", "markers less their reference", "frame marker xy"),
+    "/frames/quality/newton_iterations": Entry("<i4", ("N",), "1", "Newton iterations spent on the frame", "frame"),
+    "/frames/quality/substeps": Entry("<i4", ("N",), "1", "steps the frame was split into", "frame"),
+    "/frames/quality/min_gap_mm": Entry("<f8", ("N",), "mm", "smallest gap between gel and indenter", "frame"),
+    "/frames/quality/mean_gap_mm": Entry("<f8", ("N",), "mm", "pressure-weighted mean gap", "frame"),
+    "/frames/quality/force_balance": Entry("<f8", ("N",), "1", "norm of force + base reaction, over force", "frame"),
+    "/frames/quality/residual": Entry("<f8", ("N",), "1", "largest unbalanced nodal force over force", "frame"),
+    "/frames/quality/force_error": Entry(
+        "<f8", ("N",), "1", "sum of recovered sigma n da less force, over force", "frame"
+    ),
+    "/frames/quality/traction_error": Entry("<f8", ("N",), "1", "L2 norm of sigma n less traction, over that", "frame"),
+    "/frames/quality/pressure_oscillation": Entry("<f8", ("N",), "1", "rms of element less smooth pressure", "frame"),
+    "/reference/rgb": Entry("|u1", ("H", "W", 3), "1", "camera image of the untouched sensor", "row column rgb"),
+    "/reference/markers": Entry("<f4", ("M", 2), "px", "marker centres on the untouched sensor", "marker xy"),
+    "/reference/height": Entry("<f4", ("h", "w"), "mm", "z of the untouched coated face", "row column"),
+    "/reference/normals": Entry("<f4", ("h", "w", 3), "1", "unit normal of the untouched face", "row column xyz"),
+    "/mesh/points": Entry("<f8", ("n", 3), "mm", "nodes of the rest mesh", "node xyz"),
+    "/mesh/cells": Entry("<i4", ("m", "*"), "1", "nodes of each cell", "cell corner"),
+    "/mesh/layer": Entry("<i4", ("m",), "1", "gel layer of each cell, 0 at the base", "cell"),
+    "/mesh/facets/*": Entry("<i4", ("*", "*"), "1", "nodes of each facet of a named patch", "facet corner"),
+    "/fields/displacement": Entry("<f4", ("N", "n", 3), "mm", "nodal displacement", "frame node xyz"),
+    "/fields/cauchy_stress": Entry("<f4", ("N", "m", 6), "MPa", "stress, xx yy zz yz xz xy", "frame cell component"),
+    "/fields/nodal_stress": Entry("<f4", ("N", "n", 6), "MPa", "stress, xx yy zz yz xz xy", "frame node component"),
+}
+
+ATTRS: dict[str, tuple[type, str]] = {
+    "tacgen_format": (int, f"format of this file, {FORMAT}"),
+    "tacgen_version": (str, "version of tacgen that wrote it"),
+    "recipe": (str, "resolved recipe, JSON"),
+    "scene_index": (int, "row of the plan"),
+    "seed": (int, "seed of this scene's random numbers"),
+    "sensor": (str, "name of the sensor"),
+    "sensor_sha256": (str, "of the resolved sensor"),
+    "units": (str, f"unit system, `{UNITS}`"),
+    "solver": (str, "linear solver and versions"),
+    "input_key": (str, "sha256 of all resolved inputs: equal keys, equal bundles"),
+    "frames_planned": (int, "frames the trajectory asks for; `status` tells whether all are here"),
+    "status": (str, "`ok`, or `rejected`: the solver gave up and only the frames before that are here"),
+    "reason": (str, "why it was rejected; empty if ok"),
+    "digest": (str, "sha256 over every dataset's path, type, shape, bytes and attributes, and these attributes"),
+    "complete": (bool, "true, written last"),
+}
+OPTIONAL: dict[str, tuple[type, str]] = {
+    "sensor_document": (str, "resolved sensor, JSON"),
+    "renderer": (str, "Mitsuba variant and version, where images were rendered"),
+    "values": (str, "the varied paths of a batch and their values, JSON"),
+    "notes": (str, "what a reader should know of this scene, JSON list of lines"),
+}
+
+
+def entry(path: str) -> Entry:
+    """The layout's row for a dataset path; ValueError if the format has no such dataset."""
+    row = LAYOUT.get(path) or LAYOUT.get(path.rpartition("/")[0] + "/*")
+    if row is None:
+        raise ValueError(f"format {FORMAT} has no dataset {path}")
+    return row
+
+
+def misfit(path: str, shape: tuple[int, ...], sizes: dict[str, int]) -> str | None:
+    """Why `shape` is not what the layout gives `path`, or None. Sizes met for the first time join `sizes`."""
+    wanted = [sizes.get(d, d) if isinstance(d, str) else d for d in entry(path).dims]
+    if len(wanted) != len(shape) or any(isinstance(w, int) and w != n for n, w in zip(shape, wanted, strict=True)):
+        return f"{path} has shape {shape}, expected ({', '.join(str(w) for w in wanted)})"
+    sizes.update({w: n for n, w in zip(shape, wanted, strict=True) if isinstance(w, str) and w != "*"})
+    return None

@@ -1,0 +1,130 @@
+"""State -> Stress: Cauchy stress per element and per node, the traction it gives on the face, and how good it is.
+
+Nodal values come from superconvergent patch recovery (see fem/recovery), layer by layer. On the coated face they are
+made to agree with the recovered nominal stress P, whose traction loses nothing of the force:
+
+    sigma n da = P N dA     (Nanson)
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tacgen.fem.contact import Faces
+from tacgen.fem.elements import facet_areas
+from tacgen.fem.potentials import Elastic
+from tacgen.fem.recovery import Recovery
+from tacgen.solve import Problem, State
+
+Array = np.ndarray
+VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))  # xx yy zz yz xz xy
+FULL = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])  # where each entry of the tensor stands among the six
+
+
+@dataclass(frozen=True)
+class Stress:
+    """Cauchy stress [MPa] in the order xx yy zz yz xz xy.
+
+    element (e, 6): volume mean; rows (k, 6): at the recovery's rows, one for each node and layer; node (n, 6): in the
+    outermost layer of each node.
+    """
+
+    element: Array
+    rows: Array
+    node: Array
+
+
+class Stresses:
+    """What a mesh gives once, to read stress off its states."""
+
+    def __init__(self, problem: Problem) -> None:
+        mesh = problem.mesh
+        self.problem = problem
+        self.recovery = Recovery.on(mesh.points, mesh.cells, mesh.layer)
+        self.face = _Face(problem.contact.faces, mesh.points)
+        self._volume = np.zeros(len(mesh.cells))
+        for number, elastic in enumerate(problem.elastic):
+            self._volume[mesh.layer == number] = elastic.elements.weights.sum(1)
+
+    def at(self, x: Array) -> Stress:
+        """At nodal positions x (n, 3)."""
+        count = len(self.problem.mesh.cells)
+        element, nominal = np.zeros((count, 6)), np.zeros((count, 9))
+        for number, elastic in enumerate(self.problem.elastic):
+            here = self.problem.mesh.layer == number
+            element[here], nominal[here] = _means(elastic, x)
+        rows = self.recovery.matrix @ element
+        node = self.recovery.outermost(rows, len(x))
+        P = self.recovery.outermost(self.recovery.matrix @ nominal, len(x)).reshape(-1, 3, 3)
+        nodes, normal, traction = self.face.traction(P, x)
+        node[nodes] = agreeing(node[nodes], normal, traction)
+        return Stress(element, rows, node)
+
+    def quality(self, stress: Stress, state: State) -> dict[str, float]:
+        """How far sigma n is from the contact forces, in sum and over the face, and how much the pressure alternates.
+
+        force_error: |sum of sigma n da - force| / |force|; traction_error: the same as an L2 norm over the face, of
+        nodal means; pressure_oscillation: rms of the elements' pressure less the recovered one, over that one's rms.
+        The first two are 0 where nothing touches.
+        """
+        x, faces = state.x, self.problem.contact.faces
+        area, normal = facet_areas(x, faces.conn)
+        sigma = np.einsum("qa,fac->fqc", faces.N, stress.node[faces.conn])[..., FULL]
+        force = np.einsum("fqij,fqj,fq->fqi", sigma, normal, area)
+        whole = state.traction_force.sum((0, 1))
+        size, found = float(np.linalg.norm(whole)), {"force_error": 0.0, "traction_error": 0.0}
+        if size > 0:
+            share = faces.shared(area[..., None], len(x))
+            on = share[:, 0] > 0
+            label, other = (faces.shared(f, len(x))[on] / np.sqrt(share[on]) for f in (state.traction_force, force))
+            found["force_error"] = float(np.linalg.norm(force.sum((0, 1)) - whole)) / size
+            found["traction_error"] = float(np.linalg.norm(other - label) / np.linalg.norm(label))
+        pressure = -stress.element[:, :3].mean(1)
+        smooth, weight = self.recovery.mean @ -stress.rows[:, :3].mean(1), self._volume
+        rms = float(np.sqrt(weight @ smooth**2))
+        found["pressure_oscillation"] = float(np.sqrt(weight @ (pressure - smooth) ** 2)) / rms if rms > 0 else 0.0
+        return found
+
+
+def _means(elastic: Elastic, x: Array) -> tuple[Array, Array]:
+    """Element means of the Cauchy stress over the volume now (e, 6), and of the nominal stress P over that at rest
+    (e, 9) [MPa]."""
+    sigma, volume = elastic.cauchy(x)
+    a, b, c = np.moveaxis(elastic.at(x).F, -1, 0)
+    cofactor = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], -1)
+    P = np.einsum("eq,eqij,eqjk->eik", elastic.elements.weights, sigma, cofactor, optimize=True)
+    mean = np.einsum("eq,eqij->eij", volume, sigma) / volume.sum(1)[:, None, None]
+    rest = elastic.elements.weights.sum(1)
+    return np.stack([mean[:, i, j] for i, j in VOIGT], -1), P.reshape(-1, 9) / rest[:, None]
+
+
+def agreeing(stress: Array, normal: Array, traction: Array) -> Array:
+    """Stress (n, 6) changed the least so that with unit normals (n, 3) it gives the traction (n, 3).
+
+    s + d o n + n o d - (d.n) n o n  with d what is missing of the traction: symmetric, and in the plane unchanged.
+    """
+    missing = traction - np.einsum("nij,nj->ni", stress[:, FULL], normal)
+    outer = missing[:, :, None] * normal[:, None]
+    along = (missing * normal).sum(1)[:, None, None]
+    change = outer + outer.swapaxes(1, 2) - along * normal[:, :, None] * normal[:, None]
+    return np.asarray(stress + np.stack([change[:, i, j] for i, j in VOIGT], -1))
+
+
+class _Face:
+    """The coated face's nodes and the rest area vectors that belong to them."""
+
+    def __init__(self, faces: Faces, points: Array) -> None:
+        self.faces = faces
+        self.nodes = np.unique(faces.conn)
+        self.rest = self._vectors(points)
+
+    def traction(self, P: Array, x: Array) -> tuple[Array, Array, Array]:
+        """Nodes (s,), unit normals now (s, 3) and the traction (s, 3) [MPa] that nodal P (n, 3, 3) gives there."""
+        now = self._vectors(x)
+        area = np.linalg.norm(now, axis=1, keepdims=True)
+        return self.nodes, now / area, np.einsum("nij,nj->ni", P[self.nodes], self.rest) / area
+
+    def _vectors(self, x: Array) -> Array:
+        """Area vectors (s, 3) [mm^2], pointing out of the gel, of the parts of the face that belong to the nodes."""
+        area, normal = facet_areas(x, self.faces.conn)
+        return np.asarray(self.faces.shared(area[..., None] * normal, len(x))[self.nodes])
