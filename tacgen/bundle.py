@@ -20,6 +20,7 @@ from tacgen.errors import UserError
 from tacgen.layout import ATTRS, FORMAT, OPTIONAL, UNITS, entry, misfit
 
 KEYS = ("digest", "complete")  # written last; not part of what the digest covers
+PACKED = ": it holds packed scenes; give the folder it is in"
 
 
 class Unfinished(UserError):
@@ -153,6 +154,7 @@ class Bundle:
     attrs: dict[str, Any]
     shapes: dict[str, tuple[int, ...]]
     recipe: dict[str, Any] = field(repr=False)
+    group: str = "/"  # of the file: another in a shard, which holds many scenes
 
     def __contains__(self, path: str) -> bool:
         return path in self.shapes
@@ -183,9 +185,9 @@ class Bundle:
     def verify(self) -> dict[str, "Dataset"]:
         """Read everything back against the digest; UserError if a single bit has changed. Returns what is there."""
         found = {}
-        with _opened(self.path) as file:
+        with _opened(self.path, self.group) as file:
             for path in self.shapes:
-                data = file[path]
+                data = file[path[1:]]
                 hashed = hashlib.sha256()
                 rows = data.chunks[0] if data.chunks else 1
                 for start in range(0, data.shape[0] if data.shape else 0, rows):
@@ -199,12 +201,12 @@ class Bundle:
     def _read(self, path: str, index: Any) -> np.ndarray:
         if path not in self.shapes:
             raise KeyError(f"{self.path} has no {path}")
-        with _opened(self.path) as file:
-            return np.asarray(file[path][index])
+        with _opened(self.path, self.group) as file:
+            return np.asarray(file[path[1:]][index])
 
 
-def read(path: Path, *, part: bool = False) -> Bundle:
-    """Open a finished bundle; the data itself is checked by `Bundle.verify`.
+def read(path: Path, group: str = "/", *, part: bool = False) -> Bundle:
+    """Open a finished bundle, or a scene of a shard; the data itself is checked by `Bundle.verify`.
 
     Raises:
         Unfinished, Damaged: writing it again mends it. `part` accepts the name of a part file.
@@ -213,12 +215,12 @@ def read(path: Path, *, part: bool = False) -> Bundle:
     path = Path(path)
     if partfile.is_part(path) and not part:
         raise Unfinished(f"{path}: unfinished: what a writer that was stopped left behind, or is still writing")
-    with _opened(path) as file:
+    with _opened(path, group) as file:
         attrs = {name: _plain(value) for name, value in file.attrs.items()}
         shapes: dict[str, tuple[int, ...]] = {}
         file.visititems(lambda name, item: shapes.update({"/" + name: item.shape}) if hasattr(item, "shape") else None)
     if not isinstance(attrs.get("tacgen_format"), int):
-        raise UserError(f"{path}: an HDF5 file, but no tacgen bundle")
+        raise UserError(f"{path}: an HDF5 file, but no tacgen bundle" + PACKED * ("tacgen_pack" in attrs))
     if attrs["tacgen_format"] > FORMAT:
         newer = f"bundle format {attrs['tacgen_format']}, written by tacgen {attrs.get('tacgen_version')}"
         raise UserError(f"{path}: {newer}; this tacgen reads up to {FORMAT}: upgrade it")
@@ -226,7 +228,7 @@ def read(path: Path, *, part: bool = False) -> Bundle:
         raise Unfinished(f"{path}: unfinished: its writer was stopped")
     try:
         attrs = _checked(attrs, finished=True)
-        return Bundle(path, attrs, dict(sorted(shapes.items())), json.loads(attrs["recipe"]))
+        return Bundle(path, attrs, dict(sorted(shapes.items())), json.loads(attrs["recipe"]), group)
     except (ValueError, TypeError) as error:
         raise Damaged(f"{path}: damaged: {error}") from error
 
@@ -247,8 +249,8 @@ def is_complete(path: Path, key: str) -> bool:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[Any]:
-    """The open h5py.File. Whatever goes wrong while it is read becomes one line: run nothing else here."""
+def _opened(path: Path, group: str = "/") -> Iterator[Any]:
+    """An open group of a file. Whatever goes wrong while it is read becomes one line: run nothing else here."""
     import h5py
 
     try:
@@ -260,7 +262,7 @@ def _opened(path: Path) -> Iterator[Any]:
         raise UserError(f"{path}: not an HDF5 file")
     try:
         with h5py.File(path, "r", locking=False) as file:
-            yield file
+            yield file[group]
     except (OSError, RuntimeError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise Damaged(f"{path}: damaged or cut short ({str(error).partition(chr(10))[0]})") from error
 

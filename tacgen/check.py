@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from tacgen import partfile
+from tacgen import partfile, source
 from tacgen.bundle import Bundle, Dataset, Unfinished, read
 from tacgen.errors import UserError
 from tacgen.layout import entry, misfit
@@ -46,6 +46,8 @@ def check(path: Path) -> list[Finding]:
         if not path.exists():
             raise UserError(f"{path}: no such file or folder")
         return _leftover(path) if partfile.is_part(path) else _file(path)
+    if source.is_packed(path):
+        return _packed(path)
     files = sorted(p for p in path.rglob("*") if p.suffix == ".h5" or partfile.is_part(p))
     if not files:
         raise UserError(f"{path}: no bundles (*.h5) in this folder")
@@ -56,9 +58,18 @@ def _leftover(path: Path) -> list[Finding]:
     return [Finding(path, "incomplete", "what a writer that was stopped left behind, or is still writing")]
 
 
-def _file(path: Path) -> list[Finding]:
+def _packed(folder: Path) -> list[Finding]:
+    """Every scene of every shard that the index names; a shard that is missing ends the search."""
     try:
-        bundle = read(path)
+        scenes = source.packed(folder)
+    except UserError as error:
+        return [Finding(folder, "error", line.removeprefix(f"{folder}: ")) for line in error.lines]
+    return [f for path, group in scenes for f in _file(path, group)]
+
+
+def _file(path: Path, group: str = "/") -> list[Finding]:
+    try:
+        bundle = read(path, group)
         datasets = bundle.verify()
     except UserError as error:
         level: Literal["error", "incomplete"] = "incomplete" if isinstance(error, Unfinished) else "error"

@@ -4,57 +4,16 @@ Results go to stdout, progress and errors to stderr. Exit codes: 0 done, 1 findi
 2 usage or recipe error, 130 interrupted.
 """
 
-import errno
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
-import click
 import typer
-from typer.core import TyperGroup
 
 from tacgen import __version__
+from tacgen.console import app, counted, line, probe, show_result, writing
 from tacgen.errors import UserError
 
-DISK = tuple(
-    getattr(errno, name)
-    for name in ("ENOSPC", "EACCES", "EPERM", "EROFS", "ENOTDIR", "EISDIR", "EEXIST", "EDQUOT", "ENAMETOOLONG", "EFBIG")
-)
-
-
-class Commands(TyperGroup):
-    """Turns what a person can act on into lines and an exit code; bugs keep their traceback."""
-
-    def invoke(self, ctx: click.Context) -> Any:
-        """Run the command that was asked for."""
-        try:
-            return super().invoke(ctx)
-        except UserError as error:
-            for line in error.lines:
-                typer.echo(line, err=True)
-            raise typer.Exit(2) from None
-        except (KeyboardInterrupt, SystemError) as error:
-            if not _interrupted(error):
-                raise
-            typer.echo("interrupted; finished scenes are kept, run again to go on", err=True)
-            raise typer.Exit(130) from None
-
-
-def _interrupted(error: BaseException | None) -> bool:
-    """Whether an error is Ctrl-C, which compiled code passes on as a SystemError that it caused."""
-    while error is not None and not isinstance(error, KeyboardInterrupt):
-        error = error.__cause__ or error.__context__
-    return error is not None
-
-
-app = typer.Typer(
-    cls=Commands,
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
-    help="Declarative recipes in, labelled datasets of vision-based tactile sensors out.",
-)
+__all__ = ["app"]
 
 RecipeFile = Annotated[str, typer.Argument(metavar="RECIPE", help="A recipe file, or the name of a shipped recipe.")]
 Sets = Annotated[
@@ -104,15 +63,15 @@ def run(
     plan = _plan(recipe, sets, part)
     if dry_run:
         frames = sum(row.frames for row in plan.rows)
-        _show(
+        show_result(
             {"folder": str(out), "scenes": [row.name for row in plan.rows], "frames": frames},
-            f"{out}: would hold {_count(len(plan.rows), 'scene')} of {plan.name}, {frames} frames",
+            f"{out}: would hold {counted(len(plan.rows), 'scene')} of {plan.name}, {frames} frames",
             as_json,
         )
         return
-    with _writing(out):
-        _probe(out)
-        from tacgen import batch
+    with writing(out):
+        probe(out)
+        from tacgen import batch, card
         from tacgen.progress import Progress
 
         with Progress(plan.rows) as progress:
@@ -120,7 +79,7 @@ def run(
             def hear(event: dict[str, Any]) -> None:
                 progress(event)
                 if as_json:
-                    _line(event)
+                    line(event)
 
             results = batch.run(
                 plan,
@@ -133,15 +92,17 @@ def run(
                 scheduler=scheduler,
                 hear=hear,
             )
+        if any(result.status == "ok" for result in results):
+            card.write(out)
     count = {status: sum(r.status == status for r in results) for status in ("ok", "rejected", "failed")}
     if as_json:
-        _line({"event": "end", "folder": str(out), **count})
+        line({"event": "end", "folder": str(out), **count})
     else:
         for result in results:
             if result.status != "ok":
                 typer.echo(f"{result.name}: {result.status}: {result.reason}")
         more = f", {count['failed']} failed" if count["failed"] else ""
-        typer.echo(f"{out}: {_count(count['ok'], 'scene')} kept, {count['rejected']} rejected{more}")
+        typer.echo(f"{out}: {counted(count['ok'], 'scene')} kept, {count['rejected']} rejected{more}")
     raise typer.Exit(0 if count["ok"] == len(results) else 1)
 
 
@@ -158,8 +119,10 @@ def status(
     said = [scene for scene in found.scenes if scene.reason]
     plain = [{"scene": scene.name, "state": scene.state, "reason": scene.reason} for scene in found.scenes]
     lines = [f"{scene.name}: {scene.state}: {scene.reason}" for scene in said]
-    lines.append(f"{folder}: {found.name}, {_count(total, 'scene')}: {', '.join(f'{n} {s}' for s, n in count.items())}")
-    _show({"name": found.name, "count": count, "scenes": plain}, "\n".join(lines), as_json)
+    lines.append(
+        f"{folder}: {found.name}, {counted(total, 'scene')}: {', '.join(f'{n} {s}' for s, n in count.items())}"
+    )
+    show_result({"name": found.name, "count": count, "scenes": plain}, "\n".join(lines), as_json)
     raise typer.Exit(0 if count.get("ok", 0) == total else 1)
 
 
@@ -176,7 +139,7 @@ def validate(file: RecipeFile, sets: Sets = None) -> None:
         return
     plan = _plan(file, sets)
     row = plan.rows[0]
-    typer.echo(f"{path}: a valid recipe, {plan.name}: {_count(len(plan.rows), 'scene')}, sensor {row.sensor.name}")
+    typer.echo(f"{path}: a valid recipe, {plan.name}: {counted(len(plan.rows), 'scene')}, sensor {row.sensor.name}")
 
 
 @app.command()
@@ -214,7 +177,7 @@ def init(
     """Write a commented recipe to start from, and the schema that editors complete it with."""
     from tacgen.schema import write_starter
 
-    with _writing(path.parent):
+    with writing(path.parent):
         written, schema_file = write_starter(path, overwrite=overwrite)
     typer.echo(f"{written}: a recipe to start from ({schema_file} completes it in an editor)")
 
@@ -234,7 +197,7 @@ def show_list(
     for name, entries in found.items():
         lines.append(f"{name}:")
         lines += [f"  {entry:<16} {about}" for entry, about in entries.items()] or ["  none"]
-    _show(found, "\n".join(lines), as_json)
+    show_result(found, "\n".join(lines), as_json)
 
 
 @app.command()
@@ -248,22 +211,56 @@ def check(
     findings = find(path)
     plain = [{"path": str(f.path), "level": f.level, "message": f.message} for f in findings]
     lines = [str(finding) for finding in findings] or [f"{path}: nothing found wrong"]
-    _show(plain, "\n".join(lines), as_json)
+    show_result(plain, "\n".join(lines), as_json)
     raise typer.Exit(1 if findings else 0)
 
 
 @app.command()
+def pack(
+    source: Annotated[Path, typer.Argument(help="A folder of bundles.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="A folder for the shards and their index.")],
+    size_mb: Annotated[float, typer.Option(min=0.001, help="About how large a shard may be.")] = 1024,
+    as_json: AsJson = False,
+) -> None:
+    """Copy finished scenes into few larger files, with an index and all frames as one dataset."""
+    from tacgen.pack import pack as pack_scenes
+    from tacgen.source import scenes
+
+    with writing(out):
+        made = pack_scenes(scenes(source), out, size_mb)
+    text = f"{out}: {counted(made.scenes, 'scene')} in {counted(len(made.shards), 'shard')}, {made.frames} frames"
+    if made.left_out:
+        text += f"; left out {counted(len(made.left_out), 'rejected scene')}"
+    plain = {"folder": str(out), "scenes": made.scenes, "frames": made.frames, "left_out": made.left_out}
+    show_result({**plain, "shards": [str(path) for path in made.shards]}, text, as_json)
+
+
+@app.command()
+def report(
+    folder: Annotated[Path, typer.Argument(help="A folder that `run` or `pack` wrote.")],
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="The page; report.html in the folder.")] = None,
+) -> None:
+    """Write one HTML page about a dataset: coverage, failures by cause, seconds by stage, pictures."""
+    from tacgen import report as reporting
+
+    out = out or folder / "report.html"
+    with writing(out):
+        typer.echo(str(reporting.write(folder, out)))
+
+
+@app.command()
 def show(
-    path: Annotated[Path, typer.Argument(help="A bundle.")],
+    path: Annotated[Path, typer.Argument(help="A bundle, or a folder of them for a summary.")],
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Write a picture here instead of a summary.")] = None,
 ) -> None:
     """Say what is in a bundle, or draw it: images, pressure, traction and height over the frames."""
+    from tacgen import overview
     from tacgen import show as showing
 
     if out is None:
-        typer.echo(showing.summary(path))
+        typer.echo(overview.summary(path) if path.is_dir() else showing.summary(path))
         return
-    with _writing(out):
+    with writing(out):
         out.parent.mkdir(parents=True, exist_ok=True)
         showing.picture(path, out)
     typer.echo(str(out))
@@ -279,9 +276,9 @@ def export(
     """Write finished bundles in the format of another tool."""
     from tacgen import export as exporting
 
-    with _writing(out):
+    with writing(out):
         made = exporting.export(kind, source, out)
-    _show([str(path) for path in made], "\n".join(map(str, made)), as_json)
+    show_result([str(path) for path in made], "\n".join(map(str, made)), as_json)
 
 
 @app.command()
@@ -291,7 +288,7 @@ def doctor(as_json: AsJson = False) -> None:
 
     findings = checkup.examine()
     lines = [f"{'ok ' if f.ok else 'BAD' if f.needed else '-- '} {f.name:<20} {f.note}" for f in findings]
-    _show([f._asdict() for f in findings], "\n".join(lines), as_json)
+    show_result([f._asdict() for f in findings], "\n".join(lines), as_json)
     raise typer.Exit(1 if any(f.needed and not f.ok for f in findings) else 0)
 
 
@@ -308,44 +305,3 @@ def _shard(text: str) -> tuple[int, int]:
     if not (slash and index.isdecimal() and count.isdecimal() and int(index) < int(count)):
         raise UserError(f"--shard {text}: must be I/N with I from 0 to N - 1, such as 0/4, 1/4, 2/4 and 3/4")
     return int(index), int(count)
-
-
-def _show(plain: Any, text: str, as_json: bool) -> None:
-    """Print a result for a person or a program."""
-    import json
-
-    typer.echo(json.dumps(plain, indent=1) if as_json else text)
-
-
-def _line(event: dict[str, Any]) -> None:
-    """Print an event for a program that listens while the run goes on."""
-    import json
-
-    typer.echo(json.dumps(event))
-
-
-def _count(n: int, noun: str) -> str:
-    return f"{n} {noun}" + ("" if n == 1 else "s")
-
-
-@contextmanager
-def _writing(place: Path) -> Iterator[None]:
-    """A disk that is full, read-only or not ours is no bug: one line."""
-    try:
-        yield
-    except OSError as error:
-        if error.errno not in DISK:
-            raise
-        raise UserError(f"{error.filename or place}: cannot be written: {error.strerror}") from None
-
-
-def _probe(folder: Path) -> None:
-    """Make the folder and write to it now, not after the first scene is solved."""
-    import tempfile
-
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder) as file:
-            file.write(b"\0" * 4096)
-    except OSError as error:  # whatever stands in the way, it is the folder that must be another
-        raise UserError(f"{folder}: cannot be written: {error.strerror}") from None

@@ -13,7 +13,7 @@ PACKAGE = ROOT / "tacgen"
 # A module imports only from lines above its own. The line of the product is marked with *.
 ORDER = [
     {"__init__", "errors", "part"},
-    {"turns"},
+    {"console", "turns"},
     {"yamlfile", "assets", "sensor", "partfile", "variants", "posetable"},
     {"explain"},
     {"recipe"},  # *
@@ -33,11 +33,13 @@ ORDER = [
     {"render"},  # *
     {"layout"},
     {"bundle"},  # *
-    {"derived"},
-    {"export", "resume"},
+    {"derived", "source", "resume"},
+    {"export"},
     {"pipeline", "check", "show", "doctor", "schema", "listing", "table", "progress"},
     {"batch"},
-    {"survey"},
+    {"survey", "pack"},
+    {"overview"},
+    {"card", "report"},
     {"cli"},
     {"__main__"},
 ]
@@ -51,7 +53,7 @@ HOMES = {
     "drjit": {"render"},
     "matplotlib": {"show"},
     "mpl_toolkits": {"show"},
-    "h5py": {"bundle", "doctor", "export.vtkhdf"},
+    "h5py": {"bundle", "doctor", "export.vtkhdf", "pack"},
     "cvxopt": {"fem.linear"},
     "pymetis": {"fem.linear"},
     "pypardiso": {"fem.linear"},
@@ -60,9 +62,25 @@ HOMES = {
     "igl": {"geometry"},
     "platformdirs": {"variants"},
     "rich": {"progress"},
+    "PIL": {"report"},
 }
-NOT_NUMPY = {"cli", "errors", "part", "recipe", "sensor", "assets", "plan", "load", "limits", "explain", "yamlfile"}
-NOT_NUMPY |= {"turns", "posetable", "motions"}
+NOT_NUMPY = {
+    "cli",
+    "console",
+    "errors",
+    "part",
+    "recipe",
+    "sensor",
+    "assets",
+    "plan",
+    "load",
+    "limits",
+    "explain",
+    "yamlfile",
+    "turns",
+    "posetable",
+    "motions",
+}
 
 
 def files() -> dict[str, Path]:

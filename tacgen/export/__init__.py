@@ -23,17 +23,14 @@ EXPORTERS = {
 
 
 def bundles(source: Path) -> "list[Bundle]":
-    """The finished bundle `source`, or all of those in a folder and below, in order; rejected scenes are left out.
+    """The finished bundle `source`, or all of those in a folder or pack, in order; rejected scenes are left out.
 
     Raises:
         UserError: there is none, or one is damaged.
     """
-    from tacgen.bundle import read
+    from tacgen.source import scenes
 
-    if not source.exists():
-        raise UserError(f"{source}: no such file or folder")
-    paths = sorted(source.rglob("*.h5")) if source.is_dir() else [source]
-    found = [bundle for bundle in map(read, paths) if bundle.attrs["status"] == "ok"]
+    found = [bundle for bundle in scenes(source) if bundle.attrs["status"] == "ok"]
     if not found:
         raise UserError(f"{source}: no finished scene to export")
     return found
@@ -60,7 +57,8 @@ def needs(bundle: "Bundle", paths: Sequence[str], output: str) -> None:
 
 def names(bundles: "Sequence[Bundle]") -> list[str]:
     """A name of its own for each bundle: that of its file, with its folders before it as far as they are needed."""
-    parts = [bundle.path.with_suffix("").parts for bundle in bundles]
+    parts = [(*bundle.path.with_suffix("").parts, *bundle.group.split("/")[1:]) for bundle in bundles]
+    parts = [tuple(filter(None, part)) for part in parts]
     for depth in range(1, max(map(len, parts)) + 1):
         found = ["-".join(part[-depth:]) for part in parts]
         if len(set(found)) == len(found):

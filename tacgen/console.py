@@ -1,0 +1,93 @@
+"""What every command shares: the app, errors as lines and exit codes, results for a person or a program."""
+
+import errno
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import click
+import typer
+from typer.core import TyperGroup
+
+from tacgen.errors import UserError
+
+DISK = tuple(
+    getattr(errno, name)
+    for name in ("ENOSPC", "EACCES", "EPERM", "EROFS", "ENOTDIR", "EISDIR", "EEXIST", "EDQUOT", "ENAMETOOLONG", "EFBIG")
+)
+
+
+class Commands(TyperGroup):
+    """Turns what a person can act on into lines and an exit code; bugs keep their traceback."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command that was asked for."""
+        try:
+            return super().invoke(ctx)
+        except UserError as error:
+            for line in error.lines:
+                typer.echo(line, err=True)
+            raise typer.Exit(2) from None
+        except (KeyboardInterrupt, SystemError) as error:
+            if not _interrupted(error):
+                raise
+            typer.echo("interrupted; finished scenes are kept, run again to go on", err=True)
+            raise typer.Exit(130) from None
+
+
+def _interrupted(error: BaseException | None) -> bool:
+    """Whether an error is Ctrl-C, which compiled code passes on as a SystemError that it caused."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
+
+
+app = typer.Typer(
+    cls=Commands,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help="Declarative recipes in, labelled datasets of vision-based tactile sensors out.",
+)
+
+
+def show_result(plain: Any, text: str, as_json: bool) -> None:
+    """Print a result for a person or a program."""
+    import json
+
+    typer.echo(json.dumps(plain, indent=1) if as_json else text)
+
+
+def line(event: dict[str, Any]) -> None:
+    """Print an event for a program that listens while the run goes on."""
+    import json
+
+    typer.echo(json.dumps(event))
+
+
+def counted(n: int, noun: str) -> str:
+    return f"{n} {noun}" + ("" if n == 1 else "s")
+
+
+@contextmanager
+def writing(place: Path) -> Iterator[None]:
+    """A disk that is full, read-only or not ours is no bug: one line."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno not in DISK:
+            raise
+        raise UserError(f"{error.filename or place}: cannot be written: {error.strerror}") from None
+
+
+def probe(folder: Path) -> None:
+    """Make the folder and write to it now, not after the first scene is solved."""
+    import tempfile
+
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder) as file:
+            file.write(b"\0" * 4096)
+    except OSError as error:  # whatever stands in the way, it is the folder that must be another
+        raise UserError(f"{folder}: cannot be written: {error.strerror}") from None
