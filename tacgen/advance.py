@@ -4,7 +4,9 @@ What is lagged, the mean gap by which the indenter is shrunk and, with friction,
 way until it agrees with the answer. A pose that Newton cannot reach is approached in halved substeps.
 """
 
+import math
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,6 +20,9 @@ from tacgen.fem.newton import Status, minimise
 from tacgen.fem.potentials import Elastic, Potential, Total
 from tacgen.mesh import Mesh
 from tacgen.scene import Scene
+
+if TYPE_CHECKING:
+    from tacgen.fem.inertia import Body
 
 Array = np.ndarray
 XTOL = 1e-3  # no node moves by more than this in the last step, nor does the mean gap between passes [mm]
@@ -79,11 +84,15 @@ class Memory:
     gap: Array
     kappa: float  # barrier stiffness [MPa]
     scale: float  # force below which nothing is told apart [N]
+    velocity: Array | None  # (n, 3) [mm/s], with inertia
 
 
 @dataclass(frozen=True)
 class Problem:
-    """A mesh made ready: elasticity, contact and the linear solver. `solver` names the linear solver."""
+    """A mesh made ready: elasticity, contact, the linear solver, and mass where the scene asks for dynamics.
+
+    `longest` is the longest step in time [s].
+    """
 
     mesh: Mesh
     elastic: tuple[Elastic, ...]
@@ -92,6 +101,8 @@ class Problem:
     pattern: Pattern
     friction: float
     edge: float  # [mm]
+    body: "Body | None" = None
+    longest: float = math.inf
 
     @classmethod
     def of(cls, scene: Scene, mesh: Mesh) -> "Problem":
@@ -105,7 +116,12 @@ class Problem:
         faces = Faces.on(pat, mesh.points, mesh.facets["coated"])
         kappa = 2 * scene.gel.layers[-1].youngs_modulus
         contact = Contact(faces, scene.shape, Pose.of(scene.start), scene.dhat, kappa)
-        return cls(mesh, tuple(elastic), contact, linear.best(pat), pat, scene.friction, scene.edge)
+        ready = cls(mesh, tuple(elastic), contact, linear.best(pat), pat, scene.friction, scene.edge)
+        if (d := scene.dynamics) is None:
+            return ready
+        from tacgen.fem.inertia import Body
+
+        return replace(ready, body=Body.of(pat, ready.elastic, d.density, d.alpha, d.beta), longest=d.longest)
 
     @property
     def thickness(self) -> float:
@@ -118,7 +134,12 @@ class Problem:
         force, normal, gap = self.contact.moved(pose, 0.0).pressure(x)
         local = normal @ pose.rotation
         at, kappa = pose.local(self.contact.faces.at(x)), self.contact.kappa
-        return Memory(pose, x, x, x, 0.0, np.zeros_like(force), local, at, gap, kappa, 0.0)
+        still = None if self.body is None else np.zeros_like(x)
+        return Memory(pose, x, x, x, 0.0, np.zeros_like(force), local, at, gap, kappa, 0.0, still)
+
+    def steps(self, duration: float) -> int:
+        """How many steps a movement of so many seconds takes."""
+        return 1 if self.body is None else max(1, math.ceil(duration / self.longest - 1e-9))
 
 
 class _Lagged:
@@ -127,15 +148,19 @@ class _Lagged:
     Newton asks `refresh` on its way to the answer and ends only when both agree with it.
     """
 
-    def __init__(self, problem: Problem, memory: Memory, pose: Pose) -> None:
-        self.problem, self.memory = problem, memory
+    def __init__(self, problem: Problem, memory: Memory, pose: Pose, duration: float) -> None:
+        self.problem, self.memory, self.duration = problem, memory, duration
         self.contact = replace(problem.contact, pose=pose, offset=memory.offset, kappa=memory.kappa)
         self.contact_force = 0.0
         self.friction = None
         if problem.friction > 0:  # lagged from the last pose, turned with the indenter
             normal, anchor = memory.normal @ pose.rotation.T, pose.world(memory.anchor)
             self.friction = Friction(problem.contact.faces, problem.friction, memory.normal_force, normal, anchor, EPS)
-        self.ahead = 2 * memory.x - memory.before
+        self.ahead, self.inertia, self.near_enough = 2 * memory.x - memory.before, None, XTOL
+        if problem.body is not None:
+            assert memory.velocity is not None
+            self.inertia = problem.body.step(memory.x, memory.velocity, duration)
+            self.ahead, self.near_enough = self.inertia.coasting, XTOL / 10  # else the indenter is felt to tremble
         self.goes_on = self.total.value(self.ahead) < self.total.value(memory.x)  # not where the indenter turns back
 
     @property
@@ -143,8 +168,12 @@ class _Lagged:
         return (self.contact,) if self.friction is None else (self.contact, self.friction)
 
     @property
+    def inert(self) -> tuple[Potential, ...]:
+        return () if self.inertia is None else (self.inertia,)
+
+    @property
     def total(self) -> Total:
-        return Total((*self.problem.elastic, *self.loads))
+        return Total((*self.problem.elastic, *self.loads, *self.inert))
 
     def refresh(self, x: Array) -> Total | None:
         """Take gap and normal forces from x if they are off by more than the tolerances."""
@@ -156,7 +185,7 @@ class _Lagged:
         if self.friction is not None:  # in sum, and half as strictly at every point, since Coulomb's law holds at each
             off = np.abs(force - self.friction.normal_force)
             lag = max(float(off.sum()), float(off.max()) / max(float(force.max()), 1e-300) * scale / 2)
-        if scale == 0 or (abs(gap - self.contact.offset) <= XTOL and lag <= LAG * scale):
+        if scale == 0 or (abs(gap - self.contact.offset) <= self.near_enough and lag <= LAG * scale):
             return None
         if self.friction is not None:
             anchor = self.contact.pose.world(self._anchors())
@@ -187,14 +216,16 @@ class _Lagged:
         return np.where(memory.normal_force[..., None] > 0, memory.anchor, touch)
 
     def imbalance(self, x: Array) -> tuple[float, float]:
-        """Residual on the free dofs and |indenter + base| as parts of the contact force; 0 where nothing touches."""
+        """Residual on the free dofs and |indenter + inertia + base|, as parts of the contact force; 0 without any."""
         inner, outer = Total(self.problem.elastic).gradient(x), Total(self.loads).gradient(x)
+        inert = Total(self.inert).gradient(x)
         held = np.ones(x.size, bool)
         held[self.problem.pattern.free] = False
         reaction = np.where(held.reshape(x.shape), inner, 0.0).sum(0)
-        residual = float(np.linalg.norm((inner + outer).ravel()[~held]))
+        residual = float(np.linalg.norm((inner + outer + inert).ravel()[~held]))
         force = max(float(np.linalg.norm(outer.sum(0))), self.memory.scale)
-        return (residual / force, float(np.linalg.norm(outer.sum(0) - reaction)) / force) if force > 0 else (0.0, 0.0)
+        out = float(np.linalg.norm((outer + inert).sum(0) - reaction))
+        return (residual / force, out / force) if force > 0 else (0.0, 0.0)
 
 
 def mean_gap(contact: Contact, x: Array) -> float:
@@ -205,13 +236,16 @@ def mean_gap(contact: Contact, x: Array) -> float:
 
 
 def advance(
-    problem: Problem, memory: Memory, matrix: Array, index: int, near: State | None = None
+    problem: Problem, memory: Memory, matrix: Array, index: int, duration: float = 0.0, near: State | None = None
 ) -> tuple[Memory, State]:
     """One pose on, from the last positions or those carried on by the last increment: the ones of lower energy.
 
+    `duration` [s] is what it takes, where inertia matters.
+
     `near` is another answer to the same memory, at a pose close by: Newton starts there, and inherits nothing of it.
     """
-    lagged = _Lagged(problem, memory if near is None else replace(memory, offset=near.offset), Pose.of(matrix))
+    begun = memory if near is None else replace(memory, offset=near.offset)
+    lagged = _Lagged(problem, begun, Pose.of(matrix), duration)
     x = lagged.ahead if lagged.goes_on else memory.x
     if near is not None and lagged.total.value(near.x) < lagged.total.value(x):
         x = near.x
@@ -260,6 +294,7 @@ def _record(
         gap,
         contact.kappa,
         scale,
+        None if memory.velocity is None else (x - memory.x) / lagged.duration,
     )
     mean, least = mean_gap(contact, x), float(gap.min())
     return carried, State(
@@ -278,15 +313,33 @@ def between(a: Array, b: Array, part: float) -> Array:
     return out
 
 
-def reach(problem: Problem, memory: Memory, a: Array, b: Array, index: int, depth: int) -> tuple[Memory, State]:
+def reach(
+    problem: Problem, memory: Memory, a: Array, b: Array, index: int, duration: float, depth: int = 0
+) -> tuple[Memory, State]:
     """From pose a to pose b in one step, or in two halves where that fails."""
     try:
-        return advance(problem, memory, b, index)
+        return advance(problem, memory, b, index, duration)
     except NotConverged:
         if depth == HALVINGS:
             raise
     middle = between(a, b, 0.5)
-    memory, first = reach(problem, memory, a, middle, index, depth + 1)
-    memory, second = reach(problem, memory, middle, b, index, depth + 1)
-    total = replace(second, iterations=first.iterations + second.iterations, substeps=first.substeps + second.substeps)
+    memory, first = reach(problem, memory, a, middle, index, duration / 2, depth + 1)
+    memory, second = reach(problem, memory, middle, b, index, duration / 2, depth + 1)
+    return memory, _after(first, second)
+
+
+def travel(problem: Problem, memory: Memory, a: Array, b: Array, index: int, duration: float) -> tuple[Memory, State]:
+    """From pose a to pose b, at an even pace, in as many steps as its duration takes."""
+    n, total = problem.steps(duration), None
+    for k in range(n):
+        start, end = (a if k == 0 else between(a, b, k / n)), (b if k == n - 1 else between(a, b, (k + 1) / n))
+        memory, state = reach(problem, memory, start, end, index, duration / n)
+        total = state if total is None else _after(total, state)
+    assert total is not None
     return memory, total
+
+
+def _after(first: State, second: State) -> State:
+    """The second state, its work that of both."""
+    iterations, substeps = first.iterations + second.iterations, first.substeps + second.substeps
+    return replace(second, iterations=iterations, substeps=substeps)

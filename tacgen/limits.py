@@ -1,13 +1,15 @@
 """What cannot be done on this sensor: the checks that need the recipe and the sensor side by side."""
 
+from contextlib import suppress
 from pathlib import Path
 
 from tacgen import assets, motions
 from tacgen.errors import UserError
 from tacgen.explain import Problem
 from tacgen.motions import Folders
-from tacgen.recipe import Indenter, Recipe
+from tacgen.recipe import Indenter, Made, Recipe
 from tacgen.sensor import LIGHTS, Gel, Sensor
+from tacgen.yamlfile import KeyPath
 
 LEAST_RIM = 0.1  # of the crown's thickness: cells squeezed more would not be worth having
 
@@ -24,6 +26,7 @@ def recipe_problems(recipe: Recipe, sensor: Sensor, folders: Folders | None = No
     """
     folders = folders or {}
     wrong = [*_depths(recipe, sensor), *motions.problems(recipe, sensor.gel, folders), *_outputs(recipe, sensor)]
+    wrong += _times(recipe, folders)
     return [*wrong, *_mesh(recipe.indenter, folders.get(("indenter", "file")))]
 
 
@@ -70,6 +73,25 @@ def _depths(recipe: Recipe, sensor: Sensor) -> list[Problem]:
         for i, segment in enumerate(recipe.trajectory)
         if segment.press and segment.press.depth_mm is not None and segment.press.depth_mm >= thick
     ]
+
+
+def _times(recipe: Recipe, folders: Folders) -> list[Problem]:
+    """With dynamics every frame takes some time; without, none does."""
+    wrong, known = [], True
+    for i, step in enumerate(recipe.trajectory):
+        where: KeyPath = ("trajectory", i, step.kind)
+        if recipe.dynamics is None:
+            if isinstance(step.move, Made) and step.move.duration_s is not None:
+                wrong.append(Problem((*where, "duration_s"), "has no effect without dynamics", at_key=True))
+        elif recipe.dynamics.frame_s is None:
+            if isinstance(step.move, Made):
+                known = step.move.duration_s is not None
+            else:
+                with suppress(UserError):  # told already
+                    known = len(motions.replayed(step.move, folders.get((*where, "file")))) > 1
+            if not known:
+                wrong.append(Problem(where, "must say how long it takes: duration_s, or frame_s under dynamics"))
+    return wrong
 
 
 def _outputs(recipe: Recipe, sensor: Sensor) -> list[Problem]:

@@ -216,6 +216,8 @@ def _make(row: Row, path: Path, say: Say | None) -> SceneResult:
             if state is None:
                 break
             frame = products.frame(state, int(built.segment[state.index]))
+            if built.dynamics is not None:
+                frame["/frames/time"] = built.dynamics.duration[: state.index + 1].sum()
             with clock.stage("bundle"):
                 writer.append(frame)
             if say:

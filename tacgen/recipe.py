@@ -147,7 +147,14 @@ class Start(Part):
         return value
 
 
-class Press(Part):
+class Made(Part):
+    """A movement of as many frames as one says; `duration_s` is what all of them take, where there is `dynamics`."""
+
+    frames: Frames
+    duration_s: Positive | None = None
+
+
+class Press(Made):
     """Move along z to `depth_mm` below first touch of the untouched face, or until the gel bears `force_n`.
 
     On a dome first touch is wherever that is.
@@ -157,7 +164,6 @@ class Press(Part):
 
     depth_mm: Positive | None = None
     force_n: Positive | None = None
-    frames: Frames
 
     @model_validator(mode="after")
     def _one(self) -> "Press":
@@ -165,27 +171,24 @@ class Press(Part):
         return self
 
 
-class Slide(Part):
+class Slide(Made):
     """Move sideways by this much from where the indenter is."""
 
     x_mm: float = 0.0
     y_mm: float = 0.0
-    frames: Frames
 
 
-class Twist(Part):
+class Twist(Made):
     """Turn about the indenter's own axis by this much."""
 
     angle_deg: float
-    frames: Frames
 
 
-class Tilt(Part):
+class Tilt(Made):
     """Turn about a horizontal axis through the indenter's lowest point; the axis is `axis_deg` from x towards y."""
 
     angle_deg: Annotated[float, Field(gt=-90, lt=90)]
     axis_deg: float = 0.0
-    frames: Frames
 
 
 class Placement(Part):
@@ -216,20 +219,15 @@ class Replay(Part):
     sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = None  # the file must be this one; bundles say it
 
 
-class Hold(Part):
+class Hold(Made):
     """Stay."""
 
-    frames: Frames
 
-
-class Release(Part):
+class Release(Made):
     """Lift back to the height of the start."""
 
-    frames: Frames
 
-
-Made = Press | Slide | Twist | Tilt | Hold | Release  # of as many frames as one says
-Move = Made | Replay
+Move = Press | Slide | Twist | Tilt | Replay | Hold | Release
 ONE_KEY: dict[str, Any] = {"minProperties": 1, "maxProperties": 1}
 
 
@@ -271,6 +269,22 @@ class Contact(Part):
     """How indenter and gel touch."""
 
     friction: NotNegative = 0.0
+
+
+class Rayleigh(Part):
+    """Damping in proportion to mass and to stiffness."""
+
+    alpha_per_s: NotNegative = 0.0
+    beta_s: NotNegative = 0.0
+
+
+class Dynamics(Part):
+    """Let the gel's inertia and damping count. Without, it is as if everything moved infinitely slowly."""
+
+    density_kg_m3: Positive
+    rayleigh: Rayleigh = Rayleigh()
+    frame_s: Positive | None = None  # what a frame takes; a movement's duration_s and a replay's times go before it
+    step_s: Positive | None = None  # a frame that takes longer goes in several steps of time; None: in one
 
 
 class Render(Part):
@@ -367,6 +381,7 @@ class Recipe(Part):
     start: Start = Start()
     trajectory: Annotated[tuple[Segment, ...], Field(min_length=1)]
     contact: Contact = Contact()
+    dynamics: Dynamics | None = None
     render: Render = Render()
     outputs: Outputs
     quality: Annotated[

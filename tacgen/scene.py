@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from tacgen.sensor import MooneyRivlinLayer, NeoHookeLayer, Sensor, StableNeoHoo
 from tacgen.trajectory import Forced, lay
 
 Array = np.ndarray
+TONNES_PER_MM3 = 1e-12  # kg/m^3
 CELLS = (0.04, 0.15)  # least and largest grid spacing of a mesh's signed distance [mm]
 
 
@@ -68,6 +70,17 @@ class Gel:
 
 
 @dataclass(frozen=True)
+class Dynamics:
+    """How the gel resists being moved fast; duration (N,) of each frame [s]."""
+
+    density: float  # [t/mm^3]
+    alpha: float  # of Rayleigh's damping, with the mass [1/s]
+    beta: float  # and with the stiffness [s]
+    duration: Array
+    longest: float  # step in time [s]
+
+
+@dataclass(frozen=True)
 class Scene:
     """All that the numerics need of one scene; nothing in it is a recipe.
 
@@ -85,6 +98,7 @@ class Scene:
     edge: float  # element edge under the contact [mm]
     dhat: float  # [mm]
     forced: Forced | None = None
+    dynamics: Dynamics | None = None  # None: as if it were moved infinitely slowly
 
 
 def _shape(i: Indenter, field: Callable[[recipes.Mesh], Shape]) -> Shape:
@@ -159,4 +173,21 @@ def build(row: Row) -> Scene:
     shape = _shape(recipe.indenter, lambda mesh: _field(mesh, row))
     way = lay(recipe, shape, gel, row.replayed)
     friction, edge, dhat = recipe.contact.friction, quality.edge_mm, quality.dhat_mm
-    return Scene(gel, shape, way.poses, way.start, way.segment, friction, edge, dhat, way.forced)
+    return Scene(gel, shape, way.poses, way.start, way.segment, friction, edge, dhat, way.forced, _dynamics(row))
+
+
+def _dynamics(row: Row) -> Dynamics | None:
+    """A replay's frames take what lies between its rows, and the way to the first as long as to the second."""
+    asked = row.recipe.dynamics
+    if asked is None:
+        return None
+    duration: list[float] = []
+    for number, step in enumerate(row.recipe.trajectory):
+        if isinstance(step.move, recipes.Replay):
+            apart = [b.time - a.time for a, b in pairwise(row.replayed(number))] or [asked.frame_s or 0.0]
+            duration += [apart[0], *apart][: step.frames]
+        else:
+            each = asked.frame_s if step.move.duration_s is None else step.move.duration_s / step.frames
+            duration += [each or 0.0] * step.frames  # limits.py lets nothing through that has neither
+    damping, density = asked.rayleigh, asked.density_kg_m3 * TONNES_PER_MM3
+    return Dynamics(density, damping.alpha_per_s, damping.beta_s, np.array(duration), asked.step_s or math.inf)

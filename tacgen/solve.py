@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tacgen.advance import Memory, NotConverged, Problem, State, advance, reach
+from tacgen.advance import Memory, NotConverged, Problem, State, advance, travel
 from tacgen.fem.contact import Pose
 from tacgen.fem.rising import POWER, OutOfReach, meet
 from tacgen.scene import Scene
@@ -29,6 +29,7 @@ def _reach_force(
     last: Array,
     guess: Array,
     index: int,
+    duration: float,
     target: float,
     had: float,
     floor: float,
@@ -46,7 +47,7 @@ def _reach_force(
         pose = guess.copy()
         pose[2, 3] = -u
         try:
-            found.append(_trial(problem, memory, last, pose, index, found[-1][1] if found else None))
+            found.append(_trial(problem, memory, last, pose, index, duration, found[-1][1] if found else None))
         except NotConverged as error:
             refused.append(error)
             return float("nan")
@@ -73,12 +74,12 @@ def _reach_force(
 
 
 def _trial(
-    problem: Problem, memory: Memory, last: Array, pose: Array, index: int, near: State | None
+    problem: Problem, memory: Memory, last: Array, pose: Array, index: int, duration: float, near: State | None
 ) -> tuple[Memory, State]:
-    if near is not None:
+    if near is not None and problem.steps(duration) == 1:
         with suppress(NotConverged):
-            return advance(problem, memory, pose, index, near)
-    return reach(problem, memory, last, pose, index, 0)
+            return advance(problem, memory, pose, index, duration, near)
+    return travel(problem, memory, last, pose, index, duration)
 
 
 def normal_force(state: State) -> float:
@@ -95,19 +96,21 @@ def states(scene: Scene, problem: Problem, *, tol: float = FORCE_TOL) -> Iterato
     memory, last = problem.rest(Pose.of(scene.start)), scene.start
     forced, shift, had, begun = scene.forced, 0.0, 0.0, 0.0
     for index, pose in enumerate(scene.poses):
+        duration = 0.0 if scene.dynamics is None else float(scene.dynamics.duration[index])
         if forced is not None and (index == 0 or scene.segment[index] != scene.segment[index - 1]):
             begun = had  # the force before the segment
         if forced is not None and np.isfinite(asked := forced.asked[index]):
             target = begun + forced.part[index] * (asked - begun)
             part_tol = tol if forced.part[index] == 1 else max(tol, 1e-2)
-            memory, state = _reach_force(problem, memory, last, pose, index, target, had, forced.floor[index], part_tol)
+            floor = forced.floor[index]
+            memory, state = _reach_force(problem, memory, last, pose, index, duration, target, had, floor, part_tol)
             shift = state.pose[2, 3] - pose[2, 3]
             if -shift > forced.below[index] + 1e-9:
                 raise NotConverged(f"{target:g} N are {-shift:.3g} mm deeper than the mesh was made for")
         else:
             if forced is not None and shift:
                 pose = pose + forced.carry[index] * shift * RISE
-            memory, state = reach(problem, memory, last, pose, index, 0)
+            memory, state = travel(problem, memory, last, pose, index, duration)
         if forced is not None:
             had = normal_force(state)
         yield state

@@ -132,10 +132,10 @@ def test_a_frame_that_does_not_converge_is_recorded_and_not_shipped(
 ) -> None:
     usual = advance.advance
 
-    def fail_late(problem, memory, matrix, index):  # type: ignore[no-untyped-def]
+    def fail_late(problem, memory, matrix, index, duration):  # type: ignore[no-untyped-def]
         if index == 2:
             raise solve.NotConverged("made to fail")
-        return usual(problem, memory, matrix, index)
+        return usual(problem, memory, matrix, index, duration)
 
     monkeypatch.setattr(advance, "advance", fail_late)
     found = pipeline.run_scene(plan.load(recipe).rows[0], tmp_path / "out")

@@ -82,12 +82,12 @@ def test_substeps_are_taken_and_counted(monkeypatch: pytest.MonkeyPatch) -> None
     true, depths = advance.advance, [0.0]
 
     def careful(
-        problem: Problem, memory: advance.Memory, matrix: np.ndarray, index: int
+        problem: Problem, memory: advance.Memory, matrix: np.ndarray, index: int, duration: float
     ) -> tuple[advance.Memory, solve.State]:
         if np.linalg.norm(matrix[:3, 3] - memory.pose.position) > 0.09:
             raise NotConverged("too far")
         depths.append(matrix[2, 3])
-        return true(problem, memory, matrix, index)
+        return true(problem, memory, matrix, index, duration)
 
     s, problem = made()
     direct = list(states(s, problem))
@@ -105,7 +105,7 @@ def test_substeps_are_taken_and_counted(monkeypatch: pytest.MonkeyPatch) -> None
 def test_halving_ends(monkeypatch: pytest.MonkeyPatch) -> None:
     tried = []
 
-    def never(problem: Problem, memory: advance.Memory, matrix: np.ndarray, index: int) -> None:
+    def never(problem: Problem, memory: advance.Memory, matrix: np.ndarray, index: int, duration: float) -> None:
         tried.append(matrix[2, 3])
         raise NotConverged("never")
 

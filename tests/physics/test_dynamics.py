@@ -1,0 +1,158 @@
+"""A gel with mass: slow is quasi-static, fast is stiffer, a gel let go rings down, and time converges."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tacgen import advance, bundle, pipeline, plan, scene, solve
+from tacgen.check import check
+from tacgen.errors import UserError
+from tacgen.fem.shapes import Sphere
+from tacgen.scene import Dynamics
+
+from . import presses
+from .presses import Run, gel, poses
+
+Array = np.ndarray
+DOWN = [(0.0, 0.0, -0.1 * k) for k in range(1, 5)]
+
+
+def tap(path: list[tuple[float, float, float]], seconds: float, longest: float = np.inf, friction: float = 0.0,
+        alpha: float = 0.0, beta: float = 0.0, density: float = 1e-9) -> Run:  # fmt: skip
+    """Small and coarse; `seconds` for all of the path, none for quasi-static."""
+    made = presses.scene(Sphere(2.5), poses(path), pad=gel(8, 8, 2.0), edge=0.7, friction=friction)
+    if seconds:
+        each = np.full(len(path), seconds / len(path))
+        made = replace(made, dynamics=Dynamics(density, alpha, beta, each, longest))
+    return presses.run(made)
+
+
+def test_a_slow_press_is_quasi_static() -> None:
+    still, slow = (tap(DOWN, seconds, friction=0.4, beta=1e-4).forces for seconds in (0, 2.0))
+    assert slow[:, 2] == pytest.approx(still[:, 2], rel=5e-3)
+
+
+@pytest.mark.parametrize(("beta", "more"), [(0.0, 0.15), (1e-4, 0.8)])
+def test_a_fast_tap_takes_more_force(beta: float, more: float) -> None:
+    """With inertia alone and still more with damping; every force is in balance, inertia counted."""
+    still, fast = (tap(DOWN, seconds, 2.5e-5, beta=beta) for seconds in (0, 2e-4))
+    assert fast.forces[-1, 2] < (1 + more) * still.forces[-1, 2]
+    for state in fast.states:
+        assert state.balance < 1e-3
+        assert state.residual < 1e-3
+        assert state.min_gap > 0
+
+
+def test_the_base_bears_another_force_than_the_indenter_gives() -> None:
+    """The difference is what the gel's own acceleration takes, and nothing at rest."""
+    fast = tap(DOWN, 4e-4, alpha=0.0)
+    held = np.unique(fast.problem.mesh.facets["bonded"])
+    inner = sum(part.gradient(fast.states[-1].x) for part in fast.problem.elastic)
+    assert abs(inner[held, 2].sum() - fast.forces[-1, 2]) > 0.05 * -fast.forces[-1, 2]
+
+
+def test_force_converges_with_the_step_in_time_at_first_order() -> None:
+    steps = np.array([4, 8, 16, 64])
+    found = [tap([(0.0, 0.0, -0.4)], 1.6e-3, 1.6e-3 / n, beta=2e-4).forces[-1, 2] for n in steps]
+    errors = np.abs(np.array(found[:-1]) - found[-1])
+    assert -np.polyfit(np.log(steps[:-1]), np.log(errors), 1)[0] == pytest.approx(1.0, abs=0.25), found
+
+
+def test_a_gel_let_go_springs_back_and_comes_to_rest() -> None:
+    """A ball snatched away leaves the dent behind it, which closes in its own time."""
+    up = [(0.0, 0.0, 1.0)] * 12
+    quick = tap([*DOWN, *up], 16 * 1e-4, beta=5e-5)
+    rest = quick.problem.mesh.points
+    middle = np.argmin(np.linalg.norm(rest, axis=1))
+    dent = np.array([state.x[middle, 2] for state in quick.states])
+    assert np.abs(quick.forces[4:]).max() == 0
+    assert 0.8 * dent[3] < dent[4] < 0.5 * dent[3]  # not yet closed
+    assert dent.max() > 0.01  # beyond flat
+    late = tap([*DOWN, *up[:1]], 5 * 0.5, beta=5e-5)
+    assert np.abs(late.states[-1].x - rest).max() < 2e-3
+
+
+def test_halved_steps_halve_the_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    usual, taken = advance.advance, []
+
+    def careful(problem, memory, matrix, index, duration, near=None):  # type: ignore[no-untyped-def]
+        if np.linalg.norm(matrix[:3, 3] - memory.pose.position) > 0.06:
+            raise solve.NotConverged("too far")
+        taken.append(duration)
+        return usual(problem, memory, matrix, index, duration, near)
+
+    monkeypatch.setattr(advance, "advance", careful)
+    found = tap(DOWN[:2], 8e-4)
+    assert taken == pytest.approx([2e-4] * 4)
+    assert [state.substeps for state in found.states] == [2, 2]
+    monkeypatch.setattr(advance, "advance", usual)
+    asked = tap(DOWN[:2], 8e-4, 2e-4)
+    assert found.forces == pytest.approx(asked.forces, abs=1e-6)
+
+
+RECIPE = """
+tacgen: 1
+name: small
+sensor: gelsight_mini
+indenter: {shape: sphere, radius_mm: 4.0}
+outputs: [force]
+quality: {edge_mm: 1.0, dhat_mm: 0.1}
+dynamics: {density_kg_m3: 1050, rayleigh: {alpha_per_s: 5, beta_s: 1.0e-4}, frame_s: 0.002, step_s: 0.001}
+trajectory:
+  - press: {depth_mm: 0.5, frames: 2, duration_s: 0.003}
+  - hold: {frames: 1}
+"""
+
+
+def recipe(folder: Path, text: str = RECIPE) -> Path:
+    path = folder / "recipe.yaml"
+    path.write_text(text)
+    return path
+
+
+def test_a_recipe_asks_for_it_and_the_bundle_tells_the_time(tmp_path: Path) -> None:
+    row = plan.load(recipe(tmp_path)).rows[0]
+    made = scene.build(row).dynamics
+    assert made is not None
+    assert (made.density, made.alpha, made.beta, made.longest) == (pytest.approx(1.05e-9), 5, 1e-4, 1e-3)
+    found = pipeline.run_scene(row, tmp_path / "out")
+    assert check(found.path) == []
+    kept = bundle.read(found.path)
+    assert kept["/frames/time"] == pytest.approx([0.0015, 0.003, 0.005])
+    assert kept["/frames/quality/substeps"].tolist() == [2, 2, 2]
+    still = plan.load(recipe(tmp_path), ["dynamics=null", "trajectory[0].press.duration_s=null"]).rows[0]
+    assert "/frames/time" not in bundle.read(pipeline.run_scene(still, tmp_path / "still").path)
+
+
+def test_a_replay_keeps_its_own_time(tmp_path: Path) -> None:
+    (tmp_path / "poses.csv").write_text(
+        "time,x,y,z,qw,qx,qy,qz\n" + "".join(f"{t},0,0,{-0.1 * t},1,0,0,0\n" for t in (5, 5.1, 5.4))
+    )
+    text = RECIPE.split("  - press")[0] + "  - replay: {file: poses.csv}\n  - hold: {frames: 2, duration_s: 1}\n"
+    made = scene.build(plan.load(recipe(tmp_path, text)).rows[0]).dynamics
+    assert made is not None
+    assert made.duration == pytest.approx([0.1, 0.1, 0.3, 0.5, 0.5])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line"),
+    [
+        (", frame_s: 0.002", "", "11:11: trajectory[1].hold: must say how long it takes: duration_s, or frame_s"),
+        ("dynamics:", "# dynamics:", "10:39: trajectory[0].press.duration_s: has no effect without dynamics"),
+        ("1050", "0", "8:27: dynamics.density_kg_m3: must be greater than 0 (got 0)"),
+    ],
+)  # fmt: skip
+def test_times_must_be_known_and_of_use(tmp_path: Path, old: str, new: str, line: str) -> None:
+    with pytest.raises(UserError) as caught:
+        plan.load(recipe(tmp_path, RECIPE.replace(old, new)))
+    assert caught.value.lines[0].removeprefix(f"{tmp_path}/recipe.yaml:").startswith(line)
+
+
+def test_what_is_quasi_static_does_not_even_import_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "tacgen.fem.inertia", None)
+    assert len(tap(DOWN[:1], 0).states) == 1
+    with pytest.raises(ImportError):
+        tap(DOWN[:1], 1.0)
