@@ -7,7 +7,8 @@ from tacgen import assets, motions
 from tacgen.errors import UserError
 from tacgen.explain import Problem
 from tacgen.motions import Folders
-from tacgen.recipe import Indenter, Made, Recipe
+from tacgen.moves import Made
+from tacgen.recipe import Indenter, Recipe
 from tacgen.sensor import LIGHTS, Gel, Sensor
 from tacgen.yamlfile import KeyPath
 

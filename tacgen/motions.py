@@ -8,8 +8,9 @@ from pathlib import Path
 from tacgen import assets, posetable
 from tacgen.errors import UserError
 from tacgen.explain import Problem
+from tacgen.moves import Move, Press, Release, Replay, Slide, Start, Tilt, Twist
 from tacgen.posetable import Pose
-from tacgen.recipe import Indenter, Move, Press, Recipe, Release, Replay, Slide, Start, Tilt, Twist
+from tacgen.recipe import Indenter, Recipe
 from tacgen.sensor import Gel
 from tacgen.turns import Placement, Quaternion, Vector, about, inverse, on, product, seen_from, turned
 from tacgen.yamlfile import KeyPath

@@ -1,9 +1,21 @@
 """What every piece of a file a person writes has in common."""
 
+from typing import Any
+
 from pydantic import BaseModel, ConfigDict
+
+ONE_KEY: dict[str, Any] = {"minProperties": 1, "maxProperties": 1}  # in a JSON schema
 
 
 class Part(BaseModel):
     """A frozen piece of a recipe or sensor file in which an unknown key is an error, and so is nan or inf."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+def exactly_one(part: Part, what: str, names: tuple[str, ...] = ()) -> None:
+    """Raise ValueError unless one field is given, of `names` or of all."""
+    names = names or tuple(type(part).model_fields)
+    given = [name for name in names if getattr(part, name) is not None]
+    if len(given) != 1:
+        raise ValueError(f"must hold exactly one {what} of {', '.join(names)} (got {', '.join(given) or 'none'})")

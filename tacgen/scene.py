@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from tacgen import geometry
+from tacgen import geometry, moves
 from tacgen import recipe as recipes
 from tacgen import sensor as sensors
 from tacgen.fem.field import Field
@@ -183,7 +183,7 @@ def _dynamics(row: Row) -> Dynamics | None:
         return None
     duration: list[float] = []
     for number, step in enumerate(row.recipe.trajectory):
-        if isinstance(step.move, recipes.Replay):
+        if isinstance(step.move, moves.Replay):
             apart = [b.time - a.time for a, b in pairwise(row.replayed(number))] or [asked.frame_s or 0.0]
             duration += [apart[0], *apart][: step.frames]
         else:

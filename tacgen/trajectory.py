@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tacgen import posetable
-from tacgen import recipe as recipes
+from tacgen import moves, posetable
 from tacgen.errors import UserError
 from tacgen.fem.contact import Pose
 from tacgen.fem.shapes import Shape
-from tacgen.recipe import Recipe, Start
+from tacgen.moves import Start
+from tacgen.recipe import Recipe
 from tacgen.turns import Placement
 
 if TYPE_CHECKING:
@@ -148,11 +148,11 @@ class _Walk:
     home: float
     carry: float = 0.0
 
-    def steps(self, move: recipes.Made, where: str) -> Iterator[Step]:
+    def steps(self, move: moves.Made, where: str) -> Iterator[Step]:
         """The frames of one segment."""
         begun, carried = self.pose, self.carry
         contact = floor = np.nan
-        if isinstance(move, recipes.Press):
+        if isinstance(move, moves.Press):
             contact = _contact(self.shape, begun, self.gel)
             floor = contact - FORCE_DEPTH * self.gel.thickness
         for k in range(1, move.frames + 1):
@@ -160,22 +160,22 @@ class _Walk:
             new = begun.copy()
             asked = below = np.nan
             match move:
-                case recipes.Press(force_n=float(force)):
+                case moves.Press(force_n=float(force)):
                     asked, self.carry = force, 1.0
                     new[2, 3] = contact - FIRST_GUESS * part * self.gel.thickness
                     below = new[2, 3] - floor
-                case recipes.Press(depth_mm=float(depth)):
+                case moves.Press(depth_mm=float(depth)):
                     new[2, 3] += part * (contact - depth - begun[2, 3])
                     self.carry = (1 - part) * carried
-                case recipes.Release():
+                case moves.Release():
                     new[2, 3] += part * (self.home - begun[2, 3])
                     self.carry = (1 - part) * carried
-                case recipes.Slide(x_mm=x, y_mm=y):
+                case moves.Slide(x_mm=x, y_mm=y):
                     new[0, 3] += part * x
                     new[1, 3] += part * y
-                case recipes.Twist(angle_deg=angle):
+                case moves.Twist(angle_deg=angle):
                     new[:3, :3] = _about(begun[:3, 2], part * np.radians(angle)) @ begun[:3, :3]
-                case recipes.Tilt(angle_deg=angle, axis_deg=axis):
+                case moves.Tilt(angle_deg=angle, axis_deg=axis):
                     self._tilt(new, begun, part * np.radians(angle), np.radians(axis), where)
             self.pose = new
             yield new, (asked, part, self.carry, floor, below)
@@ -220,7 +220,7 @@ def lay(recipe: Recipe, shape: Shape, gel: "Gel", replayed: Callable[[int], tupl
     for number, segment in enumerate(recipe.trajectory):
         where = f"trajectory[{number}].{segment.kind}"
         move = segment.move
-        if isinstance(move, recipes.Replay):
+        if isinstance(move, moves.Replay):
             steps = walk.replay(replayed(number), where)
         else:
             steps = walk.steps(move, where)

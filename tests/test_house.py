@@ -16,6 +16,7 @@ ORDER = [
     {"console", "turns"},
     {"yamlfile", "assets", "sensor", "partfile", "variants", "posetable"},
     {"explain"},
+    {"moves"},
     {"recipe"},  # *
     {"motions"},
     {"limits"},
@@ -78,6 +79,7 @@ NOT_NUMPY = {
     "explain",
     "yamlfile",
     "turns",
+    "moves",
     "posetable",
     "motions",
 }
