@@ -64,6 +64,7 @@ HOMES = {
     "platformdirs": {"variants"},
     "rich": {"progress"},
     "PIL": {"report"},
+    "distributed": {"batch.cluster"},
 }
 NOT_NUMPY = {
     "cli",

@@ -9,9 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from tacgen import partfile
+from tacgen.batch import cluster
 from tacgen.batch.journal import Journal, Shard, write_plan
 from tacgen.batch.local import TASK, Hear, Pool
 from tacgen.batch.watch import Limits
+from tacgen.errors import UserError
 from tacgen.plan import Plan
 from tacgen.resume import SceneResult, refuse_foreign
 
@@ -20,11 +22,13 @@ __all__ = ["ENGINES", "Limits", "run"]
 
 @contextmanager
 def _local(workers: int, limits: Limits, task: str, scheduler: str) -> Iterator[Callable[..., list[SceneResult]]]:
+    if scheduler:
+        raise UserError(f"--scheduler {scheduler}: needs --engine dask")
     with Pool(workers, limits, task) as pool:
         yield pool.run
 
 
-ENGINES = {"local": _local}
+ENGINES = {"local": _local, "dask": cluster.engine}
 
 
 def run(
@@ -58,6 +62,8 @@ def run(
         UserError: a bundle of other inputs is in the way, or no worker starts.
         OSError: the disk is full, read-only or not ours.
     """
+    if engine not in ENGINES:
+        raise UserError(f"--engine {engine}: must be one of {', '.join(ENGINES)}")
     folder.mkdir(parents=True, exist_ok=True)
     partfile.sweep(folder)
     if not overwrite:

@@ -24,9 +24,11 @@ Hear = Callable[[dict[str, Any]], None]
 class Pool:
     """Workers that stay between calls of `run`; they end with the block."""
 
-    def __init__(self, workers: int = 1, limits: Limits | None = None, task: str = TASK) -> None:
+    def __init__(
+        self, workers: int = 1, limits: Limits | None = None, task: str = TASK, memory_gb: float | None = None
+    ) -> None:
         self.size, self.limits, self.task = workers, limits or Limits(), task
-        self.memory_gb = self.limits.memory_gb or 0.9 * machine_memory() / workers
+        self.memory_gb = self.limits.memory_gb or memory_gb or 0.9 * machine_memory() / workers
         self.workers: list[Worker] = []
         self.looked = time.monotonic()
         self.stillborn = 0

@@ -1,0 +1,50 @@
+"""A recipe on a SLURM cluster: Dask workers as jobs, and `tacgen run` where this is started (a login node will do).
+
+    python scripts/slurm.py recipes/batch.yaml -o /shared/out/batch --jobs 40 --queue short --walltime 04:00:00
+
+The folder must be one that all nodes see. Started again after it was stopped, it goes on; options that are not
+its own are passed to `tacgen run`, such as `--set quality=draft`. Without Dask, a job array does as well:
+
+    sbatch --array=0-39 --wrap 'tacgen run recipes/batch.yaml -o /shared/out/batch --shard $SLURM_ARRAY_TASK_ID/40'
+"""
+
+import argparse
+import subprocess
+import sys
+
+from dask_jobqueue import SLURMCluster
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("recipe")
+    parser.add_argument("-o", "--out", required=True, help="a folder that all nodes see")
+    parser.add_argument("--jobs", type=int, default=4, help="jobs at a time, each of --cores workers")
+    parser.add_argument("--cores", type=int, default=1, help="workers in a job, a core each")
+    parser.add_argument("--memory", default="4GB", help="of a job")
+    parser.add_argument("--walltime", default="01:00:00")
+    parser.add_argument("--queue", help="partition; your cluster's usual one if left out")
+    parser.add_argument("--account")
+    parser.add_argument("--interface", help="network that nodes and this machine share, such as ib0")
+    parser.add_argument("--dry-run", action="store_true", help="print the job script and do nothing")
+    args, more = parser.parse_known_args()
+    cluster = SLURMCluster(
+        cores=args.cores,
+        processes=args.cores,
+        memory=args.memory,
+        walltime=args.walltime,
+        queue=args.queue,
+        account=args.account,
+        interface=args.interface,
+    )
+    if args.dry_run:
+        print(cluster.job_script())
+        return 0
+    with cluster:
+        cluster.scale(jobs=args.jobs)
+        run = [sys.executable, "-m", "tacgen", "run", args.recipe, "-o", args.out, "--engine", "dask"]
+        return subprocess.call([*run, "--scheduler", cluster.scheduler_address, *more])
+
+
+if __name__ == "__main__":
+    sys.exit(main())
