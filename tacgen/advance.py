@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 Array = np.ndarray
 XTOL = 1e-3  # no node moves by more than this in the last step, nor does the mean gap between passes [mm]
 RESIDUAL = 1e-3  # of the contact force
-LAG = 0.01  # normal forces may be this far from the ones friction used, as a part of their sum
+LAG = 1e-3  # normal forces may be this far from the ones friction used, as a part of their sum
 NEGLIGIBLE = 1e-3  # of the largest contact force so far
 HALVINGS = 5
 TRIES = 8  # at a pose, each with a smaller tolerance or a stiffer barrier than the last

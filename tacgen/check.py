@@ -16,7 +16,7 @@ from tacgen.layout import entry, misfit
 FORCE_BALANCE = 1e-3  # largest imbalance of a converged frame [-]
 PULL = 1e-3  # how far interpolation may bring a pressure below zero, as a part of the frame's peak
 FAINT = 0.01  # of the scene's peak pressure
-COULOMB = 0.02  # of friction x peak pressure: the solver leaves normal forces that much behind at a point (advance.LAG)
+COULOMB = 2e-3  # of friction x peak pressure: the solver leaves normal forces that much behind at a point (advance.LAG)
 ROUNDING = 1e-6  # of float32 maps, as a part of the frame's peak
 MOVED = {"/frames/height": 0.02, "/frames/marker_flow": 0.5}  # a change [mm, px] that no camera image can hide
 MOVED_FORCE = 0.05  # the same, as a part of the largest force

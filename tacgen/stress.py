@@ -63,22 +63,20 @@ class Stresses:
     def quality(self, stress: Stress, state: State) -> dict[str, float]:
         """How far sigma n is from the contact forces, in sum and over the face, and how much the pressure alternates.
 
-        force_error: |sum of sigma n da - force| / |force|; traction_error: the same as an L2 norm over the face, of
-        nodal means; pressure_oscillation: rms of the elements' pressure less the recovered one, over that one's rms.
-        The first two are 0 where nothing touches.
+        force_error: |sum of sigma n da - force| / |force|, with n da the nodes' parts of the deformed face;
+        traction_error: the same as an L2 norm over the face; pressure_oscillation: rms of the elements' pressure less
+        the recovered one, over that one's rms. The first two are 0 where nothing touches.
         """
-        x, faces = state.x, self.problem.contact.faces
-        area, normal = facet_areas(x, faces.conn)
-        sigma = np.einsum("qa,fac->fqc", faces.N, stress.node[faces.conn])[..., FULL]
-        force = np.einsum("fqij,fqj,fq->fqi", sigma, normal, area)
-        whole = state.traction_force.sum((0, 1))
-        size, found = float(np.linalg.norm(whole)), {"force_error": 0.0, "traction_error": 0.0}
-        if size > 0:
-            share = faces.shared(area[..., None], len(x))
-            on = share[:, 0] > 0
-            label, other = (faces.shared(f, len(x))[on] / np.sqrt(share[on]) for f in (state.traction_force, force))
-            found["force_error"] = float(np.linalg.norm(force.sum((0, 1)) - whole)) / size
-            found["traction_error"] = float(np.linalg.norm(other - label) / np.linalg.norm(label))
+        area = self.face.vectors(state.x)
+        pull = np.einsum("nij,nj->ni", stress.node[self.face.nodes][:, FULL], area)
+        push = self.problem.contact.faces.shared(state.traction_force, len(state.x))[self.face.nodes]
+        size = np.linalg.norm(area, axis=1, keepdims=True)
+        found = {"force_error": 0.0, "traction_error": 0.0}
+        if np.any(push):
+            found["force_error"] = float(np.linalg.norm((pull - push).sum(0)) / np.linalg.norm(push.sum(0)))
+            found["traction_error"] = float(
+                np.linalg.norm((pull - push) / np.sqrt(size)) / np.linalg.norm(push / np.sqrt(size))
+            )
         pressure = -stress.element[:, :3].mean(1)
         smooth, weight = self.recovery.mean @ -stress.rows[:, :3].mean(1), self._volume
         rms = float(np.sqrt(weight @ smooth**2))
@@ -116,15 +114,15 @@ class _Face:
     def __init__(self, faces: Faces, points: Array) -> None:
         self.faces = faces
         self.nodes = np.unique(faces.conn)
-        self.rest = self._vectors(points)
+        self.rest = self.vectors(points)
 
     def traction(self, P: Array, x: Array) -> tuple[Array, Array, Array]:
         """Nodes (s,), unit normals now (s, 3) and the traction (s, 3) [MPa] that nodal P (n, 3, 3) gives there."""
-        now = self._vectors(x)
+        now = self.vectors(x)
         area = np.linalg.norm(now, axis=1, keepdims=True)
         return self.nodes, now / area, np.einsum("nij,nj->ni", P[self.nodes], self.rest) / area
 
-    def _vectors(self, x: Array) -> Array:
+    def vectors(self, x: Array) -> Array:
         """Area vectors (s, 3) [mm^2], pointing out of the gel, of the parts of the face that belong to the nodes."""
         area, normal = facet_areas(x, self.faces.conn)
         return np.asarray(self.faces.shared(area[..., None] * normal, len(x))[self.nodes])
