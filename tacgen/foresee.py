@@ -25,7 +25,7 @@ def foreseen(scene: Scene) -> Scene:
     end = int(np.flatnonzero(np.isfinite(forced.asked))[-1]) + 1
     edge = max(scene.edge, scene.gel.thickness / COARSE)
     rough = replace(scene, edge=edge, dhat=max(scene.dhat, 0.05))
-    problem = solve.Problem.of(rough, mesh.build(scene.gel, mesh.footprint(rough), edge))
+    problem = solve.Problem.of(rough, mesh.of(rough))
     poses, below, shift = scene.poses.copy(), forced.below.copy(), 0.0
     try:
         found = [state.pose[2, 3] for _, state in zip(range(end), solve.states(rough, problem, tol=0.05), strict=False)]

@@ -222,3 +222,11 @@ def _distances(solid: Solid, origin: Array, cell: float, nodes: tuple[int, ...])
             block = out[start : start + rows]
             np.minimum(block, d.reshape(block.shape).astype(np.float32), out=block)
     return out
+
+
+def nearest(vertices: Array, triangles: Array, points: Array) -> Array:
+    """The points (n, 3) of a surface that are closest to the points given."""
+    import igl
+
+    ours = np.ascontiguousarray(points, float), np.ascontiguousarray(vertices, float), triangles.astype(np.int64)
+    return np.asarray(igl.point_mesh_squared_distance(*ours)[2])

@@ -1,27 +1,64 @@
-"""Gel + contact footprint -> Mesh: a tensor grid of hexes, fine where the scene can touch and growing away."""
+"""Scene -> Mesh: fine where the scene can touch and growing away; a tensor grid of hexes, or tets (see tetmesh)."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
+from tacgen import store, tetmesh
+from tacgen.errors import UserError
 from tacgen.fem.contact import Pose
-from tacgen.scene import Gel, Scene
+from tacgen.fem.quality import dihedral, enclosed, measure, scaled_jacobian
+from tacgen.gel import Gel
+from tacgen.scene import Scene
 
 Array = np.ndarray
+# nodes, and the edge that fTetWild is asked for as a part of a hex's; it gives 1.25 to 1.35 times that
+TETS = {"tet": (10, 1.125), "linear_tet": (4, 0.8)}
+LEAST_ANGLE = 2.0  # [deg]
+LEAST_JACOBIAN = 0.01
 
 
 @dataclass(frozen=True)
 class Mesh:
     """Arrays with named patches.
 
-    points (n, 3) [mm]; cells (e, 8) hexes; layer (e,) number of the gel layer of each cell, 0 at the base;
-    facets: quads (f, 4) seen from outside, by name: "bonded" (held), "coated" (pressed and photographed).
+    points (n, 3) [mm]; cells (e, a): hexes of 8 nodes, tets of 10 or 4, as VTK numbers them; layer (e,) number of the
+    gel layer of each cell, 0 at the base; facets: quads (f, 4) or triangles of 6 or 3 nodes seen from outside, by name:
+    "bonded" (held), "coated" (pressed and photographed).
     """
 
     points: Array
     cells: Array
     layer: Array
     facets: dict[str, Array]
+
+
+def of(scene: Scene) -> Mesh:
+    """The gel's mesh for all that the scene touches.
+
+    Raises:
+        UserError: no mesh of usable cells could be made.
+    """
+    if scene.element == "hex":
+        return build(scene.gel, footprint(scene), scene.edge)
+    nodes, edge = TETS[scene.element]
+    made = Mesh(*tetmesh.build(scene.gel, touched(scene), edge * scene.edge, nodes))
+    angle = float(np.degrees(dihedral(made.points, made.cells).min()))
+    least = float(scaled_jacobian(made.points, made.cells).min())
+    if angle < LEAST_ANGLE or least < LEAST_JACOBIAN:
+        raise UserError(
+            f"gel: its tets are too flat to compute with (smallest angle {angle:.2g} deg, scaled Jacobian {least:.1e}):"
+            " the surface has thin walls or sharp folds"
+        )
+    return made
+
+
+def quality(gel: Gel, mesh: Mesh) -> dict[str, float | int | str]:
+    """How well shaped a gel's mesh is, and its own hash: of two that fTetWild makes no two are alike."""
+    vertices, triangles, _ = gel.surface(*tetmesh.FINE)
+    found = measure(mesh.points, mesh.cells, enclosed(vertices, triangles))
+    parts = (mesh.points, mesh.cells, mesh.layer, *(a for item in sorted(mesh.facets.items()) for a in item))
+    return {**found.document(), "sha256": store.digest(parts)}
 
 
 def graded(start: float, end: float, fine: tuple[float, float], edge: float, growth: float, coarsest: float) -> Array:
@@ -98,7 +135,15 @@ def build(
 
 
 def footprint(scene: Scene) -> tuple[float, float, float, float]:
-    """x0, x1, y0, y1 [mm] of all of the untouched face that the indenter overlaps on its path, and half an edge more.
+    """x0, x1, y0, y1 [mm] around all that the scene touches, and half an edge more."""
+    where = touched(scene)[:, :2]
+    low, high = where.min(0) - scene.edge / 2, where.max(0) + scene.edge / 2
+    return float(low[0]), float(high[0]), float(low[1]), float(high[1])
+
+
+def touched(scene: Scene) -> Array:
+    """Points (n, 3) of the untouched face that the indenter overlaps on its path, a third of an edge apart; below its
+    start if there are none.
 
     A rigid body cuts a wider patch out of the untouched face than it touches of a soft one: this is on the safe side.
     """
@@ -106,14 +151,15 @@ def footprint(scene: Scene) -> tuple[float, float, float, float]:
     x, y = (np.arange(-size / 2, size / 2 + step, step) for size in (gel.width, gel.height))
     grid = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
     face = np.column_stack([grid, gel.top(*grid.T)])
-    touched = np.zeros(len(face), bool)
+    hit = np.zeros(len(face), bool)
     poses = scene.poses
     if scene.forced is not None:
         poses = poses.copy()
         poses[:, 2, 3] -= scene.forced.allowance
     for matrix in np.unique(poses.reshape(-1, 16), axis=0).reshape(-1, 4, 4):
-        rest = ~touched
-        touched[rest] = scene.shape.distance(Pose.of(matrix).local(face[rest]))[0] < 0
-    where = grid[touched] if touched.any() else scene.start[None, :2, 3]
-    low, high = where.min(0) - scene.edge / 2, where.max(0) + scene.edge / 2
-    return float(low[0]), float(high[0]), float(low[1]), float(high[1])
+        rest = ~hit
+        hit[rest] = scene.shape.distance(Pose.of(matrix).local(face[rest]))[0] < 0
+    if hit.any():
+        return face[hit]
+    start = scene.start[None, :2, 3]
+    return np.column_stack([start, gel.top(*start.T)])

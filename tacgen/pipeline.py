@@ -11,6 +11,7 @@ import numpy as np
 
 from tacgen import bundle, foresee, mesh, resume, scene, solve
 from tacgen.errors import UserError
+from tacgen.gel import Gel
 from tacgen.plan import Row
 from tacgen.resume import SceneResult
 from tacgen.sensor import LitSensor
@@ -158,7 +159,7 @@ class Products:
         return out
 
 
-def _attributes(row: Row, problem: solve.Problem, products: Products) -> dict[str, Any]:
+def _attributes(row: Row, gel: Gel, problem: solve.Problem, products: Products) -> dict[str, Any]:
     from importlib.metadata import version
 
     found: dict[str, Any] = {
@@ -171,6 +172,7 @@ def _attributes(row: Row, problem: solve.Problem, products: Products) -> dict[st
         "input_key": row.key,
         "solver": ", ".join([problem.linear.name, *(f"{p} {version(p)}" for p in ("numpy", "scipy", "numba"))]),
         "values": row.values,
+        "mesh": mesh.quality(gel, problem.mesh),
     }
     if "rgb" in row.recipe.outputs:
         found["renderer"] = f"mitsuba {version('mitsuba')} {products.renderer.variant}"
@@ -199,10 +201,10 @@ def _make(row: Row, path: Path, say: Say | None) -> SceneResult:
     clock = Clock()
     with clock.stage("mesh"):
         built = foresee.foreseen(scene.build(row))
-        problem = solve.Problem.of(built, mesh.build(built.gel, mesh.footprint(built), built.edge))
+        problem = solve.Problem.of(built, mesh.of(built))
     products = Products(row, problem, clock)
     reason = ""
-    with bundle.Writer(path, _attributes(row, problem, products), row.frames) as writer:
+    with bundle.Writer(path, _attributes(row, built.gel, problem, products), row.frames) as writer:
         for name, array in products.still().items():
             writer.put(name, array)
         states = solve.states(built, problem)

@@ -12,6 +12,7 @@ Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 Acute = Annotated[float, Field(gt=0, lt=90)]
 OutputName = Literal["force", "traction", "force_map", "height", "normals", "gap", "stress", "markers", "rgb"]
+Element = Literal["hex", "tet", "linear_tet"]  # linear tets lock on gels this near to incompressible: to compare with
 OUTPUTS: tuple[str, ...] = get_args(OutputName)
 
 
@@ -237,6 +238,7 @@ class Recipe(Part):
     trajectory: Annotated[tuple[Segment, ...], Field(min_length=1)]
     contact: Contact = Contact()
     dynamics: Dynamics | None = None
+    mesh: Element | None = None  # None: hex where the gel is a pad, tet where it is a solid of your own
     render: Render = Render()
     outputs: Outputs
     quality: Annotated[

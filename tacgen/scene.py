@@ -13,60 +13,17 @@ from tacgen import sensor as sensors
 from tacgen.fem.field import Field
 from tacgen.fem.materials import Law, MooneyRivlin, NeoHooke, StableNeoHooke, Yeoh
 from tacgen.fem.shapes import Box, Capsule, Cone, Cylinder, Shape, Sphere, Torus, Wedge
+from tacgen.gel import Gel, Layer
 from tacgen.plan import Row
 from tacgen.recipe import Indenter
 from tacgen.sensor import MooneyRivlinLayer, NeoHookeLayer, Sensor, StableNeoHookeLayer, YeohLayer
 from tacgen.trajectory import Forced, lay
 
+__all__ = ["Gel", "Layer", "Scene", "build"]
+
 Array = np.ndarray
 TONNES_PER_MM3 = 1e-12  # kg/m^3
 CELLS = (0.04, 0.15)  # least and largest grid spacing of a mesh's signed distance [mm]
-
-
-@dataclass(frozen=True)
-class Layer:
-    """A slab of one material; thickness [mm]."""
-
-    thickness: float
-    law: Law
-    youngs_modulus: float  # [MPa]
-
-
-@dataclass(frozen=True)
-class Gel:
-    """A pad bonded at its base, layers from base to face; width along x, height along y [mm].
-
-    tip: the end in y (-1, +1) that is a semicircle over the whole width, 0 for none; radii: of the dome along x and y.
-    """
-
-    width: float
-    height: float
-    corner_radius: float
-    layers: tuple[Layer, ...]
-    tip: int = 0
-    radii: tuple[float, float] = (np.inf, np.inf)
-
-    @property
-    def thickness(self) -> float:
-        """At the crown [mm]."""
-        return sum(layer.thickness for layer in self.layers)
-
-    def top(self, x: Array, y: Array) -> Array:
-        """z of the untouched face [mm], 0 at the crown; x and y broadcast."""
-        return np.asarray(0.0 - np.hypot(x * x / (2 * self.radii[0]), y * y / (2 * self.radii[1])))
-
-    def contains(self, x: Array, y: Array) -> Array:
-        """Whether points lie inside the outline; x and y broadcast."""
-        if self.tip:
-            r = self.width / 2
-            past = self.tip * y - (self.height / 2 - r)  # beyond the semicircle's centre, toward the tip
-            return np.asarray((-self.tip * y <= self.height / 2) & (np.hypot(x, np.maximum(past, 0)) <= r))
-        r = self.corner_radius
-        beyond = np.hypot(
-            np.maximum(np.abs(x) - (self.width / 2 - r), 0), np.maximum(np.abs(y) - (self.height / 2 - r), 0)
-        )
-        within = (np.abs(x) <= self.width / 2) & (np.abs(y) <= self.height / 2) & (beyond <= max(r, 1e-12))
-        return np.asarray(within)
 
 
 @dataclass(frozen=True)
@@ -99,6 +56,7 @@ class Scene:
     dhat: float  # [mm]
     forced: Forced | None = None
     dynamics: Dynamics | None = None  # None: as if it were moved infinitely slowly
+    element: recipes.Element = "hex"
 
 
 def _shape(i: Indenter, field: Callable[[recipes.Mesh], Shape]) -> Shape:
@@ -173,7 +131,10 @@ def build(row: Row) -> Scene:
     shape = _shape(recipe.indenter, lambda mesh: _field(mesh, row))
     way = lay(recipe, shape, gel, row.replayed)
     friction, edge, dhat = recipe.contact.friction, quality.edge_mm, quality.dhat_mm
-    return Scene(gel, shape, way.poses, way.start, way.segment, friction, edge, dhat, way.forced, _dynamics(row))
+    element = recipe.mesh or "hex"
+    return Scene(
+        gel, shape, way.poses, way.start, way.segment, friction, edge, dhat, way.forced, _dynamics(row), element
+    )
 
 
 def _dynamics(row: Row) -> Dynamics | None:

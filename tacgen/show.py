@@ -84,6 +84,8 @@ def summary(path: Path) -> str:
         f"frames    {bundle.frames} of {attrs['frames_planned']}" + (f": {', '.join(runs)}" if runs else ""),
         f"size      {path.stat().st_size / 1e6:.2f} MB, written by tacgen {attrs['tacgen_version']}",
     ]
+    if "mesh" in attrs:
+        lines.append(f"mesh      {_mesh(json.loads(attrs['mesh']))}")
     if "/frames/force" in bundle and bundle.frames:
         force = bundle["/frames/force"]
         k = int(np.linalg.norm(force, axis=1).argmax())
@@ -94,6 +96,15 @@ def summary(path: Path) -> str:
         lines.append(f"pressure  largest in frame {int(peaks.argmax())}: {peaks.max():.4f} MPa")
     lines += [f"{path:<34}{' x '.join(map(str, shape))}" for path, shape in bundle.shapes.items()]
     return "\n".join(lines)
+
+
+def _mesh(found: dict[str, Any]) -> str:
+    """`5431 nodes, 3388 cells, smallest angle 20 deg, scaled Jacobian 0.22, volume -0.03 %`"""
+    words = [f"{found['nodes']} nodes", f"{found['cells']} cells"]
+    if "smallest_dihedral_deg" in found:
+        words.append(f"smallest angle {found['smallest_dihedral_deg']:.0f} deg")
+    words.append(f"scaled Jacobian {found['smallest_scaled_jacobian']:.2f}")
+    return ", ".join([*words, f"volume {100 * found['volume_error']:+.2f} %"])
 
 
 def _indenter(bundle: Bundle) -> str:

@@ -15,7 +15,7 @@ from tacgen.recipe import Recipe
 from tacgen.turns import Placement
 
 if TYPE_CHECKING:
-    from tacgen.scene import Gel
+    from tacgen.gel import Gel
 
 Array = np.ndarray
 Step = tuple[Array, tuple[float, ...]]  # pose, and asked, part, carry, floor and below of Forced
@@ -74,7 +74,7 @@ def _sunk(shape: Shape, pose: Array, gel: "Gel") -> float:
     Each round lowers it by its distance from the face, which cannot carry it past; a second grid, 20 times as fine,
     lies around the point found on the first.
     """
-    if np.isinf(gel.radii).all():
+    if gel.flat:
         return 0.0
     most = -float(gel.top(np.array(gel.width / 2), np.array(gel.height / 2)))  # beside the pad nothing is touched
     sunk, step, middle, half = 0.0, 0.2, np.zeros(2), np.array([gel.width, gel.height]) / 2

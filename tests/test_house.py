@@ -22,9 +22,12 @@ ORDER = [
     {"limits"},
     {"load"},
     {"plan"},  # *
+    {"store"},
     {"geometry"},
+    {"gel"},
     {"trajectory"},
     {"scene"},  # *
+    {"tetmesh"},
     {"mesh"},  # *
     {"advance"},
     {"solve"},  # *
@@ -61,6 +64,7 @@ HOMES = {
     "ruamel": {"yamlfile"},
     "trimesh": {"geometry"},
     "igl": {"geometry"},
+    "pytetwild": {"tetmesh"},
     "platformdirs": {"variants"},
     "rich": {"progress"},
     "PIL": {"report"},

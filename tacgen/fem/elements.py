@@ -15,6 +15,7 @@ GAUSS2 = np.array([-1.0, 1.0]) / np.sqrt(3.0)
 TET_EDGES = np.array([(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)])
 TRIANGLE_EDGES = np.array([(0, 1), (1, 2), (2, 0)])
 TET4 = (5 - np.sqrt(5.0)) / 20  # smaller barycentric coordinate of the 4-point rule of degree 2
+POINTWISE = 25.0  # of quadratic tets, see Elements
 # smaller barycentric coordinate and weight of each orbit of three points, by the nodes of the triangle
 DUNAVANT = {
     3: ((1 / 6, 1 / 3),),
@@ -28,13 +29,14 @@ class Elements:
     """Elements of one type.
 
     conn (e, a) node numbers; gradients (e, q, a, 3) dN/dX [1/mm]; weights (e, q) [mm^3];
-    mean_dilatation: the volumetric energy is evaluated at the element's mean J (Q1P0 for hexes); shape (q, a): N.
+    pointwise: bulk modulus, as a multiple of the shear modulus, up to which the volumetric energy is that of J at each
+    point; what is stiffer is that of the element's mean J, which does not lock. shape (q, a): N.
     """
 
     conn: Array
     gradients: Array
     weights: Array
-    mean_dilatation: bool
+    pointwise: float
     shape: Array
 
 
@@ -52,7 +54,7 @@ def hexes(points: Array, conn: Array) -> Elements:
     if (volume <= 0).any():
         raise ValueError(f"{int((volume <= 0).any(1).sum())} hexes are turned inside out")
     gradients = np.einsum("qaj,eqjI->eqaI", dN, np.linalg.inv(jacobian))
-    return Elements(conn.astype(np.int32), np.ascontiguousarray(gradients), volume, True, f.prod(2) / 8)
+    return Elements(conn.astype(np.int32), np.ascontiguousarray(gradients), volume, 0.0, f.prod(2) / 8)
 
 
 def barycentric(L: Array, corners: int) -> tuple[Array, Array]:
@@ -89,7 +91,9 @@ def tets(points: Array, conn: Array) -> Elements:
     if (volume <= 0).any():
         raise ValueError(f"{int((volume <= 0).any(1).sum())} tets are turned inside out")
     gradients = np.einsum("qaj,eqjI->eqaI", dN, np.linalg.inv(jacobian))
-    return Elements(conn.astype(np.int32), np.ascontiguousarray(gradients), volume / 6 / len(L), False, N)
+    return Elements(
+        conn.astype(np.int32), np.ascontiguousarray(gradients), volume / 6 / len(L), np.inf if linear else POINTWISE, N
+    )
 
 
 def quadratic(points: Array, *conns: Array) -> tuple[Array, ...]:

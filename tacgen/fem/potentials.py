@@ -81,6 +81,11 @@ class Elastic:
     def on(cls, pattern: Pattern, elements: Elements, law: Law) -> "Elastic":
         return cls(elements, law, pattern.slots(elements.conn))
 
+    @property
+    def local(self) -> float:
+        """The part of the volumetric energy that is taken at each point, not of the element's mean dilatation."""
+        return min(1.0, self.elements.pointwise * self.law.mu / self.law.kappa)
+
     def at(self, x: Array) -> Point:
         """Invariants, energies and derivatives at x; the energy is +inf, and the rest nonsense, where J <= 0."""
         point: Point = self._last.of(x, self._evaluate)
@@ -95,17 +100,19 @@ class Elastic:
             J = np.where(J > 0, J, 1.0)
         iso = self.law.iso(I1, I2, J)
         volume = w.sum(1)
-        if self.elements.mean_dilatation:
-            U, dU, ddU = self.law.vol((w * J).sum(1) / volume)
-            energy = float((w * iso.value).sum() + volume @ U)
-            dilatation = ddU / volume
-            dU, ddU = dU[:, None], np.zeros((1, 1))
-        else:
-            U, dU, ddU = self.law.vol(J)
-            energy, dilatation = float((w * (iso.value + U)).sum()), np.zeros(len(w))
         first, second = iso.first.copy(), iso.second.copy()
-        first[..., 2] += dU
-        second[..., 2] += ddU
+        energy, dilatation = float((w * iso.value).sum()), np.zeros(len(w))
+        local = self.local
+        if local < 1:
+            U, dU, ddU = self.law.vol((w * J).sum(1) / volume)
+            energy += (1 - local) * float(volume @ U)
+            first[..., 2] += (1 - local) * dU[:, None]
+            dilatation = (1 - local) * ddU / volume
+        if local > 0:
+            U, dU, ddU = self.law.vol(J)
+            energy += local * float((w * U).sum())
+            first[..., 2] += local * dU
+            second[..., 2] += local * ddU
         return Point(F, I1, J, np.inf if bad else energy, first, second, dilatation)
 
     def value(self, x: Array) -> float:
@@ -131,10 +138,9 @@ class Elastic:
         F = assembly.deformation(x, self.elements.conn, self.elements.gradients)
         I1, I2, J = assembly.invariants(F)
         w, volume = self.elements.weights, self.elements.weights.sum(1)
-        iso = (w * self.law.iso(I1, I2, J).value).sum(1)
-        if self.elements.mean_dilatation:
-            return np.asarray(iso + volume * self.law.vol((w * J).sum(1) / volume)[0])
-        return np.asarray(iso + (w * self.law.vol(J)[0]).sum(1))
+        iso, local = (w * self.law.iso(I1, I2, J).value).sum(1), self.local
+        mean, at_points = self.law.vol((w * J).sum(1) / volume)[0], self.law.vol(J)[0]
+        return np.asarray(iso + (1 - local) * volume * mean + local * (w * at_points).sum(1))
 
     def cauchy(self, x: Array) -> tuple[Array, Array]:
         """Cauchy stress (e, q, 3, 3) [MPa] from the law, sigma = P F^T / J, and current volumes (e, q) [mm^3]."""

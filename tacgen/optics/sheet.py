@@ -70,7 +70,7 @@ class Sheet:
         pad = self._rounded(rest) if self.tip else self._cut(rest)
         now = np.array(surface.at(pad), dtype=np.float64)
         lost = np.isnan(now[:, 2])
-        if self.tip and lost.any():  # between the outline and the stairs that a mesh makes of it
+        if lost.any():  # between the outline and what a mesh makes of it
             from scipy.spatial import cKDTree
 
             near = np.flatnonzero(~lost)[cKDTree(pad[~lost]).query(pad[lost])[1]]

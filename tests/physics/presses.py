@@ -49,8 +49,8 @@ def scene(shape: Shape, path: Array, *, pad: Gel | None = None, friction: float 
     return Scene(pad or gel(), shape, path, start, np.zeros(len(path), int), friction, edge, 0.05)
 
 
-def run(made: Scene, footprint: Footprint | None = None) -> Run:
-    """Solve all frames, on a mesh that is fine over `footprint`."""
-    grid = mesh.build(made.gel, footprint or mesh.footprint(made), made.edge)
+def run(made: Scene, footprint: Footprint | None = None, grid: mesh.Mesh | None = None) -> Run:
+    """Solve all frames, on a mesh of hexes that is fine over `footprint` or on the one given."""
+    grid = grid or mesh.build(made.gel, footprint or mesh.footprint(made), made.edge)
     problem = solve.Problem.of(made, grid)
     return Run(made, problem, list(solve.states(made, problem)))

@@ -1,0 +1,77 @@
+"""How well shaped a mesh is: counts, angles, Jacobians, volume. Arrays in, numbers out."""
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from tacgen.fem.elements import TET_EDGES, barycentric, elements
+
+Array = np.ndarray
+# the corners that each corner's edges lead to, right-handed
+HEX_ENDS = np.array([(1, 3, 4), (2, 0, 5), (3, 1, 6), (0, 2, 7), (7, 5, 0), (4, 6, 1), (5, 7, 2), (6, 4, 3)])
+TET_ENDS = np.array([(1, 2, 3), (2, 0, 3), (0, 1, 3), (1, 0, 2)])
+OPPOSITE = np.array([(2, 3), (0, 3), (1, 3), (1, 2), (2, 0), (0, 1)])  # the corners off each of TET_EDGES
+
+
+@dataclass(frozen=True)
+class Quality:
+    """Of a mesh: smallest dihedral angle of its tets [deg] (None for hexes), smallest scaled Jacobian (1 is a cube or
+    a regular tet, 0 is flat), and how much its volume differs from the true one, as a part of it."""
+
+    nodes: int
+    cells: int
+    smallest_dihedral_deg: float | None
+    smallest_scaled_jacobian: float
+    volume_error: float
+
+    def document(self) -> dict[str, float | int]:
+        """What there is to say, rounded: the last bits of a sum say nothing."""
+        return {name: round(v, 6) for name, v in asdict(self).items() if v is not None}
+
+
+def dihedral(points: Array, tets: Array) -> Array:
+    """Angles (e, 6) [rad] between the faces that meet at the straight edges of tets (e, 4 or more)."""
+    x = points[tets[:, :4]]
+    a, b = x[:, TET_EDGES[:, 0]], x[:, TET_EDGES[:, 1]]
+    along = (b - a) / np.maximum(np.linalg.norm(b - a, axis=-1, keepdims=True), 1e-300)
+    c, d = (x[:, OPPOSITE[:, k]] - a for k in (0, 1))
+    c, d = (v - (v * along).sum(-1, keepdims=True) * along for v in (c, d))
+    return np.asarray(np.arctan2(np.linalg.norm(np.cross(c, d), axis=-1), (c * d).sum(-1)))
+
+
+def scaled_jacobian(points: Array, cells: Array) -> Array:
+    """The least over a cell's corners of the triple product of its unit edges there, 1 at best (e,).
+
+    Of a quadratic tet the volume is that of its curved map, at its worst node: 0 where an edge's node folds it.
+    """
+    ends = HEX_ENDS if cells.shape[1] == 8 else TET_ENDS
+    x = points[cells[:, : len(ends)]]
+    sides = x[:, ends] - x[:, : len(ends), None]
+    length = np.linalg.norm(sides, axis=-1).prod(-1)
+    if len(ends) == 8:
+        return np.asarray((np.linalg.det(sides) / np.maximum(length, 1e-300)).min(1))
+    return np.asarray(np.sqrt(2) * nodal_volume(points, cells).min(1) / np.maximum(length.max(1), 1e-300))
+
+
+def nodal_volume(points: Array, tets: Array) -> Array:
+    """Determinant of the map from the reference tet at each node (e, a) [mm^3]; six times the volume of a straight one.
+
+    Where it is positive at all nodes the map of a curved tet is one to one there.
+    """
+    corners = np.eye(4)
+    _, dL = barycentric(np.concatenate([corners, corners[TET_EDGES].mean(1)]), tets.shape[1])
+    dN = dL[..., 1:] - dL[..., :1]
+    return np.asarray(np.linalg.det(np.einsum("qaj,eai->eqij", dN, points[tets])))
+
+
+def measure(points: Array, cells: Array, volume: float) -> Quality:
+    """The quality of a mesh whose volume should be `volume` [mm^3]."""
+    angle = None if cells.shape[1] == 8 else float(np.degrees(dihedral(points, cells).min()))
+    found = float(elements(points, cells).weights.sum())
+    least = float(scaled_jacobian(points, cells).min())
+    return Quality(len(points), len(cells), angle, least, found / volume - 1)
+
+
+def enclosed(vertices: Array, triangles: Array) -> float:
+    """Volume inside a closed surface wound outward [mm^3]."""
+    return float(np.linalg.det(vertices[triangles]).sum() / 6)
