@@ -8,6 +8,7 @@ from tacgen import mesh, solve
 from tacgen.scene import Scene
 from tacgen.trajectory import FORCE_DEPTH
 
+HOPELESS = 2  # times the most that the coarse mesh gives
 COARSE = 5  # edges through the thickness, of the mesh on which depths are foreseen
 
 
@@ -17,7 +18,8 @@ def foreseen(scene: Scene) -> Scene:
     The mesh has to be fine where the indenter will come, which a force does not say. A stiffness by formula would
     need one for every shape and law, thin layers and sharp edges; a coarse solve is the same physics in a few
     seconds. Its depth is some percent off: `below` allows for a quarter more and a quarter of its edge. Where it
-    fails, the mesh is fine for all depths that may be tried, and the true solve says what is wrong.
+    fails, the mesh is fine for all depths that may be tried, and the true solve says what is wrong; but for a force
+    so far beyond the gel that no mesh would help, which is refused at once.
     """
     forced = scene.forced
     if forced is None:
@@ -29,6 +31,11 @@ def foreseen(scene: Scene) -> Scene:
     poses, below, shift = scene.poses.copy(), forced.below.copy(), 0.0
     try:
         found = [state.pose[2, 3] for _, state in zip(range(end), solve.states(rough, problem, tol=0.05), strict=False)]
+    except solve.TooMuch as error:
+        if error.asked < HOPELESS * error.most:
+            return scene
+        hopeless = error.index, f"{error}, as a coarse mesh has it"
+        return replace(scene, forced=replace(forced, below=np.zeros_like(below), hopeless=hopeless))
     except solve.NotConverged:
         return scene
     for i in range(len(poses)):

@@ -16,11 +16,19 @@ from tacgen.fem.rising import POWER, OutOfReach, meet
 from tacgen.scene import Scene
 from tacgen.trajectory import FORCE_DEPTH
 
-__all__ = ["NotConverged", "Problem", "State", "normal_force", "states"]
+__all__ = ["NotConverged", "Problem", "State", "TooMuch", "normal_force", "states"]
 
 Array = np.ndarray
 FORCE_TOL = 3e-3  # of a force that is asked for; of those on the way to it, 1e-2
 RISE = np.outer(np.eye(4)[2], np.eye(4)[3])  # added to a pose: 1 mm along z
+
+
+class TooMuch(NotConverged):
+    """A force is asked for that the gel does not give at any depth: `most` is what it does [N]."""
+
+    def __init__(self, message: str, index: int, asked: float, most: float) -> None:
+        super().__init__(message)
+        self.index, self.asked, self.most = index, asked, most
 
 
 def _reach_force(
@@ -60,9 +68,8 @@ def _reach_force(
             at = -face + (known[0] + face) * (target / had) ** POWER
         meet(bears, target, known=known, guess=at, low=low, high=-floor, tol=tol)
     except OutOfReach as error:
-        raise NotConverged(
-            f"{target:g} N asked for, and {FORCE_DEPTH:.0%} of the gel's thickness gives {error.most:.3g} N"
-        ) from None
+        text = f"{target:g} N asked for, and {FORCE_DEPTH:.0%} of the gel's thickness gives {error.most:.3g} N"
+        raise TooMuch(text, index, target, error.most) from None
     except ArithmeticError as error:
         most = max((normal_force(state) for _, state in found), default=had)
         why = refused[-1] if refused else error
@@ -97,6 +104,8 @@ def states(scene: Scene, problem: Problem, *, tol: float = FORCE_TOL) -> Iterato
     forced, shift, had, begun = scene.forced, 0.0, 0.0, 0.0
     for index, pose in enumerate(scene.poses):
         duration = 0.0 if scene.dynamics is None else float(scene.dynamics.duration[index])
+        if forced is not None and forced.hopeless is not None and forced.hopeless[0] == index:
+            raise NotConverged(forced.hopeless[1])
         if forced is not None and (index == 0 or scene.segment[index] != scene.segment[index - 1]):
             begun = had  # the force before the segment
         if forced is not None and np.isfinite(asked := forced.asked[index]):

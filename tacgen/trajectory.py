@@ -30,7 +30,8 @@ class Forced:
     asked: normal force at the end of the segment [N], nan where the pose is given; part: of the way there from the
     force before the segment; carry: the part of what a height was found off its guess that later poses are off too;
     floor: height of the indenter's origin that no trial goes below [mm]; below: how far under its guess a frame may
-    come, for which the mesh is made fine [mm].
+    come, for which the mesh is made fine [mm]; hopeless: a frame whose force is known to be far beyond the gel, and
+    what to say of it.
     """
 
     asked: Array
@@ -38,6 +39,7 @@ class Forced:
     carry: Array
     floor: Array
     below: Array
+    hopeless: tuple[int, str] | None = None
 
     @property
     def allowance(self) -> Array:

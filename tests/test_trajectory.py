@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tacgen import bundle, foresee, mesh, pipeline, plan, scene, solve, trajectory
+from tacgen import advance, bundle, foresee, mesh, pipeline, plan, scene, solve, trajectory
 from tacgen.errors import UserError
+from tacgen.fem.contact import Pose
 from tacgen.fem.rising import OutOfReach, meet
 
 HEAD = """
@@ -74,6 +75,78 @@ def test_a_force_the_gel_cannot_give_is_refused(tmp_path: Path, monkeypatch: pyt
     assert found.status == "rejected"
     assert found.reason.startswith("frame 1 of 1: 500 N asked for, and 20% of the gel's thickness gives ")
     assert bundle.read(found.path).frames == 0
+
+
+def test_an_absurd_force_is_refused_on_the_coarse_mesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And what comes before it is kept."""
+    segments = "press: {depth_mm: 0.3, frames: 1}\npress: {force_n: 500, frames: 1}\nrelease: {frames: 1}"
+    solved_on, usual = [], advance.reach
+
+    def watched(problem, *rest):  # type: ignore[no-untyped-def]
+        solved_on.append(problem.edge)
+        return usual(problem, *rest)
+
+    monkeypatch.setattr(advance, "reach", watched)
+    found = pipeline.run_scene(row(tmp_path, segments, "quality.edge_mm=0.7"), tmp_path / "out")
+    assert found.status == "rejected"
+    assert found.reason.startswith("frame 2 of 3: 500 N asked for, and 80% of the gel's thickness gives ")
+    assert found.reason.endswith(" N, as a coarse mesh has it")
+    assert bundle.read(found.path).frames == 1
+    assert solved_on.count(0.7) == 1
+
+
+def test_what_follows_a_force_goes_on_from_its_depth(tmp_path: Path) -> None:
+    """Held, slid askew, twisted and lifted: the depth that was found is kept until the release, at the poses asked."""
+    segments = """
+        press: {force_n: 1.0, frames: 1}
+        hold: {frames: 1}
+        slide: {x_mm: -0.2, y_mm: 0.15, frames: 2}
+        twist: {angle_deg: 12, frames: 1}
+        release: {frames: 2}
+    """
+    found = solved(row(tmp_path, segments, ROUGH))
+    at = np.array([state.pose[:3, 3] for state in found])
+    z = at[0, 2]
+    assert at[:, 2] == pytest.approx([z, z, z, z, z, z / 2, 0], abs=1e-12)
+    assert at[:, :2] == pytest.approx(np.outer([0, 0, 0.5, 1, 1, 1, 1], [-0.2, 0.15]), abs=1e-12)
+    held, slid = found[1].traction_force.sum((0, 1)), found[3].traction_force.sum((0, 1))
+    assert held == pytest.approx(found[0].traction_force.sum((0, 1)), abs=0.01)
+    assert slid[:2] / np.linalg.norm(slid[:2]) == pytest.approx([-0.8, 0.6], abs=0.03)  # dragged along
+    assert np.linalg.norm(slid[:2]) > 0.2
+    assert found[4].pose[:2, 0] == pytest.approx([np.cos(np.radians(12)), np.sin(np.radians(12))])
+    assert np.abs(found[6].traction_force.sum((0, 1))).max() < 0.02
+
+
+@pytest.mark.parametrize("axis", [0.0, 90.0])
+def test_a_press_after_a_tilt_on_a_dome_counts_from_the_turned_indenters_first_touch(
+    tmp_path: Path, axis: float
+) -> None:
+    """Of a box, whose edge leads when it leans: raised by the depth, it touches DIGIT's face at one place."""
+    sets = ("sensor=digit", "start.y_mm=3", BOX)
+    segments = f"tilt: {{angle_deg: 15, axis_deg: {axis}, frames: 1}}\npress: {{depth_mm: 0.4, frames: 1}}"
+    made = scene.build(row(tmp_path, segments, *sets))
+    x, y = np.meshgrid(np.linspace(-6, 6, 241), np.linspace(-3, 9, 241))
+    face = np.stack([x, y, made.gel.top(x, y)], -1).reshape(-1, 3)
+    raised = made.poses[1].copy()
+    raised[2, 3] += 0.4
+    gap = made.shape.distance(Pose.of(raised).local(face))[0].min()
+    assert -1e-3 < gap < 3e-3
+    sunk = made.shape.distance(Pose.of(made.poses[1]).local(face))[0].min()
+    assert -0.4 <= sunk < -0.3
+
+
+@pytest.mark.parametrize(
+    ("sets", "line"),
+    [
+        (("start.tilt_deg=50",), "--set start.tilt_deg=50: start.tilt_deg: the indenter's flank would meet the gel"),
+        ((), "recipe.yaml:10:23: trajectory[1].tilt.angle_deg: the indenter's flank would meet the gel before its tip"),
+    ],
+)
+def test_a_tilt_that_cannot_be_is_told_where_it_stands(tmp_path: Path, sets: tuple[str, ...], line: str) -> None:
+    cone = "indenter={shape: cone, half_angle_deg: 60, tip_radius_mm: 0.5}"
+    with pytest.raises(UserError) as caught:
+        row(tmp_path, "press: {depth_mm: 1.0, frames: 1}\ntilt: {angle_deg: 40, frames: 1}", cone, *sets)
+    assert caught.value.lines[0].removeprefix(f"{tmp_path}/").startswith(line)
 
 
 def test_the_footprint_holds_what_a_force_may_need(tmp_path: Path) -> None:
