@@ -1,0 +1,212 @@
+"""Frames of a dataset, one by one, for PyTorch's DataLoader or any loop; arrays come as NumPy's.
+
+    from torch.utils.data import DataLoader
+    from tacgen.torch import TactileDataset
+
+    train = TactileDataset("data/batch", fields=("rgb", "force"), split="train", subtract_reference=True)
+    for batch in DataLoader(train, batch_size=64, shuffle=True, num_workers=2):
+        batch["rgb"], batch["force"]  # tensors: (64, 240, 320, 3), (64, 3)
+
+PyTorch is not imported here: DataLoader takes whatever has a length and items, and makes tensors of arrays.
+"""
+
+import hashlib
+import math
+import os
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from tacgen import source
+from tacgen.bundle import Bundle
+from tacgen.errors import UserError
+from tacgen.layout import LAYOUT
+
+Item = dict[str, Any]
+SPLITS = ("train", "val", "test")
+OPEN_FILES = 128  # at a time, in each process
+BUNDLE_FILTERS = (2, 1, 3)  # HDF5's shuffle, deflate, fletcher32
+SMALL = 1024  # bytes a frame: what is smaller is read for a whole scene at once, and kept
+
+
+class TactileDataset:
+    """Frames of finished scenes, numbered through; `dataset[i]` is a dictionary.
+
+    It holds each field by its name, as stored, and `scene` and `frame`, the place it comes from. Files are opened when
+    they are first read, in each process by itself, so a DataLoader may fork or spawn its workers.
+
+    Args:
+        path: a bundle, a folder of bundles, or a packed folder.
+        fields: names below /frames or /fields of a bundle: rgb, force, pressure, markers, nodal_stress, ...
+        split: a part of the scenes, drawn by `seed`; no scene is in two parts. `all`: every scene.
+        fractions: of scenes for train, val and test.
+        subtract_reference: take the untouched sensor from rgb (then int16), height and markers (float32).
+        transform: is given each item last.
+
+    Raises:
+        UserError: nothing to read, a damaged or newer file, a missing shard, or a field that a scene lacks.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        fields: Sequence[str] = ("rgb", "force"),
+        *,
+        split: Literal["all", "train", "val", "test"] = "all",
+        fractions: tuple[float, float, float] = (0.8, 0.1, 0.1),
+        seed: int = 0,
+        subtract_reference: bool = False,
+        transform: Callable[[Item], Any] | None = None,
+    ) -> None:
+        good = [scene for scene in source.scenes(Path(path)) if scene.attrs["status"] == "ok"]
+        self.scenes = divide(good, split, fractions, seed)
+        self.fields = {name: _path(name) for name in fields}
+        for scene in self.scenes:
+            if missing := [name for name, inside in self.fields.items() if inside not in scene]:
+                raise UserError(f"{scene.path}: has no {missing[0]}; its recipe's outputs did not ask for it")
+        self.subtract_reference, self.transform = subtract_reference, transform
+        self._starts = np.concatenate([[0], np.cumsum([scene.frames for scene in self.scenes])]).astype(int)
+        self._forget()
+
+    def __len__(self) -> int:
+        return int(self._starts[-1])
+
+    def __getitem__(self, index: int) -> Any:
+        """One frame. Raises IndexError, or UserError if the file is damaged there."""
+        if not -len(self) <= index < len(self):
+            raise IndexError(f"frame {index} of {len(self)}")
+        index %= len(self)
+        number = int(np.searchsorted(self._starts, index, side="right")) - 1
+        frame = index - int(self._starts[number])
+        if self._process != os.getpid():  # what a fork inherits must not be read by two processes
+            self._forget()
+        item: Item = {"scene": number, "frame": frame}
+        for name, path in self.fields.items():
+            item[name] = self._values(number, name, path, frame)
+        return self.transform(item) if self.transform else item
+
+    def __getstate__(self) -> dict[str, Any]:
+        """For workers that are spawned: without open files."""
+        hidden = ("_files", "_kept", "_process")
+        return {name: value for name, value in self.__dict__.items() if name not in hidden}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._forget()
+
+    def _forget(self) -> None:
+        self._process = os.getpid()
+        self._files: OrderedDict[Path, tuple[Any, dict[str, _Stored]]] = OrderedDict()
+        self._kept: dict[tuple[int, str], np.ndarray] = {}  # small datasets and references
+
+    def _values(self, number: int, name: str, path: str, frame: int) -> np.ndarray:
+        shape = self.scenes[number].shapes[path]
+        if math.prod(shape[1:]) * np.dtype(LAYOUT[path].dtype).itemsize <= SMALL:
+            values: np.ndarray = self._whole(number, path)[frame]
+        else:
+            values = self._read(number, path, frame)
+        if not self.subtract_reference or f"/reference/{name}" not in self.scenes[number]:
+            return values
+        kind = np.int16 if values.dtype == np.uint8 else np.float32
+        return np.asarray(np.subtract(values, self._whole(number, f"/reference/{name}"), dtype=kind))
+
+    def _whole(self, number: int, path: str) -> np.ndarray:
+        if (number, path) not in self._kept:
+            self._kept[number, path] = self._read(number, path, ())
+        return self._kept[number, path]
+
+    def _read(self, number: int, path: str, index: Any) -> np.ndarray:
+        scene = self.scenes[number]
+        try:
+            stored = self._stored(scene.path, f"{scene.group}{path}")
+            return stored.frame(index) if isinstance(index, int) else np.asarray(stored.data[index])
+        except (OSError, RuntimeError, KeyError, ValueError, _inflater().error) as error:
+            raise UserError(f"{scene.path}: damaged: {str(error).partition(chr(10))[0]}") from error
+
+    def _stored(self, path: Path, inside: str) -> "_Stored":
+        """A dataset of an open file; the file used longest ago is closed when there are too many."""
+        import h5py
+
+        if path not in self._files:
+            if len(self._files) >= OPEN_FILES:
+                self._files.popitem(last=False)[1][0].close()
+            self._files[path] = (h5py.File(path, "r", locking=False), {})
+        self._files.move_to_end(path)
+        file, known = self._files[path]
+        if inside not in known:
+            known[inside] = _Stored(file[inside])
+        return known[inside]
+
+
+class _Stored:
+    """A dataset, and whether its frames are chunks that can be unpacked here."""
+
+    def __init__(self, data: Any) -> None:
+        packing = data.id.get_create_plist()
+        filters = tuple(packing.get_filter(i)[0] for i in range(packing.get_nfilters()))
+        self.data, self.dtype, self.shape = data, data.dtype, data.shape[1:]
+        self.ours = filters == BUNDLE_FILTERS and data.chunks == (1, *self.shape)
+        self.bytes = self.dtype.itemsize * int(np.prod(self.shape))
+        self.rest = (0,) * len(self.shape)
+
+    def frame(self, index: int) -> np.ndarray:
+        """One frame. Inflating is nearly all the time there is, and ISA-L takes half of what HDF5's zlib does.
+
+        The stream's own checksum is verified, HDF5's beside it is not.
+        """
+        skipped, raw = self.data.id.read_direct_chunk((index, *self.rest)) if self.ours else (True, b"")
+        if skipped:
+            return np.asarray(self.data[index])
+        flat = np.frombuffer(_inflater().decompress(raw[:-4], bufsize=self.bytes), np.uint8)
+        flat = flat.reshape(self.dtype.itemsize, -1).T.flatten()  # all first bytes came first; a copy may be written to
+        return np.asarray(flat.view(self.dtype).reshape(self.shape))
+
+
+@cache
+def _inflater() -> Any:
+    """ISA-L where it is installed, zlib otherwise: a module with `decompress` and `error`."""
+    try:
+        return import_module("isal.isal_zlib")
+    except ImportError:
+        return import_module("zlib")
+
+
+def divide(
+    scenes: Sequence[Bundle], split: str, fractions: tuple[float, float, float], seed: int
+) -> tuple[Bundle, ...]:
+    """The scenes of one part: all are put in an order by their inputs and the seed, and cut; then as they were.
+
+    Raises:
+        UserError: an unknown part, fractions that are not parts of one, or no scene in the part.
+    """
+    if split == "all":
+        return tuple(scenes)
+    if split not in SPLITS:
+        raise UserError(f"split {split!r}: must be all, {', '.join(SPLITS)}")
+    if min(fractions) < 0 or abs(sum(fractions) - 1) > 1e-6:
+        raise UserError(f"fractions {fractions}: must be at least 0 and add up to 1")
+
+    def place(i: int) -> str:
+        return hashlib.sha256(f"{seed} {scenes[i].attrs['input_key']} {i}".encode()).hexdigest()
+
+    order = sorted(range(len(scenes)), key=place)
+    ends = [round(len(scenes) * sum(fractions[: k + 1])) for k in range(3)]
+    k = SPLITS.index(split)
+    chosen = sorted(order[ends[k - 1] if k else 0 : ends[k]])
+    if not chosen:
+        raise UserError(f"split {split!r}: holds none of {len(scenes)} scenes")
+    return tuple(scenes[i] for i in chosen)
+
+
+def _path(name: str) -> str:
+    """rgb -> /frames/rgb; displacement -> /fields/displacement."""
+    for path in (f"/frames/{name}", f"/fields/{name}"):
+        if path in LAYOUT:
+            return path
+    known = [path.split("/", 2)[2] for path in LAYOUT if path.startswith(("/frames/", "/fields/"))]
+    raise UserError(f"field {name!r}: must be one of {', '.join(known)}")

@@ -1,0 +1,148 @@
+"""The dataset class: plain arrays by index, the same through PyTorch's workers, and no scene in two splits."""
+
+import pickle
+import sys
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from synthetic import write
+
+from tacgen import bundle, pack, source
+from tacgen import torch as reading
+from tacgen.errors import UserError
+from tacgen.torch import TactileDataset
+
+COUNT, FRAMES = 6, 12
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("torch") / "loose"
+    for i in range(COUNT):
+        write(out / f"scene-{i:05d}.h5", scene_index=i, seed=i, input_key=f"{i:064d}")
+    write(out / "scene-00009.h5", stop=3)
+    pack.pack(source.scenes(out), out.parent / "packed", 0.2)
+    return out
+
+
+@pytest.mark.parametrize("kind", ["loose", "packed"])
+@pytest.mark.parametrize("inflater", ["isal.isal_zlib", "zlib"])
+def test_items_are_what_the_bundles_hold(
+    folder: Path, kind: str, inflater: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip(inflater)
+    monkeypatch.setattr(reading, "_inflater", lambda: sys.modules[inflater])
+    fields = ("rgb", "force", "pressure", "contact", "marker_flow", "quality/force_balance", "nodal_stress")
+    dataset = TactileDataset(folder.parent / kind, fields)
+    assert len(dataset) == COUNT * FRAMES
+    for index in (0, 11, 12, 40, -1):
+        item = dataset[index]
+        scene, frame = divmod(index % len(dataset), FRAMES)
+        assert (item["scene"], item["frame"]) == (scene, frame)
+        original = bundle.read(folder / f"scene-{scene:05d}.h5")
+        for name in fields:
+            inside = f"/fields/{name}" if name == "nodal_stress" else f"/frames/{name}"
+            wanted = original.frame(inside, frame)
+            assert item[name].dtype == wanted.dtype
+            assert np.array_equal(item[name], wanted), name
+    with pytest.raises(IndexError):
+        dataset[len(dataset)]
+    assert [item["frame"] for item in TactileDataset(folder / "scene-00000.h5", ("force",))] == list(range(FRAMES))
+
+
+def test_the_reference_is_subtracted_without_loss(folder: Path) -> None:
+    plain = TactileDataset(folder, ("rgb", "markers", "force"))[7]
+    change = TactileDataset(folder, ("rgb", "markers", "force"), subtract_reference=True)[7]
+    scene = bundle.read(folder / "scene-00000.h5")
+    assert change["rgb"].dtype == np.int16
+    assert np.array_equal(change["rgb"] + scene["/reference/rgb"], plain["rgb"])
+    assert change["markers"] == pytest.approx(scene.frame("/frames/marker_flow", 7), abs=1e-4)
+    assert np.array_equal(change["force"], plain["force"])
+    assert (change["rgb"] < 0).any()  # it would have wrapped around
+
+
+def test_splits_share_no_scene_and_do_not_depend_on_where_scenes_lie(folder: Path) -> None:
+    parts = {}
+    for split in ("train", "val", "test"):
+        found = [
+            TactileDataset(folder.parent / kind, split=split, fractions=(0.5, 0.2, 0.3)) for kind in ("loose", "packed")
+        ]
+        keys = [[scene.attrs["input_key"] for scene in dataset.scenes] for dataset in found]
+        assert keys[0] == keys[1]
+        parts[split] = keys[0]
+    assert sorted(key for part in parts.values() for key in part) == [f"{i:064d}" for i in range(COUNT)]
+    assert [len(part) for part in parts.values()] == [3, 1, 2]
+    others = {
+        tuple(s.attrs["input_key"] for s in TactileDataset(folder, split="train", seed=k).scenes) for k in range(9)
+    }
+    assert len(others) > 1
+
+
+def test_it_pickles_without_its_open_files_and_forgets_those_of_a_parent(folder: Path) -> None:
+    dataset = TactileDataset(folder)
+    first = dataset[3]
+    again = pickle.loads(pickle.dumps(dataset))
+    assert again._files == {}
+    assert np.array_equal(again[3]["rgb"], first["rgb"])
+    dataset._process = -1  # as after a fork
+    dataset._files["stale"] = None  # type: ignore[index,assignment]
+    assert np.array_equal(dataset[3]["rgb"], first["rgb"])
+    assert "stale" not in dataset._files
+
+
+def test_few_files_are_open_at_a_time(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reading, "OPEN_FILES", 2)
+    dataset = TactileDataset(folder)
+    for index in range(0, len(dataset), FRAMES // 2):
+        dataset[index]
+        assert len(dataset._files) <= 2
+
+
+@pytest.mark.parametrize("spoil", ["cut", "flip"])
+def test_a_damaged_frame_is_one_line(folder: Path, tmp_path: Path, spoil: str) -> None:
+    path = tmp_path / "scene-00000.h5"
+    data = bytearray((folder / "scene-00000.h5").read_bytes())
+    path.write_bytes(data)
+    dataset = TactileDataset(path, ("rgb",))
+    for i in range(len(data) // 4, len(data) - 2000, 997):
+        data[i] ^= 255
+    path.write_bytes(data if spoil == "flip" else data[: len(data) // 3])
+    with pytest.raises(UserError, match="damaged") as caught:
+        [dataset[i] for i in range(FRAMES)]
+    assert len(caught.value.lines) == 1
+
+
+def test_mistakes_are_one_line(folder: Path, tmp_path: Path) -> None:
+    write(tmp_path / "scene-00000.h5", outputs=frozenset({"force"}))
+    for options, says in (
+        ({"path": folder, "fields": ["rbg"]}, "field 'rbg': must be one of "),
+        ({"path": tmp_path}, "scene-00000.h5: has no rgb; its recipe's outputs"),
+        ({"path": tmp_path / "no"}, "no such file or folder"),
+        ({"path": folder, "split": "tset"}, "split 'tset': must be all, train, val, test"),
+        ({"path": folder, "split": "val", "fractions": (1.0, 0.0, 0.0)}, "split 'val': holds none of 6 scenes"),
+        ({"path": folder, "split": "val", "fractions": (0.5, 0.1, 0.1)}, "add up to 1"),
+    ):
+        with pytest.raises(UserError) as caught:
+            TactileDataset(**options)  # type: ignore[arg-type]
+        assert says in caught.value.lines[0]
+        assert len(caught.value.lines) == 1
+
+
+def test_pytorch_loads_it_in_two_workers(folder: Path) -> None:
+    torch = pytest.importorskip("torch")
+    dataset = TactileDataset(folder.parent / "packed", transform=lambda item: {**item, "force": -item["force"]})
+    dataset[0]  # a file is open when the workers fork
+    loader = torch.utils.data.DataLoader(dataset, batch_size=10, shuffle=True, num_workers=2)
+    seen = []
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # PyTorch forks although it has threads
+        for batch in loader:
+            assert batch["rgb"].dtype == torch.uint8
+            for scene, frame, rgb, force in zip(*(batch[n] for n in ("scene", "frame", "rgb", "force")), strict=True):
+                seen.append((int(scene), int(frame)))
+                item = dataset[int(scene) * FRAMES + int(frame)]
+                assert np.array_equal(rgb, item["rgb"])
+                assert np.array_equal(force, item["force"])
+    assert sorted(seen) == [(i, k) for i in range(COUNT) for k in range(FRAMES)]
