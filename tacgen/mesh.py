@@ -12,6 +12,7 @@ from tacgen.gel import Gel
 from tacgen.scene import Scene
 
 Array = np.ndarray
+STEEPEST = 1.1  # slope of a signed distance: 1, and a little more where it is interpolated
 # nodes, and the edge that fTetWild is asked for as a part of a hex's; it gives 1.25 to 1.35 times that
 TETS = {"tet": (10, 1.125), "linear_tet": (4, 0.8)}
 LEAST_ANGLE = 2.0  # [deg]
@@ -156,9 +157,14 @@ def touched(scene: Scene) -> Array:
     if scene.forced is not None:
         poses = poses.copy()
         poses[:, 2, 3] -= scene.forced.allowance
-    for matrix in np.unique(poses.reshape(-1, 16), axis=0).reshape(-1, 4, 4):
-        rest = ~hit
-        hit[rest] = scene.shape.distance(Pose.of(matrix).local(face[rest]))[0] < 0
+    before, least = Pose.of(scene.start).local(face), np.zeros(len(face))  # of the distance, which is measured when < 0
+    for matrix in poses:
+        local = Pose.of(matrix).local(face)
+        least -= STEEPEST * np.linalg.norm(local - before, axis=1)
+        near = np.flatnonzero(~hit & (least <= 0))
+        least[near] = scene.shape.distance(local[near])[0]
+        hit[near[least[near] < 0]] = True
+        before = local
     if hit.any():
         return face[hit]
     start = scene.start[None, :2, 3]
