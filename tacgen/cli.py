@@ -252,17 +252,27 @@ def report(
 def show(
     path: Annotated[Path, typer.Argument(help="A bundle, or a folder of them for a summary.")],
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Write a picture here instead of a summary.")] = None,
+    field: Annotated[
+        str, typer.Option("--field", help="Draw one of pressure, traction, slip, stress, instead of all there is.")
+    ] = "",
 ) -> None:
     """Say what is in a bundle, or draw it: images, pressure, traction and height over the frames."""
     from tacgen import overview
     from tacgen import show as showing
 
     if out is None:
+        if field:
+            raise UserError("--field: draws a picture, and needs --out to say where")
         typer.echo(overview.summary(path) if path.is_dir() else showing.summary(path))
         return
     with writing(out):
         out.parent.mkdir(parents=True, exist_ok=True)
-        showing.picture(path, out)
+        if field:
+            from tacgen import show_field
+
+            show_field.picture(path, field, out)
+        else:
+            showing.picture(path, out)
     typer.echo(str(out))
 
 

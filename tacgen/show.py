@@ -28,7 +28,11 @@ def picture(path: Path, out: Path) -> None:
         UserError: `path` is no whole bundle, or `out` does not end in a kind of picture.
         OSError: `out` cannot be written.
     """
-    drawn = figure(read(path))
+    save(figure(read(path)), out)
+
+
+def save(drawn: "Figure", out: Path) -> None:
+    """Write a figure. UserError if `out` does not end in a kind of picture, OSError if it cannot be written."""
     kinds = drawn.canvas.get_supported_filetypes()
     if out.suffix.lstrip(".").lower() not in kinds:
         raise UserError(f"{out}: unknown kind of picture, use one of {', '.join('.' + kind for kind in sorted(kinds))}")
@@ -45,7 +49,7 @@ def figure(bundle: Bundle) -> "Figure":
 
     rows = [draw for wanted, draw in ROWS if any(p in bundle for p in wanted) and bundle.frames]
     shown = np.unique(np.linspace(0, max(bundle.frames - 1, 0), COLUMNS).round().astype(int)) if rows else np.zeros(0)
-    image, window = _image_size(bundle), _window(bundle)
+    image, window = image_size(bundle), window_of(bundle)
     tall = PANEL * image[0] / image[1]
     wide = max(len(shown) * (PANEL + GAP), 5.5)
     size = (LEFT + wide + RIGHT, (TOP if rows else 0.2) + len(rows) * (tall + GAP) + ABOVE_FORCES + FORCES + BELOW)
@@ -68,7 +72,7 @@ def figure(bundle: Bundle) -> "Figure":
             for panel, k in zip(panels, shown, strict=True):
                 panel.set_title(f"frame {k}\n{bundle.segments[k]}", fontsize=8, pad=4)
     _forces(axes(LEFT, size[1] - BELOW - FORCES, wide - GAP, FORCES), bundle, shown)
-    _title(sheet, bundle, size[1])
+    heading(sheet, bundle, size[1])
     return sheet
 
 
@@ -118,7 +122,7 @@ def _indenter(bundle: Bundle) -> str:
     return ", ".join(words)
 
 
-def _title(sheet: "Figure", bundle: Bundle, height: float) -> None:
+def heading(sheet: "Figure", bundle: Bundle, height: float) -> None:
     text = f"{bundle.recipe.get('name', bundle.path.stem)}: {_indenter(bundle)}, on {bundle.attrs['sensor']}"
     sheet.text(0.5, 1 - 0.12 / height, text, ha="center", va="top", fontsize=11)
     if bundle.attrs["status"] != "ok":
@@ -126,7 +130,7 @@ def _title(sheet: "Figure", bundle: Bundle, height: float) -> None:
         sheet.text(0.5, 1 - 0.34 / height, text, ha="center", va="top", fontsize=8, color="#b00000")
 
 
-def _image_size(bundle: Bundle) -> tuple[int, int]:
+def image_size(bundle: Bundle) -> tuple[int, int]:
     """(H, W) [px]: of the images, otherwise of the camera that would have taken them, otherwise of the maps."""
     camera = json.loads(bundle.attrs.get("sensor_document", "{}")).get("camera")
     if camera and "/frames/rgb" not in bundle:
@@ -138,7 +142,7 @@ def _image_size(bundle: Bundle) -> tuple[int, int]:
 Window = tuple[float, float, float, float]
 
 
-def _window(bundle: Bundle) -> Window:
+def window_of(bundle: Bundle) -> Window:
     """(x0, x1, y0, y1) as fractions of the image: where the gel is ever touched, and a margin around."""
     if "/frames/pressure" not in bundle:
         return 0.0, 1.0, 0.0, 1.0
@@ -177,10 +181,10 @@ def _camera(bundle: Bundle, panels: list["Axes"], shown: np.ndarray, image: tupl
             corner, size = (x0 * width, y0 * height), ((x1 - x0) * width, (y1 - y0) * height)
             panel.add_patch(Rectangle(corner, *size, fill=False, edgecolor="white", linewidth=0.6, linestyle=":"))
         panel.set(xlim=(0, width), ylim=(height, 0), facecolor="#707070")
-    _frame_axes(panels, label)
+    frame_axes(panels, label)
 
 
-def _map(
+def draw_map(
     bundle: Bundle, panels: list["Axes"], shown: np.ndarray, image: tuple[int, int], values: np.ndarray, colours: str
 ) -> Any:
     """Draw maps (N, h, w) in image pixels, all frames on one scale; returns what a colour bar needs."""
@@ -192,23 +196,27 @@ def _map(
     return drawn
 
 
-def _zoom(panels: list["Axes"], image: tuple[int, int], window: Window, label: str) -> None:
+def zoom(panels: list["Axes"], image: tuple[int, int], window: Window, label: str) -> None:
     for panel in panels:
         panel.set(xlim=(window[0] * image[1], window[1] * image[1]), ylim=(window[3] * image[0], window[2] * image[0]))
-    _frame_axes(panels, label)
+    frame_axes(panels, label)
 
 
-def _pressure(bundle: Bundle, panels: list["Axes"], shown: np.ndarray, image: tuple[int, int], window: Window) -> Any:
-    drawn = _map(bundle, panels, shown, image, bundle["/frames/pressure"], "viridis")
-    _zoom(panels, image, window, "pressure\n[px]")
+def draw_pressure(
+    bundle: Bundle, panels: list["Axes"], shown: np.ndarray, image: tuple[int, int], window: Window
+) -> Any:
+    drawn = draw_map(bundle, panels, shown, image, bundle["/frames/pressure"], "viridis")
+    zoom(panels, image, window, "pressure\n[px]")
     return drawn, "pressure [MPa]"
 
 
-def _traction(bundle: Bundle, panels: list["Axes"], shown: np.ndarray, image: tuple[int, int], window: Window) -> Any:
+def draw_traction(
+    bundle: Bundle, panels: list["Axes"], shown: np.ndarray, image: tuple[int, int], window: Window
+) -> Any:
     """Size as colour, direction as arrows on a coarse grid over the window."""
     traction = bundle["/frames/traction"]
     size = np.linalg.norm(traction, axis=-1)
-    drawn = _map(bundle, panels, shown, image, size, "magma")
+    drawn = draw_map(bundle, panels, shown, image, size, "magma")
     h, w = size.shape[1:]
     step = max(1, round((window[1] - window[0]) * w / 14))
     rows, columns = (np.arange(n) for n in (h, w))
@@ -219,20 +227,20 @@ def _traction(bundle: Bundle, panels: list["Axes"], shown: np.ndarray, image: tu
     for panel, k in zip(panels, shown, strict=True):
         arrows = traction[k][np.ix_(rows, columns)].reshape(-1, 2) / max(size.max(), 1e-12) * span / 9
         _arrows(panel, at, arrows, span)
-    _zoom(panels, image, window, "tangential\ntraction [px]")
+    zoom(panels, image, window, "tangential\ntraction [px]")
     return drawn, "traction [MPa]"
 
 
 def _height(bundle: Bundle, panels: list["Axes"], shown: np.ndarray, image: tuple[int, int], window: Window) -> Any:
-    drawn = _map(bundle, panels, shown, image, bundle["/frames/height"], "cividis")
-    _zoom(panels, image, window, "height\n[px]")
+    drawn = draw_map(bundle, panels, shown, image, bundle["/frames/height"], "cividis")
+    zoom(panels, image, window, "height\n[px]")
     return drawn, "height z [mm]"
 
 
 ROWS = (
     (("/frames/rgb", "/frames/marker_flow"), _camera),
-    (("/frames/pressure",), _pressure),
-    (("/frames/traction",), _traction),
+    (("/frames/pressure",), draw_pressure),
+    (("/frames/traction",), draw_traction),
     (("/frames/height",), _height),
 )
 
@@ -245,7 +253,7 @@ def _arrows(panel: "Axes", at: np.ndarray, arrows: np.ndarray, span: float) -> N
     panel.quiver(*at[keep].T, *arrows[keep].T, angles="xy", scale_units="xy", scale=1, **style)
 
 
-def _frame_axes(panels: list["Axes"], label: str) -> None:
+def frame_axes(panels: list["Axes"], label: str) -> None:
     """Pixel ticks on the first panel of a row only."""
     for panel in panels:
         panel.tick_params(labelsize=6, length=2, pad=1.5, labelbottom=False, bottom=False)

@@ -37,10 +37,10 @@ ORDER = [
     {"render"},  # *
     {"layout"},
     {"bundle"},  # *
-    {"derived", "source", "resume"},
+    {"derived", "section", "source", "resume"},
     {"export"},
     {"pipeline", "check", "show", "doctor", "schema", "listing", "table", "progress"},
-    {"batch"},
+    {"batch", "show_field"},
     {"survey", "pack", "torch"},
     {"overview"},
     {"card", "report"},
@@ -55,7 +55,7 @@ ALLOWED_IN_LIBRARIES = {"numpy", "scipy", "numba"}
 HOMES = {
     "mitsuba": {"render"},
     "drjit": {"render"},
-    "matplotlib": {"show"},
+    "matplotlib": {"show", "show_field"},
     "mpl_toolkits": {"show"},
     "h5py": {"bundle", "doctor", "export.vtkhdf", "pack", "torch"},
     "cvxopt": {"fem.linear"},

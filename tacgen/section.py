@@ -1,0 +1,48 @@
+"""A plane cut through a solid mesh: triangles in the plane, with values interpolated to their corners."""
+
+import numpy as np
+
+Array = np.ndarray
+# a hex around its diagonal 0-6; the corners of a tetrahedron alone
+TETS = {8: [[0, 1, 2, 6], [0, 1, 5, 6], [0, 4, 5, 6], [0, 4, 7, 6], [0, 3, 7, 6], [0, 3, 2, 6]], 4: [[0, 1, 2, 3]]}
+
+
+def cut(points: Array, cells: Array, values: Array, y: float) -> tuple[Array, Array]:
+    """The plane at `y` through points (n, 3) and cells (e, 8, 4 or 10), with values (n, c) at the points.
+
+    Cells are taken as tetrahedra with straight edges. Returns corners (t, 3, 2), x and z, and values there (t, 3, c).
+    """
+    corners = TETS[8 if cells.shape[1] == 8 else 4]
+    tets = np.concatenate([cells[:, four] for four in corners])
+    side = points[tets, 1] - y
+    count = (side > 0).sum(1)
+    pieces = []
+    for above in (1, 3):  # one corner alone on its side: a triangle
+        order = np.argsort(side[count == above] * (1 if above == 3 else -1), axis=1)
+        lone = np.take_along_axis(tets[count == above], order, 1)
+        pieces.append([(lone[:, 0], lone[:, k]) for k in (1, 2, 3)])
+    order = np.argsort(side[count == 2], axis=1)  # two and two: a quadrangle
+    a, b, c, d = np.take_along_axis(tets[count == 2], order, 1).T
+    pieces += [[(a, c), (a, d), (b, d)], [(a, c), (b, d), (b, c)]]
+    flat, found = [], []
+    for triangle in pieces:
+        for low, high in triangle:
+            s = points[low, 1] - y
+            part = (s / (s - (points[high, 1] - y)))[:, None]
+            flat.append((points[low] + part * (points[high] - points[low]))[:, [0, 2]])
+            found.append(values[low] + part * (values[high] - values[low]))
+    return _stacked(flat), _stacked(found)
+
+
+def _stacked(parts: list[Array]) -> Array:
+    """Corners one after the other, three to a triangle, as triangles (t, 3, c)."""
+    return np.concatenate([np.stack(parts[k : k + 3], 1) for k in range(0, len(parts), 3)])
+
+
+def outline(corners: Array) -> Array:
+    """The sides (l, 2, 2) of triangles (t, 3, 2) that no other has."""
+    sides = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
+    _, number = np.unique(sides.reshape(-1, 2).round(7), axis=0, return_inverse=True)
+    ends = np.sort(number.reshape(-1, 2), axis=1)
+    _, first, count = np.unique(ends, axis=0, return_index=True, return_counts=True)
+    return np.asarray(sides[first[(count == 1)]])
