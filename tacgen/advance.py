@@ -17,6 +17,7 @@ from tacgen.fem.contact import Contact, Faces, Pose
 from tacgen.fem.elements import elements
 from tacgen.fem.friction import Friction
 from tacgen.fem.newton import Status, minimise
+from tacgen.fem.passage import blocked, sunk
 from tacgen.fem.potentials import Elastic, Potential, Total
 from tacgen.mesh import Mesh
 from tacgen.scene import Scene
@@ -29,7 +30,9 @@ XTOL = 1e-3  # no node moves by more than this in the last step, nor does the me
 RESIDUAL = 1e-3  # of the contact force
 LAG = 1e-3  # normal forces may be this far from the ones friction used, as a part of their sum
 NEGLIGIBLE = 1e-3  # of the largest contact force so far
-HALVINGS = 5
+HALVINGS = 5  # of a step that does not converge
+SPLITS = 12  # and of one in which the indenter might pass through the gel
+SUNK = 0.5  # of the indenter's reach: how deep matter may be inside it, between the points where contact acts
 TRIES = 8  # at a pose, each with a smaller tolerance or a stiffer barrier than the last
 STIFFER = 4
 EPS = 5e-3  # slip over which friction builds up [mm]
@@ -37,6 +40,10 @@ EPS = 5e-3  # slip over which friction builds up [mm]
 
 class NotConverged(ArithmeticError):
     """A frame has no solution that meets the tolerances; the message says why."""
+
+
+class TooFar(NotConverged):
+    """A step in which the indenter might pass through the gel unseen."""
 
 
 @dataclass(frozen=True)
@@ -246,9 +253,13 @@ def advance(
     """
     begun = memory if near is None else replace(memory, offset=near.offset)
     lagged = _Lagged(problem, begun, Pose.of(matrix), duration)
-    x = lagged.ahead if lagged.goes_on else memory.x
-    if near is not None and lagged.total.value(near.x) < lagged.total.value(x):
-        x = near.x
+    starts = [memory.x]
+    starts += [lagged.ahead] if lagged.goes_on else []
+    starts += [near.x] if near is not None else []
+    starts = [x for x in starts if not blocked(lagged.contact, memory.pose, memory.x, memory.gap, x)]
+    if not starts:
+        raise TooFar("the indenter would pass through the gel")
+    x = min(starts, key=lagged.total.value)
     expect, iterations, xtol = np.inf, 0, XTOL
     for _ in range(TRIES):
         found = minimise(
@@ -262,12 +273,22 @@ def advance(
         if residual > RESIDUAL or balance > RESIDUAL:
             xtol /= 30
         elif not lagged.stiffened(x):
+            _check_sunk(problem, lagged.contact, x)
             return _record(lagged, x, index, matrix, iterations, residual, balance)
     least = lagged.contact.gaps(x)[0].min()
     raise NotConverged(
         f"after {iterations} iterations residual {residual:.1e} and balance {balance:.1e} of the contact force,"
         f" smallest gap {least:.1e} mm"
     )
+
+
+def _check_sunk(problem: Problem, contact: Contact, x: Array) -> None:
+    reach = contact.shape.reach
+    if (deep := sunk(contact, problem.elastic, x)) > SUNK * reach:
+        raise NotConverged(
+            f"the indenter, {2 * reach:.3g} mm thin, slips {deep:.3g} mm into the gel between the points of a mesh of"
+            f" edge {problem.edge:g} mm: a finer one or less depth is needed"
+        )
 
 
 def _record(
@@ -314,17 +335,22 @@ def between(a: Array, b: Array, part: float) -> Array:
 
 
 def reach(
-    problem: Problem, memory: Memory, a: Array, b: Array, index: int, duration: float, depth: int = 0
+    problem: Problem, memory: Memory, a: Array, b: Array, index: int, duration: float, failed: int = 0, split: int = 0
 ) -> tuple[Memory, State]:
-    """From pose a to pose b in one step, or in two halves where that fails."""
+    """From pose a to pose b in one step, or in two halves where that fails or goes too far."""
     try:
         return advance(problem, memory, b, index, duration)
-    except NotConverged:
-        if depth == HALVINGS:
+    except TooFar:
+        if split == SPLITS:
             raise
+        split += 1
+    except NotConverged:
+        if failed == HALVINGS:
+            raise
+        failed += 1
     middle = between(a, b, 0.5)
-    memory, first = reach(problem, memory, a, middle, index, duration / 2, depth + 1)
-    memory, second = reach(problem, memory, middle, b, index, duration / 2, depth + 1)
+    memory, first = reach(problem, memory, a, middle, index, duration / 2, failed, split)
+    memory, second = reach(problem, memory, middle, b, index, duration / 2, failed, split)
     return memory, _after(first, second)
 
 

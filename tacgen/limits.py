@@ -12,6 +12,7 @@ from tacgen.recipe import Indenter, Recipe
 from tacgen.sensor import LIGHTS, Gel, Sensor
 from tacgen.yamlfile import KeyPath
 
+THIN = 0.5  # of the mesh's edge: half an indenter's thickness may not be less, or it slips between points of contact
 LEAST_RIM = 0.1  # of the crown's thickness: cells squeezed more would not be worth having
 
 
@@ -28,7 +29,7 @@ def recipe_problems(recipe: Recipe, sensor: Sensor, folders: Folders | None = No
     folders = folders or {}
     wrong = [*_depths(recipe, sensor), *motions.problems(recipe, sensor.gel, folders), *_outputs(recipe, sensor)]
     wrong += _times(recipe, folders)
-    return [*wrong, *_mesh(recipe.indenter, folders.get(("indenter", "file")))]
+    return [*wrong, *_thin(recipe), *_mesh(recipe.indenter, folders.get(("indenter", "file")))]
 
 
 def thickness_mm(gel: Gel) -> float:
@@ -102,6 +103,29 @@ def _outputs(recipe: Recipe, sensor: Sensor) -> list[Problem]:
     if "rgb" in recipe.outputs and not sensor.lit:
         wrong.append(Problem(("outputs",), f"asks for rgb: the sensor file {sensor.name} describes no lights yet"))
     return wrong
+
+
+def _thin(recipe: Recipe) -> list[Problem]:
+    """A body that has a far side must be thicker than the contact points are apart."""
+    indenter, edge = recipe.indenter, recipe.resolved().edge_mm
+    match indenter.shape:
+        case "sphere" | "capsule" | "cylinder":
+            half = {"radius_mm": indenter.radius_mm}
+        case "torus":
+            half = {"tube_radius_mm": indenter.tube_radius_mm}
+        case "box":
+            half = {"size_x_mm": indenter.size_x_mm / 2, "size_y_mm": indenter.size_y_mm / 2}
+        case _:
+            return []
+    return [
+        Problem(
+            ("indenter", key),
+            f"is too thin for a mesh of edge {edge:g} mm: it would slip between the points where contact acts;"
+            f" ask for quality: {{edge_mm: {value / THIN:.2g}}} or finer",
+        )
+        for key, value in half.items()
+        if value < THIN * edge * (1 - 1e-9)
+    ]
 
 
 def _mesh(indenter: Indenter, folder: Path | None) -> list[Problem]:

@@ -39,7 +39,7 @@ ORDER = [
     {"bundle"},  # *
     {"derived", "section", "source", "resume"},
     {"export"},
-    {"pipeline", "check", "show", "doctor", "schema", "listing", "table", "progress"},
+    {"pipeline", "check", "bench", "show", "doctor", "schema", "listing", "table", "progress"},
     {"batch", "show_field"},
     {"survey", "pack", "torch"},
     {"overview"},

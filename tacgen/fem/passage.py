@@ -1,0 +1,47 @@
+"""Whether an indenter could pass through the gel unseen: in a step, or between the points where contact acts."""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from tacgen.fem.contact import Contact, Pose
+from tacgen.fem.potentials import Elastic
+
+Array = np.ndarray
+DEEPEST = 0.75  # of the indenter's reach: how far inside it a point may come on its way
+TURN = 0.25  # minus the cosine by which the way out of it may have turned there
+
+
+def blocked(contact: Contact, was: Pose, before: Array, gap: Array, x: Array) -> bool:
+    """Whether a point of the face, going straight, would have the indenter pass through it.
+
+    As seen from the indenter, which `was` at one pose with the nodes at `before` (n, 3) and gaps (f, q) [mm], and is at
+    the contact's with the nodes at x. A point that comes past the indenter's middle, which shows in the way out there
+    having turned by more than a right angle or in a great depth, would be pushed out on the far side.
+    """
+    a, b = was.local(contact.faces.at(before)), contact.pose.local(contact.faces.at(x))
+    way = np.linalg.norm(b - a, axis=-1)
+    near = way > np.maximum(gap, 0.0)  # the others cannot have come to the surface
+    if not near.any():
+        return False
+    start, step, reach = a[near], (b - a)[near], contact.shape.reach
+    parts = max(2, int(np.ceil(4 * way[near].max() / reach)))
+    entered, entry = np.zeros(len(start), bool), np.zeros_like(start)
+    for k in range(parts + 1):
+        d, n, _ = contact.shape.distance(start + k / parts * step)
+        inside = d + contact.offset < 0
+        entry[inside & ~entered] = n[inside & ~entered]
+        entered |= inside
+        if d.min() < -DEEPEST * reach or (entered & ((entry * n).sum(1) < -TURN)).any():
+            return True
+        entered &= inside
+    return False
+
+
+def sunk(contact: Contact, elastic: Iterable[Elastic], x: Array) -> float:
+    """How deep matter of the gel is inside the shrunk indenter [mm], at the integration points."""
+    least = 0.0
+    for part in elastic:
+        at = np.einsum("qa,eai->eqi", part.elements.shape, x[part.elements.conn]).reshape(-1, 3)
+        least = min(least, float(contact.shape.distance(contact.pose.local(at))[0].min()) + contact.offset)
+    return -least
