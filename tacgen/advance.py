@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 Array = np.ndarray
 XTOL = 1e-3  # no node moves by more than this in the last step, nor does the mean gap between passes [mm]
 RESIDUAL = 1e-3  # of the contact force
+EAGER = 20  # times that what is lagged is taken as it comes; then halfway, since it may go round in a circle
 LAG = 1e-3  # normal forces may be this far from the ones friction used, as a part of their sum
 NEGLIGIBLE = 1e-3  # of the largest contact force so far
 HALVINGS = 5  # of a step that does not converge
@@ -159,6 +160,7 @@ class _Lagged:
         self.problem, self.memory, self.duration = problem, memory, duration
         self.contact = replace(problem.contact, pose=pose, offset=memory.offset, kappa=memory.kappa)
         self.contact_force = 0.0
+        self.refreshed = 0
         self.friction = None
         if problem.friction > 0:  # lagged from the last pose, turned with the indenter
             normal, anchor = memory.normal @ pose.rotation.T, pose.world(memory.anchor)
@@ -191,12 +193,16 @@ class _Lagged:
         lag = 0.0
         if self.friction is not None:  # in sum, and half as strictly at every point, since Coulomb's law holds at each
             off = np.abs(force - self.friction.normal_force)
-            lag = max(float(off.sum()), float(off.max()) / max(float(force.max()), 1e-300) * scale / 2)
+            most = max(float(force.max()), self.memory.scale / len(force))  # after a release no point bears anything
+            lag = max(float(off.sum()), float(off.max()) / max(most, 1e-300) * scale / 2)
         if scale == 0 or (abs(gap - self.contact.offset) <= self.near_enough and lag <= LAG * scale):
             return None
         if self.friction is not None:
             anchor = self.contact.pose.world(self._anchors())
+            if self.refreshed >= EAGER:
+                force = (force + self.friction.normal_force) / 2
             self.friction = replace(self.friction, normal_force=force, normal=normal, anchor=anchor)
+        self.refreshed += 1
         self.contact = self.contact.moved(self.contact.pose, gap)
         return self.total
 

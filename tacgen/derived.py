@@ -92,5 +92,5 @@ def strain_energy(bundle: Bundle, frame: int) -> Array:
     out = np.zeros(len(cells))
     for number, made_of in enumerate(sensor.gel.layers):
         here = layer == number
-        out[here] = Elastic(elements(points, cells[here]), law_of(made_of), np.zeros(0)).energies(x)
+        out[here] = Elastic(elements(points, cells[here]), law_of(made_of)).energies(x)
     return out

@@ -10,6 +10,7 @@ from tacgen.fem.assembly import Pattern
 from tacgen.fem.elements import Elements
 from tacgen.fem.last import Last
 from tacgen.fem.materials import Law
+from tacgen.fem.stiffness import LAZY, Kept
 
 Array = np.ndarray
 
@@ -70,16 +71,20 @@ class Point:
 
 @dataclass(frozen=True)
 class Elastic:
-    """Strain energy of elements of one law. Elements that turn inside out have infinite energy."""
+    """Strain energy of elements of one law. Elements that turn inside out have infinite energy.
+
+    Its stiffness is exact when it is first asked for; later that of a hardly changed element is the old one.
+    """
 
     elements: Elements
     law: Law
-    slots: Array
+    stiffness: Kept | None = None  # None where only energies and stresses are asked for
     _last: Last = field(default_factory=Last, init=False, compare=False, repr=False)
 
     @classmethod
-    def on(cls, pattern: Pattern, elements: Elements, law: Law) -> "Elastic":
-        return cls(elements, law, pattern.slots(elements.conn))
+    def on(cls, pattern: Pattern, elements: Elements, law: Law, lazy: float = LAZY) -> "Elastic":
+        slots = pattern.slots(elements.conn)
+        return cls(elements, law, Kept(slots, len(pattern.indices), elements.weights.shape[1], lazy))
 
     @property
     def local(self) -> float:
@@ -126,9 +131,8 @@ class Elastic:
 
     def add_hessian(self, x: Array, data: Array, project: int) -> None:
         e, at = self.elements, self.at(x)
-        assembly.add_stiffness(
-            at.F, e.conn, e.gradients, e.weights, at.first, at.second, at.dilatation, project, self.slots, data
-        )
+        assert self.stiffness is not None
+        data += self.stiffness.at(at.F, e.gradients, e.weights, at.first, at.second, at.dilatation, project)
 
     def max_step(self, x: Array, p: Array) -> float:
         return 1.0

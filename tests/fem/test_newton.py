@@ -91,7 +91,7 @@ def held_block(n: int, lift: float) -> tuple[Elastic, Array, Pattern]:
     pat = pattern([cells], free)
     x = points.copy()
     x[points[:, 2] == 1, 2] += lift
-    return Elastic.on(pat, hexes(points, cells), NeoHooke(0.05, 1.0)), x, pat
+    return Elastic.on(pat, hexes(points, cells), NeoHooke(0.05, 1.0), lazy=0.0), x, pat
 
 
 def run(potential: Potential, x: Array, pat: Pattern, **how: object) -> Solution:
