@@ -6,7 +6,7 @@ way until it agrees with the answer. A pose that Newton cannot reach is approach
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -15,7 +15,6 @@ from tacgen.fem import linear
 from tacgen.fem.assembly import Pattern, pattern
 from tacgen.fem.contact import Contact, Faces, Pose
 from tacgen.fem.elements import elements
-from tacgen.fem.friction import Friction
 from tacgen.fem.newton import Status, minimise
 from tacgen.fem.passage import blocked, sunk
 from tacgen.fem.potentials import Elastic, Potential, Total
@@ -24,8 +23,10 @@ from tacgen.scene import Scene
 
 if TYPE_CHECKING:
     from tacgen.fem.inertia import Body
+    from tacgen.fem.ipc import MeshContact
 
 Array = np.ndarray
+AnyContact: TypeAlias = "Contact | MeshContact"
 XTOL = 1e-3  # no node moves by more than this in the last step, nor does the mean gap between passes [mm]
 RESIDUAL = 1e-3  # of the contact force
 EAGER = 20  # times that what is lagged is taken as it comes; then halfway, since it may go round in a circle
@@ -104,7 +105,7 @@ class Problem:
 
     mesh: Mesh
     elastic: tuple[Elastic, ...]
-    contact: Contact
+    contact: AnyContact
     linear: linear.Solver
     pattern: Pattern
     friction: float
@@ -121,9 +122,7 @@ class Problem:
         for number, layer in enumerate(scene.gel.layers):
             cells = mesh.cells[mesh.layer == number]
             elastic.append(Elastic.on(pat, elements(mesh.points, cells), layer.law))
-        faces = Faces.on(pat, mesh.points, mesh.facets["coated"])
-        kappa = 2 * scene.gel.layers[-1].youngs_modulus
-        contact = Contact(faces, scene.shape, Pose.of(scene.start), scene.dhat, kappa)
+        contact = _contact(scene, mesh, pat)
         ready = cls(mesh, tuple(elastic), contact, linear.best(pat), pat, scene.friction, scene.edge)
         if (d := scene.dynamics) is None:
             return ready
@@ -139,6 +138,7 @@ class Problem:
     def rest(self, pose: Pose) -> Memory:
         """The untouched gel below an indenter at `pose`."""
         x = self.mesh.points
+        pose = self.contact.clear(pose, x)
         force, normal, gap = self.contact.moved(pose, 0.0).pressure(x)
         local = normal @ pose.rotation
         at, kappa = pose.local(self.contact.faces.at(x)), self.contact.kappa
@@ -150,27 +150,59 @@ class Problem:
         return 1 if self.body is None else max(1, math.ceil(duration / self.longest - 1e-9))
 
 
+def _contact(scene: Scene, mesh: Mesh, pat: Pattern) -> AnyContact:
+    """Barely softer than the gel: what the outermost layer is made of sets the barrier's stiffness."""
+    facets, pose = mesh.facets["coated"], Pose.of(scene.start)
+    kappa = 2 * scene.gel.layers[-1].youngs_modulus
+    if scene.surface is None:
+        return Contact(Faces.on(pat, mesh.points, facets), scene.shape, pose, scene.dhat, kappa)
+    from tacgen.fem.ipc import MeshContact, Pair
+
+    pair = Pair.of(pat, mesh.points, facets, scene.surface)
+    return MeshContact(pair, Contact(pair.faces, scene.shape, pose, scene.dhat, kappa), pose, scene.dhat, kappa)
+
+
 class _Lagged:
     """The potentials at one pose, with what is lagged in them: the mean gap and, with friction, the normal forces.
 
     Newton asks `refresh` on its way to the answer and ends only when both agree with it.
     """
 
-    def __init__(self, problem: Problem, memory: Memory, pose: Pose, duration: float) -> None:
+    def __init__(
+        self, problem: Problem, memory: Memory, pose: Pose, duration: float, near: State | None = None
+    ) -> None:
         self.problem, self.memory, self.duration = problem, memory, duration
-        self.contact = replace(problem.contact, pose=pose, offset=memory.offset, kappa=memory.kappa)
+        offset = memory.offset if near is None else max(memory.offset, near.offset)
+        self.contact: AnyContact = replace(problem.contact.moved(pose, offset), kappa=memory.kappa)
         self.contact_force = 0.0
         self.refreshed = 0
         self.friction = None
         if problem.friction > 0:  # lagged from the last pose, turned with the indenter
             normal, anchor = memory.normal @ pose.rotation.T, pose.world(memory.anchor)
-            self.friction = Friction(problem.contact.faces, problem.friction, memory.normal_force, normal, anchor, EPS)
-        self.ahead, self.inertia, self.near_enough = 2 * memory.x - memory.before, None, XTOL
+            x = pose.world(memory.pose.local(memory.x))
+            self.friction = self.contact.friction(problem.friction, x, memory.normal_force, normal, anchor, EPS)
+        ahead, self.inertia, self.near_enough = 2 * memory.x - memory.before, None, XTOL
         if problem.body is not None:
             assert memory.velocity is not None
             self.inertia = problem.body.step(memory.x, memory.velocity, duration)
-            self.ahead, self.near_enough = self.inertia.coasting, XTOL / 10  # else the indenter is felt to tremble
-        self.goes_on = self.total.value(self.ahead) < self.total.value(memory.x)  # not where the indenter turns back
+            ahead, self.near_enough = self.inertia.coasting, XTOL / 10  # else the indenter is felt to tremble
+        self.starts = self.contact.starts(memory.x, ahead, memory.pose)
+        self.goes_on = self.total.value(self.starts[1]) < self.total.value(self.starts[0])  # not where it turns back
+
+    def start(self, near: State | None) -> Array:
+        """Where Newton starts: that one of lowest energy to which the indenter lets the gel come."""
+        memory, contact = self.memory, self.contact
+        starts = list(self.starts[: 1 + self.goes_on])
+        if near is not None:
+            starts.append(contact.starts(memory.x, near.x, memory.pose)[1])
+        if isinstance(contact, Contact):  # between meshes, collisions are detected on the way
+            starts = [x for x in starts if not blocked(contact, memory.pose, memory.x, memory.gap, x)]
+        if not starts:
+            raise TooFar("the indenter would pass through the gel")
+        x = min(starts, key=self.total.value)
+        if not np.isfinite(self.total.value(x)):
+            raise TooFar("the gel cannot follow the indenter that far at once")
+        return x
 
     @property
     def loads(self) -> tuple[Potential, ...]:
@@ -187,7 +219,7 @@ class _Lagged:
     def refresh(self, x: Array) -> Total | None:
         """Take gap and normal forces from x if they are off by more than the tolerances."""
         force, normal, _ = self.contact.pressure(x)
-        gap = mean_gap(self.contact, x)
+        gap = self.contact.mean_gap(x)
         self.contact_force = float(force.sum())
         scale = max(self.contact_force, self.memory.scale)
         lag = 0.0
@@ -201,14 +233,14 @@ class _Lagged:
             anchor = self.contact.pose.world(self._anchors())
             if self.refreshed >= EAGER:
                 force = (force + self.friction.normal_force) / 2
-            self.friction = replace(self.friction, normal_force=force, normal=normal, anchor=anchor)
+            self.friction = self.contact.friction(self.problem.friction, x, force, normal, anchor, EPS)
         self.refreshed += 1
-        self.contact = self.contact.moved(self.contact.pose, gap)
+        self.contact = self.contact.grown(gap, x)
         return self.total
 
     def stiffened(self, x: Array) -> bool:
         """Whether a point of the gel is inside the shrunk indenter, so that the barrier was made stiffer."""
-        inside = bool(self.contact.gaps(x)[0].min() <= 0)
+        inside = self.contact.least(x) <= 0
         if inside:
             self.contact = replace(self.contact, kappa=STIFFER * self.contact.kappa)
         return inside
@@ -241,13 +273,6 @@ class _Lagged:
         return (residual / force, out / force) if force > 0 else (0.0, 0.0)
 
 
-def mean_gap(contact: Contact, x: Array) -> float:
-    """Force-weighted mean gap to the shrunk indenter [mm]; the present shrinkage where nothing touches."""
-    force, _, gap = contact.pressure(x)
-    total = force.sum()
-    return float((force * gap).sum() / total) if total > 0 else contact.offset
-
-
 def advance(
     problem: Problem, memory: Memory, matrix: Array, index: int, duration: float = 0.0, near: State | None = None
 ) -> tuple[Memory, State]:
@@ -257,16 +282,8 @@ def advance(
 
     `near` is another answer to the same memory, at a pose close by: Newton starts there, and inherits nothing of it.
     """
-    begun = memory if near is None else replace(memory, offset=near.offset)
-    lagged = _Lagged(problem, begun, Pose.of(matrix), duration)
-    starts = [memory.x]
-    starts += [lagged.ahead] if lagged.goes_on else []
-    starts += [near.x] if near is not None else []
-    starts = [x for x in starts if not blocked(lagged.contact, memory.pose, memory.x, memory.gap, x)]
-    if not starts:
-        raise TooFar("the indenter would pass through the gel")
-    x = min(starts, key=lagged.total.value)
-    expect, iterations, xtol = np.inf, 0, XTOL
+    lagged = _Lagged(problem, memory, Pose.of(matrix), duration, near)
+    x, expect, iterations, xtol = lagged.start(near), np.inf, 0, XTOL
     for _ in range(TRIES):
         found = minimise(
             lagged.total, x, problem.pattern, problem.linear, xtol=xtol, expect=expect,
@@ -279,9 +296,10 @@ def advance(
         if residual > RESIDUAL or balance > RESIDUAL:
             xtol /= 30
         elif not lagged.stiffened(x):
-            _check_sunk(problem, lagged.contact, x)
+            if isinstance(lagged.contact, Contact):
+                _check_sunk(problem, lagged.contact, x)
             return _record(lagged, x, index, matrix, iterations, residual, balance)
-    least = lagged.contact.gaps(x)[0].min()
+    least = lagged.contact.least(x)
     raise NotConverged(
         f"after {iterations} iterations residual {residual:.1e} and balance {balance:.1e} of the contact force,"
         f" smallest gap {least:.1e} mm"
@@ -323,7 +341,7 @@ def _record(
         scale,
         None if memory.velocity is None else (x - memory.x) / lagged.duration,
     )
-    mean, least = mean_gap(contact, x), float(gap.min())
+    mean, least = contact.mean_gap(x), contact.least(x)
     return carried, State(
         index, matrix, x, force, normal, rub, sliding, iterations, 1, contact.offset, mean, least, residual, balance
     )

@@ -26,7 +26,7 @@ def foreseen(scene: Scene) -> Scene:
         return scene
     end = int(np.flatnonzero(np.isfinite(forced.asked))[-1]) + 1
     edge = max(scene.edge, scene.gel.thickness / COARSE)
-    rough = replace(scene, edge=edge, dhat=max(scene.dhat, 0.05))
+    rough = replace(scene, edge=edge, dhat=max(scene.dhat, 0.05), surface=None)
     problem = solve.Problem.of(rough, mesh.of(rough))
     poses, below, shift = scene.poses.copy(), forced.below.copy(), 0.0
     try:

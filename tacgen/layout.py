@@ -88,6 +88,7 @@ ATTRS: dict[str, tuple[type, str]] = {
 OPTIONAL: dict[str, tuple[type, str]] = {
     "sensor_document": (str, "resolved sensor, JSON"),
     "mesh": (str, "quality of the mesh and its sha256, JSON: two tetrahedral meshes are never alike"),
+    "contact": (str, "formulation of contact: `distance`, or `ipctk` and its version"),
     "renderer": (str, "Mitsuba variant and version, where images were rendered"),
     "values": (str, "the varied paths of a batch and their values, JSON"),
     "notes": (str, "what a reader should know of this scene, JSON list of lines"),

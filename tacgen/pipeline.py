@@ -174,6 +174,8 @@ def _attributes(row: Row, gel: Gel, problem: solve.Problem, products: Products) 
         "values": row.values,
         "mesh": mesh.quality(gel, problem.mesh),
     }
+    formulation = row.recipe.contact.formulation
+    found["contact"] = f"ipctk {version('ipctk')}" if formulation == "ipctk" else formulation
     if "rgb" in row.recipe.outputs:
         found["renderer"] = f"mitsuba {version('mitsuba')} {products.renderer.variant}"
     if problem.contact.shape.smallest_radius < problem.edge:

@@ -122,9 +122,13 @@ SHAPES: dict[str, type[Part]] = {
 
 
 class Contact(Part):
-    """How indenter and gel touch."""
+    """How indenter and gel touch.
+
+    `distance` measures gaps to the indenter's shape; `ipctk` is contact between two meshes by the IPC Toolkit.
+    """
 
     friction: NotNegative = 0.0
+    formulation: Literal["distance", "ipctk"] = "distance"
 
 
 class Rayleigh(Part):

@@ -4,18 +4,16 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 
-from tacgen import geometry, moves
+from tacgen import geometry, moves, tessellate
 from tacgen import recipe as recipes
 from tacgen import sensor as sensors
-from tacgen.errors import UserError
 from tacgen.fem.field import Field
 from tacgen.fem.materials import Law, MooneyRivlin, NeoHooke, StableNeoHooke, Yeoh
-from tacgen.fem.shapes import Box, Capsule, Cone, Cylinder, Shape, Sphere, Torus, Wedge
-from tacgen.gel import Gel, Layer, SolidGel
+from tacgen.fem.shapes import Box, Capsule, Cone, Cylinder, Shape, Sphere, Torus, Triangles, Wedge
+from tacgen.gel import Gel, Layer
 from tacgen.plan import Row
 from tacgen.recipe import Indenter
 from tacgen.sensor import MooneyRivlinLayer, NeoHookeLayer, Sensor, StableNeoHookeLayer, YeohLayer
@@ -59,6 +57,7 @@ class Scene:
     forced: Forced | None = None
     dynamics: Dynamics | None = None  # None: as if it were moved infinitely slowly
     element: recipes.Element = "hex"
+    surface: Triangles | None = None  # of the indenter, for contact between meshes
 
 
 def _shape(i: Indenter, field: Callable[[recipes.Mesh], Shape]) -> Shape:
@@ -81,18 +80,40 @@ def _shape(i: Indenter, field: Callable[[recipes.Mesh], Shape]) -> Shape:
             return field(i)
 
 
-def _field(i: recipes.Mesh, row: Row) -> Field:
-    """A mesh as far as the gel can come to it; its grid follows the quality's edge, as what the gel resolves does."""
+def _within(row: Row) -> tuple[float, float]:
+    """As far as the gel can come to an indenter: from its z axis, and above its lowest point [mm]."""
     gel = row.sensor.gel
     steps = row.recipe.trajectory
     replays = (row.replayed(number) for number, step in enumerate(steps) if step.replay)
     leans = any(math.hypot(*p.place.quaternion[1:3]) > 1e-9 for poses in replays for p in poses)
     tilted = leans or row.recipe.start.tilt_deg > 0 or any(step.tilt for step in steps)
     rise = sum(layer.thickness_mm for layer in gel.layers) + 1.0  # no press is deeper, and gel bulges beside it
+    return float(np.hypot(gel.width_mm, gel.height_mm)) + 1.0, np.inf if tilted else rise
+
+
+def _solid(i: recipes.Mesh, row: Row) -> geometry.Solid:
+    return geometry.placed(geometry.read(row.mesh_path), up=i.up, scale=i.scale, size=i.size_mm)
+
+
+def _field(i: recipes.Mesh, row: Row) -> Field:
+    """A mesh as far as the gel can come to it; its grid follows the quality's edge, as what the gel resolves does."""
+    half, height = _within(row)
     cell = float(np.clip(row.recipe.resolved().edge_mm / 4, *CELLS))
-    solid = geometry.placed(geometry.read(row.mesh_path), up=i.up, scale=i.scale, size=i.size_mm)
-    half = float(np.hypot(gel.width_mm, gel.height_mm)) + 1.0
-    return geometry.field(solid, cell=cell, height=np.inf if tilted else rise, half=half)
+    return geometry.field(_solid(i, row), cell=cell, height=height, half=half)
+
+
+def _surface(row: Row, shape: Shape) -> Triangles | None:
+    """The indenter's triangles, where contact is between meshes: a mesh's own, or a shape's, much closer to it than
+    the barrier holds the gel off."""
+    indenter, quality = row.recipe.indenter, row.recipe.resolved()
+    if row.recipe.contact.formulation != "ipctk":
+        return None
+    half, height = _within(row)
+    if indenter.shape == "mesh":
+        solid = _solid(indenter, row)
+        return tessellate.of_mesh(solid.vertices, solid.triangles, height=height, spacing=quality.edge_mm / 4)
+    height = min(height, 2 * half)  # a tilted shape without end
+    return tessellate.of_shape(shape, half=half, height=height, tolerance=quality.dhat_mm / 10)
 
 
 def law_of(layer: sensors.Layer) -> Law:
@@ -116,37 +137,25 @@ def bulk(mu: float, nu: float | None) -> float:
     return 2 * mu * (1 + nu) / (3 * (1 - 2 * nu))
 
 
-def gel_of(sensor: Sensor, solid_path: Path | None = None) -> Gel:
-    """The gel with its laws; of one that is a solid, from the file at `solid_path`."""
+def gel_of(sensor: Sensor) -> Gel:
+    """The gel with its laws."""
     layers = []
     for layer in sensor.gel.layers:
         law = law_of(layer)
         layers.append(Layer(layer.thickness_mm, law, 9 * law.kappa * law.mu / (3 * law.kappa + law.mu)))
     g = sensor.gel
-    if g.solid is not None and solid_path is not None:
-        solid = geometry.placed(geometry.read(solid_path), up=g.solid.up, scale=g.solid.scale)
-        held = g.solid.bonded_mm, float(np.radians(g.solid.coated_deg))
-        return SolidGel(g.width_mm, g.height_mm, 0.0, tuple(layers), solid=solid, bonded=held[0], coated=held[1])
     radii = (np.inf, np.inf) if g.dome is None else (g.dome.radius_x_mm, g.dome.radius_y_mm)
     return Gel(g.width_mm, g.height_mm, g.corner_radius_mm, tuple(layers), g.tip, radii)
 
 
 def build(row: Row) -> Scene:
     """The scene of one row of a plan."""
-    recipe, quality = row.recipe, row.recipe.resolved()
-    gel = gel_of(row.sensor, row.solid_path if row.sensor.gel.solid else None)
+    recipe, quality, gel = row.recipe, row.recipe.resolved(), gel_of(row.sensor)
     shape = _shape(recipe.indenter, lambda mesh: _field(mesh, row))
     way = lay(recipe, shape, gel, row.replayed)
     friction, edge, dhat = recipe.contact.friction, quality.edge_mm, quality.dhat_mm
-    element = recipe.mesh or ("hex" if row.sensor.gel.solid is None else "tet")
-    over = np.concatenate([way.start[None], way.poses])[:, :2, 3]
-    beside = over[~gel.contains(*over.T)] if isinstance(gel, SolidGel) else over[:0]
-    if len(beside):
-        x, y = beside[0]
-        raise UserError(f"trajectory: would carry the indenter's axis off the gel's coated face, to ({x:g}, {y:g})")
-    return Scene(
-        gel, shape, way.poses, way.start, way.segment, friction, edge, dhat, way.forced, _dynamics(row), element
-    )
+    more = (way.forced, _dynamics(row), recipe.mesh or "hex", _surface(row, shape))
+    return Scene(gel, shape, way.poses, way.start, way.segment, friction, edge, dhat, *more)
 
 
 def _dynamics(row: Row) -> Dynamics | None:

@@ -18,13 +18,13 @@ ORDER = [
     {"explain"},
     {"moves"},
     {"recipe"},  # *
-    {"store"},
-    {"geometry"},
     {"motions"},
     {"limits"},
     {"load"},
     {"plan"},  # *
-    {"gel"},
+    {"store"},
+    {"geometry"},
+    {"gel", "tessellate"},
     {"trajectory"},
     {"scene"},  # *
     {"tetmesh"},
@@ -65,6 +65,7 @@ HOMES = {
     "trimesh": {"geometry"},
     "igl": {"geometry"},
     "pytetwild": {"tetmesh"},
+    "ipctk": {"fem.ipc"},
     "platformdirs": {"variants"},
     "rich": {"progress"},
     "PIL": {"report"},
@@ -184,7 +185,20 @@ def command(*args: str) -> str:
     return f"from tacgen.cli import app\ntry:\n    app({list(args)!r})\nexcept SystemExit as e:\n    assert not e.code"
 
 
-HEAVY = {"numpy", "scipy", "numba", "mitsuba", "drjit", "h5py", "matplotlib", "cvxopt", "pymetis", "trimesh", "igl"}
+HEAVY = {
+    "numpy",
+    "scipy",
+    "numba",
+    "mitsuba",
+    "drjit",
+    "h5py",
+    "matplotlib",
+    "cvxopt",
+    "pymetis",
+    "trimesh",
+    "igl",
+    "ipctk",
+}
 
 
 def test_help_starts_cold():
@@ -195,6 +209,10 @@ def test_help_starts_cold():
 def test_looking_at_recipes_starts_no_numerics(args: tuple[str, ...]):
     # one scene needs a seed, which NumPy draws; nothing heavier
     assert loaded_by(command(*args)).isdisjoint(HEAVY - {"numpy"})
+
+
+def test_a_scene_without_contact_between_meshes_leaves_its_toolkit_alone():
+    assert "ipctk" not in loaded_by("import tacgen.pipeline, tacgen.fem.ipc")
 
 
 def test_the_check_sees_a_bad_import(tmp_path: Path):

@@ -11,6 +11,7 @@ import numpy as np
 from tacgen.fem import assembly
 from tacgen.fem.assembly import Pattern
 from tacgen.fem.elements import facet_areas, facet_hats, facet_points
+from tacgen.fem.friction import Friction
 from tacgen.fem.last import Last
 from tacgen.fem.shapes import Shape
 
@@ -60,6 +61,14 @@ class Pose:
         """Points (..., 3) of the indenter's frame in the sensor's."""
         return np.asarray(X @ self.rotation.T + self.position)
 
+    def toward(self, other: "Pose", part: float) -> "Pose":
+        """A part of the way to another pose: straight in position, steady in rotation."""
+        from scipy.spatial.transform import Rotation
+
+        turn = Rotation.from_matrix(other.rotation @ self.rotation.T).as_rotvec() * part
+        position = (1 - part) * self.position + part * other.position
+        return Pose(Rotation.from_rotvec(turn).as_matrix() @ self.rotation, position)
+
 
 @dataclass(frozen=True)
 class Faces:
@@ -85,7 +94,7 @@ class Faces:
 
     def shared(self, forces: Array, nodes: int) -> Array:
         """Nodal sums (n, c) for drawing: as `scatter`, but even where a uniform pressure is (see facet_hats)."""
-        return self._sum(facet_hats(6) if self.conn.shape[1] == 6 else self.N, forces, nodes)
+        return self._sum(facet_hats(self.N), forces, nodes)
 
     def _sum(self, weights: Array, forces: Array, nodes: int) -> Array:
         out = np.zeros((nodes, forces.shape[-1]))
@@ -118,6 +127,24 @@ class Contact:
     def moved(self, pose: Pose, offset: float) -> "Contact":
         return replace(self, pose=pose, offset=offset)
 
+    def grown(self, offset: float, x: Array) -> "Contact":
+        """Shrunk by another offset, with the gel at x."""
+        return replace(self, offset=offset)
+
+    def clear(self, pose: Pose, x: Array) -> Pose:
+        """Where an indenter may start from: at `pose`, since gaps may be negative."""
+        return pose
+
+    def starts(self, x: Array, ahead: Array, pose: Pose) -> tuple[Array, Array]:
+        """Positions from which Newton may start: those of the last `pose` and a guess, since gaps may be negative."""
+        return x, ahead
+
+    def friction(
+        self, coefficient: float, x: Array, normal_force: Array, normal: Array, anchor: Array, eps: float
+    ) -> Friction:
+        """Friction with what is lagged: the forces and normals of the gel at x, and anchors."""
+        return Friction(self.faces, coefficient, normal_force, normal, anchor, eps)
+
     def gaps(self, x: Array) -> tuple[Array, Array, Array]:
         """Gap to the shrunk indenter (f, q) [mm], normal (f, q, 3) and Hessian (f, q, 3, 3), in the sensor frame."""
         found: tuple[Array, Array, Array] = self._last.of(x, self._measure)
@@ -135,6 +162,16 @@ class Contact:
         d, n, _ = self.gaps(x)
         slope = np.maximum(np.linalg.norm(n, axis=2), 1e-12)  # 1, but for a distance that is interpolated
         return -self.kappa * self.faces.areas * barrier(d, self.dhat)[1] * slope, n / slope[..., None], d
+
+    def mean_gap(self, x: Array) -> float:
+        """Force-weighted mean gap to the shrunk indenter [mm]; the present shrinkage where nothing touches."""
+        force, _, gap = self.pressure(x)
+        total = force.sum()
+        return float((force * gap).sum() / total) if total > 0 else self.offset
+
+    def least(self, x: Array) -> float:
+        """Smallest gap to the shrunk indenter [mm]."""
+        return float(self.gaps(x)[0].min())
 
     def value(self, x: Array) -> float:
         d, _, _ = self.gaps(x)

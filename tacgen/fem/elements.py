@@ -131,6 +131,14 @@ def facet_points(nodes: int) -> tuple[Array, Array, Array]:
     return N, dL[..., 1:] - dL[..., :1], np.repeat([w for _, w in rule], 3) / 2
 
 
+def facet_corners(nodes: int) -> Array:
+    """Where the nodes of a facet lie in the coordinates of dN (a, 2)."""
+    if nodes == 4:
+        return QUAD_CORNERS
+    corners = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    return np.concatenate([corners, corners[TRIANGLE_EDGES].mean(1)])[:nodes]
+
+
 def facet_areas(points: Array, facets: Array) -> tuple[Array, Array]:
     """Areas of the quadrature points (f, q) [mm^2] and unit normals (f, q, 3) of curved facets (f, a)."""
     _, dN, weights = facet_points(facets.shape[1])
@@ -140,14 +148,13 @@ def facet_areas(points: Array, facets: Array) -> tuple[Array, Array]:
     return area * weights, normal / area[..., None]
 
 
-def facet_hats(nodes: int) -> Array:
-    """How a force at a quadrature point is shared among a facet's nodes to be drawn (q, a): linear on flat pieces.
+def facet_hats(N: Array) -> Array:
+    """How a force at a facet's points N (q, a) is shared among its nodes to be drawn (q, a): linear on flat pieces.
 
     A quadratic triangle's own shape functions give its corners nothing of a uniform pressure; those of the four
     triangles that `triangles` makes of it share it evenly, as N does on the others.
     """
-    N, _, _ = facet_points(nodes)
-    if nodes != 6:
+    if N.shape[1] != 6:
         return N
     L = N @ np.vstack([np.eye(3), (np.eye(3) + np.eye(3)[[1, 2, 0]]) / 2])
     hats = np.zeros((len(L), 6))

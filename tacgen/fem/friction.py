@@ -6,10 +6,12 @@ point does not creep from frame to frame.
 """
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tacgen.fem.contact import Faces, Pose
+if TYPE_CHECKING:
+    from tacgen.fem.contact import Faces, Pose
 
 Array = np.ndarray
 
@@ -30,7 +32,7 @@ class Friction:
     All three are given in the sensor frame at the pose being solved for.
     """
 
-    faces: Faces
+    faces: "Faces"
     coefficient: float
     normal_force: Array
     normal: Array
@@ -80,7 +82,7 @@ def onset(before: Array, ahead: Array, gap_before: Array, gap_ahead: Array) -> A
     return np.asarray(before + part[..., None] * (ahead - before))
 
 
-def dragged(anchor: Array, x: Array, normal: Array, normal_force: Array, eps: float, pose: Pose) -> Array:
+def dragged(anchor: Array, x: Array, normal: Array, normal_force: Array, eps: float, pose: "Pose") -> Array:
     """Anchors after a frame, in the indenter's frame: pulled along by slip beyond eps; free points carry their own.
 
     anchor and x (f, q, 3) are in the sensor frame.

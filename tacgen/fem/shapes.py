@@ -35,6 +35,23 @@ class Shape(Protocol):
         """How far the shape extends along a unit vector (3,) [mm]; inf where it has no end."""
 
 
+@dataclass(frozen=True, eq=False)
+class Triangles:
+    """A rigid surface in its own frame: vertices (v, 3) [mm], triangles (t, 3), and how each vertex moves (v, 3) when
+    the surface moves outward by 1."""
+
+    vertices: Array
+    triangles: Array
+    outward: Array
+
+    @property
+    def areas(self) -> Array:
+        """A third of the triangles around each vertex (v,) [mm^2]."""
+        a, b, c = np.moveaxis(self.vertices[self.triangles], 1, 0)
+        third = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6
+        return np.bincount(self.triangles.ravel(), np.repeat(third, 3), len(self.vertices))
+
+
 @dataclass(frozen=True)
 class Core:
     """Closest core points c (n, 3), dc/dp (n, 3, 3), depth inside the core (n,) >= 0 and the way out there (n, 3)."""

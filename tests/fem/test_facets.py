@@ -29,7 +29,7 @@ def test_areas_and_normals_of_a_bent_patch(nodes: int) -> None:
 @KINDS
 def test_a_force_is_shared_evenly_and_wholly(nodes: int) -> None:
     N, _, weights = facet_points(nodes)
-    hats = facet_hats(nodes)
+    hats = facet_hats(facet_points(nodes)[0])
     assert hats.min() >= 0
     assert hats.sum(1) == pytest.approx(1.0)
     place = np.random.default_rng(0).normal(size=(3, 2))  # any linear function is kept
