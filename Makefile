@@ -1,5 +1,6 @@
 # The front door. Needs python3 (3.11 to 3.13), make and git; everything else goes into .venv.
 #   make demo    one press, slide and twist: a bundle and a picture of it in out/
+#   make data    every recipe's data set in data/, WORKERS scenes at a time; run again, it goes on
 #   make test    the tests
 
 SUITABLE = import sys, venv, ensurepip; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))
@@ -14,10 +15,10 @@ export OPENBLAS_NUM_THREADS ?= 1
 export MKL_NUM_THREADS ?= 1
 export NUMBA_NUM_THREADS ?= 1
 
-.PHONY: help sync check test test-slow smoke bench demo clean
+.PHONY: help sync check test test-slow smoke bench demo data clean
 
 help:
-	@echo "make demo | test | check | test-slow | smoke | bench | sync | clean"
+	@echo "make demo | data | test | check | test-slow | smoke | bench | sync | clean"
 
 sync: .venv/synced
 
@@ -57,6 +58,17 @@ demo: sync
 	$(BIN)/tacgen show out/quickstart/scene-00000.h5 -o out/quickstart.png
 	@echo "bundle:  out/quickstart/scene-00000.h5"
 	@echo "picture: out/quickstart.png"
+
+WORKERS ?= 1
+DATA ?= data
+
+# exit code 1 of run is rejected or failed scenes: the card and the report say which
+data: sync
+	@for recipe in recipes/*.yaml; do \
+	  name=$$(basename $$recipe .yaml); \
+	  $(BIN)/tacgen run $$recipe -o $(DATA)/$$name --workers $(WORKERS) $(DATA_FLAGS) || [ $$? -eq 1 ] || exit 1; \
+	  $(BIN)/tacgen report $(DATA)/$$name || exit 1; \
+	done
 
 clean:
 	rm -rf .venv build dist out .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -57,7 +57,7 @@ HOMES = {
     "drjit": {"render"},
     "matplotlib": {"show", "show_field"},
     "mpl_toolkits": {"show"},
-    "h5py": {"bundle", "doctor", "export.vtkhdf", "pack", "torch"},
+    "h5py": {"bundle", "doctor", "export.vtkhdf", "export.univtac", "pack", "torch"},
     "cvxopt": {"fem.linear"},
     "pymetis": {"fem.linear"},
     "pypardiso": {"fem.linear"},
@@ -68,8 +68,10 @@ HOMES = {
     "ipctk": {"fem.ipc"},
     "platformdirs": {"variants"},
     "rich": {"progress"},
-    "PIL": {"report"},
+    "PIL": {"report", "export.lerobot", "export.univtac", "export.webdataset"},
     "distributed": {"batch.cluster"},
+    "pyarrow": {"export.lerobot"},
+    "webdataset": {"export.webdataset"},
 }
 NOT_NUMPY = {
     "cli",

@@ -19,6 +19,10 @@ if TYPE_CHECKING:
 
 EXPORTERS = {
     "vtkhdf": "mesh, displacement and stress over the frames, for ParaView: one .vtkhdf file a scene",
+    "feats": "image and force in each of 24 x 32 cells, for FEATS: one .npy file a frame",
+    "lerobot": "image, pose, force and markers as a LeRobot dataset, format v3.0 (tacgen[lerobot])",
+    "univtac": "image, markers, depth and poses as UniVTAC's episodes: one .hdf5 file a scene",
+    "webdataset": "every dataset of a frame as samples in tar files, for streaming (tacgen[webdataset])",
 }
 
 
@@ -40,12 +44,15 @@ def export(kind: str, source: Path, out: Path) -> list[Path]:
     """Write the bundles at `source` in a format of EXPORTERS, and return the files made.
 
     Raises:
-        UserError: an unknown format, nothing to export, or a bundle without what the format needs.
+        UserError: an unknown format, nothing to export, a damaged bundle, or one without what the format needs.
         OSError: `out` cannot be written.
     """
     if kind not in EXPORTERS:
         raise UserError(f"{kind}: unknown format, use one of {', '.join(EXPORTERS)}")
-    made: list[Path] = import_module(f"tacgen.export.{kind}").write(bundles(source), out)
+    found = bundles(source)
+    for bundle in found:
+        bundle.verify()
+    made: list[Path] = import_module(f"tacgen.export.{kind}").write(found, out)
     return made
 
 

@@ -1,0 +1,106 @@
+"""UniVTAC: an HDF5 file an episode, as its HDF5Handler reads them; the sensor is the left finger's.
+
+    https://github.com/univtac/UniVTAC (docs/Collection.md, envs/utils/data.py)
+
+Of `tactile/left_tactile`: `rgb` (JPEG streams; with the markers in the picture also `rgb_marker`), `marker`
+(reference and present pixels), `press_depth` (indentation, positive [mm]), `depth` (from the pinhole along its axis
+[mm]), `pose` (of the sensor: it is the frame of reference), and what UniVTAC has no name for, `force` and `torque`
+[N, N mm]. `actor/indenter` is the indenter's pose, x y z [m] and a quaternion w x y z. There is no robot and no
+head camera here, so `embodiment` and `observation` are left out rather than filled with zeros.
+"""
+
+import io
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tacgen.bundle import Bundle
+from tacgen.export import names, needs
+from tacgen.partfile import Sink
+
+JPEG_QUALITY = 95  # what UniVTAC's encoder uses
+
+
+def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
+    """`out/hdf5/<n>.hdf5`, numbered in order, and `out/metadata.json`, which says what each is."""
+    for bundle in bundles:
+        needs(bundle, ("/frames/rgb",), "rgb")
+    folder = out / "hdf5"
+    folder.mkdir(parents=True, exist_ok=True)
+    made, about = [], {}
+    for number, (name, bundle) in enumerate(zip(names(bundles), bundles, strict=True)):
+        made.append(folder / f"{number}.hdf5")
+        _write(bundle, made[-1])
+        about[str(number)] = {"scene": name, "steps": bundle.frames, "recipe": bundle.recipe}
+    (out / "metadata.json").write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
+    return [*made, out / "metadata.json"]
+
+
+def _write(bundle: Bundle, path: Path) -> None:
+    import h5py
+
+    sink = Sink(path)
+    try:
+        with sink.guard(), h5py.File(sink, "w") as file:
+            for name, values in episode(bundle).items():
+                file.create_dataset(name, data=values, track_times=False)
+    except BaseException:
+        sink.discard()
+        raise
+    sink.publish()
+
+
+def episode(bundle: Bundle) -> dict[str, np.ndarray]:
+    """Path in the file -> values, the frame first."""
+    steps = np.arange(bundle.frames)
+    out: dict[str, Any] = {
+        "step": steps,
+        "atom/id": bundle["/frames/segment"].astype(np.int64),
+        "atom/tag": np.array(bundle.segments, dtype=bytes),
+        "actor/indenter": poses(bundle["/frames/pose"]),
+    }
+    still = np.tile([0, 0, 0, 1.0, 0, 0, 0], (len(steps), 1))
+    tactile: dict[str, Any] = {"rgb": streams(bundle["/frames/rgb"]), "pose": still}
+    if "/frames/markers" in bundle:
+        now = bundle["/frames/markers"]
+        tactile["marker"] = np.stack([np.broadcast_to(bundle["/reference/markers"], now.shape), now], axis=1)
+        tactile["rgb_marker"] = tactile["rgb"]
+    if "/frames/height" in bundle:
+        height = bundle["/frames/height"]
+        tactile["press_depth"] = np.maximum(bundle["/reference/height"] - height, 0)
+        tactile["depth"] = height - np.float32(_pinhole_mm(bundle))
+    for name in ("force", "torque"):
+        if f"/frames/{name}" in bundle:
+            tactile[name] = bundle[f"/frames/{name}"]
+    return out | {f"tactile/left_tactile/{name}": values for name, values in tactile.items()}
+
+
+def streams(images: np.ndarray) -> np.ndarray:
+    """JPEG files as byte strings (N,). UniVTAC gives RGB to OpenCV, which takes it for BGR both ways: so is it here."""
+    from PIL import Image
+
+    found = []
+    for image in images:
+        file = io.BytesIO()
+        Image.fromarray(np.ascontiguousarray(image[..., ::-1])).save(file, "JPEG", quality=JPEG_QUALITY)
+        found.append(file.getvalue())
+    return np.array(found, dtype=f"S{max(map(len, found))}")
+
+
+def poses(matrices: np.ndarray) -> np.ndarray:
+    """(N, 4, 4) [mm] -> (N, 7): x y z [m], quaternion w x y z."""
+    from scipy.spatial.transform import Rotation
+
+    turn = Rotation.from_matrix(matrices[:, :3, :3]).as_quat(canonical=True)
+    return np.hstack([matrices[:, :3, 3] / 1000, turn[:, 3:], turn[:, :3]])
+
+
+def _pinhole_mm(bundle: Bundle) -> float:
+    """Height of the camera's pinhole in the sensor frame [mm]."""
+    from tacgen.optics.layers import Camera
+    from tacgen.sensor import Sensor
+
+    return float(Camera.from_sensor(Sensor.model_validate_json(bundle.attrs["sensor_document"])).pinhole[2])

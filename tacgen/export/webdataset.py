@@ -1,0 +1,61 @@
+"""WebDataset: tar files of samples for streaming, a sample a frame.
+
+    https://github.com/webdataset/webdataset
+
+`<scene>-<frame>.rgb.png`, `.force.npy`, `.pose.npy`, ... : every dataset of /frames by its name, quality left out,
+and `.json`: scene, frame, segment, what was varied, units. The untouched sensor is one file a scene,
+`reference/<scene>.png`, since a copy in each sample would double the size.
+"""
+
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from tacgen.bundle import Bundle
+from tacgen.errors import UserError
+from tacgen.export import names
+from tacgen.layout import UNITS
+
+SHARD_BYTES = 1_000_000_000
+
+
+def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
+    """`out/shard-000000.tar` and on, each of about a gigabyte."""
+    try:
+        from webdataset import ShardWriter
+    except ImportError:
+        raise UserError("export webdataset needs WebDataset: pip install 'tacgen[webdataset]'") from None
+    (out / "reference").mkdir(parents=True, exist_ok=True)
+    for old in out.glob("shard-*.tar"):
+        old.unlink()
+    made = []
+    # no clock and no names in the headers: the same bundles, the same bytes
+    plain = {"mtime": 0, "user": "tacgen", "group": "tacgen", "verbose": 0}
+    with ShardWriter(str(out / "shard-%06d.tar"), maxcount=10**9, maxsize=SHARD_BYTES, **plain) as writer:
+        for name, bundle in zip(names(bundles), bundles, strict=True):
+            for sample in samples(name, bundle):
+                writer.write(sample)
+            if "/reference/rgb" in bundle:
+                made.append(_picture(bundle["/reference/rgb"], out / "reference" / f"{name}.png"))
+    return [*sorted(out.glob("shard-*.tar")), *made]
+
+
+def samples(name: str, bundle: Bundle) -> Iterator[dict[str, Any]]:
+    """What WebDataset's writer takes, frame by frame."""
+    paths = [path for path in bundle.shapes if path.startswith("/frames/") and path.count("/") == 2]
+    values = json.loads(bundle.attrs.get("values", "{}"))
+    for k in range(bundle.frames):
+        about = {"scene": name, "frame": k, "segment": bundle.segments[k], "values": values, "units": UNITS}
+        sample: dict[str, Any] = {"__key__": f"{name}-{k:05d}", "json": about}
+        for path in paths:
+            kind = "png" if path == "/frames/rgb" else "npy"
+            sample[f"{path.rpartition('/')[2]}.{kind}"] = bundle.frame(path, k)
+        yield sample
+
+
+def _picture(values: Any, path: Path) -> Path:
+    from PIL import Image
+
+    Image.fromarray(values).save(path)
+    return path
