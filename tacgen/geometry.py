@@ -8,6 +8,7 @@ agree to 6e-14 mm.
 import hashlib
 import os
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -132,6 +133,18 @@ def placed(solid: Solid, *, up: str = "+z", scale: float = 1.0, size: float | No
     return Solid(solid.name, v, solid.triangles, solid.body)
 
 
+def sizes(path: Path, up: str, scale: float) -> tuple[float, float, float]:
+    """Sides of the box [mm] around the solid in a file, turned and scaled; remembered while the file stays as it is."""
+    state = path.stat()
+    return _sizes(path, up, scale, state.st_mtime_ns, state.st_size)
+
+
+@cache
+def _sizes(path: Path, up: str, scale: float, *_: int) -> tuple[float, float, float]:
+    x, y, z = np.ptp(placed(read(path), up=up, scale=scale).vertices, axis=0)
+    return float(x), float(y), float(z)
+
+
 def field(solid: Solid, *, cell: float, height: float, half: float) -> Field:
     """Signed distance of a placed solid as a spline.
 
@@ -222,6 +235,27 @@ def _distances(solid: Solid, origin: Array, cell: float, nodes: tuple[int, ...])
             block = out[start : start + rows]
             np.minimum(block, d.reshape(block.shape).astype(np.float32), out=block)
     return out
+
+
+def above(vertices: Array, triangles: Array, xy: Array) -> tuple[Array, Array]:
+    """Height (n,) of triangles that are a graph over the plane at the points xy (n, 2), and how far those lie beside
+    them (n,) [mm]: there the height is that of the nearest place."""
+    import igl
+
+    flat = vertices * [1.0, 1.0, 0.0]
+    points = np.column_stack([xy, np.zeros(len(xy))])
+    squared, which, near = igl.point_mesh_squared_distance(points, flat, triangles.astype(np.int64))
+    a, b, c = (vertices[triangles[which, k]] for k in range(3))
+    n = np.cross(b - a, c - a)
+    return a[:, 2] - ((near - a)[:, :2] * n[:, :2]).sum(1) / n[:, 2], np.sqrt(squared)
+
+
+def inside(vertices: Array, triangles: Array, points: Array) -> Array:
+    """Whether points (n, 3) lie inside a closed surface wound outward."""
+    import igl
+
+    number = igl.winding_number(np.ascontiguousarray(vertices, float), triangles.astype(np.int64), points)
+    return np.asarray(number > 0.5)
 
 
 def nearest(vertices: Array, triangles: Array, points: Array) -> Array:

@@ -14,12 +14,16 @@ from tacgen.sensor import LIGHTS, Gel, Sensor
 from tacgen.yamlfile import KeyPath
 
 THIN = 0.5  # of the mesh's edge: half an indenter's thickness may not be less, or it slips between points of contact
+SOLID_SIZE = 0.01  # how far a solid's sides may be from what its sensor file says, as a part of them
 LEAST_RIM = 0.1  # of the crown's thickness: cells squeezed more would not be worth having
 
 
-def sensor_problems(sensor: Sensor) -> list[Problem]:
-    """What contradicts itself in a sensor file; paths start at the sensor's root."""
-    return [*_outline(sensor.gel), *_lights(sensor)]
+def sensor_problems(sensor: Sensor, folder: Path | None = None) -> list[Problem]:
+    """What contradicts itself in a sensor file; paths start at the sensor's root.
+
+    `folder` is where the path of the gel's solid starts; None: the working directory.
+    """
+    return [*_outline(sensor.gel), *_solid(sensor.gel, folder), *_lights(sensor)]
 
 
 def recipe_problems(recipe: Recipe, sensor: Sensor, folders: Folders | None = None) -> list[Problem]:
@@ -30,6 +34,8 @@ def recipe_problems(recipe: Recipe, sensor: Sensor, folders: Folders | None = No
     folders = folders or {}
     wrong = [*_depths(recipe, sensor), *motions.problems(recipe, sensor.gel, folders), *_outputs(recipe, sensor)]
     wrong += _times(recipe, folders)
+    if recipe.mesh == "hex" and sensor.gel.solid is not None:
+        wrong.append(Problem(("mesh",), f"cannot be hex: the gel of {sensor.name} is a solid, which is meshed by tets"))
     wrong += [*_thin(recipe), *_toolkit(recipe)]
     return [*wrong, *_mesh(recipe.indenter, folders.get(("indenter", "file")))]
 
@@ -54,6 +60,31 @@ def _outline(gel: Gel) -> list[Problem]:
         text = f"leaves {rim:.3g} mm of gel at the pad's corner, less than a tenth of what the crown has"
         wrong.append(Problem(("gel", "dome"), text))
     return wrong
+
+
+def _solid(gel: Gel, folder: Path | None) -> list[Problem]:
+    """The file must be there, be the one asked for, close, and be as large as the sensor file says."""
+    if gel.solid is None:
+        return []
+    beside = [name for name in ("outline", "dome") if getattr(gel, name) is not None]
+    beside += ["corner_radius_mm"] if gel.corner_radius_mm else []
+    if beside:
+        return [Problem(("gel", name), "cannot be given beside solid", at_key=True) for name in beside]
+    from tacgen import geometry
+
+    try:
+        path = assets.mesh_path(gel.solid.file, folder)
+        sizes = geometry.sizes(path, gel.solid.up, gel.solid.scale)
+    except UserError as error:
+        return [Problem(("gel", "solid", "file"), error.lines[0])]
+    if gel.solid.sha256 not in (None, found := assets.sha256(path)):
+        return [Problem(("gel", "solid", "sha256"), f"{gel.solid.file} is another file now ({found[:12]}...)")]
+    said = {"width_mm": gel.width_mm, "height_mm": gel.height_mm, "layers": thickness_mm(gel)}
+    return [
+        Problem(("gel", key), f"the solid measures {size:.4g} mm along {axis} (got {value:g}): is scale or up wrong?")
+        for (key, value), size, axis in zip(said.items(), sizes, "xyz", strict=True)
+        if abs(size - value) > SOLID_SIZE * value
+    ]
 
 
 def _lights(sensor: Sensor) -> list[Problem]:

@@ -12,6 +12,8 @@ from tacgen.recipe import Recipe
 from tacgen.sensor import Sensor
 from tacgen.yamlfile import KeyPath, Mark, Source, Spot, Tree, describe, load, parse, parse_path
 
+SOLID: KeyPath = ("gel", "solid", "file")
+
 
 @dataclass(frozen=True)
 class Loaded:
@@ -50,17 +52,17 @@ def read(path: Path, sets: Iterable[str] = ()) -> Loaded:
 def read_sensor(path: Path) -> tuple[Sensor, Tree]:
     """Read a sensor file alone. Raises UserError with every problem."""
     tree = load(path)
-    sensor, wrong = check_sensor(tree.data)
+    sensor, wrong = check_sensor(tree.data, solid_folder(tree))
     if wrong or sensor is None:
         raise report((problem, tree) for problem in wrong)
     return sensor, tree
 
 
-def check_sensor(data: Any) -> tuple[Sensor | None, list[Problem]]:
+def check_sensor(data: Any, folder: Path | None = None) -> tuple[Sensor | None, list[Problem]]:
     """A sensor from plain data, or all that is wrong with it."""
     sensor, wrong = validate(Sensor, data)
     if sensor is not None:
-        wrong = limits.sensor_problems(sensor)
+        wrong = limits.sensor_problems(sensor, folder)
     return (None if wrong else sensor), wrong
 
 
@@ -74,6 +76,11 @@ def folders(tree: Tree, recipe: Recipe, varied: Iterable[str] = ()) -> dict[KeyP
         spots: list[KeyPath] = [("vary", "over", name) for name in varied if path[: len(p := parse_path(name))] == p]
         found[path] = (tree.spot([*spots, path][0]).value.source.folder or Path()).resolve()
     return found
+
+
+def solid_folder(sensor_tree: Tree) -> Path:
+    """The folder in which the path of a gel's solid starts: that of the file it was written in."""
+    return (sensor_tree.spot(SOLID).value.source.folder or Path()).resolve()
 
 
 def _extended(path: Path, chain: tuple[Path, ...]) -> Tree:
@@ -132,7 +139,7 @@ def _sensor(tree: Tree) -> tuple[Sensor | None, Tree, list[tuple[Problem, Tree]]
         wrong = Problem((), f"a sensor must be a mapping (got {describe(sensor_tree.data)})")
         return None, nothing, [(wrong, sensor_tree)]
     sensor_tree, lost = _overridden(sensor_tree, tree)
-    sensor, found = check_sensor(sensor_tree.data)
+    sensor, found = check_sensor(sensor_tree.data, solid_folder(sensor_tree))
     return sensor, sensor_tree, [(p, tree) for p in lost] + [(p, sensor_tree) for p in found]
 
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from tacgen import assets, limits
 from tacgen.errors import UserError
 from tacgen.explain import Problem, validate
-from tacgen.load import Loaded, check_sensor, folders, read
+from tacgen.load import SOLID, Loaded, check_sensor, folders, read, solid_folder
 from tacgen.motions import replayed, resolved
 from tacgen.posetable import Pose
 from tacgen.recipe import Distribution, Recipe, Vary
@@ -74,9 +74,17 @@ class Row:
         assert move is not None
         return replayed(move, self.folders.get(("trajectory", segment, "replay", "file")))
 
+    @property
+    def solid_path(self) -> Path:
+        """The file of a gel that is a solid."""
+        assert self.sensor.gel.solid is not None
+        return assets.mesh_path(self.sensor.gel.solid.file, self.folders.get(("sensor", *SOLID)))
+
     def sensor_document(self) -> dict[str, Any]:
-        """The resolved sensor as JSON values."""
+        """The resolved sensor as JSON values; a solid is named with its hash."""
         plain: dict[str, Any] = self.sensor.model_dump(mode="json", exclude_none=True)
+        if self.sensor.gel.solid is not None:
+            plain["gel"]["solid"]["sha256"] = assets.sha256(self.solid_path)
         return plain
 
     @property
@@ -121,7 +129,7 @@ def expand(
     tree = loaded.tree if loaded else Tree(recipe.document())
     vary = recipe.vary
     if vary is None:
-        starts = folders(tree, recipe)
+        starts = {**folders(tree, recipe), **_solid(sensor, loaded)}
         wrong = limits.recipe_problems(recipe, sensor, starts)
         if wrong:
             raise UserError(problem.point(tree) for problem in wrong)
@@ -134,8 +142,9 @@ def expand(
     plain_sensor = sensor.model_dump(mode="json", exclude_none=True)
     rows = []
     problems: dict[tuple[KeyPath, str], list[tuple[str, Problem]]] = {}
+    solid = _solid(sensor, loaded)
     for index, values in zip(wanted, draw(vary, wanted), strict=True):
-        row, wrong = _resolve(index, values, base, plain_sensor, sensor, scene_seed(vary.seed, index), tree)
+        row, wrong = _resolve(index, values, base, plain_sensor, sensor, scene_seed(vary.seed, index), tree, solid)
         if row:
             rows.append(row)
         for problem in wrong:
@@ -246,6 +255,13 @@ def _check(vary: Vary, tree: Tree) -> None:
         raise UserError(problem.point(tree) for problem in problems)
 
 
+def _solid(sensor: Sensor, loaded: Loaded | None) -> dict[KeyPath, Path]:
+    """Where the path of a gel's solid starts, if it has one."""
+    if sensor.gel.solid is None or loaded is None:
+        return {}
+    return {("sensor", *SOLID): solid_folder(loaded.sensor_tree)}
+
+
 def _resolve(
     index: int,
     values: dict[str, Any],
@@ -254,6 +270,7 @@ def _resolve(
     sensor: Sensor,
     seed: int,
     tree: Tree,
+    solid: dict[KeyPath, Path],
 ) -> tuple[Row | None, list[Problem]]:
     """One row, checked as if a person had written it; or what is wrong with it."""
     data: Any = base
@@ -269,14 +286,16 @@ def _resolve(
         return None, [Problem(path, str(error))]
     recipe, wrong = validate(Recipe, data)
     if any(name.startswith("sensor.") for name in values):
-        varied, more = check_sensor(plain_sensor)
+        if (name := f"sensor.{format_path(SOLID)}") in values:
+            solid = {("sensor", *SOLID): (tree.spot(("vary", "over", name)).value.source.folder or Path()).resolve()}
+        varied, more = check_sensor(plain_sensor, solid.get(("sensor", *SOLID)))
         wrong += [Problem(("sensor", *problem.path), problem.message, problem.at_key) for problem in more]
         if varied is None:
             return None, wrong
         sensor = varied
     if recipe is None:
         return None, wrong
-    starts = folders(tree, recipe, values)
+    starts = {**folders(tree, recipe, values), **solid}
     wrong += limits.recipe_problems(recipe, sensor, starts)
     if wrong:
         return None, wrong

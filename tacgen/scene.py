@@ -4,16 +4,18 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 
 from tacgen import geometry, moves, tessellate
 from tacgen import recipe as recipes
 from tacgen import sensor as sensors
+from tacgen.errors import UserError
 from tacgen.fem.field import Field
 from tacgen.fem.materials import Law, MooneyRivlin, NeoHooke, StableNeoHooke, Yeoh
 from tacgen.fem.shapes import Box, Capsule, Cone, Cylinder, Shape, Sphere, Torus, Triangles, Wedge
-from tacgen.gel import Gel, Layer
+from tacgen.gel import Gel, Layer, SolidGel
 from tacgen.plan import Row
 from tacgen.recipe import Indenter
 from tacgen.sensor import MooneyRivlinLayer, NeoHookeLayer, Sensor, StableNeoHookeLayer, YeohLayer
@@ -137,24 +139,35 @@ def bulk(mu: float, nu: float | None) -> float:
     return 2 * mu * (1 + nu) / (3 * (1 - 2 * nu))
 
 
-def gel_of(sensor: Sensor) -> Gel:
-    """The gel with its laws."""
+def gel_of(sensor: Sensor, solid_path: Path | None = None) -> Gel:
+    """The gel with its laws; of one that is a solid, from the file at `solid_path`."""
     layers = []
     for layer in sensor.gel.layers:
         law = law_of(layer)
         layers.append(Layer(layer.thickness_mm, law, 9 * law.kappa * law.mu / (3 * law.kappa + law.mu)))
     g = sensor.gel
+    if g.solid is not None and solid_path is not None:
+        solid = geometry.placed(geometry.read(solid_path), up=g.solid.up, scale=g.solid.scale)
+        held = g.solid.bonded_mm, float(np.radians(g.solid.coated_deg))
+        return SolidGel(g.width_mm, g.height_mm, 0.0, tuple(layers), solid=solid, bonded=held[0], coated=held[1])
     radii = (np.inf, np.inf) if g.dome is None else (g.dome.radius_x_mm, g.dome.radius_y_mm)
     return Gel(g.width_mm, g.height_mm, g.corner_radius_mm, tuple(layers), g.tip, radii)
 
 
 def build(row: Row) -> Scene:
     """The scene of one row of a plan."""
-    recipe, quality, gel = row.recipe, row.recipe.resolved(), gel_of(row.sensor)
+    recipe, quality = row.recipe, row.recipe.resolved()
+    gel = gel_of(row.sensor, row.solid_path if row.sensor.gel.solid else None)
     shape = _shape(recipe.indenter, lambda mesh: _field(mesh, row))
     way = lay(recipe, shape, gel, row.replayed)
     friction, edge, dhat = recipe.contact.friction, quality.edge_mm, quality.dhat_mm
-    more = (way.forced, _dynamics(row), recipe.mesh or "hex", _surface(row, shape))
+    element = recipe.mesh or ("hex" if row.sensor.gel.solid is None else "tet")
+    over = np.concatenate([way.start[None], way.poses])[:, :2, 3]
+    beside = over[~gel.contains(*over.T)] if isinstance(gel, SolidGel) else over[:0]
+    if len(beside):
+        x, y = beside[0]
+        raise UserError(f"trajectory: would carry the indenter's axis off the gel's coated face, to ({x:g}, {y:g})")
+    more = (way.forced, _dynamics(row), element, _surface(row, shape))
     return Scene(gel, shape, way.poses, way.start, way.segment, friction, edge, dhat, *more)
 
 

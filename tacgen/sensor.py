@@ -117,14 +117,30 @@ class Dome(Part):
     source: str
 
 
+class Solid(Part):
+    """The gel's shape from a closed triangle mesh (STL, OBJ, PLY): middle of its box over the origin, top at z = 0."""
+
+    file: Annotated[str, Field(min_length=1)]  # a path that starts at the sensor file's folder
+    up: Literal["+x", "-x", "+y", "-y", "+z", "-z"] = "+z"  # which axis of the file points out of the gel
+    scale: Positive = 1.0  # mm per unit of the file
+    bonded_mm: NotNegative = 0.02  # held: all of the surface that is no higher than this above its lowest point
+    coated_deg: Annotated[float, Field(gt=0, lt=90)] = 60.0  # pressed and seen: where it faces up to within this angle
+    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = None  # the file must be this one; bundles say it
+    source: str
+
+
 class Gel(Part):
-    """A pad bonded at its flat base: a rectangle in plan, its four upright edges rounded or one side a semicircle."""
+    """A pad bonded at its flat base: a rectangle in plan, its four upright edges rounded or one side a semicircle.
+
+    Or a solid of any shape: width, height and the layers' sum are then those of its box, and are held against it.
+    """
 
     width_mm: Positive  # along x
     height_mm: Positive  # along y
     corner_radius_mm: NotNegative = 0.0
     outline: StadiumEnd | None = None  # a rectangle if absent
     dome: Dome | None = None  # a flat face if absent
+    solid: Solid | None = None  # instead of corners, outline and dome
     layers: Annotated[tuple[Layer, ...], Field(min_length=1)]
     source: str
 

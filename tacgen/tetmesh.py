@@ -24,7 +24,7 @@ COARSEST = 3.0  # edge far away [mm]
 ENVELOPE = 1e-3  # how far the mesh may leave the surface, as a part of the box's diagonal, before it is drawn to it
 COARSE, FINE = (1.0, 0.1), (0.3, 1e-4)  # step and sag [mm] of the surface that is meshed, and of the true one
 ENERGY = 10.0  # fTetWild ends when its worst cell is this good
-FOLDED = 0.05  # of a straight tet's volume: a curved one that has less at a node is made straight
+FOLDED = 0.1  # of a tet's volume before it is drawn to the surface: one that has less at a node is put back
 TET_FACES = np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)])  # seen from outside
 
 
@@ -38,7 +38,7 @@ def build(gel: Gel, touched: Array, edge: float, nodes: int) -> tuple[Array, Arr
     low, high = vertices.min(0), vertices.max(0)
     reach = ENVELOPE * float(np.linalg.norm(high - low))
     background = _background(low, high, touched, edge)
-    asked = (vertices, np.concatenate([triangles, *between]), *background, COARSEST, ENVELOPE, ENERGY)
+    asked = (vertices, triangles, np.concatenate([triangles[:0], *between]), *background, COARSEST, ENVELOPE, ENERGY)
     key = store.digest((VERSION, version("pytetwild"), *asked))
     points, tets = store.kept("meshes", key, lambda: _tetrahedralise(*asked))
     if not len(tets):
@@ -72,6 +72,7 @@ def _background(low: Array, high: Array, touched: Array, edge: float) -> tuple[A
 def _tetrahedralise(
     vertices: Array,
     triangles: Array,
+    between: Array,
     at: Array,
     tets: Array,
     edges: Array,
@@ -79,12 +80,14 @@ def _tetrahedralise(
     envelope: float,
     energy: float,
 ) -> tuple[Array, Array]:
-    """fTetWild on one thread: vertices (n, 3) and tets (e, 4)."""
+    """fTetWild on one thread: vertices (n, 3) and tets (e, 4) inside the closed triangles, no tet across `between`."""
     found = _ftetwild().tetrahedralize_mesh(
-        vertices, triangles.astype(np.uint32), True, False, 0.05, coarsest, envelope, energy,
-        False, 1, 80, 6, True, False, False, at, tets, edges,
+        vertices, np.concatenate([triangles, between]).astype(np.uint32), True, False, 0.05, coarsest, envelope, energy,
+        False, 1, 80, 6, True, False, True, at, tets, edges,
     )  # fmt: skip
     points, cells = np.asarray(found[0], float), np.asarray(found[1], np.int64)
+    # fTetWild's own test of what is inside counts the open triangles too
+    cells = cells[geometry.inside(vertices, triangles, points[cells].mean(1))]
     used, compact = np.unique(cells, return_inverse=True)
     points, cells = points[used], compact.reshape(-1, 4)
     turned = np.linalg.det(points[cells[:, 1:]] - points[cells[:, :1]]) < 0
@@ -126,7 +129,7 @@ def _patches(gel: Gel, points: Array, triangles: Array, reach: float) -> dict[st
     x = points[triangles]
     normal = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
-    found = gel.patches(x.mean(1), normal, reach)
+    found = gel.patches(x, normal, reach)
     return {**found, "sides": ~np.any(list(found.values()), axis=0)}
 
 
@@ -134,10 +137,12 @@ def _drawn(gel: Gel, points: Array, tets: Array, facets: dict[str, Array], betwe
     """Nodes of the boundary and of the interfaces drawn onto the true ones; what that would fold stays straight."""
     new = points.copy()
     vertices, triangles, _ = gel.surface(*FINE)
-    walls = triangles[_patches(gel, vertices, triangles, 1e-6)["sides"]]
-    sides = np.unique(facets["sides"])
-    new[sides] = geometry.nearest(vertices, walls, points[sides])
-    parts = [(facets["bonded"], 0.0), *zip(between, gel.interfaces[:-1], strict=True), (facets["coated"], 1.0)]
+    true = _patches(gel, vertices, triangles, 1e-6)
+    for name in ("sides", "bonded"):
+        there = np.unique(facets[name])
+        if len(there) and true[name].any():
+            new[there] = geometry.nearest(vertices, triangles[true[name]], new[there])
+    parts = [*zip(between, gel.interfaces[:-1], strict=True), (facets["coated"], 1.0)]
     for which, part in parts:
         there = np.unique(which)
         new[there] = gel.at(float(part), new[there, :2])
@@ -147,11 +152,11 @@ def _drawn(gel: Gel, points: Array, tets: Array, facets: dict[str, Array], betwe
 def _unfolded(new: Array, old: Array, tets: Array) -> Array:
     """The new points, but the middle nodes of tets that are folded by them back on their straight edges, and corners
     where they were, as far as that takes."""
+    straight = nodal_volume(old, tets[:, :4]).min(1)
     for corners_too in (False, True):
         for _ in range(10):
             least = nodal_volume(new, tets).min(1)
-            straight = nodal_volume(new, tets[:, :4]).min(1)
-            bad = tets[least <= FOLDED * np.maximum(straight, 0)]
+            bad = tets[least <= FOLDED * straight]
             if not len(bad):
                 return new
             if corners_too:

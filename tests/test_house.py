@@ -18,12 +18,12 @@ ORDER = [
     {"explain"},
     {"moves"},
     {"recipe"},  # *
+    {"store"},
+    {"geometry"},
     {"motions"},
     {"limits"},
     {"load"},
     {"plan"},  # *
-    {"store"},
-    {"geometry"},
     {"gel", "tessellate"},
     {"trajectory"},
     {"scene"},  # *
