@@ -91,6 +91,59 @@ def test_small_damage_is_mended(tmp_path: Path):
     assert trimesh.Trimesh(found.vertices, found.triangles).volume == pytest.approx(8)
 
 
+def cracked() -> trimesh.Trimesh:
+    """A ball whose triangles have corners of their own, none quite where its neighbour's is."""
+    whole = ball(3)
+    loose = whole.vertices[whole.faces].reshape(-1, 3)
+    loose += np.random.default_rng(0).uniform(-1e-5, 1e-5, loose.shape)
+    return trimesh.Trimesh(loose, np.arange(len(loose)).reshape(-1, 3), process=False)
+
+
+def holed() -> trimesh.Trimesh:
+    """A ball with a hole of six edges, and a triangle that hangs off an edge."""
+    mesh = ball(3)
+    mesh.update_faces(~(mesh.faces == mesh.faces[500, 0]).any(1))
+    mesh.remove_unreferenced_vertices()
+    flag = np.array([*mesh.faces[10, :2], len(mesh.vertices)])
+    outside = mesh.triangles_center[10] * 1.2
+    return trimesh.Trimesh([*mesh.vertices, outside], [*mesh.faces, flag], process=False)
+
+
+@pytest.mark.parametrize("make", [cracked, holed])
+def test_what_trimesh_cannot_mend_is_sewn(make: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    pytest.importorskip("pymeshlab")
+    path = saved(make(), tmp_path / "torn.stl")
+    found = geometry.read(path)
+    mended = trimesh.Trimesh(found.vertices, found.triangles, process=False)
+    assert mended.is_watertight
+    assert mended.is_winding_consistent
+    assert mended.volume == pytest.approx(ball(3).volume, rel=0.01)
+    monkeypatch.setattr(geometry, "_sewn", lambda mesh: mesh)
+    with pytest.raises(UserError, match=r"is not closed: \d+ "):
+        geometry.read(path)
+
+
+def slivered(mesh: trimesh.Trimesh, height: float) -> trimesh.Trimesh:
+    """Every third triangle split at a point `height` from the middle of one of its edges, as bad exporters do."""
+    v, faces, more = list(mesh.vertices), [], []
+    for k, (a, b, c) in enumerate(mesh.faces):
+        if k % 3:
+            faces.append((a, b, c))
+            continue
+        middle = (mesh.vertices[a] + mesh.vertices[b]) / 2
+        v.append(middle + (mesh.vertices[c] - middle) * height)
+        n = len(v) - 1
+        more += [(a, b, n), (b, c, n), (c, a, n)]
+    return trimesh.Trimesh(v, [*faces, *more], process=False)
+
+
+@pytest.mark.parametrize("height", [1e-4, 1e-9])
+def test_slivers_change_no_distance(height: float):
+    clean, bad = field(ball(2), 0.3), field(slivered(ball(2), height), 0.3)
+    x = np.random.default_rng(1).normal(size=(200, 3)) * 2 + [0, 0, 4]
+    assert bad.distance(x)[0] == pytest.approx(clean.distance(x)[0], abs=1e-3)
+
+
 def test_overlapping_bodies_are_united(tmp_path: Path):
     other = box(2, 2, 2)
     other.apply_translation([1, 0, 0])

@@ -64,6 +64,7 @@ HOMES = {
     "ruamel": {"yamlfile"},
     "trimesh": {"geometry"},
     "igl": {"geometry"},
+    "pymeshlab": {"geometry"},
     "pytetwild": {"tetmesh"},
     "ipctk": {"fem.ipc"},
     "platformdirs": {"variants"},

@@ -121,6 +121,26 @@ def test_from_a_sensor_file_to_a_bundle(tmp_path: Path) -> None:
     assert len(sensor["gel"]["solid"]["sha256"]) == 64
 
 
+def test_slivers_in_the_file_are_not_in_the_mesh(tmp_path: Path) -> None:
+    """Each triangle of the file split close to one of its edges; one layer."""
+    one = SENSOR.replace("thickness_mm: 2.0", "thickness_mm: 3.0").split("    - {name: skin")[0]
+    recipe = folder(tmp_path, sensor=one + SENSOR[SENSOR.index("  source: made by a test\n") :])
+    solid = trimesh.load_mesh(tmp_path / "sensors" / "knob.stl")
+    split = solid.triangles * [[[0.49995], [0.49995], [0.0001]]]
+    points = np.concatenate([solid.vertices, split.sum(1)])
+    a, b, c = solid.faces.T
+    n = len(solid.vertices) + np.arange(len(solid.faces))
+    faces = np.concatenate([np.stack(corners, 1) for corners in ((a, b, n), (b, c, n), (c, a, n))])
+    trimesh.Trimesh(points, faces, process=False).export(tmp_path / "sensors" / "knob.stl")
+    made = scene.build(plan.load(recipe).rows[0])
+    assert len(made.gel.solid.triangles) > 2.5 * len(solid.faces)
+    grid = mesh.of(made)
+    said = mesh.quality(made.gel, grid)
+    assert said["smallest_dihedral_deg"] > 5
+    assert abs(said["volume_error"]) < 3e-3
+    assert len(grid.points) < 6000
+
+
 def test_the_files_content_is_in_the_scenes_key(tmp_path: Path) -> None:
     recipe = folder(tmp_path)
     key = plan.load(recipe).rows[0].key
