@@ -29,7 +29,7 @@ def about_z(angle: float) -> Array:
 
 @pytest.mark.parametrize(("angle", "tol"), [(30, 3e-4), pytest.param(90, 1e-6, marks=pytest.mark.slow)])
 def test_a_scene_turned_as_a_whole_gives_the_turned_force(angle: float, tol: float) -> None:
-    """Gel, mesh and path: nothing in the solver prefers an axis. By 90 deg all numbers are the same; by 30 they are not,
+    """Gel, mesh and path: nothing in the solver prefers an axis. By 90 deg all numbers are the same; by 30 not,
     rounding leads to another last iteration, and the answer is known to a part of 1e-3."""
     R = about_z(np.radians(angle))
     one = run(scene(Box(3.0, 1.6, 0.3), poses(PATH), friction=0.5, edge=0.8), SQUARE)
