@@ -128,6 +128,9 @@ class SuperLU:
         return np.asarray(self._lu.solve(b))
 
 
+ENOUGH = 3  # times the error asked for is taken when conjugate gradients are out of steps: a new factor costs more
+
+
 class Stale:
     """Another solver whose last factor is kept as a preconditioner while conjugate gradients need few steps with it.
 
@@ -177,7 +180,7 @@ class Stale:
             z = self._inner.solve(r)
             rz, before = float(r @ z), rz
             p = z + rz / before * p
-        return None
+        return x if 0 <= rz <= ENOUGH**2 * target else None
 
 
 # fastest first, with the packages each needs
