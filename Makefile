@@ -52,6 +52,7 @@ smoke: sync
 
 bench: sync
 	$(BIN)/python scripts/bench_mechanics.py
+	$(BIN)/python scripts/bench_labels.py
 
 demo: sync
 	$(BIN)/tacgen run recipes/quickstart.yaml -o out/quickstart
