@@ -17,14 +17,14 @@ from tacgen.fem.materials import NeoHooke
 from tacgen.fem.potentials import Elastic
 from tacgen.fem.shapes import Sphere
 from tacgen.maps import maps
-from tacgen.optics.layers import Camera, Stack
+from tacgen.optics.layers import Camera
 from tacgen.scene import Gel, Layer, Scene
 from tacgen.stress import Stresses
 
 from .presses import Run, gel, poses, run, scene
 
 Array = np.ndarray
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 
 THREE_MOVES = """
 tacgen: 1
@@ -32,9 +32,9 @@ name: moves
 sensor: {sensor}
 indenter: {{shape: sphere, radius_mm: 4.0}}
 trajectory:
-  - press: {{depth_mm: {depth}, frames: 2}}
-  - slide: {{x_mm: 1.2, y_mm: 0.3, frames: 4}}
-  - twist: {{angle_deg: 12, frames: 2}}
+  - press: {{depth_mm: {depth}, frames: 1}}
+  - slide: {{x_mm: 1.2, y_mm: 0.3, frames: 3}}
+  - twist: {{angle_deg: 12, frames: 1}}
 contact: {{friction: 0.6}}
 outputs: [stress, traction, force_map]
 """
@@ -65,7 +65,7 @@ def test_forces_stress_and_maps_agree_on_every_sensor(sensor: str, depth: float,
         full = (found.sliding > 1 - 1e-9) & (found.pressure > 0)
         assert np.abs(size - limit)[full].max(initial=0.0) <= slack
         slid.append(found.slip.sum() / found.contact.sum())
-    assert slid[1] < 0.4 < 0.6 < slid[5]
+    assert slid[0] < 0.4 < 0.6 < slid[3]
 
 
 def quarter_solved(made: Scene, half: float) -> tuple[solve.Problem, Array, float]:
@@ -166,31 +166,3 @@ def _column(found: Run, x: float, layer: int) -> tuple[Array, Array]:
     here = np.flatnonzero((np.hypot(points[:, 0] - x, points[:, 1]) < 1e-6) & (made.recovery.material == layer))
     here = here[points[here, 2].argsort()]
     return points[here, 2], rows[here]
-
-
-def test_the_stick_disc_shrinks_as_cattaneo_and_mindlin_say() -> None:
-    """Pulled sideways, a ball sticks within c = a (1 - Q/(friction P))^(1/3) until all slides; Johnson (1985), 7.2.
-
-    A point slides when it is 5 um (advance.EPS) from its anchor, so that a first narrow ring of slip is not seen.
-    """
-    made = scene(
-        Sphere(16.0), poses([(x, 0.0, -0.25) for x in (0.0, 0.08, 0.12, 0.16, 0.3)]),
-        pad=gel(32.0, 32.0, 16.0, nu=0.49), friction=0.5, edge=0.3,
-    )  # fmt: skip
-    found = run(replace(made, dhat=0.02), (-2.4, 2.7, -2.4, 2.4))
-    stack = Stack((200.0, 16.0), (1.0, 1.41))
-    camera = Camera(stack, (0.0, 0.0), stack.effective_depth / 0.05, (120, 120))
-    grid = found.problem.mesh
-    surface = fields.Surface(grid.points, grid.facets["coated"])
-    discs = []
-    for state, force in zip(found.states[1:], found.forces[1:], strict=True):
-        seen = maps(found.problem, surface.moved(state.x), state, camera)
-        a = (3 * -force[2] * 16.0 / (4 * 0.15 / (1 - 0.49**2))) ** (1 / 3)
-        stuck = np.sqrt((seen.area * (seen.contact & ~seen.slip)).sum() / np.pi)
-        discs.append((stuck / a, max(0.0, 1 + force[0] / (0.5 * force[2])) ** (1 / 3)))
-    stick, theory = np.array(discs).T
-    assert theory[0] > 0.75
-    assert theory[2] < 0.6
-    assert stick[:3] == pytest.approx(theory[:3], abs=0.08)
-    assert (np.diff(stick) < 0).all()
-    assert stick[-1] == 0.0
