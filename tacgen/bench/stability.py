@@ -173,7 +173,7 @@ def measure(name: str, sets: Sequence[str]) -> Outcome:
                 (Path(folder) / file).write_text(wavefront(vertices, triangles))
             filled = [text.replace("{folder}", folder) for text in (*PLAIN, *sets)]
             made = scene.build(plan.load(assets.recipe_path("quickstart"), filled).rows[0])
-        problem = solve.Problem.of(made, mesh.build(made.gel, mesh.footprint(made), made.edge))
+        problem = solve.Problem.of(made, mesh.of(made))
     except UserError as error:
         return Outcome(name, "refused", error.lines[0], seconds=time.process_time() - begun)
     states: list[solve.State] = []
