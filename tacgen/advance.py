@@ -18,6 +18,7 @@ from tacgen.fem.elements import elements
 from tacgen.fem.newton import Status, minimise
 from tacgen.fem.passage import blocked, sunk
 from tacgen.fem.potentials import Elastic, Potential, Total
+from tacgen.fem.stiffness import LAZY
 from tacgen.mesh import Mesh
 from tacgen.scene import Scene
 
@@ -118,10 +119,11 @@ class Problem:
         free = np.ones((len(mesh.points), 3), bool)
         free[np.unique(mesh.facets["bonded"])] = False
         pat = pattern([mesh.cells], free)
-        elastic = []
+        elastic, softest = [], min(layer.law.mu for layer in scene.gel.layers)
         for number, layer in enumerate(scene.gel.layers):
             cells = mesh.cells[mesh.layer == number]
-            elastic.append(Elastic.on(pat, elements(mesh.points, cells), layer.law))
+            lazy = LAZY * min(1.0, 10 * softest / layer.law.mu)  # what is little to a hard skin is much to a soft base
+            elastic.append(Elastic.on(pat, elements(mesh.points, cells), layer.law, lazy))
         contact = _contact(scene, mesh, pat)
         ready = cls(mesh, tuple(elastic), contact, linear.best(pat), pat, scene.friction, scene.edge)
         if (d := scene.dynamics) is None:

@@ -23,7 +23,6 @@ SLOW = {
     "skin of 0.1 mm, stiffer 1000:1",
     "three quarters deep, nu 0.4999",
     "three quarters deep, then slid",
-    "skin stiffer 1000:1",
     "thin rod",
     "thin torus",
     "ball of slivers",
