@@ -53,6 +53,7 @@ smoke: sync
 bench: sync
 	$(BIN)/python scripts/bench_mechanics.py
 	$(BIN)/python scripts/bench_labels.py
+	$(BIN)/python scripts/bench_scale.py --only overhead efficiency memory
 
 demo: sync
 	$(BIN)/tacgen run recipes/quickstart.yaml -o out/quickstart
