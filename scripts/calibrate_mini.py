@@ -1,6 +1,4 @@
-"""Fit the optical numbers of sensors/gelsight_mini.yaml to photographs of a real unit, and print them.
-
-    python scripts/calibrate_mini.py ../shared/reference/gelsight_mini
+"""Fit the optical numbers of sensors/gelsight_mini.yaml to photographs of a real unit; called by calibrate_optics.py.
 
 Light is linear in the LEDs' power, so for each trial geometry the radiances and the stray light follow from a
 non-negative least-squares fit; only positions, sizes and tilts of the strips, the plate, the coat's gloss and the
@@ -23,7 +21,7 @@ from tacgen.optics import coating, response
 from tacgen.optics.dent import BallDent
 from tacgen.optics.direct import Direct, Samples
 from tacgen.optics.layers import Camera
-from tacgen.optics.sheet import Flat, Sheet
+from tacgen.optics.sheet import Sheet, Untouched
 from tacgen.sensor import Sensor
 
 STEP = 4  # pixels of the photograph per pixel of the fit
@@ -63,7 +61,7 @@ def read(path: Path) -> np.ndarray:
 def photos(folder: Path, camera: Camera) -> list[Photo]:
     """The untouched picture, then every ball press with the pixels around its contact circle."""
     base = read(folder / "background.png")
-    found = [Photo("background.png", base, Flat(), np.ones(base.shape[:2], bool))]
+    found = [Photo("background.png", base, Untouched(), np.ones(base.shape[:2], bool))]
     y, x = (np.mgrid[: base.shape[0], : base.shape[1]] + 0.5) * STEP
     for row in csv.DictReader((folder / "circles.csv").read_text().splitlines()):
         cx, cy, a = float(row["cx_px"]), float(row["cy_px"]), float(row["contact_radius_px"])
@@ -131,11 +129,11 @@ class Fit:
         coat, made = sensor.coating, []
         for photo in self.seen:
             if photo.name not in self._looked:  # the camera hardly moves in the search: find once what its rays meet
-                self._looked[photo.name] = direct.look(photo.surface)
+                self._looked[photo.name] = direct.view.look(photo.surface)
             at = self._looked[photo.name]
             here = photo.counts.ravel()
             position = np.where(here[:, None], at.position, np.nan)
-            light = direct.light(Samples(position, at.normal, at.rest, at.heights))[here]
+            light = direct.light(Samples(position, at.normal, at.rest, at.nodes))[here]
             total = (1 - coat.specular) * coat.albedo[0] * light[..., 0] + coat.specular * coating.METAL * light[..., 1]
             made.append(np.column_stack([total * fall[here, None], np.ones(here.sum())]))
         return made

@@ -18,11 +18,12 @@ from tacgen import render
 from tacgen.optics import response
 from tacgen.optics.dent import BallDent
 from tacgen.optics.direct import Direct
-from tacgen.optics.sheet import Flat
+from tacgen.optics.sheet import Untouched
 from tacgen.sensor import Sensor
+from tacgen.tracer import PathTracer
 
 ROOT = Path(__file__).resolve().parents[1]
-FACES = {"untouched": Flat(), "ball R 4": BallDent(4.0, 1.9), "ball R 1, sharp": BallDent(1.0, 0.85, (2.0, -1.0))}
+FACES = {"untouched": Untouched(), "ball R 4": BallDent(4.0, 1.9), "ball R 1, sharp": BallDent(1.0, 0.85, (2.0, -1.0))}
 
 
 def decibel(picture: np.ndarray, halves: np.ndarray) -> tuple[float, float]:
@@ -57,7 +58,7 @@ def main() -> None:
     )  # fmt: skip
     sensor = sensor.model_copy(update={"camera": camera})
     renderer = render.Renderer(sensor, 64, 0, False, asked.variant)
-    tracer = render.PathTracer(sensor, renderer.sheet, False, renderer.variant)
+    tracer = PathTracer(sensor, renderer.sheet, False, renderer.variant)
     alone = Direct(sensor, renderer.sheet, False, render.effort(64)[0])
 
     stray = response.stray(camera)
@@ -72,7 +73,7 @@ def main() -> None:
         methods: dict[str, Callable[[], np.ndarray]] = {
             "path, 16 spp": lambda face=face: tracer.radiance(face, 16, 1) + stray,
             "path, 64 spp": lambda face=face: tracer.radiance(face, 64, 1) + stray,
-            "direct + mirror images": lambda face=face: alone.radiance(face, stray),
+            "direct + mirror images": lambda face=face: alone.radiance(face) + stray,
             "the same + map of scattered": lambda face=face: renderer.image(face).astype(float),
         }
         for method, work in methods.items():

@@ -14,6 +14,7 @@ from tacgen.optics.raster import draw
 from tacgen.solve import Problem, State
 
 if TYPE_CHECKING:
+    from tacgen.mesh import Mesh
     from tacgen.optics.layers import Camera
     from tacgen.optics.sheet import Sheet
 
@@ -52,6 +53,14 @@ class Surface:
         xy = np.asarray(xy, dtype=float)
         moved = self._smooth(xy) if len(xy) else np.zeros((0, 3))  # type: ignore[operator]
         return np.asarray(moved + np.column_stack([xy, np.zeros(len(xy))]))
+
+
+def seen(mesh: "Mesh", clear: int) -> Surface:
+    """The face that a camera sees of a mesh: the coated one, or where the first `clear` layers meet the opaque rest."""
+    if clear > mesh.layer.max():
+        return Surface(mesh.points, mesh.facets["coated"])
+    shared = np.intersect1d(mesh.cells[mesh.layer < clear], mesh.cells[mesh.layer >= clear])
+    return Surface(mesh.points, shared[:, None])
 
 
 def wrench(problem: Problem, state: State) -> tuple[Array, Array]:

@@ -3,14 +3,15 @@
 import importlib.util
 from contextlib import suppress
 from pathlib import Path
+from typing import cast
 
-from tacgen import assets, motions
+from tacgen import assets, lit, motions
 from tacgen.errors import UserError
 from tacgen.explain import Problem
 from tacgen.motions import Folders
 from tacgen.moves import Made
 from tacgen.recipe import Indenter, Recipe
-from tacgen.sensor import LIGHTS, Gel, Sensor
+from tacgen.sensor import LIGHTS, Gel, LitSensor, Sensor
 from tacgen.yamlfile import KeyPath
 
 THIN = 0.5  # of the mesh's edge: half an indenter's thickness may not be less, or it slips between points of contact
@@ -23,7 +24,8 @@ def sensor_problems(sensor: Sensor, folder: Path | None = None) -> list[Problem]
 
     `folder` is where the path of the gel's solid starts; None: the working directory.
     """
-    return [*_outline(sensor.gel), *_solid(sensor.gel, folder), *_lights(sensor)]
+    optics = lit.problems(cast(LitSensor, sensor)) if sensor.lit else _lights(sensor)
+    return [*_outline(sensor.gel), *_solid(sensor.gel, folder), *optics]
 
 
 def recipe_problems(recipe: Recipe, sensor: Sensor, folders: Folders | None = None) -> list[Problem]:
@@ -90,7 +92,7 @@ def _solid(gel: Gel, folder: Path | None) -> list[Problem]:
 def _lights(sensor: Sensor) -> list[Problem]:
     """A plate may stand alone; coating, walls and LEDs come together and with it, for none makes an image alone."""
     there = [name for name in LIGHTS if getattr(sensor, name) is not None]
-    if sensor.lit or there in ([], ["plate"]):
+    if there in ([], ["plate"]):
         return []
     missing = [name for name in LIGHTS if name not in there]
     return [Problem((name,), f"is missing, and {there[-1]} is there", at_key=True) for name in missing]

@@ -74,6 +74,7 @@ class Products:
                 spp = row.recipe.resolved().spp
                 lit = cast(LitSensor, row.sensor)  # limits.py lets no other through
                 self.renderer = Renderer(lit, spp, row.seed, lit.markers is not None, method=row.recipe.render.method)
+                self.seen = fields.seen(problem.mesh, len(lit.gel.clear_layers))
 
     def still(self) -> dict[str, Array]:
         """Datasets that do not change from frame to frame."""
@@ -100,7 +101,7 @@ class Products:
             out = self._labels(state, segment)
         if "rgb" in self.outputs:
             with self.clock.stage("render"):
-                surface = self.surface.moved(state.x)
+                surface = self.seen.moved(state.x)
                 out["/frames/rgb"] = self.renderer.develop(self.renderer.image(surface))
         return out
 

@@ -6,6 +6,7 @@ below that.
 """
 
 import math
+from itertools import pairwise
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
@@ -22,12 +23,27 @@ Vec3 = tuple[float, float, float]
 Rgb = tuple[NotNegative, NotNegative, NotNegative]
 
 
+def _listed(value: Any) -> Any:
+    return tuple(value) if isinstance(value, list) else value  # strictly, what passed through `_named` holds no list
+
+
+class Scattering(Part):
+    """Fine particles all through a layer, that scatter light as Henyey and Greenstein say and absorb some of it."""
+
+    extinction_per_mm: Positive  # of a ray's light, scattered and absorbed together
+    albedo: Annotated[tuple[Fraction, Fraction, Fraction], BeforeValidator(_listed)]  # the share that is scattered
+    forward: Annotated[float, Field(gt=-1, lt=1)] = 0.0  # mean cosine of the turn, g
+    source: str
+
+
 class LayerBase(Part):
     """What every layer of gel has, whatever its law."""
 
     name: str
     thickness_mm: Positive
     refractive_index: Index = 1.41
+    scattering: Scattering | None = None  # clear if absent
+    opaque: bool = False  # the coating then lies on its inner side
     source: str
 
 
@@ -145,6 +161,12 @@ class Gel(Part):
     source: str
 
     @property
+    def clear_layers(self) -> "tuple[Layer, ...]":
+        """Those that light passes, from the base outward to the first opaque one."""
+        opaque = [layer.opaque for layer in self.layers]
+        return self.layers[: opaque.index(True)] if any(opaque) else self.layers
+
+    @property
     def tip(self) -> int:
         """The end in y that is a semicircle: -1, +1, or 0 for none."""
         return 0 if self.outline is None else (-1 if self.outline.end == "-y" else 1)
@@ -177,11 +199,13 @@ class Walls(Part):
     """The housing around plate and gel."""
 
     albedo: Fraction
+    margin_mm: NotNegative = 0.0  # it stands off the pad's outline by this much, and plate and gel fill the space
     source: str
 
 
 class Led(Part):
-    """A rectangular area light inside plate or gel. Size is (along up x normal, along up)."""
+    """A rectangular area light inside plate or gel, or in the air under the plate. Size is (along up x normal,
+    along up)."""
 
     name: str
     center_mm: Vec3
@@ -189,6 +213,7 @@ class Led(Part):
     up: Vec3 = (0.0, 0.0, 1.0)
     size_mm: tuple[Positive, Positive]
     radiance: Rgb
+    see_through: bool = False  # stands for light that enters there from all around: the camera looks through it
     source: str
 
 
@@ -217,6 +242,21 @@ class Markers(Part):
     source: str
 
 
+class ThicknessResponse(Part):
+    """Gain on all light, by how much thicker the gel is than untouched: what a real unit's pictures show beyond what
+    its optics explain. Interpolated smoothly, constant beyond its ends."""
+
+    change_mm: Annotated[tuple[float, ...], Field(min_length=2)]
+    gain: tuple[Rgb, ...]
+    source: str
+
+    @model_validator(mode="after")
+    def _table(self) -> Self:
+        if len(self.gain) != len(self.change_mm) or any(a >= b for a, b in pairwise(self.change_mm)):
+            raise ValueError("must hold rising change_mm and as many rows of gain")
+        return self
+
+
 LIGHTS = ("plate", "coating", "walls", "leds")
 
 
@@ -233,6 +273,7 @@ class Sensor(Part):
     leds: Annotated[tuple[Led, ...], Field(min_length=1)] | None = None
     camera: Camera
     markers: Markers | None = None
+    thickness_response: ThicknessResponse | None = None
 
     @property
     def lit(self) -> bool:

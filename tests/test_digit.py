@@ -175,7 +175,7 @@ def test_the_face_and_its_picture_follow_the_dome(pressed: Run, digit: Sensor) -
         (("start={x_mm: 8, y_mm: -9}",), "the indenter would start beside the pad"),
         (("sensor.gel.dome.radius_x_mm=10",), "gel.dome: leaves -0.287 mm of gel at the pad's corner"),
         (("sensor.gel.corner_radius_mm=1",), "gel.corner_radius_mm: must be 0 beside an outline with"),
-        (("outputs=[rgb]",), "outputs: asks for rgb: the sensor file digit describes no lights yet"),
+        (("outputs=[rgb, markers]",), "outputs: asks for markers, and the sensor digit has none"),
     ],
 )
 def test_what_a_dome_forbids(sets: tuple[str, ...], says: str, tmp_path: Path) -> None:

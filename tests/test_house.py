@@ -20,7 +20,7 @@ ORDER = [
     {"recipe"},  # *
     {"store"},
     {"geometry"},
-    {"motions"},
+    {"motions", "lit"},
     {"limits"},
     {"load"},
     {"plan"},  # *
@@ -33,7 +33,7 @@ ORDER = [
     {"solve"},  # *
     {"foresee"},
     {"fields"},  # *
-    {"maps", "stress"},
+    {"maps", "stress", "tracer"},
     {"render"},  # *
     {"layout"},
     {"bundle"},  # *
@@ -53,8 +53,8 @@ ALLOWED_IN_LIBRARIES = {"numpy", "scipy", "numba"}
 
 # Heavy packages and where they may be imported, always inside functions.
 HOMES = {
-    "mitsuba": {"render"},
-    "drjit": {"render"},
+    "mitsuba": {"tracer"},
+    "drjit": {"tracer"},
     "matplotlib": {"show", "show_field"},
     "mpl_toolkits": {"show"},
     "h5py": {"bundle", "doctor", "export.vtkhdf", "export.univtac", "pack", "torch"},
@@ -84,6 +84,7 @@ NOT_NUMPY = {
     "assets",
     "plan",
     "load",
+    "lit",
     "limits",
     "explain",
     "yamlfile",

@@ -1,4 +1,4 @@
-"""9DTact: two layers on a conforming mesh, and a sensor file that describes no lights yet."""
+"""9DTact: two layers on a conforming mesh, of which the camera sees the inner one; and sensors without lights."""
 
 import re
 from pathlib import Path
@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from physics.presses import Run
+from ruamel.yaml import YAML
 
 from tacgen import assets, fields, load, mesh, plan, solve
 from tacgen import scene as stage
@@ -14,6 +15,7 @@ from tacgen.maps import maps as maps_of
 from tacgen.optics.layers import Camera
 from tacgen.stress import FULL, Stresses
 
+LIT = ("coating", "walls", "leds")
 RECIPE = """\
 tacgen: 1
 name: nine
@@ -51,11 +53,11 @@ def test_force_of_a_press_at_default_quality(press: Run) -> None:
 
 
 def test_the_maps_see_the_press(press: Run, row: plan.Row) -> None:
-    """A camera without a plate: 0.0505 mm/px at the middle, and the force is in view."""
+    """0.0509 mm/px at the middle of the skin's outer side, and the force is in view."""
     camera = Camera.from_sensor(row.sensor)
     assert camera.shape == (345, 460)
     step = camera.project([[0.1, 0.0, 0.0]])[0] - camera.project([[0.0, 0.0, 0.0]])[0]
-    assert 0.1 / step[0] == pytest.approx(0.0505, rel=1e-3)
+    assert 0.1 / step[0] == pytest.approx(0.0509, rel=1e-3)
     grid, state = press.problem.mesh, press.states[-1]
     surface = fields.Surface(grid.points, grid.facets["coated"])
     maps = maps_of(press.problem, surface.moved(state.x), state, camera)
@@ -88,13 +90,25 @@ def test_traction_is_continuous_across_the_interface_and_stress_in_its_plane_is_
     assert (tension[0] > tension[1]).mean() > 0.9
 
 
+def test_the_camera_sees_the_skin_from_inside(press: Run, row: plan.Row) -> None:
+    seen = fields.seen(press.problem.mesh, len(row.sensor.gel.clear_layers))
+    assert seen.rest[:, 2] == pytest.approx(-0.3)
+    now = seen.moved(press.states[-1].x)
+    under, beside = now.at(np.array([[0.0, 0.0], [3.2, 0.0]]))[:, 2] + 0.3
+    assert -1.0 < under < -0.8  # the skin thins a little
+    assert beside > 0.03  # what was pressed away bulges around
+
+
 def test_images_are_refused_where_no_lights_are_described(tmp_path: Path) -> None:
-    (tmp_path / "r.yaml").write_text(RECIPE.replace("force, traction, height, stress", "force, rgb"))
+    dark = {k: v for k, v in load.read_sensor(assets.sensor_path("ninedtact"))[1].data.items() if k not in LIT}
+    YAML(typ="safe").dump({**dark, "name": "dark"}, tmp_path / "dark.yaml")
+    text = RECIPE.replace("force, traction, height, stress", "force, rgb").replace("ninedtact", "dark.yaml")
+    (tmp_path / "r.yaml").write_text(text)
     with pytest.raises(UserError) as caught:
         load.read(tmp_path / "r.yaml")
     told = [line for line in caught.value.lines if not line.startswith(" ")]
     assert len(told) == 1
-    assert re.search(r"r\.yaml:6:10: outputs: asks for rgb: .*ninedtact describes no lights yet$", told[0])
+    assert re.search(r"r\.yaml:6:10: outputs: asks for rgb: .*dark describes no lights yet$", told[0])
 
 
 def test_lights_come_all_together_or_a_plate_alone() -> None:

@@ -159,11 +159,11 @@ def test_forces_agree_with_the_maps_and_the_base(recipe: Path, tmp_path: Path) -
 def test_path_and_transport_show_the_same_scene(recipe: Path) -> None:
     """`render: {method: path}` is Mitsuba alone: noisy, and in the mean what transport shows. Noise is not even after
     the response, so radiances are compared."""
-    from tacgen.optics.sheet import Flat
+    from tacgen.optics.sheet import Untouched
     from tacgen.render import Renderer
 
     sensor = plan.load(recipe, SMALL_CAMERA).rows[0].sensor
-    transport = Renderer(sensor, 64, 0, True).image(Flat())
-    path = Renderer(sensor, 400, 0, True, method="path").image(Flat())
+    transport = Renderer(sensor, 64, 0, True).image(Untouched())
+    path = Renderer(sensor, 400, 0, True, method="path").image(Untouched())
     assert path.mean((0, 1)) == pytest.approx(transport.mean((0, 1)), rel=0.05)
     assert np.abs(path - transport).mean() > 0.005  # it was not transport again

@@ -1,20 +1,14 @@
 """The GelSight Mini's file against photographs of a real unit: the two things that must show."""
 
-import importlib.util
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
-from ruamel.yaml import YAML
+import reality
 
 from tacgen import render, variants
 from tacgen.optics.dent import BallDent
 from tacgen.optics.layers import Camera
-from tacgen.sensor import Sensor
 
-ROOT = Path(__file__).parents[1]
-PHOTOS = Path(os.environ.get("TACGEN_REFERENCE", ROOT.parent / "shared" / "reference")) / "gelsight_mini"
+PHOTOS = reality.REFERENCE / "gelsight_mini"
 
 pytestmark = pytest.mark.skipif(
     not (PHOTOS / "background.png").is_file(), reason=f"no photographs in {PHOTOS} (set TACGEN_REFERENCE)"
@@ -25,23 +19,17 @@ SPREAD = ((66, 83), (95, 122), (105, 124))  # channel means of six real units' b
 
 @pytest.fixture(scope="module")
 def compare():
-    """scripts/compare_mini.py, whose estimators the test shares."""
-    spec = importlib.util.spec_from_file_location("compare_mini", ROOT / "scripts" / "compare_mini.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return reality.compare()
 
 
 @pytest.fixture(scope="module")
 def sensor():
-    return Sensor.model_validate(YAML(typ="safe").load((ROOT / "sensors" / "gelsight_mini.yaml").read_text()))
+    return reality.sensor("gelsight_mini")
 
 
 @pytest.fixture(scope="module")
-def renderer(sensor, tmp_path_factory):
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("TACGEN_CACHE_DIR", str(tmp_path_factory.mktemp("cache")))
-        yield render.Renderer(sensor, 8, 0, markers=False, variant=variants.SCALAR)
+def renderer(sensor):
+    return render.Renderer(sensor, 8, 0, markers=False, variant=variants.SCALAR)
 
 
 @pytest.fixture(scope="module")

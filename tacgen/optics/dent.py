@@ -1,11 +1,12 @@
 """The dent of a rigid ball by Hertz's formulas: a stand-in for a solved gel in calibration and tests."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from tacgen.optics.layers import Camera
+from tacgen.optics.sheet import Surface, Untouched
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -22,6 +23,7 @@ class BallDent:
     radius: float  # of the ball [mm]
     contact: float  # radius of the contact circle [mm], < radius
     center: tuple[float, float] = (0.0, 0.0)  # [mm]
+    face: Surface = field(default_factory=Untouched)  # untouched; on a dome `radius` is relative
 
     @classmethod
     def seen(cls, camera: Camera, radius: float, center_px: tuple[float, float], contact_px: float) -> "BallDent":
@@ -44,4 +46,4 @@ class BallDent:
         dip = (2 * a * a - far**2) * np.arcsin(a / far) + a * np.sqrt(far**2 - a * a)
         dip *= np.exp(-(far - a) / FADE) / (np.pi * ball)
         cap = np.sqrt(np.maximum(ball**2 - np.minimum(r, a) ** 2, 0)) - np.sqrt(ball**2 - a * a)
-        return np.column_stack([xy, -(dip + cap)])
+        return np.asarray(self.face.at(xy) - np.column_stack([0 * xy, dip + cap]))

@@ -87,13 +87,14 @@ class Camera:
     def from_sensor(cls, sensor: "Sensor") -> "Camera":
         """The camera of a sensor file; mm_per_px holds at the image centre on the untouched face.
 
-        A file that describes no plate yet is taken to have none.
+        A file that describes no plate yet is taken to have none. What lies in or behind an opaque layer appears where
+        it would if the last clear layer went on.
         """
-        eye, clear = sensor.camera, (*((sensor.plate,) if sensor.plate else ()), *sensor.gel.layers)
-        stack = Stack(
-            (eye.distance_mm, *(slab.thickness_mm for slab in clear)),
-            (1.0, *(slab.refractive_index for slab in clear)),
-        )
+        eye, clear = sensor.camera, (*((sensor.plate,) if sensor.plate else ()), *sensor.gel.clear_layers)
+        opaque = sensor.gel.layers[len(sensor.gel.clear_layers) :]
+        thicknesses = [slab.thickness_mm for slab in clear]
+        thicknesses[-1] += sum(layer.thickness_mm for layer in opaque)
+        stack = Stack((eye.distance_mm, *thicknesses), (1.0, *(slab.refractive_index for slab in clear)))
         return cls(stack, eye.center_mm, stack.effective_depth / eye.mm_per_px, (eye.height_px, eye.width_px))
 
     @property

@@ -12,10 +12,11 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from tacgen.sensor import Led, LitSensor
+    from tacgen.sensor import Gel, Led, LitSensor, Scattering
 
     Floats = NDArray[np.float64]
 
+ARC = 16  # walls around a semicircle
 WALL_RISE = 3.0  # [mm] the walls go on beyond the coated face, so that no light leaks past a bulging gel
 
 
@@ -50,48 +51,74 @@ def diffuse(albedo: "float | Sequence[float]") -> dict[str, Any]:
 
 
 def led(light: "Led", wall_albedo: float) -> dict[str, Any]:
-    """One LED strip: it radiates from its front and is as dark as the walls otherwise."""
+    """One LED strip: it radiates from its front and is as dark as the walls otherwise, or not there."""
     return {
         "type": "rectangle",
         "to_world": rectangle(light.center_mm, light.normal, light.up, light.size_mm),
-        "bsdf": diffuse(wall_albedo),
+        "bsdf": {"type": "null"} if light.see_through else diffuse(wall_albedo),
         "emitter": {"type": "area", "radiance": {"type": "rgb", "value": [float(v) for v in light.radiance]}},
     }
 
 
 def housing(sensor: "LitSensor") -> dict[str, dict[str, Any]]:
-    """The four dark walls around gel and plate, from the plate's air face past the coated face."""
-    w, h = sensor.gel.width_mm, sensor.gel.height_mm
+    """The dark walls around gel and plate, from the plate's air face past the coated face."""
     bottom = -bottom_depth(sensor)
     middle, tall = (WALL_RISE + bottom) / 2, WALL_RISE - bottom
-    sides = {"left": (-1, 0), "right": (1, 0), "top": (0, -1), "bottom": (0, 1)}
-    return {
-        f"wall_{name}": {
+    corners, walls = outline(sensor.gel, sensor.walls.margin_mm), {}
+    for k, (a, b) in enumerate(zip(corners, np.roll(corners, -1, axis=0), strict=True)):
+        length = float(np.linalg.norm(b - a))
+        inward = (float(a[1] - b[1]) / length, float(b[0] - a[0]) / length, 0.0)
+        center = (*((a + b) / 2).tolist(), middle)
+        walls[f"wall_{k}"] = {
             "type": "rectangle",
-            "to_world": rectangle((x * w / 2, y * h / 2, middle), (-x, -y, 0), (0, 0, 1), (w if x == 0 else h, tall)),
+            "to_world": rectangle(center, inward, (0, 0, 1), (length, tall)),
             "bsdf": diffuse(sensor.walls.albedo),
         }
-        for name, (x, y) in sides.items()
-    }
+    return walls
+
+
+def outline(gel: "Gel", margin: float) -> "Floats":
+    """Corners (n, 2) [mm] of a housing that stands `margin` off the pad, from +x to +y; a semicircle in ARC pieces."""
+    w, h = gel.width_mm / 2 + margin, gel.height_mm / 2 + margin
+    square = np.array([[w, h], [-w, h], [-w, -h], [w, -h]])
+    if not gel.tip:
+        return square
+    turn = np.pi * (1 + (np.arange(ARC) + 0.5) / ARC)
+    arc = np.column_stack([np.cos(turn), np.sin(turn)]) * w / np.cos(np.pi / ARC / 2) + [0, w - h]
+    round_at_top = np.concatenate([square[:2], arc])
+    return round_at_top if gel.tip < 0 else round_at_top[::-1] * [1, -1]
 
 
 def interfaces(sensor: "LitSensor") -> dict[str, dict[str, Any]]:
-    """Clear interfaces from the air inward; one between equal indices does not exist."""
-    w, h = sensor.gel.width_mm, sensor.gel.height_mm
-    z, outside, made = -bottom_depth(sensor), 1.0, {}
+    """Interfaces from the air inward; one between equals does not exist."""
+    w, h = (size + 2 * sensor.walls.margin_mm for size in (sensor.gel.width_mm, sensor.gel.height_mm))
+    z, outside, around, made = -bottom_depth(sensor), 1.0, None, {}
     bodies = [
-        ("plate", sensor.plate.thickness_mm, sensor.plate.refractive_index),
-        *((layer.name, layer.thickness_mm, layer.refractive_index) for layer in sensor.gel.layers),
+        ("plate", sensor.plate.thickness_mm, sensor.plate.refractive_index, None),
+        *((x.name, x.thickness_mm, x.refractive_index, x.scattering) for x in sensor.gel.clear_layers),
     ]
-    for name, thickness, index in bodies:
-        if index != outside:
+    for name, thickness, index, scattering in bodies:
+        if index != outside or scattering != around:
+            bends = {"type": "dielectric", "int_ior": index, "ext_ior": outside}
             made[f"into_{name}"] = {
                 "type": "rectangle",
                 "to_world": rectangle((0, 0, z), (0, 0, -1), (0, 1, 0), (w, h)),
-                "bsdf": {"type": "dielectric", "int_ior": index, "ext_ior": outside},
+                "bsdf": bends if index != outside else {"type": "null"},
+                **({"interior": medium(scattering)} if scattering else {}),
+                **({"exterior": medium(around)} if around else {}),
             }
-        z, outside = z + thickness, index
+        z, outside, around = z + thickness, index, scattering
     return made
+
+
+def medium(scattering: "Scattering") -> dict[str, Any]:
+    """The inside of a layer with particles."""
+    return {
+        "type": "homogeneous",
+        "sigma_t": scattering.extinction_per_mm,
+        "albedo": {"type": "rgb", "value": list(scattering.albedo)},
+        "phase": {"type": "hg", "g": scattering.forward},
+    }
 
 
 def bottom_depth(sensor: "LitSensor") -> float:

@@ -20,13 +20,26 @@ class Surface(Protocol):
         """Current positions (n, 3) [mm]."""
 
 
-class Flat:
-    """The untouched face."""
+@dataclass(frozen=True)
+class Untouched:
+    """What the camera sees of an untouched gel: the inner side of its coating; a plane at z = 0 if nothing is said."""
+
+    skin: float = 0.0  # thickness of what is opaque, as a share of the gel's
+    crown: float = 1.0  # the gel's thickness [mm]
+    radii: tuple[float, float] = (np.inf, np.inf)  # of the dome [mm]
+
+    @classmethod
+    def of(cls, gel: "Gel") -> "Untouched":
+        """That of a sensor's gel."""
+        crown, clear = (sum(layer.thickness_mm for layer in layers) for layers in (gel.layers, gel.clear_layers))
+        dome = (np.inf, np.inf) if gel.dome is None else (gel.dome.radius_x_mm, gel.dome.radius_y_mm)
+        return cls(1 - clear / crown, crown, dome)
 
     def at(self, xy: Any) -> "Floats":
         """Current positions (n, 3) [mm] of rest positions (n, 2) [mm]."""
         xy = np.asarray(xy, dtype=np.float64)
-        return np.column_stack([xy, np.zeros(len(xy))])
+        drop = np.hypot(*(xy**2 / (2 * np.array(self.radii))).T)
+        return np.column_stack([xy, 0.0 - drop - self.skin * (self.crown - drop)])
 
 
 @dataclass(frozen=True)

@@ -61,8 +61,8 @@ class Slab:
     @classmethod
     def of(cls, sensor: "LitSensor") -> "Slab":
         """The plate and the gel's layers; the outermost has no top."""
-        t = np.array([sensor.plate.thickness_mm, *(layer.thickness_mm for layer in sensor.gel.layers)])
-        n = np.array([sensor.plate.refractive_index, *(layer.refractive_index for layer in sensor.gel.layers)])
+        t = np.array([sensor.plate.thickness_mm, *(layer.thickness_mm for layer in sensor.gel.clear_layers)])
+        n = np.array([sensor.plate.refractive_index, *(layer.refractive_index for layer in sensor.gel.clear_layers)])
         bottoms = np.concatenate([[0.0], np.cumsum(t)[:-1]]) - bottom_depth(sensor)
         tops = bottoms + t
         tops[-1] = np.inf
@@ -108,7 +108,7 @@ def connect(rho: float, lengths: Floats, indices: Floats) -> tuple[float, float]
     for i in range(len(lengths)):
         if lengths[i] > 0.0:
             n2 = indices[i] * indices[i]
-            c2 = n2 - k * k
+            c2 = max(n2 - k * k, 1e-12)  # 0 in the digits there are, for a point level with the other
             derivative += lengths[i] * n2 / (c2 * np.sqrt(c2))
     return k, derivative
 
@@ -218,7 +218,7 @@ def gather(
                     for i in range(count):
                         lengths[i] = max(min(p[s, 2], tops[i]) - bottoms[i], 0.0)
                         lengths[i] += max(min(at[q, 2], tops[i]) - bottoms[i], 0.0)
-                lengths[last] += 1e-9  # a strip point level with the sample
+                lengths[last] = max(lengths[last], 1e-5)  # a strip point level with the sample
                 k, derivative = connect(rho, lengths, indices)
                 ng, nl = indices[last], indices[home]
                 sg, sl = k / ng, k / nl

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from tacgen.optics import coating, lights, response
-from tacgen.optics.direct import Direct
-from tacgen.optics.sheet import Flat, Sheet
+from tacgen.optics.sheet import Sheet, Untouched
+from tacgen.optics.view import View
 
 from .tiny import sensor
 
@@ -57,7 +57,8 @@ def test_stray_light_is_even_after_the_response_and_dots_stay_dark_in_it():
         np.broadcast_to([0.1, 0.2, 0.3], (32, 40, 3))
     )
     dark = model.model_copy(update={"leds": tuple(x.model_copy(update={"radiance": (0, 0, 0)}) for x in model.leds)})
-    seen = Direct(dark, Sheet.over(dark.gel, 0.2), True).radiance(Flat(), response.stray(model.camera))
+    view = View(dark, Sheet.over(dark.gel, 0.2), True)
+    seen = view.dimmed(view.look(Untouched()), response.stray(model.camera))
     share = response.expose(seen, model.camera)[16, 20] / [0.1, 0.2, 0.3]  # the middle of the middle dot
     coat = 0.8 * np.array(model.coating.albedo) + 0.2 * coating.METAL
     assert share == pytest.approx(0.03 / coat, rel=1e-6)

@@ -7,7 +7,7 @@ from tacgen.optics import sparse
 from tacgen.optics.dent import BallDent
 from tacgen.optics.layers import Camera
 from tacgen.optics.raster import draw
-from tacgen.optics.sheet import Flat, Sheet
+from tacgen.optics.sheet import Sheet, Untouched
 
 from .tiny import sensor
 
@@ -24,7 +24,7 @@ class Tilted:
 
 
 def test_triangles_face_the_camera_and_cover_the_pad():
-    p = SHEET.at(Flat())[SHEET.faces]
+    p = SHEET.at(Untouched())[SHEET.faces]
     normals = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
     assert np.all(normals[:, 2] < 0)
     assert -normals[:, 2].sum() / 2 == pytest.approx(120.0)
@@ -38,7 +38,7 @@ def test_a_tilted_face_has_its_normal_and_corners_are_only_asked_on_the_pad():
 
 
 def test_drawing_interpolates_linearly_and_keeps_the_nearest():
-    nodes = SHEET.at(Flat())
+    nodes = SHEET.at(Untouched())
     screen = (nodes[:, :2] + [6.0, 5.0]) * 4
     value = (2 * nodes[:, 0] - nodes[:, 1])[:, None]
     faces = np.concatenate([SHEET.faces, SHEET.faces + len(nodes)])

@@ -39,3 +39,23 @@ def sensor(**parts: Any) -> Sensor:
     made = {k: {**PLAIN[k], **parts[k]} if k in parts and isinstance(parts[k], dict) else PLAIN[k] for k in PLAIN}
     made.update({k: v for k, v in parts.items() if not isinstance(v, dict)})
     return Sensor.model_validate(made)
+
+
+def cloudy(**parts: Any) -> Sensor:
+    """The tiny sensor with a gel that scatters under an opaque skin, lit evenly through the plate, without dots."""
+    gel = {
+        "corner_radius_mm": 0.0,
+        "layers": [
+            {"name": "base", "thickness_mm": 2.0, "youngs_modulus_mpa": 0.1, "poissons_ratio": 0.49, "source": "test",
+             "scattering": {"extinction_per_mm": 0.4, "albedo": (0.9, 0.9, 0.9), "source": "test"}},
+            {"name": "skin", "thickness_mm": 0.3, "youngs_modulus_mpa": 0.3, "poissons_ratio": 0.49, "source": "test",
+             "opaque": True},
+        ],
+    }  # fmt: skip
+    panel = {
+        "name": "panel", "center_mm": [0, 0, -4.35], "normal": [0, 0, 1], "up": [0, 1, 0], "size_mm": [12, 10],
+        "radiance": [2, 2, 2], "see_through": True, "source": "test",
+    }  # fmt: skip
+    coat = {"albedo": [0.03, 0.03, 0.03], "specular": 0.0}
+    made = {"gel": gel, "leds": [panel], "coating": coat, "markers": None, "camera": {"vignette_mm": None}}
+    return sensor(**{**made, **parts})

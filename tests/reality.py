@@ -1,0 +1,31 @@
+"""What the tests against photographs share: where those are, the sensor files, and scripts/compare.py's estimators."""
+
+import importlib.util
+import os
+import sys
+from pathlib import Path
+from types import ModuleType
+
+from ruamel.yaml import YAML
+
+from tacgen.sensor import Sensor
+
+ROOT = Path(__file__).parents[1]
+REFERENCE = Path(os.environ.get("TACGEN_REFERENCE", ROOT.parent / "shared" / "reference"))
+
+
+def compare() -> ModuleType:
+    """scripts/compare.py as a module."""
+    sys.path.insert(0, str(ROOT / "scripts"))
+    try:
+        spec = importlib.util.spec_from_file_location("compare", ROOT / "scripts" / "compare.py")
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+    finally:
+        sys.path.remove(str(ROOT / "scripts"))
+    return module
+
+
+def sensor(name: str) -> Sensor:
+    """A shipped sensor file."""
+    return Sensor.model_validate(YAML(typ="safe").load((ROOT / "sensors" / f"{name}.yaml").read_text()))

@@ -1,0 +1,96 @@
+"""A gel that scatters: its transport against volpath, its cache, and the fitted response."""
+
+import numpy as np
+import pytest
+from optics.tiny import cloudy as sensor
+
+from tacgen import render, variants
+from tacgen.optics import cloudy
+from tacgen.optics.dent import BallDent
+from tacgen.optics.sheet import Untouched
+from tacgen.sensor import Sensor
+from tacgen.tracer import PathTracer
+
+FACE = Untouched.of(sensor().gel)
+DENT = BallDent(2.5, 1.6, (0.5, -0.4), FACE)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _cache(tmp_path_factory):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TACGEN_CACHE_DIR", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
+@pytest.fixture(scope="module")
+def renderer():
+    return render.Renderer(sensor(), spp=6, seed=0, markers=False, variant=variants.SCALAR)
+
+
+def test_the_camera_sees_the_inner_side_of_the_skin():
+    assert FACE.at([[0.0, 0.0], [3.0, 1.0]])[:, 2] == pytest.approx(-0.3)
+
+
+def test_transport_agrees_with_volpath_within_its_noise(renderer):
+    tracer = PathTracer(sensor(), renderer.sheet, False, variants.SCALAR)
+    halves = np.array([tracer.radiance(DENT, 64, seed) for seed in (1, 2)])
+    truth, image = halves.mean(axis=0), renderer.image(DENT)
+    assert image.mean() == pytest.approx(truth.mean(), rel=0.03)
+    made, first, second = (a.reshape(8, 4, 10, 4, 3).mean(axis=(1, 3)) for a in (image, *halves))
+    noise = np.mean((first - second) ** 2) / 4
+    assert np.sqrt(max(np.mean((made - (first + second) / 2) ** 2) - noise, 0.0)) < 0.04 * truth.mean()
+    dark = (image / renderer.flat()).mean(axis=2)
+    assert dark.min() < 0.85  # so the agreement says something of the dent
+    y, x = np.mgrid[:32, :40] + 0.5
+    near = np.hypot(x - 22.5, y - 14) < 4
+    assert image[near].mean() == pytest.approx(truth[near].mean(), rel=0.06)
+
+
+def test_maps_are_cached_by_optics_and_not_by_mechanics(renderer, monkeypatch):
+    monkeypatch.setattr(render, "PathTracer", None)  # any tracing now would fail
+    data = sensor().model_dump()
+    data["gel"]["layers"][0]["youngs_modulus_mpa"] = 9.0
+    again = render.Renderer(Sensor.model_validate(data), 6, 5, False, variants.SCALAR)
+    assert np.array_equal(again.image(DENT), renderer.image(DENT))
+    with pytest.raises(TypeError):
+        render.Renderer(sensor(walls={"albedo": 0.3}), 6, 0, False, variants.SCALAR)
+
+
+def test_a_cache_that_cannot_be_written_costs_nothing_but_time(tmp_path, monkeypatch):
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    monkeypatch.setenv("TACGEN_CACHE_DIR", str(blocked))
+    made = render.Renderer(sensor(), 1, 0, False, variants.SCALAR)
+    assert np.isfinite(made.flat()).all()
+
+
+def test_the_fitted_response_acts_on_thickness_alone(renderer):
+    table = {"change_mm": (-2.0, 0.0, 0.5), "gain": ((0.2, 0.3, 0.4), (1, 1, 1), (1.5, 1.5, 1.5)), "source": "test"}
+    with_it = render.Renderer(sensor(thickness_response=None), 6, 0, False, variants.SCALAR)
+    with_it.sensor = with_it.sensor.model_copy(
+        update={"thickness_response": Sensor.model_fields["thickness_response"].annotation.__args__[0](**table)}
+    )
+    assert with_it.flat() == pytest.approx(renderer.flat(), rel=1e-6)
+    share = with_it.image(DENT) / renderer.image(DENT)
+    deepest = np.unravel_index(share[..., 0].argmin(), share.shape[:2])
+    assert share[deepest][0] < share[deepest][1] < share[deepest][2] < 0.8
+
+
+def test_brightness_rises_with_thickness_and_is_one_where_untouched():
+    shares = np.array(cloudy.SHARES)
+    noisy = (0.2 + 0.8 * shares**0.7)[:, None] * [1.0, 2.0, 3.0]
+    bright = cloudy.Brightness.through(shares, noisy)
+    assert bright.at(np.ones(1)) == pytest.approx(np.ones((1, 3)), abs=1e-9)
+    assert bright.at(np.array([0.5]))[0] == pytest.approx(0.2 + 0.8 * 0.5**0.7, rel=0.02)
+    assert (np.diff(bright.at(np.linspace(0.05, 1.4, 50))[:, 0]) > 0).all()
+
+
+def test_light_feels_the_thickness_around():
+    share = np.ones((40, 40))
+    share[:, 20:] = 0.5
+    assert cloudy.felt(share, 1.0, 3.0) == pytest.approx(share)
+    blurred = cloudy.felt(share, 0.25, 3.0)
+    assert 0.6 < blurred[20, 19] < 0.9
+    bright = cloudy.Brightness(np.array([0.1, 1.0]), np.array([[0.4] * 3, [1.0] * 3]))
+    picture = bright.at(blurred.ravel()).reshape(40, 40, 3)
+    assert cloudy.wander(bright, share, 0.5, picture) == pytest.approx([0.25, 1.5], rel=0.02)
