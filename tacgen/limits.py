@@ -19,12 +19,15 @@ SOLID_SIZE = 0.01  # how far a solid's sides may be from what its sensor file sa
 LEAST_RIM = 0.1  # of the crown's thickness: cells squeezed more would not be worth having
 
 
-def sensor_problems(sensor: Sensor, folder: Path | None = None) -> list[Problem]:
+def sensor_problems(sensor: Sensor, folder: Path | None = None, images: bool = True) -> list[Problem]:
     """What contradicts itself in a sensor file; paths start at the sensor's root.
 
-    `folder` is where the path of the gel's solid starts; None: the working directory.
+    `folder` is where the path of the gel's solid starts; None: the working directory. Without `images`, lights may be
+    where they cannot: a gel that is made thinner leaves them behind.
     """
-    optics = lit.problems(cast(LitSensor, sensor)) if sensor.lit else _lights(sensor)
+    optics = _lights(sensor)
+    if sensor.lit and images:
+        optics += lit.problems(cast(LitSensor, sensor))
     return [*_outline(sensor.gel), *_solid(sensor.gel, folder), *optics]
 
 
@@ -92,7 +95,7 @@ def _solid(gel: Gel, folder: Path | None) -> list[Problem]:
 def _lights(sensor: Sensor) -> list[Problem]:
     """A plate may stand alone; coating, walls and LEDs come together and with it, for none makes an image alone."""
     there = [name for name in LIGHTS if getattr(sensor, name) is not None]
-    if there in ([], ["plate"]):
+    if sensor.lit or there in ([], ["plate"]):
         return []
     missing = [name for name in LIGHTS if name not in there]
     return [Problem((name,), f"is missing, and {there[-1]} is there", at_key=True) for name in missing]

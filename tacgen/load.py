@@ -38,7 +38,7 @@ def read(path: Path, sets: Iterable[str] = ()) -> Loaded:
     recipe, wrong = validate(Recipe, tree.data)
     problems = [(problem, tree) for problem in wrong]
     try:
-        sensor, sensor_tree, more = _sensor(tree)
+        sensor, sensor_tree, more = _sensor(tree, recipe is not None and "rgb" in recipe.outputs)
     except UserError as error:  # the sensor file is no YAML: say so beside what is wrong with the recipe
         raise UserError([*report(problems).lines, *error.lines]) from None
     problems += more
@@ -58,11 +58,11 @@ def read_sensor(path: Path) -> tuple[Sensor, Tree]:
     return sensor, tree
 
 
-def check_sensor(data: Any, folder: Path | None = None) -> tuple[Sensor | None, list[Problem]]:
-    """A sensor from plain data, or all that is wrong with it."""
+def check_sensor(data: Any, folder: Path | None = None, images: bool = True) -> tuple[Sensor | None, list[Problem]]:
+    """A sensor from plain data, or all that is wrong with it; for `folder` and `images` see limits.sensor_problems."""
     sensor, wrong = validate(Sensor, data)
     if sensor is not None:
-        wrong = limits.sensor_problems(sensor, folder)
+        wrong = limits.sensor_problems(sensor, folder, images)
     return (None if wrong else sensor), wrong
 
 
@@ -125,7 +125,7 @@ def _with_source(tree: Tree, source: Source) -> Tree:
     return Tree(tree.data, {path: Spot(Mark(source), Mark(source)) for path in tree.spots})
 
 
-def _sensor(tree: Tree) -> tuple[Sensor | None, Tree, list[tuple[Problem, Tree]]]:
+def _sensor(tree: Tree, images: bool) -> tuple[Sensor | None, Tree, list[tuple[Problem, Tree]]]:
     """The sensor a recipe names, its overrides laid over the file; problems with the tree each stands in."""
     name, nothing = tree.data.get("sensor"), Tree(None)
     if not isinstance(name, str) or not name:
@@ -139,7 +139,7 @@ def _sensor(tree: Tree) -> tuple[Sensor | None, Tree, list[tuple[Problem, Tree]]
         wrong = Problem((), f"a sensor must be a mapping (got {describe(sensor_tree.data)})")
         return None, nothing, [(wrong, sensor_tree)]
     sensor_tree, lost = _overridden(sensor_tree, tree)
-    sensor, found = check_sensor(sensor_tree.data, solid_folder(sensor_tree))
+    sensor, found = check_sensor(sensor_tree.data, solid_folder(sensor_tree), images)
     return sensor, sensor_tree, [(p, tree) for p in lost] + [(p, sensor_tree) for p in found]
 
 

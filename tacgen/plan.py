@@ -288,7 +288,8 @@ def _resolve(
     if any(name.startswith("sensor.") for name in values):
         if (name := f"sensor.{format_path(SOLID)}") in values:
             solid = {("sensor", *SOLID): (tree.spot(("vary", "over", name)).value.source.folder or Path()).resolve()}
-        varied, more = check_sensor(plain_sensor, solid.get(("sensor", *SOLID)))
+        images = recipe is not None and "rgb" in recipe.outputs
+        varied, more = check_sensor(plain_sensor, solid.get(("sensor", *SOLID)), images)
         wrong += [Problem(("sensor", *problem.path), problem.message, problem.at_key) for problem in more]
         if varied is None:
             return None, wrong
