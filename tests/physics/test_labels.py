@@ -17,7 +17,7 @@ from tacgen.fem.materials import NeoHooke
 from tacgen.fem.potentials import Elastic
 from tacgen.fem.shapes import Sphere
 from tacgen.maps import maps
-from tacgen.optics.layers import Camera
+from tacgen.optics.layers import Camera, Stack
 from tacgen.scene import Gel, Layer, Scene
 from tacgen.stress import Stresses
 
@@ -166,3 +166,33 @@ def _column(found: Run, x: float, layer: int) -> tuple[Array, Array]:
     here = np.flatnonzero((np.hypot(points[:, 0] - x, points[:, 1]) < 1e-6) & (made.recovery.material == layer))
     here = here[points[here, 2].argsort()]
     return points[here, 2], rows[here]
+
+
+def test_the_stick_disc_shrinks_as_cattaneo_and_mindlin_say() -> None:
+    """Pulled sideways, a ball sticks within c = a (1 - Q/(friction P))^(1/3) until all slides; Johnson (1985), 7.2.
+
+    A point slides when it is 5 um (advance.EPS) from its anchor: little beside a pull of .3 mm and more.
+    """
+    made = scene(
+        Sphere(64.0), poses([(x, 0.0, -1.0) for x in (0.0, 0.32, 0.56, 1.2)]),
+        pad=gel(128.0, 128.0, 64.0, nu=0.49), friction=0.5, edge=1.2,
+    )  # fmt: skip
+    made = replace(made, dhat=0.08)
+    grid = mesh.build(made.gel, (-9.6, 10.8, -9.6, 9.6), made.edge, coarsest=16.0)
+    problem = solve.Problem.of(made, grid)
+    found = Run(made, problem, list(solve.states(made, problem)))
+    stack = Stack((800.0, 64.0), (1.0, 1.41))
+    camera = Camera(stack, (0.0, 0.0), stack.effective_depth / 0.2, (120, 120))
+    surface = fields.Surface(grid.points, grid.facets["coated"])
+    discs = []
+    for state, force in zip(found.states[1:], found.forces[1:], strict=True):
+        seen = maps(found.problem, surface.moved(state.x), state, camera)
+        a = np.sqrt((seen.area * seen.contact).sum() / np.pi)
+        stuck = np.sqrt((seen.area * (seen.contact & ~seen.slip)).sum() / np.pi)
+        discs.append((stuck / a, max(0.0, 1 + force[0] / (0.5 * force[2])) ** (1 / 3)))
+    stick, theory = np.array(discs).T
+    assert theory[0] > 0.75
+    assert theory[1] < 0.7
+    assert stick[:2] == pytest.approx(theory[:2], abs=0.04)
+    assert (np.diff(stick) < 0).all()
+    assert stick[-1] == 0.0
