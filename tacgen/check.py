@@ -108,8 +108,11 @@ def _layout(bundle: Bundle, datasets: dict[str, Dataset]) -> Iterator[str]:
 def _finite(bundle: Bundle) -> Iterator[str]:
     for path in bundle.shapes:
         values = bundle[path]
-        if values.dtype.kind == "f" and not np.isfinite(values).all():
-            where = np.argwhere(~np.isfinite(values))[0]
+        if values.dtype.kind != "f":
+            continue
+        bad = np.isinf(values) if entry(path).holes else ~np.isfinite(values)
+        if bad.any():
+            where = np.argwhere(bad)[0]
             yield f"{path} is not finite at {tuple(where.tolist())}"
 
 

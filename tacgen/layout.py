@@ -16,6 +16,7 @@ class Entry:
     units: str  # "1" is dimensionless
     long_name: str
     axes: str  # one word an axis
+    holes: bool = False  # may be nan, where there is nothing to say
 
     @property
     def attrs(self) -> dict[str, str]:
@@ -44,6 +45,10 @@ LAYOUT: dict[str, Entry] = {
     "/frames/slip": Entry("|b1", ("N", "h", "w"), "1", "in contact and sliding", MAP),
     "/frames/markers": Entry("<f4", ("N", "M", 2), "px", "marker centres through the optics", "frame marker xy"),
     "/frames/marker_flow": Entry("<f4", ("N", "M", 2), "px", "markers less their reference", "frame marker xy"),
+    "/frames/marker_visible": Entry("|b1", ("N", "M"), "1", "in the picture, no gel before it", "frame marker"),
+    "/frames/flow": Entry(
+        "<f4", ("N", "h", "w", 2), "px", "shift of the coating's point that was here untouched", MAP + " xy", holes=True
+    ),
     "/frames/quality/newton_iterations": Entry("<i4", ("N",), "1", "Newton iterations spent on the frame", "frame"),
     "/frames/quality/substeps": Entry("<i4", ("N",), "1", "steps the frame was split into", "frame"),
     "/frames/quality/min_gap_mm": Entry("<f8", ("N",), "mm", "smallest gap between gel and indenter", "frame"),

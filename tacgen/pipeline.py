@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 Array = np.ndarray
 ON_FACE = ("traction", "force_map")  # outputs: what the contact does to the face
 SEEN = ("height", "normals", "gap")  # what the face looks like
+PRINTED = ("markers", "flow")  # what is on the coating
 Say = Callable[[dict[str, Any]], None]
 
 
@@ -47,12 +48,14 @@ class Products:
         from tacgen import fields
 
         self.outputs, self.problem, self.clock, self.fields = row.recipe.outputs, problem, clock, fields
-        if self.outputs & {*ON_FACE, *SEEN, "markers", "rgb"}:
+        if self.outputs & {*ON_FACE, *SEEN, *PRINTED, "rgb"}:
             from tacgen.optics.layers import Camera
 
             self.camera = Camera.from_sensor(row.sensor)
             self.surface = fields.Surface(problem.mesh.points, problem.mesh.facets["coated"])
-        if self.outputs & {*SEEN}:
+        if self.outputs & {*PRINTED, "rgb"}:
+            self.seen = fields.seen(problem.mesh, len(row.sensor.gel.clear_layers))
+        if self.outputs & {*SEEN, *PRINTED}:
             from tacgen.optics.sheet import Sheet
 
             self.sheet = Sheet.over(row.sensor.gel, 0.1)
@@ -62,11 +65,15 @@ class Products:
             self.stresses = Stresses(problem)
         if "markers" in self.outputs:
             from tacgen.optics.coating import centers
+            from tacgen.optics.flow import Points
 
             if row.sensor.markers is None:
                 raise UserError(f"outputs: the sensor {row.sensor.name} has no markers")
-            self.dots = centers(row.sensor.markers)
-            self.undisturbed = self.camera.project(self.surface.at(self.dots))
+            self.dots = Points(centers(row.sensor.markers), self.sheet, self.seen, self.camera)
+        if "flow" in self.outputs:
+            from tacgen.optics.flow import Flow
+
+            self.flow = Flow(self.sheet, self.seen, self.camera)
         if "rgb" in self.outputs:
             from tacgen.render import Renderer
 
@@ -74,7 +81,6 @@ class Products:
                 spp = row.recipe.resolved().spp
                 lit = cast(LitSensor, row.sensor)  # limits.py lets no other through
                 self.renderer = Renderer(lit, spp, row.seed, lit.markers is not None, method=row.recipe.render.method)
-                self.seen = fields.seen(problem.mesh, len(lit.gel.clear_layers))
 
     def still(self) -> dict[str, Array]:
         """Datasets that do not change from frame to frame."""
@@ -85,7 +91,7 @@ class Products:
                 f"/reference/{name}": getattr(view, name)() for name in ("height", "normals") if name in self.outputs
             }
         if "markers" in self.outputs:
-            out["/reference/markers"] = self.undisturbed
+            out["/reference/markers"] = self.dots.undisturbed
         if "rgb" in self.outputs:
             with self.clock.stage("render"):
                 out["/reference/rgb"] = self.renderer.develop(self.renderer.flat())
@@ -119,15 +125,20 @@ class Products:
             "/frames/quality/force_balance": state.balance,
             "/frames/quality/residual": state.residual,
         }
-        if self.outputs & {*ON_FACE, *SEEN, "markers"}:
+        if self.outputs & {*ON_FACE, *SEEN}:
             surface = self.surface.moved(state.x)
         if self.outputs & {*ON_FACE}:
             out |= self._maps(surface, state)
         if self.outputs & {*SEEN}:
             out |= self._seen(surface, state)
+        if self.outputs & {*PRINTED}:
+            coating = self.seen.moved(state.x)
         if "markers" in self.outputs:
-            pixels = self.camera.project(surface.at(self.dots))
-            out |= {"/frames/markers": pixels, "/frames/marker_flow": pixels - self.undisturbed}
+            pixels, shown = self.dots.at(coating)
+            flow = pixels - self.dots.undisturbed
+            out |= {"/frames/markers": pixels, "/frames/marker_flow": flow, "/frames/marker_visible": shown}
+        if "flow" in self.outputs:
+            out["/frames/flow"] = self.flow.at(coating)
         if "stress" in self.outputs:
             stress = self.stresses.at(state.x)
             out["/fields/displacement"] = state.x - self.problem.mesh.points

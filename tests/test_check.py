@@ -64,6 +64,15 @@ def test_one_wrong_frame_is_one_finding(tmp_path: Path, edit: Any, message: str)
     assert str(found[0]) == f"{path}: error: {found[0].message}"
 
 
+def test_flow_may_be_nan_and_not_infinite(tmp_path: Path) -> None:
+    def edit(index: int, arrays: dict[str, Any]) -> None:
+        flow = np.zeros((12, 16, 2))
+        flow[3, 4] = np.nan if index != 3 else np.inf
+        arrays["/frames/flow"] = flow
+
+    assert lines(write(tmp_path / "x.h5", edit=edit)) == ["/frames/flow is not finite at (3, 3, 4, 0)"]
+
+
 def test_a_gap_that_closed(tmp_path: Path) -> None:
     def edit(index: int, arrays: dict[str, Any]) -> None:
         arrays["/frames/quality/min_gap_mm"] = -1e-4 if index in (2, 5) else 0.01

@@ -64,7 +64,8 @@ print([name for name in heavy if name in sys.modules])
         ("height", {"/frames/height", "/reference/height"}),
         ("normals", {"/frames/normals", "/reference/normals"}),
         ("gap", {"/frames/gap"}),
-        ("markers", {"/frames/markers", "/frames/marker_flow", "/reference/markers"}),
+        ("markers", {"/frames/markers", "/frames/marker_flow", "/frames/marker_visible", "/reference/markers"}),
+        ("flow", {"/frames/flow"}),
     ],
 )
 def test_an_output_brings_its_datasets_and_no_others(
@@ -76,6 +77,21 @@ def test_an_output_brings_its_datasets_and_no_others(
     always = {p for p in shapes if p.startswith("/frames/quality/")}
     always |= {"/frames/pose", "/frames/segment", "/frames/force", "/frames/torque"}
     assert set(shapes) == datasets | always
+
+
+def test_flow_carries_the_markers(recipe: Path, tmp_path: Path) -> None:
+    """Half a millimetre of shear: the dense flow, read at a marker's reference, is the marker's own to 0.05 px."""
+    from scipy.interpolate import RegularGridInterpolator
+
+    sets = ["outputs=[markers, flow]", "trajectory[1].slide.x_mm=0.5", "contact.friction=1.0"]
+    found = bundle.read(pipeline.run_scene(plan.load(recipe, sets).rows[0], tmp_path / "out").path)
+    flow, moved = found.frame("/frames/flow", 2), found.frame("/frames/marker_flow", 2)
+    assert found.frame("/frames/marker_visible", 2).all()
+    field = RegularGridInterpolator([np.arange(n) + 0.5 for n in flow.shape[:2]], flow)
+    assert np.abs(field(found["/reference/markers"][:, ::-1]) - moved).max() < 0.05
+    assert 4 < moved[:, 0].max() < 10  # .5 mm are 8 px; the slide drags the gel to the right
+    assert moved[:, 0].argmax() == 31  # under the ball, in the middle
+    assert check(tmp_path / "out") == []
 
 
 def test_the_same_recipe_and_seed_give_the_same_bytes(recipe: Path, tmp_path: Path) -> None:
