@@ -35,7 +35,8 @@ class Bounce:
         facing, (rows, columns) = self.sheet.normals(nodes), self.sheet.shape
         whole = np.prod(self.sheet.size) / ((rows - 1) * (columns - 1))
         share = np.outer(*(np.where(np.isin(np.arange(n), (0, n - 1)), 0.5, 1.0) for n in (rows, columns)))
-        walls, inward, pieces = self._walls(sensor, float(self._level.min()))
+        top = lights.WALL_RISE if sensor.walls.margin_mm else float(self._level.min())  # the coat hides what is behind
+        walls, inward, pieces = self._walls(sensor, top)
         self._at, self._normals = np.concatenate([nodes, walls]), np.concatenate([facing, inward])
         area = np.concatenate([whole * share.ravel() / np.abs(facing[:, 2]), pieces])
         patches = transport.Points(self._at, self._normals, area, np.sqrt(area) / 2, np.arange(len(area)))
