@@ -12,7 +12,7 @@ import numpy as np
 from tacgen import bundle, foresee, mesh, resume, scene, solve
 from tacgen.errors import UserError
 from tacgen.gel import Gel
-from tacgen.plan import Row
+from tacgen.plan import NOISE, Row
 from tacgen.resume import SceneResult
 from tacgen.sensor import LitSensor
 
@@ -47,6 +47,7 @@ class Products:
     def __init__(self, row: Row, problem: solve.Problem, clock: Clock) -> None:
         from tacgen import fields
 
+        self.row = row
         self.outputs, self.problem, self.clock, self.fields = row.recipe.outputs, problem, clock, fields
         if self.outputs & {*ON_FACE, *SEEN, *PRINTED, "rgb"}:
             from tacgen.optics.layers import Camera
@@ -108,8 +109,13 @@ class Products:
         if "rgb" in self.outputs:
             with self.clock.stage("render"):
                 surface = self.seen.moved(state.x)
-                out["/frames/rgb"] = self.renderer.develop(self.renderer.image(surface))
+                out["/frames/rgb"] = self.renderer.develop(self.renderer.image(surface), self._random(state.index))
         return out
+
+    def _random(self, frame: int) -> "np.random.Generator | None":
+        """Numbers for the camera's noise in one frame, whoever computes it; None for none."""
+        words = (self.row.seed, frame, NOISE)
+        return np.random.default_rng(np.random.SeedSequence(words)) if self.row.recipe.render.noise else None
 
     def _labels(self, state: solve.State, segment: int) -> dict[str, Array]:
         force, torque = self.fields.wrench(self.problem, state)

@@ -148,9 +148,13 @@ class Dynamics(Part):
 
 
 class Render(Part):
-    """How camera images are made: `transport` without noise, or Mitsuba's `path` with the noise of `spp` paths."""
+    """How camera images are made: `transport`, exact light, or Mitsuba's `path` with the noise of `spp` paths.
+
+    `noise` is the camera's own, as its sensor file says, in /frames/rgb: what a real camera gives is the default.
+    """
 
     method: Literal["transport", "path"] = "transport"
+    noise: bool = True
 
 
 class Quality(NamedTuple):

@@ -161,9 +161,11 @@ class Renderer:
         """Linear radiance (H, W, 3) of the untouched face."""
         return self.image(self.untouched)
 
-    def develop(self, radiance: "NDArray[np.float32]") -> "NDArray[np.uint8]":
-        """The camera's 8-bit sRGB picture (H, W, 3) of a radiance picture."""
-        return response.develop(radiance.astype(np.float64), self.sensor.camera)
+    def develop(
+        self, radiance: "NDArray[np.float32]", random: np.random.Generator | None = None
+    ) -> "NDArray[np.uint8]":
+        """The camera's 8-bit sRGB picture (H, W, 3) of a radiance picture, with its noise if `random` is given."""
+        return response.develop(radiance.astype(np.float64), self.sensor.camera, random)
 
 
 def effort(spp: int) -> tuple[tuple[int, int], int]:

@@ -217,6 +217,14 @@ class Led(Part):
     source: str
 
 
+class Noise(Part):
+    """What a camera's pixels add to the light, per channel, before the response: white, and new in each frame."""
+
+    shot: Rgb  # variance per signal, both in parts of full scale: one over the electrons of a full pixel
+    read: Rgb  # standard deviation in the dark, in parts of full scale
+    source: str
+
+
 class Camera(Part):
     """A pinhole in air behind the plate, looking along +z."""
 
@@ -228,6 +236,7 @@ class Camera(Part):
     exposure: Positive = 1.0  # linear radiance to sensor full scale
     ambient: Rgb = (0.0, 0.0, 0.0)  # what even stray light adds to a bare coat, fraction of full scale
     vignette_mm: Positive | None = None  # r0 of the fall-off 1/(1+(r/r0)^2)^2 on the coating; none if absent
+    noise: Noise | None = None  # none if absent
     source: str
 
 

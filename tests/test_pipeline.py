@@ -94,6 +94,20 @@ def test_flow_carries_the_markers(recipe: Path, tmp_path: Path) -> None:
     assert check(tmp_path / "out") == []
 
 
+def test_noise_is_the_frames_own_and_can_be_left_out(recipe: Path, tmp_path: Path) -> None:
+    pictures = {}
+    for name, noise in (("with", "true"), ("without", "false")):
+        row = plan.load(recipe, ["outputs=[rgb]", f"render.noise={noise}", *SMALL_CAMERA]).rows[0]
+        pictures[name] = bundle.read(pipeline.run_scene(row, tmp_path / name).path)
+    grain = pictures["with"]["/frames/rgb"].astype(float) - pictures["without"]["/frames/rgb"]
+    assert (grain.std(axis=(1, 2)) > 0.8).all()
+    assert (grain.std(axis=(1, 2)) < 4).all()
+    assert abs(np.corrcoef(grain[0].ravel(), grain[1].ravel())[0, 1]) < 0.05  # each frame has its own
+    assert np.array_equal(pictures["with"]["/reference/rgb"], pictures["without"]["/reference/rgb"])
+    first = np.random.default_rng(np.random.SeedSequence((row.seed, 0, plan.NOISE))).standard_normal(grain[0].shape)
+    assert np.corrcoef(grain[0].ravel(), first.ravel())[0, 1] > 0.8  # by seed and frame, not by order of work
+
+
 def test_the_same_recipe_and_seed_give_the_same_bytes(recipe: Path, tmp_path: Path) -> None:
     for name in ("one", "two"):
         row = plan.load(recipe, [EVERYTHING, *SMALL_CAMERA]).rows[0]

@@ -4,6 +4,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tacgen.optics.noise import noisy
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -35,6 +37,9 @@ def expose(radiance: "Floats", camera: "Camera") -> "Floats":
     return np.asarray(radiance * (camera.exposure * vignette(camera)[..., None]))
 
 
-def develop(radiance: "Floats", camera: "Camera") -> "NDArray[np.uint8]":
-    """The 8-bit sRGB picture (H, W, 3) of a radiance picture (H, W, 3)."""
-    return np.asarray(np.round(255.0 * srgb(expose(radiance, camera))), dtype=np.uint8)
+def develop(radiance: "Floats", camera: "Camera", random: np.random.Generator | None = None) -> "NDArray[np.uint8]":
+    """The 8-bit sRGB picture (H, W, 3) of a radiance picture (H, W, 3), with noise if `random` is given."""
+    linear = expose(radiance, camera)
+    if random is not None and camera.noise is not None:
+        linear = noisy(linear, camera.noise, random)
+    return np.asarray(np.round(255.0 * srgb(linear)), dtype=np.uint8)

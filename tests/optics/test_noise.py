@@ -1,0 +1,52 @@
+"""The camera's noise: as strong as real cameras', the same for the same numbers, and none unless asked for."""
+
+import numpy as np
+import pytest
+
+from optics.tiny import sensor
+from tacgen import assets, load
+from tacgen.optics import response
+from tacgen.optics.noise import noisy
+from tacgen.sensor import Noise
+
+GRAIN = Noise(shot=(1e-4, 2e-4, 4e-4), read=(0.001, 0.002, 0.003), source="test")
+
+
+def linear(counts: tuple[float, float, float]) -> np.ndarray:
+    """The inverse of the sRGB curve, by its table."""
+    x = np.linspace(0, 1, 20001)
+    return np.interp(np.array(counts) / 255, response.srgb(x), x)
+
+
+@pytest.mark.parametrize(
+    ("name", "mean", "published"),
+    [("gelsight_mini", (77.6, 94.8, 105.2), (1.9, 1.3, 2.4)), ("digit", (94, 103, 95), (3.3, 1.6, 2.8))],
+)
+def test_counts_scatter_as_published(name: str, mean: tuple[float, float, float], published: tuple) -> None:
+    camera = load.read_sensor(assets.sensor_path(name))[0].camera.model_copy(update={"vignette_mm": None})
+    even = np.broadcast_to(linear(mean) / camera.exposure, (camera.height_px, camera.width_px, 3))
+    picture = response.develop(even, camera, np.random.default_rng(0)).astype(float)
+    assert picture.std(axis=(0, 1)) == pytest.approx(published, rel=0.02)
+    assert picture.mean(axis=(0, 1)) == pytest.approx(mean, abs=0.1)
+    rows = picture - picture.mean(axis=(0, 1))
+    assert np.abs((rows[:, 1:] * rows[:, :-1]).mean(axis=(0, 1))).max() < 0.02 * max(published) ** 2  # white
+
+
+@pytest.mark.parametrize("level", [0.0, 0.2, 0.8])
+def test_variance_is_shot_times_signal_plus_read_squared(level: float) -> None:
+    made = noisy(np.full((300, 400, 3), level), GRAIN, np.random.default_rng(1)) - level
+    assert made.var(axis=(0, 1)) == pytest.approx(np.array(GRAIN.shot) * level + np.square(GRAIN.read), rel=0.03)
+    assert np.abs(made.mean(axis=(0, 1))).max() < 4 * made.std() / 346
+
+
+def test_none_unless_asked_for_and_the_same_for_the_same_numbers() -> None:
+    plain = sensor().camera
+    grainy = plain.model_copy(update={"noise": GRAIN})
+    even = np.full((32, 40, 3), 0.3)
+    clean = response.develop(even, grainy)
+    assert np.array_equal(clean, np.round(255 * response.srgb(response.expose(even, plain))))
+    assert np.array_equal(clean, response.develop(even, plain, np.random.default_rng(0)))
+    one, again, other = (response.develop(even, grainy, np.random.default_rng(k)) for k in (0, 0, 1))
+    assert np.array_equal(one, again)
+    assert not np.array_equal(one, other)
+    assert not np.array_equal(one, clean)
