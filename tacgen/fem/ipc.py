@@ -9,6 +9,7 @@ make a flat contact 5 to 65 times as stiff as its area says, and push single nod
 the force across it (tests/fem/test_ipc.py).
 """
 
+import math
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from typing import Any
@@ -27,7 +28,7 @@ from tacgen.fem.shapes import Shape, Triangles
 Array = np.ndarray
 NODES = 0.04  # of a facet's area falls to its nodes, which only keep what is sharp from slipping between the others
 VERTEX = 0.25  # of a quadrature point's area is the most that an indenter's vertex stands for, for the same reason
-EDGE = 0.01  # of that area falls to each crossing of two edges: enough to keep them apart, too little to be felt
+EDGE = 0.01  # of its area falls to each crossing of two edges: enough to keep them apart, too little to be felt
 LIKE_DISTANCE = 0.25  # the Toolkit's barrier, of squared distances, pushes about 4 times as hard as contact.barrier
 CLEAR = 2.0  # times dhat: how far above the gel the indenter starts, at least
 SAFE = 0.25  # of the smallest gap, by which the indenter's surface may grow at a time
@@ -39,15 +40,15 @@ def _toolkit() -> Any:
     import ipctk
 
     class GaussNewton(ipctk.Barrier):  # type: ignore[misc]
-        """A clamped log barrier without slope: of f'' grad D grad D + f' hess D, D = d^2, what stretches d is left.
+        """A clamped log barrier f(D), D = d^2, without slope: of its Hessian, what stretches d is left.
 
-        b'' grad d grad d, with b(d) = f(D), is (f'' + f'/2D) grad D grad D. The curvature of d, which jumps wherever a
-        corner is passed, stalls Newton's method, and clamped at zero it makes the gel stiff against sliding.
+        Of b(d) = f(D), b'' grad d grad d is (f'' + f'/2D) grad D grad D, with f = -(D - Dhat)^2 ln(D/Dhat). The
+        curvature of d, which jumps wherever a corner is passed, stalls Newton's method, and clamped at zero it makes
+        the gel stiff against sliding.
         """
 
         def __init__(self) -> None:
             super().__init__()
-            self.log = ipctk.ClampedLogBarrier()
 
         def __call__(self, D: float, Dhat: float) -> float:
             return 0.0  # it would only bring in how crossings fade where edges become parallel
@@ -56,10 +57,11 @@ def _toolkit() -> Any:
             return 0.0
 
         def second_derivative(self, D: float, Dhat: float) -> float:
-            return float(self.log.second_derivative(D, Dhat) + self.log.first_derivative(D, Dhat) / (2 * D))
+            part, r = D / Dhat, 1 - Dhat / D
+            return -math.log(part) * (2 + r) - 4 * r + r * r / 2 if part < 1 else 0.0
 
         def units(self, Dhat: float) -> float:
-            return float(self.log.units(Dhat))
+            return Dhat * Dhat
 
     ipctk.set_num_threads(1)  # sums in one order
     ipctk.set_logger_level(ipctk.LoggerLevel.error)
