@@ -5,7 +5,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import cast
 
-from tacgen import assets, lit, motions
+from tacgen import assets, lit, motions, photo
 from tacgen.errors import UserError
 from tacgen.explain import Problem
 from tacgen.motions import Folders
@@ -41,7 +41,7 @@ def recipe_problems(recipe: Recipe, sensor: Sensor, folders: Folders | None = No
     wrong += _times(recipe, folders)
     if recipe.mesh == "hex" and sensor.gel.solid is not None:
         wrong.append(Problem(("mesh",), f"cannot be hex: the gel of {sensor.name} is a solid, which is meshed by tets"))
-    wrong += [*_thin(recipe), *_toolkit(recipe)]
+    wrong += [*_thin(recipe), *_toolkit(recipe), *photo.problems(recipe, sensor, folders.get(photo.WHERE))]
     return [*wrong, *_mesh(recipe.indenter, folders.get(("indenter", "file")))]
 
 

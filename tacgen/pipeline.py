@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from tacgen import bundle, foresee, mesh, resume, scene, solve
+from tacgen import bundle, foresee, mesh, photo, resume, scene, solve
 from tacgen.errors import UserError
 from tacgen.gel import Gel
 from tacgen.plan import NOISE, Row
@@ -82,6 +82,9 @@ class Products:
                 spp = row.recipe.resolved().spp
                 lit = cast(LitSensor, row.sensor)  # limits.py lets no other through
                 self.renderer = Renderer(lit, spp, row.seed, lit.markers is not None, method=row.recipe.render.method)
+                self.flat = self.renderer.flat()
+                photograph = row.photo_path
+                self.gain = np.float32(1) if photograph is None else photo.gain(photograph, self.flat, lit.camera)
 
     def still(self) -> dict[str, Array]:
         """Datasets that do not change from frame to frame."""
@@ -95,7 +98,7 @@ class Products:
             out["/reference/markers"] = self.dots.undisturbed
         if "rgb" in self.outputs:
             with self.clock.stage("render"):
-                out["/reference/rgb"] = self.renderer.develop(self.renderer.flat())
+                out["/reference/rgb"] = self.renderer.develop(self.flat * self.gain)
         if "stress" in self.outputs:
             m = self.problem.mesh
             out.update({"/mesh/points": m.points, "/mesh/cells": m.cells, "/mesh/layer": m.layer})
@@ -109,7 +112,9 @@ class Products:
         if "rgb" in self.outputs:
             with self.clock.stage("render"):
                 surface = self.seen.moved(state.x)
-                out["/frames/rgb"] = self.renderer.develop(self.renderer.image(surface), self._random(state.index))
+                out["/frames/rgb"] = self.renderer.develop(
+                    self.renderer.image(surface) * self.gain, self._random(state.index)
+                )
         return out
 
     def _random(self, frame: int) -> "np.random.Generator | None":

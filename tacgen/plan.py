@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tacgen import assets, limits
+from tacgen import assets, limits, photo
 from tacgen.errors import UserError
 from tacgen.explain import Problem, validate
 from tacgen.load import SOLID, Loaded, check_sensor, folders, read, solid_folder
@@ -56,11 +56,20 @@ class Row:
         return self.recipe.frames
 
     def document(self) -> dict[str, Any]:
-        """The resolved recipe as JSON values; read back, it gives this scene again. A mesh is named with its hash."""
+        """The resolved recipe as JSON values; read back, it gives this scene again. Files are named with their
+        hashes."""
         plain = self.recipe.document()
         if self.recipe.indenter.shape == "mesh":
             plain["indenter"]["sha256"] = assets.sha256(self.mesh_path)
+        if (picture := self.photo_path) is not None:
+            plain["render"]["background_sha256"] = assets.sha256(picture)
         return plain
+
+    @property
+    def photo_path(self) -> Path | None:
+        """The photograph behind the pictures, if there is one."""
+        name = self.recipe.render.background
+        return None if name is None else photo.place(name, self.folders.get(photo.WHERE))
 
     @property
     def mesh_path(self) -> Path:

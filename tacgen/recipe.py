@@ -155,6 +155,9 @@ class Render(Part):
 
     method: Literal["transport", "path"] = "transport"
     noise: bool = True
+    # a photograph of one's own untouched unit, dots where the sensor file has them: photo x (deformed / flat render)
+    background: Annotated[str, Field(min_length=1)] | None = None  # a path that starts at the recipe's folder
+    background_sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = None  # it must be this file
 
 
 class Quality(NamedTuple):
@@ -271,7 +274,8 @@ class Recipe(Part):
     def files(self) -> tuple[KeyPath, ...]:
         """Where it names files by a path that starts at the recipe's folder."""
         tables = [("trajectory", i, "replay", "file") for i, step in enumerate(self.trajectory) if step.replay]
-        return (*([("indenter", "file")] if self.indenter.shape == "mesh" else []), *tables)
+        photo = [("render", "background")] if self.render.background is not None else []
+        return (*photo, *([("indenter", "file")] if self.indenter.shape == "mesh" else []), *tables)
 
     def document(self) -> dict[str, Any]:
         """Plain values that YAML and JSON can hold and that read back as the same recipe."""

@@ -20,7 +20,7 @@ ORDER = [
     {"recipe"},  # *
     {"store"},
     {"geometry"},
-    {"motions", "lit"},
+    {"motions", "lit", "photo"},
     {"limits"},
     {"load"},
     {"plan"},  # *
@@ -69,7 +69,7 @@ HOMES = {
     "ipctk": {"fem.ipc"},
     "platformdirs": {"variants"},
     "rich": {"progress"},
-    "PIL": {"report", "export.lerobot", "export.univtac", "export.webdataset"},
+    "PIL": {"photo", "report", "export.lerobot", "export.univtac", "export.webdataset"},
     "distributed": {"batch.cluster"},
     "pyarrow": {"export.lerobot"},
     "webdataset": {"export.webdataset"},
@@ -85,6 +85,7 @@ NOT_NUMPY = {
     "plan",
     "load",
     "lit",
+    "photo",
     "limits",
     "explain",
     "yamlfile",

@@ -27,6 +27,11 @@ def srgb(linear: "Floats") -> "Floats":
     return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
 
 
+def linear(counts: "Floats") -> "Floats":
+    """What `srgb` makes values in [0, 1] of."""
+    return np.where(counts <= 0.04045, counts / 12.92, ((counts + 0.055) / 1.055) ** 2.4)
+
+
 def stray(camera: "Camera") -> "Floats":
     """Radiance (H, W, 3) of a bare coat in the stray light alone: `ambient` after the vignette and the exposure."""
     return np.asarray(np.array(camera.ambient) / (camera.exposure * vignette(camera)[..., None]))
