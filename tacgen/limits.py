@@ -14,7 +14,7 @@ from tacgen.recipe import Indenter, Recipe
 from tacgen.sensor import LIGHTS, Gel, LitSensor, Sensor
 from tacgen.yamlfile import KeyPath
 
-THIN = 0.5  # of the mesh's edge: half an indenter's thickness may not be less, or it slips between points of contact
+THIN = 0.8  # of the mesh's edge: half an indenter's thickness, for some integration point to come near its middle
 SOLID_SIZE = 0.01  # how far a solid's sides may be from what its sensor file says, as a part of them
 LEAST_RIM = 0.1  # of the crown's thickness: cells squeezed more would not be worth having
 

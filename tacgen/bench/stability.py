@@ -76,7 +76,7 @@ CASES: dict[str, Sets] = {
     "sharp wedge": (_indenter("shape: wedge, half_angle_deg: 30, tip_radius_mm: 0.1, length_mm: 8"),),
     "thin torus": (_indenter("shape: torus, radius_mm: 2.5, tube_radius_mm: 0.4"), MEDIUM, DROP),
     "thin rod": (_indenter("shape: capsule, radius_mm: 0.4, length_mm: 4"), MEDIUM, DROP),
-    "needle": (_indenter("shape: capsule, radius_mm: 0.1, length_mm: 6"), FINE, DROP),
+    "needle": (_indenter("shape: capsule, radius_mm: 0.16, length_mm: 3"), FINE, SHALLOW),
     "needle on a coarse mesh": (_indenter("shape: capsule, radius_mm: 0.1, length_mm: 6"), DROP),
     "knife jumps": (
         _indenter("shape: wedge, half_angle_deg: 10, tip_radius_mm: 0.2, length_mm: 8"),
@@ -101,7 +101,7 @@ RANDOM = 8  # numbers that a random scene is made of
 
 def random(u: Sequence[float]) -> Sets:
     """A scene from RANDOM numbers in [0, 1]; at 0 it is mild: a ball, shallow, smooth, not slid nor turned."""
-    size = 0.8 + 3.2 * u[1]
+    size = 1.4 + 2.6 * u[1]
     shapes = (
         f"shape: sphere, radius_mm: {size}",
         f"shape: capsule, radius_mm: {size / 2}, length_mm: {size}",

@@ -27,10 +27,14 @@ SLOW = {
     "thin torus",
     "ball of slivers",
 }
-HARD = {"punch three quarters deep": "Newton out of steps"}  # sharp rim, friction and all at once: open
+HARD = {  # may be rejected on the way, and then for this
+    "punch three quarters deep": "Newton out of steps",  # a sharp rim, friction and all at once
+    "blade": "slips .* mm into the gel between the points",
+    "thin rod": "slips .* mm into the gel between the points",
+    "thin torus": "slips .* mm into the gel between the points",
+}
 REFUSED = {
     "needle on a coarse mesh": "too thin for a mesh of edge 0.8 mm",
-    "needle": "slips .* mm into the gel between the points",
 }
 
 
@@ -52,7 +56,7 @@ def test_it_converges_or_is_refused(name: str) -> None:
     found = stability.measure(name, CASES[name])
     sound(found)
     if name in HARD and found.status == "rejected":
-        assert HARD[name] in found.reason
+        assert re.search(HARD[name], found.reason)
     elif name in REFUSED:
         assert found.status != "ok"
         assert re.search(REFUSED[name], found.reason)
