@@ -40,8 +40,9 @@ class Law(Protocol):
 
 
 def _bulk(kappa: float, J: Array) -> tuple[Array, Array, Array]:
-    """U = kappa/2 [(J^2 - 1)/2 - ln J], Simo & Taylor (1982)."""
-    return kappa / 2 * ((J**2 - 1) / 2 - np.log(J)), kappa / 2 * (J - 1 / J), kappa / 2 * (1 + 1 / J**2)
+    """U = kappa/2 [(J^2 - 1)/2 - ln J], Simo & Taylor (1982); in J - 1, whose rounding a line search would feel."""
+    e = J - 1
+    return kappa / 2 * (e + e**2 / 2 - np.log1p(e)), kappa / 2 * (J - 1 / J), kappa / 2 * (1 + 1 / J**2)
 
 
 @dataclass(frozen=True)
