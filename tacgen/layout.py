@@ -49,6 +49,10 @@ LAYOUT: dict[str, Entry] = {
     "/frames/flow": Entry(
         "<f4", ("N", "h", "w", 2), "px", "shift of the coating's point that was here untouched", MAP + " xy", holes=True
     ),
+    "/frames/material": Entry(
+        "<f4", ("N", "h", "w", 2), "mm", "where the coating's point behind the sample rests", MAP + " xy", holes=True
+    ),
+    "/frames/radiance": Entry("<f4", ("N", "H", "W", 3), "1", "linear light, before exposure", "frame row column rgb"),
     "/frames/quality/newton_iterations": Entry("<i4", ("N",), "1", "Newton iterations spent on the frame", "frame"),
     "/frames/quality/substeps": Entry("<i4", ("N",), "1", "steps the frame was split into", "frame"),
     "/frames/quality/min_gap_mm": Entry("<f8", ("N",), "mm", "smallest gap between gel and indenter", "frame"),

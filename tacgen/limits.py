@@ -10,7 +10,7 @@ from tacgen.errors import UserError
 from tacgen.explain import Problem
 from tacgen.motions import Folders
 from tacgen.moves import Made
-from tacgen.recipe import Indenter, Recipe
+from tacgen.recipe import IMAGES, Indenter, Recipe
 from tacgen.sensor import LIGHTS, Gel, LitSensor, Sensor
 from tacgen.yamlfile import KeyPath
 
@@ -138,8 +138,9 @@ def _outputs(recipe: Recipe, sensor: Sensor) -> list[Problem]:
     wrong = []
     if "markers" in recipe.outputs and sensor.markers is None:
         wrong.append(Problem(("outputs",), f"asks for markers, and the sensor {sensor.name} has none"))
-    if "rgb" in recipe.outputs and not sensor.lit:
-        wrong.append(Problem(("outputs",), f"asks for rgb: the sensor file {sensor.name} describes no lights yet"))
+    if (images := recipe.outputs & IMAGES) and not sensor.lit:
+        asked = " and ".join(sorted(images))
+        wrong.append(Problem(("outputs",), f"asks for {asked}: the sensor file {sensor.name} describes no lights yet"))
     return wrong
 
 

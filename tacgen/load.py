@@ -8,7 +8,7 @@ from typing import Any
 from tacgen import assets, limits
 from tacgen.errors import UserError
 from tacgen.explain import Problem, report, suggest, validate
-from tacgen.recipe import Recipe
+from tacgen.recipe import IMAGES, Recipe
 from tacgen.sensor import Sensor
 from tacgen.yamlfile import KeyPath, Mark, Source, Spot, Tree, describe, load, parse, parse_path
 
@@ -38,7 +38,7 @@ def read(path: Path, sets: Iterable[str] = ()) -> Loaded:
     recipe, wrong = validate(Recipe, tree.data)
     problems = [(problem, tree) for problem in wrong]
     try:
-        sensor, sensor_tree, more = _sensor(tree, recipe is not None and "rgb" in recipe.outputs)
+        sensor, sensor_tree, more = _sensor(tree, recipe is not None and bool(recipe.outputs & IMAGES))
     except UserError as error:  # the sensor file is no YAML: say so beside what is wrong with the recipe
         raise UserError([*report(problems).lines, *error.lines]) from None
     problems += more

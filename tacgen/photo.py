@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 from tacgen import assets
 from tacgen.errors import UserError
 from tacgen.explain import Problem
-from tacgen.recipe import Recipe
+from tacgen.recipe import IMAGES, Recipe
 from tacgen.sensor import Camera, Sensor
 from tacgen.yamlfile import KeyPath
 
@@ -26,8 +26,8 @@ def problems(recipe: Recipe, sensor: Sensor, folder: Path | None) -> list[Proble
     name, said, eye = recipe.render.background, recipe.render.background_sha256, sensor.camera
     if name is None:
         return []
-    if "rgb" not in recipe.outputs:
-        return [Problem(WHERE, "has no effect: outputs do not ask for rgb", at_key=True)]
+    if not recipe.outputs & IMAGES:
+        return [Problem(WHERE, "has no effect: outputs do not ask for rgb or radiance", at_key=True)]
     path = place(name, folder)
     try:
         found = assets.sha256(path)

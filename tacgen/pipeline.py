@@ -13,6 +13,7 @@ from tacgen import bundle, foresee, mesh, photo, resume, scene, solve
 from tacgen.errors import UserError
 from tacgen.gel import Gel
 from tacgen.plan import NOISE, Row
+from tacgen.recipe import IMAGES
 from tacgen.resume import SceneResult
 from tacgen.sensor import LitSensor
 
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 Array = np.ndarray
 ON_FACE = ("traction", "force_map")  # outputs: what the contact does to the face
 SEEN = ("height", "normals", "gap")  # what the face looks like
-PRINTED = ("markers", "flow")  # what is on the coating
+PRINTED = ("markers", "flow", "material")  # what is on the coating
 Say = Callable[[dict[str, Any]], None]
 
 
@@ -49,12 +50,12 @@ class Products:
 
         self.row = row
         self.outputs, self.problem, self.clock, self.fields = row.recipe.outputs, problem, clock, fields
-        if self.outputs & {*ON_FACE, *SEEN, *PRINTED, "rgb"}:
+        if self.outputs & {*ON_FACE, *SEEN, *PRINTED, *IMAGES}:
             from tacgen.optics.layers import Camera
 
             self.camera = Camera.from_sensor(row.sensor)
             self.surface = fields.Surface(problem.mesh.points, problem.mesh.facets["coated"])
-        if self.outputs & {*PRINTED, "rgb"}:
+        if self.outputs & {*PRINTED, *IMAGES}:
             self.seen = fields.seen(problem.mesh, len(row.sensor.gel.clear_layers))
         if self.outputs & {*SEEN, *PRINTED}:
             from tacgen.optics.sheet import Sheet
@@ -75,7 +76,7 @@ class Products:
             from tacgen.optics.flow import Flow
 
             self.flow = Flow(self.sheet, self.seen, self.camera)
-        if "rgb" in self.outputs:
+        if self.outputs & IMAGES:
             from tacgen.render import Renderer
 
             with clock.stage("render"):
@@ -109,12 +110,13 @@ class Products:
         """Datasets of one frame."""
         with self.clock.stage("fields"):
             out = self._labels(state, segment)
-        if "rgb" in self.outputs:
+        if self.outputs & IMAGES:
             with self.clock.stage("render"):
-                surface = self.seen.moved(state.x)
-                out["/frames/rgb"] = self.renderer.develop(
-                    self.renderer.image(surface) * self.gain, self._random(state.index)
-                )
+                radiance = self.renderer.image(self.seen.moved(state.x)) * self.gain
+                if "rgb" in self.outputs:
+                    out["/frames/rgb"] = self.renderer.develop(radiance, self._random(state.index))
+                if "radiance" in self.outputs:
+                    out["/frames/radiance"] = radiance
         return out
 
     def _random(self, frame: int) -> "np.random.Generator | None":
@@ -150,6 +152,10 @@ class Products:
             out |= {"/frames/markers": pixels, "/frames/marker_flow": flow, "/frames/marker_visible": shown}
         if "flow" in self.outputs:
             out["/frames/flow"] = self.flow.at(coating)
+        if "material" in self.outputs:
+            from tacgen.optics.flow import behind
+
+            out["/frames/material"] = behind(self.sheet, coating, self.camera)
         if "stress" in self.outputs:
             stress = self.stresses.at(state.x)
             out["/fields/displacement"] = state.x - self.problem.mesh.points
@@ -199,7 +205,7 @@ def _attributes(row: Row, gel: Gel, problem: solve.Problem, products: Products) 
     }
     formulation = row.recipe.contact.formulation
     found["contact"] = f"ipctk {version('ipctk')}" if formulation == "ipctk" else formulation
-    if "rgb" in row.recipe.outputs:
+    if row.recipe.outputs & IMAGES:
         found["renderer"] = f"mitsuba {version('mitsuba')} {products.renderer.variant}"
     if problem.contact.shape.smallest_radius < problem.edge:
         found["notes"] = [

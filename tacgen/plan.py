@@ -19,7 +19,7 @@ from tacgen.explain import Problem, validate
 from tacgen.load import SOLID, Loaded, check_sensor, folders, read, solid_folder
 from tacgen.motions import replayed, resolved
 from tacgen.posetable import Pose
-from tacgen.recipe import Distribution, Recipe, Vary
+from tacgen.recipe import IMAGES, Distribution, Recipe, Vary
 from tacgen.sensor import Sensor
 from tacgen.yamlfile import KeyPath, Tree, format_path, parse_path, put
 
@@ -297,7 +297,7 @@ def _resolve(
     if any(name.startswith("sensor.") for name in values):
         if (name := f"sensor.{format_path(SOLID)}") in values:
             solid = {("sensor", *SOLID): (tree.spot(("vary", "over", name)).value.source.folder or Path()).resolve()}
-        images = recipe is not None and "rgb" in recipe.outputs
+        images = recipe is not None and bool(recipe.outputs & IMAGES)
         varied, more = check_sensor(plain_sensor, solid.get(("sensor", *SOLID)), images)
         wrong += [Problem(("sensor", *problem.path), problem.message, problem.at_key) for problem in more]
         if varied is None:

@@ -11,9 +11,23 @@ from tacgen.yamlfile import KeyPath
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 Acute = Annotated[float, Field(gt=0, lt=90)]
-OutputName = Literal["force", "traction", "force_map", "height", "normals", "gap", "stress", "markers", "flow", "rgb"]
+OutputName = Literal[
+    "force",
+    "traction",
+    "force_map",
+    "height",
+    "normals",
+    "gap",
+    "stress",
+    "markers",
+    "flow",
+    "material",
+    "radiance",
+    "rgb",
+]
 Element = Literal["hex", "tet", "linear_tet"]  # linear tets lock on gels this near to incompressible: to compare with
 OUTPUTS: tuple[str, ...] = get_args(OutputName)
+IMAGES = frozenset({"radiance", "rgb"})  # outputs that need light
 
 
 def _smaller(value: float, limit: float | None, what: str, *, equal: bool = True) -> float:

@@ -72,6 +72,7 @@ HOMES = {
     "PIL": {"photo", "report", "export.lerobot", "export.univtac", "export.webdataset"},
     "distributed": {"batch.cluster"},
     "pyarrow": {"export.lerobot"},
+    "OpenEXR": {"export.exr"},
     "webdataset": {"export.webdataset"},
 }
 NOT_NUMPY = {

@@ -66,6 +66,8 @@ print([name for name in heavy if name in sys.modules])
         ("gap", {"/frames/gap"}),
         ("markers", {"/frames/markers", "/frames/marker_flow", "/frames/marker_visible", "/reference/markers"}),
         ("flow", {"/frames/flow"}),
+        ("material", {"/frames/material"}),
+        ("radiance", {"/frames/radiance"}),
     ],
 )
 def test_an_output_brings_its_datasets_and_no_others(

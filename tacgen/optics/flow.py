@@ -15,6 +15,12 @@ Array = np.ndarray
 SLACK = 0.05  # [mm] that another part of the face must stand before a point to hide it: the sheet is that true to it
 
 
+def behind(sheet: "Sheet", surface: "Surface", camera: "Camera") -> Array:
+    """Where the coating's point behind each pixel rests (h, w, 2) [mm]; nan where there is no gel."""
+    nodes = sheet.at(surface)
+    return draw(sheet.faces, camera.project(nodes), nodes[:, 2].copy(), sheet.rest, camera.shape)
+
+
 class Points:
     """Material points of the coating, by where they rest (n, 2) [mm], through the layers' refraction."""
 
@@ -45,8 +51,7 @@ class Flow:
 
     def __init__(self, sheet: "Sheet", surface: "Surface", camera: "Camera") -> None:
         """`surface` is the untouched face."""
-        nodes = sheet.at(surface)
-        rest = draw(sheet.faces, camera.project(nodes), nodes[:, 2].copy(), sheet.rest, camera.shape)
+        rest = behind(sheet, surface, camera)
         self.points, self.shape = Points(rest.reshape(-1, 2), sheet, surface, camera), camera.shape
 
     def at(self, surface: "Surface") -> Array:

@@ -1,0 +1,46 @@
+"""OpenEXR: one multi-channel picture a frame, 32-bit, of linear light and what lies behind each pixel.
+
+R, G, B (`radiance`), Z (`height` [mm], z out of the gel), N.X, N.Y, N.Z (`normals`), P.X, P.Y (`material` [mm]): as
+many of them as the bundle holds.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from tacgen.bundle import Bundle
+from tacgen.errors import UserError
+from tacgen.export import names, needs
+
+CHANNELS = {"radiance": "R G B", "height": "Z", "normals": "N.X N.Y N.Z", "material": "P.X P.Y"}
+
+
+def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
+    """`out/<scene>_<frame>.exr`. Raises UserError: OpenEXR is not installed, or a bundle has no radiance."""
+    try:
+        import OpenEXR
+    except ImportError:
+        raise UserError("exr: needs OpenEXR, which is not installed: pip install 'tacgen[exr]'") from None
+    for bundle in bundles:
+        needs(bundle, ("/frames/radiance",), "radiance")
+    out.mkdir(parents=True, exist_ok=True)
+    made = []
+    for name, bundle in zip(names(bundles), bundles, strict=True):
+        for k in range(bundle.frames):
+            made.append(out / f"{name}_{k:05d}.exr")
+            header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+            with OpenEXR.File(header, channels(bundle, k)) as picture:
+                picture.write(str(made[-1]))
+    return made
+
+
+def channels(bundle: Bundle, frame: int) -> dict[str, np.ndarray]:
+    """Every channel (H, W) of one frame by its name."""
+    found: dict[str, np.ndarray] = {}
+    for field, called in CHANNELS.items():
+        if (path := f"/frames/{field}") in bundle:
+            values = bundle.frame(path, frame)
+            layers = np.atleast_3d(values).astype(np.float32)
+            found |= {c: np.ascontiguousarray(layers[..., i]) for i, c in enumerate(called.split())}
+    return found
