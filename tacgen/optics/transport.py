@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit, prange, vectorize
+from numba import config, njit, prange, vectorize
 
 from tacgen.optics.lights import bottom_depth, frame
 
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+# the first that works is taken; with TBB first, an old libtbb on the machine is warned of in every process
+config.THREADING_LAYER_PRIORITY = ["omp", "workqueue", "tbb"]
 
 
 @dataclass(frozen=True)

@@ -82,7 +82,8 @@ def test_the_error_falls_with_the_step_at_first_order() -> None:
 @pytest.mark.parametrize("h", [1e-5, 3e-4, 1e-2])
 def test_energy_never_grows(h: float) -> None:
     _, energy = swing(0, h, 25)
-    assert (np.diff(energy) <= 1e-7 * energy[0]).all()
+    rounding = 1e-16  # [N mm] the energy at rest comes out as up to 2e-17, a millionth of what is let go
+    assert (np.diff(energy) <= rounding).all()
     assert energy[1] < (1 - 1e-5) * energy[0]
     assert energy[-1] < energy[1]
 
