@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 # the first that works is taken; with TBB first, an old libtbb on the machine is warned of in every process
-config.THREADING_LAYER_PRIORITY = ["omp", "workqueue", "tbb"]
+config.THREADING_LAYER_PRIORITY = ["omp", "workqueue", "tbb"]  # type: ignore[attr-defined]
 
 
 @dataclass(frozen=True)
