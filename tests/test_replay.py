@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from small_recipe import HEAD
 
 from tacgen import bundle, motions, pipeline, plan, posetable, scene, turns
 from tacgen.check import check
@@ -16,15 +17,6 @@ from tacgen.recipe import Recipe
 from tacgen.trajectory import lowest
 
 Array = np.ndarray
-HEAD = """
-tacgen: 1
-name: small
-sensor: gelsight_mini
-indenter: {shape: sphere, radius_mm: 4.0}
-outputs: [force]
-quality: {edge_mm: 1.0, dhat_mm: 0.1}
-trajectory:
-"""
 TITLES = "time_s,x_mm,y_mm,z_mm,qw,qx,qy,qz"
 ROWS = [(0, 0.5, 0, 0.2, 1, 0, 0, 0), (0.1, 0.5, 0, -0.3, 1, 0, 0, 0), (0.25, 0.7, 0.1, -0.4, 0.995, 0, 0, 0.0998749)]
 SHAPES = [

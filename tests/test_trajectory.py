@@ -5,21 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from small_recipe import HEAD
 
 from tacgen import advance, bundle, foresee, mesh, pipeline, plan, scene, solve, trajectory
 from tacgen.errors import UserError
 from tacgen.fem.contact import Pose
 from tacgen.fem.rising import OutOfReach, meet
 
-HEAD = """
-tacgen: 1
-name: small
-sensor: gelsight_mini
-indenter: {shape: sphere, radius_mm: 4.0}
-outputs: [force]
-quality: {edge_mm: 1.0, dhat_mm: 0.1}
-trajectory:
-"""
 BOX = "indenter={shape: box, size_x_mm: 4, size_y_mm: 3, fillet_mm: 0.3}"
 ROUGH = "contact.friction=0.5"
 
