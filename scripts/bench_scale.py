@@ -3,7 +3,8 @@
     python scripts/bench_scale.py [--scenes 200] [--workers 2] [--only overhead efficiency memory reading]
 
 overhead    stand-in scenes without work: milliseconds a scene of each engine; claim, bundle and reading back apart
-efficiency  small real scenes (coarse, two frames, force alone) on one worker and on several
+efficiency  small real scenes (coarse, two frames, force alone) on one worker and on several, and without an engine in
+            as many processes that know nothing of each other: what the machine itself loses when all its cores work
 memory      of one worker over those scenes: after the first tenth, and after all
 reading     TactileDataset at random, RGB and force, 320 x 240, two loader workers: frames a second, and what dominates
 
@@ -14,6 +15,8 @@ import argparse
 import os
 import resource
 import shutil
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -102,8 +105,32 @@ def efficiency(count: int, workers: int, out: Path) -> None:
     print(f"  by wall clock {one['wall'] / many['wall'] / workers:.3f}")
     ratio = one["processor"] / many["processor"]
     print(f"  by processor time {ratio:.3f} ({one['processor']:.1f} s, {many['processor']:.1f} s)")
+    apart = _apart(count, workers, out)
+    print(f"  the same in {workers} processes of their own: {apart:.1f} s; against these {apart / many['wall']:.3f}")
     pairs = ((path, out / "on1" / path.name) for path in (out / f"on{workers}").glob("*.h5"))
     print(f"  equal bytes: {all(a.read_bytes() == b.read_bytes() for a, b in pairs)}")
+
+
+def _apart(count: int, workers: int, out: Path) -> float:
+    """Wall-clock seconds of the same scenes in processes side by side, a share each, no engine."""
+    code = "import sys, bench_scale as b; b.share(*map(int, sys.argv[1:4]), b.Path(sys.argv[4]))"
+    start = time.perf_counter()
+    started = [
+        subprocess.Popen([sys.executable, "-c", code, str(count), str(i), str(workers), str(out / "apart")])
+        for i in range(workers)
+    ]
+    codes = [process.wait() for process in started]
+    if any(codes):
+        raise SystemExit("a process of the comparison failed")
+    return time.perf_counter() - start
+
+
+def share(count: int, i: int, n: int, out: Path) -> None:
+    """Every n-th scene from the i-th, one after the other."""
+    from tacgen import pipeline
+
+    for row in scenes(count).rows[i::n]:
+        pipeline.run_scene(row, out)
 
 
 def flat(count: int, workers: int, out: Path) -> None:
