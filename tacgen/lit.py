@@ -7,6 +7,7 @@ from tacgen.explain import Problem
 from tacgen.sensor import Led, LitSensor, Vec3
 
 CLOSE = 1e-6  # [mm] and [-]: what counts as touching, or as parallel
+STEEPEST = 80.0  # [deg] of a ray that the camera still sees, off the plate's normal
 
 
 def problems(sensor: LitSensor) -> Iterator[Problem]:
@@ -16,6 +17,10 @@ def problems(sensor: LitSensor) -> Iterator[Problem]:
     if not _housed(sensor, *eye.center_mm, 0.0):
         text = f"the camera's axis meets the coating outside the pad, at ({eye.center_mm[0]:g}, {eye.center_mm[1]:g})"
         yield Problem(("camera", "center_mm"), text)
+    if _steepest(sensor) > STEEPEST:
+        text = f"turns the picture's corner {_steepest(sensor):.0f} degrees off the plate's normal"
+        yield Problem(("camera", "tilt_deg"), text)
+    yield from _dots(sensor)
     for i, led in enumerate(sensor.leds):
         found = _led(sensor, led)
         if found:
@@ -39,6 +44,30 @@ def _layers(sensor: LitSensor) -> Iterator[Problem]:
         yield Problem(("gel", "dome"), "light is followed through one clear layer under a dome, not several")
     if cloudy and sensor.markers:
         yield Problem(("markers",), "cannot be seen through a layer that scatters", at_key=True)
+
+
+def _steepest(sensor: LitSensor) -> float:
+    """How far a ray can be off the plate's normal at most [deg]: the picture's corner, turned by the tilt."""
+    eye, layers = sensor.camera, (sensor.plate, *sensor.gel.clear_layers)
+    depth = eye.distance_mm + sum(layer.thickness_mm / layer.refractive_index for layer in layers)
+    sizes = zip((eye.width_px, eye.height_px), eye.crop_mm, strict=True)
+    corner = math.hypot(*(size * eye.mm_per_px / 2 + abs(crop) for size, crop in sizes))
+    return math.degrees(math.atan2(corner, depth)) + math.hypot(*eye.tilt_deg)
+
+
+def _dots(sensor: LitSensor) -> Iterator[Problem]:
+    dots, gel = sensor.markers, sensor.gel
+    if dots is None:
+        return
+    if dots.diameter_mm >= min(dots.pitch_mm):
+        text = f"dots of {dots.diameter_mm:g} mm touch at a pitch of {min(dots.pitch_mm):g} mm"
+        yield Problem(("markers", "diameter_mm"), text)
+    for name, count, pitch, size in (
+        ("columns", dots.columns, dots.pitch_mm[0], gel.width_mm),
+        ("rows", dots.rows, dots.pitch_mm[1], gel.height_mm),
+    ):
+        if (count - 1) * pitch > size:
+            yield Problem(("markers", name), f"{count} at a pitch of {pitch:g} mm do not fit on {size:g} mm of gel")
 
 
 def _led(sensor: LitSensor, led: Led) -> tuple[str, str] | None:

@@ -9,10 +9,10 @@ truth at any spp, for checking either.
 import hashlib
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
 
@@ -34,11 +34,13 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 SPACING = 0.1  # [mm] between the sheet's nodes
+FLAT_SPACING = 1.0  # the same of one that stays flat
 COLUMNS = 40  # of a traced map, whatever the image's
 PATHS = 64  # in a pixel of a map, for each path a pixel that was asked for
 MOST = 24  # paths a pixel, whatever was asked for, that count for maps: two minutes on one slow core
 SMOOTH = 5.0  # [map pixels] the Gaussian that takes the noise off a map
-MAP_VERSION = 4  # of how the maps are made; part of their cache key
+LINEAR = {"exposure", "ambient", "vignette_mm", "noise"}  # of the camera: what is laid over a picture's light
+MAP_VERSION = 5  # of how the maps are made; part of their cache key
 
 
 class Light(Protocol):
@@ -69,7 +71,7 @@ class Clear:
         self._direct = Direct(sensor, sheet, markers, *effort(spp))
         bounce = Bounce(sensor)
         added = bounce.added(sensor, self._direct.points)
-        mixed = np.einsum("pkc,kc->pc", added, [led.radiance for led in sensor.leds])
+        mixed = np.einsum("pkc,kc->pc", added, [led.light for led in sensor.leds])
         self.scattered = bounce.picture(mixed, self._direct.view)
 
     def seen(self, at: Samples) -> "Floats":
@@ -79,35 +81,45 @@ class Clear:
 
 class Cloudy:
     """A traced map of the untouched picture, and how brightness follows thickness, traced on gels of even thickness
-    and on one dent, that shows how far light wanders sideways."""
+    and on one dent, that shows how far light wanders sideways. All of it LED by LED, so that their light can vary."""
 
     def __init__(self, sensor: "LitSensor", sheet: Sheet, markers: bool, spp: int, variant: str) -> None:
         self._view, self._gel, samples = View(sensor, sheet, markers, effort(spp)[1]), sensor.gel, effort(spp)[1]
         coarse, untouched, spp = zoomed(sensor, COLUMNS), Untouched.of(sensor.gel), min(spp, MOST)
-        shares = np.array(cloudy.SHARES)
+        shares, light = np.array(cloudy.SHARES), np.array([led.light for led in sensor.leds])
+        flat, share_of = Sheet.over(sensor.gel, FLAT_SPACING), -(-spp * PATHS // len(light))  # paths of one LED
+        clear = cloudy.depths(sensor.gel)[1]
+        middle = np.add(sensor.camera.center_mm, sensor.camera.crop_mm)
+        dent = BallDent(cloudy.DENT[0] * clear, cloudy.DENT[1] * clear, (middle[0], middle[1]), untouched)
+
+        def each(camera: "LitSensor", sheet: Sheet, faces: Sequence[Surface], spp: int, seed: int) -> "Floats":
+            """Radiance (faces, leds, h, w, 3) by each LED alone, of unit radiance."""
+            tracers = [PathTracer(alone(camera, k), sheet, False, variant) for k in range(len(light))]
+            seeds = range(seed * len(light), (seed + 1) * len(light))
+            return np.array([[t.radiance(face, spp, k) for t, k in zip(tracers, seeds, strict=True)] for face in faces])
 
         def trace() -> "Floats":
-            radiance = PathTracer(coarse, sheet, False, variant).radiance(untouched, spp * PATHS // 2, 0)
-            return smooth(radiance, SMOOTH)
+            return np.stack([smooth(one, SMOOTH) for one in each(coarse, flat, [untouched], share_of // 2 + 1, 0)[0]])
 
         def tabulate() -> "Floats":
-            tracer = PathTracer(zoomed(sensor, 8), sheet, False, variant)
             faces = [cloudy.Even(sensor.gel, share) for share in shares]
-            return np.array([tracer.radiance(face, spp * PATHS, 0).mean(axis=(0, 1)) for face in faces])
+            return np.asarray(each(zoomed(sensor, 8), flat, faces, share_of, 0).mean(axis=(2, 3)))
 
-        def wander() -> "Floats":
-            clear = cloudy.depths(sensor.gel)[1]
-            dent = BallDent(cloudy.DENT[0] * clear, cloudy.DENT[1] * clear, sensor.camera.center_mm, untouched)
-            at = View(coarse, sheet, False).look(dent)
-            share = cloudy.thickness(sensor.gel, at.position).reshape(map_.shape[:2])
-            traced = PathTracer(coarse, sheet, False, variant).render(at.nodes, spp * PATHS // 4, 1)
-            return cloudy.wander(bright, share, coarse.camera.mm_per_px, traced / map_)
+        def indent() -> "Floats":
+            return np.asarray(each(coarse, sheet, [dent], share_of // 4 + 1, 1)[0])
 
         name = key(sensor, variant, spp, cloudy.SHARES, cloudy.DENT)
-        map_ = cached("untouched", name, trace)
-        bright = cloudy.Brightness.through(shares, cached("brightness", name, tabulate))
-        near, reach = cached("wander", name, wander)
-        self.scattered = spread(map_, Camera.from_sensor(sensor).shape)
+        map_, traced, table = (
+            cached("untouched", name, trace),
+            cached("dent", name, indent),
+            cached("brightness", name, tabulate),
+        )
+        mix = np.where(light.sum(axis=0) > 0, light, 1.0)  # a channel without light changes as white would
+        bright = cloudy.Brightness.through(shares, np.einsum("skc,kc->sc", table, mix))
+        ratio = np.einsum("khwc,kc->hwc", traced, mix) / np.einsum("khwc,kc->hwc", map_, mix)
+        share = cloudy.thickness(sensor.gel, View(coarse, sheet, False).look(dent).position).reshape(ratio.shape[:2])
+        near, reach = cloudy.wander(bright, share, coarse.camera.mm_per_px, ratio)
+        self.scattered = spread(np.einsum("khwc,kc->hwc", map_, light), Camera.from_sensor(sensor).shape)
         self._bright, self._near, self._reach = bright, near, reach / sensor.camera.mm_per_px * samples
 
     def seen(self, at: Samples) -> "Floats":
@@ -183,6 +195,13 @@ def zoomed(sensor: "LitSensor", columns: int) -> "LitSensor":
     return sensor.model_copy(update={"camera": eye.model_copy(update=size)})
 
 
+def alone(sensor: "LitSensor", number: int) -> "LitSensor":
+    """The sensor with one LED of unit radiance, and all others dark."""
+    leds = [led.model_copy(update={"radiance": (float(k == number),) * 3, "power": 1.0})
+            for k, led in enumerate(sensor.leds)]  # fmt: skip
+    return sensor.model_copy(update={"leds": tuple(leds)})
+
+
 def smooth(picture: "Floats", sigma: float) -> "Floats":
     """A map (h, w, 3) without its noise."""
     from scipy.ndimage import gaussian_filter
@@ -204,9 +223,13 @@ def spread(coarse: "Floats", shape: tuple[int, int]) -> "Floats":
 
 
 def key(sensor: "LitSensor", variant: str, *more: object) -> str:
-    """What traced maps depend on, hashed: the sensor's optics, variant and versions; not the gel's mechanics."""
+    """What traced maps depend on, hashed: the sensor's optics, variant and versions.
+
+    Not the gel's mechanics, nor what acts on light linearly: the LEDs' power and colour, and the camera's response.
+    """
     parts_seen = {"plate", "coating", "walls", "leds", "camera", "gel"}
-    seen = sensor.model_dump(mode="json", exclude_none=True, include=parts_seen)
+    linear: Any = {"leds": {"__all__": {"radiance", "power"}}, "camera": LINEAR}
+    seen = sensor.model_dump(mode="json", exclude_none=True, include=parts_seen, exclude=linear)
     from tacgen.sensor import LayerBase
 
     optical = LayerBase.model_fields  # the law's own fields are not among them

@@ -20,18 +20,31 @@ Index = Annotated[float, Field(ge=1, le=4)]
 Poisson = Annotated[float, Field(ge=0, lt=0.5)]
 Vec2 = tuple[float, float]
 Vec3 = tuple[float, float, float]
-Rgb = tuple[NotNegative, NotNegative, NotNegative]
+Angle = Annotated[float, Field(ge=-20, le=20)]
 
 
-def _listed(value: Any) -> Any:
-    return tuple(value) if isinstance(value, list) else value  # strictly, what passed through `_named` holds no list
+def _thrice(value: Any) -> Any:
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return (value,) * 3
+    return tuple(value) if isinstance(value, list) else value  # strictly, what passed through Python holds no list
+
+
+# Red, green and blue; one number stands for three equal ones, so that all can vary together.
+Rgb = Annotated[
+    tuple[NotNegative, NotNegative, NotNegative],
+    BeforeValidator(_thrice, json_schema_input_type=NotNegative | tuple[NotNegative, NotNegative, NotNegative]),
+]
+Shares = Annotated[
+    tuple[Fraction, Fraction, Fraction],
+    BeforeValidator(_thrice, json_schema_input_type=Fraction | tuple[Fraction, Fraction, Fraction]),
+]
 
 
 class Scattering(Part):
     """Fine particles all through a layer, that scatter light as Henyey and Greenstein say and absorb some of it."""
 
     extinction_per_mm: Positive  # of a ray's light, scattered and absorbed together
-    albedo: Annotated[tuple[Fraction, Fraction, Fraction], BeforeValidator(_listed)]  # the share that is scattered
+    albedo: Shares  # what of it is scattered
     forward: Annotated[float, Field(gt=-1, lt=1)] = 0.0  # mean cosine of the turn, g
     source: str
 
@@ -189,7 +202,7 @@ class Plate(Part):
 class Coating(Part):
     """The opaque coat on the outer face, seen from inside: diffuse plus a rough metallic part."""
 
-    albedo: tuple[Fraction, Fraction, Fraction]
+    albedo: Shares
     specular: Fraction  # weight of the rough conductor
     roughness: Annotated[float, Field(gt=0, le=1)]  # GGX alpha
     source: str
@@ -213,8 +226,15 @@ class Led(Part):
     up: Vec3 = (0.0, 0.0, 1.0)
     size_mm: tuple[Positive, Positive]
     radiance: Rgb
+    power: NotNegative = 1.0  # factor on the radiance: how much stronger this one is than its file says
     see_through: bool = False  # stands for light that enters there from all around: the camera looks through it
     source: str
+
+    @property
+    def light(self) -> Vec3:
+        """Radiance that it has in this unit."""
+        r, g, b = self.radiance
+        return self.power * r, self.power * g, self.power * b
 
 
 class Noise(Part):
@@ -222,15 +242,19 @@ class Noise(Part):
 
     shot: Rgb  # variance per signal, both in parts of full scale: one over the electrons of a full pixel
     read: Rgb  # standard deviation in the dark, in parts of full scale
+    strength: NotNegative = 1.0  # factor on the standard deviation of both together
     source: str
 
 
 class Camera(Part):
-    """A pinhole in air behind the plate, looking along +z."""
+    """A pinhole in air behind the plate, looking along +z, or nearly so."""
 
     distance_mm: Positive  # from the plate's air face, or the gel's base where no plate is described, to the pinhole
-    center_mm: Vec2 = (0.0, 0.0)  # where the optical axis meets the coating
-    mm_per_px: Positive  # on the untouched coating, at the image centre
+    center_mm: Vec2 = (0.0, 0.0)  # over the pinhole: where the optical axis, if not tilted, meets the coating
+    tilt_deg: tuple[Angle, Angle] = (0.0, 0.0)  # of the optical axis, toward +x and toward +y
+    roll_deg: Angle = 0.0  # about the optical axis, from x to y
+    crop_mm: Vec2 = (0.0, 0.0)  # how far off the optical axis the picture was cut, at its scale on the coating
+    mm_per_px: Positive  # on the untouched coating, on the optical axis
     width_px: Annotated[int, Field(ge=8)]
     height_px: Annotated[int, Field(ge=8)]
     exposure: Positive = 1.0  # linear radiance to sensor full scale

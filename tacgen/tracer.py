@@ -2,6 +2,7 @@
 which is imported only inside functions."""
 
 import os
+import tempfile
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -39,7 +40,7 @@ def description(sensor: "LitSensor", sheet: Sheet, markers: bool) -> tuple[dict[
     eye, camera = sensor.camera, Camera.from_sensor(sensor)
     pinhole = np.array(camera.pinhole)
     to_world = np.eye(4)
-    to_world[:3, :3] = np.diag([-1, -1, 1])  # Mitsuba's camera has x to the left and y up
+    to_world[:3, :3] = camera.turn * [-1, -1, 1]  # Mitsuba's camera has x to the left and y up
     to_world[:3, 3] = pinhole
     scene: dict[str, Any] = {
         "type": "scene",
@@ -49,6 +50,8 @@ def description(sensor: "LitSensor", sheet: Sheet, markers: bool) -> tuple[dict[
             "type": "perspective",
             "fov": float(np.degrees(2 * np.arctan(eye.width_px / 2 / camera.focal_px))),
             "fov_axis": "x",
+            "principal_point_offset_x": camera.crop_px[0] / eye.width_px,
+            "principal_point_offset_y": camera.crop_px[1] / eye.height_px,
             "near_clip": min(0.1, eye.distance_mm / 2),
             "far_clip": 500.0,
             "to_world": to_world,
@@ -131,3 +134,31 @@ class PathTracer:
         params["vertex_positions"] = sheet.at(Untouched()).astype(np.float32).ravel()
         params.update()
         return mesh
+
+
+def rest(sensor: "LitSensor", sheet: Sheet, surface: Surface, spp: int, variant: str) -> "Floats":
+    """Where the coating's point behind each pixel rests (H, W, 2) [mm], as Mitsuba's paths find it through the layers.
+
+    The coating radiates its own UV, beside a constant by which losses on the way are divided out; nothing else does,
+    and paths are only as long as the straight one. A layer that scatters is taken as clear.
+    """
+    mi = mitsuba(variant)
+    layers = tuple(layer.model_copy(update={"scattering": None}) for layer in sensor.gel.layers)
+    clear = sensor.model_copy(update={"gel": sensor.gel.model_copy(update={"layers": layers}), "leds": ()})
+    scene, _ = description(clear, sheet, False)
+    surfaces = 1 + sum(name.startswith("into_") for name in scene)
+    scene["integrator"] |= {"max_depth": surfaces, "rr_depth": surfaces + 1}
+    scene["sensor"]["sampler"] = {"type": "stratified", "sample_count": spp}
+    nodes, faces = sheet.at(surface), sheet.faces
+    mesh = mi.Mesh("face", len(nodes), len(faces))
+    mesh.add_attribute("vertex_uv1", 3, np.column_stack([sheet.uv, np.ones(len(nodes))]).astype(np.float32).ravel())
+    params = mi.traverse(mesh)
+    params["faces"], params["vertex_positions"] = faces.ravel(), nodes.astype(np.float32).ravel()
+    params.update()
+    with tempfile.TemporaryDirectory() as folder:  # an emitter only comes to a mesh by way of a file
+        mesh.write_ply(file := os.path.join(folder, "face.ply"))
+        glow = {"type": "area", "radiance": {"type": "mesh_attribute", "name": "vertex_uv1"}}
+        built = realise(mi, scene) | {"face": {"type": "ply", "filename": file, "emitter": glow}}
+        u, v, one = np.moveaxis(np.array(mi.render(mi.load_dict(built), spp=spp), dtype=np.float64), -1, 0)
+    with np.errstate(invalid="ignore"):  # off the pad nothing radiates
+        return np.asarray((np.stack([u, v], axis=-1) / one[..., None] - 0.5) * sheet.size)

@@ -56,6 +56,32 @@ def test_maps_are_cached_by_optics_and_not_by_mechanics(renderer, monkeypatch):
         render.Renderer(sensor(walls={"albedo": 0.3}), 6, 0, False, variants.SCALAR)
 
 
+def test_light_that_varies_alone_is_not_traced_again(monkeypatch):
+    """Power and colour of each LED, exposure, stray light, vignette and noise: all of it linear."""
+    panel = sensor().leds[0].model_dump()
+    left, right = ({**panel, "center_mm": (x, 0, -4.35), "size_mm": (6, 10)} for x in (-3, 3))
+    render.Renderer(sensor(leds=[left, right]), 1, 0, False, variants.SCALAR)
+    monkeypatch.setattr(render, "PathTracer", None)  # any tracing now would fail
+    grain = {"shot": 1e-4, "read": 0.002, "source": "test"}
+    other = sensor(
+        leds=[{**left, "power": 1.3}, {**right, "radiance": (1, 2, 3), "power": 0.5}],
+        camera={"exposure": 0.7, "ambient": 0.01, "vignette_mm": 12.0, "noise": grain},
+    )
+    again = render.Renderer(other, 1, 0, False, variants.SCALAR)
+    alone = [render.Renderer(sensor(leds=leds), 1, 0, False, variants.SCALAR).light for leds in
+             ([{**left, "power": 1.3}, {**right, "power": 0}], [{**left, "power": 0}, {**right, "radiance": (1, 2, 3),
+              "power": 0.5}])]  # fmt: skip
+    assert again.light.scattered == pytest.approx(alone[0].scattered + alone[1].scattered, rel=1e-9)
+    assert alone[0].scattered[:, :10].mean() > 1.2 * alone[0].scattered[:, -10:].mean()
+    with pytest.raises(TypeError):
+        render.Renderer(sensor(leds=[left, {**right, "center_mm": (3, 0.1, -4.35)}]), 1, 0, False, variants.SCALAR)
+
+
+def test_a_dark_sensor_is_dark():
+    assert (render.Renderer(sensor(leds=[{**sensor().leds[0].model_dump(), "power": 0}]), 1, 0, False,
+                            variants.SCALAR).image(DENT) == 0).all()  # fmt: skip
+
+
 def test_a_cache_that_cannot_be_written_costs_nothing_but_time(tmp_path, monkeypatch):
     blocked = tmp_path / "file"
     blocked.write_text("")

@@ -33,7 +33,7 @@ ORDER = [
     {"solve"},  # *
     {"foresee"},
     {"fields"},  # *
-    {"maps", "stress", "tracer"},
+    {"maps", "stress", "tracer", "faces"},
     {"render"},  # *
     {"layout"},
     {"bundle"},  # *

@@ -1,12 +1,15 @@
 """Optics that cannot be are refused, each in one line that names the key."""
 
+from pathlib import Path
 from typing import Any
 
 import pytest
 from optics.tiny import PLAIN, cloudy, sensor
 
-from tacgen import load
+from tacgen import assets, load, plan
+from tacgen.errors import UserError
 from tacgen.lit import problems
+from tacgen.yamlfile import format_path, parse_path, put
 
 Data = dict[str, Any]
 
@@ -45,6 +48,15 @@ def test_a_light_behind_the_camera_and_an_axis_beside_the_pad():
     assert "lies behind the camera, which is at z = -16.3" in next(problems(cloudy(leds=[panel]))).message
     found = list(problems(sensor(camera={"center_mm": [7, 0]})))
     assert [p.path for p in found] == [("camera", "center_mm")]
+    (found,) = problems(sensor(camera={"tilt_deg": [15, 10], "mm_per_px": 2.0}))
+    assert "off the plate's normal" in found.message
+
+
+@pytest.mark.parametrize(
+    ("markers", "key"), [({"diameter_mm": 2.1}, "diameter_mm"), ({"columns": 7}, "columns"), ({"rows": 9}, "rows")]
+)
+def test_dots_that_touch_or_do_not_fit(markers: Data, key: str):
+    assert [p.path for p in problems(sensor(markers=markers))] == [("markers", key)]
 
 
 def test_beside_a_round_end_is_outside():
@@ -91,3 +103,59 @@ def test_numbers_that_no_matter_has(part: str, value: Any):
     assert found is None
     assert len(wrong) == 1
     assert "\n" not in wrong[0].message
+
+
+@pytest.mark.parametrize("name", ["gelsight_mini", "digit", "ninedtact"])
+@pytest.mark.parametrize(
+    ("path", "value", "key"),
+    [
+        ("leds[0].size_mm[1]", -1.0, "leds[0].size_mm[1]"),
+        ("leds[0].power", -0.1, "leds[0].power"),
+        ("leds[0].radiance", -1.0, "leds[0].radiance"),
+        ("leds[0].center_mm", [0.0, 0.0, 0.0], "leds[0].center_mm"),  # in the coating
+        ("leds[0].center_mm", [0.0, 0.0, -40.0], "leds[0].center_mm"),  # behind the camera, or the plate
+        ("leds[0].center_mm[0]", 60.0, "leds[0].center_mm"),  # out of the housing
+        ("leds[0].up", [0.0, 0.0, 0.0], "leds[0].up"),
+        ("gel.layers[0].refractive_index", 0.9, "gel.layers[0].refractive_index"),
+        ("gel.layers[0].thickness_mm", 0.0, "gel.layers[0].thickness_mm"),
+        ("plate.refractive_index", 0.0, "plate.refractive_index"),
+        ("plate.thickness_mm", -4.0, "plate.thickness_mm"),
+        ("camera.distance_mm", -1.0, "camera.distance_mm"),  # in the plate
+        ("camera.mm_per_px", 0.0, "camera.mm_per_px"),
+        ("camera.center_mm", [30.0, 0.0], "camera.center_mm"),
+        ("camera.tilt_deg", [30.0, 0.0], "camera.tilt_deg[0]"),
+        ("camera.exposure", 0.0, "camera.exposure"),
+        ("camera.ambient", -0.1, "camera.ambient"),
+        ("coating.albedo", 1.2, "coating.albedo"),
+        ("coating.roughness", 0.0, "coating.roughness"),
+        ("coating.specular", 1.1, "coating.specular"),
+        ("walls.albedo", -0.1, "walls.albedo"),
+        ("walls.margin_mm", -1.0, "walls.margin_mm"),
+    ],
+)
+def test_bad_optics_of_the_shipped_sensors_are_one_line(name: str, path: str, value: Any, key: str):
+    data = put(load.read_sensor(assets.sensor_path(name))[1].data, parse_path(path), value)
+    found, wrong = load.check_sensor(data)
+    assert found is None
+    assert len({(p.path, p.message) for p in wrong}) == 1
+    assert format_path(wrong[0].path) == key
+    assert "\n" not in wrong[0].message
+
+
+def test_a_varied_light_that_leaves_the_housing_is_told_with_its_scene(tmp_path: Path):
+    text = """
+        extends: {}
+        name: out
+        vary:
+          samples: 8
+          over:
+            sensor.leds[0].center_mm[1]: {{uniform: [-11, -9.5]}}
+    """
+    recipe = tmp_path / "out.yaml"
+    recipe.write_text(text.format(assets.recipe_path("quickstart")))
+    with pytest.raises(UserError) as told:
+        plan.load(recipe)
+    (line,) = [line for line in told.value.lines if not line.startswith(" ")]
+    assert "sensor.leds[0].center_mm: red: pokes out of the housing, at (" in line
+    assert "more scenes" in line
+    assert plan.load(recipe, ["outputs=[force]"]).rows  # lights do not matter where none is asked for

@@ -50,7 +50,7 @@ class Direct:
     def seen(self, at: Samples) -> "Floats":
         """Linear radiance (H, W, 3) of what the camera's rays meet."""
         coat, markers = self.sensor.coating, self.view.markers
-        light = np.einsum("nkc,kr->ncr", self.light(at), [led.radiance for led in self.sensor.leds])
+        light = np.einsum("nkc,kr->ncr", self.light(at), [led.light for led in self.sensor.leds])
         seen = (1 - coat.specular) * light[:, 0] * coat.albedo + coat.specular * coating.METAL * light[:, 1]
         if markers is not None:
             seen += self.view.dots(at) * (markers.albedo * light[:, 0] - seen)

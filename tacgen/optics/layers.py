@@ -76,12 +76,15 @@ class Stack:
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole that looks along +z through a stack, its optical axis meeting the coating at `center`."""
+    """A pinhole that looks along +z, or nearly so, through a stack, to the coating over it at `center`."""
 
     stack: Stack
     center: tuple[float, float]  # x, y [mm]
     focal_px: float  # pixels per unit slope in air
     shape: tuple[int, int]  # H, W [px]
+    crop_px: tuple[float, float] = (0.0, 0.0)  # from the optical axis to the picture's middle, x and y
+    tilt: tuple[float, float] = (0.0, 0.0)  # of the optical axis, toward +x and toward +y [rad]
+    roll: float = 0.0  # about it, from x to y [rad]
 
     @classmethod
     def from_sensor(cls, sensor: "Sensor") -> "Camera":
@@ -95,7 +98,11 @@ class Camera:
         thicknesses = [slab.thickness_mm for slab in clear]
         thicknesses[-1] += sum(layer.thickness_mm for layer in opaque)
         stack = Stack((eye.distance_mm, *thicknesses), (1.0, *(slab.refractive_index for slab in clear)))
-        return cls(stack, eye.center_mm, stack.effective_depth / eye.mm_per_px, (eye.height_px, eye.width_px))
+        shape, (x, y), (right, down) = (eye.height_px, eye.width_px), eye.crop_mm, np.radians(eye.tilt_deg)
+        return cls(
+            stack, eye.center_mm, stack.effective_depth / eye.mm_per_px, shape,
+            (x / eye.mm_per_px, y / eye.mm_per_px), (float(right), float(down)), float(np.radians(eye.roll_deg)),
+        )  # fmt: skip
 
     @property
     def pinhole(self) -> tuple[float, float, float]:
@@ -104,8 +111,22 @@ class Camera:
 
     @property
     def mm_per_px(self) -> float:
-        """Scale at the image centre on the untouched face [mm/px]."""
+        """Scale on the untouched face where an axis that is not tilted meets it [mm/px]."""
         return self.stack.effective_depth / self.focal_px
+
+    @property
+    def turn(self) -> "Floats":
+        """Rotation (3, 3) from the camera's own frame, x right and y down in the picture, to the sensor's."""
+        (right, down), c, s = self.tilt, np.cos(self.roll), np.sin(self.roll)
+        toward_x = np.array([[np.cos(right), 0, np.sin(right)], [0, 1, 0], [-np.sin(right), 0, np.cos(right)]])
+        toward_y = np.array([[1, 0, 0], [0, np.cos(down), np.sin(down)], [0, -np.sin(down), np.cos(down)]])
+        return np.asarray(toward_x @ toward_y @ [[c, -s, 0], [s, c, 0], [0, 0, 1]])
+
+    def slopes(self, pixels: "Floats") -> "Floats":
+        """Slopes in air, dx/dz and dy/dz (n, 2), of the rays through pixels (n, 2)."""
+        own = np.column_stack([(pixels - self._axis) / self.focal_px, np.ones(len(pixels))])
+        ray = own @ self.turn.T
+        return np.asarray(ray[:, :2] / ray[:, 2:])
 
     def project(self, points: Any) -> "Floats":
         """Pixels (n, 2), x right and y down, pixel centres at +0.5, of points (n, 3) [mm] in the gel.
@@ -117,14 +138,15 @@ class Camera:
         across = points[:, :2] - self.center
         rho = np.hypot(across[:, 0], across[:, 1])
         x = self.stack.slope(rho, points[:, 2])
-        scale = self.focal_px * np.divide(x, rho, out=np.zeros_like(rho), where=rho > 0)
-        return np.asarray(across * scale[:, None] + self._middle)
+        slope = across * np.divide(x, rho, out=np.zeros_like(rho), where=rho > 0)[:, None]
+        own = np.column_stack([slope, np.ones(len(rho))]) @ self.turn
+        return np.asarray(self.focal_px * own[:, :2] / own[:, 2:] + self._axis)
 
     def rays(self, pixels: Any) -> tuple["Floats", "Floats"]:
         """Rays in the outermost gel layer through pixels (n, 2): origins (n, 3) [mm] on that layer's inner side and
         unit directions (n, 3), +z being outward. `project(origin + s direction)` is the pixel for every s >= 0."""
         pixels = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
-        slope = (pixels - self._middle) / self.focal_px  # (n, 2)
+        slope = self.slopes(pixels)
         x = np.hypot(slope[:, 0], slope[:, 1])
         inner = np.repeat(np.array(self.stack.thicknesses)[:, None], len(x), axis=1)
         inner[-1] = 0.0
@@ -138,5 +160,6 @@ class Camera:
         return origins, directions
 
     @property
-    def _middle(self) -> "Floats":
-        return np.array([self.shape[1] / 2, self.shape[0] / 2])
+    def _axis(self) -> "Floats":
+        """Where the optical axis is in the picture [px]."""
+        return np.array([self.shape[1] / 2, self.shape[0] / 2]) - self.crop_px

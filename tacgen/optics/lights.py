@@ -51,12 +51,13 @@ def diffuse(albedo: "float | Sequence[float]") -> dict[str, Any]:
 
 
 def led(light: "Led", wall_albedo: float) -> dict[str, Any]:
-    """One LED strip: it radiates from its front and is as dark as the walls otherwise, or not there."""
+    """One LED strip: it radiates from its front, if at all, and is as dark as the walls otherwise, or not there."""
+    emitter = {"type": "area", "radiance": {"type": "rgb", "value": [float(v) for v in light.light]}}
     return {
         "type": "rectangle",
         "to_world": rectangle(light.center_mm, light.normal, light.up, light.size_mm),
         "bsdf": {"type": "null"} if light.see_through else diffuse(wall_albedo),
-        "emitter": {"type": "area", "radiance": {"type": "rgb", "value": [float(v) for v in light.radiance]}},
+        **({"emitter": emitter} if any(light.light) else {}),  # a dark one would only draw random numbers
     }
 
 

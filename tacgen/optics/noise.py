@@ -13,9 +13,10 @@ if TYPE_CHECKING:
 
 
 def noisy(linear: "Floats", noise: "Noise", random: np.random.Generator) -> "Floats":
-    """A linear picture (H, W, 3), in parts of full scale, with white noise of variance shot x signal + read^2.
+    """A linear picture (H, W, 3), in parts of full scale, with white noise of variance shot x signal + read^2, times
+    strength^2.
 
     A normal stands for the photons' Poisson: at thousands of electrons in a full pixel they are alike.
     """
     variance = np.array(noise.shot) * np.clip(linear, 0.0, 1.0) + np.square(noise.read)
-    return np.asarray(linear + np.sqrt(variance) * random.standard_normal(linear.shape))
+    return np.asarray(linear + noise.strength * np.sqrt(variance) * random.standard_normal(linear.shape))

@@ -15,9 +15,11 @@ if TYPE_CHECKING:
 
 
 def vignette(camera: "Camera") -> "Floats":
-    """Fall-off (H, W) of the lens, 1 on the axis: 1 / (1 + (r/r0)^2)^2 with r on the untouched coating."""
+    """Fall-off (H, W) of the lens, 1 on the axis: 1 / (1 + (r/r0)^2)^2 with r at the scale on the untouched coating."""
     y, x = np.mgrid[: camera.height_px, : camera.width_px] + 0.5
-    r2 = ((x - camera.width_px / 2) ** 2 + (y - camera.height_px / 2) ** 2) * camera.mm_per_px**2
+    right = (x - camera.width_px / 2) * camera.mm_per_px + camera.crop_mm[0]
+    down = (y - camera.height_px / 2) * camera.mm_per_px + camera.crop_mm[1]
+    r2 = right**2 + down**2
     return np.ones_like(r2) if camera.vignette_mm is None else 1.0 / (1.0 + r2 / camera.vignette_mm**2) ** 2
 
 

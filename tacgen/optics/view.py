@@ -51,7 +51,7 @@ class View:
 
     def transmission(self) -> "Floats":
         """What is left in the air of a unit radiance in the gel, per ray (samples,): Fresnel's losses and 1/n^2."""
-        slope = (self._pixels - [self.camera.shape[1] / 2, self.camera.shape[0] / 2]) / self.camera.focal_px
+        slope = self.camera.slopes(self._pixels)
         k = np.hypot(*slope.T) / np.sqrt(1 + (slope**2).sum(axis=1))
         share, n = np.ones(len(k)), self.camera.stack.indices
         for a, b in pairwise(n):

@@ -59,10 +59,12 @@ index = st.floats(1.0, 2.4)
     st.floats(-2000, 2000),
     st.floats(-2000, 2000),
     st.floats(0, 1.3),
+    st.tuples(*[st.floats(-0.3, 0.3)] * 3),
 )
-def test_rays_then_project_returns_the_pixel_for_any_stack(layers, distance, px, py, way):
+def test_rays_then_project_returns_the_pixel_for_any_stack(layers, distance, px, py, way, turn):
     stack = Stack((distance, *(t for t, _ in layers)), (1.0, *(n for _, n in layers)))
-    eye = Camera(stack, (1.0, 2.0), 300.0, (240, 320))
+    px, py = (px, py) if turn == (0, 0, 0) else (px / 10, py / 10)  # a turned one must not look along the plate
+    eye = Camera(stack, (1.0, 2.0), 300.0, (240, 320), (20.0, -30.0), turn[:2], turn[2])
     origin, direction = eye.rays([[px, py]])
     point = origin + way * direction * layers[-1][0] / direction[:, 2:]
     assert eye.project(point)[0] == pytest.approx([px, py], abs=1e-6)

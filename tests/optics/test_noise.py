@@ -37,6 +37,8 @@ def test_variance_is_shot_times_signal_plus_read_squared(level: float) -> None:
     made = noisy(np.full((300, 400, 3), level), GRAIN, np.random.default_rng(1)) - level
     assert made.var(axis=(0, 1)) == pytest.approx(np.array(GRAIN.shot) * level + np.square(GRAIN.read), rel=0.03)
     assert np.abs(made.mean(axis=(0, 1))).max() < 4 * made.std() / 346
+    twice = GRAIN.model_copy(update={"strength": 2.0})
+    assert noisy(np.full((300, 400, 3), level), twice, np.random.default_rng(1)) - level == pytest.approx(2 * made)
 
 
 def test_none_unless_asked_for_and_the_same_for_the_same_numbers() -> None:

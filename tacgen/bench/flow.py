@@ -1,0 +1,86 @@
+"""Flow of what is printed on the coating, against Mitsuba's paths through plate and layers to the same moved face.
+
+Paths give which point of the coating is behind each pixel, densely; `markers` and `flow` go the other way, from the
+point to the pixel. So each is carried into the traced picture, and what is missing there counts, in pixels.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from tacgen import assets, faces, load, plan, tracer
+from tacgen.optics import coating
+from tacgen.optics.flow import Flow, Points
+from tacgen.optics.layers import Camera
+from tacgen.optics.sheet import Sheet, Surface
+from tacgen.recipe import Recipe
+from tacgen.sensor import LitSensor, Sensor
+
+Array = np.ndarray
+SHEAR = 0.5  # [mm]
+DEPTHS = {"gelsight_mini": 1.0, "digit": 0.8, "ninedtact": 0.8}  # of a ball of 4 mm, before it is moved [mm]
+SPACING, SHEET = 0.05, 0.1  # [mm] between the nodes of the traced face, and of tacgen's own
+
+
+class Error(NamedTuple):
+    """In pixels: how far things moved at most, and how far off the two are, as root mean square and at most."""
+
+    moved: float
+    markers_rms: float
+    markers_most: float
+    flow_rms: float
+    flow_most: float
+
+
+def sheared(name: str, quality: str = "draft") -> tuple[Sensor, Surface, Surface]:
+    """A shipped sensor, its face untouched, and pressed and sheared by a ball."""
+    sensor = load.read_sensor(assets.sensor_path(name))[0]
+    recipe = {
+        "tacgen": 1, "name": "shear", "sensor": name, "indenter": {"shape": "sphere", "radius_mm": 4.0},
+        "contact": {"friction": 2.0}, "outputs": ["force"], "quality": quality,
+        "trajectory": [{"press": {"depth_mm": DEPTHS[name], "frames": 1}}, {"slide": {"x_mm": SHEAR, "frames": 1}}],
+    }  # fmt: skip
+    untouched, _, moved = faces.faces(plan.expand(Recipe.model_validate(recipe), sensor).rows[0])
+    return sensor, untouched, moved
+
+
+def measure(sensor: LitSensor, untouched: Surface, moved: Surface, variant: str, spp: int = 256) -> Error:
+    """Errors of marker positions and of dense flow; a sensor without markers is given a millimetre's grid."""
+    camera, fine, own = Camera.from_sensor(sensor), *(Sheet.over(sensor.gel, d) for d in (SPACING, SHEET))
+    before, after = (tracer.rest(sensor, fine, face, spp, variant) for face in (untouched, moved))
+    if sensor.markers is not None:
+        dots = coating.centers(sensor.markers)
+    else:
+        dots = np.stack(np.meshgrid(np.arange(-7.0, 8.0), np.arange(-6.0, 7.0)), -1).reshape(-1, 2)
+    pixels, seen = Points(dots, own, untouched, camera).at(moved)
+    flow = Flow(own, untouched, camera).at(moved)
+    h, w = camera.shape
+    at = np.stack(np.meshgrid(np.arange(w) + 0.5, np.arange(h) + 0.5), -1)
+    off = [_off(after, pixels[seen], dots[seen]), _off(after, (at + flow).reshape(-1, 2), before.reshape(-1, 2))]
+    both = [f(np.linalg.norm(e[np.isfinite(e).all(1)], axis=1)) for e in off for f in (_rms, _most)]
+    return Error(float(np.nanmax(np.linalg.norm(flow, axis=-1))), *both)
+
+
+def _off(traced: Array, pixels: Array, rest: Array) -> Array:
+    """How far (n, 2) [px] `pixels` (n, 2) are from where a traced picture (h, w, 2) shows the points `rest` (n, 2)."""
+    from scipy.ndimage import map_coordinates
+
+    at = pixels.T[::-1] - 0.5
+
+    def there(picture: Array) -> Array:
+        return np.asarray(map_coordinates(picture, at, order=1, mode="constant", cval=np.nan))
+
+    found = np.stack([there(traced[..., k]) for k in range(2)], -1)
+    slope = np.stack([np.stack([there(d) for d in np.gradient(traced[..., k])[::-1]], -1) for k in range(2)], -2)
+    whole = np.isfinite(found).all(1) & np.isfinite(slope).all((1, 2)) & np.isfinite(rest).all(1)
+    off = np.full(pixels.shape, np.nan)
+    off[whole] = np.linalg.solve(slope[whole], (rest - found)[whole, :, None])[..., 0]
+    return -off
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _most(values: Array) -> float:
+    return float(values.max())
