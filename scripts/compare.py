@@ -8,36 +8,24 @@ Where the folder of photographs is absent it says so and stops with exit code 0.
 import argparse
 import csv
 import sys
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from calibrate_thickness import Shifted, dark_middle, seen_at
-from calibrate_thickness import presses as presses_solved
+from calibrate_optics import DIGIT, DIGIT_BALL, NINE_PRESS
 from PIL import Image
 from ruamel.yaml import YAML
 from skimage.metrics import structural_similarity
 
 from tacgen import render
+from tacgen.calibrate import photos, under
 from tacgen.optics.dent import BallDent
 from tacgen.optics.layers import Camera
-from tacgen.optics.sheet import Untouched
 from tacgen.sensor import Sensor
 
 ROOT = Path(__file__).resolve().parents[1]
 SHOWN = ("ball_6.310mm_20.png", "ball_6.310mm_8.png", "ball_6.310mm_12.png", "ball_9.500mm_1.png")
-DIGIT_BALL = 1.9  # [mm] fitted with the dents
 DIGIT_REACH = 60  # [px] around a dent within which pictures are compared
-DIGIT_DENTS = {  # x, y and contact radius [mm] of each, from calibrate_digit
-    "sphere_0001.png": (0.975, -0.719, 1.707),
-    "sphere_0005.png": (-0.215, 1.645, 1.747),
-    "sphere_0010.png": (-1.110, -3.406, 1.747),
-    "sphere_0017.png": (-2.098, 0.629, 1.709),
-    "sphere_0024.png": (-0.979, 2.861, 1.694),
-    "sphere_0036.png": (1.992, 3.210, 1.709),
-}
-NINE_DEPTH = 1.85  # [mm] of 9DTact's photographed press, from calibrate_thickness
 MARGIN = 1.7  # contact radii around a dent within which pictures are compared
 
 
@@ -122,37 +110,32 @@ def beside_mini(folder: Path, sensor: Sensor, renderer: render.Renderer) -> list
     return strips
 
 
-def digit_dent(sensor: Sensor, name: str) -> BallDent:
-    """The dent in one of DIGIT's photographs, as calibrate_digit found it."""
-    x, y, contact = DIGIT_DENTS[name]
-    dome = sensor.gel.dome
-    bend = 0.0 if dome is None else (1 / dome.radius_x_mm + 1 / dome.radius_y_mm) / 2
-    return BallDent(1 / (1 / DIGIT_BALL + bend), contact, (x, y), Untouched.of(sensor.gel))
+def digit_press(folder: Path, name: str) -> photos.Press:
+    """One of DIGIT's photographed presses."""
+    x, y, contact = DIGIT[name]
+    return photos.Press(name, load(folder / name), DIGIT_BALL, (x, y), contact, None)
 
 
 def beside_digit(folder: Path, sensor: Sensor, renderer: render.Renderer) -> list[np.ndarray]:
     """DIGIT's dents, with their shadow fans."""
-    camera, strips = Camera.from_sensor(sensor), []
-    for name, (x, y, _) in DIGIT_DENTS.items():
-        real, made = load(folder / name), renderer.develop(renderer.image(digit_dent(sensor, name)))
+    strips = []
+    for name, (x, y, _) in DIGIT.items():
+        press = digit_press(folder, name)
+        real, made = press.picture, renderer.develop(renderer.image(under.face(sensor, press, {})))
         down, across = np.mgrid[: real.shape[0], : real.shape[1]] + 0.5
-        middle = camera.project([[x, y, -0.4]])[0]
-        near = np.hypot(across - middle[0], down - middle[1]) < DIGIT_REACH
+        near = np.hypot(across - x, down - y) < DIGIT_REACH
         print(f"{name:24s} dent SSIM {similarity(real, made, near):.3f}")
         strips.append(np.hstack([real, made]))
     return strips
 
 
-def solved_press(folder: Path, sensor: Sensor) -> Shifted:
-    """The face under 9DTact's photographed ball: solved, and shifted to where the photograph shows it."""
-    with tempfile.TemporaryDirectory() as scratch:
-        faces = dict(presses_solved(sensor.name, Path(scratch), (NINE_DEPTH,)))
-    untouched, pressed = (load(folder / f"{name}_rectified.png").mean(axis=2) for name in ("reference", "ball_R4mm"))
-    place = seen_at(Camera.from_sensor(sensor), dark_middle(pressed - untouched))
-    return Shifted(faces.popitem()[1], place, (sensor.gel.width_mm, sensor.gel.height_mm))
+def nine_press(folder: Path) -> photos.Press:
+    """9DTact's photographed press."""
+    name, ball, x, y, depth = NINE_PRESS
+    return photos.Press(name, load(folder / name), ball, (x, y), None, depth)
 
 
-def profile(change: np.ndarray, middle: np.ndarray, mm_per_px: float) -> np.ndarray:
+def profile(change: np.ndarray, middle: tuple[float, float], mm_per_px: float) -> np.ndarray:
     """Mean change [counts] of a picture (h, w) in rings of 0.2 mm to 9 mm around a place [px]."""
     y, x = np.mgrid[: change.shape[0], : change.shape[1]] + 0.5
     ring = (np.hypot(x - middle[0], y - middle[1]) * mm_per_px / 0.2).astype(int)
@@ -162,15 +145,15 @@ def profile(change: np.ndarray, middle: np.ndarray, mm_per_px: float) -> np.ndar
 
 def beside_nine(folder: Path, sensor: Sensor, renderer: render.Renderer) -> list[np.ndarray]:
     """9DTact's ball: the dark disc and its halo."""
-    real0, real = (load(folder / f"{name}_rectified.png") for name in ("reference", "ball_R4mm"))
-    made0, made = (renderer.develop(r) for r in (renderer.flat(), renderer.image(solved_press(folder, sensor))))
+    real0, press = load(folder / UNTOUCHED["ninedtact"]), nine_press(folder)
+    real, face = press.picture, under.face(sensor, press, {})
+    made0, made = (renderer.develop(r) for r in (renderer.flat(), renderer.image(face)))
     where = np.ones(real.shape[:2], bool)
     level = np.clip(made.astype(int) - made0 + real0, 0, 255).astype(np.uint8)
     print(f"press SSIM {similarity(real, made, where):.4f}, on the unit's own background "
           f"{similarity(real, level, where):.4f}")  # fmt: skip
     grey, rendered = real.mean(axis=2) - real0.mean(axis=2), made.mean(axis=2) - made0.mean(axis=2)
-    middle = dark_middle(grey)
-    a, b = (profile(c, middle, sensor.camera.mm_per_px) for c in (grey, rendered))
+    a, b = (profile(c, press.center, sensor.camera.mm_per_px) for c in (grey, rendered))
     print(
         "radius [mm]:change of grey, real/rendered",
         *(f"{0.2 * k + 0.1:.1f}:{a[k]:.0f}/{b[k]:.0f}" for k in range(0, 45, 4)),

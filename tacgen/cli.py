@@ -292,6 +292,36 @@ def export(
 
 
 @app.command()
+def calibrate(
+    what: Annotated[str, typer.Argument(help="optics: the lights of a sensor file, from photographs.")],
+    sensor: Annotated[str, typer.Option("--sensor", help="The sensor file to start from, by name or path.")],
+    images: Annotated[
+        Path, typer.Option("--images", help="A folder: background.png, and ball presses listed in presses.csv.")
+    ],
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="Write the sensor file here.")] = None,
+    tolerance_mm: Annotated[
+        float, typer.Option(min=0, help="How far LEDs may be from where the file has them; 0: light alone is fitted.")
+    ] = 0.5,
+    tolerance_deg: Annotated[float, typer.Option(min=0, max=90, help="How far they may be turned.")] = 5.0,
+    no_markers: Annotated[bool, typer.Option("--no-markers", help="The photographed gel has no dots.")] = False,
+    steps: Annotated[int, typer.Option(min=1, help="Most rounds of the fit.")] = 10,
+    as_json: AsJson = False,
+) -> None:
+    """Fit a sensor file to photographs of your own unit: power and place of its LEDs, stray light, gloss, crop."""
+    if what != "optics":
+        raise UserError(f"{what}: must be optics")
+    from tacgen import calibrate as fitting
+
+    found = fitting.optics(sensor, images, fitting.Asked(tolerance_mm, tolerance_deg, no_markers, steps))
+    lines = list(found.lines())
+    if out is not None:
+        with writing(out):
+            found.write(out)
+        lines.append(f"{out}: the sensor file of this unit")
+    show_result(found.plain(), "\n".join(lines), as_json)
+
+
+@app.command()
 def doctor(as_json: AsJson = False) -> None:
     """Try what a run needs on this machine: packages, solvers, rendering, HDF5, threads, disk."""
     from tacgen import doctor as checkup

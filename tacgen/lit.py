@@ -22,7 +22,7 @@ def problems(sensor: LitSensor) -> Iterator[Problem]:
         yield Problem(("camera", "tilt_deg"), text)
     yield from _dots(sensor)
     for i, led in enumerate(sensor.leds):
-        found = _led(sensor, led)
+        found = wrong_led(sensor, led)
         if found:
             yield Problem(("leds", i, found[0]), f"{led.name}: {found[1]}")
 
@@ -70,8 +70,8 @@ def _dots(sensor: LitSensor) -> Iterator[Problem]:
             yield Problem(("markers", name), f"{count} at a pitch of {pitch:g} mm do not fit on {size:g} mm of gel")
 
 
-def _led(sensor: LitSensor, led: Led) -> tuple[str, str] | None:
-    """The key that is wrong, and why."""
+def wrong_led(sensor: LitSensor, led: Led) -> tuple[str, str] | None:
+    """The key of an LED that is wrong, and why; None where it can be."""
     normal, up = _unit(led.normal), _unit(led.up)
     along = _unit(_cross(up, normal)) if normal and up else None
     if normal is None or along is None:

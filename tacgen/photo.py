@@ -57,6 +57,15 @@ def read(path: Path) -> "np.ndarray":
         raise UserError(f"{path}: {reason}") from error
 
 
+def shrunk(light: "np.ndarray", width: int, height: int) -> "np.ndarray":
+    """A picture of linear light (H, W, 3) averaged over larger pixels (height, width, 3)."""
+    import numpy as np
+    from PIL import Image
+
+    channels = [Image.fromarray(c) for c in np.moveaxis(light.astype(np.float32), -1, 0)]
+    return np.stack([np.asarray(c.resize((width, height), Image.Resampling.BOX), dtype=float) for c in channels], -1)
+
+
 def gain(path: Path, flat: "np.ndarray", camera: Camera) -> "np.ndarray":
     """What rendered radiance (H, W, 3) is multiplied by to be as photographed, `flat` being rendered untouched.
 

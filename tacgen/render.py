@@ -120,6 +120,7 @@ class Cloudy:
         share = cloudy.thickness(sensor.gel, View(coarse, sheet, False).look(dent).position).reshape(ratio.shape[:2])
         near, reach = cloudy.wander(bright, share, coarse.camera.mm_per_px, ratio)
         self.scattered = spread(np.einsum("khwc,kc->hwc", map_, light), Camera.from_sensor(sensor).shape)
+        self.maps = map_
         self._bright, self._near, self._reach = bright, near, reach / sensor.camera.mm_per_px * samples
 
     def seen(self, at: Samples) -> "Floats":

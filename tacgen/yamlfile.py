@@ -4,7 +4,7 @@ PyYAML is not used: it reads 1e5 as a string and `no` as False, and takes duplic
 """
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -185,6 +185,43 @@ def load(path: Path) -> Tree:
     if "\0" in text:
         raise UserError(f"{name}: is not a text file (UTF-8)")
     return parse(text, Source(name, tuple(text.splitlines()) or ("",), path.parent))
+
+
+def edited(path: Path, changes: Mapping[KeyPath, Any]) -> str:
+    """The text of a YAML file with other values at some paths, its comments kept; None takes a key out."""
+    from io import StringIO
+
+    from ruamel.yaml import YAML
+    from ruamel.yaml.comments import CommentedSeq
+
+    yaml = YAML(typ="rt")
+    yaml.indent(mapping=2, sequence=4, offset=2)
+    yaml.width = 4096  # lines stay as they are
+    root = yaml.load(path.read_text(encoding="utf-8-sig"))
+
+    def written(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: written(item) for key, item in value.items()}
+        if not isinstance(value, list):
+            return value
+        rows = any(isinstance(item, list) for item in value)
+        made = CommentedSeq([written(item) for item in value])
+        (made.fa.set_block_style if rows else made.fa.set_flow_style)()
+        return made
+
+    for (*way, last), value in changes.items():
+        node: Any = root
+        for step in way:
+            node = node[step]
+        if value is None:
+            node.pop(last, None)
+        elif isinstance(last, int) or last in node or "source" not in node:
+            node[last] = written(value)
+        else:  # a new key goes before the source, which stands last
+            node.insert([*node].index("source"), last, written(value))
+    out = StringIO()
+    yaml.dump(root, out)
+    return out.getvalue()
 
 
 def parse(text: str, source: Source) -> Tree:

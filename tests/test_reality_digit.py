@@ -45,23 +45,21 @@ def test_the_untouched_picture_is_like_the_photograph(compare, untouched):
 def test_dents_are_like_the_photographed_ones(compare, renderer, sensor):
     found = []
     for name in ("sphere_0005.png", "sphere_0010.png", "sphere_0036.png"):
-        real = compare.load(PHOTOS / name)
-        made = renderer.develop(renderer.image(compare.digit_dent(sensor, name)))
-        x, y, _ = compare.DIGIT_DENTS[name]
-        middle = compare.Camera.from_sensor(sensor).project([[x, y, -0.4]])[0]
+        press = compare.digit_press(PHOTOS, name)
+        made = renderer.develop(renderer.image(compare.under.face(sensor, press, {})))
         down, across = np.mgrid[:320, :240] + 0.5
-        found.append(compare.similarity(real, made, np.hypot(across - middle[0], down - middle[1]) < 60))
+        near = np.hypot(across - press.center[0], down - press.center[1]) < 60
+        found.append(compare.similarity(press.picture, made, near))
     assert min(found) > 0.79, found
     assert np.mean(found) > 0.81, found
 
 
 def test_each_led_casts_its_fan_where_the_real_one_does(compare, renderer, sensor, untouched):
     """Beyond the dent the blue falls upward, the green to the lower right, the red to the lower left."""
-    name = "sphere_0005.png"
-    real = compare.load(PHOTOS / name).astype(float) - compare.load(PHOTOS / "background.png")
-    made = renderer.develop(renderer.image(compare.digit_dent(sensor, name))).astype(float) - untouched
-    x, y, _ = compare.DIGIT_DENTS[name]
-    middle = compare.Camera.from_sensor(sensor).project([[x, y, -0.4]])[0]
+    press = compare.digit_press(PHOTOS, "sphere_0005.png")
+    real = press.picture.astype(float) - compare.load(PHOTOS / "background.png")
+    made = renderer.develop(renderer.image(compare.under.face(sensor, press, {}))).astype(float) - untouched
+    middle = np.array(press.center)
     down, across = np.mgrid[:320, :240] + 0.5
     for channel, way in ((2, (0.0, -1.0)), (1, (0.8, 0.6)), (0, (-0.8, 0.6))):
         at = middle + 44 * np.array(way)

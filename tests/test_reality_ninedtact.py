@@ -22,13 +22,13 @@ def test_the_press_is_like_the_photographed_one():
     real0, real = (compare.load(PHOTOS / f"{name}_rectified.png") for name in ("reference", "ball_R4mm"))
     made0 = renderer.develop(renderer.flat())
     assert made0.mean(axis=(0, 1)) == pytest.approx(real0.mean(axis=(0, 1)), abs=5)
-    made = renderer.develop(renderer.image(compare.solved_press(PHOTOS, sensor)))
+    press = compare.nine_press(PHOTOS)
+    made = renderer.develop(renderer.image(compare.under.face(sensor, press, {})))
     everywhere = np.ones(real.shape[:2], bool)
     level = np.clip(made.astype(int) - made0 + real0, 0, 255).astype(np.uint8)
     assert compare.similarity(real, level, everywhere) > 0.985
     grey, rendered = real.mean(axis=2) - real0.mean(axis=2), made.mean(axis=2) - made0.mean(axis=2)
-    middle = compare.dark_middle(grey)
-    a, b = (compare.profile(c, middle, sensor.camera.mm_per_px) for c in (grey, rendered))
+    a, b = (compare.profile(c, press.center, sensor.camera.mm_per_px) for c in (grey, rendered))
     peak = np.abs(a).max()
     assert np.sqrt(np.mean((a - b) ** 2)) < 0.03 * peak
     assert b.min() == pytest.approx(a.min(), abs=0.05 * peak)

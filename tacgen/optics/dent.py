@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
+SHALLOW = 0.95  # contact radius over the ball's, at most
 FADE = 2.0  # [mm] over which a thin bonded gel, unlike Hertz's half-space, forgets the dent
 
 
@@ -26,16 +27,28 @@ class BallDent:
     face: Surface = field(default_factory=Untouched)  # untouched; on a dome `radius` is relative
 
     @classmethod
-    def seen(cls, camera: Camera, radius: float, center_px: tuple[float, float], contact_px: float) -> "BallDent":
-        """The dent whose contact circle a photograph shows at `center_px` with radius `contact_px` [px]."""
-        contact, center = contact_px * camera.mm_per_px, (0.0, 0.0)
+    def seen(
+        cls,
+        camera: Camera,
+        radius: float,
+        center_px: tuple[float, float],
+        contact_px: float,
+        face: Surface | None = None,
+        bend: float = 0.0,
+    ) -> "BallDent":
+        """The dent whose contact circle a photograph shows at `center_px` with radius `contact_px` [px].
+
+        `face` is the untouched one, a plane at z = 0 if None, and `bend` its mean curvature [1/mm].
+        """
+        face, radius = face or Untouched(), 1 / (1 / radius + bend)
+        contact, center = contact_px * camera.mm_per_px, np.zeros(2)
         for _ in range(5):  # the circle lies below the untouched face, where everything looks larger
-            plane = -(contact**2) / (2 * radius)
+            plane = face.at(center[None])[0, 2] - contact**2 / (2 * radius)
             around = contact_px * np.array([[-1, 0], [1, 0], [0, -1], [0, 1]])
             origin, direction = camera.rays(around + center_px)
             hit = (origin + direction * ((plane - origin[:, 2]) / direction[:, 2])[:, None])[:, :2]
-            contact, center = float(np.linalg.norm(hit - hit.mean(axis=0), axis=1).mean()), tuple(hit.mean(axis=0))
-        return cls(radius, contact, (float(center[0]), float(center[1])))
+            contact, center = float(np.linalg.norm(hit - hit.mean(axis=0), axis=1).mean()), hit.mean(axis=0)
+        return cls(radius, min(contact, SHALLOW * radius), (float(center[0]), float(center[1])), face)
 
     def at(self, xy: Any) -> "Floats":
         """Current positions (n, 3) [mm] of rest positions (n, 2) [mm]; points move along z only."""

@@ -34,6 +34,11 @@ def linear(counts: "Floats") -> "Floats":
     return np.where(counts <= 0.04045, counts / 12.92, ((counts + 0.055) / 1.055) ** 2.4)
 
 
+def slope(linear: "Floats") -> "Floats":
+    """d srgb / d linear."""
+    return np.where(linear <= 0.0031308, 12.92, 1.055 / 2.4 * np.maximum(linear, 1e-4) ** (1 / 2.4 - 1))
+
+
 def stray(camera: "Camera") -> "Floats":
     """Radiance (H, W, 3) of a bare coat in the stray light alone: `ambient` after the vignette and the exposure."""
     return np.asarray(np.array(camera.ambient) / (camera.exposure * vignette(camera)[..., None]))

@@ -1,0 +1,149 @@
+"""Photographs of one's own unit -> a sensor file with its lights, by least squares on the transport."""
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+from tacgen import assets, load, yamlfile
+from tacgen.explain import Problem, report
+from tacgen.sensor import LIGHTS, LitSensor, Sensor
+from tacgen.yamlfile import KeyPath
+
+if TYPE_CHECKING:
+    from tacgen.calibrate.fitted import Fitted
+    from tacgen.calibrate.photos import Photos
+
+BY = "by tacgen calibrate optics"
+EVERY = 3  # of so many presses the last is held out
+
+
+@dataclass(frozen=True)
+class Asked:
+    """How far a fit may go, and how long."""
+
+    mm: float = 0.5  # that LEDs and the picture's crop may be off
+    deg: float = 5.0  # that LEDs may be turned
+    bare: bool = False  # the photographed gel has no dots, whatever the sensor file says
+    steps: int = 10  # most Jacobians
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    """A fit, and what it changes of the sensor file."""
+
+    path: Path
+    sensor: Sensor  # as it was
+    photographs: str
+    fitted: "Fitted"
+    held_out: tuple[str, ...]  # files
+    changes: dict[KeyPath, Any]
+
+    def lines(self) -> Iterator[str]:
+        """For a person."""
+        yield f"{self.sensor.name}: fitted to {self.photographs}"
+        found = self.fitted
+        yield f"untouched: off by {found.untouched:.1f} counts rms (the file as it was: {found.before:.1f})"
+        if found.presses is not None:
+            yield f"change under the presses: off by {found.presses:.1f} counts rms"
+        if found.held_out is not None:
+            names = ", ".join(self.held_out)
+            yield f"change under {names}, held out: off by {found.held_out:.1f} counts rms"
+        for led, now in zip(self.sensor.leds or (), found.sensor.leds, strict=True):
+            before = sum(led.light)
+            times = f"{sum(now.light) / before:.2f} times as strong" if before else "lit"
+            moved = sum((a - b) ** 2 for a, b in zip(led.center_mm, now.center_mm, strict=True)) ** 0.5
+            yield f"  {led.name}: {times}, moved {moved:.2f} mm, radiance {_plain(now.radiance)}"
+
+    def plain(self) -> dict[str, Any]:
+        """For a program."""
+        found = self.fitted
+        errors = {name: getattr(found, name) for name in ("untouched", "before", "presses", "held_out")}
+        changes = {yamlfile.format_path(path): value for path, value in self.changes.items()}
+        return {"sensor": self.sensor.name, **errors, "held_out_files": list(self.held_out), "changes": changes}
+
+    def write(self, out: Path) -> None:
+        """The sensor file with the changes in it, its comments kept."""
+        changes = dict(self.changes)
+        if self.sensor.gel.solid is not None:
+            solid = assets.mesh_path(self.sensor.gel.solid.file, self.path.parent)
+            changes[load.SOLID] = os.path.relpath(solid.resolve(), out.parent.resolve())
+        out.parent.mkdir(parents=True, exist_ok=True)
+        out.write_text(yamlfile.edited(self.path, changes), encoding="utf-8")
+
+
+def optics(name: str, folder: Path, asked: Asked | None = None) -> Calibrated:
+    """Fit the lights of a sensor file, given by name or path, to the photographs in a folder.
+
+    Raises:
+        UserError: what is missing from the folder, or cannot be used.
+    """
+    from tacgen.calibrate import photos as reading
+
+    asked, path = asked or Asked(), assets.sensor_path(name)
+    sensor, tree = load.read_sensor(path)
+    if not sensor.lit:
+        missing = next(part for part in LIGHTS if getattr(sensor, part) is None)
+        problem = Problem((missing,), "is missing: a fit starts from a file with all its lights, roughly placed")
+        raise report([(problem, tree)])
+    lit, photos = cast(LitSensor, sensor), reading.read(folder, sensor.camera)
+    folders = {("sensor", *load.SOLID): load.solid_folder(tree)} if sensor.gel.solid else {}
+    held_out = [k for k in range(1, len(photos.presses) + 1) if k % EVERY == 0]
+    if any(layer.scattering for layer in sensor.gel.clear_layers):
+        from tacgen.calibrate import cloudy
+
+        found = cloudy.fit(lit, photos, held_out, folders)
+    else:
+        from tacgen.calibrate import clear
+
+        found = clear.fit(lit, photos, held_out, folders, asked)
+    said = _said(photos)
+    changes = _changes(lit, found, said, bare=asked.bare)
+    names = tuple(photos.presses[k - 1].name for k in held_out)
+    return Calibrated(path, sensor, said, found, names, changes)
+
+
+def _said(photos: "Photos") -> str:
+    presses = f" and {len(photos.presses)} presses" if photos.presses else ""
+    return f"an untouched picture{presses} of one unit ({photos.folder.resolve().name})"
+
+
+def _changes(sensor: LitSensor, found: "Fitted", said: str, *, bare: bool) -> dict[KeyPath, Any]:
+    """What of the sensor file is another now, by path; None where a key goes."""
+    now, by = found.sensor, f"fitted to {said} {BY}"
+    out: dict[KeyPath, Any] = {}
+    for k, (led, new) in enumerate(zip(sensor.leds, now.leds, strict=True)):
+        out["leds", k, "radiance"] = _plain(new.radiance)
+        out["leds", k, "power"] = None
+        if new.center_mm != led.center_mm:
+            out["leds", k, "center_mm"] = [round(v, 3) for v in new.center_mm]
+            out["leds", k, "normal"] = [round(v, 4) for v in new.normal]
+        out["leds", k, "source"] = by
+    for part, keys in (("coating", ("specular", "roughness")), ("camera", ("ambient", "vignette_mm", "crop_mm"))):
+        before, after = getattr(sensor, part), getattr(now, part)
+        new_keys = [key for key in keys if getattr(after, key) != getattr(before, key)]
+        out |= {(part, key): _plain(getattr(after, key)) for key in new_keys}
+        if new_keys:
+            names = ", ".join(key.removesuffix("_mm") for key in new_keys)
+            own = (
+                before.source.split(f"; {new_keys[0].removesuffix('_mm')}")[0] if BY in before.source else before.source
+            )
+            out[part, "source"] = f"{own}; {names} {by}"
+    if now.thickness_response is not None and now.thickness_response != sensor.thickness_response:
+        table = now.thickness_response
+        out["thickness_response",] = {
+            "change_mm": _plain(table.change_mm),
+            "gain": [_plain(row) for row in table.gain],
+            "source": f"{by}: what the unit shows beyond light transport, of unknown cause",
+        }
+    if bare and sensor.markers is not None:
+        out["markers",] = None
+    return out
+
+
+def _plain(value: Any) -> Any:
+    """Numbers with four digits, as a person would write them."""
+    if isinstance(value, tuple):
+        return [_plain(v) for v in value]
+    return float(f"{value:.4g}")

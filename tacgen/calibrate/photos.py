@@ -1,0 +1,141 @@
+"""A folder of photographs of one's own unit: it untouched, and balls pressed into it, each a row of presses.csv."""
+
+import csv
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from tacgen import photo
+from tacgen.errors import UserError
+from tacgen.sensor import Camera
+
+Array = np.ndarray
+UNTOUCHED = ("background.png", "background.jpg", "background.jpeg", "background.bmp")
+TABLE = "presses.csv"
+NEEDED = ("file", "ball_radius_mm", "x_px", "y_px")
+EITHER = ("contact_radius_px", "depth_mm")
+SATURATED, DARK = 254, 5  # counts of 8 bit
+MOST_SATURATED = 0.01  # share of the pixels
+
+
+@dataclass(frozen=True)
+class Press:
+    """One photographed press: its ball, and how deep it is, or how large its contact looks."""
+
+    name: str
+    picture: Array  # (H, W, 3), 8 bit
+    ball: float  # radius [mm]
+    center: tuple[float, float]  # of the contact [px]
+    contact: float | None  # its radius [px]
+    depth: float | None  # [mm] from first touch
+
+
+@dataclass(frozen=True)
+class Photos:
+    """All photographs of one unit."""
+
+    folder: Path
+    untouched: Array  # (H, W, 3), 8 bit
+    presses: tuple[Press, ...]
+
+
+def read(folder: Path, camera: Camera) -> Photos:
+    """The photographs in a folder. Raises UserError: every one that is missing or cannot be used, a line each."""
+    found = next((folder / name for name in UNTOUCHED if (folder / name).is_file()), None)
+    wrong: list[str] = []
+    if not folder.is_dir():
+        raise UserError(f"{folder}: no such folder")
+    if found is None:
+        wrong.append(f"{folder}: holds no background.png, the photograph of the untouched sensor")
+    untouched = np.zeros(0) if found is None else _picture(found, camera, wrong)
+    presses = []
+    for line, row in _rows(folder / TABLE, wrong):
+        press = _press(folder, line, row, camera, wrong)
+        presses += [press] if press else []
+    if wrong:
+        raise UserError(wrong)
+    return Photos(folder, untouched, tuple(presses))
+
+
+def _picture(path: Path, camera: Camera, wrong: list[str]) -> Array:
+    """The picture, if it can be calibrated with."""
+    try:
+        picture = photo.read(path)
+    except UserError as error:
+        wrong += error.lines
+        return np.zeros(0)
+    height, width = picture.shape[:2]
+    if (width, height) != (camera.width_px, camera.height_px):
+        wrong.append(
+            f"{path}: is {width} x {height}, and the camera's pictures are {camera.width_px} x {camera.height_px}:"
+            " crop and resize it as they are"
+        )
+        return picture
+    if (share := np.mean((picture >= SATURATED).any(axis=2))) > MOST_SATURATED:
+        wrong.append(f"{path}: {100 * share:.0f} % of its pixels are saturated: expose it less, and all others alike")
+    if picture.mean() < DARK:
+        wrong.append(f"{path}: is dark, {picture.mean():.1f} of 255 in the mean: are the LEDs on?")
+    return picture
+
+
+def _rows(table: Path, wrong: list[str]) -> list[tuple[int, dict[str, str]]]:
+    """The table's rows with their lines in it; none where there is no table."""
+    if not table.is_file():
+        return []
+    try:
+        text = table.read_text(encoding="utf-8-sig")
+        reader = csv.DictReader(text.splitlines(), strict=True)
+        header = [name.strip() for name in reader.fieldnames or ()]
+        reader.fieldnames = header
+        rows = [(reader.line_num, row) for row in reader]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        wrong.append(f"{table}: is no table of comma-separated values: {error}")
+        return []
+    missing = [name for name in NEEDED if name not in header]
+    if not any(name in header for name in EITHER):
+        missing.append(" or ".join(EITHER))
+    if missing:
+        wrong.append(f"{table}: has no column {', '.join(missing)} (its header: {','.join(header)})")
+        return []
+    return rows
+
+
+def _press(folder: Path, line: int, row: dict[str, str], camera: Camera, wrong: list[str]) -> Press | None:
+    """One row, if nothing is wrong with it."""
+    said = f"{folder / TABLE}:{line}"
+    name = (row["file"] or "").strip()
+    if not name:
+        wrong.append(f"{said}: file: is missing")
+        return None
+    before = len(wrong)
+    number: dict[str, float] = {}
+    for column in (*NEEDED[1:], *EITHER):
+        text = (row.get(column) or "").strip()
+        if not text and column in EITHER:
+            continue
+        try:
+            number[column] = float(text)
+        except ValueError:
+            number[column] = math.nan
+        if not math.isfinite(number[column]) or (number[column] <= 0 and column not in ("x_px", "y_px")):
+            wrong.append(f"{said}: {column}: must be a number{_positive(column)} (got {text!r})")
+    if sum(column in number for column in EITHER) != 1:
+        wrong.append(f"{said}: must hold exactly one of {', '.join(EITHER)}")
+    picture = _picture(folder / name, camera, wrong)
+    if len(wrong) > before:
+        return None
+    x, y, contact = number["x_px"], number["y_px"], number.get("contact_radius_px")
+    if not (0 <= x <= camera.width_px and 0 <= y <= camera.height_px):
+        wrong.append(f"{said}: ({x:g}, {y:g}) lies outside the picture")
+    if contact is not None and contact * camera.mm_per_px >= number["ball_radius_mm"]:
+        size = contact * camera.mm_per_px
+        wrong.append(f"{said}: contact_radius_px: is {size:.3g} mm, and the ball's radius {row['ball_radius_mm']}")
+    if len(wrong) > before:
+        return None
+    return Press(name, picture, number["ball_radius_mm"], (x, y), contact, number.get("depth_mm"))
+
+
+def _positive(column: str) -> str:
+    return "" if column in ("x_px", "y_px") else " greater than 0"
