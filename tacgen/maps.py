@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tacgen.fem.elements import PIECES, QUAD_CORNERS, facet_areas, facet_corners, facet_points
 from tacgen.fem.elements import triangles as pieces
 from tacgen.fields import Surface
 from tacgen.optics.raster import draw
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
 Array = np.ndarray
 RIM = 0.4  # share of points in contact at the contact map's rim: less than half, for the rim passes outside of them
 VISIBLE = 0.9  # of its share of the face: a node seen less than that lies partly out of view
+SHARPENED = 2  # times: see `maps`; more of them sharpen the rim's noise more than the rim
 
 
 @dataclass(frozen=True)
@@ -56,66 +58,109 @@ def tangents(normal: Array) -> tuple[Array, Array]:
 def maps(problem: Problem, surface: Surface, state: State, camera: "Camera") -> Maps:
     """Pressure and traction behind each pixel, through the camera's refraction.
 
-    Nodal forces are shared among the pixels that see the node, in proportion to its shape function and their area: the
-    resultant is kept exactly, whatever the pixels. Normal forces and the two tangential components are spread as
-    numbers: as vectors they would partly cancel around a bend. Where friction slides its sizes are, too, since Coulomb
-    says the size: directions that differ around a node would cancel, and the map fall short of his law.
+    The force at each point of contact is shared among the corners of its facet, and each corner's sum among the pixels
+    around it: in proportion to linear shape functions, to the pixels' area, and to a weight. The resultant is kept
+    exactly, whatever the pixels. Even weights would blur the map twice, once by each sharing; so the pressure that they
+    give is the weight of the next sharing (Richardson 1972, Lucy 1974), which is as positive and as exact in sum.
+
+    Normal forces and the two tangential components are spread as numbers: as vectors they would partly cancel around a
+    bend. Where friction slides its sizes are, too, since Coulomb says the size: directions that differ around a node
+    would cancel, and the map fall short of his law.
     """
-    view, faces, n = _View(surface, camera), problem.contact.faces, len(state.x)
+    faces, on = problem.contact.faces, np.asarray(state.normal_force > 0)
+    view = _View(surface, camera, faces.N, np.asarray(on.any(1)))
+    touched, whole = (view.at(view.corners(faces.areas * part)) for part in (on, 1.0))
+    contact = view.picture(touched / whole)[..., 0] >= RIM
+    for _ in range(SHARPENED):
+        view.weight = view.shared(state.normal_force)[:, 0]
 
     def spread(per_point: Array) -> Array:
-        return view.spread(faces.shared(per_point, n)[surface.nodes])
+        return view.picture(view.shared(per_point))
 
-    pressure = spread(state.normal_force[..., None])[..., 0]
+    pressure = spread(state.normal_force)[..., 0]
     force = spread(state.traction_force) * view.area[..., None]
-    touched = state.normal_force > 0
-    part = [faces.shared((faces.areas * points)[..., None], n)[surface.nodes] for points in (touched, 1.0)]
-    contact = view.at(part[0] / part[1])[..., 0] >= RIM
     traction, sliding = np.zeros((*camera.shape, 2)), np.zeros(camera.shape)
     if state.friction is not None and state.sliding is not None:
         components = [(state.friction * axis).sum(-1) for axis in tangents(-state.normal)]
-        slid = spread((state.normal_force * state.sliding)[..., None])
-        sliding = np.divide(slid[..., 0], pressure, out=sliding, where=pressure > 0)
+        slid = spread(state.normal_force * state.sliding)[..., 0]
+        sliding = np.divide(slid, pressure, out=sliding, where=pressure > 0)
         mean = spread(np.stack(components, -1))
-        length, size = np.linalg.norm(mean, axis=-1), spread(np.linalg.norm(state.friction, axis=-1)[..., None])[..., 0]
+        length, size = np.linalg.norm(mean, axis=-1), spread(np.linalg.norm(state.friction, axis=-1))[..., 0]
         longer = np.divide(size, length, out=np.ones(camera.shape), where=length > 1e-9 * size)
         traction = mean * (1 + sliding * (longer - 1))[..., None]
     return Maps(pressure, traction, contact, sliding, view.area, force)
 
 
-class _View:
-    """The deformed face as the camera sees it: which nodes are behind each pixel, and how much of the face."""
+def linear(kind: int, at: Array) -> Array:
+    """Linear shape functions (n, k) of the corners of a facet of 3, 4 or 6 nodes at its coordinates (n, 2)."""
+    u, v = at.T
+    if kind == 4:
+        return np.stack([(1 + a * u) * (1 + b * v) / 4 for a, b in QUAD_CORNERS], -1)
+    return np.stack([1 - u - v, u, v], -1)
 
-    def __init__(self, surface: Surface, camera: "Camera") -> None:
-        triangles = pieces(surface.facets)
+
+class _View:
+    """The deformed face as the camera sees it: how much of it (h, w) [mm^2] is behind each pixel, and which facets are.
+
+    Of the p pixels (`seen`) that see a facet with a corner in common with one that is touched (f,): the corners (p, k)
+    of the facet there, their shape functions' values (p, k), and the weight (p,) of the pixel in sharing forces.
+    N (q, a) says where on a facet the points of contact are.
+    """
+
+    def __init__(self, surface: Surface, camera: "Camera", N: Array, touched: Array) -> None:
+        facets, kind, triangles = surface.facets, surface.facets.shape[1], pieces(surface.facets)
         corner = surface.now[triangles]  # (t, 3, 3)
         screen = camera.project(surface.now)[triangles]
         face_area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1) / 2
         pixels = np.abs(np.linalg.det(screen[:, 1:] - screen[:, :1])) / 2
 
-        # each triangle with corners of its own, drawn with its number and barycentric coordinates
+        # each triangle with corners of its own, drawn with its number and its place in the facet
         own = np.arange(3 * len(triangles), dtype=np.uint32).reshape(-1, 3)
         number = np.repeat(np.arange(len(triangles)), 3)[:, None]
-        values = np.concatenate([number, np.tile(np.eye(3), (len(triangles), 1))], 1)
+        place = np.repeat(facet_corners(kind)[np.array(PIECES[kind])], len(facets), 0).reshape(-1, 2)
+        values = np.concatenate([number, place], 1)
         picture = draw(own, screen.reshape(-1, 2), -corner[..., 2].ravel(), values, camera.shape)
-        self.seen = np.isfinite(picture[..., 0])
-        t = np.round(picture[self.seen][:, 0]).astype(int)
-        self.nodes, self.share = triangles[t], picture[self.seen][:, 1:]  # (p, 3)
-        self.area = np.zeros(camera.shape)
-        self.area[self.seen] = face_area[t] / pixels[t]
+        gel, t = np.asarray(np.isfinite(picture[..., 0])), np.zeros(camera.shape, int)
+        t[gel] = np.round(picture[gel][:, 0])
+        self.area = np.where(gel, (face_area / np.maximum(pixels, 1e-300))[t], 0.0)
 
-        count = len(surface.now)
-        whole = np.bincount(triangles.ravel(), np.repeat(face_area / 3, 3), count)
-        visible = np.bincount(self.nodes.ravel(), (self.share * self.area[self.seen][:, None]).ravel(), count)
-        self._weight = np.where(visible > VISIBLE * whole, visible, whole)
+        self._ends, self._hats = facets[:, : 4 if kind == 4 else 3], linear(kind, N @ facet_corners(kind))
+        around = np.zeros(len(surface.now), bool)
+        around[self._ends[touched]] = True
+        self.seen = gel & np.asarray(around[self._ends].any(1))[t % len(facets)]
+        self.nodes = self._ends[t[self.seen] % len(facets)]
+        self.shape = linear(kind, picture[self.seen][:, 1:])
+        self.weight = np.ones(len(self.nodes))
 
-    def at(self, nodal: Array) -> Array:
-        """Nodal values (s, c) behind each pixel (h, w, c); 0 where there is no gel."""
-        out = np.zeros((*self.area.shape, nodal.shape[1]))
-        out[self.seen] = np.einsum("pk,pkc->pc", self.share, nodal[self.nodes])
+        areas = facet_areas(surface.now, facets)[0] @ linear(kind, facet_points(kind)[0] @ facet_corners(kind))
+        whole, visible = np.bincount(self._ends.ravel(), areas.ravel()), self._held()
+        self._visible = np.where(visible > VISIBLE * whole, 1.0, visible / np.maximum(whole, 1e-300))
+
+    def corners(self, per_point: Array) -> Array:
+        """Sums (s, c) at the facets' corners of what is at the contact's points, (f, q, c) or numbers (f, q)."""
+        per_point = per_point.reshape(*per_point.shape[:2], -1)
+        out = np.zeros((int(self._ends.max()) + 1, per_point.shape[2]))
+        np.add.at(out, self._ends, np.einsum("qk,fqc->fkc", self._hats, per_point))
         return out
 
-    def spread(self, force: Array) -> Array:
-        """Nodal sums (s, c) by area of the face (h, w, c). A node partly out of view keeps the area it has on the
-        mesh."""
-        return self.at(force / self._weight[:, None])
+    def at(self, nodal: Array) -> Array:
+        """Values (s, c) at the corners, behind each of the pixels (p, c)."""
+        return np.asarray(np.einsum("pk,pkc->pc", self.shape, nodal[self.nodes]))
+
+    def shared(self, per_point: Array) -> Array:
+        """Forces at the points by area of the face (p, c), in proportion to the weights; of what is shared to a corner
+        partly out of view, the part in view."""
+        force, held = self.corners(per_point), self._held()
+        scale = np.divide(self._visible, held, out=np.zeros(len(held)), where=held > 0)
+        return self.at(force * scale[:, None]) * self.weight[:, None]
+
+    def picture(self, values: Array) -> Array:
+        """Values (p, c) on the image (h, w, c), 0 elsewhere."""
+        out = np.zeros((*self.area.shape, values.shape[1]))
+        out[self.seen] = values
+        return out
+
+    def _held(self) -> Array:
+        """Weighted area (s,) of the pixels around each corner."""
+        held = self.shape * (self.weight * self.area[self.seen])[:, None]
+        return np.bincount(self.nodes.ravel(), held.ravel(), int(self._ends.max()) + 1)

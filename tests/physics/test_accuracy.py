@@ -8,11 +8,11 @@ from tacgen.bench import accuracy
 
 @pytest.mark.slow
 def test_default_presses_as_the_reference_does() -> None:
-    """Force within 1 %; the pressure map is 5.2 % off in the mean square, at the rim: 4.1 % at an edge of .35 mm."""
+    """Force within 1 %; the pressure map is 4 % off in the mean square, nearly all of it at the rim."""
     reference, found = (accuracy.answer(accuracy.SCENES["gelsight_mini press"], q) for q in ("reference", "default"))
     assert found.force[2] == pytest.approx(reference.force[2], rel=0.01)
     assert found.area == pytest.approx(reference.area, rel=0.04)
     off = found.pressure - reference.pressure
     size = np.linalg.norm(reference.pressure)
-    assert 0.01 < np.linalg.norm(off) / size < 0.06
+    assert 0.01 < np.linalg.norm(off) / size < 0.05
     assert np.linalg.norm(off[reference.pressure > 0.6 * reference.pressure.max()]) < 0.03 * size
