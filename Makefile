@@ -2,6 +2,7 @@
 #   make demo    one press, slide and twist: a bundle and a picture of it in out/
 #   make data    every recipe's data set in data/, WORKERS scenes at a time; run again, it goes on
 #   make test    the tests
+#   make bench   error against run time, stability, cost: docs/RESULTS.md, in under 20 minutes; BENCH_FLAGS=--full for more
 
 SUITABLE = import sys, venv, ensurepip; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))
 CANDIDATES = python3 python3.13 python3.12 python3.11 python
@@ -51,9 +52,7 @@ smoke: sync
 	done
 
 bench: sync
-	$(BIN)/python scripts/bench_mechanics.py
-	$(BIN)/python scripts/bench_labels.py
-	$(BIN)/python scripts/bench_scale.py --only overhead efficiency memory
+	$(BIN)/tacgen bench -o docs $(BENCH_FLAGS)
 
 demo: sync
 	$(BIN)/tacgen run recipes/quickstart.yaml -o out/quickstart

@@ -332,6 +332,33 @@ def doctor(as_json: AsJson = False) -> None:
     raise typer.Exit(1 if any(f.needed and not f.ok for f in findings) else 0)
 
 
+@app.command()
+def bench(
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[NAME]...", help="mechanics, peers, optics, stability, pay, scaling; all if left out."),
+    ] = None,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for RESULTS.md and results/.")] = Path("out/bench"),
+    full: Annotated[bool, typer.Option("--full", help="Finer meshes, more scenes: an hour or more.")] = False,
+    smoke: Annotated[bool, typer.Option("--smoke", help="As little as shows that it runs.")] = False,
+) -> None:
+    """Measure error against run time, stability, what each output costs and how scenes scale, on this machine."""
+    if full and smoke:
+        raise UserError("--full, --smoke: only one of them")
+    from tacgen import bench as benches
+
+    with writing(out):
+        probe(out)
+        failed = benches.run(
+            names or [],
+            out,
+            "full" if full else "smoke" if smoke else "normal",
+            lambda text: typer.echo(text, err=True),
+        )
+    typer.echo(str(out / benches.PAGE))
+    raise typer.Exit(1 if failed else 0)
+
+
 def _plan(recipe: str, sets: list[str] | None, shard: tuple[int, int] = (0, 1)) -> Any:
     """The plan of a recipe given by path or name, or a shard of it."""
     from tacgen import assets, plan

@@ -1,5 +1,6 @@
 """Scene -> Mesh: fine where the scene can touch and growing away; a tensor grid of hexes, or tets (see tetmesh)."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +18,8 @@ STEEPEST = 1.1  # slope of a signed distance: 1, and a little more where it is i
 TETS = {"tet": (10, 1.125), "linear_tet": (4, 0.8)}
 LEAST_ANGLE = 2.0  # [deg]
 LEAST_JACOBIAN = 0.01
+COARSEST = 4.0  # edge far away [mm], or five of the fine ones
+MOST = 500_000  # nodes: what no machine could factorise
 
 
 @dataclass(frozen=True)
@@ -104,19 +107,25 @@ def heights(gel: Gel, edge: float, growth: float, coarsest: float) -> tuple[Arra
 
 
 def build(
-    gel: Gel, footprint: tuple[float, float, float, float], edge: float, *, growth: float = 1.7, coarsest: float = 4.0
+    gel: Gel, footprint: tuple[float, float, float, float], edge: float, *, growth: float = 1.7, coarsest: float = 0.0
 ) -> Mesh:
     """Graded hexes for a gel with a flat base; each column of the grid is squeezed to the height of the face there.
 
     Args:
         footprint: x0, x1, y0, y1 [mm] of all that the trajectory can touch; its cells are `edge` wide.
-        edge: target edge under the contact [mm]. growth: ratio of neighbouring edges outside. coarsest: far away [mm].
+        edge: target edge under the contact [mm]. growth: ratio of neighbouring edges outside. coarsest: far away [mm],
+            as COARSEST says if 0.
+
+    Raises:
+        UserError: that would be a mesh of more than MOST nodes.
     """
+    coarsest = coarsest or max(COARSEST, 5 * edge)
     x0, x1, y0, y1 = footprint
     xs = graded(-gel.width / 2, gel.width / 2, (x0, x1), edge, growth, coarsest)
     ys = graded(-gel.height / 2, gel.height / 2, (y0, y1), edge, growth, coarsest)
     zs, layer = heights(gel, 1.1 * edge, 1.1, coarsest / 2)
     shape = len(xs), len(ys), len(zs)
+    _refuse_beyond(MOST, math.prod(shape), edge, "nodes")
     points = np.stack(np.meshgrid(xs, ys, zs, indexing="ij"), -1).reshape(-1, 3)
     points[:, 2] += gel.top(points[:, 0], points[:, 1]) * (points[:, 2] + gel.thickness) / gel.thickness
     number = np.arange(len(points)).reshape(shape)
@@ -135,6 +144,14 @@ def build(
     return Mesh(points[used], compact.reshape(-1, 8), layers, {"bonded": rename[bonded], "coated": rename[coated]})
 
 
+def _refuse_beyond(most: float, count: float, edge: float, what: str) -> None:
+    if count > most:
+        raise UserError(
+            f"quality.edge_mm: {edge:g} mm under all that the trajectory touches gives {count:.1g} {what}, and"
+            f" {most:.1g} are the most: a larger edge or a shorter way is needed"
+        )
+
+
 def footprint(scene: Scene) -> tuple[float, float, float, float]:
     """x0, x1, y0, y1 [mm] around all that the scene touches, and half an edge more."""
     where = touched(scene)[:, :2]
@@ -149,6 +166,7 @@ def touched(scene: Scene) -> Array:
     A rigid body cuts a wider patch out of the untouched face than it touches of a soft one: this is on the safe side.
     """
     gel, step = scene.gel, scene.edge / 3
+    _refuse_beyond(60 * MOST, gel.width * gel.height / step**2, scene.edge, "points of the face to look at")
     x, y = (np.arange(-size / 2, size / 2 + step, step) for size in (gel.width, gel.height))
     grid = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
     face = np.column_stack([grid, gel.top(*grid.T)])

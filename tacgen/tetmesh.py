@@ -20,7 +20,7 @@ from tacgen.gel import Gel
 Array = np.ndarray
 VERSION = 1  # of the cached meshes
 GROWTH = 0.4  # of the edge, per distance from what is touched
-COARSEST = 3.0  # edge far away [mm]
+COARSEST = 3.0  # edge far away [mm], or five of those under the contact
 ENVELOPE = 1e-3  # how far the mesh may leave the surface, as a part of the box's diagonal, before it is drawn to it
 COARSE, FINE = (1.0, 0.1), (0.3, 1e-4)  # step and sag [mm] of the surface that is meshed, and of the true one
 ENERGY = 10.0  # fTetWild ends when its worst cell is this good
@@ -37,8 +37,9 @@ def build(gel: Gel, touched: Array, edge: float, nodes: int) -> tuple[Array, Arr
     vertices, triangles, between = gel.surface(*COARSE)
     low, high = vertices.min(0), vertices.max(0)
     reach = ENVELOPE * float(np.linalg.norm(high - low))
-    background = _background(low, high, touched, edge)
-    asked = (vertices, triangles, np.concatenate([triangles[:0], *between]), *background, COARSEST, ENVELOPE, ENERGY)
+    coarsest = max(COARSEST, 5 * edge)
+    background = _background(low, high, touched, edge, coarsest)
+    asked = (vertices, triangles, np.concatenate([triangles[:0], *between]), *background, coarsest, ENVELOPE, ENERGY)
     key = store.digest((VERSION, version("pytetwild"), *asked))
     points, tets = store.kept("meshes", key, lambda: _tetrahedralise(*asked))
     if not len(tets):
@@ -52,7 +53,7 @@ def build(gel: Gel, touched: Array, edge: float, nodes: int) -> tuple[Array, Arr
     return points, tets, layer, {name: facets[name] for name in ("bonded", "coated")}
 
 
-def _background(low: Array, high: Array, touched: Array, edge: float) -> tuple[Array, Array, Array]:
+def _background(low: Array, high: Array, touched: Array, edge: float, coarsest: float) -> tuple[Array, Array, Array]:
     """A grid of tets around the gel with the edge that is wanted at each of its points."""
     from scipy.spatial import cKDTree
 
@@ -66,7 +67,7 @@ def _background(low: Array, high: Array, touched: Array, edge: float) -> tuple[A
     ways = [(0, 1, 2, 6), (0, 5, 1, 6), (0, 4, 5, 6), (0, 7, 4, 6), (0, 3, 7, 6), (0, 2, 3, 6)]
     tets = np.concatenate([boxes[:, way] for way in ways]).astype(np.int32)
     away = cKDTree(touched).query(points)[0]
-    return points, tets, np.minimum(edge + GROWTH * away, COARSEST)
+    return points, tets, np.minimum(edge + GROWTH * away, coarsest)
 
 
 def _tetrahedralise(

@@ -39,11 +39,12 @@ ORDER = [
     {"bundle"},  # *
     {"derived", "section", "source", "resume"},
     {"export"},
-    {"pipeline", "check", "bench", "calibrate", "show", "doctor", "schema", "listing", "table", "progress"},
+    {"pipeline", "check", "calibrate", "show", "doctor", "schema", "listing", "table", "progress"},
     {"batch", "show_field"},
     {"survey", "pack", "torch"},
     {"overview"},
     {"card", "report"},
+    {"bench"},
     {"cli"},
     {"__main__"},
 ]
@@ -55,7 +56,7 @@ ALLOWED_IN_LIBRARIES = {"numpy", "scipy", "numba"}
 HOMES = {
     "mitsuba": {"tracer"},
     "drjit": {"tracer"},
-    "matplotlib": {"show", "show_field"},
+    "matplotlib": {"show", "show_field", "bench.kit"},
     "mpl_toolkits": {"show"},
     "h5py": {"bundle", "doctor", "export.vtkhdf", "export.univtac", "pack", "torch"},
     "cvxopt": {"fem.linear"},
@@ -149,7 +150,7 @@ def test_imports_point_up_the_line(name: str):
         elif library:
             assert rank(name) >= FIRST_USER_OF_LIBRARIES, f"{name} imports {module}"
         else:
-            own_folder = target.split(".")[0] == name.split(".")[0] in ("batch", "calibrate", "export")
+            own_folder = target.split(".")[0] == name.split(".")[0] in ("batch", "bench", "calibrate", "export")
             assert rank(target) < rank(name) or own_folder, f"{name} imports {module}"
 
 

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tacgen import mesh
+from tacgen.errors import UserError
 from tacgen.fem.elements import facet_areas, hexes
 from tacgen.fem.materials import NeoHooke
 from tacgen.scene import Gel, Layer
@@ -125,3 +126,16 @@ def test_meshes_are_the_same_each_time_and_arrays_fit_together() -> None:
     assert one.cells.min() == 0
     assert one.cells.max() == len(one.points) - 1
     assert len(one.layer) == len(one.cells)
+
+
+def test_a_mesh_that_no_machine_could_solve_is_refused() -> None:
+    pad = gel(3.0)
+    with pytest.raises(UserError, match=r"quality.edge_mm: 0.01 mm .* gives .* nodes"):
+        mesh.build(pad, (-4.0, 4.0, -4.0, 4.0), 0.01)
+
+
+def test_a_pad_ten_times_as_large_has_as_many_nodes() -> None:
+    small, large = gel(3.0), Gel(120.0, 100.0, 0.0, (Layer(30.0, LAW, 0.15),))
+    one = mesh.build(small, (-2.0, 2.0, -2.0, 2.0), 0.8)
+    ten = mesh.build(large, (-20.0, 20.0, -20.0, 20.0), 8.0)
+    assert len(ten.points) == len(one.points)

@@ -1,1 +1,54 @@
-"""Measurements of the program itself: how far it may be pushed, how right it is, what it costs."""
+"""Measurements of the program itself: how far it may be pushed, how right it is, what it costs.
+
+A bench is a module with `bench(level, say) -> kit.Result`; its name and what it shows are a line of BENCHES. Each
+leaves its figures as JSON and a picture, and the page of results is made of those, whenever they were taken.
+"""
+
+import os
+import time
+import traceback
+from collections.abc import Sequence
+from importlib import import_module
+from pathlib import Path
+
+from tacgen.bench import kit
+from tacgen.errors import UserError
+
+BENCHES = {
+    "mechanics": "error against seconds of mesh, element, contact and solver",
+    "cost": "what a frame costs on every sensor, and how that grows with the mesh",
+    "peers": "the same press by CalculiX, linear tetrahedra, closed forms; published figures",
+    "optics": "error of pictures against seconds",
+    "stability": "extreme and random scenes, condition, sensitivity",
+    "pay": "what each output and feature of a scene costs",
+    "scaling": "scenes an hour, and where the time goes",
+}
+PAGE, FOLDER = "RESULTS.md", "results"
+HEAD = (
+    "Written by `tacgen bench` (`make bench`), never by hand: each part says when, where and with what it was made."
+    " Seconds depend on the machine; ratios between them hardly. All figures are in `results/*.json` too."
+)
+
+
+def run(names: Sequence[str], out: Path, level: kit.Level, say: kit.Say) -> list[str]:
+    """Run these benches, or all, and write `out`/RESULTS.md and `out`/results; the names of those that failed.
+
+    Raises:
+        UserError: a bench of no such name.
+    """
+    if unknown := [name for name in names if name not in BENCHES]:
+        raise UserError(f"{unknown[0]}: must be one of {', '.join(BENCHES)}")
+    os.environ.update(dict.fromkeys(kit.ONE_THREAD, "1"))  # before NumPy comes in
+    failed = []
+    for name in names or BENCHES:
+        begun = time.perf_counter()
+        try:
+            found = import_module(f"tacgen.bench.{name}").bench(level, lambda text, name=name: say(f"{name}: {text}"))
+        except Exception:
+            say(traceback.format_exc())  # the others go on
+            failed.append(name)
+            continue
+        kit.write(out / FOLDER, name, found, time.perf_counter() - begun)
+        say(f"{name}: {time.perf_counter() - begun:.0f} s")
+        kit.page(out / FOLDER, list(BENCHES), out / PAGE, "Results", HEAD)
+    return failed

@@ -1,129 +1,39 @@
-"""Scenes at the end of what can be asked for, and how each ends: no element inside out, no indenter through the gel."""
+"""How scenes at the end of what can be asked for end: no element inside out, no indenter through the gel, no lie."""
 
+import os
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 
 from tacgen import assets, mesh, plan, scene, solve
+from tacgen.bench.answers import changed
+from tacgen.bench.cases import CASES, PLAIN, RANDOM, blade, random, slivers, wavefront
+from tacgen.bench.kit import Cell, Level, Result, Say, Table, columns
 from tacgen.errors import UserError
+from tacgen.fem import newton
 from tacgen.fem.contact import Pose
 from tacgen.fem.elements import HEX_CORNERS
 
 Array = np.ndarray
-Sets = tuple[str, ...]
-
-PLAIN = (
-    "outputs=[force]",
-    "indenter={shape: sphere, radius_mm: 4}",
-    "trajectory=[{press: {depth_mm: 1.0, frames: 2}}, {slide: {x_mm: 0.4, frames: 1}}]",
-    "contact.friction=0.6",
-    "quality={edge_mm: 0.8, dhat_mm: 0.05}",
+ABOUT = (
+    "Scenes at the end of what can be asked for, and random ones: each converges, or is refused before it is solved, or"
+    " is rejected on the way with its reason; none may hand out a frame that is wrong. Over a scene's frames: most"
+    " Newton iterations and substeps, smallest J and gap to the shrunk indenter, how far matter reaches into it between"
+    " the points where contact acts, the largest of force balance and residual as parts of the contact force, and the"
+    " largest rise of the energy over a Newton step, as a part of it."
 )
-SKINNED = ("sensor=ninedtact", "trajectory=[{press: {depth_mm: 0.6, frames: 2}}, {slide: {x_mm: 0.4, frames: 1}}]")
-MEDIUM = "quality={edge_mm: 0.4, dhat_mm: 0.03}"
-FINE = "quality={edge_mm: 0.2, dhat_mm: 0.02}"
-DEEP_SLIDE = "trajectory=[{press: {depth_mm: 3.0, frames: 3}}, {slide: {x_mm: 2, frames: 2}}]"
-SHALLOW = "trajectory=[{press: {depth_mm: 0.3, frames: 2}}, {slide: {x_mm: 0.2, frames: 1}}]"
-JUMP = "trajectory=[{press: {depth_mm: 1.0, frames: 1}}, {slide: {x_mm: 6, frames: 1}}]"
-DROP = "trajectory=[{press: {depth_mm: 1.2, frames: 1}}, {slide: {x_mm: 3, frames: 1}}]"
-
-
-def _youngs(*moduli: float) -> Sets:
-    return tuple(f"sensor.gel.layers[{i}].youngs_modulus_mpa={E}" for i, E in enumerate(moduli))
-
-
-def _indenter(text: str) -> str:
-    return f"indenter={{{text}}}"
-
-
-CASES: dict[str, Sets] = {
-    "1 kPa": _youngs(0.001),
-    "100 MPa": _youngs(100),
-    "nu 0": ("sensor.gel.layers[0].poissons_ratio=0",),
-    "nu 0.4999": ("sensor.gel.layers[0].poissons_ratio=0.4999",),
-    "half deep": ("trajectory=[{press: {depth_mm: 2.0, frames: 2}}]",),
-    "three quarters deep at once": ("trajectory=[{press: {depth_mm: 3.0, frames: 1}}]",),
-    "three quarters deep, nu 0.4999": (
-        "trajectory=[{press: {depth_mm: 3.0, frames: 3}}]",
-        "sensor.gel.layers[0].poissons_ratio=0.4999",
-    ),
-    "three quarters deep, then slid": (
-        "trajectory=[{press: {depth_mm: 3.0, frames: 3}}, {slide: {x_mm: 2, frames: 2}}]",
-    ),
-    "punch three quarters deep": (
-        _indenter("shape: cylinder, radius_mm: 3, fillet_mm: 0.3"),
-        "trajectory=[{press: {depth_mm: 3.0, frames: 1}}]",
-    ),
-    "friction 0": ("contact.friction=0",),
-    "friction 2": ("contact.friction=2",),
-    "cone 30 deg, tip 0.1 mm": (_indenter("shape: cone, half_angle_deg: 30, tip_radius_mm: 0.1"),),
-    "ball of 0.3 mm": (_indenter("shape: sphere, radius_mm: 0.3"), FINE, SHALLOW),
-    "ball of 0.1 mm": (
-        _indenter("shape: sphere, radius_mm: 0.1"),
-        "quality={edge_mm: 0.1, dhat_mm: 0.01}",
-        "trajectory=[{press: {depth_mm: 0.1, frames: 1}}]",
-    ),
-    "skin stiffer 1000:1": (*SKINNED, *_youngs(0.01, 10)),
-    "skin softer 1000:1": (*SKINNED, *_youngs(10, 0.01)),
-    "skin of 0.1 mm": (*SKINNED, "sensor.gel.layers[1].thickness_mm=0.1"),
-    "skin of 0.1 mm, stiffer 1000:1": (*SKINNED, *_youngs(0.01, 10), "sensor.gel.layers[1].thickness_mm=0.1"),
-    "jump across the pad": (JUMP,),
-    "punch jumps across the pad": (_indenter("shape: cylinder, radius_mm: 2, fillet_mm: 0.3"), JUMP),
-    "sharp wedge": (_indenter("shape: wedge, half_angle_deg: 30, tip_radius_mm: 0.1, length_mm: 8"),),
-    "thin torus": (_indenter("shape: torus, radius_mm: 2.5, tube_radius_mm: 0.4"), MEDIUM, DROP),
-    "thin rod": (_indenter("shape: capsule, radius_mm: 0.4, length_mm: 4"), MEDIUM, DROP),
-    "needle": (_indenter("shape: capsule, radius_mm: 0.16, length_mm: 3"), FINE, SHALLOW),
-    "needle on a coarse mesh": (_indenter("shape: capsule, radius_mm: 0.1, length_mm: 6"), DROP),
-    "knife jumps": (
-        _indenter("shape: wedge, half_angle_deg: 10, tip_radius_mm: 0.2, length_mm: 8"),
-        "trajectory=[{press: {depth_mm: 1.5, frames: 1}}, {slide: {x_mm: 5, frames: 1}}]",
-    ),
-    "box twisted by 45 deg a frame": (
-        _indenter("shape: box, size_x_mm: 5, size_y_mm: 3, fillet_mm: 0.4"),
-        "trajectory=[{press: {depth_mm: 0.8, frames: 2}}, {twist: {angle_deg: 90, frames: 2}}]",
-    ),
-    "sphere spun by 180 deg": ("trajectory=[{press: {depth_mm: 1, frames: 1}}, {twist: {angle_deg: 180, frames: 1}}]",),
-    "letters twisted": (
-        _indenter("shape: mesh, file: letters"),
-        "trajectory=[{press: {depth_mm: 0.5, frames: 1}}, {twist: {angle_deg: 10, frames: 2}}]",
-    ),
-    "ball of slivers": (_indenter("shape: mesh, file: {folder}/slivers.obj"),),
-    "blade": (_indenter("shape: mesh, file: {folder}/blade.obj"), DROP),
-}
-
-
-RANDOM = 8  # numbers that a random scene is made of
-
-
-def random(u: Sequence[float]) -> Sets:
-    """A scene from RANDOM numbers in [0, 1]; at 0 it is mild: a ball, shallow, smooth, not slid nor turned."""
-    size = 1.4 + 2.6 * u[1]
-    shapes = (
-        f"shape: sphere, radius_mm: {size}",
-        f"shape: capsule, radius_mm: {size / 2}, length_mm: {size}",
-        f"shape: torus, radius_mm: {size}, tube_radius_mm: {size / 2}",
-        f"shape: cylinder, radius_mm: {size}, fillet_mm: {size / 4}",
-        f"shape: box, size_x_mm: {2 * size}, size_y_mm: {size}, fillet_mm: {size / 4}",
-        f"shape: cone, half_angle_deg: {20 + 10 * size}, tip_radius_mm: {size / 8}",
-        f"shape: wedge, half_angle_deg: {20 + 10 * size}, tip_radius_mm: {size / 8}, length_mm: {2 * size}",
-    )
-    moves = (
-        f"{{press: {{depth_mm: {0.2 + 1.3 * u[2]}, frames: 2}}}}",
-        f"{{slide: {{x_mm: {2 * u[4]}, y_mm: {u[4] * u[5]}, frames: 2}}}}",
-        f"{{twist: {{angle_deg: {30 * u[5]}, frames: 1}}}}",
-        "{release: {frames: 1}}",
-    )
-    return (
-        _indenter(shapes[min(int(u[0] * len(shapes)), len(shapes) - 1)]),
-        f"trajectory=[{', '.join(moves)}]",
-        f"contact.friction={2 * u[3]}",
-        *_youngs(0.001 * 1e5 ** u[6]),
-        f"sensor.gel.layers[0].poissons_ratio={0.4999 * (1 - u[7])}",
-    )
+HEADS = {
+    "case": "", "status": "", "frames": "d", "force [N]": ".4g", "iterations": "d", "substeps": "d", "least J": ".3f",
+    "gap [mm]": ".4f", "overlap [mm]": ".4f", "balance": ".0e", "energy rise": ".0e", "s": ".1f", "why": "",
+}  # fmt: skip
+QUICK = ("1 kPa",)  # for a smoke test
 
 
 @dataclass(frozen=True)
@@ -131,7 +41,8 @@ class Outcome:
     """How a scene ended: `status` is ok, refused (before it was solved) or rejected (on the way), `reason` says why.
 
     Over its frames: most iterations and substeps of one frame; smallest J and gap [mm]; largest force balance and
-    residual; overlap [mm] by which matter of the gel is inside the indenter, between the points where contact acts.
+    residual; overlap [mm] by which matter of the gel is inside the indenter, between the points where contact acts;
+    rise: of the energy over a Newton step that was taken, the largest, as a part of the energy: rounding, or a bug.
     """
 
     name: str
@@ -147,21 +58,29 @@ class Outcome:
     balance: float = 0.0
     residual: float = 0.0
     overlap: float = 0.0
+    rise: float = 0.0
     seconds: float = 0.0
 
-    def line(self) -> str:
+    @property
+    def sound(self) -> bool:
+        """Whether every frame that was handed out is right, whatever became of the rest."""
+        tight = self.balance < 1e-3 and self.residual < 1e-3 and self.rise < 1e-12
+        return tight and self.least_J > 0 and self.min_gap > 0
+
+    def cells(self) -> list[Cell]:
         """A row of the table."""
-        return (
-            f"{self.name:<34} {self.status:<8} {self.frames:>2} {self.nodes:>6} {self.force:9.4f} {self.iterations:>4}"
-            f" {self.substeps:>3} {self.least_J:7.3f} {self.min_gap:8.4f} {self.overlap:7.4f} {self.balance:8.1e}"
-            f" {self.residual:8.1e} {self.seconds:7.1f}  {self.reason}"
-        )
-
-
-HEADER = (
-    f"{'case':<34} {'status':<8} {'fr':>2} {'nodes':>6} {'force N':>9} {'it':>4} {'sub':>3} {'least J':>7}"
-    f" {'gap mm':>8} {'overlap':>7} {'balance':>8} {'residual':>8} {'CPU s':>7}"
-)
+        if self.status == "refused" or not self.frames:
+            return [self.name, self.status, *[None] * 9, self.seconds, self.reason]
+        numbers = (self.frames, self.force, self.iterations, self.substeps, self.least_J, self.min_gap, self.overlap)
+        return [
+            self.name,
+            self.status,
+            *numbers,
+            max(self.balance, self.residual),
+            self.rise,
+            self.seconds,
+            self.reason,
+        ]
 
 
 def measure(name: str, sets: Sequence[str]) -> Outcome:
@@ -178,10 +97,11 @@ def measure(name: str, sets: Sequence[str]) -> Outcome:
         return Outcome(name, "refused", error.lines[0], seconds=time.process_time() - begun)
     states: list[solve.State] = []
     status, reason = "ok", ""
-    try:
-        states.extend(solve.states(made, problem))
-    except solve.NotConverged as error:
-        status, reason = "rejected", str(error)
+    with _rises() as rises:
+        try:
+            states.extend(solve.states(made, problem))
+        except solve.NotConverged as error:
+            status, reason = "rejected", str(error)
     if not states:
         return Outcome(name, status, reason, nodes=len(problem.mesh.points), seconds=time.process_time() - begun)
     return Outcome(
@@ -198,8 +118,26 @@ def measure(name: str, sets: Sequence[str]) -> Outcome:
         max(s.balance for s in states),
         max(s.residual for s in states),
         max(overlap(problem, s) for s in states),
+        max(rises, default=0.0),
         time.process_time() - begun,
     )
+
+
+@contextmanager
+def _rises() -> Iterator[list[float]]:
+    """By how much, as a part of it, each step that Newton takes raises the energy, or 0."""
+    found: list[float] = []
+    search = newton.backtrack
+
+    def watched(
+        value: Callable[[Array], float], x: Array, p: Array, energy: float, slope: float, fraction: float
+    ) -> tuple[float, Array, float]:
+        taken = search(value, x, p, energy, slope, fraction)
+        found.append(max(taken[2] - energy, 0.0) / max(abs(energy), 1e-300))
+        return taken
+
+    with changed(newton, backtrack=watched):
+        yield found
 
 
 def overlap(problem: solve.Problem, state: solve.State, fine: int = 5) -> float:
@@ -220,34 +158,82 @@ def overlap(problem: solve.Problem, state: solve.State, fine: int = 5) -> float:
     return float(max(-inside.min(), 0.0))
 
 
-def slivers(radius: float, around: int = 2000, up: int = 24) -> tuple[Array, Array]:
-    """A ball of triangles forty times longer than wide: vertices (n, 3), triangles (m, 3)."""
-    polar = np.linspace(0, np.pi, up + 1)[1:-1]
-    turn = np.arange(around) * (2 * np.pi / around)
-    ring = np.stack([np.cos(turn), np.sin(turn)], 1)
-    body = np.concatenate([np.column_stack([np.sin(a) * ring, np.full(around, np.cos(a))]) for a in polar])
-    i = np.arange(around)
-    j = (i + 1) % around
-    low = [np.column_stack([k * around + i, (k + 1) * around + i, k * around + j]) for k in range(up - 2)]
-    high = [np.column_stack([(k + 1) * around + i, (k + 1) * around + j, k * around + j]) for k in range(up - 2)]
-    top, bottom = len(body), len(body) + 1
-    last = (up - 2) * around
-    caps = [
-        np.column_stack([np.full(around, top), i, j]),
-        np.column_stack([np.full(around, bottom), last + j, last + i]),
-    ]
-    return radius * np.concatenate([body, [[0, 0, 1], [0, 0, -1]]]), np.concatenate([*low, *high, *caps])
+def _pair(case: tuple[str, Sequence[str]]) -> Outcome:
+    return measure(*case)
 
 
-def blade(length: float, thickness: float, height: float) -> tuple[Array, Array]:
-    """A plate on its edge, along y: vertices (8, 3), triangles (12, 3)."""
-    corner = (HEX_CORNERS + 1) / 2 * [thickness, length, height]
-    quads = np.array([[0, 3, 2, 1], [4, 5, 6, 7], [0, 1, 5, 4], [1, 2, 6, 5], [2, 3, 7, 6], [3, 0, 4, 7]])
-    return corner, np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+def bench(level: Level, say: Say) -> Result:
+    """The cases, then random scenes: half of them anywhere, half near those that were hardest so far."""
+    from tacgen.bench import sensitivity
+
+    count = {"smoke": 1, "normal": 24, "full": 400}[level]
+    named = {name: CASES[name] for name in QUICK} if level == "smoke" else CASES
+    with ExitStack() as stack:
+        spread: Callable[..., Iterator[Outcome]] = map
+        if level != "smoke":
+            workers = ProcessPoolExecutor(len(os.sched_getaffinity(0)), mp_context=get_context("spawn"))
+            spread = stack.enter_context(workers).map
+
+        def all_of(scenes: list[tuple[str, Sequence[str]]]) -> list[Outcome]:
+            found = []
+            for one in spread(_pair, scenes):
+                found.append(one)
+                say(f"{one.name}: {one.status}, {one.iterations} iterations, {one.seconds:.1f} s {one.reason}")
+            return found
+
+        known = all_of(list(named.items()))
+        chance = search(count, all_of)
+    rows = [one.cells() for one in known]
+    everyone = known + chance
+    tables = [_summary(known, chance), Table("Cases", HEADS, rows), _worst(chance)]
+    wrong = [one.name for one in everyone if not one.sound]
+    about = ABOUT + (f" **Wrong frames in: {', '.join(wrong)}.**" if wrong else "")
+    return Result(about, [*tables, *sensitivity.tables(level, say)])
 
 
-def wavefront(vertices: Array, triangles: Array) -> str:
-    """An OBJ file."""
-    points = [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in vertices]
-    faces = [f"f {a} {b} {c}" for a, b, c in triangles + 1]
-    return "\n".join([*points, *faces, ""])
+def search(count: int, solve_all: Callable[[list[tuple[str, Sequence[str]]]], list[Outcome]]) -> list[Outcome]:
+    """So many random scenes in four rounds; from the second on, every other one lies near the hardest so far."""
+    rng, points, found = np.random.default_rng(7), list[Array](), list[Outcome]()
+    for part in np.array_split(np.arange(count), min(4, count)):
+        hardest = sorted(range(len(found)), key=lambda i: -_hardness(found[i]))[: max(1, len(found) // 5)]
+        for i in part:
+            if hardest and i % 2:
+                near = points[hardest[int(rng.integers(len(hardest)))]] + rng.normal(0, 0.1, RANDOM)
+                points.append(1 - np.abs(1 - np.abs(near) % 2))  # mirrored at 0 and 1
+            else:
+                points.append(rng.random(RANDOM))
+        found += solve_all([(f"random {i}", random(points[i].tolist())) for i in part])
+    return found
+
+
+def _hardness(one: Outcome) -> float:
+    return np.inf if not one.sound or one.status == "rejected" else one.iterations / max(one.least_J, 0.01)
+
+
+def _summary(known: list[Outcome], chance: list[Outcome]) -> Table:
+    rows: list[list[Cell]] = []
+    for name, group in (("cases", known), ("random scenes", chance)):
+        solved = [one for one in group if one.frames]
+        count = [sum(one.status == status for one in group) for status in ("ok", "refused", "rejected")]
+        wrong = sum(not one.sound for one in group)
+        most = max(one.iterations for one in solved), float(np.median([one.iterations for one in solved]))
+        least = min(one.least_J for one in solved), min(one.min_gap for one in solved)
+        worst = max(max(one.balance, one.residual) for one in solved), max(one.rise for one in solved)
+        rows.append([name, len(group), *count, wrong, *most, *least, *worst])
+    heads = columns("what", "scenes: d", "ok: d", "refused: d", "rejected: d", "wrong: d", "most iterations: d")
+    heads |= columns("median: .0f", "least J: .3f", "least gap [mm]: .1e", "worst balance: .0e", "energy rise: .0e")
+    note = (
+        "Wrong: a frame handed out with an element inside out, a gap below 0, a balance or residual above 1e-3, or an"
+        " energy that rose by more than rounding."
+    )
+    return Table("Together", heads, rows, note)
+
+
+def _worst(chance: list[Outcome], count: int = 8) -> Table:
+    hardest = sorted(chance, key=_hardness, reverse=True)[:count]
+    note = (
+        "Ball, capsule, torus, punch, box, cone or wedge of 1.4 to 4 mm, pressed 0.2 to 1.5 mm, slid, twisted, tilted"
+        " and released; friction 0 to 2, 1 kPa to 100 MPa, nu 0 to 0.4999, half of them with a skin down to a"
+        " hundredth or up to a hundred times as stiff."
+    )
+    return Table("The hardest random scenes", HEADS, [one.cells() for one in hardest], note)

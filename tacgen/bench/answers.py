@@ -1,0 +1,159 @@
+"""A scene's labels and what they cost, and how far two such answers to the same scene are apart."""
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from dataclasses import fields as names_of
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from tacgen import assets, fields, foresee, maps, mesh, plan, scene, solve, store
+from tacgen.optics.coating import centers
+from tacgen.optics.flow import Points
+from tacgen.optics.layers import Camera
+from tacgen.optics.sheet import Sheet
+from tacgen.sensor import Markers
+from tacgen.stress import Stresses
+
+Array = np.ndarray
+ROOT = Path(solve.__file__).parent
+DECIDES = ("advance", "solve", "mesh", "tetmesh", "scene", "gel", "maps", "fields", "stress", "bench/answers")
+BALL = ("outputs=[force]", "indenter={shape: sphere, radius_mm: 4}")
+DEPTHS = {"gelsight_mini": 1.0, "digit": 0.8, "ninedtact": 0.8}  # of the ball [mm]
+MOVES = "trajectory=[{{press: {{depth_mm: {depth}, frames: {press}}}}}, {{slide: {{x_mm: 0.6, frames: {slide}}}}}]"
+DOTS = Markers(columns=5, rows=5, pitch_mm=(1.8, 1.8), diameter_mm=1.0, albedo=0.1, source="made up, for all sensors")
+BELOW = np.array([0.15, 0.3, 0.45, 0.6])  # where stress is compared: parts of the thickness below the face,
+AROUND = np.arange(-3.0, 3.1, 0.6)  # and along x and y [mm]
+
+
+def sliding(sensor: str, press: int = 1, slide: int = 2) -> tuple[str, ...]:
+    """A ball of 4 mm pressed and then slid by 0.6 mm with friction 0.5, in so many frames."""
+    moves = MOVES.format(depth=DEPTHS[sensor], press=press, slide=slide)
+    return (*BALL, f"sensor={sensor}", moves, "contact.friction=0.5")
+
+
+@dataclass(frozen=True)
+class Answer:
+    """force (frames, 3) on the gel [N]; of the last frame pressure (h, w) [MPa], stress (p, 6) [MPa] in the gel,
+    markers (m, 2) [px] and the area in contact [mm^2]; and the work: processor seconds before the first frame, all
+    frames' seconds, Newton iterations.
+    """
+
+    force: Array
+    pressure: Array
+    stress: Array
+    markers: Array
+    area: float
+    nodes: int
+    setup: float
+    seconds: float
+    iterations: float
+
+    def apart(self, reference: "Answer") -> "Error":
+        """How far from the reference."""
+        size = np.linalg.norm(reference.force, axis=1)
+        n = min(len(self.force), len(reference.force))
+        return Error(
+            float((np.linalg.norm(self.force[-n:] - reference.force[-n:], axis=1) / size[-n:]).max()),
+            _norm(self.pressure - reference.pressure) / _norm(reference.pressure),
+            _norm(self.stress - reference.stress) / _norm(reference.stress),
+            float(np.sqrt(np.nanmean(((self.markers - reference.markers) ** 2).sum(1)))),
+        )
+
+
+@dataclass(frozen=True)
+class Error:
+    """force: of the vector, the worst frame; pressure, stress: L2 norms; all three as parts of the reference; markers:
+    rms [px]."""
+
+    force: float
+    pressure: float
+    stress: float
+    markers: float
+
+
+def _norm(values: Array) -> float:
+    return float(np.linalg.norm(np.nan_to_num(values)))
+
+
+def row_of(sets: tuple[str, ...]) -> plan.Row:
+    """The quickstart's scene with these changes."""
+    return plan.load(assets.recipe_path("quickstart"), sets).rows[0]
+
+
+def answer(sets: tuple[str, ...], shift: tuple[float, float] = (0.0, 0.0)) -> Answer:
+    """Solve the quickstart with changes and take its labels; `shift` moves a mesh of hexes under the indenter, in parts
+    of an edge."""
+    row = row_of(sets)
+    begun = time.process_time()
+    made = foresee.foreseen(scene.build(row))
+    if any(shift):
+        dx, dy = (made.edge * s for s in shift)
+        x0, x1, y0, y1 = mesh.footprint(made)
+        built = mesh.build(made.gel, (x0 + dx, x1 + dx, y0 + dy, y1 + dy), made.edge)
+    else:
+        built = mesh.of(made)
+    problem = solve.Problem.of(made, built)
+    ready = time.process_time()
+    states = list(solve.states(made, problem))
+    seconds = time.process_time() - ready
+    last, camera = states[-1], Camera.from_sensor(row.sensor)
+    coated = fields.Surface(problem.mesh.points, problem.mesh.facets["coated"])
+    seen = fields.seen(problem.mesh, len(row.sensor.gel.clear_layers))
+    found = maps.maps(problem, coated.moved(last.x), last, camera)
+    dots = Points(centers(DOTS), Sheet.over(row.sensor.gel, 0.1), seen, camera)
+    return Answer(
+        np.array([state.traction_force.sum((0, 1)) for state in states]),
+        np.nan_to_num(found.pressure),
+        _probed(made.gel, problem, last),
+        dots.at(seen.moved(last.x))[0],
+        float(found.area[found.contact].sum()),
+        len(problem.mesh.points),
+        ready - begun,
+        seconds,
+        float(sum(state.iterations for state in states)),
+    )
+
+
+def _probed(gel: scene.Gel, problem: solve.Problem, state: solve.State) -> Array:
+    """Nodal stress (p, 6) [MPa], interpolated at points of the gel under the contact."""
+    from scipy.interpolate import LinearNDInterpolator
+
+    xy = np.stack(np.meshgrid(AROUND, AROUND), -1).reshape(-1, 2)
+    xy = xy[gel.contains(*xy.T)]
+    probes = np.concatenate([gel.at(1 - part, xy) for part in BELOW])
+    points = problem.mesh.points
+    near = (np.abs(points[:, :2]) < AROUND.max() + 3).all(1)
+    return np.asarray(LinearNDInterpolator(points[near], Stresses(problem).at(state.x).node[near])(probes))
+
+
+def kept(sets: tuple[str, ...]) -> Answer:
+    """`answer`, computed once and kept in the cache as long as scene and solver are the same."""
+    code = [path.read_bytes() for path in sorted((ROOT / "fem").glob("*.py"))]
+    code += [(ROOT / f"{name}.py").read_bytes() for name in DECIDES]
+    row = row_of(sets)
+    key = store.digest([row.key, *code])
+
+    def make() -> tuple[Array, ...]:
+        found = answer(sets)
+        return tuple(np.asarray(getattr(found, part.name)) for part in names_of(Answer))
+
+    values: list[Any] = [v if v.ndim else v.item() for v in store.kept("bench", key, make)]
+    return Answer(*values)
+
+
+@contextmanager
+def changed(module: ModuleType, **values: Any) -> Iterator[None]:
+    """A module's constants, otherwise for a while."""
+    before = {name: getattr(module, name) for name in values}
+    for name, value in values.items():
+        setattr(module, name, value)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            setattr(module, name, value)

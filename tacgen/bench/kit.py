@@ -1,0 +1,218 @@
+"""What every bench gives: tables and plots, with where and of what they were made; and the page that shows them all."""
+
+import json
+import os
+import platform
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any, Literal, TypeAlias
+
+Cell: TypeAlias = str | float | int | None
+Level: TypeAlias = Literal["smoke", "normal", "full"]
+Say: TypeAlias = Callable[[str], None]
+ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+PACKAGES = ("numpy", "scipy", "numba", "cvxopt", "pymetis", "pypardiso", "mitsuba", "drjit", "h5py", "ipctk")
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")  # Okabe and Ito's
+MARKERS = "osD^vPX"
+CHILD = """
+import importlib, json, sys
+module, name = sys.argv[1].split(":")
+print(json.dumps(getattr(importlib.import_module(module), name)(*json.loads(sys.argv[2]))))
+"""
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows under `columns`: a heading with its unit, and how its numbers are written, as `format` has it."""
+
+    title: str
+    columns: dict[str, str]
+    rows: list[list[Cell]]
+    note: str = ""
+
+
+def columns(*named: str) -> dict[str, str]:
+    """The columns of a table from headings, each with how its numbers are written after a colon: "s a frame: .2f"."""
+    return {head: form for head, _, form in (name.partition(": ") for name in named)}
+
+
+@dataclass(frozen=True)
+class Series:
+    """Points of a plot, with a word beside each of them where `labels` has one."""
+
+    name: str
+    x: list[float]
+    y: list[float]
+    labels: list[str] = field(default_factory=list)
+    line: bool = False
+
+
+@dataclass(frozen=True)
+class Plot:
+    """Axes, of which those in `log` are logarithmic."""
+
+    title: str
+    x: str
+    y: str
+    series: list[Series]
+    log: Literal["xy", "x", ""] = "xy"
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a bench found: `about` says in a few sentences what was done and how to read it."""
+
+    about: str
+    tables: list[Table]
+    plots: list[Plot] = field(default_factory=list)
+
+
+def made() -> dict[str, Any]:
+    """Machine, versions and date."""
+    packages = {}
+    for name in ("tacgen", *PACKAGES):
+        try:
+            packages[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30 if hasattr(os, "sysconf") else 0.0
+    return {
+        "date": time.strftime("%Y-%m-%d"),
+        "processor": _processor(),
+        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+        "memory_gb": round(memory),
+        "system": f"{platform.system()} {platform.machine()}",
+        "python": platform.python_version(),
+        "packages": packages,
+    }
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return platform.processor() or platform.machine()
+    found = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return found[0] if found else platform.machine()
+
+
+def one_thread() -> dict[str, str]:
+    """The environment in which a process computes on one core."""
+    return os.environ | dict.fromkeys(ONE_THREAD, "1")
+
+
+def apart(target: str, *args: Any) -> Any:
+    """What `target`, "module:function", gives for plain arguments in a process of its own, on one core.
+
+    Raises:
+        RuntimeError: it failed; the message is what it said.
+    """
+    command = [sys.executable, "-c", CHILD, target, json.dumps(args)]
+    done = subprocess.run(command, env=one_thread(), capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise RuntimeError(f"{target}{args}: {done.stderr.strip() or f'exit code {done.returncode}'}")
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def peak_memory() -> float:
+    """Of this process since it began [MB]."""
+    try:  # getrusage would count what the parent had when it forked
+        status = Path("/proc/self/status").read_text()
+        return float(status.partition("VmHWM:")[2].split()[0]) / 1024
+    except (OSError, IndexError):
+        import resource
+
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def front(x: Sequence[float], y: Sequence[float]) -> list[int]:
+    """Pareto front: the points than which none is smaller in both x and y, by rising x."""
+    kept: list[int] = []
+    for i in sorted(range(len(x)), key=lambda i: (x[i], y[i])):
+        if not kept or y[i] < y[kept[-1]]:
+            kept.append(i)
+    return kept
+
+
+def write(folder: Path, name: str, found: Result, seconds: float) -> None:
+    """The JSON and the picture of one bench, in `folder`."""
+    folder.mkdir(parents=True, exist_ok=True)
+    plain = {"bench": name, "made": made(), "seconds": round(seconds, 1), **asdict(found)}
+    (folder / f"{name}.json").write_text(json.dumps(plain, indent=1) + "\n")
+    if found.plots:
+        _draw(found.plots, folder / f"{name}.png")
+
+
+def _draw(plots: Sequence[Plot], out: Path) -> None:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    columns = min(len(plots), 2)
+    rows = -(-len(plots) // columns)
+    sheet = Figure(figsize=(6.4 * columns, 4.8 * rows), layout="constrained")
+    FigureCanvasAgg(sheet)
+    for number, plot in enumerate(plots):
+        axes = sheet.add_subplot(rows, columns, number + 1)
+        for k, one in enumerate(plot.series):
+            colour, mark = COLOURS[k % len(COLOURS)], "" if one.line else MARKERS[k % len(MARKERS)]
+            axes.plot(
+                one.x, one.y, color=colour, marker=mark, linestyle="-" if one.line else "", label=one.name,
+                markersize=5, linewidth=1.2,
+            )  # fmt: skip
+            for x, y, label in zip(one.x, one.y, one.labels, strict=False):
+                axes.annotate(label, (x, y), (4, 3), textcoords="offset points", fontsize=7, color=colour)
+        scale = dict.fromkeys(plot.log, "log")
+        axes.set(xscale=scale.get("x", "linear"), yscale=scale.get("y", "linear"))
+        axes.set(title=plot.title, xlabel=plot.x, ylabel=plot.y)
+        axes.grid(True, which="both", linewidth=0.3, alpha=0.6)
+        axes.legend(fontsize=7)
+    sheet.savefig(out, dpi=110)
+
+
+def page(folder: Path, names: Sequence[str], file: Path, title: str, head: str) -> None:
+    """Markdown of what `folder` holds of these benches, each with where and when it was made."""
+    parts = [f"# {title}", head]
+    for name in names:
+        source = folder / f"{name}.json"
+        if source.exists():
+            parts += _section(json.loads(source.read_text()), folder, file.parent)
+    file.write_text("\n\n".join(parts) + "\n")
+
+
+def _section(found: dict[str, Any], folder: Path, home: Path) -> list[str]:
+    m = found["made"]
+    packages = ", ".join(f"{name} {number}" for name, number in m["packages"].items())
+    where = (
+        f"{m['processor']}, {m['cores']} cores, {m['memory_gb']} GB, {m['system']}; Python {m['python']}, {packages}"
+    )
+    parts = [
+        f"## {found['bench'].capitalize()}",
+        found["about"],
+        f"*Made {m['date']} in {found['seconds']:.0f} s on {where}.*",
+    ]
+    if found["plots"]:
+        picture = (folder / f"{found['bench']}.png").relative_to(home)
+        parts.append(f"![{found['bench']}]({picture.as_posix()})")
+    for table in found["tables"]:
+        parts += [f"### {table['title']}", _grid(table)]
+        if table["note"]:
+            parts.append(table["note"])
+    return parts
+
+
+def _grid(table: dict[str, Any]) -> str:
+    heads = list(table["columns"])
+    lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
+    for row in table["rows"]:
+        cells = (_cell(cell, form) for cell, form in zip(row, table["columns"].values(), strict=True))
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def _cell(cell: Cell, form: str) -> str:
+    return "" if cell is None else cell.replace("|", "\\|") if isinstance(cell, str) else format(cell, form)

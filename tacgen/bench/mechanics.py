@@ -1,0 +1,136 @@
+"""Error of the mechanics against its run time: what each choice of mesh, element, contact and solver costs."""
+
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import astuple, dataclass, field, replace
+from importlib.util import find_spec
+from typing import Any
+
+from tacgen import advance
+from tacgen.bench.answers import DEPTHS, Answer, Error, answer, changed, kept, sliding
+from tacgen.bench.kit import Cell, Level, Plot, Result, Say, Series, Table, columns, front
+from tacgen.fem import linear
+
+ABOUT = (
+    "A ball of 4 mm is pressed 1 mm (0.8 mm on DIGIT and 9DTact) and slid by 0.6 mm with friction 0.5, in one frame and"
+    " in two. Errors are against quality `reference`: force, of the vector, in the worst frame; pressure map and stress"
+    " in the gel under the contact, L2 norms in the last frame; markers, rms in pixels. Seconds are the processor's on"
+    " one core, without the mesh."
+)
+ERRORS = ("force: .2%", "pressure map: .1%", "stress: .1%", "markers [px]: .3f")
+WORK = ("nodes: d", "iterations a frame: .1f", "s a frame: .2f")
+SHIFTS = ((0.0, 0.0), (0.5, 0.0), (0.3, 0.5))  # of the mesh under the ball, in edges
+PRESETS = ("draft", "default")
+HEXES = {
+    "smoke": (1.2,),
+    "normal": (0.8, 0.6, 0.5, 0.4, 0.3),
+    "full": (0.8, 0.7, 0.6, 0.5, 0.45, 0.4, 0.35, 0.3, 0.25),
+}
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One choice: the changes to the scene, and to a module's constants, that make it."""
+
+    axis: str
+    name: str
+    sets: tuple[str, ...] = ()
+    change: AbstractContextManager[Any] = field(default_factory=nullcontext)
+
+
+def variants(level: Level) -> list[Variant]:
+    """All that is swept: at `default` but for the one thing."""
+    found = [Variant("hex, edge", f"{e:g}", (f"quality={{edge_mm: {e}}}",)) for e in HEXES[level]]
+    if level == "smoke":
+        return found
+    for name, element, edges in (("P2", "tet", (0.8, 0.6, 0.4)), ("P1", "linear_tet", (0.6, 0.4, 0.3))):
+        found += [Variant(f"{name}, edge", f"{e:g}", (f"mesh={element}", f"quality={{edge_mm: {e}}}")) for e in edges]
+    found += [Variant("dhat", f"{d:g}", (f"quality={{dhat_mm: {d}}}",)) for d in (0.1, 0.06, 0.02, 0.01)]
+    for step in (1e-2, 1e-4, 1e-5):
+        tolerances = changed(advance, XTOL=step, RESIDUAL=min(step, advance.RESIDUAL))
+        found.append(Variant("Newton step", f"{step:g}", (), tolerances))
+    for name in linear.available():
+        found.append(Variant("solver", name, (), changed(linear, available=lambda name=name: [name])))
+    if find_spec("ipctk"):
+        found.append(Variant("contact", "ipctk", ("contact.formulation=ipctk",)))
+    return found
+
+
+def bench(level: Level, say: Say) -> Result:
+    """The sweep on the Mini, the steps on the way, and the presets on every sensor."""
+    tables, plots = _sweep(level, say)
+    return Result(ABOUT, tables if level == "smoke" else [*tables, _steps(say), _sensors(say)], plots)
+
+
+def _sweep(level: Level, say: Say) -> tuple[list[Table], list[Plot]]:
+    base = sliding("gelsight_mini")
+    smoke = level == "smoke"
+    reference = kept((*base, "quality={edge_mm: 0.8, dhat_mm: 0.05}" if smoke else "quality=reference"))
+    answer((*base, "quality={edge_mm: 1.5}"))  # compile
+    rows: list[list[Cell]] = []
+    for one in variants(level):
+        with one.change:
+            found = answer((*base, *one.sets))
+        rows.append([one.axis, one.name, *_work(found), *astuple(found.apart(reference))])
+        say(f"{one.axis} {one.name}: {found.seconds:.1f} s, force {rows[-1][5]:.2%}")
+    places: list[list[Cell]] = []
+    for name in () if smoke else PRESETS:
+        runs = [answer((*base, f"quality={name}"), shift) for shift in SHIFTS]
+        kinds = list(zip(*(astuple(run.apart(reference)) for run in runs), strict=True))
+        median = sorted(runs, key=lambda run: run.seconds)[len(runs) // 2]
+        rows.append(["preset", name, *_work(median), *map(max, kinds)])
+        places += [[name, "worst", *map(max, kinds)], [name, "best", *map(min, kinds)]]
+    seconds = [float(row[4]) for row in rows]  # type: ignore[arg-type]
+    errors = [[float(row[k]) for row in rows] for k in range(5, 9)]  # type: ignore[arg-type]
+    best = [front(seconds, error) for error in errors]
+    for i, row in enumerate(rows):
+        row.append("".join(letter for letter, those in zip("fpsm", best, strict=True) if i in those))
+    note = "Front: on the Pareto front of (f)orce, (p)ressure, (s)tress, (m)arkers. All else is as in `default`."
+    tables = [Table("Choices on the Mini", columns("choice", "value", *WORK, *ERRORS, "front"), rows, note)]
+    if places:
+        note = "Worst and best of three places of the ball in a cell; above the worst is given, and the median time."
+        tables.append(Table("Presets wherever the ball stands", columns("preset", "error", *ERRORS), places, note))
+    return tables, [_plot(rows, seconds, errors[k], best[k], ERRORS[k].partition(":")[0]) for k in range(4)]
+
+
+def _work(found: Answer) -> list[Cell]:
+    frames = len(found.force)
+    return [found.nodes, found.iterations / frames, found.seconds / frames]
+
+
+def _plot(rows: list[list[Cell]], seconds: list[float], errors: list[float], best: list[int], what: str) -> Plot:
+    def series(name: str, of: list[int], labels: bool) -> Series:
+        words = [str(rows[i][1]) for i in of] if labels else []
+        return Series(name, [seconds[i] for i in of], [errors[i] for i in of], words, line=not labels)
+
+    groups = dict.fromkeys(str(row[0]) for row in rows)
+    points = [series(group, [i for i, row in enumerate(rows) if row[0] == group], True) for group in groups]
+    unit = "" if "[" in what else " [-]"
+    return Plot(f"Error of {what}", "s a frame", f"error{unit}", [*points, series("Pareto front", best, False)])
+
+
+def _steps(say: Say) -> Table:
+    """The same way in fewer and more frames: what friction loses by long ones, and what short ones cost."""
+    fine = kept((*sliding("gelsight_mini", 8, 16), "quality=draft"))
+    rows: list[list[Cell]] = []
+    for press, slide in ((1, 1), (1, 2), (2, 4), (4, 8)):
+        found = answer((*sliding("gelsight_mini", press, slide), "quality=draft"))
+        error = replace(found, force=found.force[-1:]).apart(fine)
+        rows.append([f"{press} + {slide}", found.iterations, found.seconds, *astuple(error)])
+        say(f"{press} + {slide} steps: {found.seconds:.1f} s")
+    heads = columns("frames of press + slide", "iterations in all: .0f", "s in all: .2f", *ERRORS)
+    return Table("Steps on the way", heads, rows, "At `draft`; the last frame against that of 8 + 16 frames.")
+
+
+def _sensors(say: Say) -> Table:
+    """Presets against `reference` on every sensor."""
+    rows: list[list[Cell]] = []
+    for sensor in DEPTHS:
+        base = sliding(sensor)
+        reference = kept((*base, "quality=reference"))
+        for name in PRESETS:
+            found = answer((*base, f"quality={name}"))
+            error: Error = found.apart(reference)
+            rows.append([sensor, name, *_work(found), *astuple(error), found.area / reference.area - 1])
+            say(f"{sensor} {name}: force {error.force:.2%}, map {error.pressure:.1%}")
+        rows.append([sensor, "reference", *_work(reference), *[None] * 5])
+    return Table("Presets on every sensor", columns("sensor", "quality", *WORK, *ERRORS, "area: +.1%"), rows)

@@ -1,0 +1,179 @@
+"""What each output and each feature of a scene costs: what is not asked for is neither imported nor computed."""
+
+import sys
+import time
+from inspect import CO_OPTIMIZED
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from types import FrameType
+from typing import Any
+
+from tacgen.bench.kit import Cell, Level, Result, Say, Table, apart, columns, peak_memory
+from tacgen.errors import UserError
+
+ABOUT = (
+    "A ball pressed and slid on the Mini at `draft`, each line in a process of its own on one core: processor seconds"
+    " of the scene's second run, the process's peak of memory, and the large packages that it loaded."
+)
+MOVES = "trajectory=[{press: {depth_mm: 0.8, frames: 2}}, {slide: {x_mm: 0.6, frames: 2}}]"
+SCENE = ("indenter={shape: sphere, radius_mm: 4}", MOVES, "contact.friction=0.5", "quality=draft")
+FRAMES = 4
+LAYER = "law: neo_hooke, poissons_ratio: 0.49, refractive_index: 1.41, source: bench"
+BASE, SKIN = (
+    "name: base, thickness_mm: 3.2, youngs_modulus_mpa: 0.4",
+    "name: skin, thickness_mm: 0.8, youngs_modulus_mpa: 1",
+)
+TWO_LAYERS = f"sensor.gel.layers=[{{{BASE}, {LAYER}}}, {{{SKIN}, {LAYER}}}]"
+ASKED: dict[str, tuple[str, tuple[str, ...]]] = {  # name: (outputs, changes)
+    "force": ("force", ()),
+    "force, no friction": ("force", ("contact.friction=0",)),
+    "force, two layers": ("force", (TWO_LAYERS,)),
+    "force, dynamics": ("force", ("dynamics={density_kg_m3: 1000, frame_s: 0.05}",)),
+    "force, tetrahedra": ("force", ("mesh=tet",)),
+    "force, ipctk": ("force", ("contact.formulation=ipctk",)),
+    "traction": ("traction", ()),
+    "force_map": ("force_map", ()),
+    "height, normals, gap": ("height, normals, gap", ()),
+    "stress": ("stress", ()),
+    "markers": ("markers", ()),
+    "flow": ("flow", ()),
+    "rgb": ("rgb", ()),
+    "rgb by path": ("rgb", ("render={method: path}",)),
+    "everything": (
+        "force, traction, force_map, height, normals, gap, stress, markers, flow, material, radiance, rgb",
+        (),
+    ),
+}
+LARGE = ("numpy", "scipy", "numba", "h5py", "cvxopt", "pymetis", "mitsuba", "drjit", "matplotlib", "ipctk", "pytetwild",
+         "PyfTetWildWrapper", "trimesh", "igl", "pymeshlab", "torch", "PIL", "distributed")  # fmt: skip
+QUICK = ("force", "stress")  # for a smoke test
+
+
+def bench(level: Level, say: Say) -> Result:
+    """Every line of ASKED, and what labels cost on every sensor."""
+    rows: list[list[Cell]] = []
+    alone = None
+    for name in QUICK if level == "smoke" else ASKED:
+        outputs, sets = ASKED[name]
+        try:
+            found = apart("tacgen.bench.pay:run", outputs, sets)
+        except RuntimeError as error:  # a package that is not installed
+            rows.append([name, None, None, None, None, str(error).splitlines()[-1]])
+            continue
+        seconds = found["seconds"] / FRAMES
+        alone = alone or seconds
+        packages = ", ".join(found["packages"])
+        rows.append([name, seconds, seconds / alone, found["memory"], len(found["modules"]), packages])
+        say(f"{name}: {seconds:.2f} s a frame, {found['memory']:.0f} MB")
+    heads = columns("asked for", "s a frame: .3f", "of force alone: .2f", "memory [MB]: .0f", "modules of tacgen: d")
+    table = Table("What is asked for", {**heads, "large packages": ""}, rows)
+    return Result(ABOUT, [table] if level == "smoke" else [table, _labels(say)])
+
+
+def rows_of(outputs: str, sets: list[str]) -> Any:
+    """The plan's rows of the scene with these outputs and changes."""
+    from tacgen import assets, plan
+
+    return plan.load(assets.recipe_path("quickstart"), (*SCENE, *sets, f"outputs=[{outputs}]")).rows
+
+
+def run(outputs: str, sets: list[str]) -> dict[str, Any]:
+    """The scene twice through the pipeline in this process, and what that took; a UserError ends the process."""
+    from tacgen import pipeline
+
+    rows = rows_of(outputs, sets)
+    with TemporaryDirectory() as folder:
+        for part in ("one", "two"):
+            begun = time.process_time()
+            result = pipeline.run(rows, Path(folder) / part)[0]
+            seconds = time.process_time() - begun
+    if result.status != "ok":
+        raise UserError(result.reason)
+    return {"seconds": seconds, "memory": peak_memory(), **loaded()}
+
+
+def loaded() -> dict[str, list[str]]:
+    """What this process has imported: modules of tacgen, and large packages."""
+    modules = sorted(name for name in sys.modules if name.partition(".")[0] == "tacgen" and ".bench" not in name)
+    return {"modules": modules, "packages": [name for name in LARGE if name in sys.modules]}
+
+
+def used(outputs: str, sets: list[str]) -> dict[str, list[str]]:
+    """What one scene imports, and of which modules of tacgen a function ran."""
+    from tacgen import pipeline
+
+    here = str(Path(pipeline.__file__).parent)
+    ran: set[str] = set()
+
+    def watch(frame: FrameType, event: str, arg: Any) -> None:
+        code = frame.f_code
+        if event == "call" and code.co_flags & CO_OPTIMIZED and code.co_filename.startswith(here):  # no class or module
+            ran.add(frame.f_globals["__name__"])
+
+    rows = rows_of(outputs, sets)
+    with TemporaryDirectory() as folder:
+        sys.setprofile(watch)
+        try:
+            pipeline.run(rows, Path(folder))
+        finally:
+            sys.setprofile(None)
+    return {**loaded(), "ran": sorted(ran)}
+
+
+def _labels(say: Say) -> Table:
+    """Stress and maps at `default` beside the solve, and how well they agree with one another."""
+    rows: list[list[Cell]] = []
+    for sensor in ("gelsight_mini", "digit", "ninedtact"):
+        found = apart("tacgen.bench.pay:labels", sensor)
+        solved, stressed, mapped = found["seconds"]
+        share = (stressed + mapped) / solved
+        rows.append([sensor, solved, 1e3 * stressed, 1e3 * mapped, share, *found["worst"]])
+        say(f"{sensor}: labels take {share:.1%} of the solve")
+    heads = columns("sensor", "solve [s]: .2f", "stress [ms]: .0f", "maps [ms]: .0f", "share: .1%")
+    heads |= columns("force: .2%", "traction: .1%", "alternates: .1%", "map's sum: .0e", "Coulomb: .1e")
+    note = (
+        "A frame of a ball pressed, slid and twisted, friction 0.6, at `default`; share: of stress and maps in the"
+        " solve. Of the worst frame: sigma n against the force, and over the face against the contact's traction"
+        " (L2); how much pressure alternates from cell to cell; how far the force map's sum is from the force; by how"
+        " much the traction map exceeds Coulomb's law, as a part of the largest."
+    )
+    return Table("Labels: cost and agreement", heads, rows, note)
+
+
+def labels(sensor: str) -> dict[str, list[float]]:
+    """Seconds a frame of solve, stress and maps, and the worst frame's disagreements."""
+    import numpy as np
+
+    from tacgen import assets, fields, mesh, plan, scene, solve
+    from tacgen.maps import maps
+    from tacgen.optics.layers import Camera
+    from tacgen.stress import Stresses
+
+    slide, twist = "{slide: {x_mm: 1, y_mm: 0.3, frames: 2}}", "{twist: {angle_deg: 12, frames: 2}}"
+    moves = f"trajectory=[{{press: {{depth_mm: 0.8, frames: 2}}}}, {slide}, {twist}]"
+    sets = (f"sensor={sensor}", "indenter={shape: sphere, radius_mm: 4}", moves, "contact.friction=0.6")
+    row = plan.load(assets.recipe_path("quickstart"), sets).rows[0]
+    made = scene.build(row)
+    problem = solve.Problem.of(made, mesh.of(made))
+    camera, stresses = Camera.from_sensor(row.sensor), Stresses(problem)
+    rest = fields.Surface(problem.mesh.points, problem.mesh.facets["coated"])
+    seconds, worst = np.zeros(3), np.zeros(5)
+    states, count = solve.states(made, problem), 0
+    while True:
+        clock = [time.process_time()]
+        state = next(states, None)
+        clock.append(time.process_time())
+        if state is None:
+            break
+        quality = stresses.quality(stresses.at(state.x), state)
+        clock.append(time.process_time())
+        found = maps(problem, rest.moved(state.x), state, camera)
+        clock.append(time.process_time())
+        if count:  # the first compiles
+            seconds += np.diff(clock)
+        count += 1
+        force, _ = fields.wrench(problem, state)
+        lost = np.linalg.norm(found.force.sum((0, 1)) - force) / np.linalg.norm(force)
+        size, limit = np.linalg.norm(found.traction, axis=-1), 0.6 * found.pressure
+        worst = np.maximum(worst, [*quality.values(), lost, (size - limit).max() / limit.max()])
+    return {"seconds": (seconds / (count - 1)).tolist(), "worst": worst.tolist()}

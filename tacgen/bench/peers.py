@@ -1,0 +1,177 @@
+"""The same press by others: CalculiX where it is installed, linear tetrahedra, closed forms, and what was published."""
+
+import math
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from tacgen import mesh, scene, solve
+from tacgen.bench import calculix
+from tacgen.bench.answers import BALL, answer, kept, row_of
+from tacgen.bench.kit import Cell, Level, Plot, Result, Say, Series, Table, columns
+from tacgen.fem.materials import NeoHooke
+from tacgen.fem.shapes import Sphere
+from tacgen.gel import Gel, Layer
+
+ABOUT = (
+    "One press on the Mini's pad (ball of 4 mm, 1 mm deep, no friction, E 0.15 MPa, nu 0.48), by tacgen's hexes, by"
+    " quadratic and linear tetrahedra on the same solver, and by CalculiX; all from rest in this one run, on one"
+    " core, in processor seconds. tacgen solves the whole pad, CalculiX the same, and a quarter of it by symmetry."
+    " Errors are of the normal force, against quality `reference`."
+)
+PRESS = (
+    *BALL,
+    "contact.friction=0",
+    "trajectory=[{press: {depth_mm: 1.0, frames: 1}}]",
+    "sensor.gel.layers[0].youngs_modulus_mpa=0.15",
+    "sensor.gel.layers[0].poissons_ratio=0.48",
+)
+EQUAL = 0.01  # force error at which times are compared
+
+
+@dataclass(frozen=True)
+class Runs:
+    """One method on finer and finer meshes."""
+
+    name: str
+    labels: list[str]
+    nodes: list[int]
+    seconds: list[float]
+    forces: list[float]
+
+    def errors(self, reference: float) -> list[float]:
+        return [force / reference - 1 for force in self.forces]
+
+    def cheapest(self, reference: float) -> float | None:
+        """Least seconds of a run that is EQUAL right, None if none is."""
+        fit = [s for s, e in zip(self.seconds, self.errors(reference), strict=True) if abs(e) <= EQUAL]
+        return min(fit, default=None)
+
+
+def bench(level: Level, say: Say) -> Result:
+    """Every method on several meshes."""
+    smoke = level == "smoke"
+    fine = kept((*PRESS, "quality={edge_mm: 0.8, dhat_mm: 0.05}" if smoke else "quality=reference"))
+    reference = -float(fine.force[-1, 2])
+    answer((*PRESS, "quality={edge_mm: 1.5}"))  # compile
+    ours = _runs("tacgen, hexes (Q1P0)", (), (1.2, 1.0) if smoke else (0.8, 0.7, 0.6, 0.5, 0.4, 0.3), say)
+    runs = [ours]
+    if not smoke:
+        runs.append(_runs("tacgen, P2 tetrahedra", ("mesh=tet",), (0.8, 0.6, 0.45), say))
+        runs.append(_runs("tacgen, P1 tetrahedra", ("mesh=linear_tet",), (0.6, 0.4, 0.3, 0.25), say))
+    if calculix.installed() and not smoke:
+        runs.append(_calculix((2.0, 1.2, 0.8) if level == "normal" else (2.0, 1.2, 0.8, 0.6, 0.5), True, say))
+        runs.append(_calculix((2.0, 1.2), False, say))
+    rows: list[list[Cell]] = []
+    for one in runs:
+        parts = (one.labels, one.nodes, one.seconds, one.forces, one.errors(reference))
+        rows += [[one.name, *row] for row in zip(*parts, strict=True)]
+    rows.append(
+        [f"reference, edge {'0.8' if smoke else '0.2'} mm", "", fine.nodes, fine.setup + fine.seconds, reference, None]
+    )
+    heads = columns("method", "edge [mm]", "nodes: d", "s: .2f", "force [N]: .4f", "error: +.2%")
+    note = "Seconds from the scene to its force: mesh, matrices, solution; of CalculiX the whole program."
+    tables = [Table("One press", heads, rows, note), _equal(runs, ours, reference), _anchors(level, say)]
+    series = [Series(r.name, r.seconds, [abs(e) for e in r.errors(reference)], r.labels) for r in runs]
+    plot = Plot("Force error of one press", "s", "|error| of the force [-]", series)
+    return Result(ABOUT, tables if smoke else [*tables, _published()], [plot])
+
+
+def _runs(name: str, sets: tuple[str, ...], edges: tuple[float, ...], say: Say) -> Runs:
+    """tacgen on meshes of several edges."""
+    found = [answer((*PRESS, *sets, f"quality={{edge_mm: {edge}}}")) for edge in edges]
+    seconds, forces = [f.setup + f.seconds for f in found], [-float(f.force[-1, 2]) for f in found]
+    for edge, s, force in zip(edges, seconds, forces, strict=True):
+        say(f"{name}, edge {edge:g}: {force:.4f} N in {s:.2f} s")
+    return Runs(name, [f"{edge:g}" for edge in edges], [f.nodes for f in found], seconds, forces)
+
+
+def _calculix(edges: tuple[float, ...], quarter: bool, say: Say) -> Runs:
+    gel = scene.build(row_of(PRESS)).gel
+    name = f"{calculix.version()}, C3D20R, {'a quarter' if quarter else 'the whole pad'}"
+    found = []
+    for edge in edges:
+        found.append(calculix.press(gel, 4.0, 1.0, edge, quarter=quarter))
+        say(f"{name}, edge {edge:g}: {found[-1].force:.4f} N in {found[-1].seconds:.1f} s")
+    labels = [f"{edge:g}" for edge in edges]
+    return Runs(name, labels, [f.nodes for f in found], [f.seconds for f in found], [f.force for f in found])
+
+
+def _equal(runs: list[Runs], ours: Runs, reference: float) -> Table:
+    """Each method where its force is EQUAL right, and its error in the time that takes us."""
+    base, rows = ours.cheapest(reference), list[list[Cell]]()
+    for one in runs:
+        least = one.cheapest(reference)
+        ratio = None if least is None or base is None else least / base
+        errors = one.errors(reference)
+        within = [abs(e) for e, s in zip(errors, one.seconds, strict=True) if base is not None and s <= base]
+        rows.append([one.name, "not reached" if least is None else f"{least:.2f}", ratio, min(within, default=None)])
+    heads = columns("method", f"s to {EQUAL:.0%}", "times ours: .1f", "best error in our time: .1%")
+    if not calculix.installed():
+        rows.append(["CalculiX", "not installed here", None, None])
+    return Table("At equal error, and at equal time", heads, rows, "The cheapest of the runs above that is that right.")
+
+
+E, R, DEPTH = 0.15, 200.0, 0.5  # of the closed forms [MPa, mm, mm]: a/R = .05
+LAYERS = ((0.3, 0.1), (0.4999, 0.1), (0.4999, 0.2))  # nu, and the contact's radius over the thickness
+
+
+def dimitriadis(nu: float, chi: float) -> float:
+    """Force of a ball on a bonded layer over that on a half space, chi = sqrt(R depth)/thickness: Dimitriadis, Horkay,
+    Maresca, Kachar & Chadwick (2002), Biophys. J. 82, 2798, Eqs. 12-13; to fourth order, for chi well below 1."""
+    alpha = -(1.2876 - 1.4678 * nu + 1.3442 * nu**2) / (1 - nu)
+    beta = (0.6387 - 1.0277 * nu + 1.5164 * nu**2) / (1 - nu)
+    c = chi / math.pi
+    third = alpha**3 + 4 * math.pi**2 / 15 * beta
+    fourth = alpha**3 + 3 * math.pi**2 / 5 * beta
+    return 1 - 2 * alpha * c + 4 * alpha**2 * c**2 - 8 * third * c**3 + 16 * alpha * fourth * c**4
+
+
+def _anchors(level: Level, say: Say) -> Table:
+    """Presses of a bonded layer, whose force is known in closed form."""
+    rows: list[list[Cell]] = []
+    for nu, chi in LAYERS[-1:] if level == "smoke" else LAYERS:
+        begun = time.process_time()
+        hertz = 4 / 3 * E / (1 - nu**2) * math.sqrt(R) * DEPTH**1.5
+        force, found = hertz * dimitriadis(nu, chi), pressed(nu, chi, 2 if level == "smoke" else 5)
+        rows.append([nu, chi, hertz, force, found, found / force - 1, time.process_time() - begun])
+        say(f"bonded layer, nu {nu}: {found / force - 1:+.2%}")
+    heads = columns(
+        "nu: g", "a/h: g", "Hertz [N]: .3f", "closed form [N]: .3f", "tacgen [N]: .3f", "error: +.1%", "s: .1f"
+    )
+    note = (
+        "A ball on a layer bonded below, a/R = 0.05: Hertz (1882) times the series in a/h of Dimitriadis et al. (2002)."
+    )
+    return Table("Closed form", heads, rows, note)
+
+
+def pressed(nu: float, chi: float, fine: int) -> float:
+    """Force [N] of a ball of R pressed by DEPTH, `fine` cells in the contact's radius a, into a pad a/chi thick."""
+    a = math.sqrt(R * DEPTH)
+    law = NeoHooke(E / (2 * (1 + nu)), E / (3 * (1 - 2 * nu)))
+    pad = Gel(80 * a, 80 * a, 0.0, (Layer(a / chi, law, E),))
+    path = np.eye(4)[None].copy()
+    path[0, 2, 3] = -DEPTH
+    made = scene.Scene(pad, Sphere(R), path, np.eye(4), np.zeros(1, int), 0.0, a / fine, 0.05)
+    built = mesh.build(pad, (-1.4 * a, 1.4 * a, -1.4 * a, 1.4 * a), made.edge, growth=1.5, coarsest=16 * a)
+    *_, state = solve.states(made, solve.Problem.of(made, built))
+    return -float(state.traction_force[..., 2].sum())
+
+
+def _published() -> Table:
+    heads = columns("program", "what", "hardware", "figure")
+    h100 = "NVIDIA H100"
+    pad = "this pad, nu 0.48, friction 0.6, dhat 0.1 mm; CalculiX 1.087 N"
+    rows: list[list[Cell]] = [
+        ["libuipc 0.0.29, P1", f"{pad}; 1 014 vertices", h100, "2.69 N, 57 ms a frame"],
+        ["libuipc 0.0.29, P1", "the same; 4 761 vertices", h100, "1.76 N, 70 ms a frame"],
+        ["libuipc 0.0.29, P1", "the same; 20 535 vertices", h100, "1.47 N, 127 ms a frame"],
+        ["libuipc 0.0.29, P1", "the same; 60 025 vertices", h100, "1.39 N, 276 ms a frame"],
+        ["ANSYS", "R 3 mm, 0.8 mm, E 0.1 MPa, nu 0.49, friction 0.5", "", "0.36087 N"],
+        ["TacEx (GIPC)", "soft body of the Mini, 3.7k to 67k vertices", "not stated", "25 - 220 ms a frame"],
+        ["TacEx (Taxim)", "480 x 640 image with shadows", "RTX 3080 Ti", "3 - 6 ms a frame"],
+        ["TacEx (FOTS)", "10 x 10 markers", "16 CPU cores", "2 - 5 ms a frame"],
+    ]
+    note = "Others' figures on their hardware, and libuipc as run for tacgen's design: none on the machine above."
+    return Table("Quoted, not measured here", heads, rows, note)

@@ -1,0 +1,245 @@
+"""What running many scenes costs beyond the scenes, and where the time of one goes."""
+
+import json
+import os
+import resource
+import shutil
+import tempfile
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tacgen import assets, batch, pipeline, plan
+from tacgen.batch.local import Pool
+from tacgen.batch.watch import memory
+from tacgen.bench.kit import Cell, Level, Plot, Result, Say, Series, Table, apart, columns
+from tacgen.bundle import Writer
+from tacgen.resume import SceneResult, once
+
+ABOUT = (
+    "Many scenes by `tacgen run --workers`, and where the time of one scene goes, by the bundles' own timing files."
+    " Wall clock, so other work on the machine shows; processor seconds, printed beside it, bear company better."
+)
+SMALL = ("quality={edge_mm: 1.2, dhat_mm: 0.1, spp: 4}", "outputs=[force]", "contact.friction=0")
+PRESS = "trajectory=[{press: {depth_mm: 0.4, frames: 2}}]"
+STAGES = ("mesh", "solve", "fields", "render", "bundle")
+MOVES = "{press: {depth_mm: 0.8, frames: 2}}, {slide: {x_mm: 0.6, frames: 2}}, {twist: {angle_deg: 8, frames: 1}}"
+
+
+def bench(level: Level, say: Say) -> Result:
+    """Stages of a scene, workers, engines, memory and reading."""
+    count = {"smoke": 4, "normal": 48, "full": 200}[level]
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder)
+        if level == "smoke":
+            table, plot = _workers(count, [1], out, say)
+            return Result(ABOUT, [table], [plot])
+        cores = len(os.sched_getaffinity(0))
+        many = sorted({1, *(2**k for k in range(1, 8) if 2**k <= cores), cores})
+        table, plot = _workers(count, many, out, say)
+        more = [_overhead(count, out, say), _memory(count, out, say)]
+        if find_spec("torch"):
+            more.append(_reading(out, say))
+        return Result(ABOUT, [_stages(out, say), table, *more], [plot])
+
+
+def scenes(count: int) -> plan.Plan:
+    """Small presses of the batch recipe's ball at different places."""
+    vary = f"vary={{method: random, samples: {count}, over: {{start.x_mm: {{uniform: [-4, 4]}}}}}}"
+    return plan.load(assets.recipe_path("batch"), (*SMALL, PRESS, vary))
+
+
+def _stages(out: Path, say: Say) -> Table:
+    """Wall seconds a frame in each stage of a scene with everything that people train on."""
+    rows: list[list[Cell]] = []
+    for sensor, dots in (("gelsight_mini", ", markers"), ("digit", ""), ("ninedtact", "")):
+        for quality in ("draft", "default"):
+            sets = (
+                f"sensor={sensor}",
+                f"trajectory=[{MOVES}]",
+                f"quality={quality}",
+                f"outputs=[force, traction, height, stress, rgb{dots}]",
+            )
+            row = plan.load(assets.recipe_path("quickstart"), sets).rows[0]
+            for part in ("warm", "timed"):
+                found = pipeline.run_scene(row, out / f"{sensor}-{quality}-{part}")
+            seconds = json.loads(found.path.with_suffix(".timing.json").read_text())["seconds"]
+            each = [seconds.get(stage, 0.0) / row.frames for stage in STAGES]
+            total = sum(seconds.values()) / row.frames
+            shares = ", ".join(f"{stage} {part / total:.0%}" for stage, part in zip(STAGES, each, strict=True))
+            rows.append([sensor, quality, *each, total, shares])
+            say(f"{sensor} {quality}: {total:.2f} s a frame: {shares}")
+    heads = columns("sensor", "quality", *(f"{stage} [s]: .3f" for stage in STAGES), "s a frame: .2f", "shares")
+    note = (
+        "A ball pressed, slid and twisted in 5 frames: force, traction, height, stress, rgb, and markers on the Mini. "
+    )
+    return Table("Where the time goes", heads, rows, note + "Mesh and render include what is made ready once a scene.")
+
+
+def _workers(count: int, many: list[int], out: Path, say: Say) -> tuple[Table, Plot]:
+    """Small real scenes on one worker and on several."""
+    rows: list[list[Cell]] = []
+    plan_of, rates = scenes(count), []
+    batch.run(scenes(2), out / "warm", workers=1)  # compile
+    for n in many:
+        found: dict[str, float] = {}
+        with _timed(found):
+            batch.run(plan_of, out / f"on{n}", workers=n)
+        bare = _apart(count, n, out)
+        rates.append(3600 * count / found["wall"])
+        pairs = ((path, out / "on1" / path.name) for path in (out / f"on{n}").glob("*.h5"))
+        same = all(a.read_bytes() == b.read_bytes() for a, b in pairs)
+        efficiency = rates[-1] / rates[0] / n
+        rows.append(
+            [n, rates[-1], efficiency, bare / found["wall"], found["processor"] / count, "yes" if same else "NO"]
+        )
+        say(f"{n} workers: {rates[-1]:.0f} scenes an hour, efficiency {efficiency:.2f}")
+    heads = columns(
+        "workers: d",
+        "scenes an hour: .0f",
+        "efficiency: .2f",
+        "against processes: .2f",
+        "processor s a scene: .3f",
+        "equal bytes",
+    )
+    note = (
+        f"{count} small scenes (a coarse press in two frames, force alone), the workers' start included. Against"
+        " processes: seconds of as many processes that know nothing of each other, a share of the scenes each, over"
+        " the engine's; what the machine itself loses when all its cores work is in both."
+    )
+    series = [
+        Series("measured", [float(n) for n in many], rates),
+        Series("in proportion", [float(n) for n in many], [rates[0] * n for n in many], line=True),
+    ]
+    return Table("Workers", heads, rows, note), Plot("Scenes an hour", "workers", "scenes an hour", series)
+
+
+def _apart(count: int, workers: int, out: Path) -> float:
+    """Wall seconds of the same scenes in processes side by side, a share each, without an engine."""
+    begun = time.perf_counter()
+    with ThreadPoolExecutor(workers) as threads:  # each waits for a process
+        shares = [
+            threads.submit(apart, "tacgen.bench.scaling:share", count, i, workers, str(out)) for i in range(workers)
+        ]
+        for one in shares:
+            one.result()
+    return time.perf_counter() - begun
+
+
+def share(count: int, first: int, step: int, out: str) -> int:
+    """Every `step`-th scene from the first, one after the other, in this process; how many there were."""
+    rows = scenes(count).rows[first::step]
+    with tempfile.TemporaryDirectory(dir=out) as folder:
+        pipeline.run(rows, Path(folder))
+    return len(rows)
+
+
+def nothing(row: plan.Row, folder: Path, *, overwrite: bool = False, say: Any = None) -> SceneResult:
+    """A scene without work: claimed, written, read back."""
+
+    def make(path: Path) -> SceneResult:
+        known = {"recipe": row.document(), "scene_index": row.index, "seed": row.seed, "sensor": row.sensor.name}
+        known |= {"sensor_sha256": row.sensor_sha256, "solver": "none", "input_key": row.key}
+        with Writer(path, known, 1) as writer:
+            writer.append({"/frames/force": np.array([0.0, 0.0, -row.index])})
+            writer.finish()
+        return SceneResult(row.name, path, "ok", "", row.frames, {"solve": 0.0})
+
+    return once(row, folder, make, overwrite=overwrite)
+
+
+@contextmanager
+def _timed(found: dict[str, float]) -> Iterator[None]:
+    """Wall-clock seconds, and processor seconds of this process and of children that have ended."""
+    before, start = _processor(), time.perf_counter()
+    yield
+    found["wall"], found["processor"] = time.perf_counter() - start, _processor() - before
+
+
+def _processor() -> float:
+    used = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return sum(one.ru_utime + one.ru_stime for one in used)
+
+
+def _overhead(count: int, out: Path, say: Say) -> Table:
+    """Stand-in scenes without work: what an engine takes for each."""
+    plan_of = scenes(count)
+    alone: dict[str, float] = {}
+    with _timed(alone):
+        for row in plan_of.rows:
+            nothing(row, out / "alone")
+    bare = 1000 * alone["wall"] / count
+    rows: list[list[Cell]] = [["no engine", bare, None, None]]
+    for engine in batch.ENGINES:
+        if engine == "dask" and not find_spec("distributed"):
+            continue
+        ends: list[float] = []
+        spent: list[float] = []
+
+        def hear(event: dict[str, Any], ends: list[float] = ends, spent: list[float] = spent) -> None:
+            ends.append(time.perf_counter())
+            spent.append(time.process_time())
+
+        batch.run(plan_of, out / engine, engine=engine, task="tacgen.bench.scaling:nothing", hear=hear)
+        step = 1000 * float(np.median(np.diff(ends)))  # workers have started by then
+        here = 1000 * (spent[-1] - spent[0]) / (count - 1)
+        rows.append([engine, step, step - bare, here])
+        say(f"{engine}: {step - bare:+.1f} ms a scene")
+    heads = columns("engine", "ms a scene: .1f", "beyond a bundle's own: +.1f", "its own processor: .1f")
+    return Table("Engines", heads, rows, "Scenes without work: claimed, written, read back.")
+
+
+def _memory(count: int, out: Path, say: Say) -> Table:
+    """Of one worker over many scenes: it should not grow."""
+    held: list[float] = []
+    with Pool() as pool:
+
+        def hear(event: dict[str, Any]) -> None:
+            if event["event"] == "scene":
+                held.append(1000 * memory(pool.workers[0].process.pid))
+
+        pool.run(scenes(count).rows, out / "flat", hear=hear)
+    part = max(1, count // 10)
+    start, end = float(np.median(held[part : 2 * part])), float(np.median(held[-part:]))
+    say(f"memory: {start:.0f} MB, then {end:.0f} MB")
+    heads = columns("scenes: d", "after a tenth [MB]: .0f", "after all [MB]: .0f", "a scene [kB]: +.0f")
+    return Table("Memory of a worker", heads, [[count, start, end, 1000 * (end - start) / count]])
+
+
+def _reading(out: Path, say: Say) -> Table:
+    """Frames at random by PyTorch's DataLoader, RGB and force, 320 x 240, two loader workers."""
+    from torch.utils.data import DataLoader
+
+    from tacgen import pack, source
+    from tacgen.torch import TactileDataset
+
+    rows = plan.load(assets.recipe_path("quickstart"), ("quality=draft", "outputs=[force, rgb]")).rows
+    batch.run(plan.Plan("reading", rows), out / "one")
+    for i in range(1, 60):  # of different names, so that no cache can help
+        shutil.copy(out / "one" / "scene-00000.h5", out / "one" / f"scene-{i:05d}.h5")
+    packed = pack.pack(source.scenes(out / "one"), out / "packed", 32).folder
+    table: list[list[Cell]] = []
+    for name, kind in (("bundles", out / "one"), ("packed", packed)):
+        data = TactileDataset(kind)
+        order = np.random.default_rng(0).permutation(len(data))
+        for i in order[:: len(data) // 60]:
+            data[int(i)]  # files open
+        start = time.process_time()
+        for i in order:
+            data[int(i)]
+        each = 1000 * (time.process_time() - start) / len(order)
+        loader: Any = DataLoader(data, batch_size=64, shuffle=True, num_workers=2, persistent_workers=True)  # type: ignore[arg-type]
+        rates = []
+        for _ in range(3):  # the first starts the workers
+            start = time.perf_counter()
+            rates.append(sum(len(part["force"]) for part in loader) / (time.perf_counter() - start))
+        table.append([name, each, min(rates[1:]), max(rates[1:])])
+        say(f"reading {name}: {rates[-1]:.0f} frames a second")
+    heads = columns("from", "processor ms a frame: .2f", "frames a second, from: .0f", "to: .0f")
+    return Table("Reading for training", heads, table, "RGB and force, 320 x 240, at random, two loader workers.")

@@ -1,0 +1,105 @@
+"""How much an answer moves when what is given moves by next to nothing, or when every length grows alike."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from tacgen import assets, mesh, plan, scene, solve
+from tacgen.bench.cases import CASES, PLAIN, SCALES, Sets, scaled
+from tacgen.bench.kit import Cell, Level, Say, Table, columns
+from tacgen.fem.contact import Pose
+from tacgen.fem.linear import NotPositiveDefinite, SuperLU
+from tacgen.fem.materials import NeoHooke
+from tacgen.fem.potentials import Total
+
+Array = np.ndarray
+NAMES = ("", "nu 0.4999", "1 kPa", "100 MPa", "friction 2", "half deep", "skin stiffer 1000:1")
+NUDGE = 1e-10
+
+
+def tables(level: Level, say: Say) -> list[Table]:
+    """Condition and nudges, and whether forces grow with the square of the size."""
+    found = [_nudged(NAMES[:1] if level == "smoke" else NAMES, say)]
+    return found if level == "smoke" else [*found, _sizes(say)]
+
+
+def _solved(sets: Sets, nudge: str = "") -> tuple[solve.Problem, solve.State]:
+    """The last frame without friction's history: one press, with one input a little larger."""
+    row = plan.load(assets.recipe_path("quickstart"), (*PLAIN, *sets)).rows[0]
+    made = scene.build(row)
+    if nudge == "depth":
+        poses = made.poses.copy()
+        poses[:, 2, 3] *= 1 + NUDGE
+        made = replace(made, poses=poses)
+    if nudge == "friction":
+        made = replace(made, friction=made.friction * (1 + NUDGE))
+    if nudge == "modulus":
+        laws = [(layer, layer.law) for layer in made.gel.layers if isinstance(layer.law, NeoHooke)]
+        layers = [replace(layer, law=replace(law, mu=law.mu * (1 + NUDGE))) for layer, law in laws]
+        made = replace(made, gel=replace(made.gel, layers=tuple(layers)))
+    problem = solve.Problem.of(made, mesh.of(made))
+    *_, state = solve.states(made, problem)
+    return problem, state
+
+
+def _nudged(names: tuple[str, ...], say: Say) -> Table:
+    rows: list[list[Cell]] = []
+    for name in names:
+        sets = CASES[name] if name else ()
+        problem, state = _solved(sets)
+        force = state.traction_force.sum((0, 1))
+        moved = []
+        for nudge in ("depth", "modulus", "friction"):
+            other = _solved(sets, nudge)[1].traction_force.sum((0, 1))
+            moved.append(float(np.linalg.norm(other - force) / np.linalg.norm(force)))
+        rows.append([name or "plain", condition(problem, state), *moved])
+        say(f"{name or 'plain'}: condition {rows[-1][1]:.1e}, moved by {max(moved):.1e}")
+    heads = columns("case", "condition: .1e", "depth: .0e", "shear modulus: .0e", "friction: .0e")
+    note = (
+        "Condition: of the stiffness in the last frame, its largest over its smallest eigenvalue. The rest: change of"
+        f" the last frame's force, as a part of it, when this input grows by {NUDGE:g} of itself; Newton's own"
+        " tolerance lets it move by up to 1e-3 where a nudge changes its path."
+    )
+    return Table("Condition, and what a nudge does", heads, rows, note)
+
+
+def condition(problem: solve.Problem, state: solve.State) -> float:
+    """Largest over smallest eigenvalue of the stiffness at a state."""
+    import scipy.sparse as sp
+    from scipy.sparse.linalg import LinearOperator, eigsh
+
+    contact = problem.contact.moved(Pose.of(state.pose), state.offset)
+    data, pat = np.zeros(len(problem.pattern.indices)), problem.pattern
+    Total((*problem.elastic, contact)).add_hessian(state.x, data, 0)
+    upper = sp.csr_matrix((data, pat.indices, pat.indptr), shape=(pat.size, pat.size))
+    whole = upper + sp.triu(upper, 1).T
+    direct = SuperLU(pat)
+    try:
+        direct.factor(data)
+    except NotPositiveDefinite:
+        return float("inf")
+    inverse = LinearOperator((pat.size, pat.size), direct.solve, dtype=float)
+    start = np.ones(pat.size)
+    most = eigsh(whole, 1, which="LA", tol=1e-2, v0=start, return_eigenvectors=False)[0]
+    least = eigsh(whole, 1, sigma=0, OPinv=inverse, which="LM", tol=1e-2, v0=start, return_eigenvectors=False)[0]
+    return float(most / least)
+
+
+def _sizes(say: Say) -> Table:
+    """Elasticity knows no length: with all lengths s times as long forces are s^2 times as large."""
+    plain = _solved(scaled(1.0))[1].traction_force.sum((0, 1))
+    rows: list[list[Cell]] = []
+    for by in sorted((*SCALES, 1.0)):
+        try:
+            force = _solved(scaled(by))[1].traction_force.sum((0, 1)) / by**2
+        except solve.NotConverged as error:
+            rows.append([by, None, None, str(error)])
+            continue
+        rows.append([by, float(-force[2] / -plain[2] - 1), float(force[0] / plain[0] - 1), ""])
+        say(f"lengths x {by:g}: normal force {rows[-1][1]:+.2%}, tangential {rows[-1][2]:+.2%}")
+    heads = columns("all lengths times: g", "normal force: +.2%", "tangential force: +.2%", "why not")
+    note = (
+        "Force over the square of the size, against the plain scene's: 0 but for the tolerances, which are lengths (1"
+        " um a step, 5 um of slip)."
+    )
+    return Table("Size", heads, rows, note)

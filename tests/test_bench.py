@@ -1,0 +1,146 @@
+"""Benches: tables, plots and the page that they make, what a scene pays for, and that each of them runs."""
+
+import json
+from functools import cache
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from tacgen import bench
+from tacgen.bench import calculix, kit, pay
+from tacgen.cli import app
+
+runner = CliRunner()
+
+
+@pytest.fixture(autouse=True)
+def _own_cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TACGEN_CACHE_DIR", str(tmp_path_factory.getbasetemp() / "cache"))
+
+
+def result(seconds: float) -> kit.Result:
+    heads = kit.columns("method", "s: .2f", "error: +.1%")
+    curve = kit.Series("measured", [1.0, 2.0], [0.1, 0.05], ["a", "b"])
+    table = kit.Table("Runs", heads, [["fine | slow", seconds, -0.0125], ["none", None, None]], "A note.")
+    return kit.Result("What was done.", [table], [kit.Plot("Error", "s", "error", [curve])])
+
+
+def test_the_page_is_made_of_what_was_found(tmp_path: Path) -> None:
+    kit.write(tmp_path / "results", "mechanics", result(3.14159), 12.3)
+    kit.page(tmp_path / "results", ["mechanics", "stability"], tmp_path / "RESULTS.md", "Results", "Head.")
+    page = (tmp_path / "RESULTS.md").read_text()
+    assert "| fine \\| slow | 3.14 | -1.2% |" in page
+    assert "| none |  |  |" in page
+    assert "![mechanics](results/mechanics.png)" in page
+    assert "Stability" not in page
+    assert (tmp_path / "results" / "mechanics.png").stat().st_size > 5000
+    found = json.loads((tmp_path / "results" / "mechanics.json").read_text())
+    assert found["tables"][0]["rows"][0][1] == 3.14159  # in full
+    assert found["made"]["packages"]["numpy"] in page
+    assert found["made"]["date"] in page
+
+
+def test_a_part_made_again_leaves_the_others(tmp_path: Path) -> None:
+    for name, seconds in (("mechanics", 1.0), ("pay", 2.0), ("mechanics", 3.0)):
+        kit.write(tmp_path / "results", name, result(seconds), 1.0)
+        kit.page(tmp_path / "results", ["mechanics", "pay"], tmp_path / "RESULTS.md", "Results", "Head.")
+    page = (tmp_path / "RESULTS.md").read_text()
+    assert "| 3.00 |" in page
+    assert "| 2.00 |" in page
+    assert "| 1.00 |" not in page
+
+
+def test_pareto_front() -> None:
+    assert kit.front([1, 2, 3, 4, 1], [9, 5, 7, 2, 8]) == [4, 1, 3]
+
+
+def test_a_process_apart() -> None:
+    assert kit.apart("math:hypot", 3, 4) == 5.0
+    with pytest.raises(RuntimeError, match="math domain error"):
+        kit.apart("math:sqrt", -1)
+
+
+def test_a_bench_that_fails_is_said_and_the_others_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from tacgen.bench import cost, scaling
+
+    def fails(level: kit.Level, say: kit.Say) -> kit.Result:
+        raise ValueError("no such luck")
+
+    monkeypatch.setattr(cost, "bench", fails)
+    monkeypatch.setattr(scaling, "bench", lambda level, say: result(1.0))
+    said: list[str] = []
+    assert bench.run(["cost", "scaling"], tmp_path, "smoke", said.append) == ["cost"]
+    assert "no such luck" in "\n".join(said)
+    assert "## Scaling" in (tmp_path / "RESULTS.md").read_text()
+
+
+def test_an_unknown_bench_is_told(tmp_path: Path) -> None:
+    told = runner.invoke(app, ["bench", "speed", "-o", str(tmp_path)])
+    assert told.exit_code == 2
+    assert told.stderr.startswith("speed: must be one of mechanics, ")
+
+
+@pytest.mark.parametrize("name", [name for name in bench.BENCHES if name != "optics"])
+def test_each_runs(name: str, tmp_path: Path) -> None:
+    told = runner.invoke(app, ["bench", name, "--smoke", "-o", str(tmp_path)])
+    assert told.exit_code == 0, told.stderr
+    found = json.loads((tmp_path / "results" / f"{name}.json").read_text())
+    assert found["tables"]
+    assert all(len(row) == len(table["columns"]) for table in found["tables"] for row in table["rows"])
+    assert f"## {name.capitalize()}" in (tmp_path / "RESULTS.md").read_text()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not calculix.installed(), reason="CalculiX (ccx) is not installed")
+def test_calculix_presses_as_it_did() -> None:
+    """1.000 N by finer meshes of CalculiX 2.20."""
+    from tacgen import scene
+    from tacgen.bench.answers import row_of
+    from tacgen.bench.peers import PRESS
+
+    found = calculix.press(scene.build(row_of(PRESS)).gel, 4.0, 1.0, 0.9)
+    assert found.force == pytest.approx(1.0, rel=0.01)
+
+
+ALWAYS = {"numpy", "scipy", "numba", "h5py", "cvxopt", "pymetis", "pypardiso"}
+UNASKED = {  # modules and packages that only this brings
+    "traction": {"tacgen.maps"},
+    "height": {"tacgen.optics.sheet"},
+    "stress": {"tacgen.stress", "tacgen.fem.recovery"},
+    "markers": {"tacgen.optics.flow", "tacgen.optics.sheet"},
+    "rgb": {"tacgen.render", "tacgen.tracer", "tacgen.optics.transport", "mitsuba", "drjit"},
+}
+EVER = set().union(
+    *UNASKED.values(), {"tacgen.fem.ipc", "ipctk", "tacgen.fem.inertia", "PyfTetWildWrapper", "PIL", "matplotlib"}
+)
+SMALL = ["trajectory=[{press: {depth_mm: 0.5, frames: 1}}]", "quality={edge_mm: 1.2, dhat_mm: 0.08}"]
+
+
+@cache
+def used(output: str, friction: float) -> dict[str, list[str]]:
+    found: dict[str, list[str]] = kit.apart("tacgen.bench.pay:used", output, [*SMALL, f"contact.friction={friction}"])
+    return found
+
+
+@pytest.mark.parametrize("output", ["force", "stress", "markers"])
+def test_what_is_not_asked_for_is_not_imported(output: str) -> None:
+    found = used(output, 0)
+    asked = UNASKED.get(output, set())
+    loaded = {*found["modules"], *found["packages"]}
+    assert asked <= loaded
+    assert loaded.isdisjoint(EVER - asked)
+    assert set(found["packages"]) <= ALWAYS
+
+
+def test_what_is_not_asked_for_is_not_computed() -> None:
+    """Modules that are loaded anyway do nothing: a scene without friction has no friction term, one layer no second."""
+    without, rubbing = used("force", 0)["ran"], used("force", 0.5)["ran"]
+    assert set(rubbing) - set(without) == {"tacgen.fem.friction"}
+    assert {"tacgen.fields", "tacgen.foresee"} <= set(without)  # the wrench alone
+    assert not {"tacgen.maps", "tacgen.stress", "tacgen.tetmesh", "tacgen.fem.field", "tacgen.geometry"} & set(without)
+
+
+def test_every_line_of_pay_is_a_scene() -> None:
+    for outputs, sets in pay.ASKED.values():
+        assert len(pay.rows_of(outputs, list(sets))) == 1
