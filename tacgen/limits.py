@@ -141,6 +141,12 @@ def _outputs(recipe: Recipe, sensor: Sensor) -> list[Problem]:
     if (images := recipe.outputs & IMAGES) and not sensor.lit:
         asked = " and ".join(sorted(images))
         wrong.append(Problem(("outputs",), f"asks for {asked}: the sensor file {sensor.name} describes no lights yet"))
+    if images and recipe.render.method == "table" and any(layer.scattering for layer in sensor.gel.clear_layers):
+        text = f"cannot be table: the gel of {sensor.name} scatters, and its light does not follow the face's slope"
+        wrong.append(Problem(("render", "method"), text))
+    if recipe.markers.method == "analytic" and (sensor.markers is None or sensor.markers.motion is None):
+        text = f"cannot be analytic: the sensor file {sensor.name} holds no markers.motion"
+        wrong.append(Problem(("markers", "method"), text))
     return wrong
 
 

@@ -71,7 +71,13 @@ class Products:
 
             if row.sensor.markers is None:
                 raise UserError(f"outputs: the sensor {row.sensor.name} has no markers")
-            self.dots = Points(centers(row.sensor.markers), self.sheet, self.seen, self.camera)
+            rest, motion = centers(row.sensor.markers), row.sensor.markers.motion
+            self.dots = Points(rest, self.sheet, self.seen, self.camera)
+            self.drift = None
+            if row.recipe.markers.method == "analytic" and motion is not None:
+                from tacgen.drift import Drift
+
+                self.drift = Drift(motion, rest, row.sensor.gel, problem.contact.shape, self.camera)
         if "flow" in self.outputs:
             from tacgen.optics.flow import Flow
 
@@ -147,7 +153,7 @@ class Products:
         if self.outputs & {*PRINTED}:
             coating = self.seen.moved(state.x)
         if "markers" in self.outputs:
-            pixels, shown = self.dots.at(coating)
+            pixels, shown = self.drift.at(state.pose) if self.drift else self.dots.at(coating)
             flow = pixels - self.dots.undisturbed
             out |= {"/frames/markers": pixels, "/frames/marker_flow": flow, "/frames/marker_visible": shown}
         if "flow" in self.outputs:

@@ -162,16 +162,24 @@ class Dynamics(Part):
 
 
 class Render(Part):
-    """How camera images are made: `transport`, exact light, or Mitsuba's `path` with the noise of `spp` paths.
+    """How camera images are made: `transport`, exact light; Mitsuba's `path` with the noise of `spp` paths; or `table`,
+    milliseconds an image by Taxim's look-up of light by slope and place, for looks more than for measure.
 
     `noise` is the camera's own, as its sensor file says, in /frames/rgb: what a real camera gives is the default.
     """
 
-    method: Literal["transport", "path"] = "transport"
+    method: Literal["transport", "path", "table"] = "transport"
     noise: bool = True
     # a photograph of one's own untouched unit, dots where the sensor file has them: photo x (deformed / flat render)
     background: Annotated[str, Field(min_length=1)] | None = None  # a path that starts at the recipe's folder
     background_sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = None  # it must be this file
+
+
+class MarkerMotion(Part):
+    """How dots move: `fem`, as the solved gel carries them; or `analytic`, by FOTS's exponentials of the indenter's
+    pose, of which the sensor file holds the numbers."""
+
+    method: Literal["fem", "analytic"] = "fem"
 
 
 class Quality(NamedTuple):
@@ -265,6 +273,7 @@ class Recipe(Part):
     dynamics: Dynamics | None = None
     mesh: Element | None = None  # None: hex where the gel is a pad, tet where it is a solid of your own
     render: Render = Render()
+    markers: MarkerMotion = MarkerMotion()
     outputs: Outputs
     quality: Annotated[
         Annotated[Literal["draft", "default", "reference"], Tag("preset")] | Annotated[QualityNumbers, Tag("numbers")],

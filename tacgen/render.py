@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol
 import numpy as np
 
 from tacgen import variants as probing
-from tacgen.optics import cloudy, response
+from tacgen.optics import cloudy, lights, response, table
 from tacgen.optics.bounce import Bounce
 from tacgen.optics.dent import BallDent
 from tacgen.optics.direct import Direct
@@ -39,6 +39,8 @@ COLUMNS = 40  # of a traced map, whatever the image's
 PATHS = 64  # in a pixel of a map, for each path a pixel that was asked for
 MOST = 24  # paths a pixel, whatever was asked for, that count for maps: two minutes on one slow core
 SMOOTH = 5.0  # [map pixels] the Gaussian that takes the noise off a map
+TABLE_COLUMNS = 64  # of the pictures that a table is calibrated on
+TABLE_PATHS = 8  # in a pixel of those, for each path a pixel that was asked for
 LINEAR = {"exposure", "ambient", "vignette_mm", "noise"}  # of the camera: what is laid over a picture's light
 MAP_VERSION = 5  # of how the maps are made; part of their cache key
 
@@ -130,6 +132,44 @@ class Cloudy:
         return self._view.picture(self._bright.at(felt.ravel())) * self.scattered
 
 
+class Tabled:
+    """A look-up table of light by slope and place, calibrated on traced pictures of dents LED by LED: optics/table."""
+
+    def __init__(self, sensor: "LitSensor", sheet: Sheet, markers: bool, spp: int, variant: str) -> None:
+        """`sensor` must be one without a layer that scatters."""
+        self._view, untouched, spp = View(sensor, sheet, markers), Untouched.of(sensor.gel), min(spp, MOST)
+        self._lamps, self._mm = lights.strips(sensor), sensor.camera.mm_per_px
+        level, light = self._view.look(untouched), np.array([led.light for led in sensor.leds])
+        self._normals, paths = level.normal.reshape(*self._view.shape, 3), -(-spp * TABLE_PATHS // len(light))
+
+        def trace() -> "Floats":
+            coarse = zoomed(sensor, TABLE_COLUMNS)
+            view = View(coarse, sheet, False)
+            flat, *seen = (view.look(face) for face in (untouched, *table.dents(sensor, untouched)))
+            faces = [self._face(at, flat.normal.reshape(*view.shape, 3)) for at in seen]
+            made = []
+            for k, lamp in enumerate(self._lamps):
+                tracer = PathTracer(alone(coarse, k), sheet, False, variant)
+                bare = tracer.render(flat.nodes, 4 * paths, 0)
+                added = [tracer.render(at.nodes, paths, 1 + i) - bare for i, at in enumerate(seen)]
+                made.append(table.Table.fitted(faces, added, lamp[None], coarse.camera.mm_per_px).packed)
+            return np.array(made)
+
+        kept = cached("table", key(sensor, variant, spp, TABLE_COLUMNS, TABLE_PATHS, table.PLACES, table.BALLS), trace)
+        self._table = table.Table.mixed([table.Table.unpacked(one) for one in kept], light)
+        self._flat = Clear(sensor, sheet, False, spp, variant).seen(level)
+
+    def seen(self, at: Samples) -> "Floats":
+        """Linear radiance (H, W, 3), without noise."""
+        added = self._table.added(self._face(at, self._normals), self._lamps, self._mm)
+        return self._view.dimmed(at, np.maximum(self._flat + added, 0.0))
+
+    @staticmethod
+    def _face(at: Samples, untouched: "Floats") -> table.Face:
+        shape = untouched.shape
+        return table.Face.of(at.position[:, 2].reshape(shape[:2]), at.normal.reshape(shape), untouched)
+
+
 class Renderer:
     """One sensor's camera."""
 
@@ -140,7 +180,7 @@ class Renderer:
         seed: int,
         markers: bool,
         variant: str | None = None,
-        method: Literal["transport", "path"] = "transport",
+        method: Literal["transport", "path", "table"] = "transport",
     ) -> None:
         """By `transport`, `spp` paths a pixel go into what is traced once; by `path`, into every image.
 
@@ -157,6 +197,8 @@ class Renderer:
         self.light: Light
         if method == "path":
             self.light = Traced(sensor, self.sheet, markers, spp, seed, self.variant)
+        elif method == "table":
+            self.light = Tabled(sensor, self.sheet, markers, spp, self.variant)
         else:
             way = Cloudy if any(layer.scattering for layer in sensor.gel.clear_layers) else Clear
             self.light = way(sensor, self.sheet, markers, spp, self.variant)

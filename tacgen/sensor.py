@@ -264,6 +264,15 @@ class Camera(Part):
     source: str
 
 
+class Motion(Part):
+    """How dots move by the indenter's pose alone, for `markers: {method: analytic}`: see tacgen/drift.py."""
+
+    press: tuple[float, Positive]  # gain [1/mm^3] and decay [1/mm^2]
+    shear: tuple[Positive, Positive]  # the farthest a contact drags its middle [mm], and decay [1/mm^2]
+    twist: tuple[Positive, Positive]  # the most it turns it [deg], and decay [1/mm^2]
+    source: str
+
+
 class Markers(Part):
     """Dots printed on the coating, a grid centred on the pad."""
 
@@ -272,6 +281,7 @@ class Markers(Part):
     pitch_mm: tuple[Positive, Positive]
     diameter_mm: Positive
     albedo: Fraction
+    motion: Motion | None = None
     source: str
 
 

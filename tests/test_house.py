@@ -33,7 +33,7 @@ ORDER = [
     {"solve"},  # *
     {"foresee"},
     {"fields"},  # *
-    {"maps", "stress", "tracer", "faces"},
+    {"maps", "stress", "tracer", "faces", "drift"},
     {"render"},  # *
     {"layout"},
     {"bundle"},  # *

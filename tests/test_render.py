@@ -122,3 +122,12 @@ def test_bytes_are_the_same_at_any_thread_count(tmp_path):
 def test_no_paths_are_refused():
     with pytest.raises(ValueError, match="spp"):
         render.Renderer(sensor(), 0, 0, False, variants.SCALAR)
+
+
+def test_the_table_looks_like_transport_where_it_was_not_calibrated(renderer):
+    cheap = render.Renderer(renderer.sensor, 8, 0, False, variants.SCALAR, method="table")
+    truth, image = renderer.image(DENT), cheap.image(DENT)
+    flat = renderer.image(Untouched())
+    off = np.sqrt(np.mean((image - truth) ** 2))
+    assert off < 0.5 * np.sqrt(np.mean((flat - truth) ** 2))  # it knows most of what the dent does
+    assert 20 * np.log10(truth.max() / off) > 25

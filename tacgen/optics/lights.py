@@ -44,6 +44,18 @@ def rectangle(
     return matrix
 
 
+def strips(sensor: "LitSensor") -> "Floats":
+    """Ends of each LED's longer middle line and half its other side [mm], (leds, 7), from the picture's middle."""
+    out, origin = [], np.add(sensor.camera.center_mm, sensor.camera.crop_mm)
+    for light in sensor.leds:
+        axes, size = frame(light.normal, light.up), np.array(light.size_mm)
+        long = int(size[1] > size[0])
+        half = axes[:, long] * size[long] / 2
+        middle = np.array(light.center_mm) - [*origin, 0.0]
+        out.append(np.concatenate([middle - half, middle + half, [size[1 - long] / 2]]))
+    return np.array(out)
+
+
 def diffuse(albedo: "float | Sequence[float]") -> dict[str, Any]:
     """A Lambertian surface."""
     rgb = [float(albedo)] * 3 if isinstance(albedo, float | int) else [float(a) for a in albedo]
