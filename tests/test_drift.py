@@ -39,7 +39,8 @@ def flow(drift: Drift, *poses: np.ndarray) -> np.ndarray:
 def test_a_press_drives_dots_apart_and_leaves_the_middle(drift):
     moved = flow(drift, pose(-0.5))
     assert moved[1, 1] == pytest.approx([0, 0], abs=1e-6)
-    assert (moved[1, 2, 0] > 0.05) and (moved[1, 0, 0] < -0.05) and (moved[2, 1, 1] > 0.05) and (moved[0, 1, 1] < -0.05)
+    outward = [moved[1, 2, 0], -moved[1, 0, 0], moved[2, 1, 1], -moved[0, 1, 1]]
+    assert min(outward) > 0.05
 
 
 def test_a_slide_drags_the_middle_along_up_to_its_limit(drift):
