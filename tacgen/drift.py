@@ -54,7 +54,7 @@ class Drift:
         depth, at = depth[inside], self._face[inside]
         middle = depth @ at / depth.sum()
         dots = self._dots[:, :2]
-        return self._apart(dots, at[:, :2], depth) + self._along(dots, middle, self._touched, pose)
+        return np.asarray(self._apart(dots, at[:, :2], depth) + self._along(dots, middle, self._touched, pose))
 
     def _apart(self, dots: Array, at: Array, depth: Array) -> Array:
         gain, decay = self.motion.press

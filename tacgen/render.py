@@ -145,7 +145,8 @@ class Tabled:
         def trace() -> "Floats":
             coarse = zoomed(sensor, TABLE_COLUMNS)
             view = View(coarse, sheet, False)
-            flat, *seen = (view.look(face) for face in (untouched, *table.dents(sensor, untouched)))
+            dented: list[Surface] = [untouched, *table.dents(sensor, untouched)]
+            flat, *seen = (view.look(face) for face in dented)
             faces = [self._face(at, flat.normal.reshape(*view.shape, 3)) for at in seen]
             made = []
             for k, lamp in enumerate(self._lamps):

@@ -141,7 +141,7 @@ def _solved(a: "Floats", b: "Floats") -> "Floats":
     left, right = shared(a), shared(b)
     drawn = np.diag([0.0, 1, 1, 1, 1, 1]) * RIDGE
     left += left[:, :1, :1] * drawn + 1e-30 * np.eye(6)
-    return np.linalg.solve(left, right).reshape(BINS, BINS, 6, 3)
+    return np.asarray(np.linalg.solve(left, right).reshape(BINS, BINS, 6, 3), dtype=np.float64)
 
 
 @njit(cache=True)
