@@ -123,7 +123,7 @@ def build(
     x0, x1, y0, y1 = footprint
     xs = graded(-gel.width / 2, gel.width / 2, (x0, x1), edge, growth, coarsest)
     ys = graded(-gel.height / 2, gel.height / 2, (y0, y1), edge, growth, coarsest)
-    zs, layer = heights(gel, 1.1 * edge, 1.1, coarsest / 2)
+    zs, layer = heights(gel, 1.3 * edge, 1.1, coarsest / 2)  # a map's rim is as sharp as cells are wide, not deep
     shape = len(xs), len(ys), len(zs)
     _refuse_beyond(MOST, math.prod(shape), edge, "nodes")
     points = np.stack(np.meshgrid(xs, ys, zs, indexing="ij"), -1).reshape(-1, 3)
