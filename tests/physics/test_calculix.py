@@ -75,7 +75,7 @@ def test_force_wherever_the_sphere_sits_in_a_cell(row: plan.Row, press: Run) -> 
 
 
 def test_force_with_friction(tmp_path: Path) -> None:
-    """CalculiX is 1.1 % sure of it; here it falls to 1.070 N on a mesh of .25 mm, and rises .3 % from 5 frames to 10."""
+    """CalculiX is 1.1 % sure of it; here it falls to 1.070 N on a mesh of .25 mm, and gains .3 % by 10 frames."""
     row = resolved(tmp_path, ("trajectory[0].press.frames=10", "contact.friction=0.6"))
     forces = solved(row).forces
     assert -forces[-1, 2] == pytest.approx(1.087, rel=0.015)
