@@ -6,12 +6,20 @@ import sys
 from pathlib import Path
 from types import ModuleType
 
+import pytest
 from ruamel.yaml import YAML
 
 from tacgen.sensor import Sensor
 
 ROOT = Path(__file__).parents[1]
 REFERENCE = Path(os.environ.get("TACGEN_REFERENCE", ROOT.parent / "shared" / "reference"))
+
+
+def needs(folder: str, file: str) -> pytest.MarkDecorator:
+    """Skip where the photograph is absent."""
+    photos = REFERENCE / folder
+    reason = f"no photographs in {photos} (set TACGEN_REFERENCE)"
+    return pytest.mark.skipif(not (photos / file).is_file(), reason=reason)
 
 
 def compare() -> ModuleType:

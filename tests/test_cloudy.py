@@ -15,11 +15,7 @@ FACE = Untouched.of(sensor().gel)
 DENT = BallDent(2.5, 1.6, (0.5, -0.4), FACE)
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _cache(tmp_path_factory):
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("TACGEN_CACHE_DIR", str(tmp_path_factory.mktemp("cache")))
-        yield
+pytestmark = pytest.mark.usefixtures("own_cache")
 
 
 @pytest.fixture(scope="module")

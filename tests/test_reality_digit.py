@@ -8,9 +8,7 @@ from tacgen import render, variants
 
 PHOTOS = reality.REFERENCE / "digit"
 
-pytestmark = pytest.mark.skipif(
-    not (PHOTOS / "background.png").is_file(), reason=f"no photographs in {PHOTOS} (set TACGEN_REFERENCE)"
-)
+pytestmark = reality.needs("digit", "background.png")
 
 
 @pytest.fixture(scope="module")

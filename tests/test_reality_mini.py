@@ -10,9 +10,7 @@ from tacgen.optics.layers import Camera
 
 PHOTOS = reality.REFERENCE / "gelsight_mini"
 
-pytestmark = pytest.mark.skipif(
-    not (PHOTOS / "background.png").is_file(), reason=f"no photographs in {PHOTOS} (set TACGEN_REFERENCE)"
-)
+pytestmark = reality.needs("gelsight_mini", "background.png")
 
 SPREAD = ((66, 83), (95, 122), (105, 124))  # channel means of six real units' backgrounds, R, G, B
 

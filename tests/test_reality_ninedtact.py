@@ -8,12 +8,7 @@ from tacgen import render
 
 PHOTOS = reality.REFERENCE / "ninedtact"
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(
-        not (PHOTOS / "reference.png").is_file(), reason=f"no photographs in {PHOTOS} (set TACGEN_REFERENCE)"
-    ),
-]
+pytestmark = [pytest.mark.slow, reality.needs("ninedtact", "reference.png")]
 
 
 def test_the_press_is_like_the_photographed_one():

@@ -74,9 +74,7 @@ def folder(tmp_path: Path, profile: list[tuple[float, float]] = KNOB, sensor: st
     return tmp_path / "r.yaml"
 
 
-@pytest.fixture(autouse=True)
-def own_cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setenv("TACGEN_CACHE_DIR", str(tmp_path / "cache"))
+pytestmark = pytest.mark.usefixtures("own_cache")
 
 
 def test_from_a_sensor_file_to_a_bundle(tmp_path: Path) -> None:

@@ -23,11 +23,7 @@ LAW = NeoHooke(0.05, 0.4)
 DOMED = Gel(9.0, 11.0, 0.0, (Layer(1.4, LAW, 0.15), Layer(0.6, LAW, 0.15)), -1, (30.0, 40.0))
 
 
-@pytest.fixture(autouse=True, scope="module")
-def own_cache(tmp_path_factory: pytest.TempPathFactory):
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setenv("TACGEN_CACHE_DIR", str(tmp_path_factory.mktemp("cache")))
-        yield
+pytestmark = pytest.mark.usefixtures("own_cache")
 
 
 def pressed(pad: Gel, element: str = "tet", edge: float = 0.6) -> Scene:

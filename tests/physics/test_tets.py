@@ -1,7 +1,5 @@
 """Quadratic tets against CalculiX and against hexes, at default quality, on every sensor that ships."""
 
-from pathlib import Path
-
 import pytest
 
 from tacgen import assets, mesh, plan, solve
@@ -16,9 +14,7 @@ CALCULIX = (
 )
 
 
-@pytest.fixture(autouse=True)
-def own_cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setenv("TACGEN_CACHE_DIR", str(tmp_path))
+pytestmark = pytest.mark.usefixtures("own_cache")
 
 
 def press(*sets: str) -> Run:
