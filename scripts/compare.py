@@ -173,13 +173,15 @@ def main() -> int:
     parser.add_argument("folder", type=Path, nargs="?")
     parser.add_argument("-o", "--out", type=Path)
     parser.add_argument("--spp", type=int, default=64)
+    parser.add_argument("--file", type=Path, help="the sensor file; the shipped one if not given")
     asked = parser.parse_args()
     folder = asked.folder or ROOT.parent / "shared/reference" / asked.sensor
     first = folder / UNTOUCHED.get(asked.sensor, "background.png")
     if not first.is_file():
         print(f"{folder}: no photographs here, nothing to compare with")
         return 0
-    sensor = Sensor.model_validate(YAML(typ="safe").load((ROOT / "sensors" / f"{asked.sensor}.yaml").read_text()))
+    file = asked.file or ROOT / "sensors" / f"{asked.sensor}.yaml"
+    sensor = Sensor.model_validate(YAML(typ="safe").load(file.read_text()))
     renderer = render.Renderer(sensor, asked.spp, 0, markers=False)
     real, made = load(first), renderer.develop(renderer.flat())
     table([("background mean (R, G, B)", real.mean(axis=(0, 1)), made.mean(axis=(0, 1)))])

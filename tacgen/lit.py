@@ -37,7 +37,7 @@ def _layers(sensor: LitSensor) -> Iterator[Problem]:
         if i >= len(clear) and layer.scattering:
             yield Problem(("gel", "layers", i, "scattering"), "no light comes here, behind an opaque layer")
     cloudy = [i for i, layer in enumerate(clear) if layer.scattering]
-    if cloudy and (len(clear) > 1 or gel.dome):
+    if cloudy and (len(clear) > 1 or gel.dome or gel.solid):
         text = "a layer that scatters must be the only one that is not opaque, and under a flat face"
         yield Problem(("gel", "layers", cloudy[0], "scattering"), text)
     elif gel.dome and len(clear) > 1:

@@ -66,15 +66,25 @@ def shrunk(light: "np.ndarray", width: int, height: int) -> "np.ndarray":
     return np.stack([np.asarray(c.resize((width, height), Image.Resampling.BOX), dtype=float) for c in channels], -1)
 
 
-def gain(path: Path, flat: "np.ndarray", camera: Camera) -> "np.ndarray":
-    """What rendered radiance (H, W, 3) is multiplied by to be as photographed, `flat` being rendered untouched.
+class Backdrop:
+    """A photograph of the untouched sensor, that rendered radiance is laid over.
 
-    The picture is then photo x (deformed render / flat render), in linear light.
+    The picture is photo x (deformed render / flat render), in linear light; the photograph alone where nothing is
+    rendered, beside the gel.
     """
-    import numpy as np
 
-    from tacgen.optics import response
+    def __init__(self, path: Path, flat: "np.ndarray", camera: Camera) -> None:
+        """`flat` (H, W, 3) is the radiance rendered untouched."""
+        import numpy as np
 
-    shown = response.expose(flat.astype(float), camera)
-    light = response.linear(read(path) / 255.0)
-    return np.divide(light, shown, out=np.zeros_like(light), where=shown > 0)
+        from tacgen.optics import response
+
+        light = response.linear(read(path) / 255.0)
+        unit = response.expose(np.ones_like(light), camera)
+        lit = flat > 0
+        self._gain = np.where(lit, light / np.where(lit, unit * flat, 1.0), 0.0)
+        self._alone = np.where(lit, 0.0, light / unit)
+
+    def under(self, radiance: "np.ndarray") -> "np.ndarray":
+        """Radiance (H, W, 3) as photographed."""
+        return (radiance * self._gain + self._alone).astype(radiance.dtype)

@@ -88,10 +88,13 @@ class Products:
             with clock.stage("render"):
                 spp = row.recipe.resolved().spp
                 lit = cast(LitSensor, row.sensor)  # limits.py lets no other through
-                self.renderer = Renderer(lit, spp, row.seed, lit.markers is not None, method=row.recipe.render.method)
+                at_rest = None if lit.gel.solid is None else self.seen
+                self.renderer = Renderer(
+                    lit, spp, row.seed, lit.markers is not None, method=row.recipe.render.method, untouched=at_rest
+                )
                 self.flat = self.renderer.flat()
                 photograph = row.photo_path
-                self.gain = np.float32(1) if photograph is None else photo.gain(photograph, self.flat, lit.camera)
+                self.behind = None if photograph is None else photo.Backdrop(photograph, self.flat, lit.camera)
 
     def still(self) -> dict[str, Array]:
         """Datasets that do not change from frame to frame."""
@@ -105,7 +108,7 @@ class Products:
             out["/reference/markers"] = self.dots.undisturbed
         if "rgb" in self.outputs:
             with self.clock.stage("render"):
-                out["/reference/rgb"] = self.renderer.develop(self.flat * self.gain)
+                out["/reference/rgb"] = self.renderer.develop(self._composed(self.flat))
         if "stress" in self.outputs:
             m = self.problem.mesh
             out.update({"/mesh/points": m.points, "/mesh/cells": m.cells, "/mesh/layer": m.layer})
@@ -118,12 +121,16 @@ class Products:
             out = self._labels(state, segment)
         if self.outputs & IMAGES:
             with self.clock.stage("render"):
-                radiance = self.renderer.image(self.seen.moved(state.x)) * self.gain
+                radiance = self._composed(self.renderer.image(self.seen.moved(state.x)))
                 if "rgb" in self.outputs:
                     out["/frames/rgb"] = self.renderer.develop(radiance, self._random(state.index))
                 if "radiance" in self.outputs:
                     out["/frames/radiance"] = radiance
         return out
+
+    def _composed(self, radiance: Array) -> Array:
+        """With the photograph behind it, where there is one."""
+        return radiance if self.behind is None else self.behind.under(radiance)
 
     def _random(self, frame: int) -> "np.random.Generator | None":
         """Numbers for the camera's noise in one frame, whoever computes it; None for none."""

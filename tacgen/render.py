@@ -9,7 +9,7 @@ truth at any spp, for checking either.
 import hashlib
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, Literal, Protocol
@@ -42,7 +42,7 @@ SMOOTH = 5.0  # [map pixels] the Gaussian that takes the noise off a map
 TABLE_COLUMNS = 64  # of the pictures that a table is calibrated on
 TABLE_PATHS = 8  # in a pixel of those, for each path a pixel that was asked for
 LINEAR = {"exposure", "ambient", "vignette_mm", "noise"}  # of the camera: what is laid over a picture's light
-MAP_VERSION = 5  # of how the maps are made; part of their cache key
+MAP_VERSION = 7  # of how the maps are made; part of their cache key
 
 
 class Light(Protocol):
@@ -69,75 +69,71 @@ class Traced:
 class Clear:
     """Direct light and its mirror images, and what the coat throws on itself, as on the untouched face."""
 
-    def __init__(self, sensor: "LitSensor", sheet: Sheet, markers: bool, spp: int, variant: str) -> None:
+    def __init__(self, sensor: "LitSensor", sheet: Sheet, markers: bool, spp: int, untouched: Surface) -> None:
         self._direct = Direct(sensor, sheet, markers, *effort(spp))
-        bounce = Bounce(sensor)
+        bounce = Bounce(sensor, untouched)
         added = bounce.added(sensor, self._direct.points)
         mixed = np.einsum("pkc,kc->pc", added, [led.light for led in sensor.leds])
         self.scattered = bounce.picture(mixed, self._direct.view)
 
     def seen(self, at: Samples) -> "Floats":
         """Linear radiance (H, W, 3), without noise."""
-        return self._direct.seen(at) + self._direct.view.dimmed(at, self.scattered)
+        view = self._direct.view
+        return self._direct.seen(at) + view.dimmed(at, self.scattered) * view.covered(at)
 
 
 class Cloudy:
-    """A traced map of the untouched picture, and how brightness follows thickness, traced on gels of even thickness
-    and on one dent, that shows how far light wanders sideways. All of it LED by LED, so that their light can vary."""
+    """A traced map of the untouched picture, LED by LED, so that their light can vary; and how brightness follows
+    thickness, traced on gels of even thickness and on one dent, that shows how far light wanders sideways. That is
+    taken to be the same whichever LED shines."""
 
     def __init__(self, sensor: "LitSensor", sheet: Sheet, markers: bool, spp: int, variant: str) -> None:
         self._view, self._gel, samples = View(sensor, sheet, markers, effort(spp)[1]), sensor.gel, effort(spp)[1]
         coarse, untouched, spp = zoomed(sensor, COLUMNS), Untouched.of(sensor.gel), min(spp, MOST)
-        shares, light = np.array(cloudy.SHARES), np.array([led.light for led in sensor.leds])
-        flat, share_of = Sheet.over(sensor.gel, FLAT_SPACING), -(-spp * PATHS // len(light))  # paths of one LED
-        clear = cloudy.depths(sensor.gel)[1]
-        middle = np.add(sensor.camera.center_mm, sensor.camera.crop_mm)
-        dent = BallDent(cloudy.DENT[0] * clear, cloudy.DENT[1] * clear, (middle[0], middle[1]), untouched)
-
-        def each(camera: "LitSensor", sheet: Sheet, faces: Sequence[Surface], spp: int, seed: int) -> "Floats":
-            """Radiance (faces, leds, h, w, 3) by each LED alone, of unit radiance."""
-            tracers = [PathTracer(alone(camera, k), sheet, False, variant) for k in range(len(light))]
-            seeds = range(seed * len(light), (seed + 1) * len(light))
-            return np.array([[t.radiance(face, spp, k) for t, k in zip(tracers, seeds, strict=True)] for face in faces])
+        shares, flat, leds = np.array(cloudy.SHARES), Sheet.over(sensor.gel, FLAT_SPACING), range(len(sensor.leds))
 
         def trace() -> "Floats":
-            return np.stack([smooth(one, SMOOTH) for one in each(coarse, flat, [untouched], share_of // 2 + 1, 0)[0]])
+            tracers = [PathTracer(lit_by(coarse, {k}), flat, False, variant) for k in leds]
+            return np.array([smooth(t.radiance(untouched, spp * PATHS // 4, k), SMOOTH) for k, t in enumerate(tracers)])
 
         def tabulate() -> "Floats":
+            tracer = PathTracer(lit_by(zoomed(sensor, 8), set(leds)), flat, False, variant)
             faces = [cloudy.Even(sensor.gel, share) for share in shares]
-            return np.asarray(each(zoomed(sensor, 8), flat, faces, share_of, 0).mean(axis=(2, 3)))
+            return np.array([tracer.radiance(face, spp * PATHS, 0).mean(axis=(0, 1)) for face in faces])
 
-        def indent() -> "Floats":
-            return np.asarray(each(coarse, sheet, [dent], share_of // 4 + 1, 1)[0])
+        def wander() -> "Floats":
+            clear = cloudy.depths(sensor.gel)[1]
+            middle = np.add(sensor.camera.center_mm, sensor.camera.crop_mm)
+            dent = BallDent(cloudy.DENT[0] * clear, cloudy.DENT[1] * clear, (middle[0], middle[1]), untouched)
+            at = View(coarse, sheet, False).look(dent)
+            share = cloudy.thickness(sensor.gel, at.position).reshape(self.maps.shape[1:3])
+            evenly = lit_by(coarse, set(leds))
+            traced = PathTracer(evenly, sheet, False, variant).render(at.nodes, spp * PATHS, 1)
+            return np.array(cloudy.wander(bright, share, coarse.camera.mm_per_px, traced / self.maps.sum(axis=0)))
 
         name = key(sensor, variant, spp, cloudy.SHARES, cloudy.DENT)
-        map_, traced, table = (
-            cached("untouched", name, trace),
-            cached("dent", name, indent),
-            cached("brightness", name, tabulate),
-        )
-        mix = np.where(light.sum(axis=0) > 0, light, 1.0)  # a channel without light changes as white would
-        bright = cloudy.Brightness.through(shares, np.einsum("skc,kc->sc", table, mix))
-        ratio = np.einsum("khwc,kc->hwc", traced, mix) / np.einsum("khwc,kc->hwc", map_, mix)
-        share = cloudy.thickness(sensor.gel, View(coarse, sheet, False).look(dent).position).reshape(ratio.shape[:2])
-        near, reach = cloudy.wander(bright, share, coarse.camera.mm_per_px, ratio)
-        self.scattered = spread(np.einsum("khwc,kc->hwc", map_, light), Camera.from_sensor(sensor).shape)
-        self.maps = map_
-        self._bright, self._near, self._reach = bright, near, reach / sensor.camera.mm_per_px * samples
+        self.maps = cached("untouched", name, trace)  # (leds, h, w, 3) by each LED alone, of unit radiance
+        bright = cloudy.Brightness.through(shares, cached("brightness", name, tabulate))
+        reach = float(cached("wander", name, wander))
+        map_ = np.einsum("khwc,kc->hwc", self.maps, [led.light for led in sensor.leds])
+        self.scattered = spread(map_, Camera.from_sensor(sensor).shape)
+        self._bright, self._reach = bright, reach / sensor.camera.mm_per_px * samples
 
     def seen(self, at: Samples) -> "Floats":
         """Linear radiance (H, W, 3), without noise of its own."""
         share = cloudy.thickness(self._gel, at.position).reshape(self._view.shape)
-        felt = cloudy.felt(share, self._near, self._reach)
+        felt = cloudy.felt(share, self._reach)
         return self._view.picture(self._bright.at(felt.ravel())) * self.scattered
 
 
 class Tabled:
     """A look-up table of light by slope and place, calibrated on traced pictures of dents LED by LED: optics/table."""
 
-    def __init__(self, sensor: "LitSensor", sheet: Sheet, markers: bool, spp: int, variant: str) -> None:
+    def __init__(
+        self, sensor: "LitSensor", sheet: Sheet, markers: bool, spp: int, variant: str, untouched: Surface
+    ) -> None:
         """`sensor` must be one without a layer that scatters."""
-        self._view, untouched, spp = View(sensor, sheet, markers), Untouched.of(sensor.gel), min(spp, MOST)
+        self._view, spp = View(sensor, sheet, markers), min(spp, MOST)
         self._lamps, self._mm = lights.strips(sensor), sensor.camera.mm_per_px
         level, light = self._view.look(untouched), np.array([led.light for led in sensor.leds])
         self._normals, paths = level.normal.reshape(*self._view.shape, 3), -(-spp * TABLE_PATHS // len(light))
@@ -150,15 +146,17 @@ class Tabled:
             faces = [self._face(at, flat.normal.reshape(*view.shape, 3)) for at in seen]
             made = []
             for k, lamp in enumerate(self._lamps):
-                tracer = PathTracer(alone(coarse, k), sheet, False, variant)
+                tracer = PathTracer(lit_by(coarse, {k}), sheet, False, variant)
                 bare = tracer.render(flat.nodes, 4 * paths, 0)
                 added = [tracer.render(at.nodes, paths, 1 + i) - bare for i, at in enumerate(seen)]
                 made.append(table.Table.fitted(faces, added, lamp[None], coarse.camera.mm_per_px).packed)
             return np.array(made)
 
-        kept = cached("table", key(sensor, variant, spp, TABLE_COLUMNS, TABLE_PATHS, table.PLACES, table.BALLS), trace)
+        face = None if sensor.gel.solid is None else np.round(level.nodes, 3).tolist()  # its file may be another
+        name = key(sensor, variant, spp, TABLE_COLUMNS, TABLE_PATHS, table.PLACES, table.BALLS, face)
+        kept = cached("table", name, trace)
         self._table = table.Table.mixed([table.Table.unpacked(one) for one in kept], light)
-        self._flat = Clear(sensor, sheet, False, spp, variant).seen(level)
+        self._flat = Clear(sensor, sheet, False, spp, untouched).seen(level)
 
     def seen(self, at: Samples) -> "Floats":
         """Linear radiance (H, W, 3), without noise."""
@@ -182,10 +180,12 @@ class Renderer:
         markers: bool,
         variant: str | None = None,
         method: Literal["transport", "path", "table"] = "transport",
+        untouched: Surface | None = None,
     ) -> None:
         """By `transport`, `spp` paths a pixel go into what is traced once; by `path`, into every image.
 
-        `variant` is Mitsuba's, the best here if None; `seed` is that of the paths in images.
+        `variant` is Mitsuba's, the best here if None; `seed` is that of the paths in images; `untouched` is the face
+        at rest, which a gel that is a solid must be given.
 
         Raises:
             ValueError: spp < 1.
@@ -193,16 +193,20 @@ class Renderer:
         if spp < 1:
             raise ValueError(f"spp must be at least 1, not {spp}")
         self.sensor, self.variant = sensor, variant or probing.best().variant
-        self.sheet, self.untouched = Sheet.over(sensor.gel, SPACING), Untouched.of(sensor.gel)
+        self.sheet, self.untouched = Sheet.over(sensor.gel, SPACING), untouched or Untouched.of(sensor.gel)
         self._view = View(sensor, self.sheet, markers, effort(spp)[1])
         self.light: Light
         if method == "path":
             self.light = Traced(sensor, self.sheet, markers, spp, seed, self.variant)
         elif method == "table":
-            self.light = Tabled(sensor, self.sheet, markers, spp, self.variant)
+            self.light = Tabled(sensor, self.sheet, markers, spp, self.variant, self.untouched)
         else:
-            way = Cloudy if any(layer.scattering for layer in sensor.gel.clear_layers) else Clear
-            self.light = way(sensor, self.sheet, markers, spp, self.variant)
+            cloudy_ = any(layer.scattering for layer in sensor.gel.clear_layers)
+            self.light = (
+                Cloudy(sensor, self.sheet, markers, spp, self.variant)
+                if cloudy_
+                else Clear(sensor, self.sheet, markers, spp, self.untouched)
+            )
 
     def image(self, surface: Surface) -> "NDArray[np.float32]":
         """Linear radiance (H, W, 3) of a deformed face, before the response; transport's only noise is the map's."""
@@ -239,11 +243,11 @@ def zoomed(sensor: "LitSensor", columns: int) -> "LitSensor":
     return sensor.model_copy(update={"camera": eye.model_copy(update=size)})
 
 
-def alone(sensor: "LitSensor", number: int) -> "LitSensor":
-    """The sensor with one LED of unit radiance, and all others dark."""
-    leds = [led.model_copy(update={"radiance": (float(k == number),) * 3, "power": 1.0})
-            for k, led in enumerate(sensor.leds)]  # fmt: skip
-    return sensor.model_copy(update={"leds": tuple(leds)})
+def lit_by(sensor: "LitSensor", numbers: set[int]) -> "LitSensor":
+    """The sensor with some LEDs of unit radiance, and all others dark."""
+    leds = enumerate(sensor.leds)
+    lit = [led.model_copy(update={"radiance": (float(k in numbers),) * 3, "power": 1.0}) for k, led in leds]
+    return sensor.model_copy(update={"leds": tuple(lit)})
 
 
 def smooth(picture: "Floats", sigma: float) -> "Floats":

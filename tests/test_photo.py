@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from optics.tiny import sensor
 from PIL import Image
 
 from tacgen import bundle, photo, pipeline, plan
@@ -46,6 +47,56 @@ def test_the_change_is_rendered_and_the_rest_is_the_photograph(recipe: Path) -> 
     assert error.max() < 4
     assert error.mean() < 0.8
     assert np.abs(made["/frames/rgb"][0].astype(int) - mine).max() > 10
+
+
+SMALL = {  # a sensor's picture, shrunk
+    "gelsight_mini": (64, 48, 0.317),
+    "digit": (48, 64, 0.252),
+    "ninedtact": (46, 35, 0.509),
+}
+
+
+@pytest.mark.parametrize(
+    ("sensor", "method"),
+    [("gelsight_mini", "path"), ("digit", "transport"), ("digit", "path"), ("ninedtact", "transport")],
+)
+def test_photograph_and_noise_on_every_sensor(
+    sensor: str, method: str, recipe: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TACGEN_CACHE_DIR", str(recipe.parent / "cache"))
+    width, height, scale = SMALL[sensor]
+    mine = np.random.default_rng(1).integers(60, 140, (height, width, 3)).astype(np.uint8)
+    Image.fromarray(mine).save(recipe.parent / "mine.png")
+    camera = f"{{camera.width_px: {width}, camera.height_px: {height}, camera.mm_per_px: {scale}}}"
+    sets = (f"sensor={sensor}", f"sensor_overrides={camera}", f"render.method={method}", "quality.spp=2")
+
+    def made(name: str, *more: str) -> bundle.Bundle:
+        return bundle.read(pipeline.run_scene(plan.load(recipe, (*sets, *more)).rows[0], recipe.parent / name).path)
+
+    over, plain, grainy = made("over"), made("plain", "render.background=null"), made("grainy", "render.noise=true")
+    flat = plain["/reference/rgb"]
+    assert np.array_equal(over["/reference/rgb"], mine)  # also where few paths found no light
+    changed = np.abs(over["/frames/rgb"][0].astype(int) - mine).max(-1)
+    assert changed.max() > 8
+    if method == "transport":
+        assert np.median(changed) <= 2  # the press is small, and elsewhere it is the photograph
+    assert flat.std() > 3
+    grain = grainy["/frames/rgb"][0].astype(float) - over["/frames/rgb"][0]
+    if sensor == "ninedtact":
+        assert not grain.any()  # nobody has published how much it has
+    else:
+        assert 0.8 < grain[(over["/frames/rgb"][0] > 40).all(-1)].std() < 5
+
+
+def test_beside_the_gel_the_photograph_stands_alone(tmp_path: Path) -> None:
+    camera = sensor().camera
+    light = np.full((32, 40, 3), 0.5)
+    light[:, :5] = 0.0
+    mine = np.random.default_rng(2).integers(20, 200, (32, 40, 3)).astype(np.uint8)
+    Image.fromarray(mine).save(tmp_path / "mine.png")
+    behind = photo.Backdrop(tmp_path / "mine.png", light, camera)
+    assert np.array_equal(response.develop(behind.under(light), camera), mine)
+    assert np.array_equal(response.develop(behind.under(2 * light), camera)[:, :5], mine[:, :5])
 
 
 def test_another_photograph_is_another_scene(recipe: Path) -> None:

@@ -119,6 +119,40 @@ def test_from_a_sensor_file_to_a_bundle(tmp_path: Path) -> None:
     assert len(sensor["gel"]["solid"]["sha256"]) == 64
 
 
+LIT = """\
+plate: {thickness_mm: 2, refractive_index: 1.49, source: assumed}
+coating: {albedo: 0.5, specular: 0.1, roughness: 0.4, source: assumed}
+walls: {albedo: 0.05, margin_mm: 1.5, source: assumed}
+leds:
+  - {name: red, center_mm: [0, -5.3, -3], normal: [0, 1, 0.2], size_mm: [8, 1.5], radiance: [9, 0, 0], source: assumed}
+  - {name: blue, center_mm: [0, 5.3, -3], normal: [0, -1, 0.2], size_mm: [8, 1.5], radiance: [0, 0, 9], source: assumed}
+"""
+
+
+def test_pictures_show_the_solid_itself(tmp_path: Path) -> None:
+    """Round, not the square of its box; its rim turned from the near light to the far one; as path has it."""
+    skin = "    - {name: skin, thickness_mm: 1.0, youngs_modulus_mpa: 0.3, poissons_ratio: 0.48, source: assumed}\n"
+    one = SENSOR.replace(skin, "").replace("thickness_mm: 2.0", "thickness_mm: 3.0") + LIT
+    found = {
+        method: bundle.read(pipeline.run_scene(plan.load(
+            folder(tmp_path, sensor=one), ("outputs=[rgb, radiance]", f"render.method={method}", f"quality.spp={spp}")
+        ).rows[0], tmp_path / method).path)
+        for method, spp in (("transport", 64), ("path", 250))
+    }  # fmt: skip
+    y, x = np.mgrid[:48, :48] * 0.2 - 4.7
+    r = np.hypot(x, y)
+    for made in found.values():
+        untouched = made["/reference/rgb"].max(-1)
+        assert (untouched[r < 3.4] > 15).mean() > 0.97
+        assert untouched[r > 4.4].max() < 15
+    exact, path = (found[name]["/frames/radiance"][0] for name in ("transport", "path"))
+    for inner, outer in ((0, 2), (2, 3), (3.0, 3.5)):
+        for half in (y < -0.5, y > 0.5):
+            here = (r >= inner) & (r < outer) & half
+            truth, noise = path[here].mean(0), path[here].std(0) / np.sqrt(here.sum())
+            assert (np.abs(exact[here].mean(0) - truth) <= 0.05 * truth + 2.5 * noise).all(), outer
+
+
 def test_slivers_in_the_file_are_not_in_the_mesh(tmp_path: Path) -> None:
     """Each triangle of the file split close to one of its edges; one layer."""
     one = SENSOR.replace("thickness_mm: 2.0", "thickness_mm: 3.0").split("    - {name: skin")[0]

@@ -50,6 +50,8 @@ class Calibrated:
         if found.held_out is not None:
             names = ", ".join(self.held_out)
             yield f"change under {names}, held out: off by {found.held_out:.1f} counts rms"
+        if found.deeper != 1:
+            yield f"all depths look {found.deeper:g} times what they are given as"
         for led, now in zip(self.sensor.leds or (), found.sensor.leds, strict=True):
             before = sum(led.light)
             times = f"{sum(now.light) / before:.2f} times as strong" if before else "lit"
@@ -59,7 +61,7 @@ class Calibrated:
     def plain(self) -> dict[str, Any]:
         """For a program."""
         found = self.fitted
-        errors = {name: getattr(found, name) for name in ("untouched", "before", "presses", "held_out")}
+        errors = {name: getattr(found, name) for name in ("untouched", "before", "presses", "held_out", "deeper")}
         changes = {yamlfile.format_path(path): value for path, value in self.changes.items()}
         return {"sensor": self.sensor.name, **errors, "held_out_files": list(self.held_out), "changes": changes}
 

@@ -25,7 +25,7 @@ from tacgen.yamlfile import KeyPath
 
 Array = np.ndarray
 CHANGES = (-2.1, -1.6, -1.2, -0.8, -0.4, -0.15, 0.0, 0.08, 0.16, 0.24, 0.32, 0.45)  # [mm] where the gain is given
-FACTORS = (0.92, 0.96, 1.0, 1.04, 1.08)  # that the depths may be off by
+FACTORS = (0.92, 0.94, 0.96, 0.98, 1.0, 1.02, 1.04, 1.06, 1.08)  # that the depths may be off by
 REACH = 9.0  # [mm] around a press that counts
 SPP = 64  # paths, as in render.Renderer
 FIXED = 300.0  # weight of no gain at no change
@@ -82,7 +82,7 @@ def fit(sensor: LitSensor, photos: Photos, held_out: list[int], folders: dict[Ke
     rest = [seen[k - 1][i].off(table, linear) for k in held_out]
     response_ = ThicknessResponse(change_mm=CHANGES, gain=tuple(rgb(row) for row in table), source="fit")
     whole = made.model_copy(update={"thickness_response": response_})
-    return Fitted(whole, now, before, off, rms(rest) if rest else None)
+    return Fitted(whole, now, before, off, rms(rest) if rest else None, FACTORS[i])
 
 
 def powers(sensor: LitSensor, maps: Array, untouched: Array) -> Array:

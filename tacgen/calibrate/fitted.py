@@ -18,6 +18,7 @@ class Fitted:
     before: float  # the same of the sensor file as it was
     presses: float | None = None  # of how the presses change the picture
     held_out: float | None = None  # of those the fit has not seen
+    deeper: float = 1.0  # what all depths that were given seem to be off by
 
 
 def rms(parts: list[Array]) -> float:

@@ -14,6 +14,7 @@ from tacgen.optics.sheet import Sheet, Untouched
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from tacgen.optics.sheet import Surface
     from tacgen.optics.view import View
     from tacgen.sensor import LitSensor
 
@@ -26,19 +27,19 @@ WALL = 1.6  # the same of the walls
 class Bounce:
     """Patches of one sensor, and how they light each other."""
 
-    def __init__(self, sensor: "LitSensor") -> None:
-        """The LEDs do not matter yet."""
+    def __init__(self, sensor: "LitSensor", untouched: "Surface | None" = None) -> None:
+        """The LEDs do not matter yet; `untouched` is the face at rest, what the gel's numbers say of it if None."""
         self.sheet = Sheet.over(sensor.gel, COAT)
-        nodes = self.sheet.at(Untouched.of(sensor.gel))
+        self._face = untouched or Untouched.of(sensor.gel)
+        nodes = self.sheet.at(self._face)
         self._level = np.ascontiguousarray(nodes[:, 2].reshape(self.sheet.shape))
         self._coat = len(nodes)
         facing, (rows, columns) = self.sheet.normals(nodes), self.sheet.shape
-        whole = np.prod(self.sheet.size) / ((rows - 1) * (columns - 1))
         share = np.outer(*(np.where(np.isin(np.arange(n), (0, n - 1)), 0.5, 1.0) for n in (rows, columns)))
         top = lights.WALL_RISE if sensor.walls.margin_mm else float(self._level.min())  # the coat hides what is behind
         walls, inward, pieces = self._walls(sensor, top)
         self._at, self._normals = np.concatenate([nodes, walls]), np.concatenate([facing, inward])
-        area = np.concatenate([whole * share.ravel() / np.abs(facing[:, 2]), pieces])
+        area = np.concatenate([share.ravel() * self.sheet.areas(nodes), pieces])
         patches = transport.Points(self._at, self._normals, area, np.sqrt(area) / 2, np.arange(len(area)))
         self._onto = self._gather(sensor, patches, len(area))
 
@@ -56,7 +57,7 @@ class Bounce:
         """Values (coat patches, c) as the camera sees them untouched (H, W, c); off the pad its edge."""
         from scipy.ndimage import map_coordinates
 
-        rest = view.look(Untouched.of(view.sensor.gel)).rest
+        rest = view.look(self._face).rest
         rows, columns = self.sheet.shape
         at = np.nan_to_num(((rest / self.sheet.size + 0.5) * [columns - 1, rows - 1]).T[::-1])
         grid = values.reshape(rows, columns, -1)

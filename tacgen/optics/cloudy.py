@@ -2,7 +2,7 @@
 
 Light from even sources turns so often on so short a way that a dent's own slopes and shadows hardly show; its thickness
 does. `Brightness` is that law, tabulated by the renderer on gels of other even thicknesses. Light that turned several
-times has wandered sideways: part of what counts is the thickness around, blurred by a Gaussian (`felt`, `wander`).
+times has wandered sideways: what counts is the thickness around, blurred by a Gaussian (`felt`, `wander`).
 """
 
 from dataclasses import dataclass
@@ -64,22 +64,25 @@ def thickness(gel: "Gel", position: "Floats") -> "Floats":
     return np.nan_to_num((position[:, 2] - base) / (before - base), nan=1.0)
 
 
-def felt(share: "Floats", near: float, reach: float) -> "Floats":
-    """The thickness (h, w) that light feels: `near` of it at the place itself, the rest blurred over `reach` [px]."""
+def felt(share: "Floats", reach: float) -> "Floats":
+    """The thickness (h, w) that light feels: that around, by a Gaussian of `reach` [px]."""
     from scipy.ndimage import gaussian_filter
 
-    return np.asarray(near * share + (1 - near) * gaussian_filter(share, reach, mode="nearest", truncate=3.0))
+    return np.asarray(gaussian_filter(share, reach, mode="nearest", truncate=3.0))
 
 
-def wander(bright: Brightness, share: "Floats", mm_per_px: float, ratio: "Floats") -> "Floats":
-    """(near, reach [mm]) with which `felt` best explains a traced picture (h, w, 3) over the untouched one."""
+def wander(bright: Brightness, share: "Floats", mm_per_px: float, ratio: "Floats") -> float:
+    """Reach [mm] with which `felt` best explains a traced picture (h, w, 3) over the untouched one.
+
+    Paths' noise allows for no more than this one number: a share that is felt at the place itself could be anything.
+    """
     from scipy.optimize import least_squares
 
     def left(q: "Floats") -> "Floats":
-        made = bright.at(felt(share, float(q[0]), float(q[1]) / mm_per_px).ravel())
+        made = bright.at(felt(share, float(q[0]) / mm_per_px).ravel())
         return np.asarray((made - ratio.reshape(-1, 3)).mean(axis=1))
 
-    return np.asarray(least_squares(left, [0.5, 2.0], bounds=([0.0, 0.1], [1.0, 20.0]), diff_step=0.02).x)
+    return float(least_squares(left, [1.0], bounds=(0.05, 20.0), diff_step=0.02).x[0])
 
 
 def between(x: "Floats", known: "Floats", values: "Floats", then: Any = np.asarray) -> "Floats":

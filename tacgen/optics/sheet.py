@@ -13,6 +13,9 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 
+BEYOND = 1e-3  # what is beyond the outline of a solid shrinks to so much, at its edge, and shows nothing
+
+
 class Surface(Protocol):
     """A deformed coated face: rest positions (n, 2) [mm] on it to current positions (n, 3) [mm]."""
 
@@ -50,13 +53,14 @@ class Sheet:
     corner: float  # radius of the pad's rounded corners [mm]
     shape: tuple[int, int]  # rows, columns of nodes
     tip: int = 0  # the end in y (-1, +1) that is a semicircle over the whole width; 0: none
+    whole: bool = True  # there is gel on all of that; else only where a surface says so, as on a solid of any outline
 
     @classmethod
     def over(cls, gel: "Gel", spacing: float) -> "Sheet":
         """A sheet over the whole pad with nodes about `spacing` [mm] apart."""
         size = (gel.width_mm, gel.height_mm)
         shape = round(size[1] / spacing) + 1, round(size[0] / spacing) + 1
-        return cls(size, gel.corner_radius_mm, shape, gel.tip)
+        return cls(size, gel.corner_radius_mm, shape, gel.tip, gel.solid is None)
 
     @property
     def rest(self) -> "Floats":
@@ -88,7 +92,7 @@ class Sheet:
 
             near = np.flatnonzero(~lost)[cKDTree(pad[~lost]).query(pad[lost])[1]]
             now[lost] = now[near]
-            now[lost, :2] += pad[lost] - pad[near]
+            now[lost, :2] += (1.0 if self.whole else BEYOND) * (pad[lost] - pad[near])
         now[:, :2] += rest - pad
         return now
 
@@ -113,7 +117,14 @@ class Sheet:
 
     def normals(self, now: "Floats") -> "Floats":
         """Unit normals toward the camera (nodes, 3) of node positions (nodes, 3), by central differences."""
+        n = self._spans(now)
+        return np.asarray(n / np.linalg.norm(n, axis=1, keepdims=True))
+
+    def areas(self, now: "Floats") -> "Floats":
+        """What each node stands for of the face [mm^2], (nodes,); twice as much at an edge, where half of it is off."""
+        return np.asarray(np.linalg.norm(self._spans(now), axis=1))
+
+    def _spans(self, now: "Floats") -> "Floats":
         grid = now.reshape(*self.shape, 3)
         du, dv = np.gradient(grid, axis=1), np.gradient(grid, axis=0)
-        n = np.cross(dv, du).reshape(-1, 3)
-        return np.asarray(n / np.linalg.norm(n, axis=1, keepdims=True))
+        return np.asarray(np.cross(dv, du).reshape(-1, 3))

@@ -76,6 +76,10 @@ class View:
             other = other * (1 + self.dots(at) * (self.markers.albedo / white - 1))
         return self.picture(other)
 
+    def covered(self, at: Samples) -> "Floats":
+        """Share of each pixel (H, W, 1) behind which there is gel."""
+        return self.picture(np.isfinite(at.position[:, 2]).astype(float))
+
     def dots(self, at: Samples) -> "Floats":
         """Share of marker paint at each sample (samples, 1)."""
         assert self.markers is not None
