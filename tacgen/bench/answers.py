@@ -39,8 +39,8 @@ def sliding(sensor: str, press: int = 1, slide: int = 2) -> tuple[str, ...]:
 @dataclass(frozen=True)
 class Answer:
     """force (frames, 3) on the gel [N]; of the last frame pressure (h, w) [MPa], stress (p, 6) [MPa] in the gel,
-    markers (m, 2) [px] and the area in contact [mm^2]; and the work: processor seconds before the first frame, all
-    frames' seconds, Newton iterations.
+    markers (m, 2) [px] and the area in contact [mm^2]; and the work: processor seconds from the mesh to the first
+    frame, all frames' seconds, Newton iterations.
     """
 
     force: Array
@@ -89,7 +89,6 @@ def answer(sets: tuple[str, ...], shift: tuple[float, float] = (0.0, 0.0)) -> An
     """Solve the quickstart with changes and take its labels; `shift` moves a mesh of hexes under the indenter, in parts
     of an edge."""
     row = row_of(sets)
-    begun = time.process_time()
     made = foresee.foreseen(scene.build(row))
     if any(shift):
         dx, dy = (made.edge * s for s in shift)
@@ -97,6 +96,7 @@ def answer(sets: tuple[str, ...], shift: tuple[float, float] = (0.0, 0.0)) -> An
         built = mesh.build(made.gel, (x0 + dx, x1 + dx, y0 + dy, y1 + dy), made.edge)
     else:
         built = mesh.of(made)
+    begun = time.process_time()
     problem = solve.Problem.of(made, built)
     ready = time.process_time()
     states = list(solve.states(made, problem))

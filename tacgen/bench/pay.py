@@ -39,6 +39,8 @@ ASKED: dict[str, tuple[str, tuple[str, ...]]] = {  # name: (outputs, changes)
     "flow": ("flow", ()),
     "rgb": ("rgb", ()),
     "rgb by path": ("rgb", ("render={method: path}",)),
+    "rgb by table": ("rgb", ("render={method: table}",)),
+    "markers, analytic": ("markers", ("markers={method: analytic}",)),
     "everything": (
         "force, traction, force_map, height, normals, gap, stress, markers, flow, material, radiance, rgb",
         (),
