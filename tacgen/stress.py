@@ -6,12 +6,12 @@ made to agree with the recovered nominal stress P, whose traction loses nothing 
     sigma n da = P N dA     (Nanson)
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tacgen.fem.contact import Faces
-from tacgen.fem.elements import facet_areas
+from tacgen.fem.elements import facet_areas, facet_points
 from tacgen.fem.potentials import Elastic
 from tacgen.fem.recovery import Recovery
 from tacgen.solve import Problem, State
@@ -112,7 +112,7 @@ class _Face:
     """The coated face's nodes and the rest area vectors that belong to them."""
 
     def __init__(self, faces: Faces, points: Array) -> None:
-        self.faces = faces
+        self.faces = replace(faces, N=facet_points(faces.conn.shape[1])[0])  # contact may have points of its own
         self.nodes = np.unique(faces.conn)
         self.rest = self.vectors(points)
 

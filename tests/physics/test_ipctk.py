@@ -13,6 +13,7 @@ from tacgen.errors import UserError
 from tacgen.fem.contact import Pose
 from tacgen.fem.shapes import Box, Shape, Sphere, Torus
 from tacgen.scene import Gel
+from tacgen.stress import Stresses
 
 from .presses import Run, gel, poses, scene
 
@@ -51,6 +52,13 @@ def test_a_pressed_and_slid_ball_gives_the_same_force() -> None:
     assert np.abs(other.forces[3] - other.forces[2]).max() < 2e-3 * size[2]  # held: it does not creep
     assert np.abs(other.forces[4]).max() == 0
     assert max(state.iterations for state in other.states) <= 30
+    stressed = [Stresses(found.problem) for found in (one, other)]
+    errors = [
+        s.quality(s.at(run.states[2].x), run.states[2])["force_error"]
+        for s, run in zip(stressed, (one, other), strict=True)
+    ]
+    assert errors[1] == pytest.approx(errors[0], abs=0.01)
+    assert 1e-6 < errors[1] < 0.05
 
 
 @pytest.mark.slow
