@@ -8,9 +8,10 @@ import pytest
 from typer.testing import CliRunner
 
 from tacgen import bench
-from tacgen.bench import calculix, kit, pay
+from tacgen.bench import calculix, kit, mechanics, pay, summary
 from tacgen.cli import app
 
+ROOT = Path(__file__).parent.parent
 runner = CliRunner()
 
 
@@ -144,3 +145,13 @@ def test_what_is_not_asked_for_is_not_computed() -> None:
 def test_every_line_of_pay_is_a_scene() -> None:
     for outputs, sets in pay.ASKED.values():
         assert len(pay.rows_of(outputs, list(sets))) == 1
+
+
+def test_a_summary_leaves_out_what_is_not_there(tmp_path: Path) -> None:
+    row = ["gelsight_mini", "default", 5000, 10.0, 0.5, 0.0042, 0.041, 0.1, 0.02, 0.01]
+    heads = kit.columns("sensor", "quality", *mechanics.WORK, *mechanics.ERRORS, "area: +.1%")
+    kit.write(tmp_path, "mechanics", kit.Result("", [kit.Table("Presets on every sensor", heads, [row])]), 1.0)
+    kit.write(tmp_path, "stability", kit.Result("", [kit.Table("Together", kit.columns("scenes: d"), [[3]])]), 1.0)
+    told = summary.short(tmp_path)
+    assert "| force of `default` against `reference` | Mini 0.4% | mechanics |" in told
+    assert "stability" not in told

@@ -24,7 +24,7 @@ from tacgen.gel import Gel
 
 Array = np.ndarray
 PROGRAM = "ccx"
-STIFF = 300.0  # of the penalty, in Young's moduli a millimetre: at 2000 the force is 0.2 % higher
+STIFF = 1000.0  # of the penalty, in Young's moduli a millimetre; softer is quicker and too weak, 0.2 % at 300
 HEX_EDGES = np.array([(0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7)])
 RINGS, SECTORS = 40, 24  # of a quarter of the ball's surface
 INCREMENTS = "0.25, 1., 1e-6, 0.5"  # first, all, least and greatest part of the way in a step
@@ -50,10 +50,10 @@ def version() -> str:
     return "CalculiX " + (re.search(r"[\d.]+", said) or [""])[0]
 
 
-def press(gel: Gel, radius: float, depth: float, edge: float, *, quarter: bool = True, stiff: float = STIFF) -> Pressed:
+def press(gel: Gel, radius: float, depth: float, edge: float, *, quarter: bool = True) -> Pressed:
     """Press a ball without friction into a flat pad of one neo-Hookean layer, on a mesh of `edge` [mm] below it: the
     pad as tacgen solves it, or a quarter by symmetry."""
-    deck, nodes = _deck(gel, radius, depth, edge, quarter, stiff)
+    deck, nodes = _deck(gel, radius, depth, edge, quarter)
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "press.inp").write_text(deck)
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -70,7 +70,7 @@ def press(gel: Gel, radius: float, depth: float, edge: float, *, quarter: bool =
     return Pressed((4 if quarter else 1) * abs(float(forces[-1][2])), nodes, seconds)
 
 
-def _deck(gel: Gel, radius: float, depth: float, edge: float, quarter: bool, stiff: float) -> tuple[str, int]:
+def _deck(gel: Gel, radius: float, depth: float, edge: float, quarter: bool) -> tuple[str, int]:
     """Its input, and how many nodes the gel has."""
     law = gel.layers[0].law
     assert isinstance(law, NeoHooke)
@@ -97,7 +97,7 @@ def _deck(gel: Gel, radius: float, depth: float, edge: float, quarter: bool, sti
     lines += ["*MATERIAL, NAME=BALL", "*ELASTIC", f"{1000 * E:.9g}, 0.3"]
     lines += ["*SOLID SECTION, ELSET=GEL, MATERIAL=GEL", "*SOLID SECTION, ELSET=BALL, MATERIAL=BALL"]
     lines += ["*SURFACE INTERACTION, NAME=TOUCH", "*SURFACE BEHAVIOR, PRESSURE-OVERCLOSURE=LINEAR"]
-    lines += [f"{stiff * E:.9g}", "*CONTACT PAIR, INTERACTION=TOUCH, TYPE=SURFACE TO SURFACE", "FACE, TOOL"]
+    lines += [f"{STIFF * E:.9g}", "*CONTACT PAIR, INTERACTION=TOUCH, TYPE=SURFACE TO SURFACE", "FACE, TOOL"]
     lines += ["*BOUNDARY", "MOVED, 1, 2", *(f"{name}, {dofs}" for name, (_, dofs) in held.items())]
     lines += ["*STEP, NLGEOM, INC=1000", "*STATIC", INCREMENTS]
     lines += ["*BOUNDARY", f"MOVED, 3, 3, {-depth:.9g}"]

@@ -1,0 +1,99 @@
+"""The results in a few lines, for the head of the page and the README: each figure is taken from what was written."""
+
+import json
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+Row = dict[str, Any]
+SENSORS = {"gelsight_mini": "Mini", "digit": "DIGIT", "ninedtact": "9DTact"}
+
+
+def short(folder: Path) -> str:
+    """A table in Markdown of the figures that matter most, of those benches that `folder` has."""
+    lines = ["| | | |", "|---|---|---|"]
+    for name, tell in TOLD.items():
+        if (file := folder / f"{name}.json").exists():
+            tables = {table["title"]: list(_rows(table)) for table in json.loads(file.read_text())["tables"]}
+            with suppress(KeyError):  # what another version wrote has other columns
+                lines += [f"| {what} | {figure} | {name} |" for what, figure in tell(tables)]
+    return "\n".join(lines)
+
+
+def _rows(table: dict[str, Any]) -> Iterator[Row]:
+    """Each row by its headings."""
+    for row in table["rows"]:
+        yield dict(zip(table["columns"], row, strict=True))
+
+
+Tables = dict[str, list[Row]]
+Told = Iterator[tuple[str, str]]
+
+
+def _by_sensor(rows: list[Row], write: Callable[[Row], str]) -> str:
+    return ", ".join(f"{SENSORS[row['sensor']]} {write(row)}" for row in rows)
+
+
+def _mechanics(tables: Tables) -> Told:
+    rows = [row for row in tables.get("Presets on every sensor", ()) if row["quality"] == "default"]
+    if rows:
+        yield "force of `default` against `reference`", _by_sensor(rows, lambda row: f"{row['force']:.1%}")
+        yield "its pressure map, L2", _by_sensor(rows, lambda row: f"{row['pressure map']:.1%}")
+
+
+def _cost(tables: Tables) -> Told:
+    for quality in ("draft", "default"):
+        rows = [row for row in tables.get("What a frame costs", ()) if row["quality"] == quality]
+        if rows:
+            yield f"s a frame of `{quality}`, one core", _by_sensor(rows, lambda row: f"{row['s a frame']:.2f}")
+
+
+def _peers(tables: Tables) -> Told:
+    for row in tables.get("At equal error, and at equal time", ()):
+        if row["method"].startswith("CalculiX") and row["times ours"] is not None:
+            yield f"{row['method']}: its time to 1 % force error over ours", f"{row['times ours']:.0f}"
+        if "P1" in row["method"] and row["best error in our time"] is not None:
+            yield "force error of linear tetrahedra in that time", f"{row['best error in our time']:.0%}"
+
+
+def _optics(tables: Tables) -> Told:
+    rows = [row for row in tables.get("Pictures", ()) if row["setting"] == "default"]
+    for method in dict.fromkeys(row["method"] for row in rows):
+        mine = [row for row in rows if row["method"] == method]
+        each = {sensor: [row for row in mine if row["sensor"] == sensor] for sensor in SENSORS}
+        worst = [min(group, key=lambda row: row["dB"]) for group in each.values() if group]
+        slowest = [max(group, key=lambda row: row["s a frame"]) for group in each.values() if group]
+        yield f"images by `{method}` against `path`, dB", _by_sensor(worst, lambda row: f"{row['dB']:.0f}")
+        yield "s a frame, one core", _by_sensor(slowest, lambda row: f"{row['s a frame']:.2f}")
+
+
+def _stability(tables: Tables) -> Told:
+    for row in tables.get("Together", ()):
+        parts = [f"{row[status]} {status}" for status in ("ok", "refused", "rejected") if row[status]]
+        yield f"{row['scenes']} extreme {row['what']}", ", ".join([*parts, f"{row['wrong']} wrong"])
+
+
+def _pay(tables: Tables) -> Told:
+    rows = tables.get("Labels: cost and agreement", [])
+    if rows:
+        yield "stress and maps, of the solve's time", _by_sensor(rows, lambda row: f"{row['share']:.1%}")
+        yield "recovered stress on the face against the force", _by_sensor(rows, lambda row: f"{row['force']:.1%}")
+
+
+def _scaling(tables: Tables) -> Told:
+    rows = tables.get("Workers", [])
+    if rows:
+        most = rows[-1]
+        yield f"efficiency of {most['workers']} workers", f"{most['efficiency']:.2f}"
+
+
+TOLD = {
+    "mechanics": _mechanics,
+    "cost": _cost,
+    "peers": _peers,
+    "optics": _optics,
+    "stability": _stability,
+    "pay": _pay,
+    "scaling": _scaling,
+}
