@@ -25,7 +25,7 @@ DIGIT = {  # middle and radius of the contact [px]
     "sphere_0024.png": (102.4, 221.1, 34.8),
     "sphere_0036.png": (163.5, 228.4, 35.3),
 }
-NINE_PRESS = ("ball_R4mm_rectified.png", 4.0, 245.0, 189.5, 1.85)  # radius [mm], place [px], depth [mm]
+NINE_PRESS = ("ball_R4mm_rectified.png", 4.0, 245.0, 189.5, 1.78)  # radius [mm], place [px], depth [mm]
 Row = tuple[str, float, float, float, float]
 
 

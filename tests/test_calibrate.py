@@ -13,6 +13,7 @@ from ruamel.yaml import YAML
 from typer.testing import CliRunner
 
 from tacgen import calibrate, cli, load, render, variants
+from tacgen.calibrate import photos, under
 from tacgen.errors import UserError
 from tacgen.optics.dent import BallDent
 from tacgen.optics.layers import Camera
@@ -126,6 +127,30 @@ def test_a_gel_that_scatters(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
         np.array([[2.4, 2, 2], [1.4, 1.4, 1.4]]), rel=0.03
     )
     assert found.untouched < 1 < found.before
+
+
+@pytest.mark.slow
+def test_the_response_to_thickness_is_found_by_solved_presses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Photographs of a unit whose press is 4 % deeper than its table says."""
+    monkeypatch.setattr("tacgen.calibrate.cloudy.SPP", 6)
+    monkeypatch.setattr("tacgen.calibrate.cloudy.FACTORS", (0.96, 1.0, 1.04))
+    table = {"change_mm": (-1.0, 0.0, 0.3), "gain": ((0.6, 0.7, 0.8), (1, 1, 1), (1.3, 1.2, 1.1)), "source": "test"}
+    camera = {"width_px": 80, "height_px": 64, "mm_per_px": 0.1, "vignette_mm": None}
+    path = written(cloudy(camera=camera), tmp_path / "cloudy.yaml")
+    unit = Sensor.model_validate(cloudy(camera=camera).model_dump() | {"thickness_response": table})
+    folder = photographed(unit, tmp_path / "unit", ())
+    press = photos.Press("press.png", np.zeros(0), 3.0, (42.0, 30.0), None, 0.8)
+    made = render.Renderer(unit, 6, 0, False)
+    (face,) = under.solved(unit, press, [0.832], {})
+    Image.fromarray(made.develop(made.image(face))).save(folder / "press.png")
+    (folder / "presses.csv").write_text("file,ball_radius_mm,x_px,y_px,depth_mm\npress.png,3.0,42,30,0.8\n")
+    found = calibrate.optics(str(path), folder).fitted
+    assert found.deeper == 1.04
+    assert found.presses < 1.0
+    gain = found.sensor.thickness_response
+    for change, wanted in ((-0.4, (0.83, 0.88, 0.92)), (0.0, (1, 1, 1)), (0.08, (1.08, 1.05, 1.03))):
+        k = gain.change_mm.index(change)
+        assert gain.gain[k] == pytest.approx(wanted, abs=0.05)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tacgen.errors import UserError
-from tacgen.yamlfile import Mark, Source, Tree, format_path, load, parse, parse_path
+from tacgen.yamlfile import Mark, Source, Tree, edited, format_path, load, parse, parse_path
 
 TEXT = """\
 a: 1
@@ -150,3 +150,19 @@ def test_another_shape_replaces_the_whole_indenter():
 
 def test_a_source_without_lines_is_named_only():
     assert Mark(Source("--set a=1")).point("no") == "--set a=1: no"
+
+
+def test_values_are_replaced_in_place_and_comments_stay(tmp_path: Path):
+    path = tmp_path / "a.yaml"
+    path.write_text("# top\nleds:\n  - name: red  # one\n    size: [1, 2]\n    source: x\n    old: 3\n# end\n")
+    changes = {
+        ("leds", 0, "size"): [0.5, 4],
+        ("leds", 0, "old"): None,
+        ("leds", 0, "new"): 1.5,
+        ("rows",): [[1, 2], [3]],
+    }
+    text = edited(path, changes)
+    assert text.startswith("# top\nleds:\n  - name: red  # one\n    size: [0.5, 4]\n    new: 1.5\n    source: x\n")
+    path.write_text(text)
+    assert load(path).data["rows"] == [[1, 2], [3]]
+    assert "- [1, 2]" in text

@@ -107,7 +107,8 @@ def optics(name: str, folder: Path, asked: Asked | None = None) -> Calibrated:
 
 
 def _said(photos: "Photos") -> str:
-    presses = f" and {len(photos.presses)} presses" if photos.presses else ""
+    count = len(photos.presses)
+    presses = f" and {count} press{'es' * (count > 1)}" if count else ""
     return f"an untouched picture{presses} of one unit ({photos.folder.resolve().name})"
 
 

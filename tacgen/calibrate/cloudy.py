@@ -28,7 +28,7 @@ CHANGES = (-2.1, -1.6, -1.2, -0.8, -0.4, -0.15, 0.0, 0.08, 0.16, 0.24, 0.32, 0.4
 FACTORS = (0.92, 0.94, 0.96, 0.98, 1.0, 1.02, 1.04, 1.06, 1.08)  # that the depths may be off by
 REACH = 9.0  # [mm] around a press that counts
 SPP = 64  # paths, as in render.Renderer
-FIXED = 300.0  # weight of no gain at no change
+FIXED = 1e5  # weight of no gain at no change, beside that of a pixel
 
 
 @dataclass(frozen=True)
