@@ -57,6 +57,9 @@ LAYOUT: dict[str, Entry] = {
     "/frames/quality/substeps": Entry("<i4", ("N",), "1", "steps the frame was split into", "frame"),
     "/frames/quality/min_gap_mm": Entry("<f8", ("N",), "mm", "smallest gap between gel and indenter", "frame"),
     "/frames/quality/mean_gap_mm": Entry("<f8", ("N",), "mm", "pressure-weighted mean gap", "frame"),
+    "/frames/quality/overlap_mm": Entry(
+        "<f8", ("N",), "mm", "how deep the face is in the indenter between points of contact", "frame"
+    ),
     "/frames/quality/force_balance": Entry("<f8", ("N",), "1", "norm of force + base reaction, over force", "frame"),
     "/frames/quality/residual": Entry("<f8", ("N",), "1", "largest unbalanced nodal force over force", "frame"),
     "/frames/quality/force_error": Entry(

@@ -7,11 +7,11 @@ from tacgen.fem.assembly import pattern
 from tacgen.fem.contact import Contact, Faces, Pose
 from tacgen.fem.elements import hexes
 from tacgen.fem.materials import NeoHooke
-from tacgen.fem.passage import blocked, sunk
+from tacgen.fem.passage import blocked, overlap, sunk
 from tacgen.fem.potentials import Elastic
-from tacgen.fem.shapes import Capsule, Cylinder, Shape, Sphere
+from tacgen.fem.shapes import Capsule, Cylinder, Shape, Sphere, Wedge
 
-from .small import block, whole
+from .small import block, patch, whole
 
 Array = np.ndarray
 POINTS, CELLS = block(8)
@@ -56,3 +56,21 @@ def test_what_lies_inside_the_gel_is_found() -> None:
     assert deep.gaps(POINTS)[0].min() > 0  # contact sees nothing of it
     assert 0.15 < sunk(deep, elastic, POINTS) <= 0.3
     assert sunk(deep.moved(at(0, 0.001), 0.0), elastic, POINTS) == 0
+
+
+@pytest.mark.parametrize("nodes", [4, 3, 6])
+def test_what_cuts_in_between_the_points_of_contact_is_told(nodes: int) -> None:
+    """A blunt wedge over the seam of two rows of cells, clear of all points of contact; and a ball, by its sagitta."""
+    points, faces, _ = patch(4, 2.0, nodes)
+    wedge = Wedge(np.radians(60), 0.05, 1.0)
+    contact = Contact(faces, wedge, Pose(np.eye(3), np.array([0.0, 0.0, -0.04])), 0.03, 0.3)
+    if nodes == 4:
+        assert contact.gaps(points)[0].min() > 0
+    assert overlap(contact, points) == pytest.approx(0.04, abs=1e-9)
+    assert overlap(contact.moved(contact.pose, 0.01), points) == pytest.approx(0.03, abs=1e-9)
+    bowl = points.copy()
+    bowl[:, 2] = 4.0 - np.sqrt(16 - (points[:, :2] ** 2).sum(1))  # nodes on the ball, the middles of cells inside
+    found = overlap(Contact(faces, Sphere(4.0), Pose(np.eye(3), np.zeros(3)), 0.03, 0.3), bowl)
+    sagitta = 2 * 0.25**2 / 8  # two sides of a cell of .5 mm
+    assert 0.01 * sagitta < found < 0.05 * sagitta if nodes == 6 else found == pytest.approx(sagitta, rel=0.1)
+    assert overlap(contact.moved(Pose(np.eye(3), np.array([0.0, 0.0, 1.0])), 0.0), points) == 0

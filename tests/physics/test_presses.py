@@ -1,9 +1,11 @@
 """Presses of small pads: no locking, and the symmetries that nature has."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from tacgen.fem.shapes import Box, Sphere
+from tacgen.fem.shapes import Box, Cylinder, Sphere
 
 from .presses import gel, poses, run, scene
 
@@ -54,8 +56,19 @@ def test_twice_as_stiff_a_gel_pushes_back_twice_as_hard() -> None:
 
 def test_the_barrier_leaves_no_trace_of_its_range() -> None:
     """The indenter is shrunk by the mean gap: without that the force at .05 mm would be some 8 % higher than at .02."""
-    from dataclasses import replace
-
     made = scene(Sphere(3.0), poses([(0, 0, -0.6)]), edge=0.45)
     wide, narrow = (-run(replace(made, dhat=dhat), SQUARE).forces[-1, 2] for dhat in (0.05, 0.02))
     assert wide == pytest.approx(narrow, rel=0.01)
+
+
+def test_a_punch_slid_without_friction_feels_the_mesh_ever_less() -> None:
+    """Its rim stands elsewhere in the cells at each place, and their energy is not quite the same: the force along the
+    face falls with the third power of the edge or faster, once the rim is about as round as cells are wide."""
+    dragged = []
+    for edge in (0.6, 0.3):
+        path = poses([(0.013 + part * edge, 0.0, -0.2) for part in (0.0, 0.2, 0.4, 0.6, 0.8)])
+        made = replace(scene(Cylinder(1.4, 0.45), path, pad=gel(9.0, 9.0, 1.5), edge=edge), dhat=0.03)
+        force = run(made, (-1.8, 1.8, -1.8, 1.8)).forces
+        dragged.append(np.sqrt(np.mean((force[:, 0] / force[:, 2]) ** 2)))
+    assert dragged[0] > 8 * dragged[1], dragged
+    assert 2e-4 < dragged[1] < 2.5e-3
