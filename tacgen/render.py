@@ -12,12 +12,12 @@ import os
 from collections.abc import Callable
 from contextlib import suppress
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 
 from tacgen import variants as probing
-from tacgen.optics import cloudy, lights, response, table
+from tacgen.optics import cloudy, lights, response, sparse, table
 from tacgen.optics.bounce import Bounce
 from tacgen.optics.dent import BallDent
 from tacgen.optics.direct import Direct
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-SPACING = 0.1  # [mm] between the sheet's nodes
+SPACING = 0.1  # [mm] between the nodes of a sheet that shows all
 FLAT_SPACING = 1.0  # the same of one that stays flat
 COLUMNS = 40  # of a traced map, whatever the image's
 PATHS = 64  # in a pixel of a map, for each path a pixel that was asked for
@@ -70,7 +70,8 @@ class Clear:
     """Direct light and its mirror images, and what the coat throws on itself, as on the untouched face."""
 
     def __init__(self, sensor: "LitSensor", sheet: Sheet, markers: bool, spp: int, untouched: Surface) -> None:
-        self._direct = Direct(sensor, sheet, markers, *effort(spp))
+        effort = Effort.of(spp)
+        self._direct = Direct(sensor, sheet, markers, effort.points, effort.samples, effort.sparse)
         bounce = Bounce(sensor, untouched)
         added = bounce.added(sensor, self._direct.points)
         mixed = np.einsum("pkc,kc->pc", added, [led.light for led in sensor.leds])
@@ -88,7 +89,9 @@ class Cloudy:
     taken to be the same whichever LED shines."""
 
     def __init__(self, sensor: "LitSensor", sheet: Sheet, markers: bool, spp: int, variant: str) -> None:
-        self._view, self._gel, samples = View(sensor, sheet, markers, effort(spp)[1]), sensor.gel, effort(spp)[1]
+        samples = Effort.of(spp).samples
+        self._view, self._gel = View(sensor, sheet, markers, samples), sensor.gel
+        sheet = Sheet.over(sensor.gel, SPACING)  # of what is traced, whatever the pictures'
         coarse, untouched, spp = zoomed(sensor, COLUMNS), Untouched.of(sensor.gel), min(spp, MOST)
         shares, flat, leds = np.array(cloudy.SHARES), Sheet.over(sensor.gel, FLAT_SPACING), range(len(sensor.leds))
 
@@ -193,8 +196,9 @@ class Renderer:
         if spp < 1:
             raise ValueError(f"spp must be at least 1, not {spp}")
         self.sensor, self.variant = sensor, variant or probing.best().variant
-        self.sheet, self.untouched = Sheet.over(sensor.gel, SPACING), untouched or Untouched.of(sensor.gel)
-        self._view = View(sensor, self.sheet, markers, effort(spp)[1])
+        effort, self.untouched = Effort.of(spp), untouched or Untouched.of(sensor.gel)
+        self.sheet = Sheet.over(sensor.gel, effort.spacing if method == "transport" else SPACING)
+        self._view = View(sensor, self.sheet, markers, effort.samples)
         self.light: Light
         if method == "path":
             self.light = Traced(sensor, self.sheet, markers, spp, seed, self.variant)
@@ -228,11 +232,22 @@ class Renderer:
         return response.develop(radiance.astype(np.float64), self.sensor.camera, random)
 
 
-def effort(spp: int) -> tuple[tuple[int, int], int]:
-    """Points on each strip (along, up), and rays along a pixel's side, that go with `spp` paths a pixel."""
-    if spp < 32:
-        return (6, 3), 1
-    return ((8, 4), 1) if spp <= 256 else ((16, 8), 2)
+class Effort(NamedTuple):
+    """Numbers by which transport trades time for error."""
+
+    points: tuple[int, int]  # on each strip, along and up
+    samples: int  # rays along a pixel's side
+    spacing: float  # [mm] between the sheet's nodes
+    sparse: sparse.Tolerance
+
+    @classmethod
+    def of(cls, spp: int) -> "Effort":
+        """What goes with `spp` paths a pixel: draft, default or reference."""
+        if spp < 32:
+            return cls((4, 3), 1, 2 * SPACING, sparse.Tolerance(8, 1e-2, 0.6))
+        if spp <= 256:
+            return cls((8, 4), 1, SPACING, sparse.Tolerance())
+        return cls((16, 8), 2, SPACING, sparse.Tolerance(4, 3e-3, 0.12))
 
 
 def zoomed(sensor: "LitSensor", columns: int) -> "LitSensor":

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tacgen.optics import coating, lights, transport
+from tacgen.optics.horizon import Terrain
 from tacgen.optics.sheet import Sheet, Untouched
 
 if TYPE_CHECKING:
@@ -32,11 +33,12 @@ class Bounce:
         self.sheet = Sheet.over(sensor.gel, COAT)
         self._face = untouched or Untouched.of(sensor.gel)
         nodes = self.sheet.at(self._face)
-        self._level = np.ascontiguousarray(nodes[:, 2].reshape(self.sheet.shape))
+        level = np.ascontiguousarray(nodes[:, 2].reshape(self.sheet.shape))
+        self._terrain = Terrain.of(level, self.sheet.size).parts
         self._coat = len(nodes)
         facing, (rows, columns) = self.sheet.normals(nodes), self.sheet.shape
         share = np.outer(*(np.where(np.isin(np.arange(n), (0, n - 1)), 0.5, 1.0) for n in (rows, columns)))
-        top = lights.WALL_RISE if sensor.walls.margin_mm else float(self._level.min())  # the coat hides what is behind
+        top = lights.WALL_RISE if sensor.walls.margin_mm else float(level.min())  # the coat hides what is behind
         walls, inward, pieces = self._walls(sensor, top)
         self._at, self._normals = np.concatenate([nodes, walls]), np.concatenate([facing, inward])
         area = np.concatenate([share.ravel() * self.sheet.areas(nodes), pieces])
@@ -69,7 +71,7 @@ class Bounce:
         slab = transport.Slab.of(sensor)
         return transport.gather(
             self._at, self._normals, self._normals, points.at, points.normal, points.area, points.half, points.strip,
-            strips, slab.bottoms, slab.tops, slab.indices, 1.0, self._level, np.array(self.sheet.size),
+            strips, *slab.parts, 1.0, self._terrain,
         )[..., 0]  # fmt: skip
 
     def _walls(self, sensor: "LitSensor", top: float) -> tuple["Floats", "Floats", "Floats"]:

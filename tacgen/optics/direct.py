@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tacgen.optics import coating, sparse, transport
+from tacgen.optics.beams import Beams, shine
+from tacgen.optics.horizon import Terrain
 from tacgen.optics.raster import draw
 from tacgen.optics.sheet import Sheet, Surface
 from tacgen.optics.view import Samples, View
@@ -21,30 +23,38 @@ class Direct:
     """One sensor's LEDs, layers and camera, ready to light any deformed face."""
 
     def __init__(
-        self, sensor: "LitSensor", sheet: Sheet, markers: bool, pieces: tuple[int, int] = (8, 4), samples: int = 1
+        self,
+        sensor: "LitSensor",
+        sheet: Sheet,
+        markers: bool,
+        pieces: tuple[int, int] = (8, 4),
+        samples: int = 1,
+        tolerance: sparse.Tolerance = sparse.Tolerance(),  # noqa: B008
     ) -> None:
         """`pieces`: points on each strip (along, up); `samples` x `samples` rays a pixel."""
-        self.sensor, self.sheet = sensor, sheet
+        self.sensor, self.sheet, self._tolerance = sensor, sheet, tolerance
         self.view = View(sensor, sheet, markers, samples)
         self.points = transport.points(sensor.leds, *pieces)
-        self._slab = transport.Slab.of(sensor)
+        self._beams = Beams.of(self.points, pieces[1], transport.Slab.of(sensor), sheet)
         self._toward, self._seen = self.view.toward_camera(), self.view.transmission()
 
     def light(self, at: Samples) -> "Floats":
         """What the camera sees of a white matt and of a mirror-rough coat per unit radiance of each LED:
         (samples, strips, 2), 0 off the pad."""
-        points, slab, strips, heights = self.points, self._slab, len(self.sensor.leds), self._heights(at.nodes)
+        coat, strips, points, beams = self.sensor.coating, len(self.sensor.leds), self.points, self._beams
+        terrain = Terrain.of(self._heights(at.nodes), self.sheet.size).parts
+        alpha = coat.roughness if coat.specular else 0.0
 
         def gather(index: "NDArray[np.int64]") -> "Floats":
-            gathered = transport.gather(
+            gathered = shine(
                 at.position[index], at.normal[index], self._toward[index],
                 points.at, points.normal, points.area, points.half, points.strip, strips,
-                slab.bottoms, slab.tops, slab.indices, self.sensor.coating.roughness,
-                heights, np.array(self.sheet.size),
+                beams.middle, beams.level, beams.bend, beams.table, beams.floor,
+                alpha, terrain,
             )  # fmt: skip
             return np.asarray(gathered.reshape(len(index), -1))
 
-        found = sparse.evaluate(gather, at.normal, self.view.shape) * self._seen[:, None]
+        found = sparse.evaluate(gather, at.normal, self.view.shape, self._tolerance) * self._seen[:, None]
         return np.asarray(found.reshape(len(found), strips, 2))
 
     def seen(self, at: Samples) -> "Floats":

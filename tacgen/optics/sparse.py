@@ -1,79 +1,107 @@
-"""Light evaluated where it bends and interpolated where it does not: exact on a coarse lattice and in every cell of it
-whose normals or corner values vary."""
+"""Light evaluated where it bends and interpolated where it does not: exact on a coarse lattice, whose cells are halved
+until normals and corner values hardly vary in them."""
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
-
-STRIDE = 4  # samples between lattice points
-BEND = 1.5e-3  # [-] a normal may differ from its bilinear interpolation by this much
-SPREAD = 0.12  # [-] the corners of an interpolated cell agree within this share
+Integers = NDArray[np.int64]
 
 
-def evaluate(light: Callable[[NDArray[np.int64]], Floats], normals: Floats, shape: tuple[int, int]) -> Floats:
+class Tolerance(NamedTuple):
+    """When a cell is not halved any more."""
+
+    stride: int = 4  # samples between points of the coarsest lattice
+    bend: float = 6e-3  # [-] a normal may differ from its bilinear interpolation by this much
+    spread: float = 0.25  # [-] the corners of an interpolated cell agree within this share
+
+
+def evaluate(
+    light: Callable[[Integers], Floats],
+    normals: Floats,
+    shape: tuple[int, int],
+    tolerance: Tolerance,
+) -> Floats:
     """`light(indices) -> (n, c)` for every sample of an (h, w) picture, asked for only some of them.
 
     Args:
         light: values at flat sample indices.
         normals: unit normals (h * w, 3), nan where there is nothing to see.
         shape: h, w.
+        tolerance: see above.
 
     Returns:
         (h * w, c).
     """
-    rows, columns = lattice(shape[0]), lattice(shape[1])
-    points = (rows[:, None] * shape[1] + columns[None, :]).ravel()
-    known = light(points)
-    out = np.zeros((shape[0] * shape[1], known.shape[1]))
-    out[points] = known
-    todo = fill(out.reshape(*shape, -1), normals.reshape(*shape, 3), rows, columns, BEND, SPREAD)
-    todo.ravel()[points] = False
-    rest = np.flatnonzero(todo)
-    if len(rest):
-        out[rest] = light(rest)
+    h, w = shape
+    rows, columns = (np.unique(np.append(np.arange(0, n, tolerance.stride), n - 1)) for n in shape)
+    top, left = (grid.ravel() for grid in np.meshgrid(rows[:-1], columns[:-1], indexing="ij"))
+    bottom, right = (grid.ravel() for grid in np.meshgrid(rows[1:], columns[1:], indexing="ij"))
+    cells = np.column_stack([top, bottom, left, right])
+    known, out = np.zeros(h * w, np.bool_), np.zeros((0, 0))
+    while len(cells):
+        wanted = np.zeros(h * w, np.bool_)
+        for row in cells[:, :2].T:
+            for column in cells[:, 2:].T:
+                wanted[row * w + column] = True
+        points = np.flatnonzero(wanted & ~known)
+        found = light(points)
+        out = out if out.size else np.zeros((h * w, found.shape[1]))
+        out[points], known[points] = found, True
+        cells = fill(out.reshape(h, w, -1), known.reshape(h, w), normals.reshape(h, w, 3), cells, *tolerance[1:])
     return out
-
-
-def lattice(n: int) -> NDArray[np.int64]:
-    """0, STRIDE, ... and n - 1."""
-    return np.unique(np.append(np.arange(0, n, STRIDE), n - 1))
 
 
 @njit(cache=True)
 def fill(
-    out: Floats, normals: Floats, rows: NDArray[np.int64], columns: NDArray[np.int64], bend: float, spread: float
-) -> NDArray[np.bool_]:
-    """Interpolate `out` (h, w, c) in place in the cells that allow it; True (h, w) where a sample needs evaluation."""
-    h, w, count = out.shape
-    todo = np.zeros((h, w), np.bool_)
-    for j in range(len(rows) - 1):
-        for i in range(len(columns) - 1):
-            t, b, a, r = rows[j], rows[j + 1], columns[i], columns[i + 1]
-            smooth = True
-            for c in range(count):
-                least = min(out[t, a, c], out[t, r, c], out[b, a, c], out[b, r, c])
-                most = max(out[t, a, c], out[t, r, c], out[b, a, c], out[b, r, c])
-                if most - least > spread * most:
-                    smooth = False
-            for y in range(t, b + 1):
-                for x in range(a, r + 1):
+    out: Floats, known: NDArray[np.bool_], normals: Floats, cells: Integers, bend: float, spread: float
+) -> Integers:
+    """Interpolate `out` (h, w, c) in place, but for what is `known` (h, w), in the cells that allow it.
+
+    Returns:
+        The halves of those that do not: (cells, 4), as `cells`: first and last row and column.
+    """
+    count, left = 0, np.empty((4 * len(cells), 4), np.int64)
+    for m in range(len(cells)):
+        t, b, a, r = cells[m]
+        if b - t <= 1 and r - a <= 1:
+            continue
+        if bends(out, normals, t, b, a, r, bend, spread):
+            middle, centre = (t + b) // 2, (a + r) // 2
+            for y in range(2 if middle > t else 1):
+                for x in range(2 if centre > a else 1):
+                    left[count, 0], left[count, 1] = middle if y == 1 else t, middle if y == 0 and middle > t else b
+                    left[count, 2], left[count, 3] = centre if x == 1 else a, centre if x == 0 and centre > a else r
+                    count += 1
+            continue
+        for y in range(t, b + 1):
+            for x in range(a, r + 1):
+                if not known[y, x]:
                     v, u = (y - t) / (b - t), (x - a) / (r - a)
-                    for c in range(3):
-                        flat = (1 - v) * ((1 - u) * normals[t, a, c] + u * normals[t, r, c])
-                        flat += v * ((1 - u) * normals[b, a, c] + u * normals[b, r, c])
-                        if not abs(normals[y, x, c] - flat) <= bend:  # nan is not smooth either
-                            smooth = False
-            for y in range(t, b + 1):
-                for x in range(a, r + 1):
-                    if not smooth:
-                        todo[y, x] = True
-                    elif y not in (t, b) or x not in (a, r):
-                        v, u = (y - t) / (b - t), (x - a) / (r - a)
-                        for c in range(count):
-                            top = (1 - u) * out[t, a, c] + u * out[t, r, c]
-                            out[y, x, c] = (1 - v) * top + v * ((1 - u) * out[b, a, c] + u * out[b, r, c])
-    return todo
+                    for c in range(out.shape[2]):
+                        top = (1 - u) * out[t, a, c] + u * out[t, r, c]
+                        out[y, x, c] = (1 - v) * top + v * ((1 - u) * out[b, a, c] + u * out[b, r, c])
+    return left[:count]
+
+
+@njit(cache=True)
+def bends(out: Floats, normals: Floats, t: int, b: int, a: int, r: int, bend: float, spread: float) -> bool:
+    """Whether light cannot be interpolated in a cell; nan is not smooth either."""
+    for c in range(out.shape[2]):
+        least = min(out[t, a, c], out[t, r, c], out[b, a, c], out[b, r, c])
+        most = max(out[t, a, c], out[t, r, c], out[b, a, c], out[b, r, c])
+        if most - least > spread * most:
+            return True
+    for y in range(t, b + 1):
+        for x in range(a, r + 1):
+            v, u = (y - t) / (b - t), (x - a) / (r - a)
+            for c in range(3):
+                flat = (1 - v) * ((1 - u) * normals[t, a, c] + u * normals[t, r, c])
+                flat += v * ((1 - u) * normals[b, a, c] + u * normals[b, r, c])
+                if not abs(normals[y, x, c] - flat) <= bend:
+                    return True
+    return False

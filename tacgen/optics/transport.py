@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numba import config, njit, prange, vectorize
 
+from tacgen.optics.horizon import horizon
 from tacgen.optics.lights import bottom_depth, frame
 
 if TYPE_CHECKING:
@@ -70,6 +71,11 @@ class Slab:
         tops[-1] = np.inf
         return cls(bottoms, tops, n)
 
+    @property
+    def parts(self) -> tuple[Floats, Floats, Floats]:
+        """As compiled code takes it."""
+        return self.bottoms, self.tops, self.indices
+
 
 @vectorize(cache=True)  # type: ignore[untyped-decorator, no-untyped-call]
 def fresnel_transmission(k: float, n1: float, n2: float) -> float:
@@ -116,51 +122,66 @@ def connect(rho: float, lengths: Floats, indices: Floats) -> tuple[float, float]
 
 
 @njit(cache=True)
-def visibility(
-    heights: Floats, size: Floats, lowest: float, p: Floats, direction: Floats, reach: float, half: float
-) -> float:
-    """Share (0 to 1) of a piece of strip, of half extent `half` and `reach` [mm] away, seen from p along `direction`.
+def arrive(
+    rho: float, z: float, source: float, home: int, image: int, bottoms: Floats, tops: Floats, indices: Floats
+) -> tuple[float, float, float, float]:
+    """How light from a point `rho` [mm] aside at height `source` comes to height z: straight (image 0) or mirrored (1).
 
-    `heights` (h, w) is the deformed face over a rectangle of `size` (x, y) [mm] centred on 0; the gel is below it.
+    Args:
+        rho, z, source: see above; z lies in the outermost layer.
+        home: the layer of the source.
+        image: 1 for light that is first reflected at bottoms[0].
+        bottoms, tops, indices: see Slab.
+
+    Returns:
+        sine and rise of the unit vector from z toward the light (sideways, along +z), rise of the unit vector along
+        which the light left, and radiance carried over times solid angle, per area [1/mm^2] that faces along that.
     """
-    rows, columns = heights.shape
-    dx, dy = size[0] / (columns - 1), size[1] / (rows - 1)
-    across = np.sqrt(direction[0] ** 2 + direction[1] ** 2)
-    if across < 1e-6:
-        return 1.0
-    seen = 1.0
-    step = 0.5 * (dx + dy) / across
-    s = 1.5 * step
-    while s < reach:
-        z = p[2] + s * direction[2]
-        if z < lowest and direction[2] <= 0.0:
-            break
-        u = (p[0] + s * direction[0] + size[0] / 2) / dx
-        v = (p[1] + s * direction[1] + size[1] / 2) / dy
-        if u < 0 or v < 0 or u >= columns - 1 or v >= rows - 1:
-            break
-        i, j = int(u), int(v)
-        a, b = u - i, v - j
-        face = (1 - b) * ((1 - a) * heights[j, i] + a * heights[j, i + 1]) + b * (
-            (1 - a) * heights[j + 1, i] + a * heights[j + 1, i + 1]
-        )
-        share = 0.5 + 0.5 * (face - z) / max(half * s / reach, 1e-3)
-        if share < seen:
-            seen = share
-            if seen <= 0.0:
-                return 0.0
-        s += step
-        step *= 1.02
-    return seen
+    last = len(indices) - 1
+    lengths = np.empty(last + 1)
+    sign = 1.0 if image == 0 and source > z else -1.0
+    for i in range(last + 1):
+        if image == 0:
+            lengths[i] = max(min(max(source, z), tops[i]) - max(min(source, z), bottoms[i]), 0.0)
+        else:
+            lengths[i] = max(min(z, tops[i]) - bottoms[i], 0.0) + max(min(source, tops[i]) - bottoms[i], 0.0)
+    lengths[last] = max(lengths[last], 1e-5)  # a strip point level with the sample
+    k, derivative = connect(rho, lengths, indices)
+    ng, nl = indices[last], indices[home]
+    sg, sl = k / ng, k / nl
+    cg, cl = np.sqrt(max(1 - sg * sg, 1e-12)), np.sqrt(max(1 - sl * sl, 1e-12))
+    passed = 1.0
+    for i in range(last):
+        if indices[i] != indices[i + 1]:
+            if image == 1 or i >= home:
+                passed *= fresnel_transmission(k, indices[i + 1], indices[i])
+            if image == 1 and i < home:
+                passed *= fresnel_transmission(k, indices[i], indices[i + 1])
+    if image == 1:
+        passed *= 1.0 - fresnel_transmission(k, indices[0], 1.0)
+    # solid angle in the gel per area of strip, and radiance carried over as L/n^2
+    weight = sg / (ng * cg * derivative * rho) / cl * (ng / nl) ** 2 * passed
+    return sg, sign * cg, -sign * cl if image == 0 else sign * cl, weight
 
 
 @njit(cache=True)
-def ggx(n: Floats, wi: Floats, wo: Floats, ci: float, co: float, alpha: float) -> float:
-    """GGX reflection times cos(wo) of a perfect mirror's microfacets: D G1 G1 / (4 cos wi); cosines must be > 0."""
-    h = wi + wo
-    ch = (h[0] * n[0] + h[1] * n[1] + h[2] * n[2]) / np.sqrt(h[0] ** 2 + h[1] ** 2 + h[2] ** 2)
+def layer(z: float, tops: Floats) -> int:
+    """The layer in which a height lies."""
+    home = 0
+    while home < len(tops) - 1 and z >= tops[home]:
+        home += 1
+    return home
+
+
+@njit(cache=True)
+def ggx(turn: float, ci: float, co: float, alpha: float) -> float:
+    """GGX reflection times cos(wo) of a perfect mirror's microfacets: D G1 G1 / (4 cos wi).
+
+    `turn` is the cosine between the directions wi and wo, ci and co theirs to the normal, that must be > 0.
+    """
+    ch2 = (ci + co) ** 2 / (2.0 + 2.0 * turn)
     a2 = alpha * alpha
-    q = ch * ch * (a2 - 1.0) + 1.0
+    q = ch2 * (a2 - 1.0) + 1.0
     g = 4 * ci * co / ((ci + np.sqrt(a2 + (1 - a2) * ci * ci)) * (co + np.sqrt(a2 + (1 - a2) * co * co)))
     return float(a2 / (np.pi * q * q) * g / (4 * ci))
 
@@ -180,8 +201,7 @@ def gather(
     tops: Floats,
     indices: Floats,
     alpha: float,
-    heights: Floats,
-    size: Floats,
+    terrain: tuple[Floats, Floats, Floats, Floats],
 ) -> Floats:
     """Radiance toward the camera per unit LED radiance: (samples, strips, 2), for a white matt and a mirror-rough coat.
 
@@ -192,65 +212,32 @@ def gather(
         strips: how many LEDs there are.
         bottoms, tops, indices: see Slab; light mirrors at bottoms[0], against air.
         alpha: GGX roughness.
-        heights, size: the face for shadows, see visibility.
+        terrain: the face for shadows, see horizon.Terrain.
     """
     out = np.zeros((len(p), strips, 2))
-    lowest = heights.min()
-    count, last = len(indices), len(indices) - 1
     for s in prange(len(p)):
         if np.isnan(p[s, 0]):
             continue
-        lengths, wo = np.empty(count), np.empty(3)
         ci = max(n[s, 0] * view[s, 0] + n[s, 1] * view[s, 1] + n[s, 2] * view[s, 2], 0.05)
         for q in range(len(at)):
             dx, dy = at[q, 0] - p[s, 0], at[q, 1] - p[s, 1]
             rho = max(np.sqrt(dx * dx + dy * dy), 1e-9)
             dx, dy = dx / rho, dy / rho
-            home = 0
-            while home < last and at[q, 2] >= tops[home]:
-                home += 1
+            home = layer(at[q, 2], tops)
             for image in range(2):
-                sign = -1.0  # of the ray's z direction as it leaves the face
-                if image == 0:
-                    low, high = min(at[q, 2], p[s, 2]), max(at[q, 2], p[s, 2])
-                    sign = 1.0 if at[q, 2] > p[s, 2] else -1.0
-                    for i in range(count):
-                        lengths[i] = max(min(high, tops[i]) - max(low, bottoms[i]), 0.0)
-                else:
-                    for i in range(count):
-                        lengths[i] = max(min(p[s, 2], tops[i]) - bottoms[i], 0.0)
-                        lengths[i] += max(min(at[q, 2], tops[i]) - bottoms[i], 0.0)
-                lengths[last] = max(lengths[last], 1e-5)  # a strip point level with the sample
-                k, derivative = connect(rho, lengths, indices)
-                ng, nl = indices[last], indices[home]
-                sg, sl = k / ng, k / nl
-                cg, cl = np.sqrt(max(1 - sg * sg, 1e-12)), np.sqrt(max(1 - sl * sl, 1e-12))
-                wo[0], wo[1], wo[2] = dx * sg, dy * sg, sign * cg
-                co = n[s, 0] * wo[0] + n[s, 1] * wo[1] + n[s, 2] * wo[2]
-                if co <= 0.0:
+                sg, cg, cl, weight = arrive(rho, p[s, 2], at[q, 2], home, image, bottoms, tops, indices)
+                sl = sg * indices[-1] / indices[home]
+                co = (n[s, 0] * dx + n[s, 1] * dy) * sg + n[s, 2] * cg
+                facing = cl * light_normal[q, 2] - sl * (light_normal[q, 0] * dx + light_normal[q, 1] * dy)
+                if co <= 0.0 or facing <= 0.0 or weight <= 0.0:
                     continue
-                turn = -1.0 if image == 1 else 1.0
-                facing = -(
-                    light_normal[q, 0] * dx * sl + light_normal[q, 1] * dy * sl + turn * sign * cl * light_normal[q, 2]
-                )
-                if facing <= 0.0:
-                    continue
-                passed = 1.0
-                for i in range(last):
-                    if indices[i] != indices[i + 1]:
-                        if image == 1 or i >= home:
-                            passed *= fresnel_transmission(k, indices[i + 1], indices[i])
-                        if image == 1 and i < home:
-                            passed *= fresnel_transmission(k, indices[i], indices[i + 1])
-                if image == 1:
-                    passed *= 1.0 - fresnel_transmission(k, indices[0], 1.0)
-                if passed <= 0.0:
-                    continue
-                # solid angle in the gel per area of strip, and radiance carried over as L/n^2
-                weight = sg / (ng * cg * derivative * rho) * facing / cl * area[q] * (ng / nl) ** 2 * passed
-                weight *= visibility(heights, size, lowest, p[s], wo, rho / max(sg, 1e-9), half[q])
+                slope, soft = cg / sg, half[q] / rho
+                near = (slope - soft, slope + soft)
+                edge = horizon(terrain, p[s, 0], p[s, 1], p[s, 2], dx, dy, rho, near, near)
+                weight *= facing * area[q] * min(max(0.5 + 0.5 * (edge - slope) / soft, 0.0), 1.0)
                 if weight <= 0.0:
                     continue
                 out[s, strip[q], 0] += weight * co / np.pi
-                out[s, strip[q], 1] += weight * ggx(n[s], view[s], wo, ci, co, alpha)
+                turn = (view[s, 0] * dx + view[s, 1] * dy) * sg + view[s, 2] * cg
+                out[s, strip[q], 1] += weight * ggx(turn, ci, co, alpha)
     return out

@@ -1,0 +1,117 @@
+"""How far up a deformed face cuts off the view along it: what shades light that comes from the side.
+
+A face is heights over a regular grid, the gel below it. Seen from a point of it along an azimuth, it hides every
+direction steeper than its horizon, so one walk along the azimuth decides for lights at all heights there. Blocks of the
+grid that even their lowest point keeps out of the way are stepped over.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+SMALL, LARGE = 8, 32  # cells along the side of a block
+
+
+@dataclass(frozen=True)
+class Terrain:
+    """Heights (h, w) [mm] over a rectangle of `size` (x, y) [mm] centred on 0, and the least of each block."""
+
+    heights: Floats
+    small: Floats
+    large: Floats
+    size: Floats
+
+    @classmethod
+    def of(cls, heights: Floats, size: tuple[float, float]) -> "Terrain":
+        """That of a face."""
+        small, large = (lowest(heights, cells) for cells in (SMALL, LARGE))
+        return cls(heights, small, large, np.array(size))
+
+    @property
+    def parts(self) -> tuple[Floats, Floats, Floats, Floats]:
+        """As compiled code takes it."""
+        return self.heights, self.small, self.large, self.size
+
+
+@njit(cache=True)
+def lowest(heights: Floats, cells: int) -> Floats:
+    """Least height of each block of `cells` x `cells` cells of a grid (h, w), rims included; the last is smaller."""
+    h, w = heights.shape
+    out = np.empty((-(-(h - 1) // cells), -(-(w - 1) // cells)))
+    for j in range(out.shape[0]):
+        for i in range(out.shape[1]):
+            out[j, i] = heights[j * cells : (j + 1) * cells + 1, i * cells : (i + 1) * cells + 1].min()
+    return out
+
+
+@njit(cache=True)
+def horizon(
+    terrain: tuple[Floats, Floats, Floats, Floats],
+    x: float,
+    y: float,
+    z: float,
+    dx: float,
+    dy: float,
+    reach: float,
+    above: tuple[float, float],
+    below: tuple[float, float],
+) -> float:
+    """Slope (rise per sideways way) of the steepest ray from a point that the face lets pass on its way to a light.
+
+    Args:
+        terrain: see Terrain.parts.
+        x, y, z: the point [mm].
+        dx, dy: unit vector sideways to the light.
+        reach: sideways way [mm] to it.
+        above, below: (least, greatest) slope of interest, of two sorts of rays, the steeper first; anything is a right
+            answer that lies between the same of these four as the horizon.
+    """
+    heights, small, large, size = terrain
+    rows, columns = heights.shape
+    wx, wy = size[0] / (columns - 1), size[1] / (rows - 1)
+    u0, v0 = (x + size[0] / 2) / wx, (y + size[1] / 2) / wy  # in cells
+    du, dv = dx / wx, dy / wy
+    du = du if abs(du) > 1e-9 else 1e-9
+    dv = dv if abs(dv) > 1e-9 else 1e-9
+    across, down = 1.0 / du, 1.0 / dv
+    right, under = 1 if du > 0.0 else 0, 1 if dv > 0.0 else 0
+    step = 0.5 * (wx + wy)
+    first, r = 1.5 * step, reach
+    first = max(first, ((1 - right) * (columns - 1) - u0) * across, ((1 - under) * (rows - 1) - v0) * down) + 1e-6
+    r = min(r, (right * (columns - 1) - u0) * across, (under * (rows - 1) - v0) * down) - 1e-6
+    found = limit = above[1]
+    while r > first:  # from far to near: beyond a dome's rim most of what is nearer is soon known to be out of the way
+        u, v = u0 + r * du, v0 + r * dv
+        i, j = int(u), int(v)
+        bi, bj = i // LARGE, j // LARGE
+        drop = large[bj, bi] - z
+        enter = max(((bi + 1 - right) * LARGE - u0) * across, ((bj + 1 - under) * LARGE - v0) * down, first)
+        if drop >= limit * (enter if drop < 0.0 else r):
+            r = min(enter, r) - 1e-4
+            continue
+        bi, bj = i // SMALL, j // SMALL
+        drop = small[bj, bi] - z
+        enter = max(((bi + 1 - right) * SMALL - u0) * across, ((bj + 1 - under) * SMALL - v0) * down, first)
+        if drop >= limit * (enter if drop < 0.0 else r):
+            r = min(enter, r) - 1e-4
+            continue
+        while True:
+            a, b = u - i, v - j
+            rise = (1 - b) * ((1 - a) * heights[j, i] + a * heights[j, i + 1]) - z
+            rise += b * ((1 - a) * heights[j + 1, i] + a * heights[j + 1, i + 1])
+            if rise < limit * r:
+                found = limit = rise / r
+                if found <= below[0]:
+                    return float(found)
+                if found <= above[0]:
+                    limit = min(found, below[1])
+            r -= step + 0.04 * r
+            if r <= enter:
+                break
+            u, v = u0 + r * du, v0 + r * dv
+            i, j = int(u), int(v)
+    return float(found)
