@@ -56,7 +56,7 @@ ALLOWED_IN_LIBRARIES = {"numpy", "scipy", "numba"}
 HOMES = {
     "mitsuba": {"tracer"},
     "drjit": {"tracer"},
-    "matplotlib": {"show", "show_field", "bench.kit"},
+    "matplotlib": {"show", "show_field", "bench.kit", "bench.optics"},
     "mpl_toolkits": {"show"},
     "h5py": {"bundle", "doctor", "export.vtkhdf", "export.univtac", "pack", "torch"},
     "cvxopt": {"fem.linear"},
