@@ -45,7 +45,7 @@ def solved(sets: list[str]) -> dict[str, float | list[float]]:
         "mesh": ready - begun,
         "seconds": seconds,
         "iterations": iterations,
-        "factored": getattr(problem.linear, "factored", 0),
+        "factored": problem.factored,
         "memory": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
     }
 

@@ -4,30 +4,21 @@ What is lagged, the mean gap by which the indenter is shrunk and, with friction,
 way until it agrees with the answer. A pose that Newton cannot reach is approached in halved substeps.
 """
 
-import math
+from copy import copy
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
 from tacgen.fem import friction as fr
-from tacgen.fem import linear
-from tacgen.fem.assembly import Pattern, pattern
-from tacgen.fem.contact import Contact, Faces, Pose
-from tacgen.fem.elements import elements
-from tacgen.fem.newton import Status, minimise
+from tacgen.fem.assembly import Pattern
+from tacgen.fem.condensed import LOST, MOST, settle
+from tacgen.fem.contact import Contact, Pose
+from tacgen.fem.newton import Solution, Status, Step, minimise
 from tacgen.fem.passage import blocked, sunk
-from tacgen.fem.potentials import Elastic, Potential, Total
-from tacgen.fem.stiffness import LAZY
-from tacgen.mesh import Mesh
-from tacgen.scene import Scene
-
-if TYPE_CHECKING:
-    from tacgen.fem.inertia import Body
-    from tacgen.fem.ipc import MeshContact
+from tacgen.fem.potentials import Potential, Total
+from tacgen.problem import AnyContact, Memory, Problem
 
 Array = np.ndarray
-AnyContact: TypeAlias = "Contact | MeshContact"
 XTOL = 1e-3  # no node moves by more than this in the last step, nor does the mean gap between passes [mm]
 RESIDUAL = 1e-3  # of the contact force
 EAGER = 20  # times that what is lagged is taken as it comes; then halfway, since it may go round in a circle
@@ -77,91 +68,6 @@ class State:
         """Force of the indenter on each quadrature point of the gel (f, q, 3) [N]."""
         push = self.normal_force[..., None] * self.normal
         return np.asarray(push if self.friction is None else push + self.friction)
-
-
-@dataclass(frozen=True)
-class Memory:
-    """What a pose inherits from the one before; anchors and normals are in the indenter's frame."""
-
-    pose: Pose
-    x: Array
-    before: Array  # x one pose earlier, and two: for extrapolation
-    earlier: Array
-    offset: float
-    normal_force: Array
-    normal: Array
-    anchor: Array
-    gap: Array
-    kappa: float  # barrier stiffness [MPa]
-    scale: float  # force below which nothing is told apart [N]
-    velocity: Array | None  # (n, 3) [mm/s], with inertia
-
-
-@dataclass(frozen=True)
-class Problem:
-    """A mesh made ready: elasticity, contact, the linear solver, and mass where the scene asks for dynamics.
-
-    `longest` is the longest step in time [s].
-    """
-
-    mesh: Mesh
-    elastic: tuple[Elastic, ...]
-    contact: AnyContact
-    linear: linear.Solver
-    pattern: Pattern
-    friction: float
-    edge: float  # [mm]
-    body: "Body | None" = None
-    longest: float = math.inf
-
-    @classmethod
-    def of(cls, scene: Scene, mesh: Mesh) -> "Problem":
-        free = np.ones((len(mesh.points), 3), bool)
-        free[np.unique(mesh.facets["bonded"])] = False
-        pat = pattern([mesh.cells], free)
-        elastic, softest = [], min(layer.law.mu for layer in scene.gel.layers)
-        for number, layer in enumerate(scene.gel.layers):
-            cells = mesh.cells[mesh.layer == number]
-            lazy = LAZY * min(1.0, 10 * softest / layer.law.mu)  # what is little to a hard skin is much to a soft base
-            elastic.append(Elastic.on(pat, elements(mesh.points, cells), layer.law, lazy))
-        contact = _contact(scene, mesh, pat)
-        ready = cls(mesh, tuple(elastic), contact, linear.best(pat), pat, scene.friction, scene.edge)
-        if (d := scene.dynamics) is None:
-            return ready
-        from tacgen.fem.inertia import Body
-
-        return replace(ready, body=Body.of(pat, ready.elastic, d.density, d.alpha, d.beta), longest=d.longest)
-
-    @property
-    def thickness(self) -> float:
-        """Of the gel [mm]."""
-        return float(np.ptp(self.mesh.points[:, 2]))
-
-    def rest(self, pose: Pose) -> Memory:
-        """The untouched gel below an indenter at `pose`."""
-        x = self.mesh.points
-        pose = self.contact.clear(pose, x)
-        force, normal, gap = self.contact.moved(pose, 0.0).pressure(x)
-        local = normal @ pose.rotation
-        at, kappa = pose.local(self.contact.faces.at(x)), self.contact.kappa
-        still = None if self.body is None else np.zeros_like(x)
-        return Memory(pose, x, x, x, 0.0, np.zeros_like(force), local, at, gap, kappa, 0.0, still)
-
-    def steps(self, duration: float) -> int:
-        """How many steps a movement of so many seconds takes."""
-        return 1 if self.body is None else max(1, math.ceil(duration / self.longest - 1e-9))
-
-
-def _contact(scene: Scene, mesh: Mesh, pat: Pattern) -> AnyContact:
-    """Barely softer than the gel: what the outermost layer is made of sets the barrier's stiffness."""
-    facets, pose = mesh.facets["coated"], Pose.of(scene.start)
-    kappa = 2 * scene.gel.layers[-1].youngs_modulus
-    if scene.surface is None:
-        return Contact(Faces.on(pat, mesh.points, facets), scene.shape, pose, scene.dhat, kappa)
-    from tacgen.fem.ipc import MeshContact, Pair
-
-    pair = Pair.of(pat, mesh.points, facets, scene.surface)
-    return MeshContact(pair, Contact(pair.faces, scene.shape, pose, scene.dhat, kappa), pose, scene.dhat, kappa)
 
 
 class _Lagged:
@@ -218,8 +124,8 @@ class _Lagged:
     def total(self) -> Total:
         return Total((*self.problem.elastic, *self.loads, *self.inert))
 
-    def refresh(self, x: Array) -> Total | None:
-        """Take gap and normal forces from x if they are off by more than the tolerances."""
+    def refresh(self, x: Array, loose: float = 1.0) -> Total | None:
+        """Take gap and normal forces from x if they are off by more than `loose` times the tolerances."""
         force, normal, _ = self.contact.pressure(x)
         gap = self.contact.mean_gap(x)
         self.contact_force = float(force.sum())
@@ -229,7 +135,7 @@ class _Lagged:
             off = np.abs(force - self.friction.normal_force)
             most = max(float(force.max()), self.memory.scale / len(force))  # after a release no point bears anything
             lag = max(float(off.sum()), float(off.max()) / max(most, 1e-300) * scale / 2)
-        if scale == 0 or (abs(gap - self.contact.offset) <= self.near_enough and lag <= LAG * scale):
+        if scale == 0 or (abs(gap - self.contact.offset) <= loose * self.near_enough and lag <= loose * LAG * scale):
             return None
         if self.friction is not None:
             anchor = self.contact.pose.world(self._anchors())
@@ -239,6 +145,69 @@ class _Lagged:
         self.refreshed += 1
         self.contact = self.contact.grown(gap, x)
         return self.total
+
+    def lower(self, x: Array, xtol: float, expect: float) -> Solution:
+        """Newton's method from x; `expect`: how far that may be from the answer [mm]."""
+        problem, condensed = self.problem, self.problem.condensed
+        if condensed is not None and condensed.lost == LOST:
+            condensed = None
+        bulk, steps = Total((*problem.elastic, *self.inert)), list[Step]()
+        while condensed is not None and isinstance(self.contact, Contact) and (touching := self._touching(x)).any():
+            conn = self.contact.faces.conn
+            if (touching & ~condensed.nodes[conn].all(1)).any():
+                facets = conn[np.isin(conn, conn[touching]).any(1)]  # and those around
+                if 3 * len(np.unique(facets)) > MOST:
+                    break
+                condensed.cover(facets)
+            which = np.flatnonzero(condensed.nodes[conn].all(1))
+            part = self._on(self.contact, which, condensed.pattern)
+            found = settle(
+                bulk, part._felt, x, condensed, xtol=xtol, refresh=part.refresh, negligible=part.negligible
+            )  # fmt: skip
+            self._take(part, which, found.x)
+            x, steps = found.x, [*steps, *found.steps]
+            if found.status != Status.converged:
+                break
+            if not np.delete(self._touching(x), which).any():
+                return replace(found, steps=tuple(steps))
+        found = minimise(
+            self.total, x, problem.pattern, problem.linear, xtol=xtol, expect=expect,
+            refresh=self.refresh, negligible=self.negligible,
+        )  # fmt: skip
+        return replace(found, steps=(*steps, *found.steps))
+
+    def _touching(self, x: Array) -> Array:
+        """Which facets the indenter acts on; if none, where it acted last."""
+        now = (self.contact.gaps(x)[0] < self.contact.dhat).any(1)
+        return np.asarray(now if now.any() else (self.memory.normal_force > 0).any(1))
+
+    def _felt(self) -> Total:
+        return Total(self.loads)
+
+    def _on(self, contact: Contact, which: Array, pattern: Pattern) -> "_Lagged":
+        """The same on some facets (k,) alone, with the entries of another pattern."""
+        part, memory, whole = copy(self), self.memory, contact.faces
+        conn = whole.conn[which]
+        faces = replace(whole, conn=conn, areas=whole.areas[which], slots=pattern.slots(conn))
+        part.contact = replace(contact, faces=faces)
+        names = ("normal_force", "normal", "anchor")
+        kept = {name: getattr(memory, name)[which] for name in (*names, "gap")}
+        part.memory = replace(memory, **kept)
+        if self.friction is not None:
+            kept = {name: getattr(self.friction, name)[which] for name in names}
+            part.friction = replace(self.friction, faces=faces, **kept)
+        return part
+
+    def _take(self, part: "_Lagged", which: Array, x: Array) -> None:
+        """Take over what is lagged from `part`, beside whose facets nothing touches."""
+        self.contact = replace(self.contact, offset=part.contact.offset)
+        self.contact_force, self.refreshed = part.contact_force, part.refreshed
+        if self.friction is not None and part.friction is not None:
+            force, normal, _ = self.contact.pressure(x)
+            force, normal, anchor = np.zeros_like(force), normal.copy(), self.contact.faces.at(x)
+            new = part.friction
+            force[which], normal[which], anchor[which] = new.normal_force, new.normal, new.anchor
+            self.friction = replace(self.friction, normal_force=force, normal=normal, anchor=anchor)
 
     def stiffened(self, x: Array) -> bool:
         """Whether a point of the gel is inside the shrunk indenter, so that the barrier was made stiffer."""
@@ -287,10 +256,7 @@ def advance(
     lagged = _Lagged(problem, memory, Pose.of(matrix), duration, near)
     x, expect, iterations, xtol = lagged.start(near), np.inf, 0, XTOL
     for _ in range(TRIES):
-        found = minimise(
-            lagged.total, x, problem.pattern, problem.linear, xtol=xtol, expect=expect,
-            refresh=lagged.refresh, negligible=lagged.negligible,
-        )  # fmt: skip
+        found = lagged.lower(x, xtol, expect)
         x, expect, iterations = found.x, XTOL, iterations + len(found.steps)
         if found.status != Status.converged:
             raise NotConverged(f"Newton {found.status} after {iterations} iterations")

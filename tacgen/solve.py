@@ -10,9 +10,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from tacgen.advance import Memory, NotConverged, Problem, State, advance, travel
+from tacgen.advance import NotConverged, State, advance, travel
 from tacgen.fem.contact import Pose
 from tacgen.fem.rising import POWER, OutOfReach, meet
+from tacgen.problem import Memory, Problem
 from tacgen.scene import Scene
 from tacgen.trajectory import FORCE_DEPTH
 

@@ -29,6 +29,7 @@ ORDER = [
     {"scene"},  # *
     {"tetmesh"},
     {"mesh"},  # *
+    {"problem"},
     {"advance"},
     {"solve"},  # *
     {"foresee"},

@@ -52,6 +52,7 @@ def test_a_frame_that_newton_cannot_reach_is_refused_with_its_reason(monkeypatch
         return Solution(x, Status.out_of_steps, ())
 
     monkeypatch.setattr(advance, "minimise", lost)
+    monkeypatch.setattr(advance, "settle", lost)
     with pytest.raises(NotConverged, match="Newton out of steps after 0 iterations"):
         next(states(*made()))
 

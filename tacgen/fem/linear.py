@@ -4,13 +4,16 @@ Each takes the upper triangle in CSR with a pattern that never changes: the orde
 once, `factor` then takes new numbers. `best()` picks the fastest one installed; SuperLU, part of SciPy, always works.
 """
 
+import ctypes
 import importlib.util
 from collections.abc import Callable
-from typing import Protocol
+from functools import cache, cached_property
+from typing import Any, Protocol
 
 import numpy as np
 import scipy.sparse as sp
 
+from tacgen.fem import assembly
 from tacgen.fem.assembly import Pattern
 
 Array = np.ndarray
@@ -51,19 +54,24 @@ class Cholmod:
 
     name = "cholmod"
 
-    def __init__(self, pattern: Pattern) -> None:
+    def __init__(self, pattern: Pattern, order: Array | None = None) -> None:
         import cvxopt
         from cvxopt import cholmod
 
-        cholmod.options["supernodal"] = 2
+        cholmod.options["supernodal"], cholmod.options["nmethods"] = 2, 1  # it would try other orders than ours
         n = pattern.size
         # the upper triangle by rows is the lower triangle by columns, which is what cvxopt keeps
         columns = np.repeat(np.arange(n), np.diff(pattern.indptr))
         as_list = cvxopt.matrix(pattern.indices.astype(np.int64)), cvxopt.matrix(columns)
         self._cvxopt, self._cholmod = cvxopt, cholmod
         self._A = cvxopt.spmatrix(1.0, *as_list, (n, n))
-        order = cvxopt.matrix(dissection(pattern).astype(np.int64))
-        self._F = cholmod.symbolic(self._A, p=order)
+        self._pattern, self._order = pattern, order
+
+    @cached_property
+    def _F(self) -> Any:
+        """The factor, symbolic at first: it takes as long as solving, and not every solver is asked."""
+        order = dissection(self._pattern) if self._order is None else self._order
+        return self._cholmod.symbolic(self._A, p=self._cvxopt.matrix(order.astype(np.int64)))
 
     def factor(self, data: Array) -> None:
         self._A.V = self._cvxopt.matrix(data)
@@ -76,6 +84,78 @@ class Cholmod:
         x = self._cvxopt.matrix(b)
         self._cholmod.solve(self._F, x)
         return np.asarray(x).ravel()
+
+    def forward(self, b: Array) -> Array:
+        """L^-1 P b, in the order of elimination."""
+        return self._steps(b, PERMUTE, LOWER)
+
+    def backward(self, y: Array) -> Array:
+        """P^T L^-T y."""
+        return self._steps(y, UPPER, PERMUTE_BACK)
+
+    def _steps(self, b: Array, *systems: int) -> Array:
+        x = self._cvxopt.matrix(b)
+        for system in systems:
+            self._cholmod.solve(self._F, x, sys=system)
+        return np.asarray(x).ravel()
+
+    @property
+    def order(self) -> Array:
+        """The dofs (n,) in the order of elimination: that asked for, but for what does not matter."""
+        F = _Factor.of(self._F)
+        return _view(F.Perm, F.n, ctypes.c_int64).copy()
+
+    def trailing(self, k: int) -> Array:
+        """The last k rows and columns of L (k, k)."""
+        F = _Factor.of(self._F)
+        first, start, at = (_view(address, F.nsuper + 1, ctypes.c_int64) for address in (F.super, F.pi, F.px))
+        numbers, values = _view(F.s, F.ssize, ctypes.c_int64), _view(F.x, F.xsize, ctypes.c_double)
+        out = np.zeros((k, k))
+        for s in range(int(np.searchsorted(first, F.n - k, side="right")) - 1, F.nsuper):  # columns of equal pattern
+            rows = numbers[start[s] : start[s + 1]] - (F.n - k)
+            columns = np.arange(first[s], first[s + 1]) - (F.n - k)
+            block = values[at[s] : at[s + 1]][: len(rows) * len(columns)].reshape(len(columns), len(rows)).T
+            out[np.ix_(rows[rows >= 0], columns[columns >= 0])] = block[rows >= 0][:, columns >= 0]
+        return np.tril(out)
+
+
+LOWER, UPPER, PERMUTE, PERMUTE_BACK = 4, 5, 7, 8  # systems that CHOLMOD solves, by its numbers for them
+
+
+class _Factor(ctypes.Structure):
+    """The head of CHOLMOD's factor object, as its guide has documented it since version 2: cvxopt keeps a pointer to it
+    and gives out none of the factor without destroying it."""
+
+    _fields_ = [
+        (name, ctypes.c_size_t)
+        for name in ("n", "minor", "Perm", "ColCount", "IPerm", "nzmax", "p", "i", "x", "z", "nz", "next", "prev",
+                     "nsuper", "ssize", "xsize", "maxcsize", "maxesize", "super", "pi", "px", "s")
+    ]  # fmt: skip
+
+    @classmethod
+    def of(cls, capsule: object) -> Any:
+        get = ctypes.pythonapi.PyCapsule_GetPointer
+        get.restype, get.argtypes = ctypes.c_void_p, [ctypes.py_object, ctypes.c_char_p]
+        return cls.from_address(get(capsule, b"CHOLMOD FACTOR D L"))  # double precision, 64-bit numbers
+
+
+def _view(address: int, size: int, kind: Any) -> Array:
+    return np.ctypeslib.as_array(ctypes.cast(address, ctypes.POINTER(kind)), (size,))
+
+
+@cache
+def readable() -> bool:
+    """Whether CHOLMOD is installed and its factors are laid out as _Factor says."""
+    if "cholmod" not in available():
+        return False
+    A = np.array([[4.0, 1, 2], [1, 5, 3], [2, 3, 6]])
+    solver = Cholmod(assembly.pattern([np.zeros((1, 1), int)], np.ones((1, 3), bool)), np.array([2, 0, 1]))
+    solver.factor(A[np.triu_indices(3)])
+    try:
+        order, L = solver.order, solver.trailing(3)
+    except ValueError:  # another kind of factor
+        return False
+    return sorted(order) == [0, 1, 2] and bool(np.allclose(L @ L.T, A[np.ix_(order, order)]))
 
 
 class Pardiso:

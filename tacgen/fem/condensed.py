@@ -1,0 +1,252 @@
+"""Newton's method whose steps take contact and friction to their end, on a bulk condensed to the nodes they act on.
+
+What changes fast from one iteration to the next, where contact begins and how hard it is there, is felt by the face
+alone; the bulk hardly changes. So the bulk is taken for a quadratic, and its minimum with the true contact and friction
+is found, what is lagged in them included, on the few hundred unknowns near the contact (static condensation, Guyan
+1965). The gradient of the bulk is always exact, so that the answer is that of `newton.minimise`.
+
+The quadratic is the stiffness factorised some time ago, mended by what gradients have told since (BFGS; limited memory,
+Nocedal 1980). With the factor L of the stiffness, and the contact's unknowns eliminated last, all of that is cheap in
+q = L^T p: the old stiffness is 1 there, and the contact's part of it the end of the vector.
+"""
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
+
+from tacgen.fem.assembly import Pattern, pattern
+from tacgen.fem.linear import Cholmod, NotPositiveDefinite, dissection
+from tacgen.fem.newton import NEAR, Solution, Status, Step, backtrack, minimise
+from tacgen.fem.potentials import Potential, Total
+
+Array = np.ndarray
+MOST = 2000  # unknowns of the condensed problem: beyond, its dense factors cost more than they save
+PAIRS = 10  # of steps and changes of the gradient that are remembered
+WRONG = 0.6  # part of a step by which the quadratic may be wrong before the stiffness is factorised anew
+PART = 0.1  # of xtol: the next step may be that long
+LOOSE = 0.2  # of the error expected of the bulk is what contact and friction may be off by on the way,
+LOOSEST = 50.0  # but no more than this many times what they may be in the end
+STEPS = 25  # of those that converge few take more than ten
+ANEW = 2  # factorisations on the way to one answer, and
+LOST = 2  # answers in a row that wanted more: to such a bulk a quadratic says too little for too short
+
+
+class Condensed:
+    """A bulk's factorised stiffness, with the nodes near the contact eliminated last; also the linear.Solver of the
+    problem that is left there, whose Pattern is `pattern`."""
+
+    name = "condensed"
+
+    def __init__(self, whole: Pattern) -> None:
+        self.whole, self._order = whole, dissection(whole)
+        self._free = np.zeros((whole.nodes, 3), bool)
+        self._free.ravel()[whole.free] = True
+        self.nodes = np.zeros(whole.nodes, bool)
+        self.error, self.length = 0.0, np.inf  # of the first step of the last solution [mm]
+        self.usable = False
+        self.factored = self.stepped = self.lost = 0
+
+    def cover(self, facets: Array) -> None:
+        """Condense to the nodes of these facets (f, a) from now on."""
+        self.nodes[:] = False
+        self.nodes[facets] = True
+        self.pattern = pattern([facets], self._free & self.nodes[:, None])
+        self.size = self.pattern.size
+        last = self.nodes[self.whole.free // 3][self._order]
+        self._factor = Cholmod(self.whole, np.concatenate([self._order[~last], self._order[last]]))
+        self._rows = np.argsort(self._factor.order[-self.size :])  # the factor has an order of its own
+        self._columns = np.repeat(np.arange(self.size), np.diff(self.pattern.indptr))
+        self.usable = False
+
+    def renew(self, bulk: Potential, x: Array, exact: bool) -> None:
+        """Take the stiffness at x (n, 3), if it is definite as it is and `exact`; else projected."""
+        self.usable = False
+        for project in (0, 2) if exact else (1, 2):
+            data = np.zeros(len(self.whole.indices))
+            bulk.add_hessian(x, data, project)
+            try:
+                self._factor.factor(data)
+                break
+            except NotPositiveDefinite:
+                if project == 2:
+                    raise
+        self.factored += 1
+        self._L = self._factor.trailing(self.size)[self._rows]
+        self._first = np.asfortranarray(self._L @ self._L.T)
+        self._pairs: deque[tuple[Array, Array]] = deque(maxlen=PAIRS)
+        self._update()
+        self.usable = True
+
+    def learn(self, q: Array, change: Array) -> float:
+        """Along q the gradient changed by L `change`: by which part the quadratic was wrong, which then is right."""
+        W = np.hstack([self._Wf, self._Wc])
+        wrong = np.linalg.norm(change - q - (self._D * (W @ q)) @ W) / np.linalg.norm(q)
+        if q @ change > 0.1 * (q @ q):
+            self._pairs.append((q, change))
+            self._update()
+        return float(wrong)
+
+    def _update(self) -> None:
+        """The quadratic in q, B = 1 + W^T D W, and what is left of it on the contact's unknowns."""
+        n = self.whole.size
+        W, D = np.zeros((0, n)), np.zeros(0)
+        for q, change in self._pairs:
+            Bq = q + (D * (W @ q)) @ W
+            W = np.vstack([W, Bq, change])
+            D = np.concatenate([D, [-1 / (q @ Bq), 1 / (q @ change)]])
+        self._D, self._Wf, self._Wc = D, W[:, : n - self.size], W[:, n - self.size :]
+        self._T = np.linalg.inv(np.diag(1 / D) + self._Wf @ self._Wf.T)
+        added = self._L @ self._Wc.T
+        self.stiffness = self._first + added @ self._T @ added.T if len(D) else self._first
+
+    def begin(self, g: Array) -> Array:
+        """y = L^-1 of a gradient (n, 3)."""
+        return self._factor.forward(g.ravel()[self.whole.free])
+
+    def force(self, y: Array) -> Array:
+        """What is left of that gradient on the contact's unknowns (k,)."""
+        f, c = y[: -self.size], y[-self.size :]
+        return np.asarray(self._L @ (c - (self._T @ (self._Wf @ f)) @ self._Wc))
+
+    def end(self, u: Array, y: Array) -> tuple[Array, Array]:
+        """The step p (n, 3) that goes with that of the contact's unknowns (k,), and q = L^T p."""
+        f, c = y[: -self.size], u @ self._L
+        t = self._T @ (self._Wc @ c - self._Wf @ f)
+        q = np.concatenate([-f - t @ self._Wf, c])
+        p = np.zeros(self._free.shape)
+        p.ravel()[self.whole.free] = self._factor.backward(q)
+        return p, q
+
+    def factor(self, data: Array) -> None:
+        self._K = self.stiffness.copy(order="F")
+        self._K[self.pattern.indices, self._columns] += data
+
+    def solve(self, b: Array) -> Array:
+        self.stepped += 1
+        try:
+            L = cho_factor(self._K, lower=True, overwrite_a=True, check_finite=False)
+        except LinAlgError as e:
+            raise NotPositiveDefinite from e
+        return np.asarray(cho_solve(L, b, check_finite=False))
+
+
+@dataclass(frozen=True)
+class Quadratic:
+    """What stands for the bulk: u . force + u . K u / 2 of the displacements u (k,) of some dofs from `start` (n, 3).
+
+    Its stiffness is with the solver, not in the pattern.
+    """
+
+    start: Array
+    dofs: Array  # among all 3n
+    stiffness: Array
+    force: Array
+
+    def _u(self, x: Array) -> Array:
+        return np.asarray(x.ravel()[self.dofs] - self.start.ravel()[self.dofs])
+
+    def value(self, x: Array) -> float:
+        u = self._u(x)
+        return float(u @ (self.stiffness @ u / 2 + self.force))
+
+    def gradient(self, x: Array) -> Array:
+        out = np.zeros(x.size)
+        out[self.dofs] = self.stiffness @ self._u(x) + self.force
+        return out.reshape(x.shape)
+
+    def add_hessian(self, x: Array, data: Array, project: int) -> None:
+        pass
+
+    def max_step(self, x: Array, p: Array) -> float:
+        return 1.0
+
+
+def settle(
+    bulk: Potential,
+    loads: Callable[[], Potential],
+    x: Array,
+    condensed: Condensed,
+    *,
+    xtol: float,
+    refresh: Callable[[Array, float], object],
+    negligible: Callable[[Array], bool],
+) -> Solution:
+    """Lower bulk and loads until a step would move no node by PART of xtol [mm]; out of steps, it hands on its best x.
+
+    Args:
+        loads: what acts on the condensed nodes alone, as it is since the last `refresh`.
+        refresh: asked, once near, to take what is lagged from positions (n, 3) unless it is off by no more than a
+            multiple of what it may be; then None.
+        negligible: see `minimise`.
+    """
+    steps: list[Step] = []
+    pair: tuple[Array, Array] | None = None
+    anew, first = 0, (0.0, np.inf)
+    error, length, settled = condensed.error, condensed.length, False
+    try:
+        while True:
+            g = bulk.gradient(x)
+            if not condensed.usable:
+                condensed.renew(bulk, x, length <= NEAR)
+                pair = None
+            y = condensed.begin(g)
+            if pair is not None:
+                wrong = condensed.learn(pair[0], y - pair[1])
+                error = wrong * length
+                first = (error, length) if len(steps) == 1 else first
+                if settled and error <= PART * xtol:
+                    condensed.error, condensed.length = first
+                    condensed.lost = 0
+                    return Solution(x, Status.converged, tuple(steps))
+                if wrong > WRONG and error > xtol:
+                    if anew == ANEW:
+                        condensed.lost += 1
+                        return Solution(x, Status.out_of_steps, tuple(steps))
+                    anew += 1
+                    condensed.renew(bulk, x, length <= NEAR)
+                    y = condensed.begin(g)
+            if len(steps) == STEPS:
+                return Solution(x, Status.out_of_steps, tuple(steps))
+            near = length <= NEAR and (not steps or steps[-1].fraction == 1.0)
+            loose = min(max(1.0, LOOSE * error / xtol), LOOSEST)
+            there, done = _contact(condensed, loads, x, y, xtol, loose, near, refresh, negligible)
+            p, q = condensed.end((there - x).ravel()[condensed.pattern.free], y)
+            length, felt = float(np.abs(p).max()), loads()
+            energy, slope = bulk.value(x) + felt.value(x), float(((g + felt.gradient(x)) * p).sum())
+            fraction, x, _ = backtrack(Total((bulk, felt)).value, x, p, energy, slope, felt.max_step(x, p))
+            steps.append(Step(energy, length, fraction, False))
+            if fraction == 0.0:
+                return Solution(x, Status.converged if length <= PART * xtol else Status.stalled, tuple(steps))
+            pair, settled = (fraction * q, y), False
+            if fraction == 1.0 and length <= NEAR:
+                settled = refresh(x, 1.0) is None and length <= 10 * xtol and done
+    except NotPositiveDefinite:
+        condensed.usable = False
+        return Solution(x, Status.nonfinite, tuple(steps))
+
+
+def _contact(
+    condensed: Condensed,
+    loads: Callable[[], Potential],
+    x: Array,
+    y: Array,
+    xtol: float,
+    loose: float,
+    near: bool,
+    refresh: Callable[[Array, float], object],
+    negligible: Callable[[Array], bool],
+) -> tuple[Array, bool]:
+    """Where contact and friction carry the condensed nodes from x, and whether they have come to their end."""
+    bulk = Quadratic(x, condensed.pattern.free, condensed.stiffness, condensed.force(y))
+
+    def again(there: Array) -> Potential | None:
+        return Total((bulk, loads())) if near and refresh(there, loose) is not None else None
+
+    start = Total((bulk, loads()))
+    found = minimise(
+        start, x, condensed.pattern, condensed, xtol=loose * xtol, refresh=again, negligible=negligible
+    )  # fmt: skip
+    return found.x, found.status == Status.converged
