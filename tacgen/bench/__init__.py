@@ -18,6 +18,7 @@ BENCHES = {  # and the module of each
     "mechanics": "mechanics",
     "cost": "cost",
     "peers": "peers",
+    "optics": "pictures",
     "stability": "stability",
     "pay": "pay",
     "scaling": "scaling",

@@ -79,6 +79,13 @@ CASES: dict[str, Sets] = {
         "trajectory=[{press: {depth_mm: 0.8, frames: 2}}, {twist: {angle_deg: 90, frames: 2}}]",
     ),
     "sphere spun by 180 deg": ("trajectory=[{press: {depth_mm: 1, frames: 1}}, {twist: {angle_deg: 180, frames: 1}}]",),
+    "rough ball dragged, turned, hardly tilted": (
+        _indenter("shape: sphere, radius_mm: 2.74"),
+        "trajectory=[{press: {depth_mm: 0.8, frames: 2}}, {slide: {x_mm: 1.26, y_mm: 0.32, frames: 2}}, {twist:"
+        " {angle_deg: 15.4, frames: 1}}, {tilt: {angle_deg: 0.18, axis_deg: 185, frames: 1}}]",
+        "contact.friction=1.83",
+        "sensor.gel.layers[0].poissons_ratio=0.376",
+    ),
     "letters twisted": (
         _indenter("shape: mesh, file: letters"),
         "trajectory=[{press: {depth_mm: 0.5, frames: 1}}, {twist: {angle_deg: 10, frames: 2}}]",
