@@ -153,7 +153,8 @@ def labels(sensor: str) -> dict[str, list[float]]:
 
     slide, twist = "{slide: {x_mm: 1, y_mm: 0.3, frames: 2}}", "{twist: {angle_deg: 12, frames: 2}}"
     moves = f"trajectory=[{{press: {{depth_mm: 0.8, frames: 2}}}}, {slide}, {twist}]"
-    sets = (f"sensor={sensor}", "indenter={shape: sphere, radius_mm: 4}", moves, "contact.friction=0.6")
+    outputs = f"sensor={sensor}", "outputs=[stress, traction]"
+    sets = (*outputs, "indenter={shape: sphere, radius_mm: 4}", moves, "contact.friction=0.6")
     row = plan.load(assets.recipe_path("quickstart"), sets).rows[0]
     made = scene.build(row)
     problem = solve.Problem.of(made, mesh.of(made))
