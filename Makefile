@@ -53,6 +53,7 @@ smoke: sync
 
 bench: sync
 	$(BIN)/tacgen bench -o docs $(BENCH_FLAGS)
+	$(BIN)/python scripts/readme_figures.py
 
 demo: sync
 	$(BIN)/tacgen run recipes/quickstart.yaml -o out/quickstart

@@ -82,7 +82,10 @@ def test_an_unknown_bench_is_told(tmp_path: Path) -> None:
     assert told.stderr.startswith("speed: must be one of mechanics, ")
 
 
-@pytest.mark.parametrize("name", [name for name in bench.BENCHES if name != "optics"])
+SLOW = {"optics"}
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n in SLOW else n for n in bench.BENCHES])
 def test_each_runs(name: str, tmp_path: Path) -> None:
     told = runner.invoke(app, ["bench", name, "--smoke", "-o", str(tmp_path)])
     assert told.exit_code == 0, told.stderr
@@ -145,6 +148,14 @@ def test_what_is_not_asked_for_is_not_computed() -> None:
 def test_every_line_of_pay_is_a_scene() -> None:
     for outputs, sets in pay.ASKED.values():
         assert len(pay.rows_of(outputs, list(sets))) == 1
+
+
+def test_the_readme_says_what_the_results_say() -> None:
+    """`make bench` writes both; a README that was touched since, or a page without it, is told here."""
+    figures = (ROOT / "README.md").read_text().partition("<!-- figures: written by make bench -->\n")[2]
+    figures = figures.partition("\n<!-- end of figures -->")[0]
+    assert figures == summary.short(ROOT / "docs" / "results")
+    assert figures in (ROOT / "docs" / "RESULTS.md").read_text()
 
 
 def test_a_summary_leaves_out_what_is_not_there(tmp_path: Path) -> None:

@@ -1,12 +1,10 @@
 """Error of pictures against seconds: every method and setting against traced paths, and where the coating goes."""
 
 from collections.abc import Iterator, Sequence
-from importlib import import_module
-from importlib.util import find_spec
-from typing import Any, cast
+from typing import cast
 
 from tacgen import assets, load, variants
-from tacgen.bench import flow
+from tacgen.bench import flow, optics
 from tacgen.bench.kit import Cell, Level, Plot, Result, Say, Series, Table, columns
 from tacgen.sensor import LitSensor
 
@@ -38,15 +36,13 @@ def bench(level: Level, say: Say) -> Result:
         ways = dict.fromkeys((one.method, one.setting) for one in mine)
         series = [_curve(" ".join(way), [one for one in mine if (one.method, one.setting) == way]) for way in ways]
         plots.append(Plot(name, "s a frame", "PSNR against path [dB]", series, log="x"))
-    tables = [*([table] if rows else []), *([] if level == "smoke" else [_flow(names, paths, variant, say)])]
-    return Result(ABOUT, tables, plots if rows else [])
+    return Result(ABOUT, [table] if level == "smoke" else [table, _flow(names, paths, variant, say)], plots)
 
 
-def _pictures(level: Level, names: Sequence[str], spp: int, shrink: int, variant: str, say: Say) -> Iterator[Any]:
+def _pictures(
+    level: Level, names: Sequence[str], spp: int, shrink: int, variant: str, say: Say
+) -> Iterator[optics.Outcome]:
     """Outcomes, sensor by sensor, of all methods that it has."""
-    if find_spec("tacgen.bench.optics") is None:
-        return
-    optics: Any = import_module("tacgen.bench.optics")
     faces = {"smoke": ["ball"], "normal": ["ball", "sheared dots"], "full": list(optics.FACES)}[level]
     for name in names:
         scatters = any(layer.scattering for layer in load.read_sensor(assets.sensor_path(name))[0].gel.layers)
@@ -56,7 +52,7 @@ def _pictures(level: Level, names: Sequence[str], spp: int, shrink: int, variant
             yield one
 
 
-def _curve(name: str, group: list[Any]) -> Series:
+def _curve(name: str, group: list[optics.Outcome]) -> Series:
     return Series(name, [one.seconds for one in group], [one.decibel for one in group], [one.face for one in group])
 
 

@@ -1,16 +1,17 @@
-"""The default quality against `reference`; scripts/bench_accuracy.py has the whole table."""
+"""The default quality against `reference`; `tacgen bench mechanics` has it for every sensor."""
 
 import numpy as np
 import pytest
 
-from tacgen.bench import accuracy
+from tacgen.bench.answers import BALL, answer, kept
 
 
 @pytest.mark.slow
 def test_default_presses_as_the_reference_does() -> None:
     """Force within 1 %; the pressure map is 4 % off in the mean square, nearly all of it at the rim."""
-    reference, found = (accuracy.answer(accuracy.SCENES["gelsight_mini press"], q) for q in ("reference", "default"))
-    assert found.force[2] == pytest.approx(reference.force[2], rel=0.01)
+    press = (*BALL, "trajectory=[{press: {depth_mm: 1.0, frames: 1}}]", "contact.friction=0")
+    reference, found = kept((*press, "quality=reference")), answer((*press, "quality=default"))
+    assert found.force[-1, 2] == pytest.approx(reference.force[-1, 2], rel=0.01)
     assert found.area == pytest.approx(reference.area, rel=0.04)
     off = found.pressure - reference.pressure
     size = np.linalg.norm(reference.pressure)

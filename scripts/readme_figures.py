@@ -1,0 +1,27 @@
+"""Put the figures of docs/results into README.md, between the lines that say so.
+
+    python scripts/readme_figures.py
+
+`make bench` runs it; a test holds that README says what RESULTS.md does.
+"""
+
+from pathlib import Path
+
+from tacgen.bench import summary
+
+ROOT = Path(__file__).resolve().parents[1]
+BEGIN, END = "<!-- figures: written by make bench -->\n", "<!-- end of figures -->"
+
+
+def main() -> None:
+    readme = ROOT / "README.md"
+    text = readme.read_text()
+    head, _, rest = text.partition(BEGIN)
+    _, _, tail = rest.partition(END)
+    if not tail:
+        raise SystemExit("README.md has no place for figures")
+    readme.write_text(f"{head}{BEGIN}{summary.short(ROOT / 'docs' / 'results')}\n{END}{tail}")
+
+
+if __name__ == "__main__":
+    main()
