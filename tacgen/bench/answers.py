@@ -21,7 +21,19 @@ from tacgen.stress import Stresses
 
 Array = np.ndarray
 ROOT = Path(solve.__file__).parent
-DECIDES = ("advance", "solve", "mesh", "tetmesh", "scene", "gel", "maps", "fields", "stress", "bench/answers")
+DECIDES = (
+    "problem",
+    "advance",
+    "solve",
+    "mesh",
+    "tetmesh",
+    "scene",
+    "gel",
+    "maps",
+    "fields",
+    "stress",
+    "bench/answers",
+)
 BALL = ("outputs=[force]", "indenter={shape: sphere, radius_mm: 4}")
 DEPTHS = {"gelsight_mini": 1.0, "digit": 0.8, "ninedtact": 0.8}  # of the ball [mm]
 MOVES = "trajectory=[{{press: {{depth_mm: {depth}, frames: {press}}}}}, {{slide: {{x_mm: 0.6, frames: {slide}}}}}]"
