@@ -53,12 +53,7 @@ def test_a_camera_that_is_not_straight_sees_what_path_sees(camera: dict) -> None
 @pytest.mark.parametrize("name", flow.DEPTHS)
 def test_on_the_shipped_sensors(name: str) -> None:
     model, untouched, moved = flow.sheared(name)
-    model = model.model_copy(  # half the pixels a side: each is as good as another
-        update={"camera": model.camera.model_copy(update={
-            "width_px": model.camera.width_px // 2, "height_px": model.camera.height_px // 2,
-            "mm_per_px": 2 * model.camera.mm_per_px})}
-    )  # fmt: skip
-    error = flow.measure(model, untouched, moved, variants.SCALAR, spp=256)
-    assert error.moved > 2
-    assert error.markers_most < 0.025  # of a pixel twice as large
-    assert error.flow_rms < 0.015
+    error = flow.measure(model, untouched, moved, variants.SCALAR, spp=100)
+    assert error.moved > 5
+    assert error.markers_most < 0.05
+    assert error.flow_rms < 0.02
