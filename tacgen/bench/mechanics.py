@@ -49,7 +49,8 @@ def variants(level: Level) -> list[Variant]:
         tolerances = changed(advance, XTOL=step, RESIDUAL=min(step, advance.RESIDUAL))
         found.append(Variant("Newton step", f"{step:g}", (), tolerances))
     for name in linear.available():
-        found.append(Variant("solver", name, (), changed(linear, available=lambda name=name: [name])))
+        alone = changed(linear, available=lambda name=name: [name], readable=lambda: False)
+        found.append(Variant("solver, nothing condensed", name, (), alone))
     if find_spec("ipctk"):
         found.append(Variant("contact", "ipctk", ("contact.formulation=ipctk",)))
     return found

@@ -20,7 +20,6 @@ SLOW = {
     "needle",
     "punch jumps across the pad",
     "punch three quarters deep",
-    "rough ball dragged, turned, hardly tilted",
     "skin softer 1000:1",
     "skin of 0.1 mm, stiffer 1000:1",
     "three quarters deep, nu 0.4999",
@@ -32,7 +31,6 @@ SLOW = {
 HARD = {  # may be rejected on the way, and then for this
     "punch three quarters deep": "Newton out of steps",  # a rim sharper than the mesh, friction and all at once
     "punch jumps across the pad": "Newton out of steps",
-    "rough ball dragged, turned, hardly tilted": "Newton out of steps",
     "blade": "slips .* mm into the gel between the points",
     "thin rod": "slips .* mm into the gel between the points",
     "thin torus": "slips .* mm into the gel between the points",
