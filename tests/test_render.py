@@ -11,6 +11,7 @@ from optics.tiny import sensor
 from tacgen import render, variants
 from tacgen.optics.dent import BallDent
 from tacgen.optics.layers import Camera
+from tacgen.optics.response import srgb
 from tacgen.optics.sheet import Sheet, Untouched
 from tacgen.tracer import PathTracer
 
@@ -95,13 +96,14 @@ def test_a_scene_built_again_draws_the_same_numbers(tracer):
         assert np.array_equal(again.radiance(DENT, 4, 7), first)
 
 
-def test_bytes_are_the_same_at_any_thread_count(tmp_path):
+@pytest.mark.parametrize("which", ["sensor", "cloudy"])
+def test_bytes_are_the_same_at_any_thread_count(which, tmp_path):
     code = (
         "import sys, hashlib; import mitsuba as mi; mi.set_variant('scalar_rgb'); "
         "import drjit as dr; dr.set_thread_count(int(sys.argv[1])); "
-        "from optics.tiny import sensor; from tacgen import render; "
+        f"from optics.tiny import {which} as sensor; from tacgen import render; "
         "from tacgen.optics.dent import BallDent; DENT = BallDent(2.0, 1.0, (0.6, -0.4)); "
-        "r = render.Renderer(sensor(), 8, 0, True, 'scalar_rgb'); "
+        "r = render.Renderer(sensor(), 2, 0, sensor().markers is not None, 'scalar_rgb'); "
         "print(hashlib.sha256(r.develop(r.image(DENT)).tobytes() + r.light.scattered.tobytes()).hexdigest())"
     )
     digests = set()
@@ -127,3 +129,22 @@ def test_the_table_looks_like_transport_where_it_was_not_calibrated(renderer):
     off = np.sqrt(np.mean((image - truth) ** 2))
     assert off < 0.5 * np.sqrt(np.mean((flat - truth) ** 2))  # it knows most of what the dent does
     assert 20 * np.log10(truth.max() / off) > 25
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not os.path.exists("/proc/self/statm"), reason="needs Linux's /proc")
+def test_memory_stays_flat_over_hundreds_of_frames():
+    made, held = render.Renderer(sensor(), 16, 0, True, variants.SCALAR), []
+    for frames in (100, 400):
+        for i in range(frames):
+            made.develop(made.image(BallDent(2.0, 1.0, (0.6, 0.001 * i))))
+        with open("/proc/self/statm") as file:
+            held.append(int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE"))
+    assert held[1] - held[0] < 4 * 2**20
+
+
+def test_draft_is_near_to_default_and_coarser(renderer):
+    draft = render.Renderer(sensor(), 16, 0, markers=False, variant=variants.SCALAR)
+    assert len(draft.sheet.rest) < len(renderer.sheet.rest) / 3
+    made, fine = (srgb(one.image(DENT).astype(float)) for one in (draft, renderer))
+    assert 40 < -10 * np.log10(np.mean((made - fine) ** 2)) < 70  # dB, as is asked for against path
