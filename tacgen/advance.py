@@ -11,7 +11,7 @@ import numpy as np
 
 from tacgen.fem import friction as fr
 from tacgen.fem.assembly import Pattern
-from tacgen.fem.condensed import LOST, MOST, settle
+from tacgen.fem.condensed import LOST, MOST, STEPS, settle
 from tacgen.fem.contact import Contact, Pose
 from tacgen.fem.newton import Solution, Status, Step, minimise
 from tacgen.fem.passage import blocked, sunk
@@ -152,7 +152,9 @@ class _Lagged:
         if condensed is not None and condensed.lost == LOST:
             condensed = None
         bulk, steps = Total((*problem.elastic, *self.inert)), list[Step]()
-        while condensed is not None and isinstance(self.contact, Contact) and (touching := self._touching(x)).any():
+        while condensed is not None and len(steps) < 4 * STEPS and isinstance(self.contact, Contact):
+            if not (touching := self._touching(x)).any():
+                break
             conn = self.contact.faces.conn
             if (touching & ~condensed.nodes[conn].all(1)).any():
                 facets = conn[np.isin(conn, conn[touching]).any(1)]  # and those around
