@@ -118,7 +118,7 @@ def test_support_is_how_far_it_extends(shape: Shape, seed: int, down: float, aro
     assert len(at) > 50
     assert (at @ direction).max() <= support + 1e-9
     here, reached = at[(at @ direction).argmax()], []
-    for _ in range(600):  # climb: a step that way, then back onto the surface
+    for _ in range(2000):  # climb: a step that way, then back onto the surface
         here = here + 0.1 * direction
         d, n, _ = shape.distance(here[None])
         here = here - d[0] * n[0]
