@@ -102,7 +102,7 @@ def test_stress_under_a_ball_is_that_of_hertz(nu: float) -> None:
     """
     radius, depth, E = 64.0, 0.16, 0.15  # a/R = .05: strains, and what is not linear in them, go with it
     pad = gel(64.0, 64.0, 32.0, E=E, nu=nu)
-    made = replace(scene(Sphere(radius), poses([(0.0, 0.0, -depth)]), pad=pad, edge=0.32), dhat=0.01)
+    made = replace(scene(Sphere(radius), poses([(0.0, 0.0, -depth)]), pad=pad, edge=0.26), dhat=0.01)
     problem, x, force = quarter_solved(made, 3.84)
     plane = E / (1 - nu**2)
     a = (3 * -force * radius / (4 * plane)) ** (1 / 3)
