@@ -131,10 +131,10 @@ class _Lagged:
         self.contact_force = float(force.sum())
         scale = max(self.contact_force, self.memory.scale)
         lag = 0.0
-        if self.friction is not None:  # in sum and at every point, since Coulomb's law holds at each
+        if self.friction is not None:  # in sum, and half as strictly at every point, since Coulomb's law holds at each
             off = np.abs(force - self.friction.normal_force)
             most = max(float(force.max()), self.memory.scale / len(force))  # after a release no point bears anything
-            lag = max(float(off.sum()), float(off.max()) / max(most, 1e-300) * scale)
+            lag = max(float(off.sum()), float(off.max()) / max(most, 1e-300) * scale / 2)
         if scale == 0 or (abs(gap - self.contact.offset) <= loose * self.near_enough and lag <= loose * LAG * scale):
             return None
         if self.friction is not None:
