@@ -6,9 +6,9 @@ python scripts/bench_flow.py [--only digit] [--spp 256]
 import argparse
 from typing import cast
 
-from tacgen import variants
 from tacgen.bench import flow
-from tacgen.sensor import LitSensor
+from tacgen.image import variants
+from tacgen.spec.sensor import LitSensor
 
 
 def main() -> None:

@@ -13,10 +13,12 @@ import time
 
 import numpy as np
 
-from tacgen import assets, plan, variants
+from tacgen import plan
+from tacgen.image import variants
+from tacgen.image.tracer import PathTracer
 from tacgen.optics.dent import BallDent
 from tacgen.optics.sheet import Sheet, Untouched
-from tacgen.tracer import PathTracer
+from tacgen.spec import assets
 
 
 def timed(tracer: PathTracer, nodes: np.ndarray, spp: int, seed: int) -> tuple[float, np.ndarray]:

@@ -1,8 +1,8 @@
-"""Print docs/BUNDLE.md, made from the tables in tacgen/layout.py: python scripts/bundle_page.py > docs/BUNDLE.md"""
+"""Print docs/BUNDLE.md from the tables in tacgen/files/layout.py: python scripts/bundle_page.py > docs/BUNDLE.md"""
 
 import numpy as np
 
-from tacgen.layout import ATTRS, FORMAT, LAYOUT, OPTIONAL, UNITS
+from tacgen.files.layout import ATTRS, FORMAT, LAYOUT, OPTIONAL, UNITS
 
 
 def page() -> str:
@@ -10,7 +10,7 @@ def page() -> str:
     lines = [
         f"# The bundle, format {FORMAT}",
         "",
-        "Made from the tables in `tacgen/layout.py` by `python scripts/bundle_page.py > docs/BUNDLE.md`; do not edit.",
+        "From the tables in `tacgen/files/layout.py` by `python scripts/bundle_page.py > docs/BUNDLE.md`; do not edit.",
         "",
         "One HDF5 file a scene. Sensor frame: x right and y down in the image, z out of the gel toward the object;",
         "the origin is the centre of the untouched coated face (a dome's crown).",

@@ -1,4 +1,4 @@
-"""Fit a sensor's `markers.motion` (tacgen/drift.py) to the dots' motion that the solved gel gives.
+"""Fit a sensor's `markers.motion` (tacgen/labels/drift.py) to the dots' motion that the solved gel gives.
 
     python scripts/calibrate_motion.py [--sensor gelsight_mini] [--quality default]
 
@@ -14,11 +14,14 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUM
 import numpy as np  # noqa: E402
 from scipy.optimize import least_squares  # noqa: E402
 
-from tacgen import assets, drift, foresee, mesh, plan, scene, solve  # noqa: E402
+from tacgen import mesh, plan, scene, solve  # noqa: E402
 from tacgen.fields import seen  # noqa: E402
+from tacgen.labels import drift  # noqa: E402
 from tacgen.optics.coating import centers  # noqa: E402
 from tacgen.optics.layers import Camera  # noqa: E402
-from tacgen.sensor import Motion  # noqa: E402
+from tacgen.spec import assets  # noqa: E402
+from tacgen.spec.sensor import Motion  # noqa: E402
+from tacgen.step import foresee  # noqa: E402
 
 MOVES = "[{press: {depth_mm: 0.8, frames: 3}}, {slide: {x_mm: 1.2, y_mm: 0.4, frames: 4}}, {release: {frames: 1}}, "
 MOVES += "{press: {depth_mm: 0.8, frames: 1}}, {twist: {angle_deg: 30, frames: 4}}]"

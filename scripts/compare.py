@@ -21,7 +21,7 @@ from tacgen import render
 from tacgen.calibrate import photos, under
 from tacgen.optics.dent import BallDent
 from tacgen.optics.layers import Camera
-from tacgen.sensor import Sensor
+from tacgen.spec.sensor import Sensor
 
 ROOT = Path(__file__).resolve().parents[1]
 SHOWN = ("ball_6.310mm_20.png", "ball_6.310mm_8.png", "ball_6.310mm_12.png", "ball_9.500mm_1.png")

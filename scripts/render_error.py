@@ -13,8 +13,8 @@ from pathlib import Path
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
     os.environ[_name] = "1"
 
-from tacgen import variants  # noqa: E402
 from tacgen.bench import optics  # noqa: E402
+from tacgen.image import variants  # noqa: E402
 
 
 def main() -> None:

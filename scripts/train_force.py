@@ -17,8 +17,9 @@ import torch
 from torch import nn
 from torch.utils.data import DataLoader, TensorDataset
 
-from tacgen import assets, batch, plan
-from tacgen.progress import Progress
+from tacgen import batch, plan
+from tacgen.look.progress import Progress
+from tacgen.spec import assets
 from tacgen.torch import TactileDataset
 
 SETS = (

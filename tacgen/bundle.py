@@ -15,9 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from tacgen import __version__, partfile
+from tacgen import __version__
 from tacgen.errors import UserError
-from tacgen.layout import ATTRS, FORMAT, OPTIONAL, UNITS, entry, misfit
+from tacgen.files import partfile
+from tacgen.files.layout import ATTRS, FORMAT, OPTIONAL, UNITS, entry, misfit
 
 KEYS = ("digest", "complete")  # written last; not part of what the digest covers
 PACKED = ": it holds packed scenes; give the folder it is in"

@@ -8,10 +8,10 @@ from typing import Literal
 
 import numpy as np
 
-from tacgen import partfile, source
 from tacgen.bundle import Bundle, Dataset, Unfinished, read
 from tacgen.errors import UserError
-from tacgen.layout import entry, misfit
+from tacgen.files import partfile, source
+from tacgen.files.layout import entry, misfit
 
 FORCE_BALANCE = 1e-3  # largest imbalance of a converged frame [-]
 PULL = 1e-3  # how far interpolation may bring a pressure below zero, as a part of the frame's peak

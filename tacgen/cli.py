@@ -71,8 +71,9 @@ def run(
         return
     with writing(out):
         probe(out)
-        from tacgen import batch, card
-        from tacgen.progress import Progress
+        from tacgen import batch
+        from tacgen.look import card
+        from tacgen.look.progress import Progress
 
         with Progress(plan.rows) as progress:
 
@@ -112,7 +113,7 @@ def status(
     as_json: AsJson = False,
 ) -> None:
     """Say how far a folder is: scenes done, rejected or failed with their reasons, at work and waiting."""
-    from tacgen.survey import survey
+    from tacgen.files.survey import survey
 
     found = survey(folder)
     count, total = found.count(), len(found.scenes)
@@ -129,7 +130,7 @@ def status(
 @app.command()
 def validate(file: RecipeFile, sets: Sets = None) -> None:
     """Check a recipe with its sensor and every scene of it, or a sensor file alone."""
-    from tacgen import assets, load, yamlfile
+    from tacgen.spec import assets, load, yamlfile
 
     path = assets.recipe_path(file)
     data = yamlfile.load(path).data
@@ -149,7 +150,7 @@ def schema(
     """Print the JSON Schema of a recipe, for editors and other programs."""
     import json
 
-    from tacgen.schema import recipe_schema, sensor_schema
+    from tacgen.spec.schema import recipe_schema, sensor_schema
 
     typer.echo(json.dumps(sensor_schema() if sensor else recipe_schema(), indent=1))
 
@@ -163,7 +164,7 @@ def show_plan(
     as_json: AsJson = False,
 ) -> None:
     """Show the table of scenes that a recipe gives."""
-    from tacgen import table
+    from tacgen.look import table
 
     plan = _plan(recipe, sets, _shard(shard))
     typer.echo((table.as_json if as_json else table.as_csv if as_csv else table.as_text)(plan), nl=False)
@@ -175,7 +176,7 @@ def init(
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a file that is there.")] = False,
 ) -> None:
     """Write a commented recipe to start from, and the schema that editors complete it with."""
-    from tacgen.schema import write_starter
+    from tacgen.spec.schema import write_starter
 
     with writing(path.parent):
         written, schema_file = write_starter(path, overwrite=overwrite)
@@ -188,7 +189,7 @@ def show_list(
     as_json: AsJson = False,
 ) -> None:
     """List sensors, recipes, objects, indenter shapes and formats to export to."""
-    from tacgen.listing import KINDS
+    from tacgen.look.listing import KINDS
 
     if kind and kind not in KINDS:
         raise UserError(f"{kind}: must be one of {', '.join(KINDS)}")
@@ -223,8 +224,8 @@ def pack(
     as_json: AsJson = False,
 ) -> None:
     """Copy finished scenes into few larger files, with an index and all frames as one dataset."""
-    from tacgen.pack import pack as pack_scenes
-    from tacgen.source import scenes
+    from tacgen.files.pack import pack as pack_scenes
+    from tacgen.files.source import scenes
 
     with writing(out):
         made = pack_scenes(scenes(source), out, size_mb)
@@ -241,7 +242,7 @@ def report(
     out: Annotated[Path | None, typer.Option("--out", "-o", help="The page; report.html in the folder.")] = None,
 ) -> None:
     """Write one HTML page about a dataset: coverage, failures by cause, seconds by stage, pictures."""
-    from tacgen import report as reporting
+    from tacgen.look import report as reporting
 
     out = out or folder / "report.html"
     with writing(out):
@@ -257,8 +258,8 @@ def show(
     ] = "",
 ) -> None:
     """Say what is in a bundle, or draw it: images, pressure, traction and height over the frames."""
-    from tacgen import overview
-    from tacgen import show as showing
+    from tacgen.look import overview
+    from tacgen.look import show as showing
 
     if out is None:
         if field:
@@ -268,7 +269,7 @@ def show(
     with writing(out):
         out.parent.mkdir(parents=True, exist_ok=True)
         if field:
-            from tacgen import show_field
+            from tacgen.look import show_field
 
             show_field.picture(path, field, out)
         else:
@@ -361,7 +362,8 @@ def bench(
 
 def _plan(recipe: str, sets: list[str] | None, shard: tuple[int, int] = (0, 1)) -> Any:
     """The plan of a recipe given by path or name, or a shard of it."""
-    from tacgen import assets, plan
+    from tacgen import plan
+    from tacgen.spec import assets
 
     return plan.load(assets.recipe_path(recipe), sets or (), shard)
 

@@ -82,7 +82,7 @@ def strain_energy(bundle: Bundle, frame: int) -> Array:
         UserError: the bundle does not say what the sensor is made of.
     """
     from tacgen.scene import law_of
-    from tacgen.sensor import Sensor
+    from tacgen.spec.sensor import Sensor
 
     if "sensor_document" not in bundle.attrs:
         raise UserError(f"{bundle.path}: says nothing of the sensor's materials")

@@ -5,12 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tacgen import store, tetmesh
 from tacgen.errors import UserError
 from tacgen.fem.contact import Pose
 from tacgen.fem.quality import dihedral, enclosed, measure, scaled_jacobian
-from tacgen.gel import Gel
+from tacgen.files import store
 from tacgen.scene import Scene
+from tacgen.solid import tetmesh
+from tacgen.solid.gel import Gel
 
 Array = np.ndarray
 STEEPEST = 1.1  # slope of a signed distance: 1, and a little more where it is interpolated

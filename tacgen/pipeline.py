@@ -9,15 +9,18 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from tacgen import bundle, foresee, mesh, photo, resume, scene, solve
+from tacgen import bundle, mesh, scene, solve
 from tacgen.errors import UserError
 from tacgen.fem.contact import Contact, Pose
 from tacgen.fem.passage import overlap
-from tacgen.gel import Gel
+from tacgen.files import resume
+from tacgen.files.resume import SceneResult
+from tacgen.image import photo
 from tacgen.plan import NOISE, Row
 from tacgen.recipe import IMAGES
-from tacgen.resume import SceneResult
-from tacgen.sensor import LitSensor
+from tacgen.solid.gel import Gel
+from tacgen.spec.sensor import LitSensor
+from tacgen.step import foresee
 
 if TYPE_CHECKING:
     from tacgen.fields import Surface
@@ -64,7 +67,7 @@ class Products:
 
             self.sheet = Sheet.over(row.sensor.gel, 0.1)
         if "stress" in self.outputs:
-            from tacgen.stress import Stresses
+            from tacgen.labels.stress import Stresses
 
             self.stresses = Stresses(problem)
         if "markers" in self.outputs:
@@ -77,7 +80,7 @@ class Products:
             self.dots = Points(rest, self.sheet, self.seen, self.camera)
             self.drift = None
             if row.recipe.markers.method == "analytic" and motion is not None:
-                from tacgen.drift import Drift
+                from tacgen.labels.drift import Drift
 
                 self.drift = Drift(motion, rest, row.sensor.gel, problem.contact.shape, self.camera)
         if "flow" in self.outputs:
@@ -186,7 +189,7 @@ class Products:
 
     def _maps(self, surface: "Surface", state: solve.State) -> dict[str, Array]:
         """What the contact does to the face."""
-        from tacgen.maps import maps
+        from tacgen.labels.maps import maps
 
         found, out = maps(self.problem, surface, state, self.camera), {}
         if "traction" in self.outputs:

@@ -13,15 +13,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tacgen import assets, limits, photo
 from tacgen.errors import UserError
-from tacgen.explain import Problem, validate
-from tacgen.load import SOLID, Loaded, check_sensor, folders, read, solid_folder
-from tacgen.motions import replayed, resolved
-from tacgen.posetable import Pose
+from tacgen.image import photo
 from tacgen.recipe import IMAGES, Distribution, Recipe, Vary
-from tacgen.sensor import Sensor
-from tacgen.yamlfile import KeyPath, Tree, format_path, parse_path, put
+from tacgen.spec import assets, limits
+from tacgen.spec.explain import Problem, validate
+from tacgen.spec.load import SOLID, Loaded, check_sensor, folders, read, solid_folder
+from tacgen.spec.motions import replayed, resolved
+from tacgen.spec.posetable import Pose
+from tacgen.spec.sensor import Sensor
+from tacgen.spec.yamlfile import KeyPath, Tree, format_path, parse_path, put
 
 if TYPE_CHECKING:
     import numpy as np

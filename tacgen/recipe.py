@@ -4,9 +4,9 @@ from typing import Annotated, Any, Literal, NamedTuple, get_args
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, ValidationInfo, field_validator, model_validator
 
-from tacgen.moves import Segment, Start
-from tacgen.part import ONE_KEY, Part, exactly_one
-from tacgen.yamlfile import KeyPath
+from tacgen.spec.moves import Segment, Start
+from tacgen.spec.part import ONE_KEY, Part, exactly_one
+from tacgen.spec.yamlfile import KeyPath
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]

@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 
-from tacgen import variants as probing
+from tacgen.image import variants as probing
+from tacgen.image.tracer import MAX_DEPTH, MAX_DEPTH_SCATTERING, PathTracer
 from tacgen.optics import cloudy, lights, response, sparse, table
 from tacgen.optics.bounce import Bounce
 from tacgen.optics.dent import BallDent
@@ -24,12 +25,11 @@ from tacgen.optics.direct import Direct
 from tacgen.optics.layers import Camera
 from tacgen.optics.sheet import Sheet, Surface, Untouched
 from tacgen.optics.view import Samples, View
-from tacgen.tracer import MAX_DEPTH, MAX_DEPTH_SCATTERING, PathTracer
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from tacgen.sensor import LitSensor
+    from tacgen.spec.sensor import LitSensor
 
     Floats = NDArray[np.float64]
 
@@ -293,7 +293,7 @@ def key(sensor: "LitSensor", variant: str, *more: object) -> str:
     parts_seen = {"plate", "coating", "walls", "leds", "camera", "gel"}
     linear: Any = {"leds": {"__all__": {"radiance", "power"}}, "camera": LINEAR}
     seen = sensor.model_dump(mode="json", exclude_none=True, include=parts_seen, exclude=linear)
-    from tacgen.sensor import LayerBase
+    from tacgen.spec.sensor import LayerBase
 
     optical = LayerBase.model_fields  # the law's own fields are not among them
     seen["gel"]["layers"] = [{k: v for k, v in layer.items() if k in optical} for layer in seen["gel"]["layers"]]

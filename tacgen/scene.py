@@ -8,18 +8,19 @@ from pathlib import Path
 
 import numpy as np
 
-from tacgen import geometry, moves, tessellate
 from tacgen import recipe as recipes
-from tacgen import sensor as sensors
 from tacgen.errors import UserError
 from tacgen.fem.field import Field
 from tacgen.fem.materials import Law, MooneyRivlin, NeoHooke, StableNeoHooke, Yeoh
 from tacgen.fem.shapes import Box, Capsule, Cone, Cylinder, Shape, Sphere, Torus, Triangles, Wedge
-from tacgen.gel import Gel, Layer, SolidGel
 from tacgen.plan import Row
 from tacgen.recipe import Indenter
-from tacgen.sensor import MooneyRivlinLayer, NeoHookeLayer, Sensor, StableNeoHookeLayer, YeohLayer
-from tacgen.trajectory import Forced, lay
+from tacgen.solid import geometry, tessellate
+from tacgen.solid.gel import Gel, Layer, SolidGel
+from tacgen.spec import moves
+from tacgen.spec import sensor as sensors
+from tacgen.spec.sensor import MooneyRivlinLayer, NeoHookeLayer, Sensor, StableNeoHookeLayer, YeohLayer
+from tacgen.step.trajectory import Forced, lay
 
 __all__ = ["Gel", "Layer", "Scene", "build"]
 

@@ -10,12 +10,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from tacgen.advance import NotConverged, State, advance, travel
 from tacgen.fem.contact import Pose
 from tacgen.fem.rising import POWER, OutOfReach, meet
-from tacgen.problem import Memory, Problem
 from tacgen.scene import Scene
-from tacgen.trajectory import FORCE_DEPTH
+from tacgen.step.advance import NotConverged, State, advance, travel
+from tacgen.step.problem import Memory, Problem
+from tacgen.step.trajectory import FORCE_DEPTH
 
 __all__ = ["NotConverged", "Problem", "State", "TooMuch", "normal_force", "states"]
 

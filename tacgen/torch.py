@@ -22,10 +22,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from tacgen import source
 from tacgen.bundle import Bundle
 from tacgen.errors import UserError
-from tacgen.layout import LAYOUT
+from tacgen.files import source
+from tacgen.files.layout import LAYOUT
 
 Item = dict[str, Any]
 SPLITS = ("train", "val", "test")

@@ -9,7 +9,7 @@ from types import ModuleType
 import pytest
 from ruamel.yaml import YAML
 
-from tacgen.sensor import Sensor
+from tacgen.spec.sensor import Sensor
 
 ROOT = Path(__file__).parents[1]
 REFERENCE = Path(os.environ.get("TACGEN_REFERENCE", ROOT.parent / "shared" / "reference"))

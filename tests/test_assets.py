@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from tacgen import assets
 from tacgen.errors import UserError
+from tacgen.spec import assets
 
 ROOT = Path(__file__).parent.parent
 

@@ -109,11 +109,11 @@ def test_calculix_presses_as_it_did() -> None:
 
 ALWAYS = {"numpy", "scipy", "numba", "h5py", "cvxopt", "pymetis", "pypardiso"}
 UNASKED = {  # modules and packages that only this brings
-    "traction": {"tacgen.maps"},
+    "traction": {"tacgen.labels.maps"},
     "height": {"tacgen.optics.sheet"},
-    "stress": {"tacgen.stress", "tacgen.fem.recovery"},
+    "stress": {"tacgen.labels.stress", "tacgen.fem.recovery"},
     "markers": {"tacgen.optics.flow", "tacgen.optics.sheet"},
-    "rgb": {"tacgen.render", "tacgen.tracer", "tacgen.optics.transport", "mitsuba", "drjit"},
+    "rgb": {"tacgen.render", "tacgen.image.tracer", "tacgen.optics.transport", "mitsuba", "drjit"},
 }
 EVER = set().union(
     *UNASKED.values(), {"tacgen.fem.ipc", "ipctk", "tacgen.fem.inertia", "PyfTetWildWrapper", "PIL", "matplotlib"}
@@ -141,8 +141,14 @@ def test_what_is_not_asked_for_is_not_computed() -> None:
     """Modules that are loaded anyway do nothing: a scene without friction has no friction term, one layer no second."""
     without, rubbing = used("force", 0)["ran"], used("force", 0.5)["ran"]
     assert set(rubbing) - set(without) == {"tacgen.fem.friction"}
-    assert {"tacgen.fields", "tacgen.foresee"} <= set(without)  # the wrench alone
-    assert not {"tacgen.maps", "tacgen.stress", "tacgen.tetmesh", "tacgen.fem.field", "tacgen.geometry"} & set(without)
+    assert {"tacgen.fields", "tacgen.step.foresee"} <= set(without)  # the wrench alone
+    assert not {
+        "tacgen.labels.maps",
+        "tacgen.labels.stress",
+        "tacgen.solid.tetmesh",
+        "tacgen.fem.field",
+        "tacgen.solid.geometry",
+    } & set(without)
 
 
 def test_every_line_of_pay_is_a_scene() -> None:

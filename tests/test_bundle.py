@@ -17,11 +17,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from synthetic import attributes, write
 
-from tacgen import layout, partfile
 from tacgen.bundle import Damaged, Unfinished, Writer, is_complete, read
 from tacgen.check import check
 from tacgen.errors import UserError
-from tacgen.layout import LAYOUT
+from tacgen.files import layout, partfile
+from tacgen.files.layout import LAYOUT
 
 KEY = attributes()["input_key"]
 QUICK = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -12,13 +12,15 @@ from PIL import Image
 from ruamel.yaml import YAML
 from typer.testing import CliRunner
 
-from tacgen import calibrate, cli, load, render, variants
+from tacgen import calibrate, cli, render
 from tacgen.calibrate import photos, under
 from tacgen.errors import UserError
+from tacgen.image import variants
 from tacgen.optics.cloudy import gain as response_of
 from tacgen.optics.dent import BallDent
 from tacgen.optics.layers import Camera
-from tacgen.sensor import Sensor
+from tacgen.spec import load
+from tacgen.spec.sensor import Sensor
 
 FINE = {"mm_per_px": 0.1, "width_px": 80, "height_px": 64}
 PRESSES = ((4.0, (30, 28), 15.0), (3.0, (52, 40), 14.0), (4.0, (45, 20), 15.0), (5.0, (25, 45), 16.0))  # ball, px, px

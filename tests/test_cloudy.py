@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 from optics.tiny import cloudy as sensor
 
-from tacgen import render, variants
+from tacgen import render
+from tacgen.image import variants
+from tacgen.image.tracer import PathTracer
 from tacgen.optics import cloudy
 from tacgen.optics.dent import BallDent
 from tacgen.optics.sheet import Untouched
-from tacgen.sensor import Sensor
-from tacgen.tracer import PathTracer
+from tacgen.spec.sensor import Sensor
 
 FACE = Untouched.of(sensor().gel)
 DENT = BallDent(2.5, 1.6, (0.5, -0.4), FACE)

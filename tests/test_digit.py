@@ -7,15 +7,16 @@ import numpy as np
 import pytest
 from physics.presses import Run
 
-from tacgen import assets, fields, load, mesh, motions, plan, solve
+from tacgen import fields, mesh, plan, solve
 from tacgen import scene as stage
 from tacgen.errors import UserError
 from tacgen.fem.contact import Pose
 from tacgen.fem.elements import facet_areas, hexes
-from tacgen.maps import maps as maps_of
+from tacgen.labels.maps import maps as maps_of
 from tacgen.optics.layers import Camera
 from tacgen.optics.sheet import Sheet
-from tacgen.sensor import Sensor
+from tacgen.spec import assets, load, motions
+from tacgen.spec.sensor import Sensor
 
 Array = np.ndarray
 ROOT = Path(__file__).parent.parent

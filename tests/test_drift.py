@@ -6,13 +6,13 @@ from optics.tiny import sensor
 from small_recipe import HEAD
 
 from tacgen import bundle, plan
-from tacgen.drift import Drift
 from tacgen.errors import UserError
 from tacgen.fem.shapes import Sphere
+from tacgen.labels.drift import Drift
 from tacgen.optics.coating import centers
 from tacgen.optics.layers import Camera
 from tacgen.pipeline import run
-from tacgen.sensor import Motion
+from tacgen.spec.sensor import Motion
 
 MOTION = Motion(press=(0.02, 0.05), shear=(0.5, 0.1), twist=(20.0, 0.1), source="test")
 TINY = sensor()

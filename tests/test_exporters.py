@@ -13,10 +13,12 @@ import pytest
 from PIL import Image
 from synthetic import OUTPUTS, write
 
-from tacgen import assets, export, load, pack, source
+from tacgen import export
 from tacgen.bundle import Bundle, read
 from tacgen.errors import UserError
 from tacgen.export import feats, univtac
+from tacgen.files import pack, source
+from tacgen.spec import assets, load
 
 SENSOR = load.read_sensor(assets.sensor_path("gelsight_mini"))[0].model_dump(mode="json", exclude_none=True)
 SHAPE = (240, 320)

@@ -4,18 +4,19 @@ import numpy as np
 import pytest
 from physics.presses import Run, gel, poses, run, scene
 
-from tacgen import assets, fields, load, mesh, solve
+from tacgen import fields, mesh, solve
 from tacgen.fem.contact import Pose
 from tacgen.fem.elements import facet_areas
 from tacgen.fem.materials import NeoHooke
 from tacgen.fem.shapes import Sphere
-from tacgen.maps import Maps, tangents
-from tacgen.maps import maps as maps_of
+from tacgen.labels.maps import Maps, tangents
+from tacgen.labels.maps import maps as maps_of
+from tacgen.labels.stress import FULL, Stress, Stresses, agreeing
 from tacgen.optics.layers import Camera
 from tacgen.optics.sheet import Sheet
 from tacgen.scene import Gel, Layer
-from tacgen.sensor import Sensor
-from tacgen.stress import FULL, Stress, Stresses, agreeing
+from tacgen.spec import assets, load
+from tacgen.spec.sensor import Sensor
 
 Array = np.ndarray
 COEFFICIENT = 0.4

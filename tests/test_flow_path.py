@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from optics.tiny import sensor
 
-from tacgen import tracer, variants
 from tacgen.bench import flow
+from tacgen.image import tracer, variants
 from tacgen.optics.flow import behind
 from tacgen.optics.layers import Camera
 from tacgen.optics.sheet import Sheet, Untouched

@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from tacgen import assets, geometry, plan, scene
+from tacgen import plan, scene
 from tacgen.errors import UserError
-from tacgen.geometry import Solid
+from tacgen.solid import geometry
+from tacgen.solid.geometry import Solid
+from tacgen.spec import assets
 
 Array = np.ndarray
 

@@ -6,10 +6,11 @@ from typing import Any
 import pytest
 from optics.tiny import PLAIN, cloudy, sensor
 
-from tacgen import assets, load, plan
+from tacgen import plan
 from tacgen.errors import UserError
-from tacgen.lit import problems
-from tacgen.yamlfile import format_path, parse_path, put
+from tacgen.spec import assets, load
+from tacgen.spec.lit import problems
+from tacgen.spec.yamlfile import format_path, parse_path, put
 
 Data = dict[str, Any]
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from fem.small import patch
 
-from tacgen import maps
 from tacgen.fem.contact import Faces
 from tacgen.fem.ipc import lattice
 from tacgen.fields import Surface
+from tacgen.labels import maps
 from tacgen.optics.layers import Camera, Stack
 from tacgen.solve import Problem, State
 

@@ -8,12 +8,13 @@ import pytest
 from physics.presses import Run
 from ruamel.yaml import YAML
 
-from tacgen import assets, fields, load, mesh, plan, solve
+from tacgen import fields, mesh, plan, solve
 from tacgen import scene as stage
 from tacgen.errors import UserError
-from tacgen.maps import maps as maps_of
+from tacgen.labels.maps import maps as maps_of
+from tacgen.labels.stress import FULL, Stresses
 from tacgen.optics.layers import Camera
-from tacgen.stress import FULL, Stresses
+from tacgen.spec import assets, load
 
 LIT = ("coating", "walls", "leds")
 RECIPE = """\

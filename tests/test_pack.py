@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 from synthetic import write
 
-from tacgen import export, pack, source
+from tacgen import export
 from tacgen.check import check
 from tacgen.errors import UserError
+from tacgen.files import pack, source
 
 COUNT = 5
 

@@ -7,8 +7,9 @@ import pytest
 from optics.tiny import sensor
 from PIL import Image
 
-from tacgen import bundle, photo, pipeline, plan
+from tacgen import bundle, pipeline, plan
 from tacgen.errors import UserError
+from tacgen.image import photo
 from tacgen.optics import response
 
 RECIPE = """

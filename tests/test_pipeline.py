@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tacgen import advance, bundle, pipeline, plan, solve
+from tacgen import bundle, pipeline, plan, solve
 from tacgen.check import check
 from tacgen.errors import UserError
 from tacgen.recipe import OUTPUTS
+from tacgen.step import advance
 
 RECIPE = """
 tacgen: 1
@@ -45,7 +46,8 @@ from pathlib import Path
 from tacgen import pipeline, plan
 row = plan.load(Path({str(recipe)!r})).rows[0]
 print(pipeline.run_scene(row, Path({str(tmp_path)!r}) / "out").status)
-heavy = ("mitsuba", "drjit", "tacgen.render", "tacgen.maps", "tacgen.stress", "matplotlib", "trimesh", "pytetwild")
+ours = ("tacgen.render", "tacgen.labels.maps", "tacgen.labels.stress")
+heavy = ("mitsuba", "drjit", "matplotlib", "trimesh", "pytetwild", *ours)
 print([name for name in heavy if name in sys.modules])
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)

@@ -6,11 +6,14 @@ from typing import Any
 
 import pytest
 
-from tacgen import assets, layout, plan, table
+from tacgen import plan
 from tacgen.errors import UserError
-from tacgen.explain import validate
-from tacgen.load import Loaded, read
+from tacgen.files import layout
+from tacgen.look import table
 from tacgen.recipe import Recipe, Vary
+from tacgen.spec import assets
+from tacgen.spec.explain import validate
+from tacgen.spec.load import Loaded, read
 
 BATCH = f"""\
 extends: {assets.recipe_path("quickstart")}

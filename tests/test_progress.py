@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from tacgen.progress import Progress
+from tacgen.look.progress import Progress
 
 
 class Terminal(io.StringIO):
@@ -52,7 +52,7 @@ def test_a_line_a_frame_where_there_is_one_scene():
 
 def test_what_was_there_already_says_nothing_about_the_time_left(monkeypatch: pytest.MonkeyPatch):
     clock = iter([0.0, 10.0, 10.0])
-    monkeypatch.setattr("tacgen.progress.time.monotonic", lambda: next(clock))
+    monkeypatch.setattr("tacgen.look.progress.time.monotonic", lambda: next(clock))
     stream = io.StringIO()
     with Progress(ROWS, stream) as progress:
         progress(end("scene-00000"))

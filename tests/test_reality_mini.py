@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import reality
 
-from tacgen import render, variants
+from tacgen import render
+from tacgen.image import variants
 from tacgen.optics.dent import BallDent
 from tacgen.optics.layers import Camera
 

@@ -9,12 +9,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from ruamel.yaml import YAML
 
-from tacgen import assets
 from tacgen.errors import UserError
-from tacgen.explain import validate
-from tacgen.load import read
 from tacgen.recipe import OUTPUTS, QUALITIES, SHAPES, Recipe
-from tacgen.yamlfile import Source, format_path, parse, parse_path, put
+from tacgen.spec import assets
+from tacgen.spec.explain import validate
+from tacgen.spec.load import read
+from tacgen.spec.yamlfile import Source, format_path, parse, parse_path, put
 
 GOOD = """\
 tacgen: 1

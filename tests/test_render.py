@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from optics.tiny import sensor
 
-from tacgen import render, variants
+from tacgen import render
+from tacgen.image import variants
+from tacgen.image.tracer import PathTracer
 from tacgen.optics.dent import BallDent
 from tacgen.optics.layers import Camera
 from tacgen.optics.response import srgb
 from tacgen.optics.sheet import Sheet, Untouched
-from tacgen.tracer import PathTracer
 
 DENT = BallDent(2.0, 1.0, (0.6, -0.4))
 

@@ -9,12 +9,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 from small_recipe import HEAD
 
-from tacgen import bundle, motions, pipeline, plan, posetable, scene, turns
+from tacgen import bundle, pipeline, plan, scene
 from tacgen.check import check
 from tacgen.errors import UserError
-from tacgen.explain import validate
 from tacgen.recipe import Recipe
-from tacgen.trajectory import lowest
+from tacgen.spec import motions, posetable, turns
+from tacgen.spec.explain import validate
+from tacgen.step.trajectory import lowest
 
 Array = np.ndarray
 TITLES = "time_s,x_mm,y_mm,z_mm,qw,qx,qy,qz"

@@ -10,9 +10,11 @@ from batch.test_local import TASK, spoil
 from synthetic import attributes, write
 from typer.testing import CliRunner
 
-from tacgen import batch, card, overview, pack, report, source
+from tacgen import batch
 from tacgen.cli import app
 from tacgen.errors import UserError
+from tacgen.files import pack, source
+from tacgen.look import card, overview, report
 
 
 @pytest.fixture(scope="module")

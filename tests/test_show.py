@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from synthetic import OUTPUTS, write
 
-from tacgen import show
 from tacgen.bundle import read
 from tacgen.errors import UserError
+from tacgen.look import show
 
 
 def labels(path: Path) -> list[str]:

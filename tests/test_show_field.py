@@ -7,11 +7,12 @@ import pytest
 from synthetic import write
 from typer.testing import CliRunner
 
-from tacgen import cli, show_field
+from tacgen import cli
 from tacgen.bundle import read
 from tacgen.errors import UserError
 from tacgen.fem.elements import HEX_CORNERS
-from tacgen.section import cut, outline
+from tacgen.look import show_field
+from tacgen.look.section import cut, outline
 
 Array = np.ndarray
 

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from tacgen import bundle, load, mesh, pipeline, plan, scene
+from tacgen import bundle, mesh, pipeline, plan, scene
 from tacgen.errors import UserError
 from tacgen.fem.contact import Pose
+from tacgen.spec import load
 
 Array = np.ndarray
 ROOT = Path(__file__).parent.parent

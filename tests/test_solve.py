@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from physics.presses import gel, poses, run, scene
 
-from tacgen import advance, mesh, solve
+from tacgen import mesh, solve
 from tacgen.fem.contact import Pose
 from tacgen.fem.newton import Solution, Status
 from tacgen.fem.shapes import Box, Sphere
 from tacgen.scene import Scene
 from tacgen.solve import NotConverged, Problem, states
+from tacgen.step import advance
 
 SMALL = (-1.8, 1.8, -1.8, 1.8)
 PATH = [(0.0, 0.0, -0.2), (0.0, 0.0, -0.4), (0.3, 0.0, -0.4)]

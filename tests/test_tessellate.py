@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from tacgen import tessellate
 from tacgen.fem.shapes import Box, Capsule, Cone, Cylinder, Shape, Sphere, Torus, Triangles, Wedge
+from tacgen.solid import tessellate
 
 SHAPES: list[Shape] = [
     Sphere(4.0), Sphere(0.3), Cylinder(3.0, 0.2), Box(4.0, 3.0, 0.2), Cone(0.5, 0.1), Wedge(0.5, 0.2, 8.0),

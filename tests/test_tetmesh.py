@@ -8,15 +8,16 @@ import numpy as np
 import pytest
 from physics.presses import gel, poses, run, scene
 
-from tacgen import bundle, mesh, pipeline, plan, tetmesh
+from tacgen import bundle, mesh, pipeline, plan
 from tacgen.errors import UserError
 from tacgen.fem.contact import Pose
 from tacgen.fem.elements import TET_EDGES, elements, facet_areas
 from tacgen.fem.materials import NeoHooke
 from tacgen.fem.quality import dihedral, nodal_volume, scaled_jacobian
 from tacgen.fem.shapes import Sphere
-from tacgen.gel import Gel, Layer
 from tacgen.scene import Scene
+from tacgen.solid import tetmesh
+from tacgen.solid.gel import Gel, Layer
 
 Array = np.ndarray
 LAW = NeoHooke(0.05, 0.4)
@@ -94,7 +95,7 @@ def test_a_mesh_is_kept_and_another_scene_gets_another(domed: mesh.Mesh, monkeyp
 
 
 def test_of_two_that_mesh_at_once_both_go_on_with_the_first(monkeypatch: pytest.MonkeyPatch) -> None:
-    from tacgen import store
+    from tacgen.files import store
 
     def second() -> tuple[Array, ...]:
         store.kept("meshes", "race", lambda: (np.zeros(3),))  # the other process is done while this one meshes
@@ -104,8 +105,8 @@ def test_of_two_that_mesh_at_once_both_go_on_with_the_first(monkeypatch: pytest.
 
 
 def test_damaged_caches_are_made_anew() -> None:
-    from tacgen import store
-    from tacgen.variants import cache_folder
+    from tacgen.files import store
+    from tacgen.image.variants import cache_folder
 
     store.kept("meshes", "torn", lambda: (np.zeros(3),))
     file = cache_folder() / "meshes" / "torn.npz"

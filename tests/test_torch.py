@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from synthetic import write
 
-from tacgen import bundle, pack, source
+from tacgen import bundle
 from tacgen import torch as reading
 from tacgen.errors import UserError
+from tacgen.files import pack, source
 from tacgen.torch import TactileDataset
 
 COUNT, FRAMES = 6, 12

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from small_recipe import HEAD
 
-from tacgen import advance, bundle, foresee, mesh, pipeline, plan, scene, solve, trajectory
+from tacgen import bundle, mesh, pipeline, plan, scene, solve
 from tacgen.errors import UserError
 from tacgen.fem.contact import Pose
 from tacgen.fem.rising import OutOfReach, meet
+from tacgen.step import advance, foresee, trajectory
 
 BOX = "indenter={shape: box, size_x_mm: 4, size_y_mm: 3, fillet_mm: 0.3}"
 ROUGH = "contact.friction=0.5"

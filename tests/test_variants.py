@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tacgen import variants
+from tacgen.image import variants
 
 
 @pytest.fixture(autouse=True)

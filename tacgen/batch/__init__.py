@@ -8,14 +8,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from tacgen import partfile
 from tacgen.batch import cluster
 from tacgen.batch.journal import Journal, Shard, write_plan
 from tacgen.batch.local import TASK, Hear, Pool
 from tacgen.batch.watch import Limits
 from tacgen.errors import UserError
+from tacgen.files import partfile
+from tacgen.files.resume import SceneResult, refuse_foreign
 from tacgen.plan import Plan
-from tacgen.resume import SceneResult, refuse_foreign
 
 __all__ = ["ENGINES", "Limits", "run"]
 

@@ -9,8 +9,8 @@ from typing import Any
 from tacgen.batch.local import Hear, Pool, failed, outcome
 from tacgen.batch.watch import Limits
 from tacgen.errors import UserError
+from tacgen.files.resume import SceneResult
 from tacgen.plan import Row
-from tacgen.resume import SceneResult
 
 CONNECT_S = 30
 _here = threading.local()  # on a Dask worker: the pool of this thread

@@ -13,7 +13,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from tacgen import table
+from tacgen.look import table
 from tacgen.plan import Plan
 
 Shard = tuple[int, int]  # (i, N): the scenes whose index leaves i when divided by N

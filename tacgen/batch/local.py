@@ -9,8 +9,8 @@ from typing import Any
 
 from tacgen.batch.watch import Job, Limits, Worker, machine_memory
 from tacgen.errors import UserError
+from tacgen.files.resume import SceneResult
 from tacgen.plan import Row
-from tacgen.resume import SceneResult
 
 TASK = "tacgen.pipeline:run_scene"
 TRIES = 2  # a scene that took two workers with it is recorded as failed

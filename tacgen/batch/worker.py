@@ -16,7 +16,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from tacgen.errors import UserError
-from tacgen.partfile import Busy
+from tacgen.files.partfile import Busy
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)  # what every other scene would meet as well
 

@@ -11,27 +11,31 @@ from typing import Any
 
 import numpy as np
 
-from tacgen import assets, fields, foresee, maps, mesh, plan, scene, solve, store
+from tacgen import fields, mesh, plan, scene, solve
+from tacgen.files import store
+from tacgen.labels import maps
+from tacgen.labels.stress import Stresses
 from tacgen.optics.coating import centers
 from tacgen.optics.flow import Points
 from tacgen.optics.layers import Camera
 from tacgen.optics.sheet import Sheet
-from tacgen.sensor import Markers
-from tacgen.stress import Stresses
+from tacgen.spec import assets
+from tacgen.spec.sensor import Markers
+from tacgen.step import foresee
 
 Array = np.ndarray
 ROOT = Path(solve.__file__).parent
 DECIDES = (
-    "problem",
-    "advance",
+    "step/problem",
+    "step/advance",
     "solve",
     "mesh",
-    "tetmesh",
+    "solid/tetmesh",
     "scene",
-    "gel",
-    "maps",
+    "solid/gel",
+    "labels/maps",
     "fields",
-    "stress",
+    "labels/stress",
     "bench/answers",
 )
 BALL = ("outputs=[force]", "indenter={shape: sphere, radius_mm: 4}")

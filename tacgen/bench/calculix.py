@@ -20,7 +20,7 @@ from tacgen import mesh
 from tacgen.bench.kit import one_thread
 from tacgen.errors import UserError
 from tacgen.fem.materials import NeoHooke
-from tacgen.gel import Gel
+from tacgen.solid.gel import Gel
 
 Array = np.ndarray
 PROGRAM = "ccx"

@@ -34,7 +34,9 @@ def bench(level: Level, say: Say) -> Result:
 
 def solved(sets: list[str]) -> dict[str, Any]:
     """Seconds and iterations of each frame of the quickstart with these changes, nodes, and memory [MB]."""
-    from tacgen import assets, foresee, mesh, plan, scene, solve
+    from tacgen import mesh, plan, scene, solve
+    from tacgen.spec import assets
+    from tacgen.step import foresee
 
     rough = scene.build(plan.load(assets.recipe_path("quickstart"), (*BALL, PRESS, "quality={edge_mm: 1.5}")).rows[0])
     next(solve.states(rough, solve.Problem.of(rough, mesh.of(rough))))  # compile

@@ -8,13 +8,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tacgen import assets, faces, load, plan, tracer
+from tacgen import plan
+from tacgen.image import tracer
+from tacgen.labels import faces
 from tacgen.optics import coating
 from tacgen.optics.flow import Flow, Points
 from tacgen.optics.layers import Camera
 from tacgen.optics.sheet import Sheet, Surface
 from tacgen.recipe import Recipe
-from tacgen.sensor import LitSensor, Sensor
+from tacgen.spec import assets, load
+from tacgen.spec.sensor import LitSensor, Sensor
 
 Array = np.ndarray
 SHEAR = 0.5  # [mm]

@@ -5,10 +5,10 @@ from dataclasses import astuple, dataclass, field, replace
 from importlib.util import find_spec
 from typing import Any
 
-from tacgen import advance
 from tacgen.bench.answers import DEPTHS, Answer, Error, answer, changed, kept, sliding
 from tacgen.bench.kit import Cell, Level, Plot, Result, Say, Series, Table, columns, front
 from tacgen.fem import linear
+from tacgen.step import advance
 
 ABOUT = (
     "A ball of 4 mm is pressed 1 mm (0.8 mm on DIGIT and 9DTact) and slid by 0.6 mm with friction 0.5, in one frame and"

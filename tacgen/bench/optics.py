@@ -14,13 +14,14 @@ from typing import Any, cast
 
 import numpy as np
 
-from tacgen import assets, fields, mesh, plan, render, scene, solve
+from tacgen import fields, mesh, plan, render, scene, solve
+from tacgen.image.tracer import PathTracer
 from tacgen.optics import response
 from tacgen.optics.sheet import Sheet, Surface, Untouched
 from tacgen.optics.view import Samples
 from tacgen.recipe import QUALITIES
-from tacgen.sensor import LitSensor
-from tacgen.tracer import PathTracer
+from tacgen.spec import assets
+from tacgen.spec.sensor import LitSensor
 
 Array = np.ndarray
 BALL = "indenter={shape: sphere, radius_mm: 4}"

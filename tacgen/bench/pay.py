@@ -74,7 +74,8 @@ def bench(level: Level, say: Say) -> Result:
 
 def rows_of(outputs: str, sets: list[str]) -> Any:
     """The plan's rows of the scene with these outputs and changes."""
-    from tacgen import assets, plan
+    from tacgen import plan
+    from tacgen.spec import assets
 
     return plan.load(assets.recipe_path("quickstart"), (*SCENE, *sets, f"outputs=[{outputs}]")).rows
 
@@ -146,10 +147,11 @@ def labels(sensor: str) -> dict[str, list[float]]:
     """Seconds a frame of solve, stress and maps, and the worst frame's disagreements."""
     import numpy as np
 
-    from tacgen import assets, fields, mesh, plan, scene, solve
-    from tacgen.maps import maps
+    from tacgen import fields, mesh, plan, scene, solve
+    from tacgen.labels.maps import maps
+    from tacgen.labels.stress import Stresses
     from tacgen.optics.layers import Camera
-    from tacgen.stress import Stresses
+    from tacgen.spec import assets
 
     slide, twist = "{slide: {x_mm: 1, y_mm: 0.3, frames: 2}}", "{twist: {angle_deg: 12, frames: 2}}"
     moves = f"trajectory=[{{press: {{depth_mm: 0.8, frames: 2}}}}, {slide}, {twist}]"

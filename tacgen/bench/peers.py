@@ -7,13 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from tacgen import mesh, scene, solve, store
+from tacgen import mesh, scene, solve
 from tacgen.bench import calculix
 from tacgen.bench.answers import BALL, answer, kept, row_of
 from tacgen.bench.kit import Cell, Level, Plot, Result, Say, Series, Table, columns
 from tacgen.fem.materials import NeoHooke
 from tacgen.fem.shapes import Sphere
-from tacgen.gel import Gel, Layer
+from tacgen.files import store
+from tacgen.solid.gel import Gel, Layer
 
 ABOUT = (
     "One press on the Mini's pad (ball of 4 mm, 1 mm deep, no friction, E 0.15 MPa, nu 0.48), by tacgen's hexes, by"

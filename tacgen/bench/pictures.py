@@ -3,10 +3,11 @@
 from collections.abc import Iterator, Sequence
 from typing import cast
 
-from tacgen import assets, load, variants
 from tacgen.bench import flow, optics
 from tacgen.bench.kit import Cell, Level, Plot, Result, Say, Series, Table, columns
-from tacgen.sensor import LitSensor
+from tacgen.image import variants
+from tacgen.spec import assets, load
+from tacgen.spec.sensor import LitSensor
 
 ABOUT = (
     "Pictures of solved faces against Mitsuba's `path`: PSNR on developed sRGB before rounding and without the"

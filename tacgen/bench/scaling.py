@@ -15,12 +15,13 @@ from typing import Any
 
 import numpy as np
 
-from tacgen import assets, batch, pipeline, plan
+from tacgen import batch, pipeline, plan
 from tacgen.batch.local import Pool
 from tacgen.batch.watch import memory
 from tacgen.bench.kit import Cell, Level, Plot, Result, Say, Series, Table, apart, columns
 from tacgen.bundle import Writer
-from tacgen.resume import SceneResult, once
+from tacgen.files.resume import SceneResult, once
+from tacgen.spec import assets
 
 ABOUT = (
     "Many scenes by `tacgen run --workers`, and where the time of one scene goes, by the bundles' own timing files."
@@ -216,7 +217,7 @@ def _reading(out: Path, say: Say) -> Table:
     """Frames at random by PyTorch's DataLoader, RGB and force, 320 x 240, two loader workers."""
     from torch.utils.data import DataLoader
 
-    from tacgen import pack, source
+    from tacgen.files import pack, source
     from tacgen.torch import TactileDataset
 
     rows = plan.load(assets.recipe_path("quickstart"), ("quality=draft", "outputs=[force, rgb]")).rows

@@ -4,13 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from tacgen import assets, mesh, plan, scene, solve
+from tacgen import mesh, plan, scene, solve
 from tacgen.bench.cases import CASES, PLAIN, SCALES, Sets, scaled
 from tacgen.bench.kit import Cell, Level, Say, Table, columns
 from tacgen.fem.contact import Pose
 from tacgen.fem.linear import NotPositiveDefinite, SuperLU
 from tacgen.fem.materials import NeoHooke
 from tacgen.fem.potentials import Total
+from tacgen.spec import assets
 
 Array = np.ndarray
 NAMES = ("", "nu 0.4999", "1 kPa", "100 MPa", "friction 2", "half deep", "skin stiffer 1000:1")

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tacgen import assets, mesh, plan, scene, solve
+from tacgen import mesh, plan, scene, solve
 from tacgen.bench.answers import changed
 from tacgen.bench.cases import CASES, PLAIN, RANDOM, blade, random, slivers, wavefront
 from tacgen.bench.kit import Cell, Level, Result, Say, Table, columns
@@ -20,6 +20,7 @@ from tacgen.errors import UserError
 from tacgen.fem import newton
 from tacgen.fem.contact import Pose
 from tacgen.fem.elements import HEX_CORNERS
+from tacgen.spec import assets
 
 Array = np.ndarray
 ABOUT = (

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from tacgen import assets, load, yamlfile
-from tacgen.explain import Problem, report
-from tacgen.sensor import LIGHTS, LitSensor, Sensor
-from tacgen.yamlfile import KeyPath
+from tacgen.spec import assets, load, yamlfile
+from tacgen.spec.explain import Problem, report
+from tacgen.spec.sensor import LIGHTS, LitSensor, Sensor
+from tacgen.spec.yamlfile import KeyPath
 
 if TYPE_CHECKING:
     from tacgen.calibrate.fitted import Fitted

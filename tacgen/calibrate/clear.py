@@ -14,18 +14,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.optimize import least_squares, nnls
 
-from tacgen import lit, photo, render
+from tacgen import render
 from tacgen.calibrate import under
 from tacgen.calibrate.fitted import Fitted, rgb, rms
 from tacgen.calibrate.photos import Photos, Press
+from tacgen.image import photo
 from tacgen.optics import coating, response, transport
 from tacgen.optics.bounce import Bounce
 from tacgen.optics.direct import Direct
 from tacgen.optics.lights import frame
 from tacgen.optics.sheet import Sheet, Surface, Untouched
 from tacgen.optics.view import Samples, View
-from tacgen.sensor import Led, LitSensor
-from tacgen.yamlfile import KeyPath
+from tacgen.spec import lit
+from tacgen.spec.sensor import Led, LitSensor
+from tacgen.spec.yamlfile import KeyPath
 
 if TYPE_CHECKING:
     from tacgen.calibrate import Asked

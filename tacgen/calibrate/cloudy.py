@@ -11,17 +11,18 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import nnls
 
-from tacgen import photo, render
+from tacgen import render
 from tacgen.calibrate import under
 from tacgen.calibrate.fitted import Fitted, rgb, rms
 from tacgen.calibrate.photos import Photos, Press
 from tacgen.errors import UserError
+from tacgen.image import photo
 from tacgen.optics import cloudy, response
 from tacgen.optics.layers import Camera
 from tacgen.optics.sheet import Surface
 from tacgen.optics.view import View
-from tacgen.sensor import LitSensor, ThicknessResponse
-from tacgen.yamlfile import KeyPath
+from tacgen.spec.sensor import LitSensor, ThicknessResponse
+from tacgen.spec.yamlfile import KeyPath
 
 Array = np.ndarray
 CHANGES = (-2.1, -1.6, -1.2, -0.8, -0.4, -0.15, 0.0, 0.08, 0.16, 0.24, 0.32, 0.45)  # [mm] where the gain is given

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tacgen.sensor import LitSensor
+from tacgen.spec.sensor import LitSensor
 
 Array = np.ndarray
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from tacgen import photo
 from tacgen.errors import UserError
-from tacgen.sensor import Camera
+from tacgen.image import photo
+from tacgen.spec.sensor import Camera
 
 Array = np.ndarray
 UNTOUCHED = ("background.png", "background.jpg", "background.jpeg", "background.bmp")

@@ -6,14 +6,15 @@ from pathlib import Path
 
 import numpy as np
 
-from tacgen import faces, plan
+from tacgen import plan
 from tacgen.calibrate.photos import Press
+from tacgen.labels import faces
 from tacgen.optics.dent import BallDent
 from tacgen.optics.layers import Camera
 from tacgen.optics.sheet import Surface, Untouched
 from tacgen.recipe import Recipe
-from tacgen.sensor import LitSensor
-from tacgen.yamlfile import KeyPath
+from tacgen.spec.sensor import LitSensor
+from tacgen.spec.yamlfile import KeyPath
 
 
 def face(sensor: LitSensor, press: Press, folders: dict[KeyPath, Path]) -> Surface:

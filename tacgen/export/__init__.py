@@ -33,7 +33,7 @@ def bundles(source: Path) -> "list[Bundle]":
     Raises:
         UserError: there is none, or one is damaged.
     """
-    from tacgen.source import scenes
+    from tacgen.files.source import scenes
 
     found = [bundle for bundle in scenes(source) if bundle.attrs["status"] == "ok"]
     if not found:

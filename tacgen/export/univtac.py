@@ -19,7 +19,7 @@ import numpy as np
 
 from tacgen.bundle import Bundle
 from tacgen.export import names, needs
-from tacgen.partfile import Sink
+from tacgen.files.partfile import Sink
 
 JPEG_QUALITY = 95  # what UniVTAC's encoder uses
 
@@ -101,6 +101,6 @@ def poses(matrices: np.ndarray) -> np.ndarray:
 def _pinhole_mm(bundle: Bundle) -> float:
     """Height of the camera's pinhole in the sensor frame [mm]."""
     from tacgen.optics.layers import Camera
-    from tacgen.sensor import Sensor
+    from tacgen.spec.sensor import Sensor
 
     return float(Camera.from_sensor(Sensor.model_validate_json(bundle.attrs["sensor_document"])).pinhole[2])

@@ -14,7 +14,7 @@ import numpy as np
 
 from tacgen.bundle import Bundle
 from tacgen.export import names, needs
-from tacgen.partfile import Sink
+from tacgen.files.partfile import Sink
 
 VERSION = (2, 2)  # the first with steps over a mesh that is written once in ParaView as well (5.13)
 CELL_TYPES = {8: 12, 4: 10, 10: 24}  # nodes -> VTK_HEXAHEDRON, VTK_TETRA, VTK_QUADRATIC_TETRA

@@ -15,7 +15,7 @@ from typing import Any
 from tacgen.bundle import Bundle
 from tacgen.errors import UserError
 from tacgen.export import names
-from tacgen.layout import UNITS
+from tacgen.files.layout import UNITS
 
 SHARD_BYTES = 1_000_000_000
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from tacgen.optics.sheet import Surface
     from tacgen.optics.view import View
-    from tacgen.sensor import LitSensor
+    from tacgen.spec.sensor import LitSensor
 
     Floats = NDArray[np.float64]
 

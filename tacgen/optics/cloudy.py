@@ -15,7 +15,7 @@ from tacgen.optics.sheet import Untouched
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from tacgen.sensor import Gel, ThicknessResponse
+    from tacgen.spec.sensor import Gel, ThicknessResponse
 
     Floats = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from tacgen.optics.lights import diffuse
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from tacgen.sensor import Coating, Markers
+    from tacgen.spec.sensor import Coating, Markers
 
     Floats = NDArray[np.float64]
 

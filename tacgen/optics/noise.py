@@ -7,7 +7,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from tacgen.sensor import Noise
+    from tacgen.spec.sensor import Noise
 
     Floats = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from tacgen.optics.noise import noisy
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from tacgen.sensor import Camera
+    from tacgen.spec.sensor import Camera
 
     Floats = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from tacgen.sensor import Gel
+    from tacgen.spec.sensor import Gel
 
     Floats = NDArray[np.float64]
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from tacgen.optics.sheet import Surface
-    from tacgen.sensor import LitSensor
+    from tacgen.spec.sensor import LitSensor
 
     Floats = NDArray[np.float64]
 

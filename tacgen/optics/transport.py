@@ -17,7 +17,7 @@ from tacgen.optics.lights import bottom_depth, frame
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from tacgen.sensor import Led, LitSensor
+    from tacgen.spec.sensor import Led, LitSensor
 
 from numpy.typing import NDArray
 

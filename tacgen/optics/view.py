@@ -14,7 +14,7 @@ from tacgen.optics.sheet import Sheet, Surface
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from tacgen.sensor import LitSensor
+    from tacgen.spec.sensor import LitSensor
 
     Floats = NDArray[np.float64]
 

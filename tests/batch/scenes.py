@@ -12,8 +12,9 @@ from typing import Any
 
 from synthetic import write
 
-from tacgen import plan, resume
+from tacgen import plan
 from tacgen.errors import UserError
+from tacgen.files import resume
 
 TASK = "batch.scenes:make"
 RECIPE = """

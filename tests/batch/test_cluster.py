@@ -15,7 +15,7 @@ from batch.scenes import made, spoil
 from batch.test_local import digests, leftovers, run
 from tacgen.check import check
 from tacgen.errors import UserError
-from tacgen.survey import survey
+from tacgen.files.survey import survey
 
 pytest.importorskip("distributed")
 TESTS = Path(__file__).parents[1]

@@ -14,7 +14,7 @@ import pytest
 from batch.scenes import made, spoil
 from batch.test_local import digests, leftovers, run
 from tacgen.check import check
-from tacgen.survey import survey
+from tacgen.files.survey import survey
 
 TESTS = Path(__file__).parent.parent
 PROGRAM = f"""

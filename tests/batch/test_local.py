@@ -15,7 +15,7 @@ from tacgen.batch.journal import read_journal
 from tacgen.batch.local import Pool
 from tacgen.check import check
 from tacgen.errors import UserError
-from tacgen.survey import survey
+from tacgen.files.survey import survey
 
 QUICK = Limits(silence_s=3.0)
 
@@ -154,7 +154,7 @@ def test_a_journal_line_cut_short_is_passed_over(tmp_path: Path):
 
 
 def test_status_tells_damage_other_inputs_and_work_in_progress(tmp_path: Path):
-    from tacgen import partfile
+    from tacgen.files import partfile
 
     out = tmp_path / "out"
     run(out, samples=5)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from physics.presses import gel, poses, scene
 
-from tacgen import advance, mesh
+from tacgen import mesh
 from tacgen.fem.assembly import pattern
 from tacgen.fem.condensed import ANEW, LOST, Condensed
 from tacgen.fem.elements import hexes
@@ -14,8 +14,9 @@ from tacgen.fem.linear import Cholmod, NotPositiveDefinite, dissection, readable
 from tacgen.fem.materials import NeoHooke
 from tacgen.fem.potentials import Elastic
 from tacgen.fem.shapes import Cylinder, Shape, Sphere
-from tacgen.problem import Problem
 from tacgen.solve import State, states
+from tacgen.step import advance
+from tacgen.step.problem import Problem
 
 from .small import block, dense
 
@@ -182,7 +183,7 @@ def test_too_wide_a_contact_is_left_to_newtons_method(monkeypatch: pytest.Monkey
 
 
 def test_without_factors_that_can_be_read_newtons_method_does_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tacgen.problem.linear.readable", lambda: False)
+    monkeypatch.setattr("tacgen.step.problem.linear.readable", lambda: False)
     found, problem = solved(Sphere(2.5), PATH[:1], True)
     assert problem.condensed is None
     assert found[0].residual < 1e-3

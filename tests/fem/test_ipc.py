@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tacgen import tessellate
 from tacgen.fem.contact import Contact, Pose
 from tacgen.fem.elements import facet_corners
 from tacgen.fem.ipc import NODES, MeshContact, MeshFriction, Pair, lattice
 from tacgen.fem.shapes import Box, Shape, Sphere, Triangles
+from tacgen.solid import tessellate
 
 from .small import dense, patch, slope, turn
 

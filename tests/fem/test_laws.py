@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from tacgen.explain import validate
 from tacgen.fem.materials import EXAMPLES, LAWS, Law
-from tacgen.load import read_sensor
 from tacgen.scene import gel_of, law_of
-from tacgen.sensor import Gel, Layer, Sensor
+from tacgen.spec.explain import validate
+from tacgen.spec.load import read_sensor
+from tacgen.spec.sensor import Gel, Layer, Sensor
 
 SENSOR = Path(__file__).parents[2] / "sensors" / "gelsight_mini.yaml"
 Array = np.ndarray

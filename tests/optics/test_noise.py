@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from optics.tiny import sensor
-from tacgen import assets, load
 from tacgen.optics import response
 from tacgen.optics.noise import noisy
-from tacgen.sensor import Noise
+from tacgen.spec import assets, load
+from tacgen.spec.sensor import Noise
 
 GRAIN = Noise(shot=(1e-4, 2e-4, 4e-4), read=(0.001, 0.002, 0.003), source="test")
 

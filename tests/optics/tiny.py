@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from tacgen.sensor import Sensor
+from tacgen.spec.sensor import Sensor
 
 PLAIN: dict[str, Any] = {
     "tacgen_sensor": 1,

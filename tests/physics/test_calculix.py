@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tacgen import fields, load, mesh, plan, solve
+from tacgen import fields, mesh, plan, solve
 from tacgen import scene as stage
-from tacgen.maps import Maps
-from tacgen.maps import maps as maps_of
+from tacgen.labels.maps import Maps
+from tacgen.labels.maps import maps as maps_of
 from tacgen.optics.layers import Camera
+from tacgen.spec import load
 
 from .presses import Run
 

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tacgen import assets, bundle, pipeline, plan
+from tacgen import bundle, pipeline, plan
+from tacgen.spec import assets
 
 Array = np.ndarray
 RADIUS, FRICTION, MM_PER_PX = 3.0, 0.5, 0.0634

@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tacgen import advance, bundle, pipeline, plan, scene, solve
+from tacgen import bundle, pipeline, plan, scene, solve
 from tacgen.check import check
 from tacgen.errors import UserError
 from tacgen.fem.shapes import Sphere
 from tacgen.scene import Dynamics
+from tacgen.step import advance
 
 from . import presses
 from .presses import Run, gel, poses

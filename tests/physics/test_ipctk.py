@@ -7,13 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tacgen import bundle, mesh, pipeline, plan, solve, tessellate
+from tacgen import bundle, mesh, pipeline, plan, solve
 from tacgen import scene as stage
 from tacgen.errors import UserError
 from tacgen.fem.contact import Pose
 from tacgen.fem.shapes import Box, Shape, Sphere, Torus
+from tacgen.labels.stress import Stresses
 from tacgen.scene import Gel
-from tacgen.stress import Stresses
+from tacgen.solid import tessellate
 
 from .presses import Run, gel, poses, scene
 

@@ -16,10 +16,10 @@ from tacgen.fem.elements import elements
 from tacgen.fem.materials import NeoHooke
 from tacgen.fem.potentials import Elastic
 from tacgen.fem.shapes import Sphere
-from tacgen.maps import maps
+from tacgen.labels.maps import maps
+from tacgen.labels.stress import Stresses
 from tacgen.optics.layers import Camera, Stack
 from tacgen.scene import Gel, Layer, Scene
-from tacgen.stress import Stresses
 
 from .presses import Run, gel, poses, run, scene
 

@@ -7,7 +7,7 @@ from tacgen.fem.assembly import pattern
 from tacgen.fem.elements import elements
 from tacgen.fem.potentials import Elastic, Total
 from tacgen.fem.recovery import Recovery
-from tacgen.stress import VOIGT, _means
+from tacgen.labels.stress import VOIGT, _means
 
 from .test_elements import ELEMENTS, LAW, Load, block, inside, solve, u
 

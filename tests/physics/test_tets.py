@@ -2,8 +2,9 @@
 
 import pytest
 
-from tacgen import assets, mesh, plan, solve
+from tacgen import mesh, plan, solve
 from tacgen import scene as stage
+from tacgen.spec import assets
 
 from .presses import Run
 

@@ -1,0 +1,1 @@
+"""Bundles on disk and what surrounds them: layout, sources, caches, resuming, packing."""

@@ -1,0 +1,1 @@
+"""What pictures need beside `render`: the tracer, its variants, a photograph behind them."""

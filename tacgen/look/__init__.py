@@ -1,0 +1,1 @@
+"""Finished things for people's eyes: pictures, summaries, cards, reports, tables."""

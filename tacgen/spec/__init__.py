@@ -1,0 +1,1 @@
+"""What a person writes, read and checked: recipes, sensor files, moves, pose tables."""

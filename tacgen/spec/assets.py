@@ -1,0 +1,108 @@
+"""Files that ship with tacgen (sensors, recipes, objects), found by name in a checkout and in an installed wheel."""
+
+import difflib
+import hashlib
+from pathlib import Path
+
+from tacgen.errors import UserError
+
+PACKAGE = Path(__file__).resolve().parent.parent
+MESHES = (".stl", ".obj", ".ply")
+
+
+def folder(kind: str) -> Path:
+    """The folder of one kind of asset: beside the package in a checkout, in tacgen/data in a wheel."""
+    inside = PACKAGE / "data" / kind
+    return inside if inside.is_dir() else PACKAGE.parent / kind
+
+
+def list_sensors() -> list[str]:
+    """Names of the shipped sensors."""
+    return _names("sensors")
+
+
+def list_recipes() -> list[str]:
+    """Names of the shipped recipes."""
+    return _names("recipes")
+
+
+def list_objects() -> list[str]:
+    """Names of the shipped objects, one folder each."""
+    root = folder("objects")
+    return sorted(p.name for p in root.iterdir() if p.is_dir()) if root.is_dir() else []
+
+
+def sensor_path(name_or_path: str, base: Path | None = None) -> Path:
+    """The file of a sensor: `gelsight_mini`, or a path, which starts at `base` (the recipe's folder)."""
+    return _find("sensor", name_or_path, base, list_sensors())
+
+
+def recipe_path(name_or_path: str) -> Path:
+    """The file of a recipe: a path, or the name of a shipped one."""
+    return _find("recipe", name_or_path, None, list_recipes())
+
+
+def object_path(name_or_path: str, base: Path | None = None) -> Path:
+    """The folder of a shipped object, or a path, which starts at `base` (the recipe's folder)."""
+    if _is_path(name_or_path, MESHES):
+        return _existing("object", (base or Path()) / Path(name_or_path).expanduser())
+    if name_or_path not in list_objects():
+        raise UserError(_unknown("object", name_or_path, list_objects()))
+    return folder("objects") / name_or_path
+
+
+def mesh_path(name_or_path: str, base: Path | None = None) -> Path:
+    """The mesh file of a shipped object, or a path, which starts at `base` (the recipe's folder)."""
+    found = object_path(name_or_path, base)
+    if found.is_dir():
+        meshes = sorted(p for p in found.iterdir() if p.suffix.lower() in MESHES)
+        if not meshes:
+            raise UserError(f"{found}: holds no mesh ({', '.join(MESHES)})")
+        return meshes[0]
+    if found.suffix.lower() not in MESHES:
+        raise UserError(f"{found}: must be a mesh file ({', '.join(MESHES)})")
+    return found
+
+
+def sha256(path: Path) -> str:
+    """SHA-256 of a file's bytes. Raises UserError: it cannot be read."""
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read: {error.strerror or error}") from None
+
+
+def _names(kind: str) -> list[str]:
+    return sorted(p.stem for p in folder(kind).glob("*.yaml"))
+
+
+def _is_path(text: str, suffixes: tuple[str, ...]) -> bool:
+    return "/" in text or "\\" in text or text.lower().endswith(suffixes)
+
+
+def _find(kind: str, text: str, base: Path | None, names: list[str]) -> Path:
+    """Resolve a name or path of a YAML asset. Raises UserError: no such file, or no such name."""
+    if _is_path(text, (".yaml", ".yml")):
+        return _existing(kind, (base or Path()) / Path(text).expanduser())
+    if text in names:
+        return folder(f"{kind}s") / f"{text}.yaml"
+    if base is None and Path(text).exists():
+        return Path(text)
+    raise UserError(_unknown(kind, text, names))
+
+
+def _existing(kind: str, path: Path) -> Path:
+    try:
+        there = path.exists()
+    except (OSError, ValueError):
+        there = False
+    if not there:
+        raise UserError(f"{path}: no such {kind} file")
+    return path
+
+
+def _unknown(kind: str, name: str, names: list[str]) -> str:
+    close = difflib.get_close_matches(name, names, n=1)
+    hint = f"did you mean {close[0]}?" if close else f"there are: {', '.join(names) or 'none'}"
+    return f"no {kind} is called {name!r}; {hint}"
