@@ -1,11 +1,19 @@
-"""A recipe to which a test only adds its trajectory: a ball on a coarse mesh of the GelSight Mini, forces alone."""
+"""Recipes to which a test only adds what it is about: a ball on a coarse mesh of the GelSight Mini."""
 
-HEAD = """
+BALL = """
 tacgen: 1
 name: small
 sensor: gelsight_mini
 indenter: {shape: sphere, radius_mm: 4.0}
-outputs: [force]
-quality: {edge_mm: 1.0, dhat_mm: 0.1}
+"""
+# its forces along a trajectory that the test writes
+HEAD = f"""{BALL}outputs: [force]
+quality: {{edge_mm: 1.0, dhat_mm: 0.1}}
 trajectory:
+"""
+# and small pictures of it, without noise
+PICTURE = f"""{BALL}sensor_overrides: {{camera.width_px: 64, camera.height_px: 48, camera.mm_per_px: 0.317}}
+trajectory: [press: {{depth_mm: 0.4, frames: 1}}]
+quality: {{edge_mm: 1.0, dhat_mm: 0.1, spp: 4}}
+render: {{noise: false}}
 """

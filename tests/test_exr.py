@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from small_recipe import PICTURE
 
 from tacgen import bundle, pipeline, plan
 from tacgen.check import check
@@ -12,17 +13,7 @@ from tacgen.export import export
 from tacgen.optics import response
 
 OpenEXR = pytest.importorskip("OpenEXR")
-RECIPE = """
-tacgen: 1
-name: light
-sensor: gelsight_mini
-sensor_overrides: {camera.width_px: 64, camera.height_px: 48, camera.mm_per_px: 0.317}
-indenter: {shape: sphere, radius_mm: 4.0}
-trajectory: [press: {depth_mm: 0.4, frames: 1}]
-outputs: [rgb, radiance, height, normals, material]
-render: {noise: false}
-quality: {edge_mm: 1.0, dhat_mm: 0.1, spp: 4}
-"""
+RECIPE = f"{PICTURE}outputs: [rgb, radiance, height, normals, material]\n"
 
 
 def test_every_channel_comes_back(tmp_path: Path) -> None:

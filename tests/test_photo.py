@@ -6,23 +6,14 @@ import numpy as np
 import pytest
 from optics.tiny import sensor
 from PIL import Image
+from small_recipe import PICTURE
 
 from tacgen import bundle, pipeline, plan
 from tacgen.errors import UserError
 from tacgen.image import photo
 from tacgen.optics import response
 
-RECIPE = """
-tacgen: 1
-name: own
-sensor: gelsight_mini
-sensor_overrides: {camera.width_px: 64, camera.height_px: 48, camera.mm_per_px: 0.317}
-indenter: {shape: sphere, radius_mm: 4.0}
-trajectory: [press: {depth_mm: 0.4, frames: 1}]
-outputs: [rgb]
-render: {noise: false, background: mine.png}
-quality: {edge_mm: 1.0, dhat_mm: 0.1, spp: 4}
-"""
+RECIPE = f"{PICTURE.replace('noise: false', 'noise: false, background: mine.png')}outputs: [rgb]\n"
 
 
 @pytest.fixture

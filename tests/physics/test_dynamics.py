@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from small_recipe import HEAD
 
 from tacgen import bundle, pipeline, plan, scene, solve
 from tacgen.check import check
@@ -94,17 +95,12 @@ def test_halved_steps_halve_the_time(monkeypatch: pytest.MonkeyPatch) -> None:
     assert found.forces == pytest.approx(asked.forces, abs=1e-6)
 
 
-RECIPE = """
-tacgen: 1
-name: small
-sensor: gelsight_mini
-indenter: {shape: sphere, radius_mm: 4.0}
-outputs: [force]
-quality: {edge_mm: 1.0, dhat_mm: 0.1}
-dynamics: {density_kg_m3: 1050, rayleigh: {alpha_per_s: 5, beta_s: 1.0e-4}, frame_s: 0.002, step_s: 0.001}
+ALL_BUT_MOVES = HEAD.removesuffix("trajectory:\n")
+RECIPE = f"""{ALL_BUT_MOVES}\
+dynamics: {{density_kg_m3: 1050, rayleigh: {{alpha_per_s: 5, beta_s: 1.0e-4}}, frame_s: 0.002, step_s: 0.001}}
 trajectory:
-  - press: {depth_mm: 0.5, frames: 2, duration_s: 0.003}
-  - hold: {frames: 1}
+  - press: {{depth_mm: 0.5, frames: 2, duration_s: 0.003}}
+  - hold: {{frames: 1}}
 """
 
 
