@@ -18,7 +18,7 @@ Say: TypeAlias = Callable[[str], None]
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 PACKAGES = ("numpy", "scipy", "numba", "cvxopt", "pymetis", "pypardiso", "mitsuba", "drjit", "h5py", "ipctk")
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")  # Okabe and Ito's
-MARKERS = "osD^vPX"
+MARKERS = "osD^vPX*"  # one more than colours: the eighth is no twin of the first
 CHILD = """
 import importlib, json, sys
 module, name = sys.argv[1].split(":")
