@@ -1,15 +1,20 @@
 """Benches: tables, plots and the page that they make, what a scene pays for, and that each of them runs."""
 
 import json
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
+from physics.blocks import block
 from typer.testing import CliRunner
 
 from tacgen import bench
-from tacgen.bench import calculix, kit, mechanics, pay, summary
+from tacgen.bench import answers, calculix, kit, mechanics, pay, stability, summary
 from tacgen.cli import app
+from tacgen.fem.shapes import Sphere
 
 ROOT = Path(__file__).parent.parent
 runner = CliRunner()
@@ -54,6 +59,31 @@ def test_a_part_made_again_leaves_the_others(tmp_path: Path) -> None:
 
 def test_pareto_front() -> None:
     assert kit.front([1, 2, 3, 4, 1], [9, 5, 7, 2, 8]) == [4, 1, 3]
+
+
+def test_answers_are_compared_from_the_last_frame_back() -> None:
+    """One that went the way in more frames is compared where both have been."""
+    force = np.array([[0, 0, -1.0], [0.6, 0, -0.8]])
+    field = np.full((2, 3), 2.0)
+    made = answers.Answer(force, field, field, field, 1.0, 10, 0.0, 1.0, 5)
+    finer = replace(made, force=np.concatenate([[[0, 0, -9.0]], force * [1, 1, 1.1]]), pressure=field * 1.5)
+    error = made.apart(finer)
+    assert error.force == pytest.approx(0.1 / 1.1)  # the first frame; of the second, .08 / 1.065
+    assert error.pressure == pytest.approx(1 / 3)
+    assert (error.stress, error.markers) == (0, 0)
+
+
+def test_matter_inside_the_indenter_is_seen_between_nodes() -> None:
+    side = np.linspace(-1, 1, 3)
+    grid = block(side, side, np.linspace(-2, 0, 3))
+    pose = np.eye(4)
+    pose[:3, 3] = 0.5, 0.5, -0.3  # the lowest point of a small ball under the middle of a cell's face
+    problem = SimpleNamespace(mesh=grid, contact=SimpleNamespace(shape=Sphere(0.2)))
+    state = SimpleNamespace(x=grid.points, pose=pose, offset=0.0)
+    assert Sphere(0.2).distance(grid.points - pose[:3, 3])[0].min() > 0.3  # no node
+    assert stability.overlap(problem, state) == pytest.approx(0.15, abs=0.051)
+    state.offset = 0.3
+    assert stability.overlap(problem, state) == 0
 
 
 def test_a_process_apart() -> None:

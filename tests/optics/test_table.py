@@ -52,3 +52,12 @@ def test_lamps_are_mixed_by_their_light():
     both = table.Table.mixed(kept, rgb)
     assert both.terms == pytest.approx(sum(one.terms * part for one, part in zip(alone, rgb, strict=True)))
     assert both.shade == pytest.approx(np.array([one.shade[0] * part for one, part in zip(alone, rgb, strict=True)]))
+
+
+def test_what_a_lamp_is_hidden_from_is_darker():
+    height = np.zeros((40, 80))
+    height[:, 50:53] = -2.0
+    shade = table.Table(np.zeros((table.BINS, table.BINS, 6, 3)), np.array([[0.5, 0.2, 0.0]]))
+    found = shade.added(table.Face(height, np.zeros((40, 80, 2))), LAMP, 0.1)
+    assert found[20, 48] == pytest.approx([-0.5, -0.2, 0.0])
+    assert (found[:, 60:] == 0).all()
