@@ -1,13 +1,10 @@
 """How scenes at the end of what can be asked for end: no element inside out, no indenter through the gel, no lie."""
 
-import os
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +12,7 @@ import numpy as np
 from tacgen import mesh, plan, scene, solve
 from tacgen.bench.answers import changed
 from tacgen.bench.cases import CASES, PLAIN, RANDOM, blade, random, slivers, wavefront
-from tacgen.bench.kit import Cell, Level, Result, Say, Table, columns
+from tacgen.bench.kit import Cell, Level, Result, Say, Table, columns, cores
 from tacgen.errors import UserError
 from tacgen.fem import newton
 from tacgen.fem.contact import Pose
@@ -172,8 +169,7 @@ def bench(level: Level, say: Say) -> Result:
     with ExitStack() as stack:
         spread: Callable[..., Iterator[Outcome]] = map
         if level != "smoke":
-            workers = ProcessPoolExecutor(len(os.sched_getaffinity(0)), mp_context=get_context("spawn"))
-            spread = stack.enter_context(workers).map
+            spread = stack.enter_context(cores())
 
         def all_of(scenes: list[tuple[str, Sequence[str]]]) -> list[Outcome]:
             found = []
