@@ -53,6 +53,7 @@ smoke: sync
 
 bench: sync
 	$(BIN)/tacgen bench -o docs $(BENCH_FLAGS)
+	$(BIN)/python scripts/compare.py --results docs
 	$(BIN)/python scripts/readme_figures.py
 
 demo: sync

@@ -1,14 +1,16 @@
 """Rendered sensors beside photographs of real ones: the picture, and the numbers that must agree.
 
-    python scripts/compare.py gelsight_mini|digit|ninedtact [../shared/reference/SENSOR] [-o out/compare_SENSOR.png]
+    python scripts/compare.py [gelsight_mini|digit|ninedtact] [--photos ../shared/reference] [-o out] [--results docs]
 
-Where the folder of photographs is absent it says so and stops with exit code 0.
+Without a sensor, all of them; `--results` puts the numbers into the page of results, as `make bench` does. Where the
+photographs are absent it says so and stops with exit code 0.
 """
 
 import argparse
 import csv
 import sys
-from dataclasses import dataclass
+import time
+from dataclasses import astuple, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +19,8 @@ from PIL import Image
 from ruamel.yaml import YAML
 from skimage.metrics import structural_similarity
 
-from tacgen import render
+from tacgen import bench, render
+from tacgen.bench import kit
 from tacgen.calibrate import photos, under
 from tacgen.optics.dent import BallDent
 from tacgen.optics.layers import Camera
@@ -26,7 +29,33 @@ from tacgen.spec.sensor import Sensor
 ROOT = Path(__file__).resolve().parents[1]
 SHOWN = ("ball_6.310mm_20.png", "ball_6.310mm_8.png", "ball_6.310mm_12.png", "ball_9.500mm_1.png")
 DIGIT_REACH = 60  # [px] around a dent within which pictures are compared
+ABOUT = (
+    "Rendered pictures beside photographs of one real unit a sensor, to some of which its lights were fitted"
+    " (docs/OPTICS.md says how): structural similarity, 1 where they are the same, also with the rendered change put on"
+    " the unit's own untouched photograph; and colours in counts of 255."
+)
 MARGIN = 1.7  # contact radii around a dent within which pictures are compared
+
+
+@dataclass(frozen=True)
+class Likeness:
+    """One thing that is compared: structural similarity, as rendered and on the unit's own untouched photograph, or a
+    number of the photograph and of the rendering."""
+
+    what: str
+    ssim: float | None = None
+    own: float | None = None
+    real: str = ""
+    made: str = ""
+
+    def __str__(self) -> str:
+        similar = "" if self.ssim is None else f"SSIM {self.ssim:.4f} "
+        own = "" if self.own is None else f"on its own background {self.own:.4f}"
+        numbers = f"real {self.real}   rendered {self.made}" if self.real else ""
+        return f"{self.what:44s} {similar}{own}{numbers}"
+
+
+Beside = tuple[list[np.ndarray], list[Likeness]]  # strips of a picture, real left and rendered right
 
 
 @dataclass(frozen=True)
@@ -78,19 +107,14 @@ def similarity(a: np.ndarray, b: np.ndarray, where: np.ndarray) -> float:
     return float(full.mean(axis=2)[where].mean())
 
 
-def table(rows: list[tuple[str, np.ndarray, np.ndarray]]) -> None:
-    """Print real and rendered triples side by side."""
-    for name, real, made in rows:
-        print(f"{name:34s} real {_three(real)}   rendered {_three(made)}")
+def three(what: str, real: np.ndarray, made: np.ndarray) -> Likeness:
+    """Of red, green and blue."""
+    return Likeness(what, None, None, *(" / ".join(f"{v:.1f}" for v in rgb) for rgb in (real, made)))
 
 
-def _three(values: np.ndarray) -> str:
-    return " ".join(f"{v:7.1f}" for v in values)
-
-
-def beside_mini(folder: Path, sensor: Sensor, renderer: render.Renderer) -> list[np.ndarray]:
+def beside_mini(folder: Path, sensor: Sensor, renderer: render.Renderer) -> Beside:
     """The Mini's dents: their likeness, and how colours turn with the slope."""
-    camera, strips = Camera.from_sensor(sensor), []
+    camera, strips, found = Camera.from_sensor(sensor), list[np.ndarray](), list[Likeness]()
     real, made = load(folder / "background.png"), renderer.develop(renderer.flat())
     fits: list[tuple[np.ndarray, np.ndarray]] = []
     for press in presses(folder):
@@ -101,13 +125,13 @@ def beside_mini(folder: Path, sensor: Sensor, renderer: render.Renderer) -> list
         ssim = similarity(press.picture, dented, press.near(MARGIN))
         level = np.clip(dented.astype(int) - made + real, 0, 255).astype(np.uint8)  # on the unit's own background
         own = similarity(press.picture, level, press.near(MARGIN))
-        print(f"{press.name:24s} dent SSIM {ssim:.3f}, on the unit's own background {own:.3f}")
+        found.append(Likeness(f"around the dent of {press.name}", ssim, own))
         if press.name in SHOWN:
             strips.append(np.hstack([press.picture, dented]))
     for k, along in ((1, "x"), (2, "y")):
         a, b = (np.median([f[i][:, k] for f in fits], axis=0) for i in (0, 1))
-        table([(f"counts per slope along {along} (R, G, B)", a, b)])
-    return strips
+        found.append(three(f"red / green / blue, counts per slope along {along}", a, b))
+    return strips, found
 
 
 def digit_press(folder: Path, name: str) -> photos.Press:
@@ -116,17 +140,17 @@ def digit_press(folder: Path, name: str) -> photos.Press:
     return photos.Press(name, load(folder / name), DIGIT_BALL, (x, y), contact, None)
 
 
-def beside_digit(folder: Path, sensor: Sensor, renderer: render.Renderer) -> list[np.ndarray]:
+def beside_digit(folder: Path, sensor: Sensor, renderer: render.Renderer) -> Beside:
     """DIGIT's dents, with their shadow fans."""
-    strips = []
+    strips, found = list[np.ndarray](), list[Likeness]()
     for name, (x, y, _) in DIGIT.items():
         press = digit_press(folder, name)
         real, made = press.picture, renderer.develop(renderer.image(under.face(sensor, press, {})))
         down, across = np.mgrid[: real.shape[0], : real.shape[1]] + 0.5
         near = np.hypot(across - x, down - y) < DIGIT_REACH
-        print(f"{name:24s} dent SSIM {similarity(real, made, near):.3f}")
+        found.append(Likeness(f"around the dent of {name}", similarity(real, made, near)))
         strips.append(np.hstack([real, made]))
-    return strips
+    return strips, found
 
 
 def nine_press(folder: Path) -> photos.Press:
@@ -143,54 +167,69 @@ def profile(change: np.ndarray, middle: tuple[float, float], mm_per_px: float) -
     return np.asarray(sums / count)
 
 
-def beside_nine(folder: Path, sensor: Sensor, renderer: render.Renderer) -> list[np.ndarray]:
+def beside_nine(folder: Path, sensor: Sensor, renderer: render.Renderer) -> Beside:
     """9DTact's ball: the dark disc and its halo."""
     real0, press = load(folder / UNTOUCHED["ninedtact"]), nine_press(folder)
     real, face = press.picture, under.face(sensor, press, {})
     made0, made = (renderer.develop(r) for r in (renderer.flat(), renderer.image(face)))
     where = np.ones(real.shape[:2], bool)
     level = np.clip(made.astype(int) - made0 + real0, 0, 255).astype(np.uint8)
-    print(f"press SSIM {similarity(real, made, where):.4f}, on the unit's own background "
-          f"{similarity(real, level, where):.4f}")  # fmt: skip
+    found = [Likeness(f"whole picture of {press.name}", similarity(real, made, where), similarity(real, level, where))]
     grey, rendered = real.mean(axis=2) - real0.mean(axis=2), made.mean(axis=2) - made0.mean(axis=2)
     a, b = (profile(c, press.center, sensor.camera.mm_per_px) for c in (grey, rendered))
-    print(
-        "radius [mm]:change of grey, real/rendered",
-        *(f"{0.2 * k + 0.1:.1f}:{a[k]:.0f}/{b[k]:.0f}" for k in range(0, 45, 4)),
-    )
-    print(f"radial profile {100 * np.sqrt(np.mean((a - b) ** 2)) / np.abs(a).max():.1f} % of its peak off (rms)")
-    return [np.hstack([real, made])]
+    rings = [2, 10, 20, 30, 44]
+    at = " / ".join(f"{0.2 * k + 0.1:.1f}" for k in rings)
+    found.append(Likeness(f"change of grey {at} mm from the middle", None, None,
+                          *(" / ".join(f"{c[k]:.1f}" for k in rings) for c in (a, b))))  # fmt: skip
+    off = np.sqrt(np.mean((a - b) ** 2)) / np.abs(a).max()
+    found.append(Likeness("its radial profile, rms off, of the peak", None, None, "0", f"{off:.1%}"))
+    return [np.hstack([real, made])], found
 
 
 BESIDE = {"gelsight_mini": beside_mini, "digit": beside_digit, "ninedtact": beside_nine}
 UNTOUCHED = {"ninedtact": "reference_rectified.png"}
 
 
+def beside(name: str, folder: Path, sensor: Sensor, spp: int) -> Beside:
+    """A sensor's pictures, and how like the photographs of `folder` they are."""
+    renderer = render.Renderer(sensor, spp, 0, markers=False)
+    real, made = load(folder / UNTOUCHED.get(name, "background.png")), renderer.develop(renderer.flat())
+    strips, found = BESIDE[name](folder, sensor, renderer)
+    mean = three("untouched, mean red / green / blue", real.mean(axis=(0, 1)), made.mean(axis=(0, 1)))
+    alike = Likeness("untouched", similarity(real, made, np.ones(real.shape[:2], bool)))
+    return [np.hstack([real, made]), *strips], [mean, alike, *found]
+
+
 def main() -> int:
-    """Render, compare, write the picture."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("sensor", choices=BESIDE)
-    parser.add_argument("folder", type=Path, nargs="?")
-    parser.add_argument("-o", "--out", type=Path)
+    """Render, compare, write the pictures and what was found."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("sensor", choices=BESIDE, nargs="?")
+    parser.add_argument("--photos", type=Path, default=ROOT.parent / "shared/reference", help="a folder a sensor in it")
+    parser.add_argument("-o", "--out", type=Path, default=ROOT / "out", help="where compare_SENSOR.png goes")
+    parser.add_argument("--results", type=Path, help="a folder with RESULTS.md")
     parser.add_argument("--spp", type=int, default=64)
     parser.add_argument("--file", type=Path, help="the sensor file; the shipped one if not given")
     asked = parser.parse_args()
-    folder = asked.folder or ROOT.parent / "shared/reference" / asked.sensor
-    first = folder / UNTOUCHED.get(asked.sensor, "background.png")
-    if not first.is_file():
-        print(f"{folder}: no photographs here, nothing to compare with")
-        return 0
-    file = asked.file or ROOT / "sensors" / f"{asked.sensor}.yaml"
-    sensor = Sensor.model_validate(YAML(typ="safe").load(file.read_text()))
-    renderer = render.Renderer(sensor, asked.spp, 0, markers=False)
-    real, made = load(first), renderer.develop(renderer.flat())
-    table([("background mean (R, G, B)", real.mean(axis=(0, 1)), made.mean(axis=(0, 1)))])
-    print(f"background SSIM {similarity(real, made, np.ones(real.shape[:2], bool)):.3f}")
-    strips = [np.hstack([real, made]), *BESIDE[asked.sensor](folder, sensor, renderer)]
-    out = asked.out or ROOT / "out" / f"compare_{asked.sensor}.png"
-    out.parent.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(np.vstack(strips)).save(out)
-    print(f"{out}: real left, rendered right (variant {renderer.variant})")
+    rows: list[list[kit.Cell]] = []
+    begun = time.perf_counter()
+    for name in [asked.sensor] if asked.sensor else BESIDE:
+        folder = asked.photos / name
+        if not (folder / UNTOUCHED.get(name, "background.png")).is_file():
+            print(f"{folder}: no photographs here, nothing to compare with")
+            continue
+        file = asked.file or ROOT / "sensors" / f"{name}.yaml"
+        sensor = Sensor.model_validate(YAML(typ="safe").load(file.read_text()))
+        strips, found = beside(name, folder, sensor, asked.spp)
+        print(*found, sep="\n")
+        rows += [[name, *astuple(one)] for one in found]
+        out = asked.out / f"compare_{name}.png"
+        out.parent.mkdir(parents=True, exist_ok=True)
+        Image.fromarray(np.vstack(strips)).save(out)
+        print(f"{out}: real left, rendered right")
+    if asked.results and rows:
+        heads = kit.columns("sensor", "what", "SSIM: .3f", "on its own background: .3f", "real", "rendered")
+        result = kit.Result(ABOUT, [kit.Table("Likeness", heads, rows)])
+        bench.record("photographs", result, time.perf_counter() - begun, asked.results)
     return 0
 
 

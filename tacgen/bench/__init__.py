@@ -50,7 +50,13 @@ def run(names: Sequence[str], out: Path, level: kit.Level, say: kit.Say) -> list
             say(traceback.format_exc())  # the others go on
             failed.append(name)
             continue
-        kit.write(out / FOLDER, name, found, time.perf_counter() - begun)
+        record(name, found, time.perf_counter() - begun, out)
         say(f"{name}: {time.perf_counter() - begun:.0f} s")
-        kit.page(out / FOLDER, list(BENCHES), out / PAGE, "Results", f"{HEAD}\n\n{summary.short(out / FOLDER)}")
     return failed
+
+
+def record(name: str, found: kit.Result, seconds: float, out: Path) -> None:
+    """Write one part's figures to `out`/results, and `out`/RESULTS.md anew."""
+    kit.write(out / FOLDER, name, found, seconds)
+    parts = [*BENCHES, "photographs"]  # the last by scripts/compare.py, where there are any
+    kit.page(out / FOLDER, parts, out / PAGE, "Results", f"{HEAD}\n\n{summary.short(out / FOLDER)}")

@@ -88,6 +88,16 @@ def _scaling(tables: Tables) -> Told:
         yield f"efficiency of {most['workers']} workers", f"{most['efficiency']:.2f}"
 
 
+def _photographs(tables: Tables) -> Told:
+    rows = [row for row in tables.get("Likeness", ()) if row["SSIM"] is not None]
+    for name in dict.fromkeys(row["sensor"] for row in rows):
+        mine = {row["what"]: row["SSIM"] for row in rows if row["sensor"] == name}
+        untouched = mine.pop("untouched")
+        least, most = min(mine.values()), max(mine.values())
+        span = f"{least:.2f}" if least == most else f"{least:.2f} to {most:.2f}"
+        yield f"{SENSORS[name]} beside photographs, SSIM", f"untouched {untouched:.3f}, pressed {span}"
+
+
 TOLD = {
     "mechanics": _mechanics,
     "cost": _cost,
@@ -96,4 +106,5 @@ TOLD = {
     "stability": _stability,
     "pay": _pay,
     "scaling": _scaling,
+    "photographs": _photographs,
 }
