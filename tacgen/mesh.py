@@ -19,7 +19,7 @@ STEEPEST = 1.1  # slope of a signed distance: 1, and a little more where it is i
 TETS = {"tet": (10, 1.125), "linear_tet": (4, 0.8)}
 LEAST_ANGLE = 2.0  # [deg]
 LEAST_JACOBIAN = 0.01
-COARSEST = 4.0  # edge far away [mm], or five of the fine ones
+COARSEST = 11.1  # edges under the contact: the edge far away
 MOST = 500_000  # nodes: what no machine could factorise
 
 
@@ -120,7 +120,7 @@ def build(
     Raises:
         UserError: that would be a mesh of more than MOST nodes.
     """
-    coarsest = coarsest or max(COARSEST, 5 * edge)
+    coarsest = coarsest or COARSEST * edge
     x0, x1, y0, y1 = footprint
     xs = graded(-gel.width / 2, gel.width / 2, (x0, x1), edge, growth, coarsest)
     ys = graded(-gel.height / 2, gel.height / 2, (y0, y1), edge, growth, coarsest)

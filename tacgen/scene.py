@@ -26,7 +26,7 @@ __all__ = ["Gel", "Layer", "Scene", "build"]
 
 Array = np.ndarray
 TONNES_PER_MM3 = 1e-12  # kg/m^3
-CELLS = (0.04, 0.15)  # least and largest grid spacing of a mesh's signed distance [mm]
+CELL = 0.25  # of the edge: grid spacing of a mesh's signed distance
 
 
 @dataclass(frozen=True)
@@ -101,8 +101,7 @@ def _solid(i: recipes.Mesh, row: Row) -> geometry.Solid:
 def _field(i: recipes.Mesh, row: Row) -> Field:
     """A mesh as far as the gel can come to it; its grid follows the quality's edge, as what the gel resolves does."""
     half, height = _within(row)
-    cell = float(np.clip(row.recipe.resolved().edge_mm / 4, *CELLS))
-    return geometry.field(_solid(i, row), cell=cell, height=height, half=half)
+    return geometry.field(_solid(i, row), cell=CELL * row.recipe.resolved().edge_mm, height=height, half=half)
 
 
 def _surface(row: Row, shape: Shape) -> Triangles | None:

@@ -48,7 +48,7 @@ def test_the_boundary_is_the_gels(domed: mesh.Mesh) -> None:
     for name, way in (("bonded", -1), ("coated", 1)):
         _, normal = facet_areas(x, domed.facets[name])
         assert (way * normal[..., 2]).min() > 0.9
-    sag = tetmesh.FINE[1]
+    sag = tetmesh.FINE[1] * DOMED.side
     tight = x * np.array([1 - 2 * sag / 4.5, 1 - 2 * sag / 4.5, 1])
     assert DOMED.contains(*tight[:, :2].T).all()
     end = x[(x[:, 1] < -1.2) & (np.hypot(x[:, 0], x[:, 1] + 1) > 4.4)]

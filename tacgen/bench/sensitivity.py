@@ -97,10 +97,6 @@ def _sizes(say: Say) -> Table:
             rows.append([by, None, None, str(error)])
             continue
         rows.append([by, float(-force[2] / -plain[2] - 1), float(force[0] / plain[0] - 1), ""])
-        say(f"lengths x {by:g}: normal force {rows[-1][1]:+.2%}, tangential {rows[-1][2]:+.2%}")
-    heads = columns("all lengths times: g", "normal force: +.2%", "tangential force: +.2%", "why not")
-    note = (
-        "Force over the square of the size, against the plain scene's: 0 but for the tolerances, which are lengths (1"
-        " um a step, 5 um of slip)."
-    )
-    return Table("Size", heads, rows, note)
+        say(f"lengths x {by:g}: normal force {rows[-1][1]:+.0e}, tangential {rows[-1][2]:+.0e}")
+    heads = columns("all lengths times: g", "normal force: +.0e", "tangential force: +.0e", "why not")
+    return Table("Size", heads, rows, "Force over the square of the size, against the plain scene's.")

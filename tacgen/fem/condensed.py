@@ -19,7 +19,7 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from tacgen.fem.assembly import Pattern, pattern
 from tacgen.fem.linear import Cholmod, NotPositiveDefinite, dissection
-from tacgen.fem.newton import NEAR, Solution, Status, Step, backtrack, minimise
+from tacgen.fem.newton import Solution, Status, Step, backtrack, minimise
 from tacgen.fem.potentials import Potential, Total
 
 Array = np.ndarray
@@ -171,6 +171,7 @@ def settle(
     condensed: Condensed,
     *,
     xtol: float,
+    near: float,
     refresh: Callable[[Array, float], object],
     negligible: Callable[[Array], bool],
 ) -> Solution:
@@ -178,6 +179,7 @@ def settle(
 
     Args:
         loads: what acts on the condensed nodes alone, as it is since the last `refresh`.
+        near: steps longer than this [mm] use the projected stiffness, and take nothing anew that is lagged.
         refresh: asked, once near, to take what is lagged from positions (n, 3) unless it is off by no more than a
             multiple of what it may be; then None.
         negligible: see `minimise`.
@@ -190,7 +192,7 @@ def settle(
         while True:
             g = bulk.gradient(x)
             if not condensed.usable:
-                condensed.renew(bulk, x, length <= NEAR)
+                condensed.renew(bulk, x, length <= near)
                 pair = None
             y = condensed.begin(g)
             if pair is not None:
@@ -206,13 +208,13 @@ def settle(
                         condensed.lost += 1
                         return Solution(x, Status.out_of_steps, tuple(steps))
                     anew += 1
-                    condensed.renew(bulk, x, length <= NEAR)
+                    condensed.renew(bulk, x, length <= near)
                     y = condensed.begin(g)
             if len(steps) == STEPS:
                 return Solution(x, Status.out_of_steps, tuple(steps))
-            near = length <= NEAR and (not steps or steps[-1].fraction == 1.0)
+            close = length <= near and (not steps or steps[-1].fraction == 1.0)
             loose = min(max(1.0, LOOSE * error / xtol), LOOSEST)
-            there, done = _contact(condensed, loads, x, y, xtol, loose, near, refresh, negligible)
+            there, done = _contact(condensed, loads, x, y, xtol, loose, near, close, refresh, negligible)
             p, q = condensed.end((there - x).ravel()[condensed.pattern.free], y)
             length, felt = float(np.abs(p).max()), loads()
             energy, slope = bulk.value(x) + felt.value(x), float(((g + felt.gradient(x)) * p).sum())
@@ -221,7 +223,7 @@ def settle(
             if fraction == 0.0:
                 return Solution(x, Status.converged if length <= PART * xtol else Status.stalled, tuple(steps))
             pair, settled = (fraction * q, y), False
-            if fraction == 1.0 and length <= NEAR:
+            if fraction == 1.0 and length <= near:
                 settled = refresh(x, 1.0) is None and length <= 10 * xtol and done
     except NotPositiveDefinite:
         condensed.usable = False
@@ -235,7 +237,8 @@ def _contact(
     y: Array,
     xtol: float,
     loose: float,
-    near: bool,
+    near: float,
+    close: bool,
     refresh: Callable[[Array, float], object],
     negligible: Callable[[Array], bool],
 ) -> tuple[Array, bool]:
@@ -243,10 +246,10 @@ def _contact(
     bulk = Quadratic(x, condensed.pattern.free, condensed.stiffness, condensed.force(y))
 
     def again(there: Array) -> Potential | None:
-        return Total((bulk, loads())) if near and refresh(there, loose) is not None else None
+        return Total((bulk, loads())) if close and refresh(there, loose) is not None else None
 
     start = Total((bulk, loads()))
     found = minimise(
-        start, x, condensed.pattern, condensed, xtol=loose * xtol, refresh=again, negligible=negligible
+        start, x, condensed.pattern, condensed, xtol=loose * xtol, near=near, refresh=again, negligible=negligible
     )  # fmt: skip
     return found.x, found.status == Status.converged

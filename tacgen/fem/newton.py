@@ -12,7 +12,6 @@ from tacgen.fem.potentials import Potential
 
 Array = np.ndarray
 ARMIJO = 1e-4
-NEAR = 0.05
 NOTHING = 1e-6  # of xtol
 SHORTEST = 1e-10  # a line search that gets here has stalled
 
@@ -87,7 +86,7 @@ def minimise(
     expect: float = np.inf,
     refresh: Callable[[Array], Potential | None] = lambda x: None,
     negligible: Callable[[Array], bool] = lambda g: False,
-    near: float = NEAR,
+    near: float = np.inf,
     max_steps: int = 80,
 ) -> Solution:
     """Lower `potential` over the pattern's free dofs until a full step moves no node by xtol [mm].

@@ -11,8 +11,8 @@ from tacgen.optics.raster import draw
 from tacgen.solid import geometry
 
 Array = np.ndarray
-SHEET = 0.6  # grid of the interfaces in a solid [mm]
-PIXEL = 0.1  # apart at which a solid's face is looked for lying over itself [mm]
+SHEET = 0.024  # of the longer side: grid of the interfaces in a solid,
+PIXEL = 0.004  # and how far apart its face is looked for lying over itself
 
 
 @dataclass(frozen=True)
@@ -42,6 +42,11 @@ class Gel:
     def thickness(self) -> float:
         """At the crown [mm]."""
         return sum(layer.thickness for layer in self.layers)
+
+    @property
+    def side(self) -> float:
+        """The longer one [mm]."""
+        return max(self.width, self.height)
 
     @property
     def flat(self) -> bool:
@@ -96,10 +101,11 @@ class Gel:
 
     def surface(self, step: float, sag: float) -> tuple[Array, Array, list[Array]]:
         """Vertices (n, 3), triangles (m, 3) of the closed surface wound outward, and those of each interface between
-        layers, whose rims are edges of the sides. On a dome edges are about `step` long [mm]; for `sag` see outline."""
+        layers, whose rims are edges of the sides. On a dome edges are about `step` long; for `sag` see outline. Both
+        are parts of the longer side."""
         from scipy.spatial import Delaunay
 
-        rim = self.outline(sag)
+        step, rim = step * self.side, self.outline(sag * self.side)
         if not self.flat:
             rim = _divided(rim, step)
         xy = rim
@@ -111,7 +117,7 @@ class Gel:
         flat = Delaunay(xy).simplices
         a, b, c = xy[flat[:, 0]], xy[flat[:, 1]], xy[flat[:, 2]]
         area = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
-        flat = np.where((area > 0)[:, None], flat, flat[:, [0, 2, 1]])[np.abs(area) > 1e-9]
+        flat = np.where((area > 0)[:, None], flat, flat[:, [0, 2, 1]])[np.abs(area) > 1e-12 * self.side**2]
         k, after = np.arange(len(rim)), np.roll(np.arange(len(rim)), -1)
         strip = np.concatenate(
             [np.stack([k, after, len(xy) + after], 1), np.stack([k, len(xy) + after, len(xy) + k], 1)]
@@ -166,12 +172,13 @@ class SolidGel(Gel):
         if not len(t):
             angle = f"gel.solid.coated_deg, {np.degrees(self.coated):g}"
             raise UserError(f"{name}: no part of it faces up to within {angle}")
-        screen, shape = (v[:, :2] - v[:, :2].min(0)) / PIXEL, np.ceil(np.ptp(v[:, :2], axis=0) / PIXEL).astype(int)
+        pixel = PIXEL * self.side
+        screen, shape = (v[:, :2] - v[:, :2].min(0)) / pixel, np.ceil(np.ptp(v[:, :2], axis=0) / pixel).astype(int)
         faces, size = t.astype(np.uint32), (int(shape[1]), int(shape[0]))
         high, low = (draw(faces, screen, sign * v[:, 2], v[:, 2:], size)[..., 0] for sign in (-1.0, 1.0))
-        apart = np.argwhere(high - low > PIXEL * 2 * np.tan(self.coated))
+        apart = np.argwhere(high - low > pixel * 2 * np.tan(self.coated))
         if len(apart):
-            x, y = v[:, :2].min(0) + (apart[len(apart) // 2][::-1] + 0.5) * PIXEL
+            x, y = v[:, :2].min(0) + (apart[len(apart) // 2][::-1] + 0.5) * pixel
             raise UserError(
                 f"{name}: its coated face lies over itself at ({x:.3g}, {y:.3g}), which no camera below sees:"
                 " gel.solid.coated_deg says what is coated"
@@ -205,9 +212,9 @@ class SolidGel(Gel):
     def sheets(self) -> list[tuple[Array, Array]]:
         """Vertices and triangles of the interfaces between layers, from below, over a grid wider than the gel."""
         assert self.solid is not None
-        flat = self.solid.vertices[:, :2]
-        ends = zip(flat.min(0) - 2 * SHEET, flat.max(0) + 2 * SHEET, strict=True)
-        x, y = (np.linspace(a, b, int(np.ceil((b - a) / SHEET)) + 1) for a, b in ends)
+        flat, step = self.solid.vertices[:, :2], SHEET * self.side
+        ends = zip(flat.min(0) - 2 * step, flat.max(0) + 2 * step, strict=True)
+        x, y = (np.linspace(a, b, int(np.ceil((b - a) / step)) + 1) for a, b in ends)
         xy = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
         number = np.arange(len(xy)).reshape(len(x), len(y))
         a, b, c, d = (piece.ravel() for piece in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]))

@@ -31,7 +31,7 @@ LEAST = 4  # triangles of a closed body
 CRACK = 1e-4  # of the box's diagonal: wider ones are not sewn
 HOLE = 40  # edges around one that is closed, at most
 INVENTED = 0.02  # of the surface may be new
-MARGIN = 0.5  # of grid around the body [mm]; beyond it no contact is seen
+MARGIN = 6  # cells asked for around the body; beyond them no contact is seen
 SHARP = np.radians(30)  # two triangles that meet at more than this are an edge, not pieces of a round
 
 
@@ -208,9 +208,9 @@ def field(solid: Solid, *, cell: float, height: float, half: float) -> Field:
         half: as far as this from the z axis the gel can be [mm].
     """
     low, high = solid.vertices.min(0), solid.vertices.max(0)
+    a = np.maximum(low - MARGIN * cell, [-half, -half, -np.inf])
+    b = np.minimum(high + MARGIN * cell, [half, half, height])
     cell = min(cell, float((high - low).min()) / 6)
-    a = np.maximum(low - MARGIN, [-half, -half, -np.inf])
-    b = np.minimum(high + MARGIN, [half, half, height])
     cell = max(cell, float((np.prod(b - a) / MOST_NODES) ** (1 / 3)))
     nodes = np.ceil((b - a) / cell).astype(int) + 5  # a ring of two for the spline
     origin = a - 2 * cell

@@ -21,9 +21,12 @@ from tacgen.solid.gel import Gel
 Array = np.ndarray
 VERSION = 1  # of the cached meshes
 GROWTH = 0.4  # of the edge, per distance from what is touched
-COARSEST = 3.0  # edge far away [mm], or five of those under the contact
+COARSEST = 7.4  # edges under the contact: the edge far away
 ENVELOPE = 1e-3  # how far the mesh may leave the surface, as a part of the box's diagonal, before it is drawn to it
-COARSE, FINE = (1.0, 0.1), (0.3, 1e-4)  # step and sag [mm] of the surface that is meshed, and of the true one
+COARSE, FINE = (
+    (0.04, 4e-3),
+    (0.012, 4e-6),
+)  # step and sag, of the longer side: of what is meshed, and of what is true
 ENERGY = 10.0  # fTetWild ends when its worst cell is this good
 FOLDED = 0.1  # of a tet's volume before it is drawn to the surface: one that has less at a node is put back
 TET_FACES = np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)])  # seen from outside
@@ -38,7 +41,7 @@ def build(gel: Gel, touched: Array, edge: float, nodes: int) -> tuple[Array, Arr
     vertices, triangles, between = gel.surface(*COARSE)
     low, high = vertices.min(0), vertices.max(0)
     reach = ENVELOPE * float(np.linalg.norm(high - low))
-    coarsest = max(COARSEST, 5 * edge)
+    coarsest = COARSEST * edge
     background = _background(low, high, touched, edge, coarsest)
     asked = (vertices, triangles, np.concatenate([triangles[:0], *between]), *background, coarsest, ENVELOPE, ENERGY)
     key = store.digest((VERSION, version("pytetwild"), *asked))

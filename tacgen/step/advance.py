@@ -19,7 +19,8 @@ from tacgen.fem.potentials import Potential, Total
 from tacgen.step.problem import AnyContact, Memory, Problem
 
 Array = np.ndarray
-XTOL = 1e-3  # no node moves by more than this in the last step, nor does the mean gap between passes [mm]
+XTOL = 1 / 50  # of dhat: no node moves by more in the last step, nor does the mean gap between passes
+NEAR = 1  # of dhat: longer steps use the projected stiffness, and take nothing anew that is lagged
 RESIDUAL = 1e-3  # of the contact force
 EAGER = 20  # times that what is lagged is taken as it comes; then halfway, since it may go round in a circle
 LAG = 5e-4  # normal forces may be this far from the ones friction used, as a part of their sum
@@ -29,7 +30,7 @@ SPLITS = 12  # and of one in which the indenter might pass through the gel
 SUNK = 0.45  # of the indenter's reach: how deep matter may be inside it, between the points where contact acts
 TRIES = 8  # at a pose, each with a smaller tolerance or a stiffer barrier than the last
 STIFFER = 4
-EPS = 5e-3  # slip over which friction builds up [mm]
+EPS = 1 / 8  # of dhat: slip over which friction builds up
 
 
 class NotConverged(ArithmeticError):
@@ -58,7 +59,7 @@ class State:
     iterations: int
     substeps: int
     offset: float  # by which the indenter was shrunk [mm]
-    mean_gap: float  # [mm], to the shrunk indenter; equal to offset within XTOL
+    mean_gap: float  # [mm], to the shrunk indenter; equal to offset within XTOL dhat
     min_gap: float  # [mm], to the shrunk indenter
     residual: float  # of the free nodes' forces, as a part of the contact force
     balance: float  # |indenter force + base reaction| / indenter force
@@ -80,6 +81,7 @@ class _Lagged:
         self, problem: Problem, memory: Memory, pose: Pose, duration: float, near: State | None = None
     ) -> None:
         self.problem, self.memory, self.duration = problem, memory, duration
+        self.xtol, self.near, self.eps = (part * problem.contact.dhat for part in (XTOL, NEAR, EPS))
         offset = memory.offset if near is None else max(memory.offset, near.offset)
         self.contact: AnyContact = replace(problem.contact.moved(pose, offset), kappa=memory.kappa)
         self.contact_force = 0.0
@@ -88,12 +90,12 @@ class _Lagged:
         if problem.friction > 0:  # lagged from the last pose, turned with the indenter
             normal, anchor = memory.normal @ pose.rotation.T, pose.world(memory.anchor)
             x = pose.world(memory.pose.local(memory.x))
-            self.friction = self.contact.friction(problem.friction, x, memory.normal_force, normal, anchor, EPS)
-        ahead, self.inertia, self.near_enough = 2 * memory.x - memory.before, None, XTOL
+            self.friction = self.contact.friction(problem.friction, x, memory.normal_force, normal, anchor, self.eps)
+        ahead, self.inertia, self.near_enough = 2 * memory.x - memory.before, None, self.xtol
         if problem.body is not None:
             assert memory.velocity is not None
             self.inertia = problem.body.step(memory.x, memory.velocity, duration)
-            ahead, self.near_enough = self.inertia.coasting, XTOL / 10  # else the indenter is felt to tremble
+            ahead, self.near_enough = self.inertia.coasting, self.xtol / 10  # else the indenter is felt to tremble
         self.starts = self.contact.starts(memory.x, ahead, memory.pose)
         self.goes_on = self.total.value(self.starts[1]) < self.total.value(self.starts[0])  # not where it turns back
 
@@ -141,7 +143,7 @@ class _Lagged:
             anchor = self.contact.pose.world(self._anchors())
             if self.refreshed >= EAGER:
                 force = (force + self.friction.normal_force) / 2
-            self.friction = self.contact.friction(self.problem.friction, x, force, normal, anchor, EPS)
+            self.friction = self.contact.friction(self.problem.friction, x, force, normal, anchor, self.eps)
         self.refreshed += 1
         self.contact = self.contact.grown(gap, x)
         return self.total
@@ -164,7 +166,8 @@ class _Lagged:
             which = np.flatnonzero(condensed.nodes[conn].all(1))
             part = self._on(self.contact, which, condensed.pattern)
             found = settle(
-                bulk, part._felt, x, condensed, xtol=xtol, refresh=part.refresh, negligible=part.negligible
+                bulk, part._felt, x, condensed, xtol=xtol, near=self.near, refresh=part.refresh,
+                negligible=part.negligible,
             )  # fmt: skip
             self._take(part, which, found.x)
             x, steps = found.x, [*steps, *found.steps]
@@ -173,7 +176,7 @@ class _Lagged:
             if not np.delete(self._touching(x), which).any():
                 return replace(found, steps=tuple(steps))
         found = minimise(
-            self.total, x, problem.pattern, problem.linear, xtol=xtol, expect=expect,
+            self.total, x, problem.pattern, problem.linear, xtol=xtol, expect=expect, near=self.near,
             refresh=self.refresh, negligible=self.negligible,
         )  # fmt: skip
         return replace(found, steps=(*steps, *found.steps))
@@ -256,10 +259,10 @@ def advance(
     `near` is another answer to the same memory, at a pose close by: Newton starts there, and inherits nothing of it.
     """
     lagged = _Lagged(problem, memory, Pose.of(matrix), duration, near)
-    x, expect, iterations, xtol = lagged.start(near), np.inf, 0, XTOL
+    x, expect, iterations, xtol = lagged.start(near), np.inf, 0, lagged.xtol
     for _ in range(TRIES):
         found = lagged.lower(x, xtol, expect)
-        x, expect, iterations = found.x, XTOL, iterations + len(found.steps)
+        x, expect, iterations = found.x, lagged.xtol, iterations + len(found.steps)
         if found.status != Status.converged:
             raise NotConverged(f"Newton {found.status} after {iterations} iterations")
         residual, balance = lagged.imbalance(x)

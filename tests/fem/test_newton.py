@@ -95,7 +95,7 @@ def held_block(n: int, lift: float) -> tuple[Elastic, Array, Pattern]:
 
 
 def run(potential: Potential, x: Array, pat: Pattern, **how: object) -> Solution:
-    return minimise(potential, x, pat, Cholmod(pat), **{"xtol": 1e-9, **how})  # type: ignore[arg-type]
+    return minimise(potential, x, pat, Cholmod(pat), **{"xtol": 1e-9, "near": 0.05, **how})  # type: ignore[arg-type]
 
 
 def single() -> Pattern:

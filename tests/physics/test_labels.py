@@ -171,7 +171,7 @@ def _column(found: Run, x: float, layer: int) -> tuple[Array, Array]:
 def test_the_stick_disc_shrinks_as_cattaneo_and_mindlin_say() -> None:
     """Pulled sideways, a ball sticks within c = a (1 - Q/(friction P))^(1/3) until all slides; Johnson (1985), 7.2.
 
-    A point slides when it is 5 um (advance.EPS) from its anchor: little beside a pull of .3 mm and more.
+    A point slides when it is 10 um (advance.EPS of dhat) from its anchor: little beside a pull of .3 mm and more.
     """
     made = scene(
         Sphere(64.0), poses([(x, 0.0, -1.0) for x in (0.0, 0.32, 0.56, 1.2)]),
