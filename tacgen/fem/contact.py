@@ -10,7 +10,7 @@ import numpy as np
 
 from tacgen.fem import assembly
 from tacgen.fem.assembly import Pattern
-from tacgen.fem.elements import facet_areas, facet_hats, facet_points
+from tacgen.fem.elements import facet_areas, facet_points, facet_shares
 from tacgen.fem.friction import Friction
 from tacgen.fem.last import Last
 from tacgen.fem.shapes import Shape
@@ -93,8 +93,8 @@ class Faces:
         return self._sum(self.N, forces, nodes)
 
     def shared(self, forces: Array, nodes: int) -> Array:
-        """Nodal sums (n, c) for drawing: as `scatter`, but even where a uniform pressure is (see facet_hats)."""
-        return self._sum(facet_hats(self.N), forces, nodes)
+        """Nodal sums (n, c) for drawing: as `scatter`, but even where a uniform pressure is (see facet_shares)."""
+        return self._sum(facet_shares(self.N, self.areas), forces, nodes)
 
     def _sum(self, weights: Array, forces: Array, nodes: int) -> Array:
         out = np.zeros((nodes, forces.shape[-1]))

@@ -148,23 +148,43 @@ def facet_areas(points: Array, facets: Array) -> tuple[Array, Array]:
     return area * weights, normal / area[..., None]
 
 
-def facet_hats(N: Array) -> Array:
-    """How a force at a facet's points N (q, a) is shared among its nodes to be drawn (q, a): linear on flat pieces.
+def facet_hats(nodes: int, at: Array) -> Array:
+    """Shape functions (n, nodes) at coordinates (n, 2) of a facet as it is drawn: linear on the flat triangles of
+    `triangles`, bilinear on quads."""
+    u, v = at.T
+    if nodes == 4:
+        return np.stack([(1 + a * u) * (1 + b * v) / 4 for a, b in QUAD_CORNERS], -1)
+    L = np.stack([1 - u - v, u, v], -1)
+    if nodes == 3:
+        return L
+    hats, points = np.zeros((len(L), 6)), np.arange(len(L))
+    k = L.argmax(1)
+    own, after, before = (L[points, (k + i) % 3] for i in range(3))
+    corner = own > 0.5  # in corner k's own triangle, else in the middle one; edge 3 + i runs from corner i to the next
+    hats[points, k] = np.where(corner, 2 * own - 1, 0.0)
+    hats[points, 3 + k] = np.where(corner, 2 * after, 1 - 2 * before)
+    hats[points, 3 + (k + 1) % 3] = np.where(corner, 0.0, 1 - 2 * own)
+    hats[points, 3 + (k + 2) % 3] = np.where(corner, 2 * before, 1 - 2 * after)
+    return hats
 
-    A quadratic triangle's own shape functions give its corners nothing of a uniform pressure; those of the four
-    triangles that `triangles` makes of it share it evenly, as N does on the others.
+
+def facet_shares(N: Array, areas: Array) -> Array:
+    """What of the forces at a facet's points N (q, a), of areas (f, q), falls to its nodes where they are drawn (q, a).
+
+    That is by `facet_hats`, which keep the resultant and its place. Six points on a quadratic triangle are too few for
+    the kinks of those: of a uniform pressure the corners would get a sixth too little, and maps a grain. What keeps
+    force and place too is moved from edges to corners, so that each node gets what its area bears.
     """
-    if N.shape[1] != 6:
-        return N
-    L = N @ np.vstack([np.eye(3), (np.eye(3) + np.eye(3)[[1, 2, 0]]) / 2])
-    hats = np.zeros((len(L), 6))
-    for q, point in enumerate(L):
-        k = int(point.argmax())
-        after, before = (k + 1) % 3, (k + 2) % 3
-        if point[k] > 0.5:  # in corner k's own triangle
-            hats[q, [k, 3 + k, 3 + before]] = 2 * point[k] - 1, 2 * point[after], 2 * point[before]
-        else:  # in the middle one; edge 3 + i runs from corner i to the next
-            hats[q, [4, 5, 3]] = 1 - 2 * point
+    nodes = N.shape[1]
+    at = N @ facet_corners(nodes)
+    hats = facet_hats(nodes, at)
+    if nodes == 6:
+        part = areas.sum(0) / areas.sum()
+        for k in range(3):
+            near = (hats[:, k] > 0) & (hats[:, k] < 1)  # in the corner's own triangle, and not it itself
+            moved = (1 / 12 - part @ hats[:, k]) / part[near].sum()
+            hats[near] += moved * np.eye(6)[[k, 3 + (k + 1) % 3]].sum(0)
+            hats[near] -= moved * np.eye(6)[[3 + k, 3 + (k + 2) % 3]].sum(0)
     return hats
 
 

@@ -5,19 +5,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tacgen.fem.elements import PIECES, QUAD_CORNERS, facet_areas, facet_corners, facet_points
+from tacgen.fem.elements import PIECES, facet_areas, facet_corners, facet_hats, facet_points, facet_shares
 from tacgen.fem.elements import triangles as pieces
 from tacgen.fields import Surface
 from tacgen.optics.raster import draw
 from tacgen.solve import Problem, State
 
 if TYPE_CHECKING:
+    from tacgen.fem.contact import Faces
     from tacgen.optics.layers import Camera
 
 Array = np.ndarray
 RIM = 0.4  # share of points in contact at the contact map's rim: less than half, for the rim passes outside of them
 VISIBLE = 0.9  # of its share of the face: a node seen less than that lies partly out of view
-SHARPENED = 2  # times: see `maps`; more of them sharpen the rim's noise more than the rim
+SHARPENED = {4: 2, 3: 2, 6: 1}  # times, by the facets' nodes: see `maps`; more sharpens noise more than the rim
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,7 @@ def tangents(normal: Array) -> tuple[Array, Array]:
 def maps(problem: Problem, surface: Surface, state: State, camera: "Camera") -> Maps:
     """Pressure and traction behind each pixel, through the camera's refraction.
 
-    The force at each point of contact is shared among the corners of its facet, and each corner's sum among the pixels
+    The force at each point of contact is shared among the nodes of its facet, and each node's sum among the pixels
     around it: in proportion to linear shape functions, to the pixels' area, and to a weight. The resultant is kept
     exactly, whatever the pixels. Even weights would blur the map twice, once by each sharing; so the pressure that they
     give is the weight of the next sharing (Richardson 1972, Lucy 1974), which is as positive and as exact in sum.
@@ -68,10 +69,10 @@ def maps(problem: Problem, surface: Surface, state: State, camera: "Camera") -> 
     would cancel, and the map fall short of his law.
     """
     faces, on = problem.contact.faces, np.asarray(state.normal_force > 0)
-    view = _View(surface, camera, faces.N, np.asarray(on.any(1)))
-    touched, whole = (view.at(view.corners(faces.areas * part)) for part in (on, 1.0))
+    view = _View(surface, camera, faces, np.asarray(on.any(1)))
+    touched, whole = (view.at(view.nodal(faces.areas * part)) for part in (on, 1.0))
     contact = view.picture(touched / whole)[..., 0] >= RIM
-    for _ in range(SHARPENED):
+    for _ in range(SHARPENED[faces.conn.shape[1]]):
         view.weight = view.shared(state.normal_force)[:, 0]
 
     def spread(per_point: Array) -> Array:
@@ -91,23 +92,15 @@ def maps(problem: Problem, surface: Surface, state: State, camera: "Camera") -> 
     return Maps(pressure, traction, contact, sliding, view.area, force)
 
 
-def linear(kind: int, at: Array) -> Array:
-    """Linear shape functions (n, k) of the corners of a facet of 3, 4 or 6 nodes at its coordinates (n, 2)."""
-    u, v = at.T
-    if kind == 4:
-        return np.stack([(1 + a * u) * (1 + b * v) / 4 for a, b in QUAD_CORNERS], -1)
-    return np.stack([1 - u - v, u, v], -1)
-
-
 class _View:
     """The deformed face as the camera sees it: how much of it (h, w) [mm^2] is behind each pixel, and which facets are.
 
-    Of the p pixels (`seen`) that see a facet with a corner in common with one that is touched (f,): the corners (p, k)
+    Of the p pixels (`seen`) that see a facet with a node in common with one that is touched (f,): the nodes (p, k)
     of the facet there, their shape functions' values (p, k), and the weight (p,) of the pixel in sharing forces.
-    N (q, a) says where on a facet the points of contact are.
+    `contact` says where on a facet its points are.
     """
 
-    def __init__(self, surface: Surface, camera: "Camera", N: Array, touched: Array) -> None:
+    def __init__(self, surface: Surface, camera: "Camera", contact: "Faces", touched: Array) -> None:
         facets, kind, triangles = surface.facets, surface.facets.shape[1], pieces(surface.facets)
         corner = surface.now[triangles]  # (t, 3, 3)
         screen = camera.project(surface.now)[triangles]
@@ -124,33 +117,34 @@ class _View:
         t[gel] = np.round(picture[gel][:, 0])
         self.area = np.where(gel, (face_area / np.maximum(pixels, 1e-300))[t], 0.0)
 
-        self._ends, self._hats = facets[:, : 4 if kind == 4 else 3], linear(kind, N @ facet_corners(kind))
+        self._facets, self._hats = facets, facet_shares(contact.N, contact.areas)
         around = np.zeros(len(surface.now), bool)
-        around[self._ends[touched]] = True
-        self.seen = gel & np.asarray(around[self._ends].any(1))[t % len(facets)]
-        self.nodes = self._ends[t[self.seen] % len(facets)]
-        self.shape = linear(kind, picture[self.seen][:, 1:])
+        around[self._facets[touched]] = True
+        self.seen = gel & np.asarray(around[self._facets].any(1))[t % len(facets)]
+        self.nodes = self._facets[t[self.seen] % len(facets)]
+        self.shape = facet_hats(kind, picture[self.seen][:, 1:])
         self.weight = np.ones(len(self.nodes))
 
-        areas = facet_areas(surface.now, facets)[0] @ linear(kind, facet_points(kind)[0] @ facet_corners(kind))
-        whole, visible = np.bincount(self._ends.ravel(), areas.ravel()), self._held()
+        areas = facet_areas(surface.now, facets)[0]
+        areas = areas @ facet_shares(facet_points(kind)[0], areas)
+        whole, visible = np.bincount(self._facets.ravel(), areas.ravel()), self._held()
         self._visible = np.where(visible > VISIBLE * whole, 1.0, visible / np.maximum(whole, 1e-300))
 
-    def corners(self, per_point: Array) -> Array:
-        """Sums (s, c) at the facets' corners of what is at the contact's points, (f, q, c) or numbers (f, q)."""
+    def nodal(self, per_point: Array) -> Array:
+        """Sums (s, c) at the facets' nodes of what is at the contact's points, (f, q, c) or numbers (f, q)."""
         per_point = per_point.reshape(*per_point.shape[:2], -1)
-        out = np.zeros((int(self._ends.max()) + 1, per_point.shape[2]))
-        np.add.at(out, self._ends, np.einsum("qk,fqc->fkc", self._hats, per_point))
+        out = np.zeros((int(self._facets.max()) + 1, per_point.shape[2]))
+        np.add.at(out, self._facets, np.einsum("qk,fqc->fkc", self._hats, per_point))
         return out
 
     def at(self, nodal: Array) -> Array:
-        """Values (s, c) at the corners, behind each of the pixels (p, c)."""
+        """Values (s, c) at the nodes, behind each of the pixels (p, c)."""
         return np.asarray(np.einsum("pk,pkc->pc", self.shape, nodal[self.nodes]))
 
     def shared(self, per_point: Array) -> Array:
-        """Forces at the points by area of the face (p, c), in proportion to the weights; of what is shared to a corner
+        """Forces at the points by area of the face (p, c), in proportion to the weights; of what is shared to a node
         partly out of view, the part in view."""
-        force, held = self.corners(per_point), self._held()
+        force, held = self.nodal(per_point), self._held()
         scale = np.divide(self._visible, held, out=np.zeros(len(held)), where=held > 0)
         return self.at(force * scale[:, None]) * self.weight[:, None]
 
@@ -161,6 +155,6 @@ class _View:
         return out
 
     def _held(self) -> Array:
-        """Weighted area (s,) of the pixels around each corner."""
+        """Weighted area (s,) of the pixels around each node."""
         held = self.shape * (self.weight * self.area[self.seen])[:, None]
-        return np.bincount(self.nodes.ravel(), held.ravel(), int(self._ends.max()) + 1)
+        return np.bincount(self.nodes.ravel(), held.ravel(), int(self._facets.max()) + 1)

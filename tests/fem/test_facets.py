@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tacgen.fem.contact import Contact, Pose
-from tacgen.fem.elements import facet_areas, facet_hats, facet_points, triangles
+from tacgen.fem.elements import facet_areas, facet_corners, facet_hats, facet_points, facet_shares, triangles
 from tacgen.fem.shapes import Sphere
 
 from .small import dense, patch, slope
@@ -29,7 +29,7 @@ def test_areas_and_normals_of_a_bent_patch(nodes: int) -> None:
 @KINDS
 def test_a_force_is_shared_evenly_and_wholly(nodes: int) -> None:
     N, _, weights = facet_points(nodes)
-    hats = facet_hats(facet_points(nodes)[0])
+    hats = facet_shares(N, weights[None])
     assert hats.min() >= 0
     assert hats.sum(1) == pytest.approx(1.0)
     place = np.random.default_rng(0).normal(size=(3, 2))  # any linear function is kept
@@ -40,10 +40,24 @@ def test_a_force_is_shared_evenly_and_wholly(nodes: int) -> None:
     }[nodes]
     assert hats @ at == pytest.approx(N @ at)
     share = weights @ hats / weights.sum()
-    assert share.min() > 0.5 * share.max() / 3  # no node is left out of a uniform pressure
     pieces = at[triangles(np.arange(nodes)[None])]
     turned = np.linalg.det(pieces[:, 1:] - pieces[:, :1])
     assert (turned * turned[0] > 0).all()
+    even = np.bincount(triangles(np.arange(nodes)[None]).ravel(), np.repeat(np.abs(turned), 3)) / 3
+    if nodes == 4:
+        even[:] = 1
+    assert share == pytest.approx(even / even.sum())  # a uniform pressure stays one
+
+
+@KINDS
+def test_hats_are_one_at_their_node_and_straight_on_the_pieces(nodes: int) -> None:
+    corners = facet_corners(nodes)
+    assert facet_hats(nodes, corners) == pytest.approx(np.eye(nodes))
+    if nodes != 4:
+        for piece in corners[triangles(np.arange(nodes)[None])]:
+            inside = np.array([0.2, 0.3, 0.5]) @ piece
+            mean = np.array([0.2, 0.3, 0.5]) @ facet_hats(nodes, piece)
+            assert facet_hats(nodes, inside[None])[0] == pytest.approx(mean)
 
 
 @KINDS
