@@ -38,7 +38,7 @@ FLAT_SPACING = 1.0  # the same of one that stays flat
 COLUMNS = 40  # of a traced map, whatever the image's
 PATHS = 64  # in a pixel of a map, for each path a pixel that was asked for
 MOST = 24  # paths a pixel, whatever was asked for, that count for maps: two minutes on one slow core
-SMOOTH = 5.0  # [map pixels] the Gaussian that takes the noise off a map
+SMOOTH = 3.5  # [map pixels] the Gaussian that takes the noise off a map
 TABLE_COLUMNS = 64  # of the pictures that a table is calibrated on
 TABLE_PATHS = 8  # in a pixel of those, for each path a pixel that was asked for
 LINEAR = {"exposure", "ambient", "vignette_mm", "noise"}  # of the camera: what is laid over a picture's light
@@ -74,13 +74,13 @@ class Clear:
         self._direct = Direct(sensor, sheet, markers, effort.points, effort.samples, effort.sparse)
         bounce = Bounce(sensor, untouched)
         added = bounce.added(sensor, self._direct.points)
-        mixed = np.einsum("pkc,kc->pc", added, [led.light for led in sensor.leds])
-        self.scattered = bounce.picture(mixed, self._direct.view)
+        mixed = np.einsum("pktc,kc->ptc", added, [led.light for led in sensor.leds])
+        self.glow = bounce.glow(mixed, self._direct.view)
 
     def seen(self, at: Samples) -> "Floats":
         """Linear radiance (H, W, 3), without noise."""
         view = self._direct.view
-        return self._direct.seen(at) + view.dimmed(at, self.scattered) * view.covered(at)
+        return self._direct.seen(at) + view.dimmed(at, self.glow.at(at.normal)) * view.covered(at)
 
 
 class Cloudy:
@@ -164,7 +164,7 @@ class Tabled:
     def seen(self, at: Samples) -> "Floats":
         """Linear radiance (H, W, 3), without noise."""
         added = self._table.added(self._face(at, self._normals), self._lamps, self._mm)
-        return self._view.dimmed(at, np.maximum(self._flat + added, 0.0))
+        return self._view.dimmed(at, np.maximum(self._flat + added, 0.0).reshape(-1, 3))
 
     @staticmethod
     def _face(at: Samples, untouched: "Floats") -> table.Face:
@@ -199,6 +199,7 @@ class Renderer:
         effort, self.untouched = Effort.of(spp), untouched or Untouched.of(sensor.gel)
         self.sheet = Sheet.over(sensor.gel, effort.spacing if method == "transport" else SPACING)
         self._view = View(sensor, self.sheet, markers, effort.samples)
+        self._stray = self._view.samples_of(response.stray(sensor.camera))
         self.light: Light
         if method == "path":
             self.light = Traced(sensor, self.sheet, markers, spp, seed, self.variant)
@@ -214,8 +215,8 @@ class Renderer:
 
     def image(self, surface: Surface) -> "NDArray[np.float32]":
         """Linear radiance (H, W, 3) of a deformed face, before the response; transport's only noise is the map's."""
-        at, camera = self._view.look(surface), self.sensor.camera
-        made = self.light.seen(at) + self._view.dimmed(at, response.stray(camera))
+        at = self._view.look(surface)
+        made = self.light.seen(at) + self._view.dimmed(at, self._stray)
         if self.sensor.thickness_response is not None:
             change = at.position[:, 2] - self.untouched.at(at.position[:, :2])[:, 2]
             made *= self._view.picture(cloudy.gain(self.sensor.thickness_response, change))

@@ -20,7 +20,7 @@ from tacgen.calibrate.fitted import Fitted, rgb, rms
 from tacgen.calibrate.photos import Photos, Press
 from tacgen.image import photo
 from tacgen.optics import coating, response, transport
-from tacgen.optics.bounce import Bounce
+from tacgen.optics.bounce import Bounce, Glow
 from tacgen.optics.direct import Direct
 from tacgen.optics.lights import frame
 from tacgen.optics.sheet import Sheet, Surface, Untouched
@@ -159,14 +159,15 @@ class Fit:
         sensor = sensor.model_copy(update={"leds": one, "coating": coat})
         direct = Direct(sensor, self.sheet, False, PIECES)
         straight = np.nan_to_num(direct.light(at)[:, 0])
-        return np.asarray(np.column_stack([straight, self._around(led, parts, crop)])[self.pictures[picture].counts])
+        bounced = self._around(led, parts, crop).at(at.normal)
+        return np.asarray(np.column_stack([straight, bounced])[self.pictures[picture].counts])
 
-    def _bounced(self, led: int, parts: tuple[float, ...], crop: tuple[float, ...]) -> Array:
-        """Light by one LED of unit radiance that bounces, with the coat as the file has it: (pixels, 3)."""
+    def _bounced(self, led: int, parts: tuple[float, ...], crop: tuple[float, ...]) -> Glow:
+        """Light by one LED of unit radiance that bounces, with the coat as the file has it."""
         sensor, _ = self._look(0, crop)
         one = sensor.model_copy(update={"leds": (self.moved(sensor.leds[led], parts),)})
         added = self._bounce.added(one, transport.points(one.leds, *PIECES))[:, 0]
-        return np.asarray(self._bounce.picture(added, View(one, self.sheet, False)).reshape(-1, 3))
+        return self._bounce.glow(added, View(one, self.sheet, False))
 
     def columns(self, v: Array, picture: int) -> Array:
         """Light per unit radiance of each LED, and even stray light: (3, pixels that count, LEDs + 1)."""

@@ -35,36 +35,39 @@ class Direct:
         self.sensor, self.sheet, self._tolerance = sensor, sheet, tolerance
         self.view = View(sensor, sheet, markers, samples)
         self.points = transport.points(sensor.leds, *pieces)
-        self._beams = Beams.of(self.points, pieces[1], transport.Slab.of(sensor), sheet)
+        self._beams = Beams.of(sensor, self.points, pieces[1], sheet)
         self._toward, self._seen = self.view.toward_camera(), self.view.transmission()
 
     def light(self, at: Samples) -> "Floats":
-        """What the camera sees of a white matt and of a mirror-rough coat per unit radiance of each LED:
-        (samples, strips, 2), 0 off the pad."""
-        coat, strips, points, beams = self.sensor.coating, len(self.sensor.leds), self.points, self._beams
-        terrain = Terrain.of(self._heights(at.nodes), self.sheet.size).parts
-        alpha = coat.roughness if coat.specular else 0.0
-
-        def gather(index: "NDArray[np.int64]") -> "Floats":
-            gathered = shine(
-                at.position[index], at.normal[index], self._toward[index],
-                points.at, points.normal, points.area, points.half, points.strip, strips,
-                beams.middle, beams.level, beams.bend, beams.table, beams.floor,
-                alpha, terrain,
-            )  # fmt: skip
-            return np.asarray(gathered.reshape(len(index), -1))
-
-        found = sparse.evaluate(gather, at.normal, self.view.shape, self._tolerance) * self._seen[:, None]
-        return np.asarray(found.reshape(len(found), strips, 2))
+        """What the camera sees per unit radiance of each LED, 0 off the pad: (samples, strips, 2) of a white matt and
+        of a mirror-rough coat, the latter only where the coat has some gloss."""
+        return self._summed(at, np.eye(len(self.sensor.leds)))
 
     def seen(self, at: Samples) -> "Floats":
         """Linear radiance (H, W, 3) of what the camera's rays meet."""
         coat, markers = self.sensor.coating, self.view.markers
-        light = np.einsum("nkc,kr->ncr", self.light(at), [led.light for led in self.sensor.leds])
-        seen = (1 - coat.specular) * light[:, 0] * coat.albedo + coat.specular * coating.METAL * light[:, 1]
+        light = self._summed(at, np.array([led.light for led in self.sensor.leds]))
+        matt = light[..., 0]
+        seen = (1 - coat.specular) * matt * coat.albedo
+        if coat.specular:
+            seen += coat.specular * coating.METAL * light[..., 1]
         if markers is not None:
-            seen += self.view.dots(at) * (markers.albedo * light[:, 0] - seen)
+            seen += at.paint * (markers.albedo * matt - seen)
         return self.view.picture(seen)
+
+    def _summed(self, at: Samples, radiance: "Floats") -> "Floats":
+        """The same by LEDs of radiance (strips, c): (samples, c, 1 or 2)."""
+        coat, strips = self.sensor.coating, len(radiance)
+        terrain = Terrain.of(self._heights(at.nodes), self.sheet.size)
+        kinds = 2 if coat.specular else 1
+
+        def gather(index: "NDArray[np.int64]") -> "Floats":
+            seen = at.position[index], at.normal[index], self._toward[index]
+            gathered = shine(*seen, self._beams, strips, coat.roughness if coat.specular else 0.0, terrain)
+            return np.asarray(np.einsum("nkr,kc->ncr", gathered[..., :kinds], radiance).reshape(len(index), -1))
+
+        found = sparse.evaluate(gather, at.normal, self.view.shape, self._tolerance) * self._seen[:, None]
+        return np.asarray(found.reshape(len(found), -1, kinds))
 
     def radiance(self, surface: Surface) -> "Floats":
         """Linear radiance (H, W, 3) of a deformed face."""

@@ -5,7 +5,7 @@ direction steeper than its horizon, so one walk along the azimuth decides for li
 grid that even their lowest point keeps out of the way are stepped over.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -16,8 +16,7 @@ Floats = NDArray[np.float64]
 SMALL, LARGE = 8, 32  # cells along the side of a block
 
 
-@dataclass(frozen=True)
-class Terrain:
+class Terrain(NamedTuple):
     """Heights (h, w) [mm] over a rectangle of `size` (x, y) [mm] centred on 0, and the least of each block."""
 
     heights: Floats
@@ -30,11 +29,6 @@ class Terrain:
         """That of a face."""
         small, large = (lowest(heights, cells) for cells in (SMALL, LARGE))
         return cls(heights, small, large, np.array(size))
-
-    @property
-    def parts(self) -> tuple[Floats, Floats, Floats, Floats]:
-        """As compiled code takes it."""
-        return self.heights, self.small, self.large, self.size
 
 
 @njit(cache=True)
@@ -50,7 +44,7 @@ def lowest(heights: Floats, cells: int) -> Floats:
 
 @njit(cache=True)
 def horizon(
-    terrain: tuple[Floats, Floats, Floats, Floats],
+    terrain: Terrain,
     x: float,
     y: float,
     z: float,
@@ -63,7 +57,7 @@ def horizon(
     """Slope (rise per sideways way) of the steepest ray from a point that the face lets pass on its way to a light.
 
     Args:
-        terrain: see Terrain.parts.
+        terrain: the face.
         x, y, z: the point [mm].
         dx, dy: unit vector sideways to the light.
         reach: sideways way [mm] to it.

@@ -1,17 +1,16 @@
 """Light from LED strips, and from their mirror images in the plate, to the coated face through flat clear layers.
 
 A deterministic sum over points of each strip. Every connection bends at the layers as Snell says (a 1-D Newton on the
-ray's k = n sin(theta)), carries Fresnel's losses, and is checked for a shadow against the deformed face. Light that was
-scattered before (coat to coat, walls) is not here.
+ray's k = n sin(theta)), carries Fresnel's losses, and is checked for a shadow against the deformed face and against the
+strips themselves. Light that was scattered before (coat to coat, walls) is not here.
 """
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numba import config, njit, prange, vectorize
 
-from tacgen.optics.horizon import horizon
+from tacgen.optics.horizon import Terrain, horizon
 from tacgen.optics.lights import bottom_depth, frame
 
 if TYPE_CHECKING:
@@ -26,8 +25,10 @@ Floats = NDArray[np.float64]
 config.THREADING_LAYER_PRIORITY = ["omp", "workqueue", "tbb"]  # type: ignore[attr-defined]
 
 
-@dataclass(frozen=True)
-class Points:
+CLEAR = 0.01  # [mm] off a strip's plane that both ends of a way must be for the strip to stand in it
+
+
+class Points(NamedTuple):
     """Points that stand for pieces of the strips, as in Gauss's quadrature."""
 
     at: Floats  # positions [mm], (p, 3)
@@ -53,8 +54,24 @@ def points(leds: "Sequence[Led]", along: int, up: int) -> Points:
     return Points(np.array(at), np.array(normal), np.array(area), np.array(half), np.array(strip))
 
 
-@dataclass(frozen=True)
-class Slab:
+class Panels(NamedTuple):
+    """The strips as what stands in the way of light: rectangles, of no size where one can be seen through."""
+
+    middle: Floats  # [mm], (m, 3)
+    along: Floats  # half of each side [mm], (m, 3)
+    up: Floats
+    normal: Floats  # unit, (m, 3)
+
+    @classmethod
+    def of(cls, leds: "Sequence[Led]") -> "Panels":
+        """Those of a sensor's LEDs."""
+        axes = np.array([frame(led.normal, led.up) for led in leds]).reshape(-1, 3, 3)
+        half = np.array([(0.0, 0.0) if led.see_through else led.size_mm for led in leds]).reshape(-1, 2, 1) / 2
+        middle = np.array([led.center_mm for led in leds], dtype=float).reshape(-1, 3)
+        return cls(middle, axes[:, :, 0] * half[:, 0], axes[:, :, 1] * half[:, 1], axes[:, :, 2].copy())
+
+
+class Slab(NamedTuple):
     """Flat layers outside the air: bottoms and tops [mm] and indices, from the plate outward, each (layers,)."""
 
     bottoms: Floats
@@ -70,11 +87,6 @@ class Slab:
         tops = bottoms + t
         tops[-1] = np.inf
         return cls(bottoms, tops, n)
-
-    @property
-    def parts(self) -> tuple[Floats, Floats, Floats]:
-        """As compiled code takes it."""
-        return self.bottoms, self.tops, self.indices
 
 
 @vectorize(cache=True)  # type: ignore[untyped-decorator, no-untyped-call]
@@ -122,21 +134,20 @@ def connect(rho: float, lengths: Floats, indices: Floats) -> tuple[float, float]
 
 
 @njit(cache=True)
-def arrive(
-    rho: float, z: float, source: float, home: int, image: int, bottoms: Floats, tops: Floats, indices: Floats
-) -> tuple[float, float, float, float]:
+def arrive(rho: float, z: float, source: float, home: int, image: int, slab: Slab) -> tuple[float, float, float, float]:
     """How light from a point `rho` [mm] aside at height `source` comes to height z: straight (image 0) or mirrored (1).
 
     Args:
         rho, z, source: see above; z lies in the outermost layer.
         home: the layer of the source.
-        image: 1 for light that is first reflected at bottoms[0].
-        bottoms, tops, indices: see Slab.
+        image: 1 for light that is first reflected at the slab's bottom.
+        slab: light mirrors at its first bottom, against air.
 
     Returns:
         sine and rise of the unit vector from z toward the light (sideways, along +z), rise of the unit vector along
         which the light left, and radiance carried over times solid angle, per area [1/mm^2] that faces along that.
     """
+    bottoms, tops, indices = slab
     last = len(indices) - 1
     lengths = np.empty(last + 1)
     sign = 1.0 if image == 0 and source > z else -1.0
@@ -186,58 +197,104 @@ def ggx(turn: float, ci: float, co: float, alpha: float) -> float:
     return float(a2 / (np.pi * q * q) * g / (4 * ci))
 
 
+@njit(cache=True)
+def crosses(panels: Panels, a: tuple[float, float, float], b: tuple[float, float, float]) -> bool:
+    """Whether a strip stands in the straight way from a to b [mm]; it may begin or end on one."""
+    for m in range(len(panels.middle)):
+        ta, tb = 0.0, 0.0
+        for c in range(3):
+            ta += panels.normal[m, c] * (a[c] - panels.middle[m, c])
+            tb += panels.normal[m, c] * (b[c] - panels.middle[m, c])
+        if not ((ta > CLEAR and tb < -CLEAR) or (ta < -CLEAR and tb > CLEAR)):
+            continue
+        share, u, v, u2, v2 = ta / (ta - tb), 0.0, 0.0, 0.0, 0.0
+        for c in range(3):
+            off = a[c] + share * (b[c] - a[c]) - panels.middle[m, c]
+            u, v = u + off * panels.along[m, c], v + off * panels.up[m, c]
+            u2, v2 = u2 + panels.along[m, c] ** 2, v2 + panels.up[m, c] ** 2
+        if abs(u) < u2 and abs(v) < v2:
+            return True
+    return False
+
+
+@njit(cache=True)
+def shaded(panels: Panels, p: Floats, source: Floats, home: int, image: int, k: float, slab: Slab) -> bool:
+    """Whether a strip stands in the bent way between a point of the face and one that shines, straight or mirrored.
+
+    Args:
+        p, source: the two points [mm], (3,).
+        k: n sin(theta) of the way, see connect.
+        home, image, slab: see arrive.
+    """
+    dx, dy = source[0] - p[0], source[1] - p[1]
+    rho = max(np.sqrt(dx * dx + dy * dy), 1e-9)
+    dx, dy = dx / rho, dy / rho
+    r, z, i, down = 0.0, p[2], layer(p[2], slab.tops), image == 1 or source[2] < p[2]
+    while True:
+        if down:
+            end = slab.bottoms[i] if image == 1 or i > home else source[2]
+        else:
+            end = slab.tops[i] if i < home else source[2]
+        ahead = r + abs(end - z) * k / np.sqrt(max(slab.indices[i] ** 2 - k * k, 1e-12))
+        if crosses(panels, (p[0] + r * dx, p[1] + r * dy, z), (p[0] + ahead * dx, p[1] + ahead * dy, end)):
+            return True
+        if i == home and (image == 0 or not down):
+            return False
+        r, z = ahead, end
+        if down and i == 0:
+            down = False
+        else:
+            i += -1 if down else 1
+
+
 @njit(cache=True, parallel=True)
 def gather(
     p: Floats,
     n: Floats,
     view: Floats,
-    at: Floats,
-    light_normal: Floats,
-    area: Floats,
-    half: Floats,
-    strip: NDArray[np.int64],
+    points: Points,
     strips: int,
-    bottoms: Floats,
-    tops: Floats,
-    indices: Floats,
+    slab: Slab,
+    panels: Panels,
     alpha: float,
-    terrain: tuple[Floats, Floats, Floats, Floats],
+    terrain: Terrain,
 ) -> Floats:
     """Radiance toward the camera per unit LED radiance: (samples, strips, 2), for a white matt and a mirror-rough coat.
 
     Args:
         p, n, view: samples of the face: positions [mm], unit normals into the gel, unit directions to the camera in
             the gel, each (samples, 3).
-        at, light_normal, area, half, strip: see Points.
-        strips: how many LEDs there are.
-        bottoms, tops, indices: see Slab; light mirrors at bottoms[0], against air.
+        points: what shines, of so many `strips`.
+        slab: light mirrors at its first bottom, against air.
+        panels: what shades it, beside the face.
         alpha: GGX roughness.
-        terrain: the face for shadows, see horizon.Terrain.
-    """
+        terrain: the face for shadows.
+    """  # fmt: skip
     out = np.zeros((len(p), strips, 2))
     for s in prange(len(p)):
         if np.isnan(p[s, 0]):
             continue
         ci = max(n[s, 0] * view[s, 0] + n[s, 1] * view[s, 1] + n[s, 2] * view[s, 2], 0.05)
-        for q in range(len(at)):
-            dx, dy = at[q, 0] - p[s, 0], at[q, 1] - p[s, 1]
+        for q in range(len(points.at)):
+            at, light_normal = points.at[q], points.normal[q]
+            dx, dy = at[0] - p[s, 0], at[1] - p[s, 1]
             rho = max(np.sqrt(dx * dx + dy * dy), 1e-9)
             dx, dy = dx / rho, dy / rho
-            home = layer(at[q, 2], tops)
+            home = layer(at[2], slab.tops)
             for image in range(2):
-                sg, cg, cl, weight = arrive(rho, p[s, 2], at[q, 2], home, image, bottoms, tops, indices)
-                sl = sg * indices[-1] / indices[home]
+                sg, cg, cl, weight = arrive(rho, p[s, 2], at[2], home, image, slab)
+                sl = sg * slab.indices[-1] / slab.indices[home]
                 co = (n[s, 0] * dx + n[s, 1] * dy) * sg + n[s, 2] * cg
-                facing = cl * light_normal[q, 2] - sl * (light_normal[q, 0] * dx + light_normal[q, 1] * dy)
+                facing = cl * light_normal[2] - sl * (light_normal[0] * dx + light_normal[1] * dy)
                 if co <= 0.0 or facing <= 0.0 or weight <= 0.0:
                     continue
-                slope, soft = cg / sg, half[q] / rho
+                slope, soft = cg / sg, points.half[q] / rho
                 near = (slope - soft, slope + soft)
                 edge = horizon(terrain, p[s, 0], p[s, 1], p[s, 2], dx, dy, rho, near, near)
-                weight *= facing * area[q] * min(max(0.5 + 0.5 * (edge - slope) / soft, 0.0), 1.0)
-                if weight <= 0.0:
+                weight *= facing * points.area[q] * min(max(0.5 + 0.5 * (edge - slope) / soft, 0.0), 1.0)
+                if weight <= 0.0 or shaded(panels, p[s], at, home, image, sg * slab.indices[-1], slab):
                     continue
-                out[s, strip[q], 0] += weight * co / np.pi
+                out[s, points.strip[q], 0] += weight * co / np.pi
                 turn = (view[s, 0] * dx + view[s, 1] * dy) * sg + view[s, 2] * cg
-                out[s, strip[q], 1] += weight * ggx(turn, ci, co, alpha)
+                out[s, points.strip[q], 1] += weight * ggx(turn, ci, co, alpha)
     return out

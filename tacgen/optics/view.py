@@ -27,6 +27,7 @@ class Samples:
     normal: "Floats"  # unit, into the gel, (samples, 3)
     rest: "Floats"  # rest position [mm], (samples, 2)
     nodes: "Floats"  # the whole face: the sheet's nodes now [mm], (nodes, 3)
+    paint: "Floats"  # share of marker paint, (samples, 1)
 
 
 class View:
@@ -65,26 +66,30 @@ class View:
         screen = self.camera.project(nodes) * self.samples
         hit = draw(self.sheet.faces, screen, nodes[:, 2].copy(), values, self.shape).reshape(-1, 8)
         normal = hit[:, 3:6] / np.linalg.norm(hit[:, 3:6], axis=1, keepdims=True)
-        return Samples(np.ascontiguousarray(hit[:, :3]), normal, hit[:, 6:8], nodes)
+        return Samples(np.ascontiguousarray(hit[:, :3]), normal, hit[:, 6:8], nodes, self._paint(hit[:, 6:8]))
 
     def dimmed(self, at: Samples, bare: "Floats") -> "Floats":
-        """What the coat with its dots shows (H, W, 3) of light by which a bare coat would show `bare` (H, W, 3)."""
-        coat, n = self.sensor.coating, self.samples
-        other = np.repeat(np.repeat(bare, n, axis=0), n, axis=1).reshape(-1, 3)
+        """What the coat with its dots shows (H, W, 3) of light by which a bare coat would show `bare` (samples, 3)."""
+        coat = self.sensor.coating
         if self.markers is not None:
             white = (1 - coat.specular) * np.array(coat.albedo) + coat.specular * coating.METAL
-            other = other * (1 + self.dots(at) * (self.markers.albedo / white - 1))
-        return self.picture(other)
+            bare = bare * (1 + at.paint * (self.markers.albedo / white - 1))
+        return self.picture(bare)
+
+    def samples_of(self, picture: "Floats") -> "Floats":
+        """A picture (H, W, c) at each pixel's samples (samples, c)."""
+        n = self.samples
+        return np.repeat(np.repeat(picture, n, axis=0), n, axis=1).reshape(-1, picture.shape[2])
 
     def covered(self, at: Samples) -> "Floats":
         """Share of each pixel (H, W, 1) behind which there is gel."""
         return self.picture(np.isfinite(at.position[:, 2]).astype(float))
 
-    def dots(self, at: Samples) -> "Floats":
-        """Share of marker paint at each sample (samples, 1)."""
-        assert self.markers is not None
+    def _paint(self, rest: "Floats") -> "Floats":
+        if self.markers is None:
+            return np.zeros((len(rest), 1))
         fade = self.sensor.camera.mm_per_px / self.samples
-        return np.nan_to_num(coating.paint(self.markers, at.rest, fade))[:, np.newaxis]
+        return np.nan_to_num(coating.paint(self.markers, rest, fade))[:, np.newaxis]
 
     def picture(self, samples: "Floats") -> "Floats":
         """Means (H, W, c) over each pixel's samples (samples, c)."""

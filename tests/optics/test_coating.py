@@ -58,7 +58,7 @@ def test_stray_light_is_even_after_the_response_and_dots_stay_dark_in_it():
     )
     dark = model.model_copy(update={"leds": tuple(x.model_copy(update={"radiance": (0, 0, 0)}) for x in model.leds)})
     view = View(dark, Sheet.over(dark.gel, 0.2), True)
-    seen = view.dimmed(view.look(Untouched()), response.stray(model.camera))
+    seen = view.dimmed(view.look(Untouched()), view.samples_of(response.stray(model.camera)))
     share = response.expose(seen, model.camera)[16, 20] / [0.1, 0.2, 0.3]  # the middle of the middle dot
     coat = 0.8 * np.array(model.coating.albedo) + 0.2 * coating.METAL
     assert share == pytest.approx(0.03 / coat, rel=1e-6)

@@ -6,27 +6,31 @@ import pytest
 from tacgen.optics import transport
 from tacgen.optics.horizon import Terrain
 from tacgen.optics.layers import Stack
+from tacgen.spec.sensor import Led
 
-LEVEL = Terrain.of(np.zeros((5, 5)), (20.0, 20.0)).parts
+LEVEL = Terrain.of(np.zeros((5, 5)), (20.0, 20.0))
+NOTHING = transport.Panels.of([])  # in the way
+
+
+def one(at, normal, area, half):
+    """A single point that shines, and that it is one strip."""
+    return transport.Points(np.array([at]), np.array([normal]), np.array([area]), np.array([half]), np.array([0])), 1
 
 
 def test_a_small_strip_obeys_the_inverse_square_law():
-    p, q = np.array([[0.0, 0.0, 0.0]]), np.array([[3.0, 0.0, -4.0]])
-    toward = np.array([[-0.6, 0.0, 0.8]])  # the strip faces the point
-    area, down = np.array([1e-3]), np.array([[0.0, 0.0, -1.0]])
-    slab = (np.array([-10.0]), np.array([np.inf]), np.array([1.0]))  # index 1: no mirror image
-    light = (q, toward, area, np.array([0.01]), np.array([0]), 1)
-    got = transport.gather(p, down, down, *light, *slab, 0.4, LEVEL)
+    p, down = np.array([[0.0, 0.0, 0.0]]), np.array([[0.0, 0.0, -1.0]])
+    light = one([3.0, 0.0, -4.0], [-0.6, 0.0, 0.8], 1e-3, 0.01)  # the strip faces the point
+    slab = transport.Slab(np.array([-10.0]), np.array([np.inf]), np.array([1.0]))  # index 1: no mirror image
+    got = transport.gather(p, down, down, *light, slab, NOTHING, 0.4, LEVEL)
     assert got[0, 0, 0] == pytest.approx(1e-3 * 0.8 / 25.0 / np.pi, rel=1e-6)
 
 
 def test_a_mirror_image_adds_what_fresnel_reflects():
     n, depth = 1.5, 6.0
     p, down = np.array([[0.0, 0.0, 0.0]]), np.array([[0.0, 0.0, -1.0]])
-    q, normal = np.array([[1.0, 0.0, -2.0]]), np.array([[0.0, 0.0, -1.0]])  # faces away: only its image shines on p
-    slab = (np.array([-depth]), np.array([np.inf]), np.array([n]))
-    light = (q, normal, np.array([1e-3]), np.array([0.01]), np.array([0]), 1)
-    got = transport.gather(p, down, down, *light, *slab, 0.4, LEVEL)
+    light = one([1.0, 0.0, -2.0], [0.0, 0.0, -1.0], 1e-3, 0.01)  # faces away: only its image shines on p
+    slab = transport.Slab(np.array([-depth]), np.array([np.inf]), np.array([n]))
+    got = transport.gather(p, down, down, *light, slab, NOTHING, 0.4, LEVEL)
     d = np.hypot(1.0, 10.0)
     k = n / d
     expected = 1e-3 * (10.0 / d) ** 2 / d**2 / np.pi * (1 - transport.fresnel_transmission(k, n, 1.0))
@@ -70,14 +74,52 @@ def test_a_rough_mirror_reflects_nearly_all_and_never_more():
 
 def test_a_ridge_takes_a_strips_light_away():
     p, down = np.array([[-3.0, 0.0, 0.0]]), np.array([[0.0, 0.0, -1.0]])
-    light = (np.array([[4.0, 0.0, -0.8]]), np.array([[-1.0, 0.0, 0.0]]), np.array([1e-3]), np.array([0.05]))
-    slab = (np.array([-10.0]), np.array([np.inf]), np.array([1.0]))
+    light = one([4.0, 0.0, -0.8], [-1.0, 0.0, 0.0], 1e-3, 0.05)
+    slab = transport.Slab(np.array([-10.0]), np.array([np.inf]), np.array([1.0]))
     flat, size = np.zeros((101, 101)), (10.0, 10.0)
     ridge = flat.copy()
     ridge[:, 50:53] = -1.2
     clear, shaded = (
-        transport.gather(p, down, down, *light, np.array([0]), 1, *slab, 0.4, Terrain.of(heights, size).parts)[0, 0, 0]
+        transport.gather(p, down, down, *light, slab, NOTHING, 0.4, Terrain.of(heights, size))[0, 0, 0]
         for heights in (flat, ridge)
     )
     assert clear > 0.0
     assert shaded == 0.0
+
+
+@pytest.mark.parametrize(("normal", "image"), [([0.6, 0.0, -0.8], 1), ([-1.0, 0.0, 0.0], 0), ([-1.0, 0.0, 0.0], 1)])
+def test_a_strip_stands_in_the_way_where_a_fine_walk_meets_it(normal, image):
+    """Two layers; the way is bent at the one between, and mirrored under it."""
+    slab = transport.Slab(np.array([-8.0, -4.0]), np.array([-4.0, np.inf]), np.array([1.49, 1.41]))
+    source = np.array([-9.0, 0.5, -6.0])
+    home, rng, seen = transport.layer(source[2], slab.tops), np.random.default_rng(5), set()
+    for _ in range(200):
+        p, middle = np.array([*rng.uniform(-5, 5, 2), 0.0]), rng.uniform([-8, -2, -7.5], [0, 2, -0.5])
+        led = Led(name="in the way", center_mm=middle, normal=normal, size_mm=(4, 2), radiance=(1, 1, 1), source="test")
+        panels = transport.Panels.of([led])
+        met = walked(panels, p, source, image, slab)
+        if met is not None:
+            seen.add(met)
+            k = transport.arrive(np.hypot(*(source - p)[:2]), p[2], source[2], home, image, slab)[0] * slab.indices[-1]
+            assert transport.shaded(panels, p, source, home, image, k, slab) == met
+    assert seen == {True, False}
+
+
+def walked(panels, p, source, image, slab):
+    """The same by points every 0.002 mm of height; None where the way only just misses or meets the rectangle."""
+    rho = np.hypot(*(source - p)[:2])
+    home = transport.layer(source[2], slab.tops)
+    k = transport.arrive(rho, p[2], source[2], home, image, slab)[0] * slab.indices[-1]
+    z = np.arange(p[2], slab.bottoms[0] if image else source[2], -0.002)
+    z = np.append(z, np.arange(slab.bottoms[0], source[2], 0.002)) if image else z
+    n = np.where(z < slab.bottoms[1], *slab.indices)
+    r = np.cumsum(0.002 * k / np.sqrt(n * n - k * k))
+    assert r[-1] == pytest.approx(rho, abs=0.01)
+    way = np.column_stack([p[:2] + r[:, None] / rho * (source - p)[:2], z])
+    off = (way - panels.middle[0]) @ np.array([panels.normal[0], panels.along[0] / 4, panels.up[0]]).T
+    inside = np.maximum(np.abs(off[:, 1]), np.abs(off[:, 2]))  # along and up, 1 at the rims
+    near = np.abs(off[:, 0]) < 0.01
+    if not near.any():
+        return False
+    least = inside[near].min()
+    return None if abs(least - 1) < 0.05 else bool(least < 1)
