@@ -72,17 +72,21 @@ class Products:
             self.stresses = Stresses(problem)
         if "markers" in self.outputs:
             from tacgen.optics.coating import centers
-            from tacgen.optics.flow import Points
 
             if row.sensor.markers is None:
                 raise UserError(f"outputs: the sensor {row.sensor.name} has no markers")
             rest, motion = centers(row.sensor.markers), row.sensor.markers.motion
-            self.dots = Points(rest, self.sheet, self.seen, self.camera)
-            self.drift = None
+            self.dots: Callable[[solve.State, Surface], tuple[Array, Array]]
             if row.recipe.markers.method == "analytic" and motion is not None:
                 from tacgen.labels.drift import Drift
 
-                self.drift = Drift(motion, rest, row.sensor.gel, problem.contact.shape, self.camera)
+                drift = Drift(motion, rest, row.sensor.gel, problem.contact.shape, self.camera)
+                self.undisturbed, self.dots = drift.undisturbed, lambda state, _: drift.at(state.pose)
+            else:
+                from tacgen.optics.flow import Points
+
+                points = Points(rest, self.sheet, self.seen, self.camera)
+                self.undisturbed, self.dots = points.undisturbed, lambda _, coating: points.at(coating)
         if "flow" in self.outputs:
             from tacgen.optics.flow import Flow
 
@@ -110,7 +114,7 @@ class Products:
                 f"/reference/{name}": getattr(view, name)() for name in ("height", "normals") if name in self.outputs
             }
         if "markers" in self.outputs:
-            out["/reference/markers"] = self.dots.undisturbed
+            out["/reference/markers"] = self.undisturbed
         if "rgb" in self.outputs:
             with self.clock.stage("render"):
                 out["/reference/rgb"] = self.renderer.develop(self._composed(self.flat))
@@ -166,8 +170,8 @@ class Products:
         if self.outputs & {*PRINTED}:
             coating = self.seen.moved(state.x)
         if "markers" in self.outputs:
-            pixels, shown = self.drift.at(state.pose) if self.drift else self.dots.at(coating)
-            flow = pixels - self.dots.undisturbed
+            pixels, shown = self.dots(state, coating)
+            flow = pixels - self.undisturbed
             out |= {"/frames/markers": pixels, "/frames/marker_flow": flow, "/frames/marker_visible": shown}
         if "flow" in self.outputs:
             out["/frames/flow"] = self.flow.at(coating)

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from optics import tiny
 from physics.blocks import block
 from typer.testing import CliRunner
 
@@ -15,6 +16,7 @@ from tacgen import bench
 from tacgen.bench import answers, calculix, kit, mechanics, pay, stability, summary
 from tacgen.cli import app
 from tacgen.fem.shapes import Sphere
+from tacgen.optics import response
 
 ROOT = Path(__file__).parent.parent
 runner = CliRunner()
@@ -110,6 +112,23 @@ def test_an_unknown_bench_is_told(tmp_path: Path) -> None:
     told = runner.invoke(app, ["bench", "speed", "-o", str(tmp_path)])
     assert told.exit_code == 2
     assert told.stderr.startswith("speed: must be one of mechanics, ")
+
+
+def test_a_references_noise_is_not_taken_for_an_error() -> None:
+    """However strong: it is ten times the error here, and a plain mean of squares would be 20 dB off."""
+    from tacgen.bench.optics import decibel
+
+    camera, rng = tiny.sensor(camera={"vignette_mm": None}).camera, np.random.default_rng(4)
+    truth = np.full((32, 40, 3), 0.2)
+    halves = [truth + 0.04 * rng.standard_normal(truth.shape) for _ in range(2)]
+    expected = -20 * np.log10(float(response.slope(np.array(0.204))) * 0.004)
+    found, sure = decibel(1.02 * truth, halves, camera, noisy=False)
+    assert sure < 6
+    assert abs(found - expected) < 2 * sure
+    exact, _ = decibel(1.02 * truth, [truth, truth], camera, noisy=False)
+    assert exact == pytest.approx(expected, abs=1e-6)
+    plain = float(response.srgb(np.array(0.204)) - response.srgb(np.array(0.2)))
+    assert decibel(1.02 * truth, [truth, truth], camera, noisy=True)[0] == pytest.approx(-20 * np.log10(plain))
 
 
 SLOW = {"optics"}

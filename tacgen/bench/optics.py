@@ -1,16 +1,15 @@
 """How far pictures are from Mitsuba's `path`, and what they cost: sensors x solved faces x methods and settings.
 
-PSNR in dB on the developed sRGB picture before rounding and without the camera's noise. The reference's own noise,
-known from two independent halves, is taken off the mean square error. References are kept in the cache.
+PSNR in dB on the developed sRGB picture before rounding and without the camera's noise. The reference comes in two
+independent halves: the mean of the product of the two errors, in linear light and turned into sRGB by the slope at the
+picture measured, has none of their noise in it, however strong that is. References are kept in the cache.
 """
 
 import hashlib
-import json
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
-from pathlib import Path
-from typing import Any, cast
+from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 
@@ -21,7 +20,7 @@ from tacgen.optics.sheet import Sheet, Surface, Untouched
 from tacgen.optics.view import Samples
 from tacgen.recipe import QUALITIES
 from tacgen.spec import assets
-from tacgen.spec.sensor import LitSensor
+from tacgen.spec.sensor import Camera, LitSensor
 
 Array = np.ndarray
 BALL = "indenter={shape: sphere, radius_mm: 4}"
@@ -38,41 +37,24 @@ DEPTHS = {"gelsight_mini": 1.0, "digit": 1.0, "ninedtact": 0.8}  # of the ball [
 DOTS = (  # printed on a DIGIT, which has none: as on the Mini, turned
     "sensor.markers={columns: 7, rows: 9, pitch_mm: [2.0625, 2.0625], diameter_mm: 1.0, albedo: 0.065, source: bench}"
 )
-WAYS = [("transport", quality) for quality in QUALITIES] + [("path", str(spp)) for spp in (16, 64, 256)]
+WAYS = [("transport", quality) for quality in QUALITIES] + [("path", str(spp)) for spp in (16, 64)]
 CHUNK = 256  # paths a pixel that a reference is traced with at a time
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """A picture against its reference: PSNR [dB] with and without the reference's noise taken off, and its seconds of
-    processor: a frame's, and what was made ready before the first one."""
+    """A picture against its reference: PSNR [dB] and how sure that is, and its seconds of processor: a frame's, and
+    what was made ready before the first one."""
 
     sensor: str
     face: str
     method: str
     setting: str
     decibel: float
-    plain: float
+    sure: float
     seconds: float
     ready: float
     pixels: tuple[int, int]
-
-    @property
-    def name(self) -> str:
-        """What was measured, as a file's name."""
-        return f"{self.sensor} {self.face} {self.method} {self.setting}".replace(" ", "_")
-
-    def line(self) -> str:
-        """A row of the table."""
-        return (
-            f"{self.sensor:<14} {self.face:<13} {self.method:<10} {self.setting:<10}"
-            f" {self.decibel:6.1f} {self.plain:6.1f} {self.seconds:7.3f} {self.ready:7.2f}"
-        )
-
-
-HEADER = (
-    f"{'sensor':<14} {'face':<13} {'method':<10} {'setting':<10} {'dB':>6} {'plain':>6} {'s/frame':>7} {'ready s':>7}"
-)
 
 
 class Kept:
@@ -117,31 +99,31 @@ def solved(sensor: str, face: str, shrink: int) -> tuple[LitSensor, Surface, boo
     return lit, fields.seen(problem.mesh, len(lit.gel.clear_layers)).moved(last.x), dots
 
 
-def decibel(picture: Array, halves: Array) -> tuple[float, float]:
-    """(corrected, plain) PSNR [dB] of a picture (H, W, 3) in [0, 1] against the mean of two halves (2, H, W, 3)."""
-    error = np.mean((picture - halves.mean(axis=0)) ** 2)
-    noise = np.mean((halves[0] - halves[1]) ** 2) / 4
-    corrected, plain = (float(-10 * np.log10(max(e, 1e-9))) for e in (error - noise, error))
-    return corrected, plain
+def decibel(picture: Array, halves: Sequence[Array], camera: Camera, noisy: bool) -> tuple[float, float]:
+    """PSNR [dB] of a radiance picture (H, W, 3), that may be `noisy` itself, against two noisy ones, and its standard
+    deviation [dB]; where that hides the error, no more PSNR than is sure."""
+    x, *truths = (response.expose(light.astype(np.float64), camera) for light in (picture, *halves))
+    slope = response.slope(np.clip(x, 0.0, 1.0)) * (x < 1.0)
+    off = [response.srgb(x) - response.srgb(truth) if noisy else slope * (x - truth) for truth in truths]
+    product = np.prod(off, axis=0).mean(axis=2)
+    sure = float(product.std() / np.sqrt(product.size))
+    error = max(float(product.mean()), sure, 1e-9)
+    return float(-10 * np.log10(error)), float(10 * np.log10(1 + sure / error))
 
 
 def measure(
     sensors: Sequence[str], faces: Sequence[str], spp: int, shrink: int, ways: Sequence[tuple[str, str]], variant: str
-) -> Iterator[tuple[Outcome, Array, Array]]:
-    """Each outcome with its picture and the reference's (H, W, 3) in [0, 1], `spp` paths a pixel in each half."""
+) -> Iterator[Outcome]:
+    """Each outcome, against references of `spp` paths a pixel in each half."""
     for name in sensors:
         ready: dict[tuple[str, str, bool], tuple[render.Renderer, float]] = {}
         for face in faces:
             sensor, surface, dots = solved(name, face, shrink)
-
-            def shown(radiance: Array, sensor: LitSensor = sensor) -> Array:
-                return response.srgb(response.expose(radiance.astype(np.float64), sensor.camera))
-
             halves = []
             for seed in (11, 12):
                 kept = render.Renderer(sensor, 1, 0, dots, variant, "path")
                 kept.light = Kept(sensor, dots, spp, seed, variant)
-                halves.append(shown(kept.image(surface)))
+                halves.append(kept.image(surface))
             for way in ways:
                 if (*way, dots) not in ready:
                     begun = time.process_time()
@@ -151,42 +133,8 @@ def measure(
                     made.image(surface)  # compiles
                 renderer, before = ready[(*way, dots)]
                 begun = time.process_time()
-                picture = shown(renderer.image(surface))
+                picture = renderer.image(surface)
                 seconds = time.process_time() - begun
                 size = (sensor.camera.width_px, sensor.camera.height_px)
-                told = Outcome(name, face, *way, *decibel(picture, np.array(halves)), seconds, before, size)
-                yield told, picture, np.mean(halves, axis=0)
-
-
-def write(outcomes: Sequence[Outcome], folder: Path, about: dict[str, Any]) -> None:
-    """The table as text and JSON, and error against time as a picture."""
-    from matplotlib.figure import Figure
-
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "optics.txt").write_text("\n".join([HEADER, *(o.line() for o in outcomes)]) + "\n")
-    table = {**about, "outcomes": [asdict(o) for o in outcomes]}
-    (folder / "optics.json").write_text(json.dumps(table, indent=1) + "\n")
-    sensors = list(dict.fromkeys(o.sensor for o in outcomes))
-    figure = Figure(figsize=(4.2 * len(sensors), 4.0), layout="constrained")
-    for axes, name in zip(figure.subplots(1, len(sensors), squeeze=False)[0], sensors, strict=True):
-        own = [o for o in outcomes if o.sensor == name]
-        for k, way in enumerate(dict.fromkeys((o.method, o.setting) for o in own)):
-            for face, mark in zip(FACES, "os^D", strict=True):
-                at = [(o.seconds, o.decibel) for o in own if (o.method, o.setting) == way and o.face == face]
-                label = " ".join(way) if face == own[0].face else None
-                axes.scatter(*zip(*at, strict=True), color=f"C{k}", marker=mark, s=28, label=label) if at else None
-        axes.axhline(40.0, color="0.7", lw=0.8)
-        axes.axvline(0.5, color="0.7", lw=0.8)
-        axes.set(xscale="log", title=f"{name}, {own[0].pixels[0]} x {own[0].pixels[1]}", xlabel="s a frame, one core")
-        axes.set_ylabel("PSNR against path [dB]")
-        axes.legend(fontsize=7)
-    figure.suptitle("o untouched   s ball   ^ sharp box   D sheared dots", fontsize=9)
-    figure.savefig(folder / "optics.png", dpi=110)
-
-
-def beside(picture: Array, truth: Array, path: Path) -> None:
-    """A picture, its reference, and eight times their difference around grey, all (H, W, 3) in [0, 1]."""
-    from matplotlib.image import imsave
-
-    path.parent.mkdir(parents=True, exist_ok=True)
-    imsave(path, np.concatenate([picture, truth, np.clip(0.5 + 8 * (picture - truth), 0, 1)], axis=1))
+                found = decibel(picture, halves, sensor.camera, noisy=way[0] == "path")
+                yield Outcome(name, face, *way, *found, seconds, before, size)

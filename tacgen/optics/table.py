@@ -8,6 +8,7 @@ against the untouched one, so that a dome needs nothing else.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from itertools import cycle
 from typing import TYPE_CHECKING
 
@@ -27,9 +28,8 @@ if TYPE_CHECKING:
 BINS = 41  # of each component of the slope, which goes from -1 to 1 as the sine of the angle
 SHARED = ((1.0, 1.0), (4.0, 1e-3), (16.0, 1e-6))  # widths [bins] over which bins share what they saw, and how much
 RIDGE = 0.05  # of a bin's samples: how hard terms that the place would multiply are drawn to 0
-PLACES = [
-    (x, y) for y in (-0.6, -0.2, 0.2, 0.6) for x in (-0.6, -0.2, 0.2, 0.6)
-]  # of dents, in half pictures from the middle
+ALONG = (-0.6, -0.2, 0.2, 0.6)
+PLACES = [(x, y) for y in ALONG for x in ALONG]  # of dents, in half pictures from the middle
 BALLS = [(1.2, 0.6), (0.6, 0.9), (1.5, 0.35), (0.8, 0.75)]  # radius, in the gel's thickness; sine of the steepest slope
 COARSE = 2  # [px] between pixels whose shadows are sought, and between the points at which a way to a lamp is tried
 
@@ -79,10 +79,9 @@ class Table:
     @classmethod
     def mixed(cls, tables: list["Table"], light: "Floats") -> "Table":
         """That of all lamps together, from tables (lamps) of each alone and their radiance (lamps, 3)."""
-        terms = sum(table.terms * rgb for table, rgb in zip(tables, light, strict=True))
-        return cls(
-            np.asarray(terms), np.array([table.shade[0] * rgb for table, rgb in zip(tables, light, strict=True)])
-        )
+        lit = list(zip(tables, light, strict=True))
+        terms, shade = sum(table.terms * rgb for table, rgb in lit), [table.shade[0] * rgb for table, rgb in lit]
+        return cls(np.asarray(terms), np.array(shade))
 
     @property
     def packed(self) -> "Floats":
@@ -116,6 +115,7 @@ def dents(sensor: "LitSensor", untouched: "Surface") -> Iterator[BallDent]:
         yield BallDent(share * thick, slope * share * thick, (float(at[0]), float(at[1])), untouched)
 
 
+@cache
 def places(shape: tuple[int, int]) -> "Floats":
     """1, x, y, x^2, x y, y^2 of each pixel's centre (h, w, 6), x and y from -1 to 1 over the picture."""
     y, x = ((np.arange(n) + 0.5) / n * 2 - 1 for n in shape)
