@@ -1,11 +1,13 @@
 """One scene down the line: only what is asked for, the same bytes twice, and nothing lost when it is killed."""
 
+import json
 import os
 import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -201,3 +203,16 @@ def test_path_and_transport_show_the_same_scene(recipe: Path) -> None:
     path = Renderer(sensor, 400, 0, True, method="path").image(Untouched())
     assert path.mean((0, 1)) == pytest.approx(transport.mean((0, 1)), rel=0.05)
     assert np.abs(path - transport).mean() > 0.005  # it was not transport again
+
+
+@pytest.mark.parametrize(("radius", "said"), [(3.8, ""), (2.0, "1 to 6 % off"), (1.1, "up to a fifth off")])
+def test_an_indenter_that_the_mesh_does_not_resolve_is_told(
+    recipe: Path, tmp_path: Path, radius: float, said: str
+) -> None:
+    heard: list[dict[str, Any]] = []
+    press = "trajectory=[{press: {depth_mm: 0.2, frames: 1}}]"
+    sets = (f"indenter={{shape: sphere, radius_mm: {radius}}}", "quality.edge_mm=1.2", press)
+    (done,) = pipeline.run(plan.load(recipe, sets).rows, tmp_path / "out", say=heard.append)
+    notes = [event["note"] for event in heard if event["event"] == "note"]
+    assert [said in note for note in notes] == ([True] if said else [])
+    assert notes == json.loads(bundle.read(done.path).attrs.get("notes", "[]"))

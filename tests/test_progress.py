@@ -41,6 +41,14 @@ def test_a_line_a_scene_where_there_is_no_terminal():
     assert lines[2:] == ["scene-00001: ok"]
 
 
+def test_a_note_is_said_once_for_all_scenes():
+    stream = io.StringIO()
+    with Progress(ROWS, stream) as progress:
+        for scene in ("scene-00000", "scene-00001"):
+            progress({"event": "note", "scene": scene, "note": "its edges are sharp"})
+    assert stream.getvalue() == "scene-00000: note: its edges are sharp\n"
+
+
 def test_a_line_a_frame_where_there_is_one_scene():
     stream = io.StringIO()
     with Progress(ROWS[:1], stream) as progress:

@@ -24,6 +24,7 @@ class Progress:
         self.done = 0  # frames of finished scenes
         self.kept = 0  # of these, those that were there already: they say nothing about speed
         self.finished = 0
+        self.noted: set[str] = set()
         self.started = time.monotonic()
         self.bar: Any = None
         self.task: Any = None
@@ -48,11 +49,15 @@ class Progress:
             self.bar.stop()
 
     def __call__(self, event: dict[str, Any]) -> None:
-        """Show an event: a frame, a retry or the end of a scene."""
+        """Show an event: a frame, a note, a retry or the end of a scene."""
         name = event["scene"]
         if event["event"] == "frame":
             self.under_way[name] = event["frame"]
             self._say(f"{name}: frame {event['frame']} of {event['frames']}", lasting=False)
+        elif event["event"] == "note":
+            if event["note"] not in self.noted:  # once for all scenes of a run
+                self.noted.add(event["note"])
+                self._say(f"{name}: note: {event['note']}")
         elif event["event"] == "retry":
             self.under_way.pop(name, None)
             self._say(f"{name}: once more: {event['reason']}")
