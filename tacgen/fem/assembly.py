@@ -57,6 +57,19 @@ def invariants(F: Array) -> tuple[Array, Array, Array]:
 
 
 @njit(cache=True)
+def carried(taken: Array, F: Array, J: Array, to: Array) -> Array:
+    """J (e, q) on the way from F (e, q, 3, 3), where it is J, `to` another, to first order about `taken`."""
+    out, C = J.copy(), np.empty((3, 3))
+    for e in range(F.shape[0]):
+        for q in range(F.shape[1]):
+            cofactor(taken[e, q], C)
+            for i in range(3):
+                for j in range(3):
+                    out[e, q] += C[i, j] * (to[e, q, i, j] - F[e, q, i, j])
+    return out
+
+
+@njit(cache=True)
 def _piola(F: Array, C: Array, I1: float, w1: float, w2: float, w3: float, P: Array) -> None:
     """P = 2 w1 F + 2 w2 (I1 F - F F^T F) + w3 cof F."""
     for i in range(3):

@@ -6,8 +6,9 @@ is found, what is lagged in them included, on the few hundred unknowns near the 
 1965). The gradient of the bulk is always exact, so that the answer is that of `newton.minimise`.
 
 The quadratic is the stiffness factorised some time ago, mended by what gradients have told since (BFGS; limited memory,
-Nocedal 1980). With the factor L of the stiffness, and the contact's unknowns eliminated last, all of that is cheap in
-q = L^T p: the old stiffness is 1 there, and the contact's part of it the end of the vector.
+Nocedal 1980), and factorised anew where it no longer says how they change. With the factor L of the stiffness, and the
+contact's unknowns eliminated last, all of that is cheap in q = L^T p: the old stiffness is 1 there, and the contact's
+part of it the end of the vector.
 """
 
 from collections import deque
@@ -15,6 +16,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.sparse as sp
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from tacgen.fem.assembly import Pattern, pattern
@@ -25,13 +27,13 @@ from tacgen.fem.potentials import Potential, Total
 Array = np.ndarray
 MOST = 2000  # unknowns of the condensed problem: beyond, its dense factors cost more than they save
 PAIRS = 10  # of steps and changes of the gradient that are remembered
-WRONG = 0.6  # part of a step by which the quadratic may be wrong before the stiffness is factorised anew
+LEFT = 3.0  # steps that may be left at the present rate: a new factor costs as much as these
+KNOWN = 0.3  # part of the way from the last answer to a guess by which the quadratic may be wrong
+SAG = 0.3  # of the curvature along a step: how far above the quadratic the bulk's energy may end
 PART = 0.1  # of xtol: the next step may be that long
 LOOSE = 0.2  # of the error expected of the bulk is what contact and friction may be off by on the way,
 LOOSEST = 50.0  # but no more than this many times what they may be in the end
 STEPS = 25  # of those that converge few take more than ten
-ANEW = 2  # factorisations on the way to one answer, and
-LOST = 2  # answers in a row that wanted more: to such a bulk a quadratic says too little for too short
 
 
 class Condensed:
@@ -47,7 +49,8 @@ class Condensed:
         self.nodes = np.zeros(whole.nodes, bool)
         self.error, self.length = 0.0, np.inf  # of the first step of the last solution [mm]
         self.usable = False
-        self.factored = self.stepped = self.lost = 0
+        self.answer: tuple[Array, Array] | None = None  # the last x (n, 3) and its gradient's y
+        self.factored = self.stepped = 0
 
     def cover(self, facets: Array) -> None:
         """Condense to the nodes of these facets (f, a) from now on."""
@@ -59,7 +62,7 @@ class Condensed:
         self._factor = Cholmod(self.whole, np.concatenate([self._order[~last], self._order[last]]))
         self._rows = np.argsort(self._factor.order[-self.size :])  # the factor has an order of its own
         self._columns = np.repeat(np.arange(self.size), np.diff(self.pattern.indptr))
-        self.usable = False
+        self.usable, self.answer = False, None
 
     def renew(self, bulk: Potential, x: Array, exact: bool) -> None:
         """Take the stiffness at x (n, 3), if it is definite as it is and `exact`; else projected."""
@@ -74,6 +77,7 @@ class Condensed:
                 if project == 2:
                     raise
         self.factored += 1
+        self._upper = sp.csr_matrix((data, self.whole.indices, self.whole.indptr), shape=(self.whole.size,) * 2)
         self._L = self._factor.trailing(self.size)[self._rows]
         self._first = np.asfortranarray(self._L @ self._L.T)
         self._pairs: deque[tuple[Array, Array]] = deque(maxlen=PAIRS)
@@ -88,6 +92,19 @@ class Condensed:
             self._pairs.append((q, change))
             self._update()
         return float(wrong)
+
+    def knows(self, x: Array, g: Array) -> bool:
+        """Whether the quadratic says how the gradient (n, 3) became what it is on the way from the last answer to x."""
+        if not self.usable or self.answer is None:
+            return False
+        (last, y), U = self.answer, self._upper
+        p = (x - last).ravel()[self.whole.free]
+        q = self._factor.forward(U @ p + U.T @ p - U.diagonal() * p)
+        return not q.any() or self.learn(q, self.begin(g) - y) <= KNOWN
+
+    def curvature(self, q: Array) -> float:
+        """Of the quadratic along q: q . B q."""
+        return float(q @ q + self._D @ (np.hstack([self._Wf, self._Wc]) @ q) ** 2)
 
     def _update(self) -> None:
         """The quadratic in q, B = 1 + W^T D W, and what is left of it on the contact's unknowns."""
@@ -186,28 +203,22 @@ def settle(
     """
     steps: list[Step] = []
     pair: tuple[Array, Array] | None = None
-    anew, first = 0, (0.0, np.inf)
     error, length, settled = condensed.error, condensed.length, False
     try:
         while True:
             g = bulk.gradient(x)
-            if not condensed.usable:
+            if pair is None and not condensed.knows(x, g):
                 condensed.renew(bulk, x, length <= near)
-                pair = None
             y = condensed.begin(g)
             if pair is not None:
                 wrong = condensed.learn(pair[0], y - pair[1])
                 error = wrong * length
-                first = (error, length) if len(steps) == 1 else first
+                if len(steps) == 1:
+                    condensed.error, condensed.length = error, length
                 if settled and error <= PART * xtol:
-                    condensed.error, condensed.length = first
-                    condensed.lost = 0
+                    condensed.answer = x, y
                     return Solution(x, Status.converged, tuple(steps))
-                if wrong > WRONG and error > xtol:
-                    if anew == ANEW:
-                        condensed.lost += 1
-                        return Solution(x, Status.out_of_steps, tuple(steps))
-                    anew += 1
+                if error > xtol and error * wrong**LEFT > PART * xtol:
                     condensed.renew(bulk, x, length <= near)
                     y = condensed.begin(g)
             if len(steps) == STEPS:
@@ -218,7 +229,11 @@ def settle(
             p, q = condensed.end((there - x).ravel()[condensed.pattern.free], y)
             length, felt = float(np.abs(p).max()), loads()
             energy, slope = bulk.value(x) + felt.value(x), float(((g + felt.gradient(x)) * p).sum())
-            fraction, x, _ = backtrack(Total((bulk, felt)).value, x, p, energy, slope, felt.max_step(x, p))
+            most, expected = felt.max_step(x, p), float((g * p).sum()) + (0.5 + SAG) * condensed.curvature(q)
+            if close and most == 1.0 and bulk.value(ahead := x + p) - bulk.value(x) <= expected:
+                fraction, x = 1.0, ahead  # loads may be others than at x by now: their energy says nothing
+            else:
+                fraction, x, _ = backtrack(Total((bulk, felt)).value, x, p, energy, slope, most)
             steps.append(Step(energy, length, fraction, False))
             if fraction == 0.0:
                 return Solution(x, Status.converged if length <= PART * xtol else Status.stalled, tuple(steps))

@@ -10,6 +10,7 @@ from tacgen.fem.assembly import Pattern
 from tacgen.fem.elements import Elements
 from tacgen.fem.last import Last
 from tacgen.fem.materials import Law
+from tacgen.fem.meant import Meant
 from tacgen.fem.stiffness import LAZY, Kept
 
 Array = np.ndarray
@@ -80,6 +81,7 @@ class Elastic:
     law: Law
     stiffness: Kept | None = None  # None where only energies and stresses are asked for
     _last: Last = field(default_factory=Last, init=False, compare=False, repr=False)
+    _meant: Meant = field(default_factory=Meant, init=False, compare=False, repr=False)
 
     @classmethod
     def on(cls, pattern: Pattern, elements: Elements, law: Law, lazy: float = LAZY) -> "Elastic":
@@ -120,11 +122,16 @@ class Elastic:
             second[..., 2] += local * ddU
         return Point(F, I1, J, np.inf if bad else energy, first, second, dilatation)
 
+    def hold(self, x: Array) -> None:
+        """From the answer x on, take the stiffness with the pressure that steps are meant to give (see Meant)."""
+        self._meant.hold(self.at(x).J)
+
     def value(self, x: Array) -> float:
         return self.at(x).energy
 
     def gradient(self, x: Array) -> Array:
         e, at = self.elements, self.at(x)
+        self._meant.step(at.F, at.J)
         out = np.zeros_like(x)
         assembly.add_forces(at.F, e.conn, e.gradients, e.weights, at.I1, at.first, out)
         return out
@@ -132,7 +139,20 @@ class Elastic:
     def add_hessian(self, x: Array, data: Array, project: int) -> None:
         e, at = self.elements, self.at(x)
         assert self.stiffness is not None
-        data += self.stiffness.at(at.F, e.gradients, e.weights, at.first, at.second, at.dilatation, project)
+        first = self._pressed(at, self._meant.at(at.F, at.J))
+        data += self.stiffness.at(at.F, e.gradients, e.weights, first, at.second, at.dilatation, project)
+
+    def _pressed(self, at: Point, J: Array) -> Array:
+        """Point.first (e, q, 3) with the pressure of another J (e, q)."""
+        if J is at.J:
+            return at.first
+        first, w, local = at.first.copy(), self.elements.weights, self.local
+        if local < 1:
+            new, old = ((w * j).sum(1) / w.sum(1) for j in (J, at.J))
+            first[..., 2] += (1 - local) * (self.law.vol(new)[1] - self.law.vol(old)[1])[:, None]
+        if local > 0:
+            first[..., 2] += local * (self.law.vol(J)[1] - self.law.vol(at.J)[1])
+        return first
 
     def max_step(self, x: Array, p: Array) -> float:
         return 1.0

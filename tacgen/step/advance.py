@@ -11,7 +11,7 @@ import numpy as np
 
 from tacgen.fem import friction as fr
 from tacgen.fem.assembly import Pattern
-from tacgen.fem.condensed import LOST, MOST, STEPS, settle
+from tacgen.fem.condensed import MOST, STEPS, settle
 from tacgen.fem.contact import Contact, Pose
 from tacgen.fem.newton import Solution, Status, Step, minimise
 from tacgen.fem.passage import blocked, sunk
@@ -82,6 +82,8 @@ class _Lagged:
     ) -> None:
         self.problem, self.memory, self.duration = problem, memory, duration
         self.xtol, self.near, self.eps = (part * problem.contact.dhat for part in (XTOL, NEAR, EPS))
+        for part in problem.elastic:
+            part.hold(memory.x)
         offset = memory.offset if near is None else max(memory.offset, near.offset)
         self.contact: AnyContact = replace(problem.contact.moved(pose, offset), kappa=memory.kappa)
         self.contact_force = 0.0
@@ -151,8 +153,6 @@ class _Lagged:
     def lower(self, x: Array, xtol: float, expect: float) -> Solution:
         """Newton's method from x; `expect`: how far that may be from the answer [mm]."""
         problem, condensed = self.problem, self.problem.condensed
-        if condensed is not None and condensed.lost == LOST:
-            condensed = None
         bulk, steps = Total((*problem.elastic, *self.inert)), list[Step]()
         while condensed is not None and len(steps) < 4 * STEPS and isinstance(self.contact, Contact):
             if not (touching := self._touching(x)).any():
