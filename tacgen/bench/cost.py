@@ -83,7 +83,7 @@ def _growth(level: Level, say: Say) -> tuple[Table, Plot]:
     rows: list[list[Cell]] = []
     nodes, each = list[float](), list[float]()
     for wanted in NODES[level]:
-        edge = round(0.4 * (5600 / wanted) ** (1 / 2.6), 3)
+        edge = round(0.245 * (13320 / wanted) ** (1 / 2.2), 3)
         found = apart("tacgen.bench.cost:solved", (PRESS, f"quality={{edge_mm: {edge}, dhat_mm: 0.03}}"))
         seconds, iterations = sum(found["seconds"]), sum(found["iterations"])
         nodes.append(found["nodes"])
