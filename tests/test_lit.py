@@ -35,7 +35,6 @@ def test_sound_sensors_have_no_problems():
         ({"center_mm": [0, -4.9, -7]}, "center_mm", "red: lies in the air under the plate (z < -5)"),
         ({"normal": [0, 0, 1]}, "up", "red: normal (0, 0, 1) and up (0, 0, 1) must be neither zero nor parallel"),
         ({"normal": [0, 0, 0]}, "normal", "must be neither zero nor parallel"),
-        ({"see_through": True}, "see_through", "red: is for light from behind a gel that scatters"),
     ],
 )
 def test_a_light_where_none_can_be(led_changes: Data, key: str, says: str):

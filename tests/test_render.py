@@ -6,7 +6,7 @@ import sys
 
 import numpy as np
 import pytest
-from optics.tiny import sensor
+from optics.tiny import PLAIN, sensor
 
 from tacgen import render
 from tacgen.image import variants
@@ -40,6 +40,26 @@ def test_image_agrees_with_path_within_paths_own_noise(renderer, tracer, surface
     assert image.mean(axis=(0, 1)) == pytest.approx(truth.mean(axis=(0, 1)), rel=0.03)
     corrected = np.sqrt(max(np.mean((image - truth) ** 2) - noise, 0.0))
     assert corrected < 0.04 * truth.mean()
+
+
+def test_light_goes_through_strips_that_stand_for_it():
+    """Dark ones before the others' mirror images, far larger than they: as if they were not there."""
+    dark = {"size_mm": [9, 3], "center_mm": [0, -4.6, -3.2], "radiance": [0, 0, 0], "see_through": True}
+    leds = [*PLAIN["leds"], {**PLAIN["leds"][0], **dark, "name": "dark"}]
+    bare, through = (
+        render.Renderer(sensor(leds=those), 4, 0, False, variants.SCALAR) for those in (PLAIN["leds"], leds)
+    )
+    opaque = render.Renderer(sensor(leds=[*leds[:3], {**leds[3], "see_through": False}]), 4, 0, False, variants.SCALAR)
+    plain = bare.image(Untouched())
+    assert through.image(Untouched()) == pytest.approx(plain, rel=1e-6)
+    assert np.abs(opaque.image(Untouched()) - plain).max() > 0.1 * plain.max()
+    halves = [
+        np.mean(
+            [PathTracer(one.sensor, one.sheet, False, variants.SCALAR).radiance(Untouched(), 64, k) for k in (1, 2)]
+        )
+        for one in (bare, through)
+    ]
+    assert halves[1] == pytest.approx(halves[0], rel=0.01)
 
 
 def test_leaving_out_the_mirror_would_be_noticed(renderer, tracer):

@@ -235,7 +235,7 @@ def _reading(out: Path, say: Say) -> Table:
         for i in order:
             data[int(i)]
         each = 1000 * (time.process_time() - start) / len(order)
-        loader: Any = DataLoader(data, batch_size=64, shuffle=True, num_workers=2, persistent_workers=True)  # type: ignore[arg-type]
+        loader: Any = DataLoader(data, batch_size=64, shuffle=True, num_workers=2, persistent_workers=True)
         rates = []
         for _ in range(3):  # the first starts the workers
             start = time.perf_counter()

@@ -77,10 +77,10 @@ def description(sensor: "LitSensor", sheet: Sheet, markers: bool) -> tuple[dict[
 
 
 def integrator(sensor: "LitSensor") -> dict[str, Any]:
-    """`path`, or `volpath` where a layer scatters."""
+    """`path`, or `volpath` where a layer scatters, or light goes through an LED."""
     if any(layer.scattering for layer in sensor.gel.clear_layers):
         return {"type": "volpath", "max_depth": MAX_DEPTH_SCATTERING, "rr_depth": MAX_DEPTH}
-    return {"type": "path", "max_depth": MAX_DEPTH}
+    return {"type": "volpath" if any(led.see_through for led in sensor.leds) else "path", "max_depth": MAX_DEPTH}
 
 
 def realise(mi: Any, node: Any) -> Any:

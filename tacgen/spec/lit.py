@@ -99,8 +99,6 @@ def wrong_led(sensor: LitSensor, led: Led) -> tuple[str, str] | None:
         )
     if all(below) and led.center_mm[2] < bottom - sensor.camera.distance_mm:
         return "center_mm", f"lies behind the camera, which is at z = {bottom - sensor.camera.distance_mm:g}"
-    if led.see_through and not cloudy:
-        return "see_through", "is for light from behind a gel that scatters"
     return None
 
 

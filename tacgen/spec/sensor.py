@@ -227,7 +227,7 @@ class Led(Part):
     size_mm: tuple[Positive, Positive]
     radiance: Rgb
     power: NotNegative = 1.0  # factor on the radiance: how much stronger this one is than its file says
-    see_through: bool = False  # stands for light that enters there from all around: the camera looks through it
+    see_through: bool = False  # stands for light that passes there, and takes none away: nothing is there but the light
     source: str
 
     @property
