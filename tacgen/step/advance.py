@@ -82,8 +82,9 @@ class _Lagged:
     ) -> None:
         self.problem, self.memory, self.duration = problem, memory, duration
         self.xtol, self.near, self.eps = (part * problem.contact.dhat for part in (XTOL, NEAR, EPS))
-        for part in problem.elastic:
-            part.hold(memory.x)
+        if isinstance(problem.contact, Contact):  # between meshes collisions cut steps far shorter than they were meant
+            for part in problem.elastic:
+                part.hold(memory.x)
         offset = memory.offset if near is None else max(memory.offset, near.offset)
         self.contact: AnyContact = replace(problem.contact.moved(pose, offset), kappa=memory.kappa)
         self.contact_force = 0.0
