@@ -86,8 +86,7 @@ class Condensed:
 
     def learn(self, q: Array, change: Array) -> float:
         """Along q the gradient changed by L `change`: by which part the quadratic was wrong, which then is right."""
-        W = np.hstack([self._Wf, self._Wc])
-        wrong = np.linalg.norm(change - q - (self._D * (W @ q)) @ W) / np.linalg.norm(q)
+        wrong = np.linalg.norm(change - q - (self._D * (self._W @ q)) @ self._W) / np.linalg.norm(q)
         if q @ change > 0.1 * (q @ q):
             self._pairs.append((q, change))
             self._update()
@@ -104,7 +103,7 @@ class Condensed:
 
     def curvature(self, q: Array) -> float:
         """Of the quadratic along q: q . B q."""
-        return float(q @ q + self._D @ (np.hstack([self._Wf, self._Wc]) @ q) ** 2)
+        return float(q @ q + self._D @ (self._W @ q) ** 2)
 
     def _update(self) -> None:
         """The quadratic in q, B = 1 + W^T D W, and what is left of it on the contact's unknowns."""
@@ -114,7 +113,7 @@ class Condensed:
             Bq = q + (D * (W @ q)) @ W
             W = np.vstack([W, Bq, change])
             D = np.concatenate([D, [-1 / (q @ Bq), 1 / (q @ change)]])
-        self._D, self._Wf, self._Wc = D, W[:, : n - self.size], W[:, n - self.size :]
+        self._D, self._W, self._Wf, self._Wc = D, W, W[:, : n - self.size], W[:, n - self.size :]
         self._T = np.linalg.inv(np.diag(1 / D) + self._Wf @ self._Wf.T)
         added = self._L @ self._Wc.T
         self.stiffness = self._first + added @ self._T @ added.T if len(D) else self._first
@@ -228,9 +227,10 @@ def settle(
             there, done = _contact(condensed, loads, x, y, xtol, loose, near, close, refresh, negligible)
             p, q = condensed.end((there - x).ravel()[condensed.pattern.free], y)
             length, felt = float(np.abs(p).max()), loads()
-            energy, slope = bulk.value(x) + felt.value(x), float(((g + felt.gradient(x)) * p).sum())
+            here, slope = bulk.value(x), float(((g + felt.gradient(x)) * p).sum())
+            energy = here + felt.value(x)
             most, expected = felt.max_step(x, p), float((g * p).sum()) + (0.5 + SAG) * condensed.curvature(q)
-            if close and most == 1.0 and bulk.value(ahead := x + p) - bulk.value(x) <= expected:
+            if close and most == 1.0 and bulk.value(ahead := x + p) - here <= expected:
                 fraction, x = 1.0, ahead  # loads may be others than at x by now: their energy says nothing
             else:
                 fraction, x, _ = backtrack(Total((bulk, felt)).value, x, p, energy, slope, most)
