@@ -337,7 +337,7 @@ def doctor(as_json: AsJson = False) -> None:
 def bench(
     names: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[NAME]...", help="mechanics, peers, optics, stability, pay, scaling; all if left out."),
+        typer.Argument(metavar="[NAME]...", help="mechanics, cost, peers, optics, stability, pay, scaling; or all."),
     ] = None,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for RESULTS.md and results/.")] = Path("out/bench"),
     full: Annotated[bool, typer.Option("--full", help="Finer meshes, more scenes: an hour or more.")] = False,

@@ -11,9 +11,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 PACKAGES = (
-    *("numpy", "scipy", "numba", "mitsuba", "drjit", "h5py", "pydantic", "ruamel.yaml"),
-    *("typer", "click", "rich", "platformdirs", "cvxopt", "pymetis", "matplotlib", "trimesh", "libigl"),
+    *("numpy", "scipy", "numba", "mitsuba", "drjit", "h5py", "pydantic", "ruamel.yaml", "typer", "click", "rich"),
+    *("platformdirs", "matplotlib", "pillow", "trimesh", "networkx", "libigl", "pytetwild"),
 )
+REPLACEABLE = ("cvxopt", "pymetis")  # without them another linear solver serves
 FREE_GB = 1.0  # below this a batch will not get far
 
 
@@ -47,11 +48,12 @@ def _python() -> Iterator[Finding]:
 
 
 def _packages() -> Iterator[Finding]:
-    for name in PACKAGES:
+    for name in (*PACKAGES, *REPLACEABLE):
+        needed = name not in REPLACEABLE
         try:
-            yield Finding(name, True, version(name))
+            yield Finding(name, True, version(name), needed)
         except PackageNotFoundError:
-            yield Finding(name, False, "is not installed")
+            yield Finding(name, False, "is not installed", needed)
 
 
 def _solvers() -> Iterator[Finding]:

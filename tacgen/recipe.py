@@ -81,12 +81,20 @@ class Box(Part):
 
 
 class Wedge(Part):
-    """A wedge pointing down whose rounded edge lies along y; the half angle is measured from z."""
+    """A wedge pointing down whose rounded edge lies along y; the half angle is measured from z, the length over all."""
 
     shape: Literal["wedge"]
     half_angle_deg: Acute
     tip_radius_mm: Positive
     length_mm: Positive
+
+    @field_validator("length_mm")
+    @classmethod
+    def _holds(cls, value: float, info: ValidationInfo) -> float:
+        tip = info.data.get("tip_radius_mm")
+        if tip is not None and value < 2 * tip:
+            raise ValueError(f"must be at least twice tip_radius_mm, {2 * tip:g} (got {value:g})")
+        return value
 
 
 class Capsule(Part):

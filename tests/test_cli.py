@@ -247,8 +247,8 @@ def test_init_writes_a_recipe_that_validates_with_its_schema(tmp_path: Path):
     path = tmp_path / "new" / "mine.yaml"
     assert tacgen_("init", str(path)).exit_code == 0
     text = path.read_text()
-    assert text.startswith("# yaml-language-server: $schema=tacgen.spec.schema.json\n")
-    schema = json.loads((path.parent / "tacgen.spec.schema.json").read_text())
+    assert text.startswith("# yaml-language-server: $schema=tacgen.schema.json\n")
+    schema = json.loads((path.parent / "tacgen.schema.json").read_text())
     assert "extends" in schema["properties"]
     assert tacgen_("validate", str(path)).exit_code == 0
     again = tacgen_("init", str(path))

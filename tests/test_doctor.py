@@ -1,6 +1,9 @@
 """The doctor tries things, never crashes, and tells what is needed from what is only nice."""
 
 import json
+import re
+import tomllib
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -29,6 +32,18 @@ def test_all_is_well_here():
     done = CliRunner().invoke(cli.app, ["doctor"])
     assert done.exit_code == 0, done.output
     assert "ok  HDF5" in done.stdout
+
+
+def test_every_package_that_is_installed_with_tacgen_is_looked_for():
+    project = tomllib.loads((Path(__file__).parent.parent / "pyproject.toml").read_text())["project"]
+    asked = {re.split("[<>=]", name)[0] for name in project["dependencies"]}
+    assert asked == {*doctor.PACKAGES, *doctor.REPLACEABLE}
+
+
+def test_the_fast_solver_may_be_taken_out(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(doctor, "REPLACEABLE", ("no-such-solver",))
+    (gone,) = (f for f in doctor.examine() if not f.ok and f.name == "no-such-solver")
+    assert not gone.needed
 
 
 def test_what_is_missing_is_a_finding_and_exit_code_1(monkeypatch: pytest.MonkeyPatch):

@@ -128,6 +128,11 @@ def test_a_mistake_is_told_where_it_stands(tmp_path: Path, old: str, new: str, l
         ("{shape: torus, radius_mm: 2, tube_radius_mm: 2}", "2}", "tube_radius_mm: must be less than radius_mm, 2"),
         ("{shape: cone, half_angle_deg: 90, tip_radius_mm: 1}", "90", "half_angle_deg: must be less than 90 (got 90)"),
         ("{shape: wedge, half_angle_deg: 40, tip_radius_mm: 0.5}", "indenter", "length_mm: is missing"),
+        (
+            "{shape: wedge, half_angle_deg: 40, tip_radius_mm: 0.5, length_mm: 0.9}",
+            "0.9",
+            "length_mm: must be at least twice",
+        ),
         ("{shape: capsule, radius_mm: 1, length_mm: -2}", "-2", "length_mm: must be greater than 0 (got -2)"),
     ],
 )

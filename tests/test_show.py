@@ -100,3 +100,5 @@ def test_the_summary_names_the_peaks(tmp_path: Path) -> None:
     assert "frames    12 of 12: press 4, slide 3, hold 2, twist 3" in lines
     assert "force     largest in frame 5: Fx 0.648, Fy 0.000, Fz -1.200 N on the gel" in lines
     assert any(line.startswith("pressure  largest in frame ") and line.endswith(" MPa") for line in lines)
+    assert not any(line.startswith("note") for line in lines)
+    assert "note      sharp" in show.summary(write(tmp_path / "y.h5", notes=["sharp"])).splitlines()

@@ -1,6 +1,6 @@
 """A worker's process: makes one scene after another and says over a pipe how it goes.
 
-Started by `local.Worker` as `python -m tacgen.batch.worker FD PARENT`; imports what a scene needs, and no more.
+Started by `watch.Worker` as `python -m tacgen.batch.worker FD PARENT`; imports what a scene needs, and no more.
 """
 
 import errno

@@ -21,7 +21,7 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
     try:
         import OpenEXR
     except ImportError:
-        raise UserError("exr: needs OpenEXR, which is not installed: pip install 'tacgen[exr]'") from None
+        raise UserError("export exr needs OpenEXR: pip install 'tacgen[exr]'") from None
     for bundle in bundles:
         needs(bundle, ("/frames/radiance",), "radiance")
     out.mkdir(parents=True, exist_ok=True)

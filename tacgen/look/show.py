@@ -98,6 +98,7 @@ def summary(path: Path) -> str:
     if "/frames/pressure" in bundle and bundle.frames:
         peaks = bundle["/frames/pressure"].max(axis=(1, 2))
         lines.append(f"pressure  largest in frame {int(peaks.argmax())}: {peaks.max():.4f} MPa")
+    lines += [f"note      {note}" for note in json.loads(attrs.get("notes", "[]"))]
     lines += [f"{path:<34}{' x '.join(map(str, shape))}" for path, shape in bundle.shapes.items()]
     return "\n".join(lines)
 

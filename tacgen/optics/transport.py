@@ -269,7 +269,7 @@ def gather(
         panels: what shades it, beside the face.
         alpha: GGX roughness.
         terrain: the face for shadows.
-    """  # fmt: skip
+    """
     out = np.zeros((len(p), strips, 2))
     for s in prange(len(p)):
         if np.isnan(p[s, 0]):

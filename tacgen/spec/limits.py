@@ -118,13 +118,14 @@ def _depths(recipe: Recipe, sensor: Sensor) -> list[Problem]:
 
 def _times(recipe: Recipe, folders: Folders) -> list[Problem]:
     """With dynamics every frame takes some time; without, none does."""
-    wrong, known = [], True
+    wrong = []
     for i, step in enumerate(recipe.trajectory):
         where: KeyPath = ("trajectory", i, step.kind)
         if recipe.dynamics is None:
             if isinstance(step.move, Made) and step.move.duration_s is not None:
                 wrong.append(Problem((*where, "duration_s"), "has no effect without dynamics", at_key=True))
         elif recipe.dynamics.frame_s is None:
+            known = True
             if isinstance(step.move, Made):
                 known = step.move.duration_s is not None
             else:

@@ -9,7 +9,7 @@ from tacgen.recipe import Recipe
 from tacgen.spec import assets
 from tacgen.spec.sensor import Sensor
 
-SCHEMA_FILE = "tacgen.spec.schema.json"
+SCHEMA_FILE = "tacgen.schema.json"
 
 
 def recipe_schema() -> dict[str, Any]:

@@ -148,6 +148,14 @@ def test_times_must_be_known_and_of_use(tmp_path: Path, old: str, new: str, line
     assert caught.value.lines[0].removeprefix(f"{tmp_path}/recipe.yaml:").startswith(line)
 
 
+def test_a_table_that_cannot_be_read_is_told_once(tmp_path: Path) -> None:
+    text = RECIPE.replace(", frame_s: 0.002", "").split("  - press")[0]
+    with pytest.raises(UserError) as caught:
+        plan.load(recipe(tmp_path, text + "  - hold: {frames: 2}\n  - replay: {file: gone.csv}\n"))
+    told = [line.split(": ", 1)[1] for line in caught.value.lines if not line.startswith(" ")]
+    assert [line.partition(":")[0] for line in told] == ["trajectory[0].hold", "trajectory[1].replay.file"]
+
+
 def test_what_is_quasi_static_does_not_even_import_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "tacgen.fem.inertia", None)
     assert len(tap(DOWN[:1], 0).states) == 1
