@@ -115,12 +115,10 @@ quality: {edge_mm: 0.8, dhat_mm: 0.05}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "depth", "frames"), [("letters", 0.4, 2), ("key", 0.4, 2), ("gear", 0.3, 3)])
-def test_sharp_meshes_press_without_penetration(name: str, depth: float, frames: int, tmp_path: Path) -> None:
-    """A gear's teeth deeper than .3 mm, a third of a cell, take minutes of halved steps."""
+@pytest.mark.parametrize("name", ["letters", "key", "gear"])
+def test_sharp_meshes_press_without_penetration(name: str, tmp_path: Path) -> None:
     (tmp_path / "r.yaml").write_text(RECIPE)
-    press = f"trajectory=[{{press: {{depth_mm: {depth}, frames: {frames}}}}}]"
-    made = stage.build(plan.load(tmp_path / "r.yaml", (f"indenter.file={name}", press)).rows[0])
+    made = stage.build(plan.load(tmp_path / "r.yaml", (f"indenter.file={name}",)).rows[0])
     problem = solve.Problem.of(made, mesh.build(made.gel, mesh.footprint(made), made.edge))
     for state in solve.states(made, problem):
         contact = problem.contact.moved(Pose.of(state.pose), state.offset)
