@@ -15,11 +15,10 @@ from tacgen.bundle import Bundle
 from tacgen.errors import UserError
 from tacgen.fem.elements import elements
 from tacgen.fem.potentials import Elastic
-from tacgen.fem.recovery import Recovery
+from tacgen.fem.recovery import FULL, Recovery
 
 Array = np.ndarray
 FREE, EDGE, STICK, SLIP = range(4)  # of `contact_state`
-FULL = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])  # where each entry of the tensor stands among the six
 
 
 def tensor(stress: Array) -> Array:

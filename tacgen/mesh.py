@@ -7,6 +7,7 @@ import numpy as np
 
 from tacgen.errors import UserError
 from tacgen.fem.contact import Pose
+from tacgen.fem.elements import boxes
 from tacgen.fem.quality import dihedral, enclosed, measure, scaled_jacobian
 from tacgen.files import store
 from tacgen.scene import Scene
@@ -129,10 +130,7 @@ def build(
     _refuse_beyond(MOST, math.prod(shape), edge, "nodes")
     points = np.stack(np.meshgrid(xs, ys, zs, indexing="ij"), -1).reshape(-1, 3)
     points[:, 2] += gel.top(points[:, 0], points[:, 1]) * (points[:, 2] + gel.thickness) / gel.thickness
-    number = np.arange(len(points)).reshape(shape)
-    corners = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]
-    i, j, k = (n - 1 for n in shape)
-    hexes = np.stack([number[a : a + i, b : b + j, c : c + k] for a, b, c in corners], -1)
+    hexes = boxes(np.arange(len(points)).reshape(shape))
     centre = (xs[1:] + xs[:-1])[:, None] / 2, (ys[1:] + ys[:-1])[None] / 2
     inside = gel.contains(*centre)  # a column whose centre is outside the outline is left out
     bonded = hexes[inside][:, 0][:, [0, 3, 2, 1]]

@@ -8,14 +8,12 @@ truth at any spp, for checking either.
 
 import hashlib
 import json
-import os
-from collections.abc import Callable
-from contextlib import suppress
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 
+from tacgen.files import store
 from tacgen.image import variants as probing
 from tacgen.image.tracer import MAX_DEPTH, MAX_DEPTH_SCATTERING, PathTracer
 from tacgen.optics import cloudy, lights, response, sparse, table
@@ -115,9 +113,9 @@ class Cloudy:
             return np.array(cloudy.wander(bright, share, coarse.camera.mm_per_px, traced / self.maps.sum(axis=0)))
 
         name = key(sensor, variant, spp, cloudy.SHARES, cloudy.DENT)
-        self.maps = cached("untouched", name, trace)  # (leds, h, w, 3) by each LED alone, of unit radiance
-        bright = cloudy.Brightness.through(shares, cached("brightness", name, tabulate))
-        reach = float(cached("wander", name, wander))
+        self.maps = store.kept_one("untouched", name, trace)  # (leds, h, w, 3) by each LED alone, of unit radiance
+        bright = cloudy.Brightness.through(shares, store.kept_one("brightness", name, tabulate))
+        reach = float(store.kept_one("wander", name, wander))
         map_ = np.einsum("khwc,kc->hwc", self.maps, [led.light for led in sensor.leds])
         self.scattered = spread(map_, Camera.from_sensor(sensor).shape)
         self._bright, self._reach = bright, reach / sensor.camera.mm_per_px * samples
@@ -157,7 +155,7 @@ class Tabled:
 
         face = None if sensor.gel.solid is None else np.round(level.nodes, 3).tolist()  # its file may be another
         name = key(sensor, variant, spp, TABLE_COLUMNS, TABLE_PATHS, table.PLACES, table.BALLS, face)
-        kept = cached("table", name, trace)
+        kept = store.kept_one("table", name, trace)
         self._table = table.Table.mixed([table.Table.unpacked(one) for one in kept], light)
         self._flat = Clear(sensor, sheet, False, spp, untouched).seen(level)
 
@@ -301,24 +299,6 @@ def key(sensor: "LitSensor", variant: str, *more: object) -> str:
     how = [MAP_VERSION, COLUMNS, PATHS, SMOOTH, SPACING, MAX_DEPTH, MAX_DEPTH_SCATTERING]
     parts = [seen, variant, version("mitsuba"), how, more]
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:32]
-
-
-def cached(kind: str, name: str, make: Callable[[], "Floats"]) -> "Floats":
-    """An array from the cache, else made and kept there; a cache that cannot be written costs time, never the run."""
-    store = probing.cache_folder() / kind / f"{name}.npy"
-    try:
-        return np.asarray(np.load(store, allow_pickle=False))
-    except (OSError, ValueError):
-        made = make()
-    part = store.with_suffix(f".part-{os.getpid()}.npy")
-    try:
-        store.parent.mkdir(parents=True, exist_ok=True)
-        np.save(part, made)
-        part.replace(store)
-    except OSError:
-        with suppress(OSError):
-            part.unlink()
-    return made
 
 
 def variants() -> list[probing.Probed]:

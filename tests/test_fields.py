@@ -8,10 +8,11 @@ from tacgen import fields, mesh, solve
 from tacgen.fem.contact import Pose
 from tacgen.fem.elements import facet_areas
 from tacgen.fem.materials import NeoHooke
+from tacgen.fem.recovery import FULL
 from tacgen.fem.shapes import Sphere
 from tacgen.labels.maps import Maps, tangents
 from tacgen.labels.maps import maps as maps_of
-from tacgen.labels.stress import FULL, Stress, Stresses, agreeing
+from tacgen.labels.stress import Stress, Stresses, agreeing
 from tacgen.optics.layers import Camera
 from tacgen.optics.sheet import Sheet
 from tacgen.scene import Gel, Layer

@@ -11,8 +11,9 @@ from ruamel.yaml import YAML
 from tacgen import fields, mesh, plan, solve
 from tacgen import scene as stage
 from tacgen.errors import UserError
+from tacgen.fem.recovery import FULL
 from tacgen.labels.maps import maps as maps_of
-from tacgen.labels.stress import FULL, Stresses
+from tacgen.labels.stress import Stresses
 from tacgen.optics.layers import Camera
 from tacgen.spec import assets, load
 

@@ -25,19 +25,7 @@ from tacgen.step import foresee
 
 Array = np.ndarray
 ROOT = Path(solve.__file__).parent
-DECIDES = (
-    "step/problem",
-    "step/advance",
-    "solve",
-    "mesh",
-    "solid/tetmesh",
-    "scene",
-    "solid/gel",
-    "labels/maps",
-    "fields",
-    "labels/stress",
-    "bench/answers",
-)
+DECIDES = ("fem/*", "optics/*", "solid/*", "step/*", "labels/*", "scene", "mesh", "solve", "fields", "bench/answers")
 BALL = ("outputs=[force]", "indenter={shape: sphere, radius_mm: 4}")
 DEPTHS = {"gelsight_mini": 1.0, "digit": 0.8, "ninedtact": 0.8}  # of the ball [mm]
 MOVES = "trajectory=[{{press: {{depth_mm: {depth}, frames: {press}}}}}, {{slide: {{x_mm: 0.6, frames: {slide}}}}}]"
@@ -149,8 +137,7 @@ def _probed(gel: scene.Gel, problem: solve.Problem, state: solve.State) -> Array
 
 def kept(sets: tuple[str, ...]) -> Answer:
     """`answer`, computed once and kept in the cache as long as scene and solver are the same."""
-    code = [path.read_bytes() for path in sorted((ROOT / "fem").glob("*.py"))]
-    code += [(ROOT / f"{name}.py").read_bytes() for name in DECIDES]
+    code = [path.read_bytes() for name in DECIDES for path in sorted(ROOT.glob(f"{name}.py"))]
     row = row_of(sets)
     key = store.digest([row.key, *code])
 

@@ -19,13 +19,13 @@ import numpy as np
 from tacgen import mesh
 from tacgen.bench.kit import one_thread
 from tacgen.errors import UserError
+from tacgen.fem.elements import HEX_EDGES, boxes
 from tacgen.fem.materials import NeoHooke
 from tacgen.solid.gel import Gel
 
 Array = np.ndarray
 PROGRAM = "ccx"
 STIFF = 1000.0  # of the penalty, in Young's moduli a millimetre; softer is quicker and too weak, 0.2 % at 300
-HEX_EDGES = np.array([(0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7)])
 RINGS, SECTORS = 40, 24  # of a quarter of the ball's surface
 INCREMENTS = "0.25, 1., 1e-6, 0.5"  # first, all, least and greatest part of the way in a step
 
@@ -112,12 +112,10 @@ def _pad(gel: Gel, low: float, reach: float, edge: float) -> tuple[Array, Array,
     zs, _ = mesh.heights(gel, 1.1 * edge, 1.1, 2.0)
     number = np.arange(len(xs) * len(ys) * len(zs)).reshape(len(xs), len(ys), len(zs))
     points = np.stack(np.meshgrid(xs, ys, zs, indexing="ij"), -1).reshape(-1, 3)
-    i, j, k = (n - 1 for n in number.shape)
-    corners = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]
-    hexes = np.stack([number[a : a + i, b : b + j, c : c + k] for a, b, c in corners], -1)
+    hexes, layers = boxes(number), len(zs) - 1
     x, y = (xs[1:] + xs[:-1])[:, None] / 2, (ys[1:] + ys[:-1])[None] / 2
     hexes = hexes[gel.contains(x, y)]
-    top = np.arange(len(hexes)) * k + k - 1
+    top = np.arange(len(hexes)) * layers + layers - 1
     cells = hexes.reshape(-1, 8)
     ends = np.sort(cells[:, HEX_EDGES], -1)
     edges, middle = np.unique(ends.reshape(-1, 2), axis=0, return_inverse=True)

@@ -14,6 +14,7 @@ from typing import cast
 import numpy as np
 
 from tacgen import fields, mesh, plan, render, scene, solve
+from tacgen.files import store
 from tacgen.image.tracer import PathTracer
 from tacgen.optics import response
 from tacgen.optics.sheet import Sheet, Surface, Untouched
@@ -72,7 +73,7 @@ class Kept:
             traced = [tracer.render(at.nodes, min(self.spp, CHUNK), self.seed + 1000 * i) for i in parts]
             return np.asarray(np.mean(traced, axis=0))
 
-        return render.cached("path", self.name(at.nodes), trace)
+        return store.kept_one("path", self.name(at.nodes), trace)
 
     def name(self, nodes: Array) -> str:
         """Its place in the cache, whatever the variant."""

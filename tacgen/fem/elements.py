@@ -10,6 +10,7 @@ Array = np.ndarray
 HEX_CORNERS = np.array(
     [[-1, -1, -1], [1, -1, -1], [1, 1, -1], [-1, 1, -1], [-1, -1, 1], [1, -1, 1], [1, 1, 1], [-1, 1, 1]], float
 )
+HEX_EDGES = np.array([(0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7)])
 QUAD_CORNERS = HEX_CORNERS[:4, :2]
 GAUSS2 = np.array([-1.0, 1.0]) / np.sqrt(3.0)
 TET_EDGES = np.array([(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)])
@@ -55,6 +56,13 @@ def hexes(points: Array, conn: Array) -> Elements:
         raise ValueError(f"{int((volume <= 0).any(1).sum())} hexes are turned inside out")
     gradients = np.einsum("qaj,eqjI->eqaI", dN, np.linalg.inv(jacobian))
     return Elements(conn.astype(np.int32), np.ascontiguousarray(gradients), volume, 0.0, f.prod(2) / 8)
+
+
+def boxes(number: Array) -> Array:
+    """Hexes (i - 1, j - 1, k - 1, 8) between the nodes of a grid, whose numbers are `number` (i, j, k)."""
+    i, j, k = (n - 1 for n in number.shape)
+    corners = ((HEX_CORNERS + 1) / 2).astype(int)
+    return np.stack([number[a : a + i, b : b + j, c : c + k] for a, b, c in corners], -1)
 
 
 def barycentric(L: Array, corners: int) -> tuple[Array, Array]:

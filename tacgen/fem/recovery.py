@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tacgen.fem.elements import TET_EDGES
+from tacgen.fem.elements import HEX_EDGES, TET_EDGES
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 Array = np.ndarray
 FLAT = 0.1  # spread of a patch's centres, as a part of half its extent, below which a direction is not determined
 VERTICES = {8: 8, 4: 4, 10: 4}  # of an element, by its number of nodes
-HEX_EDGES = np.array([[0, 1], [1, 2], [2, 3], [3, 0], [4, 5], [5, 6], [6, 7], [7, 4], [0, 4], [1, 5], [2, 6], [3, 7]])
+FULL = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])  # where each entry of a tensor stands among xx yy zz yz xz xy
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,15 @@ def kept(kind: str, key: str, make: Callable[[], tuple[Array, ...]]) -> tuple[Ar
     Of two processes that make them at once the first keeps its own, and both go on with those: what is made may
     differ from run to run.
     """
-    file = cache_folder() / kind / f"{key}.npz"
+    return _kept(cache_folder() / kind / f"{key}.npz", make)
+
+
+def kept_one(kind: str, key: str, make: Callable[[], Array]) -> Array:
+    """The same of a single array."""
+    return _kept(cache_folder() / kind / f"{key}.npy", lambda: (make(),))[0]
+
+
+def _kept(file: Path, make: Callable[[], tuple[Array, ...]]) -> tuple[Array, ...]:
     found = _read(file)
     if found is not None:
         return found
@@ -41,7 +49,10 @@ def kept(kind: str, key: str, make: Callable[[], tuple[Array, ...]]) -> tuple[Ar
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         with part.open("wb") as out:
-            np.savez(out, *made)
+            if file.suffix == ".npy":
+                np.save(out, made[0])
+            else:
+                np.savez(out, *made)
         if _read(file) is None:
             part.replace(file)
     except OSError:
@@ -54,7 +65,8 @@ def kept(kind: str, key: str, make: Callable[[], tuple[Array, ...]]) -> tuple[Ar
 
 def _read(file: Path) -> tuple[Array, ...] | None:
     try:
-        with file.open("rb") as opened, np.load(opened, allow_pickle=False) as found:
-            return tuple(found[name] for name in found.files)
+        with file.open("rb") as opened:
+            found = np.load(opened, allow_pickle=False)
+            return (found,) if isinstance(found, np.ndarray) else tuple(found[name] for name in found.files)
     except Exception:  # not there yet, or damaged: zipfile, zlib and NumPy each say so in their own way
         return None

@@ -13,12 +13,11 @@ import numpy as np
 from tacgen.fem.contact import Faces
 from tacgen.fem.elements import facet_areas, facet_points
 from tacgen.fem.potentials import Elastic
-from tacgen.fem.recovery import Recovery
+from tacgen.fem.recovery import FULL, Recovery
 from tacgen.solve import Problem, State
 
 Array = np.ndarray
 VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))  # xx yy zz yz xz xy
-FULL = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])  # where each entry of the tensor stands among the six
 
 
 @dataclass(frozen=True)

@@ -5,9 +5,7 @@ triangles, signed by angle-weighted pseudonormals: Baerentzen & Aanaes 2005). On
 libigl takes 1.4 s and trimesh with rtree 190 s; they agree to 6e-14 mm.
 """
 
-import hashlib
 import importlib.util
-import os
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -17,7 +15,7 @@ import numpy as np
 
 from tacgen.errors import UserError
 from tacgen.fem.field import Field
-from tacgen.image.variants import cache_folder
+from tacgen.files import store
 
 if TYPE_CHECKING:
     import trimesh
@@ -214,7 +212,9 @@ def field(solid: Solid, *, cell: float, height: float, half: float) -> Field:
     cell = max(cell, float((np.prod(b - a) / MOST_NODES) ** (1 / 3)))
     nodes = np.ceil((b - a) / cell).astype(int) + 5  # a ring of two for the spline
     origin = a - 2 * cell
-    distances = _cached(solid, origin, cell, tuple(int(n) for n in nodes))
+    asked = (solid, origin, cell, tuple(int(n) for n in nodes))
+    key = store.digest((VERSION, *asked[1:], solid.vertices, solid.triangles, solid.body))
+    distances = store.kept_one("distances", key, lambda: _distances(*asked))
     steepest = max(float(np.abs(np.diff(distances, axis=a)).max()) for a in range(3))
     if steepest > 1.01 * cell:  # a true distance never is: inside and outside are mixed up somewhere
         raise UserError(f"{solid.name}: its surface cuts through itself; unite its parts in a mesh editor first")
@@ -244,31 +244,6 @@ def _hull(points: Array) -> Array:
 
     corners: Array = points[ConvexHull(points).vertices]
     return corners
-
-
-def _cached(solid: Solid, origin: Array, cell: float, nodes: tuple[int, ...]) -> Array:
-    """`_distances`, kept under the cache folder by a hash of all they depend on."""
-    said = f"{VERSION} {cell!r} {nodes} {origin.tolist()} {solid.vertices.shape} {solid.triangles.shape}"
-    content = hashlib.sha256(said.encode())
-    for array in (solid.vertices.astype("<f8"), solid.triangles.astype("<i8"), solid.body.astype("<i8")):
-        content.update(array.tobytes())
-    file = cache_folder() / "distances" / f"{content.hexdigest()}.npy"
-    try:
-        kept: Array = np.load(file, allow_pickle=False)
-        if kept.shape == nodes and kept.dtype == np.float32:
-            return kept
-    except (OSError, ValueError, EOFError):
-        pass  # not there yet, or damaged
-    found = _distances(solid, origin, cell, nodes)
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        part = file.with_suffix(f".part-{os.getpid()}")
-        with part.open("wb") as out:
-            np.save(out, found)
-        part.replace(file)
-    except OSError:
-        pass  # a cache that cannot be written only costs the next run some seconds
-    return found
 
 
 def _distances(solid: Solid, origin: Array, cell: float, nodes: tuple[int, ...]) -> Array:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from tacgen.errors import UserError
-from tacgen.fem.elements import TET_EDGES, quadratic
+from tacgen.fem.elements import TET_EDGES, boxes, quadratic
 from tacgen.fem.quality import nodal_volume
 from tacgen.files import store
 from tacgen.solid import geometry
@@ -64,12 +64,9 @@ def _background(low: Array, high: Array, touched: Array, edge: float, coarsest: 
     step = max(edge, float((high - low).max()) / 60)
     ticks = [np.linspace(a - step, b + step, int(np.ceil((b - a) / step)) + 3) for a, b in zip(low, high, strict=True)]
     points = np.stack(np.meshgrid(*ticks, indexing="ij"), -1).reshape(-1, 3)
-    i, j, k = (len(t) for t in ticks)
-    number = np.arange(len(points)).reshape(i, j, k)
-    corners = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]
-    boxes = np.stack([number[a : a + i - 1, b : b + j - 1, c : c + k - 1].ravel() for a, b, c in corners], -1)
+    hexes = boxes(np.arange(len(points)).reshape([len(t) for t in ticks])).reshape(-1, 8)
     ways = [(0, 1, 2, 6), (0, 5, 1, 6), (0, 4, 5, 6), (0, 7, 4, 6), (0, 3, 7, 6), (0, 2, 3, 6)]
-    tets = np.concatenate([boxes[:, way] for way in ways]).astype(np.int32)
+    tets = np.concatenate([hexes[:, way] for way in ways]).astype(np.int32)
     away = cKDTree(touched).query(points)[0]
     return points, tets, np.minimum(edge + GROWTH * away, coarsest)
 

@@ -1,12 +1,13 @@
-"""What the tests of fem/ share: finite differences, dense stiffness, distorted blocks, a patch of facets."""
+"""What the tests of fem/ share: finite differences, dense stiffness, distorted blocks, a patch of facets, a load."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
 from tacgen.fem.assembly import Pattern, pattern
 from tacgen.fem.contact import Faces
-from tacgen.fem.elements import HEX_CORNERS, quadratic
+from tacgen.fem.elements import HEX_CORNERS, boxes, quadratic
 from tacgen.fem.potentials import Potential
 
 Array = np.ndarray
@@ -53,9 +54,7 @@ def block(n: int, shake: float = 0.0, seed: int = 0) -> tuple[Array, Array]:
     """Points and hexes of a unit cube, n a side; inner nodes are moved by up to shake/n each way."""
     ticks = np.linspace(0, 1, n + 1)
     points = np.stack(np.meshgrid(ticks, ticks, ticks, indexing="ij"), -1).reshape(-1, 3)
-    number = np.arange(len(points)).reshape(n + 1, n + 1, n + 1)
-    corners = ((HEX_CORNERS + 1) / 2).astype(int)
-    cells = np.stack([number[a : a + n, b : b + n, c : c + n] for a, b, c in corners], -1).reshape(-1, 8)
+    cells = boxes(np.arange(len(points)).reshape(n + 1, n + 1, n + 1)).reshape(-1, 8)
     inner = np.all((points > 1e-9) & (points < 1 - 1e-9), axis=1)
     move = np.random.default_rng(seed).uniform(-1, 1, points.shape) * shake / n
     return points + inner[:, None] * move, cells
@@ -89,3 +88,22 @@ def patch(n: int, size: float, nodes: int = 4) -> tuple[Array, Faces, Pattern]:
         points, facets = quadratic(points, facets)
     pat = whole(facets, len(points))
     return points, Faces.on(pat, points, facets), pat
+
+
+@dataclass(frozen=True)
+class Load:
+    """Dead loads (n, 3) [N]."""
+
+    force: Array
+
+    def value(self, x: Array) -> float:
+        return -float((self.force * x).sum())
+
+    def gradient(self, x: Array) -> Array:
+        return -self.force
+
+    def add_hessian(self, x: Array, data: Array, project: int) -> None:
+        pass
+
+    def max_step(self, x: Array, p: Array) -> float:
+        return 1.0

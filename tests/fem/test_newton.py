@@ -13,7 +13,7 @@ from tacgen.fem.materials import NeoHooke
 from tacgen.fem.newton import Solution, Status, minimise
 from tacgen.fem.potentials import Elastic, Potential, Total
 
-from .small import block
+from .small import Load, block
 
 Array = np.ndarray
 
@@ -35,25 +35,6 @@ class Spring:
 
     def add_hessian(self, x: Array, data: Array, project: int) -> None:
         data[self.pattern.indptr[:-1]] += self.stiffness
-
-    def max_step(self, x: Array, p: Array) -> float:
-        return 1.0
-
-
-@dataclass(frozen=True)
-class Load:
-    """Dead loads f (n, 3) [N]."""
-
-    force: Array
-
-    def value(self, x: Array) -> float:
-        return -float((self.force * x).sum())
-
-    def gradient(self, x: Array) -> Array:
-        return -self.force
-
-    def add_hessian(self, x: Array, data: Array, project: int) -> None:
-        pass
 
     def max_step(self, x: Array, p: Array) -> float:
         return 1.0

@@ -8,6 +8,7 @@ from tacgen import solve
 from tacgen.fem import linear
 from tacgen.fem.assembly import pattern
 from tacgen.fem.contact import Faces
+from tacgen.fem.elements import boxes
 from tacgen.fem.potentials import Elastic
 from tacgen.mesh import Mesh, graded
 from tacgen.scene import Scene
@@ -19,12 +20,8 @@ Array = np.ndarray
 
 def block(x: Array, y: Array, z: Array) -> Mesh:
     """Hexes on a tensor grid, z upwards and ending at 0."""
-    shape = len(x), len(y), len(z)
     points = np.stack(np.meshgrid(x, y, z, indexing="ij"), -1).reshape(-1, 3)
-    number = np.arange(len(points)).reshape(shape)
-    corners = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]
-    i, j, k = (n - 1 for n in shape)
-    hexes = np.stack([number[a : a + i, b : b + j, c : c + k] for a, b, c in corners], -1)
+    hexes = boxes(np.arange(len(points)).reshape(len(x), len(y), len(z)))
     facets = {
         "bonded": hexes[:, :, 0].reshape(-1, 8)[:, [0, 3, 2, 1]],
         "coated": hexes[:, :, -1].reshape(-1, 8)[:, [4, 5, 6, 7]],

@@ -53,25 +53,6 @@ def test_a_linear_displacement_gives_a_uniform_stress_on_any_mesh(law: Law, kind
     assert np.ptp(sigma, axis=0) == pytest.approx(np.zeros((3, 3)), abs=1e-10)
 
 
-class Load:
-    """Dead nodal forces (n, 3) [N]."""
-
-    def __init__(self, force: Array) -> None:
-        self.force = force
-
-    def value(self, x: Array) -> float:
-        return -float((self.force * x).sum())
-
-    def gradient(self, x: Array) -> Array:
-        return -self.force
-
-    def add_hessian(self, x: Array, data: Array, project: int) -> None:
-        pass
-
-    def max_step(self, x: Array, p: Array) -> float:
-        return 1.0
-
-
 def u(X: Array) -> Array:
     """A smooth displacement, amplitude .08."""
     x, y, z = np.moveaxis(X, -1, 0)
@@ -97,7 +78,7 @@ def displacement_error(n: int, nodes: int) -> float:
     force = np.zeros_like(points)
     np.add.at(force, cells, np.einsum("eq,eqiJ,eqaJ->eai", e.weights, P, e.gradients))
     exact = points + u(points)
-    found = solve(Total((body, Load(force))), exact, pat)
+    found = solve(Total((body, small.Load(force))), exact, pat)
     off = np.einsum("qa,eai->eqi", e.shape, (found.x - points)[cells]) - u(at)
     return float(np.sqrt((e.weights * (off**2).sum(-1)).sum()))
 
