@@ -22,6 +22,9 @@ ERRORS = ("force: .2%", "pressure map: .1%", "stress: .1%", "markers [px]: .3f")
 WORK = ("nodes: d", "iterations a frame: .1f", "s a frame: .2f")
 FILLETS = (0.06, 0.18, 0.36, 0.72)  # of a box [mm]: a sixth of the edge at `default` to twice that
 SHIFTS = ((0.0, 0.0), (0.5, 0.0), (0.3, 0.5))  # of the mesh under the ball, in edges
+STEPPED = (*sliding("gelsight_mini", 8, 16), "quality=draft")
+BOX = "indenter={{shape: box, size_x_mm: 3, size_y_mm: 3, fillet_mm: {fillet}}}"
+PRESSED, SLID = "{press: {depth_mm: 0.5, frames: 1}}", "{slide: {x_mm: 0.2, y_mm: 0.12, frames: 2}}"
 PRESETS = ("draft", "default")
 HEXES = {
     "smoke": (1.2,),
@@ -63,7 +66,8 @@ def bench(level: Level, say: Say) -> Result:
     """The sweep on the Mini, the steps on the way, and the presets on every sensor."""
     if level != "smoke":
         with cores() as every:  # what is only compared with needs no core to itself
-            list(every(kept, [(*sliding(sensor), "quality=reference") for sensor in DEPTHS]))
+            true = [(*sliding(sensor), "quality=reference") for sensor in DEPTHS]
+            list(every(kept, [*true, *(_edged(fillet) for fillet in FILLETS), STEPPED]))
         say("references are there")
     tables, plots = _sweep(level, say)
     return Result(ABOUT, tables if level == "smoke" else [*tables, _steps(say), _edges(say), _sensors(say)], plots)
@@ -117,7 +121,7 @@ def _plot(rows: list[list[Cell]], seconds: list[float], errors: list[float], bes
 
 def _steps(say: Say) -> Table:
     """The same way in fewer and more frames: what friction loses by long ones, and what short ones cost."""
-    fine = kept((*sliding("gelsight_mini", 8, 16), "quality=draft"))
+    fine = kept(STEPPED)
     rows: list[list[Cell]] = []
     for press, slide in ((1, 1), (1, 2), (2, 4), (4, 8)):
         found = answer((*sliding("gelsight_mini", press, slide), "quality=draft"))
@@ -128,19 +132,22 @@ def _steps(say: Say) -> Table:
     return Table("Steps on the way", heads, rows, "At `draft`; the last frame against that of 8 + 16 frames.")
 
 
+def _edged(fillet: float, moves: str = PRESSED, quality: str = "reference") -> tuple[str, ...]:
+    """A box with rounded edges, without friction."""
+    scene = ("outputs=[force]", BOX.format(fillet=fillet), f"trajectory=[{moves}]", "contact.friction=0")
+    return (*scene, f"quality={quality}")
+
+
 def _edges(say: Say, fillets: tuple[float, ...] = FILLETS, fine: str = "reference", usual: str = "default") -> Table:
     """A box with edges rounded less and less: both formulations of contact where the mesh does not resolve it."""
     kinds = [name for name in ("distance", "ipctk") if name == "distance" or find_spec("ipctk")]
     rows: list[list[Cell]] = []
     for fillet in fillets:
-        box = f"indenter={{shape: box, size_x_mm: 3, size_y_mm: 3, fillet_mm: {fillet}}}"
-        moves = "trajectory=[{press: {depth_mm: 0.5, frames: 1}}, {slide: {x_mm: 0.2, y_mm: 0.12, frames: 2}}]"
-        base = ("outputs=[force]", box, moves, "contact.friction=0")
-        true = kept((*base, f"quality={fine}"))
-        found = [answer((*base, f"quality={usual}", f"contact.formulation={name}")) for name in kinds]
+        true, base = kept(_edged(fillet, quality=fine)), _edged(fillet, f"{PRESSED}, {SLID}", usual)
+        found = [answer((*base, f"contact.formulation={name}")) for name in kinds]
         off = [float(one.force[0, 2] / true.force[0, 2] - 1) for one in found]
         drag = [float((np.hypot(*one.force[1:, :2].T) / -one.force[1:, 2]).max()) for one in found]
-        edge = row_of((*base, f"quality={usual}")).recipe.resolved().edge_mm
+        edge = row_of(base).recipe.resolved().edge_mm
         rows.append([fillet / edge, *off, *[None] * (2 - len(off)), *drag, *[None] * (2 - len(drag))])
         say(f"fillet {fillet:g} mm: {', '.join(f'{part:+.1%}' for part in off)}")
     heads = columns(

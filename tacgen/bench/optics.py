@@ -39,6 +39,7 @@ DOTS = (  # printed on a DIGIT, which has none: as on the Mini, turned
     "sensor.markers={columns: 7, rows: 9, pitch_mm: [2.0625, 2.0625], diameter_mm: 1.0, albedo: 0.065, source: bench}"
 )
 WAYS = [("transport", quality) for quality in QUALITIES] + [("path", str(spp)) for spp in (16, 64)]
+PATH_FACE = "ball"  # that paths are held against themselves on: their noise is the same on all
 CHUNK = 256  # paths a pixel that a reference is traced with at a time
 
 
@@ -126,6 +127,8 @@ def measure(
                 kept.light = Kept(sensor, dots, spp, seed, variant)
                 halves.append(kept.image(surface))
             for way in ways:
+                if way[0] == "path" and face != PATH_FACE:
+                    continue
                 if (*way, dots) not in ready:
                     begun = time.process_time()
                     paths = QUALITIES[way[1]].spp if way[0] == "transport" else int(way[1])

@@ -23,6 +23,7 @@ PATHS = {  # a pixel in each half of a reference: DIGIT's small far lights are f
     "normal": {"gelsight_mini": 1024, "digit": 3072, "ninedtact": 128},
     "full": {"gelsight_mini": 16384, "digit": 32768, "ninedtact": 1280},
 }
+FACES = {"smoke": ["ball"], "normal": ["ball", "sheared dots"], "full": list(optics.FACES)}
 SIZES: dict[Level, tuple[int, int]] = {"smoke": (8, 8), "normal": (4, 64), "full": (1, 256)}  # shrink, flow's paths
 
 
@@ -53,7 +54,7 @@ def bench(level: Level, say: Say) -> Result:
 
 def _pictures(level: Level, names: Sequence[str], shrink: int, variant: str, say: Say) -> Iterator[optics.Outcome]:
     """Outcomes, sensor by sensor, of all methods that it has."""
-    faces = ["ball"] if level == "smoke" else list(optics.FACES)
+    faces = FACES[level]
     for name in names:
         scatters = any(layer.scattering for layer in load.read_sensor(assets.sensor_path(name))[0].gel.layers)
         ways = [*optics.WAYS, *([] if scatters else TABLE)][: 1 if level == "smoke" else None]
