@@ -20,11 +20,11 @@ TABLE = [("table", "64")]  # Taxim's, for gels that do not scatter; calibrated w
 SENSORS = ("gelsight_mini", "digit", "ninedtact")
 PATHS = {  # a pixel in each half of a reference: DIGIT's small far lights are found by few of them
     "smoke": dict.fromkeys(SENSORS, 16),
-    "normal": {"gelsight_mini": 1024, "digit": 3072, "ninedtact": 128},
+    "normal": {"gelsight_mini": 1024, "digit": 2048, "ninedtact": 128},
     "full": {"gelsight_mini": 16384, "digit": 32768, "ninedtact": 1280},
 }
 FACES = {"smoke": ["ball"], "normal": ["ball", "sheared dots"], "full": list(optics.FACES)}
-SIZES: dict[Level, tuple[int, int]] = {"smoke": (8, 8), "normal": (4, 64), "full": (1, 256)}  # shrink, flow's paths
+SIZES: dict[Level, tuple[int, int]] = {"smoke": (8, 8), "normal": (4, 32), "full": (1, 256)}  # shrink, flow's paths
 
 
 def bench(level: Level, say: Say) -> Result:
