@@ -196,8 +196,9 @@ def show_list(
     found = {name: KINDS[name]() for name in ([kind] if kind else KINDS)}
     lines: list[str] = []
     for name, entries in found.items():
+        width = max(map(len, entries), default=0)
         lines.append(f"{name}:")
-        lines += [f"  {entry:<16} {about}" for entry, about in entries.items()] or ["  none"]
+        lines += [f"  {entry:<{width}}  {about}" for entry, about in entries.items()] or ["  none"]
     show_result(found, "\n".join(lines), as_json)
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from tacgen.bundle import Bundle
+from tacgen.console import counted
 from tacgen.errors import UserError
 from tacgen.files import source, survey
 from tacgen.spec import assets
@@ -120,7 +121,7 @@ def summary(folder: Path) -> str:
     seen = look(folder)
     states = ", ".join(f"{n} {state}" for state, n in seen.states.items())
     lines = [
-        f"{folder}: {seen.name}, {len(seen.scenes)} scenes",
+        f"{folder}: {seen.name}, {counted(len(seen.scenes), 'scene')}",
         f"scenes    {states}",
         f"frames    {seen.frames}",
         f"size      {seen.bytes / 1e6:.1f} MB, written by tacgen {', '.join(seen.distinct('tacgen_version'))}",
@@ -128,7 +129,7 @@ def summary(folder: Path) -> str:
     ]
     peaks = [scene.peak_n for scene in seen.scenes if scene.peak_n is not None]
     if peaks:
-        lines.append(f"force     largest in a scene: {min(peaks):.3g} to {max(peaks):.3g} N")
+        lines.append(f"force     largest in a scene: {spread(peaks)} N")
     lines += [f"varied    {path}: {spread(values)}" for path, values in seen.varied.items()]
     if seen.seconds:
         stages = ", ".join(f"{stage} {value:.0f}" for stage, value in seen.seconds.items())

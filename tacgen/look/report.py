@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from tacgen.bundle import Bundle
+from tacgen.console import counted
 from tacgen.look import overview
 from tacgen.look.overview import Overview, Scene
 
@@ -36,7 +37,7 @@ def write(folder: Path, out: Path) -> Path:
 
 def page(seen: Overview) -> str:
     """The page's HTML; it needs no other file and no network."""
-    title = escape(f"{seen.name}: {len(seen.scenes)} scenes, {seen.frames} frames")
+    title = escape(f"{seen.name}: {counted(len(seen.scenes), 'scene')}, {seen.frames} frames")
     sections = [
         ("Scenes", _states(seen)),
         ("Failures by cause", _causes(seen.scenes)),
