@@ -42,6 +42,18 @@ def test_what_is_not_there_is_said_in_one_line(name: str, says: str):
     assert says in line
 
 
+@pytest.mark.parametrize(
+    ("name", "says"), [("./notes.txt", "must be a mesh file (.stl"), ("./empty", "holds no mesh (")]
+)
+def test_an_object_that_is_no_mesh_is_said_in_one_line(name: str, says: str, tmp_path: Path):
+    (tmp_path / "notes.txt").write_text("")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(UserError) as caught:
+        assets.mesh_path(name, tmp_path)
+    (line,) = caught.value.lines
+    assert line.startswith(f"{tmp_path / name}: {says}")
+
+
 def test_an_installed_package_looks_inside_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     (tmp_path / "data" / "sensors").mkdir(parents=True)
     (tmp_path / "data" / "sensors" / "other.yaml").write_text("")

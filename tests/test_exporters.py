@@ -178,6 +178,23 @@ def test_lerobot_tables_agree_with_each_other_and_with_the_bundles(folder: Path,
     assert json.loads(tasks.schema.metadata[b"pandas"])["index_columns"] == ["task"]
 
 
+@pytest.mark.parametrize(
+    ("times", "says"),
+    [
+        ([np.arange(FRAMES) ** 2 / 10] * 2, "even, whole rate"),
+        ([np.arange(FRAMES) / 10, np.arange(FRAMES) / 5], "one rate"),
+    ],
+)
+def test_lerobot_takes_one_even_rate_and_writes_nothing_else(times: list[np.ndarray], says: str, tmp_path: Path):
+    pytest.importorskip("pyarrow")
+    for k, time in enumerate(times):
+        write(tmp_path / "in" / f"scene-{k:05d}.h5", outputs=frozenset({"rgb"}),
+              edit=lambda i, arrays, t=time: arrays.update({"/frames/time": t[i]}))  # fmt: skip
+    with pytest.raises(UserError, match=says):
+        export.export("lerobot", tmp_path / "in", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
 def test_lerobot_itself_loads_it(folder: Path, scene: Bundle, tmp_path: Path):
     module = pytest.importorskip("lerobot.datasets.lerobot_dataset", exc_type=ImportError)
     export.export("lerobot", folder, tmp_path)

@@ -83,6 +83,15 @@ def test_layers_that_hide_each_other(layers: list[Data], says: str):
     assert says in found[0].message
 
 
+def test_light_is_followed_through_one_clear_layer_under_a_dome():
+    gel = {"dome": {"radius_x_mm": 30, "radius_y_mm": 60, "source": "t"}}
+    one = PLAIN["gel"]["layers"][0]
+    half = one | {"thickness_mm": one["thickness_mm"] / 2}
+    assert list(problems(sensor(gel=gel, markers=None))) == []
+    (found,) = problems(sensor(gel=gel | {"layers": [half, half]}, markers=None))
+    assert found.path == ("gel", "dome")
+
+
 def test_dots_under_a_cloud_are_refused():
     assert [p.path for p in problems(cloudy(markers=PLAIN["markers"]))] == [("markers",)]
 

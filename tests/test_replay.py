@@ -169,6 +169,7 @@ def test_an_endless_indenter_may_not_lean_too_far(tmp_path: Path) -> None:
     ("replay", "says"),
     [
         ("{file: nowhere.csv}", "replay.file: nowhere.csv: cannot be read: No such file"),
+        ('{file: "a\\0b"}', "cannot be read: embedded null"),
         ("{file: poses.csv, frames: 9}", "poses.csv: gives 3 frames, and 9 are asked for"),
         ("{file: poses.csv, units: m}", "must be in one unit"),
         (f"{{file: poses.csv, sha256: {'a' * 64}}}", "poses.csv: is another file now"),
@@ -179,6 +180,13 @@ def test_what_a_recipe_says_of_a_table_must_be_so(tmp_path: Path, replay: str, s
     with pytest.raises(UserError) as caught:
         load(tmp_path, table(ROWS), replay=replay)
     assert says in caught.value.lines[0]
+
+
+def test_a_table_too_long_for_a_segment_is_thinned_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(motions, "MOST", 2)
+    with pytest.raises(UserError, match=r"poses.csv: gives 3 frames, at most 2 can be: thin it out by `every`"):
+        load(tmp_path, table(ROWS))
+    assert load(tmp_path, table(ROWS), replay="{file: poses.csv, every: 2}").rows[0].frames == 2
 
 
 def test_a_start_before_a_replay_is_refused(tmp_path: Path) -> None:

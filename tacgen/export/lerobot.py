@@ -35,7 +35,7 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
     """The dataset's folder; to be read with LeRobotDataset(name, root=out).
 
     Raises:
-        UserError: PyArrow is missing, a scene has no images, or they are not all of one size.
+        UserError: PyArrow is missing, a scene has no images, or they are not all of one size or at one rate.
     """
     try:
         import pyarrow  # noqa: F401
@@ -43,14 +43,13 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
         raise UserError("export lerobot needs PyArrow: pip install 'tacgen[lerobot]'") from None
     for bundle in bundles:
         needs(bundle, ("/frames/rgb",), "rgb")
-    features = _features(bundles)
-    tasks = list(dict.fromkeys(map(task, bundles)))
-    made, rows = _data(bundles, tasks, features, out)
-    rates = {_fps(bundle) for bundle in bundles}
+    features, rates = _features(bundles), {_fps(bundle) for bundle in bundles}
     if len(rates) > 1:
         raise UserError(
             f"{bundles[0].path.parent}: LeRobot takes frames at one rate, these have {sorted(rates)} a second"
         )
+    tasks = list(dict.fromkeys(map(task, bundles)))
+    made, rows = _data(bundles, tasks, features, out)
     info = {
         "codebase_version": "v3.0",
         "robot_type": bundles[0].attrs["sensor"],

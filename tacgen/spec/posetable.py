@@ -45,8 +45,8 @@ def read(path: Path, units: str | None = None) -> Table:
     """
     try:
         raw = path.read_bytes()
-    except OSError as error:
-        raise UserError(f"cannot be read: {error.strerror or error}") from None
+    except (OSError, ValueError) as error:
+        raise UserError(f"cannot be read: {getattr(error, 'strerror', None) or error}") from None
     return _parsed(raw, units)
 
 

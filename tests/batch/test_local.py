@@ -153,6 +153,19 @@ def test_a_journal_line_cut_short_is_passed_over(tmp_path: Path):
     assert [event["event"] for event in read_journal(out)] == whole
 
 
+def test_a_bundle_that_only_a_newer_tacgen_reads_is_not_written_over(tmp_path: Path):
+    import h5py
+
+    out = tmp_path / "out"
+    run(out, samples=1)
+    with h5py.File(out / "scene-00000.h5", "r+") as file:
+        file.attrs["tacgen_format"] = 99
+    before = (out / "scene-00000.h5").read_bytes()
+    with pytest.raises(UserError, match=r"upgrade it; pass --overwrite to replace it$"):
+        run(out, samples=1)
+    assert (out / "scene-00000.h5").read_bytes() == before
+
+
 def test_status_tells_damage_other_inputs_and_work_in_progress(tmp_path: Path):
     from tacgen.files import partfile
 
@@ -165,4 +178,5 @@ def test_status_tells_damage_other_inputs_and_work_in_progress(tmp_path: Path):
     with partfile.claim(out / "scene-00001.h5"):
         states = [scene.state for scene in survey(out).scenes]
     assert states == ["damaged", "at work", "waiting", "waiting", "ok"]
+    assert survey(out).scenes[3].reason == "its place is taken by a bundle of other inputs"
     assert [scene.state for scene in survey(out).scenes][1] == "waiting"
