@@ -56,6 +56,9 @@ def test_a_twist_turns_dots_about_the_contact(drift):
     arm = TINY.markers.pitch_mm[0]
     assert moved[1, 2, 1] == pytest.approx(np.radians(10) * arm * np.exp(-0.1 * arm**2) / PX, rel=0.02)
     assert moved[1, 2, 0] == pytest.approx(0, abs=1e-3)
+    most = flow(drift, pose(0.1), pose(-0.5), pose(-0.5, turn_deg=MOTION.twist[0]))
+    assert flow(drift, pose(-0.5, turn_deg=50)) == pytest.approx(most)
+    assert np.abs(most - flow(drift, pose(-0.5, turn_deg=15))).max() > 0.01
 
 
 def test_off_the_gel_all_is_still_and_forgotten(drift):

@@ -16,7 +16,7 @@ from synthetic import OUTPUTS, write
 from tacgen import export
 from tacgen.bundle import Bundle, read
 from tacgen.errors import UserError
-from tacgen.export import feats, univtac
+from tacgen.export import feats, lerobot, univtac
 from tacgen.files import pack, source
 from tacgen.spec import assets, load
 
@@ -25,8 +25,9 @@ SHAPE = (240, 320)
 FRAMES = 12
 
 
-def force_map(index: int, arrays: dict[str, Any]) -> None:
-    """The force spread over the pressure's samples, so that their sum is the force."""
+def real(index: int, arrays: dict[str, Any]) -> None:
+    """The force spread over the pressure's samples, so that their sum is the force; a gel that bulges beside."""
+    arrays["/frames/height"][0] = 0.02
     weights = arrays["/frames/pressure"] / arrays["/frames/pressure"].sum()
     arrays["/frames/force_map"] = weights[..., None] * arrays["/frames/force"]
 
@@ -36,7 +37,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("export") / "loose"
     for i in range(2):
         known = {"scene_index": i, "values": {"start.x_mm": i / 2}, "sensor_document": SENSOR}
-        write(out / f"scene-{i:05d}.h5", shape=SHAPE, outputs=OUTPUTS, edit=force_map, **known)
+        write(out / f"scene-{i:05d}.h5", shape=SHAPE, outputs=OUTPUTS, edit=real, **known)
     write(out / "scene-00009.h5", stop=3)
     return out
 
@@ -76,7 +77,7 @@ def test_shares_lose_nothing_whatever_the_sizes():
 
 
 def test_feats_refuses_other_image_sizes(tmp_path: Path):
-    write(tmp_path / "scene-00000.h5", edit=force_map)
+    write(tmp_path / "scene-00000.h5", edit=real)
     with pytest.raises(UserError, match="FEATS takes images of 240 x 320 pixels, these have 48 x 64"):
         export.export("feats", tmp_path, tmp_path / "out")
 
@@ -138,7 +139,10 @@ def test_webdataset_streams_what_the_bundles_hold(folder: Path, scene: Bundle, t
     assert (sample["json"]["frame"], sample["json"]["segment"]) == (7, scene.segments[7])
     reference = np.asarray(Image.open(tmp_path / "one" / "reference" / "scene-00001.png"))
     assert np.array_equal(reference, scene["/reference/rgb"])
+    (tmp_path / "two").mkdir()
+    (tmp_path / "two" / "shard-000007.tar").write_bytes(b"of an earlier, larger export")
     again = export.export("webdataset", folder, tmp_path / "two")
+    assert [path.name for path in again if path.suffix == ".tar"] == ["shard-000000.tar"]
     assert made[0].read_bytes() == again[0].read_bytes()
     with tarfile.open(made[0]) as tar:
         assert {member.mtime for member in tar} == {0}
@@ -176,6 +180,17 @@ def test_lerobot_tables_agree_with_each_other_and_with_the_bundles(folder: Path,
     tasks = parquet.read_table(tmp_path / "meta" / "tasks.parquet")
     assert tasks.to_pylist() == [{"task_index": 0, "task": "press, slide, hold, twist a sphere on gelsight_mini"}]
     assert json.loads(tasks.schema.metadata[b"pandas"])["index_columns"] == ["task"]
+
+
+def test_lerobot_begins_a_file_when_one_is_full(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    monkeypatch.setattr(lerobot, "FILE_BYTES", 1000)
+    monkeypatch.setattr(lerobot, "FILES", 1)
+    export.export("lerobot", folder, tmp_path)
+    rows = parquet.read_table(tmp_path / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
+    assert [(row["data/chunk_index"], row["data/file_index"]) for row in rows] == [(0, 0), (1, 0)]
+    there = [tmp_path / f"data/chunk-{chunk:03d}/file-000.parquet" for chunk in range(2)]
+    assert [parquet.read_table(path)["episode_index"].unique().to_pylist() for path in there] == [[0], [1]]
 
 
 @pytest.mark.parametrize(

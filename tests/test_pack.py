@@ -91,6 +91,13 @@ def test_a_shard_that_is_missing_or_cut_is_named_by_every_reader_and_joined_by_n
         assert not file["frames/force"][0].any()  # why readers look first: HDF5 itself makes zeros of it
 
 
+def test_scenes_come_in_the_plans_order_beyond_five_digits(tmp_path: Path):
+    names = ["scene-00002.h5", "scene-99999.h5", "scene-100000.h5"]
+    for name in names:
+        (tmp_path / name).touch()
+    assert [path.name for path in source.files(tmp_path)] == names
+
+
 def test_a_flipped_bit_in_a_shard_is_found(loose: Path):
     folder = packed(loose)
     shard = min(folder.glob("shard-*"))
