@@ -22,6 +22,7 @@ from skimage.metrics import structural_similarity
 from tacgen import bench, render
 from tacgen.bench import kit
 from tacgen.calibrate import photos, under
+from tacgen.image.photo import read as load
 from tacgen.optics.dent import BallDent
 from tacgen.optics.layers import Camera
 from tacgen.spec.sensor import Sensor
@@ -58,43 +59,29 @@ class Likeness:
 Beside = tuple[list[np.ndarray], list[Likeness]]  # strips of a picture, real left and rendered right
 
 
-@dataclass(frozen=True)
-class Press:
-    """A photographed ball press."""
-
-    name: str
-    picture: np.ndarray  # (H, W, 3) uint8
-    center: tuple[float, float]  # of the contact circle [px]
-    contact: float  # its radius [px]
-    ball: float  # radius [mm]
-
-    def near(self, reach: float) -> np.ndarray:
-        """Pixels within `reach` contact radii of the dent's middle, (H, W) bool."""
-        y, x = np.mgrid[: self.picture.shape[0], : self.picture.shape[1]] + 0.5
-        return np.hypot(x - self.center[0], y - self.center[1]) < reach * self.contact
+def near(press: photos.Press, reach: float) -> np.ndarray:
+    """Pixels within `reach` contact radii of the dent's middle, (H, W) bool."""
+    assert press.contact is not None
+    y, x = np.mgrid[: press.picture.shape[0], : press.picture.shape[1]] + 0.5
+    return np.hypot(x - press.center[0], y - press.center[1]) < reach * press.contact
 
 
-def load(path: Path) -> np.ndarray:
-    """An 8-bit RGB picture (H, W, 3)."""
-    return np.asarray(Image.open(path).convert("RGB"))
-
-
-def presses(folder: Path) -> list[Press]:
+def presses(folder: Path) -> list[photos.Press]:
     """Every press of the folder's circles.csv."""
     return [
-        Press(
-            row["image"], load(folder / row["image"]), (float(row["cx_px"]), float(row["cy_px"])),
-            float(row["contact_radius_px"]), float(row["ball_diameter_mm"]) / 2,
+        photos.Press(
+            row["image"], load(folder / row["image"]), float(row["ball_diameter_mm"]) / 2,
+            (float(row["cx_px"]), float(row["cy_px"])), float(row["contact_radius_px"]), None,
         )
         for row in csv.DictReader((folder / "circles.csv").read_text().splitlines())
     ]  # fmt: skip
 
 
-def slopes(picture: np.ndarray, untouched: np.ndarray, press: Press, mm_per_px: float) -> np.ndarray:
+def slopes(picture: np.ndarray, untouched: np.ndarray, press: photos.Press, mm_per_px: float) -> np.ndarray:
     """Change of colour [counts] per unit slope of the ball's surface inside the contact circle: rows R, G, B, columns
     offset, along x, along y. The slope is (x, y) from the dent's middle over the ball's radius."""
     y, x = (np.mgrid[: picture.shape[0], : picture.shape[1]] + 0.5) * mm_per_px
-    inside = press.near(0.95)
+    inside = near(press, 0.95)
     u = (x[inside] - press.center[0] * mm_per_px) / press.ball
     v = (y[inside] - press.center[1] * mm_per_px) / press.ball
     change = picture[inside].astype(float) - untouched[inside]
@@ -122,9 +109,9 @@ def beside_mini(folder: Path, sensor: Sensor, renderer: render.Renderer) -> Besi
         dented = renderer.develop(renderer.image(dent))
         fits.append((slopes(press.picture, real, press, camera.mm_per_px),
                      slopes(dented, made, press, camera.mm_per_px)))  # fmt: skip
-        ssim = similarity(press.picture, dented, press.near(MARGIN))
+        ssim = similarity(press.picture, dented, near(press, MARGIN))
         level = np.clip(dented.astype(int) - made + real, 0, 255).astype(np.uint8)  # on the unit's own background
-        own = similarity(press.picture, level, press.near(MARGIN))
+        own = similarity(press.picture, level, near(press, MARGIN))
         found.append(Likeness(f"around the dent of {press.name}", ssim, own))
         if press.name in SHOWN:
             strips.append(np.hstack([press.picture, dented]))
@@ -147,8 +134,8 @@ def beside_digit(folder: Path, sensor: Sensor, renderer: render.Renderer) -> Bes
         press = digit_press(folder, name)
         real, made = press.picture, renderer.develop(renderer.image(under.face(sensor, press, {})))
         down, across = np.mgrid[: real.shape[0], : real.shape[1]] + 0.5
-        near = np.hypot(across - x, down - y) < DIGIT_REACH
-        found.append(Likeness(f"around the dent of {name}", similarity(real, made, near)))
+        around = np.hypot(across - x, down - y) < DIGIT_REACH
+        found.append(Likeness(f"around the dent of {name}", similarity(real, made, around)))
         strips.append(np.hstack([real, made]))
     return strips, found
 

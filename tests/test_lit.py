@@ -83,6 +83,14 @@ def test_layers_that_hide_each_other(layers: list[Data], says: str):
     assert says in found[0].message
 
 
+def test_a_steeper_dome_comes_down_to_the_lights():
+    for radius, hit in ((30, []), (12, [0, 1])):
+        gel = {"dome": {"radius_x_mm": radius, "radius_y_mm": radius, "source": "t"}}
+        found = list(problems(sensor(gel=gel, markers=None)))
+        assert [p.path for p in found] == [("leds", k, "center_mm") for k in hit]
+        assert all("reaches into the coating" in p.message for p in found)
+
+
 def test_light_is_followed_through_one_clear_layer_under_a_dome():
     gel = {"dome": {"radius_x_mm": 30, "radius_y_mm": 60, "source": "t"}}
     one = PLAIN["gel"]["layers"][0]

@@ -85,3 +85,18 @@ def test_what_is_out_of_view_is_not_in_the_map() -> None:
     found, _ = pressed(points, faces, half)
     assert (found.pressure * found.area).sum() == pytest.approx(state.normal_force.sum() / 2, rel=0.03)
     assert found.pressure[:, :60] == pytest.approx(whole.pressure[:, 60:], abs=0.02 * whole.pressure.max())
+
+
+def test_slip_is_where_most_of_the_pressure_slides() -> None:
+    contact, sliding = np.array([[True, True, False]]), np.array([[0.4, 0.6, 0.9]])
+    blank = np.zeros((1, 3))
+    assert maps.Maps(blank, blank, contact, sliding, blank, blank).slip.tolist() == [[False, True, False]]
+
+
+def test_a_face_has_its_own_x_and_y_even_where_it_looks_along_the_sensors_x() -> None:
+    normals = np.array([[0, 0, 1.0], [0.6, 0, 0.8], [1, 0, 0], [-1, 0, 0]])
+    x, y = maps.tangents(normals)
+    for k, n in enumerate(normals):
+        assert np.stack([x[k], y[k], n]) @ np.stack([x[k], y[k], n]).T == pytest.approx(np.eye(3), abs=1e-12)
+    assert x[0] == pytest.approx([1, 0, 0])
+    assert y[0] == pytest.approx([0, 1, 0])

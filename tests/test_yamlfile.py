@@ -148,6 +148,12 @@ def test_another_shape_replaces_the_whole_indenter():
     assert base.merged(same).data["indenter"] == {"shape": "sphere", "radius_mm": 4}
 
 
+def test_another_distribution_replaces_the_whole_one():
+    base = read("vary: {samples: 3, over: {a.b: {uniform: [1, 2]}, c: {choice: [1]}}}")
+    over = read("vary: {over: {a.b: {choice: [5]}}}")
+    assert base.merged(over).data["vary"] == {"samples": 3, "over": {"a.b": {"choice": [5]}, "c": {"choice": [1]}}}
+
+
 def test_a_source_without_lines_is_named_only():
     assert Mark(Source("--set a=1")).point("no") == "--set a=1: no"
 
@@ -165,4 +171,5 @@ def test_values_are_replaced_in_place_and_comments_stay(tmp_path: Path):
     assert text.startswith("# top\nleds:\n  - name: red  # one\n    size: [0.5, 4]\n    new: 1.5\n    source: x\n")
     path.write_text(text)
     assert load(path).data["rows"] == [[1, 2], [3]]
+    assert "old" not in load(path).data["leds"][0]
     assert "- [1, 2]" in text

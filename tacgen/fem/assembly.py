@@ -14,6 +14,7 @@ Array = np.ndarray
 
 @njit(cache=True, fastmath=True)
 def cofactor(F: Array, C: Array) -> None:
+    """Write the cofactors of F (3, 3) into C (3, 3): J F^-T, also where J is 0."""
     for i in range(3):
         i1, i2 = (i + 1) % 3, (i + 2) % 3
         for j in range(3):
@@ -135,6 +136,7 @@ class Pattern:
 
     @property
     def size(self) -> int:
+        """How many dofs are free."""
         return len(self.free)
 
 

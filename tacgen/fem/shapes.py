@@ -63,6 +63,7 @@ class Core:
 
 
 def _grown(p: Array, core: Core, radius: float) -> tuple[Array, Array, Array]:
+    """Distance, gradient and Hessian, as Shape.distance has them, of a core grown by a radius [mm]."""
     v = p - core.closest
     length = np.linalg.norm(v, axis=1)
     inside = (core.depth > 0) | (length < 1e-12)
@@ -100,6 +101,8 @@ def _inside_box(core_point_offsets: Array, normals: Array) -> tuple[Array, Array
 
 @dataclass(frozen=True)
 class Sphere:
+    """A ball, its lowest point at the origin."""
+
     radius: float  # [mm]
 
     @property

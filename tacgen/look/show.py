@@ -124,6 +124,7 @@ def _indenter(bundle: Bundle) -> str:
 
 
 def heading(sheet: "Figure", bundle: Bundle, height: float) -> None:
+    """What the bundle is, over a sheet of this height [inch], and in red why it was rejected."""
     text = f"{bundle.recipe.get('name', bundle.path.stem)}: {_indenter(bundle)}, on {bundle.attrs['sensor']}"
     sheet.text(0.5, 1 - 0.12 / height, text, ha="center", va="top", fontsize=11)
     if bundle.attrs["status"] != "ok":
@@ -198,6 +199,7 @@ def draw_map(
 
 
 def zoom(panels: list["Axes"], image: tuple[int, int], window: Window, label: str) -> None:
+    """Show the window alone, in image pixels."""
     for panel in panels:
         panel.set(xlim=(window[0] * image[1], window[1] * image[1]), ylim=(window[3] * image[0], window[2] * image[0]))
     frame_axes(panels, label)
@@ -206,6 +208,7 @@ def zoom(panels: list["Axes"], image: tuple[int, int], window: Window, label: st
 def draw_pressure(
     bundle: Bundle, panels: list["Axes"], shown: np.ndarray, image: tuple[int, int], window: Window
 ) -> Any:
+    """Normal to the face, in colour."""
     drawn = draw_map(bundle, panels, shown, image, bundle["/frames/pressure"], "viridis")
     zoom(panels, image, window, "pressure\n[px]")
     return drawn, "pressure [MPa]"
