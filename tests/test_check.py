@@ -64,6 +64,35 @@ def test_one_wrong_frame_is_one_finding(tmp_path: Path, edit: Any, message: str)
     assert str(found[0]) == f"{path}: error: {found[0].message}"
 
 
+def nearly_flat(index: int, arrays: dict[str, Any]) -> None:
+    if index == 3:
+        rgb = np.full((48, 64, 3), 90, np.uint8)
+        rgb[::2] += 2
+        arrays["/frames/rgb"] = rgb
+
+
+def fading(index: int, arrays: dict[str, Any]) -> None:
+    """A touch that is nearly over, and pulls a thousandth of the scene's peak too far along the face."""
+    if index == 3:
+        arrays["/frames/pressure"] = 1e-3 * arrays["/frames/pressure"]
+        arrays["/frames/traction"] = np.zeros((12, 16, 2))
+        arrays["/frames/traction"][TOUCHED] = 0.6 * arrays["/frames/pressure"][TOUCHED] + 3e-7, 0.0
+
+
+@pytest.mark.parametrize(
+    ("edit", "findings"),
+    [
+        (nearly_flat, ["/frames/rgb is one flat colour (frame 3)"]),
+        (fading, []),
+        (spoil("pressure", (0, 0), -5e-5), []),  # of a peak of .09: what interpolation may do
+    ],
+)
+def test_what_rounding_and_noise_may_do_is_no_finding_and_hides_none(
+    tmp_path: Path, edit: Any, findings: list[str]
+) -> None:
+    assert lines(write(tmp_path / "x.h5", edit=edit)) == findings
+
+
 def test_flow_may_be_nan_and_not_infinite(tmp_path: Path) -> None:
     def edit(index: int, arrays: dict[str, Any]) -> None:
         flow = np.zeros((12, 16, 2))
