@@ -309,7 +309,7 @@ def calibrate(
     steps: Annotated[int, typer.Option(min=1, help="Most rounds of the fit.")] = 10,
     as_json: AsJson = False,
 ) -> None:
-    """Fit a sensor file to photographs of your own unit: power and place of its LEDs, stray light, gloss, crop."""
+    """Fit a sensor file to photographs of your own unit: light and place of its LEDs, stray light, gloss, crop."""
     if what != "optics":
         raise UserError(f"{what}: must be optics")
     from tacgen import calibrate as fitting

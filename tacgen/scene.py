@@ -8,17 +8,17 @@ from pathlib import Path
 
 import numpy as np
 
-from tacgen import recipe as recipes
 from tacgen.errors import UserError
 from tacgen.fem.field import Field
 from tacgen.fem.materials import Law, MooneyRivlin, NeoHooke, StableNeoHooke, Yeoh
 from tacgen.fem.shapes import Box, Capsule, Cone, Cylinder, Shape, Sphere, Torus, Triangles, Wedge
 from tacgen.plan import Row
-from tacgen.recipe import Indenter
+from tacgen.recipe import Element
 from tacgen.solid import geometry, tessellate
 from tacgen.solid.gel import Gel, Layer, SolidGel
-from tacgen.spec import moves
+from tacgen.spec import indenters, moves
 from tacgen.spec import sensor as sensors
+from tacgen.spec.indenters import Indenter
 from tacgen.spec.sensor import MooneyRivlinLayer, NeoHookeLayer, Sensor, StableNeoHookeLayer, YeohLayer
 from tacgen.step.trajectory import Forced, lay
 
@@ -59,11 +59,11 @@ class Scene:
     dhat: float  # [mm]
     forced: Forced | None = None
     dynamics: Dynamics | None = None  # None: as if it were moved infinitely slowly
-    element: recipes.Element = "hex"
+    element: Element = "hex"
     surface: Triangles | None = None  # of the indenter, for contact between meshes
 
 
-def _shape(i: Indenter, field: Callable[[recipes.Mesh], Shape]) -> Shape:
+def _shape(i: Indenter, field: Callable[[indenters.Mesh], Shape]) -> Shape:
     match i.shape:
         case "sphere":
             return Sphere(i.radius_mm)
@@ -94,11 +94,11 @@ def _within(row: Row) -> tuple[float, float]:
     return float(np.hypot(gel.width_mm, gel.height_mm)) + 1.0, np.inf if tilted else rise
 
 
-def _solid(i: recipes.Mesh, row: Row) -> geometry.Solid:
+def _solid(i: indenters.Mesh, row: Row) -> geometry.Solid:
     return geometry.placed(geometry.read(row.mesh_path), up=i.up, scale=i.scale, size=i.size_mm)
 
 
-def _field(i: recipes.Mesh, row: Row) -> Field:
+def _field(i: indenters.Mesh, row: Row) -> Field:
     """A mesh as far as the gel can come to it; its grid follows the quality's edge, as what the gel resolves does."""
     half, height = _within(row)
     return geometry.field(_solid(i, row), cell=CELL * row.recipe.resolved().edge_mm, height=height, half=half)

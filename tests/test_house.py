@@ -20,7 +20,7 @@ ORDER = [
     {"console", "spec.turns"},
     {"spec.yamlfile", "spec.assets", "spec.sensor", "files.partfile", "image.variants", "spec.posetable"},
     {"spec.explain"},
-    {"spec.moves"},
+    {"spec.moves", "spec.indenters"},
     {"recipe"},  # *
     {"files.store"},
     {"solid.geometry"},
@@ -108,6 +108,7 @@ NOT_NUMPY = {
     "spec.yamlfile",
     "spec.turns",
     "spec.moves",
+    "spec.indenters",
     "spec.posetable",
     "spec.motions",
 }

@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from ruamel.yaml import YAML
 
 from tacgen.errors import UserError
-from tacgen.recipe import OUTPUTS, QUALITIES, SHAPES, Recipe
+from tacgen.recipe import OUTPUTS, QUALITIES, Recipe
 from tacgen.spec import assets
 from tacgen.spec.explain import validate
+from tacgen.spec.indenters import SHAPES
 from tacgen.spec.load import read
 from tacgen.spec.yamlfile import Source, format_path, parse, parse_path, put
 

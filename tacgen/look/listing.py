@@ -4,8 +4,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from tacgen.export import EXPORTERS
-from tacgen.recipe import SHAPES
 from tacgen.spec import assets
+from tacgen.spec.indenters import SHAPES
 from tacgen.spec.load import read_sensor
 from tacgen.spec.yamlfile import load
 

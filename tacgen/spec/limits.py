@@ -7,9 +7,10 @@ from typing import cast
 
 from tacgen.errors import UserError
 from tacgen.image import photo
-from tacgen.recipe import IMAGES, Indenter, Recipe
+from tacgen.recipe import IMAGES, Recipe
 from tacgen.spec import assets, lit, motions
 from tacgen.spec.explain import Problem
+from tacgen.spec.indenters import Indenter
 from tacgen.spec.motions import Folders
 from tacgen.spec.moves import Made
 from tacgen.spec.sensor import LIGHTS, Gel, LitSensor, Sensor

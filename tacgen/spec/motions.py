@@ -6,9 +6,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from tacgen.errors import UserError
-from tacgen.recipe import Indenter, Recipe
+from tacgen.recipe import Recipe
 from tacgen.spec import assets, posetable
 from tacgen.spec.explain import Problem
+from tacgen.spec.indenters import Indenter
 from tacgen.spec.moves import Move, Press, Release, Replay, Slide, Start, Tilt, Twist
 from tacgen.spec.posetable import Pose
 from tacgen.spec.sensor import Gel
