@@ -341,6 +341,8 @@ def indenters(draw: Any) -> dict[str, Any]:
             fields[name] = draw(st.floats(0.001, 0.01))
         elif name == "tube_radius_mm":
             fields[name] = fields["radius_mm"] / 2
+        elif name == "length_mm":
+            fields[name] = 2 * fields.get("tip_radius_mm", 0.0) + draw(st.floats(0.1, 6))
         elif name != "shape":
             fields[name] = draw(st.floats(0.1, 6))
     return fields
