@@ -16,14 +16,13 @@ from tacgen.fem.contact import Contact, Pose
 from tacgen.fem.newton import Solution, Status, Step, minimise
 from tacgen.fem.passage import blocked, sunk
 from tacgen.fem.potentials import Potential, Total
+from tacgen.fem.renewal import Renewal
 from tacgen.step.problem import AnyContact, Memory, Problem
 
 Array = np.ndarray
 XTOL = 1 / 50  # of dhat: no node moves by more in the last step, nor does the mean gap between passes
 NEAR = 1  # of dhat: longer steps use the projected stiffness, and take nothing anew that is lagged
 RESIDUAL = 1e-3  # of the contact force
-ALIGNED = 0.8  # cosine between two errors of lagged forces from which on the second tells what is left of the first
-CIRCLING, CREEPING = -2.0, 0.75  # the least and the most that may be left to go by it
 LAG = 5e-4  # normal forces may be this far from the ones friction used, as a part of their sum
 NEGLIGIBLE = 1e-3  # of the largest contact force so far
 HALVINGS = 5  # of a step that does not converge
@@ -89,7 +88,7 @@ class _Lagged:
         offset = memory.offset if near is None else max(memory.offset, near.offset)
         self.contact: AnyContact = replace(problem.contact.moved(pose, offset), kappa=memory.kappa)
         self.contact_force = 0.0
-        self.last: tuple[Array, Array, Array] | None = None  # x, normal forces and their error when last renewed
+        self.renewal = Renewal()
         self.friction = None
         if problem.friction > 0:  # lagged from the last pose, turned with the indenter
             normal, anchor = memory.normal @ pose.rotation.T, pose.world(memory.anchor)
@@ -145,29 +144,11 @@ class _Lagged:
             return None
         if self.friction is not None:
             anchor = self.contact.pose.world(self._anchors())
-            there, force = self._foreseen(x, force)
+            meshes = not isinstance(self.contact, Contact)  # which, where positions are carried on, might meet
+            there, force = self.renewal.next(x, force, self.friction.normal_force, between=meshes)
             self.friction = self.contact.friction(self.problem.friction, there, force, normal, anchor, self.eps)
         self.contact = self.contact.grown(gap, x)
         return self.total
-
-    def _foreseen(self, x: Array, force: Array) -> tuple[Array, Array]:
-        """Positions and normal forces to lag, instead of the latest, where errors seen twice show what is left of them.
-
-        A secant (Aitken 1926; Irons & Tuck 1969): errors that turn round and round are met half way, those that creep
-        are run ahead of.
-        """
-        assert self.friction is not None
-        error = force - self.friction.normal_force
-        last, self.last = self.last, (x, force, error)
-        if last is None:
-            return x, force
-        size = float(np.linalg.norm(last[2]))
-        left = float((error * last[2]).sum()) / max(size, 1e-300) ** 2
-        most = CREEPING if isinstance(self.contact, Contact) else 0.0  # meshes might meet farther on
-        if abs(left) * size <= ALIGNED * np.linalg.norm(error) or not CIRCLING < left < most:
-            return x, force
-        on = left / (1 - left)
-        return x + on * (x - last[0]), np.maximum(force + on * (force - last[1]), 0.0)
 
     def lower(self, x: Array, xtol: float, expect: float) -> Solution:
         """Newton's method from x; `expect`: how far that may be from the answer [mm]."""
@@ -211,7 +192,7 @@ class _Lagged:
     def _on(self, contact: Contact, which: Array, pattern: Pattern) -> "_Lagged":
         """The same on some facets (k,) alone, with the entries of another pattern."""
         part, memory, whole = copy(self), self.memory, contact.faces
-        part.last = None
+        part.renewal = Renewal()
         conn = whole.conn[which]
         faces = replace(whole, conn=conn, areas=whole.areas[which], slots=pattern.slots(conn))
         part.contact = replace(contact, faces=faces)
@@ -226,7 +207,8 @@ class _Lagged:
     def _take(self, part: "_Lagged", which: Array, x: Array) -> None:
         """Take over what is lagged from `part`, beside whose facets nothing touches."""
         self.contact = replace(self.contact, offset=part.contact.offset)
-        self.contact_force, self.last = part.contact_force, None
+        self.contact_force = part.contact_force
+        self.renewal = Renewal()
         if self.friction is not None and part.friction is not None:
             force, normal, _ = self.contact.pressure(x)
             force, normal, anchor = np.zeros_like(force), normal.copy(), self.contact.faces.at(x)
