@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -14,9 +15,10 @@ from tacgen.bench.answers import changed
 from tacgen.bench.cases import CASES, PLAIN, RANDOM, blade, random, slivers, wavefront
 from tacgen.bench.kit import Cell, Level, Result, Say, Table, columns, cores
 from tacgen.errors import UserError
-from tacgen.fem import newton
+from tacgen.fem import condensed, newton
 from tacgen.fem.contact import Pose
 from tacgen.fem.elements import HEX_CORNERS
+from tacgen.fem.potentials import Potential
 from tacgen.spec import assets
 
 Array = np.ndarray
@@ -125,16 +127,22 @@ def measure(name: str, sets: Sequence[str]) -> Outcome:
 def _rises() -> Iterator[list[float]]:
     """By how much, as a part of it, each step that Newton takes raises the energy, or 0."""
     found: list[float] = []
-    search = newton.backtrack
+    search, step = newton.backtrack, condensed.go
 
-    def watched(
+    def searched(
         value: Callable[[Array], float], x: Array, p: Array, energy: float, slope: float, fraction: float
     ) -> tuple[float, Array, float]:
         taken = search(value, x, p, energy, slope, fraction)
         found.append(max(taken[2] - energy, 0.0) / max(abs(energy), 1e-300))
         return taken
 
-    with changed(newton, backtrack=watched):
+    def went(bulk: Potential, felt: Potential, x: Array, *how: Any) -> tuple[float, Array]:
+        taken = step(bulk, felt, x, *how)
+        energy, new = (bulk.value(at) + felt.value(at) for at in (x, taken[1]))
+        found.append(max(new - energy, 0.0) / max(abs(energy), 1e-300))
+        return taken
+
+    with changed(newton, backtrack=searched), changed(condensed, go=went):
         yield found
 
 

@@ -227,13 +227,9 @@ def settle(
             there, done = _contact(condensed, loads, x, y, xtol, loose, near, close, refresh, negligible)
             p, q = condensed.end((there - x).ravel()[condensed.pattern.free], y)
             length, felt = float(np.abs(p).max()), loads()
-            here, slope = bulk.value(x), float(((g + felt.gradient(x)) * p).sum())
-            energy = here + felt.value(x)
-            most, expected = felt.max_step(x, p), float((g * p).sum()) + (0.5 + SAG) * condensed.curvature(q)
-            if close and most == 1.0 and bulk.value(ahead := x + p) - here <= expected:
-                fraction, x = 1.0, ahead  # loads may be others than at x by now: their energy says nothing
-            else:
-                fraction, x, _ = backtrack(Total((bulk, felt)).value, x, p, energy, slope, most)
+            energy, slope = bulk.value(x) + felt.value(x), float(((g + felt.gradient(x)) * p).sum())
+            rise = float((g * p).sum()) + (0.5 + SAG) * condensed.curvature(q) if close else -np.inf
+            fraction, x = go(bulk, felt, x, p, slope, rise)
             steps.append(Step(energy, length, fraction, False))
             if fraction == 0.0:
                 return Solution(x, Status.converged if length <= PART * xtol else Status.stalled, tuple(steps))
@@ -243,6 +239,15 @@ def settle(
     except NotPositiveDefinite:
         condensed.usable = False
         return Solution(x, Status.nonfinite, tuple(steps))
+
+
+def go(bulk: Potential, felt: Potential, x: Array, p: Array, slope: float, rise: float) -> tuple[float, Array]:
+    """Fraction of p that is taken from x, and where it leads: all of it if the bulk's energy then is no more than
+    `rise` above that at x, since bulk and contact were brought to their end there; else by a line search."""
+    most, here = felt.max_step(x, p), bulk.value(x)
+    if most == 1.0 and bulk.value(ahead := x + p) - here <= rise:
+        return 1.0, ahead
+    return backtrack(Total((bulk, felt)).value, x, p, here + felt.value(x), slope, most)[:2]
 
 
 def _contact(
