@@ -242,12 +242,13 @@ def settle(
 
 
 def go(bulk: Potential, felt: Potential, x: Array, p: Array, slope: float, rise: float) -> tuple[float, Array]:
-    """Fraction of p that is taken from x, and where it leads: all of it if the bulk's energy then is no more than
-    `rise` above that at x, since bulk and contact were brought to their end there; else by a line search."""
-    most, here = felt.max_step(x, p), bulk.value(x)
-    if most == 1.0 and bulk.value(ahead := x + p) - here <= rise:
+    """Fraction of p that is taken from x, and where it leads: all of it if there the bulk's energy is no more than
+    `rise` above that at x, and the sum of both no higher; else by a line search."""
+    most, here, both = felt.max_step(x, p), bulk.value(x), Total((bulk, felt))
+    energy = here + felt.value(x)
+    if most == 1.0 and bulk.value(ahead := x + p) - here <= rise and both.value(ahead) <= energy + 1e-13 * abs(energy):
         return 1.0, ahead
-    return backtrack(Total((bulk, felt)).value, x, p, here + felt.value(x), slope, most)[:2]
+    return backtrack(both.value, x, p, energy, slope, most)[:2]
 
 
 def _contact(
