@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.linalg import LinAlgError, cho_factor, cho_solve
+from scipy.linalg import LinAlgError, cho_factor, cho_solve, solve_triangular
 
 from tacgen.fem.assembly import Pattern, pattern
 from tacgen.fem.linear import Cholmod, NotPositiveDefinite, dissection
@@ -33,6 +33,7 @@ SAG = 0.3  # of the curvature along a step: how far above the quadratic the bulk
 PART = 0.1  # of xtol: the next step may be that long
 LOOSE = 0.2  # of the error expected of the bulk is what contact and friction may be off by on the way,
 LOOSEST = 50.0  # but no more than this many times what they may be in the end
+FAR = 5.0  # times `near`: after a full step of at most that length, contact takes anew what is lagged
 STEPS = 25  # of those that converge few take more than ten
 
 
@@ -62,6 +63,7 @@ class Condensed:
         self._factor = Cholmod(self.whole, np.concatenate([self._order[~last], self._order[last]]))
         self._rows = np.argsort(self._factor.order[-self.size :])  # the factor has an order of its own
         self._columns = np.repeat(np.arange(self.size), np.diff(self.pattern.indptr))
+        self._acted = np.zeros(self.size, bool)  # of these unknowns, which contact has acted on so far
         self.usable, self.answer = False, None
 
     def renew(self, bulk: Potential, x: Array, exact: bool) -> None:
@@ -117,6 +119,7 @@ class Condensed:
         self._T = np.linalg.inv(np.diag(1 / D) + self._Wf @ self._Wf.T)
         added = self._L @ self._Wc.T
         self.stiffness = self._first + added @ self._T @ added.T if len(D) else self._first
+        self._split: _Split | None = None
 
     def begin(self, g: Array) -> Array:
         """y = L^-1 of a gradient (n, 3)."""
@@ -137,16 +140,53 @@ class Condensed:
         return p, q
 
     def factor(self, data: Array) -> None:
-        self._K = self.stiffness.copy(order="F")
-        self._K[self.pattern.indices, self._columns] += data
+        felt = np.flatnonzero(data)
+        rows, columns = self.pattern.indices[felt], self._columns[felt]
+        acted = self._acted.copy()
+        acted[rows] = acted[columns] = True
+        if self._split is None or acted.sum() > self._acted.sum():
+            self._acted = acted
+            try:
+                self._split = _Split.of(self.stiffness, acted)
+            except LinAlgError as e:
+                raise NotPositiveDefinite from e
+        place = np.cumsum(acted) - 1
+        self._K = self._split.rest.copy(order="F")
+        self._K[place[rows], place[columns]] += data[felt]
 
     def solve(self, b: Array) -> Array:
         self.stepped += 1
+        assert self._split is not None
         try:
             L = cho_factor(self._K, lower=True, overwrite_a=True, check_finite=False)
         except LinAlgError as e:
             raise NotPositiveDefinite from e
-        return np.asarray(cho_solve(L, b, check_finite=False))
+        return self._split.solve(b, lambda r: cho_solve(L, r, check_finite=False))
+
+
+@dataclass(frozen=True)
+class _Split:
+    """A stiffness of which all is eliminated but the unknowns that contact acts on, `acted` (k,) of bool."""
+
+    acted: Array
+    L: Array  # of the others
+    added: Array  # L^-1 of what couples them to those acted on
+    rest: Array  # what is left on those
+
+    @classmethod
+    def of(cls, K: Array, acted: Array) -> "_Split":
+        others = ~acted
+        L = np.linalg.cholesky(K[np.ix_(others, others)])
+        added = solve_triangular(L, K[np.ix_(others, acted)], lower=True, check_finite=False)
+        return cls(acted, L, added, K[np.ix_(acted, acted)] - added.T @ added)
+
+    def solve(self, b: Array, rest: Callable[[Array], Array]) -> Array:
+        """Of the whole, by the solution of what is left."""
+        x = np.empty_like(b)
+        y = solve_triangular(self.L, b[~self.acted], lower=True, check_finite=False)
+        x[self.acted] = u = rest(b[self.acted] - y @ self.added)
+        x[~self.acted] = solve_triangular(self.L, y - self.added @ u, lower=True, trans=1, check_finite=False)
+        return x
 
 
 @dataclass(frozen=True)
@@ -195,7 +235,8 @@ def settle(
 
     Args:
         loads: what acts on the condensed nodes alone, as it is since the last `refresh`.
-        near: steps longer than this [mm] use the projected stiffness, and take nothing anew that is lagged.
+        near: steps longer than this [mm] use the projected stiffness; after those FAR times as long, or cut short,
+            nothing is taken anew that is lagged.
         refresh: asked, once near, to take what is lagged from positions (n, 3) unless it is off by no more than a
             multiple of what it may be; then None.
         negligible: see `minimise`.
@@ -222,7 +263,7 @@ def settle(
                     y = condensed.begin(g)
             if len(steps) == STEPS:
                 return Solution(x, Status.out_of_steps, tuple(steps))
-            close = length <= near and (not steps or steps[-1].fraction == 1.0)
+            close = length <= FAR * near and (not steps or steps[-1].fraction == 1.0)
             loose = min(max(1.0, LOOSE * error / xtol), LOOSEST)
             there, done = _contact(condensed, loads, x, y, xtol, loose, near, close, refresh, negligible)
             p, q = condensed.end((there - x).ravel()[condensed.pattern.free], y)
