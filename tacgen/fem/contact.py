@@ -113,7 +113,7 @@ class Contact:
     """The barrier between the coated face and an indenter shrunk by `offset`.
 
     The barrier holds the gel off by some gap; shrinking the indenter by the mean gap puts the face where the real
-    surface would hold it (see solve).
+    surface would hold it (see step.advance).
     """
 
     faces: Faces
