@@ -33,7 +33,7 @@ SAG = 0.3  # of the curvature along a step: how far above the quadratic the bulk
 PART = 0.1  # of xtol: the next step may be that long
 LOOSE = 0.2  # of the error expected of the bulk is what contact and friction may be off by on the way,
 LOOSEST = 50.0  # but no more than this many times what they may be in the end
-FAR = 5.0  # times `near`: after a full step of at most that length, contact takes anew what is lagged
+FAR = 3.0  # times `near`: after a full step of at most that length, contact takes anew what is lagged
 STEPS = 25  # of those that converge few take more than ten
 
 

@@ -12,6 +12,7 @@ Array = np.ndarray
 PAST = 8  # errors that say what to take next
 SEEN = 5  # as many there are, and the last is no less than
 FALLS = 0.7  # of the one before, where what comes is not taken as it is
+BACK = 0.8  # minus the cosine between two errors from which on the middle between two answers is meant
 JUMPS = 5.0  # times the one before: something else has changed too, and those before say nothing of it
 BEYOND = 10.0  # the most that any one may count for
 
@@ -29,9 +30,13 @@ class Renewal:
         if now > JUMPS * before:
             self._past.clear()
         self._past.append((x, force, error))
-        if now < FALLS * before or len(self._past) < (2 if between else SEEN):
-            return x, force
         past = list(self._past)[-2 if between else 0 :]
+        if between:
+            asked = len(past) == 2 and float((error * past[0][2]).sum()) < -BACK * now * before
+        else:
+            asked = len(past) >= SEEN and now >= FALLS * before
+        if not asked:
+            return x, force
         errors = np.stack([error.ravel() for _, _, error in past], 1)
         weights = np.linalg.lstsq(errors[:, :-1] - errors[:, -1:], -errors[:, -1])[0]
         weights = np.append(weights, 1 - weights.sum())

@@ -41,3 +41,12 @@ def test_between_known_places_a_swing_settles_and_what_creeps_is_not_run_ahead_o
     assert errors(-1.2 * np.eye(4), between=True)[-1] < 1e-4
     creeping = errors(0.9 * np.eye(4), 20, between=True)
     assert creeping == pytest.approx([creeping[0] * 0.9**k for k in range(20)])
+
+
+def test_between_known_places_errors_of_another_kind_are_not_mixed() -> None:
+    """They grow, but turn aside rather than back: halving them led meshes astray."""
+    renewal, first, aside = Renewal(), np.array([[1, 0], [0, 0]]), np.array([[-0.5, 1], [0, 0]])
+    renewal.next(WANTED, WANTED + first, WANTED)
+    x, force = renewal.next(WANTED, WANTED + aside, WANTED, between=True)
+    assert force == pytest.approx(WANTED + aside)
+    assert x is WANTED

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from fem.small import Load
 
 from tacgen.fem.assembly import pattern
 from tacgen.fem.elements import elements
@@ -9,7 +10,7 @@ from tacgen.fem.potentials import Elastic, Total
 from tacgen.fem.recovery import Recovery
 from tacgen.labels.stress import VOIGT, _means
 
-from .test_elements import ELEMENTS, LAW, Load, block, inside, solve, u
+from .test_elements import ELEMENTS, LAW, block, inside, solve, u
 
 Array = np.ndarray
 
