@@ -19,7 +19,7 @@ from .presses import Run, poses, run, scene
 
 Array = np.ndarray
 SQUARE = (-3.0, 3.0, -3.0, 3.0)
-PATH = [(0.4, -0.3, -0.3), (0.8, -0.3, -0.4)]
+PATH = [(0.4 + 0.1 * k, -0.3, -0.3 - 0.025 * k) for k in range(5)]  # .4 mm at once have two answers, that far apart
 
 
 def about_z(angle: float) -> Array:
@@ -27,11 +27,11 @@ def about_z(angle: float) -> Array:
     return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
 
 
-@pytest.mark.parametrize(("angle", "tol"), [(30, 3e-4), pytest.param(90, 1e-5, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("angle", "tol"), [(30, 1e-4), pytest.param(90, 1e-5, marks=pytest.mark.slow)])
 def test_a_scene_turned_as_a_whole_gives_the_turned_force(angle: float, tol: float) -> None:
     """Gel, mesh and path: nothing in the solver prefers an axis. By 90 deg the numbers are the same but for the order
     of sums, which a frame stopped at its tolerance carries on to 3e-6 of the force; by 30 deg rounding leads to
-    another last iteration, and the answer is known to a part of 1e-3."""
+    another last iteration, which shows by 4e-5."""
     R = about_z(np.radians(angle))
     one = run(scene(Box(3.0, 1.6, 0.3), poses(PATH), friction=0.5, edge=0.8), SQUARE)
     H = np.eye(4)
