@@ -52,7 +52,7 @@ def solved(sets: list[str]) -> dict[str, Any]:
 
 
 def _frames(level: Level, say: Say) -> Table:
-    n, repeats = (5, 5) if level == "full" else (4, 2)
+    n, repeats = 5, 5 if level == "full" else 2
     rows: list[list[Cell]] = []
     kinds: list[tuple[str, str, tuple[str, ...]]]
     kinds = [(sensor, quality, ()) for sensor in DEPTHS for quality in ("draft", "default")]

@@ -24,7 +24,7 @@ PATHS = {  # a pixel in each half of a reference: DIGIT's small far lights are f
     "full": {"gelsight_mini": 16384, "digit": 32768, "ninedtact": 1280},
 }
 FACES = {"smoke": ["ball"], "normal": ["ball", "sheared dots"], "full": list(optics.FACES)}
-SIZES: dict[Level, tuple[int, int]] = {"smoke": (8, 8), "normal": (4, 32), "full": (1, 256)}  # shrink, flow's paths
+SIZES: dict[Level, tuple[int, int]] = {"smoke": (8, 8), "normal": (4, 36), "full": (1, 256)}  # shrink, flow's paths
 
 
 def bench(level: Level, say: Say) -> Result:
