@@ -17,3 +17,8 @@ class UserError(Exception):
     def __reduce__(self) -> tuple[type["UserError"], tuple[list[str]]]:
         """Survive the trip back from a worker process."""
         return (type(self), (list(self.lines),))
+
+
+def why(error: Exception) -> str:
+    """What the system said of a file, without its number and name; or what else was wrong with the path."""
+    return getattr(error, "strerror", None) or str(error)

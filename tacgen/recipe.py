@@ -6,11 +6,9 @@ from pydantic import AfterValidator, Discriminator, Field, Tag, ValidationInfo, 
 
 from tacgen.spec.indenters import Indenter
 from tacgen.spec.moves import Segment, Start
-from tacgen.spec.part import ONE_KEY, Part, exactly_one
+from tacgen.spec.part import ONE_KEY, NotNegative, Part, Positive, exactly_one
 from tacgen.spec.yamlfile import KeyPath
 
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
 OutputName = Literal[
     "force",
     "traction",

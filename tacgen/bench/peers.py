@@ -82,24 +82,23 @@ def bench(level: Level, say: Say) -> Result:
 
 def _finest(smoke: bool, say: Say) -> dict[str, float]:
     """Force [N] by each program on a fine mesh, computed once."""
-    names = ["tacgen, coarse"] if smoke else ["tacgen, quality `reference`"]
-    if calculix.installed() and not smoke:
-        names.append(f"{calculix.version()}, edge {FINEST:g} mm")
+    quality: dict[str, str | None] = {"tacgen, quality `reference`": "reference"}  # or by CalculiX
+    if smoke:
+        quality = {"tacgen, coarse": "{edge_mm: 0.8, dhat_mm: 0.05}"}
+    elif calculix.installed():
+        quality[f"{calculix.version()}, edge {FINEST:g} mm"] = None
     with nullcontext(map) if smoke else cores() as every:
-        found = dict(zip(names, every(_fine, names), strict=True))
+        found = dict(zip(quality, every(_fine, quality, quality.values()), strict=True))
     say(", ".join(f"{name}: {force:.4f} N" for name, force in found.items()))
     return found
 
 
-def _fine(name: str) -> float:
-    """The one of these."""
-    if name.startswith("tacgen"):
-        coarse = "coarse" in name
-        return -float(
-            kept((*PRESS, "quality={edge_mm: 0.8, dhat_mm: 0.05}" if coarse else "quality=reference")).force[-1, 2]
-        )
+def _fine(name: str, quality: str | None) -> float:
+    """Force [N] by tacgen at this quality, or by CalculiX, whose version the name says."""
+    if quality is not None:
+        return -float(kept((*PRESS, f"quality={quality}")).force[-1, 2])
     gel, key = scene.build(row_of(PRESS)).gel, store.digest([name, *PRESS, Path(calculix.__file__).read_bytes()])
-    return float(store.kept("bench", key, lambda: (np.array(calculix.press(gel, 4.0, 1.0, FINEST).force),))[0])
+    return float(store.kept_one("bench", key, lambda: np.array(calculix.press(gel, 4.0, 1.0, FINEST).force)))
 
 
 def _runs(name: str, sets: tuple[str, ...], edges: tuple[float, ...], say: Say) -> Runs:
@@ -138,7 +137,11 @@ def _equal(runs: list[Runs], ours: Runs, reference: float) -> Table:
 
 
 E, R, DEPTH = 0.15, 200.0, 0.5  # of the closed forms [MPa, mm, mm]: a/R = .05
-LAYERS = ((0.3, 0.1), (0.4999, 0.1), (0.4999, 0.2))  # nu, and the contact's radius over the thickness
+LAYERS = {  # nu, and the contact's radius over the thickness
+    "smoke": ((0.4999, 0.2),),
+    "normal": ((0.3, 0.1), (0.4999, 0.2)),
+    "full": ((0.3, 0.1), (0.4999, 0.1), (0.4999, 0.2)),
+}
 
 
 def dimitriadis(nu: float, chi: float) -> float:
@@ -155,7 +158,7 @@ def dimitriadis(nu: float, chi: float) -> float:
 def _anchors(level: Level, say: Say) -> Table:
     """Presses of a bonded layer, whose force is known in closed form."""
     rows: list[list[Cell]] = []
-    for nu, chi in LAYERS if level == "full" else LAYERS[-1:] if level == "smoke" else LAYERS[::2]:
+    for nu, chi in LAYERS[level]:
         begun = time.process_time()
         hertz = 4 / 3 * E / (1 - nu**2) * math.sqrt(R) * DEPTH**1.5
         force, found = hertz * dimitriadis(nu, chi), pressed(nu, chi, 2 if level == "smoke" else 5)

@@ -136,9 +136,10 @@ def _rises() -> Iterator[list[float]]:
         found.append(max(taken[2] - energy, 0.0) / max(abs(energy), 1e-300))
         return taken
 
-    def went(bulk: Potential, felt: Potential, x: Array, *how: Any) -> tuple[float, Array]:
+    def went(bulk: Potential, felt: Potential, x: Array, *how: Any) -> tuple[float, Array, float]:
         taken = step(bulk, felt, x, *how)
-        energy, new = (bulk.value(at) + felt.value(at) for at in (x, taken[1]))
+        _, there, energy = taken
+        new = bulk.value(there) + felt.value(there)
         found.append(max(new - energy, 0.0) / max(abs(energy), 1e-300))
         return taken
 

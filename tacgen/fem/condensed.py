@@ -21,7 +21,7 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve, solve_triangular
 
 from tacgen.fem.assembly import Pattern, pattern
 from tacgen.fem.linear import Cholmod, NotPositiveDefinite, dissection
-from tacgen.fem.newton import Solution, Status, Step, backtrack, minimise
+from tacgen.fem.newton import ROUNDING, Solution, Status, Step, backtrack, minimise
 from tacgen.fem.potentials import Potential, Total
 
 Array = np.ndarray
@@ -268,9 +268,9 @@ def settle(
             there, done = _contact(condensed, loads, x, y, xtol, loose, near, close, refresh, negligible)
             p, q = condensed.end((there - x).ravel()[condensed.pattern.free], y)
             length, felt = float(np.abs(p).max()), loads()
-            energy, slope = bulk.value(x) + felt.value(x), float(((g + felt.gradient(x)) * p).sum())
-            rise = float((g * p).sum()) + (0.5 + SAG) * condensed.curvature(q) if close else -np.inf
-            fraction, x = go(bulk, felt, x, p, slope, rise)
+            slope = float(((g + felt.gradient(x)) * p).sum())
+            rise = float((g * p).sum()) + (0.5 + SAG) * condensed.curvature(q) if close else None
+            fraction, x, energy = go(bulk, felt, x, p, slope, rise)
             steps.append(Step(energy, length, fraction, False))
             if fraction == 0.0:
                 return Solution(x, Status.converged if length <= PART * xtol else Status.stalled, tuple(steps))
@@ -282,14 +282,19 @@ def settle(
         return Solution(x, Status.nonfinite, tuple(steps))
 
 
-def go(bulk: Potential, felt: Potential, x: Array, p: Array, slope: float, rise: float) -> tuple[float, Array]:
-    """Fraction of p that is taken from x, and where it leads: all of it if there the bulk's energy is no more than
-    `rise` above that at x, and the sum of both no higher; else by a line search."""
-    most, here, both = felt.max_step(x, p), bulk.value(x), Total((bulk, felt))
+def go(
+    bulk: Potential, felt: Potential, x: Array, p: Array, slope: float, rise: float | None
+) -> tuple[float, Array, float]:
+    """Fraction of p that is taken from x, where it leads and the energy at x: all of it if there the bulk's is no more
+    than `rise` above that at x, and the sum of both no higher; else, and for a `rise` of None, by a line search."""
+    most, here = felt.max_step(x, p), bulk.value(x)
     energy = here + felt.value(x)
-    if most == 1.0 and bulk.value(ahead := x + p) - here <= rise and both.value(ahead) <= energy + 1e-13 * abs(energy):
-        return 1.0, ahead
-    return backtrack(both.value, x, p, energy, slope, most)[:2]
+    if most == 1.0 and rise is not None:
+        ahead = x + p
+        there = bulk.value(ahead)
+        if there - here <= rise and there + felt.value(ahead) <= energy + ROUNDING * abs(energy):
+            return 1.0, ahead, energy
+    return *backtrack(Total((bulk, felt)).value, x, p, energy, slope, most)[:2], energy
 
 
 def _contact(

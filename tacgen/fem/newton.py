@@ -13,6 +13,7 @@ from tacgen.fem.potentials import Potential
 Array = np.ndarray
 ARMIJO = 1e-4
 NOTHING = 1e-6  # of xtol
+ROUNDING = 1e-13  # of the energy: by so much a step may raise it
 SHORTEST = 1e-10  # a line search that gets here has stalled
 
 
@@ -66,7 +67,7 @@ def backtrack(
     value: Callable[[Array], float], x: Array, p: Array, energy: float, slope: float, fraction: float
 ) -> tuple[float, Array, float]:
     """Fraction of p by Armijo's rule, where it leads and the energy there; 0 where none down to SHORTEST lowers it."""
-    noise = 1e-13 * abs(energy)
+    noise = ROUNDING * abs(energy)
     while fraction > SHORTEST:
         there = x + fraction * p
         new = value(there)

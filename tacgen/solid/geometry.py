@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tacgen.errors import UserError
+from tacgen.errors import UserError, why
 from tacgen.fem.field import Field
 from tacgen.files import store
 
@@ -86,7 +86,7 @@ def _loaded(path: Path) -> "trimesh.Trimesh":
         found: Any = trimesh.load_mesh(path, process=False)
         return found if isinstance(found, trimesh.Trimesh) else found.to_mesh()
     except OSError as error:
-        raise UserError(f"{path}: cannot be read: {error.strerror or error}") from None
+        raise UserError(f"{path}: cannot be read: {why(error)}") from None
     except UserError:
         raise
     except Exception as error:  # each reader of trimesh fails in its own way on a file that is something else

@@ -4,7 +4,7 @@ import difflib
 import hashlib
 from pathlib import Path
 
-from tacgen.errors import UserError
+from tacgen.errors import UserError, why
 
 PACKAGE = Path(__file__).resolve().parent.parent
 MESHES = (".stl", ".obj", ".ply")
@@ -70,7 +70,7 @@ def sha256(path: Path) -> str:
         with path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except (OSError, ValueError) as error:
-        raise UserError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+        raise UserError(f"{path}: cannot be read: {why(error)}") from None
 
 
 def _names(kind: str) -> list[str]:

@@ -4,9 +4,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, ValidationInfo, field_validator
 
-from tacgen.spec.part import Part
+from tacgen.spec.part import Part, Positive
 
-Positive = Annotated[float, Field(gt=0)]
 Acute = Annotated[float, Field(gt=0, lt=90)]
 
 

@@ -4,10 +4,9 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from tacgen.spec.part import ONE_KEY, Part, exactly_one
+from tacgen.spec.part import ONE_KEY, Part, Positive, exactly_one
 from tacgen.spec.turns import UPRIGHT, Quaternion, Vector, unit
 
-Positive = Annotated[float, Field(gt=0)]
 Frames = Annotated[int, Field(ge=1, le=10_000)]
 
 

@@ -1,9 +1,11 @@
 """What every piece of a file a person writes has in common."""
 
-from typing import Any
+from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
 ONE_KEY: dict[str, Any] = {"minProperties": 1, "maxProperties": 1}  # in a JSON schema
 
 

@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from tacgen.errors import UserError
+from tacgen.errors import UserError, why
 from tacgen.spec.turns import Placement, unit
 
 # What a column may be called; x, y and z may end in _mm or _m, time in _s. Capitals do not matter.
@@ -46,7 +46,7 @@ def read(path: Path, units: str | None = None) -> Table:
     try:
         raw = path.read_bytes()
     except (OSError, ValueError) as error:
-        raise UserError(f"cannot be read: {getattr(error, 'strerror', None) or error}") from None
+        raise UserError(f"cannot be read: {why(error)}") from None
     return _parsed(raw, units)
 
 

@@ -11,10 +11,8 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from tacgen.spec.part import Part
+from tacgen.spec.part import NotNegative, Part, Positive
 
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Index = Annotated[float, Field(ge=1, le=4)]
 Poisson = Annotated[float, Field(ge=0, lt=0.5)]

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from tacgen.errors import UserError
+from tacgen.errors import UserError, why
 
 KeyPath = tuple[str | int, ...]
 MAX_VALUES = 100_000  # aliases can multiply a small file without end
@@ -177,7 +177,7 @@ def load(path: Path) -> Tree:
     except IsADirectoryError:
         raise UserError(f"{name}: is a folder, not a file") from None
     except (OSError, ValueError) as error:
-        raise UserError(f"{name}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+        raise UserError(f"{name}: cannot be read: {why(error)}") from None
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError:
