@@ -131,6 +131,41 @@ def test_a_references_noise_is_not_taken_for_an_error() -> None:
     assert decibel(1.02 * truth, [truth, truth], camera, noisy=True)[0] == pytest.approx(-20 * np.log10(plain))
 
 
+def test_parts_of_a_reference_say_more_than_halves() -> None:
+    """Of as many paths: by a root of two at most, and without bias."""
+    from tacgen.bench.optics import decibel
+
+    camera, rng = tiny.sensor(camera={"vignette_mm": None}).camera, np.random.default_rng(5)
+    truth = np.full((32, 40, 3), 0.2)
+    parts = [truth + 0.04 * rng.standard_normal(truth.shape) for _ in range(8)]
+    halves = [np.mean(parts[:4], axis=0), np.mean(parts[4:], axis=0)]
+    expected, _ = decibel(1.02 * truth, [truth, truth], camera, noisy=False)
+    found, sure = decibel(1.02 * truth, parts, camera, noisy=False)
+    less = decibel(1.02 * truth, halves, camera, noisy=False)[1]
+    assert abs(found - expected) < 2 * sure
+    assert 0.65 * less < sure < 0.95 * less
+
+
+def test_chosen_pixels_stand_for_the_picture() -> None:
+    from tacgen.bench.optics import chosen, decibel
+
+    camera = tiny.sensor().camera  # 40 x 32
+    y, x = np.mgrid[:32, :40]
+    means = []
+    for seed in range(200):
+        windows = np.array(chosen(camera, 60, seed))
+        assert len(windows) == 63
+        means.append([windows[:, 0].mean(), windows[:, 1].mean()])
+    assert np.mean(means, axis=0) == pytest.approx([x.mean(), y.mean()], abs=0.05)
+    there = np.zeros((32, 40), bool)
+    there[windows[:, 1], windows[:, 0]] = True
+    assert there.sum() == 63  # each in a cell of its own
+    truth = np.where(there[..., None], 0.2, np.nan) * np.ones(3)
+    picture = np.where(there, 0.21, 0.9)[..., None] * np.ones(3)
+    only = decibel(np.full((32, 40, 3), 0.21), [truth, truth], camera, noisy=False)
+    assert decibel(picture, [truth, truth], camera, noisy=False) == only
+
+
 SLOW = {"optics"}
 
 

@@ -117,6 +117,19 @@ def test_a_scene_built_again_draws_the_same_numbers(tracer):
         assert np.array_equal(again.radiance(DENT, 4, 7), first)
 
 
+def test_a_window_shows_what_the_whole_picture_shows_there(tracer):
+    """And the whole picture is the same after as before; nan where no window is."""
+    windows = [(3, 20, 1, 1), (10, 4, 20, 6), (39, 31, 1, 1)]
+    whole = tracer.radiance(DENT, 256, 1)
+    seen = tracer.windows(tracer.sheet.at(DENT), windows, 4096, 1)
+    assert np.isfinite(seen).all(2).sum() == 1 + 120 + 1
+    for x, y, w, h in windows:
+        near = whole[max(y - 2, 0) : y + h + 2, max(x - 2, 0) : x + w + 2]
+        assert seen[y : y + h, x : x + w].mean((0, 1)) == pytest.approx(near.mean((0, 1)), rel=0.2)
+    assert not np.array_equal(seen[4:10, 10:16], seen[4:10, 16:22])
+    assert np.array_equal(tracer.radiance(DENT, 256, 1), whole)
+
+
 @pytest.mark.parametrize("which", ["sensor", "cloudy"])
 def test_bytes_are_the_same_at_any_thread_count(which, tmp_path):
     code = (

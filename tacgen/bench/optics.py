@@ -1,21 +1,26 @@
 """How far pictures are from Mitsuba's `path`, and what they cost: sensors x solved faces x methods and settings.
 
-PSNR in dB on the developed sRGB picture before rounding and without the camera's noise. The reference comes in two
-independent halves: the mean of the product of the two errors, in linear light and turned into sRGB by the slope at the
-picture measured, has none of their noise in it, however strong that is. References are kept in the cache.
+PSNR in dB on the developed sRGB picture before rounding and without the camera's noise. The reference comes in several
+independent parts: the mean of the products of the picture's errors against each two of them, in linear light and turned
+into sRGB by the slope at the picture measured, has none of their noise in it, however strong that is. By how much it
+still strays falls with the number of paths a pixel, but with the root of that of pixels: so paths say most about few
+pixels. Those are drawn at random, one in each cell of a grid over the picture, and stand for it without bias.
+References are kept in the cache.
 """
 
 import hashlib
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import cast
+from functools import cached_property
+from typing import NamedTuple, cast
 
 import numpy as np
 
 from tacgen import fields, mesh, plan, render, scene, solve
 from tacgen.files import store
-from tacgen.image.tracer import PathTracer
+from tacgen.image import variants
+from tacgen.image.tracer import PathTracer, Window
 from tacgen.optics import response
 from tacgen.optics.sheet import Sheet, Surface, Untouched
 from tacgen.optics.view import Samples
@@ -39,8 +44,10 @@ DOTS = (  # printed on a DIGIT, which has none: as on the Mini, turned
     "sensor.markers={columns: 7, rows: 9, pitch_mm: [2.0625, 2.0625], diameter_mm: 1.0, albedo: 0.065, source: bench}"
 )
 WAYS = [("transport", quality) for quality in QUALITIES] + [("path", str(spp)) for spp in (16, 64)]
-PATH_FACE = "ball"  # that paths are held against themselves on: their noise is the same on all
-CHUNK = 256  # paths a pixel that a reference is traced with at a time
+BEST = len(QUALITIES) - 1  # of the ways
+PATH_FACE = "ball"  # that paths are looked at on: their noise is the same on all
+BANDS, PART = 4, 16  # across the picture, on which this is done; and part of its rows that they are
+CHUNK = 256  # paths a pixel that a whole picture is traced with at a time
 
 
 @dataclass(frozen=True)
@@ -59,29 +66,76 @@ class Outcome:
     pixels: tuple[int, int]
 
 
-class Kept:
-    """Light from the cache, traced where it is not there yet."""
+@dataclass(frozen=True)
+class Truth:
+    """How a reference is traced: parts, paths a pixel in each, at how many pixels (None: all)."""
 
-    def __init__(self, sensor: LitSensor, markers: bool, spp: int, seed: int, variant: str) -> None:
-        self.sensor, self.markers, self.spp, self.seed, self.variant = sensor, markers, spp, seed, variant
+    parts: int
+    spp: int
+    pixels: int | None = None
+
+
+class Reference(NamedTuple):
+    """A sensor, a solved face, whether it has dots, and traced pictures of it (H, W, 3), nan where they are not."""
+
+    sensor: LitSensor
+    surface: Surface
+    dots: bool
+    truths: list[Array]
+
+
+class Paths:
+    """Mitsuba's paths in some windows, or everywhere: new ones at each look, or what the cache has of that look."""
+
+    def __init__(
+        self, sensor: LitSensor, markers: bool, spp: int, variant: str, windows: Sequence[Window], keep: bool
+    ) -> None:
+        self.sensor, self.markers, self.spp, self.variant = sensor, markers, spp, variant
+        self.windows, self.keep, self.looks, self.seconds = windows, keep, 0, 0.0
+
+    @cached_property
+    def _tracer(self) -> PathTracer:
+        return PathTracer(self.sensor, Sheet.over(self.sensor.gel, render.SPACING), self.markers, self.variant)
 
     def seen(self, at: Samples) -> Array:
-        """Linear radiance (H, W, 3) at `spp` paths a pixel."""
+        """Linear radiance (H, W, 3), nan outside the windows."""
+        self.looks += 1
+        if not self.keep:
+            return self._trace(at)
+        width, height = self.sensor.camera.width_px, self.sensor.camera.height_px
+        there, made = np.zeros((height, width), bool), np.full((height, width, 3), np.nan, np.float32)
+        for x, y, w, h in self.windows or [(0, 0, width, height)]:
+            there[y : y + h, x : x + w] = True
+        made[there] = store.kept_one("path", self.name(at.nodes), lambda: self._trace(at)[there])
+        return made
 
-        def trace() -> Array:
-            sheet = Sheet.over(self.sensor.gel, render.SPACING)
-            tracer, parts = PathTracer(self.sensor, sheet, self.markers, self.variant), range(-(-self.spp // CHUNK))
-            traced = [tracer.render(at.nodes, min(self.spp, CHUNK), self.seed + 1000 * i) for i in parts]
-            return np.asarray(np.mean(traced, axis=0))
-
-        return store.kept_one("path", self.name(at.nodes), trace)
+    def _trace(self, at: Samples) -> Array:
+        tracer, begun = self._tracer, time.process_time()
+        if self.windows:
+            made = tracer.windows(at.nodes, self.windows, self.spp, self.looks)
+        else:
+            parts = range(-(-self.spp // CHUNK))
+            traced = [tracer.render(at.nodes, min(self.spp, CHUNK), 1000 * self.looks + i) for i in parts]
+            made = np.mean(traced, axis=0)
+        self.seconds += time.process_time() - begun
+        return made.astype(np.float32)
 
     def name(self, nodes: Array) -> str:
         """Its place in the cache, whatever the variant."""
         dots = self.sensor.markers.model_dump() if self.markers and self.sensor.markers else None
         light = [led.light for led in self.sensor.leds]
         face = hashlib.sha256(nodes.astype(np.float32).tobytes()).hexdigest()
-        return render.key(self.sensor, "any", light, dots, face, self.spp, self.seed)
+        return render.key(self.sensor, "any", light, dots, face, self.spp, self.windows, self.looks)
+
+
+def chosen(camera: Camera, count: int, seed: int = 0) -> list[Window]:
+    """About so many pixels, one at random in each cell of a grid: each of the picture's is as likely as any other."""
+    width, height = camera.width_px, camera.height_px
+    rows = max(1, round((count * height / width) ** 0.5))
+    columns = max(1, round(count / rows))
+    at = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), -1).reshape(-1, 2)
+    at = (at + np.random.default_rng(seed).random(at.shape)) * [width / columns, height / rows]
+    return [(int(x), int(y), 1, 1) for x, y in at]
 
 
 def solved(sensor: str, face: str, shrink: int) -> tuple[LitSensor, Surface, bool]:
@@ -101,44 +155,69 @@ def solved(sensor: str, face: str, shrink: int) -> tuple[LitSensor, Surface, boo
     return lit, fields.seen(problem.mesh, len(lit.gel.clear_layers)).moved(last.x), dots
 
 
-def decibel(picture: Array, halves: Sequence[Array], camera: Camera, noisy: bool) -> tuple[float, float]:
-    """PSNR [dB] of a radiance picture (H, W, 3), that may be `noisy` itself, against two noisy ones, and its standard
-    deviation [dB]; where that hides the error, no more PSNR than is sure."""
-    x, *truths = (response.expose(light.astype(np.float64), camera) for light in (picture, *halves))
+def decibel(picture: Array, truths: Sequence[Array], camera: Camera, noisy: bool) -> tuple[float, float]:
+    """PSNR [dB] of a radiance picture (H, W, 3), that may be `noisy` itself, against several noisy ones, where they are
+    not nan, and its standard deviation [dB]; where that hides the error, no more PSNR than is sure."""
+    lights = np.array([response.expose(light.astype(np.float64), camera) for light in (picture, *truths)])
+    x, *parts = lights[:, np.isfinite(lights).all((0, 3))]
     slope = response.slope(np.clip(x, 0.0, 1.0)) * (x < 1.0)
-    off = [response.srgb(x) - response.srgb(truth) if noisy else slope * (x - truth) for truth in truths]
-    product = np.prod(off, axis=0).mean(axis=2)
-    sure = float(product.std() / np.sqrt(product.size))
-    error = max(float(product.mean()), sure, 1e-9)
+    off = np.array([response.srgb(x) - response.srgb(part) if noisy else slope * (x - part) for part in parts])
+    products = (off.sum(0) ** 2 - (off**2).sum(0)).mean(1) / (len(off) * (len(off) - 1))  # of each with each other
+    sure = float(products.std() / np.sqrt(products.size))
+    error = max(float(products.mean()), sure, 1e-9)
     return float(-10 * np.log10(error)), float(10 * np.log10(1 + sure / error))
 
 
+def reference(name: str, face: str, shrink: int, how: Truth, variant: str) -> Reference:
+    """A solved face and its traced pictures, from the cache where they are."""
+    sensor, surface, dots = solved(name, face, shrink)
+    windows = chosen(sensor.camera, how.pixels) if how.pixels else ()
+    variant = variants.SCALAR if windows else variant  # others compile anew for each window
+    kept = render.Renderer(sensor, 1, 0, dots, variant, "path")
+    kept.light = Paths(sensor, dots, how.spp, variant, windows, True)
+    return Reference(sensor, surface, dots, [kept.image(surface) for _ in range(how.parts)])
+
+
 def measure(
-    sensors: Sequence[str], faces: Sequence[str], spp: int, shrink: int, ways: Sequence[tuple[str, str]], variant: str
+    name: str, found: Mapping[str, Reference], ways: Sequence[tuple[str, str]], variant: str
 ) -> Iterator[Outcome]:
-    """Each outcome, against references of `spp` paths a pixel in each half."""
-    for name in sensors:
-        ready: dict[tuple[str, str, bool], tuple[render.Renderer, float]] = {}
-        for face in faces:
-            sensor, surface, dots = solved(name, face, shrink)
-            halves = []
-            for seed in (11, 12):
-                kept = render.Renderer(sensor, 1, 0, dots, variant, "path")
-                kept.light = Kept(sensor, dots, spp, seed, variant)
-                halves.append(kept.image(surface))
-            for way in ways:
-                if way[0] == "path" and face != PATH_FACE:
-                    continue
-                if (*way, dots) not in ready:
-                    begun = time.process_time()
-                    paths = QUALITIES[way[1]].spp if way[0] == "transport" else int(way[1])
-                    made = render.Renderer(sensor, paths, 0, dots, variant, way[0])  # type: ignore[arg-type]
-                    ready[(*way, dots)] = made, time.process_time() - begun
-                    made.image(surface)  # compiles
-                renderer, before = ready[(*way, dots)]
-                begun = time.process_time()
-                picture = renderer.image(surface)
-                seconds = time.process_time() - begun
-                size = (sensor.camera.width_px, sensor.camera.height_px)
-                found = decibel(picture, halves, sensor.camera, noisy=way[0] == "path")
-                yield Outcome(name, face, *way, *found, seconds, before, size)
+    """Each outcome of a sensor, whose faces' references are given."""
+    ready: dict[tuple[str, str, bool], tuple[render.Renderer, float]] = {}
+    for face, (sensor, surface, dots, truths) in found.items():
+        size, best = (sensor.camera.width_px, sensor.camera.height_px), truths[0]
+        for method, setting in ways:
+            if method == "path":
+                if face == PATH_FACE:
+                    yield Outcome(name, face, method, setting, *_noise(found[face], int(setting), best, variant), size)
+                continue
+            if (method, setting, dots) not in ready:
+                begun, paths = time.process_time(), QUALITIES[setting].spp if method == "transport" else int(setting)
+                made = render.Renderer(sensor, paths, 0, dots, variant, method)  # type: ignore[arg-type]
+                ready[method, setting, dots] = made, time.process_time() - begun
+                made.image(surface)  # compiles
+            renderer, before = ready[method, setting, dots]
+            begun = time.process_time()
+            picture = renderer.image(surface)
+            seconds = time.process_time() - begun
+            if (method, setting) == WAYS[BEST]:
+                best = picture
+            error = decibel(picture, truths, sensor.camera, noisy=False)
+            yield Outcome(name, face, method, setting, *error, seconds, before, size)
+
+
+def _noise(seen: Reference, spp: int, best: Array, variant: str) -> tuple[float, float, float, float]:
+    """PSNR [dB] of paths, how sure that is, seconds of a frame and before the first: looked at in bands of the picture,
+    against the best that there is without noise, whose error is nothing beside theirs."""
+    width, height = seen.sensor.camera.width_px, seen.sensor.camera.height_px
+    rows = max(1, height // (BANDS * PART))
+    bands = [(0, (2 * i + 1) * height // (2 * BANDS) - rows // 2, width, rows) for i in range(BANDS)]
+    begun = time.process_time()
+    renderer = render.Renderer(seen.sensor, 1, 0, seen.dots, variant, "path")
+    paths = renderer.light = Paths(seen.sensor, seen.dots, spp, variant, bands, False)
+    before = time.process_time() - begun
+    paths.spp = 1
+    renderer.image(seen.surface)  # compiles
+    paths.spp, paths.seconds, begun = spp, 0.0, time.process_time()
+    picture = renderer.image(seen.surface)
+    seconds = time.process_time() - begun + paths.seconds * (height / (BANDS * rows) - 1)
+    return *decibel(picture, [best, best], seen.sensor.camera, noisy=True), seconds, before

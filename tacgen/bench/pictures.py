@@ -1,64 +1,75 @@
 """Error of pictures against seconds: every method and setting against traced paths, and where the coating goes."""
 
 from collections.abc import Iterator, Sequence
+from contextlib import nullcontext
 from typing import cast
 
 from tacgen.bench import flow, optics
-from tacgen.bench.kit import Cell, Level, Plot, Result, Say, Series, Table, columns
+from tacgen.bench.kit import Cell, Level, Plot, Result, Say, Series, Table, columns, cores
+from tacgen.bench.optics import Truth
 from tacgen.image import variants
 from tacgen.spec import assets, load
 from tacgen.spec.sensor import LitSensor
 
 ABOUT = (
     "Pictures of solved faces against Mitsuba's `path`: PSNR on developed sRGB before rounding and without the"
-    " camera's noise, the reference's own noise taken off (one standard deviation of what that leaves stands beside),"
-    " and the processor's seconds of a frame on one core; ready: of what is made once a sensor, where it was not in the"
-    " cache. Pictures are made smaller by the same part in width and height. In the plots points above each other are"
-    " one way on its faces."
+    " camera's noise, the reference's own noise taken off (one standard deviation of what that leaves, and of the"
+    " choice of pixels, stands beside), and the processor's seconds of a frame on one core; ready: of what is made once"
+    " a sensor, where it was not in the cache. `path` is looked at in bands, a sixteenth of the picture, which would"
+    " take that many times as long. In the plots points above each other are one way on its faces."
 )
 TABLE = [("table", "64")]  # Taxim's, for gels that do not scatter; calibrated with so many paths
 SENSORS = ("gelsight_mini", "digit", "ninedtact")
-PATHS = {  # a pixel in each half of a reference: DIGIT's small far lights are found by few of them
-    "smoke": dict.fromkeys(SENSORS, 16),
-    "normal": {"gelsight_mini": 1024, "digit": 2048, "ninedtact": 128},
-    "full": {"gelsight_mini": 16384, "digit": 32768, "ninedtact": 1280},
+TRUTHS = {  # the reference: DIGIT's small far lights are found by few paths
+    "smoke": dict.fromkeys(SENSORS, Truth(2, 16, 16)),
+    "normal": {"digit": Truth(8, 32768, 64), "gelsight_mini": Truth(8, 2048, 256), "ninedtact": Truth(8, 1024, 256)},
+    "full": {"digit": Truth(8, 8192), "gelsight_mini": Truth(8, 4096), "ninedtact": Truth(8, 320)},
 }
 FACES = {"smoke": ["ball"], "normal": ["ball", "sheared dots"], "full": list(optics.FACES)}
-SIZES: dict[Level, tuple[int, int]] = {"smoke": (8, 8), "normal": (4, 36), "full": (1, 256)}  # shrink, flow's paths
+SHRINK = {"smoke": 8, "normal": 1, "full": 1}  # of the pictures
+FLOW_PATHS = {"normal": 36, "full": 256}
 
 
 def bench(level: Level, say: Say) -> Result:
     """Every sensor, method and setting, on more faces and with more paths the fuller it is asked for."""
-    variant, (shrink, paths) = variants.best().variant, SIZES[level]
-    names = SENSORS[:1] if level == "smoke" else SENSORS
-    found = list(_pictures(level, names, shrink, variant, say))
+    variant, names = variants.best().variant, SENSORS[:1] if level == "smoke" else SENSORS
+    found = list(_pictures(level, names, variant, say))
     rows: list[list[Cell]] = []
     for one in found:
         size = f"{one.pixels[0]} x {one.pixels[1]}"
         rows.append(
             [one.sensor, one.face, one.method, one.setting, size, one.decibel, one.sure, one.seconds, one.ready]
         )
-    told = ", ".join(f"{name} {PATHS[level][name]}" for name in names)
+    told = ", ".join(
+        f"{name} {how.parts} x {how.spp} at {how.pixels or 'all'}"
+        for name, how in TRUTHS[level].items()
+        if name in names
+    )
     heads = columns(
         "sensor", "face", "method", "setting", "pixels", "dB: .1f", "+-: .1f", "s a frame: .3f", "ready [s]: .1f"
     )
-    table = Table("Pictures", heads, rows, f"{variant}; paths a pixel in each half of the reference: {told}.")
+    note = f"{variant}; parts of the reference, paths a pixel in each and at how many pixels: {told}."
+    table = Table("Pictures", heads, rows, note)
     plots = []
     for name in names:
         mine = [one for one in found if one.sensor == name]
         ways = dict.fromkeys((one.method, one.setting) for one in mine)
         series = [_curve(" ".join(way), [one for one in mine if (one.method, one.setting) == way]) for way in ways]
         plots.append(Plot(name, "s a frame", "PSNR against path [dB]", series, log="x"))
-    return Result(ABOUT, [table] if level == "smoke" else [table, _flow(names, paths, variant, say)], plots)
+    return Result(ABOUT, [table] if level == "smoke" else [table, _flow(names, FLOW_PATHS[level], variant, say)], plots)
 
 
-def _pictures(level: Level, names: Sequence[str], shrink: int, variant: str, say: Say) -> Iterator[optics.Outcome]:
+def _pictures(level: Level, names: Sequence[str], variant: str, say: Say) -> Iterator[optics.Outcome]:
     """Outcomes, sensor by sensor, of all methods that it has."""
-    faces = FACES[level]
+    jobs = [(name, face, SHRINK[level], how, variant) for name, how in TRUTHS[level].items() if name in names
+            for face in FACES[level]]  # fmt: skip
+    with cores() if level == "normal" else nullcontext(map) as every:  # whole pictures take all cores as it is
+        found = {job[:2]: one for job, one in zip(jobs, every(optics.reference, *zip(*jobs, strict=True)), strict=True)}
+    say("references are there")
     for name in names:
         scatters = any(layer.scattering for layer in load.read_sensor(assets.sensor_path(name))[0].gel.layers)
         ways = [*optics.WAYS, *([] if scatters else TABLE)][: 1 if level == "smoke" else None]
-        for one in optics.measure([name], faces, PATHS[level][name], shrink, ways, variant):
+        for one in optics.measure(name, {face: found[name, face] for face in FACES[level]}, ways, variant):
             say(f"{name} {one.face} {one.method} {one.setting}: {one.decibel:.1f} dB in {one.seconds:.2f} s")
             yield one
 

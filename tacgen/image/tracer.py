@@ -3,7 +3,8 @@ which is imported only inside functions."""
 
 import os
 import tempfile
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -19,10 +20,12 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
+Window: TypeAlias = tuple[int, int, int, int]  # left, top, width, height [px]
 MASK_PIXEL = 0.02  # [mm] of the marker texture
 MAX_DEPTH = 12  # path vertices, interfaces included
 MAX_DEPTH_SCATTERING = 64  # the same where light also turns between surfaces; thinned out from MAX_DEPTH on
 BLOCK = 8  # [px] side of the blocks that scalar variants work on
+FILM = "sensor.film"
 
 
 def mitsuba(name: str) -> Any:
@@ -116,9 +119,30 @@ class PathTracer:
 
     def render(self, nodes: "Floats", spp: int, seed: int) -> "Floats":
         """The same of the sheet's nodes (nodes, 3) [mm]."""
+        self._move(nodes)
+        return self._traced(spp, seed)
+
+    def windows(self, nodes: "Floats", windows: Sequence[Window], spp: int, seed: int) -> "Floats":
+        """The same of some windows alone, nan elsewhere; each draws random numbers of its own."""
+        self._move(nodes)
+        width, height = self._params[f"{FILM}.size"]
+        picture = np.full((height, width, 3), np.nan)
+        for i, (x, y, w, h) in enumerate(windows):
+            self._crop(x, y, w, h)
+            picture[y : y + h, x : x + w] = self._traced(spp, seed * len(windows) + i)
+        self._crop(0, 0, width, height)
+        return picture
+
+    def _crop(self, x: int, y: int, width: int, height: int) -> None:
+        self._params[f"{FILM}.crop_offset"], self._params[f"{FILM}.crop_size"] = (x, y), (width, height)
+        self._params.update()
+
+    def _move(self, nodes: "Floats") -> None:
         self._mi.set_variant(self.variant)
         self._params[self._vertices] = nodes.astype(np.float32).ravel()
         self._params.update()
+
+    def _traced(self, spp: int, seed: int) -> "Floats":
         return np.array(self._mi.render(self._scene, spp=spp, seed=seed), dtype=np.float64)
 
     def _mesh(self, bsdf: Any) -> Any:
