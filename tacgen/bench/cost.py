@@ -32,8 +32,9 @@ def bench(level: Level, say: Say) -> Result:
     return Result(ABOUT, [growth] if level == "smoke" else [_frames(level, say), growth], [curve])
 
 
-def solved(sets: list[str]) -> dict[str, Any]:
-    """Seconds and iterations of each frame of the quickstart with these changes, nodes, and memory [MB]."""
+def solved(sets: list[str], repeats: int = 1) -> dict[str, Any]:
+    """Of the quickstart with these changes: seconds of each frame in each of the runs, one after the other; of the
+    last, iterations of each frame; nodes, and memory [MB]."""
     from tacgen import mesh, plan, scene, solve
     from tacgen.spec import assets
     from tacgen.step import foresee
@@ -41,31 +42,33 @@ def solved(sets: list[str]) -> dict[str, Any]:
     rough = scene.build(plan.load(assets.recipe_path("quickstart"), (*BALL, PRESS, "quality={edge_mm: 1.5}")).rows[0])
     next(solve.states(rough, solve.Problem.of(rough, mesh.of(rough))))  # compile
     made = foresee.foreseen(scene.build(plan.load(assets.recipe_path("quickstart"), (*BALL, *sets)).rows[0]))
-    problem = solve.Problem.of(made, mesh.of(made))
-    seconds, iterations, last = [], [], time.process_time()
-    for state in solve.states(made, problem):
-        iterations.append(state.iterations)
-        seconds.append(time.process_time() - last)
-        last = time.process_time()
+    seconds = list[list[float]]()
+    for _ in range(repeats):
+        problem = solve.Problem.of(made, mesh.of(made))
+        clock, iterations = [time.process_time()], list[int]()
+        for state in solve.states(made, problem):
+            iterations.append(state.iterations)
+            clock.append(time.process_time())
+        seconds.append([end - start for start, end in pairwise(clock)])
     nodes = len(problem.mesh.points)
     return {"nodes": nodes, "seconds": seconds, "iterations": iterations, "memory": peak_memory()}
 
 
 def _frames(level: Level, say: Say) -> Table:
-    n, repeats = 5, 5 if level == "full" else 2
+    n, often = 5, 5 if level == "full" else 2
     rows: list[list[Cell]] = []
-    kinds: list[tuple[str, str, tuple[str, ...]]]
-    kinds = [(sensor, quality, ()) for sensor in DEPTHS for quality in ("draft", "default")]
-    kinds.insert(2, ("gelsight_mini", "default, P2", ("mesh=tet",)))
-    for sensor, name, more in kinds:
+    kinds: list[tuple[str, str, tuple[str, ...], int]]
+    kinds = [(sensor, quality, (), often) for sensor in DEPTHS for quality in ("draft", "default")]
+    kinds.insert(2, ("gelsight_mini", "default, P2", ("mesh=tet",), often - 1))
+    for sensor, name, more, repeats in kinds:
         quality = name.partition(",")[0]
         sets = (f"sensor={sensor}", MOVES.format(depth=DEPTHS[sensor], n=n), f"quality={quality}", *more)
-        runs = [apart("tacgen.bench.cost:solved", sets) for _ in range(repeats)]
-        parts = [median(sum(run["seconds"][k : k + n]) / n for run in runs) for k in (0, n, 2 * n)]
-        each = [sum(run["seconds"]) / (3 * n) for run in runs]
-        iterations = sum(runs[0]["iterations"]) / (3 * n)
-        spread = (max(each) - min(each)) / median(each)
-        rows.append([sensor, name, runs[0]["nodes"], iterations, *parts, median(each), spread, runs[0]["memory"]])
+        found = apart("tacgen.bench.cost:solved", sets, repeats)
+        parts = [median(sum(run[k : k + n]) / n for run in found["seconds"]) for k in (0, n, 2 * n)]
+        each = [sum(run) / (3 * n) for run in found["seconds"]]
+        iterations = sum(found["iterations"]) / (3 * n)
+        spread = (max(each) - min(each)) / median(each) if repeats > 1 else None
+        rows.append([sensor, name, found["nodes"], iterations, *parts, median(each), spread, found["memory"]])
         say(f"{sensor} {name}: {median(each):.2f} s a frame")
     heads = columns(
         "sensor", "quality", "nodes: d", "iterations a frame: .1f",
@@ -73,7 +76,8 @@ def _frames(level: Level, say: Say) -> Table:
         "s a frame: .2f", "spread: .0%", "memory [MB]: .0f",
     )  # fmt: skip
     note = (
-        f"Pressed in {n} frames, slid 1 mm in {n}, twisted 10 deg in {n}; median of {repeats} runs, and their spread."
+        f"Pressed in {n} frames, slid 1 mm in {n}, twisted 10 deg in {n}; median of {often} runs, and their spread; one"
+        " less by P2."
     )
     return Table("What a frame costs", heads, rows, note)
 
@@ -85,7 +89,7 @@ def _growth(level: Level, say: Say) -> tuple[Table, Plot]:
     for wanted in NODES[level]:
         edge = round(0.245 * (13320 / wanted) ** (1 / 2.2), 3)
         found = apart("tacgen.bench.cost:solved", (PRESS, f"quality={{edge_mm: {edge}, dhat_mm: 0.03}}"))
-        seconds, iterations = sum(found["seconds"]), sum(found["iterations"])
+        seconds, iterations = sum(found["seconds"][0]), sum(found["iterations"])
         nodes.append(found["nodes"])
         each.append(seconds / iterations)
         rows.append([edge, found["nodes"], iterations, seconds, each[-1], found["memory"]])

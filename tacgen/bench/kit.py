@@ -6,8 +6,8 @@ import platform
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import PackageNotFoundError, version
@@ -87,7 +87,7 @@ def made() -> dict[str, Any]:
     return {
         "date": time.strftime("%Y-%m-%d"),
         "processor": _processor(),
-        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+        "cores": core_count(),
         "memory_gb": round(memory),
         "system": f"{platform.system()} {platform.machine()}",
         "python": platform.python_version(),
@@ -122,11 +122,28 @@ def apart(target: str, *args: Any) -> Any:
     return json.loads(done.stdout.splitlines()[-1])
 
 
+def each_apart(target: str, jobs: Iterable[tuple[Any, ...]]) -> Iterator[Any]:
+    """What `apart` gives for each job, or the RuntimeError that it raises; as many at a time as there are cores."""
+
+    def one(job: tuple[Any, ...]) -> Any:
+        try:
+            return apart(target, *job)
+        except RuntimeError as error:
+            return error
+
+    with ThreadPoolExecutor(core_count()) as threads:  # each waits for a process
+        yield from threads.map(one, jobs)
+
+
+def core_count() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 @contextmanager
 def cores() -> Iterator[Callable[..., Iterator[Any]]]:
     """A `map` whose calls go to as many processes as there are cores: for what is not timed."""
-    count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    with ProcessPoolExecutor(count, mp_context=get_context("spawn")) as workers:
+    with ProcessPoolExecutor(core_count(), mp_context=get_context("spawn")) as workers:
         yield workers.map
 
 

@@ -1,12 +1,14 @@
 """How much an answer moves when what is given moves by next to nothing, or when every length grows alike."""
 
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from tacgen import mesh, plan, scene, solve
 from tacgen.bench.cases import CASES, PLAIN, SCALES, Sets, scaled
-from tacgen.bench.kit import Cell, Level, Say, Table, columns
+from tacgen.bench.kit import Cell, Level, Say, Table, columns, cores
 from tacgen.fem.contact import Pose
 from tacgen.fem.linear import NotPositiveDefinite, SuperLU
 from tacgen.fem.materials import NeoHooke
@@ -16,12 +18,15 @@ from tacgen.spec import assets
 Array = np.ndarray
 NAMES = ("", "nu 0.4999", "1 kPa", "100 MPa", "friction 2", "half deep", "skin stiffer 1000:1")
 NUDGE = 1e-10
+Every: TypeAlias = Callable[..., Iterator[Any]]  # map, over as many processes as there are cores
 
 
 def tables(level: Level, say: Say) -> list[Table]:
     """Condition and nudges, and whether forces grow with the square of the size."""
-    found = [_nudged(NAMES[:1] if level == "smoke" else NAMES, say)]
-    return found if level == "smoke" else [*found, _sizes(say)]
+    if level == "smoke":
+        return [_nudged(map, NAMES[:1], say)]
+    with cores() as every:
+        return [_nudged(every, NAMES, say), _sizes(every, say)]
 
 
 def _solved(sets: Sets, nudge: str = "") -> tuple[solve.Problem, solve.State]:
@@ -43,18 +48,22 @@ def _solved(sets: Sets, nudge: str = "") -> tuple[solve.Problem, solve.State]:
     return problem, state
 
 
-def _nudged(names: tuple[str, ...], say: Say) -> Table:
+def nudged(name: str) -> tuple[float, list[float]]:
+    """Condition of a case, and how far each nudge moves its force, as a part of that."""
+    sets = CASES[name] if name else ()
+    problem, state = _solved(sets)
+    force, moved = state.traction_force.sum((0, 1)), []
+    for nudge in ("depth", "modulus", "friction"):
+        other = _solved(sets, nudge)[1].traction_force.sum((0, 1))
+        moved.append(float(np.linalg.norm(other - force) / np.linalg.norm(force)))
+    return condition(problem, state), moved
+
+
+def _nudged(every: Every, names: tuple[str, ...], say: Say) -> Table:
     rows: list[list[Cell]] = []
-    for name in names:
-        sets = CASES[name] if name else ()
-        problem, state = _solved(sets)
-        force = state.traction_force.sum((0, 1))
-        moved = []
-        for nudge in ("depth", "modulus", "friction"):
-            other = _solved(sets, nudge)[1].traction_force.sum((0, 1))
-            moved.append(float(np.linalg.norm(other - force) / np.linalg.norm(force)))
-        rows.append([name or "plain", condition(problem, state), *moved])
-        say(f"{name or 'plain'}: condition {rows[-1][1]:.1e}, moved by {max(moved):.1e}")
+    for name, (number, moved) in zip(names, every(nudged, names), strict=True):
+        rows.append([name or "plain", number, *moved])
+        say(f"{name or 'plain'}: condition {number:.1e}, moved by {max(moved):.1e}")
     heads = columns("case", "condition: .1e", "depth: .0e", "shear modulus: .0e", "friction: .0e")
     note = (
         "Condition: of the stiffness in the last frame, its largest over its smallest eigenvalue. The rest: change of"
@@ -86,17 +95,24 @@ def condition(problem: solve.Problem, state: solve.State) -> float:
     return float(most / least)
 
 
-def _sizes(say: Say) -> Table:
+def sized(by: float) -> Array | str:
+    """Force of the plain scene with all lengths `by` times as long over the square of that, or why there is none."""
+    try:
+        return np.asarray(_solved(scaled(by))[1].traction_force.sum((0, 1)) / by**2)
+    except solve.NotConverged as error:
+        return str(error)
+
+
+def _sizes(every: Every, say: Say) -> Table:
     """Elasticity knows no length: with all lengths s times as long forces are s^2 times as large."""
-    plain = _solved(scaled(1.0))[1].traction_force.sum((0, 1))
+    lengths = (1.0, *SCALES)
+    plain, *found = every(sized, lengths)
     rows: list[list[Cell]] = []
-    for by in sorted((*SCALES, 1.0)):
-        try:
-            force = _solved(scaled(by))[1].traction_force.sum((0, 1)) / by**2
-        except solve.NotConverged as error:
-            rows.append([by, None, None, str(error)])
+    for by, force in sorted(zip(lengths, [plain, *found], strict=True), key=lambda pair: pair[0]):
+        if isinstance(force, str):
+            rows.append([by, None, None, force])
             continue
-        rows.append([by, float(-force[2] / -plain[2] - 1), float(force[0] / plain[0] - 1), ""])
+        rows.append([by, float(force[2] / plain[2] - 1), float(force[0] / plain[0] - 1), ""])
         say(f"lengths x {by:g}: normal force {rows[-1][1]:+.0e}, tangential {rows[-1][2]:+.0e}")
     heads = columns("all lengths times: g", "normal force: +.0e", "tangential force: +.0e", "why not")
     return Table("Size", heads, rows, "Force over the square of the size, against the plain scene's.")
