@@ -1,5 +1,6 @@
 """Error of the mechanics against its run time: what each choice of mesh, element, contact and solver costs."""
 
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import astuple, dataclass, field, replace
 from importlib.util import find_spec
@@ -23,8 +24,10 @@ WORK = ("nodes: d", "iterations a frame: .1f", "s a frame: .2f")
 FILLETS = {"normal": (0.06, 0.36), "full": (0.06, 0.18, 0.36, 0.72)}  # of a box [mm]; an edge at `default`: .36
 SHIFTS = ((0.0, 0.0), (0.5, 0.0), (0.3, 0.5))  # of the mesh under the ball, in edges
 STEPPED = (*sliding("gelsight_mini", 8, 16), "quality=draft")
+FORMS = [name for name in ("distance", "ipctk") if name == "distance" or find_spec("ipctk")]
 BOX = "indenter={{shape: box, size_x_mm: 3, size_y_mm: 3, fillet_mm: {fillet}}}"
 PRESSED, SLID = "{press: {depth_mm: 0.5, frames: 1}}", "{slide: {x_mm: 0.1, y_mm: 0.06, frames: 1}}"
+DRAFT = ("quality=draft",)
 PRESETS = ("draft", "default")
 HEXES = {
     "smoke": (1.2,),
@@ -44,7 +47,7 @@ class Variant:
 
 
 def variants(level: Level) -> list[Variant]:
-    """All that is swept: at `default` but for the one thing."""
+    """All that is swept: at `default` but for the one thing; at `draft` what takes longest."""
     found = [Variant("hex, edge", f"{e:g}", (f"quality={{edge_mm: {e}}}",)) for e in HEXES[level]]
     if level == "smoke":
         return found
@@ -56,52 +59,67 @@ def variants(level: Level) -> list[Variant]:
         found.append(Variant("Newton step, times", f"{part:g}", (), tolerances))
     for name in linear.available():
         alone = changed(linear, available=lambda name=name: [name], readable=lambda: False)
-        found.append(Variant("solver, nothing condensed", name, (), alone))
+        found.append(Variant("draft, nothing condensed", name, DRAFT, alone))
     if find_spec("ipctk"):
-        found.append(Variant("contact", "ipctk", ("contact.formulation=ipctk",)))
+        found.append(Variant("draft, contact", "ipctk", (*DRAFT, "contact.formulation=ipctk")))
     return found
 
 
 def bench(level: Level, say: Say) -> Result:
     """The sweep on the Mini, the steps on the way, and the presets on every sensor."""
+    answer((*sliding("gelsight_mini"), "quality={edge_mm: 1.5}"))  # compiles
     if level == "smoke":
-        return Result(ABOUT, *_sweep(level, say))
-    with cores() as every:  # what is only compared with needs no core to itself
-        true = [(*sliding(sensor), "quality=reference") for sensor in DEPTHS]
-        list(every(kept, [*true, *(_edged(fillet) for fillet in FILLETS[level]), STEPPED]))
-    say("references are there")
-    tables, plots = _sweep(level, say)
-    return Result(ABOUT, [*tables, _steps(say), _edges(FILLETS[level], say), _sensors(say)], plots)
+        return Result(ABOUT, *_sweep(level, {}, say))
+    fillets = FILLETS[level]
+    with cores() as every:  # what is not timed needs no core to itself
+        true = [_preset(sensor, "reference") for sensor in DEPTHS]
+        references = every(kept, [*true, *(_edged(fillet) for fillet in fillets), STEPPED])
+        boxes = every(answer, [_dragged(fillet, name) for fillet in fillets for name in FORMS])
+        placed = [_preset("gelsight_mini", name) for name in PRESETS for _ in SHIFTS]
+        shifted = every(answer, placed, SHIFTS * len(PRESETS))
+        list(references)
+        say("references are there")
+        edges, places = _edges(fillets, boxes, say), _places(shifted)
+    presets = {(sensor, name): answer(_preset(sensor, name)) for sensor in DEPTHS for name in PRESETS}
+    tables, plots = _sweep(level, presets, say)
+    return Result(ABOUT, [*tables, places, _steps(say), edges, _sensors(presets, say)], plots)
 
 
-def _sweep(level: Level, say: Say) -> tuple[list[Table], list[Plot]]:
+def _preset(sensor: str, name: str) -> tuple[str, ...]:
+    return (*sliding(sensor), f"quality={name}")
+
+
+def _sweep(level: Level, presets: dict[tuple[str, str], Answer], say: Say) -> tuple[list[Table], list[Plot]]:
     base = sliding("gelsight_mini")
-    smoke = level == "smoke"
-    reference = kept((*base, "quality={edge_mm: 0.8, dhat_mm: 0.05}" if smoke else "quality=reference"))
-    answer((*base, "quality={edge_mm: 1.5}"))  # compile
+    reference = kept((*base, f"quality={'{edge_mm: 0.8, dhat_mm: 0.05}' if level == 'smoke' else 'reference'}"))
     rows: list[list[Cell]] = []
     for one in variants(level):
         with one.change:
             found = answer((*base, *one.sets))
         rows.append([one.axis, one.name, *_work(found), *astuple(found.apart(reference))])
         say(f"{one.axis} {one.name}: {found.seconds:.1f} s, force {rows[-1][5]:.2%}")
-    places: list[list[Cell]] = []
-    for name in () if smoke else PRESETS:
-        runs = [answer((*base, f"quality={name}"), shift) for shift in SHIFTS]
-        kinds = list(zip(*(astuple(run.apart(reference)) for run in runs), strict=True))
-        rows.append(["preset", name, *_work(runs[0]), *astuple(runs[0].apart(reference))])
-        places += [[name, "worst", *map(max, kinds)], [name, "best", *map(min, kinds)]]
+    for (sensor, name), found in presets.items():
+        if sensor == "gelsight_mini":
+            rows.append(["preset", name, *_work(found), *astuple(found.apart(reference))])
     seconds = [float(row[4]) for row in rows]  # type: ignore[arg-type]
     errors = [[float(row[k]) for row in rows] for k in range(5, 9)]  # type: ignore[arg-type]
     best = [front(seconds, error) for error in errors]
     for i, row in enumerate(rows):
         row.append("".join(letter for letter, those in zip("fpsm", best, strict=True) if i in those))
-    note = "Front: on the Pareto front of (f)orce, (p)ressure, (s)tress, (m)arkers. All else is as in `default`."
-    tables = [Table("Choices on the Mini", columns("choice", "value", *WORK, *ERRORS, "front"), rows, note)]
-    if places:
-        note = "Worst and best of three places of the ball in a cell; above, as for all else, of that over a node."
-        tables.append(Table("Presets wherever the ball stands", columns("preset", "error", *ERRORS), places, note))
-    return tables, [_plot(rows, seconds, errors[k], best[k], ERRORS[k].partition(":")[0]) for k in range(4)]
+    note = "Front: on the Pareto front of (f)orce, (p)ressure, (s)tress, (m)arkers. All else is as in `default`,"
+    note += " or in `draft` where it says so."
+    table = Table("Choices on the Mini", columns("choice", "value", *WORK, *ERRORS, "front"), rows, note)
+    return [table], [_plot(rows, seconds, errors[k], best[k], ERRORS[k].partition(":")[0]) for k in range(4)]
+
+
+def _places(shifted: Iterator[Answer]) -> Table:
+    """The presets with the ball at several places of a cell."""
+    reference, rows = kept(_preset("gelsight_mini", "reference")), list[list[Cell]]()
+    for name in PRESETS:
+        kinds = list(zip(*(astuple(next(shifted).apart(reference)) for _ in SHIFTS), strict=True))
+        rows += [[name, "worst", *map(max, kinds)], [name, "best", *map(min, kinds)]]
+    note = "Worst and best of three places of the ball in a cell; above, as for all else, of that over a node."
+    return Table("Presets wherever the ball stands", columns("preset", "error", *ERRORS), rows, note)
 
 
 def _work(found: Answer) -> list[Cell]:
@@ -139,16 +157,19 @@ def _edged(fillet: float, moves: str = PRESSED, quality: str = "reference") -> t
     return (*scene, f"quality={quality}")
 
 
-def _edges(fillets: tuple[float, ...], say: Say) -> Table:
+def _dragged(fillet: float, formulation: str) -> tuple[str, ...]:
+    """The same pressed and slid."""
+    return (*_edged(fillet, f"{PRESSED}, {SLID}", "default"), f"contact.formulation={formulation}")
+
+
+def _edges(fillets: tuple[float, ...], boxes: Iterator[Answer], say: Say) -> Table:
     """A box with edges rounded less and less: both formulations of contact where the mesh does not resolve it."""
-    kinds = [name for name in ("distance", "ipctk") if name == "distance" or find_spec("ipctk")]
     rows: list[list[Cell]] = []
     for fillet in fillets:
-        true, base = kept(_edged(fillet)), _edged(fillet, f"{PRESSED}, {SLID}", "default")
-        found = [answer((*base, f"contact.formulation={name}")) for name in kinds]
+        true, found = kept(_edged(fillet)), [next(boxes) for _ in FORMS]
         off = [float(one.force[0, 2] / true.force[0, 2] - 1) for one in found]
         drag = [float((np.hypot(*one.force[1:, :2].T) / -one.force[1:, 2]).max()) for one in found]
-        edge = row_of(base).recipe.resolved().edge_mm
+        edge = row_of(_dragged(fillet, FORMS[0])).recipe.resolved().edge_mm
         rows.append([fillet / edge, *off, *[None] * (2 - len(off)), *drag, *[None] * (2 - len(drag))])
         say(f"fillet {fillet:g} mm: {', '.join(f'{part:+.1%}' for part in off)}")
     heads = columns(
@@ -163,14 +184,13 @@ def _edges(fillets: tuple[float, ...], say: Say) -> Table:
     return Table("Edges sharper than the mesh", heads, rows, note)
 
 
-def _sensors(say: Say) -> Table:
+def _sensors(presets: dict[tuple[str, str], Answer], say: Say) -> Table:
     """Presets against `reference` on every sensor."""
     rows: list[list[Cell]] = []
     for sensor in DEPTHS:
-        base = sliding(sensor)
-        reference = kept((*base, "quality=reference"))
+        reference = kept(_preset(sensor, "reference"))
         for name in PRESETS:
-            found = answer((*base, f"quality={name}"))
+            found = presets[sensor, name]
             error: Error = found.apart(reference)
             rows.append([sensor, name, *_work(found), *astuple(error), found.area / reference.area - 1])
             say(f"{sensor} {name}: force {error.force:.2%}, map {error.pressure:.1%}")
