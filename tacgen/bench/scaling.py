@@ -27,43 +27,45 @@ ABOUT = (
     "Many scenes by `tacgen run --workers`, and where the time of one scene goes, by the bundles' own timing files."
     " Wall clock, so other work on the machine shows; processor seconds, printed beside it, bear company better."
 )
-SMALL = ("quality={edge_mm: 1.2, dhat_mm: 0.1, spp: 4}", "outputs=[force]", "contact.friction=0")
-PRESS = "trajectory=[{press: {depth_mm: 0.4, frames: 2}}]"
+PRESS = "trajectory=[{{press: {{depth_mm: 0.4, frames: {frames}}}}}]"
+TINY = ("quality={edge_mm: 1.2, dhat_mm: 0.1, spp: 4}", "outputs=[force]", "contact.friction=0", PRESS.format(frames=1))
+WORK = ("quality=draft", "outputs=[force, traction, height]", PRESS.format(frames=4))
 STAGES = ("mesh", "solve", "fields", "render", "bundle")
+ONE = "{press: {depth_mm: 0.4, frames: 1}}"
 MOVES = "{press: {depth_mm: 0.8, frames: 2}}, {slide: {x_mm: 0.6, frames: 2}}, {twist: {angle_deg: 8, frames: 1}}"
 
 
 def bench(level: Level, say: Say) -> Result:
     """Stages of a scene, workers, engines, memory and reading."""
-    count = {"smoke": 4, "normal": 48, "full": 200}[level]
+    count, few = {"smoke": (4, 4), "normal": (48, 24), "full": (200, 100)}[level]
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder)
         if level == "smoke":
-            table, plot = _workers(count, [1], out, say)
+            table, plot = _workers(few, [1], out, say)
             return Result(ABOUT, [table], [plot])
         cores = len(os.sched_getaffinity(0))
         many = sorted({1, *(2**k for k in range(1, 8) if 2**k <= cores), cores})
-        table, plot = _workers(count, many, out, say)
+        table, plot = _workers(few, many, out, say)
         more = [_overhead(count, out, say), _memory(count, out, say)]
         if find_spec("torch"):
             more.append(_reading(out, say))
         return Result(ABOUT, [_stages(out, say), table, *more], [plot])
 
 
-def scenes(count: int) -> plan.Plan:
-    """Small presses of the batch recipe's ball at different places."""
+def scenes(count: int, sets: tuple[str, ...] = TINY) -> plan.Plan:
+    """Presses of the batch recipe's ball at different places."""
     vary = f"vary={{method: random, samples: {count}, over: {{start.x_mm: {{uniform: [-4, 4]}}}}}}"
-    return plan.load(assets.recipe_path("batch"), (*SMALL, PRESS, vary))
+    return plan.load(assets.recipe_path("batch"), (*sets, vary))
 
 
 def _stages(out: Path, say: Say) -> Table:
     """Wall seconds a frame in each stage of a scene with everything that people train on."""
     rows: list[list[Cell]] = []
     for sensor, dots in (("gelsight_mini", ", markers"), ("digit", ""), ("ninedtact", "")):
-        for part, quality in (("warm", "draft"), ("timed", "draft"), ("timed", "default")):
+        for part, quality, moves in (("warm", "draft", ONE), ("timed", "draft", MOVES), ("timed", "default", MOVES)):
             sets = (
                 f"sensor={sensor}",
-                f"trajectory=[{MOVES}]",
+                f"trajectory=[{moves}]",
                 f"quality={quality}",
                 f"outputs=[force, traction, height, stress, rgb{dots}]",
             )
@@ -85,35 +87,38 @@ def _stages(out: Path, say: Say) -> Table:
 
 
 def _workers(count: int, many: list[int], out: Path, say: Say) -> tuple[Table, Plot]:
-    """Small real scenes on one worker and on several."""
-    rows: list[list[Cell]] = []
-    plan_of, rates = scenes(count), []
-    batch.run(scenes(2), out / "warm", workers=1)  # compile
+    """Real scenes on one worker and on several, and in as many processes that know nothing of each other."""
+    plan_of, rows, rates, alone = scenes(count, WORK), list[list[Cell]](), list[float](), list[float]()
+    batch.run(scenes(1, WORK), out / "warm", workers=1)  # compile
     for n in many:
-        found: dict[str, float] = {}
+        ends, found = list[float](), dict[str, float]()
+
+        def hear(event: dict[str, Any], ends: list[float] = ends) -> None:
+            if event["event"] == "scene":
+                ends.append(time.perf_counter())
+
         with _timed(found):
-            batch.run(plan_of, out / f"on{n}", workers=n)
-        bare = _apart(count, n, out)
-        rates.append(3600 * count / found["wall"])
-        pairs = ((path, out / "on1" / path.name) for path in (out / f"on{n}").glob("*.h5"))
+            begun = time.perf_counter()
+            results = batch.run(plan_of, out / f"on{n}", workers=n, hear=hear)
+        each = n * (ends[-1] - ends[n - 1]) / (count - n)  # seconds of a worker
+        start = ends[0] - begun - each
+        rates.append(3600 * n / each)
+        alone.append(_apart(count, n, out))
+        pairs = [(one.path, out / "on1" / one.path.name) for one in results]
         same = all(a.read_bytes() == b.read_bytes() for a, b in pairs)
         efficiency = rates[-1] / rates[0] / n
         rows.append(
-            [n, rates[-1], efficiency, bare / found["wall"], found["processor"] / count, "yes" if same else "NO"]
+            [n, start, rates[-1], efficiency, alone[0] / alone[-1], found["processor"] / count, "yes" if same else "NO"]
         )
-        say(f"{n} workers: {rates[-1]:.0f} scenes an hour, efficiency {efficiency:.2f}")
+        say(f"{n} workers: {rates[-1]:.0f} scenes an hour, efficiency {efficiency:.2f}, {rows[-1][4]:.2f} without")
     heads = columns(
-        "workers: d",
-        "scenes an hour: .0f",
-        "efficiency: .2f",
-        "against processes: .2f",
-        "processor s a scene: .3f",
-        "equal bytes",
-    )
+        "workers: d", "start [s]: .1f", "scenes an hour: .0f", "efficiency: .2f", "the machine's: .2f",
+        "processor s a scene: .3f", "equal bytes",
+    )  # fmt: skip
     note = (
-        f"{count} small scenes (a coarse press in two frames, force alone), the workers' start included. Against"
-        " processes: seconds of as many processes that know nothing of each other, a share of the scenes each, over"
-        " the engine's; what the machine itself loses when all its cores work is in both."
+        f"{count} scenes (a press at `draft` in four frames: force, traction and height). Start: until a worker begins"
+        " its first one; the rate is that from there on. The machine's: efficiency of as many processes that know"
+        " nothing of each other, with a share of the scenes each; what it loses when all its cores work is in both."
     )
     series = [
         Series("measured", [float(n) for n in many], rates),
@@ -123,23 +128,22 @@ def _workers(count: int, many: list[int], out: Path, say: Say) -> tuple[Table, P
 
 
 def _apart(count: int, workers: int, out: Path) -> float:
-    """Wall seconds of the same scenes in processes side by side, a share each, without an engine."""
-    begun = time.perf_counter()
+    """Seconds a scene in processes side by side, with a share of the scenes each, without an engine."""
     with ThreadPoolExecutor(workers) as threads:  # each waits for a process
         shares = [
             threads.submit(apart, "tacgen.bench.scaling:share", count, i, workers, str(out)) for i in range(workers)
         ]
-        for one in shares:
-            one.result()
-    return time.perf_counter() - begun
+        return float(np.mean([one.result() for one in shares]))
 
 
-def share(count: int, first: int, step: int, out: str) -> int:
-    """Every `step`-th scene from the first, one after the other, in this process; how many there were."""
-    rows = scenes(count).rows[first::step]
+def share(count: int, first: int, step: int, out: str) -> float:
+    """Every `step`-th scene from the first, one after the other, in this process: seconds of each after the first."""
+    clock = []
     with tempfile.TemporaryDirectory(dir=out) as folder:
-        pipeline.run(rows, Path(folder))
-    return len(rows)
+        for row in scenes(count, WORK).rows[first::step]:
+            pipeline.run_scene(row, Path(folder))
+            clock.append(time.perf_counter())
+    return (clock[-1] - clock[0]) / (len(clock) - 1)
 
 
 def nothing(row: plan.Row, folder: Path, *, overwrite: bool = False, say: Any = None) -> SceneResult:
