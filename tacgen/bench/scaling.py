@@ -37,7 +37,7 @@ MOVES = "{press: {depth_mm: 0.8, frames: 2}}, {slide: {x_mm: 0.6, frames: 2}}, {
 
 def bench(level: Level, say: Say) -> Result:
     """Stages of a scene, workers, engines, memory and reading."""
-    count, few = {"smoke": (4, 4), "normal": (48, 24), "full": (200, 100)}[level]
+    count, few = {"smoke": (4, 2), "normal": (48, 24), "full": (200, 100)}[level]
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder)
         if level == "smoke":
@@ -112,13 +112,13 @@ def _workers(count: int, many: list[int], out: Path, say: Say) -> tuple[Table, P
         )
         say(f"{n} workers: {rates[-1]:.0f} scenes an hour, efficiency {efficiency:.2f}, {rows[-1][4]:.2f} without")
     heads = columns(
-        "workers: d", "start [s]: .1f", "scenes an hour: .0f", "efficiency: .2f", "the machine's: .2f",
+        "workers: d", "start [s]: .1f", "scenes an hour: .0f", "efficiency: .2f", "without an engine: .2f",
         "processor s a scene: .3f", "equal bytes",
     )  # fmt: skip
     note = (
         f"{count} scenes (a press at `draft` in four frames: force, traction and height). Start: until a worker begins"
-        " its first one; the rate is that from there on. The machine's: efficiency of as many processes that know"
-        " nothing of each other, with a share of the scenes each; what it loses when all its cores work is in both."
+        " its first one; the rate is that from there on. Without an engine: as many processes that know nothing of"
+        " each other, with a share of the scenes each; what a machine loses when all its cores work is in both."
     )
     series = [
         Series("measured", [float(n) for n in many], rates),

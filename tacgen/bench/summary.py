@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 Row = dict[str, Any]
+ALONE = "without an engine"  # the column of efficiency
 SENSORS = {"gelsight_mini": "Mini", "digit": "DIGIT", "ninedtact": "9DTact"}
 
 
@@ -90,7 +91,8 @@ def _scaling(tables: Tables) -> Told:
     rows = tables.get("Workers", [])
     if rows:
         most = rows[-1]
-        yield f"efficiency of {most['workers']} workers", f"{most['efficiency']:.2f}"
+        alone = f", of processes without an engine {most[ALONE]:.2f}" if ALONE in most else ""
+        yield f"efficiency of {most['workers']} workers", f"{most['efficiency']:.2f}{alone}"
 
 
 def _photographs(tables: Tables) -> Told:
