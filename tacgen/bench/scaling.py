@@ -29,7 +29,7 @@ ABOUT = (
 )
 PRESS = "trajectory=[{{press: {{depth_mm: 0.4, frames: {frames}}}}}]"
 TINY = ("quality={edge_mm: 1.2, dhat_mm: 0.1, spp: 4}", "outputs=[force]", "contact.friction=0", PRESS.format(frames=1))
-WORK = ("quality=draft", "outputs=[force, traction, height]", PRESS.format(frames=4))
+WORK = ("quality=draft", "outputs=[force, traction, height]", PRESS.format(frames=2))
 STAGES = ("mesh", "solve", "fields", "render", "bundle")
 ONE = "{press: {depth_mm: 0.4, frames: 1}}"
 MOVES = "{press: {depth_mm: 0.8, frames: 2}}, {slide: {x_mm: 0.6, frames: 2}}, {twist: {angle_deg: 8, frames: 1}}"
@@ -37,7 +37,7 @@ MOVES = "{press: {depth_mm: 0.8, frames: 2}}, {slide: {x_mm: 0.6, frames: 2}}, {
 
 def bench(level: Level, say: Say) -> Result:
     """Stages of a scene, workers, engines, memory and reading."""
-    count, few = {"smoke": (4, 2), "normal": (48, 24), "full": (200, 100)}[level]
+    count, few = {"smoke": (4, 2), "normal": (48, 14), "full": (200, 100)}[level]
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder)
         if level == "smoke":
@@ -88,9 +88,11 @@ def _stages(out: Path, say: Say) -> Table:
 
 def _workers(count: int, many: list[int], out: Path, say: Say) -> tuple[Table, Plot]:
     """Real scenes on one worker and on several, and in as many processes that know nothing of each other."""
-    plan_of, rows, rates, alone = scenes(count, WORK), list[list[Cell]](), list[float](), list[float]()
-    batch.run(scenes(1, WORK), out / "warm", workers=1)  # compile
+    whole, rows, rates, alone = max(count, 4 * many[-1]), list[list[Cell]](), list[float](), list[float]()
+    every = scenes(whole, WORK)
+    batch.run(plan.Plan("warm", every.rows[:1]), out / "warm", workers=1)  # compile
     for n in many:
+        some = every.rows[: max(count, 4 * n)]
         ends, found = list[float](), dict[str, float]()
 
         def hear(event: dict[str, Any], ends: list[float] = ends) -> None:
@@ -99,16 +101,24 @@ def _workers(count: int, many: list[int], out: Path, say: Say) -> tuple[Table, P
 
         with _timed(found):
             begun = time.perf_counter()
-            results = batch.run(plan_of, out / f"on{n}", workers=n, hear=hear)
-        each = n * (ends[-1] - ends[n - 1]) / (count - n)  # seconds of a worker
+            results = batch.run(plan.Plan("some", some), out / f"on{n}", workers=n, hear=hear)
+        each = n * (ends[-n] - ends[n - 1]) / (len(some) - 2 * n + 1)  # seconds of a worker, while all were at work
         start = ends[0] - begun - each
         rates.append(3600 * n / each)
-        alone.append(_apart(count, n, out))
-        pairs = [(one.path, out / "on1" / one.path.name) for one in results]
+        alone.append(_apart(whole, len(some), n, out))
+        pairs = [(one.path, out / "on1" / one.path.name) for one in results[:count]]
         same = all(a.read_bytes() == b.read_bytes() for a, b in pairs)
         efficiency = rates[-1] / rates[0] / n
         rows.append(
-            [n, start, rates[-1], efficiency, alone[0] / alone[-1], found["processor"] / count, "yes" if same else "NO"]
+            [
+                n,
+                start,
+                rates[-1],
+                efficiency,
+                alone[0] / alone[-1],
+                found["processor"] / len(some),
+                "yes" if same else "NO",
+            ]
         )
         say(f"{n} workers: {rates[-1]:.0f} scenes an hour, efficiency {efficiency:.2f}, {rows[-1][4]:.2f} without")
     heads = columns(
@@ -116,9 +126,9 @@ def _workers(count: int, many: list[int], out: Path, say: Say) -> tuple[Table, P
         "processor s a scene: .3f", "equal bytes",
     )  # fmt: skip
     note = (
-        f"{count} scenes (a press at `draft` in four frames: force, traction and height). Start: until a worker begins"
-        " its first one; the rate is that from there on. Without an engine: as many processes that know nothing of"
-        " each other, with a share of the scenes each; what a machine loses when all its cores work is in both."
+        f"{count} scenes or more (a press at `draft` in two frames: force, traction and height). Start: until a worker"
+        " begins its first one; the rate is that from there on. Without an engine: as many processes that know nothing"
+        " of each other, with a share of the scenes each; what a machine loses when all its cores work is in both."
     )
     series = [
         Series("measured", [float(n) for n in many], rates),
@@ -127,20 +137,21 @@ def _workers(count: int, many: list[int], out: Path, say: Say) -> tuple[Table, P
     return Table("Workers", heads, rows, note), Plot("Scenes an hour", "workers", "scenes an hour", series)
 
 
-def _apart(count: int, workers: int, out: Path) -> float:
+def _apart(whole: int, count: int, workers: int, out: Path) -> float:
     """Seconds a scene in processes side by side, with a share of the scenes each, without an engine."""
     with ThreadPoolExecutor(workers) as threads:  # each waits for a process
         shares = [
-            threads.submit(apart, "tacgen.bench.scaling:share", count, i, workers, str(out)) for i in range(workers)
+            threads.submit(apart, "tacgen.bench.scaling:share", whole, count, i, workers, str(out))
+            for i in range(workers)
         ]
         return float(np.mean([one.result() for one in shares]))
 
 
-def share(count: int, first: int, step: int, out: str) -> float:
-    """Every `step`-th scene from the first, one after the other, in this process: seconds of each after the first."""
+def share(whole: int, count: int, first: int, step: int, out: str) -> float:
+    """Every `step`-th of `count` scenes, one after the other, in this process: seconds of each after the first."""
     clock = []
     with tempfile.TemporaryDirectory(dir=out) as folder:
-        for row in scenes(count, WORK).rows[first::step]:
+        for row in scenes(whole, WORK).rows[first:count:step]:
             pipeline.run_scene(row, Path(folder))
             clock.append(time.perf_counter())
     return (clock[-1] - clock[0]) / (len(clock) - 1)
