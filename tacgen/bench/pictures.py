@@ -23,7 +23,7 @@ SENSORS = ("gelsight_mini", "digit", "ninedtact")
 TRUTHS = {  # the reference: DIGIT's small far lights are found by few paths
     "smoke": dict.fromkeys(SENSORS, Truth(2, 16, 16)),
     "normal": {"digit": Truth(8, 32768, 64), "gelsight_mini": Truth(8, 2048, 256), "ninedtact": Truth(8, 1024, 256)},
-    "full": {"digit": Truth(8, 8192), "gelsight_mini": Truth(8, 4096), "ninedtact": Truth(8, 320)},
+    "full": {"digit": Truth(8, 8192), "gelsight_mini": Truth(8, 4096), "ninedtact": Truth(5, 512)},
 }
 FACES = {"smoke": ["ball"], "normal": ["ball", "sheared dots"], "full": list(optics.FACES)}
 SHRINK = {"smoke": 8, "normal": 1, "full": 1}  # of the pictures

@@ -29,7 +29,7 @@ ABOUT = (
 )
 PRESS = "trajectory=[{{press: {{depth_mm: 0.4, frames: {frames}}}}}]"
 TINY = ("quality={edge_mm: 1.2, dhat_mm: 0.1, spp: 4}", "outputs=[force]", "contact.friction=0", PRESS.format(frames=1))
-WORK = ("quality=draft", "outputs=[force, traction, height]", PRESS.format(frames=2))
+WORK = ("quality={edge_mm: 0.8, dhat_mm: 0.06}", "outputs=[force, traction]", PRESS.format(frames=2))
 STAGES = ("mesh", "solve", "fields", "render", "bundle")
 ONE = "{press: {depth_mm: 0.4, frames: 1}}"
 MOVES = "{press: {depth_mm: 0.8, frames: 2}}, {slide: {x_mm: 0.6, frames: 2}}, {twist: {angle_deg: 8, frames: 1}}"
@@ -37,7 +37,7 @@ MOVES = "{press: {depth_mm: 0.8, frames: 2}}, {slide: {x_mm: 0.6, frames: 2}}, {
 
 def bench(level: Level, say: Say) -> Result:
     """Stages of a scene, workers, engines, memory and reading."""
-    count, few = {"smoke": (4, 2), "normal": (48, 14), "full": (200, 100)}[level]
+    count, few = {"smoke": (4, 2), "normal": (48, 16), "full": (200, 100)}[level]
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder)
         if level == "smoke":
@@ -126,7 +126,7 @@ def _workers(count: int, many: list[int], out: Path, say: Say) -> tuple[Table, P
         "processor s a scene: .3f", "equal bytes",
     )  # fmt: skip
     note = (
-        f"{count} scenes or more (a press at `draft` in two frames: force, traction and height). Start: until a worker"
+        f"{count} scenes or more (a press in two frames on a coarse mesh: force and traction). Start: until a worker"
         " begins its first one; the rate is that from there on. Without an engine: as many processes that know nothing"
         " of each other, with a share of the scenes each; what a machine loses when all its cores work is in both."
     )
@@ -236,9 +236,11 @@ def _reading(out: Path, say: Say) -> Table:
     from tacgen.files import pack, source
     from tacgen.torch import TactileDataset
 
-    rows = plan.load(assets.recipe_path("quickstart"), ("quality=draft", "outputs=[force, rgb]")).rows
+    rows = plan.load(
+        assets.recipe_path("quickstart"), ("quality=draft", "outputs=[force, rgb]", PRESS.format(frames=5))
+    ).rows
     batch.run(plan.Plan("reading", rows), out / "one")
-    for i in range(1, 60):  # of different names, so that no cache can help
+    for i in range(1, 200):  # of different names, so that no cache can help
         shutil.copy(out / "one" / "scene-00000.h5", out / "one" / f"scene-{i:05d}.h5")
     packed = pack.pack(source.scenes(out / "one"), out / "packed", 32).folder
     table: list[list[Cell]] = []
