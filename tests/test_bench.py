@@ -92,6 +92,9 @@ def test_a_process_apart() -> None:
     assert kit.apart("math:hypot", 3, 4) == 5.0
     with pytest.raises(RuntimeError, match="math domain error"):
         kit.apart("math:sqrt", -1)
+    fine, failed = kit.each_apart("math:sqrt", [(4,), (-1,)])
+    assert fine == 2.0
+    assert "math domain error" in str(failed)
 
 
 def test_a_bench_that_fails_is_said_and_the_others_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,8 +1,7 @@
 """How much an answer moves when what is given moves by next to nothing, or when every length grows alike."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -18,15 +17,16 @@ from tacgen.spec import assets
 Array = np.ndarray
 NAMES = ("", "nu 0.4999", "1 kPa", "100 MPa", "friction 2", "half deep", "skin stiffer 1000:1")
 NUDGE = 1e-10
-Every: TypeAlias = Callable[..., Iterator[Any]]  # map, over as many processes as there are cores
+LENGTHS = (1.0, *SCALES)
 
 
 def tables(level: Level, say: Say) -> list[Table]:
     """Condition and nudges, and whether forces grow with the square of the size."""
     if level == "smoke":
-        return [_nudged(map, NAMES[:1], say)]
+        return [_nudged(NAMES[:1], map(nudged, NAMES[:1]), say)]
     with cores() as every:
-        return [_nudged(every, NAMES, say), _sizes(every, say)]
+        cases, sizes = every(nudged, NAMES), every(sized, LENGTHS)
+        return [_nudged(NAMES, cases, say), _sizes(sizes, say)]
 
 
 def _solved(sets: Sets, nudge: str = "") -> tuple[solve.Problem, solve.State]:
@@ -59,9 +59,9 @@ def nudged(name: str) -> tuple[float, list[float]]:
     return condition(problem, state), moved
 
 
-def _nudged(every: Every, names: tuple[str, ...], say: Say) -> Table:
+def _nudged(names: tuple[str, ...], found: Iterator[tuple[float, list[float]]], say: Say) -> Table:
     rows: list[list[Cell]] = []
-    for name, (number, moved) in zip(names, every(nudged, names), strict=True):
+    for name, (number, moved) in zip(names, found, strict=True):
         rows.append([name or "plain", number, *moved])
         say(f"{name or 'plain'}: condition {number:.1e}, moved by {max(moved):.1e}")
     heads = columns("case", "condition: .1e", "depth: .0e", "shear modulus: .0e", "friction: .0e")
@@ -103,12 +103,11 @@ def sized(by: float) -> Array | str:
         return str(error)
 
 
-def _sizes(every: Every, say: Say) -> Table:
+def _sizes(forces: Iterator[Array | str], say: Say) -> Table:
     """Elasticity knows no length: with all lengths s times as long forces are s^2 times as large."""
-    lengths = (1.0, *SCALES)
-    plain, *found = every(sized, lengths)
-    rows: list[list[Cell]] = []
-    for by, force in sorted(zip(lengths, [plain, *found], strict=True), key=lambda pair: pair[0]):
+    found = dict(zip(LENGTHS, forces, strict=True))
+    plain, rows = found[1.0], list[list[Cell]]()
+    for by, force in sorted(found.items()):
         if isinstance(force, str):
             rows.append([by, None, None, force])
             continue
