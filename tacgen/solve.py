@@ -13,9 +13,10 @@ import numpy as np
 from tacgen.fem.contact import Pose
 from tacgen.fem.rising import POWER, OutOfReach, meet
 from tacgen.scene import Scene
-from tacgen.step.advance import NotConverged, State, advance, travel
+from tacgen.step.advance import NotConverged, State, advance
 from tacgen.step.problem import Memory, Problem
 from tacgen.step.trajectory import FORCE_DEPTH
+from tacgen.step.travel import travel
 
 __all__ = ["NotConverged", "Problem", "State", "TooMuch", "normal_force", "states"]
 
@@ -84,7 +85,7 @@ def _reach_force(
 def _trial(
     problem: Problem, memory: Memory, last: Array, pose: Array, index: int, duration: float, near: State | None
 ) -> tuple[Memory, State]:
-    if near is not None and problem.steps(duration) == 1:
+    if near is not None and near.substeps == 1:
         with suppress(NotConverged):
             return advance(problem, memory, pose, index, duration, near)
     return travel(problem, memory, last, pose, index, duration)

@@ -35,6 +35,7 @@ ORDER = [
     {"mesh"},  # *
     {"step.problem"},
     {"step.advance"},
+    {"step.travel"},
     {"solve"},  # *
     {"step.foresee"},
     {"fields"},  # *

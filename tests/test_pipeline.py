@@ -16,7 +16,7 @@ from tacgen import bundle, pipeline, plan, solve
 from tacgen.check import check
 from tacgen.errors import UserError
 from tacgen.recipe import OUTPUTS
-from tacgen.step import advance
+from tacgen.step import travel
 
 RECIPE = """
 tacgen: 1
@@ -166,14 +166,14 @@ def test_a_damaged_bundle_is_redone(recipe: Path, tmp_path: Path) -> None:
 def test_a_frame_that_does_not_converge_is_recorded_and_not_shipped(
     recipe: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    usual = advance.advance
+    usual = travel.advance
 
     def fail_late(problem, memory, matrix, index, duration):  # type: ignore[no-untyped-def]
         if index == 2:
             raise solve.NotConverged("made to fail")
         return usual(problem, memory, matrix, index, duration)
 
-    monkeypatch.setattr(advance, "advance", fail_late)
+    monkeypatch.setattr(travel, "advance", fail_late)
     found = pipeline.run_scene(plan.load(recipe).rows[0], tmp_path / "out")
     assert (found.status, found.reason) == ("rejected", "frame 3 of 3: made to fail")
     kept = bundle.read(found.path)

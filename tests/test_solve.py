@@ -12,7 +12,7 @@ from tacgen.fem.newton import Solution, Status
 from tacgen.fem.shapes import Box, Sphere
 from tacgen.scene import Scene
 from tacgen.solve import NotConverged, Problem, states
-from tacgen.step import advance
+from tacgen.step import advance, travel
 
 SMALL = (-1.8, 1.8, -1.8, 1.8)
 PATH = [(0.0, 0.0, -0.2), (0.0, 0.0, -0.4), (0.3, 0.0, -0.4)]
@@ -60,7 +60,7 @@ def test_a_frame_that_newton_cannot_reach_is_refused_with_its_reason(monkeypatch
 
 def test_a_frame_out_of_balance_is_refused_with_the_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(advance, "RESIDUAL", 1e-300)
-    monkeypatch.setattr(advance, "HALVINGS", 0)
+    monkeypatch.setattr(travel, "HALVINGS", 0)
     with pytest.raises(NotConverged, match=r"residual \d\.\de-\d+ and balance \d\.\de-\d+ of the contact"):
         next(states(*made()))
 
@@ -69,7 +69,7 @@ def test_a_point_inside_the_indenter_stiffens_the_barrier_or_is_refused(monkeypa
     """A gel far stiffer than its contact was made for is overrun by the indenter."""
     s, problem = made()
     usual = next(states(s, problem)).traction_force.sum((0, 1))[2]
-    monkeypatch.setattr(advance, "HALVINGS", 0)
+    monkeypatch.setattr(travel, "HALVINGS", 0)
     soft = replace(problem, contact=replace(problem.contact, kappa=1e-3 * problem.contact.kappa))
     mended = next(states(s, soft))
     assert mended.min_gap > 0
@@ -81,7 +81,7 @@ def test_a_point_inside_the_indenter_stiffens_the_barrier_or_is_refused(monkeypa
 
 def test_substeps_are_taken_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     """Newton is made to refuse any advance of more than .09 mm: .2 mm need four, and .3 mm too."""
-    true, depths = advance.advance, [0.0]
+    true, depths = travel.advance, [0.0]
 
     def careful(
         problem: Problem, memory: advance.Memory, matrix: np.ndarray, index: int, duration: float
@@ -93,7 +93,7 @@ def test_substeps_are_taken_and_counted(monkeypatch: pytest.MonkeyPatch) -> None
 
     s, problem = made()
     direct = list(states(s, problem))
-    monkeypatch.setattr(advance, "advance", careful)
+    monkeypatch.setattr(travel, "advance", careful)
     found = list(states(s, problem))
     assert [state.substeps for state in found] == [4, 4, 4]
     assert depths == pytest.approx([*(-0.05 * k for k in range(9)), *[-0.4] * 4])
@@ -111,17 +111,17 @@ def test_halving_ends(monkeypatch: pytest.MonkeyPatch) -> None:
         tried.append(matrix[2, 3])
         raise NotConverged("never")
 
-    monkeypatch.setattr(advance, "advance", never)
+    monkeypatch.setattr(travel, "advance", never)
     with pytest.raises(NotConverged, match="never"):
         next(states(*made()))
-    assert tried == pytest.approx([-0.2 / 2**k for k in range(advance.HALVINGS + 1)])
+    assert tried == pytest.approx([-0.2 / 2**k for k in range(travel.HALVINGS + 1)])
 
 
 def test_the_way_between_two_poses_is_straight_and_steady() -> None:
     a, b = poses([(0, 0, 0)], yaw=0.2)[0], poses([(1, 2, 4)], yaw=1.0)[0]
-    half = advance.between(a, b, 0.25)
+    half = travel.between(a, b, 0.25)
     assert half == pytest.approx(poses([(0.25, 0.5, 1)], yaw=0.4)[0], abs=1e-12)
-    assert advance.between(a, b, 1.0) == pytest.approx(b, abs=1e-12)
+    assert travel.between(a, b, 1.0) == pytest.approx(b, abs=1e-12)
 
 
 def test_the_footprint_covers_all_that_is_touched_and_little_more() -> None:

@@ -1,7 +1,7 @@
 """From one pose to the next: which potentials are in the sum, and the gel at equilibrium under the indenter there.
 
 What is lagged, the mean gap by which the indenter is shrunk and, with friction, the normal forces, is renewed on the
-way until it agrees with the answer. A pose that Newton cannot reach is approached in halved substeps.
+way until it agrees with the answer.
 """
 
 from copy import copy
@@ -25,8 +25,6 @@ NEAR = 1  # of dhat: longer steps use the projected stiffness; FAR of them (fem/
 RESIDUAL = 1e-3  # of the contact force
 LAG = 5e-4  # normal forces may be this far from the ones friction used, as a part of their sum
 NEGLIGIBLE = 1e-3  # of the largest contact force so far
-HALVINGS = 5  # of a step that does not converge
-SPLITS = 12  # and of one in which the indenter might pass through the gel
 SUNK = 0.45  # of the indenter's reach: how deep matter may be inside it, between the points where contact acts
 TRIES = 8  # at a pose, each with a smaller tolerance or a stiffer barrier than the last
 STIFFER = 4
@@ -320,51 +318,3 @@ def _record(
     return carried, State(
         index, matrix, x, force, normal, rub, sliding, iterations, 1, contact.offset, mean, least, residual, balance
     )
-
-
-def between(a: Array, b: Array, part: float) -> Array:
-    """The pose (4, 4) a part of the way from a to b: straight in position, steady in rotation."""
-    from scipy.spatial.transform import Rotation
-
-    turn = Rotation.from_matrix(b[:3, :3] @ a[:3, :3].T).as_rotvec() * part
-    out = np.eye(4)
-    out[:3, :3] = Rotation.from_rotvec(turn).as_matrix() @ a[:3, :3]
-    out[:3, 3] = (1 - part) * a[:3, 3] + part * b[:3, 3]
-    return out
-
-
-def reach(
-    problem: Problem, memory: Memory, a: Array, b: Array, index: int, duration: float, failed: int = 0, split: int = 0
-) -> tuple[Memory, State]:
-    """From pose a to pose b in one step, or in two halves where that fails or goes too far."""
-    try:
-        return advance(problem, memory, b, index, duration)
-    except TooFar:
-        if split == SPLITS:
-            raise
-        split += 1
-    except NotConverged:
-        if failed == HALVINGS:
-            raise
-        failed += 1
-    middle = between(a, b, 0.5)
-    memory, first = reach(problem, memory, a, middle, index, duration / 2, failed, split)
-    memory, second = reach(problem, memory, middle, b, index, duration / 2, failed, split)
-    return memory, _after(first, second)
-
-
-def travel(problem: Problem, memory: Memory, a: Array, b: Array, index: int, duration: float) -> tuple[Memory, State]:
-    """From pose a to pose b, at an even pace, in as many steps as its duration takes."""
-    n, total = problem.steps(duration), None
-    for k in range(n):
-        start, end = (a if k == 0 else between(a, b, k / n)), (b if k == n - 1 else between(a, b, (k + 1) / n))
-        memory, state = reach(problem, memory, start, end, index, duration / n)
-        total = state if total is None else _after(total, state)
-    assert total is not None
-    return memory, total
-
-
-def _after(first: State, second: State) -> State:
-    """The second state, its work that of both."""
-    iterations, substeps = first.iterations + second.iterations, first.substeps + second.substeps
-    return replace(second, iterations=iterations, substeps=substeps)

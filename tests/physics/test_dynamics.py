@@ -13,7 +13,7 @@ from tacgen.check import check
 from tacgen.errors import UserError
 from tacgen.fem.shapes import Sphere
 from tacgen.scene import Dynamics
-from tacgen.step import advance
+from tacgen.step import travel
 
 from . import presses
 from .presses import Run, gel, poses
@@ -78,7 +78,7 @@ def test_a_gel_let_go_springs_back_and_comes_to_rest() -> None:
 
 
 def test_halved_steps_halve_the_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    usual, taken = advance.advance, []
+    usual, taken = travel.advance, []
 
     def careful(problem, memory, matrix, index, duration, near=None):  # type: ignore[no-untyped-def]
         if np.linalg.norm(matrix[:3, 3] - memory.pose.position) > 0.06:
@@ -86,11 +86,11 @@ def test_halved_steps_halve_the_time(monkeypatch: pytest.MonkeyPatch) -> None:
         taken.append(duration)
         return usual(problem, memory, matrix, index, duration, near)
 
-    monkeypatch.setattr(advance, "advance", careful)
+    monkeypatch.setattr(travel, "advance", careful)
     found = tap(DOWN[:2], 8e-4)
     assert taken == pytest.approx([2e-4] * 4)
     assert [state.substeps for state in found.states] == [2, 2]
-    monkeypatch.setattr(advance, "advance", usual)
+    monkeypatch.setattr(travel, "advance", usual)
     asked = tap(DOWN[:2], 8e-4, 2e-4)
     assert found.forces == pytest.approx(asked.forces, abs=1e-6)
 

@@ -31,6 +31,7 @@ SLOW = {
 HARD = {  # may be rejected on the way, and then for this
     "punch three quarters deep": "Newton out of steps",  # a rim sharper than the mesh, friction and all at once
     "punch jumps across the pad": "Newton out of steps",
+    "knife jumps": "Newton out of steps",  # in short frames too: it squeezes what is before it into a cell
     "blade": "slips .* mm into the gel between the points",
     "thin rod": "slips .* mm into the gel between the points",
     "thin torus": "slips .* mm into the gel between the points",
