@@ -249,7 +249,7 @@ def _sharp(radius: float, edge: float, formulation: str) -> str:
         return (
             f"{small} {RESOLVED} edges of the mesh, {edge:g} mm: where such bends bear the load forces are 1 to 6 % off"
         )
-    off = "up to half too high" if formulation == "ipctk" else "up to a fifth off"
+    off = "up to half too high" if formulation == "ipctk" else "up to a fifth off, of tips two fifths"
     return (
         f"{small} the mesh's edge, {edge:g} mm: details that fine are not resolved, and where they bear the load forces"
         f" are {off}"

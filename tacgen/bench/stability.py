@@ -31,7 +31,7 @@ ABOUT = (
 )
 HEADS = {
     "case": "", "status": "", "frames": "d", "force [N]": ".4g", "iterations": "d", "substeps": "d", "least J": ".3f",
-    "gap [mm]": ".4f", "overlap [mm]": ".4f", "balance": ".0e", "energy rise": ".0e", "s": ".1f", "why": "",
+    "gap [mm]": ".4f", "overlap [edges]": ".2f", "balance": ".0e", "energy rise": ".0e", "s": ".1f", "why": "",
 }  # fmt: skip
 QUICK = ("1 kPa",)  # for a smoke test
 
@@ -41,7 +41,7 @@ class Outcome:
     """How a scene ended: `status` is ok, refused (before it was solved) or rejected (on the way), `reason` says why.
 
     Over its frames: most iterations and substeps of one frame; smallest J and gap [mm]; largest force balance and
-    residual; overlap [mm] by which matter of the gel is inside the indenter, between the points where contact acts;
+    residual; overlap, in edges of the mesh: so far is matter inside the indenter between the points where contact acts;
     rise: of the energy over a Newton step that was taken, the largest, as a part of the energy: rounding, or a bug.
     """
 
@@ -117,7 +117,7 @@ def measure(name: str, sets: Sequence[str]) -> Outcome:
         min(s.min_gap for s in states),
         max(s.balance for s in states),
         max(s.residual for s in states),
-        max(overlap(problem, s) for s in states),
+        max(overlap(problem, s) for s in states) / problem.edge,
         max(rises, default=0.0),
         time.process_time() - begun,
     )
@@ -225,12 +225,17 @@ def _summary(known: list[Outcome], chance: list[Outcome]) -> Table:
         most = max(one.iterations for one in solved), float(np.median([one.iterations for one in solved]))
         least = min(one.least_J for one in solved), min(one.min_gap for one in solved)
         worst = max(max(one.balance, one.residual) for one in solved), max(one.rise for one in solved)
-        rows.append([name, len(group), *count, wrong, *most, *least, *worst])
+        deepest = max(one.overlap for one in solved)
+        rows.append([name, len(group), *count, wrong, *most, *least, *worst, deepest])
     heads = columns("what", "scenes: d", "ok: d", "refused: d", "rejected: d", "wrong: d", "most iterations: d")
     heads |= columns("median: .0f", "least J: .3f", "least gap [mm]: .1e", "worst balance: .0e", "energy rise: .0e")
+    heads |= columns("overlap [edges]: .2f")
     note = (
         "Wrong: a frame handed out with an element inside out, a gap below 0, a balance or residual above 1e-3, or an"
-        " energy that rose by more than rounding."
+        " energy that rose by more than rounding. Overlap is none of these: what is sharper than the mesh cuts in"
+        " between points of contact, and a force's error does not follow that. Of boxes, cones and wedges with radii"
+        " of .1 to .2 mm, on cells of .4 and .8 mm against .25 mm, overlaps came to a third of an edge at most, and"
+        " forces were 2 to 40 % off: tips the most, and where they barely touch."
     )
     return Table("Together", heads, rows, note)
 
