@@ -103,6 +103,21 @@ def add_forces(F: Array, conn: Array, B: Array, weights: Array, I1: Array, first
 
 
 @njit(cache=True)
+def add_pressures(F: Array, conn: Array, B: Array, weighted: Array, out: Array) -> None:
+    """Add the forces of pressures times volumes `weighted` (e, q) to out (n, 3), as they act where F is."""
+    ne, nq, na, _ = B.shape
+    C = np.empty((3, 3))
+    for e in range(ne):
+        for q in range(nq):
+            cofactor(F[e, q], C)
+            for a in range(na):
+                node = conn[e, a]
+                for i in range(3):
+                    t = C[i, 0] * B[e, q, a, 0] + C[i, 1] * B[e, q, a, 1] + C[i, 2] * B[e, q, a, 2]
+                    out[node, i] += weighted[e, q] * t
+
+
+@njit(cache=True)
 def add_blocks(blocks: Array, slots: Array, data: Array) -> None:
     """Add dense blocks (f, k, k) to the CSR `data` at `slots` (f, k*k)."""
     flat = blocks.reshape(blocks.shape[0], -1)

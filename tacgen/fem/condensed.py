@@ -3,7 +3,9 @@
 What changes fast from one iteration to the next, where contact begins and how hard it is there, is felt by the face
 alone; the bulk hardly changes. So the bulk is taken for a quadratic, and its minimum with the true contact and friction
 is found, what is lagged in them included, on the few hundred unknowns near the contact (static condensation, Guyan
-1965). The gradient of the bulk is always exact, so that the answer is that of `newton.minimise`.
+1965). The gradient of the bulk is exact at the answer, which is that of `newton.minimise`; on the way it is taken with
+the pressure that steps were meant to give (fem/meant), or a stiffness of some time ago would lead astray where volume
+hardly changes.
 
 The quadratic is the stiffness factorised some time ago, mended by what gradients have told since (BFGS; limited memory,
 Nocedal 1980), and factorised anew where it no longer says how they change. With the factor L of the stiffness, and the
@@ -22,18 +24,17 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve, solve_triangular
 from tacgen.fem.assembly import Pattern, pattern
 from tacgen.fem.linear import Cholmod, NotPositiveDefinite, dissection
 from tacgen.fem.newton import ROUNDING, Solution, Status, Step, backtrack, minimise
-from tacgen.fem.potentials import Potential, Total
+from tacgen.fem.potentials import Elastic, Potential, Total
 
 Array = np.ndarray
 MOST = 2000  # unknowns of the condensed problem: beyond, its dense factors cost more than they save
 PAIRS = 10  # of steps and changes of the gradient that are remembered
 LEFT = 3.0  # steps that may be left at the present rate: a new factor costs as much as these
-KNOWN = 0.3  # part of the way from the last answer to a guess by which the quadratic may be wrong
+KNOWN = 0.3  # part of a step by which the quadratic may be wrong: more tells of that way, not of the stiffness
 SAG = 0.3  # of the curvature along a step: how far above the quadratic the bulk's energy may end
 PART = 0.1  # of xtol: the next step may be that long
 LOOSE = 0.2  # of the error expected of the bulk is what contact and friction may be off by on the way,
 LOOSEST = 50.0  # but no more than this many times what they may be in the end
-FAR = 3.0  # times `near`: after a full step of at most that length, contact takes anew what is lagged
 STEPS = 25  # of those that converge few take more than ten
 
 
@@ -89,7 +90,7 @@ class Condensed:
     def learn(self, q: Array, change: Array) -> float:
         """Along q the gradient changed by L `change`: by which part the quadratic was wrong, which then is right."""
         wrong = np.linalg.norm(change - q - (self._D * (self._W @ q)) @ self._W) / np.linalg.norm(q)
-        if q @ change > 0.1 * (q @ q):
+        if wrong <= KNOWN and q @ change > 0.1 * (q @ q):
             self._pairs.append((q, change))
             self._update()
         return float(wrong)
@@ -221,7 +222,7 @@ class Quadratic:
 
 
 def settle(
-    bulk: Potential,
+    bulk: Total,
     loads: Callable[[], Potential],
     x: Array,
     condensed: Condensed,
@@ -235,10 +236,9 @@ def settle(
 
     Args:
         loads: what acts on the condensed nodes alone, as it is since the last `refresh`.
-        near: steps longer than this [mm] use the projected stiffness; after those FAR times as long, or cut short,
-            nothing is taken anew that is lagged.
-        refresh: asked, once near, to take what is lagged from positions (n, 3) unless it is off by no more than a
-            multiple of what it may be; then None.
+        near: steps longer than this [mm] use the projected stiffness.
+        refresh: asked to take what is lagged from positions (n, 3) unless it is off by no more than a multiple of what
+            it may be; then None. Not asked after a step that was cut short.
         negligible: see `minimise`.
     """
     steps: list[Step] = []
@@ -246,9 +246,10 @@ def settle(
     error, length, settled = condensed.error, condensed.length, False
     try:
         while True:
-            g = bulk.gradient(x)
+            factored, g = condensed.factored, _unbalanced(bulk, x)
             if pair is None and not condensed.knows(x, g):
                 condensed.renew(bulk, x, length <= near)
+                g = _unbalanced(bulk, x)
             y = condensed.begin(g)
             if pair is not None:
                 wrong = condensed.learn(pair[0], y - pair[1])
@@ -260,26 +261,34 @@ def settle(
                     return Solution(x, Status.converged, tuple(steps))
                 if error > xtol and error * wrong**LEFT > PART * xtol:
                     condensed.renew(bulk, x, length <= near)
+                    g = _unbalanced(bulk, x)
                     y = condensed.begin(g)
             if len(steps) == STEPS:
                 return Solution(x, Status.out_of_steps, tuple(steps))
-            close = length <= FAR * near and (not steps or steps[-1].fraction == 1.0)
+            close = not steps or steps[-1].fraction == 1.0
             loose = min(max(1.0, LOOSE * error / xtol), LOOSEST)
             there, done = _contact(condensed, loads, x, y, xtol, loose, near, close, refresh, negligible)
             p, q = condensed.end((there - x).ravel()[condensed.pattern.free], y)
             length, felt = float(np.abs(p).max()), loads()
+            g = bulk.gradient(x)
             slope = float(((g + felt.gradient(x)) * p).sum())
             rise = float((g * p).sum()) + (0.5 + SAG) * condensed.curvature(q) if close else None
             fraction, x, energy = go(bulk, felt, x, p, slope, rise)
             steps.append(Step(energy, length, fraction, False))
-            if fraction == 0.0:
+            if fraction == 0.0 and (length <= PART * xtol or condensed.factored > factored):
                 return Solution(x, Status.converged if length <= PART * xtol else Status.stalled, tuple(steps))
-            pair, settled = (fraction * q, y), False
+            pair, settled = (fraction * q, y) if fraction > 0.0 else None, False
+            condensed.usable &= fraction > 0.0  # what was factorised elsewhere need not lead down
             if fraction == 1.0 and length <= near:
                 settled = refresh(x, 1.0) is None and length <= 10 * xtol and done
     except NotPositiveDefinite:
         condensed.usable = False
         return Solution(x, Status.nonfinite, tuple(steps))
+
+
+def _unbalanced(bulk: Total, x: Array) -> Array:
+    """Of elastic parts what a step is to undo, of others the gradient (n, 3)."""
+    return np.asarray(sum(p.unbalanced(x) if isinstance(p, Elastic) else p.gradient(x) for p in bulk.parts))
 
 
 def go(

@@ -4,7 +4,8 @@ A gel that hardly changes its volume has a pressure of J - 1 times a large modul
 order in a step have a J that is off to second: a pressure far off, and a stiffness that leads astray or is indefinite.
 What the step gave to first order is right. So the stiffness takes that, as if pressure were an unknown of its own (the
 mixed integration points of Magisano, Leonetti & Garcea 2017), and where positions were guessed, that of the last
-answer. Energy and gradient, which decide the answer, are the true ones.
+answer. Energy and gradient, which decide the answer, are the true ones; a stiffness that is kept for several steps
+undoes a gradient with that pressure too (Elastic.unbalanced).
 """
 
 import numpy as np
@@ -21,23 +22,22 @@ class Meant:
     def __init__(self) -> None:
         self._J: Array | None = None  # None before the first answer: the true one is taken
         self._at: tuple[Array, Array] | None = None  # F (e, q, 3, 3) and true J where the last step led
-        self._taken: Array | None = None  # F where the stiffness was last taken, which said where to step
 
     def hold(self, J: Array) -> None:
         """That of an answer holds until the first step from the positions guessed next."""
         self._J, self._at = J, None
 
-    def step(self, F: Array, J: Array) -> None:
-        """A step led to where F and the true J are these; the same again is none."""
+    def step(self, F: Array, J: Array, taken: Array) -> None:
+        """A step by the stiffness `taken` at some F (e, q, 3, 3) led to where F and the true J are these; the same
+        again is none."""
         if self._J is None or (self._at is not None and self._at[0] is F):
             return
         if self._at is not None:
-            self._J = assembly.carried(self._at[0] if self._taken is None else self._taken, *self._at, F)
+            self._J = assembly.carried(taken, *self._at, F)
         self._at = F, J
 
     def at(self, F: Array, J: Array) -> Array:
-        """For a stiffness taken where F and the true J are these."""
-        self._taken = F
+        """Where F and the true J are these."""
         if self._J is None or self._at is None or self._at[0] is not F:
             return J
         return np.asarray(np.clip(self._J, J / MOST, MOST * J))

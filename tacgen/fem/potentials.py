@@ -131,9 +131,26 @@ class Elastic:
 
     def gradient(self, x: Array) -> Array:
         e, at = self.elements, self.at(x)
-        self._meant.step(at.F, at.J)
+        if self.stiffness is not None:
+            self._meant.step(at.F, at.J, self.stiffness.taken)
         out = np.zeros_like(x)
         assembly.add_forces(at.F, e.conn, e.gradients, e.weights, at.I1, at.first, out)
+        return out
+
+    def unbalanced(self, x: Array) -> Array:
+        """What a step by the stiffness as it was last taken is to undo (n, 3) [N]; at an answer, the gradient.
+
+        The gradient with the pressure meant (see Meant), and what is missing of that, acting as where the stiffness was
+        taken: what is left of Newton's method for displacement and pressure when the pressure is eliminated.
+        """
+        e, at = self.elements, self.at(x)
+        assert self.stiffness is not None
+        self._meant.step(at.F, at.J, self.stiffness.taken)
+        first = self._pressed(at, self._meant.at(at.F, at.J))
+        out = np.zeros_like(x)
+        assembly.add_forces(at.F, e.conn, e.gradients, e.weights, at.I1, first, out)
+        missed = e.weights * (at.first - first)[..., 2]
+        assembly.add_pressures(self.stiffness.taken, e.conn, e.gradients, missed, out)
         return out
 
     def add_hessian(self, x: Array, data: Array, project: int) -> None:

@@ -267,7 +267,7 @@ class Kept:
     def __init__(self, slots: Array, size: int, points: int, lazy: float) -> None:
         self.slots, self._lazy = slots, lazy
         n = len(slots)
-        self._taken, self._first = np.zeros((n, points, 3, 3)), np.zeros((n, points, 3))
+        self.taken, self._first = np.tile(np.eye(3), (n, points, 1, 1)), np.zeros((n, points, 3))
         self._mode = np.full(n, -1, np.int8)
         self._entries = np.zeros((n, int((slots >= 0).sum(1).max(initial=0))))
         self._data = np.zeros(size)
@@ -276,6 +276,6 @@ class Kept:
         self, F: Array, B: Array, weights: Array, first: Array, second: Array, dilatation: Array, project: int
     ) -> Array:
         """d2E/dx2 as entries of the Pattern; the arguments are those of `renew`."""
-        renew(F, B, weights, first, second, dilatation, project, self.slots, self._taken, self._first, self._mode,
+        renew(F, B, weights, first, second, dilatation, project, self.slots, self.taken, self._first, self._mode,
               self._entries, self._data, self._lazy)  # fmt: skip
         return self._data

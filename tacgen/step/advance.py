@@ -21,7 +21,7 @@ from tacgen.step.problem import AnyContact, Memory, Problem
 
 Array = np.ndarray
 XTOL = 1 / 50  # of dhat: no node moves by more in the last step, nor does the mean gap between passes
-NEAR = 1  # of dhat: longer steps use the projected stiffness; FAR of them (fem/condensed) leave what is lagged
+NEAR = 1  # of dhat: longer steps use the projected stiffness
 RESIDUAL = 1e-3  # of the contact force
 LAG = 5e-4  # normal forces may be this far from the ones friction used, as a part of their sum
 NEGLIGIBLE = 1e-3  # of the largest contact force so far

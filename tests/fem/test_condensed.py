@@ -95,7 +95,7 @@ def test_it_learns_how_the_gradient_changes(bulk: tuple[Condensed, Elastic, Arra
     rng = np.random.default_rng(0)
     condensed, _, points, A = bulk
     whole, n = condensed.whole, condensed.whole.size
-    V = 0.15 * rng.normal(size=(n, 2)) / np.sqrt(n)
+    V = 0.04 * rng.normal(size=(n, 2)) / np.sqrt(n)
     other, b = A + V @ V.T, rng.normal(size=n)
     x, wrong = np.zeros(n), []
     last: tuple[Array, Array, Array] | None = None
@@ -119,6 +119,16 @@ def test_it_learns_how_the_gradient_changes(bulk: tuple[Condensed, Elastic, Arra
             break
     assert wrong[0] > 0.1
     assert other @ x == pytest.approx(b, abs=1e-8)
+
+
+def test_it_learns_nothing_from_where_it_is_all_wrong(bulk: tuple[Condensed, Elastic, Array, Array]) -> None:
+    """A step on which the gradient changed by half as much again tells of that way, not of the stiffness."""
+    condensed = bulk[0]
+    q = np.random.default_rng(0).normal(size=condensed.whole.size)
+    assert condensed.learn(q, 1.5 * q) == pytest.approx(0.5)
+    assert condensed.curvature(q) == pytest.approx(q @ q)
+    assert condensed.learn(q, 1.2 * q) == pytest.approx(0.2)
+    assert condensed.curvature(q) == pytest.approx(1.2 * (q @ q))
 
 
 def test_what_contact_never_acted_on_is_eliminated_once(bulk: tuple[Condensed, Elastic, Array, Array]) -> None:
