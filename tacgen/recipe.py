@@ -85,7 +85,7 @@ class Quality(NamedTuple):
 
 QUALITIES = {
     "draft": Quality(0.6, 0.05, 16),
-    "default": Quality(0.36, 0.03, 64),
+    "default": Quality(0.36, 0.02, 64),
     "reference": Quality(0.2, 0.01, 512),
 }
 

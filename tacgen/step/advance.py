@@ -20,10 +20,10 @@ from tacgen.fem.renewal import Renewal
 from tacgen.step.problem import AnyContact, Memory, Problem
 
 Array = np.ndarray
-XTOL = 1 / 50  # of dhat: no node moves by more in the last step, nor does the mean gap between passes
+XTOL = 1 / 100  # of dhat: no node moves by more in the last step, nor does the mean gap between passes
 NEAR = 1  # of dhat: longer steps use the projected stiffness
 RESIDUAL = 1e-3  # of the contact force
-LAG = 5e-4  # normal forces may be this far from the ones friction used, as a part of their sum
+LAG = 2e-4  # normal forces may be this far from the ones friction used, as a part of their sum
 NEGLIGIBLE = 1e-3  # of the largest contact force so far
 SUNK = 0.45  # of the indenter's reach: how deep matter may be inside it, between the points where contact acts
 TRIES = 8  # at a pose, each with a smaller tolerance or a stiffer barrier than the last
