@@ -14,7 +14,7 @@ SPLITS = 12  # and of one in which the indenter might pass through the gel
 FINER = 3  # and of one that takes edges too fast
 SHARP = 1.5  # edges of the mesh: an indenter of no smaller radius has none round which the gel might come otherwise
 ROUND = 0.3  # [rad] by which the indenter's normal at a point changes in a step that brings it round an edge
-ROUNDED = 0.1  # of the contact force: friction at such points from which on the step is too long
+ROUNDED = 0.05  # of the contact force: friction at such points from which on the step is too long
 
 
 def between(a: Array, b: Array, part: float) -> Array:
@@ -28,8 +28,9 @@ def rounded(problem: Problem, before: Memory, after: Memory) -> float:
     """Friction at points that one step brought round an edge sharper than the mesh, as a part of the contact force.
 
     On their way, round the edge or through it, hangs whether they are pushed along or slip below, and so which way
-    friction pulls. Frames in which that is a tenth and more were up to 21 % of the force off the same path in a quarter
-    of the step, all others up to 4 %; on round indenters, whose points come round them as the mesh resolves, 3 %.
+    friction pulls. Frames in which that is a twentieth and more were up to 21 % of the force off the same path in a
+    quarter of the step (7 % at .07), all others up to 4 %; on round indenters, whose points come round them as the mesh
+    resolves, 3 %.
     """
     if not problem.friction or problem.contact.shape.smallest_radius >= SHARP * problem.edge:
         return 0.0

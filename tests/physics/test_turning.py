@@ -32,13 +32,12 @@ def about_z(angle: float) -> Array:
 
 
 def test_a_frame_that_takes_edges_too_fast_is_split_until_its_way_no_longer_matters() -> None:
-    """A box slid by half a cell at once has two answers, .075 and .134 N along x; in steps of .1 mm .1505, of .025 mm
-    .1554 N. A ball, resolved by the mesh, has one and pays for one step."""
+    """A box slid by half a cell at once has two answers, .075 and .134 N along x; split until nothing comes round an
+    edge at once .1422 as in frames of .1 mm, in frames of .025 mm .1554 N. A ball has one and pays for one step."""
     once, many = slid([PATH[0], PATH[-1]], Box(3.0, 1.6, 0.3)), slid(PATH, Box(3.0, 1.6, 0.3))
-    assert [state.substeps for state in once.states] == [1, 2]
-    assert {state.substeps for state in many.states} == {1}
+    assert [state.substeps for state in once.states] == [1, 6]
     size = np.linalg.norm(many.forces[-1])
-    assert np.linalg.norm(once.forces[-1] - many.forces[-1]) < 0.03 * size
+    assert np.linalg.norm(once.forces[-1] - many.forces[-1]) < 0.01 * size
     ball = slid([PATH[0], PATH[-1]], Sphere(4.0))
     assert {state.substeps for state in ball.states} == {1}
 
