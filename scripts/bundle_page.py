@@ -24,7 +24,7 @@ def page() -> str:
         "positive in compression, stress in tension. Pressure, traction and area are by area of the deformed face.",
         "Traction lies in the face's tangent plane: its first component along the sensor's x drawn into it, its",
         "second along the outward normal times the first. Where friction slides, its size is friction x pressure to",
-        "2e-3 of the peak; the resultant is kept by `force_map` alone. Nodal stress is that of the outermost layer",
+        "1e-3 of the peak; the resultant is kept by `force_map` alone. Nodal stress is that of the outermost layer",
         "a node belongs to; `tacgen.derived` gives every layer's, and von Mises, principal stresses, strain energy,",
         "stick and slip.",
         "",

@@ -11,7 +11,7 @@ from tacgen import bundle, mesh, pipeline, plan, scene, solve
 from tacgen.errors import UserError
 from tacgen.fem.contact import Pose
 from tacgen.fem.rising import OutOfReach, meet
-from tacgen.step import advance, foresee, trajectory
+from tacgen.step import foresee, trajectory, travel
 
 BOX = "indenter={shape: box, size_x_mm: 4, size_y_mm: 3, fillet_mm: 0.3}"
 ROUGH = "contact.friction=0.5"
@@ -73,13 +73,13 @@ def test_a_force_the_gel_cannot_give_is_refused(tmp_path: Path, monkeypatch: pyt
 def test_an_absurd_force_is_refused_on_the_coarse_mesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """And what comes before it is kept."""
     segments = "press: {depth_mm: 0.3, frames: 1}\npress: {force_n: 500, frames: 1}\nrelease: {frames: 1}"
-    solved_on, usual = [], advance.reach
+    solved_on, usual = [], travel.reach
 
     def watched(problem, *rest):  # type: ignore[no-untyped-def]
         solved_on.append(problem.edge)
         return usual(problem, *rest)
 
-    monkeypatch.setattr(advance, "reach", watched)
+    monkeypatch.setattr(travel, "reach", watched)
     found = pipeline.run_scene(row(tmp_path, segments, "quality.edge_mm=0.7"), tmp_path / "out")
     assert found.status == "rejected"
     assert found.reason.startswith("frame 2 of 3: 500 N asked for, and 80% of the gel's thickness gives ")
