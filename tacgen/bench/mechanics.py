@@ -53,7 +53,7 @@ def variants(level: Level) -> list[Variant]:
         return found
     for name, element, edges in (("P2", "tet", (0.8, 0.6, 0.4)), ("P1", "linear_tet", (0.6, 0.4, 0.3))):
         found += [Variant(f"{name}, edge", f"{e:g}", (f"mesh={element}", f"quality={{edge_mm: {e}}}")) for e in edges]
-    found += [Variant("dhat", f"{d:g}", (f"quality={{dhat_mm: {d}}}",)) for d in (0.1, 0.06, 0.02, 0.01)]
+    found += [Variant("dhat", f"{d:g}", (f"quality={{dhat_mm: {d}}}",)) for d in (0.1, 0.06, 0.03, 0.01)]
     for part in (10, 0.1, 0.01) if level == "full" else (10, 0.1):
         tolerances = changed(advance, XTOL=part * advance.XTOL, RESIDUAL=min(part, 1) * advance.RESIDUAL)
         found.append(Variant("Newton step, times", f"{part:g}", (), tolerances))

@@ -54,6 +54,7 @@ def sound(found: Outcome) -> None:
     assert found.residual < 1e-3
 
 
+@pytest.mark.timeout(900)
 @pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n in SLOW else n for n in CASES])
 def test_it_converges_or_is_refused(name: str) -> None:
     found = stability.measure(name, CASES[name])
@@ -72,6 +73,7 @@ MILD = 8  # of the numbers that a random scene is made of: those that leave tilt
 SPACE = st.lists(st.floats(0, 1), min_size=cases.RANDOM, max_size=cases.RANDOM)
 
 
+@pytest.mark.timeout(900)  # 50 s, on a machine that does nothing else
 @settings(max_examples=12, deadline=None, derandomize=True)
 @given(SPACE)
 def test_random_scenes_end_well(u: list[float]) -> None:
@@ -81,6 +83,7 @@ def test_random_scenes_end_well(u: list[float]) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)  # steps that are halved for edges sharper than the mesh make some of them dear
 @settings(max_examples=12, deadline=None, derandomize=True)
 @given(SPACE)
 def test_random_scenes_of_all_kinds_are_right_or_rejected(u: list[float]) -> None:
