@@ -11,7 +11,7 @@ from tacgen.step.problem import Memory, Problem
 Array = np.ndarray
 HALVINGS = 5  # of a step that does not converge
 SPLITS = 12  # and of one in which the indenter might pass through the gel
-FINER = 3  # and of one that takes edges too fast
+FINER = 2  # and of one that takes edges too fast
 SHARP = 1.5  # edges of the mesh: an indenter of no smaller radius has none round which the gel might come otherwise
 ROUND = 0.3  # [rad] by which the indenter's normal at a point changes in a step that brings it round an edge
 ROUNDED = 0.05  # of the contact force: friction at such points from which on the step is too long
