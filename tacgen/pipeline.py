@@ -159,6 +159,7 @@ class Products:
             "/frames/quality/min_gap_mm": state.min_gap,
             "/frames/quality/mean_gap_mm": state.mean_gap,
             "/frames/quality/overlap_mm": self._overlap(state),
+            "/frames/quality/rounded": state.rounded,
             "/frames/quality/force_balance": state.balance,
             "/frames/quality/residual": state.residual,
         }

@@ -61,6 +61,7 @@ class State:
     min_gap: float  # [mm], to the shrunk indenter
     residual: float  # of the free nodes' forces, as a part of the contact force
     balance: float  # |indenter force + base reaction| / indenter force
+    rounded: float = 0.0  # friction at points that one step brought round an edge, as a part of the contact force
 
     @property
     def traction_force(self) -> Array:

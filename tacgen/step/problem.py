@@ -41,6 +41,7 @@ class Memory:
     kappa: float  # barrier stiffness [MPa]
     scale: float  # force below which nothing is told apart [N]
     velocity: Array | None  # (n, 3) [mm/s], with inertia
+    finer: int = 0  # how often the next step is halved before it is tried
 
 
 @dataclass(frozen=True)

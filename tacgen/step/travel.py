@@ -50,25 +50,49 @@ def reach(
     split: int = 0,
     finer: int = 0,
 ) -> tuple[Memory, State]:
-    """From pose a to pose b in one step, or in two halves where that fails, goes too far or takes edges too fast."""
-    try:
-        found = advance(problem, memory, b, index, duration)
-        meshes = not isinstance(problem.contact, Contact)  # between which collisions say the way
-        if meshes or finer == FINER or rounded(problem, memory, found[0]) < ROUNDED:
-            return found
-        finer += 1
-    except TooFar:
-        if split == SPLITS:
-            raise
-        split += 1
-    except NotConverged:
-        if failed == HALVINGS:
-            raise
-        failed += 1
+    """From pose a to pose b in one step, or in two halves where that fails, goes too far or takes edges too fast.
+
+    A step that took edges too fast is kept where its halves fail: what it answers is an equilibrium, and State.rounded
+    says what it lacks.
+    """
+    whole = None
+    halves = (failed, split, finer)
+    if finer >= memory.finer:  # else the last step said that this one would be too long
+        try:
+            whole = advance(problem, memory, b, index, duration)
+        except TooFar:
+            if split == SPLITS:
+                raise
+            halves = (failed, split + 1, finer)
+        except NotConverged as e:
+            if failed == HALVINGS:
+                raise NotConverged(f"{e}, though the way from the last frame was halved {failed} times") from None
+            halves = (failed + 1, split, finer)
+    if whole is not None:
+        whole = _judged(problem, memory, whole, finer)
+        if whole[1].rounded < ROUNDED or finer == FINER:
+            return whole
+    if whole is not None or finer < memory.finer:
+        halves = (failed, split, finer + 1)
     middle = between(a, b, 0.5)
-    memory, first = reach(problem, memory, a, middle, index, duration / 2, failed, split, finer)
-    memory, second = reach(problem, memory, middle, b, index, duration / 2, failed, split, finer)
-    return memory, _after(first, second)
+    try:
+        there, first = reach(problem, memory, a, middle, index, duration / 2, *halves)
+        there, second = reach(problem, there, middle, b, index, duration / 2, *halves)
+    except NotConverged:
+        if whole is None:
+            raise
+        return whole
+    return there, _after(first, second)
+
+
+def _judged(problem: Problem, before: Memory, found: tuple[Memory, State], finer: int) -> tuple[Memory, State]:
+    """What was found in a step halved `finer` times for edges: how much it took round them, and how the next begins."""
+    memory, state = found
+    if not isinstance(problem.contact, Contact):  # between meshes, where collisions say the way
+        return found
+    part = rounded(problem, before, memory)
+    next_finer = max(finer - 1, 0) if part < ROUNDED / 4 else finer
+    return replace(memory, finer=next_finer), replace(state, rounded=part)
 
 
 def travel(problem: Problem, memory: Memory, a: Array, b: Array, index: int, duration: float) -> tuple[Memory, State]:
@@ -85,4 +109,4 @@ def travel(problem: Problem, memory: Memory, a: Array, b: Array, index: int, dur
 def _after(first: State, second: State) -> State:
     """The second state, its work that of both."""
     iterations, substeps = first.iterations + second.iterations, first.substeps + second.substeps
-    return replace(second, iterations=iterations, substeps=substeps)
+    return replace(second, iterations=iterations, substeps=substeps, rounded=max(first.rounded, second.rounded))

@@ -233,17 +233,22 @@ def test_a_bulk_that_no_quadratic_stands_for_is_left_to_newtons_method(monkeypat
         assert b.x == pytest.approx(a.x, abs=1e-3)
 
 
-def test_it_knows_how_far_it_may_be_trusted_from_the_last_answer(bulk: tuple[Condensed, Elastic, Array, Array]) -> None:
-    """A little further it says how the gradient changes, and not once the block is bent; with no answer, never."""
+def test_it_learns_from_the_way_between_answers(bulk: tuple[Condensed, Elastic, Array, Array]) -> None:
+    """A little further it learns how the gradient changes, but not from where the block is bent, nor with no answer."""
     condensed, elastic, points, _ = bulk
-    g = elastic.gradient(points)
-    assert not condensed.knows(points, g)
-    condensed.answer = points, condensed.begin(g)
-    assert condensed.knows(points, g)
     way = points[:, 2:] ** 2 * [1.0, 0.0, 0.0]
-    for far, known in ((1e-3, True), (0.6, False)):
-        x = points + far * way
-        assert condensed.knows(x, elastic.gradient(x)) is known
+    g = elastic.gradient(points)
+
+    def learnt(far: float) -> bool:
+        before = len(condensed._pairs)
+        condensed.carry(points + far * way, elastic.gradient(points + far * way))
+        return len(condensed._pairs) > before
+
+    assert not learnt(1e-3)
+    condensed.answer = points, condensed.begin(g)
+    assert learnt(1e-3)
+    assert not learnt(0.6)
+    assert not learnt(0.0)
     condensed.cover(elastic.elements.conn[:1, 4:])
-    assert not condensed.knows(points, g)
-    assert 0 < KNOWN < 1
+    assert not condensed.usable
+    assert condensed.answer is None
