@@ -164,3 +164,29 @@ def test_an_indenter_that_never_touches_has_a_footprint_and_no_force() -> None:
 def test_where_nothing_touches_one_iteration_is_enough() -> None:
     s = scene(Sphere(2.0), poses([(1.0, 0, 0.5), (1.0, 0, 0.2)]), pad=gel(8, 8, 2), friction=0.5)
     assert max(state.iterations for state in run(s).states) <= 1
+
+
+def test_a_step_too_long_for_edges_is_kept_where_its_halves_fail_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And where it was halved to the end, the next is not tried whole."""
+    usual, tried = travel.advance, list[float]()
+
+    def watched(
+        problem: Problem, memory: advance.Memory, matrix: np.ndarray, index: int, duration: float
+    ) -> tuple[advance.Memory, solve.State]:
+        tried.append(matrix[2, 3])
+        if failing and np.linalg.norm(matrix[:3, 3] - memory.pose.position) < 0.19:
+            raise NotConverged("a half")
+        return usual(problem, memory, matrix, index, duration)
+
+    monkeypatch.setattr(travel, "advance", watched)
+    monkeypatch.setattr(travel, "HALVINGS", 0)
+    monkeypatch.setattr(travel, "rounded", lambda *_: 0.07)
+    failing = True
+    for state in states(*made()):
+        assert (state.substeps, state.rounded) == (1, 0.07)
+    assert tried == pytest.approx([-0.2, -0.1, -0.4, -0.3, -0.4, -0.4])
+    failing = False
+    tried.clear()
+    found = list(states(*made()))
+    assert [state.substeps for state in found] == [4, 4, 4]
+    assert tried == pytest.approx([-0.2, -0.1, -0.05, -0.1, -0.15, -0.2, *(-0.2 - 0.05 * k for k in range(1, 5)), *[-0.4] * 4])

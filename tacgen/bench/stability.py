@@ -173,7 +173,7 @@ def bench(level: Level, say: Say) -> Result:
     """The cases, then random scenes: half of them anywhere, half near those that were hardest so far."""
     from tacgen.bench import sensitivity
 
-    count = {"smoke": 1, "normal": 16, "full": 400}[level]
+    count = {"smoke": 1, "normal": 8, "full": 400}[level]
     named = {name: CASES[name] for name in QUICK} if level == "smoke" else CASES
     with ExitStack() as stack:
         spread: Callable[..., Iterator[Outcome]] = map

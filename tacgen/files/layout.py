@@ -61,7 +61,7 @@ LAYOUT: dict[str, Entry] = {
         "<f8", ("N",), "mm", "how deep the face is in the indenter between points of contact", "frame"
     ),
     "/frames/quality/rounded": Entry(
-        "<f8", ("N",), "1", "friction at points that one step took round an edge, over force: up to .05 is sure", "frame"
+        "<f8", ("N",), "1", "friction where one step led round an edge, over force: to .05 it is sure", "frame"
     ),
     "/frames/quality/force_balance": Entry("<f8", ("N",), "1", "norm of force + base reaction, over force", "frame"),
     "/frames/quality/residual": Entry("<f8", ("N",), "1", "largest unbalanced nodal force over force", "frame"),

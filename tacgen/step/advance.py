@@ -265,7 +265,9 @@ def advance(
         found = lagged.lower(x, xtol, expect)
         x, expect, iterations = found.x, lagged.xtol, iterations + len(found.steps)
         if found.status != Status.converged:
-            raise NotConverged(f"Newton {found.status} after {iterations} iterations")
+            raise NotConverged(
+                f"Newton {found.status} after {iterations} iterations: less depth or friction, or a finer mesh, may help"
+            )
         residual, balance = lagged.imbalance(x)
         if residual > RESIDUAL or balance > RESIDUAL:
             xtol /= 30

@@ -1,6 +1,6 @@
 """From pose to pose: in one step or, where that fails, goes too far or takes edges too fast, in halves of it."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -39,45 +39,41 @@ def rounded(problem: Problem, before: Memory, after: Memory) -> float:
     return problem.friction * float(force) / max(float(after.normal_force.sum()), after.scale, 1e-300)
 
 
+@dataclass(frozen=True)
+class Halved:
+    """How often a step is a half already, and why."""
+
+    failed: int = 0
+    far: int = 0
+    finer: int = 0
+
+
 def reach(
-    problem: Problem,
-    memory: Memory,
-    a: Array,
-    b: Array,
-    index: int,
-    duration: float,
-    failed: int = 0,
-    split: int = 0,
-    finer: int = 0,
+    problem: Problem, memory: Memory, a: Array, b: Array, index: int, duration: float, halved: Halved = Halved()
 ) -> tuple[Memory, State]:
     """From pose a to pose b in one step, or in two halves where that fails, goes too far or takes edges too fast.
 
-    A step that took edges too fast is kept where its halves fail: what it answers is an equilibrium, and State.rounded
-    says what it lacks.
+    A step that took edges too fast is kept where its halves fail: it ended at an equilibrium, and State.rounded says
+    how little sure that is. Where the last step had to be so short for edges, this one is not tried whole.
     """
-    whole = None
-    halves = (failed, split, finer)
-    if finer >= memory.finer:  # else the last step said that this one would be too long
+    whole, more = None, replace(halved, finer=halved.finer + 1)
+    if halved.finer >= memory.finer:
         try:
-            whole = advance(problem, memory, b, index, duration)
+            whole = _judged(problem, memory, advance(problem, memory, b, index, duration), halved.finer)
+            if whole[1].rounded < ROUNDED or halved.finer == FINER:
+                return whole
         except TooFar:
-            if split == SPLITS:
+            if halved.far == SPLITS:
                 raise
-            halves = (failed, split + 1, finer)
-        except NotConverged as e:
-            if failed == HALVINGS:
-                raise NotConverged(f"{e}, though the way from the last frame was halved {failed} times") from None
-            halves = (failed + 1, split, finer)
-    if whole is not None:
-        whole = _judged(problem, memory, whole, finer)
-        if whole[1].rounded < ROUNDED or finer == FINER:
-            return whole
-    if whole is not None or finer < memory.finer:
-        halves = (failed, split, finer + 1)
+            more = replace(halved, far=halved.far + 1)
+        except NotConverged:
+            if halved.failed == HALVINGS:
+                raise
+            more = replace(halved, failed=halved.failed + 1)
     middle = between(a, b, 0.5)
     try:
-        there, first = reach(problem, memory, a, middle, index, duration / 2, *halves)
-        there, second = reach(problem, there, middle, b, index, duration / 2, *halves)
+        there, first = reach(problem, memory, a, middle, index, duration / 2, more)
+        there, second = reach(problem, there, middle, b, index, duration / 2, more)
     except NotConverged:
         if whole is None:
             raise
@@ -91,8 +87,8 @@ def _judged(problem: Problem, before: Memory, found: tuple[Memory, State], finer
     if not isinstance(problem.contact, Contact):  # between meshes, where collisions say the way
         return found
     part = rounded(problem, before, memory)
-    next_finer = max(finer - 1, 0) if part < ROUNDED / 4 else finer
-    return replace(memory, finer=next_finer), replace(state, rounded=part)
+    begin = max(finer - 1, 0) if part < ROUNDED / 4 else finer
+    return replace(memory, finer=begin), replace(state, rounded=part)
 
 
 def travel(problem: Problem, memory: Memory, a: Array, b: Array, index: int, duration: float) -> tuple[Memory, State]:

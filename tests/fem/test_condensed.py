@@ -9,7 +9,7 @@ from physics.presses import gel, poses, scene
 
 from tacgen import mesh
 from tacgen.fem.assembly import pattern
-from tacgen.fem.condensed import KNOWN, Condensed
+from tacgen.fem.condensed import Condensed
 from tacgen.fem.elements import hexes
 from tacgen.fem.linear import Cholmod, NotPositiveDefinite, dissection, readable
 from tacgen.fem.materials import NeoHooke
@@ -241,7 +241,8 @@ def test_it_learns_from_the_way_between_answers(bulk: tuple[Condensed, Elastic, 
 
     def learnt(far: float) -> bool:
         before = len(condensed._pairs)
-        condensed.carry(points + far * way, elastic.gradient(points + far * way))
+        x = points + far * way
+        condensed.carry(x, condensed.begin(elastic.gradient(x)))
         return len(condensed._pairs) > before
 
     assert not learnt(1e-3)

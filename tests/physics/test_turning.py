@@ -13,6 +13,7 @@ from tacgen.fem.materials import NeoHooke
 from tacgen.fem.newton import Status, minimise
 from tacgen.fem.potentials import Elastic
 from tacgen.fem.shapes import Box, Shape, Sphere
+from tacgen.step import travel
 
 from .blocks import block
 from .presses import Run, poses, run, scene
@@ -31,15 +32,21 @@ def about_z(angle: float) -> Array:
     return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
 
 
-def test_a_frame_that_takes_edges_too_fast_is_split_until_its_way_no_longer_matters() -> None:
-    """A box slid by half a cell at once has two answers, .075 and .134 N along x; split until nothing comes round an
-    edge at once .1422 as in frames of .1 mm, in frames of .025 mm .1554 N. A ball has one and pays for one step."""
-    once, many = slid([PATH[0], PATH[-1]], Box(3.0, 1.6, 0.3)), slid(PATH, Box(3.0, 1.6, 0.3))
-    assert [state.substeps for state in once.states] == [1, 6]
-    size = np.linalg.norm(many.forces[-1])
-    assert np.linalg.norm(once.forces[-1] - many.forces[-1]) < 0.01 * size
-    ball = slid([PATH[0], PATH[-1]], Sphere(4.0))
+def test_a_frame_that_takes_edges_too_fast_is_split(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A box slid by half a cell at once has two answers, .075 and .134 N along x; split until little comes round an
+    edge at once .150, in frames of .025 mm .155 N. A ball has one and pays for one step."""
+    ends, box = [PATH[0], PATH[-1]], Box(3.0, 1.6, 0.3)
+    steps = [tuple(PATH[0] + t * np.subtract(PATH[-1], PATH[0])) for t in np.linspace(0, 1, 17)]
+    split, true = slid(ends, box), slid(steps, box).forces[-1]
+    assert [state.substeps for state in split.states] == [1, 4]
+    ball = slid(ends, Sphere(4.0))
     assert {state.substeps for state in ball.states} == {1}
+    monkeypatch.setattr(travel, "FINER", 0)
+    whole = slid(ends, box)
+    assert whole.states[-1].rounded > travel.ROUNDED
+    off = [np.linalg.norm(run.forces[-1] - true) / np.linalg.norm(true) for run in (split, whole)]
+    assert off[0] < 0.03
+    assert off[1] > 2 * off[0]
 
 
 @pytest.mark.parametrize(("angle", "tol"), [(30, 1e-4), pytest.param(90, 1e-5, marks=pytest.mark.slow)])
