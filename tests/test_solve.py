@@ -189,4 +189,6 @@ def test_a_step_too_long_for_edges_is_kept_where_its_halves_fail_and_says_so(mon
     tried.clear()
     found = list(states(*made()))
     assert [state.substeps for state in found] == [4, 4, 4]
-    assert tried == pytest.approx([-0.2, -0.1, -0.05, -0.1, -0.15, -0.2, *(-0.2 - 0.05 * k for k in range(1, 5)), *[-0.4] * 4])
+    assert tried == pytest.approx(
+        [-0.2, -0.1, -0.05, -0.1, -0.15, -0.2, *(-0.2 - 0.05 * k for k in range(1, 5)), *[-0.4] * 4]
+    )

@@ -15,6 +15,8 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
+import numpy as np
+
 Cell: TypeAlias = str | float | int | None
 Level: TypeAlias = Literal["smoke", "normal", "full"]
 Say: TypeAlias = Callable[[str], None]
@@ -88,11 +90,23 @@ def made() -> dict[str, Any]:
         "date": time.strftime("%Y-%m-%d"),
         "processor": _processor(),
         "cores": core_count(),
+        "gflops": round(apart(f"{__name__}:gflops"), 1),
         "memory_gb": round(memory),
         "system": f"{platform.system()} {platform.machine()}",
         "python": platform.python_version(),
         "packages": packages,
     }
+
+
+def gflops(n: int = 1000) -> float:
+    """How fast matrices of n rows are multiplied here and now: what seconds of different hours are compared by."""
+    a = np.random.default_rng(0).random((n, n))
+    seconds = []
+    for _ in range(9):
+        start = time.perf_counter()
+        a @ a
+        seconds.append(time.perf_counter() - start)
+    return 2e-9 * n**3 / float(np.median(seconds))
 
 
 def _processor() -> str:
@@ -215,13 +229,12 @@ def page(folder: Path, names: Sequence[str], file: Path, title: str, head: str) 
 def _section(found: dict[str, Any], folder: Path, home: Path) -> list[str]:
     m = found["made"]
     packages = ", ".join(f"{name} {number}" for name, number in m["packages"].items())
-    where = (
-        f"{m['processor']}, {m['cores']} cores, {m['memory_gb']} GB, {m['system']}; Python {m['python']}, {packages}"
-    )
+    speed = f" ({m['gflops']} Gflop/s on one when it ended)" if "gflops" in m else ""
+    machine = f"{m['processor']}, {m['cores']} cores{speed}, {m['memory_gb']} GB, {m['system']}"
     parts = [
         f"## {found['bench'].capitalize()}",
         found["about"],
-        f"*Made {m['date']} in {found['seconds']:.0f} s on {where}.*",
+        f"*Made {m['date']} in {found['seconds']:.0f} s on {machine}; Python {m['python']}, {packages}.*",
     ]
     if found["plots"]:
         picture = (folder / f"{found['bench']}.png").relative_to(home)

@@ -170,25 +170,25 @@ def _pair(case: tuple[str, Sequence[str]]) -> Outcome:
 
 
 def bench(level: Level, say: Say) -> Result:
-    """The cases, then random scenes: half of them anywhere, half near those that were hardest so far."""
+    """The cases and random scenes: some anywhere, and in rounds after that half of them near those hardest so far."""
     from tacgen.bench import sensitivity
 
-    count = {"smoke": 1, "normal": 8, "full": 400}[level]
+    rounds = {"smoke": [1], "normal": [8], "full": [100] * 4}[level]
     named = {name: CASES[name] for name in QUICK} if level == "smoke" else CASES
+    rng, points = np.random.default_rng(7), list[Array]()
+    known, chance = list[Outcome](), list[Outcome]()
     with ExitStack() as stack:
         spread: Callable[..., Iterator[Outcome]] = map
         if level != "smoke":
             spread = stack.enter_context(cores())
-
-        def all_of(scenes: list[tuple[str, Sequence[str]]]) -> list[Outcome]:
-            found = []
-            for one in spread(_pair, scenes):
+        for count in rounds:
+            points += _drawn(count, rng, points, chance)
+            scenes = [(f"random {i}", random(points[i].tolist())) for i in range(len(chance), len(points))]
+            found = list[Outcome]()
+            for one in spread(_pair, scenes if known else [*scenes, *named.items()]):  # random ones may take longest
                 found.append(one)
                 say(f"{one.name}: {one.status}, {one.iterations} iterations, {one.seconds:.1f} s {one.reason}")
-            return found
-
-        known = all_of(list(named.items()))
-        chance = search(count, all_of)
+            chance, known = chance + found[:count], known + found[count:]
     rows = [one.cells() for one in known]
     everyone = known + chance
     tables = [_summary(known, chance), Table("Cases", HEADS, rows), _worst(chance)]
@@ -197,19 +197,17 @@ def bench(level: Level, say: Say) -> Result:
     return Result(about, [*tables, *sensitivity.tables(level, say)])
 
 
-def search(count: int, solve_all: Callable[[list[tuple[str, Sequence[str]]]], list[Outcome]]) -> list[Outcome]:
-    """So many random scenes in four rounds; from the second on, every other one lies near the hardest so far."""
-    rng, points, found = np.random.default_rng(7), list[Array](), list[Outcome]()
-    for part in np.array_split(np.arange(count), min(4, count)):
-        hardest = sorted(range(len(found)), key=lambda i: -_hardness(found[i]))[: max(1, len(found) // 5)]
-        for i in part:
-            if hardest and i % 2:
-                near = points[hardest[int(rng.integers(len(hardest)))]] + rng.normal(0, 0.1, RANDOM)
-                points.append(1 - np.abs(1 - np.abs(near) % 2))  # mirrored at 0 and 1
-            else:
-                points.append(rng.random(RANDOM))
-        found += solve_all([(f"random {i}", random(points[i].tolist())) for i in part])
-    return found
+def _drawn(count: int, rng: np.random.Generator, points: list[Array], found: list[Outcome]) -> list[Array]:
+    """So many random scenes more, as the numbers they are made of; every other one near the hardest found so far."""
+    hardest = sorted(range(len(found)), key=lambda i: -_hardness(found[i]))[: max(1, len(found) // 5)]
+    drawn = []
+    for i in range(count):
+        if found and i % 2:
+            near = points[hardest[int(rng.integers(len(hardest)))]] + rng.normal(0, 0.1, RANDOM)
+            drawn.append(1 - np.abs(1 - np.abs(near) % 2))  # mirrored at 0 and 1
+        else:
+            drawn.append(rng.random(RANDOM))
+    return drawn
 
 
 def _hardness(one: Outcome) -> float:

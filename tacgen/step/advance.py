@@ -266,7 +266,7 @@ def advance(
         x, expect, iterations = found.x, lagged.xtol, iterations + len(found.steps)
         if found.status != Status.converged:
             raise NotConverged(
-                f"Newton {found.status} after {iterations} iterations: less depth or friction, or a finer mesh, may help"
+                f"Newton {found.status} after {iterations} iterations: less depth or friction or a finer mesh may help"
             )
         residual, balance = lagged.imbalance(x)
         if residual > RESIDUAL or balance > RESIDUAL:
