@@ -73,8 +73,8 @@ MILD = 8  # of the numbers that a random scene is made of: those that leave tilt
 SPACE = st.lists(st.floats(0, 1), min_size=cases.RANDOM, max_size=cases.RANDOM)
 
 
-@pytest.mark.timeout(900)  # 50 s, on a machine that does nothing else
-@settings(max_examples=12, deadline=None, derandomize=True)
+@pytest.mark.timeout(900)  # 60 s, on a machine that does nothing else
+@settings(max_examples=10, deadline=None, derandomize=True)
 @given(SPACE)
 def test_random_scenes_end_well(u: list[float]) -> None:
     found = stability.measure("random", cases.random([*u[:MILD], *[0.0] * (cases.RANDOM - MILD)]))
