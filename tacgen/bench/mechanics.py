@@ -21,7 +21,7 @@ ABOUT = (
 )
 ERRORS = ("force: .2%", "pressure map: .1%", "stress: .1%", "markers [px]: .3f")
 WORK = ("nodes: d", "iterations a frame: .1f", "s a frame: .2f")
-FILLETS = {"normal": (0.1, 0.6), "full": (0.1, 0.3, 0.6, 1.2)}  # of a box [mm]; an edge at `draft`: .6
+FILLETS = {"normal": (0.3, 0.6), "full": (0.1, 0.3, 0.6, 1.2)}  # of a box [mm]; an edge at `draft`: .6
 SHIFTS = ((0.0, 0.0), (0.5, 0.0), (0.3, 0.5))  # of the mesh under the ball, in edges
 STEPPED = (*sliding("gelsight_mini", 8, 16), "quality=draft")
 FORMS = [name for name in ("distance", "ipctk") if name == "distance" or find_spec("ipctk")]

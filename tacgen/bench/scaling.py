@@ -18,7 +18,7 @@ import numpy as np
 from tacgen import batch, pipeline, plan
 from tacgen.batch.local import Pool
 from tacgen.batch.watch import memory
-from tacgen.bench.kit import Cell, Level, Plot, Result, Say, Series, Table, apart, columns
+from tacgen.bench.kit import Cell, Level, Plot, Result, Say, Series, Table, apart, columns, each_apart
 from tacgen.bundle import Writer
 from tacgen.files.resume import SceneResult, once
 from tacgen.spec import assets
@@ -49,7 +49,7 @@ def bench(level: Level, say: Say) -> Result:
         more = [_overhead(count, out, say), _memory(count, out, say)]
         if find_spec("torch"):
             more.append(_reading(out, say))
-        return Result(ABOUT, [_stages(out, say), table, *more], [plot])
+        return Result(ABOUT, [_stages(say), table, *more], [plot])
 
 
 def scenes(count: int, sets: tuple[str, ...] = TINY) -> plan.Plan:
@@ -58,10 +58,30 @@ def scenes(count: int, sets: tuple[str, ...] = TINY) -> plan.Plan:
     return plan.load(assets.recipe_path("batch"), (*sets, vary))
 
 
-def _stages(out: Path, say: Say) -> Table:
+def _stages(say: Say) -> Table:
     """Wall seconds a frame in each stage of a scene with everything that people train on."""
+    jobs = [("gelsight_mini", ", markers"), ("digit", ""), ("ninedtact", "")]
     rows: list[list[Cell]] = []
-    for sensor, dots in (("gelsight_mini", ", markers"), ("digit", ""), ("ninedtact", "")):
+    for (sensor, _), found in zip(jobs, each_apart("tacgen.bench.scaling:stages", jobs), strict=True):
+        if isinstance(found, RuntimeError):
+            raise found
+        for quality, each in found.items():
+            total = sum(each)
+            shares = ", ".join(f"{stage} {part / total:.0%}" for stage, part in zip(STAGES, each, strict=True))
+            rows.append([sensor, quality, *each, total, shares])
+            say(f"{sensor} {quality}: {total:.2f} s a frame: {shares}")
+    heads = columns("sensor", "quality", *(f"{stage} [s]: .3f" for stage in STAGES), "s a frame: .2f", "shares")
+    note = (
+        "A ball pressed, slid and twisted in 5 frames: force, traction, height, stress, rgb, and markers on the Mini;"
+        " on one core, with others beside it on the rest. Mesh and render include what is made ready once a scene."
+    )
+    return Table("Where the time goes", heads, rows, note)
+
+
+def stages(sensor: str, dots: str) -> dict[str, list[float]]:
+    """Seconds a frame of each of STAGES, by quality."""
+    out: dict[str, list[float]] = {}
+    with tempfile.TemporaryDirectory() as folder:
         for part, quality, moves in (("warm", "draft", ONE), ("timed", "draft", MOVES), ("timed", "default", MOVES)):
             sets = (
                 f"sensor={sensor}",
@@ -70,20 +90,11 @@ def _stages(out: Path, say: Say) -> Table:
                 f"outputs=[force, traction, height, stress, rgb{dots}]",
             )
             row = plan.load(assets.recipe_path("quickstart"), sets).rows[0]
-            found = pipeline.run_scene(row, out / f"{sensor}-{quality}-{part}")
-            if part == "warm":
-                continue
-            seconds = json.loads(found.path.with_suffix(".timing.json").read_text())["seconds"]
-            each = [seconds.get(stage, 0.0) / row.frames for stage in STAGES]
-            total = sum(seconds.values()) / row.frames
-            shares = ", ".join(f"{stage} {part / total:.0%}" for stage, part in zip(STAGES, each, strict=True))
-            rows.append([sensor, quality, *each, total, shares])
-            say(f"{sensor} {quality}: {total:.2f} s a frame: {shares}")
-    heads = columns("sensor", "quality", *(f"{stage} [s]: .3f" for stage in STAGES), "s a frame: .2f", "shares")
-    note = (
-        "A ball pressed, slid and twisted in 5 frames: force, traction, height, stress, rgb, and markers on the Mini. "
-    )
-    return Table("Where the time goes", heads, rows, note + "Mesh and render include what is made ready once a scene.")
+            found = pipeline.run_scene(row, Path(folder) / f"{quality}-{part}")
+            if part == "timed":
+                seconds = json.loads(found.path.with_suffix(".timing.json").read_text())["seconds"]
+                out[quality] = [seconds.get(stage, 0.0) / row.frames for stage in STAGES]
+    return out
 
 
 def _workers(count: int, many: list[int], out: Path, say: Say) -> tuple[Table, Plot]:
