@@ -2,7 +2,7 @@
 #   make demo    one press, slide and twist: a bundle and a picture of it in out/
 #   make data    every recipe's data set in data/, WORKERS scenes at a time; run again, it goes on
 #   make test    the tests
-#   make bench   error against run time, stability, cost: docs/RESULTS.md, in some 25 minutes; BENCH_FLAGS=--full for more
+#   make bench   error against run time, stability, cost: docs/RESULTS.md, in some 20 minutes; BENCH_FLAGS=--full for more
 
 SUITABLE = import sys, venv, ensurepip; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))
 CANDIDATES = python3 python3.13 python3.12 python3.11 python

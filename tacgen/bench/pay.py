@@ -54,12 +54,14 @@ ROUGH = (  # by which all is compiled, and made ready that is kept
     "trajectory=[{press: {depth_mm: 0.4, frames: 1}}]",
 )
 QUICK = ("force", "stress")  # for a smoke test
+DEAR = ("force, ipctk", "rgb by path")  # which mechanics and optics look at too
 
 
 def bench(level: Level, say: Say) -> Result:
     """Every line of ASKED, and what labels cost on every sensor."""
     rows: list[list[Cell]] = []
-    alone, names = None, QUICK if level == "smoke" else tuple(ASKED)
+    names = {"smoke": QUICK, "normal": tuple(name for name in ASKED if name not in DEAR), "full": tuple(ASKED)}[level]
+    alone = None
     for name, found in zip(names, each_apart("tacgen.bench.pay:run", map(ASKED.__getitem__, names)), strict=True):
         if isinstance(found, RuntimeError):  # a package that is not installed
             rows.append([name, None, None, None, None, str(found).splitlines()[-1]])
