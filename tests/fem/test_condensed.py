@@ -253,3 +253,22 @@ def test_it_learns_from_the_way_between_answers(bulk: tuple[Condensed, Elastic, 
     condensed.cover(elastic.elements.conn[:1, 4:])
     assert not condensed.usable
     assert condensed.answer is None
+
+
+def test_what_is_not_definite_is_projected_and_far_from_an_answer_at_once_from_then_on(
+    bulk: tuple[Condensed, Elastic, Array, Array], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    condensed, elastic, points, _ = bulk
+    usual, asked = elastic.add_hessian, list[int]()
+
+    def indefinite(x: Array, data: Array, project: int) -> None:
+        asked.append(project)
+        usual(x, data, project)
+        data *= -1 if project == 0 else 1
+
+    monkeypatch.setattr(type(elastic), "add_hessian", lambda self, *args: indefinite(*args))
+    for far, tried in ((False, [0, 1]), (True, [0, 1]), (True, [1]), (False, [0, 1])):
+        asked.clear()
+        condensed.renew(elastic, points, far)
+        assert asked == tried
+        assert condensed.usable
