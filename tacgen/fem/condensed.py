@@ -29,7 +29,7 @@ from tacgen.fem.potentials import Elastic, Potential, Total
 Array = np.ndarray
 MOST = 2000  # unknowns of the condensed problem: beyond, its dense factors cost more than they save
 PAIRS = 10  # of steps and changes of the gradient that are remembered
-LEFT = 2.0  # steps that may be left at the present rate: a new factor costs as much as some four of these
+LEFT = 2.0  # steps that may be left at the present rate: a new factor costs as much as some three
 KNOWN = 0.3  # part of a step by which the quadratic may be wrong: more tells of that way, not of the stiffness
 SAG = 0.3  # of the curvature along a step: how far above the quadratic the bulk's energy may end
 PART = 0.2  # of xtol: the next step may be that long
@@ -102,7 +102,8 @@ class Condensed:
         return float(wrong)
 
     def carry(self, x: Array, y: Array) -> None:
-        """Learn what the way from the last answer to x (n, 3), where the gradient is L `y`, tells."""
+        """Learn what the way from the last answer to x (n, 3), where the gradient is L `y`, tells; after a new factor
+        there is none."""
         if self.answer is None:
             return
         (last, before), U = self.answer, self._upper
@@ -259,13 +260,10 @@ def settle(
     try:
         while True:
             factored, g = condensed.factored, _unbalanced(bulk, x)  # which tells the stiffness what was meant, too
-            if not condensed.usable:
-                y = renewed(x, False)
-            elif pair is None:
-                y = condensed.begin(g)
+            y = condensed.begin(g) if condensed.usable else renewed(x, False)
+            if pair is None:
                 condensed.carry(x, y)
             else:
-                y = condensed.begin(g)
                 wrong = condensed.learn(pair[0], y - pair[1])
                 error = wrong * length
                 if len(steps) == 1:
