@@ -118,13 +118,40 @@ def add_pressures(F: Array, conn: Array, B: Array, weighted: Array, out: Array) 
 
 
 @njit(cache=True)
-def add_blocks(blocks: Array, slots: Array, data: Array) -> None:
-    """Add dense blocks (f, k, k) to the CSR `data` at `slots` (f, k*k)."""
-    flat = blocks.reshape(blocks.shape[0], -1)
-    for f in range(flat.shape[0]):
-        for k in range(flat.shape[1]):
-            if slots[f, k] >= 0:
-                data[slots[f, k]] += flat[f, k]
+def at_points(x: Array, conn: Array, N: Array) -> Array:
+    """Positions (f, q, 3) of the quadrature points of facets conn (f, a); N (q, a)."""
+    out = np.zeros((len(conn), len(N), 3))
+    for f in range(len(conn)):
+        for q in range(len(N)):
+            for a in range(conn.shape[1]):
+                for i in range(3):
+                    out[f, q, i] += N[q, a] * x[conn[f, a], i]
+    return out
+
+
+@njit(cache=True)
+def add_point_forces(forces: Array, conn: Array, N: Array, out: Array) -> None:
+    """Add what forces (f, q, c) at the quadrature points of facets conn (f, a) are at the nodes to out (n, c)."""
+    for f in range(len(conn)):
+        for q in range(len(N)):
+            for a in range(conn.shape[1]):
+                for i in range(forces.shape[2]):
+                    out[conn[f, a], i] += N[q, a] * forces[f, q, i]
+
+
+@njit(cache=True)
+def add_point_blocks(D: Array, N: Array, slots: Array, data: Array) -> None:
+    """Add stiffnesses D (f, q, 3, 3) of the quadrature points of facets to the CSR `data` at `slots` (f, 3a*3a)."""
+    for f in range(len(D)):
+        k = 0
+        for a in range(N.shape[1]):
+            for i in range(3):
+                for b in range(N.shape[1]):
+                    for j in range(3):
+                        if slots[f, k] >= 0:
+                            for q in range(len(N)):
+                                data[slots[f, k]] += N[q, a] * N[q, b] * D[f, q, i, j]
+                        k += 1
 
 
 @dataclass(frozen=True)

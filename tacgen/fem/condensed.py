@@ -15,22 +15,24 @@ part of it the end of the vector.
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import scipy.sparse as sp
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, solve_triangular
 
 from tacgen.fem.assembly import Pattern, pattern
+from tacgen.fem.last import Last
 from tacgen.fem.linear import Cholmod, NotPositiveDefinite, dissection
 from tacgen.fem.newton import ROUNDING, Solution, Status, Step, backtrack, minimise
-from tacgen.fem.potentials import Elastic, Potential, Total
+from tacgen.fem.potentials import LAST, Elastic, Potential, Total
 
 Array = np.ndarray
 MOST = 2000  # unknowns of the condensed problem: beyond, its dense factors cost more than they save
 PAIRS = 10  # of steps and changes of the gradient that are remembered
 LEFT = 2.0  # steps that may be left at the present rate: a new factor costs as much as some three
 KNOWN = 0.3  # part of a step by which the quadratic may be wrong: more tells of that way, not of the stiffness
+LITTLE = 15.0  # times `near`: a first step of no more leads where the pressure is much as it was
 SAG = 0.3  # of the curvature along a step: how far above the quadratic the bulk's energy may end
 PART = 0.2  # of xtol: the next step may be that long
 LOOSE = 0.2  # of the error expected of the bulk is what contact and friction may be off by on the way,
@@ -46,6 +48,8 @@ class Condensed:
 
     def __init__(self, whole: Pattern) -> None:
         self.whole, self._order = whole, dissection(whole)
+        entries = np.zeros(len(whole.indices)), whole.indices, whole.indptr
+        self._upper = sp.csr_matrix(entries, shape=(whole.size, whole.size))  # of what was factorised
         self._free = np.zeros((whole.nodes, 3), bool)
         self._free.ravel()[whole.free] = True
         self.nodes = np.zeros(whole.nodes, bool)
@@ -68,27 +72,31 @@ class Condensed:
         self._acted = np.zeros(self.size, bool)  # of these unknowns, which contact has acted on so far
         self.usable, self.answer = False, None
 
-    def renew(self, bulk: Potential, x: Array, far: bool) -> None:
+    def renew(self, bulk: Potential, x: Array, far: bool, little: bool = False) -> None:
         """Take the stiffness at x (n, 3): exact, or projected where that is not definite, and `far` from an answer
         wherever one was not before.
 
+        What a long step meant the pressure to be is off by several shear moduli under the rim of a ball that is pressed
+        into a soft gel with a skin, and the stiffness indefinite by it. A projected one then leaves .4 of the error in
+        each step; where `little` changes since the last answer, one with the pressure there is definite and leaves .1.
         With projected ones for all that is far the default Mini takes 23 factors for 15 frames, not 15.
         """
         self.usable, self.answer = False, None
-        for project in (1, 2) if far and self._shy else (0, 1, 2):
+        ways = (1, 2) if far and self._shy else (0, 1, 2)
+        for way in (LAST, *ways) if little and self._shy else ways:
             data = np.zeros(len(self.whole.indices))
-            bulk.add_hessian(x, data, project)
+            bulk.add_hessian(x, data, way)
             try:
                 self._factor.factor(data)
                 break
             except NotPositiveDefinite:
                 self._shy |= far
-                if project == 2:
+                if way == 2:
                     raise
         self.factored += 1
-        self._upper = sp.csr_matrix((data, self.whole.indices, self.whole.indptr), shape=(self.whole.size,) * 2)
+        self._upper.data = data
         self._L = self._factor.trailing(self.size)[self._rows]
-        self._first = np.asfortranarray(self._L @ self._L.T)
+        self._first = (self._L @ self._L.T).T  # by columns, as LAPACK wants it
         self._pairs: deque[tuple[Array, Array]] = deque(maxlen=PAIRS)
         self._update()
         self.usable = True
@@ -209,18 +217,25 @@ class Quadratic:
     dofs: Array  # among all 3n
     stiffness: Array
     force: Array
-
-    def _u(self, x: Array) -> Array:
-        return np.asarray(x.ravel()[self.dofs] - self.start.ravel()[self.dofs])
+    _last: Last = field(default_factory=Last, init=False, compare=False, repr=False)
 
     def value(self, x: Array) -> float:
-        u = self._u(x)
-        return float(u @ (self.stiffness @ u / 2 + self.force))
+        u, Ku = self._of(x)
+        return float(u @ (Ku / 2 + self.force))
 
     def gradient(self, x: Array) -> Array:
         out = np.zeros(x.size)
-        out[self.dofs] = self.stiffness @ self._u(x) + self.force
+        out[self.dofs] = self._of(x)[1] + self.force
         return out.reshape(x.shape)
+
+    def _of(self, x: Array) -> tuple[Array, Array]:
+        """u and K u, which energy and gradient both want."""
+        found: tuple[Array, Array] = self._last.of(x, self._moved)
+        return found
+
+    def _moved(self, x: Array) -> tuple[Array, Array]:
+        u = x.ravel()[self.dofs] - self.start.ravel()[self.dofs]
+        return u, self.stiffness @ u
 
     def add_hessian(self, x: Array, data: Array, project: int) -> None:
         pass
@@ -254,7 +269,7 @@ def settle(
     error, length, settled = condensed.error, condensed.length, False
 
     def renewed(x: Array, far: bool) -> Array:
-        condensed.renew(bulk, x, far)
+        condensed.renew(bulk, x, far, condensed.length <= LITTLE * near)
         return condensed.begin(_unbalanced(bulk, x))
 
     try:

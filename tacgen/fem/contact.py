@@ -86,7 +86,7 @@ class Faces:
 
     def at(self, x: Array) -> Array:
         """Positions (f, q, 3) of the quadrature points."""
-        return np.asarray(np.einsum("qa,fai->fqi", self.N, x[self.conn]))
+        return np.asarray(assembly.at_points(x, self.conn, self.N))
 
     def scatter(self, forces: Array, nodes: int) -> Array:
         """Nodal sums (n, c) of forces (f, q, c) at the quadrature points: what they do to the nodes."""
@@ -98,14 +98,12 @@ class Faces:
 
     def _sum(self, weights: Array, forces: Array, nodes: int) -> Array:
         out = np.zeros((nodes, forces.shape[-1]))
-        np.add.at(out, self.conn, np.einsum("qa,fqi->fai", weights, forces))
+        assembly.add_point_forces(forces, self.conn, weights, out)
         return out
 
     def add_blocks(self, which: Array, D: Array, data: Array) -> None:
         """Add the stiffness D (k, q, 3, 3) of the faces numbered `which` (k,)."""
-        blocks = np.einsum("qa,qb,fqij->faibj", self.N, self.N, D, optimize=True)
-        side = 3 * self.conn.shape[1]
-        assembly.add_blocks(np.ascontiguousarray(blocks).reshape(len(which), side, side), self.slots[which], data)
+        assembly.add_point_blocks(D, self.N, self.slots[which], data)
 
 
 @dataclass(frozen=True)

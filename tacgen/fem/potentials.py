@@ -14,6 +14,7 @@ from tacgen.fem.meant import Meant
 from tacgen.fem.stiffness import LAZY, Kept
 
 Array = np.ndarray
+LAST = -1  # a way to take a stiffness: exact, but with the pressure of the last answer
 
 
 @runtime_checkable
@@ -27,8 +28,8 @@ class Potential(Protocol):
         """dE/dx (n, 3) [N]."""
 
     def add_hessian(self, x: Array, data: Array, project: int) -> None:
-        """Add d2E/dx2 to `data`, the entries of the Pattern: exact (0), mended where that pays (1) or made positive
-        semi-definite (2)."""
+        """Add d2E/dx2 to `data`, the entries of the Pattern: exact (0, but for pressures LAST), mended where that pays
+        (1) or made positive semi-definite (2)."""
 
     def max_step(self, x: Array, p: Array) -> float:
         """Largest a in (0, 1] such that x + a p is reached without passing through anything."""
@@ -156,8 +157,9 @@ class Elastic:
     def add_hessian(self, x: Array, data: Array, project: int) -> None:
         e, at = self.elements, self.at(x)
         assert self.stiffness is not None
-        first = self._pressed(at, self._meant.at(at.F, at.J))
-        data += self.stiffness.at(at.F, e.gradients, e.weights, first, at.second, at.dilatation, project)
+        last = self._meant.last if project == LAST else None
+        first = self._pressed(at, self._meant.at(at.F, at.J) if last is None else last)
+        data += self.stiffness.at(at.F, e.gradients, e.weights, first, at.second, at.dilatation, max(project, 0))
 
     def _pressed(self, at: Point, J: Array) -> Array:
         """Point.first (e, q, 3) with the pressure of another J (e, q)."""

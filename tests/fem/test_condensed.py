@@ -13,7 +13,7 @@ from tacgen.fem.condensed import Condensed
 from tacgen.fem.elements import hexes
 from tacgen.fem.linear import Cholmod, NotPositiveDefinite, dissection, readable
 from tacgen.fem.materials import NeoHooke
-from tacgen.fem.potentials import Elastic
+from tacgen.fem.potentials import LAST, Elastic
 from tacgen.fem.shapes import Cylinder, Shape, Sphere
 from tacgen.solve import State, states
 from tacgen.step import advance
@@ -258,17 +258,27 @@ def test_it_learns_from_the_way_between_answers(bulk: tuple[Condensed, Elastic, 
 def test_what_is_not_definite_is_projected_and_far_from_an_answer_at_once_from_then_on(
     bulk: tuple[Condensed, Elastic, Array, Array], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """From then on, too, where little changes, the pressure of the last answer is tried before all else."""
     condensed, elastic, points, _ = bulk
-    usual, asked = elastic.add_hessian, list[int]()
+    usual, asked, bad = elastic.add_hessian, list[int](), {0}
 
     def indefinite(x: Array, data: Array, project: int) -> None:
         asked.append(project)
         usual(x, data, project)
-        data *= -1 if project == 0 else 1
+        data *= -1 if project in bad else 1
+
+    def tried(far: bool, little: bool) -> list[int]:
+        asked.clear()
+        condensed.renew(elastic, points, far, little)
+        assert condensed.usable
+        return asked
 
     monkeypatch.setattr(type(elastic), "add_hessian", lambda self, *args: indefinite(*args))
-    for far, tried in ((False, [0, 1]), (True, [0, 1]), (True, [1]), (False, [0, 1])):
-        asked.clear()
-        condensed.renew(elastic, points, far)
-        assert asked == tried
-        assert condensed.usable
+    assert tried(False, True) == [0, 1]
+    assert tried(True, True) == [0, 1]
+    assert tried(True, False) == [1]
+    assert tried(False, False) == [0, 1]
+    assert tried(True, True) == tried(False, True) == [LAST]
+    bad.add(LAST)
+    assert tried(True, True) == [LAST, 1]
+    assert tried(False, True) == [LAST, 0, 1]

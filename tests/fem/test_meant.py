@@ -9,7 +9,7 @@ from tacgen.fem.linear import Cholmod
 from tacgen.fem.materials import NeoHooke
 from tacgen.fem.meant import Meant
 from tacgen.fem.newton import Solution, Status, minimise
-from tacgen.fem.potentials import Elastic
+from tacgen.fem.potentials import LAST, Elastic
 
 from .small import block, dense
 
@@ -41,6 +41,25 @@ def test_it_leads_to_the_same_answer_in_fewer_steps_where_volume_is_kept() -> No
         assert plain.status is held.status is Status.converged
         assert held.x == pytest.approx(plain.x, abs=1e-8)
         assert len(held.steps) <= part * len(plain.steps), kappa
+
+
+def test_the_pressure_of_the_last_answer_is_to_be_had_after_a_step_that_meant_another() -> None:
+    """Far from it the stiffness meant is indefinite, though that with the pressure of the answer is not."""
+    body, points, solver = held_block(300 * MU)
+    pat = solver._pattern
+
+    def least(x: Array, project: int) -> float:
+        return float(np.linalg.eigvalsh(dense(body, x, pat, project)).min())
+
+    assert least(points, LAST) == least(points, 0)  # before there is any answer
+    body.hold(points)
+    body.gradient(points)
+    x = points.copy()
+    x.ravel()[pat.free] += 0.02 * np.random.default_rng(1).normal(size=pat.size)
+    body.gradient(x)
+    assert least(x, 0) < 0 < least(x, LAST)
+    body.hold(x)  # as if it were one, with its pressure
+    assert least(x, LAST) == least(x, 0) < 0
 
 
 def test_one_stiffness_leads_to_the_answer_where_volume_is_kept() -> None:
