@@ -33,16 +33,20 @@ def about_z(angle: float) -> Array:
 
 
 def test_a_frame_that_takes_edges_too_fast_is_split(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A box slid by half a cell at once has two answers, .075 and .134 N along x; split until little comes round an
-    edge at once .150, in frames of .025 mm .155 N. A ball has one and pays for one step."""
-    ends, box = [PATH[0], PATH[-1]], Box(3.0, 1.6, 0.3)
-    steps = [tuple(PATH[0] + t * np.subtract(PATH[-1], PATH[0])) for t in np.linspace(0, 1, 17)]
+    """A box slid by nearly half a cell at once is 11 to 20 % of its force off frames of .022 mm, split until little
+    comes round an edge at once .4 to 3 % (eight such slides; in two the whole step does not converge). A
+    ball pays for one step."""
+    ends, box = [PATH[0], (PATH[0][0] + 0.36, *PATH[-1][1:])], Box(3.0, 1.6, 0.3)
+    steps = [tuple(ends[0] + t * np.subtract(ends[1], ends[0])) for t in np.linspace(0, 1, 17)]
     split, true = slid(ends, box), slid(steps, box).forces[-1]
-    assert [state.substeps for state in split.states] == [1, 4]
+    first, second = (state.substeps for state in split.states)
+    assert first == 1
+    assert second >= 4
     ball = slid(ends, Sphere(4.0))
     assert {state.substeps for state in ball.states} == {1}
     monkeypatch.setattr(travel, "FINER", 0)
     whole = slid(ends, box)
+    assert whole.states[-1].substeps == 1
     assert whole.states[-1].rounded > travel.ROUNDED
     off = [np.linalg.norm(run.forces[-1] - true) / np.linalg.norm(true) for run in (split, whole)]
     assert off[0] < 0.03
