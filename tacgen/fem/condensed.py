@@ -156,6 +156,11 @@ class Condensed:
         p.ravel()[self.whole.free] = self._factor.backward(q)
         return p, q
 
+    def pulled(self, data: Array, b: Array) -> Array:
+        """The step p (n, 3) of the bulk, stiffened by `data` on the contact's unknowns, by forces b (k,) there."""
+        self.factor(data)
+        return self.end(self.solve(b), np.zeros(self.whole.size))[0]
+
     def factor(self, data: Array) -> None:
         felt = np.flatnonzero(data)
         rows, columns = self.pattern.indices[felt], self._columns[felt]

@@ -238,6 +238,12 @@ class Stale:
         self.factored += 1
         return self._inner.solve(b)
 
+    def exactly(self, data: Array, b: Array) -> Array:
+        """The solution with these numbers, factorised whatever is kept: what must not depend on what came before."""
+        self.factor(data)
+        self._usable = False
+        return self.solve(b)
+
     def _conjugate(self, b: Array) -> Array | None:
         """Preconditioned conjugate gradients, or None where they take too long or the matrix is not definite."""
         U, D = self._upper, self._upper.data[self._first]
@@ -276,6 +282,6 @@ def available() -> list[str]:
     return [name for name, (_, needs) in SOLVERS.items() if all(importlib.util.find_spec(m) for m in needs)]
 
 
-def best(pattern: Pattern) -> Solver:
+def best(pattern: Pattern) -> Stale:
     """The fastest installed solver, prepared for this pattern."""
     return Stale(SOLVERS[available()[0]][0](pattern), pattern)

@@ -17,6 +17,7 @@ from tacgen.fem.newton import Solution, Status, Step, minimise
 from tacgen.fem.passage import blocked, sunk
 from tacgen.fem.potentials import Potential, Total
 from tacgen.fem.renewal import Renewal
+from tacgen.step.carried import carried
 from tacgen.step.problem import AnyContact, Memory, Problem
 
 Array = np.ndarray
@@ -88,25 +89,24 @@ class _Lagged:
         self.contact: AnyContact = replace(problem.contact.moved(pose, offset), kappa=memory.kappa)
         self.contact_force = 0.0
         self.renewal = Renewal()
-        self.friction = None
+        self.friction, self.carried = None, None
         if problem.friction > 0:  # lagged from the last pose, turned with the indenter
             normal, anchor = memory.normal @ pose.rotation.T, pose.world(memory.anchor)
             x = pose.world(memory.pose.local(memory.x))
             self.friction = self.contact.friction(problem.friction, x, memory.normal_force, normal, anchor, self.eps)
+            self.carried = carried(problem, memory, pose)
         ahead, self.inertia, self.near_enough = 2 * memory.x - memory.before, None, self.xtol
         if problem.body is not None:
             assert memory.velocity is not None
             self.inertia = problem.body.step(memory.x, memory.velocity, duration)
             ahead, self.near_enough = self.inertia.coasting, self.xtol / 10  # else the indenter is felt to tremble
         self.starts = self.contact.starts(memory.x, ahead, memory.pose)
-        self.goes_on = self.total.value(self.starts[1]) < self.total.value(self.starts[0])  # not where it turns back
 
     def start(self, near: State | None) -> Array:
         """Where Newton starts: that one of lowest energy to which the indenter lets the gel come."""
         memory, contact = self.memory, self.contact
-        starts = list(self.starts[: 1 + self.goes_on])
-        if near is not None:
-            starts.append(contact.starts(memory.x, near.x, memory.pose)[1])
+        starts, others = list(self.starts), (self.carried, None if near is None else near.x)
+        starts += [contact.starts(memory.x, x, memory.pose)[1] for x in others if x is not None]
         if isinstance(contact, Contact):  # between meshes, collisions are detected on the way
             starts = [x for x in starts if not blocked(contact, memory.pose, memory.x, memory.gap, x)]
         if not starts:
@@ -228,11 +228,9 @@ class _Lagged:
         return float(np.linalg.norm(g.ravel()[self.problem.pattern.free])) <= RESIDUAL / 10 * force
 
     def _anchors(self) -> Array:
-        """Anchors in the indenter's frame; a point new to the contact gets one where it will have touched."""
+        """Anchors in the indenter's frame; a new point gets one where it will touch, as the gel is carried."""
         memory, contact = self.memory, self.contact
-        x = memory.x
-        if self.goes_on:  # second order: friction then lags little in big steps
-            x = 3 * x - 3 * memory.before + memory.earlier
+        x = memory.x if self.carried is None else self.carried
         ahead, gap_ahead = contact.pose.local(contact.faces.at(x)), contact.gaps(x)[0]
         touch = fr.onset(memory.anchor, ahead, memory.gap - contact.offset, gap_ahead - contact.offset)
         return np.where(memory.normal_force[..., None] > 0, memory.anchor, touch)
@@ -307,7 +305,6 @@ def _record(
         contact.pose,
         x,
         memory.x,
-        memory.before if lagged.goes_on else 2 * memory.x - x,  # what was before a turn says nothing of what comes
         contact.offset,
         force,
         normal @ contact.pose.rotation,

@@ -31,8 +31,7 @@ class Memory:
 
     pose: Pose
     x: Array
-    before: Array  # x one pose earlier, and two: for extrapolation
-    earlier: Array
+    before: Array  # x one pose earlier, for extrapolation
     offset: float
     normal_force: Array
     normal: Array
@@ -54,7 +53,7 @@ class Problem:
     mesh: Mesh
     elastic: tuple[Elastic, ...]
     contact: AnyContact
-    linear: linear.Solver
+    linear: linear.Stale
     pattern: Pattern
     friction: float
     edge: float  # [mm]
@@ -102,7 +101,7 @@ class Problem:
         local = normal @ pose.rotation
         at, kappa = pose.local(self.contact.faces.at(x)), self.contact.kappa
         still = None if self.body is None else np.zeros_like(x)
-        return Memory(pose, x, x, x, 0.0, np.zeros_like(force), local, at, gap, kappa, 0.0, still)
+        return Memory(pose, x, x, 0.0, np.zeros_like(force), local, at, gap, kappa, 0.0, still)
 
     def steps(self, duration: float) -> int:
         """How many steps a movement of so many seconds takes."""

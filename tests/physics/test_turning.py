@@ -33,15 +33,15 @@ def about_z(angle: float) -> Array:
 
 
 def test_a_frame_that_takes_edges_too_fast_is_split(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A box slid by nearly half a cell at once is 11 to 20 % of its force off frames of .022 mm, split until little
-    comes round an edge at once .4 to 3 % (eight such slides; in two the whole step does not converge). A
-    ball pays for one step."""
+    """A box slid by nearly half a cell at once, split until little comes round an edge at once, is .2 to .4 % of its
+    force off frames of .022 mm (five such slides), and .2 to .9 % unsplit: 11 to 20 % before steps began from the gel
+    gone along with the indenter. A ball pays for one step."""
     ends, box = [PATH[0], (PATH[0][0] + 0.36, *PATH[-1][1:])], Box(3.0, 1.6, 0.3)
     steps = [tuple(ends[0] + t * np.subtract(ends[1], ends[0])) for t in np.linspace(0, 1, 17)]
     split, true = slid(ends, box), slid(steps, box).forces[-1]
     first, second = (state.substeps for state in split.states)
     assert first == 1
-    assert second >= 4
+    assert second >= 3
     ball = slid(ends, Sphere(4.0))
     assert {state.substeps for state in ball.states} == {1}
     monkeypatch.setattr(travel, "FINER", 0)
@@ -49,8 +49,8 @@ def test_a_frame_that_takes_edges_too_fast_is_split(monkeypatch: pytest.MonkeyPa
     assert whole.states[-1].substeps == 1
     assert whole.states[-1].rounded > travel.ROUNDED
     off = [np.linalg.norm(run.forces[-1] - true) / np.linalg.norm(true) for run in (split, whole)]
-    assert off[0] < 0.03
-    assert off[1] > 2 * off[0]
+    assert off[0] < 0.01
+    assert off[1] < 0.02
 
 
 @pytest.mark.parametrize(("angle", "tol"), [(30, 1e-4), pytest.param(90, 1e-5, marks=pytest.mark.slow)])
