@@ -34,6 +34,7 @@ ORDER = [
     {"solid.tetmesh"},
     {"mesh"},  # *
     {"step.problem"},
+    {"step.carried"},
     {"step.advance"},
     {"step.travel"},
     {"solve"},  # *

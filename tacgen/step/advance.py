@@ -105,8 +105,8 @@ class _Lagged:
     def start(self, near: State | None) -> Array:
         """Where Newton starts: that one of lowest energy to which the indenter lets the gel come."""
         memory, contact = self.memory, self.contact
-        starts, others = list(self.starts), (self.carried, None if near is None else near.x)
-        starts += [contact.starts(memory.x, x, memory.pose)[1] for x in others if x is not None]
+        starts = list(self.starts)
+        starts += [contact.starts(memory.x, other.x, memory.pose)[1] for other in (self.carried, near) if other]
         if isinstance(contact, Contact):  # between meshes, collisions are detected on the way
             starts = [x for x in starts if not blocked(contact, memory.pose, memory.x, memory.gap, x)]
         if not starts:
@@ -230,7 +230,7 @@ class _Lagged:
     def _anchors(self) -> Array:
         """Anchors in the indenter's frame; a new point gets one where it will touch, as the gel is carried."""
         memory, contact = self.memory, self.contact
-        x = memory.x if self.carried is None else self.carried
+        x = memory.x if self.carried is None else self.carried.x
         ahead, gap_ahead = contact.pose.local(contact.faces.at(x)), contact.gaps(x)[0]
         touch = fr.onset(memory.anchor, ahead, memory.gap - contact.offset, gap_ahead - contact.offset)
         return np.where(memory.normal_force[..., None] > 0, memory.anchor, touch)
@@ -313,6 +313,7 @@ def _record(
         contact.kappa,
         scale,
         None if memory.velocity is None else (x - memory.x) / lagged.duration,
+        None if lagged.carried is None else lagged.carried.missed(x),
     )
     mean, least = contact.mean_gap(x), contact.least(x)
     return carried, State(

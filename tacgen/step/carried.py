@@ -6,7 +6,7 @@ the way of the frames before, which a turn makes wrong, a capsule pressed in and
 force off the same path in sixteen frames. It is .6 % so, in fewer iterations.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,25 +17,52 @@ from tacgen.step.problem import Memory, Problem
 
 Array = np.ndarray
 TIED = 16.0  # springs that tie a point to the indenter, times its normal force over dhat: stiff, as friction at rest is
+SAME = 0.9  # cosine between two ways from which on the indenter goes on as it went
 
 
-def carried(problem: Problem, memory: Memory, pose: Pose) -> Array | None:
-    """Nodes (n, 3) where the points in contact go along to `pose`, the rest following to first order; None if none do.
+@dataclass(frozen=True)
+class Carried:
+    """Nodes x (n, 3) where the points in contact went `way` (f, q, 3) along with the indenter, all else following; by
+    the stiffness alone, to first order, they are `straight`."""
 
-    By the stiffness that is there already, if one is; else by one factorised for it.
-    """
-    faces, x, touching = problem.contact.faces, memory.x, (memory.normal_force > 0).any(1)
+    x: Array
+    straight: Array
+    way: Array
+
+    def missed(self, answer: Array) -> tuple[Array, Array]:
+        """What the first order missed of an answer (n, 3), and the way on which it did."""
+        return answer - self.straight, self.way
+
+
+def carried(problem: Problem, memory: Memory, pose: Pose) -> Carried | None:
+    """The gel where points in contact go along to `pose` and the rest follows to first order, or to second where the
+    indenter goes on as it went; None where nothing touches."""
+    touching = memory.normal_force > 0
+    at = problem.contact.faces.at(memory.x)
+    way = np.where(touching[..., None], pose.world(memory.pose.local(at)) - at, 0.0)
+    if (straight := _tied(problem, memory, way, np.asarray(touching.any(1)))) is None:
+        return None
+    if memory.missed is None:
+        return Carried(straight, straight, way)
+    missed, before = memory.missed
+    both = touching & before.any(-1)
+    along, now, then = (float((a * b)[both].sum()) for a, b in ((way, before), (way, way), (before, before)))
+    part = min(along / then, 1.0) if along > SAME * np.sqrt(now * then) else 0.0
+    return Carried(straight + part**2 * missed, straight, way)
+
+
+def _tied(problem: Problem, memory: Memory, way: Array, touching: Array) -> Array | None:
+    """By the stiffness that is there already, if one is; else by one factorised for it."""
+    faces, x = problem.contact.faces, memory.x
     condensed = problem.condensed if problem.condensed is not None and problem.condensed.usable else None
     if condensed is not None:
-        touching &= condensed.nodes[faces.conn].all(1)
+        touching = touching & condensed.nodes[faces.conn].all(1)
     if not (which := np.flatnonzero(touching)).size:
         return None
-    at = faces.at(x)
-    way = (pose.world(memory.pose.local(at)) - at)[which]
     ties = TIED * memory.normal_force[which, :, None] / problem.contact.dhat
     pattern = problem.pattern if condensed is None else condensed.pattern
     part = replace(faces, conn=faces.conn[which], areas=faces.areas[which], slots=pattern.slots(faces.conn[which]))
-    data, pull = np.zeros(len(pattern.indices)), part.scatter(ties * way, len(x)).ravel()[pattern.free]
+    data, pull = np.zeros(len(pattern.indices)), part.scatter(ties * way[which], len(x)).ravel()[pattern.free]
     part.add_blocks(np.arange(len(which)), ties[..., None] * np.eye(3), data)
     try:
         if condensed is not None:

@@ -40,6 +40,7 @@ class Memory:
     kappa: float  # barrier stiffness [MPa]
     scale: float  # force below which nothing is told apart [N]
     velocity: Array | None  # (n, 3) [mm/s], with inertia
+    missed: tuple[Array, Array] | None = None  # of the way here, by what was carried, and that way (see step.carried)
     finer: int = 0  # how often the next step is halved before it is tried
 
 
