@@ -94,7 +94,8 @@ class _Lagged:
             normal, anchor = memory.normal @ pose.rotation.T, pose.world(memory.anchor)
             x = pose.world(memory.pose.local(memory.x))
             self.friction = self.contact.friction(problem.friction, x, memory.normal_force, normal, anchor, self.eps)
-            self.carried = carried(problem, memory, pose)
+            if isinstance(problem.contact, Contact):  # between sharp meshes no way is found from there
+                self.carried = carried(problem, memory, pose)
         ahead, self.inertia, self.near_enough = 2 * memory.x - memory.before, None, self.xtol
         if problem.body is not None:
             assert memory.velocity is not None
