@@ -84,6 +84,11 @@ class Faces:
         N, _, _ = facet_points(facets.shape[1])
         return cls(facets, N, facet_areas(points, facets)[0], pattern.slots(facets))
 
+    def only(self, which: Array, pattern: Pattern) -> "Faces":
+        """Those numbered `which` (k,), with the entries of a pattern that holds them."""
+        conn = self.conn[which]
+        return replace(self, conn=conn, areas=self.areas[which], slots=pattern.slots(conn))
+
     def at(self, x: Array) -> Array:
         """Positions (f, q, 3) of the quadrature points."""
         return np.asarray(assembly.at_points(x, self.conn, self.N))

@@ -191,10 +191,8 @@ class _Lagged:
 
     def _on(self, contact: Contact, which: Array, pattern: Pattern) -> "_Lagged":
         """The same on some facets (k,) alone, with the entries of another pattern."""
-        part, memory, whole = copy(self), self.memory, contact.faces
+        part, memory, faces = copy(self), self.memory, contact.faces.only(which, pattern)
         part.renewal = Renewal()
-        conn = whole.conn[which]
-        faces = replace(whole, conn=conn, areas=whole.areas[which], slots=pattern.slots(conn))
         part.contact = replace(contact, faces=faces)
         names = ("normal_force", "normal", "anchor")
         kept = {name: getattr(memory, name)[which] for name in (*names, "gap")}

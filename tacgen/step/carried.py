@@ -6,7 +6,7 @@ the way of the frames before, which a turn makes wrong, a capsule pressed in and
 force off the same path in sixteen frames. It is .6 % so, in fewer iterations.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -61,7 +61,7 @@ def _tied(problem: Problem, memory: Memory, way: Array, touching: Array) -> Arra
         return None
     ties = TIED * memory.normal_force[which, :, None] / problem.contact.dhat
     pattern = problem.pattern if condensed is None else condensed.pattern
-    part = replace(faces, conn=faces.conn[which], areas=faces.areas[which], slots=pattern.slots(faces.conn[which]))
+    part = faces.only(which, pattern)
     data, pull = np.zeros(len(pattern.indices)), part.scatter(ties * way[which], len(x)).ravel()[pattern.free]
     part.add_blocks(np.arange(len(which)), ties[..., None] * np.eye(3), data)
     try:

@@ -78,11 +78,9 @@ DRAWN = np.random.default_rng(11).random((10, MILD))  # not hypothesis's, which 
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("u", DRAWN, ids=range(len(DRAWN)))
 def test_random_scenes_end_well(u: np.ndarray) -> None:
-    """Newton may be out of steps only where what is slid is rougher than rubber on glass: then the gel folds."""
     found = stability.measure("random", cases.random([*u, *[0.0] * (cases.RANDOM - MILD)]))
     sound(found)
-    rough = 2 * u[3] > 1
-    assert found.status == "ok" or (rough and "Newton out of steps" in found.reason), found.reason
+    assert found.status == "ok", found.reason
 
 
 @pytest.mark.slow
