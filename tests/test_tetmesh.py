@@ -67,7 +67,7 @@ def test_layers_meet_at_the_interface(domed: mesh.Mesh) -> None:
     assert (DOMED.layer_of(x[corners].mean(1)) == domed.layer).all()
 
 
-def test_cells_are_sound_and_fine_where_it_is_touched(domed: mesh.Mesh) -> None:
+def test_cells_are_sound(domed: mesh.Mesh) -> None:
     made = mesh.quality(DOMED, domed)
     assert made["nodes"] == len(domed.points) == len(np.unique(domed.cells))
     assert made["smallest_dihedral_deg"] > 8
@@ -76,11 +76,18 @@ def test_cells_are_sound_and_fine_where_it_is_touched(domed: mesh.Mesh) -> None:
     assert nodal_volume(domed.points, domed.cells).min() > 0
     middle = domed.points[domed.cells[:, 4:]] - domed.points[domed.cells[:, TET_EDGES]].mean(2)
     assert 0 < np.linalg.norm(middle, axis=-1).max() < 0.5
-    face = domed.points[domed.facets["coated"][:, :3]]
+
+
+def test_cells_are_fine_where_it_is_touched_alone() -> None:
+    """Of eight meshes, no two alike: 1.6 to 1.8 edges, elsewhere 2.3 to 2.5 times that; ungraded ones 4.6 and 0.9."""
+    pad = Gel(12.0, 12.0, 0.0, (Layer(3.0, LAW, 0.15),), -1, (40.0, 40.0))
+    made = mesh.of(pressed(pad, edge=0.4))
+    face = made.points[made.facets["coated"][:, :3]]
     length = np.linalg.norm(face - np.roll(face, 1, axis=1), axis=-1).mean(1)
-    near = np.hypot(*(face.mean(1)[:, :2] - 0.5).T) < 1.2
-    assert 0.5 < length[near].mean() < 1.0  # 1.25 to 1.35 times 1.125 edges of 0.6
-    assert length.max() > 1.5 * length[near].mean()
+    away = np.hypot(*(face.mean(1)[:, :2] - 0.5).T)
+    near, far = length[away < 1.2].mean(), length[away > 4].mean()
+    assert near < 2.4 * 0.4
+    assert far > 1.7 * near
 
 
 def test_a_mesh_is_kept_and_another_scene_gets_another(domed: mesh.Mesh, monkeypatch: pytest.MonkeyPatch) -> None:
