@@ -140,7 +140,7 @@ class _Lagged:
             off = np.abs(force - self.friction.normal_force)
             most = max(float(force.max()), self.memory.scale / len(force))  # after a release no point bears anything
             lag = max(float(off.sum()), float(off.max()) / max(most, 1e-300) * scale / 2)
-        if scale == 0 or (abs(gap - self.contact.offset) <= loose * self.near_enough and lag <= loose * LAG * scale):
+        if abs(gap - self.contact.offset) <= loose * self.near_enough and lag <= loose * LAG * scale:
             return None
         if self.friction is not None:
             anchor = self.contact.pose.world(self._anchors())
@@ -235,7 +235,7 @@ class _Lagged:
         return np.where(memory.normal_force[..., None] > 0, memory.anchor, touch)
 
     def imbalance(self, x: Array) -> tuple[float, float]:
-        """Residual on the free dofs and |indenter + inertia + base|, as parts of the contact force; 0 without any."""
+        """Residual on the free dofs and |indenter + inertia + base|, as parts of the contact force."""
         inner, outer = Total(self.problem.elastic).gradient(x), Total(self.loads).gradient(x)
         inert = Total(self.inert).gradient(x)
         held = np.ones(x.size, bool)
@@ -244,7 +244,7 @@ class _Lagged:
         residual = float(np.linalg.norm((inner + outer + inert).ravel()[~held]))
         force = max(float(np.linalg.norm(outer.sum(0))), self.memory.scale)
         out = float(np.linalg.norm((outer + inert).sum(0) - reaction))
-        return (residual / force, out / force) if force > 0 else (0.0, 0.0)
+        return residual / force, out / force
 
 
 def advance(

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from tacgen.fem.ipc import MeshContact
 
 Array = np.ndarray
+UNFELT = 1e-3  # of the barrier's stiffness over dhat squared: a force that touching to within tolerances may well give
 AnyContact: TypeAlias = "Contact | MeshContact"
 
 
@@ -102,7 +103,8 @@ class Problem:
         local = normal @ pose.rotation
         at, kappa = pose.local(self.contact.faces.at(x)), self.contact.kappa
         still = None if self.body is None else np.zeros_like(x)
-        return Memory(pose, x, x, 0.0, np.zeros_like(force), local, at, gap, kappa, 0.0, still)
+        scale = UNFELT * kappa * self.contact.dhat**2
+        return Memory(pose, x, x, 0.0, np.zeros_like(force), local, at, gap, kappa, scale, still)
 
     def steps(self, duration: float) -> int:
         """How many steps a movement of so many seconds takes."""

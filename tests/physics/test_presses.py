@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tacgen.fem.shapes import Box, Cylinder, Sphere
+from tacgen.fem.shapes import Box, Cylinder, Shape, Sphere, Wedge
 
 from .presses import gel, poses, run, scene
 
@@ -20,6 +20,16 @@ def test_a_nearly_incompressible_pad_does_not_lock() -> None:
     }
     assert 1.0 < force[0.4999] / force[0.499] < 1.01
     assert 1.01 < force[0.499] / force[0.45] < 1.3
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.6, 1.7])
+@pytest.mark.parametrize("tip", [Sphere(0.4), Wedge(np.radians(51), 0.39, 6.2)], ids=["ball", "wedge"])
+def test_a_tip_that_barely_touches_presses_barely(tip: Shape, friction: float) -> None:
+    """Between the points of a coarse mesh, at first: no force to tell what is left unbalanced by."""
+    path = poses([(0.1, 0.1, -0.005), (0.1, 0.1, -0.012), (0.1, 0.1, -0.03), (0.1, 0.1, -0.06)])
+    force = -run(scene(tip, path, friction=friction, edge=0.8)).forces[:, 2]
+    assert (force[:2] < 1e-3).all()
+    assert (np.diff(force) >= 0).all()
 
 
 def test_a_turned_scene_gives_the_turned_wrench() -> None:
