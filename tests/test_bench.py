@@ -12,8 +12,9 @@ from optics import tiny
 from physics.blocks import block
 from typer.testing import CliRunner
 
-from tacgen import bench
-from tacgen.bench import answers, calculix, kit, mechanics, pay, stability, summary
+from tacgen import bench, scene
+from tacgen.bench import answers, calculix, kit, mechanics, pay, shorter, stability, summary
+from tacgen.bench.cases import PLAIN
 from tacgen.cli import app
 from tacgen.fem.shapes import Sphere
 from tacgen.optics import response
@@ -86,6 +87,16 @@ def test_matter_inside_the_indenter_is_seen_between_nodes() -> None:
     assert stability.overlap(problem, state) == pytest.approx(0.15, abs=0.051)
     state.offset = 0.3
     assert stability.overlap(problem, state) == 0
+
+
+def test_shorter_frames_come_by_where_the_long_ones_end() -> None:
+    made = scene.build(answers.row_of((*PLAIN, *shorter.WAYS["rod twisted by 30 deg at once"])))
+    short = shorter.finer(made, 4)
+    assert (short.poses[3::4] == made.poses).all()
+    assert (short.segment[3::4] == made.segment).all()
+    steps = np.linalg.norm(np.diff(short.poses[11:], axis=0), axis=(1, 2))  # the twist
+    assert len(steps) == 4
+    assert steps == pytest.approx(steps.mean())
 
 
 def test_a_process_apart() -> None:

@@ -171,7 +171,7 @@ def _pair(case: tuple[str, Sequence[str]]) -> Outcome:
 
 def bench(level: Level, say: Say) -> Result:
     """The cases and random scenes: some anywhere, and in rounds after that half of them near those hardest so far."""
-    from tacgen.bench import sensitivity
+    from tacgen.bench import sensitivity, shorter
 
     rounds = {"smoke": [1], "normal": [8], "full": [100] * 4}[level]
     named = {name: CASES[name] for name in QUICK} if level == "smoke" else CASES
@@ -194,7 +194,7 @@ def bench(level: Level, say: Say) -> Result:
     tables = [_summary(known, chance), Table("Cases", HEADS, rows), _worst(chance)]
     wrong = [one.name for one in everyone if not one.sound]
     about = ABOUT + (f" **Wrong frames in: {', '.join(wrong)}.**" if wrong else "")
-    return Result(about, [*tables, *sensitivity.tables(level, say)])
+    return Result(about, [*tables, shorter.table(level, say), *sensitivity.tables(level, say)])
 
 
 def _drawn(count: int, rng: np.random.Generator, points: list[Array], found: list[Outcome]) -> list[Array]:
