@@ -48,13 +48,28 @@ def test_solving_again_gives_the_same_numbers() -> None:
     assert all((a.x == b.x).all() and (a.normal_force == b.normal_force).all() for a, b in zip(one, two, strict=True))
 
 
-def test_a_frame_that_newton_cannot_reach_is_refused_with_its_reason(monkeypatch: pytest.MonkeyPatch) -> None:
-    def lost(potential: object, x: np.ndarray, *a: object, **k: object) -> Solution:
+def lost(monkeypatch: pytest.MonkeyPatch, height: float) -> None:
+    """Newton ends without an answer, the gel flattened to a part of its height."""
+
+    def condensed(bulk: object, felt: object, x: np.ndarray, *a: object, **k: object) -> Solution:
+        return Solution(x * [1, 1, height], Status.out_of_steps, ())
+
+    def whole(potential: object, x: np.ndarray, *a: object, **k: object) -> Solution:
         return Solution(x, Status.out_of_steps, ())
 
-    monkeypatch.setattr(advance, "minimise", lost)
-    monkeypatch.setattr(advance, "settle", lost)
-    with pytest.raises(NotConverged, match="Newton out of steps after 0 iterations"):
+    monkeypatch.setattr(advance, "settle", condensed)
+    monkeypatch.setattr(advance, "minimise", whole)
+
+
+def test_a_frame_that_newton_cannot_reach_is_refused_with_its_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+    lost(monkeypatch, 1.0)
+    with pytest.raises(NotConverged, match="Newton out of steps after 0 iterations: less depth"):
+        next(states(*made()))
+
+
+def test_a_frame_without_an_answer_says_how_far_the_gel_is_squeezed(monkeypatch: pytest.MonkeyPatch) -> None:
+    lost(monkeypatch, 0.03)
+    with pytest.raises(NotConverged, match=r"0 iterations with gel squeezed to [23]\.\d% of its volume: less depth"):
         next(states(*made()))
 
 
@@ -158,7 +173,7 @@ def test_an_indenter_that_never_touches_has_a_footprint_and_no_force() -> None:
     assert np.abs(found.forces).max() == 0
     for state in found.states:
         assert state.x == pytest.approx(found.problem.mesh.points, abs=1e-12)
-    assert [state.balance for state in found.states] == [0, 0]
+    assert max(state.balance for state in found.states) < 1e-7
 
 
 def test_where_nothing_touches_one_iteration_is_enough() -> None:

@@ -14,6 +14,7 @@ from tacgen.fem.meant import Meant
 from tacgen.fem.stiffness import LAZY, Kept
 
 Array = np.ndarray
+LEAST = 1e-9  # of its volume that an element can have: below, what is divided by it overflows
 LAST = -1  # a way to take a stiffness: exact, but with the pressure of the last answer
 
 
@@ -95,7 +96,7 @@ class Elastic:
         return min(1.0, self.elements.pointwise * self.law.mu / self.law.kappa)
 
     def at(self, x: Array) -> Point:
-        """Invariants, energies and derivatives at x; the energy is +inf, and the rest nonsense, where J <= 0."""
+        """Invariants, energies and derivatives at x; +inf is the energy, and the rest nonsense, unless J > LEAST."""
         point: Point = self._last.of(x, self._evaluate)
         return point
 
@@ -103,9 +104,9 @@ class Elastic:
         F = assembly.deformation(x, self.elements.conn, self.elements.gradients)
         I1, I2, J = assembly.invariants(F)
         w = self.elements.weights
-        bad = not (J > 0).all()
+        bad = not (J > LEAST).all()
         if bad:
-            J = np.where(J > 0, J, 1.0)
+            J = np.where(J > LEAST, J, 1.0)
         iso = self.law.iso(I1, I2, J)
         volume = w.sum(1)
         first, second = iso.first.copy(), iso.second.copy()

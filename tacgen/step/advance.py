@@ -27,6 +27,7 @@ RESIDUAL = 1e-3  # of the contact force
 LAG = 2e-4  # normal forces may be this far from the ones friction used, as a part of their sum
 NEGLIGIBLE = 1e-3  # of the largest contact force so far
 SUNK = 0.45  # of the indenter's reach: how deep matter may be inside it, between the points where contact acts
+CRUSHED = 0.2  # of its volume: all of 100 random scenes that found no answer had gel folded to .01 to .14 of it
 TRIES = 8  # at a pose, each with a smaller tolerance or a stiffer barrier than the last
 STIFFER = 4
 EPS = 1 / 8  # of dhat: slip over which friction builds up
@@ -263,7 +264,8 @@ def advance(
         x, expect, iterations = found.x, lagged.xtol, iterations + len(found.steps)
         if found.status != Status.converged:
             raise NotConverged(
-                f"Newton {found.status} after {iterations} iterations: less depth or friction or a finer mesh may help"
+                f"Newton {found.status} after {iterations} iterations{_crushed(problem, x)}: less depth or friction or"
+                " a finer mesh may help"
             )
         residual, balance = lagged.imbalance(x)
         if residual > RESIDUAL or balance > RESIDUAL:
@@ -277,6 +279,12 @@ def advance(
         f"after {iterations} iterations residual {residual:.1e} and balance {balance:.1e} of the contact force,"
         f" smallest gap {least:.1e} mm"
     )
+
+
+def _crushed(problem: Problem, x: Array) -> str:
+    """What there is to say of a gel squeezed as none can be: all that is known of why no answer was found."""
+    least = min(float(part.at(x).J.min()) for part in problem.elastic)
+    return f" with gel squeezed to {least:.1%} of its volume" if least < CRUSHED else ""
 
 
 def _check_sunk(problem: Problem, contact: Contact, x: Array) -> None:
