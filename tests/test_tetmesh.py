@@ -79,7 +79,7 @@ def test_cells_are_sound(domed: mesh.Mesh) -> None:
 
 
 def test_cells_are_fine_where_it_is_touched_alone() -> None:
-    """Of eight meshes, no two alike: 1.6 to 1.8 edges, elsewhere 2.3 to 2.5 times that; ungraded ones 4.6 and 0.9."""
+    """Of four meshes, no two alike: 1.6 to 1.8 edges, elsewhere 2.3 to 2.5 times that; ungraded ones 4.6 and 0.9."""
     pad = Gel(12.0, 12.0, 0.0, (Layer(3.0, LAW, 0.15),), -1, (40.0, 40.0))
     made = mesh.of(pressed(pad, edge=0.4))
     face = made.points[made.facets["coated"][:, :3]]
