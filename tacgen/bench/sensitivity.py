@@ -5,14 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from tacgen import mesh, plan, scene, solve
+from tacgen import mesh, scene, solve
+from tacgen.bench.answers import row_of
 from tacgen.bench.cases import CASES, PLAIN, SCALES, Sets, scaled
 from tacgen.bench.kit import Cell, Level, Say, Table, columns, cores
 from tacgen.fem.contact import Pose
 from tacgen.fem.linear import NotPositiveDefinite, SuperLU
 from tacgen.fem.materials import NeoHooke
 from tacgen.fem.potentials import Total
-from tacgen.spec import assets
 
 Array = np.ndarray
 NAMES = ("", "nu 0.4999", "1 kPa", "100 MPa", "friction 2", "half deep", "skin stiffer 1000:1")
@@ -31,8 +31,7 @@ def tables(level: Level, say: Say) -> list[Table]:
 
 def _solved(sets: Sets, nudge: str = "") -> tuple[solve.Problem, solve.State]:
     """The last frame without friction's history: one press, with one input a little larger."""
-    row = plan.load(assets.recipe_path("quickstart"), (*PLAIN, *sets)).rows[0]
-    made = scene.build(row)
+    made = scene.build(row_of((*PLAIN, *sets)))
     if nudge == "depth":
         poses = made.poses.copy()
         poses[:, 2, 3] *= 1 + NUDGE

@@ -8,11 +8,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from tacgen import mesh, plan, scene, solve
+from tacgen import mesh, scene, solve
+from tacgen.bench.answers import row_of
 from tacgen.bench.cases import CASES, PLAIN, RANDOM, Sets, random
 from tacgen.bench.kit import Cell, Level, Say, Table, columns, cores
-from tacgen.spec import assets
-from tacgen.step.travel import between
+from tacgen.step.travel import along
 
 Array = np.ndarray
 TIMES = 4  # as many frames
@@ -44,8 +44,7 @@ def table(level: Level, say: Say) -> Table:
 
 def finer(made: scene.Scene, times: int) -> scene.Scene:
     """The same way with `times` frames for each, the last of them where that was."""
-    ends = [*pairwise([made.start, *made.poses])]
-    poses = [b if k == times else between(a, b, k / times) for a, b in ends for k in range(1, times + 1)]
+    poses = [pose for a, b in pairwise([made.start, *made.poses]) for pose in along(a, b, times)]
     return replace(made, poses=np.array(poses), segment=np.repeat(made.segment, times))
 
 
@@ -60,7 +59,7 @@ def forces(made: scene.Scene) -> tuple[Array, float]:
 
 def error(sets: Sets) -> tuple[Array, Array, float, float]:
     """Forces at the frames (n, 3), those in shorter ones at the same places (m, 3), and seconds of both."""
-    made = scene.build(plan.load(assets.recipe_path("quickstart"), (*PLAIN, *sets)).rows[0])
+    made = scene.build(row_of((*PLAIN, *sets)))
     (long, one), (short, other) = forces(made), forces(finer(made, TIMES))
     return long, short[TIMES - 1 :: TIMES], one, other
 

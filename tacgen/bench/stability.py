@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from tacgen import mesh, plan, scene, solve
-from tacgen.bench.answers import changed
+from tacgen import mesh, scene, solve
+from tacgen.bench.answers import changed, row_of
 from tacgen.bench.cases import CASES, PLAIN, RANDOM, blade, random, slivers, wavefront
 from tacgen.bench.kit import Cell, Level, Result, Say, Table, columns, cores
 from tacgen.errors import UserError
@@ -19,7 +19,6 @@ from tacgen.fem import condensed, newton
 from tacgen.fem.contact import Pose
 from tacgen.fem.elements import HEX_CORNERS
 from tacgen.fem.potentials import Potential
-from tacgen.spec import assets
 
 Array = np.ndarray
 ABOUT = (
@@ -91,7 +90,7 @@ def measure(name: str, sets: Sequence[str]) -> Outcome:
             for file, (vertices, triangles) in {"slivers.obj": slivers(4.0), "blade.obj": blade(8.0, 0.4, 4.0)}.items():
                 (Path(folder) / file).write_text(wavefront(vertices, triangles))
             filled = [text.replace("{folder}", folder) for text in (*PLAIN, *sets)]
-            made = scene.build(plan.load(assets.recipe_path("quickstart"), filled).rows[0])
+            made = scene.build(row_of(tuple(filled)))
         problem = solve.Problem.of(made, mesh.of(made))
     except UserError as error:
         return Outcome(name, "refused", error.lines[0], seconds=time.process_time() - begun)

@@ -140,7 +140,7 @@ class _Lagged:
         if self.friction is not None:  # in sum, and half as strictly at every point, since Coulomb's law holds at each
             off = np.abs(force - self.friction.normal_force)
             most = max(float(force.max()), self.memory.scale / len(force))  # after a release no point bears anything
-            lag = max(float(off.sum()), float(off.max()) / max(most, 1e-300) * scale / 2)
+            lag = max(float(off.sum()), float(off.max()) / most * scale / 2)
         if abs(gap - self.contact.offset) <= loose * self.near_enough and lag <= loose * LAG * scale:
             return None
         if self.friction is not None:
@@ -308,7 +308,7 @@ def _record(
         sliding = (np.linalg.norm(friction.slip(x), axis=-1) >= friction.eps) & (friction.normal_force > 0)
         anchor = fr.dragged(friction.anchor, at, friction.normal, friction.normal_force, friction.eps, contact.pose)
     scale = max(memory.scale, NEGLIGIBLE * float(force.sum()))
-    carried = Memory(
+    after = Memory(
         contact.pose,
         x,
         memory.x,
@@ -323,6 +323,6 @@ def _record(
         None if lagged.carried is None else lagged.carried.missed(x),
     )
     mean, least = contact.mean_gap(x), contact.least(x)
-    return carried, State(
+    return after, State(
         index, matrix, x, force, normal, rub, sliding, iterations, 1, contact.offset, mean, least, residual, balance
     )

@@ -1,6 +1,7 @@
 """From pose to pose: in one step or, where that fails, goes too far or takes edges too fast, in halves of it."""
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -24,6 +25,11 @@ def between(a: Array, b: Array, part: float) -> Array:
     return out
 
 
+def along(a: Array, b: Array, n: int) -> list[Array]:
+    """The ends (4, 4) of n equal steps from a to b, the last of them b itself."""
+    return [*(between(a, b, k / n) for k in range(1, n)), b]
+
+
 def rounded(problem: Problem, before: Memory, after: Memory) -> float:
     """Friction at points that one step brought round an edge sharper than the mesh, as a part of the contact force.
 
@@ -36,7 +42,7 @@ def rounded(problem: Problem, before: Memory, after: Memory) -> float:
         return 0.0
     turned = np.linalg.norm(after.normal - before.normal, axis=-1) > ROUND
     force = np.maximum(after.normal_force, before.normal_force)[turned].sum()
-    return problem.friction * float(force) / max(float(after.normal_force.sum()), after.scale, 1e-300)
+    return problem.friction * float(force) / max(float(after.normal_force.sum()), after.scale)
 
 
 @dataclass(frozen=True)
@@ -94,8 +100,7 @@ def _judged(problem: Problem, before: Memory, found: tuple[Memory, State], finer
 def travel(problem: Problem, memory: Memory, a: Array, b: Array, index: int, duration: float) -> tuple[Memory, State]:
     """From pose a to pose b, at an even pace, in as many steps as its duration takes."""
     n, total = problem.steps(duration), None
-    for k in range(n):
-        start, end = (a if k == 0 else between(a, b, k / n)), (b if k == n - 1 else between(a, b, (k + 1) / n))
+    for start, end in pairwise([a, *along(a, b, n)]):
         memory, state = reach(problem, memory, start, end, index, duration / n)
         total = state if total is None else _after(total, state)
     assert total is not None

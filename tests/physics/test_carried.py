@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tacgen import mesh, plan
+from tacgen import mesh
 from tacgen import scene as stage
+from tacgen.bench.answers import row_of
 from tacgen.bench.cases import PLAIN
 from tacgen.fem.contact import Pose
 from tacgen.fem.shapes import Capsule
 from tacgen.solve import states
-from tacgen.spec import assets
 from tacgen.step.carried import carried
 from tacgen.step.problem import Memory, Problem
 from tacgen.step.travel import travel
@@ -35,7 +35,7 @@ def capsule(parts: int) -> tuple[Array, int]:
         "sensor.gel.layers[0].youngs_modulus_mpa=1.291",
         "sensor.gel.layers[0].poissons_ratio=0.0055",
     )
-    made = stage.build(plan.load(assets.recipe_path("quickstart"), (*PLAIN, *sets)).rows[0])
+    made = stage.build(row_of((*PLAIN, *sets)))
     found = list(states(made, Problem.of(made, mesh.of(made))))
     return found[-1].traction_force.sum((0, 1)), sum(state.iterations for state in found)
 
