@@ -338,7 +338,9 @@ def doctor(as_json: AsJson = False) -> None:
 def bench(
     names: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[NAME]...", help="mechanics, cost, peers, optics, stability, pay, scaling; or all."),
+        typer.Argument(
+            metavar="[NAME]...", help="mechanics, ordinary, cost, peers, optics, stability, pay, scaling; or all."
+        ),
     ] = None,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for RESULTS.md and results/.")] = Path("out/bench"),
     full: Annotated[bool, typer.Option("--full", help="Finer meshes, more scenes: an hour or more.")] = False,

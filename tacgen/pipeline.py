@@ -12,7 +12,7 @@ import numpy as np
 from tacgen import bundle, mesh, scene, solve
 from tacgen.errors import UserError
 from tacgen.fem.contact import Contact, Pose
-from tacgen.fem.passage import overlap
+from tacgen.fem.tunnelling import overlap
 from tacgen.files import resume
 from tacgen.files.resume import SceneResult
 from tacgen.image import photo
@@ -20,7 +20,7 @@ from tacgen.plan import NOISE, Row
 from tacgen.recipe import IMAGES
 from tacgen.solid.gel import Gel
 from tacgen.spec.sensor import LitSensor
-from tacgen.step import foresee
+from tacgen.solve import foresee
 
 if TYPE_CHECKING:
     from tacgen.fields import Surface

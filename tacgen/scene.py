@@ -61,6 +61,7 @@ class Scene:
     dynamics: Dynamics | None = None  # None: as if it were moved infinitely slowly
     element: Element = "hex"
     surface: Triangles | None = None  # of the indenter, for contact between meshes
+    turns: Array | None = None  # (N, 3) rotation vector from each pose to the next [rad]; None: the shorter way
 
 
 def _shape(i: Indenter, field: Callable[[indenters.Mesh], Shape]) -> Shape:

@@ -16,6 +16,7 @@ from tacgen.errors import UserError
 
 BENCHES = {  # and the module of each
     "mechanics": "mechanics",
+    "ordinary": "ordinary",
     "cost": "cost",
     "peers": "peers",
     "optics": "pictures",

@@ -21,7 +21,7 @@ from tacgen.optics.layers import Camera
 from tacgen.optics.sheet import Sheet
 from tacgen.spec import assets
 from tacgen.spec.sensor import Markers
-from tacgen.step import foresee
+from tacgen.solve import foresee
 
 Array = np.ndarray
 ROOT = Path(solve.__file__).parent

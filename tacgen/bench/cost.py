@@ -38,7 +38,7 @@ def solved(sets: list[str], repeats: int = 1) -> dict[str, Any]:
     last, iterations of each frame; nodes, and memory [MB]."""
     from tacgen import mesh, plan, scene, solve
     from tacgen.spec import assets
-    from tacgen.step import foresee
+    from tacgen.solve import foresee
 
     rough = scene.build(plan.load(assets.recipe_path("quickstart"), (*BALL, PRESS, "quality={edge_mm: 1.5}")).rows[0])
     next(solve.states(rough, solve.Problem.of(rough, mesh.of(rough))))  # compile

@@ -10,7 +10,7 @@ import numpy as np
 
 from tacgen.bench.answers import DEPTHS, Answer, Error, answer, changed, kept, row_of, sliding
 from tacgen.bench.kit import Cell, Level, Plot, Result, Say, Series, Table, columns, cores, front
-from tacgen.fem import linear
+from tacgen.solve import linear_solvers as linear
 from tacgen.step import advance
 
 ABOUT = (

@@ -10,9 +10,9 @@ from tacgen.bench.answers import row_of
 from tacgen.bench.cases import CASES, PLAIN, SCALES, Sets, scaled
 from tacgen.bench.kit import Cell, Level, Say, Table, columns, cores
 from tacgen.fem.contact import Pose
-from tacgen.fem.linear import NotPositiveDefinite, SuperLU
+from tacgen.solve.linear_solvers import NotPositiveDefinite, SuperLU
 from tacgen.fem.materials import NeoHooke
-from tacgen.fem.potentials import Total
+from tacgen.fem.potential import Total
 
 Array = np.ndarray
 NAMES = ("", "nu 0.4999", "1 kPa", "100 MPa", "friction 2", "half deep", "skin stiffer 1000:1")

@@ -18,7 +18,7 @@ from tacgen.errors import UserError
 from tacgen.fem import condensed, newton
 from tacgen.fem.contact import Pose
 from tacgen.fem.elements import HEX_CORNERS
-from tacgen.fem.potentials import Potential
+from tacgen.fem.potential import Potential
 
 Array = np.ndarray
 ABOUT = (

@@ -43,6 +43,22 @@ def _mechanics(tables: Tables) -> Told:
         yield "its pressure map, L2", _by_sensor(rows, lambda row: f"{row['pressure map']:.1%}")
 
 
+def _ordinary(tables: Tables) -> Told:
+    for row in tables.get("Together", ()):
+        if row["scenes of"] != "ordinary":
+            continue
+        ends = ("ok", "refused", "rejected", "out of time", "crashed")
+        parts = [f"{row[status]} {status}" for status in ends if row[status]]
+        parts += [f"{row['J <= 0']} with an element inside out"] if row["J <= 0"] else []
+        yield f"{row['scenes']} ordinary scenes at `{row['quality']}`", ", ".join(parts)
+        if row["ok"]:
+            half, most = row["s a frame, p50"], row["s a frame, p90"]
+            yield "their s a frame, one core", f"half below {half:.2f}, nine of ten below {most:.2f}"
+        if row["compared"]:
+            median, worst = row["force error, median"], row["force error, worst"]
+            yield f"force of {row['compared']} of them against short frames", f"median {median:.1%}, worst {worst:.1%}"
+
+
 def _cost(tables: Tables) -> Told:
     for quality in ("draft", "default"):
         rows = [row for row in tables.get("What a frame costs", ()) if row["quality"] == quality]
@@ -106,6 +122,7 @@ def _photographs(tables: Tables) -> Told:
 
 
 TOLD = {
+    "ordinary": _ordinary,
     "mechanics": _mechanics,
     "cost": _cost,
     "peers": _peers,

@@ -38,6 +38,24 @@ def deformation(x: Array, conn: Array, B: Array) -> Array:
 
 
 @njit(cache=True)
+def determinants(x: Array, conn: Array, B: Array) -> Array:
+    """J (e, q) at every integration point."""
+    ne, nq, na, _ = B.shape
+    J, F, C = np.empty((ne, nq)), np.empty((3, 3)), np.empty((3, 3))
+    for e in range(ne):
+        for q in range(nq):
+            F[:] = 0.0
+            for a in range(na):
+                node = conn[e, a]
+                for i in range(3):
+                    for j in range(3):
+                        F[i, j] += x[node, i] * B[e, q, a, j]
+            cofactor(F, C)
+            J[e, q] = F[0, 0] * C[0, 0] + F[0, 1] * C[0, 1] + F[0, 2] * C[0, 2]
+    return J
+
+
+@njit(cache=True)
 def invariants(F: Array) -> tuple[Array, Array, Array]:
     """I1, I2, J, each (e, q)."""
     ne, nq = F.shape[:2]
@@ -58,7 +76,7 @@ def invariants(F: Array) -> tuple[Array, Array, Array]:
 
 
 @njit(cache=True)
-def carried(taken: Array, F: Array, J: Array, to: Array) -> Array:
+def predicted(taken: Array, F: Array, J: Array, to: Array) -> Array:
     """J (e, q) on the way from F (e, q, 3, 3), where it is J, `to` another, to first order about `taken`."""
     out, C = J.copy(), np.empty((3, 3))
     for e in range(F.shape[0]):
@@ -152,6 +170,23 @@ def add_point_blocks(D: Array, N: Array, slots: Array, data: Array) -> None:
                             for q in range(len(N)):
                                 data[slots[f, k]] += N[q, a] * N[q, b] * D[f, q, i, j]
                         k += 1
+
+
+@njit(cache=True)
+def add_dense_blocks(D: Array, N: Array, dofs: Array, K: Array) -> None:
+    """Add stiffnesses D (f, q, 3, 3) of quadrature points to the dense K (k, k) at `dofs` (f, a, 3), -1 for held."""
+    for f in range(len(D)):
+        for q in range(len(N)):
+            for a in range(N.shape[1]):
+                for b in range(N.shape[1]):
+                    w = N[q, a] * N[q, b]
+                    for i in range(3):
+                        r = dofs[f, a, i]
+                        if r >= 0:
+                            for j in range(3):
+                                c = dofs[f, b, j]
+                                if c >= 0:
+                                    K[r, c] += w * D[f, q, i, j]
 
 
 @dataclass(frozen=True)

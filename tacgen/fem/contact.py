@@ -4,7 +4,7 @@ Li et al. (2020), "Incremental Potential Contact", clamped barrier; scaled to a 
 (2023), "Convergent IPC", and weighted by area, so that kappa [MPa] does not depend on the mesh.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from tacgen.fem import assembly
 from tacgen.fem.assembly import Pattern
 from tacgen.fem.elements import facet_areas, facet_points, facet_shares
 from tacgen.fem.friction import Friction
-from tacgen.fem.last import Last
+from tacgen.fem.potential import Projection
 from tacgen.fem.shapes import Shape
 
 Array = np.ndarray
@@ -84,10 +84,9 @@ class Faces:
         N, _, _ = facet_points(facets.shape[1])
         return cls(facets, N, facet_areas(points, facets)[0], pattern.slots(facets))
 
-    def only(self, which: Array, pattern: Pattern) -> "Faces":
-        """Those numbered `which` (k,), with the entries of a pattern that holds them."""
-        conn = self.conn[which]
-        return replace(self, conn=conn, areas=self.areas[which], slots=pattern.slots(conn))
+    def only(self, which: Array) -> "Faces":
+        """Those numbered `which` (k,)."""
+        return replace(self, conn=self.conn[which], areas=self.areas[which], slots=self.slots[which])
 
     def at(self, x: Array) -> Array:
         """Positions (f, q, 3) of the quadrature points."""
@@ -116,7 +115,7 @@ class Contact:
     """The barrier between the coated face and an indenter shrunk by `offset`.
 
     The barrier holds the gel off by some gap; shrinking the indenter by the mean gap puts the face where the real
-    surface would hold it (see step.advance).
+    surface would hold it (see solve.equilibrium).
     """
 
     faces: Faces
@@ -125,7 +124,6 @@ class Contact:
     dhat: float  # [mm]
     kappa: float  # [MPa]
     offset: float = 0.0  # [mm]
-    _last: Last = field(default_factory=Last, init=False, compare=False, repr=False)
 
     def moved(self, pose: Pose, offset: float) -> "Contact":
         return replace(self, pose=pose, offset=offset)
@@ -150,11 +148,10 @@ class Contact:
 
     def gaps(self, x: Array) -> tuple[Array, Array, Array]:
         """Gap to the shrunk indenter (f, q) [mm], normal (f, q, 3) and Hessian (f, q, 3, 3), in the sensor frame."""
-        found: tuple[Array, Array, Array] = self._last.of(x, self._measure)
-        return found
+        return self.gaps_at(self.faces.at(x))
 
-    def _measure(self, x: Array) -> tuple[Array, Array, Array]:
-        at = self.faces.at(x)
+    def gaps_at(self, at: Array) -> tuple[Array, Array, Array]:
+        """The same of points (f, q, 3)."""
         R = self.pose.rotation
         d, n, H = self.shape.distance(self.pose.local(at).reshape(-1, 3))
         fq = at.shape[:2]
@@ -184,13 +181,13 @@ class Contact:
         force, n, _ = self.pressure(x)
         return self.faces.scatter(-force[..., None] * n, len(x))
 
-    def add_hessian(self, x: Array, data: Array, project: int) -> None:
+    def add_hessian(self, x: Array, data: Array, projection: Projection) -> None:
         d, n, H = self.gaps(x)
         which = np.flatnonzero((d < self.dhat).any(1))
         _, db, ddb = barrier(d[which], self.dhat)
         w = (self.kappa * self.faces.areas[which])[..., None, None]
         D = w * ddb[..., None, None] * n[which][..., :, None] * n[which][..., None, :]
-        if not project:  # the indenter's curvature only ever softens a convex contact
+        if projection == Projection.NONE:  # the indenter's curvature only ever softens a convex contact
             D += w * db[..., None, None] * H[which]
         self.faces.add_blocks(which, D, data)
 

@@ -115,6 +115,22 @@ def quadratic(points: Array, *conns: Array) -> tuple[Array, ...]:
     return np.concatenate([points, middle]), *both
 
 
+def at_nodes(points: Array, elements: Elements) -> Elements:
+    """The same elements with their nodes for integration points, each for its share of the volume."""
+    a = elements.conn.shape[1]
+    if a == 8:
+        f = 1 + HEX_CORNERS[None] * HEX_CORNERS[:, None]
+        dN = np.stack([HEX_CORNERS[:, k] * np.delete(f, k, 2).prod(2) / 8 for k in range(3)], -1)
+    else:
+        corners = np.eye(4)
+        _, dL = barycentric(np.concatenate([corners, corners[TET_EDGES].mean(1)])[:a], a)
+        dN = dL[..., 1:] - dL[..., :1]
+    jacobian = np.einsum("qaj,eai->eqij", dN, points[elements.conn])
+    gradients = np.einsum("qaj,eqjI->eqaI", dN, np.linalg.inv(jacobian))
+    weights = np.repeat(elements.weights.sum(1)[:, None] / len(dN), len(dN), 1)
+    return Elements(elements.conn, np.ascontiguousarray(gradients), weights, np.inf, np.eye(a))
+
+
 KINDS = {8: hexes, 10: tets, 4: tets}  # by the number of nodes
 
 

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tacgen.fem.potential import Projection
+
 if TYPE_CHECKING:
     from tacgen.fem.contact import Faces, Pose
 
@@ -57,13 +59,13 @@ class Friction:
     def gradient(self, x: Array) -> Array:
         return self.faces.scatter(-self.force(x), len(x))
 
-    def add_hessian(self, x: Array, data: Array, project: int) -> None:
+    def add_hessian(self, x: Array, data: Array, projection: Projection) -> None:
         which = np.flatnonzero((self.normal_force > 0).any(1))
         u, n = self.slip(x)[which], self.normal[which]
         _, slope, bend = smooth(np.linalg.norm(u, axis=-1), self.eps)
         across = np.eye(3) - n[..., :, None] * n[..., None, :]
         D = slope[..., None, None] * across
-        if not project:
+        if projection == Projection.NONE:
             D += bend[..., None, None] * u[..., :, None] * u[..., None, :]
         self.faces.add_blocks(which, (self.coefficient * self.normal_force[which])[..., None, None] * D, data)
 

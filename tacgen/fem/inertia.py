@@ -18,7 +18,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from tacgen.fem.assembly import Pattern
-from tacgen.fem.potentials import Elastic, Total
+from tacgen.fem.elasticity import Elastic
+from tacgen.fem.potential import Projection, Total
 
 Array = np.ndarray
 
@@ -49,7 +50,7 @@ class Body:
         viscous = None
         if self.beta > 0:
             data = np.zeros(len(self.pattern.indices))
-            Total(self.elastic).add_hessian(start, data, 2)
+            Total(self.elastic).add_hessian(start, data, Projection.FULL)
             viscous = self.beta / h * data
         inertial = (self.mass / h**2)[:, None]
         return Inertia(self.pattern, start, start + h * velocity, inertial, self.alpha * h * inertial, viscous)
@@ -86,7 +87,7 @@ class Inertia:
         late, moved, force = self._parts(x)
         return np.asarray(self.inertial * late + self.drag * moved + force)
 
-    def add_hessian(self, x: Array, data: Array, project: int) -> None:
+    def add_hessian(self, x: Array, data: Array, projection: Projection) -> None:
         p = self.pattern
         data[p.indptr[:-1]] += (self.inertial + self.drag)[p.free // 3, 0]  # the diagonal leads each row
         if self.viscous is not None:

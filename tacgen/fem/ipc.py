@@ -22,7 +22,7 @@ from tacgen.fem.assembly import Pattern
 from tacgen.fem.contact import Contact, Faces, Pose
 from tacgen.fem.elements import facet_corners, facet_points
 from tacgen.fem.friction import Friction
-from tacgen.fem.last import Last
+from tacgen.fem.potential import Projection
 from tacgen.fem.shapes import Shape, Triangles
 
 Array = np.ndarray
@@ -198,7 +198,7 @@ class MeshContact:
     dhat: float  # [mm]
     kappa: float  # [MPa]
     offset: float = 0.0  # [mm]
-    _last: Last = field(default_factory=Last, init=False, compare=False, repr=False)
+    _found: list[tuple[Array, Any]] = field(default_factory=list, init=False, compare=False, repr=False)
 
     @property
     def faces(self) -> Faces:
@@ -247,8 +247,13 @@ class MeshContact:
         return self.pair.at(x, self.pose, self.offset)
 
     def _near(self, x: Array) -> tuple[Array, Any, Array]:
-        """All vertices, the pairs within dhat of each other and the gradient of their energy (c + v, 3)."""
-        found: tuple[Array, Any, Array] = self._last.of(x, self._find)
+        """All vertices, the pairs within dhat of each other and the gradient of their energy (c + v, 3).
+
+        The search takes far longer than all else: what it found for the last array is kept.
+        """
+        if not self._found or self._found[0][0] is not x:
+            self._found[:] = [(x, self._find(x))]
+        found: tuple[Array, Any, Array] = self._found[0][1]
         return found
 
     def _find(self, x: Array) -> tuple[Array, Any, Array]:
@@ -295,13 +300,13 @@ class MeshContact:
     def gradient(self, x: Array) -> Array:
         return self.pair.on_nodes(self._near(x)[2])
 
-    def add_hessian(self, x: Array, data: Array, project: int) -> None:
+    def add_hessian(self, x: Array, data: Array, projection: Projection) -> None:
         ipctk, gauss_newton = _toolkit()
         V, near, _ = self._near(x)
         barrier = ipctk.BarrierPotential(gauss_newton, self.dhat, LIKE_DISTANCE * self.kappa, use_physical_barrier=True)
-        method = ipctk.PSDProjectionMethod.CLAMP if project else ipctk.PSDProjectionMethod.NONE
+        method = ipctk.PSDProjectionMethod.CLAMP if projection else ipctk.PSDProjectionMethod.NONE
         self.pair.add_hessian(barrier.hessian(near, self.pair.collision, V, method), data)
-        if not project:
+        if projection == Projection.NONE:
             force, _, _ = self.pressure(x)
             which = np.flatnonzero((force > 0).any(1))
             self.faces.add_blocks(which, -force[which][..., None, None] * self.gaps(x)[2][which], data)
@@ -349,7 +354,7 @@ class MeshFriction(Friction):
     def gradient(self, x: Array) -> Array:
         return self.pair.on_nodes(self._push(x))
 
-    def add_hessian(self, x: Array, data: Array, project: int) -> None:
+    def add_hessian(self, x: Array, data: Array, projection: Projection) -> None:
         method = _toolkit()[0].PSDProjectionMethod
-        hessian = self._potential.hessian(*self._slips(x), method.CLAMP if project else method.NONE)
+        hessian = self._potential.hessian(*self._slips(x), method.CLAMP if projection else method.NONE)
         self.pair.add_hessian(hessian, data)

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from tacgen import fields, mesh, scene, solve
 from tacgen.plan import Row
-from tacgen.step import foresee
+from tacgen.solve import foresee
 
 
 def faces(row: Row) -> Iterator[fields.Surface]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from tacgen.fem.contact import Faces
 from tacgen.fem.elements import facet_areas, facet_points
-from tacgen.fem.potentials import Elastic
+from tacgen.fem.elasticity import Elastic
 from tacgen.fem.recovery import FULL, Recovery
 from tacgen.solve import Problem, State
 

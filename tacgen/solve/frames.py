@@ -11,17 +11,15 @@ from dataclasses import replace
 import numpy as np
 
 from tacgen.fem.contact import Pose
-from tacgen.fem.rising import POWER, OutOfReach, meet
 from tacgen.scene import Scene
-from tacgen.step.advance import NotConverged, State, advance
-from tacgen.step.problem import Memory, Problem
+from tacgen.solve.equilibrium import equilibrium
+from tacgen.solve.force_control import POWER, OutOfReach, meet
+from tacgen.solve.load_stepping import advance, shortest_turn
+from tacgen.solve.problem import Problem
+from tacgen.solve.state import History, NotConverged, State
 from tacgen.step.trajectory import FORCE_DEPTH
-from tacgen.step.travel import travel
-
-__all__ = ["NotConverged", "Problem", "State", "TooMuch", "normal_force", "states"]
 
 Array = np.ndarray
-FORCE_TOL = 3e-3  # of a force that is asked for; of those on the way to it, 1e-2
 RISE = np.outer(np.eye(4)[2], np.eye(4)[3])  # added to a pose: 1 mm along z
 
 
@@ -35,7 +33,7 @@ class TooMuch(NotConverged):
 
 def _reach_force(
     problem: Problem,
-    memory: Memory,
+    history: History,
     last: Array,
     guess: Array,
     index: int,
@@ -44,20 +42,20 @@ def _reach_force(
     had: float,
     floor: float,
     tol: float,
-) -> tuple[Memory, State]:
+) -> tuple[History, State]:
     """From pose `last`, where the gel bears `had`, straight to where it bears `target` [N] at the turn of `guess`.
 
-    Every trial starts from the same memory, so that friction knows only of the frames that are kept.
+    Every trial starts from the same history, so that friction knows only of the frames that are kept.
     """
     low = -max(last[2, 3], guess[2, 3], floor + problem.thickness)
-    found: list[tuple[Memory, State]] = []
+    found: list[tuple[History, State]] = []
     refused: list[NotConverged] = []
 
     def bears(u: float) -> float:
         pose = guess.copy()
         pose[2, 3] = -u
         try:
-            found.append(_trial(problem, memory, last, pose, index, duration, found[-1][1] if found else None))
+            found.append(_trial(problem, history, last, pose, index, duration, found[-1][1] if found else None))
         except NotConverged as error:
             refused.append(error)
             return float("nan")
@@ -83,12 +81,12 @@ def _reach_force(
 
 
 def _trial(
-    problem: Problem, memory: Memory, last: Array, pose: Array, index: int, duration: float, near: State | None
-) -> tuple[Memory, State]:
+    problem: Problem, history: History, last: Array, pose: Array, index: int, duration: float, near: State | None
+) -> tuple[History, State]:
     if near is not None and near.substeps == 1:
         with suppress(NotConverged):
-            return advance(problem, memory, pose, index, duration, near)
-    return travel(problem, memory, last, pose, index, duration)
+            return equilibrium(problem, history, pose, index, duration, near)
+    return advance(problem, history, last, pose, shortest_turn(last, pose), index, duration)
 
 
 def normal_force(state: State) -> float:
@@ -96,13 +94,14 @@ def normal_force(state: State) -> float:
     return -float(state.traction_force[..., 2].sum())
 
 
-def states(scene: Scene, problem: Problem, *, tol: float = FORCE_TOL) -> Iterator[State]:
+def states(scene: Scene, problem: Problem, *, tol: float | None = None) -> Iterator[State]:
     """The gel at every frame of the path, in order; a force that is asked for is met within the part `tol` of it.
 
     Raises:
         NotConverged: a frame could not be reached; it and all after it are missing, because each stands on the last.
     """
-    memory, last = problem.rest(Pose.of(scene.start)), scene.start
+    history, last = problem.rest(Pose.of(scene.start)), scene.start
+    tol = problem.options.force_tol if tol is None else tol
     forced, shift, had, begun = scene.forced, 0.0, 0.0, 0.0
     for index, pose in enumerate(scene.poses):
         duration = 0.0 if scene.dynamics is None else float(scene.dynamics.duration[index])
@@ -114,14 +113,15 @@ def states(scene: Scene, problem: Problem, *, tol: float = FORCE_TOL) -> Iterato
             target = begun + forced.part[index] * (asked - begun)
             part_tol = tol if forced.part[index] == 1 else max(tol, 1e-2)
             floor = forced.floor[index]
-            memory, state = _reach_force(problem, memory, last, pose, index, duration, target, had, floor, part_tol)
+            history, state = _reach_force(problem, history, last, pose, index, duration, target, had, floor, part_tol)
             shift = state.pose[2, 3] - pose[2, 3]
             if -shift > forced.below[index] + 1e-9:
                 raise NotConverged(f"{target:g} N are {-shift:.3g} mm deeper than the mesh was made for")
         else:
             if forced is not None and shift:
                 pose = pose + forced.carry[index] * shift * RISE
-            memory, state = travel(problem, memory, last, pose, index, duration)
+            turn = shortest_turn(last, pose) if scene.turns is None else scene.turns[index]
+            history, state = advance(problem, history, last, pose, turn, index, duration)
         if forced is not None:
             had = normal_force(state)
         yield state

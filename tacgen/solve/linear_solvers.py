@@ -27,6 +27,7 @@ class Solver(Protocol):
     """Factorise once, solve many times."""
 
     name: str
+    factored: int  # times, so far
 
     def factor(self, data: Array) -> None:
         """Raises NotPositiveDefinite, where the method can tell."""
@@ -53,6 +54,7 @@ class Cholmod:
     """CHOLMOD's supernodal Cholesky through cvxopt, ordered by METIS."""
 
     name = "cholmod"
+    factored = 0
 
     def __init__(self, pattern: Pattern, order: Array | None = None) -> None:
         import cvxopt
@@ -74,6 +76,7 @@ class Cholmod:
         return self._cholmod.symbolic(self._A, p=self._cvxopt.matrix(order.astype(np.int64)))
 
     def factor(self, data: Array) -> None:
+        self.factored += 1
         self._A.V = self._cvxopt.matrix(data)
         try:
             self._cholmod.numeric(self._A, self._F)
@@ -162,6 +165,7 @@ class Pardiso:
     """MKL PARDISO's Cholesky through pypardiso."""
 
     name = "pardiso"
+    factored = 0
 
     def __init__(self, pattern: Pattern) -> None:
         from pypardiso import PyPardisoSolver
@@ -171,6 +175,7 @@ class Pardiso:
         self._A = sp.csr_matrix((np.ones(len(pattern.indices)), pattern.indices, pattern.indptr), shape=(n, n))
 
     def factor(self, data: Array) -> None:
+        self.factored += 1
         from pypardiso.pardiso_wrapper import PyPardisoError
 
         self._A.data[:] = data
@@ -187,6 +192,7 @@ class SuperLU:
     """SciPy's SuperLU on the whole symmetric matrix; it cannot tell an indefinite one."""
 
     name = "superlu"
+    factored = 0
 
     def __init__(self, pattern: Pattern) -> None:
         n = pattern.size
@@ -196,6 +202,7 @@ class SuperLU:
         self._A = sp.csc_matrix((np.ones(full.nnz), full.indices, full.indptr), shape=(n, n))
 
     def factor(self, data: Array) -> None:
+        self.factored += 1
         from scipy.sparse.linalg import splu
 
         self._A.data[:] = data[self._slots]
@@ -206,67 +213,6 @@ class SuperLU:
 
     def solve(self, b: Array) -> Array:
         return np.asarray(self._lu.solve(b))
-
-
-ENOUGH = 3  # times the error asked for is taken when conjugate gradients are out of steps: a new factor costs more
-
-
-class Stale:
-    """Another solver whose last factor is kept as a preconditioner while conjugate gradients need few steps with it.
-
-    Between Newton iterations the matrix changes little away from the rim of the contact, so a few solves with the old
-    factor are cheaper than a new one.
-    """
-
-    def __init__(self, inner: Solver, pattern: Pattern, rtol: float = 0.1, most: int = 6) -> None:
-        n = pattern.size
-        self.name, self._inner, self._rtol, self._most = inner.name, inner, rtol, most
-        self._upper = sp.csr_matrix((np.ones(len(pattern.indices)), pattern.indices, pattern.indptr), shape=(n, n))
-        self._first = pattern.indptr[:-1]  # the diagonal leads each row
-        self._usable = False
-        self.factored = self.stepped = 0
-
-    def factor(self, data: Array) -> None:
-        self._upper.data[:] = data
-
-    def solve(self, b: Array) -> Array:
-        if self._usable and (x := self._conjugate(b)) is not None:
-            return x
-        self._usable = False
-        self._inner.factor(self._upper.data)
-        self._usable = True
-        self.factored += 1
-        return self._inner.solve(b)
-
-    def exactly(self, data: Array, b: Array) -> Array:
-        """The solution with these numbers, factorised whatever is kept: what must not depend on what came before."""
-        self.factor(data)
-        self._usable = False
-        return self.solve(b)
-
-    def _conjugate(self, b: Array) -> Array | None:
-        """Preconditioned conjugate gradients, or None where they take too long or the matrix is not definite."""
-        U, D = self._upper, self._upper.data[self._first]
-        L = U.T
-        x = self._inner.solve(b)
-        r = b - (U @ x + L @ x - D * x)
-        z = self._inner.solve(r)
-        p, rz = z.copy(), float(r @ z)
-        target = self._rtol**2 * float(b @ x)
-        for _ in range(self._most):
-            self.stepped += 1
-            if 0 <= rz <= target:
-                return x
-            q = U @ p + L @ p - D * p
-            curvature = float(p @ q)
-            if curvature <= 0 or rz <= 0:
-                return None
-            x += rz / curvature * p
-            r -= rz / curvature * q
-            z = self._inner.solve(r)
-            rz, before = float(r @ z), rz
-            p = z + rz / before * p
-        return x if 0 <= rz <= ENOUGH**2 * target else None
 
 
 # fastest first, with the packages each needs
@@ -282,6 +228,6 @@ def available() -> list[str]:
     return [name for name, (_, needs) in SOLVERS.items() if all(importlib.util.find_spec(m) for m in needs)]
 
 
-def best(pattern: Pattern) -> Stale:
+def best(pattern: Pattern) -> Solver:
     """The fastest installed solver, prepared for this pattern."""
-    return Stale(SOLVERS[available()[0]][0](pattern), pattern)
+    return SOLVERS[available()[0]][0](pattern)

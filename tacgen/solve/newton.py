@@ -7,8 +7,8 @@ from enum import StrEnum
 import numpy as np
 
 from tacgen.fem.assembly import Pattern
-from tacgen.fem.linear import NotPositiveDefinite, Solver
-from tacgen.fem.potentials import Potential
+from tacgen.solve.linear_solvers import NotPositiveDefinite, Solver
+from tacgen.fem.potential import Potential, Projection
 
 Array = np.ndarray
 ARMIJO = 1e-4
@@ -47,20 +47,20 @@ def direction(
     potential: Potential, x: Array, g: Array, pattern: Pattern, solver: Solver, exact: bool
 ) -> tuple[Array, bool]:
     """Newton direction (n, 3) and whether the stiffness was projected: it is where the exact one is not definite."""
-    for project in (0, 2) if exact else (1, 2):
+    for projection in (Projection.NONE if exact else Projection.STRAINED, Projection.FULL):
         data = np.zeros(len(pattern.indices))
-        potential.add_hessian(x, data, project)
+        potential.add_hessian(x, data, projection)
         p = np.zeros(x.size)
         try:
             solver.factor(data)
             p[pattern.free] = solver.solve(-g.ravel()[pattern.free])
         except NotPositiveDefinite:
-            if project == 2:
+            if projection is Projection.FULL:
                 raise
             continue
         if g.ravel() @ p < 0:
             break
-    return p.reshape(x.shape), project > 0
+    return p.reshape(x.shape), projection > Projection.NONE
 
 
 def backtrack(

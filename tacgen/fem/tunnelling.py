@@ -6,7 +6,7 @@ import numpy as np
 
 from tacgen.fem.contact import Contact, Pose
 from tacgen.fem.elements import QUAD_CORNERS, barycentric
-from tacgen.fem.potentials import Elastic
+from tacgen.fem.elasticity import Elastic
 
 Array = np.ndarray
 DEEPEST = 0.75  # of the indenter's reach: how far inside it a point may come on its way
@@ -40,7 +40,7 @@ def blocked(contact: Contact, was: Pose, before: Array, gap: Array, x: Array) ->
     return False
 
 
-def sunk(contact: Contact, elastic: Iterable[Elastic], x: Array) -> float:
+def depth_inside(contact: Contact, elastic: Iterable[Elastic], x: Array) -> float:
     """How deep matter of the gel is inside the shrunk indenter [mm], at the integration points."""
     least = 0.0
     for part in elastic:

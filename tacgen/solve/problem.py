@@ -1,4 +1,4 @@
-"""A mesh made ready to be solved on, and what one pose inherits from the one before."""
+"""A mesh made ready to be solved on."""
 
 import math
 from dataclasses import dataclass, replace
@@ -7,42 +7,25 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from tacgen.fem import linear
 from tacgen.fem.assembly import Pattern, pattern
-from tacgen.fem.condensed import Condensed
 from tacgen.fem.contact import Contact, Faces, Pose
+from tacgen.fem.corner_barrier import CornerBarrier
+from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import elements
-from tacgen.fem.potentials import Elastic
-from tacgen.fem.stiffness import LAZY
 from tacgen.mesh import Mesh
 from tacgen.scene import Scene
+from tacgen.solve import linear_solvers
+from tacgen.solve.bulk import Tangent
+from tacgen.solve.options import SolverOptions
+from tacgen.solve.state import History
 
 if TYPE_CHECKING:
     from tacgen.fem.inertia import Body
     from tacgen.fem.ipc import MeshContact
 
 Array = np.ndarray
-UNFELT = 1e-3  # of the barrier's stiffness over dhat squared: a force that touching to within tolerances may well give
+FORCE_FLOOR = 1e-3  # of kappa dhat^2: a force that touching to within tolerances may well give
 AnyContact: TypeAlias = "Contact | MeshContact"
-
-
-@dataclass(frozen=True)
-class Memory:
-    """What a pose inherits from the one before; anchors and normals are in the indenter's frame."""
-
-    pose: Pose
-    x: Array
-    before: Array  # x one pose earlier, for extrapolation
-    offset: float
-    normal_force: Array
-    normal: Array
-    anchor: Array
-    gap: Array
-    kappa: float  # barrier stiffness [MPa]
-    scale: float  # force below which nothing is told apart [N]
-    velocity: Array | None  # (n, 3) [mm/s], with inertia
-    missed: tuple[Array, Array] | None = None  # of the way here, by what was carried, and that way (see step.carried)
-    finer: int = 0  # how often the next step is halved before it is tried
 
 
 @dataclass(frozen=True)
@@ -54,26 +37,33 @@ class Problem:
 
     mesh: Mesh
     elastic: tuple[Elastic, ...]
+    corners: tuple[CornerBarrier, ...]
     contact: AnyContact
-    linear: linear.Stale
     pattern: Pattern
     friction: float
     edge: float  # [mm]
     body: "Body | None" = None
     longest: float = math.inf
+    options: SolverOptions = SolverOptions()
 
     @classmethod
-    def of(cls, scene: Scene, mesh: Mesh) -> "Problem":
-        free = np.ones((len(mesh.points), 3), bool)
-        free[np.unique(mesh.facets["bonded"])] = False
-        pat = pattern([mesh.cells], free)
-        elastic, softest = [], min(layer.law.mu for layer in scene.gel.layers)
+    def of(
+        cls, scene: Scene, mesh: Mesh, options: SolverOptions = SolverOptions(), held: Array | None = None
+    ) -> "Problem":
+        """`held` (n, 3) bool: dofs that do not move; those of the bonded nodes unless given."""
+        if held is None:
+            held = np.zeros((len(mesh.points), 3), bool)
+            held[np.unique(mesh.facets["bonded"])] = True
+        pat = pattern([mesh.cells], ~held)
+        elastic, corners = [], []
         for number, layer in enumerate(scene.gel.layers):
-            cells = mesh.cells[mesh.layer == number]
-            lazy = LAZY * min(1.0, 10 * softest / layer.law.mu)  # what is little to a hard skin is much to a soft base
-            elastic.append(Elastic.on(pat, elements(mesh.points, cells), layer.law, lazy))
+            some = elements(mesh.points, mesh.cells[mesh.layer == number])
+            elastic.append(Elastic.on(pat, some, layer.law))
+            corners.append(CornerBarrier.on(pat, mesh.points, some, layer.law.mu))
         contact = _contact(scene, mesh, pat)
-        ready = cls(mesh, tuple(elastic), contact, linear.best(pat), pat, scene.friction, scene.edge)
+        ready = cls(
+            mesh, tuple(elastic), tuple(corners), contact, pat, scene.friction, scene.edge, options=options
+        )
         if (d := scene.dynamics) is None:
             return ready
         from tacgen.fem.inertia import Body
@@ -81,30 +71,39 @@ class Problem:
         return replace(ready, body=Body.of(pat, ready.elastic, d.density, d.alpha, d.beta), longest=d.longest)
 
     @cached_property
-    def condensed(self) -> Condensed | None:
-        """What brings contact to its end within each step; None where the solver's factors cannot be read."""
-        return Condensed(self.pattern) if linear.readable() else None
+    def linear(self) -> linear_solvers.Solver:
+        """The fastest solver that is installed, for all free dofs at once."""
+        return linear_solvers.best(self.pattern)
+
+    @cached_property
+    def tangent(self) -> Tangent:
+        """The factorised tangent of the bulk, kept from step to step."""
+        return Tangent(self.pattern)
+
+    @property
+    def condensed(self) -> bool:
+        """Whether contact is solved on the Schur complement: between meshes it is not."""
+        return self.options.condense and isinstance(self.contact, Contact) and linear_solvers.readable()
 
     @property
     def factored(self) -> int:
-        """How many times the stiffness was factorised so far."""
-        return int(getattr(self.linear, "factored", 0)) + (self.condensed.factored if self.condensed else 0)
+        """How many times the tangent was factorised so far."""
+        return self.linear.factored if not self.condensed else self.tangent.condensation.factored
 
     @property
     def thickness(self) -> float:
         """Of the gel [mm]."""
         return float(np.ptp(self.mesh.points[:, 2]))
 
-    def rest(self, pose: Pose) -> Memory:
+    def rest(self, pose: Pose) -> History:
         """The untouched gel below an indenter at `pose`."""
         x = self.mesh.points
         pose = self.contact.clear(pose, x)
         force, normal, gap = self.contact.moved(pose, 0.0).pressure(x)
-        local = normal @ pose.rotation
         at, kappa = pose.local(self.contact.faces.at(x)), self.contact.kappa
         still = None if self.body is None else np.zeros_like(x)
-        scale = UNFELT * kappa * self.contact.dhat**2
-        return Memory(pose, x, x, 0.0, np.zeros_like(force), local, at, gap, kappa, scale, still)
+        least = FORCE_FLOOR * kappa * self.contact.dhat**2
+        return History(pose, x, 0.0, np.zeros_like(force), normal @ pose.rotation, at, gap, kappa, least, still, x)
 
     def steps(self, duration: float) -> int:
         """How many steps a movement of so many seconds takes."""

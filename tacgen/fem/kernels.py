@@ -1,11 +1,8 @@
-"""The stiffness of elements, renewed only where they have deformed since it was last taken.
+"""Compiled loops of the elements' tangent: exact, or projected to be positive semi-definite.
 
-The kernels know the law only through derivatives in the invariants (see materials). The projected stiffness clamps the
+The kernels know the law only through derivatives in the invariants (see materials). The projected tangent clamps the
 analytic eigenvalues of an isotropic energy in the principal stretches (Smith, de Goes & Kim 2019, "Analytic
 eigensystems for isotropic distortion energies").
-
-From one Newton iteration to the next nine elements in ten deform by less than LAZY; the steps that their old stiffness
-gives are as good, and the gradient, which decides the answer, is always exact.
 """
 
 import numpy as np
@@ -14,9 +11,7 @@ from numba import njit
 from tacgen.fem.assembly import cofactor
 
 Array = np.ndarray
-MILD = 0.1
-LAZY = 0.01  # an element's stiffness is taken anew when an entry of its F has changed by this much,
-PRESSED = 10  # or its dW/dJ by this many times that part of the shear modulus
+MILD = 0.1  # |F^T F - I| below which the exact tangent is positive definite without projection
 
 
 @njit(cache=True, fastmath=True)
@@ -170,20 +165,7 @@ def _strained(F: Array) -> bool:
 
 
 @njit(cache=True, fastmath=True)
-def _changed(F: Array, old: Array, first: Array, old_first: Array, lazy: float) -> bool:
-    """Whether an element's state at its points (q, ...) has moved on since its stiffness was taken."""
-    for q in range(F.shape[0]):
-        for i in range(3):
-            for j in range(3):
-                if abs(F[q, i, j] - old[q, i, j]) > lazy:
-                    return True
-        if abs(first[q, 2] - old_first[q, 2]) > PRESSED * lazy * 2 * (first[q, 0] + first[q, 1]):
-            return True
-    return False
-
-
-@njit(cache=True, fastmath=True)
-def renew(
+def add_tangent(
     F: Array,
     B: Array,
     weights: Array,
@@ -192,19 +174,12 @@ def renew(
     dilatation: Array,
     project: int,
     slots: Array,
-    taken: Array,
-    taken_first: Array,
-    mode: Array,
-    entries: Array,
     data: Array,
-    lazy: float,
 ) -> None:
-    """Bring `data`, d2E/dx2 of all elements at `slots` (e, 3a*3a), -1 where nothing is kept, up to date.
+    """Add d2E/dx2 of all elements to `data` at `slots` (e, 3a*3a), -1 where nothing is kept.
 
-    dilatation (e,): U''(theta)/volume of elements with mean dilatation, a rank-one term; 0 elsewhere. project: 0 not at
-    all, 1 where the material is strained, 2 everywhere. What an element has in `data` now is remembered: its kept
-    `entries` (e, k) were taken at `taken` (e, q, 3, 3) with `taken_first` (e, q, 3) and projected by `mode` (e,), -1
-    before the first time.
+    dilatation (e,): U''(mean J)/volume of elements with mean dilatation, a rank-one term; 0 elsewhere. project: see
+    potential.Projection.
     """
     ne, nq, na, _ = B.shape
     nd = 3 * na
@@ -213,17 +188,6 @@ def renew(
     # K[k, r, a] is the entry (r, 3a+k) and b[j, a] = dN_a/dX_j: the innermost loops run over nodes, side by side
     K, BD, g, b = np.empty((3, nd, na)), np.empty((nd, 9)), np.empty(nd), np.empty((3, na))
     for e in range(ne):
-        wanted = project
-        if project == 1:
-            wanted = 0
-            for q in range(nq):
-                if _strained(F[e, q]):
-                    wanted = 1
-        if mode[e] == wanted and not _changed(F[e], taken[e], first[e], taken_first[e], lazy):
-            continue
-        mode[e] = wanted
-        taken[e] = F[e]
-        taken_first[e] = first[e]
         K[:] = 0.0
         g[:] = 0.0
         for q in range(nq):
@@ -249,33 +213,9 @@ def renew(
                 for a in range(na):
                     for i in range(3):
                         g[3 * a + i] += w * (C[i, 0] * b[0, a] + C[i, 1] * b[1, a] + C[i, 2] * b[2, a])
-        n = 0
         for r in range(nd):
             for a in range(na):
                 for k in range(3):
                     slot = slots[e, r * nd + 3 * a + k]
                     if slot >= 0:
-                        new = K[k, r, a] + dilatation[e] * g[r] * g[3 * a + k]
-                        data[slot] += new - entries[e, n]
-                        entries[e, n] = new
-                        n += 1
-
-
-class Kept:
-    """The stiffness of a set of elements, remembered from one Newton iteration to the next."""
-
-    def __init__(self, slots: Array, size: int, points: int, lazy: float) -> None:
-        self.slots, self._lazy = slots, lazy
-        n = len(slots)
-        self.taken, self._first = np.tile(np.eye(3), (n, points, 1, 1)), np.zeros((n, points, 3))
-        self._mode = np.full(n, -1, np.int8)
-        self._entries = np.zeros((n, int((slots >= 0).sum(1).max(initial=0))))
-        self._data = np.zeros(size)
-
-    def at(
-        self, F: Array, B: Array, weights: Array, first: Array, second: Array, dilatation: Array, project: int
-    ) -> Array:
-        """d2E/dx2 as entries of the Pattern; the arguments are those of `renew`."""
-        renew(F, B, weights, first, second, dilatation, project, self.slots, self.taken, self._first, self._mode,
-              self._entries, self._data, self._lazy)  # fmt: skip
-        return self._data
+                        data[slot] += K[k, r, a] + dilatation[e] * g[r] * g[3 * a + k]

@@ -1,0 +1,232 @@
+"""Ordinary scenes, drawn as a data set would: how many are solved, what a frame costs, how right its force is."""
+
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from tacgen import mesh, scene, solve
+from tacgen.bench.answers import row_of
+from tacgen.bench.draws import BALL, Draw, drawn
+from tacgen.bench.kit import Cell, Level, Result, Say, Table, columns, cores
+from tacgen.bench.shorter import TIMES, finer
+from tacgen.errors import UserError
+from tacgen.solve import foresee
+
+Array = np.ndarray
+LIMIT = 150.0  # processor seconds in which a scene's frames must be solved
+EVERY = 5  # of so many draft scenes one is solved in short frames too
+COUNT = {"smoke": 2, "normal": 30, "full": 150}  # scenes
+FINE_COUNT = 30  # scenes at quality `default`, at level full
+SMOKE = "{edge_mm: 1.2, dhat_mm: 0.08}"  # the quality of a smoke test
+STATUSES = ("ok", "refused", "rejected", "out of time", "crashed")
+MEASURES = {"seconds": ("s a frame", ".2f"), "iterations": ("iterations", ".1f"), "factored": ("factorisations", ".1f")}
+QUANTILES = (50, 90, 99)  # [%]
+ABOUT = (
+    "Scenes as a data set would draw them: three sensors with their own materials; seven shapes of 1 to 5 mm and the"
+    " five objects that come with tacgen; pressed by .1 to .35 of the gel's thickness (DIGIT: 2.5 mm, at the rim) in 3"
+    " to 5 frames, then up to two of slide (3 mm at most, .35 mm a frame), twist (30 deg) and tilt (5 deg), and 3 of 10"
+    " released; friction .2 to 1, within 3 mm of the pad's centre. Only the mechanics are computed. Seconds are the"
+    " processor's for solving the frames, each scene on one core while others run on the rest; mesh and setup are not"
+    f" in them. Refused: before it is solved; rejected: a frame did not converge; out of time: {LIMIT:.0f} s had passed"
+    " before the last frame; crashed: a bug. A scene's seconds, Newton iterations and factorisations are means over its"
+    " frames; p50, p90 and p99 are quantiles over the scenes that are ok."
+)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a scene ended: `status` is one of STATUSES, `reason` says why; the rest is of the frames that were solved.
+
+    force: on the gel in the last frame [N]; seconds, iterations, factored: processor seconds, Newton iterations and
+    factorisations, means over the frames; substeps: most of one frame; least_J: certified lower bound of the Jacobian
+    in all elements and frames; error: of the force against short frames, in the worst frame, as a part of the largest
+    force; None where that was not measured.
+    """
+
+    draw: Draw
+    quality: str
+    status: str
+    reason: str = ""
+    frames: int = 0
+    nodes: int = 0
+    force: float = 0.0
+    seconds: float = 0.0
+    iterations: float = 0.0
+    substeps: int = 0
+    factored: float = 0.0
+    least_J: float = math.inf
+    error: float | None = None
+
+    def cells(self) -> list[Cell]:
+        """A row of the table of all scenes."""
+        named: list[Cell] = [self.draw.index, self.quality, self.draw.sensor, self.draw.shape, self.status]
+        if not self.frames:
+            return [*named, *[None] * 9]
+        work = (self.seconds, self.iterations, self.substeps, self.factored)
+        return [*named, self.frames, self.nodes, self.force, *work, self.least_J, self.error]
+
+
+def measure(draw: Draw, quality: str, compared: bool, limit: float = LIMIT) -> Outcome:
+    """Solve a scene in at most `limit` processor seconds and, where it is compared and ok, in short frames too."""
+    from tacgen.fem.jacobian import least_jacobian
+
+    try:
+        made = _scene((f"sensor={draw.sensor}", *draw.sets, f"quality={quality}"))
+        grid = mesh.of(made)
+        problem = solve.Problem.of(made, grid)
+    except UserError as error:
+        return Outcome(draw, quality, "refused", error.lines[0])
+    states, clock, status, reason = _frames(made, problem, limit)
+    if not (n := len(states)):
+        return Outcome(draw, quality, status, reason)
+    off = None
+    if compared and status == "ok":
+        short = finer(made, TIMES)
+        between = _forces(_frames(short, solve.Problem.of(short, grid), TIMES * limit)[0])
+        off = _apart(_forces(states), between)
+    return Outcome(
+        draw,
+        quality,
+        status,
+        reason,
+        n,
+        len(grid.points),
+        float(np.linalg.norm(_forces(states)[-1])),
+        clock / n,
+        sum(state.iterations for state in states) / n,
+        max(state.substeps for state in states),
+        problem.factored / n,
+        min(float(least_jacobian(grid.points, state.x, grid.cells)) for state in states),
+        off,
+    )
+
+
+def _scene(sets: Sequence[str]) -> scene.Scene:
+    return foresee.foreseen(scene.build(row_of(("outputs=[force]", *sets))))
+
+
+def _frames(made: scene.Scene, problem: solve.Problem, limit: float) -> tuple[list[solve.State], float, str, str]:
+    """The frames solved in about `limit` processor seconds, those seconds, and the status with its reason."""
+    states, count, begun = list[solve.State](), len(made.poses), time.process_time()
+    try:
+        for state in solve.states(made, problem):
+            states.append(state)
+            if time.process_time() - begun > limit and len(states) < count:
+                return states, time.process_time() - begun, "out of time", f"after frame {len(states)} of {count}"
+    except solve.NotConverged as error:
+        return states, time.process_time() - begun, "rejected", f"frame {len(states) + 1} of {count}: {error}"
+    return states, time.process_time() - begun, "ok", ""
+
+
+def _forces(states: Sequence[solve.State]) -> Array:
+    """Of the indenter on the gel, (n, 3) [N]."""
+    return np.reshape([state.traction_force.sum((0, 1)) for state in states], (-1, 3))
+
+
+def _apart(long: Array, short: Array) -> float | None:
+    """Largest difference of forces (n, 3) from those of short frames (m, 3), over the frames that both reached and as a
+    part of the largest force; None if there are none."""
+    ends = short[TIMES - 1 :: TIMES]
+    off = np.linalg.norm(long[: len(ends)] - ends, axis=1)
+    return float(off.max() / np.linalg.norm(short, axis=1).max()) if len(off) else None
+
+
+@cache
+def _warm() -> None:
+    """Load what is compiled, once in each process, before anything is timed."""
+    moves = "trajectory=[{press: {depth_mm: 0.5, frames: 1}}, {slide: {x_mm: 0.2, frames: 1}}]"
+    made = _scene(("sensor=ninedtact", "indenter={shape: mesh, file: ring}", moves, f"quality={SMOKE}"))
+    _frames(made, solve.Problem.of(made, mesh.of(made)), LIMIT)
+
+
+def _job(job: tuple[Draw, str, bool]) -> Outcome:
+    try:
+        _warm()
+        return measure(*job)
+    except Exception as error:  # a bug that one scene shows must not cost the figures of the others
+        return Outcome(job[0], job[1], "crashed", f"{type(error).__name__}: {error}")
+
+
+def bench(level: Level, say: Say) -> Result:
+    """The ball, ordinary scenes at draft and, at level full, some at default."""
+    draws = [drawn(i) for i in range(COUNT[level])]
+    quality = SMOKE if level == "smoke" else "draft"
+    jobs = [(BALL, quality, True), *((draw, quality, i % EVERY == 0) for i, draw in enumerate(draws))]
+    jobs += [(draw, "default", False) for draw in draws[:FINE_COUNT] if level == "full"]
+    found = list[Outcome]()
+    with ExitStack() as stack:
+        spread: Callable[..., Iterator[Outcome]] = map
+        if level != "smoke":
+            spread = stack.enter_context(cores())
+        for one in spread(_job, jobs):
+            found.append(one)
+            name = "ball" if one.draw.index is None else f"{one.draw.index}"
+            what = f"{one.quality} {one.draw.sensor} {one.draw.shape}: {one.status}"
+            say(f"{name} {what}, {one.seconds:.2f} s a frame {one.reason}")
+    ball, rough, fine = found[:1], found[1 : len(draws) + 1], found[len(draws) + 1 :]
+    together = [_summary("ordinary", rough), *([_summary("ordinary", fine)] if fine else []), _summary("ball", ball)]
+    heads = columns("scenes of", "quality", "scenes: d", *(f"{status}: d" for status in STATUSES))
+    heads |= columns(*(f"{head}, p{q}: {form}" for head, form in MEASURES.values() for q in QUANTILES))
+    heads |= columns("least J: .3f", "J <= 0: d", "compared: d", "force error, worst: .2%", "force error, median: .2%")
+    note = (
+        "Least J: certified lower bound of the Jacobian, 1 at rest, over all elements and frames; J <= 0: scenes with"
+        f" an element inside out. Force error: against the same path in {TIMES} frames for each, worst frame that both"
+        " reached, as a part of the largest force; of the scenes compared, the worst and the median. Ball: of 4 mm on"
+        " the Mini, pressed 1 mm in 3 frames and slid 1.5 mm in 5 with friction .6."
+    )
+    tables = [
+        Table("Together", heads, together, note),
+        _groups("By shape", "shape", rough, lambda one: one.draw.shape),
+        _groups("By sensor", "sensor", rough, lambda one: one.draw.sensor),
+        _failed(found),
+        _every(found),
+    ]
+    return Result(ABOUT, tables)
+
+
+def _quantile(group: Sequence[Outcome], name: str, percent: float) -> float | None:
+    """Over the scenes that are ok; None if none is."""
+    values = [getattr(one, name) for one in group if one.status == "ok"]
+    return float(np.percentile(values, percent)) if values else None
+
+
+def _summary(what: str, group: Sequence[Outcome]) -> list[Cell]:
+    counts = [sum(one.status == status for one in group) for status in STATUSES]
+    work = [_quantile(group, name, q) for name in MEASURES for q in QUANTILES]
+    least = [one.least_J for one in group if one.frames]
+    folded = sum(not J > 0 for J in least)
+    errors = [one.error for one in group if one.error is not None]
+    off = [max(errors), float(np.median(errors))] if errors else [None, None]
+    return [what, group[0].quality, len(group), *counts, *work, min(least, default=None), folded, len(errors), *off]
+
+
+def _groups(title: str, head: str, found: Sequence[Outcome], of: Callable[[Outcome], str]) -> Table:
+    rows: list[list[Cell]] = []
+    for name in sorted({of(one) for one in found}):
+        group = [one for one in found if of(one) == name]
+        work = [_quantile(group, *which) for which in (("seconds", 50), ("seconds", 90), ("iterations", 50))]
+        rows.append([name, len(group), sum(one.status == "ok" for one in group), *work])
+    heads = ("scenes: d", "ok: d", "s a frame, p50: .2f", "s a frame, p90: .2f", "iterations, p50: .1f")
+    return Table(title, columns(head, *heads), rows)
+
+
+def _failed(found: Sequence[Outcome]) -> Table:
+    """The scenes that are not ok, and those with a frame in which an element may be inside out."""
+    rows: list[list[Cell]] = []
+    for one in found:
+        reason = one.reason or f"least certified J {one.least_J:.3f}"
+        if one.status != "ok" or not one.least_J > 0:
+            rows.append([one.draw.index, one.quality, one.draw.sensor, one.draw.shape, one.status, reason])
+    note = "`tacgen.bench.draws.drawn(i)` holds what scene i changes in the quickstart: values of `--set`."
+    return Table("What failed", columns("scene: d", "quality", "sensor", "shape", "status", "reason"), rows, note)
+
+
+def _every(found: Sequence[Outcome]) -> Table:
+    heads = columns("scene: d", "quality", "sensor", "shape", "status", "frames: d", "nodes: d", "last force [N]: .4g")
+    heads |= columns("s a frame: .2f", "iterations: .1f", "most substeps: d", "factorisations: .1f", "least J: .3f")
+    return Table("Every scene", heads | columns("force error: .2%"), [one.cells() for one in found])

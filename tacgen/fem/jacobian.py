@@ -1,0 +1,140 @@
+"""A bound on how far elements are compressed, at all their points and not at the integration points alone.
+
+The Jacobian determinant of an element is a polynomial, and lies between the least and the largest of its Bernstein
+coefficients; those at the element's corners are its values there. Johnen, Remacle & Geuzaine, "Geometrical validity of
+curvilinear finite elements", Journal of Computational Physics 233 (2013).
+"""
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numba import njit
+
+from tacgen.fem.elements import HEX_CORNERS, TET_EDGES, barycentric
+
+Array = np.ndarray
+DEPTH = 6  # halvings; each makes the distance of coefficients from values about four times smaller
+MOST = 20_000  # pieces that are divided at once, 35 MB: where all elements fold alike there would be millions
+# how a quadratic polynomial's coefficients on either half of an edge follow from those on the whole, de Casteljau
+HALVES = np.array([[[4, 0, 0], [2, 2, 0], [1, 2, 1]], [[1, 2, 1], [0, 2, 2], [0, 0, 4]]]) / 4
+# a tet's pieces by its nodes, in an order that keeps their pieces' shapes from getting worse: Bey (1995)
+EIGHTHS = np.array(
+    [(0, 4, 6, 7), (4, 1, 5, 8), (6, 5, 2, 9), (7, 8, 9, 3), (4, 6, 7, 8), (4, 6, 5, 8), (6, 7, 8, 9), (6, 5, 8, 9)]
+)
+
+
+@dataclass(frozen=True)
+class Bernstein:
+    """How the k Bernstein coefficients of the determinant follow from the a nodes of one type of element.
+
+    Each column of the Jacobian matrix is linear between its values at p places, so the determinant is a sum over p^3
+    triples of them, and a coefficient is the mean of the triples of its monomial. columns (3, p, a): dN/dxi at the
+    places; monomial (p, p, p): number of the coefficient; share (k,): 1 over how many triples it has, so 1 at corners;
+    pieces (c, k, k): the coefficients on each part of a divided element from those on the whole.
+    """
+
+    columns: Array
+    monomial: Array
+    share: Array
+    pieces: Array
+
+
+def _table(columns: Array, powers: Array) -> tuple[Array, Array, Array]:
+    """Columns, monomials and shares; powers (3, p, v): exponents of what the columns' values are multiplied with."""
+    total = powers[0][:, None, None] + powers[1][:, None] + powers[2]
+    p = powers.shape[1]
+    _, number, count = np.unique(total.reshape(p**3, -1), axis=0, return_inverse=True, return_counts=True)
+    return np.ascontiguousarray(columns), number.reshape(p, p, p), 1 / count
+
+
+def _hexes() -> Bernstein:
+    """Degree 2 in each direction: a column is bilinear in the other two directions, and its places are four edges."""
+    columns, powers = np.zeros((3, 4, 8)), np.zeros((3, 4, 3), int)
+    for k in range(3):
+        above = np.delete(HEX_CORNERS > 0, k, 1)
+        columns[k, above @ (2, 1), np.arange(8)] = HEX_CORNERS[:, k]
+        powers[k] = np.insert(list(product((0, 1), repeat=2)), k, 0, axis=1)
+    pieces = [np.kron(a, np.kron(b, c)) for a, b, c in product(HALVES, repeat=3)]
+    return Bernstein(*_table(columns, powers), np.array(pieces))
+
+
+def _tets() -> Bernstein:
+    """Degree 3: a column of a quadratic tet is linear, and its places are the corners."""
+    corners = np.eye(4)
+    _, dL = barycentric(corners, 10)
+    columns, monomial, share = _table((dL[..., 1:] - dL[..., :1]).transpose(2, 0, 1), np.array([corners] * 3))
+    pieces = np.zeros((len(EIGHTHS), len(share), len(share)))
+    nodes = np.concatenate([corners, corners[TET_EDGES].mean(1)])
+    for piece, ends in zip(pieces, nodes[EIGHTHS], strict=True):
+        for triple in np.ndindex(4, 4, 4):  # the blossom at three corners of the piece, in whatever order
+            a, b, c = ends[list(triple)]
+            weights = a[:, None, None] * b[:, None] * c
+            piece[monomial[triple]] = np.bincount(monomial.ravel(), weights.ravel(), len(share))
+    return Bernstein(columns, monomial, share, pieces)
+
+
+def _linear() -> Bernstein:
+    """Degree 0: the columns of a linear tet are constant."""
+    dL = np.eye(4)
+    return Bernstein(*_table((dL[:, 1:] - dL[:, :1]).T[:, None], np.zeros((3, 1, 1))), np.ones((1, 1, 1)))
+
+
+TABLES = {8: _hexes(), 10: _tets(), 4: _linear()}  # by the number of nodes
+
+
+@njit(cache=True)
+def coefficients(points: Array, cells: Array, columns: Array, monomial: Array, share: Array) -> Array:
+    """Bernstein coefficients (e, k) [mm^3] of the determinant of the map from the reference element; see Bernstein."""
+    p, nodes = columns.shape[1], columns.shape[2]
+    out = np.zeros((len(cells), len(share)))
+    g = np.empty((3, p, 3))
+    for e in range(len(cells)):
+        g[:] = 0.0
+        for k in range(3):
+            for i in range(p):
+                for a in range(nodes):
+                    w = columns[k, i, a]
+                    if w != 0.0:
+                        for j in range(3):
+                            g[k, i, j] += w * points[cells[e, a], j]
+        for i in range(p):
+            for j in range(p):
+                u = g[0, i, 1] * g[1, j, 2] - g[0, i, 2] * g[1, j, 1]
+                v = g[0, i, 2] * g[1, j, 0] - g[0, i, 0] * g[1, j, 2]
+                w = g[0, i, 0] * g[1, j, 1] - g[0, i, 1] * g[1, j, 0]
+                for k in range(p):
+                    out[e, monomial[i, j, k]] += u * g[2, k, 0] + v * g[2, k, 1] + w * g[2, k, 2]
+        out[e] *= share
+    return out
+
+
+def least_jacobian(rest: Array, points: Array, cells: Array, tol: float = 0.01) -> float:
+    """Lower bound of J at all points of all elements, as a part of the element's rest volume; 1 at rest if not curved.
+
+    rest, points (n, 3) [mm]: where the nodes were and are; cells (e, 8, 10 or 4): trilinear hexes, quadratic or linear
+    tets. J is det(dx/dxi) over the element's mean det(dX/dxi), so that of the deformation where the rest element is
+    affine. The bound holds but for rounding, and is less than `tol` below the least J unless DEPTH or MOST is reached;
+    -inf where points are not finite.
+
+    Raises:
+        ValueError: an element has no volume at rest.
+    """
+    table = TABLES[cells.shape[1]]
+    arguments = cells, table.columns, table.monomial, table.share
+    volume = coefficients(rest, *arguments).mean(1)  # each Bernstein polynomial has the same integral
+    if not (volume > 0).all():
+        raise ValueError(f"{int((~(volume > 0)).sum())} elements have no volume at rest")
+    pieces = coefficients(points, *arguments) / volume[:, None]
+    if not np.isfinite(pieces).all():
+        return -np.inf
+    corners, bound, attained = table.share == 1, np.inf, np.inf
+    for depth in range(DEPTH + 1):
+        attained = min(attained, pieces[:, corners].min(initial=np.inf))
+        low = pieces.min(1)
+        undecided = low < attained - tol
+        bound = min(bound, low[~undecided].min(initial=np.inf))
+        if depth == DEPTH or undecided.sum() > MOST or not undecided.any():
+            break
+        pieces = (pieces[undecided] @ table.pieces.reshape(-1, len(corners)).T).reshape(-1, len(corners))
+    return float(min(bound, low.min(initial=np.inf)))

@@ -1,0 +1,57 @@
+"""Everything that resists the press is a Potential; their sum is one too. None of them remembers what it was asked."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+Array = np.ndarray
+
+
+class Projection(IntEnum):
+    """Whether a tangent is made positive semi-definite, element by element (or contact point by contact point)."""
+
+    NONE = 0  # the exact second derivative
+    STRAINED = 1  # where the material is strained: near rest the exact tangent is positive
+    FULL = 2  # everywhere
+
+
+@runtime_checkable
+class Potential(Protocol):
+    """An energy of the nodal positions x (n, 3) [mm]."""
+
+    def value(self, x: Array) -> float:
+        """Energy [N mm]; +inf where x is not admissible."""
+
+    def gradient(self, x: Array) -> Array:
+        """dE/dx (n, 3) [N]."""
+
+    def add_hessian(self, x: Array, data: Array, projection: Projection) -> None:
+        """Add d2E/dx2 to `data`, the entries of the Pattern [N/mm]."""
+
+    def max_step(self, x: Array, p: Array) -> float:
+        """Largest a in (0, 1] such that x + a p is reached without passing through anything."""
+
+
+@dataclass(frozen=True)
+class Total:
+    """The sum of some potentials."""
+
+    parts: tuple[Potential, ...]
+
+    def value(self, x: Array) -> float:
+        return sum(part.value(x) for part in self.parts)
+
+    def gradient(self, x: Array) -> Array:
+        total = np.zeros_like(x)
+        for part in self.parts:
+            total += part.gradient(x)
+        return total
+
+    def add_hessian(self, x: Array, data: Array, projection: Projection) -> None:
+        for part in self.parts:
+            part.add_hessian(x, data, projection)
+
+    def max_step(self, x: Array, p: Array) -> float:
+        return min(part.max_step(x, p) for part in self.parts)

@@ -1,0 +1,10 @@
+"""Scene + Mesh -> States: load stepping along the path."""
+
+from tacgen.solve.frames import TooMuch, normal_force, states
+from tacgen.solve.options import SolverOptions, plain, short_steps
+from tacgen.solve.problem import Problem
+from tacgen.solve.state import NotConverged, State
+
+__all__ = [
+    "NotConverged", "Problem", "SolverOptions", "State", "TooMuch", "normal_force", "plain", "short_steps", "states",
+]  # fmt: skip

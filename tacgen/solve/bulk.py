@@ -1,0 +1,102 @@
+"""The bulk: everything but contact and friction, and its tangent."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from tacgen.fem.assembly import Pattern
+from tacgen.fem.elasticity import Elastic, Point
+from tacgen.fem.potential import Potential, Projection, Total
+from tacgen.solve.condensation import Condensation
+from tacgen.solve.linear_solvers import NotPositiveDefinite
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class BulkPoint:
+    """The bulk evaluated at x (n, 3)."""
+
+    elastic: tuple[Elastic, ...]
+    other: Total  # corner barriers, inertia
+    x: Array
+    points: tuple[Point, ...]
+
+    @cached_property
+    def energy(self) -> float:
+        """[N mm]"""
+        return sum(p.energy for p in self.points) + self.other.value(self.x)
+
+    @cached_property
+    def gradient(self) -> Array:
+        """(n, 3) [N]"""
+        out = self.other.gradient(self.x)
+        for part, point in zip(self.elastic, self.points, strict=True):
+            out += part.forces(point, len(self.x))
+        return out
+
+    @property
+    def J(self) -> tuple[Array, ...]:
+        """At the integration points, law by law."""
+        return tuple(p.J for p in self.points)
+
+
+@dataclass(frozen=True)
+class Bulk:
+    """Elasticity and, beside it, `other` potentials."""
+
+    elastic: tuple[Elastic, ...]
+    other: tuple[Potential, ...]
+
+    def at(self, x: Array) -> BulkPoint:
+        return BulkPoint(self.elastic, Total(self.other), x, tuple(part.evaluate(x) for part in self.elastic))
+
+    def add_tangent(self, at: BulkPoint, data: Array, projection: Projection, J: tuple[Array, ...] | None) -> None:
+        """Add d2E/dx2 to the entries of the Pattern, with pressures at the predicted J if given."""
+        at.other.add_hessian(at.x, data, projection)
+        for k, (part, point) in enumerate(zip(self.elastic, at.points, strict=True)):
+            part.add_tangent(point, data, projection, None if J is None else J[k])
+
+
+class Tangent:
+    """A tangent of the bulk, factorised and condensed to the contact, and where it was taken."""
+
+    def __init__(self, pattern: Pattern) -> None:
+        self.condensation = Condensation(pattern)
+        self.taken: tuple[Array, ...] = ()  # F (e, q, 3, 3), law by law
+        self.contraction = 0.1  # of the residual, by a step with a kept tangent; as last seen
+        self.projected = 0  # tangents that had to be, so far
+
+    @property
+    def usable(self) -> bool:
+        return self.condensation.usable
+
+    def take(self, bulk: Bulk, at: BulkPoint, J: tuple[Array, ...] | None) -> None:
+        """Factorise the exact tangent or, where that is not positive definite, the projected one.
+
+        Raises NotPositiveDefinite: not even that is.
+        """
+        for projection in Projection:
+            data = np.zeros(len(self.condensation.whole.indices))
+            bulk.add_tangent(at, data, projection, J)
+            try:
+                self.condensation.factor(data)
+                break
+            except NotPositiveDefinite:
+                self.projected += 1
+                if projection is Projection.FULL:
+                    raise
+        self.taken = tuple(point.F for point in at.points)
+
+    def unbalanced(self, at: BulkPoint, J: tuple[Array, ...]) -> Array:
+        """What a step with this tangent has to balance (n, 3) [N], the pressure being an unknown of its own."""
+        out = at.other.gradient(at.x)
+        for part, point, j, taken in zip(at.elastic, at.points, J, self.taken, strict=True):
+            out += part.mixed_forces(point, j, taken, len(at.x))
+        return out
+
+    def predicted(self, at: BulkPoint, there: BulkPoint) -> tuple[Array, ...]:
+        """J (e, q), law by law, that a step of this tangent from `at` predicts `there`."""
+        each = zip(at.elastic, at.points, there.points, self.taken, strict=True)
+        return tuple(part.predicted(a, b, taken) for part, a, b, taken in each)

@@ -1,0 +1,136 @@
+"""The bulk's tangent, factorised with the nodes near the contact eliminated last: what is left there is its Schur
+complement (static condensation, Guyan 1965), small and dense, on which contact is solved.
+
+With K = L L^T and the contact's dofs c last, the Schur complement is S = L_cc L_cc^T, and a load on all other dofs
+reaches c through one forward substitution.
+"""
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.linalg.blas import dsyrk
+
+from tacgen.fem.assembly import Pattern
+from tacgen.solve.linear_solvers import Cholmod, dissection
+
+Array = np.ndarray
+DAMPING = 0.02  # of the median diagonal entry of S, the smallest Levenberg-Marquardt damping
+SHIFT = 10.0  # of the largest diagonal entry: added to the condensed dofs before factorising and taken off S again, so
+# that only what is away from the contact need be stable by itself
+
+
+class Condensation:
+    """A factorised tangent condensed to the nodes of some facets."""
+
+    def __init__(self, whole: Pattern) -> None:
+        self.whole, self._order = whole, dissection(whole)
+        self._free = np.zeros((whole.nodes, 3), bool)
+        self._free.ravel()[whole.free] = True
+        self.nodes, self.local = np.zeros(0, np.int64), np.full(whole.nodes, -1)  # condensed to these; their numbers
+        self.factored = 0  # times
+        self.usable = False
+
+    def cover(self, facets: Array) -> None:
+        """Condense to the nodes of these facets (f, a) from now on."""
+        self.nodes = np.unique(facets)
+        self.local = np.full(self.whole.nodes, -1)
+        self.local[self.nodes] = np.arange(len(self.nodes))
+        free = self._free[self.nodes]
+        self.dofs = np.full(free.shape, -1)  # (k, 3) number among the condensed unknowns, -1 where held
+        self.dofs[free] = np.arange(free.sum())
+        self.size = int(free.sum())
+        last = (self.local >= 0)[self.whole.free // 3][self._order]
+        self._factor = Cholmod(self.whole, np.concatenate([self._order[~last], self._order[last]]))
+        condensed = np.isin(self.whole.free // 3, self.nodes)
+        self._diagonal = self.whole.indptr[:-1][condensed]  # entries, each the first of its row
+        self._rows = np.argsort(self._factor.order[-self.size :])  # the factor has an order of its own
+        self.usable = False
+
+    def factor(self, data: Array) -> None:
+        """Raises NotPositiveDefinite."""
+        self.usable = False
+        self.factored += 1
+        data = data.copy()
+        shift = SHIFT * float(data[self._diagonal].max())
+        data[self._diagonal] += shift
+        self._factor.factor(data)
+        self._L = self._factor.trailing(self.size)[self._rows]
+        lower = dsyrk(1.0, self._L.T, trans=1, lower=1)
+        S = np.asarray(lower + np.tril(lower, -1).T)
+        S[np.diag_indices(self.size)] -= shift
+        self.schur = Schur(S)  # undamped
+        self.usable = True
+
+    def forward(self, g: Array) -> Array:
+        """L^-1 of a gradient (n, 3)."""
+        return self._factor.forward(g.ravel()[self.whole.free])
+
+    def load(self, y: Array) -> Array:
+        """What is left of that gradient on the condensed unknowns (k,)."""
+        return np.asarray(self._L @ y[-self.size :])
+
+    def expand(self, u: Array, y: Array) -> Array:
+        """The step (n, 3) of all nodes that goes with u (k,) and the gradient L y."""
+        q = np.concatenate([-y[: -self.size], u @ self._L])
+        p = np.zeros(self._free.shape)
+        p.ravel()[self.whole.free] = self._factor.backward(q)
+        return p
+
+
+def _definite(K: Array) -> tuple[Array, bool]:
+    """Cholesky factor of K or, where that is not positive definite, of K with a multiple of the unit matrix added
+    (Nocedal & Wright 2006, algorithm 3.3)."""
+    shift, least = 0.0, 1e-3 * float(np.abs(np.diag(K)).max())
+    while True:
+        try:
+            return cho_factor(K + shift * np.eye(len(K)), lower=True, check_finite=False)
+        except np.linalg.LinAlgError:
+            shift = max(4 * shift, least)
+
+
+class Schur:
+    """A dense symmetric stiffness S (k, k) with `damping` on its diagonal, of which only some unknowns are loaded.
+
+    The unknowns on which contact has not acted so far are eliminated once; `active` ones only ever become more. Those
+    eliminated must be stable by themselves: more damping is added until they are.
+    """
+
+    def __init__(self, S: Array, damping: float = 0.0) -> None:
+        self.undamped, self.damping = S, damping
+        self.S = S + damping * np.eye(len(S))
+        self.active = np.zeros(len(S), bool)
+        self._reduced: tuple[Array, Array, Array] | None = None
+
+    @property
+    def least_damping(self) -> float:
+        """The smallest damping worth trying [N/mm]."""
+        return DAMPING * float(np.median(np.diag(self.undamped)))
+
+    def activate(self, which: Array) -> None:
+        """Keep these unknowns (k,) bool too."""
+        if self._reduced is not None and not (which & ~self.active).any():
+            return
+        self.active = self.active | which
+        o, a = ~self.active, self.active
+        while True:
+            try:
+                L = np.linalg.cholesky(self.S[np.ix_(o, o)])
+                break
+            except np.linalg.LinAlgError:
+                self.damping = max(4 * self.damping, self.least_damping)
+                self.S = self.undamped + self.damping * np.eye(len(self.S))
+        W = solve_triangular(L, self.S[np.ix_(o, a)], lower=True, check_finite=False)
+        self._reduced = L, W, self.S[np.ix_(a, a)] - W.T @ W
+
+    def solve(self, added: Array, b: Array, symmetric: bool) -> Array:
+        """x (k,) of (S + added) x = b, with `added` (a, a) on the active unknowns, not symmetric unless said so.
+
+        Raises LinAlgError: singular.
+        """
+        assert self._reduced is not None
+        L, W, rest = self._reduced
+        a, x = self.active, np.empty_like(b)
+        y = solve_triangular(L, b[~a], lower=True, check_finite=False)
+        K, c = rest + added, b[a] - y @ W
+        x[a] = cho_solve(_definite(K), c, check_finite=False) if symmetric else np.linalg.solve(K, c)
+        x[~a] = solve_triangular(L, y - W @ x[a], lower=True, trans=1, check_finite=False)
+        return x

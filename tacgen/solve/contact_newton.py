@@ -1,0 +1,151 @@
+"""Newton's method for contact with friction on a bulk whose tangent is at hand: the inner loop.
+
+The step is that of the consistent, non-symmetric tangent. It is kept where it lowers the merit function (energy of bulk
+and barrier, and of friction with its normal forces frozen at the step's start) by Armijo's rule; else the step of the
+symmetric positive tangent is, which always goes down. Near the answer the first converges quadratically.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from tacgen.fem.assembly import add_dense_blocks
+from tacgen.fem.coupled_contact import ContactForces, CoupledContact
+from tacgen.solve.condensation import Schur
+
+Array = np.ndarray
+ARMIJO = 1e-4
+ROUNDING = 1e-12  # of the merit function: by so much a step may raise it
+SHORTEST = 1e-8  # a line search that gets here has stalled
+ENOUGH = 0.1  # of a coupled step: where less of it goes down, the symmetric step is tried
+
+
+class Bulk(Protocol):
+    """What resists the contact, as a function of the positions x (n, 3) of some nodes."""
+
+    def value(self, x: Array) -> float: ...
+
+    def gradient(self, x: Array) -> Array: ...
+
+    def solve(self, x: Array, contact: CoupledContact, D: Array, g: Array, symmetric: bool) -> Array | None:
+        """The step (n, 3) that balances the gradient g (n, 3), with the contact's tangent D (f, q, 3, 3); None where
+        the tangent is singular or, if symmetric, not positive definite."""
+
+
+@dataclass(frozen=True)
+class Quadratic:
+    """The condensed bulk: u . force + u . S u / 2 of displacements u (k,) of the condensed unknowns from `start`."""
+
+    start: Array  # (m, 3) [mm]
+    dofs: Array  # (m, 3) number of the unknown, -1 where held
+    schur: Schur
+    force: Array  # (k,) [N]
+
+    def _u(self, x: Array) -> Array:
+        return np.asarray((x - self.start)[self.dofs >= 0])
+
+    def value(self, x: Array) -> float:
+        u = self._u(x)
+        return float(u @ (self.schur.S @ u / 2 + self.force))
+
+    def gradient(self, x: Array) -> Array:
+        out = np.zeros(x.shape)
+        out[self.dofs >= 0] = self.schur.S @ self._u(x) + self.force
+        return out
+
+    def solve(self, x: Array, contact: CoupledContact, D: Array, g: Array, symmetric: bool) -> Array | None:
+        faces = contact.contact.faces
+        felt = np.flatnonzero(D.any((1, 2, 3)))
+        which = np.zeros(len(self.force), bool)
+        dofs = self.dofs[faces.conn[felt]]
+        which[dofs[dofs >= 0]] = True
+        self.schur.activate(which)
+        place = np.append(np.where(self.schur.active, np.cumsum(self.schur.active) - 1, -1), -1)
+        added = np.zeros((int(self.schur.active.sum()),) * 2)
+        add_dense_blocks(D[felt], faces.N, place[dofs], added)
+        p = np.zeros(x.shape)
+        try:
+            p[self.dofs >= 0] = self.schur.solve(added, -g[self.dofs >= 0], symmetric)
+        except np.linalg.LinAlgError:
+            return None
+        return p if np.isfinite(p).all() else None
+
+
+@dataclass(frozen=True)
+class ContactSolution:
+    """Positions x (n, 3), the contact as it is there (its offset included), its forces there, and how it ended."""
+
+    x: Array
+    contact: CoupledContact
+    forces: ContactForces
+    converged: bool
+    steps: int
+    bounded: bool = False  # it stopped at the radius
+
+
+def solve_contact(
+    bulk: Bulk, contact: CoupledContact, x: Array, *, xtol: float, max_steps: int, radius: float = np.inf
+) -> ContactSolution:
+    """Equilibrium of bulk, barrier and friction, the indenter shrunk by the mean gap that it leads to.
+
+    Ends when a full step moves no node by more than xtol [mm] and the mean gap agrees as well, or where a node has come
+    `radius` [mm] from its start.
+    """
+    steps, length, drift, start = 0, np.inf, 0.0, x
+    forces = contact.evaluate(x)
+    while True:
+        if length <= contact.contact.dhat and forces.N.any():  # farther from the answer the mean gap says nothing
+            drift = forces.mean_gap - contact.contact.offset
+            contact = contact.shrunk(forces.mean_gap)
+            forces = contact.evaluate(x)
+        if steps == max_steps:
+            return ContactSolution(x, contact, forces, False, steps)
+        g = bulk.gradient(x) + contact.contact.faces.scatter(-forces.force, len(x))
+        steps += 1
+        fraction, p = _step(bulk, contact, forces, x, g)
+        if p is None:
+            return ContactSolution(x, contact, forces, False, steps)
+        before, x = x, x + fraction * p
+        if np.abs(x - start).max() > radius:
+            x = before + _to_radius(before - start, x - before, radius) * (x - before)
+            return ContactSolution(x, contact, contact.evaluate(x), False, steps, True)
+        forces = contact.evaluate(x)
+        length = float(np.abs(p).max())
+        if fraction == 1.0 and length <= xtol and abs(drift) <= xtol:
+            return ContactSolution(x, contact, forces, True, steps)
+        if fraction * length < SHORTEST * xtol:
+            return ContactSolution(x, contact, forces, length <= xtol, steps)
+
+
+def _to_radius(gone: Array, step: Array, radius: float) -> float:
+    """Part of a step with which the first entry comes to the radius."""
+    away = np.where(step != 0, (radius - np.sign(step) * gone) / np.maximum(np.abs(step), 1e-300), np.inf)
+    return float(max(away.min(), 0.0))
+
+
+def _step(
+    bulk: Bulk, contact: CoupledContact, forces: ContactForces, x: Array, g: Array
+) -> tuple[float, Array | None]:
+    """Which part of which step to take."""
+    here = bulk.value(x) + contact.merit(x, forces)
+
+    def down(p: Array, least: float) -> float:
+        slope = float((g * p).sum())
+        if slope > 0:
+            return 0.0
+        fraction = contact.contact.max_step(x, p)
+        while fraction >= least:
+            there = x + fraction * p
+            if bulk.value(there) + contact.merit(there, forces) <= here + ARMIJO * fraction * slope + ROUNDING * abs(here):
+                return fraction
+            fraction /= 2
+        return 0.0
+
+    p = bulk.solve(x, contact, forces.tangent, g, False)
+    if p is not None and (fraction := down(p, ENOUGH)) > 0:
+        return fraction, p
+    p = bulk.solve(x, contact, forces.definite, g, True)
+    if p is not None and (fraction := down(p, SHORTEST)) > 0:
+        return fraction, p
+    return 0.0, None

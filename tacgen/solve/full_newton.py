@@ -1,0 +1,78 @@
+"""Newton's method on all unknowns at once: the oracle, and what serves where CHOLMOD's factors cannot be read.
+
+The same equations, merit function and steps as in contact_newton, with the bulk itself instead of its Schur complement:
+each tangent exact and new, and one sparse LU factorisation of bulk and contact together.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import scipy.sparse as sp
+
+from tacgen.fem.coupled_contact import CoupledContact
+from tacgen.fem.potential import Projection
+from tacgen.solve.bulk import Bulk, BulkPoint
+from tacgen.solve.contact_newton import ContactSolution, solve_contact
+from tacgen.solve.linear_solvers import NotPositiveDefinite
+from tacgen.solve.problem import Problem
+
+Array = np.ndarray
+
+
+@dataclass
+class WholeBulk:
+    """The bulk for contact_newton.solve_contact."""
+
+    problem: Problem
+    bulk: Bulk
+    _at: BulkPoint | None = field(default=None, repr=False)
+
+    def at(self, x: Array) -> BulkPoint:
+        if self._at is None or self._at.x is not x:
+            self._at = self.bulk.at(x)
+        return self._at
+
+    def value(self, x: Array) -> float:
+        return self.at(x).energy
+
+    def gradient(self, x: Array) -> Array:
+        return self.at(x).gradient
+
+    def solve(self, x: Array, contact: CoupledContact, D: Array, g: Array, symmetric: bool) -> Array | None:
+        pattern, p = self.problem.pattern, np.zeros(x.size)
+        data = np.zeros(len(pattern.indices))
+        self.bulk.add_tangent(self.at(x), data, Projection.FULL if symmetric else Projection.NONE, None)
+        b = -g.ravel()[pattern.free]
+        if symmetric:
+            contact.contact.faces.add_blocks(np.arange(len(D)), D, data)
+            try:
+                self.problem.linear.factor(data)
+            except NotPositiveDefinite:
+                return None
+            p[pattern.free] = self.problem.linear.solve(b)
+            return p.reshape(x.shape)
+        upper = sp.csr_matrix((data, pattern.indices, pattern.indptr), shape=(pattern.size,) * 2)
+        K = upper + sp.triu(upper, 1).T + self._sparse(contact, D, x.size)
+        try:
+            p[pattern.free] = sp.linalg.splu(K.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}).solve(b)
+        except RuntimeError:  # singular
+            return None
+        return p.reshape(x.shape) if np.isfinite(p).all() else None
+
+    def _sparse(self, contact: CoupledContact, D: Array, dofs: int) -> sp.csr_matrix:
+        """The contact's tangent on the free dofs."""
+        faces, pattern = contact.contact.faces, self.problem.pattern
+        felt = np.flatnonzero(D.any((1, 2, 3)))
+        blocks = np.einsum("qa,qb,fqij->faibj", faces.N, faces.N, D[felt])
+        number = (3 * faces.conn[felt][..., None] + np.arange(3)).reshape(len(felt), -1)
+        size = number.shape[1]
+        rows, columns = np.repeat(number, size, 1).ravel(), np.tile(number, (1, size)).ravel()
+        whole = sp.coo_matrix((blocks.ravel(), (rows, columns)), shape=(dofs, dofs)).tocsr()
+        return whole[pattern.free][:, pattern.free]
+
+
+def solve(problem: Problem, bulk: Bulk, contact: CoupledContact, x: Array) -> ContactSolution:
+    """Equilibrium of everything from x (n, 3)."""
+    options = problem.options
+    xtol = options.step_tol * contact.contact.dhat
+    return solve_contact(WholeBulk(problem, bulk), contact, x, xtol=xtol, max_steps=options.max_newton)

@@ -1,0 +1,31 @@
+"""Lagged normal forces, renewed from an answer that depends on them, until both agree.
+
+Where two renewals in a row undo each other, the mixture of both with the smallest error is taken: Anderson (1965),
+"Iterative procedures for nonlinear integral equations", with a memory of one.
+"""
+
+import numpy as np
+
+Array = np.ndarray
+OPPOSED = 0.8  # minus the cosine between two errors from which on they undo each other
+
+
+class Lag:
+    """The last positions x (n, 3), the forces found there and by how much they were off those that had been lagged."""
+
+    def __init__(self) -> None:
+        self._last: tuple[Array, Array, Array] | None = None
+
+    def next(self, x: Array, force: Array, lagged: Array) -> tuple[Array, Array]:
+        """Positions and forces to lag, where `lagged` led to x and `force`."""
+        error, last = force - lagged, self._last
+        self._last = x, force, error
+        if last is None:
+            return x, force
+        before = last[2]
+        size = float(np.linalg.norm(error) * np.linalg.norm(before))
+        if float((error * before).sum()) >= -OPPOSED * size:
+            return x, force
+        change = error - before
+        part = float(np.clip(-(before * change).sum() / (change * change).sum(), 0.0, 1.0))
+        return last[0] + part * (x - last[0]), np.maximum(last[1] + part * (force - last[1]), 0.0)

@@ -1,0 +1,114 @@
+"""From frame to frame in load steps: as short as friction can follow, and halved where one does not converge."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from tacgen.fem.contact import Contact, Pose
+from tacgen.solve.equilibrium import equilibrium
+from tacgen.solve.problem import Problem
+from tacgen.solve.state import History, NotConverged, State, TooFar
+
+Array = np.ndarray
+TOO_FAR = 12  # halvings of a load step in which the indenter might pass through the gel
+SHARP = 1.5  # edges of the mesh: an indenter with a smaller radius has edges sharper than the mesh
+TURNED = 0.3  # [rad] by which the indenter's normal at a point changes where a step brings it round an edge
+
+
+def between(a: Array, b: Array, turn: Array, part: float) -> Array:
+    """The pose (4, 4) a part of the way from a to b: straight in position, steady about `turn` (3,) [rad]."""
+    from scipy.spatial.transform import Rotation
+
+    out = b.copy()
+    if part < 1:
+        out[:3, :3] = Rotation.from_rotvec(part * turn).as_matrix() @ a[:3, :3]
+        out[:3, 3] = (1 - part) * a[:3, 3] + part * b[:3, 3]
+    return out
+
+
+def shortest_turn(a: Array, b: Array) -> Array:
+    """Rotation vector (3,) [rad] from pose a to pose b (4, 4) by the shorter way."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_matrix(b[:3, :3] @ a[:3, :3].T).as_rotvec())
+
+
+def along(a: Array, b: Array, turn: Array, n: int) -> list[Array]:
+    """The ends (4, 4) of n equal steps from a to b, the last of them b itself."""
+    return [between(a, b, turn, k / n) for k in range(1, n + 1)]
+
+
+def rounded(problem: Problem, before: History, after: History) -> float:
+    """Friction at points that crossed a sharp edge in one step, as a part of the contact force; above .05 the result
+    depends on the step size.
+
+    Whether such a point is dragged or slips depends on its path round the edge.
+    """
+    if not problem.friction or not _sharp(problem):
+        return 0.0
+    turned = np.linalg.norm(after.normal - before.normal, axis=-1) > TURNED
+    force = np.maximum(after.normal_force, before.normal_force)[turned].sum()
+    return problem.friction * float(force) / max(float(after.normal_force.sum()), after.least_force)
+
+
+def _sharp(problem: Problem) -> bool:
+    return problem.contact.shape.smallest_radius < SHARP * problem.edge
+
+
+def steps_needed(problem: Problem, history: History, a: Array, b: Array, turn: Array) -> int:
+    """Load steps from pose a to pose b such that none carries what is in contact farther than friction can follow."""
+    touching = history.normal_force > 0
+    if problem.friction == 0 or not touching.any():
+        return 1
+    at = problem.contact.faces.at(history.x)[touching] - a[:3, 3]
+    angle = float(np.linalg.norm(turn))
+    arm = np.linalg.norm(np.cross(at, turn / angle), axis=-1).max() if angle > 1e-12 else 0.0
+    move = b[:3, 3] - a[:3, 3]
+    normal = history.normal[touching] @ history.pose.rotation.T
+    weight = history.normal_force[touching]
+    mean = (weight[:, None] * normal).sum(0) / weight.sum()
+    sliding = float(np.linalg.norm(move - (move @ mean) * mean)) + angle * float(arm)
+    options = problem.options
+    farthest = (options.slide_sharp if _sharp(problem) else options.slide) * problem.edge
+    return max(1, int(np.ceil(sliding / farthest - 1e-9)))
+
+
+def _reach(
+    problem: Problem, history: History, a: Array, b: Array, turn: Array, index: int, duration: float, halved: int = 0,
+    far: int = 0,
+) -> tuple[History, State]:  # fmt: skip
+    """From pose a to pose b in one load step, or in two halves where that fails or goes too far."""
+    try:
+        after, state = equilibrium(problem, history, b, index, duration)
+        return after, replace(state, rounded=rounded(problem, history, after))
+    except TooFar:
+        if far == TOO_FAR:
+            raise
+        far += 1
+    except NotConverged:
+        if halved == problem.options.halvings:
+            raise
+        halved += 1
+    middle = between(a, b, turn, 0.5)
+    there, first = _reach(problem, history, a, middle, turn / 2, index, duration / 2, halved, far)
+    there, second = _reach(problem, there, middle, b, turn / 2, index, duration / 2, halved, far)
+    return there, _after(first, second)
+
+
+def advance(
+    problem: Problem, history: History, a: Array, b: Array, turn: Array, index: int, duration: float
+) -> tuple[History, State]:
+    """From pose a to pose b, at an even pace, turning by the rotation vector `turn` (3,) [rad]."""
+    n, total = max(problem.steps(duration), steps_needed(problem, history, a, b, turn)), None
+    for start, end in pairwise([a, *along(a, b, turn, n)]):
+        history, state = _reach(problem, history, start, end, turn / n, index, duration / n)
+        total = state if total is None else _after(total, state)
+    assert total is not None
+    return history, total
+
+
+def _after(first: State, second: State) -> State:
+    """The second state, its work that of both."""
+    iterations, substeps = first.iterations + second.iterations, first.substeps + second.substeps
+    return replace(second, iterations=iterations, substeps=substeps, rounded=max(first.rounded, second.rounded))

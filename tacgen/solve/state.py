@@ -1,0 +1,67 @@
+"""What a frame is, and what the next one inherits from it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tacgen.fem.contact import Pose
+
+Array = np.ndarray
+
+
+class NotConverged(ArithmeticError):
+    """A frame has no solution that meets the tolerances; the message says why."""
+
+
+class TooFar(NotConverged):
+    """A load step in which the indenter might pass through the gel unseen."""
+
+
+@dataclass(frozen=True)
+class History:
+    """What a load step inherits from the one before; anchors and normals are in the indenter's frame."""
+
+    pose: Pose
+    x: Array  # (n, 3) [mm]
+    offset: float  # by which the indenter was shrunk [mm]
+    normal_force: Array  # (f, q) [N]
+    normal: Array  # (f, q, 3)
+    anchor: Array  # (f, q, 3) [mm]
+    gap: Array  # (f, q) [mm]
+    kappa: float  # barrier stiffness [MPa]
+    least_force: float  # below it no forces are told apart [N]
+    velocity: Array | None  # (n, 3) [mm/s], with inertia
+    before: Array  # x one load step earlier, from which lagged friction extrapolates
+    missed: tuple[Array, Array] | None = None  # what the predictor missed of x, and on which way (see predictor)
+
+
+@dataclass(frozen=True)
+class State:
+    """The gel at one frame.
+
+    x (n, 3) nodal positions [mm]; normal_force (f, q) [N] pressing on the gel's quadrature points, normal (f, q, 3)
+    outward from the indenter, friction (f, q, 3) [N] on the gel or None without friction; sliding (f, q) bool.
+    """
+
+    index: int
+    pose: Array
+    x: Array
+    normal_force: Array
+    normal: Array
+    friction: Array | None
+    sliding: Array | None
+    iterations: int  # Newton steps of the bulk
+    substeps: int  # load steps
+    offset: float  # by which the indenter was shrunk [mm]
+    mean_gap: float  # [mm], to the shrunk indenter; equal to offset within step_tol
+    min_gap: float  # [mm], to the shrunk indenter
+    residual: float  # of the free nodes' forces (2-norm), as a part of the contact force
+    balance: float  # |indenter force + base reaction| / indenter force
+    least_J: float  # certified lower bound of J over all of the gel, as a part of the rest volume
+    rounded: float = 0.0  # friction at points that one step brought round an edge, as a part of the contact force
+
+    @property
+    def traction_force(self) -> Array:
+        """Force of the indenter on each quadrature point of the gel (f, q, 3) [N]."""
+        push = self.normal_force[..., None] * self.normal
+        return np.asarray(push if self.friction is None else push + self.friction)
