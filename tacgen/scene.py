@@ -20,7 +20,7 @@ from tacgen.spec import indenters, moves
 from tacgen.spec import sensor as sensors
 from tacgen.spec.indenters import Indenter
 from tacgen.spec.sensor import MooneyRivlinLayer, NeoHookeLayer, Sensor, StableNeoHookeLayer, YeohLayer
-from tacgen.step.trajectory import Forced, lay
+from tacgen.path import Forced, lay
 
 __all__ = ["Gel", "Layer", "Scene", "build"]
 
@@ -168,7 +168,7 @@ def build(row: Row) -> Scene:
     if len(beside):
         x, y = beside[0]
         raise UserError(f"trajectory: would carry the indenter's axis off the gel's coated face, to ({x:g}, {y:g})")
-    more = (way.forced, _dynamics(row), element, _surface(row, shape))
+    more = (way.forced, _dynamics(row), element, _surface(row, shape), way.turns)
     return Scene(gel, shape, way.poses, way.start, way.segment, friction, edge, dhat, *more)
 
 

@@ -15,7 +15,7 @@ from tacgen.errors import UserError
 from tacgen.recipe import Recipe
 from tacgen.spec import motions, posetable, turns
 from tacgen.spec.explain import validate
-from tacgen.step.trajectory import lowest
+from tacgen.path import lowest
 
 Array = np.ndarray
 TITLES = "time_s,x_mm,y_mm,z_mm,qw,qx,qy,qz"

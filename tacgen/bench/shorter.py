@@ -12,7 +12,7 @@ from tacgen import mesh, scene, solve
 from tacgen.bench.answers import row_of
 from tacgen.bench.cases import CASES, PLAIN, RANDOM, Sets, random
 from tacgen.bench.kit import Cell, Level, Say, Table, columns, cores
-from tacgen.step.travel import along
+from tacgen.path import along, shortest_turn
 
 Array = np.ndarray
 TIMES = 4  # as many frames
@@ -44,8 +44,11 @@ def table(level: Level, say: Say) -> Table:
 
 def finer(made: scene.Scene, times: int) -> scene.Scene:
     """The same way with `times` frames for each, the last of them where that was."""
-    poses = [pose for a, b in pairwise([made.start, *made.poses]) for pose in along(a, b, times)]
-    return replace(made, poses=np.array(poses), segment=np.repeat(made.segment, times))
+    ways = list(pairwise([made.start, *made.poses]))
+    turns = [shortest_turn(a, b) for a, b in ways] if made.turns is None else made.turns
+    poses = [pose for (a, b), turn in zip(ways, turns, strict=True) for pose in along(a, b, turn, times)]
+    shorter = np.repeat(turns, times, axis=0) / times
+    return replace(made, poses=np.array(poses), segment=np.repeat(made.segment, times), turns=shorter)
 
 
 def forces(made: scene.Scene) -> tuple[Array, float]:

@@ -6,7 +6,7 @@ import numpy as np
 
 from tacgen import mesh, solve
 from tacgen.scene import Scene
-from tacgen.step.trajectory import FORCE_DEPTH
+from tacgen.path import FORCE_DEPTH
 
 HOPELESS = 2  # times the most that the coarse mesh gives
 COARSE = 5  # edges through the thickness, of the mesh on which depths are foreseen

@@ -5,38 +5,15 @@ from itertools import pairwise
 
 import numpy as np
 
-from tacgen.fem.contact import Contact, Pose
 from tacgen.solve.equilibrium import equilibrium
 from tacgen.solve.problem import Problem
 from tacgen.solve.state import History, NotConverged, State, TooFar
+from tacgen.path import along, between
 
 Array = np.ndarray
 TOO_FAR = 12  # halvings of a load step in which the indenter might pass through the gel
 SHARP = 1.5  # edges of the mesh: an indenter with a smaller radius has edges sharper than the mesh
 TURNED = 0.3  # [rad] by which the indenter's normal at a point changes where a step brings it round an edge
-
-
-def between(a: Array, b: Array, turn: Array, part: float) -> Array:
-    """The pose (4, 4) a part of the way from a to b: straight in position, steady about `turn` (3,) [rad]."""
-    from scipy.spatial.transform import Rotation
-
-    out = b.copy()
-    if part < 1:
-        out[:3, :3] = Rotation.from_rotvec(part * turn).as_matrix() @ a[:3, :3]
-        out[:3, 3] = (1 - part) * a[:3, 3] + part * b[:3, 3]
-    return out
-
-
-def shortest_turn(a: Array, b: Array) -> Array:
-    """Rotation vector (3,) [rad] from pose a to pose b (4, 4) by the shorter way."""
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(Rotation.from_matrix(b[:3, :3] @ a[:3, :3].T).as_rotvec())
-
-
-def along(a: Array, b: Array, turn: Array, n: int) -> list[Array]:
-    """The ends (4, 4) of n equal steps from a to b, the last of them b itself."""
-    return [between(a, b, turn, k / n) for k in range(1, n + 1)]
 
 
 def rounded(problem: Problem, before: History, after: History) -> float:

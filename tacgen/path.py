@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from tacgen.solid.gel import Gel
 
 Array = np.ndarray
-Step = tuple[Array, tuple[float, ...]]  # pose, and asked, part, carry, floor and below of Forced
+Step = tuple[Array, Array, tuple[float, ...]]  # pose, turn, and asked, part, carry, floor and below of Forced
 FORCE_DEPTH = 0.8  # of the gel's thickness: no force is looked for below
 FIRST_GUESS = 0.1  # of the thickness: where the search for a force starts
 
@@ -53,11 +53,13 @@ class Forced:
 
 @dataclass(frozen=True)
 class Path:
-    """Poses (N, 4, 4) at every frame, the segment (N,) each belongs to, what forces ask for, and the pose (4, 4)
-    before the first frame, clear of the gel."""
+    """Poses (N, 4, 4) at every frame, the rotation vector (N, 3) [rad] from each pose to the next, which may be more
+    than half a turn, the segment (N,) each belongs to, what forces ask for, and the pose (4, 4) before the first frame,
+    clear of the gel."""
 
     start: Array
     poses: Array
+    turns: Array
     segment: Array
     forced: Forced | None
 
@@ -68,6 +70,28 @@ def _about(axis: Array, angle: float) -> Array:
 
     turn: Array = Rotation.from_rotvec(axis * angle).as_matrix()
     return turn
+
+
+def shortest_turn(a: Array, b: Array) -> Array:
+    """Rotation vector (3,) [rad] from pose a to pose b (4, 4) by the shorter way."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_matrix(b[:3, :3] @ a[:3, :3].T).as_rotvec())
+
+
+def between(a: Array, b: Array, turn: Array, part: float) -> Array:
+    """The pose (4, 4) a part of the way from a to b: straight in position, steady about `turn` (3,) [rad]."""
+    out = b.copy()
+    if part < 1:
+        angle = float(np.linalg.norm(turn))
+        out[:3, :3] = (_about(turn / angle, part * angle) if angle else np.eye(3)) @ a[:3, :3]
+        out[:3, 3] = (1 - part) * a[:3, 3] + part * b[:3, 3]
+    return out
+
+
+def along(a: Array, b: Array, turn: Array, n: int) -> list[Array]:
+    """The ends (4, 4) of n equal steps from a to b, the last of them b itself."""
+    return [between(a, b, turn, k / n) for k in range(1, n + 1)]
 
 
 def _sunk(shape: Shape, pose: Array, gel: "Gel") -> float:
@@ -152,7 +176,7 @@ class _Walk:
 
     def steps(self, move: moves.Made, where: str) -> Iterator[Step]:
         """The frames of one segment."""
-        begun, carried = self.pose, self.carry
+        begun, carried, turn = self.pose, self.carry, np.zeros(3)
         contact = floor = np.nan
         if isinstance(move, moves.Press):
             contact = _contact(self.shape, begun, self.gel)
@@ -177,10 +201,12 @@ class _Walk:
                     new[1, 3] += part * y
                 case moves.Twist(angle_deg=angle):
                     new[:3, :3] = _about(begun[:3, 2], part * np.radians(angle)) @ begun[:3, :3]
+                    turn = begun[:3, 2] * np.radians(angle) / move.frames
                 case moves.Tilt(angle_deg=angle, axis_deg=axis):
                     self._tilt(new, begun, part * np.radians(angle), np.radians(axis), where)
+                    turn = np.array([np.cos(a := np.radians(axis)), np.sin(a), 0.0]) * np.radians(angle) / move.frames
             self.pose = new
-            yield new, (asked, part, self.carry, floor, below)
+            yield new, turn, (asked, part, self.carry, floor, below)
 
     def _tilt(self, new: Array, begun: Array, angle: float, axis: float, where: str) -> None:
         """Turn about the lowest point of the pose at which the segment began."""
@@ -195,10 +221,10 @@ class _Walk:
         """Frames at the rows of a table; no height found before is carried into them."""
         self.carry = 0.0
         for row in rows:
-            self.pose = _placed(row.place)
+            before, self.pose = self.pose, _placed(row.place)
             if self.pose[2, 3] - self.shape.support(-self.pose[2, :3]) <= -self.gel.thickness:
                 raise UserError(f"{where}.file: line {row.line}: the indenter would be at the gel's base, or below")
-            yield self.pose, (np.nan, 1.0, 0.0, np.nan, np.nan)
+            yield self.pose, shortest_turn(before, self.pose), (np.nan, 1.0, 0.0, np.nan, np.nan)
         self.home = max(self.home, _contact(self.shape, self.pose, self.gel))
 
 
@@ -217,6 +243,7 @@ def lay(recipe: Recipe, shape: Shape, gel: "Gel", replayed: Callable[[int], tupl
         start = _first(shape, recipe.start, gel)
     walk = _Walk(shape, gel, start, float(start[2, 3]))
     poses: list[Array] = []
+    turns: list[Array] = []
     segments: list[int] = []
     asked: list[tuple[float, ...]] = []
     for number, segment in enumerate(recipe.trajectory):
@@ -226,10 +253,12 @@ def lay(recipe: Recipe, shape: Shape, gel: "Gel", replayed: Callable[[int], tupl
             steps = walk.replay(replayed(number), where)
         else:
             steps = walk.steps(move, where)
-        for pose, ask in steps:
+        for pose, turn, ask in steps:
             poses.append(pose)
+            turns.append(turn)
             segments.append(number)
             asked.append(ask)
     of, part, carry, floor, below = np.array(asked).T
     forced = Forced(of, part, carry, floor, np.nan_to_num(below))
-    return Path(start, np.array(poses), np.array(segments), forced if np.isfinite(forced.asked).any() else None)
+    held = forced if np.isfinite(forced.asked).any() else None
+    return Path(start, np.array(poses), np.array(turns), np.array(segments), held)

@@ -1,1 +1,0 @@
-"""From pose to pose: where the indenter goes, and the gel's way to equilibrium under it."""
