@@ -26,7 +26,8 @@ __all__ = ["Gel", "Layer", "Scene", "build"]
 
 Array = np.ndarray
 TONNES_PER_MM3 = 1e-12  # kg/m^3
-CELL = 0.25  # of the edge: grid spacing of a mesh's signed distance
+CELL = 0.5  # of the edge: grid spacing of a mesh's signed distance; its edges come out rounded by about one cell, as sharp as
+# the gel's mesh can follow
 
 
 @dataclass(frozen=True)

@@ -1,12 +1,9 @@
 """A scene's labels and what they cost, and how far two such answers to the same scene are apart."""
 
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from dataclasses import fields as names_of
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -19,13 +16,14 @@ from tacgen.optics.coating import centers
 from tacgen.optics.flow import Points
 from tacgen.optics.layers import Camera
 from tacgen.optics.sheet import Sheet
+from tacgen.solve import foresee
 from tacgen.spec import assets
 from tacgen.spec.sensor import Markers
-from tacgen.solve import foresee
 
 Array = np.ndarray
-ROOT = Path(solve.__file__).parent
-DECIDES = ("fem/*", "optics/*", "solid/*", "step/*", "labels/*", "scene", "mesh", "solve", "fields", "bench/answers")
+USUAL = solve.SolverOptions()
+ROOT = Path(scene.__file__).parent
+DECIDES = ("fem/*", "optics/*", "solid/*", "solve/*", "labels/*", "path", "scene", "mesh", "fields", "bench/answers")
 BALL = ("outputs=[force]", "indenter={shape: sphere, radius_mm: 4}")
 DEPTHS = {"gelsight_mini": 1.0, "digit": 0.8, "ninedtact": 0.8}  # of the ball [mm]
 MOVES = "trajectory=[{{press: {{depth_mm: {depth}, frames: {press}}}}}, {{slide: {{x_mm: 0.6, frames: {slide}}}}}]"
@@ -89,7 +87,11 @@ def row_of(sets: tuple[str, ...]) -> plan.Row:
     return plan.load(assets.recipe_path("quickstart"), sets).rows[0]
 
 
-def answer(sets: tuple[str, ...], shift: tuple[float, float] = (0.0, 0.0)) -> Answer:
+def answer(
+    sets: tuple[str, ...],
+    shift: tuple[float, float] = (0.0, 0.0),
+    options: solve.SolverOptions = USUAL,
+) -> Answer:
     """Solve the quickstart with changes and take its labels; `shift` moves a mesh of hexes under the indenter, in parts
     of an edge."""
     row = row_of(sets)
@@ -101,7 +103,7 @@ def answer(sets: tuple[str, ...], shift: tuple[float, float] = (0.0, 0.0)) -> An
     else:
         built = mesh.of(made)
     begun = time.process_time()
-    problem = solve.Problem.of(made, built)
+    problem = solve.Problem.of(made, built, options)
     ready = time.process_time()
     states = list(solve.states(made, problem))
     seconds = time.process_time() - ready
@@ -147,16 +149,3 @@ def kept(sets: tuple[str, ...]) -> Answer:
 
     values: list[Any] = [v if v.ndim else v.item() for v in store.kept("bench", key, make)]
     return Answer(*values)
-
-
-@contextmanager
-def changed(module: ModuleType, **values: Any) -> Iterator[None]:
-    """A module's constants, otherwise for a while."""
-    before = {name: getattr(module, name) for name in values}
-    for name, value in values.items():
-        setattr(module, name, value)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            setattr(module, name, value)

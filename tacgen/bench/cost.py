@@ -7,7 +7,6 @@ from statistics import median
 from typing import Any
 
 from tacgen.bench.kit import Cell, Level, Plot, Result, Say, Series, Table, apart, columns, peak_memory
-from tacgen.fem.condensed import MOST
 
 ABOUT = (
     "A ball of 4 mm with friction 0.6, labels and images left out: each line is a process of its own on one core, in"
@@ -37,8 +36,8 @@ def solved(sets: list[str], repeats: int = 1) -> dict[str, Any]:
     """Of the quickstart with these changes: seconds of each frame in each of the runs, one after the other; of the
     last, iterations of each frame; nodes, and memory [MB]."""
     from tacgen import mesh, plan, scene, solve
-    from tacgen.spec import assets
     from tacgen.solve import foresee
+    from tacgen.spec import assets
 
     rough = scene.build(plan.load(assets.recipe_path("quickstart"), (*BALL, PRESS, "quality={edge_mm: 1.5}")).rows[0])
     next(solve.states(rough, solve.Problem.of(rough, mesh.of(rough))))  # compile
@@ -99,7 +98,7 @@ def _growth(level: Level, say: Say) -> tuple[Table, Plot]:
     heads = ("edge [mm]: .3f", "nodes: d", "iterations: d", "s a frame: .2f", "s an iteration: .3f", "memory [MB]: .0f")
     note = f"A press of 1 mm in one frame. It costs as nodes^{whole:.2f} over the whole range, and from size to size as"
     note += " nodes^" + ", ".join(f"{slope:.2f}" for slope in local)
-    note += f". Iterations are dear and few up to {MOST} unknowns in contact, and on finer meshes cheap and more."
+    note += ". An iteration is a step of the whole gel; contact comes to equilibrium within it."
     line = Series(f"nodes^{whole:.2f}", [nodes[0], nodes[-1]], [each[0], each[-1]], line=True)
     plot = Plot("Cost of a frame", "nodes", "s a frame", [Series("measured", nodes, each), line])
     return Table("How cost grows with the mesh", columns(*heads), rows, note), plot

@@ -1,17 +1,14 @@
 """Error of the mechanics against its run time: what each choice of mesh, element, contact and solver costs."""
 
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, nullcontext
-from dataclasses import astuple, dataclass, field, replace
+from dataclasses import astuple, dataclass, replace
 from importlib.util import find_spec
-from typing import Any
 
 import numpy as np
 
-from tacgen.bench.answers import DEPTHS, Answer, Error, answer, changed, kept, row_of, sliding
+from tacgen.bench.answers import DEPTHS, USUAL, Answer, Error, answer, kept, row_of, sliding
 from tacgen.bench.kit import Cell, Level, Plot, Result, Say, Series, Table, columns, cores, front
-from tacgen.solve import linear_solvers as linear
-from tacgen.step import advance
+from tacgen.solve import SolverOptions, plain, short_steps
 
 ABOUT = (
     "A ball of 4 mm is pressed 1 mm (0.8 mm on DIGIT and 9DTact) and slid by 0.6 mm with friction 0.5, in one frame and"
@@ -36,14 +33,25 @@ HEXES = {
 }
 
 
+SOLVERS = {  # name: what is done otherwise
+    "as it is": USUAL,
+    "nothing predicted": replace(USUAL, predict=False),
+    "pressure not mixed": replace(USUAL, mixed_pressure=False),
+    "every tangent new": replace(USUAL, keep_tangent=False),
+    "nothing condensed": replace(USUAL, condense=False),
+    "plain": plain(),
+    "load steps half as long": short_steps(USUAL, 2),
+}
+
+
 @dataclass(frozen=True)
 class Variant:
-    """One choice: the changes to the scene, and to a module's constants, that make it."""
+    """One choice: the changes to the scene, and the options of the solver, that make it."""
 
     axis: str
     name: str
     sets: tuple[str, ...] = ()
-    change: AbstractContextManager[Any] = field(default_factory=nullcontext)
+    options: SolverOptions = USUAL
 
 
 def variants(level: Level) -> list[Variant]:
@@ -55,14 +63,17 @@ def variants(level: Level) -> list[Variant]:
         found += [Variant(f"{name}, edge", f"{e:g}", (f"mesh={element}", f"quality={{edge_mm: {e}}}")) for e in edges]
     found += [Variant("dhat", f"{d:g}", (f"quality={{dhat_mm: {d}}}",)) for d in (0.1, 0.06, 0.03, 0.01)]
     for part in (10, 0.1, 0.01) if level == "full" else (10, 0.1):
-        tolerances = changed(advance, XTOL=part * advance.XTOL, RESIDUAL=min(part, 1) * advance.RESIDUAL)
-        found.append(Variant("Newton step, times", f"{part:g}", (), tolerances))
-    for name in linear.available():
-        alone = changed(linear, available=lambda name=name: [name], readable=lambda: False)
-        found.append(Variant("draft, nothing condensed", name, DRAFT, alone))
+        found.append(Variant("tolerances, times", f"{part:g}", (), _tolerances(part)))
+    found += [Variant("draft, solver", name, DRAFT, options) for name, options in SOLVERS.items()]
     if find_spec("ipctk"):
         found.append(Variant("draft, contact", "ipctk", (*DRAFT, "contact.formulation=ipctk")))
     return found
+
+
+def _tolerances(times: float) -> SolverOptions:
+    """Equilibria found to so many times the usual tolerances."""
+    step, residual, most = USUAL.step_tol, USUAL.residual_tol, USUAL.residual_max
+    return replace(USUAL, step_tol=times * step, residual_tol=times * residual, residual_max=max(times, 1.0) * most)
 
 
 def bench(level: Level, say: Say) -> Result:
@@ -94,8 +105,7 @@ def _sweep(level: Level, presets: dict[tuple[str, str], Answer], say: Say) -> tu
     reference = kept((*base, f"quality={'{edge_mm: 0.8, dhat_mm: 0.05}' if level == 'smoke' else 'reference'}"))
     rows: list[list[Cell]] = []
     for one in variants(level):
-        with one.change:
-            found = answer((*base, *one.sets))
+        found = answer((*base, *one.sets), options=one.options)
         rows.append([one.axis, one.name, *_work(found), *astuple(found.apart(reference))])
         say(f"{one.axis} {one.name}: {found.seconds:.1f} s, force {rows[-1][5]:.2%}")
     for (sensor, name), found in presets.items():

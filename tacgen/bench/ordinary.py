@@ -73,8 +73,6 @@ class Outcome:
 
 def measure(draw: Draw, quality: str, compared: bool, limit: float = LIMIT) -> Outcome:
     """Solve a scene in at most `limit` processor seconds and, where it is compared and ok, in short frames too."""
-    from tacgen.fem.jacobian import least_jacobian
-
     try:
         made = _scene((f"sensor={draw.sensor}", *draw.sets, f"quality={quality}"))
         grid = mesh.of(made)
@@ -101,7 +99,7 @@ def measure(draw: Draw, quality: str, compared: bool, limit: float = LIMIT) -> O
         sum(state.iterations for state in states) / n,
         max(state.substeps for state in states),
         problem.factored / n,
-        min(float(least_jacobian(grid.points, state.x, grid.cells)) for state in states),
+        min(state.least_J for state in states),
         off,
     )
 

@@ -107,7 +107,7 @@ def loaded() -> dict[str, list[str]]:
 
 
 def used(outputs: str, sets: list[str]) -> dict[str, list[str]]:
-    """What one scene imports, and of which modules of tacgen a function ran."""
+    """What one scene imports, and which functions of tacgen ran, as "module:function"."""
     from tacgen import pipeline
 
     here = str(Path(pipeline.__file__).parent)
@@ -116,7 +116,7 @@ def used(outputs: str, sets: list[str]) -> dict[str, list[str]]:
     def watch(frame: FrameType, event: str, arg: Any) -> None:
         code = frame.f_code
         if event == "call" and code.co_flags & CO_OPTIMIZED and code.co_filename.startswith(here):  # no class or module
-            ran.add(frame.f_globals["__name__"])
+            ran.add(f"{frame.f_globals['__name__']}:{code.co_qualname}")
 
     rows = rows_of(outputs, sets)
     with TemporaryDirectory() as folder:

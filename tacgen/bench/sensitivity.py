@@ -10,9 +10,9 @@ from tacgen.bench.answers import row_of
 from tacgen.bench.cases import CASES, PLAIN, SCALES, Sets, scaled
 from tacgen.bench.kit import Cell, Level, Say, Table, columns, cores
 from tacgen.fem.contact import Pose
-from tacgen.solve.linear_solvers import NotPositiveDefinite, SuperLU
 from tacgen.fem.materials import NeoHooke
-from tacgen.fem.potential import Total
+from tacgen.fem.potential import Projection, Total
+from tacgen.solve.linear_solvers import NotPositiveDefinite, SuperLU
 
 Array = np.ndarray
 NAMES = ("", "nu 0.4999", "1 kPa", "100 MPa", "friction 2", "half deep", "skin stiffer 1000:1")
@@ -79,7 +79,7 @@ def condition(problem: solve.Problem, state: solve.State) -> float:
 
     contact = problem.contact.moved(Pose.of(state.pose), state.offset)
     data, pat = np.zeros(len(problem.pattern.indices)), problem.pattern
-    Total((*problem.elastic, contact)).add_hessian(state.x, data, 0)
+    Total((*problem.elastic, *problem.corners, contact)).add_hessian(state.x, data, Projection.NONE)
     upper = sp.csr_matrix((data, pat.indices, pat.indptr), shape=(pat.size, pat.size))
     whole = upper + sp.triu(upper, 1).T
     direct = SuperLU(pat)

@@ -18,7 +18,7 @@ from tacgen.fem.materials import Derivatives
 from tacgen.fem.potential import Projection
 
 Array = np.ndarray
-J0 = 0.2  # of the rest volume, where the barrier begins
+J0 = 0.6  # of the rest volume, where the barrier begins: that of a gel that keeps its volume stays near 1
 
 
 @dataclass(frozen=True)

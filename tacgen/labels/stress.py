@@ -87,7 +87,7 @@ def _means(elastic: Elastic, x: Array) -> tuple[Array, Array]:
     """Element means of the Cauchy stress over the volume now (e, 6), and of the nominal stress P over that at rest
     (e, 9) [MPa]."""
     sigma, volume = elastic.cauchy(x)
-    a, b, c = np.moveaxis(elastic.at(x).F, -1, 0)
+    a, b, c = np.moveaxis(elastic.evaluate(x).F, -1, 0)
     cofactor = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], -1)
     P = np.einsum("eq,eqij,eqjk->eik", elastic.elements.weights, sigma, cofactor, optimize=True)
     mean = np.einsum("eq,eqij->eij", volume, sigma) / volume.sum(1)[:, None, None]

@@ -23,8 +23,8 @@ class SolverOptions:
     mixed_pressure: bool = True  # tangents take the pressure that the linearised step predicts
     # load stepping
     predict: bool = True  # a step begins from the gel carried along with the indenter
-    slide: float = 0.6  # of the edge: the farthest that a load step may carry what is in contact
-    slide_sharp: float = 0.3  # the same for an indenter with edges sharper than the mesh
+    slide: float = 1.0  # of the edge: the farthest that a load step may carry what is in contact
+    slide_sharp: float = 0.5  # the same for an indenter with edges sharper than the mesh
     halvings: int = 5  # of a load step that does not converge
     # friction
     slip: float = 1 / 8  # of dhat: slip over which friction builds up
