@@ -37,12 +37,13 @@ def deformation(x: Array, conn: Array, B: Array) -> Array:
     return F
 
 
-@njit(cache=True)
-def determinants(x: Array, conn: Array, B: Array) -> Array:
-    """J (e, q) at every integration point."""
+@njit(cache=True, fastmath=True)
+def least_determinants(x: Array, conn: Array, B: Array) -> Array:
+    """The smallest J (e,) over each element's integration points."""
     ne, nq, na, _ = B.shape
-    J, F, C = np.empty((ne, nq)), np.empty((3, 3)), np.empty((3, 3))
+    least, F, C = np.empty(ne), np.empty((3, 3)), np.empty((3, 3))
     for e in range(ne):
+        least[e] = np.inf
         for q in range(nq):
             F[:] = 0.0
             for a in range(na):
@@ -51,8 +52,8 @@ def determinants(x: Array, conn: Array, B: Array) -> Array:
                     for j in range(3):
                         F[i, j] += x[node, i] * B[e, q, a, j]
             cofactor(F, C)
-            J[e, q] = F[0, 0] * C[0, 0] + F[0, 1] * C[0, 1] + F[0, 2] * C[0, 2]
-    return J
+            least[e] = min(least[e], F[0, 0] * C[0, 0] + F[0, 1] * C[0, 1] + F[0, 2] * C[0, 2])
+    return least
 
 
 @njit(cache=True)

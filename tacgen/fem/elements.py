@@ -115,20 +115,25 @@ def quadratic(points: Array, *conns: Array) -> tuple[Array, ...]:
     return np.concatenate([points, middle]), *both
 
 
-def at_nodes(points: Array, elements: Elements) -> Elements:
-    """The same elements with their nodes for integration points, each for its share of the volume."""
+def dense_points(points: Array, elements: Elements) -> Elements:
+    """The same elements with integration points all over them, corners included, each for its share of the volume.
+
+    Of hexes the 27 points of a 3 x 3 x 3 grid, which determine their Jacobian; of tets the nodes.
+    """
     a = elements.conn.shape[1]
     if a == 8:
-        f = 1 + HEX_CORNERS[None] * HEX_CORNERS[:, None]
+        grid = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3, indexing="ij"), -1).reshape(-1, 3)
+        f = 1 + HEX_CORNERS[None] * grid[:, None]
+        N = f.prod(2) / 8
         dN = np.stack([HEX_CORNERS[:, k] * np.delete(f, k, 2).prod(2) / 8 for k in range(3)], -1)
     else:
         corners = np.eye(4)
-        _, dL = barycentric(np.concatenate([corners, corners[TET_EDGES].mean(1)])[:a], a)
+        N, dL = barycentric(np.concatenate([corners, corners[TET_EDGES].mean(1)])[:a], a)
         dN = dL[..., 1:] - dL[..., :1]
     jacobian = np.einsum("qaj,eai->eqij", dN, points[elements.conn])
     gradients = np.einsum("qaj,eqjI->eqaI", dN, np.linalg.inv(jacobian))
     weights = np.repeat(elements.weights.sum(1)[:, None] / len(dN), len(dN), 1)
-    return Elements(elements.conn, np.ascontiguousarray(gradients), weights, np.inf, np.eye(a))
+    return Elements(elements.conn, np.ascontiguousarray(gradients), weights, np.inf, N)
 
 
 KINDS = {8: hexes, 10: tets, 4: tets}  # by the number of nodes

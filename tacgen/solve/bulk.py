@@ -7,6 +7,7 @@ import numpy as np
 
 from tacgen.fem.assembly import Pattern
 from tacgen.fem.elasticity import Elastic, Point
+from tacgen.fem.folding_barrier import FoldingBarrier, FoldingPoint
 from tacgen.fem.potential import Potential, Projection, Total
 from tacgen.solve.condensation import Condensation
 from tacgen.solve.linear_solvers import NotPositiveDefinite
@@ -19,19 +20,27 @@ class BulkPoint:
     """The bulk evaluated at x (n, 3)."""
 
     elastic: tuple[Elastic, ...]
-    other: Total  # corner barriers, inertia
+    other: Total  # inertia
     x: Array
     points: tuple[Point, ...]
+    folding: tuple[FoldingPoint, ...]
 
     @cached_property
     def energy(self) -> float:
         """[N mm]"""
-        return sum(p.energy for p in self.points) + self.other.value(self.x)
+        return sum(p.energy for p in (*self.points, *self.folding)) + self.other.value(self.x)
+
+    def other_forces(self) -> Array:
+        """Of all but elasticity (n, 3) [N]."""
+        out = self.other.gradient(self.x)
+        for folding in self.folding:
+            folding.add_forces(out)
+        return out
 
     @cached_property
     def gradient(self) -> Array:
         """(n, 3) [N]"""
-        out = self.other.gradient(self.x)
+        out = self.other_forces()
         for part, point in zip(self.elastic, self.points, strict=True):
             out += part.forces(point, len(self.x))
         return out
@@ -44,17 +53,21 @@ class BulkPoint:
 
 @dataclass(frozen=True)
 class Bulk:
-    """Elasticity and, beside it, `other` potentials."""
+    """Elasticity, the barrier against folding and, beside them, `other` potentials."""
 
     elastic: tuple[Elastic, ...]
+    folding: tuple[FoldingBarrier, ...]
     other: tuple[Potential, ...]
 
     def at(self, x: Array) -> BulkPoint:
-        return BulkPoint(self.elastic, Total(self.other), x, tuple(part.evaluate(x) for part in self.elastic))
+        points, folding = (tuple(part.evaluate(x) for part in parts) for parts in (self.elastic, self.folding))
+        return BulkPoint(self.elastic, Total(self.other), x, points, folding)
 
     def add_tangent(self, at: BulkPoint, data: Array, projection: Projection, J: tuple[Array, ...] | None) -> None:
         """Add d2E/dx2 to the entries of the Pattern, with pressures at the predicted J if given."""
         at.other.add_hessian(at.x, data, projection)
+        for folding in at.folding:
+            folding.add_tangent(data, projection)
         for k, (part, point) in enumerate(zip(self.elastic, at.points, strict=True)):
             part.add_tangent(point, data, projection, None if J is None else J[k])
 
@@ -91,7 +104,7 @@ class Tangent:
 
     def unbalanced(self, at: BulkPoint, J: tuple[Array, ...]) -> Array:
         """What a step with this tangent has to balance (n, 3) [N], the pressure being an unknown of its own."""
-        out = at.other.gradient(at.x)
+        out = at.other_forces()
         for part, point, j, taken in zip(at.elastic, at.points, J, self.taken, strict=True):
             out += part.mixed_forces(point, j, taken, len(at.x))
         return out

@@ -1,8 +1,9 @@
 """Newton's method for contact with friction on a bulk whose tangent is at hand: the inner loop.
 
-The step is that of the consistent, non-symmetric tangent. It is kept where it lowers the merit function (energy of bulk
-and barrier, and of friction with its normal forces frozen at the step's start) by Armijo's rule; else the step of the
-symmetric positive tangent is, which always goes down. Near the answer the first converges quadratically.
+The step is that of the consistent, non-symmetric tangent, taken whole where it halves the residual, as near the answer,
+where it converges quadratically. Elsewhere a line search by Armijo's rule lowers the merit function: the energy of bulk
+and barrier, and of friction with its normal forces frozen at the step's start. Where the coupled step does not go down,
+the one of the symmetric positive tangent does.
 """
 
 from dataclasses import dataclass
@@ -17,6 +18,7 @@ from tacgen.solve.condensation import Schur
 Array = np.ndarray
 ARMIJO = 1e-4
 ROUNDING = 1e-12  # of the merit function: by so much a step may raise it
+HALVES = 0.5  # of the residual: a coupled step that leaves no more is taken as it is
 SHORTEST = 1e-8  # a line search that gets here has stalled
 ENOUGH = 0.1  # of a coupled step: where less of it goes down, the symmetric step is tried
 
@@ -92,26 +94,41 @@ def solve_contact(
     Ends when a full step moves no node by more than xtol [mm] and the mean gap agrees as well, or where a node has come
     `radius` [mm] from its start.
     """
+
+
+    def residual(forces: ContactForces, x: Array) -> Array:
+        return np.asarray(bulk.gradient(x) - contact.contact.faces.scatter(forces.force, len(x)))
+
     steps, length, drift, start = 0, np.inf, 0.0, x
     forces = contact.evaluate(x)
+    g = residual(forces, x)
     while True:
         if length <= contact.contact.dhat and forces.N.any():  # farther from the answer the mean gap says nothing
             drift = forces.mean_gap - contact.contact.offset
             contact = contact.shrunk(forces.mean_gap)
             forces = contact.evaluate(x)
+            g = residual(forces, x)
         if steps == max_steps:
             return ContactSolution(x, contact, forces, False, steps)
-        g = bulk.gradient(x) + contact.contact.faces.scatter(-forces.force, len(x))
         steps += 1
-        fraction, p = _step(bulk, contact, forces, x, g)
+        p = bulk.solve(x, contact, forces.tangent, g, False)
+        full = None
+        if p is not None and contact.contact.max_step(x, p) == 1.0:
+            there = contact.evaluate(x + p)
+            ahead = residual(there, x + p)
+            if np.linalg.norm(ahead) <= HALVES * np.linalg.norm(g):
+                full = there, ahead
+        fraction = 1.0
+        if full is None:
+            fraction, p = _downhill(bulk, contact, forces, x, g, p)
         if p is None:
             return ContactSolution(x, contact, forces, False, steps)
-        before, x = x, x + fraction * p
+        before, x, length = x, x + fraction * p, float(np.abs(p).max())
         if np.abs(x - start).max() > radius:
             x = before + _to_radius(before - start, x - before, radius) * (x - before)
             return ContactSolution(x, contact, contact.evaluate(x), False, steps, True)
-        forces = contact.evaluate(x)
-        length = float(np.abs(p).max())
+        forces = contact.evaluate(x) if full is None else full[0]
+        g = residual(forces, x) if full is None else full[1]
         if fraction == 1.0 and length <= xtol and abs(drift) <= xtol:
             return ContactSolution(x, contact, forces, True, steps)
         if fraction * length < SHORTEST * xtol:
@@ -124,10 +141,11 @@ def _to_radius(gone: Array, step: Array, radius: float) -> float:
     return float(max(away.min(), 0.0))
 
 
-def _step(
-    bulk: Bulk, contact: CoupledContact, forces: ContactForces, x: Array, g: Array
+def _downhill(
+    bulk: Bulk, contact: CoupledContact, forces: ContactForces, x: Array, g: Array, coupled: Array | None
 ) -> tuple[float, Array | None]:
-    """Which part of which step to take."""
+    """Which part of which step lowers the merit function: of the coupled one or, where that goes down too little, of
+    the symmetric one; None where neither does."""
     here = bulk.value(x) + contact.merit(x, forces)
 
     def down(p: Array, least: float) -> float:
@@ -142,9 +160,8 @@ def _step(
             fraction /= 2
         return 0.0
 
-    p = bulk.solve(x, contact, forces.tangent, g, False)
-    if p is not None and (fraction := down(p, ENOUGH)) > 0:
-        return fraction, p
+    if coupled is not None and (fraction := down(coupled, ENOUGH)) > 0:
+        return fraction, coupled
     p = bulk.solve(x, contact, forces.definite, g, True)
     if p is not None and (fraction := down(p, SHORTEST)) > 0:
         return fraction, p

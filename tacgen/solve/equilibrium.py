@@ -67,14 +67,14 @@ class LoadStep:
         self.options = problem.options
         contact = replace(problem.contact.moved(pose, history.offset), kappa=history.kappa)
         self.dhat, self.prediction = contact.dhat, None
-        others: tuple[Potential, ...] = problem.corners
+        inert: tuple[Potential, ...] = ()
         self.ahead = None
         if problem.body is not None:
             assert history.velocity is not None
             inertia = problem.body.step(history.x, history.velocity, duration)
-            others, self.ahead = (*others, inertia), inertia.coasting
-        self.inert = Total(others[len(problem.corners) :])
-        self.bulk = Bulk(problem.elastic, others)
+            inert, self.ahead = (inertia,), inertia.coasting
+        self.inert = Total(inert)
+        self.bulk = Bulk(problem.elastic, problem.folding, inert)
         if problem.condensed:
             self.prediction = self._predict(contact, pose)
         self.contact = CoupledContact(contact, problem.friction, self._anchors(contact), self.options.slip * self.dhat)
@@ -164,7 +164,7 @@ class LoadStep:
             if np.isfinite(before):  # a step with the same tangent as one before contracts about half as well
                 tangent.contraction = (2 if new else 1) * residual / before
             small = moved <= options.step_tol * self.dhat and residual <= options.residual_max / 2
-            if residual <= options.residual_tol or (small and damping == 0):
+            if inner.converged and (residual <= options.residual_tol or (small and damping == 0)):
                 if self._covered(conn[self._touching(contact.contact, x)]):
                     return Found.coupled(x, contact, step)
             if damping > 0:
@@ -195,7 +195,7 @@ class LoadStep:
                 quadratic, part, here, xtol=xtol, max_steps=options.max_contact, radius=self.problem.edge
             )
             there, gain = at, -np.inf
-            if inner.converged:
+            if not inner.bounded:
                 u = (inner.x - here)[condensed.dofs >= 0]
                 p = condensed.expand(u, y)
                 there = self.bulk.at(x + p)
@@ -266,7 +266,7 @@ def _imbalance(problem: Problem, history: History, inert: Total, found: Found) -
     x, free = found.x, problem.pattern.free
     outer = found.contact.contact.faces.scatter(-found.forces.force, len(x))
     inertia = inert.gradient(x)
-    inner = Total((*problem.elastic, *problem.corners)).gradient(x)
+    inner = Total((*problem.elastic, *problem.folding)).gradient(x)
     held = np.ones(x.size, bool)
     held[free] = False
     reaction = np.where(held.reshape(x.shape), inner, 0.0).sum(0)

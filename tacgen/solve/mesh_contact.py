@@ -64,7 +64,7 @@ class MeshLoadStep:
             inertia = problem.body.step(history.x, history.velocity, duration)
             inert, ahead, self.gap_tol = (inertia,), inertia.coasting, self.xtol / 10
         self.inert = Total(inert)
-        self.bulk = (*problem.elastic, *problem.corners, *inert)
+        self.bulk = (*problem.elastic, *problem.folding, *inert)
         self.lag, self.friction = Lag(), None
         self.anchor = pose.world(self._anchors())
         if problem.friction > 0:

@@ -9,7 +9,7 @@ import numpy as np
 
 from tacgen.fem.assembly import Pattern, pattern
 from tacgen.fem.contact import Contact, Faces, Pose
-from tacgen.fem.corner_barrier import CornerBarrier
+from tacgen.fem.folding_barrier import FoldingBarrier
 from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import elements
 from tacgen.mesh import Mesh
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from tacgen.fem.ipc import MeshContact
 
 Array = np.ndarray
+USUAL_GAP = 0.75  # of dhat: the mean gap of a light press, by which the indenter is shrunk at first
 FORCE_FLOOR = 1e-3  # of kappa dhat^2: a force that touching to within tolerances may well give
 AnyContact: TypeAlias = "Contact | MeshContact"
 
@@ -37,7 +38,7 @@ class Problem:
 
     mesh: Mesh
     elastic: tuple[Elastic, ...]
-    corners: tuple[CornerBarrier, ...]
+    folding: tuple[FoldingBarrier, ...]
     contact: AnyContact
     pattern: Pattern
     friction: float
@@ -55,14 +56,14 @@ class Problem:
             held = np.zeros((len(mesh.points), 3), bool)
             held[np.unique(mesh.facets["bonded"])] = True
         pat = pattern([mesh.cells], ~held)
-        elastic, corners = [], []
+        elastic, folding = [], []
         for number, layer in enumerate(scene.gel.layers):
             some = elements(mesh.points, mesh.cells[mesh.layer == number])
             elastic.append(Elastic.on(pat, some, layer.law))
-            corners.append(CornerBarrier.on(pat, mesh.points, some, layer.law.mu))
+            folding.append(FoldingBarrier.on(pat, mesh.points, some, layer.law.mu))
         contact = _contact(scene, mesh, pat)
         ready = cls(
-            mesh, tuple(elastic), tuple(corners), contact, pat, scene.friction, scene.edge, options=options
+            mesh, tuple(elastic), tuple(folding), contact, pat, scene.friction, scene.edge, options=options
         )
         if (d := scene.dynamics) is None:
             return ready
@@ -99,11 +100,12 @@ class Problem:
         """The untouched gel below an indenter at `pose`."""
         x = self.mesh.points
         pose = self.contact.clear(pose, x)
-        force, normal, gap = self.contact.moved(pose, 0.0).pressure(x)
+        offset = USUAL_GAP * self.contact.dhat if isinstance(self.contact, Contact) else 0.0
+        force, normal, gap = self.contact.moved(pose, offset).pressure(x)
         at, kappa = pose.local(self.contact.faces.at(x)), self.contact.kappa
         still = None if self.body is None else np.zeros_like(x)
         least = FORCE_FLOOR * kappa * self.contact.dhat**2
-        return History(pose, x, 0.0, np.zeros_like(force), normal @ pose.rotation, at, gap, kappa, least, still, x)
+        return History(pose, x, offset, np.zeros_like(force), normal @ pose.rotation, at, gap, kappa, least, still, x)
 
     def steps(self, duration: float) -> int:
         """How many steps a movement of so many seconds takes."""

@@ -1,0 +1,106 @@
+"""A barrier against elements that fold at corners and edges while the integration points inside them are still sound.
+
+The strain energy is infinite where J <= 0, but it is only taken at integration points: a hex squeezed before a rubbing
+indenter may turn inside out at a corner (to -.46 of its volume in ordinary scenes). The barrier is 0 unless J somewhere
+is below J0, so that nothing changes elsewhere, and infinite at J = 0. A gel that hardly changes its volume has a J near
+1 everywhere; what a mesh makes of that is off by its own error, and the barrier vanishes as it is refined; the clamped logarithm of IPC (Li et al.
+2020) on J, as Schuller et al. (2013), "Locally injective mappings", and Smith & Schaefer (2015) have it on areas.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tacgen.fem import assembly
+from tacgen.fem.assembly import Pattern
+from tacgen.fem.elasticity import Elastic, Point
+from tacgen.fem.elements import Elements, dense_points
+from tacgen.fem.materials import Derivatives
+from tacgen.fem.potential import Projection
+
+Array = np.ndarray
+STIFFNESS = 4.0  # shear moduli: with one, hexes of objects' edges fold between the points; with ten, steps are short
+J0 = 0.6  # of the rest volume, where the barrier begins: that of a gel that keeps its volume stays near 1
+
+
+@dataclass(frozen=True)
+class ClampedLog:
+    """U(J) = -mu (1 - J/J0)^2 ln(J/J0) for J < J0, 0 above and C2 there; as a law of materials.
+
+    mu: STIFFNESS times the shear modulus [MPa].
+    """
+
+    mu: float
+
+    @property
+    def kappa(self) -> float:
+        return self.mu
+
+    def iso(self, I1: Array, I2: Array, J: Array) -> Derivatives:
+        zero = np.zeros_like(J)
+        return Derivatives(zero, np.stack([zero] * 3, -1), np.stack([zero] * 6, -1))
+
+    def vol(self, J: Array) -> tuple[Array, Array, Array]:
+        s = np.minimum(J / J0, 1.0)
+        ln, r = np.log(s), 1 - s
+        first, second = 2 * r * ln - r**2 / s, -2 * ln + 4 * r / s + (r / s) ** 2
+        return -self.mu * r**2 * ln, self.mu / J0 * first, self.mu / J0**2 * second
+
+
+@dataclass(frozen=True)
+class FoldingPoint:
+    """The elements with a point below J0, and what holds there; None of them where there are none."""
+
+    elastic: Elastic | None
+    point: Point | None
+
+    @property
+    def energy(self) -> float:
+        """[N mm]"""
+        return 0.0 if self.point is None else self.point.energy
+
+    def add_forces(self, out: Array) -> None:
+        """Add dE/dx to out (n, 3) [N]."""
+        if self.elastic is not None and self.point is not None:
+            out += self.elastic.forces(self.point, len(out))
+
+    def add_tangent(self, data: Array, projection: Projection) -> None:
+        """Add d2E/dx2 to the entries of the Pattern."""
+        if self.elastic is not None and self.point is not None:
+            self.elastic.add_tangent(self.point, data, projection)
+
+
+@dataclass(frozen=True)
+class FoldingBarrier:
+    """The barrier on elements of one law; fits potential.Potential."""
+
+    elements: Elements  # with points all over them
+    slots: Array
+    mu: float
+
+    @classmethod
+    def on(cls, pattern: Pattern, points: Array, elements: Elements, mu: float) -> "FoldingBarrier":
+        return cls(dense_points(points, elements), pattern.slots(elements.conn), STIFFNESS * mu)
+
+    def evaluate(self, x: Array) -> FoldingPoint:
+        e = self.elements
+        below = np.flatnonzero(assembly.least_determinants(x, e.conn, e.gradients) < J0)
+        if not below.size:
+            return FoldingPoint(None, None)
+        some = Elements(e.conn[below], e.gradients[below], e.weights[below], e.pointwise, e.shape)
+        part = Elastic(some, ClampedLog(self.mu), self.slots[below])
+        return FoldingPoint(part, part.evaluate(x))
+
+    def value(self, x: Array) -> float:
+        return self.evaluate(x).energy
+
+    def gradient(self, x: Array) -> Array:
+        out = np.zeros_like(x)
+        self.evaluate(x).add_forces(out)
+        return out
+
+    def add_hessian(self, x: Array, data: Array, projection: Projection) -> None:
+        self.evaluate(x).add_tangent(data, projection)
+
+    def max_step(self, x: Array, p: Array) -> float:
+        return 1.0
