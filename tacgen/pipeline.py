@@ -162,6 +162,7 @@ class Products:
             "/frames/quality/rounded": state.rounded,
             "/frames/quality/force_balance": state.balance,
             "/frames/quality/residual": state.residual,
+            "/frames/quality/least_jacobian": state.least_J,
         }
         if self.outputs & {*ON_FACE, *SEEN}:
             surface = self.surface.moved(state.x)
@@ -272,6 +273,8 @@ def run_scene(row: Row, folder: Path, *, overwrite: bool = False, say: Say | Non
 def _make(row: Row, path: Path, say: Say | None) -> SceneResult:
     """The work itself: everything between a row of the plan and its bundle."""
     clock = Clock()
+    with clock.stage("start"):
+        solve.warm()
     with clock.stage("mesh"):
         built = foresee.foreseen(scene.build(row))
         problem = solve.Problem.of(built, mesh.of(built))

@@ -58,13 +58,16 @@ LAYOUT: dict[str, Entry] = {
     "/frames/quality/min_gap_mm": Entry("<f8", ("N",), "mm", "smallest gap between gel and indenter", "frame"),
     "/frames/quality/mean_gap_mm": Entry("<f8", ("N",), "mm", "pressure-weighted mean gap", "frame"),
     "/frames/quality/overlap_mm": Entry(
-        "<f8", ("N",), "mm", "how deep the face is in the indenter between points of contact", "frame"
+        "<f8", ("N",), "mm", "how deep the face is in the indenter between contact points", "frame"
     ),
     "/frames/quality/rounded": Entry(
-        "<f8", ("N",), "1", "friction where one step led round an edge, over force: to .05 it is sure", "frame"
+        "<f8", ("N",), "1", "share of friction at points that crossed a sharp edge in one step; above .05 forces depend on the step size", "frame"
     ),
     "/frames/quality/force_balance": Entry("<f8", ("N",), "1", "norm of force + base reaction, over force", "frame"),
-    "/frames/quality/residual": Entry("<f8", ("N",), "1", "largest unbalanced nodal force over force", "frame"),
+    "/frames/quality/residual": Entry("<f8", ("N",), "1", "2-norm of the free nodes' forces, over force", "frame"),
+    "/frames/quality/least_jacobian": Entry(
+        "<f8", ("N",), "1", "certified lower bound of det F over all of the gel", "frame"
+    ),
     "/frames/quality/force_error": Entry(
         "<f8", ("N",), "1", "sum of recovered sigma n da less force, over force", "frame"
     ),

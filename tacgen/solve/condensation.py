@@ -131,6 +131,7 @@ class Schur:
         a, x = self.active, np.empty_like(b)
         y = solve_triangular(L, b[~a], lower=True, check_finite=False)
         K, c = rest + added, b[a] - y @ W
-        x[a] = cho_solve(_definite(K), c, check_finite=False) if symmetric else np.linalg.solve(K, c)
+        if a.any():
+            x[a] = cho_solve(_definite(K), c, check_finite=False) if symmetric else np.linalg.solve(K, c)
         x[~a] = solve_triangular(L, y - W @ x[a], lower=True, trans=1, check_finite=False)
         return x

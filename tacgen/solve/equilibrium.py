@@ -141,6 +141,7 @@ class LoadStep:
         J = self.bulk.at(self.history.x).J if options.mixed_pressure else at.J
         tangent.contraction, fresh, residual, damping = USUAL, not options.keep_tangent, np.inf, 0.0
         for step in range(1, options.max_newton + 1):
+            self.problem.effort.count()
             touching = self._touching(contact.contact, x)
             if not self._covered(conn[touching]):
                 tangent.condensation.cover(_with_neighbours(conn, touching))

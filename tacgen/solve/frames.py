@@ -16,7 +16,7 @@ from tacgen.solve.equilibrium import equilibrium
 from tacgen.solve.force_control import POWER, OutOfReach, meet
 from tacgen.solve.load_stepping import advance
 from tacgen.solve.problem import Problem
-from tacgen.solve.state import History, NotConverged, State
+from tacgen.solve.state import History, NotConverged, OutOfEffort, State
 from tacgen.path import FORCE_DEPTH, shortest_turn
 
 Array = np.ndarray
@@ -56,6 +56,8 @@ def _reach_force(
         pose[2, 3] = -u
         try:
             found.append(_trial(problem, history, last, pose, index, duration, found[-1][1] if found else None))
+        except OutOfEffort:
+            raise
         except NotConverged as error:
             refused.append(error)
             return float("nan")
@@ -70,6 +72,9 @@ def _reach_force(
     except OutOfReach as error:
         text = f"{target:g} N asked for, and {FORCE_DEPTH:.0%} of the gel's thickness gives {error.most:.3g} N"
         raise TooMuch(text, index, target, error.most) from None
+    except OutOfEffort as error:
+        most = max((normal_force(state) for _, state in found), default=had)
+        raise NotConverged(f"{target:g} N asked for: {error}, of which the best gives {most:.3g} N") from None
     except ArithmeticError as error:
         most = max((normal_force(state) for _, state in found), default=had)
         why = refused[-1] if refused else error
@@ -84,7 +89,7 @@ def _trial(
     problem: Problem, history: History, last: Array, pose: Array, index: int, duration: float, near: State | None
 ) -> tuple[History, State]:
     if near is not None and near.substeps == 1:
-        with suppress(NotConverged):
+        with suppress(NotConverged):  # OutOfEffort comes again at once
             return equilibrium(problem, history, pose, index, duration, near)
     return advance(problem, history, last, pose, shortest_turn(last, pose), index, duration)
 
@@ -104,6 +109,7 @@ def states(scene: Scene, problem: Problem, *, tol: float | None = None) -> Itera
     tol = problem.options.force_tol if tol is None else tol
     forced, shift, had, begun = scene.forced, 0.0, 0.0, 0.0
     for index, pose in enumerate(scene.poses):
+        problem.effort.steps = 0
         duration = 0.0 if scene.dynamics is None else float(scene.dynamics.duration[index])
         if forced is not None and forced.hopeless is not None and forced.hopeless[0] == index:
             raise NotConverged(forced.hopeless[1])

@@ -7,7 +7,7 @@ import numpy as np
 
 from tacgen.solve.equilibrium import equilibrium
 from tacgen.solve.problem import Problem
-from tacgen.solve.state import History, NotConverged, State, TooFar
+from tacgen.solve.state import History, NotConverged, OutOfEffort, State, TooFar
 from tacgen.path import along, between
 
 Array = np.ndarray
@@ -59,6 +59,8 @@ def _reach(
     try:
         after, state = equilibrium(problem, history, b, index, duration)
         return after, replace(state, rounded=rounded(problem, history, after))
+    except OutOfEffort:
+        raise
     except TooFar:
         if far == TOO_FAR:
             raise

@@ -17,7 +17,7 @@ from tacgen.scene import Scene
 from tacgen.solve import linear_solvers
 from tacgen.solve.bulk import Tangent
 from tacgen.solve.options import SolverOptions
-from tacgen.solve.state import History
+from tacgen.solve.state import Effort, History
 
 if TYPE_CHECKING:
     from tacgen.fem.inertia import Body
@@ -80,6 +80,11 @@ class Problem:
     def tangent(self) -> Tangent:
         """The factorised tangent of the bulk, kept from step to step."""
         return Tangent(self.pattern)
+
+    @cached_property
+    def effort(self) -> Effort:
+        """What the present frame has taken so far."""
+        return Effort(self.options.max_effort)
 
     @property
     def condensed(self) -> bool:

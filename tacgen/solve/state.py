@@ -17,6 +17,24 @@ class TooFar(NotConverged):
     """A load step in which the indenter might pass through the gel unseen."""
 
 
+class OutOfEffort(NotConverged):
+    """A frame has taken as many Newton steps as it may; shorter load steps would take more."""
+
+
+@dataclass
+class Effort:
+    """Newton steps of the bulk that a frame has taken, in all that was tried for it."""
+
+    most: int
+    steps: int = 0
+
+    def count(self) -> None:
+        """One more. Raises OutOfEffort."""
+        self.steps += 1
+        if self.steps > self.most:
+            raise OutOfEffort(f"given up after {self.most} Newton steps")
+
+
 @dataclass(frozen=True)
 class History:
     """What a load step inherits from the one before; anchors and normals are in the indenter's frame."""
