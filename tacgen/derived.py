@@ -13,8 +13,8 @@ import numpy as np
 
 from tacgen.bundle import Bundle
 from tacgen.errors import UserError
-from tacgen.fem.elements import elements
 from tacgen.fem.elasticity import Elastic
+from tacgen.fem.elements import elements
 from tacgen.fem.recovery import FULL, Recovery
 
 Array = np.ndarray

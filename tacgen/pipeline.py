@@ -19,8 +19,8 @@ from tacgen.image import photo
 from tacgen.plan import NOISE, Row
 from tacgen.recipe import IMAGES
 from tacgen.solid.gel import Gel
-from tacgen.spec.sensor import LitSensor
 from tacgen.solve import foresee
+from tacgen.spec.sensor import LitSensor
 
 if TYPE_CHECKING:
     from tacgen.fields import Surface

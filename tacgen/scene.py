@@ -12,6 +12,7 @@ from tacgen.errors import UserError
 from tacgen.fem.field import Field
 from tacgen.fem.materials import Law, MooneyRivlin, NeoHooke, StableNeoHooke, Yeoh
 from tacgen.fem.shapes import Box, Capsule, Cone, Cylinder, Shape, Sphere, Torus, Triangles, Wedge
+from tacgen.path import Forced, lay
 from tacgen.plan import Row
 from tacgen.recipe import Element
 from tacgen.solid import geometry, tessellate
@@ -20,14 +21,14 @@ from tacgen.spec import indenters, moves
 from tacgen.spec import sensor as sensors
 from tacgen.spec.indenters import Indenter
 from tacgen.spec.sensor import MooneyRivlinLayer, NeoHookeLayer, Sensor, StableNeoHookeLayer, YeohLayer
-from tacgen.path import Forced, lay
 
 __all__ = ["Gel", "Layer", "Scene", "build"]
 
 Array = np.ndarray
 TONNES_PER_MM3 = 1e-12  # kg/m^3
-CELL = 0.5  # of the edge: grid spacing of a mesh's signed distance; its edges come out rounded by about one cell, as sharp as
-# the gel's mesh can follow
+# of the edge: grid spacing of a mesh's signed distance; its edges come out rounded by about one cell, as sharp as the
+# gel's mesh can follow
+CELL = 0.5
 
 
 @dataclass(frozen=True)

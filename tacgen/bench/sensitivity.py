@@ -79,7 +79,7 @@ def condition(problem: solve.Problem, state: solve.State) -> float:
 
     contact = problem.contact.moved(Pose.of(state.pose), state.offset)
     data, pat = np.zeros(len(problem.pattern.indices)), problem.pattern
-    Total((*problem.elastic, *problem.corners, contact)).add_hessian(state.x, data, Projection.NONE)
+    Total((*problem.elastic, *problem.folding, contact)).add_hessian(state.x, data, Projection.NONE)
     upper = sp.csr_matrix((data, pat.indices, pat.indptr), shape=(pat.size, pat.size))
     whole = upper + sp.triu(upper, 1).T
     direct = SuperLU(pat)

@@ -106,6 +106,7 @@ class Elastic:
 
     def add_tangent(self, at: Point, data: Array, projection: Projection, J: Array | None = None) -> None:
         """Add d2E/dx2 to the entries of the Pattern, with the pressure at a predicted J (e, q) if one is given."""
+        assert self.slots is not None
         e, first = self.elements, at.first if J is None else self._with_pressure(at, J)
         kernels.add_tangent(
             at.F, e.gradients, e.weights, first, at.second, at.dilatation, int(projection), self.slots, data

@@ -3,8 +3,10 @@
 The strain energy is infinite where J <= 0, but it is only taken at integration points: a hex squeezed before a rubbing
 indenter may turn inside out at a corner (to -.46 of its volume in ordinary scenes). The barrier is 0 unless J somewhere
 is below J0, so that nothing changes elsewhere, and infinite at J = 0. A gel that hardly changes its volume has a J near
-1 everywhere; what a mesh makes of that is off by its own error, and the barrier vanishes as it is refined; the clamped logarithm of IPC (Li et al.
-2020) on J, as Schuller et al. (2013), "Locally injective mappings", and Smith & Schaefer (2015) have it on areas.
+1 everywhere; what a mesh makes of that is off by its own error, and the barrier vanishes as it is refined.
+
+It is the clamped logarithm of IPC (Li et al. 2020) on J, as Schuller et al. (2013), "Locally injective mappings", and
+Smith & Schaefer (2015), "Bijective parameterization with free boundaries", have it on areas.
 """
 
 from dataclasses import dataclass

@@ -5,8 +5,8 @@ from collections.abc import Iterable
 import numpy as np
 
 from tacgen.fem.contact import Contact, Pose
-from tacgen.fem.elements import QUAD_CORNERS, barycentric
 from tacgen.fem.elasticity import Elastic
+from tacgen.fem.elements import QUAD_CORNERS, barycentric
 
 Array = np.ndarray
 DEEPEST = 0.75  # of the indenter's reach: how far inside it a point may come on its way

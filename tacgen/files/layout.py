@@ -61,7 +61,11 @@ LAYOUT: dict[str, Entry] = {
         "<f8", ("N",), "mm", "how deep the face is in the indenter between contact points", "frame"
     ),
     "/frames/quality/rounded": Entry(
-        "<f8", ("N",), "1", "share of friction at points that crossed a sharp edge in one step; above .05 forces depend on the step size", "frame"
+        "<f8",
+        ("N",),
+        "1",
+        "share of friction at points that crossed a sharp edge in one step; above .05 forces depend on the step size",
+        "frame",
     ),
     "/frames/quality/force_balance": Entry("<f8", ("N",), "1", "norm of force + base reaction, over force", "frame"),
     "/frames/quality/residual": Entry("<f8", ("N",), "1", "2-norm of the free nodes' forces, over force", "frame"),

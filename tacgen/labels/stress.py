@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tacgen.fem.contact import Faces
-from tacgen.fem.elements import facet_areas, facet_points
 from tacgen.fem.elasticity import Elastic
+from tacgen.fem.elements import facet_areas, facet_points
 from tacgen.fem.recovery import FULL, Recovery
 from tacgen.solve import Problem, State
 

@@ -28,7 +28,8 @@ class BulkPoint:
     @cached_property
     def energy(self) -> float:
         """[N mm]"""
-        return sum(p.energy for p in (*self.points, *self.folding)) + self.other.value(self.x)
+        elastic, folding = sum(p.energy for p in self.points), sum(p.energy for p in self.folding)
+        return elastic + folding + self.other.value(self.x)
 
     def other_forces(self) -> Array:
         """Of all but elasticity (n, 3) [N]."""
@@ -60,7 +61,8 @@ class Bulk:
     other: tuple[Potential, ...]
 
     def at(self, x: Array) -> BulkPoint:
-        points, folding = (tuple(part.evaluate(x) for part in parts) for parts in (self.elastic, self.folding))
+        points = tuple(part.evaluate(x) for part in self.elastic)
+        folding = tuple(barrier.evaluate(x) for barrier in self.folding)
         return BulkPoint(self.elastic, Total(self.other), x, points, folding)
 
     def add_tangent(self, at: BulkPoint, data: Array, projection: Projection, J: tuple[Array, ...] | None) -> None:
@@ -78,7 +80,6 @@ class Tangent:
     def __init__(self, pattern: Pattern) -> None:
         self.condensation = Condensation(pattern)
         self.taken: tuple[Array, ...] = ()  # F (e, q, 3, 3), law by law
-        self.contraction = 0.1  # of the residual, by a step with a kept tangent; as last seen
         self.projected = 0  # tangents that had to be, so far
 
     @property

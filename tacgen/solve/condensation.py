@@ -45,6 +45,10 @@ class Condensation:
         self._rows = np.argsort(self._factor.order[-self.size :])  # the factor has an order of its own
         self.usable = False
 
+    def covers(self, facets: Array) -> bool:
+        """Whether it is condensed to all nodes of these facets (f, a)."""
+        return bool((self.local[facets] >= 0).all())
+
     def factor(self, data: Array) -> None:
         """Raises NotPositiveDefinite."""
         self.usable = False
@@ -82,7 +86,8 @@ def _definite(K: Array) -> tuple[Array, bool]:
     shift, least = 0.0, 1e-3 * float(np.abs(np.diag(K)).max())
     while True:
         try:
-            return cho_factor(K + shift * np.eye(len(K)), lower=True, check_finite=False)
+            factor, lower = cho_factor(K + shift * np.eye(len(K)), lower=True, check_finite=False)
+            return np.asarray(factor), bool(lower)
         except np.linalg.LinAlgError:
             shift = max(4 * shift, least)
 

@@ -95,7 +95,6 @@ def solve_contact(
     `radius` [mm] from its start.
     """
 
-
     def residual(forces: ContactForces, x: Array) -> Array:
         return np.asarray(bulk.gradient(x) - contact.contact.faces.scatter(forces.force, len(x)))
 
@@ -155,7 +154,9 @@ def _downhill(
         fraction = contact.contact.max_step(x, p)
         while fraction >= least:
             there = x + fraction * p
-            if bulk.value(there) + contact.merit(there, forces) <= here + ARMIJO * fraction * slope + ROUNDING * abs(here):
+            if bulk.value(there) + contact.merit(there, forces) <= here + ARMIJO * fraction * slope + ROUNDING * abs(
+                here
+            ):
                 return fraction
             fraction /= 2
         return 0.0

@@ -11,13 +11,13 @@ from dataclasses import replace
 import numpy as np
 
 from tacgen.fem.contact import Pose
+from tacgen.path import FORCE_DEPTH, shortest_turn
 from tacgen.scene import Scene
 from tacgen.solve.equilibrium import equilibrium
 from tacgen.solve.force_control import POWER, OutOfReach, meet
 from tacgen.solve.load_stepping import advance
 from tacgen.solve.problem import Problem
 from tacgen.solve.state import History, NotConverged, OutOfEffort, State
-from tacgen.path import FORCE_DEPTH, shortest_turn
 
 Array = np.ndarray
 RISE = np.outer(np.eye(4)[2], np.eye(4)[3])  # added to a pose: 1 mm along z

@@ -54,7 +54,9 @@ class WholeBulk:
         upper = sp.csr_matrix((data, pattern.indices, pattern.indptr), shape=(pattern.size,) * 2)
         K = upper + sp.triu(upper, 1).T + self._sparse(contact, D, x.size)
         try:
-            p[pattern.free] = sp.linalg.splu(K.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}).solve(b)
+            p[pattern.free] = sp.linalg.splu(
+                K.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}
+            ).solve(b)
         except RuntimeError:  # singular
             return None
         return p.reshape(x.shape) if np.isfinite(p).all() else None

@@ -5,10 +5,10 @@ from itertools import pairwise
 
 import numpy as np
 
+from tacgen.path import along, between
 from tacgen.solve.equilibrium import equilibrium
 from tacgen.solve.problem import Problem
 from tacgen.solve.state import History, NotConverged, OutOfEffort, State, TooFar
-from tacgen.path import along, between
 
 Array = np.ndarray
 TOO_FAR = 12  # halvings of a load step in which the indenter might pass through the gel

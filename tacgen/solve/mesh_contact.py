@@ -1,11 +1,11 @@
 """A load step with contact between meshes (ipctk): Newton's method on the energy, friction's normal forces lagged.
 
-The Toolkit's friction has an energy only with normal forces, directions and pairs that are frozen. They are renewed from
-the answer until both agree (Li et al. 2020, "Incremental Potential Contact", section 5).
+The Toolkit's friction has an energy only with normal forces, directions and pairs that are frozen. They are renewed
+from the answer until both agree (Li et al. 2020, "Incremental Potential Contact", section 5).
 """
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -56,7 +56,8 @@ class MeshLoadStep:
         self.problem, self.history, self.duration, self.prediction = problem, history, duration, None
         options, dhat = problem.options, problem.contact.dhat
         self.xtol, self.eps = options.step_tol * dhat, options.slip * dhat
-        self.contact = replace(problem.contact.moved(pose, history.offset), kappa=history.kappa)
+        contact = cast("MeshContact", problem.contact)
+        self.contact = replace(contact.moved(pose, history.offset), kappa=history.kappa)
         inert: tuple[Potential, ...] = ()
         ahead, self.gap_tol = 2 * history.x - history.before, self.xtol
         if problem.body is not None:
@@ -84,7 +85,7 @@ class MeshLoadStep:
 
     @property
     def total(self) -> Total:
-        loads = (self.contact,) if self.friction is None else (self.contact, self.friction)
+        loads: tuple[Potential, ...] = (self.contact,) if self.friction is None else (self.contact, self.friction)
         return Total((*self.bulk, *loads))
 
     def start(self, near: Array | None) -> Array:

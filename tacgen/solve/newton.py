@@ -7,8 +7,8 @@ from enum import StrEnum
 import numpy as np
 
 from tacgen.fem.assembly import Pattern
-from tacgen.solve.linear_solvers import NotPositiveDefinite, Solver
 from tacgen.fem.potential import Potential, Projection
+from tacgen.solve.linear_solvers import NotPositiveDefinite, Solver
 
 Array = np.ndarray
 ARMIJO = 1e-4

@@ -31,11 +31,14 @@ class SolverOptions:
     slip: float = 1 / 8  # of dhat: slip over which friction builds up
 
 
+DEFAULT = SolverOptions()
+
+
 def plain() -> SolverOptions:
     """The oracle: Newton's method on all unknowns at once, each tangent exact and new, nothing predicted."""
     return SolverOptions(
-        condense=False, keep_tangent=False, mixed_pressure=False, predict=False, max_newton=200, max_effort=10_000, step_tol=2e-3,
-        residual_tol=2e-5,
+        condense=False, keep_tangent=False, mixed_pressure=False, predict=False, max_newton=200, max_effort=10_000,
+        step_tol=2e-3, residual_tol=2e-5,
     )  # fmt: skip
 
 

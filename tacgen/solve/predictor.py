@@ -1,9 +1,9 @@
 """Predictor of a load step: the gel carried along with the indenter.
 
 A point that sticks goes where the indenter goes, whatever the load steps before did; the other nodes follow by the
-linearised stiffness. The prediction is what Newton's method starts from, and it says where new points first touch: taken
-from the motion of the step before instead, which a turn makes wrong, a capsule pressed in and slid by 1 mm at once was
-46 % of its force off the same path in sixteen frames. It is .6 % so.
+linearised stiffness. The prediction is what Newton's method starts from, and it says where new points first
+touch: taken from the motion of the step before instead, which a turn makes wrong, a capsule pressed in and slid by 1 mm
+at once was 46 % of its force off the same path in sixteen frames. It is .6 % so.
 """
 
 from dataclasses import dataclass

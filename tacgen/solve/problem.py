@@ -9,14 +9,14 @@ import numpy as np
 
 from tacgen.fem.assembly import Pattern, pattern
 from tacgen.fem.contact import Contact, Faces, Pose
-from tacgen.fem.folding_barrier import FoldingBarrier
 from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import elements
+from tacgen.fem.folding_barrier import FoldingBarrier
 from tacgen.mesh import Mesh
 from tacgen.scene import Scene
 from tacgen.solve import linear_solvers
 from tacgen.solve.bulk import Tangent
-from tacgen.solve.options import SolverOptions
+from tacgen.solve.options import DEFAULT, SolverOptions
 from tacgen.solve.state import Effort, History
 
 if TYPE_CHECKING:
@@ -45,12 +45,10 @@ class Problem:
     edge: float  # [mm]
     body: "Body | None" = None
     longest: float = math.inf
-    options: SolverOptions = SolverOptions()
+    options: SolverOptions = DEFAULT
 
     @classmethod
-    def of(
-        cls, scene: Scene, mesh: Mesh, options: SolverOptions = SolverOptions(), held: Array | None = None
-    ) -> "Problem":
+    def of(cls, scene: Scene, mesh: Mesh, options: SolverOptions = DEFAULT, held: Array | None = None) -> "Problem":
         """`held` (n, 3) bool: dofs that do not move; those of the bonded nodes unless given."""
         if held is None:
             held = np.zeros((len(mesh.points), 3), bool)
@@ -62,9 +60,7 @@ class Problem:
             elastic.append(Elastic.on(pat, some, layer.law))
             folding.append(FoldingBarrier.on(pat, mesh.points, some, layer.law.mu))
         contact = _contact(scene, mesh, pat)
-        ready = cls(
-            mesh, tuple(elastic), tuple(folding), contact, pat, scene.friction, scene.edge, options=options
-        )
+        ready = cls(mesh, tuple(elastic), tuple(folding), contact, pat, scene.friction, scene.edge, options=options)
         if (d := scene.dynamics) is None:
             return ready
         from tacgen.fem.inertia import Body

@@ -1,0 +1,177 @@
+"""Newton's method on the bulk, contact brought to equilibrium on its Schur complement within each step.
+
+    until the residual is small:
+        K <- tangent of the bulk at x, factorised            (kept while it contracts well)
+        S <- Schur complement of K on the nodes near contact
+        solve  (S + d 1) u + load + contact(u) + friction(u) = 0          (see contact_newton)
+        p <- the step of all nodes that goes with u
+        x <- x + p     if that lowers the energy, normal forces frozen; else d grows (Levenberg-Marquardt)
+
+A fold of the gel's surface or a wrinkle of its skin is a snap: no quasi-static path leads through it however short the
+load steps are. There the damped steps follow the energy down, as a gel with some viscosity does.
+"""
+
+import logging
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tacgen.fem.contact import Contact
+from tacgen.fem.coupled_contact import CoupledContact
+from tacgen.solve.bulk import Bulk, BulkPoint
+from tacgen.solve.condensation import Schur
+from tacgen.solve.contact_newton import ContactSolution, Quadratic, solve_contact
+from tacgen.solve.linear_solvers import NotPositiveDefinite
+from tacgen.solve.problem import Problem
+from tacgen.solve.state import History, NotConverged
+
+Array = np.ndarray
+BAD = 1e-3  # of the predicted decrease of the energy: a step that brings less is taken again, with more damping
+DAMPING_MAX = 1e5  # times the smallest
+USUAL = 0.1  # contraction of the residual by a kept tangent, until it is known
+ROUNDING = 1e-12  # of the energy
+SQUEEZED = 0.2  # of its volume: J below it is named where no equilibrium is found
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Step:
+    """What a step found: the contact's equilibrium, where it leads, the decrease of the energy as a part of the
+    predicted one (-inf where the contact ran off) and the damping [N/mm] it took."""
+
+    inner: ContactSolution
+    there: BulkPoint
+    gain: float
+    damping: float
+
+
+class BulkNewton:
+    """One solve; the tangent is the problem's, kept from solve to solve."""
+
+    def __init__(self, problem: Problem, bulk: Bulk, history: History) -> None:
+        self.problem, self.bulk, self.history = problem, bulk, history
+        self.options, self.tangent = problem.options, problem.tangent
+        self.xtol = self.options.step_tol * problem.contact.dhat
+
+    def solve(self, x: Array, contact: CoupledContact) -> tuple[Array, CoupledContact, int]:
+        """Positions, the contact with its offset there, and how many steps that took.
+
+        Raises NotConverged.
+        """
+        try:
+            return self._solve(x, contact)
+        except NotPositiveDefinite:
+            raise NotConverged(why(self.bulk, x, 0)) from None
+
+    def _solve(self, x: Array, contact: CoupledContact) -> tuple[Array, CoupledContact, int]:
+        options, tangent, conn = self.options, self.tangent, contact.contact.faces.conn
+        at = self.bulk.at(x)
+        J = self.bulk.at(self.history.x).J if options.mixed_pressure else at.J
+        new, residual, damping, rate, step = not options.keep_tangent, np.inf, 0.0, USUAL, 0
+        for step in range(1, options.max_newton + 1):
+            self.problem.effort.count()
+            touching = self._touching(contact.contact, at.x)
+            if not tangent.condensation.covers(conn[touching]):
+                tangent.condensation.cover(with_neighbours(conn, touching))
+            if new := new or not tangent.usable:
+                tangent.take(self.bulk, at, J if options.mixed_pressure else None)
+            found = self._step(at, J, contact, damping, insist=new)
+            damping = found.damping
+            if found.gain < BAD:
+                if new:
+                    break
+                new = True
+                continue
+            moved = float(np.abs(found.there.x - at.x).max())
+            contact = contact.shrunk(found.inner.contact.contact.offset)
+            J = tangent.predicted(at, found.there) if options.mixed_pressure else found.there.J
+            at, before, residual = found.there, residual, self._residual(found)
+            log.debug(
+                "step %d: %s tangent, %d in contact, moved %.1e mm, gain %.2f, damping %.1e, residual %.1e",
+                step, "new" if new else "kept", found.inner.steps, moved, found.gain, damping, residual,
+            )  # fmt: skip
+            if self._ended(found, moved, residual) and self._covered(contact, at.x):
+                return at.x, contact, step
+            if np.isfinite(before):  # a step with the same tangent as one before contracts about half as well
+                rate = (2 if new else 1) * residual / before
+            damping = 0.0 if damping <= tangent.condensation.schur.least_damping else damping / 4
+            new = not options.keep_tangent or self._slow(residual, rate)
+        raise NotConverged(why(self.bulk, at.x, step))
+
+    def _ended(self, found: Step, moved: float, residual: float) -> bool:
+        options = self.options
+        small = moved <= self.xtol and residual <= options.residual_max / 2 and found.damping == 0
+        return found.inner.converged and (residual <= options.residual_tol or small)
+
+    def _slow(self, residual: float, rate: float) -> bool:
+        """Whether the kept tangent would take more than `patience` further steps, contracting by `rate` each."""
+        options = self.options
+        return rate >= 1 or bool(np.log(options.residual_tol / residual) < options.patience * np.log(rate))
+
+    def _step(self, at: BulkPoint, J: tuple[Array, ...], contact: CoupledContact, damping: float, insist: bool) -> Step:
+        """With the damping given or, if asked to `insist`, with as much more as lowers the energy."""
+        condensed = self.tangent.condensation
+        g = self.tangent.unbalanced(at, J)
+        y = condensed.forward(g)
+        load, here, part = condensed.load(y), at.x[condensed.nodes], self._on_condensed(contact)
+        schur = Schur(condensed.schur.undamped, damping) if damping else condensed.schur
+        while True:
+            inner = solve_contact(
+                Quadratic(here, condensed.dofs, schur, load), part, here, xtol=self.xtol,
+                max_steps=self.options.max_contact, radius=self.problem.edge,
+            )  # fmt: skip
+            there, gain = at, -np.inf
+            if not inner.bounded:
+                u = (inner.x - here)[condensed.dofs >= 0]
+                p = condensed.expand(u, y)
+                there = self.bulk.at(at.x + p)
+                felt = inner.contact.merit(inner.x, inner.forces) - inner.contact.merit(here, inner.forces)
+                # (g . p + p . K p)/2 of the quadratic bulk is half of what the condensed unknowns do against their load
+                model = float((g * p).sum() + u @ (schur.S @ u + load)) / 2 + felt
+                change, rounding = there.energy - at.energy + felt, ROUNDING * abs(at.energy)
+                gain = 1.0 if abs(change) <= rounding else change / min(model, -rounding)
+            if gain >= BAD or not insist or schur.damping > DAMPING_MAX * schur.least_damping:
+                return Step(inner, there, gain, schur.damping)
+            schur = Schur(condensed.schur.undamped, max(4 * schur.damping, schur.least_damping))
+
+    def _on_condensed(self, contact: CoupledContact) -> CoupledContact:
+        """The contact on the facets that are condensed to, in their nodes' own numbers."""
+        condensed, whole = self.tangent.condensation, contact.contact
+        which = np.flatnonzero((condensed.local[whole.faces.conn] >= 0).all(1))
+        faces = whole.faces.only(which)
+        faces = replace(faces, conn=condensed.local[faces.conn])
+        return replace(contact, contact=replace(whole, faces=faces), anchor=contact.anchor[which])
+
+    def _touching(self, contact: Contact, x: Array) -> Array:
+        """Which facets (f,) the indenter acts on; if none, where it acted last, or where it is nearest."""
+        gap = contact.gaps(x)[0]
+        now = (gap < contact.dhat).any(1)
+        if now.any():
+            return np.asarray(now)
+        last = (self.history.normal_force > 0).any(1)
+        return np.asarray(last if last.any() else gap.min(1) <= gap.min())
+
+    def _covered(self, contact: CoupledContact, x: Array) -> bool:
+        """Whether the indenter acts on nothing but what is condensed to."""
+        touching = self._touching(contact.contact, x)
+        return self.tangent.condensation.covers(contact.contact.faces.conn[touching])
+
+    def _residual(self, found: Step) -> float:
+        """2-norm of the free nodes' forces, as a part of the contact force."""
+        nodes, inner = self.tangent.condensation.nodes, found.inner
+        r = found.there.gradient.copy()
+        r[nodes] -= inner.contact.contact.faces.scatter(inner.forces.force, len(nodes))
+        force = max(float(inner.forces.N.sum()), self.history.least_force)
+        return float(np.linalg.norm(r.ravel()[self.problem.pattern.free])) / force
+
+
+def with_neighbours(conn: Array, which: Array) -> Array:
+    """Facets (f, a) that are marked, and those that share a node with them."""
+    return np.asarray(conn[np.isin(conn, conn[which]).any(1)])
+
+
+def why(bulk: Bulk, x: Array, steps: int) -> str:
+    """What is known of why no equilibrium was found."""
+    least = min(float(J.min()) for J in bulk.at(x).J)
+    squeezed = f", the gel squeezed to {least:.1%} of its volume" if least < SQUEEZED else ""
+    return f"Newton did not converge in {steps} steps{squeezed}; try less depth, less friction or a finer mesh"
