@@ -38,21 +38,26 @@ def deformation(x: Array, conn: Array, B: Array) -> Array:
 
 
 @njit(cache=True, fastmath=True)
-def least_determinants(x: Array, conn: Array, B: Array) -> Array:
-    """The smallest J (e,) over each element's integration points."""
-    ne, nq, na, _ = B.shape
-    least, F, C = np.empty(ne), np.empty((3, 3)), np.empty((3, 3))
+def least_J(x: Array, conn: Array, dN: Array, rest: Array) -> Array:
+    """The smallest J (e,) over each element's points: det(dx/dxi), with derivatives dN (a, 3, q), over that at rest
+    (e, q). The innermost loops run over points, side by side."""
+    (ne, na), nq = conn.shape, rest.shape[1]
+    least, T = np.empty(ne), np.empty((3, 3, nq))
     for e in range(ne):
-        least[e] = np.inf
+        T[:] = 0.0
+        for a in range(na):
+            for i in range(3):
+                v = x[conn[e, a], i]
+                for j in range(3):
+                    for q in range(nq):
+                        T[i, j, q] += v * dN[a, j, q]
+        low = np.inf
         for q in range(nq):
-            F[:] = 0.0
-            for a in range(na):
-                node = conn[e, a]
-                for i in range(3):
-                    for j in range(3):
-                        F[i, j] += x[node, i] * B[e, q, a, j]
-            cofactor(F, C)
-            least[e] = min(least[e], F[0, 0] * C[0, 0] + F[0, 1] * C[0, 1] + F[0, 2] * C[0, 2])
+            A = T[1, 1, q] * T[2, 2, q] - T[1, 2, q] * T[2, 1, q]
+            B = T[1, 2, q] * T[2, 0, q] - T[1, 0, q] * T[2, 2, q]
+            C = T[1, 0, q] * T[2, 1, q] - T[1, 1, q] * T[2, 0, q]
+            low = min(low, (T[0, 0, q] * A + T[0, 1, q] * B + T[0, 2, q] * C) / rest[e, q])
+        least[e] = low
     return least
 
 

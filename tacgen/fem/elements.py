@@ -115,21 +115,21 @@ def quadratic(points: Array, *conns: Array) -> tuple[Array, ...]:
     return np.concatenate([points, middle]), *both
 
 
-def dense_points(points: Array, elements: Elements) -> Elements:
-    """The same elements with integration points all over them, corners included, each for its share of the volume.
-
-    Of hexes the 27 points of a 3 x 3 x 3 grid, which determine their Jacobian; of tets the nodes.
-    """
-    a = elements.conn.shape[1]
-    if a == 8:
+def grid_points(nodes: int) -> tuple[Array, Array]:
+    """N (q, a) and its derivatives (q, a, 3) at points all over an element, corners included: of hexes the 27 points of
+    a 3 x 3 x 3 grid, which determine their Jacobian; of tets the nodes."""
+    if nodes == 8:
         grid = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3, indexing="ij"), -1).reshape(-1, 3)
         f = 1 + HEX_CORNERS[None] * grid[:, None]
-        N = f.prod(2) / 8
-        dN = np.stack([HEX_CORNERS[:, k] * np.delete(f, k, 2).prod(2) / 8 for k in range(3)], -1)
-    else:
-        corners = np.eye(4)
-        N, dL = barycentric(np.concatenate([corners, corners[TET_EDGES].mean(1)])[:a], a)
-        dN = dL[..., 1:] - dL[..., :1]
+        return f.prod(2) / 8, np.stack([HEX_CORNERS[:, k] * np.delete(f, k, 2).prod(2) / 8 for k in range(3)], -1)
+    corners = np.eye(4)
+    N, dL = barycentric(np.concatenate([corners, corners[TET_EDGES].mean(1)])[:nodes], nodes)
+    return N, dL[..., 1:] - dL[..., :1]
+
+
+def dense_points(points: Array, elements: Elements) -> Elements:
+    """The same elements with the `grid_points` for integration points, each for its share of the volume."""
+    N, dN = grid_points(elements.conn.shape[1])
     jacobian = np.einsum("qaj,eai->eqij", dN, points[elements.conn])
     gradients = np.einsum("qaj,eqjI->eqaI", dN, np.linalg.inv(jacobian))
     weights = np.repeat(elements.weights.sum(1)[:, None] / len(dN), len(dN), 1)

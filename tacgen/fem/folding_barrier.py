@@ -16,7 +16,7 @@ import numpy as np
 from tacgen.fem import assembly
 from tacgen.fem.assembly import Pattern
 from tacgen.fem.elasticity import Elastic, Point
-from tacgen.fem.elements import Elements, dense_points
+from tacgen.fem.elements import Elements, dense_points, grid_points
 from tacgen.fem.materials import Derivatives
 from tacgen.fem.potential import Projection
 
@@ -79,14 +79,19 @@ class FoldingBarrier:
     elements: Elements  # with points all over them
     slots: Array
     mu: float
+    dN: Array  # (a, 3, q), in the element's own coordinates
+    rest: Array  # (e, q) det(dX/dxi)
 
     @classmethod
     def on(cls, pattern: Pattern, points: Array, elements: Elements, mu: float) -> "FoldingBarrier":
-        return cls(dense_points(points, elements), pattern.slots(elements.conn), STIFFNESS * mu)
+        dN = grid_points(elements.conn.shape[1])[1]
+        rest = np.linalg.det(np.einsum("qaj,eai->eqij", dN, points[elements.conn]))
+        dense, slots = dense_points(points, elements), pattern.slots(elements.conn)
+        return cls(dense, slots, STIFFNESS * mu, np.ascontiguousarray(dN.transpose(1, 2, 0)), rest)
 
     def evaluate(self, x: Array) -> FoldingPoint:
         e = self.elements
-        below = np.flatnonzero(assembly.least_determinants(x, e.conn, e.gradients) < J0)
+        below = np.flatnonzero(assembly.least_J(x, e.conn, self.dN, self.rest) < J0)
         if not below.size:
             return FoldingPoint(None, None)
         some = Elements(e.conn[below], e.gradients[below], e.weights[below], e.pointwise, e.shape)

@@ -70,7 +70,8 @@ class LoadStep:
         Taken at a guess instead, it is often indefinite: the guess has pressures of its own.
         """
         history, tangent, conn = self.history, self.problem.tangent, contact.faces.conn
-        touching = np.logical_or(history.normal_force > 0, contact.gaps(history.x)[0] < contact.dhat).any(1)
+        near = contact.gaps(history.x)[0] < contact.dhat
+        touching = np.asarray((near | (history.normal_force > 0)).any(1))
         if not touching.any():
             return None
         if not tangent.usable or not tangent.condensation.covers(conn[touching]):

@@ -65,7 +65,7 @@ class MeshLoadStep:
             inertia = problem.body.step(history.x, history.velocity, duration)
             inert, ahead, self.gap_tol = (inertia,), inertia.coasting, self.xtol / 10
         self.inert = Total(inert)
-        self.bulk = (*problem.elastic, *problem.folding, *inert)
+        self.bulk: tuple[Potential, ...] = (*problem.elastic, *problem.folding, *inert)
         self.lag, self.friction = Lag(), None
         self.anchor = pose.world(self._anchors())
         if problem.friction > 0:
@@ -85,8 +85,8 @@ class MeshLoadStep:
 
     @property
     def total(self) -> Total:
-        loads: tuple[Potential, ...] = (self.contact,) if self.friction is None else (self.contact, self.friction)
-        return Total((*self.bulk, *loads))
+        rubbing: tuple[Potential, ...] = () if self.friction is None else (self.friction,)
+        return Total((*self.bulk, self.contact, *rubbing))
 
     def start(self, near: Array | None) -> Array:
         """The start of lower energy. Raises TooFar: the gel cannot follow that far."""
