@@ -4,7 +4,7 @@ import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -15,13 +15,20 @@ from tacgen.bench.draws import BALL, Draw, drawn
 from tacgen.bench.kit import Cell, Level, Result, Say, Table, columns, cores
 from tacgen.bench.shorter import TIMES, finer
 from tacgen.errors import UserError
-from tacgen.solve import foresee
+from tacgen.solve import SolverOptions, foresee
 
 Array = np.ndarray
 LIMIT = 150.0  # processor seconds in which a scene's frames must be solved
 EVERY = 5  # of so many draft scenes one is solved in short frames too
 COUNT = {"smoke": 2, "normal": 30, "full": 150}  # scenes
 FINE_COUNT = 30  # scenes at quality `default`, at level full
+WITHOUT: dict[str, dict[str, bool]] = {  # what is switched off, and how many scenes are solved so
+    "nothing": {},
+    "kept tangents": {"keep_tangent": False},
+    "predictor": {"predict": False},
+    "mixed pressure": {"mixed_pressure": False},
+}
+ABLATED = {"smoke": 0, "normal": 8, "full": 30}
 SMOKE = "{edge_mm: 1.2, dhat_mm: 0.08}"  # the quality of a smoke test
 STATUSES = ("ok", "refused", "rejected", "out of time", "crashed")
 MEASURES = {"seconds": ("s a frame", ".2f"), "iterations": ("iterations", ".1f"), "factored": ("factorisations", ".1f")}
@@ -71,12 +78,14 @@ class Outcome:
         return [*named, self.frames, self.nodes, self.force, *work, self.least_J, self.error]
 
 
-def measure(draw: Draw, quality: str, compared: bool, limit: float = LIMIT) -> Outcome:
+def measure(
+    draw: Draw, quality: str, compared: bool, limit: float = LIMIT, options: SolverOptions = solve.DEFAULT
+) -> Outcome:
     """Solve a scene in at most `limit` processor seconds and, where it is compared and ok, in short frames too."""
     try:
         made = _scene((f"sensor={draw.sensor}", *draw.sets, f"quality={quality}"))
         grid = mesh.of(made)
-        problem = solve.Problem.of(made, grid)
+        problem = solve.Problem.of(made, grid, options)
     except UserError as error:
         return Outcome(draw, quality, "refused", error.lines[0])
     states, clock, status, reason = _frames(made, problem, limit)
@@ -142,10 +151,11 @@ def _warm() -> None:
     _frames(made, solve.Problem.of(made, mesh.of(made)), LIMIT)
 
 
-def _job(job: tuple[Draw, str, bool]) -> Outcome:
+def _job(job: tuple[Draw, str, bool, SolverOptions]) -> Outcome:
     try:
         _warm()
-        return measure(*job)
+        draw, quality, compared, options = job
+        return measure(draw, quality, compared, options=options)
     except Exception as error:  # a bug that one scene shows must not cost the figures of the others
         return Outcome(job[0], job[1], "crashed", f"{type(error).__name__}: {error}")
 
@@ -154,8 +164,11 @@ def bench(level: Level, say: Say) -> Result:
     """The ball, ordinary scenes at draft and, at level full, some at default."""
     draws = [drawn(i) for i in range(COUNT[level])]
     quality = SMOKE if level == "smoke" else "draft"
-    jobs = [(BALL, quality, True), *((draw, quality, i % EVERY == 0) for i, draw in enumerate(draws))]
-    jobs += [(draw, "default", False) for draw in draws[:FINE_COUNT] if level == "full"]
+    plain = solve.DEFAULT
+    jobs = [(BALL, quality, True, plain), *((draw, quality, i % EVERY == 0, plain) for i, draw in enumerate(draws))]
+    jobs += [(draw, "default", False, plain) for draw in draws[:FINE_COUNT] if level == "full"]
+    whole, few = len(jobs), draws[: ABLATED[level]]
+    jobs += [(draw, quality, False, replace(plain, **off)) for off in WITHOUT.values() for draw in few]
     found = list[Outcome]()
     with ExitStack() as stack:
         spread: Callable[..., Iterator[Outcome]] = map
@@ -166,7 +179,7 @@ def bench(level: Level, say: Say) -> Result:
             name = "ball" if one.draw.index is None else f"{one.draw.index}"
             what = f"{one.quality} {one.draw.sensor} {one.draw.shape}: {one.status}"
             say(f"{name} {what}, {one.seconds:.2f} s a frame {one.reason}")
-    ball, rough, fine = found[:1], found[1 : len(draws) + 1], found[len(draws) + 1 :]
+    ball, rough, fine = found[:1], found[1 : len(draws) + 1], found[len(draws) + 1 : whole]
     together = [_summary("ordinary", rough), *([_summary("ordinary", fine)] if fine else []), _summary("ball", ball)]
     heads = columns("scenes of", "quality", "scenes: d", *(f"{status}: d" for status in STATUSES))
     heads |= columns(*(f"{head}, p{q}: {form}" for head, form in MEASURES.values() for q in QUANTILES))
@@ -181,9 +194,11 @@ def bench(level: Level, say: Say) -> Result:
         Table("Together", heads, together, note),
         _groups("By shape", "shape", rough, lambda one: one.draw.shape),
         _groups("By sensor", "sensor", rough, lambda one: one.draw.sensor),
-        _failed(found),
-        _every(found),
+        _failed(found[:whole]),
+        _every(found[:whole]),
     ]
+    if few:
+        tables.insert(3, _ablated(found[whole:], len(few)))
     return Result(ABOUT, tables)
 
 
@@ -211,6 +226,21 @@ def _groups(title: str, head: str, found: Sequence[Outcome], of: Callable[[Outco
         rows.append([name, len(group), sum(one.status == "ok" for one in group), *work])
     heads = ("scenes: d", "ok: d", "s a frame, p50: .2f", "s a frame, p90: .2f", "iterations, p50: .1f")
     return Table(title, columns(head, *heads), rows)
+
+
+def _ablated(found: Sequence[Outcome], count: int) -> Table:
+    """Seconds a frame of the same scenes with one acceleration switched off, over those with all of them."""
+    groups = [found[i : i + count] for i in range(0, len(found), count)]
+    rows: list[list[Cell]] = []
+    for name, group in zip(WITHOUT, groups, strict=True):
+        both = [(b.seconds / a.seconds) for a, b in zip(groups[0], group, strict=True) if a.status == b.status == "ok"]
+        ended = sum(one.status == "ok" for one in group)
+        times = [float(np.percentile(both, q)) for q in (50, 90)] if both else [None, None]
+        work = [_quantile(group, what, 50) for what in ("iterations", "factored")]
+        rows.append([name, count, ended, *times, *work])
+    heads = columns("without", "scenes: d", "ok: d", "time, p50: .2f", "time, p90: .2f", "iterations, p50: .1f")
+    note = "Time: of a scene without, over that of the same scene with everything."
+    return Table("What each acceleration saves", heads | columns("factorisations, p50: .1f"), rows, note)
 
 
 def _failed(found: Sequence[Outcome]) -> Table:

@@ -1,12 +1,13 @@
 """Scene + Mesh -> States: load stepping along the path."""
 
 from tacgen.solve.frames import TooMuch, normal_force, states
-from tacgen.solve.options import SolverOptions, plain, short_steps
+from tacgen.solve.options import DEFAULT, SolverOptions, plain, short_steps
 from tacgen.solve.problem import Problem
 from tacgen.solve.state import NotConverged, State
 from tacgen.solve.warm import warm
 
 __all__ = [
+    "DEFAULT",
     "NotConverged", "Problem", "SolverOptions", "State", "TooMuch", "normal_force", "plain", "short_steps", "states",
     "warm",
 ]  # fmt: skip
