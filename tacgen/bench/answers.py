@@ -21,7 +21,6 @@ from tacgen.spec import assets
 from tacgen.spec.sensor import Markers
 
 Array = np.ndarray
-USUAL = solve.SolverOptions()
 ROOT = Path(scene.__file__).parent
 DECIDES = ("fem/*", "optics/*", "solid/*", "solve/*", "labels/*", "path", "scene", "mesh", "fields", "bench/answers")
 BALL = ("outputs=[force]", "indenter={shape: sphere, radius_mm: 4}")
@@ -90,7 +89,7 @@ def row_of(sets: tuple[str, ...]) -> plan.Row:
 def answer(
     sets: tuple[str, ...],
     shift: tuple[float, float] = (0.0, 0.0),
-    options: solve.SolverOptions = USUAL,
+    options: solve.SolverOptions = solve.DEFAULT,
 ) -> Answer:
     """Solve the quickstart with changes and take its labels; `shift` moves a mesh of hexes under the indenter, in parts
     of an edge."""

@@ -6,9 +6,9 @@ from importlib.util import find_spec
 
 import numpy as np
 
-from tacgen.bench.answers import DEPTHS, USUAL, Answer, Error, answer, kept, row_of, sliding
+from tacgen.bench.answers import DEPTHS, Answer, Error, answer, kept, row_of, sliding
 from tacgen.bench.kit import Cell, Level, Plot, Result, Say, Series, Table, columns, cores, front
-from tacgen.solve import SolverOptions, plain, short_steps
+from tacgen.solve import DEFAULT, SolverOptions, plain, short_steps
 
 ABOUT = (
     "A ball of 4 mm is pressed 1 mm (0.8 mm on DIGIT and 9DTact) and slid by 0.6 mm with friction 0.5, in one frame and"
@@ -34,13 +34,13 @@ HEXES = {
 
 
 SOLVERS = {  # name: what is done otherwise
-    "as it is": USUAL,
-    "nothing predicted": replace(USUAL, predict=False),
-    "pressure not mixed": replace(USUAL, mixed_pressure=False),
-    "every tangent new": replace(USUAL, keep_tangent=False),
-    "nothing condensed": replace(USUAL, condense=False),
+    "as it is": DEFAULT,
+    "nothing predicted": replace(DEFAULT, predict=False),
+    "pressure not mixed": replace(DEFAULT, mixed_pressure=False),
+    "every tangent new": replace(DEFAULT, keep_tangent=False),
+    "nothing condensed": replace(DEFAULT, condense=False),
     "plain": plain(),
-    "load steps half as long": short_steps(USUAL, 2),
+    "load steps half as long": short_steps(DEFAULT, 2),
 }
 
 
@@ -51,7 +51,7 @@ class Variant:
     axis: str
     name: str
     sets: tuple[str, ...] = ()
-    options: SolverOptions = USUAL
+    options: SolverOptions = DEFAULT
 
 
 def variants(level: Level) -> list[Variant]:
@@ -72,8 +72,8 @@ def variants(level: Level) -> list[Variant]:
 
 def _tolerances(times: float) -> SolverOptions:
     """Equilibria found to so many times the usual tolerances."""
-    step, residual, most = USUAL.step_tol, USUAL.residual_tol, USUAL.residual_max
-    return replace(USUAL, step_tol=times * step, residual_tol=times * residual, residual_max=max(times, 1.0) * most)
+    step, residual, most = DEFAULT.step_tol, DEFAULT.residual_tol, DEFAULT.residual_max
+    return replace(DEFAULT, step_tol=times * step, residual_tol=times * residual, residual_max=max(times, 1.0) * most)
 
 
 def bench(level: Level, say: Say) -> Result:

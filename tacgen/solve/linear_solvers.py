@@ -161,33 +161,6 @@ def readable() -> bool:
     return sorted(order) == [0, 1, 2] and bool(np.allclose(L @ L.T, A[np.ix_(order, order)]))
 
 
-class Pardiso:
-    """MKL PARDISO's Cholesky through pypardiso."""
-
-    name = "pardiso"
-    factored = 0
-
-    def __init__(self, pattern: Pattern) -> None:
-        from pypardiso import PyPardisoSolver
-
-        n = pattern.size
-        self._solver = PyPardisoSolver(mtype=2)
-        self._A = sp.csr_matrix((np.ones(len(pattern.indices)), pattern.indices, pattern.indptr), shape=(n, n))
-
-    def factor(self, data: Array) -> None:
-        self.factored += 1
-        from pypardiso.pardiso_wrapper import PyPardisoError
-
-        self._A.data[:] = data
-        try:
-            self._solver.factorize(self._A)
-        except PyPardisoError as e:
-            raise NotPositiveDefinite from e
-
-    def solve(self, b: Array) -> Array:
-        return np.asarray(self._solver.solve(self._A, b)).ravel()
-
-
 class SuperLU:
     """SciPy's SuperLU on the whole symmetric matrix; it cannot tell an indefinite one."""
 
@@ -217,7 +190,6 @@ class SuperLU:
 
 # fastest first, with the packages each needs
 SOLVERS: dict[str, tuple[Callable[[Pattern], Solver], tuple[str, ...]]] = {
-    "pardiso": (Pardiso, ("pypardiso",)),
     "cholmod": (Cholmod, ("cvxopt", "pymetis")),
     "superlu": (SuperLU, ()),
 }
