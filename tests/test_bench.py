@@ -236,17 +236,15 @@ def test_what_is_not_asked_for_is_not_imported(output: str) -> None:
 
 
 def test_what_is_not_asked_for_is_not_computed() -> None:
-    """Modules that are loaded anyway do nothing: a scene without friction has no friction term, one layer no second."""
-    without, rubbing = used("force", 0)["ran"], used("force", 0.5)["ran"]
-    assert set(rubbing) - set(without) == {"tacgen.fem.friction", "tacgen.step.carried"}
-    assert {"tacgen.fields", "tacgen.step.foresee"} <= set(without)  # the wrench alone
-    assert not {
-        "tacgen.labels.maps",
-        "tacgen.labels.stress",
-        "tacgen.solid.tetmesh",
-        "tacgen.fem.field",
-        "tacgen.solid.geometry",
-    } & set(without)
+    """Modules that are loaded anyway do nothing: without friction no anchor is dragged, and no mesh is one of tets."""
+    without, rubbing = (set(used("force", friction)["ran"]) for friction in (0, 0.5))
+    slips = {"tacgen.fem.friction:dragged", "tacgen.fem.coupled_contact:CoupledContact.slip"}
+    assert slips <= rubbing - without
+    modules = {name.partition(":")[0] for name in without}
+    assert {"tacgen.fields", "tacgen.solve.foresee"} <= modules  # the wrench alone
+    unasked = ("fem.field", "labels.maps", "labels.stress", "solid.geometry", "solid.tetmesh")
+    unasked += ("solve.force_control", "solve.full_newton", "solve.lagging", "solve.mesh_contact", "solve.newton")
+    assert modules.isdisjoint(f"tacgen.{name}" for name in unasked)
 
 
 def test_every_line_of_pay_is_a_scene() -> None:

@@ -11,12 +11,12 @@ ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "tacgen"
 
 # Folders beside the line, whose modules stand in ORDER one by one.
-GROUPS = ("spec", "solid", "step", "labels", "image", "files", "look")
+GROUPS = ("spec", "solid", "solve", "labels", "image", "files", "look")
 FOLDERS = {"tacgen", *(f"tacgen.{name}" for name in (*GROUPS, "fem", "optics"))}
 
 # A module imports only from lines above its own. The line of the product is marked with *.
 ORDER = [
-    {"__init__", "errors", "spec.part", *(f"{name}.__init__" for name in GROUPS)},
+    {"__init__", "errors", "spec.part", *(f"{name}.__init__" for name in GROUPS if name != "solve")},
     {"console", "spec.turns"},
     {"spec.yamlfile", "spec.assets", "spec.sensor", "files.partfile", "image.variants", "spec.posetable"},
     {"spec.explain"},
@@ -29,16 +29,21 @@ ORDER = [
     {"spec.load"},
     {"plan"},  # *
     {"solid.gel", "solid.tessellate"},
-    {"step.trajectory"},
+    {"path"},
     {"scene"},  # *
     {"solid.tetmesh"},
     {"mesh"},  # *
-    {"step.problem"},
-    {"step.carried"},
-    {"step.advance"},
-    {"step.travel"},
-    {"solve"},  # *
-    {"step.foresee"},
+    {"solve.options", "solve.state", "solve.linear_solvers", "solve.force_control", "solve.lagging"},
+    {"solve.condensation", "solve.newton"},
+    {"solve.bulk", "solve.contact_newton"},
+    {"solve.problem", "solve.predictor"},
+    {"solve.bulk_newton", "solve.full_newton", "solve.mesh_contact"},
+    {"solve.equilibrium"},
+    {"solve.load_stepping"},
+    {"solve.frames"},
+    {"solve.warm"},
+    {"solve.__init__"},  # *
+    {"solve.foresee"},
     {"fields"},  # *
     {"labels.maps", "labels.stress", "image.tracer", "labels.faces", "labels.drift"},
     {"render"},  # *
@@ -76,9 +81,8 @@ HOMES = {
     "matplotlib": {"look.show", "look.show_field", "bench.kit", "bench.optics"},
     "mpl_toolkits": {"look.show"},
     "h5py": {"bundle", "doctor", "export.vtkhdf", "export.univtac", "files.pack", "torch"},
-    "cvxopt": {"fem.linear"},
-    "pymetis": {"fem.linear"},
-    "pypardiso": {"fem.linear"},
+    "cvxopt": {"solve.linear_solvers"},
+    "pymetis": {"solve.linear_solvers"},
     "ruamel": {"spec.yamlfile"},
     "trimesh": {"solid.geometry"},
     "igl": {"solid.geometry"},
@@ -117,7 +121,7 @@ NOT_NUMPY = {
 
 
 def files() -> dict[str, Path]:
-    """Every module by its name below the package: `recipe`, `fem.linear`."""
+    """Every module by its name below the package: `recipe`, `fem.shapes`."""
     return {".".join(path.relative_to(PACKAGE).with_suffix("").parts): path for path in sorted(PACKAGE.rglob("*.py"))}
 
 
@@ -133,14 +137,19 @@ def imports(path: Path) -> list[tuple[str, bool]]:
                 found.extend((alias.name, top) for alias in child.names)
             elif isinstance(child, ast.ImportFrom):
                 assert child.level == 0, f"{path}: relative import"
-                if child.module in FOLDERS:
-                    found.extend((f"{child.module}.{alias.name}", top) for alias in child.names)
-                else:
-                    found.append((child.module or "", top))
+                found.extend((loaded(child.module or "", alias.name), top) for alias in child.names)
             walk(child, top and not isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda))
 
     walk(ast.parse(path.read_text(encoding="utf-8")), True)
-    return found
+    return list(dict.fromkeys(found))
+
+
+def loaded(module: str, name: str) -> str:
+    """What `from module import name` loads: a module of that name in one of our folders, or the first alone."""
+    if module not in FOLDERS:
+        return module
+    here = PACKAGE.joinpath(*module.split(".")[1:], name)
+    return f"{module}.{name}" if here.is_dir() or here.with_suffix(".py").exists() else module
 
 
 def rank(module: str) -> int:
@@ -150,9 +159,9 @@ def rank(module: str) -> int:
 
 
 def inside(module: str) -> str:
-    """tacgen.fem.linear -> fem.linear; tacgen.__version__ -> __init__."""
+    """tacgen.fem.shapes -> fem.shapes; tacgen -> __init__; tacgen.solve -> solve.__init__."""
     name = module.removeprefix("tacgen").lstrip(".")
-    return "__init__" if not name or name.startswith("__version") else name
+    return f"{name}.__init__".lstrip(".") if name in ("", *GROUPS) else name
 
 
 @pytest.mark.parametrize("name", files())
@@ -168,8 +177,11 @@ def test_imports_point_up_the_line(name: str):
         elif library:
             assert rank(name) >= FIRST_USER_OF_LIBRARIES, f"{name} imports {module}"
         else:
-            own_folder = target.split(".")[0] == name.split(".")[0] in ("batch", "bench", "calibrate", "export")
+            folder, own = target.split(".")[0], target.split(".")[0] == name.split(".")[0]
+            own_folder = own and folder in ("batch", "bench", "calibrate", "export")
             assert rank(target) < rank(name) or own_folder, f"{name} imports {module}"
+            if folder in GROUPS and not own:  # which runs the folder's own file first
+                assert rank(f"{folder}.__init__") < rank(name), f"{name} imports {module}"
 
 
 @pytest.mark.parametrize("name", [n for n in files() if n.split(".")[0] in LIBRARIES])
@@ -244,3 +256,13 @@ def test_the_check_sees_a_bad_import(tmp_path: Path):
     bad = tmp_path / "bad.py"
     bad.write_text("import mitsuba\ndef f():\n    from tacgen import cli\n    import h5py\n")
     assert imports(bad) == [("mitsuba", True), ("tacgen.cli", False), ("h5py", False)]
+    bad.write_text("from tacgen.solve import State, states, foresee\nfrom tacgen import __version__\n")
+    assert imports(bad) == [("tacgen.solve", True), ("tacgen.solve.foresee", True), ("tacgen", True)]
+    assert [inside(module) for module, _ in imports(bad)] == ["solve.__init__", "solve.foresee", "__init__"]
+
+
+def test_every_line_of_the_order_is_a_module():
+    known = {name if name.split(".")[0] in GROUPS else name.split(".")[0] for name in files()}
+    assert set().union(*ORDER) == known - LIBRARIES
+    assert sum(map(len, ORDER)) == len(set().union(*ORDER))
+    assert set().union(*HOMES.values()) | NOT_NUMPY <= {name.removesuffix(".__init__") for name in files()}

@@ -30,7 +30,7 @@ def pressed(points: Array, faces: Faces, camera: Camera = CAMERA) -> tuple[maps.
     force = hertz(faces.at(points)) * faces.areas
     rub = FRICTION * force[..., None] * np.array([0.6, 0.8, 0.0])
     down = np.broadcast_to([0.0, 0.0, -1.0], rub.shape)
-    state = State(0, np.eye(4), points, force, down, rub, force > 0, 1, 1, 0.0, 0.0, 1.0, 0.0, 0.0)
+    state = State(0, np.eye(4), points, force, down, rub, force > 0, 1, 1, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0)
     problem: Problem = SimpleNamespace(contact=SimpleNamespace(faces=faces))  # type: ignore[assignment]
     return maps.maps(problem, Surface(points, faces.conn), state, camera), state
 

@@ -16,7 +16,7 @@ from tacgen import bundle, pipeline, plan, solve
 from tacgen.check import check
 from tacgen.errors import UserError
 from tacgen.recipe import OUTPUTS
-from tacgen.step import travel
+from tacgen.solve import load_stepping
 
 RECIPE = """
 tacgen: 1
@@ -166,14 +166,14 @@ def test_a_damaged_bundle_is_redone(recipe: Path, tmp_path: Path) -> None:
 def test_a_frame_that_does_not_converge_is_recorded_and_not_shipped(
     recipe: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    usual = travel.advance
+    usual = load_stepping.equilibrium
 
-    def fail_late(problem, memory, matrix, index, duration):  # type: ignore[no-untyped-def]
+    def fail_late(problem, history, matrix, index, duration):  # type: ignore[no-untyped-def]
         if index == 2:
             raise solve.NotConverged("made to fail")
-        return usual(problem, memory, matrix, index, duration)
+        return usual(problem, history, matrix, index, duration)
 
-    monkeypatch.setattr(travel, "advance", fail_late)
+    monkeypatch.setattr(load_stepping, "equilibrium", fail_late)
     found = pipeline.run_scene(plan.load(recipe).rows[0], tmp_path / "out")
     assert (found.status, found.reason) == ("rejected", "frame 3 of 3: made to fail")
     kept = bundle.read(found.path)
@@ -186,6 +186,7 @@ def test_forces_agree_with_the_maps_and_the_base(recipe: Path, tmp_path: Path) -
     row = plan.load(recipe, ["outputs=[traction]"]).rows[0]
     kept = bundle.read(pipeline.run_scene(row, tmp_path / "out").path)
     assert kept["/frames/quality/force_balance"].max() < 1e-3
+    assert 0.5 < kept["/frames/quality/least_jacobian"].min() < 1
     force = kept["/frames/force"]
     assert (force[:, 2] < 0).all()  # the indenter pushes the gel down
     assert force[2, 0] > 0.05  # and drags it along when it slides to the right

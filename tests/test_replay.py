@@ -12,10 +12,10 @@ from small_recipe import HEAD
 from tacgen import bundle, pipeline, plan, scene
 from tacgen.check import check
 from tacgen.errors import UserError
+from tacgen.path import lowest
 from tacgen.recipe import Recipe
 from tacgen.spec import motions, posetable, turns
 from tacgen.spec.explain import validate
-from tacgen.path import lowest
 
 Array = np.ndarray
 TITLES = "time_s,x_mm,y_mm,z_mm,qw,qx,qy,qz"

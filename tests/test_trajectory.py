@@ -8,10 +8,11 @@ import pytest
 from small_recipe import HEAD
 
 from tacgen import bundle, mesh, pipeline, plan, scene, solve
+from tacgen import path as trajectory
 from tacgen.errors import UserError
 from tacgen.fem.contact import Pose
-from tacgen.fem.rising import OutOfReach, meet
-from tacgen.step import foresee, trajectory, travel
+from tacgen.solve import foresee, frames
+from tacgen.solve.force_control import OutOfReach, meet
 
 BOX = "indenter={shape: box, size_x_mm: 4, size_y_mm: 3, fillet_mm: 0.3}"
 ROUGH = "contact.friction=0.5"
@@ -62,7 +63,7 @@ def test_a_second_force_may_be_smaller_and_a_depth_may_follow(tmp_path: Path) ->
 
 
 def test_a_force_the_gel_cannot_give_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in (trajectory, solve, foresee):
+    for module in (trajectory, frames, foresee):
         monkeypatch.setattr(module, "FORCE_DEPTH", 0.2)
     found = pipeline.run_scene(row(tmp_path, "press: {force_n: 500, frames: 1}"), tmp_path / "out")
     assert found.status == "rejected"
@@ -73,19 +74,19 @@ def test_a_force_the_gel_cannot_give_is_refused(tmp_path: Path, monkeypatch: pyt
 def test_an_absurd_force_is_refused_on_the_coarse_mesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """And what comes before it is kept."""
     segments = "press: {depth_mm: 0.3, frames: 1}\npress: {force_n: 500, frames: 1}\nrelease: {frames: 1}"
-    solved_on, usual = [], travel.reach
+    solved_on, usual = [], frames.advance
 
     def watched(problem, *rest):  # type: ignore[no-untyped-def]
         solved_on.append(problem.edge)
         return usual(problem, *rest)
 
-    monkeypatch.setattr(travel, "reach", watched)
-    found = pipeline.run_scene(row(tmp_path, segments, "quality.edge_mm=0.7"), tmp_path / "out")
+    monkeypatch.setattr(frames, "advance", watched)
+    found = pipeline.run_scene(row(tmp_path, segments, "quality.edge_mm=0.65"), tmp_path / "out")
     assert found.status == "rejected"
     assert found.reason.startswith("frame 2 of 3: 500 N asked for, and 80% of the gel's thickness gives ")
     assert found.reason.endswith(" N, as a coarse mesh has it")
     assert bundle.read(found.path).frames == 1
-    assert solved_on.count(0.7) == 1
+    assert solved_on.count(0.65) == 1
 
 
 def test_what_follows_a_force_goes_on_from_its_depth(tmp_path: Path) -> None:

@@ -32,7 +32,7 @@ def _point_forces(
     db, ddb (p,): the barrier's derivatives; g (p, 3), H (p, 3, 3): gradient and Hessian of the distance; u (p, 3): from
     the anchor; weight (p,): kappa times area.
     """
-    P, M, t = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
+    P, t, Hn, Ht = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3)
     for p in range(len(db)):
         size = max(np.sqrt(g[p, 0] ** 2 + g[p, 1] ** 2 + g[p, 2] ** 2), 1e-12)
         for i in range(3):
@@ -60,23 +60,22 @@ def _point_forces(
             slope, bend = 2 / eps - length / eps**2, -1 / (eps**2 * max(length, 1e-12 * eps))
         else:
             slope, bend = 1 / length, -1 / length**3
+        for j in range(3):  # the normal turns with the place on the indenter: dn/dx = (1 - n n^T) H / |g|
+            Hn[j] = n[p, 0] * H[p, 0, j] + n[p, 1] * H[p, 1, j] + n[p, 2] * H[p, 2, j]
+            Ht[j] = (t[0] * H[p, 0, j] + t[1] * H[p, 1, j] + t[2] * H[p, 2, j]) / size
         for i in range(3):
-            Hu = (H[p, i, 0] * u[p, 0] + H[p, i, 1] * u[p, 1] + H[p, i, 2] * u[p, 2]) / size
             for j in range(3):
                 P[i, j] = (1.0 if i == j else 0.0) - n[p, i] * n[p, j]
                 S[p, i, j] += mu * N[p] * slope * P[i, j]
-                P[i, j] -= un * H[p, i, j] / size  # d u_t/dx; the normal turns with the place on the indenter
-            M[i, 0] = Hu
-        for i in range(3):
-            for j in range(3):
-                P[i, j] -= n[p, i] * M[j, 0]
+                P[i, j] -= un * (H[p, i, j] - n[p, i] * Hn[j]) / size + n[p, i] * Ht[j]  # d u_t/dx
         for i in range(3):
             f[p, i] -= mu * N[p] * slope * t[i]
             for j in range(3):
                 v = slope * P[i, j]
                 for k in range(3):
                     v += bend * t[i] * t[k] * P[k, j]
-                D[p, i, j] += mu * (N[p] * v - slope * t[i] * weight[p] * ddb[p] * size * g[p, j])
+                dN = -weight[p] * (ddb[p] * size * g[p, j] + db[p] * Hn[j])
+                D[p, i, j] += mu * (N[p] * v + slope * t[i] * dN)
 
 
 @dataclass(frozen=True)

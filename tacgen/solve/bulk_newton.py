@@ -52,6 +52,7 @@ class BulkNewton:
         self.problem, self.bulk, self.history = problem, bulk, history
         self.options, self.tangent = problem.options, problem.tangent
         self.xtol = self.options.step_tol * problem.contact.dhat
+        self.floor = self.xtol * history.least_force  # [N mm], what no energy is told apart by
 
     def solve(self, x: Array, contact: CoupledContact) -> tuple[Array, CoupledContact, int]:
         """Positions, the contact with its offset there, and how many steps that took.
@@ -128,7 +129,7 @@ class BulkNewton:
                 felt = inner.contact.merit(inner.x, inner.forces) - inner.contact.merit(here, inner.forces)
                 # (g . p + p . K p)/2 of the quadratic bulk is half of what the condensed unknowns do against their load
                 model = float((g * p).sum() + u @ (schur.S @ u + load)) / 2 + felt
-                change, rounding = there.energy - at.energy + felt, ROUNDING * abs(at.energy)
+                change, rounding = there.energy - at.energy + felt, self.floor + ROUNDING * abs(at.energy)
                 gain = 1.0 if abs(change) <= rounding else change / min(model, -rounding)
             if gain >= BAD or not insist or schur.damping > DAMPING_MAX * schur.least_damping:
                 return Step(inner, there, gain, schur.damping)

@@ -54,7 +54,7 @@ class Condensation:
         self.usable = False
         self.factored += 1
         data = data.copy()
-        shift = SHIFT * float(data[self._diagonal].max())
+        shift = SHIFT * float(np.abs(data[self._diagonal]).max())
         data[self._diagonal] += shift
         self._factor.factor(data)
         self._L = self._factor.trailing(self.size)[self._rows]

@@ -8,7 +8,7 @@ import numpy as np
 from tacgen.fem.assembly import Pattern, pattern
 from tacgen.fem.contact import Faces
 from tacgen.fem.elements import HEX_CORNERS, boxes, quadratic
-from tacgen.fem.potentials import Potential
+from tacgen.fem.potential import Potential, Projection
 
 Array = np.ndarray
 
@@ -26,10 +26,10 @@ def full(pat: Pattern, data: Array) -> Array:
     return np.asarray(out + np.triu(out, 1).T)
 
 
-def dense(potential: Potential, x: Array, pat: Pattern, project: int = 0) -> Array:
+def dense(potential: Potential, x: Array, pat: Pattern, projection: Projection = Projection.NONE) -> Array:
     """A potential's stiffness (free, free)."""
     data = np.zeros(len(pat.indices))
-    potential.add_hessian(x, data, project)
+    potential.add_hessian(x, data, projection)
     return full(pat, data)
 
 
@@ -102,7 +102,7 @@ class Load:
     def gradient(self, x: Array) -> Array:
         return -self.force
 
-    def add_hessian(self, x: Array, data: Array, project: int) -> None:
+    def add_hessian(self, x: Array, data: Array, projection: Projection) -> None:
         pass
 
     def max_step(self, x: Array, p: Array) -> float:

@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 
 from tacgen.fem.assembly import Pattern, pattern
+from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import Elements, hexes, tets
 from tacgen.fem.inertia import Body
-from tacgen.fem.linear import Cholmod
 from tacgen.fem.materials import NeoHooke
-from tacgen.fem.newton import minimise
-from tacgen.fem.potentials import Elastic, Total
+from tacgen.fem.potential import Total
+from tacgen.solve.linear_solvers import Cholmod
+from tacgen.solve.newton import minimise
 
 from .small import block, dense, distorted, slope, tetrahedral, turn, whole
 

@@ -5,11 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from tacgen import solve
-from tacgen.fem import linear
-from tacgen.fem.assembly import pattern
-from tacgen.fem.contact import Faces
 from tacgen.fem.elements import boxes
-from tacgen.fem.potentials import Elastic
 from tacgen.mesh import Mesh, graded
 from tacgen.scene import Scene
 
@@ -41,12 +37,7 @@ def run(made: Scene, grid: Mesh, mirrors: tuple[int, ...] = ()) -> Run:
     held[np.unique(grid.facets["bonded"])] = True
     for axis in mirrors:
         held[grid.points[:, axis] < 1e-9, axis] = True
-    problem = solve.Problem.of(made, grid)
-    pat = pattern([grid.cells], ~held)
-    elastic = tuple(Elastic.on(pat, part.elements, part.law) for part in problem.elastic)
-    faces = Faces.on(pat, grid.points, grid.facets["coated"])
-    contact = replace(problem.contact, faces=faces)
-    problem = replace(problem, elastic=elastic, contact=contact, pattern=pat, linear=linear.best(pat))
+    problem = solve.Problem.of(made, grid, held=held)
     return Run(made, problem, list(solve.states(made, problem)))
 
 

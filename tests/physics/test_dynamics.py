@@ -13,7 +13,7 @@ from tacgen.check import check
 from tacgen.errors import UserError
 from tacgen.fem.shapes import Sphere
 from tacgen.scene import Dynamics
-from tacgen.step import travel
+from tacgen.solve import load_stepping
 
 from . import presses
 from .presses import Run, gel, poses
@@ -78,19 +78,19 @@ def test_a_gel_let_go_springs_back_and_comes_to_rest() -> None:
 
 
 def test_halved_steps_halve_the_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    usual, taken = travel.advance, []
+    usual, taken = load_stepping.equilibrium, []
 
-    def careful(problem, memory, matrix, index, duration, near=None):  # type: ignore[no-untyped-def]
-        if np.linalg.norm(matrix[:3, 3] - memory.pose.position) > 0.06:
+    def careful(problem, history, matrix, index, duration, near=None):  # type: ignore[no-untyped-def]
+        if np.linalg.norm(matrix[:3, 3] - history.pose.position) > 0.06:
             raise solve.NotConverged("too far")
         taken.append(duration)
-        return usual(problem, memory, matrix, index, duration, near)
+        return usual(problem, history, matrix, index, duration, near)
 
-    monkeypatch.setattr(travel, "advance", careful)
+    monkeypatch.setattr(load_stepping, "equilibrium", careful)
     found = tap(DOWN[:2], 8e-4)
     assert taken == pytest.approx([2e-4] * 4)
     assert [state.substeps for state in found.states] == [2, 2]
-    monkeypatch.setattr(travel, "advance", usual)
+    monkeypatch.setattr(load_stepping, "equilibrium", usual)
     asked = tap(DOWN[:2], 8e-4, 2e-4)
     assert found.forces == pytest.approx(asked.forces, abs=1e-6)
 

@@ -6,11 +6,12 @@ from fem import small
 from scipy.optimize import brentq
 
 from tacgen.fem.assembly import Pattern, pattern
+from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import elements
-from tacgen.fem.linear import Cholmod
 from tacgen.fem.materials import EXAMPLES, Law, NeoHooke
-from tacgen.fem.newton import Solution, Status, minimise
-from tacgen.fem.potentials import Elastic, Potential, Total
+from tacgen.fem.potential import Potential, Total
+from tacgen.solve.linear_solvers import Cholmod
+from tacgen.solve.newton import Solution, Status, minimise
 
 Array = np.ndarray
 LAW = NeoHooke(0.05, 0.6)

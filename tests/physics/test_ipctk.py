@@ -98,7 +98,7 @@ def test_a_thin_ring_does_not_tunnel() -> None:
         under = np.abs(np.hypot(local[..., 0], local[..., 1]) - 2.0) < 0.25
         assert under.sum() > 100
         assert local[under][:, 2].max() < 0.3  # the face stays below the ring's middle
-        assert min(part.at(state.x).J.min() for part in jumped.problem.elastic) > 0
+        assert min(part.evaluate(state.x).J.min() for part in jumped.problem.elastic) > 0
         assert state.traction_force.sum((0, 1))[2] < -0.1
 
 

@@ -5,8 +5,9 @@ import pytest
 from fem.small import Load
 
 from tacgen.fem.assembly import pattern
+from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import elements
-from tacgen.fem.potentials import Elastic, Total
+from tacgen.fem.potential import Total
 from tacgen.fem.recovery import Recovery
 from tacgen.labels.stress import VOIGT, _means
 

@@ -5,28 +5,35 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tacgen import solve
+from tacgen import mesh, solve
+from tacgen import scene as stage
 from tacgen.bench import shorter
-from tacgen.bench.cases import CASES
+from tacgen.bench.answers import row_of
+from tacgen.bench.cases import CASES, PLAIN
 from tacgen.fem.assembly import pattern
+from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import hexes
-from tacgen.fem.linear import best
 from tacgen.fem.materials import NeoHooke
-from tacgen.fem.newton import Status, minimise
-from tacgen.fem.potentials import Elastic
 from tacgen.fem.shapes import Box, Shape, Sphere
-from tacgen.step import travel
+from tacgen.scene import Scene
+from tacgen.solve import DEFAULT, SolverOptions
+from tacgen.solve.linear_solvers import best
+from tacgen.solve.newton import Status, minimise
 
 from .blocks import block
 from .presses import Run, poses, run, scene
 
 Array = np.ndarray
 SQUARE = (-3.0, 3.0, -3.0, 3.0)
+EDGE = 0.8
+WHOLE = replace(DEFAULT, slide=np.inf, slide_sharp=np.inf)
 PATH = [(0.4 + 0.1 * k, -0.3, -0.3 - 0.025 * k) for k in range(5)]
 
 
-def slid(path: list[tuple[float, float, float]], shape: Shape) -> Run:
-    return run(scene(shape, poses(path), friction=0.5, edge=0.8), SQUARE)
+def slid(path: list[tuple[float, float, float]], shape: Shape, options: SolverOptions = DEFAULT) -> Run:
+    made = scene(shape, poses(path), friction=0.5, edge=EDGE)
+    problem = solve.Problem.of(made, mesh.build(made.gel, SQUARE, made.edge), options)
+    return Run(made, problem, list(solve.states(made, problem)))
 
 
 def about_z(angle: float) -> Array:
@@ -34,35 +41,43 @@ def about_z(angle: float) -> Array:
     return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
 
 
-def test_a_frame_that_takes_edges_too_fast_is_split(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A box slid by nearly half a cell at once, split until little comes round an edge at once, is .2 to .4 % of its
-    force off frames of .022 mm (five such slides), and .2 to .9 % unsplit: 11 to 20 % before steps began from the gel
-    gone along with the indenter. A ball pays for one step."""
-    ends, box = [PATH[0], (PATH[0][0] + 0.36, *PATH[-1][1:])], Box(3.0, 1.6, 0.3)
-    steps = [tuple(ends[0] + t * np.subtract(ends[1], ends[0])) for t in np.linspace(0, 1, 17)]
-    split, true = slid(ends, box), slid(steps, box).forces[-1]
-    first, second = (state.substeps for state in split.states)
-    assert first == 1
-    assert second >= 3
-    ball = slid(ends, Sphere(4.0))
-    assert {state.substeps for state in ball.states} == {1}
-    monkeypatch.setattr(travel, "FINER", 0)
-    whole = slid(ends, box)
+@pytest.mark.parametrize(
+    ("shape", "longest", "tol"), [(Box(3.0, 1.6, 0.3), "slide_sharp", 1e-2), (Sphere(4.0), "slide", 2e-3)]
+)
+def test_a_long_frame_goes_in_load_steps_that_friction_can_follow(shape: Shape, longest: str, tol: float) -> None:
+    """Slid by more than a cell at once, against frames of .06 of a cell. A box in steps of at most half a cell is .6 %
+    of its force off, in steps a quarter as long .2 %, and 2 % at once: its edge comes round a fifth of what friction
+    bears. A ball is .1 % off, in steps as long as one likes."""
+    start, end = PATH[0], (PATH[0][0] + 0.9, *PATH[-1][1:])
+    frames = [tuple(start + t * np.subtract(end, start)) for t in np.linspace(0, 1, 19)]
+    true = slid(frames, shape).forces[-1]
+
+    def off(found: Run) -> float:
+        return float(np.linalg.norm(found.forces[-1] - true) / np.linalg.norm(true))
+
+    long, short = (slid([start, end], shape, options) for options in (DEFAULT, solve.short_steps(DEFAULT, 4)))
+    assert [state.substeps for state in long.states] == [1, np.ceil(0.9 / (getattr(DEFAULT, longest) * EDGE))]
+    assert off(long) < tol
+    assert off(short) < tol / 2
+    whole = slid([start, end], shape, WHOLE)
     assert whole.states[-1].substeps == 1
-    assert whole.states[-1].rounded > travel.ROUNDED
-    off = [np.linalg.norm(run.forces[-1] - true) / np.linalg.norm(true) for run in (split, whole)]
-    assert off[0] < 0.01
-    assert off[1] < 0.02
+    assert off(whole) < 3 * tol
+    assert (whole.states[-1].rounded > 0.1) == (longest == "slide_sharp")
 
 
-def test_a_sharp_edge_is_wrong_where_it_is_not_split(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A wedge of .1 mm on cells of .8 mm: .3 % of its force off frames a quarter as long, and 46 % unsplit."""
-    split, true, *_ = shorter.error(CASES["sharp wedge"])
-    monkeypatch.setattr(travel, "FINER", 0)
-    whole = shorter.error(CASES["sharp wedge"])[0]
+def test_a_sharp_edge_in_long_frames_is_right() -> None:
+    """A wedge of .1 mm on cells of .8 mm: .1 % of its force off frames a quarter as long, whether frames are load steps
+    or several; 46 % with lagged friction."""
+    made = stage.build(row_of((*PLAIN, *CASES["sharp wedge"])))
+
+    def forces(made: Scene, options: SolverOptions = DEFAULT) -> Array:
+        found = solve.states(made, solve.Problem.of(made, mesh.of(made), options))
+        return np.array([state.traction_force.sum((0, 1)) for state in found])
+
+    true = forces(shorter.finer(made, 4))[3::4]
     size = np.linalg.norm(true, axis=1).max()
-    assert np.linalg.norm(split - true, axis=1).max() < 0.01 * size
-    assert np.linalg.norm(whole - true, axis=1).min() > 0.2 * size
+    for options in (DEFAULT, WHOLE):
+        assert np.linalg.norm(forces(made, options) - true, axis=1).max() < 5e-3 * size
 
 
 @pytest.mark.parametrize(("angle", "tol"), [(30, 1e-4), pytest.param(90, 1e-5, marks=pytest.mark.slow)])
@@ -107,7 +122,7 @@ def test_a_bar_twisted_once_around() -> None:
         found = minimise(body, start, pat, solver, xtol=1e-6)
         assert found.status is Status.converged
         x = found.x
-        assert body.at(x).J.min() > 0.5
+        assert body.evaluate(x).J.min() > 0.5
         energies.append(body.value(x))
         top = np.isclose(X[:, 2], 0)
         torques.append(float(np.cross(x[top], body.gradient(x)[top])[:, 2].sum()))

@@ -5,11 +5,11 @@ import pytest
 
 from tacgen.fem.assembly import pattern
 from tacgen.fem.contact import Contact, Faces, Pose
+from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import hexes
 from tacgen.fem.materials import NeoHooke
-from tacgen.fem.passage import blocked, overlap, sunk
-from tacgen.fem.potentials import Elastic
 from tacgen.fem.shapes import Capsule, Cylinder, Shape, Sphere, Wedge
+from tacgen.fem.tunnelling import blocked, depth_inside, overlap
 
 from .small import block, patch, whole
 
@@ -54,8 +54,8 @@ def test_what_lies_inside_the_gel_is_found() -> None:
     faces = Faces.on(PATTERN, POINTS, QUADS)
     deep = Contact(faces, Capsule(0.3, 2.0), at(0, -0.8), 0.03, 0.3)
     assert deep.gaps(POINTS)[0].min() > 0  # contact sees nothing of it
-    assert 0.15 < sunk(deep, elastic, POINTS) <= 0.3
-    assert sunk(deep.moved(at(0, 0.001), 0.0), elastic, POINTS) == 0
+    assert 0.15 < depth_inside(deep, elastic, POINTS) <= 0.3
+    assert depth_inside(deep.moved(at(0, 0.001), 0.0), elastic, POINTS) == 0
 
 
 @pytest.mark.parametrize("nodes", [4, 3, 6])
