@@ -205,7 +205,7 @@ def test_calculix_presses_as_it_did() -> None:
     assert found.force == pytest.approx(1.0, rel=0.01)
 
 
-ALWAYS = {"numpy", "scipy", "numba", "h5py", "cvxopt", "pymetis", "pypardiso"}
+ALWAYS = {"numpy", "scipy", "numba", "h5py", "cvxopt", "pymetis"}
 UNASKED = {  # modules and packages that only this brings
     "traction": {"tacgen.labels.maps"},
     "height": {"tacgen.optics.sheet"},

@@ -107,8 +107,8 @@ def loaded() -> dict[str, list[str]]:
 
 
 def used(outputs: str, sets: list[str]) -> dict[str, list[str]]:
-    """What one scene imports, and which functions of tacgen ran, as "module:function"."""
-    from tacgen import pipeline
+    """What one scene imports, and which functions of tacgen ran, as "module:function", what makes ready left out."""
+    from tacgen import pipeline, solve
 
     here = str(Path(pipeline.__file__).parent)
     ran: set[str] = set()
@@ -119,6 +119,7 @@ def used(outputs: str, sets: list[str]) -> dict[str, list[str]]:
             ran.add(f"{frame.f_globals['__name__']}:{code.co_qualname}")
 
     rows = rows_of(outputs, sets)
+    solve.warm()
     with TemporaryDirectory() as folder:
         sys.setprofile(watch)
         try:

@@ -22,7 +22,7 @@ from tacgen.solve.state import History, NotConverged, State, TooFar
 Array = np.ndarray
 NEGLIGIBLE = 1e-3  # of the largest contact force so far: below it forces are not told apart
 INSIDE = 0.45  # of the indenter's reach: how deep integration points may be inside it
-STIFFENINGS = 8  # of the barrier, each time by STIFFER, until no point is inside the indenter
+STIFFENINGS = 8  # of a barrier, each time by STIFFER, until no point is inside the indenter and no element folded
 STIFFER = 4.0
 
 
@@ -124,17 +124,18 @@ def _solve_meshes(step: MeshLoadStep, x: Array) -> Found:
     return Found(x, contact, contact.forces(x), contact.contact.least(x), steps)
 
 
-def _imbalance(problem: Problem, history: History, inert: Total, found: Found) -> tuple[float, float]:
+def _imbalance(step: LoadStep | MeshLoadStep, found: Found) -> tuple[float, float]:
     """Residual on the free dofs and |indenter + inertia + base|, as parts of the contact force."""
-    x, free = found.x, problem.pattern.free
+    problem, x, free = step.problem, found.x, step.problem.pattern.free
     outer = found.contact.contact.faces.scatter(-found.forces.force, len(x))
-    inertia = inert.gradient(x)
-    inner = Total((*problem.elastic, *problem.folding)).gradient(x)
+    inertia = step.inert.gradient(x)
+    folding = step.bulk.folding if isinstance(step, LoadStep) else problem.folding
+    inner = Total((*problem.elastic, *folding)).gradient(x)
     held = np.ones(x.size, bool)
     held[free] = False
     reaction = np.where(held.reshape(x.shape), inner, 0.0).sum(0)
     residual = float(np.linalg.norm((inner + outer + inertia).ravel()[free]))
-    force = max(float(np.linalg.norm(outer.sum(0))), history.least_force)
+    force = max(float(np.linalg.norm(outer.sum(0))), step.history.least_force)
     return residual / force, float(np.linalg.norm((outer + inertia).sum(0) - reaction)) / force
 
 
@@ -152,14 +153,13 @@ def equilibrium(
     coupled = isinstance(problem.contact, Contact)
     step = (LoadStep if coupled else MeshLoadStep)(problem, history, Pose.of(matrix), duration)
     try:
-        found, steps = _until_clear(step, step.start(None if near is None else near.x))
-        residual, balance = _imbalance(problem, history, step.inert, found)
+        found, steps, least_J = _until_sound(step, step.start(None if near is None else near.x))
+        residual, balance = _imbalance(step, found)
         if residual > problem.options.residual_max or balance > problem.options.residual_max or found.least_gap <= 0:
             raise NotConverged(
                 f"residual {residual:.1e} and balance {balance:.1e} of the contact force, smallest gap"
                 f" {found.least_gap:.1e} mm"
             )
-        least_J = least_jacobian(problem.mesh.points, found.x, problem.mesh.cells)
         if least_J <= 0:
             raise NotConverged(
                 f"an element is turned inside out, to {least_J:.2g} of its volume; try less depth, less friction or a"
@@ -174,20 +174,26 @@ def equilibrium(
     return _record(step, found, index, matrix, steps, (residual, balance, least_J))
 
 
-def _until_clear(step: LoadStep | MeshLoadStep, x: Array) -> tuple[Found, int]:
-    """The equilibrium with a barrier stiff enough that no point is inside the shrunk indenter, and all Newton steps."""
-    steps = 0
+def _until_sound(step: LoadStep | MeshLoadStep, x: Array) -> tuple[Found, int, float]:
+    """The equilibrium with barriers stiff enough that no point is inside the shrunk indenter and no element folded
+    between the points of the folding barrier; all Newton steps, and the certified J."""
+    steps, mesh = 0, step.problem.mesh
     for _ in range(STIFFENINGS):
         found = step.solve(x) if isinstance(step, LoadStep) else _solve_meshes(step, x)
         x, steps = found.x, steps + found.steps
-        if found.least_gap > 0:
+        least_J = least_jacobian(mesh.points, x, mesh.cells)
+        if found.least_gap > 0 and least_J > 0:
             break
         if isinstance(step, LoadStep):
             assert isinstance(found.contact, CoupledContact)
-            step.contact = found.contact.stiffened(STIFFER)
-        else:
+            step.contact = found.contact if found.least_gap > 0 else found.contact.stiffened(STIFFER)
+            folding = step.bulk.folding if least_J > 0 else tuple(b.stiffened(STIFFER) for b in step.bulk.folding)
+            step.bulk = replace(step.bulk, folding=folding)
+        elif least_J > 0:
             step.contact = replace(step.contact, kappa=STIFFER * step.contact.kappa)
-    return found, steps
+        else:
+            break
+    return found, steps, least_J
 
 
 def _check_inside(problem: Problem, found: Found) -> None:

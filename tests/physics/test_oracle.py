@@ -1,4 +1,4 @@
-"""Ordinary scenes by the fast solver and by the plain one: the same forces and pressures, whatever is next to nothing."""
+"""Ordinary scenes by the fast solver and by the plain one: the same forces and pressures; and none hangs on nothing."""
 
 from dataclasses import replace
 from functools import cache
@@ -33,7 +33,8 @@ QUICK: dict[str, Kind] = {
     ),
     "cone tilted": (DIGIT, 0.95, 0.3, "shape: cone, half_angle_deg: 55, tip_radius_mm: 1.2", "press .6 2, tilt 4 30 2"),
     "wedge slid": (
-        MINI, 0.95, 1.0, "shape: wedge, half_angle_deg: 45, tip_radius_mm: 1, length_mm: 6", "press .5 2, slide .2 .5 2",
+        MINI, 0.95, 1.0, "shape: wedge, half_angle_deg: 45, tip_radius_mm: 1, length_mm: 6",
+        "press .5 4, slide .2 .5 2",
     ),
     "capsule twisted": (DIGIT, 0.95, 0.5, "shape: capsule, radius_mm: 1.5, length_mm: 4", "press .5 2, twist 15 2"),
     "torus slid": (MINI, 1.0, 0.2, "shape: torus, radius_mm: 3, tube_radius_mm: 1.2", "press .6 2, slide .5 0 2"),
