@@ -26,9 +26,7 @@ __all__ = ["Gel", "Layer", "Scene", "build"]
 
 Array = np.ndarray
 TONNES_PER_MM3 = 1e-12  # kg/m^3
-# of the edge: grid spacing of a mesh's signed distance; its edges come out rounded by about one cell, as sharp as the
-# gel's mesh can follow
-CELL = 0.5
+CELL = 0.25  # of the edge: grid spacing of a mesh's signed distance, whose edges are rounded by about two cells
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from numba import njit
 from scipy import ndimage
 
 Array = np.ndarray
+BLUNT = 0.35  # the same of the binomial mean, which spreads an edge over some cells
 EDGE = 0.5  # a bend of the distance by this many cells over a cell is an edge
 
 
@@ -114,17 +115,33 @@ class Field:
 
     @classmethod
     def through(
-        cls, distances: Array, origin: Array, cell: float, *, smallest_radius: float, corners: Array
+        cls,
+        distances: Array,
+        origin: Array,
+        cell: float,
+        *,
+        smallest_radius: float,
+        corners: Array,
+        blunt: bool = False,
     ) -> "Field":
         """The field of signed distances (i, j, k) [mm], at least 4 a side, at the grid's nodes.
 
         Coefficients are c = d - w bend/6 with `bend` the sum of second differences: with w = 1 the spline is of fourth
         order (0.5 um off on a sphere of 4 mm with cells of 0.156 mm). At edges, where bend is of the order of a cell, w
         goes to 0 and the spline only rounds: through every value it would make flat faces wavy, which a press feels.
+
+        `blunt` rounds edges by two cells instead of one, as a spline on a grid twice as coarse would, and leaves the
+        rest as it is: there c = binomial mean of d, of variance cell^2 a direction.
         """
         d = np.asarray(distances, float)
-        bend = sum(ndimage.correlate1d(d, [1.0, -2.0, 1.0], axis=a, mode="nearest") for a in range(3))
+        bend = _bend(d)
         spline = d - np.exp(-((bend / (EDGE * cell)) ** 2)) * bend / 6
+        if blunt:
+            mean = d
+            for axis in range(3):
+                mean = ndimage.correlate1d(mean, np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16, axis=axis, mode="nearest")
+            smooth = np.exp(-((_bend(mean) / (BLUNT * cell)) ** 2))
+            spline = smooth * spline + (1 - smooth) * mean
         return cls(spline, np.asarray(origin, float), cell, smallest_radius, _half_thickness(d, cell), corners)
 
     def distance(self, p: Array) -> tuple[Array, Array, Array]:
@@ -137,6 +154,11 @@ class Field:
     def support(self, direction: Array) -> float:
         """How far the body extends along a unit vector (3,) [mm]."""
         return float((self.corners @ direction).max())
+
+
+def _bend(d: Array) -> Array:
+    """Sum of second differences (i, j, k) [mm]."""
+    return np.asarray(sum(ndimage.correlate1d(d, [1.0, -2.0, 1.0], axis=a, mode="nearest") for a in range(3)))
 
 
 def _half_thickness(distances: Array, cell: float) -> float:

@@ -218,8 +218,8 @@ def field(solid: Solid, *, cell: float, height: float, half: float) -> Field:
     steepest = max(float(np.abs(np.diff(distances, axis=a)).max()) for a in range(3))
     if steepest > 1.01 * cell:  # a true distance never is: inside and outside are mixed up somewhere
         raise UserError(f"{solid.name}: its surface cuts through itself; unite its parts in a mesh editor first")
-    radius = max(smallest_radius(solid, height), cell)
-    return Field.through(distances, origin, cell, smallest_radius=radius, corners=_hull(solid.vertices))
+    radius = max(smallest_radius(solid, height), 2 * cell)  # two cells: what the field rounds edges by
+    return Field.through(distances, origin, cell, smallest_radius=radius, corners=_hull(solid.vertices), blunt=True)
 
 
 def smallest_radius(solid: Solid, height: float) -> float:

@@ -65,6 +65,8 @@ class Problem:
             return ready
         from tacgen.fem.inertia import Body
 
+        tight = replace(options, step_tol=options.step_tol / 10, residual_tol=options.residual_tol / 10)
+        ready = replace(ready, options=tight)  # velocities are errors in x over a short time
         return replace(ready, body=Body.of(pat, ready.elastic, d.density, d.alpha, d.beta), longest=d.longest)
 
     @cached_property

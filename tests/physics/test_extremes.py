@@ -29,10 +29,11 @@ SLOW = {
     "thin torus",
     "ball of slivers",
 }
+GAVE_UP = "Newton did not converge|given up after .* Newton steps"
 HARD = {  # may be rejected on the way, and then for this
-    "punch three quarters deep": "Newton did not converge",  # a rim sharper than the mesh, friction and all at once
-    "punch jumps across the pad": "Newton did not converge",
-    "knife jumps": "Newton did not converge",  # in short frames too: it squeezes what is before it into a cell
+    "punch three quarters deep": GAVE_UP,  # a rim sharper than the mesh, friction and all at once
+    "punch jumps across the pad": GAVE_UP,
+    "knife jumps": GAVE_UP,  # in short frames too: it squeezes what is before it into a cell
     "blade": "penetrates the gel by .* mm between contact points",
     "thin rod": "penetrates the gel by .* mm between contact points",
     "thin torus": "penetrates the gel by .* mm between contact points",
