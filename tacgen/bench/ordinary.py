@@ -19,7 +19,7 @@ from tacgen.solve import SolverOptions, foresee
 
 Array = np.ndarray
 LIMIT = 150.0  # processor seconds in which a scene's frames must be solved
-EVERY = 5  # of so many draft scenes one is solved in short frames too
+EVERY = 6  # of so many draft scenes one is solved in short frames too
 COUNT = {"smoke": 2, "normal": 30, "full": 150}  # scenes
 FINE_COUNT = 30  # scenes at quality `default`, at level full
 WITHOUT: dict[str, dict[str, bool]] = {  # what is switched off, and how many scenes are solved so
@@ -28,7 +28,7 @@ WITHOUT: dict[str, dict[str, bool]] = {  # what is switched off, and how many sc
     "predictor": {"predict": False},
     "mixed pressure": {"mixed_pressure": False},
 }
-ABLATED = {"smoke": 0, "normal": 8, "full": 30}
+ABLATED = {"smoke": 0, "normal": 4, "full": 30}
 SMOKE = "{edge_mm: 1.2, dhat_mm: 0.08}"  # the quality of a smoke test
 STATUSES = ("ok", "refused", "rejected", "out of time", "crashed")
 MEASURES = {"seconds": ("s a frame", ".2f"), "iterations": ("iterations", ".1f"), "factored": ("factorisations", ".1f")}
@@ -94,7 +94,7 @@ def measure(
     off = None
     if compared and status == "ok":
         short = finer(made, TIMES)
-        between = _forces(_frames(short, solve.Problem.of(short, grid), TIMES * limit)[0])
+        between = _forces(_frames(short, solve.Problem.of(short, grid), limit)[0])
         off = _apart(_forces(states), between)
     return Outcome(
         draw,

@@ -66,8 +66,8 @@ class WholeBulk:
         faces, pattern = contact.contact.faces, self.problem.pattern
         felt = np.flatnonzero(D.any((1, 2, 3)))
         blocks = np.einsum("qa,qb,fqij->faibj", faces.N, faces.N, D[felt])
-        number = (3 * faces.conn[felt][..., None] + np.arange(3)).reshape(len(felt), -1)
-        size = number.shape[1]
+        size = 3 * faces.conn.shape[1]
+        number = (3 * faces.conn[felt][..., None] + np.arange(3)).reshape(len(felt), size)
         rows, columns = np.repeat(number, size, 1).ravel(), np.tile(number, (1, size)).ravel()
         whole = sp.coo_matrix((blocks.ravel(), (rows, columns)), shape=(dofs, dofs)).tocsr()
         return whole[pattern.free][:, pattern.free]

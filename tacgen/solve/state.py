@@ -32,7 +32,10 @@ class Effort:
         """One more. Raises OutOfEffort."""
         self.steps += 1
         if self.steps > self.most:
-            raise OutOfEffort(f"given up after {self.most} Newton steps")
+            raise OutOfEffort(
+                f"Newton did not converge in {self.most} steps, shorter load steps included; try less depth, less"
+                " friction or a finer mesh"
+            )
 
 
 @dataclass(frozen=True)
