@@ -19,9 +19,9 @@ from tacgen.fields import seen  # noqa: E402
 from tacgen.labels import drift  # noqa: E402
 from tacgen.optics.coating import centers  # noqa: E402
 from tacgen.optics.layers import Camera  # noqa: E402
+from tacgen.solve import foresee  # noqa: E402
 from tacgen.spec import assets  # noqa: E402
 from tacgen.spec.sensor import Motion  # noqa: E402
-from tacgen.solve import foresee  # noqa: E402
 
 MOVES = "[{press: {depth_mm: 0.8, frames: 3}}, {slide: {x_mm: 1.2, y_mm: 0.4, frames: 4}}, {release: {frames: 1}}, "
 MOVES += "{press: {depth_mm: 0.8, frames: 1}}, {twist: {angle_deg: 30, frames: 4}}]"
