@@ -55,7 +55,7 @@ class WholeBulk:
         K = upper + sp.triu(upper, 1).T + self._sparse(contact, D, x.size)
         try:
             p[pattern.free] = sp.linalg.splu(
-                K.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}
+                K.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.01, options={"SymmetricMode": True}
             ).solve(b)
         except RuntimeError:  # singular
             return None
