@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.linalg.blas import dsyrk
 
-from tacgen.fem.assembly import Pattern
+from tacgen.fem.assembly import Pattern, add_dense_blocks
 from tacgen.solve.linear_solvers import Cholmod, dissection
 
 Array = np.ndarray
@@ -125,6 +125,19 @@ class Schur:
                 self.S = self.undamped + self.damping * np.eye(len(self.S))
         W = solve_triangular(L, self.S[np.ix_(o, a)], lower=True, check_finite=False)
         self._reduced = L, W, self.S[np.ix_(a, a)] - W.T @ W
+
+    def stiffness(self, D: Array, N: Array, dofs: Array) -> Array:
+        """Tangents D (f, q, 3, 3) [N/mm] of facets' points on the active unknowns (a, a), which theirs then are.
+
+        N (q, a): shape functions; dofs (f, a, 3): numbers of the condensed unknowns, -1 where held.
+        """
+        which = np.zeros(len(self.S), bool)
+        which[dofs[dofs >= 0]] = True
+        self.activate(which)
+        place = np.append(np.where(self.active, np.cumsum(self.active) - 1, -1), -1)
+        added = np.zeros((int(self.active.sum()),) * 2)
+        add_dense_blocks(D, N, place[dofs], added)
+        return added
 
     def solve(self, added: Array, b: Array, symmetric: bool) -> Array:
         """x (k,) of (S + added) x = b, with `added` (a, a) on the active unknowns, not symmetric unless said so.

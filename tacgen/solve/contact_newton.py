@@ -11,7 +11,6 @@ from typing import Protocol
 
 import numpy as np
 
-from tacgen.fem.assembly import add_dense_blocks
 from tacgen.fem.coupled_contact import ContactForces, CoupledContact
 from tacgen.solve.condensation import Schur
 
@@ -59,13 +58,7 @@ class Quadratic:
     def solve(self, x: Array, contact: CoupledContact, D: Array, g: Array, symmetric: bool) -> Array | None:
         faces = contact.contact.faces
         felt = np.flatnonzero(D.any((1, 2, 3)))
-        which = np.zeros(len(self.force), bool)
-        dofs = self.dofs[faces.conn[felt]]
-        which[dofs[dofs >= 0]] = True
-        self.schur.activate(which)
-        place = np.append(np.where(self.schur.active, np.cumsum(self.schur.active) - 1, -1), -1)
-        added = np.zeros((int(self.schur.active.sum()),) * 2)
-        add_dense_blocks(D[felt], faces.N, place[dofs], added)
+        added = self.schur.stiffness(D[felt], faces.N, self.dofs[faces.conn[felt]])
         p = np.zeros(x.shape)
         try:
             p[self.dofs >= 0] = self.schur.solve(added, -g[self.dofs >= 0], symmetric)

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tacgen.fem.assembly import add_dense_blocks
 from tacgen.fem.contact import Contact, Pose
 from tacgen.solve.bulk import Tangent
 from tacgen.solve.state import History
@@ -60,14 +59,8 @@ def _tied(contact: Contact, tangent: Tangent, history: History, way: Array) -> A
         return None
     ties = TIE * history.normal_force[which, :, None] / contact.dhat
     dofs = condensed.dofs[condensed.local[faces.conn[which]]]
-    felt = np.zeros(condensed.size, bool)
-    felt[dofs[dofs >= 0]] = True
-    schur = condensed.schur
-    schur.activate(felt)
-    place = np.append(np.where(schur.active, np.cumsum(schur.active) - 1, -1), -1)
-    springs = np.zeros((int(schur.active.sum()),) * 2)
-    add_dense_blocks(ties[..., None] * np.eye(3), faces.N, place[dofs], springs)
+    springs = condensed.schur.stiffness(ties[..., None] * np.eye(3), faces.N, dofs)
     part = faces.only(which)
     pull = part.scatter(ties * way[which], len(x))[condensed.nodes][condensed.dofs >= 0]
-    u = schur.solve(springs, pull, symmetric=True)
+    u = condensed.schur.solve(springs, pull, symmetric=True)
     return np.asarray(x + condensed.expand(u, np.zeros(len(condensed.whole.free))))
