@@ -194,5 +194,9 @@ class Contact:
     def max_step(self, x: Array, p: Array) -> float:
         """Signed distance is 1-Lipschitz: a point that moves less than its gap cannot pass the surface, and one that
         also moves less than half the indenter's reach cannot leave it on the far side."""
-        allowed = np.maximum(self.gaps(x)[0], 0.0) + self.shape.reach / 2
+        return self.max_step_from(self.gaps(x)[0], p)
+
+    def max_step_from(self, gap: Array, p: Array) -> float:
+        """The same where the gaps (f, q) [mm] are known."""
+        allowed = np.maximum(gap, 0.0) + self.shape.reach / 2
         return float(min(1.0, (allowed / np.maximum(np.linalg.norm(self.faces.at(p), axis=2), 1e-300)).min()))

@@ -117,12 +117,14 @@ class CoupledContact:
         return replace(self, contact=replace(self.contact, kappa=times * self.contact.kappa))
 
     def evaluate(self, x: Array) -> ContactForces:
-        """Forces and tangents at nodes x (n, 3)."""
+        """Forces and tangents at nodes x (n, 3); where points overlap, as they do in no answer, the tangents leave out how
+        the normal turns."""
         c = self.contact
         at = c.faces.at(x)
         shape = at.shape[:2]
         d, g, H = c.gaps_at(at)
         _, db, ddb = barrier(d, c.dhat)
+        H = np.where((d < 0)[..., None, None], 0.0, H)  # where Newton starts from an overlap, N is yet far too large
         m = d.size
         N, n, f, D, S = np.empty(m), np.empty((m, 3)), np.empty((m, 3)), np.empty((m, 3, 3)), np.empty((m, 3, 3))
         _point_forces(

@@ -105,7 +105,7 @@ def solve_contact(
         steps += 1
         p = bulk.solve(x, contact, forces.tangent, g, False)
         full = None
-        if p is not None and contact.contact.max_step(x, p) == 1.0:
+        if p is not None and contact.contact.max_step_from(forces.gap, p) == 1.0:
             there = contact.evaluate(x + p)
             ahead = residual(there, x + p)
             if np.linalg.norm(ahead) <= HALVES * np.linalg.norm(g):
@@ -144,7 +144,7 @@ def _downhill(
         slope = float((g * p).sum())
         if slope > 0:
             return 0.0
-        fraction = contact.contact.max_step(x, p)
+        fraction = contact.contact.max_step_from(forces.gap, p)
         while fraction >= least:
             there = x + fraction * p
             if bulk.value(there) + contact.merit(there, forces) <= here + ARMIJO * fraction * slope + ROUNDING * abs(

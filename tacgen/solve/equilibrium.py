@@ -92,22 +92,18 @@ class LoadStep:
         return contact.pose.world(np.where(history.normal_force[..., None] > 0, history.anchor, touch))
 
     def start(self, near: Array | None) -> Array:
-        """Where Newton starts: the candidate of lowest energy to which the indenter lets the gel come.
+        """Where Newton starts: an answer close by, the prediction, the gel coasting on or as it was, whichever is the
+        first that the indenter lets the gel come to and that turns no element inside out.
 
         Raises TooFar: there is none.
         """
         history, contact = self.history, self.contact.contact
-        guesses = [near, None if self.prediction is None else self.prediction.x, self.ahead, history.x]
-        starts = [
-            x for x in guesses
-            if x is not None and not blocked(contact, history.pose, history.x, history.gap, x)
-        ]  # fmt: skip
-        if not starts:
-            raise TooFar("the indenter would pass through the gel")
-        energies = [self.bulk.at(x).energy + contact.value(x) for x in starts]
-        if not np.isfinite(min(energies)):
-            raise TooFar("the gel cannot follow the indenter that far at once")
-        return starts[int(np.argmin(energies))]
+        for x in (near, None if self.prediction is None else self.prediction.x, self.ahead, history.x):
+            if x is None or blocked(contact, history.pose, history.x, history.gap, x):
+                continue
+            if np.isfinite(self.bulk.at(x).energy):
+                return x
+        raise TooFar("the gel cannot follow the indenter that far at once")
 
     def solve(self, x: Array) -> Found:
         """Raises NotConverged."""

@@ -15,8 +15,8 @@ class SolverOptions:
     lag_tol: float = 2e-4  # of the contact force, only with lagged friction (ipctk)
     force_tol: float = 3e-3  # of a force that is asked for; on the way to it 1e-2
     # Newton's method
-    max_newton: int = 60  # steps of the bulk; ordinary frames take 3 to 6
-    max_effort: int = 150  # steps of the bulk in all that is tried for one frame; hard ordinary frames take up to 100
+    max_newton: int = 60  # steps of the bulk in a load step; ordinary frames take 3 to 6
+    max_effort: int = 100  # steps of the bulk in all that is tried for one frame; hard ordinary frames take up to 75
     max_contact: int = 30  # steps of the contact within one step of the bulk; ordinary ones take 4 to 10
     condense: bool = True  # contact is brought to equilibrium on the Schur complement within each step of the bulk
     keep_tangent: bool = True  # a factorised tangent serves several steps, from load step to load step

@@ -45,8 +45,8 @@ def bent(seed: int = 0, size: float = 0.05) -> Array:
     return POINTS + np.random.default_rng(seed).uniform(-size, size, POINTS.shape)
 
 
-def against(name: str, x: Array, friction: float = FRICTION, seed: int = 0) -> CoupledContact:
-    """A leaning indenter lowered until it overlaps the patch by .2 mm; anchors are off by SLIPS, and off the face."""
+def against(name: str, x: Array, friction: float = FRICTION, seed: int = 0, least: float = 0.01) -> CoupledContact:
+    """A leaning indenter lowered until the smallest gap is `least` [mm]; anchors are off by SLIPS, and off the face."""
     rng = np.random.default_rng(seed)
     q, r = np.linalg.qr(np.eye(3) + 0.2 * turn(4))
     rotation = q * np.sign(np.diag(r))
@@ -55,7 +55,7 @@ def against(name: str, x: Array, friction: float = FRICTION, seed: int = 0) -> C
     for _ in range(50):
         middle = (low + high) / 2
         contact = contact.moved(Pose(rotation, np.array([0.05, -0.03, middle])), 0.02)
-        low, high = (middle, high) if contact.least(x) < -0.2 else (low, middle)
+        low, high = (middle, high) if contact.least(x) < least else (low, middle)
     _, n, _ = contact.pressure(x)
     along = np.cross(n, rng.normal(size=n.shape))
     along /= np.linalg.norm(along, axis=-1, keepdims=True)
@@ -100,11 +100,35 @@ def test_the_tangent_is_the_slope_of_the_force(name: str, friction: float, seed:
     assert not found.force[free].any()
 
 
+class Flat:
+    """A shape whose normals do not turn."""
+
+    def __init__(self, shape: Shape) -> None:
+        self.shape = shape
+
+    def distance(self, p: Array) -> tuple[Array, Array, Array]:
+        d, n, H = self.shape.distance(p)
+        return d, n, np.zeros_like(H)
+
+
+@ALL
+def test_where_points_overlap_the_tangent_is_that_of_a_plane(name: str) -> None:
+    x = bent()
+    coupled = against(name, x, least=-0.2)
+    plane = replace(coupled, contact=replace(coupled.contact, shape=Flat(SHAPES[name])))  # type: ignore[arg-type]
+    found, flat = coupled.evaluate(x), plane.evaluate(x)
+    over = found.gap < 0
+    assert over.sum() >= 3
+    assert found.force == pytest.approx(flat.force)
+    assert found.tangent[over] == pytest.approx(flat.tangent[over])
+    assert found.tangent[~over] != pytest.approx(flat.tangent[~over])
+
+
 @pytest.mark.parametrize("nodes", [4, 6])
 def test_at_the_nodes_too_it_is_the_slope_and_not_its_transpose(nodes: int) -> None:
     points, faces, _ = patch(2, 1.8, nodes)
     x = points + np.random.default_rng(1).uniform(-0.05, 0.05, points.shape)
-    contact = Contact(faces, Sphere(0.8), Pose(np.eye(3), np.array([0.03, 0.01, -0.15])), DHAT, KAPPA)
+    contact = Contact(faces, Sphere(0.8), Pose(np.eye(3), np.array([0.03, 0.01, 0.02])), DHAT, KAPPA)
     coupled = CoupledContact(contact, FRICTION, faces.at(x) - [0.06, -0.03, 0.04], EPS)
 
     def nodal(y: Array) -> Array:
