@@ -17,7 +17,7 @@ class SolverOptions:
     # Newton's method
     max_newton: int = 60  # steps of the bulk in a load step; ordinary frames take 3 to 6
     max_effort: int = 100  # steps of the bulk in all that is tried for one frame; hard ordinary frames take up to 75
-    max_contact: int = 30  # steps of the contact within one step of the bulk; ordinary ones take 4 to 10
+    max_contact: int = 14  # steps of the contact within one step of the bulk; ordinary ones take 2 to 10
     condense: bool = True  # contact is brought to equilibrium on the Schur complement within each step of the bulk
     keep_tangent: bool = True  # a factorised tangent serves several steps, from load step to load step
     patience: float = 2.0  # refactorise if more steps are predicted: a factorisation costs about two
