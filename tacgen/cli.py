@@ -10,7 +10,8 @@ from typing import Annotated, Any
 import typer
 
 from tacgen import __version__
-from tacgen.console import app, counted, line, probe, show_result, writing
+from tacgen.console import app, line, probe, show_result, writing
+from tacgen.look.wording import counted
 from tacgen.errors import UserError
 
 __all__ = ["app"]

@@ -66,11 +66,6 @@ def line(event: dict[str, Any]) -> None:
     typer.echo(json.dumps(event))
 
 
-def counted(n: int, noun: str) -> str:
-    """`1 scene`, `2 scenes`."""
-    return f"{n} {noun}" + ("" if n == 1 else "s")
-
-
 @contextmanager
 def writing(place: Path) -> Iterator[None]:
     """A disk that is full, read-only or not ours is no bug: one line."""

@@ -113,7 +113,7 @@ def test_of_two_that_mesh_at_once_both_go_on_with_the_first(monkeypatch: pytest.
 
 def test_damaged_caches_are_made_anew() -> None:
     from tacgen.files import store
-    from tacgen.image.variants import cache_folder
+    from tacgen.files.store import cache_folder
 
     store.kept("meshes", "torn", lambda: (np.zeros(3),))
     file = cache_folder() / "meshes" / "torn.npz"

@@ -9,9 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from tacgen.image.variants import cache_folder
-
 Array = np.ndarray
+
+
+def cache_folder() -> Path:
+    """Where tacgen keeps what it can compute again; TACGEN_CACHE_DIR overrides."""
+    from platformdirs import user_cache_path
+
+    return Path(os.environ["TACGEN_CACHE_DIR"]) if os.environ.get("TACGEN_CACHE_DIR") else user_cache_path("tacgen")
 
 
 def digest(parts: Iterable[Any]) -> str:

@@ -15,6 +15,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
 
+from tacgen.files.store import cache_folder
+
 CUDA, LLVM, SCALAR = "cuda_ad_rgb", "llvm_ad_rgb", "scalar_rgb"
 LLVM_VERSIONS = (22, 21, 20, 19, 18, 17)  # newest first; older ones abort drjit 1.5
 LIBRARY_FOLDERS = (
@@ -45,13 +47,6 @@ class Probed(NamedTuple):
     library: str  # the LLVM library given to drjit, "" if none
     works: bool
     note: str
-
-
-def cache_folder() -> Path:
-    """Where tacgen keeps what it can compute again; TACGEN_CACHE_DIR overrides."""
-    from platformdirs import user_cache_path
-
-    return Path(os.environ["TACGEN_CACHE_DIR"]) if os.environ.get("TACGEN_CACHE_DIR") else user_cache_path("tacgen")
 
 
 def environment(library: str = "") -> dict[str, str]:

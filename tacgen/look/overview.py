@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from tacgen.bundle import Bundle
-from tacgen.console import counted
+from tacgen.look.wording import counted
 from tacgen.errors import UserError
 from tacgen.files import source, survey
 from tacgen.spec import assets

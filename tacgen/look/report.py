@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from tacgen.bundle import Bundle
-from tacgen.console import counted
+from tacgen.look.wording import counted
 from tacgen.look import overview
 from tacgen.look.overview import Overview, Scene
 
