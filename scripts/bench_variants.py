@@ -13,12 +13,11 @@ import time
 
 import numpy as np
 
-from tacgen import plan
-from tacgen.image import variants
-from tacgen.image.tracer import PathTracer
-from tacgen.optics.dent import BallDent
-from tacgen.optics.sheet import Sheet, Untouched
-from tacgen.spec import assets
+from tacgen.optics.hertz_dent import BallDent
+from tacgen.optics.surface_grid import Sheet, Untouched
+from tacgen.recipe import assets, plan
+from tacgen.render import mitsuba_variants
+from tacgen.render.mitsuba_path import PathTracer
 
 
 def timed(tracer: PathTracer, nodes: np.ndarray, spp: int, seed: int) -> tuple[float, np.ndarray]:
@@ -38,7 +37,7 @@ def main() -> None:
         sensor = plan.load(assets.recipe_path("quickstart"), (f"sensor={name}", "outputs=[force]")).rows[0].sensor
         sheet, untouched = Sheet.over(sensor.gel, 0.1), Untouched.of(sensor.gel)
         nodes, first = sheet.at(BallDent(4.0, 1.5, face=untouched)), {}
-        for found in variants.variants():
+        for found in mitsuba_variants.variants():
             if not found.works:
                 continue
             tracer = PathTracer(sensor, sheet, False, found.variant)

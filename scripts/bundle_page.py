@@ -1,8 +1,8 @@
-"""Print docs/BUNDLE.md from the tables in tacgen/files/layout.py: python scripts/bundle_page.py > docs/BUNDLE.md"""
+"""Print docs/BUNDLE.md from the tables in tacgen/bundle/schema.py: python scripts/bundle_page.py > docs/BUNDLE.md"""
 
 import numpy as np
 
-from tacgen.files.layout import ATTRS, FORMAT, LAYOUT, OPTIONAL, UNITS
+from tacgen.bundle.schema import ATTRS, FORMAT, LAYOUT, OPTIONAL, UNITS
 
 
 def page() -> str:
@@ -10,7 +10,8 @@ def page() -> str:
     lines = [
         f"# The bundle, format {FORMAT}",
         "",
-        "From the tables in `tacgen/files/layout.py` by `python scripts/bundle_page.py > docs/BUNDLE.md`; do not edit.",
+        "From the tables in `tacgen/bundle/schema.py`, by `python scripts/bundle_page.py > docs/BUNDLE.md`; not to be",
+        "edited.",
         "",
         "One HDF5 file a scene. Sensor frame: x right and y down in the image, z out of the gel toward the object;",
         "the origin is the centre of the untouched coated face (a dome's crown).",
@@ -25,8 +26,8 @@ def page() -> str:
         "Traction lies in the face's tangent plane: its first component along the sensor's x drawn into it, its",
         "second along the outward normal times the first. Where friction slides, its size is friction x pressure to",
         "1e-3 of the peak; the resultant is kept by `force_map` alone. Nodal stress is that of the outermost layer",
-        "a node belongs to; `tacgen.derived` gives every layer's, and von Mises, principal stresses, strain energy,",
-        "stick and slip.",
+        "a node belongs to; `tacgen.bundle.postprocess` gives every layer's, and von Mises, principal stresses, strain",
+        "energy, stick and slip.",
         "",
         "Flow and markers are pixels through the layers' refraction, x right and y down. `flow` at a sample is where",
         "the coating's point that is behind it on the untouched sensor has moved to, less where it was: positive to",

@@ -1,4 +1,4 @@
-"""Fit a sensor's `markers.motion` (tacgen/labels/drift.py) to the dots' motion that the solved gel gives.
+"""Fit a sensor's `markers.motion` (tacgen/labels/fots_markers.py) to the dots' motion that the solved gel gives.
 
     python scripts/calibrate_motion.py [--sensor gelsight_mini] [--quality default]
 
@@ -14,14 +14,15 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUM
 import numpy as np  # noqa: E402
 from scipy.optimize import least_squares  # noqa: E402
 
-from tacgen import mesh, plan, scene, solve  # noqa: E402
-from tacgen.fields import seen  # noqa: E402
-from tacgen.labels import drift  # noqa: E402
+from tacgen import solve  # noqa: E402
+from tacgen.labels import fots_markers  # noqa: E402
+from tacgen.labels.gel_surface import seen  # noqa: E402
+from tacgen.optics.camera import Camera  # noqa: E402
 from tacgen.optics.coating import centers  # noqa: E402
-from tacgen.optics.layers import Camera  # noqa: E402
+from tacgen.recipe import assets, plan  # noqa: E402
+from tacgen.recipe.sensor import Motion  # noqa: E402
+from tacgen.scene import mesh, scene  # noqa: E402
 from tacgen.solve import foresee  # noqa: E402
-from tacgen.spec import assets  # noqa: E402
-from tacgen.spec.sensor import Motion  # noqa: E402
 
 MOVES = "[{press: {depth_mm: 0.8, frames: 3}}, {slide: {x_mm: 1.2, y_mm: 0.4, frames: 4}}, {release: {frames: 1}}, "
 MOVES += "{press: {depth_mm: 0.8, frames: 1}}, {twist: {angle_deg: 30, frames: 4}}]"
@@ -50,7 +51,7 @@ class Shown:
         """The same by the exponentials."""
         press, shear, twist = np.reshape(numbers, (3, 2))
         motion = Motion(press=tuple(press), shear=tuple(shear), twist=tuple(twist), source="trial")
-        model = drift.Drift(motion, self.rest, self.gel, self.shape, self.camera)
+        model = fots_markers.Drift(motion, self.rest, self.gel, self.shape, self.camera)
         return np.array([model.at(pose)[0] - model.undisturbed for pose in self.poses])
 
     def error(self, numbers: np.ndarray) -> str:

@@ -19,13 +19,14 @@ from PIL import Image
 from ruamel.yaml import YAML
 from skimage.metrics import structural_similarity
 
-from tacgen import bench, render
+from tacgen import bench
 from tacgen.bench import kit
-from tacgen.calibrate import photos, under
-from tacgen.image.photo import read as load
-from tacgen.optics.dent import BallDent
-from tacgen.optics.layers import Camera
-from tacgen.spec.sensor import Sensor
+from tacgen.calibrate import photos, press_faces
+from tacgen.optics.camera import Camera
+from tacgen.optics.hertz_dent import BallDent
+from tacgen.recipe.background_photo import read as load
+from tacgen.recipe.sensor import Sensor
+from tacgen.render import images
 
 ROOT = Path(__file__).resolve().parents[1]
 SHOWN = ("ball_6.310mm_20.png", "ball_6.310mm_8.png", "ball_6.310mm_12.png", "ball_9.500mm_1.png")
@@ -99,7 +100,7 @@ def three(what: str, real: np.ndarray, made: np.ndarray) -> Likeness:
     return Likeness(what, None, None, *(" / ".join(f"{v:.1f}" for v in rgb) for rgb in (real, made)))
 
 
-def beside_mini(folder: Path, sensor: Sensor, renderer: render.Renderer) -> Beside:
+def beside_mini(folder: Path, sensor: Sensor, renderer: images.Renderer) -> Beside:
     """The Mini's dents: their likeness, and how colours turn with the slope."""
     camera, strips, found = Camera.from_sensor(sensor), list[np.ndarray](), list[Likeness]()
     real, made = load(folder / "background.png"), renderer.develop(renderer.flat())
@@ -127,12 +128,12 @@ def digit_press(folder: Path, name: str) -> photos.Press:
     return photos.Press(name, load(folder / name), DIGIT_BALL, (x, y), contact, None)
 
 
-def beside_digit(folder: Path, sensor: Sensor, renderer: render.Renderer) -> Beside:
+def beside_digit(folder: Path, sensor: Sensor, renderer: images.Renderer) -> Beside:
     """DIGIT's dents, with their shadow fans."""
     strips, found = list[np.ndarray](), list[Likeness]()
     for name, (x, y, _) in DIGIT.items():
         press = digit_press(folder, name)
-        real, made = press.picture, renderer.develop(renderer.image(under.face(sensor, press, {})))
+        real, made = press.picture, renderer.develop(renderer.image(press_faces.face(sensor, press, {})))
         down, across = np.mgrid[: real.shape[0], : real.shape[1]] + 0.5
         around = np.hypot(across - x, down - y) < DIGIT_REACH
         found.append(Likeness(f"around the dent of {name}", similarity(real, made, around)))
@@ -154,10 +155,10 @@ def profile(change: np.ndarray, middle: tuple[float, float], mm_per_px: float) -
     return np.asarray(sums / count)
 
 
-def beside_nine(folder: Path, sensor: Sensor, renderer: render.Renderer) -> Beside:
+def beside_nine(folder: Path, sensor: Sensor, renderer: images.Renderer) -> Beside:
     """9DTact's ball: the dark disc and its halo."""
     real0, press = load(folder / UNTOUCHED["ninedtact"]), nine_press(folder)
-    real, face = press.picture, under.face(sensor, press, {})
+    real, face = press.picture, press_faces.face(sensor, press, {})
     made0, made = (renderer.develop(r) for r in (renderer.flat(), renderer.image(face)))
     where = np.ones(real.shape[:2], bool)
     level = np.clip(made.astype(int) - made0 + real0, 0, 255).astype(np.uint8)
@@ -179,7 +180,7 @@ UNTOUCHED = {"ninedtact": "reference_rectified.png"}
 
 def beside(name: str, folder: Path, sensor: Sensor, spp: int) -> Beside:
     """A sensor's pictures, and how like the photographs of `folder` they are."""
-    renderer = render.Renderer(sensor, spp, 0, markers=False)
+    renderer = images.Renderer(sensor, spp, 0, markers=False)
     real, made = load(folder / UNTOUCHED.get(name, "background.png")), renderer.develop(renderer.flat())
     strips, found = BESIDE[name](folder, sensor, renderer)
     mean = three("untouched, mean red / green / blue", real.mean(axis=(0, 1)), made.mean(axis=(0, 1)))

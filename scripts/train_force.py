@@ -17,9 +17,9 @@ import torch
 from torch import nn
 from torch.utils.data import DataLoader, TensorDataset
 
-from tacgen import batch, plan
-from tacgen.look.progress import Progress
-from tacgen.spec import assets
+from tacgen import batch
+from tacgen.recipe import assets, plan
+from tacgen.report.progress import Progress
 from tacgen.torch import TactileDataset
 
 SETS = (

@@ -10,9 +10,9 @@ from typing import Annotated, Any
 import typer
 
 from tacgen import __version__
-from tacgen.console import app, line, probe, show_result, writing
-from tacgen.look.wording import counted
+from tacgen.cli_common import app, line, probe, show_result, writing
 from tacgen.errors import UserError
+from tacgen.report.wording import counted
 
 __all__ = ["app"]
 
@@ -73,8 +73,8 @@ def run(
     with writing(out):
         probe(out)
         from tacgen import batch
-        from tacgen.look import card
-        from tacgen.look.progress import Progress
+        from tacgen.report import dataset_card
+        from tacgen.report.progress import Progress
 
         with Progress(plan.rows) as progress:
 
@@ -95,7 +95,7 @@ def run(
                 hear=hear,
             )
         if any(result.status == "ok" for result in results):
-            card.write(out)
+            dataset_card.write(out)
     count = {status: sum(r.status == status for r in results) for status in ("ok", "rejected", "failed")}
     if as_json:
         line({"event": "end", "folder": str(out), **count})
@@ -114,7 +114,7 @@ def status(
     as_json: AsJson = False,
 ) -> None:
     """Say how far a folder is: scenes done, rejected or failed with their reasons, at work and waiting."""
-    from tacgen.files.survey import survey
+    from tacgen.bundle.run_status import survey
 
     found = survey(folder)
     count, total = found.count(), len(found.scenes)
@@ -131,12 +131,12 @@ def status(
 @app.command()
 def validate(file: RecipeFile, sets: Sets = None) -> None:
     """Check a recipe with its sensor and every scene of it, or a sensor file alone."""
-    from tacgen.spec import assets, load, yamlfile
+    from tacgen.recipe import assets, loading, yaml_source
 
     path = assets.recipe_path(file)
-    data = yamlfile.load(path).data
+    data = yaml_source.load(path).data
     if isinstance(data, dict) and "tacgen_sensor" in data:
-        sensor, _ = load.read_sensor(path)
+        sensor, _ = loading.read_sensor(path)
         typer.echo(f"{path}: a valid sensor, {sensor.name}")
         return
     plan = _plan(file, sets)
@@ -151,7 +151,7 @@ def schema(
     """Print the JSON Schema of a recipe, for editors and other programs."""
     import json
 
-    from tacgen.spec.schema import recipe_schema, sensor_schema
+    from tacgen.recipe.schema import recipe_schema, sensor_schema
 
     typer.echo(json.dumps(sensor_schema() if sensor else recipe_schema(), indent=1))
 
@@ -165,10 +165,10 @@ def show_plan(
     as_json: AsJson = False,
 ) -> None:
     """Show the table of scenes that a recipe gives."""
-    from tacgen.look import table
+    from tacgen.recipe import plan_table
 
     plan = _plan(recipe, sets, _shard(shard))
-    typer.echo((table.as_json if as_json else table.as_csv if as_csv else table.as_text)(plan), nl=False)
+    typer.echo((plan_table.as_json if as_json else plan_table.as_csv if as_csv else plan_table.as_text)(plan), nl=False)
 
 
 @app.command()
@@ -177,7 +177,7 @@ def init(
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a file that is there.")] = False,
 ) -> None:
     """Write a commented recipe to start from, and the schema that editors complete it with."""
-    from tacgen.spec.schema import write_starter
+    from tacgen.recipe.schema import write_starter
 
     with writing(path.parent):
         written, schema_file = write_starter(path, overwrite=overwrite)
@@ -190,7 +190,7 @@ def show_list(
     as_json: AsJson = False,
 ) -> None:
     """List sensors, recipes, objects, indenter shapes and formats to export to."""
-    from tacgen.look.listing import KINDS
+    from tacgen.report.catalogue import KINDS
 
     if kind and kind not in KINDS:
         raise UserError(f"{kind}: must be one of {', '.join(KINDS)}")
@@ -209,7 +209,7 @@ def check(
     as_json: AsJson = False,
 ) -> None:
     """Check finished bundles: whole, unchanged, finite, balanced. Findings are printed and give exit code 1."""
-    from tacgen.check import check as find
+    from tacgen.bundle.check import check as find
 
     findings = find(path)
     plain = [{"path": str(f.path), "level": f.level, "message": f.message} for f in findings]
@@ -226,8 +226,8 @@ def pack(
     as_json: AsJson = False,
 ) -> None:
     """Copy finished scenes into few larger files, with an index and all frames as one dataset."""
-    from tacgen.files.pack import pack as pack_scenes
-    from tacgen.files.source import scenes
+    from tacgen.bundle.dataset import scenes
+    from tacgen.bundle.pack import pack as pack_scenes
 
     with writing(out):
         made = pack_scenes(scenes(source), out, size_mb)
@@ -244,7 +244,7 @@ def report(
     out: Annotated[Path | None, typer.Option("--out", "-o", help="The page; report.html in the folder.")] = None,
 ) -> None:
     """Write one HTML page about a dataset: coverage, failures by cause, seconds by stage, pictures."""
-    from tacgen.look import report as reporting
+    from tacgen.report import html_report as reporting
 
     out = out or folder / "report.html"
     with writing(out):
@@ -260,20 +260,20 @@ def show(
     ] = "",
 ) -> None:
     """Say what is in a bundle, or draw it: images, pressure, traction and height over the frames."""
-    from tacgen.look import overview
-    from tacgen.look import show as showing
+    from tacgen.report import bundle_figure as showing
+    from tacgen.report import dataset_summary
 
     if out is None:
         if field:
             raise UserError("--field: draws a picture, and needs --out to say where")
-        typer.echo(overview.summary(path) if path.is_dir() else showing.summary(path))
+        typer.echo(dataset_summary.summary(path) if path.is_dir() else showing.summary(path))
         return
     with writing(out):
         out.parent.mkdir(parents=True, exist_ok=True)
         if field:
-            from tacgen.look import show_field
+            from tacgen.report import field_figure
 
-            show_field.picture(path, field, out)
+            field_figure.picture(path, field, out)
         else:
             showing.picture(path, out)
     typer.echo(str(out))
@@ -366,8 +366,7 @@ def bench(
 
 def _plan(recipe: str, sets: list[str] | None, shard: tuple[int, int] = (0, 1)) -> Any:
     """The plan of a recipe given by path or name, or a shard of it."""
-    from tacgen import plan
-    from tacgen.spec import assets
+    from tacgen.recipe import assets, plan
 
     return plan.load(assets.recipe_path(recipe), sets or (), shard)
 

@@ -64,9 +64,9 @@ def _solvers() -> Iterator[Finding]:
 
 
 def _rendering() -> Iterator[Finding]:
-    from tacgen import render
+    from tacgen.render import images
 
-    tried = render.variants()
+    tried = images.variants()
     for one in tried:
         yield Finding(one.variant, one.works, f"{one.note} {one.library}".strip(), needed=False)
     working = [one.variant for one in tried if one.works]

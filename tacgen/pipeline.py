@@ -9,21 +9,22 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from tacgen import bundle, mesh, scene, solve
+from tacgen import solve
+from tacgen.bundle import bundle, resume
+from tacgen.bundle.resume import SceneResult
+from tacgen.contact.barrier import Contact, Pose
+from tacgen.contact.tunnelling import overlap
 from tacgen.errors import UserError
-from tacgen.fem.contact import Contact, Pose
-from tacgen.fem.tunnelling import overlap
-from tacgen.files import resume
-from tacgen.files.resume import SceneResult
-from tacgen.image import photo
-from tacgen.plan import NOISE, Row
-from tacgen.recipe import IMAGES
-from tacgen.solid.gel import Gel
+from tacgen.geometry.gel import Gel
+from tacgen.recipe import background_photo
+from tacgen.recipe.model import IMAGES
+from tacgen.recipe.plan import NOISE, Row
+from tacgen.recipe.sensor import LitSensor
+from tacgen.scene import mesh, scene
 from tacgen.solve import foresee
-from tacgen.spec.sensor import LitSensor
 
 if TYPE_CHECKING:
-    from tacgen.fields import Surface
+    from tacgen.labels.gel_surface import Surface
 
 Array = np.ndarray
 ON_FACE = ("traction", "force_map")  # outputs: what the contact does to the face
@@ -52,19 +53,19 @@ class Products:
     """What a scene's outputs ask for beyond the solve: datasets of the reference, the mesh and each frame."""
 
     def __init__(self, row: Row, problem: solve.Problem, clock: Clock) -> None:
-        from tacgen import fields
+        from tacgen.labels import gel_surface
 
         self.row = row
-        self.outputs, self.problem, self.clock, self.fields = row.recipe.outputs, problem, clock, fields
+        self.outputs, self.problem, self.clock, self.fields = row.recipe.outputs, problem, clock, gel_surface
         if self.outputs & {*ON_FACE, *SEEN, *PRINTED, *IMAGES}:
-            from tacgen.optics.layers import Camera
+            from tacgen.optics.camera import Camera
 
             self.camera = Camera.from_sensor(row.sensor)
-            self.surface = fields.Surface(problem.mesh.points, problem.mesh.facets["coated"])
+            self.surface = gel_surface.Surface(problem.mesh.points, problem.mesh.facets["coated"])
         if self.outputs & {*PRINTED, *IMAGES}:
-            self.seen = fields.seen(problem.mesh, len(row.sensor.gel.clear_layers))
+            self.seen = gel_surface.seen(problem.mesh, len(row.sensor.gel.clear_layers))
         if self.outputs & {*SEEN, *PRINTED}:
-            from tacgen.optics.sheet import Sheet
+            from tacgen.optics.surface_grid import Sheet
 
             self.sheet = Sheet.over(row.sensor.gel, 0.1)
         if "stress" in self.outputs:
@@ -79,21 +80,21 @@ class Products:
             rest, motion = centers(row.sensor.markers), row.sensor.markers.motion
             self.dots: Callable[[solve.State, Surface], tuple[Array, Array]]
             if row.recipe.markers.method == "analytic" and motion is not None:
-                from tacgen.labels.drift import Drift
+                from tacgen.labels.fots_markers import Drift
 
                 drift = Drift(motion, rest, row.sensor.gel, problem.contact.shape, self.camera)
                 self.undisturbed, self.dots = drift.undisturbed, lambda state, _: drift.at(state.pose)
             else:
-                from tacgen.optics.flow import Points
+                from tacgen.optics.material_flow import Points
 
                 points = Points(rest, self.sheet, self.seen, self.camera)
                 self.undisturbed, self.dots = points.undisturbed, lambda _, coating: points.at(coating)
         if "flow" in self.outputs:
-            from tacgen.optics.flow import Flow
+            from tacgen.optics.material_flow import Flow
 
             self.flow = Flow(self.sheet, self.seen, self.camera)
         if self.outputs & IMAGES:
-            from tacgen.render import Renderer
+            from tacgen.render.images import Renderer
 
             with clock.stage("render"):
                 spp = row.recipe.resolved().spp
@@ -104,7 +105,9 @@ class Products:
                 )
                 self.flat = self.renderer.flat()
                 photograph = row.photo_path
-                self.behind = None if photograph is None else photo.Backdrop(photograph, self.flat, lit.camera)
+                self.behind = (
+                    None if photograph is None else background_photo.Backdrop(photograph, self.flat, lit.camera)
+                )
 
     def still(self) -> dict[str, Array]:
         """Datasets that do not change from frame to frame."""
@@ -179,7 +182,7 @@ class Products:
         if "flow" in self.outputs:
             out["/frames/flow"] = self.flow.at(coating)
         if "material" in self.outputs:
-            from tacgen.optics.flow import behind
+            from tacgen.optics.material_flow import behind
 
             out["/frames/material"] = behind(self.sheet, coating, self.camera)
         if "stress" in self.outputs:
@@ -196,7 +199,7 @@ class Products:
 
     def _maps(self, surface: "Surface", state: solve.State) -> dict[str, Array]:
         """What the contact does to the face."""
-        from tacgen.labels.maps import maps
+        from tacgen.labels.contact_maps import maps
 
         found, out = maps(self.problem, surface, state, self.camera), {}
         if "traction" in self.outputs:

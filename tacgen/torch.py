@@ -22,10 +22,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from tacgen.bundle import Bundle
+from tacgen.bundle import dataset
+from tacgen.bundle.bundle import Bundle
+from tacgen.bundle.schema import LAYOUT
 from tacgen.errors import UserError
-from tacgen.files import source
-from tacgen.files.layout import LAYOUT
 
 Item = dict[str, Any]
 SPLITS = ("train", "val", "test")
@@ -63,7 +63,7 @@ class TactileDataset:
         subtract_reference: bool = False,
         transform: Callable[[Item], Any] | None = None,
     ) -> None:
-        good = [scene for scene in source.scenes(Path(path)) if scene.attrs["status"] == "ok"]
+        good = [scene for scene in dataset.scenes(Path(path)) if scene.attrs["status"] == "ok"]
         self.scenes = divide(good, split, fractions, seed)
         self.fields = {name: _path(name) for name in fields}
         for scene in self.scenes:

@@ -13,12 +13,12 @@ import pytest
 from typer.testing import CliRunner, Result
 
 import tacgen.batch
-from tacgen import cli, plan
+from tacgen import cli
 from tacgen.batch.local import outcome
+from tacgen.bundle.resume import SceneResult
 from tacgen.errors import UserError
-from tacgen.files.resume import SceneResult
-from tacgen.look import card
-from tacgen.spec import assets
+from tacgen.recipe import assets, plan
+from tacgen.report import dataset_card
 
 ROOT = Path(__file__).parent.parent
 
@@ -36,7 +36,7 @@ def batch(monkeypatch: pytest.MonkeyPatch) -> Callable[[Batch], None]:
 
     def stand_in(run: Batch) -> None:
         monkeypatch.setattr(tacgen.batch, "run", run)
-        monkeypatch.setattr(card, "write", lambda folder: folder)
+        monkeypatch.setattr(dataset_card, "write", lambda folder: folder)
 
     return stand_in
 
@@ -274,7 +274,7 @@ def test_list_names_what_there_is():
 
 
 def test_check_prints_findings_and_exits_with_1(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    from tacgen import check
+    from tacgen.bundle import check
 
     found = [check.Finding(tmp_path / "a.h5", "error", "frame 3 holds nan")]
     monkeypatch.setattr(check, "check", lambda path: found)

@@ -48,7 +48,7 @@ def test_the_fast_solver_may_be_taken_out(monkeypatch: pytest.MonkeyPatch):
 
 def test_what_is_missing_is_a_finding_and_exit_code_1(monkeypatch: pytest.MonkeyPatch):
     def gone():
-        raise ImportError("no module named tacgen.render")
+        raise ImportError("no module named tacgen.render.images")
 
     monkeypatch.setattr(tacgen, "render", SimpleNamespace(variants=gone))
     monkeypatch.setattr(doctor, "PACKAGES", ("numpy", "no-such-package"))
@@ -58,7 +58,7 @@ def test_what_is_missing_is_a_finding_and_exit_code_1(monkeypatch: pytest.Monkey
     assert found["rendering"] == {
         "name": "rendering",
         "ok": False,
-        "note": "ImportError: no module named tacgen.render",
+        "note": "ImportError: no module named tacgen.render.images",
         "needed": True,
     }
     assert not found["no-such-package"]["ok"]

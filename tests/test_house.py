@@ -10,118 +10,83 @@ import pytest
 ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "tacgen"
 
-# Folders beside the line, whose modules stand in ORDER one by one.
-GROUPS = ("spec", "solid", "solve", "labels", "image", "files", "look")
-FOLDERS = {"tacgen", *(f"tacgen.{name}" for name in (*GROUPS, "fem", "optics"))}
-
-# A module imports only from lines above its own. The line of the product is marked with *.
-ORDER = [
-    {"__init__", "errors", "spec.part", *(f"{name}.__init__" for name in GROUPS if name != "solve")},
-    {"console", "spec.turns"},
-    {"spec.yamlfile", "spec.assets", "spec.sensor", "files.partfile", "image.variants", "spec.posetable"},
-    {"spec.explain"},
-    {"spec.moves", "spec.indenters"},
-    {"recipe"},  # *
-    {"files.store"},
-    {"solid.geometry"},
-    {"spec.motions", "spec.lit", "image.photo"},
-    {"spec.limits"},
-    {"spec.load"},
-    {"plan"},  # *
-    {"solid.gel", "solid.tessellate"},
-    {"path"},
-    {"scene"},  # *
-    {"solid.tetmesh"},
-    {"mesh"},  # *
-    {"solve.options", "solve.state", "solve.linear_solvers", "solve.force_control", "solve.lagging"},
-    {"solve.condensation", "solve.newton"},
-    {"solve.bulk", "solve.contact_newton"},
-    {"solve.problem", "solve.predictor"},
-    {"solve.bulk_newton", "solve.full_newton", "solve.mesh_contact"},
-    {"solve.equilibrium"},
-    {"solve.load_stepping"},
-    {"solve.frames"},
-    {"solve.warm"},
-    {"solve.__init__"},  # *
-    {"solve.foresee"},
-    {"fields"},  # *
-    {"labels.maps", "labels.stress", "image.tracer", "labels.faces", "labels.drift"},
-    {"render"},  # *
-    {"files.layout"},
-    {"bundle"},  # *
-    {"derived", "look.section", "files.source", "files.resume"},
-    {"export"},
-    {
-        "pipeline",
-        "check",
-        "calibrate",
-        "look.show",
-        "doctor",
-        "spec.schema",
-        "look.listing",
-        "look.table",
-        "look.progress",
-    },
-    {"batch", "look.show_field"},
-    {"files.survey", "files.pack", "torch"},
-    {"look.overview"},
-    {"look.card", "look.report"},
-    {"bench"},
-    {"cli"},
-    {"__main__"},
+# A package or a module of the top level imports only from those above it.
+LAYERS = [
+    "errors",
+    "array_cache",
+    "fem",
+    "optics",
+    "geometry",
+    "contact",
+    "recipe",
+    "scene",
+    "solve",
+    "labels",
+    "render",
+    "bundle",
+    "export",
+    "report",
+    "torch",
+    "doctor",
+    "pipeline",
+    "batch",
+    "calibrate",
+    "cli_common",
+    "bench",
+    "cli",
+    "__main__",
 ]
-LIBRARIES = {"fem", "optics"}  # know no stage; from `geometry` on, modules may use them
-FIRST_USER_OF_LIBRARIES = next(i for i, line in enumerate(ORDER) if "solid.geometry" in line)
+LIBRARIES = {"fem", "optics"}  # numerics that know no recipe, no sensor and no scene
 ALLOWED_IN_LIBRARIES = {"numpy", "scipy", "numba"}
 
 # Heavy packages and where they may be imported, always inside functions.
 HOMES = {
-    "mitsuba": {"image.tracer"},
-    "drjit": {"image.tracer"},
-    "matplotlib": {"look.show", "look.show_field", "bench.kit", "bench.optics"},
-    "mpl_toolkits": {"look.show"},
-    "h5py": {"bundle", "doctor", "export.vtkhdf", "export.univtac", "files.pack", "torch"},
+    "mitsuba": {"render.mitsuba_path"},
+    "drjit": {"render.mitsuba_path"},
+    "matplotlib": {"report.bundle_figure", "report.field_figure", "bench.kit", "bench.optics"},
+    "mpl_toolkits": {"report.bundle_figure"},
+    "h5py": {"bundle.bundle", "doctor", "export.vtkhdf", "export.univtac", "bundle.pack", "torch"},
     "cvxopt": {"solve.linear_solvers"},
     "pymetis": {"solve.linear_solvers"},
-    "ruamel": {"spec.yamlfile"},
-    "trimesh": {"solid.geometry"},
-    "igl": {"solid.geometry"},
-    "pymeshlab": {"solid.geometry"},
-    "pytetwild": {"solid.tetmesh"},
-    "ipctk": {"fem.ipc"},
-    "platformdirs": {"image.variants"},
-    "rich": {"look.progress"},
-    "PIL": {"image.photo", "look.report", "export.lerobot", "export.univtac", "export.webdataset"},
-    "distributed": {"batch.cluster"},
+    "ruamel": {"recipe.yaml_source"},
+    "trimesh": {"geometry.mesh_import"},
+    "igl": {"geometry.mesh_import"},
+    "pymeshlab": {"geometry.mesh_import"},
+    "pytetwild": {"scene.tet_mesh"},
+    "ipctk": {"contact.ipctk"},
+    "platformdirs": {"array_cache"},
+    "rich": {"report.progress"},
+    "PIL": {"recipe.background_photo", "report.html_report", "export.lerobot", "export.univtac", "export.webdataset"},
+    "distributed": {"batch.dask_engine"},
     "pyarrow": {"export.lerobot"},
     "OpenEXR": {"export.exr"},
     "webdataset": {"export.webdataset"},
 }
 NOT_NUMPY = {
     "cli",
-    "console",
+    "cli_common",
     "errors",
-    "spec.part",
-    "recipe",
-    "spec.sensor",
-    "spec.assets",
-    "plan",
-    "spec.load",
-    "spec.lit",
-    "image.photo",
-    "spec.limits",
-    "spec.explain",
-    "spec.yamlfile",
-    "spec.turns",
-    "spec.moves",
-    "spec.indenters",
-    "spec.posetable",
-    "spec.motions",
+    "recipe.base_model",
+    "recipe.model",
+    "recipe.sensor",
+    "recipe.assets",
+    "recipe.plan",
+    "recipe.loading",
+    "recipe.optics_checks",
+    "recipe.background_photo",
+    "recipe.checks",
+    "recipe.validation_messages",
+    "recipe.yaml_source",
+    "recipe.turns",
+    "recipe.trajectory",
+    "recipe.indenters",
+    "recipe.pose_table",
+    "recipe.trajectory_checks",
 }
 
 
 def files() -> dict[str, Path]:
-    """Every module by its name below the package: `recipe`, `fem.shapes`."""
+    """Every module by its name below the package: `pipeline`, `fem.elements`."""
     return {".".join(path.relative_to(PACKAGE).with_suffix("").parts): path for path in sorted(PACKAGE.rglob("*.py"))}
 
 
@@ -145,43 +110,27 @@ def imports(path: Path) -> list[tuple[str, bool]]:
 
 
 def loaded(module: str, name: str) -> str:
-    """What `from module import name` loads: a module of that name in one of our folders, or the first alone."""
-    if module not in FOLDERS:
+    """What `from module import name` loads: a module of that name in one of our packages, or the first alone."""
+    if module.split(".")[0] != "tacgen":
         return module
     here = PACKAGE.joinpath(*module.split(".")[1:], name)
     return f"{module}.{name}" if here.is_dir() or here.with_suffix(".py").exists() else module
 
 
-def rank(module: str) -> int:
-    name = module if module.split(".")[0] in GROUPS else module.split(".")[0]
-    assert any(name in line for line in ORDER), f"{name}: say in ORDER where this module stands"
-    return next(i for i, line in enumerate(ORDER) if name in line)
+def layer(module: str) -> str:
+    """tacgen.fem.elements -> fem; tacgen -> "" (the version)."""
+    return module.removeprefix("tacgen").lstrip(".").split(".")[0]
 
 
-def inside(module: str) -> str:
-    """tacgen.fem.shapes -> fem.shapes; tacgen -> __init__; tacgen.solve -> solve.__init__."""
-    name = module.removeprefix("tacgen").lstrip(".")
-    return f"{name}.__init__".lstrip(".") if name in ("", *GROUPS) else name
-
-
-@pytest.mark.parametrize("name", files())
-def test_imports_point_up_the_line(name: str):
+@pytest.mark.parametrize("name", [name for name in files() if name != "__init__"])
+def test_imports_point_up_the_layers(name: str) -> None:
+    own = name.split(".")[0]
+    assert own in LAYERS, f"{own}: say in LAYERS where it stands"
     for module, _ in imports(files()[name]):
-        package = module.split(".")[0]
-        if package != "tacgen":
+        if module.split(".")[0] != "tacgen" or (target := layer(module)) in ("", own):
             continue
-        target = inside(module)
-        library = target.split(".")[0] in LIBRARIES
-        if name.split(".")[0] in LIBRARIES:
-            assert target.split(".")[0] == name.split(".")[0], f"{name} imports {module}"
-        elif library:
-            assert rank(name) >= FIRST_USER_OF_LIBRARIES, f"{name} imports {module}"
-        else:
-            folder, own = target.split(".")[0], target.split(".")[0] == name.split(".")[0]
-            own_folder = own and folder in ("batch", "bench", "calibrate", "export")
-            assert rank(target) < rank(name) or own_folder, f"{name} imports {module}"
-            if folder in GROUPS and not own:  # which runs the folder's own file first
-                assert rank(f"{folder}.__init__") < rank(name), f"{name} imports {module}"
+        assert LAYERS.index(target) < LAYERS.index(own), f"{name} imports {module}"
+        assert own not in LIBRARIES, f"{name} imports {module}"
 
 
 @pytest.mark.parametrize("name", [n for n in files() if n.split(".")[0] in LIBRARIES])
@@ -249,7 +198,7 @@ def test_looking_at_recipes_starts_no_numerics(args: tuple[str, ...]):
 
 
 def test_a_scene_without_contact_between_meshes_leaves_its_toolkit_alone():
-    assert "ipctk" not in loaded_by("import tacgen.pipeline, tacgen.fem.ipc")
+    assert "ipctk" not in loaded_by("import tacgen.pipeline, tacgen.contact.ipctk")
 
 
 def test_the_check_sees_a_bad_import(tmp_path: Path):
@@ -258,11 +207,9 @@ def test_the_check_sees_a_bad_import(tmp_path: Path):
     assert imports(bad) == [("mitsuba", True), ("tacgen.cli", False), ("h5py", False)]
     bad.write_text("from tacgen.solve import State, states, foresee\nfrom tacgen import __version__\n")
     assert imports(bad) == [("tacgen.solve", True), ("tacgen.solve.foresee", True), ("tacgen", True)]
-    assert [inside(module) for module, _ in imports(bad)] == ["solve.__init__", "solve.foresee", "__init__"]
+    assert [layer(module) for module, _ in imports(bad)] == ["solve", "solve", ""]
 
 
-def test_every_line_of_the_order_is_a_module():
-    known = {name if name.split(".")[0] in GROUPS else name.split(".")[0] for name in files()}
-    assert set().union(*ORDER) == known - LIBRARIES
-    assert sum(map(len, ORDER)) == len(set().union(*ORDER))
+def test_every_layer_is_there() -> None:
+    assert sorted(LAYERS) == sorted({name.split(".")[0] for name in files()} - {"__init__"})
     assert set().union(*HOMES.values()) | NOT_NUMPY <= {name.removesuffix(".__init__") for name in files()}

@@ -12,10 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tacgen import bundle, pipeline, plan, solve
-from tacgen.check import check
+from tacgen import pipeline, solve
+from tacgen.bundle import bundle
+from tacgen.bundle.check import check
 from tacgen.errors import UserError
-from tacgen.recipe import OUTPUTS
+from tacgen.recipe import plan
+from tacgen.recipe.model import OUTPUTS
 from tacgen.solve import load_stepping
 
 RECIPE = """
@@ -48,7 +50,7 @@ from pathlib import Path
 from tacgen import pipeline, plan
 row = plan.load(Path({str(recipe)!r})).rows[0]
 print(pipeline.run_scene(row, Path({str(tmp_path)!r}) / "out").status)
-ours = ("tacgen.render", "tacgen.labels.maps", "tacgen.labels.stress")
+ours = ("tacgen.render.images", "tacgen.labels.contact_maps", "tacgen.labels.stress")
 heavy = ("mitsuba", "drjit", "matplotlib", "trimesh", "pytetwild", *ours)
 print([name for name in heavy if name in sys.modules])
 """
@@ -196,8 +198,8 @@ def test_forces_agree_with_the_maps_and_the_base(recipe: Path, tmp_path: Path) -
 def test_path_and_transport_show_the_same_scene(recipe: Path) -> None:
     """`render: {method: path}` is Mitsuba alone: noisy, and in the mean what transport shows. Noise is not even after
     the response, so radiances are compared."""
-    from tacgen.optics.sheet import Untouched
-    from tacgen.render import Renderer
+    from tacgen.optics.surface_grid import Untouched
+    from tacgen.render.images import Renderer
 
     sensor = plan.load(recipe, SMALL_CAMERA).rows[0].sensor
     transport = Renderer(sensor, 64, 0, True).image(Untouched())

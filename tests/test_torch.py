@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from synthetic import write
+from helpers.synthetic import write
 
-from tacgen import bundle
 from tacgen import torch as reading
+from tacgen.bundle import bundle, pack
+from tacgen.bundle import dataset as source
 from tacgen.errors import UserError
-from tacgen.files import pack, source
 from tacgen.torch import TactileDataset
 
 COUNT, FRAMES = 6, 12

@@ -8,14 +8,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from tacgen.batch import cluster
-from tacgen.batch.journal import Journal, Shard, write_plan
+from tacgen.batch import dask_engine
 from tacgen.batch.local import TASK, Hear, Pool
-from tacgen.batch.watch import Limits
+from tacgen.batch.worker_process import Limits
+from tacgen.bundle import atomic_file
+from tacgen.bundle.journal import Journal, Shard, write_plan
+from tacgen.bundle.resume import SceneResult, refuse_foreign
 from tacgen.errors import UserError
-from tacgen.files import partfile
-from tacgen.files.resume import SceneResult, refuse_foreign
-from tacgen.plan import Plan
+from tacgen.recipe.plan import Plan
 
 __all__ = ["ENGINES", "Limits", "run"]
 
@@ -28,7 +28,7 @@ def _local(workers: int, limits: Limits, task: str, scheduler: str) -> Iterator[
         yield pool.run
 
 
-ENGINES = {"local": _local, "dask": cluster.engine}
+ENGINES = {"local": _local, "dask": dask_engine.engine}
 
 
 def run(
@@ -65,7 +65,7 @@ def run(
     if engine not in ENGINES:
         raise UserError(f"--engine {engine}: must be one of {', '.join(ENGINES)}")
     folder.mkdir(parents=True, exist_ok=True)
-    partfile.sweep(folder)
+    atomic_file.sweep(folder)
     if not overwrite:
         refuse_foreign(plan.rows, folder)
     write_plan(plan, folder, shard)
@@ -79,4 +79,4 @@ def run(
             with ENGINES[engine](workers, limits or Limits(), task, scheduler) as make:
                 return make(plan.rows, folder, overwrite=overwrite, hear=note)
         finally:
-            partfile.sweep(folder)
+            atomic_file.sweep(folder)

@@ -7,10 +7,10 @@ from multiprocessing import connection
 from pathlib import Path
 from typing import Any
 
-from tacgen.batch.watch import Job, Limits, Worker, machine_memory
+from tacgen.batch.worker_process import Job, Limits, Worker, machine_memory
+from tacgen.bundle.resume import SceneResult
 from tacgen.errors import UserError
-from tacgen.files.resume import SceneResult
-from tacgen.plan import Row
+from tacgen.recipe.plan import Row
 
 TASK = "tacgen.pipeline:run_scene"
 TRIES = 2  # a scene that took two workers with it is recorded as failed

@@ -8,17 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from tacgen import fields, mesh, plan, scene, solve
-from tacgen.files import store
-from tacgen.labels import maps
+from tacgen import array_cache, solve
+from tacgen.labels import contact_maps, gel_surface
 from tacgen.labels.stress import Stresses
+from tacgen.optics.camera import Camera
 from tacgen.optics.coating import centers
-from tacgen.optics.flow import Points
-from tacgen.optics.layers import Camera
-from tacgen.optics.sheet import Sheet
+from tacgen.optics.material_flow import Points
+from tacgen.optics.surface_grid import Sheet
+from tacgen.recipe import assets, plan
+from tacgen.recipe.sensor import Markers
+from tacgen.scene import mesh, scene
 from tacgen.solve import foresee
-from tacgen.spec import assets
-from tacgen.spec.sensor import Markers
 
 Array = np.ndarray
 ROOT = Path(scene.__file__).parent
@@ -107,9 +107,9 @@ def answer(
     states = list(solve.states(made, problem))
     seconds = time.process_time() - ready
     last, camera = states[-1], Camera.from_sensor(row.sensor)
-    coated = fields.Surface(problem.mesh.points, problem.mesh.facets["coated"])
-    seen = fields.seen(problem.mesh, len(row.sensor.gel.clear_layers))
-    found = maps.maps(problem, coated.moved(last.x), last, camera)
+    coated = gel_surface.Surface(problem.mesh.points, problem.mesh.facets["coated"])
+    seen = gel_surface.seen(problem.mesh, len(row.sensor.gel.clear_layers))
+    found = contact_maps.maps(problem, coated.moved(last.x), last, camera)
     dots = Points(centers(DOTS), Sheet.over(row.sensor.gel, 0.1), seen, camera)
     return Answer(
         np.array([state.traction_force.sum((0, 1)) for state in states]),
@@ -140,11 +140,11 @@ def kept(sets: tuple[str, ...]) -> Answer:
     """`answer`, computed once and kept in the cache as long as scene and solver are the same."""
     code = [path.read_bytes() for name in DECIDES for path in sorted(ROOT.glob(f"{name}.py"))]
     row = row_of(sets)
-    key = store.digest([row.key, *code])
+    key = array_cache.digest([row.key, *code])
 
     def make() -> tuple[Array, ...]:
         found = answer(sets)
         return tuple(np.asarray(getattr(found, part.name)) for part in names_of(Answer))
 
-    values: list[Any] = [v if v.ndim else v.item() for v in store.kept("bench", key, make)]
+    values: list[Any] = [v if v.ndim else v.item() for v in array_cache.kept("bench", key, make)]
     return Answer(*values)

@@ -16,12 +16,12 @@ from pathlib import Path
 
 import numpy as np
 
-from tacgen import mesh
 from tacgen.bench.kit import one_thread
 from tacgen.errors import UserError
 from tacgen.fem.elements import HEX_EDGES, boxes
 from tacgen.fem.materials import NeoHooke
-from tacgen.solid.gel import Gel
+from tacgen.geometry.gel import Gel
+from tacgen.scene import mesh
 
 Array = np.ndarray
 PROGRAM = "ccx"

@@ -35,9 +35,10 @@ def bench(level: Level, say: Say) -> Result:
 def solved(sets: list[str], repeats: int = 1) -> dict[str, Any]:
     """Of the quickstart with these changes: seconds of each frame in each of the runs, one after the other; of the
     last, iterations of each frame; nodes, and memory [MB]."""
-    from tacgen import mesh, plan, scene, solve
+    from tacgen import solve
+    from tacgen.recipe import assets, plan
+    from tacgen.scene import mesh, scene
     from tacgen.solve import foresee
-    from tacgen.spec import assets
 
     rough = scene.build(plan.load(assets.recipe_path("quickstart"), (*BALL, PRESS, "quality={edge_mm: 1.5}")).rows[0])
     next(solve.states(rough, solve.Problem.of(rough, mesh.of(rough))))  # compile

@@ -8,16 +8,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tacgen import plan
-from tacgen.image import tracer
 from tacgen.labels import faces
 from tacgen.optics import coating
-from tacgen.optics.flow import Flow, Points
-from tacgen.optics.layers import Camera
-from tacgen.optics.sheet import Sheet, Surface
-from tacgen.recipe import Recipe
-from tacgen.spec import assets, load
-from tacgen.spec.sensor import LitSensor, Sensor
+from tacgen.optics.camera import Camera
+from tacgen.optics.material_flow import Flow, Points
+from tacgen.optics.surface_grid import Sheet, Surface
+from tacgen.recipe import assets, loading, plan
+from tacgen.recipe.model import Recipe
+from tacgen.recipe.sensor import LitSensor, Sensor
+from tacgen.render import mitsuba_path
 
 Array = np.ndarray
 SHEAR = 0.5  # [mm]
@@ -37,7 +36,7 @@ class Error(NamedTuple):
 
 def sheared(name: str, quality: str = "draft") -> tuple[Sensor, Surface, Surface]:
     """A shipped sensor, its face untouched, and pressed and sheared by a ball."""
-    sensor = load.read_sensor(assets.sensor_path(name))[0]
+    sensor = loading.read_sensor(assets.sensor_path(name))[0]
     recipe = {
         "tacgen": 1, "name": "shear", "sensor": name, "indenter": {"shape": "sphere", "radius_mm": 4.0},
         "contact": {"friction": 2.0}, "outputs": ["force"], "quality": quality,
@@ -50,7 +49,7 @@ def sheared(name: str, quality: str = "draft") -> tuple[Sensor, Surface, Surface
 def measure(sensor: LitSensor, untouched: Surface, moved: Surface, variant: str, spp: int = 256) -> Error:
     """Errors of marker positions and of dense flow; a sensor without markers is given a millimetre's grid."""
     camera, fine, own = Camera.from_sensor(sensor), *(Sheet.over(sensor.gel, d) for d in (SPACING, SHEET))
-    before, after = (tracer.rest(sensor, fine, face, spp, variant) for face in (untouched, moved))
+    before, after = (mitsuba_path.rest(sensor, fine, face, spp, variant) for face in (untouched, moved))
     if sensor.markers is not None:
         dots = coating.centers(sensor.markers)
     else:

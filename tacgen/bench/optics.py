@@ -17,16 +17,17 @@ from typing import NamedTuple, cast
 
 import numpy as np
 
-from tacgen import fields, mesh, plan, render, scene, solve
-from tacgen.files import store
-from tacgen.image import variants
-from tacgen.image.tracer import PathTracer, Window
-from tacgen.optics import response
-from tacgen.optics.sheet import Sheet, Surface, Untouched
-from tacgen.optics.view import Samples
-from tacgen.recipe import QUALITIES
-from tacgen.spec import assets
-from tacgen.spec.sensor import Camera, LitSensor
+from tacgen import array_cache, solve
+from tacgen.labels import gel_surface
+from tacgen.optics import camera_response
+from tacgen.optics.camera_view import Samples
+from tacgen.optics.surface_grid import Sheet, Surface, Untouched
+from tacgen.recipe import assets, plan
+from tacgen.recipe.model import QUALITIES
+from tacgen.recipe.sensor import Camera, LitSensor
+from tacgen.render import images, mitsuba_variants
+from tacgen.render.mitsuba_path import PathTracer, Window
+from tacgen.scene import mesh, scene
 
 Array = np.ndarray
 BALL = "indenter={shape: sphere, radius_mm: 4}"
@@ -95,7 +96,7 @@ class Paths:
 
     @cached_property
     def _tracer(self) -> PathTracer:
-        return PathTracer(self.sensor, Sheet.over(self.sensor.gel, render.SPACING), self.markers, self.variant)
+        return PathTracer(self.sensor, Sheet.over(self.sensor.gel, images.SPACING), self.markers, self.variant)
 
     def seen(self, at: Samples) -> Array:
         """Linear radiance (H, W, 3), nan outside the windows."""
@@ -106,7 +107,7 @@ class Paths:
         there, made = np.zeros((height, width), bool), np.full((height, width, 3), np.nan, np.float32)
         for x, y, w, h in self.windows or [(0, 0, width, height)]:
             there[y : y + h, x : x + w] = True
-        made[there] = store.kept_one("path", self.name(at.nodes), lambda: self._trace(at)[there])
+        made[there] = array_cache.kept_one("path", self.name(at.nodes), lambda: self._trace(at)[there])
         return made
 
     def _trace(self, at: Samples) -> Array:
@@ -125,7 +126,7 @@ class Paths:
         dots = self.sensor.markers.model_dump() if self.markers and self.sensor.markers else None
         light = [led.light for led in self.sensor.leds]
         face = hashlib.sha256(nodes.astype(np.float32).tobytes()).hexdigest()
-        return render.key(self.sensor, "any", light, dots, face, self.spp, self.windows, self.looks)
+        return images.key(self.sensor, "any", light, dots, face, self.spp, self.windows, self.looks)
 
 
 def chosen(camera: Camera, count: int, seed: int = 0) -> list[Window]:
@@ -146,22 +147,24 @@ def solved(sensor: str, face: str, shrink: int) -> tuple[LitSensor, Surface, boo
     dots &= sensor != "ninedtact"  # they cannot be seen through what scatters
     row = plan.load(assets.recipe_path("quickstart"), [*sets, *([DOTS] if dots and sensor == "digit" else [])]).rows[0]
     lit = cast(LitSensor, row.sensor)
-    lit = render.zoomed(lit, lit.camera.width_px // shrink) if shrink > 1 else lit
+    lit = images.zoomed(lit, lit.camera.width_px // shrink) if shrink > 1 else lit
     if not path:
         return lit, Untouched.of(lit.gel), dots
     made = scene.build(row)
     problem = solve.Problem.of(made, mesh.of(made))
     *_, last = solve.states(made, problem)
-    return lit, fields.seen(problem.mesh, len(lit.gel.clear_layers)).moved(last.x), dots
+    return lit, gel_surface.seen(problem.mesh, len(lit.gel.clear_layers)).moved(last.x), dots
 
 
 def decibel(picture: Array, truths: Sequence[Array], camera: Camera, noisy: bool) -> tuple[float, float]:
     """PSNR [dB] of a radiance picture (H, W, 3), that may be `noisy` itself, against several noisy ones, where they are
     not nan, and its standard deviation [dB]; where that hides the error, no more PSNR than is sure."""
-    lights = np.array([response.expose(light.astype(np.float64), camera) for light in (picture, *truths)])
+    lights = np.array([camera_response.expose(light.astype(np.float64), camera) for light in (picture, *truths)])
     x, *parts = lights[:, np.isfinite(lights).all((0, 3))]
-    slope = response.slope(np.clip(x, 0.0, 1.0)) * (x < 1.0)
-    off = np.array([response.srgb(x) - response.srgb(part) if noisy else slope * (x - part) for part in parts])
+    slope = camera_response.slope(np.clip(x, 0.0, 1.0)) * (x < 1.0)
+    off = np.array(
+        [camera_response.srgb(x) - camera_response.srgb(part) if noisy else slope * (x - part) for part in parts]
+    )
     products = (off.sum(0) ** 2 - (off**2).sum(0)).mean(1) / (len(off) * (len(off) - 1))  # of each with each other
     sure = float(products.std() / np.sqrt(products.size))
     error = max(float(products.mean()), sure, 1e-9)
@@ -172,8 +175,8 @@ def reference(name: str, face: str, shrink: int, how: Truth, variant: str) -> Re
     """A solved face and its traced pictures, from the cache where they are."""
     sensor, surface, dots = solved(name, face, shrink)
     windows = chosen(sensor.camera, how.pixels) if how.pixels else ()
-    variant = variants.SCALAR if windows else variant  # others compile anew for each window
-    kept = render.Renderer(sensor, 1, 0, dots, variant, "path")
+    variant = mitsuba_variants.SCALAR if windows else variant  # others compile anew for each window
+    kept = images.Renderer(sensor, 1, 0, dots, variant, "path")
     kept.light = Paths(sensor, dots, how.spp, variant, windows, True)
     return Reference(sensor, surface, dots, [kept.image(surface) for _ in range(how.parts)])
 
@@ -182,7 +185,7 @@ def measure(
     name: str, found: Mapping[str, Reference], ways: Sequence[tuple[str, str]], variant: str
 ) -> Iterator[Outcome]:
     """Each outcome of a sensor, whose faces' references are given."""
-    ready: dict[tuple[str, str, bool], tuple[render.Renderer, float]] = {}
+    ready: dict[tuple[str, str, bool], tuple[images.Renderer, float]] = {}
     for face, (sensor, surface, dots, truths) in found.items():
         size, best = (sensor.camera.width_px, sensor.camera.height_px), truths[0]
         for method, setting in ways:
@@ -192,7 +195,7 @@ def measure(
                 continue
             if (method, setting, dots) not in ready:
                 begun, paths = time.process_time(), QUALITIES[setting].spp if method == "transport" else int(setting)
-                made = render.Renderer(sensor, paths, 0, dots, variant, method)  # type: ignore[arg-type]
+                made = images.Renderer(sensor, paths, 0, dots, variant, method)  # type: ignore[arg-type]
                 ready[method, setting, dots] = made, time.process_time() - begun
                 made.image(surface)  # compiles
             renderer, before = ready[method, setting, dots]
@@ -212,7 +215,7 @@ def _noise(seen: Reference, spp: int, best: Array, variant: str) -> tuple[float,
     rows = max(1, height // (BANDS * PART))
     bands = [(0, (2 * i + 1) * height // (2 * BANDS) - rows // 2, width, rows) for i in range(BANDS)]
     begun = time.process_time()
-    renderer = render.Renderer(seen.sensor, 1, 0, seen.dots, variant, "path")
+    renderer = images.Renderer(seen.sensor, 1, 0, seen.dots, variant, "path")
     paths = renderer.light = Paths(seen.sensor, seen.dots, spp, variant, bands, False)
     before = time.process_time() - begun
     paths.spp = 1

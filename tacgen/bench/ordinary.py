@@ -9,12 +9,13 @@ from functools import cache
 
 import numpy as np
 
-from tacgen import mesh, scene, solve
+from tacgen import solve
 from tacgen.bench.answers import row_of
 from tacgen.bench.draws import BALL, Draw, drawn
 from tacgen.bench.kit import Cell, Level, Result, Say, Table, columns, cores
 from tacgen.bench.shorter import TIMES, finer
 from tacgen.errors import UserError
+from tacgen.scene import mesh, scene
 from tacgen.solve import SolverOptions, foresee
 
 Array = np.ndarray

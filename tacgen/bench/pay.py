@@ -78,8 +78,7 @@ def bench(level: Level, say: Say) -> Result:
 
 def rows_of(outputs: str, sets: list[str]) -> Any:
     """The plan's rows of the scene with these outputs and changes."""
-    from tacgen import plan
-    from tacgen.spec import assets
+    from tacgen.recipe import assets, plan
 
     return plan.load(assets.recipe_path("quickstart"), (*SCENE, *sets, f"outputs=[{outputs}]")).rows
 
@@ -155,11 +154,13 @@ def labels(sensor: str) -> dict[str, list[float]]:
     """Seconds a frame of solve, stress and maps, and the worst frame's disagreements."""
     import numpy as np
 
-    from tacgen import fields, mesh, plan, scene, solve
-    from tacgen.labels.maps import maps
+    from tacgen import solve
+    from tacgen.labels import gel_surface
+    from tacgen.labels.contact_maps import maps
     from tacgen.labels.stress import Stresses
-    from tacgen.optics.layers import Camera
-    from tacgen.spec import assets
+    from tacgen.optics.camera import Camera
+    from tacgen.recipe import assets, plan
+    from tacgen.scene import mesh, scene
 
     slide, twist = "{slide: {x_mm: 1, y_mm: 0.3, frames: 2}}", "{twist: {angle_deg: 12, frames: 2}}"
     moves = f"trajectory=[{{press: {{depth_mm: 0.8, frames: 2}}}}, {slide}, {twist}]"
@@ -169,7 +170,7 @@ def labels(sensor: str) -> dict[str, list[float]]:
     made = scene.build(row)
     problem = solve.Problem.of(made, mesh.of(made))
     camera, stresses = Camera.from_sensor(row.sensor), Stresses(problem)
-    rest = fields.Surface(problem.mesh.points, problem.mesh.facets["coated"])
+    rest = gel_surface.Surface(problem.mesh.points, problem.mesh.facets["coated"])
     seconds, worst = np.zeros(3), np.zeros(5)
     states, count = solve.states(made, problem), 0
     while True:
@@ -185,7 +186,7 @@ def labels(sensor: str) -> dict[str, list[float]]:
         if count:  # the first compiles
             seconds += np.diff(clock)
         count += 1
-        force, _ = fields.wrench(problem, state)
+        force, _ = gel_surface.wrench(problem, state)
         lost = np.linalg.norm(found.force.sum((0, 1)) - force) / np.linalg.norm(force)
         size, limit = np.linalg.norm(found.traction, axis=-1), 0.6 * found.pressure
         worst = np.maximum(worst, [*quality.values(), lost, (size - limit).max() / limit.max()])

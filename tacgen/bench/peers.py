@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from tacgen import mesh, scene, solve
+from tacgen import array_cache, solve
 from tacgen.bench import calculix
 from tacgen.bench.answers import BALL, answer, kept, row_of
 from tacgen.bench.kit import Cell, Level, Plot, Result, Say, Series, Table, columns, cores
 from tacgen.fem.materials import NeoHooke
-from tacgen.fem.shapes import Sphere
-from tacgen.files import store
-from tacgen.solid.gel import Gel, Layer
+from tacgen.geometry.analytic_sdf import Sphere
+from tacgen.geometry.gel import Gel, Layer
+from tacgen.scene import mesh, scene
 
 ABOUT = (
     "One press on the Mini's pad (ball of 4 mm, 1 mm deep, no friction, E 0.15 MPa, nu 0.48), by tacgen's hexes, by"
@@ -98,8 +98,8 @@ def _fine(name: str, quality: str | None) -> float:
     """Force [N] by tacgen at this quality, or by CalculiX, whose version the name says."""
     if quality is not None:
         return -float(kept((*PRESS, f"quality={quality}")).force[-1, 2])
-    gel, key = scene.build(row_of(PRESS)).gel, store.digest([name, *PRESS, Path(calculix.__file__).read_bytes()])
-    return float(store.kept_one("bench", key, lambda: np.array(calculix.press(gel, 4.0, 1.0, FINEST).force)))
+    gel, key = scene.build(row_of(PRESS)).gel, array_cache.digest([name, *PRESS, Path(calculix.__file__).read_bytes()])
+    return float(array_cache.kept_one("bench", key, lambda: np.array(calculix.press(gel, 4.0, 1.0, FINEST).force)))
 
 
 def _runs(name: str, sets: tuple[str, ...], edges: tuple[float, ...], say: Say) -> Runs:

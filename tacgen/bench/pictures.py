@@ -7,9 +7,9 @@ from typing import cast
 from tacgen.bench import flow, optics
 from tacgen.bench.kit import Cell, Level, Plot, Result, Say, Series, Table, columns, cores
 from tacgen.bench.optics import Truth
-from tacgen.image import variants
-from tacgen.spec import assets, load
-from tacgen.spec.sensor import LitSensor
+from tacgen.recipe import assets, loading
+from tacgen.recipe.sensor import LitSensor
+from tacgen.render import mitsuba_variants
 
 ABOUT = (
     "Pictures of solved faces against Mitsuba's `path`: PSNR on developed sRGB before rounding and without the"
@@ -32,7 +32,7 @@ FLOW_PATHS = {"normal": 36, "full": 256}
 
 def bench(level: Level, say: Say) -> Result:
     """Every sensor, method and setting, on more faces and with more paths the fuller it is asked for."""
-    variant, names = variants.best().variant, SENSORS[:1] if level == "smoke" else SENSORS
+    variant, names = mitsuba_variants.best().variant, SENSORS[:1] if level == "smoke" else SENSORS
     found = list(_pictures(level, names, variant, say))
     rows: list[list[Cell]] = []
     for one in found:
@@ -67,7 +67,7 @@ def _pictures(level: Level, names: Sequence[str], variant: str, say: Say) -> Ite
         found = {job[:2]: one for job, one in zip(jobs, every(optics.reference, *zip(*jobs, strict=True)), strict=True)}
     say("references are there")
     for name in names:
-        scatters = any(layer.scattering for layer in load.read_sensor(assets.sensor_path(name))[0].gel.layers)
+        scatters = any(layer.scattering for layer in loading.read_sensor(assets.sensor_path(name))[0].gel.layers)
         ways = [*optics.WAYS, *([] if scatters else TABLE)][: 1 if level == "smoke" else None]
         for one in optics.measure(name, {face: found[name, face] for face in FACES[level]}, ways, variant):
             say(f"{name} {one.face} {one.method} {one.setting}: {one.decibel:.1f} dB in {one.seconds:.2f} s")

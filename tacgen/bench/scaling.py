@@ -15,13 +15,13 @@ from typing import Any
 
 import numpy as np
 
-from tacgen import batch, pipeline, plan
+from tacgen import batch, pipeline
 from tacgen.batch.local import Pool
-from tacgen.batch.watch import memory
+from tacgen.batch.worker_process import memory
 from tacgen.bench.kit import Cell, Level, Plot, Result, Say, Series, Table, apart, columns, each_apart
-from tacgen.bundle import Writer
-from tacgen.files.resume import SceneResult, once
-from tacgen.spec import assets
+from tacgen.bundle.bundle import Writer
+from tacgen.bundle.resume import SceneResult, once
+from tacgen.recipe import assets, plan
 
 ABOUT = (
     "Many scenes by `tacgen run --workers`, and where the time of one scene goes, by the bundles' own timing files."
@@ -244,7 +244,7 @@ def _reading(out: Path, say: Say) -> Table:
     """Frames at random by PyTorch's DataLoader, RGB and force, 320 x 240, two loader workers."""
     from torch.utils.data import DataLoader
 
-    from tacgen.files import pack, source
+    from tacgen.bundle import dataset, pack
     from tacgen.torch import TactileDataset
 
     rows = plan.load(
@@ -253,7 +253,7 @@ def _reading(out: Path, say: Say) -> Table:
     batch.run(plan.Plan("reading", rows), out / "one")
     for i in range(1, 200):  # of different names, so that no cache can help
         shutil.copy(out / "one" / "scene-00000.h5", out / "one" / f"scene-{i:05d}.h5")
-    packed = pack.pack(source.scenes(out / "one"), out / "packed", 32).folder
+    packed = pack.pack(dataset.scenes(out / "one"), out / "packed", 32).folder
     table: list[list[Cell]] = []
     for name, kind in (("bundles", out / "one"), ("packed", packed)):
         data = TactileDataset(kind)

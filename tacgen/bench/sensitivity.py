@@ -5,13 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from tacgen import mesh, scene, solve
+from tacgen import solve
 from tacgen.bench.answers import row_of
 from tacgen.bench.cases import CASES, PLAIN, SCALES, Sets, scaled
 from tacgen.bench.kit import Cell, Level, Say, Table, columns, cores
-from tacgen.fem.contact import Pose
+from tacgen.contact.barrier import Pose
 from tacgen.fem.materials import NeoHooke
 from tacgen.fem.potential import Projection, Total
+from tacgen.scene import mesh, scene
 from tacgen.solve.linear_solvers import NotPositiveDefinite, SuperLU
 
 Array = np.ndarray

@@ -8,11 +8,12 @@ from itertools import pairwise
 
 import numpy as np
 
-from tacgen import mesh, scene, solve
+from tacgen import solve
 from tacgen.bench.answers import row_of
 from tacgen.bench.cases import CASES, PLAIN, RANDOM, Sets, random
 from tacgen.bench.kit import Cell, Level, Say, Table, columns, cores
-from tacgen.path import along, shortest_turn
+from tacgen.scene import mesh, scene
+from tacgen.scene.path import along, shortest_turn
 
 Array = np.ndarray
 TIMES = 4  # as many frames

@@ -9,13 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
-from tacgen import mesh, scene, solve
+from tacgen import solve
 from tacgen.bench.answers import row_of
 from tacgen.bench.cases import CASES, PLAIN, RANDOM, blade, random, slivers, wavefront
 from tacgen.bench.kit import Cell, Level, Result, Say, Table, columns, cores
+from tacgen.contact.barrier import Pose
 from tacgen.errors import UserError
-from tacgen.fem.contact import Pose
 from tacgen.fem.elements import HEX_CORNERS
+from tacgen.scene import mesh, scene
 
 Array = np.ndarray
 ABOUT = (

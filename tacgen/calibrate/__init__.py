@@ -6,14 +6,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from tacgen.spec import assets, load, yamlfile
-from tacgen.spec.explain import Problem, report
-from tacgen.spec.sensor import LIGHTS, LitSensor, Sensor
-from tacgen.spec.yamlfile import KeyPath
+from tacgen.recipe import assets, loading, yaml_source
+from tacgen.recipe.sensor import LIGHTS, LitSensor, Sensor
+from tacgen.recipe.validation_messages import Problem, report
+from tacgen.recipe.yaml_source import KeyPath
 
 if TYPE_CHECKING:
-    from tacgen.calibrate.fitted import Fitted
     from tacgen.calibrate.photos import Photos
+    from tacgen.calibrate.result import Fitted
 
 BY = "by tacgen calibrate optics"
 EVERY = 3  # of so many presses the last is held out
@@ -62,7 +62,7 @@ class Calibrated:
         """For a program."""
         found = self.fitted
         errors = {name: getattr(found, name) for name in ("untouched", "before", "presses", "held_out", "deeper")}
-        changes = {yamlfile.format_path(path): value for path, value in self.changes.items()}
+        changes = {yaml_source.format_path(path): value for path, value in self.changes.items()}
         return {"sensor": self.sensor.name, **errors, "held_out_files": list(self.held_out), "changes": changes}
 
     def write(self, out: Path) -> None:
@@ -70,9 +70,9 @@ class Calibrated:
         changes = dict(self.changes)
         if self.sensor.gel.solid is not None:
             solid = assets.mesh_path(self.sensor.gel.solid.file, self.path.parent)
-            changes[load.SOLID] = os.path.relpath(solid.resolve(), out.parent.resolve())
+            changes[loading.SOLID] = os.path.relpath(solid.resolve(), out.parent.resolve())
         out.parent.mkdir(parents=True, exist_ok=True)
-        out.write_text(yamlfile.edited(self.path, changes), encoding="utf-8")
+        out.write_text(yaml_source.edited(self.path, changes), encoding="utf-8")
 
 
 def optics(name: str, folder: Path, asked: Asked | None = None) -> Calibrated:
@@ -84,22 +84,22 @@ def optics(name: str, folder: Path, asked: Asked | None = None) -> Calibrated:
     from tacgen.calibrate import photos as reading
 
     asked, path = asked or Asked(), assets.sensor_path(name)
-    sensor, tree = load.read_sensor(path)
+    sensor, tree = loading.read_sensor(path)
     if not sensor.lit:
         missing = next(part for part in LIGHTS if getattr(sensor, part) is None)
         problem = Problem((missing,), "is missing: a fit starts from a file with all its lights, roughly placed")
         raise report([(problem, tree)])
     lit, photos = cast(LitSensor, sensor), reading.read(folder, sensor.camera)
-    folders = {("sensor", *load.SOLID): load.solid_folder(tree)} if sensor.gel.solid else {}
+    folders = {("sensor", *loading.SOLID): loading.solid_folder(tree)} if sensor.gel.solid else {}
     held_out = [k for k in range(1, len(photos.presses) + 1) if k % EVERY == 0]
     if any(layer.scattering for layer in sensor.gel.clear_layers):
-        from tacgen.calibrate import cloudy
+        from tacgen.calibrate import fit_scattering
 
-        found = cloudy.fit(lit, photos, held_out, folders)
+        found = fit_scattering.fit(lit, photos, held_out, folders)
     else:
-        from tacgen.calibrate import clear
+        from tacgen.calibrate import fit_clear
 
-        found = clear.fit(lit, photos, held_out, folders, asked)
+        found = fit_clear.fit(lit, photos, held_out, folders, asked)
     said = _said(photos)
     changes = _changes(lit, found, said, bare=asked.bare)
     names = tuple(photos.presses[k - 1].name for k in held_out)

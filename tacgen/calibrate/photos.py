@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from tacgen.errors import UserError
-from tacgen.image import photo
-from tacgen.spec.sensor import Camera
+from tacgen.recipe import background_photo
+from tacgen.recipe.sensor import Camera
 
 Array = np.ndarray
 UNTOUCHED = ("background.png", "background.jpg", "background.jpeg", "background.bmp")
@@ -62,7 +62,7 @@ def read(folder: Path, camera: Camera) -> Photos:
 def _picture(path: Path, camera: Camera, wrong: list[str]) -> Array:
     """The picture, if it can be calibrated with."""
     try:
-        picture = photo.read(path)
+        picture = background_photo.read(path)
     except UserError as error:
         wrong += error.lines
         return np.zeros(0)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from tacgen.errors import UserError
 
 if TYPE_CHECKING:
-    from tacgen.bundle import Bundle
+    from tacgen.bundle.bundle import Bundle
 
 EXPORTERS = {
     "exr": "linear light, height, normals and material points as OpenEXR: one .exr file a frame (tacgen[exr])",
@@ -33,7 +33,7 @@ def bundles(source: Path) -> "list[Bundle]":
     Raises:
         UserError: there is none, or one is damaged.
     """
-    from tacgen.files.source import scenes
+    from tacgen.bundle.dataset import scenes
 
     found = [bundle for bundle in scenes(source) if bundle.attrs["status"] == "ok"]
     if not found:

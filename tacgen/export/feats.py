@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tacgen.bundle import Bundle
+from tacgen.bundle.bundle import Bundle
 from tacgen.errors import UserError
 from tacgen.export import names, needs
 

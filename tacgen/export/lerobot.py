@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from tacgen.bundle import Bundle
+from tacgen.bundle.bundle import Bundle
 from tacgen.errors import UserError
 from tacgen.export import needs
 from tacgen.export.univtac import poses

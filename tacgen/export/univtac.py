@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from tacgen.bundle import Bundle
+from tacgen.bundle.atomic_file import Sink
+from tacgen.bundle.bundle import Bundle
 from tacgen.export import names, needs
-from tacgen.files.partfile import Sink
 
 JPEG_QUALITY = 95  # what UniVTAC's encoder uses
 
@@ -100,7 +100,7 @@ def poses(matrices: np.ndarray) -> np.ndarray:
 
 def _pinhole_mm(bundle: Bundle) -> float:
     """Height of the camera's pinhole in the sensor frame [mm]."""
-    from tacgen.optics.layers import Camera
-    from tacgen.spec.sensor import Sensor
+    from tacgen.optics.camera import Camera
+    from tacgen.recipe.sensor import Sensor
 
     return float(Camera.from_sensor(Sensor.model_validate_json(bundle.attrs["sensor_document"])).pinhole[2])

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from tacgen.bundle import Bundle
+from tacgen.bundle.atomic_file import Sink
+from tacgen.bundle.bundle import Bundle
 from tacgen.export import names, needs
-from tacgen.files.partfile import Sink
 
 VERSION = (2, 2)  # the first with steps over a mesh that is written once in ParaView as well (5.13)
 CELL_TYPES = {8: 12, 4: 10, 10: 24}  # nodes -> VTK_HEXAHEDRON, VTK_TETRA, VTK_QUADRATIC_TETRA

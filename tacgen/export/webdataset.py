@@ -12,10 +12,10 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from tacgen.bundle import Bundle
+from tacgen.bundle.bundle import Bundle
+from tacgen.bundle.schema import UNITS
 from tacgen.errors import UserError
 from tacgen.export import names
-from tacgen.files.layout import UNITS
 
 SHARD_BYTES = 1_000_000_000
 

@@ -1,6 +1,6 @@
 """State -> Stress: Cauchy stress per element and per node, the traction it gives on the face, and how good it is.
 
-Nodal values come from superconvergent patch recovery (see fem/recovery), layer by layer. On the coated face they are
+Nodal values come from superconvergent patch recovery (see fem/stress_recovery), layer by layer. On the coated face they are
 made to agree with the recovered nominal stress P, whose traction loses nothing of the force:
 
     sigma n da = P N dA     (Nanson)
@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tacgen.fem.contact import Faces
+from tacgen.contact.barrier import Faces
 from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import facet_areas, facet_points
-from tacgen.fem.recovery import FULL, Recovery
+from tacgen.fem.stress_recovery import FULL, Recovery
 from tacgen.solve import Problem, State
 
 Array = np.ndarray

@@ -4,12 +4,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tacgen.optics.lights import diffuse
+from tacgen.optics.mitsuba_dicts import diffuse
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from tacgen.spec.sensor import Coating, Markers
+    from tacgen.recipe.sensor import Coating, Markers
 
     Floats = NDArray[np.float64]
 

@@ -16,8 +16,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tacgen.fem.contact import Contact
-from tacgen.fem.coupled_contact import CoupledContact
+from tacgen.contact.barrier import Contact
+from tacgen.contact.coupled import CoupledContact
 from tacgen.solve.bulk import Bulk, BulkPoint
 from tacgen.solve.condensation import Schur
 from tacgen.solve.contact_newton import ContactSolution, Quadratic, solve_contact

@@ -11,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from tacgen.fem.coupled_contact import ContactForces, CoupledContact
+from tacgen.contact.coupled import ContactForces, CoupledContact
 from tacgen.solve.condensation import Schur
 
 Array = np.ndarray

@@ -4,12 +4,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tacgen.fem import friction as fr
-from tacgen.fem.contact import Contact, Pose
-from tacgen.fem.coupled_contact import ContactForces, CoupledContact
+from tacgen.contact import friction as fr
+from tacgen.contact.barrier import Contact, Pose
+from tacgen.contact.coupled import ContactForces, CoupledContact
+from tacgen.contact.tunnelling import blocked, depth_inside
 from tacgen.fem.jacobian import least_jacobian
 from tacgen.fem.potential import Potential, Total
-from tacgen.fem.tunnelling import blocked, depth_inside
 from tacgen.solve import full_newton
 from tacgen.solve.bulk import Bulk
 from tacgen.solve.bulk_newton import BulkNewton, why, with_neighbours

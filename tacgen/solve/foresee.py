@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from tacgen import mesh, solve
-from tacgen.path import FORCE_DEPTH
-from tacgen.scene import Scene
+from tacgen import solve
+from tacgen.scene import mesh
+from tacgen.scene.path import FORCE_DEPTH
+from tacgen.scene.scene import Scene
 
 HOPELESS = 2  # times the most that the coarse mesh gives
 COARSE = 5  # edges through the thickness, of the mesh on which depths are foreseen

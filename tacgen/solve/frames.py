@@ -10,9 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from tacgen.fem.contact import Pose
-from tacgen.path import FORCE_DEPTH, shortest_turn
-from tacgen.scene import Scene
+from tacgen.contact.barrier import Pose
+from tacgen.scene.path import FORCE_DEPTH, shortest_turn
+from tacgen.scene.scene import Scene
 from tacgen.solve.equilibrium import equilibrium
 from tacgen.solve.force_control import POWER, OutOfReach, meet
 from tacgen.solve.load_stepping import advance

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import scipy.sparse as sp
 
-from tacgen.fem.coupled_contact import CoupledContact
+from tacgen.contact.coupled import CoupledContact
 from tacgen.fem.potential import Projection
 from tacgen.solve.bulk import Bulk, BulkPoint
 from tacgen.solve.contact_newton import ContactSolution, solve_contact

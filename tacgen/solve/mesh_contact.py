@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from tacgen.fem import friction as fr
-from tacgen.fem.contact import Pose
-from tacgen.fem.coupled_contact import ContactForces
-from tacgen.fem.friction import Friction
+from tacgen.contact import friction as fr
+from tacgen.contact.barrier import Pose
+from tacgen.contact.coupled import ContactForces
+from tacgen.contact.friction import Friction
 from tacgen.fem.potential import Potential, Total
 from tacgen.solve.lagging import Lag
 from tacgen.solve.newton import Status, minimise
@@ -20,7 +20,7 @@ from tacgen.solve.problem import Problem
 from tacgen.solve.state import History, NotConverged, TooFar
 
 if TYPE_CHECKING:
-    from tacgen.fem.ipc import MeshContact
+    from tacgen.contact.ipctk import MeshContact
 
 Array = np.ndarray
 

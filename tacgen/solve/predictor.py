@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tacgen.fem.contact import Contact, Pose
+from tacgen.contact.barrier import Contact, Pose
 from tacgen.solve.bulk import Tangent
 from tacgen.solve.state import History
 

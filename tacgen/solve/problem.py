@@ -7,21 +7,21 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
+from tacgen.contact.barrier import Contact, Faces, Pose
 from tacgen.fem.assembly import Pattern, pattern
-from tacgen.fem.contact import Contact, Faces, Pose
 from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import elements
 from tacgen.fem.folding_barrier import FoldingBarrier
-from tacgen.mesh import Mesh
-from tacgen.scene import Scene
+from tacgen.scene.mesh import Mesh
+from tacgen.scene.scene import Scene
 from tacgen.solve import linear_solvers
 from tacgen.solve.bulk import Tangent
 from tacgen.solve.options import DEFAULT, SolverOptions
 from tacgen.solve.state import Effort, History
 
 if TYPE_CHECKING:
+    from tacgen.contact.ipctk import MeshContact
     from tacgen.fem.inertia import Body
-    from tacgen.fem.ipc import MeshContact
 
 Array = np.ndarray
 USUAL_GAP = 0.75  # of dhat: the mean gap of a light press, by which the indenter is shrunk at first
@@ -121,7 +121,7 @@ def _contact(scene: Scene, mesh: Mesh, pat: Pattern) -> AnyContact:
     kappa = 2 * scene.gel.layers[-1].youngs_modulus
     if scene.surface is None:
         return Contact(Faces.on(pat, mesh.points, facets), scene.shape, pose, scene.dhat, kappa)
-    from tacgen.fem.ipc import MeshContact, Pair
+    from tacgen.contact.ipctk import MeshContact, Pair
 
     pair = Pair.of(pat, mesh.points, facets, scene.surface)
     return MeshContact(pair, Contact(pair.faces, scene.shape, pose, scene.dhat, kappa), pose, scene.dhat, kappa)

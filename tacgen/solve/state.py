@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tacgen.fem.contact import Pose
+from tacgen.contact.barrier import Pose
 
 Array = np.ndarray
 

@@ -4,10 +4,10 @@ from functools import cache
 
 import numpy as np
 
-from tacgen import mesh
 from tacgen.fem.materials import NeoHooke
-from tacgen.fem.shapes import Sphere
-from tacgen.scene import Gel, Layer, Scene
+from tacgen.geometry.analytic_sdf import Sphere
+from tacgen.scene import mesh
+from tacgen.scene.scene import Gel, Layer, Scene
 from tacgen.solve.frames import states
 from tacgen.solve.problem import Problem
 

@@ -10,18 +10,18 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from helpers.scenes import made, spoil
 
-from batch.scenes import made, spoil
 from batch.test_local import digests, leftovers, run
-from tacgen.check import check
-from tacgen.files.survey import survey
+from tacgen.bundle.check import check
+from tacgen.bundle.run_status import survey
 
 TESTS = Path(__file__).parent.parent
 PROGRAM = f"""
 import sys
 from pathlib import Path
 sys.path.insert(0, {str(TESTS)!r})
-from batch.scenes import TASK, make_plan
+from helpers.scenes import TASK, make_plan
 from tacgen import batch
 out = Path(sys.argv[1])
 results = batch.run(make_plan(out.parent), out, task=TASK, workers=int(sys.argv[2]))

@@ -7,15 +7,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from helpers.scenes import TASK, made, make, make_plan, spoil
 
-from batch.scenes import TASK, made, make, make_plan, spoil
 from tacgen import batch
 from tacgen.batch import Limits
-from tacgen.batch.journal import read_journal
 from tacgen.batch.local import Pool
-from tacgen.check import check
+from tacgen.bundle.check import check
+from tacgen.bundle.journal import read_journal
+from tacgen.bundle.run_status import survey
 from tacgen.errors import UserError
-from tacgen.files.survey import survey
 
 QUICK = Limits(silence_s=3.0)
 
@@ -111,7 +111,7 @@ def test_workers_that_cannot_start_are_one_line(tmp_path: Path):
 
 
 def test_workers_use_one_thread_and_respect_the_user(monkeypatch: pytest.MonkeyPatch):
-    from tacgen.batch.watch import THREADS, Worker
+    from tacgen.batch.worker_process import THREADS, Worker
 
     for name in THREADS:
         monkeypatch.delenv(name, raising=False)
@@ -167,7 +167,7 @@ def test_a_bundle_that_only_a_newer_tacgen_reads_is_not_written_over(tmp_path: P
 
 
 def test_status_tells_damage_other_inputs_and_work_in_progress(tmp_path: Path):
-    from tacgen.files import partfile
+    from tacgen.bundle import atomic_file
 
     out = tmp_path / "out"
     run(out, samples=5)
@@ -175,7 +175,7 @@ def test_status_tells_damage_other_inputs_and_work_in_progress(tmp_path: Path):
     (out / "scene-00001.h5").unlink()
     (out / "scene-00002.h5").unlink()
     (out / "scene-00003.h5").write_bytes((out / "scene-00004.h5").read_bytes())
-    with partfile.claim(out / "scene-00001.h5"):
+    with atomic_file.claim(out / "scene-00001.h5"):
         states = [scene.state for scene in survey(out).scenes]
     assert states == ["damaged", "at work", "waiting", "waiting", "ok"]
     assert survey(out).scenes[3].reason == "its place is taken by a bundle of other inputs"

@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
+from helpers.small import dense, patch, slope
 
-from tacgen.fem.contact import Contact, Pose
+from tacgen.contact.barrier import Contact, Pose
 from tacgen.fem.elements import facet_areas, facet_corners, facet_hats, facet_points, facet_shares, triangles
-from tacgen.fem.shapes import Sphere
-
-from .small import dense, patch, slope
+from tacgen.geometry.analytic_sdf import Sphere
 
 KINDS = pytest.mark.parametrize("nodes", [4, 3, 6])
 

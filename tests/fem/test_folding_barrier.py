@@ -2,17 +2,16 @@
 
 import numpy as np
 import pytest
+from helpers.small import block, dense, distorted, slope, tetrahedral, turn, whole
 
+from fem.test_jacobian import CUBE, FOLDED, HEX
 from tacgen.fem.assembly import Pattern, pattern
 from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import elements
 from tacgen.fem.folding_barrier import J0, ClampedLog, FoldingBarrier
 from tacgen.fem.materials import NeoHooke
+from tacgen.fem.mesh_quality import scaled_jacobian
 from tacgen.fem.potential import Potential, Projection
-from tacgen.fem.quality import scaled_jacobian
-
-from .small import block, dense, distorted, slope, tetrahedral, turn, whole
-from .test_jacobian import CUBE, FOLDED, HEX
 
 Array = np.ndarray
 MU = 0.05

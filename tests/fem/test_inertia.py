@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from helpers.small import block, dense, distorted, slope, tetrahedral, turn, whole
 
 from tacgen.fem.assembly import Pattern, pattern
 from tacgen.fem.elasticity import Elastic
@@ -11,8 +12,6 @@ from tacgen.fem.materials import NeoHooke
 from tacgen.fem.potential import Total
 from tacgen.solve.linear_solvers import Cholmod
 from tacgen.solve.newton import minimise
-
-from .small import block, dense, distorted, slope, tetrahedral, turn, whole
 
 Array = np.ndarray
 LAW = NeoHooke(0.05, 0.4)

@@ -8,7 +8,7 @@ import pytest
 from tacgen.fem import jacobian
 from tacgen.fem.elements import HEX_CORNERS, TET_EDGES, barycentric, boxes, quadratic
 from tacgen.fem.jacobian import least_jacobian
-from tacgen.fem.quality import nodal_volume, scaled_jacobian
+from tacgen.fem.mesh_quality import nodal_volume, scaled_jacobian
 
 Array = np.ndarray
 CUBE = (HEX_CORNERS + 1) / 2

@@ -8,10 +8,10 @@ import pytest
 from scipy.optimize import brentq
 
 from tacgen.fem.materials import EXAMPLES, LAWS, Law
-from tacgen.scene import gel_of, law_of
-from tacgen.spec.explain import validate
-from tacgen.spec.load import read_sensor
-from tacgen.spec.sensor import Gel, Layer, Sensor
+from tacgen.recipe.loading import read_sensor
+from tacgen.recipe.sensor import Gel, Layer, Sensor
+from tacgen.recipe.validation_messages import validate
+from tacgen.scene.scene import gel_of, law_of
 
 SENSOR = Path(__file__).parents[2] / "sensors" / "gelsight_mini.yaml"
 Array = np.ndarray

@@ -4,13 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from helpers.small import dense, distorted, slope, turn, whole
 
 from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import Elements, hexes
 from tacgen.fem.materials import EXAMPLES, LAWS, Derivatives, Law
 from tacgen.fem.potential import Projection
-
-from .small import dense, distorted, slope, turn, whole
 
 Array = np.ndarray
 GEL: dict[str, Law] = {name: EXAMPLES[name] for name in LAWS}

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from helpers.small import block, dense, full, tetrahedral
 
 from tacgen.fem import elasticity
 from tacgen.fem.assembly import Pattern, deformation, pattern, predicted
@@ -9,8 +10,6 @@ from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import elements
 from tacgen.fem.materials import NeoHooke
 from tacgen.fem.potential import Projection
-
-from .small import block, dense, full, tetrahedral
 
 Array = np.ndarray
 MU = 0.05

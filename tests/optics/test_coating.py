@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
+from helpers.tiny import sensor
 
-from tacgen.optics import coating, lights, response
-from tacgen.optics.sheet import Sheet, Untouched
-from tacgen.optics.view import View
-
-from .tiny import sensor
+from tacgen.optics import camera_response, coating, mitsuba_dicts
+from tacgen.optics.camera_view import View
+from tacgen.optics.surface_grid import Sheet, Untouched
 
 
 def test_dots_lie_on_their_grid_and_cover_their_area():
@@ -22,43 +21,43 @@ def test_dots_lie_on_their_grid_and_cover_their_area():
 
 
 def test_a_rectangle_keeps_size_place_and_front():
-    matrix = lights.rectangle((1, 2, 3), (0, 0, -2), (0, 1, 0), (4.0, 6.0))
+    matrix = mitsuba_dicts.rectangle((1, 2, 3), (0, 0, -2), (0, 1, 0), (4.0, 6.0))
     corners = np.array([[x, y, 0, 1] for x in (-1, 1) for y in (-1, 1)]) @ matrix.T
     assert np.ptp(corners[:, :3], axis=0) == pytest.approx([4.0, 6.0, 0.0])
     assert corners[:, :3].mean(axis=0) == pytest.approx([1, 2, 3])
     assert matrix[:3, 2] == pytest.approx([0, 0, -1])
     assert np.linalg.det(matrix[:3, :3]) > 0
     with pytest.raises(ValueError, match="parallel"):
-        lights.frame((0, 0, 1), (0, 0, -1))
+        mitsuba_dicts.frame((0, 0, 1), (0, 0, -1))
 
 
 def test_equal_indices_leave_no_interface():
-    assert set(lights.interfaces(sensor())) == {"into_plate", "into_gel"}
-    assert set(lights.interfaces(sensor(plate={"refractive_index": 1.41}))) == {"into_plate"}
+    assert set(mitsuba_dicts.interfaces(sensor())) == {"into_plate", "into_gel"}
+    assert set(mitsuba_dicts.interfaces(sensor(plate={"refractive_index": 1.41}))) == {"into_plate"}
 
 
 def test_response_is_srgb_with_a_vignette():
-    assert response.srgb(np.array([0.0, 0.0031308, 0.2140, 1.0, 7.0])) == pytest.approx(
+    assert camera_response.srgb(np.array([0.0, 0.0031308, 0.2140, 1.0, 7.0])) == pytest.approx(
         [0, 0.04045, 0.5, 1, 1], abs=2e-4
     )
     camera = sensor().camera
-    fall = response.vignette(camera)
+    fall = camera_response.vignette(camera)
     assert fall.max() == pytest.approx(1.0, abs=1e-3)
     r2 = ((19.5**2 + 15.5**2) * 0.04) / 81.0
     assert fall[0, 0] == pytest.approx(1 / (1 + r2) ** 2)
-    picture = response.develop(np.full((32, 40, 3), 0.2140), camera)
+    picture = camera_response.develop(np.full((32, 40, 3), 0.2140), camera)
     assert picture.dtype == np.uint8
     assert picture[16, 20, 0] in (127, 128)
 
 
 def test_stray_light_is_even_after_the_response_and_dots_stay_dark_in_it():
     model = sensor(camera={"ambient": (0.1, 0.2, 0.3), "exposure": 2.0})
-    assert response.expose(response.stray(model.camera), model.camera) == pytest.approx(
+    assert camera_response.expose(camera_response.stray(model.camera), model.camera) == pytest.approx(
         np.broadcast_to([0.1, 0.2, 0.3], (32, 40, 3))
     )
     dark = model.model_copy(update={"leds": tuple(x.model_copy(update={"radiance": (0, 0, 0)}) for x in model.leds)})
     view = View(dark, Sheet.over(dark.gel, 0.2), True)
-    seen = view.dimmed(view.look(Untouched()), view.samples_of(response.stray(model.camera)))
-    share = response.expose(seen, model.camera)[16, 20] / [0.1, 0.2, 0.3]  # the middle of the middle dot
+    seen = view.dimmed(view.look(Untouched()), view.samples_of(camera_response.stray(model.camera)))
+    share = camera_response.expose(seen, model.camera)[16, 20] / [0.1, 0.2, 0.3]  # the middle of the middle dot
     coat = 0.8 * np.array(model.coating.albedo) + 0.2 * coating.METAL
     assert share == pytest.approx(0.03 / coat, rel=1e-6)

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from helpers.tiny import sensor
 
-from optics.tiny import sensor
-from tacgen.optics import response
+from tacgen.optics import camera_response
 from tacgen.optics.noise import noisy
-from tacgen.spec import assets, load
-from tacgen.spec.sensor import Noise
+from tacgen.recipe import assets, loading
+from tacgen.recipe.sensor import Noise
 
 GRAIN = Noise(shot=(1e-4, 2e-4, 4e-4), read=(0.001, 0.002, 0.003), source="test")
 
@@ -15,7 +15,7 @@ GRAIN = Noise(shot=(1e-4, 2e-4, 4e-4), read=(0.001, 0.002, 0.003), source="test"
 def linear(counts: tuple[float, float, float]) -> np.ndarray:
     """The inverse of the sRGB curve, by its table."""
     x = np.linspace(0, 1, 20001)
-    return np.interp(np.array(counts) / 255, response.srgb(x), x)
+    return np.interp(np.array(counts) / 255, camera_response.srgb(x), x)
 
 
 @pytest.mark.parametrize(
@@ -23,9 +23,9 @@ def linear(counts: tuple[float, float, float]) -> np.ndarray:
     [("gelsight_mini", (77.6, 94.8, 105.2), (1.9, 1.3, 2.4)), ("digit", (94, 103, 95), (3.3, 1.6, 2.8))],
 )
 def test_counts_scatter_as_published(name: str, mean: tuple[float, float, float], published: tuple) -> None:
-    camera = load.read_sensor(assets.sensor_path(name))[0].camera.model_copy(update={"vignette_mm": None})
+    camera = loading.read_sensor(assets.sensor_path(name))[0].camera.model_copy(update={"vignette_mm": None})
     even = np.broadcast_to(linear(mean) / camera.exposure, (camera.height_px, camera.width_px, 3))
-    picture = response.develop(even, camera, np.random.default_rng(0)).astype(float)
+    picture = camera_response.develop(even, camera, np.random.default_rng(0)).astype(float)
     assert picture.std(axis=(0, 1)) == pytest.approx(published, rel=0.02)
     assert picture.mean(axis=(0, 1)) == pytest.approx(mean, abs=0.1)
     rows = picture - picture.mean(axis=(0, 1))
@@ -45,10 +45,10 @@ def test_none_unless_asked_for_and_the_same_for_the_same_numbers() -> None:
     plain = sensor().camera
     grainy = plain.model_copy(update={"noise": GRAIN})
     even = np.full((32, 40, 3), 0.3)
-    clean = response.develop(even, grainy)
-    assert np.array_equal(clean, np.round(255 * response.srgb(response.expose(even, plain))))
-    assert np.array_equal(clean, response.develop(even, plain, np.random.default_rng(0)))
-    one, again, other = (response.develop(even, grainy, np.random.default_rng(k)) for k in (0, 0, 1))
+    clean = camera_response.develop(even, grainy)
+    assert np.array_equal(clean, np.round(255 * camera_response.srgb(camera_response.expose(even, plain))))
+    assert np.array_equal(clean, camera_response.develop(even, plain, np.random.default_rng(0)))
+    one, again, other = (camera_response.develop(even, grainy, np.random.default_rng(k)) for k in (0, 0, 1))
     assert np.array_equal(one, again)
     assert not np.array_equal(one, other)
     assert not np.array_equal(one, clean)

@@ -6,11 +6,10 @@ builds up are lengths, and would show; nothing else knows of a scale.
 
 import numpy as np
 import pytest
+from helpers import blocks
+from helpers.presses import Run, gel, poses, scene
 
-from tacgen.fem.shapes import Cylinder, Sphere
-
-from . import blocks
-from .presses import Run, gel, poses, scene
+from tacgen.geometry.analytic_sdf import Cylinder, Sphere
 
 Array = np.ndarray
 E = 0.15

@@ -8,15 +8,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.presses import Run
 
-from tacgen import fields, mesh, plan, solve
-from tacgen import scene as stage
-from tacgen.labels.maps import Maps
-from tacgen.labels.maps import maps as maps_of
-from tacgen.optics.layers import Camera
-from tacgen.spec import load
-
-from .presses import Run
+from tacgen import solve
+from tacgen.labels import gel_surface
+from tacgen.labels.contact_maps import Maps
+from tacgen.labels.contact_maps import maps as maps_of
+from tacgen.optics.camera import Camera
+from tacgen.recipe import loading, plan
+from tacgen.scene import mesh
+from tacgen.scene import scene as stage
 
 Array = np.ndarray
 RECIPE = """\
@@ -39,7 +40,7 @@ SMALLER = (
 def resolved(folder: Path, sets: tuple[str, ...] = ()) -> plan.Row:
     path = folder / "calculix.yaml"
     path.write_text(RECIPE)
-    found = load.read(path, sets)
+    found = loading.read(path, sets)
     return plan.expand(found.recipe, found.sensor, loaded=found).rows[0]
 
 
@@ -64,7 +65,7 @@ def press(row: plan.Row) -> Run:
 
 @pytest.fixture(scope="module")
 def maps(row: plan.Row, press: Run) -> Maps:
-    surface = fields.Surface(press.problem.mesh.points, press.problem.mesh.facets["coated"])
+    surface = gel_surface.Surface(press.problem.mesh.points, press.problem.mesh.facets["coated"])
     state = press.states[-1]
     return maps_of(press.problem, surface.moved(state.x), state, Camera.from_sensor(row.sensor))
 
@@ -101,7 +102,9 @@ def test_peak_pressure(maps: Maps) -> None:
 
 def test_the_dimple(press: Run) -> None:
     """u_z of the coated face over the distance at rest from the axis, along both axes."""
-    surface = fields.Surface(press.problem.mesh.points, press.problem.mesh.facets["coated"]).moved(press.states[-1].x)
+    surface = gel_surface.Surface(press.problem.mesh.points, press.problem.mesh.facets["coated"]).moved(
+        press.states[-1].x
+    )
     expected = [-0.9995, -0.8459, -0.4074, -0.0529, 0.0217, 0.0345, 0.0291]
     for direction in ([1, 0], [-1, 0], [0, 1], [0, -1], [0.6, 0.8]):
         assert surface.at(np.outer(np.arange(7), direction))[:, 2] == pytest.approx(expected, abs=0.03)

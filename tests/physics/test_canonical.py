@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tacgen import bundle, pipeline, plan
-from tacgen.spec import assets
+from tacgen import pipeline
+from tacgen.bundle import bundle
+from tacgen.recipe import assets, plan
 
 Array = np.ndarray
 RADIUS, FRICTION, MM_PER_PX = 3.0, 0.5, 0.0634

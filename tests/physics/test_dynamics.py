@@ -6,17 +6,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_recipe import HEAD
+from helpers import presses
+from helpers.presses import Run, gel, poses
+from helpers.small_recipe import HEAD
 
-from tacgen import bundle, pipeline, plan, scene, solve
-from tacgen.check import check
+from tacgen import pipeline, solve
+from tacgen.bundle import bundle
+from tacgen.bundle.check import check
 from tacgen.errors import UserError
-from tacgen.fem.shapes import Sphere
-from tacgen.scene import Dynamics
+from tacgen.geometry.analytic_sdf import Sphere
+from tacgen.recipe import plan
+from tacgen.scene import scene
+from tacgen.scene.scene import Dynamics
 from tacgen.solve import load_stepping
-
-from . import presses
-from .presses import Run, gel, poses
 
 Array = np.ndarray
 DOWN = [(0.0, 0.0, -0.1 * k) for k in range(1, 5)]

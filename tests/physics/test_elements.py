@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from fem import small
+from helpers import small
 from scipy.optimize import brentq
 
 from tacgen.fem.assembly import Pattern, pattern

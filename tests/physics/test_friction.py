@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
+from helpers.presses import Run, poses, run, scene
 
 from tacgen import solve
-from tacgen.fem.contact import Pose
-from tacgen.fem.shapes import Sphere
-
-from .presses import Run, poses, run, scene
+from tacgen.contact.barrier import Pose
+from tacgen.geometry.analytic_sdf import Sphere
 
 Array = np.ndarray
 COEFFICIENT = 0.4

@@ -6,17 +6,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.presses import Run, gel, poses, scene
 
-from tacgen import bundle, mesh, pipeline, plan, solve
-from tacgen import scene as stage
+from tacgen import pipeline, solve
+from tacgen.bundle import bundle
+from tacgen.contact.barrier import Pose
 from tacgen.errors import UserError
-from tacgen.fem.contact import Pose
-from tacgen.fem.shapes import Box, Shape, Sphere, Torus
+from tacgen.geometry import surface_nets
+from tacgen.geometry.analytic_sdf import Box, Shape, Sphere, Torus
 from tacgen.labels.stress import Stresses
-from tacgen.scene import Gel
-from tacgen.solid import tessellate
-
-from .presses import Run, gel, poses, scene
+from tacgen.recipe import plan
+from tacgen.scene import mesh
+from tacgen.scene import scene as stage
+from tacgen.scene.scene import Gel
 
 ipctk = pytest.importorskip("ipctk")
 Array = np.ndarray
@@ -30,7 +32,7 @@ def run(
     """All frames, on a mesh fine within `half` of the middle."""
     made = replace(scene(shape, poses(path), pad=pad, friction=friction, edge=edge), dhat=dhat)
     if formulation == "ipctk":
-        made = replace(made, surface=tessellate.of_shape(shape, half=9, height=4, tolerance=dhat / 10))
+        made = replace(made, surface=surface_nets.of_shape(shape, half=9, height=4, tolerance=dhat / 10))
     problem = solve.Problem.of(made, mesh.build(made.gel, (-half, half, -half, half), edge))
     return Run(made, problem, list(solve.states(made, problem)))
 

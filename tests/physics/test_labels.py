@@ -5,18 +5,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.presses import Run, gel, poses, run, scene
 from scipy.spatial import cKDTree
 
-from tacgen import fields, mesh, plan, solve
-from tacgen import scene as stage
+from tacgen import solve
 from tacgen.fem.materials import NeoHooke
-from tacgen.fem.shapes import Sphere
-from tacgen.labels.maps import maps
+from tacgen.geometry.analytic_sdf import Sphere
+from tacgen.labels import gel_surface
+from tacgen.labels.contact_maps import maps
 from tacgen.labels.stress import Stresses
-from tacgen.optics.layers import Camera, Stack
-from tacgen.scene import Gel, Layer, Scene
-
-from .presses import Run, gel, poses, run, scene
+from tacgen.optics.camera import Camera, Stack
+from tacgen.recipe import plan
+from tacgen.scene import mesh
+from tacgen.scene import scene as stage
+from tacgen.scene.scene import Gel, Layer, Scene
 
 Array = np.ndarray
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
@@ -44,10 +46,10 @@ def test_forces_stress_and_maps_agree_on_every_sensor(sensor: str, depth: float,
     made = stage.build(row)
     problem = solve.Problem.of(made, mesh.build(made.gel, mesh.footprint(made), made.edge))
     camera, stresses = Camera.from_sensor(row.sensor), Stresses(problem)
-    rest = fields.Surface(problem.mesh.points, problem.mesh.facets["coated"])
+    rest = gel_surface.Surface(problem.mesh.points, problem.mesh.facets["coated"])
     slid = []
     for state in solve.states(made, problem):
-        force, _ = fields.wrench(problem, state)
+        force, _ = gel_surface.wrench(problem, state)
         found = maps(problem, rest.moved(state.x), state, camera)
         assert np.linalg.norm(found.force.sum((0, 1)) - force) < 1e-6 * np.linalg.norm(force)
         quality = stresses.quality(stresses.at(state.x), state)
@@ -173,7 +175,7 @@ def test_the_stick_disc_shrinks_as_cattaneo_and_mindlin_say() -> None:
     found = Run(made, problem, list(solve.states(made, problem)))
     stack = Stack((800.0, 64.0), (1.0, 1.41))
     camera = Camera(stack, (0.0, 0.0), stack.effective_depth / 0.2, (120, 120))
-    surface = fields.Surface(grid.points, grid.facets["coated"])
+    surface = gel_surface.Surface(grid.points, grid.facets["coated"])
     discs = []
     for state, force in zip(found.states[1:], found.forces[1:], strict=True):
         seen = maps(found.problem, surface.moved(state.x), state, camera)

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from tacgen import mesh, plan, scene, solve
+from tacgen import solve
+from tacgen.recipe import plan
+from tacgen.scene import mesh, scene
 
 RECIPE = """tacgen: 1
 name: press

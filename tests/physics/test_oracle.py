@@ -5,17 +5,17 @@ from functools import cache
 
 import numpy as np
 import pytest
+from helpers.presses import poses, run, scene
 
-from tacgen import mesh, solve
-from tacgen import scene as stage
+from tacgen import solve
 from tacgen.bench.answers import row_of
-from tacgen.fem.contact import Pose
-from tacgen.fem.shapes import Sphere
-from tacgen.mesh import Mesh
-from tacgen.scene import Scene
+from tacgen.contact.barrier import Pose
+from tacgen.geometry.analytic_sdf import Sphere
+from tacgen.scene import mesh
+from tacgen.scene import scene as stage
+from tacgen.scene.mesh import Mesh
+from tacgen.scene.scene import Scene
 from tacgen.solve.equilibrium import LoadStep, equilibrium
-
-from .presses import poses, run, scene
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 Array = np.ndarray

@@ -2,9 +2,9 @@
 
 import pytest
 
-from tacgen import mesh
-from tacgen import scene as stage
 from tacgen.bench.answers import row_of
+from tacgen.scene import mesh
+from tacgen.scene import scene as stage
 from tacgen.solve import Problem, states
 
 KEY = (

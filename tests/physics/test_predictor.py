@@ -4,21 +4,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.presses import Run, poses, run, scene
 
-from tacgen import mesh
-from tacgen import scene as stage
 from tacgen.bench.answers import row_of
 from tacgen.bench.cases import PLAIN
-from tacgen.fem.contact import Pose
-from tacgen.fem.shapes import Capsule
-from tacgen.path import shortest_turn
+from tacgen.contact.barrier import Pose
+from tacgen.geometry.analytic_sdf import Capsule
+from tacgen.scene import mesh
+from tacgen.scene import scene as stage
+from tacgen.scene.path import shortest_turn
 from tacgen.solve import DEFAULT, Problem, SolverOptions, states
 from tacgen.solve.equilibrium import LoadStep
 from tacgen.solve.load_stepping import advance
 from tacgen.solve.predictor import Prediction
 from tacgen.solve.state import History
-
-from .presses import Run, poses, run, scene
 
 Array = np.ndarray
 SQUARE = (-2.5, 2.5, -2.5, 2.5)

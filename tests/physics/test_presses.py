@@ -4,10 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.presses import gel, poses, run, scene
 
-from tacgen.fem.shapes import Box, Cylinder, Shape, Sphere, Wedge
-
-from .presses import gel, poses, run, scene
+from tacgen.geometry.analytic_sdf import Box, Cylinder, Shape, Sphere, Wedge
 
 SQUARE = (-3.0, 3.0, -3.0, 3.0)
 

@@ -8,12 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from helpers.presses import Run, gel, poses, run, scene
 
-from tacgen import scene as stage
-from tacgen.fem.shapes import Shape, Sphere
-from tacgen.solid import geometry, tessellate
-
-from .presses import Run, gel, poses, run, scene
+from tacgen.geometry import mesh_import, surface_nets
+from tacgen.geometry.analytic_sdf import Shape, Sphere
+from tacgen.scene import scene as stage
 
 Array = np.ndarray
 PATH = [(0.0, 0.0, -0.3), (0.0, 0.0, -0.6), (0.3, 0.1, -0.6)]
@@ -25,7 +24,7 @@ def pressed(by: float, shape: Shape, *, toolkit: bool = False) -> Run:
     made = scene(shape, path, pad=gel(24 * by, 16 * by, 3 * by), friction=0.5, edge=0.6 * by)
     made = replace(made, dhat=0.05 * by)
     if toolkit:
-        surface = tessellate.of_shape(shape, half=8 * by, height=3 * by, tolerance=made.dhat / 10)
+        surface = surface_nets.of_shape(shape, half=8 * by, height=3 * by, tolerance=made.dhat / 10)
         made = replace(made, surface=surface)
     return run(made)
 
@@ -47,8 +46,8 @@ def test_a_mesh_indenter() -> None:
 
     def ball(by: float) -> Shape:
         found = trimesh.creation.icosphere(subdivisions=3, radius=2.5 * by)
-        raw = geometry.Solid("ball", found.vertices, found.faces, np.zeros(len(found.faces), int))
-        return geometry.field(geometry.placed(raw), cell=stage.CELL * 0.6 * by, height=1.0 * by, half=8.0 * by)
+        raw = mesh_import.Solid("ball", found.vertices, found.faces, np.zeros(len(found.faces), int))
+        return mesh_import.field(mesh_import.placed(raw), cell=stage.CELL * 0.6 * by, height=1.0 * by, half=8.0 * by)
 
     assert_alike(pressed(1, ball(1)), pressed(by, ball(by)), by, 1e-6)
 

@@ -2,16 +2,15 @@
 
 import numpy as np
 import pytest
-from fem.small import Load
+from helpers.small import Load
 
+from physics.test_elements import ELEMENTS, LAW, block, inside, solve, u
 from tacgen.fem.assembly import pattern
 from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import elements
 from tacgen.fem.potential import Total
-from tacgen.fem.recovery import Recovery
+from tacgen.fem.stress_recovery import Recovery
 from tacgen.labels.stress import VOIGT, _means
-
-from .test_elements import ELEMENTS, LAW, block, inside, solve, u
 
 Array = np.ndarray
 

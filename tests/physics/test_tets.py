@@ -1,12 +1,12 @@
 """Quadratic tets against CalculiX and against hexes, at default quality, on every sensor that ships."""
 
 import pytest
+from helpers.presses import Run
 
-from tacgen import mesh, plan, solve
-from tacgen import scene as stage
-from tacgen.spec import assets
-
-from .presses import Run
+from tacgen import solve
+from tacgen.recipe import assets, plan
+from tacgen.scene import mesh
+from tacgen.scene import scene as stage
 
 CALCULIX = (
     "sensor=gelsight_mini",

@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.blocks import block
+from helpers.presses import Run, poses, run, scene
 
-from tacgen import mesh, solve
-from tacgen import scene as stage
+from tacgen import solve
 from tacgen.bench import shorter
 from tacgen.bench.answers import row_of
 from tacgen.bench.cases import CASES, PLAIN
@@ -14,14 +15,13 @@ from tacgen.fem.assembly import pattern
 from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import hexes
 from tacgen.fem.materials import NeoHooke
-from tacgen.fem.shapes import Box, Shape, Sphere
-from tacgen.scene import Scene
+from tacgen.geometry.analytic_sdf import Box, Shape, Sphere
+from tacgen.scene import mesh
+from tacgen.scene import scene as stage
+from tacgen.scene.scene import Scene
 from tacgen.solve import DEFAULT, SolverOptions
 from tacgen.solve.linear_solvers import best
 from tacgen.solve.newton import Status, minimise
-
-from .blocks import block
-from .presses import Run, poses, run, scene
 
 Array = np.ndarray
 SQUARE = (-3.0, 3.0, -3.0, 3.0)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from fem.small import block, full
+from helpers.small import block, full
 
 from tacgen.fem.assembly import pattern
 from tacgen.fem.elasticity import Elastic

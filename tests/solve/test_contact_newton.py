@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fem.small import patch
+from helpers.small import patch
 
-from tacgen.fem.contact import Contact, Pose
-from tacgen.fem.coupled_contact import CoupledContact
-from tacgen.fem.shapes import Box, Cylinder, Shape, Sphere
+from tacgen.contact.barrier import Contact, Pose
+from tacgen.contact.coupled import CoupledContact
+from tacgen.geometry.analytic_sdf import Box, Cylinder, Shape, Sphere
 from tacgen.solve.condensation import Schur
 from tacgen.solve.contact_newton import ContactSolution, Quadratic, solve_contact
 

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from physics.presses import gel, poses, scene
+from helpers.presses import gel, poses, scene
 
-from tacgen import mesh
-from tacgen.fem.shapes import Cylinder, Shape, Sphere
+from tacgen.geometry.analytic_sdf import Cylinder, Shape, Sphere
+from tacgen.scene import mesh
 from tacgen.solve import Problem, SolverOptions, State, plain, states
 from tacgen.solve.condensation import Condensation
 

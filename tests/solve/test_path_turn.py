@@ -6,16 +6,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from physics.presses import gel, poses, scene
+from helpers.presses import gel, poses, scene
+from helpers.small_recipe import HEAD
 from scipy.spatial.transform import Rotation
-from small_recipe import HEAD
 
-from tacgen import mesh, plan
-from tacgen import scene as stage
-from tacgen.fem.contact import Pose
-from tacgen.fem.shapes import Box, Shape, Sphere
-from tacgen.path import along, between, shortest_turn
-from tacgen.scene import Scene
+from tacgen.contact.barrier import Pose
+from tacgen.geometry.analytic_sdf import Box, Shape, Sphere
+from tacgen.recipe import plan
+from tacgen.scene import mesh
+from tacgen.scene import scene as stage
+from tacgen.scene.path import along, between, shortest_turn
+from tacgen.scene.scene import Scene
 from tacgen.solve import NotConverged, Problem, SolverOptions, State, load_stepping, states
 from tacgen.solve.load_stepping import advance, steps_needed
 from tacgen.solve.state import History

@@ -1,0 +1,96 @@
+"""Dask distributed: scenes on the workers of a cluster, each made in a process watched there as on one machine."""
+
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+from tacgen.batch.local import Hear, Pool, failed, outcome
+from tacgen.batch.worker_process import Limits
+from tacgen.bundle.resume import SceneResult
+from tacgen.errors import UserError
+from tacgen.recipe.plan import Row
+
+CONNECT_S = 30
+_here = threading.local()  # on a Dask worker: the pool of this thread
+
+
+@contextmanager
+def engine(workers: int, limits: Limits, task: str, scheduler: str) -> Iterator[Callable[..., list[SceneResult]]]:
+    """Use the cluster behind a scheduler's address, or one of `workers` processes that lasts as long as the block.
+
+    Raises:
+        UserError: Dask is not installed, or no scheduler answers.
+    """
+    try:
+        from distributed import Client, LocalCluster
+    except ImportError:
+        raise UserError("--engine dask needs Dask: pip install 'tacgen[dask]'") from None
+    with ExitStack() as stack:
+        if scheduler:
+            try:
+                client = stack.enter_context(Client(scheduler, timeout=CONNECT_S))
+            except (OSError, ValueError, ImportError) as error:
+                raise UserError(f"--scheduler {scheduler}: {str(error).splitlines()[0]}") from None
+        else:
+            local = LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None)
+            client = stack.enter_context(Client(stack.enter_context(local)))
+
+        def run(
+            rows: Sequence[Row], folder: Path, *, overwrite: bool = False, hear: Hear = lambda event: None
+        ) -> list[SceneResult]:
+            return _run(client, (limits, task), rows, folder.resolve(), overwrite, hear)
+
+        yield run
+
+
+def _run(
+    client: Any, how: tuple[Limits, str], rows: Sequence[Row], folder: Path, overwrite: bool, hear: Hear
+) -> list[SceneResult]:
+    """Hand out all rows and collect results as they come. A worker that dies has its scene made by another."""
+    from distributed import KilledWorker, as_completed
+
+    futures = {client.submit(make, row, folder, overwrite, how, pure=False): row for row in rows}
+    results: dict[int, SceneResult] = {}
+    try:
+        for future in as_completed(list(futures)):
+            row = futures.pop(future)
+            if future.cancelled():
+                raise UserError("the Dask scheduler is gone; finished scenes are kept, run again to go on")
+            try:
+                result, events = future.result()
+            except KilledWorker as error:
+                result = failed(row, folder, f"its Dask worker was lost, {error.allowed_failures + 1} times in a row")
+                events = [outcome(result)]
+            results[row.index] = result
+            for event in events:
+                hear(event)
+            future.release()
+    finally:
+        client.cancel(list(futures))
+    return [results[row.index] for row in rows]
+
+
+def make(row: Row, folder: Path, overwrite: bool, how: tuple[Limits, str]) -> tuple[SceneResult, list[dict[str, Any]]]:
+    """On a Dask worker: one scene in this thread's watched process, which stays for the next; and what was heard."""
+    if getattr(_here, "how", None) != how:
+        if hasattr(_here, "pool"):
+            _here.pool.__exit__()
+        limits, task = how
+        _here.how, _here.pool = how, Pool(1, limits, task, memory_gb=_share())
+    events: list[dict[str, Any]] = []
+
+    def hear(event: dict[str, Any]) -> None:
+        if event["event"] != "frame":
+            events.append(event)
+
+    return _here.pool.run([row], folder, overwrite=overwrite, hear=hear)[0], events
+
+
+def _share() -> float | None:
+    """Memory that Dask gave this worker [GB]; None if it gave no limit."""
+    from distributed import get_worker
+
+    limit = get_worker().memory_manager.memory_limit
+    return limit / 1e9 if limit else None

@@ -1,0 +1,79 @@
+"""A worker's process: makes one scene after another and says over a pipe how it goes.
+
+Started by `watch.Worker` as `python -m tacgen.batch.worker_main FD PARENT`; imports what a scene needs, and no more.
+"""
+
+import errno
+import faulthandler
+import importlib
+import os
+import signal
+import sys
+import threading
+import time
+import traceback
+from multiprocessing.connection import Connection
+from typing import Any
+
+from tacgen.bundle.atomic_file import Busy
+from tacgen.errors import UserError
+
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)  # what every other scene would meet as well
+
+
+def main(link: Connection, parent: int) -> None:
+    """Answer each job with an outcome until the parent closes the pipe.
+
+    Sent: ("ready", None), ("event", dict) while a scene is made, and one outcome a job: ("done", SceneResult),
+    ("busy", None), ("refused", lines), ("full", (errno, text, file)), ("error", traceback).
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the parent decides
+    faulthandler.enable()
+    threading.Thread(target=_follow, args=(parent,), daemon=True).start()
+    _volunteer()
+    setup = link.recv()
+    sys.path[:] = setup["path"]
+    module, _, name = setup["task"].partition(":")
+    task = getattr(importlib.import_module(module), name)
+    link.send(("ready", None))
+    while True:
+        try:
+            row, folder, overwrite = link.recv()
+        except EOFError:
+            return
+        link.send(_outcome(task, row, folder, overwrite, link))
+
+
+def _outcome(task: Any, row: Any, folder: Any, overwrite: bool, link: Connection) -> tuple[str, Any]:
+    try:
+        return "done", task(row, folder, overwrite=overwrite, say=lambda event: link.send(("event", event)))
+    except Busy:
+        return "busy", None
+    except UserError as error:
+        return "refused", error.lines
+    except OSError as error:
+        if error.errno in FULL:
+            return "full", (error.errno, error.strerror, str(error.filename or folder))
+        return "error", traceback.format_exc()
+    except Exception:
+        return "error", traceback.format_exc()
+
+
+def _follow(parent: int) -> None:
+    """End with the parent, even in the middle of a scene."""
+    while os.getppid() == parent:
+        time.sleep(0.5)
+    os._exit(1)
+
+
+def _volunteer() -> None:
+    """When memory runs out, Linux ends this process and not the one that counts the losses."""
+    try:
+        with open("/proc/self/oom_score_adj", "w") as file:
+            file.write("500")
+    except OSError:
+        pass
+
+
+if __name__ == "__main__":
+    main(Connection(int(sys.argv[1])), int(sys.argv[2]))

@@ -1,0 +1,122 @@
+"""One worker process seen from outside: what it says, whether it still does, how much memory it holds."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from dataclasses import dataclass
+from multiprocessing import connection
+from pathlib import Path
+from typing import Any
+
+from tacgen.recipe.plan import Row
+
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+START_S = 300.0  # that importing may take
+PACKAGE_PARENT = str(Path(__file__).resolve().parents[2])
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a scene may take before its worker is stopped, and how long a worker lives."""
+
+    silence_s: float = 1800.0  # without a new frame
+    memory_gb: float | None = None  # None: nine tenths of the machine's, shared evenly
+    scenes: int = 200  # then the worker is replaced by a fresh one
+
+
+@dataclass
+class Job:
+    """A scene to make."""
+
+    row: Row
+    tries: int = 0
+    not_before: float = 0.0  # of time.monotonic
+
+
+class Worker:
+    """One process, the scene it is making, and when it was last heard."""
+
+    def __init__(self, task: str) -> None:
+        self.link, theirs = connection.Pipe()
+        paths = [PACKAGE_PARENT, *filter(None, [os.environ.get("PYTHONPATH")])]
+        self.process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "tacgen.batch.worker_main", str(theirs.fileno()), str(os.getpid())],
+            pass_fds=[theirs.fileno()],
+            stdin=subprocess.DEVNULL,
+            stdout=2,  # what a library prints must not end up between results
+            env={**dict.fromkeys(THREADS, "1"), **os.environ, "PYTHONPATH": os.pathsep.join(paths)},
+        )
+        theirs.close()
+        self.ready = False
+        self.job: Job | None = None
+        self.heard = time.monotonic()
+        self.made = 0
+        self._send({"path": sys.path, "task": task})
+
+    def give(self, job: Job, folder: Path, overwrite: bool) -> None:
+        """Have it make a scene."""
+        job.tries += 1
+        self.job, self.heard = job, time.monotonic()
+        self._send((job.row, folder, overwrite))
+
+    def listen(self) -> list[tuple[str, Any]]:
+        """What it said since; at last ("lost", reason) if it is no more."""
+        messages: list[tuple[str, Any]] = []
+        try:
+            while self.link.poll():
+                messages.append(self.link.recv())
+                self.heard = time.monotonic()
+        except (EOFError, OSError):
+            messages.append(("lost", _last_words(self.stop())))
+        return messages
+
+    def excess(self, limits: Limits, memory_gb: float) -> str:
+        """Which limit it broke, if any."""
+        silence = time.monotonic() - self.heard
+        if self.job and silence > limits.silence_s:
+            return f"no new frame for {limits.silence_s:g} s"
+        if not self.ready and silence > START_S:
+            return f"not started after {START_S:g} s"
+        used = memory(self.process.pid)
+        return f"{used:.2f} GB of memory used, {memory_gb:.2f} allowed" if used > memory_gb else ""
+
+    def stop(self, patience: float = 0.5) -> int:
+        """End the process, by force if it is still there after `patience` seconds, and return its exit code."""
+        self.link.close()  # it ends by itself when it next looks for a job
+        try:
+            return self.process.wait(patience)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            return self.process.wait()
+
+    def _send(self, message: Any) -> None:
+        with suppress(OSError):  # a process that has died already is heard of when it is listened to
+            self.link.send(message)
+
+
+def memory(pid: int) -> float:
+    """Resident memory of a process [GB]; 0 where the system does not tell."""
+    try:
+        return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e9
+    except (OSError, ValueError, IndexError):
+        return 0.0
+
+
+def machine_memory() -> float:
+    """Memory of this machine, or of the control group it is limited to [GB]."""
+    sizes = [os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")]
+    with suppress(OSError, ValueError):
+        sizes.append(int(Path("/sys/fs/cgroup/memory.max").read_text()))
+    return min(sizes) / 1e9
+
+
+def _last_words(code: int) -> str:
+    """`its worker was killed by SIGSEGV`"""
+    if code >= 0:
+        return f"its worker ended with exit code {code}"
+    with suppress(ValueError):
+        return f"its worker was killed by {signal.Signals(-code).name}"
+    return f"its worker was killed by signal {-code}"

@@ -1,0 +1,308 @@
+"""Write, read and verify a bundle: one HDF5 file a scene. What it holds is the table in layout.
+
+The same inputs give the same bytes, so nothing here depends on the clock: how long each stage took belongs
+in `<name>.timing.json` beside the bundle (the pipeline writes it), never in the bundle.
+"""
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from errno import EIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tacgen import __version__
+from tacgen.bundle import atomic_file
+from tacgen.bundle.schema import ATTRS, FORMAT, OPTIONAL, UNITS, entry, misfit
+from tacgen.errors import UserError
+
+KEYS = ("digest", "complete")  # written last; not part of what the digest covers
+PACKED = ": it holds packed scenes; give the folder it is in"
+
+
+class Unfinished(UserError):
+    """The writer was stopped: writing the bundle again mends it."""
+
+
+class Damaged(UserError):
+    """The bundle is not what was written: writing it again mends it."""
+
+
+class Writer:
+    """Writes one bundle. Nothing stands under the bundle's name until `finish` has read it all back.
+
+        with Writer(path, attrs, frames=15) as writer:
+            writer.put("/reference/rgb", flat)
+            for ...:
+                writer.append({"/frames/force": force, "/frames/rgb": image})
+            writer.finish()
+
+    Leaving the block without `finish` removes the part file. `attrs` holds what ATTRS and OPTIONAL name, less what
+    the writer knows itself; mappings and lists are stored as JSON. Arrays must have the layout's shape and kind.
+
+    Raises:
+        ValueError, TypeError: an attribute, path, shape or type that is not in the tables (a bug of the caller).
+        OSError: with its errno, e.g. ENOSPC when the disk is full.
+        UserError: another process is writing this very bundle.
+    """
+
+    def __init__(self, path: Path, attrs: Mapping[str, Any], frames: int) -> None:
+        own = {"tacgen_format": FORMAT, "tacgen_version": __version__, "units": UNITS, "frames_planned": frames}
+        self.path, self.frames, self.appended = Path(path), frames, 0
+        self._attrs: dict[str, Any] = _checked({**{k: _plain(v) for k, v in attrs.items()}, **own})
+        self._sizes: dict[str, int] = {}
+        self._data: dict[str, Any] = {}  # path -> h5py.Dataset
+        self._hashes: dict[str, Any] = {}  # path -> running sha256 of the bytes we were given
+        self._finished = False
+
+    def __enter__(self) -> "Writer":
+        import h5py
+
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        atomic_file.sweep(self.path.parent)
+        self._sink = atomic_file.Sink(self.path)
+        try:
+            with self._sink.guard():
+                # v110: every piece of metadata carries a checksum, and any HDF5 since 1.10 reads it
+                self._file = h5py.File(self._sink, "w", libver=("v110", "v110"))
+                self._file.attrs.update(sorted(self._attrs.items()))
+        except BaseException:
+            self.__exit__()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if not self._finished:
+            self._sink.dead = True  # what HDF5 still has to flush goes nowhere
+            with suppress(Exception):
+                self._file.close()
+            self._sink.discard()
+
+    def put(self, path: str, array: np.ndarray) -> None:
+        """Store a dataset that belongs to the scene, not to a frame: /reference, /mesh."""
+        values = self._cast(path, array, per_frame=False)
+        with self._sink.guard():
+            self._create(path, values.shape, values.shape, values.shape)[...] = values
+        self._hashes[path].update(values.tobytes())
+
+    def append(self, arrays: Mapping[str, np.ndarray]) -> None:
+        """Store the next frame: the same datasets each time, each without its frame axis."""
+        if self.appended and arrays.keys() != {p for p in self._data if entry(p).dims[0] == "N"}:
+            raise ValueError(f"frame {self.appended} has other datasets than frame 0: {sorted(arrays)}")
+        if self.appended == self.frames:
+            raise ValueError(f"{self.frames} frames were planned and are all written")
+        values = {path: self._cast(path, array, per_frame=True) for path, array in arrays.items()}
+        with self._sink.guard():
+            for path, value in sorted(values.items()):
+                if not self.appended:
+                    # images and maps: one chunk a frame; a few numbers a frame: one chunk of 4 KiB
+                    rows = max(1, min(self.frames, 4096 // max(1, value.nbytes)))
+                    self._create(path, (0, *value.shape), (rows, *value.shape), (self.frames, *value.shape))
+                self._data[path].resize(self.appended + 1, axis=0)
+                self._data[path][self.appended] = value
+                self._hashes[path].update(value.tobytes())
+        self.appended += 1
+
+    def finish(self, status: str = "ok", reason: str = "") -> None:
+        """Close, read everything back, and only then give the file its name; `status` is ok or rejected."""
+        if (status, bool(reason)) != (("ok", False) if self.appended == self.frames else ("rejected", True)):
+            raise ValueError(f"{status!r} ({reason!r}) with {self.appended} of {self.frames} frames")
+        self._attrs.update(status=status, reason=reason)
+        found = {}
+        for path, data in self._data.items():
+            found[path] = Dataset(data.dtype.str, data.shape, entry(path).attrs, self._hashes[path].hexdigest())
+        last = {"status": status, "reason": reason, "digest": _digest(self._attrs, found), "complete": True}
+        with self._sink.guard():
+            self._file.attrs.update(last)
+            self._file.close()
+        try:
+            read(self._sink.path, part=True).verify()
+        except UserError as error:
+            raise OSError(EIO, "what was written does not read back", str(self.path)) from error
+        self._sink.publish()
+        self._finished = True
+
+    def _cast(self, path: str, array: np.ndarray, *, per_frame: bool) -> np.ndarray:
+        row = entry(path)
+        if (row.dims[0] == "N") != per_frame:
+            raise ValueError(f"{path}: {'put' if per_frame else 'append'} it, not {'append' if per_frame else 'put'}")
+        values = np.asarray(array).astype(row.dtype, order="C", casting="same_kind")
+        self._sizes.pop("N", None)
+        if problem := misfit(path, (self.appended + 1, *values.shape) if per_frame else values.shape, self._sizes):
+            raise ValueError(problem)
+        return values
+
+    def _create(self, path: str, shape: tuple, chunks: tuple, maxshape: tuple) -> Any:
+        row = entry(path)
+        filters = {"compression": "gzip", "compression_opts": 1, "shuffle": True, "fletcher32": True}
+        sizes = {"chunks": tuple(max(1, n) for n in chunks), "maxshape": tuple(n or None for n in maxshape)}
+        data = self._file.create_dataset(path, shape, np.dtype(row.dtype), track_times=False, **sizes, **filters)
+        data.attrs.update(row.attrs)
+        self._data[path] = data
+        self._hashes[path] = hashlib.sha256()
+        return data
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """A finished bundle. Arrays are read when asked for; no file stays open, so it pickles and needs no closing."""
+
+    path: Path
+    attrs: dict[str, Any]
+    shapes: dict[str, tuple[int, ...]]
+    recipe: dict[str, Any] = field(repr=False)
+    group: str = "/"  # of the file: another in a shard, which holds many scenes
+
+    def __contains__(self, path: str) -> bool:
+        return path in self.shapes
+
+    def __getitem__(self, path: str) -> np.ndarray:
+        """A whole dataset. Raises KeyError if the bundle has none of that name, UserError if the file is damaged."""
+        return self._read(path, ())
+
+    def frame(self, path: str, index: int) -> np.ndarray:
+        """One frame of a dataset whose first axis is the frame."""
+        if not 0 <= index < self.frames:
+            raise IndexError(f"{self.path} has no frame {index}")
+        return self._read(path, index)
+
+    @property
+    def frames(self) -> int:
+        """How many frames are stored; fewer than planned in a rejected scene."""
+        return max((n[0] for p, n in self.shapes.items() if p.startswith(("/frames/", "/fields/"))), default=0)
+
+    @property
+    def segments(self) -> tuple[str, ...]:
+        """For each frame, the kind of trajectory segment it belongs to (press, slide, ...)."""
+        kinds = [next(kind for kind, move in s.items() if move is not None) for s in self.recipe.get("trajectory", ())]
+        if "/frames/segment" not in self:
+            return ("",) * self.frames
+        return tuple(kinds[i] if 0 <= i < len(kinds) else "" for i in self["/frames/segment"])
+
+    def verify(self) -> dict[str, "Dataset"]:
+        """Read everything back against the digest; UserError if a single bit has changed. Returns what is there."""
+        found = {}
+        with _opened(self.path, self.group) as file:
+            for path in self.shapes:
+                data = file[path[1:]]
+                hashed = hashlib.sha256()
+                rows = data.chunks[0] if data.chunks else 1
+                for start in range(0, data.shape[0] if data.shape else 0, rows):
+                    hashed.update(data[start : start + rows].tobytes())
+                attrs = {name: _plain(value) for name, value in data.attrs.items()}
+                found[path] = Dataset(data.dtype.str, data.shape, attrs, hashed.hexdigest())
+        if _digest(self.attrs, found) != self.attrs["digest"]:
+            raise Damaged(f"{self.path}: damaged: its contents do not match its digest")
+        return found
+
+    def _read(self, path: str, index: Any) -> np.ndarray:
+        if path not in self.shapes:
+            raise KeyError(f"{self.path} has no {path}")
+        with _opened(self.path, self.group) as file:
+            return np.asarray(file[path[1:]][index])
+
+
+def read(path: Path, group: str = "/", *, part: bool = False) -> Bundle:
+    """Open a finished bundle, or a scene of a shard; the data itself is checked by `Bundle.verify`.
+
+    Raises:
+        Unfinished, Damaged: writing it again mends it. `part` accepts the name of a part file.
+        UserError: missing, no bundle, or of a newer format.
+    """
+    path = Path(path)
+    if atomic_file.is_part(path) and not part:
+        raise Unfinished(f"{path}: unfinished: what a writer that was stopped left behind, or is still writing")
+    with _opened(path, group) as file:
+        attrs = {name: _plain(value) for name, value in file.attrs.items()}
+        shapes: dict[str, tuple[int, ...]] = {}
+        file.visititems(lambda name, item: shapes.update({"/" + name: item.shape}) if hasattr(item, "shape") else None)
+    if not isinstance(attrs.get("tacgen_format"), int):
+        raise UserError(f"{path}: an HDF5 file, but no tacgen bundle" + PACKED * ("tacgen_pack" in attrs))
+    if attrs["tacgen_format"] > FORMAT:
+        newer = f"bundle format {attrs['tacgen_format']}, written by tacgen {attrs.get('tacgen_version')}"
+        raise UserError(f"{path}: {newer}; this tacgen reads up to {FORMAT}: upgrade it")
+    if attrs.get("complete") is not True:
+        raise Unfinished(f"{path}: unfinished: its writer was stopped")
+    try:
+        attrs = _checked(attrs, finished=True)
+        return Bundle(path, attrs, dict(sorted(shapes.items())), json.loads(attrs["recipe"]), group)
+    except (ValueError, TypeError) as error:
+        raise Damaged(f"{path}: damaged: {error}") from error
+
+
+def is_complete(path: Path, key: str) -> bool:
+    """Whether `path` is a whole, undamaged bundle made from the inputs that `key` stands for. Reads all of it.
+
+    A rejected scene is complete too: the same inputs would be rejected again.
+    """
+    try:
+        bundle = read(path)
+        if bundle.attrs["input_key"] == key:
+            bundle.verify()
+            return True
+    except UserError:
+        pass
+    return False
+
+
+@contextmanager
+def _opened(path: Path, group: str = "/") -> Iterator[Any]:
+    """An open group of a file. Whatever goes wrong while it is read becomes one line: run nothing else here."""
+    import h5py
+
+    try:
+        with path.open("rb") as raw:
+            signature = raw.read(8)
+    except OSError as error:
+        raise UserError(f"{path}: {error.strerror}") from error
+    if signature != b"\x89HDF\r\n\x1a\n":
+        raise UserError(f"{path}: not an HDF5 file")
+    try:
+        with h5py.File(path, "r", locking=False) as file:
+            yield file[group]
+    except (OSError, RuntimeError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise Damaged(f"{path}: damaged or cut short ({str(error).partition(chr(10))[0]})") from error
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """What the digest covers of one dataset."""
+
+    dtype: str
+    shape: tuple[int, ...]
+    attrs: dict[str, Any]
+    sha256: str
+
+
+def _digest(attrs: Mapping[str, Any], found: Mapping[str, Dataset]) -> str:
+    """Of the content, not of the file: paths, types, shapes, bytes and attributes, all sorted."""
+    root = {name: value for name, value in attrs.items() if name not in KEYS}
+    rows = [[path, d.dtype, list(d.shape), d.attrs, d.sha256] for path, d in sorted(found.items())]
+    return hashlib.sha256(json.dumps([root, rows], sort_keys=True, default=repr).encode()).hexdigest()
+
+
+def _plain(value: Any) -> Any:
+    """An attribute as Python's own str, int, float or bool; mappings and sequences become JSON."""
+    if isinstance(value, np.generic | np.ndarray):
+        value = value.tolist()
+    if isinstance(value, Mapping | list | tuple):
+        return json.dumps(value, sort_keys=True)
+    return value
+
+
+def _checked(attrs: dict[str, Any], *, finished: bool = False) -> dict[str, Any]:
+    """The attributes themselves; ValueError unless they are what ATTRS and OPTIONAL say."""
+    last = set() if finished else {"status", "reason", *KEYS}
+    if missing := [name for name in ATTRS if name not in attrs and name not in last]:
+        raise ValueError(f"attribute {missing[0]!r} is missing")
+    for name, value in attrs.items():
+        wanted = (ATTRS | OPTIONAL).get(name)
+        if wanted is None or name in last:
+            raise ValueError(f"attribute {name!r} is not in the table of format {FORMAT}")
+        if type(value) is not wanted[0]:
+            raise ValueError(f"attribute {name!r} is {value!r}, expected {wanted[0].__name__}")
+    return attrs

@@ -1,0 +1,223 @@
+"""Check finished bundles: whole, as the layout says, finite, in range, and physically possible."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from tacgen.bundle import atomic_file, dataset
+from tacgen.bundle.bundle import Bundle, Dataset, Unfinished, read
+from tacgen.bundle.schema import entry, misfit
+from tacgen.errors import UserError
+
+FORCE_BALANCE = 1e-3  # largest imbalance of a converged frame [-]
+PULL = 1e-3  # how far interpolation may bring a pressure below zero, as a part of the frame's peak
+FAINT = 0.01  # of the scene's peak pressure
+COULOMB = 2e-3  # of friction x peak pressure: the solver leaves normal forces that much behind at a point (advance.LAG)
+ROUNDING = 1e-6  # of float32 maps, as a part of the frame's peak
+MOVED = {"/frames/height": 0.02, "/frames/marker_flow": 0.5}  # a change [mm, px] that no camera image can hide
+MOVED_FORCE = 0.05  # the same, as a part of the largest force
+FLAT_RGB = 2.0  # a camera image whose values all lie this close together shows nothing [of 255]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One line about one file: `rejected` is a scene that says so itself, `error` is a file to distrust."""
+
+    path: Path
+    level: Literal["error", "incomplete", "rejected"]
+    message: str
+
+    def __str__(self) -> str:
+        return f"{self.path}: {self.level}: {self.message}"
+
+
+def check(path: Path) -> list[Finding]:
+    """Findings about a bundle, or about every bundle and leftover in a folder and below; empty if all is well.
+
+    Raises:
+        UserError: `path` does not exist, or is a folder without a single bundle.
+    """
+    path = Path(path)
+    if not path.is_dir():
+        if not path.exists():
+            raise UserError(f"{path}: no such file or folder")
+        return _leftover(path) if atomic_file.is_part(path) else _file(path)
+    if dataset.is_packed(path):
+        return _packed(path)
+    files = sorted(p for p in path.rglob("*") if p.suffix == ".h5" or atomic_file.is_part(p))
+    if not files:
+        raise UserError(f"{path}: no bundles (*.h5) in this folder")
+    return [f for p in files for f in (_leftover(p) if atomic_file.is_part(p) else _file(p))]
+
+
+def _leftover(path: Path) -> list[Finding]:
+    return [Finding(path, "incomplete", "what a writer that was stopped left behind, or is still writing")]
+
+
+def _packed(folder: Path) -> list[Finding]:
+    """Every scene of every shard that the index names; a shard that is missing ends the search."""
+    try:
+        scenes = dataset.packed(folder)
+    except UserError as error:
+        return [Finding(folder, "error", line.removeprefix(f"{folder}: ")) for line in error.lines]
+    return [f for path, group in scenes for f in _file(path, group)]
+
+
+def _file(path: Path, group: str = "/") -> list[Finding]:
+    try:
+        bundle = read(path, group)
+        datasets = bundle.verify()
+    except UserError as error:
+        level: Literal["error", "incomplete"] = "incomplete" if isinstance(error, Unfinished) else "error"
+        return [Finding(path, level, line.removeprefix(f"{path}: ")) for line in error.lines]
+    found = [Finding(path, "error", message) for message in _layout(bundle, datasets)]
+    if not found:  # the checks below rely on the layout
+        found = [Finding(path, "error", message) for rule in RULES for message in rule(bundle)]
+    if bundle.attrs["status"] != "ok":
+        found.append(Finding(path, "rejected", bundle.attrs["reason"]))
+    return found
+
+
+def _layout(bundle: Bundle, datasets: dict[str, Dataset]) -> Iterator[str]:
+    """Paths, types, shapes and attributes against the table in layout.py."""
+    sizes: dict[str, int] = {}
+    for path, data in datasets.items():
+        try:
+            row = entry(path)
+        except ValueError as error:
+            yield str(error)
+            continue
+        if data.dtype != row.dtype:
+            yield f"{path} has type {data.dtype}, expected {row.dtype}"
+        if problem := misfit(path, data.shape, sizes):
+            yield problem
+        for name, wanted in row.attrs.items():
+            if data.attrs.get(name) != wanted:
+                yield f"{path} has {name} {data.attrs.get(name)!r}, expected {wanted!r}"
+    status, planned = bundle.attrs["status"], bundle.attrs["frames_planned"]
+    if status not in ("ok", "rejected"):
+        yield f"status is {status!r}, expected 'ok' or 'rejected'"
+    if status == "ok" and bundle.frames != planned:
+        yield f"{bundle.frames} frames, {planned} planned, and yet status is ok"
+
+
+def _finite(bundle: Bundle) -> Iterator[str]:
+    for path in bundle.shapes:
+        values = bundle[path]
+        if values.dtype.kind != "f":
+            continue
+        bad = np.isinf(values) if entry(path).holes else ~np.isfinite(values)
+        if bad.any():
+            where = np.argwhere(bad)[0]
+            yield f"{path} is not finite at {tuple(where.tolist())}"
+
+
+def _pose(bundle: Bundle) -> Iterator[str]:
+    """A pose is a rotation and a shift."""
+    if "/frames/pose" in bundle:
+        pose = bundle["/frames/pose"]
+        turn = pose[:, :3, :3]
+        error = np.abs(turn @ turn.swapaxes(1, 2) - np.eye(3)).max(axis=(1, 2)) + np.abs(np.linalg.det(turn) - 1)
+        error += np.abs(pose[:, 3] - [0, 0, 0, 1]).max(axis=1)
+        yield from _each(error > 1e-9, "/frames/pose is no rigid motion")
+
+
+def _images(bundle: Bundle) -> Iterator[str]:
+    if "/frames/rgb" in bundle:
+        rgb = bundle["/frames/rgb"]
+        flat = np.ptp(rgb.reshape(len(rgb), -1, 3), axis=1).max(axis=1) <= FLAT_RGB
+        yield from _each(flat, "/frames/rgb is one flat colour")
+
+
+def _pressure(bundle: Bundle) -> Iterator[str]:
+    if "/frames/pressure" in bundle:
+        pressure = bundle["/frames/pressure"]
+        low = pressure.min(axis=(1, 2))
+        yield from _each(low < -PULL * pressure.max(axis=(1, 2)), "/frames/pressure pulls:", low, "MPa")
+
+
+def _friction(bundle: Bundle) -> Iterator[str]:
+    """Coulomb's bound, sample by sample; slip only where there is contact."""
+    if "/frames/traction" in bundle and "/frames/pressure" in bundle:
+        friction = float(bundle.recipe.get("contact", {}).get("friction", 0.0))
+        pressure, size = bundle["/frames/pressure"], np.linalg.norm(bundle["/frames/traction"], axis=-1)
+        excess = (size - friction * np.maximum(pressure, 0)).max(axis=(1, 2))
+        peak = pressure.max(axis=(1, 2))
+        peak = np.maximum(peak, FAINT * peak.max(initial=0.0))  # a touch that fades is not held to its own peak
+        allowed = (COULOMB * friction + ROUNDING) * peak
+        yield from _each(excess > allowed, f"/frames/traction exceeds {friction:g} x pressure by", excess, "MPa")
+    if "/frames/slip" in bundle and "/frames/contact" in bundle:
+        stray = (bundle["/frames/slip"] & ~bundle["/frames/contact"]).any(axis=(1, 2))
+        yield from _each(stray, "/frames/slip is set where there is no contact")
+
+
+def _quality(bundle: Bundle) -> Iterator[str]:
+    """What the solver recorded about itself."""
+    if "/frames/quality/force_balance" in bundle:
+        balance = bundle["/frames/quality/force_balance"]
+        yield from _each(balance > FORCE_BALANCE, "forces do not balance:", balance, "of the force")
+    if "/frames/quality/min_gap_mm" in bundle:
+        gap = bundle["/frames/quality/min_gap_mm"]
+        yield from _each(gap <= 0, "the gel is inside the indenter: smallest gap", gap, "mm")
+
+
+def _repeats(bundle: Bundle) -> Iterator[str]:
+    """Outside holds and replays no frame has pose and force of the one before; no image stays while the gel moves.
+
+    An image may well repeat: nothing is touched yet, or a ball without friction turns about its own axis.
+    """
+    if bundle.frames < 2:
+        return
+    if "/frames/pose" in bundle and "/frames/force" in bundle:
+        same = ~_changed(bundle["/frames/pose"]) & ~_changed(bundle["/frames/force"])
+        held = np.array([kind in ("hold", "replay") for kind in bundle.segments[1:]])
+        yield from _each(np.append(False, same & ~held), "pose and force repeat the frame before")
+    if "/frames/rgb" in bundle:
+        moved = np.zeros(bundle.frames - 1, bool)
+        for path, threshold in MOVED.items():
+            if path in bundle:
+                moved |= _changed(bundle[path], threshold)
+        if "/frames/force" in bundle:
+            force = bundle["/frames/force"]
+            moved |= _changed(force, MOVED_FORCE * float(np.abs(force).max()))
+        stale = ~_changed(bundle["/frames/rgb"].astype(np.int16)) & moved
+        yield from _each(np.append(False, stale), "/frames/rgb repeats the frame before although the gel moved")
+
+
+def _markers(bundle: Bundle) -> Iterator[str]:
+    """Flow is position less reference."""
+    paths = ("/frames/markers", "/frames/marker_flow", "/reference/markers")
+    if all(path in bundle for path in paths):
+        markers, flow, reference = (bundle[path].astype(float) for path in paths)
+        error = np.abs(markers - reference - flow).max(axis=(1, 2), initial=0.0)
+        yield from _each(error > 1e-3, "/frames/marker_flow is not markers less reference, off by", error, "px")
+
+
+RULES: tuple[Callable[[Bundle], Iterator[str]], ...] = (
+    _finite,
+    _pose,
+    _images,
+    _pressure,
+    _friction,
+    _quality,
+    _repeats,
+    _markers,
+)
+
+
+def _changed(values: np.ndarray, threshold: float = 0.0) -> np.ndarray:
+    """(N - 1,) whether any number of frame k + 1 differs from frame k by more than the threshold."""
+    return np.array([np.abs(b - a).max(initial=0) > threshold for a, b in pairwise(values)], bool)
+
+
+def _each(bad: np.ndarray, what: str, values: np.ndarray | None = None, unit: str = "") -> Iterator[str]:
+    """One line for all bad frames (N,), with the worst value if there are values."""
+    frames = np.flatnonzero(bad)
+    if len(frames):
+        worst = "" if values is None else f" {values[frames][np.abs(values[frames]).argmax()]:.3g} {unit}"
+        names = ", ".join(map(str, frames[:6])) + (f" and {len(frames) - 6} more" if len(frames) > 6 else "")
+        yield f"{what}{worst} (frame{'s' if len(frames) > 1 else ''} {names})"

@@ -1,0 +1,161 @@
+"""Many bundles into few files: copies of scenes in shards of a chosen size, an index, and all frames as one dataset."""
+
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from tacgen import __version__
+from tacgen.bundle import dataset
+from tacgen.bundle.atomic_file import Sink
+from tacgen.bundle.bundle import Bundle, read
+from tacgen.errors import UserError
+
+
+@dataclass(frozen=True)
+class Packed:
+    """What was written."""
+
+    folder: Path
+    shards: tuple[Path, ...]
+    scenes: int
+    frames: int
+    left_out: tuple[str, ...]  # names of rejected scenes
+
+
+def pack(bundles: Sequence[Bundle], out: Path, size_mb: float = 1024.0) -> Packed:
+    """Copy finished scenes, bit by bit as they are stored, into shards of about `size_mb`.
+
+    Every scene is read back from its shard against its digest before the index names it. The index is written last,
+    so a folder without one is a pack that was stopped: pack again.
+
+    Raises:
+        UserError: a scene is damaged, two have one name, nothing is finished, or `out` holds another pack.
+        OSError: `out` cannot be written.
+    """
+    good = [bundle for bundle in bundles if bundle.attrs["status"] == "ok"]
+    if not good:
+        raise UserError(f"{bundles[0].path.parent if bundles else out}: no finished scene to pack")
+    names = _names(good)
+    if dataset.is_packed(out) or list(out.glob("scene-*.h5")):
+        raise UserError(f"{out}: holds a dataset already; choose another folder")
+    out.mkdir(parents=True, exist_ok=True)
+    shards, scenes = [], []
+    for number, part in enumerate(_parts(good, size_mb * 1e6)):
+        path = out / f"shard-{number:05d}.h5"
+        _write(path, [(names[i], good[i]) for i in part])
+        for i in part:
+            kept = read(path, f"/{names[i]}")
+            kept.verify()
+            entry = {"scene": names[i], "shard": number, "frames": kept.frames, "digest": kept.attrs["digest"]}
+            scenes.append({**entry, "values": json.loads(kept.attrs.get("values", "{}"))})
+        shards.append((path.name, path.stat().st_size))
+    index = {
+        "tacgen_pack": dataset.PACK_FORMAT,
+        "tacgen_version": __version__,
+        "name": good[0].recipe.get("name", ""),
+        "shards": [{"file": name, "bytes": size} for name, size in shards],
+        "scenes": scenes,
+    }
+    part_file = out / f".{dataset.INDEX}.{os.getpid()}"
+    part_file.write_text(json.dumps(index, indent=1) + "\n", encoding="utf-8")
+    os.replace(part_file, out / dataset.INDEX)
+    join(out)
+    left_out = tuple(bundle.path.stem for bundle in bundles if bundle.attrs["status"] != "ok")
+    frames = sum(scene["frames"] for scene in scenes)
+    return Packed(out, tuple(out / name for name, _ in shards), len(scenes), frames, left_out)
+
+
+def join(folder: Path) -> Path:
+    """Write `frames.h5`: datasets that all scenes have in one shape, end to end, read from the shards when asked for.
+
+    HDF5 reads zeros where a shard is missing, so every shard is looked at first, and so should whoever opens it later:
+    `source.packed` does. /scene and /frame say where each row comes from; /scenes holds the names.
+
+    Raises:
+        UserError: a shard is missing or damaged.
+    """
+    import h5py
+    import numpy as np
+
+    bundles = dataset.scenes(folder)
+    counts = [bundle.frames for bundle in bundles]
+    sink = Sink(folder / dataset.VIRTUAL)
+    try:
+        with sink.guard(), h5py.File(sink, "w", libver=("v110", "v110")) as file:
+            file.attrs["tacgen_pack"] = dataset.PACK_FORMAT
+            file["scenes"] = [bundle.group[1:] for bundle in bundles]
+            file["scene"] = np.repeat(np.arange(len(counts)), counts)
+            file["frame"] = np.concatenate([np.arange(n) for n in counts])
+            for path, (shape, dtype) in _common(bundles).items():
+                layout = h5py.VirtualLayout((sum(counts), *shape), dtype)
+                start = 0
+                for bundle, n in zip(bundles, counts, strict=True):
+                    name, inside = bundle.path.name, f"{bundle.group}{path}"
+                    layout[start : start + n] = h5py.VirtualSource(name, inside, (n, *shape), dtype)
+                    start += n
+                file.create_virtual_dataset(path, layout)
+    except BaseException:
+        sink.discard()
+        raise
+    sink.publish()
+    return folder / dataset.VIRTUAL
+
+
+def _common(bundles: Sequence[Bundle]) -> dict[str, tuple[tuple[int, ...], str]]:
+    """Per-frame datasets that every scene has, all frames in one shape: their shape less the frame, and type."""
+    from tacgen.bundle.schema import entry
+
+    first, *others = [{p: n[1:] for p, n in b.shapes.items() if entry(p).dims[0] == "N"} for b in bundles]
+    alike = {path: shape for path, shape in first.items() if all(other.get(path) == shape for other in others)}
+    return {path: (shape, entry(path).dtype) for path, shape in alike.items()}
+
+
+def _names(bundles: Sequence[Bundle]) -> list[str]:
+    """What each scene is called in its shard."""
+    names = [bundle.group[1:] or bundle.path.stem for bundle in bundles]
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        paths = [str(b.path) for b, name in zip(bundles, names, strict=True) if name == twice]
+        raise UserError(f"{paths[0]} and {paths[1]} have the same name: pack one dataset at a time")
+    return names
+
+
+def _parts(bundles: Sequence[Bundle], size: float) -> list[list[int]]:
+    """Which scenes go together: consecutive ones until what they hold adds up to `size` bytes."""
+    parts: list[list[int]] = [[]]
+    total = 0
+    for i, bundle in enumerate(bundles):
+        own = _stored(bundle)
+        if parts[-1] and total + own > size:
+            parts.append([])
+            total = 0
+        parts[-1].append(i)
+        total += own
+    return parts
+
+
+def _stored(bundle: Bundle) -> int:
+    """Bytes that the arrays of a scene take on disk."""
+    import h5py
+
+    with h5py.File(bundle.path, "r", locking=False) as file:
+        group = file[bundle.group]
+        return sum(int(group[path[1:]].id.get_storage_size()) for path in bundle.shapes)
+
+
+def _write(path: Path, scenes: Sequence[tuple[str, Bundle]]) -> None:
+    import h5py
+
+    sink = Sink(path)
+    try:
+        with sink.guard(), h5py.File(sink, "w", libver=("v110", "v110")) as file:
+            file.attrs["tacgen_pack"] = dataset.PACK_FORMAT
+            for name, bundle in scenes:
+                with h5py.File(bundle.path, "r", locking=False) as original:
+                    original.copy(original[bundle.group], file, name)
+    except BaseException:
+        sink.discard()
+        raise
+    sink.publish()

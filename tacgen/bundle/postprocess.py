@@ -1,0 +1,95 @@
+"""What follows from a bundle's contents, computed on reading: stress invariants, strain energy, who sticks and slips.
+
+    bundle = read(path)
+    von_mises(bundle["/fields/nodal_stress"])        # (N, n) [MPa]
+    contact_state(bundle, 7) == SLIP                 # (h, w)
+
+Stresses (..., 6) [MPa] are in the bundle's order, xx yy zz yz xz xy; tension is positive.
+"""
+
+import json
+
+import numpy as np
+
+from tacgen.bundle.bundle import Bundle
+from tacgen.errors import UserError
+from tacgen.fem.elasticity import Elastic
+from tacgen.fem.elements import elements
+from tacgen.fem.stress_recovery import FULL, Recovery
+
+Array = np.ndarray
+FREE, EDGE, STICK, SLIP = range(4)  # of `contact_state`
+
+
+def tensor(stress: Array) -> Array:
+    """The symmetric tensors (..., 3, 3)."""
+    full: Array = np.asarray(stress)[..., FULL]
+    return full
+
+
+def principal(stress: Array) -> Array:
+    """Principal stresses (..., 3), the largest first."""
+    return np.asarray(np.linalg.eigvalsh(tensor(stress).astype(float))[..., ::-1])
+
+
+def hydrostatic(stress: Array) -> Array:
+    """Hydrostatic pressure (...), minus the mean normal stress: positive in compression."""
+    return np.asarray(-np.asarray(stress)[..., :3].mean(-1))
+
+
+def von_mises(stress: Array) -> Array:
+    """Von Mises' equivalent stress (...), sqrt(3/2) of the deviator's norm."""
+    xx, yy, zz, yz, xz, xy = np.moveaxis(np.asarray(stress, float), -1, 0)
+    direct = ((xx - yy) ** 2 + (yy - zz) ** 2 + (zz - xx) ** 2) / 2
+    return np.asarray(np.sqrt(direct + 3 * (yz**2 + xz**2 + xy**2)))
+
+
+def largest_shear(stress: Array) -> Array:
+    """The largest shear stress on any plane (...), half the spread of the principal stresses."""
+    s = principal(stress)
+    return np.asarray((s[..., 0] - s[..., 2]) / 2)
+
+
+def contact_state(bundle: Bundle, frame: int) -> Array:
+    """FREE, EDGE, STICK or SLIP behind each pixel (h, w): on the edge some pressure acts on less than 40 % of the
+    points around. Without friction all contact is SLIP."""
+    contact = bundle.frame("/frames/contact", frame)
+    slip = bundle.frame("/frames/slip", frame) if "/frames/slip" in bundle else contact
+    state = np.where(bundle.frame("/frames/pressure", frame) > 0, EDGE, FREE)
+    return np.where(contact, np.where(slip, SLIP, STICK), state).astype(np.uint8)
+
+
+def stress_by_layer(bundle: Bundle, frame: int) -> tuple[Array, Array, Array]:
+    """Nodal stress of every layer, where /fields/nodal_stress has that of a node's outermost only.
+
+    Returns:
+        nodes (k,), their layers (k,) and stresses (k, 6) [MPa]: a node between two layers has a row for each.
+    """
+    recovery = Recovery.on(bundle["/mesh/points"], bundle["/mesh/cells"], bundle["/mesh/layer"])
+    values = recovery.matrix @ bundle.frame("/fields/cauchy_stress", frame).astype(float)
+    outer = np.zeros(len(bundle["/mesh/points"]), int)
+    outer[recovery.node] = recovery.material  # the last row of a node is its outermost layer's
+    last = outer[recovery.node] == recovery.material
+    values[last] = bundle.frame("/fields/nodal_stress", frame)[recovery.node[last]]
+    return recovery.node, recovery.material, values
+
+
+def strain_energy(bundle: Bundle, frame: int) -> Array:
+    """Strain energy (m,) [N mm] stored in each cell.
+
+    Raises:
+        UserError: the bundle does not say what the sensor is made of.
+    """
+    from tacgen.recipe.sensor import Sensor
+    from tacgen.scene.scene import law_of
+
+    if "sensor_document" not in bundle.attrs:
+        raise UserError(f"{bundle.path}: says nothing of the sensor's materials")
+    sensor = Sensor.model_validate(json.loads(bundle.attrs["sensor_document"]))
+    points, cells, layer = bundle["/mesh/points"], bundle["/mesh/cells"], bundle["/mesh/layer"]
+    x = points + bundle.frame("/fields/displacement", frame)
+    out = np.zeros(len(cells))
+    for number, made_of in enumerate(sensor.gel.layers):
+        here = layer == number
+        out[here] = Elastic(elements(points, cells[here]), law_of(made_of)).energies(x)
+    return out

@@ -1,0 +1,67 @@
+"""Which scenes need making: a bundle is kept if it is whole and of the same inputs, never because it exists."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from tacgen.bundle import atomic_file, bundle
+from tacgen.errors import UserError
+from tacgen.recipe.plan import Row
+
+
+@dataclass(frozen=True)
+class SceneResult:
+    """What became of a scene; seconds by stage, empty if the bundle was there already."""
+
+    name: str
+    path: Path
+    status: str  # ok, rejected (the solver gave up on a frame), failed (there is no bundle)
+    reason: str
+    frames: int
+    seconds: dict[str, float] = field(default_factory=dict)
+
+
+def once(row: Row, folder: Path, make: Callable[[Path], SceneResult], *, overwrite: bool = False) -> SceneResult:
+    """Make a scene unless its bundle is there and whole; `overwrite` makes it anyway.
+
+    Raises:
+        UserError: the bundle's place is taken by a file made from other inputs.
+        partfile.Busy: another process is making this very bundle.
+    """
+    path = folder / f"{row.name}.h5"
+    folder.mkdir(parents=True, exist_ok=True)
+    with atomic_file.claim(path):
+        if path.exists() and not overwrite:
+            if bundle.is_complete(path, row.key):
+                kept = bundle.read(path).attrs
+                return SceneResult(row.name, path, kept["status"], kept["reason"], row.frames)
+            _refuse(path)
+        return make(path)
+
+
+def refuse_foreign(rows: Iterable[Row], folder: Path) -> None:
+    """UserError if a bundle of other inputs stands where a row's will; reads attributes only."""
+    for row in rows:
+        path = folder / f"{row.name}.h5"
+        if path.exists():
+            try:
+                ours = bundle.read(path).attrs["input_key"] == row.key
+            except (bundle.Unfinished, bundle.Damaged):
+                continue
+            except UserError:
+                ours = False
+            if not ours:
+                _refuse(path)
+
+
+def _refuse(path: Path) -> None:
+    """Complain of a whole bundle of other inputs; one that is unfinished or damaged is redone."""
+    try:
+        other = bundle.read(path)
+        other.verify()
+    except (bundle.Unfinished, bundle.Damaged):
+        return
+    except UserError as error:
+        raise UserError([*error.lines[:-1], f"{error.lines[-1]}; pass --overwrite to replace it"]) from None
+    made = other.recipe.get("name", "?")
+    raise UserError(f"{path}: made from other inputs (recipe {made}); pass --overwrite or choose another folder")

@@ -1,0 +1,268 @@
+"""Fit of a sensor whose gel is clear: light that goes straight and by the mirror image, and what bounces.
+
+Light is linear in the LEDs' power: for each trial of the rest, power, colour and stray light follow from non-negative
+least squares, channel by channel. The rest moves within the mechanical tolerance, and is held to where the file has it
+by as much as a tolerance weighs. Presses count by their change against the untouched picture, so that marks on the
+coat and what the lights cannot explain of the background do not drag them.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.optimize import least_squares, nnls
+
+from tacgen.calibrate import press_faces
+from tacgen.calibrate.photos import Photos, Press
+from tacgen.calibrate.result import Fitted, rgb, rms
+from tacgen.optics import camera_response, coating, strip_light
+from tacgen.optics.camera_view import Samples, View
+from tacgen.optics.direct_light import Direct
+from tacgen.optics.interreflection import Bounce, Glow
+from tacgen.optics.mitsuba_dicts import frame
+from tacgen.optics.surface_grid import Sheet, Surface, Untouched
+from tacgen.recipe import background_photo, optics_checks
+from tacgen.recipe.sensor import Led, LitSensor
+from tacgen.recipe.yaml_source import KeyPath
+from tacgen.render import images
+
+if TYPE_CHECKING:
+    from tacgen.calibrate import Asked
+
+Array = np.ndarray
+SHRINK = 4  # pixels of a photograph per pixel of the fit
+LEAST_WIDTH = 40  # pixels that the fit has across
+SHEET = 0.2  # [mm]
+PIECES = (6, 2)  # points on each strip
+NEAR = 1.7  # contact radii around a dent that count
+REACH = 3.0  # [mm] the same of a press whose contact nobody saw
+WEIGHT = 2.0  # of a press's pixel beside one of the untouched picture
+SOFT = 15.0  # [counts] misfits beyond count less: marks, dust
+HOLD = 3.0  # [counts] that a whole tolerance weighs
+BRIGHT = 0.95  # of full scale: pixels beyond are not compared
+STEEPEST = 1500.0  # [counts per unit of light]: a dark pixel weighs no more
+PARTS = 5  # numbers of an LED: three of place, a tilt about its length and a turn about its upright
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """How far the fit may go from the sensor file."""
+
+    mm: float
+    rad: float
+    specular: float = 0.1
+    factor: float = 1.5  # of roughness and vignette
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A photograph at the fit's scale."""
+
+    name: str
+    light: Array  # (pixels, 3), linear, in parts of full scale
+    slope: Array  # (pixels, 3) [counts] per unit of light
+    counts: Array  # (pixels,) bool: which are compared
+    face: Surface
+
+
+def fit(sensor: LitSensor, photos: Photos, held_out: list[int], folders: dict[KeyPath, Path], asked: "Asked") -> Fitted:
+    """Lights, and where there are presses the rest; presses count from 1."""
+    tolerance = Tolerance(asked.mm, float(np.radians(asked.deg)) if asked.mm else 0.0)
+    faces = [press_faces.face(sensor, press, folders) for press in photos.presses]
+    return Fit(sensor, photos, faces, tolerance, asked.bare).run(asked.steps, held_out)
+
+
+class Fit:
+    """Photographs against trial sensors."""
+
+    def __init__(
+        self, sensor: LitSensor, photos: Photos, faces: list[Surface], tolerance: Tolerance, bare: bool
+    ) -> None:
+        """`faces` are those of the presses; `bare`: the photographed gel has no dots, whatever the file says."""
+        self.tolerance = tolerance
+        columns = max(min(LEAST_WIDTH, sensor.camera.width_px), sensor.camera.width_px // SHRINK)
+        self.sensor = images.zoomed(sensor, columns)
+        self.sheet, untouched = Sheet.over(sensor.gel, SHEET), Untouched.of(sensor.gel)
+        self._bounce = Bounce(self.sensor)
+        self._look = lru_cache(64)(self._looked)
+        self._around = lru_cache(4 * len(sensor.leds))(self._bounced)
+        self._column = lru_cache(4 * len(sensor.leds) * (1 + len(faces)))(self._lit)
+        everywhere = np.ones(self.sensor.camera.width_px * self.sensor.camera.height_px, bool)
+        self.pictures = [self._picture("untouched", photos.untouched, everywhere, untouched)]
+        for press, face in zip(photos.presses, faces, strict=True):
+            self.pictures.append(self._picture(press.name, press.picture, self._near(press), face))
+        if not bare and sensor.markers is not None:
+            for number, picture in enumerate(self.pictures):
+                rest = self._look(number, (0.0, 0.0))[1].rest
+                dots = coating.paint(sensor.markers, rest, 3 * self.sensor.camera.mm_per_px)
+                np.logical_and(picture.counts, np.nan_to_num(dots, nan=1.0) == 0, out=picture.counts)
+        self._least, self._most, self._start = self._ranges()
+
+    def _picture(self, name: str, picture: Array, counts: Array, face: Surface) -> Picture:
+        eye = self.sensor.camera
+        light = background_photo.shrunk(camera_response.linear(picture / 255.0), eye.width_px, eye.height_px).reshape(
+            -1, 3
+        )
+        counts = counts & (light < BRIGHT).all(axis=1)
+        return Picture(name, light, np.minimum(255 * camera_response.slope(light), STEEPEST), counts, face)
+
+    def _near(self, press: Press) -> Array:
+        eye = self.sensor.camera
+        shrink = press.picture.shape[1] / eye.width_px
+        y, x = np.mgrid[: eye.height_px, : eye.width_px] + 0.5
+        away = np.hypot(x * shrink - press.center[0], y * shrink - press.center[1])
+        reach = REACH / eye.mm_per_px * shrink if press.contact is None else NEAR * press.contact
+        return np.asarray((away < reach).ravel())
+
+    def _ranges(self) -> tuple[Array, Array, Array]:
+        """Least, most and start of every searched number: the LEDs' parts, then gloss, roughness, vignette, crop."""
+        t, coat, eye = self.tolerance, self.sensor.coating, self.sensor.camera
+        led = [*[(-t.mm, t.mm, 0.0)] * 3, *[(-t.rad, t.rad, 0.0)] * 2]
+        vignette = eye.vignette_mm or 1.0
+        wide = t.mm > 0
+        rest = [
+            (max(0.0, coat.specular - t.specular * wide), min(1.0, coat.specular + t.specular * wide), coat.specular),
+            (coat.roughness / t.factor**wide, min(1.0, coat.roughness * t.factor**wide), coat.roughness),
+            (vignette / t.factor**wide, vignette * t.factor**wide, vignette),
+            *[(-t.mm, t.mm, 0.0)] * 2,
+        ]
+        least, most, start = np.array([*led * len(self.sensor.leds), *rest], dtype=float).T
+        return least, most, start
+
+    def moved(self, led: Led, parts: tuple[float, ...]) -> Led:
+        """An LED displaced by PARTS numbers, as far that way as its housing lets it."""
+        axes = frame(led.normal, led.up)
+        for share in (1.0, 0.75, 0.5, 0.25, 0.0):
+            *by, tilt, turn = share * np.array(parts)
+            normal = axes[:, 2] * np.cos(tilt) * np.cos(turn) + axes[:, 1] * np.sin(tilt) + axes[:, 0] * np.sin(turn)
+            place = tuple(float(c) for c in np.add(led.center_mm, by))
+            facing = tuple(float(c) for c in normal / np.linalg.norm(normal))
+            tried = led.model_copy(update={"center_mm": place, "normal": facing})
+            if share == 0.0 or not optics_checks.wrong_led(self.sensor, tried):
+                return led if share == 0.0 else tried
+        return led
+
+    def _looked(self, picture: int, crop: tuple[float, ...]) -> tuple[Any, Samples]:
+        eye = self.sensor.camera
+        moved = eye.model_copy(update={"crop_mm": tuple(np.add(eye.crop_mm, crop))})
+        sensor = self.sensor.model_copy(update={"camera": moved})
+        view = View(sensor, self.sheet, False)
+        return sensor, view.look(self.pictures[picture].face)
+
+    def _lit(self, picture: int, led: int, parts: tuple[float, ...], rough: float, crop: tuple[float, ...]) -> Array:
+        """Light by one LED of unit radiance that goes straight, from a matt white coat and a mirror-rough one, and
+        what bounces (RGB): (pixels that count, 5)."""
+        sensor, at = self._look(picture, crop)
+        coat = sensor.coating.model_copy(update={"specular": 0.5, "roughness": rough})  # so that both are computed
+        one = (self.moved(sensor.leds[led], parts),)
+        sensor = sensor.model_copy(update={"leds": one, "coating": coat})
+        direct = Direct(sensor, self.sheet, False, PIECES)
+        straight = np.nan_to_num(direct.light(at)[:, 0])
+        bounced = self._around(led, parts, crop).at(at.normal)
+        return np.asarray(np.column_stack([straight, bounced])[self.pictures[picture].counts])
+
+    def _bounced(self, led: int, parts: tuple[float, ...], crop: tuple[float, ...]) -> Glow:
+        """Light by one LED of unit radiance that bounces, with the coat as the file has it."""
+        sensor, _ = self._look(0, crop)
+        one = sensor.model_copy(update={"leds": (self.moved(sensor.leds[led], parts),)})
+        added = self._bounce.added(one, strip_light.points(one.leds, *PIECES))[:, 0]
+        return self._bounce.glow(added, View(one, self.sheet, False))
+
+    def columns(self, v: Array, picture: int) -> Array:
+        """Light per unit radiance of each LED, and even stray light: (3, pixels that count, LEDs + 1)."""
+        leds, coat = len(self.sensor.leds), self.sensor.coating
+        parts = [tuple(p) for p in v[: PARTS * leds].reshape(leds, PARTS)]
+        gloss, rough, vignette, *crop = v[PARTS * leds :]
+        lights = np.array([self._column(picture, k, parts[k], rough, tuple(crop)) for k in range(leds)])
+        made = [
+            (1 - gloss) * albedo * lights[..., 0] + gloss * coating.METAL * lights[..., 1] + lights[..., 2 + c]
+            for c, albedo in enumerate(coat.albedo)
+        ]
+        fall = camera_response.expose(np.ones(()), self._camera(vignette, crop))[..., 0].ravel()[
+            self.pictures[picture].counts
+        ]
+        stray = np.ones((3, len(fall), 1))
+        return np.concatenate([np.swapaxes(np.array(made), 1, 2) * fall[:, None], stray], axis=2)
+
+    def _camera(self, vignette: float, crop: list[float]) -> Any:
+        eye = self.sensor.camera
+        moved = {"crop_mm": tuple(float(c) for c in np.add(eye.crop_mm, crop))}
+        return eye.model_copy(update=moved | ({"vignette_mm": float(vignette)} if eye.vignette_mm else {}))
+
+    def misfit(self, columns: list[Array], chosen: list[int], lights: Array | None = None) -> tuple[list[Array], Array]:
+        """Misfits [counts] of pictures, the untouched one first (pixels, 3 each), by the best lights (3, LEDs + 1) for
+        all of them, or by those given."""
+        rows: list[list[Array]] = [[] for _ in range(3)]
+        for k in chosen:
+            picture, first = self.pictures[k], self.pictures[0]
+            here = picture.counts
+            change, wanted = columns[k], picture.light[here]
+            if k:
+                both = here & first.counts
+                own, base = both[here], both[first.counts]
+                change, wanted = columns[k][:, own] - columns[0][:, base], picture.light[both] - first.light[both]
+                here = both
+            for c in range(3):
+                slope = picture.slope[here, c] * (WEIGHT if k else 1.0)
+                rows[c].append(np.column_stack([change[c] * slope[:, None], wanted[:, c] * slope]))
+        if lights is None:
+            stacked = [np.concatenate(r) for r in rows]
+            lights = np.array([nnls(a[:, :-1], a[:, -1])[0] for a in stacked])
+        return [
+            np.stack([rows[c][i][:, :-1] @ lights[c] - rows[c][i][:, -1] for c in range(3)], 1) / (WEIGHT if k else 1.0)
+            for i, k in enumerate(chosen)
+        ], lights
+
+    def all_columns(self, v: Array, chosen: list[int]) -> list[Array]:
+        """Columns of the chosen pictures; others are left empty."""
+        return [self.columns(v, k) if k in chosen else np.zeros(0) for k in range(len(self.pictures))]
+
+    def run(self, steps: int, held_out: list[int]) -> Fitted:
+        """Fit to all pictures but those held out, whose numbers count the untouched one as 0."""
+        seen = [k for k in range(len(self.pictures)) if k not in held_out]
+        span = self._most - self._least
+        free = np.flatnonzero(span > 0) if len(seen) > 1 else np.zeros(0, int)  # the background alone tells powers only
+
+        def numbers(u: Array) -> Array:
+            v = self._start.copy()
+            v[free] = self._least[free] + (u - 1) / 2 * span[free]
+            return v
+
+        def left(u: Array) -> Array:
+            found, _ = self.misfit(self.all_columns(numbers(u), seen), seen)
+            weights = [WEIGHT if k else 1.0 for k in seen]
+            held = HOLD * 2 * (numbers(u) - self._start)[free] / span[free]
+            return np.concatenate([*(w * m.ravel() for w, m in zip(weights, found, strict=True)), held])
+
+        best = self._start
+        if len(free):  # searched from 1 to 3, so that a step is a share of the whole range
+            start = 1 + 2 * (self._start - self._least)[free] / span[free]
+            start = np.clip(start, 1.02, 2.98)
+            how: Any = {"bounds": (1, 3), "diff_step": 0.02, "max_nfev": steps, "loss": "soft_l1", "f_scale": SOFT}
+            best = numbers(least_squares(left, start, **how).x)
+        columns = self.all_columns(best, [*seen, *held_out])
+        misfits, lights = self.misfit(columns, seen)
+        rest, _ = self.misfit(columns, held_out, lights)
+        before = self._before()
+        return Fitted(
+            self._sensor(best, lights), rms(misfits[:1]), before, rms(misfits[1:]) if len(seen) > 1 else None,
+            rms(rest) if rest else None,
+        )  # fmt: skip
+
+    def _before(self) -> float:
+        eye, leds = self.sensor.camera, self.sensor.leds
+        own = np.column_stack([np.array([led.light for led in leds]).T, eye.ambient])
+        return rms(self.misfit([self.columns(self._start, 0)], [0], own)[0])
+
+    def _sensor(self, v: Array, lights: Array) -> LitSensor:
+        """The trial sensor, at the fit's scale, with its lights."""
+        leds = []
+        for k, led in enumerate(self.sensor.leds):
+            moved = self.moved(led, tuple(v[PARTS * k : PARTS * (k + 1)]))
+            leds.append(moved.model_copy(update={"radiance": rgb(lights[:, k]), "power": 1.0}))
+        gloss, rough, vignette, *crop = (float(x) for x in v[PARTS * len(leds) :])
+        eye = self._camera(vignette, crop).model_copy(update={"ambient": rgb(lights[:, -1])})
+        coat = self.sensor.coating.model_copy(update={"specular": gloss, "roughness": rough})
+        return self.sensor.model_copy(update={"leds": tuple(leds), "camera": eye, "coating": coat})

@@ -1,0 +1,150 @@
+"""Fit of a sensor whose gel scatters.
+
+The untouched photograph gives the LEDs' light, by least squares on maps traced with one LED at a time. Presses give the
+gain by thickness: how the photographs change, over how transport says they should, on faces that are solved at depths
+that may all be off by one factor.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.optimize import nnls
+
+from tacgen.calibrate import press_faces
+from tacgen.calibrate.photos import Photos, Press
+from tacgen.calibrate.result import Fitted, rgb, rms
+from tacgen.errors import UserError
+from tacgen.optics import camera_response, scattering
+from tacgen.optics.camera import Camera
+from tacgen.optics.camera_view import View
+from tacgen.optics.surface_grid import Surface
+from tacgen.recipe import background_photo
+from tacgen.recipe.sensor import LitSensor, ThicknessResponse
+from tacgen.recipe.yaml_source import KeyPath
+from tacgen.render import images
+
+Array = np.ndarray
+CHANGES = (-2.1, -1.6, -1.2, -0.8, -0.4, -0.15, 0.0, 0.08, 0.16, 0.24, 0.32, 0.45)  # [mm] where the gain is given
+FACTORS = (0.92, 0.94, 0.96, 0.98, 1.0, 1.02, 1.04, 1.06, 1.08)  # that the depths may be off by
+REACH = 9.0  # [mm] around a press that counts
+SPP = 64  # paths, as in render.Renderer
+FIXED = 1e5  # weight of no gain at no change, beside that of a pixel
+
+
+@dataclass(frozen=True)
+class Seen:
+    """One press as it would look at one depth, all over the picture (pixels, 3) but `near` (pixels,)."""
+
+    change: Array  # (pixels,) [mm] of thickness
+    own: Array  # transport's picture over the untouched one
+    wanted: Array  # the photograph's over the untouched one
+    near: Array
+
+    def off(self, table: Array, untouched: Array) -> Array:
+        """Misfit [counts] (k, 3) by a table of gains, over an untouched picture of linear light (pixels, 3)."""
+        made = untouched * self.own * scattering.between(self.change, np.array(CHANGES), table)
+        return np.asarray(255 * (camera_response.srgb(made) - camera_response.srgb(untouched * self.wanted))[self.near])
+
+
+def fit(sensor: LitSensor, photos: Photos, held_out: list[int], folders: dict[KeyPath, Path]) -> Fitted:
+    """Lights and the response to thickness; presses count from 1.
+
+    Raises:
+        UserError: a press of unknown depth.
+    """
+    shallow = [press.name for press in photos.presses if press.depth is None]
+    if shallow:
+        raise UserError(
+            f"{photos.folder / name}: needs depth_mm: through a gel that scatters no edge shows" for name in shallow
+        )
+    light = images.Renderer(sensor, SPP, 0, False).light
+    assert isinstance(light, images.Cloudy)
+    maps = light.maps
+    lights = powers(sensor, maps, photos.untouched)
+    leds = zip(sensor.leds, lights, strict=True)
+    made = sensor.model_copy(
+        update={"leds": tuple(led.model_copy(update={"radiance": rgb(row), "power": 1.0}) for led, row in leds)}
+    )
+    now, before = (_off(s, maps, photos.untouched) for s in (made, sensor))
+    if not photos.presses:
+        return Fitted(made, now, before)
+    bare = made.model_copy(update={"thickness_response": None})
+    renderer, linear = (
+        images.Renderer(bare, SPP, 0, False),
+        camera_response.linear(photos.untouched / 255.0).reshape(-1, 3),
+    )
+    seen = [_seen(bare, renderer, photos, press, folders) for press in photos.presses]  # by press, then by factor
+    chosen = [k for k in range(len(seen)) if k + 1 not in held_out]
+    best: tuple[float, Array, int] = (np.inf, np.zeros(0), 0)
+    for i in range(len(FACTORS)):
+        here = [seen[k][i] for k in chosen]
+        table = gains(np.concatenate([s.change for s in here]), np.concatenate([s.wanted / s.own for s in here]))
+        off = rms([s.off(table, linear) for s in here])
+        best = min(best, (off, table, i), key=lambda found: found[0])
+    off, table, i = best
+    rest = [seen[k - 1][i].off(table, linear) for k in held_out]
+    response_ = ThicknessResponse(change_mm=CHANGES, gain=tuple(rgb(row) for row in table), source="fit")
+    whole = made.model_copy(update={"thickness_response": response_})
+    return Fitted(whole, now, before, off, rms(rest) if rest else None, FACTORS[i])
+
+
+def powers(sensor: LitSensor, maps: Array, untouched: Array) -> Array:
+    """Radiances (leds, 3) by which maps (leds, h, w, 3) of unit radiance add up to a photograph (H, W, 3)."""
+    h, w = maps.shape[1:3]
+    wanted = background_photo.shrunk(camera_response.linear(untouched / 255.0), w, h)
+    shown = np.array([camera_response.expose(one, images.zoomed(sensor, w).camera) for one in maps])
+    return np.asarray(
+        np.array([nnls(shown[..., c].reshape(len(maps), -1).T, wanted[..., c].ravel())[0] for c in range(3)]).T
+    )
+
+
+def gains(change: Array, wanted: Array) -> Array:
+    """Least-squares gain (changes, 3) at CHANGES, slightly smooth, through 1 at no change."""
+    known = np.array(CHANGES)
+    there = np.isfinite(change) & np.isfinite(wanted).all(axis=1)
+    hat = np.array([np.interp(change[there], known, row) for row in np.eye(len(known))]).T
+    bend = np.zeros((len(known) - 2, len(known)))
+    for k in range(len(known) - 2):
+        a, b = known[k + 1] - known[k], known[k + 2] - known[k + 1]
+        bend[k, k : k + 3] = [1 / a, -1 / a - 1 / b, 1 / b]
+    rows = np.vstack([hat, bend, FIXED * np.eye(len(known))[known == 0]])
+    right = [np.concatenate([w, np.zeros(len(bend)), [FIXED]]) for w in wanted[there].T]
+    return np.asarray(np.maximum(np.array([np.linalg.lstsq(rows, b, rcond=None)[0] for b in right]).T, 0.0))
+
+
+def _seen(
+    sensor: LitSensor, renderer: images.Renderer, photos: Photos, press: Press, folders: dict[KeyPath, Path]
+) -> list[Seen]:
+    """A press as it would look at each of FACTORS times its depth."""
+    assert press.depth is not None
+    view, camera, flat = View(sensor, renderer.sheet, False), Camera.from_sensor(sensor), renderer.flat().astype(float)
+    before, after = (
+        camera_response.linear(np.maximum(p, 1) / 255.0).reshape(-1, 3) for p in (photos.untouched, press.picture)
+    )
+
+    def at(face: Surface) -> Seen:
+        seen = view.look(face)
+        change = seen.position[:, 2] - renderer.untouched.at(seen.position[:, :2])[:, 2]
+        own = (renderer.image(face).astype(float) / np.maximum(flat, 1e-12)).reshape(-1, 3)
+        away = np.hypot(*(camera.project(seen.position) - press.center).T) * camera.mm_per_px
+        return Seen(change, own, after / before, away < REACH)
+
+    depths = [factor * press.depth for factor in FACTORS]
+    return [at(face) for face in press_faces.solved(sensor, press, depths, folders)]
+
+
+def _off(sensor: LitSensor, maps: Array, untouched: Array) -> float:
+    """Misfit [counts] of the untouched picture, rms, at the maps' scale."""
+    h, w = maps.shape[1:3]
+    made = np.einsum("khwc,kc->hwc", maps, [led.light for led in sensor.leds])
+    shown = camera_response.expose(made, images.zoomed(sensor, w).camera)
+    return rms(
+        [
+            255
+            * (
+                camera_response.srgb(shown)
+                - camera_response.srgb(background_photo.shrunk(camera_response.linear(untouched / 255.0), w, h))
+            )
+        ]
+    )

@@ -1,0 +1,50 @@
+"""The face under a photographed ball."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from tacgen.calibrate.photos import Press
+from tacgen.labels import faces
+from tacgen.optics.camera import Camera
+from tacgen.optics.hertz_dent import BallDent
+from tacgen.optics.surface_grid import Surface, Untouched
+from tacgen.recipe import plan
+from tacgen.recipe.model import Recipe
+from tacgen.recipe.sensor import LitSensor
+from tacgen.recipe.yaml_source import KeyPath
+
+
+def face(sensor: LitSensor, press: Press, folders: dict[KeyPath, Path]) -> Surface:
+    """By Hertz's formulas if its contact was seen, else solved at its depth; for `folders` see plan.Row."""
+    if press.contact is None:
+        assert press.depth is not None
+        return solved(sensor, press, [press.depth], folders)[0]
+    dome = sensor.gel.dome
+    bend = 0.0 if dome is None else (1 / dome.radius_x_mm + 1 / dome.radius_y_mm) / 2
+    untouched, camera = Untouched.of(sensor.gel), Camera.from_sensor(sensor)
+    return BallDent.seen(camera, press.ball, press.center, press.contact, untouched, bend)
+
+
+def solved(sensor: LitSensor, press: Press, depths: Sequence[float], folders: dict[KeyPath, Path]) -> Sequence[Surface]:
+    """At each of rising depths [mm], where the photograph shows the ball."""
+    x, y = place(sensor, press.center, float(np.mean(depths)))
+    recipe = {
+        "tacgen": 1, "name": "press", "sensor": sensor.name, "outputs": ["force"], "start": {"x_mm": x, "y_mm": y},
+        "indenter": {"shape": "sphere", "radius_mm": press.ball},
+        "trajectory": [{"press": {"depth_mm": float(depth), "frames": 1}} for depth in depths],
+    }  # fmt: skip
+    (row,) = plan.expand(Recipe.model_validate(recipe), sensor).rows
+    return list(faces.faces(replace(row, folders={**row.folders, **folders})))[1:]
+
+
+def place(sensor: LitSensor, pixel: tuple[float, float], depth: float) -> tuple[float, float]:
+    """Where (x, y) [mm] the camera sees a place on the face at `pixel`, once it is pressed by `depth` [mm]."""
+    camera, untouched, at = Camera.from_sensor(sensor), Untouched.of(sensor.gel), np.zeros((1, 2))
+    origin, ray = camera.rays(np.array([pixel]))
+    for _ in range(5):
+        z = untouched.at(at)[:, 2] - depth
+        at = (origin + ray * ((z - origin[:, 2]) / ray[:, 2])[:, None])[:, :2]
+    return float(at[0, 0]), float(at[0, 1])

@@ -1,0 +1,202 @@
+"""Contact of the coated face with a rigid indenter: a barrier on the signed distance at surface quadrature points.
+
+Li et al. (2020), "Incremental Potential Contact", clamped barrier; scaled to a length times a pressure as in Li et al.
+(2023), "Convergent IPC", and weighted by area, so that kappa [MPa] does not depend on the mesh.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tacgen.contact.friction import Friction
+from tacgen.fem import assembly
+from tacgen.fem.assembly import Pattern
+from tacgen.fem.elements import facet_areas, facet_points, facet_shares
+from tacgen.fem.potential import Projection
+from tacgen.geometry.analytic_sdf import Shape
+
+Array = np.ndarray
+SOFT = 0.5  # below SOFT * dhat the barrier goes on as a parabola, so that Newton can start from an overlap
+
+
+def barrier(d: Array, dhat: float) -> tuple[Array, Array, Array]:
+    """Clamped log barrier in millimetres with its first two derivatives.
+
+        b(d) = -dhat (d/dhat - 1)^2 ln(d/dhat)     for SOFT dhat < d < dhat
+
+    0 from dhat on and C2 there; below SOFT dhat its second-order Taylor polynomial. Times kappa [MPa] and an area
+    [mm^2] it is an energy [N mm].
+
+    Args:
+        d: gaps [mm], any shape. dhat: gap below which the barrier acts [mm].
+
+    Returns:
+        b [mm], db/dd [-], d2b/dd2 [1/mm], each of the shape of d.
+    """
+    s = d / dhat
+    t = np.clip(s, SOFT, 1.0)
+    ln, r = np.log(t), 1 - t
+    b, db, ddb = -(r**2) * ln, 2 * r * ln - r**2 / t, -2 * ln + 4 * r / t + (r / t) ** 2
+    below = np.minimum(s - SOFT, 0.0)
+    return dhat * (b + db * below + ddb / 2 * below**2), db + ddb * below, ddb / dhat
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where the indenter is: x = rotation @ X + position takes its own frame to the sensor's."""
+
+    rotation: Array
+    position: Array
+
+    @classmethod
+    def of(cls, matrix: Array) -> "Pose":
+        """From a homogeneous (4, 4) matrix."""
+        return cls(matrix[:3, :3], matrix[:3, 3])
+
+    def local(self, x: Array) -> Array:
+        """Points (..., 3) in the indenter's frame."""
+        return np.asarray((x - self.position) @ self.rotation)
+
+    def world(self, X: Array) -> Array:
+        """Points (..., 3) of the indenter's frame in the sensor's."""
+        return np.asarray(X @ self.rotation.T + self.position)
+
+    def toward(self, other: "Pose", part: float) -> "Pose":
+        """A part of the way to another pose: straight in position, steady in rotation."""
+        from scipy.spatial.transform import Rotation
+
+        turn = Rotation.from_matrix(other.rotation @ self.rotation.T).as_rotvec() * part
+        position = (1 - part) * self.position + part * other.position
+        return Pose(Rotation.from_rotvec(turn).as_matrix() @ self.rotation, position)
+
+
+@dataclass(frozen=True)
+class Faces:
+    """Quadrature on the coated face: conn (f, a); N (q, a); rest areas (f, q) [mm^2]; slots of the (3a, 3a) blocks."""
+
+    conn: Array
+    N: Array
+    areas: Array
+    slots: Array
+
+    @classmethod
+    def on(cls, pattern: Pattern, points: Array, facets: Array) -> "Faces":
+        N, _, _ = facet_points(facets.shape[1])
+        return cls(facets, N, facet_areas(points, facets)[0], pattern.slots(facets))
+
+    def only(self, which: Array) -> "Faces":
+        """Those numbered `which` (k,)."""
+        return replace(self, conn=self.conn[which], areas=self.areas[which], slots=self.slots[which])
+
+    def at(self, x: Array) -> Array:
+        """Positions (f, q, 3) of the quadrature points."""
+        return np.asarray(assembly.at_points(x, self.conn, self.N))
+
+    def scatter(self, forces: Array, nodes: int) -> Array:
+        """Nodal sums (n, c) of forces (f, q, c) at the quadrature points: what they do to the nodes."""
+        return self._sum(self.N, forces, nodes)
+
+    def shared(self, forces: Array, nodes: int) -> Array:
+        """Nodal sums (n, c) for drawing: as `scatter`, but even where a uniform pressure is (see facet_shares)."""
+        return self._sum(facet_shares(self.N, self.areas), forces, nodes)
+
+    def _sum(self, weights: Array, forces: Array, nodes: int) -> Array:
+        out = np.zeros((nodes, forces.shape[-1]))
+        assembly.add_point_forces(forces, self.conn, weights, out)
+        return out
+
+    def add_blocks(self, which: Array, D: Array, data: Array) -> None:
+        """Add the stiffness D (k, q, 3, 3) of the faces numbered `which` (k,)."""
+        assembly.add_point_blocks(D, self.N, self.slots[which], data)
+
+
+@dataclass(frozen=True)
+class Contact:
+    """The barrier between the coated face and an indenter shrunk by `offset`.
+
+    The barrier holds the gel off by some gap; shrinking the indenter by the mean gap puts the face where the real
+    surface would hold it (see solve.equilibrium).
+    """
+
+    faces: Faces
+    shape: Shape
+    pose: Pose
+    dhat: float  # [mm]
+    kappa: float  # [MPa]
+    offset: float = 0.0  # [mm]
+
+    def moved(self, pose: Pose, offset: float) -> "Contact":
+        return replace(self, pose=pose, offset=offset)
+
+    def grown(self, offset: float, x: Array) -> "Contact":
+        """Shrunk by another offset, with the gel at x."""
+        return replace(self, offset=offset)
+
+    def clear(self, pose: Pose, x: Array) -> Pose:
+        """Where an indenter may start from: at `pose`, since gaps may be negative."""
+        return pose
+
+    def starts(self, x: Array, ahead: Array, pose: Pose) -> tuple[Array, Array]:
+        """Positions from which Newton may start: those of the last `pose` and a guess, since gaps may be negative."""
+        return x, ahead
+
+    def friction(
+        self, coefficient: float, x: Array, normal_force: Array, normal: Array, anchor: Array, eps: float
+    ) -> Friction:
+        """Friction with what is lagged: the forces and normals of the gel at x, and anchors."""
+        return Friction(self.faces, coefficient, normal_force, normal, anchor, eps)
+
+    def gaps(self, x: Array) -> tuple[Array, Array, Array]:
+        """Gap to the shrunk indenter (f, q) [mm], normal (f, q, 3) and Hessian (f, q, 3, 3), in the sensor frame."""
+        return self.gaps_at(self.faces.at(x))
+
+    def gaps_at(self, at: Array) -> tuple[Array, Array, Array]:
+        """The same of points (f, q, 3)."""
+        R = self.pose.rotation
+        d, n, H = self.shape.distance(self.pose.local(at).reshape(-1, 3))
+        fq = at.shape[:2]
+        return d.reshape(fq) + self.offset, (n @ R.T).reshape(*fq, 3), (R @ H @ R.T).reshape(*fq, 3, 3)
+
+    def pressure(self, x: Array) -> tuple[Array, Array, Array]:
+        """Force of each quadrature point on the indenter (f, q) [N], normals (f, q, 3) and gaps (f, q) [mm]."""
+        d, n, _ = self.gaps(x)
+        slope = np.maximum(np.linalg.norm(n, axis=2), 1e-12)  # 1, but for a distance that is interpolated
+        return -self.kappa * self.faces.areas * barrier(d, self.dhat)[1] * slope, n / slope[..., None], d
+
+    def mean_gap(self, x: Array) -> float:
+        """Force-weighted mean gap to the shrunk indenter [mm]; the present shrinkage where nothing touches."""
+        force, _, gap = self.pressure(x)
+        total = force.sum()
+        return float((force * gap).sum() / total) if total > 0 else self.offset
+
+    def least(self, x: Array) -> float:
+        """Smallest gap to the shrunk indenter [mm]."""
+        return float(self.gaps(x)[0].min())
+
+    def value(self, x: Array) -> float:
+        d, _, _ = self.gaps(x)
+        return float(self.kappa * (self.faces.areas * barrier(d, self.dhat)[0]).sum())
+
+    def gradient(self, x: Array) -> Array:
+        force, n, _ = self.pressure(x)
+        return self.faces.scatter(-force[..., None] * n, len(x))
+
+    def add_hessian(self, x: Array, data: Array, projection: Projection) -> None:
+        d, n, H = self.gaps(x)
+        which = np.flatnonzero((d < self.dhat).any(1))
+        _, db, ddb = barrier(d[which], self.dhat)
+        w = (self.kappa * self.faces.areas[which])[..., None, None]
+        D = w * ddb[..., None, None] * n[which][..., :, None] * n[which][..., None, :]
+        if projection == Projection.NONE:  # the indenter's curvature only ever softens a convex contact
+            D += w * db[..., None, None] * H[which]
+        self.faces.add_blocks(which, D, data)
+
+    def max_step(self, x: Array, p: Array) -> float:
+        """Signed distance is 1-Lipschitz: a point that moves less than its gap cannot pass the surface, and one that
+        also moves less than half the indenter's reach cannot leave it on the far side."""
+        return self.max_step_from(self.gaps(x)[0], p)
+
+    def max_step_from(self, gap: Array, p: Array) -> float:
+        """The same where the gaps (f, q) [mm] are known."""
+        allowed = np.maximum(gap, 0.0) + self.shape.reach / 2
+        return float(min(1.0, (allowed / np.maximum(np.linalg.norm(self.faces.at(p), axis=2), 1e-300)).min()))

@@ -1,0 +1,252 @@
+"""Gels: what lies inside, how high the face is, which layer is where, and their closed surface as triangles."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from tacgen.errors import UserError
+from tacgen.fem.materials import Law
+from tacgen.geometry import mesh_import
+from tacgen.optics.rasterize import draw
+
+Array = np.ndarray
+SHEET = 0.024  # of the longer side: grid of the interfaces in a solid,
+PIXEL = 0.004  # and how far apart its face is looked for lying over itself
+
+
+@dataclass(frozen=True)
+class Layer:
+    """A slab of one material; thickness [mm]."""
+
+    thickness: float
+    law: Law
+    youngs_modulus: float  # [MPa]
+
+
+@dataclass(frozen=True)
+class Gel:
+    """A pad bonded at its base, layers from base to face; width along x, height along y [mm].
+
+    tip: the end in y (-1, +1) that is a semicircle over the whole width, 0 for none; radii: of the dome along x and y.
+    """
+
+    width: float
+    height: float
+    corner_radius: float
+    layers: tuple[Layer, ...]
+    tip: int = 0
+    radii: tuple[float, float] = (np.inf, np.inf)
+
+    @property
+    def thickness(self) -> float:
+        """At the crown [mm]."""
+        return sum(layer.thickness for layer in self.layers)
+
+    @property
+    def side(self) -> float:
+        """The longer one [mm]."""
+        return max(self.width, self.height)
+
+    @property
+    def flat(self) -> bool:
+        """Whether the whole face lies at z = 0."""
+        return bool(np.isinf(self.radii).all())
+
+    @property
+    def interfaces(self) -> Array:
+        """Height of the face above each layer as a part of the gel's, the last layer's being 1 (layers,)."""
+        return np.cumsum([layer.thickness for layer in self.layers]) / self.thickness
+
+    def top(self, x: Array, y: Array) -> Array:
+        """z of the untouched face [mm], 0 at the crown; x and y broadcast."""
+        return np.asarray(0.0 - np.hypot(x * x / (2 * self.radii[0]), y * y / (2 * self.radii[1])))
+
+    def at(self, part: float, xy: Array) -> Array:
+        """Points (n, 3) above xy (n, 2) at a part of the gel's height there: layers share a dome's squeeze."""
+        return np.column_stack([xy, part * (self.top(*xy.T) + self.thickness) - self.thickness])
+
+    def layer_of(self, points: Array) -> Array:
+        """Number of the layer that each of points (n, 3) lies in."""
+        above = [points[:, 2] > self.at(float(part), points[:, :2])[:, 2] for part in self.interfaces[:-1]]
+        return np.sum(above, axis=0, dtype=np.int32) * np.ones(len(points), np.int32)
+
+    def contains(self, x: Array, y: Array) -> Array:
+        """Whether points lie inside the outline; x and y broadcast."""
+        if self.tip:
+            r = self.width / 2
+            past = self.tip * y - (self.height / 2 - r)  # beyond the semicircle's centre, toward the tip
+            return np.asarray((-self.tip * y <= self.height / 2) & (np.hypot(x, np.maximum(past, 0)) <= r))
+        r = self.corner_radius
+        beyond = np.hypot(
+            np.maximum(np.abs(x) - (self.width / 2 - r), 0), np.maximum(np.abs(y) - (self.height / 2 - r), 0)
+        )
+        within = (np.abs(x) <= self.width / 2) & (np.abs(y) <= self.height / 2) & (beyond <= max(r, 1e-12))
+        return np.asarray(within)
+
+    def outline(self, sag: float) -> Array:
+        """Corners (n, 2) of a polygon around the pad, counter-clockwise; its sides lie within `sag` [mm] of arcs."""
+        w, h = self.width / 2, self.height / 2
+        if self.tip:
+            arc = np.linspace(0, np.pi, _corners(np.pi, w, sag))
+            end = np.column_stack([w * np.cos(arc), h - w + w * np.sin(arc)])
+            whole = np.concatenate([[[-w, -h], [w, -h]], end])
+            return whole if self.tip > 0 else -whole
+        r = self.corner_radius
+        arc = np.linspace(0, np.pi / 2, _corners(np.pi / 2, r, sag))
+        quarter = np.column_stack([np.cos(arc), np.sin(arc)]) * r
+        turns = [np.array([[c, -s], [s, c]]) for c, s in ((1, 0), (0, 1), (-1, 0), (0, -1))]
+        centres = np.array([[w - r, h - r], [r - w, h - r], [r - w, r - h], [w - r, r - h]])
+        return np.concatenate([quarter @ R.T + c for R, c in zip(turns, centres, strict=True)])
+
+    def surface(self, step: float, sag: float) -> tuple[Array, Array, list[Array]]:
+        """Vertices (n, 3), triangles (m, 3) of the closed surface wound outward, and those of each interface between
+        layers, whose rims are edges of the sides. On a dome edges are about `step` long; for `sag` see outline. Both
+        are parts of the longer side."""
+        from scipy.spatial import Delaunay
+
+        step, rim = step * self.side, self.outline(sag * self.side)
+        if not self.flat:
+            rim = _divided(rim, step)
+        xy = rim
+        if not self.flat:
+            x, y = (np.linspace(-s / 2, s / 2, int(np.ceil(s / step)) + 1) for s in (self.width, self.height))
+            grid = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
+            far = np.abs(grid[:, None] - rim).max(-1).min(1) > step / 2
+            xy = np.concatenate([rim, grid[self.contains(*(grid * 1.02).T) & far]])
+        flat = Delaunay(xy).simplices
+        a, b, c = xy[flat[:, 0]], xy[flat[:, 1]], xy[flat[:, 2]]
+        area = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+        flat = np.where((area > 0)[:, None], flat, flat[:, [0, 2, 1]])[np.abs(area) > 1e-12 * self.side**2]
+        k, after = np.arange(len(rim)), np.roll(np.arange(len(rim)), -1)
+        strip = np.concatenate(
+            [np.stack([k, after, len(xy) + after], 1), np.stack([k, len(xy) + after, len(xy) + k], 1)]
+        )
+        sides = [strip + level * len(xy) for level in range(len(self.layers))]
+        sheets = [flat + level * len(xy) for level in range(len(self.layers) + 1)]
+        vertices = np.concatenate([self.at(part, xy) for part in (0.0, *self.interfaces)])
+        return vertices, np.concatenate([sheets[0][:, [0, 2, 1]], sheets[-1], *sides]), sheets[1:-1]
+
+    def patches(self, corners: Array, normals: Array, reach: float) -> dict[str, Array]:
+        """Which facets of a mesh, of corners (f, 3, 3) and outward normals (f, 3) within `reach` of the surface, are
+        bonded and which are coated (f,)."""
+        (x, y, z), n = corners.mean(1).T, normals[:, 2]
+        return {"bonded": (n < -0.5) & (z < reach - self.thickness), "coated": (n > 0.5) & (z > self.top(x, y) - reach)}
+
+
+@dataclass(frozen=True, eq=False)
+class SolidGel(Gel):
+    """A gel of any shape, its highest point at z = 0 over the origin of its box.
+
+    Held where it is no higher than `bonded` [mm] above its lowest point; coated where it faces up to within the angle
+    `coated` [rad], which the camera below must see but once.
+    """
+
+    solid: mesh_import.Solid | None = None
+    bonded: float = 0.0
+    coated: float = 0.0
+
+    @property
+    def flat(self) -> bool:
+        return False
+
+    @cached_property
+    def face(self) -> tuple[Array, Array]:
+        """Vertices and the triangles of the coated face: of those that face up, the patch that reaches highest.
+
+        Raises:
+            UserError: it has none, or it lies over itself.
+        """
+        v, t, _ = self.surface(0, 0)
+        from scipy.sparse import csr_array
+        from scipy.sparse.csgraph import connected_components
+
+        normal = np.cross(v[t[:, 1]] - v[t[:, 0]], v[t[:, 2]] - v[t[:, 0]])
+        t = t[self._upward(normal) & (v[t, 2].max(1) > self.bonded - self.thickness)]
+        if len(t):
+            rows = np.repeat(np.arange(len(t)), 3)
+            at_vertices = csr_array((np.ones(t.size), (rows, t.ravel())), shape=(len(t), len(v)))
+            patch = connected_components(at_vertices @ at_vertices.T, directed=False)[1]
+            t = t[patch == patch[v[t, 2].max(1).argmax()]]
+        name = self.solid.name if self.solid else "gel"
+        if not len(t):
+            angle = f"gel.solid.coated_deg, {np.degrees(self.coated):g}"
+            raise UserError(f"{name}: no part of it faces up to within {angle}")
+        pixel = PIXEL * self.side
+        screen, shape = (v[:, :2] - v[:, :2].min(0)) / pixel, np.ceil(np.ptp(v[:, :2], axis=0) / pixel).astype(int)
+        faces, size = t.astype(np.uint32), (int(shape[1]), int(shape[0]))
+        high, low = (draw(faces, screen, sign * v[:, 2], v[:, 2:], size)[..., 0] for sign in (-1.0, 1.0))
+        apart = np.argwhere(high - low > pixel * 2 * np.tan(self.coated))
+        if len(apart):
+            x, y = v[:, :2].min(0) + (apart[len(apart) // 2][::-1] + 0.5) * pixel
+            raise UserError(
+                f"{name}: its coated face lies over itself at ({x:.3g}, {y:.3g}), which no camera below sees:"
+                " gel.solid.coated_deg says what is coated"
+            )
+        return v, t
+
+    def top(self, x: Array, y: Array) -> Array:
+        """z of the untouched face [mm]; beside it that of its nearest place."""
+        x, y = np.broadcast_arrays(x, y)
+        z, _ = mesh_import.above(*self.face, np.column_stack([x.ravel(), y.ravel()]))
+        return z.reshape(x.shape)
+
+    def contains(self, x: Array, y: Array) -> Array:
+        """Whether points lie within the coated face's outline."""
+        x, y = np.broadcast_arrays(x, y)
+        _, beside = mesh_import.above(*self.face, np.column_stack([x.ravel(), y.ravel()]))
+        return (beside < 1e-9).reshape(x.shape)
+
+    def surface(self, step: float, sag: float) -> tuple[Array, Array, list[Array]]:
+        """Vertices and triangles as they are in the file; the sheets between layers reach out of them on all sides."""
+        assert self.solid is not None
+        v, t = self.solid.vertices, self.solid.triangles
+        v = v - [0.0, 0.0, v[:, 2].max()]
+        if not step or not self.sheets:
+            return v, t, []
+        before = np.cumsum([len(v), *(len(points) for points, _ in self.sheets)])
+        whole = np.concatenate([v, *(points for points, _ in self.sheets)])
+        return whole, t, [faces + start for (_, faces), start in zip(self.sheets, before, strict=False)]
+
+    @cached_property
+    def sheets(self) -> list[tuple[Array, Array]]:
+        """Vertices and triangles of the interfaces between layers, from below, over a grid wider than the gel."""
+        assert self.solid is not None
+        flat, step = self.solid.vertices[:, :2], SHEET * self.side
+        ends = zip(flat.min(0) - 2 * step, flat.max(0) + 2 * step, strict=True)
+        x, y = (np.linspace(a, b, int(np.ceil((b - a) / step)) + 1) for a, b in ends)
+        xy = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
+        number = np.arange(len(xy)).reshape(len(x), len(y))
+        a, b, c, d = (piece.ravel() for piece in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]))
+        faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+        return [(super(SolidGel, self).at(float(part), xy), faces) for part in self.interfaces[:-1]]
+
+    def at(self, part: float, xy: Array) -> Array:
+        """On the sheets between layers, which are what is meshed; as of a pad elsewhere."""
+        for known, sheet in zip(self.interfaces[:-1], self.sheets if 0 < part < 1 else [], strict=False):
+            if part == known:
+                return np.column_stack([xy, mesh_import.above(*sheet, xy)[0]])
+        return super().at(part, xy)
+
+    def patches(self, corners: Array, normals: Array, reach: float) -> dict[str, Array]:
+        bonded = np.all(corners[..., 2] < self.bonded + reach - self.thickness, axis=1)
+        centres = corners.mean(1)
+        off = np.linalg.norm(mesh_import.nearest(*self.face, centres) - centres, axis=1)
+        return {"bonded": bonded, "coated": np.logical_and(self._upward(normals) & ~bonded, off < reach)}
+
+    def _upward(self, normals: Array) -> Array:
+        return np.asarray(normals[:, 2] > np.cos(self.coated) * np.linalg.norm(normals, axis=1))
+
+
+def _corners(angle: float, radius: float, sag: float) -> int:
+    """How many points on an arc, its ends among them, keep the chords within `sag` of it."""
+    return 1 + int(np.ceil(angle / (2 * np.arccos(1 - min(sag, radius) / radius)))) if radius else 1
+
+
+def _divided(rim: Array, step: float) -> Array:
+    """A closed polygon with corners at most `step` apart."""
+    out = []
+    for a, b in zip(rim, np.roll(rim, -1, 0), strict=True):
+        pieces = max(1, int(np.ceil(np.linalg.norm(b - a) / step)))
+        out.append(a + (b - a) * (np.arange(pieces) / pieces)[:, None])
+    return np.concatenate(out)

@@ -1,0 +1,160 @@
+"""State -> Maps: what the contact does to the deformed coated face, behind each pixel of the camera."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tacgen.fem.elements import PIECES, facet_areas, facet_corners, facet_hats, facet_points, facet_shares
+from tacgen.fem.elements import triangles as pieces
+from tacgen.labels.gel_surface import Surface
+from tacgen.optics.rasterize import draw
+from tacgen.solve import Problem, State
+
+if TYPE_CHECKING:
+    from tacgen.contact.barrier import Faces
+    from tacgen.optics.camera import Camera
+
+Array = np.ndarray
+RIM = 0.4  # share of points in contact at the contact map's rim: less than half, for the rim passes outside of them
+VISIBLE = 0.9  # of its share of the face: a node seen less than that lies partly out of view
+SHARPENED = {4: 2, 3: 2, 6: 1}  # times, by the facets' nodes: see `maps`; more sharpens noise more than the rim
+
+
+@dataclass(frozen=True)
+class Maps:
+    """On the image grid (h, w), by area of the deformed face; all are 0 where the camera sees no gel.
+
+    pressure [MPa] along the indenter's normal, positive in compression; traction (h, w, 2) [MPa] friction on the gel in
+    the face's tangent plane, along the face's own x and y (see `tangents`), so that its size is that of the vector;
+    contact: touched, at least at 40 % of the points around; sliding: share of the pressure that slides, 0 to 1;
+    area [mm^2] of the face behind each pixel; force (h, w, 3) [N] on the gel there, in the sensor frame: its sum is the
+    force that the camera can see.
+    """
+
+    pressure: Array
+    traction: Array
+    contact: Array
+    sliding: Array
+    area: Array
+    force: Array
+
+    @property
+    def slip(self) -> Array:
+        """Where there is contact and most of the pressure slides."""
+        return np.asarray(self.contact & (self.sliding >= 0.5))
+
+
+def tangents(normal: Array) -> tuple[Array, Array]:
+    """The face's own x and y: unit vectors (..., 3) at right angles to each other and to the outward normal (..., 3).
+
+    The first is the sensor's x drawn into the tangent plane; on a level face they are the sensor's x and y.
+    """
+    x = np.eye(3)[0] - normal[..., :1] * normal
+    size = np.linalg.norm(x, axis=-1, keepdims=True)
+    x = np.where(size > 1e-6, x / np.maximum(size, 1e-6), np.eye(3)[2])  # a wall across x
+    return x, np.cross(normal, x)
+
+
+def maps(problem: Problem, surface: Surface, state: State, camera: "Camera") -> Maps:
+    """Pressure and traction behind each pixel, through the camera's refraction.
+
+    The force at each point of contact is shared among the nodes of its facet, and each node's sum among the pixels
+    around it: in proportion to linear shape functions, to the pixels' area, and to a weight. The resultant is kept
+    exactly, whatever the pixels. Even weights would blur the map twice, once by each sharing; so the pressure that they
+    give is the weight of the next sharing (Richardson 1972, Lucy 1974), which is as positive and as exact in sum.
+
+    Normal forces and the two tangential components are spread as numbers: as vectors they would partly cancel around a
+    bend. Where friction slides its sizes are, too, since Coulomb says the size: directions that differ around a node
+    would cancel, and the map fall short of his law.
+    """
+    faces, on = problem.contact.faces, np.asarray(state.normal_force > 0)
+    view = _View(surface, camera, faces, np.asarray(on.any(1)))
+    touched, whole = (view.at(view.nodal(faces.areas * part)) for part in (on, 1.0))
+    contact = view.picture(touched / whole)[..., 0] >= RIM
+    for _ in range(SHARPENED[faces.conn.shape[1]]):
+        view.weight = view.shared(state.normal_force)[:, 0]
+
+    def spread(per_point: Array) -> Array:
+        return view.picture(view.shared(per_point))
+
+    pressure = spread(state.normal_force)[..., 0]
+    force = spread(state.traction_force) * view.area[..., None]
+    traction, sliding = np.zeros((*camera.shape, 2)), np.zeros(camera.shape)
+    if state.friction is not None and state.sliding is not None:
+        components = [(state.friction * axis).sum(-1) for axis in tangents(-state.normal)]
+        slid = spread(state.normal_force * state.sliding)[..., 0]
+        sliding = np.divide(slid, pressure, out=sliding, where=pressure > 0)
+        mean = spread(np.stack(components, -1))
+        length, size = np.linalg.norm(mean, axis=-1), spread(np.linalg.norm(state.friction, axis=-1))[..., 0]
+        longer = np.divide(size, length, out=np.ones(camera.shape), where=length > 1e-9 * size)
+        traction = mean * (1 + sliding * (longer - 1))[..., None]
+    return Maps(pressure, traction, contact, sliding, view.area, force)
+
+
+class _View:
+    """The deformed face as the camera sees it: how much of it (h, w) [mm^2] is behind each pixel, and which facets are.
+
+    Of the p pixels (`seen`) that see a facet with a node in common with one that is touched (f,): the nodes (p, k)
+    of the facet there, their shape functions' values (p, k), and the weight (p,) of the pixel in sharing forces.
+    `contact` says where on a facet its points are.
+    """
+
+    def __init__(self, surface: Surface, camera: "Camera", contact: "Faces", touched: Array) -> None:
+        facets, kind, triangles = surface.facets, surface.facets.shape[1], pieces(surface.facets)
+        corner = surface.now[triangles]  # (t, 3, 3)
+        screen = camera.project(surface.now)[triangles]
+        face_area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1) / 2
+        pixels = np.abs(np.linalg.det(screen[:, 1:] - screen[:, :1])) / 2
+
+        # each triangle with corners of its own, drawn with its number and its place in the facet
+        own = np.arange(3 * len(triangles), dtype=np.uint32).reshape(-1, 3)
+        number = np.repeat(np.arange(len(triangles)), 3)[:, None]
+        place = np.repeat(facet_corners(kind)[np.array(PIECES[kind])], len(facets), 0).reshape(-1, 2)
+        values = np.concatenate([number, place], 1)
+        picture = draw(own, screen.reshape(-1, 2), -corner[..., 2].ravel(), values, camera.shape)
+        gel, t = np.asarray(np.isfinite(picture[..., 0])), np.zeros(camera.shape, int)
+        t[gel] = np.round(picture[gel][:, 0])
+        self.area = np.where(gel, (face_area / np.maximum(pixels, 1e-300))[t], 0.0)
+
+        self._facets, self._hats = facets, facet_shares(contact.N, contact.areas)
+        around = np.zeros(len(surface.now), bool)
+        around[self._facets[touched]] = True
+        self.seen = gel & np.asarray(around[self._facets].any(1))[t % len(facets)]
+        self.nodes = self._facets[t[self.seen] % len(facets)]
+        self.shape = facet_hats(kind, picture[self.seen][:, 1:])
+        self.weight = np.ones(len(self.nodes))
+
+        areas = facet_areas(surface.now, facets)[0]
+        areas = areas @ facet_shares(facet_points(kind)[0], areas)
+        whole, visible = np.bincount(self._facets.ravel(), areas.ravel()), self._held()
+        self._visible = np.where(visible > VISIBLE * whole, 1.0, visible / np.maximum(whole, 1e-300))
+
+    def nodal(self, per_point: Array) -> Array:
+        """Sums (s, c) at the facets' nodes of what is at the contact's points, (f, q, c) or numbers (f, q)."""
+        per_point = per_point.reshape(*per_point.shape[:2], -1)
+        out = np.zeros((int(self._facets.max()) + 1, per_point.shape[2]))
+        np.add.at(out, self._facets, np.einsum("qk,fqc->fkc", self._hats, per_point))
+        return out
+
+    def at(self, nodal: Array) -> Array:
+        """Values (s, c) at the nodes, behind each of the pixels (p, c)."""
+        return np.asarray(np.einsum("pk,pkc->pc", self.shape, nodal[self.nodes]))
+
+    def shared(self, per_point: Array) -> Array:
+        """Forces at the points by area of the face (p, c), in proportion to the weights; of what is shared to a node
+        partly out of view, the part in view."""
+        force, held = self.nodal(per_point), self._held()
+        scale = np.divide(self._visible, held, out=np.zeros(len(held)), where=held > 0)
+        return self.at(force * scale[:, None]) * self.weight[:, None]
+
+    def picture(self, values: Array) -> Array:
+        """Values (p, c) on the image (h, w, c), 0 elsewhere."""
+        out = np.zeros((*self.area.shape, values.shape[1]))
+        out[self.seen] = values
+        return out
+
+    def _held(self) -> Array:
+        """Weighted area (s,) of the pixels around each node."""
+        held = self.shape * (self.weight * self.area[self.seen])[:, None]
+        return np.bincount(self.nodes.ravel(), held.ravel(), int(self._facets.max()) + 1)

@@ -1,0 +1,165 @@
+"""A pinhole camera behind flat clear layers: exact refraction, forward (project) and back (rays).
+
+Frame: x right, y down in the image, z from the camera to the object; z = 0 is the untouched coated face.
+"""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from tacgen.recipe.sensor import Sensor
+
+    Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Stack:
+    """Flat layers crossed from the pinhole to the coated face, in that order; the first is the air.
+
+    A ray keeps k = n sin(theta) through them (Snell), and with x = tan(theta) in the air, k^2 = x^2/(1+x^2), its
+    sideways travel in a layer of thickness t is t x / sqrt(n^2 + (n^2 - 1) x^2): concave in x for every n >= 1.
+    """
+
+    thicknesses: tuple[float, ...]  # [mm]
+    indices: tuple[float, ...]  # [-], >= 1
+
+    @property
+    def tops(self) -> "Floats":
+        """z of each layer's far side [mm], (layers,); the last is 0."""
+        below = np.cumsum(self.thicknesses)
+        return np.asarray(below - below[-1])
+
+    @property
+    def effective_depth(self) -> float:
+        """Sum of t/n [mm]: the pinhole distance at which air alone would give the same paraxial scale."""
+        return float(sum(t / n for t, n in zip(self.thicknesses, self.indices, strict=True)))
+
+    def lengths(self, z: "Floats") -> "Floats":
+        """Thickness of each layer below height z [mm], (layers, n); beyond the face the last layer goes on."""
+        tops, t = self.tops[:, None], np.array(self.thicknesses)[:, None]
+        inside = np.clip(z[None, :] - (tops - t), 0.0, t)
+        inside[-1] += np.maximum(z, 0.0)
+        return np.asarray(inside)
+
+    def travel(self, x: "Floats", lengths: "Floats") -> tuple["Floats", "Floats"]:
+        """Sideways travel [mm] of a ray with slope x in air through `lengths` (layers, n), and d/dx; each (n,)."""
+        n2 = np.square(self.indices)[:, None]
+        root = np.sqrt(n2 + (n2 - 1.0) * x * x)
+        return (lengths * x / root).sum(axis=0), (lengths * n2 / root**3).sum(axis=0)
+
+    def slope(self, rho: "Floats", z: "Floats") -> "Floats":
+        """Slope in air, tan(theta) [-], of the ray that reaches radius rho at height z [mm]; all (n,).
+
+        Newton on the travel: it rises and is concave in x, so from any start at or left of the root, such as the
+        paraxial slope, every step stays left of it and climbs; no safeguard is needed.
+
+        Raises:
+            ValueError: a point lies at or behind the pinhole.
+        """
+        lengths = self.lengths(z)
+        depth = (lengths / np.array(self.indices)[:, None]).sum(axis=0)
+        if not np.all(depth > 0.0):
+            raise ValueError("a point lies at or behind the camera's pinhole")
+        x = rho / depth
+        for _ in range(50):
+            value, derivative = self.travel(x, lengths)
+            step = (rho - value) / derivative
+            x = x + step
+            if np.all(np.abs(step) <= 1e-14 * (1.0 + x)):
+                break
+        return np.asarray(x)
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole that looks along +z, or nearly so, through a stack, to the coating over it at `center`."""
+
+    stack: Stack
+    center: tuple[float, float]  # x, y [mm]
+    focal_px: float  # pixels per unit slope in air
+    shape: tuple[int, int]  # H, W [px]
+    crop_px: tuple[float, float] = (0.0, 0.0)  # from the optical axis to the picture's middle, x and y
+    tilt: tuple[float, float] = (0.0, 0.0)  # of the optical axis, toward +x and toward +y [rad]
+    roll: float = 0.0  # about it, from x to y [rad]
+
+    @classmethod
+    def from_sensor(cls, sensor: "Sensor") -> "Camera":
+        """The camera of a sensor file; mm_per_px holds at the image centre on the untouched face.
+
+        A file that describes no plate yet is taken to have none. What lies in or behind an opaque layer appears where
+        it would if the last clear layer went on.
+        """
+        eye, clear = sensor.camera, (*((sensor.plate,) if sensor.plate else ()), *sensor.gel.clear_layers)
+        opaque = sensor.gel.layers[len(sensor.gel.clear_layers) :]
+        thicknesses = [slab.thickness_mm for slab in clear]
+        thicknesses[-1] += sum(layer.thickness_mm for layer in opaque)
+        stack = Stack((eye.distance_mm, *thicknesses), (1.0, *(slab.refractive_index for slab in clear)))
+        shape, (x, y), (right, down) = (eye.height_px, eye.width_px), eye.crop_mm, np.radians(eye.tilt_deg)
+        return cls(
+            stack, eye.center_mm, stack.effective_depth / eye.mm_per_px, shape,
+            (x / eye.mm_per_px, y / eye.mm_per_px), (float(right), float(down)), float(np.radians(eye.roll_deg)),
+        )  # fmt: skip
+
+    @property
+    def pinhole(self) -> tuple[float, float, float]:
+        """Position of the pinhole [mm]."""
+        return (*self.center, -sum(self.stack.thicknesses))
+
+    @property
+    def mm_per_px(self) -> float:
+        """Scale on the untouched face where an axis that is not tilted meets it [mm/px]."""
+        return self.stack.effective_depth / self.focal_px
+
+    @property
+    def turn(self) -> "Floats":
+        """Rotation (3, 3) from the camera's own frame, x right and y down in the picture, to the sensor's."""
+        (right, down), c, s = self.tilt, np.cos(self.roll), np.sin(self.roll)
+        toward_x = np.array([[np.cos(right), 0, np.sin(right)], [0, 1, 0], [-np.sin(right), 0, np.cos(right)]])
+        toward_y = np.array([[1, 0, 0], [0, np.cos(down), np.sin(down)], [0, -np.sin(down), np.cos(down)]])
+        return np.asarray(toward_x @ toward_y @ [[c, -s, 0], [s, c, 0], [0, 0, 1]])
+
+    def slopes(self, pixels: "Floats") -> "Floats":
+        """Slopes in air, dx/dz and dy/dz (n, 2), of the rays through pixels (n, 2)."""
+        own = np.column_stack([(pixels - self._axis) / self.focal_px, np.ones(len(pixels))])
+        ray = own @ self.turn.T
+        return np.asarray(ray[:, :2] / ray[:, 2:])
+
+    def project(self, points: Any) -> "Floats":
+        """Pixels (n, 2), x right and y down, pixel centres at +0.5, of points (n, 3) [mm] in the gel.
+
+        Raises:
+            ValueError: a point lies at or behind the pinhole.
+        """
+        points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
+        across = points[:, :2] - self.center
+        rho = np.hypot(across[:, 0], across[:, 1])
+        x = self.stack.slope(rho, points[:, 2])
+        slope = across * np.divide(x, rho, out=np.zeros_like(rho), where=rho > 0)[:, None]
+        own = np.column_stack([slope, np.ones(len(rho))]) @ self.turn
+        return np.asarray(self.focal_px * own[:, :2] / own[:, 2:] + self._axis)
+
+    def rays(self, pixels: Any) -> tuple["Floats", "Floats"]:
+        """Rays in the outermost gel layer through pixels (n, 2): origins (n, 3) [mm] on that layer's inner side and
+        unit directions (n, 3), +z being outward. `project(origin + s direction)` is the pixel for every s >= 0."""
+        pixels = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
+        slope = self.slopes(pixels)
+        x = np.hypot(slope[:, 0], slope[:, 1])
+        inner = np.repeat(np.array(self.stack.thicknesses)[:, None], len(x), axis=1)
+        inner[-1] = 0.0
+        travel, paraxial = self.stack.travel(x, inner)
+        ratio = np.divide(travel, x, out=paraxial.copy(), where=x > 0)
+        origins = np.empty((len(x), 3))
+        origins[:, :2] = slope * ratio[:, None] + self.center
+        origins[:, 2] = -self.stack.thicknesses[-1]
+        sine = slope / np.sqrt(1.0 + x * x)[:, None] / self.stack.indices[-1]
+        directions = np.column_stack([sine, np.sqrt(1.0 - (sine * sine).sum(axis=1))])
+        return origins, directions
+
+    @property
+    def _axis(self) -> "Floats":
+        """Where the optical axis is in the picture [px]."""
+        return np.array([self.shape[1] / 2, self.shape[0] / 2]) - self.crop_px

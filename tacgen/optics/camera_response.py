@@ -1,0 +1,57 @@
+"""From linear radiance to the camera's 8-bit picture: vignette, exposure, sRGB; and the stray light."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tacgen.optics.noise import noisy
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from tacgen.recipe.sensor import Camera
+
+    Floats = NDArray[np.float64]
+
+
+def vignette(camera: "Camera") -> "Floats":
+    """Fall-off (H, W) of the lens, 1 on the axis: 1 / (1 + (r/r0)^2)^2 with r at the scale on the untouched coating."""
+    y, x = np.mgrid[: camera.height_px, : camera.width_px] + 0.5
+    right = (x - camera.width_px / 2) * camera.mm_per_px + camera.crop_mm[0]
+    down = (y - camera.height_px / 2) * camera.mm_per_px + camera.crop_mm[1]
+    r2 = right**2 + down**2
+    return np.ones_like(r2) if camera.vignette_mm is None else 1.0 / (1.0 + r2 / camera.vignette_mm**2) ** 2
+
+
+def srgb(linear: "Floats") -> "Floats":
+    """The sRGB curve (IEC 61966-2-1) of linear values clipped to [0, 1]."""
+    x = np.clip(linear, 0.0, 1.0)
+    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
+
+
+def linear(counts: "Floats") -> "Floats":
+    """What `srgb` makes values in [0, 1] of."""
+    return np.where(counts <= 0.04045, counts / 12.92, ((counts + 0.055) / 1.055) ** 2.4)
+
+
+def slope(linear: "Floats") -> "Floats":
+    """d srgb / d linear."""
+    return np.where(linear <= 0.0031308, 12.92, 1.055 / 2.4 * np.maximum(linear, 1e-4) ** (1 / 2.4 - 1))
+
+
+def stray(camera: "Camera") -> "Floats":
+    """Radiance (H, W, 3) of a bare coat in the stray light alone: `ambient` after the vignette and the exposure."""
+    return np.asarray(np.array(camera.ambient) / (camera.exposure * vignette(camera)[..., None]))
+
+
+def expose(radiance: "Floats", camera: "Camera") -> "Floats":
+    """Linear fraction of full scale (H, W, 3) of a radiance picture (H, W, 3)."""
+    return np.asarray(radiance * (camera.exposure * vignette(camera)[..., None]))
+
+
+def develop(radiance: "Floats", camera: "Camera", random: np.random.Generator | None = None) -> "NDArray[np.uint8]":
+    """The 8-bit sRGB picture (H, W, 3) of a radiance picture (H, W, 3), with noise if `random` is given."""
+    linear = expose(radiance, camera)
+    if random is not None and camera.noise is not None:
+        linear = noisy(linear, camera.noise, random)
+    return np.asarray(np.round(255.0 * srgb(linear)), dtype=np.uint8)

@@ -1,0 +1,97 @@
+"""What the camera sees of the coated face: which point of it lies behind each ray, and the dots printed there."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tacgen.optics import coating, strip_light
+from tacgen.optics.camera import Camera
+from tacgen.optics.rasterize import draw
+from tacgen.optics.surface_grid import Sheet, Surface
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from tacgen.recipe.sensor import LitSensor
+
+    Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Where rays meet the coated face; nan where they miss the pad."""
+
+    position: "Floats"  # [mm], (samples, 3)
+    normal: "Floats"  # unit, into the gel, (samples, 3)
+    rest: "Floats"  # rest position [mm], (samples, 2)
+    nodes: "Floats"  # the whole face: the sheet's nodes now [mm], (nodes, 3)
+    paint: "Floats"  # share of marker paint, (samples, 1)
+
+
+class View:
+    """One sensor's camera and coat, ready to look at any deformed face."""
+
+    def __init__(self, sensor: "LitSensor", sheet: Sheet, markers: bool, samples: int = 1) -> None:
+        """`samples` x `samples` rays a pixel."""
+        self.sensor, self.sheet, self.samples = sensor, sheet, samples
+        self.markers = sensor.markers if markers else None
+        self.camera = Camera.from_sensor(sensor)
+        h, w = self.shape
+        self._pixels = np.stack(np.meshgrid(np.arange(w) + 0.5, np.arange(h) + 0.5), axis=-1).reshape(-1, 2) / samples
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rays down and across the picture."""
+        return self.camera.shape[0] * self.samples, self.camera.shape[1] * self.samples
+
+    def toward_camera(self) -> "Floats":
+        """Unit directions in the gel from what each ray meets to the camera (samples, 3)."""
+        return -self.camera.rays(self._pixels)[1]
+
+    def transmission(self) -> "Floats":
+        """What is left in the air of a unit radiance in the gel, per ray (samples,): Fresnel's losses and 1/n^2."""
+        slope = self.camera.slopes(self._pixels)
+        k = np.hypot(*slope.T) / np.sqrt(1 + (slope**2).sum(axis=1))
+        share, n = np.ones(len(k)), self.camera.stack.indices
+        for a, b in pairwise(n):
+            share *= strip_light.fresnel_transmission(k, a, b)
+        return np.asarray(share / n[-1] ** 2)
+
+    def look(self, surface: Surface) -> Samples:
+        """What the camera's rays meet."""
+        nodes = self.sheet.at(surface)
+        values = np.column_stack([nodes, self.sheet.normals(nodes), self.sheet.rest])
+        screen = self.camera.project(nodes) * self.samples
+        hit = draw(self.sheet.faces, screen, nodes[:, 2].copy(), values, self.shape).reshape(-1, 8)
+        normal = hit[:, 3:6] / np.linalg.norm(hit[:, 3:6], axis=1, keepdims=True)
+        return Samples(np.ascontiguousarray(hit[:, :3]), normal, hit[:, 6:8], nodes, self._paint(hit[:, 6:8]))
+
+    def dimmed(self, at: Samples, bare: "Floats") -> "Floats":
+        """What the coat with its dots shows (H, W, 3) of light by which a bare coat would show `bare` (samples, 3)."""
+        coat = self.sensor.coating
+        if self.markers is not None:
+            white = (1 - coat.specular) * np.array(coat.albedo) + coat.specular * coating.METAL
+            bare = bare * (1 + at.paint * (self.markers.albedo / white - 1))
+        return self.picture(bare)
+
+    def samples_of(self, picture: "Floats") -> "Floats":
+        """A picture (H, W, c) at each pixel's samples (samples, c)."""
+        n = self.samples
+        return np.repeat(np.repeat(picture, n, axis=0), n, axis=1).reshape(-1, picture.shape[2])
+
+    def covered(self, at: Samples) -> "Floats":
+        """Share of each pixel (H, W, 1) behind which there is gel."""
+        return self.picture(np.isfinite(at.position[:, 2]).astype(float))
+
+    def _paint(self, rest: "Floats") -> "Floats":
+        if self.markers is None:
+            return np.zeros((len(rest), 1))
+        fade = self.sensor.camera.mm_per_px / self.samples
+        return np.nan_to_num(coating.paint(self.markers, rest, fade))[:, np.newaxis]
+
+    def picture(self, samples: "Floats") -> "Floats":
+        """Means (H, W, c) over each pixel's samples (samples, c)."""
+        (h, w), n = self.camera.shape, self.samples
+        return np.asarray(samples.reshape(h, n, w, n, -1).mean(axis=(1, 3)))

@@ -1,0 +1,126 @@
+"""Light that coat and walls throw on the coat again, straight and by way of the plate: radiosity of the untouched gel.
+
+Both are cut into patches that radiate evenly; each lights every other as a small strip would (see strip_light), and
+the sum of all bounces is one linear system. It is smooth, so patches may be coarse, and changes little under a press:
+what a dent gets of it depends on where it turns to (Glow).
+"""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tacgen.optics import coating, mitsuba_dicts, strip_light
+from tacgen.optics.shadows import Terrain
+from tacgen.optics.surface_grid import Sheet, Untouched
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from tacgen.optics.camera_view import View
+    from tacgen.optics.surface_grid import Surface
+    from tacgen.recipe.sensor import LitSensor
+
+    Floats = NDArray[np.float64]
+
+COAT = 1.4  # [mm] between the middles of patches of the coat
+WALL = 2.2  # the same of the walls
+TILT = 0.6  # [-] by which a normal is moved sideways to see what it then gets
+TERMS = 5  # of the square polynomial in how far a normal has moved: 1, x, y, x^2, y^2
+
+
+@dataclass(frozen=True)
+class Glow:
+    """What bounces from each of the camera's samples, by how the face has turned there."""
+
+    terms: "Floats"  # radiance (samples, TERMS, 3)
+    untouched: "Floats"  # sideways parts of the untouched normal, (samples, 2)
+
+    def at(self, normal: "Floats") -> "Floats":
+        """Radiance (samples, 3) of a bare coat with normals (samples, 3)."""
+        dx, dy = np.clip(np.nan_to_num(normal[:, :2] - self.untouched), -1.5 * TILT, 1.5 * TILT).T[..., None]
+        one, x, y, xx, yy = np.moveaxis(self.terms, 1, 0)
+        return np.asarray(np.maximum(one + dx * (x + dx * xx) + dy * (y + dy * yy), 0.0))
+
+
+class Bounce:
+    """Patches of one sensor, and how they light each other."""
+
+    def __init__(self, sensor: "LitSensor", untouched: "Surface | None" = None) -> None:
+        """The LEDs do not matter yet; `untouched` is the face at rest, what the gel's numbers say of it if None."""
+        self.sheet = Sheet.over(sensor.gel, COAT)
+        self._face = untouched or Untouched.of(sensor.gel)
+        nodes = self.sheet.at(self._face)
+        level = np.ascontiguousarray(nodes[:, 2].reshape(self.sheet.shape))
+        self._terrain = Terrain.of(level, self.sheet.size)
+        self._coat = len(nodes)
+        facing, (rows, columns) = self.sheet.normals(nodes), self.sheet.shape
+        share = np.outer(*(np.where(np.isin(np.arange(n), (0, n - 1)), 0.5, 1.0) for n in (rows, columns)))
+        top = mitsuba_dicts.WALL_RISE if sensor.walls.margin_mm else float(level.min())  # the coat hides what is behind
+        walls, inward, pieces = self._walls(sensor, top)
+        self._at, self._normals = np.concatenate([nodes, walls]), np.concatenate([facing, inward])
+        area = np.concatenate([share.ravel() * self.sheet.areas(nodes), pieces])
+        self._patches = strip_light.Points(self._at, self._normals, area, np.sqrt(area) / 2, np.arange(len(area)))
+        self._onto = self._gather(sensor, self._patches, len(area))
+        turned = []
+        for by in ((TILT, 0.0), (-TILT, 0.0), (0.0, TILT), (0.0, -TILT)):
+            side = facing[:, :2] + by
+            side *= np.minimum(1.0, 0.95 / np.linalg.norm(side, axis=1, keepdims=True))
+            normals = np.column_stack([side, -np.sqrt(1 - (side**2).sum(axis=1))])
+            turned.append(self._gather(sensor, self._patches, len(area), np.ascontiguousarray(normals)))
+        level = self._onto[: self._coat]
+        right, left, down, up = turned
+        self._turned = np.array(
+            [level, (right - left) / (2 * TILT), (down - up) / (2 * TILT)]
+            + [(a + b - 2 * level) / (2 * TILT**2) for a, b in ((right, left), (down, up))]
+        )  # (TERMS, coat patches, patches)
+
+    def added(self, sensor: "LitSensor", points: strip_light.Points) -> "Floats":
+        """Radiance (coat patches, leds, TERMS, 3) in the gel that bounces add, per unit radiance of each LED."""
+        coat, first, out = sensor.coating, self._gather(sensor, points, len(sensor.leds)), []
+        for albedo in coat.albedo:
+            rho = np.full((len(first), 1), sensor.walls.albedo)
+            rho[: self._coat] = (1 - coat.specular) * albedo + coat.specular * coating.METAL
+            all_ = np.linalg.solve(np.eye(len(first)) - rho * self._onto, rho * first)
+            out.append(rho[0] * np.moveaxis(self._turned @ all_, 0, -1))
+        return np.stack(out, axis=-1)
+
+    def glow(self, values: "Floats", view: "View") -> Glow:
+        """Values (coat patches, TERMS, 3) as the camera sees them; off the pad its edge."""
+        from scipy.ndimage import map_coordinates
+
+        at = view.look(self._face)
+        rest, normal = at.rest, np.nan_to_num(at.normal[:, :2])
+        rows, columns = self.sheet.shape
+        grid_at = np.nan_to_num(((rest / self.sheet.size + 0.5) * [columns - 1, rows - 1]).T[::-1])
+        grid = values.reshape(rows, columns, -1)
+        made = [map_coordinates(grid[..., c], grid_at, order=3, mode="nearest") for c in range(grid.shape[2])]
+        terms = np.column_stack(made) * view.transmission()[:, None]
+        return Glow(terms.reshape(len(terms), TERMS, 3), normal)
+
+    def _gather(
+        self, sensor: "LitSensor", points: strip_light.Points, strips: int, normals: "Floats | None" = None
+    ) -> "Floats":
+        """Radiance (patches, strips) of a white matt patch per unit radiance of each strip; with normals of the coat's
+        patches that are not their own, (coat patches, strips)."""
+        shading = sensor.leds if points is not self._patches else []  # what bounces comes from all around
+        slab, panels = strip_light.Slab.of(sensor), strip_light.Panels.of(shading)
+        normals = self._normals if normals is None else normals
+        at = self._at[: len(normals)]
+        lit = strip_light.gather(at, normals, normals, points, strips, slab, panels, 1.0, self._terrain)
+        return lit[..., 0]
+
+    def _walls(self, sensor: "LitSensor", top: float) -> tuple["Floats", "Floats", "Floats"]:
+        """Middles (n, 3) [mm], inward normals (n, 3) and areas (n,) [mm^2] of the walls' patches up to height `top`."""
+        corners, bottom = mitsuba_dicts.outline(sensor.gel, sensor.walls.margin_mm), -mitsuba_dicts.bottom_depth(sensor)
+        at, normals, area = [], [], []
+        tall = max(1, round((top - bottom) / WALL))
+        for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+            length = float(np.linalg.norm(b - a))
+            wide = max(1, round(length / WALL))
+            for i in range(wide):
+                for j in range(tall):
+                    at.append([*(a + (b - a) * (i + 0.5) / wide), bottom + (top - bottom) * (j + 0.5) / tall])
+                    normals.append([(a[1] - b[1]) / length, (b[0] - a[0]) / length, 0.0])
+                    area.append(length / wide * (top - bottom) / tall)
+        return np.array(at), np.array(normals), np.array(area)

@@ -1,0 +1,139 @@
+"""LEDs, walls and clear interfaces as plain dictionaries: a renderer's rectangle is the square [-1, 1]^2, +z its front.
+
+`to_world` is a 4 x 4 array here; the renderer's own home turns it into the renderer's type.
+"""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from tacgen.recipe.sensor import Gel, Led, LitSensor, Scattering
+
+    Floats = NDArray[np.float64]
+
+ARC = 16  # walls around a semicircle
+WALL_RISE = 3.0  # [mm] the walls go on beyond the coated face, so that no light leaks past a bulging gel
+
+
+def frame(normal: "Sequence[float]", up: "Sequence[float]") -> "Floats":
+    """Columns (along, up, normal) of a right-handed orthonormal frame, (3, 3); `up` only has to lean the right way.
+
+    Raises:
+        ValueError: normal is zero or parallel to up.
+    """
+    n, u = np.array(normal, dtype=float), np.array(up, dtype=float)
+    along = np.cross(u, n)
+    if np.linalg.norm(along) < 1e-9 * (1 + np.linalg.norm(n)):
+        raise ValueError(f"a rectangle's normal {tuple(normal)} is zero or parallel to its up {tuple(up)}")
+    n, along = n / np.linalg.norm(n), along / np.linalg.norm(along)
+    return np.column_stack([along, np.cross(n, along), n])
+
+
+def rectangle(
+    center: "Sequence[float]", normal: "Sequence[float]", up: "Sequence[float]", size: tuple[float, float]
+) -> "Floats":
+    """Matrix (4, 4) that takes the unit square to a rectangle of `size` (along, up) [mm] facing `normal`."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = frame(normal, up) * [size[0] / 2, size[1] / 2, 1.0]
+    matrix[:3, 3] = center
+    return matrix
+
+
+def strips(sensor: "LitSensor") -> "Floats":
+    """Ends of each LED's longer middle line and half its other side [mm], (leds, 7), from the picture's middle."""
+    out, origin = [], np.add(sensor.camera.center_mm, sensor.camera.crop_mm)
+    for light in sensor.leds:
+        axes, size = frame(light.normal, light.up), np.array(light.size_mm)
+        long = int(size[1] > size[0])
+        half = axes[:, long] * size[long] / 2
+        middle = np.array(light.center_mm) - [*origin, 0.0]
+        out.append(np.concatenate([middle - half, middle + half, [size[1 - long] / 2]]))
+    return np.array(out)
+
+
+def diffuse(albedo: "float | Sequence[float]") -> dict[str, Any]:
+    """A Lambertian surface."""
+    rgb = [float(albedo)] * 3 if isinstance(albedo, float | int) else [float(a) for a in albedo]
+    return {"type": "diffuse", "reflectance": {"type": "rgb", "value": rgb}}
+
+
+def led(light: "Led", wall_albedo: float) -> dict[str, Any]:
+    """One LED strip: it radiates from its front, if at all, and is as dark as the walls otherwise, or not there."""
+    emitter = {"type": "area", "radiance": {"type": "rgb", "value": [float(v) for v in light.light]}}
+    return {
+        "type": "rectangle",
+        "to_world": rectangle(light.center_mm, light.normal, light.up, light.size_mm),
+        "bsdf": {"type": "null"} if light.see_through else diffuse(wall_albedo),
+        **({"emitter": emitter} if any(light.light) else {}),  # a dark one would only draw random numbers
+    }
+
+
+def housing(sensor: "LitSensor") -> dict[str, dict[str, Any]]:
+    """The dark walls around gel and plate, from the plate's air face past the coated face."""
+    bottom = -bottom_depth(sensor)
+    middle, tall = (WALL_RISE + bottom) / 2, WALL_RISE - bottom
+    corners, walls = outline(sensor.gel, sensor.walls.margin_mm), {}
+    for k, (a, b) in enumerate(zip(corners, np.roll(corners, -1, axis=0), strict=True)):
+        length = float(np.linalg.norm(b - a))
+        inward = (float(a[1] - b[1]) / length, float(b[0] - a[0]) / length, 0.0)
+        center = (*((a + b) / 2).tolist(), middle)
+        walls[f"wall_{k}"] = {
+            "type": "rectangle",
+            "to_world": rectangle(center, inward, (0, 0, 1), (length, tall)),
+            "bsdf": diffuse(sensor.walls.albedo),
+        }
+    return walls
+
+
+def outline(gel: "Gel", margin: float) -> "Floats":
+    """Corners (n, 2) [mm] of a housing that stands `margin` off the pad, from +x to +y; a semicircle in ARC pieces."""
+    w, h = gel.width_mm / 2 + margin, gel.height_mm / 2 + margin
+    square = np.array([[w, h], [-w, h], [-w, -h], [w, -h]])
+    if not gel.tip:
+        return square
+    turn = np.pi * (1 + (np.arange(ARC) + 0.5) / ARC)
+    arc = np.column_stack([np.cos(turn), np.sin(turn)]) * w / np.cos(np.pi / ARC / 2) + [0, w - h]
+    round_at_top = np.concatenate([square[:2], arc])
+    return round_at_top if gel.tip < 0 else round_at_top[::-1] * [1, -1]
+
+
+def interfaces(sensor: "LitSensor") -> dict[str, dict[str, Any]]:
+    """Interfaces from the air inward; one between equals does not exist."""
+    w, h = (size + 2 * sensor.walls.margin_mm for size in (sensor.gel.width_mm, sensor.gel.height_mm))
+    z, outside, around, made = -bottom_depth(sensor), 1.0, None, {}
+    bodies = [
+        ("plate", sensor.plate.thickness_mm, sensor.plate.refractive_index, None),
+        *((x.name, x.thickness_mm, x.refractive_index, x.scattering) for x in sensor.gel.clear_layers),
+    ]
+    for name, thickness, index, scattering in bodies:
+        if index != outside or scattering != around:
+            bends = {"type": "dielectric", "int_ior": index, "ext_ior": outside}
+            made[f"into_{name}"] = {
+                "type": "rectangle",
+                "to_world": rectangle((0, 0, z), (0, 0, -1), (0, 1, 0), (w, h)),
+                "bsdf": bends if index != outside else {"type": "null"},
+                **({"interior": medium(scattering)} if scattering else {}),
+                **({"exterior": medium(around)} if around else {}),
+            }
+        z, outside, around = z + thickness, index, scattering
+    return made
+
+
+def medium(scattering: "Scattering") -> dict[str, Any]:
+    """The inside of a layer with particles."""
+    return {
+        "type": "homogeneous",
+        "sigma_t": scattering.extinction_per_mm,
+        "albedo": {"type": "rgb", "value": list(scattering.albedo)},
+        "phase": {"type": "hg", "g": scattering.forward},
+    }
+
+
+def bottom_depth(sensor: "LitSensor") -> float:
+    """Depth of the plate's air face below the untouched coated face [mm]."""
+    return sensor.plate.thickness_mm + sum(layer.thickness_mm for layer in sensor.gel.layers)

@@ -1,0 +1,212 @@
+"""Light by a look-up table, as Taxim does it: milliseconds an image, and an error to match.
+
+What a dent adds to a pixel's light is a polynomial of the pixel's place, one for each slope of the face (Si and Yuan,
+Taxim: An Example-based Simulation Model for GelSight Tactile Sensors, RA-L 2022, III-A), and what stands between pixel
+and lamp takes away a share of it (III-B). Both are fitted to pictures of known dents. Slopes are those of the face
+against the untouched one, so that a dome needs nothing else.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from itertools import cycle
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numba import njit
+
+from tacgen.optics.hertz_dent import BallDent
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from tacgen.optics.surface_grid import Surface
+    from tacgen.recipe.sensor import LitSensor
+
+    Floats = NDArray[np.float64]
+
+BINS = 41  # of each component of the slope, which goes from -1 to 1 as the sine of the angle
+SHARED = ((1.0, 1.0), (4.0, 1e-3), (16.0, 1e-6))  # widths [bins] over which bins share what they saw, and how much
+RIDGE = 0.05  # of a bin's samples: how hard terms that the place would multiply are drawn to 0
+ALONG = (-0.6, -0.2, 0.2, 0.6)
+PLACES = [(x, y) for y in ALONG for x in ALONG]  # of dents, in half pictures from the middle
+BALLS = [(1.2, 0.6), (0.6, 0.9), (1.5, 0.35), (0.8, 0.75)]  # radius, in the gel's thickness; sine of the steepest slope
+COARSE = 2  # [px] between pixels whose shadows are sought, and between the points at which a way to a lamp is tried
+
+
+@dataclass(frozen=True)
+class Face:
+    """A face as the camera sees it: heights (h, w) [mm] and, against the untouched face, slopes (h, w, 2) [-]."""
+
+    height: "Floats"
+    slope: "Floats"
+
+    @classmethod
+    def of(cls, height: "Floats", normal: "Floats", untouched: "Floats") -> "Face":
+        """From unit normals (h, w, 3) now and untouched; no gel there: as if untouched."""
+        return cls(np.nan_to_num(height), np.nan_to_num(normal[..., :2] - untouched[..., :2]))
+
+
+@dataclass(frozen=True)
+class Table:
+    """Added light for each slope and place, and how much of it each lamp's shadow takes."""
+
+    terms: "Floats"  # (BINS, BINS, 6, 3): of 1, x, y, x^2, x y, y^2 with x, y from -1 to 1 over the picture
+    shade: "Floats"  # (lamps, 3): light that is missing where a lamp is wholly hidden
+
+    @classmethod
+    def fitted(cls, faces: list[Face], added: list["Floats"], lamps: "Floats", mm_per_px: float) -> "Table":
+        """By least squares, from pictures (h, w, 3) of what dents add to the untouched picture.
+
+        Args:
+            lamps, mm_per_px: see shadows.
+
+        The shadows are fitted to what the polynomials leave: most of what a dent hides from a lamp turns away from it.
+        """
+        a, b = np.zeros((BINS * BINS, 6, 6)), np.zeros((BINS * BINS, 6, 3))
+        for face, light in zip(faces, added, strict=True):
+            basis, index = places(light.shape[:2]).reshape(-1, 6), _bin(face.slope).ravel()
+            _accumulate(a, b, index, basis, light.reshape(-1, 3))
+        table = cls(_solved(a, b), np.zeros((len(lamps), 3)))
+        dark = [shadows(face.height, lamps, mm_per_px).reshape(-1, len(lamps)) for face in faces]
+        left = [
+            (table.added(face, lamps, mm_per_px) - light).reshape(-1, 3)
+            for face, light in zip(faces, added, strict=True)
+        ]
+        shade = np.linalg.lstsq(np.concatenate(dark), np.concatenate(left), rcond=None)[0]
+        return cls(table.terms, np.maximum(shade, 0.0))
+
+    @classmethod
+    def mixed(cls, tables: list["Table"], light: "Floats") -> "Table":
+        """That of all lamps together, from tables (lamps) of each alone and their radiance (lamps, 3)."""
+        lit = list(zip(tables, light, strict=True))
+        terms, shade = sum(table.terms * rgb for table, rgb in lit), [table.shade[0] * rgb for table, rgb in lit]
+        return cls(np.asarray(terms), np.array(shade))
+
+    @property
+    def packed(self) -> "Floats":
+        """All its numbers in a row."""
+        return np.concatenate([self.terms.ravel(), self.shade.ravel()])
+
+    @classmethod
+    def unpacked(cls, numbers: "Floats") -> "Table":
+        """From `packed`."""
+        size = BINS * BINS * 18
+        return cls(numbers[:size].reshape(BINS, BINS, 6, 3), numbers[size:].reshape(-1, 3))
+
+    def added(self, face: Face, lamps: "Floats", mm_per_px: float) -> "Floats":
+        """What the face adds to the untouched picture's linear radiance, (h, w, 3); see `fitted` for the arguments."""
+        out = _look_up(self.terms, face.slope, places(face.height.shape))
+        if self.shade.any():
+            h, w = face.height.shape
+            dark = shadows(face.height[::COARSE, ::COARSE], lamps, COARSE * mm_per_px) @ self.shade
+            out -= dark.repeat(COARSE, axis=0).repeat(COARSE, axis=1)[:h, :w]
+        return out
+
+
+def dents(sensor: "LitSensor", untouched: "Surface") -> Iterator[BallDent]:
+    """What a table is calibrated on: balls of four sizes, pressed lightly and deeply, all over the picture."""
+    gel, camera = sensor.gel, sensor.camera
+    field = np.array([camera.width_px, camera.height_px]) * camera.mm_per_px / 2
+    reach = np.minimum(field, np.array([gel.width_mm, gel.height_mm]) / 2)
+    thick = sum(layer.thickness_mm for layer in gel.layers)
+    for (x, y), (share, slope) in zip(PLACES, cycle(BALLS), strict=False):
+        at = np.add(camera.center_mm, camera.crop_mm) + reach * (x, y)
+        yield BallDent(share * thick, slope * share * thick, (float(at[0]), float(at[1])), untouched)
+
+
+@cache
+def places(shape: tuple[int, int]) -> "Floats":
+    """1, x, y, x^2, x y, y^2 of each pixel's centre (h, w, 6), x and y from -1 to 1 over the picture."""
+    y, x = ((np.arange(n) + 0.5) / n * 2 - 1 for n in shape)
+    x, y = np.meshgrid(x, y)
+    return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
+
+
+def _bin(slope: "Floats") -> "NDArray[np.int64]":
+    """The nearest bin, counted row by row."""
+    i = np.clip(np.rint((slope + 1) / 2 * (BINS - 1)), 0, BINS - 1).astype(np.int64)
+    return np.asarray(i[..., 1] * BINS + i[..., 0])
+
+
+def _solved(a: "Floats", b: "Floats") -> "Floats":
+    """Polynomials (BINS, BINS, 6, 3) from the bins' normal equations (BINS^2, 6, 6) and (BINS^2, 6, 3)."""
+    from scipy.ndimage import gaussian_filter
+
+    def shared(part: "Floats") -> "Floats":
+        grid = part.reshape(BINS, BINS, -1)
+        spread = [share * gaussian_filter(grid, (width, width, 0), mode="constant") for width, share in SHARED]
+        return np.asarray(sum(spread).reshape(part.shape))
+
+    left, right = shared(a), shared(b)
+    drawn = np.diag([0.0, 1, 1, 1, 1, 1]) * RIDGE
+    left += left[:, :1, :1] * drawn + 1e-30 * np.eye(6)
+    return np.asarray(np.linalg.solve(left, right).reshape(BINS, BINS, 6, 3), dtype=np.float64)
+
+
+@njit(cache=True)
+def _accumulate(a: "Floats", b: "Floats", index: "NDArray[np.int64]", basis: "Floats", light: "Floats") -> None:
+    """Add samples (n, 6) and their light (n, 3) to the normal equations of their bins."""
+    for s in range(len(index)):
+        for i in range(6):
+            for j in range(6):
+                a[index[s], i, j] += basis[s, i] * basis[s, j]
+            for c in range(3):
+                b[index[s], i, c] += basis[s, i] * light[s, c]
+
+
+@njit(cache=True)
+def _look_up(terms: "Floats", slope: "Floats", basis: "Floats") -> "Floats":
+    """The table's light (h, w, 3), bilinear between bins."""
+    h, w, _ = slope.shape
+    n = terms.shape[0] - 1
+    out = np.zeros((h, w, 3))
+    for y in range(h):
+        for x in range(w):
+            u = min(max((slope[y, x, 0] + 1) / 2 * n, 0.0), n - 1e-9)
+            v = min(max((slope[y, x, 1] + 1) / 2 * n, 0.0), n - 1e-9)
+            i, j = int(u), int(v)
+            a, b = u - i, v - j
+            for c in range(3):
+                total = 0.0
+                for k in range(6):
+                    low = (1 - a) * terms[j, i, k, c] + a * terms[j, i + 1, k, c]
+                    high = (1 - a) * terms[j + 1, i, k, c] + a * terms[j + 1, i + 1, k, c]
+                    total += basis[y, x, k] * ((1 - b) * low + b * high)
+                out[y, x, c] = total
+    return out
+
+
+@njit(cache=True)
+def shadows(height: "Floats", lamps: "Floats", mm_per_px: float) -> "Floats":
+    """How much (h, w, lamps), 0 to 1, of each lamp is hidden from each pixel: one way to its nearest point is tried.
+
+    Args:
+        height: of the face [mm], (h, w).
+        lamps: ends of each strip and half its height [mm], (lamps, 7), in the frame of the picture's centre.
+        mm_per_px: a pixel's size on the face.
+    """
+    h, w = height.shape
+    lowest, step = height.min(), mm_per_px
+    out = np.zeros((h, w, len(lamps)))
+    for k in range(len(lamps)):
+        along = lamps[k, 3:6] - lamps[k, :3]
+        length2 = max((along * along).sum(), 1e-12)
+        for y in range(h):
+            for x in range(w):
+                px, py, pz = (x + 0.5 - w / 2) * mm_per_px, (y + 0.5 - h / 2) * mm_per_px, height[y, x]
+                t = ((px - lamps[k, 0]) * along[0] + (py - lamps[k, 1]) * along[1]) / length2
+                t = min(max(t, 0.0), 1.0)
+                dx, dy = lamps[k, 0] + t * along[0] - px, lamps[k, 1] + t * along[1] - py
+                far = max(np.sqrt(dx * dx + dy * dy), 1e-9)
+                rise = (lamps[k, 2] + t * along[2] - pz) / far
+                s = step
+                while s < far:
+                    z = pz + s * rise
+                    u, v = x + s * dx / far / mm_per_px, y + s * dy / far / mm_per_px
+                    if u < 0 or v < 0 or u > w - 1 or v > h - 1 or (z < lowest and rise <= 0):
+                        break
+                    share = (z - height[int(v + 0.5), int(u + 0.5)]) / max(lamps[k, 6] * s / far, 1e-3)
+                    out[y, x, k] = max(out[y, x, k], min(share, 1.0))
+                    s += step
+    return out

@@ -1,0 +1,90 @@
+"""A photograph of one's own untouched sensor, behind rendered pictures; the home of what reads it, imported late."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tacgen.errors import UserError
+from tacgen.recipe import assets
+from tacgen.recipe.model import IMAGES, Recipe
+from tacgen.recipe.sensor import Camera, Sensor
+from tacgen.recipe.validation_messages import Problem
+from tacgen.recipe.yaml_source import KeyPath
+
+if TYPE_CHECKING:
+    import numpy as np
+
+WHERE: KeyPath = ("render", "background")
+
+
+def place(name: str, folder: Path | None) -> Path:
+    """The file of a photograph, a path that starts at `folder` (the recipe's)."""
+    return (folder or Path()) / Path(name).expanduser()
+
+
+def problems(recipe: Recipe, sensor: Sensor, folder: Path | None) -> list[Problem]:
+    """Why a recipe's photograph cannot stand behind this sensor's pictures."""
+    name, said, eye = recipe.render.background, recipe.render.background_sha256, sensor.camera
+    if name is None:
+        return []
+    if not recipe.outputs & IMAGES:
+        return [Problem(WHERE, "has no effect: outputs do not ask for rgb or radiance", at_key=True)]
+    path = place(name, folder)
+    try:
+        found = assets.sha256(path)
+        height, width = read(path).shape[:2]
+    except UserError as error:
+        return [Problem(WHERE, error.lines[0])]
+    if said not in (None, found):
+        return [Problem(("render", "background_sha256"), f"{name} is another file now ({found[:12]}...)")]
+    if (width, height) != (eye.width_px, eye.height_px):
+        text = (
+            f"is {width} x {height}, and the camera's pictures are {eye.width_px} x {eye.height_px}: crop and resize it"
+        )
+        return [Problem(WHERE, text)]
+    return []
+
+
+def read(path: Path) -> "np.ndarray":
+    """The picture (H, W, 3), 8 bit. Raises UserError: no picture can be read from the file."""
+    import numpy as np
+    from PIL import Image
+
+    try:
+        with Image.open(path) as picture:
+            return np.asarray(picture.convert("RGB"))
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        reason = "is no picture that can be read" if path.is_file() else "cannot be read: no such file"
+        raise UserError(f"{path}: {reason}") from error
+
+
+def shrunk(light: "np.ndarray", width: int, height: int) -> "np.ndarray":
+    """A picture of linear light (H, W, 3) averaged over larger pixels (height, width, 3)."""
+    import numpy as np
+    from PIL import Image
+
+    channels = [Image.fromarray(c) for c in np.moveaxis(light.astype(np.float32), -1, 0)]
+    return np.stack([np.asarray(c.resize((width, height), Image.Resampling.BOX), dtype=float) for c in channels], -1)
+
+
+class Backdrop:
+    """A photograph of the untouched sensor, that rendered radiance is laid over.
+
+    The picture is photo x (deformed render / flat render), in linear light; the photograph alone where nothing is
+    rendered, beside the gel.
+    """
+
+    def __init__(self, path: Path, flat: "np.ndarray", camera: Camera) -> None:
+        """`flat` (H, W, 3) is the radiance rendered untouched."""
+        import numpy as np
+
+        from tacgen.optics import camera_response
+
+        light = camera_response.linear(read(path) / 255.0)
+        unit = camera_response.expose(np.ones_like(light), camera)
+        lit = flat > 0
+        self._gain = np.where(lit, light / np.where(lit, unit * flat, 1.0), 0.0)
+        self._alone = np.where(lit, 0.0, light / unit)
+
+    def under(self, radiance: "np.ndarray") -> "np.ndarray":
+        """Radiance (H, W, 3) as photographed."""
+        return (radiance * self._gain + self._alone).astype(radiance.dtype)

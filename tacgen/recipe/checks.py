@@ -1,0 +1,204 @@
+"""What cannot be done on this sensor: the checks that need the recipe and the sensor side by side."""
+
+import importlib.util
+from contextlib import suppress
+from pathlib import Path
+from typing import cast
+
+from tacgen.errors import UserError
+from tacgen.recipe import assets, background_photo, optics_checks, trajectory_checks
+from tacgen.recipe.indenters import Indenter
+from tacgen.recipe.model import IMAGES, Recipe
+from tacgen.recipe.sensor import LIGHTS, Gel, LitSensor, Sensor
+from tacgen.recipe.trajectory import Made
+from tacgen.recipe.trajectory_checks import Folders
+from tacgen.recipe.validation_messages import Problem
+from tacgen.recipe.yaml_source import KeyPath
+
+THIN = 0.8  # of the mesh's edge: half an indenter's thickness, for some integration point to come near its middle
+SOLID_SIZE = 0.01  # how far a solid's sides may be from what its sensor file says, as a part of them
+LEAST_RIM = 0.1  # of the crown's thickness: cells squeezed more would not be worth having
+
+
+def sensor_problems(sensor: Sensor, folder: Path | None = None, images: bool = True) -> list[Problem]:
+    """What contradicts itself in a sensor file; paths start at the sensor's root.
+
+    `folder` is where the path of the gel's solid starts; None: the working directory. Without `images`, lights may be
+    where they cannot: a gel that is made thinner leaves them behind.
+    """
+    optics = _lights(sensor)
+    if sensor.lit and images:
+        optics += optics_checks.problems(cast(LitSensor, sensor))
+    return [*_outline(sensor.gel), *_solid(sensor.gel, folder), *optics]
+
+
+def recipe_problems(recipe: Recipe, sensor: Sensor, folders: Folders | None = None) -> list[Problem]:
+    """What this recipe asks for and this sensor cannot give; paths start at the recipe's root.
+
+    `folders` says where the paths of its files start; the working directory for those that it does not hold.
+    """
+    folders = folders or {}
+    wrong = [
+        *_depths(recipe, sensor),
+        *trajectory_checks.problems(recipe, sensor.gel, folders),
+        *_outputs(recipe, sensor),
+    ]
+    wrong += _times(recipe, folders)
+    if recipe.mesh == "hex" and sensor.gel.solid is not None:
+        wrong.append(Problem(("mesh",), f"cannot be hex: the gel of {sensor.name} is a solid, which is meshed by tets"))
+    wrong += [
+        *_thin(recipe),
+        *_toolkit(recipe),
+        *background_photo.problems(recipe, sensor, folders.get(background_photo.WHERE)),
+    ]
+    return [*wrong, *_mesh(recipe.indenter, folders.get(("indenter", "file")))]
+
+
+def thickness_mm(gel: Gel) -> float:
+    """From the bonded base to the coated face [mm]."""
+    return sum(layer.thickness_mm for layer in gel.layers)
+
+
+def _outline(gel: Gel) -> list[Problem]:
+    half, wrong = min(gel.width_mm, gel.height_mm) / 2, []
+    if gel.corner_radius_mm > half:
+        text = f"must be at most half the pad's shorter side, {half:g} (got {gel.corner_radius_mm:g})"
+        wrong.append(Problem(("gel", "corner_radius_mm"), text))
+    if gel.tip and gel.corner_radius_mm:
+        wrong.append(Problem(("gel", "corner_radius_mm"), "must be 0 beside an outline with a semicircular end"))
+    if gel.tip and gel.width_mm / 2 > gel.height_mm:
+        text = f"a semicircle over {gel.width_mm:g} mm does not fit into the pad's height, {gel.height_mm:g}"
+        wrong.append(Problem(("gel", "outline"), text))
+    rim = thickness_mm(gel) - gel.drop_mm(gel.width_mm / 2, gel.height_mm / 2)
+    if rim < LEAST_RIM * thickness_mm(gel):
+        text = f"leaves {rim:.3g} mm of gel at the pad's corner, less than a tenth of what the crown has"
+        wrong.append(Problem(("gel", "dome"), text))
+    return wrong
+
+
+def _solid(gel: Gel, folder: Path | None) -> list[Problem]:
+    """The file must be there, be the one asked for, close, and be as large as the sensor file says."""
+    if gel.solid is None:
+        return []
+    beside = [name for name in ("outline", "dome") if getattr(gel, name) is not None]
+    beside += ["corner_radius_mm"] if gel.corner_radius_mm else []
+    if beside:
+        return [Problem(("gel", name), "cannot be given beside solid", at_key=True) for name in beside]
+    from tacgen.geometry import mesh_import
+
+    try:
+        path = assets.mesh_path(gel.solid.file, folder)
+        sizes = mesh_import.sizes(path, gel.solid.up, gel.solid.scale)
+    except UserError as error:
+        return [Problem(("gel", "solid", "file"), error.lines[0])]
+    if gel.solid.sha256 not in (None, found := assets.sha256(path)):
+        return [Problem(("gel", "solid", "sha256"), f"{gel.solid.file} is another file now ({found[:12]}...)")]
+    said = {"width_mm": gel.width_mm, "height_mm": gel.height_mm, "layers": thickness_mm(gel)}
+    return [
+        Problem(("gel", key), f"the solid measures {size:.4g} mm along {axis} (got {value:g}): is scale or up wrong?")
+        for (key, value), size, axis in zip(said.items(), sizes, "xyz", strict=True)
+        if abs(size - value) > SOLID_SIZE * value
+    ]
+
+
+def _lights(sensor: Sensor) -> list[Problem]:
+    """A plate may stand alone; coating, walls and LEDs come together and with it, for none makes an image alone."""
+    there = [name for name in LIGHTS if getattr(sensor, name) is not None]
+    if sensor.lit or there in ([], ["plate"]):
+        return []
+    missing = [name for name in LIGHTS if name not in there]
+    return [Problem((name,), f"is missing, and {there[-1]} is there", at_key=True) for name in missing]
+
+
+def _depths(recipe: Recipe, sensor: Sensor) -> list[Problem]:
+    """Depth counts from first touch: on a dome, from no lower than the face under the start."""
+    gel, start = sensor.gel, recipe.start
+    thick = thickness_mm(gel) - gel.drop_mm(start.x_mm, start.y_mm)
+    return [
+        Problem(
+            ("trajectory", i, "press", "depth_mm"),
+            f"must be less than the gel is thick, {thick:g} mm (got {segment.press.depth_mm:g})",
+        )
+        for i, segment in enumerate(recipe.trajectory)
+        if segment.press and segment.press.depth_mm is not None and segment.press.depth_mm >= thick
+    ]
+
+
+def _times(recipe: Recipe, folders: Folders) -> list[Problem]:
+    """With dynamics every frame takes some time; without, none does."""
+    wrong = []
+    for i, step in enumerate(recipe.trajectory):
+        where: KeyPath = ("trajectory", i, step.kind)
+        if recipe.dynamics is None:
+            if isinstance(step.move, Made) and step.move.duration_s is not None:
+                wrong.append(Problem((*where, "duration_s"), "has no effect without dynamics", at_key=True))
+        elif recipe.dynamics.frame_s is None:
+            known = True
+            if isinstance(step.move, Made):
+                known = step.move.duration_s is not None
+            else:
+                with suppress(UserError):  # told already
+                    known = len(trajectory_checks.replayed(step.move, folders.get((*where, "file")))) > 1
+            if not known:
+                wrong.append(Problem(where, "must say how long it takes: duration_s, or frame_s under dynamics"))
+    return wrong
+
+
+def _outputs(recipe: Recipe, sensor: Sensor) -> list[Problem]:
+    wrong = []
+    if "markers" in recipe.outputs and sensor.markers is None:
+        wrong.append(Problem(("outputs",), f"asks for markers, and the sensor {sensor.name} has none"))
+    if (images := recipe.outputs & IMAGES) and not sensor.lit:
+        asked = " and ".join(sorted(images))
+        wrong.append(Problem(("outputs",), f"asks for {asked}: the sensor file {sensor.name} describes no lights yet"))
+    if images and recipe.render.method == "table" and any(layer.scattering for layer in sensor.gel.clear_layers):
+        text = f"cannot be table: the gel of {sensor.name} scatters, and its light does not follow the face's slope"
+        wrong.append(Problem(("render", "method"), text))
+    if recipe.markers.method == "analytic" and (sensor.markers is None or sensor.markers.motion is None):
+        text = f"cannot be analytic: the sensor file {sensor.name} holds no markers.motion"
+        wrong.append(Problem(("markers", "method"), text))
+    return wrong
+
+
+def _thin(recipe: Recipe) -> list[Problem]:
+    """A body that has a far side must be thicker than the contact points are apart."""
+    indenter, edge = recipe.indenter, recipe.resolved().edge_mm
+    if recipe.contact.formulation != "distance":
+        return []
+    match indenter.shape:
+        case "sphere" | "capsule" | "cylinder":
+            half = {"radius_mm": indenter.radius_mm}
+        case "torus":
+            half = {"tube_radius_mm": indenter.tube_radius_mm}
+        case "box":
+            half = {"size_x_mm": indenter.size_x_mm / 2, "size_y_mm": indenter.size_y_mm / 2}
+        case _:
+            return []
+    return [
+        Problem(
+            ("indenter", key),
+            f"is too thin for a mesh of edge {edge:g} mm: it would slip between the points where contact acts;"
+            f" ask for quality: {{edge_mm: {value / THIN:.2g}}} or finer",
+        )
+        for key, value in half.items()
+        if value < THIN * edge * (1 - 1e-9)
+    ]
+
+
+def _toolkit(recipe: Recipe) -> list[Problem]:
+    if recipe.contact.formulation != "ipctk" or importlib.util.find_spec("ipctk"):
+        return []
+    text = "needs the IPC Toolkit, which is not installed: pip install 'tacgen[ipc]'"
+    return [Problem(("contact", "formulation"), text)]
+
+
+def _mesh(indenter: Indenter, folder: Path | None) -> list[Problem]:
+    if indenter.shape != "mesh":
+        return []
+    try:
+        found = assets.sha256(assets.mesh_path(indenter.file, folder))
+    except UserError as error:
+        return [Problem(("indenter", "file"), error.lines[0])]
+    if indenter.sha256 in (None, found):
+        return []
+    return [Problem(("indenter", "sha256"), f"{indenter.file} is another file now ({found[:12]}...)")]

@@ -1,0 +1,122 @@
+"""What may press: indenters by shape, origins at their lowest points. Lengths in mm, angles in degrees."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field, ValidationInfo, field_validator
+
+from tacgen.recipe.base_model import Part, Positive
+
+Acute = Annotated[float, Field(gt=0, lt=90)]
+
+
+def _smaller(value: float, limit: float | None, what: str, *, equal: bool = True) -> float:
+    """Raise ValueError unless value <= limit (or < limit); `limit` is None when it is itself wrong."""
+    if limit is not None and (value > limit or (value == limit and not equal)):
+        raise ValueError(f"must be {'at most' if equal else 'less than'} {what}, {limit:g} (got {value:g})")
+    return value
+
+
+class Sphere(Part):
+    """A ball."""
+
+    shape: Literal["sphere"]
+    radius_mm: Positive
+
+
+class Cylinder(Part):
+    """A flat punch: a round rod whose axis is z, its lower edge rounded."""
+
+    shape: Literal["cylinder"]
+    radius_mm: Positive
+    fillet_mm: Annotated[float, Field(gt=0, validate_default=True)] = 0.2
+
+    @field_validator("fillet_mm")
+    @classmethod
+    def _fits(cls, value: float, info: ValidationInfo) -> float:
+        return _smaller(value, info.data.get("radius_mm"), "radius_mm")
+
+
+class Cone(Part):
+    """A cone pointing down with a ball for a tip; the half angle is measured from its axis."""
+
+    shape: Literal["cone"]
+    half_angle_deg: Acute
+    tip_radius_mm: Positive
+
+
+class Box(Part):
+    """A block with rounded edges, flat side down."""
+
+    shape: Literal["box"]
+    size_x_mm: Positive
+    size_y_mm: Positive
+    fillet_mm: Annotated[float, Field(gt=0, validate_default=True)] = 0.2
+
+    @field_validator("fillet_mm")
+    @classmethod
+    def _fits(cls, value: float, info: ValidationInfo) -> float:
+        sides = [info.data[side] for side in ("size_x_mm", "size_y_mm") if side in info.data]
+        return _smaller(value, min(sides) / 2 if sides else None, "half the shorter side")
+
+
+class Wedge(Part):
+    """A wedge pointing down whose rounded edge lies along y; the half angle is measured from z, the length over all."""
+
+    shape: Literal["wedge"]
+    half_angle_deg: Acute
+    tip_radius_mm: Positive
+    length_mm: Positive
+
+    @field_validator("length_mm")
+    @classmethod
+    def _holds(cls, value: float, info: ValidationInfo) -> float:
+        tip = info.data.get("tip_radius_mm")
+        if tip is not None and value < 2 * tip:
+            raise ValueError(f"must be at least twice tip_radius_mm, {2 * tip:g} (got {value:g})")
+        return value
+
+
+class Capsule(Part):
+    """A rod with round ends lying along x; the length is between the centres of its two balls."""
+
+    shape: Literal["capsule"]
+    radius_mm: Positive
+    length_mm: Positive
+
+
+class Torus(Part):
+    """A ring lying flat: `radius_mm` from its axis to the centre of the tube."""
+
+    shape: Literal["torus"]
+    radius_mm: Positive
+    tube_radius_mm: Positive
+
+    @field_validator("tube_radius_mm")
+    @classmethod
+    def _fits(cls, value: float, info: ValidationInfo) -> float:
+        return _smaller(value, info.data.get("radius_mm"), "radius_mm", equal=False)
+
+
+class Mesh(Part):
+    """A closed triangle mesh (STL, OBJ, PLY), its lowest point at the gel and its middle over it."""
+
+    shape: Literal["mesh"]
+    file: Annotated[str, Field(min_length=1)]  # an object's name, or a path that starts at the recipe's folder
+    up: Literal["+x", "-x", "+y", "-y", "+z", "-z"] = "+z"  # which axis of the file points away from the gel
+    scale: Positive = 1.0  # mm per unit of the file
+    size_mm: Positive | None = None  # instead of scale: the longest side
+    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = None  # the file must be this one; bundles say it
+
+    @field_validator("size_mm")
+    @classmethod
+    def _alone(cls, value: float | None, info: ValidationInfo) -> float | None:
+        if value is not None and info.data.get("scale", 1.0) != 1.0:
+            raise ValueError("cannot be given beside scale")
+        return value
+
+
+Indenter = Annotated[Sphere | Cylinder | Cone | Box | Wedge | Capsule | Torus | Mesh, Field(discriminator="shape")]
+SHAPES: dict[str, type[Part]] = {
+    kind.model_fields["shape"].annotation.__args__[0]: kind  # type: ignore[union-attr]
+    for kind in (Sphere, Cylinder, Cone, Box, Wedge, Capsule, Torus, Mesh)
+}

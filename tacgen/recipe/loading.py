@@ -1,0 +1,157 @@
+"""A recipe file, what it extends, `--set` and the sensor file it names -> Recipe and Sensor, checked together."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tacgen.errors import UserError
+from tacgen.recipe import assets, checks
+from tacgen.recipe.model import IMAGES, Recipe
+from tacgen.recipe.sensor import Sensor
+from tacgen.recipe.validation_messages import Problem, report, suggest, validate
+from tacgen.recipe.yaml_source import KeyPath, Mark, Source, Spot, Tree, describe, load, parse, parse_path
+
+SOLID: KeyPath = ("gel", "solid", "file")
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """A checked recipe and its sensor, with the trees that know where each value was written."""
+
+    recipe: Recipe
+    sensor: Sensor
+    tree: Tree  # of the recipe, `extends` and `--set` merged in
+    sensor_tree: Tree  # of the sensor, overrides merged in
+
+
+def read(path: Path, sets: Iterable[str] = ()) -> Loaded:
+    """Read a recipe and its sensor. Raises UserError with every problem of both files at once.
+
+    Args:
+        path: the recipe file.
+        sets: overrides as on the command line, `indenter.radius_mm=3`; `sensor.` reaches into the sensor.
+    """
+    tree = _extended(path, ())
+    for text in sets:
+        tree = _set(tree, text)
+    recipe, wrong = validate(Recipe, tree.data)
+    problems = [(problem, tree) for problem in wrong]
+    try:
+        sensor, sensor_tree, more = _sensor(tree, recipe is not None and bool(recipe.outputs & IMAGES))
+    except UserError as error:  # the sensor file is no YAML: say so beside what is wrong with the recipe
+        raise UserError([*report(problems).lines, *error.lines]) from None
+    problems += more
+    if recipe and sensor:
+        problems += [(problem, tree) for problem in checks.recipe_problems(recipe, sensor, folders(tree, recipe))]
+    if problems or recipe is None or sensor is None:
+        raise report(problems)
+    return Loaded(recipe, sensor, tree, sensor_tree)
+
+
+def read_sensor(path: Path) -> tuple[Sensor, Tree]:
+    """Read a sensor file alone. Raises UserError with every problem."""
+    tree = load(path)
+    sensor, wrong = check_sensor(tree.data, solid_folder(tree))
+    if wrong or sensor is None:
+        raise report((problem, tree) for problem in wrong)
+    return sensor, tree
+
+
+def check_sensor(data: Any, folder: Path | None = None, images: bool = True) -> tuple[Sensor | None, list[Problem]]:
+    """A sensor from plain data, or all that is wrong with it; for `folder` and `images` see checks.sensor_problems."""
+    sensor, wrong = validate(Sensor, data)
+    if sensor is not None:
+        wrong = checks.sensor_problems(sensor, folder, images)
+    return (None if wrong else sensor), wrong
+
+
+def folders(tree: Tree, recipe: Recipe, varied: Iterable[str] = ()) -> dict[KeyPath, Path]:
+    """The folder, from the root, in which the path of each file of a recipe starts: that of the file it was written in.
+
+    `varied` are the paths of `vary.over`, one of which may name the file instead.
+    """
+    found: dict[KeyPath, Path] = {}
+    for path in recipe.files:
+        spots: list[KeyPath] = [("vary", "over", name) for name in varied if path[: len(p := parse_path(name))] == p]
+        found[path] = (tree.spot([*spots, path][0]).value.source.folder or Path()).resolve()
+    return found
+
+
+def solid_folder(sensor_tree: Tree) -> Path:
+    """The folder in which the path of a gel's solid starts: that of the file it was written in."""
+    return (sensor_tree.spot(SOLID).value.source.folder or Path()).resolve()
+
+
+def _extended(path: Path, chain: tuple[Path, ...]) -> Tree:
+    """The tree of a file laid over the one it extends. `chain` holds the files that led here."""
+    tree = load(path)
+    if not isinstance(tree.data, dict):
+        raise report([(Problem((), f"a recipe must be a mapping (got {describe(tree.data)})"), tree)])
+    if "extends" not in tree.data:
+        return tree
+    name, here = tree.data["extends"], (*chain, path.resolve())
+    if not isinstance(name, str):
+        raise report([(Problem(("extends",), f"must be the path of a recipe (got {describe(name)})"), tree)])
+    other = path.parent / name
+    if other.resolve() in here:
+        raise report([(Problem(("extends",), f"{name} is extended by this very recipe"), tree)])
+    if not other.exists():
+        raise report([(Problem(("extends",), f"no such file: {other}"), tree)])
+    return _extended(other, here).merged(tree.without("extends"))
+
+
+def _set(tree: Tree, text: str) -> Tree:
+    """`a.b[0].c=value` laid over a tree; the value is YAML."""
+    source = Source(f"--set {text}")
+    path_text, equals, value_text = text.partition("=")
+    if not equals:
+        raise UserError(f"--set {text}: needs the form path=value, such as indenter.radius_mm=3")
+    try:
+        path = parse_path(path_text.strip())
+        value = _with_source(parse(value_text, source), source)
+        if path[0] == "extends":
+            raise LookupError("extends can only stand in the recipe")
+        if path[0] == "sensor" and len(path) > 1:
+            key = path_text.strip().removeprefix("sensor").lstrip(".")
+            return tree.replaced(("sensor_overrides", key), value)
+        return tree.replaced(path, value)
+    except (ValueError, LookupError) as error:
+        raise UserError(f"--set {text}: {error}") from None
+
+
+def _with_source(tree: Tree, source: Source) -> Tree:
+    """Every spot at the override as a whole: a command line has no lines and columns."""
+    return Tree(tree.data, {path: Spot(Mark(source), Mark(source)) for path in tree.spots})
+
+
+def _sensor(tree: Tree, images: bool) -> tuple[Sensor | None, Tree, list[tuple[Problem, Tree]]]:
+    """The sensor a recipe names, its overrides laid over the file; problems with the tree each stands in."""
+    name, nothing = tree.data.get("sensor"), Tree(None)
+    if not isinstance(name, str) or not name:
+        return None, nothing, []  # said already by the recipe's own check
+    try:
+        sensor_path = assets.sensor_path(name, tree.spot(("sensor",)).value.source.folder)
+    except UserError as error:
+        return None, nothing, [(Problem(("sensor",), error.lines[0]), tree)]
+    sensor_tree = load(sensor_path)
+    if not isinstance(sensor_tree.data, dict):
+        wrong = Problem((), f"a sensor must be a mapping (got {describe(sensor_tree.data)})")
+        return None, nothing, [(wrong, sensor_tree)]
+    sensor_tree, lost = _overridden(sensor_tree, tree)
+    sensor, found = check_sensor(sensor_tree.data, solid_folder(sensor_tree), images)
+    return sensor, sensor_tree, [(p, tree) for p in lost] + [(p, sensor_tree) for p in found]
+
+
+def _overridden(sensor: Tree, recipe: Tree) -> tuple[Tree, list[Problem]]:
+    """Lay `sensor_overrides` over a sensor's tree: keys are paths, mappings merge."""
+    overrides = recipe.data.get("sensor_overrides")
+    problems: list[Problem] = []
+    for key in overrides if isinstance(overrides, dict) else ():
+        here: KeyPath = ("sensor_overrides", key)
+        try:
+            sensor = sensor.merged(recipe.under(here), parse_path(key))
+        except (ValueError, LookupError) as error:
+            hint = suggest(key, sensor.data) if "." not in key else ""
+            problems.append(Problem(here, f"{error}{hint}", at_key=True))
+    return sensor, problems

@@ -1,0 +1,200 @@
+"""YAML -> Recipe: what a person wrote, checked, with line numbers. Lengths in mm, angles in degrees."""
+
+from typing import Annotated, Any, Literal, NamedTuple, get_args
+
+from pydantic import AfterValidator, Discriminator, Field, Tag, ValidationInfo, field_validator, model_validator
+
+from tacgen.recipe.base_model import ONE_KEY, NotNegative, Part, Positive, exactly_one
+from tacgen.recipe.indenters import Indenter
+from tacgen.recipe.trajectory import Segment, Start
+from tacgen.recipe.yaml_source import KeyPath
+
+OutputName = Literal[
+    "force",
+    "traction",
+    "force_map",
+    "height",
+    "normals",
+    "gap",
+    "stress",
+    "markers",
+    "flow",
+    "material",
+    "radiance",
+    "rgb",
+]
+Element = Literal["hex", "tet", "linear_tet"]  # linear tets lock on gels this near to incompressible: to compare with
+OUTPUTS: tuple[str, ...] = get_args(OutputName)
+IMAGES = frozenset({"radiance", "rgb"})  # outputs that need light
+
+
+class Contact(Part):
+    """How indenter and gel touch.
+
+    `distance` measures gaps to the indenter's shape; `ipctk` is contact between two meshes by the IPC Toolkit.
+    """
+
+    friction: NotNegative = 0.0
+    formulation: Literal["distance", "ipctk"] = "distance"
+
+
+class Rayleigh(Part):
+    """Damping in proportion to mass and to stiffness."""
+
+    alpha_per_s: NotNegative = 0.0
+    beta_s: NotNegative = 0.0
+
+
+class Dynamics(Part):
+    """Let the gel's inertia and damping count. Without, it is as if everything moved infinitely slowly."""
+
+    density_kg_m3: Positive
+    rayleigh: Rayleigh = Rayleigh()
+    frame_s: Positive | None = None  # what a frame takes; a movement's duration_s and a replay's times go before it
+    step_s: Positive | None = None  # a frame that takes longer goes in several steps of time; None: in one
+
+
+class Render(Part):
+    """How camera images are made: `transport`, exact light; Mitsuba's `path` with the noise of `spp` paths; or `table`,
+    milliseconds an image by Taxim's look-up of light by slope and place, for looks more than for measure.
+
+    `noise` is the camera's own, as its sensor file says, in /frames/rgb: what a real camera gives is the default.
+    """
+
+    method: Literal["transport", "path", "table"] = "transport"
+    noise: bool = True
+    # a photograph of one's own untouched unit, dots where the sensor file has them: photo x (deformed / flat render)
+    background: Annotated[str, Field(min_length=1)] | None = None  # a path that starts at the recipe's folder
+    background_sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = None  # it must be this file
+
+
+class MarkerMotion(Part):
+    """How dots move: `fem`, as the solved gel carries them; or `analytic`, by FOTS's exponentials of the indenter's
+    pose, of which the sensor file holds the numbers."""
+
+    method: Literal["fem", "analytic"] = "fem"
+
+
+class Quality(NamedTuple):
+    """Numbers that trade time for error."""
+
+    edge_mm: float  # of the mesh under the contact
+    dhat_mm: float  # range of the contact barrier
+    spp: int  # samples a pixel
+
+
+QUALITIES = {
+    "draft": Quality(0.6, 0.05, 16),
+    "default": Quality(0.36, 0.02, 64),
+    "reference": Quality(0.2, 0.01, 512),
+}
+
+
+class QualityNumbers(Part):
+    """Numbers given one by one; what is left out is as in `default`."""
+
+    edge_mm: Positive | None = None
+    dhat_mm: Positive | None = None
+    spp: Annotated[int, Field(ge=1)] | None = None
+
+
+def _quality_tag(value: Any) -> str:
+    return "numbers" if isinstance(value, dict | QualityNumbers) else "preset"
+
+
+class Distribution(Part, json_schema_extra=ONE_KEY):
+    """Where the values of one varied path come from."""
+
+    uniform: tuple[float, float] | None = None
+    loguniform: tuple[Positive, Positive] | None = None
+    integers: tuple[int, int] | None = None  # both ends included
+    choice: Annotated[tuple[Any, ...], Field(min_length=1)] | None = None
+    linspace: tuple[float, float, Annotated[int, Field(ge=1, le=1_000_000)]] | None = None
+
+    @field_validator("uniform", "loguniform", "integers")
+    @classmethod
+    def _ordered(cls, value: tuple[float, float] | None) -> tuple[float, float] | None:
+        if value is not None and not value[0] < value[1]:
+            raise ValueError(f"must be [low, high] with low < high (got [{value[0]:g}, {value[1]:g}])")
+        return value
+
+    @model_validator(mode="after")
+    def _one(self) -> "Distribution":
+        exactly_one(self, "distribution")
+        return self
+
+
+class Vary(Part):
+    """A batch: many scenes from one recipe."""
+
+    method: Literal["grid", "random", "sobol", "lhs", "halton"] = "sobol"
+    samples: Annotated[int | None, Field(ge=1, le=1_000_000, validate_default=True)] = None
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    over: Annotated[dict[str, Distribution], Field(min_length=1)]
+
+    @field_validator("samples")
+    @classmethod
+    def _when_needed(cls, value: int | None, info: ValidationInfo) -> int | None:
+        method = info.data.get("method")
+        if method == "grid" and value is not None:
+            raise ValueError("must be left out: a grid has as many scenes as its choices and linspaces give")
+        if method not in (None, "grid") and value is None:
+            raise ValueError(f"is missing: how many scenes to draw by {method}")
+        return value
+
+
+def _filled(value: frozenset[str]) -> frozenset[str]:
+    if not value:
+        raise ValueError(f"must name at least one of {', '.join(OUTPUTS)}")
+    return value
+
+
+Outputs = Annotated[frozenset[OutputName], AfterValidator(_filled), Field(json_schema_extra={"minItems": 1})]
+
+
+class Recipe(Part):
+    """What a person wrote: one scene, or with `vary` a batch of them."""
+
+    tacgen: Literal[1]
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=100)]
+    sensor: Annotated[str, Field(min_length=1)]
+    sensor_overrides: dict[str, Any] = Field(default_factory=dict)
+    indenter: Indenter
+    start: Start = Start()
+    trajectory: Annotated[tuple[Segment, ...], Field(min_length=1)]
+    contact: Contact = Contact()
+    dynamics: Dynamics | None = None
+    mesh: Element | None = None  # None: hex where the gel is a pad, tet where it is a solid of your own
+    render: Render = Render()
+    markers: MarkerMotion = MarkerMotion()
+    outputs: Outputs
+    quality: Annotated[
+        Annotated[Literal["draft", "default", "reference"], Tag("preset")] | Annotated[QualityNumbers, Tag("numbers")],
+        Discriminator(_quality_tag),
+    ] = "default"
+    vary: Vary | None = None
+
+    def resolved(self) -> Quality:
+        """The quality as numbers."""
+        if isinstance(self.quality, str):
+            return QUALITIES[self.quality]
+        given = {name: value for name, value in self.quality.model_dump().items() if value is not None}
+        return QUALITIES["default"]._replace(**given)
+
+    @property
+    def frames(self) -> int:
+        """How many frames a scene has."""
+        return sum(segment.frames for segment in self.trajectory)
+
+    @property
+    def files(self) -> tuple[KeyPath, ...]:
+        """Where it names files by a path that starts at the recipe's folder."""
+        tables = [("trajectory", i, "replay", "file") for i, step in enumerate(self.trajectory) if step.replay]
+        photo = [("render", "background")] if self.render.background is not None else []
+        return (*photo, *([("indenter", "file")] if self.indenter.shape == "mesh" else []), *tables)
+
+    def document(self) -> dict[str, Any]:
+        """Plain values that YAML and JSON can hold and that read back as the same recipe."""
+        plain: dict[str, Any] = self.model_dump(mode="json", exclude_none=True)
+        plain["outputs"] = [name for name in OUTPUTS if name in self.outputs]
+        return plain

@@ -1,0 +1,132 @@
+"""What contradicts itself in the optics of a sensor file; limits.py asks, once all that images need is there."""
+
+import math
+from collections.abc import Iterator
+
+from tacgen.recipe.sensor import Led, LitSensor, Vec3
+from tacgen.recipe.validation_messages import Problem
+
+CLOSE = 1e-6  # [mm] and [-]: what counts as touching, or as parallel
+STEEPEST = 80.0  # [deg] of a ray that the camera still sees, off the plate's normal
+
+
+def problems(sensor: LitSensor) -> Iterator[Problem]:
+    """One for each part that cannot be; paths start at the sensor's root."""
+    yield from _layers(sensor)
+    eye = sensor.camera
+    if not _housed(sensor, *eye.center_mm, 0.0):
+        text = f"the camera's axis meets the coating outside the pad, at ({eye.center_mm[0]:g}, {eye.center_mm[1]:g})"
+        yield Problem(("camera", "center_mm"), text)
+    if _steepest(sensor) > STEEPEST:
+        text = f"turns the picture's corner {_steepest(sensor):.0f} degrees off the plate's normal"
+        yield Problem(("camera", "tilt_deg"), text)
+    yield from _dots(sensor)
+    for i, led in enumerate(sensor.leds):
+        found = wrong_led(sensor, led)
+        if found:
+            yield Problem(("leds", i, found[0]), f"{led.name}: {found[1]}")
+
+
+def _layers(sensor: LitSensor) -> Iterator[Problem]:
+    gel, clear = sensor.gel, sensor.gel.clear_layers
+    for i, layer in enumerate(gel.layers):
+        if layer.opaque and i == 0:
+            yield Problem(
+                ("gel", "layers", i, "opaque"), "hides the coating: the layer bonded to the plate must be clear"
+            )
+        if i >= len(clear) and layer.scattering:
+            yield Problem(("gel", "layers", i, "scattering"), "no light comes here, behind an opaque layer")
+    cloudy = [i for i, layer in enumerate(clear) if layer.scattering]
+    if cloudy and (len(clear) > 1 or gel.dome or gel.solid):
+        text = "a layer that scatters must be the only one that is not opaque, and under a flat face"
+        yield Problem(("gel", "layers", cloudy[0], "scattering"), text)
+    elif gel.dome and len(clear) > 1:
+        yield Problem(("gel", "dome"), "light is followed through one clear layer under a dome, not several")
+    if cloudy and sensor.markers:
+        yield Problem(("markers",), "cannot be seen through a layer that scatters", at_key=True)
+
+
+def _steepest(sensor: LitSensor) -> float:
+    """How far a ray can be off the plate's normal at most [deg]: the picture's corner, turned by the tilt."""
+    eye, layers = sensor.camera, (sensor.plate, *sensor.gel.clear_layers)
+    depth = eye.distance_mm + sum(layer.thickness_mm / layer.refractive_index for layer in layers)
+    sizes = zip((eye.width_px, eye.height_px), eye.crop_mm, strict=True)
+    corner = math.hypot(*(size * eye.mm_per_px / 2 + abs(crop) for size, crop in sizes))
+    return math.degrees(math.atan2(corner, depth)) + math.hypot(*eye.tilt_deg)
+
+
+def _dots(sensor: LitSensor) -> Iterator[Problem]:
+    dots, gel = sensor.markers, sensor.gel
+    if dots is None:
+        return
+    if dots.diameter_mm >= min(dots.pitch_mm):
+        text = f"dots of {dots.diameter_mm:g} mm touch at a pitch of {min(dots.pitch_mm):g} mm"
+        yield Problem(("markers", "diameter_mm"), text)
+    for name, count, pitch, size in (
+        ("columns", dots.columns, dots.pitch_mm[0], gel.width_mm),
+        ("rows", dots.rows, dots.pitch_mm[1], gel.height_mm),
+    ):
+        if (count - 1) * pitch > size:
+            yield Problem(("markers", name), f"{count} at a pitch of {pitch:g} mm do not fit on {size:g} mm of gel")
+
+
+def wrong_led(sensor: LitSensor, led: Led) -> tuple[str, str] | None:
+    """The key of an LED that is wrong, and why; None where it can be."""
+    normal, up = _unit(led.normal), _unit(led.up)
+    along = _unit(_cross(up, normal)) if normal and up else None
+    if normal is None or along is None:
+        key = "normal" if normal is None else "up"
+        return key, f"normal {_vector(led.normal)} and up {_vector(led.up)} must be neither zero nor parallel"
+    rise, (w, h) = _cross(normal, along), (size / 2 for size in led.size_mm)
+    corners = [
+        tuple(c + a * w * x + b * h * y for c, x, y in zip(led.center_mm, along, rise, strict=True))
+        for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))
+    ]
+    bottom = -sensor.plate.thickness_mm - sum(layer.thickness_mm for layer in sensor.gel.layers)
+    cloudy = any(layer.scattering for layer in sensor.gel.clear_layers)
+    for x, y, z in corners:
+        if not _housed(sensor, x, y, sensor.walls.margin_mm):
+            return "center_mm", f"pokes out of the housing, at {_vector((x, y, z))}"
+        if z > _coat(sensor, x, y) - CLOSE:
+            return "center_mm", f"reaches into the coating, at {_vector((x, y, z))}"
+    below = [z < bottom - CLOSE for *_, z in corners]
+    if any(below) and not all(below):
+        return "center_mm", f"pokes out of the plate, whose air face is at z = {bottom:g}"
+    if all(below) and not cloudy:
+        return (
+            "center_mm",
+            f"lies in the air under the plate (z < {bottom:g}): only a gel that scatters is lit from there",
+        )
+    if all(below) and led.center_mm[2] < bottom - sensor.camera.distance_mm:
+        return "center_mm", f"lies behind the camera, which is at z = {bottom - sensor.camera.distance_mm:g}"
+    return None
+
+
+def _housed(sensor: LitSensor, x: float, y: float, margin: float) -> bool:
+    """Whether (x, y) lies no more than `margin` [mm] off the pad; the corners of a rectangular housing are square."""
+    gel = sensor.gel
+    w, h = gel.width_mm / 2 + margin + CLOSE, gel.height_mm / 2 + margin + CLOSE
+    past = max(gel.tip * y - (h - w), 0.0) if gel.tip else 0.0  # beyond the semicircle's centre, toward the tip
+    return abs(y) <= h and math.hypot(x, past) <= w
+
+
+def _coat(sensor: LitSensor, x: float, y: float) -> float:
+    """z of the coating's inner side over (x, y) [mm]; level with the crown beside the pad, where there is none."""
+    gel = sensor.gel
+    if not _housed(sensor, x, y, 0.0):
+        return 0.0
+    total, clear = (sum(layer.thickness_mm for layer in layers) for layers in (gel.layers, gel.clear_layers))
+    return (total - gel.drop_mm(x, y)) * clear / total - total
+
+
+def _cross(a: Vec3, b: Vec3) -> Vec3:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+def _unit(v: Vec3) -> Vec3 | None:
+    size = math.hypot(*v)
+    return (v[0] / size, v[1] / size, v[2] / size) if size > CLOSE else None
+
+
+def _vector(v: tuple[float, ...]) -> str:
+    return f"({', '.join(f'{c:.4g}' for c in v)})"

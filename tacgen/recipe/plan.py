@@ -1,0 +1,329 @@
+"""Recipe -> Plan: the table of resolved scenes; the only place that draws numbers.
+
+Numbers come from SeedSequence((seed, scene, purpose)), never from the order of work: row i drawn alone equals
+row i of the whole plan.
+"""
+
+import hashlib
+import json
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tacgen.errors import UserError
+from tacgen.recipe import assets, background_photo, checks
+from tacgen.recipe.loading import SOLID, Loaded, check_sensor, folders, read, solid_folder
+from tacgen.recipe.model import IMAGES, Distribution, Recipe, Vary
+from tacgen.recipe.pose_table import Pose
+from tacgen.recipe.sensor import Sensor
+from tacgen.recipe.trajectory_checks import replayed, resolved
+from tacgen.recipe.validation_messages import Problem, validate
+from tacgen.recipe.yaml_source import KeyPath, Tree, format_path, parse_path, put
+
+if TYPE_CHECKING:
+    import numpy as np
+
+FORMAT = 1  # of the bundles that the keys speak of
+DRAW, NOISE = 1, 2  # purposes of random numbers; a new purpose gets a new number
+FIXED = ("tacgen", "name", "sensor", "sensor_overrides", "extends", "vary")  # cannot be varied
+MAX_SCENES = 1_000_000
+
+
+@dataclass(frozen=True)
+class Row:
+    """One scene, resolved: nothing is left to draw or to look up."""
+
+    index: int
+    name: str  # scene-00000
+    seed: int  # of this scene's noise
+    recipe: Recipe  # without vary; varied values are in it
+    sensor: Sensor  # overrides are in it
+    values: dict[str, Any] = field(default_factory=dict)  # varied path -> this scene's value
+    folders: Mapping[KeyPath, Path] = field(default_factory=dict)  # where the paths of its files start
+
+    @property
+    def key(self) -> str:
+        """SHA-256 over everything the bundle depends on: another key, another bundle."""
+        inputs = [FORMAT, self.index, self.seed, self.document(), self.sensor_document()]
+        return _sha256(inputs)
+
+    @property
+    def frames(self) -> int:
+        """How many frames the scene has."""
+        return self.recipe.frames
+
+    def document(self) -> dict[str, Any]:
+        """The resolved recipe as JSON values; read back, it gives this scene again. Files are named with their
+        hashes."""
+        plain = self.recipe.document()
+        if self.recipe.indenter.shape == "mesh":
+            plain["indenter"]["sha256"] = assets.sha256(self.mesh_path)
+        if (picture := self.photo_path) is not None:
+            plain["render"]["background_sha256"] = assets.sha256(picture)
+        return plain
+
+    @property
+    def photo_path(self) -> Path | None:
+        """The photograph behind the pictures, if there is one."""
+        name = self.recipe.render.background
+        return None if name is None else background_photo.place(name, self.folders.get(background_photo.WHERE))
+
+    @property
+    def mesh_path(self) -> Path:
+        """The file of an indenter that is a mesh."""
+        assert self.recipe.indenter.shape == "mesh"
+        return assets.mesh_path(self.recipe.indenter.file, self.folders.get(("indenter", "file")))
+
+    def replayed(self, segment: int) -> tuple[Pose, ...]:
+        """The poses of a segment that is a replay, one a frame, in the sensor's frame."""
+        move = self.recipe.trajectory[segment].replay
+        assert move is not None
+        return replayed(move, self.folders.get(("trajectory", segment, "replay", "file")))
+
+    @property
+    def solid_path(self) -> Path:
+        """The file of a gel that is a solid."""
+        assert self.sensor.gel.solid is not None
+        return assets.mesh_path(self.sensor.gel.solid.file, self.folders.get(("sensor", *SOLID)))
+
+    def sensor_document(self) -> dict[str, Any]:
+        """The resolved sensor as JSON values; a solid is named with its hash."""
+        plain: dict[str, Any] = self.sensor.model_dump(mode="json", exclude_none=True)
+        if self.sensor.gel.solid is not None:
+            plain["gel"]["solid"]["sha256"] = assets.sha256(self.solid_path)
+        return plain
+
+    @property
+    def sensor_sha256(self) -> str:
+        """SHA-256 of the resolved sensor."""
+        return _sha256(self.sensor_document())
+
+
+@dataclass(frozen=True)
+class Plan:
+    """All scenes of a recipe, in order."""
+
+    name: str
+    rows: tuple[Row, ...]
+    paths: tuple[str, ...] = ()  # what is varied
+
+
+def load(path: Path, sets: Iterable[str] = (), shard: tuple[int, int] = (0, 1)) -> Plan:
+    """Read a recipe file and expand it, or shard i of N: the scenes whose index leaves i when divided by N.
+
+    Raises UserError: every problem of recipe, sensor and varied scenes.
+    """
+    loaded = read(path, sets)
+    count = scene_count(loaded.recipe.vary) if loaded.recipe.vary else 1
+    return expand(loaded.recipe, loaded.sensor, range(shard[0], count, shard[1]), loaded=loaded)
+
+
+def expand(
+    recipe: Recipe, sensor: Sensor, indices: Sequence[int] | None = None, *, loaded: Loaded | None = None
+) -> Plan:
+    """The scenes of a recipe.
+
+    Args:
+        recipe: what a person wrote.
+        sensor: its sensor, the recipe's overrides laid over it.
+        indices: only these rows (each as in the whole plan), or None for all.
+        loaded: where things were written, for errors that point there.
+
+    Raises:
+        UserError: a varied value makes a scene invalid; the lines name scene and path.
+    """
+    tree = loaded.tree if loaded else Tree(recipe.document())
+    vary = recipe.vary
+    if vary is None:
+        starts = {**folders(tree, recipe), **_solid(sensor, loaded)}
+        wrong = checks.recipe_problems(recipe, sensor, starts)
+        if wrong:
+            raise UserError(problem.point(tree) for problem in wrong)
+        rows = [Row(0, "scene-00000", scene_seed(0, 0), resolved(recipe, starts), sensor, folders=starts)]
+        return Plan(recipe.name, tuple(rows if indices is None else (rows[i] for i in indices)))
+    _check(vary, tree)
+    count = scene_count(vary)
+    wanted = range(count) if indices is None else indices
+    base = recipe.model_copy(update={"vary": None}).document()
+    plain_sensor = sensor.model_dump(mode="json", exclude_none=True)
+    rows = []
+    problems: dict[tuple[KeyPath, str], list[tuple[str, Problem]]] = {}
+    solid = _solid(sensor, loaded)
+    for index, values in zip(wanted, draw(vary, wanted), strict=True):
+        row, wrong = _resolve(index, values, base, plain_sensor, sensor, scene_seed(vary.seed, index), tree, solid)
+        if row:
+            rows.append(row)
+        for problem in wrong:
+            alike = re.sub(r"-?\d[\d.e+-]*", "#", problem.message)  # numbers differ from scene to scene
+            problems.setdefault((problem.path, alike), []).append((f"scene-{index:05d}", problem))
+    if problems:
+        raise UserError(_say(group, tree, vary) for group in problems.values())
+    return Plan(recipe.name, tuple(rows), tuple(vary.over))
+
+
+def scene_count(vary: Vary) -> int:
+    """How many scenes a `vary` gives."""
+    if vary.method != "grid":
+        return vary.samples or 0
+    return math.prod(len(_points(spread)) for spread in vary.over.values())
+
+
+def scene_seed(seed: int, index: int) -> int:
+    """The seed of one scene's noise."""
+    from numpy.random import SeedSequence
+
+    return int(SeedSequence((seed, index, NOISE)).generate_state(1)[0])
+
+
+def draw(vary: Vary, indices: Sequence[int]) -> list[dict[str, Any]]:
+    """The varied values of these scenes; each is what the whole plan has there."""
+    paths, spreads = list(vary.over), list(vary.over.values())
+    if vary.method == "grid":
+        columns = [_points(spread) for spread in spreads]
+        return [dict(zip(paths, _grid_point(columns, index), strict=True)) for index in indices]
+    return [
+        {path: _value(spread, float(u)) for path, spread, u in zip(paths, spreads, point, strict=True)}
+        for point in _unit_points(vary, len(paths), indices)
+    ]
+
+
+def _unit_points(vary: Vary, d: int, indices: Sequence[int]) -> "list[np.ndarray]":
+    """Points of the unit cube, one a scene."""
+    from numpy.random import SeedSequence, default_rng
+    from scipy.stats import qmc
+
+    if vary.method == "random":
+        return [default_rng(SeedSequence((vary.seed, i, DRAW))).random(d) for i in indices]
+    rng = default_rng(SeedSequence((vary.seed, 0, DRAW)))
+    if vary.method == "lhs":  # a point of a latin hypercube depends on all others: draw them all
+        points = qmc.LatinHypercube(d, rng=rng).random(vary.samples)
+        return [points[i] for i in indices]
+    engine = qmc.Sobol(d, rng=rng) if vary.method == "sobol" else qmc.Halton(d, rng=rng)
+    points = []
+    for i in indices:
+        if i < engine.num_generated:
+            engine.reset()
+        if i > engine.num_generated:
+            engine.fast_forward(i - engine.num_generated)
+        points.append(engine.random(1)[0])
+    return points
+
+
+def _value(spread: Distribution, u: float) -> Any:
+    """The value of a distribution at u in [0, 1)."""
+    if spread.uniform:
+        low, high = spread.uniform
+        return low + (high - low) * u
+    if spread.loguniform:
+        low, high = spread.loguniform
+        return min(max(low * (high / low) ** u, low), high)
+    if spread.integers:
+        first, last = spread.integers
+        return min(first + int(u * (last - first + 1)), last)
+    points = _points(spread)
+    return points[min(int(u * len(points)), len(points) - 1)]
+
+
+def _points(spread: Distribution) -> Sequence[Any]:
+    """The values of a choice or linspace."""
+    if spread.choice is not None:
+        return spread.choice
+    first, last, n = spread.linspace or (0.0, 0.0, 0)
+    return [first + (last - first) * i / max(n - 1, 1) for i in range(n)]
+
+
+def _grid_point(columns: list[Sequence[Any]], index: int) -> list[Any]:
+    """Point `index` of the product of the columns; the last varies fastest."""
+    point: list[Any] = []
+    for column in reversed(columns):
+        index, i = divmod(index, len(column))
+        point.insert(0, column[i])
+    return point
+
+
+def _check(vary: Vary, tree: Tree) -> None:
+    """Raise UserError for what cannot be varied, or not by this method."""
+    problems: list[Problem] = []
+    for name, spread in vary.over.items():
+        here: KeyPath = ("vary", "over", name)
+        try:
+            path = parse_path(name)
+        except ValueError as error:
+            problems.append(Problem(here, str(error), at_key=True))
+            continue
+        if path[0] in FIXED and not (path[0] == "sensor" and len(path) > 1):
+            problems.append(Problem(here, f"{path[0]} cannot be varied", at_key=True))
+        if vary.method == "grid" and spread.choice is None and spread.linspace is None:
+            problems.append(Problem(here, "a grid takes choice or linspace only"))
+    if not problems and scene_count(vary) > MAX_SCENES:
+        problems.append(Problem(("vary", "over"), f"gives {scene_count(vary)} scenes; at most {MAX_SCENES} can be"))
+    if problems:
+        raise UserError(problem.point(tree) for problem in problems)
+
+
+def _solid(sensor: Sensor, loaded: Loaded | None) -> dict[KeyPath, Path]:
+    """Where the path of a gel's solid starts, if it has one."""
+    if sensor.gel.solid is None or loaded is None:
+        return {}
+    return {("sensor", *SOLID): solid_folder(loaded.sensor_tree)}
+
+
+def _resolve(
+    index: int,
+    values: dict[str, Any],
+    base: dict[str, Any],
+    plain_sensor: dict[str, Any],
+    sensor: Sensor,
+    seed: int,
+    tree: Tree,
+    solid: dict[KeyPath, Path],
+) -> tuple[Row | None, list[Problem]]:
+    """One row, checked as if a person had written it; or what is wrong with it."""
+    data: Any = base
+    try:
+        for name, value in values.items():
+            path, inner = parse_path(name), name.removeprefix("sensor.")
+            if path[0] == "sensor":
+                plain_sensor = put(plain_sensor, path[1:], value)
+                data = put(data, ("sensor_overrides", inner), value)
+            else:
+                data = put(data, path, value)
+    except LookupError as error:
+        return None, [Problem(path, str(error))]
+    recipe, wrong = validate(Recipe, data)
+    if any(name.startswith("sensor.") for name in values):
+        if (name := f"sensor.{format_path(SOLID)}") in values:
+            solid = {("sensor", *SOLID): (tree.spot(("vary", "over", name)).value.source.folder or Path()).resolve()}
+        images = recipe is not None and bool(recipe.outputs & IMAGES)
+        varied, more = check_sensor(plain_sensor, solid.get(("sensor", *SOLID)), images)
+        wrong += [Problem(("sensor", *problem.path), problem.message, problem.at_key) for problem in more]
+        if varied is None:
+            return None, wrong
+        sensor = varied
+    if recipe is None:
+        return None, wrong
+    starts = {**folders(tree, recipe, values), **solid}
+    wrong += checks.recipe_problems(recipe, sensor, starts)
+    if wrong:
+        return None, wrong
+    return Row(index, f"scene-{index:05d}", seed, resolved(recipe, starts), sensor, values, starts), []
+
+
+def _say(group: list[tuple[str, Problem]], tree: Tree, vary: Vary) -> str:
+    """One line for all scenes that fail alike, pointing at the varied path to blame when there is one."""
+    scene, problem = group[0]
+    more = f" (and {len(group) - 1} more scenes)" if len(group) > 1 else ""
+    blame = problem.path
+    for name in vary.over:
+        path = parse_path(name)
+        if path == blame[: len(path)] or blame == path[: len(blame)]:
+            blame = ("vary", "over", name)
+    text = f"{scene}: {format_path(problem.path)}: {problem.message}{more}"
+    return Problem(blame, text, at_key=True).mark(tree).point(text)
+
+
+def _sha256(value: Any) -> str:
+    return hashlib.sha256(json.dumps(value, sort_keys=True, separators=(",", ":")).encode()).hexdigest()

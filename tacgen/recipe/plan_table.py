@@ -1,0 +1,48 @@
+"""A plan as a table: for a person, a spreadsheet or a program."""
+
+import csv
+import io
+import json
+from typing import Any
+
+from tacgen.recipe.plan import Plan
+
+SHOWN = 40  # rows that a person is shown
+
+
+def as_text(plan: Plan) -> str:
+    """Aligned columns; of a long plan the first rows."""
+    head, *rows = _cells(plan, short=True)
+    rows = rows[:SHOWN]
+    widths = [max(len(row[i]) for row in [head, *rows]) for i in range(len(head))]
+    lines = ["  ".join(cell.rjust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in [head, *rows]]
+    if len(plan.rows) > SHOWN:
+        lines.append(f"... {len(plan.rows) - SHOWN} more (--csv prints all)")
+    return "\n".join(lines) + "\n"
+
+
+def as_csv(plan: Plan) -> str:
+    """Every row, every digit."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(_cells(plan, short=False))
+    return text.getvalue()
+
+
+def as_json(plan: Plan) -> str:
+    """Every row with its seed, key and values."""
+    rows = [{"scene": r.name, "frames": r.frames, "seed": r.seed, "key": r.key, "values": r.values} for r in plan.rows]
+    return json.dumps({"name": plan.name, "scenes": rows}, indent=1) + "\n"
+
+
+def _cells(plan: Plan, *, short: bool) -> list[list[str]]:
+    head = ["scene", "frames", "seed", *plan.paths]
+    return [head] + [
+        [row.name, str(row.frames), str(row.seed), *(_cell(row.values[path], short) for path in plan.paths)]
+        for row in plan.rows
+    ]
+
+
+def _cell(value: Any, short: bool) -> str:
+    if isinstance(value, float):
+        return f"{value:.4g}" if short else repr(value)
+    return value if isinstance(value, str) else json.dumps(value)

@@ -1,0 +1,49 @@
+"""JSON Schemas of recipes and sensor files, and the recipe that `tacgen init` writes: what an editor needs."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from tacgen.errors import UserError
+from tacgen.recipe import assets
+from tacgen.recipe.model import Recipe
+from tacgen.recipe.sensor import Sensor
+
+SCHEMA_FILE = "tacgen.schema.json"
+
+
+def recipe_schema() -> dict[str, Any]:
+    """JSON Schema of a recipe file."""
+    schema = Recipe.model_json_schema()
+    schema["$schema"] = "https://json-schema.org/draft/2020-12/schema"
+    schema["properties"]["extends"] = {"type": "string", "description": "A recipe that this one is laid over."}
+    needed = schema.pop("required")
+    schema["anyOf"] = [{"required": needed}, {"required": ["extends"]}]  # what is extended may hold the rest
+    return schema
+
+
+def sensor_schema() -> dict[str, Any]:
+    """JSON Schema of a sensor file."""
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **Sensor.model_json_schema()}
+
+
+def write_starter(path: Path, *, overwrite: bool) -> tuple[Path, Path]:
+    """Write a commented recipe and, beside it, the schema that an editor completes it with.
+
+    Returns:
+        the recipe's and the schema's path.
+
+    Raises:
+        UserError: the recipe is there already and `overwrite` is not given.
+    """
+    if path.exists() and not overwrite:
+        raise UserError(f"{path}: is there already; --overwrite replaces it")
+    lines = assets.recipe_path("quickstart").read_text(encoding="utf-8").splitlines()
+    title, run = lines[0], f"#   tacgen run {path} -o out/first"
+    body = [run if line.startswith("#   tacgen run") else line for line in lines[1:]]
+    text = "\n".join([f"# yaml-language-server: $schema={SCHEMA_FILE}", title, *body, ""])
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text.replace("name: quickstart", "name: first"), encoding="utf-8")
+    schema = path.parent / SCHEMA_FILE
+    schema.write_text(json.dumps(recipe_schema(), indent=1) + "\n", encoding="utf-8")
+    return path, schema

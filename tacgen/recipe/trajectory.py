@@ -1,0 +1,145 @@
+"""What a trajectory is made of: where it starts, and movements of the indenter. Lengths in mm, angles in degrees."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from tacgen.recipe.base_model import ONE_KEY, Part, Positive, exactly_one
+from tacgen.recipe.turns import UPRIGHT, Quaternion, Vector, unit
+
+Frames = Annotated[int, Field(ge=1, le=10_000)]
+
+
+class Start(Part):
+    """Where the indenter stands before it moves: its lowest point `clearance_mm` over the untouched face."""
+
+    x_mm: float = 0.0
+    y_mm: float = 0.0
+    clearance_mm: float = 0.0
+    yaw_deg: float = 0.0
+    tilt_deg: Annotated[float, Field(ge=0, lt=90)] = 0.0
+    tilt_axis_deg: float = 0.0
+
+    @field_validator("clearance_mm")
+    @classmethod
+    def _outside(cls, value: float) -> float:
+        if value < 0:
+            raise ValueError(f"must be at least 0 (got {value:g}): the indenter would start inside the gel")
+        return value
+
+
+class Made(Part):
+    """A movement of as many frames as one says; `duration_s` is what all of them take, where there is `dynamics`."""
+
+    frames: Frames
+    duration_s: Positive | None = None
+
+
+class Press(Made):
+    """Move along z to `depth_mm` below first touch of the untouched face, or until the gel bears `force_n`.
+
+    On a dome first touch is wherever that is.
+
+    With a force the frames go in equal steps of the normal force, from the one before to the one asked for.
+    """
+
+    depth_mm: Positive | None = None
+    force_n: Positive | None = None
+
+    @model_validator(mode="after")
+    def _one(self) -> "Press":
+        exactly_one(self, "aim", ("depth_mm", "force_n"))
+        return self
+
+
+class Slide(Made):
+    """Move sideways by this much from where the indenter is."""
+
+    x_mm: float = 0.0
+    y_mm: float = 0.0
+
+
+class Twist(Made):
+    """Turn about the indenter's own axis by this much."""
+
+    angle_deg: float
+
+
+class Tilt(Made):
+    """Turn about a horizontal axis through the indenter's lowest point; the axis is `axis_deg` from x towards y."""
+
+    angle_deg: Annotated[float, Field(gt=-90, lt=90)]
+    axis_deg: float = 0.0
+
+
+class Placement(Part):
+    """Where one frame stands in another: its origin there, and its turn as a unit quaternion w, x, y, z."""
+
+    position_mm: Vector = (0.0, 0.0, 0.0)
+    quaternion: Quaternion = UPRIGHT
+
+    @field_validator("quaternion")
+    @classmethod
+    def _unit(cls, value: Quaternion) -> Quaternion:
+        return unit(value)
+
+
+class Replay(Part):
+    """Go through the poses of a table, a frame a row: where the indenter's own frame stands in the sensor's.
+
+    The table is CSV with a header: time_s, x_mm, y_mm, z_mm (or x_m, ...), qw, qx, qy, qz. Rows in another frame than
+    the sensor's need `sensor_pose`, rows of another body's frame than the indenter's `indenter_pose`.
+    """
+
+    file: Annotated[str, Field(min_length=1)]  # a path that starts at the recipe's folder
+    units: Literal["mm", "m"] | None = None  # of x, y, z where the header does not say; mm if neither does
+    sensor_pose: Placement = Placement()  # of the sensor in the frame that the rows are given in
+    indenter_pose: Placement = Placement()  # of the indenter in the frame of the body whose poses the rows are
+    every: Annotated[int, Field(ge=1)] = 1  # take the first row and then each so many
+    frames: Frames | None = None  # stop after so many; None: at the table's end
+    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = None  # the file must be this one; bundles say it
+
+
+class Hold(Made):
+    """Stay."""
+
+
+class Release(Made):
+    """Lift back to the height of the start."""
+
+
+Move = Press | Slide | Twist | Tilt | Replay | Hold | Release
+
+
+class Segment(Part, json_schema_extra=ONE_KEY):
+    """One step of the trajectory: `press: {depth_mm: 1, frames: 5}` and the like."""
+
+    press: Press | None = None
+    slide: Slide | None = None
+    twist: Twist | None = None
+    tilt: Tilt | None = None
+    replay: Replay | None = None
+    hold: Hold | None = None
+    release: Release | None = None
+
+    @model_validator(mode="after")
+    def _one(self) -> "Segment":
+        exactly_one(self, "movement")
+        return self
+
+    @property
+    def kind(self) -> str:
+        """press, slide, twist, tilt, replay, hold or release."""
+        return next(name for name in type(self).model_fields if getattr(self, name) is not None)
+
+    @property
+    def move(self) -> Move:
+        """The one movement that is given."""
+        found: Move = getattr(self, self.kind)
+        return found
+
+    @property
+    def frames(self) -> int:
+        """How many frames it gives."""
+        assert self.move.frames is not None, "only a plan knows how many rows a table has"
+        return self.move.frames

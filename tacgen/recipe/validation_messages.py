@@ -1,0 +1,188 @@
+"""pydantic's complaints about a tree of YAML values, in words and at the place where the value was written."""
+
+import difflib
+import json
+import types
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
+
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
+
+from tacgen.errors import UserError
+from tacgen.recipe.yaml_source import KeyPath, Mark, Tree, at, describe, format_path
+
+Model = TypeVar("Model", bound=BaseModel)
+
+NOUNS = {
+    "float_type": "a number",
+    "float_parsing": "a number",
+    "finite_number": "a finite number",
+    "int_type": "a whole number",
+    "int_parsing": "a whole number",
+    "int_from_float": "a whole number",
+    "int_parsing_size": "a smaller whole number",
+    "string_type": "text",
+    "bool_type": "true or false",
+    "model_type": "a mapping",
+    "model_attributes_type": "a mapping",
+    "dict_type": "a mapping",
+    "tuple_type": "a list",
+    "list_type": "a list",
+    "set_type": "a list",
+    "frozen_set_type": "a list",
+}
+BOUNDS = {
+    "greater_than": ("greater than", "gt"),
+    "greater_than_equal": ("at least", "ge"),
+    "less_than": ("less than", "lt"),
+    "less_than_equal": ("at most", "le"),
+}
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One thing wrong with one value."""
+
+    path: KeyPath
+    message: str
+    at_key: bool = False  # it is the key that is wrong, not the value
+    meant: str = ""  # the key that was meant, when it is plain
+
+    def point(self, tree: Tree, prefix: str = "") -> str:
+        """The problem as a line, with the source line and a caret under it."""
+        return self.mark(tree).point(prefix + ": ".join(filter(None, [format_path(self.path), self.message])))
+
+    def mark(self, tree: Tree) -> Mark:
+        """Where the value (or key) stands, or the nearest key around it when it was not written."""
+        spot = tree.spot(self.path)
+        return spot.key if self.at_key or self.path not in tree.spots else spot.value
+
+
+def validate(model: type[Model], data: Any) -> tuple[Model | None, list[Problem]]:
+    """Check plain data strictly (text is no number, true is no number): the model, or all that is wrong."""
+    try:
+        return model.model_validate_json(json.dumps(data), strict=True), []
+    except ValidationError as error:
+        found = [_problem(model, data, e) for e in error.errors(include_url=False) if not _echo(data, e)]
+        misspelt = {(*p.path[:-1], p.meant) for p in found if p.meant}
+        return None, [p for p in found if p.path not in misspelt]  # a misspelt key is not also missing
+
+
+def report(found: Iterable[tuple[Problem, Tree]]) -> UserError:
+    """One error that holds all problems, in the order in which they stand in their files."""
+    placed = [(problem.mark(tree), problem.point(tree)) for problem, tree in found]
+    placed.sort(key=lambda pair: (pair[0].source.name, pair[0].line, pair[0].column))
+    return UserError(dict.fromkeys(text for _, text in placed))
+
+
+def _echo(data: Any, error: ErrorDetails) -> bool:
+    """Whether a list is said to be too short only because its items are wrong, which is said already."""
+    written = at(data, _written(data, tuple(error["loc"]), missing=False))
+    return error["type"] == "too_short" and len(written or ()) >= error["ctx"]["min_length"]
+
+
+def _problem(model: type[BaseModel], data: Any, error: ErrorDetails) -> Problem:
+    """Translate one entry of ValidationError.errors()."""
+    kind, ctx, given = error["type"], error.get("ctx", {}), error["input"]
+    loc = tuple(error["loc"])
+    path = _written(data, loc, missing=kind == "missing")
+    got = f"(got {describe(given)})"
+    if kind == "extra_forbidden":
+        hint = suggest(str(loc[-1]), _keys(model, loc[:-1]))
+        meant = hint.removeprefix(", did you mean ").rstrip("?")
+        return Problem(path, f"unknown key{hint}", at_key=True, meant=meant)
+    if kind == "missing":
+        return Problem(path, "is missing", at_key=True)
+    if kind in NOUNS:
+        return Problem(path, f"must be {NOUNS[kind]} {got}")
+    if kind in BOUNDS:
+        word, bound = BOUNDS[kind]
+        return Problem(path, f"must be {word} {describe(ctx[bound])} {got}")
+    if kind in ("literal_error", "union_tag_invalid"):
+        expected = ctx.get("expected") or ctx.get("expected_tags") or ""
+        names = [name.strip().strip("'") for name in expected.replace(" or ", ", ").split(",")]
+        if kind == "union_tag_invalid":
+            key = str(ctx.get("discriminator", "")).strip("'")
+            path, given = (*path, key), ctx.get("tag")
+        return Problem(path, one_of(given, names))
+    if kind == "union_tag_not_found":
+        key = str(ctx.get("discriminator", "")).strip("'")
+        if isinstance(given, dict) and key.isidentifier():
+            return Problem((*path, key), "is missing", at_key=True)
+        return Problem(path, f"must be a mapping {got}")
+    if kind == "string_pattern_mismatch":
+        return Problem(path, f"must be letters, digits, dots, dashes and underscores only {got}")
+    if kind in ("string_too_short", "string_too_long"):
+        return Problem(path, f"must have {_count(ctx)} characters {got}")
+    if kind in ("too_short", "too_long"):
+        return Problem(path, f"must hold {_count(ctx)} (got {ctx.get('actual_length')})")
+    return Problem(path, error["msg"].removeprefix("Value error, ").removeprefix("Assertion failed, "))
+
+
+def one_of(given: Any, names: list[str]) -> str:
+    """`must be one of a, b, c (got 'x'), did you mean ...?`"""
+    hint = suggest(given, names) if isinstance(given, str) else ""
+    expected = names[0] if len(names) == 1 else "one of " + ", ".join(names)
+    return f"must be {expected} (got {describe(given)}){hint}"
+
+
+def suggest(word: str, known: Iterable[str]) -> str:
+    """`, did you mean X?` when something known is close to `word`, else nothing."""
+    close = difflib.get_close_matches(word, sorted(known), n=1, cutoff=0.6)
+    return f", did you mean {close[0]}?" if close else ""
+
+
+def _count(ctx: dict[str, Any]) -> str:
+    if "min_length" in ctx:
+        return f"at least {ctx['min_length']}"
+    return f"at most {ctx['max_length']}"
+
+
+def _written(data: Any, loc: KeyPath, *, missing: bool) -> KeyPath:
+    """pydantic's location less the union tags it puts between: only steps that exist in the data."""
+    path: KeyPath = ()
+    for i, step in enumerate(loc):
+        here = at(data, path)
+        last = i == len(loc) - 1
+        if (isinstance(here, dict) and step in here) or (isinstance(here, list) and isinstance(step, int)):
+            path = (*path, step)
+        elif last and isinstance(here, dict) and (missing or str(step).isidentifier()):
+            path = (*path, step)  # a key that was not written: missing, or a default that does not fit
+    return path
+
+
+def _keys(model: type[BaseModel], loc: KeyPath) -> set[str]:
+    """Names of the fields a mapping at `loc` may hold."""
+    here = _flat(model)
+    for step in loc:
+        here = [kind for each in here for kind in _step(each, step)] or here
+    return {name for each in here if _is_model(each) for name in each.model_fields}
+
+
+def _step(kind: Any, step: str | int) -> list[Any]:
+    """The types found one step of a location below `kind`; a tag of a union chooses among models."""
+    if _is_model(kind):
+        if step in kind.model_fields:
+            return _flat(kind.model_fields[step].annotation)
+        tags = [get_args(f.annotation) for f in kind.model_fields.values() if get_origin(f.annotation) is Literal]
+        return [kind] if any(step in names for names in tags) else []
+    if isinstance(step, int) and get_origin(kind) in (tuple, list, frozenset):
+        return [one for arg in get_args(kind) if arg is not Ellipsis for one in _flat(arg)]
+    if get_origin(kind) is dict:
+        return _flat(get_args(kind)[1])
+    return []
+
+
+def _flat(kind: Any) -> list[Any]:
+    """The members of a union, annotations peeled off."""
+    if get_origin(kind) is Annotated:
+        return _flat(get_args(kind)[0])
+    if get_origin(kind) in (Union, types.UnionType):
+        return [one for arg in get_args(kind) for one in _flat(arg)]
+    return [kind]
+
+
+def _is_model(kind: Any) -> bool:
+    return isinstance(kind, type) and issubclass(kind, BaseModel)

@@ -1,0 +1,308 @@
+"""Sensor + deformed coated face -> camera images.
+
+In a clear gel, transport is direct light and its mirror image in the plate (optics/direct) and what the untouched face
+throws on itself (optics/bounce), all of it summed without noise. In a gel that scatters it is the untouched picture and
+how that changes with thickness (optics/cloudy), traced once per sensor and kept in the cache. `PathTracer` is the whole
+truth at any spp, for checking either.
+"""
+
+import hashlib
+import json
+from importlib.metadata import version
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
+
+import numpy as np
+
+from tacgen import array_cache
+from tacgen.optics import adaptive_sampling, camera_response, mitsuba_dicts, scattering, taxim_table
+from tacgen.optics.camera import Camera
+from tacgen.optics.camera_view import Samples, View
+from tacgen.optics.direct_light import Direct
+from tacgen.optics.hertz_dent import BallDent
+from tacgen.optics.interreflection import Bounce
+from tacgen.optics.surface_grid import Sheet, Surface, Untouched
+from tacgen.render import mitsuba_variants as probing
+from tacgen.render.mitsuba_path import MAX_DEPTH, MAX_DEPTH_SCATTERING, PathTracer
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from tacgen.recipe.sensor import LitSensor
+
+    Floats = NDArray[np.float64]
+
+SPACING = 0.1  # [mm] between the nodes of a sheet that shows all
+FLAT_SPACING = 1.0  # the same of one that stays flat
+COLUMNS = 40  # of a traced map, whatever the image's
+PATHS = 64  # in a pixel of a map, for each path a pixel that was asked for
+MOST = 24  # paths a pixel, whatever was asked for, that count for maps: two minutes on one slow core
+SMOOTH = 3.5  # [map pixels] the Gaussian that takes the noise off a map
+TABLE_COLUMNS = 64  # of the pictures that a table is calibrated on
+TABLE_PATHS = 8  # in a pixel of those, for each path a pixel that was asked for
+LINEAR = {"exposure", "ambient", "vignette_mm", "noise"}  # of the camera: what is laid over a picture's light
+MAP_VERSION = 7  # of how the maps are made; part of their cache key
+
+
+class Light(Protocol):
+    """One way to light a face."""
+
+    def seen(self, at: Samples) -> "Floats":
+        """Linear radiance (H, W, 3) of what the camera's rays meet."""
+
+
+class Traced:
+    """Mitsuba's paths, with noise of its own for each image."""
+
+    def __init__(self, sensor: "LitSensor", sheet: Sheet, markers: bool, spp: int, seed: int, variant: str) -> None:
+        self._tracer = PathTracer(sensor, sheet, markers, variant)
+        self._spp, self._seed, self._images = spp, seed, 0
+
+    def seen(self, at: Samples) -> "Floats":
+        """Linear radiance (H, W, 3), noisy."""
+        self._images += 1
+        seed = int(np.random.SeedSequence((self._seed, self._images)).generate_state(1)[0])
+        return self._tracer.render(at.nodes, self._spp, seed)
+
+
+class Clear:
+    """Direct light and its mirror images, and what the coat throws on itself, as on the untouched face."""
+
+    def __init__(self, sensor: "LitSensor", sheet: Sheet, markers: bool, spp: int, untouched: Surface) -> None:
+        effort = Effort.of(spp)
+        self._direct = Direct(sensor, sheet, markers, effort.points, effort.samples, effort.sparse)
+        bounce = Bounce(sensor, untouched)
+        added = bounce.added(sensor, self._direct.points)
+        mixed = np.einsum("pktc,kc->ptc", added, [led.light for led in sensor.leds])
+        self.glow = bounce.glow(mixed, self._direct.view)
+
+    def seen(self, at: Samples) -> "Floats":
+        """Linear radiance (H, W, 3), without noise."""
+        view = self._direct.view
+        return self._direct.seen(at) + view.dimmed(at, self.glow.at(at.normal)) * view.covered(at)
+
+
+class Cloudy:
+    """A traced map of the untouched picture, LED by LED, so that their light can vary; and how brightness follows
+    thickness, traced on gels of even thickness and on one dent, that shows how far light wanders sideways. That is
+    taken to be the same whichever LED shines."""
+
+    def __init__(self, sensor: "LitSensor", sheet: Sheet, markers: bool, spp: int, variant: str) -> None:
+        samples = Effort.of(spp).samples
+        self._view, self._gel = View(sensor, sheet, markers, samples), sensor.gel
+        sheet = Sheet.over(sensor.gel, SPACING)  # of what is traced, whatever the pictures'
+        coarse, untouched, spp = zoomed(sensor, COLUMNS), Untouched.of(sensor.gel), min(spp, MOST)
+        shares, flat, leds = np.array(scattering.SHARES), Sheet.over(sensor.gel, FLAT_SPACING), range(len(sensor.leds))
+
+        def trace() -> "Floats":
+            tracers = [PathTracer(lit_by(coarse, {k}), flat, False, variant) for k in leds]
+            return np.array([smooth(t.radiance(untouched, spp * PATHS // 4, k), SMOOTH) for k, t in enumerate(tracers)])
+
+        def tabulate() -> "Floats":
+            tracer = PathTracer(lit_by(zoomed(sensor, 8), set(leds)), flat, False, variant)
+            faces = [scattering.Even(sensor.gel, share) for share in shares]
+            return np.array([tracer.radiance(face, spp * PATHS, 0).mean(axis=(0, 1)) for face in faces])
+
+        def wander() -> "Floats":
+            clear = scattering.depths(sensor.gel)[1]
+            middle = np.add(sensor.camera.center_mm, sensor.camera.crop_mm)
+            dent = BallDent(scattering.DENT[0] * clear, scattering.DENT[1] * clear, (middle[0], middle[1]), untouched)
+            at = View(coarse, sheet, False).look(dent)
+            share = scattering.thickness(sensor.gel, at.position).reshape(self.maps.shape[1:3])
+            evenly = lit_by(coarse, set(leds))
+            traced = PathTracer(evenly, sheet, False, variant).render(at.nodes, spp * PATHS, 1)
+            return np.array(scattering.wander(bright, share, coarse.camera.mm_per_px, traced / self.maps.sum(axis=0)))
+
+        name = key(sensor, variant, spp, scattering.SHARES, scattering.DENT)
+        self.maps = array_cache.kept_one(
+            "untouched", name, trace
+        )  # (leds, h, w, 3) by each LED alone, of unit radiance
+        bright = scattering.Brightness.through(shares, array_cache.kept_one("brightness", name, tabulate))
+        reach = float(array_cache.kept_one("wander", name, wander))
+        map_ = np.einsum("khwc,kc->hwc", self.maps, [led.light for led in sensor.leds])
+        self.scattered = spread(map_, Camera.from_sensor(sensor).shape)
+        self._bright, self._reach = bright, reach / sensor.camera.mm_per_px * samples
+
+    def seen(self, at: Samples) -> "Floats":
+        """Linear radiance (H, W, 3), without noise of its own."""
+        share = scattering.thickness(self._gel, at.position).reshape(self._view.shape)
+        felt = scattering.felt(share, self._reach)
+        return self._view.picture(self._bright.at(felt.ravel())) * self.scattered
+
+
+class Tabled:
+    """A look-up table of light by slope and place, calibrated on traced pictures of dents LED by LED: optics/table."""
+
+    def __init__(
+        self, sensor: "LitSensor", sheet: Sheet, markers: bool, spp: int, variant: str, untouched: Surface
+    ) -> None:
+        """`sensor` must be one without a layer that scatters."""
+        self._view, spp = View(sensor, sheet, markers), min(spp, MOST)
+        self._lamps, self._mm = mitsuba_dicts.strips(sensor), sensor.camera.mm_per_px
+        level, light = self._view.look(untouched), np.array([led.light for led in sensor.leds])
+        self._normals, paths = level.normal.reshape(*self._view.shape, 3), -(-spp * TABLE_PATHS // len(light))
+
+        def trace() -> "Floats":
+            coarse = zoomed(sensor, TABLE_COLUMNS)
+            view = View(coarse, sheet, False)
+            dented: list[Surface] = [untouched, *taxim_table.dents(sensor, untouched)]
+            flat, *seen = (view.look(face) for face in dented)
+            faces = [self._face(at, flat.normal.reshape(*view.shape, 3)) for at in seen]
+            made = []
+            for k, lamp in enumerate(self._lamps):
+                tracer = PathTracer(lit_by(coarse, {k}), sheet, False, variant)
+                bare = tracer.render(flat.nodes, 4 * paths, 0)
+                added = [tracer.render(at.nodes, paths, 1 + i) - bare for i, at in enumerate(seen)]
+                made.append(taxim_table.Table.fitted(faces, added, lamp[None], coarse.camera.mm_per_px).packed)
+            return np.array(made)
+
+        face = None if sensor.gel.solid is None else np.round(level.nodes, 3).tolist()  # its file may be another
+        name = key(sensor, variant, spp, TABLE_COLUMNS, TABLE_PATHS, taxim_table.PLACES, taxim_table.BALLS, face)
+        kept = array_cache.kept_one("table", name, trace)
+        self._table = taxim_table.Table.mixed([taxim_table.Table.unpacked(one) for one in kept], light)
+        self._flat = Clear(sensor, sheet, False, spp, untouched).seen(level)
+
+    def seen(self, at: Samples) -> "Floats":
+        """Linear radiance (H, W, 3), without noise."""
+        added = self._table.added(self._face(at, self._normals), self._lamps, self._mm)
+        return self._view.dimmed(at, np.maximum(self._flat + added, 0.0).reshape(-1, 3))
+
+    @staticmethod
+    def _face(at: Samples, untouched: "Floats") -> taxim_table.Face:
+        shape = untouched.shape
+        return taxim_table.Face.of(at.position[:, 2].reshape(shape[:2]), at.normal.reshape(shape), untouched)
+
+
+class Renderer:
+    """One sensor's camera."""
+
+    def __init__(
+        self,
+        sensor: "LitSensor",
+        spp: int,
+        seed: int,
+        markers: bool,
+        variant: str | None = None,
+        method: Literal["transport", "path", "table"] = "transport",
+        untouched: Surface | None = None,
+    ) -> None:
+        """By `transport`, `spp` paths a pixel go into what is traced once; by `path`, into every image.
+
+        `variant` is Mitsuba's, the best here if None; `seed` is that of the paths in images; `untouched` is the face
+        at rest, which a gel that is a solid must be given.
+
+        Raises:
+            ValueError: spp < 1.
+        """
+        if spp < 1:
+            raise ValueError(f"spp must be at least 1, not {spp}")
+        self.sensor, self.variant = sensor, variant or probing.best().variant
+        effort, self.untouched = Effort.of(spp), untouched or Untouched.of(sensor.gel)
+        self.sheet = Sheet.over(sensor.gel, effort.spacing if method == "transport" else SPACING)
+        self._view = View(sensor, self.sheet, markers, effort.samples)
+        self._stray = self._view.samples_of(camera_response.stray(sensor.camera))
+        self.light: Light
+        if method == "path":
+            self.light = Traced(sensor, self.sheet, markers, spp, seed, self.variant)
+        elif method == "table":
+            self.light = Tabled(sensor, self.sheet, markers, spp, self.variant, self.untouched)
+        else:
+            cloudy_ = any(layer.scattering for layer in sensor.gel.clear_layers)
+            self.light = (
+                Cloudy(sensor, self.sheet, markers, spp, self.variant)
+                if cloudy_
+                else Clear(sensor, self.sheet, markers, spp, self.untouched)
+            )
+
+    def image(self, surface: Surface) -> "NDArray[np.float32]":
+        """Linear radiance (H, W, 3) of a deformed face, before the response; transport's only noise is the map's."""
+        at = self._view.look(surface)
+        made = self.light.seen(at) + self._view.dimmed(at, self._stray)
+        if self.sensor.thickness_response is not None:
+            change = at.position[:, 2] - self.untouched.at(at.position[:, :2])[:, 2]
+            made *= self._view.picture(scattering.gain(self.sensor.thickness_response, change))
+        return made.astype(np.float32)
+
+    def flat(self) -> "NDArray[np.float32]":
+        """Linear radiance (H, W, 3) of the untouched face."""
+        return self.image(self.untouched)
+
+    def develop(
+        self, radiance: "NDArray[np.float32]", random: np.random.Generator | None = None
+    ) -> "NDArray[np.uint8]":
+        """The camera's 8-bit sRGB picture (H, W, 3) of a radiance picture, with its noise if `random` is given."""
+        return camera_response.develop(radiance.astype(np.float64), self.sensor.camera, random)
+
+
+class Effort(NamedTuple):
+    """Numbers by which transport trades time for error."""
+
+    points: tuple[int, int]  # on each strip, along and up
+    samples: int  # rays along a pixel's side
+    spacing: float  # [mm] between the sheet's nodes
+    sparse: adaptive_sampling.Tolerance
+
+    @classmethod
+    def of(cls, spp: int) -> "Effort":
+        """What goes with `spp` paths a pixel: draft, default or reference."""
+        if spp < 32:
+            return cls((4, 3), 1, 2 * SPACING, adaptive_sampling.Tolerance(8, 1e-2, 0.6))
+        if spp <= 256:
+            return cls((8, 4), 1, SPACING, adaptive_sampling.Tolerance())
+        return cls((16, 8), 2, SPACING, adaptive_sampling.Tolerance(4, 3e-3, 0.12))
+
+
+def zoomed(sensor: "LitSensor", columns: int) -> "LitSensor":
+    """The sensor with a coarser camera of the same field of view."""
+    eye = sensor.camera
+    scale = eye.width_px / columns
+    size = {"width_px": columns, "height_px": max(1, round(eye.height_px / scale)), "mm_per_px": eye.mm_per_px * scale}
+    return sensor.model_copy(update={"camera": eye.model_copy(update=size)})
+
+
+def lit_by(sensor: "LitSensor", numbers: set[int]) -> "LitSensor":
+    """The sensor with some LEDs of unit radiance, and all others dark."""
+    leds = enumerate(sensor.leds)
+    lit = [led.model_copy(update={"radiance": (float(k in numbers),) * 3, "power": 1.0}) for k, led in leds]
+    return sensor.model_copy(update={"leds": tuple(lit)})
+
+
+def smooth(picture: "Floats", sigma: float) -> "Floats":
+    """A map (h, w, 3) without its noise."""
+    from scipy.ndimage import gaussian_filter
+
+    return np.asarray(gaussian_filter(picture, (sigma, sigma, 0), mode="nearest"))
+
+
+def spread(coarse: "Floats", shape: tuple[int, int]) -> "Floats":
+    """A smooth map (h, w, 3) over the same field of view at a finer shape (H, W, 3), by cubic splines."""
+    from scipy.ndimage import map_coordinates
+
+    scale = coarse.shape[1] / shape[1]  # rows share it: the coarse camera keeps the field of view in x
+    y, x = np.mgrid[: shape[0], : shape[1]] + 0.5
+    at = [
+        (y - shape[0] / 2) * scale + coarse.shape[0] / 2 - 0.5,
+        (x - shape[1] / 2) * scale + coarse.shape[1] / 2 - 0.5,
+    ]
+    return np.stack([map_coordinates(coarse[..., c], at, order=3, mode="nearest") for c in range(3)], axis=-1)
+
+
+def key(sensor: "LitSensor", variant: str, *more: object) -> str:
+    """What traced maps depend on, hashed: the sensor's optics, variant and versions.
+
+    Not the gel's mechanics, nor what acts on light linearly: the LEDs' power and colour, and the camera's response.
+    """
+    parts_seen = {"plate", "coating", "walls", "leds", "camera", "gel"}
+    linear: Any = {"leds": {"__all__": {"radiance", "power"}}, "camera": LINEAR}
+    seen = sensor.model_dump(mode="json", exclude_none=True, include=parts_seen, exclude=linear)
+    from tacgen.recipe.sensor import LayerBase
+
+    optical = LayerBase.model_fields  # the law's own fields are not among them
+    seen["gel"]["layers"] = [{k: v for k, v in layer.items() if k in optical} for layer in seen["gel"]["layers"]]
+    how = [MAP_VERSION, COLUMNS, PATHS, SMOOTH, SPACING, MAX_DEPTH, MAX_DEPTH_SCATTERING]
+    parts = [seen, variant, version("mitsuba"), how, more]
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:32]
+
+
+def variants() -> list[probing.Probed]:
+    """Every variant of interest and whether it really renders here."""
+    return probing.variants()

@@ -1,0 +1,188 @@
+"""Mitsuba's `path` and `volpath` on a sensor: the whole truth about its light, with their noise. The home of Mitsuba,
+which is imported only inside functions."""
+
+import os
+import tempfile
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+
+from tacgen.optics import coating, mitsuba_dicts
+from tacgen.optics.camera import Camera
+from tacgen.optics.surface_grid import Sheet, Surface, Untouched
+from tacgen.render import mitsuba_variants as probing
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from tacgen.recipe.sensor import LitSensor
+
+    Floats = NDArray[np.float64]
+
+Window: TypeAlias = tuple[int, int, int, int]  # left, top, width, height [px]
+MASK_PIXEL = 0.02  # [mm] of the marker texture
+MAX_DEPTH = 12  # path vertices, interfaces included
+MAX_DEPTH_SCATTERING = 64  # the same where light also turns between surfaces; thinned out from MAX_DEPTH on
+BLOCK = 8  # [px] side of the blocks that scalar variants work on
+FILM = "sensor.film"
+
+
+def mitsuba(name: str) -> Any:
+    """Mitsuba with variant `name` switched on."""
+    chosen = next((p for p in probing.variants() if p.variant == name), None) if name == probing.LLVM else None
+    os.environ.update({k: v for k, v in probing.environment(chosen.library if chosen else "").items() if k != "_"})
+    import mitsuba as mi
+
+    mi.set_variant(name)
+    return mi
+
+
+def description(sensor: "LitSensor", sheet: Sheet, markers: bool) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The sensor without its coated face, and the coated face's BSDF, as plain dictionaries."""
+    eye, camera = sensor.camera, Camera.from_sensor(sensor)
+    pinhole = np.array(camera.pinhole)
+    to_world = np.eye(4)
+    to_world[:3, :3] = camera.turn * [-1, -1, 1]  # Mitsuba's camera has x to the left and y up
+    to_world[:3, 3] = pinhole
+    scene: dict[str, Any] = {
+        "type": "scene",
+        # blocks seed the sampler, and Mitsuba would cut as many as there are threads
+        "integrator": {**integrator(sensor), "block_size": BLOCK},
+        "sensor": {
+            "type": "perspective",
+            "fov": float(np.degrees(2 * np.arctan(eye.width_px / 2 / camera.focal_px))),
+            "fov_axis": "x",
+            "principal_point_offset_x": camera.crop_px[0] / eye.width_px,
+            "principal_point_offset_y": camera.crop_px[1] / eye.height_px,
+            "near_clip": min(0.1, eye.distance_mm / 2),
+            "far_clip": 500.0,
+            "to_world": to_world,
+            "film": {
+                "type": "hdrfilm",
+                "width": eye.width_px,
+                "height": eye.height_px,
+                "rfilter": {"type": "box"},  # pixels stay independent, so the thread count cannot change a bit
+                "pixel_format": "rgb",
+                "component_format": "float32",
+            },
+            "sampler": {"type": "independent"},
+        },
+        **mitsuba_dicts.interfaces(sensor),
+        **mitsuba_dicts.housing(sensor),
+    }
+    for i, light in enumerate(sensor.leds):
+        scene[f"led_{i}"] = mitsuba_dicts.led(light, sensor.walls.albedo)
+    coat = coating.bsdf(sensor.coating)
+    if markers and sensor.markers is not None:
+        coat = coating.dotted(coat, sensor.markers, coating.mask(sensor.markers, sheet.size, MASK_PIXEL))
+    return scene, coat
+
+
+def integrator(sensor: "LitSensor") -> dict[str, Any]:
+    """`path`, or `volpath` where a layer scatters, or light goes through an LED."""
+    if any(layer.scattering for layer in sensor.gel.clear_layers):
+        return {"type": "volpath", "max_depth": MAX_DEPTH_SCATTERING, "rr_depth": MAX_DEPTH}
+    return {"type": "volpath" if any(led.see_through for led in sensor.leds) else "path", "max_depth": MAX_DEPTH}
+
+
+def realise(mi: Any, node: Any) -> Any:
+    """A plain dictionary with its arrays turned into Mitsuba's transforms and bitmaps."""
+    if isinstance(node, dict):
+        return {k: realise(mi, v) for k, v in node.items()}
+    if isinstance(node, np.ndarray):
+        if node.shape == (4, 4):
+            return mi.ScalarTransform4f(node.tolist())
+        flipped = np.ascontiguousarray(node[::-1, :, None], dtype=np.float32)  # v runs up in a bitmap
+        return mi.Bitmap(flipped)
+    return node
+
+
+class PathTracer:
+    """One sensor in Mitsuba. The scene is built once and only vertices move, because `load_dict` never frees all."""
+
+    def __init__(self, sensor: "LitSensor", sheet: Sheet, markers: bool, variant: str) -> None:
+        """Imports Mitsuba and switches it to `variant`."""
+        self.sheet, self.variant = sheet, variant
+        self._mi = mitsuba(variant)
+        scene, coat = description(sensor, sheet, markers)
+        built = realise(self._mi, scene)
+        # merged shapes would stand in another order each time, and the LEDs so draw other random numbers
+        built["face"] = self._mesh(self._mi.load_dict(realise(self._mi, coat), parallel=False, optimize=False))
+        self._scene = self._mi.load_dict(built, parallel=False, optimize=False)
+        self._params = self._mi.traverse(self._scene)
+        self._vertices = next(k for k, _ in self._params if k.endswith("vertex_positions"))
+
+    def radiance(self, surface: Surface, spp: int, seed: int) -> "Floats":
+        """Linear radiance (H, W, 3): unbiased, noisy, the same for a seed at any thread count."""
+        return self.render(self.sheet.at(surface), spp, seed)
+
+    def render(self, nodes: "Floats", spp: int, seed: int) -> "Floats":
+        """The same of the sheet's nodes (nodes, 3) [mm]."""
+        self._move(nodes)
+        return self._traced(spp, seed)
+
+    def windows(self, nodes: "Floats", windows: Sequence[Window], spp: int, seed: int) -> "Floats":
+        """The same of some windows alone, nan elsewhere; each draws random numbers of its own."""
+        self._move(nodes)
+        width, height = self._params[f"{FILM}.size"]
+        picture = np.full((height, width, 3), np.nan)
+        for i, (x, y, w, h) in enumerate(windows):
+            self._crop(x, y, w, h)
+            picture[y : y + h, x : x + w] = self._traced(spp, seed * len(windows) + i)
+        self._crop(0, 0, width, height)
+        return picture
+
+    def _crop(self, x: int, y: int, width: int, height: int) -> None:
+        self._params[f"{FILM}.crop_offset"], self._params[f"{FILM}.crop_size"] = (x, y), (width, height)
+        self._params.update()
+
+    def _move(self, nodes: "Floats") -> None:
+        self._mi.set_variant(self.variant)
+        self._params[self._vertices] = nodes.astype(np.float32).ravel()
+        self._params.update()
+
+    def _traced(self, spp: int, seed: int) -> "Floats":
+        return np.array(self._mi.render(self._scene, spp=spp, seed=seed), dtype=np.float64)
+
+    def _mesh(self, bsdf: Any) -> Any:
+        mi, sheet, faces = self._mi, self.sheet, self.sheet.faces
+        props = mi.Properties()
+        props["bsdf"] = bsdf
+        mesh = mi.Mesh(
+            "face", len(sheet.uv), len(faces), has_vertex_normals=True, has_vertex_texcoords=True, props=props
+        )
+        params = mi.traverse(mesh)
+        params["faces"] = faces.ravel()
+        params["vertex_texcoords"] = sheet.uv.astype(np.float32).ravel()
+        params["vertex_positions"] = sheet.at(Untouched()).astype(np.float32).ravel()
+        params.update()
+        return mesh
+
+
+def rest(sensor: "LitSensor", sheet: Sheet, surface: Surface, spp: int, variant: str) -> "Floats":
+    """Where the coating's point behind each pixel rests (H, W, 2) [mm], as Mitsuba's paths find it through the layers.
+
+    The coating radiates its own UV, beside a constant by which losses on the way are divided out; nothing else does,
+    and paths are only as long as the straight one. A layer that scatters is taken as clear.
+    """
+    mi = mitsuba(variant)
+    layers = tuple(layer.model_copy(update={"scattering": None}) for layer in sensor.gel.layers)
+    clear = sensor.model_copy(update={"gel": sensor.gel.model_copy(update={"layers": layers}), "leds": ()})
+    scene, _ = description(clear, sheet, False)
+    surfaces = 1 + sum(name.startswith("into_") for name in scene)
+    scene["integrator"] |= {"max_depth": surfaces, "rr_depth": surfaces + 1}
+    scene["sensor"]["sampler"] = {"type": "stratified", "sample_count": spp}
+    nodes, faces = sheet.at(surface), sheet.faces
+    mesh = mi.Mesh("face", len(nodes), len(faces))
+    mesh.add_attribute("vertex_uv1", 3, np.column_stack([sheet.uv, np.ones(len(nodes))]).astype(np.float32).ravel())
+    params = mi.traverse(mesh)
+    params["faces"], params["vertex_positions"] = faces.ravel(), nodes.astype(np.float32).ravel()
+    params.update()
+    with tempfile.TemporaryDirectory() as folder:  # an emitter only comes to a mesh by way of a file
+        mesh.write_ply(file := os.path.join(folder, "face.ply"))
+        glow = {"type": "area", "radiance": {"type": "mesh_attribute", "name": "vertex_uv1"}}
+        built = realise(mi, scene) | {"face": {"type": "ply", "filename": file, "emitter": glow}}
+        u, v, one = np.moveaxis(np.array(mi.render(mi.load_dict(built), spp=spp), dtype=np.float64), -1, 0)
+    with np.errstate(invalid="ignore"):  # off the pad nothing radiates
+        return np.asarray((np.stack([u, v], axis=-1) / one[..., None] - 0.5) * sheet.size)

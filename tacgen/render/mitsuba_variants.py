@@ -1,0 +1,149 @@
+"""Which Mitsuba variants really render on this machine.
+
+Importing is no test: drjit 1.5 aborts the whole process when it compiles with LLVM 14 to 16 (Debian 12's own), and
+when $HOME is missing. So a child process renders a tiny scene, only exit code 0 counts, and the answer is remembered.
+"""
+
+import json
+import os
+import re
+import subprocess
+import sys
+import tempfile
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import NamedTuple
+
+from tacgen.array_cache import cache_folder
+
+CUDA, LLVM, SCALAR = "cuda_ad_rgb", "llvm_ad_rgb", "scalar_rgb"
+LLVM_VERSIONS = (22, 21, 20, 19, 18, 17)  # newest first; older ones abort drjit 1.5
+LIBRARY_FOLDERS = (
+    "/usr/lib/x86_64-linux-gnu",
+    "/usr/lib/aarch64-linux-gnu",
+    "/usr/lib64",
+    "/usr/lib",
+    "/usr/local/lib",
+)
+SECONDS = 120  # a probe that takes longer has failed
+
+PROBE = """
+import sys, mitsuba as mi
+mi.set_variant(sys.argv[1])
+scene = mi.load_dict({"type": "scene", "integrator": {"type": "path", "max_depth": 3}, "light": {"type": "constant"},
+    "ball": {"type": "sphere"}, "sensor": {"type": "perspective", "film": {"type": "hdrfilm", "width": 4, "height": 4},
+    "to_world": mi.ScalarTransform4f().look_at(origin=[0, 0, 5], target=[0, 0, 0], up=[0, 1, 0])}})
+import numpy as np
+picture = np.array(mi.render(scene, spp=2))
+sys.exit(0 if np.isfinite(picture).all() and picture.max() > 0 else 3)
+"""
+
+
+class Probed(NamedTuple):
+    """What became of one try."""
+
+    variant: str
+    library: str  # the LLVM library given to drjit, "" if none
+    works: bool
+    note: str
+
+
+def environment(library: str = "") -> dict[str, str]:
+    """The environment Mitsuba needs: a $HOME that exists, and the LLVM library of choice."""
+    made = dict(os.environ)
+    if not Path(made.get("HOME") or "/nonexistent").is_dir():
+        made["HOME"] = tempfile.gettempdir()
+    if library:
+        made["DRJIT_LIBLLVM_PATH"] = library
+    return made
+
+
+def libraries() -> list[str]:
+    """LLVM libraries worth a try: DRJIT_LIBLLVM_PATH first, then the newest found on the system."""
+    found = [os.environ["DRJIT_LIBLLVM_PATH"]] if os.environ.get("DRJIT_LIBLLVM_PATH") else []
+    for number in LLVM_VERSIONS:
+        folders = (*LIBRARY_FOLDERS, f"/usr/lib/llvm-{number}/lib")
+        names = (f"libLLVM-{number}.so", f"libLLVM.so.{number}.1", f"libLLVM.so.{number}.0")
+        here = [str(Path(f, n)) for f in folders for n in names if Path(f, n).is_file()]
+        found += here[:1]
+    return list(dict.fromkeys(found))
+
+
+def probe(variant: str, library: str = "") -> Probed:
+    """Render a tiny scene in a child process; whatever kills that child costs this process nothing."""
+    try:
+        ran = subprocess.run(
+            [sys.executable, "-c", PROBE, variant],
+            check=False,
+            env=environment(library),
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=SECONDS,
+        )
+    except (subprocess.TimeoutExpired, OSError) as error:
+        return Probed(variant, library, False, f"{type(error).__name__}")
+    if ran.returncode == 0:
+        return Probed(variant, library, True, "renders")
+    said = [line.strip() for line in ran.stderr.splitlines() if line.strip()]
+    ended = f"killed by signal {-ran.returncode}" if ran.returncode < 0 else f"exit code {ran.returncode}"
+    return Probed(variant, library, False, f"{ended}{': ' + said[-1][:160] if said else ''}")
+
+
+def variants() -> list[Probed]:
+    """Every variant of interest, best first, with the LLVM library it takes; answers are kept between runs."""
+    return [_cuda(), _llvm(), _remembered(SCALAR, "")]
+
+
+def best() -> Probed:
+    """The first variant that works: CUDA, then LLVM, then scalar (which is taken on trust)."""
+    for attempt in (_cuda, _llvm):
+        found = attempt()
+        if found.works:
+            return found
+    return Probed(SCALAR, "", True, "always there")
+
+
+def _cuda() -> Probed:
+    if not any(Path(p).exists() for p in ("/dev/nvidiactl", "/dev/nvidia0", "/dev/dxg")):
+        return Probed(CUDA, "", False, "no NVIDIA device")
+    return _remembered(CUDA, "")
+
+
+def _llvm() -> Probed:
+    tries = [_remembered(LLVM, library) for library in libraries()]
+    works = [t for t in tries if t.works]
+    if works:
+        return works[0]
+    if tries:
+        return tries[0]
+    return Probed(LLVM, "", False, "no LLVM 17 or newer found (Debian, Ubuntu: apt install libllvm19)")
+
+
+def key(variant: str, library: str) -> str:
+    """What an answer depends on: versions, and the library's path and time stamp."""
+    stamp = Path(library).stat().st_mtime_ns if library and Path(library).is_file() else 0
+    return f"{variant} drjit-{version('drjit')} mitsuba-{version('mitsuba')} {library} {stamp}"
+
+
+@cache
+def _asked(question: str, variant: str, library: str, folder: str) -> Probed:
+    store = Path(folder, re.sub(r"[^\w.-]+", "_", question)[:200] + ".json")
+    try:
+        return Probed(**json.loads(store.read_text()))
+    except (OSError, ValueError, TypeError):
+        pass
+    answer = probe(variant, library)
+    try:
+        store.parent.mkdir(parents=True, exist_ok=True)
+        part = store.with_suffix(f".part-{os.getpid()}")
+        part.write_text(json.dumps(answer._asdict()))
+        part.replace(store)
+    except OSError:
+        pass  # a cache that cannot be written only costs the next run a few seconds
+    return answer
+
+
+def _remembered(variant: str, library: str) -> Probed:
+    return _asked(key(variant, library), variant, library, str(cache_folder() / "variants"))

@@ -1,0 +1,295 @@
+"""A picture of a bundle over its frames, and a few lines of text about it."""
+
+import json
+from itertools import groupby
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tacgen.bundle.bundle import Bundle, read
+from tacgen.errors import UserError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+COLUMNS = 8
+# Inches: one panel, what stands left of, right of, above and below the panels, and the force plot
+PANEL, GAP, LEFT, RIGHT, TOP, ABOVE_FORCES, FORCES, BELOW = 1.7, 0.07, 0.95, 0.95, 0.85, 0.5, 1.5, 0.5
+SHADES = {"press": "#e4e4e4", "slide": "#d3e5f5", "twist": "#fce5cd", "hold": "#f4f4f4", "release": "#ddefdd"}
+LINES = {"$F_x$": "#d55e00", "$F_y$": "#009e73", "$F_z$": "#0072b2"}  # Okabe and Ito's: told apart by every eye
+
+
+def picture(path: Path, out: Path) -> None:
+    """Draw a bundle into `out` (png, pdf, svg: by its ending).
+
+    Raises:
+        UserError: `path` is no whole bundle, or `out` does not end in a kind of picture.
+        OSError: `out` cannot be written.
+    """
+    save(figure(read(path)), out)
+
+
+def save(drawn: "Figure", out: Path) -> None:
+    """Write a figure. UserError if `out` does not end in a kind of picture, OSError if it cannot be written."""
+    kinds = drawn.canvas.get_supported_filetypes()
+    if out.suffix.lstrip(".").lower() not in kinds:
+        raise UserError(f"{out}: unknown kind of picture, use one of {', '.join('.' + kind for kind in sorted(kinds))}")
+    drawn.savefig(out, dpi=150)
+
+
+def figure(bundle: Bundle) -> "Figure":
+    """Up to eight frames of a bundle, spread over its trajectory, and its forces.
+
+    A row whose dataset is not in the bundle is left out. Image axes: x right, y down.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    rows = [draw for wanted, draw in ROWS if any(p in bundle for p in wanted) and bundle.frames]
+    shown = np.unique(np.linspace(0, max(bundle.frames - 1, 0), COLUMNS).round().astype(int)) if rows else np.zeros(0)
+    image, window = image_size(bundle), window_of(bundle)
+    tall = PANEL * image[0] / image[1]
+    wide = max(len(shown) * (PANEL + GAP), 5.5)
+    size = (LEFT + wide + RIGHT, (TOP if rows else 0.2) + len(rows) * (tall + GAP) + ABOVE_FORCES + FORCES + BELOW)
+    sheet = Figure(figsize=size)
+    FigureCanvasAgg(sheet)
+
+    def axes(x: float, y: float, w: float, h: float) -> "Axes":
+        """At x from the left and y from the top [inch]."""
+        return sheet.add_axes((x / size[0], 1 - (y + h) / size[1], w / size[0], h / size[1]))
+
+    for r, draw in enumerate(rows):
+        y = TOP + r * (tall + GAP)
+        panels = [axes(LEFT + c * (PANEL + GAP), y, PANEL, tall) for c in range(len(shown))]
+        colours = draw(bundle, panels, shown, image, window)
+        if colours is not None:
+            bar = axes(LEFT + len(shown) * (PANEL + GAP) + 0.03, y + 0.04, 0.1, tall - 0.08)
+            sheet.colorbar(colours[0], cax=bar).set_label(colours[1], fontsize=8)
+            bar.tick_params(labelsize=7, length=2)
+        if r == 0:
+            for panel, k in zip(panels, shown, strict=True):
+                panel.set_title(f"frame {k}\n{bundle.segments[k]}", fontsize=8, pad=4)
+    _forces(axes(LEFT, size[1] - BELOW - FORCES, wide - GAP, FORCES), bundle, shown)
+    heading(sheet, bundle, size[1])
+    return sheet
+
+
+def summary(path: Path) -> str:
+    """What a bundle holds, in a few lines of text. UserError if `path` is no whole bundle."""
+    bundle = read(path)
+    attrs = bundle.attrs
+    status = attrs["status"] + (f" ({attrs['reason']})" if attrs["reason"] else "")
+    runs = [f"{kind} {len(list(group))}" for kind, group in groupby(bundle.segments) if kind]
+    lines = [
+        f"{path}: {bundle.recipe.get('name', '')}, {attrs['sensor']}, {_indenter(bundle)}",
+        f"status    {status}",
+        f"frames    {bundle.frames} of {attrs['frames_planned']}" + (f": {', '.join(runs)}" if runs else ""),
+        f"size      {path.stat().st_size / 1e6:.2f} MB, written by tacgen {attrs['tacgen_version']}",
+    ]
+    if "mesh" in attrs:
+        lines.append(f"mesh      {_mesh(json.loads(attrs['mesh']))}")
+    if "/frames/force" in bundle and bundle.frames:
+        force = bundle["/frames/force"]
+        k = int(np.linalg.norm(force, axis=1).argmax())
+        text = ", ".join(f"{n} {v:.3f}" for n, v in zip(("Fx", "Fy", "Fz"), force[k], strict=True))
+        lines.append(f"force     largest in frame {k}: {text} N on the gel")
+    if "/frames/pressure" in bundle and bundle.frames:
+        peaks = bundle["/frames/pressure"].max(axis=(1, 2))
+        lines.append(f"pressure  largest in frame {int(peaks.argmax())}: {peaks.max():.4f} MPa")
+    lines += [f"note      {note}" for note in json.loads(attrs.get("notes", "[]"))]
+    lines += [f"{path:<34}{' x '.join(map(str, shape))}" for path, shape in bundle.shapes.items()]
+    return "\n".join(lines)
+
+
+def _mesh(found: dict[str, Any]) -> str:
+    """`5431 nodes, 3388 cells, smallest angle 20 deg, scaled Jacobian 0.22, volume -0.03 %`"""
+    words = [f"{found['nodes']} nodes", f"{found['cells']} cells"]
+    if "smallest_dihedral_deg" in found:
+        words.append(f"smallest angle {found['smallest_dihedral_deg']:.0f} deg")
+    words.append(f"scaled Jacobian {found['smallest_scaled_jacobian']:.2f}")
+    return ", ".join([*words, f"volume {100 * found['volume_error']:+.2f} %"])
+
+
+def _indenter(bundle: Bundle) -> str:
+    """`sphere, radius 4 mm`"""
+    fields: dict[str, Any] = dict(bundle.recipe.get("indenter", {}))
+    words = [str(fields.pop("shape", "indenter"))]
+    fields.pop("sha256", None)
+    for name, value in fields.items():
+        what, _, unit = name.rpartition("_")
+        words.append(f"{what.replace('_', ' ')} {value:g} {unit}" if isinstance(value, int | float) else f"{value}")
+    return ", ".join(words)
+
+
+def heading(sheet: "Figure", bundle: Bundle, height: float) -> None:
+    """What the bundle is, over a sheet of this height [inch], and in red why it was rejected."""
+    text = f"{bundle.recipe.get('name', bundle.path.stem)}: {_indenter(bundle)}, on {bundle.attrs['sensor']}"
+    sheet.text(0.5, 1 - 0.12 / height, text, ha="center", va="top", fontsize=11)
+    if bundle.attrs["status"] != "ok":
+        text = f"{bundle.attrs['status']}: {bundle.attrs['reason']}"
+        sheet.text(0.5, 1 - 0.34 / height, text, ha="center", va="top", fontsize=8, color="#b00000")
+
+
+def image_size(bundle: Bundle) -> tuple[int, int]:
+    """(H, W) [px]: of the images, otherwise of the camera that would have taken them, otherwise of the maps."""
+    camera = json.loads(bundle.attrs.get("sensor_document", "{}")).get("camera")
+    if camera and "/frames/rgb" not in bundle:
+        return camera["height_px"], camera["width_px"]
+    shapes = [bundle.shapes[p] for p in ("/frames/rgb", "/frames/pressure", "/frames/height") if p in bundle]
+    return (shapes[0][1], shapes[0][2]) if shapes else (240, 320)
+
+
+Window = tuple[float, float, float, float]
+
+
+def window_of(bundle: Bundle) -> Window:
+    """(x0, x1, y0, y1) as fractions of the image: where the gel is ever touched, and a margin around."""
+    if "/frames/pressure" not in bundle:
+        return 0.0, 1.0, 0.0, 1.0
+    pressure = bundle["/frames/pressure"].max(axis=0)
+    touched = np.argwhere(pressure > 0.01 * max(pressure.max(), 1e-9))
+    if not len(touched):
+        return 0.0, 1.0, 0.0, 1.0
+    low, high = touched.min(axis=0) / pressure.shape, (touched.max(axis=0) + 1) / pressure.shape
+    side = min(1.0, 1.5 * (high - low).max())
+    y0, x0 = np.clip((low + high - side) / 2, 0, 1 - side)
+    return x0, x0 + side, y0, y0 + side
+
+
+def _camera(bundle: Bundle, panels: list["Axes"], shown: np.ndarray, image: tuple[int, int], window: Window) -> None:
+    """The camera's images, the markers' displacement drawn magnified on them, and the window of the rows below."""
+    from matplotlib.patches import Rectangle
+
+    height, width = image
+    x0, x1, y0, y1 = window
+    label = "camera [px]"
+    flow = bundle["/frames/marker_flow"] if "/reference/markers" in bundle and "/frames/marker_flow" in bundle else None
+    if flow is not None:
+        start = bundle["/reference/markers"]
+        largest = max(float(np.linalg.norm(flow, axis=-1).max()), 1e-6)
+        times = max((t for t in (1, 2, 3, 5, 10, 20, 50) if t * largest <= 0.13 * width), default=1)
+        label += f"\narrows: marker flow \N{MULTIPLICATION SIGN} {times}"
+    label += "\ndotted: maps below" if x1 - x0 < 0.99 else ""
+    for panel, k in zip(panels, shown, strict=True):
+        if "/frames/rgb" in bundle:
+            panel.imshow(bundle.frame("/frames/rgb", k), extent=(0, width, height, 0), interpolation="antialiased")
+        if flow is not None:
+            if "/frames/rgb" not in bundle:
+                panel.plot(*start.T, "o", color="black", markersize=2)
+            _arrows(panel, start, flow[k] * times, width)
+        if "dotted" in label:
+            corner, size = (x0 * width, y0 * height), ((x1 - x0) * width, (y1 - y0) * height)
+            panel.add_patch(Rectangle(corner, *size, fill=False, edgecolor="white", linewidth=0.6, linestyle=":"))
+        panel.set(xlim=(0, width), ylim=(height, 0), facecolor="#707070")
+    frame_axes(panels, label)
+
+
+def draw_map(
+    bundle: Bundle, panels: list["Axes"], shown: np.ndarray, image: tuple[int, int], values: np.ndarray, colours: str
+) -> Any:
+    """Draw maps (N, h, w) in image pixels, all frames on one scale; returns what a colour bar needs."""
+    low = min(0.0, float(values.min()))
+    high = max(float(values.max()), low + 1e-3)
+    extent = (0, image[1], image[0], 0)
+    for panel, k in zip(panels, shown, strict=True):
+        drawn = panel.imshow(values[k], cmap=colours, vmin=low, vmax=high, extent=extent, interpolation="nearest")
+    return drawn
+
+
+def zoom(panels: list["Axes"], image: tuple[int, int], window: Window, label: str) -> None:
+    """Show the window alone, in image pixels."""
+    for panel in panels:
+        panel.set(xlim=(window[0] * image[1], window[1] * image[1]), ylim=(window[3] * image[0], window[2] * image[0]))
+    frame_axes(panels, label)
+
+
+def draw_pressure(
+    bundle: Bundle, panels: list["Axes"], shown: np.ndarray, image: tuple[int, int], window: Window
+) -> Any:
+    """Normal to the face, in colour."""
+    drawn = draw_map(bundle, panels, shown, image, bundle["/frames/pressure"], "viridis")
+    zoom(panels, image, window, "pressure\n[px]")
+    return drawn, "pressure [MPa]"
+
+
+def draw_traction(
+    bundle: Bundle, panels: list["Axes"], shown: np.ndarray, image: tuple[int, int], window: Window
+) -> Any:
+    """Size as colour, direction as arrows on a coarse grid over the window."""
+    traction = bundle["/frames/traction"]
+    size = np.linalg.norm(traction, axis=-1)
+    drawn = draw_map(bundle, panels, shown, image, size, "magma")
+    h, w = size.shape[1:]
+    step = max(1, round((window[1] - window[0]) * w / 14))
+    rows, columns = (np.arange(n) for n in (h, w))
+    rows = rows[(rows >= window[2] * h) & (rows < window[3] * h)][step // 2 :: step]
+    columns = columns[(columns >= window[0] * w) & (columns < window[1] * w)][step // 2 :: step]
+    at = np.stack(np.meshgrid((columns + 0.5) * image[1] / w, (rows + 0.5) * image[0] / h), axis=-1).reshape(-1, 2)
+    span = (window[1] - window[0]) * image[1]
+    for panel, k in zip(panels, shown, strict=True):
+        arrows = traction[k][np.ix_(rows, columns)].reshape(-1, 2) / max(size.max(), 1e-12) * span / 9
+        _arrows(panel, at, arrows, span)
+    zoom(panels, image, window, "tangential\ntraction [px]")
+    return drawn, "traction [MPa]"
+
+
+def _height(bundle: Bundle, panels: list["Axes"], shown: np.ndarray, image: tuple[int, int], window: Window) -> Any:
+    drawn = draw_map(bundle, panels, shown, image, bundle["/frames/height"], "cividis")
+    zoom(panels, image, window, "height\n[px]")
+    return drawn, "height z [mm]"
+
+
+ROWS = (
+    (("/frames/rgb", "/frames/marker_flow"), _camera),
+    (("/frames/pressure",), draw_pressure),
+    (("/frames/traction",), draw_traction),
+    (("/frames/height",), _height),
+)
+
+
+def _arrows(panel: "Axes", at: np.ndarray, arrows: np.ndarray, span: float) -> None:
+    """Arrows (n, 2) in image pixels at points (n, 2), the shortest left out; `span` is the panel's width [px]."""
+    keep = np.linalg.norm(arrows, axis=1) > 0.01 * span
+    style: dict[str, Any] = {"color": "white", "edgecolor": "black", "linewidth": 0.3}
+    style |= {"width": 0.009, "headwidth": 3, "headlength": 3.5, "minlength": 0}
+    panel.quiver(*at[keep].T, *arrows[keep].T, angles="xy", scale_units="xy", scale=1, **style)
+
+
+def frame_axes(panels: list["Axes"], label: str) -> None:
+    """Pixel ticks on the first panel of a row only."""
+    for panel in panels:
+        panel.tick_params(labelsize=6, length=2, pad=1.5, labelbottom=False, bottom=False)
+        panel.locator_params(nbins=4)
+        if panel is not panels[0]:
+            panel.tick_params(labelleft=False, left=False)
+    panels[0].set_ylabel(label, fontsize=8)
+
+
+def _forces(panel: "Axes", bundle: Bundle, shown: np.ndarray) -> None:
+    """Force against the frame, the trajectory's segments shaded, the frames pictured above marked below."""
+    panel.set_xlabel("frame (pictured above: triangles)" if len(shown) else "frame", fontsize=8)
+    panel.set_ylabel("force on gel [N]", fontsize=8)
+    panel.tick_params(labelsize=7, length=2)
+    panel.spines[["top", "right"]].set_visible(False)
+    start = 0
+    for kind, group in groupby(bundle.segments):
+        stop = start + len(list(group))
+        panel.axvspan(start - 0.5, stop - 0.5, color=SHADES.get(kind, "white"), linewidth=0)
+        panel.text((start + stop - 1) / 2, 1.02, kind, transform=panel.get_xaxis_transform(), fontsize=8, ha="center")
+        start = stop
+    if bundle.frames < bundle.attrs["frames_planned"]:
+        middle = (bundle.frames + bundle.attrs["frames_planned"] - 1) / 2
+        panel.text(middle, 1.02, "not reached", transform=panel.get_xaxis_transform(), fontsize=8, ha="center")
+    panel.set_xlim(-0.5, max(bundle.frames, bundle.attrs["frames_planned"]) - 0.5)
+    panel.locator_params(axis="x", integer=True)
+    if "/frames/force" not in bundle or not bundle.frames:
+        panel.text(0.5, 0.5, "no frames" if not bundle.frames else "no forces", transform=panel.transAxes, ha="center")
+        return
+    panel.axhline(0, color="#808080", linewidth=0.6)
+    frames = np.arange(bundle.frames)
+    for (name, colour), values in zip(LINES.items(), bundle["/frames/force"].T, strict=True):
+        panel.plot(frames, values, color=colour, marker="o", markersize=2.5 if len(frames) < 80 else 0, label=name)
+    panel.plot(shown, np.zeros(len(shown)), "k^", markersize=4, transform=panel.get_xaxis_transform(), clip_on=False)
+    panel.legend(fontsize=8, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))

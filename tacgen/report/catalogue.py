@@ -1,0 +1,63 @@
+"""What there is to choose from, one line each: for `tacgen list`."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from tacgen.export import EXPORTERS
+from tacgen.recipe import assets
+from tacgen.recipe.indenters import SHAPES
+from tacgen.recipe.loading import read_sensor
+from tacgen.recipe.yaml_source import load
+
+Entries = dict[str, str]  # name -> one line about it
+
+
+def sensors() -> Entries:
+    """Shipped sensors."""
+    return {name: read_sensor(assets.sensor_path(name))[0].description for name in assets.list_sensors()}
+
+
+def recipes() -> Entries:
+    """Shipped recipes; the line about one is the first comment of its file."""
+    found = {}
+    for name in assets.list_recipes():
+        path = assets.recipe_path(name)
+        load(path)  # a recipe that is no YAML should not be offered
+        found[name] = path.read_text(encoding="utf-8").split("\n", 1)[0].lstrip("# ")
+    return found
+
+
+def objects() -> Entries:
+    """Shipped objects; the line about one is the first of its README, less the name."""
+    return {name: _about(assets.object_path(name) / "README.md") for name in assets.list_objects()}
+
+
+def _about(readme: Path) -> str:
+    first = readme.read_text(encoding="utf-8").split("\n", 1)[0] if readme.is_file() else ""
+    return first.lstrip("# ").split(": ", 1)[-1]
+
+
+def shapes() -> Entries:
+    """Indenter shapes and their fields; those with a default can be left out."""
+    return {
+        name: ", ".join(
+            key if info.is_required() else f"{key}={_short(info.default)}"
+            for key, info in kind.model_fields.items()
+            if key != "shape" and (info.is_required() or info.default is not None)
+        )
+        + f"  ({(kind.__doc__ or '').rstrip('.')})"
+        for name, kind in SHAPES.items()
+    }
+
+
+def _short(value: object) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+KINDS: dict[str, Callable[[], Entries]] = {
+    "sensors": sensors,
+    "recipes": recipes,
+    "objects": objects,
+    "shapes": shapes,
+    "formats": lambda: EXPORTERS,
+}

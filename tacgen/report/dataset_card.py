@@ -1,0 +1,95 @@
+"""The dataset card, README.md in a dataset's folder: what it is, how much, what it cost, whose it is."""
+
+import hashlib
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from tacgen.report import dataset_summary
+from tacgen.report.dataset_summary import Overview
+
+NAME = "README.md"
+SHOWN = 20  # reasons of scenes that are not there
+
+
+def write(folder: Path) -> Path:
+    """Write the card of a folder that has a finished scene; it is made anew, so keep notes elsewhere."""
+    path = folder / NAME
+    part = folder / f".{NAME}.{os.getpid()}"
+    part.write_text(text(dataset_summary.look(folder)), encoding="utf-8")
+    os.replace(part, path)
+    return path
+
+
+def text(seen: Overview) -> str:
+    """The card in Markdown."""
+    parts = [_what(seen), _varied(seen), _cost(seen), _missing(seen), _contents(seen), _licence(seen), _again(seen)]
+    return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def _what(seen: Overview) -> str:
+    states = ", ".join(f"{n} {state}" for state, n in seen.states.items())
+    rows = [
+        ("Scenes", f"{len(seen.scenes)} ({states})"),
+        ("Frames", str(seen.frames)),
+        ("Size", f"{seen.bytes / 1e6:.1f} MB"),
+        ("Sensor", ", ".join(seen.distinct("sensor"))),
+        ("Indenter", ", ".join(seen.indenters)),
+        ("Made by", "tacgen " + ", ".join(seen.distinct("tacgen_version"))),
+        ("Rendered by", "; ".join(seen.distinct("renderer"))),
+    ]
+    about = "Synthetic data of a vision-based tactile sensor: finite elements, contact and light transport."
+    return f"# {seen.name}\n\n{about}\n\n" + _table(("", ""), [row for row in rows if row[1]])
+
+
+def _varied(seen: Overview) -> str:
+    rows = [(f"`{path}`", dataset_summary.spread(values)) for path, values in seen.varied.items()]
+    return "## What differs between scenes\n\n" + _table(("path", "values"), rows) if rows else ""
+
+
+def _cost(seen: Overview) -> str:
+    timed = sum(scene.frames for scene in seen.scenes if scene.seconds)
+    if not timed:
+        return ""
+    rows = [(stage, f"{s:.1f}", f"{s / timed:.3f}") for stage, s in seen.seconds.items()]
+    total = sum(seen.seconds.values())
+    rows.append(("all", f"{total:.1f}", f"{total / timed:.3f}"))
+    return "## Cost, on one core\n\n" + _table(("stage", "seconds", "seconds a frame"), rows)
+
+
+def _missing(seen: Overview) -> str:
+    rows = [(scene.name, scene.state, scene.reason) for scene in seen.scenes if scene.state != "ok"]
+    if not rows:
+        return ""
+    more = f"\n\nand {len(rows) - SHOWN} more: `tacgen status` names all" if len(rows) > SHOWN else ""
+    return "## Scenes that are not in the data\n\n" + _table(("scene", "state", "reason"), rows[:SHOWN]) + more
+
+
+def _contents(seen: Overview) -> str:
+    rows = [(f"`{path}`", shape) for path, shape in seen.datasets.items() if not path.startswith("/frames/quality/")]
+    note = "Units mm, N, MPa, s; sensor frame: x right and y down in the image, z out of the gel."
+    return f"## What a scene holds\n\n{note}\n\n" + _table(("dataset", "shape"), rows) if rows else ""
+
+
+def _licence(seen: Overview) -> str:
+    lines = [
+        "## Licence",
+        "tacgen's authors claim no rights in what it makes: whoever publishes this data names its licence.",
+    ]
+    lines += [f"- Object `{name}`: {about}" for name, about in seen.objects.items()]
+    return "\n\n".join(lines[:2]) + ("\n\n" + "\n".join(lines[2:]) if lines[2:] else "")
+
+
+def _again(seen: Overview) -> str:
+    if not seen.bundles:
+        return ""
+    digests = "".join(str(bundle.attrs["digest"]) for bundle in seen.bundles)
+    return (
+        "## The same again\n\nEach bundle holds its resolved recipe, sensor and seed; equal contents, equal digests. "
+        f"That of all scenes in order is `{hashlib.sha256(digests.encode()).hexdigest()}`."
+    )
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)

@@ -1,0 +1,179 @@
+"""A dataset at a glance, from its bundles: what `show` prints of a folder, and its card and report are made from."""
+
+import json
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tacgen.bundle import dataset, run_status
+from tacgen.bundle.bundle import Bundle
+from tacgen.errors import UserError
+from tacgen.recipe import assets
+from tacgen.report.wording import counted
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One scene: `bundle` is None where there is none to read."""
+
+    name: str
+    state: str  # as in survey.STATES
+    reason: str
+    frames: int
+    values: dict[str, Any]  # what was varied
+    seconds: dict[str, float]  # by stage
+    peak_n: float | None  # largest force
+    bundle: Bundle | None = field(repr=False)
+
+
+@dataclass(frozen=True)
+class Overview:
+    """The scenes of a folder, in order, and what they have in common."""
+
+    name: str
+    folder: Path
+    scenes: tuple[Scene, ...]
+    bytes: int
+
+    @property
+    def bundles(self) -> list[Bundle]:
+        """Of the scenes that are ok."""
+        return [scene.bundle for scene in self.scenes if scene.bundle is not None and scene.state == "ok"]
+
+    @property
+    def frames(self) -> int:
+        """In scenes that are ok."""
+        return sum(bundle.frames for bundle in self.bundles)
+
+    @property
+    def states(self) -> dict[str, int]:
+        """Scenes by state, without those that none is in."""
+        found = Counter(scene.state for scene in self.scenes)
+        return {state: found[state] for state in run_status.STATES if found[state]}
+
+    @property
+    def seconds(self) -> dict[str, float]:
+        """By stage, of all scenes whose times are known."""
+        total: Counter[str] = Counter()
+        for scene in self.scenes:
+            total.update(scene.seconds)
+        return dict(total.most_common())
+
+    def distinct(self, attribute: str) -> list[str]:
+        """Values that an attribute of the bundles has, in order of first appearance."""
+        return list(dict.fromkeys(str(b.attrs[attribute]) for b in self.bundles if attribute in b.attrs))
+
+    @property
+    def indenters(self) -> list[str]:
+        """Shapes, a mesh by its file."""
+        found = (b.recipe.get("indenter", {}) for b in self.bundles)
+        return list(dict.fromkeys(str(i.get("file", i.get("shape", "?"))) for i in found))
+
+    @property
+    def datasets(self) -> dict[str, str]:
+        """Path -> shape, a size that is not the same in all scenes as `*`."""
+        shapes: dict[str, list[tuple[int, ...]]] = {}
+        for bundle in self.bundles:
+            for path, shape in bundle.shapes.items():
+                shapes.setdefault(path, []).append(shape)
+        return {path: _common(found) for path, found in sorted(shapes.items())}
+
+    @property
+    def varied(self) -> dict[str, list[Any]]:
+        """Varied path -> its value in each planned scene."""
+        paths = dict.fromkeys(path for scene in self.scenes for path in scene.values)
+        return {path: [scene.values.get(path) for scene in self.scenes] for path in paths}
+
+    @property
+    def objects(self) -> dict[str, str]:
+        """Shipped meshes that were pressed -> the first line about each."""
+        known = set(assets.list_objects())
+        return {name: _licence(name) for name in self.indenters if name in known}
+
+
+def look(folder: Path) -> Overview:
+    """Read what there is in a folder of bundles, with or without a plan, or in a packed one.
+
+    Raises:
+        UserError: nothing to read; a packed folder that is incomplete.
+    """
+    if dataset.is_packed(folder):
+        return _plain(folder, dataset.read_index(folder)["name"])
+    try:
+        planned = run_status.survey(folder)
+    except UserError:
+        return _plain(folder, "")
+    scenes = []
+    for scene in planned.scenes:
+        bundle = dataset.scenes(scene.path)[0] if scene.state in ("ok", "rejected") else None
+        facts = (scene.name, scene.state, scene.reason, scene.frames, scene.values, scene.seconds)
+        scenes.append(Scene(*facts, _peak(bundle), bundle))
+    size = sum(scene.path.stat().st_size for scene in planned.scenes if scene.path.exists())
+    return Overview(planned.name, folder, tuple(scenes), size)
+
+
+def summary(folder: Path) -> str:
+    """A few lines of text about a folder."""
+    seen = look(folder)
+    states = ", ".join(f"{n} {state}" for state, n in seen.states.items())
+    lines = [
+        f"{folder}: {seen.name}, {counted(len(seen.scenes), 'scene')}",
+        f"scenes    {states}",
+        f"frames    {seen.frames}",
+        f"size      {seen.bytes / 1e6:.1f} MB, written by tacgen {', '.join(seen.distinct('tacgen_version'))}",
+        f"sensor    {', '.join(seen.distinct('sensor'))}; indenter {', '.join(seen.indenters)}",
+    ]
+    peaks = [scene.peak_n for scene in seen.scenes if scene.peak_n is not None]
+    if peaks:
+        lines.append(f"force     largest in a scene: {spread(peaks)} N")
+    lines += [f"varied    {path}: {spread(values)}" for path, values in seen.varied.items()]
+    if seen.seconds:
+        stages = ", ".join(f"{stage} {value:.0f}" for stage, value in seen.seconds.items())
+        lines.append(f"seconds   {sum(seen.seconds.values()):.0f} on one core ({stages})")
+    return "\n".join(lines + [f"{path:<34}{shape}" for path, shape in seen.datasets.items()])
+
+
+def spread(values: Sequence[Any]) -> str:
+    """`0.3 to 1.2` of numbers, `draft (3), default (5)` of anything else."""
+    given = [value for value in values if value is not None]
+    if given and all(isinstance(value, int | float) and not isinstance(value, bool) for value in given):
+        ends = [f"{end:.4g}" for end in (min(given), max(given))]
+        return " to ".join(dict.fromkeys(ends))
+    count = Counter(value if isinstance(value, str) else json.dumps(value) for value in given)
+    return ", ".join(f"{value} ({n})" for value, n in count.most_common(12))
+
+
+def _plain(folder: Path, name: str) -> Overview:
+    """Without a plan: the bundles speak for themselves."""
+    bundles = dataset.scenes(folder)
+    scenes = []
+    for bundle in bundles:
+        attrs, named = bundle.attrs, bundle.group[1:] or bundle.path.stem
+        values = json.loads(attrs.get("values", "{}"))
+        facts = (named, attrs["status"], attrs["reason"], bundle.frames, values)
+        scenes.append(Scene(*facts, {}, _peak(bundle), bundle))
+    size = sum(path.stat().st_size for path in {bundle.path for bundle in bundles})
+    return Overview(name or str(bundles[0].recipe.get("name", "")), folder, tuple(scenes), size)
+
+
+def _peak(bundle: Bundle | None) -> float | None:
+    if bundle is None or "/frames/force" not in bundle or not bundle.frames:
+        return None
+    return float(np.linalg.norm(bundle["/frames/force"], axis=1).max())
+
+
+def _common(shapes: list[tuple[int, ...]]) -> str:
+    if len({len(shape) for shape in shapes}) > 1:
+        return "*"
+    return " x ".join(str(sizes[0]) if len(set(sizes)) == 1 else "*" for sizes in zip(*shapes, strict=True))
+
+
+def _licence(name: str) -> str:
+    """What an object's README says of its licence."""
+    readme = assets.object_path(name) / "README.md"
+    lines = readme.read_text(encoding="utf-8").splitlines() if readme.is_file() else []
+    return next((line.lstrip("-* ") for line in lines if "licen" in line.lower()), "licence not stated")

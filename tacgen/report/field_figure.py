@@ -1,0 +1,179 @@
+"""One field of a bundle over its frames, large, with its unit, signs and axes: pressure, traction, slip or stress."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tacgen.bundle import postprocess
+from tacgen.bundle.bundle import Bundle, read
+from tacgen.errors import UserError
+from tacgen.report.bundle_figure import (
+    draw_pressure,
+    draw_traction,
+    frame_axes,
+    heading,
+    image_size,
+    save,
+    window_of,
+    zoom,
+)
+from tacgen.report.plane_cut import cut, outline
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Array = np.ndarray
+COLUMNS, PANEL, GAP = 4, 2.6, 0.1  # panels side by side, and inches
+FLAT = 0.42  # height of a section over its width
+STATES = {
+    postprocess.FREE: ("free", "#f2f2f2"),
+    postprocess.EDGE: ("edge", "#f0e442"),
+    postprocess.STICK: ("stick", "#0072b2"),
+}
+STATES |= {postprocess.SLIP: ("slip", "#d55e00")}
+# of the stress under the contact: name, what of it, colours, whether it has a sign
+SECTIONS: tuple[tuple[str, Callable[[Array], Array], str, bool], ...] = (
+    ("σ_zz", lambda s: s[:, 2], "RdBu_r", True),
+    ("σ_xz", lambda s: s[:, 4], "PuOr_r", True),
+    ("von Mises", postprocess.von_mises, "magma", False),
+)
+
+
+def picture(path: Path, field: str, out: Path) -> None:
+    """Draw one of FIELDS into `out`.
+
+    Raises:
+        UserError: no such field, no whole bundle, one without it, or an unknown kind of picture.
+        OSError: `out` cannot be written.
+    """
+    if field not in FIELDS:
+        raise UserError(f"{field}: unknown field, use one of {', '.join(FIELDS)}")
+    save(figure(read(path), field), out)
+
+
+def figure(bundle: Bundle, field: str) -> "Figure":
+    """Up to four frames of a bundle, spread over its trajectory, side by side; one colour bar a row."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    needed, output, rows, draw, note = FIELDS[field]
+    if missing := [path for path in needed if path not in bundle]:
+        raise UserError(f"{bundle.path}: has no {missing[0]}: the recipe's outputs need {output}")
+    shown = np.unique(np.linspace(0, bundle.frames - 1, COLUMNS).round().astype(int))
+    image = image_size(bundle)
+    tall = PANEL * (FLAT if rows > 1 else image[0] / image[1])
+    size = 0.9 + len(shown) * (PANEL + GAP) + 1.0, 0.85 + rows * (tall + GAP) + 0.75
+    sheet = Figure(figsize=size)
+    FigureCanvasAgg(sheet)
+
+    def axes(x: float, y: float, w: float, h: float) -> "Axes":
+        return sheet.add_axes((x / size[0], 1 - (y + h) / size[1], w / size[0], h / size[1]))
+
+    grid = [
+        [axes(0.9 + c * (PANEL + GAP), 0.85 + r * (tall + GAP), PANEL, tall) for c in range(len(shown))]
+        for r in range(rows)
+    ]
+    for r, (drawn, label, ticks) in enumerate(draw(bundle, grid, shown, image)):
+        bar = axes(0.9 + len(shown) * (PANEL + GAP) + 0.03, 0.9 + r * (tall + GAP), 0.12, tall - 0.1)
+        sheet.colorbar(drawn, cax=bar).set_label(label, fontsize=8)
+        bar.tick_params(labelsize=7, length=2)
+        if ticks:
+            bar.set_yticks(list(ticks), list(ticks.values()))
+    for panel, k in zip(grid[0], shown, strict=True):
+        panel.set_title(f"frame {k} {bundle.segments[k]}", fontsize=8, pad=4)
+    sheet.text(0.5, 0.12 / size[1], note, ha="center", va="bottom", fontsize=8)
+    heading(sheet, bundle, size[1])
+    return sheet
+
+
+Bar = tuple[Any, str, dict[float, str]]
+Grid = list[list["Axes"]]
+
+
+def _pressure(bundle: Bundle, grid: Grid, shown: Array, image: tuple[int, int]) -> list[Bar]:
+    return [(*draw_pressure(bundle, grid[0], shown, image, window_of(bundle)), {})]
+
+
+def _traction(bundle: Bundle, grid: Grid, shown: Array, image: tuple[int, int]) -> list[Bar]:
+    return [(*draw_traction(bundle, grid[0], shown, image, window_of(bundle)), {})]
+
+
+def _slip(bundle: Bundle, grid: Grid, shown: Array, image: tuple[int, int]) -> list[Bar]:
+    from matplotlib.colors import ListedColormap
+
+    colours = ListedColormap([STATES[state][1] for state in sorted(STATES)])
+    for panel, k in zip(grid[0], shown, strict=True):
+        drawn = panel.imshow(
+            postprocess.contact_state(bundle, int(k)), cmap=colours, vmin=-0.5, vmax=3.5,
+            extent=(0, image[1], image[0], 0), interpolation="nearest",
+        )  # fmt: skip
+    zoom(grid[0], image, window_of(bundle), "contact\n[px]")
+    return [(drawn, "", {float(state): name for state, (name, _) in STATES.items()})]
+
+
+def _stress(bundle: Bundle, grid: Grid, shown: Array, image: tuple[int, int]) -> list[Bar]:
+    """Vertical sections through the indenter, of the deformed gel."""
+    from matplotlib.collections import LineCollection, PolyCollection
+
+    points, cells, layer = bundle["/mesh/points"], bundle["/mesh/cells"], bundle["/mesh/layer"]
+    half = 1.7 * float(np.ptp(points[:, 2]))
+    found = [_section(bundle, int(k), points, cells, layer) for k in shown]
+    bars: list[Bar] = []
+    for row, (name, what, colours, signed) in zip(grid, SECTIONS, strict=True):
+        values = [what(stress.reshape(-1, 6)).reshape(-1, 3).mean(1) for _, stress, _ in found]
+        top = max(float(np.quantile(np.abs(v), 0.999)) for v in values)
+        for panel, (corners, _, rim), value, k in zip(row, found, values, shown, strict=True):
+            drawn = PolyCollection(list(corners), array=value, cmap=colours, edgecolors="face", linewidths=0.2)
+            drawn.set_clim(-top if signed else 0.0, top)
+            panel.add_collection(drawn)
+            panel.add_collection(LineCollection(list(rim), colors="black", linewidths=0.6))
+            middle = float(bundle.frame("/frames/pose", int(k))[0, 3])
+            low = points[:, 2].min() - 0.1
+            panel.set(xlim=(middle - half, middle + half), ylim=(low, low + 2 * half * FLAT), facecolor="white")
+            panel.set_aspect("equal")
+        frame_axes(row, "z [mm]")
+        bars.append((drawn, f"{name} [MPa]", {}))
+    for panel in grid[-1]:
+        panel.tick_params(labelbottom=True, bottom=True)
+        panel.set_xlabel("x [mm]", fontsize=8)
+    return bars
+
+
+def _section(bundle: Bundle, k: int, points: Array, cells: Array, layer: Array) -> tuple[Array, Array, Array]:
+    """Through the indenter's origin at frame k: triangles (t, 3, 2), stress (t, 3, 6), outlines of layers (l, 2, 2)."""
+    nodes, layers, stress = postprocess.stress_by_layer(bundle, k)
+    row = np.zeros((layers.max() + 1, len(points)), int)
+    row[layers, nodes] = np.arange(len(nodes))
+    now = (points + bundle.frame("/fields/displacement", k))[nodes]
+    y = float(bundle.frame("/frames/pose", k)[1, 3]) + 1e-6  # between nodes
+    found = []
+    for number in range(layers.max() + 1):
+        corners, values = cut(now, row[number][cells[layer == number]], stress, y)
+        found.append((corners, values, outline(corners)))
+    corners, values, rim = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    return corners, values, rim
+
+
+XY = "x to the right, y down in the image, z out of the gel toward the object"
+FIELDS: dict[str, tuple[tuple[str, ...], str, int, Any, str]] = {  # datasets, output, rows, how, what it means
+    "pressure": (
+        ("/frames/pressure",), "traction", 1, _pressure,
+        f"normal to the deformed coated face, per area of it, positive in compression; {XY}",
+    ),
+    "traction": (
+        ("/frames/traction",), "traction", 1, _traction,
+        f"friction on the gel, in the tangent plane of the deformed face, per area of it; {XY}",
+    ),
+    "slip": (
+        ("/frames/pressure", "/frames/contact"), "traction", 1, _slip,
+        f"stick: friction holds; slip: it slides; edge: touched in part; {XY}",
+    ),
+    "stress": (
+        ("/fields/cauchy_stress", "/fields/nodal_stress"), "stress", len(SECTIONS), _stress,
+        "Cauchy stress in the plane y = that of the indenter, on the deformed gel; tension is positive; "
+        "x to the right in the image, z out of the gel",
+    ),
+}  # fmt: skip

@@ -1,0 +1,188 @@
+"""One self-contained HTML page about a dataset: coverage, forces, failures by cause, seconds by stage, pictures."""
+
+import base64
+import io
+import re
+from collections.abc import Iterable, Sequence
+from html import escape
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tacgen.bundle.bundle import Bundle
+from tacgen.report import dataset_summary
+from tacgen.report.dataset_summary import Overview, Scene
+from tacgen.report.wording import counted
+
+PICTURES = 48
+WIDTH_PX = 160  # of a picture
+PAIRS = 15  # of varied numbers, plotted against each other
+COLOURS = {"ok": "#0072b2", "rejected": "#e69f00", "failed": "#d55e00", "damaged": "#cc79a7"}
+OTHER = "#999999"
+STYLE = """body{font:14px/1.45 system-ui,sans-serif;margin:2em auto;max-width:70em;padding:0 1em;color:#222}
+table{border-collapse:collapse;margin:.5em 0}td,th{padding:.15em .8em .15em 0;text-align:left;vertical-align:top}
+th{font-weight:600;border-bottom:1px solid #bbb}td.n{text-align:right}svg{margin:0 1em 1em 0}svg text{font-size:11px}
+figure{display:inline-block;margin:0 .6em .8em 0;width:160px;font-size:11px}figure img{width:160px;display:block}
+h2{margin-top:1.6em;font-size:1.15em}code{font-size:.95em}"""
+
+
+def write(folder: Path, out: Path) -> Path:
+    """Write the page. Raises UserError if there is nothing in `folder` to report."""
+    out.parent.mkdir(parents=True, exist_ok=True)
+    out.write_text(page(dataset_summary.look(folder)), encoding="utf-8")
+    return out
+
+
+def page(seen: Overview) -> str:
+    """The page's HTML; it needs no other file and no network."""
+    title = escape(f"{seen.name}: {counted(len(seen.scenes), 'scene')}, {seen.frames} frames")
+    sections = [
+        ("Scenes", _states(seen)),
+        ("Failures by cause", _causes(seen.scenes)),
+        ("Coverage", _coverage(seen)),
+        ("Largest force in a scene", _forces(seen.scenes)),
+        ("Seconds by stage, on one core", _seconds(seen)),
+        ("Pictures", _pictures(seen.scenes)),
+        ("Datasets", _table(("dataset", "shape"), seen.datasets.items())),
+    ]
+    body = "".join(f"<h2>{name}</h2>{content}" for name, content in sections if content)
+    head = f'<meta charset="utf-8"><title>{title}</title><style>{STYLE}</style>'
+    return f"<!doctype html><html lang=en><head>{head}</head><body><h1>{title}</h1>{body}</body></html>\n"
+
+
+def causes(scenes: Iterable[Scene]) -> dict[tuple[str, str], list[str]]:
+    """(state, reason with its numbers left out) -> names of scenes, the most frequent first."""
+    found: dict[tuple[str, str], list[str]] = {}
+    for scene in scenes:
+        if scene.state != "ok":
+            reason = re.sub(r"-?\d[\d.e+-]*", "#", scene.reason)
+            found.setdefault((scene.state, reason), []).append(scene.name)
+    return dict(sorted(found.items(), key=lambda item: -len(item[1])))
+
+
+def _states(seen: Overview) -> str:
+    rows = [(state, str(n)) for state, n in seen.states.items()]
+    rows.append(("size", f"{seen.bytes / 1e6:.1f} MB"))
+    rows += [(name, ", ".join(seen.distinct(name))) for name in ("sensor", "tacgen_version", "solver", "renderer")]
+    rows.append(("indenter", ", ".join(seen.indenters)))
+    return _table(("", ""), [row for row in rows if row[1]])
+
+
+def _causes(scenes: Sequence[Scene]) -> str:
+    rows = []
+    for (state, reason), names in causes(scenes).items():
+        shown = ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
+        rows.append((str(len(names)), state, reason or "not made yet", shown))
+    return _table(("scenes", "state", "cause", ""), rows) if rows else "<p>None: every scene is there.</p>"
+
+
+def _coverage(seen: Overview) -> str:
+    """Each varied path alone, and numbers in pairs, a point a scene in the colour of its state."""
+    numbers = {p: v for p, v in seen.varied.items() if all(isinstance(x, int | float) for x in v)}
+    colours = [COLOURS.get(scene.state, OTHER) for scene in seen.scenes]
+    rows = [(path, dataset_summary.spread(values)) for path, values in seen.varied.items()]
+    plots = [_histogram(path, np.array(values, float)) for path, values in numbers.items()]
+    for (a, x), (b, y) in list(combinations(numbers.items(), 2))[:PAIRS]:
+        plots.append(_scatter(a, np.array(x, float), b, np.array(y, float), colours))
+    key = " ".join(f'<span style="color:{colour}">&#9679; {state}</span>' for state, colour in COLOURS.items())
+    shown = _table(("varied", "values"), rows) + f"<p>{key}</p>" + "".join(plots)
+    return shown if rows else ""
+
+
+def _forces(scenes: Sequence[Scene]) -> str:
+    peaks = [scene.peak_n for scene in scenes if scene.peak_n is not None]
+    return _histogram("force [N]", np.array(peaks)) if peaks else ""
+
+
+def _seconds(seen: Overview) -> str:
+    timed = sum(scene.frames for scene in seen.scenes if scene.seconds)
+    if not timed:
+        return ""
+    total = max(sum(seen.seconds.values()), 1e-9)
+    rows = []
+    for stage, seconds in seen.seconds.items():
+        bar = f'<svg width=300 height=12><rect width={300 * seconds / total:.1f} height=12 fill="#0072b2"/></svg>'
+        rows.append((escape(stage), f"{seconds:.1f} s", f"{seconds / timed:.3f} s a frame", bar))
+    rows.append(("all", f"{total:.1f} s", f"{total / timed:.3f} s a frame", ""))
+    return _table(("stage", "", "", ""), rows, raw=True)
+
+
+def _pictures(scenes: Sequence[Scene]) -> str:
+    """Scenes spread over the plan, each at the frame of its largest force."""
+    good = [scene for scene in scenes if scene.bundle is not None and scene.bundle.frames]
+    step = max(1.0, len(good) / PICTURES)
+    shown = []
+    for scene in (good[int(i * step)] for i in range(min(len(good), PICTURES))):
+        assert scene.bundle is not None
+        picture = _picture(scene.bundle)
+        if picture:
+            values = "<br>".join(
+                escape(f"{p.rpartition('.')[2]} {dataset_summary.spread([v])}") for p, v in scene.values.items()
+            )
+            force = "" if scene.peak_n is None else f"{scene.peak_n:.3g} N"
+            shown.append(f"<figure>{picture}<b>{escape(scene.name)}</b> {force}<br>{values}</figure>")
+    return "".join(shown)
+
+
+def _picture(bundle: Bundle) -> str:
+    """The camera image, or the pressure in grey where there is none."""
+    from PIL import Image
+
+    k = int(np.linalg.norm(bundle["/frames/force"], axis=1).argmax()) if "/frames/force" in bundle else -1
+    if "/frames/rgb" in bundle:
+        image = Image.fromarray(bundle.frame("/frames/rgb", k % bundle.frames))
+    elif "/frames/pressure" in bundle:
+        pressure = bundle.frame("/frames/pressure", k % bundle.frames)
+        image = Image.fromarray(np.uint8(255 * np.clip(pressure / max(float(pressure.max()), 1e-9), 0, 1)))
+    else:
+        return ""
+    image = image.resize((WIDTH_PX, round(WIDTH_PX * image.height / image.width)), Image.Resampling.BILINEAR)
+    file = io.BytesIO()
+    image.save(file, "JPEG", quality=85)
+    return f'<img alt="" src="data:image/jpeg;base64,{base64.b64encode(file.getvalue()).decode()}">'
+
+
+def _histogram(name: str, values: np.ndarray) -> str:
+    """Bars over the range of the values; its ends and the fullest bar's count are written."""
+    count, edges = np.histogram(values, bins=min(20, max(5, len(values) // 3)))
+    width, height = 220, 90
+    step = width / len(count)
+    bars = "".join(
+        f"<rect x={10 + i * step:.1f} y={15 + height * (1 - n / count.max()):.1f} width={step - 1:.1f} "
+        f'height={height * n / count.max():.1f} fill="#0072b2"/>'
+        for i, n in enumerate(count)
+    )
+    ends = f"<text x=10 y=120>{edges[0]:.3g}</text><text x=230 y=120 text-anchor=end>{edges[-1]:.3g}</text>"
+    top = f"<text x=120 y=135 text-anchor=middle>{_label(name)}</text><text x=10 y=11>{count.max()} scenes</text>"
+    return f"<svg width=240 height=140>{bars}{ends}{top}</svg>"
+
+
+def _scatter(a: str, x: np.ndarray, b: str, y: np.ndarray, colours: Sequence[str]) -> str:
+    """y over x in a square box, the names of both at its sides."""
+
+    def unit(v: np.ndarray) -> np.ndarray:
+        return np.asarray((v - v.min()) / max(float(np.ptp(v)), 1e-12))
+
+    points = "".join(
+        f'<circle cx={30 + 180 * u:.1f} cy={195 - 180 * v:.1f} r=2.2 fill="{colour}" fill-opacity=.7 />'
+        for u, v, colour in zip(unit(x), unit(y), colours, strict=True)
+    )
+    frame = '<rect x=25 y=10 width=190 height=190 fill="none" stroke="#bbb"/>'
+    under = f"<text x=120 y=214 text-anchor=middle>{_label(a)}</text>"
+    beside = f'<text transform="translate(16 105) rotate(-90)" text-anchor=middle>{_label(b)}</text>'
+    return f"<svg width=220 height=220>{frame}{points}{under}{beside}</svg>"
+
+
+def _label(name: str) -> str:
+    """The end of a long path, which is its telling part."""
+    return escape(name if len(name) <= 22 else "\N{HORIZONTAL ELLIPSIS}" + name[-20:])
+
+
+def _table(head: Sequence[str], rows: Iterable[Sequence[Any]], *, raw: bool = False) -> str:
+    def cells(row: Sequence[Any], tag: str) -> str:
+        return "".join(f"<{tag}>{cell if raw else escape(str(cell))}</{tag}>" for cell in row)
+
+    top = f"<tr>{cells(head, 'th')}</tr>" if any(head) else ""
+    return f"<table>{top}" + "".join(f"<tr>{cells(row, 'td')}</tr>" for row in rows) + "</table>"

@@ -1,0 +1,93 @@
+"""How far a run is, on stderr: a bar with the time left on a terminal, plain lines elsewhere or with NO_COLOR."""
+
+import os
+import sys
+import time
+from collections.abc import Sequence
+from types import TracebackType
+from typing import Any, TextIO
+
+from tacgen.recipe.plan import Row
+
+
+class Progress:
+    """Takes the events of a run; frames are what is counted.
+
+    Without a terminal there is a line a scene, and a line a frame only where there is a single scene.
+    """
+
+    def __init__(self, rows: Sequence[Row], stream: TextIO | None = None) -> None:
+        self.stream = stream or sys.stderr
+        self.total = sum(row.frames for row in rows)
+        self.frames = {row.name: row.frames for row in rows}
+        self.under_way: dict[str, int] = {}  # scene -> frames it has
+        self.done = 0  # frames of finished scenes
+        self.kept = 0  # of these, those that were there already: they say nothing about speed
+        self.finished = 0
+        self.noted: set[str] = set()
+        self.started = time.monotonic()
+        self.bar: Any = None
+        self.task: Any = None
+
+    def __enter__(self) -> "Progress":
+        if self.stream.isatty() and not os.environ.get("NO_COLOR"):
+            from rich.console import Console
+            from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+            from rich.progress import Progress as Bar
+
+            columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn())
+            times = (TextColumn("frames"), TimeElapsedColumn(), TextColumn("{task.fields[left]}"))
+            self.bar = Bar(*columns, *times, console=Console(file=self.stream), transient=True)
+            self.task = self.bar.add_task("starting", total=self.total, left="")
+            self.bar.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self.bar is not None:
+            self.bar.stop()
+
+    def __call__(self, event: dict[str, Any]) -> None:
+        """Show an event: a frame, a note, a retry or the end of a scene."""
+        name = event["scene"]
+        if event["event"] == "frame":
+            self.under_way[name] = event["frame"]
+            self._say(f"{name}: frame {event['frame']} of {event['frames']}", lasting=False)
+        elif event["event"] == "note":
+            if event["note"] not in self.noted:  # once for all scenes of a run
+                self.noted.add(event["note"])
+                self._say(f"{name}: note: {event['note']}")
+        elif event["event"] == "retry":
+            self.under_way.pop(name, None)
+            self._say(f"{name}: once more: {event['reason']}")
+        else:
+            self.under_way.pop(name, None)
+            self.finished += 1
+            self.done += self.frames.get(name, 0)
+            self.kept += 0 if event["seconds"] else self.frames.get(name, 0)
+            good = event["status"] == "ok"
+            text = f"{name}: {event['status']}" + (f": {event['reason']}" if event["reason"] else "")
+            self._say(text, lasting=not good)
+
+    def _say(self, text: str, *, lasting: bool = True) -> None:
+        """A line; on a terminal only what should stay is one, and the bar says the rest."""
+        at = self.done + sum(self.under_way.values())
+        left = self._left(at)
+        if self.bar is not None:
+            if lasting:
+                self.bar.console.print(text, markup=False, highlight=False)
+            scenes = f"{self.finished} of {len(self.frames)} scenes" if len(self.frames) > 1 else text
+            self.bar.update(self.task, completed=at, description=scenes, left=left)
+        elif len(self.frames) == 1 or ": frame " not in text:
+            print(text + (f" ({left})" if left else ""), file=self.stream, flush=True)
+
+    def _left(self, frames: int) -> str:
+        """`about 40 s left`, once there is something to judge by."""
+        made = frames - self.kept
+        if made <= 0 or frames >= self.total:
+            return ""
+        seconds = (time.monotonic() - self.started) * (self.total - frames) / made
+        if seconds < 120:
+            return f"about {seconds:.0f} s left"
+        return f"about {seconds / 60:.0f} min left" if seconds < 7200 else f"about {seconds / 3600:.1f} h left"

@@ -1,0 +1,1 @@
+"""A scene as numbers: its path, its gel's mesh."""

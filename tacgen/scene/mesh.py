@@ -1,0 +1,188 @@
+"""Scene -> Mesh: fine where the scene can touch and growing away; a tensor grid of hexes, or tets (see tet_mesh)."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from tacgen import array_cache
+from tacgen.contact.barrier import Pose
+from tacgen.errors import UserError
+from tacgen.fem.elements import boxes
+from tacgen.fem.mesh_quality import dihedral, enclosed, measure, scaled_jacobian
+from tacgen.geometry.gel import Gel
+from tacgen.scene import tet_mesh
+from tacgen.scene.scene import Scene
+
+Array = np.ndarray
+STEEPEST = 1.1  # slope of a signed distance: 1, and a little more where it is interpolated
+# nodes, and the edge that fTetWild is asked for as a part of a hex's; it gives 1.25 to 1.35 times that
+TETS = {"tet": (10, 1.125), "linear_tet": (4, 0.8)}
+LEAST_ANGLE = 2.0  # [deg]
+LEAST_JACOBIAN = 0.01
+COARSEST = 11.1  # edges under the contact: the edge far away
+MOST = 500_000  # nodes: what no machine could factorise
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Arrays with named patches.
+
+    points (n, 3) [mm]; cells (e, a): hexes of 8 nodes, tets of 10 or 4, as VTK numbers them; layer (e,) number of the
+    gel layer of each cell, 0 at the base; facets: quads (f, 4) or triangles of 6 or 3 nodes seen from outside, by name:
+    "bonded" (held), "coated" (pressed and photographed).
+    """
+
+    points: Array
+    cells: Array
+    layer: Array
+    facets: dict[str, Array]
+
+
+def of(scene: Scene) -> Mesh:
+    """The gel's mesh for all that the scene touches.
+
+    Raises:
+        UserError: no mesh of usable cells could be made.
+    """
+    if scene.element == "hex":
+        return build(scene.gel, footprint(scene), scene.edge)
+    nodes, edge = TETS[scene.element]
+    made = Mesh(*tet_mesh.build(scene.gel, touched(scene), edge * scene.edge, nodes))
+    angle = float(np.degrees(dihedral(made.points, made.cells).min()))
+    least = float(scaled_jacobian(made.points, made.cells).min())
+    if angle < LEAST_ANGLE or least < LEAST_JACOBIAN:
+        raise UserError(
+            f"gel: its tets are too flat to compute with (smallest angle {angle:.2g} deg, scaled Jacobian {least:.1e}):"
+            " the surface has thin walls or sharp folds"
+        )
+    return made
+
+
+def quality(gel: Gel, mesh: Mesh) -> dict[str, float | int | str]:
+    """How well shaped a gel's mesh is, and its own hash: of two that fTetWild makes no two are alike."""
+    vertices, triangles, _ = gel.surface(*tet_mesh.FINE)
+    found = measure(mesh.points, mesh.cells, enclosed(vertices, triangles))
+    parts = (mesh.points, mesh.cells, mesh.layer, *(a for item in sorted(mesh.facets.items()) for a in item))
+    return {**found.document(), "sha256": array_cache.digest(parts)}
+
+
+def graded(start: float, end: float, fine: tuple[float, float], edge: float, growth: float, coarsest: float) -> Array:
+    """Coordinates from start to end: at most `edge` apart inside `fine`, the next ones up to `growth` times as long.
+
+    The ends are met exactly by shrinking the intervals on each side a little together; a fine part that ends within
+    half an edge of an end is drawn out to it, so that no sliver is left between them.
+    """
+    low, high = max(start, fine[0]), min(end, fine[1])
+    low, high = start if low < start + edge / 2 else low, end if high > end - edge / 2 else high
+    middle = np.linspace(low, high, max(1, int(np.ceil((high - low) / edge - 1e-9))) + 1)
+    if high <= low:
+        middle = np.array([np.clip(low, start, end)])
+
+    def side(length: float) -> Array:
+        steps: list[float] = []
+        while sum(steps) < length - 1e-9:
+            steps.append(min((steps[-1] if steps else edge) * growth, coarsest))
+        return np.cumsum(steps) * (length / sum(steps)) if steps else np.zeros(0)
+
+    below, above = middle[0] - side(middle[0] - start)[::-1], middle[-1] + side(end - middle[-1])
+    return np.concatenate([below, middle, above])
+
+
+def heights(gel: Gel, edge: float, growth: float, coarsest: float) -> tuple[Array, Array]:
+    """Grid heights z from base to face and the layer of each interval: fine at the face, graded down, and every
+    interface is a grid height."""
+    z = [0.0]
+    layer: list[int] = []
+    step = edge
+    for number in reversed(range(len(gel.layers))):
+        left = gel.layers[number].thickness
+        steps: list[float] = []
+        while sum(steps) < left - 1e-9:
+            steps.append(step)
+            step = min(step * growth, coarsest)
+        scaled = np.array(steps) * (left / sum(steps))
+        step = min(float(scaled[-1]) * growth, coarsest)
+        z.extend(z[-1] - np.cumsum(scaled))
+        layer.extend([number] * len(steps))
+    return np.array(z[::-1]), np.array(layer[::-1], dtype=np.int32)
+
+
+def build(
+    gel: Gel, footprint: tuple[float, float, float, float], edge: float, *, growth: float = 1.7, coarsest: float = 0.0
+) -> Mesh:
+    """Graded hexes for a gel with a flat base; each column of the grid is squeezed to the height of the face there.
+
+    Args:
+        footprint: x0, x1, y0, y1 [mm] of all that the trajectory can touch; its cells are `edge` wide.
+        edge: target edge under the contact [mm]. growth: ratio of neighbouring edges outside. coarsest: far away [mm],
+            as COARSEST says if 0.
+
+    Raises:
+        UserError: that would be a mesh of more than MOST nodes.
+    """
+    coarsest = coarsest or COARSEST * edge
+    x0, x1, y0, y1 = footprint
+    xs = graded(-gel.width / 2, gel.width / 2, (x0, x1), edge, growth, coarsest)
+    ys = graded(-gel.height / 2, gel.height / 2, (y0, y1), edge, growth, coarsest)
+    zs, layer = heights(gel, 1.3 * edge, 1.1, coarsest / 2)  # a map's rim is as sharp as cells are wide, not deep
+    shape = len(xs), len(ys), len(zs)
+    _refuse_beyond(MOST, math.prod(shape), edge, "nodes")
+    points = np.stack(np.meshgrid(xs, ys, zs, indexing="ij"), -1).reshape(-1, 3)
+    points[:, 2] += gel.top(points[:, 0], points[:, 1]) * (points[:, 2] + gel.thickness) / gel.thickness
+    hexes = boxes(np.arange(len(points)).reshape(shape))
+    centre = (xs[1:] + xs[:-1])[:, None] / 2, (ys[1:] + ys[:-1])[None] / 2
+    inside = gel.contains(*centre)  # a column whose centre is outside the outline is left out
+    bonded = hexes[inside][:, 0][:, [0, 3, 2, 1]]
+    coated = hexes[inside][:, -1][:, [4, 5, 6, 7]]
+    cells = hexes[inside].reshape(-1, 8)
+    layers = np.tile(layer, int(inside.sum()))
+    used, compact = np.unique(cells, return_inverse=True)
+    rename = np.full(len(points), -1)
+    rename[used] = np.arange(len(used))
+    return Mesh(points[used], compact.reshape(-1, 8), layers, {"bonded": rename[bonded], "coated": rename[coated]})
+
+
+def _refuse_beyond(most: float, count: float, edge: float, what: str) -> None:
+    if count > most:
+        raise UserError(
+            f"quality.edge_mm: {edge:g} mm under all that the trajectory touches gives {count:.1g} {what}, and"
+            f" {most:.1g} are the most: a larger edge or a shorter way is needed"
+        )
+
+
+def footprint(scene: Scene) -> tuple[float, float, float, float]:
+    """x0, x1, y0, y1 [mm] around all that the scene touches, and half an edge more."""
+    where = touched(scene)[:, :2]
+    low, high = where.min(0) - scene.edge / 2, where.max(0) + scene.edge / 2
+    return float(low[0]), float(high[0]), float(low[1]), float(high[1])
+
+
+def touched(scene: Scene) -> Array:
+    """Points (n, 3) of the untouched face that the indenter overlaps on its path, a third of an edge apart; below its
+    start if there are none.
+
+    A rigid body cuts a wider patch out of the untouched face than it touches of a soft one: this is on the safe side.
+    """
+    gel, step = scene.gel, scene.edge / 3
+    _refuse_beyond(60 * MOST, gel.width * gel.height / step**2, scene.edge, "points of the face to look at")
+    x, y = (np.arange(-size / 2, size / 2 + step, step) for size in (gel.width, gel.height))
+    grid = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
+    face = np.column_stack([grid, gel.top(*grid.T)])
+    hit = np.zeros(len(face), bool)
+    poses = scene.poses
+    if scene.forced is not None:
+        poses = poses.copy()
+        poses[:, 2, 3] -= scene.forced.allowance
+    before, least = Pose.of(scene.start).local(face), np.zeros(len(face))  # of the distance, which is measured when < 0
+    for matrix in poses:
+        local = Pose.of(matrix).local(face)
+        least -= STEEPEST * np.linalg.norm(local - before, axis=1)
+        near = np.flatnonzero(~hit & (least <= 0))
+        least[near] = scene.shape.distance(local[near])[0]
+        hit[near[least[near] < 0]] = True
+        before = local
+    if hit.any():
+        return face[hit]
+    start = scene.start[None, :2, 3]
+    return np.column_stack([start, gel.top(*start.T)])

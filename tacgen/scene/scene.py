@@ -1,0 +1,189 @@
+"""Resolved scene -> Scene: gel, laws, indenter, path and tolerances as plain arrays and numbers."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from tacgen.errors import UserError
+from tacgen.fem.materials import Law, MooneyRivlin, NeoHooke, StableNeoHooke, Yeoh
+from tacgen.geometry import mesh_import, surface_nets
+from tacgen.geometry.analytic_sdf import Box, Capsule, Cone, Cylinder, Shape, Sphere, Torus, Triangles, Wedge
+from tacgen.geometry.gel import Gel, Layer, SolidGel
+from tacgen.geometry.sdf_grid import Field
+from tacgen.recipe import indenters, trajectory
+from tacgen.recipe import sensor as sensors
+from tacgen.recipe.indenters import Indenter
+from tacgen.recipe.model import Element
+from tacgen.recipe.plan import Row
+from tacgen.recipe.sensor import MooneyRivlinLayer, NeoHookeLayer, Sensor, StableNeoHookeLayer, YeohLayer
+from tacgen.scene.path import Forced, lay
+
+__all__ = ["Gel", "Layer", "Scene", "build"]
+
+Array = np.ndarray
+TONNES_PER_MM3 = 1e-12  # kg/m^3
+CELL = 0.25  # of the edge: grid spacing of a mesh's signed distance, whose edges are rounded by about two cells
+
+
+@dataclass(frozen=True)
+class Dynamics:
+    """How the gel resists being moved fast; duration (N,) of each frame [s]."""
+
+    density: float  # [t/mm^3]
+    alpha: float  # of Rayleigh's damping, with the mass [1/s]
+    beta: float  # and with the stiffness [s]
+    duration: Array
+    longest: float  # step in time [s]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """All that the numerics need of one scene; nothing in it is a recipe.
+
+    poses (N, 4, 4): indenter frame to sensor frame at each frame, a guess of the height where `forced` says so;
+    segment (N,): number of the trajectory segment;
+    start (4, 4): the pose before the first frame, clear of the gel.
+    """
+
+    gel: Gel
+    shape: Shape
+    poses: Array
+    start: Array
+    segment: Array
+    friction: float
+    edge: float  # element edge under the contact [mm]
+    dhat: float  # [mm]
+    forced: Forced | None = None
+    dynamics: Dynamics | None = None  # None: as if it were moved infinitely slowly
+    element: Element = "hex"
+    surface: Triangles | None = None  # of the indenter, for contact between meshes
+    turns: Array | None = None  # (N, 3) rotation vector from each pose to the next [rad]; None: the shorter way
+
+
+def _shape(i: Indenter, field: Callable[[indenters.Mesh], Shape]) -> Shape:
+    match i.shape:
+        case "sphere":
+            return Sphere(i.radius_mm)
+        case "cylinder":
+            return Cylinder(i.radius_mm, i.fillet_mm)
+        case "cone":
+            return Cone(np.radians(i.half_angle_deg), i.tip_radius_mm)
+        case "box":
+            return Box(i.size_x_mm, i.size_y_mm, i.fillet_mm)
+        case "wedge":
+            return Wedge(np.radians(i.half_angle_deg), i.tip_radius_mm, i.length_mm)
+        case "capsule":
+            return Capsule(i.radius_mm, i.length_mm)
+        case "torus":
+            return Torus(i.radius_mm, i.tube_radius_mm)
+        case "mesh":
+            return field(i)
+
+
+def _within(row: Row) -> tuple[float, float]:
+    """As far as the gel can come to an indenter: from its z axis, and above its lowest point [mm]."""
+    gel = row.sensor.gel
+    steps = row.recipe.trajectory
+    replays = (row.replayed(number) for number, step in enumerate(steps) if step.replay)
+    leans = any(math.hypot(*p.place.quaternion[1:3]) > 1e-9 for poses in replays for p in poses)
+    tilted = leans or row.recipe.start.tilt_deg > 0 or any(step.tilt for step in steps)
+    rise = sum(layer.thickness_mm for layer in gel.layers) + 1.0  # no press is deeper, and gel bulges beside it
+    return float(np.hypot(gel.width_mm, gel.height_mm)) + 1.0, np.inf if tilted else rise
+
+
+def _solid(i: indenters.Mesh, row: Row) -> mesh_import.Solid:
+    return mesh_import.placed(mesh_import.read(row.mesh_path), up=i.up, scale=i.scale, size=i.size_mm)
+
+
+def _field(i: indenters.Mesh, row: Row) -> Field:
+    """A mesh as far as the gel can come to it; its grid follows the quality's edge, as what the gel resolves does."""
+    half, height = _within(row)
+    return mesh_import.field(_solid(i, row), cell=CELL * row.recipe.resolved().edge_mm, height=height, half=half)
+
+
+def _surface(row: Row, shape: Shape) -> Triangles | None:
+    """The indenter's triangles, where contact is between meshes: a mesh's own, or a shape's, much closer to it than
+    the barrier holds the gel off."""
+    indenter, quality = row.recipe.indenter, row.recipe.resolved()
+    if row.recipe.contact.formulation != "ipctk":
+        return None
+    half, height = _within(row)
+    if indenter.shape == "mesh":
+        solid = _solid(indenter, row)
+        return surface_nets.of_mesh(solid.vertices, solid.triangles, height=height, spacing=quality.edge_mm / 4)
+    height = min(height, 2 * half)  # a tilted shape without end
+    return surface_nets.of_shape(shape, half=half, height=height, tolerance=quality.dhat_mm / 10)
+
+
+def law_of(layer: sensors.Layer) -> Law:
+    """The law of a layer; what a sensor file says in E and nu becomes mu and the bulk modulus here."""
+    match layer:
+        case NeoHookeLayer() | StableNeoHookeLayer():
+            mu = layer.youngs_modulus_mpa / (2 * (1 + layer.poissons_ratio))
+            kappa = bulk(mu, layer.poissons_ratio)
+            return NeoHooke(mu, kappa) if layer.law == "neo_hooke" else StableNeoHooke(mu, kappa + mu / 3)
+        case MooneyRivlinLayer():
+            mu = 2 * (layer.c10_mpa + layer.c01_mpa)
+            return MooneyRivlin(layer.c10_mpa, layer.c01_mpa, layer.bulk_modulus_mpa or bulk(mu, layer.poissons_ratio))
+        case YeohLayer():
+            kappa = layer.bulk_modulus_mpa or bulk(2 * layer.c10_mpa, layer.poissons_ratio)
+            return Yeoh(layer.c10_mpa, layer.c20_mpa, layer.c30_mpa, kappa)
+
+
+def bulk(mu: float, nu: float | None) -> float:
+    """Bulk modulus [MPa] from the shear modulus and Poisson's ratio."""
+    assert nu is not None, "the sensor file's check lets no layer through without"
+    return 2 * mu * (1 + nu) / (3 * (1 - 2 * nu))
+
+
+def gel_of(sensor: Sensor, solid_path: Path | None = None) -> Gel:
+    """The gel with its laws; of one that is a solid, from the file at `solid_path`."""
+    layers = []
+    for layer in sensor.gel.layers:
+        law = law_of(layer)
+        layers.append(Layer(layer.thickness_mm, law, 9 * law.kappa * law.mu / (3 * law.kappa + law.mu)))
+    g = sensor.gel
+    if g.solid is not None and solid_path is not None:
+        solid = mesh_import.placed(mesh_import.read(solid_path), up=g.solid.up, scale=g.solid.scale)
+        held = g.solid.bonded_mm, float(np.radians(g.solid.coated_deg))
+        return SolidGel(g.width_mm, g.height_mm, 0.0, tuple(layers), solid=solid, bonded=held[0], coated=held[1])
+    radii = (np.inf, np.inf) if g.dome is None else (g.dome.radius_x_mm, g.dome.radius_y_mm)
+    return Gel(g.width_mm, g.height_mm, g.corner_radius_mm, tuple(layers), g.tip, radii)
+
+
+def build(row: Row) -> Scene:
+    """The scene of one row of a plan."""
+    recipe, quality = row.recipe, row.recipe.resolved()
+    gel = gel_of(row.sensor, row.solid_path if row.sensor.gel.solid else None)
+    shape = _shape(recipe.indenter, lambda mesh: _field(mesh, row))
+    way = lay(recipe, shape, gel, row.replayed)
+    friction, edge, dhat = recipe.contact.friction, quality.edge_mm, quality.dhat_mm
+    element = recipe.mesh or ("hex" if row.sensor.gel.solid is None else "tet")
+    over = np.concatenate([way.start[None], way.poses])[:, :2, 3]
+    beside = over[~gel.contains(*over.T)] if isinstance(gel, SolidGel) else over[:0]
+    if len(beside):
+        x, y = beside[0]
+        raise UserError(f"trajectory: would carry the indenter's axis off the gel's coated face, to ({x:g}, {y:g})")
+    more = (way.forced, _dynamics(row), element, _surface(row, shape), way.turns)
+    return Scene(gel, shape, way.poses, way.start, way.segment, friction, edge, dhat, *more)
+
+
+def _dynamics(row: Row) -> Dynamics | None:
+    """A replay's frames take what lies between its rows, and the way to the first as long as to the second."""
+    asked = row.recipe.dynamics
+    if asked is None:
+        return None
+    duration: list[float] = []
+    for number, step in enumerate(row.recipe.trajectory):
+        if isinstance(step.move, trajectory.Replay):
+            apart = [b.time - a.time for a, b in pairwise(row.replayed(number))] or [asked.frame_s or 0.0]
+            duration += [apart[0], *apart][: step.frames]
+        else:
+            each = asked.frame_s if step.move.duration_s is None else step.move.duration_s / step.frames
+            duration += [each or 0.0] * step.frames  # limits.py lets nothing through that has neither
+    damping, density = asked.rayleigh, asked.density_kg_m3 * TONNES_PER_MM3
+    return Dynamics(density, damping.alpha_per_s, damping.beta_s, np.array(duration), asked.step_s or math.inf)

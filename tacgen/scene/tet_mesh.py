@@ -1,0 +1,170 @@
+"""Gel -> tets by fTetWild (Hu et al. 2020), fine under the contact; for gels that no grid of hexes fits.
+
+Two runs of fTetWild never give the same mesh, not even on one thread: what it made is kept in the cache by a hash of
+what it was asked for, which is what makes a scene repeatable on a machine, and a bundle says the mesh's own hash.
+"""
+
+import importlib.util
+from importlib.metadata import distribution, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tacgen import array_cache
+from tacgen.errors import UserError
+from tacgen.fem.elements import TET_EDGES, boxes, quadratic
+from tacgen.fem.mesh_quality import nodal_volume
+from tacgen.geometry import mesh_import
+from tacgen.geometry.gel import Gel
+
+Array = np.ndarray
+VERSION = 1  # of the cached meshes
+GROWTH = 0.4  # of the edge, per distance from what is touched
+COARSEST = 7.4  # edges under the contact: the edge far away
+ENVELOPE = 1e-3  # how far the mesh may leave the surface, as a part of the box's diagonal, before it is drawn to it
+COARSE, FINE = (
+    (0.04, 4e-3),
+    (0.012, 4e-6),
+)  # step and sag, of the longer side: of what is meshed, and of what is true
+ENERGY = 10.0  # fTetWild ends when its worst cell is this good
+FOLDED = 0.1  # of a tet's volume before it is drawn to the surface: one that has less at a node is put back
+TET_FACES = np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)])  # seen from outside
+
+
+def build(gel: Gel, touched: Array, edge: float, nodes: int) -> tuple[Array, Array, Array, dict[str, Array]]:
+    """Points, tets of 4 or 10 nodes, their layers, and the named facets of a gel.
+
+    Args:
+        touched: points (n, 3) [mm] of the untouched face that the indenter can reach: there edges are about `edge`.
+    """
+    vertices, triangles, between = gel.surface(*COARSE)
+    low, high = vertices.min(0), vertices.max(0)
+    reach = ENVELOPE * float(np.linalg.norm(high - low))
+    coarsest = COARSEST * edge
+    background = _background(low, high, touched, edge, coarsest)
+    asked = (vertices, triangles, np.concatenate([triangles[:0], *between]), *background, coarsest, ENVELOPE, ENERGY)
+    key = array_cache.digest((VERSION, version("pytetwild"), *asked))
+    points, tets = array_cache.kept("meshes", key, lambda: _tetrahedralise(*asked))
+    if not len(tets):
+        raise UserError("gel: no mesh of tetrahedra could be made inside its surface")
+    layer = gel.layer_of(points[tets].mean(1))
+    facets, between_layers = _facets(gel, points, tets, layer, 3 * reach)
+    if nodes == 10:
+        points, tets, *lists = quadratic(points, tets, *facets.values(), *between_layers)
+        facets, between_layers = dict(zip(facets, lists, strict=False)), lists[len(facets) :]
+    points = _drawn(gel, points, tets, facets, between_layers)
+    return points, tets, layer, {name: facets[name] for name in ("bonded", "coated")}
+
+
+def _background(low: Array, high: Array, touched: Array, edge: float, coarsest: float) -> tuple[Array, Array, Array]:
+    """A grid of tets around the gel with the edge that is wanted at each of its points."""
+    from scipy.spatial import cKDTree
+
+    step = max(edge, float((high - low).max()) / 60)
+    ticks = [np.linspace(a - step, b + step, int(np.ceil((b - a) / step)) + 3) for a, b in zip(low, high, strict=True)]
+    points = np.stack(np.meshgrid(*ticks, indexing="ij"), -1).reshape(-1, 3)
+    hexes = boxes(np.arange(len(points)).reshape([len(t) for t in ticks])).reshape(-1, 8)
+    ways = [(0, 1, 2, 6), (0, 5, 1, 6), (0, 4, 5, 6), (0, 7, 4, 6), (0, 3, 7, 6), (0, 2, 3, 6)]
+    tets = np.concatenate([hexes[:, way] for way in ways]).astype(np.int32)
+    away = cKDTree(touched).query(points)[0]
+    return points, tets, np.minimum(edge + GROWTH * away, coarsest)
+
+
+def _tetrahedralise(
+    vertices: Array,
+    triangles: Array,
+    between: Array,
+    at: Array,
+    tets: Array,
+    edges: Array,
+    coarsest: float,
+    envelope: float,
+    energy: float,
+) -> tuple[Array, Array]:
+    """fTetWild on one thread: vertices (n, 3) and tets (e, 4) inside the closed triangles, no tet across `between`."""
+    found = _ftetwild().tetrahedralize_mesh(
+        vertices, np.concatenate([triangles, between]).astype(np.uint32), True, False, 0.05, coarsest, envelope, energy,
+        False, 1, 80, 6, True, False, True, at, tets, edges,
+    )  # fmt: skip
+    points, cells = np.asarray(found[0], float), np.asarray(found[1], np.int64)
+    # fTetWild's own test of what is inside counts the open triangles too
+    cells = cells[mesh_import.inside(vertices, triangles, points[cells].mean(1))]
+    used, compact = np.unique(cells, return_inverse=True)
+    points, cells = points[used], compact.reshape(-1, 4)
+    turned = np.linalg.det(points[cells[:, 1:]] - points[cells[:, :1]]) < 0
+    cells[turned] = cells[turned][:, [0, 2, 1, 3]]
+    return points, cells
+
+
+def _ftetwild() -> Any:
+    """pytetwild's compiled part. Its package would also import PyVista and with it VTK (0.6 GB) to draw with."""
+    folder = Path(str(distribution("pytetwild").locate_file("pytetwild")))
+    spec = importlib.util.spec_from_file_location("PyfTetWildWrapper", next(folder.glob("PyfTetWildWrapper*.so")))
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def _facets(gel: Gel, points: Array, tets: Array, layer: Array, reach: float) -> tuple[dict[str, Array], list[Array]]:
+    """The boundary's triangles by name, "sides" being the rest, and those between each layer and the next."""
+    faces = tets[:, TET_FACES].reshape(-1, 3)
+    owner = np.repeat(np.arange(len(tets)), 4)
+    order = np.sort(faces, 1)
+    keys = (order[:, 0] * len(points) + order[:, 1]) * len(points) + order[:, 2]
+    _, first, count = np.unique(keys, return_index=True, return_counts=True)
+    outer = faces[first[count == 1]]
+    found = {name: outer[mask] for name, mask in _patches(gel, points, outer, reach).items()}
+    rank = np.argsort(keys, kind="stable")
+    pairs = np.flatnonzero(keys[rank][1:] == keys[rank][:-1])
+    one, two = rank[pairs], rank[pairs + 1]
+    low = np.minimum(layer[owner[one]], layer[owner[two]])
+    apart = layer[owner[one]] != layer[owner[two]]
+    between = [faces[one[apart & (low == number)]] for number in range(len(gel.layers) - 1)]
+    return found, between
+
+
+def _patches(gel: Gel, points: Array, triangles: Array, reach: float) -> dict[str, Array]:
+    """Which of a surface's triangles (f, 3) are bonded, coated or, the rest, sides (f,)."""
+    x = points[triangles]
+    normal = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+    found = gel.patches(x, normal, reach)
+    return {**found, "sides": ~np.any(list(found.values()), axis=0)}
+
+
+def _drawn(gel: Gel, points: Array, tets: Array, facets: dict[str, Array], between: list[Array]) -> Array:
+    """Nodes of the boundary and of the interfaces drawn onto the true ones; what that would fold stays straight."""
+    new = points.copy()
+    vertices, triangles, _ = gel.surface(*FINE)
+    true = _patches(gel, vertices, triangles, 1e-6)
+    for name in ("sides", "bonded"):
+        there = np.unique(facets[name])
+        if len(there) and true[name].any():
+            new[there] = mesh_import.nearest(vertices, triangles[true[name]], new[there])
+    parts = [*zip(between, gel.interfaces[:-1], strict=True), (facets["coated"], 1.0)]
+    for which, part in parts:
+        there = np.unique(which)
+        new[there] = gel.at(float(part), new[there, :2])
+    return _unfolded(new, points, tets)
+
+
+def _unfolded(new: Array, old: Array, tets: Array) -> Array:
+    """The new points, but the middle nodes of tets that are folded by them back on their straight edges, and corners
+    where they were, as far as that takes."""
+    straight = nodal_volume(old, tets[:, :4]).min(1)
+    for corners_too in (False, True):
+        for _ in range(10):
+            least = nodal_volume(new, tets).min(1)
+            bad = tets[least <= FOLDED * straight]
+            if not len(bad):
+                return new
+            if corners_too:
+                corner = np.unique(bad[:, :4])
+                new[corner] = old[corner]
+            if tets.shape[1] == 10:
+                near = tets[np.isin(tets[:, :4], bad[:, :4]).any(1)] if corners_too else bad
+                new[near[:, 4:]] = new[near[:, TET_EDGES]].mean(2)
+    return new

@@ -1,0 +1,271 @@
+"""Benches: tables, plots and the page that they make, what a scene pays for, and that each of them runs."""
+
+import json
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from helpers import tiny
+from helpers.blocks import block
+from typer.testing import CliRunner
+
+from tacgen import bench
+from tacgen.bench import answers, calculix, kit, mechanics, pay, shorter, stability, summary
+from tacgen.bench.cases import PLAIN
+from tacgen.cli import app
+from tacgen.geometry.analytic_sdf import Sphere
+from tacgen.optics import camera_response
+from tacgen.scene import scene
+
+ROOT = Path(__file__).parents[2]
+runner = CliRunner()
+
+
+@pytest.fixture(autouse=True)
+def _own_cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TACGEN_CACHE_DIR", str(tmp_path_factory.getbasetemp() / "cache"))
+
+
+def result(seconds: float) -> kit.Result:
+    heads = kit.columns("method", "s: .2f", "error: +.1%")
+    curve = kit.Series("measured", [1.0, 2.0], [0.1, 0.05], ["a", "b"])
+    table = kit.Table("Runs", heads, [["fine | slow", seconds, -0.0125], ["none", None, None]], "A note.")
+    return kit.Result("What was done.", [table], [kit.Plot("Error", "s", "error", [curve])])
+
+
+def test_the_page_is_made_of_what_was_found(tmp_path: Path) -> None:
+    kit.write(tmp_path / "results", "mechanics", result(3.14159), 12.3)
+    kit.page(tmp_path / "results", ["mechanics", "stability"], tmp_path / "RESULTS.md", "Results", "Head.")
+    page = (tmp_path / "RESULTS.md").read_text()
+    assert "| fine \\| slow | 3.14 | -1.2% |" in page
+    assert "| none |  |  |" in page
+    assert "![mechanics](results/mechanics.png)" in page
+    assert "Stability" not in page
+    assert (tmp_path / "results" / "mechanics.png").stat().st_size > 5000
+    found = json.loads((tmp_path / "results" / "mechanics.json").read_text())
+    assert found["tables"][0]["rows"][0][1] == 3.14159  # in full
+    assert found["made"]["packages"]["numpy"] in page
+    assert found["made"]["date"] in page
+
+
+def test_a_part_made_again_leaves_the_others(tmp_path: Path) -> None:
+    for name, seconds in (("mechanics", 1.0), ("pay", 2.0), ("mechanics", 3.0)):
+        kit.write(tmp_path / "results", name, result(seconds), 1.0)
+        kit.page(tmp_path / "results", ["mechanics", "pay"], tmp_path / "RESULTS.md", "Results", "Head.")
+    page = (tmp_path / "RESULTS.md").read_text()
+    assert "| 3.00 |" in page
+    assert "| 2.00 |" in page
+    assert "| 1.00 |" not in page
+
+
+def test_pareto_front() -> None:
+    assert kit.front([1, 2, 3, 4, 1], [9, 5, 7, 2, 8]) == [4, 1, 3]
+
+
+def test_answers_are_compared_from_the_last_frame_back() -> None:
+    """One that went the way in more frames is compared where both have been."""
+    force = np.array([[0, 0, -1.0], [0.6, 0, -0.8]])
+    field = np.full((2, 3), 2.0)
+    made = answers.Answer(force, field, field, field, 1.0, 10, 0.0, 1.0, 5)
+    finer = replace(made, force=np.concatenate([[[0, 0, -9.0]], force * [1, 1, 1.1]]), pressure=field * 1.5)
+    error = made.apart(finer)
+    assert error.force == pytest.approx(0.1 / 1.1)  # the first frame; of the second, .08 / 1.065
+    assert error.pressure == pytest.approx(1 / 3)
+    assert (error.stress, error.markers) == (0, 0)
+
+
+def test_matter_inside_the_indenter_is_seen_between_nodes() -> None:
+    side = np.linspace(-1, 1, 3)
+    grid = block(side, side, np.linspace(-2, 0, 3))
+    pose = np.eye(4)
+    pose[:3, 3] = 0.5, 0.5, -0.3  # the lowest point of a small ball under the middle of a cell's face
+    problem = SimpleNamespace(mesh=grid, contact=SimpleNamespace(shape=Sphere(0.2)))
+    state = SimpleNamespace(x=grid.points, pose=pose, offset=0.0)
+    assert Sphere(0.2).distance(grid.points - pose[:3, 3])[0].min() > 0.3  # no node
+    assert stability.overlap(problem, state) == pytest.approx(0.15, abs=0.051)
+    state.offset = 0.3
+    assert stability.overlap(problem, state) == 0
+
+
+def test_shorter_frames_come_by_where_the_long_ones_end() -> None:
+    made = scene.build(answers.row_of((*PLAIN, *shorter.WAYS["rod twisted by 30 deg at once"])))
+    short = shorter.finer(made, 4)
+    assert (short.poses[3::4] == made.poses).all()
+    assert (short.segment[3::4] == made.segment).all()
+    steps = np.linalg.norm(np.diff(short.poses[11:], axis=0), axis=(1, 2))  # the twist
+    assert len(steps) == 4
+    assert steps == pytest.approx(steps.mean())
+
+
+def test_a_process_apart() -> None:
+    assert kit.apart("math:hypot", 3, 4) == 5.0
+    with pytest.raises(RuntimeError, match="math domain error"):
+        kit.apart("math:sqrt", -1)
+    fine, failed = kit.each_apart("math:sqrt", [(4,), (-1,)])
+    assert fine == 2.0
+    assert "math domain error" in str(failed)
+
+
+def test_a_bench_that_fails_is_said_and_the_others_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from tacgen.bench import cost, scaling
+
+    def fails(level: kit.Level, say: kit.Say) -> kit.Result:
+        raise ValueError("no such luck")
+
+    monkeypatch.setattr(cost, "bench", fails)
+    monkeypatch.setattr(scaling, "bench", lambda level, say: result(1.0))
+    said: list[str] = []
+    assert bench.run(["cost", "scaling"], tmp_path, "smoke", said.append) == ["cost"]
+    assert "no such luck" in "\n".join(said)
+    assert "## Scaling" in (tmp_path / "RESULTS.md").read_text()
+
+
+def test_an_unknown_bench_is_told(tmp_path: Path) -> None:
+    told = runner.invoke(app, ["bench", "speed", "-o", str(tmp_path)])
+    assert told.exit_code == 2
+    assert told.stderr.startswith("speed: must be one of mechanics, ")
+
+
+def test_a_references_noise_is_not_taken_for_an_error() -> None:
+    """However strong: it is ten times the error here, and a plain mean of squares would be 20 dB off."""
+    from tacgen.bench.optics import decibel
+
+    camera, rng = tiny.sensor(camera={"vignette_mm": None}).camera, np.random.default_rng(4)
+    truth = np.full((32, 40, 3), 0.2)
+    halves = [truth + 0.04 * rng.standard_normal(truth.shape) for _ in range(2)]
+    expected = -20 * np.log10(float(camera_response.slope(np.array(0.204))) * 0.004)
+    found, sure = decibel(1.02 * truth, halves, camera, noisy=False)
+    assert sure < 6
+    assert abs(found - expected) < 2 * sure
+    exact, _ = decibel(1.02 * truth, [truth, truth], camera, noisy=False)
+    assert exact == pytest.approx(expected, abs=1e-6)
+    plain = float(camera_response.srgb(np.array(0.204)) - camera_response.srgb(np.array(0.2)))
+    assert decibel(1.02 * truth, [truth, truth], camera, noisy=True)[0] == pytest.approx(-20 * np.log10(plain))
+
+
+def test_parts_of_a_reference_say_more_than_halves() -> None:
+    """Of as many paths: by a root of two at most, and without bias."""
+    from tacgen.bench.optics import decibel
+
+    camera, rng = tiny.sensor(camera={"vignette_mm": None}).camera, np.random.default_rng(5)
+    truth = np.full((32, 40, 3), 0.2)
+    parts = [truth + 0.04 * rng.standard_normal(truth.shape) for _ in range(8)]
+    halves = [np.mean(parts[:4], axis=0), np.mean(parts[4:], axis=0)]
+    expected, _ = decibel(1.02 * truth, [truth, truth], camera, noisy=False)
+    found, sure = decibel(1.02 * truth, parts, camera, noisy=False)
+    less = decibel(1.02 * truth, halves, camera, noisy=False)[1]
+    assert abs(found - expected) < 2 * sure
+    assert 0.65 * less < sure < 0.95 * less
+
+
+def test_chosen_pixels_stand_for_the_picture() -> None:
+    from tacgen.bench.optics import chosen, decibel
+
+    camera = tiny.sensor().camera  # 40 x 32
+    y, x = np.mgrid[:32, :40]
+    means = []
+    for seed in range(200):
+        windows = np.array(chosen(camera, 60, seed))
+        assert len(windows) == 63
+        means.append([windows[:, 0].mean(), windows[:, 1].mean()])
+    assert np.mean(means, axis=0) == pytest.approx([x.mean(), y.mean()], abs=0.05)
+    there = np.zeros((32, 40), bool)
+    there[windows[:, 1], windows[:, 0]] = True
+    assert there.sum() == 63  # each in a cell of its own
+    truth = np.where(there[..., None], 0.2, np.nan) * np.ones(3)
+    picture = np.where(there, 0.21, 0.9)[..., None] * np.ones(3)
+    only = decibel(np.full((32, 40, 3), 0.21), [truth, truth], camera, noisy=False)
+    assert decibel(picture, [truth, truth], camera, noisy=False) == only
+
+
+SLOW = {"optics"}
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n in SLOW else n for n in bench.BENCHES])
+def test_each_runs(name: str, tmp_path: Path) -> None:
+    told = runner.invoke(app, ["bench", name, "--smoke", "-o", str(tmp_path)])
+    assert told.exit_code == 0, told.stderr
+    found = json.loads((tmp_path / "results" / f"{name}.json").read_text())
+    assert found["tables"]
+    assert all(len(row) == len(table["columns"]) for table in found["tables"] for row in table["rows"])
+    assert f"## {name.capitalize()}" in (tmp_path / "RESULTS.md").read_text()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not calculix.installed(), reason="CalculiX (ccx) is not installed")
+def test_calculix_presses_as_it_did() -> None:
+    """1.000 N by finer meshes of CalculiX 2.20."""
+    from tacgen.bench.answers import row_of
+    from tacgen.bench.peers import PRESS
+    from tacgen.scene import scene
+
+    found = calculix.press(scene.build(row_of(PRESS)).gel, 4.0, 1.0, 0.9)
+    assert found.force == pytest.approx(1.0, rel=0.01)
+
+
+ALWAYS = {"numpy", "scipy", "numba", "h5py", "cvxopt", "pymetis"}
+UNASKED = {  # modules and packages that only this brings
+    "traction": {"tacgen.labels.contact_maps"},
+    "height": {"tacgen.optics.surface_grid"},
+    "stress": {"tacgen.labels.stress", "tacgen.fem.stress_recovery"},
+    "markers": {"tacgen.optics.material_flow", "tacgen.optics.surface_grid"},
+    "rgb": {"tacgen.render.images", "tacgen.render.mitsuba_path", "tacgen.optics.strip_light", "mitsuba", "drjit"},
+}
+EVER = set().union(
+    *UNASKED.values(), {"tacgen.contact.ipctk", "ipctk", "tacgen.fem.inertia", "PyfTetWildWrapper", "PIL", "matplotlib"}
+)
+SMALL = ["trajectory=[{press: {depth_mm: 0.5, frames: 1}}]", "quality={edge_mm: 1.2, dhat_mm: 0.08}"]
+
+
+@cache
+def used(output: str, friction: float) -> dict[str, list[str]]:
+    found: dict[str, list[str]] = kit.apart("tacgen.bench.pay:used", output, [*SMALL, f"contact.friction={friction}"])
+    return found
+
+
+@pytest.mark.parametrize("output", ["force", "stress", "markers"])
+def test_what_is_not_asked_for_is_not_imported(output: str) -> None:
+    found = used(output, 0)
+    asked = UNASKED.get(output, set())
+    loaded = {*found["modules"], *found["packages"]}
+    assert asked <= loaded
+    assert loaded.isdisjoint(EVER - asked)
+    assert set(found["packages"]) <= ALWAYS
+
+
+def test_what_is_not_asked_for_is_not_computed() -> None:
+    """Modules that are loaded anyway do nothing: without friction no anchor is dragged, and no mesh is one of tets."""
+    without, rubbing = (set(used("force", friction)["ran"]) for friction in (0, 0.5))
+    slips = {"tacgen.contact.friction:dragged", "tacgen.contact.coupled:CoupledContact.slip"}
+    assert slips <= rubbing - without
+    modules = {name.partition(":")[0] for name in without}
+    assert {"tacgen.labels.gel_surface", "tacgen.solve.foresee"} <= modules  # the wrench alone
+    unasked = ("geometry.sdf_grid", "labels.contact_maps", "labels.stress", "geometry.mesh_import", "scene.tet_mesh")
+    unasked += ("solve.force_control", "solve.full_newton", "solve.lagging", "solve.mesh_contact", "solve.newton")
+    assert modules.isdisjoint(f"tacgen.{name}" for name in unasked)
+
+
+def test_every_line_of_pay_is_a_scene() -> None:
+    for outputs, sets in pay.ASKED.values():
+        assert len(pay.rows_of(outputs, list(sets))) == 1
+
+
+def test_the_readme_says_what_the_results_say() -> None:
+    """`make bench` writes both; a README that was touched since, or a page without it, is told here."""
+    figures = (ROOT / "README.md").read_text().partition("<!-- figures: written by make bench -->\n")[2]
+    figures = figures.partition("\n<!-- end of figures -->")[0]
+    assert figures == summary.short(ROOT / "docs" / "results")
+    assert figures in (ROOT / "docs" / "RESULTS.md").read_text()
+
+
+def test_a_summary_leaves_out_what_is_not_there(tmp_path: Path) -> None:
+    row = ["gelsight_mini", "default", 5000, 10.0, 0.5, 0.0042, 0.041, 0.1, 0.02, 0.01]
+    heads = kit.columns("sensor", "quality", *mechanics.WORK, *mechanics.ERRORS, "area: +.1%")
+    kit.write(tmp_path, "mechanics", kit.Result("", [kit.Table("Presets on every sensor", heads, [row])]), 1.0)
+    kit.write(tmp_path, "stability", kit.Result("", [kit.Table("Together", kit.columns("scenes: d"), [[3]])]), 1.0)
+    told = summary.short(tmp_path)
+    assert "| force of `default` against `reference` | Mini 0.4% | mechanics |" in told
+    assert "stability" not in told

@@ -1,0 +1,375 @@
+"""Bundles: what is written is read, whole or not at all."""
+
+import errno
+import os
+import pickle
+import resource
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from helpers.synthetic import attributes, write
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from tacgen.bundle import atomic_file, schema
+from tacgen.bundle.bundle import Damaged, Unfinished, Writer, is_complete, read
+from tacgen.bundle.check import check
+from tacgen.bundle.schema import LAYOUT
+from tacgen.errors import UserError
+
+KEY = attributes()["input_key"]
+QUICK = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+
+def random_array(rng: np.random.Generator, dtype: str, shape: tuple[int, ...]) -> np.ndarray:
+    kind = np.dtype(dtype)
+    if kind.kind == "f":
+        return rng.normal(size=shape).astype(kind)
+    return rng.integers(0, 2 if kind.kind == "b" else 100, shape).astype(kind)
+
+
+@st.composite
+def contents(draw: st.DrawFn) -> tuple[int, int, dict[str, np.ndarray]]:
+    """(frames planned, frames written, arrays by path), any part of the layout at any size, no markers included."""
+    planned = draw(st.integers(1, 4))
+    written = draw(st.integers(0, planned))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32)))
+    sizes = {name: draw(st.integers(1 if name in "HWhw" else 0, 5)) for name in "HWhwMnm*"} | {"N": written}
+    paths = draw(st.sets(st.sampled_from(sorted(LAYOUT))))
+    arrays = {}
+    for path in paths:
+        shape = tuple(sizes[d] if isinstance(d, str) else d for d in LAYOUT[path].dims)
+        arrays[path.replace("*", draw(st.sampled_from(["coated", "bonded"])))] = random_array(
+            rng, LAYOUT[path].dtype, shape
+        )
+    return planned, written, arrays
+
+
+@QUICK
+@given(
+    contents(), st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=9), st.integers(0, 2**64 - 1)
+)
+def test_what_is_written_is_read(tmp_path: Path, content: tuple, text: str, seed: int) -> None:
+    planned, written, arrays = content
+    framed = {p: a for p, a in arrays.items() if p.startswith(("/frames/", "/fields/"))}
+    path = tmp_path / "x.h5"
+    with Writer(path, attributes(solver=text, seed=seed), planned) as writer:
+        for name in arrays.keys() - framed.keys():
+            writer.put(name, arrays[name])
+        for k in range(written):
+            writer.append({name: a[k] for name, a in framed.items()})
+        if written == planned:
+            writer.finish()
+        else:
+            writer.finish("rejected", f"frame {written} of {planned}: no")
+    found = read(path)
+    assert found.attrs["solver"] == text
+    assert found.attrs["seed"] == seed
+    assert found.recipe == attributes()["recipe"]
+    assert set(found.shapes) == {name for name in arrays if name not in framed or written}
+    for name in found.shapes:
+        assert found[name].dtype == arrays[name].dtype
+        np.testing.assert_array_equal(found[name], arrays[name])
+    if framed and written:
+        assert found.frames == written
+        name = min(framed)
+        np.testing.assert_array_equal(found.frame(name, written - 1), arrays[name][-1])
+    assert is_complete(path, KEY)
+    assert not is_complete(path, "another key")
+    assert os.listdir(tmp_path) == ["x.h5"]
+
+
+def test_the_same_inputs_give_the_same_bytes(tmp_path: Path) -> None:
+    first = write(tmp_path / "a.h5").read_bytes()
+    time.sleep(1.1)  # HDF5's time stamps count whole seconds
+    assert write(tmp_path / "elsewhere" / "b.h5").read_bytes() == first
+    assert write(tmp_path / "c.h5", seed=8).read_bytes() != first
+
+
+def test_any_hdf5_reads_it_and_every_dataset_says_what_it_is(tmp_path: Path) -> None:
+    with h5py.File(write(tmp_path / "x.h5")) as file:
+        force = file["frames/force"]
+        assert dict(force.attrs) == {"units": "N", "long_name": "force on the gel", "axes": "frame xyz"}
+        assert file["frames/rgb"].chunks == (1, *file["frames/rgb"].shape[1:])
+        assert file["frames/rgb"].compression == "gzip"
+        assert file["frames/rgb"].fletcher32
+        assert file["frames/rgb"].shuffle
+
+
+def test_a_bundle_pickles(tmp_path: Path) -> None:
+    found = pickle.loads(pickle.dumps(read(write(tmp_path / "x.h5"))))
+    assert found["/frames/force"].shape == (12, 3)
+    assert found.segments == ("press",) * 4 + ("slide",) * 3 + ("hold",) * 2 + ("twist",) * 3
+
+
+def test_the_page_is_the_table() -> None:
+    root = Path(__file__).parents[2]
+    made = subprocess.run(
+        [sys.executable, root / "scripts/bundle_page.py"], capture_output=True, text=True, check=True, env=environment()
+    )
+    assert (root / "docs/BUNDLE.md").read_text() == made.stdout, "run scripts/bundle_page.py > docs/BUNDLE.md"
+
+
+def environment() -> dict[str, str]:
+    """So that a child finds tacgen and the test's own modules, installed or not."""
+    return os.environ | {
+        "PYTHONPATH": os.pathsep.join([str(Path(__file__).parents[2]), str(Path(__file__).parents[1])])
+    }
+
+
+# -- a writer that dies ------------------------------------------------------------------------------------------------
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from helpers.synthetic import write
+
+def die_at(moment, folder):  # the moment-th call to the disk never returns
+    calls = []
+    for name in ("pwrite", "fsync", "replace", "ftruncate"):
+        def call(*args, real=getattr(os, name)):
+            calls.append(args)
+            if len(calls) == moment:
+                os.kill(os.getpid(), signal.SIGKILL)
+            return real(*args)
+        setattr(os, name, call)
+    write(folder / "x.h5", outputs=frozenset({"force", "rgb"}))
+    (folder / "calls").write_text(str(len(calls)))
+    os._exit(0)
+
+root = Path(sys.argv[1])
+os.waitpid(os.fork() or die_at(0, root / "0"), 0)
+count = int((root / "0" / "calls").read_text())
+for moment in {*range(1, count, count // 12), *range(count - 4, count + 1)}:
+    child = os.fork() or die_at(moment, root / str(moment))
+    assert os.WIFSIGNALED(os.waitpid(child, 0)[1])
+"""
+
+
+def test_a_killed_writer_leaves_nothing_that_looks_whole(tmp_path: Path) -> None:
+    """Killed at some calls to the disk from first to last: the last ones sync, rename and sync the folder."""
+    whole = write(tmp_path / "whole.h5", outputs=frozenset({"force", "rgb"})).read_bytes()
+    (tmp_path / "k").mkdir()
+    subprocess.run([sys.executable, "-c", KILLED, tmp_path / "k"], check=True, env=environment(), timeout=60)
+    folders = sorted((tmp_path / "k").iterdir(), key=lambda p: int(p.name))[1:]
+    assert len(folders) > 15
+    for folder in folders[:-1]:
+        (left,) = folder.iterdir()
+        assert atomic_file.is_part(left)
+        assert [f.level for f in check(folder)] == ["incomplete"]
+        assert not is_complete(folder / "x.h5", KEY)
+        renamed = left.rename(folder / "y.h5")  # as a person might
+        assert not is_complete(renamed, KEY) or renamed.read_bytes() == whole
+        renamed.rename(left)
+        with Writer(folder / "z.h5", attributes(), 1):  # the next writer sweeps
+            assert not left.exists()
+    assert (folders[-1] / "x.h5").read_bytes() == whole, "killed when only the folder was left to sync"
+
+
+def test_a_living_writer_is_not_swept_and_not_joined(tmp_path: Path) -> None:
+    with Writer(tmp_path / "x.h5", attributes(), 1) as first:
+        write(tmp_path / "y.h5")
+        assert sorted(os.listdir(tmp_path)) == [f"x.h5.part-{os.getpid()}", "y.h5"]
+        with pytest.raises(UserError, match="another writer"), Writer(tmp_path / "x.h5", attributes(), 1):
+            pass
+        first.append({"/frames/force": [1, 2, 3]})
+        first.finish()
+    assert read(tmp_path / "x.h5").frames == 1
+
+
+def test_leaving_without_finish_keeps_what_was_there(tmp_path: Path) -> None:
+    before = write(tmp_path / "x.h5").read_bytes()
+    with pytest.raises(ZeroDivisionError), Writer(tmp_path / "x.h5", attributes(), 1):
+        _ = 1 / 0
+    with Writer(tmp_path / "x.h5", attributes(), 1):
+        pass
+    assert os.listdir(tmp_path) == ["x.h5"]
+    assert (tmp_path / "x.h5").read_bytes() == before
+
+
+# -- a disk that is full -----------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def file_size_limit(size: int):
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+@pytest.mark.parametrize("part", [0.0, 0.1, 0.5, 0.9, 0.999])
+def test_a_file_that_may_not_grow(tmp_path: Path, part: float) -> None:
+    size = write(tmp_path / "whole" / "x.h5").stat().st_size
+    target = tmp_path / "full" / "x.h5"
+    with file_size_limit(int(part * size)), pytest.raises(OSError, match="File too large") as caught:
+        write(target)
+    assert caught.value.errno == errno.EFBIG
+    assert caught.value.filename == str(target)
+    assert os.listdir(target.parent) == []
+
+
+def test_a_full_disk(tmp_path: Path) -> None:
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=32k", "none", disk], capture_output=True).returncode:
+        pytest.skip("may not mount")
+    try:
+        script = f"import pathlib, synthetic\nsynthetic.write(pathlib.Path({str(disk)!r}) / 'x.h5')"
+        child = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=environment())
+        assert child.returncode == 1
+        assert child.stderr.splitlines()[-1] == f"OSError: [Errno 28] No space left on device: '{disk / 'x.h5'}'"
+        assert os.listdir(disk) == []
+    finally:
+        subprocess.run(["umount", disk], check=True)
+
+
+# -- a file that is not what it was ------------------------------------------------------------------------------------
+
+
+def test_a_truncated_file_is_refused(tmp_path: Path) -> None:
+    whole = write(tmp_path / "x.h5").read_bytes()
+    for size in [0, 7, 8, 100, len(whole) // 2, len(whole) - 1]:
+        (tmp_path / "x.h5").write_bytes(whole[:size])
+        with pytest.raises(UserError) as caught:
+            read(tmp_path / "x.h5").verify()
+        assert len(caught.value.lines) == 1
+        assert isinstance(caught.value, Damaged) == (size >= 8), "shorter, nobody can tell what it was"
+        assert [f.level for f in check(tmp_path / "x.h5")] == ["error"]
+
+
+def test_no_flipped_bit_goes_unseen(tmp_path: Path) -> None:
+    """Where a flip falls into bytes that mean nothing, the file still reads as it was; anywhere else it is refused."""
+    path = write(tmp_path / "x.h5", shape=(16, 16))
+    whole, digest = path.read_bytes(), read(path).attrs["digest"]
+    rng = np.random.default_rng(0)
+    refused = 0
+    for bit in rng.integers(0, 8 * len(whole), 120):
+        spoilt = bytearray(whole)
+        spoilt[bit // 8] ^= 1 << (bit % 8)
+        path.write_bytes(spoilt)
+        try:
+            found = read(path)
+            found.verify()
+        except UserError:
+            refused += 1
+        else:
+            assert found.attrs["digest"] == digest, bit
+    assert refused > 30
+
+
+def test_a_flipped_bit_in_an_image_is_seen_by_whoever_reads_it(tmp_path: Path) -> None:
+    path = write(tmp_path / "x.h5")
+    with h5py.File(path) as file:
+        chunk = file["frames/rgb"].id.get_chunk_info(5)
+    spoilt = bytearray(path.read_bytes())
+    spoilt[chunk.byte_offset + chunk.size // 2] ^= 1
+    path.write_bytes(spoilt)
+    found = read(path)
+    found.frame("/frames/rgb", 4)
+    with pytest.raises(UserError, match=r"x\.h5: damaged or cut short"):
+        found.frame("/frames/rgb", 5)
+    assert not is_complete(path, KEY)
+
+
+def change(path: Path, **attrs: object) -> None:
+    with h5py.File(path, "a") as file:
+        file.attrs.update(attrs)
+
+
+@pytest.mark.parametrize(
+    ("attrs", "message"),
+    [
+        ({"tacgen_format": 2}, r"bundle format 2, written by tacgen .*; this tacgen reads up to 1"),
+        ({"complete": False}, "unfinished: its writer was stopped"),
+        ({"seed": "seven"}, "damaged: attribute 'seed' is 'seven', expected int"),
+        ({"recipe": "{"}, "damaged"),
+        ({"solver": "a better one"}, "its contents do not match its digest"),
+    ],
+)
+def test_changed_attributes_are_refused(tmp_path: Path, attrs: dict, message: str) -> None:
+    change(write(tmp_path / "x.h5"), **attrs)
+    with pytest.raises(UserError, match=message) as caught:
+        read(tmp_path / "x.h5").verify()
+    assert len(caught.value.lines) == 1
+
+
+def test_a_writer_that_was_stopped_is_told_from_damage(tmp_path: Path) -> None:
+    change(write(tmp_path / "x.h5"), complete=False)
+    with pytest.raises(Unfinished):
+        read(tmp_path / "x.h5")
+    assert [f.level for f in check(tmp_path / "x.h5")] == ["incomplete"]
+
+
+def test_changed_data_are_refused_even_with_valid_checksums(tmp_path: Path) -> None:
+    path = write(tmp_path / "x.h5")
+    with h5py.File(path, "a") as file:
+        file["frames/force"][3, 2] += 1e-9
+    with pytest.raises(UserError, match="digest"):
+        read(path).verify()
+
+
+def test_what_is_no_bundle_is_refused_in_one_line(tmp_path: Path) -> None:
+    (tmp_path / "text.h5").write_text("hello")
+    h5py.File(tmp_path / "other.h5", "w").close()
+    for name, message in {
+        "text.h5": "not an HDF5 file",
+        "other.h5": "an HDF5 file, but no tacgen bundle",
+        "none.h5": "No such file or directory",
+        ".": "Is a directory",
+    }.items():
+        with pytest.raises(UserError, match=message) as caught:
+            read(tmp_path / name)
+        assert caught.value.lines == (f"{tmp_path / name}: {message}",)
+
+
+# -- a caller with a bug -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arrays", "message"),
+    [
+        ({"/frames/force": np.zeros(2)}, r"/frames/force has shape \(1, 2\), expected \(N, 3\)"),
+        ({"/frames/rgb": np.zeros((4, 4, 3))}, "Cannot cast"),
+        ({"/frames/colour": 1}, "format 1 has no dataset /frames/colour"),
+        ({"/mesh/points": np.zeros((1, 3))}, "put"),
+        ({"/frames/pressure": np.zeros((2, 3)), "/frames/height": np.zeros((3, 2))}, "expected"),
+    ],
+)
+def test_arrays_that_do_not_fit_the_layout(tmp_path: Path, arrays: dict, message: str) -> None:
+    with Writer(tmp_path / "x.h5", attributes(), 2) as writer, pytest.raises((ValueError, TypeError), match=message):
+        writer.append(arrays)
+
+
+def test_a_scene_is_not_ok_before_its_last_frame(tmp_path: Path) -> None:
+    with Writer(tmp_path / "x.h5", attributes(), 2) as writer:
+        writer.append({"/frames/force": np.zeros(3)})
+        for bad in [("ok", ""), ("rejected", ""), ("ok", "because"), ("fine", "")]:
+            with pytest.raises(ValueError, match="1 of 2 frames"):
+                writer.finish(*bad)
+        with pytest.raises(ValueError, match="other datasets"):
+            writer.append({"/frames/torque": np.zeros(3)})
+
+
+@pytest.mark.parametrize("attrs", [{"colour": "red"}, {"scene_index": "0"}, {"complete": True}])
+def test_attributes_outside_the_table(tmp_path: Path, attrs: dict) -> None:
+    with pytest.raises(ValueError, match=next(iter(attrs))):
+        Writer(tmp_path / "x.h5", attributes(**attrs), 1)
+
+
+def test_a_disk_that_lies_is_found_out_before_the_bundle_has_its_name(tmp_path: Path, monkeypatch) -> None:
+    real = os.pwrite
+    monkeypatch.setattr(atomic_file.os, "pwrite", lambda h, data, at: real(h, bytes(data[:-1]) + b"\x55", at))
+    with pytest.raises(OSError, match="does not read back") as caught:
+        write(tmp_path / "x.h5")
+    assert caught.value.errno == errno.EIO
+    assert os.listdir(tmp_path) == []
+    assert schema.FORMAT == 1

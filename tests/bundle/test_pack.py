@@ -1,0 +1,141 @@
+"""Packed scenes: the same data in fewer files, read by everything that reads bundles, and refused when incomplete."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from helpers.synthetic import write
+
+from tacgen import export
+from tacgen.bundle import dataset, pack
+from tacgen.bundle.check import check
+from tacgen.errors import UserError
+
+COUNT = 5
+
+
+@pytest.fixture
+def loose(tmp_path: Path) -> Path:
+    folder = tmp_path / "loose"
+    for i in range(COUNT):
+        write(folder / f"scene-{i:05d}.h5", scene_index=i, seed=i, values={"start.x_mm": i / 10})
+    write(folder / "scene-00009.h5", stop=3)
+    return folder
+
+
+def packed(loose: Path, size_mb: float = 0.2) -> Path:
+    found = pack.pack(dataset.scenes(loose), loose.parent / "packed", size_mb)
+    assert (found.scenes, found.left_out) == (COUNT, ("scene-00009",))
+    assert len(found.shards) > 1
+    return found.folder
+
+
+def test_scenes_are_the_same_in_and_out_of_shards(loose: Path):
+    there = dataset.scenes(packed(loose))
+    assert check(there[0].path.parent) == []
+    for before, after in zip(dataset.scenes(loose), there, strict=False):
+        assert before.attrs == after.attrs
+        assert before.shapes == after.shapes
+        assert before.verify() == after.verify()
+        assert np.array_equal(before.frame("/frames/rgb", 3), after.frame("/frames/rgb", 3))
+    assert len(export.bundles(loose.parent / "packed")) == COUNT
+    assert len(set(export.names(there))) == COUNT
+    index = json.loads((loose.parent / "packed" / "index.json").read_text())
+    assert index["scenes"][2]["values"] == {"start.x_mm": 0.2}
+
+
+def test_packing_twice_gives_the_same_bytes_and_a_pack_can_be_packed_again(loose: Path, tmp_path: Path):
+    one = packed(loose)
+    two = pack.pack(dataset.scenes(loose), tmp_path / "two", 0.2).folder
+    for path in [*one.glob("shard-*"), one / "index.json"]:  # frames.h5 carries the time at which HDF5 made it
+        assert path.read_bytes() == (two / path.name).read_bytes(), path.name
+    whole = pack.pack(dataset.scenes(one), tmp_path / "whole").folder
+    assert len(list(whole.glob("shard-*"))) == 1
+    assert [b.attrs["digest"] for b in dataset.scenes(whole)] == [b.attrs["digest"] for b in dataset.scenes(one)]
+
+
+def test_all_frames_as_one_dataset_from_any_folder(loose: Path):
+    folder = packed(loose)
+    program = """
+import sys, h5py, json
+with h5py.File(sys.argv[1]) as f:
+    i = int(sys.argv[2])
+    print(json.dumps([f["frames/force"].shape[0], f["frames/rgb"][i].sum().item(), f["frames/force"][i].tolist(),
+                      f["scenes"][f["scene"][i]].decode(), int(f["frame"][i])]))
+"""
+    n = dataset.scenes(folder)[0].frames
+    command = [sys.executable, "-c", program, str(folder / "frames.h5"), str(2 * n + 4)]
+    total, bright, force, name, frame = json.loads(subprocess.check_output(command, cwd="/"))
+    third = dataset.scenes(folder)[2]
+    assert (total, name, frame) == (COUNT * n, "scene-00002", 4)
+    assert force == third.frame("/frames/force", 4).tolist()
+    assert bright == third.frame("/frames/rgb", 4).sum() > 0
+
+
+def test_a_shard_that_is_missing_or_cut_is_named_by_every_reader_and_joined_by_none(loose: Path):
+    folder = packed(loose)
+    first, second = sorted(folder.glob("shard-*"))[:2]
+    second.write_bytes(second.read_bytes()[:-1])
+    os.unlink(first)
+    for reader in (dataset.scenes, export.bundles, pack.join):
+        with pytest.raises(UserError) as caught:
+            reader(folder)
+        assert [line.partition(": ")[0] for line in caught.value.lines] == [str(first), str(second)]
+    assert [f.level for f in check(folder)] == ["error", "error"]
+    with h5py.File(folder / "frames.h5") as file:
+        assert not file["frames/force"][0].any()  # why readers look first: HDF5 itself makes zeros of it
+
+
+def test_scenes_come_in_the_plans_order_beyond_five_digits(tmp_path: Path):
+    names = ["scene-00002.h5", "scene-99999.h5", "scene-100000.h5"]
+    for name in names:
+        (tmp_path / name).touch()
+    assert [path.name for path in dataset.files(tmp_path)] == names
+
+
+def test_a_flipped_bit_in_a_shard_is_found(loose: Path):
+    folder = packed(loose)
+    shard = min(folder.glob("shard-*"))
+    data = bytearray(shard.read_bytes())
+    data[len(data) // 2] ^= 4
+    shard.write_bytes(data)
+    assert {f.level for f in check(folder)} == {"error"}
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        ("{}", "no index of packed scenes"),
+        ("[1", "damaged"),
+        ('{"tacgen_pack": 2}', "pack format 2; this tacgen reads"),
+    ],
+)
+def test_a_foreign_or_newer_index_is_one_line(loose: Path, content: str, says: str):
+    folder = packed(loose)
+    (folder / "index.json").write_text(content)
+    with pytest.raises(UserError, match=says) as caught:
+        dataset.scenes(folder)
+    assert len(caught.value.lines) == 1
+
+
+def test_what_cannot_be_packed_is_said(loose: Path, tmp_path: Path):
+    with pytest.raises(UserError, match="holds a dataset already"):
+        pack.pack(dataset.scenes(loose), loose)
+    write(loose / "more" / "scene-00001.h5")
+    with pytest.raises(UserError, match="have the same name"):
+        pack.pack(dataset.scenes(loose), tmp_path / "out")
+    with pytest.raises(UserError, match="no finished scene to pack"):
+        pack.pack([b for b in dataset.scenes(loose) if b.attrs["status"] != "ok"], tmp_path / "out")
+    shard = packed_shard(loose, tmp_path)
+    with pytest.raises(UserError, match="no tacgen bundle: it holds packed scenes; give the folder it is in"):
+        dataset.scenes(shard)
+
+
+def packed_shard(loose: Path, tmp_path: Path) -> Path:
+    bundles = [b for b in dataset.scenes(loose) if b.path.parent == loose]
+    return pack.pack(bundles, tmp_path / "another").shards[0]

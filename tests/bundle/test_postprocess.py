@@ -1,0 +1,75 @@
+"""What follows from a bundle: invariants by closed forms, energy by the work done, stick and slip by their maps."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.synthetic import write
+
+from tacgen import pipeline
+from tacgen.bundle import bundle, postprocess
+from tacgen.errors import UserError
+from tacgen.recipe import plan
+
+RECIPE = """
+tacgen: 1
+name: small
+sensor: gelsight_mini
+indenter: {shape: cylinder, radius_mm: 3.0, fillet_mm: 0.8}
+trajectory:
+  - press: {depth_mm: 0.4, frames: 12}
+outputs: [stress]
+quality: {edge_mm: 1.2, dhat_mm: 0.05}
+"""
+
+
+@pytest.mark.parametrize(
+    ("stress", "mises", "principal", "pressure"),
+    [
+        ([5, 0, 0, 0, 0, 0], 5, [5, 0, 0], -5 / 3),  # tension
+        ([-2, -2, -2, 0, 0, 0], 0, [-2, -2, -2], 2),  # hydrostatic
+        ([0, 0, 0, 0, 0, 3], 3 * np.sqrt(3), [3, 0, -3], 0),  # shear xy
+        ([0, 0, 0, 3, 0, 0], 3 * np.sqrt(3), [3, 0, -3], 0),
+        ([1, 1, 4, 0, 2, 0], np.sqrt(21), [5, 1, 0], -2),  # xz
+    ],
+)
+def test_invariants(stress: list[float], mises: float, principal: list[float], pressure: float) -> None:
+    s = np.array(stress, "f4")
+    assert postprocess.von_mises(s) == pytest.approx(mises, abs=1e-6)
+    assert postprocess.principal(s) == pytest.approx(principal, abs=1e-6)
+    assert postprocess.hydrostatic(s) == pytest.approx(pressure, abs=1e-6)
+    assert postprocess.largest_shear(np.stack([s, s])) == pytest.approx(
+        [(principal[0] - principal[2]) / 2] * 2, abs=1e-6
+    )
+
+
+def test_contact_states(tmp_path: Path) -> None:
+    def edit(index: int, arrays: dict[str, np.ndarray]) -> None:
+        pressure = arrays["/frames/pressure"]
+        pressure[:, :4] = np.array([0.0, 0.001, 0.02, 0.02])
+        arrays["/frames/contact"] = pressure > 0.01
+        arrays["/frames/slip"] = arrays["/frames/contact"] & (np.arange(16) == 3)
+
+    found = postprocess.contact_state(bundle.read(write(tmp_path / "x.h5", edit=edit)), 2)
+    assert found[:, :4].tolist() == [[postprocess.FREE, postprocess.EDGE, postprocess.STICK, postprocess.SLIP]] * 12
+
+
+def test_energy_is_the_work_of_the_press(tmp_path: Path) -> None:
+    """What a frictionless indenter does on its way down, by the trapezium rule, is stored in the gel."""
+    path = tmp_path / "small.yaml"
+    path.write_text(RECIPE)
+    found = bundle.read(pipeline.run_scene(plan.load(path).rows[0], tmp_path / "out").path)
+    depth, force = -found["/frames/pose"][:, 2, 3], -found["/frames/force"][:, 2]
+    work = np.trapezoid([0.0, *force], [0.0, *depth])
+    energy = postprocess.strain_energy(found, 11)
+    assert energy.min() >= 0
+    assert energy.sum() == pytest.approx(work, rel=0.02)
+    nodes, layers, values = postprocess.stress_by_layer(found, 11)
+    assert (layers == 0).all()
+    order = nodes.argsort()
+    assert (values[order] == found["/fields/nodal_stress"][11]).all()
+
+
+def test_energy_needs_the_materials(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="says nothing of the sensor's materials"):
+        postprocess.strain_energy(bundle.read(write(tmp_path / "x.h5")), 0)

@@ -1,0 +1,221 @@
+"""Calibration by photographs: a unit that is known is found again; what cannot be used is told in one line."""
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.tiny import PLAIN, cloudy, sensor
+from PIL import Image
+from ruamel.yaml import YAML
+from typer.testing import CliRunner
+
+from tacgen import calibrate, cli
+from tacgen.calibrate import photos, press_faces
+from tacgen.errors import UserError
+from tacgen.optics.camera import Camera
+from tacgen.optics.hertz_dent import BallDent
+from tacgen.optics.scattering import gain as response_of
+from tacgen.recipe import loading
+from tacgen.recipe.sensor import Sensor
+from tacgen.render import images, mitsuba_variants
+
+FINE = {"mm_per_px": 0.1, "width_px": 80, "height_px": 64}
+PRESSES = ((4.0, (30, 28), 15.0), (3.0, (52, 40), 14.0), (4.0, (45, 20), 15.0), (5.0, (25, 45), 16.0))  # ball, px, px
+
+
+def photographed(unit: Sensor, folder: Path, presses: Any = PRESSES) -> Path:
+    """A folder of photographs of a unit, with its noise if it has any."""
+    made, camera = images.Renderer(unit, 64, 0, False, mitsuba_variants.SCALAR), Camera.from_sensor(unit)
+    folder.mkdir(exist_ok=True)
+    Image.fromarray(made.develop(made.flat())).save(folder / "background.png")
+    with (folder / "presses.csv").open("w", newline="") as file:
+        table = csv.writer(file)
+        table.writerow(["file", "ball_radius_mm", "x_px", "y_px", "contact_radius_px"])
+        for k, (ball, center, contact) in enumerate(presses):
+            dent = BallDent.seen(camera, ball, center, contact)
+            Image.fromarray(made.develop(made.image(dent))).save(folder / f"press_{k}.png")
+            table.writerow([f"press_{k}.png", ball, *center, contact])
+    return folder
+
+
+def written(made: Sensor, path: Path) -> Path:
+    """A sensor file, with a comment."""
+    with path.open("w") as file:
+        file.write("# a unit of ours\n")
+        YAML().dump(json.loads(made.model_dump_json(exclude_none=True)), file)
+    return path
+
+
+@pytest.fixture(scope="module")
+def nominal(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return written(sensor(camera=FINE, markers=None), tmp_path_factory.mktemp("sensor") / "nominal.yaml")
+
+
+def test_powers_colours_and_stray_light_of_a_known_unit_are_found(nominal: Path, tmp_path: Path) -> None:
+    true = ([11.0, 0.5, 0.0], [0.0, 7.0, 1.0], [0.3, 0.0, 9.9])
+    leds = [{**led, "radiance": light} for led, light in zip(PLAIN["leds"], true, strict=True)]
+    unit = sensor(leds=leds, camera={**FINE, "ambient": [0.01, 0.02, 0.03]}, markers=None)
+    done = CliRunner().invoke(
+        cli.app,
+        ["calibrate", "optics", "--sensor", str(nominal), "--images", str(photographed(unit, tmp_path / "unit")),
+         "--tolerance-mm", "0", "-o", str(tmp_path / "mine.yaml")],
+    )  # fmt: skip
+    assert done.exit_code == 0, done.output
+    assert "change under press_2.png, held out: off by" in done.stdout
+    mine, _ = loading.read_sensor(tmp_path / "mine.yaml")
+    for led, light in zip(mine.leds, true, strict=True):
+        assert led.radiance == pytest.approx(light, rel=0.03, abs=0.1)
+        assert (
+            led.source == "fitted to an untouched picture and 4 presses of one unit (unit) by tacgen calibrate optics"
+        )
+    assert mine.camera.ambient == pytest.approx((0.01, 0.02, 0.03), abs=0.003)
+    assert (tmp_path / "mine.yaml").read_text().startswith("# a unit of ours\n")
+    assert mine.leds[0].center_mm == tuple(PLAIN["leds"][0]["center_mm"])
+
+
+def test_lights_that_sit_elsewhere_are_found_by_the_presses(nominal: Path, tmp_path: Path) -> None:
+    moved = [
+        {**PLAIN["leds"][0], "center_mm": [0.3, -4.8, -2.35], "radiance": [10.8, 0, 0]},
+        {**PLAIN["leds"][1], "center_mm": [5.8, -0.3, -1.8], "radiance": [0, 8.1, 0]},
+        PLAIN["leds"][2],
+    ]
+    unit = sensor(leds=moved, camera={**FINE, "noise": {"shot": 1e-4, "read": 0.002, "source": "t"}}, markers=None)
+    folder = photographed(unit, tmp_path / "unit")
+    still, free = (calibrate.optics(str(nominal), folder, calibrate.Asked(mm, 5.0, steps=3)).fitted for mm in (0, 0.5))
+    assert free.untouched < 0.5 * still.untouched
+    assert free.held_out < 0.8 * still.held_out
+    assert free.untouched < 1.0
+    powers = [sum(led.radiance) for led in free.sensor.leds]
+    assert powers == pytest.approx([10.8, 8.1, 9.0], rel=0.08)
+
+
+def test_a_background_alone_gives_powers(nominal: Path, tmp_path: Path) -> None:
+    unit = sensor(leds=[{**led, "power": 1.2} for led in PLAIN["leds"]], camera=FINE, markers=None)
+    folder = photographed(unit, tmp_path / "unit", ())
+    (folder / "presses.csv").unlink()
+    found = calibrate.optics(str(nominal), folder)
+    assert [sum(led.radiance) for led in found.fitted.sensor.leds] == pytest.approx([10.8] * 3, rel=0.03)
+    assert found.fitted.presses is found.fitted.held_out is None
+    assert ("leds", 0, "center_mm") not in found.changes
+
+
+def test_dots_are_left_out(tmp_path: Path) -> None:
+    dotted = sensor(camera=FINE)
+    path = written(dotted, tmp_path / "dotted.yaml")
+    unit = sensor(leds=[{**led, "power": 0.8} for led in PLAIN["leds"]], camera=FINE)
+    made = images.Renderer(unit, 64, 0, True, mitsuba_variants.SCALAR)
+    Image.fromarray(made.develop(made.flat())).save(tmp_path / "background.png")
+    found = calibrate.optics(str(path), tmp_path).fitted
+    assert [sum(led.radiance) for led in found.sensor.leds] == pytest.approx([7.2] * 3, rel=0.04)
+    blind = calibrate.optics(str(path), tmp_path, calibrate.Asked(bare=True))
+    assert blind.fitted.untouched > 4 * found.untouched
+    assert blind.changes["markers",] is None
+
+
+def test_a_gel_that_scatters(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TACGEN_CACHE_DIR", str(tmp_path / "cache"))
+    monkeypatch.setattr("tacgen.calibrate.fit_scattering.SPP", 6)
+    panel = {**cloudy().leds[0].model_dump(), "size_mm": [6, 10]}
+    leds = [{**panel, "name": name, "center_mm": [x, 0, -4.35]} for name, x in (("left", -3), ("right", 3))]
+    path = written(cloudy(leds=leds), tmp_path / "cloudy.yaml")
+    unit = cloudy(leds=[{**leds[0], "radiance": [2.4, 2, 2]}, {**leds[1], "power": 0.7}])
+    made = images.Renderer(unit, 6, 0, False)
+    (tmp_path / "unit").mkdir()
+    Image.fromarray(made.develop(made.flat())).save(tmp_path / "unit" / "background.png")
+    found = calibrate.optics(str(path), tmp_path / "unit").fitted
+    assert np.array([led.radiance for led in found.sensor.leds]) == pytest.approx(
+        np.array([[2.4, 2, 2], [1.4, 1.4, 1.4]]), rel=0.03
+    )
+    assert found.untouched < 1 < found.before
+
+
+@pytest.mark.slow
+def test_the_response_to_thickness_is_found_by_solved_presses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Photographs of a unit whose press is 4 % deeper than its table says."""
+    monkeypatch.setattr("tacgen.calibrate.fit_scattering.SPP", 6)
+    monkeypatch.setattr("tacgen.calibrate.fit_scattering.FACTORS", (0.96, 1.0, 1.04))
+    table = {"change_mm": (-1.0, 0.0, 0.3), "gain": ((0.6, 0.7, 0.8), (1, 1, 1), (1.3, 1.2, 1.1)), "source": "test"}
+    camera = {"width_px": 80, "height_px": 64, "mm_per_px": 0.1, "vignette_mm": None}
+    path = written(cloudy(camera=camera), tmp_path / "cloudy.yaml")
+    unit = Sensor.model_validate(cloudy(camera=camera).model_dump() | {"thickness_response": table})
+    folder = photographed(unit, tmp_path / "unit", ())
+    press = photos.Press("press.png", np.zeros(0), 3.0, (42.0, 30.0), None, 0.8)
+    made = images.Renderer(unit, 6, 0, False)
+    (face,) = press_faces.solved(unit, press, [0.832], {})
+    Image.fromarray(made.develop(made.image(face))).save(folder / "press.png")
+    (folder / "presses.csv").write_text("file,ball_radius_mm,x_px,y_px,depth_mm\npress.png,3.0,42,30,0.8\n")
+    found = calibrate.optics(str(path), folder).fitted
+    assert found.deeper == 1.04
+    assert found.presses < 1.5
+    gain = found.sensor.thickness_response
+    reached = np.array([change for change in gain.change_mm if -0.7 < change < 0.1])
+    assert response_of(gain, reached) == pytest.approx(response_of(unit.thickness_response, reached), abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "says"),
+    [
+        (lambda p: (p / "background.png").unlink(), "holds no background.png"),
+        (lambda p: Image.new("RGB", (64, 64), (90, 90, 90)).save(p / "background.png"), "is 64 x 64, and the camera's"),
+        (
+            lambda p: Image.new("RGB", (80, 64), (255, 90, 90)).save(p / "press_0.png"),
+            "press_0.png: 100 % of its pixels",
+        ),
+        (lambda p: Image.new("RGB", (80, 64), (2, 1, 1)).save(p / "press_0.png"), "press_0.png: is dark"),
+        (lambda p: (p / "press_1.png").write_text("no"), "press_1.png: is no picture that can be read"),
+        (lambda p: (p / "press_1.png").unlink(), "press_1.png: cannot be read: no such file"),
+        (
+            lambda p: _swap(p, "ball_radius_mm", "radius"),
+            "presses.csv: has no column ball_radius_mm (its header: file,",
+        ),
+        (lambda p: _swap(p, "contact_radius_px", "c"), "presses.csv: has no column contact_radius_px or depth_mm"),
+        (lambda p: _swap(p, "3.0,52", "-3.0,52"), "presses.csv:3: ball_radius_mm: must be a number greater than 0"),
+        (
+            lambda p: _swap(p, "3.0,52", "x,52"),
+            "presses.csv:3: ball_radius_mm: must be a number greater than 0 (got 'x')",
+        ),
+        (lambda p: _swap(p, "3.0,52", "3.0,152"), "presses.csv:3: (152, 40) lies outside the picture"),
+        (lambda p: _swap(p, "40,14.0", "40,"), "presses.csv:3: must hold exactly one of contact_radius_px, depth_mm"),
+        (
+            lambda p: _swap(p, "40,14.0", "40,31"),
+            "presses.csv:3: contact_radius_px: is 3.1 mm, and the ball's radius 3.0",
+        ),
+        (lambda p: _swap(p, "press_1.png", ""), "presses.csv:3: file: is missing"),
+        (lambda p: (p / "presses.csv").write_bytes(b"\xff\xfe\x00"), "presses.csv: is no table"),
+    ],
+)
+def test_what_cannot_be_used_is_told_in_one_line(nominal: Path, tmp_path: Path, spoil: Any, says: str) -> None:
+    for name in ("background.png", *(f"press_{k}.png" for k in range(4))):
+        Image.new("RGB", (80, 64), (90, 90, 90)).save(tmp_path / name)
+    rows = [f"press_{k}.png,{ball},{x},{y},{a}" for k, (ball, (x, y), a) in enumerate(PRESSES)]
+    (tmp_path / "presses.csv").write_text("\n".join(["file,ball_radius_mm,x_px,y_px,contact_radius_px", *rows]))
+    spoil(tmp_path)
+    with pytest.raises(UserError) as told:
+        calibrate.optics(str(nominal), tmp_path)
+    (line,) = told.value.lines
+    assert says in line
+
+
+def test_a_folder_or_lights_that_are_not_there(nominal: Path, tmp_path: Path) -> None:
+    done = CliRunner().invoke(
+        cli.app, ["calibrate", "optics", "--sensor", str(nominal), "--images", str(tmp_path / "none")]
+    )
+    assert (done.exit_code, done.stderr) == (2, f"{tmp_path / 'none'}: no such folder\n")
+    dark = {
+        k: v
+        for k, v in json.loads(sensor().model_dump_json(exclude_none=True)).items()
+        if k not in ("leds", "walls", "coating", "plate")
+    }
+    with (tmp_path / "dark.yaml").open("w") as file:
+        YAML().dump(dark, file)
+    with pytest.raises(UserError, match="plate: is missing: a fit starts from a file with all its lights"):
+        calibrate.optics(str(tmp_path / "dark.yaml"), tmp_path)
+
+
+def _swap(folder: Path, old: str, new: str) -> None:
+    table = folder / "presses.csv"
+    assert old in table.read_text()
+    table.write_text(table.read_text().replace(old, new))

@@ -1,0 +1,106 @@
+"""Bundles in the formats of other tools, read back by those tools where they are installed."""
+
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from helpers.synthetic import write
+from typer.testing import CliRunner
+
+from tacgen import cli
+from tacgen.bundle.bundle import read
+from tacgen.errors import UserError
+from tacgen.export import EXPORTERS, export
+
+Array = np.ndarray
+
+
+@pytest.fixture
+def source(tmp_path: Path) -> Path:
+    """A folder with a finished scene, another of the same name, and a rejected one."""
+    for name in ("one", "two", "none"):
+        (tmp_path / "in" / name).mkdir(parents=True)
+    write(tmp_path / "in" / "one" / "scene.h5", edit=_tell_components_apart)
+    write(tmp_path / "in" / "two" / "scene.h5", edit=_tell_components_apart)
+    write(tmp_path / "in" / "none" / "scene.h5", stop=3)
+    return tmp_path / "in"
+
+
+def _tell_components_apart(index: int, arrays: dict[str, Array]) -> None:
+    arrays["/fields/nodal_stress"] = np.arange(48.0).reshape(8, 6) + 100 * index
+    arrays["/fields/cauchy_stress"] = np.arange(6.0)[None] + 10 * index
+
+
+@pytest.fixture
+def vtkhdf(source: Path, tmp_path: Path) -> Path:
+    return export("vtkhdf", source / "one", tmp_path / "x.vtkhdf")[0]
+
+
+def test_the_command_writes_a_file_a_scene(source: Path, tmp_path: Path) -> None:
+    done = CliRunner().invoke(cli.app, ["export", "vtkhdf", str(source), "-o", str(tmp_path / "out")])
+    assert done.exit_code == 0, done.output
+    made = [tmp_path / "out" / f"{name}-scene.vtkhdf" for name in ("one", "two")]
+    assert done.stdout.split() == [str(path) for path in made]
+    assert sorted((tmp_path / "out").iterdir()) == made
+
+
+def test_what_cannot_be_exported_is_told_in_a_line(source: Path, tmp_path: Path) -> None:
+    for args, words in (
+        (("excel", str(source)), f"excel: unknown format, use one of {', '.join(EXPORTERS)}"),
+        (("vtkhdf", str(tmp_path / "no")), "no such file or folder"),
+        (("vtkhdf", str(source / "none")), "no finished scene to export"),
+    ):
+        done = CliRunner().invoke(cli.app, ["export", *args, "-o", str(tmp_path / "out")])
+        assert done.exit_code == 2
+        assert len(done.stderr.splitlines()) == 1
+        assert words in done.stderr
+    bare = write(tmp_path / "bare.h5", outputs=frozenset({"force"}))
+    with pytest.raises(UserError, match="has no /mesh/points: the recipe's outputs need stress"):
+        export("vtkhdf", bare, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_vtkhdf_is_laid_out_as_specified(vtkhdf: Path, source: Path) -> None:
+    frames = read(source / "one" / "scene.h5").frames
+    with h5py.File(vtkhdf) as file:
+        root = file["VTKHDF"]
+        assert root.attrs["Type"] == b"UnstructuredGrid"
+        assert h5py.h5a.open(root.id, b"Type").get_type().get_cset() == h5py.h5t.CSET_ASCII
+        assert tuple(root.attrs["Version"]) == (2, 2)
+        assert root["Connectivity"].shape == (8,)
+        assert root["Offsets"][:].tolist() == [0, 8]
+        assert root["Types"][:].tolist() == [12]
+        assert root["Steps"].attrs["NSteps"] == frames
+        assert root["PointData/displacement"].shape == (8 * frames, 3)
+        assert root["Steps/PointDataOffsets/displacement"][:].tolist() == [8 * k for k in range(frames)]
+
+
+def test_vtkhdf_gives_the_same_bytes_twice(source: Path, vtkhdf: Path, tmp_path: Path) -> None:
+    assert export("vtkhdf", source / "one", tmp_path / "y.vtkhdf")[0].read_bytes() == vtkhdf.read_bytes()
+
+
+def test_vtk_reads_every_step(vtkhdf: Path, source: Path) -> None:
+    """Points, cells, displacement, and both stresses with VTK's own names of the components."""
+    pytest.importorskip("vtk")
+    from vtkmodules.util.numpy_support import vtk_to_numpy
+    from vtkmodules.vtkIOHDF import vtkHDFReader
+
+    bundle = read(source / "one" / "scene.h5")
+    reader = vtkHDFReader()
+    reader.SetFileName(str(vtkhdf))
+    reader.UpdateInformation()
+    assert reader.GetNumberOfSteps() == bundle.frames
+    for k in range(bundle.frames):
+        reader.SetStep(k)
+        reader.Update()
+        grid = reader.GetOutputAsDataSet()
+        assert grid.GetCellType(0) == 12
+        assert [grid.GetCell(0).GetPointId(i) for i in range(8)] == bundle["/mesh/cells"][0].tolist()
+        assert vtk_to_numpy(grid.GetPoints().GetData()) == pytest.approx(bundle["/mesh/points"])
+        found = {name: vtk_to_numpy(grid.GetPointData().GetArray(name)) for name in ("displacement", "stress")}
+        assert (found["displacement"] == bundle.frame("/fields/displacement", k)).all()
+        xx, yy, zz, yz, xz, xy = bundle.frame("/fields/nodal_stress", k).T
+        assert (found["stress"] == np.stack([xx, yy, zz, xy, yz, xz], 1)).all()
+        assert vtk_to_numpy(grid.GetCellData().GetArray("element_stress"))[0, 3] == 5 + 10 * k
+        assert vtk_to_numpy(grid.GetCellData().GetArray("layer")).tolist() == [0]

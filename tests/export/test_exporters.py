@@ -1,0 +1,252 @@
+"""Files of other tools, read back by their own loader where it is installed, and by its rules where it is not."""
+
+import io
+import json
+import tarfile
+import warnings
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from helpers.synthetic import OUTPUTS, write
+from PIL import Image
+
+from tacgen import export
+from tacgen.bundle import dataset, pack
+from tacgen.bundle.bundle import Bundle, read
+from tacgen.errors import UserError
+from tacgen.export import feats, lerobot, univtac
+from tacgen.recipe import assets, loading
+
+SENSOR = loading.read_sensor(assets.sensor_path("gelsight_mini"))[0].model_dump(mode="json", exclude_none=True)
+SHAPE = (240, 320)
+FRAMES = 12
+
+
+def real(index: int, arrays: dict[str, Any]) -> None:
+    """The force spread over the pressure's samples, so that their sum is the force; a gel that bulges beside."""
+    arrays["/frames/height"][0] = 0.02
+    weights = arrays["/frames/pressure"] / arrays["/frames/pressure"].sum()
+    arrays["/frames/force_map"] = weights[..., None] * arrays["/frames/force"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("export") / "loose"
+    for i in range(2):
+        known = {"scene_index": i, "values": {"start.x_mm": i / 2}, "sensor_document": SENSOR}
+        write(out / f"scene-{i:05d}.h5", shape=SHAPE, outputs=OUTPUTS, edit=real, **known)
+    write(out / "scene-00009.h5", stop=3)
+    return out
+
+
+@pytest.fixture(scope="module")
+def scene(folder: Path) -> Bundle:
+    return read(folder / "scene-00001.h5")
+
+
+def test_feats_gets_forces_by_cell_that_sum_to_the_force(folder: Path, scene: Bundle, tmp_path: Path):
+    made = export.export("feats", folder, tmp_path)
+    assert len(made) == 2 * FRAMES + 1
+    root = f"{tmp_path}/train/"  # what FEATSDataset(root_dir, norm_file) does with the paths
+    norm = np.load(str(Path(root).parent.parent / tmp_path.name / "normalization.npy"), allow_pickle=True).item()
+    for k in range(FRAMES):
+        data = np.load(f"{root}scene-00001_{k:05d}.npy", allow_pickle=True).item()
+        assert list(data) == ["gs_img", "grid_x", "grid_y", "grid_z", "f_x", "f_y", "f_z"]
+        assert np.array_equal(data["gs_img"], scene.frame("/frames/rgb", k))
+        assert np.stack([data[f"grid_{a}"] for a in "xyz"], 2).shape == (24, 32, 3)
+        force = scene.frame("/frames/force", k)
+        assert [data["f_x"], data["f_y"], data["f_z"]] == pytest.approx(force * [-1, -1, 1], rel=1e-5, abs=1e-9)
+        assert data["grid_z"].max() <= 0  # negative in compression
+        for key in norm:
+            assert norm[key]["min"] <= np.min(data[key]) <= np.max(data[key]) <= norm[key]["max"]
+    pressed = np.argwhere(data["grid_z"] < 0.5 * data["grid_z"].min()).mean(0) + 0.5
+    pressure = scene.frame("/frames/pressure", FRAMES - 1)
+    middle = np.argwhere(pressure > 0.5 * pressure.max()).mean(0) + 0.5
+    assert pressed / (24, 32) == pytest.approx(middle / pressure.shape, abs=0.02)
+
+
+def test_shares_lose_nothing_whatever_the_sizes():
+    for n, cells in ((240, 24), (60, 24), (7, 24), (24, 24), (100, 32)):
+        found = feats.shares(n, cells)
+        assert found.shape == (cells, n)
+        assert found.sum(0) == pytest.approx(1.0)
+        assert found.sum(1) == pytest.approx(n / cells)
+
+
+def test_feats_refuses_other_image_sizes(tmp_path: Path):
+    write(tmp_path / "scene-00000.h5", edit=real)
+    with pytest.raises(UserError, match="FEATS takes images of 240 x 320 pixels, these have 48 x 64"):
+        export.export("feats", tmp_path, tmp_path / "out")
+
+
+def opened(value: bytes) -> np.ndarray:
+    """As cv2.imdecode gives it: blue first."""
+    return np.asarray(Image.open(io.BytesIO(value)))[..., ::-1]
+
+
+def test_univtac_reads_images_markers_depths_and_poses(folder: Path, scene: Bundle, tmp_path: Path):
+    made = export.export("univtac", folder, tmp_path)
+    assert [path.relative_to(tmp_path).as_posix() for path in made] == ["hdf5/0.hdf5", "hdf5/1.hdf5", "metadata.json"]
+    with h5py.File(made[1]) as file:
+        tactile = file["tactile/left_tactile"]
+        images = np.array([opened(value) for value in tactile["rgb"][()]])
+        assert images.shape == (FRAMES, *SHAPE, 3)
+        error = images.astype(int) - scene["/frames/rgb"]
+        assert abs(error).mean() < 3  # JPEG, of noise; blue for red would be tens
+        assert abs(error.mean((0, 1, 2))).max() < 1
+        markers = tactile["marker"][()]
+        assert markers.shape == (FRAMES, 2, 63, 2)
+        assert np.allclose(markers[:, 1] - markers[:, 0], scene["/frames/marker_flow"], atol=1e-4)
+        assert np.array_equal(tactile["press_depth"][()], np.maximum(-scene["/frames/height"], 0))
+        assert (tactile["depth"][()] > 5).all()  # mm from the pinhole, which is below the gel
+        assert np.ptp(tactile["depth"][()]) == pytest.approx(np.ptp(scene["/frames/height"]), rel=1e-5)
+        assert np.array_equal(tactile["force"][()], scene["/frames/force"])
+        pose = file["actor/indenter"][()]
+        assert pose[:, :3] == pytest.approx(scene["/frames/pose"][:, :3, 3] / 1000)
+        half = np.arccos(np.clip(scene["/frames/pose"][:, 0, 0], -1, 1)) / 2
+        assert pose[:, 3:] == pytest.approx(np.stack([np.cos(half), 0 * half, 0 * half, np.sin(half)], 1))
+        assert file["step"][()].tolist() == list(range(FRAMES))
+        assert file["atom/tag"][()].astype(str).tolist() == list(scene.segments)
+        assert set(file) == {"actor", "atom", "step", "tactile"}
+    assert json.loads(made[-1].read_text())["1"]["scene"] == "scene-00001"
+
+
+def test_opencv_sees_the_colours_it_was_given():
+    cv2 = pytest.importorskip("cv2")
+    image = np.zeros((1, 16, 16, 3), np.uint8)
+    image[..., 0] = 200
+    (stream,) = univtac.streams(image)
+    assert abs(cv2.imdecode(np.frombuffer(stream, np.uint8), cv2.IMREAD_COLOR).mean((0, 1)) - [200, 0, 0]).max() < 4
+
+
+def test_webdataset_streams_what_the_bundles_hold(folder: Path, scene: Bundle, tmp_path: Path):
+    webdataset = pytest.importorskip("webdataset")
+    made = export.export("webdataset", folder, tmp_path / "one")
+    assert made[0].name == "shard-000000.tar"
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of a single shard, and its own deprecations
+        data = webdataset.WebDataset(str(made[0]), shardshuffle=False).decode("rgb8")
+        found = {sample["__key__"]: sample for sample in data}
+    assert list(found) == [f"scene-{i:05d}-{k:05d}" for i in range(2) for k in range(FRAMES)]
+    sample = found["scene-00001-00007"]
+    assert np.array_equal(sample["rgb.png"], scene.frame("/frames/rgb", 7))
+    for name in ("force", "pressure", "marker_flow", "pose", "contact"):
+        assert np.array_equal(sample[f"{name}.npy"], scene.frame(f"/frames/{name}", 7))
+    assert sample["json"]["values"] == {"start.x_mm": 0.5}
+    assert (sample["json"]["frame"], sample["json"]["segment"]) == (7, scene.segments[7])
+    reference = np.asarray(Image.open(tmp_path / "one" / "reference" / "scene-00001.png"))
+    assert np.array_equal(reference, scene["/reference/rgb"])
+    (tmp_path / "two").mkdir()
+    (tmp_path / "two" / "shard-000007.tar").write_bytes(b"of an earlier, larger export")
+    again = export.export("webdataset", folder, tmp_path / "two")
+    assert [path.name for path in again if path.suffix == ".tar"] == ["shard-000000.tar"]
+    assert made[0].read_bytes() == again[0].read_bytes()
+    with tarfile.open(made[0]) as tar:
+        assert {member.mtime for member in tar} == {0}
+
+
+def test_lerobot_tables_agree_with_each_other_and_with_the_bundles(folder: Path, scene: Bundle, tmp_path: Path):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    export.export("lerobot", folder, tmp_path)
+    info = json.loads((tmp_path / "meta" / "info.json").read_text())
+    assert (info["codebase_version"], info["total_episodes"], info["total_frames"]) == ("v3.0", 2, 2 * FRAMES)
+    episodes = parquet.read_table(tmp_path / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
+    assert [(e["dataset_from_index"], e["dataset_to_index"]) for e in episodes] == [(0, FRAMES), (FRAMES, 2 * FRAMES)]
+    last = episodes[1]
+    path = info["data_path"].format(chunk_index=last["data/chunk_index"], file_index=last["data/file_index"])
+    table = parquet.read_table(tmp_path / path)
+    assert set(table.column_names) == set(info["features"])
+    rows = table.to_pylist()[last["dataset_from_index"] : last["dataset_to_index"]]
+    assert [row["index"] for row in rows] == list(range(FRAMES, 2 * FRAMES))
+    assert [row["timestamp"] for row in rows] == pytest.approx(np.arange(FRAMES) / info["fps"])
+    for row in rows:
+        k = row["frame_index"]
+        image = np.asarray(Image.open(io.BytesIO(row["observation.images.tactile"]["bytes"])))
+        assert np.array_equal(image, scene.frame("/frames/rgb", k))
+        assert row["observation.force"] == pytest.approx(scene.frame("/frames/force", k), rel=1e-6)
+        assert len(row["observation.markers"]) == 126
+        assert row["action"] == rows[min(k + 1, FRAMES - 1)]["observation.state"]
+    for name, feature in info["features"].items():
+        if name in ("observation.force", "action", "observation.state"):
+            assert table.schema.field(name).type.list_size == feature["shape"][0]
+    stats = json.loads((tmp_path / "meta" / "stats.json").read_text())
+    force = np.concatenate([bundle["/frames/force"] for bundle in export.bundles(folder)])
+    assert stats["observation.force"]["mean"] == pytest.approx(force.mean(0), rel=1e-5)
+    assert np.shape(stats["observation.images.tactile"]["std"]) == (3, 1, 1)
+    assert last["stats/observation.force/count"] == [FRAMES]
+    tasks = parquet.read_table(tmp_path / "meta" / "tasks.parquet")
+    assert tasks.to_pylist() == [{"task_index": 0, "task": "press, slide, hold, twist a sphere on gelsight_mini"}]
+    assert json.loads(tasks.schema.metadata[b"pandas"])["index_columns"] == ["task"]
+
+
+def test_lerobot_begins_a_file_when_one_is_full(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    monkeypatch.setattr(lerobot, "FILE_BYTES", 1000)
+    monkeypatch.setattr(lerobot, "FILES", 1)
+    export.export("lerobot", folder, tmp_path)
+    rows = parquet.read_table(tmp_path / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
+    assert [(row["data/chunk_index"], row["data/file_index"]) for row in rows] == [(0, 0), (1, 0)]
+    there = [tmp_path / f"data/chunk-{chunk:03d}/file-000.parquet" for chunk in range(2)]
+    assert [parquet.read_table(path)["episode_index"].unique().to_pylist() for path in there] == [[0], [1]]
+
+
+@pytest.mark.parametrize(
+    ("times", "says"),
+    [
+        ([np.arange(FRAMES) ** 2 / 10] * 2, "even, whole rate"),
+        ([np.arange(FRAMES) / 10, np.arange(FRAMES) / 5], "one rate"),
+    ],
+)
+def test_lerobot_takes_one_even_rate_and_writes_nothing_else(times: list[np.ndarray], says: str, tmp_path: Path):
+    pytest.importorskip("pyarrow")
+    for k, time in enumerate(times):
+        write(tmp_path / "in" / f"scene-{k:05d}.h5", outputs=frozenset({"rgb"}),
+              edit=lambda i, arrays, t=time: arrays.update({"/frames/time": t[i]}))  # fmt: skip
+    with pytest.raises(UserError, match=says):
+        export.export("lerobot", tmp_path / "in", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_lerobot_itself_loads_it(folder: Path, scene: Bundle, tmp_path: Path):
+    module = pytest.importorskip("lerobot.datasets.lerobot_dataset", exc_type=ImportError)
+    export.export("lerobot", folder, tmp_path)
+    data = module.LeRobotDataset("tacgen/synthetic", root=tmp_path)
+    item = data[FRAMES + 7]
+    assert (data.num_episodes, data.num_frames, item["task"]) == (2, 2 * FRAMES, data.meta.tasks.index[0])
+    assert np.allclose(item["observation.images.tactile"].permute(1, 2, 0) * 255, scene.frame("/frames/rgb", 7))
+    assert np.allclose(item["observation.force"], scene.frame("/frames/force", 7))
+
+
+@pytest.mark.parametrize("kind", ["feats", "lerobot", "univtac", "webdataset"])
+def test_every_exporter_takes_packs_and_refuses_what_is_damaged_foreign_or_lacking(
+    folder: Path, tmp_path: Path, kind: str, monkeypatch: pytest.MonkeyPatch
+):
+    packed = pack.pack(dataset.scenes(folder), tmp_path / "packed").folder
+    loose = [path.read_bytes() for path in export.export(kind, folder, tmp_path / "a")]
+    assert [path.read_bytes() for path in export.export(kind, packed, tmp_path / "b")] == loose
+
+    bad = tmp_path / "bad" / "scene-00000.h5"
+    bad.parent.mkdir()
+
+    def refused(content: bytes) -> str:
+        bad.write_bytes(content)
+        with pytest.raises(UserError) as caught:
+            export.export(kind, bad.parent, tmp_path / "c")
+        assert len(caught.value.lines) == 1
+        return caught.value.lines[0].removeprefix(str(bad))
+
+    good = bytearray((folder / "scene-00000.h5").read_bytes())
+    assert refused(bytes(good[: len(good) // 2])).startswith(": damaged or cut short")
+    good[len(good) // 2] ^= 16
+    assert ": damaged" in refused(bytes(good))
+    assert refused(b"PK\x03\x04 a zip file") == ": not an HDF5 file"
+    write(bad, outputs=frozenset({"force"}))
+    if kind != "webdataset":  # which takes whatever there is
+        assert ": has no /frames/" in refused(bad.read_bytes())
+    monkeypatch.setattr("tacgen.bundle.bundle.FORMAT", 99)
+    write(bad, outputs=frozenset({"force"}))
+    monkeypatch.undo()
+    assert "bundle format 99" in refused(bad.read_bytes())

@@ -1,0 +1,46 @@
+"""Pictures in linear light: what the bundle holds comes back from OpenEXR's own reader, to the bit."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.small_recipe import PICTURE
+
+from tacgen import pipeline
+from tacgen.bundle import bundle
+from tacgen.bundle.check import check
+from tacgen.errors import UserError
+from tacgen.export import export
+from tacgen.optics import camera_response
+from tacgen.recipe import plan
+
+OpenEXR = pytest.importorskip("OpenEXR")
+RECIPE = f"{PICTURE}outputs: [rgb, radiance, height, normals, material]\n"
+
+
+def test_every_channel_comes_back(tmp_path: Path) -> None:
+    (tmp_path / "light.yaml").write_text(RECIPE)
+    row = plan.load(tmp_path / "light.yaml").rows[0]
+    path = pipeline.run_scene(row, tmp_path / "out").path
+    assert check(path) == []
+    (made,) = export("exr", path, tmp_path / "exr")
+    scene = bundle.read(path)
+    with OpenEXR.File(str(made), separate_channels=True) as picture:
+        found = {name: channel.pixels for name, channel in picture.channels().items()}
+    assert set(found) == {"R", "G", "B", "Z", "N.X", "N.Y", "N.Z", "P.X", "P.Y"}
+    light = np.stack([found[c] for c in "RGB"], -1)
+    assert np.array_equal(light, scene["/frames/radiance"][0])
+    assert np.array_equal(camera_response.develop(light.astype(float), row.sensor.camera), scene["/frames/rgb"][0])
+    assert np.array_equal(found["Z"], scene["/frames/height"][0])
+    assert np.array_equal(found["N.Z"], scene["/frames/normals"][0, ..., 2])
+    rest = np.stack([found["P.X"], found["P.Y"]], -1)
+    assert np.array_equal(rest, scene["/frames/material"][0])
+    assert rest[24, 32] == pytest.approx([0.15, 0.15], abs=0.05)  # the pixel right of and below the middle
+    assert rest[24, 63, 0] == pytest.approx(31.5 * 0.317, abs=0.3)
+
+
+def test_a_bundle_without_radiance_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "light.yaml").write_text(RECIPE)
+    row = plan.load(tmp_path / "light.yaml", ["outputs=[force]", "render.noise=true"]).rows[0]
+    with pytest.raises(UserError, match="outputs need radiance"):
+        export("exr", pipeline.run_scene(row, tmp_path / "out").path, tmp_path / "exr")

@@ -1,0 +1,174 @@
+"""Signed distances of all indenters, over random sizes, turned points and the corners where formulas change."""
+
+import numpy as np
+import pytest
+from hypothesis import assume, example, given, settings
+from hypothesis import strategies as st
+
+from tacgen.geometry.analytic_sdf import Box, Capsule, Cone, Cylinder, Shape, Sphere, Torus, Wedge
+
+Array = np.ndarray
+
+
+def between(low: float, high: float) -> st.SearchStrategy[float]:
+    return st.floats(low, high, allow_subnormal=False)
+
+
+ANGLE = between(np.radians(10), np.radians(80))
+KINDS: dict[str, st.SearchStrategy[Shape]] = {
+    "sphere": st.builds(Sphere, between(0.2, 8)),
+    "capsule": st.builds(Capsule, between(0.2, 4), between(0.1, 8)),
+    "torus": st.builds(lambda tube, hole: Torus(tube + hole, tube), between(0.2, 2), between(0.1, 4)),
+    "cylinder": st.builds(lambda fillet, flat: Cylinder(fillet + flat, fillet), between(0.05, 1), between(0.1, 4)),
+    "box": st.builds(
+        lambda fillet, x, y: Box(2 * fillet + x, 2 * fillet + y, fillet),
+        between(0.05, 1), between(0.1, 6), between(0.1, 6),
+    ),
+    "cone": st.builds(Cone, ANGLE, between(0.05, 2)),
+    "wedge": st.builds(lambda a, tip, flat: Wedge(a, tip, 2 * tip + flat), ANGLE, between(0.05, 1), between(0.1, 6)),
+}  # fmt: skip
+SHAPES = st.one_of(*KINDS.values())
+EACH: list[Shape] = [
+    Sphere(4.0), Capsule(1.5, 4.0), Torus(3.0, 0.8), Cylinder(2.0, 0.2), Box(3.0, 5.0, 0.3), Cone(np.radians(40), 0.3),
+    Wedge(np.radians(30), 0.2, 4.0),
+]  # fmt: skip
+SPHERE = EACH[0]
+SEED = st.integers(0, 2**32 - 1)
+
+
+def cloud(seed: int, n: int = 60) -> Array:
+    """Points all around the lower end of an indenter, inside and outside."""
+    return np.random.default_rng(seed).uniform([-9, -9, -3], [9, 9, 9], (n, 3))
+
+
+def smooth_ones(shape: Shape, p: Array, h: float) -> Array:
+    """The points outside that are not within a few h of where curvature jumps or distance has a crease."""
+    steps = 3 * h * np.concatenate([np.eye(3), -np.eye(3), [[1, 1, 1], [-1, -1, -1], [1, -1, 1]]])
+    H = shape.distance(p)[2]
+    around = np.array([shape.distance(p + s)[2] for s in steps])
+    even = np.abs(around - H).max((0, 2, 3)) < 1e-2 * (1 + np.abs(H).max((1, 2)))
+    return np.asarray(p[even & (shape.distance(p)[0] > 0)])
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@settings(max_examples=25, deadline=None)
+@given(data=st.data(), seed=SEED)
+def test_gradient_and_hessian_are_slopes(kind: str, data: st.DataObject, seed: int) -> None:
+    shape = data.draw(KINDS[kind])
+    h = 1e-5
+    p = smooth_ones(shape, cloud(seed), h)
+    assume(len(p) > 5)
+    _, n, H = shape.distance(p)
+    assert np.linalg.norm(n, axis=1) == pytest.approx(np.ones(len(p)), abs=1e-12)
+    for k, step in enumerate(h * np.eye(3)):
+        (ahead, n_ahead, _), (behind, n_behind, _) = shape.distance(p + step), shape.distance(p - step)
+        assert n[:, k] == pytest.approx((ahead - behind) / (2 * h), abs=1e-6)
+        scale = 1 + np.abs(H).max((1, 2))[:, None]
+        assert H[:, k] / scale == pytest.approx((n_ahead - n_behind) / (2 * h) / scale, abs=1e-5)
+    assert H - H.swapaxes(1, 2) == pytest.approx(np.zeros_like(H), abs=1e-9)
+
+
+@pytest.mark.parametrize("shape", EACH, ids=lambda s: type(s).__name__)
+def test_the_checks_of_slopes_look_at_most_points_and_at_curved_ones(shape: Shape) -> None:
+    p = cloud(0, 400)
+    kept = smooth_ones(shape, p, 1e-5)
+    assert len(kept) > 0.9 * (shape.distance(p)[0] > 0).sum() > 50
+    assert np.linalg.norm(shape.distance(kept)[2], axis=(1, 2)).max() > 0.05
+
+
+@settings(max_examples=40, deadline=None)
+@given(shape=SHAPES, seed=SEED, reach=between(1e-6, 5))
+def test_distance_is_1_lipschitz(shape: Shape, seed: int, reach: float) -> None:
+    """Newton's longest safe step rests on this, inside as well as outside."""
+    a = cloud(seed)
+    b = a + reach * np.random.default_rng(seed + 1).normal(size=a.shape)
+    change = np.abs(shape.distance(a)[0] - shape.distance(b)[0])
+    assert (change <= np.linalg.norm(a - b, axis=1) + 1e-12).all()
+
+
+@settings(max_examples=40, deadline=None)
+@given(shape=SHAPES, seed=SEED)
+def test_it_stands_on_the_plane_and_nothing_of_it_is_below(shape: Shape, seed: int) -> None:
+    contact = [0.0, 0.0, 0.0] if not isinstance(shape, Torus) else [shape.radius, 0.0, 0.0]
+    d, n, _ = shape.distance(np.array([contact]))
+    assert d[0] == pytest.approx(0, abs=1e-12)
+    assert n[0] == pytest.approx([0, 0, -1], abs=1e-9)
+    p = cloud(seed)
+    p[:, 2] = -np.abs(p[:, 2])
+    assert (shape.distance(p)[0] >= -p[:, 2] - 1e-12).all()
+
+
+def surface(shape: Shape, seed: int) -> Array:
+    """Points on the surface, found by walking along the gradient from those around it."""
+    p = cloud(seed, 1000)
+    for _ in range(3):
+        d, n, _ = shape.distance(p)
+        p = p - d[:, None] * n
+    return np.asarray(p[np.abs(shape.distance(p)[0]) < 1e-9])
+
+
+@settings(max_examples=25, deadline=None)
+@given(shape=SHAPES, seed=SEED, down=between(0, np.pi), around=between(0, 2 * np.pi))
+@example(shape=SPHERE, seed=0, down=0.0, around=0.0)
+def test_support_is_how_far_it_extends(shape: Shape, seed: int, down: float, around: float) -> None:
+    """Bounded from both sides: no point of the surface is beyond, and a climb along it gets there."""
+    direction = np.array([np.sin(down) * np.cos(around), np.sin(down) * np.sin(around), -np.cos(down)])
+    support = shape.support(direction)
+    at = surface(shape, seed)
+    assert len(at) > 50
+    assert (at @ direction).max() <= support + 1e-9
+    here, reached = at[(at @ direction).argmax()], []
+    for _ in range(2000):  # climb: a step that way, then back onto the surface
+        here = here + 0.1 * direction
+        d, n, _ = shape.distance(here[None])
+        here = here - d[0] * n[0]
+        reached.append(here @ direction)
+    if np.isinf(support):
+        assert reached[-1] > reached[len(reached) // 2] + 1e-9
+    else:
+        assert reached[-1] == pytest.approx(support, abs=0.01 * (1 + abs(support)))
+
+
+@settings(max_examples=40, deadline=None)
+@given(shape=SHAPES, seed=SEED)
+def test_whoever_is_inside_is_pushed_out(shape: Shape, seed: int) -> None:
+    """The gradient is the way out, all the way: after |d| along it a point is out, and further out beyond."""
+    p = cloud(seed, 400)
+    d, n, _ = shape.distance(p)
+    p, d, n = p[d < 0], d[d < 0], n[d < 0]
+    assert np.linalg.norm(n, axis=1) == pytest.approx(np.ones(len(p)), abs=1e-12)
+    assert shape.distance(p - d[:, None] * n)[0] == pytest.approx(np.zeros(len(p)), abs=1e-9)
+    assert shape.distance(p - (d - 0.1)[:, None] * n)[0] == pytest.approx(np.full(len(p), 0.1), abs=1e-9)
+
+
+@pytest.mark.parametrize("shape", EACH, ids=lambda s: type(s).__name__)
+def test_its_middle_is_inside_and_defined(shape: Shape) -> None:
+    """On axes of symmetry the distance has no gradient; some unit vector must be given all the same."""
+    axis = np.array([[0.0, 0.0, z] for z in (0.1, shape.smallest_radius, 1.0, 2.0)])
+    d, n, H = shape.distance(axis)
+    assert np.isfinite(d).all()
+    assert np.isfinite(H).all()
+    assert np.linalg.norm(n, axis=1) == pytest.approx(np.ones(4), abs=1e-12)
+    if not isinstance(shape, Torus):
+        assert (d < 0).all()
+
+
+def test_known_distances() -> None:
+    p = np.array([[3.0, 4.0, 1.0]])
+    assert Sphere(1.0).distance(p)[0][0] == pytest.approx(4.0)
+    assert Capsule(1.0, 4.0).distance(p)[0][0] == pytest.approx(np.hypot(1, 4) - 1)
+    assert Torus(2.0, 1.0).distance(p)[0][0] == pytest.approx(3 - 1)
+    assert Cylinder(2.0, 0.5).distance(p)[0][0] == pytest.approx(3.0)
+    assert Box(2.0, 2.0, 0.5).distance(p)[0][0] == pytest.approx(np.hypot(2.5, 3.5) - 0.5)
+    side = np.array([[5.0, 0.0, 5.0]])
+    tip = 0.2 * (np.sqrt(2) - 1)  # by which the tip of the sharp one of 45 deg would be below z = 0
+    assert Cone(np.pi / 4, 0.2).distance(side)[0][0] == pytest.approx(-tip / np.sqrt(2), rel=1e-9)
+    assert Wedge(np.pi / 4, 0.2, 4.0).distance(side)[0][0] == pytest.approx(-tip / np.sqrt(2), rel=1e-9)
+    end = np.array([[0.0, 5.0, 3.0]])
+    assert Wedge(np.pi / 4, 0.2, 4.0).distance(end)[0][0] == pytest.approx(3.0)
+
+
+def test_shape_sizes_that_the_solver_relies_on() -> None:
+    assert [s.smallest_radius for s in EACH] == [4.0, 1.5, 0.8, 0.2, 0.3, 0.3, 0.2]
+    for s in EACH:
+        assert s.reach >= s.smallest_radius

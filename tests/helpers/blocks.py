@@ -1,0 +1,50 @@
+"""Blocks on a graded grid with planes of symmetry, for answers that are known of a half space or a bonded layer."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from helpers.presses import Run
+from tacgen import solve
+from tacgen.fem.elements import boxes
+from tacgen.scene.mesh import Mesh, graded
+from tacgen.scene.scene import Scene
+
+Array = np.ndarray
+
+
+def block(x: Array, y: Array, z: Array) -> Mesh:
+    """Hexes on a tensor grid, z upwards and ending at 0."""
+    points = np.stack(np.meshgrid(x, y, z, indexing="ij"), -1).reshape(-1, 3)
+    hexes = boxes(np.arange(len(points)).reshape(len(x), len(y), len(z)))
+    facets = {
+        "bonded": hexes[:, :, 0].reshape(-1, 8)[:, [0, 3, 2, 1]],
+        "coated": hexes[:, :, -1].reshape(-1, 8)[:, [4, 5, 6, 7]],
+    }
+    cells = hexes.reshape(-1, 8)
+    return Mesh(points, cells, np.zeros(len(cells), np.int32), facets)
+
+
+def ticks(fine: float, end: float, edge: float, both: bool = False, growth: float = 1.6) -> Array:
+    """Coordinates from 0, or from -end if `both`, to end: `edge` apart up to `fine`, and growing."""
+    return graded(-end if both else 0.0, end, (-fine if both else 0.0, fine), edge, growth, end)
+
+
+def run(made: Scene, grid: Mesh, mirrors: tuple[int, ...] = ()) -> Run:
+    """All frames, the normal displacement held at 0 on the plane x = 0 (0 in `mirrors`) and y = 0 (1)."""
+    held = np.zeros(grid.points.shape, bool)
+    held[np.unique(grid.facets["bonded"])] = True
+    for axis in mirrors:
+        held[grid.points[:, axis] < 1e-9, axis] = True
+    problem = solve.Problem.of(made, grid, held=held)
+    return Run(made, problem, list(solve.states(made, problem)))
+
+
+def rounded(grid: Mesh, radius: float) -> Mesh:
+    """The grid with its square rings about z bent to circles, fully from `radius` on: a round rim lies on its lines."""
+    points = grid.points.copy()
+    square, round_ = np.abs(points[:, :2]).max(1), np.hypot(points[:, 0], points[:, 1])
+    bent = square / np.maximum(round_, 1e-12)
+    part = np.minimum(square / radius, 1.0)
+    points[:, :2] *= (1 + part * (bent - 1))[:, None]
+    return replace(grid, points=points)

@@ -1,0 +1,58 @@
+"""What the tests of physics share: small gels, paths without a recipe, and their solution."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from tacgen import solve
+from tacgen.fem.materials import NeoHooke
+from tacgen.geometry.analytic_sdf import Shape
+from tacgen.labels import gel_surface
+from tacgen.scene import mesh
+from tacgen.scene.scene import Gel, Layer, Scene
+
+Array = np.ndarray
+Footprint = tuple[float, float, float, float]
+
+
+def gel(width: float = 12.0, height: float = 12.0, thickness: float = 3.0, E: float = 0.15, nu: float = 0.48) -> Gel:
+    """A pad of one layer, sharp corners; E [MPa]."""
+    law = NeoHooke(E / (2 * (1 + nu)), E / (3 * (1 - 2 * nu)))
+    return Gel(width, height, 0.0, (Layer(thickness, law, E),))
+
+
+def poses(positions: list[tuple[float, float, float]], yaw: float = 0.0) -> Array:
+    """Upright indenters with their lowest point at these positions [mm], turned by `yaw` [rad] about z."""
+    out = np.tile(np.eye(4), (len(positions), 1, 1))
+    out[:, :2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
+    out[:, :3, 3] = positions
+    return out
+
+
+@dataclass(frozen=True)
+class Run:
+    """A scene, its mesh made ready, and the states at its frames."""
+
+    scene: Scene
+    problem: solve.Problem
+    states: list[solve.State]
+
+    @cached_property
+    def forces(self) -> Array:
+        """On the gel at every frame (N, 3) [N]."""
+        return np.array([gel_surface.wrench(self.problem, state)[0] for state in self.states])
+
+
+def scene(shape: Shape, path: Array, *, pad: Gel | None = None, friction: float = 0.0, edge: float = 0.6) -> Scene:
+    """Draft-like unless said otherwise: edge .6 mm, dhat .05 mm."""
+    start = path[0].copy()
+    start[2, 3] = 0.0
+    return Scene(pad or gel(), shape, path, start, np.zeros(len(path), int), friction, edge, 0.05)
+
+
+def run(made: Scene, footprint: Footprint | None = None, grid: mesh.Mesh | None = None) -> Run:
+    """Solve all frames, on a mesh of hexes that is fine over `footprint` or on the one given."""
+    grid = grid or mesh.build(made.gel, footprint or mesh.footprint(made), made.edge)
+    problem = solve.Problem.of(made, grid)
+    return Run(made, problem, list(solve.states(made, problem)))

@@ -1,0 +1,102 @@
+"""Maps of forces that are known: all of it arrives, nothing turns negative, the rim is as sharp as cells allow."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from helpers.small import patch
+
+from tacgen.contact.barrier import Faces
+from tacgen.contact.ipctk import lattice
+from tacgen.labels import contact_maps
+from tacgen.labels.gel_surface import Surface
+from tacgen.optics.camera import Camera, Stack
+from tacgen.solve import Problem, State
+
+Array = np.ndarray
+RADIUS, FRICTION = 1.9, 0.4
+CAMERA = Camera(Stack((30.0, 4.0), (1.0, 1.41)), (0.0, 0.0), 600.0, (120, 120))  # .055 mm a pixel
+KINDS = pytest.mark.parametrize("kind", [4, 3, 6])
+
+
+def hertz(at: Array) -> Array:
+    """Pressure (...) of a ball [MPa] at points (..., 3)."""
+    return np.asarray(0.1 * np.sqrt(np.maximum(1 - (at[..., 0] ** 2 + at[..., 1] ** 2) / RADIUS**2, 0.0)))
+
+
+def pressed(points: Array, faces: Faces, camera: Camera = CAMERA) -> tuple[contact_maps.Maps, State]:
+    """A level face under a ball that slides along (.6, .8), and its maps."""
+    force = hertz(faces.at(points)) * faces.areas
+    rub = FRICTION * force[..., None] * np.array([0.6, 0.8, 0.0])
+    down = np.broadcast_to([0.0, 0.0, -1.0], rub.shape)
+    state = State(0, np.eye(4), points, force, down, rub, force > 0, 1, 1, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0)
+    problem: Problem = SimpleNamespace(contact=SimpleNamespace(faces=faces))  # type: ignore[assignment]
+    return contact_maps.maps(problem, Surface(points, faces.conn), state, camera), state
+
+
+def error(found: contact_maps.Maps) -> float:
+    """Of the pressure, in the mean square over the image."""
+    rows, columns = np.indices(CAMERA.shape) + 0.5
+    origins, rays = CAMERA.rays(np.stack([columns, rows], -1).reshape(-1, 2))
+    true = hertz(origins - rays * (origins[:, 2:] / rays[:, 2:])).reshape(CAMERA.shape)
+    return float(np.linalg.norm(found.pressure - true) / np.linalg.norm(true))
+
+
+@KINDS
+def test_sharing_by_the_pressure_sharpens_the_rim(kind: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    points, faces, _ = patch(12, 5.0, kind)
+    errors = []
+    for times in (0, contact_maps.SHARPENED[kind]):
+        monkeypatch.setitem(contact_maps.SHARPENED, kind, times)
+        errors.append(error(pressed(points, faces)[0]))
+    assert errors[1] < (0.9 if kind == 6 else 0.7) * errors[0], errors  # nodes on edges share finely as it is
+    assert 0.03 < errors[1] < 0.09, errors
+
+
+def test_the_pressure_map_converges() -> None:
+    """At an order of about 1: the slope of Hertz' pressure is infinite at the rim."""
+    errors = [error(pressed(*patch(n, 5.0)[:2])[0]) for n in (6, 12, 24)]
+    assert np.log2(errors[0] / errors[2]) / 2 == pytest.approx(0.95, abs=0.25), errors
+
+
+@KINDS
+@pytest.mark.parametrize("toolkit", [False, True])
+def test_all_of_the_force_is_in_the_map(kind: int, toolkit: bool) -> None:
+    """At other points of contact, too: those of the IPC Toolkit's faces."""
+    points, faces, _ = patch(10, 5.0, kind)
+    if toolkit:
+        N, part, _ = lattice(kind)
+        faces = replace(faces, N=N, areas=faces.areas.sum(1)[:, None] * part)
+    found, state = pressed(points, faces)
+    assert found.pressure.min() == 0
+    assert (found.pressure * found.area).sum() == pytest.approx(state.normal_force.sum(), rel=1e-12)
+    assert found.force.sum((0, 1)) == pytest.approx(state.traction_force.sum((0, 1)), rel=1e-12)
+    assert found.traction == pytest.approx(FRICTION * found.pressure[..., None] * [0.6, 0.8])
+    assert found.pressure[found.contact].min() > 0
+    assert (found.area * found.contact).sum() == pytest.approx(np.pi * RADIUS**2, rel=0.08)
+
+
+def test_what_is_out_of_view_is_not_in_the_map() -> None:
+    """A camera that looks at the right half gives half of the force, and its own pixels no more than they had."""
+    points, faces, _ = patch(12, 5.0)
+    whole, state = pressed(points, faces)
+    half = replace(CAMERA, center=(CAMERA.mm_per_px * 60, 0.0))
+    found, _ = pressed(points, faces, half)
+    assert (found.pressure * found.area).sum() == pytest.approx(state.normal_force.sum() / 2, rel=0.03)
+    assert found.pressure[:, :60] == pytest.approx(whole.pressure[:, 60:], abs=0.02 * whole.pressure.max())
+
+
+def test_slip_is_where_most_of_the_pressure_slides() -> None:
+    contact, sliding = np.array([[True, True, False]]), np.array([[0.4, 0.6, 0.9]])
+    blank = np.zeros((1, 3))
+    assert contact_maps.Maps(blank, blank, contact, sliding, blank, blank).slip.tolist() == [[False, True, False]]
+
+
+def test_a_face_has_its_own_x_and_y_even_where_it_looks_along_the_sensors_x() -> None:
+    normals = np.array([[0, 0, 1.0], [0.6, 0, 0.8], [1, 0, 0], [-1, 0, 0]])
+    x, y = contact_maps.tangents(normals)
+    for k, n in enumerate(normals):
+        assert np.stack([x[k], y[k], n]) @ np.stack([x[k], y[k], n]).T == pytest.approx(np.eye(3), abs=1e-12)
+    assert x[0] == pytest.approx([1, 0, 0])
+    assert y[0] == pytest.approx([0, 1, 0])

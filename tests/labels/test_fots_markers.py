@@ -1,0 +1,94 @@
+"""Dots moved by the indenter's pose alone: signs, limits, memory of the first touch, and what refuses it."""
+
+import numpy as np
+import pytest
+from helpers.small_recipe import HEAD
+from helpers.tiny import sensor
+
+from tacgen.bundle import bundle
+from tacgen.errors import UserError
+from tacgen.geometry.analytic_sdf import Sphere
+from tacgen.labels.fots_markers import Drift
+from tacgen.optics.camera import Camera
+from tacgen.optics.coating import centers
+from tacgen.pipeline import run
+from tacgen.recipe import plan
+from tacgen.recipe.sensor import Motion
+
+MOTION = Motion(press=(0.02, 0.05), shear=(0.5, 0.1), twist=(20.0, 0.1), source="test")
+TINY = sensor()
+PX = TINY.camera.mm_per_px
+
+
+def pose(z: float, x: float = 0.0, turn_deg: float = 0.0) -> np.ndarray:
+    made, turn = np.eye(4), np.radians(turn_deg)
+    made[:2, :2] = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
+    made[:3, 3] = x, 0.0, z
+    return made
+
+
+@pytest.fixture
+def drift():
+    return Drift(MOTION, centers(TINY.markers), TINY.gel, Sphere(3.0), Camera.from_sensor(TINY))
+
+
+def flow(drift: Drift, *poses: np.ndarray) -> np.ndarray:
+    """Of the dots (3, 3, 2) [px] at the last pose."""
+    return (np.array([drift.at(one)[0] for one in poses])[-1] - drift.undisturbed).reshape(3, 3, 2)
+
+
+def test_a_press_drives_dots_apart_and_leaves_the_middle(drift):
+    moved = flow(drift, pose(-0.5))
+    assert moved[1, 1] == pytest.approx([0, 0], abs=1e-6)
+    outward = [moved[1, 2, 0], -moved[1, 0, 0], moved[2, 1, 1], -moved[0, 1, 1]]
+    assert min(outward) > 0.05
+
+
+def test_a_slide_drags_the_middle_along_up_to_its_limit(drift):
+    pressed = flow(drift, pose(-0.5))
+    part = flow(drift, pose(-0.5), pose(-0.5, x=0.2)) - pressed
+    assert part[1, 1, 0] == pytest.approx(0.2 / PX, rel=0.05)
+    far = flow(drift, pose(0.5), pose(-0.5, x=-0.9), pose(-0.5, x=0.0))
+    assert far[1, 1, 0] == pytest.approx(0.5 / PX, rel=0.02)
+
+
+def test_a_twist_turns_dots_about_the_contact(drift):
+    moved = flow(drift, pose(-0.5), pose(-0.5, turn_deg=10)) - flow(drift, pose(0.1), pose(-0.5))
+    arm = TINY.markers.pitch_mm[0]
+    assert moved[1, 2, 1] == pytest.approx(np.radians(10) * arm * np.exp(-0.1 * arm**2) / PX, rel=0.02)
+    assert moved[1, 2, 0] == pytest.approx(0, abs=1e-3)
+    most = flow(drift, pose(0.1), pose(-0.5), pose(-0.5, turn_deg=MOTION.twist[0]))
+    assert flow(drift, pose(-0.5, turn_deg=50)) == pytest.approx(most)
+    assert np.abs(most - flow(drift, pose(-0.5, turn_deg=15))).max() > 0.01
+
+
+def test_off_the_gel_all_is_still_and_forgotten(drift):
+    assert (flow(drift, pose(-0.5), pose(-0.5, x=0.4), pose(0.2, x=0.4)) == 0).all()
+    again = flow(drift, pose(-0.5, x=0.4))
+    assert abs(again[1, 1, 0]) < 0.3 / PX  # not dragged: it touched down there
+
+
+def test_a_recipe_can_ask_for_it(tmp_path):
+    path = tmp_path / "small.yaml"
+    path.write_text(HEAD + "  - press: {depth_mm: 0.5, frames: 1}\n  - slide: {x_mm: 0.4, frames: 1}\n")
+    flows = {}
+    for method in ("fem", "analytic"):
+        made = plan.load(path, ["outputs=[markers]", f"markers.method={method}", "contact.friction=0.6"])
+        (done,) = run(made.rows, tmp_path / method)
+        flows[method] = bundle.read(done.path)["/frames/marker_flow"][-1]
+    off = np.linalg.norm(flows["fem"] - flows["analytic"]) / np.linalg.norm(flows["fem"])
+    assert 0.05 < off < 0.8  # alike, and not the same
+
+
+@pytest.mark.parametrize(
+    ("name", "sets", "said"),
+    [
+        ("ninedtact", ["outputs=[rgb]", "render.method=table"], "render.method: cannot be table"),
+        ("digit", ["outputs=[force]", "markers.method=analytic"], "markers.method: cannot be analytic"),
+    ],
+)
+def test_what_a_sensor_cannot_do_is_told(tmp_path, name, sets, said):
+    path = tmp_path / "small.yaml"
+    path.write_text(HEAD + "  - press: {depth_mm: 0.5, frames: 1}\n")
+    with pytest.raises(UserError, match=said):
+        plan.load(path, [f"sensor={name}", *sets])

@@ -1,0 +1,309 @@
+"""What is read off a solved gel: resultants are kept, frames and signs are as documented, smooth surfaces are exact."""
+
+import numpy as np
+import pytest
+from helpers.presses import Run, gel, poses, run, scene
+
+from tacgen import solve
+from tacgen.contact.barrier import Pose
+from tacgen.fem.elements import facet_areas
+from tacgen.fem.materials import NeoHooke
+from tacgen.fem.stress_recovery import FULL
+from tacgen.geometry.analytic_sdf import Sphere
+from tacgen.labels import gel_surface
+from tacgen.labels.contact_maps import Maps, tangents
+from tacgen.labels.contact_maps import maps as maps_of
+from tacgen.labels.stress import Stress, Stresses, agreeing
+from tacgen.optics.camera import Camera
+from tacgen.optics.surface_grid import Sheet
+from tacgen.recipe import assets, loading
+from tacgen.recipe.sensor import Sensor
+from tacgen.scene import mesh
+from tacgen.scene.scene import Gel, Layer
+
+Array = np.ndarray
+COEFFICIENT = 0.4
+PATH = [(1.5, -1.0, -0.4), (1.5, -1.0, -0.8), (2.3, -1.0, -0.8)]
+FOOTPRINT = (-2.0, 5.6, -4.0, 2.0)
+PRESSED, SLID = 1, 2
+
+
+@pytest.fixture(scope="module")
+def mini() -> Sensor:
+    return loading.read_sensor(assets.sensor_path("gelsight_mini"))[0]
+
+
+@pytest.fixture(scope="module")
+def camera(mini: Sensor) -> Camera:
+    return Camera.from_sensor(mini)
+
+
+@pytest.fixture(scope="module")
+def pressed() -> Run:
+    """A ball off the middle of a pad of the Mini's size: pressed, then slid along +x."""
+    return run(scene(Sphere(4.0), poses(PATH), pad=gel(25.25, 20.75, 4.0), friction=COEFFICIENT, edge=0.75), FOOTPRINT)
+
+
+@pytest.fixture(scope="module")
+def surface(pressed: Run) -> gel_surface.Surface:
+    grid = pressed.problem.mesh
+    return gel_surface.Surface(grid.points, grid.facets["coated"])
+
+
+@pytest.fixture(scope="module")
+def maps(pressed: Run, surface: gel_surface.Surface, camera: Camera) -> list[Maps]:
+    return [maps_of(pressed.problem, surface.moved(s.x), s, camera) for s in pressed.states]
+
+
+def test_signs(pressed: Run, maps: list[Maps]) -> None:
+    """z is out of the gel toward the indenter: a press pushes the gel along -z, a slide along +x drags it along +x."""
+    press, slid = pressed.forces[PRESSED], pressed.forces[SLID]
+    assert press[2] < -0.3
+    assert np.abs(press[:2]).max() < 0.02 * -press[2]
+    assert slid[2] < -0.3
+    assert slid[0] > 0.2 * -slid[2]
+    assert abs(slid[1]) < 0.02 * slid[0]
+    for found in maps:
+        assert found.pressure.min() >= 0
+        assert found.pressure.max() > 0.02
+        assert found.force[..., 2].sum() < 0
+    assert maps[SLID].traction[..., 0].sum() > 0
+    assert pressed.states[SLID].x[:, 2].min() < -0.6
+
+
+def test_maps_keep_the_resultants(pressed: Run, maps: list[Maps]) -> None:
+    for state, force, found in zip(pressed.states, pressed.forces, maps, strict=True):
+        size = float(np.linalg.norm(force))
+        assert found.force.sum((0, 1)) == pytest.approx(force, abs=1e-9 * size)
+        assert (found.pressure * found.area).sum() == pytest.approx(state.normal_force.sum(), rel=1e-9)
+        assert state.friction is not None
+        sizes, at_points = np.linalg.norm(found.traction, axis=-1), np.linalg.norm(state.friction, axis=-1)
+        assert (sizes * found.area).sum() <= at_points.sum() * (1 + 1e-9)
+    assert (sizes * found.area).sum() == pytest.approx(at_points.sum(), rel=0.02)  # slid: in one direction
+    rubbed = (found.traction * found.area[..., None]).sum((0, 1))
+    along = [(state.friction * axis).sum() for axis in tangents(-state.normal)]
+    assert along[0] > state.friction[..., 0].sum() > 0.3 * size  # the face is not level
+    assert rubbed == pytest.approx(
+        along, abs=0.05 * size
+    )  # the sizes are kept, and so the sum on this coarse mesh is not
+
+
+def test_maps_are_where_the_ball_is(pressed: Run, maps: list[Maps], camera: Camera) -> None:
+    """x to the right, y down in the image."""
+    rows, columns = np.indices(camera.shape) + 0.5
+    for path, found in zip(PATH, maps, strict=True):
+        weight = found.pressure * found.area
+        centre = np.array([(weight * columns).sum(), (weight * rows).sum()]) / weight.sum()
+        below = camera.project(np.array([[path[0], path[1], path[2]]]))[0]
+        assert centre == pytest.approx(below, abs=6)  # pixels, of .06 mm
+        assert below[0] > camera.shape[1] / 2
+        assert below[1] < camera.shape[0] / 2
+
+
+def test_the_contact_mask_lies_within_the_pressure(maps: list[Maps]) -> None:
+    """Nodal forces are spread over the cells around a node, so some pressure reaches past the rim."""
+    for found, least in zip(maps, (0.65, 0.72, 0.72), strict=True):
+        assert found.contact.any()
+        assert (found.pressure[found.contact] > 0).all()
+        held = (found.pressure * found.area)[found.contact].sum() / (found.pressure * found.area).sum()
+        assert least < held <= 1.0
+        assert not (found.slip & ~found.contact).any()
+    areas = [(found.area * found.contact).sum() for found in maps]
+    assert areas[1] > 1.5 * areas[0]
+    assert maps[SLID].slip.sum() > 0.5 * maps[SLID].contact.sum()
+    assert maps[PRESSED].slip.sum() < 0.5 * maps[PRESSED].contact.sum()
+
+
+def test_no_pixel_shows_more_friction_than_coulomb_allows(maps: list[Maps]) -> None:
+    for found in maps:
+        size = np.linalg.norm(found.traction, axis=-1)
+        assert (size <= COEFFICIENT * (found.pressure + 1e-3 * found.pressure.max())).all()
+
+
+def test_area_is_that_of_the_face_behind_a_pixel(maps: list[Maps], camera: Camera) -> None:
+    """Against rays through the corners of the pixels, met with the plane of the face."""
+    h, w = camera.shape
+    columns, rows = np.meshgrid(np.arange(w + 1.0), np.arange(h + 1.0))
+    origins, rays = camera.rays(np.stack([columns, rows], -1).reshape(-1, 2))
+    met = (origins - rays * (origins[:, 2:] / rays[:, 2:]))[:, :2].reshape(h + 1, w + 1, 2)
+    right, down = met[:-1, 1:] - met[:-1, :-1], met[1:, :-1] - met[:-1, :-1]
+    flat = right[..., 0] * down[..., 1] - right[..., 1] * down[..., 0]
+    away = np.s_[-30:, :30]
+    assert maps[PRESSED].area[away] == pytest.approx(flat[away], rel=0.05)  # one figure for each cell, 3 mm wide here
+    assert maps[PRESSED].area.min() > 0
+    assert maps[0].area.sum() / flat.sum() == pytest.approx(1.003, abs=0.01)
+    assert maps[SLID].area.sum() > maps[0].area.sum()  # a dent is longer than what it is pressed into
+
+
+def test_torque_is_about_the_origin() -> None:
+    """Without friction every force on a ball passes through its middle, so the torque is that of the force there."""
+    found = run(scene(Sphere(2.5), poses([(1.0, -0.6, -0.4)]), pad=gel(10, 10, 2)))
+    force, torque = gel_surface.wrench(found.problem, found.states[-1])
+    assert torque == pytest.approx(np.cross([1.0, -0.6, 2.5 - 0.4], force), abs=1e-9)
+    assert torque[0] == pytest.approx(-0.6 * force[2], abs=0.05 * -force[2])
+    assert torque[1] == pytest.approx(-1.0 * force[2], abs=0.05 * -force[2])
+    assert abs(torque[1]) > 0.05
+
+
+def test_the_height_of_an_untouched_face_is_zero(surface: gel_surface.Surface, mini: Sensor, camera: Camera) -> None:
+    z = gel_surface.View(Sheet.over(mini.gel, 0.2), surface, camera).height()
+    assert z.shape == camera.shape
+    assert z == pytest.approx(np.zeros(camera.shape), abs=1e-12)
+
+
+def test_the_height_of_a_dent_follows_the_ball(
+    pressed: Run, surface: gel_surface.Surface, maps: list[Maps], mini: Sensor, camera: Camera
+) -> None:
+    z = gel_surface.View(Sheet.over(mini.gel, 0.1), surface.moved(pressed.states[PRESSED].x), camera).height()
+    assert z.min() == pytest.approx(-0.8, abs=0.03)
+    assert 0 < z.max() < 0.1  # the rim bulges
+    rows, columns = np.nonzero(maps[PRESSED].contact)
+    origins, rays = camera.rays(np.column_stack([columns, rows]) + 0.5)
+    at = origins + rays * ((z[rows, columns] - origins[:, 2]) / rays[:, 2])[:, None]
+    gap = pressed.scene.shape.distance(Pose.of(pressed.scene.poses[PRESSED]).local(at))[0]
+    assert np.abs(gap).max() < 0.06
+    assert np.abs(gap).mean() < 0.025
+
+
+def test_a_surface_reproduces_its_nodes_and_linear_fields(surface: gel_surface.Surface, pressed: Run) -> None:
+    grid = pressed.problem.mesh
+    rng = np.random.default_rng(0)
+    inner = rng.uniform([-12, -10], [12, 10], (200, 2))
+    now = surface.moved(pressed.states[SLID].x)
+    assert now.at(now.rest[:, :2]) == pytest.approx(now.now, abs=1e-9)
+    assert (now.now == pressed.states[SLID].x[now.nodes]).all()
+    A, b = np.array([[1.1, 0.2, 0.0], [-0.1, 0.9, 0.0], [0.05, -0.03, 1.0]]), np.array([0.3, -0.1, 0.2])
+    flat = np.column_stack([inner, np.zeros(200)])
+    assert surface.moved(grid.points @ A.T + b).at(inner) == pytest.approx(flat @ A.T + b, abs=1e-6)
+    assert surface.at(inner) == pytest.approx(flat, abs=1e-12)
+    assert surface.at(np.zeros((0, 2))).shape == (0, 3)
+    assert np.isnan(surface.at(np.array([[40.0, 0.0]]))).any()
+
+
+def test_a_surface_is_smooth_across_its_cells(surface: gel_surface.Surface, pressed: Run) -> None:
+    """Slopes on either side of a cell's edge agree, unlike those of bilinear cells."""
+    now = surface.moved(pressed.states[PRESSED].x)
+    x = np.unique(now.rest[:, 0])
+    edges = x[(x > -0.5) & (x < 3.5)]
+    h = 1e-4
+
+    def slopes(side: int) -> Array:
+        near, far = (now.at(np.column_stack([edges + side * k * h, np.full_like(edges, -0.9)]))[:, 2] for k in (1, 2))
+        return np.asarray((far - near) / (side * h))
+
+    assert np.abs(slopes(1)).max() > 0.3
+    assert slopes(1) == pytest.approx(slopes(-1), abs=5e-3)
+
+
+def test_the_stress_of_a_uniform_state_is_exact() -> None:
+    """Two layers, each uniformly strained: every node has its outermost layer's stress, no average of the two."""
+    laws = NeoHooke(0.05, 0.6), NeoHooke(0.5, 3.0)
+    pad = Gel(4.0, 4.0, 0.0, tuple(Layer(t, law, 0.15) for t, law in zip((1.5, 0.7), laws, strict=True)))
+    made = scene(Sphere(1.0), poses([(0, 0, -0.1)]), pad=pad, edge=0.8)
+    grid = mesh.build(pad, (-1, 1, -1, 1), 0.8)
+    problem = solve.Problem.of(made, grid)
+    F = np.array([[1.2, 0.1, 0.05], [0.0, 0.9, -0.1], [0.1, 0.0, 1.05]])
+    found = Stresses(problem).at(grid.points @ F.T)
+    J, b = np.linalg.det(F), F @ F.T
+    expected = []
+    for law in laws:
+        sigma = law.mu * J ** (-5 / 3) * (b - np.trace(b) / 3 * np.eye(3)) + law.kappa / 2 * (J - 1 / J) * np.eye(3)
+        expected.append([sigma[0, 0], sigma[1, 1], sigma[2, 2], sigma[1, 2], sigma[0, 2], sigma[0, 1]])
+    assert np.abs(np.array(expected)).min() > 1e-4
+    assert found.element == pytest.approx(np.array(expected)[grid.layer], abs=1e-12)
+    outer = (grid.points[:, 2] > -0.7 - 1e-9).astype(int)
+    assert 0 < outer.sum() < len(outer)
+    assert found.node == pytest.approx(np.array(expected)[outer], abs=1e-12)
+
+
+def test_the_stress_of_a_press_balances_its_force(pressed: Run) -> None:
+    """sigma n over the deformed face against the contact's own force; nominal stress times area, by Nanson."""
+    made = Stresses(pressed.problem)
+    for state, force in zip(pressed.states, pressed.forces, strict=True):
+        stress = made.at(state.x)
+        quality = made.quality(stress, state)
+        assert 0 < quality["force_error"] < 0.03
+        assert 0.03 < quality["traction_error"] < 0.3  # cells of .75 mm under a contact of 1.7 mm radius
+        assert 0.0 < quality["pressure_oscillation"] < 0.25
+        faces = pressed.problem.contact.faces
+        area, normal = facet_areas(state.x, faces.conn)
+        nodal = faces.scatter(area[..., None] * normal, len(state.x))
+        pull = np.einsum("nij,nj->i", stress.node[:, FULL], nodal)
+        assert np.linalg.norm(pull - force) == pytest.approx(quality["force_error"] * np.linalg.norm(force))
+        assert pull[2] < 0  # tension is positive: the indenter pushes down
+
+
+def test_a_checkerboard_of_pressure_is_told_and_does_not_reach_the_nodes(pressed: Run) -> None:
+    made, state = Stresses(pressed.problem), pressed.states[PRESSED]
+    calm = made.at(state.x)
+    centres = pressed.problem.mesh.points[pressed.problem.mesh.cells].mean(1)
+    step = [np.unique(centres[:, k].round(6), return_inverse=True)[1] for k in range(3)]
+    rms = float(np.sqrt(np.mean(calm.element[:, :3].mean(1) ** 2)))
+    board = np.outer(3 * rms * (-1.0) ** sum(step), [1, 1, 1, 0, 0, 0])
+    rows = made.recovery.matrix @ (calm.element + board)
+    assert rows == pytest.approx(calm.rows, abs=1e-9 * rms)
+    loud = Stress(calm.element + board, rows, calm.node)
+    assert made.quality(calm, state)["pressure_oscillation"] < 0.25
+    assert made.quality(loud, state)["pressure_oscillation"] > 1.0
+
+
+def test_traction_is_forced_on_stress_by_the_least_change() -> None:
+    rng = np.random.default_rng(0)
+    stress, traction, n = rng.normal(size=(5, 6)), rng.normal(size=(5, 3)), rng.normal(size=(5, 3))
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    found = agreeing(stress, n, traction)
+    assert np.einsum("nij,nj->ni", found[:, FULL], n) == pytest.approx(traction)
+    across = np.eye(3) - n[:, :, None] * n[:, None]
+    assert across @ (found - stress)[:, FULL] @ across == pytest.approx(np.zeros((5, 3, 3)), abs=1e-12)
+    assert agreeing(found, n, traction) == pytest.approx(found)
+
+
+def test_gap_and_normals_of_the_dent(
+    pressed: Run, surface: gel_surface.Surface, maps: list[Maps], mini: Sensor
+) -> None:
+    """Under the ball the gap is about none and the normals are the ball's own; elsewhere they are those of a ball over
+    a nearly level face."""
+    camera, state = Camera.from_sensor(mini), pressed.states[PRESSED]
+    view = gel_surface.View(Sheet.over(mini.gel, 0.1), surface.moved(state.x), camera)
+    gap, normals, z = view.gap(pressed.scene.shape, state.pose), view.normals(), view.height()
+    assert np.linalg.norm(normals, axis=-1) == pytest.approx(np.ones(camera.shape))
+    rows, columns = np.indices(camera.shape)
+    origins, rays = camera.rays(np.stack([columns, rows], -1).reshape(-1, 2) + 0.5)
+    at = (origins + rays * ((z.ravel() - origins[:, 2]) / rays[:, 2])[:, None]).reshape(*camera.shape, 3)
+    middle = np.array([*PATH[PRESSED][:2], PATH[PRESSED][2] + 4.0])
+    touched = maps[PRESSED].contact
+    assert np.abs(gap[touched]).max() < 0.06
+    assert gap == pytest.approx(np.linalg.norm(at - middle, axis=-1) - 4.0, abs=2e-3)
+    inward = (middle - at) / np.linalg.norm(middle - at, axis=-1, keepdims=True)  # of the ball is outward of the gel
+    inner = touched & (np.linalg.norm(at[..., :2] - middle[:2], axis=-1) < 1.2)
+    assert inner.sum() > 500
+    assert np.degrees(np.arccos((normals * inward).sum(-1)[inner])).max() < 4
+    right = (at[..., 0] > middle[0] + 0.8) & inner
+    assert (normals[right][:, 0] < -0.1).all()  # right of the ball the dent rises to the right
+    flat = gel_surface.View(Sheet.over(mini.gel, 0.2), surface, camera).normals()
+    assert flat == pytest.approx(np.broadcast_to([0.0, 0.0, 1.0], flat.shape), abs=1e-12)
+
+
+def test_the_tangents_of_a_face() -> None:
+    rng = np.random.default_rng(0)
+    n = rng.normal(size=(50, 3))
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    n[:2] = [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]
+    axes = np.stack([*tangents(n), n], 1)
+    assert axes @ axes.swapaxes(1, 2) == pytest.approx(np.broadcast_to(np.eye(3), (50, 3, 3)), abs=1e-12)
+    assert np.linalg.det(axes) == pytest.approx(np.ones(50))
+    assert axes[0] == pytest.approx(np.eye(3))
+
+
+def test_sliding_cells_have_all_the_friction_there_can_be(pressed: Run, maps: list[Maps]) -> None:
+    """|t| = friction x pressure where all points slide, as nearly as friction knows the normal forces (advance.LAG)."""
+    found = maps[SLID]
+    size = np.linalg.norm(found.traction, axis=-1)
+    full = (found.sliding > 1 - 1e-9) & (found.pressure > 0)
+    assert full.sum() > 500
+    allowed = 1e-3 * COEFFICIENT * found.pressure.max()
+    assert np.abs(size - COEFFICIENT * found.pressure)[full].max() < allowed
+    found = maps[PRESSED]
+    stuck = (found.sliding == 0) & (found.pressure > 0.2 * found.pressure.max())
+    assert stuck.sum() > 100
+    assert (np.linalg.norm(found.traction, axis=-1) < 0.9 * COEFFICIENT * found.pressure)[stuck].mean() > 0.9

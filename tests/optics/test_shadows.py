@@ -1,0 +1,98 @@
+"""Shadows by horizons, and the sum over strips by the table, against walks and sums that leave nothing out."""
+
+import numpy as np
+import pytest
+from helpers.tiny import sensor
+
+from tacgen.optics import strip_light, strip_light_table
+from tacgen.optics.direct_light import Direct
+from tacgen.optics.hertz_dent import BallDent
+from tacgen.optics.shadows import Terrain, horizon
+from tacgen.optics.surface_grid import Sheet, Untouched
+
+EVER = (-1e9, 1e9)  # every slope is of interest
+
+
+def test_a_ridge_shades_and_a_clear_way_does_not():
+    heights = np.zeros((101, 101))
+    seen = horizon(Terrain.of(heights, (10.0, 10.0)), -2.0, 0.0, 0.0, 1.0, 0.0, 8.0, EVER, EVER)
+    assert seen == 0.0
+    heights[:, 50:53] = -1.0  # pushed toward the camera, between the point and the light
+    near, far = (-(2.0 + i) for i in (0.0, 0.2))
+    for dy in (0.0, 0.3):
+        dx = np.sqrt(1 - dy * dy)
+        terrain = Terrain.of(heights, (10.0, 10.0))
+        found = horizon(terrain, -2.0, 0.0, 0.0, dx, dy, 8.0, EVER, EVER)
+        assert 1 / near * dx - 0.02 < found < 1 / far * dx + 0.02
+        assert horizon(terrain, -2.0, 0.0, 0.0, dx, dy, 1.9, EVER, EVER) == 0.0  # the light is before the ridge
+
+
+def walk(heights, size, x, y, z, dx, dy, reach):
+    """The least slope to the face, looked at every 0.005 mm."""
+    from scipy.ndimage import map_coordinates
+
+    r = np.arange(0.15, reach, 0.005)
+    rows, columns = heights.shape
+    u = (x + r * dx + size[0] / 2) / size[0] * (columns - 1)
+    v = (y + r * dy + size[1] / 2) / size[1] * (rows - 1)
+    inside = (u >= 0) & (v >= 0) & (u < columns - 1) & (v < rows - 1)
+    face = map_coordinates(heights, [v[inside], u[inside]], order=1)
+    return ((face - z) / r[inside]).min(initial=np.inf)
+
+
+def test_blocks_are_stepped_over_without_loss():
+    """On a dome with a dent, in all directions, from points on the face."""
+    rng, size = np.random.default_rng(3), (18.0, 24.0)
+    y, x = np.mgrid[-12:12:241j, -9:9:181j]
+    heights = -(x * x / 64 + y * y / 144) - 1.2 * np.exp(-((x - 1) ** 2 + y**2) / 3)
+    terrain, late, parted = Terrain.of(heights, size), [], []
+    for k in range(400):
+        row, column = rng.integers(5, 236), rng.integers(5, 176)
+        turn = k % 4 * np.pi / 2 if k < 40 else rng.uniform(0, 2 * np.pi)
+        ray = (x[row, column], y[row, column], heights[row, column], np.cos(turn), np.sin(turn), rng.uniform(3, 25))
+        found, true = horizon(terrain, *ray, EVER, EVER), walk(heights, size, *ray)
+        assert found >= true - 2e-3  # it sees no more face than there is
+        late.append(found - true if true < 1e9 else 0.0)
+        least = rng.uniform(-0.6, 0.0)
+        asked = (least, least + 0.1), (least - 0.5, least - 0.05)
+        some = horizon(terrain, *ray, *asked)
+        for low, high in asked:
+            parted.append(abs(np.clip(some, low, high) - np.clip(found, low, high)))
+    assert np.percentile(late, 95) < 0.02
+    assert np.percentile(parted, 98) < 0.01  # the same answer wherever somebody asks
+    assert max(parted) < 0.1
+
+
+@pytest.mark.parametrize("gloss", [0.0, 0.3])
+def test_the_table_sums_what_single_connections_do(gloss):
+    made = sensor(coating={"specular": gloss})
+    sheet = Sheet.over(made.gel, 0.1)
+    direct = Direct(made, sheet, False)
+    at = direct.view.look(BallDent(2.0, 1.0, (0.6, -0.4), Untouched.of(made.gel)))
+    found = direct.light(at)
+    slab, panels = strip_light.Slab.of(made), strip_light.Panels.of(made.leds)
+    seen, terrain = (at.position, at.normal, direct.view.toward_camera()), direct._heights(at.nodes)
+    exact = strip_light.gather(
+        *seen, direct.points, 3, slab, panels, made.coating.roughness, Terrain.of(terrain, sheet.size)
+    )
+    exact *= direct.view.transmission()[:, None, None]
+    kinds = 2 if gloss else 1
+    for kind in range(kinds):
+        assert np.linalg.norm((found - exact)[..., kind]) < 0.01 * np.linalg.norm(exact[..., kind])
+    assert found.shape[-1] == kinds
+
+
+def test_entries_of_the_table_are_close_enough():
+    """Between them light is interpolated: within a thousandth, but for the ring where total reflection sets in."""
+    made = sensor()
+    slab, points = strip_light.Slab.of(made), strip_light.points(made.leds, 4, 2)
+    table = strip_light_table.Beams.of(made, points, 2, Sheet.over(made.gel, 0.5))
+    aside, z = (np.arange(30, 90) + 0.5) * strip_light_table.ASIDE, table.floor + 24.5 * strip_light_table.DEEP
+    for q in (0, 5, 16):
+        home = strip_light.layer(points.at[q, 2], slab.tops)
+        row = table.table[table.level[q], 24:26].mean(axis=0)
+        between = (row[30:90] + row[31:91]) / 2
+        for image in (0, 1):
+            lit = [strip_light.arrive(r, z, points.at[q, 2], home, image, slab) for r in aside]
+            off = np.abs(between[:, 4 * image : 4 * image + 4] / lit - 1)
+            assert np.median(off, axis=0).max() < 1e-3

@@ -1,0 +1,130 @@
+"""The sum over strips against closed forms."""
+
+import numpy as np
+import pytest
+
+from tacgen.optics import strip_light
+from tacgen.optics.camera import Stack
+from tacgen.optics.shadows import Terrain
+from tacgen.recipe.sensor import Led
+
+LEVEL = Terrain.of(np.zeros((5, 5)), (20.0, 20.0))
+NOTHING = strip_light.Panels.of([])  # in the way
+
+
+def one(at, normal, area, half):
+    """A single point that shines, and that it is one strip."""
+    return strip_light.Points(np.array([at]), np.array([normal]), np.array([area]), np.array([half]), np.array([0])), 1
+
+
+def test_a_small_strip_obeys_the_inverse_square_law():
+    p, down = np.array([[0.0, 0.0, 0.0]]), np.array([[0.0, 0.0, -1.0]])
+    light = one([3.0, 0.0, -4.0], [-0.6, 0.0, 0.8], 1e-3, 0.01)  # the strip faces the point
+    slab = strip_light.Slab(np.array([-10.0]), np.array([np.inf]), np.array([1.0]))  # index 1: no mirror image
+    got = strip_light.gather(p, down, down, *light, slab, NOTHING, 0.4, LEVEL)
+    assert got[0, 0, 0] == pytest.approx(1e-3 * 0.8 / 25.0 / np.pi, rel=1e-6)
+
+
+def test_a_mirror_image_adds_what_fresnel_reflects():
+    n, depth = 1.5, 6.0
+    p, down = np.array([[0.0, 0.0, 0.0]]), np.array([[0.0, 0.0, -1.0]])
+    light = one([1.0, 0.0, -2.0], [0.0, 0.0, -1.0], 1e-3, 0.01)  # faces away: only its image shines on p
+    slab = strip_light.Slab(np.array([-depth]), np.array([np.inf]), np.array([n]))
+    got = strip_light.gather(p, down, down, *light, slab, NOTHING, 0.4, LEVEL)
+    d = np.hypot(1.0, 10.0)
+    k = n / d
+    expected = 1e-3 * (10.0 / d) ** 2 / d**2 / np.pi * (1 - strip_light.fresnel_transmission(k, n, 1.0))
+    assert got[0, 0, 0] == pytest.approx(expected, rel=1e-6)
+
+
+def test_fresnel_at_normal_incidence_and_beyond_the_critical_angle():
+    assert 1 - strip_light.fresnel_transmission(0.0, 1.5, 1.0) == pytest.approx(0.04, rel=1e-12)
+    assert strip_light.fresnel_transmission(1.01, 1.5, 1.0) == 0.0
+    assert strip_light.fresnel_transmission(0.5, 1.0, 1.5) == pytest.approx(
+        strip_light.fresnel_transmission(0.5, 1.5, 1.0)
+    )
+
+
+@pytest.mark.parametrize("rho", [1e-6, 0.5, 5.0, 50.0])
+def test_a_connection_travels_as_far_as_asked(rho):
+    lengths, indices = np.array([5.0, 4.0]), np.array([1.49, 1.41])
+    k, derivative = strip_light.connect(rho, lengths, indices)
+    travel = (lengths * k / np.sqrt(indices**2 - k * k)).sum()
+    assert travel == pytest.approx(rho, rel=1e-7)
+    dk = 1e-6 * (1.41 - k)
+    nearby = (lengths * (k + dk) / np.sqrt(indices**2 - (k + dk) ** 2)).sum()
+    assert (nearby - travel) / dk == pytest.approx(derivative, rel=1e-4)
+
+
+def test_camera_and_light_bend_alike():
+    stack = Stack((12.0, 5.0, 4.0), (1.0, 1.49, 1.41))
+    x = stack.slope(np.array([6.0]), np.array([0.0]))[0]
+    k, _ = strip_light.connect(6.0, np.array(stack.thicknesses), np.array(stack.indices))
+    assert k == pytest.approx(x / np.sqrt(1 + x * x), rel=1e-7)
+
+
+def test_a_rough_mirror_reflects_nearly_all_and_never_more():
+    rng = np.random.default_rng(1)
+    for cos in (1.0, 0.6):
+        wi = np.array([np.sqrt(1 - cos * cos), 0.0, cos])
+        u, v = rng.random((2, 40000))
+        co, phi = np.sqrt(u), 2 * np.pi * v  # cosine-weighted directions
+        wo = np.column_stack([np.sqrt(1 - u) * np.cos(phi), np.sqrt(1 - u) * np.sin(phi), co])
+        total = np.mean([np.pi * strip_light.ggx(o @ wi, cos, c, 0.3) / c for o, c in zip(wo, co, strict=True)])
+        assert 0.8 < total < 1.02
+
+
+def test_a_ridge_takes_a_strips_light_away():
+    p, down = np.array([[-3.0, 0.0, 0.0]]), np.array([[0.0, 0.0, -1.0]])
+    light = one([4.0, 0.0, -0.8], [-1.0, 0.0, 0.0], 1e-3, 0.05)
+    slab = strip_light.Slab(np.array([-10.0]), np.array([np.inf]), np.array([1.0]))
+    flat, size = np.zeros((101, 101)), (10.0, 10.0)
+    ridge = flat.copy()
+    ridge[:, 50:53] = -1.2
+    clear, shaded = (
+        strip_light.gather(p, down, down, *light, slab, NOTHING, 0.4, Terrain.of(heights, size))[0, 0, 0]
+        for heights in (flat, ridge)
+    )
+    assert clear > 0.0
+    assert shaded == 0.0
+
+
+@pytest.mark.parametrize(("normal", "image"), [([0.6, 0.0, -0.8], 1), ([-1.0, 0.0, 0.0], 0), ([-1.0, 0.0, 0.0], 1)])
+def test_a_strip_stands_in_the_way_where_a_fine_walk_meets_it(normal, image):
+    """Two layers; the way is bent at the one between, and mirrored under it."""
+    slab = strip_light.Slab(np.array([-8.0, -4.0]), np.array([-4.0, np.inf]), np.array([1.49, 1.41]))
+    source = np.array([-9.0, 0.5, -6.0])
+    home, rng, seen = strip_light.layer(source[2], slab.tops), np.random.default_rng(5), set()
+    for _ in range(200):
+        p, middle = np.array([*rng.uniform(-5, 5, 2), 0.0]), rng.uniform([-8, -2, -7.5], [0, 2, -0.5])
+        led = Led(name="in the way", center_mm=middle, normal=normal, size_mm=(4, 2), radiance=(1, 1, 1), source="test")
+        panels = strip_light.Panels.of([led])
+        met = walked(panels, p, source, image, slab)
+        if met is not None:
+            seen.add(met)
+            k = (
+                strip_light.arrive(np.hypot(*(source - p)[:2]), p[2], source[2], home, image, slab)[0]
+                * slab.indices[-1]
+            )
+            assert strip_light.shaded(panels, p, source, home, image, k, slab) == met
+    assert seen == {True, False}
+
+
+def walked(panels, p, source, image, slab):
+    """The same by points every 0.002 mm of height; None where the way only just misses or meets the rectangle."""
+    rho = np.hypot(*(source - p)[:2])
+    home = strip_light.layer(source[2], slab.tops)
+    k = strip_light.arrive(rho, p[2], source[2], home, image, slab)[0] * slab.indices[-1]
+    z = np.arange(p[2], slab.bottoms[0] if image else source[2], -0.002)
+    z = np.append(z, np.arange(slab.bottoms[0], source[2], 0.002)) if image else z
+    n = np.where(z < slab.bottoms[1], *slab.indices)
+    r = np.cumsum(0.002 * k / np.sqrt(n * n - k * k))
+    assert r[-1] == pytest.approx(rho, abs=0.01)
+    way = np.column_stack([p[:2] + r[:, None] / rho * (source - p)[:2], z])
+    off = (way - panels.middle[0]) @ np.array([panels.normal[0], panels.along[0] / 4, panels.up[0]]).T
+    inside = np.maximum(np.abs(off[:, 1]), np.abs(off[:, 2]))  # along and up, 1 at the rims
+    near = np.abs(off[:, 0]) < 0.01
+    if not near.any():
+        return False
+    least = inside[near].min()
+    return None if abs(least - 1) < 0.05 else bool(least < 1)

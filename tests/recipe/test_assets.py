@@ -1,0 +1,85 @@
+"""Shipped files are found by name, in a checkout and in a wheel."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tacgen.errors import UserError
+from tacgen.recipe import assets
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_names_are_those_of_the_files():
+    assert "gelsight_mini" in assets.list_sensors()
+    assert "quickstart" in assets.list_recipes()
+    assert assets.sensor_path("gelsight_mini") == ROOT / "sensors" / "gelsight_mini.yaml"
+    assert assets.recipe_path("quickstart") == ROOT / "recipes" / "quickstart.yaml"
+
+
+def test_paths_start_at_the_recipe(tmp_path: Path):
+    file = tmp_path / "mine.yaml"
+    file.write_text("")
+    assert assets.sensor_path("./mine.yaml", tmp_path) == file
+    assert assets.sensor_path(str(file), Path("elsewhere")) == file
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("gelsight_mimi", "no sensor is called 'gelsight_mimi'; did you mean gelsight_mini?"),
+        ("zzz", "no sensor is called 'zzz'; there are: "),
+        ("no/such.yaml", "no/such.yaml: no such sensor file"),
+        ("x" * 5000 + ".yaml", "no such sensor file"),
+    ],
+)
+def test_what_is_not_there_is_said_in_one_line(name: str, says: str):
+    with pytest.raises(UserError) as caught:
+        assets.sensor_path(name)
+    (line,) = caught.value.lines
+    assert says in line
+
+
+@pytest.mark.parametrize(
+    ("name", "says"), [("./notes.txt", "must be a mesh file (.stl"), ("./empty", "holds no mesh (")]
+)
+def test_an_object_that_is_no_mesh_is_said_in_one_line(name: str, says: str, tmp_path: Path):
+    (tmp_path / "notes.txt").write_text("")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(UserError) as caught:
+        assets.mesh_path(name, tmp_path)
+    (line,) = caught.value.lines
+    assert line.startswith(f"{tmp_path / name}: {says}")
+
+
+def test_an_installed_package_looks_inside_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    (tmp_path / "data" / "sensors").mkdir(parents=True)
+    (tmp_path / "data" / "sensors" / "other.yaml").write_text("")
+    monkeypatch.setattr(assets, "PACKAGE", tmp_path)
+    assert assets.list_sensors() == ["other"]
+    assert assets.list_objects() == []
+
+
+@pytest.mark.slow
+def test_a_wheel_brings_its_sensors_and_recipes(tmp_path: Path):
+    def pip(*args: str) -> None:
+        subprocess.run([sys.executable, "-m", "pip", "-q", *args], check=True, cwd=ROOT, timeout=240)
+
+    pip("wheel", "--no-deps", "--wheel-dir", str(tmp_path / "wheel"), ".")
+    (wheel,) = (tmp_path / "wheel").iterdir()
+    pip("install", "--no-deps", "--target", str(tmp_path / "site"), str(wheel))
+    code = "import tacgen.cli, sys; print(tacgen.cli.__file__); tacgen.cli.app()"
+    listed = subprocess.run(
+        [sys.executable, "-c", code, "list"],
+        env={"PYTHONPATH": str(tmp_path / "site"), "PATH": "/usr/bin:/bin"},
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=60,
+    ).stdout
+    assert listed.startswith(str(tmp_path / "site"))
+    assert "gelsight_mini" in listed
+    assert "quickstart" in listed

@@ -1,0 +1,445 @@
+"""Recipes: every problem at once and where it stands; what is read can be written and read again."""
+
+import io
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from ruamel.yaml import YAML
+
+from tacgen.errors import UserError
+from tacgen.recipe import assets
+from tacgen.recipe.indenters import SHAPES
+from tacgen.recipe.loading import read
+from tacgen.recipe.model import OUTPUTS, QUALITIES, Recipe
+from tacgen.recipe.validation_messages import validate
+from tacgen.recipe.yaml_source import Source, format_path, parse, parse_path, put
+
+GOOD = """\
+tacgen: 1
+name: test
+sensor: gelsight_mini
+indenter:
+  shape: sphere
+  radius_mm: 4.0
+trajectory:
+  - press: {depth_mm: 1.0, frames: 5}
+  - slide: {x_mm: 1.0, frames: 5}
+outputs: [force]
+"""
+
+
+def lines_of(tmp_path: Path, text: str, sets: tuple[str, ...] = ()) -> list[str]:
+    """The lines of the error that a recipe gives, without the excerpts."""
+    path = tmp_path / "recipe.yaml"
+    path.write_text(text)
+    with pytest.raises(UserError) as caught:
+        read(path, sets)
+    return [line.removeprefix(f"{tmp_path}/") for line in caught.value.lines if not line.startswith("    ")]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line"),
+    [
+        ("depth_mm: 1.0", "depth_mm: -1", "8:23: trajectory[0].press.depth_mm: must be greater than 0 (got -1)"),
+        ("depth_mm: 1.0", "depth_mm: .nan", "8:23: trajectory[0].press.depth_mm: must be a finite number (got nan)"),
+        ("depth_mm: 1.0", "depth_mm: yes", "8:23: trajectory[0].press.depth_mm: must be a number (got 'yes')"),
+        ("depth_mm: 1.0", "depth_mm: true", "8:23: trajectory[0].press.depth_mm: must be a number (got true)"),
+        ("depth_mm: 1.0", 'depth_mm: "1"', "8:23: trajectory[0].press.depth_mm: must be a number (got '1')"),
+        ("depth_mm: 1.0, ", "", "8:12: trajectory[0].press: must hold exactly one aim of depth_mm, force_n (got none)"),
+        (
+            "depth_mm: 1.0",
+            "depth_mm: 1.0, force_n: 2",
+            "8:12: trajectory[0].press: must hold exactly one aim of depth_mm, force_n (got depth_mm, force_n)",
+        ),
+        ("depth_mm: 1.0", "force_n: 0", "8:22: trajectory[0].press.force_n: must be greater than 0 (got 0)"),
+        ("slide: {x_mm: 1.0", "tilt: {angle_deg: 90", "9:23: trajectory[1].tilt.angle_deg: must be less than 90"),
+        (
+            "frames: 5}\n  - slide",
+            "frames: 5.5}\n  - slide",
+            "8:36: trajectory[0].press.frames: must be a whole number",
+        ),
+        (
+            "frames: 5}\n  - slide",
+            "frames: 0}\n  - slide",
+            "8:36: trajectory[0].press.frames: must be at least 1 (got 0)",
+        ),
+        ("press:", "perss:", "8:5: trajectory[0].perss: unknown key, did you mean press?"),
+        ("radius_mm: 4.0", "raduis_mm: 4.0", "6:3: indenter.raduis_mm: unknown key, did you mean radius_mm?"),
+        ("radius_mm: 4.0", "radius_mm:", "6:3: indenter.radius_mm: must be a number (got nothing)"),
+        ("shape: sphere", "shape: sphre", "5:10: indenter.shape: must be one of sphere, cylinder, cone, box, wedge"),
+        ("  shape: sphere\n", "", "4:1: indenter.shape: is missing"),
+        (
+            "outputs: [force]",
+            "outputs: [forse]",
+            "10:11: outputs[0]: must be one of force, traction, force_map",
+        ),
+        ("outputs: [force]", "outputs: []", "10:10: outputs: must name at least one of force"),
+        ("outputs: [force]", "outputs: force", "10:10: outputs: must be a list (got 'force')"),
+        ("name: test", "name: a test", "2:7: name: must be letters, digits, dots, dashes and underscores only"),
+        ("tacgen: 1", "tacgen: 2", "1:9: tacgen: must be 1 (got 2)"),
+        ("tacgen: 1\n", "", "1:1: tacgen: is missing"),
+        ("sensor: gelsight_mini", "sensor: gelsight_mimi", "3:9: sensor: no sensor is called 'gelsight_mimi'; did you"),
+        ("sensor: gelsight_mini", "sensor: ./mine.yaml", "3:9: sensor: "),
+        (
+            "outputs:",
+            "quality: darft\noutputs:",
+            "10:10: quality: must be one of draft, default, reference (got 'darft')",
+        ),
+        ("outputs:", "quality: {spp: 0}\noutputs:", "10:16: quality.spp: must be at least 1 (got 0)"),
+        (
+            "outputs:",
+            "start: {clearance_mm: -1}\noutputs:",
+            "10:23: start.clearance_mm: must be at least 0 (got -1): the",
+        ),
+        ("outputs:", "contact: {frction: 1}\noutputs:", "10:11: contact.frction: unknown key, did you mean friction?"),
+        # against the sensor
+        (
+            "depth_mm: 1.0",
+            "depth_mm: 4",
+            "8:23: trajectory[0].press.depth_mm: must be less than the gel is thick, 4 mm",
+        ),
+        (
+            "outputs:",
+            "start: {x_mm: 13}\noutputs:",
+            "10:15: start.x_mm: the indenter would start beside the pad of 25.25",
+        ),
+        (
+            "outputs:",
+            "start: {x_mm: 12.5, y_mm: 10.3}\noutputs:",
+            "10:8: start: the indenter would start beside the pad",
+        ),
+        ("x_mm: 1.0", "x_mm: 13", "9:12: trajectory[1].slide: would carry the indenter's axis off the pad"),
+    ],
+)
+def test_a_mistake_is_told_where_it_stands(tmp_path: Path, old: str, new: str, line: str):
+    assert old in GOOD
+    (told,) = lines_of(tmp_path, GOOD.replace(old, new, 1))
+    assert told.startswith(f"recipe.yaml:{line}")
+
+
+@pytest.mark.parametrize(
+    ("indenter", "at", "says"),
+    [
+        ("{shape: cylinder, radius_mm: 3, fillet_mm: 4}", "4}", "fillet_mm: must be at most radius_mm, 3 (got 4)"),
+        ("{shape: cylinder, radius_mm: 0.1}", "indenter", "fillet_mm: must be at most radius_mm, 0.1 (got 0.2)"),
+        ("{shape: box, size_x_mm: 1, size_y_mm: 3, fillet_mm: 0.6}", "0.6", "fillet_mm: must be at most half the"),
+        ("{shape: torus, radius_mm: 2, tube_radius_mm: 2}", "2}", "tube_radius_mm: must be less than radius_mm, 2"),
+        ("{shape: cone, half_angle_deg: 90, tip_radius_mm: 1}", "90", "half_angle_deg: must be less than 90 (got 90)"),
+        ("{shape: wedge, half_angle_deg: 40, tip_radius_mm: 0.5}", "indenter", "length_mm: is missing"),
+        (
+            "{shape: wedge, half_angle_deg: 40, tip_radius_mm: 0.5, length_mm: 0.9}",
+            "0.9",
+            "length_mm: must be at least twice",
+        ),
+        ("{shape: capsule, radius_mm: 1, length_mm: -2}", "-2", "length_mm: must be greater than 0 (got -2)"),
+    ],
+)
+def test_radii_must_be_possible(tmp_path: Path, indenter: str, at: str, says: str):
+    line = f"indenter: {indenter}"
+    (told,) = lines_of(tmp_path, GOOD.replace("indenter:\n  shape: sphere\n  radius_mm: 4.0", line))
+    assert told.startswith(f"recipe.yaml:4:{line.index(at) + 1}: indenter.{says}")
+
+
+def test_all_problems_come_at_once_and_in_order(tmp_path: Path):
+    text = GOOD.replace("depth_mm: 1.0", "depth_mm: -1").replace("radius_mm", "raduis_mm").replace("force", "rbg")
+    told = lines_of(tmp_path, text + "colour: 1\n", ("sensor.gel.layers[0].poissons_ratio=0.5",))
+    assert told[0].startswith("--set sensor.gel.layers[0].poissons_ratio=0.5: ")
+    assert [line.split(": ")[1] for line in told[1:]] == [
+        "indenter.raduis_mm",
+        "trajectory[0].press.depth_mm",
+        "outputs[0]",
+        "colour",
+    ]
+
+
+def test_the_caret_stands_under_the_value(tmp_path: Path):
+    path = tmp_path / "recipe.yaml"
+    path.write_text(GOOD.replace("depth_mm: 1.0", "depth_mm: -1"))
+    with pytest.raises(UserError) as caught:
+        read(path)
+    _, line, caret = caught.value.lines
+    assert line[caret.index("^") :].startswith("-1, frames: 5}")
+
+
+def sensor_text() -> str:
+    return assets.sensor_path("gelsight_mini").read_text()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        (
+            "poissons_ratio: 0.49",
+            "poissons_ratio: 0.5",
+            "gel.layers[0].poissons_ratio: must be less than 0.5 (got 0.5)",
+        ),
+        ("thickness_mm: 4.0", "thickness_mm: -4.0", "gel.layers[0].thickness_mm: must be greater than 0 (got -4)"),
+        (
+            "corner_radius_mm: 1.5",
+            "corner_radius_mm: 15",
+            "gel.corner_radius_mm: must be at most half the pad's shorter",
+        ),
+        ("youngs_modulus_mpa", "young_modulus_mpa", "unknown key, did you mean youngs_modulus_mpa?"),
+        ("law: neo_hooke", "law: neo_hook", "(got 'neo_hook'), did you mean neo_hooke?"),
+        ("  width_mm: 25.25", "  width_mm: 25.25\n  width_mm: 25.25", "width_mm: this key is there twice"),
+        ("gel:\n", "gel: [\n", "mine.yaml:"),
+    ],
+)
+def test_a_mistake_in_the_sensor_file_is_told_in_the_sensor_file(tmp_path: Path, old: str, new: str, says: str):
+    assert old in sensor_text()
+    (tmp_path / "mine.yaml").write_text(sensor_text().replace(old, new, 1))
+    told = lines_of(tmp_path, GOOD.replace("gelsight_mini", "./mine.yaml"))
+    assert all(line.startswith("mine.yaml:") and line.split(":")[1].isdigit() for line in told)
+    assert any(says in line for line in told)
+
+
+def test_a_broken_sensor_file_does_not_hide_the_recipe(tmp_path: Path):
+    (tmp_path / "mine.yaml").write_text("gel: [")
+    told = lines_of(tmp_path, GOOD.replace("gelsight_mini", "./mine.yaml").replace("depth_mm: 1.0", "depth_mm: -1"))
+    assert len(told) == 2
+    assert told[0].startswith("recipe.yaml:8:23")
+    assert told[1].startswith("mine.yaml:1:")
+
+
+@pytest.mark.parametrize(
+    ("override", "line"),
+    [
+        ("indenter.radius_mm=-3", "indenter.radius_mm: must be greater than 0 (got -3)"),
+        ("contact.frction=1", "contact.frction: unknown key, did you mean friction?"),
+        ("trajectory[5].hold.frames=1", "[5] is past the end: there are 2 entries, counted from 0"),
+        ("name.x=1", "x needs a mapping, and there is 'test'"),
+        ("indenter.radius_mm", "needs the form path=value, such as indenter.radius_mm=3"),
+        ("in denter=3", "'in denter' is not a path such as trajectory[0].press.depth_mm"),
+        ("outputs=[force", "expected ',' or ']', but got '<stream end>'"),
+        ("sensor.gel.layers[0].thickness_mm=0.5", None),
+        ("sensor.gel.layers[3].thickness_mm=0.5", "[3] is past the end: there are 1 entries, counted from 0"),
+        ("sensor.gel.layers[0].poissons_ratio=0.6", "gel.layers[0].poissons_ratio: must be less than 0.5 (got 0.6)"),
+    ],
+)
+def test_a_mistake_on_the_command_line_is_told_there(tmp_path: Path, override: str, line: str | None):
+    (told,) = lines_of(tmp_path, GOOD, (override,))
+    if line is None:  # the press is too deep for the thinner gel: that stands in the recipe
+        assert told.startswith(
+            "recipe.yaml:8:23: trajectory[0].press.depth_mm: must be less than the gel is thick, 0.5"
+        )
+    else:
+        assert told.startswith(f"--set {override}: ")
+        assert told.endswith(line)
+
+
+def test_set_reaches_recipe_and_sensor(tmp_path: Path):
+    path = tmp_path / "recipe.yaml"
+    path.write_text(GOOD)
+    sets = ["indenter={shape: box, size_x_mm: 3, size_y_mm: 2}", "contact.friction=0.5", "sensor.camera.exposure=2"]
+    loaded = read(path, sets)
+    assert loaded.recipe.indenter.shape == "box"
+    assert loaded.recipe.contact.friction == 0.5
+    assert loaded.sensor.camera.exposure == 2
+    assert loaded.recipe.sensor_overrides == {"camera.exposure": 2}
+
+
+def test_overrides_in_the_recipe_reach_the_sensor_and_point_back(tmp_path: Path):
+    path = tmp_path / "recipe.yaml"
+    path.write_text(GOOD + "sensor_overrides:\n  gel.layers[0].thickness_mm: 3.0\n  camera: {exposure: 2.0}\n")
+    sensor = read(path).sensor
+    assert (sensor.gel.layers[0].thickness_mm, sensor.camera.exposure) == (3.0, 2.0)
+    assert sensor.camera.width_px == 320, "a mapping merges, it does not replace"
+    (told,) = lines_of(tmp_path, GOOD + "sensor_overrides:\n  gel.layers[0].thickness_mm: -3.0\n")
+    assert told == "recipe.yaml:12:31: gel.layers[0].thickness_mm: must be greater than 0 (got -3)"
+    (told,) = lines_of(tmp_path, GOOD + "sensor_overrides: {'gel.layers[7].thickness_mm': 3.0}\n")
+    assert told.startswith("recipe.yaml:11:20: ")
+
+
+def test_extends_lays_one_recipe_over_another(tmp_path: Path):
+    (tmp_path / "base.yaml").write_text(GOOD)
+    path = tmp_path / "recipe.yaml"
+    path.write_text("extends: base.yaml\nname: child\nindenter: {radius_mm: 2.0}\n")
+    recipe = read(path).recipe
+    assert (recipe.name, recipe.indenter.shape, recipe.indenter.radius_mm) == ("child", "sphere", 2.0)
+    assert recipe.frames == 10
+    (told,) = lines_of(tmp_path, "extends: base.yaml\nindenter: {radius_mm: -2.0}\n")
+    assert told.startswith("recipe.yaml:2:23: indenter.radius_mm")
+    (tmp_path / "base.yaml").write_text(GOOD.replace("depth_mm: 1.0", "depth_mm: -1"))
+    (told,) = lines_of(tmp_path, "extends: base.yaml\n")
+    assert told.startswith("base.yaml:8:23: trajectory[0].press.depth_mm")
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("extends: recipe.yaml\n", "recipe.yaml is extended by this very recipe"),
+        ("extends: nowhere.yaml\n", "no such file"),
+        ("extends: 3\n", "must be the path of a recipe (got 3)"),
+        ("- 1\n", "a recipe must be a mapping (got a list)"),
+        ("", "a recipe must be a mapping (got nothing)"),
+    ],
+)
+def test_a_recipe_that_leads_nowhere(tmp_path: Path, text: str, says: str):
+    (told,) = lines_of(tmp_path, text)
+    assert told.startswith("recipe.yaml:1:")
+    assert says in told
+
+
+def test_markers_need_a_sensor_with_markers(tmp_path: Path):
+    (told,) = lines_of(tmp_path, GOOD.replace("[force]", "[markers]"), ("sensor.markers=null",))
+    assert told.endswith("asks for markers, and the sensor gelsight_mini has none")
+
+
+@pytest.mark.parametrize(
+    ("vary", "line"),
+    [
+        ("{method: sobol, over: {a: {choice: [1]}}}", "vary.samples: is missing: how many scenes to draw by sobol"),
+        ("{method: grid, samples: 3, over: {a: {choice: [1]}}}", "vary.samples: must be left out: a grid has as many"),
+        ("{samples: 3, over: {}}", "vary.over: must hold at least 1 (got 0)"),
+        ("{samples: 3, over: {a: {uniform: [2, 1]}}}", "vary.over.a.uniform: must be [low, high] with low < high"),
+        ("{samples: 3, over: {a: {loguniform: [0, 1]}}}", "vary.over.a.loguniform[0]: must be greater than 0 (got 0)"),
+        ("{samples: 3, over: {a: {unifrm: [2, 1]}}}", "vary.over.a.unifrm: unknown key, did you mean uniform?"),
+        ("{samples: 3, over: {a: {}}}", "vary.over.a: must hold exactly one distribution of uniform, loguniform"),
+        (
+            "{method: soboll, samples: 3, over: {a: {choice: [1]}}}",
+            "vary.method: must be one of grid, random, sobol, lhs",
+        ),
+    ],
+)
+def test_a_batch_must_make_sense(tmp_path: Path, vary: str, line: str):
+    (told,) = lines_of(tmp_path, f"{GOOD}vary: {vary}\n")
+    assert told.startswith("recipe.yaml:11:")
+    assert line in told
+
+
+def test_quality_is_a_preset_or_numbers():
+    def quality(value: Any) -> Any:
+        recipe, wrong = validate(Recipe, parse(GOOD, Source("r")).data | {"quality": value})
+        assert recipe is not None, wrong
+        return recipe.resolved()
+
+    assert quality("draft") == QUALITIES["draft"]
+    assert quality({"spp": 8}) == QUALITIES["default"]._replace(spp=8)
+
+
+# -- generated recipes --
+
+lengths = st.floats(0.01, 5).map(lambda x: round(x, 3))
+angles = st.floats(-90, 90)
+frames = st.integers(1, 20)
+
+
+@st.composite
+def indenters(draw: Any) -> dict[str, Any]:
+    shape = draw(st.sampled_from(sorted(SHAPES)))
+    fields: dict[str, Any] = {"shape": shape}
+    if shape == "mesh":
+        size = st.sampled_from(["scale", "size_mm"]).map(lambda name: {name: 2.5})
+        return {**fields, "file": "hex_bolt", "up": draw(st.sampled_from(["+x", "-y", "+z"])), **draw(size)}
+    for name in SHAPES[shape].model_fields:
+        if name == "half_angle_deg":
+            fields[name] = draw(st.floats(1, 89))
+        elif name == "fillet_mm":
+            fields[name] = draw(st.floats(0.001, 0.01))
+        elif name == "tube_radius_mm":
+            fields[name] = fields["radius_mm"] / 2
+        elif name == "length_mm":
+            fields[name] = 2 * fields.get("tip_radius_mm", 0.0) + draw(st.floats(0.1, 6))
+        elif name != "shape":
+            fields[name] = draw(st.floats(0.1, 6))
+    return fields
+
+
+segments = st.one_of(
+    st.fixed_dictionaries({"depth_mm": lengths, "frames": frames}).map(lambda s: {"press": s}),
+    st.fixed_dictionaries({"x_mm": angles, "frames": frames}, optional={"y_mm": angles}).map(lambda s: {"slide": s}),
+    st.fixed_dictionaries({"angle_deg": angles, "frames": frames}).map(lambda s: {"twist": s}),
+    st.fixed_dictionaries({"force_n": lengths, "frames": frames}).map(lambda s: {"press": s}),
+    st.fixed_dictionaries({"angle_deg": st.floats(-89, 89), "frames": frames}).map(lambda s: {"tilt": s}),
+    st.fixed_dictionaries({"frames": frames}).map(lambda s: {"hold": s}),
+    st.fixed_dictionaries({"frames": frames}).map(lambda s: {"release": s}),
+)
+spreads = st.one_of(
+    st.tuples(lengths, lengths).filter(lambda p: p[0] < p[1]).map(lambda p: {"uniform": list(p)}),
+    st.lists(st.one_of(lengths, st.text(max_size=4), st.booleans()), min_size=1, max_size=3).map(
+        lambda c: {"choice": c}
+    ),
+    st.tuples(lengths, lengths, st.integers(1, 9)).map(lambda p: {"linspace": list(p)}),
+)
+recipes = st.fixed_dictionaries(
+    {
+        "tacgen": st.just(1),
+        "name": st.from_regex(r"[A-Za-z0-9][A-Za-z0-9._-]{0,20}", fullmatch=True),
+        "sensor": st.just("gelsight_mini"),
+        "indenter": indenters(),
+        "trajectory": st.lists(segments, min_size=1, max_size=5),
+        "outputs": st.lists(st.sampled_from(OUTPUTS), min_size=1, unique=True),
+    },
+    optional={
+        "start": st.fixed_dictionaries({"x_mm": angles, "yaw_deg": angles, "tilt_deg": st.floats(0, 89)}),
+        "contact": st.fixed_dictionaries({"friction": lengths}),
+        "quality": st.one_of(st.sampled_from(sorted(QUALITIES)), st.just({"edge_mm": 0.5})),
+        "vary": st.fixed_dictionaries(
+            {"samples": st.integers(1, 99), "over": st.dictionaries(st.sampled_from("abc"), spreads, min_size=1)}
+        ),
+    },
+)
+
+
+def to_yaml(data: Any) -> str:
+    text = io.StringIO()
+    YAML(typ="rt").dump(data, text)
+    return text.getvalue()
+
+
+@settings(max_examples=50, deadline=None)
+@given(recipes)
+def test_a_recipe_survives_being_written_and_read(data: dict[str, Any]):
+    recipe, wrong = validate(Recipe, data)
+    assert recipe is not None, wrong
+    text = to_yaml(recipe.document())
+    again, wrong = validate(Recipe, parse(text, Source("r", tuple(text.splitlines()))).data)
+    assert again == recipe, wrong
+
+
+junk = st.one_of(
+    st.none(),
+    st.booleans(),
+    st.integers(),
+    st.floats(),
+    st.text(max_size=5),
+    st.just([]),
+    st.just({}),
+    st.just({"a": 1}),
+)
+ALL_PATHS = [path for path in parse(GOOD, Source("r")).spots if path]
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=40, deadline=None)
+@given(st.sampled_from(ALL_PATHS), st.one_of(junk, st.just("DELETE"), st.just("RENAME")))
+def test_no_damage_to_a_recipe_is_a_crash(tmp_path: Path, path: tuple, value: Any):
+    data = parse(GOOD, Source("r")).data
+    if value in ("DELETE", "RENAME"):
+        parent = data
+        for step in path[:-1]:
+            parent = parent[step]
+        old = parent.pop(path[-1])
+        if value == "RENAME" and isinstance(parent, dict):
+            parent[f"{path[-1]}x"] = old
+    else:
+        data = put(data, path, value)
+    file = tmp_path / "recipe.yaml"
+    file.write_text(to_yaml(data), encoding="utf-8")
+    try:
+        read(file)
+    except UserError as error:
+        heads = [line for line in error.lines if not line.startswith("    ")]
+        assert heads
+        assert all(line.startswith(f"{file}:") and line.split(":")[1].isdigit() for line in heads), heads
+
+
+def test_shipped_recipes_and_sensors_are_valid():
+    for name in assets.list_recipes():
+        assert read(assets.recipe_path(name)).recipe.name == name
+
+
+def test_paths_in_errors_are_paths_that_set_understands():
+    assert format_path(parse_path("trajectory[0].press.depth_mm")) == "trajectory[0].press.depth_mm"

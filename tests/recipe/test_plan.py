@@ -1,0 +1,238 @@
+"""Plans: numbers depend on seed and scene only, every varied scene is checked, keys tell inputs apart."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tacgen.bundle import schema
+from tacgen.errors import UserError
+from tacgen.recipe import assets, plan, plan_table
+from tacgen.recipe.loading import Loaded, read
+from tacgen.recipe.model import Recipe, Vary
+from tacgen.recipe.validation_messages import validate
+
+BATCH = f"""\
+extends: {assets.recipe_path("quickstart")}
+name: batch
+vary:
+  method: METHOD
+  samples: 7
+  seed: 3
+  over:
+    indenter.radius_mm: {{uniform: [2, 6]}}
+    trajectory[0].press.frames: {{integers: [1, 3]}}
+    contact.friction: {{choice: [0, 0.5, 1]}}
+    sensor.gel.layers[0].youngs_modulus_mpa: {{loguniform: [0.05, 0.5]}}
+"""
+METHODS = ("random", "sobol", "lhs", "halton")
+
+
+def loaded(tmp_path: Path, text: str, sets: tuple[str, ...] = ()) -> Loaded:
+    path = tmp_path / "batch.yaml"
+    path.write_text(text)
+    return read(path, sets)
+
+
+def expanded(found: Loaded, indices: list[int] | None = None) -> plan.Plan:
+    return plan.expand(found.recipe, found.sensor, indices, loaded=found)
+
+
+def failure(tmp_path: Path, text: str) -> list[str]:
+    with pytest.raises(UserError) as caught:
+        expanded(loaded(tmp_path, text))
+    return [line.removeprefix(f"{tmp_path}/") for line in caught.value.lines if not line.startswith("    ")]
+
+
+def test_a_recipe_without_vary_is_one_scene():
+    whole = plan.load(assets.recipe_path("quickstart"))
+    (row,) = whole.rows
+    assert (row.index, row.name, row.frames, row.values) == (0, "scene-00000", 15, {})
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_row_drawn_alone_is_the_row_of_the_whole(tmp_path: Path, method: str):
+    found = loaded(tmp_path, BATCH.replace("METHOD", method))
+    whole = expanded(found).rows
+    assert len({json.dumps(row.values) for row in whole}) == 7, "scenes must differ"
+    for index in (6, 0, 3):
+        assert expanded(found, [index]).rows == (whole[index],)
+    assert expanded(found, [5, 1, 6]).rows == (whole[5], whole[1], whole[6])
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_values_lie_where_they_should_and_reach_recipe_and_sensor(tmp_path: Path, method: str):
+    for row in expanded(loaded(tmp_path, BATCH.replace("METHOD", method), ("vary.samples=32",))).rows:
+        radius, frames, friction, modulus = row.values.values()
+        assert 2 <= radius <= 6
+        assert frames in (1, 2, 3)
+        assert friction in (0, 0.5, 1)
+        assert 0.05 <= modulus <= 0.5
+        assert row.recipe.indenter.radius_mm == radius
+        assert row.recipe.trajectory[0].frames == frames
+        assert row.sensor.gel.layers[0].youngs_modulus_mpa == modulus
+        assert row.recipe.vary is None
+
+
+def test_a_sobol_design_fills_every_quarter_evenly(tmp_path: Path):
+    rows = expanded(loaded(tmp_path, BATCH.replace("METHOD", "sobol"), ("vary.samples=16",))).rows
+    quarters = [int((row.values["indenter.radius_mm"] - 2) / 4 * 4) for row in rows]
+    assert [quarters.count(q) for q in range(4)] == [4, 4, 4, 4]
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_another_seed_is_another_batch(tmp_path: Path, method: str):
+    text = BATCH.replace("METHOD", method)
+    one, two = (expanded(loaded(tmp_path, text, (f"vary.seed={seed}",))).rows for seed in (0, 1))
+    assert {row.key for row in one}.isdisjoint(row.key for row in two)
+    assert {row.seed for row in one}.isdisjoint(row.seed for row in two)
+    first, second = ({row.values["indenter.radius_mm"] for row in rows} for rows in (one, two))
+    assert first.isdisjoint(second)
+
+
+def test_a_grid_is_the_product_with_the_last_varying_fastest(tmp_path: Path):
+    over = "{contact.friction: {choice: [0, 1]}, start.x_mm: {linspace: [-1, 1, 3]}}"
+    found = loaded(tmp_path, BATCH.replace("METHOD", "sobol"), (f"vary={{method: grid, over: {over}}}",))
+    whole = expanded(found).rows
+    pairs = [(row.values["contact.friction"], row.values["start.x_mm"]) for row in whole]
+    assert pairs == [(0, -1), (0, 0), (0, 1), (1, -1), (1, 0), (1, 1)]
+    assert expanded(found, [4]).rows == (whole[4],)
+
+
+def test_a_choice_may_be_a_whole_indenter(tmp_path: Path):
+    shapes = "[{shape: sphere, radius_mm: 3}, {shape: box, size_x_mm: 3, size_y_mm: 2}]"
+    found = loaded(
+        tmp_path,
+        BATCH.replace("METHOD", "sobol"),
+        (f"vary={{method: grid, over: {{indenter: {{choice: {shapes}}}}}}}",),
+    )
+    assert [row.recipe.indenter.shape for row in expanded(found).rows] == ["sphere", "box"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line"),
+    [
+        (
+            "indenter.radius_mm: {uniform: [2, 6]}",
+            "indenter.radius_mm: {uniform: [-6, -2]}",
+            "batch.yaml:8:5: scene-00000: indenter.radius_mm: must be greater than 0 (got ",
+        ),
+        (
+            "indenter.radius_mm: {uniform",
+            "trajectory[0].press.depth_mm: {uniform",
+            "batch.yaml:8:5: scene-00001: trajectory[0].press.depth_mm: must be less than the gel is thick, 4 mm (got ",
+        ),
+        (
+            "contact.friction",
+            "contact.frction",
+            "batch.yaml:10:5: scene-00000: contact.frction: unknown key, did you mean",
+        ),
+        ("contact.friction", "name", "batch.yaml:10:5: vary.over.name: name cannot be varied"),
+        ("contact.friction", "sensor", "batch.yaml:10:5: vary.over.sensor: sensor cannot be varied"),
+        ("contact.friction", "a b", "batch.yaml:10:5: vary.over.a b: 'a b' is not a path"),
+        (
+            "trajectory[0]",
+            "trajectory[7]",
+            "batch.yaml:9:5: scene-00000: trajectory[7].press.frames: [7] is past the end",
+        ),
+        (
+            "{integers: [1, 3]}",
+            "{uniform: [1, 3]}",
+            "batch.yaml:9:5: scene-00000: trajectory[0].press.frames: must be a",
+        ),
+        ("youngs_modulus_mpa", "poissons_ratio", None),
+        ("youngs_modulus_mpa: {loguniform: [0.05", "poissons_ratio: {loguniform: [0.49", "batch.yaml:11:5: scene-0000"),
+        (
+            "youngs_modulus_mpa",
+            "yongs_modulus_mpa",
+            "batch.yaml:11:5: scene-00000: sensor.gel.layers[0].yongs_modulus_mpa",
+        ),
+    ],
+)
+def test_a_bad_scene_is_named_with_its_path(tmp_path: Path, old: str, new: str, line: str | None):
+    text = BATCH.replace("METHOD", "sobol").replace(old, new, 1).replace("0.49, 0.5]", "0.4999, 0.6]")
+    if line is None:
+        expanded(loaded(tmp_path, text))
+        return
+    (told,) = failure(tmp_path, text)
+    assert told.startswith(line)
+
+
+def test_scenes_that_fail_alike_are_one_line(tmp_path: Path):
+    (told,) = failure(tmp_path, BATCH.replace("METHOD", "sobol").replace("[2, 6]", "[-6, -2]"))
+    assert told.endswith("(and 6 more scenes)")
+
+
+def test_a_grid_takes_no_uniform_and_has_an_end(tmp_path: Path):
+    text = BATCH.replace("METHOD", "grid").replace("  samples: 7\n", "")
+    assert len(failure(tmp_path, text)) == 3
+    huge = (
+        text.split("  over:")[0]
+        + "  over: {start.x_mm: {linspace: [0, 1, 2000]}, start.y_mm: {linspace: [0, 1, 2000]}}\n"
+    )
+    assert "gives 4000000 scenes" in failure(tmp_path, huge)[0]
+
+
+def test_a_fixed_value_that_a_varied_one_breaks_is_told_where_it_stands(tmp_path: Path):
+    text = BATCH.replace("METHOD", "sobol").replace(
+        "youngs_modulus_mpa: {loguniform: [0.05", "thickness_mm: {uniform: [0.1"
+    )
+    (told,) = failure(tmp_path, f"outputs: [force]\n{text}")  # for images, the LEDs would be left behind as well
+    assert "quickstart.yaml:15:" in told
+    assert "trajectory[0].press.depth_mm: must be less than the gel is thick" in told
+
+
+def row_with(**changes: Any) -> plan.Row:
+    base = read(assets.recipe_path("quickstart"))
+    recipe, wrong = validate(Recipe, base.recipe.document() | changes)
+    assert recipe is not None, wrong
+    return plan.expand(recipe, base.sensor).rows[0]
+
+
+def test_a_key_changes_with_any_input_and_with_nothing_else():
+    row = row_with()
+    assert row.key == row_with().key == plan.load(assets.recipe_path("quickstart")).rows[0].key
+    assert len(row.key) == 64
+    others = [
+        row_with(contact={"friction": 0.7}),
+        row_with(outputs=["force"]),
+        row_with(quality="draft"),
+        plan.load(assets.recipe_path("quickstart"), ["sensor.camera.exposure=9.5"]).rows[0],
+        plan.Row(1, row.name, row.seed, row.recipe, row.sensor),
+        plan.Row(row.index, row.name, row.seed, row.recipe, row.sensor.model_copy(update={"name": "edited file"})),
+        plan.Row(row.index, row.name, row.seed + 1, row.recipe, row.sensor),
+    ]
+    assert len({row.key, *(other.key for other in others)}) == len(others) + 1
+
+
+def test_a_document_gives_its_scene_again(tmp_path: Path):
+    for row in expanded(loaded(tmp_path, BATCH.replace("METHOD", "sobol"))).rows:
+        path = tmp_path / "again.yaml"
+        path.write_text(json.dumps(row.document()))
+        (again,) = plan.load(path).rows
+        assert again.recipe == row.recipe
+        assert again.sensor == row.sensor
+
+
+def test_tables_hold_every_scene(tmp_path: Path):
+    whole = expanded(loaded(tmp_path, BATCH.replace("METHOD", "sobol")))
+    assert len(plan_table.as_csv(whole).splitlines()) == 8
+    assert plan_table.as_text(whole).splitlines()[1].split()[0] == "scene-00000"
+    rows = json.loads(plan_table.as_json(whole))["scenes"]
+    assert [row["values"] for row in rows] == [row.values for row in whole.rows]
+    long = expanded(loaded(tmp_path, BATCH.replace("METHOD", "sobol"), ("vary.samples=50",)))
+    assert plan_table.as_text(long).splitlines()[-1] == "... 10 more (--csv prints all)"
+
+
+def test_the_format_in_keys_is_that_of_the_bundles():
+    assert plan.FORMAT == schema.FORMAT
+
+
+def test_scene_seeds_do_not_repeat():
+    seeds = {plan.scene_seed(seed, index) for seed in range(20) for index in range(200)}
+    assert len(seeds) > 3990
+
+
+def test_every_method_is_drawn():
+    assert set(Vary.model_fields["method"].annotation.__args__) == {*METHODS, "grid"}

@@ -1,0 +1,311 @@
+"""Replays: tables read and refused by line, poses in the sensor's frame, and what comes before and after them."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.small_recipe import HEAD
+from scipy.spatial.transform import Rotation
+
+from tacgen import pipeline
+from tacgen.bundle import bundle
+from tacgen.bundle.check import check
+from tacgen.errors import UserError
+from tacgen.recipe import plan, pose_table, trajectory_checks, turns
+from tacgen.recipe.model import Recipe
+from tacgen.recipe.validation_messages import validate
+from tacgen.scene import scene
+from tacgen.scene.path import lowest
+
+Array = np.ndarray
+TITLES = "time_s,x_mm,y_mm,z_mm,qw,qx,qy,qz"
+ROWS = [(0, 0.5, 0, 0.2, 1, 0, 0, 0), (0.1, 0.5, 0, -0.3, 1, 0, 0, 0), (0.25, 0.7, 0.1, -0.4, 0.995, 0, 0, 0.0998749)]
+SHAPES = [
+    {"shape": "sphere", "radius_mm": 4},
+    {"shape": "capsule", "radius_mm": 2, "length_mm": 5},
+    {"shape": "torus", "radius_mm": 4, "tube_radius_mm": 1},
+    {"shape": "cylinder", "radius_mm": 3, "fillet_mm": 0.3},
+    {"shape": "box", "size_x_mm": 4, "size_y_mm": 6, "fillet_mm": 0.4},
+    {"shape": "cone", "half_angle_deg": 50, "tip_radius_mm": 0.5},
+    {"shape": "wedge", "half_angle_deg": 40, "tip_radius_mm": 0.3, "length_mm": 5},
+]
+
+
+def table(rows: list[tuple[float, ...]], titles: str = TITLES) -> str:
+    return "\n".join([titles, *(",".join(repr(float(v)) for v in row) for row in rows)]) + "\n"
+
+
+def load(folder: Path, text: str, *sets: str, replay: str = "{file: poses.csv}", more: str = "") -> plan.Plan:
+    (folder / "poses.csv").write_text(text)
+    (folder / "recipe.yaml").write_text(f"{HEAD}  - replay: {replay}\n{more}")
+    return plan.load(folder / "recipe.yaml", sets)
+
+
+def built(folder: Path, text: str, *sets: str, replay: str = "{file: poses.csv}", more: str = "") -> scene.Scene:
+    return scene.build(load(folder, text, *sets, replay=replay, more=more).rows[0])
+
+
+def matrix(position: Array, q: Array) -> Array:
+    out = np.eye(4)
+    out[:3, :3], out[:3, 3] = Rotation.from_quat(q, scalar_first=True).as_matrix(), position
+    return out
+
+
+# -- plain Python --
+
+
+def test_turns_are_scipys() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        a, b = (turns.Placement(tuple(rng.normal(size=3)), tuple(Rotation.random(rng=rng).as_quat(scalar_first=True)))
+                for _ in range(2))  # fmt: skip
+        A, B, v = matrix(*a), matrix(*b), rng.normal(size=3)
+        assert turns.turned(a.quaternion, tuple(v)) == pytest.approx(A[:3, :3] @ v)
+        assert matrix(*turns.on(a, b)) == pytest.approx(A @ B)
+        assert matrix(*turns.seen_from(a)) == pytest.approx(np.linalg.inv(A))
+    q = turns.unit((1.0005, 0.0, 0.0, 0.0))
+    assert q == turns.unit(q) == (1, 0, 0, 0)
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=lambda s: s["shape"])
+def test_what_is_checked_before_numpy_is_what_is_computed_with_it(tmp_path: Path, shape: dict) -> None:
+    row = load(tmp_path, table(ROWS), f"indenter={json.dumps(shape)}").rows[0]
+    solid, rng = scene.build(row).shape, np.random.default_rng(1)
+    for d in rng.normal(size=(40, 3)):
+        d /= np.linalg.norm(d)
+        assert trajectory_checks.reach(row.recipe.indenter, tuple(d)) == pytest.approx(solid.support(d))
+    q = tuple(Rotation.from_euler("zx", [0.4, 0.3]).as_quat(scalar_first=True))
+    found = trajectory_checks.lowest(row.recipe.indenter, q)
+    assert np.array(found) == pytest.approx(lowest(solid, matrix(np.zeros(3), q)[:3, :3]), abs=1e-6)
+
+
+# -- tables --
+
+
+@pytest.mark.parametrize(
+    ("titles", "scale"),
+    [
+        (TITLES, 1),
+        ("Time,X,Y,Z,qw,qx,qy,qz", 1),
+        ("timestamp,tx,ty,tz,qw,qx,qy,qz", 1),
+        ("t,x_m,y_m,z_m,qw,qx,qy,qz", 1000),
+        ("time, position.x, position.y, position.z, orientation.w, orientation.x, orientation.y, orientation.z", 1),
+    ],
+)
+def test_columns_go_by_many_names(tmp_path: Path, titles: str, scale: float) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text("# recorded\n" + table(ROWS, titles), encoding="utf-8-sig")
+    found = pose_table.read(path).poses
+    assert [pose.line for pose in found] == [3, 4, 5]
+    assert [pose.time for pose in found] == [0, 0.1, 0.25]
+    assert found[2].place.position == pytest.approx((0.7 * scale, 0.1 * scale, -0.4 * scale))
+    assert math.hypot(*found[2].place.quaternion) == pytest.approx(1, abs=1e-12)
+
+
+def test_columns_may_stand_in_any_order_beside_others(tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text("gripper,qx,qy,qz,qw,z,y,x,time\nopen,0,0,0,1,3,2,1,5\n\n")
+    (pose,) = pose_table.read(path, "m").poses
+    assert pose.place == turns.Placement((1000, 2000, 3000), (1, 0, 0, 0))
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("", "is empty"),
+        (TITLES + "\n", "holds no pose"),
+        ("time,x,y,z\n0,0,0,0\n", "has no column qw, qx, qy, qz (its header: time,x,y,z)"),
+        ("x,x_mm,y,z,time,qw,qx,qy,qz\n", "the columns x and x_mm are both x"),
+        ("time,x_mm,y_m,z_mm,qw,qx,qy,qz\n", "must be in one unit"),
+        (table(ROWS).replace("0.7", "red"), "line 4: x must be a number (got 'red')"),
+        (table(ROWS).replace("0.7", "inf"), "line 4: x must be a number (got 'inf')"),
+        (table(ROWS).replace("0.995", "0.95"), "line 4: a quaternion must be of length 1 (got 0.9552)"),
+        (table(ROWS).replace("0.25,", "0.1,"), "line 4: time must increase (got 0.1 after 0.1)"),
+        (table(ROWS).replace("0.1,0.5,", "0.1,"), "line 3: has 7 cells, and the header 8"),
+    ],
+)
+def test_what_is_wrong_with_a_table_is_told_by_line(tmp_path: Path, text: str, says: str) -> None:
+    with pytest.raises(UserError) as caught:
+        load(tmp_path, text)
+    first = caught.value.lines[0]
+    assert first.startswith(f"{tmp_path}/recipe.yaml:9:20: trajectory[0].replay.file: poses.csv: ")
+    assert says in first
+    assert caught.value.lines[1].strip() == "- replay: {file: poses.csv}"
+
+
+def test_all_bad_lines_are_told_up_to_a_few(tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text(table([(i, 0, 0, 0, 2, 0, 0, 0) for i in range(9)]))
+    with pytest.raises(UserError) as caught:
+        pose_table.read(path)
+    assert [line.split(":")[0] for line in caught.value.lines] == [
+        *(f"line {n}" for n in range(2, 7)),
+        "and 4 more lines",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("row", "says"),
+    [
+        ((0.4, 0, 0, -4.5, 1, 0, 0, 0), "line 5: the indenter's lowest point, at z = -4.5 mm, would be at the base"),
+        ((0.4, 40, 0, -0.5, 1, 0, 0, 0), "line 5: at (40, 0, -0.5) the indenter would be beside the pad of "),
+    ],
+)
+def test_a_pose_that_cannot_be_is_refused_by_line(tmp_path: Path, row: tuple[float, ...], says: str) -> None:
+    with pytest.raises(UserError) as caught:
+        load(tmp_path, table([*ROWS, row]))
+    assert f"trajectory[0].replay.file: poses.csv: {says}" in caught.value.lines[0]
+    load(tmp_path, table([*ROWS, (0.4, 40, 0, 0.5, 1, 0, 0, 0)]))  # above the face it may be anywhere
+
+
+def test_an_endless_indenter_may_not_lean_too_far(tmp_path: Path) -> None:
+    cone = 'indenter={"shape": "cone", "half_angle_deg": 50, "tip_radius_mm": 0.5}'
+    load(tmp_path, table([(0, 0, 0, 0, math.cos(0.3), math.sin(0.3), 0, 0)]), cone)
+    with pytest.raises(UserError, match=r"poses.csv: line 2: the indenter's flank would meet the gel before its tip"):
+        load(tmp_path, table([(0, 0, 0, 0, math.cos(0.4), math.sin(0.4), 0, 0)]), cone)
+
+
+@pytest.mark.parametrize(
+    ("replay", "says"),
+    [
+        ("{file: nowhere.csv}", "replay.file: nowhere.csv: cannot be read: No such file"),
+        ('{file: "a\\0b"}', "cannot be read: embedded null"),
+        ("{file: poses.csv, frames: 9}", "poses.csv: gives 3 frames, and 9 are asked for"),
+        ("{file: poses.csv, units: m}", "must be in one unit"),
+        (f"{{file: poses.csv, sha256: {'a' * 64}}}", "poses.csv: is another file now"),
+        ("{file: poses.csv, sensor_pose: {quaternion: [1, 1, 0, 0]}}", "a quaternion must be of length 1 (got 1.414)"),
+    ],
+)
+def test_what_a_recipe_says_of_a_table_must_be_so(tmp_path: Path, replay: str, says: str) -> None:
+    with pytest.raises(UserError) as caught:
+        load(tmp_path, table(ROWS), replay=replay)
+    assert says in caught.value.lines[0]
+
+
+def test_a_table_too_long_for_a_segment_is_thinned_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(trajectory_checks, "MOST", 2)
+    with pytest.raises(UserError, match=r"poses.csv: gives 3 frames, at most 2 can be: thin it out by `every`"):
+        load(tmp_path, table(ROWS))
+    assert load(tmp_path, table(ROWS), replay="{file: poses.csv, every: 2}").rows[0].frames == 2
+
+
+def test_a_start_before_a_replay_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="start: has no effect before a replay"):
+        load(tmp_path, table(ROWS), "start.x_mm=1")
+
+
+# -- paths --
+
+
+def test_frames_are_the_rows(tmp_path: Path) -> None:
+    made = built(tmp_path, table(ROWS))
+    assert made.poses == pytest.approx(np.array([matrix(np.array(r[1:4]), np.array(r[4:])) for r in ROWS]), abs=1e-12)
+    assert built(tmp_path, table(ROWS), replay="{file: poses.csv, every: 2}").poses == pytest.approx(made.poses[::2])
+    assert built(tmp_path, table(ROWS), replay="{file: poses.csv, frames: 2}").poses == pytest.approx(made.poses[:2])
+
+
+def test_poses_of_another_body_in_another_frame(tmp_path: Path) -> None:
+    """Rows are poses of a body in the world, in metres; sensor and indenter stand somewhere in these."""
+    rng = np.random.default_rng(3)
+    sensor, inner = (matrix(rng.normal(size=3) * 30, Rotation.random(rng=rng).as_quat(scalar_first=True)) for _ in "12")
+    wanted = np.array([matrix(np.array(r[1:4]), np.array(r[4:])) for r in ROWS])
+    rows = []
+    for row, pose in zip(ROWS, sensor @ wanted @ np.linalg.inv(inner), strict=True):
+        q = Rotation.from_matrix(pose[:3, :3]).as_quat(scalar_first=True)
+        rows.append((row[0], *pose[:3, 3] / 1000, *q))
+    given = {
+        name: {
+            "position_mm": frame[:3, 3].tolist(),
+            "quaternion": Rotation.from_matrix(frame[:3, :3]).as_quat(scalar_first=True).tolist(),
+        }
+        for name, frame in (("sensor_pose", sensor), ("indenter_pose", inner))
+    }
+    replay = json.dumps({"file": "poses.csv", "units": "m", **given})
+    made = built(tmp_path, table(rows, TITLES.replace("_mm", "")), replay=replay)
+    assert made.poses == pytest.approx(wanted, abs=1e-9)
+
+
+def test_a_replay_that_begins_in_the_gel_is_approached_from_above(tmp_path: Path) -> None:
+    clear = built(tmp_path, table(ROWS))
+    assert (clear.start == clear.poses[0]).all()
+    leaning = (0, 0.5, 0.2, -0.6, math.cos(0.2), 0, math.sin(0.2), 0)
+    inside = built(tmp_path, table([leaning]), 'indenter={"shape": "box", "size_x_mm": 4, "size_y_mm": 4}')
+    assert inside.start[:3, :3] == pytest.approx(inside.poses[0][:3, :3])
+    assert inside.start[:2, 3] == pytest.approx([0.5, 0.2])
+    assert inside.start[2, 3] - inside.shape.support(-inside.start[2, :3]) == pytest.approx(0)
+
+
+def test_what_follows_a_replay_goes_on_from_its_last_row(tmp_path: Path) -> None:
+    after = "  - press: {depth_mm: 0.8, frames: 2}\n  - slide: {x_mm: 0.3, frames: 1}\n  - release: {frames: 1}\n"
+    made = built(tmp_path, table(ROWS), more=after)
+    assert made.poses[3:, :3, 3] == pytest.approx(
+        np.array([[0.7, 0.1, -0.6], [0.7, 0.1, -0.8], [1.0, 0.1, -0.8], [1.0, 0.1, 0.2]]), abs=1e-9
+    )
+    assert (made.poses[3:, :3, :3] == made.poses[2, :3, :3]).all()
+    assert made.segment.tolist() == [0, 0, 0, 1, 1, 2, 3]
+
+
+def test_a_replay_after_a_force_is_not_shifted_by_the_depth_found(tmp_path: Path) -> None:
+    text = f"{HEAD}  - press: {{force_n: 1, frames: 1}}\n  - replay: {{file: poses.csv}}\n"
+    (tmp_path / "poses.csv").write_text(table(ROWS))
+    (tmp_path / "recipe.yaml").write_text(text)
+    made = scene.build(plan.load(tmp_path / "recipe.yaml").rows[0])
+    assert made.forced is not None
+    assert made.forced.carry.tolist() == [1, 0, 0, 0]
+
+
+# -- plans and bundles --
+
+
+def test_a_row_knows_its_frames_and_its_file(tmp_path: Path) -> None:
+    row = load(tmp_path, table(ROWS)).rows[0]
+    assert row.frames == 3
+    assert load(tmp_path, table(ROWS)).rows[0].key == row.key
+    (tmp_path / "poses.csv").write_text(table(ROWS).replace("0.7", "0.6"))
+    with pytest.raises(UserError, match=r"poses.csv: is another file now"):
+        scene.build(row)
+    assert plan.load(tmp_path / "recipe.yaml").rows[0].key != row.key
+    recipe, _ = validate(Recipe, row.document())
+    assert recipe == row.recipe
+
+
+def test_tables_may_be_varied_and_are_found_beside_the_recipe_that_names_them(tmp_path: Path) -> None:
+    inner = tmp_path / "inner"
+    inner.mkdir()
+    load(inner, table(ROWS))
+    (inner / "two.csv").write_text(table(ROWS[:2]))
+    outer = tmp_path / "outer.yaml"
+    outer.write_text("extends: inner/recipe.yaml\nname: outer\n")
+    assert plan.load(outer).rows[0].frames == 3
+    tables = "    trajectory[0].replay.file: {choice: [inner/two.csv, inner/poses.csv]}\n"
+    over = f"{tables}    contact.friction: {{choice: [0, 1]}}\n"
+    outer.write_text(f"extends: inner/recipe.yaml\nname: outer\nvary:\n  method: grid\n  over:\n{over}")
+    assert [row.frames for row in plan.load(outer).rows] == [2, 2, 3, 3]
+
+
+def test_a_replay_gives_what_the_movements_gave(tmp_path: Path) -> None:
+    """The poses of a press, slide and twist, replayed: the same forces to rounding."""
+    moves = "  - press: {depth_mm: 0.6, frames: 2}\n  - slide: {x_mm: 0.4, frames: 1}\n"
+    moves += "  - twist: {angle_deg: 20, frames: 1}\n"
+    (tmp_path / "moves.yaml").write_text(f"{HEAD}{moves}contact: {{friction: 0.5}}\n")
+    row = plan.load(tmp_path / "moves.yaml").rows[0]
+    q = Rotation.from_matrix(scene.build(row).poses[:, :3, :3]).as_quat(scalar_first=True)
+    rows = [(k, *p[:3, 3], *turn) for k, (p, turn) in enumerate(zip(scene.build(row).poses, q, strict=True))]
+    again = load(tmp_path, table(rows), "contact.friction=0.5").rows[0]
+    one = pipeline.run_scene(row, tmp_path / "one")
+    two = pipeline.run_scene(again, tmp_path / "two")
+    a, b = bundle.read(one.path), bundle.read(two.path)
+    assert (a.attrs["status"], b.attrs["status"]) == ("ok", "ok")
+    assert b["/frames/force"] == pytest.approx(a["/frames/force"], abs=1e-6)
+    assert b["/frames/pose"] == pytest.approx(a["/frames/pose"], abs=1e-12)
+    assert b.recipe["trajectory"][0]["replay"]["sha256"] == pose_table.read(tmp_path / "poses.csv").sha256
+    assert b.recipe["trajectory"][0]["replay"]["frames"] == 4
+
+
+def test_a_table_may_hold_still(tmp_path: Path) -> None:
+    rows = [(k, 0, 0, 0.5, 1, 0, 0, 0) for k in range(3)]
+    found = pipeline.run_scene(load(tmp_path, table(rows)).rows[0], tmp_path / "out")
+    assert check(found.path) == []
+    assert bundle.read(found.path).frames == 3

@@ -1,0 +1,194 @@
+"""Trajectories: a force is reached and its depth kept, tilts turn about the lowest point."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.small_recipe import HEAD
+
+from tacgen import pipeline, solve
+from tacgen.bundle import bundle
+from tacgen.contact.barrier import Pose
+from tacgen.errors import UserError
+from tacgen.recipe import plan
+from tacgen.scene import mesh, scene
+from tacgen.scene import path as trajectory
+from tacgen.solve import foresee, frames
+from tacgen.solve.force_control import OutOfReach, meet
+
+BOX = "indenter={shape: box, size_x_mm: 4, size_y_mm: 3, fillet_mm: 0.3}"
+ROUGH = "contact.friction=0.5"
+
+
+def row(folder: Path, segments: str, *sets: str) -> plan.Row:
+    path = folder / "recipe.yaml"
+    path.write_text(HEAD + "".join(f"  - {line.strip()}\n" for line in segments.strip().splitlines()))
+    return plan.load(path, sets).rows[0]
+
+
+def solved(made: plan.Row) -> list[solve.State]:
+    built = foresee.foreseen(scene.build(made))
+    grid = mesh.build(built.gel, mesh.footprint(built), built.edge)
+    return list(solve.states(built, solve.Problem.of(built, grid)))
+
+
+@pytest.mark.parametrize("sets", [(), (ROUGH,), (BOX,), (BOX, ROUGH)])
+def test_a_force_is_reached_in_equal_steps_and_its_depth_kept(tmp_path: Path, sets: tuple[str, ...]) -> None:
+    segments = "press: {force_n: 2.0, frames: 2}\nslide: {x_mm: 0.2, frames: 1}\nrelease: {frames: 2}"
+    found = solved(row(tmp_path, segments, *sets))
+    force = [solve.normal_force(state) for state in found]
+    assert force[0] == pytest.approx(1.0, rel=0.0101)
+    assert force[1] == pytest.approx(2.0, rel=0.005)
+    z = [state.pose[2, 3] for state in found]
+    assert z[1] < z[0] < 0
+    assert z[2] == z[1]
+    assert z[3:] == pytest.approx([z[1] / 2, 0], abs=1e-12)
+    assert force[4] == pytest.approx(0, abs=0.02)
+
+
+def test_the_depth_found_gives_the_force_again(tmp_path: Path) -> None:
+    """With friction as well: the trials left nothing behind."""
+    built = foresee.foreseen(scene.build(row(tmp_path, "press: {force_n: 1.5, frames: 1}", ROUGH)))
+    problem = solve.Problem.of(built, mesh.build(built.gel, mesh.footprint(built), built.edge))
+    found = next(solve.states(built, problem))
+    again = next(solve.states(replace(built, poses=found.pose[None], forced=None), problem))
+    assert solve.normal_force(again) == pytest.approx(solve.normal_force(found), rel=5e-3)
+
+
+def test_a_second_force_may_be_smaller_and_a_depth_may_follow(tmp_path: Path) -> None:
+    segments = "press: {force_n: 2, frames: 1}\npress: {force_n: 1, frames: 1}\npress: {depth_mm: 0.3, frames: 2}"
+    found = solved(row(tmp_path, segments))
+    assert [solve.normal_force(state) for state in found[:2]] == pytest.approx([2, 1], rel=0.005)
+    z = [state.pose[2, 3] for state in found]
+    assert z[0] < z[1] < 0
+    assert z[2:] == pytest.approx([(z[1] - 0.3) / 2, -0.3], abs=1e-12)
+
+
+def test_a_force_the_gel_cannot_give_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in (trajectory, frames, foresee):
+        monkeypatch.setattr(module, "FORCE_DEPTH", 0.2)
+    found = pipeline.run_scene(row(tmp_path, "press: {force_n: 500, frames: 1}"), tmp_path / "out")
+    assert found.status == "rejected"
+    assert found.reason.startswith("frame 1 of 1: 500 N asked for, and 20% of the gel's thickness gives ")
+    assert bundle.read(found.path).frames == 0
+
+
+def test_an_absurd_force_is_refused_on_the_coarse_mesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And what comes before it is kept."""
+    segments = "press: {depth_mm: 0.3, frames: 1}\npress: {force_n: 500, frames: 1}\nrelease: {frames: 1}"
+    solved_on, usual = [], frames.advance
+
+    def watched(problem, *rest):  # type: ignore[no-untyped-def]
+        solved_on.append(problem.edge)
+        return usual(problem, *rest)
+
+    monkeypatch.setattr(frames, "advance", watched)
+    found = pipeline.run_scene(row(tmp_path, segments, "quality.edge_mm=0.65"), tmp_path / "out")
+    assert found.status == "rejected"
+    assert found.reason.startswith("frame 2 of 3: 500 N asked for, and 80% of the gel's thickness gives ")
+    assert found.reason.endswith(" N, as a coarse mesh has it")
+    assert bundle.read(found.path).frames == 1
+    assert solved_on.count(0.65) == 1
+
+
+def test_what_follows_a_force_goes_on_from_its_depth(tmp_path: Path) -> None:
+    """Held, slid askew, twisted and lifted: the depth that was found is kept until the release, at the poses asked."""
+    segments = """
+        press: {force_n: 1.0, frames: 1}
+        hold: {frames: 1}
+        slide: {x_mm: -0.2, y_mm: 0.15, frames: 2}
+        twist: {angle_deg: 12, frames: 1}
+        release: {frames: 2}
+    """
+    found = solved(row(tmp_path, segments, ROUGH))
+    at = np.array([state.pose[:3, 3] for state in found])
+    z = at[0, 2]
+    assert at[:, 2] == pytest.approx([z, z, z, z, z, z / 2, 0], abs=1e-12)
+    assert at[:, :2] == pytest.approx(np.outer([0, 0, 0.5, 1, 1, 1, 1], [-0.2, 0.15]), abs=1e-12)
+    held, slid = found[1].traction_force.sum((0, 1)), found[3].traction_force.sum((0, 1))
+    assert held == pytest.approx(found[0].traction_force.sum((0, 1)), abs=0.01)
+    assert slid[:2] / np.linalg.norm(slid[:2]) == pytest.approx([-0.8, 0.6], abs=0.03)  # dragged along
+    assert np.linalg.norm(slid[:2]) > 0.2
+    assert found[4].pose[:2, 0] == pytest.approx([np.cos(np.radians(12)), np.sin(np.radians(12))])
+    assert np.abs(found[6].traction_force.sum((0, 1))).max() < 0.02
+
+
+@pytest.mark.parametrize("axis", [0.0, 90.0])
+def test_a_press_after_a_tilt_on_a_dome_counts_from_the_turned_indenters_first_touch(
+    tmp_path: Path, axis: float
+) -> None:
+    """Of a box, whose edge leads when it leans: raised by the depth, it touches DIGIT's face at one place."""
+    sets = ("sensor=digit", "start.y_mm=3", BOX)
+    segments = f"tilt: {{angle_deg: 15, axis_deg: {axis}, frames: 1}}\npress: {{depth_mm: 0.4, frames: 1}}"
+    made = scene.build(row(tmp_path, segments, *sets))
+    x, y = np.meshgrid(np.linspace(-6, 6, 241), np.linspace(-3, 9, 241))
+    face = np.stack([x, y, made.gel.top(x, y)], -1).reshape(-1, 3)
+    raised = made.poses[1].copy()
+    raised[2, 3] += 0.4
+    gap = made.shape.distance(Pose.of(raised).local(face))[0].min()
+    assert -1e-3 < gap < 3e-3
+    sunk = made.shape.distance(Pose.of(made.poses[1]).local(face))[0].min()
+    assert -0.4 <= sunk < -0.3
+
+
+@pytest.mark.parametrize(
+    ("sets", "line"),
+    [
+        (("start.tilt_deg=50",), "--set start.tilt_deg=50: start.tilt_deg: the indenter's flank would meet the gel"),
+        ((), "recipe.yaml:10:23: trajectory[1].tilt.angle_deg: the indenter's flank would meet the gel before its tip"),
+    ],
+)
+def test_a_tilt_that_cannot_be_is_told_where_it_stands(tmp_path: Path, sets: tuple[str, ...], line: str) -> None:
+    cone = "indenter={shape: cone, half_angle_deg: 60, tip_radius_mm: 0.5}"
+    with pytest.raises(UserError) as caught:
+        row(tmp_path, "press: {depth_mm: 1.0, frames: 1}\ntilt: {angle_deg: 40, frames: 1}", cone, *sets)
+    assert caught.value.lines[0].removeprefix(f"{tmp_path}/").startswith(line)
+
+
+def test_the_footprint_holds_what_a_force_may_need(tmp_path: Path) -> None:
+    made = scene.build(row(tmp_path, "press: {force_n: 1, frames: 1}"))
+    sure, seen = mesh.footprint(made), mesh.footprint(foresee.foreseen(made))
+    assert sure[0] < seen[0] < -1
+    assert seen[1] - seen[0] < 0.8 * (sure[1] - sure[0])
+
+
+def test_a_tilt_turns_about_the_lowest_point(tmp_path: Path) -> None:
+    segments = "press: {depth_mm: 0.5, frames: 1}\ntilt: {angle_deg: 8, axis_deg: 90, frames: 2}"
+    poses = scene.build(row(tmp_path, segments)).poses
+    for pose, angle in zip(poses[1:], np.radians([4, 8]), strict=True):
+        assert pose[:3, 3] == pytest.approx([0, 0, -0.5], abs=1e-9)
+        assert pose[:3, 2] == pytest.approx([np.sin(angle), 0, np.cos(angle)], abs=1e-12)
+    twice = scene.build(row(tmp_path, f"{segments}\ntilt: {{angle_deg: -16, axis_deg: 90, frames: 1}}")).poses
+    low = np.array([4 * np.sin(np.radians(8)), 0, -0.5 + 4 * np.cos(np.radians(8)) - 4])  # of the ball at 8 degrees
+    assert (twice[-1] @ np.linalg.inv(twice[-2]) @ [*low, 1])[:3] == pytest.approx(low, abs=1e-6)
+
+
+def test_a_tilted_box_turns_about_the_middle_of_its_face_and_must_not_reach_the_base(tmp_path: Path) -> None:
+    press = "press: {depth_mm: 1.0, frames: 1}\n"
+    poses = scene.build(row(tmp_path, press + "tilt: {angle_deg: 10, frames: 1}", BOX)).poses
+    assert poses[-1][:3, 3] == pytest.approx([0, 0, -1.0], abs=1e-9)
+    wide = "indenter={shape: box, size_x_mm: 16, size_y_mm: 16, fillet_mm: 0.3}"
+    with pytest.raises(UserError, match=r"trajectory\[1\].tilt.angle_deg: would turn the indenter's edge to the base"):
+        scene.build(row(tmp_path, press + "tilt: {angle_deg: 40, frames: 1}", wide))
+    cone = "indenter={shape: cone, half_angle_deg: 60, tip_radius_mm: 0.5}"
+    with pytest.raises(UserError, match=r"tilt.angle_deg: the indenter's flank would meet the gel before its tip"):
+        scene.build(row(tmp_path, press + "tilt: {angle_deg: 40, frames: 1}", cone))
+
+
+@pytest.mark.parametrize("power", [0.5, 1.0, 1.5, 4.0])
+@pytest.mark.parametrize("guess", [0.01, 0.5, 2.9])
+def test_a_rising_function_is_met_in_few_evaluations(power: float, guess: float) -> None:
+    seen: list[float] = []
+
+    def f(u: float) -> float:
+        seen.append(u)
+        return u**power if u < 2.5 else float("nan")
+
+    meet(f, 1.3, known=(0, 0), guess=guess, low=0, high=3, tol=1e-3)
+    assert seen[-1] ** power == pytest.approx(1.3, rel=1e-3)
+    assert len(seen) < 16
+    meet(f, 0.2, known=(1, 1), guess=guess, low=0, high=3, tol=1e-3)
+    assert seen[-1] ** power == pytest.approx(0.2, rel=1e-3)
+    with pytest.raises(OutOfReach, match="at most 2"):
+        meet(lambda u: u, 5, known=(0, 0), guess=0.1, low=0, high=2, tol=1e-3)

@@ -1,0 +1,120 @@
+"""A gel that scatters: its transport against volpath, its cache, and the fitted response."""
+
+import numpy as np
+import pytest
+from helpers.tiny import cloudy as sensor
+
+from tacgen.optics import scattering
+from tacgen.optics.hertz_dent import BallDent
+from tacgen.optics.surface_grid import Untouched
+from tacgen.recipe.sensor import Sensor
+from tacgen.render import images, mitsuba_variants
+from tacgen.render.mitsuba_path import PathTracer
+
+FACE = Untouched.of(sensor().gel)
+DENT = BallDent(2.5, 1.6, (0.5, -0.4), FACE)
+
+
+pytestmark = pytest.mark.usefixtures("own_cache")
+
+
+@pytest.fixture(scope="module")
+def renderer():
+    return images.Renderer(sensor(), spp=6, seed=0, markers=False, variant=mitsuba_variants.SCALAR)
+
+
+def test_the_camera_sees_the_inner_side_of_the_skin():
+    assert FACE.at([[0.0, 0.0], [3.0, 1.0]])[:, 2] == pytest.approx(-0.3)
+
+
+def test_transport_agrees_with_volpath_within_its_noise(renderer):
+    tracer = PathTracer(sensor(), renderer.sheet, False, mitsuba_variants.SCALAR)
+    halves = np.array([tracer.radiance(DENT, 192, seed) for seed in (1, 2)])
+    truth, image = halves.mean(axis=0), renderer.image(DENT)
+    assert image.mean() == pytest.approx(truth.mean(), rel=0.03)
+    made, first, second = (a.reshape(8, 4, 10, 4, 3).mean(axis=(1, 3)) for a in (image, *halves))
+    noise = np.mean((first - second) ** 2) / 4
+    assert np.sqrt(max(np.mean((made - (first + second) / 2) ** 2) - noise, 0.0)) < 0.04 * truth.mean()
+    dark = (image / renderer.flat()).mean(axis=2)
+    assert dark.min() < 0.85  # so the agreement says something of the dent
+    y, x = np.mgrid[:32, :40] + 0.5
+    near = np.hypot(x - 22.5, y - 14) < 4
+    assert image[near].mean() == pytest.approx(truth[near].mean(), rel=0.06)
+
+
+def test_maps_are_cached_by_optics_and_not_by_mechanics(renderer, monkeypatch):
+    monkeypatch.setattr(images, "PathTracer", None)  # any tracing now would fail
+    data = sensor().model_dump()
+    data["gel"]["layers"][0]["youngs_modulus_mpa"] = 9.0
+    again = images.Renderer(Sensor.model_validate(data), 6, 5, False, mitsuba_variants.SCALAR)
+    assert np.array_equal(again.image(DENT), renderer.image(DENT))
+    with pytest.raises(TypeError):
+        images.Renderer(sensor(walls={"albedo": 0.3}), 6, 0, False, mitsuba_variants.SCALAR)
+
+
+def test_light_that_varies_alone_is_not_traced_again(monkeypatch):
+    """Power and colour of each LED, exposure, stray light, vignette and noise: all of it linear."""
+    panel = sensor().leds[0].model_dump()
+    left, right = ({**panel, "center_mm": (x, 0, -4.35), "size_mm": (6, 10)} for x in (-3, 3))
+    images.Renderer(sensor(leds=[left, right]), 1, 0, False, mitsuba_variants.SCALAR)
+    monkeypatch.setattr(images, "PathTracer", None)  # any tracing now would fail
+    grain = {"shot": 1e-4, "read": 0.002, "source": "test"}
+    other = sensor(
+        leds=[{**left, "power": 1.3}, {**right, "radiance": (1, 2, 3), "power": 0.5}],
+        camera={"exposure": 0.7, "ambient": 0.01, "vignette_mm": 12.0, "noise": grain},
+    )
+    again = images.Renderer(other, 1, 0, False, mitsuba_variants.SCALAR)
+    alone = [images.Renderer(sensor(leds=leds), 1, 0, False, mitsuba_variants.SCALAR).light for leds in
+             ([{**left, "power": 1.3}, {**right, "power": 0}], [{**left, "power": 0}, {**right, "radiance": (1, 2, 3),
+              "power": 0.5}])]  # fmt: skip
+    assert again.light.scattered == pytest.approx(alone[0].scattered + alone[1].scattered, rel=1e-9)
+    assert alone[0].scattered[:, :10].mean() > 1.2 * alone[0].scattered[:, -10:].mean()
+    with pytest.raises(TypeError):
+        images.Renderer(
+            sensor(leds=[left, {**right, "center_mm": (3, 0.1, -4.35)}]), 1, 0, False, mitsuba_variants.SCALAR
+        )
+
+
+def test_a_dark_sensor_is_dark():
+    assert (images.Renderer(sensor(leds=[{**sensor().leds[0].model_dump(), "power": 0}]), 1, 0, False,
+                            mitsuba_variants.SCALAR).image(DENT) == 0).all()  # fmt: skip
+
+
+def test_a_cache_that_cannot_be_written_costs_nothing_but_time(tmp_path, monkeypatch):
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    monkeypatch.setenv("TACGEN_CACHE_DIR", str(blocked))
+    made = images.Renderer(sensor(), 1, 0, False, mitsuba_variants.SCALAR)
+    assert np.isfinite(made.flat()).all()
+
+
+def test_the_fitted_response_acts_on_thickness_alone(renderer):
+    table = {"change_mm": (-2.0, 0.0, 0.5), "gain": ((0.2, 0.3, 0.4), (1, 1, 1), (1.5, 1.5, 1.5)), "source": "test"}
+    with_it = images.Renderer(sensor(thickness_response=None), 6, 0, False, mitsuba_variants.SCALAR)
+    with_it.sensor = with_it.sensor.model_copy(
+        update={"thickness_response": Sensor.model_fields["thickness_response"].annotation.__args__[0](**table)}
+    )
+    assert with_it.flat() == pytest.approx(renderer.flat(), rel=1e-6)
+    share = with_it.image(DENT) / renderer.image(DENT)
+    deepest = np.unravel_index(share[..., 0].argmin(), share.shape[:2])
+    assert share[deepest][0] < share[deepest][1] < share[deepest][2] < 0.8
+
+
+def test_brightness_rises_with_thickness_and_is_one_where_untouched():
+    shares = np.array(scattering.SHARES)
+    noisy = (0.2 + 0.8 * shares**0.7)[:, None] * [1.0, 2.0, 3.0]
+    bright = scattering.Brightness.through(shares, noisy)
+    assert bright.at(np.ones(1)) == pytest.approx(np.ones((1, 3)), abs=1e-9)
+    assert bright.at(np.array([0.5]))[0] == pytest.approx(0.2 + 0.8 * 0.5**0.7, rel=0.02)
+    assert (np.diff(bright.at(np.linspace(0.05, 1.4, 50))[:, 0]) > 0).all()
+
+
+def test_light_feels_the_thickness_around():
+    share = np.ones((40, 40))
+    share[:, 20:] = 0.5
+    assert scattering.felt(share, 0.01) == pytest.approx(share)
+    blurred = scattering.felt(share, 3.0)
+    assert 0.6 < blurred[20, 19] < 0.9
+    bright = scattering.Brightness(np.array([0.1, 1.0]), np.array([[0.4] * 3, [1.0] * 3]))
+    picture = bright.at(blurred.ravel()).reshape(40, 40, 3)
+    assert scattering.wander(bright, share, 0.5, picture) == pytest.approx(1.5, rel=0.02)

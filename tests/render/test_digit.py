@@ -1,0 +1,187 @@
+"""DIGIT: a round end, a dome, and all that must follow them: mesh, first touch, maps, limits."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.presses import Run
+
+from tacgen import solve
+from tacgen.contact.barrier import Pose
+from tacgen.errors import UserError
+from tacgen.fem.elements import facet_areas, hexes
+from tacgen.labels import gel_surface
+from tacgen.labels.contact_maps import maps as maps_of
+from tacgen.optics.camera import Camera
+from tacgen.optics.surface_grid import Sheet
+from tacgen.recipe import assets, loading, plan, trajectory_checks
+from tacgen.recipe.sensor import Sensor
+from tacgen.scene import mesh
+from tacgen.scene import scene as stage
+
+Array = np.ndarray
+ROOT = Path(__file__).parents[2]
+TABLE = Path(os.environ.get("TACGEN_REFERENCE", ROOT.parent / "shared" / "reference")) / "geometry"
+RECIPE = """\
+tacgen: 1
+name: digit
+sensor: digit
+indenter: {shape: sphere, radius_mm: 4.0}
+trajectory: [{press: {depth_mm: 1.0, frames: 1}}]
+outputs: [force, traction, height, stress]
+"""
+OFF = ("start={x_mm: 4, y_mm: 0}",)
+FINE = {(): 2.6046, OFF: 2.6799}  # [N] on meshes of 0.2 mm edge (about 18 000 nodes), dhat 0.02 mm
+
+
+def row_of(folder: Path, sets: tuple[str, ...] = ()) -> plan.Row:
+    path = folder / "digit.yaml"
+    path.write_text(RECIPE)
+    found = loading.read(path, sets)
+    return plan.expand(found.recipe, found.sensor, loaded=found).rows[0]
+
+
+def solved(row: plan.Row) -> Run:
+    made = stage.build(row)
+    problem = solve.Problem.of(made, mesh.build(made.gel, mesh.footprint(made), made.edge))
+    return Run(made, problem, list(solve.states(made, problem)))
+
+
+def scaled_jacobian(points: Array, cells: Array) -> Array:
+    """The least over the corners of a hex of the triple product of the unit edges that meet there (e,)."""
+    ends = [(1, 3, 4), (2, 0, 5), (3, 1, 6), (0, 2, 7), (7, 5, 0), (4, 6, 1), (5, 7, 2), (6, 4, 3)]
+    x, found = points[cells], []
+    for corner, others in enumerate(ends):
+        edges = x[:, others] - x[:, [corner]]
+        found.append(np.linalg.det(edges / np.linalg.norm(edges, axis=2, keepdims=True)))
+    return np.min(found, axis=0)
+
+
+@pytest.fixture(scope="module")
+def digit() -> Sensor:
+    return loading.read_sensor(assets.sensor_path("digit"))[0]
+
+
+@pytest.fixture(scope="module")
+def pressed(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """Off the crown."""
+    return solved(row_of(tmp_path_factory.mktemp("digit"), OFF))
+
+
+def test_the_dome_is_the_probed_one(digit: Sensor) -> None:
+    table = TABLE / "digit_surface_probe.csv"
+    if not table.exists():
+        pytest.skip(f"{table} is not here")
+    x, y, depth = np.loadtxt(table, delimiter=",", comments="#")[:, :3].T
+    drop = np.array([digit.gel.drop_mm(a, b) for a, b in zip(x - x.max() / 2, y - y.max() / 2, strict=True)])
+    off = depth - drop - np.median(depth - drop)
+    assert np.abs(off).max() < 0.02
+    assert np.ptp(depth) > 1.0
+
+
+def test_the_outline_has_one_round_end(digit: Sensor) -> None:
+    gel = stage.gel_of(digit)
+    r, half = 18.35 / 2, 25.05 / 2
+    assert gel.contains(np.array([0.0, 9.1, 9.1, 6.5]), np.array([-12.5, 12.5, -3.4, -9.8])).all()
+    assert not gel.contains(np.array([0.0, 9.1, 9.1, 6.6, 0]), np.array([-12.6, 12.6, -6, -9.9, 12.6])).any()
+    x, y = np.random.default_rng(0).uniform([-10, -13], [10, 13], (500, 2)).T
+    inside = gel.contains(x, y)
+    assert [trajectory_checks.on_pad(digit.gel, a, b) for a, b in zip(x, y, strict=True)] == inside.tolist()
+    assert gel.top(x, y) == pytest.approx([-digit.gel.drop_mm(a, b) for a, b in zip(x, y, strict=True)])
+    grid = mesh.build(gel, (-12, 12, -14, 14), 0.4)
+    area = facet_areas(grid.points, grid.facets["bonded"])[0].sum()
+    assert area == pytest.approx(18.35 * (2 * half - r) + np.pi * r**2 / 2, rel=5e-3)
+
+
+def test_columns_are_squeezed_under_the_dome_and_no_cell_is_bad(pressed: Run) -> None:
+    grid, gel = pressed.problem.mesh, pressed.scene.gel
+    assert len(grid.points) < 8000
+    x = grid.points
+    face = x[np.unique(grid.facets["coated"])]
+    assert face[:, 2] == pytest.approx(gel.top(*face[:, :2].T), abs=1e-12)
+    assert face[:, 2].min() < -1.2
+    assert x[np.unique(grid.facets["bonded"]), 2] == pytest.approx(-4.06)
+    assert hexes(x, grid.cells).weights.min() > 0
+    assert scaled_jacobian(x, grid.cells).min() > 0.9
+
+
+def test_layers_share_the_squeeze() -> None:
+    flat = stage.gel_of(loading.read_sensor(assets.sensor_path("ninedtact"))[0])
+    gel = stage.Gel(flat.width, flat.height, 0.0, flat.layers, 0, (40.0, 90.0))
+    grid = mesh.build(gel, (-2, 2, -2, 2), 0.6)
+    shared = np.intersect1d(grid.cells[grid.layer == 0], grid.cells[grid.layer == 1])
+    top = gel.top(*grid.points[shared, :2].T)
+    assert grid.points[shared, 2] == pytest.approx(-2.8 + (2.8 + top) * 2.5 / 2.8)
+    assert not np.signbit(flat.top(np.zeros(2), np.array([-3.0, 3.0]))).any()  # a flat face stays at z = 0, bit by bit
+
+
+@pytest.mark.parametrize("sets", FINE)
+def test_force_of_a_press_at_default_quality(sets: tuple[str, ...], pressed: Run, tmp_path: Path) -> None:
+    found = pressed if sets == OFF else solved(row_of(tmp_path, sets))
+    assert -found.forces[-1, 2] == pytest.approx(FINE[sets], rel=0.015)
+    if sets == OFF:
+        assert found.forces[-1, 0] < -0.02 * -found.forces[-1, 2]  # the slope there pushes the gel back to the middle
+    else:
+        assert np.abs(found.forces[-1, :2]).max() < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("sets", "z"),
+    [
+        ((), 0.0),
+        (OFF, -(4.0**2) / (2 * 32.05 + 8)),  # parabola on parabola; the ball's is a circle
+        (("start={x_mm: 0, y_mm: -8, clearance_mm: 0.3}",), 0.3 - 8.0**2 / (2 * 72.31 + 8)),
+        (("start={x_mm: 4}", "indenter={shape: cylinder, radius_mm: 2}"), -(2.2**2) / 64.1 + 0.0005),
+        (("start={x_mm: 4}", "indenter={shape: cone, half_angle_deg: 30, tip_radius_mm: 0.05}"), -(4.0**2) / 64.2),
+    ],
+)
+def test_depth_counts_from_where_the_dome_is_met(sets: tuple[str, ...], z: float, tmp_path: Path) -> None:
+    row = row_of(tmp_path, sets)
+    made = stage.build(row)
+    clearance = row.recipe.start.clearance_mm
+    assert made.start[2, 3] == pytest.approx(z, abs=1e-3)
+    assert made.poses[-1][2, 3] == pytest.approx(made.start[2, 3] - clearance - 1.0)
+    x, y = np.meshgrid(np.linspace(-9, 9, 721), np.linspace(-9, 9, 721))
+    face = np.column_stack([x.ravel(), y.ravel(), made.gel.top(x, y).ravel() + clearance])
+    gap = made.shape.distance(Pose.of(made.start).local(face))[0].min()
+    assert -1e-5 < gap < 5e-4  # this grid misses the place a little
+
+
+def test_the_face_and_its_picture_follow_the_dome(pressed: Run, digit: Sensor) -> None:
+    grid, gel, state = pressed.problem.mesh, pressed.scene.gel, pressed.states[-1]
+    surface, camera = gel_surface.Surface(grid.points, grid.facets["coated"]), Camera.from_sensor(digit)
+    xy = np.random.default_rng(1).uniform([-6, -8], [6, 8], (300, 2))
+    assert surface.at(xy)[:, :2] == pytest.approx(xy)
+    assert surface.at(xy)[:, 2] == pytest.approx(gel.top(*xy.T), abs=0.02)
+    sheet = Sheet.over(digit.gel, 0.1)
+    now = sheet.at(surface)
+    assert np.isfinite(now).all()  # at the round end too
+    assert gel.contains(*(sheet._rounded(sheet.rest) * (1 - 1e-9)).T).all()
+    rest, z = (gel_surface.View(sheet, s, camera).height() for s in (surface, surface.moved(state.x)))
+    rows, columns = np.nonzero(np.isfinite(rest))
+    assert len(rows) == rest.size
+    origins, rays = camera.rays(np.column_stack([columns, rows]) + 0.5)
+    at = origins + rays * ((rest[rows, columns] - origins[:, 2]) / rays[:, 2])[:, None]
+    assert at[:, 2] == pytest.approx(gel.top(*at[:, :2].T), abs=0.02)
+    assert rest.max() == pytest.approx(0, abs=0.002)
+    assert rest.min() < -0.4
+    assert np.nanmin(z - rest) == pytest.approx(-1.0, abs=0.1)
+    maps = maps_of(pressed.problem, surface.moved(state.x), state, camera)
+    assert maps.pressure.max() > 0.02
+
+
+@pytest.mark.parametrize(
+    ("sets", "says"),
+    [
+        (("start={x_mm: 8}", "trajectory[0].press.depth_mm=3.3"), "must be less than the gel is thick, 3.06156 mm"),
+        (("start={x_mm: 8, y_mm: -9}",), "the indenter would start beside the pad"),
+        (("sensor.gel.dome.radius_x_mm=10",), "gel.dome: leaves -0.287 mm of gel at the pad's corner"),
+        (("sensor.gel.corner_radius_mm=1",), "gel.corner_radius_mm: must be 0 beside an outline with"),
+        (("outputs=[rgb, markers]",), "outputs: asks for markers, and the sensor digit has none"),
+    ],
+)
+def test_what_a_dome_forbids(sets: tuple[str, ...], says: str, tmp_path: Path) -> None:
+    with pytest.raises(UserError) as caught:
+        row_of(tmp_path, sets)
+    assert any(says in line for line in caught.value.lines), caught.value.lines

@@ -1,0 +1,190 @@
+"""The renderer against Mitsuba's path, against the projection, and against itself."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.tiny import PLAIN, sensor
+
+from tacgen.optics.camera import Camera
+from tacgen.optics.camera_response import srgb
+from tacgen.optics.hertz_dent import BallDent
+from tacgen.optics.surface_grid import Sheet, Untouched
+from tacgen.render import images, mitsuba_variants
+from tacgen.render.mitsuba_path import PathTracer
+
+DENT = BallDent(2.0, 1.0, (0.6, -0.4))
+
+
+pytestmark = pytest.mark.usefixtures("own_cache")
+
+
+@pytest.fixture(scope="module")
+def renderer():
+    return images.Renderer(sensor(), spp=64, seed=0, markers=False, variant=mitsuba_variants.SCALAR)
+
+
+@pytest.fixture(scope="module")
+def tracer(renderer):
+    return PathTracer(renderer.sensor, renderer.sheet, False, mitsuba_variants.SCALAR)
+
+
+@pytest.mark.parametrize("surface", [Untouched(), DENT], ids=["flat", "dent"])
+def test_image_agrees_with_path_within_paths_own_noise(renderer, tracer, surface):
+    halves = np.array([tracer.radiance(surface, 256, seed) for seed in (1, 2)])
+    truth, noise = halves.mean(axis=0), np.mean((halves[0] - halves[1]) ** 2) / 4
+    image = renderer.image(surface)
+    assert image.mean(axis=(0, 1)) == pytest.approx(truth.mean(axis=(0, 1)), rel=0.03)
+    corrected = np.sqrt(max(np.mean((image - truth) ** 2) - noise, 0.0))
+    assert corrected < 0.04 * truth.mean()
+
+
+def test_light_goes_through_strips_that_stand_for_it():
+    """Dark ones before the others' mirror images, far larger than they: as if they were not there."""
+    dark = {"size_mm": [9, 3], "center_mm": [0, -4.6, -3.2], "radiance": [0, 0, 0], "see_through": True}
+    leds = [*PLAIN["leds"], {**PLAIN["leds"][0], **dark, "name": "dark"}]
+    bare, through = (
+        images.Renderer(sensor(leds=those), 4, 0, False, mitsuba_variants.SCALAR) for those in (PLAIN["leds"], leds)
+    )
+    opaque = images.Renderer(
+        sensor(leds=[*leds[:3], {**leds[3], "see_through": False}]), 4, 0, False, mitsuba_variants.SCALAR
+    )
+    plain = bare.image(Untouched())
+    assert through.image(Untouched()) == pytest.approx(plain, rel=1e-6)
+    assert np.abs(opaque.image(Untouched()) - plain).max() > 0.1 * plain.max()
+    halves = [
+        np.mean(
+            [
+                PathTracer(one.sensor, one.sheet, False, mitsuba_variants.SCALAR).radiance(Untouched(), 64, k)
+                for k in (1, 2)
+            ]
+        )
+        for one in (bare, through)
+    ]
+    assert halves[1] == pytest.approx(halves[0], rel=0.01)
+
+
+def test_leaving_out_the_mirror_would_be_noticed(renderer, tracer):
+    """The plate's mirror image is a large part: without interfaces path is far off."""
+    clear = sensor(plate={"refractive_index": 1.0})
+    alone = images.Renderer(clear, 4, 0, False, mitsuba_variants.SCALAR).image(Untouched())
+    whole = renderer.image(Untouched())
+    assert np.abs(alone - whole).mean() > 0.1 * whole.mean()
+
+
+def test_the_dent_moves_the_vertices_and_flat_comes_back(tracer):
+    before = tracer.radiance(Untouched(), 8, 3)
+    dented = tracer.radiance(DENT, 8, 3)
+    after = tracer.radiance(Untouched(), 8, 3)
+    assert np.array_equal(before, after)
+    assert not np.array_equal(before, dented)
+
+
+def test_markers_appear_where_the_camera_projects_them():
+    made = images.Renderer(sensor(), 4, 0, markers=True, variant=mitsuba_variants.SCALAR)
+    bare = images.Renderer(sensor(), 4, 0, markers=False, variant=mitsuba_variants.SCALAR)
+    share = made.image(Untouched()).sum(axis=2) / bare.image(Untouched()).sum(axis=2)
+    y, x = np.mgrid[:32, :40] + 0.5
+    dark = (1 - share) * ((np.abs(x - 20) < 6) & (np.abs(y - 16) < 5))
+    middle = [(dark * x).sum() / dark.sum(), (dark * y).sum() / dark.sum()]
+    assert middle == pytest.approx(Camera.from_sensor(sensor()).project([[0, 0, 0]])[0], abs=0.1)
+    assert share.min() == pytest.approx(0.08, abs=0.08)
+
+
+def test_image_axes_are_x_right_and_y_down():
+    image = images.Renderer(sensor(), 4, 0, False, mitsuba_variants.SCALAR).flat()
+    red, green, blue = (image[..., c] for c in range(3))
+    assert red[:8].mean() > 1.3 * red[-8:].mean()
+    assert green[:, -8:].mean() > 1.3 * green[:, :8].mean()
+    assert blue[-8:].mean() > 1.3 * blue[:8].mean()
+
+
+def test_path_sees_the_same_axes_as_the_projection():
+    """A tall, narrow dent at (1.5, 1) changes path's picture where the camera projects it."""
+    model = sensor()
+    tracer = PathTracer(model, Sheet.over(model.gel, 0.1), False, mitsuba_variants.SCALAR)
+    dent = BallDent(0.8, 0.6, (1.5, 1.0))
+    change = np.abs(tracer.radiance(dent, 64, 1) - tracer.radiance(Untouched(), 64, 1)).sum(axis=2)
+    y, x = np.mgrid[:32, :40] + 0.5
+    weight = np.where(change > 0.3 * change.max(), change, 0)
+    found = [(weight * x).sum() / weight.sum(), (weight * y).sum() / weight.sum()]
+    assert found == pytest.approx(Camera.from_sensor(model).project([[1.5, 1.0, -0.3]])[0], abs=2.0)
+
+
+def test_a_scene_built_again_draws_the_same_numbers(tracer):
+    """Merged shapes used to stand in another order now and then, and every pixel's noise with them."""
+    first = tracer.radiance(DENT, 4, 7)
+    for _ in range(8):
+        again = PathTracer(sensor(), tracer.sheet, False, mitsuba_variants.SCALAR)
+        assert np.array_equal(again.radiance(DENT, 4, 7), first)
+
+
+def test_a_window_shows_what_the_whole_picture_shows_there(tracer):
+    """And the whole picture is the same after as before; nan where no window is."""
+    windows = [(3, 20, 1, 1), (10, 4, 20, 6), (39, 31, 1, 1)]
+    whole = tracer.radiance(DENT, 256, 1)
+    seen = tracer.windows(tracer.sheet.at(DENT), windows, 4096, 1)
+    assert np.isfinite(seen).all(2).sum() == 1 + 120 + 1
+    for x, y, w, h in windows:
+        near = whole[max(y - 2, 0) : y + h + 2, max(x - 2, 0) : x + w + 2]
+        assert seen[y : y + h, x : x + w].mean((0, 1)) == pytest.approx(near.mean((0, 1)), rel=0.2)
+    first, second = (tracer.windows(tracer.sheet.at(DENT), n * windows[:1], 16, 1)[20, 3] for n in (1, 2))
+    assert not np.array_equal(first, second)
+    assert np.array_equal(tracer.radiance(DENT, 256, 1), whole)
+
+
+@pytest.mark.parametrize("which", ["sensor", "cloudy"])
+def test_bytes_are_the_same_at_any_thread_count(which, tmp_path):
+    code = (
+        "import sys, hashlib; import mitsuba as mi; mi.set_variant('scalar_rgb'); "
+        "import drjit as dr; dr.set_thread_count(int(sys.argv[1])); "
+        f"from helpers.tiny import {which} as sensor; from tacgen.render import images; "
+        "from tacgen.optics.hertz_dent import BallDent; DENT = BallDent(2.0, 1.0, (0.6, -0.4)); "
+        "r = images.Renderer(sensor(), 2, 0, sensor().markers is not None, 'scalar_rgb'); "
+        "print(hashlib.sha256(r.image(DENT).tobytes()).hexdigest())"
+    )
+    digests = set()
+    for threads in ("1", "2"):
+        env = {**os.environ, "NUMBA_NUM_THREADS": threads, "TACGEN_CACHE_DIR": str(tmp_path / threads)}
+        env["PYTHONPATH"] = str(Path(__file__).parents[1])
+        ran = subprocess.run(
+            [sys.executable, "-c", code, threads], env=env, capture_output=True, text=True, check=True, timeout=120
+        )
+        digests.add(ran.stdout.strip())
+    assert len(digests) == 1
+
+
+def test_no_paths_are_refused():
+    with pytest.raises(ValueError, match="spp"):
+        images.Renderer(sensor(), 0, 0, False, mitsuba_variants.SCALAR)
+
+
+def test_the_table_looks_like_transport_where_it_was_not_calibrated(renderer):
+    cheap = images.Renderer(renderer.sensor, 8, 0, False, mitsuba_variants.SCALAR, method="table")
+    truth, image = renderer.image(DENT), cheap.image(DENT)
+    flat = renderer.image(Untouched())
+    off = np.sqrt(np.mean((image - truth) ** 2))
+    assert off < 0.5 * np.sqrt(np.mean((flat - truth) ** 2))  # it knows most of what the dent does
+    assert 20 * np.log10(truth.max() / off) > 25
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not os.path.exists("/proc/self/statm"), reason="needs Linux's /proc")
+def test_memory_stays_flat_over_hundreds_of_frames():
+    made, held = images.Renderer(sensor(), 16, 0, True, mitsuba_variants.SCALAR), []
+    for frames in (100, 400):
+        for i in range(frames):
+            made.develop(made.image(BallDent(2.0, 1.0, (0.6, 0.001 * i))))
+        with open("/proc/self/statm") as file:
+            held.append(int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE"))
+    assert held[1] - held[0] < 4 * 2**20
+
+
+def test_draft_is_near_to_default_and_coarser(renderer):
+    draft = images.Renderer(sensor(), 16, 0, markers=False, variant=mitsuba_variants.SCALAR)
+    assert len(draft.sheet.rest) < len(renderer.sheet.rest) / 3
+    made, fine = (srgb(one.image(DENT).astype(float)) for one in (draft, renderer))
+    assert 40 < -10 * np.log10(np.mean((made - fine) ** 2)) < 70  # dB, as is asked for against path

@@ -1,0 +1,88 @@
+"""The probe: a child that dies must cost its parent nothing, and an answer is only asked for once."""
+
+import json
+import os
+from pathlib import Path
+
+import pytest
+
+from tacgen.render import mitsuba_variants
+
+
+@pytest.fixture(autouse=True)
+def _own_cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("TACGEN_CACHE_DIR", str(tmp_path / "cache"))
+    mitsuba_variants._asked.cache_clear()
+    yield
+    mitsuba_variants._asked.cache_clear()
+
+
+def test_scalar_really_renders():
+    found = mitsuba_variants.probe(mitsuba_variants.SCALAR)
+    assert found.works, found.note
+
+
+def test_a_wrong_llvm_library_is_a_no_and_not_the_end_of_the_process(tmp_path):
+    wrong = tmp_path / "libLLVM.so"
+    wrong.write_bytes(b"not a library")
+    found = mitsuba_variants.probe(mitsuba_variants.LLVM, str(wrong))
+    assert not found.works
+    assert found.note
+
+
+def test_a_child_that_aborts_is_a_no(monkeypatch):
+    monkeypatch.setattr(mitsuba_variants, "PROBE", "import os, sys; sys.stderr.write('LLVM ERROR: boom'); os.abort()")
+    found = mitsuba_variants.probe(mitsuba_variants.LLVM, "any.so")
+    assert found == (mitsuba_variants.LLVM, "any.so", False, "killed by signal 6: LLVM ERROR: boom")
+
+
+def test_a_child_that_hangs_is_a_no(monkeypatch):
+    monkeypatch.setattr(mitsuba_variants, "PROBE", "import time; time.sleep(60)")
+    monkeypatch.setattr(mitsuba_variants, "SECONDS", 0.3)
+    assert mitsuba_variants.probe(mitsuba_variants.LLVM).note == "TimeoutExpired"
+
+
+def test_an_answer_is_kept_until_the_library_changes(tmp_path, monkeypatch):
+    library = tmp_path / "libLLVM-19.so"
+    library.write_bytes(b"1")
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(library))
+    monkeypatch.setattr(mitsuba_variants, "LIBRARY_FOLDERS", ())
+    asked = []
+
+    def probe(variant, found=""):
+        asked.append(found)
+        return mitsuba_variants.Probed(variant, found, True, "renders")
+
+    monkeypatch.setattr(mitsuba_variants, "probe", probe)
+    assert mitsuba_variants._llvm().library == str(library)
+    mitsuba_variants._asked.cache_clear()  # as in a new process
+    assert mitsuba_variants._llvm().works
+    assert asked == [str(library)]
+    os.utime(library, ns=(1, 1))
+    mitsuba_variants._llvm()
+    assert len(asked) == 2
+
+
+def test_a_damaged_answer_is_asked_again(tmp_path, monkeypatch):
+    monkeypatch.setattr(mitsuba_variants, "probe", lambda v, x="": mitsuba_variants.Probed(v, x, True, "renders"))
+    mitsuba_variants._remembered(mitsuba_variants.SCALAR, "")
+    (kept,) = Path(tmp_path, "cache", "variants").glob("*.json")
+    kept.write_text("{broken")
+    mitsuba_variants._asked.cache_clear()
+    assert mitsuba_variants._remembered(mitsuba_variants.SCALAR, "").works
+    assert json.loads(kept.read_text())["works"]
+
+
+def test_without_llvm_and_gpu_the_scalar_variant_is_taken(monkeypatch):
+    monkeypatch.setattr(
+        mitsuba_variants, "_cuda", lambda: mitsuba_variants.Probed(mitsuba_variants.CUDA, "", False, "no")
+    )
+    monkeypatch.setattr(
+        mitsuba_variants, "_llvm", lambda: mitsuba_variants.Probed(mitsuba_variants.LLVM, "", False, "no")
+    )
+    assert mitsuba_variants.best().variant == mitsuba_variants.SCALAR
+
+
+def test_a_missing_home_is_replaced(monkeypatch):
+    monkeypatch.delenv("HOME", raising=False)
+    assert Path(mitsuba_variants.environment()["HOME"]).is_dir()

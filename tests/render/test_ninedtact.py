@@ -1,0 +1,130 @@
+"""9DTact: two layers on a conforming mesh, of which the camera sees the inner one; and sensors without lights."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.presses import Run
+from ruamel.yaml import YAML
+
+from tacgen import solve
+from tacgen.errors import UserError
+from tacgen.fem.stress_recovery import FULL
+from tacgen.labels import gel_surface
+from tacgen.labels.contact_maps import maps as maps_of
+from tacgen.labels.stress import Stresses
+from tacgen.optics.camera import Camera
+from tacgen.recipe import assets, loading, plan
+from tacgen.scene import mesh
+from tacgen.scene import scene as stage
+
+LIT = ("coating", "walls", "leds")
+RECIPE = """\
+tacgen: 1
+name: nine
+sensor: ninedtact
+indenter: {shape: sphere, radius_mm: 4.0}
+trajectory: [{press: {depth_mm: 1.0, frames: 1}}]
+outputs: [force, traction, height, stress]
+"""
+FINE = 1.1674  # [N] on meshes of 0.25 and 0.2 mm edge (16 800 and 21 800 nodes), dhat 0.03 mm
+
+
+def row_of(folder: Path, sets: tuple[str, ...] = ()) -> plan.Row:
+    path = folder / "nine.yaml"
+    path.write_text(RECIPE)
+    found = loading.read(path, sets)
+    return plan.expand(found.recipe, found.sensor, loaded=found).rows[0]
+
+
+@pytest.fixture(scope="module")
+def row(tmp_path_factory: pytest.TempPathFactory) -> plan.Row:
+    return row_of(tmp_path_factory.mktemp("nine"))
+
+
+@pytest.fixture(scope="module")
+def press(row: plan.Row) -> Run:
+    made = stage.build(row)
+    problem = solve.Problem.of(made, mesh.build(made.gel, mesh.footprint(made), made.edge))
+    return Run(made, problem, list(solve.states(made, problem)))
+
+
+def test_force_of_a_press_at_default_quality(press: Run) -> None:
+    assert len(press.problem.mesh.points) < 7000
+    assert -press.forces[-1, 2] == pytest.approx(FINE, rel=0.015)
+    assert press.states[-1].substeps == 1
+
+
+def test_the_maps_see_the_press(press: Run, row: plan.Row) -> None:
+    """0.0509 mm/px at the middle of the skin's outer side, and the force is in view."""
+    camera = Camera.from_sensor(row.sensor)
+    assert camera.shape == (345, 460)
+    step = camera.project([[0.1, 0.0, 0.0]])[0] - camera.project([[0.0, 0.0, 0.0]])[0]
+    assert 0.1 / step[0] == pytest.approx(0.0509, rel=1e-3)
+    grid, state = press.problem.mesh, press.states[-1]
+    surface = gel_surface.Surface(grid.points, grid.facets["coated"])
+    maps = maps_of(press.problem, surface.moved(state.x), state, camera)
+    assert maps.force[..., 2].sum() == pytest.approx(press.forces[-1, 2], rel=1e-6)
+
+
+def test_traction_is_continuous_across_the_interface_and_stress_in_its_plane_is_not(press: Run) -> None:
+    """The skin is three times as stiff as the base, and stretched as much: what acts in its plane differs."""
+    problem, x = press.problem, press.states[-1].x
+    made = Stresses(problem)
+    rows, node, layer = made.at(x).rows, made.recovery.node, made.recovery.material
+    shared, skin, base = np.intersect1d(node[layer == 1], node[layer == 0], return_indices=True)
+    assert problem.mesh.points[shared, 2] == pytest.approx(-0.3)
+    near = np.hypot(*x[shared, :2].T) < 3.0
+    skin, base = (rows[layer == k][found][near][:, FULL] for k, found in ((1, skin), (0, base)))
+    cells = problem.mesh.cells[(problem.mesh.layer == 1)][:, :4]  # their lower sides are the interface
+    normal = np.zeros_like(x)
+    for corners in cells:
+        a, b = x[corners[2]] - x[corners[0]], x[corners[3]] - x[corners[1]]
+        normal[corners] += np.cross(a, b)
+    n = normal[shared[near]] / np.linalg.norm(normal[shared[near]], axis=1, keepdims=True)
+    assert n[:, 2].min() > 0.7
+    traction = [np.einsum("nij,nj->ni", side, n) for side in (skin, base)]
+    across = np.eye(3) - n[:, :, None] * n[:, None]
+    plane = [across @ side @ across for side in (skin, base)]
+    size = np.linalg.norm(traction[0])
+    assert np.linalg.norm(traction[0] - traction[1]) < 0.2 * size
+    assert np.linalg.norm(plane[0] - plane[1]) > 0.6 * size
+    tension = [np.trace(side, axis1=1, axis2=2) for side in plane]
+    assert (tension[0] > tension[1]).mean() > 0.9
+
+
+def test_the_camera_sees_the_skin_from_inside(press: Run, row: plan.Row) -> None:
+    seen = gel_surface.seen(press.problem.mesh, len(row.sensor.gel.clear_layers))
+    assert seen.rest[:, 2] == pytest.approx(-0.3)
+    now = seen.moved(press.states[-1].x)
+    under, beside = now.at(np.array([[0.0, 0.0], [3.2, 0.0]]))[:, 2] + 0.3
+    assert -1.0 < under < -0.8  # the skin thins a little
+    assert beside > 0.03  # what was pressed away bulges around
+
+
+def test_images_are_refused_where_no_lights_are_described(tmp_path: Path) -> None:
+    dark = {k: v for k, v in loading.read_sensor(assets.sensor_path("ninedtact"))[1].data.items() if k not in LIT}
+    YAML(typ="safe").dump({**dark, "name": "dark"}, tmp_path / "dark.yaml")
+    text = RECIPE.replace("force, traction, height, stress", "force, rgb").replace("ninedtact", "dark.yaml")
+    (tmp_path / "r.yaml").write_text(text)
+    with pytest.raises(UserError) as caught:
+        loading.read(tmp_path / "r.yaml")
+    told = [line for line in caught.value.lines if not line.startswith(" ")]
+    assert len(told) == 1
+    assert re.search(r"r\.yaml:6:10: outputs: asks for rgb: .*dark describes no lights yet$", told[0])
+
+
+def test_lights_come_all_together_or_a_plate_alone() -> None:
+    plain = loading.read_sensor(assets.sensor_path("gelsight_mini"))[1].data
+    without = {k: v for k, v in plain.items() if k not in ("coating", "walls", "leds")}
+    sensor, wrong = loading.check_sensor(without)
+    assert sensor is not None
+    assert not sensor.lit
+    assert wrong == []
+    sensor, wrong = loading.check_sensor({k: v for k, v in plain.items() if k not in ("plate", "walls")})
+    assert sensor is None
+    assert [(p.path, p.message) for p in wrong] == [
+        (("plate",), "is missing, and leds is there"),
+        (("walls",), "is missing, and leds is there"),
+    ]

@@ -1,0 +1,107 @@
+"""Pictures of bundles: something is drawn, and only what is there."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.synthetic import OUTPUTS, write
+
+from tacgen.bundle.bundle import read
+from tacgen.errors import UserError
+from tacgen.report import bundle_figure
+
+
+def labels(path: Path) -> list[str]:
+    """The first line of each y label: the rows, their colour bars and the force plot."""
+    axes = bundle_figure.figure(read(path)).axes
+    return [label.partition("\n")[0] for label in (a.get_ylabel() for a in axes) if label]
+
+
+def pixels(path: Path) -> np.ndarray:
+    from matplotlib.image import imread
+
+    return imread(path)
+
+
+def test_the_picture_is_written_and_not_blank(tmp_path: Path) -> None:
+    bundle = write(tmp_path / "x.h5")
+    bundle_figure.picture(bundle, tmp_path / "x.png")
+    seen = pixels(tmp_path / "x.png")[..., :3]
+    assert seen.shape[0] > 800
+    assert seen.shape[1] > 1600
+    assert len(np.unique((seen * 255).astype(int).reshape(-1, 3), axis=0)) > 200
+    assert 0.1 < (seen < 0.99).any(axis=-1).mean() < 0.9
+
+
+@pytest.mark.parametrize(
+    ("outputs", "rows"),
+    [
+        ({"force"}, []),
+        ({"force", "rgb"}, ["camera [px]"]),
+        ({"markers"}, ["camera [px]"]),
+        ({"height"}, ["height", "height z [mm]"]),
+        ({"traction"}, ["pressure", "pressure [MPa]", "tangential", "traction [MPa]"]),
+        (
+            OUTPUTS,
+            ["camera [px]", "pressure", "pressure [MPa]", "tangential", "traction [MPa]", "height", "height z [mm]"],
+        ),
+    ],
+)
+def test_only_what_is_there_is_drawn(tmp_path: Path, outputs: set[str], rows: list[str]) -> None:
+    assert sorted(labels(write(tmp_path / "x.h5", outputs=frozenset(outputs)))) == sorted([*rows, "force on gel [N]"])
+
+
+def test_images_and_arrows_keep_y_down(tmp_path: Path) -> None:
+    first = bundle_figure.figure(read(write(tmp_path / "x.h5"))).axes[0]
+    assert first.get_xlim() == (0, 64)
+    assert first.get_ylim() == (48, 0)
+    (camera,) = first.get_images()
+    assert camera.origin == "upper"
+    quivers = [c for c in first.collections if type(c).__name__ == "Quiver"]
+    assert all(q.angles == "xy" for q in quivers)
+    assert len(quivers) == 1
+
+
+def test_the_frames_are_spread_from_first_to_last(tmp_path: Path) -> None:
+    titles = [a.get_title() for a in bundle_figure.figure(read(write(tmp_path / "x.h5"))).axes if a.get_title()]
+    assert len(titles) == 8
+    assert titles[0] == "frame 0\npress"
+    assert titles[-1] == "frame 11\ntwist"
+
+
+def test_markers_alone_use_the_camera_of_the_sensor(tmp_path: Path) -> None:
+    document = json.dumps({"camera": {"width_px": 640, "height_px": 480}})
+    bundle = read(write(tmp_path / "x.h5", outputs=frozenset({"markers"}), sensor_document=document))
+    assert bundle_figure.figure(bundle).axes[0].get_xlim() == (0, 640)
+
+
+@pytest.mark.parametrize("stop", [0, 1, 5])
+def test_a_rejected_scene_says_so(tmp_path: Path, stop: int) -> None:
+    bundle = write(tmp_path / "x.h5", stop=stop)
+    assert f"rejected: frame {stop} of 12: Newton's method stalled" in [
+        t.get_text() for t in bundle_figure.figure(read(bundle)).texts
+    ]
+    bundle_figure.picture(bundle, tmp_path / "x.png")
+    assert pixels(tmp_path / "x.png").std() > 0.01
+    assert (
+        f"status    rejected (frame {stop} of 12: Newton's method stalled)"
+        in bundle_figure.summary(bundle).splitlines()
+    )
+
+
+def test_no_picture_without_a_bundle_or_of_an_unknown_kind(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="No such file"):
+        bundle_figure.picture(tmp_path / "x.h5", tmp_path / "x.png")
+    with pytest.raises(UserError, match=r"x\.doc: unknown kind of picture, use one of .*\.png"):
+        bundle_figure.picture(write(tmp_path / "x.h5"), tmp_path / "x.doc")
+
+
+def test_the_summary_names_the_peaks(tmp_path: Path) -> None:
+    lines = bundle_figure.summary(write(tmp_path / "x.h5")).splitlines()
+    assert lines[0].endswith("x.h5: synthetic, gelsight_mini, sphere, radius 4 mm")
+    assert "frames    12 of 12: press 4, slide 3, hold 2, twist 3" in lines
+    assert "force     largest in frame 5: Fx 0.648, Fy 0.000, Fz -1.200 N on the gel" in lines
+    assert any(line.startswith("pressure  largest in frame ") and line.endswith(" MPa") for line in lines)
+    assert not any(line.startswith("note") for line in lines)
+    assert "note      sharp" in bundle_figure.summary(write(tmp_path / "y.h5", notes=["sharp"])).splitlines()

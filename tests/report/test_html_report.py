@@ -1,0 +1,133 @@
+"""Card, report and summary say what a folder holds, what it lacks and why, from the bundles themselves."""
+
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+from batch.test_local import TASK, spoil
+from helpers.scenes import make_plan
+from helpers.synthetic import attributes, write
+from typer.testing import CliRunner
+
+from tacgen import batch
+from tacgen.bundle import dataset, pack
+from tacgen.cli import app
+from tacgen.errors import UserError
+from tacgen.report import dataset_card, dataset_summary, html_report
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Six planned scenes: four done, one failed, one rejected; forces and pictures in them."""
+    out = tmp_path_factory.mktemp("report") / "out"
+    plan = make_plan(out.parent, 6)
+    spoil(out, "scene-00003", "refuse")
+    batch.run(plan, out, task=TASK)
+    for k in (0, 4):
+        row = plan.rows[k]
+        known = {"input_key": row.key, "seed": row.seed, "scene_index": k, "values": row.values}
+        write(out / f"{row.name}.h5", stop=7 if k == 4 else None, **known)
+    (out / "scene-00000.timing.json").write_text('{"frames": 12, "seconds": {"solve": 3.0, "render": 6.0}}')
+    return out
+
+
+class Links(HTMLParser):
+    """Opening and closing tags must match; every link is kept."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.links: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        if tag not in ("meta", "img", "br"):
+            self.open.append(tag)
+        self.links += [value or "" for name, value in attrs if name in ("src", "href")]
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        pass
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+def test_the_report_is_one_page_that_needs_nothing_else(folder: Path, tmp_path: Path):
+    page = html_report.write(folder, tmp_path / "r.html").read_text()
+    parser = Links()
+    parser.feed(page)
+    assert parser.open == []
+    assert parser.links
+    assert all(link.startswith("data:image/jpeg;base64,") for link in parser.links)
+    assert "<h1>many: 6 scenes, 48 frames</h1>" in page
+    assert "this cannot be made" in page
+    assert "frame # of #: Newton&#x27;s method stalled" in page
+    assert "start.x_mm" in page
+    assert "6.0 s" in page
+    points = re.findall(r"<circle", page)
+    assert points == []  # one varied number has no pair to be plotted against
+
+
+def test_pairs_of_varied_numbers_are_plotted_a_point_a_scene(tmp_path: Path):
+    for i in range(4):
+        values = {"a": i / 3, "b": i * 2.0, "name": "x<y"}
+        write(tmp_path / f"scene-{i:05d}.h5", outputs=frozenset({"force"}), values=values)
+    page = html_report.page(dataset_summary.look(tmp_path))
+    assert len(re.findall(r"<circle", page)) == 4
+    assert "x&lt;y (4)" in page
+    assert "<x" not in page
+
+
+def test_causes_leave_numbers_out_and_count(folder: Path):
+    found = html_report.causes(dataset_summary.look(folder).scenes)
+    assert {key: len(names) for key, names in found.items()} == {
+        ("failed", "this cannot be made"): 1,
+        ("rejected", "frame # of #: Newton's method stalled"): 1,
+    }
+
+
+def test_the_card_says_how_many_what_it_cost_and_whose_it_is(folder: Path):
+    text = dataset_card.write(folder).read_text()
+    assert "| Scenes | 6 (4 ok, 1 rejected, 1 failed) |" in text
+    assert "| Frames | 48 |" in text
+    assert "| render | 6.0 | 0.500 |" in text
+    assert "| scene-00003 | failed | this cannot be made |" in text
+    assert "| `start.x_mm` |" in text
+    assert "claim no rights" in text
+    again = re.search(r"`([0-9a-f]{64})`", text)
+    assert again
+    write(folder.parent / "other" / "scene-00000.h5")
+    assert again.group(1) not in dataset_card.text(dataset_summary.look(folder.parent / "other"))
+
+
+def test_an_object_brings_its_licence(tmp_path: Path):
+    recipe = {**attributes()["recipe"], "indenter": {"shape": "mesh", "file": "key"}}
+    write(tmp_path / "scene-00000.h5", outputs=frozenset({"force"}), recipe=recipe)
+    assert "Object `key`: Licence: Apache-2.0" in dataset_card.text(dataset_summary.look(tmp_path))
+
+
+def test_a_pack_is_looked_at_as_the_folder_it_was_made_from(folder: Path, tmp_path: Path):
+    packed = pack.pack(dataset.scenes(folder), tmp_path / "p").folder
+    loose, there = dataset_summary.look(folder), dataset_summary.look(packed)
+    assert there.frames == loose.frames
+    assert there.datasets == loose.datasets
+    assert [s.values for s in there.scenes] == [s.values for s in loose.scenes if s.state == "ok"]
+
+
+def test_commands_print_and_write(folder: Path, tmp_path: Path):
+    def run(*args: str) -> str:
+        done = CliRunner().invoke(app, list(args))
+        assert done.exit_code == 0, done.stderr
+        return done.stdout
+
+    assert run("show", str(folder)).splitlines()[1] == "scenes    4 ok, 1 rejected, 1 failed"
+    assert run("report", str(folder)) == f"{folder}/report.html\n"
+    assert (folder / "report.html").exists()
+    said = run("pack", str(folder), "-o", str(tmp_path / "p"), "--size-mb", "0.1")
+    assert re.search(r"4 scenes in \d shards?, 48 frames; left out 1 rejected scene$", said.strip())
+    assert run("check", str(tmp_path / "p")).endswith("nothing found wrong\n")
+
+
+def test_an_empty_folder_is_one_line(tmp_path: Path):
+    with pytest.raises(UserError, match="no bundles"):
+        dataset_summary.look(tmp_path)

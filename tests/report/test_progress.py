@@ -1,0 +1,81 @@
+"""Progress: plain lines with the time left where there is no terminal, a bar where there is one."""
+
+import io
+from types import SimpleNamespace
+
+import pytest
+
+from tacgen.report.progress import Progress
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+ROWS = [SimpleNamespace(name="scene-00000", frames=4), SimpleNamespace(name="scene-00001", frames=4)]
+
+
+def frame(scene: str, k: int) -> dict[str, object]:
+    return {"event": "frame", "scene": scene, "frame": k, "frames": 4}
+
+
+def end(scene: str, status: str = "ok", reason: str = "", **seconds: float) -> dict[str, object]:
+    return {"event": "scene", "scene": scene, "status": status, "reason": reason, "seconds": seconds}
+
+
+def drive(stream: io.StringIO) -> str:
+    with Progress(ROWS, stream) as progress:
+        progress(frame("scene-00000", 2))
+        progress(frame("scene-00001", 1))
+        progress({"event": "retry", "scene": "scene-00001", "reason": "its worker [1] was killed"})
+        progress(end("scene-00000", "rejected", "stalled [here]", solve=1.0))
+        progress(end("scene-00001", solve=1.0))
+    return stream.getvalue()
+
+
+def test_a_line_a_scene_where_there_is_no_terminal():
+    lines = drive(io.StringIO()).splitlines()
+    assert lines[0].startswith("scene-00001: once more: its worker [1] was killed (about ")
+    assert lines[1].startswith("scene-00000: rejected: stalled [here] (about ")
+    assert lines[2:] == ["scene-00001: ok"]
+
+
+def test_a_note_is_said_once_for_all_scenes():
+    stream = io.StringIO()
+    with Progress(ROWS, stream) as progress:
+        for scene in ("scene-00000", "scene-00001"):
+            progress({"event": "note", "scene": scene, "note": "its edges are sharp"})
+    assert stream.getvalue() == "scene-00000: note: its edges are sharp\n"
+
+
+def test_a_line_a_frame_where_there_is_one_scene():
+    stream = io.StringIO()
+    with Progress(ROWS[:1], stream) as progress:
+        progress(frame("scene-00000", 3))
+        progress(end("scene-00000"))
+    assert stream.getvalue().startswith("scene-00000: frame 3 of 4 (about ")
+    assert stream.getvalue().endswith("scene-00000: ok\n")
+
+
+def test_what_was_there_already_says_nothing_about_the_time_left(monkeypatch: pytest.MonkeyPatch):
+    clock = iter([0.0, 10.0, 10.0])
+    monkeypatch.setattr("tacgen.report.progress.time.monotonic", lambda: next(clock))
+    stream = io.StringIO()
+    with Progress(ROWS, stream) as progress:
+        progress(end("scene-00000"))
+        assert "left" not in stream.getvalue()
+        progress(frame("scene-00001", 1))
+        progress({"event": "retry", "scene": "scene-00009", "reason": "so that a line is printed"})
+    assert "(about 30 s left)" in stream.getvalue()  # 10 s for one frame, three to go
+
+
+def test_a_bar_on_a_terminal_unless_colour_is_unwanted(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    shown = drive(Terminal())
+    assert "\x1b[" in shown
+    assert "scene-00000: rejected: stalled [here]" in shown
+    assert "2 of 2 scenes" in shown
+    monkeypatch.setenv("NO_COLOR", "1")
+    assert "\x1b[" not in drive(Terminal())
