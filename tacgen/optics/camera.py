@@ -11,7 +11,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from tacgen.recipe.sensor import Sensor
+    from tacgen.optics.description import Sensor
 
     Floats = NDArray[np.float64]
 

@@ -9,12 +9,12 @@ from tacgen.optics.noise import noisy
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from tacgen.recipe.sensor import Camera
+    from tacgen.optics.description import Eye
 
     Floats = NDArray[np.float64]
 
 
-def vignette(camera: "Camera") -> "Floats":
+def vignette(camera: "Eye") -> "Floats":
     """Fall-off (H, W) of the lens, 1 on the axis: 1 / (1 + (r/r0)^2)^2 with r at the scale on the untouched coating."""
     y, x = np.mgrid[: camera.height_px, : camera.width_px] + 0.5
     right = (x - camera.width_px / 2) * camera.mm_per_px + camera.crop_mm[0]
@@ -39,17 +39,17 @@ def slope(linear: "Floats") -> "Floats":
     return np.where(linear <= 0.0031308, 12.92, 1.055 / 2.4 * np.maximum(linear, 1e-4) ** (1 / 2.4 - 1))
 
 
-def stray(camera: "Camera") -> "Floats":
+def stray(camera: "Eye") -> "Floats":
     """Radiance (H, W, 3) of a bare coat in the stray light alone: `ambient` after the vignette and the exposure."""
     return np.asarray(np.array(camera.ambient) / (camera.exposure * vignette(camera)[..., None]))
 
 
-def expose(radiance: "Floats", camera: "Camera") -> "Floats":
+def expose(radiance: "Floats", camera: "Eye") -> "Floats":
     """Linear fraction of full scale (H, W, 3) of a radiance picture (H, W, 3)."""
     return np.asarray(radiance * (camera.exposure * vignette(camera)[..., None]))
 
 
-def develop(radiance: "Floats", camera: "Camera", random: np.random.Generator | None = None) -> "NDArray[np.uint8]":
+def develop(radiance: "Floats", camera: "Eye", random: np.random.Generator | None = None) -> "NDArray[np.uint8]":
     """The 8-bit sRGB picture (H, W, 3) of a radiance picture (H, W, 3), with noise if `random` is given."""
     linear = expose(radiance, camera)
     if random is not None and camera.noise is not None:

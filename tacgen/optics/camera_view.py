@@ -14,7 +14,7 @@ from tacgen.optics.surface_grid import Sheet, Surface
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from tacgen.recipe.sensor import LitSensor
+    from tacgen.optics.description import LitSensor
 
     Floats = NDArray[np.float64]
 

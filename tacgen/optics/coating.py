@@ -9,7 +9,7 @@ from tacgen.optics.mitsuba_dicts import diffuse
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from tacgen.recipe.sensor import Coating, Markers
+    from tacgen.optics.description import Coating, Markers
 
     Floats = NDArray[np.float64]
 

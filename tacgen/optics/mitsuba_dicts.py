@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from tacgen.recipe.sensor import Gel, Led, LitSensor, Scattering
+    from tacgen.optics.description import Gel, Led, LitSensor, Scattering
 
     Floats = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from tacgen.recipe.sensor import Noise
+    from tacgen.optics.description import Noise
 
     Floats = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ from tacgen.optics.surface_grid import Untouched
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from tacgen.recipe.sensor import Gel, ThicknessResponse
+    from tacgen.optics.description import Gel, ThicknessResponse
 
     Floats = NDArray[np.float64]
 

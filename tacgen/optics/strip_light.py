@@ -16,7 +16,7 @@ from tacgen.optics.shadows import Terrain, horizon
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from tacgen.recipe.sensor import Led, LitSensor
+    from tacgen.optics.description import Led, LitSensor
 
 from numpy.typing import NDArray
 

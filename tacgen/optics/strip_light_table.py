@@ -15,7 +15,7 @@ from tacgen.optics.strip_light import Panels, Points, Slab, arrive, ggx, layer, 
 from tacgen.optics.surface_grid import Sheet, Untouched
 
 if TYPE_CHECKING:
-    from tacgen.recipe.sensor import LitSensor
+    from tacgen.optics.description import LitSensor
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]

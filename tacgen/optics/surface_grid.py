@@ -8,7 +8,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from tacgen.recipe.sensor import Gel
+    from tacgen.optics.description import Gel
 
     Floats = NDArray[np.float64]
 

@@ -1,0 +1,156 @@
+"""What optics read of a sensor's description: the models of recipe.sensor fit these, and so does anything else that
+holds the same numbers. Units in the names; colours are (red, green, blue)."""
+
+from collections.abc import Sequence
+from typing import Protocol
+
+Vec2 = tuple[float, float]
+Vec3 = tuple[float, float, float]
+
+
+class Scattering(Protocol):
+    """Of a cloudy layer: extinction, the share of it that is scattered (3,), mean cosine of the turn."""
+
+    extinction_per_mm: float
+    albedo: Vec3
+    forward: float
+
+
+class Layer(Protocol):
+    name: str
+    thickness_mm: float
+    refractive_index: float
+
+    @property
+    def scattering(self) -> Scattering | None: ...
+
+
+class Dome(Protocol):
+    radius_x_mm: float
+    radius_y_mm: float
+
+
+class Gel(Protocol):
+    """`tip`: number of the layer that carries the coating; `drop_mm`: by how much its outline lies lower at (x, y)."""
+
+    width_mm: float
+    height_mm: float
+    corner_radius_mm: float
+
+    @property
+    def outline(self) -> object | None: ...
+    @property
+    def dome(self) -> Dome | None: ...
+    @property
+    def solid(self) -> object | None: ...
+    @property
+    def layers(self) -> Sequence[Layer]: ...
+    @property
+    def clear_layers(self) -> Sequence[Layer]: ...
+    @property
+    def tip(self) -> int: ...
+    def drop_mm(self, x_mm: float, y_mm: float) -> float: ...
+
+
+class Plate(Protocol):
+    thickness_mm: float
+    refractive_index: float
+
+
+class Coating(Protocol):
+    """Diffuse albedo (3,), weight of the rough conductor, and its GGX alpha."""
+
+    albedo: Vec3
+    specular: float
+    roughness: float
+
+
+class Walls(Protocol):
+    albedo: float
+    margin_mm: float
+
+
+class Led(Protocol):
+    """A rectangle that shines along `normal`; `light`: its radiance (3,), power included."""
+
+    name: str
+    center_mm: Vec3
+    normal: Vec3
+    up: Vec3
+    size_mm: Vec2
+    see_through: bool
+
+    @property
+    def light(self) -> Vec3: ...
+
+
+class Noise(Protocol):
+    """Variance per signal, standard deviation in the dark, and a factor on both together, in parts of full scale."""
+
+    shot: Vec3
+    read: Vec3
+    strength: float
+
+
+class Eye(Protocol):
+    """The camera; see recipe.sensor.Camera."""
+
+    distance_mm: float
+    center_mm: Vec2
+    tilt_deg: Vec2
+    roll_deg: float
+    crop_mm: Vec2
+    mm_per_px: float
+    width_px: int
+    height_px: int
+    exposure: float
+    ambient: Vec3
+    vignette_mm: float | None
+
+    @property
+    def noise(self) -> Noise | None: ...
+
+
+class Markers(Protocol):
+    columns: int
+    rows: int
+    pitch_mm: Vec2
+    diameter_mm: float
+    albedo: float
+
+
+class ThicknessResponse(Protocol):
+    change_mm: tuple[float, ...]
+    gain: tuple[Vec3, ...]
+
+
+class Sensor(Protocol):
+    """Gel and camera: what says where things are seen."""
+
+    @property
+    def gel(self) -> Gel: ...
+    @property
+    def plate(self) -> Plate | None: ...
+    @property
+    def camera(self) -> Eye: ...
+    @property
+    def markers(self) -> Markers | None: ...
+
+
+class LitSensor(Protocol):
+    """One whose plate, coating, walls and lights are all described."""
+
+    @property
+    def gel(self) -> Gel: ...
+    @property
+    def plate(self) -> Plate: ...
+    @property
+    def camera(self) -> Eye: ...
+    @property
+    def markers(self) -> Markers | None: ...
+    @property
+    def coating(self) -> Coating: ...
+    @property
+    def walls(self) -> Walls: ...
+    @property
+    def leds(self) -> Sequence[Led]: ...
