@@ -1,6 +1,6 @@
 """State -> Stress: Cauchy stress per element and per node, the traction it gives on the face, and how good it is.
 
-Nodal values come from superconvergent patch recovery (see fem/stress_recovery), layer by layer. On the coated face they are
+Nodal values come from superconvergent patch recovery (fem/stress_recovery), layer by layer. On the coated face they are
 made to agree with the recovered nominal stress P, whose traction loses nothing of the force:
 
     sigma n da = P N dA     (Nanson)
