@@ -54,7 +54,7 @@ smoke: sync
 bench: sync
 	$(BIN)/tacgen bench -o docs $(BENCH_FLAGS)
 	$(BIN)/python scripts/compare.py --results docs
-	$(BIN)/python scripts/readme_figures.py
+	$(BIN)/python -m benchmarks.readme_figures
 
 demo: sync
 	$(BIN)/tacgen run recipes/quickstart.yaml -o out/quickstart

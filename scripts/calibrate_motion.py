@@ -4,6 +4,7 @@
 
 A ball is pressed, slid until it slips and twisted; a smaller ball and a flat punch, not fitted, say the error.
 """
+# ruff: noqa: E402
 
 import argparse
 import os
@@ -11,18 +12,18 @@ import os
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
     os.environ[_name] = "1"
 
-import numpy as np  # noqa: E402
-from scipy.optimize import least_squares  # noqa: E402
+import numpy as np
+from scipy.optimize import least_squares
 
-from tacgen import solve  # noqa: E402
-from tacgen.labels import fots_markers  # noqa: E402
-from tacgen.labels.gel_surface import seen  # noqa: E402
-from tacgen.optics.camera import Camera  # noqa: E402
-from tacgen.optics.coating import centers  # noqa: E402
-from tacgen.recipe import assets, plan  # noqa: E402
-from tacgen.recipe.sensor import Motion  # noqa: E402
-from tacgen.scene import mesh, scene  # noqa: E402
-from tacgen.solve import foresee  # noqa: E402
+from tacgen import solve
+from tacgen.labels import fots_markers
+from tacgen.labels.gel_surface import seen
+from tacgen.optics.camera import Camera
+from tacgen.optics.coating import centers
+from tacgen.recipe import assets, plan
+from tacgen.recipe.sensor import Motion
+from tacgen.scene import mesh, scene
+from tacgen.solve import foresee
 
 MOVES = "[{press: {depth_mm: 0.8, frames: 3}}, {slide: {x_mm: 1.2, y_mm: 0.4, frames: 4}}, {release: {frames: 1}}, "
 MOVES += "{press: {depth_mm: 0.8, frames: 1}}, {twist: {angle_deg: 30, frames: 4}}]"

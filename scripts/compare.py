@@ -19,8 +19,6 @@ from PIL import Image
 from ruamel.yaml import YAML
 from skimage.metrics import structural_similarity
 
-from tacgen import bench
-from tacgen.bench import kit
 from tacgen.calibrate import photos, press_faces
 from tacgen.optics.camera import Camera
 from tacgen.optics.hertz_dent import BallDent
@@ -198,7 +196,7 @@ def main() -> int:
     parser.add_argument("--spp", type=int, default=64)
     parser.add_argument("--file", type=Path, help="the sensor file; the shipped one if not given")
     asked = parser.parse_args()
-    rows: list[list[kit.Cell]] = []
+    rows: list[list[str | float | int | None]] = []
     begun = time.perf_counter()
     for name in [asked.sensor] if asked.sensor else BESIDE:
         folder = asked.photos / name
@@ -215,9 +213,13 @@ def main() -> int:
         Image.fromarray(np.vstack(strips)).save(out)
         print(f"{out}: real left, rendered right")
     if asked.results and rows:
-        heads = kit.columns("sensor", "what", "SSIM: .3f", "on its own background: .3f", "real", "rendered")
-        result = kit.Result(ABOUT, [kit.Table("Likeness", heads, rows)])
-        bench.record("photographs", result, time.perf_counter() - begun, asked.results)
+        sys.path.insert(0, str(ROOT))
+        import benchmarks
+        from benchmarks import results_page
+
+        heads = results_page.columns("sensor", "what", "SSIM: .3f", "on its own background: .3f", "real", "rendered")
+        result = results_page.Result(ABOUT, [results_page.Table("Likeness", heads, rows)])
+        benchmarks.record("photographs", result, time.perf_counter() - begun, asked.results)
     return 0
 
 

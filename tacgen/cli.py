@@ -4,6 +4,7 @@ Results go to stdout, progress and errors to stderr. Exit codes: 0 done, 1 findi
 2 usage or recipe error, 130 interrupted.
 """
 
+import sys
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -350,7 +351,11 @@ def bench(
     """Measure error against run time, stability, what each output costs and how scenes scale, on this machine."""
     if full and smoke:
         raise UserError("--full, --smoke: only one of them")
-    from tacgen import bench as benches
+    root = Path(__file__).parents[1]
+    if not (root / "benchmarks").is_dir():
+        raise UserError("bench: its scenes come with the source alone: git clone it and run `tacgen bench` from there")
+    sys.path.insert(0, str(root))
+    import benchmarks as benches
 
     with writing(out):
         probe(out)

@@ -32,7 +32,6 @@ LAYERS = [
     "batch",
     "calibrate",
     "cli_common",
-    "bench",
     "cli",
     "__main__",
 ]
@@ -43,7 +42,7 @@ ALLOWED_IN_LIBRARIES = {"numpy", "scipy", "numba"}
 HOMES = {
     "mitsuba": {"render.mitsuba_path"},
     "drjit": {"render.mitsuba_path"},
-    "matplotlib": {"report.bundle_figure", "report.field_figure", "bench.kit", "bench.optics"},
+    "matplotlib": {"report.bundle_figure", "report.field_figure"},
     "mpl_toolkits": {"report.bundle_figure"},
     "h5py": {"bundle.bundle", "doctor", "export.vtkhdf", "export.univtac", "bundle.pack", "torch"},
     "cvxopt": {"solve.linear_solvers"},

@@ -12,9 +12,18 @@ from helpers import tiny
 from helpers.blocks import block
 from typer.testing import CliRunner
 
-from tacgen import bench
-from tacgen.bench import answers, calculix, kit, mechanics, pay, shorter, stability, summary
-from tacgen.bench.cases import PLAIN
+import benchmarks as bench
+from benchmarks import (
+    calculix,
+    cost_per_output,
+    mechanics,
+    reference_runs,
+    results_page,
+    stability,
+    step_size_error,
+    summary,
+)
+from benchmarks.cases import PLAIN
 from tacgen.cli import app
 from tacgen.geometry.analytic_sdf import Sphere
 from tacgen.optics import camera_response
@@ -29,16 +38,16 @@ def _own_cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.Mon
     monkeypatch.setenv("TACGEN_CACHE_DIR", str(tmp_path_factory.getbasetemp() / "cache"))
 
 
-def result(seconds: float) -> kit.Result:
-    heads = kit.columns("method", "s: .2f", "error: +.1%")
-    curve = kit.Series("measured", [1.0, 2.0], [0.1, 0.05], ["a", "b"])
-    table = kit.Table("Runs", heads, [["fine | slow", seconds, -0.0125], ["none", None, None]], "A note.")
-    return kit.Result("What was done.", [table], [kit.Plot("Error", "s", "error", [curve])])
+def result(seconds: float) -> results_page.Result:
+    heads = results_page.columns("method", "s: .2f", "error: +.1%")
+    curve = results_page.Series("measured", [1.0, 2.0], [0.1, 0.05], ["a", "b"])
+    table = results_page.Table("Runs", heads, [["fine | slow", seconds, -0.0125], ["none", None, None]], "A note.")
+    return results_page.Result("What was done.", [table], [results_page.Plot("Error", "s", "error", [curve])])
 
 
 def test_the_page_is_made_of_what_was_found(tmp_path: Path) -> None:
-    kit.write(tmp_path / "results", "mechanics", result(3.14159), 12.3)
-    kit.page(tmp_path / "results", ["mechanics", "stability"], tmp_path / "RESULTS.md", "Results", "Head.")
+    results_page.write(tmp_path / "results", "mechanics", result(3.14159), 12.3)
+    results_page.page(tmp_path / "results", ["mechanics", "stability"], tmp_path / "RESULTS.md", "Results", "Head.")
     page = (tmp_path / "RESULTS.md").read_text()
     assert "| fine \\| slow | 3.14 | -1.2% |" in page
     assert "| none |  |  |" in page
@@ -53,8 +62,8 @@ def test_the_page_is_made_of_what_was_found(tmp_path: Path) -> None:
 
 def test_a_part_made_again_leaves_the_others(tmp_path: Path) -> None:
     for name, seconds in (("mechanics", 1.0), ("pay", 2.0), ("mechanics", 3.0)):
-        kit.write(tmp_path / "results", name, result(seconds), 1.0)
-        kit.page(tmp_path / "results", ["mechanics", "pay"], tmp_path / "RESULTS.md", "Results", "Head.")
+        results_page.write(tmp_path / "results", name, result(seconds), 1.0)
+        results_page.page(tmp_path / "results", ["mechanics", "pay"], tmp_path / "RESULTS.md", "Results", "Head.")
     page = (tmp_path / "RESULTS.md").read_text()
     assert "| 3.00 |" in page
     assert "| 2.00 |" in page
@@ -62,14 +71,14 @@ def test_a_part_made_again_leaves_the_others(tmp_path: Path) -> None:
 
 
 def test_pareto_front() -> None:
-    assert kit.front([1, 2, 3, 4, 1], [9, 5, 7, 2, 8]) == [4, 1, 3]
+    assert results_page.front([1, 2, 3, 4, 1], [9, 5, 7, 2, 8]) == [4, 1, 3]
 
 
 def test_answers_are_compared_from_the_last_frame_back() -> None:
     """One that went the way in more frames is compared where both have been."""
     force = np.array([[0, 0, -1.0], [0.6, 0, -0.8]])
     field = np.full((2, 3), 2.0)
-    made = answers.Answer(force, field, field, field, 1.0, 10, 0.0, 1.0, 5)
+    made = reference_runs.Answer(force, field, field, field, 1.0, 10, 0.0, 1.0, 5)
     finer = replace(made, force=np.concatenate([[[0, 0, -9.0]], force * [1, 1, 1.1]]), pressure=field * 1.5)
     error = made.apart(finer)
     assert error.force == pytest.approx(0.1 / 1.1)  # the first frame; of the second, .08 / 1.065
@@ -91,8 +100,8 @@ def test_matter_inside_the_indenter_is_seen_between_nodes() -> None:
 
 
 def test_shorter_frames_come_by_where_the_long_ones_end() -> None:
-    made = scene.build(answers.row_of((*PLAIN, *shorter.WAYS["rod twisted by 30 deg at once"])))
-    short = shorter.finer(made, 4)
+    made = scene.build(reference_runs.row_of((*PLAIN, *step_size_error.WAYS["rod twisted by 30 deg at once"])))
+    short = step_size_error.finer(made, 4)
     assert (short.poses[3::4] == made.poses).all()
     assert (short.segment[3::4] == made.segment).all()
     steps = np.linalg.norm(np.diff(short.poses[11:], axis=0), axis=(1, 2))  # the twist
@@ -101,18 +110,18 @@ def test_shorter_frames_come_by_where_the_long_ones_end() -> None:
 
 
 def test_a_process_apart() -> None:
-    assert kit.apart("math:hypot", 3, 4) == 5.0
+    assert results_page.apart("math:hypot", 3, 4) == 5.0
     with pytest.raises(RuntimeError, match="math domain error"):
-        kit.apart("math:sqrt", -1)
-    fine, failed = kit.each_apart("math:sqrt", [(4,), (-1,)])
+        results_page.apart("math:sqrt", -1)
+    fine, failed = results_page.each_apart("math:sqrt", [(4,), (-1,)])
     assert fine == 2.0
     assert "math domain error" in str(failed)
 
 
 def test_a_bench_that_fails_is_said_and_the_others_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from tacgen.bench import cost, scaling
+    from benchmarks import cost, scaling
 
-    def fails(level: kit.Level, say: kit.Say) -> kit.Result:
+    def fails(level: results_page.Level, say: results_page.Say) -> results_page.Result:
         raise ValueError("no such luck")
 
     monkeypatch.setattr(cost, "bench", fails)
@@ -131,7 +140,7 @@ def test_an_unknown_bench_is_told(tmp_path: Path) -> None:
 
 def test_a_references_noise_is_not_taken_for_an_error() -> None:
     """However strong: it is ten times the error here, and a plain mean of squares would be 20 dB off."""
-    from tacgen.bench.optics import decibel
+    from benchmarks.image_error import decibel
 
     camera, rng = tiny.sensor(camera={"vignette_mm": None}).camera, np.random.default_rng(4)
     truth = np.full((32, 40, 3), 0.2)
@@ -148,7 +157,7 @@ def test_a_references_noise_is_not_taken_for_an_error() -> None:
 
 def test_parts_of_a_reference_say_more_than_halves() -> None:
     """Of as many paths: by a root of two at most, and without bias."""
-    from tacgen.bench.optics import decibel
+    from benchmarks.image_error import decibel
 
     camera, rng = tiny.sensor(camera={"vignette_mm": None}).camera, np.random.default_rng(5)
     truth = np.full((32, 40, 3), 0.2)
@@ -162,7 +171,7 @@ def test_parts_of_a_reference_say_more_than_halves() -> None:
 
 
 def test_chosen_pixels_stand_for_the_picture() -> None:
-    from tacgen.bench.optics import chosen, decibel
+    from benchmarks.image_error import chosen, decibel
 
     camera = tiny.sensor().camera  # 40 x 32
     y, x = np.mgrid[:32, :40]
@@ -198,8 +207,8 @@ def test_each_runs(name: str, tmp_path: Path) -> None:
 @pytest.mark.skipif(not calculix.installed(), reason="CalculiX (ccx) is not installed")
 def test_calculix_presses_as_it_did() -> None:
     """1.000 N by finer meshes of CalculiX 2.20."""
-    from tacgen.bench.answers import row_of
-    from tacgen.bench.peers import PRESS
+    from benchmarks.peers import PRESS
+    from benchmarks.reference_runs import row_of
     from tacgen.scene import scene
 
     found = calculix.press(scene.build(row_of(PRESS)).gel, 4.0, 1.0, 0.9)
@@ -222,7 +231,9 @@ SMALL = ["trajectory=[{press: {depth_mm: 0.5, frames: 1}}]", "quality={edge_mm: 
 
 @cache
 def used(output: str, friction: float) -> dict[str, list[str]]:
-    found: dict[str, list[str]] = kit.apart("tacgen.bench.pay:used", output, [*SMALL, f"contact.friction={friction}"])
+    found: dict[str, list[str]] = results_page.apart(
+        "benchmarks.cost_per_output:used", output, [*SMALL, f"contact.friction={friction}"]
+    )
     return found
 
 
@@ -249,8 +260,8 @@ def test_what_is_not_asked_for_is_not_computed() -> None:
 
 
 def test_every_line_of_pay_is_a_scene() -> None:
-    for outputs, sets in pay.ASKED.values():
-        assert len(pay.rows_of(outputs, list(sets))) == 1
+    for outputs, sets in cost_per_output.ASKED.values():
+        assert len(cost_per_output.rows_of(outputs, list(sets))) == 1
 
 
 def test_the_readme_says_what_the_results_say() -> None:
@@ -263,9 +274,19 @@ def test_the_readme_says_what_the_results_say() -> None:
 
 def test_a_summary_leaves_out_what_is_not_there(tmp_path: Path) -> None:
     row = ["gelsight_mini", "default", 5000, 10.0, 0.5, 0.0042, 0.041, 0.1, 0.02, 0.01]
-    heads = kit.columns("sensor", "quality", *mechanics.WORK, *mechanics.ERRORS, "area: +.1%")
-    kit.write(tmp_path, "mechanics", kit.Result("", [kit.Table("Presets on every sensor", heads, [row])]), 1.0)
-    kit.write(tmp_path, "stability", kit.Result("", [kit.Table("Together", kit.columns("scenes: d"), [[3]])]), 1.0)
+    heads = results_page.columns("sensor", "quality", *mechanics.WORK, *mechanics.ERRORS, "area: +.1%")
+    results_page.write(
+        tmp_path,
+        "mechanics",
+        results_page.Result("", [results_page.Table("Presets on every sensor", heads, [row])]),
+        1.0,
+    )
+    results_page.write(
+        tmp_path,
+        "stability",
+        results_page.Result("", [results_page.Table("Together", results_page.columns("scenes: d"), [[3]])]),
+        1.0,
+    )
     told = summary.short(tmp_path)
     assert "| force of `default` against `reference` | Mini 0.4% | mechanics |" in told
     assert "stability" not in told

@@ -9,20 +9,20 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks import draws, ordinary, results_page, summary
+from benchmarks.reference_runs import row_of
 from tacgen import solve
-from tacgen.bench import draws, kit, ordinary, summary
-from tacgen.bench.answers import row_of
 from tacgen.recipe import assets
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 
 
 @pytest.fixture(scope="module")
-def found(own_cache: None) -> kit.Result:
+def found(own_cache: None) -> results_page.Result:
     return ordinary.bench("smoke", lambda text: None)
 
 
-def rows(found: kit.Result, title: str) -> list[dict[str, Any]]:
+def rows(found: results_page.Result, title: str) -> list[dict[str, Any]]:
     table = next(table for table in found.tables if table.title == title)
     return [dict(zip(table.columns, row, strict=True)) for row in table.rows]
 
@@ -76,7 +76,7 @@ def test_sensors_and_objects_are_those_that_are_shipped() -> None:
     assert set(draws.OBJECTS) == {path.name for path in assets.mesh_path("gear").parents[1].iterdir() if path.is_dir()}
 
 
-def test_a_smoke_run_fills_every_table(found: kit.Result) -> None:
+def test_a_smoke_run_fills_every_table(found: results_page.Result) -> None:
     drawn, ball = rows(found, "Together")
     assert (drawn["scenes of"], drawn["scenes"], ball["scenes"]) == ("ordinary", 2, 1)
     for row in (drawn, ball):
@@ -95,8 +95,8 @@ def test_a_smoke_run_fills_every_table(found: kit.Result) -> None:
     assert rows(found, "What failed") == []
 
 
-def test_the_summary_says_seconds_of_ordinary_scenes(found: kit.Result, tmp_path: Path) -> None:
-    kit.write(tmp_path, "ordinary", found, 1.0)
+def test_the_summary_says_seconds_of_ordinary_scenes(found: results_page.Result, tmp_path: Path) -> None:
+    results_page.write(tmp_path, "ordinary", found, 1.0)
     told = summary.short(tmp_path)
     assert f"| 2 ordinary scenes at `{ordinary.SMOKE}` | 2 ok | ordinary |" in told
     assert re.search(r"\| their s a frame, one core \| half below \d\.\d\d, nine of ten below \d\.\d\d \|", told)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tacgen.bench.answers import BALL, answer, kept
+from benchmarks.reference_runs import BALL, answer, kept
 
 
 @pytest.mark.slow

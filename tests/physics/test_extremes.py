@@ -7,9 +7,9 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from tacgen.bench import cases, stability
-from tacgen.bench.cases import CASES
-from tacgen.bench.stability import Outcome
+from benchmarks import cases, stability
+from benchmarks.cases import CASES
+from benchmarks.stability import Outcome
 
 SLOW = {
     "ball of 0.3 mm",

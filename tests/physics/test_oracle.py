@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from helpers.presses import poses, run, scene
 
+from benchmarks.reference_runs import row_of
 from tacgen import solve
-from tacgen.bench.answers import row_of
 from tacgen.contact.barrier import Pose
 from tacgen.geometry.analytic_sdf import Sphere
 from tacgen.scene import mesh

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tacgen.bench.answers import row_of
+from benchmarks.reference_runs import row_of
 from tacgen.scene import mesh
 from tacgen.scene import scene as stage
 from tacgen.solve import Problem, states

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from helpers.presses import Run, poses, run, scene
 
-from tacgen.bench.answers import row_of
-from tacgen.bench.cases import PLAIN
+from benchmarks.cases import PLAIN
+from benchmarks.reference_runs import row_of
 from tacgen.contact.barrier import Pose
 from tacgen.geometry.analytic_sdf import Capsule
 from tacgen.scene import mesh

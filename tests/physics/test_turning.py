@@ -7,10 +7,10 @@ import pytest
 from helpers.blocks import block
 from helpers.presses import Run, poses, run, scene
 
+from benchmarks import step_size_error
+from benchmarks.cases import CASES, PLAIN
+from benchmarks.reference_runs import row_of
 from tacgen import solve
-from tacgen.bench import shorter
-from tacgen.bench.answers import row_of
-from tacgen.bench.cases import CASES, PLAIN
 from tacgen.fem.assembly import pattern
 from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import hexes
@@ -74,7 +74,7 @@ def test_a_sharp_edge_in_long_frames_is_right() -> None:
         found = solve.states(made, solve.Problem.of(made, mesh.of(made), options))
         return np.array([state.traction_force.sum((0, 1)) for state in found])
 
-    true = forces(shorter.finer(made, 4))[3::4]
+    true = forces(step_size_error.finer(made, 4))[3::4]
     size = np.linalg.norm(true, axis=1).max()
     for options in (DEFAULT, WHOLE):
         assert np.linalg.norm(forces(made, options) - true, axis=1).max() < 5e-3 * size

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from helpers.tiny import sensor
 
-from tacgen.bench import flow
+from benchmarks import flow
 from tacgen.optics.camera import Camera
 from tacgen.optics.material_flow import behind
 from tacgen.optics.surface_grid import Sheet, Untouched

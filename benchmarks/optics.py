@@ -4,9 +4,9 @@ from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
 from typing import cast
 
-from tacgen.bench import flow, optics
-from tacgen.bench.kit import Cell, Level, Plot, Result, Say, Series, Table, columns, cores
-from tacgen.bench.optics import Truth
+from benchmarks import flow, image_error
+from benchmarks.image_error import Truth
+from benchmarks.results_page import Cell, Level, Plot, Result, Say, Series, Table, columns, cores
 from tacgen.recipe import assets, loading
 from tacgen.recipe.sensor import LitSensor
 from tacgen.render import mitsuba_variants
@@ -25,7 +25,7 @@ TRUTHS = {  # the reference: DIGIT's small far lights are found by few paths
     "normal": {"digit": Truth(8, 32768, 64), "gelsight_mini": Truth(8, 2048, 256), "ninedtact": Truth(8, 1024, 256)},
     "full": {"digit": Truth(8, 8192), "gelsight_mini": Truth(8, 4096), "ninedtact": Truth(5, 512)},
 }
-FACES = {"smoke": ["ball"], "normal": ["ball", "sheared dots"], "full": list(optics.FACES)}
+FACES = {"smoke": ["ball"], "normal": ["ball", "sheared dots"], "full": list(image_error.FACES)}
 SHRINK = {"smoke": 8, "normal": 1, "full": 1}  # of the pictures
 FLOW_PATHS = {"normal": 36, "full": 256}
 
@@ -59,22 +59,24 @@ def bench(level: Level, say: Say) -> Result:
     return Result(ABOUT, [table] if level == "smoke" else [table, _flow(names, FLOW_PATHS[level], variant, say)], plots)
 
 
-def _pictures(level: Level, names: Sequence[str], variant: str, say: Say) -> Iterator[optics.Outcome]:
+def _pictures(level: Level, names: Sequence[str], variant: str, say: Say) -> Iterator[image_error.Outcome]:
     """Outcomes, sensor by sensor, of all methods that it has."""
     jobs = [(name, face, SHRINK[level], how, variant) for name, how in TRUTHS[level].items() if name in names
             for face in FACES[level]]  # fmt: skip
     with cores() if level == "normal" else nullcontext(map) as every:  # whole pictures take all cores as it is
-        found = {job[:2]: one for job, one in zip(jobs, every(optics.reference, *zip(*jobs, strict=True)), strict=True)}
+        found = {
+            job[:2]: one for job, one in zip(jobs, every(image_error.reference, *zip(*jobs, strict=True)), strict=True)
+        }
     say("references are there")
     for name in names:
         scatters = any(layer.scattering for layer in loading.read_sensor(assets.sensor_path(name))[0].gel.layers)
-        ways = [*optics.WAYS, *([] if scatters else TABLE)][: 1 if level == "smoke" else None]
-        for one in optics.measure(name, {face: found[name, face] for face in FACES[level]}, ways, variant):
+        ways = [*image_error.WAYS, *([] if scatters else TABLE)][: 1 if level == "smoke" else None]
+        for one in image_error.measure(name, {face: found[name, face] for face in FACES[level]}, ways, variant):
             say(f"{name} {one.face} {one.method} {one.setting}: {one.decibel:.1f} dB in {one.seconds:.2f} s")
             yield one
 
 
-def _curve(name: str, group: list[optics.Outcome]) -> Series:
+def _curve(name: str, group: list[image_error.Outcome]) -> Series:
     """A way's faces above each other, at their mean time: times of one way hardly differ, and points apart hide it."""
     group = sorted(group, key=lambda one: one.decibel)
     mean = sum(one.seconds for one in group) / len(group)

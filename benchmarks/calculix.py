@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tacgen.bench.kit import one_thread
+from benchmarks.results_page import one_thread
 from tacgen.errors import UserError
 from tacgen.fem.elements import HEX_EDGES, boxes
 from tacgen.fem.materials import NeoHooke

@@ -20,6 +20,7 @@ import numpy as np
 Cell: TypeAlias = str | float | int | None
 Level: TypeAlias = Literal["smoke", "normal", "full"]
 Say: TypeAlias = Callable[[str], None]
+ROOT = Path(__file__).parents[1]
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 PACKAGES = ("numpy", "scipy", "numba", "cvxopt", "pymetis", "mitsuba", "drjit", "h5py", "ipctk")
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")  # Okabe and Ito's
@@ -119,8 +120,9 @@ def _processor() -> str:
 
 
 def one_thread() -> dict[str, str]:
-    """The environment in which a process computes on one core."""
-    return os.environ | dict.fromkeys(ONE_THREAD, "1")
+    """The environment in which a process computes on one core, and finds the benchmarks."""
+    path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
+    return os.environ | dict.fromkeys(ONE_THREAD, "1") | {"PYTHONPATH": path}
 
 
 def apart(target: str, *args: Any) -> Any:

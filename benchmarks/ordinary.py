@@ -9,11 +9,11 @@ from functools import cache
 
 import numpy as np
 
+from benchmarks.draws import BALL, Draw, drawn
+from benchmarks.reference_runs import row_of
+from benchmarks.results_page import Cell, Level, Result, Say, Table, columns, cores
+from benchmarks.step_size_error import TIMES, finer
 from tacgen import solve
-from tacgen.bench.answers import row_of
-from tacgen.bench.draws import BALL, Draw, drawn
-from tacgen.bench.kit import Cell, Level, Result, Say, Table, columns, cores
-from tacgen.bench.shorter import TIMES, finer
 from tacgen.errors import UserError
 from tacgen.scene import mesh, scene
 from tacgen.solve import SolverOptions, foresee
@@ -251,7 +251,7 @@ def _failed(found: Sequence[Outcome]) -> Table:
         reason = one.reason or f"least certified J {one.least_J:.3f}"
         if one.status != "ok" or not one.least_J > 0:
             rows.append([one.draw.index, one.quality, one.draw.sensor, one.draw.shape, one.status, reason])
-    note = "`tacgen.bench.draws.drawn(i)` holds what scene i changes in the quickstart: values of `--set`."
+    note = "`benchmarks.draws.drawn(i)` holds what scene i changes in the quickstart: values of `--set`."
     return Table("What failed", columns("scene: d", "quality", "sensor", "shape", "status", "reason"), rows, note)
 
 

@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from benchmarks.cases import CASES, PLAIN, SCALES, Sets, scaled
+from benchmarks.reference_runs import row_of
+from benchmarks.results_page import Cell, Level, Say, Table, columns, cores
 from tacgen import solve
-from tacgen.bench.answers import row_of
-from tacgen.bench.cases import CASES, PLAIN, SCALES, Sets, scaled
-from tacgen.bench.kit import Cell, Level, Say, Table, columns, cores
 from tacgen.contact.barrier import Pose
 from tacgen.fem.materials import NeoHooke
 from tacgen.fem.potential import Projection, Total

@@ -8,7 +8,7 @@ from tempfile import TemporaryDirectory
 from types import FrameType
 from typing import Any
 
-from tacgen.bench.kit import Cell, Level, Result, Say, Table, columns, each_apart, peak_memory
+from benchmarks.results_page import Cell, Level, Result, Say, Table, columns, each_apart, peak_memory
 from tacgen.errors import UserError
 
 ABOUT = (
@@ -62,7 +62,9 @@ def bench(level: Level, say: Say) -> Result:
     rows: list[list[Cell]] = []
     names = {"smoke": QUICK, "normal": tuple(name for name in ASKED if name not in DEAR), "full": tuple(ASKED)}[level]
     alone = None
-    for name, found in zip(names, each_apart("tacgen.bench.pay:run", map(ASKED.__getitem__, names)), strict=True):
+    for name, found in zip(
+        names, each_apart("benchmarks.cost_per_output:run", map(ASKED.__getitem__, names)), strict=True
+    ):
         if isinstance(found, RuntimeError):  # a package that is not installed
             rows.append([name, None, None, None, None, str(found).splitlines()[-1]])
             continue
@@ -132,7 +134,9 @@ def _labels(say: Say) -> Table:
     """Stress and maps at `default` beside the solve, and how well they agree with one another."""
     rows: list[list[Cell]] = []
     sensors = ("gelsight_mini", "digit", "ninedtact")
-    for sensor, found in zip(sensors, each_apart("tacgen.bench.pay:labels", [(s,) for s in sensors]), strict=True):
+    for sensor, found in zip(
+        sensors, each_apart("benchmarks.cost_per_output:labels", [(s,) for s in sensors]), strict=True
+    ):
         if isinstance(found, RuntimeError):
             raise found
         solved, stressed, mapped = found["seconds"]

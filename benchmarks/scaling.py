@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.results_page import Cell, Level, Plot, Result, Say, Series, Table, apart, columns, each_apart
 from tacgen import batch, pipeline
 from tacgen.batch.local import Pool
 from tacgen.batch.worker_process import memory
-from tacgen.bench.kit import Cell, Level, Plot, Result, Say, Series, Table, apart, columns, each_apart
 from tacgen.bundle.bundle import Writer
 from tacgen.bundle.resume import SceneResult, once
 from tacgen.recipe import assets, plan
@@ -62,7 +62,7 @@ def _stages(say: Say) -> Table:
     """Wall seconds a frame in each stage of a scene with everything that people train on."""
     jobs = [("gelsight_mini", ", markers"), ("digit", ""), ("ninedtact", "")]
     rows: list[list[Cell]] = []
-    for (sensor, _), found in zip(jobs, each_apart("tacgen.bench.scaling:stages", jobs), strict=True):
+    for (sensor, _), found in zip(jobs, each_apart("benchmarks.scaling:stages", jobs), strict=True):
         if isinstance(found, RuntimeError):
             raise found
         for quality, each in found.items():
@@ -152,7 +152,7 @@ def _apart(whole: int, count: int, workers: int, out: Path) -> float:
     """Seconds a scene in processes side by side, with a share of the scenes each, without an engine."""
     with ThreadPoolExecutor(workers) as threads:  # each waits for a process
         shares = [
-            threads.submit(apart, "tacgen.bench.scaling:share", whole, count, i, workers, str(out))
+            threads.submit(apart, "benchmarks.scaling:share", whole, count, i, workers, str(out))
             for i in range(workers)
         ]
         return float(np.mean([one.result() for one in shares]))
@@ -214,7 +214,7 @@ def _overhead(count: int, out: Path, say: Say) -> Table:
             ends.append(time.perf_counter())
             spent.append(time.process_time())
 
-        batch.run(plan_of, out / engine, engine=engine, task="tacgen.bench.scaling:nothing", hear=hear)
+        batch.run(plan_of, out / engine, engine=engine, task="benchmarks.scaling:nothing", hear=hear)
         step = 1000 * float(np.median(np.diff(ends)))  # workers have started by then
         here = 1000 * (spent[-1] - spent[0]) / (count - 1)
         rows.append([engine, step, step - bare, here])

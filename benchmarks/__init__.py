@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 
-from tacgen.bench import kit, summary
+from benchmarks import results_page, summary
 from tacgen.errors import UserError
 
 BENCHES = {  # and the module of each
@@ -19,9 +19,9 @@ BENCHES = {  # and the module of each
     "ordinary": "ordinary",
     "cost": "cost",
     "peers": "peers",
-    "optics": "pictures",
+    "optics": "optics",
     "stability": "stability",
-    "pay": "pay",
+    "pay": "cost_per_output",
     "scaling": "scaling",
 }
 PAGE, FOLDER = "RESULTS.md", "results"
@@ -31,7 +31,7 @@ HEAD = (
 )
 
 
-def run(names: Sequence[str], out: Path, level: kit.Level, say: kit.Say) -> list[str]:
+def run(names: Sequence[str], out: Path, level: results_page.Level, say: results_page.Say) -> list[str]:
     """Run these benches, or all, and write `out`/RESULTS.md and `out`/results; the names of those that failed.
 
     Raises:
@@ -39,12 +39,12 @@ def run(names: Sequence[str], out: Path, level: kit.Level, say: kit.Say) -> list
     """
     if unknown := [name for name in names if name not in BENCHES]:
         raise UserError(f"{unknown[0]}: must be one of {', '.join(BENCHES)}")
-    os.environ.update(dict.fromkeys(kit.ONE_THREAD, "1"))  # before NumPy comes in
+    os.environ.update(results_page.one_thread())  # before NumPy comes in
     failed = []
     for name in names or BENCHES:
         begun = time.perf_counter()
         try:
-            found = import_module(f"tacgen.bench.{BENCHES[name]}").bench(
+            found = import_module(f"benchmarks.{BENCHES[name]}").bench(
                 level, lambda text, name=name: say(f"{name}: {text}")
             )
         except Exception:
@@ -56,8 +56,8 @@ def run(names: Sequence[str], out: Path, level: kit.Level, say: kit.Say) -> list
     return failed
 
 
-def record(name: str, found: kit.Result, seconds: float, out: Path) -> None:
+def record(name: str, found: results_page.Result, seconds: float, out: Path) -> None:
     """Write one part's figures to `out`/results, and `out`/RESULTS.md anew."""
-    kit.write(out / FOLDER, name, found, seconds)
+    results_page.write(out / FOLDER, name, found, seconds)
     parts = [*BENCHES, "photographs"]  # the last by scripts/compare.py, where there are any
-    kit.page(out / FOLDER, parts, out / PAGE, "Results", f"{HEAD}\n\n{summary.short(out / FOLDER)}")
+    results_page.page(out / FOLDER, parts, out / PAGE, "Results", f"{HEAD}\n\n{summary.short(out / FOLDER)}")

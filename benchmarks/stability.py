@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.cases import CASES, PLAIN, RANDOM, blade, random, slivers, wavefront
+from benchmarks.reference_runs import row_of
+from benchmarks.results_page import Cell, Level, Result, Say, Table, columns, cores
 from tacgen import solve
-from tacgen.bench.answers import row_of
-from tacgen.bench.cases import CASES, PLAIN, RANDOM, blade, random, slivers, wavefront
-from tacgen.bench.kit import Cell, Level, Result, Say, Table, columns, cores
 from tacgen.contact.barrier import Pose
 from tacgen.errors import UserError
 from tacgen.fem.elements import HEX_CORNERS
@@ -132,7 +132,7 @@ def _pair(case: tuple[str, Sequence[str]]) -> Outcome:
 
 def bench(level: Level, say: Say) -> Result:
     """The cases and random scenes: some anywhere, and in rounds after that half of them near those hardest so far."""
-    from tacgen.bench import sensitivity, shorter
+    from benchmarks import sensitivity, step_size_error
 
     rounds = {"smoke": [1], "normal": [8], "full": [100] * 4}[level]
     named = {name: CASES[name] for name in QUICK} if level == "smoke" else CASES
@@ -155,7 +155,7 @@ def bench(level: Level, say: Say) -> Result:
     tables = [_summary(known, chance), Table("Cases", HEADS, rows), _worst(chance)]
     wrong = [one.name for one in everyone if not one.sound]
     about = ABOUT + (f" **Wrong frames in: {', '.join(wrong)}.**" if wrong else "")
-    return Result(about, [*tables, shorter.table(level, say), *sensitivity.tables(level, say)])
+    return Result(about, [*tables, step_size_error.table(level, say), *sensitivity.tables(level, say)])
 
 
 def _drawn(count: int, rng: np.random.Generator, points: list[Array], found: list[Outcome]) -> list[Array]:

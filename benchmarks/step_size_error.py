@@ -8,10 +8,10 @@ from itertools import pairwise
 
 import numpy as np
 
+from benchmarks.cases import CASES, PLAIN, RANDOM, Sets, random
+from benchmarks.reference_runs import row_of
+from benchmarks.results_page import Cell, Level, Say, Table, columns, cores
 from tacgen import solve
-from tacgen.bench.answers import row_of
-from tacgen.bench.cases import CASES, PLAIN, RANDOM, Sets, random
-from tacgen.bench.kit import Cell, Level, Say, Table, columns, cores
 from tacgen.scene import mesh, scene
 from tacgen.scene.path import along, shortest_turn
 

@@ -6,8 +6,8 @@ from importlib.util import find_spec
 
 import numpy as np
 
-from tacgen.bench.answers import DEPTHS, Answer, Error, answer, kept, row_of, sliding
-from tacgen.bench.kit import Cell, Level, Plot, Result, Say, Series, Table, columns, cores, front
+from benchmarks.reference_runs import DEPTHS, Answer, Error, answer, kept, row_of, sliding
+from benchmarks.results_page import Cell, Level, Plot, Result, Say, Series, Table, columns, cores, front
 from tacgen.solve import DEFAULT, SolverOptions, plain, short_steps
 
 ABOUT = (

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks import calculix
+from benchmarks.reference_runs import BALL, answer, kept, row_of
+from benchmarks.results_page import Cell, Level, Plot, Result, Say, Series, Table, columns, cores
 from tacgen import array_cache, solve
-from tacgen.bench import calculix
-from tacgen.bench.answers import BALL, answer, kept, row_of
-from tacgen.bench.kit import Cell, Level, Plot, Result, Say, Series, Table, columns, cores
 from tacgen.fem.materials import NeoHooke
 from tacgen.geometry.analytic_sdf import Sphere
 from tacgen.geometry.gel import Gel, Layer

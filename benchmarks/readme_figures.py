@@ -1,13 +1,13 @@
 """Put the figures of docs/results into README.md, between the lines that say so.
 
-    python scripts/readme_figures.py
+    python -m benchmarks.readme_figures
 
 `make bench` runs it; a test holds that README says what RESULTS.md does.
 """
 
 from pathlib import Path
 
-from tacgen.bench import summary
+from benchmarks import summary
 
 ROOT = Path(__file__).resolve().parents[1]
 BEGIN, END = "<!-- figures: written by make bench -->\n", "<!-- end of figures -->"
