@@ -63,7 +63,7 @@ def _cost(tables: Tables) -> Told:
     for quality in ("draft", "default"):
         rows = [row for row in tables.get("What a frame costs", ()) if row["quality"] == quality]
         if rows:
-            yield f"s a frame of `{quality}`, one core", _by_sensor(rows, lambda row: f"{row['s a frame']:.2f}")
+            yield f"a ball, s a frame of `{quality}`, one core", _by_sensor(rows, lambda row: f"{row['s a frame']:.2f}")
 
 
 def _peers(tables: Tables) -> Told:
