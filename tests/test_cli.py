@@ -284,3 +284,10 @@ def test_check_prints_findings_and_exits_with_1(tmp_path: Path, monkeypatch: pyt
     monkeypatch.setattr(check, "check", lambda path: [])
     done = tacgen_("check", str(tmp_path))
     assert (done.exit_code, done.stdout) == (0, f"{tmp_path}: nothing found wrong\n")
+
+
+def test_benches_are_told_to_need_a_checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tacgen.cli.__file__", str(tmp_path / "site-packages" / "tacgen" / "cli.py"))
+    found = tacgen_("bench", "cost", "-o", str(tmp_path / "out"))
+    assert found.exit_code == 2
+    assert found.stderr.startswith("bench: its scenes come with the source alone")
