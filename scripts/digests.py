@@ -1,0 +1,37 @@
+"""Hashes of the bundles that recipes give, so that two versions of tacgen can be compared with diff.
+
+    python scripts/digests.py [quickstart tap ...] [-o folder] [--set PATH=VALUE ...] > after.txt
+
+Without names, every shipped recipe; each as one scene at draft quality. A line is `sha256  recipe  file`, and equal
+lines mean equal bytes. Compare on one machine with the same numbers of threads: sums in another order differ.
+"""
+
+import argparse
+import hashlib
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from tacgen import pipeline
+from tacgen.recipe import assets, plan
+
+
+def digests(recipe: str, folder: Path, sets: list[str]) -> list[str]:
+    """A line for each bundle of a recipe given by name or path; bundles of earlier runs are made again."""
+    rows = plan.load(assets.recipe_path(recipe), ["quality=draft", "vary=null", *sets]).rows
+    made = pipeline.run(rows, folder / Path(recipe).stem, overwrite=True)
+    return [f"{hashlib.sha256(m.path.read_bytes()).hexdigest()}  {recipe}  {m.path.name}" for m in made]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("recipes", nargs="*", help="names or files; all shipped recipes if left out")
+    parser.add_argument("-o", "--out", type=Path, help="keep the bundles in this folder")
+    parser.add_argument("--set", action="append", default=[], dest="sets", metavar="PATH=VALUE")
+    given = parser.parse_args()
+    with TemporaryDirectory() as spare:
+        for recipe in sorted(given.recipes or assets.list_recipes()):
+            print(*digests(recipe, given.out or Path(spare), given.sets), sep="\n", flush=True)
+
+
+if __name__ == "__main__":
+    main()
