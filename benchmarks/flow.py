@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tacgen.labels import faces
+from tacgen.calibrate import press_faces
 from tacgen.optics import coating
 from tacgen.optics.camera import Camera
 from tacgen.optics.material_flow import Flow, Points
@@ -42,7 +42,7 @@ def sheared(name: str, quality: str = "draft") -> tuple[Sensor, Surface, Surface
         "contact": {"friction": 2.0}, "outputs": ["force"], "quality": quality,
         "trajectory": [{"press": {"depth_mm": DEPTHS[name], "frames": 1}}, {"slide": {"x_mm": SHEAR, "frames": 1}}],
     }  # fmt: skip
-    untouched, _, moved = faces.faces(plan.expand(Recipe.model_validate(recipe), sensor).rows[0])
+    untouched, _, moved = press_faces.faces(plan.expand(Recipe.model_validate(recipe), sensor).rows[0])
     return sensor, untouched, moved
 
 

@@ -1,13 +1,14 @@
 """The face under a photographed ball."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from tacgen import solve
 from tacgen.calibrate.photos import Press
-from tacgen.labels import faces
+from tacgen.labels import gel_surface
 from tacgen.optics.camera import Camera
 from tacgen.optics.hertz_dent import BallDent
 from tacgen.optics.surface_grid import Surface, Untouched
@@ -15,6 +16,8 @@ from tacgen.recipe import plan
 from tacgen.recipe.model import Recipe
 from tacgen.recipe.sensor import LitSensor
 from tacgen.recipe.yaml_source import KeyPath
+from tacgen.scene import mesh, scene
+from tacgen.solve import foresee
 
 
 def face(sensor: LitSensor, press: Press, folders: dict[KeyPath, Path]) -> Surface:
@@ -37,7 +40,17 @@ def solved(sensor: LitSensor, press: Press, depths: Sequence[float], folders: di
         "trajectory": [{"press": {"depth_mm": float(depth), "frames": 1}} for depth in depths],
     }  # fmt: skip
     (row,) = plan.expand(Recipe.model_validate(recipe), sensor).rows
-    return list(faces.faces(replace(row, folders={**row.folders, **folders})))[1:]
+    return list(faces(replace(row, folders={**row.folders, **folders})))[1:]
+
+
+def faces(row: plan.Row) -> Iterator[gel_surface.Surface]:
+    """The face that the camera sees: untouched, then in each frame of a scene. No bundle is written."""
+    built = foresee.foreseen(scene.build(row))
+    problem = solve.Problem.of(built, mesh.of(built))
+    untouched = gel_surface.seen(problem.mesh, len(row.sensor.gel.clear_layers))
+    yield untouched
+    for state in solve.states(built, problem):
+        yield untouched.moved(state.x)
 
 
 def place(sensor: LitSensor, pixel: tuple[float, float], depth: float) -> tuple[float, float]:
