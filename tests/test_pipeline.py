@@ -47,7 +47,8 @@ def test_force_alone_imports_no_renderer_and_computes_no_stress(recipe: Path, tm
     program = f"""
 import sys
 from pathlib import Path
-from tacgen import pipeline, plan
+from tacgen import pipeline
+from tacgen.recipe import plan
 row = plan.load(Path({str(recipe)!r})).rows[0]
 print(pipeline.run_scene(row, Path({str(tmp_path)!r}) / "out").status)
 ours = ("tacgen.render.images", "tacgen.labels.contact_maps", "tacgen.labels.stress")
