@@ -23,6 +23,7 @@ LAYERS = [
     "solve",
     "labels",
     "render",
+    "outputs",
     "bundle",
     "export",
     "report",

@@ -16,6 +16,7 @@ from tacgen import pipeline, solve
 from tacgen.bundle import bundle
 from tacgen.bundle.check import check
 from tacgen.errors import UserError
+from tacgen.outputs import OUTPUTS as TABLE
 from tacgen.recipe import plan
 from tacgen.recipe.model import OUTPUTS
 from tacgen.solve import load_stepping
@@ -61,6 +62,10 @@ print([name for name in heavy if name in sys.modules])
     assert "/frames/force" in shapes
     assert not [path for path in shapes if path.startswith(("/fields", "/mesh", "/reference"))]
     assert not {"/frames/rgb", "/frames/pressure", "/frames/markers", "/frames/height"} & shapes.keys()
+
+
+def test_every_output_of_the_recipe_is_in_the_table() -> None:
+    assert sorted(TABLE) == sorted(OUTPUTS)
 
 
 @pytest.mark.parametrize(

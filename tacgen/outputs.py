@@ -1,0 +1,224 @@
+"""What a recipe can ask for, by name: the datasets of the untouched sensor and those of each frame.
+
+A new output is an entry in OUTPUTS, its datasets' rows in bundle/schema.py and its name in recipe/model.py. What
+several outputs need is a property of SceneData or FrameData: computed, and its modules imported, when the first of them
+asks for it. Labels and images stand in one table, because images show the face that carries the markers, and because
+bundles hold their datasets in the table's order.
+"""
+
+from collections.abc import Callable
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from tacgen.contact.barrier import Contact, Pose
+from tacgen.contact.tunnelling import overlap
+from tacgen.errors import UserError
+from tacgen.labels import gel_surface
+from tacgen.recipe.plan import Row
+from tacgen.solve import Problem, State
+
+if TYPE_CHECKING:
+    from tacgen.labels.contact_maps import Maps
+    from tacgen.labels.stress import Stresses
+    from tacgen.optics.camera import Camera
+    from tacgen.optics.material_flow import Flow
+    from tacgen.optics.surface_grid import Sheet
+    from tacgen.render.pictures import Pictures
+
+Array = np.ndarray
+Datasets = dict[str, Any]  # by their paths in the bundle
+SHEET_SPACING = 0.1  # [mm] between the nodes on which height, normals, gap and the coating's flow are drawn
+
+
+class SceneData:
+    """What outputs need of the untouched gel and its camera, the same for all frames of a scene."""
+
+    def __init__(self, row: Row, problem: Problem) -> None:
+        self.row, self.problem = row, problem
+
+    @cached_property
+    def camera(self) -> "Camera":
+        """The sensor's pinhole behind its refracting layers."""
+        from tacgen.optics.camera import Camera
+
+        return Camera.from_sensor(self.row.sensor)
+
+    @cached_property
+    def sheet(self) -> "Sheet":
+        """The grid over rest coordinates on which a face is drawn."""
+        from tacgen.optics.surface_grid import Sheet
+
+        return Sheet.over(self.row.sensor.gel, SHEET_SPACING)
+
+    @cached_property
+    def touched(self) -> gel_surface.Surface:
+        """The outer face of the coating, that indenters touch."""
+        return gel_surface.Surface(self.problem.mesh.points, self.problem.mesh.facets["coated"])
+
+    @cached_property
+    def printed(self) -> gel_surface.Surface:
+        """The face that the camera sees through the clear layers, with the markers on it."""
+        return gel_surface.seen(self.problem.mesh, len(self.row.sensor.gel.clear_layers))
+
+    @cached_property
+    def view(self) -> gel_surface.View:
+        """The untouched outer face behind each pixel."""
+        return gel_surface.View(self.sheet, self.touched, self.camera)
+
+    @cached_property
+    def markers(self) -> "tuple[Array, Callable[[FrameData], tuple[Array, Array]]]":
+        """Pixels (n, 2) of the markers at rest; and from a frame their pixels (n, 2) and whether each is seen (n,)."""
+        from tacgen.optics.coating import centers
+
+        sensor = self.row.sensor
+        if sensor.markers is None:
+            raise UserError(f"outputs: the sensor {sensor.name} has no markers")
+        rest, motion = centers(sensor.markers), sensor.markers.motion
+        if self.row.recipe.markers.method == "analytic" and motion is not None:
+            from tacgen.labels.fots_markers import Drift
+
+            drift = Drift(motion, rest, sensor.gel, self.problem.contact.shape, self.camera)
+            return drift.undisturbed, lambda frame: drift.at(frame.state.pose)
+        from tacgen.optics.material_flow import Points
+
+        points = Points(rest, self.sheet, self.printed, self.camera)
+        return points.undisturbed, lambda frame: points.at(frame.printed)
+
+    @cached_property
+    def flow(self) -> "Flow":
+        """The coating's points behind the centres of the pixels."""
+        from tacgen.optics.material_flow import Flow
+
+        return Flow(self.sheet, self.printed, self.camera)
+
+    @cached_property
+    def stresses(self) -> "Stresses":
+        """Stress recovery on this mesh."""
+        from tacgen.labels.stress import Stresses
+
+        return Stresses(self.problem)
+
+    @cached_property
+    def pictures(self) -> "Pictures":
+        """The rendered camera."""
+        from tacgen.render.pictures import Pictures
+
+        return Pictures(self.row, self.printed)
+
+
+class FrameData:
+    """What outputs need of one solved state; the properties are those of SceneData, deformed."""
+
+    def __init__(self, scene: SceneData, state: State) -> None:
+        self.scene, self.state = scene, state
+
+    @cached_property
+    def touched(self) -> gel_surface.Surface:
+        """The outer face of the coating."""
+        return self.scene.touched.moved(self.state.x)
+
+    @cached_property
+    def printed(self) -> gel_surface.Surface:
+        """The face that the camera sees."""
+        return self.scene.printed.moved(self.state.x)
+
+    @cached_property
+    def view(self) -> gel_surface.View:
+        """The outer face behind each pixel."""
+        return gel_surface.View(self.scene.sheet, self.touched, self.scene.camera)
+
+    @cached_property
+    def maps(self) -> "Maps":
+        """Contact forces behind each pixel."""
+        from tacgen.labels.contact_maps import maps
+
+        return maps(self.scene.problem, self.touched, self.state, self.scene.camera)
+
+    @cached_property
+    def radiance(self) -> Array:
+        """Linear light (H, W, 3)."""
+        return self.scene.pictures.radiance(self.printed)
+
+
+def _force(frame: FrameData) -> Datasets:
+    problem, state = frame.scene.problem, frame.state
+    force, torque = gel_surface.wrench(problem, state)
+    contact = problem.contact.moved(Pose.of(state.pose), state.offset)
+    return {
+        "/frames/pose": state.pose,
+        "/frames/force": force,
+        "/frames/torque": torque,
+        "/frames/quality/newton_iterations": state.iterations,
+        "/frames/quality/substeps": state.substeps,
+        "/frames/quality/min_gap_mm": state.min_gap,
+        "/frames/quality/mean_gap_mm": state.mean_gap,
+        "/frames/quality/overlap_mm": overlap(contact if isinstance(contact, Contact) else contact.distance, state.x),
+        "/frames/quality/rounded": state.rounded,
+        "/frames/quality/force_balance": state.balance,
+        "/frames/quality/residual": state.residual,
+        "/frames/quality/least_jacobian": state.least_J,
+    }
+
+
+def _traction(frame: FrameData) -> Datasets:
+    out = {f"/frames/{name}": getattr(frame.maps, name) for name in ("pressure", "traction", "contact")}
+    return out if frame.state.sliding is None else {**out, "/frames/slip": frame.maps.slip}
+
+
+def _markers(frame: FrameData) -> Datasets:
+    undisturbed, at = frame.scene.markers
+    pixels, shown = at(frame)
+    return {"/frames/markers": pixels, "/frames/marker_flow": pixels - undisturbed, "/frames/marker_visible": shown}
+
+
+def _material(frame: FrameData) -> Datasets:
+    from tacgen.optics.material_flow import behind
+
+    return {"/frames/material": behind(frame.scene.sheet, frame.printed, frame.scene.camera)}
+
+
+def _stress(frame: FrameData) -> Datasets:
+    recovery, state = frame.scene.stresses, frame.state
+    stress = recovery.at(state.x)
+    return {
+        "/fields/displacement": state.x - frame.scene.problem.mesh.points,
+        "/fields/cauchy_stress": stress.element,
+        "/fields/nodal_stress": stress.node,
+        **{f"/frames/quality/{name}": value for name, value in recovery.quality(stress, state).items()},
+    }
+
+
+def _mesh(scene: SceneData) -> Datasets:
+    mesh = scene.problem.mesh
+    patches = {f"/mesh/facets/{name}": facets for name, facets in mesh.facets.items()}
+    return {"/mesh/points": mesh.points, "/mesh/cells": mesh.cells, "/mesh/layer": mesh.layer, **patches}
+
+
+class Output(NamedTuple):
+    """One name that a recipe's `outputs` may hold."""
+
+    frame: Callable[[FrameData], Datasets]  # of one frame, under /frames and /fields
+    reference: Callable[[SceneData], Datasets] = lambda scene: {}  # once a scene, under /reference and /mesh
+
+
+OUTPUTS = {
+    "force": Output(_force),  # in every bundle
+    "traction": Output(_traction),
+    "force_map": Output(lambda f: {"/frames/force_map": f.maps.force, "/frames/area": f.maps.area}),
+    "height": Output(lambda f: {"/frames/height": f.view.height()}, lambda s: {"/reference/height": s.view.height()}),
+    "normals": Output(
+        lambda f: {"/frames/normals": f.view.normals()}, lambda s: {"/reference/normals": s.view.normals()}
+    ),
+    "gap": Output(lambda f: {"/frames/gap": f.view.gap(f.scene.problem.contact.shape, f.state.pose)}),
+    "markers": Output(_markers, lambda s: {"/reference/markers": s.markers[0]}),
+    "flow": Output(lambda f: {"/frames/flow": f.scene.flow.at(f.printed)}),
+    "material": Output(_material),
+    "rgb": Output(
+        lambda f: {"/frames/rgb": f.scene.pictures.developed(f.radiance, f.state.index)},
+        lambda s: {"/reference/rgb": s.pictures.developed(s.pictures.flat)},
+    ),
+    "radiance": Output(lambda f: {"/frames/radiance": f.radiance}),
+    "stress": Output(_stress, _mesh),
+}

@@ -1,0 +1,46 @@
+"""Deformed faces of one scene -> its camera pictures: rendered, over a photograph where there is one, and developed."""
+
+from typing import cast
+
+import numpy as np
+
+from tacgen.optics.surface_grid import Surface
+from tacgen.recipe.background_photo import Backdrop
+from tacgen.recipe.plan import NOISE, Row
+from tacgen.recipe.sensor import LitSensor
+from tacgen.render.images import Renderer
+
+Array = np.ndarray
+
+
+class Pictures:
+    """One scene's camera, with its recipe's renderer, photograph and noise."""
+
+    def __init__(self, row: Row, untouched: Surface) -> None:
+        """`untouched` is the face at rest that the camera sees."""
+        lit, render = cast(LitSensor, row.sensor), row.recipe.render  # recipe/optics_checks lets no other through
+        solid = untouched if lit.gel.solid is not None else None
+        spp, markers = row.recipe.resolved().spp, lit.markers is not None
+        self.renderer = Renderer(lit, spp, row.seed, markers, method=render.method, untouched=solid)
+        self._row, self._photo = row, None
+        flat = self.renderer.flat()  # first of all: the path tracer's random numbers count its images
+        if row.photo_path is not None:
+            self._photo = Backdrop(row.photo_path, flat, lit.camera)
+        self.flat = self._over_photo(flat)
+
+    def radiance(self, face: Surface) -> Array:
+        """Linear light (H, W, 3) from a deformed face, float32."""
+        return self._over_photo(self.renderer.image(face))
+
+    def developed(self, radiance: Array, frame: int | None = None) -> Array:
+        """The 8-bit picture (H, W, 3) of a radiance; with the camera's noise in a frame, if the recipe has noise.
+
+        That noise depends on the scene's seed and the frame's number alone, whatever process renders it.
+        """
+        if frame is None or not self._row.recipe.render.noise:
+            return self.renderer.develop(radiance)
+        seed = np.random.SeedSequence((self._row.seed, frame, NOISE))
+        return self.renderer.develop(radiance, np.random.default_rng(seed))
+
+    def _over_photo(self, radiance: Array) -> Array:
+        return radiance if self._photo is None else self._photo.under(radiance)
