@@ -77,7 +77,6 @@ NOT_NUMPY = {
     "recipe.checks",
     "recipe.validation_messages",
     "recipe.yaml_source",
-    "recipe.turns",
     "recipe.trajectory",
     "recipe.indenters",
     "recipe.pose_table",

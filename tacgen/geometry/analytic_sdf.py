@@ -9,6 +9,7 @@ normal and curvature follow from that for all shapes alike:
 Inside a core d goes on decreasing linearly, so that a gel that starts overlapped is pushed out.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -60,6 +61,18 @@ class Core:
     jacobian: Array
     depth: Array
     out: Array
+
+
+def lowest(support: Callable[[Array], float], rotation: Array) -> Array:
+    """The lowest point (3,) of a turned shape from its own origin [mm]: the middle of them where it is an edge or face.
+
+    The slope of its support function, by central differences.
+    """
+    down, step = -rotation[2], 1e-5
+    ends = [[e / np.linalg.norm(e) for e in (down + s, down - s)] for s in step * np.eye(3)]
+    slope = np.array([support(ahead) - support(behind) for ahead, behind in ends]) / (2 * step)
+    flat = rotation @ slope  # its part along `down` is lost in the unit vectors
+    return np.array([flat[0], flat[1], -support(down)])
 
 
 def _grown(p: Array, core: Core, radius: float) -> tuple[Array, Array, Array]:

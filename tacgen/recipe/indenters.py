@@ -1,10 +1,13 @@
 """What may press: indenters by shape, origins at their lowest points. Lengths in mm, angles in degrees."""
 
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field, ValidationInfo, field_validator
 
 from tacgen.recipe.base_model import Part, Positive
+
+if TYPE_CHECKING:
+    from tacgen.geometry.analytic_sdf import Shape
 
 Acute = Annotated[float, Field(gt=0, lt=90)]
 
@@ -120,3 +123,28 @@ SHAPES: dict[str, type[Part]] = {
     kind.model_fields["shape"].annotation.__args__[0]: kind  # type: ignore[union-attr]
     for kind in (Sphere, Cylinder, Cone, Box, Wedge, Capsule, Torus, Mesh)
 }
+
+
+def analytic(i: Indenter) -> "Shape | None":
+    """The signed distance of an indenter; None of a mesh, which only its file knows."""
+    import numpy as np
+
+    from tacgen.geometry import analytic_sdf as sdf
+
+    match i.shape:
+        case "sphere":
+            return sdf.Sphere(i.radius_mm)
+        case "cylinder":
+            return sdf.Cylinder(i.radius_mm, i.fillet_mm)
+        case "cone":
+            return sdf.Cone(np.radians(i.half_angle_deg), i.tip_radius_mm)
+        case "box":
+            return sdf.Box(i.size_x_mm, i.size_y_mm, i.fillet_mm)
+        case "wedge":
+            return sdf.Wedge(np.radians(i.half_angle_deg), i.tip_radius_mm, i.length_mm)
+        case "capsule":
+            return sdf.Capsule(i.radius_mm, i.length_mm)
+        case "torus":
+            return sdf.Torus(i.radius_mm, i.tube_radius_mm)
+        case "mesh":
+            return None

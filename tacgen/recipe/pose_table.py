@@ -6,9 +6,13 @@ import hashlib
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
 
 from tacgen.errors import UserError, why
-from tacgen.recipe.turns import Placement, unit
+from tacgen.recipe.trajectory import Quaternion, Vector, unit
+
+if TYPE_CHECKING:
+    from numpy import ndarray
 
 # What a column may be called; x, y and z may end in _mm or _m, time in _s. Capitals do not matter.
 COLUMNS = {
@@ -18,15 +22,15 @@ COLUMNS = {
 }
 MM = {"mm": 1.0, "m": 1000.0}
 TOLD = 5  # problems of one file
+Row = tuple[int, float, Vector, Quaternion]  # line, time [s], position [mm] and turn
 
 
-@dataclass(frozen=True)
-class Pose:
+class Pose(NamedTuple):
     """One row: where a body stands in the table's frame, lengths in mm."""
 
     line: int  # of the file, from 1
     time: float  # [s]
-    place: Placement
+    pose: "ndarray"  # (4, 4)
 
 
 @dataclass(frozen=True)
@@ -50,6 +54,17 @@ def read(path: Path, units: str | None = None) -> Table:
     return _parsed(raw, units)
 
 
+def matrices(positions: list[Vector], quaternions: list[Quaternion]) -> "ndarray":
+    """Poses (n, 4, 4) from positions [mm] and unit quaternions w, x, y, z."""
+    import numpy as np
+    from scipy.spatial.transform import Rotation
+
+    poses = np.tile(np.eye(4), (len(positions), 1, 1))
+    poses[:, :3, :3] = Rotation.from_quat(quaternions, scalar_first=True).as_matrix()
+    poses[:, :3, 3] = positions
+    return poses
+
+
 @functools.lru_cache(maxsize=8)
 def _parsed(raw: bytes, units: str | None) -> Table:
     """The table in the bytes of a file; those of a batch are parsed once."""
@@ -65,18 +80,21 @@ def _parsed(raw: bytes, units: str | None) -> Table:
     except ValueError as error:
         raise UserError(f"line {rows[0][0]}: {error}") from None
     where, scale = _columns(header, units)
-    poses: list[Pose] = []
+    rows_read: list[Row] = []
     wrong: list[str] = []
     for line, content in rows[1:]:
         try:
-            poses.append(_pose(line, _cells(content), where, scale, len(header), poses[-1] if poses else None))
+            last = rows_read[-1] if rows_read else None
+            rows_read.append(_row(line, _cells(content), where, scale, len(header), last))
         except ValueError as error:
             wrong.append(f"line {line}: {error}")
     if wrong:
         more = [f"and {len(wrong) - TOLD} more lines"] if len(wrong) > TOLD else []
         raise UserError([*wrong[:TOLD], *more])
-    if not poses:
+    if not rows_read:
         raise UserError("holds no pose below its header")
+    lines, times, positions, quaternions = (list(column) for column in zip(*rows_read, strict=True))
+    poses = map(Pose, lines, times, matrices(positions, quaternions))
     return Table(hashlib.sha256(raw).hexdigest(), tuple(poses))
 
 
@@ -112,8 +130,8 @@ def _columns(header: list[str], units: str | None) -> tuple[dict[str, int], floa
     return where, MM[found.pop() if found else "mm"]
 
 
-def _pose(line: int, cells: list[str], where: dict[str, int], scale: float, width: int, before: Pose | None) -> Pose:
-    """One row's pose. Raises ValueError, in words."""
+def _row(line: int, cells: list[str], where: dict[str, int], scale: float, width: int, before: Row | None) -> Row:
+    """One row's numbers. Raises ValueError, in words."""
     if len(cells) != width:
         raise ValueError(f"has {len(cells)} cells, and the header {width}")
     value: dict[str, float] = {}
@@ -124,8 +142,7 @@ def _pose(line: int, cells: list[str], where: dict[str, int], scale: float, widt
             value[column] = math.nan
         if not math.isfinite(value[column]):
             raise ValueError(f"{column} must be a number (got {cells[i].strip()!r})")
-    if before is not None and value["time"] <= before.time:
-        raise ValueError(f"time must increase (got {value['time']:g} after {before.time:g})")
+    if before is not None and value["time"] <= before[1]:
+        raise ValueError(f"time must increase (got {value['time']:g} after {before[1]:g})")
     turn = unit((value["qw"], value["qx"], value["qy"], value["qz"]))
-    place = Placement((scale * value["x"], scale * value["y"], scale * value["z"]), turn)
-    return Pose(line, value["time"], place)
+    return line, value["time"], (scale * value["x"], scale * value["y"], scale * value["z"]), turn

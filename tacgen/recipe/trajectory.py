@@ -1,12 +1,16 @@
 """What a trajectory is made of: where it starts, and movements of the indenter. Lengths in mm, angles in degrees."""
 
+import math
 from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
 
 from tacgen.recipe.base_model import ONE_KEY, Part, Positive, exactly_one
-from tacgen.recipe.turns import UPRIGHT, Quaternion, Vector, unit
 
+Vector = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]  # w, x, y, z
+NEARLY = 1e-3  # a quaternion this far from length 1 is one that was written with few digits
+ROUNDING = 1e-12
 Frames = Annotated[int, Field(ge=1, le=10_000)]
 
 
@@ -72,11 +76,22 @@ class Tilt(Made):
     axis_deg: float = 0.0
 
 
+def unit(q: Quaternion) -> Quaternion:
+    """The quaternion made exactly of length 1. Raises ValueError: it is not nearly so."""
+    length = math.hypot(*q)
+    if abs(length - 1) > NEARLY:
+        raise ValueError(f"a quaternion must be of length 1 (got {length:.4g})")
+    if abs(length - 1) < ROUNDING:
+        return q  # again and again the same numbers
+    w, x, y, z = q
+    return w / length, x / length, y / length, z / length
+
+
 class Placement(Part):
     """Where one frame stands in another: its origin there, and its turn as a unit quaternion w, x, y, z."""
 
     position_mm: Vector = (0.0, 0.0, 0.0)
-    quaternion: Quaternion = UPRIGHT
+    quaternion: Quaternion = (1.0, 0.0, 0.0, 0.0)
 
     @field_validator("quaternion")
     @classmethod

@@ -1,7 +1,6 @@
 """Resolved scene -> Scene: gel, laws, indenter, path and tolerances as plain arrays and numbers."""
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -11,12 +10,11 @@ import numpy as np
 from tacgen.errors import UserError
 from tacgen.fem.materials import Law, MooneyRivlin, NeoHooke, StableNeoHooke, Yeoh
 from tacgen.geometry import mesh_import, surface_nets
-from tacgen.geometry.analytic_sdf import Box, Capsule, Cone, Cylinder, Shape, Sphere, Torus, Triangles, Wedge
+from tacgen.geometry.analytic_sdf import Shape, Triangles
 from tacgen.geometry.gel import Gel, Layer, SolidGel
 from tacgen.geometry.sdf_grid import Field
 from tacgen.recipe import indenters, trajectory
 from tacgen.recipe import sensor as sensors
-from tacgen.recipe.indenters import Indenter
 from tacgen.recipe.model import Element
 from tacgen.recipe.plan import Row
 from tacgen.recipe.sensor import MooneyRivlinLayer, NeoHookeLayer, Sensor, StableNeoHookeLayer, YeohLayer
@@ -64,32 +62,12 @@ class Scene:
     turns: Array | None = None  # (N, 3) rotation vector from each pose to the next [rad]; None: the shorter way
 
 
-def _shape(i: Indenter, field: Callable[[indenters.Mesh], Shape]) -> Shape:
-    match i.shape:
-        case "sphere":
-            return Sphere(i.radius_mm)
-        case "cylinder":
-            return Cylinder(i.radius_mm, i.fillet_mm)
-        case "cone":
-            return Cone(np.radians(i.half_angle_deg), i.tip_radius_mm)
-        case "box":
-            return Box(i.size_x_mm, i.size_y_mm, i.fillet_mm)
-        case "wedge":
-            return Wedge(np.radians(i.half_angle_deg), i.tip_radius_mm, i.length_mm)
-        case "capsule":
-            return Capsule(i.radius_mm, i.length_mm)
-        case "torus":
-            return Torus(i.radius_mm, i.tube_radius_mm)
-        case "mesh":
-            return field(i)
-
-
 def _within(row: Row) -> tuple[float, float]:
     """As far as the gel can come to an indenter: from its z axis, and above its lowest point [mm]."""
     gel = row.sensor.gel
     steps = row.recipe.trajectory
     replays = (row.replayed(number) for number, step in enumerate(steps) if step.replay)
-    leans = any(math.hypot(*p.place.quaternion[1:3]) > 1e-9 for poses in replays for p in poses)
+    leans = any(np.hypot(*p.pose[2, :2]) > 2e-9 or p.pose[2, 2] < 0 for poses in replays for p in poses)
     tilted = leans or row.recipe.start.tilt_deg > 0 or any(step.tilt for step in steps)
     rise = sum(layer.thickness_mm for layer in gel.layers) + 1.0  # no press is deeper, and gel bulges beside it
     return float(np.hypot(gel.width_mm, gel.height_mm)) + 1.0, np.inf if tilted else rise
@@ -159,7 +137,8 @@ def build(row: Row) -> Scene:
     """The scene of one row of a plan."""
     recipe, quality = row.recipe, row.recipe.resolved()
     gel = gel_of(row.sensor, row.solid_path if row.sensor.gel.solid else None)
-    shape = _shape(recipe.indenter, lambda mesh: _field(mesh, row))
+    shape = _field(recipe.indenter, row) if recipe.indenter.shape == "mesh" else indenters.analytic(recipe.indenter)
+    assert shape is not None
     way = lay(recipe, shape, gel, row.replayed)
     friction, edge, dhat = recipe.contact.friction, quality.edge_mm, quality.dhat_mm
     element = recipe.mesh or ("hex" if row.sensor.gel.solid is None else "tet")

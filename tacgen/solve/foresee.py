@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from tacgen import solve
+from tacgen.recipe.trajectory_poses import FORCE_DEPTH
 from tacgen.scene import mesh
-from tacgen.scene.path import FORCE_DEPTH
 from tacgen.scene.scene import Scene
 
 HOPELESS = 2  # times the most that the coarse mesh gives

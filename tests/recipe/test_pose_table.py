@@ -13,24 +13,16 @@ from tacgen import pipeline
 from tacgen.bundle import bundle
 from tacgen.bundle.check import check
 from tacgen.errors import UserError
-from tacgen.recipe import plan, pose_table, trajectory_checks, turns
+from tacgen.recipe import plan, pose_table, trajectory_checks
 from tacgen.recipe.model import Recipe
+from tacgen.recipe.trajectory import unit
+from tacgen.recipe.trajectory_poses import about
 from tacgen.recipe.validation_messages import validate
 from tacgen.scene import scene
-from tacgen.scene.path import lowest
 
 Array = np.ndarray
 TITLES = "time_s,x_mm,y_mm,z_mm,qw,qx,qy,qz"
 ROWS = [(0, 0.5, 0, 0.2, 1, 0, 0, 0), (0.1, 0.5, 0, -0.3, 1, 0, 0, 0), (0.25, 0.7, 0.1, -0.4, 0.995, 0, 0, 0.0998749)]
-SHAPES = [
-    {"shape": "sphere", "radius_mm": 4},
-    {"shape": "capsule", "radius_mm": 2, "length_mm": 5},
-    {"shape": "torus", "radius_mm": 4, "tube_radius_mm": 1},
-    {"shape": "cylinder", "radius_mm": 3, "fillet_mm": 0.3},
-    {"shape": "box", "size_x_mm": 4, "size_y_mm": 6, "fillet_mm": 0.4},
-    {"shape": "cone", "half_angle_deg": 50, "tip_radius_mm": 0.5},
-    {"shape": "wedge", "half_angle_deg": 40, "tip_radius_mm": 0.3, "length_mm": 5},
-]
 
 
 def table(rows: list[tuple[float, ...]], titles: str = TITLES) -> str:
@@ -53,32 +45,16 @@ def matrix(position: Array, q: Array) -> Array:
     return out
 
 
-# -- plain Python --
-
-
-def test_turns_are_scipys() -> None:
+def test_a_turn_is_scipys_bit_by_bit() -> None:
+    """One that is written out so that a recipe is checked without loading SciPy."""
     rng = np.random.default_rng(0)
-    for _ in range(20):
-        a, b = (turns.Placement(tuple(rng.normal(size=3)), tuple(Rotation.random(rng=rng).as_quat(scalar_first=True)))
-                for _ in range(2))  # fmt: skip
-        A, B, v = matrix(*a), matrix(*b), rng.normal(size=3)
-        assert turns.turned(a.quaternion, tuple(v)) == pytest.approx(A[:3, :3] @ v)
-        assert matrix(*turns.on(a, b)) == pytest.approx(A @ B)
-        assert matrix(*turns.seen_from(a)) == pytest.approx(np.linalg.inv(A))
-    q = turns.unit((1.0005, 0.0, 0.0, 0.0))
-    assert q == turns.unit(q) == (1, 0, 0, 0)
-
-
-@pytest.mark.parametrize("shape", SHAPES, ids=lambda s: s["shape"])
-def test_what_is_checked_before_numpy_is_what_is_computed_with_it(tmp_path: Path, shape: dict) -> None:
-    row = load(tmp_path, table(ROWS), f"indenter={json.dumps(shape)}").rows[0]
-    solid, rng = scene.build(row).shape, np.random.default_rng(1)
-    for d in rng.normal(size=(40, 3)):
-        d /= np.linalg.norm(d)
-        assert trajectory_checks.reach(row.recipe.indenter, tuple(d)) == pytest.approx(solid.support(d))
-    q = tuple(Rotation.from_euler("zx", [0.4, 0.3]).as_quat(scalar_first=True))
-    found = trajectory_checks.lowest(row.recipe.indenter, q)
-    assert np.array(found) == pytest.approx(lowest(solid, matrix(np.zeros(3), q)[:3, :3]), abs=1e-6)
+    for axis, angle in zip(
+        rng.normal(size=(200, 3)), rng.normal(size=200) * 10 ** rng.uniform(-5, 1, 200), strict=True
+    ):
+        axis /= np.linalg.norm(axis)
+        assert (about(axis, angle) == Rotation.from_rotvec(axis * angle).as_matrix()).all()
+    q = unit((1.0005, 0.0, 0.0, 0.0))
+    assert q == unit(q) == (1, 0, 0, 0)
 
 
 # -- tables --
@@ -100,15 +76,14 @@ def test_columns_go_by_many_names(tmp_path: Path, titles: str, scale: float) -> 
     found = pose_table.read(path).poses
     assert [pose.line for pose in found] == [3, 4, 5]
     assert [pose.time for pose in found] == [0, 0.1, 0.25]
-    assert found[2].place.position == pytest.approx((0.7 * scale, 0.1 * scale, -0.4 * scale))
-    assert math.hypot(*found[2].place.quaternion) == pytest.approx(1, abs=1e-12)
+    assert found[2].pose == pytest.approx(matrix(np.array([0.7, 0.1, -0.4]) * scale, np.array(ROWS[2][4:])), abs=1e-12)
 
 
 def test_columns_may_stand_in_any_order_beside_others(tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
     path.write_text("gripper,qx,qy,qz,qw,z,y,x,time\nopen,0,0,0,1,3,2,1,5\n\n")
     (pose,) = pose_table.read(path, "m").poses
-    assert pose.place == turns.Placement((1000, 2000, 3000), (1, 0, 0, 0))
+    assert (pose.pose == matrix(np.array([1000, 2000, 3000]), np.array([1, 0, 0, 0]))).all()
 
 
 @pytest.mark.parametrize(

@@ -11,9 +11,8 @@ from tacgen import pipeline, solve
 from tacgen.bundle import bundle
 from tacgen.contact.barrier import Pose
 from tacgen.errors import UserError
-from tacgen.recipe import plan
+from tacgen.recipe import plan, trajectory_poses
 from tacgen.scene import mesh, scene
-from tacgen.scene import path as trajectory
 from tacgen.solve import foresee, frames
 from tacgen.solve.force_control import OutOfReach, meet
 
@@ -66,7 +65,7 @@ def test_a_second_force_may_be_smaller_and_a_depth_may_follow(tmp_path: Path) ->
 
 
 def test_a_force_the_gel_cannot_give_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in (trajectory, frames, foresee):
+    for module in (trajectory_poses, frames, foresee):
         monkeypatch.setattr(module, "FORCE_DEPTH", 0.2)
     found = pipeline.run_scene(row(tmp_path, "press: {force_n: 500, frames: 1}"), tmp_path / "out")
     assert found.status == "rejected"
@@ -144,6 +143,12 @@ def test_a_tilt_that_cannot_be_is_told_where_it_stands(tmp_path: Path, sets: tup
     with pytest.raises(UserError) as caught:
         row(tmp_path, "press: {depth_mm: 1.0, frames: 1}\ntilt: {angle_deg: 40, frames: 1}", cone, *sets)
     assert caught.value.lines[0].removeprefix(f"{tmp_path}/").startswith(line)
+
+
+def test_of_a_mesh_that_leans_only_its_file_knows_the_lowest_point(tmp_path: Path) -> None:
+    """Which it is then turned about: until the file is read, nothing is said of where that leads."""
+    tilts = "tilt: {angle_deg: 5, frames: 1}\ntilt: {angle_deg: 5, frames: 1}\nslide: {x_mm: 1, frames: 1}"
+    assert row(tmp_path, tilts, "indenter={shape: mesh, file: gear}").frames == 3
 
 
 def test_the_footprint_holds_what_a_force_may_need(tmp_path: Path) -> None:

@@ -1,0 +1,184 @@
+"""Where a trajectory takes the indenter, a pose a frame: what a recipe is checked by, and what is then computed."""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from tacgen.geometry.analytic_sdf import lowest
+from tacgen.recipe.pose_table import Pose
+from tacgen.recipe.trajectory import Press, Release, Replay, Segment, Slide, Start, Tilt, Twist
+from tacgen.recipe.yaml_source import KeyPath
+
+Array = np.ndarray
+FORCE_DEPTH = 0.8  # of the gel's thickness: no force is looked for below
+FIRST_GUESS = 0.1  # of the thickness: where the search for a force starts
+FLANK = "the indenter's flank would meet the gel before its tip"
+EDGE = "would turn the indenter's edge to the base of the gel, or below"
+Z = np.array([0.0, 0.0, 1.0])
+
+
+class Refused(Exception):
+    """A pose that cannot be: where the recipe asks for it, and why, a line each."""
+
+    def __init__(self, where: KeyPath, *lines: str) -> None:
+        super().__init__(*lines)
+        self.where, self.lines = where, lines
+
+
+class Frame(NamedTuple):
+    """One frame: its pose (4, 4), the rotation vector (3,) from the pose before it [rad], and what a force asks for:
+    see Forced in scene.path."""
+
+    pose: Array
+    turn: Array
+    asked: float = np.nan
+    part: float = 1.0
+    carry: float = 0.0
+    floor: float = np.nan
+    below: float = np.nan
+
+
+def about(axis: Array, angle: float) -> Array:
+    """Rotation (3, 3) about a unit axis (3,) by `angle` [rad].
+
+    Written out, since `tacgen validate` needs it: importing scipy.spatial.transform would take 0.16 s of its 0.3 s.
+    Bit by bit what `Rotation.from_rotvec(angle * axis).as_matrix()` gives, in 2 instead of 9 us.
+    """
+    x, y, z = (float(a) * angle for a in axis)
+    length = math.sqrt(x * x + y * y + z * z)
+    s = math.sin(length / 2) / length if length > 1e-3 else 0.5 - length**2 / 48 + length**4 / 3840
+    x, y, z, w = s * x, s * y, s * z, math.cos(length / 2)
+    return np.array(
+        [
+            [x * x - y * y - z * z + w * w, 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), -x * x + y * y - z * z + w * w, 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), -x * x - y * y + z * z + w * w],
+        ]
+    )
+
+
+def shortest_turn(a: Array, b: Array) -> Array:
+    """Rotation vector (3,) [rad] from pose a to pose b (4, 4) by the shorter way."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_matrix(b[:3, :3] @ a[:3, :3].T).as_rotvec())
+
+
+def _level(angle_deg: float) -> Array:
+    """Unit vector (3,) in the plane of the gel, from x towards y."""
+    return np.array([np.cos(a := np.radians(angle_deg)), np.sin(a), 0.0])
+
+
+@dataclass
+class Walk:
+    """Where a trajectory has come to.
+
+    support: how far the indenter extends along a unit vector (3,) of its own frame [mm]; contact: height of its origin
+    at which it first touches the untouched face, turned and placed as a pose (4, 4) says [mm]; thickness: of the gel
+    [mm]; home: the height that a release goes back to [mm]; carry: see Forced in scene.path.
+    """
+
+    support: Callable[[Array], float]
+    contact: Callable[[Array], float]
+    thickness: float
+    pose: Array
+    home: float
+    carry: float = 0.0
+
+    @classmethod
+    def begun(
+        cls,
+        start: Start,
+        rows: Sequence[Pose],
+        support: Callable[[Array], float],
+        contact: Callable[[Array], float],
+        thickness: float,
+    ) -> "Walk":
+        """At the start, or, where a replay comes first, over its first row if that is in the gel and at it otherwise.
+
+        Raises:
+            Refused: the start leans too far.
+        """
+        if rows:
+            pose = rows[0].pose.copy()
+            pose[2, 3] = max(pose[2, 3], contact(pose))
+            return cls(support, contact, thickness, pose, float(pose[2, 3]))
+        pose = np.eye(4)
+        tilt = about(_level(start.tilt_axis_deg), float(np.radians(start.tilt_deg)))
+        pose[:3, :3] = tilt @ about(Z, float(np.radians(start.yaw_deg)))
+        pose[:2, 3] = start.x_mm, start.y_mm
+        if math.isinf(support(-pose[2, :3])):
+            raise Refused(("start", "tilt_deg"), FLANK)
+        pose[2, 3] = start.clearance_mm + contact(pose)
+        return cls(support, contact, thickness, pose, float(pose[2, 3]))
+
+    def frames(self, segment: Segment, rows: Sequence[Pose], where: KeyPath) -> Iterator[Frame]:
+        """The frames of one segment, which stands at `where`; `rows` are those of a replay.
+
+        Raises:
+            Refused: the indenter would lean too far, or come to the base of the gel.
+        """
+        move = segment.move
+        if isinstance(move, Replay):
+            yield from self._replayed(rows, (*where, "file"), move.file)
+            return
+        begun, carried, angle, turn = self.pose, self.carry, 0.0, np.zeros(3)
+        pivot = np.zeros(3)  # that a turn leaves where it is, from the indenter's origin
+        if isinstance(move, Twist | Tilt):
+            angle = float(np.radians(move.angle_deg))
+            axis = begun[:3, 2] if isinstance(move, Twist) else _level(move.axis_deg)
+            turn = axis * angle / move.frames
+            if isinstance(move, Tilt):
+                pivot = lowest(self.support, begun[:3, :3])
+        contact = self.contact(begun) if isinstance(move, Press) else np.nan
+        floor = contact - FORCE_DEPTH * self.thickness
+        for k in range(1, move.frames + 1):
+            part, asked, below, new = k / move.frames, np.nan, np.nan, begun.copy()
+            match move:
+                case Press(force_n=float(force)):
+                    asked, self.carry = force, 1.0
+                    new[2, 3] = contact - FIRST_GUESS * part * self.thickness
+                    below = new[2, 3] - floor
+                case Press(depth_mm=float(depth)):
+                    new[2, 3] += part * (contact - depth - begun[2, 3])
+                    self.carry = (1 - part) * carried
+                case Release():
+                    new[2, 3] += part * (self.home - begun[2, 3])
+                    self.carry = (1 - part) * carried
+                case Slide(x_mm=x, y_mm=y):
+                    new[:2, 3] += part * x, part * y
+                case Twist() | Tilt():
+                    turned = about(axis, part * angle)
+                    new[:3, :3] = turned @ begun[:3, :3]
+                    new[:3, 3] = begun[:3, 3] + pivot - turned @ pivot
+            self.pose = new
+            if isinstance(move, Twist | Tilt) and (wrong := self._wrong(EDGE)):
+                raise Refused((*where, "angle_deg"), wrong)
+            yield Frame(new, turn, asked, part, self.carry, floor, below)
+
+    def _replayed(self, rows: Sequence[Pose], where: KeyPath, name: str) -> Iterator[Frame]:
+        """Frames at the rows of a table; no height found before is carried into them."""
+        self.carry = 0.0
+        for row in rows:
+            before, self.pose = self.pose, row.pose
+            at_base = (
+                f"the indenter's lowest point, at z = {self.low:.4g} mm, would be at the base of the gel, or below"
+            )
+            if wrong := self._wrong(at_base):
+                raise Refused(where, f"{name}: line {row.line}: {wrong}")
+            yield Frame(row.pose, shortest_turn(before, row.pose))
+        self.home = max(self.home, self.contact(self.pose))
+
+    @property
+    def low(self) -> float:
+        """z of the indenter's lowest point [mm]."""
+        return float(self.pose[2, 3] - self.support(-self.pose[2, :3]))
+
+    def _wrong(self, at_base: str) -> str | None:
+        """Why the indenter cannot be where it is, if so: `at_base` where it would be at the gel's base."""
+        if math.isinf(self.support(-self.pose[2, :3])):
+            return FLANK
+        return at_base if self.low <= -self.thickness else None
