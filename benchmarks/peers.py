@@ -175,7 +175,7 @@ def pressed(nu: float, chi: float, fine: int) -> float:
     """Force [N] of a ball of R pressed by DEPTH, `fine` cells in the contact's radius a, into a pad a/chi thick."""
     a = math.sqrt(R * DEPTH)
     law = NeoHooke(E / (2 * (1 + nu)), E / (3 * (1 - 2 * nu)))
-    pad = Gel(80 * a, 80 * a, 0.0, (Layer(a / chi, law, E),))
+    pad = Gel(80 * a, 80 * a, layers=(Layer(a / chi, law, E),))
     path = np.eye(4)[None].copy()
     path[0, 2, 3] = -DEPTH
     made = scene.Scene(pad, Sphere(R), path, np.eye(4), np.zeros(1, int), 0.0, a / fine, 0.05)

@@ -1,6 +1,6 @@
 """Gels: what lies inside, how high the face is, which layer is where, and their closed surface as triangles."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -8,6 +8,7 @@ import numpy as np
 from tacgen.errors import UserError
 from tacgen.fem.materials import Law
 from tacgen.geometry import mesh_import
+from tacgen.geometry.outline import Pad
 from tacgen.optics.rasterize import draw
 
 Array = np.ndarray
@@ -25,18 +26,10 @@ class Layer:
 
 
 @dataclass(frozen=True)
-class Gel:
-    """A pad bonded at its base, layers from base to face; width along x, height along y [mm].
+class Gel(Pad):
+    """A pad bonded at its base, layers from base to face."""
 
-    tip: the end in y (-1, +1) that is a semicircle over the whole width, 0 for none; radii: of the dome along x and y.
-    """
-
-    width: float
-    height: float
-    corner_radius: float
-    layers: tuple[Layer, ...]
-    tip: int = 0
-    radii: tuple[float, float] = (np.inf, np.inf)
+    layers: tuple[Layer, ...] = field(kw_only=True)
 
     @property
     def thickness(self) -> float:
@@ -49,18 +42,9 @@ class Gel:
         return max(self.width, self.height)
 
     @property
-    def flat(self) -> bool:
-        """Whether the whole face lies at z = 0."""
-        return bool(np.isinf(self.radii).all())
-
-    @property
     def interfaces(self) -> Array:
         """Height of the face above each layer as a part of the gel's, the last layer's being 1 (layers,)."""
         return np.cumsum([layer.thickness for layer in self.layers]) / self.thickness
-
-    def top(self, x: Array, y: Array) -> Array:
-        """z of the untouched face [mm], 0 at the crown; x and y broadcast."""
-        return np.asarray(0.0 - np.hypot(x * x / (2 * self.radii[0]), y * y / (2 * self.radii[1])))
 
     def at(self, part: float, xy: Array) -> Array:
         """Points (n, 3) above xy (n, 2) at a part of the gel's height there: layers share a dome's squeeze."""
@@ -70,34 +54,6 @@ class Gel:
         """Number of the layer that each of points (n, 3) lies in."""
         above = [points[:, 2] > self.at(float(part), points[:, :2])[:, 2] for part in self.interfaces[:-1]]
         return np.sum(above, axis=0, dtype=np.int32) * np.ones(len(points), np.int32)
-
-    def contains(self, x: Array, y: Array) -> Array:
-        """Whether points lie inside the outline; x and y broadcast."""
-        if self.tip:
-            r = self.width / 2
-            past = self.tip * y - (self.height / 2 - r)  # beyond the semicircle's centre, toward the tip
-            return np.asarray((-self.tip * y <= self.height / 2) & (np.hypot(x, np.maximum(past, 0)) <= r))
-        r = self.corner_radius
-        beyond = np.hypot(
-            np.maximum(np.abs(x) - (self.width / 2 - r), 0), np.maximum(np.abs(y) - (self.height / 2 - r), 0)
-        )
-        within = (np.abs(x) <= self.width / 2) & (np.abs(y) <= self.height / 2) & (beyond <= max(r, 1e-12))
-        return np.asarray(within)
-
-    def outline(self, sag: float) -> Array:
-        """Corners (n, 2) of a polygon around the pad, counter-clockwise; its sides lie within `sag` [mm] of arcs."""
-        w, h = self.width / 2, self.height / 2
-        if self.tip:
-            arc = np.linspace(0, np.pi, _corners(np.pi, w, sag))
-            end = np.column_stack([w * np.cos(arc), h - w + w * np.sin(arc)])
-            whole = np.concatenate([[[-w, -h], [w, -h]], end])
-            return whole if self.tip > 0 else -whole
-        r = self.corner_radius
-        arc = np.linspace(0, np.pi / 2, _corners(np.pi / 2, r, sag))
-        quarter = np.column_stack([np.cos(arc), np.sin(arc)]) * r
-        turns = [np.array([[c, -s], [s, c]]) for c, s in ((1, 0), (0, 1), (-1, 0), (0, -1))]
-        centres = np.array([[w - r, h - r], [r - w, h - r], [r - w, r - h], [w - r, r - h]])
-        return np.concatenate([quarter @ R.T + c for R, c in zip(turns, centres, strict=True)])
 
     def surface(self, step: float, sag: float) -> tuple[Array, Array, list[Array]]:
         """Vertices (n, 3), triangles (m, 3) of the closed surface wound outward, and those of each interface between
@@ -185,17 +141,17 @@ class SolidGel(Gel):
             )
         return v, t
 
-    def top(self, x: Array, y: Array) -> Array:
+    def top(self, x: Array | float, y: Array | float) -> Array:
         """z of the untouched face [mm]; beside it that of its nearest place."""
         x, y = np.broadcast_arrays(x, y)
         z, _ = mesh_import.above(*self.face, np.column_stack([x.ravel(), y.ravel()]))
         return z.reshape(x.shape)
 
-    def contains(self, x: Array, y: Array) -> Array:
-        """Whether points lie within the coated face's outline."""
+    def contains(self, x: Array | float, y: Array | float, slack: float = 0.0) -> Array:
+        """Whether points lie within the coated face's outline, or no more than `slack` [mm] beside it."""
         x, y = np.broadcast_arrays(x, y)
         _, beside = mesh_import.above(*self.face, np.column_stack([x.ravel(), y.ravel()]))
-        return (beside < 1e-9).reshape(x.shape)
+        return (beside < slack + 1e-9).reshape(x.shape)
 
     def surface(self, step: float, sag: float) -> tuple[Array, Array, list[Array]]:
         """Vertices and triangles as they are in the file; the sheets between layers reach out of them on all sides."""
@@ -236,11 +192,6 @@ class SolidGel(Gel):
 
     def _upward(self, normals: Array) -> Array:
         return np.asarray(normals[:, 2] > np.cos(self.coated) * np.linalg.norm(normals, axis=1))
-
-
-def _corners(angle: float, radius: float, sag: float) -> int:
-    """How many points on an arc, its ends among them, keep the chords within `sag` of it."""
-    return 1 + int(np.ceil(angle / (2 * np.arccos(1 - min(sag, radius) / radius)))) if radius else 1
 
 
 def _divided(rim: Array, step: float) -> Array:

@@ -2,7 +2,7 @@
 holds the same numbers. Units in the names; colours are (red, green, blue)."""
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Any, Protocol
 
 Vec2 = tuple[float, float]
 Vec3 = tuple[float, float, float]
@@ -25,31 +25,31 @@ class Layer(Protocol):
     def scattering(self) -> Scattering | None: ...
 
 
-class Dome(Protocol):
-    radius_x_mm: float
-    radius_y_mm: float
+class Pad(Protocol):
+    """The gel in plan [mm], and its face; see geometry.outline.Pad."""
+
+    @property
+    def width(self) -> float: ...
+    @property
+    def height(self) -> float: ...
+    def top(self, x: Any, y: Any) -> Any: ...
+    def drawn_in(self, xy: Any) -> Any: ...
+    def housing(self, margin: float) -> "Pad": ...
+    def walls(self, pieces: int) -> Any: ...
 
 
 class Gel(Protocol):
-    """`tip`: number of the layer that carries the coating; `drop_mm`: by how much its outline lies lower at (x, y)."""
-
     width_mm: float
     height_mm: float
-    corner_radius_mm: float
 
     @property
-    def outline(self) -> object | None: ...
-    @property
-    def dome(self) -> Dome | None: ...
+    def pad(self) -> Pad: ...
     @property
     def solid(self) -> object | None: ...
     @property
     def layers(self) -> Sequence[Layer]: ...
     @property
     def clear_layers(self) -> Sequence[Layer]: ...
-    @property
-    def tip(self) -> int: ...
-    def drop_mm(self, x_mm: float, y_mm: float) -> float: ...
 
 
 class Plate(Protocol):

@@ -112,7 +112,7 @@ class Bounce:
 
     def _walls(self, sensor: "LitSensor", top: float) -> tuple["Floats", "Floats", "Floats"]:
         """Middles (n, 3) [mm], inward normals (n, 3) and areas (n,) [mm^2] of the walls' patches up to height `top`."""
-        corners, bottom = mitsuba_dicts.outline(sensor.gel, sensor.walls.margin_mm), -mitsuba_dicts.bottom_depth(sensor)
+        corners, bottom = mitsuba_dicts.outline(sensor), -mitsuba_dicts.bottom_depth(sensor)
         at, normals, area = [], [], []
         tall = max(1, round((top - bottom) / WALL))
         for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):

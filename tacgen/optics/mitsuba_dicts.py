@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from tacgen.optics.description import Gel, Led, LitSensor, Scattering
+    from tacgen.optics.description import Led, LitSensor, Scattering
 
     Floats = NDArray[np.float64]
 
@@ -77,7 +77,7 @@ def housing(sensor: "LitSensor") -> dict[str, dict[str, Any]]:
     """The dark walls around gel and plate, from the plate's air face past the coated face."""
     bottom = -bottom_depth(sensor)
     middle, tall = (WALL_RISE + bottom) / 2, WALL_RISE - bottom
-    corners, walls = outline(sensor.gel, sensor.walls.margin_mm), {}
+    corners, walls = outline(sensor), {}
     for k, (a, b) in enumerate(zip(corners, np.roll(corners, -1, axis=0), strict=True)):
         length = float(np.linalg.norm(b - a))
         inward = (float(a[1] - b[1]) / length, float(b[0] - a[0]) / length, 0.0)
@@ -90,16 +90,9 @@ def housing(sensor: "LitSensor") -> dict[str, dict[str, Any]]:
     return walls
 
 
-def outline(gel: "Gel", margin: float) -> "Floats":
-    """Corners (n, 2) [mm] of a housing that stands `margin` off the pad, from +x to +y; a semicircle in ARC pieces."""
-    w, h = gel.width_mm / 2 + margin, gel.height_mm / 2 + margin
-    square = np.array([[w, h], [-w, h], [-w, -h], [w, -h]])
-    if not gel.tip:
-        return square
-    turn = np.pi * (1 + (np.arange(ARC) + 0.5) / ARC)
-    arc = np.column_stack([np.cos(turn), np.sin(turn)]) * w / np.cos(np.pi / ARC / 2) + [0, w - h]
-    round_at_top = np.concatenate([square[:2], arc])
-    return round_at_top if gel.tip < 0 else round_at_top[::-1] * [1, -1]
+def outline(sensor: "LitSensor") -> "Floats":
+    """Corners (n, 2) [mm] of the housing around the pad, from +x to +y; a semicircle in ARC pieces."""
+    return np.asarray(sensor.gel.pad.housing(sensor.walls.margin_mm).walls(ARC))
 
 
 def interfaces(sensor: "LitSensor") -> dict[str, dict[str, Any]]:

@@ -8,7 +8,7 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from tacgen.optics.description import Gel
+    from tacgen.optics.description import Gel, Pad
 
     Floats = NDArray[np.float64]
 
@@ -29,38 +29,39 @@ class Untouched:
 
     skin: float = 0.0  # thickness of what is opaque, as a share of the gel's
     crown: float = 1.0  # the gel's thickness [mm]
-    radii: tuple[float, float] = (np.inf, np.inf)  # of the dome [mm]
+    pad: "Pad | None" = None  # whose face it is
 
     @classmethod
     def of(cls, gel: "Gel") -> "Untouched":
         """That of a sensor's gel."""
         crown, clear = (sum(layer.thickness_mm for layer in layers) for layers in (gel.layers, gel.clear_layers))
-        dome = (np.inf, np.inf) if gel.dome is None else (gel.dome.radius_x_mm, gel.dome.radius_y_mm)
-        return cls(1 - clear / crown, crown, dome)
+        return cls(1 - clear / crown, crown, gel.pad)
 
     def at(self, xy: Any) -> "Floats":
         """Current positions (n, 3) [mm] of rest positions (n, 2) [mm]."""
         xy = np.asarray(xy, dtype=np.float64)
-        drop = np.hypot(*(xy**2 / (2 * np.array(self.radii))).T)
-        return np.column_stack([xy, 0.0 - drop - self.skin * (self.crown - drop)])
+        top = self.pad.top(*xy.T) if self.pad else np.zeros(len(xy))
+        return np.column_stack([xy, top - self.skin * (self.crown + top)])
 
 
 @dataclass(frozen=True)
 class Sheet:
     """Nodes of a rectangular grid over the pad, row by row from the least y, and its triangles."""
 
-    size: tuple[float, float]  # x, y extent [mm], centred on 0
-    corner: float  # radius of the pad's rounded corners [mm]
+    pad: "Pad"
     shape: tuple[int, int]  # rows, columns of nodes
-    tip: int = 0  # the end in y (-1, +1) that is a semicircle over the whole width; 0: none
     whole: bool = True  # there is gel on all of that; else only where a surface says so, as on a solid of any outline
 
     @classmethod
     def over(cls, gel: "Gel", spacing: float) -> "Sheet":
         """A sheet over the whole pad with nodes about `spacing` [mm] apart."""
-        size = (gel.width_mm, gel.height_mm)
-        shape = round(size[1] / spacing) + 1, round(size[0] / spacing) + 1
-        return cls(size, gel.corner_radius_mm, shape, gel.tip, gel.solid is None)
+        shape = round(gel.height_mm / spacing) + 1, round(gel.width_mm / spacing) + 1
+        return cls(gel.pad, shape, gel.solid is None)
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """x, y extent [mm], centred on 0."""
+        return self.pad.width, self.pad.height
 
     @property
     def rest(self) -> "Floats":
@@ -84,7 +85,7 @@ class Sheet:
         """Current positions of the nodes [mm], (nodes, 3). A node in a cut-off corner rides with the nearest point of
         the pad, so that `surface` is only asked where it exists."""
         rest = self.rest
-        pad = self._rounded(rest) if self.tip else self._cut(rest)
+        pad = self.pad.drawn_in(rest)
         now = np.array(surface.at(pad), dtype=np.float64)
         lost = np.isnan(now[:, 2])
         if lost.any():  # between the outline and what a mesh makes of it
@@ -95,25 +96,6 @@ class Sheet:
             now[lost, :2] += (1.0 if self.whole else BEYOND) * (pad[lost] - pad[near])
         now[:, :2] += rest - pad
         return now
-
-    def _rounded(self, rest: "Floats") -> "Floats":
-        """Nodes (n, 2) beyond the semicircular end drawn in to it."""
-        radius = self.size[0] / 2
-        out = rest - (0.0, self.tip * (self.size[1] / 2 - radius))
-        far = np.linalg.norm(out, axis=1)
-        beyond = (self.tip * out[:, 1] > 0) & (far > radius)
-        return np.asarray(rest + np.where(beyond, radius / np.maximum(far, 1e-300) - 1.0, 0.0)[:, None] * out)
-
-    def _cut(self, rest: "Floats") -> "Floats":
-        """Nodes (n, 2) in the cut-off corners drawn in to their arcs."""
-        core = np.array(self.size) / 2 - self.corner
-        inner = np.clip(rest, -core, core)
-        out = rest - inner
-        far = np.linalg.norm(out, axis=1)
-        shrink = (
-            np.minimum(1.0, self.corner * (1 - 1e-9) / np.maximum(far, 1e-300)) if self.corner else np.ones(len(far))
-        )
-        return np.asarray(inner + out * shrink[:, None])
 
     def normals(self, now: "Floats") -> "Floats":
         """Unit normals toward the camera (nodes, 3) of node positions (nodes, 3), by central differences."""

@@ -104,10 +104,7 @@ def wrong_led(sensor: LitSensor, led: Led) -> tuple[str, str] | None:
 
 def _housed(sensor: LitSensor, x: float, y: float, margin: float) -> bool:
     """Whether (x, y) lies no more than `margin` [mm] off the pad; the corners of a rectangular housing are square."""
-    gel = sensor.gel
-    w, h = gel.width_mm / 2 + margin + CLOSE, gel.height_mm / 2 + margin + CLOSE
-    past = max(gel.tip * y - (h - w), 0.0) if gel.tip else 0.0  # beyond the semicircle's centre, toward the tip
-    return abs(y) <= h and math.hypot(x, past) <= w
+    return bool(sensor.gel.pad.housing(margin).contains(x, y, CLOSE))
 
 
 def _coat(sensor: LitSensor, x: float, y: float) -> float:

@@ -7,11 +7,14 @@ below that.
 
 import math
 from itertools import pairwise
-from typing import Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
 from tacgen.recipe.base_model import NotNegative, Part, Positive
+
+if TYPE_CHECKING:
+    from tacgen.geometry.outline import Pad
 
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Index = Annotated[float, Field(ge=1, le=4)]
@@ -182,11 +185,17 @@ class Gel(Part):
         """The end in y that is a semicircle: -1, +1, or 0 for none."""
         return 0 if self.outline is None else (-1 if self.outline.end == "-y" else 1)
 
+    @property
+    def pad(self) -> "Pad":
+        """Its outline and the height of its face; of a solid, its box."""
+        from tacgen.geometry.outline import Pad
+
+        radii = (math.inf, math.inf) if self.dome is None else (self.dome.radius_x_mm, self.dome.radius_y_mm)
+        return Pad(self.width_mm, self.height_mm, self.corner_radius_mm, self.tip, radii)
+
     def drop_mm(self, x_mm: float, y_mm: float) -> float:
         """How far the untouched face lies below its highest point at (x, y) [mm]."""
-        if self.dome is None:
-            return 0.0
-        return math.hypot(x_mm**2 / (2 * self.dome.radius_x_mm), y_mm**2 / (2 * self.dome.radius_y_mm))
+        return 0.0 if self.dome is None else -float(self.pad.top(x_mm, y_mm))
 
 
 class Plate(Part):

@@ -63,15 +63,7 @@ def resolved(recipe: Recipe, folders: Folders) -> Recipe:
 
 def on_pad(gel: Gel, x_mm: float, y_mm: float) -> bool:
     """Whether a point of the plane lies inside the pad's outline, or on it."""
-    if gel.tip:
-        r = gel.width_mm / 2
-        past = gel.tip * y_mm - (gel.height_mm / 2 - r)  # beyond the semicircle's centre, toward the tip
-        beside = abs(x_mm) <= r * (1 + 1e-9) and -gel.tip * y_mm <= gel.height_mm / 2 * (1 + 1e-9)
-        return beside and math.hypot(x_mm, max(past, 0.0)) <= r * (1 + 1e-9)
-    r = gel.corner_radius_mm
-    past_x = max(abs(x_mm) - (gel.width_mm / 2 - r), 0.0)
-    past_y = max(abs(y_mm) - (gel.height_mm / 2 - r), 0.0)
-    return math.hypot(past_x, past_y) <= r + 1e-9 * gel.width_mm
+    return bool(gel.pad.contains(x_mm, y_mm, slack=1e-9 * gel.width_mm))
 
 
 def problems(recipe: Recipe, gel: Gel, folders: Folders) -> list[Problem]:

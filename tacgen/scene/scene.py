@@ -128,9 +128,8 @@ def gel_of(sensor: Sensor, solid_path: Path | None = None) -> Gel:
     if g.solid is not None and solid_path is not None:
         solid = mesh_import.placed(mesh_import.read(solid_path), up=g.solid.up, scale=g.solid.scale)
         held = g.solid.bonded_mm, float(np.radians(g.solid.coated_deg))
-        return SolidGel(g.width_mm, g.height_mm, 0.0, tuple(layers), solid=solid, bonded=held[0], coated=held[1])
-    radii = (np.inf, np.inf) if g.dome is None else (g.dome.radius_x_mm, g.dome.radius_y_mm)
-    return Gel(g.width_mm, g.height_mm, g.corner_radius_mm, tuple(layers), g.tip, radii)
+        return SolidGel(**vars(g.pad), layers=tuple(layers), solid=solid, bonded=held[0], coated=held[1])
+    return Gel(**vars(g.pad), layers=tuple(layers))
 
 
 def build(row: Row) -> Scene:

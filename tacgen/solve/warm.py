@@ -15,7 +15,7 @@ from tacgen.solve.problem import Problem
 @cache
 def warm() -> None:
     """Press and rub a ball on a gel of a few cells."""
-    gel = Gel(3.0, 3.0, 0.0, (Layer(1.0, NeoHooke(0.05, 1.0), 0.15),))
+    gel = Gel(3.0, 3.0, layers=(Layer(1.0, NeoHooke(0.05, 1.0), 0.15),))
     poses = np.tile(np.eye(4), (2, 1, 1))
     poses[:, :3, 3] = [(0.0, 0.0, -0.1), (0.05, 0.0, -0.1)]
     start = np.eye(4)

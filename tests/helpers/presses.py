@@ -19,7 +19,7 @@ Footprint = tuple[float, float, float, float]
 def gel(width: float = 12.0, height: float = 12.0, thickness: float = 3.0, E: float = 0.15, nu: float = 0.48) -> Gel:
     """A pad of one layer, sharp corners; E [MPa]."""
     law = NeoHooke(E / (2 * (1 + nu)), E / (3 * (1 - 2 * nu)))
-    return Gel(width, height, 0.0, (Layer(thickness, law, E),))
+    return Gel(width, height, layers=(Layer(thickness, law, E),))
 
 
 def poses(positions: list[tuple[float, float, float]], yaw: float = 0.0) -> Array:

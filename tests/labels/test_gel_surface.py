@@ -198,7 +198,7 @@ def test_a_surface_is_smooth_across_its_cells(surface: gel_surface.Surface, pres
 def test_the_stress_of_a_uniform_state_is_exact() -> None:
     """Two layers, each uniformly strained: every node has its outermost layer's stress, no average of the two."""
     laws = NeoHooke(0.05, 0.6), NeoHooke(0.5, 3.0)
-    pad = Gel(4.0, 4.0, 0.0, tuple(Layer(t, law, 0.15) for t, law in zip((1.5, 0.7), laws, strict=True)))
+    pad = Gel(4.0, 4.0, layers=tuple(Layer(t, law, 0.15) for t, law in zip((1.5, 0.7), laws, strict=True)))
     made = scene(Sphere(1.0), poses([(0, 0, -0.1)]), pad=pad, edge=0.8)
     grid = mesh.build(pad, (-1, 1, -1, 1), 0.8)
     problem = solve.Problem.of(made, grid)

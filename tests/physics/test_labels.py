@@ -127,7 +127,7 @@ def _top(x: Array, y: Array) -> float:
 def layered(thicknesses: tuple[float, ...], moduli: tuple[float, ...], nu: float = 0.48) -> Gel:
     laws = [NeoHooke(E / (2 * (1 + nu)), E / (3 * (1 - 2 * nu))) for E in moduli]
     layers = tuple(Layer(t, law, E) for t, law, E in zip(thicknesses, laws, moduli, strict=True))
-    return Gel(9.0, 9.0, 0.0, layers)
+    return Gel(9.0, 9.0, layers=layers)
 
 
 @pytest.mark.parametrize("pad", [layered((1.0,), (0.15,)), layered((1.0, 0.4), (0.1, 0.3))], ids=["thin", "two layers"])

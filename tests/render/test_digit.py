@@ -88,7 +88,6 @@ def test_the_outline_has_one_round_end(digit: Sensor) -> None:
     x, y = np.random.default_rng(0).uniform([-10, -13], [10, 13], (500, 2)).T
     inside = gel.contains(x, y)
     assert [trajectory_checks.on_pad(digit.gel, a, b) for a, b in zip(x, y, strict=True)] == inside.tolist()
-    assert gel.top(x, y) == pytest.approx([-digit.gel.drop_mm(a, b) for a, b in zip(x, y, strict=True)])
     grid = mesh.build(gel, (-12, 12, -14, 14), 0.4)
     area = facet_areas(grid.points, grid.facets["bonded"])[0].sum()
     assert area == pytest.approx(18.35 * (2 * half - r) + np.pi * r**2 / 2, rel=5e-3)
@@ -108,7 +107,7 @@ def test_columns_are_squeezed_under_the_dome_and_no_cell_is_bad(pressed: Run) ->
 
 def test_layers_share_the_squeeze() -> None:
     flat = stage.gel_of(loading.read_sensor(assets.sensor_path("ninedtact"))[0])
-    gel = stage.Gel(flat.width, flat.height, 0.0, flat.layers, 0, (40.0, 90.0))
+    gel = stage.Gel(flat.width, flat.height, layers=flat.layers, radii=(40.0, 90.0))
     grid = mesh.build(gel, (-2, 2, -2, 2), 0.6)
     shared = np.intersect1d(grid.cells[grid.layer == 0], grid.cells[grid.layer == 1])
     top = gel.top(*grid.points[shared, :2].T)
@@ -157,7 +156,7 @@ def test_the_face_and_its_picture_follow_the_dome(pressed: Run, digit: Sensor) -
     sheet = Sheet.over(digit.gel, 0.1)
     now = sheet.at(surface)
     assert np.isfinite(now).all()  # at the round end too
-    assert gel.contains(*(sheet._rounded(sheet.rest) * (1 - 1e-9)).T).all()
+    assert gel.contains(*(sheet.pad.drawn_in(sheet.rest) * (1 - 1e-9)).T).all()
     rest, z = (gel_surface.View(sheet, s, camera).height() for s in (surface, surface.moved(state.x)))
     rows, columns = np.nonzero(np.isfinite(rest))
     assert len(rows) == rest.size

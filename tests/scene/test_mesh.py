@@ -18,7 +18,7 @@ LAW = NeoHooke(0.05, 0.4)
 
 def gel(*thicknesses: float, corner: float = 0.0) -> Gel:
     """12 x 10 mm, layers from the base up."""
-    return Gel(12.0, 10.0, corner, tuple(Layer(t, LAW, 0.15) for t in thicknesses))
+    return Gel(12.0, 10.0, corner, layers=tuple(Layer(t, LAW, 0.15) for t in thicknesses))
 
 
 @settings(max_examples=200, deadline=None)
@@ -135,7 +135,7 @@ def test_a_mesh_that_no_machine_could_solve_is_refused() -> None:
 
 
 def test_a_pad_ten_times_as_large_has_as_many_nodes() -> None:
-    small, large = gel(3.0), Gel(120.0, 100.0, 0.0, (Layer(30.0, LAW, 0.15),))
+    small, large = gel(3.0), Gel(120.0, 100.0, layers=(Layer(30.0, LAW, 0.15),))
     one = mesh.build(small, (-2.0, 2.0, -2.0, 2.0), 0.8)
     ten = mesh.build(large, (-20.0, 20.0, -20.0, 20.0), 8.0)
     assert len(ten.points) == len(one.points)

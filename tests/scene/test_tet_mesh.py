@@ -23,7 +23,7 @@ from tacgen.scene.scene import Scene
 
 Array = np.ndarray
 LAW = NeoHooke(0.05, 0.4)
-DOMED = Gel(9.0, 11.0, 0.0, (Layer(1.4, LAW, 0.15), Layer(0.6, LAW, 0.15)), -1, (30.0, 40.0))
+DOMED = Gel(9.0, 11.0, 0.0, -1, (30.0, 40.0), layers=(Layer(1.4, LAW, 0.15), Layer(0.6, LAW, 0.15)))
 
 
 pytestmark = pytest.mark.usefixtures("own_cache")
@@ -82,7 +82,7 @@ def test_cells_are_sound(domed: mesh.Mesh) -> None:
 
 def test_cells_are_fine_where_it_is_touched_alone() -> None:
     """Of four meshes, no two alike: 1.6 to 1.8 edges, elsewhere 2.3 to 2.5 times that; ungraded ones 4.6 and 0.9."""
-    pad = Gel(12.0, 12.0, 0.0, (Layer(3.0, LAW, 0.15),), -1, (40.0, 40.0))
+    pad = Gel(12.0, 12.0, 0.0, -1, (40.0, 40.0), layers=(Layer(3.0, LAW, 0.15),))
     made = mesh.of(pressed(pad, edge=0.4))
     face = made.points[made.facets["coated"][:, :3]]
     length = np.linalg.norm(face - np.roll(face, 1, axis=1), axis=-1).mean(1)
