@@ -12,9 +12,8 @@ from benchmarks.cases import CASES, PLAIN, RANDOM, Sets, random
 from benchmarks.reference_runs import row_of
 from benchmarks.results_page import Cell, Level, Say, Table, columns, cores
 from tacgen import solve
-from tacgen.recipe.trajectory_poses import shortest_turn
+from tacgen.geometry.pose import along, shortest_turn
 from tacgen.scene import mesh, scene
-from tacgen.scene.path import along
 
 Array = np.ndarray
 TIMES = 4  # as many frames

@@ -14,6 +14,7 @@ from tacgen.fem.assembly import Pattern
 from tacgen.fem.elements import facet_areas, facet_points, facet_shares
 from tacgen.fem.potential import Projection
 from tacgen.geometry.analytic_sdf import Shape
+from tacgen.geometry.pose import about, shortest_turn
 
 Array = np.ndarray
 SOFT = 0.5  # below SOFT * dhat the barrier goes on as a parabola, so that Newton can start from an overlap
@@ -67,11 +68,8 @@ class Pose:
 
     def toward(self, other: "Pose", part: float) -> "Pose":
         """A part of the way to another pose: straight in position, steady in rotation."""
-        from scipy.spatial.transform import Rotation
-
-        turn = Rotation.from_matrix(other.rotation @ self.rotation.T).as_rotvec() * part
-        position = (1 - part) * self.position + part * other.position
-        return Pose(Rotation.from_rotvec(turn).as_matrix() @ self.rotation, position)
+        turned = about(shortest_turn(self.rotation, other.rotation), part)
+        return Pose(turned @ self.rotation, (1 - part) * self.position + part * other.position)
 
 
 @dataclass(frozen=True)

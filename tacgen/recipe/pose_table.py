@@ -55,7 +55,10 @@ def read(path: Path, units: str | None = None) -> Table:
 
 
 def matrices(positions: list[Vector], quaternions: list[Quaternion]) -> "ndarray":
-    """Poses (n, 4, 4) from positions [mm] and unit quaternions w, x, y, z."""
+    """Poses (n, 4, 4) from positions [mm] and unit quaternions w, x, y, z.
+
+    Not as a RigidTransform, which orthogonalises each rotation again and so changes its last bits.
+    """
     import numpy as np
     from scipy.spatial.transform import Rotation
 

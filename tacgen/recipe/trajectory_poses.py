@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tacgen.geometry.analytic_sdf import lowest
+from tacgen.geometry.pose import about, shortest_turn
 from tacgen.recipe.pose_table import Pose
 from tacgen.recipe.trajectory import Press, Release, Replay, Segment, Slide, Start, Tilt, Twist
 from tacgen.recipe.yaml_source import KeyPath
@@ -39,32 +40,6 @@ class Frame(NamedTuple):
     carry: float = 0.0
     floor: float = np.nan
     below: float = np.nan
-
-
-def about(axis: Array, angle: float) -> Array:
-    """Rotation (3, 3) about a unit axis (3,) by `angle` [rad].
-
-    Written out, since `tacgen validate` needs it: importing scipy.spatial.transform would take 0.16 s of its 0.3 s.
-    Bit by bit what `Rotation.from_rotvec(angle * axis).as_matrix()` gives, in 2 instead of 9 us.
-    """
-    x, y, z = (float(a) * angle for a in axis)
-    length = math.sqrt(x * x + y * y + z * z)
-    s = math.sin(length / 2) / length if length > 1e-3 else 0.5 - length**2 / 48 + length**4 / 3840
-    x, y, z, w = s * x, s * y, s * z, math.cos(length / 2)
-    return np.array(
-        [
-            [x * x - y * y - z * z + w * w, 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), -x * x + y * y - z * z + w * w, 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), -x * x - y * y + z * z + w * w],
-        ]
-    )
-
-
-def shortest_turn(a: Array, b: Array) -> Array:
-    """Rotation vector (3,) [rad] from pose a to pose b (4, 4) by the shorter way."""
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(Rotation.from_matrix(b[:3, :3] @ a[:3, :3].T).as_rotvec())
 
 
 def _level(angle_deg: float) -> Array:

@@ -11,7 +11,7 @@ from tacgen.errors import UserError
 from tacgen.geometry.analytic_sdf import Shape
 from tacgen.recipe import pose_table
 from tacgen.recipe.model import Recipe
-from tacgen.recipe.trajectory_poses import Frame, Refused, Walk, about
+from tacgen.recipe.trajectory_poses import Frame, Refused, Walk
 from tacgen.recipe.yaml_source import format_path
 
 if TYPE_CHECKING:
@@ -59,21 +59,6 @@ class Path:
     turns: Array
     segment: Array
     forced: Forced | None
-
-
-def between(a: Array, b: Array, turn: Array, part: float) -> Array:
-    """The pose (4, 4) a part of the way from a to b: straight in position, steady about `turn` (3,) [rad]."""
-    out = b.copy()
-    if part < 1:
-        angle = float(np.linalg.norm(turn))
-        out[:3, :3] = (about(turn / angle, part * angle) if angle else np.eye(3)) @ a[:3, :3]
-        out[:3, 3] = (1 - part) * a[:3, 3] + part * b[:3, 3]
-    return out
-
-
-def along(a: Array, b: Array, turn: Array, n: int) -> list[Array]:
-    """The ends (4, 4) of n equal steps from a to b, the last of them b itself."""
-    return [between(a, b, turn, k / n) for k in range(1, n + 1)]
 
 
 def _sunk(shape: Shape, pose: Array, gel: "Gel") -> float:

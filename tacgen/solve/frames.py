@@ -11,7 +11,8 @@ from dataclasses import replace
 import numpy as np
 
 from tacgen.contact.barrier import Pose
-from tacgen.recipe.trajectory_poses import FORCE_DEPTH, shortest_turn
+from tacgen.geometry.pose import shortest_turn
+from tacgen.recipe.trajectory_poses import FORCE_DEPTH
 from tacgen.scene.scene import Scene
 from tacgen.solve.equilibrium import equilibrium
 from tacgen.solve.force_control import POWER, OutOfReach, meet

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from tacgen.scene.path import along, between
+from tacgen.geometry.pose import along, between
 from tacgen.solve.equilibrium import equilibrium
 from tacgen.solve.problem import Problem
 from tacgen.solve.state import History, NotConverged, OutOfEffort, State, TooFar

@@ -10,7 +10,7 @@ from benchmarks.cases import PLAIN
 from benchmarks.reference_runs import row_of
 from tacgen.contact.barrier import Pose
 from tacgen.geometry.analytic_sdf import Capsule
-from tacgen.recipe.trajectory_poses import shortest_turn
+from tacgen.geometry.pose import shortest_turn
 from tacgen.scene import mesh
 from tacgen.scene import scene as stage
 from tacgen.solve import DEFAULT, Problem, SolverOptions, states

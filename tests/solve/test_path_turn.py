@@ -12,11 +12,10 @@ from scipy.spatial.transform import Rotation
 
 from tacgen.contact.barrier import Pose
 from tacgen.geometry.analytic_sdf import Box, Shape, Sphere
+from tacgen.geometry.pose import along, between, shortest_turn
 from tacgen.recipe import plan
-from tacgen.recipe.trajectory_poses import shortest_turn
 from tacgen.scene import mesh
 from tacgen.scene import scene as stage
-from tacgen.scene.path import along, between
 from tacgen.scene.scene import Scene
 from tacgen.solve import NotConverged, Problem, SolverOptions, State, load_stepping, states
 from tacgen.solve.load_stepping import advance, steps_needed
