@@ -2,6 +2,7 @@
 #   make demo    one press, slide and twist: a bundle and a picture of it in out/
 #   make data    every recipe's data set in data/, WORKERS scenes at a time; run again, it goes on
 #   make test    the tests
+#   make docs    the documentation site in out/site
 #   make bench   error against run time, stability, cost: docs/RESULTS.md, in some 20 minutes; BENCH_FLAGS=--full for more
 
 SUITABLE = import sys, venv, ensurepip; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))
@@ -16,10 +17,10 @@ export OPENBLAS_NUM_THREADS ?= 1
 export MKL_NUM_THREADS ?= 1
 export NUMBA_NUM_THREADS ?= 1
 
-.PHONY: help sync check test test-slow smoke bench demo data clean
+.PHONY: help sync check test test-slow smoke bench docs demo data clean
 
 help:
-	@echo "make demo | data | test | check | test-slow | smoke | bench | sync | clean"
+	@echo "make demo | data | test | docs | check | test-slow | smoke | bench | sync | clean"
 
 sync: .venv/synced
 
@@ -55,6 +56,14 @@ bench: sync
 	$(BIN)/tacgen bench -o docs $(BENCH_FLAGS)
 	$(BIN)/python scripts/compare.py --results docs
 	$(BIN)/python -m benchmarks.readme_figures
+
+docs: .venv/synced-docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
+	@echo "the site: out/site/index.html; its search needs a server: $(BIN)/python -m http.server -d out/site"
+
+.venv/synced-docs: .venv/synced
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[docs]"
+	@touch $@
 
 demo: sync
 	$(BIN)/tacgen run recipes/quickstart.yaml -o out/quickstart

@@ -1,0 +1,83 @@
+"""Print docs/COMMANDS.md from the program's own command line: python scripts/command_page.py > docs/COMMANDS.md"""
+
+import inspect
+from pathlib import Path
+from typing import Any, get_args, get_type_hints
+
+import click
+import typer
+
+from tacgen.cli import app
+
+HEAD = """# Commands
+
+From the command line itself, by `python scripts/command_page.py > docs/COMMANDS.md`; not to be edited.
+
+Results go to stdout, progress and errors to stderr. Every command takes `-h` and `--help`.
+
+| exit code | meaning |
+|---|---|
+| 0 | done |
+| 1 | findings, or scenes that were rejected or failed |
+| 2 | an error in the recipe or in the use of the command |
+| 130 | interrupted; finished scenes are kept, and the same command goes on |
+"""
+
+
+def page() -> str:
+    """docs/COMMANDS.md, made from the commands of `tacgen`."""
+    group = typer.main.get_command(app)
+    assert isinstance(group, click.Group)
+    context = click.Context(group, info_name="tacgen")
+    commands = {name: group.commands[name] for name in sorted(group.commands)}
+    lines = [HEAD, "| command | what it does |", "|---|---|"]
+    for name, command in commands.items():
+        lines.append(f"| [`{name}`](#tacgen-{name}) | {cell((command.help or '').splitlines()[0])} |")
+    for name, command in commands.items():
+        lines += ["", f"## tacgen {name}", "", *section(command, click.Context(command, context, name))]
+    return "\n".join(lines) + "\n"
+
+
+def section(command: click.Command, context: click.Context) -> list[str]:
+    """Usage, help and the table of one command's parameters."""
+    lines = ["```text", " ".join([context.command_path, *command.collect_usage_pieces(context)]), "```", ""]
+    lines += [" ".join((command.help or "").split())]
+    texts = helps(command.callback)
+    rows = [row(parameter, context, texts[parameter.name]) for parameter in command.params]
+    return [*lines, "", "| argument or option | default | what |", "|---|---|---|", *rows] if rows else lines
+
+
+def helps(callback: Any) -> dict[str, str]:
+    """The help of each parameter as tacgen/cli.py writes it: click drops that of arguments."""
+    hints = get_type_hints(inspect.unwrap(callback), include_extras=True)
+    return {name: next((str(note.help) for note in get_args(hint)[1:]), "") for name, hint in hints.items()}
+
+
+def row(parameter: click.Parameter, context: click.Context, text: str) -> str:
+    """A line of the table."""
+    flag = isinstance(parameter, click.Option) and parameter.is_flag
+    metavar = parameter.make_metavar(context)
+    if isinstance(parameter, click.Argument):
+        named = f"`{metavar}`"
+    else:
+        named = ", ".join(f"`{name}`" for name in parameter.opts) + ("" if flag else f" `{metavar}`")
+    return f"| {cell(named)} | {default(parameter, flag)} | {cell(text)} |"
+
+
+def default(parameter: click.Parameter, flag: bool) -> str:
+    """What holds where nothing is given; empty where that is nothing."""
+    if parameter.required:
+        return "required"
+    value = parameter.default
+    if flag or value is None or value == "" or callable(value) or not isinstance(value, str | int | float | Path):
+        return ""
+    return f"`{value}`"
+
+
+def cell(text: str) -> str:
+    """Text that may stand in a table."""
+    return " ".join(text.split()).replace("|", "\\|")
+
+
+if __name__ == "__main__":
+    print(page(), end="")

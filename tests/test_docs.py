@@ -1,0 +1,226 @@
+"""The pages say what the program does: commands and options exist, recipes validate, links lead somewhere."""
+
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import click
+import pytest
+import typer
+
+from tacgen.cli import app
+from tacgen.recipe import loading, model, plan
+from tacgen.recipe.trajectory import Segment
+from tacgen.recipe.yaml_source import load
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
+TUTORIAL = DOCS / "tutorial.md"
+FENCE = re.compile(r'^```(\w+)(?: title="([^"]+)")?\n(.*?)^```$', re.M | re.S)
+LINK = re.compile(r"(?<!`)\[[^\]\n]+\]\(([^)\s]+)\)")
+WHOLE = ("tacgen: 1\n", "tacgen_sensor: 1\n", "extends: ")  # how a block begins that is a file by itself
+# Files that pages speak of and a reader brings; another that will do stands in.
+BROUGHT = {
+    "parts/thing.stl": ROOT / "objects/ring/ring.stl",
+    "rollout.csv": ROOT / "recipes/rollout.csv",
+    "quickstart.yaml": ROOT / "recipes/quickstart.yaml",
+}
+
+
+class Block(NamedTuple):
+    """A fenced block of a page."""
+
+    language: str
+    title: str
+    text: str
+
+
+def name(page: Path) -> str:
+    return page.relative_to(ROOT).as_posix()
+
+
+def blocks(page: Path, language: str = "") -> list[Block]:
+    found = [Block(*match.groups(default="")) for match in FENCE.finditer(page.read_text(encoding="utf-8"))]
+    return [block for block in found if language in ("", block.language)]
+
+
+def commands(block: Block) -> Iterator[list[str]]:
+    """The arguments of each line that starts with `tacgen`."""
+    for line in block.text.replace("\\\n", " ").splitlines():
+        if line.startswith("tacgen "):
+            yield shlex.split(line, comments=True)[1:]
+
+
+def parsed(arguments: list[str]) -> None:
+    """Take arguments as the command line would, and run nothing. Raises click.ClickException."""
+    group = typer.main.get_command(app)
+    assert isinstance(group, click.Group)
+    context = group.make_context("tacgen", list(arguments))
+    called, command, rest = group.resolve_command(context, list(arguments))
+    assert command is not None
+    command.make_context(called, rest, parent=context)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_commands_and_options_exist(page: Path) -> None:
+    for block in blocks(page, "sh"):
+        for arguments in commands(block):
+            try:
+                parsed(arguments)
+            except click.ClickException as error:
+                pytest.fail(f"tacgen {' '.join(arguments)}: {error.format_message()}")
+        for target in re.findall(r"^make (\w[\w-]*)", block.text, re.M):
+            assert re.search(rf"^{target}:", (ROOT / "Makefile").read_text(), re.M), f"make {target}"
+        for script in re.findall(r"^python (\S+)", block.text, re.M):
+            assert (ROOT / script).is_file(), script
+
+
+def test_a_wrong_option_is_seen() -> None:
+    with pytest.raises(click.UsageError):
+        parsed(["run", "quickstart", "-o", "out", "--wokers", "2"])
+    with pytest.raises(click.UsageError):
+        parsed(["rum"])
+    with pytest.raises(click.UsageError):
+        parsed(["export", "feats", "out"])
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "yaml")], ids=name)
+def test_recipes_and_sensor_files_validate(page: Path, tmp_path: Path) -> None:
+    for place, source in BROUGHT.items():
+        (tmp_path / place).parent.mkdir(exist_ok=True)
+        shutil.copy(source, tmp_path / place)
+    box = "\n".join(stl_box(14, 14, 4))
+    (tmp_path / "my_gel.stl").write_text(box)
+    written = []
+    for number, block in enumerate(blocks(page, "yaml")):
+        if block.text.startswith(WHOLE):
+            written.append(tmp_path / (block.title or f"block-{number}.yaml"))
+            written[-1].write_text(block.text)
+    for file in written:
+        data = load(file).data
+        assert isinstance(data, dict)
+        if "tacgen_sensor" in data:
+            loading.read_sensor(file)
+        else:
+            assert plan.load(file).rows
+
+
+def stl_box(*size: float) -> list[str]:
+    """A block of this size as an ASCII STL."""
+    lines = ["solid box"]
+    for axis in range(3):
+        others = [i for i in range(3) if i != axis]
+        for side in (0, 1):
+            corners = []
+            for a, b in ((0, 0), (1, 0), (1, 1), (0, 1)):
+                corner = [0.0, 0.0, 0.0]
+                corner[axis] = side * size[axis]
+                corner[others[0]], corner[others[1]] = a * size[others[0]], b * size[others[1]]
+                corners.append(" ".join(map(str, corner)))
+            if side == (axis == 1):
+                corners.reverse()
+            for face in ((0, 1, 2), (0, 2, 3)):
+                vertices = [f"vertex {corners[i]}" for i in face]
+                lines += ["facet normal 0 0 0", "outer loop", *vertices, "endloop", "endfacet"]
+    return [*lines, "endsolid box"]
+
+
+def anchors(page: Path) -> set[str]:
+    """The headings of a page as links name them."""
+    text = re.sub(r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.M | re.S)
+    titles = re.findall(r"^#+ (.+)$", text, re.M)
+    return {re.sub(r"[-\s]+", "-", re.sub(r"[^\w\s-]", "", title.lower())).strip("-") for title in titles}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name)
+def test_links_lead_somewhere(page: Path) -> None:
+    text = re.sub(r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.M | re.S)
+    for link in LINK.findall(text):
+        if link.startswith(("http://", "https://")):
+            continue
+        place, _, anchor = link.partition("#")
+        target = (page.parent / place).resolve() if place else page
+        assert target.is_file(), link
+        if page.is_relative_to(DOCS):
+            assert target.is_relative_to(DOCS), f"{link}: not a page of the site"
+        if anchor:
+            assert anchor in anchors(target), link
+
+
+def test_every_page_is_in_the_navigation() -> None:
+    def pages(entry: object) -> Iterator[str]:
+        if isinstance(entry, str):
+            yield entry
+        elif isinstance(entry, dict | list):
+            for inner in entry.values() if isinstance(entry, dict) else entry:
+                yield from pages(inner)
+
+    data = load(ROOT / "mkdocs.yml").data
+    assert isinstance(data, dict)
+    found = list(pages(data["nav"]))
+    assert sorted(found) == sorted(page.relative_to(DOCS).as_posix() for page in DOCS.rglob("*.md"))
+
+
+def test_the_command_page_is_the_command_line() -> None:
+    made = subprocess.run(
+        [sys.executable, ROOT / "scripts/command_page.py"], capture_output=True, text=True, check=True,
+        env=os.environ | {"PYTHONPATH": str(ROOT), "COLUMNS": "50"},
+    )  # fmt: skip
+    assert (DOCS / "COMMANDS.md").read_text() == made.stdout, "run scripts/command_page.py > docs/COMMANDS.md"
+
+
+def test_the_recipe_page_names_every_key_movement_output_and_quality() -> None:
+    text = (DOCS / "RECIPE.md").read_text()
+    keys = {*model.Recipe.model_fields, *Segment.model_fields, *model.OUTPUTS} - {"tacgen"}
+    assert not [key for key in keys if f"`{key}`" not in text]
+    for preset, numbers in model.QUALITIES.items():
+        assert f"| `{preset}` | {' | '.join(f'{number:g}' for number in numbers)} |" in text
+
+
+def test_the_readme_is_short() -> None:
+    assert len((ROOT / "README.md").read_text().splitlines()) < 120
+
+
+@pytest.mark.slow
+def test_the_tutorial_runs(tmp_path: Path) -> None:
+    """Its files written, its commands and its Python run in order, in an empty folder, at quality draft."""
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    ran = []
+    for block in blocks(TUTORIAL):
+        if block.title:
+            (tmp_path / block.title).write_text(block.text)
+        lines = [["-c", block.text]] if block.language == "python" else []
+        if block.language == "sh":
+            lines = [["-m", "tacgen", *arguments] for arguments in commands(block)]
+        for line in lines:
+            if line[2:3] == ["run"]:
+                line += ["--set", "quality=draft"]
+            command = [sys.executable, *line]
+            done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
+            assert done.returncode == 0, f"{' '.join(line)}\n{done.stdout}{done.stderr}"
+            ran.append(line)
+    assert len(ran) > 10
+    for made in ("quickstart.png", "traction.png", "many/report.html", "packed/index.json"):
+        assert (tmp_path / "out" / made).stat().st_size > 0
+
+
+@pytest.mark.slow
+def test_the_site_is_built_without_warnings_and_fetches_nothing(tmp_path: Path) -> None:
+    pytest.importorskip("mkdocs")
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(tmp_path)]
+    done = subprocess.run(
+        command, cwd=ROOT, capture_output=True, text=True, env=os.environ | {"NO_MKDOCS_2_WARNING": "1"}
+    )
+    assert done.returncode == 0, done.stderr
+    pages = sorted(tmp_path.rglob("*.html"))
+    assert len(pages) > 15
+    remote = r"(?:<(?:script|img|iframe|source)\s[^>]*src|<link\s[^>]*rel=.(?:stylesheet|preconnect|icon)[^>]*href)"
+    for page in pages:
+        assert not re.findall(rf'{remote}=["\']?(?:https?:)?//', page.read_text()), page
