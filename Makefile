@@ -58,7 +58,8 @@ bench: sync
 	$(BIN)/python -m benchmarks.readme_figures
 
 docs: .venv/synced-docs
-	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
+	@# not --quiet: with it --strict counts no warnings
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
 	@echo "the site: out/site/index.html; its search needs a server: $(BIN)/python -m http.server -d out/site"
 
 .venv/synced-docs: .venv/synced

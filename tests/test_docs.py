@@ -1,5 +1,6 @@
 """The pages say what the program does: commands and options exist, recipes validate, links lead somewhere."""
 
+import ast
 import os
 import re
 import shlex
@@ -7,6 +8,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
 from typing import NamedTuple
 
@@ -96,8 +98,7 @@ def test_recipes_and_sensor_files_validate(page: Path, tmp_path: Path) -> None:
     for place, source in BROUGHT.items():
         (tmp_path / place).parent.mkdir(exist_ok=True)
         shutil.copy(source, tmp_path / place)
-    box = "\n".join(stl_box(14, 14, 4))
-    (tmp_path / "my_gel.stl").write_text(box)
+    (tmp_path / "my_gel.stl").write_text("\n".join(stl_box(14, 14, 4)))
     written = []
     for number, block in enumerate(blocks(page, "yaml")):
         if block.text.startswith(WHOLE):
@@ -110,6 +111,17 @@ def test_recipes_and_sensor_files_validate(page: Path, tmp_path: Path) -> None:
             loading.read_sensor(file)
         else:
             assert plan.load(file).rows
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "python")], ids=name)
+def test_python_blocks_import_what_there_is(page: Path) -> None:
+    for block in blocks(page, "python"):
+        for node in ast.walk(ast.parse(block.text)):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "tacgen":
+                module = import_module(node.module or "")
+                for imported in node.names:
+                    if not hasattr(module, imported.name):
+                        import_module(f"{node.module}.{imported.name}")
 
 
 def stl_box(*size: float) -> list[str]:
@@ -214,7 +226,7 @@ def test_the_tutorial_runs(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_the_site_is_built_without_warnings_and_fetches_nothing(tmp_path: Path) -> None:
     pytest.importorskip("mkdocs")
-    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(tmp_path)]
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path)]
     done = subprocess.run(
         command, cwd=ROOT, capture_output=True, text=True, env=os.environ | {"NO_MKDOCS_2_WARNING": "1"}
     )
