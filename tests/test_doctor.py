@@ -48,9 +48,9 @@ def test_the_fast_solver_may_be_taken_out(monkeypatch: pytest.MonkeyPatch):
 
 def test_what_is_missing_is_a_finding_and_exit_code_1(monkeypatch: pytest.MonkeyPatch):
     def gone():
-        raise ImportError("no module named tacgen.render.images")
+        raise ImportError("no module named mitsuba")
 
-    monkeypatch.setattr(tacgen, "render", SimpleNamespace(variants=gone))
+    monkeypatch.setattr("tacgen.render.images.variants", gone)
     monkeypatch.setattr(doctor, "PACKAGES", ("numpy", "no-such-package"))
     done = CliRunner().invoke(cli.app, ["doctor", "--json"])
     assert done.exit_code == 1
@@ -58,7 +58,7 @@ def test_what_is_missing_is_a_finding_and_exit_code_1(monkeypatch: pytest.Monkey
     assert found["rendering"] == {
         "name": "rendering",
         "ok": False,
-        "note": "ImportError: no module named tacgen.render.images",
+        "note": "ImportError: no module named mitsuba",
         "needed": True,
     }
     assert not found["no-such-package"]["ok"]

@@ -223,7 +223,7 @@ def test_a_full_disk(tmp_path: Path) -> None:
     if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=32k", "none", disk], capture_output=True).returncode:
         pytest.skip("may not mount")
     try:
-        script = f"import pathlib, synthetic\nsynthetic.write(pathlib.Path({str(disk)!r}) / 'x.h5')"
+        script = f"import pathlib\nfrom helpers import synthetic\nsynthetic.write(pathlib.Path({str(disk)!r}) / 'x.h5')"
         child = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=environment())
         assert child.returncode == 1
         assert child.stderr.splitlines()[-1] == f"OSError: [Errno 28] No space left on device: '{disk / 'x.h5'}'"
