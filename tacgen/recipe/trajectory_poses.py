@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tacgen.geometry.analytic_sdf import lowest
-from tacgen.geometry.pose import about, shortest_turn
+from tacgen.geometry.pose import about
 from tacgen.recipe.pose_table import Pose
 from tacgen.recipe.trajectory import Press, Release, Replay, Segment, Slide, Start, Tilt, Twist
 from tacgen.recipe.yaml_source import KeyPath
@@ -30,11 +30,11 @@ class Refused(Exception):
 
 
 class Frame(NamedTuple):
-    """One frame: its pose (4, 4), the rotation vector (3,) from the pose before it [rad], and what a force asks for:
-    see Forced in scene.path."""
+    """One frame: its pose (4, 4), the rotation vector (3,) from the pose before it [rad], None for the shorter way, and
+    what a force asks for: see Forced in scene.path."""
 
     pose: Array
-    turn: Array
+    turn: Array | None = None
     asked: float = np.nan
     part: float = 1.0
     carry: float = 0.0
@@ -138,13 +138,13 @@ class Walk:
         """Frames at the rows of a table; no height found before is carried into them."""
         self.carry = 0.0
         for row in rows:
-            before, self.pose = self.pose, row.pose
+            self.pose = row.pose
             at_base = (
                 f"the indenter's lowest point, at z = {self.low:.4g} mm, would be at the base of the gel, or below"
             )
             if wrong := self._wrong(at_base):
                 raise Refused(where, f"{name}: line {row.line}: {wrong}")
-            yield Frame(row.pose, shortest_turn(before, row.pose))
+            yield Frame(row.pose)
         self.home = max(self.home, self.contact(self.pose))
 
     @property

@@ -9,6 +9,7 @@ import numpy as np
 from tacgen.contact.barrier import Pose
 from tacgen.errors import UserError
 from tacgen.geometry.analytic_sdf import Shape
+from tacgen.geometry.pose import shortest_turn
 from tacgen.recipe import pose_table
 from tacgen.recipe.model import Recipe
 from tacgen.recipe.trajectory_poses import Frame, Refused, Walk
@@ -112,6 +113,9 @@ def lay(recipe: Recipe, shape: Shape, gel: "Gel", replayed: Callable[[int], tupl
             segments += [number] * (len(frames) - len(segments))
     except Refused as refused:
         raise UserError(f"{format_path(refused.where)}: {line}" for line in refused.lines) from None
-    poses, turns, asked, part, carry, floor, below = (np.array(column) for column in zip(*frames, strict=True))
+    before = [start, *(frame.pose for frame in frames[:-1])]
+    ways = [shortest_turn(a, f.pose) if f.turn is None else f.turn for a, f in zip(before, frames, strict=True)]
+    poses, _, *asked_for = zip(*frames, strict=True)
+    asked, part, carry, floor, below = (np.array(column) for column in asked_for)
     forced = Forced(asked, part, carry, floor, np.nan_to_num(below)) if np.isfinite(asked).any() else None
-    return Path(start, poses, turns, np.array(segments), forced)
+    return Path(start, np.array(poses), np.array(ways), np.array(segments), forced)
