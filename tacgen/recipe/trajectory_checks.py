@@ -1,5 +1,6 @@
 """Where a trajectory would take the indenter: what cannot be is told before anything is computed."""
 
+import functools
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -86,6 +87,7 @@ def _walk(recipe: Recipe, gel: Gel, folders: Folders) -> None:
     """Go through the trajectory over a flat face. Raises Refused: it cannot be."""
     from tacgen.recipe.trajectory_poses import Refused, Walk
 
+    @functools.cache
     def rows(i: int) -> tuple[Pose, ...]:
         replay = recipe.trajectory[i].replay
         if replay is None:
@@ -97,7 +99,7 @@ def _walk(recipe: Recipe, gel: Gel, folders: Folders) -> None:
             raise Refused(where, *error.lines) from None
 
     def beside(pose: "Array") -> bool:
-        x, y = pose[:2, 3]  # nan where a mesh that leans was turned about a point that only its file knows
+        x, y = pose[:2, 3].tolist()  # nan where a mesh that leans was turned about a point that only its file knows
         return math.isfinite(x) and not on_pad(gel, x, y)
 
     pad = f"the pad of {gel.width_mm:g} x {gel.height_mm:g} mm"

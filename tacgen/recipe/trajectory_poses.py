@@ -17,6 +17,7 @@ Array = np.ndarray
 FORCE_DEPTH = 0.8  # of the gel's thickness: no force is looked for below
 FIRST_GUESS = 0.1  # of the thickness: where the search for a force starts
 FLANK = "the indenter's flank would meet the gel before its tip"
+BASE = "the indenter's lowest point, at z = {:.4g} mm, would be at the base of the gel, or below"
 EDGE = "would turn the indenter's edge to the base of the gel, or below"
 Z = np.array([0.0, 0.0, 1.0])
 
@@ -139,10 +140,7 @@ class Walk:
         self.carry = 0.0
         for row in rows:
             self.pose = row.pose
-            at_base = (
-                f"the indenter's lowest point, at z = {self.low:.4g} mm, would be at the base of the gel, or below"
-            )
-            if wrong := self._wrong(at_base):
+            if wrong := self._wrong(BASE):
                 raise Refused(where, f"{name}: line {row.line}: {wrong}")
             yield Frame(row.pose)
         self.home = max(self.home, self.contact(self.pose))
@@ -153,7 +151,9 @@ class Walk:
         return float(self.pose[2, 3] - self.support(-self.pose[2, :3]))
 
     def _wrong(self, at_base: str) -> str | None:
-        """Why the indenter cannot be where it is, if so: `at_base` where it would be at the gel's base."""
-        if math.isinf(self.support(-self.pose[2, :3])):
+        """Why the indenter cannot be where it is, if so: `at_base` where its lowest point would be at the base."""
+        hangs = self.support(-self.pose[2, :3])
+        if math.isinf(hangs):
             return FLANK
-        return at_base if self.low <= -self.thickness else None
+        low = float(self.pose[2, 3] - hangs)
+        return at_base.format(low) if low <= -self.thickness else None
