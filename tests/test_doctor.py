@@ -9,7 +9,6 @@ from types import SimpleNamespace
 import pytest
 from typer.testing import CliRunner
 
-import tacgen
 from tacgen import cli, doctor
 
 
@@ -20,7 +19,7 @@ def quick(monkeypatch: pytest.MonkeyPatch):
         SimpleNamespace(variant="llvm_ad_rgb", library="", works=False, note="no LLVM found"),
         SimpleNamespace(variant="scalar_rgb", library="", works=True, note="renders"),
     ]
-    monkeypatch.setattr(tacgen, "render", SimpleNamespace(variants=lambda: tried), raising=False)
+    monkeypatch.setattr("tacgen.render.images.variants", lambda: tried)
 
 
 def test_all_is_well_here():

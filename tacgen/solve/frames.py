@@ -92,7 +92,7 @@ def _trial(
     if near is not None and near.substeps == 1:
         with suppress(NotConverged):  # OutOfEffort comes again at once
             return equilibrium(problem, history, pose, index, duration, near)
-    return advance(problem, history, last, pose, shortest_turn(last, pose), index, duration)
+    return advance(problem, history, last, pose, shortest_turn(last, pose), index, duration, trial=True)
 
 
 def normal_force(state: State) -> float:

@@ -76,11 +76,23 @@ def _reach(
 
 
 def advance(
-    problem: Problem, history: History, a: Array, b: Array, turn: Array, index: int, duration: float
+    problem: Problem,
+    history: History,
+    a: Array,
+    b: Array,
+    turn: Array,
+    index: int,
+    duration: float,
+    trial: bool = False,
 ) -> tuple[History, State]:
-    """From pose a to pose b, at an even pace, turning by the rotation vector `turn` (3,) [rad]."""
+    """From pose a to pose b, at an even pace, turning by the rotation vector `turn` (3,) [rad].
+
+    As a `trial` it shares its Newton steps with others, else each load step has its own.
+    """
     n, total = max(problem.steps(duration), steps_needed(problem, history, a, b, turn)), None
     for start, end in pairwise([a, *along(a, b, turn, n)]):
+        if not trial:
+            problem.effort.steps = 0
         history, state = _reach(problem, history, start, end, turn / n, index, duration / n)
         total = state if total is None else _after(total, state)
     assert total is not None

@@ -81,7 +81,7 @@ class Problem:
 
     @cached_property
     def effort(self) -> Effort:
-        """What the present frame has taken so far."""
+        """What the present load step, or the force asked for, has taken so far."""
         return Effort(self.options.max_effort)
 
     @property

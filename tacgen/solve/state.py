@@ -18,12 +18,12 @@ class TooFar(NotConverged):
 
 
 class OutOfEffort(NotConverged):
-    """A frame has taken as many Newton steps as it may; shorter load steps would take more."""
+    """As many Newton steps were taken as may be; shorter load steps would take more."""
 
 
 @dataclass
 class Effort:
-    """Newton steps of the bulk that a frame has taken, in all that was tried for it."""
+    """Newton steps of the bulk taken in all that was tried for a load step, or for a force that is asked for."""
 
     most: int
     steps: int = 0

@@ -78,9 +78,9 @@ def test_an_absurd_force_is_refused_on_the_coarse_mesh(tmp_path: Path, monkeypat
     segments = "press: {depth_mm: 0.3, frames: 1}\npress: {force_n: 500, frames: 1}\nrelease: {frames: 1}"
     solved_on, usual = [], frames.advance
 
-    def watched(problem, *rest):  # type: ignore[no-untyped-def]
+    def watched(problem, *rest, **how):  # type: ignore[no-untyped-def]
         solved_on.append(problem.edge)
-        return usual(problem, *rest)
+        return usual(problem, *rest, **how)
 
     monkeypatch.setattr(frames, "advance", watched)
     found = pipeline.run_scene(row(tmp_path, segments, "quality.edge_mm=0.65"), tmp_path / "out")
