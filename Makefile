@@ -57,13 +57,10 @@ bench: sync
 	$(BIN)/python scripts/compare.py --results docs
 	$(BIN)/python -m benchmarks.readme_figures
 
-docs: .venv/synced-docs
+docs: sync
 	@# not --quiet: with it --strict counts no warnings
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
 	@echo "the site: out/site/index.html; its search needs a server: $(BIN)/python -m http.server -d out/site"
-
-.venv/synced-docs: .venv/synced
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[docs]"
 	@touch $@
 
 demo: sync
