@@ -61,7 +61,6 @@ docs: sync
 	@# not --quiet: with it --strict counts no warnings
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
 	@echo "the site: out/site/index.html; its search needs a server: $(BIN)/python -m http.server -d out/site"
-	@touch $@
 
 demo: sync
 	$(BIN)/tacgen run recipes/quickstart.yaml -o out/quickstart
