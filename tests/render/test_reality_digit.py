@@ -44,7 +44,7 @@ def test_dents_are_like_the_photographed_ones(compare, renderer, sensor):
     found = []
     for name in ("sphere_0005.png", "sphere_0010.png", "sphere_0036.png"):
         press = compare.digit_press(PHOTOS, name)
-        made = renderer.develop(renderer.image(compare.under.face(sensor, press, {})))
+        made = renderer.develop(renderer.image(compare.press_faces.face(sensor, press, {})))
         down, across = np.mgrid[:320, :240] + 0.5
         near = np.hypot(across - press.center[0], down - press.center[1]) < 60
         found.append(compare.similarity(press.picture, made, near))
@@ -56,7 +56,7 @@ def test_each_led_casts_its_fan_where_the_real_one_does(compare, renderer, senso
     """Beyond the dent the blue falls upward, the green to the lower right, the red to the lower left."""
     press = compare.digit_press(PHOTOS, "sphere_0005.png")
     real = press.picture.astype(float) - compare.load(PHOTOS / "background.png")
-    made = renderer.develop(renderer.image(compare.under.face(sensor, press, {}))).astype(float) - untouched
+    made = renderer.develop(renderer.image(compare.press_faces.face(sensor, press, {}))).astype(float) - untouched
     middle = np.array(press.center)
     down, across = np.mgrid[:320, :240] + 0.5
     for channel, way in ((2, (0.0, -1.0)), (1, (0.8, 0.6)), (0, (-0.8, 0.6))):

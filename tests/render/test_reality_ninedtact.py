@@ -18,7 +18,7 @@ def test_the_press_is_like_the_photographed_one():
     made0 = renderer.develop(renderer.flat())
     assert made0.mean(axis=(0, 1)) == pytest.approx(real0.mean(axis=(0, 1)), abs=5)
     press = compare.nine_press(PHOTOS)
-    made = renderer.develop(renderer.image(compare.under.face(sensor, press, {})))
+    made = renderer.develop(renderer.image(compare.press_faces.face(sensor, press, {})))
     everywhere = np.ones(real.shape[:2], bool)
     level = np.clip(made.astype(int) - made0 + real0, 0, 255).astype(np.uint8)
     assert compare.similarity(real, level, everywhere) > 0.985
