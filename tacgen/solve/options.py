@@ -17,8 +17,8 @@ class SolverOptions:
     # Newton's method
     max_newton: int = 60  # steps of the bulk in a load step; ordinary frames take 3 to 6
     max_effort: int = 100  # in all that is tried for a load step, or for a force that is asked for; hard ones take 75
-    # of the contact within one step of the bulk; ordinary ones take 2 to 10. With 30 scenes take a tenth longer, with
-    # 14 a punch finds another answer than the oracle
+    # of the contact within one step of the bulk; ordinary ones take 2 to 10. With 30 hard scenes take 3 %
+    # longer, with 14 a punch finds another answer than the oracle
     max_contact: int = 20
     condense: bool = True  # contact is brought to equilibrium on the Schur complement within each step of the bulk
     keep_tangent: bool = True  # a factorised tangent serves several steps, from load step to load step
