@@ -126,7 +126,7 @@ class CoupledContact:
         shape = at.shape[:2]
         d, g, H = c.gaps_at(at)
         _, db, ddb = barrier(d, c.dhat)
-        H = np.where((d < 0)[..., None, None], 0.0, H)  # where Newton starts from an overlap, N is yet far too large
+        H[d < 0] = 0.0  # where Newton starts from an overlap, N is yet far too large
         m = d.size
         N, n, f, D, S = np.empty(m), np.empty((m, 3)), np.empty((m, 3)), np.empty((m, 3, 3)), np.empty((m, 3, 3))
         _point_forces(

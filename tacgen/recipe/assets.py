@@ -42,10 +42,15 @@ def recipe_path(name_or_path: str) -> Path:
     return _find("recipe", name_or_path, None, list_recipes())
 
 
+def beside(path: str, folder: Path | None) -> Path:
+    """The file that a path names: an absolute one, or one that starts at `folder` (that of the file it stands in)."""
+    return (folder or Path()) / Path(path).expanduser()
+
+
 def object_path(name_or_path: str, base: Path | None = None) -> Path:
     """The folder of a shipped object, or a path, which starts at `base` (the recipe's folder)."""
     if _is_path(name_or_path, MESHES):
-        return _existing("object", (base or Path()) / Path(name_or_path).expanduser())
+        return _existing("object", beside(name_or_path, base))
     if name_or_path not in list_objects():
         raise UserError(_unknown("object", name_or_path, list_objects()))
     return folder("objects") / name_or_path
@@ -84,7 +89,7 @@ def _is_path(text: str, suffixes: tuple[str, ...]) -> bool:
 def _find(kind: str, text: str, base: Path | None, names: list[str]) -> Path:
     """Resolve a name or path of a YAML asset. Raises UserError: no such file, or no such name."""
     if _is_path(text, (".yaml", ".yml")):
-        return _existing(kind, (base or Path()) / Path(text).expanduser())
+        return _existing(kind, beside(text, base))
     if text in names:
         return folder(f"{kind}s") / f"{text}.yaml"
     if base is None and Path(text).exists():

@@ -16,11 +16,6 @@ if TYPE_CHECKING:
 WHERE: KeyPath = ("render", "background")
 
 
-def place(name: str, folder: Path | None) -> Path:
-    """The file of a photograph, a path that starts at `folder` (the recipe's)."""
-    return (folder or Path()) / Path(name).expanduser()
-
-
 def problems(recipe: Recipe, sensor: Sensor, folder: Path | None) -> list[Problem]:
     """Why a recipe's photograph cannot stand behind this sensor's pictures."""
     name, said, eye = recipe.render.background, recipe.render.background_sha256, sensor.camera
@@ -28,7 +23,7 @@ def problems(recipe: Recipe, sensor: Sensor, folder: Path | None) -> list[Proble
         return []
     if not recipe.outputs & IMAGES:
         return [Problem(WHERE, "has no effect: outputs do not ask for rgb or radiance", at_key=True)]
-    path = place(name, folder)
+    path = assets.beside(name, folder)
     try:
         found = assets.sha256(path)
         height, width = read(path).shape[:2]

@@ -69,7 +69,7 @@ class Row:
     def photo_path(self) -> Path | None:
         """The photograph behind the pictures, if there is one."""
         name = self.recipe.render.background
-        return None if name is None else background_photo.place(name, self.folders.get(background_photo.WHERE))
+        return None if name is None else assets.beside(name, self.folders.get(background_photo.WHERE))
 
     @property
     def mesh_path(self) -> Path:

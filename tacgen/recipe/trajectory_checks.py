@@ -29,7 +29,7 @@ def replayed(move: Replay, folder: Path | None) -> tuple[Pose, ...]:
     Raises:
         UserError: the table cannot be used, or is another than the one meant; lines start with its name.
     """
-    path = (folder or Path()) / Path(move.file).expanduser()
+    path = assets.beside(move.file, folder)
     try:
         table = pose_table.read(path, move.units)
     except UserError as error:
@@ -55,8 +55,8 @@ def resolved(recipe: Recipe, folders: Folders) -> Recipe:
     for i, step in enumerate(recipe.trajectory):
         if step.replay:
             folder = folders.get(("trajectory", i, "replay", "file"))
-            path = (folder or Path()) / Path(step.replay.file).expanduser()
-            known = {"frames": len(replayed(step.replay, folder)), "sha256": assets.sha256(path)}
+            sha256 = assets.sha256(assets.beside(step.replay.file, folder))
+            known = {"frames": len(replayed(step.replay, folder)), "sha256": sha256}
             step = step.model_copy(update={"replay": step.replay.model_copy(update=known)})
         steps.append(step)
     return recipe.model_copy(update={"trajectory": tuple(steps)})

@@ -147,13 +147,11 @@ class Walk:
 
     @property
     def low(self) -> float:
-        """z of the indenter's lowest point [mm]."""
+        """z of the indenter's lowest point [mm]; -inf where it leans so far that it has none."""
         return float(self.pose[2, 3] - self.support(-self.pose[2, :3]))
 
     def _wrong(self, at_base: str) -> str | None:
         """Why the indenter cannot be where it is, if so: `at_base` where its lowest point would be at the base."""
-        hangs = self.support(-self.pose[2, :3])
-        if math.isinf(hangs):
+        if math.isinf(low := self.low):
             return FLANK
-        low = float(self.pose[2, 3] - hangs)
         return at_base.format(low) if low <= -self.thickness else None

@@ -48,6 +48,7 @@ def _reach_force(
 
     Every trial starts from the same history, so that friction knows only of the frames that are kept.
     """
+    problem.effort.steps = 0  # all trials share them
     low = -max(last[2, 3], guess[2, 3], floor + problem.thickness)
     found: list[tuple[History, State]] = []
     refused: list[NotConverged] = []
@@ -110,7 +111,6 @@ def states(scene: Scene, problem: Problem, *, tol: float | None = None) -> Itera
     tol = problem.options.force_tol if tol is None else tol
     forced, shift, had, begun = scene.forced, 0.0, 0.0, 0.0
     for index, pose in enumerate(scene.poses):
-        problem.effort.steps = 0
         duration = 0.0 if scene.dynamics is None else float(scene.dynamics.duration[index])
         if forced is not None and forced.hopeless is not None and forced.hopeless[0] == index:
             raise NotConverged(forced.hopeless[1])
