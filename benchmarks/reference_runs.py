@@ -21,8 +21,8 @@ from tacgen.scene import mesh, scene
 from tacgen.solve import foresee
 
 Array = np.ndarray
-ROOT = Path(scene.__file__).parent
-DECIDES = ("fem/*", "optics/*", "solid/*", "solve/*", "labels/*", "path", "scene", "mesh", "fields", "bench/answers")
+PACKAGE = Path(solve.__file__).parents[1]
+USED = ("fem", "optics", "geometry", "contact", "scene", "solve", "labels")  # packages that an answer depends on
 BALL = ("outputs=[force]", "indenter={shape: sphere, radius_mm: 4}")
 DEPTHS = {"gelsight_mini": 1.0, "digit": 0.8, "ninedtact": 0.8}  # of the ball [mm]
 MOVES = "trajectory=[{{press: {{depth_mm: {depth}, frames: {press}}}}}, {{slide: {{x_mm: 0.6, frames: {slide}}}}}]"
@@ -136,11 +136,14 @@ def _probed(gel: scene.Gel, problem: solve.Problem, state: solve.State) -> Array
     return np.asarray(LinearNDInterpolator(points[near], Stresses(problem).at(state.x).node[near])(probes))
 
 
+def source_files() -> list[Path]:
+    """The files of code that decide an answer."""
+    return [Path(__file__), *(path for name in USED for path in sorted((PACKAGE / name).glob("*.py")))]
+
+
 def kept(sets: tuple[str, ...]) -> Answer:
-    """`answer`, computed once and kept in the cache as long as scene and solver are the same."""
-    code = [path.read_bytes() for name in DECIDES for path in sorted(ROOT.glob(f"{name}.py"))]
-    row = row_of(sets)
-    key = array_cache.digest([row.key, *code])
+    """`answer`, computed once and kept in the cache as long as the scene and `source_files` are the same."""
+    key = array_cache.digest([row_of(sets).key, *(path.read_bytes() for path in source_files())])
 
     def make() -> tuple[Array, ...]:
         found = answer(sets)
