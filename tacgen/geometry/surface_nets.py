@@ -3,6 +3,9 @@
 A shape's triangles are surface nets (Gibson 1998) on a coarse grid that only has to know how the shape hangs together;
 each vertex is pulled onto the surface, and edges whose middles are off it are split: few triangles on flat faces, many
 on fillets. A mesh keeps its own triangles and gets vertices along its sharp edges.
+
+Marching cubes in place of the nets (libigl's, scikit-image's) were tried on eight shapes: on six of them 30 to 209
+triangles come out with an angle below 2 degrees, where nets give none, and some face away from the shape's normal.
 """
 
 import numpy as np
