@@ -11,11 +11,12 @@ Inside a core d goes on decreasing linearly, so that a gel that starts overlappe
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 Array = np.ndarray
+DOWN = np.array([0.0, 0.0, -1.0])
 
 
 class Shape(Protocol):
@@ -53,14 +54,16 @@ class Triangles:
         return np.bincount(self.triangles.ravel(), np.repeat(third, 3), len(self.vertices))
 
 
-@dataclass(frozen=True)
-class Core:
-    """Closest core points c (n, 3), dc/dp (n, 3, 3), depth inside the core (n,) >= 0 and the way out there (n, 3)."""
+class Core(NamedTuple):
+    """Closest core points c (n, 3), dc/dp (n, 3, 3), depth inside the core (n,) >= 0 and the way out there (n, 3).
+
+    A core that is a point or a line has no inside: on it the way out is down.
+    """
 
     closest: Array
     jacobian: Array
-    depth: Array
-    out: Array
+    depth: Array | float = 0.0
+    out: Array = DOWN
 
 
 def lowest(support: Callable[[Array], float], rotation: Array) -> Array:
@@ -105,11 +108,11 @@ def _diagonal(entries: Array) -> Array:
     return np.asarray(entries[:, :, None] * np.eye(3))
 
 
-def _inside_box(core_point_offsets: Array, normals: Array) -> tuple[Array, Array]:
+def _inside_box(inside_by: Array, normals: Array) -> tuple[Array, Array]:
     """Depth (n,) and way out (n, 3) from distances to each face (n, k), positive inside, and face normals (n, k, 3)."""
-    face = core_point_offsets.argmin(1)
+    face = inside_by.argmin(1)
     rows = np.arange(len(face))
-    return np.maximum(core_point_offsets[rows, face], 0.0), normals[rows, face]
+    return np.maximum(inside_by[rows, face], 0.0), normals[rows, face]
 
 
 @dataclass(frozen=True)
@@ -130,10 +133,8 @@ class Sphere:
         return self.radius * (1 + float(direction[2]))
 
     def distance(self, p: Array) -> tuple[Array, Array, Array]:
-        n = len(p)
-        up = np.broadcast_to([0.0, 0.0, -1.0], (n, 3))
-        c = np.broadcast_to([0.0, 0.0, self.radius], (n, 3))
-        return _grown(p, Core(c, np.zeros((n, 3, 3)), np.zeros(n), up), self.radius)
+        centre = np.array([0.0, 0.0, self.radius])
+        return _grown(p, Core(centre, np.zeros((3, 3))), self.radius)
 
 
 @dataclass(frozen=True)
@@ -160,8 +161,7 @@ class Capsule:
         c = np.stack([along, np.zeros_like(along), np.full_like(along, self.radius)], 1)
         jac = np.zeros((len(p), 3, 3))
         jac[:, 0, 0] = np.abs(p[:, 0]) < half
-        down = np.broadcast_to([0.0, 0.0, -1.0], p.shape)
-        return _grown(p, Core(c, jac, np.zeros(len(p)), down), self.radius)
+        return _grown(p, Core(c, jac), self.radius)
 
 
 @dataclass(frozen=True)
@@ -187,8 +187,7 @@ class Torus:
         c = self.radius * radial
         c[:, 2] = self.tube_radius
         jac = _outer(azimuth) * (self.radius / np.maximum(rho, 1e-12))[:, None, None]
-        down = np.broadcast_to([0.0, 0.0, -1.0], p.shape)
-        return _grown(p, Core(c, jac, np.zeros(len(p)), down), self.tube_radius)
+        return _grown(p, Core(c, jac), self.tube_radius)
 
 
 @dataclass(frozen=True)
@@ -220,7 +219,7 @@ class Cylinder:
         jac = _outer(azimuth) * np.where(rho > rim, rim / np.maximum(rho, 1e-12), 1.0)[:, None, None]
         jac += _outer(radial) * (rho < rim)[:, None, None]
         jac[:, 2, 2] += p[:, 2] > low
-        down = np.broadcast_to([0.0, 0.0, -1.0], p.shape)
+        down = np.broadcast_to(DOWN, p.shape)
         depth, out = _inside_box(np.stack([p[:, 2] - low, rim - rho], 1), np.stack([down, radial], 1))
         return _grown(p, Core(c, jac, depth, out), self.fillet)
 
@@ -253,7 +252,7 @@ class Box:
         jac = _diagonal((c == p).astype(float))
         side = half - np.abs(p[:, :2])
         sign = np.where(p[:, :2] >= 0, 1.0, -1.0)
-        down = np.broadcast_to([0.0, 0.0, -1.0], p.shape)
+        down = np.broadcast_to(DOWN, p.shape)
         x_out, y_out = (np.outer(sign[:, k], np.eye(3)[k]) for k in (0, 1))
         offsets = np.stack([p[:, 2] - self.fillet, side[:, 0], side[:, 1]], 1)
         depth, out = _inside_box(offsets, np.stack([down, x_out, y_out], 1))
@@ -292,7 +291,7 @@ class Cone:
         generator = radial * s + np.array([0.0, 0.0, c])
         jac = side * (_outer(generator) + _outer(azimuth) * (along * s / np.maximum(rho, 1e-12))[:, None, None])
         normal = radial * c - np.array([0.0, 0.0, s])
-        normal = np.where(side[:, :, 0], normal, [0.0, 0.0, -1.0])
+        normal = np.where(side[:, :, 0], normal, DOWN)
         return _grown(p, Core(closest, jac, np.where(inside, -outward, 0.0), normal), self.tip_radius)
 
 
