@@ -28,7 +28,7 @@ def text(seen: Overview) -> str:
 
 
 def _what(seen: Overview) -> str:
-    states = ", ".join(f"{n} {state}" for state, n in seen.states.items())
+    states = ", ".join(f"{n} {state}" for state, n in seen.count().items())
     rows = [
         ("Scenes", f"{len(seen.scenes)} ({states})"),
         ("Frames", str(seen.frames)),

@@ -4,6 +4,7 @@ import json
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -17,25 +18,23 @@ from tacgen.report.wording import counted
 
 
 @dataclass(frozen=True)
-class Scene:
+class Scene(run_status.Scene):
     """One scene: `bundle` is None where there is none to read."""
 
-    name: str
-    state: str  # as in survey.STATES
-    reason: str
-    frames: int
-    values: dict[str, Any]  # what was varied
-    seconds: dict[str, float]  # by stage
-    peak_n: float | None  # largest force
-    bundle: Bundle | None = field(repr=False)
+    bundle: Bundle | None = field(default=None, repr=False)
+
+    @cached_property
+    def peak_n(self) -> float | None:
+        """Largest force [N]; None where there is none."""
+        if self.bundle is None or "/frames/force" not in self.bundle or not self.bundle.frames:
+            return None
+        return float(np.linalg.norm(self.bundle["/frames/force"], axis=1).max())
 
 
 @dataclass(frozen=True)
-class Overview:
+class Overview(run_status.Survey):
     """The scenes of a folder, in order, and what they have in common."""
 
-    name: str
-    folder: Path
     scenes: tuple[Scene, ...]
     bytes: int
 
@@ -48,12 +47,6 @@ class Overview:
     def frames(self) -> int:
         """In scenes that are ok."""
         return sum(bundle.frames for bundle in self.bundles)
-
-    @property
-    def states(self) -> dict[str, int]:
-        """Scenes by state, without those that none is in."""
-        found = Counter(scene.state for scene in self.scenes)
-        return {state: found[state] for state in run_status.STATES if found[state]}
 
     @property
     def seconds(self) -> dict[str, float]:
@@ -110,8 +103,7 @@ def look(folder: Path) -> Overview:
     scenes = []
     for scene in planned.scenes:
         bundle = dataset.scenes(scene.path)[0] if scene.state in ("ok", "rejected") else None
-        facts = (scene.name, scene.state, scene.reason, scene.frames, scene.values, scene.seconds)
-        scenes.append(Scene(*facts, _peak(bundle), bundle))
+        scenes.append(Scene(**vars(scene), bundle=bundle))
     size = sum(scene.path.stat().st_size for scene in planned.scenes if scene.path.exists())
     return Overview(planned.name, folder, tuple(scenes), size)
 
@@ -119,7 +111,7 @@ def look(folder: Path) -> Overview:
 def summary(folder: Path) -> str:
     """A few lines of text about a folder."""
     seen = look(folder)
-    states = ", ".join(f"{n} {state}" for state, n in seen.states.items())
+    states = ", ".join(f"{n} {state}" for state, n in seen.count().items())
     lines = [
         f"{folder}: {seen.name}, {counted(len(seen.scenes), 'scene')}",
         f"scenes    {states}",
@@ -154,16 +146,10 @@ def _plain(folder: Path, name: str) -> Overview:
     for bundle in bundles:
         attrs, named = bundle.attrs, bundle.group[1:] or bundle.path.stem
         values = json.loads(attrs.get("values", "{}"))
-        facts = (named, attrs["status"], attrs["reason"], bundle.frames, values)
-        scenes.append(Scene(*facts, {}, _peak(bundle), bundle))
+        facts = (named, attrs["status"], attrs["reason"], bundle.frames, bundle.path, values)
+        scenes.append(Scene(*facts, bundle=bundle))
     size = sum(path.stat().st_size for path in {bundle.path for bundle in bundles})
     return Overview(name or str(bundles[0].recipe.get("name", "")), folder, tuple(scenes), size)
-
-
-def _peak(bundle: Bundle | None) -> float | None:
-    if bundle is None or "/frames/force" not in bundle or not bundle.frames:
-        return None
-    return float(np.linalg.norm(bundle["/frames/force"], axis=1).max())
 
 
 def _common(shapes: list[tuple[int, ...]]) -> str:

@@ -63,7 +63,7 @@ def causes(scenes: Iterable[Scene]) -> dict[tuple[str, str], list[str]]:
 
 
 def _states(seen: Overview) -> str:
-    rows = [(state, str(n)) for state, n in seen.states.items()]
+    rows = [(state, str(n)) for state, n in seen.count().items()]
     rows.append(("size", f"{seen.bytes / 1e6:.1f} MB"))
     rows += [(name, ", ".join(seen.distinct(name))) for name in ("sensor", "tacgen_version", "solver", "renderer")]
     rows.append(("indenter", ", ".join(seen.indenters)))
