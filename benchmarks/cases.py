@@ -2,11 +2,6 @@
 
 from collections.abc import Sequence
 
-import numpy as np
-
-from tacgen.fem.elements import HEX_CORNERS
-
-Array = np.ndarray
 Sets = tuple[str, ...]
 
 PLAIN = (
@@ -146,36 +141,3 @@ def random(u: Sequence[float]) -> Sets:
         f"sensor.gel.layers[0].youngs_modulus_mpa={E}",
         f"sensor.gel.layers[0].poissons_ratio={nu}",
     )
-
-
-def slivers(radius: float, around: int = 2000, up: int = 24) -> tuple[Array, Array]:
-    """A ball of triangles forty times longer than wide: vertices (n, 3), triangles (m, 3)."""
-    polar = np.linspace(0, np.pi, up + 1)[1:-1]
-    turn = np.arange(around) * (2 * np.pi / around)
-    ring = np.stack([np.cos(turn), np.sin(turn)], 1)
-    body = np.concatenate([np.column_stack([np.sin(a) * ring, np.full(around, np.cos(a))]) for a in polar])
-    i = np.arange(around)
-    j = (i + 1) % around
-    low = [np.column_stack([k * around + i, (k + 1) * around + i, k * around + j]) for k in range(up - 2)]
-    high = [np.column_stack([(k + 1) * around + i, (k + 1) * around + j, k * around + j]) for k in range(up - 2)]
-    top, bottom = len(body), len(body) + 1
-    last = (up - 2) * around
-    caps = [
-        np.column_stack([np.full(around, top), i, j]),
-        np.column_stack([np.full(around, bottom), last + j, last + i]),
-    ]
-    return radius * np.concatenate([body, [[0, 0, 1], [0, 0, -1]]]), np.concatenate([*low, *high, *caps])
-
-
-def blade(length: float, thickness: float, height: float) -> tuple[Array, Array]:
-    """A plate on its edge, along y: vertices (8, 3), triangles (12, 3)."""
-    corner = (HEX_CORNERS + 1) / 2 * [thickness, length, height]
-    quads = np.array([[0, 3, 2, 1], [4, 5, 6, 7], [0, 1, 5, 4], [1, 2, 6, 5], [2, 3, 7, 6], [3, 0, 4, 7]])
-    return corner, np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
-
-
-def wavefront(vertices: Array, triangles: Array) -> str:
-    """An OBJ file."""
-    points = [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in vertices]
-    faces = [f"f {a} {b} {c}" for a, b, c in triangles + 1]
-    return "\n".join([*points, *faces, ""])

@@ -1,16 +1,14 @@
 """Ordinary scenes, drawn as a data set would: how many are solved, what a frame costs, how right its force is."""
 
 import math
-import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
 
 from benchmarks.draws import BALL, Draw, drawn
-from benchmarks.reference_runs import row_of
+from benchmarks.reference_runs import row_of, solve_frames
 from benchmarks.results_page import Cell, Level, Result, Say, Table, columns, cores
 from benchmarks.step_size_error import TIMES, finer
 from tacgen import solve
@@ -89,23 +87,24 @@ def measure(
         problem = solve.Problem.of(made, grid, options)
     except UserError as error:
         return Outcome(draw, quality, "refused", error.lines[0])
-    states, clock, status, reason = _frames(made, problem, limit)
-    if not (n := len(states)):
-        return Outcome(draw, quality, status, reason)
+    solved = solve_frames(made, problem, limit)
+    states, status, n = solved.states, solved.status, len(solved.states)
+    if not n:
+        return Outcome(draw, quality, status, solved.reason)
     off = None
     if compared and status == "ok":
         short = finer(made, TIMES)
-        between = _forces(_frames(short, solve.Problem.of(short, grid), limit)[0])
-        off = _apart(_forces(states), between)
+        between = solve_frames(short, solve.Problem.of(short, grid), limit).forces
+        off = _apart(solved.forces, between)
     return Outcome(
         draw,
         quality,
         status,
-        reason,
+        solved.reason,
         n,
         len(grid.points),
-        float(np.linalg.norm(_forces(states)[-1])),
-        clock / n,
+        float(np.linalg.norm(solved.forces[-1])),
+        solved.seconds / n,
         sum(state.iterations for state in states) / n,
         max(state.substeps for state in states),
         problem.factored / n,
@@ -116,24 +115,6 @@ def measure(
 
 def _scene(sets: Sequence[str]) -> scene.Scene:
     return foresee.foreseen(scene.build(row_of(("outputs=[force]", *sets))))
-
-
-def _frames(made: scene.Scene, problem: solve.Problem, limit: float) -> tuple[list[solve.State], float, str, str]:
-    """The frames solved in about `limit` processor seconds, those seconds, and the status with its reason."""
-    states, count, begun = list[solve.State](), len(made.poses), time.process_time()
-    try:
-        for state in solve.states(made, problem):
-            states.append(state)
-            if time.process_time() - begun > limit and len(states) < count:
-                return states, time.process_time() - begun, "out of time", f"after frame {len(states)} of {count}"
-    except solve.NotConverged as error:
-        return states, time.process_time() - begun, "rejected", f"frame {len(states) + 1} of {count}: {error}"
-    return states, time.process_time() - begun, "ok", ""
-
-
-def _forces(states: Sequence[solve.State]) -> Array:
-    """Of the indenter on the gel, (n, 3) [N]."""
-    return np.reshape([state.traction_force.sum((0, 1)) for state in states], (-1, 3))
 
 
 def _apart(long: Array, short: Array) -> float | None:
@@ -149,7 +130,7 @@ def _warm() -> None:
     """Load what is compiled, once in each process, before anything is timed."""
     moves = "trajectory=[{press: {depth_mm: 0.5, frames: 1}}, {slide: {x_mm: 0.2, frames: 1}}]"
     made = _scene(("sensor=ninedtact", "indenter={shape: mesh, file: ring}", moves, f"quality={SMOKE}"))
-    _frames(made, solve.Problem.of(made, mesh.of(made)), LIMIT)
+    solve_frames(made, solve.Problem.of(made, mesh.of(made)))
 
 
 def _job(job: tuple[Draw, str, bool, SolverOptions]) -> Outcome:
@@ -171,11 +152,8 @@ def bench(level: Level, say: Say) -> Result:
     whole, few = len(jobs), draws[: ABLATED[level]]
     jobs += [(draw, quality, False, replace(plain, **off)) for off in WITHOUT.values() for draw in few]
     found = list[Outcome]()
-    with ExitStack() as stack:
-        spread: Callable[..., Iterator[Outcome]] = map
-        if level != "smoke":
-            spread = stack.enter_context(cores())
-        for one in spread(_job, jobs):
+    with cores(level) as every:
+        for one in every(_job, jobs):
             found.append(one)
             name = "ball" if one.draw.index is None else f"{one.draw.index}"
             what = f"{one.quality} {one.draw.sensor} {one.draw.shape}: {one.status}"

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable, Iterator
-from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -56,7 +55,7 @@ class Runs:
 def bench(level: Level, say: Say) -> Result:
     """Every method on several meshes."""
     smoke = level == "smoke"
-    with nullcontext(map) if smoke else cores() as every:  # what is not compared in time needs no core to itself
+    with cores(level) as every:  # what is not compared in time needs no core to itself
         fine = _finest(smoke, every)
         layers = every(pressed, *zip(*LAYERS[level], strict=True), [2 if smoke else 5] * len(LAYERS[level]))
         finest, anchors = dict(fine), _anchors(level, layers, say)

@@ -1,10 +1,11 @@
-"""A scene's labels and what they cost, and how far two such answers to the same scene are apart."""
+"""A scene's frames and labels and what they cost, and how far two such answers to the same scene are apart."""
 
+import math
 import time
 from dataclasses import dataclass
 from dataclasses import fields as names_of
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -84,6 +85,36 @@ def _norm(values: Array) -> float:
 def row_of(sets: tuple[str, ...]) -> plan.Row:
     """The quickstart's scene with these changes."""
     return plan.load(assets.recipe_path("quickstart"), sets).rows[0]
+
+
+class Frames(NamedTuple):
+    """Frames solved one after the other, in how many processor seconds, and how that ended: `status` is ok, rejected or
+    out of time, `reason` says why."""
+
+    states: list[solve.State]
+    seconds: float
+    status: str
+    reason: str
+
+    @property
+    def forces(self) -> Array:
+        """Of the indenter on the gel, (n, 3) [N]."""
+        return np.reshape([state.traction_force.sum((0, 1)) for state in self.states], (-1, 3))
+
+
+def solve_frames(made: scene.Scene, problem: solve.Problem, limit: float = math.inf) -> Frames:
+    """The frames of a scene, as many as are solved in about `limit` processor seconds."""
+    states, count, start = list[solve.State](), len(made.poses), time.process_time()
+    status, reason = "ok", ""
+    try:
+        for state in solve.states(made, problem):
+            states.append(state)
+            if time.process_time() - start > limit and len(states) < count:
+                status, reason = "out of time", f"after frame {len(states)} of {count}"
+                break
+    except solve.NotConverged as error:
+        status, reason = "rejected", f"frame {len(states) + 1} of {count}: {error}"
+    return Frames(states, time.process_time() - start, status, reason)
 
 
 def answer(

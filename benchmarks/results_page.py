@@ -157,8 +157,11 @@ def core_count() -> int:
 
 
 @contextmanager
-def cores() -> Iterator[Callable[..., Iterator[Any]]]:
-    """A `map` whose calls go to as many processes as there are cores: for what is not timed."""
+def cores(level: Level = "normal") -> Iterator[Callable[..., Iterator[Any]]]:
+    """A `map` whose calls go to as many processes as there are cores: for what is not timed. At `smoke` it is map."""
+    if level == "smoke":
+        yield map
+        return
     with ProcessPoolExecutor(core_count(), mp_context=get_context("spawn")) as workers:
         yield workers.map
 

@@ -2,15 +2,14 @@
 
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.cases import CASES, PLAIN, RANDOM, blade, random, slivers, wavefront
-from benchmarks.reference_runs import row_of
+from benchmarks.cases import CASES, PLAIN, RANDOM, random
+from benchmarks.reference_runs import row_of, solve_frames
 from benchmarks.results_page import Cell, Level, Result, Say, Table, columns, cores
 from tacgen import solve
 from tacgen.contact.barrier import Pose
@@ -46,7 +45,6 @@ class Outcome:
     status: str
     reason: str = ""
     frames: int = 0
-    nodes: int = 0
     force: float = 0.0  # largest [N]
     iterations: int = 0
     substeps: int = 0
@@ -75,28 +73,23 @@ def measure(name: str, sets: Sequence[str]) -> Outcome:
     begun = time.process_time()
     try:
         with tempfile.TemporaryDirectory() as folder:
-            for file, (vertices, triangles) in {"slivers.obj": slivers(4.0), "blade.obj": blade(8.0, 0.4, 4.0)}.items():
-                (Path(folder) / file).write_text(wavefront(vertices, triangles))
+            if any("{folder}" in text for text in sets):
+                _write_meshes(Path(folder))
             filled = [text.replace("{folder}", folder) for text in (*PLAIN, *sets)]
             made = scene.build(row_of(tuple(filled)))
         problem = solve.Problem.of(made, mesh.of(made))
     except UserError as error:
         return Outcome(name, "refused", error.lines[0], seconds=time.process_time() - begun)
-    states: list[solve.State] = []
-    status, reason = "ok", ""
-    try:
-        states.extend(solve.states(made, problem))
-    except solve.NotConverged as error:
-        status, reason = "rejected", str(error)
+    solved = solve_frames(made, problem)
+    states = solved.states
     if not states:
-        return Outcome(name, status, reason, nodes=len(problem.mesh.points), seconds=time.process_time() - begun)
+        return Outcome(name, solved.status, solved.reason, seconds=time.process_time() - begun)
     return Outcome(
         name,
-        status,
-        reason,
+        solved.status,
+        solved.reason,
         len(states),
-        len(problem.mesh.points),
-        max(float(np.linalg.norm(s.traction_force.sum((0, 1)))) for s in states),
+        float(np.linalg.norm(solved.forces, axis=1).max()),
         max(s.iterations for s in states),
         max(s.substeps for s in states),
         min(s.least_J for s in states),
@@ -106,6 +99,14 @@ def measure(name: str, sets: Sequence[str]) -> Outcome:
         max(overlap(problem, s) for s in states) / problem.edge,
         time.process_time() - begun,
     )
+
+
+def _write_meshes(folder: Path) -> None:
+    """The indenters that CASES names by files: a ball of triangles forty times longer than wide and an upright plate."""
+    from trimesh import creation
+
+    creation.uv_sphere(4.0, count=(25, 1000)).export(folder / "slivers.obj")
+    creation.box((0.4, 8.0, 4.0)).export(folder / "blade.obj")
 
 
 def overlap(problem: solve.Problem, state: solve.State, fine: int = 5) -> float:
@@ -138,15 +139,12 @@ def bench(level: Level, say: Say) -> Result:
     named = {name: CASES[name] for name in QUICK} if level == "smoke" else CASES
     rng, points = np.random.default_rng(7), list[Array]()
     known, chance = list[Outcome](), list[Outcome]()
-    with ExitStack() as stack:
-        spread: Callable[..., Iterator[Outcome]] = map
-        if level != "smoke":
-            spread = stack.enter_context(cores())
+    with cores(level) as every:
         for count in rounds:
             points += _drawn(count, rng, points, chance)
             scenes = [(f"random {i}", random(points[i].tolist())) for i in range(len(chance), len(points))]
             found = list[Outcome]()
-            for one in spread(_pair, scenes if known else [*scenes, *named.items()]):  # random ones may take longest
+            for one in every(_pair, scenes if known else [*scenes, *named.items()]):  # random ones may take longest
                 found.append(one)
                 say(f"{one.name}: {one.status}, {one.iterations} iterations, {one.seconds:.1f} s {one.reason}")
             chance, known = chance + found[:count], known + found[count:]

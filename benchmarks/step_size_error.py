@@ -1,15 +1,13 @@
 """Error of long frames: the same way again with four frames for each, since friction remembers how it was gone."""
 
-import time
 from collections.abc import Iterable
-from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 
 from benchmarks.cases import CASES, PLAIN, RANDOM, Sets, random
-from benchmarks.reference_runs import row_of
+from benchmarks.reference_runs import row_of, solve_frames
 from benchmarks.results_page import Cell, Level, Say, Table, columns, cores
 from tacgen import solve
 from tacgen.geometry.pose import along, shortest_turn
@@ -36,10 +34,9 @@ WAYS |= {name: CASES[name] for name in WORST}
 
 def table(level: Level, say: Say) -> Table:
     """How far forces are from those of the same way in shorter frames."""
-    if level == "smoke":
-        return _table(["ball pressed, slid"], map(error, [()]), say)
-    ways = WAYS if level == "normal" else WAYS | CHANCE
-    with cores() as every:
+    some: dict[str, Sets] = {"ball pressed, slid": ()}
+    ways = {"smoke": some, "normal": WAYS, "full": WAYS | CHANCE}[level]
+    with cores(level) as every:
         return _table(list(ways), every(error, ways.values()), say)
 
 
@@ -52,20 +49,12 @@ def finer(made: scene.Scene, times: int) -> scene.Scene:
     return replace(made, poses=np.array(poses), segment=np.repeat(made.segment, times), turns=shorter)
 
 
-def forces(made: scene.Scene) -> tuple[Array, float]:
-    """Of the indenter on the gel at each frame it got to (n, 3) [N], and the processor's seconds."""
-    found, begun = list[Array](), time.process_time()
-    problem = solve.Problem.of(made, mesh.of(made))
-    with suppress(solve.NotConverged):
-        found.extend(state.traction_force.sum((0, 1)) for state in solve.states(made, problem))
-    return np.reshape(found, (-1, 3)), time.process_time() - begun
-
-
 def error(sets: Sets) -> tuple[Array, Array, float, float]:
-    """Forces at the frames (n, 3), those in shorter ones at the same places (m, 3), and seconds of both."""
+    """Forces at the frames (n, 3), those in shorter ones at the same places (m, 3), and processor seconds of both."""
     made = scene.build(row_of((*PLAIN, *sets)))
-    (long, one), (short, other) = forces(made), forces(finer(made, TIMES))
-    return long, short[TIMES - 1 :: TIMES], one, other
+    both = (made, finer(made, TIMES))
+    long, short = (solve_frames(way, solve.Problem.of(way, mesh.of(way))) for way in both)
+    return long.forces, short.forces[TIMES - 1 :: TIMES], long.seconds, short.seconds
 
 
 def _table(names: list[str], found: Iterable[tuple[Array, Array, float, float]], say: Say) -> Table:
