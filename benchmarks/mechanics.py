@@ -20,7 +20,6 @@ ERRORS = ("force: .2%", "pressure map: .1%", "stress: .1%", "markers [px]: .3f")
 WORK = ("nodes: d", "iterations a frame: .1f", "s a frame: .2f")
 FILLETS = {"normal": (0.3, 0.6), "full": (0.1, 0.3, 0.6, 1.2)}  # of a box [mm]; an edge at `draft`: .6
 SHIFTS = ((0.0, 0.0), (0.5, 0.0), (0.3, 0.5))  # of the mesh under the ball, in edges
-STEPPED = (*sliding("gelsight_mini", 8, 16), "quality=draft")
 FORMS = [name for name in ("distance", "ipctk") if name == "distance" or find_spec("ipctk")]
 BOX = "indenter={{shape: box, size_x_mm: 3, size_y_mm: 3, fillet_mm: {fillet}}}"
 PRESSED, SLID = "{press: {depth_mm: 0.5, frames: 1}}", "{slide: {x_mm: 0.1, y_mm: 0.06, frames: 1}}"
@@ -77,14 +76,14 @@ def _tolerances(times: float) -> SolverOptions:
 
 
 def bench(level: Level, say: Say) -> Result:
-    """The sweep on the Mini, the steps on the way, and the presets on every sensor."""
+    """The sweep on the Mini, and the presets on every sensor."""
     answer((*sliding("gelsight_mini"), "quality={edge_mm: 1.5}"))  # compiles
     if level == "smoke":
         return Result(ABOUT, *_sweep(level, {}, say))
     fillets = FILLETS[level]
     with cores() as every:  # what is not timed needs no core to itself
         true = [_preset(sensor, "reference") for sensor in DEPTHS]
-        references = every(kept, [*true, *(_edged(fillet) for fillet in fillets), STEPPED])
+        references = every(kept, [*true, *(_edged(fillet) for fillet in fillets)])
         boxes = every(answer, [_dragged(fillet, name) for fillet in fillets for name in FORMS])
         placed = [_preset("gelsight_mini", name) for name in PRESETS for _ in SHIFTS]
         shifted = every(answer, placed, SHIFTS * len(PRESETS))
@@ -93,7 +92,7 @@ def bench(level: Level, say: Say) -> Result:
         edges, places = _edges(fillets, boxes, say), _places(shifted)
     presets = {(sensor, name): answer(_preset(sensor, name)) for sensor in DEPTHS for name in PRESETS}
     tables, plots = _sweep(level, presets, say)
-    return Result(ABOUT, [*tables, places, _steps(say), edges, _sensors(presets, say)], plots)
+    return Result(ABOUT, [*tables, places, edges, _sensors(presets, say)], plots)
 
 
 def _preset(sensor: str, name: str) -> tuple[str, ...]:
@@ -146,19 +145,6 @@ def _plot(rows: list[list[Cell]], seconds: list[float], errors: list[float], bes
     points = [series(group, [i for i, row in enumerate(rows) if row[0] == group], True) for group in groups]
     unit = "" if "[" in what else " [-]"
     return Plot(f"Error of {what}", "s a frame", f"error{unit}", [*points, series("Pareto front", best, False)])
-
-
-def _steps(say: Say) -> Table:
-    """The same way in fewer and more frames: what friction loses by long ones, and what short ones cost."""
-    fine = kept(STEPPED)
-    rows: list[list[Cell]] = []
-    for press, slide in ((1, 1), (1, 2), (2, 4), (4, 8)):
-        found = answer((*sliding("gelsight_mini", press, slide), "quality=draft"))
-        error = replace(found, force=found.force[-1:]).apart(fine)
-        rows.append([f"{press} + {slide}", found.iterations, found.seconds, *astuple(error)])
-        say(f"{press} + {slide} steps: {found.seconds:.1f} s")
-    heads = columns("frames of press + slide", "iterations in all: .0f", "s in all: .2f", *ERRORS)
-    return Table("Steps on the way", heads, rows, "At `draft`; the last frame against that of 8 + 16 frames.")
 
 
 def _edged(fillet: float, moves: str = PRESSED, quality: str = "reference") -> tuple[str, ...]:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks import calculix
+from benchmarks.calculix import Pressed
 from benchmarks.reference_runs import BALL, answer, kept, row_of
 from benchmarks.results_page import Cell, Level, Plot, Result, Say, Series, Table, columns, cores
 from tacgen import array_cache, solve
@@ -62,11 +63,11 @@ def bench(level: Level, say: Say) -> Result:
     say(", ".join(f"{name}: {force:.4f} N" for name, force in finest.items()))
     reference = sum(finest.values()) / len(finest)
     answer((*PRESS, "quality={edge_mm: 1.5}"))  # compile
-    ours = _runs("tacgen, hexes (Q1P0)", (), (1.2, 1.0) if smoke else (0.8, 0.7, 0.6, 0.5, 0.4, 0.3), say)
+    ours = _runs("tacgen, hexes (Q1P0)", _tacgen(), (1.2, 1.0) if smoke else (0.8, 0.7, 0.6, 0.5, 0.4, 0.3), say)
     runs = [ours]
     if not smoke:
-        runs.append(_runs("tacgen, P2 tetrahedra", ("mesh=tet",), (0.8, 0.6, 0.45), say))
-        runs.append(_runs("tacgen, P1 tetrahedra", ("mesh=linear_tet",), (0.4, 0.25, 0.15), say))
+        runs.append(_runs("tacgen, P2 tetrahedra", _tacgen("mesh=tet"), (0.8, 0.6, 0.45), say))
+        runs.append(_runs("tacgen, P1 tetrahedra", _tacgen("mesh=linear_tet"), (0.4, 0.25, 0.15), say))
     if calculix.installed() and not smoke:
         runs.append(_calculix((2.0, 1.2) if level == "normal" else (2.0, 1.2, 0.8, 0.6, 0.5), True, say))
         runs.append(_calculix((2.0,), False, say))
@@ -101,24 +102,32 @@ def _fine(name: str, quality: str | None) -> float:
     return float(array_cache.kept_one("bench", key, lambda: np.array(calculix.press(gel, 4.0, 1.0, FINEST).force)))
 
 
-def _runs(name: str, sets: tuple[str, ...], edges: tuple[float, ...], say: Say) -> Runs:
-    """tacgen on meshes of several edges."""
-    found = [answer((*PRESS, *sets, f"quality={{edge_mm: {edge}}}")) for edge in edges]
-    seconds, forces = [f.setup + f.seconds for f in found], [-float(f.force[-1, 2]) for f in found]
-    for edge, s, force in zip(edges, seconds, forces, strict=True):
-        say(f"{name}, edge {edge:g}: {force:.4f} N in {s:.2f} s")
-    return Runs(name, [f"{edge:g}" for edge in edges], [f.nodes for f in found], seconds, forces)
+def _runs(name: str, press: Callable[[float], Pressed], edges: tuple[float, ...], say: Say) -> Runs:
+    """One method on meshes of several edges [mm]."""
+    runs = Runs(name, [f"{edge:g}" for edge in edges], [], [], [])
+    for edge in edges:
+        found = press(edge)
+        runs.nodes.append(found.nodes)
+        runs.seconds.append(found.seconds)
+        runs.forces.append(found.force)
+        say(f"{name}, edge {edge:g}: {found.force:.4f} N in {found.seconds:.2f} s")
+    return runs
+
+
+def _tacgen(*sets: str) -> Callable[[float], Pressed]:
+    """The press by tacgen with these changes, on a mesh of a given edge [mm]."""
+
+    def press(edge: float) -> Pressed:
+        found = answer((*PRESS, *sets, f"quality={{edge_mm: {edge}}}"))
+        return Pressed(-float(found.force[-1, 2]), found.nodes, found.setup + found.seconds)
+
+    return press
 
 
 def _calculix(edges: tuple[float, ...], quarter: bool, say: Say) -> Runs:
     gel = scene.build(row_of(PRESS)).gel
     name = f"{calculix.version()}, C3D20R, {'a quarter' if quarter else 'the whole pad'}"
-    found = []
-    for edge in edges:
-        found.append(calculix.press(gel, 4.0, 1.0, edge, quarter=quarter))
-        say(f"{name}, edge {edge:g}: {found[-1].force:.4f} N in {found[-1].seconds:.1f} s")
-    labels = [f"{edge:g}" for edge in edges]
-    return Runs(name, labels, [f.nodes for f in found], [f.seconds for f in found], [f.force for f in found])
+    return _runs(name, lambda edge: calculix.press(gel, 4.0, 1.0, edge, quarter=quarter), edges, say)
 
 
 def _equal(runs: list[Runs], ours: Runs, reference: float) -> Table:

@@ -26,16 +26,15 @@ PACKAGE = Path(solve.__file__).parents[1]
 USED = ("fem", "optics", "geometry", "contact", "scene", "solve", "labels")  # packages that an answer depends on
 BALL = ("outputs=[force]", "indenter={shape: sphere, radius_mm: 4}")
 DEPTHS = {"gelsight_mini": 1.0, "digit": 0.8, "ninedtact": 0.8}  # of the ball [mm]
-MOVES = "trajectory=[{{press: {{depth_mm: {depth}, frames: {press}}}}}, {{slide: {{x_mm: 0.6, frames: {slide}}}}}]"
+MOVES = "trajectory=[{{press: {{depth_mm: {depth}, frames: 1}}}}, {{slide: {{x_mm: 0.6, frames: 2}}}}]"
 DOTS = Markers(columns=5, rows=5, pitch_mm=(1.8, 1.8), diameter_mm=1.0, albedo=0.1, source="made up, for all sensors")
 BELOW = np.array([0.15, 0.3, 0.45, 0.6])  # where stress is compared: parts of the thickness below the face,
 AROUND = np.arange(-3.0, 3.1, 0.6)  # and along x and y [mm]
 
 
-def sliding(sensor: str, press: int = 1, slide: int = 2) -> tuple[str, ...]:
-    """A ball of 4 mm pressed and then slid by 0.6 mm with friction 0.5, in so many frames."""
-    moves = MOVES.format(depth=DEPTHS[sensor], press=press, slide=slide)
-    return (*BALL, f"sensor={sensor}", moves, "contact.friction=0.5")
+def sliding(sensor: str) -> tuple[str, ...]:
+    """A ball of 4 mm pressed in one frame and slid by 0.6 mm in two, with friction 0.5."""
+    return (*BALL, f"sensor={sensor}", MOVES.format(depth=DEPTHS[sensor]), "contact.friction=0.5")
 
 
 @dataclass(frozen=True)

@@ -86,7 +86,7 @@ def made() -> dict[str, Any]:
             packages[name] = version(name)
         except PackageNotFoundError:
             continue
-    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30 if hasattr(os, "sysconf") else 0.0
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
     return {
         "date": time.strftime("%Y-%m-%d"),
         "processor": _processor(),
@@ -111,10 +111,7 @@ def gflops(n: int = 1000) -> float:
 
 
 def _processor() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        return platform.processor() or platform.machine()
+    lines = Path("/proc/cpuinfo").read_text().splitlines()
     found = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
     return found[0] if found else platform.machine()
 
@@ -153,7 +150,7 @@ def each_apart(target: str, jobs: Iterable[tuple[Any, ...]]) -> Iterator[Any]:
 
 def core_count() -> int:
     """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return len(os.sched_getaffinity(0))
 
 
 @contextmanager
@@ -167,14 +164,8 @@ def cores(level: Level = "normal") -> Iterator[Callable[..., Iterator[Any]]]:
 
 
 def peak_memory() -> float:
-    """Of this process since it began [MB]."""
-    try:  # getrusage would count what the parent had when it forked
-        status = Path("/proc/self/status").read_text()
-        return float(status.partition("VmHWM:")[2].split()[0]) / 1024
-    except (OSError, IndexError):
-        import resource
-
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    """Of this process since it began [MB]; getrusage would count what the parent had when it forked."""
+    return float(Path("/proc/self/status").read_text().partition("VmHWM:")[2].split()[0]) / 1024
 
 
 def front(x: Sequence[float], y: Sequence[float]) -> list[int]:

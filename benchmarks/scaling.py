@@ -1,7 +1,6 @@
 """What running many scenes costs beyond the scenes, and where the time of one goes."""
 
 import json
-import os
 import resource
 import shutil
 import tempfile
@@ -15,7 +14,19 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.results_page import Cell, Level, Plot, Result, Say, Series, Table, apart, columns, each_apart
+from benchmarks.results_page import (
+    Cell,
+    Level,
+    Plot,
+    Result,
+    Say,
+    Series,
+    Table,
+    apart,
+    columns,
+    core_count,
+    each_apart,
+)
 from tacgen import batch, pipeline
 from tacgen.batch.local import Pool
 from tacgen.batch.worker_process import memory
@@ -43,7 +54,7 @@ def bench(level: Level, say: Say) -> Result:
         if level == "smoke":
             table, plot = _workers(few, [1], out, say)
             return Result(ABOUT, [table], [plot])
-        cores = len(os.sched_getaffinity(0))
+        cores = core_count()
         many = sorted({1, *(2**k for k in range(1, 8) if 2**k <= cores), cores})
         table, plot = _workers(few, many, out, say)
         more = [_overhead(count, out, say), _memory(count, out, say)]

@@ -1,11 +1,11 @@
-"""How much an answer moves when what is given moves by next to nothing, or when every length grows alike."""
+"""How much an answer moves when what is given moves by next to nothing."""
 
 from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.cases import CASES, PLAIN, SCALES, Sets, scaled
+from benchmarks.cases import CASES, PLAIN, Sets
 from benchmarks.reference_runs import row_of
 from benchmarks.results_page import Cell, Level, Say, Table, columns, cores
 from tacgen import solve
@@ -18,16 +18,13 @@ from tacgen.solve.linear_solvers import NotPositiveDefinite, SuperLU
 Array = np.ndarray
 NAMES = ("", "nu 0.4999", "1 kPa", "100 MPa", "friction 2", "half deep", "skin stiffer 1000:1")
 NUDGE = 1e-10
-LENGTHS = (1.0, *SCALES)
 
 
-def tables(level: Level, say: Say) -> list[Table]:
-    """Condition and nudges, and whether forces grow with the square of the size."""
-    if level == "smoke":
-        return [_nudged(NAMES[:1], map(nudged, NAMES[:1]), say)]
-    with cores() as every:
-        cases, sizes = every(nudged, NAMES), every(sized, LENGTHS)
-        return [_nudged(NAMES, cases, say), _sizes(sizes, say)]
+def table(level: Level, say: Say) -> Table:
+    """Condition of the stiffness, and what each nudge does."""
+    names = NAMES[:1] if level == "smoke" else NAMES
+    with cores(level) as every:
+        return _table(names, every(nudged, names), say)
 
 
 def _solved(sets: Sets, nudge: str = "") -> tuple[solve.Problem, solve.State]:
@@ -59,7 +56,7 @@ def nudged(name: str) -> tuple[float, list[float]]:
     return condition(problem, state), moved
 
 
-def _nudged(names: tuple[str, ...], found: Iterator[tuple[float, list[float]]], say: Say) -> Table:
+def _table(names: tuple[str, ...], found: Iterator[tuple[float, list[float]]], say: Say) -> Table:
     rows: list[list[Cell]] = []
     for name, (number, moved) in zip(names, found, strict=True):
         rows.append([name or "plain", number, *moved])
@@ -93,25 +90,3 @@ def condition(problem: solve.Problem, state: solve.State) -> float:
     most = eigsh(whole, 1, which="LA", tol=1e-2, v0=start, return_eigenvectors=False)[0]
     least = eigsh(whole, 1, sigma=0, OPinv=inverse, which="LM", tol=1e-2, v0=start, return_eigenvectors=False)[0]
     return float(most / least)
-
-
-def sized(by: float) -> Array | str:
-    """Force of the plain scene with all lengths `by` times as long over the square of that, or why there is none."""
-    try:
-        return np.asarray(_solved(scaled(by))[1].traction_force.sum((0, 1)) / by**2)
-    except solve.NotConverged as error:
-        return str(error)
-
-
-def _sizes(forces: Iterator[Array | str], say: Say) -> Table:
-    """Elasticity knows no length: with all lengths s times as long forces are s^2 times as large."""
-    found = dict(zip(LENGTHS, forces, strict=True))
-    plain, rows = found[1.0], list[list[Cell]]()
-    for by, force in sorted(found.items()):
-        if isinstance(force, str):
-            rows.append([by, None, None, force])
-            continue
-        rows.append([by, float(force[2] / plain[2] - 1), float(force[0] / plain[0] - 1), ""])
-        say(f"lengths x {by:g}: normal force {rows[-1][1]:+.0e}, tangential {rows[-1][2]:+.0e}")
-    heads = columns("all lengths times: g", "normal force: +.0e", "tangential force: +.0e", "why not")
-    return Table("Size", heads, rows, "Force over the square of the size, against the plain scene's.")

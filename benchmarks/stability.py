@@ -102,7 +102,7 @@ def measure(name: str, sets: Sequence[str]) -> Outcome:
 
 
 def _write_meshes(folder: Path) -> None:
-    """The indenters that CASES names by files: a ball of triangles forty times longer than wide and an upright plate."""
+    """The indenters that CASES names by files: a ball of triangles forty times longer than wide; an upright plate."""
     from trimesh import creation
 
     creation.uv_sphere(4.0, count=(25, 1000)).export(folder / "slivers.obj")
@@ -153,7 +153,7 @@ def bench(level: Level, say: Say) -> Result:
     tables = [_summary(known, chance), Table("Cases", HEADS, rows), _worst(chance)]
     wrong = [one.name for one in everyone if not one.sound]
     about = ABOUT + (f" **Wrong frames in: {', '.join(wrong)}.**" if wrong else "")
-    return Result(about, [*tables, step_size_error.table(level, say), *sensitivity.tables(level, say)])
+    return Result(about, [*tables, step_size_error.table(level, say), sensitivity.table(level, say)])
 
 
 def _drawn(count: int, rng: np.random.Generator, points: list[Array], found: list[Outcome]) -> list[Array]:

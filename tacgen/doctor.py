@@ -88,7 +88,7 @@ def _hdf5() -> Iterator[Finding]:
 
 
 def _threads() -> Iterator[Finding]:
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    cores = len(os.sched_getaffinity(0))
     pinned = {name: os.environ[name] for name in ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS") if name in os.environ}
     note = ", ".join(f"{name}={value}" for name, value in pinned.items()) or "a run pins BLAS and numba to 1"
     yield Finding("threads", True, f"{cores} cores; {note}")
