@@ -117,13 +117,13 @@ def _workers(count: int, many: list[int], out: Path, say: Say) -> tuple[Table, P
         some = every.rows[: max(count, 4 * n)]
         ends, found = list[float](), dict[str, float]()
 
-        def hear(event: dict[str, Any], ends: list[float] = ends) -> None:
+        def on_event(event: dict[str, Any], ends: list[float] = ends) -> None:
             if event["event"] == "scene":
                 ends.append(time.perf_counter())
 
         with _timed(found):
             begun = time.perf_counter()
-            results = batch.run(plan.Plan("some", some), out / f"on{n}", workers=n, hear=hear)
+            results = batch.run(plan.Plan("some", some), out / f"on{n}", workers=n, on_event=on_event)
         each = n * (ends[-n] - ends[n - 1]) / (len(some) - 2 * n + 1)  # seconds of a worker, while all were at work
         start = ends[0] - begun - each
         rates.append(3600 * n / each)
@@ -179,7 +179,7 @@ def share(whole: int, count: int, first: int, step: int, out: str) -> float:
     return (clock[-1] - clock[0]) / (len(clock) - 1)
 
 
-def nothing(row: plan.Row, folder: Path, *, overwrite: bool = False, say: Any = None) -> SceneResult:
+def nothing(row: plan.Row, folder: Path, *, overwrite: bool = False, on_event: Any = None) -> SceneResult:
     """A scene without work: claimed, written, read back."""
 
     def make(path: Path) -> SceneResult:
@@ -221,11 +221,11 @@ def _overhead(count: int, out: Path, say: Say) -> Table:
         ends: list[float] = []
         spent: list[float] = []
 
-        def hear(event: dict[str, Any], ends: list[float] = ends, spent: list[float] = spent) -> None:
+        def on_event(event: dict[str, Any], ends: list[float] = ends, spent: list[float] = spent) -> None:
             ends.append(time.perf_counter())
             spent.append(time.process_time())
 
-        batch.run(plan_of, out / engine, engine=engine, task="benchmarks.scaling:nothing", hear=hear)
+        batch.run(plan_of, out / engine, engine=engine, task="benchmarks.scaling:nothing", on_event=on_event)
         step = 1000 * float(np.median(np.diff(ends)))  # workers have started by then
         here = 1000 * (spent[-1] - spent[0]) / (count - 1)
         rows.append([engine, step, step - bare, here])
@@ -239,11 +239,11 @@ def _memory(count: int, out: Path, say: Say) -> Table:
     held: list[float] = []
     with Pool() as pool:
 
-        def hear(event: dict[str, Any]) -> None:
+        def on_event(event: dict[str, Any]) -> None:
             if event["event"] == "scene":
                 held.append(1000 * memory(pool.workers[0].process.pid))
 
-        pool.run(scenes(count).rows, out / "flat", hear=hear)
+        pool.run(scenes(count).rows, out / "flat", on_event=on_event)
     part = max(1, count // 10)
     start, end = float(np.median(held[part : 2 * part])), float(np.median(held[-part:]))
     say(f"memory: {start:.0f} MB, then {end:.0f} MB")

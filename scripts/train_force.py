@@ -71,7 +71,7 @@ def main() -> int:
 
     scenes = plan.load(assets.recipe_path("sphere_sweep"), SETS)
     with Progress(scenes.rows) as progress:
-        batch.run(scenes, args.out, workers=args.workers, hear=progress)
+        batch.run(scenes, args.out, workers=args.workers, on_event=progress)
 
     torch.manual_seed(0)
     parts = {split: whole(args.out, split) for split in ("train", "val", "test")}

@@ -79,7 +79,7 @@ def run(
 
         with Progress(plan.rows) as progress:
 
-            def hear(event: dict[str, Any]) -> None:
+            def on_event(event: dict[str, Any]) -> None:
                 progress(event)
                 if as_json:
                     line(event)
@@ -93,7 +93,7 @@ def run(
                 limits=batch.Limits(silence_s, memory_gb),
                 engine=engine,
                 scheduler=scheduler,
-                hear=hear,
+                on_event=on_event,
             )
         if any(result.status == "ok" for result in results):
             dataset_card.write(out)

@@ -17,8 +17,8 @@ from tacgen.recipe.plan import Row
 from tacgen.scene import mesh, scene
 from tacgen.solve import foresee
 
-RESOLVED = 3  # edges of the mesh that an indenter's smallest radius should have
-Say = Callable[[dict[str, Any]], None]
+MIN_EDGES = 3  # an indenter's smallest radius should be at least so many edges of the mesh
+OnEvent = Callable[[dict[str, Any]], None]
 Data = TypeVar("Data", SceneData, FrameData)
 
 
@@ -67,20 +67,19 @@ def _attributes(gel: Gel, shared: SceneData, clock: Clock) -> dict[str, Any]:
     if row.recipe.outputs & IMAGES:
         with clock.stage("render"):
             found["renderer"] = f"mitsuba {version('mitsuba')} {shared.pictures.renderer.variant}"
-    if note := _sharp(problem.contact.shape.smallest_radius, problem.edge, formulation):
+    if note := _resolution_note(problem.contact.shape.smallest_radius, problem.edge, formulation):
         found["notes"] = [note]
     return found
 
 
-def _sharp(radius: float, edge: float, formulation: str) -> str:
-    """What to say of an indenter that the mesh does not resolve; `tacgen bench mechanics` measures by how much."""
-    if radius >= RESOLVED * edge:
+def _resolution_note(radius: float, edge: float, formulation: str) -> str:
+    """A note where the mesh does not resolve the indenter, or ""; `tacgen bench mechanics` measures what that costs."""
+    if radius >= MIN_EDGES * edge:
         return ""
     small = f"the indenter's smallest radius, {radius:g} mm, is below"
     if radius >= edge:
-        return (
-            f"{small} {RESOLVED} edges of the mesh, {edge:g} mm: where such bends bear the load forces are 1 to 6 % off"
-        )
+        where = "where such bends bear the load forces are 1 to 6 % off"
+        return f"{small} {MIN_EDGES} edges of the mesh, {edge:g} mm: {where}"
     off = "up to half too high" if formulation == "ipctk" else "up to a fifth off, of tips two fifths"
     return (
         f"{small} the mesh's edge, {edge:g} mm: details that fine are not resolved, and where they bear the load forces"
@@ -88,19 +87,19 @@ def _sharp(radius: float, edge: float, formulation: str) -> str:
     )
 
 
-def run_scene(row: Row, folder: Path, *, overwrite: bool = False, say: Say | None = None) -> SceneResult:
+def run_scene(row: Row, folder: Path, *, overwrite: bool = False, on_event: OnEvent | None = None) -> SceneResult:
     """Solve, label, render and write one scene; a finished bundle of the same inputs is kept unless `overwrite`.
 
-    `say` hears an event after each frame: `{"event": "frame", "scene": "scene-00000", "frame": 3, "frames": 15}`.
+    `on_event` is called after each frame: `{"event": "frame", "scene": "scene-00000", "frame": 3, "frames": 15}`.
 
     Raises:
         UserError: the bundle's place is taken by a file made from other inputs.
         atomic_file.Busy: another process is making this very bundle.
     """
-    return resume.once(row, folder, lambda path: _make(row, path, say), overwrite=overwrite)
+    return resume.once(row, folder, lambda path: _make(row, path, on_event), overwrite=overwrite)
 
 
-def _make(row: Row, path: Path, say: Say | None) -> SceneResult:
+def _make(row: Row, path: Path, on_event: OnEvent | None) -> SceneResult:
     """The work itself: everything between a row of the plan and its bundle."""
     clock = Clock()
     with clock.stage("start"):
@@ -113,9 +112,9 @@ def _make(row: Row, path: Path, say: Say | None) -> SceneResult:
     reference = _datasets({k: output.reference for k, output in OUTPUTS.items() if k in asked}, shared, clock)
     of_frame = {k: output.frame for k, output in OUTPUTS.items() if k in asked}
     attributes = _attributes(built.gel, shared, clock)
-    if say:
+    if on_event:
         for note in attributes.get("notes", ()):
-            say({"event": "note", "scene": row.name, "note": note})
+            on_event({"event": "note", "scene": row.name, "note": note})
     with bundle.Writer(path, attributes, row.frames) as writer:
         for name, array in reference.items():
             writer.put(name, array)
@@ -124,8 +123,8 @@ def _make(row: Row, path: Path, say: Say | None) -> SceneResult:
             try:
                 with clock.stage("solve"):
                     state = next(states, None)
-            except solve.NotConverged as problem_found:
-                reason = f"frame {writer.appended + 1} of {row.frames}: {problem_found}"
+            except solve.NotConverged as error:
+                reason = f"frame {writer.appended + 1} of {row.frames}: {error}"
                 break
             if state is None:
                 break
@@ -135,8 +134,8 @@ def _make(row: Row, path: Path, say: Say | None) -> SceneResult:
                 frame["/frames/time"] = built.dynamics.duration[: state.index + 1].sum()
             with clock.stage("bundle"):
                 writer.append(frame)
-            if say:
-                say({"event": "frame", "scene": row.name, "frame": state.index + 1, "frames": row.frames})
+            if on_event:
+                on_event({"event": "frame", "scene": row.name, "frame": state.index + 1, "frames": row.frames})
         with clock.stage("bundle"):
             writer.finish("rejected" if reason else "ok", reason)
     seconds = {name: round(value, 4) for name, value in clock.seconds.items()}
@@ -144,7 +143,9 @@ def _make(row: Row, path: Path, say: Say | None) -> SceneResult:
     return SceneResult(row.name, path, "rejected" if reason else "ok", reason, row.frames, seconds)
 
 
-def run(rows: Sequence[Row], folder: Path, *, overwrite: bool = False, say: Say | None = None) -> list[SceneResult]:
+def run(
+    rows: Sequence[Row], folder: Path, *, overwrite: bool = False, on_event: OnEvent | None = None
+) -> list[SceneResult]:
     """Every scene in order, in this process; tacgen.batch spreads them over others.
 
     Raises:
@@ -152,4 +153,4 @@ def run(rows: Sequence[Row], folder: Path, *, overwrite: bool = False, say: Say 
     """
     if not overwrite:
         resume.refuse_foreign(rows, folder)
-    return [run_scene(row, folder, overwrite=overwrite, say=say) for row in rows]
+    return [run_scene(row, folder, overwrite=overwrite, on_event=on_event) for row in rows]

@@ -41,13 +41,13 @@ def batch(monkeypatch: pytest.MonkeyPatch) -> Callable[[Batch], None]:
     return stand_in
 
 
-def all_ok(plan: Any, folder: Path, *, hear: Callable[[dict[str, Any]], None], **_: Any) -> list[SceneResult]:
+def all_ok(plan: Any, folder: Path, *, on_event: Callable[[dict[str, Any]], None], **_: Any) -> list[SceneResult]:
     results = []
     for row in plan.rows:
         for i in range(row.frames):
-            hear({"event": "frame", "scene": row.name, "frame": i + 1, "frames": row.frames})
+            on_event({"event": "frame", "scene": row.name, "frame": i + 1, "frames": row.frames})
         results.append(SceneResult(row.name, folder / f"{row.name}.h5", "ok", "", row.frames, {"solve": 1.0}))
-        hear(outcome(results[-1]))
+        on_event(outcome(results[-1]))
     return results
 
 

@@ -220,10 +220,10 @@ def test_path_and_transport_show_the_same_scene(recipe: Path) -> None:
 def test_an_indenter_that_the_mesh_does_not_resolve_is_told(
     recipe: Path, tmp_path: Path, radius: float, said: str
 ) -> None:
-    heard: list[dict[str, Any]] = []
+    events: list[dict[str, Any]] = []
     press = "trajectory=[{press: {depth_mm: 0.2, frames: 1}}]"
     sets = (f"indenter={{shape: sphere, radius_mm: {radius}}}", "quality.edge_mm=1.2", press)
-    (done,) = pipeline.run(plan.load(recipe, sets).rows, tmp_path / "out", say=heard.append)
-    notes = [event["note"] for event in heard if event["event"] == "note"]
+    (done,) = pipeline.run(plan.load(recipe, sets).rows, tmp_path / "out", on_event=events.append)
+    notes = [event["note"] for event in events if event["event"] == "note"]
     assert [said in note for note in notes] == ([True] if said else [])
     assert notes == json.loads(bundle.read(done.path).attrs.get("notes", "[]"))

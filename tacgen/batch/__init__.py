@@ -1,4 +1,4 @@
-"""Many scenes at once: they are handed to an engine, and what becomes of each is written down.
+"""Many scenes at once: an engine makes them, and the journal records what becomes of each.
 
 Engines know nothing of physics: they call one function, `pipeline.run_scene`, for each row of a plan.
 """
@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from tacgen.batch import dask_engine
-from tacgen.batch.local import TASK, Hear, Pool
+from tacgen.batch.local import TASK, OnEvent, Pool
 from tacgen.batch.worker_process import Limits
 from tacgen.bundle import atomic_file
 from tacgen.bundle.journal import Journal, Shard, write_plan
@@ -42,7 +42,7 @@ def run(
     engine: str = "local",
     scheduler: str = "",
     task: str = TASK,
-    hear: Hear = lambda event: None,
+    on_event: OnEvent = lambda event: None,
 ) -> list[SceneResult]:
     """Make every scene of a plan that is not finished yet; run again, it goes on where it was stopped.
 
@@ -56,7 +56,7 @@ def run(
         engine: a name in ENGINES.
         scheduler: address of a Dask scheduler.
         task: `module:function` that makes a scene, as pipeline.run_scene does.
-        hear: is told of frames, retries and outcomes.
+        on_event: is called with each frame, retry and outcome.
 
     Raises:
         UserError: a bundle of other inputs is in the way, or no worker starts.
@@ -71,12 +71,12 @@ def run(
     write_plan(plan, folder, shard)
     with Journal(folder, shard) as journal:
 
-        def note(event: dict[str, Any]) -> None:
+        def record(event: dict[str, Any]) -> None:
             journal.write(event)
-            hear(event)
+            on_event(event)
 
         try:
             with ENGINES[engine](workers, limits or Limits(), task, scheduler) as make:
-                return make(plan.rows, folder, overwrite=overwrite, hear=note)
+                return make(plan.rows, folder, overwrite=overwrite, on_event=record)
         finally:
             atomic_file.sweep(folder)

@@ -6,14 +6,14 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
-from tacgen.batch.local import Hear, Pool, failed, outcome
+from tacgen.batch.local import OnEvent, Pool, failed, outcome
 from tacgen.batch.worker_process import Limits
 from tacgen.bundle.resume import SceneResult
 from tacgen.errors import UserError
 from tacgen.recipe.plan import Row
 
-CONNECT_S = 30
-_here = threading.local()  # on a Dask worker: the pool of this thread
+CONNECT_S = 30  # longest wait for a scheduler
+_thread = threading.local()  # on a Dask worker: the pool of this thread
 
 
 @contextmanager
@@ -38,15 +38,15 @@ def engine(workers: int, limits: Limits, task: str, scheduler: str) -> Iterator[
             client = stack.enter_context(Client(stack.enter_context(local)))
 
         def run(
-            rows: Sequence[Row], folder: Path, *, overwrite: bool = False, hear: Hear = lambda event: None
+            rows: Sequence[Row], folder: Path, *, overwrite: bool = False, on_event: OnEvent = lambda event: None
         ) -> list[SceneResult]:
-            return _run(client, (limits, task), rows, folder.resolve(), overwrite, hear)
+            return _run(client, (limits, task), rows, folder.resolve(), overwrite, on_event)
 
         yield run
 
 
 def _run(
-    client: Any, how: tuple[Limits, str], rows: Sequence[Row], folder: Path, overwrite: bool, hear: Hear
+    client: Any, how: tuple[Limits, str], rows: Sequence[Row], folder: Path, overwrite: bool, on_event: OnEvent
 ) -> list[SceneResult]:
     """Hand out all rows and collect results as they come. A worker that dies has its scene made by another."""
     from distributed import KilledWorker, as_completed
@@ -65,7 +65,7 @@ def _run(
                 events = [outcome(result)]
             results[row.index] = result
             for event in events:
-                hear(event)
+                on_event(event)
             future.release()
     finally:
         client.cancel(list(futures))
@@ -73,22 +73,22 @@ def _run(
 
 
 def make(row: Row, folder: Path, overwrite: bool, how: tuple[Limits, str]) -> tuple[SceneResult, list[dict[str, Any]]]:
-    """On a Dask worker: one scene in this thread's watched process, which stays for the next; and what was heard."""
-    if getattr(_here, "how", None) != how:
-        if hasattr(_here, "pool"):
-            _here.pool.__exit__()
+    """On a Dask worker: one scene in this thread's watched process, which stays for the next; its events but frames."""
+    if getattr(_thread, "how", None) != how:
+        if hasattr(_thread, "pool"):
+            _thread.pool.__exit__()
         limits, task = how
-        _here.how, _here.pool = how, Pool(1, limits, task, memory_gb=_share())
+        _thread.how, _thread.pool = how, Pool(1, limits, task, memory_gb=_memory_limit_gb())
     events: list[dict[str, Any]] = []
 
-    def hear(event: dict[str, Any]) -> None:
+    def on_event(event: dict[str, Any]) -> None:
         if event["event"] != "frame":
             events.append(event)
 
-    return _here.pool.run([row], folder, overwrite=overwrite, hear=hear)[0], events
+    return _thread.pool.run([row], folder, overwrite=overwrite, on_event=on_event)[0], events
 
 
-def _share() -> float | None:
+def _memory_limit_gb() -> float | None:
     """Memory that Dask gave this worker [GB]; None if it gave no limit."""
     from distributed import get_worker
 

@@ -13,12 +13,12 @@ from tacgen.errors import UserError
 from tacgen.recipe.plan import Row
 
 TASK = "tacgen.pipeline:run_scene"
-TRIES = 2  # a scene that took two workers with it is recorded as failed
-POLL_S = 0.2  # between looks at silent workers
-BUSY_S = 0.5  # until a scene that another run is making is looked at again
-STILLBORN = 3  # workers in a row that end before their first scene: it is not the scenes' fault
+MAX_TRIES = 2  # a scene whose worker died this often is recorded as failed
+POLL_S = 0.2  # longest wait for messages [s], and the time between checks of limits
+BUSY_RETRY_S = 0.5  # until a scene that another run is making is tried again [s]
+MAX_FAILED_STARTS = 3  # workers in a row that end before their first scene: no scene is to blame
 
-Hear = Callable[[dict[str, Any]], None]
+OnEvent = Callable[[dict[str, Any]], None]
 
 
 class Pool:
@@ -30,8 +30,8 @@ class Pool:
         self.size, self.limits, self.task = workers, limits or Limits(), task
         self.memory_gb = self.limits.memory_gb or memory_gb or 0.9 * machine_memory() / workers
         self.workers: list[Worker] = []
-        self.looked = time.monotonic()
-        self.stillborn = 0
+        self.last_check = time.monotonic()
+        self.failed_starts = 0
 
     def __enter__(self) -> "Pool":
         return self
@@ -44,9 +44,9 @@ class Pool:
         self.workers = []
 
     def run(
-        self, rows: Sequence[Row], folder: Path, *, overwrite: bool = False, hear: Hear = lambda event: None
+        self, rows: Sequence[Row], folder: Path, *, overwrite: bool = False, on_event: OnEvent = lambda event: None
     ) -> list[SceneResult]:
-        """Make every row's scene; `hear` is told of frames, retries and outcomes. Results come in the rows' order.
+        """Make every row's scene; `on_event` gets frames, retries and outcomes. Results come in the rows' order.
 
         A scene that lost its worker is tried once more, then has the status `failed`, as has one that cannot be made.
 
@@ -54,22 +54,22 @@ class Pool:
             OSError: the disk is full or read-only, which no other scene would survive either.
             UserError: workers do not even start.
         """
-        batch = _Batch(rows, folder, hear)
+        batch = _Batch(rows, folder, on_event)
         while len(batch.results) < len(rows):
-            self._hand_out(batch, overwrite)
+            self._assign_jobs(batch, overwrite)
             for worker, kind, what in self._messages():
                 if kind == "event":
-                    hear(what)
+                    on_event(what)
                 elif kind == "ready":
-                    worker.ready, self.stillborn = True, 0
+                    worker.ready, self.failed_starts = True, 0
                 else:
                     job, worker.job = worker.job, None
-                    self._retire(worker, kind, what)
+                    self._release(worker, kind, what)
                     if job is not None:
                         batch.settle(job, kind, what)
         return [batch.results[row.index] for row in rows]
 
-    def _hand_out(self, batch: "_Batch", overwrite: bool) -> None:
+    def _assign_jobs(self, batch: "_Batch", overwrite: bool) -> None:
         """As many workers as there is work for, and a job for each that is idle."""
         busy = sum(worker.job is not None for worker in self.workers)
         while len(self.workers) < min(self.size, busy + len(batch.waiting)):
@@ -81,27 +81,27 @@ class Pool:
                 worker.give(batch.waiting.popleft(), batch.folder, overwrite)
 
     def _messages(self) -> list[tuple[Worker, str, Any]]:
-        """What was said within POLL_S, and by whom; a worker that broke a limit is stopped, and lost."""
-        spoke = connection.wait([worker.link for worker in self.workers], timeout=POLL_S)
-        found = [(w, kind, what) for w in self.workers if w.link in spoke for kind, what in w.listen()]
-        if time.monotonic() - self.looked > POLL_S:
-            self.looked = time.monotonic()
+        """Messages that came within POLL_S: worker, kind, content. A worker that broke a limit is stopped, and lost."""
+        readable = connection.wait([worker.link for worker in self.workers], timeout=POLL_S)
+        found = [(w, kind, what) for w in self.workers if w.link in readable for kind, what in w.listen()]
+        if time.monotonic() - self.last_check > POLL_S:
+            self.last_check = time.monotonic()
             for worker in self.workers:
-                if worker.link not in spoke and (excess := worker.excess(self.limits, self.memory_gb)):
+                if worker.link not in readable and (excess := worker.excess(self.limits, self.memory_gb)):
                     worker.process.kill()
                     worker.stop()
                     found.append((worker, "lost", f"its worker was stopped: {excess}"))
         return found
 
-    def _retire(self, worker: Worker, kind: str, what: Any) -> None:
-        """Forget a worker that is lost; see off one that has made its share."""
-        worker.made += 1
+    def _release(self, worker: Worker, kind: str, what: Any) -> None:
+        """Remove a worker that is lost, or that has made as many scenes as it may."""
+        worker.scenes_made += 1
         if kind == "lost":
             self.workers.remove(worker)
-            self.stillborn += not worker.ready
-            if self.stillborn >= STILLBORN:
+            self.failed_starts += not worker.ready
+            if self.failed_starts >= MAX_FAILED_STARTS:
                 raise UserError(f"workers end before their first scene: {what}")
-        elif worker.made >= self.limits.scenes:
+        elif worker.scenes_made >= self.limits.scenes:
             self.workers.remove(worker)
             worker.stop(patience=5.0)
 
@@ -109,32 +109,32 @@ class Pool:
 class _Batch:
     """Scenes that wait, and what became of the others."""
 
-    def __init__(self, rows: Sequence[Row], folder: Path, hear: Hear) -> None:
+    def __init__(self, rows: Sequence[Row], folder: Path, on_event: OnEvent) -> None:
         self.waiting = deque(Job(row) for row in rows)
         self.results: dict[int, SceneResult] = {}
-        self.folder, self.hear = folder, hear
+        self.folder, self.on_event = folder, on_event
 
     def settle(self, job: Job, kind: str, what: Any) -> None:
         """Keep a result, or try again, or record that the scene cannot be made."""
         if kind == "full":
             raise OSError(*what)
         if kind == "busy":
-            job.tries, job.not_before = job.tries - 1, time.monotonic() + BUSY_S
+            job.tries, job.not_before = job.tries - 1, time.monotonic() + BUSY_RETRY_S
             self.waiting.append(job)
         elif kind == "done":
             self._keep(job, what)
         else:
             reason = "; ".join(what) if kind == "refused" else str(what).strip().splitlines()[-1]
             details = {"traceback": what} if kind == "error" else {}
-            if kind != "refused" and job.tries < TRIES:
+            if kind != "refused" and job.tries < MAX_TRIES:
                 self.waiting.append(job)
-                self.hear({"event": "retry", "scene": job.row.name, "reason": reason, **details})
+                self.on_event({"event": "retry", "scene": job.row.name, "reason": reason, **details})
             else:
                 self._keep(job, failed(job.row, self.folder, reason), **details)
 
     def _keep(self, job: Job, result: SceneResult, **details: Any) -> None:
         self.results[job.row.index] = result
-        self.hear({**outcome(result), "tries": job.tries, **details})
+        self.on_event({**outcome(result), "tries": job.tries, **details})
 
 
 def failed(row: Row, folder: Path, reason: str) -> SceneResult:

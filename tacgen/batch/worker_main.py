@@ -1,6 +1,6 @@
-"""A worker's process: makes one scene after another and says over a pipe how it goes.
+"""A worker's process: makes one scene after another and reports on them over a pipe.
 
-Started by `watch.Worker` as `python -m tacgen.batch.worker_main FD PARENT`; imports what a scene needs, and no more.
+Started by `worker_process.Worker` as `python -m tacgen.batch.worker_main FD PARENT`; imports what a scene needs alone.
 """
 
 import errno
@@ -18,7 +18,7 @@ from typing import Any
 from tacgen.bundle.atomic_file import Busy
 from tacgen.errors import UserError
 
-FULL = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)  # what every other scene would meet as well
+DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)  # no other scene could be written either
 
 
 def main(link: Connection, parent: int) -> None:
@@ -29,8 +29,8 @@ def main(link: Connection, parent: int) -> None:
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the parent decides
     faulthandler.enable()
-    threading.Thread(target=_follow, args=(parent,), daemon=True).start()
-    _volunteer()
+    threading.Thread(target=_exit_with_parent, args=(parent,), daemon=True).start()
+    _be_killed_first()
     setup = link.recv()
     sys.path[:] = setup["path"]
     module, _, name = setup["task"].partition(":")
@@ -46,28 +46,28 @@ def main(link: Connection, parent: int) -> None:
 
 def _outcome(task: Any, row: Any, folder: Any, overwrite: bool, link: Connection) -> tuple[str, Any]:
     try:
-        return "done", task(row, folder, overwrite=overwrite, say=lambda event: link.send(("event", event)))
+        return "done", task(row, folder, overwrite=overwrite, on_event=lambda event: link.send(("event", event)))
     except Busy:
         return "busy", None
     except UserError as error:
         return "refused", error.lines
     except OSError as error:
-        if error.errno in FULL:
+        if error.errno in DISK_ERRORS:
             return "full", (error.errno, error.strerror, str(error.filename or folder))
         return "error", traceback.format_exc()
     except Exception:
         return "error", traceback.format_exc()
 
 
-def _follow(parent: int) -> None:
+def _exit_with_parent(parent: int) -> None:
     """End with the parent, even in the middle of a scene."""
     while os.getppid() == parent:
         time.sleep(0.5)
     os._exit(1)
 
 
-def _volunteer() -> None:
-    """When memory runs out, Linux ends this process and not the one that counts the losses."""
+def _be_killed_first() -> None:
+    """When memory runs out, Linux kills this process and not the parent, which records that."""
     try:
         with open("/proc/self/oom_score_adj", "w") as file:
             file.write("500")

@@ -1,4 +1,4 @@
-"""One worker process seen from outside: what it says, whether it still does, how much memory it holds."""
+"""One worker process seen from outside: its messages, when the last one came, how much memory it uses."""
 
 import os
 import signal
@@ -14,15 +14,15 @@ from typing import Any
 from tacgen.recipe.plan import Row
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
-START_S = 300.0  # that importing may take
+START_S = 300.0  # longest time from start to `ready`, spent on imports [s]
 PACKAGE_PARENT = str(Path(__file__).resolve().parents[2])
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What a scene may take before its worker is stopped, and how long a worker lives."""
+    """Time and memory of a scene before its worker is stopped, and scenes before a worker is replaced."""
 
-    silence_s: float = 1800.0  # without a new frame
+    silence_s: float = 1800.0  # longest time without a new frame
     memory_gb: float | None = None  # None: nine tenths of the machine's, shared evenly
     scenes: int = 200  # then the worker is replaced by a fresh one
 
@@ -37,7 +37,7 @@ class Job:
 
 
 class Worker:
-    """One process, the scene it is making, and when it was last heard."""
+    """One process, the scene it is making, and when its last message came."""
 
     def __init__(self, task: str) -> None:
         self.link, theirs = connection.Pipe()
@@ -52,30 +52,30 @@ class Worker:
         theirs.close()
         self.ready = False
         self.job: Job | None = None
-        self.heard = time.monotonic()
-        self.made = 0
+        self.last_message = time.monotonic()
+        self.scenes_made = 0
         self._send({"path": sys.path, "task": task})
 
     def give(self, job: Job, folder: Path, overwrite: bool) -> None:
         """Have it make a scene."""
         job.tries += 1
-        self.job, self.heard = job, time.monotonic()
+        self.job, self.last_message = job, time.monotonic()
         self._send((job.row, folder, overwrite))
 
     def listen(self) -> list[tuple[str, Any]]:
-        """What it said since; at last ("lost", reason) if it is no more."""
+        """Its messages since the last call; ("lost", reason) as the last one if the process has ended."""
         messages: list[tuple[str, Any]] = []
         try:
             while self.link.poll():
                 messages.append(self.link.recv())
-                self.heard = time.monotonic()
+                self.last_message = time.monotonic()
         except (EOFError, OSError):
-            messages.append(("lost", _last_words(self.stop())))
+            messages.append(("lost", _exit_reason(self.stop())))
         return messages
 
     def excess(self, limits: Limits, memory_gb: float) -> str:
         """Which limit it broke, if any."""
-        silence = time.monotonic() - self.heard
+        silence = time.monotonic() - self.last_message
         if self.job and silence > limits.silence_s:
             return f"no new frame for {limits.silence_s:g} s"
         if not self.ready and silence > START_S:
@@ -93,7 +93,7 @@ class Worker:
             return self.process.wait()
 
     def _send(self, message: Any) -> None:
-        with suppress(OSError):  # a process that has died already is heard of when it is listened to
+        with suppress(OSError):  # `listen` finds out that a process has died
             self.link.send(message)
 
 
@@ -113,7 +113,7 @@ def machine_memory() -> float:
     return min(sizes) / 1e9
 
 
-def _last_words(code: int) -> str:
+def _exit_reason(code: int) -> str:
     """`its worker was killed by SIGSEGV`"""
     if code >= 0:
         return f"its worker ended with exit code {code}"

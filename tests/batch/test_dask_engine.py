@@ -24,10 +24,10 @@ TESTS = Path(__file__).parents[1]
 def test_dask_writes_the_bytes_that_the_local_engine_writes(tmp_path: Path):
     spoil(tmp_path / "dask", "scene-00003", "kill once writing")
     spoil(tmp_path / "dask", "scene-00005", "refuse")
-    heard: list[dict[str, Any]] = []
-    results = run(tmp_path / "dask", engine="dask", workers=2, hear=heard.append)
+    events: list[dict[str, Any]] = []
+    results = run(tmp_path / "dask", engine="dask", workers=2, on_event=events.append)
     assert [r.status for r in results] == ["ok"] * 5 + ["failed"] + ["ok"] * 2
-    assert [e["scene"] for e in heard if e["event"] == "retry"] == ["scene-00003"]
+    assert [e["scene"] for e in events if e["event"] == "retry"] == ["scene-00003"]
     assert survey(tmp_path / "dask").count() == {"ok": 7, "failed": 1}
     (tmp_path / "dask" / "faults" / "scene-00005").unlink()
     run(tmp_path / "dask", engine="dask")

@@ -59,17 +59,17 @@ def test_every_kind_of_lost_worker_costs_one_scene_which_a_later_run_makes(tmp_p
     }
     for scene, (words, _, _) in faults.items():
         spoil(out, scene, words)
-    heard: list[dict[str, Any]] = []
-    results = run(out, workers=2, hear=heard.append)
+    events: list[dict[str, Any]] = []
+    results = run(out, workers=2, on_event=events.append)
     assert [r.name for r in results] == [f"scene-{i:05d}" for i in range(8)]
     wanted = {scene: (status, reason) for scene, (_, status, reason) in faults.items()}
     for result in results:
         status, reason = wanted.get(result.name, ("ok", ""))
         assert (result.status, reason in result.reason) == (status, True), result
-    retries = {event["scene"]: event["reason"] for event in heard if event["event"] == "retry"}
+    retries = {event["scene"]: event["reason"] for event in events if event["event"] == "retry"}
     assert set(retries) == set(faults) - {"scene-00005"}  # what is refused will be refused again
     assert retries["scene-00002"] == "its worker was stopped: no new frame for 3 s"
-    assert sorted(event["scene"] for event in heard if event["event"] == "scene") == [r.name for r in results]
+    assert sorted(event["scene"] for event in events if event["event"] == "scene") == [r.name for r in results]
     assert leftovers(out) == []
     assert survey(out).count() == {"ok": 4, "failed": 4}
     assert {s.name: s.reason for s in survey(out).scenes if s.reason}["scene-00005"] == "this cannot be made"

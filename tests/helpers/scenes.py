@@ -44,12 +44,12 @@ def made(folder: Path) -> list[str]:
     return log.read_text().split() if log.exists() else []
 
 
-def make(row: plan.Row, folder: Path, *, overwrite: bool = False, say: Any = None) -> resume.SceneResult:
+def make(row: plan.Row, folder: Path, *, overwrite: bool = False, on_event: Any = None) -> resume.SceneResult:
     """In the place of pipeline.run_scene."""
-    return resume.once(row, folder, lambda path: _make(row, path, say), overwrite=overwrite)
+    return resume.once(row, folder, lambda path: _make(row, path, on_event), overwrite=overwrite)
 
 
-def _make(row: plan.Row, path: Path, say: Any) -> resume.SceneResult:
+def _make(row: plan.Row, path: Path, on_event: Any) -> resume.SceneResult:
     fault = path.parent / "faults" / row.name
     words = fault.read_text().split() if fault.exists() else []
     if "writing" not in words:
@@ -57,8 +57,8 @@ def _make(row: plan.Row, path: Path, say: Any) -> resume.SceneResult:
 
     def edit(index: int, arrays: dict[str, Any]) -> None:
         arrays["/frames/force"] = arrays["/frames/force"] + row.values["start.x_mm"]
-        if say:
-            say({"event": "frame", "scene": row.name, "frame": index + 1, "frames": row.frames})
+        if on_event:
+            on_event({"event": "frame", "scene": row.name, "frame": index + 1, "frames": row.frames})
         if index == 5:
             _suffer(words, fault)
 
