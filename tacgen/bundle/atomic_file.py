@@ -14,8 +14,8 @@ from pathlib import Path
 
 from tacgen.errors import UserError
 
-MARK = ".part-"  # x.h5.part-<pid>
-CLAIM = ".claim"  # .x.h5.claim
+PART_MARK = ".part-"  # in the name of an unfinished file: x.h5.part-<pid>
+CLAIM_SUFFIX = ".claim"  # of the file that is locked while x.h5 is made: .x.h5.claim
 
 
 class Busy(UserError):
@@ -24,18 +24,18 @@ class Busy(UserError):
 
 def is_part(path: Path) -> bool:
     """Whether this is the name of a part file, a living writer's or a dead one's."""
-    name, mark, number = path.name.rpartition(MARK)
+    name, mark, number = path.name.rpartition(PART_MARK)
     return bool(name and mark and number.isdigit())
 
 
 def is_claim(path: Path) -> bool:
     """Whether this is the name of a file that only says that a process is at work."""
-    return path.name.startswith(".") and path.name.endswith(CLAIM)
+    return path.name.startswith(".") and path.name.endswith(CLAIM_SUFFIX)
 
 
 def claim_path(target: Path) -> Path:
     """The file that is locked by whoever works on `target`."""
-    return target.with_name(f".{target.name}{CLAIM}")
+    return target.with_name(f".{target.name}{CLAIM_SUFFIX}")
 
 
 def sweep(folder: Path) -> list[Path]:
@@ -76,7 +76,7 @@ def is_claimed(target: Path) -> bool:
 
 @contextmanager
 def claim(target: Path) -> Iterator[None]:
-    """Be the only process at work on `target`; on a file system without locks, hope so. Raises Busy at once."""
+    """Be the only process at work on `target`, or raise Busy at once; a file system without locks cannot tell."""
     path = claim_path(target)
     handle = _locked(path, tries=3)
     if handle is None:
@@ -119,7 +119,7 @@ class Sink:
 
     def __init__(self, target: Path) -> None:
         self.target = target
-        self.path = target.with_name(f"{target.name}{MARK}{os.getpid()}")
+        self.path = target.with_name(f"{target.name}{PART_MARK}{os.getpid()}")
         self.error: OSError | None = None
         self.dead = False  # set to swallow all further writes
         self._at = 0

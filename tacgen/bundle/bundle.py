@@ -1,4 +1,4 @@
-"""Write, read and verify a bundle: one HDF5 file a scene. What it holds is the table in layout.
+"""Write, read and verify a bundle: one HDF5 file a scene. What it holds is the table in schema.py.
 
 The same inputs give the same bytes, so nothing here depends on the clock: how long each stage took belongs
 in `<name>.timing.json` beside the bundle (the pipeline writes it), never in the bundle.
@@ -17,11 +17,11 @@ import numpy as np
 
 from tacgen import __version__
 from tacgen.bundle import atomic_file
-from tacgen.bundle.schema import ATTRS, FORMAT, OPTIONAL, UNITS, entry, misfit
+from tacgen.bundle.schema import ATTRS, FORMAT, OPTIONAL, UNITS, entry, shape_problem
 from tacgen.errors import UserError
 
-KEYS = ("digest", "complete")  # written last; not part of what the digest covers
-PACKED = ": it holds packed scenes; give the folder it is in"
+NOT_IN_DIGEST = ("digest", "complete")  # attributes that are written last
+PACKED_HINT = ": it holds packed scenes; give the folder it is in"
 
 
 class Unfinished(UserError):
@@ -132,7 +132,9 @@ class Writer:
             raise ValueError(f"{path}: {'put' if per_frame else 'append'} it, not {'append' if per_frame else 'put'}")
         values = np.asarray(array).astype(row.dtype, order="C", casting="same_kind")
         self._sizes.pop("N", None)
-        if problem := misfit(path, (self.appended + 1, *values.shape) if per_frame else values.shape, self._sizes):
+        if problem := shape_problem(
+            path, (self.appended + 1, *values.shape) if per_frame else values.shape, self._sizes
+        ):
             raise ValueError(problem)
         return values
 
@@ -221,7 +223,7 @@ def read(path: Path, group: str = "/", *, part: bool = False) -> Bundle:
         shapes: dict[str, tuple[int, ...]] = {}
         file.visititems(lambda name, item: shapes.update({"/" + name: item.shape}) if hasattr(item, "shape") else None)
     if not isinstance(attrs.get("tacgen_format"), int):
-        raise UserError(f"{path}: an HDF5 file, but no tacgen bundle" + PACKED * ("tacgen_pack" in attrs))
+        raise UserError(f"{path}: an HDF5 file, but no tacgen bundle" + PACKED_HINT * ("tacgen_pack" in attrs))
     if attrs["tacgen_format"] > FORMAT:
         newer = f"bundle format {attrs['tacgen_format']}, written by tacgen {attrs.get('tacgen_version')}"
         raise UserError(f"{path}: {newer}; this tacgen reads up to {FORMAT}: upgrade it")
@@ -280,7 +282,7 @@ class Dataset:
 
 def _digest(attrs: Mapping[str, Any], found: Mapping[str, Dataset]) -> str:
     """Of the content, not of the file: paths, types, shapes, bytes and attributes, all sorted."""
-    root = {name: value for name, value in attrs.items() if name not in KEYS}
+    root = {name: value for name, value in attrs.items() if name not in NOT_IN_DIGEST}
     rows = [[path, d.dtype, list(d.shape), d.attrs, d.sha256] for path, d in sorted(found.items())]
     return hashlib.sha256(json.dumps([root, rows], sort_keys=True, default=repr).encode()).hexdigest()
 
@@ -296,7 +298,7 @@ def _plain(value: Any) -> Any:
 
 def _checked(attrs: dict[str, Any], *, finished: bool = False) -> dict[str, Any]:
     """The attributes themselves; ValueError unless they are what ATTRS and OPTIONAL say."""
-    last = set() if finished else {"status", "reason", *KEYS}
+    last = set() if finished else {"status", "reason", *NOT_IN_DIGEST}
     if missing := [name for name in ATTRS if name not in attrs and name not in last]:
         raise ValueError(f"attribute {missing[0]!r} is missing")
     for name, value in attrs.items():

@@ -10,17 +10,17 @@ import numpy as np
 
 from tacgen.bundle import atomic_file, dataset
 from tacgen.bundle.bundle import Bundle, Dataset, Unfinished, read
-from tacgen.bundle.schema import entry, misfit
+from tacgen.bundle.schema import entry, shape_problem
 from tacgen.errors import UserError
 
-FORCE_BALANCE = 1e-3  # largest imbalance of a converged frame [-]
-PULL = 1e-3  # how far interpolation may bring a pressure below zero, as a part of the frame's peak
-FAINT = 0.01  # of the scene's peak pressure
-COULOMB = 2e-3  # of friction x peak pressure: the solver leaves normal forces that much behind at a point (advance.LAG)
-ROUNDING = 1e-6  # of float32 maps, as a part of the frame's peak
-MOVED = {"/frames/height": 0.02, "/frames/marker_flow": 0.5}  # a change [mm, px] that no camera image can hide
-MOVED_FORCE = 0.05  # the same, as a part of the largest force
-FLAT_RGB = 2.0  # a camera image whose values all lie this close together shows nothing [of 255]
+MAX_IMBALANCE = 1e-3  # of forces in a converged frame, over the contact force [-]
+MAX_TENSION = 1e-3  # negative pressure that interpolation may give, over the frame's peak [-]
+LIGHT_CONTACT = 0.01  # frames with a lower peak are measured by this part of the scene's peak pressure [-]
+COULOMB_EXCESS = 2e-3  # over friction x peak pressure [-]: friction follows a lagged normal force (solve/lagging.py)
+FLOAT32_ERROR = 1e-6  # of maps, over the frame's peak [-]
+VISIBLE_CHANGE = {"/frames/height": 0.02, "/frames/marker_flow": 0.5}  # changes that a camera image must show [mm, px]
+VISIBLE_FORCE_CHANGE = 0.05  # the same of the force, over the largest [-]
+MAX_FLAT_RANGE = 2.0  # a camera image whose values all lie this close together shows nothing [counts of 255]
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ def _file(path: Path, group: str = "/") -> list[Finding]:
 
 
 def _layout(bundle: Bundle, datasets: dict[str, Dataset]) -> Iterator[str]:
-    """Paths, types, shapes and attributes against the table in layout.py."""
+    """Paths, types, shapes and attributes against the table in schema.py."""
     sizes: dict[str, int] = {}
     for path, data in datasets.items():
         try:
@@ -93,7 +93,7 @@ def _layout(bundle: Bundle, datasets: dict[str, Dataset]) -> Iterator[str]:
             continue
         if data.dtype != row.dtype:
             yield f"{path} has type {data.dtype}, expected {row.dtype}"
-        if problem := misfit(path, data.shape, sizes):
+        if problem := shape_problem(path, data.shape, sizes):
             yield problem
         for name, wanted in row.attrs.items():
             if data.attrs.get(name) != wanted:
@@ -110,7 +110,7 @@ def _finite(bundle: Bundle) -> Iterator[str]:
         values = bundle[path]
         if values.dtype.kind != "f":
             continue
-        bad = np.isinf(values) if entry(path).holes else ~np.isfinite(values)
+        bad = np.isinf(values) if entry(path).nan else ~np.isfinite(values)
         if bad.any():
             where = np.argwhere(bad)[0]
             yield f"{path} is not finite at {tuple(where.tolist())}"
@@ -123,21 +123,21 @@ def _pose(bundle: Bundle) -> Iterator[str]:
         turn = pose[:, :3, :3]
         error = np.abs(turn @ turn.swapaxes(1, 2) - np.eye(3)).max(axis=(1, 2)) + np.abs(np.linalg.det(turn) - 1)
         error += np.abs(pose[:, 3] - [0, 0, 0, 1]).max(axis=1)
-        yield from _each(error > 1e-9, "/frames/pose is no rigid motion")
+        yield from _say_frames(error > 1e-9, "/frames/pose is no rigid motion")
 
 
 def _images(bundle: Bundle) -> Iterator[str]:
     if "/frames/rgb" in bundle:
         rgb = bundle["/frames/rgb"]
-        flat = np.ptp(rgb.reshape(len(rgb), -1, 3), axis=1).max(axis=1) <= FLAT_RGB
-        yield from _each(flat, "/frames/rgb is one flat colour")
+        flat = np.ptp(rgb.reshape(len(rgb), -1, 3), axis=1).max(axis=1) <= MAX_FLAT_RANGE
+        yield from _say_frames(flat, "/frames/rgb is one flat colour")
 
 
 def _pressure(bundle: Bundle) -> Iterator[str]:
     if "/frames/pressure" in bundle:
         pressure = bundle["/frames/pressure"]
         low = pressure.min(axis=(1, 2))
-        yield from _each(low < -PULL * pressure.max(axis=(1, 2)), "/frames/pressure pulls:", low, "MPa")
+        yield from _say_frames(low < -MAX_TENSION * pressure.max(axis=(1, 2)), "/frames/pressure pulls:", low, "MPa")
 
 
 def _friction(bundle: Bundle) -> Iterator[str]:
@@ -147,22 +147,22 @@ def _friction(bundle: Bundle) -> Iterator[str]:
         pressure, size = bundle["/frames/pressure"], np.linalg.norm(bundle["/frames/traction"], axis=-1)
         excess = (size - friction * np.maximum(pressure, 0)).max(axis=(1, 2))
         peak = pressure.max(axis=(1, 2))
-        peak = np.maximum(peak, FAINT * peak.max(initial=0.0))  # a touch that fades is not held to its own peak
-        allowed = (COULOMB * friction + ROUNDING) * peak
-        yield from _each(excess > allowed, f"/frames/traction exceeds {friction:g} x pressure by", excess, "MPa")
+        peak = np.maximum(peak, LIGHT_CONTACT * peak.max(initial=0.0))  # light contact is not measured by its own peak
+        allowed = (COULOMB_EXCESS * friction + FLOAT32_ERROR) * peak
+        yield from _say_frames(excess > allowed, f"/frames/traction exceeds {friction:g} x pressure by", excess, "MPa")
     if "/frames/slip" in bundle and "/frames/contact" in bundle:
-        stray = (bundle["/frames/slip"] & ~bundle["/frames/contact"]).any(axis=(1, 2))
-        yield from _each(stray, "/frames/slip is set where there is no contact")
+        outside = (bundle["/frames/slip"] & ~bundle["/frames/contact"]).any(axis=(1, 2))
+        yield from _say_frames(outside, "/frames/slip is set where there is no contact")
 
 
 def _quality(bundle: Bundle) -> Iterator[str]:
     """What the solver recorded about itself."""
     if "/frames/quality/force_balance" in bundle:
         balance = bundle["/frames/quality/force_balance"]
-        yield from _each(balance > FORCE_BALANCE, "forces do not balance:", balance, "of the force")
+        yield from _say_frames(balance > MAX_IMBALANCE, "forces do not balance:", balance, "of the force")
     if "/frames/quality/min_gap_mm" in bundle:
         gap = bundle["/frames/quality/min_gap_mm"]
-        yield from _each(gap <= 0, "the gel is inside the indenter: smallest gap", gap, "mm")
+        yield from _say_frames(gap <= 0, "the gel is inside the indenter: smallest gap", gap, "mm")
 
 
 def _repeats(bundle: Bundle) -> Iterator[str]:
@@ -175,17 +175,17 @@ def _repeats(bundle: Bundle) -> Iterator[str]:
     if "/frames/pose" in bundle and "/frames/force" in bundle:
         same = ~_changed(bundle["/frames/pose"]) & ~_changed(bundle["/frames/force"])
         held = np.array([kind in ("hold", "replay") for kind in bundle.segments[1:]])
-        yield from _each(np.append(False, same & ~held), "pose and force repeat the frame before")
+        yield from _say_frames(np.append(False, same & ~held), "pose and force repeat the frame before")
     if "/frames/rgb" in bundle:
         moved = np.zeros(bundle.frames - 1, bool)
-        for path, threshold in MOVED.items():
+        for path, threshold in VISIBLE_CHANGE.items():
             if path in bundle:
                 moved |= _changed(bundle[path], threshold)
         if "/frames/force" in bundle:
             force = bundle["/frames/force"]
-            moved |= _changed(force, MOVED_FORCE * float(np.abs(force).max()))
+            moved |= _changed(force, VISIBLE_FORCE_CHANGE * float(np.abs(force).max()))
         stale = ~_changed(bundle["/frames/rgb"].astype(np.int16)) & moved
-        yield from _each(np.append(False, stale), "/frames/rgb repeats the frame before although the gel moved")
+        yield from _say_frames(np.append(False, stale), "/frames/rgb repeats the frame before although the gel moved")
 
 
 def _markers(bundle: Bundle) -> Iterator[str]:
@@ -194,7 +194,7 @@ def _markers(bundle: Bundle) -> Iterator[str]:
     if all(path in bundle for path in paths):
         markers, flow, reference = (bundle[path].astype(float) for path in paths)
         error = np.abs(markers - reference - flow).max(axis=(1, 2), initial=0.0)
-        yield from _each(error > 1e-3, "/frames/marker_flow is not markers less reference, off by", error, "px")
+        yield from _say_frames(error > 1e-3, "/frames/marker_flow is not markers less reference, off by", error, "px")
 
 
 RULES: tuple[Callable[[Bundle], Iterator[str]], ...] = (
@@ -214,7 +214,7 @@ def _changed(values: np.ndarray, threshold: float = 0.0) -> np.ndarray:
     return np.array([np.abs(b - a).max(initial=0) > threshold for a, b in pairwise(values)], bool)
 
 
-def _each(bad: np.ndarray, what: str, values: np.ndarray | None = None, unit: str = "") -> Iterator[str]:
+def _say_frames(bad: np.ndarray, what: str, values: np.ndarray | None = None, unit: str = "") -> Iterator[str]:
     """One line for all bad frames (N,), with the worst value if there are values."""
     frames = np.flatnonzero(bad)
     if len(frames):

@@ -1,5 +1,5 @@
 """What a bundle holds: the table of datasets and those of attributes. docs/BUNDLE.md is made from them by
-scripts/bundle_page.py, and check reads finished files against them."""
+scripts/bundle_page.py, and check.py compares finished files with them."""
 
 from dataclasses import dataclass
 
@@ -16,7 +16,7 @@ class Entry:
     units: str  # "1" is dimensionless
     long_name: str
     axes: str  # one word an axis
-    holes: bool = False  # may be nan, where there is nothing to say
+    nan: bool = False  # may hold nan: where a pixel shows no point of the coating
 
     @property
     def attrs(self) -> dict[str, str]:
@@ -47,10 +47,20 @@ LAYOUT: dict[str, Entry] = {
     "/frames/marker_flow": Entry("<f4", ("N", "M", 2), "px", "markers less their reference", "frame marker xy"),
     "/frames/marker_visible": Entry("|b1", ("N", "M"), "1", "in the picture, no gel before it", "frame marker"),
     "/frames/flow": Entry(
-        "<f4", ("N", "h", "w", 2), "px", "shift of the coating's point that was here untouched", MAP + " xy", holes=True
+        "<f4",
+        ("N", "h", "w", 2),
+        "px",
+        "shift of the coating's point that was here untouched",
+        MAP + " xy",
+        nan=True,
     ),
     "/frames/material": Entry(
-        "<f4", ("N", "h", "w", 2), "mm", "where the coating's point behind the sample rests", MAP + " xy", holes=True
+        "<f4",
+        ("N", "h", "w", 2),
+        "mm",
+        "where the coating's point behind the sample rests",
+        MAP + " xy",
+        nan=True,
     ),
     "/frames/radiance": Entry("<f4", ("N", "H", "W", 3), "1", "linear light, before exposure", "frame row column rgb"),
     "/frames/quality/newton_iterations": Entry("<i4", ("N",), "1", "Newton iterations spent on the frame", "frame"),
@@ -125,7 +135,7 @@ def entry(path: str) -> Entry:
     return row
 
 
-def misfit(path: str, shape: tuple[int, ...], sizes: dict[str, int]) -> str | None:
+def shape_problem(path: str, shape: tuple[int, ...], sizes: dict[str, int]) -> str | None:
     """Why `shape` is not what the layout gives `path`, or None. Sizes met for the first time join `sizes`."""
     wanted = [sizes.get(d, d) if isinstance(d, str) else d for d in entry(path).dims]
     if len(wanted) != len(shape) or any(isinstance(w, int) and w != n for n, w in zip(shape, wanted, strict=True)):

@@ -1,4 +1,4 @@
-"""What contradicts itself in the optics of a sensor file; limits.py asks, once all that images need is there."""
+"""What contradicts itself in the optics of a sensor file; checks.py asks, once all that images need is there."""
 
 import math
 from collections.abc import Iterator

@@ -162,6 +162,6 @@ def _dynamics(row: Row) -> Dynamics | None:
             duration += [apart[0], *apart][: step.frames]
         else:
             each = asked.frame_s if step.move.duration_s is None else step.move.duration_s / step.frames
-            duration += [each or 0.0] * step.frames  # limits.py lets nothing through that has neither
+            duration += [each or 0.0] * step.frames  # recipe/checks.py lets nothing through that has neither
     damping, density = asked.rayleigh, asked.density_kg_m3 * TONNES_PER_MM3
     return Dynamics(density, damping.alpha_per_s, damping.beta_s, np.array(duration), asked.step_s or math.inf)
