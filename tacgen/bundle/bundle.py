@@ -132,9 +132,8 @@ class Writer:
             raise ValueError(f"{path}: {'put' if per_frame else 'append'} it, not {'append' if per_frame else 'put'}")
         values = np.asarray(array).astype(row.dtype, order="C", casting="same_kind")
         self._sizes.pop("N", None)
-        if problem := shape_problem(
-            path, (self.appended + 1, *values.shape) if per_frame else values.shape, self._sizes
-        ):
+        shape = (self.appended + 1, *values.shape) if per_frame else values.shape
+        if problem := shape_problem(path, shape, self._sizes):
             raise ValueError(problem)
         return values
 

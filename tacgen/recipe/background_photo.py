@@ -18,7 +18,7 @@ WHERE: KeyPath = ("render", "background")
 
 def problems(recipe: Recipe, sensor: Sensor, folder: Path | None) -> list[Problem]:
     """Why a recipe's photograph cannot stand behind this sensor's pictures."""
-    name, said, eye = recipe.render.background, recipe.render.background_sha256, sensor.camera
+    name, expected, camera = recipe.render.background, recipe.render.background_sha256, sensor.camera
     if name is None:
         return []
     if not recipe.outputs & IMAGES:
@@ -29,13 +29,11 @@ def problems(recipe: Recipe, sensor: Sensor, folder: Path | None) -> list[Proble
         height, width = read(path).shape[:2]
     except UserError as error:
         return [Problem(WHERE, error.lines[0])]
-    if said not in (None, found):
+    if expected not in (None, found):
         return [Problem(("render", "background_sha256"), f"{name} is another file now ({found[:12]}...)")]
-    if (width, height) != (eye.width_px, eye.height_px):
-        text = (
-            f"is {width} x {height}, and the camera's pictures are {eye.width_px} x {eye.height_px}: crop and resize it"
-        )
-        return [Problem(WHERE, text)]
+    if (width, height) != (camera.width_px, camera.height_px):
+        pictures = f"{camera.width_px} x {camera.height_px}"
+        return [Problem(WHERE, f"is {width} x {height}, and the camera's pictures are {pictures}: crop and resize it")]
     return []
 
 

@@ -10,14 +10,14 @@ from tacgen.recipe import assets, background_photo, optics_checks, trajectory_ch
 from tacgen.recipe.indenters import Indenter
 from tacgen.recipe.model import IMAGES, Recipe
 from tacgen.recipe.sensor import LIGHTS, Gel, LitSensor, Sensor
-from tacgen.recipe.trajectory import Made
+from tacgen.recipe.trajectory import Timed
 from tacgen.recipe.trajectory_checks import Folders
 from tacgen.recipe.validation_messages import Problem
 from tacgen.recipe.yaml_source import KeyPath
 
-THIN = 0.8  # of the mesh's edge: half an indenter's thickness, for some integration point to come near its middle
-SOLID_SIZE = 0.01  # how far a solid's sides may be from what its sensor file says, as a part of them
-LEAST_RIM = 0.1  # of the crown's thickness: cells squeezed more would not be worth having
+MIN_HALF_THICKNESS = 0.8  # of an indenter, over the mesh's edge [-]: else it passes between integration points
+SOLID_SIZE_ERROR = 0.01  # largest difference between a solid's sides and those in its sensor file, relative [-]
+MIN_RIM = 0.1  # thickness of a domed gel at its corner over that at the crown [-]: cells there must not be too flat
 
 
 def sensor_problems(sensor: Sensor, folder: Path | None = None, images: bool = True) -> list[Problem]:
@@ -47,11 +47,11 @@ def recipe_problems(recipe: Recipe, sensor: Sensor, folders: Folders | None = No
     if recipe.mesh == "hex" and sensor.gel.solid is not None:
         wrong.append(Problem(("mesh",), f"cannot be hex: the gel of {sensor.name} is a solid, which is meshed by tets"))
     wrong += [
-        *_thin(recipe),
-        *_toolkit(recipe),
+        *_too_thin(recipe),
+        *_ipc_toolkit(recipe),
         *background_photo.problems(recipe, sensor, folders.get(background_photo.WHERE)),
     ]
-    return [*wrong, *_mesh(recipe.indenter, folders.get(("indenter", "file")))]
+    return [*wrong, *_mesh_file(recipe.indenter, folders.get(("indenter", "file")))]
 
 
 def thickness_mm(gel: Gel) -> float:
@@ -70,7 +70,7 @@ def _outline(gel: Gel) -> list[Problem]:
         text = f"a semicircle over {gel.width_mm:g} mm does not fit into the pad's height, {gel.height_mm:g}"
         wrong.append(Problem(("gel", "outline"), text))
     rim = thickness_mm(gel) - gel.drop_mm(gel.width_mm / 2, gel.height_mm / 2)
-    if rim < LEAST_RIM * thickness_mm(gel):
+    if rim < MIN_RIM * thickness_mm(gel):
         text = f"leaves {rim:.3g} mm of gel at the pad's corner, less than a tenth of what the crown has"
         wrong.append(Problem(("gel", "dome"), text))
     return wrong
@@ -80,10 +80,10 @@ def _solid(gel: Gel, folder: Path | None) -> list[Problem]:
     """The file must be there, be the one asked for, close, and be as large as the sensor file says."""
     if gel.solid is None:
         return []
-    beside = [name for name in ("outline", "dome") if getattr(gel, name) is not None]
-    beside += ["corner_radius_mm"] if gel.corner_radius_mm else []
-    if beside:
-        return [Problem(("gel", name), "cannot be given beside solid", at_key=True) for name in beside]
+    excluded = [name for name in ("outline", "dome") if getattr(gel, name) is not None]
+    excluded += ["corner_radius_mm"] if gel.corner_radius_mm else []
+    if excluded:
+        return [Problem(("gel", name), "cannot be given beside solid", at_key=True) for name in excluded]
     from tacgen.geometry import mesh_import
 
     try:
@@ -97,7 +97,7 @@ def _solid(gel: Gel, folder: Path | None) -> list[Problem]:
     return [
         Problem(("gel", key), f"the solid measures {size:.4g} mm along {axis} (got {value:g}): is scale or up wrong?")
         for (key, value), size, axis in zip(said.items(), sizes, "xyz", strict=True)
-        if abs(size - value) > SOLID_SIZE * value
+        if abs(size - value) > SOLID_SIZE_ERROR * value
     ]
 
 
@@ -130,11 +130,11 @@ def _times(recipe: Recipe, folders: Folders) -> list[Problem]:
     for i, step in enumerate(recipe.trajectory):
         where: KeyPath = ("trajectory", i, step.kind)
         if recipe.dynamics is None:
-            if isinstance(step.move, Made) and step.move.duration_s is not None:
+            if isinstance(step.move, Timed) and step.move.duration_s is not None:
                 wrong.append(Problem((*where, "duration_s"), "has no effect without dynamics", at_key=True))
         elif recipe.dynamics.frame_s is None:
             known = True
-            if isinstance(step.move, Made):
+            if isinstance(step.move, Timed):
                 known = step.move.duration_s is not None
             else:
                 with suppress(UserError):  # told already
@@ -160,7 +160,7 @@ def _outputs(recipe: Recipe, sensor: Sensor) -> list[Problem]:
     return wrong
 
 
-def _thin(recipe: Recipe) -> list[Problem]:
+def _too_thin(recipe: Recipe) -> list[Problem]:
     """A body that has a far side must be thicker than the contact points are apart."""
     indenter, edge = recipe.indenter, recipe.resolved().edge_mm
     if recipe.contact.formulation != "distance":
@@ -178,21 +178,21 @@ def _thin(recipe: Recipe) -> list[Problem]:
         Problem(
             ("indenter", key),
             f"is too thin for a mesh of edge {edge:g} mm: it would slip between the points where contact acts;"
-            f" ask for quality: {{edge_mm: {value / THIN:.2g}}} or finer",
+            f" ask for quality: {{edge_mm: {value / MIN_HALF_THICKNESS:.2g}}} or finer",
         )
         for key, value in half.items()
-        if value < THIN * edge * (1 - 1e-9)
+        if value < MIN_HALF_THICKNESS * edge * (1 - 1e-9)
     ]
 
 
-def _toolkit(recipe: Recipe) -> list[Problem]:
+def _ipc_toolkit(recipe: Recipe) -> list[Problem]:
     if recipe.contact.formulation != "ipctk" or importlib.util.find_spec("ipctk"):
         return []
     text = "needs the IPC Toolkit, which is not installed: pip install 'tacgen[ipc]'"
     return [Problem(("contact", "formulation"), text)]
 
 
-def _mesh(indenter: Indenter, folder: Path | None) -> list[Problem]:
+def _mesh_file(indenter: Indenter, folder: Path | None) -> list[Problem]:
     if indenter.shape != "mesh":
         return []
     try:

@@ -143,13 +143,13 @@ class Vary(Part):
         return value
 
 
-def _filled(value: frozenset[str]) -> frozenset[str]:
+def _not_empty(value: frozenset[str]) -> frozenset[str]:
     if not value:
         raise ValueError(f"must name at least one of {', '.join(OUTPUTS)}")
     return value
 
 
-Outputs = Annotated[frozenset[OutputName], AfterValidator(_filled), Field(json_schema_extra={"minItems": 1})]
+Outputs = Annotated[frozenset[OutputName], AfterValidator(_not_empty), Field(json_schema_extra={"minItems": 1})]
 
 
 class Recipe(Part):

@@ -6,18 +6,18 @@ from collections.abc import Iterator
 from tacgen.recipe.sensor import Led, LitSensor, Vec3
 from tacgen.recipe.validation_messages import Problem
 
-CLOSE = 1e-6  # [mm] and [-]: what counts as touching, or as parallel
-STEEPEST = 80.0  # [deg] of a ray that the camera still sees, off the plate's normal
+TOLERANCE = 1e-6  # of distances [mm] and of the length of a cross product [-]
+MAX_RAY_ANGLE = 80.0  # between a camera's ray and the plate's normal [deg]
 
 
 def problems(sensor: LitSensor) -> Iterator[Problem]:
     """One for each part that cannot be; paths start at the sensor's root."""
     yield from _layers(sensor)
     eye = sensor.camera
-    if not _housed(sensor, *eye.center_mm, 0.0):
+    if not _in_housing(sensor, *eye.center_mm, 0.0):
         text = f"the camera's axis meets the coating outside the pad, at ({eye.center_mm[0]:g}, {eye.center_mm[1]:g})"
         yield Problem(("camera", "center_mm"), text)
-    if _steepest(sensor) > STEEPEST:
+    if _steepest(sensor) > MAX_RAY_ANGLE:
         text = f"turns the picture's corner {_steepest(sensor):.0f} degrees off the plate's normal"
         yield Problem(("camera", "tilt_deg"), text)
     yield from _dots(sensor)
@@ -36,13 +36,13 @@ def _layers(sensor: LitSensor) -> Iterator[Problem]:
             )
         if i >= len(clear) and layer.scattering:
             yield Problem(("gel", "layers", i, "scattering"), "no light comes here, behind an opaque layer")
-    cloudy = [i for i, layer in enumerate(clear) if layer.scattering]
-    if cloudy and (len(clear) > 1 or gel.dome or gel.solid):
+    scattering = [i for i, layer in enumerate(clear) if layer.scattering]
+    if scattering and (len(clear) > 1 or gel.dome or gel.solid):
         text = "a layer that scatters must be the only one that is not opaque, and under a flat face"
-        yield Problem(("gel", "layers", cloudy[0], "scattering"), text)
+        yield Problem(("gel", "layers", scattering[0], "scattering"), text)
     elif gel.dome and len(clear) > 1:
         yield Problem(("gel", "dome"), "light is followed through one clear layer under a dome, not several")
-    if cloudy and sensor.markers:
+    if scattering and sensor.markers:
         yield Problem(("markers",), "cannot be seen through a layer that scatters", at_key=True)
 
 
@@ -77,22 +77,22 @@ def wrong_led(sensor: LitSensor, led: Led) -> tuple[str, str] | None:
     if normal is None or along is None:
         key = "normal" if normal is None else "up"
         return key, f"normal {_vector(led.normal)} and up {_vector(led.up)} must be neither zero nor parallel"
-    rise, (w, h) = _cross(normal, along), (size / 2 for size in led.size_mm)
+    vertical, (w, h) = _cross(normal, along), (size / 2 for size in led.size_mm)
     corners = [
-        tuple(c + a * w * x + b * h * y for c, x, y in zip(led.center_mm, along, rise, strict=True))
+        tuple(c + a * w * x + b * h * y for c, x, y in zip(led.center_mm, along, vertical, strict=True))
         for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))
     ]
     bottom = -sensor.plate.thickness_mm - sum(layer.thickness_mm for layer in sensor.gel.layers)
-    cloudy = any(layer.scattering for layer in sensor.gel.clear_layers)
+    scattering = any(layer.scattering for layer in sensor.gel.clear_layers)
     for x, y, z in corners:
-        if not _housed(sensor, x, y, sensor.walls.margin_mm):
+        if not _in_housing(sensor, x, y, sensor.walls.margin_mm):
             return "center_mm", f"pokes out of the housing, at {_vector((x, y, z))}"
-        if z > _coat(sensor, x, y) - CLOSE:
+        if z > _coating_z(sensor, x, y) - TOLERANCE:
             return "center_mm", f"reaches into the coating, at {_vector((x, y, z))}"
-    below = [z < bottom - CLOSE for *_, z in corners]
+    below = [z < bottom - TOLERANCE for *_, z in corners]
     if any(below) and not all(below):
         return "center_mm", f"pokes out of the plate, whose air face is at z = {bottom:g}"
-    if all(below) and not cloudy:
+    if all(below) and not scattering:
         return (
             "center_mm",
             f"lies in the air under the plate (z < {bottom:g}): only a gel that scatters is lit from there",
@@ -102,15 +102,15 @@ def wrong_led(sensor: LitSensor, led: Led) -> tuple[str, str] | None:
     return None
 
 
-def _housed(sensor: LitSensor, x: float, y: float, margin: float) -> bool:
+def _in_housing(sensor: LitSensor, x: float, y: float, margin: float) -> bool:
     """Whether (x, y) lies no more than `margin` [mm] off the pad; the corners of a rectangular housing are square."""
-    return bool(sensor.gel.pad.housing(margin).contains(x, y, CLOSE))
+    return bool(sensor.gel.pad.housing(margin).contains(x, y, TOLERANCE))
 
 
-def _coat(sensor: LitSensor, x: float, y: float) -> float:
+def _coating_z(sensor: LitSensor, x: float, y: float) -> float:
     """z of the coating's inner side over (x, y) [mm]; level with the crown beside the pad, where there is none."""
     gel = sensor.gel
-    if not _housed(sensor, x, y, 0.0):
+    if not _in_housing(sensor, x, y, 0.0):
         return 0.0
     total, clear = (sum(layer.thickness_mm for layer in layers) for layers in (gel.layers, gel.clear_layers))
     return (total - gel.drop_mm(x, y)) * clear / total - total
@@ -122,7 +122,7 @@ def _cross(a: Vec3, b: Vec3) -> Vec3:
 
 def _unit(v: Vec3) -> Vec3 | None:
     size = math.hypot(*v)
-    return (v[0] / size, v[1] / size, v[2] / size) if size > CLOSE else None
+    return (v[0] / size, v[1] / size, v[2] / size) if size > TOLERANCE else None
 
 
 def _vector(v: tuple[float, ...]) -> str:

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 FORMAT = 1  # of the bundles that the keys speak of
 DRAW, NOISE = 1, 2  # purposes of random numbers; a new purpose gets a new number
-FIXED = ("tacgen", "name", "sensor", "sensor_overrides", "extends", "vary")  # cannot be varied
+NOT_VARIABLE = ("tacgen", "name", "sensor", "sensor_overrides", "extends", "vary")  # keys that `vary.over` cannot name
 MAX_SCENES = 1_000_000
 
 
@@ -138,7 +138,7 @@ def expand(
     tree = loaded.tree if loaded else Tree(recipe.document())
     vary = recipe.vary
     if vary is None:
-        starts = {**folders(tree, recipe), **_solid(sensor, loaded)}
+        starts = {**folders(tree, recipe), **_solid_folder(sensor, loaded)}
         wrong = checks.recipe_problems(recipe, sensor, starts)
         if wrong:
             raise UserError(problem.point(tree) for problem in wrong)
@@ -151,7 +151,7 @@ def expand(
     plain_sensor = sensor.model_dump(mode="json", exclude_none=True)
     rows = []
     problems: dict[tuple[KeyPath, str], list[tuple[str, Problem]]] = {}
-    solid = _solid(sensor, loaded)
+    solid = _solid_folder(sensor, loaded)
     for index, values in zip(wanted, draw(vary, wanted), strict=True):
         row, wrong = _resolve(index, values, base, plain_sensor, sensor, scene_seed(vary.seed, index), tree, solid)
         if row:
@@ -160,7 +160,7 @@ def expand(
             alike = re.sub(r"-?\d[\d.e+-]*", "#", problem.message)  # numbers differ from scene to scene
             problems.setdefault((problem.path, alike), []).append((f"scene-{index:05d}", problem))
     if problems:
-        raise UserError(_say(group, tree, vary) for group in problems.values())
+        raise UserError(_message(group, tree, vary) for group in problems.values())
     return Plan(recipe.name, tuple(rows), tuple(vary.over))
 
 
@@ -254,7 +254,7 @@ def _check(vary: Vary, tree: Tree) -> None:
         except ValueError as error:
             problems.append(Problem(here, str(error), at_key=True))
             continue
-        if path[0] in FIXED and not (path[0] == "sensor" and len(path) > 1):
+        if path[0] in NOT_VARIABLE and not (path[0] == "sensor" and len(path) > 1):
             problems.append(Problem(here, f"{path[0]} cannot be varied", at_key=True))
         if vary.method == "grid" and spread.choice is None and spread.linspace is None:
             problems.append(Problem(here, "a grid takes choice or linspace only"))
@@ -264,7 +264,7 @@ def _check(vary: Vary, tree: Tree) -> None:
         raise UserError(problem.point(tree) for problem in problems)
 
 
-def _solid(sensor: Sensor, loaded: Loaded | None) -> dict[KeyPath, Path]:
+def _solid_folder(sensor: Sensor, loaded: Loaded | None) -> dict[KeyPath, Path]:
     """Where the path of a gel's solid starts, if it has one."""
     if sensor.gel.solid is None or loaded is None:
         return {}
@@ -312,7 +312,7 @@ def _resolve(
     return Row(index, f"scene-{index:05d}", seed, resolved(recipe, starts), sensor, values, starts), []
 
 
-def _say(group: list[tuple[str, Problem]], tree: Tree, vary: Vary) -> str:
+def _message(group: list[tuple[str, Problem]], tree: Tree, vary: Vary) -> str:
     """One line for all scenes that fail alike, pointing at the varied path to blame when there is one."""
     scene, problem = group[0]
     more = f" (and {len(group) - 1} more scenes)" if len(group) > 1 else ""

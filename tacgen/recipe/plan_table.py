@@ -7,17 +7,17 @@ from typing import Any
 
 from tacgen.recipe.plan import Plan
 
-SHOWN = 40  # rows that a person is shown
+MAX_ROWS = 40  # of the table for a person
 
 
 def as_text(plan: Plan) -> str:
     """Aligned columns; of a long plan the first rows."""
     head, *rows = _cells(plan, short=True)
-    rows = rows[:SHOWN]
+    rows = rows[:MAX_ROWS]
     widths = [max(len(row[i]) for row in [head, *rows]) for i in range(len(head))]
     lines = ["  ".join(cell.rjust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in [head, *rows]]
-    if len(plan.rows) > SHOWN:
-        lines.append(f"... {len(plan.rows) - SHOWN} more (--csv prints all)")
+    if len(plan.rows) > MAX_ROWS:
+        lines.append(f"... {len(plan.rows) - MAX_ROWS} more (--csv prints all)")
     return "\n".join(lines) + "\n"
 
 

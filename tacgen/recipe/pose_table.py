@@ -21,7 +21,7 @@ COLUMNS = {
     **{f"q{part}": (f"q{part}", f"orientation_{part}", f"orientation.{part}") for part in "wxyz"},
 }
 MM = {"mm": 1.0, "m": 1000.0}
-TOLD = 5  # problems of one file
+MAX_MESSAGES = 5  # about lines of one file
 Row = tuple[int, float, Vector, Quaternion]  # line, time [s], position [mm] and turn
 
 
@@ -92,8 +92,8 @@ def _parsed(raw: bytes, units: str | None) -> Table:
         except ValueError as error:
             wrong.append(f"line {line}: {error}")
     if wrong:
-        more = [f"and {len(wrong) - TOLD} more lines"] if len(wrong) > TOLD else []
-        raise UserError([*wrong[:TOLD], *more])
+        more = [f"and {len(wrong) - MAX_MESSAGES} more lines"] if len(wrong) > MAX_MESSAGES else []
+        raise UserError([*wrong[:MAX_MESSAGES], *more])
     if not rows_read:
         raise UserError("holds no pose below its header")
     lines, times, positions, quaternions = (list(column) for column in zip(*rows_read, strict=True))

@@ -24,7 +24,7 @@ Vec3 = tuple[float, float, float]
 Angle = Annotated[float, Field(ge=-20, le=20)]
 
 
-def _thrice(value: Any) -> Any:
+def _as_rgb(value: Any) -> Any:
     if isinstance(value, int | float) and not isinstance(value, bool):
         return (value,) * 3
     return tuple(value) if isinstance(value, list) else value  # strictly, what passed through Python holds no list
@@ -33,11 +33,11 @@ def _thrice(value: Any) -> Any:
 # Red, green and blue; one number stands for three equal ones, so that all can vary together.
 Rgb = Annotated[
     tuple[NotNegative, NotNegative, NotNegative],
-    BeforeValidator(_thrice, json_schema_input_type=NotNegative | tuple[NotNegative, NotNegative, NotNegative]),
+    BeforeValidator(_as_rgb, json_schema_input_type=NotNegative | tuple[NotNegative, NotNegative, NotNegative]),
 ]
 Shares = Annotated[
     tuple[Fraction, Fraction, Fraction],
-    BeforeValidator(_thrice, json_schema_input_type=Fraction | tuple[Fraction, Fraction, Fraction]),
+    BeforeValidator(_as_rgb, json_schema_input_type=Fraction | tuple[Fraction, Fraction, Fraction]),
 ]
 
 
@@ -77,7 +77,7 @@ class StableNeoHookeLayer(LayerBase):
     poissons_ratio: Poisson
 
 
-class Nearly(LayerBase):
+class NearlyIncompressible(LayerBase):
     """How compressible a layer is: one of two numbers."""
 
     poissons_ratio: Poisson | None = None
@@ -90,7 +90,7 @@ class Nearly(LayerBase):
         return self
 
 
-class MooneyRivlinLayer(Nearly):
+class MooneyRivlinLayer(NearlyIncompressible):
     """Mooney-Rivlin: the shear modulus at rest is 2 (c10 + c01)."""
 
     law: Literal["mooney_rivlin"]
@@ -98,7 +98,7 @@ class MooneyRivlinLayer(Nearly):
     c01_mpa: NotNegative
 
 
-class YeohLayer(Nearly):
+class YeohLayer(NearlyIncompressible):
     """Yeoh, of third order: the shear modulus at rest is 2 c10."""
 
     law: Literal["yeoh"]
@@ -116,7 +116,7 @@ class YeohLayer(Nearly):
         return self
 
 
-def _named(value: Any) -> Any:
+def _with_law(value: Any) -> Any:
     return {"law": "neo_hooke", **value} if isinstance(value, dict) else value
 
 
@@ -124,7 +124,7 @@ def _named(value: Any) -> Any:
 Layer = Annotated[
     NeoHookeLayer | StableNeoHookeLayer | MooneyRivlinLayer | YeohLayer,
     Field(discriminator="law"),
-    BeforeValidator(_named),
+    BeforeValidator(_with_law),
 ]
 
 

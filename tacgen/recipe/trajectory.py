@@ -9,8 +9,8 @@ from tacgen.recipe.base_model import ONE_KEY, Part, Positive, exactly_one
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]  # w, x, y, z
-NEARLY = 1e-3  # a quaternion this far from length 1 is one that was written with few digits
-ROUNDING = 1e-12
+UNIT_TOLERANCE = 1e-3  # of a quaternion's length: rows are written with few digits [-]
+UNIT_EXACT = 1e-12  # a length this close to 1 is left as it is [-]
 Frames = Annotated[int, Field(ge=1, le=10_000)]
 
 
@@ -32,14 +32,14 @@ class Start(Part):
         return value
 
 
-class Made(Part):
-    """A movement of as many frames as one says; `duration_s` is what all of them take, where there is `dynamics`."""
+class Timed(Part):
+    """A movement of a given number of frames; `duration_s` is the time of all of them, where there is `dynamics`."""
 
     frames: Frames
     duration_s: Positive | None = None
 
 
-class Press(Made):
+class Press(Timed):
     """Move along z to `depth_mm` below first touch of the untouched face, or until the gel bears `force_n`.
 
     On a dome first touch is wherever that is.
@@ -56,20 +56,20 @@ class Press(Made):
         return self
 
 
-class Slide(Made):
+class Slide(Timed):
     """Move sideways by this much from where the indenter is."""
 
     x_mm: float = 0.0
     y_mm: float = 0.0
 
 
-class Twist(Made):
+class Twist(Timed):
     """Turn about the indenter's own axis by this much."""
 
     angle_deg: float
 
 
-class Tilt(Made):
+class Tilt(Timed):
     """Turn about a horizontal axis through the indenter's lowest point; the axis is `axis_deg` from x towards y."""
 
     angle_deg: Annotated[float, Field(gt=-90, lt=90)]
@@ -79,10 +79,10 @@ class Tilt(Made):
 def unit(q: Quaternion) -> Quaternion:
     """The quaternion made exactly of length 1. Raises ValueError: it is not nearly so."""
     length = math.hypot(*q)
-    if abs(length - 1) > NEARLY:
+    if abs(length - 1) > UNIT_TOLERANCE:
         raise ValueError(f"a quaternion must be of length 1 (got {length:.4g})")
-    if abs(length - 1) < ROUNDING:
-        return q  # again and again the same numbers
+    if abs(length - 1) < UNIT_EXACT:
+        return q  # so that reading back what was written changes no digit
     w, x, y, z = q
     return w / length, x / length, y / length, z / length
 
@@ -115,11 +115,11 @@ class Replay(Part):
     sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = None  # the file must be this one; bundles say it
 
 
-class Hold(Made):
+class Hold(Timed):
     """Stay."""
 
 
-class Release(Made):
+class Release(Timed):
     """Lift back to the height of the start."""
 
 

@@ -1,4 +1,4 @@
-"""Where a trajectory would take the indenter: what cannot be is told before anything is computed."""
+"""Where a trajectory would take the indenter: impossible movements are found before anything is computed."""
 
 import functools
 import math
@@ -19,7 +19,7 @@ from tacgen.recipe.yaml_source import KeyPath
 if TYPE_CHECKING:
     from numpy import ndarray as Array
 
-MOST = 10_000  # frames of a segment
+MAX_FRAMES = 10_000  # of a segment
 Folders = Mapping[KeyPath, Path]  # where the path of a file starts that is named at a place of the recipe
 
 
@@ -37,8 +37,8 @@ def replayed(move: Replay, folder: Path | None) -> tuple[Pose, ...]:
     if move.sha256 not in (None, table.sha256):
         raise UserError(f"{move.file}: is another file now ({table.sha256[:12]}...)")
     rows = table.poses[:: move.every][: move.frames]
-    if len(rows) > MOST:
-        raise UserError(f"{move.file}: gives {len(rows)} frames, at most {MOST} can be: thin it out by `every`")
+    if len(rows) > MAX_FRAMES:
+        raise UserError(f"{move.file}: gives {len(rows)} frames, at most {MAX_FRAMES} can be: thin it out by `every`")
     if len(rows) < (move.frames or 0):
         raise UserError(f"{move.file}: gives {len(rows)} frames, and {move.frames} are asked for")
     import numpy as np
@@ -72,20 +72,20 @@ def problems(recipe: Recipe, gel: Gel, folders: Folders) -> list[Problem]:
 
     Heights that only a force says, a face that is domed and a mesh that leans are left to the path itself.
     """
-    from tacgen.recipe.trajectory_poses import Refused
+    from tacgen.recipe.trajectory_poses import TrajectoryError
 
     if recipe.trajectory[0].replay and recipe.start != Start():
         return [Problem(("start",), "has no effect before a replay, which begins over its first row", at_key=True)]
     try:
         _walk(recipe, gel, folders)
-    except Refused as refused:
+    except TrajectoryError as refused:
         return [Problem(refused.where, line) for line in refused.lines]
     return []
 
 
 def _walk(recipe: Recipe, gel: Gel, folders: Folders) -> None:
-    """Go through the trajectory over a flat face. Raises Refused: it cannot be."""
-    from tacgen.recipe.trajectory_poses import Refused, Walk
+    """Go through the trajectory over a flat face. Raises TrajectoryError."""
+    from tacgen.recipe.trajectory_poses import TrajectoryError, Walk
 
     @functools.cache
     def rows(i: int) -> tuple[Pose, ...]:
@@ -96,7 +96,7 @@ def _walk(recipe: Recipe, gel: Gel, folders: Folders) -> None:
         try:
             return replayed(replay, folders.get(where))
         except UserError as error:
-            raise Refused(where, *error.lines) from None
+            raise TrajectoryError(where, *error.lines) from None
 
     def beside(pose: "Array") -> bool:
         x, y = pose[:2, 3].tolist()  # nan where a mesh that leans was turned about a point that only its file knows
@@ -108,23 +108,23 @@ def _walk(recipe: Recipe, gel: Gel, folders: Folders) -> None:
         path: KeyPath = ("start", "x_mm" if abs(start.x_mm) > gel.width_mm / 2 else "y_mm")
         if abs(start.x_mm) <= gel.width_mm / 2 and abs(start.y_mm) <= gel.height_mm / 2:
             path = ("start",)  # in the cut-off corner: neither alone is to blame
-        raise Refused(path, f"the indenter would start beside {pad}, at ({start.x_mm:g}, {start.y_mm:g})")
-    support = shape.support if shape else _unread
-    walk = Walk.begun(start, rows(0), support, lambda pose: support(-pose[2, :3]), thickness)
+        raise TrajectoryError(path, f"the indenter would start beside {pad}, at ({start.x_mm:g}, {start.y_mm:g})")
+    support = shape.support if shape else _unknown_support
+    walk = Walk.at_start(start, rows(0), support, lambda pose: support(-pose[2, :3]), thickness)
     for i, segment in enumerate(recipe.trajectory):
         move, where = segment.move, ("trajectory", i, segment.kind)
         if isinstance(move, Press) and (move.depth_mm or 0.0) >= thickness:
-            return  # told by itself
+            return  # recipe_problems says so
         for k, frame in enumerate(walk.frames(segment, table := rows(i), where)):
             if isinstance(move, Replay) and walk.low < 0 and beside(frame.pose):
-                at = ", ".join(f"{c:.4g}" for c in frame.pose[:3, 3])
-                text = f"at ({at}) the indenter would be beside {pad} and below its face"
-                raise Refused((*where, "file"), f"{move.file}: line {table[k].line}: {text}")
+                place = ", ".join(f"{c:.4g}" for c in frame.pose[:3, 3])
+                text = f"at ({place}) the indenter would be beside {pad} and below its face"
+                raise TrajectoryError((*where, "file"), f"{move.file}: line {table[k].line}: {text}")
         if isinstance(move, Slide) and beside(walk.pose):
             x, y = walk.pose[:2, 3]
-            raise Refused(where, f"would carry the indenter's axis off {pad}, to ({x:g}, {y:g})")
+            raise TrajectoryError(where, f"would carry the indenter's axis off {pad}, to ({x:g}, {y:g})")
 
 
-def _unread(direction: "Array") -> float:
+def _unknown_support(direction: "Array") -> float:
     """How far a mesh extends [mm] whose file is not read yet: its lowest point is the origin, while it is upright."""
     return 0.0 if direction[2] + 1 < 1e-9 else math.nan

@@ -14,16 +14,16 @@ from tacgen.recipe.trajectory import Press, Release, Replay, Segment, Slide, Sta
 from tacgen.recipe.yaml_source import KeyPath
 
 Array = np.ndarray
-FORCE_DEPTH = 0.8  # of the gel's thickness: no force is looked for below
-FIRST_GUESS = 0.1  # of the thickness: where the search for a force starts
+FORCE_DEPTH = 0.8  # deepest press in the search for a force, over the gel's thickness [-]
+GUESSED_DEPTH = 0.1  # first press in the search for a force, over the gel's thickness [-]
 FLANK = "the indenter's flank would meet the gel before its tip"
 BASE = "the indenter's lowest point, at z = {:.4g} mm, would be at the base of the gel, or below"
 EDGE = "would turn the indenter's edge to the base of the gel, or below"
 Z = np.array([0.0, 0.0, 1.0])
 
 
-class Refused(Exception):
-    """A pose that cannot be: where the recipe asks for it, and why, a line each."""
+class TrajectoryError(Exception):
+    """A trajectory that cannot be followed: where the recipe asks for that, and why, a line each."""
 
     def __init__(self, where: KeyPath, *lines: str) -> None:
         super().__init__(*lines)
@@ -65,7 +65,7 @@ class Walk:
     carry: float = 0.0
 
     @classmethod
-    def begun(
+    def at_start(
         cls,
         start: Start,
         rows: Sequence[Pose],
@@ -76,7 +76,7 @@ class Walk:
         """At the start, or, where a replay comes first, over its first row if that is in the gel and at it otherwise.
 
         Raises:
-            Refused: the start leans too far.
+            TrajectoryError: the start leans too far.
         """
         if rows:
             pose = rows[0].pose.copy()
@@ -87,7 +87,7 @@ class Walk:
         pose[:3, :3] = tilt @ about(Z, float(np.radians(start.yaw_deg)))
         pose[:2, 3] = start.x_mm, start.y_mm
         if math.isinf(support(-pose[2, :3])):
-            raise Refused(("start", "tilt_deg"), FLANK)
+            raise TrajectoryError(("start", "tilt_deg"), FLANK)
         pose[2, 3] = start.clearance_mm + contact(pose)
         return cls(support, contact, thickness, pose, float(pose[2, 3]))
 
@@ -95,44 +95,44 @@ class Walk:
         """The frames of one segment, which stands at `where`; `rows` are those of a replay.
 
         Raises:
-            Refused: the indenter would lean too far, or come to the base of the gel.
+            TrajectoryError: the indenter would lean too far, or come to the base of the gel.
         """
         move = segment.move
         if isinstance(move, Replay):
             yield from self._replayed(rows, (*where, "file"), move.file)
             return
-        begun, carried, angle, turn = self.pose, self.carry, 0.0, np.zeros(3)
+        first, first_carry, angle, turn = self.pose, self.carry, 0.0, np.zeros(3)
         pivot = np.zeros(3)  # that a turn leaves where it is, from the indenter's origin
         if isinstance(move, Twist | Tilt):
             angle = float(np.radians(move.angle_deg))
-            axis = begun[:3, 2] if isinstance(move, Twist) else _level(move.axis_deg)
+            axis = first[:3, 2] if isinstance(move, Twist) else _level(move.axis_deg)
             turn = axis * angle / move.frames
             if isinstance(move, Tilt):
-                pivot = lowest(self.support, begun[:3, :3])
-        contact = self.contact(begun) if isinstance(move, Press) else np.nan
+                pivot = lowest(self.support, first[:3, :3])
+        contact = self.contact(first) if isinstance(move, Press) else np.nan
         floor = contact - FORCE_DEPTH * self.thickness
         for k in range(1, move.frames + 1):
-            part, asked, below, new = k / move.frames, np.nan, np.nan, begun.copy()
+            part, asked, below, new = k / move.frames, np.nan, np.nan, first.copy()
             match move:
                 case Press(force_n=float(force)):
                     asked, self.carry = force, 1.0
-                    new[2, 3] = contact - FIRST_GUESS * part * self.thickness
+                    new[2, 3] = contact - GUESSED_DEPTH * part * self.thickness
                     below = new[2, 3] - floor
                 case Press(depth_mm=float(depth)):
-                    new[2, 3] += part * (contact - depth - begun[2, 3])
-                    self.carry = (1 - part) * carried
+                    new[2, 3] += part * (contact - depth - first[2, 3])
+                    self.carry = (1 - part) * first_carry
                 case Release():
-                    new[2, 3] += part * (self.home - begun[2, 3])
-                    self.carry = (1 - part) * carried
+                    new[2, 3] += part * (self.home - first[2, 3])
+                    self.carry = (1 - part) * first_carry
                 case Slide(x_mm=x, y_mm=y):
                     new[:2, 3] += part * x, part * y
                 case Twist() | Tilt():
                     turned = about(axis, part * angle)
-                    new[:3, :3] = turned @ begun[:3, :3]
-                    new[:3, 3] = begun[:3, 3] + pivot - turned @ pivot
+                    new[:3, :3] = turned @ first[:3, :3]
+                    new[:3, 3] = first[:3, 3] + pivot - turned @ pivot
             self.pose = new
-            if isinstance(move, Twist | Tilt) and (wrong := self._wrong(EDGE)):
-                raise Refused((*where, "angle_deg"), wrong)
+            if isinstance(move, Twist | Tilt) and (wrong := self._why_impossible(EDGE)):
+                raise TrajectoryError((*where, "angle_deg"), wrong)
             yield Frame(new, turn, asked, part, self.carry, floor, below)
 
     def _replayed(self, rows: Sequence[Pose], where: KeyPath, name: str) -> Iterator[Frame]:
@@ -140,8 +140,8 @@ class Walk:
         self.carry = 0.0
         for row in rows:
             self.pose = row.pose
-            if wrong := self._wrong(BASE):
-                raise Refused(where, f"{name}: line {row.line}: {wrong}")
+            if wrong := self._why_impossible(BASE):
+                raise TrajectoryError(where, f"{name}: line {row.line}: {wrong}")
             yield Frame(row.pose)
         self.home = max(self.home, self.contact(self.pose))
 
@@ -150,7 +150,7 @@ class Walk:
         """z of the indenter's lowest point [mm]; -inf where it leans so far that it has none."""
         return float(self.pose[2, 3] - self.support(-self.pose[2, :3]))
 
-    def _wrong(self, at_base: str) -> str | None:
+    def _why_impossible(self, at_base: str) -> str | None:
         """Why the indenter cannot be where it is, if so: `at_base` where its lowest point would be at the base."""
         if math.isinf(low := self.low):
             return FLANK

@@ -65,7 +65,7 @@ def validate(model: type[Model], data: Any) -> tuple[Model | None, list[Problem]
     try:
         return model.model_validate_json(json.dumps(data), strict=True), []
     except ValidationError as error:
-        found = [_problem(model, data, e) for e in error.errors(include_url=False) if not _echo(data, e)]
+        found = [_problem(model, data, e) for e in error.errors(include_url=False) if not _repeats_another(data, e)]
         misspelt = {(*p.path[:-1], p.meant) for p in found if p.meant}
         return None, [p for p in found if p.path not in misspelt]  # a misspelt key is not also missing
 
@@ -77,9 +77,9 @@ def report(found: Iterable[tuple[Problem, Tree]]) -> UserError:
     return UserError(dict.fromkeys(text for _, text in placed))
 
 
-def _echo(data: Any, error: ErrorDetails) -> bool:
-    """Whether a list is said to be too short only because its items are wrong, which is said already."""
-    written = at(data, _written(data, tuple(error["loc"]), missing=False))
+def _repeats_another(data: Any, error: ErrorDetails) -> bool:
+    """Whether a list is called too short only because its items are wrong, which has a message of its own."""
+    written = at(data, _path_in_data(data, tuple(error["loc"]), missing=False))
     return error["type"] == "too_short" and len(written or ()) >= error["ctx"]["min_length"]
 
 
@@ -87,7 +87,7 @@ def _problem(model: type[BaseModel], data: Any, error: ErrorDetails) -> Problem:
     """Translate one entry of ValidationError.errors()."""
     kind, ctx, given = error["type"], error.get("ctx", {}), error["input"]
     loc = tuple(error["loc"])
-    path = _written(data, loc, missing=kind == "missing")
+    path = _path_in_data(data, loc, missing=kind == "missing")
     got = f"(got {describe(given)})"
     if kind == "extra_forbidden":
         hint = suggest(str(loc[-1]), _keys(model, loc[:-1]))
@@ -140,7 +140,7 @@ def _count(ctx: dict[str, Any]) -> str:
     return f"at most {ctx['max_length']}"
 
 
-def _written(data: Any, loc: KeyPath, *, missing: bool) -> KeyPath:
+def _path_in_data(data: Any, loc: KeyPath, *, missing: bool) -> KeyPath:
     """pydantic's location less the union tags it puts between: only steps that exist in the data."""
     path: KeyPath = ()
     for i, step in enumerate(loc):

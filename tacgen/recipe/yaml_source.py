@@ -234,20 +234,20 @@ def parse(text: str, source: Source) -> Tree:
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         place = Mark(source, mark.line, mark.column) if mark else Mark(source)
-        raise UserError(place.point(_say(error.problem or error.context or "is not YAML"))) from None
+        raise UserError(place.point(_one_line(error.problem or error.context or "is not YAML"))) from None
     except YAMLError as error:
-        raise UserError(f"{source.name}: is not YAML: {_say(str(error))}") from None
+        raise UserError(f"{source.name}: is not YAML: {_one_line(str(error))}") from None
     except RecursionError:
         raise UserError(f"{source.name}: is nested too deeply") from None
     except (ValueError, TypeError, AssertionError, AttributeError, NotImplementedError, LookupError) as error:
         # the parser itself stumbles over some malformed scalars and tags
-        raise UserError(f"{source.name}: is not YAML that can be read here: {_say(str(error))}") from None
+        raise UserError(f"{source.name}: is not YAML that can be read here: {_one_line(str(error))}") from None
     spots: dict[KeyPath, Spot] = {(): Spot(Mark(source), Mark(source))}
     budget = iter(range(MAX_VALUES))
     return Tree(_plain(node, (), spots, budget, ()), spots)
 
 
-def _say(problem: str) -> str:
+def _one_line(problem: str) -> str:
     """The parser's complaint in one line of words."""
     first = " ".join(problem.split("\n")[0].split())
     if first == "but found another document":

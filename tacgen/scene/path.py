@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,7 +13,7 @@ from tacgen.geometry.analytic_sdf import Shape
 from tacgen.geometry.pose import shortest_turn
 from tacgen.recipe import pose_table
 from tacgen.recipe.model import Recipe
-from tacgen.recipe.trajectory_poses import Frame, Refused, Walk
+from tacgen.recipe.trajectory_poses import Frame, TrajectoryError, Walk
 from tacgen.recipe.yaml_source import format_path
 
 if TYPE_CHECKING:
@@ -62,7 +63,7 @@ class Path:
     forced: Forced | None
 
 
-def _sunk(shape: Shape, pose: Array, gel: "Gel") -> float:
+def _sink_depth(shape: Shape, pose: Array, gel: "Gel") -> float:
     """How far a shape that stands on z = 0 may sink along z until it touches the untouched face [mm].
 
     Each round lowers it by its distance from the face, which cannot carry it past; a second grid, 20 times as fine,
@@ -89,11 +90,11 @@ def _sunk(shape: Shape, pose: Array, gel: "Gel") -> float:
     return min(float(sunk), most)
 
 
-def _contact(shape: Shape, pose: Array, gel: "Gel") -> float:
+def _contact_height(shape: Shape, gel: "Gel", pose: Array) -> float:
     """Height of the origin at which an indenter of this turn and place would first touch the untouched face [mm]."""
     standing = pose.copy()
     standing[2, 3] = drop = shape.support(-pose[2, :3])  # how far it hangs below its own origin
-    return drop - _sunk(shape, standing, gel)
+    return drop - _sink_depth(shape, standing, gel)
 
 
 def lay(recipe: Recipe, shape: Shape, gel: "Gel", replayed: Callable[[int], tuple[pose_table.Pose, ...]]) -> Path:
@@ -106,12 +107,13 @@ def lay(recipe: Recipe, shape: Shape, gel: "Gel", replayed: Callable[[int], tupl
     frames: list[Frame] = []
     segments: list[int] = []
     try:
-        walk = Walk.begun(recipe.start, rows[0], shape.support, lambda pose: _contact(shape, pose, gel), gel.thickness)
+        contact = partial(_contact_height, shape, gel)
+        walk = Walk.at_start(recipe.start, rows[0], shape.support, contact, gel.thickness)
         start = walk.pose
         for number, segment in enumerate(recipe.trajectory):
             frames += walk.frames(segment, rows[number], ("trajectory", number, segment.kind))
             segments += [number] * (len(frames) - len(segments))
-    except Refused as refused:
+    except TrajectoryError as refused:
         raise UserError(f"{format_path(refused.where)}: {line}" for line in refused.lines) from None
     before = [start, *(frame.pose for frame in frames[:-1])]
     ways = [shortest_turn(a, f.pose) if f.turn is None else f.turn for a, f in zip(before, frames, strict=True)]

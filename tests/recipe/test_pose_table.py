@@ -160,7 +160,7 @@ def test_what_a_recipe_says_of_a_table_must_be_so(tmp_path: Path, replay: str, s
 
 
 def test_a_table_too_long_for_a_segment_is_thinned_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(trajectory_checks, "MOST", 2)
+    monkeypatch.setattr(trajectory_checks, "MAX_FRAMES", 2)
     with pytest.raises(UserError, match=r"poses.csv: gives 3 frames, at most 2 can be: thin it out by `every`"):
         load(tmp_path, table(ROWS))
     assert load(tmp_path, table(ROWS), replay="{file: poses.csv, every: 2}").rows[0].frames == 2
