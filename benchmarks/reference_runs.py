@@ -160,7 +160,7 @@ def _probed(gel: scene.Gel, problem: solve.Problem, state: solve.State) -> Array
 
     xy = np.stack(np.meshgrid(AROUND, AROUND), -1).reshape(-1, 2)
     xy = xy[gel.contains(*xy.T)]
-    probes = np.concatenate([gel.at(1 - part, xy) for part in BELOW])
+    probes = np.concatenate([gel.at_height(1 - part, xy) for part in BELOW])
     points = problem.mesh.points
     near = (np.abs(points[:, :2]) < AROUND.max() + 3).all(1)
     return np.asarray(LinearNDInterpolator(points[near], Stresses(problem).at(state.x).node[near])(probes))

@@ -12,8 +12,8 @@ from tacgen.geometry.outline import Pad
 from tacgen.optics.rasterize import draw
 
 Array = np.ndarray
-SHEET = 0.024  # of the longer side: grid of the interfaces in a solid,
-PIXEL = 0.004  # and how far apart its face is looked for lying over itself
+SHEET_STEP = 0.024  # grid of the interfaces between a solid's layers, over the longer side [-]
+FACE_PIXEL = 0.004  # grid on which a solid's face is looked for lying over itself, over the longer side [-]
 
 
 @dataclass(frozen=True)
@@ -46,13 +46,13 @@ class Gel(Pad):
         """Height of the face above each layer as a part of the gel's, the last layer's being 1 (layers,)."""
         return np.cumsum([layer.thickness for layer in self.layers]) / self.thickness
 
-    def at(self, part: float, xy: Array) -> Array:
+    def at_height(self, part: float, xy: Array) -> Array:
         """Points (n, 3) above xy (n, 2) at a part of the gel's height there: layers share a dome's squeeze."""
         return np.column_stack([xy, part * (self.top(*xy.T) + self.thickness) - self.thickness])
 
     def layer_of(self, points: Array) -> Array:
         """Number of the layer that each of points (n, 3) lies in."""
-        above = [points[:, 2] > self.at(float(part), points[:, :2])[:, 2] for part in self.interfaces[:-1]]
+        above = [points[:, 2] > self.at_height(float(part), points[:, :2])[:, 2] for part in self.interfaces[:-1]]
         return np.sum(above, axis=0, dtype=np.int32) * np.ones(len(points), np.int32)
 
     def surface(self, step: float, sag: float) -> tuple[Array, Array, list[Array]]:
@@ -63,7 +63,7 @@ class Gel(Pad):
 
         step, rim = step * self.side, self.outline(sag * self.side)
         if not self.flat:
-            rim = _divided(rim, step)
+            rim = _subdivided(rim, step)
         xy = rim
         if not self.flat:
             x, y = (np.linspace(-s / 2, s / 2, int(np.ceil(s / step)) + 1) for s in (self.width, self.height))
@@ -80,7 +80,7 @@ class Gel(Pad):
         )
         sides = [strip + level * len(xy) for level in range(len(self.layers))]
         sheets = [flat + level * len(xy) for level in range(len(self.layers) + 1)]
-        vertices = np.concatenate([self.at(part, xy) for part in (0.0, *self.interfaces)])
+        vertices = np.concatenate([self.at_height(part, xy) for part in (0.0, *self.interfaces)])
         return vertices, np.concatenate([sheets[0][:, [0, 2, 1]], sheets[-1], *sides]), sheets[1:-1]
 
     def patches(self, corners: Array, normals: Array, reach: float) -> dict[str, Array]:
@@ -128,13 +128,13 @@ class SolidGel(Gel):
         if not len(t):
             angle = f"gel.solid.coated_deg, {np.degrees(self.coated):g}"
             raise UserError(f"{name}: no part of it faces up to within {angle}")
-        pixel = PIXEL * self.side
+        pixel = FACE_PIXEL * self.side
         screen, shape = (v[:, :2] - v[:, :2].min(0)) / pixel, np.ceil(np.ptp(v[:, :2], axis=0) / pixel).astype(int)
         faces, size = t.astype(np.uint32), (int(shape[1]), int(shape[0]))
         high, low = (draw(faces, screen, sign * v[:, 2], v[:, 2:], size)[..., 0] for sign in (-1.0, 1.0))
-        apart = np.argwhere(high - low > pixel * 2 * np.tan(self.coated))
-        if len(apart):
-            x, y = v[:, :2].min(0) + (apart[len(apart) // 2][::-1] + 0.5) * pixel
+        folded = np.argwhere(high - low > pixel * 2 * np.tan(self.coated))
+        if len(folded):
+            x, y = v[:, :2].min(0) + (folded[len(folded) // 2][::-1] + 0.5) * pixel
             raise UserError(
                 f"{name}: its coated face lies over itself at ({x:.3g}, {y:.3g}), which no camera below sees:"
                 " gel.solid.coated_deg says what is coated"
@@ -168,21 +168,21 @@ class SolidGel(Gel):
     def sheets(self) -> list[tuple[Array, Array]]:
         """Vertices and triangles of the interfaces between layers, from below, over a grid wider than the gel."""
         assert self.solid is not None
-        flat, step = self.solid.vertices[:, :2], SHEET * self.side
+        flat, step = self.solid.vertices[:, :2], SHEET_STEP * self.side
         ends = zip(flat.min(0) - 2 * step, flat.max(0) + 2 * step, strict=True)
         x, y = (np.linspace(a, b, int(np.ceil((b - a) / step)) + 1) for a, b in ends)
         xy = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
         number = np.arange(len(xy)).reshape(len(x), len(y))
         a, b, c, d = (piece.ravel() for piece in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]))
         faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
-        return [(super(SolidGel, self).at(float(part), xy), faces) for part in self.interfaces[:-1]]
+        return [(super(SolidGel, self).at_height(float(part), xy), faces) for part in self.interfaces[:-1]]
 
-    def at(self, part: float, xy: Array) -> Array:
+    def at_height(self, part: float, xy: Array) -> Array:
         """On the sheets between layers, which are what is meshed; as of a pad elsewhere."""
         for known, sheet in zip(self.interfaces[:-1], self.sheets if 0 < part < 1 else [], strict=False):
             if part == known:
                 return np.column_stack([xy, mesh_import.above(*sheet, xy)[0]])
-        return super().at(part, xy)
+        return super().at_height(part, xy)
 
     def patches(self, corners: Array, normals: Array, reach: float) -> dict[str, Array]:
         bonded = np.all(corners[..., 2] < self.bonded + reach - self.thickness, axis=1)
@@ -194,7 +194,7 @@ class SolidGel(Gel):
         return np.asarray(normals[:, 2] > np.cos(self.coated) * np.linalg.norm(normals, axis=1))
 
 
-def _divided(rim: Array, step: float) -> Array:
+def _subdivided(rim: Array, step: float) -> Array:
     """A closed polygon with corners at most `step` apart."""
     out = []
     for a, b in zip(rim, np.roll(rim, -1, 0), strict=True):

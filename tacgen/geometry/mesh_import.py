@@ -21,16 +21,16 @@ if TYPE_CHECKING:
     import trimesh
 
 Array = np.ndarray
-VERSION = 1  # of the cached grids
-LARGEST_FILE = 256 * 2**20  # bytes
-MOST_TRIANGLES = 2_000_000
-MOST_NODES = 8_000_000  # 64 MB of spline
-LEAST = 4  # triangles of a closed body
-CRACK = 1e-4  # of the box's diagonal: wider ones are not sewn
-HOLE = 40  # edges around one that is closed, at most
-INVENTED = 0.02  # of the surface may be new
-MARGIN = 6  # cells asked for around the body; beyond them no contact is seen
-SHARP = np.radians(30)  # two triangles that meet at more than this are an edge, not pieces of a round
+CACHE_VERSION = 1  # of the grids in the cache
+MAX_FILE = 256 * 2**20  # [bytes]
+MAX_TRIANGLES = 2_000_000
+MAX_NODES = 8_000_000  # of a distance grid: 64 MB of spline
+MIN_TRIANGLES = 4  # of a closed body: a tetrahedron
+MAX_CRACK = 1e-4  # width of a crack that is closed, over the box's diagonal [-]
+MAX_HOLE = 40  # edges around a hole that is closed
+MAX_NEW_AREA = 0.02  # change of the surface's area by repair, relative [-]
+MARGIN_CELLS = 6  # around the body in its grid: contact is evaluated no further away
+SHARP_ANGLE = np.radians(30)  # between triangles at a sharp edge; below, they approximate a rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,19 +52,19 @@ def read(path: Path) -> Solid:
     mesh = _loaded(path)
     if not len(mesh.faces):
         raise UserError(f"{path}: holds no triangles")
-    if len(mesh.faces) > MOST_TRIANGLES:
-        raise UserError(f"{path}: has {len(mesh.faces)} triangles, at most {MOST_TRIANGLES} can be; simplify it first")
+    if len(mesh.faces) > MAX_TRIANGLES:
+        raise UserError(f"{path}: has {len(mesh.faces)} triangles, at most {MAX_TRIANGLES} can be; simplify it first")
     if not np.isfinite(mesh.vertices).all():
         raise UserError(f"{path}: holds vertices that are not numbers")
-    torn = _clean(mesh).copy()
+    unclosed = _clean(mesh).copy()
     bad = _edges_not_shared_by_two(_close(mesh))
-    if bad or len(mesh.split(only_watertight=False)[0].faces) < LEAST:  # trimesh doubles a triangle that is alone
-        mesh = _sewn(torn)
+    if bad or len(mesh.split(only_watertight=False)[0].faces) < MIN_TRIANGLES:  # trimesh doubles a lone triangle
+        mesh = _repaired(unclosed)
         bad = _edges_not_shared_by_two(mesh)
     if bad:
         hint = "" if importlib.util.find_spec("pymeshlab") else ", or try pip install 'tacgen[repair]'"
         raise UserError(f"{path}: is not closed: {bad}; close it in a mesh editor first{hint}")
-    bodies = [body for body in mesh.split(only_watertight=False) if len(body.faces) >= LEAST]
+    bodies = [body for body in mesh.split(only_watertight=False) if len(body.faces) >= MIN_TRIANGLES]
     volume = sum(abs(float(body.volume)) for body in bodies)
     if not mesh.is_winding_consistent or volume < 1e-6 * float(mesh.extents.max()) ** 3:
         raise UserError(f"{path}: encloses no volume")
@@ -79,9 +79,9 @@ def _loaded(path: Path) -> "trimesh.Trimesh":
 
     try:
         size = path.stat().st_size
-        if size > LARGEST_FILE:
+        if size > MAX_FILE:
             raise UserError(
-                f"{path}: is {size / 2**20:.0f} MB, at most {LARGEST_FILE / 2**20:.0f} can be; simplify it first"
+                f"{path}: is {size / 2**20:.0f} MB, at most {MAX_FILE / 2**20:.0f} can be; simplify it first"
             )
         found: Any = trimesh.load_mesh(path, process=False)
         return found if isinstance(found, trimesh.Trimesh) else found.to_mesh()
@@ -115,9 +115,9 @@ def _close(mesh: Any) -> Any:
     return mesh
 
 
-def _sewn(mesh: "trimesh.Trimesh") -> "trimesh.Trimesh":
-    """The mesh with cracks sewn, triangles that hang off an edge cut and small holes closed by MeshLab; as it was where
-    MeshLab is not installed, gives up, or would have to invent more than a little of the surface."""
+def _repaired(mesh: "trimesh.Trimesh") -> "trimesh.Trimesh":
+    """The mesh with cracks and small holes closed and triangles beyond two at an edge removed, by MeshLab; unchanged
+    where MeshLab is not installed, fails, or changes the surface's area too much."""
     try:
         import pymeshlab
     except ImportError:  # an extra: tacgen[repair]
@@ -131,22 +131,22 @@ def _sewn(mesh: "trimesh.Trimesh") -> "trimesh.Trimesh":
         work.meshing_remove_duplicate_faces()
         work.meshing_repair_non_manifold_edges(method="Remove Faces")
         work.meshing_repair_non_manifold_vertices()
-        work.meshing_close_holes(maxholesize=HOLE, selfintersection=False)
+        work.meshing_close_holes(maxholesize=MAX_HOLE, selfintersection=False)
     except pymeshlab.PyMeshLabException:
         return mesh
     found = work.current_mesh()
-    sewn = _close(_clean(trimesh.Trimesh(found.vertex_matrix(), found.face_matrix(), process=False)))
-    return sewn if abs(sewn.area - mesh.area) <= INVENTED * mesh.area else mesh
+    repaired = _close(_clean(trimesh.Trimesh(found.vertex_matrix(), found.face_matrix(), process=False)))
+    return repaired if abs(repaired.area - mesh.area) <= MAX_NEW_AREA * mesh.area else mesh
 
 
 def _welded(mesh: "trimesh.Trimesh") -> Array:
-    """The faces with vertices that lie within CRACK of each other made one; MeshLab's own pass leaves many apart."""
+    """The faces with vertices within MAX_CRACK of each other merged; MeshLab's own filter leaves many apart."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
 
     n = len(mesh.vertices)
-    reach = CRACK * float(np.linalg.norm(mesh.extents))
+    reach = MAX_CRACK * float(np.linalg.norm(mesh.extents))
     i, j = cKDTree(mesh.vertices).query_pairs(reach, output_type="ndarray").T
     _, group = connected_components(coo_array((np.ones(len(i)), (i, j)), shape=(n, n)), directed=False)
     _, first = np.unique(group, return_index=True)
@@ -156,12 +156,12 @@ def _welded(mesh: "trimesh.Trimesh") -> Array:
 
 def _edges_not_shared_by_two(mesh: "trimesh.Trimesh") -> str:
     _, shared = np.unique(mesh.edges_sorted, axis=0, return_counts=True)
-    said = []
+    found = []
     if (shared == 1).any():
-        said.append(f"{int((shared == 1).sum())} open edges")
+        found.append(f"{int((shared == 1).sum())} open edges")
     if (shared > 2).any():
-        said.append(f"{int((shared > 2).sum())} edges between more than two triangles")
-    return ", ".join(said)
+        found.append(f"{int((shared > 2).sum())} edges between more than two triangles")
+    return ", ".join(found)
 
 
 def _joined(name: str, parts: list[tuple[Array, Array]]) -> Solid:
@@ -201,19 +201,19 @@ def field(solid: Solid, *, cell: float, height: float, half: float) -> Field:
     """Signed distance of a placed solid as a spline.
 
     Args:
-        cell: spacing of the grid [mm]; made finer for thin bodies, coarser for more than MOST_NODES nodes.
+        cell: spacing of the grid [mm]; made finer for thin bodies, coarser for more than MAX_NODES nodes.
         height: up to this far above the lowest point the gel can rise [mm].
         half: as far as this from the z axis the gel can be [mm].
     """
     low, high = solid.vertices.min(0), solid.vertices.max(0)
-    a = np.maximum(low - MARGIN * cell, [-half, -half, -np.inf])
-    b = np.minimum(high + MARGIN * cell, [half, half, height])
+    a = np.maximum(low - MARGIN_CELLS * cell, [-half, -half, -np.inf])
+    b = np.minimum(high + MARGIN_CELLS * cell, [half, half, height])
     cell = min(cell, float((high - low).min()) / 6)
-    cell = max(cell, float((np.prod(b - a) / MOST_NODES) ** (1 / 3)))
+    cell = max(cell, float((np.prod(b - a) / MAX_NODES) ** (1 / 3)))
     nodes = np.ceil((b - a) / cell).astype(int) + 5  # a ring of two for the spline
     origin = a - 2 * cell
     asked = (solid, origin, cell, tuple(int(n) for n in nodes))
-    key = array_cache.digest((VERSION, *asked[1:], solid.vertices, solid.triangles, solid.body))
+    key = array_cache.digest((CACHE_VERSION, *asked[1:], solid.vertices, solid.triangles, solid.body))
     distances = array_cache.kept_one("distances", key, lambda: _distances(*asked))
     steepest = max(float(np.abs(np.diff(distances, axis=a)).max()) for a in range(3))
     if steepest > 1.01 * cell:  # a true distance never is: inside and outside are mixed up somewhere
@@ -236,7 +236,7 @@ def smallest_radius(solid: Solid, height: float) -> float:
     if not convex.any():
         return float(np.inf)
     across = mesh.face_adjacency_span[convex] / 2  # between the middles of two triangles, about
-    return round(float(np.quantile(np.where(angle[convex] > SHARP, 0.0, across / angle[convex]), 0.01)), 4)
+    return round(float(np.quantile(np.where(angle[convex] > SHARP_ANGLE, 0.0, across / angle[convex]), 0.01)), 4)
 
 
 def _hull(points: Array) -> Array:

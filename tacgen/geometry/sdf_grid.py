@@ -11,8 +11,8 @@ from numba import njit
 from scipy import ndimage
 
 Array = np.ndarray
-BLUNT = 0.35  # the same of the binomial mean, which spreads an edge over some cells
-EDGE = 0.5  # a bend of the distance by this many cells over a cell is an edge
+EDGE_BEND = 0.5  # sum of second differences at an edge, over the cell [-]
+MEAN_EDGE_BEND = 0.35  # the same of the binomial mean, which spreads an edge over some cells [-]
 
 
 @njit(cache=True)
@@ -135,13 +135,13 @@ class Field:
         rest as it is: there c = binomial mean of d, of variance cell^2 a direction.
         """
         d = np.asarray(distances, float)
-        bend = _bend(d)
-        spline = d - np.exp(-((bend / (EDGE * cell)) ** 2)) * bend / 6
+        bend = _second_differences(d)
+        spline = d - np.exp(-((bend / (EDGE_BEND * cell)) ** 2)) * bend / 6
         if blunt:
             mean = d
             for axis in range(3):
                 mean = ndimage.correlate1d(mean, np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16, axis=axis, mode="nearest")
-            smooth = np.exp(-((_bend(mean) / (BLUNT * cell)) ** 2))
+            smooth = np.exp(-((_second_differences(mean) / (MEAN_EDGE_BEND * cell)) ** 2))
             spline = smooth * spline + (1 - smooth) * mean
         return cls(spline, np.asarray(origin, float), cell, smallest_radius, _half_thickness(d, cell), corners)
 
@@ -157,7 +157,7 @@ class Field:
         return float((self.corners @ direction).max())
 
 
-def _bend(d: Array) -> Array:
+def _second_differences(d: Array) -> Array:
     """Sum of second differences (i, j, k) [mm]."""
     return np.asarray(sum(ndimage.correlate1d(d, [1.0, -2.0, 1.0], axis=a, mode="nearest") for a in range(3)))
 

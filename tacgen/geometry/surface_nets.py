@@ -1,8 +1,8 @@
 """Shape or mesh -> Triangles: the surface of an indenter for contact between meshes.
 
-A shape's triangles are surface nets (Gibson 1998) on a coarse grid that only has to know how the shape hangs together;
-each vertex is pulled onto the surface, and edges whose middles are off it are split: few triangles on flat faces, many
-on fillets. A mesh keeps its own triangles and gets vertices along its sharp edges.
+A shape's triangles are surface nets (Gibson 1998) on a grid just fine enough for its topology. Each vertex is projected
+onto the surface, and edges whose middles are off it are split: few triangles on flat faces, many on fillets. A mesh
+keeps its own triangles and gets vertices along its sharp edges.
 
 Marching cubes in place of the nets (libigl's, scikit-image's) were tried on eight shapes: on six of them 30 to 209
 triangles come out with an angle below 2 degrees, where nets give none, and some face away from the shape's normal.
@@ -13,10 +13,10 @@ import numpy as np
 from tacgen.geometry.analytic_sdf import Shape, Triangles
 
 Array = np.ndarray
-MOST_CELLS = 2_000_000
-SHARP = np.radians(4)  # two triangles that meet at more than this are an edge, which vertices follow
-MITER = 3.0  # a vertex of a needle moves at most this much as far as the faces that meet there
-ROUNDS = 60
+MAX_CELLS = 2_000_000  # of the coarse grid
+SHARP_ANGLE = np.radians(4)  # between triangles at a sharp edge, along which vertices are added
+MAX_MITER = 3.0  # move of a vertex over that of the faces that meet there, which needles would make large [-]
+MAX_ROUNDS = 60  # of splitting edges
 
 
 def of_shape(shape: Shape, *, half: float, height: float, tolerance: float) -> Triangles:
@@ -30,10 +30,10 @@ def of_shape(shape: Shape, *, half: float, height: float, tolerance: float) -> T
         low[axis] = max(low[axis], -shape.support(-unit))
         high[axis] = min(high[axis], shape.support(unit))
     cell = min(shape.reach / 3, float((high - low).min()) / 6, 1.0)
-    cell = max(cell, float((np.prod(high - low) / MOST_CELLS) ** (1 / 3)))
-    vertices, triangles = _nets(shape, low - 1.53 * cell, high + 1.53 * cell, cell)
-    for _ in range(ROUNDS):
-        vertices = _pulled(shape, vertices)
+    cell = max(cell, float((np.prod(high - low) / MAX_CELLS) ** (1 / 3)))
+    vertices, triangles = _surface_nets(shape, low - 1.53 * cell, high + 1.53 * cell, cell)
+    for _ in range(MAX_ROUNDS):
+        vertices = _projected(shape, vertices)
         edges, sides = _edges(triangles)
         off = np.abs(shape.distance(vertices[edges].mean(1))[0]) > tolerance
         bulging = np.abs(shape.distance(vertices[triangles].mean(1))[0]) > tolerance
@@ -47,7 +47,7 @@ def of_shape(shape: Shape, *, half: float, height: float, tolerance: float) -> T
 def of_mesh(vertices: Array, triangles: Array, *, height: float, spacing: float) -> Triangles:
     """What of a closed mesh reaches below `height` [mm], with vertices at most `spacing` apart along sharp edges."""
     triangles = triangles[vertices[triangles][:, :, 2].min(1) < height]
-    for _ in range(ROUNDS):
+    for _ in range(MAX_ROUNDS):
         edges, sides = _edges(triangles)
         length = np.linalg.norm(vertices[edges[:, 1]] - vertices[edges[:, 0]], axis=1)
         coarse = _sharp(vertices, triangles, edges, sides) & (length > spacing)
@@ -60,7 +60,7 @@ def of_mesh(vertices: Array, triangles: Array, *, height: float, spacing: float)
     return Triangles(vertices, triangles, _miters(vertices, triangles))
 
 
-def _nets(shape: Shape, low: Array, high: Array, cell: float) -> tuple[Array, Array]:
+def _surface_nets(shape: Shape, low: Array, high: Array, cell: float) -> tuple[Array, Array]:
     """Surface nets: a vertex in each cell that the surface passes, four joined around each grid edge that it cuts."""
     count = np.ceil((high - low) / cell).astype(int) + 1
     nodes = low + cell * np.stack(np.meshgrid(*(np.arange(n) for n in count), indexing="ij"), -1)
@@ -70,11 +70,11 @@ def _nets(shape: Shape, low: Array, high: Array, cell: float) -> tuple[Array, Ar
     quads = []
     number = np.arange(np.prod(cells)).reshape(cells)
     for axis in range(3):
-        d0, d1, at = (np.moveaxis(a, axis, 0) for a in (d, d, nodes))
-        d0, d1, at = d0[:-1], d1[1:], at[:-1]
+        d0, d1, start = (np.moveaxis(a, axis, 0) for a in (d, d, nodes))
+        d0, d1, start = d0[:-1], d1[1:], start[:-1]
         cut = (d0 < 0) != (d1 < 0)
         part = np.where(cut, d0 / np.where(cut, d0 - d1, 1.0), 0.0)
-        point = at + cell * part[..., None] * np.eye(3)[axis]
+        point = start + cell * part[..., None] * np.eye(3)[axis]
         sums, counts, numbers = (np.moveaxis(a, axis, 0) for a in (total, crossings, number))
         m, n = cut.shape[1] - 1, cut.shape[2] - 1
         for b in (0, 1):
@@ -94,7 +94,7 @@ def _nets(shape: Shape, low: Array, high: Array, cell: float) -> tuple[Array, Ar
     return vertices, np.concatenate([quad[:, [0, 1, 2]], quad[:, [0, 2, 3]]])
 
 
-def _pulled(shape: Shape, vertices: Array) -> Array:
+def _projected(shape: Shape, vertices: Array) -> Array:
     for _ in range(3):
         d, n, _ = shape.distance(vertices)
         vertices = vertices - d[:, None] * n
@@ -147,7 +147,7 @@ def _sharp(vertices: Array, triangles: Array, edges: Array, sides: Array) -> Arr
     both, away, count = np.zeros((len(edges), 3)), np.zeros((len(edges), 3)), np.bincount(sides.ravel())
     np.add.at(both, sides, np.repeat(n[:, None], 3, 1))
     np.add.at(away, sides, vertices[edges[sides]].mean(2) - middle[:, None])
-    bent = np.linalg.norm(both, axis=1) < 2 * np.cos(SHARP / 2)  # the sum of two unit normals
+    bent = np.linalg.norm(both, axis=1) < 2 * np.cos(SHARP_ANGLE / 2)  # the sum of two unit normals
     return np.asarray(bent & ((away * both).sum(1) > 0) & (count == 2))
 
 
@@ -161,4 +161,4 @@ def _miters(vertices: Array, triangles: Array) -> Array:
     np.add.at(A, triangles, angle[..., None, None] * (n[:, :, None] * n[:, None, :])[:, None])
     np.add.at(rhs, triangles, angle[..., None] * n[:, None])
     m = np.einsum("vij,vj->vi", np.linalg.pinv(A, rcond=1e-2, hermitian=True), rhs)
-    return np.asarray(m * np.minimum(1.0, MITER / np.maximum(np.linalg.norm(m, axis=1, keepdims=True), 1e-300)))
+    return np.asarray(m * np.minimum(1.0, MAX_MITER / np.maximum(np.linalg.norm(m, axis=1, keepdims=True), 1e-300)))

@@ -16,9 +16,9 @@ if TYPE_CHECKING:
     from tacgen.optics.camera import Camera
 
 Array = np.ndarray
-RIM = 0.4  # share of points in contact at the contact map's rim: less than half, for the rim passes outside of them
-VISIBLE = 0.9  # of its share of the face: a node seen less than that lies partly out of view
-SHARPENED = {4: 2, 3: 2, 6: 1}  # times, by the facets' nodes: see `maps`; more sharpens noise more than the rim
+RIM_SHARE = 0.4  # of points in contact at the contact map's rim [-]: less than half, since the rim passes outside them
+VISIBLE_SHARE = 0.9  # of a node's area [-]: a node of which the camera sees less lies partly out of view
+SHARPENING_STEPS = {4: 2, 3: 2, 6: 1}  # Richardson-Lucy steps by a facet's nodes (see `maps`); more amplify noise
 
 
 @dataclass(frozen=True)
@@ -71,8 +71,8 @@ def maps(problem: Problem, surface: Surface, state: State, camera: "Camera") -> 
     faces, on = problem.contact.faces, np.asarray(state.normal_force > 0)
     view = _View(surface, camera, faces, np.asarray(on.any(1)))
     touched, whole = (view.at(view.nodal(faces.areas * part)) for part in (on, 1.0))
-    contact = view.picture(touched / whole)[..., 0] >= RIM
-    for _ in range(SHARPENED[faces.conn.shape[1]]):
+    contact = view.picture(touched / whole)[..., 0] >= RIM_SHARE
+    for _ in range(SHARPENING_STEPS[faces.conn.shape[1]]):
         view.weight = view.shared(state.normal_force)[:, 0]
 
     def spread(per_point: Array) -> Array:
@@ -127,8 +127,8 @@ class _View:
 
         areas = facet_areas(surface.now, facets)[0]
         areas = areas @ facet_shares(facet_points(kind)[0], areas)
-        whole, visible = np.bincount(self._facets.ravel(), areas.ravel()), self._held()
-        self._visible = np.where(visible > VISIBLE * whole, 1.0, visible / np.maximum(whole, 1e-300))
+        whole, visible = np.bincount(self._facets.ravel(), areas.ravel()), self._weighted_area()
+        self._visible = np.where(visible > VISIBLE_SHARE * whole, 1.0, visible / np.maximum(whole, 1e-300))
 
     def nodal(self, per_point: Array) -> Array:
         """Sums (s, c) at the facets' nodes of what is at the contact's points, (f, q, c) or numbers (f, q)."""
@@ -144,8 +144,8 @@ class _View:
     def shared(self, per_point: Array) -> Array:
         """Forces at the points by area of the face (p, c), in proportion to the weights; of what is shared to a node
         partly out of view, the part in view."""
-        force, held = self.nodal(per_point), self._held()
-        scale = np.divide(self._visible, held, out=np.zeros(len(held)), where=held > 0)
+        force, weighted = self.nodal(per_point), self._weighted_area()
+        scale = np.divide(self._visible, weighted, out=np.zeros(len(weighted)), where=weighted > 0)
         return self.at(force * scale[:, None]) * self.weight[:, None]
 
     def picture(self, values: Array) -> Array:
@@ -154,7 +154,7 @@ class _View:
         out[self.seen] = values
         return out
 
-    def _held(self) -> Array:
+    def _weighted_area(self) -> Array:
         """Weighted area (s,) of the pixels around each node."""
-        held = self.shape * (self.weight * self.area[self.seen])[:, None]
-        return np.bincount(self.nodes.ravel(), held.ravel(), int(self._facets.max()) + 1)
+        weighted = self.shape * (self.weight * self.area[self.seen])[:, None]
+        return np.bincount(self.nodes.ravel(), weighted.ravel(), int(self._facets.max()) + 1)

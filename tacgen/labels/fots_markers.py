@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from tacgen.recipe.sensor import Gel, Motion
 
 Array = np.ndarray
-SPACING = 0.3  # [mm] between the points of the face that are looked at
+FACE_SPACING = 0.3  # between the points of the face at which the press depth is taken [mm]
 
 
 class Drift:
@@ -28,7 +28,7 @@ class Drift:
 
     def __init__(self, motion: "Motion", rest: Array, gel: "Gel", shape: "Shape", camera: "Camera") -> None:
         """`rest` (n, 2) [mm]."""
-        untouched, sheet = Untouched.of(gel), Sheet.over(gel, SPACING)
+        untouched, sheet = Untouched.of(gel), Sheet.over(gel, FACE_SPACING)
         self.motion, self.shape, self.camera = motion, shape, camera
         self._face = sheet.at(replace(untouched, skin=0.0))  # what is touched, not what is printed
         self._cell = float(np.prod(sheet.size)) / len(self._face)

@@ -15,13 +15,13 @@ from tacgen.scene import tet_mesh
 from tacgen.scene.scene import Scene
 
 Array = np.ndarray
-STEEPEST = 1.1  # slope of a signed distance: 1, and a little more where it is interpolated
+MAX_SLOPE = 1.1  # of a signed distance [-]: 1, and a little more where it is interpolated
 # nodes, and the edge that fTetWild is asked for as a part of a hex's; it gives 1.25 to 1.35 times that
 TETS = {"tet": (10, 1.125), "linear_tet": (4, 0.8)}
-LEAST_ANGLE = 2.0  # [deg]
-LEAST_JACOBIAN = 0.01
-COARSEST = 11.1  # edges under the contact: the edge far away
-MOST = 500_000  # nodes: what no machine could factorise
+MIN_ANGLE_DEG = 2.0  # between the faces of a tet
+MIN_SCALED_JACOBIAN = 0.01  # of a tet [-]
+COARSEST = 11.1  # edge far from the contact over that under it [-]
+MAX_NODES = 500_000  # no machine could factorise the stiffness of more
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ def of(scene: Scene) -> Mesh:
     made = Mesh(*tet_mesh.build(scene.gel, touched(scene), edge * scene.edge, nodes))
     angle = float(np.degrees(dihedral(made.points, made.cells).min()))
     least = float(scaled_jacobian(made.points, made.cells).min())
-    if angle < LEAST_ANGLE or least < LEAST_JACOBIAN:
+    if angle < MIN_ANGLE_DEG or least < MIN_SCALED_JACOBIAN:
         raise UserError(
             f"gel: its tets are too flat to compute with (smallest angle {angle:.2g} deg, scaled Jacobian {least:.1e}):"
             " the surface has thin walls or sharp folds"
@@ -119,7 +119,7 @@ def build(
             as COARSEST says if 0.
 
     Raises:
-        UserError: that would be a mesh of more than MOST nodes.
+        UserError: that would be a mesh of more than MAX_NODES nodes.
     """
     coarsest = coarsest or COARSEST * edge
     x0, x1, y0, y1 = footprint
@@ -127,7 +127,7 @@ def build(
     ys = graded(-gel.height / 2, gel.height / 2, (y0, y1), edge, growth, coarsest)
     zs, layer = heights(gel, 1.3 * edge, 1.1, coarsest / 2)  # a map's rim is as sharp as cells are wide, not deep
     shape = len(xs), len(ys), len(zs)
-    _refuse_beyond(MOST, math.prod(shape), edge, "nodes")
+    _refuse_above(MAX_NODES, math.prod(shape), edge, "nodes")
     points = np.stack(np.meshgrid(xs, ys, zs, indexing="ij"), -1).reshape(-1, 3)
     points[:, 2] += gel.top(points[:, 0], points[:, 1]) * (points[:, 2] + gel.thickness) / gel.thickness
     hexes = boxes(np.arange(len(points)).reshape(shape))
@@ -143,7 +143,7 @@ def build(
     return Mesh(points[used], compact.reshape(-1, 8), layers, {"bonded": rename[bonded], "coated": rename[coated]})
 
 
-def _refuse_beyond(most: float, count: float, edge: float, what: str) -> None:
+def _refuse_above(most: float, count: float, edge: float, what: str) -> None:
     if count > most:
         raise UserError(
             f"quality.edge_mm: {edge:g} mm under all that the trajectory touches gives {count:.1g} {what}, and"
@@ -165,7 +165,7 @@ def touched(scene: Scene) -> Array:
     A rigid body cuts a wider patch out of the untouched face than it touches of a soft one: this is on the safe side.
     """
     gel, step = scene.gel, scene.edge / 3
-    _refuse_beyond(60 * MOST, gel.width * gel.height / step**2, scene.edge, "points of the face to look at")
+    _refuse_above(60 * MAX_NODES, gel.width * gel.height / step**2, scene.edge, "points of the face to look at")
     x, y = (np.arange(-size / 2, size / 2 + step, step) for size in (gel.width, gel.height))
     grid = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
     face = np.column_stack([grid, gel.top(*grid.T)])
@@ -174,13 +174,14 @@ def touched(scene: Scene) -> Array:
     if scene.forced is not None:
         poses = poses.copy()
         poses[:, 2, 3] -= scene.forced.allowance
-    before, least = Pose.of(scene.start).local(face), np.zeros(len(face))  # of the distance, which is measured when < 0
+    before = Pose.of(scene.start).local(face)
+    bound = np.zeros(len(face))  # of the distance, from below: it is evaluated only where this is negative
     for matrix in poses:
         local = Pose.of(matrix).local(face)
-        least -= STEEPEST * np.linalg.norm(local - before, axis=1)
-        near = np.flatnonzero(~hit & (least <= 0))
-        least[near] = scene.shape.distance(local[near])[0]
-        hit[near[least[near] < 0]] = True
+        bound -= MAX_SLOPE * np.linalg.norm(local - before, axis=1)
+        near = np.flatnonzero(~hit & (bound <= 0))
+        bound[near] = scene.shape.distance(local[near])[0]
+        hit[near[bound[near] < 0]] = True
         before = local
     if hit.any():
         return face[hit]

@@ -23,8 +23,8 @@ from tacgen.scene.path import Forced, lay
 __all__ = ["Gel", "Layer", "Scene", "build"]
 
 Array = np.ndarray
-TONNES_PER_MM3 = 1e-12  # kg/m^3
-CELL = 0.25  # of the edge: grid spacing of a mesh's signed distance, whose edges are rounded by about two cells
+TONNES_PER_MM3 = 1e-12  # one kg/m^3
+SDF_CELL = 0.25  # grid of a mesh's signed distance over the element edge [-]; its edges are rounded by about two cells
 
 
 @dataclass(frozen=True)
@@ -62,8 +62,8 @@ class Scene:
     turns: Array | None = None  # (N, 3) rotation vector from each pose to the next [rad]; None: the shorter way
 
 
-def _within(row: Row) -> tuple[float, float]:
-    """As far as the gel can come to an indenter: from its z axis, and above its lowest point [mm]."""
+def _reach_of_gel(row: Row) -> tuple[float, float]:
+    """How far the gel can come to an indenter: distance from its z axis, and height above its lowest point [mm]."""
     gel = row.sensor.gel
     steps = row.recipe.trajectory
     replays = (row.replayed(number) for number, step in enumerate(steps) if step.replay)
@@ -79,8 +79,8 @@ def _solid(i: indenters.Mesh, row: Row) -> mesh_import.Solid:
 
 def _field(i: indenters.Mesh, row: Row) -> Field:
     """A mesh as far as the gel can come to it; its grid follows the quality's edge, as what the gel resolves does."""
-    half, height = _within(row)
-    return mesh_import.field(_solid(i, row), cell=CELL * row.recipe.resolved().edge_mm, height=height, half=half)
+    half, height = _reach_of_gel(row)
+    return mesh_import.field(_solid(i, row), cell=SDF_CELL * row.recipe.resolved().edge_mm, height=height, half=half)
 
 
 def _surface(row: Row, shape: Shape) -> Triangles | None:
@@ -89,7 +89,7 @@ def _surface(row: Row, shape: Shape) -> Triangles | None:
     indenter, quality = row.recipe.indenter, row.recipe.resolved()
     if row.recipe.contact.formulation != "ipctk":
         return None
-    half, height = _within(row)
+    half, height = _reach_of_gel(row)
     if indenter.shape == "mesh":
         solid = _solid(indenter, row)
         return surface_nets.of_mesh(solid.vertices, solid.triangles, height=height, spacing=quality.edge_mm / 4)
@@ -141,10 +141,10 @@ def build(row: Row) -> Scene:
     way = lay(recipe, shape, gel, row.replayed)
     friction, edge, dhat = recipe.contact.friction, quality.edge_mm, quality.dhat_mm
     element = recipe.mesh or ("hex" if row.sensor.gel.solid is None else "tet")
-    over = np.concatenate([way.start[None], way.poses])[:, :2, 3]
-    beside = over[~gel.contains(*over.T)] if isinstance(gel, SolidGel) else over[:0]
-    if len(beside):
-        x, y = beside[0]
+    positions = np.concatenate([way.start[None], way.poses])[:, :2, 3]
+    off_face = positions[~gel.contains(*positions.T)] if isinstance(gel, SolidGel) else positions[:0]
+    if len(off_face):
+        x, y = off_face[0]
         raise UserError(f"trajectory: would carry the indenter's axis off the gel's coated face, to ({x:g}, {y:g})")
     more = (way.forced, _dynamics(row), element, _surface(row, shape), way.turns)
     return Scene(gel, shape, way.poses, way.start, way.segment, friction, edge, dhat, *more)

@@ -19,16 +19,15 @@ from tacgen.geometry import mesh_import
 from tacgen.geometry.gel import Gel
 
 Array = np.ndarray
-VERSION = 1  # of the cached meshes
-GROWTH = 0.4  # of the edge, per distance from what is touched
-COARSEST = 7.4  # edges under the contact: the edge far away
-ENVELOPE = 1e-3  # how far the mesh may leave the surface, as a part of the box's diagonal, before it is drawn to it
-COARSE, FINE = (
-    (0.04, 4e-3),
-    (0.012, 4e-6),
-)  # step and sag, of the longer side: of what is meshed, and of what is true
-ENERGY = 10.0  # fTetWild ends when its worst cell is this good
-FOLDED = 0.1  # of a tet's volume before it is drawn to the surface: one that has less at a node is put back
+CACHE_VERSION = 1  # of the meshes in the cache
+EDGE_GROWTH = 0.4  # of the edge over the distance from what is touched [-]
+COARSEST = 7.4  # edge far from the contact over that under it [-]
+ENVELOPE = 1e-3  # distance of fTetWild's mesh from the surface, over the box's diagonal [-]; nodes are projected later
+# step and sag of the gel's surface, over the longer side [-]
+COARSE = (0.04, 4e-3)  # of the surface that is meshed
+FINE = (0.012, 4e-6)  # of the surface that nodes are projected onto
+MAX_ENERGY = 10.0  # AMIPS energy of the worst tet, below which fTetWild ends [-]
+MIN_NODAL_VOLUME = 0.1  # at a tet's nodes, over its volume before projection [-]; below, nodes are put back
 TET_FACES = np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)])  # seen from outside
 
 
@@ -43,8 +42,16 @@ def build(gel: Gel, touched: Array, edge: float, nodes: int) -> tuple[Array, Arr
     reach = ENVELOPE * float(np.linalg.norm(high - low))
     coarsest = COARSEST * edge
     background = _background(low, high, touched, edge, coarsest)
-    asked = (vertices, triangles, np.concatenate([triangles[:0], *between]), *background, coarsest, ENVELOPE, ENERGY)
-    key = array_cache.digest((VERSION, version("pytetwild"), *asked))
+    asked = (
+        vertices,
+        triangles,
+        np.concatenate([triangles[:0], *between]),
+        *background,
+        coarsest,
+        ENVELOPE,
+        MAX_ENERGY,
+    )
+    key = array_cache.digest((CACHE_VERSION, version("pytetwild"), *asked))
     points, tets = array_cache.kept("meshes", key, lambda: _tetrahedralise(*asked))
     if not len(tets):
         raise UserError("gel: no mesh of tetrahedra could be made inside its surface")
@@ -53,7 +60,7 @@ def build(gel: Gel, touched: Array, edge: float, nodes: int) -> tuple[Array, Arr
     if nodes == 10:
         points, tets, *lists = quadratic(points, tets, *facets.values(), *between_layers)
         facets, between_layers = dict(zip(facets, lists, strict=False)), lists[len(facets) :]
-    points = _drawn(gel, points, tets, facets, between_layers)
+    points = _on_true_surface(gel, points, tets, facets, between_layers)
     return points, tets, layer, {name: facets[name] for name in ("bonded", "coated")}
 
 
@@ -68,14 +75,14 @@ def _background(low: Array, high: Array, touched: Array, edge: float, coarsest: 
     ways = [(0, 1, 2, 6), (0, 5, 1, 6), (0, 4, 5, 6), (0, 7, 4, 6), (0, 3, 7, 6), (0, 2, 3, 6)]
     tets = np.concatenate([hexes[:, way] for way in ways]).astype(np.int32)
     away = cKDTree(touched).query(points)[0]
-    return points, tets, np.minimum(edge + GROWTH * away, coarsest)
+    return points, tets, np.minimum(edge + EDGE_GROWTH * away, coarsest)
 
 
 def _tetrahedralise(
     vertices: Array,
     triangles: Array,
     between: Array,
-    at: Array,
+    sizing_points: Array,
     tets: Array,
     edges: Array,
     coarsest: float,
@@ -85,7 +92,7 @@ def _tetrahedralise(
     """fTetWild on one thread: vertices (n, 3) and tets (e, 4) inside the closed triangles, no tet across `between`."""
     found = _ftetwild().tetrahedralize_mesh(
         vertices, np.concatenate([triangles, between]).astype(np.uint32), True, False, 0.05, coarsest, envelope, energy,
-        False, 1, 80, 6, True, False, True, at, tets, edges,
+        False, 1, 80, 6, True, False, True, sizing_points, tets, edges,
     )  # fmt: skip
     points, cells = np.asarray(found[0], float), np.asarray(found[1], np.int64)
     # fTetWild's own test of what is inside counts the open triangles too
@@ -135,7 +142,7 @@ def _patches(gel: Gel, points: Array, triangles: Array, reach: float) -> dict[st
     return {**found, "sides": ~np.any(list(found.values()), axis=0)}
 
 
-def _drawn(gel: Gel, points: Array, tets: Array, facets: dict[str, Array], between: list[Array]) -> Array:
+def _on_true_surface(gel: Gel, points: Array, tets: Array, facets: dict[str, Array], between: list[Array]) -> Array:
     """Nodes of the boundary and of the interfaces drawn onto the true ones; what that would fold stays straight."""
     new = points.copy()
     vertices, triangles, _ = gel.surface(*FINE)
@@ -147,18 +154,18 @@ def _drawn(gel: Gel, points: Array, tets: Array, facets: dict[str, Array], betwe
     parts = [*zip(between, gel.interfaces[:-1], strict=True), (facets["coated"], 1.0)]
     for which, part in parts:
         there = np.unique(which)
-        new[there] = gel.at(float(part), new[there, :2])
-    return _unfolded(new, points, tets)
+        new[there] = gel.at_height(float(part), new[there, :2])
+    return _without_folds(new, points, tets)
 
 
-def _unfolded(new: Array, old: Array, tets: Array) -> Array:
+def _without_folds(new: Array, old: Array, tets: Array) -> Array:
     """The new points, but the middle nodes of tets that are folded by them back on their straight edges, and corners
     where they were, as far as that takes."""
     straight = nodal_volume(old, tets[:, :4]).min(1)
     for corners_too in (False, True):
         for _ in range(10):
             least = nodal_volume(new, tets).min(1)
-            bad = tets[least <= FOLDED * straight]
+            bad = tets[least <= MIN_NODAL_VOLUME * straight]
             if not len(bad):
                 return new
             if corners_too:

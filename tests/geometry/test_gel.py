@@ -102,7 +102,7 @@ def test_from_a_sensor_file_to_a_bundle(tmp_path: Path) -> None:
     assert x[face, 2] == pytest.approx(gel.top(*x[face, :2].T), abs=1e-9)
     assert x[face, 2].min() > -1
     shared = np.intersect1d(grid.cells[grid.layer == 0], grid.cells[grid.layer == 1])
-    sheet = gel.at(float(gel.interfaces[0]), x[shared, :2])[:, 2]
+    sheet = gel.at_height(float(gel.interfaces[0]), x[shared, :2])[:, 2]
     assert x[shared, 2] == pytest.approx(sheet, abs=1e-9)
     assert sheet == pytest.approx(-3 + 2 / 3 * (3 + gel.top(*x[shared, :2].T)), abs=0.15)  # flat between its nodes
     assert abs(mesh.quality(gel, grid)["volume_error"]) < 2e-3

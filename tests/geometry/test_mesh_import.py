@@ -122,7 +122,7 @@ def test_what_trimesh_cannot_mend_is_sewn(make: Any, tmp_path: Path, monkeypatch
     assert mended.is_watertight
     assert mended.is_winding_consistent
     assert mended.volume == pytest.approx(ball(3).volume, rel=0.01)
-    monkeypatch.setattr(mesh_import, "_sewn", lambda mesh: mesh)
+    monkeypatch.setattr(mesh_import, "_repaired", lambda mesh: mesh)
     with pytest.raises(UserError, match=r"is not closed: \d+ "):
         mesh_import.read(path)
 
@@ -202,13 +202,13 @@ def test_what_cannot_be_used_is_said_in_one_line(make: Any, says: str, tmp_path:
 
 def test_limits_of_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     path = saved(ball(2), tmp_path / "ball.stl")
-    monkeypatch.setattr(mesh_import, "MOST_TRIANGLES", 100)
+    monkeypatch.setattr(mesh_import, "MAX_TRIANGLES", 100)
     with pytest.raises(UserError, match="has 320 triangles, at most 100"):
         mesh_import.read(path)
-    monkeypatch.setattr(mesh_import, "LARGEST_FILE", 10)
+    monkeypatch.setattr(mesh_import, "MAX_FILE", 10)
     with pytest.raises(UserError, match="simplify it first"):
         mesh_import.read(path)
-    monkeypatch.setattr(mesh_import, "MOST_NODES", 20_000)
+    monkeypatch.setattr(mesh_import, "MAX_NODES", 20_000)
     assert field(ball(2), 0.05).coefficients.size < 60_000
 
 

@@ -47,8 +47,8 @@ def error(found: contact_maps.Maps) -> float:
 def test_sharing_by_the_pressure_sharpens_the_rim(kind: int, monkeypatch: pytest.MonkeyPatch) -> None:
     points, faces, _ = patch(12, 5.0, kind)
     errors = []
-    for times in (0, contact_maps.SHARPENED[kind]):
-        monkeypatch.setitem(contact_maps.SHARPENED, kind, times)
+    for times in (0, contact_maps.SHARPENING_STEPS[kind]):
+        monkeypatch.setitem(contact_maps.SHARPENING_STEPS, kind, times)
         errors.append(error(pressed(points, faces)[0]))
     assert errors[1] < (0.9 if kind == 6 else 0.7) * errors[0], errors  # nodes on edges share finely as it is
     assert 0.03 < errors[1] < 0.09, errors

@@ -46,8 +46,9 @@ def test_a_mesh_indenter() -> None:
 
     def ball(by: float) -> Shape:
         found = trimesh.creation.icosphere(subdivisions=3, radius=2.5 * by)
+        cell = stage.SDF_CELL * 0.6 * by
         raw = mesh_import.Solid("ball", found.vertices, found.faces, np.zeros(len(found.faces), int))
-        return mesh_import.field(mesh_import.placed(raw), cell=stage.CELL * 0.6 * by, height=1.0 * by, half=8.0 * by)
+        return mesh_import.field(mesh_import.placed(raw), cell=cell, height=1.0 * by, half=8.0 * by)
 
     assert_alike(pressed(1, ball(1)), pressed(by, ball(by)), by, 1e-6)
 
