@@ -38,8 +38,8 @@ def _evaluate(p: Array, c: Array, origin: Array, cell: float, d: Array, g: Array
     """Distance, gradient and Hessian of the spline c at points p (n, 3); outside the grid a bound from below."""
     w = np.empty((3, 3, 4))
     away = np.empty(3)
+    first = np.empty(3, np.int64)
     for n in range(len(p)):
-        i, j, k = 0, 0, 0
         outside = 0.0
         for a in range(3):
             x = (p[n, a] - origin[a]) / cell
@@ -51,12 +51,8 @@ def _evaluate(p: Array, c: Array, origin: Array, cell: float, d: Array, g: Array
             outside += away[a] ** 2
             index = min(int(inner), c.shape[a] - 3)
             _weights(inner - index, w[a])
-            if a == 0:
-                i = index - 1
-            elif a == 1:
-                j = index - 1
-            else:
-                k = index - 1
+            first[a] = index - 1
+        i, j, k = first[0], first[1], first[2]
         v = gx = gy = gz = xx = yy = zz = xy = xz = yz = 0.0
         for a in range(4):
             for b in range(4):

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field, ValidationInfo, field_validator
 
-from tacgen.recipe.base_model import Part, Positive
+from tacgen.recipe.base_model import Axis, FilePath, Part, Positive, Sha256
 
 if TYPE_CHECKING:
     from tacgen.geometry.analytic_sdf import Shape
@@ -104,11 +104,11 @@ class Mesh(Part):
     """A closed triangle mesh (STL, OBJ, PLY), its lowest point at the gel and its middle over it."""
 
     shape: Literal["mesh"]
-    file: Annotated[str, Field(min_length=1)]  # an object's name, or a path that starts at the recipe's folder
-    up: Literal["+x", "-x", "+y", "-y", "+z", "-z"] = "+z"  # which axis of the file points away from the gel
+    file: FilePath  # or the name of a shipped object
+    up: Axis = "+z"  # which axis of the file points away from the gel
     scale: Positive = 1.0  # mm per unit of the file
     size_mm: Positive | None = None  # instead of scale: the longest side
-    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = None  # the file must be this one; bundles say it
+    sha256: Sha256 | None = None
 
     @field_validator("size_mm")
     @classmethod

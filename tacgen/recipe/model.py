@@ -4,7 +4,7 @@ from typing import Annotated, Any, Literal, NamedTuple, get_args
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, ValidationInfo, field_validator, model_validator
 
-from tacgen.recipe.base_model import ONE_KEY, NotNegative, Part, Positive, exactly_one
+from tacgen.recipe.base_model import ONE_KEY, FilePath, NotNegative, Part, Positive, Sha256, exactly_one
 from tacgen.recipe.indenters import Indenter
 from tacgen.recipe.trajectory import Segment, Start
 from tacgen.recipe.yaml_source import KeyPath
@@ -64,8 +64,8 @@ class Render(Part):
     method: Literal["transport", "path", "table"] = "transport"
     noise: bool = True
     # a photograph of one's own untouched unit, dots where the sensor file has them: photo x (deformed / flat render)
-    background: Annotated[str, Field(min_length=1)] | None = None  # a path that starts at the recipe's folder
-    background_sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = None  # it must be this file
+    background: FilePath | None = None
+    background_sha256: Sha256 | None = None
 
 
 class MarkerMotion(Part):
@@ -120,7 +120,7 @@ class Distribution(Part, json_schema_extra=ONE_KEY):
 
     @model_validator(mode="after")
     def _one(self) -> "Distribution":
-        exactly_one(self, "distribution")
+        exactly_one(self, "one distribution")
         return self
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from tacgen.recipe.base_model import NotNegative, Part, Positive
+from tacgen.recipe.base_model import Axis, FilePath, NotNegative, Part, Positive, Sha256, exactly_one
 
 if TYPE_CHECKING:
     from tacgen.geometry.outline import Pad
@@ -85,8 +85,7 @@ class NearlyIncompressible(LayerBase):
 
     @model_validator(mode="after")
     def _one(self) -> Self:
-        if (self.poissons_ratio is None) == (self.bulk_modulus_mpa is None):
-            raise ValueError("must hold exactly one of poissons_ratio, bulk_modulus_mpa")
+        exactly_one(self, names=("poissons_ratio", "bulk_modulus_mpa"))
         return self
 
 
@@ -150,12 +149,12 @@ class Dome(Part):
 class Solid(Part):
     """The gel's shape from a closed triangle mesh (STL, OBJ, PLY): middle of its box over the origin, top at z = 0."""
 
-    file: Annotated[str, Field(min_length=1)]  # a path that starts at the sensor file's folder
-    up: Literal["+x", "-x", "+y", "-y", "+z", "-z"] = "+z"  # which axis of the file points out of the gel
+    file: FilePath
+    up: Axis = "+z"  # which axis of the file points out of the gel
     scale: Positive = 1.0  # mm per unit of the file
     bonded_mm: NotNegative = 0.02  # held: all of the surface that is no higher than this above its lowest point
     coated_deg: Annotated[float, Field(gt=0, lt=90)] = 60.0  # pressed and seen: where it faces up to within this angle
-    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = None  # the file must be this one; bundles say it
+    sha256: Sha256 | None = None
     source: str
 
 

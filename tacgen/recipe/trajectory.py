@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from tacgen.recipe.base_model import ONE_KEY, Part, Positive, exactly_one
+from tacgen.recipe.base_model import ONE_KEY, FilePath, Part, Positive, Sha256, exactly_one
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]  # w, x, y, z
@@ -52,7 +52,7 @@ class Press(Timed):
 
     @model_validator(mode="after")
     def _one(self) -> "Press":
-        exactly_one(self, "aim", ("depth_mm", "force_n"))
+        exactly_one(self, "one aim", ("depth_mm", "force_n"))
         return self
 
 
@@ -106,13 +106,13 @@ class Replay(Part):
     the sensor's need `sensor_pose`, rows of another body's frame than the indenter's `indenter_pose`.
     """
 
-    file: Annotated[str, Field(min_length=1)]  # a path that starts at the recipe's folder
+    file: FilePath
     units: Literal["mm", "m"] | None = None  # of x, y, z where the header does not say; mm if neither does
     sensor_pose: Placement = Placement()  # of the sensor in the frame that the rows are given in
     indenter_pose: Placement = Placement()  # of the indenter in the frame of the body whose poses the rows are
     every: Annotated[int, Field(ge=1)] = 1  # take the first row and then each so many
     frames: Frames | None = None  # stop after so many; None: at the table's end
-    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = None  # the file must be this one; bundles say it
+    sha256: Sha256 | None = None
 
 
 class Hold(Timed):
@@ -139,7 +139,7 @@ class Segment(Part, json_schema_extra=ONE_KEY):
 
     @model_validator(mode="after")
     def _one(self) -> "Segment":
-        exactly_one(self, "movement")
+        exactly_one(self, "one movement")
         return self
 
     @property

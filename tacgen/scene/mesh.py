@@ -80,9 +80,7 @@ def graded(start: float, end: float, fine: tuple[float, float], edge: float, gro
         middle = np.array([np.clip(low, start, end)])
 
     def side(length: float) -> Array:
-        steps: list[float] = []
-        while sum(steps) < length - 1e-9:
-            steps.append(min((steps[-1] if steps else edge) * growth, coarsest))
+        steps = _growing(min(edge * growth, coarsest), length, growth, coarsest)
         return np.cumsum(steps) * (length / sum(steps)) if steps else np.zeros(0)
 
     below, above = middle[0] - side(middle[0] - start)[::-1], middle[-1] + side(end - middle[-1])
@@ -97,15 +95,20 @@ def heights(gel: Gel, edge: float, growth: float, coarsest: float) -> tuple[Arra
     step = edge
     for number in reversed(range(len(gel.layers))):
         left = gel.layers[number].thickness
-        steps: list[float] = []
-        while sum(steps) < left - 1e-9:
-            steps.append(step)
-            step = min(step * growth, coarsest)
+        steps = _growing(step, left, growth, coarsest)
         scaled = np.array(steps) * (left / sum(steps))
         step = min(float(scaled[-1]) * growth, coarsest)
         z.extend(z[-1] - np.cumsum(scaled))
         layer.extend([number] * len(steps))
     return np.array(z[::-1]), np.array(layer[::-1], dtype=np.int32)
+
+
+def _growing(first: float, length: float, growth: float, longest: float) -> list[float]:
+    """Steps that together are at least as long as `length`, each `growth` times the one before, up to `longest`."""
+    steps: list[float] = []
+    while sum(steps) < length - 1e-9:
+        steps.append(min(steps[-1] * growth, longest) if steps else first)
+    return steps
 
 
 def build(
