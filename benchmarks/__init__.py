@@ -1,7 +1,7 @@
 """Measurements of the program itself: how far it may be pushed, how right it is, what it costs.
 
-A bench is a module with `bench(level, say) -> kit.Result` and a line of BENCHES. Each leaves its figures as JSON and a
-picture, and the page of results is made of those, whenever they were taken.
+A bench is a module with `bench(level, say) -> results_page.Result` and a line of BENCHES. Each writes its figures as
+JSON and a picture; the page of results is made of those files.
 """
 
 import os
@@ -42,7 +42,7 @@ def run(names: Sequence[str], out: Path, level: results_page.Level, say: results
     os.environ.update(results_page.one_thread())  # before NumPy comes in
     failed = []
     for name in names or BENCHES:
-        begun = time.perf_counter()
+        started = time.perf_counter()
         try:
             found = import_module(f"benchmarks.{BENCHES[name]}").bench(
                 level, lambda text, name=name: say(f"{name}: {text}")
@@ -51,8 +51,8 @@ def run(names: Sequence[str], out: Path, level: results_page.Level, say: results
             say(traceback.format_exc())  # the others go on
             failed.append(name)
             continue
-        record(name, found, time.perf_counter() - begun, out)
-        say(f"{name}: {time.perf_counter() - begun:.0f} s")
+        record(name, found, time.perf_counter() - started, out)
+        say(f"{name}: {time.perf_counter() - started:.0f} s")
     return failed
 
 

@@ -6,7 +6,7 @@ from itertools import pairwise
 from statistics import median
 from typing import Any
 
-from benchmarks.results_page import Cell, Level, Plot, Result, Say, Series, Table, apart, columns, peak_memory
+from benchmarks.results_page import Cell, Level, Plot, Result, Say, Series, Table, columns, in_own_process, peak_memory
 
 ABOUT = (
     "A ball of 4 mm with friction 0.6, labels and images left out: each line is a process of its own on one core, in"
@@ -65,7 +65,7 @@ def _frames(level: Level, say: Say) -> Table:
     for sensor, name, more in kinds:
         quality = name.partition(",")[0]
         sets = (f"sensor={sensor}", MOVES.format(depth=DEPTHS[sensor], n=n), f"quality={quality}", *more)
-        found = apart("benchmarks.cost:solved", sets, repeats)
+        found = in_own_process("benchmarks.cost:solved", sets, repeats)
         parts = [median(sum(run[k : k + n]) / n for run in found["seconds"]) for k in (0, n, 2 * n)]
         each = [sum(run) / (3 * n) for run in found["seconds"]]
         iterations = sum(found["iterations"]) / (3 * n)
@@ -89,7 +89,7 @@ def _growth(level: Level, say: Say) -> tuple[Table, Plot]:
     nodes, each = list[float](), list[float]()
     for wanted in NODES[level]:
         edge = round(0.245 * (13320 / wanted) ** (1 / 2.2), 3)
-        found = apart("benchmarks.cost:solved", (PRESS, f"quality={{edge_mm: {edge}, dhat_mm: 0.03}}"))
+        found = in_own_process("benchmarks.cost:solved", (PRESS, f"quality={{edge_mm: {edge}, dhat_mm: 0.03}}"))
         seconds, iterations = sum(found["seconds"][0]), sum(found["iterations"])
         nodes.append(found["nodes"])
         each.append(seconds)

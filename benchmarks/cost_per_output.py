@@ -8,7 +8,7 @@ from tempfile import TemporaryDirectory
 from types import FrameType
 from typing import Any
 
-from benchmarks.results_page import Cell, Level, Result, Say, Table, columns, each_apart, peak_memory
+from benchmarks.results_page import Cell, Level, Result, Say, Table, columns, in_own_processes, peak_memory
 from tacgen.errors import UserError
 
 ABOUT = (
@@ -47,23 +47,26 @@ ASKED: dict[str, tuple[str, tuple[str, ...]]] = {  # name: (outputs, changes)
         (),
     ),
 }
+# large packages, of which a scene should load no more than it needs
 LARGE = ("numpy", "scipy", "numba", "h5py", "cvxopt", "pymetis", "mitsuba", "drjit", "matplotlib", "ipctk", "pytetwild",
          "PyfTetWildWrapper", "trimesh", "igl", "pymeshlab", "torch", "PIL", "distributed")  # fmt: skip
-ROUGH = (  # by which all is compiled, and made ready that is kept
+WARM_UP = (  # a smaller scene that compiles and fills the caches
     "quality={edge_mm: 1.5, dhat_mm: 0.1, spp: 16}",
     "trajectory=[{press: {depth_mm: 0.4, frames: 1}}]",
 )
-QUICK = ("force", "stress")  # for a smoke test
-DEAR = ("force, ipctk", "rgb by path")  # which mechanics and optics look at too
+AT_SMOKE = ("force", "stress")  # lines of ASKED that a smoke test measures
+AT_FULL = ("force, ipctk", "rgb by path")  # lines for level full alone: mechanics and optics measure them too
 
 
 def bench(level: Level, say: Say) -> Result:
     """Every line of ASKED, and what labels cost on every sensor."""
     rows: list[list[Cell]] = []
-    names = {"smoke": QUICK, "normal": tuple(name for name in ASKED if name not in DEAR), "full": tuple(ASKED)}[level]
+    names = {"smoke": AT_SMOKE, "normal": tuple(name for name in ASKED if name not in AT_FULL), "full": tuple(ASKED)}[
+        level
+    ]
     alone = None
     for name, found in zip(
-        names, each_apart("benchmarks.cost_per_output:run", map(ASKED.__getitem__, names)), strict=True
+        names, in_own_processes("benchmarks.cost_per_output:run", map(ASKED.__getitem__, names)), strict=True
     ):
         if isinstance(found, RuntimeError):  # a package that is not installed
             rows.append([name, None, None, None, None, str(found).splitlines()[-1]])
@@ -90,12 +93,12 @@ def run(outputs: str, sets: list[str]) -> dict[str, Any]:
     process."""
     from tacgen import pipeline
 
-    rough, rows = rows_of(outputs, [*sets, *ROUGH]), rows_of(outputs, sets)
+    rough, rows = rows_of(outputs, [*sets, *WARM_UP]), rows_of(outputs, sets)
     with TemporaryDirectory() as folder:
         pipeline.run(rough, Path(folder) / "rough")
-        begun = time.process_time()
+        started = time.process_time()
         result = pipeline.run(rows, Path(folder) / "scene")[0]
-        seconds = time.process_time() - begun
+        seconds = time.process_time() - started
     if result.status != "ok":
         raise UserError(result.reason)
     return {"seconds": seconds, "memory": peak_memory(), **loaded()}
@@ -103,7 +106,7 @@ def run(outputs: str, sets: list[str]) -> dict[str, Any]:
 
 def loaded() -> dict[str, list[str]]:
     """What this process has imported: modules of tacgen, and large packages."""
-    modules = sorted(name for name in sys.modules if name.partition(".")[0] == "tacgen" and ".bench" not in name)
+    modules = sorted(name for name in sys.modules if name.partition(".")[0] == "tacgen")
     return {"modules": modules, "packages": [name for name in LARGE if name in sys.modules]}
 
 
@@ -135,7 +138,7 @@ def _labels(say: Say) -> Table:
     rows: list[list[Cell]] = []
     sensors = ("gelsight_mini", "digit", "ninedtact")
     for sensor, found in zip(
-        sensors, each_apart("benchmarks.cost_per_output:labels", [(s,) for s in sensors]), strict=True
+        sensors, in_own_processes("benchmarks.cost_per_output:labels", [(s,) for s in sensors]), strict=True
     ):
         if isinstance(found, RuntimeError):
             raise found

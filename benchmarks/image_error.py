@@ -44,11 +44,11 @@ DEPTHS = {"gelsight_mini": 1.0, "digit": 1.0, "ninedtact": 0.8}  # of the ball [
 DOTS = (  # printed on a DIGIT, which has none: as on the Mini, turned
     "sensor.markers={columns: 7, rows: 9, pitch_mm: [2.0625, 2.0625], diameter_mm: 1.0, albedo: 0.065, source: bench}"
 )
-WAYS = [("transport", quality) for quality in QUALITIES] + [("path", str(spp)) for spp in (16, 64)]
-BEST = len(QUALITIES) - 1  # of the ways
+METHODS = [("transport", quality) for quality in QUALITIES] + [("path", str(spp)) for spp in (16, 64)]
+BEST_METHOD = len(QUALITIES) - 1  # its index
 PATH_FACE = "ball"  # that paths are looked at on: their noise is the same on all
-BANDS, PART = 4, 16  # across the picture, on which this is done; and part of its rows that they are
-CHUNK = 256  # paths a pixel that a whole picture is traced with at a time
+BAND_COUNT, BAND_SHARE = 4, 16  # bands across the picture in which paths are traced, and all rows over theirs
+MAX_SPP = 256  # paths a pixel in one pass over a whole picture
 
 
 @dataclass(frozen=True)
@@ -111,14 +111,14 @@ class Paths:
         return made
 
     def _trace(self, at: Samples) -> Array:
-        tracer, begun = self._tracer, time.process_time()
+        tracer, started = self._tracer, time.process_time()
         if self.windows:
             made = tracer.windows(at.nodes, self.windows, self.spp, self.looks)
         else:
-            parts = range(-(-self.spp // CHUNK))
-            traced = [tracer.render(at.nodes, min(self.spp, CHUNK), 1000 * self.looks + i) for i in parts]
+            parts = range(-(-self.spp // MAX_SPP))
+            traced = [tracer.render(at.nodes, min(self.spp, MAX_SPP), 1000 * self.looks + i) for i in parts]
             made = np.mean(traced, axis=0)
-        self.seconds += time.process_time() - begun
+        self.seconds += time.process_time() - started
         return made.astype(np.float32)
 
     def name(self, nodes: Array) -> str:
@@ -194,15 +194,15 @@ def measure(
                     yield Outcome(name, face, method, setting, *_noise(found[face], int(setting), best, variant), size)
                 continue
             if (method, setting, dots) not in ready:
-                begun, paths = time.process_time(), QUALITIES[setting].spp if method == "transport" else int(setting)
+                started, paths = time.process_time(), QUALITIES[setting].spp if method == "transport" else int(setting)
                 made = images.Renderer(sensor, paths, 0, dots, variant, method)  # type: ignore[arg-type]
-                ready[method, setting, dots] = made, time.process_time() - begun
+                ready[method, setting, dots] = made, time.process_time() - started
                 made.image(surface)  # compiles
             renderer, before = ready[method, setting, dots]
-            begun = time.process_time()
+            started = time.process_time()
             picture = renderer.image(surface)
-            seconds = time.process_time() - begun
-            if (method, setting) == WAYS[BEST]:
+            seconds = time.process_time() - started
+            if (method, setting) == METHODS[BEST_METHOD]:
                 best = picture
             error = decibel(picture, truths, sensor.camera, noisy=False)
             yield Outcome(name, face, method, setting, *error, seconds, before, size)
@@ -212,15 +212,15 @@ def _noise(seen: Reference, spp: int, best: Array, variant: str) -> tuple[float,
     """PSNR [dB] of paths, how sure that is, seconds of a frame and before the first: looked at in bands of the picture,
     against the best that there is without noise, whose error is nothing beside theirs."""
     width, height = seen.sensor.camera.width_px, seen.sensor.camera.height_px
-    rows = max(1, height // (BANDS * PART))
-    bands = [(0, (2 * i + 1) * height // (2 * BANDS) - rows // 2, width, rows) for i in range(BANDS)]
-    begun = time.process_time()
+    rows = max(1, height // (BAND_COUNT * BAND_SHARE))
+    bands = [(0, (2 * i + 1) * height // (2 * BAND_COUNT) - rows // 2, width, rows) for i in range(BAND_COUNT)]
+    started = time.process_time()
     renderer = images.Renderer(seen.sensor, 1, 0, seen.dots, variant, "path")
     paths = renderer.light = Paths(seen.sensor, seen.dots, spp, variant, bands, False)
-    before = time.process_time() - begun
+    before = time.process_time() - started
     paths.spp = 1
     renderer.image(seen.surface)  # compiles
-    paths.spp, paths.seconds, begun = spp, 0.0, time.process_time()
+    paths.spp, paths.seconds, started = spp, 0.0, time.process_time()
     picture = renderer.image(seen.surface)
-    seconds = time.process_time() - begun + paths.seconds * (height / (BANDS * rows) - 1)
+    seconds = time.process_time() - started + paths.seconds * (height / (BAND_COUNT * rows) - 1)
     return *decibel(picture, [best, best], seen.sensor.camera, noisy=True), seconds, before

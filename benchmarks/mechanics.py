@@ -20,10 +20,10 @@ ERRORS = ("force: .2%", "pressure map: .1%", "stress: .1%", "markers [px]: .3f")
 WORK = ("nodes: d", "iterations a frame: .1f", "s a frame: .2f")
 FILLETS = {"normal": (0.3, 0.6), "full": (0.1, 0.3, 0.6, 1.2)}  # of a box [mm]; an edge at `draft`: .6
 SHIFTS = ((0.0, 0.0), (0.5, 0.0), (0.3, 0.5))  # of the mesh under the ball, in edges
-FORMS = [name for name in ("distance", "ipctk") if name == "distance" or find_spec("ipctk")]
+FORMULATIONS = [name for name in ("distance", "ipctk") if name == "distance" or find_spec("ipctk")]
 BOX = "indenter={{shape: box, size_x_mm: 3, size_y_mm: 3, fillet_mm: {fillet}}}"
 PRESSED, SLID = "{press: {depth_mm: 0.5, frames: 1}}", "{slide: {x_mm: 0.1, y_mm: 0.06, frames: 1}}"
-DRAFT = ("quality=draft",)
+AT_DRAFT = ("quality=draft",)
 PRESETS = ("draft", "default")
 HEXES = {
     "smoke": (1.2,),
@@ -39,7 +39,7 @@ SOLVERS = {  # name: what is done otherwise
     "every tangent new": replace(DEFAULT, keep_tangent=False),
     "load steps half as long": short_steps(DEFAULT, 2),
 }
-DEAR = {"nothing condensed": replace(DEFAULT, condense=False), "plain": plain()}
+FULL_SOLVERS = {"nothing condensed": replace(DEFAULT, condense=False), "plain": plain()}
 
 
 @dataclass(frozen=True)
@@ -62,10 +62,10 @@ def variants(level: Level) -> list[Variant]:
     found += [Variant("dhat", f"{d:g}", (f"quality={{dhat_mm: {d}}}",)) for d in (0.1, 0.06, 0.03, 0.01)]
     for part in (10, 0.1, 0.01) if level == "full" else (10, 0.1):
         found.append(Variant("tolerances, times", f"{part:g}", (), _tolerances(part)))
-    solvers = SOLVERS | DEAR if level == "full" else SOLVERS
-    found += [Variant("draft, solver", name, DRAFT, options) for name, options in solvers.items()]
+    solvers = SOLVERS | FULL_SOLVERS if level == "full" else SOLVERS
+    found += [Variant("draft, solver", name, AT_DRAFT, options) for name, options in solvers.items()]
     if find_spec("ipctk"):
-        found.append(Variant("draft, contact", "ipctk", (*DRAFT, "contact.formulation=ipctk")))
+        found.append(Variant("draft, contact", "ipctk", (*AT_DRAFT, "contact.formulation=ipctk")))
     return found
 
 
@@ -84,7 +84,7 @@ def bench(level: Level, say: Say) -> Result:
     with cores() as every:  # what is not timed needs no core to itself
         true = [_preset(sensor, "reference") for sensor in DEPTHS]
         references = every(kept, [*true, *(_edged(fillet) for fillet in fillets)])
-        boxes = every(answer, [_dragged(fillet, name) for fillet in fillets for name in FORMS])
+        boxes = every(answer, [_dragged(fillet, name) for fillet in fillets for name in FORMULATIONS])
         placed = [_preset("gelsight_mini", name) for name in PRESETS for _ in SHIFTS]
         shifted = every(answer, placed, SHIFTS * len(PRESETS))
         list(references)
@@ -105,11 +105,11 @@ def _sweep(level: Level, presets: dict[tuple[str, str], Answer], say: Say) -> tu
     rows: list[list[Cell]] = []
     for one in variants(level):
         found = answer((*base, *one.sets), options=one.options)
-        rows.append([one.axis, one.name, *_work(found), *astuple(found.apart(reference))])
+        rows.append([one.axis, one.name, *_work(found), *astuple(found.error(reference))])
         say(f"{one.axis} {one.name}: {found.seconds:.1f} s, force {rows[-1][5]:.2%}")
     for (sensor, name), found in presets.items():
         if sensor == "gelsight_mini":
-            rows.append(["preset", name, *_work(found), *astuple(found.apart(reference))])
+            rows.append(["preset", name, *_work(found), *astuple(found.error(reference))])
     seconds = [float(row[4]) for row in rows]  # type: ignore[arg-type]
     errors = [[float(row[k]) for row in rows] for k in range(5, 9)]  # type: ignore[arg-type]
     best = [front(seconds, error) for error in errors]
@@ -125,7 +125,7 @@ def _places(shifted: Iterator[Answer]) -> Table:
     """The presets with the ball at several places of a cell."""
     reference, rows = kept(_preset("gelsight_mini", "reference")), list[list[Cell]]()
     for name in PRESETS:
-        kinds = list(zip(*(astuple(next(shifted).apart(reference)) for _ in SHIFTS), strict=True))
+        kinds = list(zip(*(astuple(next(shifted).error(reference)) for _ in SHIFTS), strict=True))
         rows += [[name, "worst", *map(max, kinds)], [name, "best", *map(min, kinds)]]
     note = "Worst and best of three places of the ball in a cell; above, as for all else, of that over a node."
     return Table("Presets wherever the ball stands", columns("preset", "error", *ERRORS), rows, note)
@@ -162,10 +162,10 @@ def _edges(fillets: tuple[float, ...], boxes: Iterator[Answer], say: Say) -> Tab
     """A box with edges rounded less and less: both formulations of contact where the mesh does not resolve it."""
     rows: list[list[Cell]] = []
     for fillet in fillets:
-        true, found = kept(_edged(fillet)), [next(boxes) for _ in FORMS]
+        true, found = kept(_edged(fillet)), [next(boxes) for _ in FORMULATIONS]
         off = [float(one.force[0, 2] / true.force[0, 2] - 1) for one in found]
         drag = [float((np.hypot(*one.force[1:, :2].T) / -one.force[1:, 2]).max()) for one in found]
-        edge = row_of(_dragged(fillet, FORMS[0])).recipe.resolved().edge_mm
+        edge = row_of(_dragged(fillet, FORMULATIONS[0])).recipe.resolved().edge_mm
         rows.append([fillet / edge, *off, *[None] * (2 - len(off)), *drag, *[None] * (2 - len(drag))])
         say(f"fillet {fillet:g} mm: {', '.join(f'{part:+.1%}' for part in off)}")
     heads = columns(
@@ -187,7 +187,7 @@ def _sensors(presets: dict[tuple[str, str], Answer], say: Say) -> Table:
         reference = kept(_preset(sensor, "reference"))
         for name in PRESETS:
             found = presets[sensor, name]
-            error: Error = found.apart(reference)
+            error: Error = found.error(reference)
             rows.append([sensor, name, *_work(found), *astuple(error), found.area / reference.area - 1])
             say(f"{sensor} {name}: force {error.force:.2%}, map {error.pressure:.1%}")
         rows.append([sensor, "reference", *_work(reference), *[None] * 5])

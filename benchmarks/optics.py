@@ -70,7 +70,7 @@ def _pictures(level: Level, names: Sequence[str], variant: str, say: Say) -> Ite
     say("references are there")
     for name in names:
         scatters = any(layer.scattering for layer in loading.read_sensor(assets.sensor_path(name))[0].gel.layers)
-        ways = [*image_error.WAYS, *([] if scatters else TABLE)][: 1 if level == "smoke" else None]
+        ways = [*image_error.METHODS, *([] if scatters else TABLE)][: 1 if level == "smoke" else None]
         for one in image_error.measure(name, {face: found[name, face] for face in FACES[level]}, ways, variant):
             say(f"{name} {one.face} {one.method} {one.setting}: {one.decibel:.1f} dB in {one.seconds:.2f} s")
             yield one

@@ -10,24 +10,24 @@ import numpy as np
 from benchmarks.draws import BALL, Draw, drawn
 from benchmarks.reference_runs import row_of, solve_frames
 from benchmarks.results_page import Cell, Level, Result, Say, Table, columns, cores
-from benchmarks.step_size_error import TIMES, finer
+from benchmarks.step_size_error import FINER, finer
 from tacgen import solve
 from tacgen.errors import UserError
 from tacgen.scene import mesh, scene
 from tacgen.solve import SolverOptions, foresee
 
 Array = np.ndarray
-LIMIT = 150.0  # processor seconds in which a scene's frames must be solved
-EVERY = 6  # of so many draft scenes one is solved in short frames too
-COUNT = {"smoke": 2, "normal": 30, "full": 150}  # scenes
-FINE_COUNT = 30  # scenes at quality `default`, at level full
-WITHOUT: dict[str, dict[str, bool]] = {  # what is switched off, and how many scenes are solved so
+LIMIT_S = 150.0  # longest processor time for a scene's frames
+COMPARED = 6  # one of so many draft scenes is solved in short frames too
+SCENES = {"smoke": 2, "normal": 30, "full": 150}  # at draft
+DEFAULT_SCENES = 30  # at quality `default`, at level full
+ABLATIONS: dict[str, dict[str, bool]] = {  # what is switched off, by name
     "nothing": {},
     "kept tangents": {"keep_tangent": False},
     "predictor": {"predict": False},
     "mixed pressure": {"mixed_pressure": False},
 }
-ABLATED = {"smoke": 0, "normal": 4, "full": 30}
+ABLATED_SCENES = {"smoke": 0, "normal": 4, "full": 30}  # solved with each of ABLATIONS
 SMOKE = "{edge_mm: 1.2, dhat_mm: 0.08}"  # the quality of a smoke test
 STATUSES = ("ok", "refused", "rejected", "out of time", "crashed")
 MEASURES = {"seconds": ("s a frame", ".2f"), "iterations": ("iterations", ".1f"), "factored": ("factorisations", ".1f")}
@@ -38,9 +38,9 @@ ABOUT = (
     " to 5 frames, then up to two of slide (3 mm at most, .35 mm a frame), twist (30 deg) and tilt (5 deg), and 3 of 10"
     " released; friction .2 to 1, within 3 mm of the pad's centre. Only the mechanics are computed. Seconds are the"
     " processor's for solving the frames, each scene on one core while others run on the rest; mesh and setup are not"
-    f" in them. Refused: before it is solved; rejected: a frame did not converge; out of time: {LIMIT:.0f} s had passed"
-    " before the last frame; crashed: a bug. A scene's seconds, Newton iterations and factorisations are means over its"
-    " frames; p50, p90 and p99 are quantiles over the scenes that are ok."
+    " in them. Refused: before it is solved; rejected: a frame did not converge; out of time:"
+    f" {LIMIT_S:.0f} s had passed before the last frame; crashed: a bug. A scene's seconds, Newton iterations and"
+    " factorisations are means over its frames; p50, p90 and p99 are quantiles over the scenes that are ok."
 )
 
 
@@ -78,7 +78,7 @@ class Outcome:
 
 
 def measure(
-    draw: Draw, quality: str, compared: bool, limit: float = LIMIT, options: SolverOptions = solve.DEFAULT
+    draw: Draw, quality: str, compared: bool, limit: float = LIMIT_S, options: SolverOptions = solve.DEFAULT
 ) -> Outcome:
     """Solve a scene in at most `limit` processor seconds and, where it is compared and ok, in short frames too."""
     try:
@@ -93,9 +93,9 @@ def measure(
         return Outcome(draw, quality, status, solved.reason)
     off = None
     if compared and status == "ok":
-        short = finer(made, TIMES)
+        short = finer(made, FINER)
         between = solve_frames(short, solve.Problem.of(short, grid), limit).forces
-        off = _apart(solved.forces, between)
+        off = _force_error(solved.forces, between)
     return Outcome(
         draw,
         quality,
@@ -117,10 +117,10 @@ def _scene(sets: Sequence[str]) -> scene.Scene:
     return foresee.foreseen(scene.build(row_of(("outputs=[force]", *sets))))
 
 
-def _apart(long: Array, short: Array) -> float | None:
+def _force_error(long: Array, short: Array) -> float | None:
     """Largest difference of forces (n, 3) from those of short frames (m, 3), over the frames that both reached and as a
     part of the largest force; None if there are none."""
-    ends = short[TIMES - 1 :: TIMES]
+    ends = short[FINER - 1 :: FINER]
     off = np.linalg.norm(long[: len(ends)] - ends, axis=1)
     return float(off.max() / np.linalg.norm(short, axis=1).max()) if len(off) else None
 
@@ -144,13 +144,16 @@ def _job(job: tuple[Draw, str, bool, SolverOptions]) -> Outcome:
 
 def bench(level: Level, say: Say) -> Result:
     """The ball, ordinary scenes at draft and, at level full, some at default."""
-    draws = [drawn(i) for i in range(COUNT[level])]
+    draws = [drawn(i) for i in range(SCENES[level])]
     quality = SMOKE if level == "smoke" else "draft"
     plain = solve.DEFAULT
-    jobs = [(BALL, quality, True, plain), *((draw, quality, i % EVERY == 0, plain) for i, draw in enumerate(draws))]
-    jobs += [(draw, "default", False, plain) for draw in draws[:FINE_COUNT] if level == "full"]
-    whole, few = len(jobs), draws[: ABLATED[level]]
-    jobs += [(draw, quality, False, replace(plain, **off)) for off in WITHOUT.values() for draw in few]
+    jobs = [
+        (BALL, quality, True, plain),
+        *((draw, quality, i % COMPARED == 0, plain) for i, draw in enumerate(draws)),
+    ]
+    jobs += [(draw, "default", False, plain) for draw in draws[:DEFAULT_SCENES] if level == "full"]
+    whole, few = len(jobs), draws[: ABLATED_SCENES[level]]
+    jobs += [(draw, quality, False, replace(plain, **off)) for off in ABLATIONS.values() for draw in few]
     found = list[Outcome]()
     with cores(level) as every:
         for one in every(_job, jobs):
@@ -165,7 +168,7 @@ def bench(level: Level, say: Say) -> Result:
     heads |= columns("least J: .3f", "J <= 0: d", "compared: d", "force error, worst: .2%", "force error, median: .2%")
     note = (
         "Least J: certified lower bound of the Jacobian, 1 at rest, over all elements and frames; J <= 0: scenes with"
-        f" an element inside out. Force error: against the same path in {TIMES} frames for each, worst frame that both"
+        f" an element inside out. Force error: against the same path in {FINER} frames for each, worst frame that both"
         " reached, as a part of the largest force; of the scenes compared, the worst and the median. Ball: of 4 mm on"
         " the Mini, pressed 1 mm in 3 frames and slid 1.5 mm in 5 with friction .6."
     )
@@ -174,7 +177,7 @@ def bench(level: Level, say: Say) -> Result:
         _groups("By shape", "shape", rough, lambda one: one.draw.shape),
         _groups("By sensor", "sensor", rough, lambda one: one.draw.sensor),
         _failed(found[:whole]),
-        _every(found[:whole]),
+        _all_scenes(found[:whole]),
     ]
     if few:
         tables.insert(3, _ablated(found[whole:], len(few)))
@@ -211,7 +214,7 @@ def _ablated(found: Sequence[Outcome], count: int) -> Table:
     """Seconds a frame of the same scenes with one acceleration switched off, over those with all of them."""
     groups = [found[i : i + count] for i in range(0, len(found), count)]
     rows: list[list[Cell]] = []
-    for name, group in zip(WITHOUT, groups, strict=True):
+    for name, group in zip(ABLATIONS, groups, strict=True):
         both = [(b.seconds / a.seconds) for a, b in zip(groups[0], group, strict=True) if a.status == b.status == "ok"]
         ended = sum(one.status == "ok" for one in group)
         times = [float(np.percentile(both, q)) for q in (50, 90)] if both else [None, None]
@@ -233,7 +236,7 @@ def _failed(found: Sequence[Outcome]) -> Table:
     return Table("What failed", columns("scene: d", "quality", "sensor", "shape", "status", "reason"), rows, note)
 
 
-def _every(found: Sequence[Outcome]) -> Table:
+def _all_scenes(found: Sequence[Outcome]) -> Table:
     heads = columns("scene: d", "quality", "sensor", "shape", "status", "frames: d", "nodes: d", "last force [N]: .4g")
     heads |= columns("s a frame: .2f", "iterations: .1f", "most substeps: d", "factorisations: .1f", "least J: .3f")
     return Table("Every scene", heads | columns("force error: .2%"), [one.cells() for one in found])

@@ -54,8 +54,8 @@ class Answer:
     seconds: float
     iterations: float
 
-    def apart(self, reference: "Answer") -> "Error":
-        """How far from the reference."""
+    def error(self, reference: "Answer") -> "Error":
+        """Error of the labels against a reference."""
         size = np.linalg.norm(reference.force, axis=1)
         n = min(len(self.force), len(reference.force))
         return Error(
@@ -131,7 +131,7 @@ def answer(
         built = mesh.build(made.gel, (x0 + dx, x1 + dx, y0 + dy, y1 + dy), made.edge)
     else:
         built = mesh.of(made)
-    begun = time.process_time()
+    started = time.process_time()
     problem = solve.Problem.of(made, built, options)
     ready = time.process_time()
     states = list(solve.states(made, problem))
@@ -148,7 +148,7 @@ def answer(
         dots.at(seen.moved(last.x))[0],
         float(found.area[found.contact].sum()),
         len(problem.mesh.points),
-        ready - begun,
+        ready - started,
         seconds,
         float(sum(state.iterations for state in states)),
     )

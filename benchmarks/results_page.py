@@ -91,7 +91,7 @@ def made() -> dict[str, Any]:
         "date": time.strftime("%Y-%m-%d"),
         "processor": _processor(),
         "cores": core_count(),
-        "gflops": round(apart(f"{__name__}:gflops"), 1),
+        "gflops": round(in_own_process(f"{__name__}:gflops"), 1),
         "memory_gb": round(memory),
         "system": f"{platform.system()} {platform.machine()}",
         "python": platform.python_version(),
@@ -122,7 +122,7 @@ def one_thread() -> dict[str, str]:
     return os.environ | dict.fromkeys(ONE_THREAD, "1") | {"PYTHONPATH": path}
 
 
-def apart(target: str, *args: Any) -> Any:
+def in_own_process(target: str, *args: Any) -> Any:
     """What `target`, "module:function", gives for plain arguments in a process of its own, on one core.
 
     Raises:
@@ -135,12 +135,12 @@ def apart(target: str, *args: Any) -> Any:
     return json.loads(done.stdout.splitlines()[-1])
 
 
-def each_apart(target: str, jobs: Iterable[tuple[Any, ...]]) -> Iterator[Any]:
-    """What `apart` gives for each job, or the RuntimeError that it raises; as many at a time as there are cores."""
+def in_own_processes(target: str, jobs: Iterable[tuple[Any, ...]]) -> Iterator[Any]:
+    """What `in_own_process` gives for each job, or the RuntimeError that it raises; one on each core at a time."""
 
     def one(job: tuple[Any, ...]) -> Any:
         try:
-            return apart(target, *job)
+            return in_own_process(target, *job)
         except RuntimeError as error:
             return error
 

@@ -22,10 +22,10 @@ from benchmarks.results_page import (
     Say,
     Series,
     Table,
-    apart,
     columns,
     core_count,
-    each_apart,
+    in_own_process,
+    in_own_processes,
 )
 from tacgen import batch, pipeline
 from tacgen.batch.local import Pool
@@ -73,7 +73,7 @@ def _stages(say: Say) -> Table:
     """Wall seconds a frame in each stage of a scene with everything that people train on."""
     jobs = [("gelsight_mini", ", markers"), ("digit", ""), ("ninedtact", "")]
     rows: list[list[Cell]] = []
-    for (sensor, _), found in zip(jobs, each_apart("benchmarks.scaling:stages", jobs), strict=True):
+    for (sensor, _), found in zip(jobs, in_own_processes("benchmarks.scaling:stages", jobs), strict=True):
         if isinstance(found, RuntimeError):
             raise found
         for quality, each in found.items():
@@ -122,12 +122,12 @@ def _workers(count: int, many: list[int], out: Path, say: Say) -> tuple[Table, P
                 ends.append(time.perf_counter())
 
         with _timed(found):
-            begun = time.perf_counter()
+            started = time.perf_counter()
             results = batch.run(plan.Plan("some", some), out / f"on{n}", workers=n, on_event=on_event)
         each = n * (ends[-n] - ends[n - 1]) / (len(some) - 2 * n + 1)  # seconds of a worker, while all were at work
-        start = ends[0] - begun - each
+        start = ends[0] - started - each
         rates.append(3600 * n / each)
-        alone.append(_apart(whole, len(some), n, out))
+        alone.append(_without_engine(whole, len(some), n, out))
         pairs = [(one.path, out / "on1" / one.path.name) for one in results[:count]]
         same = all(a.read_bytes() == b.read_bytes() for a, b in pairs)
         efficiency = rates[-1] / rates[0] / n
@@ -159,11 +159,11 @@ def _workers(count: int, many: list[int], out: Path, say: Say) -> tuple[Table, P
     return Table("Workers", heads, rows, note), Plot("Scenes an hour", "workers", "scenes an hour", series)
 
 
-def _apart(whole: int, count: int, workers: int, out: Path) -> float:
+def _without_engine(whole: int, count: int, workers: int, out: Path) -> float:
     """Seconds a scene in processes side by side, with a share of the scenes each, without an engine."""
     with ThreadPoolExecutor(workers) as threads:  # each waits for a process
         shares = [
-            threads.submit(apart, "benchmarks.scaling:share", whole, count, i, workers, str(out))
+            threads.submit(in_own_process, "benchmarks.scaling:share", whole, count, i, workers, str(out))
             for i in range(workers)
         ]
         return float(np.mean([one.result() for one in shares]))

@@ -16,13 +16,13 @@ from tacgen.scene import mesh, scene
 from tacgen.solve.linear_solvers import NotPositiveDefinite, SuperLU
 
 Array = np.ndarray
-NAMES = ("", "nu 0.4999", "1 kPa", "100 MPa", "friction 2", "half deep", "skin stiffer 1000:1")
-NUDGE = 1e-10
+CASE_NAMES = ("", "nu 0.4999", "1 kPa", "100 MPa", "friction 2", "half deep", "skin stiffer 1000:1")
+RELATIVE_NUDGE = 1e-10  # of the input that is changed [-]
 
 
 def table(level: Level, say: Say) -> Table:
     """Condition of the stiffness, and what each nudge does."""
-    names = NAMES[:1] if level == "smoke" else NAMES
+    names = CASE_NAMES[:1] if level == "smoke" else CASE_NAMES
     with cores(level) as every:
         return _table(names, every(nudged, names), say)
 
@@ -32,13 +32,13 @@ def _solved(sets: Sets, nudge: str = "") -> tuple[solve.Problem, solve.State]:
     made = scene.build(row_of((*PLAIN, *sets)))
     if nudge == "depth":
         poses = made.poses.copy()
-        poses[:, 2, 3] *= 1 + NUDGE
+        poses[:, 2, 3] *= 1 + RELATIVE_NUDGE
         made = replace(made, poses=poses)
     if nudge == "friction":
-        made = replace(made, friction=made.friction * (1 + NUDGE))
+        made = replace(made, friction=made.friction * (1 + RELATIVE_NUDGE))
     if nudge == "modulus":
         laws = [(layer, layer.law) for layer in made.gel.layers if isinstance(layer.law, NeoHooke)]
-        layers = [replace(layer, law=replace(law, mu=law.mu * (1 + NUDGE))) for layer, law in laws]
+        layers = [replace(layer, law=replace(law, mu=law.mu * (1 + RELATIVE_NUDGE))) for layer, law in laws]
         made = replace(made, gel=replace(made.gel, layers=tuple(layers)))
     problem = solve.Problem.of(made, mesh.of(made))
     *_, state = solve.states(made, problem)
@@ -64,7 +64,7 @@ def _table(names: tuple[str, ...], found: Iterator[tuple[float, list[float]]], s
     heads = columns("case", "condition: .1e", "depth: .0e", "shear modulus: .0e", "friction: .0e")
     note = (
         "Condition: of the stiffness in the last frame, its largest over its smallest eigenvalue. The rest: change of"
-        f" the last frame's force, as a part of it, when this input grows by {NUDGE:g} of itself; Newton's own"
+        f" the last frame's force, as a part of it, when this input grows by {RELATIVE_NUDGE:g} of itself; Newton's own"
         " tolerance lets it move by up to 1e-3 where a nudge changes its path."
     )
     return Table("Condition, and what a nudge does", heads, rows, note)

@@ -29,7 +29,7 @@ HEADS = {
     "case": "", "status": "", "frames": "d", "force [N]": ".4g", "iterations": "d", "substeps": "d", "least J": ".3f",
     "gap [mm]": ".4f", "overlap [edges]": ".2f", "balance": ".0e", "s": ".1f", "why": "",
 }  # fmt: skip
-QUICK = ("1 kPa",)  # for a smoke test
+SMOKE_CASES = ("1 kPa",)  # for a smoke test
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class Outcome:
 
 def measure(name: str, sets: Sequence[str]) -> Outcome:
     """Solve the plain scene with these changes and look at every frame."""
-    begun = time.process_time()
+    started = time.process_time()
     try:
         with tempfile.TemporaryDirectory() as folder:
             if any("{folder}" in text for text in sets):
@@ -79,11 +79,11 @@ def measure(name: str, sets: Sequence[str]) -> Outcome:
             made = scene.build(row_of(tuple(filled)))
         problem = solve.Problem.of(made, mesh.of(made))
     except UserError as error:
-        return Outcome(name, "refused", error.lines[0], seconds=time.process_time() - begun)
+        return Outcome(name, "refused", error.lines[0], seconds=time.process_time() - started)
     solved = solve_frames(made, problem)
     states = solved.states
     if not states:
-        return Outcome(name, solved.status, solved.reason, seconds=time.process_time() - begun)
+        return Outcome(name, solved.status, solved.reason, seconds=time.process_time() - started)
     return Outcome(
         name,
         solved.status,
@@ -97,7 +97,7 @@ def measure(name: str, sets: Sequence[str]) -> Outcome:
         max(s.balance for s in states),
         max(s.residual for s in states),
         max(overlap(problem, s) for s in states) / problem.edge,
-        time.process_time() - begun,
+        time.process_time() - started,
     )
 
 
@@ -136,7 +136,7 @@ def bench(level: Level, say: Say) -> Result:
     from benchmarks import sensitivity, step_size_error
 
     rounds = {"smoke": [1], "normal": [8], "full": [100] * 4}[level]
-    named = {name: CASES[name] for name in QUICK} if level == "smoke" else CASES
+    named = {name: CASES[name] for name in SMOKE_CASES} if level == "smoke" else CASES
     rng, points = np.random.default_rng(7), list[Array]()
     known, chance = list[Outcome](), list[Outcome]()
     with cores(level) as every:

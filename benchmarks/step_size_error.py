@@ -14,11 +14,11 @@ from tacgen.geometry.pose import along, shortest_turn
 from tacgen.scene import mesh, scene
 
 Array = np.ndarray
-TIMES = 4  # as many frames
+FINER = 4  # frames of the comparison for each frame of a path
 CYLINDER = "indenter={shape: cylinder, radius_mm: 3, fillet_mm: 0.5}"
 PRESS = "{press: {depth_mm: 0.6, frames: 3}}"
 ROD, ROUGH = "indenter={shape: capsule, radius_mm: 1, length_mm: 2}", "contact.friction=1.1"
-WAYS: dict[str, Sets] = {
+PATHS: dict[str, Sets] = {
     "ball pressed, slid": (),
     "cylinder pressed": (CYLINDER, f"trajectory=[{PRESS}]"),
     "cylinder slid": (CYLINDER, f"trajectory=[{PRESS}, {{slide: {{x_mm: 1, frames: 5}}}}]"),
@@ -27,15 +27,15 @@ WAYS: dict[str, Sets] = {
     "rod twisted by 30 deg at once": (ROD, ROUGH, f"trajectory=[{PRESS}, {{twist: {{angle_deg: 30, frames: 1}}}}]"),
     "rod pressed, released": (ROD, ROUGH, f"trajectory=[{PRESS}, {{release: {{frames: 2}}}}]"),
 }
-CHANCE = {f"random {i}": random(u.tolist()) for i, u in enumerate(np.random.default_rng(7).random((24, RANDOM)))}
-WORST = ("box twisted by 45 deg a frame", "sharp wedge", "jump across the pad")
-WAYS |= {name: CASES[name] for name in WORST}
+RANDOM_PATHS = {f"random {i}": random(u.tolist()) for i, u in enumerate(np.random.default_rng(7).random((24, RANDOM)))}
+WORST_CASES = ("box twisted by 45 deg a frame", "sharp wedge", "jump across the pad")
+PATHS |= {name: CASES[name] for name in WORST_CASES}
 
 
 def table(level: Level, say: Say) -> Table:
     """How far forces are from those of the same way in shorter frames."""
     some: dict[str, Sets] = {"ball pressed, slid": ()}
-    ways = {"smoke": some, "normal": WAYS, "full": WAYS | CHANCE}[level]
+    ways = {"smoke": some, "normal": PATHS, "full": PATHS | RANDOM_PATHS}[level]
     with cores(level) as every:
         return _table(list(ways), every(error, ways.values()), say)
 
@@ -52,9 +52,9 @@ def finer(made: scene.Scene, times: int) -> scene.Scene:
 def error(sets: Sets) -> tuple[Array, Array, float, float]:
     """Forces at the frames (n, 3), those in shorter ones at the same places (m, 3), and processor seconds of both."""
     made = scene.build(row_of((*PLAIN, *sets)))
-    both = (made, finer(made, TIMES))
+    both = (made, finer(made, FINER))
     long, short = (solve_frames(way, solve.Problem.of(way, mesh.of(way))) for way in both)
-    return long.forces, short.forces[TIMES - 1 :: TIMES], long.seconds, short.seconds
+    return long.forces, short.forces[FINER - 1 :: FINER], long.seconds, short.seconds
 
 
 def _table(names: list[str], found: Iterable[tuple[Array, Array, float, float]], say: Say) -> Table:
@@ -70,7 +70,7 @@ def _table(names: list[str], found: Iterable[tuple[Array, Array, float, float]],
         say(f"{name}: {off.max():.2%} off shorter frames")
     heads = columns("way", "frames: d", "force [N]: .4g", "worst: .2%", "last: .2%", "s: .1f", "s, shorter: .1f")
     note = (
-        f"Force of each frame against that of the same way in {TIMES} frames for each, as a part of the largest: the"
+        f"Force of each frame against that of the same way in {FINER} frames for each, as a part of the largest: the"
         " worst of those that both got to, and the last. At edge .8 mm. Four for each have an error of their own: 2 %"
         " of 32 for each, where a rough rod slides as a whole and the gel curls before it."
     )

@@ -197,7 +197,7 @@ def main() -> int:
     parser.add_argument("--file", type=Path, help="the sensor file; the shipped one if not given")
     asked = parser.parse_args()
     rows: list[list[str | float | int | None]] = []
-    begun = time.perf_counter()
+    started = time.perf_counter()
     for name in [asked.sensor] if asked.sensor else BESIDE:
         folder = asked.photos / name
         if not (folder / UNTOUCHED.get(name, "background.png")).is_file():
@@ -219,7 +219,7 @@ def main() -> int:
 
         heads = results_page.columns("sensor", "what", "SSIM: .3f", "on its own background: .3f", "real", "rendered")
         result = results_page.Result(ABOUT, [results_page.Table("Likeness", heads, rows)])
-        benchmarks.record("photographs", result, time.perf_counter() - begun, asked.results)
+        benchmarks.record("photographs", result, time.perf_counter() - started, asked.results)
     return 0
 
 

@@ -82,7 +82,7 @@ def test_answers_are_compared_from_the_last_frame_back() -> None:
     field = np.full((2, 3), 2.0)
     made = reference_runs.Answer(force, field, field, field, 1.0, 10, 0.0, 1.0, 5)
     finer = replace(made, force=np.concatenate([[[0, 0, -9.0]], force * [1, 1, 1.1]]), pressure=field * 1.5)
-    error = made.apart(finer)
+    error = made.error(finer)
     assert error.force == pytest.approx(0.1 / 1.1)  # the first frame; of the second, .08 / 1.065
     assert error.pressure == pytest.approx(1 / 3)
     assert (error.stress, error.markers) == (0, 0)
@@ -110,7 +110,7 @@ def test_matter_inside_the_indenter_is_seen_between_nodes() -> None:
 
 
 def test_shorter_frames_come_by_where_the_long_ones_end() -> None:
-    made = scene.build(reference_runs.row_of((*PLAIN, *step_size_error.WAYS["rod twisted by 30 deg at once"])))
+    made = scene.build(reference_runs.row_of((*PLAIN, *step_size_error.PATHS["rod twisted by 30 deg at once"])))
     short = step_size_error.finer(made, 4)
     assert (short.poses[3::4] == made.poses).all()
     assert (short.segment[3::4] == made.segment).all()
@@ -120,10 +120,10 @@ def test_shorter_frames_come_by_where_the_long_ones_end() -> None:
 
 
 def test_a_process_apart() -> None:
-    assert results_page.apart("math:hypot", 3, 4) == 5.0
+    assert results_page.in_own_process("math:hypot", 3, 4) == 5.0
     with pytest.raises(RuntimeError, match="math domain error"):
-        results_page.apart("math:sqrt", -1)
-    fine, failed = results_page.each_apart("math:sqrt", [(4,), (-1,)])
+        results_page.in_own_process("math:sqrt", -1)
+    fine, failed = results_page.in_own_processes("math:sqrt", [(4,), (-1,)])
     assert fine == 2.0
     assert "math domain error" in str(failed)
 
@@ -241,7 +241,7 @@ SMALL = ["trajectory=[{press: {depth_mm: 0.5, frames: 1}}]", "quality={edge_mm: 
 
 @cache
 def used(output: str, friction: float) -> dict[str, list[str]]:
-    found: dict[str, list[str]] = results_page.apart(
+    found: dict[str, list[str]] = results_page.in_own_process(
         "benchmarks.cost_per_output:used", output, [*SMALL, f"contact.friction={friction}"]
     )
     return found

@@ -27,7 +27,7 @@ def rows(found: results_page.Result, title: str) -> list[dict[str, Any]]:
     return [dict(zip(table.columns, row, strict=True)) for row in table.rows]
 
 
-def measured(sets: tuple[str, ...] = draws.BALL.sets, limit: float = ordinary.LIMIT) -> ordinary.Outcome:
+def measured(sets: tuple[str, ...] = draws.BALL.sets, limit: float = ordinary.LIMIT_S) -> ordinary.Outcome:
     """The ball, or the ball changed, on a coarse mesh."""
     return ordinary.measure(replace(draws.BALL, sets=sets), ordinary.SMOKE, False, limit)
 
@@ -153,6 +153,6 @@ def test_an_element_inside_out_is_listed_though_the_scene_is_ok() -> None:
 
 def test_forces_are_compared_where_both_paths_have_been() -> None:
     long = np.array([[0, 0, -1.0], [0, 0, -2.0], [0, 0, -9.0]])
-    short = np.repeat([[0, 0, -1.1], [0, 0, -2.0]], ordinary.TIMES, axis=0)  # the third frame was not reached
-    assert ordinary._apart(long, short) == pytest.approx(0.1 / 2)
-    assert ordinary._apart(long, short[:2]) is None
+    short = np.repeat([[0, 0, -1.1], [0, 0, -2.0]], ordinary.FINER, axis=0)  # the third frame was not reached
+    assert ordinary._force_error(long, short) == pytest.approx(0.1 / 2)
+    assert ordinary._force_error(long, short[:2]) is None
