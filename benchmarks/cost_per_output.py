@@ -61,9 +61,8 @@ AT_FULL = ("force, ipctk", "rgb by path")  # lines for level full alone: mechani
 def bench(level: Level, say: Say) -> Result:
     """Every line of ASKED, and what labels cost on every sensor."""
     rows: list[list[Cell]] = []
-    names = {"smoke": AT_SMOKE, "normal": tuple(name for name in ASKED if name not in AT_FULL), "full": tuple(ASKED)}[
-        level
-    ]
+    normal = tuple(name for name in ASKED if name not in AT_FULL)
+    names = {"smoke": AT_SMOKE, "normal": normal, "full": tuple(ASKED)}[level]
     alone = None
     for name, found in zip(
         names, in_own_processes("benchmarks.cost_per_output:run", map(ASKED.__getitem__, names)), strict=True

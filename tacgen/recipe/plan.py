@@ -182,8 +182,11 @@ def draw(vary: Vary, indices: Sequence[int]) -> list[dict[str, Any]]:
     """The varied values of these scenes; each is what the whole plan has there."""
     paths, spreads = list(vary.over), list(vary.over.values())
     if vary.method == "grid":
+        from numpy import unravel_index
+
         columns = [_points(spread) for spread in spreads]
-        return [dict(zip(paths, _grid_point(columns, index), strict=True)) for index in indices]
+        places = (unravel_index(index, [len(column) for column in columns]) for index in indices)
+        return [{path: column[int(i)] for path, column, i in zip(paths, columns, p, strict=True)} for p in places]
     return [
         {path: _value(spread, float(u)) for path, spread, u in zip(paths, spreads, point, strict=True)}
         for point in _unit_points(vary, len(paths), indices)
@@ -233,15 +236,6 @@ def _points(spread: Distribution) -> Sequence[Any]:
         return spread.choice
     first, last, n = spread.linspace or (0.0, 0.0, 0)
     return [first + (last - first) * i / max(n - 1, 1) for i in range(n)]
-
-
-def _grid_point(columns: list[Sequence[Any]], index: int) -> list[Any]:
-    """Point `index` of the product of the columns; the last varies fastest."""
-    point: list[Any] = []
-    for column in reversed(columns):
-        index, i = divmod(index, len(column))
-        point.insert(0, column[i])
-    return point
 
 
 def _check(vary: Vary, tree: Tree) -> None:
