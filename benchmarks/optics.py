@@ -40,7 +40,7 @@ def bench(level: Level, say: Say) -> Result:
         rows.append(
             [one.sensor, one.face, one.method, one.setting, size, one.decibel, one.sure, one.seconds, one.ready]
         )
-    told = ", ".join(
+    references = ", ".join(
         f"{name} {how.parts} x {how.spp} at {how.pixels or 'all'}"
         for name, how in TRUTHS[level].items()
         if name in names
@@ -48,7 +48,7 @@ def bench(level: Level, say: Say) -> Result:
     heads = columns(
         "sensor", "face", "method", "setting", "pixels", "dB: .1f", "+-: .1f", "s a frame: .3f", "ready [s]: .1f"
     )
-    note = f"{variant}; parts of the reference, paths a pixel in each and at how many pixels: {told}."
+    note = f"{variant}; parts of the reference, paths a pixel in each and at how many pixels: {references}."
     table = Table("Pictures", heads, rows, note)
     plots = []
     for name in names:

@@ -36,7 +36,7 @@ from tacgen.recipe import assets, plan
 
 ABOUT = (
     "Many scenes by `tacgen run --workers`, and where the time of one scene goes, by the bundles' own timing files."
-    " Wall clock, so other work on the machine shows; processor seconds, printed beside it, bear company better."
+    " Wall clock, which other work on the machine lengthens; processor seconds, printed beside it, depend less on that."
 )
 PRESS = "trajectory=[{{press: {{depth_mm: 0.4, frames: {frames}}}}}]"
 TINY = ("quality={edge_mm: 1.2, dhat_mm: 0.1, spp: 4}", "outputs=[force]", "contact.friction=0", PRESS.format(frames=1))
@@ -109,7 +109,7 @@ def stages(sensor: str, dots: str) -> dict[str, list[float]]:
 
 
 def _workers(count: int, many: list[int], out: Path, say: Say) -> tuple[Table, Plot]:
-    """Real scenes on one worker and on several, and in as many processes that know nothing of each other."""
+    """Real scenes on one worker and on several, and in as many independent processes."""
     whole, rows, rates, alone = max(count, 4 * many[-1]), list[list[Cell]](), list[float](), list[float]()
     every = scenes(whole, WORK)
     batch.run(plan.Plan("warm", every.rows[:1]), out / "warm", workers=1)  # compile
@@ -149,8 +149,8 @@ def _workers(count: int, many: list[int], out: Path, say: Say) -> tuple[Table, P
     )  # fmt: skip
     note = (
         f"{count} scenes or more (a press in two frames on a coarse mesh: force and traction). Start: until a worker"
-        " begins its first one; the rate is that from there on. Without an engine: as many processes that know nothing"
-        " of each other, with a share of the scenes each; what a machine loses when all its cores work is in both."
+        " begins its first one; the rate is that from there on. Without an engine: as many independent processes, each"
+        " with a share of the scenes; what a machine loses when all its cores work is in both."
     )
     series = [
         Series("measured", [float(n) for n in many], rates),

@@ -1,4 +1,4 @@
-"""Error of long frames: the same way again with four frames for each, since friction remembers how it was gone."""
+"""Error of long frames: the same path again with four frames for each. Friction depends on the path."""
 
 from collections.abc import Iterable
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Worker processes on this machine: one that dies, hangs or eats the memory costs one scene."""
+"""Worker processes on this machine: one that dies, hangs or takes too much memory costs one scene."""
 
 import time
 from collections import deque
@@ -107,7 +107,7 @@ class Pool:
 
 
 class _Batch:
-    """Scenes that wait, and what became of the others."""
+    """Scenes that wait, and the results of the others."""
 
     def __init__(self, rows: Sequence[Row], folder: Path, on_event: OnEvent) -> None:
         self.waiting = deque(Job(row) for row in rows)

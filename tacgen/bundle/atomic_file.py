@@ -1,4 +1,4 @@
-"""A file that gets its name only when it is finished; what a killed process leaves behind is swept away.
+"""A file that gets its name only when it is finished; what a killed process leaves is deleted.
 
 Locks are flock's, which the system drops when a process ends, even by kill -9. The package filelock has them too, but
 serves claims alone: part files are locked through the handle they are written by, and looking for dead writers must
@@ -44,17 +44,17 @@ def sweep(folder: Path) -> list[Path]:
     A writer holds a lock on its part file and the system drops it when the process ends, however it ends. So this is
     right where process ids are not: in containers, and on a folder that several machines write into.
     """
-    gone = []
+    deleted = []
     for path in [path for path in folder.iterdir() if is_part(path) or is_claim(path)]:
         with suppress(OSError):  # held, deleted by another, or a file system without locks: leave it
             handle = os.open(path, os.O_RDWR)
             try:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 os.unlink(path)
-                gone.append(path)
+                deleted.append(path)
             finally:
                 os.close(handle)
-    return gone
+    return deleted
 
 
 def is_claimed(target: Path) -> bool:

@@ -47,7 +47,7 @@ class Gel(Pad):
         return np.cumsum([layer.thickness for layer in self.layers]) / self.thickness
 
     def at_height(self, part: float, xy: Array) -> Array:
-        """Points (n, 3) above xy (n, 2) at a part of the gel's height there: layers share a dome's squeeze."""
+        """Points (n, 3) above xy (n, 2) at a part of the gel's height there: a dome thins all layers alike."""
         return np.column_stack([xy, part * (self.top(*xy.T) + self.thickness) - self.thickness])
 
     def layer_of(self, points: Array) -> Array:

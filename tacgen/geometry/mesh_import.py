@@ -186,7 +186,7 @@ def placed(solid: Solid, *, up: str = "+z", scale: float = 1.0, size: float | No
 
 
 def sizes(path: Path, up: str, scale: float) -> tuple[float, float, float]:
-    """Sides of the box [mm] around the solid in a file, turned and scaled; remembered while the file stays as it is."""
+    """Sides of the box [mm] around the solid in a file, turned and scaled; cached until the file changes."""
     state = path.stat()
     return _sizes(path, up, scale, state.st_mtime_ns, state.st_size)
 

@@ -1,4 +1,4 @@
-"""A pad in plan and the height of its face: what meshes, pictures, housings and checks all ask of it."""
+"""A pad's outline and the height of its face, for meshes, pictures, housings and checks."""
 
 from dataclasses import dataclass, replace
 
@@ -40,7 +40,7 @@ class Pad:
         return np.asarray(within)
 
     def drawn_in(self, xy: Array) -> Array:
-        """Points (n, 2) of the pad's box, those beyond a semicircle or a rounded corner drawn in to its arc."""
+        """Points (n, 2) of the pad's box, those beyond a semicircle or a rounded corner moved inward to its arc."""
         if self.tip:
             radius = self.width / 2
             out = xy - (0.0, self.tip * (self.height / 2 - radius))

@@ -125,10 +125,10 @@ class Field:
 
         Coefficients are c = d - w bend/6 with `bend` the sum of second differences: with w = 1 the spline is of fourth
         order (0.5 um off on a sphere of 4 mm with cells of 0.156 mm). At edges, where bend is of the order of a cell, w
-        goes to 0 and the spline only rounds: through every value it would make flat faces wavy, which a press feels.
+        goes to 0 and the spline only rounds: an exact interpolant has waves on flat faces, which show in the pressure.
 
-        `blunt` rounds edges by two cells instead of one, as a spline on a grid twice as coarse would, and leaves the
-        rest as it is: there c = binomial mean of d, of variance cell^2 a direction.
+        `blunt` rounds edges by two cells instead of one, as a spline on a grid twice as coarse would, and changes
+        nothing else: there c = binomial mean of d, of variance cell^2 a direction.
         """
         d = np.asarray(distances, float)
         bend = _second_differences(d)

@@ -137,7 +137,7 @@ def _times(recipe: Recipe, folders: Folders) -> list[Problem]:
             if isinstance(step.move, Timed):
                 known = step.move.duration_s is not None
             else:
-                with suppress(UserError):  # told already
+                with suppress(UserError):  # a problem of its own
                     known = len(trajectory_checks.replayed(step.move, folders.get((*where, "file")))) > 1
             if not known:
                 wrong.append(Problem(where, "must say how long it takes: duration_s, or frame_s under dynamics"))

@@ -126,7 +126,7 @@ SHAPES: dict[str, type[Part]] = {
 
 
 def analytic(i: Indenter) -> "Shape | None":
-    """The signed distance of an indenter; None of a mesh, which only its file knows."""
+    """The signed distance of an indenter; None of a mesh, whose file is not read here."""
     import numpy as np
 
     from tacgen.geometry import analytic_sdf as sdf

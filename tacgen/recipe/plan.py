@@ -26,7 +26,7 @@ from tacgen.recipe.yaml_source import KeyPath, Tree, format_path, parse_path, pu
 if TYPE_CHECKING:
     import numpy as np
 
-FORMAT = 1  # of the bundles that the keys speak of
+FORMAT = 1  # of the bundles that keys stand for
 DRAW, NOISE = 1, 2  # purposes of random numbers; a new purpose gets a new number
 NOT_VARIABLE = ("tacgen", "name", "sensor", "sensor_overrides", "extends", "vary")  # keys that `vary.over` cannot name
 MAX_SCENES = 1_000_000

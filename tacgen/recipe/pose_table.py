@@ -1,4 +1,4 @@
-"""A pose table: CSV with a header and one pose a row, as plain numbers; what is wrong with it is told by line."""
+"""A pose table: CSV with a header and one pose a row, as plain numbers; errors name the line."""
 
 import csv
 import functools

@@ -70,7 +70,7 @@ def on_pad(gel: Gel, x_mm: float, y_mm: float) -> bool:
 def problems(recipe: Recipe, gel: Gel, folders: Folders) -> list[Problem]:
     """What the indenter cannot do over this gel; the first move that cannot be is named, and ends the search.
 
-    Heights that only a force says, a face that is domed and a mesh that leans are left to the path itself.
+    A height found from a force, a domed face and a leaning mesh are checked later, by scene.path.
     """
     from tacgen.recipe.trajectory_poses import TrajectoryError
 
@@ -99,7 +99,7 @@ def _walk(recipe: Recipe, gel: Gel, folders: Folders) -> None:
             raise TrajectoryError(where, *error.lines) from None
 
     def beside(pose: "Array") -> bool:
-        x, y = pose[:2, 3].tolist()  # nan where a mesh that leans was turned about a point that only its file knows
+        x, y = pose[:2, 3].tolist()  # nan where a leaning mesh was turned: its file is not read here
         return math.isfinite(x) and not on_pad(gel, x, y)
 
     pad = f"the pad of {gel.width_mm:g} x {gel.height_mm:g} mm"

@@ -32,7 +32,7 @@ class TrajectoryError(Exception):
 
 class Frame(NamedTuple):
     """One frame: its pose (4, 4), the rotation vector (3,) from the pose before it [rad], None for the shorter way, and
-    what a force asks for: see Forced in scene.path."""
+    how its height follows from a force: see Forced in scene.path."""
 
     pose: Array
     turn: Array | None = None
@@ -50,7 +50,7 @@ def _level(angle_deg: float) -> Array:
 
 @dataclass
 class Walk:
-    """Where a trajectory has come to.
+    """The state of a trajectory between two frames.
 
     support: how far the indenter extends along a unit vector (3,) of its own frame [mm]; contact: height of its origin
     at which it first touches the untouched face, turned and placed as a pose (4, 4) says [mm]; thickness: of the gel
@@ -92,10 +92,10 @@ class Walk:
         return cls(support, contact, thickness, pose, float(pose[2, 3]))
 
     def frames(self, segment: Segment, rows: Sequence[Pose], where: KeyPath) -> Iterator[Frame]:
-        """The frames of one segment, which stands at `where`; `rows` are those of a replay.
+        """The frames of one segment, at `where` in the recipe; `rows` are those of a replay.
 
         Raises:
-            TrajectoryError: the indenter would lean too far, or come to the base of the gel.
+            TrajectoryError: the indenter would lean too far, or reach the base of the gel.
         """
         move = segment.move
         if isinstance(move, Replay):

@@ -18,7 +18,7 @@ COLUMNS = 8
 # Inches: one panel, what stands left of, right of, above and below the panels, and the force plot
 PANEL, GAP, LEFT, RIGHT, TOP, ABOVE_FORCES, FORCES, BELOW = 1.7, 0.07, 0.95, 0.95, 0.85, 0.5, 1.5, 0.5
 SHADES = {"press": "#e4e4e4", "slide": "#d3e5f5", "twist": "#fce5cd", "hold": "#f4f4f4", "release": "#ddefdd"}
-LINES = {"$F_x$": "#d55e00", "$F_y$": "#009e73", "$F_z$": "#0072b2"}  # Okabe and Ito's: told apart by every eye
+LINES = {"$F_x$": "#d55e00", "$F_y$": "#009e73", "$F_z$": "#0072b2"}  # Okabe and Ito's, for colour-blind readers too
 
 
 def picture(path: Path, out: Path) -> None:

@@ -140,7 +140,7 @@ def spread(values: Sequence[Any]) -> str:
 
 
 def _plain(folder: Path, name: str) -> Overview:
-    """Without a plan: the bundles speak for themselves."""
+    """A folder without a plan, from its bundles alone."""
     bundles = dataset.scenes(folder)
     scenes = []
     for bundle in bundles:

@@ -1,4 +1,4 @@
-"""A trajectory laid out: the pose of the indenter at every frame, and which of them a force will correct."""
+"""The path of an indenter: its pose at every frame, and the frames whose height is solved for from a force."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -24,13 +24,13 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class Forced:
-    """Frames (N,) whose height is found from a force; without friction, history or mesh nobody can know it before.
+    """Frames (N,) whose height is solved for, from a normal force: `poses` hold guesses there.
 
-    asked: normal force at the end of the segment [N], nan where the pose is given; part: of the way there from the
-    force before the segment; carry: the part of what a height was found off its guess that later poses are off too;
-    floor: height of the indenter's origin that no trial goes below [mm]; below: how far under its guess a frame may
-    come, for which the mesh is made fine [mm]; hopeless: a frame whose force is known to be far beyond the gel, and
-    what to say of it.
+    asked: force at the end of the segment [N], nan where the height is given; part: of the change of force from the
+    segment before that a frame makes [-]; carry: of the difference between a height found and its guess, the part by
+    which a later pose is moved too [-]; floor: lowest height of the indenter's origin in the search [mm]; below: how
+    far under its guess a frame may be [mm], for which the mesh is made fine; hopeless: a frame whose force the gel
+    cannot bear, and the message.
     """
 
     asked: Array
@@ -101,7 +101,7 @@ def lay(recipe: Recipe, shape: Shape, gel: "Gel", replayed: Callable[[int], tupl
     """The path of an indenter over a gel; `replayed` gives the rows of a segment's table.
 
     Raises:
-        UserError: a leaning mesh, or an indenter on a dome, that comes to the base of the gel.
+        UserError: a leaning mesh, or an indenter on a dome, would reach the base of the gel.
     """
     rows = [replayed(number) if segment.replay else () for number, segment in enumerate(recipe.trajectory)]
     frames: list[Frame] = []

@@ -56,7 +56,7 @@ class Scene:
     edge: float  # element edge under the contact [mm]
     dhat: float  # [mm]
     forced: Forced | None = None
-    dynamics: Dynamics | None = None  # None: as if it were moved infinitely slowly
+    dynamics: Dynamics | None = None  # None: quasi-static
     element: Element = "hex"
     surface: Triangles | None = None  # of the indenter, for contact between meshes
     turns: Array | None = None  # (N, 3) rotation vector from each pose to the next [rad]; None: the shorter way
@@ -78,7 +78,7 @@ def _solid(i: indenters.Mesh, row: Row) -> mesh_import.Solid:
 
 
 def _field(i: indenters.Mesh, row: Row) -> Field:
-    """A mesh as far as the gel can come to it; its grid follows the quality's edge, as what the gel resolves does."""
+    """Signed distance of a mesh where the gel can reach it; the grid is as fine as the quality's edge asks for."""
     half, height = _reach_of_gel(row)
     return mesh_import.field(_solid(i, row), cell=SDF_CELL * row.recipe.resolved().edge_mm, height=height, half=half)
 
