@@ -1,6 +1,7 @@
 """What may press: indenters by shape, origins at their lowest points. Lengths in mm, angles in degrees."""
 
-from typing import TYPE_CHECKING, Annotated, Literal
+import math
+from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 from pydantic import Field, ValidationInfo, field_validator
 
@@ -120,31 +121,19 @@ class Mesh(Part):
 
 Indenter = Annotated[Sphere | Cylinder | Cone | Box | Wedge | Capsule | Torus | Mesh, Field(discriminator="shape")]
 SHAPES: dict[str, type[Part]] = {
-    kind.model_fields["shape"].annotation.__args__[0]: kind  # type: ignore[union-attr]
-    for kind in (Sphere, Cylinder, Cone, Box, Wedge, Capsule, Torus, Mesh)
+    kind.model_fields["shape"].annotation.__args__[0]: kind for kind in get_args(get_args(Indenter)[0])
 }
 
 
 def analytic(i: Indenter) -> "Shape | None":
-    """The signed distance of an indenter; None of a mesh, whose file is not read here."""
-    import numpy as np
+    """The signed distance of an indenter: the class of its name in analytic_sdf, whose fields have the model's names
+    without their units. None of a mesh, whose file is not read here."""
+    if i.shape == "mesh":
+        return None
+    from tacgen.geometry import analytic_sdf
 
-    from tacgen.geometry import analytic_sdf as sdf
-
-    match i.shape:
-        case "sphere":
-            return sdf.Sphere(i.radius_mm)
-        case "cylinder":
-            return sdf.Cylinder(i.radius_mm, i.fillet_mm)
-        case "cone":
-            return sdf.Cone(np.radians(i.half_angle_deg), i.tip_radius_mm)
-        case "box":
-            return sdf.Box(i.size_x_mm, i.size_y_mm, i.fillet_mm)
-        case "wedge":
-            return sdf.Wedge(np.radians(i.half_angle_deg), i.tip_radius_mm, i.length_mm)
-        case "capsule":
-            return sdf.Capsule(i.radius_mm, i.length_mm)
-        case "torus":
-            return sdf.Torus(i.radius_mm, i.tube_radius_mm)
-        case "mesh":
-            return None
+    fields = {name.removesuffix("_mm"): value for name, value in i if name != "shape"}
+    if "half_angle_deg" in fields:
+        fields["half_angle"] = math.radians(fields.pop("half_angle_deg"))
+    shape: Shape = getattr(analytic_sdf, type(i).__name__)(**fields)
+    return shape
