@@ -12,7 +12,7 @@ from typer.core import TyperGroup
 
 from tacgen.errors import UserError
 
-DISK = tuple(
+DISK_ERRORS = tuple(
     getattr(errno, name)
     for name in ("ENOSPC", "EACCES", "EPERM", "EROFS", "ENOTDIR", "EISDIR", "EEXIST", "EDQUOT", "ENAMETOOLONG", "EFBIG")
 )
@@ -72,7 +72,7 @@ def writing(place: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        if error.errno not in DISK:
+        if error.errno not in DISK_ERRORS:
             raise
         raise UserError(f"{error.filename or place}: cannot be written: {error.strerror}") from None
 

@@ -8,14 +8,14 @@ from pathlib import Path
 from tacgen.report import dataset_summary
 from tacgen.report.dataset_summary import Overview
 
-NAME = "README.md"
-SHOWN = 20  # reasons of scenes that are not there
+FILE_NAME = "README.md"
+MAX_REASONS = 20  # scenes that are not in the data, listed with their reasons
 
 
 def write(folder: Path) -> Path:
     """Write the card of a folder that has a finished scene; it is made anew, so keep notes elsewhere."""
-    path = folder / NAME
-    part = folder / f".{NAME}.{os.getpid()}"
+    path = folder / FILE_NAME
+    part = folder / f".{FILE_NAME}.{os.getpid()}"
     part.write_text(text(dataset_summary.look(folder)), encoding="utf-8")
     os.replace(part, path)
     return path
@@ -61,8 +61,8 @@ def _missing(seen: Overview) -> str:
     rows = [(scene.name, scene.state, scene.reason) for scene in seen.scenes if scene.state != "ok"]
     if not rows:
         return ""
-    more = f"\n\nand {len(rows) - SHOWN} more: `tacgen status` names all" if len(rows) > SHOWN else ""
-    return "## Scenes that are not in the data\n\n" + _table(("scene", "state", "reason"), rows[:SHOWN]) + more
+    more = f"\n\nand {len(rows) - MAX_REASONS} more: `tacgen status` names all" if len(rows) > MAX_REASONS else ""
+    return "## Scenes that are not in the data\n\n" + _table(("scene", "state", "reason"), rows[:MAX_REASONS]) + more
 
 
 def _contents(seen: Overview) -> str:

@@ -16,11 +16,11 @@ from tacgen.report import dataset_summary
 from tacgen.report.dataset_summary import Overview, Scene
 from tacgen.report.wording import counted
 
-PICTURES = 48
-WIDTH_PX = 160  # of a picture
-PAIRS = 15  # of varied numbers, plotted against each other
+MAX_PICTURES = 48
+PICTURE_WIDTH = 160  # [px]
+MAX_PAIRS = 15  # scatter plots of two varied numbers
 COLOURS = {"ok": "#0072b2", "rejected": "#e69f00", "failed": "#d55e00", "damaged": "#cc79a7"}
-OTHER = "#999999"
+OTHER_COLOUR = "#999999"  # of scenes at work or waiting
 STYLE = """body{font:14px/1.45 system-ui,sans-serif;margin:2em auto;max-width:70em;padding:0 1em;color:#222}
 table{border-collapse:collapse;margin:.5em 0}td,th{padding:.15em .8em .15em 0;text-align:left;vertical-align:top}
 th{font-weight:600;border-bottom:1px solid #bbb}td.n{text-align:right}svg{margin:0 1em 1em 0}svg text{font-size:11px}
@@ -81,10 +81,10 @@ def _causes(scenes: Sequence[Scene]) -> str:
 def _coverage(seen: Overview) -> str:
     """Each varied path alone, and numbers in pairs, a point a scene in the colour of its state."""
     numbers = {p: v for p, v in seen.varied.items() if all(isinstance(x, int | float) for x in v)}
-    colours = [COLOURS.get(scene.state, OTHER) for scene in seen.scenes]
+    colours = [COLOURS.get(scene.state, OTHER_COLOUR) for scene in seen.scenes]
     rows = [(path, dataset_summary.spread(values)) for path, values in seen.varied.items()]
     plots = [_histogram(path, np.array(values, float)) for path, values in numbers.items()]
-    for (a, x), (b, y) in list(combinations(numbers.items(), 2))[:PAIRS]:
+    for (a, x), (b, y) in list(combinations(numbers.items(), 2))[:MAX_PAIRS]:
         plots.append(_scatter(a, np.array(x, float), b, np.array(y, float), colours))
     key = " ".join(f'<span style="color:{colour}">&#9679; {state}</span>' for state, colour in COLOURS.items())
     shown = _table(("varied", "values"), rows) + f"<p>{key}</p>" + "".join(plots)
@@ -112,9 +112,9 @@ def _seconds(seen: Overview) -> str:
 def _pictures(scenes: Sequence[Scene]) -> str:
     """Scenes spread over the plan, each at the frame of its largest force."""
     good = [scene for scene in scenes if scene.bundle is not None and scene.bundle.frames]
-    step = max(1.0, len(good) / PICTURES)
+    step = max(1.0, len(good) / MAX_PICTURES)
     shown = []
-    for scene in (good[int(i * step)] for i in range(min(len(good), PICTURES))):
+    for scene in (good[int(i * step)] for i in range(min(len(good), MAX_PICTURES))):
         assert scene.bundle is not None
         picture = _picture(scene.bundle)
         if picture:
@@ -138,7 +138,7 @@ def _picture(bundle: Bundle) -> str:
         image = Image.fromarray(np.uint8(255 * np.clip(pressure / max(float(pressure.max()), 1e-9), 0, 1)))
     else:
         return ""
-    image = image.resize((WIDTH_PX, round(WIDTH_PX * image.height / image.width)), Image.Resampling.BILINEAR)
+    image = image.resize((PICTURE_WIDTH, round(PICTURE_WIDTH * image.height / image.width)), Image.Resampling.BILINEAR)
     file = io.BytesIO()
     image.save(file, "JPEG", quality=85)
     return f'<img alt="" src="data:image/jpeg;base64,{base64.b64encode(file.getvalue()).decode()}">'
