@@ -5,7 +5,7 @@ onto the surface, and edges whose middles are off it are split: few triangles on
 keeps its own triangles and gets vertices along its sharp edges.
 
 Marching cubes in place of the nets (libigl's, scikit-image's) were tried on eight shapes: on six of them 30 to 209
-triangles come out with an angle below 2 degrees, where nets give none, and some face away from the shape's normal.
+triangles come out with an angle below 2 degrees, where nets give none, and some stand nearly upright on the surface.
 """
 
 import numpy as np
@@ -142,7 +142,7 @@ def _normals(vertices: Array, triangles: Array) -> Array:
 
 
 def _sharp(vertices: Array, triangles: Array, edges: Array, sides: Array) -> Array:
-    """Whether an edge (e,) bends outward by more than SHARP."""
+    """Whether an edge (e,) bends outward by more than SHARP_ANGLE."""
     n, middle = _normals(vertices, triangles), vertices[triangles].mean(1)
     both, away, count = np.zeros((len(edges), 3)), np.zeros((len(edges), 3)), np.bincount(sides.ravel())
     np.add.at(both, sides, np.repeat(n[:, None], 3, 1))
