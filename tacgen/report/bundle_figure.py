@@ -83,7 +83,7 @@ def summary(path: Path) -> str:
     status = attrs["status"] + (f" ({attrs['reason']})" if attrs["reason"] else "")
     runs = [f"{kind} {len(list(group))}" for kind, group in groupby(bundle.segments) if kind]
     lines = [
-        f"{path}: {bundle.recipe.get('name', '')}, {attrs['sensor']}, {_indenter(bundle)}",
+        f"{path}: {bundle.recipe.get('name', '')}, {attrs['sensor']}, {indenter_text(bundle)}",
         f"status    {status}",
         f"frames    {bundle.frames} of {attrs['frames_planned']}" + (f": {', '.join(runs)}" if runs else ""),
         f"size      {path.stat().st_size / 1e6:.2f} MB, written by tacgen {attrs['tacgen_version']}",
@@ -99,7 +99,8 @@ def summary(path: Path) -> str:
         peaks = bundle["/frames/pressure"].max(axis=(1, 2))
         lines.append(f"pressure  largest in frame {int(peaks.argmax())}: {peaks.max():.4f} MPa")
     lines += [f"note      {note}" for note in json.loads(attrs.get("notes", "[]"))]
-    lines += [f"{path:<34}{' x '.join(map(str, shape))}" for path, shape in bundle.shapes.items()]
+    width = max(map(len, bundle.shapes), default=0) + 2
+    lines += [f"{path:<{width}}{' x '.join(map(str, shape))}" for path, shape in bundle.shapes.items()]
     return "\n".join(lines)
 
 
@@ -112,20 +113,21 @@ def _mesh(found: dict[str, Any]) -> str:
     return ", ".join([*words, f"volume {100 * found['volume_error']:+.2f} %"])
 
 
-def _indenter(bundle: Bundle) -> str:
+def indenter_text(bundle: Bundle) -> str:
     """`sphere, radius 4 mm`"""
     fields: dict[str, Any] = dict(bundle.recipe.get("indenter", {}))
     words = [str(fields.pop("shape", "indenter"))]
     fields.pop("sha256", None)
     for name, value in fields.items():
-        what, _, unit = name.rpartition("_")
-        words.append(f"{what.replace('_', ' ')} {value:g} {unit}" if isinstance(value, int | float) else f"{value}")
+        what, _, unit = name.rpartition("_") if "_" in name else (name, "", "")
+        number = f"{what.replace('_', ' ')} {value:g} {unit}".rstrip() if isinstance(value, int | float) else ""
+        words.append(number or f"{value}")
     return ", ".join(words)
 
 
 def heading(sheet: "Figure", bundle: Bundle, height: float) -> None:
     """What the bundle is, over a sheet of this height [inch], and in red why it was rejected."""
-    text = f"{bundle.recipe.get('name', bundle.path.stem)}: {_indenter(bundle)}, on {bundle.attrs['sensor']}"
+    text = f"{bundle.recipe.get('name', bundle.path.stem)}: {indenter_text(bundle)}, on {bundle.attrs['sensor']}"
     sheet.text(0.5, 1 - 0.12 / height, text, ha="center", va="top", fontsize=11)
     if bundle.attrs["status"] != "ok":
         text = f"{bundle.attrs['status']}: {bundle.attrs['reason']}"
@@ -158,7 +160,9 @@ def window_of(bundle: Bundle) -> Window:
     return x0, x0 + side, y0, y0 + side
 
 
-def _camera(bundle: Bundle, panels: list["Axes"], shown: np.ndarray, image: tuple[int, int], window: Window) -> None:
+def draw_camera(
+    bundle: Bundle, panels: list["Axes"], shown: np.ndarray, image: tuple[int, int], window: Window
+) -> None:
     """The camera's images, the markers' displacement drawn magnified on them, and the window of the rows below."""
     from matplotlib.patches import Rectangle
 
@@ -242,7 +246,7 @@ def _height(bundle: Bundle, panels: list["Axes"], shown: np.ndarray, image: tupl
 
 
 ROWS = (
-    (("/frames/rgb", "/frames/marker_flow"), _camera),
+    (("/frames/rgb", "/frames/marker_flow"), draw_camera),
     (("/frames/pressure",), draw_pressure),
     (("/frames/traction",), draw_traction),
     (("/frames/height",), _height),

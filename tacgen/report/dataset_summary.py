@@ -126,7 +126,8 @@ def summary(folder: Path) -> str:
     if seen.seconds:
         stages = ", ".join(f"{stage} {value:.0f}" for stage, value in seen.seconds.items())
         lines.append(f"seconds   {sum(seen.seconds.values()):.0f} on one core ({stages})")
-    return "\n".join(lines + [f"{path:<34}{shape}" for path, shape in seen.datasets.items()])
+    width = max(map(len, seen.datasets), default=0) + 2
+    return "\n".join(lines + [f"{path:<{width}}{shape}" for path, shape in seen.datasets.items()])
 
 
 def spread(values: Sequence[Any]) -> str:

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 Array = np.ndarray
 COLUMNS, PANEL, GAP = 4, 2.6, 0.1  # panels side by side, and inches
 FLAT = 0.42  # height of a section over its width
+WIDE = 3.4  # width of a section over the gel's thickness
 STATES = {
     postprocess.FREE: ("free", "#f2f2f2"),
     postprocess.EDGE: ("edge", "#f0e442"),
@@ -35,7 +36,8 @@ STATES = {
 }
 STATES |= {postprocess.SLIP: ("slip", "#d55e00")}
 # of the stress under the contact: name, what of it, colours, whether it has a sign
-SECTIONS: tuple[tuple[str, Callable[[Array], Array], str, bool], ...] = (
+Section = tuple[str, Callable[[Array], Array], str, bool]
+SECTIONS: tuple[Section, ...] = (
     ("σ_zz", lambda s: s[:, 2], "RdBu_r", True),
     ("σ_xz", lambda s: s[:, 4], "PuOr_r", True),
     ("von Mises", postprocess.von_mises, "magma", False),
@@ -114,15 +116,17 @@ def _slip(bundle: Bundle, grid: Grid, shown: Array, image: tuple[int, int]) -> l
     return [(drawn, "", {float(state): name for state, (name, _) in STATES.items()})]
 
 
-def _stress(bundle: Bundle, grid: Grid, shown: Array, image: tuple[int, int]) -> list[Bar]:
-    """Vertical sections through the indenter, of the deformed gel."""
+def draw_stress(
+    bundle: Bundle, grid: Grid, shown: Array, image: tuple[int, int], sections: tuple[Section, ...] = SECTIONS
+) -> list[Bar]:
+    """Vertical sections through the indenter, of the deformed gel: a row of panels for each of `sections`."""
     from matplotlib.collections import LineCollection, PolyCollection
 
     points, cells, layer = bundle["/mesh/points"], bundle["/mesh/cells"], bundle["/mesh/layer"]
-    half = 1.7 * float(np.ptp(points[:, 2]))
+    half = WIDE / 2 * float(np.ptp(points[:, 2]))
     found = [_section(bundle, int(k), points, cells, layer) for k in shown]
     bars: list[Bar] = []
-    for row, (name, what, colours, signed) in zip(grid, SECTIONS, strict=True):
+    for row, (name, what, colours, signed) in zip(grid, sections, strict=True):
         values = [what(stress.reshape(-1, 6)).reshape(-1, 3).mean(1) for _, stress, _ in found]
         top = max(float(np.quantile(np.abs(v), 0.999)) for v in values)
         for panel, (corners, _, rim), value, k in zip(row, found, values, shown, strict=True):
@@ -172,7 +176,7 @@ FIELDS: dict[str, tuple[tuple[str, ...], str, int, Any, str]] = {  # datasets, o
         f"stick: friction holds; slip: it slides; edge: touched in part; {XY}",
     ),
     "stress": (
-        ("/fields/cauchy_stress", "/fields/nodal_stress"), "stress", len(SECTIONS), _stress,
+        ("/fields/cauchy_stress", "/fields/nodal_stress"), "stress", len(SECTIONS), draw_stress,
         "Cauchy stress in the plane y = that of the indenter, on the deformed gel; tension is positive; "
         "x to the right in the image, z out of the gel",
     ),

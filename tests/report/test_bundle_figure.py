@@ -2,10 +2,11 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from helpers.synthetic import OUTPUTS, write
+from helpers.synthetic import OUTPUTS, attributes, write
 
 from tacgen.bundle.bundle import read
 from tacgen.errors import UserError
@@ -105,3 +106,16 @@ def test_the_summary_names_the_peaks(tmp_path: Path) -> None:
     assert any(line.startswith("pressure  largest in frame ") and line.endswith(" MPa") for line in lines)
     assert not any(line.startswith("note") for line in lines)
     assert "note      sharp" in bundle_figure.summary(write(tmp_path / "y.h5", notes=["sharp"])).splitlines()
+
+
+def test_the_summary_of_a_mesh_keeps_words_and_columns_apart(tmp_path: Path) -> None:
+    recipe = attributes()["recipe"] | {"indenter": {"shape": "mesh", "file": "gear", "up": "+z", "scale": 1.0}}
+
+    def longer(index: int, arrays: dict[str, Any]) -> None:
+        arrays["/frames/quality/pressure_oscillation"] = 0.1
+
+    lines = bundle_figure.summary(write(tmp_path / "x.h5", recipe=recipe, edit=longer)).splitlines()
+    assert lines[0].endswith("mesh, gear, scale 1, +z")
+    rows = [line for line in lines if line.startswith(("/frames/", "/mesh/"))]
+    assert len(rows) > 10
+    assert len({line.rindex("  ") for line in rows}) == 1
