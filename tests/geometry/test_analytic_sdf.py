@@ -28,11 +28,11 @@ KINDS: dict[str, st.SearchStrategy[Shape]] = {
     "wedge": st.builds(lambda a, tip, flat: Wedge(a, tip, 2 * tip + flat), ANGLE, between(0.05, 1), between(0.1, 6)),
 }  # fmt: skip
 SHAPES = st.one_of(*KINDS.values())
-EACH: list[Shape] = [
-    Sphere(4.0), Capsule(1.5, 4.0), Torus(3.0, 0.8), Cylinder(2.0, 0.2), Box(3.0, 5.0, 0.3), Cone(np.radians(40), 0.3),
-    Wedge(np.radians(30), 0.2, 4.0),
-]  # fmt: skip
-SPHERE = EACH[0]
+SPHERE = Sphere(4.0)
+EACH: dict[Shape, float] = {  # and its smallest radius
+    SPHERE: 4.0, Capsule(1.5, 4.0): 1.5, Torus(3.0, 0.8): 0.8, Cylinder(2.0, 0.2): 0.2, Box(3.0, 5.0, 0.3): 0.3,
+    Cone(np.radians(40), 0.3): 0.3, Wedge(np.radians(30), 0.2, 4.0): 0.2,
+}  # fmt: skip
 SEED = st.integers(0, 2**32 - 1)
 
 
@@ -169,6 +169,6 @@ def test_known_distances() -> None:
 
 
 def test_shape_sizes_that_the_solver_relies_on() -> None:
-    assert [s.smallest_radius for s in EACH] == [4.0, 1.5, 0.8, 0.2, 0.3, 0.3, 0.2]
-    for s in EACH:
-        assert s.reach >= s.smallest_radius
+    for shape, radius in EACH.items():
+        assert shape.smallest_radius == radius
+        assert shape.reach >= radius
