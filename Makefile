@@ -3,6 +3,7 @@
 #   make data    every recipe's data set in data/, WORKERS scenes at a time; run again, it goes on
 #   make test    the tests
 #   make docs    the documentation site in out/site
+#   make gallery docs/gallery.md: every shape, movement and sensor, WORKERS scenes at a time, some 20 minutes on one core
 #   make bench   error against run time, stability, cost: docs/RESULTS.md, in some 20 minutes; BENCH_FLAGS=--full for more
 
 SUITABLE = import sys, venv, ensurepip; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))
@@ -17,10 +18,10 @@ export OPENBLAS_NUM_THREADS ?= 1
 export MKL_NUM_THREADS ?= 1
 export NUMBA_NUM_THREADS ?= 1
 
-.PHONY: help sync check test test-slow smoke bench docs demo data clean
+.PHONY: help sync check test test-slow smoke bench docs gallery demo data clean
 
 help:
-	@echo "make demo | data | test | docs | check | test-slow | smoke | bench | sync | clean"
+	@echo "make demo | data | test | docs | gallery | check | test-slow | smoke | bench | sync | clean"
 
 sync: .venv/synced
 
@@ -71,7 +72,15 @@ demo: sync
 WORKERS ?= 1
 DATA ?= data
 
-# exit code 1 of run is rejected or failed scenes: the card and the report say which
+# exit code 1 of run is rejected or failed scenes: the card and the report say which, and so does the gallery
+gallery: sync
+	@for sensor in sensors/*.yaml; do \
+	  name=$$(basename $$sensor .yaml); \
+	  $(BIN)/tacgen run docs/gallery/gallery.yaml -o out/gallery/$$name --set sensor=$$name --workers $(WORKERS) $(DATA_FLAGS) \
+	    || [ $$? -eq 1 ] || exit 1; \
+	done
+	$(BIN)/python scripts/gallery.py out/gallery -o docs
+
 data: sync
 	@for recipe in recipes/*.yaml; do \
 	  name=$$(basename $$recipe .yaml); \

@@ -8,16 +8,24 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import click
 import pytest
 import typer
+from helpers.small_recipe import HEAD
+from helpers.synthetic import attributes, write
+from typer.testing import CliRunner
 
+from tacgen import export, outputs, pipeline
+from tacgen.bundle import bundle, schema
 from tacgen.cli import app
-from tacgen.recipe import loading, model, plan
+from tacgen.recipe import assets, loading, model, plan
+from tacgen.recipe.indenters import SHAPES
 from tacgen.recipe.trajectory import Segment
 from tacgen.recipe.yaml_source import load
 
@@ -194,6 +202,80 @@ def test_the_recipe_page_names_every_key_movement_output_and_quality() -> None:
     assert not [key for key in keys if f"`{key}`" not in text]
     for preset, numbers in model.QUALITIES.items():
         assert f"| `{preset}` | {' | '.join(f'{number:g}' for number in numbers)} |" in text
+
+
+def test_the_gallery_has_every_shape_object_movement_and_sensor() -> None:
+    rows = plan.load(DOCS / "gallery" / "gallery.yaml").rows
+    moved: dict[str, set[str]] = {}
+    for row in rows:
+        indenter = row.recipe.indenter
+        name = indenter.file if indenter.shape == "mesh" else indenter.shape
+        moved.setdefault(name, set()).update(step.kind for step in row.recipe.trajectory)
+    assert set(moved) == {*SHAPES, *assets.list_objects()} - {"mesh"}
+    assert not [name for name, kinds in moved.items() if kinds != set(Segment.model_fields)]
+    page = (DOCS / "gallery.md").read_text()
+    assert not [name for name in moved if f"| {name} |" not in page]
+    shown = {f"{sensor}-{kind}.webp" for sensor in assets.list_sensors() for kind in Segment.model_fields}
+    assert not [file for file in shown if f"(gallery/{file})" not in page]
+    assert {file.name for file in (DOCS / "gallery").glob("*.webp")} == shown
+    assert sum(file.stat().st_size for file in (DOCS / "gallery").iterdir()) < 3e6
+
+
+def test_the_gallery_is_drawn_from_bundles_and_names_what_was_rejected(tmp_path: Path) -> None:
+    folder = tmp_path / "bundles" / "digit"
+    folder.mkdir(parents=True)
+    write(folder / "scene-00000.h5")
+    punch = attributes()["recipe"] | {"indenter": {"shape": "cylinder", "radius_mm": 3.0}}
+    write(folder / "scene-00001.h5", stop=3, recipe=punch)
+    program = [sys.executable, ROOT / "scripts/gallery.py", folder.parent, "-o", tmp_path]
+    done = subprocess.run(program, capture_output=True, text=True, env=os.environ | {"PYTHONPATH": str(ROOT)})
+    assert done.returncode == 0, done.stderr
+    page = (tmp_path / "gallery.md").read_text()
+    assert "- cylinder, press, slide, hold, twist: frame 3 of 12: Newton's method stalled\n" in page
+    for kind in ("press", "slide", "hold", "twist"):
+        assert f"(gallery/digit-{kind}.webp)" in page
+        assert (tmp_path / "gallery" / f"digit-{kind}.webp").stat().st_size > 5000
+
+
+EXTENDING = re.findall(r"^\| `([^`]+)` \| (.+) \|$", (DOCS / "EXTENDING.md").read_text(), re.M)
+
+
+@pytest.mark.parametrize(("file", "what"), EXTENDING, ids=[f"{i}-{file}" for i, (file, _) in enumerate(EXTENDING)])
+def test_what_extending_names_is_there(file: str, what: str) -> None:
+    place = ROOT / file
+    if "<" in file:  # one's own
+        assert place.parent.is_dir()
+        return
+    text = place.read_text()
+    for word in re.findall(r"`(\w+)`", what):
+        assert re.search(rf"\b{word}\b", text), word
+
+
+def test_an_output_is_an_entry_a_name_and_a_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    entry = outputs.Output(lambda frame: {"/frames/lowest": frame.state.x[:, 2].min()})
+    monkeypatch.setitem(outputs.OUTPUTS, "lowest", entry)
+    monkeypatch.setitem(schema.LAYOUT, "/frames/lowest", schema.Entry("<f8", ("N",), "mm", "lowest node", "frame"))
+    (tmp_path / "small.yaml").write_text(f"{HEAD}  - press: {{depth_mm: 0.3, frames: 2}}\n")
+    row = plan.load(tmp_path / "small.yaml").rows[0]
+    asked = row.recipe.model_copy(update={"outputs": frozenset({"force", "lowest"})})  # past the list of names
+    made = pipeline.run([replace(row, recipe=asked)], tmp_path / "out")[0]
+    found = bundle.read(made.path)
+    assert found["/frames/lowest"].shape == (2,)
+    assert found.verify()["/frames/lowest"].attrs["units"] == "mm"
+
+
+def test_a_format_is_a_module_and_a_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def written(bundles: list[bundle.Bundle], out: Path) -> list[Path]:
+        export.needs(bundles[0], ("/frames/force",), "force")
+        out.write_text("\n".join(export.names(bundles)))
+        return [out]
+
+    monkeypatch.setitem(export.EXPORTERS, "names", "names of scenes")
+    monkeypatch.setitem(sys.modules, "tacgen.export.names", SimpleNamespace(write=written))
+    scene = write(tmp_path / "scene-00000.h5")
+    done = CliRunner().invoke(app, ["export", "names", str(scene), "-o", str(tmp_path / "names.txt")])
+    assert done.exit_code == 0, done.output
+    assert (tmp_path / "names.txt").read_text() == "scene-00000"
 
 
 def test_the_readme_is_short() -> None:

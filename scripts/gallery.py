@@ -1,0 +1,182 @@
+"""Draw the gallery: a contact sheet for each sensor and movement, and the page docs/gallery.md that shows them.
+
+    python scripts/gallery.py out/gallery -o docs     # `make gallery` runs docs/gallery/gallery.yaml first
+
+A folder of bundles for each sensor, as `tacgen run docs/gallery/gallery.yaml -o out/gallery/digit --set sensor=digit`
+writes it. A column of a sheet is one indenter at one frame: camera, pressure, traction, stress.
+"""
+
+import argparse
+import inspect
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from tacgen.bundle.bundle import Bundle, read
+from tacgen.recipe import assets
+from tacgen.recipe.loading import read_sensor
+from tacgen.recipe.trajectory import Segment
+from tacgen.report import bundle_figure, catalogue, field_figure
+
+ACROSS = 6  # indenters side by side; the others follow below
+PANEL, GAP, LEFT, TITLE = 1.5, 0.05, 0.55, 0.3  # inches
+DPI, WEBP = 110, 70  # pixels an inch; quality of the compression
+VON_MISES = field_figure.SECTIONS[-1:]
+Column = tuple[str, Bundle, int | None]  # indenter, its scene, the frame shown; None: it was not reached
+
+
+def indenter(bundle: Bundle) -> str:
+    """`sphere`, or an object's name."""
+    chosen = bundle.recipe["indenter"]
+    return str(chosen.get("file", chosen["shape"]))
+
+
+def movements(bundle: Bundle) -> list[str]:
+    """press, slide: the trajectory's movements in order."""
+    return [kind for step in bundle.recipe["trajectory"] for kind, move in step.items() if move is not None]
+
+
+def shown(bundle: Bundle, movement: str) -> int | None:
+    """The last frame of a movement; of a release, which ends above the gel, the first."""
+    frames = [k for k, kind in enumerate(bundle.segments) if kind == movement]
+    return frames[0 if movement == "release" else -1] if frames else None
+
+
+def columns(bundles: list[Bundle], movement: str) -> list[Column]:
+    """Each indenter with its first scene that has the movement."""
+    found: dict[str, Bundle] = {}
+    for bundle in bundles:
+        if movement in movements(bundle):
+            found.setdefault(indenter(bundle), bundle)
+    return [(name, bundle, shown(bundle, movement)) for name, bundle in found.items()]
+
+
+def sheet(scenes: list[Column]) -> Figure:
+    """All indenters of one sensor and movement."""
+    image = bundle_figure.image_size(scenes[0][1])
+    heights = [PANEL * image[0] / image[1]] * 3 + [PANEL * field_figure.FLAT]
+    blocks = [scenes[start : start + ACROSS] for start in range(0, len(scenes), ACROSS)]
+    tall = TITLE + sum(heights) + GAP * len(heights)
+    size = LEFT + ACROSS * (PANEL + GAP), len(blocks) * tall
+    drawn = Figure(figsize=size, layout=None)
+    FigureCanvasAgg(drawn)
+    for b, block in enumerate(blocks):
+        for c, column in enumerate(block):
+            panels, top = [], b * tall + TITLE
+            for height in heights:
+                x, y = LEFT + c * (PANEL + GAP), size[1] - top - height
+                panels.append(drawn.add_axes((x / size[0], y / size[1], PANEL / size[0], height / size[1])))
+                top += height + GAP
+            draw(panels, column, image)
+            for panel, label in zip(panels, ("camera", "pressure", "traction", "von Mises"), strict=True):
+                panel.set_xlabel("")
+                panel.set_ylabel(label if c == 0 else "", fontsize=8)
+                panel.set(xticks=[], yticks=[])
+    return drawn
+
+
+def draw(panels: list, column: Column, image: tuple[int, int]) -> None:
+    """The four panels of one indenter; in each map's corner what its brightest colour stands for."""
+    name, bundle, k = column
+    panels[0].set_title(name, fontsize=9, pad=4)
+    if k is None:
+        panels[0].text(0.5, 0.5, bundle.attrs["status"], ha="center", transform=panels[0].transAxes)
+        return
+    frame, window = np.array([k]), bundle_figure.window_of(bundle)
+    bundle_figure.draw_camera(bundle, panels[:1], frame, image, window)
+    pressure, _ = bundle_figure.draw_pressure(bundle, panels[1:2], frame, image, window)
+    traction, _ = bundle_figure.draw_traction(bundle, panels[2:3], frame, image, window)
+    [(stress, _, _)] = field_figure.draw_stress(bundle, [panels[3:]], frame, image, VON_MISES)
+    for panel, mapped in zip(panels[1:], (pressure, traction, stress), strict=True):
+        colour = "black" if mapped is stress else "white"
+        style = {"ha": "right", "va": "top" if mapped is stress else "bottom", "fontsize": 7, "color": colour}
+        place = (0.97, 0.96 if mapped is stress else 0.03)
+        panel.text(*place, f"{mapped.get_clim()[1]:.2g} MPa", transform=panel.transAxes, **style)
+
+
+def how_far(move: dict[str, object]) -> str:
+    """`x_mm: 0.8, y_mm: 0`: what a movement says with a unit."""
+    return ", ".join(f"{key}: {value:g}" for key, value in move.items() if key.endswith(("_mm", "_deg")))
+
+
+def heading(sensor: str, bundles: list[Bundle]) -> list[str]:
+    """What is said of a sensor before its sheets."""
+    made = read_sensor(assets.sensor_path(sensor))[0]
+    wide, high = (made.camera.mm_per_px * n for n in (made.camera.width_px, made.camera.height_px))
+    section = field_figure.WIDE * np.ptp(bundles[0]["/mesh/points"][:, 2])
+    size = f"Camera pictures are {wide:.1f} x {high:.1f} mm, sections {section:.1f} mm wide."
+    lines = [f"## {sensor}", "", f"{made.description}. {size}", ""]
+    rejected = [b for b in bundles if b.attrs["status"] != "ok"]
+    return (
+        lines
+        + [f"- {indenter(b)}, {', '.join(movements(b))}: {b.attrs['reason']}" for b in rejected]
+        + [""] * bool(rejected)
+    )
+
+
+def page(found: dict[str, list[Bundle]]) -> str:
+    """docs/gallery.md: what was run, and every sheet."""
+    sensor, first = next(iter(found.items()))
+    objects = catalogue.objects()
+    kinds = [kind for kind in Segment.model_fields if columns(first, kind)]
+    lines = [
+        "# Gallery",
+        "",
+        "Every shape and every shipped object, moved in every way, on every shipped sensor:",
+        f"{sum(map(len, found.values()))} scenes at quality `draft`. `make gallery` runs",
+        "[gallery.yaml](gallery/gallery.yaml) on each sensor and draws this page anew, in some 20 minutes on one core.",
+        "",
+        "A column is one frame of one scene: the camera's picture, pressure, size and direction of the tangential",
+        "traction on the gel, and von Mises stress in the plane through the indenter along x. The maps show what is",
+        "dotted in the camera picture, or all of it. Colours go from 0 to the number in the corner. A scene that was",
+        "rejected is named under its sensor, with the reason.",
+        "",
+        "| indenter | |",
+        "|---|---|",
+        *(
+            f"| {name} | {objects.get(name) or bundle_figure.indenter_text(bundle).partition(', ')[2]} |"
+            for name, bundle, _ in columns(first, kinds[0])
+        ),
+        "",
+        "| movement | | here |",
+        "|---|---|---|",
+    ]
+    for kind in kinds:
+        about = inspect.getdoc(get_args(Segment.model_fields[kind].annotation)[0]).split("\n\n")[0].replace("\n", " ")
+        move = next(step[kind] for step in columns(first, kind)[0][1].recipe["trajectory"] if step.get(kind))
+        lines.append(f"| [{kind}](#{sensor}-{kind}) | {about} | {how_far(move)} |")
+    lines += [
+        "",
+        "All but the replay begin with the press. Of a release the frame half way up is shown, of the others the last.",
+        "",
+    ]
+    for sensor, bundles in found.items():
+        lines += heading(sensor, bundles)
+        for kind in kinds:
+            picture = f"![{sensor}, {kind}](gallery/{sensor}-{kind}.webp){{ loading=lazy }}"
+            lines += [f"### {sensor}: {kind}", "", picture, ""]
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("bundles", type=Path, help="a folder of bundles for each sensor")
+    parser.add_argument("-o", "--out", type=Path, default=Path("docs"))
+    given = parser.parse_args()
+    folders = sorted(folder for folder in given.bundles.iterdir() if folder.is_dir())
+    found = {folder.name: [read(path) for path in sorted(folder.glob("scene-*.h5"))] for folder in folders}
+    (given.out / "gallery").mkdir(parents=True, exist_ok=True)
+    for sensor, bundles in found.items():
+        for kind in Segment.model_fields:
+            if scenes := columns(bundles, kind):
+                file = given.out / "gallery" / f"{sensor}-{kind}.webp"
+                sheet(scenes).savefig(file, dpi=DPI, pil_kwargs={"quality": WEBP})
+                print(file)
+    (given.out / "gallery.md").write_text(page(found))
+
+
+if __name__ == "__main__":
+    main()
