@@ -111,14 +111,21 @@ def _piola(F: Array, C: Array, I1: float, w1: float, w2: float, w3: float, P: Ar
 
 
 @njit(cache=True)
-def add_forces(F: Array, conn: Array, B: Array, weights: Array, I1: Array, first: Array, out: Array) -> None:
-    """Add dE/dx to out (n, 3); first (e, q, 3) holds dW/dI1, dW/dI2, dW/dJ."""
+def add_forces(
+    F: Array, conn: Array, B: Array, weights: Array, I1: Array, first: Array, memory: Array, out: Array
+) -> None:
+    """Add dE/dx to out (n, 3); first (e, q, 3) holds dW/dI1, dW/dI2, dW/dJ. memory: see elasticity.Point."""
     ne, nq, na, _ = B.shape
     C, P = np.empty((3, 3)), np.empty((3, 3))
     for e in range(ne):
         for q in range(nq):
             cofactor(F[e, q], C)
             _piola(F[e, q], C, I1[e, q], first[e, q, 0], first[e, q, 1], first[e, q, 2], P)
+            if len(memory):
+                for i in range(3):
+                    for j in range(3):
+                        for k in range(3):
+                            P[i, j] += F[e, q, i, k] * memory[e, q, k, j]
             for a in range(na):
                 node = conn[e, a]
                 for i in range(3):

@@ -19,6 +19,7 @@ from tacgen.fem.potential import Projection
 
 Array = np.ndarray
 SMALLEST_J = 1e-9  # below it the energy is infinite: what is divided by J would overflow
+NOTHING = np.zeros((0, 0, 3, 3))
 PREDICTED = 2.0  # the predicted J is kept within this factor of the true one
 
 
@@ -33,6 +34,7 @@ class Point:
     first: Array  # (e, q, 3), U' included
     second: Array  # (e, q, 6), U'' included unless the dilatation is the element's mean
     dilatation: Array  # (e,) U''(mean J)/volume, 0 without mean dilatation
+    memory: Array  # (e, q, 3, 3) J^-2/3 M, or (0, 0, 3, 3)
 
 
 @dataclass(frozen=True)
@@ -40,12 +42,14 @@ class Elastic:
     """Strain energy of elements of one law; infinite where an element turns inside out at an integration point.
 
     slots (e, 3a*3a): where each entry of an element's tangent stands in the Pattern; None where only energies and
-    stresses are asked for.
+    stresses are asked for. memory (e, q, 3, 3): M [MPa] of the energy J^-2/3 (M : F^T F)/2 that a viscoelastic gel has
+    beside its law's.
     """
 
     elements: Elements
     law: Law
     slots: Array | None = None
+    memory: Array | None = None
 
     @classmethod
     def on(cls, pattern: Pattern, elements: Elements, law: Law) -> "Elastic":
@@ -79,12 +83,19 @@ class Elastic:
             energy += local * float((w * U).sum())
             first[..., 2] += local * dU
             second[..., 2] += local * ddU
-        return Point(F, I1, J, np.inf if bad else energy, first, second, dilatation)
+        memory = NOTHING
+        if self.memory is not None:
+            memory = J[..., None, None] ** (-2 / 3) * self.memory
+            stretch = np.einsum("eqik,eqkl,eqil->eq", F, memory, F)
+            energy += float((w * (stretch - np.trace(self.memory, axis1=2, axis2=3))).sum()) / 2
+            first[..., 2] -= stretch / (3 * J)
+            second[..., 2] += 5 / 9 * stretch / J**2
+        return Point(F, I1, J, np.inf if bad else energy, first, second, dilatation, memory)
 
     def forces(self, at: Point, nodes: int) -> Array:
         """dE/dx (nodes, 3) [N]."""
         out, e = np.zeros((nodes, 3)), self.elements
-        assembly.add_forces(at.F, e.conn, e.gradients, e.weights, at.I1, at.first, out)
+        assembly.add_forces(at.F, e.conn, e.gradients, e.weights, at.I1, at.first, at.memory, out)
         return out
 
     def predicted(self, at: Point, there: Point, taken: Array) -> Array:
@@ -100,7 +111,7 @@ class Elastic:
         """
         e, first = self.elements, self._with_pressure(at, J)
         out = np.zeros((nodes, 3))
-        assembly.add_forces(at.F, e.conn, e.gradients, e.weights, at.I1, first, out)
+        assembly.add_forces(at.F, e.conn, e.gradients, e.weights, at.I1, first, at.memory, out)
         assembly.add_pressures(taken, e.conn, e.gradients, e.weights * (at.first - first)[..., 2], out)
         return out
 
@@ -109,7 +120,7 @@ class Elastic:
         assert self.slots is not None
         e, first = self.elements, at.first if J is None else self._with_pressure(at, J)
         kernels.add_tangent(
-            at.F, e.gradients, e.weights, first, at.second, at.dilatation, int(projection), self.slots, data
+            at.F, e.gradients, e.weights, first, at.second, at.dilatation, at.memory, int(projection), self.slots, data
         )
 
     def _with_pressure(self, at: Point, J: Array) -> Array:
@@ -150,5 +161,7 @@ class Elastic:
         b = at.F @ at.F.swapaxes(-1, -2)
         f = at.first[..., None, None]
         PFt = 2 * (f[..., 0, :, :] + f[..., 1, :, :] * at.I1[..., None, None]) * b - 2 * f[..., 1, :, :] * (b @ b)
+        if len(at.memory):
+            PFt += at.F @ at.memory @ at.F.swapaxes(-1, -2)
         J = at.J[..., None, None]
         return PFt / J + f[..., 2, :, :] * np.eye(3), self.elements.weights * at.J

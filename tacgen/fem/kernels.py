@@ -154,6 +154,28 @@ def _projected(
 
 
 @njit(cache=True, fastmath=True)
+def _remember(F: Array, C: Array, M: Array, G: Array, D: Array) -> None:
+    """Add to D (9, 9) what J^-2/3 (M : F^T F)/2 has beside its derivatives in J alone; M (3, 3) holds J^-2/3."""
+    for i in range(3):
+        for j in range(3):
+            G[0, 3 * i + j] = F[i, 0] * M[0, j] + F[i, 1] * M[1, j] + F[i, 2] * M[2, j]
+            G[2, 3 * i + j] = C[i, j]
+            for k in range(3):
+                D[3 * i + j, 3 * i + k] += M[j, k]
+    mixed = -2 / 3 / (F[0, 0] * C[0, 0] + F[0, 1] * C[0, 1] + F[0, 2] * C[0, 2])
+    for a in range(9):
+        for b in range(9):
+            D[a, b] += mixed * (G[0, a] * G[2, b] + G[2, a] * G[0, b])
+
+
+@njit(cache=True)
+def _clamp(D: Array) -> None:
+    """The positive semi-definite part of the symmetric D (9, 9), by its numerical eigenvalues."""
+    values, vectors = np.linalg.eigh(D)
+    D[:] = (vectors * np.maximum(values, 0.0)) @ vectors.T
+
+
+@njit(cache=True, fastmath=True)
 def _strained(F: Array) -> bool:
     """Whether |F^T F - I| is beyond MILD: nearer to rest the exact tangent is as good as positive."""
     total = 0.0
@@ -172,14 +194,15 @@ def add_tangent(
     first: Array,
     second: Array,
     dilatation: Array,
+    memory: Array,
     project: int,
     slots: Array,
     data: Array,
 ) -> None:
     """Add d2E/dx2 of all elements to `data` at `slots` (e, 3a*3a), -1 where nothing is kept.
 
-    dilatation (e,): U''(mean J)/volume of elements with mean dilatation, a rank-one term; 0 elsewhere. project: see
-    potential.Projection.
+    dilatation (e,): U''(mean J)/volume of elements with mean dilatation, a rank-one term; 0 elsewhere. memory: see
+    elasticity.Point. project: see potential.Projection.
     """
     ne, nq, na, _ = B.shape
     nd = 3 * na
@@ -193,7 +216,13 @@ def add_tangent(
         for q in range(nq):
             w = weights[e, q]
             cofactor(F[e, q], C)
-            if project == 2 or (project == 1 and _strained(F[e, q])):
+            clamped = project == 2 or (project == 1 and _strained(F[e, q]))
+            if len(memory):
+                _exact(F[e, q], C, first[e, q], second[e, q], G, D)
+                _remember(F[e, q], C, memory[e, q], G, D)
+                if clamped:
+                    _clamp(D)
+            elif clamped:
                 _projected(F[e, q], first[e, q], second[e, q], A, V, W, Hs, U, Q, D)
             else:
                 _exact(F[e, q], C, first[e, q], second[e, q], G, D)

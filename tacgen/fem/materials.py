@@ -148,6 +148,29 @@ class StableNeoHooke:
         )
 
 
+@dataclass(frozen=True)
+class Stiffened:
+    """Another law with `times` its w and the same U; its moduli at rest are that law's own."""
+
+    law: Law
+    times: float
+
+    @property
+    def mu(self) -> float:
+        return self.law.mu
+
+    @property
+    def kappa(self) -> float:
+        return self.law.kappa
+
+    def iso(self, I1: Array, I2: Array, J: Array) -> Derivatives:
+        w = self.law.iso(I1, I2, J)
+        return Derivatives(self.times * w.value, self.times * w.first, self.times * w.second)
+
+    def vol(self, J: Array) -> tuple[Array, Array, Array]:
+        return self.law.vol(J)
+
+
 LAWS = {"neo_hooke": NeoHooke, "mooney_rivlin": MooneyRivlin, "yeoh": Yeoh, "stable_neo_hooke": StableNeoHooke}
 
 # One of each with the same moduli at rest, mu = 0.05 MPa and kappa = 0.4 MPa: what the tests of laws try.
