@@ -132,7 +132,7 @@ def status(
 @app.command()
 def validate(file: RecipeFile, sets: Sets = None) -> None:
     """Check a recipe with its sensor and every scene of it, or a sensor file alone."""
-    from tacgen.recipe import assets, loading, yaml_source
+    from tacgen.recipe import assets, checks, loading, yaml_source
 
     path = assets.recipe_path(file)
     data = yaml_source.load(path).data
@@ -143,6 +143,8 @@ def validate(file: RecipeFile, sets: Sets = None) -> None:
     plan = _plan(file, sets)
     row = plan.rows[0]
     typer.echo(f"{path}: a valid recipe, {plan.name}: {counted(len(plan.rows), 'scene')}, sensor {row.sensor.name}")
+    for note in checks.notes(row.recipe, row.sensor):
+        typer.echo(f"note: {note}")
 
 
 @app.command()

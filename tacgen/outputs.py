@@ -181,7 +181,7 @@ def _material(frame: FrameData) -> Datasets:
 
 def _stress(frame: FrameData) -> Datasets:
     recovery, state = frame.scene.stresses, frame.state
-    stress = recovery.at(state.x)
+    stress = recovery.at(state.x, frame.scene.problem.stressed(state.internal))
     return {
         "/fields/displacement": state.x - frame.scene.problem.mesh.points,
         "/fields/cauchy_stress": stress.element,

@@ -12,6 +12,7 @@ from tacgen.bundle import bundle, resume
 from tacgen.bundle.resume import SceneResult
 from tacgen.geometry.gel import Gel
 from tacgen.outputs import OUTPUTS, Datasets, FrameData, SceneData
+from tacgen.recipe.checks import notes
 from tacgen.recipe.model import IMAGES
 from tacgen.recipe.plan import Row
 from tacgen.scene import mesh, scene
@@ -67,8 +68,9 @@ def _attributes(gel: Gel, shared: SceneData, clock: Clock) -> dict[str, Any]:
     if row.recipe.outputs & IMAGES:
         with clock.stage("render"):
             found["renderer"] = f"mitsuba {version('mitsuba')} {shared.pictures.renderer.variant}"
-    if note := _resolution_note(problem.contact.shape.smallest_radius, problem.edge, formulation):
-        found["notes"] = [note]
+    coarse = _resolution_note(problem.contact.shape.smallest_radius, problem.edge, formulation)
+    if said := [note for note in (coarse, *notes(row.recipe, row.sensor)) if note]:
+        found["notes"] = said
     return found
 
 
@@ -130,8 +132,8 @@ def _make(row: Row, path: Path, on_event: OnEvent | None) -> SceneResult:
                 break
             frame = _datasets(of_frame, FrameData(shared, state), clock)
             frame["/frames/segment"] = built.segment[state.index]
-            if built.dynamics is not None:
-                frame["/frames/time"] = built.dynamics.duration[: state.index + 1].sum()
+            if built.duration is not None:
+                frame["/frames/time"] = built.duration[: state.index + 1].sum()
             with clock.stage("bundle"):
                 writer.append(frame)
             if on_event:

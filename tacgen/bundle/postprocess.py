@@ -75,7 +75,7 @@ def stress_by_layer(bundle: Bundle, frame: int) -> tuple[Array, Array, Array]:
 
 
 def strain_energy(bundle: Bundle, frame: int) -> Array:
-    """Strain energy (m,) [N mm] stored in each cell.
+    """Strain energy (m,) [N mm] stored in each cell; of a viscoelastic layer what stays when it has relaxed.
 
     Raises:
         UserError: the bundle does not say what the sensor is made of.

@@ -28,7 +28,7 @@ MAP = "frame row column"
 LAYOUT: dict[str, Entry] = {
     "/frames/pose": Entry("<f8", ("N", 4, 4), "mm", "pose of the indenter in the sensor frame", "frame row column"),
     "/frames/segment": Entry("<i4", ("N",), "1", "index of the trajectory segment the frame belongs to", "frame"),
-    "/frames/time": Entry("<f8", ("N",), "s", "time since the start of the path, where inertia counts", "frame"),
+    "/frames/time": Entry("<f8", ("N",), "s", "time since the start of the path, where time counts", "frame"),
     "/frames/force": Entry("<f8", ("N", 3), "N", "force on the gel", "frame xyz"),
     "/frames/torque": Entry("<f8", ("N", 3), "N mm", "torque on the gel about the sensor origin", "frame xyz"),
     "/frames/rgb": Entry("|u1", ("N", "H", "W", 3), "1", "camera image, sRGB", "frame row column rgb"),

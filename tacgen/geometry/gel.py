@@ -23,6 +23,7 @@ class Layer:
     thickness: float
     law: Law
     youngs_modulus: float  # [MPa]
+    prony: tuple[tuple[float, float], ...] = ()  # g and tau [s] of each term, see fem/viscoelasticity
 
 
 @dataclass(frozen=True)

@@ -45,13 +45,13 @@ class Stresses:
         for number, elastic in enumerate(problem.elastic):
             self._volume[mesh.layer == number] = elastic.elements.weights.sum(1)
 
-    def at(self, x: Array) -> Stress:
-        """At nodal positions x (n, 3)."""
+    def at(self, x: Array, elastic: tuple[Elastic, ...] = ()) -> Stress:
+        """At nodal positions x (n, 3); `elastic` has the layers' stress where that is not their law's alone."""
         count = len(self.problem.mesh.cells)
         element, nominal = np.zeros((count, 6)), np.zeros((count, 9))
-        for number, elastic in enumerate(self.problem.elastic):
+        for number, part in enumerate(elastic or self.problem.elastic):
             here = self.problem.mesh.layer == number
-            element[here], nominal[here] = _means(elastic, x)
+            element[here], nominal[here] = _means(part, x)
         rows = self.recovery.matrix @ element
         node = self.recovery.outermost(rows, len(x))
         P = self.recovery.outermost(self.recovery.matrix @ nominal, len(x)).reshape(-1, 3, 3)

@@ -10,7 +10,7 @@ from tacgen.recipe import assets, background_photo, optics_checks, trajectory_ch
 from tacgen.recipe.indenters import Indenter
 from tacgen.recipe.model import IMAGES, Recipe
 from tacgen.recipe.sensor import LIGHTS, Gel, LitSensor, Sensor
-from tacgen.recipe.trajectory import Timed
+from tacgen.recipe.trajectory import Paced, Press, Replay, Slide, Timed
 from tacgen.recipe.trajectory_checks import Folders
 from tacgen.recipe.validation_messages import Problem
 from tacgen.recipe.yaml_source import KeyPath
@@ -43,7 +43,7 @@ def recipe_problems(recipe: Recipe, sensor: Sensor, folders: Folders | None = No
         *trajectory_checks.problems(recipe, sensor.gel, folders),
         *_outputs(recipe, sensor),
     ]
-    wrong += _times(recipe, folders)
+    wrong += _times(recipe, sensor, folders)
     if recipe.mesh == "hex" and sensor.gel.solid is not None:
         wrong.append(Problem(("mesh",), f"cannot be hex: the gel of {sensor.name} is a solid, which is meshed by tets"))
     wrong += [
@@ -124,23 +124,47 @@ def _depths(recipe: Recipe, sensor: Sensor) -> list[Problem]:
     ]
 
 
-def _times(recipe: Recipe, folders: Folders) -> list[Problem]:
-    """With dynamics every frame takes some time; without, none does."""
-    wrong = []
+def _viscous(sensor: Sensor) -> bool:
+    return any(layer.terms for layer in sensor.gel.layers)
+
+
+def timed(recipe: Recipe, sensor: Sensor) -> bool:
+    """Whether frames take time: with dynamics they do, and on a viscoelastic gel if any movement says how long."""
+    moves = (step.move for step in recipe.trajectory)
+    return recipe.dynamics is not None or (
+        _viscous(sensor) and any(not isinstance(move, Timed) or move.seconds(1.0) is not None for move in moves)
+    )
+
+
+def notes(recipe: Recipe, sensor: Sensor) -> list[str]:
+    """What this recipe leaves unused and nobody may have meant."""
+    if not _viscous(sensor) or timed(recipe, sensor):
+        return []
+    return ["no movement says how long it takes: every frame is an equilibrium, and the gel's prony has no effect"]
+
+
+def _times(recipe: Recipe, sensor: Sensor, folders: Folders) -> list[Problem]:
+    """Where time counts every frame takes some."""
+    count, dynamics, forced, wrong = timed(recipe, sensor), recipe.dynamics, False, []
     for i, step in enumerate(recipe.trajectory):
         where: KeyPath = ("trajectory", i, step.kind)
-        if recipe.dynamics is None:
-            if isinstance(step.move, Timed) and step.move.duration_s is not None:
-                wrong.append(Problem((*where, "duration_s"), "has no effect without dynamics", at_key=True))
-        elif recipe.dynamics.frame_s is None:
-            known = True
-            if isinstance(step.move, Timed):
-                known = step.move.duration_s is not None
-            else:
-                with suppress(UserError):  # a problem of its own
+        known = not isinstance(step.move, Timed) or step.move.seconds(1.0) is not None
+        paced = isinstance(step.move, Paced) and step.move.speed_mm_s is not None
+        forced = forced or (isinstance(step.move, Press) and step.move.force_n is not None)
+        if not count:
+            if isinstance(step.move, Timed) and known:
+                text = "has no effect without dynamics or a viscoelastic gel"
+                wrong.append(Problem((*where, "speed_mm_s" if paced else "duration_s"), text, at_key=True))
+        elif forced and paced and not isinstance(step.move, Slide):
+            text = "needs a way that is known, which force_n leaves open: say duration_s"
+            wrong.append(Problem((*where, "speed_mm_s"), text, at_key=True))
+        elif dynamics is None or dynamics.frame_s is None:
+            if isinstance(step.move, Replay):
+                with suppress(UserError):  # told already
                     known = len(trajectory_checks.replayed(step.move, folders.get((*where, "file")))) > 1
             if not known:
-                wrong.append(Problem(where, "must say how long it takes: duration_s, or frame_s under dynamics"))
+                more = "as others do" if dynamics is None else "or frame_s under dynamics"
+                wrong.append(Problem(where, f"must say how long it takes: duration_s, {more}"))
     return wrong
 
 

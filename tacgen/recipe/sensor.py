@@ -9,7 +9,7 @@ import math
 from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from tacgen.recipe.base_model import Axis, FilePath, NotNegative, Part, Positive, Sha256, exactly_one
 
@@ -24,10 +24,15 @@ Vec3 = tuple[float, float, float]
 Angle = Annotated[float, Field(ge=-20, le=20)]
 
 
+def _tuple(value: Any) -> Any:
+    """Strictly, what passed through Python holds no list."""
+    return tuple(value) if isinstance(value, list) else value
+
+
 def _as_rgb(value: Any) -> Any:
     if isinstance(value, int | float) and not isinstance(value, bool):
         return (value,) * 3
-    return tuple(value) if isinstance(value, list) else value  # strictly, what passed through Python holds no list
+    return _tuple(value)
 
 
 # Red, green and blue; one number stands for three equal ones, so that all can vary together.
@@ -60,8 +65,40 @@ class LayerBase(Part):
     opaque: bool = False  # the coating then lies on its inner side
     source: str
 
+    @property
+    def terms(self) -> tuple[tuple[float, float], ...]:
+        """g and tau [s] of each term of its Prony series, none if it is elastic."""
+        return ()
 
-class NeoHookeLayer(LayerBase):
+
+class PronyTerm(Part):
+    """A share of the instantaneous shear modulus that relaxes exponentially."""
+
+    g: Annotated[float, Field(gt=0, lt=1)]
+    tau_s: Positive
+
+
+def _some_left(value: tuple[PronyTerm, ...]) -> tuple[PronyTerm, ...]:
+    if (total := sum(term.g for term in value)) >= 1:
+        raise ValueError(f"must have g that add up to less than 1 (got {total:g}): nothing is left at rest")
+    return value
+
+
+Prony = Annotated[tuple[PronyTerm, ...], Field(min_length=1), BeforeValidator(_tuple), AfterValidator(_some_left)]
+
+
+class IsochoricLayer(LayerBase):
+    """What changes shape apart from volume, and so may be viscoelastic in shape: its law's constants are those of
+    infinitely slow moves, and at once it is stiffer by 1/(1 - sum of g)."""
+
+    prony: Prony | None = None  # elastic if absent
+
+    @property
+    def terms(self) -> tuple[tuple[float, float], ...]:
+        return tuple((term.g, term.tau_s) for term in self.prony or ())
+
+
+class NeoHookeLayer(IsochoricLayer):
     """Isochoric neo-Hookean; the law of a layer that names none."""
 
     law: Literal["neo_hooke"] = "neo_hooke"
@@ -77,7 +114,7 @@ class StableNeoHookeLayer(LayerBase):
     poissons_ratio: Poisson
 
 
-class NearlyIncompressible(LayerBase):
+class NearlyIncompressible(IsochoricLayer):
     """How compressible a layer is: one of two numbers."""
 
     poissons_ratio: Poisson | None = None

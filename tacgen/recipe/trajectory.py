@@ -1,7 +1,7 @@
 """What a trajectory is made of: where it starts, and movements of the indenter. Lengths in mm, angles in degrees."""
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
@@ -33,13 +33,32 @@ class Start(Part):
 
 
 class Timed(Part):
-    """A movement of a given number of frames; `duration_s` is the time of all of them, where there is `dynamics`."""
+    """A movement of as many frames as one says; `duration_s` is what all of them take, where time counts."""
 
     frames: Frames
     duration_s: Positive | None = None
 
+    def seconds(self, way_mm: float) -> float | None:
+        """What it takes, if it says so, over a way that long."""
+        return self.duration_s
 
-class Press(Timed):
+
+class Paced(Timed):
+    """A movement that may say its speed instead."""
+
+    speed_mm_s: Positive | None = None
+
+    @model_validator(mode="after")
+    def _either(self) -> Self:
+        if self.duration_s is not None and self.speed_mm_s is not None:
+            raise ValueError("must hold at most one of duration_s, speed_mm_s")
+        return self
+
+    def seconds(self, way_mm: float) -> float | None:
+        return self.duration_s if self.speed_mm_s is None else way_mm / self.speed_mm_s
+
+
+class Press(Paced):
     """Move along z to `depth_mm` below first touch of the untouched face, or until the gel bears `force_n`.
 
     On a dome first touch is wherever that is.
@@ -56,7 +75,7 @@ class Press(Timed):
         return self
 
 
-class Slide(Timed):
+class Slide(Paced):
     """Move sideways by this much from where the indenter is."""
 
     x_mm: float = 0.0
@@ -119,7 +138,7 @@ class Hold(Timed):
     """Stay."""
 
 
-class Release(Timed):
+class Release(Paced):
     """Lift back to the height of the start."""
 
 

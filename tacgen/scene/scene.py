@@ -15,10 +15,12 @@ from tacgen.geometry.gel import Gel, Layer, SolidGel
 from tacgen.geometry.sdf_grid import Field
 from tacgen.recipe import indenters, trajectory
 from tacgen.recipe import sensor as sensors
-from tacgen.recipe.model import Element
+from tacgen.recipe.checks import timed
+from tacgen.recipe.model import Element, Recipe
 from tacgen.recipe.plan import Row
 from tacgen.recipe.sensor import MooneyRivlinLayer, NeoHookeLayer, Sensor, StableNeoHookeLayer, YeohLayer
 from tacgen.scene.path import Forced, lay
+from tacgen.scene.path import Path as Way
 
 __all__ = ["Gel", "Layer", "Scene", "build"]
 
@@ -29,12 +31,11 @@ SDF_CELL = 0.25  # grid of a mesh's signed distance over the element edge [-]; i
 
 @dataclass(frozen=True)
 class Dynamics:
-    """How the gel resists being moved fast; duration (N,) of each frame [s]."""
+    """How the gel's mass and Rayleigh damping resist being moved fast."""
 
     density: float  # [t/mm^3]
     alpha: float  # of Rayleigh's damping, with the mass [1/s]
     beta: float  # and with the stiffness [s]
-    duration: Array
     longest: float  # step in time [s]
 
 
@@ -56,7 +57,8 @@ class Scene:
     edge: float  # element edge under the contact [mm]
     dhat: float  # [mm]
     forced: Forced | None = None
-    dynamics: Dynamics | None = None  # None: quasi-static
+    dynamics: Dynamics | None = None
+    duration: Array | None = None  # (N,) of each frame [s]; None: as if it were moved infinitely slowly
     element: Element = "hex"
     surface: Triangles | None = None  # of the indenter, for contact between meshes
     turns: Array | None = None  # (N, 3) rotation vector from each pose to the next [rad]; None: the shorter way
@@ -123,7 +125,8 @@ def gel_of(sensor: Sensor, solid_path: Path | None = None) -> Gel:
     layers = []
     for layer in sensor.gel.layers:
         law = law_of(layer)
-        layers.append(Layer(layer.thickness_mm, law, 9 * law.kappa * law.mu / (3 * law.kappa + law.mu)))
+        modulus = 9 * law.kappa * law.mu / (3 * law.kappa + law.mu)
+        layers.append(Layer(layer.thickness_mm, law, modulus, layer.terms))
     g = sensor.gel
     if g.solid is not None and solid_path is not None:
         solid = mesh_import.placed(mesh_import.read(solid_path), up=g.solid.up, scale=g.solid.scale)
@@ -146,22 +149,33 @@ def build(row: Row) -> Scene:
     if len(off_face):
         x, y = off_face[0]
         raise UserError(f"trajectory: would carry the indenter's axis off the gel's coated face, to ({x:g}, {y:g})")
-    more = (way.forced, _dynamics(row), element, _surface(row, shape), way.turns)
+    more = (way.forced, _dynamics(recipe), _durations(row, way), element, _surface(row, shape), way.turns)
     return Scene(gel, shape, way.poses, way.start, way.segment, friction, edge, dhat, *more)
 
 
-def _dynamics(row: Row) -> Dynamics | None:
-    """A replay's frames take what lies between its rows, and the way to the first as long as to the second."""
-    asked = row.recipe.dynamics
+def _dynamics(recipe: Recipe) -> Dynamics | None:
+    asked = recipe.dynamics
     if asked is None:
         return None
-    duration: list[float] = []
+    damping, density = asked.rayleigh, asked.density_kg_m3 * TONNES_PER_MM3
+    return Dynamics(density, damping.alpha_per_s, damping.beta_s, asked.step_s or math.inf)
+
+
+def _durations(row: Row, way: Way) -> Array | None:
+    """A replay's frames take what lies between its rows, and the way to the first as long as to the second."""
+    if not timed(row.recipe, row.sensor):
+        return None
+    usual = 0.0 if row.recipe.dynamics is None else row.recipe.dynamics.frame_s or 0.0
+    origins = np.concatenate([way.start[None], way.poses])[:, :3, 3]
+    duration: list[float] = []  # recipe/checks.py lets nothing through that says none
     for number, step in enumerate(row.recipe.trajectory):
         if isinstance(step.move, trajectory.Replay):
-            apart = [b.time - a.time for a, b in pairwise(row.replayed(number))] or [asked.frame_s or 0.0]
+            apart = [b.time - a.time for a, b in pairwise(row.replayed(number))] or [usual]
             duration += [apart[0], *apart][: step.frames]
         else:
-            each = asked.frame_s if step.move.duration_s is None else step.move.duration_s / step.frames
-            duration += [each or 0.0] * step.frames  # recipe/checks.py lets nothing through that has neither
-    damping, density = asked.rayleigh, asked.density_kg_m3 * TONNES_PER_MM3
-    return Dynamics(density, damping.alpha_per_s, damping.beta_s, np.array(duration), asked.step_s or math.inf)
+            moved = origins[len(duration) + step.frames] - origins[len(duration)]
+            seconds = step.move.seconds(float(np.linalg.norm(moved)))
+            if seconds == 0:
+                raise UserError(f"trajectory[{number}].{step.kind}.speed_mm_s: takes no time, since nothing moves")
+            duration += [usual if seconds is None else seconds / step.frames] * step.frames
+    return np.array(duration)

@@ -121,7 +121,8 @@ def solve_contact(
             return ContactSolution(x, contact, contact.evaluate(x), False, steps, True)
         forces = contact.evaluate(x) if full is None else full[0]
         g = residual(forces, x) if full is None else full[1]
-        if fraction == 1.0 and length <= xtol and abs(drift) <= xtol:
+        off = forces.mean_gap - contact.contact.offset if forces.N.any() else 0.0
+        if fraction == 1.0 and length <= xtol and max(abs(drift), abs(off)) <= xtol:
             return ContactSolution(x, contact, forces, True, steps)
         if fraction * length < SHORTEST * xtol:
             return ContactSolution(x, contact, forces, length <= xtol, steps)

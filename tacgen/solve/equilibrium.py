@@ -1,5 +1,6 @@
 """One load step: the gel at equilibrium under the indenter at one pose, checked before it is handed out."""
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -60,7 +61,8 @@ class LoadStep:
             inertia = problem.body.step(history.x, history.velocity, duration)
             inert, self.ahead = (inertia,), inertia.coasting
         self.inert = Total(inert)
-        self.bulk = Bulk(problem.elastic, problem.folding, inert)
+        self.elastic = problem.during(history, duration)
+        self.bulk = Bulk(self.elastic, problem.folding, inert)
         if problem.condensed:
             self.prediction = self._predict(contact, pose)
         self.contact = CoupledContact(contact, problem.friction, self._anchors(contact), self.options.slip * self.dhat)
@@ -134,7 +136,7 @@ def _imbalance(step: LoadStep | MeshLoadStep, found: Found) -> tuple[float, floa
     outer = found.contact.contact.faces.scatter(-found.forces.force, len(x))
     inertia = step.inert.gradient(x)
     folding = step.bulk.folding if isinstance(step, LoadStep) else problem.folding
-    inner = Total((*problem.elastic, *folding)).gradient(x)
+    inner = Total((*step.elastic, *folding)).gradient(x)
     held = np.ones(x.size, bool)
     held[free] = False
     reaction = np.where(held.reshape(x.shape), inner, 0.0).sum(0)
@@ -144,12 +146,12 @@ def _imbalance(step: LoadStep | MeshLoadStep, found: Found) -> tuple[float, floa
 
 
 def equilibrium(
-    problem: Problem, history: History, matrix: Array, index: int, duration: float = 0.0, near: State | None = None
+    problem: Problem, history: History, matrix: Array, index: int, duration: float = math.inf, near: State | None = None
 ) -> tuple[History, State]:
     """The gel under the indenter at pose `matrix` (4, 4), a load step on from `history`.
 
-    `duration` [s] is what the step takes, where inertia matters. `near` is another answer to the same history, at a
-    pose close by: Newton starts there, and inherits nothing of it.
+    `duration` [s] is what the step takes, where inertia or viscosity matters. `near` is another answer to the same
+    history, at a pose close by: Newton starts there, and inherits nothing of it.
 
     Raises:
         NotConverged: no equilibrium within the tolerances was found. TooFar: the step must be shorter.
@@ -226,6 +228,7 @@ def _record(
         rub = forces.force - forces.N[..., None] * forces.normal
         sliding = (np.linalg.norm(coupled.slip(forces), axis=-1) >= coupled.eps) & (forces.N > 0)
         anchor = fr.dragged(coupled.anchor, forces.at, forces.normal, forces.N, coupled.eps, contact.pose)
+    internal = step.problem.internal(history, found.x, step.duration)
     after = History(
         contact.pose,
         found.x,
@@ -238,11 +241,12 @@ def _record(
         max(history.least_force, NEGLIGIBLE * float(forces.N.sum())),
         None if history.velocity is None else (found.x - history.x) / step.duration,
         history.x,
+        internal,
         None if step.prediction is None else step.prediction.missed(found.x),
     )
     mean = contact.mean_gap(found.x)
     residual, balance, least_J = quality
     return after, State(
         index, matrix, found.x, forces.N, forces.normal, rub, sliding, steps, 1, contact.offset, mean,
-        found.least_gap, residual, balance, least_J,
+        found.least_gap, residual, balance, least_J, internal=internal,
     )  # fmt: skip

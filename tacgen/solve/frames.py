@@ -4,6 +4,7 @@ Each frame is found at exactly the pose asked for, or where the gel bears the fo
 reached ends the scene as rejected.
 """
 
+import math
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
@@ -111,7 +112,7 @@ def states(scene: Scene, problem: Problem, *, tol: float | None = None) -> Itera
     tol = problem.options.force_tol if tol is None else tol
     forced, shift, had, begun = scene.forced, 0.0, 0.0, 0.0
     for index, pose in enumerate(scene.poses):
-        duration = 0.0 if scene.dynamics is None else float(scene.dynamics.duration[index])
+        duration = math.inf if scene.duration is None else float(scene.duration[index])
         if forced is not None and forced.hopeless is not None and forced.hopeless[0] == index:
             raise NotConverged(forced.hopeless[1])
         if forced is not None and (index == 0 or scene.segment[index] != scene.segment[index - 1]):

@@ -65,7 +65,8 @@ class MeshLoadStep:
             inertia = problem.body.step(history.x, history.velocity, duration)
             inert, ahead, self.gap_tol = (inertia,), inertia.coasting, self.xtol / 10
         self.inert = Total(inert)
-        self.bulk: tuple[Potential, ...] = (*problem.elastic, *problem.folding, *inert)
+        self.elastic = problem.during(history, duration)
+        self.bulk: tuple[Potential, ...] = (*self.elastic, *problem.folding, *inert)
         self.lag, self.friction = Lag(), None
         self.anchor = pose.world(self._anchors())
         if problem.friction > 0:

@@ -1,7 +1,7 @@
 """A mesh made ready to be solved on."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -12,6 +12,7 @@ from tacgen.fem.assembly import Pattern, pattern
 from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import elements
 from tacgen.fem.folding_barrier import FoldingBarrier
+from tacgen.fem.viscoelasticity import Viscoelastic
 from tacgen.scene.mesh import Mesh
 from tacgen.scene.scene import Scene
 from tacgen.solve import linear_solvers
@@ -31,7 +32,8 @@ AnyContact: TypeAlias = "Contact | MeshContact"
 
 @dataclass(frozen=True)
 class Problem:
-    """A mesh made ready: elasticity, contact, the linear solver, and mass where the scene asks for dynamics.
+    """A mesh made ready: elasticity, contact, the linear solver, mass where the scene asks for dynamics, and the layers
+    that are viscoelastic where it takes time.
 
     `longest` is the longest step in time [s].
     """
@@ -45,6 +47,7 @@ class Problem:
     edge: float  # [mm]
     body: "Body | None" = None
     longest: float = math.inf
+    viscous: dict[int, Viscoelastic] = field(default_factory=dict)  # by the layer's number
     options: SolverOptions = DEFAULT
 
     @classmethod
@@ -54,19 +57,21 @@ class Problem:
             held = np.zeros((len(mesh.points), 3), bool)
             held[np.unique(mesh.facets["bonded"])] = True
         pat = pattern([mesh.cells], ~held)
-        elastic, folding = [], []
+        elastic, folding, viscous = [], [], {}
         for number, layer in enumerate(scene.gel.layers):
             some = elements(mesh.points, mesh.cells[mesh.layer == number])
             elastic.append(Elastic.on(pat, some, layer.law))
             folding.append(FoldingBarrier.on(pat, mesh.points, some, layer.law.mu))
-        contact = _contact(scene, mesh, pat)
-        ready = cls(mesh, tuple(elastic), tuple(folding), contact, pat, scene.friction, scene.edge, options=options)
+            if layer.prony and scene.duration is not None:
+                viscous[number] = Viscoelastic.of(elastic[number], layer.prony)
+        if scene.dynamics is not None or viscous:  # velocities are errors in x over a short time, relaxation is small
+            options = replace(options, step_tol=options.step_tol / 10, residual_tol=options.residual_tol / 10)
+        contact, parts = _contact(scene, mesh, pat), (tuple(elastic), tuple(folding))
+        ready = cls(mesh, *parts, contact, pat, scene.friction, scene.edge, viscous=viscous, options=options)
         if (d := scene.dynamics) is None:
             return ready
         from tacgen.fem.inertia import Body
 
-        tight = replace(options, step_tol=options.step_tol / 10, residual_tol=options.residual_tol / 10)
-        ready = replace(ready, options=tight)  # velocities are errors in x over a short time
         return replace(ready, body=Body.of(pat, ready.elastic, d.density, d.alpha, d.beta), longest=d.longest)
 
     @cached_property
@@ -108,7 +113,23 @@ class Problem:
         at, kappa = pose.local(self.contact.faces.at(x)), self.contact.kappa
         still = None if self.body is None else np.zeros_like(x)
         least = FORCE_FLOOR * kappa * self.contact.dhat**2
-        return History(pose, x, offset, np.zeros_like(force), normal @ pose.rotation, at, gap, kappa, least, still, x)
+        internal = {number: layer.rest() for number, layer in self.viscous.items()}
+        none, normal = np.zeros_like(force), normal @ pose.rotation
+        return History(pose, x, offset, none, normal, at, gap, kappa, least, still, x, internal)
+
+    def during(self, history: History, h: float) -> tuple[Elastic, ...]:
+        """The layers' potentials in a load step of h [s]."""
+        steps = {k: layer.step(history.internal[k], history.x, h) for k, layer in self.viscous.items()}
+        return tuple(steps.get(k, part) for k, part in enumerate(self.elastic))
+
+    def internal(self, history: History, x: Array, h: float) -> dict[int, Array]:
+        """History.internal at x (n, 3), where that load step ends."""
+        return {k: layer.after(history.internal[k], history.x, x, h) for k, layer in self.viscous.items()}
+
+    def stressed(self, internal: dict[int, Array]) -> tuple[Elastic, ...]:
+        """The layers with the stress that they have at such internal variables."""
+        now = {k: layer.relaxing(internal[k]) for k, layer in self.viscous.items()}
+        return tuple(now.get(k, part) for k, part in enumerate(self.elastic))
 
     def steps(self, duration: float) -> int:
         """How many steps a movement of so many seconds takes."""

@@ -1,6 +1,6 @@
 """What a frame is, and what the next one inherits from it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -53,6 +53,7 @@ class History:
     least_force: float  # below it no forces are told apart [N]
     velocity: Array | None  # (n, 3) [mm/s], with inertia
     before: Array  # x one load step earlier, from which lagged friction extrapolates
+    internal: dict[int, Array]  # of viscoelastic layers, by their numbers: H (k, e, q, 3, 3) [MPa]
     missed: tuple[Array, Array] | None = None  # what the predictor missed of x, and on which way (see predictor)
 
 
@@ -80,6 +81,7 @@ class State:
     balance: float  # |indenter force + base reaction| / indenter force
     least_J: float  # certified lower bound of J over all of the gel, as a part of the rest volume
     rounded: float = 0.0  # friction at points that one step brought round an edge, as a part of the contact force
+    internal: dict[int, Array] = field(default_factory=dict)  # see History
 
     @property
     def traction_force(self) -> Array:
