@@ -162,14 +162,14 @@ def footprint(scene: Scene) -> tuple[float, float, float, float]:
 
 
 def touched(scene: Scene) -> Array:
-    """Points (n, 3) of the untouched face that the indenter overlaps on its path, a third of an edge apart; below its
-    start if there are none.
+    """Points (n, 3) of the untouched face that the indenter overlaps on its path, up to a third of an edge apart; below
+    its start if there are none.
 
     A rigid body cuts a wider patch out of the untouched face than it touches of a soft one: this is on the safe side.
     """
     gel, step = scene.gel, scene.edge / 3
     _refuse_above(60 * MAX_NODES, gel.width * gel.height / step**2, scene.edge, "points of the face to look at")
-    x, y = (np.arange(-size / 2, size / 2 + step, step) for size in (gel.width, gel.height))
+    x, y = (np.linspace(-size / 2, size / 2, math.ceil(size / step) + 1) for size in (gel.width, gel.height))
     grid = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
     face = np.column_stack([grid, gel.top(*grid.T)])
     hit = np.zeros(len(face), bool)

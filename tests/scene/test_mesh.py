@@ -4,12 +4,16 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from helpers import presses
+from helpers.presses import poses, scene
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial import cKDTree
 
 from tacgen.errors import UserError
 from tacgen.fem.elements import facet_areas, hexes
 from tacgen.fem.materials import NeoHooke
+from tacgen.geometry.analytic_sdf import Sphere
 from tacgen.scene import mesh
 from tacgen.scene.scene import Gel, Layer
 
@@ -105,6 +109,16 @@ def test_cells_under_the_footprint_are_fine() -> None:
     assert inside.sum() == 8
     assert size[inside].max() <= 0.5 + 1e-9
     assert size.max() > 1.0
+
+
+def test_a_press_in_the_middle_has_a_mesh_that_mirrors_in_x_and_y() -> None:
+    """On a pad of the Mini's sides, of which an edge is no part: what is not even in the mesh is not in the maps."""
+    made = scene(Sphere(4.0), poses([(0.0, 0.0, -1.0)]), pad=presses.gel(25.25, 20.75, 4.0), edge=0.36)
+    x0, x1, y0, y1 = mesh.footprint(made)
+    assert (x0, y0) == pytest.approx((-x1, -y1), abs=1e-12)
+    points = mesh.of(made).points
+    for mirror in ([-1, 1, 1], [1, -1, 1]):
+        assert cKDTree(points).query(points * mirror)[0].max() < 1e-12
 
 
 def test_columns_outside_the_rounded_outline_are_left_out() -> None:
