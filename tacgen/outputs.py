@@ -164,7 +164,8 @@ def _force(frame: FrameData) -> Datasets:
 
 def _traction(frame: FrameData) -> Datasets:
     out = {f"/frames/{name}": getattr(frame.maps, name) for name in ("pressure", "traction", "contact")}
-    return out if frame.state.sliding is None else {**out, "/frames/slip": frame.maps.slip}
+    slid = {f"/frames/{name}": getattr(frame.maps, name) for name in ("slip", "sliding")}
+    return out if frame.state.sliding is None else out | slid
 
 
 def _markers(frame: FrameData) -> Datasets:

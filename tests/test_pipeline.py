@@ -71,7 +71,7 @@ def test_every_output_of_the_recipe_is_in_the_table() -> None:
 @pytest.mark.parametrize(
     ("output", "datasets"),
     [
-        ("traction", {"/frames/pressure", "/frames/traction", "/frames/contact", "/frames/slip"}),
+        ("traction", {f"/frames/{name}" for name in ("pressure", "traction", "contact", "slip", "sliding")}),
         ("force_map", {"/frames/force_map", "/frames/area"}),
         ("height", {"/frames/height", "/reference/height"}),
         ("normals", {"/frames/normals", "/reference/normals"}),

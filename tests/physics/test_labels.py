@@ -61,6 +61,9 @@ def test_forces_stress_and_maps_agree_on_every_sensor(sensor: str, depth: float,
         assert (size <= limit + slack).all()
         full = (found.sliding > 1 - 1e-9) & (found.pressure > 0)
         assert np.abs(size - limit)[full].max(initial=0.0) <= slack
+        short = (limit - size)[found.slip] / limit.max()  # as docs/BUNDLE.md says of slip
+        assert short.max(initial=0.0) < 0.35
+        assert not short.size or np.quantile(short, 0.95) < 0.25
         slid.append(found.slip.sum() / found.contact.sum())
     assert slid[0] < 0.4 < 0.6 < slid[3]
 
