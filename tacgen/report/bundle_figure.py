@@ -3,10 +3,11 @@
 import json
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from tacgen.bundle import dataset
 from tacgen.bundle.bundle import Bundle, read
 from tacgen.errors import UserError
 
@@ -14,21 +15,31 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-COLUMNS = 8
+COLUMNS = 5  # as many as leave the text readable on a page
 # Inches: one panel, what stands left of, right of, above and below the panels, and the force plot
-PANEL, GAP, LEFT, RIGHT, TOP, ABOVE_FORCES, FORCES, BELOW = 1.7, 0.07, 0.95, 0.95, 0.85, 0.5, 1.5, 0.5
+PANEL, GAP, LEFT, RIGHT, TOP, ABOVE_FORCES, FORCES, BELOW = 1.4, 0.07, 0.9, 0.85, 0.85, 0.75, 1.4, 0.7
 SHADES = {"press": "#e4e4e4", "slide": "#d3e5f5", "twist": "#fce5cd", "hold": "#f4f4f4", "release": "#ddefdd"}
 LINES = {"$F_x$": "#d55e00", "$F_y$": "#009e73", "$F_z$": "#0072b2"}  # Okabe and Ito's, for colour-blind readers too
 
 
 def picture(path: Path, out: Path) -> None:
-    """Draw a bundle into `out` (png, pdf, svg: by its ending).
+    """Draw a bundle, or the only one of a folder, into `out` (png, pdf, svg: by its ending).
 
     Raises:
         UserError: `path` is no whole bundle, or `out` does not end in a kind of picture.
         OSError: `out` cannot be written.
     """
-    save(figure(read(path)), out)
+    save(figure(only(path)), out)
+
+
+def only(path: Path) -> Bundle:
+    """The bundle at a path, or the one in a folder. UserError if that holds several."""
+    found = dataset.scenes(path)
+    if len(found) > 1:
+        raise UserError(
+            f"{path}: holds {len(found)} scenes; draw one, such as {found[0].path}, or all: tacgen report {path}"
+        )
+    return found[0]
 
 
 def save(drawn: "Figure", out: Path) -> None:
@@ -40,9 +51,9 @@ def save(drawn: "Figure", out: Path) -> None:
 
 
 def figure(bundle: Bundle) -> "Figure":
-    """Up to eight frames of a bundle, spread over its trajectory, and its forces.
+    """Up to five frames of a bundle, spread over its trajectory, and its forces.
 
-    A row whose dataset is not in the bundle is left out. Image axes: x right, y down.
+    A row whose dataset is not in the bundle is left out. Image axes: x right, y down, in mm of the untouched face.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -51,7 +62,7 @@ def figure(bundle: Bundle) -> "Figure":
     shown = np.unique(np.linspace(0, max(bundle.frames - 1, 0), COLUMNS).round().astype(int)) if rows else np.zeros(0)
     image, window = image_size(bundle), window_of(bundle)
     tall = PANEL * image[0] / image[1]
-    wide = max(len(shown) * (PANEL + GAP), 5.5)
+    wide = max(len(shown) * (PANEL + GAP), 5.0)
     size = (LEFT + wide + RIGHT, (TOP if rows else 0.2) + len(rows) * (tall + GAP) + ABOVE_FORCES + FORCES + BELOW)
     sheet = Figure(figsize=size)
     FigureCanvasAgg(sheet)
@@ -71,6 +82,9 @@ def figure(bundle: Bundle) -> "Figure":
         if r == 0:
             for panel, k in zip(panels, shown, strict=True):
                 panel.set_title(f"frame {k}\n{bundle.segments[k]}", fontsize=8, pad=4)
+    for panel in panels if rows else ():
+        panel.tick_params(labelbottom=True, bottom=True)
+        panel.set_xlabel(f"x [{scale_of(bundle).unit}]", fontsize=8, labelpad=1)
     _forces(axes(LEFT, size[1] - BELOW - FORCES, wide - GAP, FORCES), bundle, shown)
     heading(sheet, bundle, size[1])
     return sheet
@@ -114,10 +128,14 @@ def _mesh(found: dict[str, Any]) -> str:
 
 
 def indenter_text(bundle: Bundle) -> str:
-    """`sphere, radius 4 mm`"""
+    """`sphere, radius 4 mm`, `letters`"""
     fields: dict[str, Any] = dict(bundle.recipe.get("indenter", {}))
-    words = [str(fields.pop("shape", "indenter"))]
-    fields.pop("sha256", None)
+    shape = fields.pop("shape", "indenter")
+    words = [fields.pop("file", shape)]
+    for name in ("sha256", "up"):
+        fields.pop(name, None)
+    if fields.get("scale") == 1:
+        del fields["scale"]
     for name, value in fields.items():
         what, _, unit = name.rpartition("_") if "_" in name else (name, "", "")
         number = f"{what.replace('_', ' ')} {value:g} {unit}".rstrip() if isinstance(value, int | float) else ""
@@ -141,6 +159,33 @@ def image_size(bundle: Bundle) -> tuple[int, int]:
         return camera["height_px"], camera["width_px"]
     shapes = [bundle.shapes[p] for p in ("/frames/rgb", "/frames/pressure", "/frames/height") if p in bundle]
     return (shapes[0][1], shapes[0][2]) if shapes else (240, 320)
+
+
+class Scale(NamedTuple):
+    """Where the pixels of the image lie on the untouched face: its centre (x, y) and one pixel, in `unit`."""
+
+    centre: tuple[float, float]
+    per_px: float
+    unit: str
+
+    def ticks(self, low: float, high: float, length: int, axis: int) -> tuple[list[float], list[str]]:
+        """Places [px] and labels of round numbers between two pixels of a side of `length` pixels; axis 0 is x."""
+        from matplotlib.ticker import MaxNLocator
+
+        zero = length / 2 - self.centre[axis] / self.per_px
+        low, high = sorted(((low - zero) * self.per_px, (high - zero) * self.per_px))
+        values = [v for v in MaxNLocator(6, steps=[1, 2, 5, 10]).tick_values(low, high) if low <= v <= high]
+        return [v / self.per_px + zero for v in values], [f"{v:g}".replace("-", "\N{MINUS SIGN}") for v in values]
+
+
+def scale_of(bundle: Bundle) -> Scale:
+    """By the sensor's camera, its tilt aside; pixels if the bundle does not say it."""
+    camera = json.loads(bundle.attrs.get("sensor_document", "{}")).get("camera", {})
+    if "mm_per_px" not in camera:
+        height, width = image_size(bundle)
+        return Scale((width / 2, height / 2), 1.0, "px")
+    (x, y), crop = camera.get("center_mm", (0.0, 0.0)), camera.get("crop_mm", (0.0, 0.0))
+    return Scale((x + crop[0], y + crop[1]), camera["mm_per_px"], "mm")
 
 
 Window = tuple[float, float, float, float]
@@ -168,14 +213,16 @@ def draw_camera(
 
     height, width = image
     x0, x1, y0, y1 = window
-    label = "camera [px]"
+    notes = []
     flow = bundle["/frames/marker_flow"] if "/reference/markers" in bundle and "/frames/marker_flow" in bundle else None
     if flow is not None:
         start = bundle["/reference/markers"]
         largest = max(float(np.linalg.norm(flow, axis=-1).max()), 1e-6)
         times = max((t for t in (1, 2, 3, 5, 10, 20, 50) if t * largest <= 0.13 * width), default=1)
-        label += f"\narrows: marker flow \N{MULTIPLICATION SIGN} {times}"
-    label += "\ndotted: maps below" if x1 - x0 < 0.99 else ""
+        notes.append(f"arrows on the images: motion of the markers \N{MULTIPLICATION SIGN} {times}")
+    dotted = x1 - x0 < 0.99
+    notes += ["dotted: what the maps show"] if dotted else []
+    panels[0].figure.text(0.5, 0.01, "; ".join(notes), ha="center", fontsize=8)
     for panel, k in zip(panels, shown, strict=True):
         if "/frames/rgb" in bundle:
             panel.imshow(bundle.frame("/frames/rgb", k), extent=(0, width, height, 0), interpolation="antialiased")
@@ -183,30 +230,35 @@ def draw_camera(
             if "/frames/rgb" not in bundle:
                 panel.plot(*start.T, "o", color="black", markersize=2)
             _arrows(panel, start, flow[k] * times, width)
-        if "dotted" in label:
+        if dotted:
             corner, size = (x0 * width, y0 * height), ((x1 - x0) * width, (y1 - y0) * height)
             panel.add_patch(Rectangle(corner, *size, fill=False, edgecolor="white", linewidth=0.6, linestyle=":"))
-        panel.set(xlim=(0, width), ylim=(height, 0), facecolor="#707070")
-    frame_axes(panels, label)
+        panel.set(facecolor="#707070")
+    zoom(bundle, panels, image, (0.0, 1.0, 0.0, 1.0), "camera")
 
 
 def draw_map(
     bundle: Bundle, panels: list["Axes"], shown: np.ndarray, image: tuple[int, int], values: np.ndarray, colours: str
 ) -> Any:
-    """Draw maps (N, h, w) in image pixels, all frames on one scale; returns what a colour bar needs."""
-    low = min(0.0, float(values.min()))
-    high = max(float(values.max()), low + 1e-3)
+    """Draw maps (N, h, w) in image pixels, nan in grey, all frames on one scale; returns what a colour bar needs."""
+    known = values[np.isfinite(values)]
+    low = float(known.min(initial=0.0))
+    high = float(known.max(initial=low + 1e-3))
     extent = (0, image[1], image[0], 0)
     for panel, k in zip(panels, shown, strict=True):
         drawn = panel.imshow(values[k], cmap=colours, vmin=low, vmax=high, extent=extent, interpolation="nearest")
+        panel.set(facecolor="#b0b0b0")
     return drawn
 
 
-def zoom(panels: list["Axes"], image: tuple[int, int], window: Window, label: str) -> None:
-    """Show the window alone, in image pixels."""
+def zoom(bundle: Bundle, panels: list["Axes"], image: tuple[int, int], window: Window, label: str) -> None:
+    """Show the window alone: image pixels, ticked in the unit of the scale."""
+    (height, width), (x0, x1, y0, y1), scale = image, window, scale_of(bundle)
     for panel in panels:
-        panel.set(xlim=(window[0] * image[1], window[1] * image[1]), ylim=(window[3] * image[0], window[2] * image[0]))
-    frame_axes(panels, label)
+        panel.set(xlim=(x0 * width, x1 * width), ylim=(y1 * height, y0 * height))
+        panel.set_xticks(*scale.ticks(x0 * width, x1 * width, width, 0))
+        panel.set_yticks(*scale.ticks(y0 * height, y1 * height, height, 1))
+    frame_axes(panels, f"{label}\ny [{scale.unit}]")
 
 
 def draw_pressure(
@@ -214,7 +266,7 @@ def draw_pressure(
 ) -> Any:
     """Normal to the face, in colour."""
     drawn = draw_map(bundle, panels, shown, image, bundle["/frames/pressure"], "viridis")
-    zoom(panels, image, window, "pressure\n[px]")
+    zoom(bundle, panels, image, window, "pressure")
     return drawn, "pressure [MPa]"
 
 
@@ -235,14 +287,16 @@ def draw_traction(
     for panel, k in zip(panels, shown, strict=True):
         arrows = traction[k][np.ix_(rows, columns)].reshape(-1, 2) / max(size.max(), 1e-12) * span / 9
         _arrows(panel, at, arrows, span)
-    zoom(panels, image, window, "tangential\ntraction [px]")
+    zoom(bundle, panels, image, window, "traction")
     return drawn, "traction [MPa]"
 
 
 def _height(bundle: Bundle, panels: list["Axes"], shown: np.ndarray, image: tuple[int, int], window: Window) -> Any:
-    drawn = draw_map(bundle, panels, shown, image, bundle["/frames/height"], "cividis")
-    zoom(panels, image, window, "height\n[px]")
-    return drawn, "height z [mm]"
+    """How far the face has risen or sunk behind each sample; a dome's own height would hide it."""
+    change = bundle["/frames/height"] - bundle["/reference/height"]
+    drawn = draw_map(bundle, panels, shown, image, change, "cividis")
+    zoom(bundle, panels, image, window, "height")
+    return drawn, "change of z [mm]"
 
 
 ROWS = (
@@ -262,10 +316,9 @@ def _arrows(panel: "Axes", at: np.ndarray, arrows: np.ndarray, span: float) -> N
 
 
 def frame_axes(panels: list["Axes"], label: str) -> None:
-    """Pixel ticks on the first panel of a row only."""
+    """Small ticks at the side of the first panel of a row only."""
     for panel in panels:
-        panel.tick_params(labelsize=6, length=2, pad=1.5, labelbottom=False, bottom=False)
-        panel.locator_params(nbins=4)
+        panel.tick_params(labelsize=7, length=2, pad=1.5, labelbottom=False, bottom=False)
         if panel is not panels[0]:
             panel.tick_params(labelleft=False, left=False)
     panels[0].set_ylabel(label, fontsize=8)

@@ -1,5 +1,6 @@
 """One field of a bundle over its frames, large, with its unit, signs and axes: pressure, traction, slip or stress."""
 
+import textwrap
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -7,28 +8,34 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tacgen.bundle import postprocess
-from tacgen.bundle.bundle import Bundle, read
+from tacgen.bundle.bundle import Bundle
 from tacgen.errors import UserError
+from tacgen.geometry import mesh_import, surface_nets
+from tacgen.geometry.analytic_sdf import Triangles
+from tacgen.recipe import assets
+from tacgen.recipe.indenters import Indenter, analytic
 from tacgen.report.bundle_figure import (
     draw_pressure,
     draw_traction,
     frame_axes,
     heading,
     image_size,
+    only,
     save,
     window_of,
     zoom,
 )
-from tacgen.report.plane_cut import cut, outline
+from tacgen.report.plane_cut import crossed, cut, outline
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 Array = np.ndarray
-COLUMNS, PANEL, GAP = 4, 2.6, 0.1  # panels side by side, and inches
+COLUMNS, PANEL, GAP = 4, 1.85, 0.1  # panels side by side, and inches
 FLAT = 0.42  # height of a section over its width
 WIDE = 3.4  # width of a section over the gel's thickness
+OFF = 1e-6  # mm: a plane of symmetry goes through nodes, this one between them
 STATES = {
     postprocess.FREE: ("free", "#f2f2f2"),
     postprocess.EDGE: ("edge", "#f0e442"),
@@ -53,7 +60,7 @@ def picture(path: Path, field: str, out: Path) -> None:
     """
     if field not in FIELDS:
         raise UserError(f"{field}: unknown field, use one of {', '.join(FIELDS)}")
-    save(figure(read(path), field), out)
+    save(figure(only(path), field), out)
 
 
 def figure(bundle: Bundle, field: str) -> "Figure":
@@ -67,7 +74,7 @@ def figure(bundle: Bundle, field: str) -> "Figure":
     shown = np.unique(np.linspace(0, bundle.frames - 1, COLUMNS).round().astype(int))
     image = image_size(bundle)
     tall = PANEL * (FLAT if rows > 1 else image[0] / image[1])
-    size = 0.9 + len(shown) * (PANEL + GAP) + 1.0, 0.85 + rows * (tall + GAP) + 0.75
+    size = 0.9 + len(shown) * (PANEL + GAP) + 1.0, 0.85 + rows * (tall + GAP) + 0.9
     sheet = Figure(figsize=size)
     FigureCanvasAgg(sheet)
 
@@ -86,7 +93,8 @@ def figure(bundle: Bundle, field: str) -> "Figure":
             bar.set_yticks(list(ticks), list(ticks.values()))
     for panel, k in zip(grid[0], shown, strict=True):
         panel.set_title(f"frame {k} {bundle.segments[k]}", fontsize=8, pad=4)
-    sheet.text(0.5, 0.12 / size[1], note, ha="center", va="bottom", fontsize=8)
+    wrapped = textwrap.fill(note, int(14 * size[0]))  # letters of this size an inch
+    sheet.text(0.5, 0.1 / size[1], wrapped, ha="center", va="bottom", fontsize=8)
     heading(sheet, bundle, size[1])
     return sheet
 
@@ -112,29 +120,37 @@ def _slip(bundle: Bundle, grid: Grid, shown: Array, image: tuple[int, int]) -> l
             postprocess.contact_state(bundle, int(k)), cmap=colours, vmin=-0.5, vmax=3.5,
             extent=(0, image[1], image[0], 0), interpolation="nearest",
         )  # fmt: skip
-    zoom(grid[0], image, window_of(bundle), "contact\n[px]")
+    zoom(bundle, grid[0], image, window_of(bundle), "contact")
     return [(drawn, "", {float(state): name for state, (name, _) in STATES.items()})]
 
 
 def draw_stress(
     bundle: Bundle, grid: Grid, shown: Array, image: tuple[int, int], sections: tuple[Section, ...] = SECTIONS
 ) -> list[Bar]:
-    """Vertical sections through the indenter, of the deformed gel: a row of panels for each of `sections`."""
-    from matplotlib.collections import LineCollection, PolyCollection
+    """Vertical sections through the indenter, of the deformed gel, and the indenter's outline: a row of panels for each
+    of `sections`."""
+    from matplotlib.collections import LineCollection
 
     points, cells, layer = bundle["/mesh/points"], bundle["/mesh/cells"], bundle["/mesh/layer"]
     half = WIDE / 2 * float(np.ptp(points[:, 2]))
     found = [_section(bundle, int(k), points, cells, layer) for k in shown]
+    indenter = _surface(bundle, 2 * half)
     bars: list[Bar] = []
     for row, (name, what, colours, signed) in zip(grid, sections, strict=True):
-        values = [what(stress.reshape(-1, 6)).reshape(-1, 3).mean(1) for _, stress, _ in found]
+        values = [what(stress.reshape(-1, 6)) for _, stress, _ in found]
         top = max(float(np.quantile(np.abs(v), 0.999)) for v in values)
         for panel, (corners, _, rim), value, k in zip(row, found, values, shown, strict=True):
-            drawn = PolyCollection(list(corners), array=value, cmap=colours, edgecolors="face", linewidths=0.2)
+            x, z = corners.reshape(-1, 2).T
+            own = np.arange(len(x)).reshape(-1, 3)
+            drawn = panel.tripcolor(x, z, value, triangles=own, shading="gouraud", cmap=colours)
             drawn.set_clim(-top if signed else 0.0, top)
-            panel.add_collection(drawn)
             panel.add_collection(LineCollection(list(rim), colors="black", linewidths=0.6))
-            middle = float(bundle.frame("/frames/pose", int(k))[0, 3])
+            pose = bundle.frame("/frames/pose", int(k))
+            middle = float(pose[0, 3])
+            if indenter is not None:
+                vertices = indenter.vertices @ pose[:3, :3].T + pose[:3, 3]
+                edge = crossed(vertices, indenter.triangles, float(pose[1, 3]) + OFF)
+                panel.add_collection(LineCollection(list(edge), colors="#606060", linewidths=1.2))
             low = points[:, 2].min() - 0.1
             panel.set(xlim=(middle - half, middle + half), ylim=(low, low + 2 * half * FLAT), facecolor="white")
             panel.set_aspect("equal")
@@ -152,13 +168,30 @@ def _section(bundle: Bundle, k: int, points: Array, cells: Array, layer: Array) 
     row = np.zeros((layers.max() + 1, len(points)), int)
     row[layers, nodes] = np.arange(len(nodes))
     now = (points + bundle.frame("/fields/displacement", k))[nodes]
-    y = float(bundle.frame("/frames/pose", k)[1, 3]) + 1e-6  # between nodes
+    y = float(bundle.frame("/frames/pose", k)[1, 3]) + OFF
     found = []
     for number in range(layers.max() + 1):
         corners, values = cut(now, row[number][cells[layer == number]], stress, y)
         found.append((corners, values, outline(corners)))
     corners, values, rim = (np.concatenate(parts) for parts in zip(*found, strict=True))
     return corners, values, rim
+
+
+def _surface(bundle: Bundle, size: float) -> "Triangles | None":
+    """The indenter's triangles in its own frame, as far as `size` [mm]; None where a mesh's file is not found."""
+    from pydantic import TypeAdapter
+
+    indenter: Indenter = TypeAdapter(Indenter).validate_python(bundle.recipe["indenter"])
+    shape = analytic(indenter)
+    if shape is not None:
+        return surface_nets.of_shape(shape, half=size, height=size, tolerance=0.02)
+    assert indenter.shape == "mesh"
+    try:
+        solid = mesh_import.read(assets.mesh_path(indenter.file))
+    except UserError:
+        return None
+    solid = mesh_import.placed(solid, up=indenter.up, scale=indenter.scale, size=indenter.size_mm)
+    return surface_nets.of_mesh(solid.vertices, solid.triangles, height=np.inf, spacing=np.inf)
 
 
 XY = "x to the right, y down in the image, z out of the gel toward the object"

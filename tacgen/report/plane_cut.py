@@ -10,7 +10,8 @@ TETS = {8: [[0, 1, 2, 6], [0, 1, 5, 6], [0, 4, 5, 6], [0, 4, 7, 6], [0, 3, 7, 6]
 def cut(points: Array, cells: Array, values: Array, y: float) -> tuple[Array, Array]:
     """The plane at `y` through points (n, 3) and cells (e, 8, 4 or 10), with values (n, c) at the points.
 
-    Cells are taken as tetrahedra with straight edges. Returns corners (t, 3, 2), x and z, and values there (t, 3, c).
+    Cells are taken as tetrahedra with straight edges. Returns corners (t, 3, 2), x and z, and values there (t, 3, c),
+    the largest last: drawn in this order, slivers of cells that the plane hardly touches are covered by the rest.
     """
     corners = TETS[8 if cells.shape[1] == 8 else 4]
     tets = np.concatenate([cells[:, four] for four in corners])
@@ -31,7 +32,9 @@ def cut(points: Array, cells: Array, values: Array, y: float) -> tuple[Array, Ar
             part = (s / (s - (points[high, 1] - y)))[:, None]
             flat.append((points[low] + part * (points[high] - points[low]))[:, [0, 2]])
             found.append(values[low] + part * (values[high] - values[low]))
-    return _stacked(flat), _stacked(found)
+    within, values_there = _stacked(flat), _stacked(found)
+    order = np.abs(np.linalg.det(within[:, 1:] - within[:, :1])).argsort()
+    return within[order], values_there[order]
 
 
 def _stacked(parts: list[Array]) -> Array:
@@ -46,3 +49,16 @@ def outline(corners: Array) -> Array:
     ends = np.sort(number.reshape(-1, 2), axis=1)
     _, first, count = np.unique(ends, axis=0, return_index=True, return_counts=True)
     return np.asarray(sides[first[(count == 1)]])
+
+
+def crossed(points: Array, triangles: Array, y: float) -> Array:
+    """Where triangles (t, 3) of points (n, 3) cross the plane at `y`: lines (l, 2, 2) in x and z."""
+    corners = points[triangles]
+    side = corners[..., 1] - y
+    here = (side > 0).any(1) & (side <= 0).any(1)
+    corners, side = corners[here], side[here]
+    lone = np.argmax((side > 0) == ((side > 0).sum(1) == 1)[:, None], axis=1)
+    take = (lone[:, None] + np.arange(3)) % 3
+    corners, side = np.take_along_axis(corners, take[..., None], 1), np.take_along_axis(side, take, 1)
+    part = side[:, :1] / (side[:, :1] - side[:, 1:])
+    return np.asarray((corners[:, :1] + part[..., None] * (corners[:, 1:] - corners[:, :1]))[..., [0, 2]])

@@ -141,6 +141,7 @@ def write(
     shape: tuple[int, int] = (48, 64),
     stop: int | None = None,
     edit: Callable[[int, dict[str, Any]], None] | None = None,
+    reference_height: np.ndarray | None = None,
     **changes: Any,
 ) -> Path:
     """Write a bundle. `edit(index, arrays)` may spoil a frame; `stop` rejects the scene at that frame."""
@@ -151,7 +152,8 @@ def write(
         if "markers" in outputs:
             writer.put("/reference/markers", marker_grid(shape))
         if "height" in outputs:
-            writer.put("/reference/height", np.zeros((shape[0] // 4, shape[1] // 4)))
+            flat = np.zeros((shape[0] // 4, shape[1] // 4))
+            writer.put("/reference/height", flat if reference_height is None else reference_height)
         if "stress" in outputs:
             writer.put("/mesh/points", np.indices((2, 2, 2)).reshape(3, 8).T)
             writer.put("/mesh/cells", np.arange(8)[None])

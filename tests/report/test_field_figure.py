@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.synthetic import write
+from matplotlib.collections import LineCollection
 from typer.testing import CliRunner
 
 from tacgen import cli
@@ -12,7 +13,7 @@ from tacgen.bundle.bundle import read
 from tacgen.errors import UserError
 from tacgen.fem.elements import HEX_CORNERS
 from tacgen.report import field_figure
-from tacgen.report.plane_cut import cut, outline
+from tacgen.report.plane_cut import crossed, cut, outline
 
 Array = np.ndarray
 
@@ -36,11 +37,31 @@ def test_a_field_is_drawn_with_its_unit(tmp_path: Path, field: str, bars: list[s
     panels, found = drawn.axes[: 4 * rows], drawn.axes[4 * rows :]
     assert [bar.get_ylabel() for bar in found] == bars
     assert panels[0].get_title() == "frame 0 press"
-    assert any("z out of the gel" in text.get_text() for text in drawn.texts)
+    assert any("z out of the gel" in text.get_text().replace("\n", " ") for text in drawn.texts)
     if field == "slip":
         assert [label.get_text() for label in found[0].get_yticklabels()] == ["free", "edge", "stick", "slip"]
     low, high = panels[0].get_ylim()
     assert (low < high) == (field == "stress")  # z rises, y falls
+
+
+def test_a_section_shows_the_indenter_and_stress_without_steps(tmp_path: Path) -> None:
+    drawn = field_figure.figure(read(write(tmp_path / "x.h5")), "stress")
+    (smooth,) = (c for c in drawn.axes[3].collections if type(c).__name__ == "TriMesh")
+    assert smooth.get_array().shape == (len(smooth._triangulation.x),)  # a colour a corner, and none a cell
+    lines = [np.concatenate(c.get_segments()) for c in drawn.axes[3].collections if isinstance(c, LineCollection)]
+    pose = read(tmp_path / "x.h5")["/frames/pose"][-1]
+    out = lines[-1] - pose[[0, 2], 3]
+    assert len(out) > 100
+    assert np.hypot(*(out[out[:, 1] < 1] - [0, 4]).T) == pytest.approx(4.0, abs=0.03)  # the ball, from its lowest point
+
+
+def test_a_triangle_mesh_crosses_a_plane_in_lines() -> None:
+    points = np.array([[0, 0, 0], [2, 0, 0], [0, 3, 0], [0, 0, 4.0]])
+    triangles = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+    found = crossed(points, triangles, 1.5)
+    assert np.unique(found.reshape(-1, 2).round(9), axis=0) == pytest.approx(np.array([[0, 0], [0, 2], [1, 0]]))
+    assert len(found) == 3
+    assert crossed(points, triangles, 3.5).shape == (0, 2, 2)
 
 
 def test_what_cannot_be_drawn_is_told_in_a_line(tmp_path: Path) -> None:
