@@ -375,7 +375,10 @@ def _plan(recipe: str, sets: list[str] | None, shard: tuple[int, int] = (0, 1)) 
     """The plan of a recipe given by path or name, or a shard of it."""
     from tacgen.recipe import assets, plan
 
-    return plan.load(assets.recipe_path(recipe), sets or (), shard)
+    found = plan.load(assets.recipe_path(recipe), sets or (), shard)
+    for text in found.warnings:
+        typer.echo(f"warning: {text}", err=True)
+    return found
 
 
 def _shard(text: str) -> tuple[int, int]:

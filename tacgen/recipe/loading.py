@@ -1,6 +1,6 @@
 """A recipe file, what it extends, `--set` and the sensor file it names -> Recipe and Sensor, checked together."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -38,7 +38,7 @@ def read(path: Path, sets: Iterable[str] = ()) -> Loaded:
     recipe, wrong = validate(Recipe, tree.data)
     problems = [(problem, tree) for problem in wrong]
     try:
-        sensor, sensor_tree, more = _sensor(tree, recipe is not None and bool(recipe.outputs & IMAGES))
+        sensor, sensor_tree, more = named_sensor(tree, recipe is not None and bool(recipe.outputs & IMAGES))
     except UserError as error:  # the sensor file is no YAML: say so beside what is wrong with the recipe
         raise UserError([*report(problems).lines, *error.lines]) from None
     problems += more
@@ -66,14 +66,14 @@ def check_sensor(data: Any, folder: Path | None = None, images: bool = True) -> 
     return (None if wrong else sensor), wrong
 
 
-def folders(tree: Tree, recipe: Recipe, varied: Iterable[str] = ()) -> dict[KeyPath, Path]:
+def folders(tree: Tree, recipe: Recipe, varied: Mapping[str, KeyPath] | None = None) -> dict[KeyPath, Path]:
     """The folder, from the root, in which the path of each file of a recipe starts: that of the file it was written in.
 
-    `varied` are the paths of `vary.over`, one of which may name the file instead.
+    `varied` are the paths of `vary`, one of which may name the file instead, and where they were written.
     """
     found: dict[KeyPath, Path] = {}
     for path in recipe.files:
-        spots: list[KeyPath] = [("vary", "over", name) for name in varied if path[: len(p := parse_path(name))] == p]
+        spots = [where for name, where in (varied or {}).items() if path[: len(p := parse_path(name))] == p]
         found[path] = (tree.spot([*spots, path][0]).value.source.folder or Path()).resolve()
     return found
 
@@ -125,7 +125,7 @@ def _with_source(tree: Tree, source: Source) -> Tree:
     return Tree(tree.data, {path: Spot(Mark(source), Mark(source)) for path in tree.spots})
 
 
-def _sensor(tree: Tree, images: bool) -> tuple[Sensor | None, Tree, list[tuple[Problem, Tree]]]:
+def named_sensor(tree: Tree, images: bool) -> tuple[Sensor | None, Tree, list[tuple[Problem, Tree]]]:
     """The sensor a recipe names, its overrides laid over the file; problems with the tree each stands in."""
     name, nothing = tree.data.get("sensor"), Tree(None)
     if not isinstance(name, str) or not name:

@@ -124,13 +124,17 @@ class Distribution(Part, json_schema_extra=ONE_KEY):
         return self
 
 
-class Vary(Part):
-    """A batch: many scenes from one recipe."""
+FEW = 256  # samples that an optimised Latin hypercube spreads better than Sobol's points, in a second at most
 
-    method: Literal["grid", "random", "sobol", "lhs", "halton"] = "sobol"
+
+class Vary(Part):
+    """A batch: many scenes from one recipe. Each sample of `over` is taken at each point of `grid`."""
+
+    method: Literal["grid", "random", "sobol", "lhs", "halton"] | None = None  # None: lhs of few samples, sobol of many
     samples: Annotated[int | None, Field(ge=1, le=1_000_000, validate_default=True)] = None
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     over: Annotated[dict[str, Distribution], Field(min_length=1)]
+    grid: dict[str, Distribution] = Field(default_factory=dict)
 
     @field_validator("samples")
     @classmethod
@@ -138,9 +142,19 @@ class Vary(Part):
         method = info.data.get("method")
         if method == "grid" and value is not None:
             raise ValueError("must be left out: a grid has as many scenes as its choices and linspaces give")
-        if method not in (None, "grid") and value is None:
-            raise ValueError(f"is missing: how many scenes to draw by {method}")
+        if method != "grid" and value is None:
+            raise ValueError("is missing: how many scenes to draw" + (f" by {method}" if method else ""))
         return value
+
+    @property
+    def design(self) -> str:
+        """The method, also where none was named."""
+        return self.method or ("lhs" if (self.samples or 0) <= FEW else "sobol")
+
+    @property
+    def paths(self) -> dict[str, KeyPath]:
+        """What is varied, and where in the recipe that was written."""
+        return {name: ("vary", key, name) for key in ("over", "grid") for name in getattr(self, key)}
 
 
 def _not_empty(value: frozenset[str]) -> frozenset[str]:

@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING, Any
 
 from tacgen.errors import UserError
 from tacgen.recipe import assets, background_photo, checks
-from tacgen.recipe.loading import SOLID, Loaded, check_sensor, folders, read, solid_folder
-from tacgen.recipe.model import IMAGES, Distribution, Recipe, Vary
+from tacgen.recipe.loading import SOLID, Loaded, check_sensor, folders, named_sensor, read, solid_folder
+from tacgen.recipe.model import FEW, IMAGES, Distribution, Recipe, Vary
 from tacgen.recipe.pose_table import Pose
 from tacgen.recipe.sensor import Sensor
 from tacgen.recipe.trajectory_checks import replayed, resolved
-from tacgen.recipe.validation_messages import Problem, validate
+from tacgen.recipe.validation_messages import Problem, report, validate
 from tacgen.recipe.yaml_source import KeyPath, Tree, format_path, parse_path, put
 
 if TYPE_CHECKING:
@@ -28,8 +28,9 @@ if TYPE_CHECKING:
 
 FORMAT = 1  # of the bundles that keys stand for
 DRAW, NOISE = 1, 2  # purposes of random numbers; a new purpose gets a new number
-NOT_VARIABLE = ("tacgen", "name", "sensor", "sensor_overrides", "extends", "vary")  # keys that `vary.over` cannot name
+NOT_VARIABLE = ("tacgen", "name", "sensor_overrides", "extends", "vary")  # cannot be varied
 MAX_SCENES = 1_000_000
+CORRELATED = 0.3  # two varied values in a sample: a model trained on it may take one for the other
 
 
 @dataclass(frozen=True)
@@ -109,6 +110,7 @@ class Plan:
     name: str
     rows: tuple[Row, ...]
     paths: tuple[str, ...] = ()  # what is varied
+    warnings: tuple[str, ...] = ()  # what a person should know before this is run
 
 
 def load(path: Path, sets: Iterable[str] = (), shard: tuple[int, int] = (0, 1)) -> Plan:
@@ -138,7 +140,7 @@ def expand(
     tree = loaded.tree if loaded else Tree(recipe.document())
     vary = recipe.vary
     if vary is None:
-        starts = {**folders(tree, recipe), **_solid_folder(sensor, loaded)}
+        starts = {**folders(tree, recipe), **_solid_folder(sensor, loaded.sensor_tree if loaded else None)}
         wrong = checks.recipe_problems(recipe, sensor, starts)
         if wrong:
             raise UserError(problem.point(tree) for problem in wrong)
@@ -148,12 +150,13 @@ def expand(
     count = scene_count(vary)
     wanted = range(count) if indices is None else indices
     base = recipe.model_copy(update={"vary": None}).document()
-    plain_sensor = sensor.model_dump(mode="json", exclude_none=True)
     rows = []
     problems: dict[tuple[KeyPath, str], list[tuple[str, Problem]]] = {}
-    solid = _solid_folder(sensor, loaded)
+    named = _named(vary, tree, bool(recipe.outputs & IMAGES))
+    known = sensor, _solid_folder(sensor, loaded.sensor_tree if loaded else None)
     for index, values in zip(wanted, draw(vary, wanted), strict=True):
-        row, wrong = _resolve(index, values, base, plain_sensor, sensor, scene_seed(vary.seed, index), tree, solid)
+        chosen = named[values["sensor"]] if "sensor" in values else known
+        row, wrong = _resolve(index, values, base, *chosen, scene_seed(vary.seed, index), tree, vary)
         if row:
             rows.append(row)
         for problem in wrong:
@@ -161,14 +164,15 @@ def expand(
             problems.setdefault((problem.path, alike), []).append((f"scene-{index:05d}", problem))
     if problems:
         raise UserError(_message(group, tree, vary) for group in problems.values())
-    return Plan(recipe.name, tuple(rows), tuple(vary.over))
+    return Plan(recipe.name, tuple(rows), tuple(vary.paths), tuple(p.point(tree) for p in _correlated(vary)))
 
 
 def scene_count(vary: Vary) -> int:
     """How many scenes a `vary` gives."""
+    crossed = math.prod(len(_points(spread)) for spread in vary.grid.values())
     if vary.method != "grid":
-        return vary.samples or 0
-    return math.prod(len(_points(spread)) for spread in vary.over.values())
+        return crossed * (vary.samples or 0)
+    return crossed * math.prod(len(_points(spread)) for spread in vary.over.values())
 
 
 def scene_seed(seed: int, index: int) -> int:
@@ -179,18 +183,20 @@ def scene_seed(seed: int, index: int) -> int:
 
 
 def draw(vary: Vary, indices: Sequence[int]) -> list[dict[str, Any]]:
-    """The varied values of these scenes; each is what the whole plan has there."""
-    paths, spreads = list(vary.over), list(vary.over.values())
-    if vary.method == "grid":
-        from numpy import unravel_index
+    """The varied values of these scenes; each is what the whole plan has there. The grid varies fastest."""
+    from numpy import unravel_index
 
-        columns = [_points(spread) for spread in spreads]
-        places = (unravel_index(index, [len(column) for column in columns]) for index in indices)
-        return [{path: column[int(i)] for path, column, i in zip(paths, columns, p, strict=True)} for p in places]
-    return [
-        {path: _value(spread, float(u)) for path, spread, u in zip(paths, spreads, point, strict=True)}
-        for point in _unit_points(vary, len(paths), indices)
-    ]
+    on_grid = {**vary.over, **vary.grid} if vary.method == "grid" else vary.grid
+    columns = [_points(spread) for spread in on_grid.values()]
+    points = math.prod(map(len, columns))
+    drawn: list[dict[str, Any]] = [{} for _ in indices]
+    if vary.method != "grid":
+        unit = _unit_points(vary, len(vary.over), [index // points for index in indices])
+        drawn = [{p: _value(s, float(u)) for (p, s), u in zip(vary.over.items(), at, strict=True)} for at in unit]
+    for index, values in zip(indices, drawn, strict=True):
+        places = unravel_index(index % points, [len(column) for column in columns])
+        values.update({path: column[int(i)] for path, column, i in zip(on_grid, columns, places, strict=True)})
+    return drawn
 
 
 def _unit_points(vary: Vary, d: int, indices: Sequence[int]) -> "list[np.ndarray]":
@@ -198,21 +204,36 @@ def _unit_points(vary: Vary, d: int, indices: Sequence[int]) -> "list[np.ndarray
     from numpy.random import SeedSequence, default_rng
     from scipy.stats import qmc
 
-    if vary.method == "random":
+    design = vary.design
+    if design == "random":
         return [default_rng(SeedSequence((vary.seed, i, DRAW))).random(d) for i in indices]
     rng = default_rng(SeedSequence((vary.seed, 0, DRAW)))
-    if vary.method == "lhs":  # a point of a latin hypercube depends on all others: draw them all
-        points = qmc.LatinHypercube(d, rng=rng).random(vary.samples)
+    if design == "lhs":  # a point of a latin hypercube depends on all others: draw them all
+        few = (vary.samples or 0) <= FEW  # then by columns that hardly correlate; of more, that takes too long
+        points = qmc.LatinHypercube(d, optimization="random-cd" if few else None, rng=rng).random(vary.samples)
         return [points[i] for i in indices]
-    engine = qmc.Sobol(d, rng=rng) if vary.method == "sobol" else qmc.Halton(d, rng=rng)
-    points = []
-    for i in indices:
-        if i < engine.num_generated:
-            engine.reset()
+    engine = qmc.Sobol(d, rng=rng) if design == "sobol" else qmc.Halton(d, rng=rng)
+    found: dict[int, np.ndarray] = {}
+    for i in sorted(set(indices)):
         if i > engine.num_generated:
             engine.fast_forward(i - engine.num_generated)
-        points.append(engine.random(1)[0])
-    return points
+        found[i] = engine.random(1)[0]
+    return [found[i] for i in indices]
+
+
+def _correlated(vary: Vary) -> list[Problem]:
+    """Whether few points of a sequence that is meant to be even are not: two varied values go along with each other."""
+    import numpy as np
+
+    n, paths = vary.samples or 0, list(vary.over)
+    if vary.design not in ("sobol", "halton") or not 3 <= n <= FEW or len(paths) < 2:
+        return []
+    r = np.triu(np.corrcoef(np.array(_unit_points(vary, len(paths), range(n))).T), 1)
+    i, j = np.unravel_index(np.abs(r).argmax(), r.shape)
+    if abs(r[i, j]) < CORRELATED:
+        return []
+    text = f"{n} points of {vary.design} correlate {paths[i]} and {paths[j]} by {r[i, j]:.2f}"
+    return [Problem(("vary", "method"), f"{text}: leave method out, and so few are spread as a Latin hypercube")]
 
 
 def _value(spread: Distribution, u: float) -> Any:
@@ -241,16 +262,20 @@ def _points(spread: Distribution) -> Sequence[Any]:
 def _check(vary: Vary, tree: Tree) -> None:
     """Raise UserError for what cannot be varied, or not by this method."""
     problems: list[Problem] = []
-    for name, spread in vary.over.items():
-        here: KeyPath = ("vary", "over", name)
+    for name, here in vary.paths.items():
+        spread = getattr(vary, str(here[1]))[name]
         try:
             path = parse_path(name)
         except ValueError as error:
             problems.append(Problem(here, str(error), at_key=True))
             continue
-        if path[0] in NOT_VARIABLE and not (path[0] == "sensor" and len(path) > 1):
+        if path[0] in NOT_VARIABLE:
             problems.append(Problem(here, f"{path[0]} cannot be varied", at_key=True))
-        if vary.method == "grid" and spread.choice is None and spread.linspace is None:
+        if path == ("sensor",) and not all(isinstance(value, str) for value in spread.choice or (None,)):
+            problems.append(Problem(here, "must be a choice of sensors' names or files"))
+        if here[1] == "grid" and name in vary.over:
+            problems.append(Problem(here, "is in over already", at_key=True))
+        if "grid" in (vary.method, here[1]) and spread.choice is None and spread.linspace is None:
             problems.append(Problem(here, "a grid takes choice or linspace only"))
     if not problems and scene_count(vary) > MAX_SCENES:
         problems.append(Problem(("vary", "over"), f"gives {scene_count(vary)} scenes; at most {MAX_SCENES} can be"))
@@ -258,29 +283,49 @@ def _check(vary: Vary, tree: Tree) -> None:
         raise UserError(problem.point(tree) for problem in problems)
 
 
-def _solid_folder(sensor: Sensor, loaded: Loaded | None) -> dict[KeyPath, Path]:
+def _named(vary: Vary, tree: Tree, images: bool) -> "dict[str, tuple[Sensor, dict[KeyPath, Path]]]":
+    """The sensors that a `vary` names, the recipe's overrides laid over each, and where their solids' paths start.
+
+    Raises UserError: every problem of all of them.
+    """
+    found, problems = {}, []
+    if where := vary.paths.get("sensor"):
+        for name in getattr(vary, str(where[1]))["sensor"].choice:
+            chosen = tree.replaced(("sensor",), Tree(name, {(): tree.spot(where)}))
+            sensor, sensor_tree, wrong = named_sensor(chosen, images)
+            problems += wrong
+            if sensor is not None:
+                found[name] = sensor, _solid_folder(sensor, sensor_tree)
+    if problems:
+        raise report(problems)
+    return found
+
+
+def _solid_folder(sensor: Sensor, sensor_tree: Tree | None) -> dict[KeyPath, Path]:
     """Where the path of a gel's solid starts, if it has one."""
-    if sensor.gel.solid is None or loaded is None:
+    if sensor.gel.solid is None or sensor_tree is None:
         return {}
-    return {("sensor", *SOLID): solid_folder(loaded.sensor_tree)}
+    return {("sensor", *SOLID): solid_folder(sensor_tree)}
 
 
 def _resolve(
     index: int,
     values: dict[str, Any],
     base: dict[str, Any],
-    plain_sensor: dict[str, Any],
     sensor: Sensor,
+    solid: dict[KeyPath, Path],
     seed: int,
     tree: Tree,
-    solid: dict[KeyPath, Path],
+    vary: Vary,
 ) -> tuple[Row | None, list[Problem]]:
     """One row, checked as if a person had written it; or what is wrong with it."""
     data: Any = base
+    inside = [name for name in values if name.startswith("sensor.")]
+    plain_sensor = sensor.model_dump(mode="json", exclude_none=True) if inside else {}
     try:
         for name, value in values.items():
             path, inner = parse_path(name), name.removeprefix("sensor.")
-            if path[0] == "sensor":
+            if name in inside:
                 plain_sensor = put(plain_sensor, path[1:], value)
                 data = put(data, ("sensor_overrides", inner), value)
             else:
@@ -288,9 +333,9 @@ def _resolve(
     except LookupError as error:
         return None, [Problem(path, str(error))]
     recipe, wrong = validate(Recipe, data)
-    if any(name.startswith("sensor.") for name in values):
+    if inside:
         if (name := f"sensor.{format_path(SOLID)}") in values:
-            solid = {("sensor", *SOLID): (tree.spot(("vary", "over", name)).value.source.folder or Path()).resolve()}
+            solid = {("sensor", *SOLID): (tree.spot(vary.paths[name]).value.source.folder or Path()).resolve()}
         images = recipe is not None and bool(recipe.outputs & IMAGES)
         varied, more = check_sensor(plain_sensor, solid.get(("sensor", *SOLID)), images)
         wrong += [Problem(("sensor", *problem.path), problem.message, problem.at_key) for problem in more]
@@ -299,7 +344,7 @@ def _resolve(
         sensor = varied
     if recipe is None:
         return None, wrong
-    starts = {**folders(tree, recipe, values), **solid}
+    starts = {**folders(tree, recipe, vary.paths), **solid}
     wrong += checks.recipe_problems(recipe, sensor, starts)
     if wrong:
         return None, wrong
@@ -311,10 +356,10 @@ def _message(group: list[tuple[str, Problem]], tree: Tree, vary: Vary) -> str:
     scene, problem = group[0]
     more = f" (and {len(group) - 1} more scenes)" if len(group) > 1 else ""
     blame = problem.path
-    for name in vary.over:
+    for name, where in vary.paths.items():
         path = parse_path(name)
         if path == blame[: len(path)] or blame == path[: len(blame)]:
-            blame = ("vary", "over", name)
+            blame = where
     text = f"{scene}: {format_path(problem.path)}: {problem.message}{more}"
     return Problem(blame, text, at_key=True).mark(tree).point(text)
 

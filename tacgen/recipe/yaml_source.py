@@ -84,7 +84,7 @@ class Tree:
         distribution of a varied path.
         """
         mine = at(self.data, path)
-        choice = len(path) == 3 and path[:2] == ("vary", "over")
+        choice = len(path) == 3 and path[:2] in (("vary", "over"), ("vary", "grid"))
         if isinstance(mine, dict) and isinstance(other.data, dict) and "shape" in mine:
             choice = other.data.get("shape", mine["shape"]) != mine["shape"]
         if choice or not isinstance(mine, dict) or not isinstance(other.data, dict):

@@ -2,8 +2,9 @@
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
+import numpy as np
 import pytest
 
 from tacgen.bundle import schema
@@ -91,6 +92,72 @@ def test_another_seed_is_another_batch(tmp_path: Path, method: str):
     assert first.isdisjoint(second)
 
 
+NINE = "\n".join(f"    sensor.leds[{led}].radiance[{c}]: {{uniform: [0.1, 9]}}" for led in range(3) for c in range(3))
+
+
+def spread(found: plan.Plan) -> float:
+    """The largest correlation between two varied values."""
+    r = np.corrcoef(np.array([list(row.values.values()) for row in found.rows]).T)
+    return float(np.abs(np.triu(r, 1)).max())
+
+
+@pytest.mark.parametrize(("samples", "most"), [(30, 0.15), (256, 0.03), (300, 0.1)])
+def test_samples_are_spread_evenly_where_no_method_is_named(tmp_path: Path, samples: int, most: float) -> None:
+    """Thirty points of Sobol's in nine dimensions correlate two of them by .4."""
+    head = BATCH.partition("    indenter")[0].replace("  method: METHOD\n", "")
+    whole = expanded(loaded(tmp_path, head + NINE, (f"vary.samples={samples}",)))
+    assert spread(whole) < most
+    assert whole.warnings == ()
+
+
+def test_few_points_of_a_sequence_that_correlate_are_told(tmp_path: Path) -> None:
+    head = BATCH.partition("    indenter")[0].replace("METHOD", "sobol")
+    whole = expanded(loaded(tmp_path, head + NINE, ("vary.samples=30",)))
+    (text,) = whole.warnings
+    assert "batch.yaml:4:11: vary.method: 30 points of sobol correlate sensor.leds[" in text
+    assert f"{spread(whole):.2f}" in text
+    assert expanded(loaded(tmp_path, head + NINE, ("vary.samples=256",))).warnings == ()
+
+
+def test_every_sample_is_taken_at_every_point_of_a_grid(tmp_path: Path) -> None:
+    """On other sensors too, each with the recipe's overrides; more samples leave the first scenes as they are."""
+    grid = "{sensor: {choice: [gelsight_mini, digit]}, contact.friction: {linspace: [0.2, 0.4, 2]}}"
+    text = BATCH.replace("METHOD", "sobol").replace("    contact.friction: {choice: [0, 0.5, 1]}\n", "")
+    sets = (f"vary.grid={grid}", "vary.samples=3", "outputs=[force]", "sensor.gel.layers[0].poissons_ratio=0.47")
+    found = loaded(tmp_path, text, sets)
+    whole = expanded(found)
+    assert [(row.sensor.name, row.recipe.contact.friction) for row in whole.rows[:5]] == [
+        ("gelsight_mini", 0.2), ("gelsight_mini", 0.4), ("digit", 0.2), ("digit", 0.4), ("gelsight_mini", 0.2),
+    ]  # fmt: skip
+    assert len(whole.rows) == 12
+    radii = [row.recipe.indenter.radius_mm for row in whole.rows]
+    assert [len(set(radii[k : k + 4])) for k in (0, 4, 8)] == [1, 1, 1]
+    assert len(set(radii)) == 3
+    assert {row.sensor.gel.layers[0].poissons_ratio for row in whole.rows} == {0.47}
+    assert whole.rows[2].recipe.sensor == "digit"
+    assert (
+        whole.rows[2].sensor.gel.layers[0].youngs_modulus_mpa
+        == whole.rows[2].values["sensor.gel.layers[0].youngs_modulus_mpa"]
+    )
+    assert expanded(found, [10, 3]).rows == (whole.rows[10], whole.rows[3])
+    more = expanded(loaded(tmp_path, text, (*sets, "vary.samples=4")))
+    assert [row.values for row in more.rows[:12]] == [row.values for row in whole.rows]
+
+
+@pytest.mark.parametrize(
+    ("grid", "line"),
+    [
+        ("{contact.friction: {choice: [0.2]}}", "vary.grid[contact.friction]: is in over already"),
+        ("{start.x_mm: {uniform: [0, 1]}}", "vary.grid[start.x_mm]: a grid takes choice or linspace only"),
+        ("{sensor: {choice: [digt]}}", "sensor: "),
+    ],
+)
+def test_a_grid_that_cannot_be_is_told(tmp_path: Path, grid: str, line: str) -> None:
+    with pytest.raises(UserError) as caught:
+        expanded(loaded(tmp_path, BATCH.replace("METHOD", "sobol"), (f"vary.grid={grid}",)))
+    assert line in caught.value.lines[0]
+
+
 def test_a_grid_is_the_product_with_the_last_varying_fastest(tmp_path: Path):
     over = "{contact.friction: {choice: [0, 1]}, start.x_mm: {linspace: [-1, 1, 3]}}"
     found = loaded(tmp_path, BATCH.replace("METHOD", "sobol"), (f"vary={{method: grid, over: {over}}}",))
@@ -129,7 +196,11 @@ def test_a_choice_may_be_a_whole_indenter(tmp_path: Path):
             "batch.yaml:10:5: scene-00000: contact.frction: unknown key, did you mean",
         ),
         ("contact.friction", "name", "batch.yaml:10:5: vary.over.name: name cannot be varied"),
-        ("contact.friction", "sensor", "batch.yaml:10:5: vary.over.sensor: sensor cannot be varied"),
+        (
+            "contact.friction",
+            "sensor",
+            "batch.yaml:10:13: vary.over.sensor: must be a choice of sensors' names",
+        ),
         ("contact.friction", "a b", "batch.yaml:10:5: vary.over.a b: 'a b' is not a path"),
         (
             "trajectory[0]",
@@ -235,4 +306,4 @@ def test_scene_seeds_do_not_repeat():
 
 
 def test_every_method_is_drawn():
-    assert set(Vary.model_fields["method"].annotation.__args__) == {*METHODS, "grid"}
+    assert set(get_args(get_args(Vary.model_fields["method"].annotation)[0])) == {*METHODS, "grid"}
