@@ -40,6 +40,7 @@ WHOLE = ("tacgen: 1\n", "tacgen_sensor: 1\n", "extends: ")  # how a block begins
 BROUGHT = {
     "parts/thing.stl": ROOT / "objects/ring/ring.stl",
     "rollout.csv": ROOT / "recipes/rollout.csv",
+    "tool.csv": ROOT / "tests/helpers/tool.csv",
     "quickstart.yaml": ROOT / "recipes/quickstart.yaml",
 }
 

@@ -4,25 +4,29 @@ import csv
 import functools
 import hashlib
 import math
+import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from tacgen.errors import UserError, why
-from tacgen.recipe.trajectory import Quaternion, Vector, unit
+from tacgen.recipe.trajectory import Column, Quaternion, Vector, unit
 
 if TYPE_CHECKING:
     from numpy import ndarray
 
-# What a column may be called; x, y and z may end in _mm or _m, time in _s. Capitals do not matter.
+# What a column may be called, after whatever stands before it in a name of ROS (`field.pose.position.x`, from
+# `rostopic echo -p`); x, y and z may end in _mm or _m, time in _s, _ms, _us or _ns. Capitals do not matter.
 COLUMNS = {
-    "time": ("time", "timestamp", "t"),
+    "time": ("time", "timestamp", "t", "%time"),
     **{axis: (axis, f"t{axis}", f"p{axis}", f"position_{axis}", f"position.{axis}") for axis in "xyz"},
     **{f"q{part}": (f"q{part}", f"orientation_{part}", f"orientation.{part}") for part in "wxyz"},
 }
 MM = {"mm": 1.0, "m": 1000.0}
-MAX_MESSAGES = 5  # about lines of one file
-Row = tuple[int, float, Vector, Quaternion]  # line, time [s], position [mm] and turn
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+MAX_MESSAGES = 5  # about one file
+Row = tuple[int, float, Vector, Quaternion]  # line, time as in the file, position [mm] and turn
 
 
 class Pose(NamedTuple):
@@ -41,8 +45,8 @@ class Table:
     poses: tuple[Pose, ...]
 
 
-def read(path: Path, units: str | None = None) -> Table:
-    """Read a table; `units` of x, y and z where the header does not say, mm if neither does.
+def read(path: Path, units: str | None = None, columns: Mapping[Column, str] | None = None) -> Table:
+    """Read a table; `units` of x, y and z where the header does not say, `columns` by titles that are none of COLUMNS.
 
     Raises:
         UserError: the file cannot be read, or is no such table; a line each, without the file's name.
@@ -51,7 +55,7 @@ def read(path: Path, units: str | None = None) -> Table:
         raw = path.read_bytes()
     except (OSError, ValueError) as error:
         raise UserError(f"cannot be read: {why(error)}") from None
-    return _parsed(raw, units)
+    return _parsed(raw, units, tuple((columns or {}).items()))
 
 
 def matrices(positions: list[Vector], quaternions: list[Quaternion]) -> "ndarray":
@@ -69,7 +73,7 @@ def matrices(positions: list[Vector], quaternions: list[Quaternion]) -> "ndarray
 
 
 @functools.lru_cache(maxsize=8)
-def _parsed(raw: bytes, units: str | None) -> Table:
+def _parsed(raw: bytes, units: str | None, columns: tuple[tuple[str, str], ...]) -> Table:
     """The table in the bytes of a file; those of a batch are parsed once."""
     try:
         text = raw.decode("utf-8-sig")
@@ -82,7 +86,7 @@ def _parsed(raw: bytes, units: str | None) -> Table:
         header = _cells(rows[0][1])
     except ValueError as error:
         raise UserError(f"line {rows[0][0]}: {error}") from None
-    where, scale = _columns(header, units)
+    where, scale, second = _columns(header, units, dict(columns))
     rows_read: list[Row] = []
     wrong: list[str] = []
     for line, content in rows[1:]:
@@ -97,7 +101,7 @@ def _parsed(raw: bytes, units: str | None) -> Table:
     if not rows_read:
         raise UserError("holds no pose below its header")
     lines, times, positions, quaternions = (list(column) for column in zip(*rows_read, strict=True))
-    poses = map(Pose, lines, times, matrices(positions, quaternions))
+    poses = map(Pose, lines, [second * time for time in times], matrices(positions, quaternions))
     return Table(hashlib.sha256(raw).hexdigest(), tuple(poses))
 
 
@@ -108,29 +112,35 @@ def _cells(line: str) -> list[str]:
         raise ValueError(f"is no line of CSV: {error}") from None
 
 
-def _columns(header: list[str], units: str | None) -> tuple[dict[str, int], float]:
-    """Where each column stands, and what a length in the file is in mm."""
+def _columns(header: list[str], units: str | None, columns: Mapping[str, str]) -> tuple[dict[str, int], float, float]:
+    """Where each column stands, and what a length in the file is in mm, a time in s."""
     where: dict[str, int] = {}
     said: dict[str, str] = {}  # column -> unit in its name
+    titles = {title.strip(): column for column, title in columns.items()}
+    shown = f"(its header: {','.join(header)})"
     for i, title in enumerate(header):
-        name, _, suffix = title.strip().lower().rpartition("_")
-        if not name or suffix not in ("s", *MM):
-            name, suffix = title.strip().lower(), ""
+        name = ".".join(re.split(r"[./]", title.strip().lower())[-2:])
+        stem, _, suffix = name.rpartition("_")
         for column, names in COLUMNS.items():
-            fits = suffix in ({"time": ("", "s")}.get(column, ("", *MM) if column in "xyz" else ("",)))
-            if name in names and fits:
+            known = SECONDS if column == "time" else MM if column in "xyz" else {}
+            bare, unit_said = (stem, suffix) if stem and suffix in known else (name, "")
+            if titles.get(title.strip()) == column or (column not in columns and bare in names):
                 if column in where:
                     raise UserError(f"the columns {header[where[column]]} and {title} are both {column}")
-                where[column] = i
-                if suffix in MM:
-                    said[column] = suffix
-    missing = [column for column in COLUMNS if column not in where]
-    if missing:
-        raise UserError(f"has no column {', '.join(missing)} (its header: {','.join(header)})")
-    found = {*said.values(), *([units] if units else [])}
-    if len(found) > 1 or 0 < len(said) < 3:
+                where[column], said[column] = i, unit_said or ("ns" if bare == "%time" else "")
+    wrong = []
+    if lost := [title for title, column in titles.items() if column not in where]:
+        wrong.append(f"has no column {', '.join(lost)}, which columns names {shown}")
+    if missing := [column for column in COLUMNS if column not in {*where, *columns}]:
+        wrong.append(f"has no column {', '.join(missing)}: name it under columns {shown}")
+    lengths = {said.get(axis) or units or "" for axis in "xyz"}
+    if lengths == {""}:
+        wrong.append(f"does not say whether x, y and z are in mm or m: add units: m, or units: mm {shown}")
+    if wrong:
+        raise UserError(wrong)
+    if len(lengths) > 1 or (units and lengths != {units}):
         raise UserError(f"x, y and z must be in one unit (header: {','.join(header)}; units: {units or 'not given'})")
-    return where, MM[found.pop() if found else "mm"]
+    return where, MM[lengths.pop()], SECONDS[said["time"] or "s"]
 
 
 def _row(line: int, cells: list[str], where: dict[str, int], scale: float, width: int, before: Row | None) -> Row:

@@ -11,6 +11,7 @@ Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]  # w, x, y, z
 UNIT_TOLERANCE = 1e-3  # of a quaternion's length: rows are written with few digits [-]
 UNIT_EXACT = 1e-12  # a length this close to 1 is left as it is [-]
+Column = Literal["time", "x", "y", "z", "qw", "qx", "qy", "qz"]
 Frames = Annotated[int, Field(ge=1, le=10_000)]
 
 
@@ -126,7 +127,8 @@ class Replay(Part):
     """
 
     file: FilePath
-    units: Literal["mm", "m"] | None = None  # of x, y, z where the header does not say; mm if neither does
+    units: Literal["mm", "m"] | None = None  # of x, y, z, where the header does not say
+    columns: dict[Column, str] | None = None  # titles of the table, where it has names of its own
     sensor_pose: Placement = Placement()  # of the sensor in the frame that the rows are given in
     indenter_pose: Placement = Placement()  # of the indenter in the frame of the body whose poses the rows are
     every: Annotated[int, Field(ge=1)] = 1  # take the first row and then each so many

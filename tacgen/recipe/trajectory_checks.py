@@ -31,7 +31,7 @@ def replayed(move: Replay, folder: Path | None) -> tuple[Pose, ...]:
     """
     path = assets.beside(move.file, folder)
     try:
-        table = pose_table.read(path, move.units)
+        table = pose_table.read(path, move.units, move.columns)
     except UserError as error:
         raise UserError(f"{move.file}: {line}" for line in error.lines) from None
     if move.sha256 not in (None, table.sha256):

@@ -61,22 +61,66 @@ def test_a_turn_is_scipys() -> None:
 
 
 @pytest.mark.parametrize(
-    ("titles", "scale"),
+    ("titles", "units", "scale"),
     [
-        (TITLES, 1),
-        ("Time,X,Y,Z,qw,qx,qy,qz", 1),
-        ("timestamp,tx,ty,tz,qw,qx,qy,qz", 1),
-        ("t,x_m,y_m,z_m,qw,qx,qy,qz", 1000),
-        ("time, position.x, position.y, position.z, orientation.w, orientation.x, orientation.y, orientation.z", 1),
+        (TITLES, None, 1),
+        ("Time,X,Y,Z,qw,qx,qy,qz", "mm", 1),
+        ("timestamp,tx,ty,tz,qw,qx,qy,qz", "m", 1000),
+        ("t,x_m,y_m,z_m,qw,qx,qy,qz", None, 1000),
+        (
+            "time, position.x, position.y, position.z, orientation.w, orientation.x, orientation.y, orientation.z",
+            "mm",
+            1,
+        ),
+        (
+            "time,/arm/pose/position/x,/arm/pose/position/y,/arm/pose/position/z,"
+            "/arm/pose/orientation/w,/arm/pose/orientation/x,/arm/pose/orientation/y,/arm/pose/orientation/z",
+            "m",
+            1000,
+        ),
     ],
 )
-def test_columns_go_by_many_names(tmp_path: Path, titles: str, scale: float) -> None:
+def test_columns_go_by_many_names(tmp_path: Path, titles: str, units: str | None, scale: float) -> None:
     path = tmp_path / "t.csv"
     path.write_text("# recorded\n" + table(ROWS, titles), encoding="utf-8-sig")
-    found = pose_table.read(path).poses
+    found = pose_table.read(path, units).poses
     assert [pose.line for pose in found] == [3, 4, 5]
     assert [pose.time for pose in found] == [0, 0.1, 0.25]
     assert found[2].pose == pytest.approx(matrix(np.array([0.7, 0.1, -0.4]) * scale, np.array(ROWS[2][4:])), abs=1e-12)
+
+
+def test_what_ros_writes_is_read(tmp_path: Path) -> None:
+    """`rostopic echo -p` of a PoseStamped: %time and the stamp in ns, lengths in m."""
+    (tmp_path / "poses.csv").write_text(
+        "%time,field.header.seq,field.header.stamp,field.header.frame_id,field.pose.position.x,field.pose.position.y,"
+        "field.pose.position.z,field.pose.orientation.x,field.pose.orientation.y,field.pose.orientation.z,"
+        "field.pose.orientation.w\n"
+        "1700000000000000000,0,1700000000000000000,base,0.0005,0,0.0002,0,0,0,1\n"
+        "1700000000100000000,1,1700000000100000000,base,0.0005,0,-0.0003,0,0,0,1\n"
+    )
+    one, two = pose_table.read(tmp_path / "poses.csv", "m").poses
+    assert two.time - one.time == pytest.approx(0.1, abs=1e-6)
+    assert two.pose[:3, 3] == pytest.approx([0.5, 0, -0.3])
+    with pytest.raises(UserError, match="does not say whether x, y and z are in mm or m: add units: m, or units: mm"):
+        pose_table.read(tmp_path / "poses.csv")
+
+
+def test_titles_may_be_said(tmp_path: Path) -> None:
+    """Of columns with names of their own, beside others that go by a known one."""
+    titles = "stamp_ms,ee_x_m,ee_y_m,ee_z_m,rot.real,qx,qy,qz"
+    (tmp_path / "poses.csv").write_text(table(ROWS, titles))
+    columns = "{time: stamp_ms, x: ee_x_m, y: ee_y_m, z: ee_z_m, qw: rot.real}"
+    (row,) = load(tmp_path, table(ROWS, titles), replay=f"{{file: poses.csv, columns: {columns}, frames: 1}}").rows
+    assert row.replayed(0)[0].pose[:3, 3] == pytest.approx([500, 0, 200])
+    found = pose_table.read(tmp_path / "poses.csv", None, dict(row.recipe.trajectory[0].replay.columns)).poses
+    assert found[1].time == pytest.approx(1e-4)
+    with pytest.raises(UserError) as caught:
+        pose_table.read(tmp_path / "poses.csv", None, {"qw": "ee_w"})
+    assert [line.partition(" (its")[0] for line in caught.value.lines] == [
+        "has no column ee_w, which columns names",
+        "has no column time, x, y, z: name it under columns",
+        "does not say whether x, y and z are in mm or m: add units: m, or units: mm",
+    ]
 
 
 def test_columns_may_stand_in_any_order_beside_others(tmp_path: Path) -> None:
@@ -91,7 +135,7 @@ def test_columns_may_stand_in_any_order_beside_others(tmp_path: Path) -> None:
     [
         ("", "is empty"),
         (TITLES + "\n", "holds no pose"),
-        ("time,x,y,z\n0,0,0,0\n", "has no column qw, qx, qy, qz (its header: time,x,y,z)"),
+        ("time,x,y,z\n0,0,0,0\n", "has no column qw, qx, qy, qz: name it under columns (its header: time,x,y,z)"),
         ("x,x_mm,y,z,time,qw,qx,qy,qz\n", "the columns x and x_mm are both x"),
         ("time,x_mm,y_m,z_mm,qw,qx,qy,qz\n", "must be in one unit"),
         (table(ROWS).replace("0.7", "red"), "line 4: x must be a number (got 'red')"),
