@@ -5,6 +5,7 @@ Results go to stdout, progress and errors to stderr. Exit codes: 0 done, 1 findi
 """
 
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -137,7 +138,8 @@ def validate(file: RecipeFile, sets: Sets = None) -> None:
     path = assets.recipe_path(file)
     data = yaml_source.load(path).data
     if isinstance(data, dict) and "tacgen_sensor" in data:
-        sensor, _ = loading.read_sensor(path)
+        sensor, tree = loading.read_sensor(path)
+        _warn(loading.sensor_warnings(sensor, tree))
         typer.echo(f"{path}: a valid sensor, {sensor.name}")
         return
     plan = _plan(file, sets)
@@ -176,15 +178,20 @@ def show_plan(
 
 @app.command()
 def init(
-    path: Annotated[Path, typer.Argument(help="The recipe to write.")] = Path("recipe.yaml"),
+    path: Annotated[
+        Path | None, typer.Argument(help="The file to write; recipe.yaml or sensor.yaml when left out.")
+    ] = None,
+    sensor: Annotated[bool, typer.Option("--sensor", help="A sensor file instead of a recipe.")] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a file that is there.")] = False,
 ) -> None:
-    """Write a commented recipe to start from, and the schema that editors complete it with."""
+    """Write a commented recipe or sensor file to start from, and the schema that editors complete it with."""
     from tacgen.recipe.schema import write_starter
 
+    kind = "sensor" if sensor else "recipe"
+    path = path or Path(f"{kind}.yaml")
     with writing(path.parent):
-        written, schema_file = write_starter(path, overwrite=overwrite)
-    typer.echo(f"{written}: a recipe to start from ({schema_file} completes it in an editor)")
+        written, schema_file = write_starter(path, sensor=sensor, overwrite=overwrite)
+    typer.echo(f"{written}: a {kind} to start from ({schema_file} completes it in an editor)")
 
 
 @app.command("list")
@@ -376,9 +383,13 @@ def _plan(recipe: str, sets: list[str] | None, shard: tuple[int, int] = (0, 1)) 
     from tacgen.recipe import assets, plan
 
     found = plan.load(assets.recipe_path(recipe), sets or (), shard)
-    for text in found.warnings:
-        typer.echo(f"warning: {text}", err=True)
+    _warn(found.warnings)
     return found
+
+
+def _warn(texts: Iterable[str]) -> None:
+    for text in texts:
+        typer.echo(f"warning: {text}", err=True)
 
 
 def _shard(text: str) -> tuple[int, int]:

@@ -2,14 +2,18 @@
 
 import csv
 import errno
+import inspect
 import io
 import json
 import os
+import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args, get_type_hints
 
+import click
 import pytest
+import typer
 from typer.testing import CliRunner, Result
 
 import tacgen.batch
@@ -17,7 +21,7 @@ from tacgen import cli
 from tacgen.batch.local import outcome
 from tacgen.bundle.resume import SceneResult
 from tacgen.errors import UserError
-from tacgen.recipe import assets, plan
+from tacgen.recipe import assets, loading, plan, schema
 from tacgen.report import dataset_card
 
 ROOT = Path(__file__).parent.parent
@@ -241,6 +245,67 @@ def test_plan_prints_text_csv_and_json():
     assert [float(line["start.x_mm"]) for line in table] == [row.values["start.x_mm"] for row in rows]
     found = json.loads(tacgen_("plan", "batch", "--json").stdout)
     assert [scene["key"] for scene in found["scenes"]] == [row.key for row in rows]
+
+
+def commands() -> list[click.Command]:
+    group = typer.main.get_command(cli.app)
+    assert isinstance(group, click.Group)
+    return [*group.commands.values()]
+
+
+@pytest.mark.parametrize("command", commands(), ids=lambda command: command.name)
+def test_help_says_what_each_argument_is(command: click.Command) -> None:
+    text = CliRunner().invoke(cli.app, [str(command.name), "--help"], env={"COLUMNS": "400"}).stdout
+    for name, hint in get_type_hints(inspect.unwrap(command.callback or print), include_extras=True).items():
+        for note in get_args(hint)[1:]:
+            assert str(note.help) in text, name
+
+
+def test_init_writes_a_sensor_that_validates_and_renders_where_it_is_lit(tmp_path: Path) -> None:
+    path = tmp_path / "new" / "mine.yaml"
+    assert tacgen_("init", "--sensor", str(path)).exit_code == 0
+    text = path.read_text()
+    assert text.startswith("# yaml-language-server: $schema=tacgen-sensor.schema.json\n")
+    assert f"#   tacgen validate {path}\n" in text
+    assert "leds" in json.loads((path.parent / "tacgen-sensor.schema.json").read_text())["properties"]
+    done = tacgen_("validate", str(path))
+    assert (done.exit_code, done.stderr) == (0, "")
+    lit = re.sub(r"^# (?=plate:|coating:|walls:|leds:|  - )", "", text, flags=re.M)
+    assert lit.count("#") == text.count("#") - 7
+    path.write_text(lit)
+    assert loading.read_sensor(path)[0].lit
+
+
+def test_numbers_from_nowhere_are_warned_about_once(tmp_path: Path) -> None:
+    """Of a sensor file alone and of a recipe's; those that ship say where theirs are from."""
+    for name in assets.list_sensors():
+        assert loading.read_sensor(assets.sensor_path(name))[0].unsourced == []
+    bare = re.sub(r"\n *source: .*", "", Path(schema.__file__).with_name("starter_sensor.yaml").read_text(), count=2)
+    (tmp_path / "mine.yaml").write_text(bare)
+    text = f"warning: {tmp_path}/mine.yaml: gel.layers[0], gel: no source; say where the numbers come from"
+    assert tacgen_("validate", str(tmp_path / "mine.yaml")).stderr.startswith(text)
+    (tmp_path / "r.yaml").write_text(
+        f"extends: {assets.recipe_path('batch')}\nsensor: mine.yaml\noutputs: [force]\n"
+        "vary: {grid: {sensor: {choice: [mine.yaml, digit]}}}\n"
+    )
+    done = tacgen_("validate", str(tmp_path / "r.yaml"))
+    assert done.exit_code == 0, done.stderr
+    assert done.stderr.count("warning") == 1
+    assert done.stderr.startswith(text)
+
+
+def test_all_that_a_sensor_file_lacks_is_told_at_once(tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text("tacgen_sensor: 1\nname: mine\ngel: {width_mm: 20}\nleds: [{name: red}]\n")
+    said = [line for line in tacgen_("validate", str(path)).stderr.splitlines() if line.startswith(str(path))]
+    assert [line.removeprefix(f"{path}:") for line in said] == [
+        "1:1: camera: is missing (distance_mm, mm_per_px, width_px, height_px)",
+        "1:1: plate: is missing, and leds is there (thickness_mm, refractive_index)",
+        "1:1: coating: is missing, and leds is there (albedo, specular, roughness)",
+        "1:1: walls: is missing, and leds is there (albedo)",
+        "3:1: gel: lacks height_mm, layers (a list, each with name, thickness_mm, youngs_modulus_mpa, poissons_ratio)",
+        "4:8: leds[0]: lacks center_mm, normal, size_mm, radiance",
+    ]
 
 
 def test_init_writes_a_recipe_that_validates_with_its_schema(tmp_path: Path):

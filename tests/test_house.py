@@ -71,6 +71,7 @@ NOT_NUMPY = {
     "recipe.sensor",
     "recipe.assets",
     "recipe.plan",
+    "recipe.sampling",
     "recipe.loading",
     "recipe.optics_checks",
     "recipe.background_photo",

@@ -3,7 +3,7 @@
 import importlib.util
 from contextlib import suppress
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 from tacgen.errors import UserError
 from tacgen.recipe import assets, background_photo, optics_checks, trajectory_checks
@@ -12,7 +12,7 @@ from tacgen.recipe.model import IMAGES, Recipe
 from tacgen.recipe.sensor import LIGHTS, Gel, LitSensor, Sensor
 from tacgen.recipe.trajectory import Paced, Press, Replay, Slide, Timed
 from tacgen.recipe.trajectory_checks import Folders
-from tacgen.recipe.validation_messages import Problem
+from tacgen.recipe.validation_messages import Problem, needs
 from tacgen.recipe.yaml_source import KeyPath
 
 MIN_HALF_THICKNESS = 0.8  # of an indenter, over the mesh's edge [-]: else it passes between integration points
@@ -26,7 +26,7 @@ def sensor_problems(sensor: Sensor, folder: Path | None = None, images: bool = T
     `folder` is where the path of the gel's solid starts; None: the working directory. Without `images`, lights may be
     where they cannot: a gel that is made thinner leaves them behind.
     """
-    optics = _lights(sensor)
+    optics: list[Problem] = []
     if sensor.lit and images:
         optics += optics_checks.problems(cast(LitSensor, sensor))
     return [*_outline(sensor.gel), *_solid(sensor.gel, folder), *optics]
@@ -101,13 +101,19 @@ def _solid(gel: Gel, folder: Path | None) -> list[Problem]:
     ]
 
 
-def _lights(sensor: Sensor) -> list[Problem]:
-    """A plate may stand alone; coating, walls and LEDs come together and with it, for none makes an image alone."""
-    there = [name for name in LIGHTS if getattr(sensor, name) is not None]
-    if sensor.lit or there in ([], ["plate"]):
+def light_problems(data: Any) -> list[Problem]:
+    """What a sensor file as plain data lacks of a lit one.
+
+    A plate may stand alone; coating, walls and LEDs come together and with it, for none makes an image alone.
+    """
+    there = [name for name in LIGHTS if isinstance(data, dict) and data.get(name) is not None]
+    if there in ([], ["plate"]):
         return []
     missing = [name for name in LIGHTS if name not in there]
-    return [Problem((name,), f"is missing, and {there[-1]} is there", at_key=True) for name in missing]
+    return [
+        Problem((name,), f"is missing, and {there[-1]} is there{needs(Sensor, (name,))}", at_key=True)
+        for name in missing
+    ]
 
 
 def _depths(recipe: Recipe, sensor: Sensor) -> list[Problem]:
@@ -174,7 +180,8 @@ def _outputs(recipe: Recipe, sensor: Sensor) -> list[Problem]:
         wrong.append(Problem(("outputs",), f"asks for markers, and the sensor {sensor.name} has none"))
     if (images := recipe.outputs & IMAGES) and not sensor.lit:
         asked = " and ".join(sorted(images))
-        wrong.append(Problem(("outputs",), f"asks for {asked}: the sensor file {sensor.name} describes no lights yet"))
+        lacking = ", ".join(name for name in LIGHTS if getattr(sensor, name) is None)
+        wrong.append(Problem(("outputs",), f"asks for {asked}: the sensor {sensor.name} has no {lacking}"))
     if images and recipe.render.method == "table" and any(layer.scattering for layer in sensor.gel.clear_layers):
         text = f"cannot be table: the gel of {sensor.name} scatters, and its light does not follow the face's slope"
         wrong.append(Problem(("render", "method"), text))

@@ -61,9 +61,18 @@ def read_sensor(path: Path) -> tuple[Sensor, Tree]:
 def check_sensor(data: Any, folder: Path | None = None, images: bool = True) -> tuple[Sensor | None, list[Problem]]:
     """A sensor from plain data, or all that is wrong with it; for `folder` and `images` see checks.sensor_problems."""
     sensor, wrong = validate(Sensor, data)
+    wrong += checks.light_problems(data)
     if sensor is not None:
-        wrong = checks.sensor_problems(sensor, folder, images)
+        wrong += checks.sensor_problems(sensor, folder, images)
     return (None if wrong else sensor), wrong
+
+
+def sensor_warnings(sensor: Sensor, tree: Tree) -> tuple[str, ...]:
+    """A line where numbers of a sensor file come from nowhere."""
+    if not (parts := sensor.unsourced):
+        return ()
+    text = f"{', '.join(parts)}: no source; say where the numbers come from, as in source: assumed"
+    return (f"{tree.spot(()).value.source.name}: {text}",)
 
 
 def folders(tree: Tree, recipe: Recipe, varied: Mapping[str, KeyPath] | None = None) -> dict[KeyPath, Path]:

@@ -1,4 +1,4 @@
-"""Recipe -> Plan: the table of resolved scenes; the only place that draws numbers.
+"""Recipe -> Plan: the table of resolved scenes; here and in sampling alone numbers are drawn.
 
 Numbers come from SeedSequence((seed, scene, purpose)), never from the order of work: row i drawn alone equals
 row i of the whole plan.
@@ -6,31 +6,36 @@ row i of the whole plan.
 
 import hashlib
 import json
-import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from tacgen.errors import UserError
 from tacgen.recipe import assets, background_photo, checks
-from tacgen.recipe.loading import SOLID, Loaded, check_sensor, folders, named_sensor, read, solid_folder
-from tacgen.recipe.model import FEW, IMAGES, Distribution, Recipe, Vary
+from tacgen.recipe.loading import (
+    SOLID,
+    Loaded,
+    check_sensor,
+    folders,
+    named_sensor,
+    read,
+    sensor_warnings,
+    solid_folder,
+)
+from tacgen.recipe.model import IMAGES, Recipe, Vary
 from tacgen.recipe.pose_table import Pose
+from tacgen.recipe.sampling import correlated, draw, scene_count
 from tacgen.recipe.sensor import Sensor
 from tacgen.recipe.trajectory_checks import replayed, resolved
 from tacgen.recipe.validation_messages import Problem, report, validate
 from tacgen.recipe.yaml_source import KeyPath, Tree, format_path, parse_path, put
 
-if TYPE_CHECKING:
-    import numpy as np
-
 FORMAT = 1  # of the bundles that keys stand for
-DRAW, NOISE = 1, 2  # purposes of random numbers; a new purpose gets a new number
+NOISE = 2  # purpose of these random numbers; a new purpose gets a new number, and sampling has 1
 NOT_VARIABLE = ("tacgen", "name", "sensor_overrides", "extends", "vary")  # cannot be varied
 MAX_SCENES = 1_000_000
-CORRELATED = 0.3  # two varied values in a sample: a model trained on it may take one for the other
 
 
 @dataclass(frozen=True)
@@ -138,6 +143,7 @@ def expand(
         UserError: a varied value makes a scene invalid; the lines name scene and path.
     """
     tree = loaded.tree if loaded else Tree(recipe.document())
+    told = sensor_warnings(sensor, loaded.sensor_tree) if loaded else ()
     vary = recipe.vary
     if vary is None:
         starts = {**folders(tree, recipe), **_solid_folder(sensor, loaded.sensor_tree if loaded else None)}
@@ -145,14 +151,14 @@ def expand(
         if wrong:
             raise UserError(problem.point(tree) for problem in wrong)
         rows = [Row(0, "scene-00000", scene_seed(0, 0), resolved(recipe, starts), sensor, folders=starts)]
-        return Plan(recipe.name, tuple(rows if indices is None else (rows[i] for i in indices)))
+        return Plan(recipe.name, tuple(rows if indices is None else (rows[i] for i in indices)), warnings=told)
     _check(vary, tree)
     count = scene_count(vary)
     wanted = range(count) if indices is None else indices
     base = recipe.model_copy(update={"vary": None}).document()
     rows = []
     problems: dict[tuple[KeyPath, str], list[tuple[str, Problem]]] = {}
-    named = _named(vary, tree, bool(recipe.outputs & IMAGES))
+    named, more = _named(vary, tree, bool(recipe.outputs & IMAGES))
     known = sensor, _solid_folder(sensor, loaded.sensor_tree if loaded else None)
     for index, values in zip(wanted, draw(vary, wanted), strict=True):
         chosen = named[values["sensor"]] if "sensor" in values else known
@@ -164,15 +170,8 @@ def expand(
             problems.setdefault((problem.path, alike), []).append((f"scene-{index:05d}", problem))
     if problems:
         raise UserError(_message(group, tree, vary) for group in problems.values())
-    return Plan(recipe.name, tuple(rows), tuple(vary.paths), tuple(p.point(tree) for p in _correlated(vary)))
-
-
-def scene_count(vary: Vary) -> int:
-    """How many scenes a `vary` gives."""
-    crossed = math.prod(len(_points(spread)) for spread in vary.grid.values())
-    if vary.method != "grid":
-        return crossed * (vary.samples or 0)
-    return crossed * math.prod(len(_points(spread)) for spread in vary.over.values())
+    told = tuple(dict.fromkeys((*told, *more))) + tuple(problem.point(tree) for problem in correlated(vary))
+    return Plan(recipe.name, tuple(rows), tuple(vary.paths), told)
 
 
 def scene_seed(seed: int, index: int) -> int:
@@ -180,83 +179,6 @@ def scene_seed(seed: int, index: int) -> int:
     from numpy.random import SeedSequence
 
     return int(SeedSequence((seed, index, NOISE)).generate_state(1)[0])
-
-
-def draw(vary: Vary, indices: Sequence[int]) -> list[dict[str, Any]]:
-    """The varied values of these scenes; each is what the whole plan has there. The grid varies fastest."""
-    from numpy import unravel_index
-
-    on_grid = {**vary.over, **vary.grid} if vary.method == "grid" else vary.grid
-    columns = [_points(spread) for spread in on_grid.values()]
-    points = math.prod(map(len, columns))
-    drawn: list[dict[str, Any]] = [{} for _ in indices]
-    if vary.method != "grid":
-        unit = _unit_points(vary, len(vary.over), [index // points for index in indices])
-        drawn = [{p: _value(s, float(u)) for (p, s), u in zip(vary.over.items(), at, strict=True)} for at in unit]
-    for index, values in zip(indices, drawn, strict=True):
-        places = unravel_index(index % points, [len(column) for column in columns])
-        values.update({path: column[int(i)] for path, column, i in zip(on_grid, columns, places, strict=True)})
-    return drawn
-
-
-def _unit_points(vary: Vary, d: int, indices: Sequence[int]) -> "list[np.ndarray]":
-    """Points of the unit cube, one a scene."""
-    from numpy.random import SeedSequence, default_rng
-    from scipy.stats import qmc
-
-    design = vary.design
-    if design == "random":
-        return [default_rng(SeedSequence((vary.seed, i, DRAW))).random(d) for i in indices]
-    rng = default_rng(SeedSequence((vary.seed, 0, DRAW)))
-    if design == "lhs":  # a point of a latin hypercube depends on all others: draw them all
-        few = (vary.samples or 0) <= FEW  # then by columns that hardly correlate; of more, that takes too long
-        points = qmc.LatinHypercube(d, optimization="random-cd" if few else None, rng=rng).random(vary.samples)
-        return [points[i] for i in indices]
-    engine = qmc.Sobol(d, rng=rng) if design == "sobol" else qmc.Halton(d, rng=rng)
-    found: dict[int, np.ndarray] = {}
-    for i in sorted(set(indices)):
-        if i > engine.num_generated:
-            engine.fast_forward(i - engine.num_generated)
-        found[i] = engine.random(1)[0]
-    return [found[i] for i in indices]
-
-
-def _correlated(vary: Vary) -> list[Problem]:
-    """Whether few points of a sequence that is meant to be even are not: two varied values go along with each other."""
-    import numpy as np
-
-    n, paths = vary.samples or 0, list(vary.over)
-    if vary.design not in ("sobol", "halton") or not 3 <= n <= FEW or len(paths) < 2:
-        return []
-    r = np.triu(np.corrcoef(np.array(_unit_points(vary, len(paths), range(n))).T), 1)
-    i, j = np.unravel_index(np.abs(r).argmax(), r.shape)
-    if abs(r[i, j]) < CORRELATED:
-        return []
-    text = f"{n} points of {vary.design} correlate {paths[i]} and {paths[j]} by {r[i, j]:.2f}"
-    return [Problem(("vary", "method"), f"{text}: leave method out, and so few are spread as a Latin hypercube")]
-
-
-def _value(spread: Distribution, u: float) -> Any:
-    """The value of a distribution at u in [0, 1)."""
-    if spread.uniform:
-        low, high = spread.uniform
-        return low + (high - low) * u
-    if spread.loguniform:
-        low, high = spread.loguniform
-        return min(max(low * (high / low) ** u, low), high)
-    if spread.integers:
-        first, last = spread.integers
-        return min(first + int(u * (last - first + 1)), last)
-    points = _points(spread)
-    return points[min(int(u * len(points)), len(points) - 1)]
-
-
-def _points(spread: Distribution) -> Sequence[Any]:
-    """The values of a choice or linspace."""
-    if spread.choice is not None:
-        return spread.choice
-    first, last, n = spread.linspace or (0.0, 0.0, 0)
-    return [first + (last - first) * i / max(n - 1, 1) for i in range(n)]
 
 
 def _check(vary: Vary, tree: Tree) -> None:
@@ -283,12 +205,16 @@ def _check(vary: Vary, tree: Tree) -> None:
         raise UserError(problem.point(tree) for problem in problems)
 
 
-def _named(vary: Vary, tree: Tree, images: bool) -> "dict[str, tuple[Sensor, dict[KeyPath, Path]]]":
-    """The sensors that a `vary` names, the recipe's overrides laid over each, and where their solids' paths start.
+def _named(
+    vary: Vary, tree: Tree, images: bool
+) -> tuple[dict[str, tuple[Sensor, dict[KeyPath, Path]]], tuple[str, ...]]:
+    """The sensors that a `vary` names, the recipe's overrides laid over each, where their solids' paths start; and
+    warnings about them.
 
     Raises UserError: every problem of all of them.
     """
     found, problems = {}, []
+    told: tuple[str, ...] = ()
     if where := vary.paths.get("sensor"):
         for name in getattr(vary, str(where[1]))["sensor"].choice:
             chosen = tree.replaced(("sensor",), Tree(name, {(): tree.spot(where)}))
@@ -296,9 +222,10 @@ def _named(vary: Vary, tree: Tree, images: bool) -> "dict[str, tuple[Sensor, dic
             problems += wrong
             if sensor is not None:
                 found[name] = sensor, _solid_folder(sensor, sensor_tree)
+                told += sensor_warnings(sensor, sensor_tree)
     if problems:
         raise report(problems)
-    return found
+    return found, told
 
 
 def _solid_folder(sensor: Sensor, sensor_tree: Tree | None) -> dict[KeyPath, Path]:

@@ -1,4 +1,4 @@
-"""JSON Schemas of recipes and sensor files, and the recipe that `tacgen init` writes: what an editor needs."""
+"""JSON Schemas of recipes and sensor files, and the files that `tacgen init` writes: what an editor needs."""
 
 import json
 from pathlib import Path
@@ -9,7 +9,7 @@ from tacgen.recipe import assets
 from tacgen.recipe.model import Recipe
 from tacgen.recipe.sensor import Sensor
 
-SCHEMA_FILE = "tacgen.schema.json"
+SCHEMA_FILE, SENSOR_SCHEMA_FILE = "tacgen.schema.json", "tacgen-sensor.schema.json"
 
 
 def recipe_schema() -> dict[str, Any]:
@@ -27,23 +27,25 @@ def sensor_schema() -> dict[str, Any]:
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **Sensor.model_json_schema()}
 
 
-def write_starter(path: Path, *, overwrite: bool) -> tuple[Path, Path]:
-    """Write a commented recipe and, beside it, the schema that an editor completes it with.
+def write_starter(path: Path, *, sensor: bool, overwrite: bool) -> tuple[Path, Path]:
+    """Write a commented recipe or sensor file and, beside it, the schema that an editor completes it with.
 
     Returns:
-        the recipe's and the schema's path.
+        the file's and the schema's path.
 
     Raises:
-        UserError: the recipe is there already and `overwrite` is not given.
+        UserError: the file is there already and `overwrite` is not given.
     """
     if path.exists() and not overwrite:
         raise UserError(f"{path}: is there already; --overwrite replaces it")
-    lines = assets.recipe_path("quickstart").read_text(encoding="utf-8").splitlines()
-    title, run = lines[0], f"#   tacgen run {path} -o out/first"
-    body = [run if line.startswith("#   tacgen run") else line for line in lines[1:]]
-    text = "\n".join([f"# yaml-language-server: $schema={SCHEMA_FILE}", title, *body, ""])
+    start = Path(__file__).with_name("starter_sensor.yaml") if sensor else assets.recipe_path("quickstart")
+    title, *lines = start.read_text(encoding="utf-8").splitlines()
+    said = f"#   tacgen validate {path}" if sensor else f"#   tacgen run {path} -o out/first"
+    body = [said if line.startswith(("#   tacgen run", "#   tacgen validate")) else line for line in lines]
+    schema = path.parent / (SENSOR_SCHEMA_FILE if sensor else SCHEMA_FILE)
+    text = "\n".join([f"# yaml-language-server: $schema={schema.name}", title, *body, ""])
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(text.replace("name: quickstart", "name: first"), encoding="utf-8")
-    schema = path.parent / SCHEMA_FILE
-    schema.write_text(json.dumps(recipe_schema(), indent=1) + "\n", encoding="utf-8")
+    plain = sensor_schema() if sensor else recipe_schema()
+    schema.write_text(json.dumps(plain, indent=1) + "\n", encoding="utf-8")
     return path, schema

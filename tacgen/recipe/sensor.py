@@ -6,16 +6,19 @@ below that.
 """
 
 import math
+from collections.abc import Iterator
 from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from tacgen.recipe.base_model import Axis, FilePath, NotNegative, Part, Positive, Sha256, exactly_one
+from tacgen.recipe.yaml_source import KeyPath, format_path
 
 if TYPE_CHECKING:
     from tacgen.geometry.outline import Pad
 
+NOWHERE = "not stated"  # where the numbers of a part come from
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Index = Annotated[float, Field(ge=1, le=4)]
 Poisson = Annotated[float, Field(ge=0, lt=0.5)]
@@ -52,7 +55,7 @@ class Scattering(Part):
     extinction_per_mm: Positive  # of a ray's light, scattered and absorbed together
     albedo: Shares  # what of it is scattered
     forward: Annotated[float, Field(gt=-1, lt=1)] = 0.0  # mean cosine of the turn, g
-    source: str
+    source: str = NOWHERE
 
 
 class LayerBase(Part):
@@ -63,7 +66,7 @@ class LayerBase(Part):
     refractive_index: Index = 1.41
     scattering: Scattering | None = None  # clear if absent
     opaque: bool = False  # the coating then lies on its inner side
-    source: str
+    source: str = NOWHERE
 
     @property
     def terms(self) -> tuple[tuple[float, float], ...]:
@@ -169,7 +172,7 @@ class StadiumEnd(Part):
 
     shape: Literal["stadium_end"]
     end: Literal["-y", "+y"]
-    source: str
+    source: str = NOWHERE
 
 
 class Dome(Part):
@@ -180,7 +183,7 @@ class Dome(Part):
 
     radius_x_mm: Positive
     radius_y_mm: Positive
-    source: str
+    source: str = NOWHERE
 
 
 class Solid(Part):
@@ -192,7 +195,7 @@ class Solid(Part):
     bonded_mm: NotNegative = 0.02  # held: all of the surface that is no higher than this above its lowest point
     coated_deg: Annotated[float, Field(gt=0, lt=90)] = 60.0  # pressed and seen: where it faces up to within this angle
     sha256: Sha256 | None = None
-    source: str
+    source: str = NOWHERE
 
 
 class Gel(Part):
@@ -208,7 +211,7 @@ class Gel(Part):
     dome: Dome | None = None  # a flat face if absent
     solid: Solid | None = None  # instead of corners, outline and dome
     layers: Annotated[tuple[Layer, ...], Field(min_length=1)]
-    source: str
+    source: str = NOWHERE
 
     @property
     def clear_layers(self) -> "tuple[Layer, ...]":
@@ -239,7 +242,7 @@ class Plate(Part):
 
     thickness_mm: Positive
     refractive_index: Index
-    source: str
+    source: str = NOWHERE
 
 
 class Coating(Part):
@@ -248,7 +251,7 @@ class Coating(Part):
     albedo: Shares
     specular: Fraction  # weight of the rough conductor
     roughness: Annotated[float, Field(gt=0, le=1)]  # GGX alpha
-    source: str
+    source: str = NOWHERE
 
 
 class Walls(Part):
@@ -256,7 +259,7 @@ class Walls(Part):
 
     albedo: Fraction
     margin_mm: NotNegative = 0.0  # it stands off the pad's outline by this much, and plate and gel fill the space
-    source: str
+    source: str = NOWHERE
 
 
 class Led(Part):
@@ -271,7 +274,7 @@ class Led(Part):
     radiance: Rgb
     power: NotNegative = 1.0  # factor on the radiance: how much stronger this one is than its file says
     see_through: bool = False  # stands for light that passes there, and takes none away: nothing is there but the light
-    source: str
+    source: str = NOWHERE
 
     @property
     def light(self) -> Vec3:
@@ -286,7 +289,7 @@ class Noise(Part):
     shot: Rgb  # variance per signal, both in parts of full scale: one over the electrons of a full pixel
     read: Rgb  # standard deviation in the dark, in parts of full scale
     strength: NotNegative = 1.0  # factor on the standard deviation of both together
-    source: str
+    source: str = NOWHERE
 
 
 class Camera(Part):
@@ -304,7 +307,7 @@ class Camera(Part):
     ambient: Rgb = (0.0, 0.0, 0.0)  # what even stray light adds to a bare coat, fraction of full scale
     vignette_mm: Positive | None = None  # r0 of the fall-off 1/(1+(r/r0)^2)^2 on the coating; none if absent
     noise: Noise | None = None  # none if absent
-    source: str
+    source: str = NOWHERE
 
 
 class Motion(Part):
@@ -313,7 +316,7 @@ class Motion(Part):
     press: tuple[float, Positive]  # gain [1/mm^3] and decay [1/mm^2]
     shear: tuple[Positive, Positive]  # the farthest a contact drags its middle [mm], and decay [1/mm^2]
     twist: tuple[Positive, Positive]  # the most it turns it [deg], and decay [1/mm^2]
-    source: str
+    source: str = NOWHERE
 
 
 class Markers(Part):
@@ -325,7 +328,7 @@ class Markers(Part):
     diameter_mm: Positive
     albedo: Fraction
     motion: Motion | None = None
-    source: str
+    source: str = NOWHERE
 
 
 class ThicknessResponse(Part):
@@ -334,7 +337,7 @@ class ThicknessResponse(Part):
 
     change_mm: Annotated[tuple[float, ...], Field(min_length=2)]
     gain: tuple[Rgb, ...]
-    source: str
+    source: str = NOWHERE
 
     @model_validator(mode="after")
     def _table(self) -> Self:
@@ -351,7 +354,7 @@ class Sensor(Part):
 
     tacgen_sensor: Literal[1]
     name: str
-    description: str
+    description: str = ""
     gel: Gel
     plate: Plate | None = None
     coating: Coating | None = None
@@ -360,6 +363,23 @@ class Sensor(Part):
     camera: Camera
     markers: Markers | None = None
     thickness_response: ThicknessResponse | None = None
+
+    @property
+    def unsourced(self) -> list[str]:
+        """Paths of the parts that do not say where their numbers come from."""
+
+        def walk(part: Part, path: KeyPath) -> Iterator[str]:
+            for name in type(part).model_fields:
+                value = getattr(part, name)
+                if name == "source" and value == NOWHERE:
+                    yield format_path(path)
+                rows = enumerate(value) if isinstance(value, tuple) else ()
+                inner = [((*path, name), value), *(((*path, name, i), row) for i, row in rows)]
+                for where, held in inner:
+                    if isinstance(held, Part):
+                        yield from walk(held, where)
+
+        return list(walk(self, ()))
 
     @property
     def lit(self) -> bool:

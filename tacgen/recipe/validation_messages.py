@@ -15,6 +15,7 @@ from tacgen.recipe.yaml_source import KeyPath, Mark, Tree, at, describe, format_
 
 Model = TypeVar("Model", bound=BaseModel)
 
+MISSING = "is missing"
 NOUNS = {
     "float_type": "a number",
     "float_parsing": "a number",
@@ -67,7 +68,24 @@ def validate(model: type[Model], data: Any) -> tuple[Model | None, list[Problem]
     except ValidationError as error:
         found = [_problem(model, data, e) for e in error.errors(include_url=False) if not _repeats_another(data, e)]
         misspelt = {(*p.path[:-1], p.meant) for p in found if p.meant}
-        return None, [p for p in found if p.path not in misspelt]  # a misspelt key is not also missing
+        return None, _together([p for p in found if p.path not in misspelt])  # a misspelt key is not also missing
+
+
+def _together(found: list[Problem]) -> list[Problem]:
+    """Keys that one mapping lacks in one problem, in the place of the first."""
+    lacking: dict[KeyPath, list[Problem]] = {}
+    for problem in found:
+        if problem.message.startswith(MISSING):
+            lacking.setdefault(problem.path[:-1], []).append(problem)
+    out = []
+    for problem in found:
+        group = lacking.get(problem.path[:-1], []) if problem.message.startswith(MISSING) else []
+        if len(group) > 1 and problem is group[0]:
+            names = [f"{p.path[-1]}{p.message.removeprefix(MISSING)}" for p in group]
+            out.append(Problem(problem.path[:-1], f"lacks {', '.join(names)}", at_key=True))
+        elif len(group) < 2:
+            out.append(problem)
+    return out
 
 
 def report(found: Iterable[tuple[Problem, Tree]]) -> UserError:
@@ -94,7 +112,7 @@ def _problem(model: type[BaseModel], data: Any, error: ErrorDetails) -> Problem:
         meant = hint.removeprefix(", did you mean ").rstrip("?")
         return Problem(path, f"unknown key{hint}", at_key=True, meant=meant)
     if kind == "missing":
-        return Problem(path, "is missing", at_key=True)
+        return Problem(path, f"{MISSING}{needs(model, loc)}", at_key=True)
     if kind in NOUNS:
         return Problem(path, f"must be {NOUNS[kind]} {got}")
     if kind in BOUNDS:
@@ -110,7 +128,7 @@ def _problem(model: type[BaseModel], data: Any, error: ErrorDetails) -> Problem:
     if kind == "union_tag_not_found":
         key = str(ctx.get("discriminator", "")).strip("'")
         if isinstance(given, dict) and key.isidentifier():
-            return Problem((*path, key), "is missing", at_key=True)
+            return Problem((*path, key), MISSING, at_key=True)
         return Problem(path, f"must be a mapping {got}")
     if kind == "string_pattern_mismatch":
         return Problem(path, f"must be letters, digits, dots, dashes and underscores only {got}")
@@ -159,6 +177,20 @@ def _keys(model: type[BaseModel], loc: KeyPath) -> set[str]:
     for step in loc:
         here = [kind for each in here for kind in _step(each, step)] or here
     return {name for each in here if _is_model(each) for name in each.model_fields}
+
+
+def needs(model: type[BaseModel], loc: KeyPath) -> str:
+    """` (width_mm, height_mm)`, the keys that a mapping at `loc` must hold, or each of a list of them; or nothing."""
+    here: list[Any] = [model]
+    for step in loc:
+        here = [kind for each in here for kind in _step(each, step)] or here
+    lists = [kind for kind in here if get_origin(kind) is tuple]
+    here = [inner for kind in lists for inner in _step(kind, 0)] or here
+    kind = next((kind for kind in here if _is_model(kind) and kind is not model), None)
+    if kind is None:
+        return ""
+    names = ", ".join(name for name, field in kind.model_fields.items() if field.is_required())
+    return f" (a list, each with {names})" if lists else f" ({names})"
 
 
 def _step(kind: Any, step: str | int) -> list[Any]:
