@@ -54,7 +54,7 @@ def _cost(seen: Overview) -> str:
     rows = [(stage, f"{s:.1f}", f"{s / timed:.3f}") for stage, s in seen.seconds.items()]
     total = sum(seen.seconds.values())
     rows.append(("all", f"{total:.1f}", f"{total / timed:.3f}"))
-    return "## Cost, on one core\n\n" + _table(("stage", "seconds", "seconds a frame"), rows)
+    return "## Cost: seconds as they passed\n\n" + _table(("stage", "seconds", "seconds a frame"), rows)
 
 
 def _missing(seen: Overview) -> str:

@@ -125,7 +125,7 @@ def summary(folder: Path) -> str:
     lines += [f"varied    {path}: {spread(values)}" for path, values in seen.varied.items()]
     if seen.seconds:
         stages = ", ".join(f"{stage} {value:.0f}" for stage, value in seen.seconds.items())
-        lines.append(f"seconds   {sum(seen.seconds.values()):.0f} on one core ({stages})")
+        lines.append(f"seconds   {sum(seen.seconds.values()):.0f} as they passed ({stages})")
     width = max(map(len, seen.datasets), default=0) + 2
     return "\n".join(lines + [f"{path:<{width}}{shape}" for path, shape in seen.datasets.items()])
 

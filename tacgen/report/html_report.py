@@ -14,7 +14,7 @@ import numpy as np
 from tacgen.bundle.bundle import Bundle
 from tacgen.report import dataset_summary
 from tacgen.report.dataset_summary import Overview, Scene
-from tacgen.report.wording import counted
+from tacgen.report.wording import counted, short
 
 MAX_PICTURES = 48
 PICTURE_WIDTH = 160  # [px]
@@ -43,8 +43,8 @@ def page(seen: Overview) -> str:
         ("Failures by cause", _causes(seen.scenes)),
         ("Coverage", _coverage(seen)),
         ("Largest force in a scene", _forces(seen.scenes)),
-        ("Seconds by stage, on one core", _seconds(seen)),
-        ("Pictures", _pictures(seen.scenes)),
+        ("Seconds by stage, as they passed", _seconds(seen)),
+        ("Pictures", _pictures(seen)),
         ("Datasets", _table(("dataset", "shape"), seen.datasets.items())),
     ]
     body = "".join(f"<h2>{name}</h2>{content}" for name, content in sections if content)
@@ -82,12 +82,14 @@ def _coverage(seen: Overview) -> str:
     """Each varied path alone, and numbers in pairs, a point a scene in the colour of its state."""
     numbers = {p: v for p, v in seen.varied.items() if all(isinstance(x, int | float) for x in v)}
     colours = [COLOURS.get(scene.state, OTHER_COLOUR) for scene in seen.scenes]
+    names = short(seen.varied)
     rows = [(path, dataset_summary.spread(values)) for path, values in seen.varied.items()]
-    plots = [_histogram(path, np.array(values, float)) for path, values in numbers.items()]
+    bars = [_histogram(names[path], np.array(values, float)) for path, values in numbers.items()]
+    plots = []
     for (a, x), (b, y) in list(combinations(numbers.items(), 2))[:MAX_PAIRS]:
-        plots.append(_scatter(a, np.array(x, float), b, np.array(y, float), colours))
+        plots.append(_scatter(names[a], np.array(x, float), names[b], np.array(y, float), colours))
     key = " ".join(f'<span style="color:{colour}">&#9679; {state}</span>' for state, colour in COLOURS.items())
-    shown = _table(("varied", "values"), rows) + f"<p>{key}</p>" + "".join(plots)
+    shown = _table(("varied", "values"), rows) + f"<p>{key}</p>" + "".join(bars) + f"<div>{''.join(plots)}</div>"
     return shown if rows else ""
 
 
@@ -109,18 +111,17 @@ def _seconds(seen: Overview) -> str:
     return _table(("stage", "", "", ""), rows, raw=True)
 
 
-def _pictures(scenes: Sequence[Scene]) -> str:
+def _pictures(seen: Overview) -> str:
     """Scenes spread over the plan, each at the frame of its largest force."""
-    good = [scene for scene in scenes if scene.bundle is not None and scene.bundle.frames]
+    names = short(seen.varied)
+    good = [scene for scene in seen.scenes if scene.bundle is not None and scene.bundle.frames]
     step = max(1.0, len(good) / MAX_PICTURES)
     shown = []
     for scene in (good[int(i * step)] for i in range(min(len(good), MAX_PICTURES))):
         assert scene.bundle is not None
         picture = _picture(scene.bundle)
         if picture:
-            values = "<br>".join(
-                escape(f"{p.rpartition('.')[2]} {dataset_summary.spread([v])}") for p, v in scene.values.items()
-            )
+            values = "<br>".join(escape(f"{names[p]} {dataset_summary.spread([v])}") for p, v in scene.values.items())
             force = "" if scene.peak_n is None else f"{scene.peak_n:.3g} N"
             shown.append(f"<figure>{picture}<b>{escape(scene.name)}</b> {force}<br>{values}</figure>")
     return "".join(shown)
@@ -160,24 +161,30 @@ def _histogram(name: str, values: np.ndarray) -> str:
 
 
 def _scatter(a: str, x: np.ndarray, b: str, y: np.ndarray, colours: Sequence[str]) -> str:
-    """y over x in a square box, the names of both at its sides."""
+    """y over x in a square box, the names of both and the ends of their ranges at its sides."""
 
     def unit(v: np.ndarray) -> np.ndarray:
         return np.asarray((v - v.min()) / max(float(np.ptp(v)), 1e-12))
 
     points = "".join(
-        f'<circle cx={30 + 180 * u:.1f} cy={195 - 180 * v:.1f} r=2.2 fill="{colour}" fill-opacity=.7 />'
+        f'<circle cx={70 + 180 * u:.1f} cy={195 - 180 * v:.1f} r=2.2 fill="{colour}" fill-opacity=.7 />'
         for u, v, colour in zip(unit(x), unit(y), colours, strict=True)
     )
-    frame = '<rect x=25 y=10 width=190 height=190 fill="none" stroke="#bbb"/>'
-    under = f"<text x=120 y=214 text-anchor=middle>{_label(a)}</text>"
-    beside = f'<text transform="translate(16 105) rotate(-90)" text-anchor=middle>{_label(b)}</text>'
-    return f"<svg width=220 height=220>{frame}{points}{under}{beside}</svg>"
+    frame = '<rect x=65 y=10 width=190 height=190 fill="none" stroke="#bbb"/>'
+    ticks = "".join(
+        f'<path d="M{70 + 180 * p} 200v4M65 {195 - 180 * p}h-4" stroke="#bbb"/>'
+        f"<text x={70 + 180 * p} y=215 text-anchor=middle>{x.min() + p * np.ptp(x):.3g}</text>"
+        f"<text x=59 y={199 - 180 * p} text-anchor=end>{y.min() + p * np.ptp(y):.3g}</text>"
+        for p in (0, 0.5, 1)
+    )
+    under = f"<text x=160 y=231 text-anchor=middle>{_label(a)}</text>"
+    beside = f'<text transform="translate(11 105) rotate(-90)" text-anchor=middle>{_label(b)}</text>'
+    return f"<svg width=270 height=237>{frame}{ticks}{points}{under}{beside}</svg>"
 
 
 def _label(name: str) -> str:
     """The end of a long path, which is its telling part."""
-    return escape(name if len(name) <= 22 else "\N{HORIZONTAL ELLIPSIS}" + name[-20:])
+    return escape(name if len(name) <= 32 else "\N{HORIZONTAL ELLIPSIS}" + name[-30:])
 
 
 def _table(head: Sequence[str], rows: Iterable[Sequence[Any]], *, raw: bool = False) -> str:

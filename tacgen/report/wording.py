@@ -1,6 +1,21 @@
-"""Numbers in words."""
+"""Numbers in words, and paths in few."""
+
+from collections.abc import Iterable
 
 
 def counted(n: int, noun: str) -> str:
     """`1 scene`, `2 scenes`."""
     return f"{n} {noun}" + ("" if n == 1 else "s")
+
+
+def short(paths: Iterable[str]) -> dict[str, str]:
+    """Path -> the fewest of its last steps that no other path ends in: `leds[0].power` beside `leds[1].power`."""
+    steps = {path: path.split(".") for path in paths}
+
+    def alone(path: str, n: int) -> bool:
+        return sum(other[-n:] == steps[path][-n:] for other in steps.values()) == 1
+
+    return {
+        path: ".".join(own[-next((n for n in range(1, len(own)) if alone(path, n)), len(own)) :])
+        for path, own in steps.items()
+    }

@@ -15,6 +15,7 @@ from tacgen.bundle import dataset, pack
 from tacgen.cli import app
 from tacgen.errors import UserError
 from tacgen.report import dataset_card, dataset_summary, html_report
+from tacgen.report.wording import short
 
 
 @pytest.fixture(scope="module")
@@ -70,12 +71,23 @@ def test_the_report_is_one_page_that_needs_nothing_else(folder: Path, tmp_path: 
 
 def test_pairs_of_varied_numbers_are_plotted_a_point_a_scene(tmp_path: Path):
     for i in range(4):
-        values = {"a": i / 3, "b": i * 2.0, "name": "x<y"}
+        values = {"a": i / 3, "b": i * 2.0, "name": "x<y", "sensor.leds[0].power": 1, "sensor.leds[1].power": "low"}
         write(tmp_path / f"scene-{i:05d}.h5", outputs=frozenset({"force"}), values=values)
     page = html_report.page(dataset_summary.look(tmp_path))
-    assert len(re.findall(r"<circle", page)) == 4
+    assert len(re.findall(r"<circle", page)) == 12
     assert "x&lt;y (4)" in page
+    plot = page[page.index("<rect x=65") :]
+    assert re.findall(r">([-\d.]+)</text>", plot)[:6] == ["0", "0", "0.5", "3", "1", "6"]  # ticks of a and b
     assert "<x" not in page
+
+
+def test_captions_tell_what_was_varied_apart(tmp_path: Path):
+    values = {"sensor.leds[0].power": 1.0, "sensor.leds[1].power": 1.25, "contact.friction": 0.5}
+    write(tmp_path / "scene-00000.h5", values=values)
+    page = html_report.page(dataset_summary.look(tmp_path))
+    (caption,) = re.findall(r"</b>.*?<br>(.*)</figure>", page)
+    assert caption == "friction 0.5<br>leds[0].power 1<br>leds[1].power 1.25"
+    assert short(["a.b", "b", "c.a.b"]) == {"a.b": "a.b", "b": "b", "c.a.b": "c.a.b"}
 
 
 def test_causes_leave_numbers_out_and_count(folder: Path):
