@@ -22,7 +22,7 @@ EXPORTERS = {
     "vtkhdf": "mesh, displacement and stress over the frames, for ParaView: one .vtkhdf file a scene",
     "feats": "image and force in each of 24 x 32 cells, for FEATS: one .npy file a frame",
     "lerobot": "image, pose, force and markers as a LeRobot dataset, format v3.0 (tacgen[lerobot])",
-    "univtac": "image, markers, depth and poses as UniVTAC's episodes: one .hdf5 file a scene",
+    "univtac": "image, markers and depth of a finger as UniVTAC's episodes; its training needs two, and joints",
     "webdataset": "every dataset of a frame as samples in tar files, for streaming (tacgen[webdataset])",
 }
 
