@@ -194,6 +194,7 @@ def _draw(plots: Sequence[Plot], out: Path) -> None:
     rows = -(-len(plots) // columns)
     sheet = Figure(figsize=(6.4 * columns, 4.8 * rows), layout="constrained")
     FigureCanvasAgg(sheet)
+    texts: list[Any] = []
     for number, plot in enumerate(plots):
         axes = sheet.add_subplot(rows, columns, number + 1)
         for k, one in enumerate(plot.series):
@@ -203,13 +204,31 @@ def _draw(plots: Sequence[Plot], out: Path) -> None:
                 markersize=5, linewidth=1.2,
             )  # fmt: skip
             for x, y, label in zip(one.x, one.y, one.labels, strict=False):
-                axes.annotate(label, (x, y), (4, 3), textcoords="offset points", fontsize=7, color=colour)
+                style: dict[str, Any] = {"textcoords": "offset points", "fontsize": 7, "color": colour}
+                texts.append(axes.annotate(label, (x, y), (4, 3), **style))
         scale = dict.fromkeys(plot.log, "log")
         axes.set(xscale=scale.get("x", "linear"), yscale=scale.get("y", "linear"))
         axes.set(title=plot.title, xlabel=plot.x, ylabel=plot.y)
         axes.grid(True, which="both", linewidth=0.3, alpha=0.6)
         axes.legend(fontsize=7)
+    sheet.dpi = 110
+    sheet.draw_without_rendering()  # lays out the axes
+    spread(texts)
     sheet.savefig(out, dpi=110)
+
+
+def spread(texts: Sequence[Any]) -> None:
+    """Move labels that would be printed over others, up or down; where there is no room, the table alone says it."""
+    placed: list[Any] = []
+    for text in texts:
+        for down in (0, 8, -8, 16, -16, 24, -24, 32, -32):
+            text.set_position((4, 3 - down))
+            box = text.get_window_extent()
+            if not any(box.overlaps(other) for other in placed):
+                placed.append(box)
+                break
+        else:
+            text.remove()
 
 
 def page(folder: Path, names: Sequence[str], file: Path, title: str, head: str) -> None:

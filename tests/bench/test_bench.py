@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from functools import cache
+from itertools import combinations
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -10,6 +11,8 @@ import numpy as np
 import pytest
 from helpers import tiny
 from helpers.blocks import block
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
 import benchmarks as bench
@@ -74,6 +77,23 @@ def test_a_part_made_again_leaves_the_others(tmp_path: Path) -> None:
 
 def test_pareto_front() -> None:
     assert results_page.front([1, 2, 3, 4, 1], [9, 5, 7, 2, 8]) == [4, 1, 3]
+
+
+def test_labels_are_not_printed_over_each_other() -> None:
+    """As many as there is room for beside one point, and the one that is elsewhere where it was."""
+    sheet = Figure(dpi=110)
+    FigureCanvasAgg(sheet)
+    axes = sheet.add_subplot()
+    place = {"xytext": (4, 3), "textcoords": "offset points", "fontsize": 7}
+    texts = [axes.annotate("a label", (0.5, 0.5), **place) for _ in range(12)]
+    texts.append(axes.annotate("afar", (0.1, 0.1), **place))
+    sheet.draw_without_rendering()
+    results_page.spread(texts)
+    left = [text for text in texts if text.axes is not None]
+    assert 6 <= len(left) < 13
+    boxes = [text.get_window_extent() for text in left]
+    assert not any(a.overlaps(b) for a, b in combinations(boxes, 2))
+    assert texts[-1].get_position() == (4, 3)
 
 
 def test_answers_are_compared_from_the_last_frame_back() -> None:
