@@ -155,9 +155,11 @@ def _refuse_above(most: float, count: float, edge: float, what: str) -> None:
 
 
 def footprint(scene: Scene) -> tuple[float, float, float, float]:
-    """x0, x1, y0, y1 [mm] around all that the scene touches, and half an edge more."""
-    where = touched(scene)[:, :2]
-    low, high = where.min(0) - scene.edge / 2, where.max(0) + scene.edge / 2
+    """x0, x1, y0, y1 [mm] around all that the scene touches, half an edge more, and on to whole edges from the start:
+    cells lie alike to all sides of a press there, wherever the indenter goes next."""
+    where, start, edge = touched(scene)[:, :2], scene.start[:2, 3], scene.edge
+    low = start - edge * np.ceil((start - where.min(0)) / edge + 0.5)
+    high = start + edge * np.ceil((where.max(0) - start) / edge + 0.5)
     return float(low[0]), float(high[0]), float(low[1]), float(high[1])
 
 

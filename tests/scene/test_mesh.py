@@ -121,6 +121,15 @@ def test_a_press_in_the_middle_has_a_mesh_that_mirrors_in_x_and_y() -> None:
         assert cKDTree(points).query(points * mirror)[0].max() < 1e-12
 
 
+def test_cells_lie_alike_around_the_start_of_a_slide() -> None:
+    path = poses([(0.0, 0.0, -1.0), (1.0, 0.0, -1.0)])
+    made = scene(Sphere(4.0), path, pad=presses.gel(25.25, 20.75, 4.0), edge=0.36)
+    points = mesh.of(made).points
+    near = points[(np.abs(points[:, :2]) < 3.0).all(1)]
+    assert len(near) > 1000
+    assert cKDTree(points).query(near * [-1, 1, 1])[0].max() < 1e-9
+
+
 def test_columns_outside_the_rounded_outline_are_left_out() -> None:
     pad = gel(2.0, corner=2.5)
     made = mesh.build(pad, (-6, 6, -5, 5), 0.25)
