@@ -1,15 +1,19 @@
-"""Arrays kept under the cache folder by a hash of all they depend on."""
+"""Arrays kept under the cache folder by a hash of all they depend on; an entry carries a digest of key and content."""
 
 import hashlib
+import io
 import os
 from collections.abc import Callable, Iterable
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from tacgen import atomic_file, regular_file
+
 Array = np.ndarray
+LARGEST = 2**31  # bytes of an entry
+SEAL = hashlib.sha256().digest_size
 
 
 def cache_folder() -> Path:
@@ -37,41 +41,56 @@ def kept(kind: str, key: str, make: Callable[[], tuple[Array, ...]]) -> tuple[Ar
     Of two processes that make them at once the first keeps its own, and both go on with those: what is made may
     differ from run to run.
     """
-    return _kept(cache_folder() / kind / f"{key}.npz", make)
+    return _unpacked(kept_bytes(kind, key, lambda: _packed(make())))
 
 
 def kept_one(kind: str, key: str, make: Callable[[], Array]) -> Array:
     """The same of a single array."""
-    return _kept(cache_folder() / kind / f"{key}.npy", lambda: (make(),))[0]
+    return kept(kind, key, lambda: (make(),))[0]
 
 
-def _kept(file: Path, make: Callable[[], tuple[Array, ...]]) -> tuple[Array, ...]:
-    found = _read(file)
-    if found is not None:
+def kept_bytes(kind: str, key: str, make: Callable[[], bytes]) -> bytes:
+    """The same of bytes: those that were stored under this very key, unchanged, or they are made again."""
+    file = cache_folder() / kind / f"{key}.entry"
+    if (found := _read(file, key)) is not None:
         return found
     made = make()
-    part = file.with_suffix(f".part-{os.getpid()}")
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        with part.open("wb") as out:
-            if file.suffix == ".npy":
-                np.save(out, made[0])
-            else:
-                np.savez(out, *made)
-        if _read(file) is None:
-            part.replace(file)
-    except OSError:
-        return made  # a cache that cannot be written only costs the next run some seconds
-    finally:
-        with suppress(OSError):
-            part.unlink(missing_ok=True)
-    return _read(file) or made
+        atomic_file.sweep(file.parent)
+        if (found := _read(file, key)) is None:
+            atomic_file.write(file, _seal(key, made) + made)
+    except (OSError, atomic_file.Busy):
+        pass  # a cache that cannot be written only costs the next run some seconds
+    return made if found is None else found
 
 
-def _read(file: Path) -> tuple[Array, ...] | None:
+def _read(file: Path, key: str) -> bytes | None:
+    """What an entry holds; None where there is none, or it is not what was stored under its key."""
     try:
-        with file.open("rb") as opened:
-            found = np.load(opened, allow_pickle=False)
-            return (found,) if isinstance(found, np.ndarray) else tuple(found[name] for name in found.files)
-    except Exception:  # not there yet, or damaged: zipfile, zlib and NumPy each say so in their own way
+        entry = regular_file.read_bytes(file, LARGEST)
+    except OSError:
         return None
+    seal, content = entry[:SEAL], entry[SEAL:]
+    return content if seal == _seal(key, content) else None
+
+
+def _seal(key: str, content: bytes) -> bytes:
+    seal = hashlib.sha256(key.encode())
+    seal.update(content)
+    return seal.digest()
+
+
+def _packed(arrays: tuple[Array, ...]) -> bytes:
+    """Arrays in NumPy's format, one after the other."""
+    out = io.BytesIO()
+    for array in arrays:
+        np.save(out, array, allow_pickle=False)
+    return out.getvalue()
+
+
+def _unpacked(content: bytes) -> tuple[Array, ...]:
+    file, found = io.BytesIO(content), []
+    while file.tell() < len(content):
+        found.append(np.load(file, allow_pickle=False))
+    return tuple(found)

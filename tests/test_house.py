@@ -13,6 +13,8 @@ PACKAGE = ROOT / "tacgen"
 # A package or a module of the top level imports only from those above it.
 LAYERS = [
     "errors",
+    "regular_file",
+    "atomic_file",
     "array_cache",
     "fem",
     "optics",
@@ -55,6 +57,7 @@ HOMES = {
     "pytetwild": {"scene.tet_mesh"},
     "ipctk": {"contact.ipctk"},
     "platformdirs": {"array_cache"},
+    "threadpoolctl": {"pipeline"},
     "rich": {"report.progress"},
     "PIL": {"recipe.background_photo", "report.html_report", "export.lerobot", "export.univtac", "export.webdataset"},
     "distributed": {"batch.dask_engine"},

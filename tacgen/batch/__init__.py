@@ -8,10 +8,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from tacgen import atomic_file
 from tacgen.batch import dask_engine
 from tacgen.batch.local import TASK, OnEvent, Pool
 from tacgen.batch.worker_process import Limits
-from tacgen.bundle import atomic_file
 from tacgen.bundle.journal import Journal, Shard, write_plan
 from tacgen.bundle.resume import SceneResult, refuse_foreign
 from tacgen.errors import UserError

@@ -15,7 +15,7 @@ import traceback
 from multiprocessing.connection import Connection
 from typing import Any
 
-from tacgen.bundle.atomic_file import Busy
+from tacgen.atomic_file import Busy
 from tacgen.errors import UserError
 
 DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)  # no other scene could be written either

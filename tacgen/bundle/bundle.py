@@ -15,8 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from tacgen import __version__
-from tacgen.bundle import atomic_file
+from tacgen import __version__, atomic_file
 from tacgen.bundle.schema import ATTRS, FORMAT, OPTIONAL, UNITS, entry, shape_problem
 from tacgen.errors import UserError
 

@@ -8,7 +8,8 @@ from typing import Literal
 
 import numpy as np
 
-from tacgen.bundle import atomic_file, dataset
+from tacgen import atomic_file
+from tacgen.bundle import dataset
 from tacgen.bundle.bundle import Bundle, Dataset, Unfinished, read
 from tacgen.bundle.schema import entry, shape_problem
 from tacgen.errors import UserError

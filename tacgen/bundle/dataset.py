@@ -10,7 +10,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from tacgen.bundle import atomic_file
+from tacgen import atomic_file
 from tacgen.bundle.bundle import Bundle, read
 from tacgen.errors import UserError
 

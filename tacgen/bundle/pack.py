@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tacgen import __version__
+from tacgen.atomic_file import Sink
 from tacgen.bundle import dataset
-from tacgen.bundle.atomic_file import Sink
 from tacgen.bundle.bundle import Bundle, read
 from tacgen.errors import UserError
 

@@ -4,7 +4,8 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from tacgen.bundle import atomic_file, bundle
+from tacgen import atomic_file
+from tacgen.bundle import bundle
 from tacgen.errors import UserError
 from tacgen.recipe.plan import Row
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from tacgen.bundle import atomic_file
+from tacgen import atomic_file
 from tacgen.bundle.bundle import read
 from tacgen.bundle.journal import read_journal, read_plan
 from tacgen.errors import UserError

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from tacgen.bundle.atomic_file import Sink
+from tacgen.atomic_file import Sink
 from tacgen.bundle.bundle import Bundle
 from tacgen.export import names, needs
 

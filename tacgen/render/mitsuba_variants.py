@@ -6,7 +6,6 @@ when $HOME is missing. So a child process renders a tiny scene, only exit code 0
 
 import json
 import os
-import re
 import subprocess
 import sys
 import tempfile
@@ -15,7 +14,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import NamedTuple
 
-from tacgen.array_cache import cache_folder
+from tacgen import array_cache
 
 CUDA, LLVM, SCALAR = "cuda_ad_rgb", "llvm_ad_rgb", "scalar_rgb"
 LLVM_VERSIONS = (22, 21, 20, 19, 18, 17)  # newest first; older ones abort drjit 1.5
@@ -129,21 +128,13 @@ def key(variant: str, library: str) -> str:
 
 @cache
 def _asked(question: str, variant: str, library: str, folder: str) -> Probed:
-    store = Path(folder, re.sub(r"[^\w.-]+", "_", question)[:200] + ".json")
-    try:
-        return Probed(**json.loads(store.read_text()))
-    except (OSError, ValueError, TypeError):
-        pass
-    answer = probe(variant, library)
-    try:
-        store.parent.mkdir(parents=True, exist_ok=True)
-        part = store.with_suffix(f".part-{os.getpid()}")
-        part.write_text(json.dumps(answer._asdict()))
-        part.replace(store)
-    except OSError:
-        pass  # a cache that cannot be written only costs the next run a few seconds
-    return answer
+    """`folder` is the cache's: another one, another answer."""
+
+    def asked() -> bytes:
+        return json.dumps(probe(variant, library)).encode()
+
+    return Probed(*json.loads(array_cache.kept_bytes("variants", array_cache.digest([question]), asked)))
 
 
 def _remembered(variant: str, library: str) -> Probed:
-    return _asked(key(variant, library), variant, library, str(cache_folder() / "variants"))
+    return _asked(key(variant, library), variant, library, str(array_cache.cache_folder()))

@@ -167,7 +167,7 @@ def test_a_bundle_that_only_a_newer_tacgen_reads_is_not_written_over(tmp_path: P
 
 
 def test_status_tells_damage_other_inputs_and_work_in_progress(tmp_path: Path):
-    from tacgen.bundle import atomic_file
+    from tacgen import atomic_file
 
     out = tmp_path / "out"
     run(out, samples=5)

@@ -17,7 +17,8 @@ from helpers.synthetic import attributes, write
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from tacgen.bundle import atomic_file, schema
+from tacgen import atomic_file
+from tacgen.bundle import schema
 from tacgen.bundle.bundle import Damaged, Unfinished, Writer, is_complete, read
 from tacgen.bundle.check import check
 from tacgen.bundle.schema import LAYOUT

@@ -1,6 +1,5 @@
 """The probe: a child that dies must cost its parent nothing, and an answer is only asked for once."""
 
-import json
 import os
 from pathlib import Path
 
@@ -66,11 +65,11 @@ def test_an_answer_is_kept_until_the_library_changes(tmp_path, monkeypatch):
 def test_a_damaged_answer_is_asked_again(tmp_path, monkeypatch):
     monkeypatch.setattr(mitsuba_variants, "probe", lambda v, x="": mitsuba_variants.Probed(v, x, True, "renders"))
     mitsuba_variants._remembered(mitsuba_variants.SCALAR, "")
-    (kept,) = Path(tmp_path, "cache", "variants").glob("*.json")
+    (kept,) = Path(tmp_path, "cache", "variants").iterdir()
     kept.write_text("{broken")
     mitsuba_variants._asked.cache_clear()
     assert mitsuba_variants._remembered(mitsuba_variants.SCALAR, "").works
-    assert json.loads(kept.read_text())["works"]
+    assert b"renders" in kept.read_bytes()
 
 
 def test_without_llvm_and_gpu_the_scalar_variant_is_taken(monkeypatch):

@@ -118,7 +118,7 @@ def test_damaged_caches_are_made_anew() -> None:
     from tacgen.array_cache import cache_folder
 
     array_cache.kept("meshes", "torn", lambda: (np.zeros(3),))
-    file = cache_folder() / "meshes" / "torn.npz"
+    file = cache_folder() / "meshes" / "torn.entry"
     file.write_bytes(file.read_bytes()[:-20])
     assert array_cache.kept("meshes", "torn", lambda: (np.ones(3),))[0].tolist() == [1, 1, 1]
     assert array_cache.kept("meshes", "torn", lambda: (np.zeros(3),))[0].tolist() == [1, 1, 1]

@@ -202,3 +202,26 @@ class Sink:
         with suppress(FileNotFoundError):
             os.unlink(self.path)
         os.close(self._handle)
+
+
+@contextmanager
+def published(target: Path) -> Iterator[Sink]:
+    """A sink for a file that has its name when the block ends well, and is deleted otherwise.
+
+    Raises:
+        OSError: with its errno; Busy: another process writes this very file.
+    """
+    sink = Sink(target)
+    try:
+        with sink.guard():
+            yield sink
+        sink.publish()
+    except BaseException:
+        sink.discard()
+        raise
+
+
+def write(target: Path, data: bytes) -> None:
+    """Write a whole file at once; raises as `published` does."""
+    with published(target) as sink:
+        sink.write(memoryview(data))
