@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 PACKAGES = (
     *("numpy", "scipy", "numba", "mitsuba", "drjit", "h5py", "pydantic", "ruamel.yaml", "typer", "click", "rich"),
-    *("platformdirs", "matplotlib", "pillow", "trimesh", "networkx", "libigl", "pytetwild"),
+    *("platformdirs", "threadpoolctl", "matplotlib", "pillow", "trimesh", "networkx", "libigl", "pytetwild"),
 )
 REPLACEABLE = ("cvxopt", "pymetis")  # without them another linear solver serves
 FREE_GB = 1.0  # below this a batch will not get far
@@ -90,8 +90,8 @@ def _hdf5() -> Iterator[Finding]:
 def _threads() -> Iterator[Finding]:
     cores = len(os.sched_getaffinity(0))
     pinned = {name: os.environ[name] for name in ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS") if name in os.environ}
-    note = ", ".join(f"{name}={value}" for name, value in pinned.items()) or "a run pins BLAS and numba to 1"
-    yield Finding("threads", True, f"{cores} cores; {note}")
+    note = ", ".join(f"{name}={value}" for name, value in pinned.items()) or "workers pin numba to 1"
+    yield Finding("threads", True, f"{cores} cores; {note}; BLAS has 1 in every scene")
 
 
 def _disk() -> Iterator[Finding]:

@@ -102,10 +102,18 @@ def run_scene(row: Row, folder: Path, *, overwrite: bool = False, on_event: OnEv
 
 
 def _make(row: Row, path: Path, on_event: OnEvent | None) -> SceneResult:
-    """The work itself: everything between a row of the plan and its bundle."""
+    """The work itself, with one BLAS thread: more would add up in another order, and change the bytes."""
+    from threadpoolctl import threadpool_limits
+
     clock = Clock()
     with clock.stage("start"):
-        solve.warm()
+        solve.warm()  # every BLAS is loaded by now: a limit does not reach those that come later
+    with threadpool_limits(1, user_api="blas"):
+        return _made(row, path, on_event, clock)
+
+
+def _made(row: Row, path: Path, on_event: OnEvent | None, clock: Clock) -> SceneResult:
+    """Everything between a row of the plan and its bundle."""
     with clock.stage("mesh"):
         built = foresee.foreseen(scene.build(row))
         problem = solve.Problem.of(built, mesh.of(built))

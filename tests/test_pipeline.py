@@ -21,6 +21,7 @@ from tacgen.recipe import plan
 from tacgen.recipe.model import OUTPUTS
 from tacgen.solve import load_stepping
 
+ROOT = Path(__file__).parent.parent
 RECIPE = """
 tacgen: 1
 name: small
@@ -42,6 +43,29 @@ def recipe(tmp_path: Path) -> Path:
     path = tmp_path / "small.yaml"
     path.write_text(RECIPE)
     return path
+
+
+@pytest.mark.parametrize("how", ["api", "command"])
+def test_threads_of_blas_change_no_byte(recipe: Path, tmp_path: Path, how: str) -> None:
+    """OpenBLAS sums in another order on two threads; on one it waits, so the test needs no second core."""
+    program = f"""
+from pathlib import Path
+from tacgen import pipeline
+from tacgen.recipe import plan
+pipeline.run_scene(plan.load(Path({str(recipe)!r}), ["quality=draft"]).rows[0], Path("api"))
+"""
+    run = ["-m", "tacgen", "run", str(recipe), "-o", "command", "--set", "quality=draft"]
+    command = run if how == "command" else ["-c", program]
+    found = []
+    for threads in ("1", "2"):
+        folder = tmp_path / threads
+        folder.mkdir()
+        # numba's stay as they are: NUMBA_NUM_THREADS is another matter
+        told = {"OPENBLAS_NUM_THREADS": threads, "OMP_NUM_THREADS": threads}
+        env = {**os.environ, **told, "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
+        subprocess.run([sys.executable, *command], check=True, cwd=folder, env=env, capture_output=True)
+        found.append((folder / how / "scene-00000.h5").read_bytes())
+    assert found[0] == found[1]
 
 
 def test_force_alone_imports_no_renderer_and_computes_no_stress(recipe: Path, tmp_path: Path) -> None:
