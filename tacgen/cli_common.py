@@ -14,7 +14,10 @@ from tacgen.errors import UserError
 
 DISK_ERRORS = tuple(
     getattr(errno, name)
-    for name in ("ENOSPC", "EACCES", "EPERM", "EROFS", "ENOTDIR", "EISDIR", "EEXIST", "EDQUOT", "ENAMETOOLONG", "EFBIG")
+    for name in (
+        *("ENOSPC", "EACCES", "EPERM", "EROFS", "ENOTDIR", "EISDIR", "EEXIST", "EDQUOT", "ENAMETOOLONG", "EFBIG"),
+        "EBUSY",
+    )
 )
 
 

@@ -4,7 +4,8 @@ A format is a line of EXPORTERS and a module of that name with
 
     def write(bundles: Sequence[Bundle], out: Path) -> list[Path]: ...
 
-that writes below the folder `out` (or to the file `out`, where the format is one file) and says which files it made.
+that writes below the folder `out`, which is new and empty, and says which files it made. Where one scene is one file
+that can be named itself, the module says so by SUFFIX: `out` may then be that file.
 """
 
 from collections.abc import Sequence
@@ -12,9 +13,12 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from tacgen.bundle import whole_folder
 from tacgen.errors import UserError
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from tacgen.bundle.bundle import Bundle
 
 EXPORTERS = {
@@ -45,7 +49,8 @@ def export(kind: str, source: Path, out: Path) -> list[Path]:
     """Write the bundles at `source` in a format of EXPORTERS, and return the files made.
 
     Raises:
-        UserError: an unknown format, nothing to export, a damaged bundle, or one without what the format needs.
+        UserError: an unknown format, nothing to export, a damaged bundle, or one without what the format needs;
+            `out` holds anything but an earlier export of this format, which is replaced.
         OSError: `out` cannot be written.
     """
     if kind not in EXPORTERS:
@@ -53,8 +58,12 @@ def export(kind: str, source: Path, out: Path) -> list[Path]:
     found = bundles(source)
     for bundle in found:
         bundle.verify()
-    made: list[Path] = import_module(f"tacgen.export.{kind}").write(found, out)
-    return made
+    module = import_module(f"tacgen.export.{kind}")
+    if len(found) == 1 and out.suffix == getattr(module, "SUFFIX", None):
+        return list(module.write(found, out))
+    with whole_folder.written(out, kind) as folder:
+        made = [path.relative_to(folder) for path in module.write(found, folder)]
+    return [out / path for path in made]
 
 
 def needs(bundle: "Bundle", paths: Sequence[str], output: str) -> None:
@@ -72,3 +81,12 @@ def names(bundles: "Sequence[Bundle]") -> list[str]:
         if len(set(found)) == len(found):
             break
     return found
+
+
+def poses(matrices: "np.ndarray") -> "np.ndarray":
+    """(N, 4, 4) -> (N, 7): x y z [mm], quaternion w x y z with w >= 0."""
+    import numpy as np
+    from scipy.spatial.transform import Rotation
+
+    turn = Rotation.from_matrix(matrices[:, :3, :3]).as_quat(canonical=True, scalar_first=True)
+    return np.hstack([matrices[:, :3, 3], turn])

@@ -1,7 +1,7 @@
 """OpenEXR: one multi-channel picture a frame, 32-bit, of linear light and what lies behind each pixel.
 
 R, G, B (`radiance`), Z (`height` [mm], z out of the gel), N.X, N.Y, N.Z (`normals`), P.X, P.Y (`material` [mm]): as
-many of them as the bundle holds.
+many of them as the bundle holds in the pictures' size.
 """
 
 from collections.abc import Sequence
@@ -24,7 +24,6 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
         raise UserError("export exr needs OpenEXR: pip install 'tacgen[exr]'") from None
     for bundle in bundles:
         needs(bundle, ("/frames/radiance",), "radiance")
-    out.mkdir(parents=True, exist_ok=True)
     made = []
     for name, bundle in zip(names(bundles), bundles, strict=True):
         for k in range(bundle.frames):
@@ -39,7 +38,7 @@ def channels(bundle: Bundle, frame: int) -> dict[str, np.ndarray]:
     """Every channel (H, W) of one frame by its name."""
     found: dict[str, np.ndarray] = {}
     for field, called in CHANNELS.items():
-        if (path := f"/frames/{field}") in bundle:
+        if bundle.shapes.get(path := f"/frames/{field}", ())[:3] == bundle.shapes["/frames/radiance"][:3]:
             values = bundle.frame(path, frame)
             layers = np.atleast_3d(values).astype(np.float32)
             found |= {c: np.ascontiguousarray(layers[..., i]) for i, c in enumerate(called.split())}

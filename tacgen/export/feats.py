@@ -30,7 +30,7 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
         if bundle.shapes["/frames/rgb"][1:] != IMAGE:
             size = " x ".join(map(str, bundle.shapes["/frames/rgb"][1:3]))
             raise UserError(f"{bundle.path}: FEATS takes images of 240 x 320 pixels, these have {size}")
-    (out / "train").mkdir(parents=True, exist_ok=True)
+    (out / "train").mkdir()
     made, ranges = [], dict[str, dict[str, float]]()
     for name, bundle in zip(names(bundles), bundles, strict=True):
         for k in range(bundle.frames):

@@ -3,9 +3,9 @@
     https://github.com/huggingface/lerobot (src/lerobot/datasets)
 
 `observation.images.tactile` is the camera's image, `observation.state` the indenter's pose (x y z [mm], quaternion
-w x y z) and `action` the pose of the next frame; `observation.force`, `.torque`, `.markers` and `.marker_flow` (x
-and y in turn) are there if the scenes have them. Quasi-static scenes know no time: frames then come at a nominal
-rate of FPS.
+w x y z) and `action` the pose of the next frame; `observation.force` [N], `.torque` [N mm], `.markers` and
+`.marker_flow` [px] (x and y in turn) are there if the scenes have them. Quasi-static scenes know no time: frames
+then come at a nominal rate of FPS.
 """
 
 import io
@@ -18,8 +18,7 @@ import numpy as np
 
 from tacgen.bundle.bundle import Bundle
 from tacgen.errors import UserError
-from tacgen.export import needs
-from tacgen.export.univtac import poses
+from tacgen.export import needs, poses
 
 FPS = 10
 FILE_BYTES = 100_000_000  # of a Parquet file, as LeRobot has it

@@ -17,10 +17,11 @@ from typing import Any
 
 import numpy as np
 
-from tacgen.atomic_file import Sink
+from tacgen import atomic_file
 from tacgen.bundle.bundle import Bundle
-from tacgen.export import names, needs
+from tacgen.export import names, needs, poses
 
+METRES = (1e-3, 1e-3, 1e-3, 1, 1, 1, 1)  # of a pose in mm
 JPEG_QUALITY = 95  # what UniVTAC's encoder uses
 
 
@@ -29,7 +30,7 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
     for bundle in bundles:
         needs(bundle, ("/frames/rgb",), "rgb")
     folder = out / "hdf5"
-    folder.mkdir(parents=True, exist_ok=True)
+    folder.mkdir()
     made, about = [], {}
     for number, (name, bundle) in enumerate(zip(names(bundles), bundles, strict=True)):
         made.append(folder / f"{number}.hdf5")
@@ -42,15 +43,9 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
 def _write(bundle: Bundle, path: Path) -> None:
     import h5py
 
-    sink = Sink(path)
-    try:
-        with sink.guard(), h5py.File(sink, "w") as file:
-            for name, values in episode(bundle).items():
-                file.create_dataset(name, data=values, track_times=False)
-    except BaseException:
-        sink.discard()
-        raise
-    sink.publish()
+    with atomic_file.published(path) as sink, h5py.File(sink, "w") as file:
+        for name, values in episode(bundle).items():
+            file.create_dataset(name, data=values, track_times=False)
 
 
 def episode(bundle: Bundle) -> dict[str, np.ndarray]:
@@ -60,7 +55,7 @@ def episode(bundle: Bundle) -> dict[str, np.ndarray]:
         "step": steps,
         "atom/id": bundle["/frames/segment"].astype(np.int64),
         "atom/tag": np.array(bundle.segments, dtype=bytes),
-        "actor/indenter": poses(bundle["/frames/pose"]),
+        "actor/indenter": poses(bundle["/frames/pose"]) * METRES,
     }
     still = np.tile([0, 0, 0, 1.0, 0, 0, 0], (len(steps), 1))
     tactile: dict[str, Any] = {"rgb": streams(bundle["/frames/rgb"]), "pose": still}
@@ -88,14 +83,6 @@ def streams(images: np.ndarray) -> np.ndarray:
         Image.fromarray(np.ascontiguousarray(image[..., ::-1])).save(file, "JPEG", quality=JPEG_QUALITY)
         found.append(file.getvalue())
     return np.array(found, dtype=f"S{max(map(len, found))}")
-
-
-def poses(matrices: np.ndarray) -> np.ndarray:
-    """(N, 4, 4) [mm] -> (N, 7): x y z [m], quaternion w x y z."""
-    from scipy.spatial.transform import Rotation
-
-    turn = Rotation.from_matrix(matrices[:, :3, :3]).as_quat(canonical=True)
-    return np.hstack([matrices[:, :3, 3] / 1000, turn[:, 3:], turn[:, :3]])
 
 
 def _pinhole_mm(bundle: Bundle) -> float:

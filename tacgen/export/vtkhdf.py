@@ -12,10 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from tacgen.atomic_file import Sink
+from tacgen import atomic_file
 from tacgen.bundle.bundle import Bundle
 from tacgen.export import names, needs
 
+SUFFIX = ".vtkhdf"
 VERSION = (2, 2)  # the first with steps over a mesh that is written once in ParaView as well (5.13)
 CELL_TYPES = {8: 12, 4: 10, 10: 24}  # nodes -> VTK_HEXAHEDRON, VTK_TETRA, VTK_QUADRATIC_TETRA
 TENSOR = (0, 1, 2, 5, 3, 4)  # of xx yy zz yz xz xy
@@ -28,11 +29,10 @@ FIELDS = (  # in the bundle, in VTK, where
 
 
 def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
-    """One file a bundle: `out` itself if it ends in .vtkhdf and there is one bundle, otherwise <name>.vtkhdf in it."""
+    """One file a bundle: `out` itself if it ends in SUFFIX, otherwise <name>.vtkhdf in it."""
     for bundle in bundles:
         needs(bundle, NEEDED, "stress")
-    single = len(bundles) == 1 and out.suffix == ".vtkhdf"
-    made = [out if single else out / f"{name}.vtkhdf" for name in names(bundles)]
+    made = [out] if out.suffix == SUFFIX else [out / f"{name}{SUFFIX}" for name in names(bundles)]
     for bundle, path in zip(bundles, made, strict=True):
         path.parent.mkdir(parents=True, exist_ok=True)
         _write(bundle, path)
@@ -42,14 +42,8 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
 def _write(bundle: Bundle, path: Path) -> None:
     import h5py
 
-    sink = Sink(path)
-    try:
-        with sink.guard(), h5py.File(sink, "w") as file:
-            _fill(file.create_group("VTKHDF", track_order=False), bundle)
-    except BaseException:
-        sink.discard()
-        raise
-    sink.publish()
+    with atomic_file.published(path) as sink, h5py.File(sink, "w") as file:
+        _fill(file.create_group("VTKHDF", track_order=False), bundle)
 
 
 def _fill(root: Any, bundle: Bundle) -> None:

@@ -26,9 +26,7 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
         from webdataset import ShardWriter
     except ImportError:
         raise UserError("export webdataset needs WebDataset: pip install 'tacgen[webdataset]'") from None
-    (out / "reference").mkdir(parents=True, exist_ok=True)
-    for old in out.glob("shard-*.tar"):
-        old.unlink()
+    (out / "reference").mkdir()
     made = []
     # no clock and no names in the headers: the same bundles, the same bytes
     plain = {"mtime": 0, "user": "tacgen", "group": "tacgen", "verbose": 0}

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from helpers.synthetic import OUTPUTS, write
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 from tacgen import export
 from tacgen.bundle import dataset, pack
@@ -104,6 +105,7 @@ def test_univtac_reads_images_markers_depths_and_poses(folder: Path, scene: Bund
         assert (tactile["depth"][()] > 5).all()  # mm from the pinhole, which is below the gel
         assert np.ptp(tactile["depth"][()]) == pytest.approx(np.ptp(scene["/frames/height"]), rel=1e-5)
         assert np.array_equal(tactile["force"][()], scene["/frames/force"])
+        assert np.array_equal(tactile["torque"][()], scene["/frames/torque"])
         pose = file["actor/indenter"][()]
         assert pose[:, :3] == pytest.approx(scene["/frames/pose"][:, :3, 3] / 1000)
         half = np.arccos(np.clip(scene["/frames/pose"][:, 0, 0], -1, 1)) / 2
@@ -139,8 +141,6 @@ def test_webdataset_streams_what_the_bundles_hold(folder: Path, scene: Bundle, t
     assert (sample["json"]["frame"], sample["json"]["segment"]) == (7, scene.segments[7])
     reference = np.asarray(Image.open(tmp_path / "one" / "reference" / "scene-00001.png"))
     assert np.array_equal(reference, scene["/reference/rgb"])
-    (tmp_path / "two").mkdir()
-    (tmp_path / "two" / "shard-000007.tar").write_bytes(b"of an earlier, larger export")
     again = export.export("webdataset", folder, tmp_path / "two")
     assert [path.name for path in again if path.suffix == ".tar"] == ["shard-000000.tar"]
     assert made[0].read_bytes() == again[0].read_bytes()
@@ -168,6 +168,14 @@ def test_lerobot_tables_agree_with_each_other_and_with_the_bundles(folder: Path,
         assert np.array_equal(image, scene.frame("/frames/rgb", k))
         assert row["observation.force"] == pytest.approx(scene.frame("/frames/force", k), rel=1e-6)
         assert len(row["observation.markers"]) == 126
+        state = dict(zip(info["features"]["observation.state"]["names"], row["observation.state"], strict=True))
+        matrix = scene.frame("/frames/pose", k)
+        assert [state["x_mm"], state["y_mm"], state["z_mm"]] == pytest.approx(matrix[:3, 3], rel=1e-6, abs=1e-6)
+        turn = Rotation.from_quat([state[f"q{part}"] for part in "wxyz"], scalar_first=True)
+        assert turn.as_matrix() == pytest.approx(matrix[:3, :3], abs=1e-6)
+        for name in ("torque", "markers", "marker_flow"):
+            stored = scene.frame(f"/frames/{name}", k).ravel()
+            assert row[f"observation.{name}"] == pytest.approx(stored, rel=1e-6), name
         assert row["action"] == rows[min(k + 1, FRAMES - 1)]["observation.state"]
     for name, feature in info["features"].items():
         if name in ("observation.force", "action", "observation.state"):

@@ -1,0 +1,50 @@
+"""JSON that is read back from disk: of a bounded size, and what its model says, or one line about what is wrong."""
+
+from pathlib import Path
+from typing import Annotated, TypeVar
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, TypeAdapter, ValidationError
+
+from tacgen import regular_file
+from tacgen.errors import UserError, why
+
+LARGEST = 2**30  # bytes of a file
+T = TypeVar("T")
+
+
+class Stored(BaseModel):
+    """A piece of a file that tacgen wrote; keys of a later version are passed over."""
+
+    model_config = ConfigDict(frozen=True, strict=True, allow_inf_nan=False)
+
+
+def _step(name: str) -> str:
+    if name in ("", ".", "..") or "/" in name or not name.isprintable():
+        raise ValueError("must be the name of a file or scene")
+    return name
+
+
+Name = Annotated[str, AfterValidator(_step)]  # one step of a path: nothing outside of the folder can be named
+
+
+def read(kind: type[T], path: Path) -> T:
+    """What a file holds. Raises UserError: it cannot be read, or is damaged."""
+    try:
+        content = regular_file.read_bytes(path, LARGEST)
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read: {why(error)}") from None
+    try:
+        return parsed(kind, content)
+    except ValueError as error:
+        raise UserError(f"{path}: damaged: {error}") from None
+
+
+def parsed(kind: type[T], content: str | bytes) -> T:
+    """What a text holds. Raises ValueError, in a line: it is no JSON, or not of this kind."""
+    try:
+        return TypeAdapter(kind).validate_json(content)
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_context=False, include_input=False)[0]
+        where = ".".join(str(step) for step in first["loc"])
+        said = ": ".join(filter(None, (where, first["msg"])))
+        raise ValueError(said.encode("ascii", "backslashreplace").decode()) from None

@@ -1,0 +1,135 @@
+"""An export's folder holds that export and nothing else; whatever else is in its place is left alone."""
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from helpers.synthetic import OUTPUTS, write
+
+from export.test_exporters import SENSOR, SHAPE, real
+from tacgen.errors import UserError
+from tacgen.export import EXPORTERS, export
+
+TESTS = Path(__file__).parent.parent
+
+
+def scene(folder: Path, number: int) -> Path:
+    def edit(index: int, arrays: dict) -> None:
+        real(index, arrays)
+        arrays["/frames/radiance"] = arrays["/frames/rgb"] / 255
+
+    known = {"scene_index": number, "sensor_document": SENSOR}
+    return write(folder / f"scene-{number:05d}.h5", shape=SHAPE, outputs=OUTPUTS, edit=edit, **known)
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folders `one`, of a scene, and `two`, of another two."""
+    folder = tmp_path_factory.mktemp("data")
+    scene(folder / "one", 7)
+    for number in range(2):
+        scene(folder / "two", number)
+    return folder
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.mark.parametrize("kind", EXPORTERS)
+def test_nothing_of_an_earlier_and_larger_export_stays(data: Path, tmp_path: Path, kind: str) -> None:
+    pytest.importorskip({"exr": "OpenEXR", "lerobot": "pyarrow", "webdataset": "webdataset"}.get(kind, "h5py"))
+    export(kind, data / "one", tmp_path / "fresh")
+    export(kind, data / "two", tmp_path / "used")
+    made = export(kind, data / "one", tmp_path / "used")
+    assert content(tmp_path / "used") == content(tmp_path / "fresh")
+    assert all(path.is_file() and path.is_relative_to(tmp_path / "used") for path in made)
+    assert sorted(os.listdir(tmp_path)) == ["fresh", "used"]
+
+
+@pytest.mark.parametrize("stranger", ["notes.txt", "train/mine.npy", "empty/", "normalization.npy"])
+def test_a_folder_with_a_strangers_file_is_refused_and_stays_as_it_is(
+    data: Path, tmp_path: Path, stranger: str
+) -> None:
+    out = tmp_path / "out"
+    export("feats", data / "one", out)
+    if stranger.endswith("/"):
+        (out / stranger).mkdir()
+    else:
+        (out / stranger).write_text("mine")
+    before = content(out)
+    with pytest.raises(UserError, match=stranger.rstrip("/").split("/")[-1]) as caught:
+        export("feats", data / "two", out)
+    assert len(caught.value.lines) == 1
+    assert content(out) == before
+    assert sorted(os.listdir(tmp_path)) == ["out"]
+
+
+def test_a_folder_of_other_things_or_of_another_format_is_refused(data: Path, tmp_path: Path) -> None:
+    (tmp_path / "tar").mkdir()
+    (tmp_path / "tar" / "shard-000000.tar").write_bytes(b"a stranger's")
+    (tmp_path / "list").mkdir()
+    (tmp_path / "list" / ".tacgen-export.json").write_text('{"files": 7}')
+    export("univtac", data / "one", tmp_path / "other")
+    (tmp_path / "file").write_text("mine")
+    says = {"tar": "shard-000000.tar", "other": "univtac", "file": "not a folder", "list": "damaged: kind"}
+    for name, words in says.items():
+        with pytest.raises(UserError, match=words):
+            export("feats", data / "one", tmp_path / name)
+    with pytest.raises(UserError, match="not empty"):
+        export("feats", data / "one", Path("/"))
+    assert (tmp_path / "tar" / "shard-000000.tar").read_bytes() == b"a stranger's"
+    assert (tmp_path / "file").read_text() == "mine"
+    assert sorted(os.listdir(tmp_path)) == ["file", "list", "other", "tar"]
+
+
+KILLED = """
+import os, shutil, signal, sys
+from pathlib import Path
+import numpy as np
+from tacgen.export import export
+
+source, out, moment = Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3])
+calls = []
+
+def counted(real):
+    def call(*args, **more):
+        calls.append(args)
+        if len(calls) == moment:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return real(*args, **more)
+    return call
+
+for name in ("rename", "replace", "unlink", "mkdir", "rmdir", "open"):
+    setattr(os, name, counted(getattr(os, name)))
+np.save = counted(np.save)
+export("feats", source, out)
+print(len(calls))
+"""
+
+
+def test_killed_at_any_moment_it_leaves_a_whole_one_or_what_the_next_run_removes(data: Path, tmp_path: Path) -> None:
+    def run(moment: int, out: Path) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-c", KILLED, str(data / "one"), str(out), str(moment)]
+        return subprocess.run(command, capture_output=True, text=True, cwd=TESTS.parent)
+
+    fresh, old = ({}, {})
+    for name, found in (("one", fresh), ("two", old)):
+        export("feats", data / name, tmp_path / name)
+        found.update(content(tmp_path / name))
+    export("feats", data / "two", tmp_path / "count" / "out")
+    count = int(run(0, tmp_path / "count" / "out").stdout)
+    assert count > 10
+    for moment in {1, count // 2, *range(count - 5, count + 1)}:
+        out = tmp_path / str(moment) / "out"
+        export("feats", data / "two", out)
+        assert run(moment, out).returncode == -signal.SIGKILL
+        there = content(out) if out.exists() else None
+        kept = [content(path) for path in out.parent.iterdir() if path.is_dir()]
+        assert there in (fresh, old) or (there is None and old in kept), moment
+        export("feats", data / "one", out)
+        assert content(out) == fresh, moment
+        assert os.listdir(out.parent) == ["out"], moment
