@@ -186,7 +186,7 @@ class Bundle:
     def verify(self) -> dict[str, "Dataset"]:
         """Read everything back against the digest; UserError if a single bit has changed. Returns what is there."""
         found = {}
-        with _opened(self.path, self.group) as file:
+        with opened(self.path, self.group) as file:
             for path in self.shapes:
                 data = file[path[1:]]
                 hashed = hashlib.sha256()
@@ -202,7 +202,7 @@ class Bundle:
     def _read(self, path: str, index: Any) -> np.ndarray:
         if path not in self.shapes:
             raise KeyError(f"{self.path} has no {path}")
-        with _opened(self.path, self.group) as file:
+        with opened(self.path, self.group) as file:
             return np.asarray(file[path[1:]][index])
 
 
@@ -216,7 +216,7 @@ def read(path: Path, group: str = "/", *, part: bool = False) -> Bundle:
     path = Path(path)
     if atomic_file.is_part(path) and not part:
         raise Unfinished(f"{path}: unfinished: what a writer that was stopped left behind, or is still writing")
-    with _opened(path, group) as file:
+    with opened(path, group) as file:
         attrs = {name: _plain(value) for name, value in file.attrs.items()}
         shapes: dict[str, tuple[int, ...]] = {}
         file.visititems(lambda name, item: shapes.update({"/" + name: item.shape}) if hasattr(item, "shape") else None)
@@ -250,7 +250,7 @@ def is_complete(path: Path, key: str) -> bool:
 
 
 @contextmanager
-def _opened(path: Path, group: str = "/") -> Iterator[Any]:
+def opened(path: Path, group: str = "/") -> Iterator[Any]:
     """An open group of a file. Whatever goes wrong while it is read becomes one line: run nothing else here."""
     import h5py
 

@@ -49,10 +49,12 @@ def check(path: Path) -> list[Finding]:
         return _leftover(path) if atomic_file.is_part(path) else _file(path)
     if dataset.is_packed(path):
         return _packed(path)
-    files = sorted(p for p in path.rglob("*") if p.suffix == ".h5" or atomic_file.is_part(p))
-    if not files:
+    files, packs = dataset.files(path), dataset.packs(path)
+    parts = [part for part in path.rglob("*") if atomic_file.is_part(part)]
+    if not (files or packs or parts):
         raise UserError(f"{path}: no bundles (*.h5) in this folder")
-    return [f for p in files for f in (_leftover(p) if atomic_file.is_part(p) else _file(p))]
+    found = [f for p in sorted([*files, *parts]) for f in (_leftover(p) if atomic_file.is_part(p) else _file(p))]
+    return found + [f for folder in packs for f in _packed(folder)]
 
 
 def _leftover(path: Path) -> list[Finding]:

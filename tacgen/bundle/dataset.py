@@ -6,21 +6,55 @@ A packed folder holds shards, HDF5 files with a bundle in each group, and index.
      "scenes": [{"scene", "shard", "frames", "digest", "values"}, ...]}
 """
 
-import json
+import os
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
-from tacgen import atomic_file
+from pydantic import JsonValue, NonNegativeInt
+
 from tacgen.bundle.bundle import Bundle, read
+from tacgen.bundle.stored_json import Name, Stored
+from tacgen.bundle.stored_json import read as read_json
 from tacgen.errors import UserError
 
 INDEX = "index.json"
 PACK_FORMAT = 1
 VIRTUAL = "frames.h5"  # every frame of a packed folder as one dataset
+SHARD = "shard-{:05d}.h5"
+
+
+class Shard(Stored):
+    """A file of a packed folder."""
+
+    file: Name
+    bytes: NonNegativeInt
+
+
+class Packed(Stored):
+    """A scene in a shard."""
+
+    scene: Name
+    shard: NonNegativeInt
+    frames: NonNegativeInt
+    digest: str
+    values: dict[str, JsonValue]
+
+
+class Index(Stored):
+    """What index.json says."""
+
+    tacgen_pack: int
+    name: str
+    shards: list[Shard]
+    scenes: list[Packed]
+
+
+class _Format(Stored):
+    tacgen_pack: int
 
 
 def scenes(source: Path) -> list[Bundle]:
-    """All of them in order, rejected ones too.
+    """All of them in order, rejected ones too; packed folders inside of a folder of bundles are other datasets.
 
     Raises:
         UserError: there is none, a file is damaged, foreign or of a newer format, or a shard is missing.
@@ -35,19 +69,41 @@ def scenes(source: Path) -> list[Bundle]:
         return [read(path, group) for path, group in packed(source)]
     found = [read(path) for path in files(source)]
     if not found:
-        raise UserError(f"{source}: no bundles (*.h5) in this folder")
+        raise UserError(f"{source}: no bundles (*.h5) in this folder" + _hint(packs(source)))
     return found
 
 
 def files(folder: Path) -> list[Path]:
     """Bundles in a folder and below, in the order of their scenes; what a writer left unfinished is passed over."""
-    found = [path for path in folder.rglob("*.h5") if not atomic_file.is_part(path)]
+    found = [path for place, names in _folders(folder) for name in names if (path := place / name).suffix == ".h5"]
     return sorted(found, key=lambda path: (path.parent, len(path.name), path.name))
+
+
+def packs(folder: Path) -> list[Path]:
+    """Packed folders below a folder."""
+    inside = (Path(place, name) for place, inner, _ in os.walk(folder) for name in inner if not name.startswith("."))
+    return sorted(path for path in inside if _is_pack(path))
+
+
+def _folders(folder: Path) -> Iterator[tuple[Path, list[str]]]:
+    """Each folder from `folder` down, and the files in it; neither hidden nor packed ones."""
+    for place, inner, names in os.walk(folder):
+        inner[:] = [name for name in inner if not name.startswith(".") and not _is_pack(Path(place, name))]
+        yield Path(place), names
+
+
+def _hint(found: list[Path]) -> str:
+    return f"; packed scenes are in {found[0]}" if found else ""
 
 
 def is_packed(folder: Path) -> bool:
     """Whether a folder holds shards and their index."""
     return (folder / INDEX).exists()
+
+
+def _is_pack(folder: Path) -> bool:
+    """The same of a folder that nobody has named: an index.json may be anybody's."""
+    return is_packed(folder) and (folder / SHARD.format(0)).exists()
 
 
 def packed(folder: Path) -> list[tuple[Path, str]]:
@@ -58,26 +114,25 @@ def packed(folder: Path) -> list[tuple[Path, str]]:
     """
     index = read_index(folder)
     problems = []
-    for shard in index["shards"]:
-        path = folder / shard["file"]
+    for shard in index.shards:
+        path = folder / shard.file
         if not path.is_file():
             problems.append(f"{path}: missing, though {INDEX} names it")
-        elif path.stat().st_size != shard["bytes"]:
-            problems.append(f"{path}: damaged: {path.stat().st_size} bytes long, and was {shard['bytes']}")
+        elif path.stat().st_size != shard.bytes:
+            problems.append(f"{path}: damaged: {path.stat().st_size} bytes long, and was {shard.bytes}")
     if problems:
         raise UserError(problems)
-    return [(folder / index["shards"][scene["shard"]]["file"], f"/{scene['scene']}") for scene in index["scenes"]]
+    return [(folder / index.shards[scene.shard].file, f"/{scene.scene}") for scene in index.scenes]
 
 
-def read_index(folder: Path) -> dict[str, Any]:
+def read_index(folder: Path) -> Index:
     """What index.json says. Raises UserError: unreadable, foreign or of a newer format."""
     path = folder / INDEX
-    try:
-        index = json.loads(path.read_text(encoding="utf-8"))
-        number = index["tacgen_pack"]
-    except (OSError, ValueError, KeyError, TypeError):
-        raise UserError(f"{path}: no index of packed scenes, or damaged") from None
-    if not isinstance(number, int) or number > PACK_FORMAT:
+    number = read_json(_Format, path).tacgen_pack
+    if number > PACK_FORMAT:
         raise UserError(f"{path}: pack format {number}; this tacgen reads up to {PACK_FORMAT}: upgrade it")
-    found: dict[str, Any] = index
-    return found
+    index = read_json(Index, path)
+    lost = [scene.scene for scene in index.scenes if scene.shard >= len(index.shards)]
+    if lost:
+        raise UserError(f"{path}: damaged: {lost[0]} is in a shard that is not listed")
+    return index

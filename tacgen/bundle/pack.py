@@ -1,15 +1,14 @@
 """Many bundles into few files: copies of scenes in shards of a chosen size, an index, and all frames as one dataset."""
 
 import json
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from tacgen import __version__
-from tacgen.atomic_file import Sink
-from tacgen.bundle import dataset
-from tacgen.bundle.bundle import Bundle, read
+from tacgen import __version__, atomic_file
+from tacgen.bundle import dataset, whole_folder
+from tacgen.bundle.bundle import Bundle, opened, read
 from tacgen.errors import UserError
 
 
@@ -27,44 +26,40 @@ class Packed:
 def pack(bundles: Sequence[Bundle], out: Path, size_mb: float = 1024.0) -> Packed:
     """Copy finished scenes, bit by bit as they are stored, into shards of about `size_mb`.
 
-    Every scene is read back from its shard against its digest before the index names it. The index is written last,
-    so a folder without one is a pack that was stopped: pack again.
+    Every scene is read back from its shard against its digest before the folder gets its name.
 
     Raises:
-        UserError: a scene is damaged, two have one name, nothing is finished, or `out` holds another pack.
+        UserError: a scene is damaged, two have one name, nothing is finished, or `out` is not empty.
         OSError: `out` cannot be written.
     """
     good = [bundle for bundle in bundles if bundle.attrs["status"] == "ok"]
     if not good:
         raise UserError(f"{bundles[0].path.parent if bundles else out}: no finished scene to pack")
     names = _names(good)
-    if dataset.is_packed(out) or list(out.glob("scene-*.h5")):
-        raise UserError(f"{out}: holds a dataset already; choose another folder")
-    out.mkdir(parents=True, exist_ok=True)
-    shards, scenes = [], []
-    for number, part in enumerate(_parts(good, size_mb * 1e6)):
-        path = out / f"shard-{number:05d}.h5"
-        _write(path, [(names[i], good[i]) for i in part])
-        for i in part:
-            kept = read(path, f"/{names[i]}")
-            kept.verify()
-            entry = {"scene": names[i], "shard": number, "frames": kept.frames, "digest": kept.attrs["digest"]}
-            scenes.append({**entry, "values": json.loads(kept.attrs.get("values", "{}"))})
-        shards.append((path.name, path.stat().st_size))
-    index = {
-        "tacgen_pack": dataset.PACK_FORMAT,
-        "tacgen_version": __version__,
-        "name": good[0].recipe.get("name", ""),
-        "shards": [{"file": name, "bytes": size} for name, size in shards],
-        "scenes": scenes,
-    }
-    part_file = out / f".{dataset.INDEX}.{os.getpid()}"
-    part_file.write_text(json.dumps(index, indent=1) + "\n", encoding="utf-8")
-    os.replace(part_file, out / dataset.INDEX)
-    join(out)
+    with whole_folder.written(out) as folder:
+        shards: list[dict[str, Any]] = []
+        scenes: list[dict[str, Any]] = []
+        for number, part in enumerate(_parts(good, size_mb * 1e6)):
+            path = folder / dataset.SHARD.format(number)
+            _write(path, [(names[i], good[i]) for i in part])
+            for i in part:
+                kept = read(path, f"/{names[i]}")
+                kept.verify()
+                entry = {"scene": names[i], "shard": number, "frames": kept.frames, "digest": kept.attrs["digest"]}
+                scenes.append({**entry, "values": json.loads(kept.attrs.get("values", "{}"))})
+            shards.append({"file": path.name, "bytes": path.stat().st_size})
+        index = {
+            "tacgen_pack": dataset.PACK_FORMAT,
+            "tacgen_version": __version__,
+            "name": good[0].recipe.get("name", ""),
+            "shards": shards,
+            "scenes": scenes,
+        }
+        atomic_file.write(folder / dataset.INDEX, (json.dumps(index, indent=1) + "\n").encode())
+        join(folder)
     left_out = tuple(bundle.path.stem for bundle in bundles if bundle.attrs["status"] != "ok")
     frames = sum(scene["frames"] for scene in scenes)
-    return Packed(out, tuple(out / name for name, _ in shards), len(scenes), frames, left_out)
+    return Packed(out, tuple(out / shard["file"] for shard in shards), len(scenes), frames, left_out)
 
 
 def join(folder: Path) -> Path:
@@ -81,26 +76,21 @@ def join(folder: Path) -> Path:
 
     bundles = dataset.scenes(folder)
     counts = [bundle.frames for bundle in bundles]
-    sink = Sink(folder / dataset.VIRTUAL)
-    try:
-        with sink.guard(), h5py.File(sink, "w", libver=("v110", "v110")) as file:
-            file.attrs["tacgen_pack"] = dataset.PACK_FORMAT
-            file["scenes"] = [bundle.group[1:] for bundle in bundles]
-            file["scene"] = np.repeat(np.arange(len(counts)), counts)
-            file["frame"] = np.concatenate([np.arange(n) for n in counts])
-            for path, (shape, dtype) in _common(bundles).items():
-                layout = h5py.VirtualLayout((sum(counts), *shape), dtype)
-                start = 0
-                for bundle, n in zip(bundles, counts, strict=True):
-                    name, inside = bundle.path.name, f"{bundle.group}{path}"
-                    layout[start : start + n] = h5py.VirtualSource(name, inside, (n, *shape), dtype)
-                    start += n
-                file.create_virtual_dataset(path, layout)
-    except BaseException:
-        sink.discard()
-        raise
-    sink.publish()
-    return folder / dataset.VIRTUAL
+    target = folder / dataset.VIRTUAL
+    with atomic_file.published(target) as sink, h5py.File(sink, "w", libver=("v110", "v110")) as file:
+        file.attrs["tacgen_pack"] = dataset.PACK_FORMAT
+        file["scenes"] = [bundle.group[1:] for bundle in bundles]
+        file["scene"] = np.repeat(np.arange(len(counts)), counts)
+        file["frame"] = np.concatenate([np.arange(n) for n in counts])
+        for path, (shape, dtype) in _common(bundles).items():
+            layout = h5py.VirtualLayout((sum(counts), *shape), dtype)
+            start = 0
+            for bundle, n in zip(bundles, counts, strict=True):
+                name, inside = bundle.path.name, f"{bundle.group}{path}"
+                layout[start : start + n] = h5py.VirtualSource(name, inside, (n, *shape), dtype)
+                start += n
+            file.create_virtual_dataset(path, layout)
+    return target
 
 
 def _common(bundles: Sequence[Bundle]) -> dict[str, tuple[tuple[int, ...], str]]:
@@ -138,24 +128,15 @@ def _parts(bundles: Sequence[Bundle], size: float) -> list[list[int]]:
 
 def _stored(bundle: Bundle) -> int:
     """Bytes that the arrays of a scene take on disk."""
-    import h5py
-
-    with h5py.File(bundle.path, "r", locking=False) as file:
-        group = file[bundle.group]
+    with opened(bundle.path, bundle.group) as group:
         return sum(int(group[path[1:]].id.get_storage_size()) for path in bundle.shapes)
 
 
 def _write(path: Path, scenes: Sequence[tuple[str, Bundle]]) -> None:
     import h5py
 
-    sink = Sink(path)
-    try:
-        with sink.guard(), h5py.File(sink, "w", libver=("v110", "v110")) as file:
-            file.attrs["tacgen_pack"] = dataset.PACK_FORMAT
-            for name, bundle in scenes:
-                with h5py.File(bundle.path, "r", locking=False) as original:
-                    original.copy(original[bundle.group], file, name)
-    except BaseException:
-        sink.discard()
-        raise
-    sink.publish()
+    with atomic_file.published(path) as sink, h5py.File(sink, "w", libver=("v110", "v110")) as file:
+        file.attrs["tacgen_pack"] = dataset.PACK_FORMAT
+        for name, bundle in scenes:
+            with opened(bundle.path, bundle.group) as original:
+                file.copy(original, file, name)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from tacgen import atomic_file
-from tacgen.bundle import bundle
+from tacgen.bundle import bundle, dataset
 from tacgen.errors import UserError
 from tacgen.recipe.plan import Row
 
@@ -41,7 +41,9 @@ def once(row: Row, folder: Path, make: Callable[[Path], SceneResult], *, overwri
 
 
 def refuse_foreign(rows: Iterable[Row], folder: Path) -> None:
-    """UserError if a bundle of other inputs stands where a row's will; reads attributes only."""
+    """UserError if a bundle of other inputs stands where a row's will, or packed scenes; reads attributes only."""
+    if dataset.is_packed(folder):
+        raise UserError(f"{folder}: holds packed scenes; choose another folder")
     for row in rows:
         path = folder / f"{row.name}.h5"
         if path.exists():

@@ -95,7 +95,7 @@ def look(folder: Path) -> Overview:
         UserError: nothing to read; a packed folder that is incomplete.
     """
     if dataset.is_packed(folder):
-        return _plain(folder, dataset.read_index(folder)["name"])
+        return _plain(folder, dataset.read_index(folder).name)
     try:
         planned = run_status.survey(folder)
     except UserError:

@@ -12,9 +12,10 @@ import pytest
 from helpers.synthetic import write
 
 from tacgen import export
-from tacgen.bundle import dataset, pack
+from tacgen.bundle import dataset, pack, resume
 from tacgen.bundle.check import check
 from tacgen.errors import UserError
+from tacgen.report import dataset_summary
 
 COUNT = 5
 
@@ -110,7 +111,7 @@ def test_a_flipped_bit_in_a_shard_is_found(loose: Path):
 @pytest.mark.parametrize(
     ("content", "says"),
     [
-        ("{}", "no index of packed scenes"),
+        ("{}", "tacgen_pack: Field required"),
         ("[1", "damaged"),
         ('{"tacgen_pack": 2}', "pack format 2; this tacgen reads"),
     ],
@@ -124,7 +125,7 @@ def test_a_foreign_or_newer_index_is_one_line(loose: Path, content: str, says: s
 
 
 def test_what_cannot_be_packed_is_said(loose: Path, tmp_path: Path):
-    with pytest.raises(UserError, match="holds a dataset already"):
+    with pytest.raises(UserError, match="is not empty"):
         pack.pack(dataset.scenes(loose), loose)
     write(loose / "more" / "scene-00001.h5")
     with pytest.raises(UserError, match="have the same name"):
@@ -139,3 +140,67 @@ def test_what_cannot_be_packed_is_said(loose: Path, tmp_path: Path):
 def packed_shard(loose: Path, tmp_path: Path) -> Path:
     bundles = [b for b in dataset.scenes(loose) if b.path.parent == loose]
     return pack.pack(bundles, tmp_path / "another").shards[0]
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from tacgen.bundle import dataset, pack, resume
+
+calls, moment = [], int(sys.argv[3])
+
+def counted(real):
+    def call(*args, **more):
+        calls.append(args)
+        if len(calls) == moment:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return real(*args, **more)
+    return call
+
+for name in ("pwrite", "fsync", "rename", "replace", "unlink", "mkdir", "open"):
+    setattr(os, name, counted(getattr(os, name)))
+pack.pack(dataset.scenes(Path(sys.argv[1])), Path(sys.argv[2]), 0.2)
+print(len(calls))
+"""
+
+
+def test_a_pack_killed_at_any_moment_is_made_whole_by_the_next_run(loose: Path, tmp_path: Path):
+    def run(out: Path, moment: int) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-c", KILLED, str(loose), str(out), str(moment)]
+        return subprocess.run(command, capture_output=True, text=True, cwd=Path(__file__).parents[2])
+
+    count = int(run(tmp_path / "whole" / "out", 0).stdout)
+    whole = {path.name: path.read_bytes() for path in (tmp_path / "whole" / "out").iterdir()}
+    for moment in (2, count // 3, count // 2, *range(count - 4, count + 1)):
+        out = tmp_path / str(moment) / "out"
+        assert run(out, moment).returncode < 0
+        if not out.exists():
+            run(out, 0)
+        assert os.listdir(out.parent) == ["out"] or moment == count  # the claim is let go last
+        found = {path.name: path.read_bytes() for path in out.iterdir()}
+        assert found.keys() == whole.keys()
+        assert all(found[name] == whole[name] for name in whole if name != "frames.h5"), moment
+
+
+def test_a_folder_that_holds_its_own_pack_is_two_datasets(loose: Path):
+    inside = pack.pack(dataset.scenes(loose), loose / "packed", 0.2).folder
+    loose_scenes = dataset.scenes(loose)
+    assert {bundle.group for bundle in loose_scenes} == {"/"}
+    assert len(loose_scenes) == COUNT + 1
+    assert len(export.bundles(loose)) == COUNT
+    assert {f.level for f in check(loose)} == {"rejected"}
+    assert dataset_summary.summary(loose).splitlines()[1] == f"scenes    {COUNT} ok, 1 rejected"
+    again = pack.pack(dataset.scenes(loose), loose.parent / "again", 0.2)
+    assert (again.folder / "index.json").read_bytes() == (inside / "index.json").read_bytes()
+    shard = min(inside.glob("shard-*"))
+    shard.write_bytes(shard.read_bytes()[:-1])
+    assert {f.path for f in check(loose) if f.level == "error"} == {inside}, "check looks into packs below as well"
+    for path in loose.glob("*.h5"):
+        path.unlink()
+    with pytest.raises(UserError, match=f"no bundles.*packed scenes are in {inside}"):
+        dataset.scenes(loose)
+
+
+def test_no_scene_is_made_among_packed_ones(loose: Path):
+    with pytest.raises(UserError, match="holds packed scenes; choose another folder"):
+        resume.refuse_foreign([], packed(loose))
