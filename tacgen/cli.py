@@ -13,7 +13,7 @@ import typer
 
 from tacgen import __version__
 from tacgen.cli_common import app, line, probe, show_result, writing
-from tacgen.errors import UserError
+from tacgen.errors import UserError, printable
 from tacgen.report.wording import counted
 
 __all__ = ["app"]
@@ -276,7 +276,7 @@ def show(
     if out is None:
         if field:
             raise UserError("--field: draws a picture, and needs --out to say where")
-        typer.echo(dataset_summary.summary(path) if path.is_dir() else showing.summary(path))
+        typer.echo(printable(dataset_summary.summary(path) if path.is_dir() else showing.summary(path)))
         return
     with writing(out):
         out.parent.mkdir(parents=True, exist_ok=True)

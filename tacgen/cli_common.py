@@ -10,7 +10,7 @@ import click
 import typer
 from typer.core import TyperGroup
 
-from tacgen.errors import UserError
+from tacgen.errors import UserError, printable
 
 DISK_ERRORS = tuple(
     getattr(errno, name)
@@ -59,7 +59,7 @@ def show_result(plain: Any, text: str, as_json: bool) -> None:
     """Print a result for a person or a program."""
     import json
 
-    typer.echo(json.dumps(plain, indent=1) if as_json else text)
+    typer.echo(json.dumps(plain, indent=1) if as_json else printable(text))
 
 
 def line(event: dict[str, Any]) -> None:

@@ -1,5 +1,6 @@
 """Errors that a person can act on; everything else is a bug and keeps its traceback."""
 
+import unicodedata
 from collections.abc import Iterable
 
 
@@ -11,12 +12,22 @@ class UserError(Exception):
 
     def __init__(self, messages: str | Iterable[str]) -> None:
         texts = [messages] if isinstance(messages, str) else list(messages)
-        self.lines: tuple[str, ...] = tuple(line for text in texts for line in text.splitlines())
+        self.lines: tuple[str, ...] = tuple(printable(line) for text in texts for line in text.splitlines())
         super().__init__("\n".join(self.lines))
 
     def __reduce__(self) -> tuple[type["UserError"], tuple[list[str]]]:
         """Survive the trip back from a worker process."""
         return (type(self), (list(self.lines),))
+
+
+def printable(text: str) -> str:
+    """Text for a terminal: control characters and what is no character stand in it as escapes, all but tab and newline.
+
+    Names in files of others may hold what colours, clears or renames a terminal.
+    """
+    if text.isprintable():
+        return text
+    return "".join(c if c in "\t\n" or unicodedata.category(c)[0] != "C" else ascii(c)[1:-1] for c in text)
 
 
 def why(error: Exception) -> str:

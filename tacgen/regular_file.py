@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import BinaryIO
 
 
-def opened(path: Path, most: int) -> BinaryIO:
-    """A file to read from.
+def descriptor(path: Path, most: int) -> int:
+    """The number of an opened file.
 
     Args:
         most: largest size [bytes].
@@ -26,13 +26,18 @@ def opened(path: Path, most: int) -> BinaryIO:
         if found.st_size > most:
             size = f"{found.st_size / 1e6:.0f} MB, at most {most / 1e6:.0f} can be read"
             raise OSError(errno.EFBIG, size, str(path))
-        return os.fdopen(handle, "rb")
     except BaseException:
         os.close(handle)
         raise
+    return handle
+
+
+def opened(path: Path, most: int) -> BinaryIO:
+    """A file to read from; raises as `descriptor` does."""
+    return os.fdopen(descriptor(path, most), "rb")
 
 
 def read_bytes(path: Path, most: int) -> bytes:
-    """All of a file. Raises OSError as `opened` does."""
+    """All of a file. Raises OSError as `descriptor` does."""
     with opened(path, most) as file:
         return file.read(most)

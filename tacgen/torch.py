@@ -125,7 +125,7 @@ class TactileDataset:
         try:
             stored = self._stored(scene.path, f"{scene.group}{path}")
             return stored.frame(index) if isinstance(index, int) else np.asarray(stored.data[index])
-        except (OSError, RuntimeError, KeyError, ValueError, _inflater().error) as error:
+        except (OSError, RuntimeError, KeyError, ValueError, TypeError, _inflater().error) as error:
             raise UserError(f"{scene.path}: damaged: {str(error).partition(chr(10))[0]}") from error
 
     def _stored(self, path: Path, inside: str) -> "_Stored":
@@ -162,7 +162,11 @@ class _Stored:
         skipped, raw = self.data.id.read_direct_chunk((index, *self.rest)) if self.ours else (True, b"")
         if skipped:
             return np.asarray(self.data[index])
-        flat = np.frombuffer(_inflater().decompress(raw[:-4], bufsize=self.bytes), np.uint8)
+        stream = _inflater().decompressobj()
+        plain = stream.decompress(raw[:-4], self.bytes + 1)  # and no more, whatever a crafted stream holds
+        if not stream.eof:
+            raise ValueError("a frame is longer than it should be")
+        flat = np.frombuffer(plain, np.uint8)
         flat = flat.reshape(self.dtype.itemsize, -1).T.flatten()  # all first bytes came first; a copy may be written to
         return np.asarray(flat.view(self.dtype).reshape(self.shape))
 

@@ -47,7 +47,7 @@ HOMES = {
     "drjit": {"render.mitsuba_path"},
     "matplotlib": {"report.bundle_figure", "report.field_figure"},
     "mpl_toolkits": {"report.bundle_figure"},
-    "h5py": {"bundle.bundle", "doctor", "export.vtkhdf", "export.univtac", "bundle.pack", "torch"},
+    "h5py": {"bundle.bundle", "bundle.hdf5_file", "doctor", "export.vtkhdf", "export.univtac", "bundle.pack", "torch"},
     "cvxopt": {"solve.linear_solvers"},
     "pymetis": {"solve.linear_solvers"},
     "ruamel": {"recipe.yaml_source"},

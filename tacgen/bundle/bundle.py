@@ -6,18 +6,23 @@ in `<name>.timing.json` beside the bundle (the pipeline writes it), never in the
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from errno import EIO
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from tacgen import __version__, atomic_file
-from tacgen.bundle.schema import ATTRS, FORMAT, OPTIONAL, UNITS, entry, shape_problem
+from tacgen.bundle.hdf5_file import Damaged, datasets, opened
+from tacgen.bundle.schema import ATTRS, FORMAT, OPTIONAL, STORED, UNITS, entry, shape_problem
+from tacgen.bundle.stored_json import parsed
 from tacgen.errors import UserError
+
+if TYPE_CHECKING:
+    from tacgen.recipe.sensor import Sensor
 
 NOT_IN_DIGEST = ("digest", "complete")  # attributes that are written last
 PACKED_HINT = ": it holds packed scenes; give the folder it is in"
@@ -25,10 +30,6 @@ PACKED_HINT = ": it holds packed scenes; give the folder it is in"
 
 class Unfinished(UserError):
     """The writer was stopped: writing the bundle again mends it."""
-
-
-class Damaged(UserError):
-    """The bundle is not what was written: writing it again mends it."""
 
 
 class Writer:
@@ -178,10 +179,23 @@ class Bundle:
     @property
     def segments(self) -> tuple[str, ...]:
         """For each frame, the kind of trajectory segment it belongs to (press, slide, ...)."""
-        kinds = [next(kind for kind, move in s.items() if move is not None) for s in self.recipe.get("trajectory", ())]
+        moves = self.recipe.get("trajectory", ())
+        kinds = [next((kind for kind, move in s.items() if move is not None), "") for s in moves]
         if "/frames/segment" not in self:
             return ("",) * self.frames
         return tuple(kinds[i] if 0 <= i < len(kinds) else "" for i in self["/frames/segment"])
+
+    @property
+    def sensor(self) -> "Sensor":
+        """The sensor it was made with. Raises UserError: the bundle does not say, or this tacgen cannot read it."""
+        from tacgen.recipe.sensor import Sensor
+
+        if "sensor_document" not in self.attrs:
+            raise UserError(f"{self.path}: does not say what its sensor is")
+        try:
+            return parsed(Sensor, str(self.attrs["sensor_document"]))
+        except ValueError as error:
+            raise UserError(f"{self.path}: its sensor is none that this tacgen knows: {error}") from None
 
     def verify(self) -> dict[str, "Dataset"]:
         """Read everything back against the digest; UserError if a single bit has changed. Returns what is there."""
@@ -216,10 +230,13 @@ def read(path: Path, group: str = "/", *, part: bool = False) -> Bundle:
     path = Path(path)
     if atomic_file.is_part(path) and not part:
         raise Unfinished(f"{path}: unfinished: what a writer that was stopped left behind, or is still writing")
+    shapes, wrong = dict[str, tuple[int, ...]](), ""
     with opened(path, group) as file:
         attrs = {name: _plain(value) for name, value in file.attrs.items()}
-        shapes: dict[str, tuple[int, ...]] = {}
-        file.visititems(lambda name, item: shapes.update({"/" + name: item.shape}) if hasattr(item, "shape") else None)
+        try:
+            shapes = {name: data.shape for name, data in datasets(file).items()}
+        except ValueError as error:
+            wrong = str(error)
     if not isinstance(attrs.get("tacgen_format"), int):
         raise UserError(f"{path}: an HDF5 file, but no tacgen bundle" + PACKED_HINT * ("tacgen_pack" in attrs))
     if attrs["tacgen_format"] > FORMAT:
@@ -229,8 +246,10 @@ def read(path: Path, group: str = "/", *, part: bool = False) -> Bundle:
         raise Unfinished(f"{path}: unfinished: its writer was stopped")
     try:
         attrs = _checked(attrs, finished=True)
-        return Bundle(path, attrs, dict(sorted(shapes.items())), json.loads(attrs["recipe"]), group)
-    except (ValueError, TypeError) as error:
+        if wrong:
+            raise ValueError(wrong)
+        return Bundle(path, attrs, shapes, json.loads(attrs["recipe"]), group)
+    except ValueError as error:
         raise Damaged(f"{path}: damaged: {error}") from error
 
 
@@ -247,25 +266,6 @@ def is_complete(path: Path, key: str) -> bool:
     except UserError:
         pass
     return False
-
-
-@contextmanager
-def opened(path: Path, group: str = "/") -> Iterator[Any]:
-    """An open group of a file. Whatever goes wrong while it is read becomes one line: run nothing else here."""
-    import h5py
-
-    try:
-        with path.open("rb") as raw:
-            signature = raw.read(8)
-    except OSError as error:
-        raise UserError(f"{path}: {error.strerror}") from error
-    if signature != b"\x89HDF\r\n\x1a\n":
-        raise UserError(f"{path}: not an HDF5 file")
-    try:
-        with h5py.File(path, "r", locking=False) as file:
-            yield file[group]
-    except (OSError, RuntimeError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise Damaged(f"{path}: damaged or cut short ({str(error).partition(chr(10))[0]})") from error
 
 
 @dataclass(frozen=True)
@@ -304,5 +304,14 @@ def _checked(attrs: dict[str, Any], *, finished: bool = False) -> dict[str, Any]
         if wanted is None or name in last:
             raise ValueError(f"attribute {name!r} is not in the table of format {FORMAT}")
         if type(value) is not wanted[0]:
-            raise ValueError(f"attribute {name!r} is {value!r}, expected {wanted[0].__name__}")
+            raise ValueError(f"attribute {name!r} is {str(value)[:60]!r}, expected {wanted[0].__name__}")
+        if isinstance(value, str):
+            value.encode()  # ValueError of what is no text: HDF5 keeps any bytes
+        if isinstance(value, str) and name in STORED:
+            try:
+                parsed(STORED[name], value)
+            except ValueError as error:
+                raise ValueError(f"attribute {name!r}: {error}") from None
+    if finished and attrs["status"] not in ("ok", "rejected"):
+        raise ValueError(f"status is {attrs['status']!r}, expected 'ok' or 'rejected'")
     return attrs

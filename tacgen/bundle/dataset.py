@@ -7,6 +7,7 @@ A packed folder holds shards, HDF5 files with a bundle in each group, and index.
 """
 
 import os
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -132,7 +133,10 @@ def read_index(folder: Path) -> Index:
     if number > PACK_FORMAT:
         raise UserError(f"{path}: pack format {number}; this tacgen reads up to {PACK_FORMAT}: upgrade it")
     index = read_json(Index, path)
-    lost = [scene.scene for scene in index.scenes if scene.shard >= len(index.shards)]
-    if lost:
-        raise UserError(f"{path}: damaged: {lost[0]} is in a shard that is not listed")
+    for name, count in Counter(scene.scene for scene in index.scenes).items():
+        if count > 1:
+            raise UserError(f"{path}: damaged: {name} is listed {count} times")
+    for scene in index.scenes:
+        if scene.shard >= len(index.shards):
+            raise UserError(f"{path}: damaged: {scene.scene} is in a shard that is not listed")
     return index

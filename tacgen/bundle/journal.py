@@ -9,10 +9,17 @@ import os
 import socket
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from pydantic import JsonValue, NonNegativeInt
+
+from tacgen import atomic_file, regular_file
+from tacgen.bundle import stored_json
+from tacgen.bundle.stored_json import Name, Stored
+from tacgen.errors import UserError, why
 from tacgen.recipe import plan_table
 from tacgen.recipe.plan import Plan
 
@@ -26,19 +33,33 @@ def write_plan(plan: Plan, folder: Path, shard: Shard | None) -> None:
     for other in set(folder.glob("plan*.json")):
         if other.name not in mine:
             other.unlink(missing_ok=True)
-    part = target.with_name(f".{target.name}.{os.getpid()}")
-    part.write_text(plan_table.as_json(plan), encoding="utf-8")
-    os.replace(part, target)
+    atomic_file.write(target, plan_table.as_json(plan).encode())
 
 
-def read_plan(folder: Path) -> dict[str, Any] | None:
-    """The plan of all shards together: name and scenes; None if the folder has none."""
-    plans = [json.loads(path.read_text(encoding="utf-8")) for path in sorted(folder.glob("plan*.json"))]
+class PlannedScene(Stored):
+    """A row of a stored plan."""
+
+    scene: Name
+    frames: NonNegativeInt
+    key: str
+    values: dict[str, JsonValue]
+
+
+class StoredPlan(Stored):
+    """What plan.json says."""
+
+    name: str
+    scenes: list[PlannedScene]
+
+
+def read_plan(folder: Path) -> StoredPlan | None:
+    """The plan of all shards together; None if the folder has none. Raises UserError: it is damaged."""
+    plans = [stored_json.read(StoredPlan, path) for path in sorted(folder.glob("plan*.json"))]
     if not plans:
         return None
-    scenes = [scene for plan in plans for scene in plan["scenes"]]
-    scenes.sort(key=lambda scene: (len(scene["scene"]), scene["scene"]))  # scene-100000 comes after scene-99999
-    return {"name": plans[0]["name"], "scenes": scenes}
+    scenes = [scene for plan in plans for scene in plan.scenes]
+    scenes.sort(key=lambda row: (len(row.scene), row.scene))  # scene-100000 comes after scene-99999
+    return StoredPlan(name=plans[0].name, scenes=scenes)
 
 
 class Journal:
@@ -71,16 +92,30 @@ class Journal:
             self.file.flush()
 
 
-def read_journal(folder: Path) -> Iterator[dict[str, Any]]:
-    """Every line of every journal in the folder, in the order written; one that a killed run cut short is left out."""
+class Event(Stored):
+    """A line of a journal; of one that ends a scene more is said."""
+
+    event: str
+    scene: str = ""
+    status: str = ""
+    reason: str = ""
+    traceback: str = ""
+
+
+def read_journal(folder: Path) -> Iterator[Event]:
+    """Every line of every journal in the folder, in the order written; one that a killed run cut short is left out.
+
+    Raises:
+        UserError: a journal cannot be read.
+    """
     for path in sorted(folder.glob("journal*.jsonl")):
-        for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
-            try:
-                event = json.loads(line)
-            except ValueError:
-                continue
-            if isinstance(event, dict):
-                yield event
+        try:
+            lines = regular_file.read_bytes(path, stored_json.LARGEST).splitlines()
+        except OSError as error:
+            raise UserError(f"{path}: cannot be read: {why(error)}") from None
+        for line in lines:
+            with suppress(ValueError):
+                yield stored_json.parsed(Event, line)
 
 
 def _suffix(shard: Shard | None) -> str:

@@ -8,7 +8,8 @@ from typing import Any
 
 from tacgen import __version__, atomic_file
 from tacgen.bundle import dataset, whole_folder
-from tacgen.bundle.bundle import Bundle, opened, read
+from tacgen.bundle.bundle import Bundle, read
+from tacgen.bundle.hdf5_file import opened
 from tacgen.errors import UserError
 
 

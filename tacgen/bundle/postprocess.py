@@ -7,12 +7,9 @@
 Stresses (..., 6) [MPa] are in the bundle's order, xx yy zz yz xz xy; tension is positive.
 """
 
-import json
-
 import numpy as np
 
 from tacgen.bundle.bundle import Bundle
-from tacgen.errors import UserError
 from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import elements
 from tacgen.fem.stress_recovery import FULL, Recovery
@@ -80,12 +77,9 @@ def strain_energy(bundle: Bundle, frame: int) -> Array:
     Raises:
         UserError: the bundle does not say what the sensor is made of.
     """
-    from tacgen.recipe.sensor import Sensor
     from tacgen.scene.scene import law_of
 
-    if "sensor_document" not in bundle.attrs:
-        raise UserError(f"{bundle.path}: says nothing of the sensor's materials")
-    sensor = Sensor.model_validate(json.loads(bundle.attrs["sensor_document"]))
+    sensor = bundle.sensor
     points, cells, layer = bundle["/mesh/points"], bundle["/mesh/cells"], bundle["/mesh/layer"]
     x = points + bundle.frame("/fields/displacement", frame)
     out = np.zeros(len(cells))

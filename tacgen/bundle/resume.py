@@ -6,6 +6,7 @@ from pathlib import Path
 
 from tacgen import atomic_file
 from tacgen.bundle import bundle, dataset
+from tacgen.bundle.hdf5_file import Damaged
 from tacgen.errors import UserError
 from tacgen.recipe.plan import Row
 
@@ -49,7 +50,7 @@ def refuse_foreign(rows: Iterable[Row], folder: Path) -> None:
         if path.exists():
             try:
                 ours = bundle.read(path).attrs["input_key"] == row.key
-            except (bundle.Unfinished, bundle.Damaged):
+            except (bundle.Unfinished, Damaged):
                 continue
             except UserError:
                 ours = False
@@ -62,7 +63,7 @@ def _refuse(path: Path) -> None:
     try:
         other = bundle.read(path)
         other.verify()
-    except (bundle.Unfinished, bundle.Damaged):
+    except (bundle.Unfinished, Damaged):
         return
     except UserError as error:
         raise UserError([*error.lines[:-1], f"{error.lines[-1]}; pass --overwrite to replace it"]) from None

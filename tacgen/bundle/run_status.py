@@ -1,14 +1,17 @@
 """How far a dataset's folder is: each planned scene by its bundle, and where there is none by the journal."""
 
-import json
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from pydantic import NonNegativeFloat
+
 from tacgen import atomic_file
 from tacgen.bundle.bundle import read
-from tacgen.bundle.journal import read_journal, read_plan
+from tacgen.bundle.journal import PlannedScene, read_journal, read_plan
+from tacgen.bundle.stored_json import Stored
+from tacgen.bundle.stored_json import read as read_json
 from tacgen.errors import UserError
 
 STATES = ("ok", "rejected", "failed", "damaged", "at work", "waiting")
@@ -54,17 +57,23 @@ def survey(folder: Path) -> Survey:
         raise UserError(f"{folder}: holds no plan.json: `tacgen run` writes one beside its bundles")
     failures: dict[str, str] = {}
     for event in read_journal(folder):
-        if event.get("event") == "scene":
-            failures[event["scene"]] = event["reason"] if event["status"] == "failed" else ""
-    scenes = (_scene(folder, row, failures.get(row["scene"], "")) for row in plan["scenes"])
-    return Survey(plan["name"], folder, tuple(scenes))
+        if event.event == "scene":
+            failures[event.scene] = event.reason if event.status == "failed" else ""
+    scenes = (_scene(folder, row, failures.get(row.scene, "")) for row in plan.scenes)
+    return Survey(plan.name, folder, tuple(scenes))
 
 
-def _scene(folder: Path, row: dict[str, Any], failure: str) -> Scene:
-    name, path = row["scene"], folder / f"{row['scene']}.h5"
+class Timing(Stored):
+    """What `<scene>.timing.json` says."""
 
-    def found(state: str, reason: str = "", frames: int = row["frames"]) -> Scene:
-        return Scene(name, state, reason, frames, path, row["values"], _seconds(path))
+    seconds: dict[str, NonNegativeFloat]
+
+
+def _scene(folder: Path, row: PlannedScene, failure: str) -> Scene:
+    path = folder / f"{row.scene}.h5"
+
+    def found(state: str, reason: str = "", frames: int = row.frames) -> Scene:
+        return Scene(row.scene, state, reason, frames, path, row.values, _seconds(path))
 
     if atomic_file.is_claimed(path):
         return found("at work")
@@ -73,16 +82,15 @@ def _scene(folder: Path, row: dict[str, Any], failure: str) -> Scene:
             bundle = read(path)
         except UserError as error:
             return found("damaged", error.lines[0].removeprefix(f"{path}: "))
-        if bundle.attrs["input_key"] != row["key"]:
+        if bundle.attrs["input_key"] != row.key:
             return found("waiting", "its place is taken by a bundle of other inputs")
         return found(bundle.attrs["status"], bundle.attrs["reason"], bundle.frames)
     return found("failed", failure) if failure else found("waiting")
 
 
 def _seconds(path: Path) -> dict[str, float]:
-    """What each stage took, from the file beside the bundle; empty if there is none."""
+    """What each stage took, from the file beside the bundle; empty if there is none that can be read."""
     try:
-        timing = json.loads(path.with_suffix(".timing.json").read_text(encoding="utf-8"))
-        return {str(stage): float(value) for stage, value in timing["seconds"].items()}
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return read_json(Timing, path.with_suffix(".timing.json")).seconds
+    except UserError:
         return {}

@@ -2,6 +2,11 @@
 scripts/bundle_page.py, and check.py compares finished files with them."""
 
 from dataclasses import dataclass
+from typing import Any
+
+from pydantic import Field, JsonValue
+
+from tacgen.bundle.stored_json import Stored
 
 FORMAT = 1
 UNITS = "mm N MPa s rad"
@@ -125,6 +130,41 @@ OPTIONAL: dict[str, tuple[type, str]] = {
     "renderer": (str, "Mitsuba variant and version, where images were rendered"),
     "values": (str, "the varied paths of a batch and their values, JSON"),
     "notes": (str, "what a reader should know of this scene, JSON list of lines"),
+}
+
+
+class StoredContact(Stored):
+    """What is read of a recipe's contact."""
+
+    friction: float = 0.0
+
+
+class StoredRecipe(Stored):
+    """What is read of a resolved recipe, of this version or an earlier one."""
+
+    name: str = ""
+    indenter: dict[str, JsonValue] = Field(default_factory=dict)
+    trajectory: list[dict[str, JsonValue]] = Field(default_factory=list)
+    contact: StoredContact = StoredContact()
+
+
+class StoredMesh(Stored):
+    """What is read of a mesh's quality."""
+
+    nodes: int
+    cells: int
+    smallest_scaled_jacobian: float
+    volume_error: float
+    smallest_dihedral_deg: float | None = None
+
+
+# Attributes that are JSON, by what readers rely on.
+STORED: dict[str, Any] = {
+    "recipe": StoredRecipe,
+    "sensor_document": dict[str, JsonValue],
+    "mesh": StoredMesh,
+    "values": dict[str, JsonValue],
+    "notes": list[str],
 }
 
 

@@ -1,7 +1,8 @@
 """JSON that is read back from disk: of a bounded size, and what its model says, or one line about what is wrong."""
 
+from functools import cache
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated, Any, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, TypeAdapter, ValidationError
 
@@ -39,10 +40,16 @@ def read(kind: type[T], path: Path) -> T:
         raise UserError(f"{path}: damaged: {error}") from None
 
 
+@cache
+def _adapter(kind: Any) -> TypeAdapter[Any]:
+    return TypeAdapter(kind)
+
+
 def parsed(kind: type[T], content: str | bytes) -> T:
     """What a text holds. Raises ValueError, in a line: it is no JSON, or not of this kind."""
     try:
-        return TypeAdapter(kind).validate_json(content)
+        found: T = _adapter(kind).validate_json(content)  # type: ignore[arg-type]
+        return found
     except ValidationError as error:
         first = error.errors(include_url=False, include_context=False, include_input=False)[0]
         where = ".".join(str(step) for step in first["loc"])

@@ -74,7 +74,8 @@ def needs(bundle: "Bundle", paths: Sequence[str], output: str) -> None:
 
 def names(bundles: "Sequence[Bundle]") -> list[str]:
     """A name of its own for each bundle: that of its file, with its folders before it as far as they are needed."""
-    parts = [(*bundle.path.with_suffix("").parts, *bundle.group.split("/")[1:]) for bundle in bundles]
+    paths = [bundle.path.with_suffix("") for bundle in bundles]
+    parts = [(*p.relative_to(p.anchor).parts, *b.group.split("/")[1:]) for p, b in zip(paths, bundles, strict=True)]
     parts = [tuple(filter(None, part)) for part in parts]
     for depth in range(1, max(map(len, parts)) + 1):
         found = ["-".join(part[-depth:]) for part in parts]

@@ -88,6 +88,5 @@ def streams(images: np.ndarray) -> np.ndarray:
 def _pinhole_mm(bundle: Bundle) -> float:
     """Height of the camera's pinhole in the sensor frame [mm]."""
     from tacgen.optics.camera import Camera
-    from tacgen.recipe.sensor import Sensor
 
-    return float(Camera.from_sensor(Sensor.model_validate_json(bundle.attrs["sensor_document"])).pinhole[2])
+    return float(Camera.from_sensor(bundle.sensor).pinhole[2])

@@ -154,9 +154,8 @@ def heading(sheet: "Figure", bundle: Bundle, height: float) -> None:
 
 def image_size(bundle: Bundle) -> tuple[int, int]:
     """(H, W) [px]: of the images, otherwise of the camera that would have taken them, otherwise of the maps."""
-    camera = json.loads(bundle.attrs.get("sensor_document", "{}")).get("camera")
-    if camera and "/frames/rgb" not in bundle:
-        return camera["height_px"], camera["width_px"]
+    if "sensor_document" in bundle.attrs and "/frames/rgb" not in bundle:
+        return bundle.sensor.camera.height_px, bundle.sensor.camera.width_px
     shapes = [bundle.shapes[p] for p in ("/frames/rgb", "/frames/pressure", "/frames/height") if p in bundle]
     return (shapes[0][1], shapes[0][2]) if shapes else (240, 320)
 

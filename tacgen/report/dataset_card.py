@@ -1,10 +1,11 @@
 """The dataset card, README.md in a dataset's folder: what it is, how much, what it cost, whose it is."""
 
 import hashlib
-import os
 from collections.abc import Sequence
 from pathlib import Path
 
+from tacgen import atomic_file
+from tacgen.errors import printable
 from tacgen.report import dataset_summary
 from tacgen.report.dataset_summary import Overview
 
@@ -15,9 +16,7 @@ MAX_REASONS = 20  # scenes that are not in the data, listed with their reasons
 def write(folder: Path) -> Path:
     """Write the card of a folder that has a finished scene; it is made anew, so keep notes elsewhere."""
     path = folder / FILE_NAME
-    part = folder / f".{FILE_NAME}.{os.getpid()}"
-    part.write_text(text(dataset_summary.look(folder)), encoding="utf-8")
-    os.replace(part, path)
+    atomic_file.write(path, text(dataset_summary.look(folder)).encode())
     return path
 
 
@@ -39,7 +38,7 @@ def _what(seen: Overview) -> str:
         ("Rendered by", "; ".join(seen.distinct("renderer"))),
     ]
     about = "Synthetic data of a vision-based tactile sensor: finite elements, contact and light transport."
-    return f"# {seen.name}\n\n{about}\n\n" + _table(("", ""), [row for row in rows if row[1]])
+    return f"# {_plain(seen.name)}\n\n{about}\n\n" + _table(("", ""), [row for row in rows if row[1]])
 
 
 def _varied(seen: Overview) -> str:
@@ -76,7 +75,7 @@ def _licence(seen: Overview) -> str:
         "## Licence",
         "tacgen's authors claim no rights in what it makes: whoever publishes this data names its licence.",
     ]
-    lines += [f"- Object `{name}`: {about}" for name, about in seen.objects.items()]
+    lines += [f"- Object `{name}`: {_plain(about)}" for name, about in seen.objects.items()]
     return "\n\n".join(lines[:2]) + ("\n\n" + "\n".join(lines[2:]) if lines[2:] else "")
 
 
@@ -92,4 +91,9 @@ def _again(seen: Overview) -> str:
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     lines = [head, ["---"] * len(head), *rows]
-    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
+    return "\n".join("| " + " | ".join(map(_plain, line)) + " |" for line in lines)
+
+
+def _plain(text: str) -> str:
+    """What a bundle says, as text that is no Markdown table's and no HTML."""
+    return printable(" ".join(text.split())).replace("&", "&amp;").replace("<", "&lt;").replace("|", "\\|")

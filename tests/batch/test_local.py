@@ -73,7 +73,7 @@ def test_every_kind_of_lost_worker_costs_one_scene_which_a_later_run_makes(tmp_p
     assert leftovers(out) == []
     assert survey(out).count() == {"ok": 4, "failed": 4}
     assert {s.name: s.reason for s in survey(out).scenes if s.reason}["scene-00005"] == "this cannot be made"
-    traceback = [event["traceback"] for event in read_journal(out) if "traceback" in event]
+    traceback = [event.traceback for event in read_journal(out) if event.traceback]
     assert "scenes.py" in traceback[0]
     for fault in (out / "faults").iterdir():
         fault.unlink()
@@ -150,7 +150,7 @@ def test_a_journal_line_cut_short_is_passed_over(tmp_path: Path):
     whole = [json.loads(line)["event"] for line in journal.read_text().splitlines()]
     assert whole == ["begin", "scene", "end"]
     journal.write_text(journal.read_text() + '{"event": "sce')
-    assert [event["event"] for event in read_journal(out)] == whole
+    assert [event.event for event in read_journal(out)] == whole
 
 
 def test_a_bundle_that_only_a_newer_tacgen_reads_is_not_written_over(tmp_path: Path):

@@ -19,8 +19,9 @@ from hypothesis import strategies as st
 
 from tacgen import atomic_file
 from tacgen.bundle import schema
-from tacgen.bundle.bundle import Damaged, Unfinished, Writer, is_complete, read
+from tacgen.bundle.bundle import Unfinished, Writer, is_complete, read
 from tacgen.bundle.check import check
+from tacgen.bundle.hdf5_file import Damaged
 from tacgen.bundle.schema import LAYOUT
 from tacgen.errors import UserError
 

@@ -155,7 +155,10 @@ def resealed(path: Path, change: Any) -> Path:
     """Change a file and give it the digest of what it now holds, as a faulty writer would."""
     with h5py.File(path, "a") as file:
         change(file)
-    found = bundle.read(path)
+    try:
+        found = bundle.read(path)
+    except UserError:  # its layout is refused before the digest matters
+        return path
     seen: list[str] = []
     real = bundle._digest
     bundle._digest = lambda attrs, data: seen.append(real(attrs, data)) or found.attrs["digest"]
@@ -194,7 +197,7 @@ def retype(file: h5py.File) -> None:
 )
 def test_a_file_that_is_not_laid_out_as_the_table_says(tmp_path: Path, change: Any, message: str) -> None:
     found = lines(resealed(write(tmp_path / "x.h5"), change))
-    assert any(line.startswith(message) for line in found), found
+    assert any(message in line for line in found), found
 
 
 def test_a_folder_is_checked_file_by_file(tmp_path: Path) -> None:

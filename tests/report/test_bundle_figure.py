@@ -1,6 +1,5 @@
 """Pictures of bundles: something is drawn, and only what is there."""
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -76,7 +75,8 @@ def test_the_frames_are_spread_from_first_to_last(tmp_path: Path) -> None:
 
 
 def test_markers_alone_use_the_camera_of_the_sensor(tmp_path: Path) -> None:
-    document = json.dumps({"camera": {"width_px": 640, "height_px": 480}})
+    document = loading.read_sensor(assets.sensor_path("gelsight_mini"))[0].model_dump(mode="json", exclude_none=True)
+    document["camera"] |= {"width_px": 640, "height_px": 480}
     bundle = read(write(tmp_path / "x.h5", outputs=frozenset({"markers"}), sensor_document=document))
     assert bundle_figure.figure(bundle).axes[0].get_xlim() == (0, 640)
 

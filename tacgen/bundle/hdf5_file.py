@@ -1,0 +1,127 @@
+"""HDF5 files that others made: opened and looked over before anything in them is used."""
+
+import io
+import math
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from tacgen import regular_file
+from tacgen.bundle.schema import FORMAT, LAYOUT, entry, shape_problem
+from tacgen.errors import UserError
+
+SIGNATURE = b"\x89HDF\r\n\x1a\n"
+LARGEST = 2**40  # bytes of a file
+FILTERS = {1, 2, 3}  # deflate, shuffle, fletcher32: others would be loaded from a folder of libraries
+RATIO = 1100  # deflate makes 1032 bytes of one at most
+SMALL = 4096  # bytes of a chunk that need not be filled
+GROUPS = {path[:i] for path in LAYOUT for i in range(1, len(path)) if path[i] == "/"}
+HEAP = b"GCOL\x01\0\0\0"  # head of a heap of HDF5's in which strings are stored
+LARGEST_HEAP = 2**26  # bytes
+
+
+class Damaged(UserError):
+    """The bundle is not what was written: writing it again mends it."""
+
+
+class Source(io.FileIO):
+    """The file that HDF5 reads through.
+
+    HDF5 (1.14) never returns from a heap in which an unused piece has no length, as zeroed sectors leave it: so
+    the heaps are walked here first.
+    """
+
+    def readinto(self, buffer: Any) -> int:
+        """As FileIO's. Raises OSError: a heap is damaged."""
+        start = self.tell()
+        count = super().readinto(buffer) or 0
+        head = bytes(buffer[:count])
+        at = head.find(HEAP)
+        while at >= 0:
+            self._walk(start + at)
+            at = head.find(HEAP, at + 1)
+        return count
+
+    def _walk(self, start: int) -> None:
+        """Through the pieces of a heap: index (2 bytes, 0 of what is unused), 6 others, length (8), content."""
+        size = int.from_bytes(os.pread(self.fileno(), 8, start + len(HEAP)), "little")
+        heap = os.pread(self.fileno(), min(size, LARGEST_HEAP), start)
+        at = len(HEAP) + 8
+        while at + 16 <= len(heap):
+            length = int.from_bytes(heap[at + 8 : at + 16], "little")
+            used = heap[at : at + 2] != b"\0\0"
+            if not (used or length):
+                raise OSError("its heap of strings is damaged")
+            at += 16 + (length + 7) // 8 * 8 if used else length
+
+
+@contextmanager
+def opened(path: Path, group: str = "/") -> Iterator[Any]:
+    """An open group of a file. Whatever goes wrong while it is read becomes one line: run nothing else here.
+
+    Raises:
+        Damaged; UserError: there is no such file, or it is something else.
+    """
+    import h5py
+
+    try:
+        raw = Source(regular_file.descriptor(path, LARGEST))
+    except OSError as error:
+        raise UserError(f"{path}: {error.strerror}") from error
+    with raw:
+        if raw.read(len(SIGNATURE)) != SIGNATURE:
+            raise UserError(f"{path}: not an HDF5 file")
+        try:
+            with h5py.File(raw, "r") as file:
+                yield file[group]
+        except (UserError, MemoryError):
+            raise
+        except Exception as error:  # h5py and HDF5 fail in many ways on what is damaged or crafted
+            raise Damaged(f"{path}: damaged or cut short ({str(error).partition(chr(10))[0]})") from error
+
+
+def datasets(root: Any) -> dict[str, Any]:
+    """Every dataset of an open bundle by its path. Raises ValueError: one is not as the layout says, or none of it."""
+    import h5py
+
+    found: dict[str, Any] = {}
+    sizes: dict[str, int] = {}
+
+    def walk(group: Any, above: str) -> None:
+        for name in group:
+            path = f"{above}/{name}"
+            if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+                raise ValueError(f"{path} is a link")
+            item = group[name]
+            if isinstance(item, h5py.Dataset):
+                _look(path, item, sizes)
+                found[path] = item
+            elif path in GROUPS and isinstance(item, h5py.Group):
+                walk(item, path)
+            else:
+                raise ValueError(f"format {FORMAT} has no group {path}")
+
+    walk(root, "")
+    return dict(sorted(found.items()))
+
+
+def _look(path: str, data: Any, sizes: dict[str, int]) -> None:
+    """Raise ValueError unless a dataset lies in this very file, as the layout says and no larger than it can be."""
+    row = entry(path)
+    packing = data.id.get_create_plist()
+    if data.is_virtual or packing.get_external_count():
+        raise ValueError(f"{path} is not stored in this file")
+    if data.dtype.str != row.dtype:
+        raise ValueError(f"{path} has type {data.dtype.str}, expected {row.dtype}")
+    if problem := shape_problem(path, data.shape, sizes):
+        raise ValueError(problem)
+    if not {packing.get_filter(i)[0] for i in range(packing.get_nfilters())} <= FILTERS:
+        raise ValueError(f"{path} is compressed in a way that no bundle is")
+    width = data.dtype.itemsize
+    whole = width * math.prod(max(1, n) for n in data.shape)
+    if data.size * width > RATIO * data.id.get_storage_size():
+        raise ValueError(f"{path} claims {data.size * width} bytes, and stores {data.id.get_storage_size()}")
+    if data.chunks and width * math.prod(data.chunks) > max(whole, SMALL):
+        raise ValueError(f"{path} is stored in pieces larger than itself")

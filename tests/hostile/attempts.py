@@ -1,0 +1,190 @@
+"""One hostile input, one reader, one child process: what became of it."""
+
+import io
+import os
+import resource
+import shutil
+import signal
+import sys
+import tempfile
+import time
+import traceback
+from collections.abc import Callable
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import dataclass
+from pathlib import Path
+from random import Random
+
+from helpers.scenes import make_plan
+from helpers.synthetic import OUTPUTS, write
+
+from hostile.mutations import MUTATIONS
+from tacgen.bundle import dataset, pack
+from tacgen.bundle.journal import Journal, write_plan
+from tacgen.errors import UserError
+from tacgen.report import dataset_card
+
+SECONDS = 20.0  # that a reader may take
+MEMORY = 3 * 2**30  # bytes of address space beyond what the process has
+OUTCOMES = ("accepted", "refused", "wrong", "traceback", "hung", "died")
+CODES = {name: 20 + i for i, name in enumerate(OUTCOMES)}
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """What was spoilt, who read it, and how that ended."""
+
+    kind: str
+    seed: int
+    said: str
+    outcome: str
+    detail: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.kind} {self.seed}: {self.said}: {self.outcome} {self.detail}"
+
+
+def base(folder: Path) -> Path:
+    """`loose` and `packed`: three small scenes with plan, journal and times, and the same in shards."""
+    loose = folder / "loose"
+    plan = make_plan(folder, 3)
+    for row in plan.rows:
+        known = {"input_key": row.key, "seed": row.seed, "scene_index": row.index, "values": row.values}
+        more = {"sensor_document": row.sensor_document(), "notes": ["a note"], "recipe": row.document()}
+        path = write(loose / f"{row.name}.h5", outputs=OUTPUTS, shape=(16, 16), **known, **more)
+        path.with_suffix(".timing.json").write_text('{"frames": 12, "seconds": {"solve": 1.5, "mesh": 0.25}}')
+    write_plan(plan, loose, None)
+    with Journal(loose, None) as journal:
+        for row in plan.rows:
+            journal.write({"event": "scene", "scene": row.name, "status": "failed", "reason": "a reason"})
+    dataset_card.write(loose)
+    pack.pack(dataset.scenes(loose), folder / "packed", 0.04)
+    return folder
+
+
+def command(*args: str) -> None:
+    """A command in this process. Raises what it does not turn into an exit code."""
+    from typer.testing import CliRunner
+
+    from tacgen import cli
+
+    done = CliRunner().invoke(cli.app, list(args))
+    if done.exception is not None and not isinstance(done.exception, SystemExit):
+        raise done.exception
+    if done.exit_code == 2:
+        raise UserError(done.stderr)
+    assert done.exit_code in (0, 1), done.exit_code
+    if "\x1b" in done.output or "\x07" in done.output:
+        raise AssertionError("control characters reach the terminal")
+
+
+def load(folder: Path) -> None:
+    from tacgen.torch import TactileDataset
+
+    data = TactileDataset(folder, ("rgb", "force", "height"), subtract_reference=True)
+    for index in range(0, len(data), 5):
+        data[index]
+
+
+def resume(folder: Path) -> None:
+    """A run that goes on: its scenes come from closed formulas."""
+    from tacgen import batch
+
+    for row in make_plan(folder.parent, 3).rows:
+        from helpers.scenes import make
+
+        make(row, folder)
+    assert batch
+
+
+def exported(kind: str) -> Callable[[Path], None]:
+    return lambda folder: command("export", kind, str(folder), "-o", str(folder.parent / f"exported-{kind}"))
+
+
+READERS: dict[str, Callable[[Path], None]] = {
+    "check": lambda folder: command("check", str(folder)),
+    "status": lambda folder: command("status", str(folder)),
+    "show": lambda folder: command("show", str(folder)),
+    "show one": lambda folder: command("show", str(next(iter(sorted(folder.glob("scene*.h5"))), folder))),
+    "report": lambda folder: command("report", str(folder), "-o", str(folder.parent / "report.html")),
+    "pack": lambda folder: command("pack", str(folder), "-o", str(folder.parent / "again")),
+    "card": lambda folder: _card(folder),
+    "torch": load,
+    "resume": resume,
+    **{f"export {kind}": exported(kind) for kind in ("webdataset", "lerobot", "univtac", "vtkhdf")},
+}
+
+
+def _card(folder: Path) -> None:
+    from tacgen.report import dataset_card
+
+    dataset_card.write(folder)
+
+
+def digests(folder: Path) -> list[str]:
+    """Of all scenes, each read through; raises UserError."""
+    found = dataset.scenes(folder)
+    for bundle in found:
+        bundle.verify()
+    return [bundle.attrs["digest"] for bundle in found]
+
+
+def attempt(kind: str, seed: int, source: Path) -> Attempt:
+    """Spoil a copy of `source` (made by `base`) by a mutation of this kind, and have a reader read it."""
+    rng = Random(f"{kind} {seed}")
+    which, reader = rng.choice(("loose", "packed")), rng.choice(sorted(READERS))
+    with tempfile.TemporaryDirectory() as scratch:
+        folder, note = Path(scratch) / which, Path(scratch) / "note"
+        shutil.copytree(source / which, folder)
+        said = f"{MUTATIONS[kind](rng, folder)}, {which}, {reader}"
+        sound = digests(source / which) if kind == "bytes" else None
+        code = contained(lambda: _read(reader, folder, sound), note)
+        return Attempt(kind, seed, said, code, note.read_text() if note.exists() else "")
+
+
+def _read(reader: str, folder: Path, sound: list[str] | None) -> str:
+    READERS[reader](folder)
+    if sound is not None and reader == "check":
+        command("check", str(folder))
+        try:
+            return "accepted" if digests(folder) == sound else "wrong"
+        except UserError:
+            return "accepted"  # check has said it in findings
+    return "accepted"
+
+
+def contained(work: Callable[[], str], note: Path) -> str:
+    """Run in a child with little memory and time: "accepted" or what else `work` says, and what it raises."""
+    sys.stdout.flush()
+    child = os.fork()
+    if not child:
+        os._exit(_child(work, note))
+    deadline = time.monotonic() + SECONDS
+    while time.monotonic() < deadline:
+        pid, status = os.waitpid(child, os.WNOHANG)
+        if pid:
+            if os.WIFSIGNALED(status):
+                note.write_text(f"signal {os.WTERMSIG(status)}")
+                return "died"
+            return next((name for name, code in CODES.items() if code == os.WEXITSTATUS(status)), "died")
+        time.sleep(0.005)
+    os.kill(child, signal.SIGKILL)
+    os.waitpid(child, 0)
+    return "hung"
+
+
+def _child(work: Callable[[], str], note: Path) -> int:
+    used = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
+    resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY, used + MEMORY))
+    try:
+        with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
+            return CODES[work()]
+    except UserError as error:
+        bad = [line for line in error.lines if not line.isprintable() and "\t" not in line]
+        return CODES["refused"] if error.lines else note.write_text(str(bad)) * 0 + CODES["traceback"]
+    except BaseException as error:
+        where = traceback.extract_tb(error.__traceback__)[-1]
+        ours = [f for f in traceback.extract_tb(error.__traceback__) if "/tacgen/" in f.filename]
+        place = ours[-1] if ours else where
+        note.write_text(f"{type(error).__name__}: {str(error)[:100]!r} at {Path(place.filename).name}:{place.lineno}")
+        return CODES["traceback"]

@@ -1,0 +1,249 @@
+"""Seeded damage: each mutation takes a random generator and a folder, spoils one file in it, and says what it did.
+
+Damage to bytes is what a disk or a transfer does; the rest is what somebody crafts.
+"""
+
+import copy
+import json
+import os
+import socket
+from collections.abc import Callable
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import h5py
+import numpy as np
+
+from tacgen.bundle.schema import STORED
+
+Mutation = Callable[[Random, Path], str]
+DEEP = "[" * 5000 + "]" * 5000
+VALUES: tuple[Any, ...] = (
+    *(None, True, -1, 0, 10**30, 2**63, 1e308, float("nan"), float("inf"), 1.5),
+    *("", "../../etc/passwd", "/etc/passwd", "..", "a/b", "\ud800", "\x1b[31mred\x07", "<script>alert(1)</script>"),
+    *("x" * 100_000, "nul\0", "{", "1" * 5000, [], {}, [[]], [None], {"": {}}, ["\udfff"]),
+)
+
+
+def files(folder: Path, *suffixes: str) -> list[Path]:
+    found = sorted(path for path in folder.rglob("*") if path.is_file())
+    return [path for path in found if not suffixes or path.suffix in suffixes]
+
+
+def damaged_bytes(rng: Random, folder: Path) -> str:
+    """Flip, cut, zero, insert, exchange."""
+    path = rng.choice([path for path in files(folder) if path.stat().st_size])
+    data = bytearray(path.read_bytes())
+    how, at = rng.choice(("flip", "cut", "zero", "insert", "double", "exchange", "junk")), rng.randrange(len(data))
+    if how == "flip":
+        data[at] ^= 1 << rng.randrange(8)
+    elif how == "cut":
+        del data[at:]
+    elif how == "zero":
+        data[at : at + 200] = bytes(len(data[at : at + 200]))
+    elif how == "insert":
+        data[at:at] = rng.randbytes(rng.randrange(1, 50))
+    elif how == "double":
+        data *= 2
+    elif how == "exchange":
+        data = bytearray(rng.choice(files(folder)).read_bytes())
+    else:
+        data = bytearray(rng.randbytes(rng.randrange(2000)))
+    path.write_bytes(data)
+    return f"{how} of {path.name} at {at}"
+
+
+def special(rng: Random, folder: Path) -> str:
+    """A pipe, folder, socket, link or nothing in a file's place, or one that nobody may read."""
+    path, kind = rng.choice(files(folder)), rng.choice(("fifo", "folder", "socket", "loop", "zero", "gone", "sparse"))
+    path.unlink()
+    if kind == "fifo":
+        os.mkfifo(path)
+    elif kind == "folder":
+        path.mkdir()
+    elif kind == "socket":
+        here = os.getcwd()
+        os.chdir(path.parent)  # a socket's path is short
+        with socket.socket(socket.AF_UNIX) as made:
+            made.bind(path.name)
+        os.chdir(here)
+    elif kind == "loop":
+        path.symlink_to(path.name)
+    elif kind == "zero":
+        path.symlink_to("/dev/zero")
+    elif kind == "sparse":
+        with path.open("wb") as file:
+            file.truncate(2**43)
+    return f"{kind} for {path.name}"
+
+
+def crafted_json(rng: Random, folder: Path) -> str:
+    """A hostile value anywhere in index.json, a plan, a journal or a list of times."""
+    path = rng.choice(files(folder, ".json", ".jsonl"))
+    if rng.random() < 0.05:
+        path.write_text(DEEP)
+        return f"{path.name} nested deeply"
+    lines = path.read_text().splitlines() if path.suffix == ".jsonl" else [path.read_text()]
+    number = rng.randrange(len(lines))
+    said, lines[number] = _spoilt(rng, lines[number])
+    path.write_text("\n".join(lines) + "\n")
+    return f"{path.name}: {said}"
+
+
+def _spoilt(rng: Random, text: str) -> tuple[str, str]:
+    """JSON with one node exchanged, dropped, renamed or doubled."""
+    root = {"": json.loads(text)}
+    places: list[tuple[Any, Any]] = []
+
+    def walk(node: Any) -> None:
+        for key, value in list(node.items() if isinstance(node, dict) else enumerate(node)):
+            places.append((node, key))
+            if isinstance(value, dict | list):
+                walk(value)
+
+    walk(root)
+    node, key = rng.choice(places)
+    how = rng.choice(("exchange", "exchange", "drop", "rename", "double"))
+    if how == "exchange" or node is root:
+        node[key] = rng.choice(VALUES)
+    elif how == "drop":
+        node.pop(key)
+    elif how == "rename" and isinstance(node, dict):
+        node[str(rng.choice(VALUES))] = node.pop(key)
+    elif isinstance(node, list):
+        node.append(copy.deepcopy(node[key]))
+    return f"{how} {str(key)[:20]}", json.dumps(root[""])
+
+
+def crafted_hdf5(rng: Random, folder: Path) -> str:
+    """An HDF5 file of sound bytes whose attributes, datasets and links are not a bundle's; its digest may be right."""
+    path = rng.choice([path for path in files(folder, ".h5") if path.name != "frames.h5"])
+    with h5py.File(path, "a") as file:
+        group = file if "tacgen_format" in file.attrs else file[rng.choice(sorted(file))]
+        said = rng.choice((_attribute, _attribute, _json_attribute, _dataset, _dataset))(rng, group, path)
+    if rng.random() < 0.5:
+        said += _resealed(path, group.name if group else "/")
+    return f"{path.name}: {said}"
+
+
+def _attribute(rng: Random, group: Any, path: Path) -> str:
+    name = rng.choice(sorted(group.attrs))
+    where = group
+    if rng.random() < 0.2:
+        where = group[rng.choice(_datasets(group))]
+        name = rng.choice(sorted(where.attrs))
+    kind = rng.choice(("drop", "value", "bytes", "array", "reference", "empty", "struct", "new"))
+    if kind == "drop":
+        del where.attrs[name]
+    elif kind == "value":
+        value = rng.choice([v for v in VALUES if isinstance(v, str | float | bool)])
+        if isinstance(value, str):
+            value = value.replace("\0", "").encode(errors="surrogatepass")[:60000]
+        where.attrs[name] = value
+    elif kind == "bytes":
+        where.attrs.create(name, b"\xff\xfe\xed", dtype=h5py.string_dtype())
+    elif kind == "array":
+        where.attrs[name] = np.arange(rng.randrange(5))
+    elif kind == "reference":
+        where.attrs[name] = group.ref
+    elif kind == "empty":
+        where.attrs[name] = h5py.Empty("f8")
+    elif kind == "struct":
+        where.attrs[name] = np.zeros(2, [("a", "i4"), ("b", "f8", 3)])
+    else:
+        where.attrs[f"new {rng.randrange(9)}\x1b"] = "x"
+    return f"attribute {name} {kind}"
+
+
+def _json_attribute(rng: Random, group: Any, path: Path) -> str:
+    name = rng.choice([name for name in STORED if name in group.attrs])
+    said, text = _spoilt(rng, group.attrs[name])
+    group.attrs[name] = DEEP[:60000] if rng.random() < 0.1 else text[:60000]
+    return f"{name}: {said}"
+
+
+def _dataset(rng: Random, group: Any, path: Path) -> str:
+    name = rng.choice(_datasets(group))
+    old = group[name]
+    shape, values, attrs = old.shape, old[...], dict(old.attrs)
+    kinds = ("drop", "external link", "soft link", "loop", "dangling", "objects", "huge", "virtual", "storage", "type")
+    kind = rng.choice((*kinds, "scalar", "struct", "group", "new", "long", "flat", "nan", "strings", "huge chunk"))
+    where, _, last = name.rpartition("/")
+    parent = group[where]
+    if kind not in ("new", "nan", "loop"):
+        del group[name]
+    if kind == "external link":
+        parent[last] = h5py.ExternalLink("/etc/passwd" if rng.random() < 0.3 else "scene-00001.h5", "/frames/force")
+    elif kind in ("soft link", "dangling"):
+        parent[last] = h5py.SoftLink("/frames/nothing" if kind == "dangling" else f"{group.name}/frames/pose")
+    elif kind == "loop":
+        parent["loop"] = group
+    elif kind == "objects":
+        parent.create_dataset(last, shape[:1], dtype=h5py.vlen_dtype("f8"))
+    elif kind == "huge":
+        parent.create_dataset(last, (10**9, *shape[1:]), values.dtype, chunks=(1, *shape[1:]), compression="gzip")
+    elif kind == "huge chunk":
+        parent.create_dataset(last, shape[:1] + (1,) * (len(shape) - 1), "u1", maxshape=(None,) * len(shape),
+                              chunks=(2**31,) + (1,) * (len(shape) - 1), compression="gzip")  # fmt: skip
+    elif kind == "virtual":
+        layout = h5py.VirtualLayout(shape, values.dtype)
+        layout[...] = h5py.VirtualSource(str(path), f"{group.name}/frames/elsewhere", shape, values.dtype)
+        parent.create_virtual_dataset(last, layout)
+    elif kind == "storage":
+        parent.create_dataset(last, shape, values.dtype, external=[("/etc/passwd", 0, h5py.h5f.UNLIMITED)])
+    elif kind == "type":
+        parent[last] = values.astype(rng.choice(("f2", "f4", "i8", "u1", "c16", "S3")))
+    elif kind == "scalar":
+        parent[last] = 1.0
+    elif kind == "struct":
+        parent[last] = np.zeros(shape[:1], [("a", "i4")])
+    elif kind == "group":
+        parent.create_group(last)
+    elif kind == "new":
+        parent.create_dataset(rng.choice(("colour", "..", "a b", "rgb\x1b", "x" * 3000)), data=[1.0])
+    elif kind == "long":
+        parent[last] = np.concatenate([values, values])
+    elif kind == "flat":
+        parent[last] = values.ravel()
+    elif kind == "nan":
+        if values.dtype.kind == "f" and values.size:
+            old[(0,) * values.ndim] = np.nan
+    elif kind == "strings":
+        parent.create_dataset(last, data=["\x1b[2J"] * (shape[0] if shape else 1))
+    if isinstance(group.get(name), h5py.Dataset) and kind not in ("external link", "soft link"):
+        group[name].attrs.update(attrs)
+    return f"{name} {kind}"
+
+
+def _datasets(group: Any) -> list[str]:
+    found: list[str] = []
+    group.visititems(lambda name, item: found.append(name) if isinstance(item, h5py.Dataset) else None)
+    return sorted(found)
+
+
+def _resealed(path: Path, group: str) -> str:
+    """Give the file the digest of what it now holds, as somebody would who knows how."""
+    from tacgen.bundle import bundle
+
+    real, seen = bundle._digest, []
+    bundle._digest = lambda attrs, found: seen.append(real(attrs, found)) or real(attrs, found)
+    try:
+        bundle.read(path, group).verify()
+    except Exception:
+        pass
+    finally:
+        bundle._digest = real
+    if not seen:
+        return ""
+    with h5py.File(path, "a") as file:
+        file[group].attrs["digest"] = seen[0]
+    return ", resealed"
+
+
+MUTATIONS: dict[str, Mutation] = {
+    "bytes": damaged_bytes,
+    "special": special,
+    "json": crafted_json,
+    "hdf5": crafted_hdf5,
+}

@@ -1,0 +1,92 @@
+"""Spoilt and crafted datasets end every reader in a line, or are read as they were; here a few of each kind.
+
+`make torture` tries many more.
+"""
+
+import json
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+
+import h5py
+import pytest
+from helpers.synthetic import write
+
+from hostile import attempts
+from hostile.mutations import MUTATIONS
+from tacgen.bundle.bundle import read
+from tacgen.bundle.check import check
+from tacgen.bundle.run_status import survey
+from tacgen.errors import UserError
+
+INPUTS = 12  # of each kind
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return attempts.base(tmp_path_factory.mktemp("hostile"))
+
+
+@pytest.mark.parametrize("kind", MUTATIONS)
+def test_a_few_of_each_kind(source: Path, kind: str) -> None:
+    found = [attempts.attempt(kind, seed, source) for seed in range(INPUTS)]
+    assert [str(a) for a in found if a.outcome not in ("accepted", "refused")] == []
+    assert {a.outcome for a in found} == {"accepted", "refused"}
+
+
+@pytest.fixture
+def alarm() -> Iterator[None]:
+    """HDF5 does not return from its own loops; only a signal's default action ends such a test."""
+    signal.alarm(60)
+    yield
+    signal.alarm(0)
+
+
+@pytest.mark.usefixtures("alarm")
+def test_a_zeroed_heap_of_strings_is_refused(tmp_path: Path) -> None:
+    """HDF5 1.14 never returns from an unused piece without a length."""
+    path = write(tmp_path / "scene.h5", outputs=frozenset({"force"}))
+    data = bytearray(path.read_bytes())
+    at = data.index(b"GCOL")
+    while at >= 0:
+        data[at + 16 : at + 200] = bytes(184)
+        at = data.find(b"GCOL", at + 4)
+    path.write_bytes(data)
+    with pytest.raises(UserError, match="damaged"):
+        read(path)
+
+
+def test_names_leave_no_folder_and_reach_no_terminal(source: Path, tmp_path: Path) -> None:
+    index = json.loads((source / "packed" / "index.json").read_text())
+    for name in ("../loose/scene-00000.h5", "/etc/passwd", "..", "", "a\x1b[2Jb", "\ud800"):
+        spoilt = {**index, "shards": [{**index["shards"][0], "file": name}, *index["shards"][1:]]}
+        (tmp_path / "index.json").write_text(json.dumps(spoilt))
+        (finding,) = check(tmp_path)
+        assert "damaged" in finding.message, name
+    plan = {"name": "x", "scenes": [{"scene": "../../x", "frames": 1, "seed": 0, "key": "", "values": {}}]}
+    (tmp_path / "plan.json").write_text(json.dumps(plan))
+    with pytest.raises(UserError, match=r"scenes\.0\.scene: Value error, must be the name"):
+        survey(tmp_path)
+    with h5py.File(write(tmp_path / "x.h5"), "a") as file:
+        file.attrs["sensor"] = "\x1b[31mred"
+    assert "\x1b" not in str(UserError(f"{read(tmp_path / 'x.h5').attrs['sensor']}: no such sensor"))
+
+
+def test_external_links_and_storage_are_refused(tmp_path: Path) -> None:
+    secret = write(tmp_path / "secret.h5")
+    for kind in ("link", "storage", "virtual", "soft"):
+        with h5py.File(write(tmp_path / f"{kind}.h5"), "a") as file:
+            shape = file["frames/force"].shape
+            del file["frames/force"]
+            if kind == "link":
+                file["frames/force"] = h5py.ExternalLink("secret.h5", "/frames/force")
+            elif kind == "soft":
+                file["frames/force"] = h5py.SoftLink("/frames/torque")
+            elif kind == "storage":
+                file.create_dataset("frames/force", shape, "<f8", external=[(str(secret), 0, h5py.h5f.UNLIMITED)])
+            else:
+                layout = h5py.VirtualLayout(shape, "<f8")
+                layout[...] = h5py.VirtualSource(str(secret), "/frames/force", shape)
+                file.create_virtual_dataset("frames/force", layout)
+        with pytest.raises(UserError, match=r"/frames/force is (a link|not stored in this file)"):
+            read(tmp_path / f"{kind}.h5")
