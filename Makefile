@@ -2,6 +2,7 @@
 #   make demo    one press, slide and twist: a bundle and a picture of it in out/
 #   make data    every recipe's data set in data/, WORKERS scenes at a time; run again, it goes on
 #   make test    the tests
+#   make torture  hostile files and kills, some 30 minutes: a table of what became of them
 #   make docs    the documentation site in out/site
 #   make gallery docs/gallery.md: every shape, movement and sensor, WORKERS scenes at a time, some 20 minutes on one core
 #   make bench   error against run time, stability, cost: docs/RESULTS.md, in some 20 minutes; BENCH_FLAGS=--full for more
@@ -18,10 +19,10 @@ export OPENBLAS_NUM_THREADS ?= 1
 export MKL_NUM_THREADS ?= 1
 export NUMBA_NUM_THREADS ?= 1
 
-.PHONY: help sync check test test-slow smoke bench docs gallery demo data clean
+.PHONY: help sync check test test-slow smoke torture bench docs gallery demo data clean
 
 help:
-	@echo "make demo | data | test | docs | gallery | check | test-slow | smoke | bench | sync | clean"
+	@echo "make demo | data | test | docs | gallery | check | test-slow | smoke | torture | bench | sync | clean"
 
 sync: .venv/synced
 
@@ -52,6 +53,10 @@ smoke: sync
 	  $(BIN)/tacgen run $$recipe -o out/smoke/$$name --set quality=draft --set vary=null && \
 	  $(BIN)/tacgen check out/smoke/$$name || exit 1; \
 	done
+
+# some 30 minutes on two cores: datasets, recipes, meshes and tables spoilt in many ways, and processes killed
+torture: sync
+	PYTHONPATH=tests $(BIN)/python -W ignore -m hostile.torture $(TORTURE_FLAGS)
 
 bench: sync
 	$(BIN)/tacgen bench -o docs $(BENCH_FLAGS)

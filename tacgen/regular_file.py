@@ -3,8 +3,8 @@
 import errno
 import os
 import stat
+from io import BufferedReader
 from pathlib import Path
-from typing import BinaryIO
 
 
 def descriptor(path: Path, most: int) -> int:
@@ -32,7 +32,7 @@ def descriptor(path: Path, most: int) -> int:
     return handle
 
 
-def opened(path: Path, most: int) -> BinaryIO:
+def opened(path: Path, most: int) -> BufferedReader:
     """A file to read from; raises as `descriptor` does."""
     return os.fdopen(descriptor(path, most), "rb")
 

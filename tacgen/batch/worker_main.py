@@ -76,4 +76,7 @@ def _be_killed_first() -> None:
 
 
 if __name__ == "__main__":
-    main(Connection(int(sys.argv[1])), int(sys.argv[2]))
+    try:
+        main(Connection(int(sys.argv[1])), int(sys.argv[2]))
+    except (EOFError, OSError):  # of the pipe: the parent is gone, or was stopped while it spoke
+        sys.exit(1)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tacgen import regular_file
 from tacgen.errors import UserError
 from tacgen.recipe import background_photo
 from tacgen.recipe.sensor import Camera
@@ -14,6 +15,7 @@ from tacgen.recipe.sensor import Camera
 Array = np.ndarray
 UNTOUCHED = ("background.png", "background.jpg", "background.jpeg", "background.bmp")
 TABLE = "presses.csv"
+LARGEST = 10_000_000  # bytes of the table
 NEEDED = ("file", "ball_radius_mm", "x_px", "y_px")
 EITHER = ("contact_radius_px", "depth_mm")
 SATURATED, DARK = 254, 5  # counts of 8 bit
@@ -85,7 +87,7 @@ def _rows(table: Path, wrong: list[str]) -> list[tuple[int, dict[str, str]]]:
     if not table.is_file():
         return []
     try:
-        text = table.read_text(encoding="utf-8-sig")
+        text = regular_file.read_bytes(table, LARGEST).decode("utf-8-sig")
         reader = csv.DictReader(text.splitlines(), strict=True)
         header = [name.strip() for name in reader.fieldnames or ()]
         reader.fieldnames = header

@@ -4,9 +4,11 @@ import difflib
 import hashlib
 from pathlib import Path
 
+from tacgen import regular_file
 from tacgen.errors import UserError, why
 
 PACKAGE = Path(__file__).resolve().parent.parent
+LARGEST = 2**30  # bytes of a file that a recipe names
 MESHES = (".stl", ".obj", ".ply")
 
 
@@ -72,7 +74,7 @@ def mesh_path(name_or_path: str, base: Path | None = None) -> Path:
 def sha256(path: Path) -> str:
     """SHA-256 of a file's bytes. Raises UserError: it cannot be read."""
     try:
-        with path.open("rb") as file:
+        with regular_file.opened(path, LARGEST) as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except (OSError, ValueError) as error:
         raise UserError(f"{path}: cannot be read: {why(error)}") from None

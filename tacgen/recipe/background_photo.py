@@ -1,9 +1,11 @@
 """A photograph of one's own untouched sensor, behind rendered pictures; the home of what reads it, imported late."""
 
+import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tacgen.errors import UserError
+from tacgen import regular_file
+from tacgen.errors import UserError, why
 from tacgen.recipe import assets
 from tacgen.recipe.model import IMAGES, Recipe
 from tacgen.recipe.sensor import Camera, Sensor
@@ -13,6 +15,9 @@ from tacgen.recipe.yaml_source import KeyPath
 if TYPE_CHECKING:
     import numpy as np
 
+LARGEST = 200_000_000  # bytes of a file
+MOST_PIXELS = 50_000_000
+FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP")  # of Pillow's others, some start programs
 WHERE: KeyPath = ("render", "background")
 
 
@@ -38,16 +43,30 @@ def problems(recipe: Recipe, sensor: Sensor, folder: Path | None) -> list[Proble
 
 
 def read(path: Path) -> "np.ndarray":
-    """The picture (H, W, 3), 8 bit. Raises UserError: no picture can be read from the file."""
+    """The picture (H, W, 3), 8 bit. Raises UserError: no picture of MOST_PIXELS at most can be read from the file."""
+    import io
+
     import numpy as np
     from PIL import Image
 
     try:
-        with Image.open(path) as picture:
-            return np.asarray(picture.convert("RGB"))
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        reason = "is no picture that can be read" if path.is_file() else "cannot be read: no such file"
-        raise UserError(f"{path}: {reason}") from error
+        content = regular_file.read_bytes(path, LARGEST)
+    except FileNotFoundError:
+        raise UserError(f"{path}: cannot be read: no such file") from None
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read: {why(error)}") from None
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of its size, which is looked at here
+            with Image.open(io.BytesIO(content), formats=FORMATS) as picture:
+                if picture.width * picture.height > MOST_PIXELS:
+                    size = f"{picture.width} x {picture.height}"
+                    raise UserError(f"{path}: is {size} pixels, at most {MOST_PIXELS / 1e6:.0f} million can be read")
+                return np.asarray(picture.convert("RGB"))
+    except UserError:
+        raise
+    except Exception as error:  # each of Pillow's readers fails in its own way on a file that is something else
+        raise UserError(f"{path}: is no picture that can be read") from error
 
 
 def shrunk(light: "np.ndarray", width: int, height: int) -> "np.ndarray":

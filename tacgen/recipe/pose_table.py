@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from tacgen import regular_file
 from tacgen.errors import UserError, why
 from tacgen.recipe.trajectory import Column, Quaternion, Vector, unit
 
@@ -25,6 +26,7 @@ COLUMNS = {
 }
 MM = {"mm": 1.0, "m": 1000.0}
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+MAX_FILE = 200_000_000  # [bytes]
 MAX_MESSAGES = 5  # about one file
 Row = tuple[int, float, Vector, Quaternion]  # line, time as in the file, position [mm] and turn
 
@@ -52,7 +54,7 @@ def read(path: Path, units: str | None = None, columns: Mapping[Column, str] | N
         UserError: the file cannot be read, or is no such table; a line each, without the file's name.
     """
     try:
-        raw = path.read_bytes()
+        raw = regular_file.read_bytes(path, MAX_FILE)
     except (OSError, ValueError) as error:
         raise UserError(f"cannot be read: {why(error)}") from None
     return _parsed(raw, units, tuple((columns or {}).items()))

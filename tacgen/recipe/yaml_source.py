@@ -9,9 +9,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from tacgen import regular_file
 from tacgen.errors import UserError, why
 
 KeyPath = tuple[str | int, ...]
+LARGEST = 10_000_000  # bytes of a file
+MAX_BITS = 1024  # of an integer: that is what a float holds
 MAX_VALUES = 100_000  # aliases can multiply a small file without end
 
 
@@ -171,7 +174,7 @@ def load(path: Path) -> Tree:
     """Read a YAML file. Raises UserError: cannot be read, is no text, is no YAML, holds a key twice."""
     name = str(path)
     try:
-        raw = path.read_bytes()
+        raw = regular_file.read_bytes(path, LARGEST)
     except FileNotFoundError:
         raise UserError(f"{name}: no such file") from None
     except IsADirectoryError:
@@ -287,6 +290,8 @@ def _plain(node: Any, path: KeyPath, spots: dict[KeyPath, Spot], budget: Iterato
         return node
     if type(node).__name__ == "ScalarBoolean":
         return bool(node)
+    if isinstance(node, int) and node.bit_length() > MAX_BITS:
+        raise UserError(here.point("is too large a number"))
     for kind in (int, float, str):
         if isinstance(node, kind):
             return kind(node)

@@ -26,7 +26,8 @@ from tacgen.report import dataset_card
 
 SECONDS = 20.0  # that a reader may take
 MEMORY = 3 * 2**30  # bytes of address space beyond what the process has
-OUTCOMES = ("accepted", "refused", "wrong", "traceback", "hung", "died")
+GOOD = ("accepted", "refused")
+OUTCOMES = (*GOOD, "lost", "wrong", "traceback", "hung", "died")
 CODES = {name: 20 + i for i, name in enumerate(OUTCOMES)}
 
 
@@ -60,6 +61,47 @@ def base(folder: Path) -> Path:
     dataset_card.write(loose)
     pack.pack(dataset.scenes(loose), folder / "packed", 0.04)
     return folder
+
+
+RECIPE = """
+tacgen: 1
+name: input
+sensor: sensor.yaml
+indenter: {shape: mesh, file: ball.stl, size_mm: 5}
+trajectory:
+  - replay: {file: poses.csv, units: mm}
+outputs: [rgb]
+render: {background: photo.png}
+"""
+
+
+def inputs(folder: Path) -> Path:
+    """`inputs`: a recipe, its sensor file, pose table, photograph, and a ball in three formats."""
+    import trimesh
+    from PIL import Image
+
+    from tacgen.recipe import assets
+
+    here = folder / "inputs"
+    here.mkdir()
+    (here / "recipe.yaml").write_text(RECIPE)
+    shutil.copy(assets.sensor_path("gelsight_mini"), here / "sensor.yaml")
+    rows = [f"{t / 10},0.1,0,{-0.05 * t},1,0,0,0" for t in range(4)]
+    (here / "poses.csv").write_text("\n".join(["time_s,x,y,z,qw,qx,qy,qz", *rows]) + "\n")
+    Image.new("RGB", (320, 240), (90, 80, 70)).save(here / "photo.png")
+    ball = trimesh.creation.icosphere(subdivisions=1, radius=2.0)
+    for kind in ("stl", "obj", "ply"):
+        ball.export(here / f"ball.{kind}")
+    return folder
+
+
+def _inputs(folder: Path) -> None:
+    """Validate the recipe; read the meshes that it does not name as well."""
+    from tacgen.geometry import mesh_import
+
+    for kind in ("obj", "ply"):
+        mesh_import.sizes(folder / f"ball.{kind}", "+z", 1.0)
+    command("validate", str(folder / "recipe.yaml"))
 
 
 def command(*args: str) -> None:
@@ -133,6 +175,8 @@ def attempt(kind: str, seed: int, source: Path) -> Attempt:
     """Spoil a copy of `source` (made by `base`) by a mutation of this kind, and have a reader read it."""
     rng = Random(f"{kind} {seed}")
     which, reader = rng.choice(("loose", "packed")), rng.choice(sorted(READERS))
+    if kind == "inputs":
+        which = reader = kind
     with tempfile.TemporaryDirectory() as scratch:
         folder, note = Path(scratch) / which, Path(scratch) / "note"
         shutil.copytree(source / which, folder)
@@ -143,7 +187,7 @@ def attempt(kind: str, seed: int, source: Path) -> Attempt:
 
 
 def _read(reader: str, folder: Path, sound: list[str] | None) -> str:
-    READERS[reader](folder)
+    READERS.get(reader, _inputs)(folder)
     if sound is not None and reader == "check":
         command("check", str(folder))
         try:

@@ -6,6 +6,7 @@ Damage to bytes is what a disk or a transfer does; the rest is what somebody cra
 import copy
 import json
 import os
+import re
 import socket
 from collections.abc import Callable
 from pathlib import Path
@@ -241,7 +242,29 @@ def _resealed(path: Path, group: str) -> str:
     return ", resealed"
 
 
+def damaged_input(rng: Random, folder: Path) -> str:
+    """Damage to bytes, or words and numbers of a text exchanged for others."""
+    path = rng.choice(files(folder))
+    try:
+        words = re.split(r"(\s+|[,:{}\[\]/])", path.read_text())
+    except UnicodeDecodeError:
+        return damaged_bytes(rng, folder)
+    if rng.random() < 0.3:
+        return damaged_bytes(rng, folder)
+    for _ in range(rng.randrange(1, 4)):
+        at = rng.randrange(len(words))
+        words[at] = rng.choice((*WORDS, rng.choice(words), words[at] * 2, ""))
+    path.write_text("".join(words))
+    return f"words of {path.name}"
+
+
+WORDS = (
+    *("nan", "inf", "-1", "0", "1e400", "-1e-320", "9" * 400, "0x" + "f" * 5000, "1_0", "null", "true", "~", "---"),
+    *("&a", "*a", "!!int", "!!python/object:os.system", "<<", "{", "]", "\t", "\r", "\x0b", "\u2028", "#", "|", "%TAG"),
+    *("../../etc/passwd", "/dev/zero", "\N{RIGHT-TO-LEFT OVERRIDE}", "x" * 100_000, "[" * 3000, "mtllib /dev/zero\n"),
+)
 MUTATIONS: dict[str, Mutation] = {
+    "inputs": damaged_input,
     "bytes": damaged_bytes,
     "special": special,
     "json": crafted_json,

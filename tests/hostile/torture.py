@@ -1,44 +1,50 @@
-"""`make torture`: many hostile inputs, and a table of what became of them.
+"""`make torture`: many hostile inputs and kills, and a table of what became of them.
 
-python -m hostile.torture --inputs 10000
+python -m hostile.torture --inputs 10000 --kills 1000
 """
 
 import argparse
 import sys
 import tempfile
+import time
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 
-from hostile import attempts
+from hostile import attempts, kills
 from hostile.mutations import MUTATIONS
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--inputs", type=int, default=10_000)
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--kinds", nargs="*", default=sorted(MUTATIONS))
+    parser.add_argument("--inputs", type=int, default=10_000, help="shared by all kinds of damage")
+    parser.add_argument("--kills", type=int, default=1_000)
+    parser.add_argument("--first", type=int, default=0, help="seed to begin with")
     args = parser.parse_args()
-    count: dict[str, Counter[str]] = {}
-    seen: Counter[str] = Counter()
+    start, bad = time.monotonic(), 0
     with tempfile.TemporaryDirectory() as scratch:
-        source = attempts.base(Path(scratch))
-        for reader in attempts.READERS.values():
-            reader(source / "loose") if reader is not attempts.READERS["pack"] else None
-        for kind in args.kinds:
-            count[kind] = Counter()
-            for seed in range(args.first, args.first + args.inputs // len(args.kinds)):
-                found = attempts.attempt(kind, seed, source)
-                count[kind][found.outcome] += 1
-                if found.outcome not in ("accepted", "refused"):
-                    seen[found.detail.partition(" at ")[2] or found.detail or found.outcome] += 1
-                    print(found, flush=True)
+        source = attempts.inputs(attempts.base(Path(scratch)))
+        each = args.inputs // len(MUTATIONS)
+        work: dict[str, tuple[int, Callable[[int], attempts.Attempt]]] = {
+            kind: (each, lambda seed, kind=kind: attempts.attempt(kind, seed, source)) for kind in sorted(MUTATIONS)
+        }
+        work["kill"] = (args.kills, lambda seed: kills.kill(seed, source))
+        rows = []
+        for kind, (number, attempt) in work.items():
+            count: Counter[str] = Counter()
+            for seed in range(args.first, args.first + number):
+                found = attempt(seed)
+                count[found.outcome] += 1
+                if found.outcome not in attempts.GOOD:
+                    bad += 1
+                    print(found, file=sys.stderr, flush=True)
+            rows.append([kind, count.total(), *(count[name] for name in attempts.OUTCOMES)])
     print("| kind | tried | " + " | ".join(attempts.OUTCOMES) + " |")
-    for kind, outcome in count.items():
-        print(f"| {kind} | {outcome.total()} | " + " | ".join(str(outcome[name]) for name in attempts.OUTCOMES) + " |")
-    for place, n in seen.most_common():
-        print(n, place, file=sys.stderr)
-    return 1 if seen else 0
+    print("|---" * (len(attempts.OUTCOMES) + 2) + "|")
+    for row in rows:
+        print("| " + " | ".join(map(str, row)) + " |")
+    print(f"\n{time.monotonic() - start:.0f} s, seeds from {args.first}")
+    return 1 if bad else 0
 
 
 if __name__ == "__main__":

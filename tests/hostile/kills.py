@@ -1,0 +1,123 @@
+"""A process killed at a seeded moment: what a second one makes is what an undisturbed one makes, and nothing more."""
+
+import os
+import signal
+import tempfile
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import numpy as np
+from helpers.scenes import make, make_plan
+
+from hostile.attempts import Attempt, contained
+from tacgen import array_cache, atomic_file, export
+from tacgen.bundle import dataset, pack
+from tacgen.bundle.journal import write_plan
+
+CALLS = ("open", "pwrite", "ftruncate", "fsync", "replace", "rename", "unlink", "mkdir", "rmdir")
+
+
+def _pack(source: Path, here: Path) -> None:
+    if not (here / "out").exists():
+        pack.pack(dataset.scenes(source / "loose"), here / "out", 0.04)
+
+
+def _scene(source: Path, here: Path) -> None:
+    make(make_plan(source, 3).rows[1], here)
+
+
+def _cache(source: Path, here: Path) -> None:
+    os.environ["TACGEN_CACHE_DIR"] = str(here)
+    array_cache.kept("kind", "key", lambda: (np.arange(1000.0), np.ones(3)))
+
+
+def _plan(source: Path, here: Path) -> None:
+    atomic_file.sweep(here)  # as every run begins
+    write_plan(make_plan(source, 3), here, None)
+
+
+WORKS: dict[str, Callable[[Path, Path], Any]] = {
+    "pack": _pack,
+    "scene": _scene,
+    "cache": _cache,
+    "plan": _plan,
+    "export vtkhdf": lambda source, here: export.export("vtkhdf", source / "loose", here / "out"),
+    "export webdataset": lambda source, here: export.export("webdataset", source / "loose", here / "out"),
+}
+CLOCKED = ("frames.h5", "made.log")  # hold the time, or how often a scene was begun
+
+
+def kill(seed: int, source: Path) -> Attempt:
+    """Kill one of WORKS at one of its calls to the disk, run it again, and compare."""
+    rng = Random(f"kill {seed}")
+    name = rng.choice(sorted(WORKS))
+    with tempfile.TemporaryDirectory() as scratch:
+        here, note = Path(scratch) / "here", Path(scratch) / "note"
+        here.mkdir()
+        moment = rng.randrange(1, calls(name, source) + 1)
+        child = os.fork()
+        if not child:
+            _counted(moment)
+            WORKS[name](source, here)
+            os._exit(0)
+        assert os.WIFSIGNALED(os.waitpid(child, 0)[1])
+        outcome = contained(lambda: (WORKS[name](source, here), "accepted")[1], note)
+        said = f"{name} at call {moment}"
+        if outcome != "accepted":
+            return Attempt("kill", seed, said, outcome, note.read_text() if note.exists() else "")
+        found, wanted = tree(here), whole(name, source)
+        missing, more = sorted(wanted.keys() - found.keys()), sorted(found.keys() - wanted.keys())
+        if missing:
+            return Attempt("kill", seed, said, "lost", str(missing))
+        return Attempt("kill", seed, said, "accepted" if found == wanted else "wrong", str(more))
+
+
+def tree(folder: Path) -> dict[str, bytes]:
+    """Content by path; a claim, which the next process at that place takes over, counts for nothing."""
+    files = (path for path in folder.rglob("*") if path.is_file() and not path.name.endswith(".claim"))
+    return {str(path.relative_to(folder)): b"" if path.name in CLOCKED else path.read_bytes() for path in files}
+
+
+@cache
+def whole(name: str, source: Path) -> dict[str, bytes]:
+    """What an undisturbed run leaves."""
+    with tempfile.TemporaryDirectory() as scratch:
+        WORKS[name](source, Path(scratch))
+        return tree(Path(scratch))
+
+
+@cache
+def calls(name: str, source: Path) -> int:
+    """Calls to the disk of an undisturbed run."""
+    with tempfile.TemporaryDirectory() as scratch:
+        count, here = Path(scratch) / "count", Path(scratch) / "here"
+        here.mkdir()
+        if not os.fork():
+            made = _counted(0)
+            WORKS[name](source, here)
+            number = len(made)
+            count.write_text(str(number))
+            os._exit(0)
+        os.wait()
+        return int(count.read_text())
+
+
+def _counted(moment: int) -> list[str]:
+    """Have this process killed at its moment-th call."""
+    made: list[str] = []
+
+    def counted(name: str, real: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*args: Any, **more: Any) -> Any:
+            made.append(name)
+            if len(made) == moment:
+                os.kill(os.getpid(), signal.SIGKILL)
+            return real(*args, **more)
+
+        return call
+
+    for name in CALLS:
+        setattr(os, name, counted(name, getattr(os, name)))
+    return made
