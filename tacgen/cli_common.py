@@ -19,6 +19,7 @@ DISK_ERRORS = tuple(
         "EBUSY",
     )
 )
+SCARCE = (errno.EMFILE, errno.ENFILE, errno.ENOMEM)
 
 
 class Commands(TyperGroup):
@@ -31,6 +32,15 @@ class Commands(TyperGroup):
         except UserError as error:
             for line in error.lines:
                 typer.echo(line, err=True)
+            raise typer.Exit(2) from None
+        except MemoryError:
+            typer.echo("out of memory: close other programs, or raise the limit (ulimit -v)", err=True)
+            raise typer.Exit(2) from None
+        except OSError as error:
+            if error.errno not in (*DISK, *SCARCE):
+                raise
+            place = f"{error.filename}: " if error.filename else ""
+            typer.echo(printable(f"{place}{error.strerror}"), err=True)
             raise typer.Exit(2) from None
         except (KeyboardInterrupt, SystemError) as error:
             if not _interrupted(error):

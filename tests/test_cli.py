@@ -211,6 +211,24 @@ def test_an_interrupt_is_exit_code_130(tmp_path: Path, batch: Any, stop: Callabl
     assert done.stderr.splitlines()[-1].startswith("interrupted; ")
 
 
+@pytest.mark.parametrize(
+    ("scarce", "says"),
+    [
+        (OSError(errno.EMFILE, "Too many open files", "x.h5"), "x.h5: Too many open files"),
+        (OSError(errno.ENOSPC, "No space left on device"), "No space left on device"),
+        (MemoryError(), "out of memory"),
+    ],
+)
+def test_what_the_machine_lacks_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, scarce: Any, says: str):
+    def check(path: Path) -> list[Any]:
+        raise scarce
+
+    monkeypatch.setattr("tacgen.bundle.check.check", check)
+    done = tacgen_("check", str(tmp_path))
+    assert (done.exit_code, len(done.stderr.splitlines())) == (2, 1)
+    assert done.stderr.startswith(says)
+
+
 @pytest.mark.parametrize("bug", [ZeroDivisionError("bug"), OSError(errno.EBADF, "bug"), SystemError("bug")])
 def test_a_bug_keeps_its_traceback(tmp_path: Path, batch: Any, bug: Exception):
     def run(*args: Any, **kwargs: Any) -> list[SceneResult]:

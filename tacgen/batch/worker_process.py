@@ -47,7 +47,7 @@ class Worker:
             pass_fds=[theirs.fileno()],
             stdin=subprocess.DEVNULL,
             stdout=2,  # what a library prints must not end up between results
-            env={**dict.fromkeys(THREADS, "1"), **os.environ, "PYTHONPATH": os.pathsep.join(paths)},
+            env={**os.environ, **_threads(), "PYTHONPATH": os.pathsep.join(paths)},
         )
         theirs.close()
         self.ready = False
@@ -95,6 +95,12 @@ class Worker:
     def _send(self, message: Any) -> None:
         with suppress(OSError):  # `listen` finds out that a process has died
             self.link.send(message)
+
+
+def _threads() -> dict[str, str]:
+    """Of BLAS and numba, one each unless the environment says another number; numba does not start with 0."""
+    said = {name: os.environ.get(name, "") for name in THREADS}
+    return {name: value if value.isdecimal() and int(value) > 0 else "1" for name, value in said.items()}
 
 
 def memory(pid: int) -> float:

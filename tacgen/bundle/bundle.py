@@ -32,6 +32,10 @@ class Unfinished(UserError):
     """The writer was stopped: writing the bundle again mends it."""
 
 
+class Missing(UserError, KeyError):
+    """The bundle has no dataset of that name."""
+
+
 class Writer:
     """Writes one bundle. Nothing stands under the bundle's name until `finish` has read it all back.
 
@@ -162,7 +166,7 @@ class Bundle:
         return path in self.shapes
 
     def __getitem__(self, path: str) -> np.ndarray:
-        """A whole dataset. Raises KeyError if the bundle has none of that name, UserError if the file is damaged."""
+        """A whole dataset. Raises Missing if the bundle has none of that name, UserError if the file is damaged."""
         return self._read(path, ())
 
     def frame(self, path: str, index: int) -> np.ndarray:
@@ -215,7 +219,7 @@ class Bundle:
 
     def _read(self, path: str, index: Any) -> np.ndarray:
         if path not in self.shapes:
-            raise KeyError(f"{self.path} has no {path}")
+            raise Missing(f"{self.path}: has no {path}")
         with opened(self.path, self.group) as file:
             return np.asarray(file[path[1:]][index])
 

@@ -111,6 +111,7 @@ def test_workers_that_cannot_start_are_one_line(tmp_path: Path):
 
 
 def test_workers_use_one_thread_and_respect_the_user(monkeypatch: pytest.MonkeyPatch):
+    from tacgen.batch import worker_process
     from tacgen.batch.worker_process import THREADS, Worker
 
     for name in THREADS:
@@ -120,6 +121,8 @@ def test_workers_use_one_thread_and_respect_the_user(monkeypatch: pytest.MonkeyP
     environment = Path(f"/proc/{worker.process.pid}/environ").read_bytes().decode().split("\0")
     worker.stop(patience=10)
     assert {f"{name}=1" for name in THREADS[1:]} | {"OMP_NUM_THREADS=3"} <= set(environment)
+    monkeypatch.setenv("NUMBA_NUM_THREADS", "0")  # with which numba does not start
+    assert worker_process._threads()["NUMBA_NUM_THREADS"] == "1"
 
 
 def test_a_larger_plan_keeps_what_is_there_and_another_recipe_is_refused(tmp_path: Path):
