@@ -238,7 +238,7 @@ def read(path: Path, group: str = "/", *, part: bool = False) -> Bundle:
     with opened(path, group) as file:
         attrs = {name: _plain(value) for name, value in file.attrs.items()}
         try:
-            shapes = {name: data.shape for name, data in datasets(file).items()}
+            shapes = datasets(file)
         except ValueError as error:
             wrong = str(error)
     if not isinstance(attrs.get("tacgen_format"), int):

@@ -82,46 +82,55 @@ def opened(path: Path, group: str = "/") -> Iterator[Any]:
             raise Damaged(f"{path}: damaged or cut short ({str(error).partition(chr(10))[0]})") from error
 
 
-def datasets(root: Any) -> dict[str, Any]:
-    """Every dataset of an open bundle by its path. Raises ValueError: one is not as the layout says, or none of it."""
-    import h5py
+def datasets(root: Any) -> dict[str, tuple[int, ...]]:
+    """Shape of every dataset of an open bundle by its path.
 
-    found: dict[str, Any] = {}
+    By h5py's lower layer, in half of the time that the upper one takes: whoever opens a folder waits for this.
+
+    Raises:
+        ValueError: something is not as the layout says, or no part of it.
+    """
+    from h5py import h5d, h5g, h5l, h5o
+
+    found: dict[str, tuple[int, ...]] = {}
     sizes: dict[str, int] = {}
 
     def walk(group: Any, above: str) -> None:
         for name in group:
-            path = f"{above}/{name}"
-            if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+            path = f"{above}/{name.decode()}"
+            if group.links.get_info(name).type != h5l.TYPE_HARD:
                 raise ValueError(f"{path} is a link")
-            item = group[name]
-            if isinstance(item, h5py.Dataset):
-                _look(path, item, sizes)
-                found[path] = item
-            elif path in GROUPS and isinstance(item, h5py.Group):
+            item = h5o.open(group, name)
+            if isinstance(item, h5d.DatasetID):
+                found[path] = _looked(path, item, sizes)
+            elif path in GROUPS and isinstance(item, h5g.GroupID):
                 walk(item, path)
             else:
                 raise ValueError(f"format {FORMAT} has no group {path}")
 
-    walk(root, "")
+    walk(root.id, "")
     return dict(sorted(found.items()))
 
 
-def _look(path: str, data: Any, sizes: dict[str, int]) -> None:
-    """Raise ValueError unless a dataset lies in this very file, as the layout says and no larger than it can be."""
-    row = entry(path)
-    packing = data.id.get_create_plist()
-    if data.is_virtual or packing.get_external_count():
+def _looked(path: str, data: Any, sizes: dict[str, int]) -> tuple[int, ...]:
+    """A dataset's shape; ValueError unless it lies in this file, as the layout says, and no larger than it can be."""
+    from h5py import h5d
+
+    row, packing, dtype = entry(path), data.get_create_plist(), data.dtype
+    shape: tuple[int, ...] = data.shape
+    how = packing.get_layout()
+    if how == h5d.VIRTUAL or packing.get_external_count():
         raise ValueError(f"{path} is not stored in this file")
-    if data.dtype.str != row.dtype:
-        raise ValueError(f"{path} has type {data.dtype.str}, expected {row.dtype}")
-    if problem := shape_problem(path, data.shape, sizes):
+    if dtype.str != row.dtype:
+        raise ValueError(f"{path} has type {dtype.str}, expected {row.dtype}")
+    if problem := shape_problem(path, shape, sizes):
         raise ValueError(problem)
     if not {packing.get_filter(i)[0] for i in range(packing.get_nfilters())} <= FILTERS:
         raise ValueError(f"{path} is compressed in a way that no bundle is")
-    width = data.dtype.itemsize
-    whole = width * math.prod(max(1, n) for n in data.shape)
-    if data.size * width > RATIO * data.id.get_storage_size():
-        raise ValueError(f"{path} claims {data.size * width} bytes, and stores {data.id.get_storage_size()}")
-    if data.chunks and width * math.prod(data.chunks) > max(whole, SMALL):
+    claimed, stored = dtype.itemsize * math.prod(shape), data.get_storage_size()
+    if claimed > RATIO * stored:
+        raise ValueError(f"{path} claims {claimed} bytes, and stores {stored}")
+    whole = dtype.itemsize * math.prod(max(1, n) for n in shape)
+    if how == h5d.CHUNKED and dtype.itemsize * math.prod(packing.get_chunk()) > max(whole, SMALL):
         raise ValueError(f"{path} is stored in pieces larger than itself")
+    return shape

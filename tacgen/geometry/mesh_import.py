@@ -58,6 +58,8 @@ def read(path: Path) -> Solid:
         raise UserError(f"{path}: holds no triangles")
     if len(mesh.faces) > MAX_TRIANGLES:
         raise UserError(f"{path}: has {len(mesh.faces)} triangles, at most {MAX_TRIANGLES} can be; simplify it first")
+    if mesh.vertices.shape[1:] != (3,) or mesh.faces.shape[1:] != (3,):
+        raise UserError(f"{path}: holds no triangles in space")
     if not np.isfinite(mesh.vertices).all():
         raise UserError(f"{path}: holds vertices that are not numbers")
     if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):

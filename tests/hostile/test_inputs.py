@@ -81,6 +81,7 @@ MESHES = {
     ),
     "obj bad index": ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n"),
     "obj negative index": ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf -1 -2 -9\n"),
+    "two columns": ("a.obj", b"v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n"),
     "no area": ("a.obj", b"v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n"),
     "all one point": ("a.obj", b"v 0 0 0\nv 0 0 0\nv 0 0 0\nf 1 2 3\nf 3 2 1\n"),
     "tiny": ("a.obj", b"v 0 0 0\nv 1e-300 0 0\nv 0 1e-300 0\nv 0 0 1e-300\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"),
