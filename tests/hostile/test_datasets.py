@@ -4,13 +4,14 @@
 """
 
 import json
+import re
 import signal
 from collections.abc import Iterator
 from pathlib import Path
 
 import h5py
 import pytest
-from helpers.synthetic import write
+from helpers.synthetic import attributes, write
 
 from hostile import attempts, kills
 from hostile.mutations import MUTATIONS
@@ -18,6 +19,7 @@ from tacgen.bundle.bundle import read
 from tacgen.bundle.check import check
 from tacgen.bundle.run_status import survey
 from tacgen.errors import UserError
+from tacgen.report import dataset_card, dataset_summary, html_report
 
 INPUTS = 12  # of each kind
 
@@ -95,3 +97,18 @@ def test_external_links_and_storage_are_refused(tmp_path: Path) -> None:
                 file.create_virtual_dataset("frames/force", layout)
         with pytest.raises(UserError, match=r"/frames/force is (a link|not stored in this file)"):
             read(tmp_path / f"{kind}.h5")
+
+
+def test_names_are_text_in_the_report_and_the_card(tmp_path: Path) -> None:
+    name = "<script>alert(1)</script>|\n<img src=x>"
+    recipe = attributes()["recipe"] | {"name": name, "indenter": {"shape": name}}
+    write(tmp_path / "scene-00000.h5", recipe=recipe, sensor=name, values={name: name, f"{name} 2": 1.0})
+    page = html_report.page(dataset_summary.look(tmp_path))
+    card = dataset_card.write(tmp_path).read_text()
+    for text in (page, card):
+        assert "alert(1)" in text
+        assert "<script" not in text
+        assert "<img src=x" not in text
+    for line in card.splitlines():
+        if line.startswith("| "):
+            assert len(re.findall(r"(?<!\\)\|", line)) in (3, 4), line  # two or three cells, as in the head
