@@ -60,8 +60,12 @@ def scenes(source: Path) -> list[Bundle]:
     Raises:
         UserError: there is none, a file is damaged, foreign or of a newer format, or a shard is missing.
     """
-    if not source.exists():
-        raise UserError(f"{source}: no such file or folder")
+    try:
+        os.stat(source)
+    except FileNotFoundError:
+        raise UserError(f"{source}: no such file or folder") from None
+    except OSError as error:
+        _refuse(error)
     if source.name == INDEX:
         source = source.parent
     if not source.is_dir():
@@ -88,9 +92,14 @@ def packs(folder: Path) -> list[Path]:
 
 def _folders(folder: Path) -> Iterator[tuple[Path, list[str]]]:
     """Each folder from `folder` down, and the files in it; neither hidden nor packed ones."""
-    for place, inner, names in os.walk(folder):
+    for place, inner, names in os.walk(folder, onerror=_refuse):
         inner[:] = [name for name in inner if not name.startswith(".") and not _is_pack(Path(place, name))]
         yield Path(place), names
+
+
+def _refuse(error: OSError) -> None:
+    """A folder that may not be read is not an empty one."""
+    raise UserError(f"{error.filename}: cannot be read: {error.strerror}") from None
 
 
 def _hint(found: list[Path]) -> str:
@@ -99,12 +108,12 @@ def _hint(found: list[Path]) -> str:
 
 def is_packed(folder: Path) -> bool:
     """Whether a folder holds shards and their index."""
-    return (folder / INDEX).exists()
+    return os.path.exists(folder / INDEX)  # False where that cannot be seen
 
 
 def _is_pack(folder: Path) -> bool:
     """The same of a folder that nobody has named: an index.json may be anybody's."""
-    return is_packed(folder) and (folder / SHARD.format(0)).exists()
+    return is_packed(folder) and os.path.exists(folder / SHARD.format(0))
 
 
 def packed(folder: Path) -> list[tuple[Path, str]]:

@@ -47,7 +47,8 @@ WORKS: dict[str, Callable[[Path, Path], Any]] = {
     "export vtkhdf": lambda source, here: export.export("vtkhdf", source / "loose", here / "out"),
     "export webdataset": lambda source, here: export.export("webdataset", source / "loose", here / "out"),
 }
-CLOCKED = ("frames.h5", "made.log")  # hold the time, or how often a scene was begun
+CLOCKED = "frames.h5"  # holds the time
+LOG = "made.log"  # of the stand-in for a scene's work, not of tacgen
 
 
 def kill(seed: int, source: Path) -> Attempt:
@@ -77,8 +78,8 @@ def kill(seed: int, source: Path) -> Attempt:
 
 def tree(folder: Path) -> dict[str, bytes]:
     """Content by path; a claim, which the next process at that place takes over, counts for nothing."""
-    files = (path for path in folder.rglob("*") if path.is_file() and not path.name.endswith(".claim"))
-    return {str(path.relative_to(folder)): b"" if path.name in CLOCKED else path.read_bytes() for path in files}
+    files = [path for path in folder.rglob("*") if path.is_file() and not path.name.endswith((".claim", LOG))]
+    return {str(path.relative_to(folder)): b"" if path.name == CLOCKED else path.read_bytes() for path in files}
 
 
 @cache

@@ -4,8 +4,11 @@
 """
 
 import json
+import os
 import re
+import shutil
 import signal
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,6 +18,7 @@ from helpers.synthetic import attributes, write
 
 from hostile import attempts, kills
 from hostile.mutations import MUTATIONS
+from tacgen.bundle import dataset
 from tacgen.bundle.bundle import read
 from tacgen.bundle.check import check
 from tacgen.bundle.run_status import survey
@@ -112,3 +116,29 @@ def test_names_are_text_in_the_report_and_the_card(tmp_path: Path) -> None:
     for line in card.splitlines():
         if line.startswith("| "):
             assert len(re.findall(r"(?<!\\)\|", line)) in (3, 4), line  # two or three cells, as in the head
+
+
+def test_a_folder_that_may_not_be_read_is_no_empty_one(source: Path, tmp_path: Path) -> None:
+    if os.geteuid():
+        pytest.skip("only root may become another user")
+    check(source / "loose")  # imports what the other user may not
+    there = Path(tempfile.mkdtemp())
+    there.chmod(0o777)
+    shutil.copytree(source / "loose", there / "in" / "loose")
+    for closed in (there / "in", there / "in" / "loose"):
+        closed.chmod(0)
+
+        def read_it() -> str:
+            os.setuid(65534)
+            dataset.scenes(there / "in" / "loose")
+            return "accepted"
+
+        def check_it() -> str:
+            os.setuid(65534)
+            check(there / "in")
+            return "accepted"
+
+        for work in (read_it, check_it):
+            assert attempts.contained(work, there / "note") == "refused", (closed, work)
+        closed.chmod(0o755)
+    shutil.rmtree(there)
