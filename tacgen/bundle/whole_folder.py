@@ -41,8 +41,7 @@ def written(folder: Path, kind: str = "") -> Iterator[Path]:
     new, old = (folder.with_name(f".{folder.name}.tacgen-{age}") for age in ("new", "old"))
     folder.parent.mkdir(parents=True, exist_ok=True)
     with atomic_file.claim(folder):
-        if old.exists() and not folder.exists():
-            old.rename(folder)
+        _put_back(old, folder)
         _removed(new, old)
         _refuse(folder, kind)
         new.mkdir()
@@ -56,7 +55,13 @@ def written(folder: Path, kind: str = "") -> Iterator[Path]:
                 folder.rename(old)
             new.rename(folder)
         finally:
+            _put_back(old, folder)
             _removed(new, old)
+
+
+def _put_back(old: Path, folder: Path) -> None:
+    if old.exists() and not folder.exists():
+        old.rename(folder)
 
 
 def _removed(*folders: Path) -> None:

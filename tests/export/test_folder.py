@@ -133,3 +133,22 @@ def test_killed_at_any_moment_it_leaves_a_whole_one_or_what_the_next_run_removes
         export("feats", data / "one", out)
         assert content(out) == fresh, moment
         assert os.listdir(out.parent) == ["out"], moment
+
+
+def test_an_export_that_cannot_get_its_name_leaves_the_old_one(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    export("feats", data / "two", out)
+    before, real = content(out), Path.rename
+
+    def rename(self: Path, target: Path) -> Path:
+        if self.name.endswith("-new"):
+            raise OSError(16, "Device or resource busy")
+        return real(self, target)
+
+    monkeypatch.setattr(Path, "rename", rename)
+    with pytest.raises(OSError, match="busy"):
+        export("feats", data / "one", out)
+    assert content(out) == before
+    assert os.listdir(tmp_path) == ["out"]
