@@ -16,7 +16,7 @@ DISK_ERRORS = tuple(
     getattr(errno, name)
     for name in (
         *("ENOSPC", "EACCES", "EPERM", "EROFS", "ENOTDIR", "EISDIR", "EEXIST", "EDQUOT", "ENAMETOOLONG", "EFBIG"),
-        "EBUSY",
+        *("EBUSY", "ENXIO"),
     )
 )
 SCARCE = (errno.EMFILE, errno.ENFILE, errno.ENOMEM)

@@ -212,7 +212,7 @@ def _dataset(rng: Random, group: Any, path: Path) -> str:
             old[(0,) * values.ndim] = np.nan
     elif kind == "strings":
         parent.create_dataset(last, data=["\x1b[2J"] * (shape[0] if shape else 1))
-    if isinstance(group.get(name), h5py.Dataset) and kind not in ("external link", "soft link"):
+    if kind not in ("external link", "soft link", "dangling") and isinstance(group.get(name), h5py.Dataset):
         group[name].attrs.update(attrs)
     return f"{name} {kind}"
 

@@ -21,6 +21,7 @@ from hostile.mutations import MUTATIONS
 from tacgen.bundle import dataset
 from tacgen.bundle.bundle import read
 from tacgen.bundle.check import check
+from tacgen.bundle.journal import Journal
 from tacgen.bundle.run_status import survey
 from tacgen.errors import UserError
 from tacgen.report import dataset_card, dataset_summary, html_report
@@ -142,3 +143,14 @@ def test_a_folder_that_may_not_be_read_is_no_empty_one(source: Path, tmp_path: P
             assert attempts.contained(work, there / "note") == "refused", (closed, work)
         closed.chmod(0o755)
     shutil.rmtree(there)
+
+
+def test_a_journal_that_is_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "journal.jsonl")
+
+    def write_it() -> str:
+        with pytest.raises(OSError, match="No such device"), Journal(tmp_path, None):
+            pass
+        return "accepted"
+
+    assert attempts.contained(write_it, tmp_path / "note") == "accepted"
