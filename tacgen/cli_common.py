@@ -37,7 +37,7 @@ class Commands(TyperGroup):
             typer.echo("out of memory: close other programs, or raise the limit (ulimit -v)", err=True)
             raise typer.Exit(2) from None
         except OSError as error:
-            if error.errno not in (*DISK, *SCARCE):
+            if error.errno not in (*DISK_ERRORS, *SCARCE):
                 raise
             place = f"{error.filename}: " if error.filename else ""
             typer.echo(printable(f"{place}{error.strerror}"), err=True)
