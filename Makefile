@@ -60,7 +60,6 @@ torture: sync
 
 bench: sync
 	$(BIN)/tacgen bench -o docs $(BENCH_FLAGS)
-	$(BIN)/python scripts/compare.py --results docs
 	$(BIN)/python -m benchmarks.readme_figures
 
 docs: sync

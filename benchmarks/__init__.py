@@ -20,6 +20,7 @@ BENCHES = {  # and the module of each
     "cost": "cost",
     "peers": "peers",
     "optics": "optics",
+    "real": "real",
     "stability": "stability",
     "pay": "cost_per_output",
     "scaling": "scaling",
@@ -47,6 +48,9 @@ def run(names: Sequence[str], out: Path, level: results_page.Level, say: results
             found = import_module(f"benchmarks.{BENCHES[name]}").bench(
                 level, lambda text, name=name: say(f"{name}: {text}")
             )
+        except results_page.Absent as why:
+            say(f"{name}: left out, {why}")
+            continue
         except Exception:
             say(traceback.format_exc())  # the others go on
             failed.append(name)
@@ -59,5 +63,4 @@ def run(names: Sequence[str], out: Path, level: results_page.Level, say: results
 def record(name: str, found: results_page.Result, seconds: float, out: Path) -> None:
     """Write one part's figures to `out`/results, and `out`/RESULTS.md anew."""
     results_page.write(out / FOLDER, name, found, seconds)
-    parts = [*BENCHES, "photographs"]  # the last by scripts/compare.py, where there are any
-    results_page.page(out / FOLDER, parts, out / PAGE, "Results", f"{HEAD}\n\n{summary.short(out / FOLDER)}")
+    results_page.page(out / FOLDER, list(BENCHES), out / PAGE, "Results", f"{HEAD}\n\n{summary.short(out / FOLDER)}")

@@ -32,6 +32,10 @@ print(json.dumps(getattr(importlib.import_module(module), name)(*json.loads(sys.
 """
 
 
+class Absent(Exception):
+    """What a bench needs is not on this machine: what it found elsewhere stays."""
+
+
 @dataclass(frozen=True)
 class Table:
     """Rows under `columns`: a heading with its unit, and how its numbers are written, as `format` has it."""

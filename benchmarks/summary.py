@@ -111,14 +111,20 @@ def _scaling(tables: Tables) -> Told:
         yield f"efficiency of {most['workers']} workers", f"{most['efficiency']:.2f}{alone}"
 
 
-def _photographs(tables: Tables) -> Told:
-    rows = [row for row in tables.get("Likeness", ()) if row["SSIM"] is not None]
-    for name in dict.fromkeys(row["sensor"] for row in rows):
-        mine = {row["what"]: row["SSIM"] for row in rows if row["sensor"] == name}
-        untouched = mine.pop("untouched")
-        least, most = min(mine.values()), max(mine.values())
-        span = f"{least:.2f}" if least == most else f"{least:.2f} to {most:.2f}"
-        yield f"{SENSORS[name]} beside photographs, SSIM", f"untouched {untouched:.3f}, pressed {span}"
+def _real(tables: Tables) -> Told:
+    rows = tables.get("Normals inside the contact circle", [])
+    if rows:
+        heads = ("flat [deg]", "rendered to real [deg]", "real to real, left out [deg]")
+        yield (
+            "real normals off by, deg: flat, learned from rendered, from real",
+            _by_sensor(rows, lambda row: " / ".join(f"{row[head]:.1f}" for head in heads if row[head] is not None)),
+        )
+    rows = tables.get("Change per slope, rendered over real", [])
+    if rows:
+        yield (
+            "change of colour per slope, rendered over real (R / G / B)",
+            _by_sensor(rows, lambda row: " / ".join(f"{row[head]:.2f}" for head in ("contrast red", "green", "blue"))),
+        )
 
 
 TOLD = {
@@ -127,8 +133,8 @@ TOLD = {
     "cost": _cost,
     "peers": _peers,
     "optics": _optics,
+    "real": _real,
     "stability": _stability,
     "pay": _pay,
     "scaling": _scaling,
-    "photographs": _photographs,
 }

@@ -1,39 +1,26 @@
-"""What the tests against photographs share: where those are, the sensor files, and scripts/compare.py's estimators."""
-
-import importlib.util
-import os
-import sys
-from pathlib import Path
-from types import ModuleType
+"""What the tests against photographs share: where those are, and a shipped sensor against them."""
 
 import pytest
-from ruamel.yaml import YAML
 
-from tacgen.recipe.sensor import Sensor
-
-ROOT = Path(__file__).parents[2]
-REFERENCE = Path(os.environ.get("TACGEN_REFERENCE", ROOT.parent / "shared" / "reference"))
-
-
-def needs(folder: str, file: str) -> pytest.MarkDecorator:
-    """Skip where the photograph is absent."""
-    photos = REFERENCE / folder
-    reason = f"no photographs in {photos} (set TACGEN_REFERENCE)"
-    return pytest.mark.skipif(not (photos / file).is_file(), reason=reason)
+from benchmarks import photographs
+from tacgen.calibrate import press_faces
+from tacgen.calibrate.likeness import Comparison
+from tacgen.recipe import assets, loading
 
 
-def compare() -> ModuleType:
-    """scripts/compare.py as a module."""
-    sys.path.insert(0, str(ROOT / "scripts"))
-    try:
-        spec = importlib.util.spec_from_file_location("compare", ROOT / "scripts" / "compare.py")
-        module = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(module)
-    finally:
-        sys.path.remove(str(ROOT / "scripts"))
-    return module
+def needs(name: str) -> pytest.MarkDecorator:
+    """Skip where a sensor's photographs are absent."""
+    reason = f"no photographs in {photographs.reference()} (set TACGEN_REFERENCE)"
+    return pytest.mark.skipif(photographs.unit(name) is None, reason=reason)
 
 
-def sensor(name: str) -> Sensor:
+def sensor(name: str):
     """A shipped sensor file."""
-    return Sensor.model_validate(YAML(typ="safe").load((ROOT / "sensors" / f"{name}.yaml").read_text()))
+    return loading.read_sensor(assets.sensor_path(name))[0]
+
+
+def against_photographs(name: str):
+    """A shipped sensor's likeness to its unit's presses."""
+    unit, shipped = photographs.unit(name), sensor(name)
+    faces = [press_faces.face(shipped, press, {}) for press in unit.presses]
+    return Comparison(shipped).likeness(unit.presses, faces, unit.untouched)

@@ -1,0 +1,152 @@
+"""How well rendered presses stand for photographed ones: how colours change with the slope of a ball's surface, and how
+far off on real normals a net is that learned them from rendered pictures (Wang et al. 2021, GelSight Wedge: the net)."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tacgen.calibrate import normal_net
+from tacgen.calibrate.normal_net import NormalNet
+from tacgen.calibrate.photos import Press
+from tacgen.optics.camera import Camera
+from tacgen.optics.camera_view import View
+from tacgen.optics.hertz_dent import BallDent
+from tacgen.optics.surface_grid import Surface
+from tacgen.recipe.sensor import LitSensor
+from tacgen.render.images import Renderer
+
+Array = np.ndarray
+WITHIN = 0.95  # contact radii: where a press's slopes are the ball's
+AROUND = 1.7  # contact radii in which changes are correlated
+DENTS = 48  # rendered ones that a net learns from
+BALLS, SHARE, WIDEST = (1.5, 5.5), (0.3, 0.75), 3.5  # their radii [mm], contact radii over those, and at most [mm]
+PIXELS = 300  # of each that it learns from
+SPP = 16  # of draft pictures
+
+
+@dataclass(frozen=True)
+class Seen:
+    """One press in a picture."""
+
+    change: Array  # against the untouched picture (H, W, 3) [counts]
+    where: Array  # (H, W) bool: inside the contact circle
+    slopes: Array  # sideways parts of the ball's unit normals there, (n, 2)
+    flat: Array  # the same of the untouched face, (n, 2)
+
+    @property
+    def features(self) -> Array:
+        """What a net sees inside the contact circle (n, 5)."""
+        return normal_net.features(self.change, self.where)
+
+    def off(self, slopes: Array) -> float:
+        """Mean angle [deg] between the ball's normals and others (n, 2)."""
+        return float(normal_net.degrees_apart(self.slopes, slopes).mean())
+
+    def per_slope(self) -> Array:
+        """Change per slope [counts] along x and y (3, 2) inside the contact circle, by least squares."""
+        table = np.column_stack([np.ones(len(self.slopes)), self.slopes - self.flat])
+        return np.asarray(np.linalg.lstsq(table, self.change[self.where], rcond=None)[0][1:].T)
+
+
+@dataclass(frozen=True)
+class Likeness:
+    """Rendered over photographed presses, per channel (3,); angles in degrees."""
+
+    contrast: Array  # change per slope, rendered over real, median
+    direction: Array  # angle between the two, median
+    correlation: Array  # of the change around the contact, median
+    normals: float  # real normals by a net that learned from rendered pictures, mean
+    flat: float  # the same of guessing that nothing is pressed
+
+    def __str__(self) -> str:
+        contrast, correlation = (" / ".join(f"{v:.2f}" for v in one) for one in (self.contrast, self.correlation))
+        return (
+            f"contrast per slope {contrast} of the real (red / green / blue), correlation {correlation},"
+            f" real normals off by {self.normals:.1f} deg (flat: {self.flat:.1f})"
+        )
+
+
+class Comparison:
+    """One sensor's renderer, against presses."""
+
+    def __init__(self, sensor: LitSensor) -> None:
+        self.sensor, self._renderer = sensor, Renderer(sensor, SPP, 0, markers=False)
+        self._view = View(sensor, self._renderer.sheet, markers=False)
+        self._flat = self._renderer.develop(self._renderer.flat())
+        self._level = self._slopes(self._renderer.untouched)
+
+    def photographed(self, press: Press, face: Surface, untouched: Array) -> Seen:
+        """A photograph over that of the untouched unit."""
+        return self._seen(press.picture, untouched, face, press.center, press.contact or 0.0)
+
+    def rendered(self, press: Press, face: Surface) -> Seen:
+        """The same press as rendered, without noise."""
+        made = self._renderer.develop(self._renderer.image(face))
+        return self._seen(made, self._flat, face, press.center, press.contact or 0.0)
+
+    def net(self, seed: int = 0) -> NormalNet:
+        """One that learned from rendered dents with the camera's noise."""
+        return learned(list(self._dents(seed)))
+
+    def likeness(self, presses: Sequence[Press], faces: Sequence[Surface], untouched: Array) -> Likeness:
+        """Over presses whose contact circles were seen."""
+        pairs = [
+            (self.photographed(press, face, untouched), self.rendered(press, face), near(press, AROUND))
+            for press, face in zip(presses, faces, strict=True)
+        ]
+        per = np.array([[one.per_slope() for one in pair[:2]] for pair in pairs])
+        size, angle = np.linalg.norm(per, axis=3), np.degrees(np.arctan2(per[..., 1], per[..., 0]))
+        turn = np.abs((angle[:, 1] - angle[:, 0] + 180) % 360 - 180)
+        correlation = [
+            [np.corrcoef(real.change[around][:, c], made.change[around][:, c])[0, 1] for c in range(3)]
+            for real, made, around in pairs
+        ]
+        net = self.net()
+        return Likeness(
+            np.median(size[:, 1] / size[:, 0], axis=0), np.median(turn, axis=0), np.median(correlation, axis=0),
+            float(np.mean([real.off(net.normals(real.features)) for real, _, _ in pairs])),
+            float(np.mean([real.off(real.flat) for real, _, _ in pairs])),
+        )  # fmt: skip
+
+    def _dents(self, seed: int) -> Iterator[Seen]:
+        random, renderer = np.random.default_rng(seed), self._renderer
+        camera, gel = Camera.from_sensor(self.sensor), self.sensor.gel
+        for _ in range(DENTS):
+            ball = float(np.exp(random.uniform(*np.log(BALLS))))
+            contact = min(ball * random.uniform(*SHARE), WIDEST) / camera.mm_per_px
+            center = tuple(float(random.uniform(0, side)) for side in camera.shape[::-1])
+            bend = 0.0 if gel.dome is None else (1 / gel.dome.radius_x_mm + 1 / gel.dome.radius_y_mm) / 2
+            face = BallDent.seen(camera, ball, (center[0], center[1]), contact, renderer.untouched, bend)
+            picture = renderer.develop(renderer.image(face), random)
+            yield self._seen(picture, self._flat, face, (center[0], center[1]), contact)
+
+    def _seen(
+        self, picture: Array, untouched: Array, face: Surface, center: tuple[float, float], contact: float
+    ) -> Seen:
+        slopes = self._slopes(face)
+        where = circle(untouched.shape[:2], center, WITHIN * contact) & np.isfinite(slopes + self._level).all(axis=2)
+        return Seen(picture.astype(float) - untouched, where, slopes[where], self._level[where])
+
+    def _slopes(self, face: Surface) -> Array:
+        """Of the face behind each pixel (H, W, 2)."""
+        return self._view.look(face).normal[:, :2].reshape(*self._view.shape, 2)
+
+
+def learned(seen: Sequence[Seen], seed: int = 0) -> NormalNet:
+    """A net trained inside the contact circles of some presses, on equally many pixels of each that has enough."""
+    random = np.random.default_rng(seed)
+    some = [random.permutation(len(one.slopes))[: max(PIXELS, normal_net.MOST // len(seen))] for one in seen]
+    features = np.concatenate([one.features[k] for one, k in zip(seen, some, strict=True)])
+    return NormalNet.trained(features, np.concatenate([one.slopes[k] for one, k in zip(seen, some, strict=True)]), seed)
+
+
+def circle(shape: tuple[int, ...], center: tuple[float, float], radius: float) -> Array:
+    """Pixels (H, W) bool whose middles lie within a circle [px]."""
+    y, x = np.mgrid[: shape[0], : shape[1]] + 0.5
+    return np.asarray(np.hypot(x - center[0], y - center[1]) < radius)
+
+
+def near(press: Press, reach: float) -> Array:
+    """Pixels within `reach` contact radii of a press's middle, (H, W) bool."""
+    return circle(press.picture.shape, press.center, reach * (press.contact or 0.0))

@@ -1,0 +1,76 @@
+"""The photometric-stereo net that users of such sensors train: change of colour and place in the picture -> the normal.
+
+Two hidden layers of tanh, fitted by L-BFGS to least squares with a little weight decay; small enough for NumPy, and the
+same bytes for the same samples.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy.optimize import minimize
+
+Array = np.ndarray
+HIDDEN = 24  # units in each hidden layer
+COUNTS = 40.0  # a usual change of colour [counts], 1 at the net's input
+DECAY = 3e-4  # of the weights' squares, beside the mean square error
+STEPS = 300  # of L-BFGS at most
+MOST = 8000  # samples that a net is trained on; of more, some are drawn
+
+
+@dataclass(frozen=True)
+class NormalNet:
+    """Weights and biases of the layers."""
+
+    layers: tuple[tuple[Array, Array], ...]
+
+    @classmethod
+    def trained(cls, features: Array, normals: Array, seed: int = 0) -> "NormalNet":
+        """From samples: features (n, 5), see `features`, and sideways parts of unit normals (n, 2)."""
+        random = np.random.default_rng(seed)
+        some = random.permutation(len(features))[:MOST]
+        x, wanted, sizes = features[some], normals[some], (features.shape[1], HIDDEN, HIDDEN, 2)
+        start = [random.standard_normal((a + 1, b)) / np.sqrt(a) for a, b in pairwise(sizes)]
+        cuts = np.cumsum([w.size for w in start])[:-1]
+
+        def weights(flat: Array) -> list[Array]:
+            return [part.reshape(w.shape) for part, w in zip(np.split(flat, cuts), start, strict=True)]
+
+        def loss(flat: Array) -> tuple[float, Array]:
+            tables, values = weights(flat), [x]
+            for k, w in enumerate(tables):
+                made = values[-1] @ w[:-1] + w[-1]
+                values.append(np.tanh(made) if k + 1 < len(tables) else made)
+            off = values.pop() - wanted
+            back, slope = 2 * off / len(off), []
+            for k in range(len(tables) - 1, -1, -1):
+                slope.append(np.vstack([values[k].T @ back, back.sum(axis=0)]).ravel())
+                back = (back @ tables[k][:-1].T) * (1 - values[k] ** 2)
+            return float((off**2).sum() / len(off) + DECAY * flat @ flat), np.concatenate(
+                slope[::-1]
+            ) + 2 * DECAY * flat
+
+        flat = np.concatenate([w.ravel() for w in start])
+        best = weights(minimize(loss, flat, jac=True, method="L-BFGS-B", options={"maxiter": STEPS}).x)
+        return cls(tuple((w[:-1], w[-1]) for w in best))
+
+    def normals(self, features: Array) -> Array:
+        """Sideways parts of the unit normals (n, 2) of samples (n, 5)."""
+        for weight, bias in self.layers[:-1]:
+            features = np.tanh(features @ weight + bias)
+        weight, bias = self.layers[-1]
+        return np.asarray(features @ weight + bias)
+
+
+def features(change: Array, where: Array) -> Array:
+    """What the net sees (n, 5) of pixels `where` (H, W) bool of a change of colour (H, W, 3) [counts]: the change, and
+    the place from -1 to 1 along the picture's width."""
+    (h, w), (y, x) = where.shape, np.nonzero(where)
+    return np.column_stack([change[where] / COUNTS, 2 * (x + 0.5) / w - 1, (2 * y + 1 - h) / w])
+
+
+def degrees_apart(a: Array, b: Array) -> Array:
+    """Angles (n,) [deg] between unit normals of which the sideways parts (n, 2) are given; longer ones count as 1."""
+    one, other = (s / np.maximum(1.0, np.linalg.norm(s, axis=1, keepdims=True)) for s in (a, b))
+    up = np.prod([np.sqrt(np.maximum(1 - (s**2).sum(axis=1), 0)) for s in (one, other)], axis=0)
+    return np.asarray(np.degrees(np.arccos(np.clip((one * other).sum(axis=1) + up, -1, 1))))
