@@ -60,7 +60,8 @@ class Bounce:
         walls, inward, pieces = self._walls(sensor, top)
         self._at, self._normals = np.concatenate([nodes, walls]), np.concatenate([facing, inward])
         area = np.concatenate([share.ravel() * self.sheet.areas(nodes), pieces])
-        self._patches = strip_light.Points(self._at, self._normals, area, np.sqrt(area) / 2, np.arange(len(area)))
+        every = np.arange(len(area))
+        self._patches = strip_light.Points(self._at, self._normals, area, np.sqrt(area) / 2, every, 0 * every)
         self._onto = self._gather(sensor, self._patches, len(area))
         turned = []
         for by in ((TILT, 0.0), (-TILT, 0.0), (0.0, TILT), (0.0, -TILT)):
@@ -107,8 +108,10 @@ class Bounce:
         slab, panels = strip_light.Slab.of(sensor), strip_light.Panels.of(shading)
         normals = self._normals if normals is None else normals
         at = self._at[: len(normals)]
-        lit = strip_light.gather(at, normals, normals, points, strips, slab, panels, 1.0, self._terrain)
-        return lit[..., 0]
+        lit = strip_light.gather(at, normals, normals, points, strips, slab, panels, 1.0, self._terrain)[..., 0]
+        if points is self._patches:  # one that is nearer than it is large would give more than all around can
+            lit /= np.maximum(lit.sum(axis=1, keepdims=True), 1.0)
+        return lit
 
     def _walls(self, sensor: "LitSensor", top: float) -> tuple["Floats", "Floats", "Floats"]:
         """Middles (n, 3) [mm], inward normals (n, 3) and areas (n,) [mm^2] of the walls' patches up to height `top`."""

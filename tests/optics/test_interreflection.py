@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from helpers.tiny import sensor
 
+from tacgen.optics import strip_light
 from tacgen.optics.interreflection import TERMS, Bounce, Glow
+from tacgen.recipe.sensor import Solid
 
 
 @pytest.mark.parametrize("turn", [(0.3, -0.3), (-0.5, 0.2), (0.0, 0.0)])
@@ -23,3 +25,24 @@ def test_a_turned_face_gets_what_it_would_gather(turn):
     off = np.linalg.norm(found[:, 0] - exact) / np.linalg.norm(exact)
     assert off < 0.04
     assert not any(turn) or off < 0.3 * np.linalg.norm(flat - exact) / np.linalg.norm(exact)
+
+
+class Dome:
+    """A spherical cap of 3 mm, on a pad whose box is larger."""
+
+    def at(self, xy):
+        r2 = (np.asarray(xy) ** 2).sum(axis=1)
+        z = np.sqrt(np.maximum(6.0**2 - r2, 0)) - 6.0
+        return np.column_stack([xy, np.where(r2 < 4.6**2, z, np.nan)])
+
+
+def test_patches_beyond_a_solids_outline_do_no_harm():
+    """They shrink to nothing at its rim, next to patches of full size: those gave more than all around can."""
+    made = sensor()
+    solid = Solid(file="dome.stl", source="test")
+    made = made.model_copy(update={"gel": made.gel.model_copy(update={"solid": solid})})
+    bounce = Bounce(made, Dome())
+    assert bounce._onto.sum(axis=1).max() <= 1 + 1e-9
+    added = bounce.added(made, strip_light.points(made.leds, 4, 2))
+    here = np.abs(added).max(axis=(1, 2, 3))
+    assert here.max() < 30 * np.median(here[np.linalg.norm(bounce._at[: len(here), :2], axis=1) < 3])
