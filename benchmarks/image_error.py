@@ -1,8 +1,8 @@
 """How far pictures are from Mitsuba's `path`, and what they cost: sensors x solved faces x methods and settings.
 
-PSNR in dB on the developed sRGB picture before rounding and without the camera's noise. The reference comes in several
+PSNR in dB on the developed picture before rounding and without the camera's noise. The reference comes in several
 independent parts: the mean of the products of the picture's errors against each two of them, in linear light and turned
-into sRGB by the slope at the picture measured, has none of their noise in it, however strong that is. By how much it
+into counts by the slope at the picture measured, has none of their noise in it, however strong that is. By how much it
 still strays falls with the number of paths a pixel, but with the root of that of pixels: so paths say most about few
 pixels. Those are drawn at random, one in each cell of a grid over the picture, and stand for it without bias.
 References are kept in the cache.
@@ -161,9 +161,12 @@ def decibel(picture: Array, truths: Sequence[Array], camera: Camera, noisy: bool
     not nan, and its standard deviation [dB]; where that hides the error, no more PSNR than is sure."""
     lights = np.array([camera_response.expose(light.astype(np.float64), camera) for light in (picture, *truths)])
     x, *parts = lights[:, np.isfinite(lights).all((0, 3))]
-    slope = camera_response.slope(np.clip(x, 0.0, 1.0)) * (x < 1.0)
+    slope = camera_response.slope(np.clip(x, 0.0, 1.0), camera) * (x < 1.0)
     off = np.array(
-        [camera_response.srgb(x) - camera_response.srgb(part) if noisy else slope * (x - part) for part in parts]
+        [
+            camera_response.encoded(x, camera) - camera_response.encoded(part, camera) if noisy else slope * (x - part)
+            for part in parts
+        ]
     )
     products = (off.sum(0) ** 2 - (off**2).sum(0)).mean(1) / (len(off) * (len(off) - 1))  # of each with each other
     sure = float(products.std() / np.sqrt(products.size))

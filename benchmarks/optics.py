@@ -12,7 +12,7 @@ from tacgen.recipe.sensor import LitSensor
 from tacgen.render import mitsuba_variants
 
 ABOUT = (
-    "Pictures of solved faces against Mitsuba's `path`: PSNR on developed sRGB before rounding and without the"
+    "Pictures of solved faces against Mitsuba's `path`: PSNR on developed pictures before rounding and without the"
     " camera's noise, the reference's own noise taken off (one standard deviation of what that leaves, and of the"
     " choice of pixels, stands beside), and the processor's seconds of a frame on one core; ready: of what is made once"
     " a sensor, where it was not in the cache. `path` is looked at in bands, a sixteenth of the picture, which would"

@@ -1,4 +1,4 @@
-"""From linear radiance to the camera's 8-bit picture: vignette, exposure, sRGB; and the stray light."""
+"""From linear radiance to the camera's 8-bit picture: vignette, exposure, response; and the stray light."""
 
 from typing import TYPE_CHECKING
 
@@ -23,20 +23,24 @@ def vignette(camera: "Eye") -> "Floats":
     return np.ones_like(r2) if camera.vignette_mm is None else 1.0 / (1.0 + r2 / camera.vignette_mm**2) ** 2
 
 
-def srgb(linear: "Floats") -> "Floats":
-    """The sRGB curve (IEC 61966-2-1) of linear values clipped to [0, 1]."""
-    x = np.clip(linear, 0.0, 1.0)
-    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
+def encoded(light: "Floats", camera: "Eye") -> "Floats":
+    """Counts in parts of full scale of light clipped to [0, 1], by the sRGB curve (IEC 61966-2-1) or as is."""
+    x = np.clip(light, 0.0, 1.0)
+    return x if camera.response == "linear" else np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
 
 
-def linear(counts: "Floats") -> "Floats":
-    """What `srgb` makes values in [0, 1] of."""
+def linear(counts: "Floats", camera: "Eye") -> "Floats":
+    """What `encoded` makes values in [0, 1] of."""
+    if camera.response == "linear":
+        return np.asarray(counts, dtype=float)
     return np.where(counts <= 0.04045, counts / 12.92, ((counts + 0.055) / 1.055) ** 2.4)
 
 
-def slope(linear: "Floats") -> "Floats":
-    """d srgb / d linear."""
-    return np.where(linear <= 0.0031308, 12.92, 1.055 / 2.4 * np.maximum(linear, 1e-4) ** (1 / 2.4 - 1))
+def slope(light: "Floats", camera: "Eye") -> "Floats":
+    """d encoded / d light."""
+    if camera.response == "linear":
+        return np.ones_like(light)
+    return np.where(light <= 0.0031308, 12.92, 1.055 / 2.4 * np.maximum(light, 1e-4) ** (1 / 2.4 - 1))
 
 
 def stray(camera: "Eye") -> "Floats":
@@ -50,8 +54,8 @@ def expose(radiance: "Floats", camera: "Eye") -> "Floats":
 
 
 def develop(radiance: "Floats", camera: "Eye", random: np.random.Generator | None = None) -> "NDArray[np.uint8]":
-    """The 8-bit sRGB picture (H, W, 3) of a radiance picture (H, W, 3), with noise if `random` is given."""
-    linear = expose(radiance, camera)
+    """The 8-bit picture (H, W, 3) of a radiance picture (H, W, 3), with noise if `random` is given."""
+    light = expose(radiance, camera)
     if random is not None and camera.noise is not None:
-        linear = noisy(linear, camera.noise, random)
-    return np.asarray(np.round(255.0 * srgb(linear)), dtype=np.uint8)
+        light = noisy(light, camera.noise, random)
+    return np.asarray(np.round(255.0 * encoded(light, camera)), dtype=np.uint8)

@@ -2,7 +2,7 @@
 holds the same numbers. Units in the names; colours are (red, green, blue)."""
 
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 Vec2 = tuple[float, float]
 Vec3 = tuple[float, float, float]
@@ -71,13 +71,14 @@ class Walls(Protocol):
 
 
 class Led(Protocol):
-    """A rectangle that shines along `normal`; `light`: its radiance (3,), power included."""
+    """A rectangle that shines along `normal`, as cos^lobe off it; `light`: its radiance (3,), power included."""
 
     name: str
     center_mm: Vec3
     normal: Vec3
     up: Vec3
     size_mm: Vec2
+    lobe: int
     see_through: bool
 
     @property
@@ -107,6 +108,8 @@ class Eye(Protocol):
     ambient: Vec3
     vignette_mm: float | None
 
+    @property
+    def response(self) -> Literal["srgb", "linear"]: ...
     @property
     def noise(self) -> Noise | None: ...
 

@@ -58,7 +58,7 @@ class Direct:
     def _summed(self, at: Samples, radiance: "Floats") -> "Floats":
         """The same by LEDs of radiance (strips, c): (samples, c, 1 or 2)."""
         coat, strips = self.sensor.coating, len(radiance)
-        terrain = Terrain.of(self._heights(at.nodes), self.sheet.size)
+        terrain = Terrain.of(heights(self.sheet, at.nodes), self.sheet.size)
         kinds = 2 if coat.specular else 1
 
         def gather(index: "NDArray[np.int64]") -> "Floats":
@@ -73,10 +73,11 @@ class Direct:
         """Linear radiance (H, W, 3) of a deformed face."""
         return self.seen(self.view.look(surface))
 
-    def _heights(self, nodes: "Floats") -> "Floats":
-        """The deformed face as heights (rows, columns) [mm] over the pad's rectangle, 0 where it drew back."""
-        rows, columns = self.sheet.shape
-        scale = np.array([columns - 1, rows - 1]) / self.sheet.size
-        screen = (nodes[:, :2] + np.array(self.sheet.size) / 2) * scale + 0.5
-        z = nodes[:, 2].copy()
-        return np.nan_to_num(draw(self.sheet.faces, screen, z, z[:, None], (rows, columns))[..., 0])
+
+def heights(sheet: Sheet, nodes: "Floats") -> "Floats":
+    """A deformed face as heights (rows, columns) [mm] over the pad's rectangle, 0 where it drew back."""
+    rows, columns = sheet.shape
+    scale = np.array([columns - 1, rows - 1]) / sheet.size
+    screen = (nodes[:, :2] + np.array(sheet.size) / 2) * scale + 0.5
+    z = nodes[:, 2].copy()
+    return np.nan_to_num(draw(sheet.faces, screen, z, z[:, None], (rows, columns))[..., 0])

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 ARC = 16  # walls around a semicircle
+LOBED = "lobed_area"  # emitter whose radiance falls as a power of the cosine
 WALL_RISE = 3.0  # [mm] the walls go on beyond the coated face, so that no light leaks past a bulging gel
 
 
@@ -63,8 +64,14 @@ def diffuse(albedo: "float | Sequence[float]") -> dict[str, Any]:
 
 
 def led(light: "Led", wall_albedo: float) -> dict[str, Any]:
-    """One LED strip: it radiates from its front, if at all, and is as dark as the walls otherwise, or not there."""
-    emitter = {"type": "area", "radiance": {"type": "rgb", "value": [float(v) for v in light.light]}}
+    """One LED strip: it radiates from its front, if at all, and is as dark as the walls otherwise, or not there.
+
+    Mitsuba's area lights are Lambertian: for others the renderer's home brings LOBED.
+    """
+    radiance = [float(v) for v in light.light]
+    emitter: dict[str, Any] = {"type": "area", "radiance": {"type": "rgb", "value": radiance}}
+    if light.lobe:
+        emitter = {"type": LOBED, "lobe": light.lobe, **dict(zip(("red", "green", "blue"), radiance, strict=True))}
     return {
         "type": "rectangle",
         "to_world": rectangle(light.center_mm, light.normal, light.up, light.size_mm),

@@ -36,11 +36,12 @@ class Points(NamedTuple):
     area: Floats  # that each stands for [mm^2], (p,)
     half: Floats  # half the piece's extent [mm], (p,): how soft its shadow is
     strip: NDArray[np.int64]  # which LED, (p,)
+    lobe: NDArray[np.int64]  # power of the cosine by which radiance falls off the normal, (p,)
 
 
 def points(leds: "Sequence[Led]", along: int, up: int) -> Points:
     """`along` x `up` points of Gauss and Legendre on each strip, with their shares of its area."""
-    at, normal, area, half, strip = [], [], [], [], []
+    at, normal, area, half, strip, lobe = [], [], [], [], [], []
     (a, share_a), (b, share_b) = (np.polynomial.legendre.leggauss(n) for n in (along, up))
     for k, led in enumerate(leds):
         axes, (w, h) = frame(led.normal, led.up), led.size_mm
@@ -51,7 +52,8 @@ def points(leds: "Sequence[Led]", along: int, up: int) -> Points:
                 area.append(w * h * share_a[i] * share_b[j] / 4)
                 half.append(h * share_b[j] / 4)
                 strip.append(k)
-    return Points(np.array(at), np.array(normal), np.array(area), np.array(half), np.array(strip))
+                lobe.append(led.lobe)
+    return Points(np.array(at), np.array(normal), np.array(area), np.array(half), np.array(strip), np.array(lobe))
 
 
 class Panels(NamedTuple):
@@ -291,7 +293,11 @@ def gather(
                 slope, soft = cg / sg, points.half[q] / rho
                 near = (slope - soft, slope + soft)
                 edge = horizon(terrain, p[s, 0], p[s, 1], p[s, 2], dx, dy, rho, near, near)
-                weight *= facing * points.area[q] * min(max(0.5 + 0.5 * (edge - slope) / soft, 0.0), 1.0)
+                weight *= (
+                    facing ** (1 + points.lobe[q])
+                    * points.area[q]
+                    * min(max(0.5 + 0.5 * (edge - slope) / soft, 0.0), 1.0)
+                )
                 if weight <= 0.0 or shaded(panels, p[s], at, home, image, sg * slab.indices[-1], slab):
                     continue
                 out[s, points.strip[q], 0] += weight * co / np.pi

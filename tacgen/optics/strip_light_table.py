@@ -100,7 +100,7 @@ def sift(face: Floats, points: Points, home: NDArray[np.int64], panels: Panels, 
 def shine(p: Floats, n: Floats, view: Floats, beams: Beams, strips: int, alpha: float, terrain: Terrain) -> Floats:
     """What transport.gather gives, (samples, strips, 2); alpha 0 leaves out the mirror-rough coat."""
     points, _, middle, level, bend, table, floor, passed, shady, size = beams  # loops in parallel take no nested tuples
-    at, light_normal, area, half, strip = points
+    at, light_normal, area, half, strip, lobe = points
     out, up = np.zeros((len(p), strips, 2)), len(at) // len(middle)
     for s in prange(len(p)):
         if np.isnan(p[s, 0]):
@@ -148,7 +148,7 @@ def shine(p: Floats, n: Floats, view: Floats, beams: Beams, strips: int, alpha: 
                         above = min(above[0], slope - soft), max(above[1], slope + soft)
                     else:
                         below = min(below[0], slope - soft), max(below[1], slope + soft)
-                    weight = got[k + 3] * facing * area[q]
+                    weight = got[k + 3] * facing ** (1 + lobe[q]) * area[q]
                     if shade:
                         m = k // 4
                         near = passed[h, g, q, m] + e * (passed[h, g + 1, q, m] - passed[h, g, q, m])

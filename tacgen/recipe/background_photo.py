@@ -91,7 +91,7 @@ class Backdrop:
 
         from tacgen.optics import camera_response
 
-        light = camera_response.linear(read(path) / 255.0)
+        light = camera_response.linear(read(path) / 255.0, camera)
         unit = camera_response.expose(np.ones_like(light), camera)
         lit = flat > 0
         self._gain = np.where(lit, light / np.where(lit, unit * flat, 1.0), 0.0)

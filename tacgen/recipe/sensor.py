@@ -273,6 +273,7 @@ class Led(Part):
     size_mm: tuple[Positive, Positive]
     radiance: Rgb
     power: NotNegative = 1.0  # factor on the radiance: how much stronger this one is than its file says
+    lobe: Annotated[int, Field(ge=0, le=32)] = 0  # radiance falls as cos^lobe off the normal: 0 is Lambert's even one
     see_through: bool = False  # stands for light that passes there, and takes none away: nothing is there but the light
     source: str = NOWHERE
 
@@ -306,6 +307,7 @@ class Camera(Part):
     exposure: Positive = 1.0  # linear radiance to sensor full scale
     ambient: Rgb = (0.0, 0.0, 0.0)  # what even stray light adds to a bare coat, fraction of full scale
     vignette_mm: Positive | None = None  # r0 of the fall-off 1/(1+(r/r0)^2)^2 on the coating; none if absent
+    response: Literal["srgb", "linear"] = "srgb"  # how counts follow from light: by the sRGB curve, or in proportion
     noise: Noise | None = None  # none if absent
     source: str = NOWHERE
 

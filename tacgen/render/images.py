@@ -39,8 +39,14 @@ MOST = 24  # paths a pixel, whatever was asked for, that count for maps: two min
 SMOOTH = 3.5  # [map pixels] the Gaussian that takes the noise off a map
 TABLE_COLUMNS = 64  # of the pictures that a table is calibrated on
 TABLE_PATHS = 8  # in a pixel of those, for each path a pixel that was asked for
-LINEAR = {"exposure", "ambient", "vignette_mm", "noise"}  # of the camera: what is laid over a picture's light
-MAP_VERSION = 7  # of how the maps are made; part of their cache key
+LINEAR = {
+    "exposure",
+    "ambient",
+    "vignette_mm",
+    "response",
+    "noise",
+}  # of the camera: what is laid over a picture's light
+MAP_VERSION = 8  # of how the maps are made; part of their cache key
 
 
 class Light(Protocol):
@@ -105,7 +111,8 @@ class Cloudy:
         def wander() -> "Floats":
             clear = scattering.depths(sensor.gel)[1]
             middle = np.add(sensor.camera.center_mm, sensor.camera.crop_mm)
-            dent = BallDent(scattering.DENT[0] * clear, scattering.DENT[1] * clear, (middle[0], middle[1]), untouched)
+            size, contact = (share * clear for share in scattering.DENT)
+            dent = BallDent(size, contact, (middle[0], middle[1]), untouched, clear)
             at = View(coarse, sheet, False).look(dent)
             share = scattering.thickness(sensor.gel, at.position).reshape(self.maps.shape[1:3])
             evenly = lit_by(coarse, set(leds))
@@ -229,7 +236,7 @@ class Renderer:
     def develop(
         self, radiance: "NDArray[np.float32]", random: np.random.Generator | None = None
     ) -> "NDArray[np.uint8]":
-        """The camera's 8-bit sRGB picture (H, W, 3) of a radiance picture, with its noise if `random` is given."""
+        """The camera's 8-bit picture (H, W, 3) of a radiance picture, with its noise if `random` is given."""
         return camera_response.develop(radiance.astype(np.float64), self.sensor.camera, random)
 
 
@@ -245,7 +252,7 @@ class Effort(NamedTuple):
     def of(cls, spp: int) -> "Effort":
         """What goes with `spp` paths a pixel: draft, default or reference."""
         if spp < 32:
-            return cls((4, 3), 1, 2 * SPACING, adaptive_sampling.Tolerance(8, 1e-2, 0.6))
+            return cls((8, 2), 1, 2 * SPACING, adaptive_sampling.Tolerance(8, 1e-2, 0.6))
         if spp <= 256:
             return cls((8, 4), 1, SPACING, adaptive_sampling.Tolerance())
         return cls((16, 8), 2, SPACING, adaptive_sampling.Tolerance(4, 3e-3, 0.12))

@@ -35,7 +35,34 @@ def mitsuba(name: str) -> Any:
     import mitsuba as mi
 
     mi.set_variant(name)
+    mi.register_emitter(mitsuba_dicts.LOBED, _lobed(mi))
     return mi
+
+
+def _lobed(mi: Any) -> Any:
+    """The emitter LOBED. Only rays that meet it see it: the plate's interface hides it from sampled directions."""
+    import drjit as dr
+
+    class Lobed(mi.Emitter):  # type: ignore[misc]
+        def __init__(self, props: Any) -> None:
+            super().__init__(props)
+            self.lobe = int(props["lobe"])
+            self.light = mi.Color3f(*(props[name] for name in ("red", "green", "blue")))
+
+        def eval(self, si: Any, active: Any = True) -> Any:
+            cosine = mi.Frame3f.cos_theta(si.wi)
+            return self.light * dr.select(active & (cosine > 0), cosine**self.lobe, 0.0)
+
+        def sample_direction(self, it: Any, sample: Any, active: Any = True) -> Any:
+            scalar = mi.variant() == probing.SCALAR
+            found = mi.DirectionSample3f() if scalar else dr.zeros(mi.DirectionSample3f, dr.width(sample))
+            found.p, found.d, found.dist, found.pdf = it.p, mi.Vector3f(0.0, 0.0, 1.0), 1.0, 0.0
+            return found, mi.Color3f(0.0)
+
+        def pdf_direction(self, it: Any, ds: Any, active: Any = True) -> Any:
+            return mi.Float(0.0)
+
+    return Lobed
 
 
 def description(sensor: "LitSensor", sheet: Sheet, markers: bool) -> tuple[dict[str, Any], dict[str, Any]]:

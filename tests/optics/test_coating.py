@@ -36,11 +36,17 @@ def test_equal_indices_leave_no_interface():
     assert set(mitsuba_dicts.interfaces(sensor(plate={"refractive_index": 1.41}))) == {"into_plate"}
 
 
-def test_response_is_srgb_with_a_vignette():
-    assert camera_response.srgb(np.array([0.0, 0.0031308, 0.2140, 1.0, 7.0])) == pytest.approx(
-        [0, 0.04045, 0.5, 1, 1], abs=2e-4
-    )
-    camera = sensor().camera
+def test_response_is_srgb_or_linear_with_a_vignette():
+    camera, plain = sensor().camera, sensor(camera={"response": "linear"}).camera
+    light = np.array([0.0, 0.0031308, 0.2140, 1.0, 7.0])
+    assert camera_response.encoded(light, camera) == pytest.approx([0, 0.04045, 0.5, 1, 1], abs=2e-4)
+    assert camera_response.encoded(light, plain) == pytest.approx([0, 0.0031308, 0.2140, 1, 1])
+    for eye in (camera, plain):
+        assert camera_response.linear(camera_response.encoded(light[:4], eye), eye) == pytest.approx(
+            light[:4], abs=1e-6
+        )
+        rise = camera_response.encoded(light[1:3] + 1e-6, eye) - camera_response.encoded(light[1:3] - 1e-6, eye)
+        assert camera_response.slope(light[1:3], eye) == pytest.approx(rise / 2e-6, rel=0.05)
     fall = camera_response.vignette(camera)
     assert fall.max() == pytest.approx(1.0, abs=1e-3)
     r2 = ((19.5**2 + 15.5**2) * 0.04) / 81.0
@@ -48,6 +54,7 @@ def test_response_is_srgb_with_a_vignette():
     picture = camera_response.develop(np.full((32, 40, 3), 0.2140), camera)
     assert picture.dtype == np.uint8
     assert picture[16, 20, 0] in (127, 128)
+    assert camera_response.develop(np.full((32, 40, 3), 0.2140), plain)[16, 20, 0] in (54, 55)
 
 
 def test_stray_light_is_even_after_the_response_and_dots_stay_dark_in_it():

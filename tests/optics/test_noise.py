@@ -7,15 +7,15 @@ from helpers.tiny import sensor
 from tacgen.optics import camera_response
 from tacgen.optics.noise import noisy
 from tacgen.recipe import assets, loading
-from tacgen.recipe.sensor import Noise
+from tacgen.recipe.sensor import Camera, Noise
 
 GRAIN = Noise(shot=(1e-4, 2e-4, 4e-4), read=(0.001, 0.002, 0.003), source="test")
 
 
-def linear(counts: tuple[float, float, float]) -> np.ndarray:
-    """The inverse of the sRGB curve, by its table."""
+def linear(counts: tuple[float, float, float], camera: Camera) -> np.ndarray:
+    """The inverse of the camera's response, by its table."""
     x = np.linspace(0, 1, 20001)
-    return np.interp(np.array(counts) / 255, camera_response.srgb(x), x)
+    return np.interp(np.array(counts) / 255, camera_response.encoded(x, camera), x)
 
 
 @pytest.mark.parametrize(
@@ -24,7 +24,7 @@ def linear(counts: tuple[float, float, float]) -> np.ndarray:
 )
 def test_counts_scatter_as_published(name: str, mean: tuple[float, float, float], published: tuple) -> None:
     camera = loading.read_sensor(assets.sensor_path(name))[0].camera.model_copy(update={"vignette_mm": None})
-    even = np.broadcast_to(linear(mean) / camera.exposure, (camera.height_px, camera.width_px, 3))
+    even = np.broadcast_to(linear(mean, camera) / camera.exposure, (camera.height_px, camera.width_px, 3))
     picture = camera_response.develop(even, camera, np.random.default_rng(0)).astype(float)
     assert picture.std(axis=(0, 1)) == pytest.approx(published, rel=0.02)
     assert picture.mean(axis=(0, 1)) == pytest.approx(mean, abs=0.1)
@@ -46,7 +46,7 @@ def test_none_unless_asked_for_and_the_same_for_the_same_numbers() -> None:
     grainy = plain.model_copy(update={"noise": GRAIN})
     even = np.full((32, 40, 3), 0.3)
     clean = camera_response.develop(even, grainy)
-    assert np.array_equal(clean, np.round(255 * camera_response.srgb(camera_response.expose(even, plain))))
+    assert np.array_equal(clean, np.round(255 * camera_response.encoded(camera_response.expose(even, plain), plain)))
     assert np.array_equal(clean, camera_response.develop(even, plain, np.random.default_rng(0)))
     one, again, other = (camera_response.develop(even, grainy, np.random.default_rng(k)) for k in (0, 0, 1))
     assert np.array_equal(one, again)

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from helpers.tiny import sensor
+from helpers.tiny import PLAIN, sensor
 
 from tacgen.optics import strip_light, strip_light_table
-from tacgen.optics.direct_light import Direct
+from tacgen.optics.direct_light import Direct, heights
 from tacgen.optics.hertz_dent import BallDent
 from tacgen.optics.shadows import Terrain, horizon
 from tacgen.optics.surface_grid import Sheet, Untouched
@@ -63,15 +63,15 @@ def test_blocks_are_stepped_over_without_loss():
     assert max(parted) < 0.1
 
 
-@pytest.mark.parametrize("gloss", [0.0, 0.3])
-def test_the_table_sums_what_single_connections_do(gloss):
-    made = sensor(coating={"specular": gloss})
+@pytest.mark.parametrize(("gloss", "lobe"), [(0.0, 0), (0.3, 0), (0.0, 4)])
+def test_the_table_sums_what_single_connections_do(gloss, lobe):
+    made = sensor(coating={"specular": gloss}, leds=[{**led, "lobe": lobe} for led in PLAIN["leds"]])
     sheet = Sheet.over(made.gel, 0.1)
     direct = Direct(made, sheet, False)
     at = direct.view.look(BallDent(2.0, 1.0, (0.6, -0.4), Untouched.of(made.gel)))
     found = direct.light(at)
     slab, panels = strip_light.Slab.of(made), strip_light.Panels.of(made.leds)
-    seen, terrain = (at.position, at.normal, direct.view.toward_camera()), direct._heights(at.nodes)
+    seen, terrain = (at.position, at.normal, direct.view.toward_camera()), heights(sheet, at.nodes)
     exact = strip_light.gather(
         *seen, direct.points, 3, slab, panels, made.coating.roughness, Terrain.of(terrain, sheet.size)
     )

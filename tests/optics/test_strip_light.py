@@ -12,9 +12,10 @@ LEVEL = Terrain.of(np.zeros((5, 5)), (20.0, 20.0))
 NOTHING = strip_light.Panels.of([])  # in the way
 
 
-def one(at, normal, area, half):
+def one(at, normal, area, half, lobe=0):
     """A single point that shines, and that it is one strip."""
-    return strip_light.Points(np.array([at]), np.array([normal]), np.array([area]), np.array([half]), np.array([0])), 1
+    values = [np.array([value]) for value in (at, normal, area, half, 0, lobe)]
+    return strip_light.Points(*values), 1
 
 
 def test_a_small_strip_obeys_the_inverse_square_law():
@@ -23,6 +24,16 @@ def test_a_small_strip_obeys_the_inverse_square_law():
     slab = strip_light.Slab(np.array([-10.0]), np.array([np.inf]), np.array([1.0]))  # index 1: no mirror image
     got = strip_light.gather(p, down, down, *light, slab, NOTHING, 0.4, LEVEL)
     assert got[0, 0, 0] == pytest.approx(1e-3 * 0.8 / 25.0 / np.pi, rel=1e-6)
+
+
+def test_a_lobe_takes_light_off_the_normal_away():
+    p, down = np.array([[0.0, 0.0, 0.0]]), np.array([[0.0, 0.0, -1.0]])
+    slab = strip_light.Slab(np.array([-10.0]), np.array([np.inf]), np.array([1.0]))
+    got = [
+        strip_light.gather(p, down, down, *one([3.0, 0, -4.0], [0, 0, 1.0], 1e-3, 0.01, k), slab, NOTHING, 0.4, LEVEL)
+        for k in (0, 3)
+    ]
+    assert got[1][0, 0] == pytest.approx(0.8**3 * got[0][0, 0], rel=1e-6)
 
 
 def test_a_mirror_image_adds_what_fresnel_reflects():

@@ -12,7 +12,7 @@ from tacgen import pipeline
 from tacgen.bundle import bundle
 from tacgen.errors import UserError
 from tacgen.optics import camera_response
-from tacgen.recipe import background_photo, plan
+from tacgen.recipe import assets, background_photo, loading, plan
 
 RECIPE = f"{PICTURE.replace('noise: false', 'noise: false, background: mine.png')}outputs: [rgb]\n"
 
@@ -33,8 +33,10 @@ def test_the_change_is_rendered_and_the_rest_is_the_photograph(recipe: Path) -> 
     mine = background_photo.read(recipe.parent / "mine.png")
     assert np.array_equal(made["/reference/rgb"], mine)
     assert made.recipe["render"]["background_sha256"]
-    flat, deformed = (camera_response.linear(plain[p] / 255.0) for p in ("/reference/rgb", "/frames/rgb"))
-    wanted = 255 * camera_response.srgb(camera_response.linear(mine / 255.0) * deformed[0] / np.maximum(flat, 1e-4))
+    camera = loading.read_sensor(assets.sensor_path("gelsight_mini"))[0].camera
+    before = camera_response.linear(mine / 255.0, camera)
+    flat, deformed = (camera_response.linear(plain[p] / 255.0, camera) for p in ("/reference/rgb", "/frames/rgb"))
+    wanted = 255 * camera_response.encoded(before * deformed[0] / np.maximum(flat, 1e-4), camera)
     bright = (plain["/reference/rgb"] > 50).all(-1)  # where rounding plain pictures to 8 bit does not show
     error = np.abs(made["/frames/rgb"][0] - wanted)[bright]
     assert error.max() < 4
