@@ -21,7 +21,7 @@ from tacgen.solve import foresee
 
 
 def face(sensor: LitSensor, press: Press, folders: dict[KeyPath, Path]) -> Surface:
-    """By Hertz's formulas if its contact was seen, else solved at its depth; for `folders` see plan.Row."""
+    """By a formula if its contact was seen, else solved at its depth; for `folders` see plan.Row."""
     if press.contact is None:
         assert press.depth is not None
         return solved(sensor, press, [press.depth], folders)[0]

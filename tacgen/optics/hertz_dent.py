@@ -1,4 +1,4 @@
-"""The dent of a rigid ball by Hertz's formulas: a stand-in for a solved gel in calibration and tests."""
+"""The dent of a rigid ball in a thin bonded gel: a stand-in for a solved one in calibration and tests."""
 
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -14,17 +14,23 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 SHALLOW = 0.95  # contact radius over the ball's, at most
-FADE = 2.0  # [mm] over which a thin bonded gel, unlike Hertz's half-space, forgets the dent
+REACH = 0.1  # of the gel's thickness: over so much the skirt falls off
+STEEPEST = 0.8  # slope that it starts with at most
 
 
 @dataclass(frozen=True)
 class BallDent:
-    """A spherical cap of the ball inside the contact circle, Hertz's fading dip outside it."""
+    """A spherical cap of the ball inside the contact circle, and a skirt around it that starts with the ball's slope.
+
+    Its shape is that of solved pads of 4 mm under balls of 1.9 to 4.8 mm, pressed by 0.6 to 1.5 mm, within 0.08 mm. On
+    Hertz's half-space the rim would lie two to three times as deep, and the skirt would be several times as wide.
+    """
 
     radius: float  # of the ball [mm]
     contact: float  # radius of the contact circle [mm], < radius
     center: tuple[float, float] = (0.0, 0.0)  # [mm]
     face: Surface = field(default_factory=Untouched)  # untouched; on a dome `radius` is relative
+    thickness: float = 4.0  # of the gel [mm]
 
     @classmethod
     def seen(
@@ -41,22 +47,27 @@ class BallDent:
         `face` is the untouched one, a plane at z = 0 if None, and `bend` its mean curvature [1/mm].
         """
         face, radius = face or Untouched(), 1 / (1 / radius + bend)
+        gel = sum(camera.stack.thicknesses[2:] or camera.stack.thicknesses[1:])  # after the plate, if there is one
         contact, center = contact_px * camera.mm_per_px, np.zeros(2)
         for _ in range(5):  # the circle lies below the untouched face, where everything looks larger
-            plane = face.at(center[None])[0, 2] - contact**2 / (2 * radius)
+            plane = face.at(center[None])[0, 2] - cls(radius, min(contact, SHALLOW * radius), thickness=gel).rim
             around = contact_px * np.array([[-1, 0], [1, 0], [0, -1], [0, 1]])
             origin, direction = camera.rays(around + center_px)
             hit = (origin + direction * ((plane - origin[:, 2]) / direction[:, 2])[:, None])[:, :2]
             contact, center = float(np.linalg.norm(hit - hit.mean(axis=0), axis=1).mean()), hit.mean(axis=0)
-        return cls(radius, min(contact, SHALLOW * radius), (float(center[0]), float(center[1])), face)
+        return cls(radius, min(contact, SHALLOW * radius), (float(center[0]), float(center[1])), face, gel)
+
+    @property
+    def rim(self) -> float:
+        """How far the contact circle lies below the untouched face [mm]."""
+        slope = self.contact / np.sqrt(self.radius**2 - self.contact**2)
+        return float(REACH * self.thickness * min(slope, STEEPEST))
 
     def at(self, xy: Any) -> "Floats":
         """Current positions (n, 3) [mm] of rest positions (n, 2) [mm]; points move along z only."""
         xy = np.asarray(xy, dtype=np.float64)
         r = np.hypot(xy[:, 0] - self.center[0], xy[:, 1] - self.center[1])
         a, ball = self.contact, self.radius
-        far = np.maximum(r, a)
-        dip = (2 * a * a - far**2) * np.arcsin(a / far) + a * np.sqrt(far**2 - a * a)
-        dip *= np.exp(-(far - a) / FADE) / (np.pi * ball)
+        dip = self.rim * np.exp(-np.maximum(r - a, 0) / (REACH * self.thickness))
         cap = np.sqrt(np.maximum(ball**2 - np.minimum(r, a) ** 2, 0)) - np.sqrt(ball**2 - a * a)
         return np.asarray(self.face.at(xy) - np.column_stack([0 * xy, dip + cap]))

@@ -112,7 +112,7 @@ def dents(sensor: "LitSensor", untouched: "Surface") -> Iterator[BallDent]:
     thick = sum(layer.thickness_mm for layer in gel.layers)
     for (x, y), (share, slope) in zip(PLACES, cycle(BALLS), strict=False):
         at = np.add(camera.center_mm, camera.crop_mm) + reach * (x, y)
-        yield BallDent(share * thick, slope * share * thick, (float(at[0]), float(at[1])), untouched)
+        yield BallDent(share * thick, slope * share * thick, (float(at[0]), float(at[1])), untouched, thick)
 
 
 @cache
