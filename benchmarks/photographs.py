@@ -13,8 +13,8 @@ from tacgen.recipe.background_photo import read
 
 Array = np.ndarray
 UNTOUCHED = {"gelsight_mini": "background.png", "digit": "background.png", "ninedtact": "reference_rectified.png"}
-# Middle and radius of the contact [px]. circles.csv has this one around the bright part of the dent alone: its rim, where
-# the colours turn, is as large as that of the same ball elsewhere.
+# Middle and radius of the contact [px]. circles.csv has this one around the bright part of the dent alone: its rim,
+# where the colours turn, is as large as that of the same ball elsewhere.
 MINI = {"ball_6.310mm_5.png": (279.5, 30.0, 34.0)}
 DIGIT_BALL = 1.9  # [mm]
 DIGIT = {  # nobody wrote these down: found together with the unit's lights

@@ -19,8 +19,8 @@ from tacgen.render.images import Renderer
 
 Array = np.ndarray
 ABOUT = (
-    "Rendered pictures against photographs of balls pressed into one real unit a sensor. Normals: the mean angle between the"
-    " ball's normals inside the contact circle and those of a net (colour change and place to slopes, two layers of 24)"
+    "Rendered pictures against photographs of balls pressed into one real unit a sensor. Normals: the mean angle"
+    " between the ball's inside the contact circle and those of a net (colour change and place to slopes, two layers)"
     " that learned from rendered dents, beside one that learned from the unit's other presses, and beside guessing that"
     " nothing is pressed. Contrast: change of colour per slope of the ball, rendered over real. The shipped"
     " files' lights were fitted to presses among these, as they say."
@@ -65,8 +65,8 @@ def bench(level: Level, say: Say) -> Result:
         tables.append(_depth(units["ninedtact"], say))
     if similar:
         heads = columns("sensor", "picture", "rendered: .3f", "floor: .3f", "ceiling: .3f")
-        note = "Around the dent; floor: the unit's untouched photograph instead, ceiling: the press itself with other noise"
-        tables.append(Table("SSIM", heads, similar, f"{note} as strong as the camera's."))
+        note = "Around the dent; floor: the unit's untouched photograph, ceiling: the press itself with noise again."
+        tables.append(Table("SSIM", heads, similar, note))
     return Result(ABOUT, tables)
 
 
@@ -87,7 +87,8 @@ def _similar(sensor: LitSensor, unit: Unit) -> Iterator[list[Cell]]:
 
     def alike(a: Array, b: Array, where: Array) -> float:
         how = {"channel_axis": 2, "full": True, "gaussian_weights": True, "sigma": 1.5, "data_range": 255}
-        return float(structural_similarity(a, b, **how)[1].mean(axis=2)[where].mean())
+        full = structural_similarity(a, b, **how)[1]  # type: ignore[no-untyped-call]
+        return float(full.mean(axis=2)[where].mean())
 
     for press in unit.presses:
         where = near(press, AROUND)

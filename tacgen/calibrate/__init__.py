@@ -12,6 +12,7 @@ from tacgen.recipe.validation_messages import Problem, report
 from tacgen.recipe.yaml_source import KeyPath
 
 if TYPE_CHECKING:
+    from tacgen.calibrate.likeness import ChangeLikeness, Likeness
     from tacgen.calibrate.photos import Photos
     from tacgen.calibrate.result import Fitted
 
@@ -38,6 +39,7 @@ class Calibrated:
     photographs: str
     fitted: "Fitted"
     held_out: tuple[str, ...]  # files
+    likeness: "tuple[Likeness | ChangeLikeness, ...]"  # of those as rendered before and after; none held out, none
     changes: dict[KeyPath, Any]
 
     def lines(self) -> Iterator[str]:
@@ -50,6 +52,8 @@ class Calibrated:
         if found.held_out is not None:
             names = ", ".join(self.held_out)
             yield f"change under {names}, held out: off by {found.held_out:.1f} counts rms"
+            for when, like in zip(("before", "after"), self.likeness, strict=True):
+                yield f"  {when}: {like}"
         if found.deeper != 1:
             yield f"all depths look {found.deeper:g} times what they are given as"
         for led, now in zip(self.sensor.leds or (), found.sensor.leds, strict=True):
@@ -63,7 +67,8 @@ class Calibrated:
         found = self.fitted
         errors = {name: getattr(found, name) for name in ("untouched", "before", "presses", "held_out", "deeper")}
         changes = {yaml_source.format_path(path): value for path, value in self.changes.items()}
-        return {"sensor": self.sensor.name, **errors, "held_out_files": list(self.held_out), "changes": changes}
+        return {"sensor": self.sensor.name, **errors, "held_out_files": list(self.held_out),
+                "likeness": [like.plain() for like in self.likeness], "changes": changes}  # fmt: skip
 
     def write(self, out: Path) -> None:
         """The sensor file with the changes in it, its comments kept."""
@@ -95,15 +100,16 @@ def optics(name: str, folder: Path, asked: Asked | None = None) -> Calibrated:
     if any(layer.scattering for layer in sensor.gel.clear_layers):
         from tacgen.calibrate import fit_scattering
 
-        found = fit_scattering.fit(lit, photos, held_out, folders)
+        found, alike = fit_scattering.fit(lit, photos, held_out, folders)
+        likeness: tuple[Likeness | ChangeLikeness, ...] = alike
     else:
         from tacgen.calibrate import fit_clear
 
-        found = fit_clear.fit(lit, photos, held_out, folders, asked)
+        found, likeness = fit_clear.fit(lit, photos, held_out, folders, asked)
     said = _said(photos)
     changes = _changes(lit, found, said, bare=asked.bare)
     names = tuple(photos.presses[k - 1].name for k in held_out)
-    return Calibrated(path, sensor, said, found, names, changes)
+    return Calibrated(path, sensor, said, found, names, likeness, changes)
 
 
 def _said(photos: "Photos") -> str:
@@ -122,6 +128,7 @@ def _changes(sensor: LitSensor, found: "Fitted", said: str, *, bare: bool) -> di
         if new.center_mm != led.center_mm:
             out["leds", k, "center_mm"] = [round(v, 3) for v in new.center_mm]
             out["leds", k, "normal"] = [round(v, 4) for v in new.normal]
+            out["leds", k, "size_mm"] = [round(v, 2) for v in new.size_mm]
         out["leds", k, "source"] = by
     for part, keys in (("coating", ("specular", "roughness")), ("camera", ("ambient", "vignette_mm", "crop_mm"))):
         before, after = getattr(sensor, part), getattr(now, part)

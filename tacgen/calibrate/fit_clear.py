@@ -15,13 +15,15 @@ import numpy as np
 from scipy.optimize import least_squares, nnls
 
 from tacgen.calibrate import press_faces
+from tacgen.calibrate.likeness import Comparison, Likeness
 from tacgen.calibrate.photos import Photos, Press
 from tacgen.calibrate.result import Fitted, rgb, rms
 from tacgen.optics import camera_response, coating, strip_light
 from tacgen.optics.camera_view import Samples, View
-from tacgen.optics.direct_light import Direct
+from tacgen.optics.direct_light import heights
 from tacgen.optics.interreflection import Bounce, Glow
-from tacgen.optics.mitsuba_dicts import frame
+from tacgen.optics.mitsuba_dicts import bottom_depth, frame
+from tacgen.optics.shadows import Terrain
 from tacgen.optics.surface_grid import Sheet, Surface, Untouched
 from tacgen.recipe import background_photo, optics_checks
 from tacgen.recipe.sensor import Led, LitSensor
@@ -36,14 +38,15 @@ SHRINK = 4  # pixels of a photograph per pixel of the fit
 LEAST_WIDTH = 40  # pixels that the fit has across
 SHEET = 0.2  # [mm]
 PIECES = (6, 2)  # points on each strip
-NEAR = 1.7  # contact radii around a dent that count
+NEAR = 0.97  # contact radii that count: there the face is the ball, around it who knows
 REACH = 3.0  # [mm] the same of a press whose contact nobody saw
 WEIGHT = 2.0  # of a press's pixel beside one of the untouched picture
 SOFT = 15.0  # [counts] misfits beyond count less: marks, dust
 HOLD = 3.0  # [counts] that a whole tolerance weighs
 BRIGHT = 0.95  # of full scale: pixels beyond are not compared
 STEEPEST = 1500.0  # [counts per unit of light]: a dark pixel weighs no more
-PARTS = 5  # numbers of an LED: three of place, a tilt about its length and a turn about its upright
+PARTS = 6  # numbers of an LED: three of place, a tilt about its length, a turn about its upright, log of its length
+CLEAR = 0.02  # [mm] that LEDs stay off the housing and the untouched face
 
 
 @dataclass(frozen=True)
@@ -53,7 +56,7 @@ class Tolerance:
     mm: float
     rad: float
     specular: float = 0.1
-    factor: float = 1.5  # of roughness and vignette
+    factor: float = 1.5  # of an LED's length, roughness and vignette
 
 
 @dataclass(frozen=True)
@@ -67,11 +70,34 @@ class Picture:
     face: Surface
 
 
-def fit(sensor: LitSensor, photos: Photos, held_out: list[int], folders: dict[KeyPath, Path], asked: "Asked") -> Fitted:
-    """Lights, and where there are presses the rest; presses count from 1."""
+@dataclass(frozen=True)
+class Looked:
+    """What the camera's rays meet of one picture's face."""
+
+    view: View
+    at: Samples
+    toward: Array  # unit directions in the gel to the camera, (pixels, 3)
+    passed: Array  # of a unit radiance in the gel, (pixels,)
+    terrain: Terrain
+
+
+def fit(
+    sensor: LitSensor, photos: Photos, held_out: list[int], folders: dict[KeyPath, Path], asked: "Asked"
+) -> tuple[Fitted, tuple[Likeness, ...]]:
+    """Lights, and where there are presses the rest; and how alike those held out are before and after. Presses count
+    from 1."""
     tolerance = Tolerance(asked.mm, float(np.radians(asked.deg)) if asked.mm else 0.0)
     faces = [press_faces.face(sensor, press, folders) for press in photos.presses]
-    return Fit(sensor, photos, faces, tolerance, asked.bare).run(asked.steps, held_out)
+    found = Fit(sensor, photos, faces, tolerance, asked.bare).run(asked.steps, held_out)
+    judges = [k - 1 for k in held_out if photos.presses[k - 1].contact is not None]
+    if not judges or found.judged is None:
+        return found, ()
+    now = found.judged
+    light = {key: getattr(now.camera, key) for key in ("ambient", "vignette_mm", "crop_mm")}
+    eye = sensor.camera.model_copy(update=light)
+    judged = sensor.model_copy(update={"leds": now.leds, "coating": now.coating, "camera": eye})
+    presses, seen = [photos.presses[k] for k in judges], [faces[k] for k in judges]
+    return found, tuple(Comparison(one).likeness(presses, seen, photos.untouched) for one in (sensor, judged))
 
 
 class Fit:
@@ -86,6 +112,8 @@ class Fit:
         self.sensor = images.zoomed(sensor, columns)
         self.sheet, untouched = Sheet.over(sensor.gel, SHEET), Untouched.of(sensor.gel)
         self._bounce = Bounce(self.sensor)
+        sides = np.array([sensor.gel.width_mm, sensor.gel.height_mm]) / 2 + sensor.walls.margin_mm
+        self._room = np.array([*sides, bottom_depth(sensor)]) - CLEAR  # half the housing's sides, and its depth [mm]
         self._look = lru_cache(64)(self._looked)
         self._around = lru_cache(4 * len(sensor.leds))(self._bounced)
         self._column = lru_cache(4 * len(sensor.leds) * (1 + len(faces)))(self._lit)
@@ -95,18 +123,17 @@ class Fit:
             self.pictures.append(self._picture(press.name, press.picture, self._near(press), face))
         if not bare and sensor.markers is not None:
             for number, picture in enumerate(self.pictures):
-                rest = self._look(number, (0.0, 0.0))[1].rest
+                rest = self._look(number, (0.0, 0.0)).at.rest
                 dots = coating.paint(sensor.markers, rest, 3 * self.sensor.camera.mm_per_px)
                 np.logical_and(picture.counts, np.nan_to_num(dots, nan=1.0) == 0, out=picture.counts)
         self._least, self._most, self._start = self._ranges()
 
     def _picture(self, name: str, picture: Array, counts: Array, face: Surface) -> Picture:
         eye = self.sensor.camera
-        light = background_photo.shrunk(camera_response.linear(picture / 255.0), eye.width_px, eye.height_px).reshape(
-            -1, 3
-        )
+        light = camera_response.linear(picture / 255.0, eye)
+        light = background_photo.shrunk(light, eye.width_px, eye.height_px).reshape(-1, 3)
         counts = counts & (light < BRIGHT).all(axis=1)
-        return Picture(name, light, np.minimum(255 * camera_response.slope(light), STEEPEST), counts, face)
+        return Picture(name, light, np.minimum(255 * camera_response.slope(light, eye), STEEPEST), counts, face)
 
     def _near(self, press: Press) -> Array:
         eye = self.sensor.camera
@@ -119,9 +146,9 @@ class Fit:
     def _ranges(self) -> tuple[Array, Array, Array]:
         """Least, most and start of every searched number: the LEDs' parts, then gloss, roughness, vignette, crop."""
         t, coat, eye = self.tolerance, self.sensor.coating, self.sensor.camera
-        led = [*[(-t.mm, t.mm, 0.0)] * 3, *[(-t.rad, t.rad, 0.0)] * 2]
-        vignette = eye.vignette_mm or 1.0
-        wide = t.mm > 0
+        wide, vignette = t.mm > 0, eye.vignette_mm or 1.0
+        longer = float(np.log(t.factor)) * wide
+        led = [*[(-t.mm, t.mm, 0.0)] * 3, *[(-t.rad, t.rad, 0.0)] * 2, (-longer, longer, 0.0)]
         rest = [
             (max(0.0, coat.specular - t.specular * wide), min(1.0, coat.specular + t.specular * wide), coat.specular),
             (coat.roughness / t.factor**wide, min(1.0, coat.roughness * t.factor**wide), coat.roughness),
@@ -132,43 +159,47 @@ class Fit:
         return least, most, start
 
     def moved(self, led: Led, parts: tuple[float, ...]) -> Led:
-        """An LED displaced by PARTS numbers, as far that way as its housing lets it."""
+        """An LED changed by PARTS numbers, and pushed back where it would leave its housing."""
         axes = frame(led.normal, led.up)
-        for share in (1.0, 0.75, 0.5, 0.25, 0.0):
-            *by, tilt, turn = share * np.array(parts)
+        for share in (1.0, 0.75, 0.5, 0.25):
+            *by, tilt, turn, longer = share * np.array(parts)
             normal = axes[:, 2] * np.cos(tilt) * np.cos(turn) + axes[:, 1] * np.sin(tilt) + axes[:, 0] * np.sin(turn)
-            place = tuple(float(c) for c in np.add(led.center_mm, by))
-            facing = tuple(float(c) for c in normal / np.linalg.norm(normal))
-            tried = led.model_copy(update={"center_mm": place, "normal": facing})
-            if share == 0.0 or not optics_checks.wrong_led(self.sensor, tried):
-                return led if share == 0.0 else tried
+            size = np.minimum([led.size_mm[0] * np.exp(longer), led.size_mm[1]], 2 * self._room[:2].max())
+            reach = np.abs(frame(normal, led.up)[:, :2] * size / 2).sum(axis=1)
+            place = np.clip(np.add(led.center_mm, by), [*(reach[:2] - self._room[:2]), reach[2] - self._room[2]],
+                            [*(self._room[:2] - reach[:2]), -reach[2] - CLEAR])  # fmt: skip
+            numbers = {"center_mm": place, "normal": normal / np.linalg.norm(normal), "size_mm": size}
+            tried = led.model_copy(update={key: tuple(float(c) for c in value) for key, value in numbers.items()})
+            if not optics_checks.wrong_led(self.sensor, tried):  # beside a round end or a dome the box is too large
+                return tried
         return led
 
-    def _looked(self, picture: int, crop: tuple[float, ...]) -> tuple[Any, Samples]:
+    def _looked(self, picture: int, crop: tuple[float, ...]) -> "Looked":
         eye = self.sensor.camera
         moved = eye.model_copy(update={"crop_mm": tuple(np.add(eye.crop_mm, crop))})
         sensor = self.sensor.model_copy(update={"camera": moved})
         view = View(sensor, self.sheet, False)
-        return sensor, view.look(self.pictures[picture].face)
+        at = view.look(self.pictures[picture].face)
+        terrain = Terrain.of(heights(self.sheet, at.nodes), self.sheet.size)
+        return Looked(view, at, view.toward_camera(), view.transmission(), terrain)
 
     def _lit(self, picture: int, led: int, parts: tuple[float, ...], rough: float, crop: tuple[float, ...]) -> Array:
         """Light by one LED of unit radiance that goes straight, from a matt white coat and a mirror-rough one, and
         what bounces (RGB): (pixels that count, 5)."""
-        sensor, at = self._look(picture, crop)
-        coat = sensor.coating.model_copy(update={"specular": 0.5, "roughness": rough})  # so that both are computed
-        one = (self.moved(sensor.leds[led], parts),)
-        sensor = sensor.model_copy(update={"leds": one, "coating": coat})
-        direct = Direct(sensor, self.sheet, False, PIECES)
-        straight = np.nan_to_num(direct.light(at)[:, 0])
-        bounced = self._around(led, parts, crop).at(at.normal)
-        return np.asarray(np.column_stack([straight, bounced])[self.pictures[picture].counts])
+        seen, here = self._look(picture, crop), self.pictures[picture].counts
+        one = (self.moved(self.sensor.leds[led], parts),)
+        at, normal, toward = (part[here] for part in (seen.at.position, seen.at.normal, seen.toward))
+        slab, panels = strip_light.Slab.of(self.sensor), strip_light.Panels.of(one)
+        lights = strip_light.points(one, *PIECES)
+        straight = strip_light.gather(at, normal, toward, lights, 1, slab, panels, rough, seen.terrain)[:, 0]
+        bounced = self._around(led, parts, crop).at(seen.at.normal)[here]
+        return np.column_stack([np.nan_to_num(straight * seen.passed[here, None]), bounced])
 
     def _bounced(self, led: int, parts: tuple[float, ...], crop: tuple[float, ...]) -> Glow:
         """Light by one LED of unit radiance that bounces, with the coat as the file has it."""
-        sensor, _ = self._look(0, crop)
-        one = sensor.model_copy(update={"leds": (self.moved(sensor.leds[led], parts),)})
+        one = self.sensor.model_copy(update={"leds": (self.moved(self.sensor.leds[led], parts),)})
         added = self._bounce.added(one, strip_light.points(one.leds, *PIECES))[:, 0]
-        return self._bounce.glow(added, View(one, self.sheet, False))
+        return self._bounce.glow(added, self._look(0, crop).view)
 
     def columns(self, v: Array, picture: int) -> Array:
         """Light per unit radiance of each LED, and even stray light: (3, pixels that count, LEDs + 1)."""
@@ -220,10 +251,28 @@ class Fit:
         return [self.columns(v, k) if k in chosen else np.zeros(0) for k in range(len(self.pictures))]
 
     def run(self, steps: int, held_out: list[int]) -> Fitted:
-        """Fit to all pictures but those held out, whose numbers count the untouched one as 0."""
-        seen = [k for k in range(len(self.pictures)) if k not in held_out]
+        """Fit to all pictures but those held out, which judge that; then go on from there with all of them."""
+        every = list(range(len(self.pictures)))
+        seen = [k for k in every if k not in held_out]
+        best = self._search(self._start, seen, steps)
+        columns = self.all_columns(best, every)
+        misfits, lights = self.misfit(columns, seen)
+        rest, _ = self.misfit(columns, held_out, lights)
+        made = judged = self._sensor(best, lights)
+        if held_out:
+            best = self._search(best, every, steps // 2)
+            made = self._sensor(best, self.misfit(self.all_columns(best, every), every)[1])
+        return Fitted(
+            made, rms(misfits[:1]), self._before(), rms(misfits[1:]) if len(seen) > 1 else None,
+            rms(rest) if rest else None, judged=judged,
+        )  # fmt: skip
+
+    def _search(self, begin: Array, seen: list[int], steps: int) -> Array:
+        """The numbers that explain some pictures best, the lights being what they must be."""
         span = self._most - self._least
         free = np.flatnonzero(span > 0) if len(seen) > 1 else np.zeros(0, int)  # the background alone tells powers only
+        if not len(free):
+            return begin
 
         def numbers(u: Array) -> Array:
             v = self._start.copy()
@@ -236,20 +285,9 @@ class Fit:
             held = HOLD * 2 * (numbers(u) - self._start)[free] / span[free]
             return np.concatenate([*(w * m.ravel() for w, m in zip(weights, found, strict=True)), held])
 
-        best = self._start
-        if len(free):  # searched from 1 to 3, so that a step is a share of the whole range
-            start = 1 + 2 * (self._start - self._least)[free] / span[free]
-            start = np.clip(start, 1.02, 2.98)
-            how: Any = {"bounds": (1, 3), "diff_step": 0.02, "max_nfev": steps, "loss": "soft_l1", "f_scale": SOFT}
-            best = numbers(least_squares(left, start, **how).x)
-        columns = self.all_columns(best, [*seen, *held_out])
-        misfits, lights = self.misfit(columns, seen)
-        rest, _ = self.misfit(columns, held_out, lights)
-        before = self._before()
-        return Fitted(
-            self._sensor(best, lights), rms(misfits[:1]), before, rms(misfits[1:]) if len(seen) > 1 else None,
-            rms(rest) if rest else None,
-        )  # fmt: skip
+        start = np.clip(1 + 2 * (begin - self._least)[free] / span[free], 1.02, 2.98)  # a step is a share of the range
+        how: Any = {"bounds": (1, 3), "diff_step": 0.02, "max_nfev": steps, "loss": "soft_l1", "f_scale": SOFT}
+        return numbers(least_squares(left, start, **how).x)
 
     def _before(self) -> float:
         eye, leds = self.sensor.camera, self.sensor.leds

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from tacgen.calibrate import press_faces
+from tacgen.calibrate.likeness import ChangeLikeness
 from tacgen.calibrate.photos import Photos, Press
 from tacgen.calibrate.result import Fitted, rgb, rms
 from tacgen.errors import UserError
@@ -20,6 +21,7 @@ from tacgen.optics.camera import Camera
 from tacgen.optics.camera_view import View
 from tacgen.optics.surface_grid import Surface
 from tacgen.recipe import background_photo
+from tacgen.recipe.sensor import Camera as Eye
 from tacgen.recipe.sensor import LitSensor, ThicknessResponse
 from tacgen.recipe.yaml_source import KeyPath
 from tacgen.render import images
@@ -41,14 +43,24 @@ class Seen:
     wanted: Array  # the photograph's over the untouched one
     near: Array
 
-    def off(self, table: Array, untouched: Array) -> Array:
+    def off(self, table: Array, untouched: Array, camera: Eye) -> Array:
         """Misfit [counts] (k, 3) by a table of gains, over an untouched picture of linear light (pixels, 3)."""
-        made = untouched * self.own * scattering.between(self.change, np.array(CHANGES), table)
-        return np.asarray(255 * (camera_response.srgb(made) - camera_response.srgb(untouched * self.wanted))[self.near])
+        response = ThicknessResponse(change_mm=CHANGES, gain=tuple(rgb(row) for row in table), source="fit")
+        wanted, made = self.changes(response, untouched, camera)
+        return np.asarray(made - wanted)
+
+    def changes(self, response: ThicknessResponse | None, untouched: Array, camera: Eye) -> tuple[Array, Array]:
+        """How counts change (k, 3) as photographed, and by a gain over an untouched picture of light (pixels, 3)."""
+        gain = 1.0 if response is None else scattering.gain(response, self.change)
+        lights = (untouched, untouched * self.wanted, untouched * self.own * gain)
+        before, wanted, made = (255 * camera_response.encoded(light, camera)[self.near] for light in lights)
+        return wanted - before, made - before
 
 
-def fit(sensor: LitSensor, photos: Photos, held_out: list[int], folders: dict[KeyPath, Path]) -> Fitted:
-    """Lights and the response to thickness; presses count from 1.
+def fit(
+    sensor: LitSensor, photos: Photos, held_out: list[int], folders: dict[KeyPath, Path]
+) -> tuple[Fitted, tuple[ChangeLikeness, ...]]:
+    """Lights and the response to thickness, and how alike presses held out are before and after; presses count from 1.
 
     Raises:
         UserError: a press of unknown depth.
@@ -68,11 +80,11 @@ def fit(sensor: LitSensor, photos: Photos, held_out: list[int], folders: dict[Ke
     )
     now, before = (_off(s, maps, photos.untouched) for s in (made, sensor))
     if not photos.presses:
-        return Fitted(made, now, before)
+        return Fitted(made, now, before), ()
     bare = made.model_copy(update={"thickness_response": None})
     renderer, linear = (
         images.Renderer(bare, SPP, 0, False),
-        camera_response.linear(photos.untouched / 255.0).reshape(-1, 3),
+        camera_response.linear(photos.untouched / 255.0, sensor.camera).reshape(-1, 3),
     )
     seen = [_seen(bare, renderer, photos, press, folders) for press in photos.presses]  # by press, then by factor
     chosen = [k for k in range(len(seen)) if k + 1 not in held_out]
@@ -80,19 +92,27 @@ def fit(sensor: LitSensor, photos: Photos, held_out: list[int], folders: dict[Ke
     for i in range(len(FACTORS)):
         here = [seen[k][i] for k in chosen]
         table = gains(np.concatenate([s.change for s in here]), np.concatenate([s.wanted / s.own for s in here]))
-        off = rms([s.off(table, linear) for s in here])
+        off = rms([s.off(table, linear, sensor.camera) for s in here])
         best = min(best, (off, table, i), key=lambda found: found[0])
     off, table, i = best
-    rest = [seen[k - 1][i].off(table, linear) for k in held_out]
+    rest = [seen[k - 1][i].off(table, linear, sensor.camera) for k in held_out]
     response_ = ThicknessResponse(change_mm=CHANGES, gain=tuple(rgb(row) for row in table), source="fit")
     whole = made.model_copy(update={"thickness_response": response_})
-    return Fitted(whole, now, before, off, rms(rest) if rest else None, FACTORS[i])
+    found = Fitted(whole, now, before, off, rms(rest) if rest else None, FACTORS[i])
+    if not held_out:
+        return found, ()
+    alike = []
+    for response, k in ((sensor.thickness_response, FACTORS.index(1.0)), (response_, i)):
+        judges = [seen[j - 1][k] for j in held_out]
+        pairs = [judge.changes(response, linear, sensor.camera) for judge in judges]
+        alike.append(ChangeLikeness.of(*(np.concatenate(part) for part in zip(*pairs, strict=True))))
+    return found, tuple(alike)
 
 
 def powers(sensor: LitSensor, maps: Array, untouched: Array) -> Array:
     """Radiances (leds, 3) by which maps (leds, h, w, 3) of unit radiance add up to a photograph (H, W, 3)."""
     h, w = maps.shape[1:3]
-    wanted = background_photo.shrunk(camera_response.linear(untouched / 255.0), w, h)
+    wanted = background_photo.shrunk(camera_response.linear(untouched / 255.0, sensor.camera), w, h)
     shown = np.array([camera_response.expose(one, images.zoomed(sensor, w).camera) for one in maps])
     return np.asarray(
         np.array([nnls(shown[..., c].reshape(len(maps), -1).T, wanted[..., c].ravel())[0] for c in range(3)]).T
@@ -120,7 +140,8 @@ def _seen(
     assert press.depth is not None
     view, camera, flat = View(sensor, renderer.sheet, False), Camera.from_sensor(sensor), renderer.flat().astype(float)
     before, after = (
-        camera_response.linear(np.maximum(p, 1) / 255.0).reshape(-1, 3) for p in (photos.untouched, press.picture)
+        camera_response.linear(np.maximum(p, 1) / 255.0, sensor.camera).reshape(-1, 3)
+        for p in (photos.untouched, press.picture)
     )
 
     def at(face: Surface) -> Seen:
@@ -139,12 +160,6 @@ def _off(sensor: LitSensor, maps: Array, untouched: Array) -> float:
     h, w = maps.shape[1:3]
     made = np.einsum("khwc,kc->hwc", maps, [led.light for led in sensor.leds])
     shown = camera_response.expose(made, images.zoomed(sensor, w).camera)
-    return rms(
-        [
-            255
-            * (
-                camera_response.srgb(shown)
-                - camera_response.srgb(background_photo.shrunk(camera_response.linear(untouched / 255.0), w, h))
-            )
-        ]
-    )
+    wanted = background_photo.shrunk(camera_response.linear(untouched / 255.0, sensor.camera), w, h)
+    made, real = (camera_response.encoded(light, sensor.camera) for light in (shown, wanted))
+    return rms([255 * (made - real)])

@@ -1,8 +1,9 @@
 """How well rendered presses stand for photographed ones: how colours change with the slope of a ball's surface, and how
-far off on real normals a net is that learned them from rendered pictures (Wang et al. 2021, GelSight Wedge: the net)."""
+far off on real normals a net is that learned them from rendered pictures (the net: Wang et al. 2021)."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -18,8 +19,9 @@ from tacgen.render.images import Renderer
 
 Array = np.ndarray
 WITHIN = 0.95  # contact radii: where a press's slopes are the ball's
+WEAK = 15.0  # [counts per slope] of which a ratio would be one of noise
 AROUND = 1.7  # contact radii in which changes are correlated
-DENTS = 48  # rendered ones that a net learns from
+DENTS = 96  # rendered ones that a net learns from
 BALLS, SHARE, WIDEST = (1.5, 5.5), (0.3, 0.75), 3.5  # their radii [mm], contact radii over those, and at most [mm]
 PIXELS = 300  # of each that it learns from
 SPP = 16  # of draft pictures
@@ -53,18 +55,48 @@ class Seen:
 class Likeness:
     """Rendered over photographed presses, per channel (3,); angles in degrees."""
 
-    contrast: Array  # change per slope, rendered over real, median
+    contrast: Array  # change per slope, rendered over real, median of presses where the real one is not WEAK
     direction: Array  # angle between the two, median
     correlation: Array  # of the change around the contact, median
     normals: float  # real normals by a net that learned from rendered pictures, mean
     flat: float  # the same of guessing that nothing is pressed
 
     def __str__(self) -> str:
-        contrast, correlation = (" / ".join(f"{v:.2f}" for v in one) for one in (self.contrast, self.correlation))
-        return (
-            f"contrast per slope {contrast} of the real (red / green / blue), correlation {correlation},"
-            f" real normals off by {self.normals:.1f} deg (flat: {self.flat:.1f})"
-        )
+        normals = f"real normals off by {self.normals:.1f} deg (flat: {self.flat:.1f})"
+        return f"{of_change(self.contrast, self.correlation)}, {normals}"
+
+    def plain(self) -> dict[str, Any]:
+        """For a program."""
+        return {"normals": self.normals, "flat": self.flat} | {
+            name: getattr(self, name).tolist() for name in ("contrast", "direction", "correlation")
+        }
+
+
+@dataclass(frozen=True)
+class ChangeLikeness:
+    """Of a gel that scatters, whose colours follow its thickness: rendered by real change, and their correlation."""
+
+    contrast: Array
+    correlation: Array
+
+    @classmethod
+    def of(cls, real: Array, made: Array) -> "ChangeLikeness":
+        """From changes (n, 3) against the untouched picture."""
+        correlation = np.array([np.corrcoef(a, b)[0, 1] for a, b in zip(real.T, made.T, strict=True)])
+        return cls((real * made).sum(axis=0) / (real**2).sum(axis=0), correlation)
+
+    def __str__(self) -> str:
+        return of_change(self.contrast, self.correlation)
+
+    def plain(self) -> dict[str, Any]:
+        """For a program."""
+        return {name: getattr(self, name).tolist() for name in ("contrast", "correlation")}
+
+
+def of_change(contrast: Array, correlation: Array) -> str:
+    """Both for a person."""
+    shown, alike = (" / ".join(f"{v:.2f}" for v in one) for one in (contrast, correlation))
+    return f"contrast {shown} of the real (red / green / blue), correlation {alike}"
 
 
 class Comparison:
@@ -98,13 +130,15 @@ class Comparison:
         per = np.array([[one.per_slope() for one in pair[:2]] for pair in pairs])
         size, angle = np.linalg.norm(per, axis=3), np.degrees(np.arctan2(per[..., 1], per[..., 0]))
         turn = np.abs((angle[:, 1] - angle[:, 0] + 180) % 360 - 180)
+        seen = (size[:, 0] >= WEAK) | (size[:, 0] == size[:, 0].max(axis=0))
         correlation = [
             [np.corrcoef(real.change[around][:, c], made.change[around][:, c])[0, 1] for c in range(3)]
             for real, made, around in pairs
         ]
         net = self.net()
         return Likeness(
-            np.median(size[:, 1] / size[:, 0], axis=0), np.median(turn, axis=0), np.median(correlation, axis=0),
+            np.nanmedian(np.where(seen, size[:, 1] / size[:, 0], np.nan), axis=0),
+            np.nanmedian(np.where(seen, turn, np.nan), axis=0), np.median(correlation, axis=0),
             float(np.mean([real.off(net.normals(real.features)) for real, _, _ in pairs])),
             float(np.mean([real.off(real.flat) for real, _, _ in pairs])),
         )  # fmt: skip

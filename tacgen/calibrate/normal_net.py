@@ -13,7 +13,7 @@ from scipy.optimize import minimize
 Array = np.ndarray
 HIDDEN = 24  # units in each hidden layer
 COUNTS = 40.0  # a usual change of colour [counts], 1 at the net's input
-DECAY = 3e-4  # of the weights' squares, beside the mean square error
+DECAY = 1e-4  # of the weights' squares, beside the mean square error
 STEPS = 300  # of L-BFGS at most
 MOST = 8000  # samples that a net is trained on; of more, some are drawn
 

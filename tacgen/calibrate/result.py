@@ -19,6 +19,7 @@ class Fitted:
     presses: float | None = None  # of how the presses change the picture
     held_out: float | None = None  # of those the fit has not seen
     deeper: float = 1.0  # what all depths that were given seem to be off by
+    judged: LitSensor | None = None  # fitted without those held out, that they can judge it
 
 
 def rms(parts: list[Array]) -> float:

@@ -20,6 +20,7 @@ from benchmarks import (
     calculix,
     cost_per_output,
     mechanics,
+    photographs,
     reference_runs,
     results_page,
     stability,
@@ -175,13 +176,13 @@ def test_a_references_noise_is_not_taken_for_an_error() -> None:
     camera, rng = tiny.sensor(camera={"vignette_mm": None}).camera, np.random.default_rng(4)
     truth = np.full((32, 40, 3), 0.2)
     halves = [truth + 0.04 * rng.standard_normal(truth.shape) for _ in range(2)]
-    expected = -20 * np.log10(float(camera_response.slope(np.array(0.204))) * 0.004)
+    expected = -20 * np.log10(float(camera_response.slope(np.array(0.204), camera)) * 0.004)
     found, sure = decibel(1.02 * truth, halves, camera, noisy=False)
     assert sure < 6
     assert abs(found - expected) < 2 * sure
     exact, _ = decibel(1.02 * truth, [truth, truth], camera, noisy=False)
     assert exact == pytest.approx(expected, abs=1e-6)
-    plain = float(camera_response.srgb(np.array(0.204)) - camera_response.srgb(np.array(0.2)))
+    plain = float(camera_response.encoded(np.array(0.204), camera) - camera_response.encoded(np.array(0.2), camera))
     assert decibel(1.02 * truth, [truth, truth], camera, noisy=True)[0] == pytest.approx(-20 * np.log10(plain))
 
 
@@ -220,13 +221,16 @@ def test_chosen_pixels_stand_for_the_picture() -> None:
     assert decibel(picture, [truth, truth], camera, noisy=False) == only
 
 
-SLOW = {"optics"}
+SLOW = {"optics", "real"}
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n in SLOW else n for n in bench.BENCHES])
 def test_each_runs(name: str, tmp_path: Path) -> None:
     told = runner.invoke(app, ["bench", name, "--smoke", "-o", str(tmp_path)])
     assert told.exit_code == 0, told.stderr
+    if name == "real" and photographs.unit("gelsight_mini") is None:
+        assert "real: left out, no photographs in" in told.stderr
+        return
     found = json.loads((tmp_path / "results" / f"{name}.json").read_text())
     assert found["tables"]
     assert all(len(row) == len(table["columns"]) for table in found["tables"] for row in table["rows"])
@@ -320,3 +324,12 @@ def test_a_summary_leaves_out_what_is_not_there(tmp_path: Path) -> None:
     told = summary.short(tmp_path)
     assert "| force of `default` against `reference` | Mini 0.4% | mechanics |" in told
     assert "stability" not in told
+
+
+def test_a_bench_without_what_it_needs_leaves_what_there_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TACGEN_REFERENCE", str(tmp_path))
+    results_page.write(tmp_path / "results", "real", result(1.0), 1.0)
+    said: list[str] = []
+    assert bench.run(["real"], tmp_path, "smoke", said.append) == []
+    assert said == [f"real: left out, no photographs in {tmp_path} (set TACGEN_REFERENCE)"]
+    assert json.loads((tmp_path / "results" / "real.json").read_text())["tables"][0]["rows"][0][1] == 1.0

@@ -33,7 +33,7 @@ def test_colours_change_with_the_slope_as_on_the_real_unit_and_a_net_learns_from
     found = reality.against_photographs("digit")
     assert found.contrast == pytest.approx(1.0, abs=0.2)
     assert (found.direction < 15).all()
-    assert (found.correlation > 0.9).all()
+    assert (found.correlation > 0.88).all()
     assert found.normals < 0.45 * found.flat
 
 
