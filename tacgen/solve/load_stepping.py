@@ -17,8 +17,8 @@ TURNED = 0.3  # [rad] by which the indenter's normal at a point changes where a 
 
 
 def rounded(problem: Problem, before: History, after: History) -> float:
-    """Friction at points that crossed a sharp edge in one step, as a part of the contact force; above .05 the result
-    depends on the step size.
+    """Friction at points that crossed a sharp edge in one step, as a part of the larger contact force of the two ends;
+    above .05 the result depends on the step size.
 
     Whether such a point is dragged or slips depends on its path round the edge.
     """
@@ -26,7 +26,8 @@ def rounded(problem: Problem, before: History, after: History) -> float:
         return 0.0
     turned = np.linalg.norm(after.normal - before.normal, axis=-1) > TURNED
     force = np.maximum(after.normal_force, before.normal_force)[turned].sum()
-    return problem.friction * float(force) / max(float(after.normal_force.sum()), after.least_force)
+    whole = max(float(after.normal_force.sum()), float(before.normal_force.sum()), after.least_force)
+    return problem.friction * float(force) / whole
 
 
 def _sharp(problem: Problem) -> bool:

@@ -250,3 +250,5 @@ def test_friction_round_an_edge_is_that_of_the_points_whose_normal_turns() -> No
         normal[one] = [np.sin(angle), 0, -np.cos(angle)]
         assert after.normal[one] == pytest.approx([0, 0, -1])
         assert load_stepping.rounded(problem, replace(after, normal=normal), after) == pytest.approx(part)
+    released = replace(after, normal=-after.normal, normal_force=np.zeros_like(after.normal_force))
+    assert load_stepping.rounded(problem, after, released) == pytest.approx(0.6)
