@@ -16,7 +16,7 @@ class SolverOptions:
     force_tol: float = 3e-3  # of a force that is asked for; on the way to it 1e-2
     # Newton's method
     max_newton: int = 60  # steps of the bulk in a load step; ordinary frames take 3 to 6
-    max_effort: int = 100  # in all that is tried for a load step, or for a force that is asked for; hard ones take 75
+    max_effort: int = 160  # in all that is tried for a load step, or for a force that is asked for; hard ones take 120
     # of the contact within one step of the bulk; ordinary ones take 2 to 10. With 30 hard scenes take 3 %
     # longer, with 14 a punch finds another answer than the oracle
     max_contact: int = 20
