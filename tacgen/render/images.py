@@ -252,7 +252,7 @@ class Effort(NamedTuple):
     def of(cls, spp: int) -> "Effort":
         """What goes with `spp` paths a pixel: draft, default or reference."""
         if spp < 32:
-            return cls((8, 2), 1, 2 * SPACING, adaptive_sampling.Tolerance(8, 1e-2, 0.6))
+            return cls((5, 3), 1, 2 * SPACING, adaptive_sampling.Tolerance(8, 1e-2, 0.6))
         if spp <= 256:
             return cls((8, 4), 1, SPACING, adaptive_sampling.Tolerance())
         return cls((16, 8), 2, SPACING, adaptive_sampling.Tolerance(4, 3e-3, 0.12))

@@ -42,6 +42,19 @@ def test_image_agrees_with_path_within_paths_own_noise(renderer, tracer, surface
     assert corrected < 0.04 * truth.mean()
 
 
+def test_narrow_light_is_as_path_has_it():
+    """On a dent, half as bright as even light or less; the emitter of paths is ours."""
+    made = sensor(leds=[{**led, "lobe": 3} for led in PLAIN["leds"]])
+    narrow = images.Renderer(made, 64, 0, False, mitsuba_variants.SCALAR)
+    traced = PathTracer(made, narrow.sheet, False, mitsuba_variants.SCALAR).radiance(DENT, 192, 1)
+    image = narrow.image(DENT)
+    assert image.mean(axis=(0, 1)) == pytest.approx(traced.mean(axis=(0, 1)), rel=0.05)
+    even = images.Renderer(sensor(), 64, 0, False, mitsuba_variants.SCALAR).image(DENT)
+    assert (image.mean(axis=(0, 1)) < 0.6 * even.mean(axis=(0, 1))).all()
+    corners = [picture[:16, :20].mean() / picture.mean() for picture in (image, traced)]
+    assert corners[0] == pytest.approx(corners[1], rel=0.05)
+
+
 def test_light_goes_through_strips_that_stand_for_it():
     """Dark ones before the others' mirror images, far larger than they: as if they were not there."""
     dark = {"size_mm": [9, 3], "center_mm": [0, -4.6, -3.2], "radiance": [0, 0, 0], "see_through": True}
