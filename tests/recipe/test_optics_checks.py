@@ -165,7 +165,7 @@ def test_a_varied_light_that_leaves_the_housing_is_told_with_its_scene(tmp_path:
         vary:
           samples: 8
           over:
-            sensor.leds[0].center_mm[1]: {{uniform: [-11, -9.5]}}
+            sensor.leds[0].center_mm[1]: {{uniform: [-15, -13]}}
     """
     recipe = tmp_path / "out.yaml"
     recipe.write_text(text.format(assets.recipe_path("quickstart")))
