@@ -165,13 +165,13 @@ def test_the_summary_names_the_peaks(tmp_path: Path) -> None:
 
 
 def test_the_summary_of_a_mesh_keeps_words_and_columns_apart(tmp_path: Path) -> None:
-    recipe = attributes()["recipe"] | {"indenter": {"shape": "mesh", "file": "gear", "up": "+z", "scale": 1.0}}
+    recipe = attributes()["recipe"] | {"indenter": {"shape": "mesh", "file": "gear", "up": "+z", "scale": 2.0}}
 
     def longer(index: int, arrays: dict[str, Any]) -> None:
         arrays["/frames/quality/pressure_oscillation"] = 0.1
 
     lines = bundle_figure.summary(write(tmp_path / "x.h5", recipe=recipe, edit=longer)).splitlines()
-    assert lines[0].endswith("mesh, gear, scale 1, +z")
+    assert lines[0].endswith("gear, scale 2")
     rows = [line for line in lines if line.startswith(("/frames/", "/mesh/"))]
     assert len(rows) > 10
     assert len({line.rindex("  ") for line in rows}) == 1
