@@ -280,15 +280,16 @@ def test_an_output_is_an_entry_a_name_and_a_row(tmp_path: Path, monkeypatch: pyt
 def test_a_format_is_a_module_and_a_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def written(bundles: list[bundle.Bundle], out: Path) -> list[Path]:
         export.needs(bundles[0], ("/frames/force",), "force")
-        out.write_text("\n".join(export.names(bundles)))
-        return [out]
+        made = out / "names.txt"
+        made.write_text("\n".join(export.names(bundles)))
+        return [made]
 
     monkeypatch.setitem(export.EXPORTERS, "names", "names of scenes")
     monkeypatch.setitem(sys.modules, "tacgen.export.names", SimpleNamespace(write=written))
     scene = write(tmp_path / "scene-00000.h5")
-    done = CliRunner().invoke(app, ["export", "names", str(scene), "-o", str(tmp_path / "names.txt")])
+    done = CliRunner().invoke(app, ["export", "names", str(scene), "-o", str(tmp_path / "out")])
     assert done.exit_code == 0, done.output
-    assert (tmp_path / "names.txt").read_text() == "scene-00000"
+    assert (tmp_path / "out" / "names.txt").read_text() == "scene-00000"
 
 
 def test_the_readme_is_short() -> None:

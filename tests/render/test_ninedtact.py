@@ -112,7 +112,7 @@ def test_images_are_refused_where_no_lights_are_described(tmp_path: Path) -> Non
         loading.read(tmp_path / "r.yaml")
     told = [line for line in caught.value.lines if not line.startswith(" ")]
     assert len(told) == 1
-    assert re.search(r"r\.yaml:6:10: outputs: asks for rgb: .*dark describes no lights yet$", told[0])
+    assert re.search(r"r\.yaml:6:10: outputs: asks for rgb: the sensor dark has no coating, walls, leds", told[0])
 
 
 def test_lights_come_all_together_or_a_plate_alone() -> None:
@@ -125,6 +125,6 @@ def test_lights_come_all_together_or_a_plate_alone() -> None:
     sensor, wrong = loading.check_sensor({k: v for k, v in plain.items() if k not in ("plate", "walls")})
     assert sensor is None
     assert [(p.path, p.message) for p in wrong] == [
-        (("plate",), "is missing, and leds is there"),
-        (("walls",), "is missing, and leds is there"),
+        (("plate",), "is missing, and leds is there (thickness_mm, refractive_index)"),
+        (("walls",), "is missing, and leds is there (albedo)"),
     ]

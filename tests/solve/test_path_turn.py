@@ -99,7 +99,7 @@ def test_a_replay_turns_by_the_shorter_way(tmp_path: Path) -> None:
     rows = enumerate(np.radians([0.0, 100.0, 290.0]))
     lines = [f"{t},0,0,-0.3,{np.cos(a / 2)},0,0,{np.sin(a / 2)}" for t, a in rows]
     (tmp_path / "poses.csv").write_text("\n".join(["t,x,y,z,qw,qx,qy,qz", *lines]) + "\n")
-    made = built(tmp_path, "replay: {file: poses.csv}")
+    made = built(tmp_path, "replay: {file: poses.csv, units: mm}")
     assert made.turns is not None
     assert np.degrees(made.turns)[:, 2] == pytest.approx([0, 100, -170])
 
