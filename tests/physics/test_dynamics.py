@@ -130,7 +130,8 @@ def test_a_replay_keeps_its_own_time(tmp_path: Path) -> None:
     (tmp_path / "poses.csv").write_text(
         "time,x,y,z,qw,qx,qy,qz\n" + "".join(f"{t},0,0,{-0.1 * t},1,0,0,0\n" for t in (5, 5.1, 5.4))
     )
-    text = RECIPE.split("  - press")[0] + "  - replay: {file: poses.csv, units: mm}\n  - hold: {frames: 2, duration_s: 1}\n"
+    moves = "  - replay: {file: poses.csv, units: mm}\n  - hold: {frames: 2, duration_s: 1}\n"
+    text = RECIPE.split("  - press")[0] + moves
     made = scene.build(plan.load(recipe(tmp_path, text)).rows[0]).duration
     assert made is not None
     assert made == pytest.approx([0.1, 0.1, 0.3, 0.5, 0.5])
