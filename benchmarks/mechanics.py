@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmarks.reference_runs import DEPTHS, Answer, Error, answer, kept, row_of, sliding
 from benchmarks.results_page import Cell, Level, Plot, Result, Say, Series, Table, columns, cores, front
-from tacgen.solve import DEFAULT, SolverOptions, plain, short_steps
+from tacgen.solve import DEFAULT, NotConverged, SolverOptions, plain, short_steps
 
 ABOUT = (
     "A ball of 4 mm is pressed 1 mm (0.8 mm on DIGIT and 9DTact) and slid by 0.6 mm with friction 0.5, in one frame and"
@@ -84,7 +84,7 @@ def bench(level: Level, say: Say) -> Result:
     with cores() as every:  # what is not timed needs no core to itself
         true = [_preset(sensor, "reference") for sensor in DEPTHS]
         references = every(kept, [*true, *(_edged(fillet) for fillet in fillets)])
-        boxes = every(answer, [_dragged(fillet, name) for fillet in fillets for name in FORMULATIONS])
+        boxes = every(_dragged_answer, [_dragged(fillet, name) for fillet in fillets for name in FORMULATIONS])
         placed = [_preset("gelsight_mini", name) for name in PRESETS for _ in SHIFTS]
         shifted = every(answer, placed, SHIFTS * len(PRESETS))
         list(references)
@@ -158,16 +158,29 @@ def _dragged(fillet: float, formulation: str) -> tuple[str, ...]:
     return (*_edged(fillet, f"{PRESSED}, {SLID}", "draft"), f"contact.formulation={formulation}")
 
 
-def _edges(fillets: tuple[float, ...], boxes: Iterator[Answer], say: Say) -> Table:
+def _dragged_answer(sets: tuple[str, ...]) -> Answer | None:
+    """None where a frame does not converge."""
+    try:
+        return answer(sets)
+    except NotConverged:
+        return None
+
+
+def _largest_drag(force: np.ndarray) -> float:
+    """Tangential over normal force (n, 3) [N] of the frames after the press."""
+    return float((np.hypot(*force[1:, :2].T) / -force[1:, 2]).max())
+
+
+def _edges(fillets: tuple[float, ...], boxes: Iterator[Answer | None], say: Say) -> Table:
     """A box with edges rounded less and less: both formulations of contact where the mesh does not resolve it."""
     rows: list[list[Cell]] = []
     for fillet in fillets:
         true, found = kept(_edged(fillet)), [next(boxes) for _ in FORMULATIONS]
-        off = [float(one.force[0, 2] / true.force[0, 2] - 1) for one in found]
-        drag = [float((np.hypot(*one.force[1:, :2].T) / -one.force[1:, 2]).max()) for one in found]
+        off = [None if one is None else float(one.force[0, 2] / true.force[0, 2] - 1) for one in found]
+        drag = [None if one is None else _largest_drag(one.force) for one in found]
         edge = row_of(_dragged(fillet, FORMULATIONS[0])).recipe.resolved().edge_mm
         rows.append([fillet / edge, *off, *[None] * (2 - len(off)), *drag, *[None] * (2 - len(drag))])
-        say(f"fillet {fillet:g} mm: {', '.join(f'{part:+.1%}' for part in off)}")
+        say(f"fillet {fillet:g} mm: {', '.join('rejected' if part is None else f'{part:+.1%}' for part in off)}")
     heads = columns(
         "radius / edge: .2f", "force, distance: +.1%", "force, ipctk: +.1%",
         "drag, distance: .2%", "drag, ipctk: .2%",
@@ -175,7 +188,7 @@ def _edges(fillets: tuple[float, ...], boxes: Iterator[Answer], say: Say) -> Tab
     note = (
         "A box of 3 mm at `draft`, pressed 0.5 mm without friction: force against `reference`, and while it slides"
         " the largest tangential force as a part of the normal one, which is the mesh's imprint. The two differ as"
-        " their points of contact do; both are off by what the mesh cannot bend."
+        " their points of contact do; both are off by what the mesh cannot bend. Empty: a frame did not converge."
     )
     return Table("Edges sharper than the mesh", heads, rows, note)
 
