@@ -7,7 +7,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
-from tacgen import solve
+import numpy as np
+
+from tacgen import compiled, solve
 from tacgen.bundle import bundle, resume
 from tacgen.bundle.resume import SceneResult
 from tacgen.geometry.gel import Gel
@@ -19,23 +21,27 @@ from tacgen.scene import mesh, scene
 from tacgen.solve import foresee
 
 MIN_EDGES = 3  # an indenter's smallest radius should be at least so many edges of the mesh
+DENT = 0.05  # [mm] deep, of the face whose picture is rendered only to compile what renders it
 OnEvent = Callable[[dict[str, Any]], None]
 Data = TypeVar("Data", SceneData, FrameData)
 
 
 class Clock:
-    """Seconds spent in each stage."""
+    """Seconds spent in each stage, and apart from them on compiling."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        start = time.perf_counter()
+        start, before = time.perf_counter(), compiled.seconds()
         try:
             yield
         finally:
-            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+            spent, compiling = time.perf_counter() - start, compiled.seconds() - before
+            for key, seconds in ((name, spent - compiling), ("compile", compiling)):
+                if seconds:
+                    self.seconds[key] = self.seconds.get(key, 0.0) + seconds
 
 
 def _datasets(made: dict[str, Callable[[Data], Datasets]], data: Data, clock: Clock) -> Datasets:
@@ -105,20 +111,32 @@ def _make(row: Row, path: Path, on_event: OnEvent | None) -> SceneResult:
     """The work itself, with one BLAS thread: more would add up in another order, and change the bytes."""
     from threadpoolctl import threadpool_limits
 
+    def tell() -> None:
+        if on_event:
+            on_event({"event": "compiling", "scene": row.name})
+
     clock = Clock()
-    with clock.stage("start"):
-        solve.warm()  # every BLAS is loaded by now: a limit does not reach those that come later
-    with threadpool_limits(1, user_api="blas"):
-        return _made(row, path, on_event, clock)
+    with compiled.telling(tell):
+        with clock.stage("start"), compiled.once("solve"):
+            solve.warm()  # every BLAS is loaded by now: a limit does not reach those that come later
+        with threadpool_limits(1, user_api="blas"):
+            return _made(row, path, on_event, clock)
 
 
 def _made(row: Row, path: Path, on_event: OnEvent | None, clock: Clock) -> SceneResult:
     """Everything between a row of the plan and its bundle."""
     with clock.stage("mesh"):
-        built = foresee.foreseen(scene.build(row))
+        built = scene.build(row)
+    if built.forced is not None:
+        with clock.stage("foresee"):
+            built = foresee.foreseen(built)
+    with clock.stage("mesh"):
         problem = solve.Problem.of(built, mesh.of(built))
     shared, reason = SceneData(row, problem), ""
     asked: set[str] = {"force", *row.recipe.outputs}
+    if asked & IMAGES:
+        with clock.stage("render"), compiled.once(_camera(row)):
+            _ = shared.pictures
     reference = _datasets({k: output.reference for k, output in OUTPUTS.items() if k in asked}, shared, clock)
     of_frame = {k: output.frame for k, output in OUTPUTS.items() if k in asked}
     attributes = _attributes(built.gel, shared, clock)
@@ -151,6 +169,23 @@ def _made(row: Row, path: Path, on_event: OnEvent | None, clock: Clock) -> Scene
     seconds = {name: round(value, 4) for name, value in clock.seconds.items()}
     path.with_suffix(".timing.json").write_text(json.dumps({"frames": row.frames, "seconds": seconds}, indent=1) + "\n")
     return SceneResult(row.name, path, "rejected" if reason else "ok", reason, row.frames, seconds)
+
+
+def _camera(row: Row) -> str:
+    """Name of the code that a scene's pictures need."""
+    return f"pictures by {row.recipe.render.method}"
+
+
+def compile_pictures(row: Row, folder: Path, **_: Any) -> None:
+    """Compile what a scene's pictures need, while another process compiles the solver; nothing is written."""
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(1, user_api="blas"), compiled.once(_camera(row)):
+        built = scene.build(row)
+        shared = SceneData(row, solve.Problem.of(built, mesh.of(built)))
+        dented = shared.problem.mesh.points.copy()
+        dented[:, 2] -= DENT * np.exp(-np.square(dented).sum(1))
+        shared.pictures.radiance(shared.printed.moved(dented))
 
 
 def run(

@@ -1,8 +1,14 @@
 """Fixtures that many test modules share."""
 
+import os
 from collections.abc import Iterator
 
 import pytest
+
+from tacgen.array_cache import cache_folder
+
+# tests with caches of their own share the compiled code, and so do the processes that they start
+os.environ.setdefault("NUMBA_CACHE_DIR", str(cache_folder() / "compiled"))
 
 
 @pytest.fixture(scope="module")

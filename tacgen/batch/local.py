@@ -7,12 +7,14 @@ from multiprocessing import connection
 from pathlib import Path
 from typing import Any
 
-from tacgen.batch.worker_process import Job, Limits, Worker, machine_memory
+from tacgen.batch.worker_process import Job, Limits, Worker, cores, machine_memory
 from tacgen.bundle.resume import SceneResult
 from tacgen.errors import UserError
+from tacgen.recipe.model import IMAGES
 from tacgen.recipe.plan import Row
 
 TASK = "tacgen.pipeline:run_scene"
+COMPILE = "tacgen.pipeline:compile_pictures"  # beside the solver, where there is a core for it
 MAX_TRIES = 2  # a scene whose worker died this often is recorded as failed
 POLL_S = 0.2  # longest wait for messages [s], and the time between checks of limits
 BUSY_RETRY_S = 0.5  # until a scene that another run is making is tried again [s]
@@ -30,6 +32,7 @@ class Pool:
         self.size, self.limits, self.task = workers, limits or Limits(), task
         self.memory_gb = self.limits.memory_gb or memory_gb or 0.9 * machine_memory() / workers
         self.workers: list[Worker] = []
+        self.compiler: Worker | None = None
         self.last_check = time.monotonic()
         self.failed_starts = 0
 
@@ -37,11 +40,12 @@ class Pool:
         return self
 
     def __exit__(self, *_: object) -> None:
-        for worker in self.workers:
+        workers = [*self.workers, *filter(None, [self.compiler])]
+        for worker in workers:
             worker.process.kill()
-        for worker in self.workers:
+        for worker in workers:
             worker.stop()
-        self.workers = []
+        self.workers, self.compiler = [], None
 
     def run(
         self, rows: Sequence[Row], folder: Path, *, overwrite: bool = False, on_event: OnEvent = lambda event: None
@@ -59,6 +63,8 @@ class Pool:
             self._assign_jobs(batch, overwrite)
             for worker, kind, what in self._messages():
                 if kind == "event":
+                    if what["event"] == "compiling" and worker.job is not None:
+                        self._compile(worker.job, folder)
                     on_event(what)
                 elif kind == "ready":
                     worker.ready, self.failed_starts = True, 0
@@ -79,6 +85,12 @@ class Pool:
                 if batch.waiting[0].not_before > time.monotonic():
                     break
                 worker.give(batch.waiting.popleft(), batch.folder, overwrite)
+
+    def _compile(self, job: Job, folder: Path) -> None:
+        """Share the compiling for a scene with pictures between two processes."""
+        if self.compiler is None and job.row.recipe.outputs & IMAGES and cores() > 1:
+            self.compiler = Worker(COMPILE)
+            self.compiler.give(Job(job.row), folder, overwrite=False)
 
     def _messages(self) -> list[tuple[Worker, str, Any]]:
         """Messages that came within POLL_S: worker, kind, content. A worker that broke a limit is stopped, and lost."""

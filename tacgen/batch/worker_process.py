@@ -119,6 +119,11 @@ def machine_memory() -> float:
     return min(sizes) / 1e9
 
 
+def cores() -> int:
+    """Processor cores that this process may use."""
+    return len(os.sched_getaffinity(0))
+
+
 def _exit_reason(code: int) -> str:
     """`its worker was killed by SIGSEGV`"""
     if code >= 0:

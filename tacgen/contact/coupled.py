@@ -14,8 +14,8 @@ true force.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 
+from tacgen.compiled import njit
 from tacgen.contact.barrier import Contact, barrier
 from tacgen.contact.friction import smooth
 

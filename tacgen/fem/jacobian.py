@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numba import njit
 
+from tacgen.compiled import njit
 from tacgen.fem.elements import HEX_CORNERS, TET_EDGES, barycentric
 
 Array = np.ndarray
@@ -105,7 +105,8 @@ def coefficients(points: Array, cells: Array, columns: Array, monomial: Array, s
                 w = g[0, i, 0] * g[1, j, 1] - g[0, i, 1] * g[1, j, 0]
                 for k in range(p):
                     out[e, monomial[i, j, k]] += u * g[2, k, 0] + v * g[2, k, 1] + w * g[2, k, 2]
-        out[e] *= share
+        for k in range(len(share)):  # as an array expression it would compile for two seconds more
+            out[e, k] *= share[k]
     return out
 
 

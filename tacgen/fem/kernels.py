@@ -6,8 +6,8 @@ eigensystems for isotropic distortion energies").
 """
 
 import numpy as np
-from numba import njit
 
+from tacgen.compiled import njit
 from tacgen.fem.assembly import cofactor
 
 Array = np.ndarray
@@ -172,7 +172,12 @@ def _remember(F: Array, C: Array, M: Array, G: Array, D: Array) -> None:
 def _clamp(D: Array) -> None:
     """The positive semi-definite part of the symmetric D (9, 9), by its numerical eigenvalues."""
     values, vectors = np.linalg.eigh(D)
-    D[:] = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    D[:] = 0.0
+    for k in range(9):  # as an array expression it would compile for three seconds more
+        if values[k] > 0.0:
+            for a in range(9):
+                for b in range(9):
+                    D[a, b] += values[k] * vectors[a, k] * vectors[b, k]
 
 
 @njit(cache=True, fastmath=True)

@@ -7,8 +7,9 @@ Hessian at 1000 points take 0.12 ms together; scipy.interpolate.NdBSpline, asked
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from scipy import ndimage
+
+from tacgen.compiled import njit
 
 Array = np.ndarray
 EDGE_BEND = 0.5  # sum of second differences at an edge, over the cell [-]

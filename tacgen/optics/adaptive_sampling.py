@@ -5,8 +5,9 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from tacgen.compiled import njit
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]

@@ -1,8 +1,9 @@
 """Which points of a sheet stand behind another part of it, seen from the camera."""
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from tacgen.compiled import njit
 
 Floats = NDArray[np.float64]
 

@@ -1,8 +1,9 @@
 """Nodes of a sheet seen from somewhere: which point of the sheet is behind each sample, by drawing its triangles."""
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from tacgen.compiled import njit
 
 Floats = NDArray[np.float64]
 

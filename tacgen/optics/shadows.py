@@ -8,8 +8,9 @@ grid that even their lowest point keeps out of the way are stepped over.
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from tacgen.compiled import njit
 
 Floats = NDArray[np.float64]
 

@@ -8,8 +8,9 @@ strips themselves. Light that was scattered before (coat to coat, walls) is not 
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numba import config, njit, prange, vectorize
+from numba import config
 
+from tacgen.compiled import njit, prange, vectorize
 from tacgen.optics.mitsuba_dicts import bottom_depth, frame
 from tacgen.optics.shadows import Terrain, horizon
 
@@ -91,7 +92,7 @@ class Slab(NamedTuple):
         return cls(bottoms, tops, n)
 
 
-@vectorize(cache=True)  # type: ignore[untyped-decorator, no-untyped-call]
+@vectorize(cache=True)
 def fresnel_transmission(k: float, n1: float, n2: float) -> float:
     """Share of unpolarised light that passes from n1 to n2 at k = n sin(theta); 0 beyond the critical angle."""
     if k >= n1 or k >= n2:

@@ -7,9 +7,9 @@ once per sensor it is tabulated (transport.arrive), between flat layers smooth a
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numba import njit, prange
 from numpy.typing import NDArray
 
+from tacgen.compiled import njit, prange
 from tacgen.optics.shadows import Terrain, horizon
 from tacgen.optics.strip_light import Panels, Points, Slab, arrive, ggx, layer, shaded
 from tacgen.optics.surface_grid import Sheet, Untouched

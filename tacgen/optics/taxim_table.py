@@ -13,8 +13,8 @@ from itertools import cycle
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 
+from tacgen.compiled import njit
 from tacgen.optics.hertz_dent import BallDent
 
 if TYPE_CHECKING:

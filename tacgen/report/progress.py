@@ -24,7 +24,8 @@ class Progress:
         self.kept = 0  # of these, those that were there already: they say nothing about speed
         self.finished = 0
         self.noted: set[str] = set()
-        self.started = time.monotonic()
+        self.started = time.monotonic()  # or when there was a first frame: what comes before it comes once
+        self.ahead: set[str] = set()  # scenes with a frame before any was finished: that frame says nothing about speed
         self.bar: Any = None
         self.task: Any = None
 
@@ -49,14 +50,19 @@ class Progress:
         """Show an event: a frame, a note, a retry or the end of a scene."""
         name = event["scene"]
         if event["event"] == "frame":
+            if not self.ahead:
+                self.started = time.monotonic()
+            if self.done == self.kept:
+                self.ahead.add(name)
             self.under_way[name] = event["frame"]
             self._say(f"{name}: frame {event['frame']} of {event['frames']}", lasting=False)
+        elif event["event"] == "compiling":
+            self._say_once("compiling: half a minute, once for this version on this machine")
         elif event["event"] == "note":
-            if event["note"] not in self.noted:  # once for all scenes of a run
-                self.noted.add(event["note"])
-                self._say(f"{name}: note: {event['note']}")
+            self._say_once(f"note: {event['note']}", name)
         elif event["event"] == "retry":
             self.under_way.pop(name, None)
+            self.ahead.discard(name)
             self._say(f"{name}: once more: {event['reason']}")
         else:
             self.under_way.pop(name, None)
@@ -66,6 +72,12 @@ class Progress:
             good = event["status"] == "ok"
             text = f"{name}: {event['status']}" + (f": {event['reason']}" if event["reason"] else "")
             self._say(text, lasting=not good)
+
+    def _say_once(self, text: str, scene: str = "") -> None:
+        """A line that holds for all scenes of a run."""
+        if text not in self.noted:
+            self.noted.add(text)
+            self._say(f"{scene}: {text}" if scene else text)
 
     def _say(self, text: str, *, lasting: bool = True) -> None:
         """A line; on a terminal only what should stay is one, and the bar says the rest."""
@@ -81,7 +93,7 @@ class Progress:
 
     def _left(self, frames: int) -> str:
         """`about 40 s left`, once there is something to judge by."""
-        made = frames - self.kept
+        made = frames - self.kept - len(self.ahead)
         if made <= 0 or frames >= self.total:
             return ""
         seconds = (time.monotonic() - self.started) * (self.total - frames) / made

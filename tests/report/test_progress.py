@@ -27,7 +27,7 @@ def end(scene: str, status: str = "ok", reason: str = "", **seconds: float) -> d
 def drive(stream: io.StringIO) -> str:
     with Progress(ROWS, stream) as progress:
         progress(frame("scene-00000", 2))
-        progress(frame("scene-00001", 1))
+        progress(frame("scene-00001", 2))
         progress({"event": "retry", "scene": "scene-00001", "reason": "its worker [1] was killed"})
         progress(end("scene-00000", "rejected", "stalled [here]", solve=1.0))
         progress(end("scene-00001", solve=1.0))
@@ -52,22 +52,29 @@ def test_a_note_is_said_once_for_all_scenes():
 def test_a_line_a_frame_where_there_is_one_scene():
     stream = io.StringIO()
     with Progress(ROWS[:1], stream) as progress:
+        progress(frame("scene-00000", 1))
         progress(frame("scene-00000", 3))
         progress(end("scene-00000"))
-    assert stream.getvalue().startswith("scene-00000: frame 3 of 4 (about ")
+    first, third = stream.getvalue().splitlines()[:2]
+    assert first == "scene-00000: frame 1 of 4"
+    assert third.startswith("scene-00000: frame 3 of 4 (about ")
     assert stream.getvalue().endswith("scene-00000: ok\n")
 
 
-def test_what_was_there_already_says_nothing_about_the_time_left(monkeypatch: pytest.MonkeyPatch):
-    clock = iter([0.0, 10.0, 10.0])
+def test_what_was_there_already_and_what_comes_once_say_nothing_about_the_time_left(monkeypatch: pytest.MonkeyPatch):
+    clock = iter([0.0, 50.0, 60.0, 60.0])
     monkeypatch.setattr("tacgen.report.progress.time.monotonic", lambda: next(clock))
     stream = io.StringIO()
     with Progress(ROWS, stream) as progress:
         progress(end("scene-00000"))
-        assert "left" not in stream.getvalue()
+        progress({"event": "compiling", "scene": "scene-00001"})
         progress(frame("scene-00001", 1))
+        progress({"event": "compiling", "scene": "scene-00001"})
+        assert "left" not in stream.getvalue()
+        progress(frame("scene-00001", 2))
         progress({"event": "retry", "scene": "scene-00009", "reason": "so that a line is printed"})
-    assert "(about 30 s left)" in stream.getvalue()  # 10 s for one frame, three to go
+    assert stream.getvalue().count("compiling") == 1
+    assert "(about 20 s left)" in stream.getvalue()  # 10 s from the first frame to the second, two to go
 
 
 def test_a_bar_on_a_terminal_unless_colour_is_unwanted(monkeypatch: pytest.MonkeyPatch):

@@ -1,0 +1,82 @@
+"""Compiled code is kept for the next process, never used after a change, and compiled by one process at a time."""
+
+import os
+import shutil
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import pytest
+
+from tacgen import compiled
+
+PACKAGE = Path(compiled.__file__).parent
+USE = """
+import numpy as np
+from tacgen import compiled
+from tacgen.optics import probe
+print(probe.twice(2.0), compiled.seconds() > 0)
+"""
+
+
+def copied(folder: Path, factor: str) -> Path:
+    """A package of the module under test, and of one compiled function that calls another file's."""
+    (folder / "tacgen" / "optics").mkdir(parents=True, exist_ok=True)
+    for name in ("__init__.py", "compiled.py", "array_cache.py", "atomic_file.py", "regular_file.py", "errors.py"):
+        shutil.copy(PACKAGE / name, folder / "tacgen" / name)
+    head = "from tacgen.compiled import njit\n"
+    (folder / "tacgen/optics/__init__.py").write_text("")
+    called = f"@njit(cache=True)\ndef scaled(x):\n    return {factor} * x\n"
+    (folder / "tacgen/optics/scale.py").write_text(head + called)
+    text = "from tacgen.optics.scale import scaled\n\n@njit(cache=True)\ndef twice(x):\n    return scaled(x)\n"
+    (folder / "tacgen/optics/probe.py").write_text(head + text)
+    return folder
+
+
+def used(folder: Path, cache: Path) -> str:
+    """What the function gives, and whether it was compiled, in a process of its own."""
+    environment = {**os.environ, "PYTHONPATH": str(folder), "NUMBA_CACHE_DIR": str(cache)}
+    done = subprocess.run([sys.executable, "-c", USE], env=environment, cwd=folder, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+def test_code_is_kept_and_a_change_in_another_file_is_seen(tmp_path: Path):
+    package, cache = copied(tmp_path / "package", "2"), tmp_path / "cache"
+    assert used(package, cache) == "4.0 True"
+    assert used(package, cache) == "4.0 False"
+    assert used(copied(package, "3"), cache) == "6.0 True"
+    assert used(copied(package, "2"), cache) == "4.0 False", "the older version's is still there"
+
+
+def test_a_cache_that_cannot_be_written_compiles_again(tmp_path: Path):
+    package, cache = copied(tmp_path / "package", "2"), tmp_path / "cache"
+    cache.write_text("no folder")
+    assert used(package, cache) == used(package, cache) == "4.0 True"
+    assert not list(package.rglob("*.nbi")), "nor is it kept in a place that nothing keeps up to date"
+
+
+def test_one_process_compiles_and_others_wait(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(compiled, "folder", lambda: tmp_path)
+    monkeypatch.setattr(compiled, "_writable", lambda: True)
+    program = """
+        import sys, time
+        from pathlib import Path
+        from tacgen import compiled
+        compiled.folder, compiled._writable = lambda: Path(sys.argv[1]), lambda: True
+        with compiled.once("solve"):
+            print("in", flush=True)
+            time.sleep(1.0)
+    """
+    command = [sys.executable, "-c", textwrap.dedent(program), str(tmp_path)]
+    told: list[bool] = []
+    with subprocess.Popen(command, stdout=subprocess.PIPE) as other:
+        assert other.stdout is not None
+        assert other.stdout.readline() == b"in\n"
+        with compiled.telling(lambda: told.append(True)), compiled.once("solve"):
+            assert (tmp_path / "solve").exists(), "the other is done"
+    assert told == [True]
+    with compiled.telling(lambda: told.append(True)), compiled.once("solve"):
+        pass
+    assert told == [True], "nobody waits any more"
