@@ -17,6 +17,7 @@ from tacgen.errors import UserError
 BENCHES = {  # and the module of each
     "mechanics": "mechanics",
     "ordinary": "ordinary",
+    "pipeline": "pipeline",
     "cost": "cost",
     "peers": "peers",
     "optics": "optics",

@@ -202,9 +202,6 @@ def _published() -> Table:
         ["libuipc 0.0.29, P1", "the same; 20 535 vertices", h100, "1.47 N, 127 ms a frame"],
         ["libuipc 0.0.29, P1", "the same; 60 025 vertices", h100, "1.39 N, 276 ms a frame"],
         ["ANSYS", "R 3 mm, 0.8 mm, E 0.1 MPa, nu 0.49, friction 0.5", "", "0.36087 N"],
-        ["TacEx (GIPC)", "soft body of the Mini, 3.7k to 67k vertices", "not stated", "25 - 220 ms a frame"],
-        ["TacEx (Taxim)", "480 x 640 image with shadows", "RTX 3080 Ti", "3 - 6 ms a frame"],
-        ["TacEx (FOTS)", "10 x 10 markers", "16 CPU cores", "2 - 5 ms a frame"],
     ]
     note = "Others' figures on their hardware, and libuipc as run for tacgen's design: none on the machine above."
     return Table("Quoted, not measured here", heads, rows, note)

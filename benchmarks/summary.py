@@ -59,11 +59,37 @@ def _ordinary(tables: Tables) -> Told:
             yield f"force of {row['compared']} of them against short frames", f"median {median:.1%}, worst {worst:.1%}"
 
 
-def _cost(tables: Tables) -> Told:
-    for quality in ("draft", "default"):
-        rows = [row for row in tables.get("What a frame costs", ()) if row["quality"] == quality]
-        if rows:
-            yield f"a ball, s a frame of `{quality}`, one core", _by_sensor(rows, lambda row: f"{row['s a frame']:.2f}")
+def _pipeline(tables: Tables) -> Told:
+    found = tables.get("Where the time goes", [])
+    for asked in dict.fromkeys(row["asked for"] for row in found):
+        for quality in ("draft", "default"):
+            rows = [row for row in found if (row["asked for"], row["quality"]) == (asked, quality)]
+            if rows:
+                yield (
+                    f"a frame of `{quality}`, [{asked}], one core: s, of it solve / labels / images / writing",
+                    _by_sensor(rows, _stages),
+                )
+    rows = [row for row in found if row["quality"] == "draft" and "," in row["asked for"]]
+    if rows:
+        yield (
+            f"a million frames of `draft`, [{rows[0]['asked for']}]: core-hours, GB",
+            _by_sensor(rows, lambda row: f"{row['core-hours a million']:.0f}, {row['GB a million']:.0f}"),
+        )
+    rows = [row for row in tables.get("The first scene", ()) if row["caches"] == "empty"]
+    if rows:
+        yield (
+            "s to the first frame on a new machine",
+            _by_sensor(rows, lambda row: f"{row['s to the first frame']:.0f}"),
+        )
+    for row in tables.get("Workers", ())[-1:]:
+        alone = f"efficiency {row['efficiency']:.2f}, of processes without an engine {row[ALONE]:.2f}"
+        yield f"frames a second of {row['workers']} workers", f"{row['frames a second']:.1f}; {alone}"
+
+
+def _stages(row: Row) -> str:
+    """Seconds in all, and of four stages."""
+    parts = " / ".join(f"{row[f'{stage} [ms]'] / 1000:.2f}" for stage in ("solve", "fields", "render", "bundle"))
+    return f"{row['ms a frame'] / 1000:.2f} ({parts})"
 
 
 def _peers(tables: Tables) -> Told:
@@ -103,14 +129,6 @@ def _pay(tables: Tables) -> Told:
         yield "recovered stress on the face against the force", _by_sensor(rows, lambda row: f"{row['force']:.1%}")
 
 
-def _scaling(tables: Tables) -> Told:
-    rows = tables.get("Workers", [])
-    if rows:
-        most = rows[-1]
-        alone = f", of processes without an engine {most[ALONE]:.2f}" if ALONE in most else ""
-        yield f"efficiency of {most['workers']} workers", f"{most['efficiency']:.2f}{alone}"
-
-
 def _real(tables: Tables) -> Told:
     rows = tables.get("Normals inside the contact circle", [])
     if rows:
@@ -128,13 +146,12 @@ def _real(tables: Tables) -> Told:
 
 
 TOLD = {
+    "pipeline": _pipeline,
     "ordinary": _ordinary,
     "mechanics": _mechanics,
-    "cost": _cost,
     "peers": _peers,
     "optics": _optics,
     "real": _real,
     "stability": _stability,
     "pay": _pay,
-    "scaling": _scaling,
 }

@@ -21,6 +21,7 @@ from benchmarks import (
     cost_per_output,
     mechanics,
     photographs,
+    pipeline,
     reference_runs,
     results_page,
     stability,
@@ -324,6 +325,28 @@ def test_a_summary_leaves_out_what_is_not_there(tmp_path: Path) -> None:
     told = summary.short(tmp_path)
     assert "| force of `default` against `reference` | Mini 0.4% | mechanics |" in told
     assert "stability" not in told
+
+
+def test_the_summary_of_a_frame_names_every_stage(tmp_path: Path) -> None:
+    stages = {stage: 10.0 * k for k, stage in enumerate(pipeline.STAGES, 1)}
+    one = {"stages": {k: v / 1000 for k, v in stages.items()}, "total": 0.2, "size": 3e6, "memory": 500.0}
+    found = {("digit", "draft", "force, rgb"): one}
+    results_page.write(tmp_path, "pipeline", results_page.Result("", [pipeline._stages(found)]), 1.0)
+    told = summary.short(tmp_path)
+    assert "solve / labels / images / writing | DIGIT 0.20 (0.02 / 0.03 / 0.04 / 0.05) |" in told
+    assert "a million frames of `draft`, [force, rgb]: core-hours, GB | DIGIT 56, 3000 |" in told
+
+
+def test_a_frame_is_timed_by_stage_and_output_and_weighed_by_dataset() -> None:
+    found = results_page.in_own_process(
+        "benchmarks.pipeline:made", "gelsight_mini", pipeline.SMOKE, "traction", pipeline.FEW
+    )
+    assert 0.3 * found["total"] < sum(found["stages"].values()) <= found["total"] * 1.001
+    assert set(found["outputs"]) == {"force", "traction"}
+    assert 0.5 * found["stages"]["fields"] < sum(found["outputs"].values()) <= found["stages"]["fields"] * 1.001
+    assert max(found["bytes"], key=lambda path: found["bytes"][path]) == "/frames/traction"
+    assert sum(found["bytes"].values()) < found["size"]
+    assert found["memory"] > 50
 
 
 def test_a_bench_without_what_it_needs_leaves_what_there_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

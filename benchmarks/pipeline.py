@@ -1,0 +1,232 @@
+"""What a frame costs from end to end: by stage, output and sensor, on a new machine, and on several workers."""
+
+import os
+import resource
+import tempfile
+import time
+from collections import defaultdict
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from benchmarks import workers
+from benchmarks.results_page import (
+    Cell,
+    Level,
+    Result,
+    Say,
+    Table,
+    columns,
+    core_count,
+    in_own_process,
+    in_own_processes,
+    peak_memory,
+)
+
+ABOUT = (
+    "A ball of 4 mm pressed (1 mm; DIGIT .6), slid 1 mm and twisted 10 deg with friction .6, from recipe to bundle:"
+    " each line is a process of its own on one core, with others beside it on the rest, in processor seconds a frame."
+    " Mesh and what images need are made once a scene, and are shared by its frames. Warm: the process has made a"
+    " smaller scene before, as a worker has."
+)
+DEPTHS = {"gelsight_mini": 1.0, "digit": 0.6, "ninedtact": 1.0}  # [mm]
+MARKED = ("gelsight_mini",)  # sensors with markers
+MOVES = (
+    "trajectory=[{{press: {{depth_mm: {depth}, frames: {n[0]}}}}}, {{slide: {{x_mm: 1, frames: {n[1]}}}}},"
+    " {{twist: {{angle_deg: 10, frames: {n[2]}}}}}]"
+)
+BALL = ("indenter={shape: sphere, radius_mm: 4}", "contact.friction=0.6")
+FRAMES, FEW = (8, 7, 5), (1, 1, 1)  # of each move: timed, and to warm up
+STAGES = ("mesh", "solve", "fields", "render", "bundle")
+EVERYTHING = "everything"
+FORCE_RGB = "force, rgb"
+SHOWN = 0.1  # outputs below so many milliseconds, and datasets below so many kilobytes, are left out
+SMOKE = "{edge_mm: 1.2, dhat_mm: 0.1, spp: 4}"
+OTHERS: tuple[tuple[str, str, str, float, float], ...] = (  # program, what, hardware, frames a second from and to
+    ("TaCauchy (UIPC)", "gel by finite elements, forces, image; one sensor", "RTX 5090, Ryzen 9950X", 33.4, 33.4),
+    ("TaCauchy (UIPC)", "the same, many sensors at once, together", "RTX 5090, Ryzen 9950X", 555, 555),
+    ("TacEx (GIPC)", "gel by finite elements alone, 3.7k to 67k vertices", "not stated", 4.5, 40),
+    ("TacEx (Taxim)", "image of a height map with shadows, 480 x 640, no mechanics", "RTX 3080 Ti", 170, 330),
+    ("TacEx (FOTS)", "10 x 10 markers by formula, no mechanics", "16 CPU cores", 200, 500),
+    ("FOTS", "image of a height map with shadows, no mechanics", "one CPU", 28.6, 28.6),
+    ("TACTO", "image of a rigid body's imprint, no gel", "a GPU", 200, 200),
+)
+
+
+def bench(level: Level, say: Say) -> Result:
+    """Stages, outputs, bytes and a million frames; the first scene of a machine; workers; the rates of others."""
+    if level == "smoke":
+        case = ("gelsight_mini", SMOKE, "traction")
+        found = {case: in_own_process("benchmarks.pipeline:made", *case, FEW)}
+        table, plot = workers.workers(2, [1], say, workers.SMOKE)
+        return Result(ABOUT, [_stages(found), *_parts(found), table], [plot])
+    jobs = [(s, q, asked, FRAMES) for asked in (EVERYTHING, FORCE_RGB) for s in DEPTHS for q in ("draft", "default")]
+    found = {}
+    for job, one in zip(jobs, in_own_processes("benchmarks.pipeline:made", jobs), strict=True):
+        if isinstance(one, RuntimeError):
+            raise one
+        found[job[:3]] = one
+        say(f"{', '.join(job[:3])}: {one['total']:.3f} s a frame")
+    cores = core_count()
+    many = sorted({1, *(2**k for k in range(1, 8) if 2**k <= cores), cores})
+    table, plot = workers.workers(4, many, say)
+    return Result(ABOUT, [_stages(found), *_parts(found), _first(say), table, _others()], [plot])
+
+
+def row(sensor: str, quality: str, asked: str, frames: tuple[int, int, int]) -> Any:
+    """The scene with these outputs, `EVERYTHING` or a list of names."""
+    from tacgen.outputs import OUTPUTS
+    from tacgen.recipe import assets, plan
+
+    names = ", ".join(n for n in OUTPUTS if n != "markers" or sensor in MARKED) if asked == EVERYTHING else asked
+    moves = MOVES.format(depth=DEPTHS[sensor], n=frames)
+    sets = (f"sensor={sensor}", *BALL, moves, f"quality={quality}", f"outputs=[{names}]")
+    return plan.load(assets.recipe_path("quickstart"), sets).rows[0]
+
+
+def made(sensor: str, quality: str, asked: str, frames: tuple[int, int, int]) -> dict[str, Any]:
+    """A scene in this process after a smaller one.
+
+    Returns, each for a frame: `total` processor seconds, by stage, `outputs` the same by output, `bytes` by dataset;
+    and the process's `memory` [MB].
+    """
+    import h5py
+
+    from tacgen import pipeline
+    from tacgen.bundle import bundle
+    from tacgen.outputs import OUTPUTS, Output
+
+    spent = defaultdict[str, float](float)
+
+    def timed(name: str, make: Callable[..., Any]) -> Callable[..., Any]:
+        def call(data: Any) -> Any:
+            start = time.process_time()
+            try:
+                return make(data)
+            finally:
+                spent[name] += time.process_time() - start
+
+        return call
+
+    pipeline.Clock.now = staticmethod(time.process_time)
+    for name, one in OUTPUTS.items():
+        OUTPUTS[name] = Output(timed(name, one.frame), timed(name, one.reference))
+    with tempfile.TemporaryDirectory() as folder:
+        pipeline.run_scene(row(sensor, quality, asked, FEW), Path(folder) / "warm")
+        spent.clear()
+        start = time.process_time()
+        result = pipeline.run_scene(row(sensor, quality, asked, frames), Path(folder) / "timed")
+        total = time.process_time() - start
+        with h5py.File(result.path) as file:
+            size = {path: file[path].id.get_storage_size() for path in bundle.read(result.path).shapes}
+        whole = result.path.stat().st_size
+    n = result.frames
+    return {
+        "total": total / n,
+        "stages": {stage: result.seconds.get(stage, 0.0) / n for stage in STAGES},
+        "outputs": {name: seconds / n for name, seconds in spent.items()},
+        "bytes": {path: count / n for path, count in size.items()},
+        "size": whole / n,
+        "memory": peak_memory(),
+    }
+
+
+Found = dict[tuple[str, str, str], dict[str, Any]]
+
+
+def _stages(found: Found) -> Table:
+    rows: list[list[Cell]] = []
+    for (sensor, quality, asked), one in found.items():
+        parts = [1000 * one["stages"][stage] for stage in STAGES]
+        rows.append([sensor, quality, asked, *parts, 1000 * one["total"] - sum(parts), 1000 * one["total"]])
+        rows[-1] += [one["size"] / 1000, one["memory"], one["total"] * 1e6 / 3600, one["size"] / 1000]
+    heads = columns(
+        "sensor", "quality", "asked for", *(f"{stage} [ms]: .0f" for stage in STAGES), "other [ms]: .0f",
+        "ms a frame: .0f", "kB a frame: .0f", "memory [MB]: .0f", "core-hours a million: .0f", "GB a million: .0f",
+    )  # fmt: skip
+    note = "Memory: the process's peak. The last two: of a million frames, in scenes like this."
+    return Table("Where the time goes", heads, rows, note)
+
+
+def _parts(found: Found) -> list[Table]:
+    """Milliseconds of each output and kilobytes of each dataset, where most was asked for."""
+    whole = {(sensor, quality): one for (sensor, quality, asked), one in found.items() if asked != FORCE_RGB}
+    heads = [f"{sensor} {quality}" for sensor, quality in whole]
+
+    def table(title: str, kind: str, unit: float, note: str) -> Table:
+        parts = [{name: unit * value for name, value in one[kind].items()} for one in whole.values()]
+        most = {name: max(part.get(name, 0.0) for part in parts) for part in parts for name in part}
+        rows: list[list[Cell]] = [
+            [name, *(part.get(name) for part in parts)]
+            for name in sorted(most, key=lambda name: -most[name])
+            if most[name] >= SHOWN
+        ]
+        return Table(title, {kind: "", **dict.fromkeys(heads, ".1f")}, rows, note)
+
+    shared = "What outputs share counts for the first of them in the bundle's order."
+    return [
+        table("Milliseconds a frame of each output", "outputs", 1e3, shared),
+        table("Kilobytes a frame of each dataset", "bytes", 1e-3, "As stored; what a scene has once, by its frames."),
+    ]
+
+
+def _first(say: Say) -> Table:
+    """The quickstart on every sensor, with empty caches and with those that this has filled."""
+    rows: list[list[Cell]] = []
+    for sensor in DEPTHS:
+        with tempfile.TemporaryDirectory() as folder:
+            for caches in ("empty", "filled"):
+                start = time.time()
+                found = in_own_process("benchmarks.pipeline:first", sensor, folder, start)
+                whole = [time.time() - start, found["processor"], found["memory"]]
+                rows.append([sensor, caches, *found["to_frame"], *whole])
+                say(f"{sensor}, caches {caches}: {found['to_frame'][0]:.1f} s to the first frame")
+    heads = columns(
+        "sensor", "caches", "s to the first frame: .1f", "of processor: .1f", "s in all: .1f", "processor in all: .1f",
+        "memory [MB]: .0f",
+    )  # fmt: skip
+    note = (
+        "`tacgen run quickstart` (15 frames, `default`) on every sensor, a process each, one after the other: caches of"
+        " compiled code and of what images need are empty, or filled by the line above. Seconds as they passed, but for"
+        " the columns of processor; both count the start of Python."
+    )
+    return Table("The first scene", heads, rows, note)
+
+
+def first(sensor: str, caches: str, started: float) -> dict[str, Any]:
+    """The quickstart in this process, started at that time, which has imported nothing yet; `caches`: their folder."""
+    os.environ |= {"TACGEN_CACHE_DIR": caches, "NUMBA_CACHE_DIR": f"{caches}/numba"}
+    from tacgen import pipeline
+    from tacgen.recipe import assets, plan
+
+    rest = () if sensor in MARKED else ("outputs=[force, traction, height, stress, rgb]",)
+    reached = list[float]()
+
+    def on_event(event: dict[str, Any]) -> None:
+        if event["event"] == "frame" and not reached:
+            reached.extend([time.time() - started, processor()])
+
+    scene = plan.load(assets.recipe_path("quickstart"), (f"sensor={sensor}", *rest)).rows[0]
+    with tempfile.TemporaryDirectory() as folder:
+        pipeline.run_scene(scene, Path(folder), on_event=on_event)
+    return {"to_frame": reached, "processor": processor(), "memory": peak_memory()}
+
+
+def processor() -> float:
+    """Seconds of this process and of its children that have ended."""
+    used = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return sum(one.ru_utime + one.ru_stime for one in used)
+
+
+def _others() -> Table:
+    rows: list[list[Cell]] = []
+    for *what, low, high in OTHERS:
+        rate = f"{low:g}" if low == high else f"{low:g} - {high:g}"
+        hours = f"{1e6 / high / 3600:.1f}" if low == high else f"{1e6 / high / 3600:.1f} - {1e6 / low / 3600:.0f}"
+        rows.append([*what, rate, hours])
+    note = (
+        "As published, on their hardware; none was run here, and none has all of what is asked for above. TaCauchy:"
+        " arXiv 2606.20426. TacEx: arXiv 2411.04776. FOTS: arXiv 2404.19217. TACTO: arXiv 2012.08456."
+    )
+    heads = columns("program", "what", "hardware", "frames a second", "hours a million")
+    return Table("Quoted, not measured here", heads, rows, note)
