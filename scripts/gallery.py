@@ -87,8 +87,8 @@ def draw(panels: list, column: Column, image: tuple[int, int]) -> None:
         return
     frame, window = np.array([k]), bundle_figure.window_of(bundle)
     bundle_figure.draw_camera(bundle, panels[:1], frame, image, window)
-    pressure, _ = bundle_figure.draw_pressure(bundle, panels[1:2], frame, image, window)
-    traction, _ = bundle_figure.draw_traction(bundle, panels[2:3], frame, image, window)
+    pressure, _ = bundle_figure.draw_map(bundle, panels[1:2], frame, image, window, "pressure")
+    traction, _ = bundle_figure.draw_map(bundle, panels[2:3], frame, image, window, "traction")
     [(stress, _, _)] = field_figure.draw_stress(bundle, [panels[3:]], frame, image, VON_MISES)
     for panel, mapped in zip(panels[1:], (pressure, traction, stress), strict=True):
         colour = "black" if mapped is stress else "white"

@@ -13,7 +13,8 @@ import typer
 
 from tacgen import __version__
 from tacgen.cli_common import app, line, probe, show_result, writing
-from tacgen.errors import UserError, printable
+from tacgen.cli_look import report, show, view
+from tacgen.errors import UserError
 from tacgen.report.wording import counted
 
 __all__ = ["app"]
@@ -248,45 +249,8 @@ def pack(
     show_result({**plain, "shards": [str(path) for path in made.shards]}, text, as_json)
 
 
-@app.command()
-def report(
-    folder: Annotated[Path, typer.Argument(help="A folder that `run` or `pack` wrote.")],
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="The page; report.html in the folder.")] = None,
-) -> None:
-    """Write one HTML page about a dataset: coverage, failures by cause, seconds by stage, pictures."""
-    from tacgen.report import html_report as reporting
-
-    out = out or folder / "report.html"
-    with writing(out):
-        typer.echo(str(reporting.write(folder, out)))
-
-
-@app.command()
-def show(
-    path: Annotated[Path, typer.Argument(help="A bundle, or a folder of them for a summary.")],
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="Write a picture here instead of a summary.")] = None,
-    field: Annotated[
-        str, typer.Option("--field", help="Draw one of pressure, traction, slip, stress, instead of all there is.")
-    ] = "",
-) -> None:
-    """Say what is in a bundle, or draw it: images, pressure, traction and height over the frames."""
-    from tacgen.report import bundle_figure as showing
-    from tacgen.report import dataset_summary
-
-    if out is None:
-        if field:
-            raise UserError("--field: draws a picture, and needs --out to say where")
-        typer.echo(printable(dataset_summary.summary(path) if path.is_dir() else showing.summary(path)))
-        return
-    with writing(out):
-        out.parent.mkdir(parents=True, exist_ok=True)
-        if field:
-            from tacgen.report import field_figure
-
-            field_figure.picture(path, field, out)
-        else:
-            showing.picture(path, out)
-    typer.echo(str(out))
+for look in (report, show, view):
+    app.command()(look)
 
 
 @app.command()

@@ -36,6 +36,7 @@ LAYERS = [
     "batch",
     "calibrate",
     "cli_common",
+    "cli_look",
     "cli",
     "__main__",
 ]
@@ -46,7 +47,7 @@ ALLOWED_IN_LIBRARIES = {"numpy", "scipy", "numba"}
 HOMES = {
     "mitsuba": {"render.mitsuba_path"},
     "drjit": {"render.mitsuba_path"},
-    "matplotlib": {"report.bundle_figure", "report.field_figure"},
+    "matplotlib": {"report.animation", "report.bundle_figure", "report.field_figure", "report.viewer"},
     "mpl_toolkits": {"report.bundle_figure"},
     "h5py": {"bundle.bundle", "bundle.hdf5_file", "doctor", "export.vtkhdf", "export.univtac", "bundle.pack", "torch"},
     "cvxopt": {"solve.linear_solvers"},
@@ -60,7 +61,14 @@ HOMES = {
     "platformdirs": {"array_cache"},
     "threadpoolctl": {"pipeline"},
     "rich": {"report.progress"},
-    "PIL": {"recipe.background_photo", "report.html_report", "export.lerobot", "export.univtac", "export.webdataset"},
+    "PIL": {
+        "recipe.background_photo",
+        "report.html_report",
+        "report.viewer",
+        "export.lerobot",
+        "export.univtac",
+        "export.webdataset",
+    },
     "distributed": {"batch.dask_engine"},
     "pyarrow": {"export.lerobot"},
     "OpenEXR": {"export.exr"},
@@ -69,6 +77,7 @@ HOMES = {
 NOT_NUMPY = {
     "cli",
     "cli_common",
+    "cli_look",
     "errors",
     "recipe.base_model",
     "recipe.model",

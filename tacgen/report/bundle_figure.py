@@ -1,6 +1,7 @@
 """A picture of a bundle over its frames, and a few lines of text about it."""
 
 import json
+from functools import partial
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -10,6 +11,7 @@ import numpy as np
 from tacgen.bundle import dataset
 from tacgen.bundle.bundle import Bundle, read
 from tacgen.errors import UserError
+from tacgen.report.layers import LAYERS, limits
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -85,7 +87,7 @@ def figure(bundle: Bundle) -> "Figure":
     for panel in panels if rows else ():
         panel.tick_params(labelbottom=True, bottom=True)
         panel.set_xlabel(f"x [{scale_of(bundle).unit}]", fontsize=8, labelpad=1)
-    _forces(axes(LEFT, size[1] - BELOW - FORCES, wide - GAP, FORCES), bundle, shown)
+    draw_forces(axes(LEFT, size[1] - BELOW - FORCES, wide - GAP, FORCES), bundle, shown)
     heading(sheet, bundle, size[1])
     return sheet
 
@@ -179,12 +181,13 @@ class Scale(NamedTuple):
 
 def scale_of(bundle: Bundle) -> Scale:
     """By the sensor's camera, its tilt aside; pixels if the bundle does not say it."""
-    camera = json.loads(bundle.attrs.get("sensor_document", "{}")).get("camera", {})
-    if "mm_per_px" not in camera:
+    try:
+        camera = bundle.sensor.camera
+    except UserError:
         height, width = image_size(bundle)
         return Scale((width / 2, height / 2), 1.0, "px")
-    (x, y), crop = camera.get("center_mm", (0.0, 0.0)), camera.get("crop_mm", (0.0, 0.0))
-    return Scale((x + crop[0], y + crop[1]), camera["mm_per_px"], "mm")
+    (x, y), crop = camera.center_mm, camera.crop_mm
+    return Scale((x + crop[0], y + crop[1]), camera.mm_per_px, "mm")
 
 
 Window = tuple[float, float, float, float]
@@ -204,6 +207,12 @@ def window_of(bundle: Bundle) -> Window:
     return x0, x0 + side, y0, y0 + side
 
 
+def magnification(bundle: Bundle) -> int:
+    """How many times the markers' motion is drawn magnified: the longest arrow is within 13 % of the width."""
+    largest = max(float(np.linalg.norm(bundle["/frames/marker_flow"], axis=-1).max()), 1e-6)
+    return max((t for t in (1, 2, 3, 5, 10, 20, 50) if t * largest <= 0.13 * image_size(bundle)[1]), default=1)
+
+
 def draw_camera(
     bundle: Bundle, panels: list["Axes"], shown: np.ndarray, image: tuple[int, int], window: Window
 ) -> None:
@@ -215,9 +224,7 @@ def draw_camera(
     notes = []
     flow = bundle["/frames/marker_flow"] if "/reference/markers" in bundle and "/frames/marker_flow" in bundle else None
     if flow is not None:
-        start = bundle["/reference/markers"]
-        largest = max(float(np.linalg.norm(flow, axis=-1).max()), 1e-6)
-        times = max((t for t in (1, 2, 3, 5, 10, 20, 50) if t * largest <= 0.13 * width), default=1)
+        start, times = bundle["/reference/markers"], magnification(bundle)
         notes.append(f"arrows on the images: motion of the markers \N{MULTIPLICATION SIGN} {times}")
     dotted = x1 - x0 < 0.99
     notes += ["dotted: what the maps show"] if dotted else []
@@ -237,17 +244,32 @@ def draw_camera(
 
 
 def draw_map(
-    bundle: Bundle, panels: list["Axes"], shown: np.ndarray, image: tuple[int, int], values: np.ndarray, colours: str
-) -> Any:
-    """Draw maps (N, h, w) in image pixels, nan in grey, all frames on one scale; returns what a colour bar needs."""
-    known = values[np.isfinite(values)]
-    low = float(known.min(initial=0.0))
-    high = float(known.max(initial=low + 1e-3))
+    bundle: Bundle, panels: list["Axes"], shown: np.ndarray, image: tuple[int, int], window: Window, name: str
+) -> tuple[Any, str]:
+    """Draw one of LAYERS in image pixels, nan in grey, all frames on one scale; returns what a colour bar needs.
+
+    Arrows, where it has them, stand on a coarse grid over the window.
+    """
+    layer = LAYERS[name]
+    values = layer.values(bundle)
+    low, high = limits(values)
     extent = (0, image[1], image[0], 0)
     for panel, k in zip(panels, shown, strict=True):
-        drawn = panel.imshow(values[k], cmap=colours, vmin=low, vmax=high, extent=extent, interpolation="nearest")
+        drawn = panel.imshow(values[k], cmap=layer.colours, vmin=low, vmax=high, extent=extent, interpolation="nearest")
         panel.set(facecolor="#b0b0b0")
-    return drawn
+    if layer.vectors:
+        h, w = values.shape[1:]
+        step = max(1, round((window[1] - window[0]) * w / 14))
+        rows, columns = (np.arange(n) for n in (h, w))
+        rows = rows[(rows >= window[2] * h) & (rows < window[3] * h)][step // 2 :: step]
+        columns = columns[(columns >= window[0] * w) & (columns < window[1] * w)][step // 2 :: step]
+        at = np.stack(np.meshgrid((columns + 0.5) * image[1] / w, (rows + 0.5) * image[0] / h), axis=-1).reshape(-1, 2)
+        span = (window[1] - window[0]) * image[1]
+        for panel, k in zip(panels, shown, strict=True):
+            arrows = bundle.frame(layer.vectors, int(k))[np.ix_(rows, columns)].reshape(-1, 2)
+            _arrows(panel, at, arrows / max(high, 1e-12) * span / 9, span)
+    zoom(bundle, panels, image, window, name)
+    return drawn, layer.label
 
 
 def zoom(bundle: Bundle, panels: list["Axes"], image: tuple[int, int], window: Window, label: str) -> None:
@@ -260,49 +282,9 @@ def zoom(bundle: Bundle, panels: list["Axes"], image: tuple[int, int], window: W
     frame_axes(panels, f"{label}\ny [{scale.unit}]")
 
 
-def draw_pressure(
-    bundle: Bundle, panels: list["Axes"], shown: np.ndarray, image: tuple[int, int], window: Window
-) -> Any:
-    """Normal to the face, in colour."""
-    drawn = draw_map(bundle, panels, shown, image, bundle["/frames/pressure"], "viridis")
-    zoom(bundle, panels, image, window, "pressure")
-    return drawn, "pressure [MPa]"
-
-
-def draw_traction(
-    bundle: Bundle, panels: list["Axes"], shown: np.ndarray, image: tuple[int, int], window: Window
-) -> Any:
-    """Size as colour, direction as arrows on a coarse grid over the window."""
-    traction = bundle["/frames/traction"]
-    size = np.linalg.norm(traction, axis=-1)
-    drawn = draw_map(bundle, panels, shown, image, size, "magma")
-    h, w = size.shape[1:]
-    step = max(1, round((window[1] - window[0]) * w / 14))
-    rows, columns = (np.arange(n) for n in (h, w))
-    rows = rows[(rows >= window[2] * h) & (rows < window[3] * h)][step // 2 :: step]
-    columns = columns[(columns >= window[0] * w) & (columns < window[1] * w)][step // 2 :: step]
-    at = np.stack(np.meshgrid((columns + 0.5) * image[1] / w, (rows + 0.5) * image[0] / h), axis=-1).reshape(-1, 2)
-    span = (window[1] - window[0]) * image[1]
-    for panel, k in zip(panels, shown, strict=True):
-        arrows = traction[k][np.ix_(rows, columns)].reshape(-1, 2) / max(size.max(), 1e-12) * span / 9
-        _arrows(panel, at, arrows, span)
-    zoom(bundle, panels, image, window, "traction")
-    return drawn, "traction [MPa]"
-
-
-def _height(bundle: Bundle, panels: list["Axes"], shown: np.ndarray, image: tuple[int, int], window: Window) -> Any:
-    """How far the face has risen or sunk behind each sample; a dome's own height would hide it."""
-    change = bundle["/frames/height"] - bundle["/reference/height"]
-    drawn = draw_map(bundle, panels, shown, image, change, "cividis")
-    zoom(bundle, panels, image, window, "height")
-    return drawn, "change of z [mm]"
-
-
-ROWS = (
+ROWS: tuple[tuple[tuple[str, ...], Any], ...] = (
     (("/frames/rgb", "/frames/marker_flow"), draw_camera),
-    (("/frames/pressure",), draw_pressure),
-    (("/frames/traction",), draw_traction),
-    (("/frames/height",), _height),
+    *((LAYERS[name].needs[:1], partial(draw_map, name=name)) for name in ("pressure", "traction", "height")),
 )
 
 
@@ -323,7 +305,7 @@ def frame_axes(panels: list["Axes"], label: str) -> None:
     panels[0].set_ylabel(label, fontsize=8)
 
 
-def _forces(panel: "Axes", bundle: Bundle, shown: np.ndarray) -> None:
+def draw_forces(panel: "Axes", bundle: Bundle, shown: np.ndarray) -> None:
     """Force against the frame, the trajectory's segments shaded, the frames pictured above marked below."""
     panel.set_xlabel("frame (pictured above: triangles)" if len(shown) else "frame", fontsize=8)
     panel.set_ylabel("force on gel [N]", fontsize=8)

@@ -2,6 +2,7 @@
 
 import textwrap
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,8 +16,7 @@ from tacgen.geometry.analytic_sdf import Triangles
 from tacgen.recipe import assets
 from tacgen.recipe.indenters import Indenter, analytic
 from tacgen.report.bundle_figure import (
-    draw_pressure,
-    draw_traction,
+    draw_map,
     frame_axes,
     heading,
     image_size,
@@ -103,12 +103,8 @@ Bar = tuple[Any, str, dict[float, str]]
 Grid = list[list["Axes"]]
 
 
-def _pressure(bundle: Bundle, grid: Grid, shown: Array, image: tuple[int, int]) -> list[Bar]:
-    return [(*draw_pressure(bundle, grid[0], shown, image, window_of(bundle)), {})]
-
-
-def _traction(bundle: Bundle, grid: Grid, shown: Array, image: tuple[int, int]) -> list[Bar]:
-    return [(*draw_traction(bundle, grid[0], shown, image, window_of(bundle)), {})]
+def _map(name: str, bundle: Bundle, grid: Grid, shown: Array, image: tuple[int, int]) -> list[Bar]:
+    return [(*draw_map(bundle, grid[0], shown, image, window_of(bundle), name), {})]
 
 
 def _slip(bundle: Bundle, grid: Grid, shown: Array, image: tuple[int, int]) -> list[Bar]:
@@ -133,8 +129,8 @@ def draw_stress(
 
     points, cells, layer = bundle["/mesh/points"], bundle["/mesh/cells"], bundle["/mesh/layer"]
     half = WIDE / 2 * float(np.ptp(points[:, 2]))
-    found = [_section(bundle, int(k), points, cells, layer) for k in shown]
-    indenter = _surface(bundle, 2 * half)
+    found = [section(bundle, int(k), points, cells, layer) for k in shown]
+    indenter = indenter_surface(bundle, 2 * half)
     bars: list[Bar] = []
     for row, (name, what, colours, signed) in zip(grid, sections, strict=True):
         values = [what(stress.reshape(-1, 6)) for _, stress, _ in found]
@@ -162,7 +158,7 @@ def draw_stress(
     return bars
 
 
-def _section(bundle: Bundle, k: int, points: Array, cells: Array, layer: Array) -> tuple[Array, Array, Array]:
+def section(bundle: Bundle, k: int, points: Array, cells: Array, layer: Array) -> tuple[Array, Array, Array]:
     """Through the indenter's origin at frame k: triangles (t, 3, 2), stress (t, 3, 6), outlines of layers (l, 2, 2)."""
     nodes, layers, stress = postprocess.stress_by_layer(bundle, k)
     row = np.zeros((layers.max() + 1, len(points)), int)
@@ -177,7 +173,7 @@ def _section(bundle: Bundle, k: int, points: Array, cells: Array, layer: Array) 
     return corners, values, rim
 
 
-def _surface(bundle: Bundle, size: float) -> "Triangles | None":
+def indenter_surface(bundle: Bundle, size: float) -> "Triangles | None":
     """The indenter's triangles in its own frame, as far as `size` [mm]; None where a mesh's file is not found."""
     from pydantic import TypeAdapter
 
@@ -197,11 +193,11 @@ def _surface(bundle: Bundle, size: float) -> "Triangles | None":
 XY = "x to the right, y down in the image, z out of the gel toward the object"
 FIELDS: dict[str, tuple[tuple[str, ...], str, int, Any, str]] = {  # datasets, output, rows, how, what it means
     "pressure": (
-        ("/frames/pressure",), "traction", 1, _pressure,
+        ("/frames/pressure",), "traction", 1, partial(_map, "pressure"),
         f"normal to the deformed coated face, per area of it, positive in compression; {XY}",
     ),
     "traction": (
-        ("/frames/traction",), "traction", 1, _traction,
+        ("/frames/traction",), "traction", 1, partial(_map, "traction"),
         f"friction on the gel, in the tangent plane of the deformed face, per area of it; {XY}",
     ),
     "slip": (

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from tacgen.bundle.bundle import Bundle
-from tacgen.report import dataset_summary
+from tacgen.errors import UserError
+from tacgen.report import dataset_summary, viewer
 from tacgen.report.dataset_summary import Overview, Scene
 from tacgen.report.wording import counted, short
 
@@ -45,10 +46,11 @@ def page(seen: Overview) -> str:
         ("Largest force in a scene", _forces(seen.scenes)),
         ("Seconds by stage, as they passed", _seconds(seen)),
         ("Pictures", _pictures(seen)),
+        ("A scene frame by frame", _frames(seen.scenes)),
         ("Datasets", _table(("dataset", "shape"), seen.datasets.items())),
     ]
     body = "".join(f"<h2>{name}</h2>{content}" for name, content in sections if content)
-    head = f'<meta charset="utf-8"><title>{title}</title><style>{STYLE}</style>'
+    head = f'<meta charset="utf-8"><title>{title}</title><style>{STYLE}{viewer.STYLE}</style>'
     return f"<!doctype html><html lang=en><head>{head}</head><body><h1>{title}</h1>{body}</body></html>\n"
 
 
@@ -125,6 +127,15 @@ def _pictures(seen: Overview) -> str:
             force = "" if scene.peak_n is None else f"{scene.peak_n:.3g} N"
             shown.append(f"<figure>{picture}<b>{escape(scene.name)}</b> {force}<br>{values}</figure>")
     return "".join(shown)
+
+
+def _frames(scenes: Sequence[Scene]) -> str:
+    """The first good scene in the viewer, less its solid, which `tacgen view` shows."""
+    bundle = next((s.bundle for s in scenes if s.state == "ok" and s.bundle is not None and s.bundle.frames), None)
+    try:
+        return viewer.block([bundle], in_3d=False) if bundle else ""
+    except UserError as error:
+        return f"<p>{escape(str(error))}</p>"
 
 
 def _picture(bundle: Bundle) -> str:

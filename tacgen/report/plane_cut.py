@@ -1,10 +1,22 @@
-"""A plane cut through a solid mesh: triangles in the plane, with values interpolated to their corners."""
+"""What is seen of a solid mesh: its outside, and a plane cut through it, with values interpolated to the corners."""
 
 import numpy as np
+
+from tacgen.scene.tet_mesh import TET_FACES
 
 Array = np.ndarray
 # a hex around its diagonal 0-6; the corners of a tetrahedron alone
 TETS = {8: [[0, 1, 2, 6], [0, 1, 5, 6], [0, 4, 5, 6], [0, 4, 7, 6], [0, 3, 7, 6], [0, 3, 2, 6]], 4: [[0, 1, 2, 3]]}
+
+HEX_FACES = np.array([(0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)])
+
+
+def boundary(cells: Array) -> Array:
+    """The facets (f, 4 or 3) of cells (e, 8, 4 or 10) that no two share, by their corners."""
+    facets = cells[:, HEX_FACES if cells.shape[1] == 8 else TET_FACES]
+    facets = facets.reshape(-1, facets.shape[2])
+    _, first, count = np.unique(np.sort(facets, axis=1), axis=0, return_index=True, return_counts=True)
+    return np.asarray(facets[first[count == 1]])
 
 
 def cut(points: Array, cells: Array, values: Array, y: float) -> tuple[Array, Array]:

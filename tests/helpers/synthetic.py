@@ -156,9 +156,9 @@ def write(
             writer.put("/reference/height", flat if reference_height is None else reference_height)
         if "stress" in outputs:
             writer.put("/mesh/points", np.indices((2, 2, 2)).reshape(3, 8).T)
-            writer.put("/mesh/cells", np.arange(8)[None])
+            writer.put("/mesh/cells", np.array([[0, 4, 6, 2, 1, 5, 7, 3]]))
             writer.put("/mesh/layer", np.zeros(1, int))
-            writer.put("/mesh/facets/coated", np.array([[4, 5, 7, 6]]))
+            writer.put("/mesh/facets/coated", np.array([[1, 5, 7, 3]]))
         for index, state in enumerate(rows[:stop]):
             arrays = frame(state, shape, outputs)
             if edit:

@@ -148,6 +148,9 @@ READERS: dict[str, Callable[[Path], None]] = {
     "status": lambda folder: command("status", str(folder)),
     "show": lambda folder: command("show", str(folder)),
     "show one": lambda folder: command("show", str(next(iter(sorted(folder.glob("scene*.h5"))), folder))),
+    "view one": lambda folder: command(
+        "view", str(next(iter(sorted(folder.glob("scene*.h5"))), folder)), "-o", str(folder.parent / "view.html")
+    ),
     "report": lambda folder: command("report", str(folder), "-o", str(folder.parent / "report.html")),
     "pack": lambda folder: command("pack", str(folder), "-o", str(folder.parent / "again")),
     "card": lambda folder: _card(folder),

@@ -66,6 +66,7 @@ def test_the_report_is_one_page_that_needs_nothing_else(folder: Path, tmp_path: 
     assert "start.x_mm" in page
     assert "6.0 s" in page
     points = re.findall(r"<circle", page)
+    assert "<h2>A scene frame by frame</h2><div class=viewer>" in page
     assert points == []  # one varied number has no pair to be plotted against
 
 

@@ -1,0 +1,77 @@
+"""The commands that show finished bundles: a page about a data set, and pictures, films and a page of a bundle."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tacgen.cli_common import writing
+from tacgen.errors import UserError, printable
+
+
+def report(
+    folder: Annotated[Path, typer.Argument(help="A folder that `run` or `pack` wrote.")],
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="The page; report.html in the folder.")] = None,
+) -> None:
+    """Write one HTML page about a dataset: coverage, failures by cause, seconds by stage, pictures."""
+    from tacgen.report import html_report as reporting
+
+    out = out or folder / "report.html"
+    with writing(out):
+        typer.echo(str(reporting.write(folder, out)))
+
+
+def show(
+    path: Annotated[Path, typer.Argument(help="A bundle, or a folder of them for a summary.")],
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="Write a picture here instead of a summary.")] = None,
+    field: Annotated[
+        str, typer.Option("--field", help="Draw one of pressure, traction, slip, stress, instead of all there is.")
+    ] = "",
+    animate: Annotated[
+        Path | None, typer.Option("--animate", help="Write a film here: webp or gif, or mp4 where ffmpeg is.")
+    ] = None,
+) -> None:
+    """Say what is in a bundle, or draw it: images, pressure, traction and height over the frames."""
+    if animate is not None:
+        if out is not None or field:
+            raise UserError("--animate: draws a film of its own; leave out --out and --field")
+        from tacgen.report import animation
+
+        with writing(animate):
+            animate.parent.mkdir(parents=True, exist_ok=True)
+            animation.write(path, animate)
+        typer.echo(str(animate))
+        return
+    from tacgen.report import bundle_figure as showing
+    from tacgen.report import dataset_summary
+
+    if out is None:
+        if field:
+            raise UserError("--field: draws a picture, and needs --out to say where")
+        typer.echo(printable(dataset_summary.summary(path) if path.is_dir() else showing.summary(path)))
+        return
+    with writing(out):
+        out.parent.mkdir(parents=True, exist_ok=True)
+        if field:
+            from tacgen.report import field_figure
+
+            field_figure.picture(path, field, out)
+        else:
+            showing.picture(path, out)
+    typer.echo(str(out))
+
+
+def view(
+    path: Annotated[Path, typer.Argument(help="A bundle.")],
+    other: Annotated[Path | None, typer.Argument(help="Another, to compare it with side by side.")] = None,
+    out: Annotated[Path, typer.Option("--out", "-o", help="The page to write.")] = Path("view.html"),
+    browse: Annotated[bool, typer.Option("--browse", help="Open it in the web browser.")] = False,
+) -> None:
+    """Write one HTML page to look at a bundle frame by frame: camera, maps, and the gel with its stress in 3D."""
+    from tacgen.report import viewer
+
+    with writing(out):
+        viewer.write([path] if other is None else [path, other], out)
+    typer.echo(str(out))
+    if browse:
+        typer.launch(str(out))

@@ -1,0 +1,249 @@
+"""One HTML page to look at a bundle frame by frame, or at two side by side: camera, maps, and the gel with its stress.
+
+It needs no other file and no network, and asks the browser to refuse both. viewer.js draws; here are the data: pictures
+as WebP, maps as grey PNG in which 0 is nan and 1 to 255 run over the layer's scale, the solid as little-endian arrays.
+"""
+
+import base64
+import io
+import json
+from collections.abc import Sequence
+from html import escape
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from tacgen.bundle.bundle import Bundle
+from tacgen.errors import UserError
+from tacgen.fem.elements import triangles
+from tacgen.report.bundle_figure import LINES, image_size, indenter_text, magnification, only, scale_of
+from tacgen.report.field_figure import FIELDS, SECTIONS, WIDE, indenter_surface, section
+from tacgen.report.layers import LAYERS, limits
+from tacgen.report.plane_cut import boundary
+
+if TYPE_CHECKING:
+    from tacgen.geometry.analytic_sdf import Triangles
+
+Array = np.ndarray
+NEEDS = {
+    "camera": ("/frames/rgb",),
+    "markers": ("/reference/markers", "/frames/marker_flow"),  # arrows on the camera's pictures
+    **{name: layer.needs for name, layer in LAYERS.items()},
+    "stress": ("/mesh/points", "/frames/pose", *FIELDS["stress"][0]),
+}
+FRAMES = 60  # shown at most, spread over a longer scene; a frame of everything takes some 0.2 MB
+ARROWS = 16  # across a map
+POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
+STYLE = """.viewer{font:13px/1.4 system-ui,sans-serif;color:#222}.viewer .sides{display:flex;flex-wrap:wrap;gap:1em}
+.viewer .stage{position:relative;width:560px;height:370px;touch-action:none}.viewer canvas{display:block}
+.viewer .stage canvas{position:absolute;inset:0;width:560px;height:370px}.viewer .stage canvas.solid{cursor:grab}
+.viewer .force{width:560px;height:150px;cursor:pointer}.viewer fieldset{border:0;padding:0;margin:.4em 0}
+.viewer label{margin-right:1em}.viewer input[type=range]{width:26em;vertical-align:middle}.viewer p{margin:.2em 0}
+.viewer h3{margin:.3em 0;font-size:1em}.viewer .said{min-height:1.4em;font-variant-numeric:tabular-nums}"""
+
+
+def write(paths: Sequence[Path], out: Path) -> None:
+    """Write the page of one bundle or two; of a folder, its only one.
+
+    Raises:
+        UserError: no whole bundle, or one without frames.
+        OSError: `out` cannot be written.
+    """
+    bundles = [only(path) for path in paths]
+    for bundle in bundles:
+        if not bundle.frames:
+            raise UserError(f"{bundle.path}: has no frames to show")
+    title = escape(" | ".join(_name(bundle) for bundle in bundles))
+    head = f'<meta charset="utf-8"><meta http-equiv="Content-Security-Policy" content="{POLICY}"><title>{title}</title>'
+    page = f"<!doctype html><html lang=en><head>{head}<style>{STYLE}</style></head><body>{block(bundles)}</body></html>"
+    out.parent.mkdir(parents=True, exist_ok=True)
+    out.write_text(page + "\n", encoding="utf-8")
+
+
+def block(bundles: Sequence[Bundle], *, in_3d: bool = True) -> str:
+    """The viewer as a part of a page that has STYLE: its data, and the script that makes everything else of them.
+
+    Two bundles have the scales of their colours and arrows in common. Raises UserError: a mesh that cannot be drawn.
+    """
+    wanted = {name: needs for name, needs in NEEDS.items() if in_3d or name != "stress"}
+    names = [name for name, needs in wanted.items() if any(_all_in(bundle, needs) for bundle in bundles)]
+    scales = {name: _scale(name, bundles) for name in names if name in LAYERS}
+    solids = [_solid(bundle) if in_3d and _all_in(bundle, NEEDS["stress"]) else None for bundle in bundles]
+    parts = []
+    for i, (label, _, colours, signed) in enumerate(SECTIONS if any(solids) else ()):
+        top = max(float(np.quantile(np.abs(solid.all_values(i)), 0.999)) for solid in solids if solid) or 1e-3
+        parts.append({"low": -top if signed else 0.0, "high": top, "label": f"{label} [MPa]", "colours": colours})
+    tables = {scale["colours"] for scale in (*scales.values(), *parts)}
+    times = min((magnification(bundle) for bundle in bundles if _all_in(bundle, NEEDS["markers"])), default=1)
+    data = {
+        "layers": names,
+        "scales": scales,
+        "parts": parts,
+        "magnified": times,
+        "colours": {name: _base64(_table(name)) for name in sorted(tables)},
+        "lines": list(LINES.values()),
+        "bundles": [
+            _about(bundle) | {"layers": _layers(bundle, scales, times), "solid": solid and solid.packed(parts)}
+            for bundle, solid in zip(bundles, solids, strict=True)
+        ],
+    }
+    text = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")  # so that no text ends the script
+    script = resources.files("tacgen.report").joinpath("viewer.js").read_text(encoding="utf-8")
+    return f'<div class=viewer></div><script type="application/json" id=viewed>{text}</script><script>{script}</script>'
+
+
+def shown(bundle: Bundle) -> Array:
+    """The frames of a bundle that the page has."""
+    return np.unique(np.linspace(0, bundle.frames - 1, FRAMES).round().astype(int))
+
+
+def _name(bundle: Bundle) -> str:
+    return f"{bundle.recipe.get('name', '')}, {bundle.path.stem}"
+
+
+def _all_in(bundle: Bundle, needs: Sequence[str]) -> bool:
+    return all(path in bundle for path in needs)
+
+
+def _scale(name: str, bundles: Sequence[Bundle]) -> dict[str, Any]:
+    layer = LAYERS[name]
+    ends = [limits(layer.values(bundle)) for bundle in bundles if _all_in(bundle, layer.needs)]
+    low, high = min(low for low, _ in ends), max(high for _, high in ends)
+    return {"low": low, "high": high, "label": layer.label, "colours": layer.colours}
+
+
+def _about(bundle: Bundle) -> dict[str, Any]:
+    """Words, numbers and sizes."""
+    frames, segments = shown(bundle), bundle.segments
+    scale, (height, width) = scale_of(bundle), image_size(bundle)
+    left, top = (scale.centre[k] - size / 2 * scale.per_px for k, size in enumerate((width, height)))
+    return {
+        "name": _name(bundle),
+        "about": f"{indenter_text(bundle)}, on {bundle.attrs['sensor']}",
+        "rejected": "" if bundle.attrs["status"] == "ok" else f"{bundle.attrs['status']}: {bundle.attrs['reason']}",
+        "frames": frames.tolist(),
+        "segments": [segments[k] for k in frames],
+        "force": _numbers(bundle["/frames/force"][frames]) if "/frames/force" in bundle else None,
+        "box": [left, top, left + width * scale.per_px, top + height * scale.per_px],
+        "unit": scale.unit,
+    }
+
+
+def _layers(bundle: Bundle, scales: dict[str, Any], times: int) -> dict[str, Any]:
+    """Pictures and arrows of every layer but the solid."""
+    found: dict[str, Any] = {}
+    frames, (height, width) = shown(bundle), image_size(bundle)
+    if _all_in(bundle, NEEDS["camera"]):
+        pictures = [_picture(bundle.frame("/frames/rgb", int(k)), "WEBP") for k in frames]
+        found["camera"] = {"kind": "webp", "pictures": pictures}
+    if _all_in(bundle, NEEDS["markers"]):
+        at, by = bundle["/reference/markers"] / (width, height), times * bundle["/frames/marker_flow"][frames] / width
+        found["markers"] = {"arrows": {"at": _numbers(at), "by": _numbers(by)}}
+    for name, scale in scales.items():
+        layer = LAYERS[name]
+        if not _all_in(bundle, layer.needs):
+            continue
+        values = layer.values(bundle)[frames]
+        found[name] = {"kind": "png", "pictures": [_picture(grey, "PNG") for grey in _levels(values, scale)]}
+        if layer.vectors:
+            h, w = values.shape[1:]
+            step = max(1, round(w / ARROWS))
+            rows, columns = np.arange(step // 2, h, step), np.arange(step // 2, w, step)
+            at = np.stack(np.meshgrid((columns + 0.5) / w, (rows + 0.5) / h), -1).reshape(-1, 2)
+            by = bundle[layer.vectors][frames][:, rows[:, None], columns].reshape(len(frames), -1, 2)
+            by = by / scale["high"] * 1.3 / ARROWS
+            found[name]["arrows"] = {"at": _numbers(at), "by": _numbers(by)}
+    return found
+
+
+class _Solid(NamedTuple):
+    """The gel's faces over the frames, cut open through the indenter: values are those of SECTIONS in order."""
+
+    faces: Array  # (t, 3) of the nodes below
+    rims: Array  # (l, 2), edges of the mesh
+    points: Array  # (n, s, 3) [mm]
+    values: Array  # (parts, n, s) [MPa]
+    cuts: list[tuple[Array, Array, float]]  # a frame: corners (t, 3, 3) [mm], values (parts, 3 t), y of the plane [mm]
+    indenter: "Triangles | None"
+    poses: Array  # (n, 4, 4)
+
+    def all_values(self, part: int) -> Array:
+        return np.concatenate([self.values[part].ravel(), *(values[part] for _, values, _ in self.cuts)])
+
+    def packed(self, parts: list[dict[str, Any]]) -> dict[str, Any]:
+        """For the script: arrays as text, values as levels of their scales."""
+
+        def levels(values: Array) -> list[str]:
+            return [_base64(_levels(v, scale)) for v, scale in zip(values, parts, strict=True)]
+
+        return {
+            "faces": _base64(self.faces.astype("<u4")),
+            "rims": _base64(self.rims.astype("<u4")),
+            "points": [_base64(points.astype("<f4")) for points in self.points],
+            "values": [levels(self.values[:, k]) for k in range(len(self.points))],
+            "cuts": [
+                {"points": _base64(corners.astype("<f4")), "values": levels(values), "y": y}
+                for corners, values, y in self.cuts
+            ],
+            "indenter": self.indenter
+            and {
+                "points": _base64(self.indenter.vertices.astype("<f4")),
+                "faces": _base64(self.indenter.triangles.astype("<u4")),
+            },
+            "poses": _numbers(self.poses.transpose(0, 2, 1).reshape(-1, 16)),  # by columns
+        }
+
+
+def _solid(bundle: Bundle) -> _Solid:
+    points, cells, layer = bundle["/mesh/points"], bundle["/mesh/cells"], bundle["/mesh/layer"]
+    if cells.min(initial=0) < 0 or cells.max(initial=0) >= len(points):
+        raise UserError(f"{bundle.path}: its mesh cannot be drawn: it has cells with nodes that are not there")
+    nodes, facets = np.unique(boundary(cells), return_inverse=True)
+    rims = np.stack([facets, np.roll(facets, -1, axis=1)], axis=-1).reshape(-1, 2)
+    rims = np.unique(np.sort(rims, axis=1), axis=0)
+    moved, values, cuts = [], [], []
+    for k in (int(frame) for frame in shown(bundle)):
+        moved.append((points + bundle.frame("/fields/displacement", k))[nodes])
+        stress = bundle.frame("/fields/nodal_stress", k)[nodes]
+        values.append([what(stress) for _, what, _, _ in SECTIONS])
+        flat, within, _ = section(bundle, k, points, cells, layer)
+        y = float(bundle.frame("/frames/pose", k)[1, 3])
+        corners = np.insert(flat, 1, y, axis=-1)
+        cuts.append((corners, np.stack([what(within.reshape(-1, 6)) for _, what, _, _ in SECTIONS]), y))
+    size = WIDE * float(np.ptp(points[:, 2]))
+    poses = bundle["/frames/pose"][shown(bundle)]
+    return _Solid(
+        triangles(facets), rims, np.stack(moved), np.stack(values, 1), cuts, indenter_surface(bundle, size), poses
+    )
+
+
+def _levels(values: Array, scale: dict[str, Any]) -> Array:
+    """1 to 255 over the scale, 0 where nan."""
+    part = np.clip((values - scale["low"]) / (scale["high"] - scale["low"]), 0, 1)
+    return np.where(np.isfinite(values), 1 + np.rint(254 * np.nan_to_num(part)), 0).astype(np.uint8)
+
+
+def _table(colours: str) -> Array:
+    """(255, 3) RGB of a colour map's levels."""
+    from matplotlib import colormaps
+
+    return np.asarray(colormaps[colours](np.linspace(0, 1, 255), bytes=True))[:, :3]
+
+
+def _picture(pixels: Array, kind: str) -> str:
+    from PIL import Image
+
+    file = io.BytesIO()
+    Image.fromarray(pixels).save(file, kind, quality=85)
+    return base64.b64encode(file.getvalue()).decode()
+
+
+def _base64(array: Array) -> str:
+    return base64.b64encode(np.ascontiguousarray(array).tobytes()).decode()
+
+
+def _numbers(values: Array) -> Any:
+    """As lists; 0 where not finite, which JSON has no word for."""
+    return np.nan_to_num(values.astype(float), posinf=0.0, neginf=0.0).round(5).tolist()

@@ -1,0 +1,163 @@
+"""The page to look at bundles: what it holds, that it needs nothing else, and what a browser shows of it."""
+
+import base64
+import io
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.small_recipe import HEAD
+from helpers.synthetic import attributes, write
+from PIL import Image
+from typer.testing import CliRunner
+
+from tacgen import pipeline
+from tacgen.bundle.bundle import read
+from tacgen.cli import app
+from tacgen.fem.elements import boxes
+from tacgen.recipe import plan
+from tacgen.report import viewer
+from tacgen.report.plane_cut import boundary
+
+CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
+
+
+def data(page: Path) -> Any:
+    """What the page gives to its script."""
+    (text,) = re.findall(r'<script type="application/json" id=viewed>(.*?)</script>', page.read_text(), re.S)
+    return json.loads(text)
+
+
+def levels(text: str) -> np.ndarray:
+    return np.asarray(Image.open(io.BytesIO(base64.b64decode(text))))
+
+
+def test_maps_are_levels_of_their_scale_and_nan_is_none(tmp_path: Path) -> None:
+    def hole(index: int, arrays: dict[str, Any]) -> None:
+        arrays["/frames/height"][0, 0] = np.nan
+
+    path = write(tmp_path / "x.h5", edit=hole)
+    viewer.write([path], tmp_path / "x.html")
+    told, bundle = data(tmp_path / "x.html"), read(path)
+    assert told["layers"] == ["camera", "markers", "pressure", "traction", "height", "stress"]
+    scale = told["scales"]["pressure"]
+    seen = levels(told["bundles"][0]["layers"]["pressure"]["pictures"][7])
+    value = scale["low"] + (seen - 1.0) / 254 * (scale["high"] - scale["low"])
+    assert value == pytest.approx(bundle.frame("/frames/pressure", 7), abs=0.51 * scale["high"] / 254)
+    height = levels(told["bundles"][0]["layers"]["height"]["pictures"][3])
+    assert height[0, 0] == 0
+    assert (height == 0).sum() == 1
+    camera = Image.open(io.BytesIO(base64.b64decode(told["bundles"][0]["layers"]["camera"]["pictures"][0])))
+    assert camera.size == (64, 48)
+    assert told["bundles"][0]["force"][5] == pytest.approx(bundle["/frames/force"][5].tolist(), abs=1e-5)
+
+
+def test_two_bundles_have_one_scale(tmp_path: Path) -> None:
+    def harder(index: int, arrays: dict[str, Any]) -> None:
+        arrays["/frames/pressure"] = arrays["/frames/pressure"] * 3
+
+    paths = [write(tmp_path / "a.h5"), write(tmp_path / "b.h5", edit=harder, outputs=frozenset({"traction"}))]
+    done = CliRunner().invoke(app, ["view", *map(str, paths), "-o", str(tmp_path / "x.html")])
+    assert done.exit_code == 0, done.output
+    told = data(tmp_path / "x.html")
+    tops = [max(levels(map_).max() for map_ in b["layers"]["pressure"]["pictures"]) for b in told["bundles"]]
+    assert tops[0] == pytest.approx(1 + 254 / 3, abs=1)
+    assert tops[1] == 255
+    assert "height" not in told["bundles"][1]["layers"]
+    assert told["bundles"][1]["solid"] is None
+
+
+def test_the_page_asks_for_no_file_and_names_are_text(tmp_path: Path) -> None:
+    name = "</script><img src=//x.test/y onerror=alert(1)>"
+    viewer.write([write(tmp_path / "x.h5", recipe=attributes()["recipe"] | {"name": name})], tmp_path / "x.html")
+    page = (tmp_path / "x.html").read_text()
+    assert "<img" not in page
+    assert "default-src 'none'" in page
+    assert page.count("<script") == page.count("</script") == 2
+    script = page.rpartition("<script>")[2]
+    assert not re.findall(r"https?:|//\w+\.|\bfetch|\bimport|XMLHttp|innerHTML", script)
+    assert re.findall(r"\.src = (.{6})", script) == ["`data:"]
+    assert data(tmp_path / "x.html")["bundles"][0]["name"] == f"{name}, x"
+
+
+def test_the_outside_of_a_block() -> None:
+    """2 x 3 x 4 hexes: 2 (2 * 3 + 3 * 4 + 2 * 4) facets, 3 x 4 x 5 nodes less the 1 x 2 x 3 within."""
+    cells = boxes(np.arange(60).reshape(3, 4, 5))
+    facets = boundary(cells.reshape(-1, 8))
+    assert facets.shape == (52, 4)
+    assert len(np.unique(facets)) == 60 - 6
+
+
+def test_long_scenes_are_thinned_and_empty_ones_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(viewer, "FRAMES", 4)
+    viewer.write([write(tmp_path / "x.h5")], tmp_path / "x.html")
+    assert data(tmp_path / "x.html")["bundles"][0]["frames"] == [0, 4, 7, 11]
+    done = CliRunner().invoke(app, ["view", str(write(tmp_path / "none.h5", stop=0)), "-o", str(tmp_path / "y.html")])
+    assert done.exit_code == 2
+    assert done.stderr == f"{tmp_path}/none.h5: has no frames to show\n"
+
+
+def test_a_mesh_with_missing_nodes_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write(tmp_path / "x.h5")
+    true = type(read(path)).__getitem__
+    monkeypatch.setattr(
+        type(read(path)), "__getitem__", lambda self, name: true(self, name) + 5 * (name == "/mesh/cells")
+    )
+    done = CliRunner().invoke(app, ["view", str(path), "-o", str(tmp_path / "x.html")])
+    assert done.exit_code == 2
+    assert "its mesh cannot be drawn" in done.stderr
+
+
+@pytest.fixture(scope="module")
+def solved(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A page of a ball really pressed into a small gel, with its stress."""
+    folder = tmp_path_factory.mktemp("solved")
+    (folder / "small.yaml").write_text(
+        f"{HEAD}  - press: {{depth_mm: 0.4, frames: 2}}\n".replace("outputs: [force]", "outputs: [traction, stress]")
+    )
+    made = pipeline.run(plan.load(folder / "small.yaml").rows, folder / "out")[0]
+    viewer.write([made.path], folder / "page.html")
+    return folder / "page.html"
+
+
+def test_the_solid_is_the_deformed_gel(solved: Path) -> None:
+    bundle, told = read(next((solved.parent / "out").glob("*.h5"))), data(solved)
+    solid = told["bundles"][0]["solid"]
+    points = np.frombuffer(base64.b64decode(solid["points"][1]), "<f4").reshape(-1, 3)
+    faces = np.frombuffer(base64.b64decode(solid["faces"]), "<u4").reshape(-1, 3)
+    now = bundle["/mesh/points"] + bundle.frame("/fields/displacement", 1)
+    assert points == pytest.approx(now[np.unique(boundary(bundle["/mesh/cells"]))], abs=1e-5)
+    a, b, c = np.moveaxis(points[faces].astype(float), 1, 0)
+    volume = float(np.einsum("ti,ti->", a, np.cross(b, c))) / 6  # of a closed surface seen from outside
+    sides = np.ptp(bundle["/mesh/points"], axis=0)
+    assert 0.9 < volume / np.prod(sides) < 1.02
+    cut = np.frombuffer(base64.b64decode(solid["cuts"][1]["points"]), "<f4").reshape(-1, 3, 3)
+    area = np.linalg.norm(np.cross(cut[:, 1] - cut[:, 0], cut[:, 2] - cut[:, 0]), axis=1).sum() / 2
+    assert 0.85 < area / (sides[0] * sides[2]) < 1.0
+    assert [len(base64.b64decode(text)) for text in solid["values"][1]] == [len(points)] * 3
+
+
+def browser(page: Path, part: str, *wanted: str) -> str:
+    assert CHROMIUM is not None
+    command = [CHROMIUM, "--headless=new", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+    command += [f"--user-data-dir={page.parent / 'profile'}", "--window-size=640,760", "--hide-scrollbars"]
+    command += ["--virtual-time-budget=4000", *wanted, f"{page.as_uri()}#{part}"]
+    return subprocess.run(command, capture_output=True, text=True, timeout=200).stdout
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium")
+def test_a_browser_shows_maps_and_the_solid(solved: Path) -> None:
+    assert "<p>frame 1, press</p>" in browser(solved, "layer=pressure&frame=1", "--dump-dom")
+    share = {}
+    for layer in ("pressure", "traction", "stress"):
+        browser(solved, f"layer={layer}&frame=1", f"--screenshot={solved.parent / layer}.png")
+        seen = np.asarray(Image.open(solved.parent / f"{layer}.png").convert("RGB"), int)[150:520, 60:470]
+        share[layer] = float((np.ptp(seen, axis=-1) > 60).mean())  # of strong colours
+    assert share["pressure"] > 0.3  # viridis begins with dark violet
+    assert 0.001 < share["stress"] < 0.3  # the stressed part of a pale gel
