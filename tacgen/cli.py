@@ -5,14 +5,13 @@ Results go to stdout, progress and errors to stderr. Exit codes: 0 done, 1 findi
 """
 
 import sys
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from tacgen import __version__
-from tacgen.cli_common import app, line, probe, show_result, writing
+from tacgen.cli_common import app, line, plan_of, priced, probe, shard_of, show_result, warn, workers_of, writing
 from tacgen.cli_look import report, show, view
 from tacgen.errors import UserError
 from tacgen.report.wording import counted
@@ -22,6 +21,10 @@ __all__ = ["app"]
 RecipeFile = Annotated[str, typer.Argument(metavar="RECIPE", help="A recipe file, or the name of a shipped recipe.")]
 Sets = Annotated[
     list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="Override a value; can be given many times.")
+]
+Workers = Annotated[
+    str,
+    typer.Option(metavar="N", help="Scenes at a time, a process and a core each; auto: as cores and memory allow."),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
@@ -46,7 +49,7 @@ def run(
     recipe: RecipeFile,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the bundles.")],
     sets: Sets = None,
-    workers: Annotated[int, typer.Option(min=1, help="Scenes at a time, a process and a core each.")] = 1,
+    workers: Workers = "1",
     shard: Annotated[
         str, typer.Option(metavar="I/N", help="Only this part of the scenes, 0/N to N-1/N: for job arrays.")
     ] = "0/1",
@@ -59,19 +62,19 @@ def run(
     memory_gb: Annotated[
         float | None, typer.Option(min=0.01, help="Stop a scene that uses more; by default an even share of it all.")
     ] = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be done, and do nothing.")] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Time a few scenes, say what all would take, and write nothing.")
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print events, a JSON object a line.")] = False,
 ) -> None:
     """Generate every scene of a recipe; scenes that are finished already are kept."""
-    part = _shard(shard)
-    plan = _plan(recipe, sets, part)
+    part, processes = shard_of(shard), workers_of(workers)
+    plan = plan_of(recipe, sets, part)
     if dry_run:
-        frames = sum(row.frames for row in plan.rows)
-        show_result(
-            {"folder": str(out), "scenes": [row.name for row in plan.rows], "frames": frames},
-            f"{out}: would hold {counted(len(plan.rows), 'scene')} of {plan.name}, {frames} frames",
-            as_json,
-        )
+        frames, cost = sum(row.frames for row in plan.rows), priced(plan, processes)
+        text = f"{out}: would hold {counted(len(plan.rows), 'scene')} of {plan.name}, {frames} frames\n{cost['text']}"
+        scenes = [row.name for row in plan.rows]
+        show_result({"folder": str(out), "scenes": scenes, "frames": frames, "cost": cost}, text, as_json)
         return
     with writing(out):
         probe(out)
@@ -89,7 +92,7 @@ def run(
             results = batch.run(
                 plan,
                 out,
-                workers=workers,
+                workers=processes,
                 overwrite=overwrite,
                 shard=None if shard == "0/1" else part,
                 limits=batch.Limits(silence_s, memory_gb),
@@ -118,6 +121,7 @@ def status(
 ) -> None:
     """Say how far a folder is: scenes done, rejected or failed with their reasons, at work and waiting."""
     from tacgen.bundle.run_status import survey
+    from tacgen.report import estimate
 
     found = survey(folder)
     count, total = found.count(), len(found.scenes)
@@ -127,7 +131,10 @@ def status(
     lines.append(
         f"{folder}: {found.name}, {counted(total, 'scene')}: {', '.join(f'{n} {s}' for s, n in count.items())}"
     )
-    show_result({"name": found.name, "count": count, "scenes": plain}, "\n".join(lines), as_json)
+    if cost := estimate.left(found):
+        lines.append(f"left: {cost.text(1)}")
+    plain_cost = cost and cost.plain()
+    show_result({"name": found.name, "count": count, "left": plain_cost, "scenes": plain}, "\n".join(lines), as_json)
     raise typer.Exit(0 if count.get("ok", 0) == total else 1)
 
 
@@ -140,10 +147,10 @@ def validate(file: RecipeFile, sets: Sets = None) -> None:
     data = yaml_source.load(path).data
     if isinstance(data, dict) and "tacgen_sensor" in data:
         sensor, tree = loading.read_sensor(path)
-        _warn(loading.sensor_warnings(sensor, tree))
+        warn(loading.sensor_warnings(sensor, tree))
         typer.echo(f"{path}: a valid sensor, {sensor.name}")
         return
-    plan = _plan(file, sets)
+    plan = plan_of(file, sets)
     row = plan.rows[0]
     typer.echo(f"{path}: a valid recipe, {plan.name}: {counted(len(plan.rows), 'scene')}, sensor {row.sensor.name}")
     for note in checks.notes(row.recipe, row.sensor):
@@ -167,13 +174,21 @@ def show_plan(
     recipe: RecipeFile,
     sets: Sets = None,
     shard: Annotated[str, typer.Option(metavar="I/N", help="Only this part of the scenes.")] = "0/1",
+    estimate: Annotated[
+        bool, typer.Option("--estimate", help="Time a few scenes instead, and say what all would take.")
+    ] = False,
+    workers: Workers = "auto",
     as_csv: Annotated[bool, typer.Option("--csv", help="Print CSV.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Show the table of scenes that a recipe gives."""
+    """Show the table of scenes that a recipe gives, or what they cost."""
     from tacgen.recipe import plan_table
 
-    plan = _plan(recipe, sets, _shard(shard))
+    plan = plan_of(recipe, sets, shard_of(shard))
+    if estimate:
+        cost = priced(plan, workers_of(workers))
+        show_result(cost, f"{counted(len(plan.rows), 'scene')} of {plan.name}: {cost['text']}", as_json)
+        return
     typer.echo((plan_table.as_json if as_json else plan_table.as_csv if as_csv else plan_table.as_text)(plan), nl=False)
 
 
@@ -340,25 +355,3 @@ def bench(
         )
     typer.echo(str(out / benches.PAGE))
     raise typer.Exit(1 if failed else 0)
-
-
-def _plan(recipe: str, sets: list[str] | None, shard: tuple[int, int] = (0, 1)) -> Any:
-    """The plan of a recipe given by path or name, or a shard of it."""
-    from tacgen.recipe import assets, plan
-
-    found = plan.load(assets.recipe_path(recipe), sets or (), shard)
-    _warn(found.warnings)
-    return found
-
-
-def _warn(texts: Iterable[str]) -> None:
-    for text in texts:
-        typer.echo(f"warning: {text}", err=True)
-
-
-def _shard(text: str) -> tuple[int, int]:
-    """`1/4` as numbers."""
-    index, slash, count = text.partition("/")
-    if not (slash and index.isdecimal() and count.isdecimal() and int(index) < int(count)):
-        raise UserError(f"--shard {text}: must be I/N with I from 0 to N - 1, such as 0/4, 1/4, 2/4 and 3/4")
-    return int(index), int(count)

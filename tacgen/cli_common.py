@@ -1,7 +1,7 @@
 """What every command shares: the app, errors as lines and exit codes, results for a person or a program."""
 
 import errno
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -100,3 +100,47 @@ def probe(folder: Path) -> None:
             file.write(b"\0" * 4096)
     except OSError as error:  # whatever stands in the way, it is the folder that must be another
         raise UserError(f"{folder}: cannot be written: {error.strerror}") from None
+
+
+def plan_of(recipe: str, sets: list[str] | None, shard: tuple[int, int] = (0, 1)) -> Any:
+    """The plan of a recipe given by path or name, or a shard of it."""
+    from tacgen.recipe import assets, plan
+
+    found = plan.load(assets.recipe_path(recipe), sets or (), shard)
+    warn(found.warnings)
+    return found
+
+
+def warn(texts: Iterable[str]) -> None:
+    """Say what a person should know before going on."""
+    for text in texts:
+        typer.echo(f"warning: {text}", err=True)
+
+
+def shard_of(text: str) -> tuple[int, int]:
+    """`1/4` as numbers."""
+    index, slash, count = text.partition("/")
+    if not (slash and index.isdecimal() and count.isdecimal() and int(index) < int(count)):
+        raise UserError(f"--shard {text}: must be I/N with I from 0 to N - 1, such as 0/4, 1/4, 2/4 and 3/4")
+    return int(index), int(count)
+
+
+def workers_of(text: str) -> int:
+    """`8` or `auto` as a number."""
+    if text == "auto":
+        from tacgen.batch.worker_process import usual_workers
+
+        return usual_workers()
+    if not text.isdecimal() or int(text) < 1:
+        raise UserError(f"--workers {text}: must be a number from 1, or auto")
+    return int(text)
+
+
+def priced(plan: Any, workers: int) -> dict[str, Any]:
+    """Time some scenes of a plan: their cost as JSON values, and in words under `text`."""
+    from tacgen.batch import probe
+
+    typer.echo("timing a few scenes", err=True)
+    cost, memory = probe.probe(plan.rows, workers)
+    text = f"{cost.text(workers)}; {memory:.2g} GB of memory a worker"
+    return {**cost.plain(), "memory_gb": round(memory, 3), "workers": workers, "text": text}

@@ -19,10 +19,12 @@ from typer.testing import CliRunner, Result
 import tacgen.batch
 from tacgen import cli
 from tacgen.batch.local import outcome
+from tacgen.batch.probe import Probed
 from tacgen.bundle.resume import SceneResult
 from tacgen.errors import UserError
 from tacgen.recipe import assets, loading, plan, schema
 from tacgen.report import dataset_card
+from tacgen.report.estimate import Made, cost
 
 ROOT = Path(__file__).parent.parent
 
@@ -116,11 +118,31 @@ def test_what_is_asked_for_reaches_the_engine(tmp_path: Path, batch: Any):
     assert [row.key for row in seen["rows"]] == [whole[1].key, whole[5].key]
 
 
-def test_a_dry_run_does_nothing(tmp_path: Path):
-    done = tacgen_("run", "batch", "-o", str(tmp_path / "out"), "--dry-run")
+@pytest.fixture
+def timed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A probe that takes no time."""
+
+    def probe(rows: Any, workers: int) -> Probed:
+        found = cost([row.frames for row in rows], [Made(6, 3.0, 0.01), Made(6, 5.0, 0.01)])
+        assert found is not None
+        return Probed(found, 0.4)
+
+    monkeypatch.setattr("tacgen.batch.probe.probe", probe)
+
+
+def test_a_dry_run_writes_nothing_and_says_what_it_would_cost(tmp_path: Path, timed: None):
+    done = tacgen_("run", "batch", "-o", str(tmp_path / "out"), "--dry-run", "--workers", "4")
     assert done.exit_code == 0
-    assert "would hold 8 scenes of batch, 48 frames" in done.stdout
+    assert "would hold 8 scenes of batch, 48 frames\nabout 32 s of one core (0 s to 88 s), 8 s with 4" in done.stdout
     assert not (tmp_path / "out").exists()
+
+
+def test_a_plan_s_cost(timed: None):
+    done = tacgen_("plan", "batch", "--estimate", "--workers", "1")
+    assert done.stdout.startswith("8 scenes of batch: about 32 s of one core (0 s to 88 s); 0.08 GB (0.08 to 0.08); ")
+    plain = json.loads(tacgen_("plan", "batch", "--estimate", "--json", "--workers", "auto").stdout)
+    assert plain["seconds"][0] == 32.0
+    assert plain["workers"] >= 1
 
 
 @pytest.mark.parametrize(
@@ -132,6 +154,7 @@ def test_a_dry_run_does_nothing(tmp_path: Path):
         (("run", "quickstart", "-o", "x", "--set", "sensor=digot"), "--set sensor=digot: sensor: no sensor is called"),
         (("validate", str(ROOT)), "is a folder, not a file"),
         (("validate", str(ROOT / "no.yaml")), "no such recipe file"),
+        (("run", "quickstart", "-o", "x", "--workers", "0"), "--workers 0: must be a number from 1, or auto"),
         (("list", "shape"), "shape: must be one of sensors, recipes, objects, shapes, formats"),
         (("check", "no/such/folder"), "no/such/folder: no such file or folder"),
         (("show", "no.h5"), "no.h5: No such file"),

@@ -14,6 +14,7 @@ from typing import Any
 from tacgen.recipe.plan import Row
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+WORKER_GB = 1.0  # memory that a worker is reckoned to need; most of default quality take half of that
 START_S = 300.0  # longest time from start to `ready`, spent on imports [s]
 PACKAGE_PARENT = str(Path(__file__).resolve().parents[2])
 
@@ -120,8 +121,17 @@ def machine_memory() -> float:
 
 
 def cores() -> int:
-    """Processor cores that this process may use."""
-    return len(os.sched_getaffinity(0))
+    """Processor cores that this process may use: those it is bound to, or fewer if its control group has less time."""
+    count = len(os.sched_getaffinity(0))
+    with suppress(OSError, ValueError):  # "max" has no limit
+        quota, period = Path("/sys/fs/cgroup/cpu.max").read_text().split()
+        count = min(count, max(1, int(quota) // int(period)))
+    return count
+
+
+def usual_workers() -> int:
+    """As many as there are cores, and memory for."""
+    return max(1, min(cores(), int(machine_memory() / WORKER_GB)))
 
 
 def _exit_reason(code: int) -> str:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any, TextIO
 
 from tacgen.recipe.plan import Row
+from tacgen.report.wording import duration
 
 
 class Progress:
@@ -96,7 +97,4 @@ class Progress:
         made = frames - self.kept - len(self.ahead)
         if made <= 0 or frames >= self.total:
             return ""
-        seconds = (time.monotonic() - self.started) * (self.total - frames) / made
-        if seconds < 120:
-            return f"about {seconds:.0f} s left"
-        return f"about {seconds / 60:.0f} min left" if seconds < 7200 else f"about {seconds / 3600:.1f} h left"
+        return f"about {duration((time.monotonic() - self.started) * (self.total - frames) / made)} left"

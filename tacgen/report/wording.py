@@ -8,6 +8,13 @@ def counted(n: int, noun: str) -> str:
     return f"{n} {noun}" + ("" if n == 1 else "s")
 
 
+def duration(seconds: float) -> str:
+    """`40 s`, `12 min`, `3.1 h`."""
+    if seconds < 120:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
+
+
 def short(paths: Iterable[str]) -> dict[str, str]:
     """Path -> the fewest of its last steps that no other path ends in: `leds[0].power` beside `leds[1].power`."""
     steps = {path: path.split(".") for path in paths}

@@ -1,0 +1,51 @@
+"""A few scenes of a plan, made and timed in a folder that is deleted again: what they all will cost."""
+
+import resource
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import NamedTuple
+
+from tacgen.batch.local import TASK, Pool
+from tacgen.errors import UserError
+from tacgen.recipe.plan import Row
+from tacgen.report.estimate import Cost, Made, cost, work
+
+SCENES = 8  # timed, and fewer where that takes longer than ENOUGH_S
+ENOUGH_S = 60.0
+
+
+class Probed(NamedTuple):
+    """What a plan costs, and the most memory that a worker had [GB]."""
+
+    cost: Cost
+    memory_gb: float
+
+
+def probe(rows: Sequence[Row], workers: int, task: str = TASK) -> Probed:
+    """Time some scenes, evenly spread over the plan and as many at a time as will be.
+
+    Raises:
+        UserError: none of them can be made.
+    """
+    count = min(SCENES, len(rows))
+    chosen = [rows[i * len(rows) // count] for i in range(count)]
+    made: list[Made] = []
+    reason = ""
+    with TemporaryDirectory() as name, Pool(min(workers, count), task=task) as pool:
+        folder, begun = Path(name), 0.0
+        pool.run(chosen[:1], folder / "first")  # compiles, and fills the caches
+        begun = time.monotonic()
+        for at in range(0, count, pool.size):
+            for result in pool.run(chosen[at : at + pool.size], folder):
+                if result.status == "failed":
+                    reason = f"{result.name}: {result.reason}"
+                else:
+                    made.append(Made(result.frames, work(result.seconds), result.path.stat().st_size / 1e9))
+            if time.monotonic() - begun > ENOUGH_S:
+                break
+    found = cost([row.frames for row in rows], made)
+    if found is None:
+        raise UserError(f"no scene could be made to judge by: {reason}")
+    return Probed(found, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1e6)

@@ -1,0 +1,39 @@
+"""Scenes timed before a run, and the number of workers that a machine is good for."""
+
+from pathlib import Path
+
+import pytest
+from helpers.scenes import TASK, make_plan, spoil
+
+from tacgen.batch import probe, worker_process
+from tacgen.errors import UserError
+
+
+def test_a_few_scenes_judge_all(tmp_path: Path):
+    found = probe.probe(make_plan(tmp_path, 40).rows, 2, TASK)
+    assert found.cost.judged_by == probe.SCENES
+    assert found.cost.seconds.expected > 0
+    assert 0.01 < found.memory_gb < 4
+    size = found.cost.gigabytes
+    assert size.low <= size.expected <= size.high < 0.1
+
+
+def test_where_no_scene_can_be_made_that_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    class Spoilt(probe.TemporaryDirectory):  # type: ignore[type-arg]
+        def __enter__(self) -> str:
+            name = super().__enter__()
+            spoil(Path(name), "scene-00000", "refuse")
+            return name
+
+    monkeypatch.setattr(probe, "TemporaryDirectory", Spoilt)
+    with pytest.raises(UserError, match="no scene could be made to judge by: scene-00000: this cannot be made"):
+        probe.probe(make_plan(tmp_path, 1).rows, 1, TASK)
+
+
+@pytest.mark.parametrize(("cores", "memory", "workers"), [(8, 64.0, 8), (64, 16.0, 16), (2, 0.5, 1)])
+def test_as_many_workers_as_cores_and_memory_allow(
+    cores: int, memory: float, workers: int, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(worker_process, "cores", lambda: cores)
+    monkeypatch.setattr(worker_process, "machine_memory", lambda: memory)
+    assert worker_process.usual_workers() == workers
