@@ -1,6 +1,7 @@
 """Print docs/COMMANDS.md from the program's own command line: python scripts/command_page.py > docs/COMMANDS.md"""
 
 import inspect
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
@@ -29,13 +30,23 @@ def page() -> str:
     group = typer.main.get_command(app)
     assert isinstance(group, click.Group)
     context = click.Context(group, info_name="tacgen")
-    commands = {name: group.commands[name] for name in sorted(group.commands)}
+    commands = dict(leaves(group, ""))
     lines = [HEAD, "| command | what it does |", "|---|---|"]
     for name, command in commands.items():
-        lines.append(f"| [`{name}`](#tacgen-{name}) | {cell((command.help or '').splitlines()[0])} |")
+        lines.append(f"| [`{name}`](#tacgen-{name.replace(' ', '-')}) | {cell((command.help or '').splitlines()[0])} |")
     for name, command in commands.items():
         lines += ["", f"## tacgen {name}", "", *section(command, click.Context(command, context, name))]
     return "\n".join(lines) + "\n"
+
+
+def leaves(group: click.Group, prefix: str) -> Iterator[tuple[str, click.Command]]:
+    """Every command by its full name, those of groups too."""
+    for name in sorted(group.commands):
+        command = group.commands[name]
+        if isinstance(command, click.Group):
+            yield from leaves(command, f"{prefix}{name} ")
+        else:
+            yield prefix + name, command
 
 
 def section(command: click.Command, context: click.Context) -> list[str]:

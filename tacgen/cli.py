@@ -11,7 +11,20 @@ from typing import Annotated, Any
 import typer
 
 from tacgen import __version__
-from tacgen.cli_common import app, line, plan_of, priced, probe, shard_of, show_result, warn, workers_of, writing
+from tacgen.cli_calibrate import calibrations
+from tacgen.cli_common import (
+    AsJson,
+    app,
+    line,
+    plan_of,
+    priced,
+    probe,
+    shard_of,
+    show_result,
+    warn,
+    workers_of,
+    writing,
+)
 from tacgen.cli_look import report, show, view
 from tacgen.errors import UserError
 from tacgen.report.wording import counted
@@ -26,7 +39,8 @@ Workers = Annotated[
     str,
     typer.Option(metavar="N", help="Scenes at a time, a process and a core each; auto: as cores and memory allow."),
 ]
-AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+
+app.add_typer(calibrations, name="calibrate")
 
 
 def _version(wanted: bool) -> None:
@@ -281,36 +295,6 @@ def export(
     with writing(out):
         made = exporting.export(kind, source, out)
     show_result([str(path) for path in made], "\n".join(map(str, made)), as_json)
-
-
-@app.command()
-def calibrate(
-    what: Annotated[str, typer.Argument(help="optics: the lights of a sensor file, from photographs.")],
-    sensor: Annotated[str, typer.Option("--sensor", help="The sensor file to start from, by name or path.")],
-    images: Annotated[
-        Path, typer.Option("--images", help="A folder: background.png, and ball presses listed in presses.csv.")
-    ],
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="Write the sensor file here.")] = None,
-    tolerance_mm: Annotated[
-        float, typer.Option(min=0, help="How far LEDs may be from where the file has them; 0: light alone is fitted.")
-    ] = 0.5,
-    tolerance_deg: Annotated[float, typer.Option(min=0, max=90, help="How far they may be turned.")] = 5.0,
-    no_markers: Annotated[bool, typer.Option("--no-markers", help="The photographed gel has no dots.")] = False,
-    steps: Annotated[int, typer.Option(min=1, help="Most rounds of the fit.")] = 10,
-    as_json: AsJson = False,
-) -> None:
-    """Fit a sensor file to photographs of your own unit: light and place of its LEDs, stray light, gloss, crop."""
-    if what != "optics":
-        raise UserError(f"{what}: must be optics")
-    from tacgen import calibrate as fitting
-
-    found = fitting.optics(sensor, images, fitting.Asked(tolerance_mm, tolerance_deg, no_markers, steps))
-    lines = list(found.lines())
-    if out is not None:
-        with writing(out):
-            found.write(out)
-        lines.append(f"{out}: the sensor file of this unit")
-    show_result(found.plain(), "\n".join(lines), as_json)
 
 
 @app.command()

@@ -4,7 +4,7 @@ import errno
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import click
 import typer
@@ -12,6 +12,7 @@ from typer.core import TyperGroup
 
 from tacgen.errors import UserError, printable
 
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 DISK_ERRORS = tuple(
     getattr(errno, name)
     for name in (

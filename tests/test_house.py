@@ -36,6 +36,7 @@ LAYERS = [
     "batch",
     "calibrate",
     "cli_common",
+    "cli_calibrate",
     "cli_look",
     "cli",
     "__main__",
@@ -47,7 +48,13 @@ ALLOWED_IN_LIBRARIES = {"numpy", "scipy", "numba"}
 HOMES = {
     "mitsuba": {"render.mitsuba_path"},
     "drjit": {"render.mitsuba_path"},
-    "matplotlib": {"report.animation", "report.bundle_figure", "report.field_figure", "report.viewer"},
+    "matplotlib": {
+        "report.animation",
+        "report.bundle_figure",
+        "report.field_figure",
+        "report.fit_figure",
+        "report.viewer",
+    },
     "mpl_toolkits": {"report.bundle_figure"},
     "h5py": {"bundle.bundle", "bundle.hdf5_file", "doctor", "export.vtkhdf", "export.univtac", "bundle.pack", "torch"},
     "cvxopt": {"solve.linear_solvers"},
@@ -76,6 +83,7 @@ HOMES = {
 }
 NOT_NUMPY = {
     "cli",
+    "cli_calibrate",
     "cli_common",
     "cli_look",
     "errors",

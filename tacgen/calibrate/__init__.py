@@ -1,11 +1,11 @@
 """Photographs of one's own unit -> a sensor file with its lights, by least squares on the transport."""
 
-import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
+from tacgen.calibrate.result import digits, write_sensor
 from tacgen.recipe import assets, loading, yaml_source
 from tacgen.recipe.sensor import LIGHTS, LitSensor, Sensor
 from tacgen.recipe.validation_messages import Problem, report
@@ -60,7 +60,7 @@ class Calibrated:
             before = sum(led.light)
             times = f"{sum(now.light) / before:.2f} times as strong" if before else "lit"
             moved = sum((a - b) ** 2 for a, b in zip(led.center_mm, now.center_mm, strict=True)) ** 0.5
-            yield f"  {led.name}: {times}, moved {moved:.2f} mm, radiance {_plain(now.radiance)}"
+            yield f"  {led.name}: {times}, moved {moved:.2f} mm, radiance {digits(now.radiance)}"
 
     def plain(self) -> dict[str, Any]:
         """For a program."""
@@ -72,12 +72,7 @@ class Calibrated:
 
     def write(self, out: Path) -> None:
         """The sensor file with the changes in it, its comments kept."""
-        changes = dict(self.changes)
-        if self.sensor.gel.solid is not None:
-            solid = assets.mesh_path(self.sensor.gel.solid.file, self.path.parent)
-            changes[loading.SOLID] = os.path.relpath(solid.resolve(), out.parent.resolve())
-        out.parent.mkdir(parents=True, exist_ok=True)
-        out.write_text(yaml_source.edited(self.path, changes), encoding="utf-8")
+        write_sensor(self.path, self.sensor, self.changes, out)
 
 
 def optics(name: str, folder: Path, asked: Asked | None = None) -> Calibrated:
@@ -123,7 +118,7 @@ def _changes(sensor: LitSensor, found: "Fitted", said: str, *, bare: bool) -> di
     now, by = found.sensor, f"fitted to {said} {BY}"
     out: dict[KeyPath, Any] = {}
     for k, (led, new) in enumerate(zip(sensor.leds, now.leds, strict=True)):
-        out["leds", k, "radiance"] = _plain(new.radiance)
+        out["leds", k, "radiance"] = digits(new.radiance)
         out["leds", k, "power"] = None
         if new.center_mm != led.center_mm:
             out["leds", k, "center_mm"] = [round(v, 3) for v in new.center_mm]
@@ -133,7 +128,7 @@ def _changes(sensor: LitSensor, found: "Fitted", said: str, *, bare: bool) -> di
     for part, keys in (("coating", ("specular", "roughness")), ("camera", ("ambient", "vignette_mm", "crop_mm"))):
         before, after = getattr(sensor, part), getattr(now, part)
         new_keys = [key for key in keys if getattr(after, key) != getattr(before, key)]
-        out |= {(part, key): _plain(getattr(after, key)) for key in new_keys}
+        out |= {(part, key): digits(getattr(after, key)) for key in new_keys}
         if new_keys:
             names = ", ".join(key.removesuffix("_mm") for key in new_keys)
             own = (
@@ -143,17 +138,10 @@ def _changes(sensor: LitSensor, found: "Fitted", said: str, *, bare: bool) -> di
     if now.thickness_response is not None and now.thickness_response != sensor.thickness_response:
         table = now.thickness_response
         out["thickness_response",] = {
-            "change_mm": _plain(table.change_mm),
-            "gain": [_plain(row) for row in table.gain],
+            "change_mm": digits(table.change_mm),
+            "gain": [digits(row) for row in table.gain],
             "source": f"{by}: what the unit shows beyond light transport, of unknown cause",
         }
     if bare and sensor.markers is not None:
         out["markers",] = None
     return out
-
-
-def _plain(value: Any) -> Any:
-    """Numbers with four digits, as a person would write them."""
-    if isinstance(value, tuple):
-        return [_plain(v) for v in value]
-    return float(f"{value:.4g}")

@@ -1,13 +1,12 @@
 """A folder of photographs of one's own unit: it untouched, and balls pressed into it, each a row of presses.csv."""
 
-import csv
 import math
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from tacgen import regular_file
+from tacgen.calibrate import csv_table
 from tacgen.errors import UserError
 from tacgen.recipe import background_photo
 from tacgen.recipe.sensor import Camera
@@ -15,7 +14,6 @@ from tacgen.recipe.sensor import Camera
 Array = np.ndarray
 UNTOUCHED = ("background.png", "background.jpg", "background.jpeg", "background.bmp")
 TABLE = "presses.csv"
-LARGEST = 10_000_000  # bytes of the table
 NEEDED = ("file", "ball_radius_mm", "x_px", "y_px")
 EITHER = ("contact_radius_px", "depth_mm")
 SATURATED, DARK = 254, 5  # counts of 8 bit
@@ -53,7 +51,8 @@ def read(folder: Path, camera: Camera) -> Photos:
         wrong.append(f"{folder}: holds no background.png, the photograph of the untouched sensor")
     untouched = np.zeros(0) if found is None else _picture(found, camera, wrong)
     presses = []
-    for line, row in _rows(folder / TABLE, wrong):
+    table = folder / TABLE
+    for line, row in csv_table.rows(table, NEEDED, EITHER, wrong) if table.is_file() else ():
         press = _press(folder, line, row, camera, wrong)
         presses += [press] if press else []
     if wrong:
@@ -82,28 +81,6 @@ def _picture(path: Path, camera: Camera, wrong: list[str]) -> Array:
     return picture
 
 
-def _rows(table: Path, wrong: list[str]) -> list[tuple[int, dict[str, str]]]:
-    """The table's rows with their lines in it; none where there is no table."""
-    if not table.is_file():
-        return []
-    try:
-        text = regular_file.read_bytes(table, LARGEST).decode("utf-8-sig")
-        reader = csv.DictReader(text.splitlines(), strict=True)
-        header = [name.strip() for name in reader.fieldnames or ()]
-        reader.fieldnames = header
-        rows = [(reader.line_num, row) for row in reader]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        wrong.append(f"{table}: is no table of comma-separated values: {error}")
-        return []
-    missing = [name for name in NEEDED if name not in header]
-    if not any(name in header for name in EITHER):
-        missing.append(" or ".join(EITHER))
-    if missing:
-        wrong.append(f"{table}: has no column {', '.join(missing)} (its header: {','.join(header)})")
-        return []
-    return rows
-
-
 def _press(folder: Path, line: int, row: dict[str, str], camera: Camera, wrong: list[str]) -> Press | None:
     """One row, if nothing is wrong with it."""
     said = f"{folder / TABLE}:{line}"
@@ -117,11 +94,8 @@ def _press(folder: Path, line: int, row: dict[str, str], camera: Camera, wrong: 
         text = (row.get(column) or "").strip()
         if not text and column in EITHER:
             continue
-        try:
-            number[column] = float(text)
-        except ValueError:
-            number[column] = math.nan
-        if not math.isfinite(number[column]) or (number[column] <= 0 and column not in ("x_px", "y_px")):
+        number[column] = csv_table.number(text)
+        if math.isnan(number[column]) or (number[column] <= 0 and column not in ("x_px", "y_px")):
             wrong.append(f"{said}: {column}: must be a number{_positive(column)} (got {text!r})")
     if sum(column in number for column in EITHER) != 1:
         wrong.append(f"{said}: must hold exactly one of {', '.join(EITHER)}")

@@ -1,0 +1,200 @@
+"""Modulus, zero of depth, a second parameter and relaxation from measured forces, with confidence intervals.
+
+    F(t) = m [C(d + z; p) + sum_i beta_i H_i],    dH_i/dt + H_i/tau_i = dC/dt,    beta_i = g_i/(1 - sum_j g_j)
+
+C is the force that the sensor file's gel gives when pressed infinitely slowly. Forces are proportional to the moduli of
+all layers together, so m needs no other solve. H_i is quasi-linear viscoelasticity (Fung 1972): the contact is taken
+to grow as it would in the elastic gel.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.special import exprel
+from scipy.stats import t as student
+
+from tacgen.calibrate.press_forces import MARGIN, Curves, Measured
+
+Array = np.ndarray
+LEVEL = 0.95  # of the confidence intervals
+FLOOR = 0.05  # of the largest force: smaller ones are off by parts of this, not of themselves
+EVEN = (0.01, 0.03, 0.1, 0.3, 1.0, 10.0)  # of the largest force: errors that all forces have, over their own in parts
+USUAL = 0.1  # the same where rows are too few to tell
+ROUNDS = 3  # of fits, each with errors in proportion to the forces of the one before
+PIECES = 8  # of the way between two rows, in each of which the elastic force goes at an even pace
+MOST_RELAXED = 0.95  # of the instantaneous modulus, by all terms
+MOST_FACTOR = 1e3  # of the moduli, up or down
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A parameter with the interval that holds it with a probability of LEVEL."""
+
+    name: str
+    value: float
+    low: float
+    high: float
+    bound: bool = False  # it stands at the end of its range, and has no interval
+
+
+@dataclass(frozen=True)
+class MaterialFit:
+    """Estimates, their correlation (k, k), and the fitted forces (n,) [N] beside the measured ones."""
+
+    estimates: tuple[Estimate, ...]
+    correlation: Array
+    force: Array
+    measured: Measured
+
+    def __getitem__(self, name: str) -> float:
+        return next(estimate.value for estimate in self.estimates if estimate.name == name)
+
+    @property
+    def off(self) -> Array:
+        """Fitted over measured force, less 1 (n,); of forces below FLOOR of the largest, over that instead."""
+        measured = self.measured.force
+        return np.asarray((self.force - measured) / np.maximum(np.abs(measured), FLOOR * measured.max()))
+
+    @property
+    def worst(self) -> float:
+        """The largest of `off`."""
+        return float(np.abs(self.off).max())
+
+
+@dataclass(frozen=True)
+class _Unknown:
+    """A number that the fit looks for, and how it is shown."""
+
+    name: str
+    start: float
+    low: float
+    high: float
+    shown: Callable[[float], float] = float
+
+
+def fit(
+    curves: Curves, measured: Measured, *, zero: bool = True, value: float | None = None, terms: int = 0
+) -> MaterialFit:
+    """Least squares, weighted by errors that are in part the same for all forces and in part in proportion to each.
+
+    Args:
+        zero: look for the zero of depth: first touch lies that much [mm] above where the table has it.
+        value: of the second parameter, or None to look for it; without meaning where the curves have none.
+        terms: of a Prony series; the table then has times.
+
+    Raises ValueError: fewer rows than numbers to find, and one more.
+    """
+    margin = MARGIN * float(measured.depth.max())
+    unknowns = [_Unknown("modulus", 0.0, -np.log(MOST_FACTOR), np.log(MOST_FACTOR), np.exp)]
+    if zero:
+        unknowns.append(_Unknown("zero", 0.0, -margin, margin))
+    if curves.values is not None and value is None:
+        low, high = float(curves.values[0]), float(curves.values[-1])
+        unknowns.append(_Unknown("second", (low + high) / 2, low, high))
+    if terms:
+        assert measured.time is not None
+        steps = np.diff(measured.time, prepend=0.0)
+        shortest, longest = float(steps[steps > 0].min()), float(measured.time[-1])
+        for i, tau in enumerate(np.geomspace(shortest, longest, terms + 2)[1:-1], 1):
+            unknowns.append(_Unknown(f"g{i}", 0.1 / terms, 0.0, MOST_RELAXED / terms))
+            unknowns.append(_Unknown(f"tau{i}", np.log(tau), np.log(shortest / 3), np.log(3 * longest), np.exp))
+    if len(measured.depth) <= len(unknowns):
+        raise ValueError(f"{len(measured.depth)} rows are too few to find {len(unknowns)} numbers and their bounds")
+    names = [unknown.name for unknown in unknowns]
+
+    def force(v: Array) -> Array:
+        at = dict(zip(names, v, strict=True))
+        second = at.get("second", value if value is not None else 0.0)
+        series = [(at[f"g{i}"], np.exp(at[f"tau{i}"])) for i in range(1, terms + 1)]
+        return np.asarray(np.exp(at["modulus"]) * relaxing(curves, measured, at.get("zero", 0.0), second, series))
+
+    start, low, high = np.array([[u.start, u.low, u.high] for u in unknowns]).T
+    start[0] = np.log(_factor(force(start), measured.force))
+    spare = len(measured.force) - len(unknowns)
+    choices = EVEN if spare > len(EVEN) else (USUAL,)
+    tried = [_weighted(force, measured.force, (start, low, high), even) for even in choices]
+    best = min(tried, key=lambda one: one.unlikely)
+    free = best.covariance.diagonal() > 0
+    covariance = _averaged(best, tried)[np.ix_(free, free)]
+    half = np.zeros(len(unknowns))
+    half[free] = student.ppf((1 + LEVEL) / 2, spare - (len(choices) > 1)) * np.sqrt(np.diag(covariance))
+    estimates = tuple(
+        Estimate(u.name, float(u.shown(x)), float(u.shown(x - h)), float(u.shown(x + h)), not inside)
+        for u, x, h, inside in zip(unknowns, best.at, half, free, strict=True)
+    )
+    correlation = np.eye(len(unknowns))  # of one that stands at its end none is known
+    correlation[np.ix_(free, free)] = covariance / np.sqrt(np.outer(np.diag(covariance), np.diag(covariance)))
+    return MaterialFit(estimates, correlation, force(best.at), measured)
+
+
+def relaxing(
+    curves: Curves, measured: Measured, zero: float, second: float, series: list[tuple[float, float]]
+) -> Array:
+    """F/m (n,) [N] at the rows of a table, with g and tau [s] of each term; between rows the depth goes at an even
+    pace, from first touch at 0 s on."""
+    if not series:
+        return curves.force(measured.depth + zero, second)
+    assert measured.time is not None
+    parts = np.linspace(0, 1, PIECES + 1)[1:]
+
+    def between(rows: Array, first: float) -> Array:
+        before = np.concatenate([[first], rows[:-1]])
+        return np.asarray((before[:, None] + (rows - before)[:, None] * parts).ravel())
+
+    elastic = curves.force(between(measured.depth, -zero) + zero, second)
+    r = np.diff(between(measured.time, 0.0), prepend=0.0)[:, None] / np.array([tau for _, tau in series])
+    decay, fresh = np.exp(-r), exprel(-r) * np.diff(elastic, prepend=0.0)[:, None]
+    memory = np.zeros_like(fresh)
+    H = np.zeros(len(series))
+    for k in range(len(memory)):
+        H = memory[k] = decay[k] * H + fresh[k]
+    g = np.array([share for share, _ in series])
+    return np.asarray((elastic + memory @ (g / (1 - g.sum())))[PIECES - 1 :: PIECES])
+
+
+@dataclass(frozen=True)
+class _Weighted:
+    """A fit under one law of errors: unknowns (k,), covariance (k, k), 0 for those at their ends, and minus the
+    logarithm of the restricted likelihood (Patterson & Thompson 1971)."""
+
+    at: Array
+    covariance: Array
+    unlikely: float
+
+
+def _weighted(
+    force: Callable[[Array], Array], wanted: Array, ranges: tuple[Array, Array, Array], even: float
+) -> _Weighted:
+    """The fit where errors are so much of the largest force and as much again of each. `ranges`: start, least and most
+    of each unknown."""
+    (start, low, high), at = ranges, wanted
+    for _ in range(ROUNDS):
+        error = np.hypot(even * wanted.max(), at)
+        found = least_squares(partial(_residual, force, wanted, error), start, bounds=(low, high), xtol=1e-12)
+        start, at = np.clip(found.x, low + 1e-9, high - 1e-9), force(found.x)
+    free = found.active_mask == 0
+    inverse, spare = np.linalg.pinv(found.jac[:, free].T @ found.jac[:, free]), len(wanted) - len(start)
+    covariance = np.zeros((len(start),) * 2)
+    covariance[np.ix_(free, free)] = inverse * 2 * found.cost / spare
+    unlikely = spare * np.log(found.cost + 1e-300) / 2 + np.log(error).sum() - np.linalg.slogdet(inverse)[1] / 2
+    return _Weighted(found.x, covariance, float(unlikely))
+
+
+def _averaged(best: _Weighted, tried: list[_Weighted]) -> Array:
+    """Covariance (k, k) about the best fit, under all laws of errors by how likely each is."""
+    likely = np.exp([best.unlikely - one.unlikely for one in tried])
+    apart = [one.covariance + np.outer(one.at - best.at, one.at - best.at) for one in tried]
+    return np.asarray(np.tensordot(likely / likely.sum(), apart, 1))
+
+
+def _residual(force: Callable[[Array], Array], wanted: Array, error: Array, v: Array) -> Array:
+    return np.asarray((force(v) - wanted) / error)
+
+
+def _factor(model: Array, wanted: Array) -> float:
+    """The modulus that fits best where it is the only unknown, within its range."""
+    best = float(model @ wanted) / float(model @ model)
+    return float(np.clip(best, 2 / MOST_FACTOR, MOST_FACTOR / 2))

@@ -1,0 +1,188 @@
+"""Measured forces of presses -> a sensor file with the moduli of its gel."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tacgen.calibrate.result import digits, write_sensor
+from tacgen.errors import UserError
+from tacgen.recipe import assets, plan
+from tacgen.recipe.sensor import IsochoricLayer
+from tacgen.recipe.yaml_source import KeyPath, at, format_path, parse_path
+from tacgen.report.wording import counted
+
+if TYPE_CHECKING:
+    from tacgen.calibrate.fit_material import MaterialFit
+
+CORRELATED = 0.5  # correlations that are told
+ROWS = 12  # of the table that are shown
+VALUES = 5  # of the second parameter that curves are solved for
+BY = "by tacgen calibrate material"
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What is looked for beside the modulus."""
+
+    zero: bool = True  # of the depth
+    second: str = ""  # PATH=LOW:HIGH, a number of the recipe, or under `sensor.` of the sensor file
+    terms: int = 0  # of a Prony series
+
+
+@dataclass(frozen=True)
+class Material:
+    """A fit, simpler ones beside it, and what it changes of the sensor file."""
+
+    row: plan.Row
+    path: Path  # of the sensor file
+    asked: Asked
+    fitted: "MaterialFit"
+    simpler: "dict[str, MaterialFit]"
+
+    @property
+    def second(self) -> str:
+        """The path of the second parameter, or nothing."""
+        return self.asked.second.partition("=")[0].strip()
+
+    def lines(self) -> Iterator[str]:
+        """For a person."""
+        measured, worst = self.fitted.measured, 100 * self.fitted.worst
+        count, deepest = counted(len(measured.depth), "force"), f"{measured.depth.max():g} mm"
+        yield f"{self.row.sensor.name}: fitted to {count} down to {deepest} ({measured.name})"
+        for e in self.fitted.estimates:
+            name, unit = self._named(e.name)
+            reach = "at the end of its range" if e.bound else f"95 %: {e.low:.4g} to {e.high:.4g}"
+            yield f"  {name}: {e.value:.4g}{unit} ({reach})"
+        names = [self._named(e.name)[0] for e in self.fitted.estimates]
+        for (i, first), (j, other) in combinations(enumerate(names), 2):
+            if abs(r := self.fitted.correlation[i, j]) >= CORRELATED:
+                yield f"  correlation of {first} and {other}: {r:.2f}"
+        yield f"forces are off by {worst:.1f} % at most:"
+        rows = list(zip(measured.depth, measured.force, self.fitted.force, self.fitted.off, strict=True))
+        for depth, force, model, off in rows[:: -(-len(rows) // ROWS)]:
+            yield f"  {depth:g} mm: {force:.4g} N, fitted {model:.4g} N, {100 * off:+.1f} %"
+        for name, fit in self.simpler.items():
+            yield f"{name} alone: off by {100 * fit.worst:.1f} % at most, modulus {fit['modulus']:.4g} times the file's"
+        for key, value in self.changes().items():
+            if key[-1] != "source":
+                yield f"{format_path(key)}: {value}"
+
+    def plain(self) -> dict[str, Any]:
+        """For a program."""
+        estimates = {
+            self._named(e.name)[0]: {"value": e.value, "low": e.low, "high": e.high, "bound": e.bound}
+            for e in self.fitted.estimates
+        }
+        return {
+            "sensor": self.row.sensor.name, "estimates": estimates, "force_n": self.fitted.force.tolist(),
+            "off": self.fitted.off.tolist(), "correlation": self.fitted.correlation.tolist(),
+            "simpler": {name: {"modulus": fit["modulus"], "worst": fit.worst} for name, fit in self.simpler.items()},
+            "changes": {format_path(path): value for path, value in self.changes().items()},
+        }  # fmt: skip
+
+    def write(self, out: Path) -> None:
+        """The sensor file with its moduli and their source, its comments kept."""
+        write_sensor(self.path, self.row.sensor, self.changes(), out)
+
+    def draw(self, out: Path) -> None:
+        """Forces and residuals, as a picture."""
+        from tacgen.report import fit_figure
+
+        fitted = self.fitted
+        fit_figure.draw(fitted.measured.depth, fitted.measured.force, fitted.force, fitted.off, out)
+
+    def changes(self) -> dict[KeyPath, Any]:
+        """What of the sensor file is another now, by path."""
+        out: dict[KeyPath, Any] = {}
+        if self.second.startswith("sensor."):
+            out[parse_path(self.second)[1:]] = digits(self.fitted["second"])
+        factor = next(e for e in self.fitted.estimates if e.name == "modulus")
+        count = sum(e.name.startswith("tau") for e in self.fitted.estimates)
+        found = [(digits(self.fitted[f"g{i}"]), digits(self.fitted[f"tau{i}"])) for i in range(1, count + 1)]
+        series = [{"g": g, "tau_s": tau} for g, tau in found]
+        shape = self.row.recipe.indenter.shape
+        for k, layer in enumerate(self.row.sensor.gel.layers):
+            here: KeyPath = ("gel", "layers", k)
+            for key in type(layer).model_fields:
+                if key.endswith("_mpa") and getattr(layer, key) is not None:
+                    value = out.get((*here, key), getattr(layer, key))
+                    out[*here, key] = digits(factor.value * value)
+            if series and isinstance(layer, IsochoricLayer):
+                out[*here, "prony"] = series
+            reach = f"{factor.low:.3g} to {factor.high:.3g} with 95 %"
+            out[*here, "source"] = (
+                f"{layer.source}; moduli times {factor.value:.4g} ({reach}), fitted to measured forces of a {shape}"
+                f" ({self.fitted.measured.name}) {BY}"
+            )
+        return out
+
+    def _named(self, name: str) -> tuple[str, str]:
+        """A parameter as a person calls it, and what stands after its value."""
+        plain = {"modulus": ("modulus", " times the file's"), "zero": ("zero", " mm: first touch is above the table's")}
+        return plain.get(name) or ((self.second, "") if name == "second" else (name, " s" if name[0] == "t" else ""))
+
+
+def material(sensor: str, recipe: str, table: Path, asked: Asked | None = None) -> Material:
+    """Fit the moduli of a sensor file to the forces in a table; indenter, friction and mesh are those of a recipe.
+
+    Raises:
+        UserError: what cannot be read or used, or a press that the gel cannot be solved in.
+    """
+    import numpy as np
+
+    from tacgen.calibrate import fit_material, press_forces
+
+    asked, measured, path = asked or Asked(), press_forces.read(table), assets.sensor_path(sensor)
+    sets = (f"sensor={path.resolve()}",)
+    rows = plan.load(assets.recipe_path(recipe), sets).rows
+    if len(rows) != 1:
+        raise UserError(f"{recipe}: vary: gives {len(rows)} scenes, and a fit takes the indenter of one")
+    if rows[0].recipe.sensor_overrides:
+        raise UserError(f"{recipe}: sensor_overrides: would be lost in the sensor file: make one with them first")
+    if asked.terms and measured.time is None:
+        raise UserError(f"{table}: has no column time_s, without which nothing relaxes")
+    depths = press_forces.depths_for(float(measured.depth.max()))
+    if asked.second:
+        name, values, now = _range(asked.second, rows[0])
+        varied = [plan.load(assets.recipe_path(recipe), (*sets, f"{name}={value!r}")).rows[0] for value in values]
+        forces = np.array([press_forces.solved(row, depths) for row in varied])
+        curves = press_forces.Curves(depths, forces, np.array(values))
+    else:
+        name, now = "", None
+        curves = press_forces.Curves(depths, press_forces.solved(rows[0], depths)[None])
+    simpler = {}
+    try:
+        fitted = fit_material.fit(curves, measured, zero=asked.zero, terms=asked.terms)
+        if asked.zero and (name or asked.terms):
+            simpler["modulus and zero"] = fit_material.fit(curves, measured, value=now)
+        if name and (asked.zero or asked.terms):
+            simpler[f"modulus and {name}"] = fit_material.fit(curves, measured, zero=False)
+        if asked.zero or name or asked.terms:
+            simpler["modulus"] = fit_material.fit(curves, measured, zero=False, value=now)
+    except ValueError as error:
+        raise UserError(f"{table}: {error}") from None
+    return Material(rows[0], path, asked, fitted, simpler)
+
+
+def _range(text: str, row: plan.Row) -> tuple[str, list[float], float]:
+    """`PATH=LOW:HIGH` -> the path, values over the range, and what the files have there."""
+    name, equals, ends = text.partition("=")
+    low, colon, high = ends.partition(":")
+    try:
+        path = parse_path(name.strip())
+        first, last = float(low), float(high)
+        if not (equals and colon and first < last):
+            raise ValueError
+    except ValueError:
+        raise UserError(
+            f"--second {text}: must be PATH=LOW:HIGH, such as contact.friction=0:0.5 or"
+            " sensor.gel.layers[0].poissons_ratio=0.45:0.499"
+        ) from None
+    now = at(row.sensor_document(), path[1:]) if path[0] == "sensor" else at(row.document(), path)
+    if not isinstance(now, int | float):
+        raise UserError(f"--second {text}: {name} is no number of the recipe or the sensor file")
+    if not first <= now <= last:
+        raise UserError(f"--second {text}: {name} is {now:g}, which the range must hold")
+    return name.strip(), [first + (last - first) * k / (VALUES - 1) for k in range(VALUES)], float(now)

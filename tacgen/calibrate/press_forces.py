@@ -1,0 +1,99 @@
+"""Forces of presses: as measured, and as the gel of a sensor file gives them."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.interpolate import CubicSpline, PchipInterpolator
+
+from tacgen import solve
+from tacgen.calibrate import csv_table
+from tacgen.errors import UserError
+from tacgen.recipe.plan import Row
+from tacgen.recipe.trajectory import Press, Segment
+from tacgen.scene import mesh, scene
+from tacgen.solve import foresee
+
+Array = np.ndarray
+LEAST = 3  # rows of a table
+NODES = 12  # depths at which a curve is solved
+MARGIN = 0.1  # of the largest depth: how far first touch may be from where a table has it
+POWER = 2 / 3  # of the force: nearly straight against the depth, as Hertz's is
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Rows of a table, in its order: depth (n,) [mm], force (n,) [N], time (n,) [s] or None."""
+
+    name: str
+    depth: Array
+    force: Array
+    time: Array | None = None
+
+
+def read(table: Path) -> Measured:
+    """A table with the columns depth_mm, force_n and, where time counts, time_s from first touch on.
+
+    Raises UserError: what is wrong with it, a line each.
+    """
+    wrong: list[str] = []
+    found: dict[str, list[float]] = {"depth_mm": [], "force_n": [], "time_s": []}
+    for line, row in csv_table.rows(table, ("depth_mm", "force_n"), (), wrong):
+        for name in found if "time_s" in row else ("depth_mm", "force_n"):
+            value = csv_table.number(row[name])
+            if np.isnan(value):
+                wrong.append(f"{table}:{line}: {name}: must be a number (got {row[name]!r})")
+            elif name == "time_s" and found[name] and not value > found[name][-1]:
+                wrong.append(f"{table}:{line}: time_s: must rise (got {value:g} after {found[name][-1]:g})")
+            elif name == "time_s" and value < 0:
+                wrong.append(f"{table}:{line}: time_s: must be at least 0, first touch (got {value:g})")
+            found[name].append(value)
+    depth, force = np.array(found["depth_mm"]), np.array(found["force_n"])
+    if not wrong and len(depth) < LEAST:
+        wrong.append(f"{table}: has {len(depth)} rows, and a fit takes {LEAST} at least")
+    elif not wrong and not (depth.max() > 0 and force.max() > 0):
+        wrong.append(f"{table}: holds no press: depths and forces count positive into the gel")
+    if wrong:
+        raise UserError(wrong)
+    return Measured(table.name, depth, force, np.array(found["time_s"]) if found["time_s"] else None)
+
+
+def solved(row: Row, depths: Array) -> Array:
+    """Normal force (n,) [N] of a recipe's indenter at rising depths (n,) [mm], as if it moved infinitely slowly.
+
+    Of the recipe count all but its movements. Raises UserError: a depth that the gel cannot be solved at.
+    """
+    presses = tuple(Segment(press=Press(depth_mm=float(depth), frames=1)) for depth in depths)
+    recipe = row.recipe.model_copy(update={"trajectory": presses, "dynamics": None})
+    built = foresee.foreseen(scene.build(replace(row, recipe=recipe)))
+    problem = solve.Problem.of(built, mesh.of(built))
+    forces: list[float] = []
+    try:
+        forces.extend(solve.normal_force(state) for state in solve.states(built, problem))
+    except solve.NotConverged as error:
+        raise UserError(f"{row.recipe.name}: at a depth of {depths[len(forces)]:.3g} mm: {error}") from None
+    return np.array(forces)
+
+
+def depths_for(largest: float) -> Array:
+    """Depths (NODES,) [mm] at which a curve is solved for a table as deep as `largest`."""
+    return np.linspace(0, (1 + MARGIN) * largest, NODES + 1)[1:]
+
+
+class Curves:
+    """Force over depth for a few values of a second parameter, or for none."""
+
+    def __init__(self, depth: Array, force: Array, values: Array | None = None) -> None:
+        """depth (n,) [mm] rising from above 0; force (k, n) [N]; values (k,) rising, None where k is 1."""
+        self.deepest, self.values = float(depth[-1]), values
+        rooted = np.concatenate([np.zeros((len(force), 1)), np.maximum(force, 0) ** POWER], axis=1)
+        self._over = CubicSpline(np.concatenate([[0.0], depth]), rooted, axis=1)
+
+    def force(self, depth: Array, value: float = 0.0) -> Array:
+        """(n,) [N] at depths (n,) [mm], 0 above the gel."""
+        rooted = self._over(np.clip(depth, 0, self.deepest))
+        if self.values is not None:
+            rooted = PchipInterpolator(self.values, rooted)(value)
+        else:
+            (rooted,) = rooted
+        return np.asarray(np.maximum(rooted, 0) ** (1 / POWER))
