@@ -1,6 +1,8 @@
 """The dataset card, README.md in a dataset's folder: what it is, how much, what it cost, whose it is."""
 
 import hashlib
+import json
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -22,7 +24,8 @@ def write(folder: Path) -> Path:
 
 def text(seen: Overview) -> str:
     """The card in Markdown."""
-    parts = [_what(seen), _varied(seen), _cost(seen), _missing(seen), _contents(seen), _licence(seen), _again(seen)]
+    parts = [_what(seen), _varied(seen), _cost(seen), _missing(seen), _contents(seen)]
+    parts += [_splits(seen), _limits(seen), _licence(seen), _again(seen)]
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
@@ -68,6 +71,23 @@ def _contents(seen: Overview) -> str:
     rows = [(f"`{path}`", shape) for path, shape in seen.datasets.items() if not path.startswith("/frames/quality/")]
     note = "Units mm, N, MPa, s; sensor frame: x right and y down in the image, z out of the gel."
     return f"## What a scene holds\n\n{note}\n\n" + _table(("dataset", "shape"), rows) if rows else ""
+
+
+def _splits(seen: Overview) -> str:
+    if len(seen.bundles) < 2:
+        return ""
+    return (
+        "## Splits\n\nFrames of one scene are alike: divide scenes, not frames. `tacgen.torch.TactileDataset(folder, "
+        'split="train")`, `"val"` and `"test"` hold 80, 10 and 10 % of the scenes, by their inputs and a seed: the '
+        "same ones on every machine."
+    )
+
+
+def _limits(seen: Overview) -> str:
+    notes = Counter(note for bundle in seen.bundles for note in json.loads(bundle.attrs.get("notes", "[]")))
+    rows = [(str(n), note) for note, n in notes.most_common(MAX_REASONS)]
+    about = "Simulated: `docs/LIMITS.md` of tacgen says what is known to be off."
+    return f"## Known limits\n\n{about}" + ("\n\n" + _table(("scenes", "note"), rows) if rows else "")
 
 
 def _licence(seen: Overview) -> str:

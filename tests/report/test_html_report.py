@@ -107,10 +107,19 @@ def test_the_card_says_how_many_what_it_cost_and_whose_it_is(folder: Path):
     assert "| scene-00003 | failed | this cannot be made |" in text
     assert "| `start.x_mm` |" in text
     assert "claim no rights" in text
+    assert "## Splits" in text
+    assert "## Known limits" in text
     again = re.search(r"`([0-9a-f]{64})`", text)
     assert again
     write(folder.parent / "other" / "scene-00000.h5")
     assert again.group(1) not in dataset_card.text(dataset_summary.look(folder.parent / "other"))
+
+
+def test_the_card_counts_what_scenes_say_of_themselves(tmp_path: Path):
+    for i in range(3):
+        write(tmp_path / f"scene-{i:05d}.h5", outputs=frozenset({"force"}), notes=["a | sharp edge"] if i else [])
+    text = dataset_card.text(dataset_summary.look(tmp_path))
+    assert "| 2 | a \\| sharp edge |" in text
 
 
 def test_an_object_brings_its_licence(tmp_path: Path):
