@@ -9,10 +9,18 @@ its own are passed to `tacgen run`, such as `--set quality=draft`. Without Dask,
 """
 
 import argparse
+import shlex
 import subprocess
 import sys
 
 from dask_jobqueue import SLURMCluster
+
+
+def word(text: str) -> str:
+    """A value that the job script, a shell's, takes as one word."""
+    if not text.isprintable():
+        raise argparse.ArgumentTypeError("must be one line")
+    return shlex.quote(text)
 
 
 def main() -> int:
@@ -21,11 +29,11 @@ def main() -> int:
     parser.add_argument("-o", "--out", required=True, help="a folder that all nodes see")
     parser.add_argument("--jobs", type=int, default=4, help="jobs at a time, each of --cores workers")
     parser.add_argument("--cores", type=int, default=1, help="workers in a job, a core each")
-    parser.add_argument("--memory", default="4GB", help="of a job")
-    parser.add_argument("--walltime", default="01:00:00")
-    parser.add_argument("--queue", help="partition; your cluster's usual one if left out")
-    parser.add_argument("--account")
-    parser.add_argument("--interface", help="network that nodes and this machine share, such as ib0")
+    parser.add_argument("--memory", type=word, default="4GB", help="of a job")
+    parser.add_argument("--walltime", type=word, default="01:00:00")
+    parser.add_argument("--queue", type=word, help="partition; your cluster's usual one if left out")
+    parser.add_argument("--account", type=word)
+    parser.add_argument("--interface", type=word, help="network that nodes and this machine share, such as ib0")
     parser.add_argument("--dry-run", action="store_true", help="print the job script and do nothing")
     args, more = parser.parse_known_args()
     cluster = SLURMCluster(
@@ -36,6 +44,7 @@ def main() -> int:
         queue=args.queue,
         account=args.account,
         interface=args.interface,
+        python=shlex.quote(sys.executable),
     )
     if args.dry_run:
         print(cluster.job_script())

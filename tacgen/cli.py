@@ -298,11 +298,20 @@ def export(
 
 
 @app.command()
-def doctor(as_json: AsJson = False) -> None:
+def doctor(
+    warm: Annotated[
+        bool, typer.Option("--warm", help="Also compile, and prepare every sensor that ships: a minute or more.")
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
     """Try what a run needs on this machine: packages, solvers, rendering, HDF5, threads, disk."""
     from tacgen import doctor as checkup
 
     findings = checkup.examine()
+    if warm:
+        from tacgen.batch import warm as preparing
+
+        findings += [checkup.Finding(*found) for found in preparing.warm()]
     lines = [f"{'ok ' if f.ok else 'BAD' if f.needed else '-- '} {f.name:<20} {f.note}" for f in findings]
     show_result([f._asdict() for f in findings], "\n".join(lines), as_json)
     raise typer.Exit(1 if any(f.needed and not f.ok for f in findings) else 0)

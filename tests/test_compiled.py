@@ -80,3 +80,10 @@ def test_one_process_compiles_and_others_wait(tmp_path: Path, monkeypatch: pytes
     with compiled.telling(lambda: told.append(True)), compiled.once("solve"):
         pass
     assert told == [True], "nobody waits any more"
+
+
+def test_no_threads_are_one():
+    environment = {**os.environ, "NUMBA_NUM_THREADS": "0"}
+    asked = "import tacgen.pipeline, numba; print(numba.get_num_threads())"
+    done = subprocess.run([sys.executable, "-c", asked], env=environment, capture_output=True, text=True)
+    assert done.stdout == "1\n", done.stderr

@@ -62,3 +62,12 @@ def test_what_is_missing_is_a_finding_and_exit_code_1(monkeypatch: pytest.Monkey
     }
     assert not found["no-such-package"]["ok"]
     assert found["numpy"]["ok"]
+
+
+def test_it_prepares_what_first_runs_need_if_asked(monkeypatch: pytest.MonkeyPatch):
+    done = [("gelsight_mini", True, "3 s, 2 s of them compiling"), ("digit", False, "frame 1 of 1: stalled")]
+    monkeypatch.setattr("tacgen.batch.warm.warm", lambda: iter(done))
+    assert "digit" not in CliRunner().invoke(cli.app, ["doctor"]).stdout
+    told = CliRunner().invoke(cli.app, ["doctor", "--warm"])
+    assert told.exit_code == 1
+    assert "ok  gelsight_mini        3 s, 2 s of them compiling\nBAD digit " in told.stdout

@@ -7,7 +7,6 @@ import errno
 import faulthandler
 import importlib
 import os
-import signal
 import sys
 import threading
 import time
@@ -27,7 +26,6 @@ def main(link: Connection, parent: int) -> None:
     Sent: ("ready", None), ("event", dict) while a scene is made, and one outcome a job: ("done", SceneResult),
     ("busy", None), ("refused", lines), ("full", (errno, text, file)), ("error", traceback).
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the parent decides
     faulthandler.enable()
     threading.Thread(target=_exit_with_parent, args=(parent,), daemon=True).start()
     _be_killed_first()

@@ -5,7 +5,8 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing import connection
 from pathlib import Path
@@ -43,13 +44,14 @@ class Worker:
     def __init__(self, task: str) -> None:
         self.link, theirs = connection.Pipe()
         paths = [PACKAGE_PARENT, *filter(None, [os.environ.get("PYTHONPATH")])]
-        self.process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "tacgen.batch.worker_main", str(theirs.fileno()), str(os.getpid())],
-            pass_fds=[theirs.fileno()],
-            stdin=subprocess.DEVNULL,
-            stdout=2,  # what a library prints must not end up between results
-            env={**os.environ, **_threads(), "PYTHONPATH": os.pathsep.join(paths)},
-        )
+        with _without_interrupts():
+            self.process = subprocess.Popen(
+                [sys.executable, "-P", "-m", "tacgen.batch.worker_main", str(theirs.fileno()), str(os.getpid())],
+                pass_fds=[theirs.fileno()],
+                stdin=subprocess.DEVNULL,
+                stdout=2,  # what a library prints must not end up between results
+                env={**os.environ, **_threads(), "PYTHONPATH": os.pathsep.join(paths)},
+            )
         theirs.close()
         self.ready = False
         self.job: Job | None = None
@@ -96,6 +98,16 @@ class Worker:
     def _send(self, message: Any) -> None:
         with suppress(OSError):  # `listen` finds out that a process has died
             self.link.send(message)
+
+
+@contextmanager
+def _without_interrupts() -> Iterator[None]:
+    """Ctrl-C reaches the whole group; a process that is started here never gets it, even before it can say so."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _threads() -> dict[str, str]:

@@ -119,3 +119,13 @@ def test_what_a_user_can_mend_is_one_line(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(UserError, match=r"pip install 'tacgen\[dask\]'"):
         run(tmp_path / "out", engine="dask")
+
+
+def test_what_goes_into_a_job_script_is_quoted():
+    pytest.importorskip("dask_jobqueue")
+    script = [sys.executable, TESTS.parent / "scripts" / "slurm.py", "batch", "-o", "out", "--dry-run", "--queue"]
+    done = subprocess.run([*script, "a b; touch x"], capture_output=True, text=True, timeout=120)
+    assert "#SBATCH -p 'a b; touch x'\n" in done.stdout, done.stderr
+    done = subprocess.run([*script, "a\ntouch x"], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 2
+    assert "argument --queue: must be one line" in done.stderr

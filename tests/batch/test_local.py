@@ -2,6 +2,9 @@
 
 import hashlib
 import json
+import os
+import signal
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -123,6 +126,31 @@ def test_workers_use_one_thread_and_respect_the_user(monkeypatch: pytest.MonkeyP
     assert {f"{name}=1" for name in THREADS[1:]} | {"OMP_NUM_THREADS=3"} <= set(environment)
     monkeypatch.setenv("NUMBA_NUM_THREADS", "0")  # with which numba does not start
     assert worker_process._threads()["NUMBA_NUM_THREADS"] == "1"
+
+
+def test_an_interrupt_is_the_parent_s_alone_from_the_first_moment():
+    from tacgen.batch.worker_process import Worker
+
+    worker = Worker(TASK)
+    for _ in range(20):
+        os.kill(worker.process.pid, signal.SIGINT)
+        time.sleep(0.02)
+    heard = [("", None)]
+    while heard[-1][0] not in ("ready", "lost"):
+        heard += worker.listen()
+    worker.stop()
+    assert heard[-1][0] == "ready"
+
+
+def test_a_scene_with_pictures_gets_help_with_compiling(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("tacgen.batch.local.COMPILE", "helpers.scenes:help_compiling")
+    monkeypatch.setattr("tacgen.batch.local.cores", lambda: 2)
+    (row,) = make_plan(tmp_path, 1, outputs="[rgb]").rows
+    with Pool(task="helpers.scenes:compiling") as pool:
+        (result,) = pool.run([row], tmp_path)
+        assert pool.compiler is not None
+    assert result.status == "ok"
+    assert (tmp_path / "helped").read_text() == row.name
 
 
 def test_a_larger_plan_keeps_what_is_there_and_another_recipe_is_refused(tmp_path: Path):

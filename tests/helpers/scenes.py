@@ -27,10 +27,10 @@ vary: {method: random, samples: 8, over: {start.x_mm: {uniform: [-3, 3]}}}
 """
 
 
-def make_plan(folder: Path, samples: int = 8, shard: tuple[int, int] = (0, 1)) -> plan.Plan:
+def make_plan(folder: Path, samples: int = 8, shard: tuple[int, int] = (0, 1), outputs: str = "[force]") -> plan.Plan:
     path = folder / "many.yaml"
     path.write_text(RECIPE)
-    return plan.load(path, [f"vary.samples={samples}"], shard)
+    return plan.load(path, [f"vary.samples={samples}", f"outputs={outputs}"], shard)
 
 
 def spoil(folder: Path, scene: str, words: str) -> None:
@@ -47,6 +47,19 @@ def made(folder: Path) -> list[str]:
 def make(row: plan.Row, folder: Path, *, overwrite: bool = False, on_event: Any = None) -> resume.SceneResult:
     """In the place of pipeline.run_scene."""
     return resume.once(row, folder, lambda path: _make(row, path, on_event), overwrite=overwrite)
+
+
+def compiling(row: plan.Row, folder: Path, *, overwrite: bool = False, on_event: Any = None) -> resume.SceneResult:
+    """A scene that compiles first, and goes on when its help has done its part."""
+    on_event({"event": "compiling", "scene": row.name})
+    while not (folder / "helped").exists():
+        time.sleep(0.02)
+    return make(row, folder, overwrite=overwrite, on_event=on_event)
+
+
+def help_compiling(row: plan.Row, folder: Path, *, overwrite: bool = False, on_event: Any = None) -> None:
+    """In the place of pipeline.compile_pictures."""
+    (folder / "helped").write_text(row.name)
 
 
 def _make(row: plan.Row, path: Path, on_event: Any) -> resume.SceneResult:

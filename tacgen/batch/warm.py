@@ -1,0 +1,30 @@
+"""All that a first run compiles and prepares, done for every sensor that ships: the next runs start at once."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from tacgen.batch.local import Pool
+from tacgen.batch.worker_process import cores
+from tacgen.recipe import assets, plan
+from tacgen.recipe.plan import Row
+
+TOUCH = "trajectory=[{press: {depth_mm: 0.2, frames: 1}}]"
+PLAIN = "force, traction, force_map, height, normals, gap, flow, material, rgb, stress"
+
+
+def warm() -> Iterator[tuple[str, bool, str]]:
+    """A ball on each sensor with everything asked for: the sensor's name, whether that went well, and what it took."""
+    with TemporaryDirectory() as folder, Pool(min(2, cores())) as pool:
+        for sensor in assets.list_sensors():
+            (result,) = pool.run([_touched(sensor)], Path(folder) / sensor)
+            seconds = sum(result.seconds.values())
+            took = f"{seconds:.0f} s, {result.seconds.get('compile', 0.0):.0f} s of them compiling"
+            yield sensor, result.status == "ok", result.reason or took
+
+
+def _touched(sensor: str) -> Row:
+    recipe = assets.recipe_path("quickstart")
+    (row,) = plan.load(recipe, [f"sensor={sensor}", "outputs=[force]", TOUCH]).rows
+    outputs = PLAIN if row.sensor.markers is None else f"{PLAIN}, markers"
+    return plan.load(recipe, [f"sensor={sensor}", f"outputs=[{outputs}]", TOUCH]).rows[0]
