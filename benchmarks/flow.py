@@ -11,6 +11,7 @@ import numpy as np
 from tacgen.calibrate import press_faces
 from tacgen.optics import coating
 from tacgen.optics.camera import Camera
+from tacgen.optics.drawn_face import DrawnFace
 from tacgen.optics.material_flow import Flow, Points
 from tacgen.optics.surface_grid import Sheet, Surface
 from tacgen.recipe import assets, loading, plan
@@ -54,8 +55,9 @@ def measure(sensor: LitSensor, untouched: Surface, moved: Surface, variant: str,
         dots = coating.centers(sensor.markers)
     else:
         dots = np.stack(np.meshgrid(np.arange(-7.0, 8.0), np.arange(-6.0, 7.0)), -1).reshape(-1, 2)
-    pixels, seen = Points(dots, own, untouched, camera).at(moved)
-    flow = Flow(own, untouched, camera).at(moved)
+    face = DrawnFace(own, moved, camera)
+    pixels, seen = Points(dots, untouched, camera).at(face)
+    flow = Flow(DrawnFace(own, untouched, camera)).at(face)
     h, w = camera.shape
     at = np.stack(np.meshgrid(np.arange(w) + 0.5, np.arange(h) + 0.5), -1)
     off = [_off(after, pixels[seen], dots[seen]), _off(after, (at + flow).reshape(-1, 2), before.reshape(-1, 2))]

@@ -14,8 +14,6 @@ from tacgen.labels import contact_maps, gel_surface
 from tacgen.labels.stress import Stresses
 from tacgen.optics.camera import Camera
 from tacgen.optics.coating import centers
-from tacgen.optics.material_flow import Points
-from tacgen.optics.surface_grid import Sheet
 from tacgen.recipe import assets, plan
 from tacgen.recipe.sensor import Markers
 from tacgen.scene import mesh, scene
@@ -140,12 +138,12 @@ def answer(
     coated = gel_surface.Surface(problem.mesh.points, problem.mesh.facets["coated"])
     seen = gel_surface.seen(problem.mesh, len(row.sensor.gel.clear_layers))
     found = contact_maps.maps(problem, coated.moved(last.x), last, camera)
-    dots = Points(centers(DOTS), Sheet.over(row.sensor.gel, 0.1), seen, camera)
+    dots = camera.project(seen.moved(last.x).at(centers(DOTS)))
     return Answer(
         np.array([state.traction_force.sum((0, 1)) for state in states]),
         np.nan_to_num(found.pressure),
         _probed(made.gel, problem, last),
-        dots.at(seen.moved(last.x))[0],
+        dots,
         float(found.area[found.contact].sum()),
         len(problem.mesh.points),
         ready - started,

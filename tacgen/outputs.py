@@ -29,14 +29,43 @@ if TYPE_CHECKING:
 
 Array = np.ndarray
 Datasets = dict[str, Any]  # by their paths in the bundle
+SHEET_MARGIN = 1.0  # [mm] by which a sheet is larger than its first face asks
+OUTWARD = np.array([-1, 1, -1, 1])
 SHEET_SPACING = 0.1  # [mm] between the nodes on which height, normals, gap and the coating's flow are drawn
 
 
-class SceneData:
+class _Faces:
+    """A gel's faces as the camera sees them; each is drawn once, when it is first asked for."""
+
+    scene: "SceneData"
+    touched: gel_surface.Surface  # the outer face of the coating, that indenters touch
+    printed: gel_surface.Surface  # the one seen through the clear layers, with the markers on it; it may be the same
+
+    @cached_property
+    def outer(self) -> gel_surface.View:
+        """What is touched, behind each pixel."""
+        return self._drawn(self.touched)
+
+    @cached_property
+    def seen(self) -> gel_surface.View:
+        """What is printed on, behind each pixel."""
+        return self.outer if self.printed is self.touched else self._drawn(self.printed)
+
+    def _drawn(self, surface: gel_surface.Surface) -> gel_surface.View:
+        camera = self.scene.camera
+        return gel_surface.View(self.scene.sheet(gel_surface.in_view(surface, camera)), surface, camera)
+
+
+class SceneData(_Faces):
     """What outputs need of the untouched gel and its camera, the same for all frames of a scene."""
 
     def __init__(self, row: Row, problem: Problem) -> None:
-        self.row, self.problem = row, problem
+        self.row, self.problem, self.scene = row, problem, self
+        self._sheet: Sheet | None = None
+        mesh, gel = problem.mesh, row.sensor.gel
+        self.touched = gel_surface.Surface(mesh.points, mesh.facets["coated"])
+        opaque = len(gel.clear_layers) < len(gel.layers)
+        self.printed = gel_surface.seen(mesh, len(gel.clear_layers)) if opaque else self.touched
 
     @cached_property
     def camera(self) -> "Camera":
@@ -45,27 +74,16 @@ class SceneData:
 
         return Camera.from_sensor(self.row.sensor)
 
-    @cached_property
-    def sheet(self) -> "Sheet":
-        """The grid over rest coordinates on which a face is drawn."""
+    def sheet(self, box: Array) -> "Sheet":
+        """A grid over rest coordinates on which a face is drawn, at least over a box x0, x1, y0, y1 [mm].
+
+        It is made anew, and with it all that belongs to its nodes, only when a face has moved out of the last.
+        """
         from tacgen.optics.surface_grid import Sheet
 
-        return Sheet.over(self.row.sensor.gel, SHEET_SPACING)
-
-    @cached_property
-    def touched(self) -> gel_surface.Surface:
-        """The outer face of the coating, that indenters touch."""
-        return gel_surface.Surface(self.problem.mesh.points, self.problem.mesh.facets["coated"])
-
-    @cached_property
-    def printed(self) -> gel_surface.Surface:
-        """The face that the camera sees through the clear layers, with the markers on it."""
-        return gel_surface.seen(self.problem.mesh, len(self.row.sensor.gel.clear_layers))
-
-    @cached_property
-    def view(self) -> gel_surface.View:
-        """The untouched outer face behind each pixel."""
-        return gel_surface.View(self.sheet, self.touched, self.camera)
+        if self._sheet is None or (OUTWARD * (np.array(self._sheet.box) - box) < 0).any():
+            self._sheet = Sheet.over(self.row.sensor.gel, SHEET_SPACING, tuple(box + SHEET_MARGIN * OUTWARD))
+        return self._sheet
 
     @cached_property
     def markers(self) -> "tuple[Array, Callable[[FrameData], tuple[Array, Array]]]":
@@ -83,15 +101,15 @@ class SceneData:
             return drift.undisturbed, lambda frame: drift.at(frame.state.pose)
         from tacgen.optics.material_flow import Points
 
-        points = Points(rest, self.sheet, self.printed, self.camera)
-        return points.undisturbed, lambda frame: points.at(frame.printed)
+        points = Points(rest, self.printed, self.camera)
+        return points.undisturbed, lambda frame: points.at(frame.seen)
 
     @cached_property
     def flow(self) -> "Flow":
         """The coating's points behind the centres of the pixels."""
         from tacgen.optics.material_flow import Flow
 
-        return Flow(self.sheet, self.printed, self.camera)
+        return Flow(self.seen)
 
     @cached_property
     def stresses(self) -> "Stresses":
@@ -108,26 +126,13 @@ class SceneData:
         return Pictures(self.row, self.printed)
 
 
-class FrameData:
-    """What outputs need of one solved state; the properties are those of SceneData, deformed."""
+class FrameData(_Faces):
+    """What outputs need of one solved state."""
 
     def __init__(self, scene: SceneData, state: State) -> None:
         self.scene, self.state = scene, state
-
-    @cached_property
-    def touched(self) -> gel_surface.Surface:
-        """The outer face of the coating."""
-        return self.scene.touched.moved(self.state.x)
-
-    @cached_property
-    def printed(self) -> gel_surface.Surface:
-        """The face that the camera sees."""
-        return self.scene.printed.moved(self.state.x)
-
-    @cached_property
-    def view(self) -> gel_surface.View:
-        """The outer face behind each pixel."""
-        return gel_surface.View(self.scene.sheet, self.touched, self.scene.camera)
+        self.touched = scene.touched.moved(state.x)
+        self.printed = self.touched if scene.printed is scene.touched else scene.printed.moved(state.x)
 
     @cached_property
     def maps(self) -> "Maps":
@@ -174,12 +179,6 @@ def _markers(frame: FrameData) -> Datasets:
     return {"/frames/markers": pixels, "/frames/marker_flow": pixels - undisturbed, "/frames/marker_visible": shown}
 
 
-def _material(frame: FrameData) -> Datasets:
-    from tacgen.optics.material_flow import behind
-
-    return {"/frames/material": behind(frame.scene.sheet, frame.printed, frame.scene.camera)}
-
-
 def _stress(frame: FrameData) -> Datasets:
     recovery, state = frame.scene.stresses, frame.state
     stress = recovery.at(state.x, frame.scene.problem.stressed(state.internal))
@@ -208,14 +207,14 @@ OUTPUTS = {
     "force": Output(_force),  # in every bundle
     "traction": Output(_traction),
     "force_map": Output(lambda f: {"/frames/force_map": f.maps.force, "/frames/area": f.maps.area}),
-    "height": Output(lambda f: {"/frames/height": f.view.height()}, lambda s: {"/reference/height": s.view.height()}),
+    "height": Output(lambda f: {"/frames/height": f.outer.height()}, lambda s: {"/reference/height": s.outer.height()}),
     "normals": Output(
-        lambda f: {"/frames/normals": f.view.normals()}, lambda s: {"/reference/normals": s.view.normals()}
+        lambda f: {"/frames/normals": f.outer.normals()}, lambda s: {"/reference/normals": s.outer.normals()}
     ),
-    "gap": Output(lambda f: {"/frames/gap": f.view.gap(f.scene.problem.contact.shape, f.state.pose)}),
+    "gap": Output(lambda f: {"/frames/gap": f.outer.gap(f.scene.problem.contact.shape, f.state.pose)}),
     "markers": Output(_markers, lambda s: {"/reference/markers": s.markers[0]}),
-    "flow": Output(lambda f: {"/frames/flow": f.scene.flow.at(f.printed)}),
-    "material": Output(_material),
+    "flow": Output(lambda f: {"/frames/flow": f.scene.flow.at(f.seen)}),
+    "material": Output(lambda f: {"/frames/material": f.seen.behind(f.seen.sheet.rest)}),
     "rgb": Output(
         lambda f: {"/frames/rgb": f.scene.pictures.developed(f.radiance, f.state.index)},
         lambda s: {"/reference/rgb": s.pictures.developed(s.pictures.flat)},

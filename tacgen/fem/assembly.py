@@ -135,6 +135,39 @@ def add_forces(
 
 
 @njit(cache=True)
+def cauchy(F: Array, I1: Array, J: Array, first: Array, memory: Array) -> Array:
+    """sigma = P F^T / J (e, q, 3, 3); first and memory as in add_forces."""
+    out, C, P = np.zeros(F.shape), np.empty((3, 3)), np.empty((3, 3))
+    for e in range(F.shape[0]):
+        for q in range(F.shape[1]):
+            cofactor(F[e, q], C)
+            _piola(F[e, q], C, I1[e, q], first[e, q, 0], first[e, q, 1], first[e, q, 2], P)
+            if len(memory):
+                P += F[e, q] @ memory[e, q]
+            for i in range(3):
+                for j in range(3):
+                    for k in range(3):
+                        out[e, q, i, j] += P[i, k] * F[e, q, j, k] / J[e, q]
+    return out
+
+
+@njit(cache=True)
+def mean_stress(sigma: Array, F: Array, volume: Array, weights: Array) -> tuple[Array, Array]:
+    """Means over elements: of sigma (e, 3, 3) over the volume now, and of P = sigma cof F over that at rest."""
+    now, rest, C = np.zeros((len(F), 3, 3)), np.zeros((len(F), 3, 3)), np.empty((3, 3))
+    for e in range(len(F)):
+        current, initial = volume[e] / volume[e].sum(), weights[e] / weights[e].sum()
+        for q in range(F.shape[1]):
+            cofactor(F[e, q], C)
+            for i in range(3):
+                for j in range(3):
+                    now[e, i, j] += current[q] * sigma[e, q, i, j]
+                    for k in range(3):
+                        rest[e, i, j] += initial[q] * sigma[e, q, i, k] * C[k, j]
+    return now, rest
+
+
+@njit(cache=True)
 def add_pressures(F: Array, conn: Array, B: Array, weighted: Array, out: Array) -> None:
     """Add the forces of pressures times volumes `weighted` (e, q) to out (n, 3), as they act where F is."""
     ne, nq, na, _ = B.shape

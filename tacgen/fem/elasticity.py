@@ -155,13 +155,6 @@ class Elastic:
         mean, at_points = self.law.vol((w * J).sum(1) / volume)[0], self.law.vol(J)[0]
         return np.asarray(iso + (1 - local) * volume * mean + local * (w * at_points).sum(1))
 
-    def cauchy(self, x: Array) -> tuple[Array, Array]:
+    def cauchy(self, at: Point) -> tuple[Array, Array]:
         """Cauchy stress (e, q, 3, 3) [MPa] from the law, sigma = P F^T / J, and current volumes (e, q) [mm^3]."""
-        at = self.evaluate(x)
-        b = at.F @ at.F.swapaxes(-1, -2)
-        f = at.first[..., None, None]
-        PFt = 2 * (f[..., 0, :, :] + f[..., 1, :, :] * at.I1[..., None, None]) * b - 2 * f[..., 1, :, :] * (b @ b)
-        if len(at.memory):
-            PFt += at.F @ at.memory @ at.F.swapaxes(-1, -2)
-        J = at.J[..., None, None]
-        return PFt / J + f[..., 2, :, :] * np.eye(3), self.elements.weights * at.J
+        return assembly.cauchy(at.F, at.I1, at.J, at.first, at.memory), self.elements.weights * at.J

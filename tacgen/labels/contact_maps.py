@@ -8,7 +8,7 @@ import numpy as np
 from tacgen.fem.elements import PIECES, facet_areas, facet_corners, facet_hats, facet_points, facet_shares
 from tacgen.fem.elements import triangles as pieces
 from tacgen.labels.gel_surface import Surface
-from tacgen.optics.rasterize import draw
+from tacgen.optics.rasterize import hits
 from tacgen.solve import Problem, State
 
 if TYPE_CHECKING:
@@ -71,59 +71,58 @@ def maps(problem: Problem, surface: Surface, state: State, camera: "Camera") -> 
     faces, on = problem.contact.faces, np.asarray(state.normal_force > 0)
     view = _View(surface, camera, faces, np.asarray(on.any(1)))
     touched, whole = (view.at(view.nodal(faces.areas * part)) for part in (on, 1.0))
-    contact = view.picture(touched / whole)[..., 0] >= RIM_SHARE
     for _ in range(SHARPENING_STEPS[faces.conn.shape[1]]):
         view.weight = view.shared(state.normal_force)[:, 0]
-
-    def spread(per_point: Array) -> Array:
-        return view.picture(view.shared(per_point))
-
-    pressure = spread(state.normal_force)[..., 0]
-    force = spread(state.traction_force) * view.area[..., None]
-    traction, sliding = np.zeros((*camera.shape, 2)), np.zeros(camera.shape)
+    parts = [state.normal_force[..., None], state.traction_force]
     if state.friction is not None and state.sliding is not None:
-        components = [(state.friction * axis).sum(-1) for axis in tangents(-state.normal)]
-        slid = spread(state.normal_force * state.sliding)[..., 0]
+        parts += [(state.friction * axis).sum(-1, keepdims=True) for axis in tangents(-state.normal)]
+        parts += [np.linalg.norm(state.friction, axis=-1, keepdims=True)]
+        parts += [(state.normal_force * state.sliding)[..., None]]
+    spread = view.shared(np.concatenate(parts, -1))
+    pressure, force = spread[:, 0], spread[:, 1:4] * view.area[view.seen][:, None]
+    traction, sliding = np.zeros((len(spread), 2)), np.zeros(len(spread))
+    if spread.shape[1] > 4:
+        mean, size, slid = spread[:, 4:6], spread[:, 6], spread[:, 7]
         sliding = np.divide(slid, pressure, out=sliding, where=pressure > 0)
-        mean = spread(np.stack(components, -1))
-        length, size = np.linalg.norm(mean, axis=-1), spread(np.linalg.norm(state.friction, axis=-1))[..., 0]
-        longer = np.divide(size, length, out=np.ones(camera.shape), where=length > 1e-9 * size)
-        traction = mean * (1 + sliding * (longer - 1))[..., None]
+        length = np.linalg.norm(mean, axis=1)
+        longer = np.divide(size, length, out=np.ones(len(mean)), where=length > 1e-9 * size)
+        traction = mean * (1 + sliding * (longer - 1))[:, None]
+    contact = (touched / whole)[:, 0] >= RIM_SHARE
+    each = pressure, traction, contact, sliding, force
+    pressure, traction, contact, sliding, force = (view.picture(values) for values in each)
     return Maps(pressure, traction, contact, sliding, view.area, force)
 
 
 class _View:
     """The deformed face as the camera sees it: how much of it (h, w) [mm^2] is behind each pixel, and which facets are.
 
-    Of the p pixels (`seen`) that see a facet with a node in common with one that is touched (f,): the nodes (p, k)
-    of the facet there, their shape functions' values (p, k), and the weight (p,) of the pixel in sharing forces.
-    `contact` says where on a facet its points are.
+    Of the p pixels (`seen`) that see a facet with a node in common with one that is touched (f,): the weight (p,) in
+    sharing forces. `contact` says where on a facet its points are.
     """
 
     def __init__(self, surface: Surface, camera: "Camera", contact: "Faces", touched: Array) -> None:
-        facets, kind, triangles = surface.facets, surface.facets.shape[1], pieces(surface.facets)
-        corner = surface.now[triangles]  # (t, 3, 3)
-        screen = camera.project(surface.now)[triangles]
-        face_area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1) / 2
-        pixels = np.abs(np.linalg.det(screen[:, 1:] - screen[:, :1])) / 2
+        from scipy.sparse import csr_array
 
-        # each triangle with corners of its own, drawn with its number and its place in the facet
-        own = np.arange(3 * len(triangles), dtype=np.uint32).reshape(-1, 3)
-        number = np.repeat(np.arange(len(triangles)), 3)[:, None]
-        place = np.repeat(facet_corners(kind)[np.array(PIECES[kind])], len(facets), 0).reshape(-1, 2)
-        values = np.concatenate([number, place], 1)
-        picture = draw(own, screen.reshape(-1, 2), -corner[..., 2].ravel(), values, camera.shape)
-        gel, t = np.asarray(np.isfinite(picture[..., 0])), np.zeros(camera.shape, int)
-        t[gel] = np.round(picture[gel][:, 0])
-        self.area = np.where(gel, (face_area / np.maximum(pixels, 1e-300))[t], 0.0)
+        facets, kind, triangles = surface.facets, surface.facets.shape[1], pieces(surface.facets)
+        screen, corner = camera.project(surface.now), surface.now[triangles]  # (t, 3, 3)
+        found, place, _ = hits(triangles, screen, -surface.now[:, 2], camera.shape)
+        gel = np.asarray(found >= 0)
+        face_area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1) / 2
+        drawn = screen[triangles]
+        pixels = np.abs(np.linalg.det(drawn[:, 1:] - drawn[:, :1])) / 2
+        self.area = np.where(gel, (face_area / np.maximum(pixels, 1e-300))[found], 0.0)
 
         self._facets, self._hats = facets, facet_shares(contact.N, contact.areas)
         around = np.zeros(len(surface.now), bool)
         around[self._facets[touched]] = True
-        self.seen = gel & np.asarray(around[self._facets].any(1))[t % len(facets)]
-        self.nodes = self._facets[t[self.seen] % len(facets)]
-        self.shape = facet_hats(kind, picture[self.seen][:, 1:])
-        self.weight = np.ones(len(self.nodes))
+        self.seen = gel & np.asarray(around[facets].any(1))[found % len(facets)]
+        piece, number = np.divmod(found[self.seen], len(facets))
+        ends = facet_corners(kind)[np.array(PIECES[kind])][piece]  # of each pixel's triangle in its facet, (p, 3, 2)
+        v, w = place[self.seen].T[..., None]
+        hats = facet_hats(kind, (1 - v - w) * ends[:, 0] + v * ends[:, 1] + w * ends[:, 2])
+        starts, size = kind * np.arange(len(hats) + 1), (len(hats), len(surface.now))
+        self._shape = csr_array((hats.ravel(), facets[number].ravel(), starts), shape=size)
+        self.weight = np.ones(len(hats))
 
         areas = facet_areas(surface.now, facets)[0]
         areas = areas @ facet_shares(facet_points(kind)[0], areas)
@@ -139,7 +138,7 @@ class _View:
 
     def at(self, nodal: Array) -> Array:
         """Values (s, c) at the nodes, behind each of the pixels (p, c)."""
-        return np.asarray(np.einsum("pk,pkc->pc", self.shape, nodal[self.nodes]))
+        return np.asarray(self._shape @ nodal)
 
     def shared(self, per_point: Array) -> Array:
         """Forces at the points by area of the face (p, c), in proportion to the weights; of what is shared to a node
@@ -149,12 +148,11 @@ class _View:
         return self.at(force * scale[:, None]) * self.weight[:, None]
 
     def picture(self, values: Array) -> Array:
-        """Values (p, c) on the image (h, w, c), 0 elsewhere."""
-        out = np.zeros((*self.area.shape, values.shape[1]))
+        """Values (p, ...) on the image (h, w, ...), 0 elsewhere."""
+        out = np.zeros((*self.area.shape, *values.shape[1:]), values.dtype)
         out[self.seen] = values
         return out
 
     def _weighted_area(self) -> Array:
         """Weighted area (s,) of the pixels around each node."""
-        weighted = self.shape * (self.weight * self.area[self.seen])[:, None]
-        return np.bincount(self.nodes.ravel(), weighted.ravel(), int(self._facets.max()) + 1)
+        return np.asarray(self._shape.T @ (self.weight * self.area[self.seen]))

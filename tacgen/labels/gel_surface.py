@@ -10,12 +10,13 @@ import numpy as np
 
 from tacgen.contact.barrier import Pose
 from tacgen.geometry.analytic_sdf import Shape
-from tacgen.optics.rasterize import draw
+from tacgen.geometry.clough_tocher import CloughTocher
+from tacgen.optics.drawn_face import DrawnFace
+from tacgen.optics.surface_grid import unit
 from tacgen.solve import Problem, State
 
 if TYPE_CHECKING:
     from tacgen.optics.camera import Camera
-    from tacgen.optics.surface_grid import Sheet
     from tacgen.scene.mesh import Mesh
 
 Array = np.ndarray
@@ -28,31 +29,27 @@ class Surface:
     """
 
     def __init__(self, points: Array, facets: Array) -> None:
-        from scipy.spatial import Delaunay
-
         self.nodes = np.unique(facets)
         self.facets = np.searchsorted(self.nodes, facets)
         self.rest = self.now = points[self.nodes]
-        self._plan = Delaunay(self.rest[:, :2])
+        self._between = CloughTocher(self.rest[:, :2])
 
     def moved(self, x: Array) -> "Surface":
         """The same face of the mesh at nodal positions x (n, 3)."""
         new = object.__new__(Surface)
-        new.nodes, new.facets, new.rest, new._plan = self.nodes, self.facets, self.rest, self._plan
+        new.nodes, new.facets, new.rest, new._between = self.nodes, self.facets, self.rest, self._between
         new.now = x[self.nodes]
         return new
 
     @cached_property
-    def _smooth(self) -> "object":
-        from scipy.interpolate import CloughTocher2DInterpolator
-
-        return CloughTocher2DInterpolator(self._plan, self.now - self.rest * (1.0, 1.0, 0.0))
+    def _nodal(self) -> Array:
+        return self._between.nodal(self.now - self.rest * (1.0, 1.0, 0.0))
 
     def at(self, xy: Array) -> Array:
         """Positions (n, 3) [mm] now of the points that rest at xy (n, 2) [mm]; nan outside the face."""
-        xy = np.asarray(xy, dtype=float)
-        moved = self._smooth(xy) if len(xy) else np.zeros((0, 3))  # type: ignore[operator]
-        return np.asarray(moved + np.column_stack([xy, np.zeros(len(xy))]))
+        moved = self._between.at(np.asarray(xy, dtype=float), self._nodal)
+        moved[:, :2] += xy
+        return moved
 
 
 def seen(mesh: "Mesh", clear: int) -> Surface:
@@ -70,22 +67,31 @@ def wrench(problem: Problem, state: State) -> tuple[Array, Array]:
     return f.sum((0, 1)), np.cross(x, f).sum((0, 1))
 
 
-class View:
-    """The deformed face behind each pixel of the camera, smooth between the mesh's nodes; nan where there is none."""
+def in_view(surface: Surface, camera: "Camera") -> Array:
+    """x0, x1, y0, y1 [mm] around where what the camera may see of a face rests.
 
-    def __init__(self, sheet: "Sheet", surface: Surface, camera: "Camera") -> None:
-        self.sheet, self.camera = sheet, camera
-        self.now = sheet.at(surface)
-        self._screen = camera.project(self.now)
+    That is what is behind the picture where the face is highest, and as far around as its nodes have moved sideways.
+    """
+    (h, w), side = camera.shape, np.linspace(0, 1, 9)
+    rim = [np.column_stack(xy) for k in (0, 1) for xy in ((w * side, 0 * side + k * h), (0 * side + k * w, h * side))]
+    origins, rays = camera.rays(np.concatenate(rim))
+    top = max(surface.now[:, 2].max(), surface.rest[:, 2].max())
+    at = origins[:, :2] + rays[:, :2] * ((top - origins[:, 2:]) / rays[:, 2:])
+    around = np.abs(surface.now - surface.rest)[:, :2].max(0) + 0.5
+    return np.stack([at.min(0) - around, at.max(0) + around], 1).ravel()
+
+
+class View(DrawnFace):
+    """The deformed face behind each pixel of the camera, smooth between the mesh's nodes; nan where there is none."""
 
     def height(self) -> Array:
         """z (h, w) [mm]."""
-        return self._seen(self.now[:, 2:])[..., 0]
+        return self.behind(self.nodes[:, 2:], outermost=True)[..., 0]
 
     def normals(self) -> Array:
         """Unit normals (h, w, 3), out of the gel."""
-        mean = self._seen(-self.sheet.normals(self.now))
-        return np.asarray(mean / np.linalg.norm(mean, axis=-1, keepdims=True))
+        mean = self.behind(-self.facing, outermost=True)
+        return np.asarray(unit(mean.reshape(-1, 3)).reshape(mean.shape))
 
     def gap(self, shape: Shape, pose: Array) -> Array:
         """How far (h, w) [mm] the indenter at a pose (4, 4) is from the face there.
@@ -94,7 +100,4 @@ class View:
         indenter is shrunk for it in the mean, and the face is drawn smooth. Of a mesh, beyond the grid of its distance
         (see geometry/sdf_grid), it is a bound from below.
         """
-        return self._seen(shape.distance(Pose.of(pose).local(self.now))[0][:, None])[..., 0]
-
-    def _seen(self, values: Array) -> Array:
-        return draw(self.sheet.faces, self._screen, -self.now[:, 2], values, self.camera.shape)
+        return self.behind(shape.distance(Pose.of(pose).local(self.nodes))[0][:, None], outermost=True)[..., 0]

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tacgen.contact.barrier import Faces
+from tacgen.fem import assembly
 from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import facet_areas, facet_points
 from tacgen.fem.stress_recovery import FULL, Recovery
@@ -52,9 +53,9 @@ class Stresses:
         for number, part in enumerate(elastic or self.problem.elastic):
             here = self.problem.mesh.layer == number
             element[here], nominal[here] = _means(part, x)
-        rows = self.recovery.matrix @ element
-        node = self.recovery.outermost(rows, len(x))
-        P = self.recovery.outermost(self.recovery.matrix @ nominal, len(x)).reshape(-1, 3, 3)
+        recovered = self.recovery.matrix @ np.concatenate([element, nominal], 1)
+        rows, on_nodes = recovered[:, :6], self.recovery.outermost(recovered, len(x))
+        node, P = on_nodes[:, :6].copy(), on_nodes[:, 6:].reshape(-1, 3, 3)
         nodes, normal, traction = self.face.traction(P, x)
         node[nodes] = agreeing(node[nodes], normal, traction)
         return Stress(element, rows, node)
@@ -86,13 +87,10 @@ class Stresses:
 def _means(elastic: Elastic, x: Array) -> tuple[Array, Array]:
     """Element means of the Cauchy stress over the volume now (e, 6), and of the nominal stress P over that at rest
     (e, 9) [MPa]."""
-    sigma, volume = elastic.cauchy(x)
-    a, b, c = np.moveaxis(elastic.evaluate(x).F, -1, 0)
-    cofactor = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], -1)
-    P = np.einsum("eq,eqij,eqjk->eik", elastic.elements.weights, sigma, cofactor, optimize=True)
-    mean = np.einsum("eq,eqij->eij", volume, sigma) / volume.sum(1)[:, None, None]
-    rest = elastic.elements.weights.sum(1)
-    return np.stack([mean[:, i, j] for i, j in VOIGT], -1), P.reshape(-1, 9) / rest[:, None]
+    at = elastic.evaluate(x)
+    sigma, volume = elastic.cauchy(at)
+    mean, P = assembly.mean_stress(sigma, at.F, volume, elastic.elements.weights)
+    return np.stack([mean[:, i, j] for i, j in VOIGT], -1), P.reshape(-1, 9)
 
 
 def agreeing(stress: Array, normal: Array, traction: Array) -> Array:

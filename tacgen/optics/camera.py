@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tacgen.compiled import njit
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -37,41 +39,6 @@ class Stack:
     def effective_depth(self) -> float:
         """Sum of t/n [mm]: the pinhole distance at which air alone would give the same paraxial scale."""
         return float(sum(t / n for t, n in zip(self.thicknesses, self.indices, strict=True)))
-
-    def lengths(self, z: "Floats") -> "Floats":
-        """Thickness of each layer below height z [mm], (layers, n); beyond the face the last layer goes on."""
-        tops, t = self.tops[:, None], np.array(self.thicknesses)[:, None]
-        inside = np.clip(z[None, :] - (tops - t), 0.0, t)
-        inside[-1] += np.maximum(z, 0.0)
-        return np.asarray(inside)
-
-    def travel(self, x: "Floats", lengths: "Floats") -> tuple["Floats", "Floats"]:
-        """Sideways travel [mm] of a ray with slope x in air through `lengths` (layers, n), and d/dx; each (n,)."""
-        n2 = np.square(self.indices)[:, None]
-        root = np.sqrt(n2 + (n2 - 1.0) * x * x)
-        return (lengths * x / root).sum(axis=0), (lengths * n2 / root**3).sum(axis=0)
-
-    def slope(self, rho: "Floats", z: "Floats") -> "Floats":
-        """Slope in air, tan(theta) [-], of the ray that reaches radius rho at height z [mm]; all (n,).
-
-        Newton on the travel: it rises and is concave in x, so from any start at or left of the root, such as the
-        paraxial slope, every step stays left of it and climbs; no safeguard is needed.
-
-        Raises:
-            ValueError: a point lies at or behind the pinhole.
-        """
-        lengths = self.lengths(z)
-        depth = (lengths / np.array(self.indices)[:, None]).sum(axis=0)
-        if not np.all(depth > 0.0):
-            raise ValueError("a point lies at or behind the camera's pinhole")
-        x = rho / depth
-        for _ in range(50):
-            value, derivative = self.travel(x, lengths)
-            step = (rho - value) / derivative
-            x = x + step
-            if np.all(np.abs(step) <= 1e-14 * (1.0 + x)):
-                break
-        return np.asarray(x)
 
 
 @dataclass(frozen=True)
@@ -135,12 +102,11 @@ class Camera:
             ValueError: a point lies at or behind the pinhole.
         """
         points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
-        across = points[:, :2] - self.center
-        rho = np.hypot(across[:, 0], across[:, 1])
-        x = self.stack.slope(rho, points[:, 2])
-        slope = across * np.divide(x, rho, out=np.zeros_like(rho), where=rho > 0)[:, None]
-        own = np.column_stack([slope, np.ones(len(rho))]) @ self.turn
-        return np.asarray(self.focal_px * own[:, :2] / own[:, 2:] + self._axis)
+        stack = np.array(self.stack.thicknesses), np.array(self.stack.indices)
+        pixels = _project(points - (*self.center, 0.0), *stack, self.turn, self.focal_px, self._axis)
+        if np.isnan(pixels).any():
+            raise ValueError("a point lies at or behind the camera's pinhole")
+        return np.asarray(pixels)
 
     def rays(self, pixels: Any) -> tuple["Floats", "Floats"]:
         """Rays in the outermost gel layer through pixels (n, 2): origins (n, 3) [mm] on that layer's inner side and
@@ -148,10 +114,8 @@ class Camera:
         pixels = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
         slope = self.slopes(pixels)
         x = np.hypot(slope[:, 0], slope[:, 1])
-        inner = np.repeat(np.array(self.stack.thicknesses)[:, None], len(x), axis=1)
-        inner[-1] = 0.0
-        travel, paraxial = self.stack.travel(x, inner)
-        ratio = np.divide(travel, x, out=paraxial.copy(), where=x > 0)
+        n2, inner = np.square(self.stack.indices[:-1]), np.array(self.stack.thicknesses[:-1])
+        ratio = (inner / np.sqrt(n2 + np.multiply.outer(x * x, n2 - 1.0))).sum(axis=1)
         origins = np.empty((len(x), 3))
         origins[:, :2] = slope * ratio[:, None] + self.center
         origins[:, 2] = -self.stack.thicknesses[-1]
@@ -163,3 +127,53 @@ class Camera:
     def _axis(self) -> "Floats":
         """Where the optical axis is in the picture [px]."""
         return np.array([self.shape[1] / 2, self.shape[0] / 2]) - self.crop_px
+
+
+@njit(cache=True)
+def _project(
+    points: "Floats", thicknesses: "Floats", indices: "Floats", turn: "Floats", focal: float, axis: "Floats"
+) -> "Floats":
+    """Pixels (n, 2) of points (n, 3) beside the pinhole's x and y; nan of one at or behind it."""
+    out, length = np.empty((len(points), 2)), np.empty(len(thicknesses))
+    for i in range(len(points)):
+        px, py, z = points[i]
+        rho = np.sqrt(px * px + py * py)
+        x = _slope(rho, z, thicknesses, indices, length)
+        ratio = x / rho if rho > 0.0 else 0.0
+        sx, sy = px * ratio, py * ratio
+        down = sx * turn[0, 2] + sy * turn[1, 2] + turn[2, 2]
+        for k in range(2):
+            out[i, k] = focal * (sx * turn[0, k] + sy * turn[1, k] + turn[2, k]) / down + axis[k]
+        if not x >= 0.0:
+            out[i] = np.nan
+    return out
+
+
+@njit(cache=True)
+def _slope(rho: float, z: float, thicknesses: "Floats", indices: "Floats", length: "Floats") -> float:
+    """Slope in air, tan(theta) [-], of the ray that reaches radius rho at height z [mm]; nan at or behind the pinhole.
+
+    Newton on the travel: it rises and is concave in x, so from any start at or left of the root, such as the
+    paraxial slope, every step stays left of it and climbs; no safeguard is needed. `length` is room for the layers.
+    """
+    left, depth, last = z + thicknesses.sum(), 0.0, len(length) - 1
+    for k in range(last + 1):  # beyond the face the last layer goes on
+        length[k] = max(left if k == last else min(left, thicknesses[k]), 0.0)
+        left -= thicknesses[k]
+        depth += length[k] / indices[k]
+    if not depth > 0.0:
+        return np.nan
+    x = rho / depth
+    for _ in range(50):
+        travel, rate = length[0] * x, length[0]  # of the air
+        for k in range(1, last + 1):
+            n2 = indices[k] * indices[k]
+            inverse = 1.0 / (n2 + (n2 - 1.0) * x * x)
+            part = length[k] * np.sqrt(inverse)
+            travel += part * x
+            rate += part * n2 * inverse
+        step = (rho - travel) / rate
+        x += step
+        if abs(step) <= 1e-8 * (1.0 + x):  # what is left is of the order of its square
+            break
+    return x

@@ -8,8 +8,8 @@ import numpy as np
 
 from tacgen.optics import coating, strip_light
 from tacgen.optics.camera import Camera
-from tacgen.optics.rasterize import draw
-from tacgen.optics.surface_grid import Sheet, Surface
+from tacgen.optics.drawn_face import DrawnFace
+from tacgen.optics.surface_grid import Sheet, Surface, unit
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -61,12 +61,10 @@ class View:
 
     def look(self, surface: Surface) -> Samples:
         """What the camera's rays meet."""
-        nodes = self.sheet.at(surface)
-        values = np.column_stack([nodes, self.sheet.normals(nodes), self.sheet.rest])
-        screen = self.camera.project(nodes) * self.samples
-        hit = draw(self.sheet.faces, screen, nodes[:, 2].copy(), values, self.shape).reshape(-1, 8)
-        normal = hit[:, 3:6] / np.linalg.norm(hit[:, 3:6], axis=1, keepdims=True)
-        return Samples(np.ascontiguousarray(hit[:, :3]), normal, hit[:, 6:8], nodes, self._paint(hit[:, 6:8]))
+        drawn = DrawnFace(self.sheet, surface, self.camera, self.samples)
+        hit = drawn.behind(np.column_stack([drawn.nodes, drawn.facing, self.sheet.rest])).reshape(-1, 8)
+        position, normal, rest = (np.ascontiguousarray(hit[:, a:b]) for a, b in ((0, 3), (3, 6), (6, 8)))
+        return Samples(position, unit(normal), rest, drawn.nodes, self._paint(rest))
 
     def dimmed(self, at: Samples, bare: "Floats") -> "Floats":
         """What the coat with its dots shows (H, W, 3) of light by which a bare coat would show `bare` (samples, 3)."""

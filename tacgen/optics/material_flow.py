@@ -4,40 +4,34 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tacgen.optics.drawn_face import DrawnFace
 from tacgen.optics.hidden import hidden
-from tacgen.optics.rasterize import draw
 
 if TYPE_CHECKING:
     from tacgen.optics.camera import Camera
-    from tacgen.optics.surface_grid import Sheet, Surface
+    from tacgen.optics.surface_grid import Surface
 
 Array = np.ndarray
 SLACK = 0.05  # [mm] that another part of the face must stand before a point to hide it: the sheet is that true to it
 
 
-def behind(sheet: "Sheet", surface: "Surface", camera: "Camera") -> Array:
-    """Where the coating's point behind each pixel rests (h, w, 2) [mm]; nan where there is no gel."""
-    nodes = sheet.at(surface)
-    return draw(sheet.faces, camera.project(nodes), nodes[:, 2].copy(), sheet.rest, camera.shape)
-
-
 class Points:
     """Material points of the coating, by where they rest (n, 2) [mm], through the layers' refraction."""
 
-    def __init__(self, rest: Array, sheet: "Sheet", surface: "Surface", camera: "Camera") -> None:
+    def __init__(self, rest: Array, surface: "Surface", camera: "Camera") -> None:
         """`surface` is the untouched face."""
-        self.rest, self.sheet, self.camera = rest, sheet, camera
-        self.undisturbed = self._project(surface.at(rest))
+        self.rest, self.camera = np.array(rest), camera
+        self.rest.flags.writeable = False
+        self.undisturbed = self._project(surface.at(self.rest))
 
-    def at(self, surface: "Surface") -> tuple[Array, Array]:
-        """Pixels (n, 2) now, nan of what is not on the face; and whether the camera sees the point (n,): it is in the
-        picture, and no other part of the face stands before it."""
-        now, nodes, (h, w) = surface.at(self.rest), self.sheet.at(surface), self.camera.shape
-        depth, own = nodes[:, 2].copy(), now[:, 2].copy()
+    def at(self, face: DrawnFace) -> tuple[Array, Array]:
+        """Pixels (n, 2) now, nan of what is not on the face; and whether the camera sees the point (n,)."""
+        now = face.surface.at(self.rest)
         pixels = self._project(now)
-        shown = np.asarray((pixels >= 0).all(1) & (pixels <= (w, h)).all(1))
-        screen = self.camera.project(nodes)
-        return pixels, shown & ~hidden(self.sheet.faces, screen, depth, pixels, own, (h, w), SLACK)
+        shown = within(pixels, self.camera)
+        if face.folded:
+            shown &= ~_behind(face, pixels, now[:, 2].copy())
+        return pixels, shown
 
     def _project(self, points: Array) -> Array:
         there = np.isfinite(points).all(1)
@@ -47,18 +41,40 @@ class Points:
 
 
 class Flow:
-    """The coating's flow over the image: of the material point that is behind the centre of each pixel, untouched."""
+    """The coating's flow over the image: of the material point that is behind the centre of each pixel, untouched.
 
-    def __init__(self, sheet: "Sheet", surface: "Surface", camera: "Camera") -> None:
-        """`surface` is the untouched face."""
-        rest = behind(sheet, surface, camera)
-        self.points, self.shape = Points(rest.reshape(-1, 2), sheet, surface, camera), camera.shape
+    Between the nodes of the sheet it is linear.
+    """
 
-    def at(self, surface: "Surface") -> Array:
+    def __init__(self, untouched: DrawnFace) -> None:
+        (h, w), self.untouched = untouched.camera.shape, untouched
+        self._centers = np.stack(np.meshgrid(np.arange(w) + 0.5, np.arange(h) + 0.5), -1)
+
+    def at(self, face: DrawnFace) -> Array:
         """Pixels (h, w, 2), x right and y down, from where the point was to where it is now.
 
         nan where no gel was, or where the camera no longer sees the point.
         """
-        pixels, seen = self.points.at(surface)
-        flow = np.where(seen[:, None], pixels - self.points.undisturbed, np.nan)
-        return np.asarray(flow.reshape(*self.shape, 2))
+        if face.sheet != self.untouched.sheet:
+            self.untouched = DrawnFace(face.sheet, self.untouched.surface, face.camera)
+        flow = self.untouched.behind(face.screen - self.untouched.screen)
+        pixels = self._centers + flow
+        flow[~within(pixels, face.camera)] = np.nan
+        if face.folded:
+            depth = self.untouched.behind(face.nodes[:, 2:])
+            flow[_behind(face, pixels.reshape(-1, 2), depth.ravel()).reshape(flow.shape[:2])] = np.nan
+        return flow
+
+
+def within(pixels: Array, camera: "Camera") -> Array:
+    """Whether pixels (..., 2) are in the picture (...)."""
+    h, w = camera.shape
+    x, y = pixels[..., 0], pixels[..., 1]
+    return np.asarray((x >= 0) & (x <= w) & (y >= 0) & (y <= h))
+
+
+def _behind(face: DrawnFace, pixels: Array, depth: Array) -> Array:
+    """Whether another part of a face stands before points of it (n,) at pixels (n, 2) and heights (n,)."""
+    return np.asarray(
+        hidden(face.sheet.faces, face.screen, face.nodes[:, 2].copy(), pixels, depth, face.camera.shape, SLACK)
+    )

@@ -9,22 +9,24 @@ Floats = NDArray[np.float64]
 
 
 @njit(cache=True)
-def draw(faces: NDArray[np.uint32], screen: Floats, near: Floats, values: Floats, shape: tuple[int, int]) -> Floats:
-    """Values (H, W, c) interpolated over triangles; where triangles overlap the one of least `near` is kept.
+def hits(
+    faces: NDArray[np.uint32], screen: Floats, near: Floats, shape: tuple[int, int]
+) -> tuple[NDArray[np.int32], Floats, bool]:
+    """What is behind each sample: of overlapping triangles the one of least `near`.
 
     Args:
         faces: node numbers, (triangles, 3).
         screen: node positions in samples, (nodes, 2), sample centres at +0.5.
         near: distance of each node from the viewer, (nodes,).
-        values: what to interpolate, (nodes, c).
         shape: H, W of the picture.
 
     Returns:
-        (H, W, c), nan where no triangle lies.
+        Number (H, W) of the triangle, -1 where none lies; weights (H, W, 2) of its second and third node there; and
+        whether both sides of triangles show. Only then may triangles that share their edges lie over one another.
     """
     height, width = shape
-    out = np.full((height, width, values.shape[1]), np.nan)
-    depth = np.full((height, width), np.inf)
+    found, place = np.full((height, width), -1, np.int32), np.empty((height, width, 2))
+    depth, least, most = np.full((height, width), np.inf), 0.0, 0.0
     for t in range(len(faces)):
         a, b, c = faces[t]
         ax, ay = screen[a]
@@ -33,6 +35,7 @@ def draw(faces: NDArray[np.uint32], screen: Floats, near: Floats, values: Floats
         area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
         if area == 0.0 or not np.isfinite(area):
             continue
+        least, most = min(least, area), max(most, area)
         left = max(0, int(np.ceil(min(ax, bx, cx) - 0.5)))
         right = min(width - 1, int(np.floor(max(ax, bx, cx) - 0.5)))
         top = max(0, int(np.ceil(min(ay, by, cy) - 0.5)))
@@ -47,7 +50,27 @@ def draw(faces: NDArray[np.uint32], screen: Floats, near: Floats, values: Floats
                     continue
                 z = u * near[a] + v * near[b] + w * near[c]
                 if z < depth[j, i]:
-                    depth[j, i] = z
-                    for k in range(values.shape[1]):
-                        out[j, i, k] = u * values[a, k] + v * values[b, k] + w * values[c, k]
+                    depth[j, i], found[j, i] = z, t
+                    place[j, i, 0], place[j, i, 1] = v, w
+    return found, place, least < 0.0 < most
+
+
+@njit(cache=True)
+def blend(faces: NDArray[np.uint32], found: NDArray[np.int32], place: Floats, values: Floats) -> Floats:
+    """Values (nodes, c) behind each sample (H, W, c) of `hits`, linear on triangles; nan where none lies."""
+    height, width = found.shape
+    out = np.full((height, width, values.shape[1]), np.nan)
+    for j in range(height):
+        for i in range(width):
+            if found[j, i] >= 0:
+                a, b, c = faces[found[j, i]]
+                v, w = place[j, i]
+                for k in range(values.shape[1]):
+                    out[j, i, k] = (1.0 - v - w) * values[a, k] + v * values[b, k] + w * values[c, k]
     return out
+
+
+def draw(faces: NDArray[np.uint32], screen: Floats, near: Floats, values: Floats, shape: tuple[int, int]) -> Floats:
+    """Both in one: values (nodes, c) behind each sample (H, W, c), nan where no triangle lies."""
+    found, place, _ = hits(faces, screen, near, shape)
+    return np.asarray(blend(faces, found, place, values))

@@ -1,9 +1,12 @@
 """The coated face as a fine regular sheet over rest coordinates, so that what is printed on it moves with it."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
+
+from tacgen.compiled import njit
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -14,6 +17,7 @@ if TYPE_CHECKING:
 
 
 BEYOND = 1e-3  # what is beyond the outline of a solid shrinks to so much, at its edge, and shows nothing
+EVERYWHERE = (-np.inf, np.inf, -np.inf, np.inf)
 
 
 class Surface(Protocol):
@@ -49,44 +53,57 @@ class Sheet:
     """Nodes of a rectangular grid over the pad, row by row from the least y, and its triangles."""
 
     pad: "Pad"
-    shape: tuple[int, int]  # rows, columns of nodes
+    shape: tuple[int, int]  # rows, columns of nodes over the pad
     whole: bool = True  # there is gel on all of that; else only where a surface says so, as on a solid of any outline
+    box: tuple[float, ...] = EVERYWHERE  # x0, x1, y0, y1 [mm]: only the nodes in there
 
     @classmethod
-    def over(cls, gel: "Gel", spacing: float) -> "Sheet":
-        """A sheet over the whole pad with nodes about `spacing` [mm] apart."""
+    def over(cls, gel: "Gel", spacing: float, box: tuple[float, ...] = EVERYWHERE) -> "Sheet":
+        """A sheet over the whole pad with nodes about `spacing` [mm] apart, or over the part of it in a box."""
         shape = round(gel.height_mm / spacing) + 1, round(gel.width_mm / spacing) + 1
-        return cls(gel.pad, shape, gel.solid is None)
+        return cls(gel.pad, shape, gel.solid is None, box)
 
     @property
     def size(self) -> tuple[float, float]:
         """x, y extent [mm], centred on 0."""
         return self.pad.width, self.pad.height
 
-    @property
+    @cached_property
+    def lines(self) -> tuple["Floats", "Floats"]:
+        """x of the columns and y of the rows of nodes [mm]."""
+        x, y = (np.linspace(-s / 2, s / 2, n) for s, n in zip(self.size, self.shape[::-1], strict=True))
+        x0, x1, y0, y1 = self.box
+        return x[(x >= x0) & (x <= x1)], y[(y >= y0) & (y <= y1)]
+
+    @cached_property
     def rest(self) -> "Floats":
         """Rest positions of the nodes [mm], (nodes, 2)."""
-        x, y = (np.linspace(-s / 2, s / 2, n) for s, n in zip(self.size, self.shape[::-1], strict=True))
-        return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+        return np.stack(np.meshgrid(*self.lines), axis=-1).reshape(-1, 2)
+
+    @cached_property
+    def inside(self) -> "Floats":
+        """The same (nodes, 2), those in a cut-off corner moved to the nearest point of the pad; read-only."""
+        found = np.array(self.pad.drawn_in(self.rest))
+        found.flags.writeable = False
+        return found
 
     @property
     def uv(self) -> "Floats":
         """Rest positions scaled to the unit square, (nodes, 2)."""
         return np.asarray(self.rest / self.size + 0.5)
 
-    @property
+    @cached_property
     def faces(self) -> "NDArray[np.uint32]":
         """Triangles (2 cells, 3), wound so that their normals point at the camera (-z)."""
-        i = np.arange(self.shape[0] * self.shape[1], dtype=np.uint32).reshape(self.shape)
+        columns, rows = map(len, self.lines)
+        i = np.arange(rows * columns, dtype=np.uint32).reshape(rows, columns)
         a, b, c, d = i[:-1, :-1].ravel(), i[:-1, 1:].ravel(), i[1:, 1:].ravel(), i[1:, :-1].ravel()
         return np.concatenate([np.stack([a, c, b], 1), np.stack([a, d, c], 1)])
 
     def at(self, surface: Surface) -> "Floats":
         """Current positions of the nodes [mm], (nodes, 3). A node in a cut-off corner rides with the nearest point of
         the pad, so that `surface` is only asked where it exists."""
-        rest = self.rest
-        pad = self.pad.drawn_in(rest)
-        now = np.array(surface.at(pad), dtype=np.float64)
+        pad, now = self.inside, np.array(surface.at(self.inside), dtype=np.float64)
         lost = np.isnan(now[:, 2])
         if lost.any():  # between the outline and what a mesh makes of it
             from scipy.spatial import cKDTree
@@ -94,19 +111,46 @@ class Sheet:
             near = np.flatnonzero(~lost)[cKDTree(pad[~lost]).query(pad[lost])[1]]
             now[lost] = now[near]
             now[lost, :2] += (1.0 if self.whole else BEYOND) * (pad[lost] - pad[near])
-        now[:, :2] += rest - pad
+        now[:, :2] += self.rest - pad
         return now
 
     def normals(self, now: "Floats") -> "Floats":
         """Unit normals toward the camera (nodes, 3) of node positions (nodes, 3), by central differences."""
-        n = self._spans(now)
-        return np.asarray(n / np.linalg.norm(n, axis=1, keepdims=True))
+        return unit(self._spans(now))
 
     def areas(self, now: "Floats") -> "Floats":
         """What each node stands for of the face [mm^2], (nodes,); twice as much at an edge, where half of it is off."""
         return np.asarray(np.linalg.norm(self._spans(now), axis=1))
 
     def _spans(self, now: "Floats") -> "Floats":
-        grid = now.reshape(*self.shape, 3)
-        du, dv = np.gradient(grid, axis=1), np.gradient(grid, axis=0)
-        return np.asarray(np.cross(dv, du).reshape(-1, 3))
+        columns, rows = map(len, self.lines)
+        return np.asarray(_spans(now.reshape(rows, columns, 3)).reshape(-1, 3))
+
+
+@njit(cache=True)
+def unit(vectors: "Floats") -> "Floats":
+    """Vectors (n, 3) scaled to length 1."""
+    out = np.empty_like(vectors)
+    for i in range(len(vectors)):
+        x, y, z = vectors[i]
+        length = np.sqrt(x * x + y * y + z * z)
+        out[i, 0], out[i, 1], out[i, 2] = x / length, y / length, z / length
+    return out
+
+
+@njit(cache=True)
+def _spans(grid: "Floats") -> "Floats":
+    """Products of the differences (rows, columns, 3) down and across a grid: central, and one-sided at its edge."""
+    rows, columns, _ = grid.shape
+    out, down, across = np.empty(grid.shape), np.empty(3), np.empty(3)
+    for i in range(rows):
+        above, below = max(i - 1, 0), min(i + 1, rows - 1)
+        for j in range(columns):
+            left, right = max(j - 1, 0), min(j + 1, columns - 1)
+            for k in range(3):
+                down[k] = (grid[below, j, k] - grid[above, j, k]) / (below - above)
+                across[k] = (grid[i, right, k] - grid[i, left, k]) / (right - left)
+            for k in range(3):
+                a, b = (k + 1) % 3, (k + 2) % 3
+                out[i, j, k] = down[a] * across[b] - down[b] * across[a]
+    return out

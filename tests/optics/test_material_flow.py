@@ -7,6 +7,7 @@ from helpers.tiny import sensor
 from scipy.interpolate import RegularGridInterpolator
 
 from tacgen.optics.camera import Camera
+from tacgen.optics.drawn_face import DrawnFace
 from tacgen.optics.material_flow import Flow, Points
 from tacgen.optics.surface_grid import Sheet
 
@@ -28,10 +29,15 @@ class Face:
 
 
 FLAT = Face(lambda x, y: (0.0, 0.0, 0.0))
+SHEET = Sheet.over(FINE.gel, 0.1)
+
+
+def drawn(face: Face, sheet: Sheet = SHEET) -> DrawnFace:
+    return DrawnFace(sheet, face, CAMERA)
 
 
 def test_the_flow_of_a_face_that_nothing_touches_is_zero() -> None:
-    assert np.array_equal(Flow(Sheet.over(FINE.gel, 0.1), FLAT, CAMERA).at(FLAT), np.zeros((128, 160, 2)))
+    assert np.array_equal(Flow(drawn(FLAT)).at(drawn(FLAT)), np.zeros((128, 160, 2)))
 
 
 def test_the_flow_of_a_sheared_dent_is_that_of_its_points() -> None:
@@ -42,7 +48,7 @@ def test_the_flow_of_a_sheared_dent_is_that_of_its_points() -> None:
         return 0.5 * bump, -0.2 * bump, -0.6 * bump
 
     face = Face(shear)
-    flow = Flow(Sheet.over(FINE.gel, 0.1), FLAT, CAMERA).at(face)
+    flow = Flow(drawn(FLAT)).at(drawn(face))
     field = RegularGridInterpolator((np.arange(128) + 0.5, np.arange(160) + 0.5), flow)
     rest = np.random.default_rng(0).uniform(-2.5, 2.5, (400, 2))
     before, after = CAMERA.project(FLAT.at(rest)), CAMERA.project(face.at(rest))
@@ -57,11 +63,11 @@ def test_the_flow_of_a_sheared_dent_is_that_of_its_points() -> None:
 
 def test_what_leaves_the_picture_is_nan() -> None:
     moved = Face(lambda x, y: (0.5, 0.0, 0.0))
-    flow = Flow(Sheet.over(FINE.gel, 0.1), FLAT, CAMERA).at(moved)
+    flow = Flow(drawn(FLAT)).at(drawn(moved))
     assert np.isnan(flow[:, 150:]).all()
     assert np.isfinite(flow[:, :149]).all()
     rest = np.array([[0.0, 0.0], [3.9, 0.0], [20.0, 0.0]])
-    pixels, seen = Points(rest, Sheet.over(FINE.gel, 0.1), FLAT, CAMERA).at(moved)
+    pixels, seen = Points(rest, FLAT, CAMERA).at(drawn(moved))
     assert seen.tolist() == [True, False, False]
     assert pixels[1, 0] > 160  # its place is told all the same
 
@@ -74,7 +80,7 @@ def test_what_stands_behind_a_steep_dent_is_hidden() -> None:
 
     face = Face(pit)
     rest = np.stack(np.meshgrid(np.linspace(2.2, 3.8, 81), np.linspace(-0.8, 0.8, 81)), -1).reshape(-1, 2)
-    pixels, seen = Points(rest, Sheet.over(FINE.gel, 0.02), FLAT, CAMERA).at(face)
+    pixels, seen = Points(rest, FLAT, CAMERA).at(drawn(face, Sheet.over(FINE.gel, 0.02)))
     origin, ray = CAMERA.rays(pixels)
     reach = (face.at(rest)[:, 2] - origin[:, 2]) / ray[:, 2]
     clearance = np.full(len(rest), np.inf)  # of the ray to the point, on its way, below the face

@@ -42,7 +42,7 @@ def errors(n: int, nodes: int) -> tuple[float, float, float]:
     found = recovery.outermost(recovery.matrix @ _means(body, x)[0], len(points))
     off = found - np.stack([wanted[:, i, j] for i, j in VOIGT], -1)
     rim = ~inside(points)[:, 0]
-    raw = body.cauchy(x)[0] - exact(at)[1]
+    raw = body.cauchy(body.evaluate(x))[0] - exact(at)[1]
     everywhere, faces, own = (float(np.sqrt(np.mean(d**2))) for d in (off, off[rim], raw))
     return everywhere, faces, own
 

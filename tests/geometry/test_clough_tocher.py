@@ -1,0 +1,32 @@
+"""The matrix against SciPy's interpolator, which solves for the same slopes by iteration."""
+
+import numpy as np
+import pytest
+from scipy.interpolate import CloughTocher2DInterpolator
+from scipy.spatial import Delaunay
+
+from tacgen.geometry.clough_tocher import CloughTocher
+
+RNG = np.random.default_rng(0)
+GRID = np.stack(np.meshgrid(np.linspace(-3, 3, 7) ** 3 / 9, np.linspace(-2, 2, 6)), -1).reshape(-1, 2)
+
+
+@pytest.mark.parametrize("points", [GRID, RNG.uniform(-3, 3, (60, 2))])
+def test_values_are_those_of_scipy(points: np.ndarray) -> None:
+    f = np.stack([np.sin(points[:, 0]) * np.cos(points[:, 1]), points[:, 0] ** 3], -1)
+    at = RNG.uniform(-3.2, 3.2, (2000, 2))
+    expected = CloughTocher2DInterpolator(Delaunay(points), f, tol=1e-13, maxiter=10_000)(at)
+    between = CloughTocher(points)
+    found = between.at(at, between.nodal(f))
+    assert 500 < np.isfinite(expected[:, 0]).sum() < 2000
+    assert found == pytest.approx(expected, abs=1e-11, nan_ok=True)
+    at.flags.writeable = False
+    assert np.array_equal(between.at(at, between.nodal(f)), found, equal_nan=True)  # its matrix is made
+    assert between.at(at, between.nodal(2 * f)) == pytest.approx(2 * found, abs=1e-11, nan_ok=True)  # and used again
+
+
+def test_two_read_only_arrays_have_their_own_matrices() -> None:
+    between = CloughTocher(GRID)
+    for at in (RNG.uniform(-1, 1, (9, 2)) for _ in range(20)):
+        at.flags.writeable = False
+        assert between.at(at, between.nodal(GRID)) == pytest.approx(at, abs=1e-12)

@@ -1,0 +1,54 @@
+"""A face before a camera: computed once, and where it folds over itself the part that is asked for."""
+
+import numpy as np
+import pytest
+from helpers.tiny import sensor
+
+from tacgen.optics.camera import Camera
+from tacgen.optics.drawn_face import DrawnFace
+from tacgen.optics.surface_grid import Sheet, Untouched
+
+TINY = sensor()
+CAMERA, SHEET = Camera.from_sensor(TINY), Sheet.over(TINY.gel, 0.2)
+
+
+class Wave:
+    """A face that leans over sideways by `lean` [mm] where it is lowest, and counts how often it is asked."""
+
+    def __init__(self, lean: float) -> None:
+        self.lean, self.asked = lean, 0
+
+    def at(self, xy):
+        self.asked += 1
+        dent = np.exp(-(xy[:, 0] ** 2))
+        return np.column_stack([xy[:, 0] + self.lean * dent, xy[:, 1], -dent])
+
+
+def test_a_face_is_evaluated_when_it_is_asked_for_and_once():
+    face = Wave(0.0)
+    drawn = DrawnFace(SHEET, face, CAMERA, 2)
+    assert face.asked == 0
+    for _ in range(2):
+        assert drawn.behind(np.column_stack([drawn.nodes, drawn.facing])).shape == (64, 80, 6)
+    assert face.asked == 1
+
+
+def test_a_part_of_a_sheet_shows_what_the_whole_does():
+    part = Sheet.over(TINY.gel, 0.2, (-4.9, 5.0, -4.2, 4.1))
+    assert 0.4 * len(SHEET.rest) < len(part.rest) < 0.8 * len(SHEET.rest)
+    whole, some = (DrawnFace(sheet, Wave(1.0), CAMERA) for sheet in (SHEET, part))
+    for ask in (lambda face: face.nodes, lambda face: face.facing, lambda face: face.sheet.rest):
+        assert np.array_equal(whole.behind(ask(whole)), some.behind(ask(some)))
+
+
+@pytest.mark.parametrize(("lean", "folded"), [(0.0, False), (1.0, False), (2.0, True)])
+def test_only_a_face_that_leans_over_is_folded(lean: float, folded: bool):
+    drawn = DrawnFace(SHEET, Wave(lean), CAMERA)
+    assert drawn.folded is folded
+    nearest, outermost = (drawn.behind(drawn.nodes[:, 2:], outer)[..., 0] for outer in (False, True))
+    assert bool(np.nanmax(outermost - nearest) > 0.1) is folded
+    assert np.nanmin(outermost - nearest) >= 0
+
+
+def test_an_untouched_dome_is_not_folded():
+    assert not DrawnFace(SHEET, Untouched(pad=TINY.gel.pad), CAMERA).folded
