@@ -167,7 +167,8 @@ def _histogram(name: str, values: np.ndarray) -> str:
         for i, n in enumerate(count)
     )
     ends = f"<text x=10 y=120>{edges[0]:.3g}</text><text x=230 y=120 text-anchor=end>{edges[-1]:.3g}</text>"
-    top = f"<text x=120 y=135 text-anchor=middle>{_label(name)}</text><text x=10 y=11>{count.max()} scenes</text>"
+    name = f"<text x=120 y=135 text-anchor=middle>{_label(name)}</text>"
+    top = f"{name}<text x=10 y=11>{counted(int(count.max()), 'scene')}</text>"
     return f"<svg width=240 height=140>{bars}{ends}{top}</svg>"
 
 
