@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from tacgen.optics.material_flow import Flow
     from tacgen.optics.surface_grid import Sheet
     from tacgen.render.pictures import Pictures
+    from tacgen.solve.grasp import Held
 
 Array = np.ndarray
 Datasets = dict[str, Any]  # by their paths in the bundle
@@ -164,6 +165,18 @@ def _force(frame: FrameData) -> Datasets:
         "/frames/quality/force_balance": state.balance,
         "/frames/quality/residual": state.residual,
         "/frames/quality/least_jacobian": state.least_J,
+    }
+
+
+def of_grasp(held: "Held", side: int) -> Datasets:
+    """What each finger's bundle says of the whole grasp; side 0 is left, 1 right."""
+    return {
+        "/frames/grasp/object": held.pose,
+        "/frames/grasp/sensor": held.sensors[side],
+        "/frames/grasp/width_mm": held.width,
+        "/frames/grasp/mode": held.mode,
+        "/frames/grasp/unborne": held.unborne,
+        "/frames/grasp/balance": held.balance,
     }
 
 

@@ -3,7 +3,8 @@
 import json
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -12,8 +13,8 @@ import numpy as np
 from tacgen import compiled, solve
 from tacgen.bundle import bundle, resume
 from tacgen.bundle.resume import SceneResult
-from tacgen.geometry.gel import Gel
-from tacgen.outputs import OUTPUTS, Datasets, FrameData, SceneData
+from tacgen.geometry import gel as geometry
+from tacgen.outputs import OUTPUTS, Datasets, FrameData, SceneData, of_grasp
 from tacgen.recipe.checks import notes
 from tacgen.recipe.model import IMAGES
 from tacgen.recipe.plan import Row
@@ -55,7 +56,7 @@ def _datasets(made: dict[str, Callable[[Data], Datasets]], data: Data, clock: Cl
     return found
 
 
-def _attributes(gel: Gel, shared: SceneData, clock: Clock) -> dict[str, Any]:
+def _attributes(gel: geometry.Gel, shared: SceneData, clock: Clock) -> dict[str, Any]:
     from importlib.metadata import version
 
     row, problem = shared.row, shared.problem
@@ -71,6 +72,8 @@ def _attributes(gel: Gel, shared: SceneData, clock: Clock) -> dict[str, Any]:
         "values": row.values,
         "mesh": mesh.quality(gel, problem.mesh),
     }
+    if row.finger is not None:
+        found["finger"] = row.finger
     formulation = row.recipe.contact.formulation
     found["contact"] = f"ipctk {version('ipctk')}" if formulation == "ipctk" else formulation
     if row.recipe.outputs & IMAGES:
@@ -125,49 +128,114 @@ def _make(row: Row, path: Path, on_event: OnEvent | None) -> SceneResult:
             return _made(row, path, on_event, clock)
 
 
-def _made(row: Row, path: Path, on_event: OnEvent | None, clock: Clock) -> SceneResult:
-    """Everything between a row of the plan and its bundle."""
+@dataclass(frozen=True)
+class Gel:
+    """One gel of a scene, of which a bundle is made: the only one, or a finger's of a grasp."""
+
+    row: Row
+    scene: scene.Scene
+    problem: solve.Problem
+
+
+Found = tuple[tuple[solve.State, Datasets], ...]  # of a frame: each gel's state, and what else its bundle says
+
+
+def _gels(row: Row, clock: Clock) -> tuple[tuple[Gel, ...], Iterator[Found]]:
+    """The gels of a row of the plan, meshed, and what will be found at each frame."""
+    if row.other is not None:
+        return _grasped(row, clock)
     with clock.stage("mesh"):
         built = scene.build(row)
     if built.forced is not None:
         with clock.stage("foresee"):
             built = foresee.foreseen(built)
     with clock.stage("mesh"):
-        problem = solve.Problem.of(built, mesh.of(built))
-    shared, reason = SceneData(row, problem), ""
-    asked: set[str] = {"force", *row.recipe.outputs}
-    if asked & IMAGES:
-        with clock.stage("render"), compiled.once(_camera(row)):
-            _ = shared.pictures
-    reference = _datasets({k: output.reference for k, output in OUTPUTS.items() if k in asked}, shared, clock)
-    of_frame = {k: output.frame for k, output in OUTPUTS.items() if k in asked}
-    attributes = _attributes(built.gel, shared, clock)
-    if on_event:
-        for note in attributes.get("notes", ()):
-            on_event({"event": "note", "scene": row.name, "note": note})
-    with bundle.Writer(path, attributes, row.frames) as writer:
-        for name, array in reference.items():
-            writer.put(name, array)
-        states = solve.states(built, problem)
+        gel = Gel(row, built, solve.Problem.of(built, mesh.of(built)))
+    return (gel,), (((state, {}),) for state in solve.states(built, gel.problem))
+
+
+def _grasped(row: Row, clock: Clock) -> tuple[tuple[Gel, ...], Iterator[Found]]:
+    """The same of a grasp."""
+    from tacgen.scene import grasp as two_fingers
+    from tacgen.solve import grasp as holding
+
+    with clock.stage("mesh"):
+        grasp = two_fingers.build(row)
+    with clock.stage("foresee"):
+        grasp = holding.foreseen(grasp)
+    with clock.stage("mesh"):
+        each = zip(row.bundles, grasp.fingers, strict=True)
+        left, right = (Gel(finger, built, holding.problem_of(built)) for finger, built in each)
+    frames = holding.held(grasp, (left.problem, right.problem))
+    return (left, right), (
+        tuple((state, of_grasp(held, side)) for side, state in enumerate(held.states)) for held in frames
+    )
+
+
+class Recorder:
+    """Labels, renders and writes one gel's bundle."""
+
+    def __init__(self, gel: Gel, path: Path, clock: Clock, on_event: OnEvent | None) -> None:
+        self.scene, self.clock = gel.scene, clock
+        asked: set[str] = {"force", *gel.row.recipe.outputs}
+        self.shared = SceneData(gel.row, gel.problem)
+        if asked & IMAGES:
+            with clock.stage("render"), compiled.once(_camera(gel.row)):
+                _ = self.shared.pictures
+        made = {k: output.reference for k, output in OUTPUTS.items() if k in asked}
+        self.reference = _datasets(made, self.shared, clock)
+        self.of_frame = {k: output.frame for k, output in OUTPUTS.items() if k in asked}
+        attributes = _attributes(gel.scene.gel, self.shared, clock)
+        if on_event:
+            for note in attributes.get("notes", ()):
+                on_event({"event": "note", "scene": gel.row.name, "note": note})
+        self.writer = bundle.Writer(path, attributes, gel.row.frames)
+
+    def __enter__(self) -> "Recorder":
+        self.writer.__enter__()
+        for name, array in self.reference.items():
+            self.writer.put(name, array)
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.writer.__exit__(*error)
+
+    def frame(self, state: solve.State, more: Datasets) -> None:
+        """Record a frame."""
+        frame = _datasets(self.of_frame, FrameData(self.shared, state), self.clock) | more
+        frame["/frames/segment"] = self.scene.segment[state.index]
+        if self.scene.duration is not None:
+            frame["/frames/time"] = self.scene.duration[: state.index + 1].sum()
+        with self.clock.stage("bundle"):
+            self.writer.append(frame)
+
+
+def _made(row: Row, path: Path, on_event: OnEvent | None, clock: Clock) -> SceneResult:
+    """Everything between a row of the plan and its bundles, the first of which is `path`."""
+    gels, frames = _gels(row, clock)
+    reason, done = "", 0
+    with ExitStack() as stack:
+        places = [path.with_name(f"{gel.row.name}.h5") for gel in gels]
+        recorders = [
+            stack.enter_context(Recorder(gel, place, clock, on_event)) for gel, place in zip(gels, places, strict=True)
+        ]
         while True:
             try:
                 with clock.stage("solve"):
-                    state = next(states, None)
+                    found = next(frames, None)
             except solve.NotConverged as error:
-                reason = f"frame {writer.appended + 1} of {row.frames}: {error}"
+                reason = f"frame {done + 1} of {row.frames}: {error}"
                 break
-            if state is None:
+            if found is None:
                 break
-            frame = _datasets(of_frame, FrameData(shared, state), clock)
-            frame["/frames/segment"] = built.segment[state.index]
-            if built.duration is not None:
-                frame["/frames/time"] = built.duration[: state.index + 1].sum()
-            with clock.stage("bundle"):
-                writer.append(frame)
+            for recorder, (state, more) in zip(recorders, found, strict=True):
+                recorder.frame(state, more)
+            done += 1
             if on_event:
-                on_event({"event": "frame", "scene": row.name, "frame": state.index + 1, "frames": row.frames})
+                on_event({"event": "frame", "scene": row.name, "frame": done, "frames": row.frames})
         with clock.stage("bundle"):
-            writer.finish("rejected" if reason else "ok", reason)
+            for recorder in recorders:
+                recorder.writer.finish("rejected" if reason else "ok", reason)
     seconds = {name: round(value, 4) for name, value in clock.seconds.items()}
     path.with_suffix(".timing.json").write_text(json.dumps({"frames": row.frames, "seconds": seconds}, indent=1) + "\n")
     return SceneResult(row.name, path, "rejected" if reason else "ok", reason, row.frames, seconds)

@@ -97,6 +97,7 @@ NOT_NUMPY = {
     "recipe.optics_checks",
     "recipe.background_photo",
     "recipe.checks",
+    "recipe.grasp_checks",
     "recipe.validation_messages",
     "recipe.yaml_source",
     "recipe.trajectory",

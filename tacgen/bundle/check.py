@@ -154,10 +154,14 @@ def _quality(bundle: Bundle) -> Iterator[str]:
     if "/frames/quality/min_gap_mm" in bundle:
         gap = bundle["/frames/quality/min_gap_mm"]
         yield from _say_frames(gap <= 0, "the gel is inside the indenter: smallest gap", gap, "mm")
+    if "/frames/grasp/balance" in bundle:
+        balance = bundle["/frames/grasp/balance"]
+        yield from _say_frames(balance > MAX_IMBALANCE, "both fingers do not balance:", balance, "of the grip force")
 
 
 def _repeats(bundle: Bundle) -> Iterator[str]:
-    """Outside holds and replays no frame has pose and force of the one before; no image stays while the gel moves.
+    """Outside holds, replays and a gripper's way no frame has pose and force of the one before; no image stays while
+    the gel moves.
 
     An image may well repeat: nothing is touched yet, or a ball without friction turns about its own axis.
     """
@@ -165,7 +169,8 @@ def _repeats(bundle: Bundle) -> Iterator[str]:
         return
     if "/frames/pose" in bundle and "/frames/force" in bundle:
         same = ~_changed(bundle["/frames/pose"]) & ~_changed(bundle["/frames/force"])
-        held = np.array([kind in ("hold", "replay") for kind in bundle.segments[1:]])
+        still = ("hold", "replay", *(("lift", "tilt") if "/frames/grasp/object" in bundle else ()))
+        held = np.array([kind in still for kind in bundle.segments[1:]])
         yield from _say_frames(np.append(False, same & ~held), "pose and force repeat the frame before")
     if "/frames/rgb" in bundle:
         moved = np.zeros(bundle.frames - 1, bool)

@@ -1,6 +1,7 @@
 """Which scenes need making: a bundle is kept if it is whole and of the same inputs, never because it exists."""
 
 from collections.abc import Callable, Iterable
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -30,22 +31,26 @@ def once(row: Row, folder: Path, make: Callable[[Path], SceneResult], *, overwri
         UserError: the bundle's place is taken by a file made from other inputs.
         partfile.Busy: another process is making this very bundle.
     """
-    path = folder / f"{row.name}.h5"
+    paths = [folder / f"{each.name}.h5" for each in row.bundles]
     folder.mkdir(parents=True, exist_ok=True)
-    with atomic_file.claim(path):
-        if path.exists() and not overwrite:
-            if bundle.is_complete(path, row.key):
-                kept = bundle.read(path).attrs
-                return SceneResult(row.name, path, kept["status"], kept["reason"], row.frames)
-            _refuse(path)
-        return make(path)
+    with ExitStack() as claims:
+        for path in paths:
+            claims.enter_context(atomic_file.claim(path))
+        if not overwrite:
+            whole = [bundle.is_complete(path, each.key) for path, each in zip(paths, row.bundles, strict=True)]
+            if all(whole):
+                kept = bundle.read(paths[0]).attrs
+                return SceneResult(row.name, paths[0], kept["status"], kept["reason"], row.frames)
+            for path in (path for path, done in zip(paths, whole, strict=True) if path.exists() and not done):
+                _refuse(path)
+        return make(paths[0])
 
 
 def refuse_foreign(rows: Iterable[Row], folder: Path) -> None:
     """UserError if a bundle of other inputs stands where a row's will, or packed scenes; reads attributes only."""
     if dataset.is_packed(folder):
         raise UserError(f"{folder}: holds packed scenes; choose another folder")
-    for row in rows:
+    for row in (each for scene in rows for each in scene.bundles):
         path = folder / f"{row.name}.h5"
         if path.exists():
             try:

@@ -59,7 +59,9 @@ def survey(folder: Path) -> Survey:
     for event in read_journal(folder):
         if event.event == "scene":
             failures[event.scene] = event.reason if event.status == "failed" else ""
-    scenes = (_scene(folder, row, failures.get(row.scene, "")) for row in plan.scenes)
+    scenes = (
+        _scene(folder, row, failures.get(row.scene.partition("-L")[0].partition("-R")[0], "")) for row in plan.scenes
+    )
     return Survey(plan.name, folder, tuple(scenes))
 
 

@@ -93,6 +93,22 @@ LAYOUT: dict[str, Entry] = {
     ),
     "/frames/quality/traction_error": Entry("<f8", ("N",), "1", "L2 norm of sigma n less traction, over that", "frame"),
     "/frames/quality/pressure_oscillation": Entry("<f8", ("N",), "1", "rms of element less smooth pressure", "frame"),
+    "/frames/grasp/object": Entry(
+        "<f8", ("N", 4, 4), "mm", "pose of the object in the world frame of a grasp", "frame row column"
+    ),
+    "/frames/grasp/sensor": Entry(
+        "<f8", ("N", 4, 4), "mm", "pose of this finger's sensor frame in the world", "frame row column"
+    ),
+    "/frames/grasp/width_mm": Entry("<f8", ("N",), "mm", "distance of the fingers' untouched faces", "frame"),
+    "/frames/grasp/mode": Entry(
+        "<i4", ("N",), "1", "the object: 0 stands on the table, 1 is held, 2 falls: friction does not bear it", "frame"
+    ),
+    "/frames/grasp/unborne": Entry(
+        "<f8", ("N",), "N", "part of the weight that the fingers do not bear: the table does, or nothing", "frame"
+    ),
+    "/frames/grasp/balance": Entry(
+        "<f8", ("N",), "1", "norm of what acts on the object in the directions in which it is free, over grip", "frame"
+    ),
     "/reference/rgb": Entry("|u1", ("H", "W", 3), "1", "camera image of the untouched sensor", "row column rgb"),
     "/reference/markers": Entry("<f4", ("M", 2), "px", "marker centres on the untouched sensor", "marker xy"),
     "/reference/height": Entry("<f4", ("h", "w"), "mm", "z of the untouched coated face", "row column"),
@@ -129,6 +145,7 @@ OPTIONAL: dict[str, tuple[type, str]] = {
     "contact": (str, "formulation of contact: `distance`, or `ipctk` and its version"),
     "renderer": (str, "Mitsuba variant and version, where images were rendered"),
     "values": (str, "the varied paths of a batch and their values, JSON"),
+    "finger": (str, "of a grasp, whose bundle it is: `left` or `right`"),
     "notes": (str, "what a reader should know of this scene, JSON list of lines"),
 }
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from tacgen.errors import UserError
-from tacgen.recipe import assets, background_photo, optics_checks, trajectory_checks
+from tacgen.recipe import assets, background_photo, grasp_checks, optics_checks, trajectory_checks
 from tacgen.recipe.indenters import Indenter
 from tacgen.recipe.model import IMAGES, Recipe
 from tacgen.recipe.sensor import LIGHTS, Gel, LitSensor, Sensor
@@ -38,12 +38,12 @@ def recipe_problems(recipe: Recipe, sensor: Sensor, folders: Folders | None = No
     `folders` says where the paths of its files start; the working directory for those that it does not hold.
     """
     folders = folders or {}
-    wrong = [
-        *_depths(recipe, sensor),
-        *trajectory_checks.problems(recipe, sensor.gel, folders),
-        *_outputs(recipe, sensor),
-    ]
-    wrong += _times(recipe, sensor, folders)
+    wrong = grasp_checks.problems(recipe, sensor)
+    if recipe.grasp is None:
+        wrong += [*_depths(recipe, sensor), *trajectory_checks.problems(recipe, sensor.gel, folders)]
+    wrong += output_problems(recipe, sensor)
+    if recipe.grasp is None:
+        wrong += _times(recipe, sensor, folders)
     if recipe.mesh == "hex" and sensor.gel.solid is not None:
         wrong.append(Problem(("mesh",), f"cannot be hex: the gel of {sensor.name} is a solid, which is meshed by tets"))
     wrong += [
@@ -174,7 +174,8 @@ def _times(recipe: Recipe, sensor: Sensor, folders: Folders) -> list[Problem]:
     return wrong
 
 
-def _outputs(recipe: Recipe, sensor: Sensor) -> list[Problem]:
+def output_problems(recipe: Recipe, sensor: Sensor) -> list[Problem]:
+    """What a sensor has not got that the outputs ask for."""
     wrong = []
     if "markers" in recipe.outputs and sensor.markers is None:
         wrong.append(Problem(("outputs",), f"asks for markers, and the sensor {sensor.name} has none"))

@@ -6,7 +6,7 @@ from pydantic import AfterValidator, Discriminator, Field, Tag, ValidationInfo, 
 
 from tacgen.recipe.base_model import ONE_KEY, FilePath, NotNegative, Part, Positive, Sha256, exactly_one
 from tacgen.recipe.indenters import Indenter
-from tacgen.recipe.trajectory import Segment, Start
+from tacgen.recipe.trajectory import Segment, Start, Vector
 from tacgen.recipe.yaml_source import KeyPath
 
 OutputName = Literal[
@@ -36,6 +36,29 @@ class Contact(Part):
 
     friction: NotNegative = 0.0
     formulation: Literal["distance", "ipctk"] = "distance"
+
+
+class Grasp(Part):
+    """Two fingers close on the indenter, which stands upright between them and is free: a scene of two bundles.
+
+    The world's x is the closing axis, from the left finger to the right one, its z up, its origin midway between them.
+    """
+
+    mass_kg: Positive
+    right: Annotated[str, Field(min_length=1)] | None = None  # its sensor; None: as the left one, `sensor`
+    height_mm: Positive | None = None  # of the fingers' middle over the object's lowest point; None: half its height
+    y_mm: float = 0.0  # of the object in the world
+    yaw_deg: float = 0.0  # of the object, about the vertical
+    centre_mm: Vector | None = None  # of mass, in the object's frame; None: on its axis, as high as the fingers
+    gravity: Vector = (0.0, 0.0, -1.0)  # its direction in the world
+    fall_mm: Positive = 0.5  # by which the object sinks in a frame once friction does not bear it
+
+    @field_validator("gravity")
+    @classmethod
+    def _somewhere(cls, value: Vector) -> Vector:
+        if not any(value):
+            raise ValueError("must be a direction (got 0, 0, 0)")
+        return value
 
 
 class Rayleigh(Part):
@@ -176,6 +199,7 @@ class Recipe(Part):
     indenter: Indenter
     start: Start = Start()
     trajectory: Annotated[tuple[Segment, ...], Field(min_length=1)]
+    grasp: Grasp | None = None
     contact: Contact = Contact()
     dynamics: Dynamics | None = None
     mesh: Element | None = None  # None: hex where the gel is a pad, tet where it is a solid of your own

@@ -8,12 +8,12 @@ import hashlib
 import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from tacgen.errors import UserError
-from tacgen.recipe import assets, background_photo, checks
+from tacgen.recipe import assets, background_photo, checks, grasp_checks
 from tacgen.recipe.loading import (
     SOLID,
     Loaded,
@@ -46,15 +46,29 @@ class Row:
     name: str  # scene-00000
     seed: int  # of this scene's noise
     recipe: Recipe  # without vary; varied values are in it
-    sensor: Sensor  # overrides are in it
+    sensor: Sensor  # overrides are in it; of a grasp the left finger's
     values: dict[str, Any] = field(default_factory=dict)  # varied path -> this scene's value
     folders: Mapping[KeyPath, Path] = field(default_factory=dict)  # where the paths of its files start
+    other: Sensor | None = None  # of a grasp the other finger's
+    finger: Literal["left", "right"] | None = None  # of one bundle of a grasp
 
     @property
     def key(self) -> str:
         """SHA-256 over everything the bundle depends on: another key, another bundle."""
         inputs = [FORMAT, self.index, self.seed, self.document(), self.sensor_document()]
+        if self.other is not None:
+            inputs += [self.other.model_dump(mode="json", exclude_none=True), self.finger]
         return _sha256(inputs)
+
+    @property
+    def bundles(self) -> "tuple[Row, ...]":
+        """What each bundle of the scene is of: a row for each finger of a grasp, otherwise the scene itself."""
+        if self.other is None:
+            return (self,)
+        left = replace(self, name=f"{self.name}-L", finger="left")
+        seed = scene_seed(self.seed, self.index)  # another noise than the left one's
+        right = replace(self, name=f"{self.name}-R", finger="right", seed=seed, sensor=self.other, other=self.sensor)
+        return left, right
 
     @property
     def frames(self) -> int:
@@ -150,7 +164,11 @@ def expand(
         wrong = checks.recipe_problems(recipe, sensor, starts)
         if wrong:
             raise UserError(problem.point(tree) for problem in wrong)
-        rows = [Row(0, "scene-00000", scene_seed(0, 0), resolved(recipe, starts), sensor, folders=starts)]
+        other, lacking = _right_sensor(recipe, sensor, tree)
+        if lacking:
+            raise report(lacking)
+        seed = scene_seed(0, 0)
+        rows = [Row(0, "scene-00000", seed, resolved(recipe, starts), sensor, folders=starts, other=other)]
         return Plan(recipe.name, tuple(rows if indices is None else (rows[i] for i in indices)), warnings=told)
     _check(vary, tree)
     count = scene_count(vary)
@@ -228,6 +246,22 @@ def _named(
     return found, told
 
 
+def _right_sensor(recipe: Recipe, sensor: Sensor, tree: Tree) -> tuple[Sensor | None, list[tuple[Problem, Tree]]]:
+    """The sensor of a grasp's right finger, the recipe's overrides laid over it, or what is wrong with it; None where
+    there is no grasp."""
+    if recipe.grasp is None:
+        return None, []
+    if recipe.grasp.right is None:
+        return sensor, []
+    named = Tree(recipe.grasp.right, {(): tree.spot(("grasp", "right"))})
+    other, _, wrong = named_sensor(tree.replaced(("sensor",), named), bool(recipe.outputs & IMAGES))
+    found = [problem for problem, _ in wrong if problem.path == ("sensor",)]  # it is not there
+    wrong = [(problem, where) for problem, where in wrong if problem not in found]
+    if other is not None:
+        found += [*grasp_checks.solid(other), *checks.output_problems(recipe, other)]
+    return other, wrong + [(replace(problem, path=("grasp", "right")), tree) for problem in found]
+
+
 def _solid_folder(sensor: Sensor, sensor_tree: Tree | None) -> dict[KeyPath, Path]:
     """Where the path of a gel's solid starts, if it has one."""
     if sensor.gel.solid is None or sensor_tree is None:
@@ -273,9 +307,11 @@ def _resolve(
         return None, wrong
     starts = {**folders(tree, recipe, vary.paths), **solid}
     wrong += checks.recipe_problems(recipe, sensor, starts)
+    other, lacking = _right_sensor(recipe, sensor, tree)
+    wrong += [problem for problem, _ in lacking]
     if wrong:
         return None, wrong
-    return Row(index, f"scene-{index:05d}", seed, resolved(recipe, starts), sensor, values, starts), []
+    return Row(index, f"scene-{index:05d}", seed, resolved(recipe, starts), sensor, values, starts, other), []
 
 
 def _message(group: list[tuple[str, Problem]], tree: Tree, vary: Vary) -> str:

@@ -29,8 +29,9 @@ def as_csv(plan: Plan) -> str:
 
 
 def as_json(plan: Plan) -> str:
-    """Every row with its seed, key and values."""
-    rows = [{"scene": r.name, "frames": r.frames, "seed": r.seed, "key": r.key, "values": r.values} for r in plan.rows]
+    """Every row, of a grasp both bundles, with its seed, key and values."""
+    each = (row for scene in plan.rows for row in scene.bundles)
+    rows = [{"scene": r.name, "frames": r.frames, "seed": r.seed, "key": r.key, "values": r.values} for r in each]
     return json.dumps({"name": plan.name, "scenes": rows}, indent=1) + "\n"
 
 

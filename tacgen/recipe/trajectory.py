@@ -140,11 +140,30 @@ class Hold(Timed):
     """Stay."""
 
 
+class Close(Timed):
+    """Of a grasp: close or open the fingers until their untouched faces are `width_mm` apart, or press with `force_n`
+    each."""
+
+    width_mm: Positive | None = None
+    force_n: Positive | None = None
+
+    @model_validator(mode="after")
+    def _one(self) -> "Close":
+        exactly_one(self, "one aim", ("width_mm", "force_n"))
+        return self
+
+
+class Lift(Timed):
+    """Of a grasp: lift the gripper against the weight, or lower it."""
+
+    height_mm: float
+
+
 class Release(Paced):
     """Lift back to the height of the start."""
 
 
-Move = Press | Slide | Twist | Tilt | Replay | Hold | Release
+Move = Press | Slide | Twist | Tilt | Replay | Hold | Release | Close | Lift
 
 
 class Segment(Part, json_schema_extra=ONE_KEY):
@@ -157,6 +176,8 @@ class Segment(Part, json_schema_extra=ONE_KEY):
     replay: Replay | None = None
     hold: Hold | None = None
     release: Release | None = None
+    close: Close | None = None
+    lift: Lift | None = None
 
     @model_validator(mode="after")
     def _one(self) -> "Segment":
@@ -165,7 +186,7 @@ class Segment(Part, json_schema_extra=ONE_KEY):
 
     @property
     def kind(self) -> str:
-        """press, slide, twist, tilt, replay, hold or release."""
+        """press, slide, twist, tilt, replay, hold or release; of a grasp close or lift too."""
         return next(name for name in type(self).model_fields if getattr(self, name) is not None)
 
     @property

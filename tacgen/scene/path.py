@@ -90,7 +90,7 @@ def _sink_depth(shape: Shape, pose: Array, gel: "Gel") -> float:
     return min(float(sunk), most)
 
 
-def _contact_height(shape: Shape, gel: "Gel", pose: Array) -> float:
+def contact_height(shape: Shape, gel: "Gel", pose: Array) -> float:
     """Height of the origin at which an indenter of this turn and place would first touch the untouched face [mm]."""
     standing = pose.copy()
     standing[2, 3] = drop = shape.support(-pose[2, :3])  # how far it hangs below its own origin
@@ -107,7 +107,7 @@ def lay(recipe: Recipe, shape: Shape, gel: "Gel", replayed: Callable[[int], tupl
     frames: list[Frame] = []
     segments: list[int] = []
     try:
-        contact = partial(_contact_height, shape, gel)
+        contact = partial(contact_height, shape, gel)
         walk = Walk.at_start(recipe.start, rows[0], shape.support, contact, gel.thickness)
         start = walk.pose
         for number, segment in enumerate(recipe.trajectory):

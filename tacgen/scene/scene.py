@@ -70,7 +70,7 @@ def _reach_of_gel(row: Row) -> tuple[float, float]:
     steps = row.recipe.trajectory
     replays = (row.replayed(number) for number, step in enumerate(steps) if step.replay)
     leans = any(np.hypot(*p.pose[2, :2]) > 2e-9 or p.pose[2, 2] < 0 for poses in replays for p in poses)
-    tilted = leans or row.recipe.start.tilt_deg > 0 or any(step.tilt for step in steps)
+    tilted = leans or row.recipe.start.tilt_deg > 0 or any(step.tilt for step in steps) or row.recipe.grasp is not None
     rise = sum(layer.thickness_mm for layer in gel.layers) + 1.0  # no press is deeper, and gel bulges beside it
     return float(np.hypot(gel.width_mm, gel.height_mm)) + 1.0, np.inf if tilted else rise
 
@@ -83,6 +83,14 @@ def _field(i: indenters.Mesh, row: Row) -> Field:
     """Signed distance of a mesh where the gel can reach it; the grid is as fine as the quality's edge asks for."""
     half, height = _reach_of_gel(row)
     return mesh_import.field(_solid(i, row), cell=SDF_CELL * row.recipe.resolved().edge_mm, height=height, half=half)
+
+
+def shape_of(row: Row) -> Shape:
+    """The signed distance of the indenter."""
+    indenter = row.recipe.indenter
+    shape = _field(indenter, row) if indenter.shape == "mesh" else indenters.analytic(indenter)
+    assert shape is not None
+    return shape
 
 
 def _surface(row: Row, shape: Shape) -> Triangles | None:
@@ -139,8 +147,7 @@ def build(row: Row) -> Scene:
     """The scene of one row of a plan."""
     recipe, quality = row.recipe, row.recipe.resolved()
     gel = gel_of(row.sensor, row.solid_path if row.sensor.gel.solid else None)
-    shape = _field(recipe.indenter, row) if recipe.indenter.shape == "mesh" else indenters.analytic(recipe.indenter)
-    assert shape is not None
+    shape = shape_of(row)
     way = lay(recipe, shape, gel, row.replayed)
     friction, edge, dhat = recipe.contact.friction, quality.edge_mm, quality.dhat_mm
     element = recipe.mesh or ("hex" if row.sensor.gel.solid is None else "tet")

@@ -58,7 +58,7 @@ def _reach_force(
         pose = guess.copy()
         pose[2, 3] = -u
         try:
-            found.append(_trial(problem, history, last, pose, index, duration, found[-1][1] if found else None))
+            found.append(trial(problem, history, last, pose, index, duration, found[-1][1] if found else None))
         except OutOfEffort:
             raise
         except NotConverged as error:
@@ -88,7 +88,7 @@ def _reach_force(
     return carried, replace(state, iterations=sum(trial.iterations for _, trial in found))
 
 
-def _trial(
+def trial(
     problem: Problem, history: History, last: Array, pose: Array, index: int, duration: float, near: State | None
 ) -> tuple[History, State]:
     if near is not None and near.substeps == 1:

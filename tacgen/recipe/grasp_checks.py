@@ -1,0 +1,64 @@
+"""What a grasp cannot be: checks that need its movements, its object and its sensors side by side."""
+
+import math
+
+from tacgen.recipe.indenters import analytic
+from tacgen.recipe.model import Grasp, Recipe
+from tacgen.recipe.sensor import Sensor
+from tacgen.recipe.trajectory import Start, Timed
+from tacgen.recipe.validation_messages import Problem
+
+OF_GRASP = ("close", "lift")  # movements that only a gripper makes
+MOVES = (*OF_GRASP, "tilt", "hold")  # all that it makes
+
+
+def problems(recipe: Recipe, sensor: Sensor) -> list[Problem]:
+    """What of a trajectory, an object or a sensor does not go with a grasp, or with none."""
+    grasp = recipe.grasp
+    if grasp is None:
+        return [
+            Problem(("trajectory", i, step.kind), "needs a grasp", at_key=True)
+            for i, step in enumerate(recipe.trajectory)
+            if step.kind in OF_GRASP
+        ]
+    wrong = [
+        Problem(("trajectory", i, step.kind), f"is none of a gripper's: {', '.join(MOVES)}", at_key=True)
+        for i, step in enumerate(recipe.trajectory)
+        if step.kind not in MOVES
+    ]
+    if recipe.trajectory[0].kind != "close" and not wrong:
+        wrong.append(Problem(("trajectory", 0), "must be close: until then nothing is held"))
+    wrong += [
+        Problem(("trajectory", i, step.kind, "duration_s"), "has no effect in a grasp, which is quasi-static")
+        for i, step in enumerate(recipe.trajectory)
+        if isinstance(step.move, Timed) and step.move.duration_s is not None
+    ]
+    for key, usual in (("start", Start()), ("dynamics", None)):
+        if getattr(recipe, key) != usual:
+            wrong.append(Problem((key,), "has no effect in a grasp", at_key=True))
+    if recipe.contact.formulation != "distance":
+        wrong.append(Problem(("contact", "formulation"), "must be distance in a grasp"))
+    return [*wrong, *solid(sensor), *_object(recipe, grasp)]
+
+
+def solid(sensor: Sensor) -> list[Problem]:
+    """A finger's gel must be a pad."""
+    return [Problem(("sensor",), f"has a solid gel, {sensor.name}: a grasp needs pads")] if sensor.gel.solid else []
+
+
+def _object(recipe: Recipe, grasp: Grasp) -> list[Problem]:
+    """An object of a shape has two sides to close on, and a height by which it is held."""
+    if (shape := analytic(recipe.indenter)) is None:
+        return []
+    c, s = math.cos(yaw := math.radians(grasp.yaw_deg)), math.sin(yaw)
+    import numpy as np
+
+    wide, top = shape.support(np.array([c, -s, 0.0])), shape.support(np.array([0.0, 0.0, 1.0]))
+    if math.isinf(wide):
+        return [Problem(("indenter",), "has no upright sides that fingers could close on")]
+    if grasp.height_mm is None and math.isinf(top):
+        text = "must say at which height over its lowest point an object without a top is held: height_mm"
+        return [Problem(("grasp",), text)]
+    if (grasp.height_mm or 0.0) > top:
+        return [Problem(("grasp", "height_mm"), f"must be at most the object's height, {top:g}")]
+    return []

@@ -1,0 +1,144 @@
+"""Resolved scene -> Grasp: two gels that close on one rigid object, the gripper's path, and what the object weighs.
+
+Frames: the gripper's x is the closing axis, from the left finger to the right one, its origin midway between their
+faces; both fingers point along its -z. The left sensor looks along +x and the right one along -x, the top of their
+images (the sensor's -y) at the fingertip. At the start the gripper's frame is the world's.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tacgen.errors import UserError
+from tacgen.geometry.analytic_sdf import Shape
+from tacgen.geometry.gel import Gel
+from tacgen.geometry.pose import about
+from tacgen.recipe.plan import Row
+from tacgen.recipe.trajectory import Close, Lift, Tilt
+from tacgen.scene.path import contact_height
+from tacgen.scene.scene import Scene, gel_of, shape_of
+
+Array = np.ndarray
+# Sensor frame to gripper frame, left and right: columns are the sensor's x, y, z.
+LOOKS = np.array([[[0, 0, 1], [1, 0, 0], [0, 1, 0]], [[0, 0, -1], [-1, 0, 0], [0, 1, 0]]], dtype=float)
+SIDES = np.array([-1.0, 1.0])  # where along the gripper's x they are
+GRAVITY = 9.80665  # [m/s^2], standard
+DEEP = 0.5  # of the gel's thickness: how deep the mesh on which a grasp is foreseen expects a force to press
+MARGIN = 1.25  # times the depth foreseen
+
+
+@dataclass(frozen=True)
+class Grasp:
+    """All that the numerics need of one grasp.
+
+    fingers: the left and the right gel, whose shape is the object and whose poses are guesses; start (4, 4): the object
+    in the gripper's frame at first touch, `opening` [mm] being the distance of the faces then; weight (3,) in the world
+    [N], acting at `centre` (3,) of the object's frame [mm]; gripper (N, 4, 4): its pose in the world at each frame;
+    width (N,) [mm] and force (N,) [N] that a segment asks for, nan where it does not (with neither the width stays);
+    part (N,): of the change since the segment before that a frame makes [-]; segment (N,); fall: how far the object
+    sinks in a frame once friction does not bear it [mm].
+    """
+
+    fingers: tuple[Scene, Scene]
+    start: Array
+    opening: float
+    weight: Array
+    centre: Array
+    gripper: Array
+    width: Array
+    force: Array
+    part: Array
+    segment: Array
+    fall: float
+
+
+def finger(side: int, width: float) -> Array:
+    """Pose (4, 4) of a sensor in the gripper's frame, the faces `width` [mm] apart; side 0 is left, 1 right."""
+    out = np.eye(4)
+    out[:3, :3] = LOOKS[side]
+    out[0, 3] = SIDES[side] * width / 2
+    return out
+
+
+def seen_from(side: int, width: float, pose: Array) -> Array:
+    """A pose (4, 4) of the gripper's frame in a sensor's."""
+    mount = finger(side, width)
+    out = np.eye(4)
+    out[:3, :3] = mount[:3, :3].T @ pose[:3, :3]
+    out[:3, 3] = mount[:3, :3].T @ (pose[:3, 3] - mount[:3, 3])
+    return out
+
+
+def build(row: Row) -> Grasp:
+    """The grasp of one row of a plan.
+
+    Raises:
+        UserError: the fingers would close by more than a gel is thick.
+    """
+    recipe, asked, quality = row.recipe, row.recipe.grasp, row.recipe.resolved()
+    assert asked is not None
+    assert row.other is not None
+    shape, gels = shape_of(row), (gel_of(row.sensor), gel_of(row.other))
+    height = asked.height_mm or shape.support(np.array([0.0, 0.0, 1.0])) / 2
+    start, opening = _first_touch(shape, gels, height, asked.y_mm, float(np.radians(asked.yaw_deg)))
+    down = np.array(asked.gravity) / np.linalg.norm(asked.gravity)
+    gripper, width, force, part = _path(row, down)
+    thin = min(gel.thickness for gel in gels)
+    for number, step in enumerate(recipe.trajectory):
+        if isinstance(step.move, Close) and (step.move.width_mm or opening) <= opening - 2 * thin:
+            text = f"must be above {opening - 2 * thin:.4g}: first touch is at {opening:.4g} mm"
+            raise UserError(f"trajectory[{number}].close.width_mm: {text}")
+    segment = np.repeat(np.arange(len(recipe.trajectory)), [step.frames for step in recipe.trajectory])
+    closed = opening - DEEP * thin if np.isfinite(force).any() else min(np.nanmin(width), opening)
+    sunk = max(float(((gripper[0, :3, 3] - gripper[:, :3, 3]) @ down).max()), 0.0)  # if it stays on the table
+    fingers = []
+    for side, gel in enumerate(gels):
+        standing = seen_from(side, opening, start)
+        poses = np.tile(seen_from(side, closed, start), (2, 1, 1))
+        poses[1, :3, 3] += sunk * LOOKS[side].T @ down
+        known = (recipe.contact.friction, quality.edge_mm, quality.dhat_mm)
+        fingers.append(Scene(gel, shape, poses, standing, segment, *known, element=recipe.mesh or "hex"))
+    weight, centre = asked.mass_kg * GRAVITY * down, np.array(asked.centre_mm or (0.0, 0.0, height))
+    path = (gripper, width, force, part, segment)
+    return Grasp((fingers[0], fingers[1]), start, opening, weight, centre, *path, asked.fall_mm)
+
+
+def _first_touch(shape: Shape, gels: tuple[Gel, Gel], height: float, y: float, yaw: float) -> tuple[Array, float]:
+    """The object's pose (4, 4) in the gripper's frame and the width [mm] at which both gels just touch it."""
+    pose = np.eye(4)
+    pose[:3, :3] = about(np.array([0.0, 0.0, 1.0]), yaw)
+    pose[:3, 3] = 0.0, y, -height
+    left, right = (contact_height(shape, gel, seen_from(side, 0.0, pose)) for side, gel in enumerate(gels))
+    pose[0, 3] = (left - right) / 2
+    return pose, left + right
+
+
+def _path(row: Row, down: Array) -> tuple[Array, Array, Array, Array]:
+    """The gripper's pose (N, 4, 4); the width, the force and the part of its change (N,) of each frame."""
+    pose, frames = np.eye(4), []
+    for step in row.recipe.trajectory:
+        first = pose
+        for k in range(1, step.frames + 1):
+            part, width, force = k / step.frames, np.nan, np.nan
+            pose = first.copy()
+            match step.move:
+                case Close(width_mm=wide, force_n=strong):
+                    width, force = wide or np.nan, strong or np.nan
+                case Lift(height_mm=height):
+                    pose[:3, 3] -= part * height * down
+                case Tilt(angle_deg=angle, axis_deg=axis):
+                    level = np.array([np.cos(np.radians(axis)), np.sin(np.radians(axis)), 0.0])
+                    pose[:3, :3] = about(level, part * np.radians(angle)) @ first[:3, :3]
+            frames.append((pose, width, force, part))
+    poses, *rest = zip(*frames, strict=True)
+    return np.array(poses), *(np.array(column) for column in rest)  # type: ignore[return-value]
+
+
+def refined(grasp: Grasp, poses: tuple[list[Array], list[Array]]) -> Grasp:
+    """With fingers whose meshes will be fine where `poses` (4, 4) of the object in each sensor's frame have it."""
+    fingers = []
+    for scene, found in zip(grasp.fingers, poses, strict=True):
+        deeper = np.array(found)
+        deeper[:, 2, 3] -= (MARGIN - 1) * np.maximum(scene.start[2, 3] - deeper[:, 2, 3], 0.0) + scene.edge / 4
+        fingers.append(replace(scene, poses=deeper))
+    return replace(grasp, fingers=(fingers[0], fingers[1]))

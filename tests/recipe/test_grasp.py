@@ -1,0 +1,66 @@
+"""What a grasp's recipe may not say, a line each."""
+
+from pathlib import Path
+
+import pytest
+
+from tacgen.errors import UserError
+from tacgen.recipe import plan
+
+RECIPE = """
+tacgen: 1
+name: grasp
+sensor: gelsight_mini
+indenter: {shape: sphere, radius_mm: 5}
+grasp: {mass_kg: 0.05}
+trajectory: [close: {force_n: 1, frames: 2}, lift: {height_mm: 2, frames: 1}, hold: {frames: 1}]
+outputs: [force]
+"""
+
+
+def load(folder: Path, *sets: str) -> plan.Plan:
+    path = folder / "grasp.yaml"
+    path.write_text(RECIPE)
+    return plan.load(path, sets)
+
+
+def test_each_finger_has_a_row_of_its_own(tmp_path: Path) -> None:
+    row = load(tmp_path, "grasp.right=digit").rows[0]
+    left, right = row.bundles
+    assert (left.name, right.name) == ("scene-00000-L", "scene-00000-R")
+    assert (left.sensor.name, right.sensor.name) == ("gelsight_mini", "digit")
+    assert len({row.key, left.key, right.key}) == 3
+    assert left.seed != right.seed
+    other = load(tmp_path, "grasp.right=digit", "sensor.gel.layers[0].youngs_modulus_mpa=0.3").rows[0]
+    assert {each.key for each in other.bundles}.isdisjoint({left.key, right.key})
+    plain = load(tmp_path).rows[0]
+    assert plain.bundles[1].sensor == plain.sensor
+
+
+def test_an_ordinary_scene_is_its_own_bundle(tmp_path: Path) -> None:
+    row = load(tmp_path, "grasp=null", "trajectory=[press: {depth_mm: 1, frames: 1}]").rows[0]
+    assert row.bundles == (row,)
+
+
+@pytest.mark.parametrize(
+    ("sets", "said"),
+    [
+        (["grasp=null"], "trajectory[0].close: needs a grasp"),
+        (["trajectory=[close: {force_n: 1, frames: 1}, twist: {angle_deg: 3, frames: 1}]"], "is none of a gripper's"),
+        (["trajectory=[hold: {frames: 1}]"], "trajectory[0]: must be close"),
+        (["trajectory=[close: {frames: 1}]"], "exactly one aim of width_mm, force_n"),
+        (["trajectory=[close: {force_n: 1, frames: 1, duration_s: 1}]"], "duration_s: has no effect in a grasp"),
+        (["start.x_mm=1"], "start: has no effect in a grasp"),
+        (["contact.formulation=ipctk"], "must be distance in a grasp"),
+        (["indenter={shape: box, size_x_mm: 8, size_y_mm: 8}"], "grasp: must say at which height"),
+        (["indenter={shape: cone, half_angle_deg: 30, tip_radius_mm: 1}"], "indenter: has no upright sides"),
+        (["grasp.height_mm=11"], "grasp.height_mm: must be at most the object's height, 10"),
+        (["grasp.gravity=[0, 0, 0]"], "grasp.gravity: must be a direction"),
+        (["grasp.right=nothing"], "grasp.right: "),
+        (["grasp.right=ninedtact", "outputs=[markers]"], "grasp.right: asks for markers"),
+    ],
+)
+def test_what_cannot_be_is_told_in_a_line(tmp_path: Path, sets: list[str], said: str) -> None:
+    with pytest.raises(UserError) as refused:
+        load(tmp_path, *sets)
+    assert said in str(refused.value)
