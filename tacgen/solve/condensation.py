@@ -7,7 +7,7 @@ reaches c through one forward substitution.
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
-from scipy.linalg.blas import dsyrk
+from scipy.linalg.lapack import dlauum
 
 from tacgen.fem.assembly import Pattern, add_dense_blocks
 from tacgen.solve.linear_solvers import Cholmod, dissection
@@ -57,9 +57,13 @@ class Condensation:
         shift = SHIFT * float(np.abs(data[self._diagonal]).max())
         data[self._diagonal] += shift
         self._factor.factor(data)
-        self._L = self._factor.trailing(self.size)[self._rows]
-        lower = dsyrk(1.0, self._L.T, trans=1, lower=1)
-        S = np.asarray(lower + np.tril(lower, -1).T)
+        L = self._factor.trailing(self.size)
+        self._L = L[self._rows]
+        # L L^T, a third of the work of a product: LAPACK has U U^T of triangles, and L backwards is upper triangular
+        upper = np.triu(dlauum(np.asfortranarray(L[::-1, ::-1]), overwrite_c=1)[0])
+        upper += np.triu(upper, 1).T
+        backwards = self.size - 1 - self._rows
+        S = upper[backwards][:, backwards]
         S[np.diag_indices(self.size)] -= shift
         self.schur = Schur(S)  # undamped
         self.usable = True
@@ -80,13 +84,20 @@ class Condensation:
         return p
 
 
+def _with_diagonal(K: Array, d: float) -> Array:
+    """K + d 1, a copy."""
+    out = K.copy()
+    out.ravel()[:: len(K) + 1] += d
+    return out
+
+
 def _definite(K: Array) -> tuple[Array, bool]:
     """Cholesky factor of K or, where that is not positive definite, of K with a multiple of the unit matrix added
     (Nocedal & Wright 2006, algorithm 3.3)."""
     shift, least = 0.0, 1e-3 * float(np.abs(np.diag(K)).max())
     while True:
         try:
-            factor, lower = cho_factor(K + shift * np.eye(len(K)), lower=True, check_finite=False)
+            factor, lower = cho_factor(_with_diagonal(K, shift), lower=True, check_finite=False)
             return np.asarray(factor), bool(lower)
         except np.linalg.LinAlgError:
             shift = max(4 * shift, least)
@@ -101,7 +112,7 @@ class Schur:
 
     def __init__(self, S: Array, damping: float = 0.0) -> None:
         self.undamped, self.damping = S, damping
-        self.S = S + damping * np.eye(len(S))
+        self.S = _with_diagonal(S, damping)
         self.active = np.zeros(len(S), bool)
         self._reduced: tuple[Array, Array, Array] | None = None
 
@@ -122,7 +133,7 @@ class Schur:
                 break
             except np.linalg.LinAlgError:
                 self.damping = max(4 * self.damping, self.least_damping)
-                self.S = self.undamped + self.damping * np.eye(len(self.S))
+                self.S = _with_diagonal(self.undamped, self.damping)
         W = solve_triangular(L, self.S[np.ix_(o, a)], lower=True, check_finite=False)
         self._reduced = L, W, self.S[np.ix_(a, a)] - W.T @ W
 

@@ -113,13 +113,13 @@ class Cholmod:
         F = _Factor.of(self._F)
         first, start, at = (_view(address, F.nsuper + 1, ctypes.c_int64) for address in (F.super, F.pi, F.px))
         numbers, values = _view(F.s, F.ssize, ctypes.c_int64), _view(F.x, F.xsize, ctypes.c_double)
-        out = np.zeros((k, k))
+        transposed = np.zeros((k, k))
         for s in range(int(np.searchsorted(first, F.n - k, side="right")) - 1, F.nsuper):  # columns of equal pattern
             rows = numbers[start[s] : start[s + 1]] - (F.n - k)
-            columns = np.arange(first[s], first[s + 1]) - (F.n - k)
-            block = values[at[s] : at[s + 1]][: len(rows) * len(columns)].reshape(len(columns), len(rows)).T
-            out[np.ix_(rows[rows >= 0], columns[columns >= 0])] = block[rows >= 0][:, columns >= 0]
-        return np.tril(out)
+            width, before = first[s + 1] - first[s], max(0, F.n - k - first[s])
+            block = values[at[s] : at[s] + width * len(rows)].reshape(width, len(rows))  # L^T, with rubbish left of it
+            transposed[rows[before] : rows[width - 1] + 1, rows[before:]] = np.triu(block)[before:, before:]
+        return transposed.T
 
 
 LOWER, UPPER, PERMUTE, PERMUTE_BACK = 4, 5, 7, 8  # systems that CHOLMOD solves, by its numbers for them
