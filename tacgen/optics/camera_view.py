@@ -68,20 +68,14 @@ class View:
 
     def dimmed(self, at: Samples, bare: "Floats") -> "Floats":
         """What the coat with its dots shows (H, W, 3) of light by which a bare coat would show `bare` (samples, 3)."""
-        coat = self.sensor.coating
         if self.markers is not None:
-            white = (1 - coat.specular) * np.array(coat.albedo) + coat.specular * coating.METAL
-            bare = bare * (1 + at.paint * (self.markers.albedo / white - 1))
+            bare = bare * (1 + at.paint * (self.markers.albedo / coating.white(self.sensor.coating) - 1))
         return self.picture(bare)
 
     def samples_of(self, picture: "Floats") -> "Floats":
         """A picture (H, W, c) at each pixel's samples (samples, c)."""
         n = self.samples
         return np.repeat(np.repeat(picture, n, axis=0), n, axis=1).reshape(-1, picture.shape[2])
-
-    def covered(self, at: Samples) -> "Floats":
-        """Share of each pixel (H, W, 1) behind which there is gel."""
-        return self.picture(np.isfinite(at.position[:, 2]).astype(float))
 
     def _paint(self, rest: "Floats") -> "Floats":
         if self.markers is None:
@@ -92,4 +86,6 @@ class View:
     def picture(self, samples: "Floats") -> "Floats":
         """Means (H, W, c) over each pixel's samples (samples, c)."""
         (h, w), n = self.camera.shape, self.samples
+        if n == 1:
+            return samples.reshape(h, w, -1)
         return np.asarray(samples.reshape(h, n, w, n, -1).mean(axis=(1, 3)))

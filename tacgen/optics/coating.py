@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tacgen.compiled import njit
 from tacgen.optics.mitsuba_dicts import diffuse
 
 if TYPE_CHECKING:
@@ -34,6 +35,11 @@ def bsdf(coating: "Coating") -> dict[str, Any]:
     }
 
 
+def white(coating: "Coating") -> "Floats":
+    """How much of all light that comes the coat throws back, (3,)."""
+    return np.asarray((1 - coating.specular) * np.array(coating.albedo) + coating.specular * METAL)
+
+
 def dotted(coat: dict[str, Any], markers: "Markers", mask: "Floats") -> dict[str, Any]:
     """The coat with dots: where `mask` (h, w) in [0, 1] over UV is 1, the marker's paint."""
     texture = {"type": "bitmap", "bitmap": mask, "raw": True, "filter_type": "bilinear", "wrap_mode": "clamp"}
@@ -48,13 +54,26 @@ def centers(markers: "Markers") -> "Floats":
     return np.column_stack([grid[0].ravel(), grid[1].ravel()])
 
 
-def paint(markers: "Markers", xy: "Floats", edge: "float | Floats") -> "Floats":
-    """Share of paint at rest positions xy (..., 2) [mm], 0 to 1; `edge` [mm] is the width over which a rim fades."""
-    pitch = np.array(markers.pitch_mm)
+def paint(markers: "Markers", xy: "Floats", edge: float) -> "Floats":
+    """Share of paint at rest positions xy (..., 2) [mm], 0 to 1, nan where they are; `edge` [mm] is the width over
+    which a rim fades."""
+    flat = np.ascontiguousarray(xy, dtype=np.float64).reshape(-1, 2)
     last = (np.array([markers.columns, markers.rows]) - 1) / 2
-    nearest = np.clip(np.round(xy / pitch + last) - last, -last, last) * pitch
-    distance = np.linalg.norm(xy - nearest, axis=-1)
-    return np.asarray(np.clip((markers.diameter_mm / 2 - distance) / edge + 0.5, 0.0, 1.0))
+    return painted(flat, last, np.array(markers.pitch_mm), markers.diameter_mm / 2, edge).reshape(xy.shape[:-1])
+
+
+@njit(cache=True)
+def painted(xy: "Floats", last: "Floats", pitch: "Floats", radius: float, edge: float) -> "Floats":
+    """The same at (n, 2), by the number of the last dot each way [-] from the middle, and their radius [mm]."""
+    out = np.empty(len(xy))
+    for i in range(len(xy)):
+        away2 = 0.0
+        for c in range(2):
+            nearest = min(max(np.rint(xy[i, c] / pitch[c] + last[c]) - last[c], -last[c]), last[c])
+            away2 += (xy[i, c] - nearest * pitch[c]) ** 2
+        share = (radius - np.sqrt(away2)) / edge + 0.5
+        out[i] = share if np.isnan(away2) else min(max(share, 0.0), 1.0)
+    return out
 
 
 def mask(markers: "Markers", size: tuple[float, float], pixel: float) -> "Floats":

@@ -4,19 +4,23 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tacgen.optics import adaptive_sampling, coating, strip_light
+from tacgen.optics import adaptive_sampling, coating
 from tacgen.optics.camera_view import Samples, View
 from tacgen.optics.rasterize import draw
 from tacgen.optics.shadows import Terrain
-from tacgen.optics.strip_light_table import Beams, shine
+from tacgen.optics.strip_light_table import Columns, shine
 from tacgen.optics.surface_grid import Sheet, Surface
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from tacgen.optics.description import LitSensor
+    from tacgen.optics.interreflection import Glow
 
     Floats = NDArray[np.float64]
+    Light = Callable[[NDArray[np.int64]], Floats]
 
 
 class Direct:
@@ -27,47 +31,62 @@ class Direct:
         sensor: "LitSensor",
         sheet: Sheet,
         markers: bool,
-        pieces: tuple[int, int] = (8, 4),
+        untouched: Surface,
+        pieces: int = 8,
         samples: int = 1,
         tolerance: adaptive_sampling.Tolerance = adaptive_sampling.Tolerance(),  # noqa: B008
     ) -> None:
-        """`pieces`: points on each strip (along, up); `samples` x `samples` rays a pixel."""
+        """Each strip in so many `pieces`; `samples` x `samples` rays a pixel."""
         self.sensor, self.sheet, self._tolerance = sensor, sheet, tolerance
         self.view = View(sensor, sheet, markers, samples)
-        self.points = strip_light.points(sensor.leds, *pieces)
-        self._beams = Beams.of(sensor, self.points, pieces[1], sheet)
+        self._untouched = heights(sheet, sheet.at(untouched))
+        self._columns = Columns.of(sensor, pieces, Terrain.of(self._untouched, sheet.size))
         self._toward, self._seen = self.view.toward_camera(), self.view.transmission()
 
     def light(self, at: Samples) -> "Floats":
         """What the camera sees per unit radiance of each LED, 0 off the pad: (samples, strips, 2) of a white matt and
         of a mirror-rough coat, the latter only where the coat has some gloss."""
-        return self._summed(at, np.eye(len(self.sensor.leds)))
+        gather = self._gatherer(at, np.eye(len(self.sensor.leds)))
+        return self._everywhere(lambda index: gather(index).reshape(len(index), -1), at).reshape(
+            len(at.normal), len(self.sensor.leds), -1
+        )
 
-    def seen(self, at: Samples) -> "Floats":
-        """Linear radiance (H, W, 3) of what the camera's rays meet."""
+    def seen(self, at: Samples, glow: "Glow | None" = None) -> "Floats":
+        """Linear radiance (H, W, 3) of what the camera's rays meet, with what bounces there."""
         coat, markers = self.sensor.coating, self.view.markers
-        light = self._summed(at, np.array([led.light for led in self.sensor.leds]))
-        matt = light[..., 0]
-        seen = (1 - coat.specular) * matt * coat.albedo
-        if coat.specular:
-            seen += coat.specular * coating.METAL * light[..., 1]
-        if markers is not None:
-            seen += at.paint * (markers.albedo * matt - seen)
-        return self.view.picture(seen)
+        white, dots = coating.white(coat), markers is not None and coat.specular > 0.0
+        gather = self._gatherer(at, np.array([led.light for led in self.sensor.leds]))
 
-    def _summed(self, at: Samples, radiance: "Floats") -> "Floats":
-        """The same by LEDs of radiance (strips, c): (samples, c, 1 or 2)."""
-        coat, strips = self.sensor.coating, len(radiance)
-        terrain = Terrain.of(heights(self.sheet, at.nodes), self.sheet.size)
-        kinds = 2 if coat.specular else 1
+        def bare(index: "NDArray[np.int64]") -> "Floats":
+            light = gather(index)
+            matt, bounced = light[..., 0], np.zeros((len(index), 3))
+            if glow is not None:
+                bounced = glow.at(at.normal[index], index) * np.isfinite(at.position[index, 2:])
+            seen = (1 - coat.specular) * matt * coat.albedo + bounced
+            if coat.specular:
+                seen += coat.specular * coating.METAL * light[..., 1]
+            return np.column_stack([seen, matt + bounced / white]) if dots else seen
+
+        found = self._everywhere(bare, at)
+        if markers is None or not dots:
+            return self.view.dimmed(at, found)
+        return self.view.picture(found[:, :3] + at.paint * (markers.albedo * found[:, 3:] - found[:, :3]))
+
+    def _gatherer(self, at: Samples, radiance: "Floats") -> "Light":
+        """What shines on samples of an index by LEDs of radiance (strips, c), as seen: (n, c, 1 or 2)."""
+        coat = self.sensor.coating
+        terrain = Terrain.of(heights(self.sheet, at.nodes), self.sheet.size, self._untouched)
+        kinds, alpha = (2, coat.roughness) if coat.specular else (1, 0.0)
 
         def gather(index: "NDArray[np.int64]") -> "Floats":
             seen = at.position[index], at.normal[index], self._toward[index]
-            gathered = shine(*seen, self._beams, strips, coat.roughness if coat.specular else 0.0, terrain)
-            return np.asarray(np.einsum("nkr,kc->ncr", gathered[..., :kinds], radiance).reshape(len(index), -1))
+            lit = shine(*seen, self._columns, radiance, alpha, terrain)[..., :kinds]
+            return np.asarray(lit * self._seen[index, None, None])
 
-        found = adaptive_sampling.evaluate(gather, at.normal, self.view.shape, self._tolerance) * self._seen[:, None]
-        return np.asarray(found.reshape(len(found), -1, kinds))
+        return gather
+
+    def _everywhere(self, light: "Light", at: Samples) -> "Floats":
+        return adaptive_sampling.evaluate(light, at.normal, self.view.shape, self._tolerance)
 
     def radiance(self, surface: Surface) -> "Floats":
         """Linear radiance (H, W, 3) of a deformed face."""

@@ -17,6 +17,9 @@ Floats = NDArray[np.float64]
 SMALL, LARGE = 8, 32  # cells along the side of a block
 
 
+DENTED = 0.02  # [mm] by which a face must have drawn back since it was untouched to be looked at for shadows
+
+
 class Terrain(NamedTuple):
     """Heights (h, w) [mm] over a rectangle of `size` (x, y) [mm] centred on 0, and the least of each block."""
 
@@ -24,12 +27,14 @@ class Terrain(NamedTuple):
     small: Floats
     large: Floats
     size: Floats
+    lowest: float
 
     @classmethod
-    def of(cls, heights: Floats, size: tuple[float, float]) -> "Terrain":
-        """That of a face."""
-        small, large = (lowest(heights, cells) for cells in (SMALL, LARGE))
-        return cls(heights, small, large, np.array(size))
+    def of(cls, heights: Floats, size: tuple[float, float], before: Floats | None = None) -> "Terrain":
+        """That of a face; with its heights `before`, only what has drawn back since then shades."""
+        blocked = heights if before is None else np.where(heights < before - DENTED, heights, np.inf)
+        small, large = (lowest(blocked, cells) for cells in (SMALL, LARGE))
+        return cls(heights, small, large, np.array(size), float(large.min()))
 
 
 @njit(cache=True)
@@ -65,7 +70,7 @@ def horizon(
         above, below: (least, greatest) slope of interest, of two sorts of rays, the steeper first; anything is a right
             answer that lies between the same of these four as the horizon.
     """
-    heights, small, large, size = terrain
+    heights, small, large, size, lowest = terrain
     rows, columns = heights.shape
     wx, wy = size[0] / (columns - 1), size[1] / (rows - 1)
     u0, v0 = (x + size[0] / 2) / wx, (y + size[1] / 2) / wy  # in cells
@@ -79,6 +84,10 @@ def horizon(
     first = max(first, ((1 - right) * (columns - 1) - u0) * across, ((1 - under) * (rows - 1) - v0) * down) + 1e-6
     r = min(r, (right * (columns - 1) - u0) * across, (under * (rows - 1) - v0) * down) - 1e-6
     found = limit = above[1]
+    if lowest == np.inf:
+        return float(found)
+    if limit < 0.0:  # further away the ray is below all of the face
+        r = min(r, (lowest - z) / limit)
     while r > first:  # from far to near: beyond a dome's rim most of what is nearer is soon known to be out of the way
         u, v = u0 + r * du, v0 + r * dv
         i, j = int(u), int(v)

@@ -40,13 +40,15 @@ class Points(NamedTuple):
     lobe: NDArray[np.int64]  # power of the cosine by which radiance falls off the normal, (p,)
 
 
-def points(leds: "Sequence[Led]", along: int, up: int) -> Points:
-    """`along` x `up` points of Gauss and Legendre on each strip, with their shares of its area."""
+def points(leds: "Sequence[Led]", along: int, up: int, pieces: int = 1) -> Points:
+    """`along` x `up` points of Gauss and Legendre on each of `pieces` of the same length, with their shares of a
+    strip's area: strip by strip, piece by piece, and then upward at one place along it after the other."""
     at, normal, area, half, strip, lobe = [], [], [], [], [], []
     (a, share_a), (b, share_b) = (np.polynomial.legendre.leggauss(n) for n in (along, up))
+    a, share_a = ((2 * np.arange(pieces)[:, None] + 1 + a) / pieces - 1).ravel(), np.tile(share_a / pieces, pieces)
     for k, led in enumerate(leds):
         axes, (w, h) = frame(led.normal, led.up), led.size_mm
-        for i in range(along):
+        for i in range(len(a)):
             for j in range(up):
                 at.append(np.array(led.center_mm) + a[i] * w / 2 * axes[:, 0] + b[j] * h / 2 * axes[:, 1])
                 normal.append(axes[:, 2])

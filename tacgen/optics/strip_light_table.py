@@ -1,18 +1,20 @@
-"""The sum over strips at the pace of a picture: connections from a table, and one horizon for all that comes along it.
+"""The sum over strips at the pace of a picture: what each column of a strip gives is tabulated over places in the gel.
 
-How light travels from a strip's point to a face depends on how far aside and how high each is, and on nothing else:
-once per sensor it is tabulated (transport.arrive), between flat layers smooth as one over the square of the distance.
+A column is a piece of a strip as tall as the strip. What of its light arrives somewhere, straight and mirrored, is a
+vector (direction and irradiance on a surface that faces it) and a range of slopes, summed over points fine enough to be
+exact and smooth in place. A picture's samples interpolate them; how a face is turned and what it shades is known then.
 """
 
+import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.compiled import njit, prange
+from tacgen.optics.camera import Camera
 from tacgen.optics.shadows import Terrain, horizon
-from tacgen.optics.strip_light import Panels, Points, Slab, arrive, ggx, layer, shaded
-from tacgen.optics.surface_grid import Sheet, Untouched
+from tacgen.optics.strip_light import Panels, Points, Slab, arrive, ggx, layer, points, shaded
 
 if TYPE_CHECKING:
     from tacgen.optics.description import LitSensor
@@ -20,156 +22,264 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 
-ASIDE, DEEP = 0.1, 0.1  # [mm] between entries of the table
+ASIDE = 0.1  # [mm] between the ways aside for which connections are tabulated
+PLACE, NEAR = (0.2, 0.4), 0.15  # least and greatest [mm] between the table's places, and over how near strips are
+DEEP = 0.5  # [mm] between its heights
 RISE = 1.0  # [mm] by which a bulging face may be higher than untouched
-LATTICE = 1.0  # [mm] between places of the face for which it is known how the strips shade each other
-WITHIN = (-0.75, -0.25, 0.25, 0.75)  # places up a point's piece of strip, in halves of it, that are tried for that
+ALONG, UP = 2, 16  # points in a column
+EVER = (-9.0, 9.0)  # every slope is of interest
+STEEP = -1e-3  # a normal's z is taken to be no more than this [-]
 
 
-class Beams(NamedTuple):
-    """A sensor's strips, columns of `up` points each, and the table of their connections."""
+class Columns(NamedTuple):
+    """Pieces of a sensor's strips, and the table of what they give."""
 
-    points: Points
-    up: int  # points in a column
-    middle: Floats  # of each column [mm], (columns, 2)
-    level: NDArray[np.int64]  # which height of the table a point has, (p,)
-    bend: Floats  # sine at the point for one of 1 at the face, (p,)
-    table: Singles  # transport.arrive's four, straight and mirrored, (levels, heights, ways aside, 8)
-    floor: float  # lowest height in the table [mm]
-    passed: Singles  # share that strips let pass to the untouched face, (rows, columns, p, 2: straight and mirrored)
-    shade: NDArray[np.bool_]  # whether any of it is less than 1 around a cell, (rows - 1, columns - 1)
-    size: Floats  # of the rectangle over which they lie [mm], (2,)
+    middle: Floats  # [mm], (columns, 3)
+    strip: NDArray[np.int64]  # which LED, (columns,)
+    lowest: Floats  # corner of the table [mm], (3,): x, y, z
+    step: Floats  # between its entries [mm], (3,)
+    # per unit radiance, straight and mirrored: irradiance vector times distance^2 [mm^2] and half the range of slopes,
+    # of each column; and of each the slope up to which the untouched face lets light pass
+    given: Singles  # (heights, rows, columns of places, 8 x columns + columns)
+    mirror: float  # height of the plate's air face [mm]
 
     @classmethod
-    def of(cls, sensor: "LitSensor", points: Points, up: int, sheet: Sheet) -> "Beams":
-        """For faces of a sheet, anywhere in the outermost layer."""
-        slab, at, (x, y) = Slab.of(sensor), points.at, np.array(sheet.size) / 2
-        middle = at[:, :2].reshape(-1, up, 2).mean(axis=1)
-        corners = np.array([[x, y], [x, -y], [-x, y], [-x, -y]])
-        reach = np.linalg.norm(at[:, None, :2] - corners, axis=2).max() + 1.0
-        heights, level = np.unique(at[:, 2].round(6), return_inverse=True)
-        home = np.array([layer(z, slab.tops) for z in heights])
-        floor = float(slab.bottoms[-1]) + 0.5 * DEEP
-        z, aside = np.arange(floor, RISE + DEEP, DEEP), np.arange(0.0, reach + ASIDE, ASIDE)
+    def of(cls, sensor: "LitSensor", pieces: int, untouched: Terrain) -> "Columns":
+        """Each strip in so many `pieces`, for faces anywhere in the outermost layer before the camera."""
+        from scipy.ndimage import map_coordinates
+
+        slab, lights = Slab.of(sensor), points(sensor.leds, ALONG, UP, pieces)
+        heights, level = np.unique(lights.at[:, 2].round(6), return_inverse=True)
+        home, field = np.array([layer(z, slab.tops) for z in heights]), seen(sensor)
+        z = np.linspace(slab.bottoms[-1] + 0.1 * DEEP, RISE, round((RISE - slab.bottoms[-1]) / DEEP) + 1)
+        reach = np.linalg.norm(np.abs(lights.at[:, :2]).max(axis=0) + np.abs(field).max(axis=0))
+        aside = np.arange(0.0, reach + 2 * ASIDE, ASIDE)
         aside[0] = 1e-3 * ASIDE
+        off = lights.at - np.column_stack([np.clip(lights.at[:, :2], *field), np.zeros(len(lights.at))])
+        place = np.clip(NEAR * np.linalg.norm(off, axis=1).min(), *PLACE)
+        x, y = (np.linspace(low, high, math.ceil((high - low) / place) + 1) for low, high in field.T)
+        places = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+        count = np.array(untouched.heights.shape[::-1]) - 1
+        face = map_coordinates(untouched.heights, ((places / untouched.size + 0.5) * count).T[::-1], order=1)
+        places = np.column_stack([places, face])
+        middle = lights.at.reshape(-1, ALONG * UP, 3).mean(axis=1)
         table = tabulate(z, aside, heights, home, slab)
-        lattice = Sheet.over(sensor.gel, LATTICE)
-        face = np.column_stack([lattice.rest, Untouched.of(sensor.gel).at(lattice.rest)[:, 2]])
-        passed = sift(face, points, home[level], Panels.of(sensor.leds), slab).reshape(*lattice.shape, -1, 2)
-        least = passed.min(axis=(2, 3))
-        around = np.minimum(np.minimum(least[1:, 1:], least[:-1, 1:]), np.minimum(least[1:, :-1], least[:-1, :-1]))
-        bend = slab.indices[-1] / slab.indices[home][level]
-        return cls(points, up, middle, level, bend, table, floor, passed, around < 1.0, np.array(sheet.size))
+        given = add_up(places, z, lights, middle, level, home, table, Panels.of(sensor.leds), slab)
+        lowest, step = np.array([x[0], y[0], z[0]]), np.array([x[1] - x[0], y[1] - y[0], z[1] - z[0]])
+        given = np.concatenate([given.reshape(len(z), len(places), -1), edges(places, z, middle, untouched)], axis=2)
+        given = given.reshape(len(z), len(y), len(x), -1)
+        return cls(middle, lights.strip[:: ALONG * UP].copy(), lowest, step, given, float(slab.bottoms[0]))
 
 
-@njit(cache=True, parallel=True)
+def seen(sensor: "LitSensor") -> Floats:
+    """What the camera sees of the gel, (2, 2): least and greatest x and y [mm], on the pad."""
+    camera, half = Camera.from_sensor(sensor), np.array([sensor.gel.width_mm, sensor.gel.height_mm]) / 2
+    (h, w) = camera.shape
+    near, way = camera.rays([[0, 0], [w, 0], [0, h], [w, h]])
+    ends = np.concatenate([near, near + way * ((RISE - near[:, 2:]) / way[:, 2:])])[:, :2]
+    return np.asarray(np.clip([ends.min(axis=0) - PLACE[1], ends.max(axis=0) + PLACE[1]], -half, half))
+
+
+@njit(cache=True)
 def tabulate(z: Floats, aside: Floats, sources: Floats, home: NDArray[np.int64], slab: Slab) -> Singles:
-    """transport.arrive for every source, height, way aside and image: (sources, heights, ways, 8)."""
-    out = np.empty((len(sources), len(z), len(aside), 8), np.float32)
-    for s in prange(len(sources)):
-        for i in range(len(z)):
-            for r in range(len(aside)):
-                for image in range(2):
-                    found = arrive(aside[r], z[i], sources[s], home[s], image, slab)
-                    for c in range(4):
-                        out[s, i, r, 4 * image + c] = found[c]
+    """strip_light.arrive for every source, way aside, image and height: (sources, ways, 2, 4, heights)."""
+    out = np.empty((len(sources), len(aside), 2, 4, len(z)), np.float32)
+    for s in range(len(sources)):
+        for r in range(len(aside)):
+            for image in range(2):
+                for i in range(len(z)):
+                    out[s, r, image, :, i] = arrive(aside[r], z[i], sources[s], home[s], image, slab)
     return out
 
 
-@njit(cache=True, parallel=True)
-def sift(face: Floats, points: Points, home: NDArray[np.int64], panels: Panels, slab: Slab) -> Singles:
-    """Share of the light from each point's piece, straight and mirrored, that strips let pass to places of the face
-    (n, 3): (n, p, 2)."""
-    out = np.zeros((len(face), len(points.at), 2), np.float32)
-    for s in prange(len(face)):
-        p = face[s]
-        for q in range(len(points.at)):
-            up = panels.up[points.strip[q]]
-            rise = up / max(np.sqrt((up * up).sum()), 1e-9) * points.half[q]
-            for t in WITHIN:
-                at = points.at[q] + t * rise
-                rho = max(np.sqrt((at[0] - p[0]) ** 2 + (at[1] - p[1]) ** 2), 1e-9)
+@njit(cache=True, error_model="numpy", fastmath={"contract", "nsz", "arcp", "reassoc"})
+def add_up(
+    places: Floats,
+    z: Floats,
+    points: Points,
+    middle: Floats,
+    level: NDArray[np.int64],
+    home: NDArray[np.int64],
+    table: Singles,
+    panels: Panels,
+    slab: Slab,
+) -> Singles:
+    """Columns.given at heights z (m,) over places (n, 3) of the untouched face: (m, n, columns, 8).
+
+    What strips keep off those is kept off all heights there.
+
+    Args:
+        points: those of the columns, one column after the other, their middles being `middle` (columns, 3).
+        level, home: which of the table's heights a point has (p,), and the layers of those.
+        table: see tabulate.
+    """
+    out, one = np.zeros((len(z), len(places), len(middle), 8), np.float32), np.float32(1.0)
+    each, opaque = len(points.at) // len(middle), np.abs(panels.along).sum() > 0.0
+    given, least, most = (
+        np.empty((2, 4, len(z)), np.float32),
+        np.empty((2, len(z)), np.float32),
+        np.empty((2, len(z)), np.float32),
+    )
+    weight, facing = np.empty(len(z), np.float32), np.empty(len(z), np.float32)
+    for s in range(len(places)):
+        p = places[s]
+        untouched = min(max((p[2] - z[0]) / (z[1] - z[0]), 0.0), len(z) - 1.001)
+        below = int(untouched)
+        share = untouched - below
+        for c in range(len(middle)):
+            given[:] = 0.0
+            for q in range(c * each, (c + 1) * each):
+                if q % UP == 0:
+                    least[:], most[:] = np.inf, -np.inf
+                dx, dy = points.at[q, 0] - p[0], points.at[q, 1] - p[1]
+                rho = max(np.sqrt(dx * dx + dy * dy), 1e-9)
+                dx, dy, r = dx / rho, dy / rho, int(rho / ASIDE)
+                far = np.float32(rho / ASIDE - r)
+                near, x, y, soft = one - far, np.float32(dx), np.float32(dy), np.float32(points.half[q] / rho)
+                index, normal = slab.indices[-1] / slab.indices[home[level[q]]], points.normal[q]
+                aside = np.float32(index * (normal[0] * dx + normal[1] * dy))
+                up, area = np.float32(normal[2]), np.float32(points.area[q])
                 for image in range(2):
-                    k = arrive(rho, p[2], at[2], home[q], image, slab)[0] * slab.indices[-1]
-                    if not shaded(panels, p, at, home[q], image, k, slab):
-                        out[s, q, image] += 1.0 / len(WITHIN)
+                    low, high = table[level[q], r, image], table[level[q], r + 1, image]
+                    if opaque:
+                        k = (1 - share) * (near * low[0, below] + far * high[0, below])
+                        k += share * (near * low[0, below + 1] + far * high[0, below + 1])
+                        k *= slab.indices[-1]
+                        if shaded(panels, p, points.at[q], home[level[q]], image, k, slab):
+                            continue
+                    for i in range(len(z)):
+                        sine = near * low[0, i] + far * high[0, i]
+                        facing[i] = (near * low[2, i] + far * high[2, i]) * up - sine * aside
+                        facing[i] = max(facing[i], np.float32(0.0))
+                        weight[i] = area * facing[i] * (near * low[3, i] + far * high[3, i])
+                    for _ in range(points.lobe[q]):
+                        for i in range(len(z)):
+                            weight[i] *= facing[i]
+                    for i in range(len(z)):
+                        sine, rise = near * low[0, i] + far * high[0, i], near * low[1, i] + far * high[1, i]
+                        given[image, 0, i] += weight[i] * sine * x
+                        given[image, 1, i] += weight[i] * sine * y
+                        given[image, 2, i] += weight[i] * rise
+                        least[image, i] = min(least[image, i], rise / sine - soft)
+                        most[image, i] = max(most[image, i], rise / sine + soft)
+                if (q + 1) % UP == 0:
+                    given[:, 3] += np.maximum(most - least, 0.0) * np.float32(0.5 * UP / each)
+            away2 = (middle[c, 0] - p[0]) ** 2 + (middle[c, 1] - p[1]) ** 2
+            for image in range(2):
+                for i in range(len(z)):
+                    height = (2 * slab.bottoms[0] if image == 1 else 2 * z[i]) - middle[c, 2] - z[i]
+                    for m in range(3):
+                        out[i, s, c, 4 * image + m] = given[image, m, i] * (away2 + height * height)
+                    out[i, s, c, 4 * image + 3] = given[image, 3, i]
+    return out
+
+
+@njit(cache=True)
+def edges(places: Floats, z: Floats, middle: Floats, untouched: Terrain) -> Singles:
+    """Greatest slope that passes the untouched face from heights z (m,) over places (n, 3) of it toward each column:
+    (m, n, columns). Above the face it is continued, as it is where what cuts light off is far away."""
+    out = np.empty((len(z), len(places), len(middle)), np.float32)
+    for s in range(len(places)):
+        x, y, face = places[s]
+        for c in range(len(middle)):
+            dx, dy = middle[c, 0] - x, middle[c, 1] - y
+            rho = max(np.sqrt(dx * dx + dy * dy), 1e-9)
+            dx, dy = dx / rho, dy / rho
+            level = horizon(untouched, x, y, face, dx, dy, rho, EVER, EVER)
+            slope = (level - horizon(untouched, x, y, face - DEEP, dx, dy, rho, EVER, EVER)) / DEEP
+            for i in range(len(z)):
+                if z[i] < face:
+                    out[i, s, c] = horizon(untouched, x, y, z[i], dx, dy, rho, EVER, EVER)
+                else:
+                    out[i, s, c] = level + slope * (z[i] - face)
     return out
 
 
 @njit(cache=True, parallel=True, error_model="numpy", fastmath={"contract", "nsz", "arcp", "reassoc"})
-def shine(p: Floats, n: Floats, view: Floats, beams: Beams, strips: int, alpha: float, terrain: Terrain) -> Floats:
-    """What transport.gather gives, (samples, strips, 2); alpha 0 leaves out the mirror-rough coat."""
-    points, _, middle, level, bend, table, floor, passed, shady, size = beams  # loops in parallel take no nested tuples
-    at, light_normal, area, half, strip, lobe = points
-    out, up = np.zeros((len(p), strips, 2)), len(at) // len(middle)
+def shine(
+    p: Floats, n: Floats, view: Floats, columns: Columns, radiance: Floats, alpha: float, terrain: Terrain
+) -> Floats:
+    """Radiance toward the camera by strips of `radiance` (strips, c): (samples, c, 2), for a white matt and a
+    mirror-rough coat; alpha 0 leaves out the latter. `terrain` is what has changed since the face was untouched; the
+    other arguments are those of strip_light.gather."""
+    middle, strip, lowest, step, given, mirror = columns  # loops in parallel take no nested tuples
+    out = np.zeros((len(p), radiance.shape[1], 2))
     for s in prange(len(p)):
         if np.isnan(p[s, 0]):
             continue
         x, y, z = p[s]
         nx, ny, nz = n[s]
         vx, vy, vz = view[s]
-        got = np.empty(8, np.float32)
-        ray = np.empty((2 * up, 5))  # its cosine at the face, weight, slope, shadow's softness, cosine to the camera's
         ci = max(nx * vx + ny * vy + nz * vz, 0.05)
-        deep = min(max((z - floor) / DEEP, 0.0), table.shape[1] - 1.001)
-        i = int(deep)
-        a = np.float32(deep - i)
-        across = (x / size[0] + 0.5) * (passed.shape[1] - 1)
-        down = (y / size[1] + 0.5) * (passed.shape[0] - 1)
-        across = min(max(across, 0.0), passed.shape[1] - 1.001)
-        down = min(max(down, 0.0), passed.shape[0] - 1.001)
-        g, h = int(across), int(down)
-        e, f = np.float32(across - g), np.float32(down - h)
-        shade = shady[h, g]
+        got = between(given, (x - lowest[0]) / step[0], (y - lowest[1]) / step[1], (z - lowest[2]) / step[2])
         for c in range(len(middle)):
-            rays, above, below = 0, (1e9, -1e9), (1e9, -1e9)
-            for q in range(c * up, (c + 1) * up):
-                dx, dy = at[q, 0] - x, at[q, 1] - y
-                rho = max(np.sqrt(dx * dx + dy * dy), 1e-9)
-                dx, dy = dx / rho, dy / rho
-                way = min(rho / ASIDE, table.shape[2] - 1.001)
-                r = int(way)
-                u = level[q]
-                b = np.float32(way - r)
-                for k in range(8):
-                    near = table[u, i, r, k] + a * (table[u, i + 1, r, k] - table[u, i, r, k])
-                    far = table[u, i, r + 1, k] + a * (table[u, i + 1, r + 1, k] - table[u, i, r + 1, k])
-                    got[k] = near + b * (far - near)
-                turned = bend[q] * (light_normal[q, 0] * dx + light_normal[q, 1] * dy)
-                onto, back, soft = nx * dx + ny * dy, vx * dx + vy * dy, half[q] / rho
-                for k in range(0, 8, 4):
-                    sg, cg = got[k], got[k + 1]
-                    co = onto * sg + nz * cg
-                    facing = got[k + 2] * light_normal[q, 2] - sg * turned
-                    if co <= 0.0 or facing <= 0.0 or got[k + 3] <= 0.0:
-                        continue
-                    slope = cg / sg
-                    if k == 0:
-                        above = min(above[0], slope - soft), max(above[1], slope + soft)
-                    else:
-                        below = min(below[0], slope - soft), max(below[1], slope + soft)
-                    weight = got[k + 3] * facing ** (1 + lobe[q]) * area[q]
-                    if shade:
-                        m = k // 4
-                        near = passed[h, g, q, m] + e * (passed[h, g + 1, q, m] - passed[h, g, q, m])
-                        far = passed[h + 1, g, q, m] + e * (passed[h + 1, g + 1, q, m] - passed[h + 1, g, q, m])
-                        weight *= near + f * (far - near)
-                    ray[rays, 0], ray[rays, 1], ray[rays, 2] = co, weight, slope
-                    ray[rays, 3], ray[rays, 4] = soft, back * sg + vz * cg
-                    rays += 1
-            if rays == 0:
-                continue
-            above = above if above[0] <= above[1] else below
-            below = below if below[0] <= below[1] else above
             dx, dy = middle[c, 0] - x, middle[c, 1] - y
             rho = max(np.sqrt(dx * dx + dy * dy), 1e-9)
-            edge = horizon(terrain, x, y, z, dx / rho, dy / rho, rho, above, below)
+            # of each image: irradiance sideways, its mean slope, half their range, where the face turns away
+            side0, slope0, half0, turn0 = aspect(got, 8 * c, nx, ny, nz)
+            side1, slope1, half1, turn1 = aspect(got, 8 * c + 4, nx, ny, nz)
+            free = np.float64(got[8 * len(middle) + c])
+            above = slope0 - half0, min(slope0 + half0, turn0, free)
+            below = slope1 - half1, min(slope1 + half1, turn1, free)
+            lit0, lit1 = side0 > 0.0 and above[0] < above[1], side1 > 0.0 and below[0] < below[1]
+            if not (lit0 or lit1):
+                continue
+            above = above if lit0 else below
+            below = below if lit1 else above
+            edge = min(horizon(terrain, x, y, z, dx / rho, dy / rho, rho, above, below), free)
             matt, gloss = 0.0, 0.0
-            for k in range(rays):
-                weight = ray[k, 1] * min(max(0.5 + 0.5 * (edge - ray[k, 2]) / ray[k, 3], 0.0), 1.0)
-                matt += weight * ray[k, 0]
-                if alpha > 0.0 and weight > 0.0:
-                    gloss += weight * ggx(ray[k, 4], ci, ray[k, 0], alpha)
-            out[s, strip[c * up], 0] += matt / np.pi
-            out[s, strip[c * up], 1] += gloss
+            for image in range(2):
+                if not (lit1 if image else lit0):
+                    continue
+                side, slope, half, turn = (side1, slope1, half1, turn1) if image else (side0, slope0, half0, turn0)
+                rise = 2 * mirror - middle[c, 2] - z if image else middle[c, 2] - z
+                side /= rho * rho + rise * rise
+                top = min(edge, turn, slope + half)
+                if top <= slope - half:
+                    continue
+                side *= (top - slope + half) / (2 * half)
+                seen = 0.5 * (top + slope - half)  # mean slope of what is seen of the column
+                co = -min(nz, STEEP) * (turn - seen)
+                matt += side * co
+                if alpha > 0.0:
+                    spread = (top - slope + half) / np.sqrt(12.0)
+                    for at in (seen - spread, seen + spread):  # Gauss's points
+                        long = np.sqrt(1.0 + at * at)
+                        toward = ((vx * dx + vy * dy) / rho + vz * at) / long
+                        cosine = -min(nz, STEEP) * (turn - at) / long
+                        gloss += 0.5 * side * long * ggx(toward, ci, cosine, alpha)
+            for m in range(radiance.shape[1]):
+                out[s, m, 0] += matt / np.pi * radiance[strip[c], m]
+                out[s, m, 1] += gloss * radiance[strip[c], m]
     return out
+
+
+@njit(cache=True, error_model="numpy", fastmath={"contract", "nsz", "arcp", "reassoc"})
+def between(given: Singles, u: float, v: float, w: float) -> Singles:
+    """A table (heights, rows, columns, c) at column u, row v and height w: (c,), linear, constant beyond its ends."""
+    u = min(max(u, 0.0), given.shape[2] - 1.001)
+    v = min(max(v, 0.0), given.shape[1] - 1.001)
+    w = min(max(w, 0.0), given.shape[0] - 1.001)
+    i, j, k = int(u), int(v), int(w)
+    a, b, d = np.float32(u - i), np.float32(v - j), np.float32(w - k)
+    one = np.float32(1.0)
+    near00, near01, near10, near11 = given[k, j, i], given[k, j, i + 1], given[k, j + 1, i], given[k, j + 1, i + 1]
+    k += 1
+    far00, far01, far10, far11 = given[k, j, i], given[k, j, i + 1], given[k, j + 1, i], given[k, j + 1, i + 1]
+    w00, w01, w10, w11 = (one - b) * (one - a), (one - b) * a, b * (one - a), b * a
+    out = np.empty(given.shape[3], np.float32)
+    for c in range(len(out)):
+        near = w00 * near00[c] + w01 * near01[c] + w10 * near10[c] + w11 * near11[c]
+        out[c] = near + d * (w00 * far00[c] + w01 * far01[c] + w10 * far10[c] + w11 * far11[c] - near)
+    return out
+
+
+@njit(cache=True, error_model="numpy", fastmath={"contract", "nsz", "arcp", "reassoc"})
+def aspect(got: Singles, at: int, nx: float, ny: float, nz: float) -> tuple[float, float, float, float]:
+    """Of an irradiance vector and half a range of slopes in `got` and a normal: the vector's part sideways and its
+    slope, that half, and the slope of the face along it."""
+    ex, ey, ez, half = np.float64(got[at]), np.float64(got[at + 1]), np.float64(got[at + 2]), np.float64(got[at + 3])
+    side = np.sqrt(ex * ex + ey * ey)
+    if side <= 0.0:
+        return 0.0, 0.0, half, 0.0
+    return side, ez / side, half, (nx * ex + ny * ey) / (side * -min(nz, STEEP))

@@ -8,13 +8,14 @@ truth at any spp, for checking either.
 
 import hashlib
 import json
+from functools import lru_cache
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 
 from tacgen import array_cache
-from tacgen.optics import adaptive_sampling, camera_response, mitsuba_dicts, scattering, taxim_table
+from tacgen.optics import adaptive_sampling, camera_response, mitsuba_dicts, scattering, strip_light, taxim_table
 from tacgen.optics.camera import Camera
 from tacgen.optics.camera_view import Samples, View
 from tacgen.optics.direct_light import Direct
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
+BOUNCE_POINTS = 6, 2  # on each strip, along and up, for what bounces
 SPACING = 0.1  # [mm] between the nodes of a sheet that shows all
 FLAT_SPACING = 1.0  # the same of one that stays flat
 COLUMNS = 40  # of a traced map, whatever the image's
@@ -75,16 +77,21 @@ class Clear:
 
     def __init__(self, sensor: "LitSensor", sheet: Sheet, markers: bool, spp: int, untouched: Surface) -> None:
         effort = Effort.of(spp)
-        self._direct = Direct(sensor, sheet, markers, effort.points, effort.samples, effort.sparse)
+        self._direct = Direct(sensor, sheet, markers, untouched, effort.pieces, effort.samples, effort.sparse)
         bounce = Bounce(sensor, untouched)
-        added = bounce.added(sensor, self._direct.points)
+        added = bounce.added(sensor, strip_light.points(sensor.leds, *BOUNCE_POINTS))
         mixed = np.einsum("pktc,kc->ptc", added, [led.light for led in sensor.leds])
         self.glow = bounce.glow(mixed, self._direct.view)
 
     def seen(self, at: Samples) -> "Floats":
         """Linear radiance (H, W, 3), without noise."""
-        view = self._direct.view
-        return self._direct.seen(at) + view.dimmed(at, self.glow.at(at.normal)) * view.covered(at)
+        return self._direct.seen(at, self.glow)
+
+
+@lru_cache(maxsize=2)
+def clear(sensor: "LitSensor", sheet: Sheet, markers: bool, spp: int, untouched: Surface) -> Clear:
+    """Scenes of one sensor share it."""
+    return Clear(sensor, sheet, markers, spp, untouched)
 
 
 class Cloudy:
@@ -194,31 +201,32 @@ class Renderer:
     ) -> None:
         """By `transport`, `spp` paths a pixel go into what is traced once; by `path`, into every image.
 
-        `variant` is Mitsuba's, the best here if None; `seed` is that of the paths in images; `untouched` is the face
-        at rest, which a gel that is a solid must be given.
+        `variant` is Mitsuba's, where that is needed, the best here if None; `seed` is that of the paths in images;
+        `untouched` is the face at rest, which a gel that is a solid must be given.
 
         Raises:
             ValueError: spp < 1.
         """
         if spp < 1:
             raise ValueError(f"spp must be at least 1, not {spp}")
-        self.sensor, self.variant = sensor, variant or probing.best().variant
+        self.sensor = sensor
         effort, self.untouched = Effort.of(spp), untouched or Untouched.of(sensor.gel)
         self.sheet = Sheet.over(sensor.gel, effort.spacing if method == "transport" else SPACING)
         self._view = View(sensor, self.sheet, markers, effort.samples)
         self._stray = self._view.samples_of(camera_response.stray(sensor.camera))
         self.light: Light
+        if method == "transport" and not any(layer.scattering for layer in sensor.gel.clear_layers):
+            self.name = "transport"
+            self.light = clear(sensor, self.sheet, markers, spp, self.untouched)  # type: ignore[arg-type]
+            return
+        variant = variant or probing.best().variant
+        self.name = f"mitsuba {version('mitsuba')} {variant}"
         if method == "path":
-            self.light = Traced(sensor, self.sheet, markers, spp, seed, self.variant)
+            self.light = Traced(sensor, self.sheet, markers, spp, seed, variant)
         elif method == "table":
-            self.light = Tabled(sensor, self.sheet, markers, spp, self.variant, self.untouched)
+            self.light = Tabled(sensor, self.sheet, markers, spp, variant, self.untouched)
         else:
-            cloudy_ = any(layer.scattering for layer in sensor.gel.clear_layers)
-            self.light = (
-                Cloudy(sensor, self.sheet, markers, spp, self.variant)
-                if cloudy_
-                else Clear(sensor, self.sheet, markers, spp, self.untouched)
-            )
+            self.light = Cloudy(sensor, self.sheet, markers, spp, variant)
 
     def image(self, surface: Surface) -> "NDArray[np.float32]":
         """Linear radiance (H, W, 3) of a deformed face, before the response; transport's only noise is the map's."""
@@ -243,7 +251,7 @@ class Renderer:
 class Effort(NamedTuple):
     """Numbers by which transport trades time for error."""
 
-    points: tuple[int, int]  # on each strip, along and up
+    pieces: int  # along each strip
     samples: int  # rays along a pixel's side
     spacing: float  # [mm] between the sheet's nodes
     sparse: adaptive_sampling.Tolerance
@@ -252,10 +260,10 @@ class Effort(NamedTuple):
     def of(cls, spp: int) -> "Effort":
         """What goes with `spp` paths a pixel: draft, default or reference."""
         if spp < 32:
-            return cls((5, 3), 1, 2 * SPACING, adaptive_sampling.Tolerance(8, 1e-2, 0.6))
+            return cls(5, 1, 2 * SPACING, adaptive_sampling.Tolerance(8, 1e-2, 0.6))
         if spp <= 256:
-            return cls((8, 4), 1, SPACING, adaptive_sampling.Tolerance())
-        return cls((16, 8), 2, SPACING, adaptive_sampling.Tolerance(4, 3e-3, 0.12))
+            return cls(6, 1, SPACING, adaptive_sampling.Tolerance())
+        return cls(16, 2, SPACING, adaptive_sampling.Tolerance(4, 3e-3, 0.12))
 
 
 def zoomed(sensor: "LitSensor", columns: int) -> "LitSensor":

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from helpers.tiny import PLAIN, sensor
 
-from tacgen.optics import strip_light, strip_light_table
+from tacgen.optics import strip_light
 from tacgen.optics.direct_light import Direct, heights
 from tacgen.optics.hertz_dent import BallDent
 from tacgen.optics.shadows import Terrain, horizon
@@ -67,14 +67,13 @@ def test_blocks_are_stepped_over_without_loss():
 def test_the_table_sums_what_single_connections_do(gloss, lobe):
     made = sensor(coating={"specular": gloss}, leds=[{**led, "lobe": lobe} for led in PLAIN["leds"]])
     sheet = Sheet.over(made.gel, 0.1)
-    direct = Direct(made, sheet, False)
+    direct = Direct(made, sheet, False, Untouched.of(made.gel))
     at = direct.view.look(BallDent(2.0, 1.0, (0.6, -0.4), Untouched.of(made.gel)))
     found = direct.light(at)
     slab, panels = strip_light.Slab.of(made), strip_light.Panels.of(made.leds)
     seen, terrain = (at.position, at.normal, direct.view.toward_camera()), heights(sheet, at.nodes)
-    exact = strip_light.gather(
-        *seen, direct.points, 3, slab, panels, made.coating.roughness, Terrain.of(terrain, sheet.size)
-    )
+    fine, rough = strip_light.points(made.leds, 16, 8), made.coating.roughness
+    exact = strip_light.gather(*seen, fine, 3, slab, panels, rough, Terrain.of(terrain, sheet.size))
     exact *= direct.view.transmission()[:, None, None]
     kinds = 2 if gloss else 1
     for kind in range(kinds):
@@ -82,17 +81,43 @@ def test_the_table_sums_what_single_connections_do(gloss, lobe):
     assert found.shape[-1] == kinds
 
 
-def test_entries_of_the_table_are_close_enough():
-    """Between them light is interpolated: within a thousandth, but for the ring where total reflection sets in."""
-    made = sensor()
-    slab, points = strip_light.Slab.of(made), strip_light.points(made.leds, 4, 2)
-    table = strip_light_table.Beams.of(made, points, 2, Sheet.over(made.gel, 0.5))
-    aside, z = (np.arange(30, 90) + 0.5) * strip_light_table.ASIDE, table.floor + 24.5 * strip_light_table.DEEP
-    for q in (0, 5, 16):
-        home = strip_light.layer(points.at[q, 2], slab.tops)
-        row = table.table[table.level[q], 24:26].mean(axis=0)
-        between = (row[30:90] + row[31:91]) / 2
-        for image in (0, 1):
-            lit = [strip_light.arrive(r, z, points.at[q, 2], home, image, slab) for r in aside]
-            off = np.abs(between[:, 4 * image : 4 * image + 4] / lit - 1)
-            assert np.median(off, axis=0).max() < 1e-3
+@pytest.mark.parametrize("pieces", [3, 8])
+def test_a_tall_strip_that_another_partly_hides_is_right_in_few_pieces(pieces):
+    """The face cuts some of it off, too: a few points up the strip would be wrong by as much as one stands for."""
+    tall = {**PLAIN["leds"][0], "center_mm": [1.0, -4.9, -2.4], "size_mm": [6, 3.4]}
+    board = {**tall, "name": "board", "center_mm": [0.0, -3.2, -4.5], "size_mm": [12, 0.4], "radiance": [0, 0, 0]}
+    made = sensor(leds=[tall, board], camera={"mm_per_px": 0.1})
+    sheet = Sheet.over(made.gel, 0.1)
+    direct = Direct(made, sheet, False, Untouched.of(made.gel), pieces)
+    at = direct.view.look(Untouched.of(made.gel))
+    found = direct.light(at)[:, 0, 0]
+    slab, panels, fine = (
+        strip_light.Slab.of(made),
+        strip_light.Panels.of(made.leds),
+        strip_light.points(made.leds, 24, 24),
+    )
+    seen = at.position, at.normal, direct.view.toward_camera()
+    exact = strip_light.gather(*seen, fine, 2, slab, panels, 0.4, Terrain.of(heights(sheet, at.nodes), sheet.size))
+    exact = exact[:, 0, 0] * direct.view.transmission()
+    assert np.abs(found - exact).max() < 0.03 * exact.max()
+    assert np.linalg.norm(found - exact) < 0.01 * np.linalg.norm(exact)
+
+
+def test_only_what_has_drawn_back_shades_anew():
+    """Beside what the untouched face hides anyway, which the table of its slopes knows."""
+    before = np.zeros((101, 101))
+    before[:, 70:73] = -1.0
+    after = before.copy()
+    after[:, 50:53] = -0.4
+    ray = (-2.0, 0.0, 0.0, 1.0, 0.0, 8.0, EVER, EVER)
+    whole, old, new = (
+        horizon(terrain, *ray)
+        for terrain in (
+            Terrain.of(after, (10.0, 10.0)),
+            Terrain.of(before, (10.0, 10.0)),
+            Terrain.of(after, (10.0, 10.0), before),
+        )
+    )
+    assert old < 0.9 * new < 0.0
+    assert whole == min(old, new)
+    assert horizon(Terrain.of(before, (10.0, 10.0), before), *ray) == EVER[1]
