@@ -78,7 +78,7 @@ def _attributes(gel: geometry.Gel, shared: SceneData, clock: Clock) -> dict[str,
     found["contact"] = f"ipctk {version('ipctk')}" if formulation == "ipctk" else formulation
     if row.recipe.outputs & IMAGES:
         with clock.stage("render"):
-            found["renderer"] = f"mitsuba {version('mitsuba')} {shared.pictures.renderer.variant}"
+            found["renderer"] = shared.pictures.renderer.name
     coarse = _resolution_note(problem.contact.shape.smallest_radius, problem.edge, formulation)
     if said := [note for note in (coarse, *notes(row.recipe, row.sensor)) if note]:
         found["notes"] = said

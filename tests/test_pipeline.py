@@ -17,7 +17,7 @@ from tacgen.bundle import bundle
 from tacgen.bundle.check import check
 from tacgen.errors import UserError
 from tacgen.outputs import OUTPUTS as TABLE
-from tacgen.recipe import plan
+from tacgen.recipe import assets, plan
 from tacgen.recipe.model import OUTPUTS
 from tacgen.solve import load_stepping
 
@@ -86,6 +86,29 @@ print([name for name in heavy if name in sys.modules])
     assert "/frames/force" in shapes
     assert not [path for path in shapes if path.startswith(("/fields", "/mesh", "/reference"))]
     assert not {"/frames/rgb", "/frames/pressure", "/frames/markers", "/frames/height"} & shapes.keys()
+
+
+def test_images_of_a_clear_gel_leave_mitsuba_alone(tmp_path: Path) -> None:
+    """It need not be installed, and where it is it is not even asked what it can do."""
+    program = f"""
+import importlib.metadata, sys
+from pathlib import Path
+from tacgen import pipeline
+from tacgen.recipe import plan
+sys.modules["mitsuba"] = sys.modules["drjit"] = None
+known = importlib.metadata.version
+def version(name):
+    assert name not in ("mitsuba", "drjit"), name
+    return known(name)
+importlib.metadata.version = version
+sets = ["outputs=[rgb]", "quality={{edge_mm: 2.0, dhat_mm: 0.2, spp: 4}}"]
+sets += ["trajectory=[{{press: {{depth_mm: 0.3, frames: 1}}}}]"]
+row = plan.load(Path({str(assets.recipe_path("quickstart"))!r}), sets).rows[0]
+print(pipeline.run_scene(row, Path({str(tmp_path)!r}) / "out").status)
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert done.stdout.split() == ["ok"], done.stderr
+    assert bundle.read(tmp_path / "out" / "scene-00000.h5").attrs["renderer"] == "transport"
 
 
 def test_every_output_of_the_recipe_is_in_the_table() -> None:

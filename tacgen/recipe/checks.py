@@ -49,6 +49,7 @@ def recipe_problems(recipe: Recipe, sensor: Sensor, folders: Folders | None = No
     wrong += [
         *_too_thin(recipe),
         *_ipc_toolkit(recipe),
+        *_mitsuba(recipe, sensor),
         *background_photo.problems(recipe, sensor, folders.get(background_photo.WHERE)),
     ]
     return [*wrong, *_mesh_file(recipe.indenter, folders.get(("indenter", "file")))]
@@ -222,6 +223,17 @@ def _ipc_toolkit(recipe: Recipe) -> list[Problem]:
         return []
     text = "needs the IPC Toolkit, which is not installed: pip install 'tacgen[ipc]'"
     return [Problem(("contact", "formulation"), text)]
+
+
+def _mitsuba(recipe: Recipe, sensor: Sensor) -> list[Problem]:
+    """Light is summed without it in a clear gel, by transport."""
+    scatters = any(layer.scattering for layer in sensor.gel.clear_layers)
+    traced = recipe.outputs & IMAGES and (scatters or recipe.render.method != "transport")
+    if not traced or importlib.util.find_spec("mitsuba"):
+        return []
+    why = f"the gel of {sensor.name} scatters light" if scatters else f"render.method is {recipe.render.method}"
+    text = f"asks for images, and {why}: that needs Mitsuba, which is not installed: pip install mitsuba"
+    return [Problem(("outputs",), text)]
 
 
 def _mesh_file(indenter: Indenter, folder: Path | None) -> list[Problem]:
