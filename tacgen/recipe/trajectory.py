@@ -1,6 +1,7 @@
 """What a trajectory is made of: where it starts, and movements of the indenter. Lengths in mm, angles in degrees."""
 
 import math
+from functools import cached_property
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
@@ -184,7 +185,7 @@ class Segment(Part, json_schema_extra=ONE_KEY):
         exactly_one(self, "one movement")
         return self
 
-    @property
+    @cached_property
     def kind(self) -> str:
         """press, slide, twist, tilt, replay, hold or release; of a grasp close or lift too."""
         return next(name for name in type(self).model_fields if getattr(self, name) is not None)

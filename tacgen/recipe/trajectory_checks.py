@@ -115,7 +115,7 @@ def _walk(recipe: Recipe, gel: Gel, folders: Folders) -> None:
         move, where = segment.move, ("trajectory", i, segment.kind)
         if isinstance(move, Press) and (move.depth_mm or 0.0) >= thickness:
             return  # recipe_problems says so
-        for k, frame in enumerate(walk.frames(segment, table := rows(i), where)):
+        for k, frame in enumerate(walk.frames(segment, table := rows(i), where, checking=True)):
             if isinstance(move, Replay) and walk.low < 0 and beside(frame.pose):
                 place = ", ".join(f"{c:.4g}" for c in frame.pose[:3, 3])
                 text = f"at ({place}) the indenter would be beside {pad} and below its face"

@@ -91,8 +91,12 @@ class Walk:
         pose[2, 3] = start.clearance_mm + contact(pose)
         return cls(support, contact, thickness, pose, float(pose[2, 3]))
 
-    def frames(self, segment: Segment, rows: Sequence[Pose], where: KeyPath) -> Iterator[Frame]:
+    def frames(
+        self, segment: Segment, rows: Sequence[Pose], where: KeyPath, *, checking: bool = False
+    ) -> Iterator[Frame]:
         """The frames of one segment, at `where` in the recipe; `rows` are those of a replay.
+
+        `checking` leaves out those on a straight way that cannot be wrong if the last is not.
 
         Raises:
             TrajectoryError: the indenter would lean too far, or reach the base of the gel.
@@ -111,7 +115,8 @@ class Walk:
                 pivot = lowest(self.support, first[:3, :3])
         contact = self.contact(first) if isinstance(move, Press) else np.nan
         floor = contact - FORCE_DEPTH * self.thickness
-        for k in range(1, move.frames + 1):
+        straight = checking and not isinstance(move, Twist | Tilt)
+        for k in range(move.frames if straight else 1, move.frames + 1):
             part, asked, below, new = k / move.frames, np.nan, np.nan, first.copy()
             match move:
                 case Press(force_n=float(force)):

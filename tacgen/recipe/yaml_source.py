@@ -6,6 +6,7 @@ PyYAML is not used: it reads 1e5 as a string and `no` as False, and takes duplic
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -163,6 +164,7 @@ def format_path(path: KeyPath) -> str:
     return text
 
 
+@cache
 def parse_path(text: str) -> KeyPath:
     """trajectory[0].press -> ('trajectory', 0, 'press'). Raises ValueError, in words, for anything else."""
     if not re.fullmatch(r"\w+(\[\d+\])*(\.\w+(\[\d+\])*)*", text, re.ASCII):
