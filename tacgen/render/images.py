@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-BOUNCE_POINTS = 6, 2  # on each strip, along and up, for what bounces
+BOUNCE_POINTS = 6, 8  # on each strip, along and up, for what bounces
 SPACING = 0.1  # [mm] between the nodes of a sheet that shows all
 FLAT_SPACING = 1.0  # the same of one that stays flat
 COLUMNS = 40  # of a traced map, whatever the image's
