@@ -153,7 +153,7 @@ def solved(sensor: str, face: str, shrink: int) -> tuple[LitSensor, Surface, boo
     made = scene.build(row)
     problem = solve.Problem.of(made, mesh.of(made))
     *_, last = solve.states(made, problem)
-    return lit, gel_surface.seen(problem.mesh, len(lit.gel.clear_layers)).moved(last.x), dots
+    return lit, gel_surface.seen(problem.mesh, len(lit.gel.clear_layers)).pressed(problem, last), dots
 
 
 def decibel(picture: Array, truths: Sequence[Array], camera: Camera, noisy: bool) -> tuple[float, float]:

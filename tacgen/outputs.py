@@ -132,7 +132,7 @@ class FrameData(_Faces):
 
     def __init__(self, scene: SceneData, state: State) -> None:
         self.scene, self.state = scene, state
-        self.touched = scene.touched.moved(state.x)
+        self.touched = scene.touched.pressed(scene.problem, state)
         self.printed = self.touched if scene.printed is scene.touched else scene.printed.moved(state.x)
 
     @cached_property

@@ -50,7 +50,7 @@ def faces(row: plan.Row) -> Iterator[gel_surface.Surface]:
     untouched = gel_surface.seen(problem.mesh, len(row.sensor.gel.clear_layers))
     yield untouched
     for state in solve.states(built, problem):
-        yield untouched.moved(state.x)
+        yield untouched.pressed(problem, state)
 
 
 def place(sensor: LitSensor, pixel: tuple[float, float], depth: float) -> tuple[float, float]:

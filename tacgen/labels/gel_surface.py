@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from tacgen.scene.mesh import Mesh
 
 Array = np.ndarray
+MIN_EDGES = 3  # an indenter's smallest radius over the mesh's edge from which a face is drawn lying on it [-]
+STEEPEST = 0.2  # cosine to z of an indenter's normal below which a face cannot be held tangent to it
 
 
 class Surface:
@@ -27,6 +29,8 @@ class Surface:
 
     rest, now (s, 3) [mm]; facets (f, a) numbers among them; nodes (s,) their numbers in the mesh.
     """
+
+    _contact: tuple[Shape, Pose, Array] | None = None  # the indenter, and which points of the facets touch it (f, q)
 
     def __init__(self, points: Array, facets: Array) -> None:
         self.nodes = np.unique(facets)
@@ -41,9 +45,33 @@ class Surface:
         new.now = x[self.nodes]
         return new
 
+    def pressed(self, problem: Problem, state: State) -> "Surface":
+        """The same face in a solved state; of a touched one, what lies on the indenter follows it between the nodes.
+
+        Cells alone would show as facets within a contact and as ripples around it. They have to be finer than the
+        indenter's bends.
+        """
+        new, shape = self.moved(state.x), problem.contact.shape
+        if self.facets.shape[1] > 1 and shape.smallest_radius >= MIN_EDGES * problem.edge:
+            new._contact = shape, Pose.of(state.pose), state.normal_force > 0
+        return new
+
     @cached_property
     def _nodal(self) -> Array:
-        return self._between.nodal(self.now - self.rest * (1.0, 1.0, 0.0))
+        """Displacements, with z for the third, and their slopes, as CloughTocher.nodal has them."""
+        if self._contact is None:
+            return self._between.nodal(self.now - self.rest * (1.0, 1.0, 0.0))
+        (shape, pose, touched), s = self._contact, len(self.rest)
+        gap, normal, _ = shape.distance(pose.local(self.now))
+        normal = normal @ pose.rotation.T
+        most = np.repeat(touched.mean(1) - 0.5, self.facets.shape[1])  # of the points around a node are touched
+        lies = (np.bincount(self.facets.ravel(), most) >= 0) & (np.abs(normal[:, 2]) > STEEPEST)
+        placed = self.now - np.where(lies, gap, 0.0)[:, None] * normal
+        nodal = self._between.nodal(placed - self.rest * (1.0, 1.0, 0.0))
+        slopes, tangent = nodal[s:].reshape(s, 2, 3), normal[lies]
+        stretch = slopes[lies, :, :2] + np.eye(2)
+        slopes[lies, :, 2] = -np.einsum("sai,si->sa", stretch, tangent[:, :2]) / tangent[:, 2:]
+        return nodal
 
     def at(self, xy: Array) -> Array:
         """Positions (n, 3) [mm] now of the points that rest at xy (n, 2) [mm]; nan outside the face."""
@@ -96,8 +124,9 @@ class View(DrawnFace):
     def gap(self, shape: Shape, pose: Array) -> Array:
         """How far (h, w) [mm] the indenter at a pose (4, 4) is from the face there.
 
-        In contact it is within a few hundredths of zero, to either side: the barrier holds the faces apart, the
-        indenter is shrunk for it in the mean, and the face is drawn smooth. Of a mesh, beyond the grid of its distance
+        In contact it is within micrometres of zero where the face is drawn lying on the indenter (Surface.pressed), and
+        else within a few hundredths, to either side: the barrier holds the faces apart, the indenter is shrunk for it
+        in the mean, and the face is drawn smooth. Of a mesh, beyond the grid of its distance
         (see geometry/sdf_grid), it is a bound from below.
         """
         return self.behind(shape.distance(Pose.of(pose).local(self.nodes))[0][:, None], outermost=True)[..., 0]

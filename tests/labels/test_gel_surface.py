@@ -284,6 +284,29 @@ def test_gap_and_normals_of_the_dent(
     assert flat == pytest.approx(np.broadcast_to([0.0, 0.0, 1.0], flat.shape), abs=1e-12)
 
 
+def test_a_face_in_contact_is_the_balls_own(
+    pressed: Run, surface: gel_surface.Surface, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A ball's dent is alike to all sides: what its slope varies by around a circle is the mesh's ripple."""
+    state, shape, angles = pressed.states[PRESSED], pressed.scene.shape, np.linspace(0, 2 * np.pi, 128, endpoint=False)
+    out, middle, step = np.stack([np.cos(angles), np.sin(angles)], -1), np.array(PATH[PRESSED][:2]), 0.02
+
+    def ripple(face: gel_surface.Surface, radius: float) -> float:
+        """Of the slope outward [deg], by its spectrum over the angle."""
+        rise = face.at(middle + (radius + step) * out) - face.at(middle + (radius - step) * out)
+        slope = np.degrees(np.arctan2(rise[:, 2], (rise[:, :2] * out).sum(1)))
+        return float(np.sqrt(2 * (np.abs(np.fft.rfft(slope)[1:] / len(angles)) ** 2).sum()))
+
+    smooth, plain = surface.pressed(pressed.problem, state), surface.moved(state.x)
+    assert ripple(smooth, 0.8) < 0.15 < 0.4 < ripple(plain, 0.8)
+    assert ripple(smooth, 1.9) < 1.1 * ripple(plain, 1.9)  # the rim itself is as sharp as the cells are wide
+    at = smooth.at(middle + np.random.default_rng(0).uniform(-0.8, 0.8, (200, 2)))
+    assert np.abs(shape.distance(Pose.of(state.pose).local(at))[0]).max() < 2e-3
+    assert (smooth.now == plain.now).all()
+    monkeypatch.setattr(gel_surface, "MIN_EDGES", 10)  # what the mesh does not resolve is left as it is solved
+    assert np.array_equal(surface.pressed(pressed.problem, state).at(middle + out), plain.at(middle + out))
+
+
 def test_the_tangents_of_a_face() -> None:
     rng = np.random.default_rng(0)
     n = rng.normal(size=(50, 3))
