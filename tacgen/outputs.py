@@ -22,6 +22,7 @@ from tacgen.solve import Problem, State
 if TYPE_CHECKING:
     from tacgen.labels.contact_maps import Maps
     from tacgen.labels.stress import Stresses
+    from tacgen.labels.uncertainty import Sensitivities
     from tacgen.optics.camera import Camera
     from tacgen.optics.material_flow import Flow
     from tacgen.optics.surface_grid import Sheet
@@ -120,6 +121,14 @@ class SceneData(_Faces):
         return Stresses(self.problem)
 
     @cached_property
+    def sensitivities(self) -> "Sensitivities":
+        """How the frames move with what is not sure."""
+        from tacgen.labels.uncertainty import Sensitivities
+
+        assert self.row.recipe.uncertainty is not None
+        return Sensitivities(self.problem, self.row.recipe.uncertainty, self.row.sensor.gel)
+
+    @cached_property
     def pictures(self) -> "Pictures":
         """The rendered camera."""
         from tacgen.render.pictures import Pictures
@@ -203,6 +212,20 @@ def _stress(frame: FrameData) -> Datasets:
     }
 
 
+def _uncertainty(frame: FrameData) -> Datasets:
+    """To first order, errors of the inputs being independent."""
+    scene, out = frame.scene, {}
+    names = ("pressure", "traction") if "traction" in scene.row.recipe.outputs else ()
+    force, variance = gel_surface.wrench(scene.problem, frame.state)[0], dict.fromkeys(("force", *names), 0.0)
+    for name, near, step, deviation in scene.sensitivities.at(frame.state):
+        there = FrameData(scene, near)
+        slope = {"force": (gel_surface.wrench(scene.problem, near)[0] - force) / step}
+        slope |= {key: (getattr(there.maps, key) - getattr(frame.maps, key)) / step for key in names}
+        variance = {key: variance[key] + (deviation * slope[key]) ** 2 for key in slope}
+        out[f"/frames/sensitivity/{name}"] = slope["force"]
+    return out | {f"/frames/uncertainty/{key}": np.sqrt(value) for key, value in variance.items()}
+
+
 def _mesh(scene: SceneData) -> Datasets:
     mesh = scene.problem.mesh
     patches = {f"/mesh/facets/{name}": facets for name, facets in mesh.facets.items()}
@@ -234,4 +257,5 @@ OUTPUTS = {
     ),
     "radiance": Output(lambda f: {"/frames/radiance": f.radiance}),
     "stress": Output(_stress, _mesh),
+    "uncertainty": Output(_uncertainty),  # where the recipe says how sure its inputs are
 }

@@ -177,7 +177,9 @@ class Recorder:
 
     def __init__(self, gel: Gel, path: Path, clock: Clock, on_event: OnEvent | None) -> None:
         self.scene, self.clock = gel.scene, clock
-        asked: set[str] = {"force", *gel.row.recipe.outputs}
+        asked: set[str] = {"force", *gel.row.recipe.outputs} | (
+            {"uncertainty"} if gel.row.recipe.uncertainty else set()
+        )
         self.shared = SceneData(gel.row, gel.problem)
         if asked & IMAGES:
             with clock.stage("render"), compiled.once(_camera(gel.row)):
@@ -223,13 +225,13 @@ def _made(row: Row, path: Path, on_event: OnEvent | None, clock: Clock) -> Scene
             try:
                 with clock.stage("solve"):
                     found = next(frames, None)
+                if found is None:
+                    break
+                for recorder, (state, more) in zip(recorders, found, strict=True):
+                    recorder.frame(state, more)
             except solve.NotConverged as error:
                 reason = f"frame {done + 1} of {row.frames}: {error}"
                 break
-            if found is None:
-                break
-            for recorder, (state, more) in zip(recorders, found, strict=True):
-                recorder.frame(state, more)
             done += 1
             if on_event:
                 on_event({"event": "frame", "scene": row.name, "frame": done, "frames": row.frames})

@@ -36,6 +36,17 @@ LAYOUT: dict[str, Entry] = {
     "/frames/time": Entry("<f8", ("N",), "s", "time since the start of the path, where time counts", "frame"),
     "/frames/force": Entry("<f8", ("N", 3), "N", "force on the gel", "frame xyz"),
     "/frames/torque": Entry("<f8", ("N", 3), "N mm", "torque on the gel about the sensor origin", "frame xyz"),
+    "/frames/sensitivity/modulus": Entry("<f8", ("N", 3), "N", "change of force by all moduli, over them", "frame xyz"),
+    "/frames/sensitivity/poissons_ratio": Entry(
+        "<f8", ("N", 3), "N", "change of force by Poisson's ratio", "frame xyz"
+    ),
+    "/frames/sensitivity/friction": Entry("<f8", ("N", 3), "N", "change of force by friction", "frame xyz"),
+    "/frames/sensitivity/depth": Entry("<f8", ("N", 3), "N/mm", "change of force by depth", "frame xyz"),
+    "/frames/uncertainty/force": Entry("<f8", ("N", 3), "N", "standard deviation of the force", "frame xyz"),
+    "/frames/uncertainty/pressure": Entry("<f4", ("N", "h", "w"), "MPa", "standard deviation of the pressure", MAP),
+    "/frames/uncertainty/traction": Entry(
+        "<f4", ("N", "h", "w", 2), "MPa", "standard deviation of the traction", MAP + " xy"
+    ),
     "/frames/rgb": Entry("|u1", ("N", "H", "W", 3), "1", "camera image, sRGB", "frame row column rgb"),
     "/frames/pressure": Entry("<f4", ("N", "h", "w"), "MPa", "pressure normal to the deformed coated face", MAP),
     "/frames/traction": Entry(

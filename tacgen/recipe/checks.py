@@ -46,6 +46,10 @@ def recipe_problems(recipe: Recipe, sensor: Sensor, folders: Folders | None = No
         wrong += _times(recipe, sensor, folders)
     if recipe.mesh == "hex" and sensor.gel.solid is not None:
         wrong.append(Problem(("mesh",), f"cannot be hex: the gel of {sensor.name} is a solid, which is meshed by tets"))
+    elsewhere = recipe.grasp is not None or recipe.contact.formulation == "ipctk"
+    if recipe.uncertainty is not None and (elsewhere or timed(recipe, sensor)):
+        text = "needs quasi-static frames and contact by distance: no grasp, dynamics, viscosity or ipctk"
+        wrong.append(Problem(("uncertainty",), text))
     wrong += [
         *_too_thin(recipe),
         *_ipc_toolkit(recipe),

@@ -98,6 +98,27 @@ class MarkerMotion(Part):
     method: Literal["fem", "analytic"] = "fem"
 
 
+class MaterialDeviation(Part):
+    """Standard deviations of what the gel is made of: `modulus` as a part of all layers', the others of the numbers."""
+
+    modulus: NotNegative = 0.0
+    poissons_ratio: NotNegative = 0.0
+    friction: NotNegative = 0.0
+
+
+class PoseDeviation(Part):
+    """Standard deviation of how deep all poses are."""
+
+    depth_mm: NotNegative = 0.0
+
+
+class Uncertainty(Part):
+    """How sure the inputs are: forces and maps then say how sure they are, to first order."""
+
+    material: MaterialDeviation = MaterialDeviation()
+    pose: PoseDeviation = PoseDeviation()
+
+
 class Quality(NamedTuple):
     """Numbers that trade time for error."""
 
@@ -205,6 +226,7 @@ class Recipe(Part):
     mesh: Element | None = None  # None: hex where the gel is a pad, tet where it is a solid of your own
     render: Render = Render()
     markers: MarkerMotion = MarkerMotion()
+    uncertainty: Uncertainty | None = None
     outputs: Outputs
     quality: Annotated[
         Annotated[Literal["draft", "default", "reference"], Tag("preset")] | Annotated[QualityNumbers, Tag("numbers")],

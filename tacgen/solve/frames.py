@@ -132,5 +132,5 @@ def states(scene: Scene, problem: Problem, *, tol: float | None = None) -> Itera
             history, state = advance(problem, history, last, pose, turn, index, duration)
         if forced is not None:
             had = normal_force(state)
-        yield state
+        yield replace(state, after=history)
         last = state.pose

@@ -82,6 +82,7 @@ class State:
     least_J: float  # certified lower bound of J over all of the gel, as a part of the rest volume
     rounded: float = 0.0  # friction at points that one step brought round an edge, as a part of the contact force
     internal: dict[int, Array] = field(default_factory=dict)  # see History
+    after: History | None = None  # what the next frame inherits of it
 
     @property
     def traction_force(self) -> Array:

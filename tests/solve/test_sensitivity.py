@@ -1,0 +1,105 @@
+"""Sensitivities of a frame against solving again with other inputs."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.small_recipe import HEAD
+
+from tacgen import pipeline, solve
+from tacgen.bundle.bundle import read
+from tacgen.errors import UserError
+from tacgen.fem.materials import NeoHooke
+from tacgen.labels.uncertainty import Sensitivities
+from tacgen.recipe import plan
+from tacgen.recipe.model import Uncertainty
+from tacgen.scene import mesh, scene
+
+PRESS = "  - press: {depth_mm: 0.8, frames: 2}\n"
+SLIDE = "  - slide: {x_mm: 0.8, frames: 2}\n"
+ALL = {"material": {"modulus": 0.1, "poissons_ratio": 0.002, "friction": 0.1}, "pose": {"depth_mm": 0.02}}
+EXACT = replace(solve.DEFAULT, step_tol=1e-4, residual_tol=1e-7)
+
+
+def made(folder: Path, text: str, *sets: str) -> plan.Row:
+    (folder / "r.yaml").write_text(text)
+    return plan.load(folder / "r.yaml", sets).rows[0]
+
+
+def force(state: solve.State) -> np.ndarray:
+    return state.traction_force.sum((0, 1))
+
+
+def slopes(row: plan.Row) -> tuple[scene.Scene, mesh.Mesh, dict[str, np.ndarray]]:
+    built = scene.build(row)
+    problem = solve.Problem.of(built, mesh.of(built), EXACT)
+    follow = Sensitivities(problem, Uncertainty.model_validate(ALL), row.sensor.gel)
+    for state in solve.states(built, problem):
+        found = {name: (force(near) - force(state)) / step for name, near, step, _ in follow.at(state)}
+    return built, problem.mesh, found
+
+
+def differences(built: scene.Scene, on: mesh.Mesh) -> dict[str, np.ndarray]:
+    """By solving the whole path again with inputs a little larger and smaller, on the same mesh."""
+
+    def solved(**new: object) -> np.ndarray:
+        other = replace(built, **new)
+        return force(list(solve.states(other, solve.Problem.of(other, on, EXACT)))[-1])
+
+    def moduli(times: float, poisson: float) -> dict[str, object]:
+        (layer,), nu = built.gel.layers, 0.49 + poisson
+        law = NeoHooke(times * layer.law.mu * 1.49 / (1 + nu), 0)
+        law = replace(law, kappa=2 * law.mu * (1 + nu) / (3 * (1 - 2 * nu)))
+        return {
+            "gel": replace(built.gel, layers=(replace(layer, law=law, youngs_modulus=times * layer.youngs_modulus),))
+        }
+
+    def lower(by: float) -> dict[str, object]:
+        poses = built.poses.copy()
+        poses[:, 2, 3] -= by
+        return {"poses": poses}
+
+    ways = {"modulus": (lambda h: moduli(1 + h, 0), 1e-2), "poissons_ratio": (lambda h: moduli(1, h), 5e-4),
+            "depth": (lower, 2e-3), "friction": (lambda h: {"friction": built.friction + h}, 5e-3)}  # fmt: skip
+    return {
+        name: (solved(**way(h)) - solved(**way(-h))) / (2 * h)
+        for name, (way, h) in ways.items()
+        if name != "friction" or built.friction
+    }
+
+
+def test_without_friction_they_are_what_solving_again_gives(tmp_path: Path) -> None:
+    built, on, found = slopes(made(tmp_path, HEAD + PRESS))
+    wanted = differences(built, on)
+    for name, value in wanted.items():
+        assert found[name][2] == pytest.approx(value[2], rel=0.01), name
+
+
+def test_with_friction_a_slide_differs_by_what_the_path_left(tmp_path: Path) -> None:
+    row = made(tmp_path, HEAD + PRESS + SLIDE, "contact.friction=0.5")
+    built, on, found = slopes(row)
+    for name, value in differences(built, on).items():
+        share = 0.01 if name == "modulus" else 0.06
+        assert np.linalg.norm(found[name] - value) < share * np.linalg.norm(value), name
+
+
+def test_a_bundle_says_how_sure_it_is(tmp_path: Path) -> None:
+    row = made(tmp_path, HEAD.replace("[force]", "[force, traction]") + PRESS, f"uncertainty={ALL}")
+    (done,) = pipeline.run([row], tmp_path / "out")
+    bundle = read(done.path)
+    frames = {name: bundle[f"/frames/{name}"][-1] for name in ("force", "pressure", "traction")}
+    sure = {name: bundle[f"/frames/uncertainty/{name}"][-1] for name in frames}
+    slope = {name: bundle[f"/frames/sensitivity/{name}"][-1] for name in ("modulus", "depth", "poissons_ratio")}
+    assert slope["modulus"] == pytest.approx(frames["force"])
+    parts = [0.1 * slope["modulus"], 0.02 * slope["depth"], 0.002 * slope["poissons_ratio"]]
+    assert sure["force"][2] == pytest.approx(np.linalg.norm(parts, axis=0)[2], rel=1e-3)
+    inside = frames["pressure"] > 0.5 * frames["pressure"].max()
+    assert (sure["pressure"][inside] >= 0.0999 * frames["pressure"][inside]).all()
+    assert sure["pressure"][inside].mean() < 0.3 * frames["pressure"][inside].mean()
+
+
+def test_what_has_no_sensitivities_is_refused(tmp_path: Path) -> None:
+    for more in ("contact.formulation=ipctk", "dynamics={density_kg_m3: 1000, frame_s: 0.1}"):
+        with pytest.raises(UserError, match="uncertainty: needs quasi-static frames and contact by distance"):
+            made(tmp_path, HEAD + PRESS, f"uncertainty={ALL}", more)
