@@ -15,8 +15,6 @@ import math
 import os
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
-from functools import cache
-from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal
 
@@ -24,13 +22,13 @@ import numpy as np
 
 from tacgen.bundle import dataset
 from tacgen.bundle.bundle import Bundle
+from tacgen.bundle.chunks import Frames
 from tacgen.bundle.schema import LAYOUT
 from tacgen.errors import UserError
 
 Item = dict[str, Any]
 SPLITS = ("train", "val", "test")
 OPEN_FILES = 128  # at a time, in each process
-BUNDLE_FILTERS = (2, 1, 3)  # HDF5's shuffle, deflate, fletcher32
 SMALL = 1024  # bytes a frame: what is smaller is read for a whole scene at once, and kept
 
 
@@ -101,7 +99,7 @@ class TactileDataset:
 
     def _forget(self) -> None:
         self._process = os.getpid()
-        self._files: OrderedDict[Path, tuple[Any, dict[str, _Stored]]] = OrderedDict()
+        self._files: OrderedDict[Path, tuple[Any, dict[str, Frames]]] = OrderedDict()
         self._kept: dict[tuple[int, str], np.ndarray] = {}  # small datasets and references
 
     def _values(self, number: int, name: str, path: str, frame: int) -> np.ndarray:
@@ -117,18 +115,18 @@ class TactileDataset:
 
     def _whole(self, number: int, path: str) -> np.ndarray:
         if (number, path) not in self._kept:
-            self._kept[number, path] = self._read(number, path, ())
+            self._kept[number, path] = self._read(number, path, None)
         return self._kept[number, path]
 
-    def _read(self, number: int, path: str, index: Any) -> np.ndarray:
+    def _read(self, number: int, path: str, index: int | None) -> np.ndarray:
         scene = self.scenes[number]
         try:
             stored = self._stored(scene.path, f"{scene.group}{path}")
-            return stored.frame(index) if isinstance(index, int) else np.asarray(stored.data[index])
-        except (OSError, RuntimeError, KeyError, ValueError, TypeError, _inflater().error) as error:
+            return stored.whole() if index is None else stored[index]
+        except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
             raise UserError(f"{scene.path}: damaged: {str(error).partition(chr(10))[0]}") from error
 
-    def _stored(self, path: Path, inside: str) -> "_Stored":
+    def _stored(self, path: Path, inside: str) -> Frames:
         """A dataset of an open file; the file used longest ago is closed when there are too many."""
         import h5py
 
@@ -139,45 +137,8 @@ class TactileDataset:
         self._files.move_to_end(path)
         file, known = self._files[path]
         if inside not in known:
-            known[inside] = _Stored(file[inside])
+            known[inside] = Frames(file[inside])
         return known[inside]
-
-
-class _Stored:
-    """A dataset, and whether its frames are chunks that can be unpacked here."""
-
-    def __init__(self, data: Any) -> None:
-        packing = data.id.get_create_plist()
-        filters = tuple(packing.get_filter(i)[0] for i in range(packing.get_nfilters()))
-        self.data, self.dtype, self.shape = data, data.dtype, data.shape[1:]
-        self.ours = filters == BUNDLE_FILTERS and data.chunks == (1, *self.shape)
-        self.bytes = self.dtype.itemsize * int(np.prod(self.shape))
-        self.rest = (0,) * len(self.shape)
-
-    def frame(self, index: int) -> np.ndarray:
-        """One frame. Inflating is nearly all the time there is, and ISA-L takes half of what HDF5's zlib does.
-
-        The stream's own checksum is verified, HDF5's beside it is not.
-        """
-        skipped, raw = self.data.id.read_direct_chunk((index, *self.rest)) if self.ours else (True, b"")
-        if skipped:
-            return np.asarray(self.data[index])
-        stream = _inflater().decompressobj()
-        plain = stream.decompress(raw[:-4], self.bytes + 1)  # and no more, whatever a crafted stream holds
-        if not stream.eof:
-            raise ValueError("a frame is longer than it should be")
-        flat = np.frombuffer(plain, np.uint8)
-        flat = flat.reshape(self.dtype.itemsize, -1).T.flatten()  # all first bytes came first; a copy may be written to
-        return np.asarray(flat.view(self.dtype).reshape(self.shape))
-
-
-@cache
-def _inflater() -> Any:
-    """ISA-L where it is installed, zlib otherwise: a module with `decompress` and `error`."""
-    try:
-        return import_module("isal.isal_zlib")
-    except ImportError:
-        return import_module("zlib")
 
 
 def divide(

@@ -1,7 +1,6 @@
 """The dataset class: plain arrays by index, the same through PyTorch's workers, and no scene in two splits."""
 
 import pickle
-import sys
 import warnings
 from pathlib import Path
 
@@ -29,12 +28,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("kind", ["loose", "packed"])
-@pytest.mark.parametrize("inflater", ["isal.isal_zlib", "zlib"])
-def test_items_are_what_the_bundles_hold(
-    folder: Path, kind: str, inflater: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pytest.importorskip(inflater)
-    monkeypatch.setattr(reading, "_inflater", lambda: sys.modules[inflater])
+def test_items_are_what_the_bundles_hold(folder: Path, kind: str) -> None:
     fields = ("rgb", "force", "pressure", "contact", "marker_flow", "quality/force_balance", "nodal_stress")
     dataset = TactileDataset(folder.parent / kind, fields)
     assert len(dataset) == COUNT * FRAMES

@@ -6,7 +6,7 @@ in `<name>.timing.json` beside the bundle (the pipeline writes it), never in the
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from errno import EIO
@@ -16,8 +16,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tacgen import __version__, atomic_file
+from tacgen.bundle.chunks import Column, Frames
 from tacgen.bundle.hdf5_file import Damaged, datasets, opened
-from tacgen.bundle.schema import ATTRS, FORMAT, OPTIONAL, STORED, UNITS, entry, shape_problem
+from tacgen.bundle.rounding import rounded
+from tacgen.bundle.schema import ATTRS, FORMAT, OPTIONAL, STORED, UNITS, attributes, entry, shape_problem
 from tacgen.bundle.stored_json import parsed
 from tacgen.errors import UserError
 
@@ -59,8 +61,7 @@ class Writer:
         self.path, self.frames, self.appended = Path(path), frames, 0
         self._attrs: dict[str, Any] = _checked({**{k: _plain(v) for k, v in attrs.items()}, **own})
         self._sizes: dict[str, int] = {}
-        self._data: dict[str, Any] = {}  # path -> h5py.Dataset
-        self._hashes: dict[str, Any] = {}  # path -> running sha256 of the bytes we were given
+        self._columns: dict[str, Column] = {}
         self._finished = False
 
     def __enter__(self) -> "Writer":
@@ -90,25 +91,18 @@ class Writer:
         """Store a dataset that belongs to the scene, not to a frame: /reference, /mesh."""
         values = self._cast(path, array, per_frame=False)
         with self._sink.guard():
-            self._create(path, values.shape, values.shape, values.shape)[...] = values
-        self._hashes[path].update(values.tobytes())
+            self._write(path, values, None)
 
     def append(self, arrays: Mapping[str, np.ndarray]) -> None:
         """Store the next frame: the same datasets each time, each without its frame axis."""
-        if self.appended and arrays.keys() != {p for p in self._data if entry(p).dims[0] == "N"}:
+        if self.appended and arrays.keys() != {p for p in self._columns if entry(p).dims[0] == "N"}:
             raise ValueError(f"frame {self.appended} has other datasets than frame 0: {sorted(arrays)}")
         if self.appended == self.frames:
             raise ValueError(f"{self.frames} frames were planned and are all written")
         values = {path: self._cast(path, array, per_frame=True) for path, array in arrays.items()}
         with self._sink.guard():
             for path, value in sorted(values.items()):
-                if not self.appended:
-                    # images and maps: one chunk a frame; a few numbers a frame: one chunk of 4 KiB
-                    rows = max(1, min(self.frames, 4096 // max(1, value.nbytes)))
-                    self._create(path, (0, *value.shape), (rows, *value.shape), (self.frames, *value.shape))
-                self._data[path].resize(self.appended + 1, axis=0)
-                self._data[path][self.appended] = value
-                self._hashes[path].update(value.tobytes())
+                self._write(path, value, self.frames)
         self.appended += 1
 
     def finish(self, status: str = "ok", reason: str = "") -> None:
@@ -117,14 +111,15 @@ class Writer:
             raise ValueError(f"{status!r} ({reason!r}) with {self.appended} of {self.frames} frames")
         self._attrs.update(status=status, reason=reason)
         found = {}
-        for path, data in self._data.items():
-            found[path] = Dataset(data.dtype.str, data.shape, entry(path).attrs, self._hashes[path].hexdigest())
-        last = {"status": status, "reason": reason, "digest": _digest(self._attrs, found), "complete": True}
         with self._sink.guard():
+            for path, column in self._columns.items():
+                column.finish()
+                found[path] = Dataset.of(column.data, column.hash.hexdigest())
+            last = {"status": status, "reason": reason, "digest": _digest(self._attrs, found), "complete": True}
             self._file.attrs.update(last)
             self._file.close()
         try:
-            read(self._sink.path, part=True).verify()
+            read(self._sink.path, part=True).verify(lambda path, data: self._columns[path].stored(data))
         except UserError as error:
             raise OSError(EIO, "what was written does not read back", str(self.path)) from error
         self._sink.publish()
@@ -134,22 +129,17 @@ class Writer:
         row = entry(path)
         if (row.dims[0] == "N") != per_frame:
             raise ValueError(f"{path}: {'put' if per_frame else 'append'} it, not {'append' if per_frame else 'put'}")
-        values = np.asarray(array).astype(row.dtype, order="C", casting="same_kind")
+        values = rounded(path, np.asarray(array).astype(row.dtype, order="C", casting="same_kind", copy=False))
         self._sizes.pop("N", None)
         shape = (self.appended + 1, *values.shape) if per_frame else values.shape
         if problem := shape_problem(path, shape, self._sizes):
             raise ValueError(problem)
         return values
 
-    def _create(self, path: str, shape: tuple, chunks: tuple, maxshape: tuple) -> Any:
-        row = entry(path)
-        filters = {"compression": "gzip", "compression_opts": 1, "shuffle": True, "fletcher32": True}
-        sizes = {"chunks": tuple(max(1, n) for n in chunks), "maxshape": tuple(n or None for n in maxshape)}
-        data = self._file.create_dataset(path, shape, np.dtype(row.dtype), track_times=False, **sizes, **filters)
-        data.attrs.update(row.attrs)
-        self._data[path] = data
-        self._hashes[path] = hashlib.sha256()
-        return data
+    def _write(self, path: str, values: np.ndarray, frames: int | None) -> None:
+        if path not in self._columns:
+            self._columns[path] = Column(self._file, path, values, frames, attributes(path))
+        self._columns[path].append(values)
 
 
 @dataclass(frozen=True)
@@ -167,7 +157,7 @@ class Bundle:
 
     def __getitem__(self, path: str) -> np.ndarray:
         """A whole dataset. Raises Missing if the bundle has none of that name, UserError if the file is damaged."""
-        return self._read(path, ())
+        return self._read(path, None)
 
     def frame(self, path: str, index: int) -> np.ndarray:
         """One frame of a dataset whose first axis is the frame."""
@@ -201,27 +191,26 @@ class Bundle:
         except ValueError as error:
             raise UserError(f"{self.path}: its sensor is none that this tacgen knows: {error}") from None
 
-    def verify(self) -> dict[str, "Dataset"]:
-        """Read everything back against the digest; UserError if a single bit has changed. Returns what is there."""
+    def verify(self, content: Callable[[str, Any], str] | None = None) -> dict[str, "Dataset"]:
+        """Read everything back against the digest; UserError if a single bit has changed. Returns what is there.
+
+        `content` gives the SHA-256 of an open dataset by its path, for a writer that knows what its chunks hold.
+        """
         found = {}
         with opened(self.path, self.group) as file:
             for path in self.shapes:
                 data = file[path[1:]]
-                hashed = hashlib.sha256()
-                rows = data.chunks[0] if data.chunks else 1
-                for start in range(0, data.shape[0] if data.shape else 0, rows):
-                    hashed.update(data[start : start + rows].tobytes())
-                attrs = {name: _plain(value) for name, value in data.attrs.items()}
-                found[path] = Dataset(data.dtype.str, data.shape, attrs, hashed.hexdigest())
+                found[path] = Dataset.of(data, content(path, data) if content else Frames(data).sha256())
         if _digest(self.attrs, found) != self.attrs["digest"]:
             raise Damaged(f"{self.path}: damaged: its contents do not match its digest")
         return found
 
-    def _read(self, path: str, index: Any) -> np.ndarray:
+    def _read(self, path: str, index: int | None) -> np.ndarray:
         if path not in self.shapes:
             raise Missing(f"{self.path}: has no {path}")
         with opened(self.path, self.group) as file:
-            return np.asarray(file[path[1:]][index])
+            data = Frames(file[path[1:]])
+            return data.whole() if index is None else data[index]
 
 
 def read(path: Path, group: str = "/", *, part: bool = False) -> Bundle:
@@ -280,6 +269,12 @@ class Dataset:
     shape: tuple[int, ...]
     attrs: dict[str, Any]
     sha256: str
+
+    @classmethod
+    def of(cls, data: Any, sha256: str) -> "Dataset":
+        """Of an open h5py dataset, whose content has this sum."""
+        attrs = {name: _plain(value) for name, value in data.attrs.items()}
+        return cls(data.dtype.str, data.shape, attrs, sha256)
 
 
 def _digest(attrs: Mapping[str, Any], found: Mapping[str, Dataset]) -> str:

@@ -22,17 +22,19 @@ from tacgen.bundle import schema
 from tacgen.bundle.bundle import Unfinished, Writer, is_complete, read
 from tacgen.bundle.check import check
 from tacgen.bundle.hdf5_file import Damaged
+from tacgen.bundle.rounding import rounded
 from tacgen.bundle.schema import LAYOUT
 from tacgen.errors import UserError
 
+MAPS = ("/frames/normals", "/frames/radiance")
 KEY = attributes()["input_key"]
 QUICK = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
-def random_array(rng: np.random.Generator, dtype: str, shape: tuple[int, ...]) -> np.ndarray:
-    kind = np.dtype(dtype)
+def random_array(rng: np.random.Generator, path: str, shape: tuple[int, ...]) -> np.ndarray:
+    kind = np.dtype(LAYOUT[path].dtype)
     if kind.kind == "f":
-        return rng.normal(size=shape).astype(kind)
+        return rounded(path, rng.normal(size=shape).astype(kind))
     return rng.integers(0, 2 if kind.kind == "b" else 100, shape).astype(kind)
 
 
@@ -47,9 +49,7 @@ def contents(draw: st.DrawFn) -> tuple[int, int, dict[str, np.ndarray]]:
     arrays = {}
     for path in paths:
         shape = tuple(sizes[d] if isinstance(d, str) else d for d in LAYOUT[path].dims)
-        arrays[path.replace("*", draw(st.sampled_from(["coated", "bonded"])))] = random_array(
-            rng, LAYOUT[path].dtype, shape
-        )
+        arrays[path.replace("*", draw(st.sampled_from(["coated", "bonded"])))] = random_array(rng, path, shape)
     return planned, written, arrays
 
 
@@ -100,8 +100,59 @@ def test_any_hdf5_reads_it_and_every_dataset_says_what_it_is(tmp_path: Path) -> 
         assert dict(force.attrs) == {"units": "N", "long_name": "force on the gel", "axes": "frame xyz"}
         assert file["frames/rgb"].chunks == (1, *file["frames/rgb"].shape[1:])
         assert file["frames/rgb"].compression == "gzip"
-        assert file["frames/rgb"].fletcher32
         assert file["frames/rgb"].shuffle
+        assert file["frames/pressure"].attrs["rounding"] == "13 bits"
+        assert file["frames/height"].attrs["rounding"] == "multiples of 2^-16"
+        ours = read(tmp_path / "x.h5")
+        for path in ours.shapes:  # by HDF5's own inflater, and by ours: of each dataset and of each frame
+            np.testing.assert_array_equal(file[path][()], ours[path])
+            if path.startswith(("/frames", "/fields")):
+                np.testing.assert_array_equal(file[path][7], ours.frame(path, 7))
+
+
+def test_components_of_a_map_lie_apart(tmp_path: Path) -> None:
+    rng, many = np.random.default_rng(3), (5, 40, 50, 3)
+    normals, radiance = (rounded(path, rng.normal(size=many).astype("f4")) for path in MAPS)
+    with Writer(tmp_path / "x.h5", attributes(), 5) as writer:
+        for pair in zip(normals, radiance, strict=True):
+            writer.append(dict(zip(MAPS, pair, strict=True)))
+        writer.finish()
+    with h5py.File(tmp_path / "x.h5") as file:
+        assert file["frames/normals"].chunks == (1, 40, 50, 1)
+        np.testing.assert_array_equal(file["frames/normals"][()], normals)
+        np.testing.assert_array_equal(file["frames/radiance"][3, ..., 1], radiance[3, ..., 1])
+    np.testing.assert_array_equal(read(tmp_path / "x.h5")["/frames/normals"], normals)
+    np.testing.assert_array_equal(read(tmp_path / "x.h5").frame("/frames/radiance", 2), radiance[2])
+
+
+def test_an_array_may_be_used_again_once_it_is_appended(tmp_path: Path) -> None:
+    force, height = np.zeros(3), np.zeros((64, 64), "f4")
+    with Writer(tmp_path / "x.h5", attributes(), 6) as writer:
+        for _ in range(6):
+            force += 1
+            height += 0.5
+            writer.append({"/frames/force": force, "/frames/height": height})
+        writer.finish()
+    found = read(tmp_path / "x.h5")
+    assert found["/frames/force"][:, 0].tolist() == [1, 2, 3, 4, 5, 6]
+    assert found["/frames/height"][:, 5, 5].tolist() == [0.5, 1, 1.5, 2, 2.5, 3]
+    found.verify()
+
+
+def test_a_bundle_whose_chunks_hdf5_packed_is_read(tmp_path: Path) -> None:
+    """As h5py writes it, and an earlier tacgen did: unsplit, not rounded, with fletcher32."""
+    path = write(tmp_path / "x.h5")
+    with h5py.File(path, "a") as file:
+        old = file["frames/height"]
+        values, attrs = old[()], {name: value for name, value in old.attrs.items() if name != "rounding"}
+        del file["frames/height"]
+        new = file.create_dataset("frames/height", data=values, chunks=(1, *values.shape[1:]), compression="gzip",
+                                  shuffle=True, fletcher32=True)  # fmt: skip
+        new.attrs.update(attrs)
+    np.testing.assert_array_equal(read(path)["/frames/height"], values)
+    np.testing.assert_array_equal(read(path).frame("/frames/height", 3), values[3])
+    with pytest.raises(UserError, match="digest"):  # of which the attribute is a part
+        read(path).verify()
 
 
 def test_a_bundle_pickles(tmp_path: Path) -> None:

@@ -1,0 +1,30 @@
+"""Rounding of maps to the digits that their own error leaves: bits that say nothing would be most of a file."""
+
+import numpy as np
+
+from tacgen.bundle.schema import BITS, STEPS
+
+
+def rounded(path: str, values: np.ndarray) -> np.ndarray:
+    """What is stored of a dataset's values."""
+    if path in STEPS:
+        return to_multiples(values, 2.0 ** STEPS[path])
+    return to_bits(values, BITS[path]) if path in BITS else values
+
+
+def to_multiples(values: np.ndarray, step: float) -> np.ndarray:
+    """Float32 values to the nearest multiple of `step`, a power of two; nan stays.
+
+    Adding 1.5 * 2^23 steps leaves no bit below a step. Values of 2^22 steps or more are rounded to their own last bits.
+    """
+    shift = np.float32(1.5 * 2**23 * step)
+    out = np.asarray(values + shift)
+    out -= shift
+    return out
+
+
+def to_bits(values: np.ndarray, bits: int) -> np.ndarray:
+    """Float32 values to the nearest with so many significant bits: the upper half of Dekker's (1971) split."""
+    out = np.asarray(values * np.float32(2 ** (24 - bits) + 1))
+    out -= out - values
+    return out
