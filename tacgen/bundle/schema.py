@@ -142,8 +142,8 @@ STEPS = {  # multiples of 2 to this power, in the dataset's unit
     "/frames/material": -15,
 }
 BITS = dict.fromkeys(  # significant bits
-    ("/frames/pressure", "/frames/traction", "/frames/force_map", "/frames/area", "/frames/radiance"), 13
-)
+    ("/frames/pressure", "/frames/traction", "/frames/area", "/frames/radiance"), 13
+) | {"/frames/force_map": 17}  # whose sum is the force, to 1e-5
 
 ATTRS: dict[str, tuple[type, str]] = {
     "tacgen_format": (int, f"format of this file, {FORMAT}"),
