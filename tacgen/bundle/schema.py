@@ -131,8 +131,7 @@ LAYOUT: dict[str, Entry] = {
 
 # Maps are stored to fewer digits than float32 has: rounded by a hundredth of their own error or less (rms of a ball
 # pressed and slid at `default`, against `reference`, on the Mini and DIGIT: height 1.6e-3 mm, normals 4e-3, gap 1.1e-3
-# mm, flow .02 px, material 1.1e-3 mm, sliding .1; median of pressure 2 %, traction and force 4 %, area .4 %; radiance
-# .3 % of its peak).
+# mm, flow .02 px, material 1.1e-3 mm, sliding .1; median of pressure 2 %, traction and force 4 %, area .4 %).
 STEPS = {  # multiples of 2 to this power, in the dataset's unit
     "/frames/height": -16,
     "/frames/normals": -14,
@@ -142,7 +141,7 @@ STEPS = {  # multiples of 2 to this power, in the dataset's unit
     "/frames/material": -15,
 }
 BITS = dict.fromkeys(  # significant bits
-    ("/frames/pressure", "/frames/traction", "/frames/area", "/frames/radiance"), 13
+    ("/frames/pressure", "/frames/traction", "/frames/area"), 13
 ) | {"/frames/force_map": 17}  # whose sum is the force, to 1e-5
 
 ATTRS: dict[str, tuple[type, str]] = {
