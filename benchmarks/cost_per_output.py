@@ -33,6 +33,7 @@ ASKED: dict[str, tuple[str, tuple[str, ...]]] = {  # name: (outputs, changes)
     "force, tetrahedra": ("force", ("mesh=tet",)),
     "force, ipctk": ("force", ("contact.formulation=ipctk",)),
     "traction": ("traction", ()),
+    "events": ("events", ()),
     "force_map": ("force_map", ()),
     "height, normals, gap": ("height, normals, gap", ()),
     "stress": ("stress", ()),
@@ -43,7 +44,7 @@ ASKED: dict[str, tuple[str, tuple[str, ...]]] = {  # name: (outputs, changes)
     "rgb by table": ("rgb", ("render={method: table}",)),
     "markers, analytic": ("markers", ("markers={method: analytic}",)),
     "everything": (
-        "force, traction, force_map, height, normals, gap, stress, markers, flow, material, radiance, rgb",
+        "force, traction, events, force_map, height, normals, gap, stress, markers, flow, material, radiance, rgb",
         (),
     ),
 }

@@ -137,10 +137,10 @@ class SceneData(_Faces):
 
 
 class FrameData(_Faces):
-    """What outputs need of one solved state."""
+    """What outputs need of one solved state, and of the one before."""
 
-    def __init__(self, scene: SceneData, state: State) -> None:
-        self.scene, self.state = scene, state
+    def __init__(self, scene: SceneData, state: State, before: State | None) -> None:
+        self.scene, self.state, self.before = scene, state, before
         self.touched = scene.touched.pressed(scene.problem, state)
         self.printed = self.touched if scene.printed is scene.touched else scene.printed.moved(state.x)
 
@@ -195,6 +195,13 @@ def _traction(frame: FrameData) -> Datasets:
     return out if frame.state.sliding is None else out | slid
 
 
+def _events(frame: FrameData) -> Datasets:
+    from tacgen.labels.events import events
+
+    found = events(frame.scene.problem, frame.state, frame.before, frame.maps)
+    return {f"/frames/events/{name}": value for name, value in vars(found).items()}
+
+
 def _markers(frame: FrameData) -> Datasets:
     undisturbed, at = frame.scene.markers
     pixels, shown = at(frame)
@@ -218,7 +225,7 @@ def _uncertainty(frame: FrameData) -> Datasets:
     names = ("pressure", "traction") if "traction" in scene.row.recipe.outputs else ()
     force, variance = gel_surface.wrench(scene.problem, frame.state)[0], dict.fromkeys(("force", *names), 0.0)
     for name, near, step, deviation in scene.sensitivities.at(frame.state):
-        there = FrameData(scene, near)
+        there = FrameData(scene, near, frame.before)
         slope = {"force": (gel_surface.wrench(scene.problem, near)[0] - force) / step}
         slope |= {key: (getattr(there.maps, key) - getattr(frame.maps, key)) / step for key in names}
         variance = {key: variance[key] + (deviation * slope[key]) ** 2 for key in slope}
@@ -242,6 +249,7 @@ class Output(NamedTuple):
 OUTPUTS = {
     "force": Output(_force),  # in every bundle
     "traction": Output(_traction),
+    "events": Output(_events),
     "force_map": Output(lambda f: {"/frames/force_map": f.maps.force, "/frames/area": f.maps.area}),
     "height": Output(lambda f: {"/frames/height": f.outer.height()}, lambda s: {"/reference/height": s.outer.height()}),
     "normals": Output(

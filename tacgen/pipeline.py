@@ -180,6 +180,7 @@ class Recorder:
         asked: set[str] = {"force", *gel.row.recipe.outputs} | (
             {"uncertainty"} if gel.row.recipe.uncertainty else set()
         )
+        self.before: solve.State | None = None
         self.shared = SceneData(gel.row, gel.problem)
         if asked & IMAGES:
             with clock.stage("render"), compiled.once(_camera(gel.row)):
@@ -204,7 +205,8 @@ class Recorder:
 
     def frame(self, state: solve.State, more: Datasets) -> None:
         """Record a frame."""
-        frame = _datasets(self.of_frame, FrameData(self.shared, state), self.clock) | more
+        frame = _datasets(self.of_frame, FrameData(self.shared, state, self.before), self.clock) | more
+        self.before = state
         frame["/frames/segment"] = self.scene.segment[state.index]
         if self.scene.duration is not None:
             frame["/frames/time"] = self.scene.duration[: state.index + 1].sum()

@@ -56,6 +56,22 @@ LAYOUT: dict[str, Entry] = {
     "/frames/contact": Entry("|b1", ("N", "h", "w"), "1", "in contact", MAP),
     "/frames/slip": Entry("|b1", ("N", "h", "w"), "1", "in contact, and half or more of the pressure slides", MAP),
     "/frames/sliding": Entry("<f4", ("N", "h", "w"), "1", "share of the pressure that slides, 0 to 1", MAP),
+    "/frames/events/mode": Entry(
+        "<i4",
+        ("N",),
+        "1",
+        "0 apart, 1 touching, 2 sticking, 3 partly slipping, 4 sliding, 5 turning, 6 releasing",
+        "frame",
+    ),
+    "/frames/events/stick_ratio": Entry("<f8", ("N",), "1", "share of the normal force that does not slide", "frame"),
+    "/frames/events/friction_used": Entry(
+        "<f8", ("N",), "1", "load along the face over what friction can bear; 1 where all of it slides", "frame"
+    ),
+    "/frames/events/center_of_pressure": Entry(
+        "<f8", ("N", 3), "mm", "centre of pressure in the sensor frame", "frame xyz"
+    ),
+    "/frames/events/contact_area": Entry("<f8", ("N",), "mm^2", "area of the deformed face in contact", "frame"),
+    "/frames/events/patches": Entry("<i4", ("N",), "1", "pieces that the contact consists of", "frame"),
     "/frames/markers": Entry("<f4", ("N", "M", 2), "px", "marker centres through the optics", "frame marker xy"),
     "/frames/marker_flow": Entry("<f4", ("N", "M", 2), "px", "markers less their reference", "frame marker xy"),
     "/frames/marker_visible": Entry("|b1", ("N", "M"), "1", "in the picture, no gel before it", "frame marker"),

@@ -4,8 +4,9 @@
 
 `observation.images.tactile` is the camera's image, `observation.state` the indenter's pose (x y z [mm], quaternion
 w x y z) and `action` the pose of the next frame; `observation.force` [N], `.torque` [N mm], `.markers` and
-`.marker_flow` [px] (x and y in turn) are there if the scenes have them. Quasi-static scenes know no time: frames
-then come at a nominal rate of FPS.
+`.marker_flow` [px] (x and y in turn), `.contact_mode` (a number, see tacgen.labels.events) and `.contact` are there if
+the scenes have them. A task is a scene's caption. Quasi-static scenes know no time: frames then come at a nominal rate
+of FPS.
 """
 
 import io
@@ -17,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from tacgen.bundle.bundle import Bundle
+from tacgen.bundle.caption import MODE, caption
 from tacgen.errors import UserError
 from tacgen.export import needs, poses
 
@@ -25,6 +27,14 @@ FILE_BYTES = 100_000_000  # of a Parquet file, as LeRobot has it
 FILES = 1000  # in a folder
 IMAGE = "observation.images.tactile"
 POSE = [*(f"{axis}_mm" for axis in "xyz"), *(f"q{axis}" for axis in "wxyz")]
+CONTACT = {  # datasets of /frames/events, and the names of their components
+    "stick_ratio": ["stick_ratio"],
+    "friction_used": ["friction_used"],
+    "center_of_pressure": ["center_x_mm", "center_y_mm", "center_z_mm"],
+    "contact_area": ["area_mm2"],
+    "patches": ["patches"],
+}
+KINDS = {"image": np.uint8, "float32": np.float32, "int64": np.int64}  # of what LeRobot calls so
 INDICES = ("frame_index", "episode_index", "index", "task_index")
 QUANTILES = (0.01, 0.10, 0.50, 0.90, 0.99)
 DATA, EPISODES = "data/chunk-{:03d}/file-{:03d}.parquet", "meta/episodes/chunk-000/file-000.parquet"
@@ -47,7 +57,7 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
         raise UserError(
             f"{bundles[0].path.parent}: LeRobot takes frames at one rate, these have {sorted(rates)} a second"
         )
-    tasks = list(dict.fromkeys(map(task, bundles)))
+    tasks = list(dict.fromkeys(map(caption, bundles)))
     made, rows = _data(bundles, tasks, features, out)
     info = {
         "codebase_version": "v3.0",
@@ -72,13 +82,6 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
     return made
 
 
-def task(bundle: Bundle) -> str:
-    """What is done, in words: `press, slide, twist a sphere on gelsight_mini`."""
-    moves = ", ".join(dict.fromkeys(bundle.segments))
-    indenter = bundle.recipe.get("indenter", {})
-    return f"{moves} a {indenter.get('file', indenter.get('shape', 'body'))} on {bundle.attrs['sensor']}"
-
-
 def columns(bundle: Bundle, features: dict[str, Any]) -> dict[str, np.ndarray]:
     """Of each feature but the indices, its values frame by frame."""
     state = poses(bundle["/frames/pose"])
@@ -86,7 +89,10 @@ def columns(bundle: Bundle, features: dict[str, Any]) -> dict[str, np.ndarray]:
     for name in ("force", "torque", "markers", "marker_flow"):
         if f"observation.{name}" in features:
             found[f"observation.{name}"] = bundle[f"/frames/{name}"].reshape(bundle.frames, -1)
-    return {name: values if name == IMAGE else values.astype(np.float32) for name, values in found.items()}
+    if "observation.contact" in features:
+        found["observation.contact"] = np.column_stack([bundle[f"/frames/events/{name}"] for name in CONTACT])
+        found["observation.contact_mode"] = bundle[MODE][:, None]
+    return {name: values.astype(KINDS[features[name]["dtype"]]) for name, values in found.items()}
 
 
 def statistics(episodes: Sequence[dict[str, np.ndarray]]) -> dict[str, dict[str, list]]:
@@ -120,6 +126,10 @@ def _features(bundles: Sequence[Bundle]) -> dict[str, Any]:
         if len(shapes) == 1 and (count := int(np.prod(shapes.pop()))):
             axes = ["x", "y", "z"] if count == 3 else None
             found[f"observation.{name}"] = {"dtype": "float32", "shape": [count], "names": axes}
+    if all(MODE in bundle for bundle in bundles):
+        names = [name for parts in CONTACT.values() for name in parts]
+        found["observation.contact"] = {"dtype": "float32", "shape": [len(names)], "names": names}
+        found["observation.contact_mode"] = {"dtype": "int64", "shape": [1], "names": None}
     found["timestamp"] = {"dtype": "float32", "shape": [1], "names": None}
     return found | {name: {"dtype": "int64", "shape": [1], "names": None} for name in INDICES}
 
@@ -150,7 +160,7 @@ def _data(
         rows.append(
             {
                 "episode_index": number,
-                "tasks": [task(bundle)],
+                "tasks": [caption(bundle)],
                 "length": count,
                 "data/chunk_index": chunk,
                 "data/file_index": file,
@@ -178,10 +188,11 @@ def _arrays(
     out: dict[str, Any] = {IMAGE: pa.array(images, _image_type())}
     for name, values in content.items():
         if name != IMAGE:
-            out[name] = pa.FixedSizeListArray.from_arrays(pa.array(values.ravel()), values.shape[1])
+            flat = pa.array(values.ravel())
+            out[name] = flat if values.shape[1] == 1 else pa.FixedSizeListArray.from_arrays(flat, values.shape[1])
     times = bundle["/frames/time"] if "/frames/time" in bundle else np.arange(count) / FPS
     out["timestamp"] = pa.array((times - times[0]).astype(np.float32))
-    task_index = tasks.index(task(bundle))
+    task_index = tasks.index(caption(bundle))
     known = (np.arange(count), np.full(count, number), start + np.arange(count), np.full(count, task_index))
     return out | {name: pa.array(values) for name, values in zip(INDICES, known, strict=True)}
 

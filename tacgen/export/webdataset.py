@@ -3,8 +3,9 @@
     https://github.com/webdataset/webdataset
 
 `<scene>-<frame>.rgb.png`, `.force.npy`, `.pose.npy`, ... : every dataset of /frames by its name, quality left out,
-and `.json`: scene, frame, segment, what was varied, units. The untouched sensor is one file a scene,
-`reference/<scene>.png`, since a copy in each sample would double the size.
+and `.json`: scene, its caption, frame, segment, what was varied, units, and the contact's events where the bundle has
+them. The untouched sensor is one file a scene, `reference/<scene>.png`, since a copy in each sample would double the
+size.
 """
 
 import json
@@ -13,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from tacgen.bundle.bundle import Bundle
+from tacgen.bundle.caption import caption, modes
 from tacgen.bundle.schema import UNITS
 from tacgen.errors import UserError
 from tacgen.export import names
@@ -42,9 +44,13 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
 def samples(name: str, bundle: Bundle) -> Iterator[dict[str, Any]]:
     """What WebDataset's writer takes, frame by frame."""
     paths = [path for path in bundle.shapes if path.startswith("/frames/") and path.count("/") == 2]
-    values = json.loads(bundle.attrs.get("values", "{}"))
+    events = {path.rpartition("/")[2]: bundle[path] for path in bundle.shapes if path.startswith("/frames/events/")}
+    scene = {"scene": name, "caption": caption(bundle), "values": json.loads(bundle.attrs.get("values", "{}"))}
     for k in range(bundle.frames):
-        about = {"scene": name, "frame": k, "segment": bundle.segments[k], "values": values, "units": UNITS}
+        about = {**scene, "frame": k, "segment": bundle.segments[k], "units": UNITS}
+        if events:
+            contact = {name: values[k].tolist() for name, values in events.items()}
+            about["events"] = contact | {"mode": modes(bundle)[k]}
         sample: dict[str, Any] = {"__key__": f"{name}-{k:05d}", "json": about}
         for path in paths:
             kind = "png" if path == "/frames/rgb" else "npy"

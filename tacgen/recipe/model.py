@@ -12,6 +12,7 @@ from tacgen.recipe.yaml_source import KeyPath
 OutputName = Literal[
     "force",
     "traction",
+    "events",
     "force_map",
     "height",
     "normals",

@@ -10,6 +10,7 @@ import numpy as np
 
 from tacgen.bundle import dataset
 from tacgen.bundle.bundle import Bundle, read
+from tacgen.bundle.caption import caption, indenter_text
 from tacgen.errors import UserError
 from tacgen.report.layers import LAYERS, limits
 
@@ -100,6 +101,7 @@ def summary(path: Path) -> str:
     runs = [f"{kind} {len(list(group))}" for kind, group in groupby(bundle.segments) if kind]
     lines = [
         f"{path}: {bundle.recipe.get('name', '')}, {attrs['sensor']}, {indenter_text(bundle)}",
+        f"about     {caption(bundle)}",
         f"status    {status}",
         f"frames    {bundle.frames} of {attrs['frames_planned']}" + (f": {', '.join(runs)}" if runs else ""),
         f"size      {path.stat().st_size / 1e6:.2f} MB, written by tacgen {attrs['tacgen_version']}",
@@ -127,22 +129,6 @@ def _mesh(found: dict[str, Any]) -> str:
         words.append(f"smallest angle {found['smallest_dihedral_deg']:.0f} deg")
     words.append(f"scaled Jacobian {found['smallest_scaled_jacobian']:.2f}")
     return ", ".join([*words, f"volume {100 * found['volume_error']:+.2f} %"])
-
-
-def indenter_text(bundle: Bundle) -> str:
-    """`sphere, radius 4 mm`, `letters`"""
-    fields: dict[str, Any] = dict(bundle.recipe.get("indenter", {}))
-    shape = fields.pop("shape", "indenter")
-    words = [fields.pop("file", shape)]
-    for name in ("sha256", "up"):
-        fields.pop(name, None)
-    if fields.get("scale") == 1:
-        del fields["scale"]
-    for name, value in fields.items():
-        what, _, unit = name.rpartition("_") if "_" in name else (name, "", "")
-        number = f"{what.replace('_', ' ')} {value:g} {unit}".rstrip() if isinstance(value, int | float) else ""
-        words.append(number or f"{value}")
-    return ", ".join(words)
 
 
 def heading(sheet: "Figure", bundle: Bundle, height: float) -> None:

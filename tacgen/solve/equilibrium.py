@@ -226,7 +226,9 @@ def _record(
     anchor = history.anchor
     if coupled.friction > 0:
         rub = forces.force - forces.N[..., None] * forces.normal
-        sliding = (np.linalg.norm(coupled.slip(forces), axis=-1) >= coupled.eps) & (forces.N > 0)
+        # anchors of what slid are eps behind: what has stopped since is there still, to within the tolerance
+        least = coupled.eps + step.problem.options.step_tol * contact.dhat
+        sliding = (np.linalg.norm(coupled.slip(forces), axis=-1) > least) & (forces.N > 0)
         anchor = fr.dragged(coupled.anchor, forces.at, forces.normal, forces.N, coupled.eps, contact.pose)
     internal = step.problem.internal(history, found.x, step.duration)
     after = History(

@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from tacgen import export
 from tacgen.bundle import dataset, pack
 from tacgen.bundle.bundle import Bundle, read
+from tacgen.bundle.caption import caption
 from tacgen.errors import UserError
 from tacgen.export import feats, lerobot, univtac
 from tacgen.recipe import assets, loading
@@ -31,6 +32,9 @@ def real(index: int, arrays: dict[str, Any]) -> None:
     arrays["/frames/height"][0] = 0.02
     weights = arrays["/frames/pressure"] / arrays["/frames/pressure"].sum()
     arrays["/frames/force_map"] = weights[..., None] * arrays["/frames/force"]
+    events = {"mode": 1 + (index > 3), "stick_ratio": 1 - index / 20, "friction_used": index / 20, "contact_area": 9.5,
+              "center_of_pressure": np.array([index / 10, 0, -0.5]), "patches": 1}  # fmt: skip
+    arrays |= {f"/frames/events/{name}": value for name, value in events.items()}
 
 
 @pytest.fixture(scope="module")
@@ -139,6 +143,9 @@ def test_webdataset_streams_what_the_bundles_hold(folder: Path, scene: Bundle, t
         assert np.array_equal(sample[f"{name}.npy"], scene.frame(f"/frames/{name}", 7))
     assert sample["json"]["values"] == {"start.x_mm": 0.5}
     assert (sample["json"]["frame"], sample["json"]["segment"]) == (7, scene.segments[7])
+    assert sample["json"]["caption"] == caption(scene)
+    events = {name: scene.frame(f"/frames/events/{name}", 7).tolist() for name in sample["json"]["events"]}
+    assert sample["json"]["events"] == events | {"mode": "sticking"}
     reference = np.asarray(Image.open(tmp_path / "one" / "reference" / "scene-00001.png"))
     assert np.array_equal(reference, scene["/reference/rgb"])
     again = export.export("webdataset", folder, tmp_path / "two")
@@ -176,6 +183,13 @@ def test_lerobot_tables_agree_with_each_other_and_with_the_bundles(folder: Path,
         for name in ("torque", "markers", "marker_flow"):
             stored = scene.frame(f"/frames/{name}", k).ravel()
             assert row[f"observation.{name}"] == pytest.approx(stored, rel=1e-6), name
+        contact = dict(zip(info["features"]["observation.contact"]["names"], row["observation.contact"], strict=True))
+        for name in ("stick_ratio", "friction_used", "patches"):
+            assert contact[name] == pytest.approx(scene.frame(f"/frames/events/{name}", k), rel=1e-6), name
+        assert contact["area_mm2"] == pytest.approx(scene.frame("/frames/events/contact_area", k))
+        center = scene.frame("/frames/events/center_of_pressure", k)
+        assert [contact[f"center_{axis}_mm"] for axis in "xyz"] == pytest.approx(center)
+        assert row["observation.contact_mode"] == scene.frame("/frames/events/mode", k)
         assert row["action"] == rows[min(k + 1, FRAMES - 1)]["observation.state"]
     for name, feature in info["features"].items():
         if name in ("observation.force", "action", "observation.state"):
@@ -186,7 +200,9 @@ def test_lerobot_tables_agree_with_each_other_and_with_the_bundles(folder: Path,
     assert np.shape(stats["observation.images.tactile"]["std"]) == (3, 1, 1)
     assert last["stats/observation.force/count"] == [FRAMES]
     tasks = parquet.read_table(tmp_path / "meta" / "tasks.parquet")
-    assert tasks.to_pylist() == [{"task_index": 0, "task": "press, slide, hold, twist a sphere on gelsight_mini"}]
+    said = "A sphere, radius 4 mm, on gelsight_mini: pressed 1 mm deep, slid 1 mm along x, held, turned by 10 degrees."
+    assert tasks.to_pylist() == [{"task_index": 0, "task": caption(scene)}]
+    assert caption(scene).startswith(f"{said} Touching from frame 0, sticking from frame 4. The largest force is")
     assert json.loads(tasks.schema.metadata[b"pandas"])["index_columns"] == ["task"]
 
 

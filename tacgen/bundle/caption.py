@@ -1,0 +1,94 @@
+"""A scene in words: what its recipe does, and what then happens by its events.
+
+A sphere, radius 4 mm, on gelsight_mini: pressed 1 mm deep, slid 1 mm along x. Touching from frame 0, partly slipping
+from frame 5, sliding from frame 9. The largest force is 3.31 N, in frame 4.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tacgen.bundle.bundle import Bundle
+from tacgen.labels.events import MODES
+
+MODE = "/frames/events/mode"
+
+
+class Change(NamedTuple):
+    """The first frame of a mode of contact, and when that is where time counts [s]."""
+
+    frame: int
+    mode: str
+    time: float | None
+
+
+def caption(bundle: Bundle) -> str:
+    """The scene in a few sentences; events are told where the recipe's outputs asked for them."""
+    moves = ", ".join(filter(None, map(_move, bundle.recipe.get("trajectory", ()))))
+    said = [
+        f"{_article(text := indenter_text(bundle))} {text}, on {bundle.attrs['sensor']}" + f": {moves}" * bool(moves)
+    ]
+    if found := changes(bundle):
+        text = ", ".join(f"{change.mode} from frame {change.frame}{_at(change.time)}" for change in found)
+        said.append(text[0].upper() + text[1:])
+    if bundle.frames:
+        force = np.linalg.norm(bundle["/frames/force"], axis=1)
+        said.append(f"The largest force is {force.max():.3g} N, in frame {force.argmax()}")
+    return ". ".join(said) + "."
+
+
+def modes(bundle: Bundle) -> list[str]:
+    """The mode of contact of each frame, as in tacgen.labels.events. Raises Missing: `events` was not asked for."""
+    return [MODES[k] if 0 <= k < len(MODES) else "unknown" for k in bundle[MODE]]
+
+
+def changes(bundle: Bundle) -> list[Change]:
+    """The event times: each frame whose mode of contact is another than that of the frame before, and the first."""
+    if MODE not in bundle:
+        return []
+    named = modes(bundle)
+    times = bundle["/frames/time"].tolist() if "/frames/time" in bundle else [None] * len(named)
+    return [Change(k, mode, times[k]) for k, mode in enumerate(named) if k == 0 or mode != named[k - 1]]
+
+
+def indenter_text(bundle: Bundle) -> str:
+    """`sphere, radius 4 mm`, `letters`"""
+    fields: dict[str, Any] = dict(bundle.recipe.get("indenter", {}))
+    shape = fields.pop("shape", "indenter")
+    words = [fields.pop("file", shape)]
+    for name in ("sha256", "up"):
+        fields.pop(name, None)
+    if fields.get("scale") == 1:
+        del fields["scale"]
+    for name, value in fields.items():
+        what, _, unit = name.rpartition("_") if "_" in name else (name, "", "")
+        number = f"{what.replace('_', ' ')} {value:g} {unit}".rstrip() if isinstance(value, int | float) else ""
+        words.append(number or f"{value}")
+    return ", ".join(words)
+
+
+def _article(text: str) -> str:
+    return "An" if text[:1].lower() in "aeiou" else "A"
+
+
+def _at(time: float | None) -> str:
+    return "" if time is None else f" ({time:.3g} s)"
+
+
+def _move(segment: dict[str, Any]) -> str:
+    """One movement of a recipe, `pressed 1 mm deep`; nothing of what is none."""
+    kind, keys = next(((kind, keys) for kind, keys in segment.items() if isinstance(keys, dict)), ("", {}))
+    number = {key: value for key, value in keys.items() if isinstance(value, int | float)}
+    match kind:
+        case "press" if "force_n" in number:
+            return f"pressed with {number['force_n']:g} N"
+        case "press" if "depth_mm" in number:
+            return f"pressed {number['depth_mm']:g} mm deep"
+        case "slide":
+            ways = [f"{number[f'{axis}_mm']:g} mm along {axis}" for axis in "xy" if number.get(f"{axis}_mm")]
+            return f"slid {' and '.join(ways) or '0 mm'}"
+        case "twist" | "tilt":
+            return f"{'turned' if kind == 'twist' else 'tilted'} by {number.get('angle_deg', 0):g} degrees"
+        case "replay":
+            return f"moved through {keys.get('file', 'a table of poses')}"
+    return {"hold": "held", "release": "lifted"}.get(kind, "")

@@ -1,0 +1,117 @@
+"""State -> Events: what the contact does as a whole: does it stick, slip in part, slide, turn, let go.
+
+A frame's mode follows from its labels and the pose before it, never from the movement that the recipe names. Of these
+the first that holds counts:
+
+    apart            no pressure
+    releasing        the normal force falls, and the indenter moves off the gel more than sideways
+    sliding          the whole contact slips, and the indenter moves sideways
+    turning          the same, but at the contact's mean radius it turns by more than it moves sideways
+    touching         the contact bears hardly any load along the face
+    sticking         it bears one, and nearly all of the pressure sticks
+    partly slipping  it bears one, and some of the pressure slides
+"""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from tacgen.labels.contact_maps import Maps
+    from tacgen.solve import Problem, State
+
+Array = np.ndarray
+MODES = ("apart", "touching", "sticking", "partly slipping", "sliding", "turning", "releasing")
+APART, TOUCHING, STICKING, SLIPPING, SLIDING, TURNING, RELEASING = range(len(MODES))
+FAINT = 3e-3  # mean pressure over the shear modulus [-]: less is the contact barrier's, on gel that is not dented
+UNLOADED = 0.1  # of the friction that could be [-]: below it the contact bears hardly any load along the face
+NEARLY_ALL = 0.95  # of the pressure [-]
+FULL = 0.9  # of the friction that could be [-]: above it the contact may slide as a whole
+STILL = 1e-6  # [mm] between frames: an indenter that moves less is at rest
+ROUNDS = 30  # of the search for the motion that friction resists least; it stands still to 1e-3 by then
+
+
+@dataclass(frozen=True)
+class Events:
+    """The contact in one frame; all are 0 where nothing touches.
+
+    mode: a number in MODES; stick_ratio: share of the pressure that does not slide [-]; friction_used: see the function
+    [-]; center_of_pressure (3,) in the sensor frame [mm]; contact_area of the deformed face [mm^2] and the number of
+    patches that it consists of, as the camera sees them.
+    """
+
+    mode: int = APART
+    stick_ratio: float = 0.0
+    friction_used: float = 0.0
+    center_of_pressure: tuple[float, ...] = (0.0, 0.0, 0.0)
+    contact_area: float = 0.0
+    patches: int = 0
+
+
+def events(problem: "Problem", state: "State", before: "State | None", maps: "Maps") -> Events:
+    """The contact in a state; `before` is the state a frame earlier, None in the first."""
+    from scipy.ndimage import label
+
+    faces, on = problem.contact.faces, state.normal_force > 0
+    force = state.normal_force[on]
+    if force.sum() <= FAINT * problem.elastic[-1].law.mu * faces.areas[on].sum():
+        return Events()
+    at = faces.at(state.x)[on]
+    center = force @ at / force.sum()
+    stick = used = 0.0
+    if state.friction is not None and state.sliding is not None:
+        stick = float(force[~state.sliding[on]].sum() / force.sum())
+        used = friction_used(at - center, state.normal[on], problem.friction * force, state.friction[on])
+    radius = float(force @ np.hypot(*(at - center).T[:2]) / force.sum())
+    away, sideways, turned = (0.0, 0.0, 0.0) if before is None else _moved(before.pose, state.pose, center, radius)
+    if before is not None and away > max(sideways, STILL) and force.sum() < before.normal_force.sum():
+        mode = RELEASING
+    elif stick < 1 - NEARLY_ALL and used > FULL and max(sideways, turned) > STILL:
+        mode = SLIDING if sideways >= turned else TURNING
+    elif used < UNLOADED:
+        mode = TOUCHING
+    else:
+        mode = STICKING if stick > NEARLY_ALL else SLIPPING
+    area, patches = float(maps.area[maps.contact].sum()), label(maps.contact, np.ones((3, 3)))[1]
+    return Events(mode, stick, used, tuple(center), area, patches)
+
+
+def friction_used(arm: Array, normal: Array, most: Array, friction: Array) -> float:
+    """How much of the friction that the pressure could give is asked for, 0 to 1; 1 where all of it slides as one.
+
+    Friction bears a load f, two forces and a torque in the sensor's plane, as long as for every motion u in it as a
+    rigid body f . u is at most what friction would take if all slid that way, sum of most |u|. This is the largest
+    ratio of the two: of a level contact that is not turned, friction force over friction coefficient x normal force; of
+    one that is only turned, torque over that at which all of it slides.
+
+    Args:
+        arm: from the centre of pressure to the points (k, 3) [mm]. normal: unit normals there (k, 3).
+        most: friction coefficient x normal force (k,) [N]. friction: on the gel there (k, 3) [N].
+
+    Source: Goyal, Ruina & Papadopoulos (1991), "Planar sliding with dry friction", the limit surface; the motion is
+    found by Weiszfeld's reweighted least squares.
+    """
+    radius = max(float(most @ np.hypot(*arm.T[:2]) / most.sum()), 1e-9)  # a turn counts by the way at this radius
+    along = np.zeros((len(arm), 3, 3))  # motion of the points by one unit of x, y and turn
+    along[:, 0, 0] = along[:, 1, 1] = 1.0
+    along[:, :2, 2] = np.column_stack([-arm[:, 1], arm[:, 0]]) / radius
+    along -= normal[:, :, None] * np.einsum("ki,kij->kj", normal, along)[:, None]
+    load, weight, most_used = np.einsum("ki,kij->j", friction, along), most, 0.0
+    for _ in range(ROUNDS):
+        motion = np.linalg.lstsq(np.einsum("k,kia,kib->ab", weight, along, along), load, rcond=None)[0]
+        way = np.linalg.norm(along @ motion, axis=1)
+        if not (taken := float(most @ way)) > 0:
+            return 0.0
+        most_used = max(most_used, float(load @ motion) / taken)
+        weight = most / np.maximum(way, 1e-9 * way.max())
+    return min(most_used, 1.0)  # friction is smoothed, and may exceed its bound by rounding
+
+
+def _moved(before: Array, pose: Array, center: Array, radius: float) -> tuple[float, float, float]:
+    """How far the indenter moves between two poses (4, 4), at `center` (3,): off the gel, sideways, and by turning
+    about z at `radius` [mm]."""
+    turn = pose[:3, :3] @ before[:3, :3].T
+    move = turn @ (center - before[:3, 3]) + pose[:3, 3] - center
+    angle = float(np.arctan2(turn[1, 0] - turn[0, 1], turn[0, 0] + turn[1, 1]))
+    return float(move[2]), float(np.hypot(move[0], move[1])), abs(angle) * radius

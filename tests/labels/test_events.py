@@ -1,0 +1,105 @@
+"""What the contact does: ten small scenes of which it is known, and loads of which the friction used is known."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tacgen import pipeline
+from tacgen.bundle.bundle import Bundle, read
+from tacgen.bundle.caption import Change, caption, changes, modes
+from tacgen.labels.events import friction_used
+from tacgen.optics.camera import Camera
+from tacgen.recipe import plan
+
+Array = np.ndarray
+BALL, PUNCH = "{shape: sphere, radius_mm: 4}", "{shape: cylinder, radius_mm: 3, fillet_mm: 0.4}"
+PRESS = "press: {depth_mm: 0.6, frames: 2}"
+SCENES = {  # indenter, friction, trajectory, modes
+    "comes near and touches": (BALL, 0.4, ["press: {depth_mm: 0.4, frames: 3}"], "apart touching touching"),
+    "is held": (BALL, 0.4, [PRESS, "hold: {frames: 1}"], "touching touching touching"),
+    "sticks": (PUNCH, 2.0, [PRESS, "slide: {x_mm: 0.6, frames: 1}"], "touching touching sticking"),
+    "slips at its rim": (BALL, 0.6, [PRESS, "slide: {y_mm: -0.4, frames: 1}"], "touching touching slipping"),
+    "slides": (BALL, 0.3, [PRESS, "slide: {x_mm: 2, frames: 2}"], "touching touching sliding sliding"),
+    "turns": (BALL, 0.2, [PRESS, "twist: {angle_deg: -80, frames: 2}"], "touching touching turning turning"),
+    "stops": (BALL, 0.3, [PRESS, "slide: {x_mm: 2, frames: 1}", "hold: {frames: 1}"],
+              "touching touching sliding sticking"),
+    "lets go": (BALL, 0.4, [PRESS, "release: {frames: 3}"], "touching touching releasing apart apart"),
+    "slides, then turns": (BALL, 0.2, [PRESS, "slide: {x_mm: 1.5, frames: 1}", "twist: {angle_deg: 80, frames: 1}"],
+                           "touching touching sliding turning"),
+    "slides without friction": (BALL, 0.0, [PRESS, "slide: {x_mm: 1, frames: 1}"], "touching touching touching"),
+}  # fmt: skip
+
+
+def made(
+    folder: Path, indenter: str, friction: float, moves: list[str], more: str = "", outputs: str = "events"
+) -> Bundle:
+    path = folder / "scene.yaml"
+    path.write_text(
+        f"{{tacgen: 1, name: events, sensor: gelsight_mini, indenter: {indenter}, start: {{clearance_mm: 0.4}},"
+        f" contact: {{friction: {friction}}}, outputs: [{outputs}], quality: draft, {more}"
+        f" trajectory: [{', '.join(moves)}]}}"
+    )
+    return read(pipeline.run_scene(plan.load(path).rows[0], folder).path)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_modes_are_those_of_a_scene_made_by_hand(name: str, tmp_path: Path) -> None:
+    indenter, friction, moves, expected = SCENES[name]
+    bundle = made(tmp_path, indenter, friction, moves)
+    assert [mode.split()[-1] for mode in modes(bundle)] == expected.split()
+
+
+def test_a_caption_tells_what_is_done_and_what_happens(tmp_path: Path) -> None:
+    moves = ["press: {depth_mm: 0.6, frames: 1, duration_s: 1}", "slide: {x_mm: -2, frames: 2, duration_s: 1}"]
+    timed = 'sensor_overrides: {"gel.layers[0].prony": [{g: 0.05, tau_s: 0.3}]},'
+    bundle = made(tmp_path, BALL, 0.3, moves, timed)
+    assert changes(bundle) == [Change(0, "touching", 1.0), Change(1, "sliding", 1.5)]
+    force = np.linalg.norm(bundle["/frames/force"], axis=1)
+    assert caption(bundle) == (
+        "A sphere, radius 4 mm, on gelsight_mini: pressed 0.6 mm deep, slid -2 mm along x. Touching from frame 0 (1 s),"
+        f" sliding from frame 1 (1.5 s). The largest force is {force.max():.3g} N, in frame {force.argmax()}."
+    )
+
+
+def test_share_area_and_center_agree_with_the_maps(tmp_path: Path) -> None:
+    bundle = made(tmp_path, BALL, 0.6, [PRESS, "slide: {x_mm: 0.6, frames: 2}"], outputs="events, traction, force_map")
+    force = bundle["/frames/pressure"] * bundle["/frames/area"]
+    slid = (force * bundle["/frames/sliding"]).sum((1, 2)) / force.sum((1, 2))
+    assert bundle["/frames/events/stick_ratio"] == pytest.approx(1 - slid, abs=0.01)
+    touched = (bundle["/frames/area"] * bundle["/frames/contact"]).sum((1, 2))
+    assert bundle["/frames/events/contact_area"] == pytest.approx(touched, rel=1e-6)
+    assert bundle["/frames/events/patches"].tolist() == [1, 1, 1, 1]
+    center = bundle["/frames/events/center_of_pressure"]
+    assert np.abs(center[:2, :2]).max() < 0.01
+    camera = Camera.from_sensor(bundle.sensor)
+    column = (force[3] * (np.arange(force.shape[2]) + 0.5)).sum() / force[3].sum() * camera.shape[1] / force.shape[2]
+    assert camera.project(center[3:])[0, 0] == pytest.approx(column, abs=1)
+
+
+def disc(n: int, radius: float = 2.0) -> tuple[Array, Array, Array]:
+    """Points (k, 3) on a level disc, each of the same part of 1 N; their normals, and shares of the force (k,)."""
+    turn = np.arange(n) * np.pi * (3 - np.sqrt(5))
+    at = np.stack([np.cos(turn), np.sin(turn), 0 * turn], 1) * (radius * np.sqrt((np.arange(n) + 0.5) / n))[:, None]
+    return at, np.tile([0.0, 0.0, -1.0], (n, 1)), np.full(n, 1 / n)
+
+
+@pytest.mark.parametrize("part", [0.0, 0.3, 1.0])
+def test_friction_used_is_force_or_torque_over_what_slides(part: float) -> None:
+    """A flat round punch bears mu N along the face, and 2/3 mu N R about its axis; of that a part is asked for."""
+    at, normal, p = disc(4000)
+    most = 0.4 * p
+    along = part * most[:, None] * np.array([0.6, -0.8, 0.0])
+    assert friction_used(at, normal, most, along) == pytest.approx(part, abs=2e-3)
+    around = part * most[:, None] * np.cross([0.0, 0.0, 1.0], at / np.linalg.norm(at, axis=1, keepdims=True))
+    assert friction_used(at, normal, most, around) == pytest.approx(part, abs=2e-3)
+
+
+def test_friction_used_in_a_slide_with_a_turn_is_one() -> None:
+    """Whatever the centre of the turn: all slides, and no load of these pressures could be larger."""
+    at, normal, p = disc(2000)
+    for center in ([1.0, 0.0, 0.0], [0.0, 5.0, 0.0], [-2.0, 2.0, 0.0]):
+        way = np.cross([0.0, 0.0, 1.0], at - center)
+        slid = 0.3 * p[:, None] * way / np.linalg.norm(way, axis=1, keepdims=True)
+        assert friction_used(at, normal, 0.3 * p, slid) == pytest.approx(1.0, abs=3e-3)
+        assert friction_used(at, normal, 0.6 * p, slid) == pytest.approx(0.5, abs=3e-3)
