@@ -23,6 +23,7 @@ from tacgen.solve import foresee
 
 MIN_EDGES = 3  # an indenter's smallest radius should be at least so many edges of the mesh
 DENT = 0.05  # [mm] deep, of the face whose picture is rendered only to compile what renders it
+MATCHED = 2e-3  # of a force that is asked for on several sensors: within this part of it in every frame [-]
 OnEvent = Callable[[dict[str, Any]], None]
 Data = TypeVar("Data", SceneData, FrameData)
 
@@ -80,6 +81,8 @@ def _attributes(gel: geometry.Gel, shared: SceneData, clock: Clock) -> dict[str,
         with clock.stage("render"):
             found["renderer"] = shared.pictures.renderer.name
     coarse = _resolution_note(problem.contact.shape.smallest_radius, problem.edge, formulation)
+    if row.pair is not None:
+        found["pair"] = row.pair
     if said := [note for note in (coarse, *notes(row.recipe, row.sensor)) if note]:
         found["notes"] = said
     return found
@@ -151,7 +154,8 @@ def _gels(row: Row, clock: Clock) -> tuple[tuple[Gel, ...], Iterator[Found]]:
             built = foresee.foreseen(built)
     with clock.stage("mesh"):
         gel = Gel(row, built, solve.Problem.of(built, mesh.of(built)))
-    return (gel,), (((state, {}),) for state in solve.states(built, gel.problem))
+    states = solve.states(built, gel.problem, tol=None if row.pair is None else MATCHED)
+    return (gel,), (((state, {}),) for state in states)
 
 
 def _grasped(row: Row, clock: Clock) -> tuple[tuple[Gel, ...], Iterator[Found]]:

@@ -141,10 +141,68 @@ class TactileDataset:
         return known[inside]
 
 
+class TactilePairs:
+    """The same contact on several sensors: `pairs[i]` is a frame of it, a dictionary by the sensors' names.
+
+    Each of its values is what TactileDataset, whose arguments these are, gives of that sensor. Contacts that are not
+    there on all of `sensors` are left out.
+
+    Args:
+        sensors: names of at least two; None: those of the first contact that there are several of.
+
+    Raises:
+        UserError: no contact is there on all of them.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        fields: Sequence[str] = ("rgb", "force"),
+        *,
+        sensors: Sequence[str] | None = None,
+        split: Literal["all", "train", "val", "test"] = "all",
+        fractions: tuple[float, float, float] = (0.8, 0.1, 0.1),
+        seed: int = 0,
+        subtract_reference: bool = False,
+        transform: Callable[[Item], Any] | None = None,
+    ) -> None:
+        self.dataset = TactileDataset(
+            path,
+            fields,
+            split=split,
+            fractions=fractions,
+            seed=seed,
+            subtract_reference=subtract_reference,
+            transform=transform,
+        )
+        scenes = self.dataset.scenes
+        contacts = [{scenes[i].attrs["sensor"]: i for i in places} for places in dataset.contacts(scenes)]
+        several = sensors or next((tuple(contact) for contact in contacts if len(contact) > 1), ())
+        self.sensors = tuple(several)
+        whole = [contact for contact in contacts if several and contact.keys() >= set(several)]
+        if not whole:
+            raise UserError(f"{path}: holds no contact on {' and '.join(several) or 'several sensors'}")
+        starts = self.dataset._starts
+        self._places = [
+            [int(starts[contact[name]]) + k for name in several]
+            for contact in whole
+            for k in range(scenes[contact[several[0]]].frames)
+        ]
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def __getitem__(self, index: int) -> dict[str, Any]:
+        """One frame on every sensor. Raises IndexError, or UserError if a file is damaged there."""
+        return {name: self.dataset[i] for name, i in zip(self.sensors, self._places[index], strict=True)}
+
+
 def divide(
     scenes: Sequence[Bundle], split: str, fractions: tuple[float, float, float], seed: int
 ) -> tuple[Bundle, ...]:
     """The scenes of one part: all are put in an order by their inputs and the seed, and cut; then as they were.
+
+    Those of the same contact on several sensors stay together.
 
     Raises:
         UserError: an unknown part, fractions that are not parts of one, or no scene in the part.
@@ -156,13 +214,14 @@ def divide(
     if min(fractions) < 0 or abs(sum(fractions) - 1) > 1e-6:
         raise UserError(f"fractions {fractions}: must be at least 0 and add up to 1")
 
-    def place(i: int) -> str:
+    def place(together: list[int]) -> str:
+        i = together[0]
         return hashlib.sha256(f"{seed} {scenes[i].attrs['input_key']} {i}".encode()).hexdigest()
 
-    order = sorted(range(len(scenes)), key=place)
-    ends = [round(len(scenes) * sum(fractions[: k + 1])) for k in range(3)]
+    order = sorted(dataset.contacts(scenes), key=place)
+    ends = [round(len(order) * sum(fractions[: k + 1])) for k in range(3)]
     k = SPLITS.index(split)
-    chosen = sorted(order[ends[k - 1] if k else 0 : ends[k]])
+    chosen = sorted(i for together in order[ends[k - 1] if k else 0 : ends[k]] for i in together)
     if not chosen:
         raise UserError(f"split {split!r}: holds none of {len(scenes)} scenes")
     return tuple(scenes[i] for i in chosen)

@@ -274,3 +274,20 @@ def test_an_indenter_that_the_mesh_does_not_resolve_is_told(
     notes = [event["note"] for event in events if event["event"] == "note"]
     assert [said in note for note in notes] == ([True] if said else [])
     assert notes == json.loads(bundle.read(done.path).attrs.get("notes", "[]"))
+
+
+def test_pairs_bear_the_same_force(tmp_path: Path) -> None:
+    """Within .5 % of each other in every frame of a press by force, whatever the gel."""
+    recipe = tmp_path / "pairs.yaml"
+    recipe.write_text(
+        "{tacgen: 1, name: pairs, sensors: [gelsight_mini, digit, ninedtact], indenter: {shape: sphere, radius_mm: 4},"
+        " trajectory: [press: {force_n: 1.2, frames: 2}], outputs: [force], quality: draft}"
+    )
+    made = [bundle.read(result.path) for result in pipeline.run(plan.load(recipe).rows, tmp_path)]
+    assert [scene.attrs["pair"] for scene in made] == [0, 0, 0]
+    assert [scene.attrs["sensor"] for scene in made] == ["gelsight_mini", "digit", "ninedtact"]
+    forces = np.array([-scene["/frames/force"][:, 2] for scene in made])
+    assert (np.ptp(forces, axis=0) <= 0.005 * forces.mean(0)).all(), forces
+    assert forces.mean(0) == pytest.approx([0.6, 1.2], rel=0.003)
+    depths = [-scene["/frames/pose"][-1, 2, 3] for scene in made]
+    assert np.ptp(depths) > 0.05  # the gels are not alike

@@ -12,7 +12,7 @@ from tacgen import torch as reading
 from tacgen.bundle import bundle, pack
 from tacgen.bundle import dataset as source
 from tacgen.errors import UserError
-from tacgen.torch import TactileDataset
+from tacgen.torch import TactileDataset, TactilePairs
 
 COUNT, FRAMES = 6, 12
 
@@ -141,3 +141,49 @@ def test_pytorch_loads_it_in_two_workers(folder: Path) -> None:
                 assert np.array_equal(rgb, item["rgb"])
                 assert np.array_equal(force, item["force"])
     assert sorted(seen) == [(i, k) for i in range(COUNT) for k in range(FRAMES)]
+
+
+@pytest.fixture(scope="module")
+def paired(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Eight contacts on three sensors; of the last the third was rejected. Beside them a scene of its own."""
+    out = tmp_path_factory.mktemp("pairs") / "loose"
+    for i in range(24):
+        known = {"scene_index": i, "pair": i // 3, "sensor": ("mini", "digit", "ninedtact")[i % 3]}
+        write(out / f"scene-{i:05d}.h5", input_key=f"{i:064d}", stop=3 if i == 23 else None, **known,
+              edit=lambda k, arrays, i=i: arrays.update({"/frames/force": np.array([i, k, 0.0])}))  # fmt: skip
+    write(out / "other" / "scene-00099.h5")
+    pack.pack(source.scenes(out), out.parent / "packed", 0.2)
+    return out
+
+
+@pytest.mark.parametrize("kind", ["loose", "packed"])
+def test_pairs_are_frames_of_one_contact(paired: Path, kind: str) -> None:
+    pairs = TactilePairs(paired.parent / kind, ("force",))
+    assert pairs.sensors == ("mini", "digit", "ninedtact")
+    assert len(pairs) == 7 * FRAMES  # the contact that is not on all three is left out
+    for index in (0, 11, 12, 40, -1):
+        item = pairs[index]
+        contact, frame = divmod(index % len(pairs), FRAMES)
+        assert {name: part["force"].tolist() for name, part in item.items()} == {
+            name: [3 * contact + k, frame, 0] for k, name in enumerate(pairs.sensors)
+        }
+    two = TactilePairs(paired.parent / kind, ("force",), sensors=("digit", "mini"))
+    assert (list(two[0]), len(two)) == (["digit", "mini"], 8 * FRAMES)
+    with pytest.raises(IndexError):
+        pairs[len(pairs)]
+
+
+def test_a_contact_is_in_one_part_on_all_its_sensors(paired: Path, folder: Path) -> None:
+    parts = {}
+    for part in ("train", "val", "test"):
+        scenes = TactileDataset(paired, ("force",), split=part, fractions=(0.5, 0.2, 0.3), seed=1).scenes
+        parts[part] = {scene.attrs.get("pair") for scene in scenes}
+        pairs = TactilePairs(
+            paired, ("force",), sensors=("mini", "digit"), split=part, fractions=(0.5, 0.2, 0.3), seed=1
+        )
+        assert {int(pairs[i]["mini"]["force"][0]) // 3 for i in range(len(pairs))} == parts[part] - {None}
+    assert sum(map(len, parts.values())) == 9 == len(set.union(*parts.values()))
+    with pytest.raises(UserError, match="holds no contact on several sensors"):
+        TactilePairs(folder, ("force",))
+    with pytest.raises(UserError, match="holds no contact on digit and tip"):
+        TactilePairs(paired, ("force",), sensors=("digit", "tip"))

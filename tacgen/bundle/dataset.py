@@ -8,7 +8,7 @@ A packed folder holds shards, HDF5 files with a bundle in each group, and index.
 
 import os
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from pydantic import JsonValue, NonNegativeInt
@@ -76,6 +76,16 @@ def scenes(source: Path) -> list[Bundle]:
     if not found:
         raise UserError(f"{source}: no bundles (*.h5) in this folder" + _hint(packs(source)))
     return found
+
+
+def contacts(bundles: Sequence[Bundle]) -> list[list[int]]:
+    """The places of bundles that hold the same contact on several sensors, together; any other bundle's alone."""
+    found: dict[object, list[int]] = {}
+    for place, bundle in enumerate(bundles):
+        number = bundle.attrs.get("pair")
+        key = place if number is None else (bundle.path.parent, bundle.recipe.get("name"), number)
+        found.setdefault(key, []).append(place)
+    return list(found.values())
 
 
 def files(folder: Path) -> list[Path]:

@@ -3,15 +3,18 @@
     https://github.com/huggingface/lerobot (src/lerobot/datasets)
 
 `observation.images.tactile` is the camera's image, `observation.state` the indenter's pose (x y z [mm], quaternion
-w x y z) and `action` the pose of the next frame; `observation.force` [N], `.torque` [N mm], `.markers` and
-`.marker_flow` [px] (x and y in turn), `.contact_mode` (a number, see tacgen.labels.events) and `.contact` are there if
-the scenes have them. A task is a scene's caption. Quasi-static scenes know no time: frames then come at a nominal rate
-of FPS.
+w x y z) and `action` the pose of the next frame. There if the scenes have them: `observation.force` [N], `.torque`
+[N mm], `.markers` and `.marker_flow` [px] (x and y in turn), `.contact_mode` (a number, see tacgen.labels.events),
+`.contact`, and `observation.images.tactile_depth`, how far the face is pressed in, in 16 bits [um]. A task is a scene's
+caption. Quasi-static scenes know no time: frames then come at a nominal rate of FPS.
+
+Where the same contact is there on several sensors it is one episode: `observation.images.digit`,
+`observation.force.digit` and so on, a state and an action that hold the poses on each in turn.
 """
 
 import io
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,13 +22,15 @@ import numpy as np
 
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.caption import MODE, caption
+from tacgen.bundle.dataset import contacts
 from tacgen.errors import UserError
 from tacgen.export import needs, poses
 
 FPS = 10
 FILE_BYTES = 100_000_000  # of a Parquet file, as LeRobot has it
 FILES = 1000  # in a folder
-IMAGE = "observation.images.tactile"
+ALONE = "tactile"  # what stands in names where episodes are of one sensor
+IMAGE, DEPTH = f"observation.images.{ALONE}", f"observation.images.{ALONE}_depth"
 POSE = [*(f"{axis}_mm" for axis in "xyz"), *(f"q{axis}" for axis in "wxyz")]
 CONTACT = {  # datasets of /frames/events, and the names of their components
     "stick_ratio": ["stick_ratio"],
@@ -34,7 +39,10 @@ CONTACT = {  # datasets of /frames/events, and the names of their components
     "contact_area": ["area_mm2"],
     "patches": ["patches"],
 }
-KINDS = {"image": np.uint8, "float32": np.float32, "int64": np.int64}  # of what LeRobot calls so
+VECTORS = {"force": "n", "torque": "n_mm", "markers": "px", "marker_flow": "px"}  # and their units
+COUNTS_PER_MM = 1000  # of a depth image: a count is 1 um, the most 65 mm
+Episode = dict[str, Bundle]  # by the sensor's name, or ALONE
+Each = dict[str, dict[str, Any]]  # by the same, a sensor's features
 INDICES = ("frame_index", "episode_index", "index", "task_index")
 QUANTILES = (0.01, 0.10, 0.50, 0.90, 0.99)
 DATA, EPISODES = "data/chunk-{:03d}/file-{:03d}.parquet", "meta/episodes/chunk-000/file-000.parquet"
@@ -52,29 +60,32 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
         raise UserError("export lerobot needs PyArrow: pip install 'tacgen[lerobot]'") from None
     for bundle in bundles:
         needs(bundle, ("/frames/rgb",), "rgb")
-    features, rates = _features(bundles), {_fps(bundle) for bundle in bundles}
+    told = episodes(bundles)
+    each = {role: _features([episode[role] for episode in told]) for role in told[0]}
+    common = {"timestamp": _vector("float32", 1)} | {name: _vector("int64", 1) for name in INDICES}
+    features, rates = _together(each, _joined) | common, {_fps(bundle) for bundle in bundles}
     if len(rates) > 1:
         raise UserError(
             f"{bundles[0].path.parent}: LeRobot takes frames at one rate, these have {sorted(rates)} a second"
         )
-    tasks = list(dict.fromkeys(map(caption, bundles)))
-    made, rows = _data(bundles, tasks, features, out)
+    tasks = list(dict.fromkeys(map(task, told)))
+    made, rows = _data(told, tasks, each, out)
     info = {
         "codebase_version": "v3.0",
-        "robot_type": bundles[0].attrs["sensor"],
-        "total_episodes": len(bundles),
-        "total_frames": sum(bundle.frames for bundle in bundles),
+        "robot_type": ", ".join(bundle.attrs["sensor"] for bundle in told[0].values()),
+        "total_episodes": len(told),
+        "total_frames": sum(map(_length, told)),
         "total_tasks": len(tasks),
         "chunks_size": FILES,
         "data_files_size_in_mb": FILE_BYTES // 10**6,
         "video_files_size_in_mb": 200,
         "fps": rates.pop(),
-        "splits": {"train": f"0:{len(bundles)}"},
+        "splits": {"train": f"0:{len(told)}"},
         "data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
         "video_path": None,
         "features": features,
     }
-    stats = statistics([columns(bundle, features) for bundle in bundles])
+    stats = statistics([columns(episode, each) for episode in told])
     made += [_table(out / "meta/tasks.parquet", *_tasks(tasks)), _table(out / EPISODES, rows)]
     for name, content in (("info", info), ("stats", stats)):
         made.append(out / "meta" / f"{name}.json")
@@ -82,28 +93,53 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
     return made
 
 
-def columns(bundle: Bundle, features: dict[str, Any]) -> dict[str, np.ndarray]:
-    """Of each feature but the indices, its values frame by frame."""
+def episodes(bundles: Sequence[Bundle]) -> list[Episode]:
+    """An episode a scene, or a contact where some are there on several sensors: those that are on all of them."""
+    found: list[Episode] = []
+    for together in contacts(bundles):
+        found.append({bundles[i].attrs["sensor"]: bundles[i] for i in together})
+    most = max(found, key=len)
+    if len(most) == 1:
+        return [{ALONE: bundle} for bundle in bundles]
+    return [episode for episode in found if episode.keys() == most.keys()]
+
+
+def task(episode: Episode) -> str:
+    """What is done and what happens, in words."""
+    return " ".join(map(caption, episode.values()))
+
+
+def columns(episode: Episode, features: Each) -> dict[str, np.ndarray]:
+    """Of each feature but the indices, its values frame by frame; `features` are those of each sensor."""
+    return _together({role: _columns(bundle, features[role]) for role, bundle in episode.items()}, _hstack)
+
+
+def _columns(bundle: Bundle, features: dict[str, Any]) -> dict[str, np.ndarray]:
+    """The same of one sensor, by the names that it has alone."""
     state = poses(bundle["/frames/pose"])
     found = {IMAGE: bundle["/frames/rgb"], "observation.state": state, "action": np.vstack([state[1:], state[-1:]])}
-    for name in ("force", "torque", "markers", "marker_flow"):
+    for name in VECTORS:
         if f"observation.{name}" in features:
             found[f"observation.{name}"] = bundle[f"/frames/{name}"].reshape(bundle.frames, -1)
     if "observation.contact" in features:
         found["observation.contact"] = np.column_stack([bundle[f"/frames/events/{name}"] for name in CONTACT])
         found["observation.contact_mode"] = bundle[MODE][:, None]
-    return {name: values.astype(KINDS[features[name]["dtype"]]) for name, values in found.items()}
+    if DEPTH in features:
+        depth = (bundle["/reference/height"] - bundle["/frames/height"]) * COUNTS_PER_MM
+        found[DEPTH] = np.clip(np.rint(np.nan_to_num(depth)), 0, 2**16 - 1).astype(np.uint16)
+    return {n: v if v.ndim > 2 else v.astype(features[n]["dtype"]) for n, v in found.items()}
 
 
 def statistics(episodes: Sequence[dict[str, np.ndarray]]) -> dict[str, dict[str, list]]:
     """By feature: extremes, mean, deviation and quantiles of each component; of images by colour, in [0, 1]."""
     found = {}
-    for name in episodes[0]:
-        if name == IMAGE:  # every eighth pixel will do
-            values = np.concatenate([e[name][:, ::8, ::8].reshape(-1, 3) for e in episodes]) / 255.0
+    for name, first in episodes[0].items():
+        if first.ndim > 2:  # every eighth pixel will do
+            colours, full = (3, 255.0) if first.ndim == 4 else (1, 1.0)
+            values = np.concatenate([e[name][:, ::8, ::8].reshape(-1, colours) for e in episodes]) / full
         else:
             values = np.concatenate([e[name] for e in episodes]).astype(float)
-        shape = (3, 1, 1) if name == IMAGE else (-1,)
+        shape = (-1, 1, 1) if first.ndim > 2 else (-1,)
         kinds = {"min": values.min(0), "max": values.max(0), "mean": values.mean(0), "std": values.std(0)}
         kinds |= {f"q{round(100 * q):02d}": np.quantile(values, q, axis=0) for q in QUANTILES}
         found[name] = {kind: value.reshape(shape).tolist() for kind, value in kinds.items()}
@@ -111,31 +147,64 @@ def statistics(episodes: Sequence[dict[str, np.ndarray]]) -> dict[str, dict[str,
     return found
 
 
+def _vector(kind: str, size: int, names: list[str] | None = None) -> dict[str, Any]:
+    return {"dtype": kind, "shape": [size], "names": names}
+
+
+def _picture(shape: Sequence[int], **info: Any) -> dict[str, Any]:
+    found = {"dtype": "image", "shape": list(shape), "names": ["height", "width", "channels"]}
+    return found | ({"info": info} if info else {})
+
+
 def _features(bundles: Sequence[Bundle]) -> dict[str, Any]:
-    """LeRobot's description of the columns: what every scene has in one size."""
+    """LeRobot's description of one sensor's columns: what every scene has in one size."""
     sizes = {bundle.shapes["/frames/rgb"][1:] for bundle in bundles}
     if len(sizes) > 1:
         raise UserError(f"{bundles[0].path.parent}: LeRobot takes images of one size, these have {sorted(sizes)}")
-    found: dict[str, Any] = {
-        IMAGE: {"dtype": "image", "shape": list(sizes.pop()), "names": ["height", "width", "channels"]},
-        "observation.state": {"dtype": "float32", "shape": [7], "names": POSE},
-        "action": {"dtype": "float32", "shape": [7], "names": POSE},
-    }
-    for name in ("force", "torque", "markers", "marker_flow"):
+    pose = _vector("float32", 7, POSE)
+    found = {IMAGE: _picture(sizes.pop()), "observation.state": pose, "action": pose}
+    for name, units in VECTORS.items():
         shapes = {bundle.shapes.get(f"/frames/{name}", (0, 0))[1:] for bundle in bundles}
         if len(shapes) == 1 and (count := int(np.prod(shapes.pop()))):
-            axes = ["x", "y", "z"] if count == 3 else None
-            found[f"observation.{name}"] = {"dtype": "float32", "shape": [count], "names": axes}
+            names = [f"{axis}_{units}" for axis in "xyz"] if count == 3 else None
+            found[f"observation.{name}"] = _vector("float32", count, names)
     if all(MODE in bundle for bundle in bundles):
         names = [name for parts in CONTACT.values() for name in parts]
-        found["observation.contact"] = {"dtype": "float32", "shape": [len(names)], "names": names}
-        found["observation.contact_mode"] = {"dtype": "int64", "shape": [1], "names": None}
-    found["timestamp"] = {"dtype": "float32", "shape": [1], "names": None}
-    return found | {name: {"dtype": "int64", "shape": [1], "names": None} for name in INDICES}
+        found["observation.contact"] = _vector("float32", len(names), names)
+        found["observation.contact_mode"] = _vector("int64", 1)
+    maps = {bundle.shapes.get("/frames/height", ())[1:] for bundle in bundles}
+    if len(maps) == 1 and (shape := maps.pop()):
+        found[DEPTH] = _picture((*shape, 1), is_depth_map=True, depth_unit="um")
+    return found
+
+
+def _together(parts: dict[str, dict[str, Any]], join: Callable[[dict[str, Any]], Any]) -> dict[str, Any]:
+    """What is there of each sensor as one episode's: state and action joined, all else under the sensor's name."""
+    if list(parts) == [ALONE]:
+        return parts[ALONE]
+    found = {name: join({role: part[name] for role, part in parts.items()}) for name in ("observation.state", "action")}
+    for role, part in parts.items():
+        for name, value in part.items():
+            if name not in found:
+                found[name.replace(ALONE, role) if ALONE in name else f"{name}.{role}"] = value
+    return found
+
+
+def _joined(parts: dict[str, Any]) -> dict[str, Any]:
+    names = [f"{role}.{name}" for role, part in parts.items() for name in part["names"]]
+    return _vector("float32", len(names), names)
+
+
+def _hstack(parts: dict[str, Any]) -> np.ndarray:
+    return np.hstack(list(parts.values()))
+
+
+def _length(episode: Episode) -> int:
+    return next(iter(episode.values())).frames
 
 
 def _data(
-    bundles: Sequence[Bundle], tasks: list[str], features: dict[str, Any], out: Path
+    told: Sequence[Episode], tasks: list[str], features: Each, out: Path
 ) -> tuple[list[Path], list[dict[str, Any]]]:
     """Write the frames, episode after episode, and return the files and a row about each episode."""
     import pyarrow as pa
@@ -144,10 +213,10 @@ def _data(
     made: list[Path] = []
     rows: list[dict[str, Any]] = []
     start, writer = 0, None
-    for number, bundle in enumerate(bundles):
-        content = columns(bundle, features)
-        count = bundle.frames
-        table = pa.table(_arrays(bundle, content, number, start, tasks))
+    for number, episode in enumerate(told):
+        content = columns(episode, features)
+        count = _length(episode)
+        table = pa.table(_arrays(episode, content, number, start, tasks))
         if writer is None or made[-1].stat().st_size > FILE_BYTES:
             if writer is not None:
                 writer.close()
@@ -160,7 +229,7 @@ def _data(
         rows.append(
             {
                 "episode_index": number,
-                "tasks": [caption(bundle)],
+                "tasks": [task(episode)],
                 "length": count,
                 "data/chunk_index": chunk,
                 "data/file_index": file,
@@ -178,21 +247,22 @@ def _data(
 
 
 def _arrays(
-    bundle: Bundle, content: dict[str, np.ndarray], number: int, start: int, tasks: list[str]
+    episode: Episode, content: dict[str, np.ndarray], number: int, start: int, tasks: list[str]
 ) -> dict[str, Any]:
     """Arrow arrays of one episode: images as PNG files, vectors as lists of fixed length."""
     import pyarrow as pa
 
+    bundle, out = next(iter(episode.values())), dict[str, Any]()
     count = bundle.frames
-    images = [{"bytes": _png(image), "path": None} for image in content[IMAGE]]
-    out: dict[str, Any] = {IMAGE: pa.array(images, _image_type())}
     for name, values in content.items():
-        if name != IMAGE:
+        if values.ndim > 2:
+            out[name] = pa.array([{"bytes": _png(image), "path": None} for image in values], _image_type())
+        else:
             flat = pa.array(values.ravel())
             out[name] = flat if values.shape[1] == 1 else pa.FixedSizeListArray.from_arrays(flat, values.shape[1])
     times = bundle["/frames/time"] if "/frames/time" in bundle else np.arange(count) / FPS
     out["timestamp"] = pa.array((times - times[0]).astype(np.float32))
-    task_index = tasks.index(caption(bundle))
+    task_index = tasks.index(task(episode))
     known = (np.arange(count), np.full(count, number), start + np.arange(count), np.full(count, task_index))
     return out | {name: pa.array(values) for name, values in zip(INDICES, known, strict=True)}
 

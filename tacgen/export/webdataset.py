@@ -3,9 +3,9 @@
     https://github.com/webdataset/webdataset
 
 `<scene>-<frame>.rgb.png`, `.force.npy`, `.pose.npy`, ... : every dataset of /frames by its name, quality left out,
-and `.json`: scene, its caption, frame, segment, what was varied, units, and the contact's events where the bundle has
-them. The untouched sensor is one file a scene, `reference/<scene>.png`, since a copy in each sample would double the
-size.
+and `.json`: scene, sensor, caption, frame, segment, what was varied, units, and where the bundle has them the contact's
+events and its number among those on several sensors (`pair`). The untouched sensor is one file a scene,
+`reference/<scene>.png`, since a copy in each sample would double the size.
 """
 
 import json
@@ -45,7 +45,10 @@ def samples(name: str, bundle: Bundle) -> Iterator[dict[str, Any]]:
     """What WebDataset's writer takes, frame by frame."""
     paths = [path for path in bundle.shapes if path.startswith("/frames/") and path.count("/") == 2]
     events = {path.rpartition("/")[2]: bundle[path] for path in bundle.shapes if path.startswith("/frames/events/")}
-    scene = {"scene": name, "caption": caption(bundle), "values": json.loads(bundle.attrs.get("values", "{}"))}
+    scene: dict[str, Any] = {"scene": name, "sensor": bundle.attrs["sensor"], "caption": caption(bundle)}
+    scene["values"] = json.loads(bundle.attrs.get("values", "{}"))
+    if "pair" in bundle.attrs:
+        scene["pair"] = bundle.attrs["pair"]
     for k in range(bundle.frames):
         about = {**scene, "frame": k, "segment": bundle.segments[k], "units": UNITS}
         if events:

@@ -10,7 +10,7 @@ from tacgen.recipe import assets, checks
 from tacgen.recipe.model import IMAGES, Recipe
 from tacgen.recipe.sensor import Sensor
 from tacgen.recipe.validation_messages import Problem, report, suggest, validate
-from tacgen.recipe.yaml_source import KeyPath, Mark, Source, Spot, Tree, describe, load, parse, parse_path
+from tacgen.recipe.yaml_source import KeyPath, Mark, Source, Spot, Tree, at, describe, load, parse, parse_path
 
 SOLID: KeyPath = ("gel", "solid", "file")
 
@@ -35,6 +35,7 @@ def read(path: Path, sets: Iterable[str] = ()) -> Loaded:
     tree = _extended(path, ())
     for text in sets:
         tree = _set(tree, text)
+    tree = _crossed(tree)
     recipe, wrong = validate(Recipe, tree.data)
     problems = [(problem, tree) for problem in wrong]
     try:
@@ -47,6 +48,24 @@ def read(path: Path, sets: Iterable[str] = ()) -> Loaded:
     if problems or recipe is None or sensor is None:
         raise report(problems)
     return Loaded(recipe, sensor, tree, sensor_tree)
+
+
+def _crossed(tree: Tree) -> Tree:
+    """A tree that names several `sensors` with the first as its `sensor`, and with `vary` crossed with them all.
+
+    They vary fastest, so that the scenes of one contact follow each other.
+    """
+    names, vary = tree.data.get("sensors"), tree.data.get("vary")
+    if not isinstance(names, list) or not names or not isinstance(vary, dict | None):
+        return tree  # said by the recipe's own check
+    choice = Tree({}, {(): tree.spot(("sensors",))}).replaced(("choice",), tree.under(("sensors",)))
+    tree = tree.replaced(("sensor",), tree.under(("sensors", 0)))
+    if vary is None:
+        tree = tree.replaced(("vary",), Tree({"method": "grid", "over": {}}))
+    key = "grid" if vary else "over"
+    if "sensor" in (at(vary, (key,)) or {}):
+        raise report([(Problem(("vary", key, "sensor"), "cannot be given beside sensors", at_key=True), tree)])
+    return tree.replaced(("vary", key, "sensor"), choice)
 
 
 def read_sensor(path: Path) -> tuple[Sensor, Tree]:

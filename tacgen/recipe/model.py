@@ -208,6 +208,7 @@ def _not_empty(value: frozenset[str]) -> frozenset[str]:
     return value
 
 
+SensorName = Annotated[str, Field(min_length=1)]
 Outputs = Annotated[frozenset[OutputName], AfterValidator(_not_empty), Field(json_schema_extra={"minItems": 1})]
 
 
@@ -216,7 +217,8 @@ class Recipe(Part):
 
     tacgen: Literal[1]
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=100)]
-    sensor: Annotated[str, Field(min_length=1)]
+    sensor: SensorName
+    sensors: Annotated[tuple[SensorName, ...] | None, Field(min_length=2)] = None  # in its place: a scene on each
     sensor_overrides: dict[str, Any] = Field(default_factory=dict)
     indenter: Indenter
     start: Start = Start()
@@ -234,6 +236,13 @@ class Recipe(Part):
         Discriminator(_quality_tag),
     ] = "default"
     vary: Vary | None = None
+
+    @field_validator("sensors")
+    @classmethod
+    def _each_once(cls, value: tuple[str, ...] | None) -> tuple[str, ...] | None:
+        if value is not None and len(set(value)) < len(value):
+            raise ValueError("must name each sensor once")
+        return value
 
     def resolved(self) -> Quality:
         """The quality as numbers."""

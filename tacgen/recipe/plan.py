@@ -51,6 +51,7 @@ class Row:
     folders: Mapping[KeyPath, Path] = field(default_factory=dict)  # where the paths of its files start
     other: Sensor | None = None  # of a grasp the other finger's
     finger: Literal["left", "right"] | None = None  # of one bundle of a grasp
+    pair: int | None = None  # number of the contact, where a recipe has each on several sensors
 
     @property
     def key(self) -> str:
@@ -58,6 +59,7 @@ class Row:
         inputs = [FORMAT, self.index, self.seed, self.document(), self.sensor_document()]
         if self.other is not None:
             inputs += [self.other.model_dump(mode="json", exclude_none=True), self.finger]
+        inputs += [] if self.pair is None else [self.pair]
         return _sha256(inputs)
 
     @property
@@ -173,7 +175,7 @@ def expand(
     _check(vary, tree)
     count = scene_count(vary)
     wanted = range(count) if indices is None else indices
-    base = recipe.model_copy(update={"vary": None}).document()
+    base = recipe.model_copy(update={"vary": None, "sensors": None}).document()
     rows = []
     problems: dict[tuple[KeyPath, str], list[tuple[str, Problem]]] = {}
     named, more = _named(vary, tree, bool(recipe.outputs & IMAGES))
@@ -182,7 +184,7 @@ def expand(
         chosen = named[values["sensor"]] if "sensor" in values else known
         row, wrong = _resolve(index, values, base, *chosen, scene_seed(vary.seed, index), tree, vary)
         if row:
-            rows.append(row)
+            rows.append(replace(row, pair=index // len(recipe.sensors)) if recipe.sensors else row)
         for problem in wrong:
             alike = re.sub(r"-?\d[\d.e+-]*", "#", problem.message)  # numbers differ from scene to scene
             problems.setdefault((problem.path, alike), []).append((f"scene-{index:05d}", problem))

@@ -29,18 +29,23 @@ def as_csv(plan: Plan) -> str:
 
 
 def as_json(plan: Plan) -> str:
-    """Every row, of a grasp both bundles, with its seed, key and values."""
-    each = (row for scene in plan.rows for row in scene.bundles)
-    rows = [{"scene": r.name, "frames": r.frames, "seed": r.seed, "key": r.key, "values": r.values} for r in each]
+    """Every row, of a grasp both bundles, with its seed, key and values, and its pair where there are several sensors."""
+    rows = [
+        {"scene": r.name, "frames": r.frames, "seed": r.seed, "key": r.key, "values": r.values}
+        | ({} if r.pair is None else {"pair": r.pair})
+        for scene in plan.rows
+        for r in scene.bundles
+    ]
     return json.dumps({"name": plan.name, "scenes": rows}, indent=1) + "\n"
 
 
 def _cells(plan: Plan, *, short: bool) -> list[list[str]]:
-    head = ["scene", "frames", "seed", *plan.paths]
-    return [head] + [
-        [row.name, str(row.frames), str(row.seed), *(_cell(row.values[path], short) for path in plan.paths)]
-        for row in plan.rows
-    ]
+    paired = any(row.pair is not None for row in plan.rows)
+    table = [["scene", *["pair"] * paired, "frames", "seed", *plan.paths]]
+    for row in plan.rows:
+        known = [row.name, *[str(row.pair)] * paired, str(row.frames), str(row.seed)]
+        table.append([*known, *(_cell(row.values[path], short) for path in plan.paths)])
+    return table
 
 
 def _cell(value: Any, short: bool) -> str:

@@ -18,7 +18,9 @@ def recipe_schema() -> dict[str, Any]:
     schema["$schema"] = "https://json-schema.org/draft/2020-12/schema"
     schema["properties"]["extends"] = {"type": "string", "description": "A recipe that this one is laid over."}
     needed = schema.pop("required")
-    schema["anyOf"] = [{"required": needed}, {"required": ["extends"]}]  # what is extended may hold the rest
+    several = ["sensors" if name == "sensor" else name for name in needed]
+    # what is extended may hold the rest
+    schema["anyOf"] = [{"required": needed}, {"required": several}, {"required": ["extends"]}]
     return schema
 
 

@@ -103,13 +103,16 @@ def normal_force(state: State) -> float:
 
 
 def states(scene: Scene, problem: Problem, *, tol: float | None = None) -> Iterator[State]:
-    """The gel at every frame of the path, in order; a force that is asked for is met within the part `tol` of it.
+    """The gel at every frame of the path, in order.
+
+    A force that is asked for is met within the part `tol` of it in every frame; without `tol` within the options'
+    `force_tol` at the end of a press, and 1e-2 on the way.
 
     Raises:
         NotConverged: a frame could not be reached; it and all after it are missing, because each stands on the last.
     """
     history, last = problem.rest(Pose.of(scene.start)), scene.start
-    tol = problem.options.force_tol if tol is None else tol
+    end_tol, way_tol = (problem.options.force_tol, 1e-2) if tol is None else (tol, tol)
     forced, shift, had, begun = scene.forced, 0.0, 0.0, 0.0
     for index, pose in enumerate(scene.poses):
         duration = math.inf if scene.duration is None else float(scene.duration[index])
@@ -119,7 +122,7 @@ def states(scene: Scene, problem: Problem, *, tol: float | None = None) -> Itera
             begun = had  # the force before the segment
         if forced is not None and np.isfinite(asked := forced.asked[index]):
             target = begun + forced.part[index] * (asked - begun)
-            part_tol = tol if forced.part[index] == 1 else max(tol, 1e-2)
+            part_tol = end_tol if forced.part[index] == 1 else way_tol
             floor = forced.floor[index]
             history, state = _reach_force(problem, history, last, pose, index, duration, target, had, floor, part_tol)
             shift = state.pose[2, 3] - pose[2, 3]

@@ -206,6 +206,47 @@ def test_lerobot_tables_agree_with_each_other_and_with_the_bundles(folder: Path,
     assert json.loads(tasks.schema.metadata[b"pandas"])["index_columns"] == ["task"]
 
 
+def test_lerobot_has_an_episode_for_each_contact_on_several_sensors(tmp_path: Path) -> None:
+    """In pictures of their own sizes; a contact that one of the sensors lacks is left out."""
+    parquet = pytest.importorskip("pyarrow.parquet")
+    for i in range(5):
+        known = {"scene_index": i, "pair": i // 2, "sensor": ("digit", "mini")[i % 2]}
+        write(tmp_path / "in" / f"scene-{i:05d}.h5", shape=((48, 64), (60, 40))[i % 2], **known,
+              reference_height=np.zeros(((12, 16), (15, 10))[i % 2]))  # fmt: skip
+    export.export("lerobot", tmp_path / "in", tmp_path / "out")
+    info = json.loads((tmp_path / "out/meta/info.json").read_text())
+    assert (info["robot_type"], info["total_episodes"], info["total_frames"]) == ("digit, mini", 2, 2 * FRAMES)
+    features = info["features"]
+    assert features["observation.images.digit"]["shape"] == [48, 64, 3]
+    assert features["observation.images.mini"]["shape"] == [60, 40, 3]
+    assert features["observation.state"]["names"][7:9] == ["mini.x_mm", "mini.y_mm"]
+    rows = parquet.read_table(tmp_path / "out/data/chunk-000/file-000.parquet").to_pylist()
+    for name, number in (("digit", 2), ("mini", 3)):
+        scene, row = read(tmp_path / "in" / f"scene-{number:05d}.h5"), rows[FRAMES + 4]
+        image = np.asarray(Image.open(io.BytesIO(row[f"observation.images.{name}"]["bytes"])))
+        assert np.array_equal(image, scene.frame("/frames/rgb", 4))
+        assert row[f"observation.force.{name}"] == pytest.approx(scene.frame("/frames/force", 4))
+        at = features["observation.state"]["names"].index(f"{name}.x_mm")
+        assert row["observation.state"][at : at + 3] == pytest.approx(scene.frame("/frames/pose", 4)[:3, 3])
+    assert set(rows[0]) == set(features)
+
+
+def test_lerobot_depth_is_16_bit_in_micrometres(folder: Path, scene: Bundle, tmp_path: Path) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet")
+    export.export("lerobot", folder, tmp_path)
+    feature = json.loads((tmp_path / "meta/info.json").read_text())["features"]["observation.images.tactile_depth"]
+    assert (feature["dtype"], feature["shape"]) == ("image", [60, 80, 1])
+    assert feature["info"] == {"is_depth_map": True, "depth_unit": "um"}
+    rows = parquet.read_table(tmp_path / "data/chunk-000/file-000.parquet").to_pylist()
+    for k in range(FRAMES):
+        picture = Image.open(io.BytesIO(rows[FRAMES + k]["observation.images.tactile_depth"]["bytes"]))
+        assert picture.mode == "I;16"
+        pressed = np.maximum(scene["/reference/height"] - scene.frame("/frames/height", k), 0)
+        assert np.asarray(picture) / 1000 == pytest.approx(pressed, abs=5.1e-4)
+    stats = json.loads((tmp_path / "meta/stats.json").read_text())["observation.images.tactile_depth"]
+    assert np.shape(stats["mean"]) == (1, 1, 1)
+
+
 def test_lerobot_begins_a_file_when_one_is_full(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     parquet = pytest.importorskip("pyarrow.parquet")
     monkeypatch.setattr(lerobot, "FILE_BYTES", 1000)

@@ -1,6 +1,7 @@
 """Plans: numbers depend on seed and scene only, every varied scene is checked, keys tell inputs apart."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -142,6 +143,52 @@ def test_every_sample_is_taken_at_every_point_of_a_grid(tmp_path: Path) -> None:
     assert expanded(found, [10, 3]).rows == (whole.rows[10], whole.rows[3])
     more = expanded(loaded(tmp_path, text, (*sets, "vary.samples=4")))
     assert [row.values for row in more.rows[:12]] == [row.values for row in whole.rows]
+
+
+def test_several_sensors_feel_each_contact(tmp_path: Path) -> None:
+    """Rows of a pair differ in the sensor alone; shards and single rows know their pairs, and so does the table."""
+    sets = ("sensors=[digit, gelsight_mini, ninedtact]", "vary.samples=3", "outputs=[force]", "contact.friction=0.1")
+    found = loaded(tmp_path, BATCH.replace("METHOD", "lhs"), sets)
+    rows = expanded(found).rows
+    assert [row.pair for row in rows] == [0, 0, 0, 1, 1, 1, 2, 2, 2]
+    assert [row.sensor.name for row in rows[:3]] == ["digit", "gelsight_mini", "ninedtact"]
+    for pair in (rows[:3], rows[3:6], rows[6:]):
+        assert len({str({**row.values, "sensor": None}) for row in pair}) == 1
+        assert len({str({**row.document(), "sensor": None}) for row in pair}) == 1
+        assert all("sensors" not in row.document() for row in pair)
+    assert expanded(found, [7, 2]).rows == (rows[7], rows[2])
+    table = plan_table.as_csv(expanded(found)).splitlines()
+    assert (table[0].split(",")[:2], table[4].split(",")[:2]) == (["scene", "pair"], ["scene-00003", "1"])
+    scenes = json.loads(plan_table.as_json(expanded(found)))["scenes"]
+    assert [scene["pair"] for scene in scenes] == [0, 0, 0, 1, 1, 1, 2, 2, 2]
+    assert replace(rows[0], pair=7).key != rows[0].key
+
+
+def test_one_contact_on_several_sensors_needs_no_vary(tmp_path: Path) -> None:
+    rows = plan.load(assets.recipe_path("quickstart"), ["sensors=[digit, ninedtact]", "outputs=[force]"]).rows
+    assert [(row.name, row.pair, row.recipe.sensor) for row in rows] == [
+        ("scene-00000", 0, "digit"), ("scene-00001", 0, "ninedtact"),
+    ]  # fmt: skip
+    assert plan.load(assets.recipe_path("quickstart")).rows[0].pair is None
+
+
+@pytest.mark.parametrize(
+    ("sets", "line"),
+    [
+        (("sensors=[digit]",), "sensors: must hold at least 2"),
+        (("sensors=[digit, digit]",), "sensors: must name each sensor once"),
+        (("sensors=digit",), "sensors: must be a list"),
+        (("sensors=[digit, 3]",), "sensors[1]: must be text"),
+        (("sensors=[digit, nosuch]",), "nosuch"),
+        (("sensors=[digit, ninedtact]", "vary={samples: 2, over: {sensor: {choice: [digit]}}}"), "is in over already"),
+        (("sensors=[digit, ninedtact]", "vary={samples: 2, over: {start.x_mm: {uniform: [0, 1]}},"
+          " grid: {sensor: {choice: [digit]}}}"), "vary.grid.sensor: cannot be given beside sensors"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_with_several_sensors_is_told(sets: tuple[str, ...], line: str) -> None:
+    with pytest.raises(UserError) as caught:
+        plan.load(assets.recipe_path("quickstart"), ("outputs=[force]", *sets))
+    assert any(line in said for said in caught.value.lines), caught.value.lines
 
 
 @pytest.mark.parametrize(
