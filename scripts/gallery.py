@@ -15,6 +15,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from tacgen.bundle import caption
 from tacgen.bundle.bundle import Bundle, read
 from tacgen.recipe import assets
 from tacgen.recipe.loading import read_sensor
@@ -137,7 +138,7 @@ def page(found: dict[str, list[Bundle]]) -> str:
         "| indenter | |",
         "|---|---|",
         *(
-            f"| {name} | {objects.get(name) or bundle_figure.indenter_text(bundle).partition(', ')[2]} |"
+            f"| {name} | {objects.get(name) or caption.indenter_text(bundle).partition(', ')[2]} |"
             for name, bundle, _ in columns(first, kinds[0])
         ),
         "",

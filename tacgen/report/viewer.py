@@ -16,9 +16,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from tacgen.bundle.bundle import Bundle
+from tacgen.bundle.caption import indenter_text
 from tacgen.errors import UserError
 from tacgen.fem.elements import triangles
-from tacgen.report.bundle_figure import LINES, image_size, indenter_text, magnification, only, scale_of
+from tacgen.report.bundle_figure import LINES, image_size, magnification, only, scale_of
 from tacgen.report.field_figure import FIELDS, SECTIONS, WIDE, indenter_surface, section
 from tacgen.report.layers import LAYERS, limits
 from tacgen.report.plane_cut import boundary

@@ -74,7 +74,7 @@ def lines_of(tmp_path: Path, text: str, sets: tuple[str, ...] = ()) -> list[str]
         (
             "outputs: [force]",
             "outputs: [forse]",
-            "10:11: outputs[0]: must be one of force, traction, force_map",
+            "10:11: outputs[0]: must be one of force, traction, events",
         ),
         ("outputs: [force]", "outputs: []", "10:10: outputs: must name at least one of force"),
         ("outputs: [force]", "outputs: force", "10:10: outputs: must be a list (got 'force')"),
