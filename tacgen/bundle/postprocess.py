@@ -1,8 +1,9 @@
-"""What follows from a bundle's contents, computed on reading: stress invariants, strain energy, who sticks and slips.
+"""What follows from a bundle's contents, computed on reading: wrenches, stress invariants, strain energy, who sticks.
 
     bundle = read(path)
     von_mises(bundle["/fields/nodal_stress"])        # (N, n) [MPa]
     contact_state(bundle, 7) == SLIP                 # (h, w)
+    wrench(bundle, bundle["/frames/pose"])           # (N, 6) [N, N mm] at the tool
 
 Stresses (..., 6) [MPa] are in the bundle's order, xx yy zz yz xz xy; tension is positive.
 """
@@ -16,6 +17,18 @@ from tacgen.fem.stress_recovery import FULL, Recovery
 
 Array = np.ndarray
 FREE, EDGE, STICK, SLIP = range(4)  # of `contact_state`
+
+
+def wrench(bundle: Bundle, pose: Array | None = None) -> Array:
+    """Force [N] and torque [N mm] on the gel (N, 6), along the axes of a frame and about its origin.
+
+    `pose` (4, 4) or (N, 4, 4) is where that frame stands in the sensor's; None: the sensor's own. That at the tool is
+    `wrench(bundle, bundle["/frames/pose"])`, and minus it what a force-torque sensor there would say of the contact.
+    """
+    force, torque = bundle["/frames/force"], bundle["/frames/torque"]
+    pose = np.eye(4) if pose is None else np.asarray(pose)
+    about = torque - np.cross(pose[..., :3, 3], force)
+    return np.hstack([np.einsum("...ji,...j", pose[..., :3, :3], v) for v in (force, about)])
 
 
 def tensor(stress: Array) -> Array:

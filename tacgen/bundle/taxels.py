@@ -1,0 +1,65 @@
+"""What an array of taxels would feel: a bundle's force map, summed over the cells of a layout.
+
+    layout = grid(4, 4, 4.0)                 # 4 rows, 4 columns, 4 mm apart; or read(Path("taxels.csv"))
+    forces(bundle, 7, layout)                # (16, 3) [N] on the gel, whose sum is that of the force map
+
+A taxel's cell is what lies nearer to its centre than to any other's, on the untouched face.
+"""
+
+import csv
+import io
+from pathlib import Path
+
+import numpy as np
+
+from tacgen import regular_file
+from tacgen.bundle.bundle import Bundle
+from tacgen.errors import UserError, why
+
+Array = np.ndarray
+LARGEST = 2**24  # bytes of a layout's file
+
+
+def grid(rows: int, columns: int, pitch_mm: float, center_mm: tuple[float, float] = (0.0, 0.0)) -> Array:
+    """Centres (rows x columns, 2) [mm] of a square grid, row after row, x right and y down in the image."""
+    x, y = ((np.arange(n) - (n - 1) / 2) * pitch_mm for n in (columns, rows))
+    return np.stack(np.meshgrid(x, y), -1).reshape(-1, 2) + center_mm
+
+
+def read(path: Path) -> Array:
+    """Centres (n, 2) [mm] from CSV whose header names x_mm and y_mm. Raises UserError: unreadable, or no such table."""
+    try:
+        rows = list(csv.DictReader(io.StringIO(regular_file.read_bytes(path, LARGEST).decode("utf-8-sig"))))
+        layout = np.array([[float(row["x_mm"]), float(row["y_mm"])] for row in rows])
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read: {why(error)}") from None
+    except (ValueError, KeyError, TypeError, csv.Error):
+        raise UserError(f"{path}: must be CSV with numbers under x_mm and y_mm") from None
+    if not len(layout) or not np.isfinite(layout).all():
+        raise UserError(f"{path}: must hold a finite x_mm and y_mm of at least one taxel")
+    return layout
+
+
+def forces(bundle: Bundle, frame: int, layout: Array) -> Array:
+    """Force (n, 3) [N] on the gel in the cell of each of the centres (n, 2) [mm]. Raises Missing: no force map."""
+    force = bundle.frame("/frames/force_map", frame).astype(float)
+    cell = cells(bundle, layout)
+    return np.stack([np.bincount(cell, part, len(layout)) for part in force.reshape(-1, 3).T], -1)
+
+
+def cells(bundle: Bundle, layout: Array) -> Array:
+    """The number (h x w,) of the taxel whose cell each sample of a map lies in."""
+    from scipy.spatial import cKDTree
+
+    return np.asarray(cKDTree(layout).query(_places(bundle))[1])
+
+
+def _places(bundle: Bundle) -> Array:
+    """Where on the untouched face (h x w, 2) [mm] the samples of a map look; a dome's is known by `height`."""
+    from tacgen.optics.camera import Camera
+
+    camera, (h, w) = Camera.from_sensor(bundle.sensor), bundle.shapes["/frames/force_map"][1:3]
+    row, column = np.indices((h, w)).reshape(2, -1) + 0.5
+    origins, rays = camera.rays(np.column_stack([column * camera.shape[1] / w, row * camera.shape[0] / h]))
+    z = np.nan_to_num(bundle["/reference/height"].ravel()) if "/reference/height" in bundle else 0.0
+    return np.asarray((origins - rays * ((origins[:, 2] - z) / rays[:, 2])[:, None])[:, :2])
