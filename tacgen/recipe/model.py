@@ -244,6 +244,13 @@ class Recipe(Part):
             raise ValueError("must name each sensor once")
         return value
 
+    @field_validator("grasp")
+    @classmethod
+    def _of_two_sensors(cls, value: Grasp | None, info: ValidationInfo) -> Grasp | None:
+        if value is not None and info.data.get("sensors"):
+            raise ValueError("cannot be given beside sensors: its fingers' are sensor and right")
+        return value
+
     def resolved(self) -> Quality:
         """The quality as numbers."""
         if isinstance(self.quality, str):

@@ -29,7 +29,7 @@ def as_csv(plan: Plan) -> str:
 
 
 def as_json(plan: Plan) -> str:
-    """Every row, of a grasp both bundles, with its seed, key and values, and its pair where there are several sensors."""
+    """Every row, of a grasp both bundles, with its seed, key and values; its pair where there are several sensors."""
     rows = [
         {"scene": r.name, "frames": r.frames, "seed": r.seed, "key": r.key, "values": r.values}
         | ({} if r.pair is None else {"pair": r.pair})
