@@ -68,7 +68,7 @@ def test_share_area_and_center_agree_with_the_maps(tmp_path: Path) -> None:
     slid = (force * bundle["/frames/sliding"]).sum((1, 2)) / force.sum((1, 2))
     assert bundle["/frames/events/stick_ratio"] == pytest.approx(1 - slid, abs=0.01)
     touched = (bundle["/frames/area"] * bundle["/frames/contact"]).sum((1, 2))
-    assert bundle["/frames/events/contact_area"] == pytest.approx(touched, rel=1e-6)
+    assert bundle["/frames/events/contact_area"] == pytest.approx(touched, rel=2e-4)  # which are rounded
     assert bundle["/frames/events/patches"].tolist() == [1, 1, 1, 1]
     center = bundle["/frames/events/center_of_pressure"]
     assert np.abs(center[:2, :2]).max() < 0.01
