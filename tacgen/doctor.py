@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 PACKAGES = (
-    *("numpy", "scipy", "numba", "mitsuba", "drjit", "h5py", "pydantic", "ruamel.yaml", "typer", "click", "rich"),
-    *("platformdirs", "threadpoolctl", "matplotlib", "pillow", "trimesh", "networkx", "libigl", "pytetwild"),
+    *("numpy", "scipy", "numba", "mitsuba", "drjit", "h5py", "isal", "pydantic", "ruamel.yaml", "typer", "click"),
+    *("rich", "platformdirs", "threadpoolctl", "matplotlib", "pillow", "trimesh", "networkx", "libigl"),
+    "pytetwild",
 )
 REPLACEABLE = ("cvxopt", "pymetis")  # without them another linear solver serves
 FREE_GB = 1.0  # below this a batch will not get far

@@ -20,6 +20,7 @@ from tacgen.recipe.plan import Row
 from tacgen.solve import Problem, State
 
 if TYPE_CHECKING:
+    from tacgen.labels.camera_maps import View
     from tacgen.labels.contact_maps import Maps
     from tacgen.labels.stress import Stresses
     from tacgen.labels.uncertainty import Sensitivities
@@ -44,18 +45,20 @@ class _Faces:
     printed: gel_surface.Surface  # the one seen through the clear layers, with the markers on it; it may be the same
 
     @cached_property
-    def outer(self) -> gel_surface.View:
+    def outer(self) -> "View":
         """What is touched, behind each pixel."""
         return self._drawn(self.touched)
 
     @cached_property
-    def seen(self) -> gel_surface.View:
+    def seen(self) -> "View":
         """What is printed on, behind each pixel."""
         return self.outer if self.printed is self.touched else self._drawn(self.printed)
 
-    def _drawn(self, surface: gel_surface.Surface) -> gel_surface.View:
+    def _drawn(self, surface: gel_surface.Surface) -> "View":
+        from tacgen.labels.camera_maps import View, in_view
+
         camera = self.scene.camera
-        return gel_surface.View(self.scene.sheet(gel_surface.in_view(surface, camera)), surface, camera)
+        return View(self.scene.sheet(in_view(surface, camera)), surface, camera)
 
 
 class SceneData(_Faces):

@@ -288,7 +288,7 @@ def test_what_is_not_asked_for_is_not_computed() -> None:
     slips = {"tacgen.contact.friction:dragged", "tacgen.contact.coupled:CoupledContact.slip"}
     assert slips <= rubbing - without
     modules = {name.partition(":")[0] for name in without}
-    assert {"tacgen.labels.gel_surface", "tacgen.solve.foresee"} <= modules  # the wrench alone
+    assert {"tacgen.labels.gel_surface", "tacgen.solve.frames"} <= modules  # the wrench alone
     unasked = ("geometry.sdf_grid", "labels.contact_maps", "labels.stress", "geometry.mesh_import", "scene.tet_mesh")
     unasked += ("solve.force_control", "solve.full_newton", "solve.lagging", "solve.mesh_contact", "solve.newton")
     assert modules.isdisjoint(f"tacgen.{name}" for name in unasked)

@@ -10,7 +10,7 @@ from tacgen.fem.elements import facet_areas
 from tacgen.fem.materials import NeoHooke
 from tacgen.fem.stress_recovery import FULL
 from tacgen.geometry.analytic_sdf import Sphere
-from tacgen.labels import gel_surface
+from tacgen.labels import camera_maps, gel_surface
 from tacgen.labels.contact_maps import Maps, tangents
 from tacgen.labels.contact_maps import maps as maps_of
 from tacgen.labels.stress import Stress, Stresses, agreeing
@@ -146,7 +146,7 @@ def test_torque_is_about_the_origin() -> None:
 
 
 def test_the_height_of_an_untouched_face_is_zero(surface: gel_surface.Surface, mini: Sensor, camera: Camera) -> None:
-    z = gel_surface.View(Sheet.over(mini.gel, 0.2), surface, camera).height()
+    z = camera_maps.View(Sheet.over(mini.gel, 0.2), surface, camera).height()
     assert z.shape == camera.shape
     assert z == pytest.approx(np.zeros(camera.shape), abs=1e-12)
 
@@ -154,7 +154,7 @@ def test_the_height_of_an_untouched_face_is_zero(surface: gel_surface.Surface, m
 def test_the_height_of_a_dent_follows_the_ball(
     pressed: Run, surface: gel_surface.Surface, maps: list[Maps], mini: Sensor, camera: Camera
 ) -> None:
-    z = gel_surface.View(Sheet.over(mini.gel, 0.1), surface.moved(pressed.states[PRESSED].x), camera).height()
+    z = camera_maps.View(Sheet.over(mini.gel, 0.1), surface.moved(pressed.states[PRESSED].x), camera).height()
     assert z.min() == pytest.approx(-0.8, abs=0.03)
     assert 0 < z.max() < 0.1  # the rim bulges
     rows, columns = np.nonzero(maps[PRESSED].contact)
@@ -264,7 +264,7 @@ def test_gap_and_normals_of_the_dent(
     """Under the ball the gap is about none and the normals are the ball's own; elsewhere they are those of a ball over
     a nearly level face."""
     camera, state = Camera.from_sensor(mini), pressed.states[PRESSED]
-    view = gel_surface.View(Sheet.over(mini.gel, 0.1), surface.moved(state.x), camera)
+    view = camera_maps.View(Sheet.over(mini.gel, 0.1), surface.moved(state.x), camera)
     gap, normals, z = view.gap(pressed.scene.shape, state.pose), view.normals(), view.height()
     assert np.linalg.norm(normals, axis=-1) == pytest.approx(np.ones(camera.shape))
     rows, columns = np.indices(camera.shape)
@@ -280,7 +280,7 @@ def test_gap_and_normals_of_the_dent(
     assert np.degrees(np.arccos((normals * inward).sum(-1)[inner])).max() < 4
     right = (at[..., 0] > middle[0] + 0.8) & inner
     assert (normals[right][:, 0] < -0.1).all()  # right of the ball the dent rises to the right
-    flat = gel_surface.View(Sheet.over(mini.gel, 0.2), surface, camera).normals()
+    flat = camera_maps.View(Sheet.over(mini.gel, 0.2), surface, camera).normals()
     assert flat == pytest.approx(np.broadcast_to([0.0, 0.0, 1.0], flat.shape), abs=1e-12)
 
 

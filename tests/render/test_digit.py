@@ -11,7 +11,7 @@ from tacgen import solve
 from tacgen.contact.barrier import Pose
 from tacgen.errors import UserError
 from tacgen.fem.elements import facet_areas, hexes
-from tacgen.labels import gel_surface
+from tacgen.labels import camera_maps, gel_surface
 from tacgen.labels.contact_maps import maps as maps_of
 from tacgen.optics.camera import Camera
 from tacgen.optics.surface_grid import Sheet
@@ -157,7 +157,7 @@ def test_the_face_and_its_picture_follow_the_dome(pressed: Run, digit: Sensor) -
     now = sheet.at(surface)
     assert np.isfinite(now).all()  # at the round end too
     assert gel.contains(*(sheet.pad.drawn_in(sheet.rest) * (1 - 1e-9)).T).all()
-    rest, z = (gel_surface.View(sheet, s, camera).height() for s in (surface, surface.moved(state.x)))
+    rest, z = (camera_maps.View(sheet, s, camera).height() for s in (surface, surface.moved(state.x)))
     rows, columns = np.nonzero(np.isfinite(rest))
     assert len(rows) == rest.size
     origins, rays = camera.rays(np.column_stack([columns, rows]) + 0.5)
