@@ -4,7 +4,8 @@ On each triangle a cubic in three pieces, C1 throughout (Clough & Tocher 1965; s
 CloughTocher2DInterpolator). The nodes' slopes are those of the least curvature along the edges (Nielson 1983).
 """
 
-from typing import TYPE_CHECKING
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,20 +18,29 @@ Array = np.ndarray
 
 
 class CloughTocher:
-    """Values at points (s, 2) to values between them."""
+    """Values at points (s, 2) to values between them; nothing is made before it is asked for."""
 
     def __init__(self, points: Array) -> None:
-        from scipy.sparse.linalg import splu
+        self._points = points
+        self._kept: dict[int, tuple[Array, csr_array]] = {}
+
+    @cached_property
+    def _plan(self) -> Any:
         from scipy.spatial import Delaunay
 
-        self._plan = Delaunay(points)
-        bending, self._pull = _least_curvature(points, *self._plan.vertex_neighbor_vertices)
-        self._bending = splu(bending)
-        self._kept: dict[int, tuple[Array, csr_array]] = {}
+        return Delaunay(self._points)
+
+    @cached_property
+    def _slopes(self) -> "tuple[Any, csr_array]":
+        from scipy.sparse.linalg import splu
+
+        bending, pull = _least_curvature(self._points, *self._plan.vertex_neighbor_vertices)
+        return splu(bending), pull
 
     def nodal(self, values: Array) -> Array:
         """Values (s, c) at the points and, below, their slopes along x and y by turns: (3s, c)."""
-        return np.concatenate([values, self._bending.solve(self._pull @ values)])
+        bending, pull = self._slopes
+        return np.concatenate([values, bending.solve(pull @ values)])
 
     def at(self, xy: Array, nodal: Array) -> Array:
         """Values (n, c) at xy (n, 2), nan outside the points' hull.
