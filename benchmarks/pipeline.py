@@ -1,6 +1,5 @@
 """What a frame costs from end to end: by stage, output and sensor, on a new machine, and on several workers."""
 
-import os
 import resource
 import tempfile
 import time
@@ -75,8 +74,8 @@ def bench(level: Level, say: Say) -> Result:
 
 def row(sensor: str, quality: str, asked: str, frames: tuple[int, int, int]) -> Any:
     """The scene with these outputs, `EVERYTHING` or a list of names."""
-    from tacgen.outputs import OUTPUTS
     from tacgen.recipe import assets, plan
+    from tacgen.recipe.model import OUTPUTS
 
     names = ", ".join(n for n in OUTPUTS if n != "markers" or sensor in MARKED) if asked == EVERYTHING else asked
     moves = MOVES.format(depth=DEPTHS[sensor], n=frames)
@@ -177,7 +176,8 @@ def _first(say: Say) -> Table:
         with tempfile.TemporaryDirectory() as folder:
             for caches in ("empty", "filled"):
                 start = time.time()
-                found = in_own_process("benchmarks.pipeline:first", sensor, folder, start)
+                kept = {"TACGEN_CACHE_DIR": folder, "NUMBA_CACHE_DIR": f"{folder}/numba"}
+                found = in_own_process("benchmarks.pipeline:first", sensor, start, env=kept)
                 whole = [time.time() - start, found["processor"], found["memory"]]
                 rows.append([sensor, caches, *found["to_frame"], *whole])
                 say(f"{sensor}, caches {caches}: {found['to_frame'][0]:.1f} s to the first frame")
@@ -193,9 +193,8 @@ def _first(say: Say) -> Table:
     return Table("The first scene", heads, rows, note)
 
 
-def first(sensor: str, caches: str, started: float) -> dict[str, Any]:
-    """The quickstart in this process, started at that time, which has imported nothing yet; `caches`: their folder."""
-    os.environ |= {"TACGEN_CACHE_DIR": caches, "NUMBA_CACHE_DIR": f"{caches}/numba"}
+def first(sensor: str, started: float) -> dict[str, Any]:
+    """The quickstart in this process, started at that time."""
     from tacgen import pipeline
     from tacgen.recipe import assets, plan
 

@@ -126,14 +126,16 @@ def one_thread() -> dict[str, str]:
     return os.environ | dict.fromkeys(ONE_THREAD, "1") | {"PYTHONPATH": path}
 
 
-def in_own_process(target: str, *args: Any) -> Any:
+def in_own_process(target: str, *args: Any, env: dict[str, str] | None = None) -> Any:
     """What `target`, "module:function", gives for plain arguments in a process of its own, on one core.
+
+    `env` is added to its environment.
 
     Raises:
         RuntimeError: it failed; the message is what it said.
     """
     command = [sys.executable, "-c", CHILD, target, json.dumps(args)]
-    done = subprocess.run(command, env=one_thread(), capture_output=True, text=True, check=False)
+    done = subprocess.run(command, env=one_thread() | (env or {}), capture_output=True, text=True, check=False)
     if done.returncode:
         raise RuntimeError(f"{target}{args}: {done.stderr.strip() or f'exit code {done.returncode}'}")
     return json.loads(done.stdout.splitlines()[-1])

@@ -356,3 +356,10 @@ def test_a_bench_without_what_it_needs_leaves_what_there_was(tmp_path: Path, mon
     assert bench.run(["real"], tmp_path, "smoke", said.append) == []
     assert said == [f"real: left out, no photographs in {tmp_path} (set TACGEN_REFERENCE)"]
     assert json.loads((tmp_path / "results" / "real.json").read_text())["tables"][0]["rows"][0][1] == 1.0
+
+
+@pytest.mark.parametrize("sensor", pipeline.DEPTHS)
+def test_everything_is_what_a_recipe_can_ask_of_that_sensor(sensor: str) -> None:
+    asked = pipeline.row(sensor, "draft", pipeline.EVERYTHING, pipeline.FEW).recipe.outputs
+    assert asked >= {"force", "traction", "stress", "flow", "radiance", "rgb"}
+    assert ("markers" in asked) == (sensor == "gelsight_mini")
