@@ -21,7 +21,7 @@ from tacgen.solve import Problem, State
 
 if TYPE_CHECKING:
     from tacgen.labels.camera_maps import View
-    from tacgen.labels.contact_maps import Maps
+    from tacgen.labels.contact_maps import Maps, Shares
     from tacgen.labels.stress import Stresses
     from tacgen.labels.uncertainty import Sensitivities
     from tacgen.optics.camera import Camera
@@ -150,9 +150,16 @@ class FrameData(_Faces):
     @cached_property
     def maps(self) -> "Maps":
         """Contact forces behind each pixel."""
-        from tacgen.labels.contact_maps import maps
+        from tacgen.labels.contact_maps import spread
 
-        return maps(self.scene.problem, self.touched, self.state, self.scene.camera)
+        return spread(self.shares, self.state)
+
+    @cached_property
+    def shares(self) -> "Shares":
+        """How contact forces are shared among the pixels."""
+        from tacgen.labels.contact_maps import Shares
+
+        return Shares(self.scene.problem, self.touched, self.state, self.scene.camera)
 
     @cached_property
     def radiance(self) -> Array:
@@ -224,15 +231,18 @@ def _stress(frame: FrameData) -> Datasets:
 
 def _uncertainty(frame: FrameData) -> Datasets:
     """To first order, errors of the inputs being independent."""
+    from tacgen.labels.contact_maps import spread
+
     scene, out = frame.scene, {}
     names = ("pressure", "traction") if "traction" in scene.row.recipe.outputs else ()
-    force, variance = gel_surface.wrench(scene.problem, frame.state)[0], dict.fromkeys(("force", *names), 0.0)
-    for name, near, step, deviation in scene.sensitivities.at(frame.state):
-        there = FrameData(scene, near, frame.before)
-        slope = {"force": (gel_surface.wrench(scene.problem, near)[0] - force) / step}
-        slope |= {key: (getattr(there.maps, key) - getattr(frame.maps, key)) / step for key in names}
-        variance = {key: variance[key] + (deviation * slope[key]) ** 2 for key in slope}
-        out[f"/frames/sensitivity/{name}"] = slope["force"]
+    variance: dict[str, Any] = dict.fromkeys(("force", *names), 0.0)
+    for unsure in scene.sensitivities.at(frame.state):
+        out[f"/frames/sensitivity/{unsure.name}"] = unsure.force
+        slope = {"force": unsure.force}
+        if names:
+            there = spread(frame.shares, unsure.near)
+            slope |= {key: (getattr(there, key) - getattr(frame.maps, key)) / unsure.step for key in names}
+        variance = {key: variance[key] + (unsure.deviation * slope[key]) ** 2 for key in variance}
     return out | {f"/frames/uncertainty/{key}": np.sqrt(value) for key, value in variance.items()}
 
 

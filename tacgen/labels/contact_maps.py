@@ -12,7 +12,6 @@ from tacgen.optics.rasterize import hits
 from tacgen.solve import Problem, State
 
 if TYPE_CHECKING:
-    from tacgen.contact.barrier import Faces
     from tacgen.optics.camera import Camera
 
 Array = np.ndarray
@@ -68,41 +67,45 @@ def maps(problem: Problem, surface: Surface, state: State, camera: "Camera") -> 
     bend. Where friction slides its sizes are, too, since Coulomb says the size: directions that differ around a node
     would cancel, and the map fall short of his law.
     """
-    faces, on = problem.contact.faces, np.asarray(state.normal_force > 0)
-    view = _View(surface, camera, faces, np.asarray(on.any(1)))
-    touched, whole = (view.at(view.nodal(faces.areas * part)) for part in (on, 1.0))
-    for _ in range(SHARPENING_STEPS[faces.conn.shape[1]]):
+    return spread(Shares(problem, surface, state, camera), state)
+
+
+def spread(view: "Shares", state: State) -> Maps:
+    """The same where the face is in view as it is in `view`, in this state or in one close by."""
+    view.weight = np.ones(len(view.weight))
+    for _ in range(view.sharpenings):
         view.weight = view.shared(state.normal_force)[:, 0]
     parts = [state.normal_force[..., None], state.traction_force]
     if state.friction is not None and state.sliding is not None:
         parts += [(state.friction * axis).sum(-1, keepdims=True) for axis in tangents(-state.normal)]
         parts += [np.linalg.norm(state.friction, axis=-1, keepdims=True)]
         parts += [(state.normal_force * state.sliding)[..., None]]
-    spread = view.shared(np.concatenate(parts, -1))
-    pressure, force = spread[:, 0], spread[:, 1:4] * view.area[view.seen][:, None]
-    traction, sliding = np.zeros((len(spread), 2)), np.zeros(len(spread))
-    if spread.shape[1] > 4:
-        mean, size, slid = spread[:, 4:6], spread[:, 6], spread[:, 7]
+    found = view.shared(np.concatenate(parts, -1))
+    pressure, force = found[:, 0], found[:, 1:4] * view.area[view.seen][:, None]
+    traction, sliding = np.zeros((len(found), 2)), np.zeros(len(found))
+    if found.shape[1] > 4:
+        mean, size, slid = found[:, 4:6], found[:, 6], found[:, 7]
         sliding = np.divide(slid, pressure, out=sliding, where=pressure > 0)
         length = np.linalg.norm(mean, axis=1)
         longer = np.divide(size, length, out=np.ones(len(mean)), where=length > 1e-9 * size)
         traction = mean * (1 + sliding * (longer - 1))[:, None]
-    contact = (touched / whole)[:, 0] >= RIM_SHARE
-    each = pressure, traction, contact, sliding, force
+    each = pressure, traction, view.contact, sliding, force
     pressure, traction, contact, sliding, force = (view.picture(values) for values in each)
     return Maps(pressure, traction, contact, sliding, view.area, force)
 
 
-class _View:
+class Shares:
     """The deformed face as the camera sees it: how much of it (h, w) [mm^2] is behind each pixel, and which facets are.
 
-    Of the p pixels (`seen`) that see a facet with a node in common with one that is touched (f,): the weight (p,) in
-    sharing forces. `contact` says where on a facet its points are.
+    Of the p pixels (`seen`) that see a facet with a node in common with one that is touched: whether they are in
+    contact, and the weight (p,) in sharing forces.
     """
 
-    def __init__(self, surface: Surface, camera: "Camera", contact: "Faces", touched: Array) -> None:
+    def __init__(self, problem: Problem, surface: Surface, state: State, camera: "Camera") -> None:
         from scipy.sparse import csr_array
 
+        contact, on = problem.contact.faces, np.asarray(state.normal_force > 0)
+        touched, self.sharpenings = np.asarray(on.any(1)), SHARPENING_STEPS[contact.conn.shape[1]]
         facets, kind, triangles = surface.facets, surface.facets.shape[1], pieces(surface.facets)
         screen, corner = camera.project(surface.now), surface.now[triangles]  # (t, 3, 3)
         found, place, _ = hits(triangles, screen, -surface.now[:, 2], camera.shape)
@@ -113,9 +116,9 @@ class _View:
         self.area = np.where(gel, (face_area / np.maximum(pixels, 1e-300))[found], 0.0)
 
         self._facets, self._hats = facets, facet_shares(contact.N, contact.areas)
-        around = np.zeros(len(surface.now), bool)
-        around[self._facets[touched]] = True
-        self.seen = gel & np.asarray(around[facets].any(1))[found % len(facets)]
+        beside = np.zeros(len(surface.now), bool)
+        beside[self._facets[touched]] = True
+        self.seen = gel & np.asarray(beside[facets].any(1))[found % len(facets)]
         piece, number = np.divmod(found[self.seen], len(facets))
         ends = facet_corners(kind)[np.array(PIECES[kind])][piece]  # of each pixel's triangle in its facet, (p, 3, 2)
         v, w = place[self.seen].T[..., None]
@@ -128,6 +131,8 @@ class _View:
         areas = areas @ facet_shares(facet_points(kind)[0], areas)
         whole, visible = np.bincount(self._facets.ravel(), areas.ravel()), self._weighted_area()
         self._visible = np.where(visible > VISIBLE_SHARE * whole, 1.0, visible / np.maximum(whole, 1e-300))
+        touching, around = (self.at(self.nodal(contact.areas * part)) for part in (on, 1.0))
+        self.contact = (touching / around)[:, 0] >= RIM_SHARE
 
     def nodal(self, per_point: Array) -> Array:
         """Sums (s, c) at the facets' nodes of what is at the contact's points, (f, q, c) or numbers (f, q)."""

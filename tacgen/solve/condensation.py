@@ -5,9 +5,12 @@ With K = L L^T and the contact's dofs c last, the Schur complement is S = L_cc L
 reaches c through one forward substitution.
 """
 
+from collections.abc import Callable
+from functools import partial
+
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, solve_triangular
-from scipy.linalg.lapack import dlauum
+from scipy.linalg import cho_factor, cho_solve, lu_solve, solve_triangular
+from scipy.linalg.lapack import dgetrf, dlauum
 
 from tacgen.fem.assembly import Pattern, add_dense_blocks
 from tacgen.solve.linear_solvers import Cholmod, dissection
@@ -76,6 +79,12 @@ class Condensation:
         """What is left of that gradient on the condensed unknowns (k,)."""
         return np.asarray(self._L @ y[-self.size :])
 
+    def solve(self, b: Array, contact: Callable[[Array], Array]) -> Array:
+        """x (m, k) of K x = b on the free dofs, where `contact` solves for what is condensed."""
+        y = self._factor.forward(b)
+        y[-self.size :] = self._L.T @ contact(self._L @ y[-self.size :])
+        return self._factor.backward(y)
+
     def expand(self, u: Array, y: Array) -> Array:
         """The step (n, 3) of all nodes that goes with u (k,) and the gradient L y."""
         q = np.concatenate([-y[: -self.size], u @ self._L])
@@ -101,6 +110,16 @@ def _definite(K: Array) -> tuple[Array, bool]:
             return np.asarray(factor), bool(lower)
         except np.linalg.LinAlgError:
             shift = max(4 * shift, least)
+
+
+def _lu(K: Array) -> Callable[[Array], Array]:
+    """K^-1. Raises LinAlgError: singular."""
+    if not len(K):
+        return lambda b: b
+    lu, pivots, info = dgetrf(K)
+    if info > 0:
+        raise np.linalg.LinAlgError("singular")
+    return partial(lu_solve, (lu, pivots), check_finite=False)
 
 
 class Schur:
@@ -155,12 +174,20 @@ class Schur:
 
         Raises LinAlgError: singular.
         """
+        return self.factored(added, symmetric)(b)
+
+    def factored(self, added: Array, symmetric: bool = False) -> Callable[[Array], Array]:
+        """The same for right-hand sides (k,) or (k, m) to come."""
         assert self._reduced is not None
         L, W, rest = self._reduced
-        a, x = self.active, np.empty_like(b)
-        y = solve_triangular(L, b[~a], lower=True, check_finite=False)
-        K, c = rest + added, b[a] - y @ W
-        if a.any():
-            x[a] = cho_solve(_definite(K), c, check_finite=False) if symmetric else np.linalg.solve(K, c)
-        x[~a] = solve_triangular(L, y - W @ x[a], lower=True, trans=1, check_finite=False)
-        return x
+        a, K = self.active.copy(), rest + added
+        inner = partial(cho_solve, _definite(K), check_finite=False) if symmetric and a.any() else _lu(K)
+
+        def solve(b: Array) -> Array:
+            x = np.empty_like(b)
+            y = solve_triangular(L, b[~a], lower=True, check_finite=False)
+            x[a] = inner(b[a] - W.T @ y)
+            x[~a] = solve_triangular(L, y - W @ x[a], lower=True, trans=1, check_finite=False)
+            return x
+
+        return solve

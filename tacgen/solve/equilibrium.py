@@ -245,10 +245,11 @@ def _record(
         history.x,
         internal,
         None if step.prediction is None else step.prediction.missed(found.x),
+        None if step.prediction is None else step.prediction.x,
     )
     mean = contact.mean_gap(found.x)
     residual, balance, least_J = quality
     return after, State(
         index, matrix, found.x, forces.N, forces.normal, rub, sliding, steps, 1, contact.offset, mean,
-        found.least_gap, residual, balance, least_J, internal=internal,
+        found.least_gap, residual, balance, least_J, internal=internal, after=after,
     )  # fmt: skip

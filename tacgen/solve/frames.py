@@ -135,5 +135,5 @@ def states(scene: Scene, problem: Problem, *, tol: float | None = None) -> Itera
             history, state = advance(problem, history, last, pose, turn, index, duration)
         if forced is not None:
             had = normal_force(state)
-        yield replace(state, after=history)
+        yield state
         last = state.pose

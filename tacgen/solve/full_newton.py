@@ -9,7 +9,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import scipy.sparse as sp
 
+from tacgen.contact.barrier import Faces
 from tacgen.contact.coupled import CoupledContact
+from tacgen.fem.assembly import Pattern
 from tacgen.fem.potential import Projection
 from tacgen.solve.bulk import Bulk, BulkPoint
 from tacgen.solve.contact_newton import ContactSolution, solve_contact
@@ -51,26 +53,33 @@ class WholeBulk:
                 return None
             p[pattern.free] = self.problem.linear.solve(b)
             return p.reshape(x.shape)
-        upper = sp.csr_matrix((data, pattern.indices, pattern.indptr), shape=(pattern.size,) * 2)
-        K = upper + sp.triu(upper, 1).T + self._sparse(contact, D, x.size)
         try:
-            p[pattern.free] = sp.linalg.splu(
-                K.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.01, options={"SymmetricMode": True}
-            ).solve(b)
+            p[pattern.free] = exact_factor(pattern, data, contact.contact.faces, D).solve(b)
         except RuntimeError:  # singular
             return None
         return p.reshape(x.shape) if np.isfinite(p).all() else None
 
-    def _sparse(self, contact: CoupledContact, D: Array, dofs: int) -> sp.csr_matrix:
-        """The contact's tangent on the free dofs."""
-        faces, pattern = contact.contact.faces, self.problem.pattern
-        felt = np.flatnonzero(D.any((1, 2, 3)))
-        blocks = np.einsum("qa,qb,fqij->faibj", faces.N, faces.N, D[felt])
-        size = 3 * faces.conn.shape[1]
-        number = (3 * faces.conn[felt][..., None] + np.arange(3)).reshape(len(felt), size)
-        rows, columns = np.repeat(number, size, 1).ravel(), np.tile(number, (1, size)).ravel()
-        whole = sp.coo_matrix((blocks.ravel(), (rows, columns)), shape=(dofs, dofs)).tocsr()
-        return whole[pattern.free][:, pattern.free]
+
+def exact_factor(pattern: Pattern, data: Array, faces: Faces, D: Array) -> "sp.linalg.SuperLU":
+    """LU on the free dofs of the bulk's tangent `data` and stiffnesses D (f, q, 3, 3) of the faces' points.
+
+    Raises RuntimeError: singular.
+    """
+    upper = sp.csr_matrix((data, pattern.indices, pattern.indptr), shape=(pattern.size,) * 2)
+    K = upper + sp.triu(upper, 1).T + _sparse(pattern, faces, D)
+    options = {"SymmetricMode": True}
+    return sp.linalg.splu(K.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.01, options=options)
+
+
+def _sparse(pattern: Pattern, faces: Faces, D: Array) -> sp.csr_matrix:
+    """The contact's tangent on the free dofs."""
+    felt, dofs = np.flatnonzero(D.any((1, 2, 3))), 3 * pattern.nodes
+    blocks = np.einsum("qa,qb,fqij->faibj", faces.N, faces.N, D[felt])
+    size = 3 * faces.conn.shape[1]
+    number = (3 * faces.conn[felt][..., None] + np.arange(3)).reshape(len(felt), size)
+    rows, columns = np.repeat(number, size, 1).ravel(), np.tile(number, (1, size)).ravel()
+    whole = sp.coo_matrix((blocks.ravel(), (rows, columns)), shape=(dofs, dofs)).tocsr()
+    return whole[pattern.free][:, pattern.free]
 
 
 def solve(problem: Problem, bulk: Bulk, contact: CoupledContact, x: Array) -> ContactSolution:

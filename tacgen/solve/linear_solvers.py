@@ -89,7 +89,7 @@ class Cholmod:
         return np.asarray(x).ravel()
 
     def forward(self, b: Array) -> Array:
-        """L^-1 P b, in the order of elimination."""
+        """L^-1 P b, in the order of elimination, of b (n,) or (n, k)."""
         return self._steps(b, PERMUTE, LOWER)
 
     def backward(self, y: Array) -> Array:
@@ -100,7 +100,7 @@ class Cholmod:
         x = self._cvxopt.matrix(b)
         for system in systems:
             self._cholmod.solve(self._F, x, sys=system)
-        return np.asarray(x).ravel()
+        return np.array(x).reshape(b.shape)
 
     @property
     def order(self) -> Array:

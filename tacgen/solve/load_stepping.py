@@ -103,4 +103,8 @@ def advance(
 def _after(first: State, second: State) -> State:
     """The second state, its work that of both."""
     iterations, substeps = first.iterations + second.iterations, first.substeps + second.substeps
-    return replace(second, iterations=iterations, substeps=substeps, rounded=max(first.rounded, second.rounded))
+    assert first.after is not None
+    passed = (*first.passed, first.after, *second.passed)
+    return replace(
+        second, iterations=iterations, substeps=substeps, rounded=max(first.rounded, second.rounded), passed=passed
+    )

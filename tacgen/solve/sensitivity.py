@@ -1,37 +1,35 @@
-"""How an equilibrium moves with a parameter, by the implicit function theorem: no second solve.
+"""How the equilibria along a path move with parameters: direct differentiation, no second solve.
 
-    R(x, o; p) = 0    forces on the free dofs,        K dx + R_o do + R_p dp = 0
-    o = m(x, o; p)    mean gap, the shrunk offset,    do = m_x dx + m_o do + m_p dp
+    R(x, o, a; p) = 0    forces on the free dofs,        K dx + R_o do + R_a da + R_p dp = 0
+    o = m(x, o; p)       mean gap, the shrunk offset,    do = m_x dx + m_o do + m_p dp
+    a = r(x, a'; p)      anchors of friction,            carried on from load step to load step
 
-K is the exact tangent of gel and contact. The factor that Newton's method has at hand is that of a tangent nearby, and
-preconditions GMRES. Friction's anchors on the indenter are held as they were before the frame.
+Friction makes a frame depend on all before it: Michaleris, Tortorelli & Vidal (1994), "Tangent operators and design
+sensitivity formulations for transient non-linear coupled problems".
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse import csr_matrix
-from scipy.sparse.linalg import LinearOperator, gmres
 
-from tacgen.contact.barrier import Contact, Pose
-from tacgen.contact.coupled import ContactForces, CoupledContact
+from tacgen.contact.barrier import Contact, Faces
+from tacgen.contact.coupled import CoupledContact
+from tacgen.contact.friction import onset
 from tacgen.fem.materials import Law
-from tacgen.fem.potential import Projection
-from tacgen.solve.bulk import Bulk
-from tacgen.solve.full_newton import WholeBulk
+from tacgen.solve.contact_slopes import ContactSlopes, dot
+from tacgen.solve.exact_tangent import ExactTangent
+from tacgen.solve.predictor import TIE
 from tacgen.solve.problem import Problem
-from tacgen.solve.state import History, NotConverged, State
+from tacgen.solve.state import History, State
 
 Array = np.ndarray
-SMALL = 1e-3  # of dhat, what differences move, and of a parameter's scale
-RTOL = 1e-7  # of the right-hand side, where GMRES stops: a lowered pose presses each point by far more than its force
-MOST, RESTARTS = 40, 3  # of its steps, and times that; then all is factorised anew
+SMALL = 1e-3  # of a parameter's scale, by which the laws' forces are differenced
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """What changes with p: the layers' laws, friction and how deep the pose is [mm], the latter two per unit of p;
+    """What changes with p: the layers' laws, friction and how deep all poses are [mm], the latter two per unit of p;
     `scale` is what p is small beside."""
 
     scale: float
@@ -40,122 +38,155 @@ class Parameter:
     depth: float = 0.0
 
 
-NOTHING = Parameter(1.0)
+@dataclass(frozen=True)
+class Slopes:
+    """Derivatives by k parameters at the end of a load step.
+
+    Of normal forces (k, f, q) and normals (k, f, q, 3) at the contact's points and forces there on the gel (k, f, q, 3)
+    [N]; of anchors (k, f, q, 3) in the indenter's frame; of positions x (k, n, 3) and what the predictor missed of
+    them; of the bulk's forces (k, n, 3), by the laws alone and by x alone.
+    """
+
+    normal_force: Array
+    normal: Array
+    force: Array
+    anchor: Array
+    x: Array
+    missed: Array
+    by_law: Array
+    by_x: Array
 
 
-class Linearised:
-    """The equilibrium of a frame, and how it moves."""
+class Sensitivity:
+    """Goes along the frames of one scene in order."""
 
-    def __init__(self, problem: Problem, state: State, before: History) -> None:
-        """`before`: what the frame inherited of the one before."""
-        assert state.after is not None
-        self.problem, self.state = problem, state
-        held = (before.normal_force > 0)[..., None] & (state.substeps == 1)
-        self._anchor = np.where(held, before.anchor, state.after.anchor)
-        self._bulk, self._h = Bulk(problem.elastic, problem.folding, ()), SMALL * problem.contact.dhat
-        base = self._forces(state.x, 0.0, NOTHING, 0.0)
-        self._touching = bool(base.N.any())
-        self._solve = self._solver(base)
-        lean = self._slope(lambda h: -self._scattered(self._forces(state.x, h, NOTHING, 0.0)), self._h)
-        self._leaning = self._solve(-lean) if self._touching else np.zeros_like(state.x)
+    def __init__(self, problem: Problem, parameters: Sequence[Parameter]) -> None:
+        assert isinstance(problem.contact, Contact)
+        self._problem, self._contact, self._parameters = problem, problem.contact, tuple(parameters)
+        self._lower = -np.array([p.depth for p in parameters])[:, None] * np.eye(3)[2]  # of the pose (k, 3)
+        self._before = problem.rest(problem.contact.pose)
+        self._slopes = self._apart(self._before)
 
-    def moved(self, parameter: Parameter) -> tuple[State, float]:
-        """The state where p is larger by a small step, and that step.
+    def frame(self, state: State) -> Slopes:
+        """The next frame's; its problem's factor is to be that of its solve.
 
         Raises NotConverged: the linear equations have no solution, as where the gel snaps.
         """
-        state, small = self.state, SMALL * parameter.scale
-        pull = self._slope(lambda h: -self._scattered(self._forces(state.x, 0.0, parameter, h)), small)
-        if (laws := parameter.laws) is not None:
-            pull += self._slope(lambda h: self._inner(laws(h)), small)
-        dx, do = self._solve(-pull), 0.0
-        if self._touching:
-            by_p = self._gap_slope(dx, 0.0, parameter, small)
-            do = by_p / (1 - self._gap_slope(self._leaning, 1.0, NOTHING, self._h))
-        way = dx + do * self._leaning
-        step = min(small, self._h / max(float(np.abs(way).max()), abs(do), 1e-300))
-        forces = self._forces(state.x + step * way, step * do, parameter, step)
-        rub = None if state.friction is None else forces.force - forces.N[..., None] * forces.normal
-        pose = self._pose(parameter, step)
-        return replace(state, x=state.x + step * way, pose=pose, offset=state.offset + step * do,
-                       normal_force=forces.N, normal=forces.normal, friction=rub), step  # fmt: skip
+        assert state.after is not None
+        for after in (*state.passed, state.after):
+            on = np.flatnonzero((after.normal_force > 0).any(1))
+            self._slopes = self._touching(after, on) if on.size else self._apart(after)
+            self._before = after
+        return self._slopes
 
-    def _slope(self, f: Callable[[float], Array], h: float) -> Array:
-        return np.asarray((f(h) - f(-h)) / (2 * h))
+    def _apart(self, at: History) -> Slopes:
+        k = len(self._parameters)
+        none, still = np.zeros((k, *at.gap.shape, 3)), np.zeros((k, *at.x.shape))
+        return Slopes(none[..., 0], none, none, self._local(none, at), *(still,) * 4)
 
-    def _gap_slope(self, dx: Array, do: float, parameter: Parameter, h: float) -> float:
-        """How the mean gap changes along x, o and p together; h is for p."""
-        h = min(h, self._h / max(float(np.abs(dx).max()), abs(do), 1e-300))
-        ends = [self._forces(self.state.x + s * dx, s * do, parameter, s).mean_gap for s in (h, -h)]
-        return float(ends[0] - ends[1]) / (2 * h)
+    def _relative(self, way: Array) -> Array:
+        """Motions (k, f, q, 3) relative to the indenter."""
+        return np.asarray(way - self._lower[:, None, None])
 
-    def _pose(self, parameter: Parameter, p: float) -> Array:
-        pose = self.state.pose.copy()
-        pose[2, 3] -= p * parameter.depth
-        return pose
+    def _local(self, way: Array, at: History) -> Array:
+        return np.asarray(self._relative(way) @ at.pose.rotation)
 
-    def _coupled(self, offset: float, parameter: Parameter, p: float) -> CoupledContact:
-        whole, after = self.problem.contact, self.state.after
-        assert isinstance(whole, Contact)
-        assert after is not None
-        pose = Pose.of(self._pose(parameter, p))
-        contact = replace(whole.moved(pose, self.state.offset + offset), kappa=after.kappa)
-        friction, eps = self.problem.friction + p * parameter.friction, self.problem.options.slip * whole.dhat
-        return CoupledContact(contact, friction, pose.world(self._anchor), eps)
+    def _touching(self, after: History, on: Array) -> Slopes:
+        """Where facets `on` are in contact."""
+        was, faces, nodes = self._slopes, self._contact.faces.only(on), len(after.x)
+        tangent = ExactTangent(self._problem, after.x)
+        by_law = np.stack([self._by_law(parameter, after.x) for parameter in self._parameters])
+        straight = was.x
+        if after.predicted is not None:
+            straight = was.x + self._carried(after, tangent, by_law - was.by_law + tangent.times(was.x) - was.by_x)
+        trial, anchors = self._trial(after, on, straight + self._extrapolated(after) * was.missed)
+        contact = replace(self._contact.moved(after.pose, after.offset), kappa=after.kappa, faces=faces)
+        eps = self._problem.options.slip * contact.dhat
+        here = ContactSlopes(CoupledContact(contact, self._problem.friction, trial, eps), after.x)
 
-    def _forces(self, x: Array, offset: float, parameter: Parameter, p: float) -> ContactForces:
-        return self._coupled(offset, parameter, p).evaluate(x)
+        stronger = np.array([p.friction for p in self._parameters]) / max(self._problem.friction, 1e-300)
+        rub = stronger[:, None, None, None] * here.friction
+        load = _scatter(faces, here.force(self._relative(np.zeros_like(anchors)), anchors) + rub, nodes) - by_law
+        solve = tangent.solver(here.forces.tangent, on)
+        *found, lean = solve(np.concatenate([load, _scatter(faces, here.by_offset[None], nodes)]), was.x)
+        x, fixed = np.stack(found), np.zeros(len(found))
+        excess = here.gap_excess(self._relative(_at(faces, x)), fixed)
+        offset = -excess / here.gap_excess(faces.at(lean)[None], np.ones(1))
+        x = x + offset[:, None, None] * lean
 
-    def _scattered(self, forces: ContactForces) -> Array:
-        contact = self.problem.contact
-        assert isinstance(contact, Contact)
-        return contact.faces.scatter(forces.force, len(self.state.x))
+        way, everywhere = self._relative(_at(faces, x)), _at(self._contact.faces, x)
+        force = here.force(way, anchors) + rub + offset[:, None, None, None] * here.by_offset
+        dragged = here.dragged(way, anchors) @ after.pose.rotation
+        anchor, wide = self._local(everywhere, after), np.zeros_like(everywhere)
+        anchor[:, on] = np.where((after.normal_force[on] > 0)[..., None], dragged, anchor[:, on])
+        parts = here.normal_force(way, offset), here.normal(way), force
+        normal_force, normal, force = (_placed(part, on, wide) for part in parts)
+        return Slopes(normal_force, normal, force, anchor, x, x - straight, by_law, tangent.times(x))
 
-    def _inner(self, laws: tuple[Law, ...]) -> Array:
-        parts = zip(self.problem.elastic, laws, strict=True)
-        return np.asarray(sum(replace(part, law=law).gradient(self.state.x) for part, law in parts))
+    def _carried(self, after: History, tangent: ExactTangent, softer: Array) -> Array:
+        """Of the step that the predictor takes along its tangent (k, n, 3); `softer` (k, n, 3): how the bulk's forces
+        change with the parameters from before the step to its end, which is how its tangent does along the step."""
+        before, was = self._before, self._slopes
+        on = np.flatnonzero((before.normal_force > 0).any(1))
+        faces, ties = self._contact.faces.only(on), TIE / self._contact.dhat
+        assert after.missed is not None
+        missed, way = after.missed
+        lag = way[on] - faces.at(after.x - missed - before.x)
+        turn = after.pose.rotation @ before.pose.rotation.T - np.eye(3)
+        pull = was.normal_force[:, on, :, None] * lag
+        pull += before.normal_force[on, :, None] * (self._relative(_at(faces, was.x)) @ turn.T)
+        springs = ties * before.normal_force[on, :, None, None] * np.eye(3)
+        return tangent.nearly(springs, on)(_scatter(faces, ties * pull, len(after.x)) - softer)
 
-    def _solver(self, forces: ContactForces) -> Callable[[Array], Array]:
-        """K dx = b for forces b (n, 3)."""
-        problem, contact = self.problem, self._coupled(0.0, NOTHING, 0.0)
-        whole, free, x = WholeBulk(problem, self._bulk), problem.pattern.free, self.state.x
+    def _extrapolated(self, after: History) -> float:
+        """The part of what the predictor missed before that it added in this step."""
+        if after.predicted is None or self._before.missed is None:
+            return 0.0
+        assert after.missed is not None
+        straight, missed = after.x - after.missed[0], self._before.missed[0]
+        return float(((after.predicted - straight) * missed).sum() / (missed**2).sum())
 
-        def direct(b: Array) -> Array:
-            found = whole.solve(x, contact, forces.tangent, -b, False)
-            if found is None:
-                raise NotConverged("no sensitivity: the tangent is singular")
-            return found
+    def _trial(self, after: History, on: Array, predicted: Array) -> tuple[Array, Array]:
+        """Anchors that the step's friction started from (f, q, 3) [mm], and their slopes (k, f, q, 3), relative to the
+        indenter; of new points as friction.onset has them, where the predicted x has slopes `predicted` (k, n, 3)."""
+        before, was, faces = self._before, self._slopes.anchor[:, on], self._contact.faces.only(on)
+        start, held = before.anchor[on], (before.normal_force[on] > 0)[..., None]
+        ahead = after.pose.local(faces.at(before.x if after.predicted is None else after.predicted))
+        gap, normal, _ = self._contact.shape.distance(ahead.reshape(-1, 3))
+        room, gap, normal = before.gap[on] - before.offset, gap.reshape(ahead.shape[:2]), normal.reshape(ahead.shape)
+        trial = np.where(held, start, onset(start, ahead, room, gap))
+        gone, closing = self._local(_at(faces, predicted), after), np.maximum(room - gap, 1e-12)
+        part = np.where(gap < 0, np.clip(room / closing, 0.0, 1.0), 1.0)
+        closer = dot(before.normal[on], was) * (1 - part) + part * dot(normal, gone)
+        longer = np.where((part > 0) & (part < 1), closer / closing, 0.0)[..., None] * (ahead - start)
+        new = was + part[..., None] * (gone - was) + longer
+        return after.pose.world(trial), np.where(held, was, new) @ after.pose.rotation.T
 
-        condensed = problem.tangent.condensation if problem.condensed else None
-        felt = np.flatnonzero(forces.tangent.any((1, 2, 3)))
-        faces = contact.contact.faces
-        if condensed is None or not condensed.usable or not condensed.covers(faces.conn[felt]):
-            return direct
-        data = np.zeros(len(problem.pattern.indices))
-        self._bulk.add_tangent(whole.at(x), data, Projection.NONE, None)
-        upper = csr_matrix((data, problem.pattern.indices, problem.pattern.indptr), shape=(problem.pattern.size,) * 2)
-        diagonal, lower, part = upper.diagonal(), upper.T.tocsr(), faces.only(felt)
-        added = condensed.schur.stiffness(forces.tangent[felt], faces.N, condensed.dofs[condensed.local[part.conn]])
+    def _by_law(self, parameter: Parameter, x: Array) -> Array:
+        """How the bulk's forces at x (n, 3) change with its laws [N]."""
+        if (laws := parameter.laws) is None:
+            return np.zeros_like(x)
 
-        def wide(v: Array) -> Array:
-            out = np.zeros(x.size)
-            out[free] = v
-            return out.reshape(x.shape)
+        def forces(p: float) -> Array:
+            parts = zip(self._problem.elastic, laws(p), strict=True)
+            return np.asarray(sum(replace(part, law=law).gradient(x) for part, law in parts))
 
-        def times(v: Array) -> Array:
-            pressed = np.einsum("fqij,fqj->fqi", forces.tangent[felt], part.at(wide(v)))
-            return np.asarray(upper @ v + lower @ v - diagonal * v + part.scatter(pressed, len(x)).ravel()[free])
+        small = SMALL * parameter.scale
+        return np.asarray((forces(small) - forces(-small)) / (2 * small))
 
-        def nearly(v: Array) -> Array:
-            y = condensed.forward(-wide(v))
-            u = condensed.schur.solve(added, -condensed.load(y), False)
-            return np.asarray(condensed.expand(u, y).ravel()[free])
 
-        size = (problem.pattern.size,) * 2
-        K, M = LinearOperator(size, matvec=times), LinearOperator(size, matvec=nearly)
+def _at(faces: Faces, x: Array) -> Array:
+    """(k, f, q, 3) of x (k, n, 3)."""
+    return np.stack([faces.at(one) for one in x])
 
-        def iterated(b: Array) -> Array:
-            found, failed = gmres(K, b.ravel()[free], rtol=RTOL, restart=MOST, maxiter=RESTARTS, M=M)
-            return direct(b) if failed else wide(found)
 
-        return iterated
+def _scatter(faces: Faces, forces: Array, nodes: int) -> Array:
+    """(k, n, 3) of forces (k, f, q, 3)."""
+    return np.stack([faces.scatter(one, nodes) for one in forces])
+
+
+def _placed(values: Array, on: Array, like: Array) -> Array:
+    """Values of the facets `on` among all."""
+    out = np.zeros(like.shape[: values.ndim])
+    out[:, on] = values
+    return out

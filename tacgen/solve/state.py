@@ -55,6 +55,7 @@ class History:
     before: Array  # x one load step earlier, from which lagged friction extrapolates
     internal: dict[int, Array]  # of viscoelastic layers, by their numbers: H (k, e, q, 3, 3) [MPa]
     missed: tuple[Array, Array] | None = None  # what the predictor missed of x, and on which way (see predictor)
+    predicted: Array | None = None  # x as this load step's predictor had it
 
 
 @dataclass(frozen=True)
@@ -83,6 +84,7 @@ class State:
     rounded: float = 0.0  # friction at points that one step brought round an edge, as a part of the contact force
     internal: dict[int, Array] = field(default_factory=dict)  # see History
     after: History | None = None  # what the next frame inherits of it
+    passed: tuple[History, ...] = ()  # where its load steps but the last ended
 
     @property
     def traction_force(self) -> Array:

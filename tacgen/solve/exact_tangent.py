@@ -1,0 +1,109 @@
+"""Linear equations with the exact tangent at an equilibrium, for several right-hand sides at once.
+
+The factor that Newton's method has at hand is that of a tangent nearby, and solves by iteration; where it does not, the
+exact tangent is factorised.
+"""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from scipy.sparse import csr_matrix
+
+from tacgen.contact.barrier import Faces
+from tacgen.fem.potential import Projection
+from tacgen.solve.bulk import Bulk
+from tacgen.solve.full_newton import exact_factor
+from tacgen.solve.problem import Problem
+from tacgen.solve.state import NotConverged
+
+Array = np.ndarray
+RTOL = 3e-2  # of a solution's largest entry: iteration ends where the next is expected to change less
+MOST = 8  # iterations
+SINGULAR = "no sensitivity: the tangent is singular"
+
+
+class ExactTangent:
+    """The tangent of the bulk at x (n, 3); vectors are (k, n, 3), and 0 on the held dofs."""
+
+    def __init__(self, problem: Problem, x: Array) -> None:
+        self._problem, self._shape, pattern = problem, x.shape, problem.pattern
+        self._free = pattern.free
+        bulk, data = Bulk(problem.elastic, problem.folding, ()), np.zeros(len(pattern.indices))
+        bulk.add_tangent(bulk.at(x), data, Projection.NONE, None)
+        self._upper = csr_matrix((data, pattern.indices, pattern.indptr), shape=(pattern.size,) * 2)
+        self._diagonal = self._upper.diagonal()[:, None]
+
+    def _columns(self, V: Array) -> Array:
+        return np.ascontiguousarray(V.reshape(len(V), math.prod(self._shape))[:, self._free].T)
+
+    def _wide(self, v: Array) -> Array:
+        out = np.zeros((v.shape[1], math.prod(self._shape)))
+        out[:, self._free] = v.T
+        return out.reshape(-1, *self._shape)
+
+    def times(self, V: Array) -> Array:
+        """K V."""
+        v = self._columns(V)
+        return self._wide(self._upper @ v + self._upper.T @ v - self._diagonal * v)
+
+    def nearly(self, D: Array, on: Array) -> Callable[[Array], Array]:
+        """V of about (K + D) V = B, with stiffnesses D (f, q, 3, 3) at the points of facets `on`, by the factor at
+        hand; only where that is condensed to them.
+
+        Raises LinAlgError: singular.
+        """
+        condensed, faces = self._problem.tangent.condensation, self._problem.contact.faces.only(on)
+        added = condensed.schur.stiffness(D, faces.N, condensed.dofs[condensed.local[faces.conn]])
+        contact = condensed.schur.factored(added)
+        return lambda B: self._wide(condensed.solve(self._columns(B), contact))
+
+    def solver(self, D: Array, on: Array) -> Callable[[Array, Array], Array]:
+        """V of (K + D) V = B, from B and vectors (m, n, 3) that may be like it.
+
+        Raises NotConverged: singular.
+        """
+        faces = self._problem.contact.faces.only(on)
+        condensed = self._problem.tangent.condensation if self._problem.condensed else None
+        if condensed is None or not condensed.usable or not condensed.covers(faces.conn):
+            return self._direct(D, faces)
+        try:
+            nearly = self.nearly(D, on)
+        except np.linalg.LinAlgError:
+            raise NotConverged(SINGULAR) from None
+
+        def times(V: Array) -> Array:
+            pushed = [faces.scatter(np.einsum("fqij,fqj->fqi", D, faces.at(v)), len(v)) for v in V]
+            return self._columns(self.times(V) + np.stack(pushed))
+
+        def solve(B: Array, guess: Array) -> Array:
+            """Of all vectors so far those sums with the least residuals, as GMRES takes them."""
+            b, V = self._columns(B), guess[np.abs(guess).max((1, 2)) > 0]
+            KV = times(V) if len(V) else np.zeros((len(b), 0))
+            V, was = self._columns(V), 1.0
+            X = V @ _least(KV, b)
+            for _ in range(MOST):
+                before, more = X, nearly(B - self._wide(KV @ _least(KV, b)))
+                V, KV = np.hstack([V, self._columns(more)]), np.hstack([KV, times(more)])
+                X = V @ _least(KV, b)
+                change = float((np.abs(X - before).max(0) / np.maximum(np.abs(X).max(0), 1e-300)).max())
+                if change * min(change / was, 1.0) <= RTOL:
+                    return self._wide(X)
+                was = change
+            return self._direct(D, faces)(B, guess)
+
+        return solve
+
+    def _direct(self, D: Array, faces: Faces) -> Callable[[Array, Array], Array]:
+        try:
+            lu = exact_factor(self._problem.pattern, self._upper.data, faces, D)
+        except RuntimeError:
+            raise NotConverged(SINGULAR) from None
+        return lambda B, _: self._wide(lu.solve(self._columns(B)))
+
+
+def _least(A: Array, b: Array) -> Array:
+    """y that brings A y nearest to b, by the normal equations of its columns brought to length 1."""
+    size = np.maximum(np.linalg.norm(A, axis=0), 1e-300)
+    A = A / size
+    return np.asarray(np.linalg.lstsq(A.T @ A, A.T @ b, rcond=None)[0] / size[:, None])
