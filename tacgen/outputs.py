@@ -6,7 +6,7 @@ asks for it. Labels and images stand in one table, because images show the face 
 bundles hold their datasets in the table's order.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -132,6 +132,15 @@ class SceneData(_Faces):
         return Sensitivities(self.problem, self.row.recipe.uncertainty, self.row.sensor.gel)
 
     @cached_property
+    def coarser(self) -> "Iterator[FrameData]":
+        """The same frames on a coarser mesh."""
+        from tacgen.labels.uncertainty import on_coarser_mesh
+
+        problem, states = on_coarser_mesh(self.row)
+        shared = SceneData(self.row, problem)
+        return (FrameData(shared, state, None) for state in states)
+
+    @cached_property
     def pictures(self) -> "Pictures":
         """The rendered camera."""
         from tacgen.render.pictures import Pictures
@@ -232,10 +241,12 @@ def _stress(frame: FrameData) -> Datasets:
 def _uncertainty(frame: FrameData) -> Datasets:
     """To first order, errors of the inputs being independent."""
     from tacgen.labels.contact_maps import spread
+    from tacgen.labels.uncertainty import mesh_variance
 
     scene, out = frame.scene, {}
     names = ("pressure", "traction") if "traction" in scene.row.recipe.outputs else ()
     variance: dict[str, Any] = dict.fromkeys(("force", *names), 0.0)
+    force = frame.state.traction_force.sum((0, 1))
     for unsure in scene.sensitivities.at(frame.state):
         out[f"/frames/sensitivity/{unsure.name}"] = unsure.force
         slope = {"force": unsure.force}
@@ -243,6 +254,11 @@ def _uncertainty(frame: FrameData) -> Datasets:
             there = spread(frame.shares, unsure.near)
             slope |= {key: (getattr(there, key) - getattr(frame.maps, key)) / unsure.step for key in names}
         variance = {key: variance[key] + (unsure.deviation * slope[key]) ** 2 for key in variance}
+    if scene.sensitivities.asked.mesh:
+        coarse, window = next(scene.coarser), round(2 * scene.problem.edge / scene.row.sensor.camera.mm_per_px)
+        variance["force"] += mesh_variance(force, coarse.state.traction_force.sum((0, 1)), window)
+        for key in names:
+            variance[key] += mesh_variance(getattr(frame.maps, key), getattr(coarse.maps, key), max(window, 1))
     return out | {f"/frames/uncertainty/{key}": np.sqrt(value) for key, value in variance.items()}
 
 

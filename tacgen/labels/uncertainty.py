@@ -4,16 +4,53 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.ndimage import uniform_filter
 
 from tacgen.fem.materials import Law
 from tacgen.recipe.model import Uncertainty
+from tacgen.recipe.plan import Row
 from tacgen.recipe.sensor import Gel
+from tacgen.scene import mesh, scene
 from tacgen.scene.scene import law_of
-from tacgen.solve import Problem, State
+from tacgen.solve import NotConverged, Problem, State, states
+from tacgen.solve.foresee import foreseen
 from tacgen.solve.sensitivity import Parameter, Sensitivity
 
 Array = np.ndarray
+COARSER, ORDER = 1.5, 1.5  # of the second mesh's edges; and how errors shrink with edges: of forces and maps 1 to 2
+MESH_ERROR = 1 / (COARSER**ORDER - 1)  # over the difference between both meshes (Richardson's extrapolation)
+LEAST = 0.05
 SMALL = 1e-3  # of the contact force, by which the state moves of which maps are differenced
+
+
+def on_coarser_mesh(row: Row) -> tuple[Problem, Iterator[State]]:
+    """A scene's frames with the edges of the mesh and the range of contact COARSER times as long.
+
+    Raises NotConverged where a frame has no solution there.
+    """
+    built = foreseen(scene.build(row))
+    built = replace(built, edge=COARSER * built.edge, dhat=COARSER * built.dhat)
+    problem = Problem.of(built, mesh.of(built))
+    return problem, _solved(built, problem)
+
+
+def _solved(built: scene.Scene, problem: Problem) -> Iterator[State]:
+    try:
+        yield from states(built, problem)
+    except NotConverged as error:
+        raise NotConverged(f"on the coarser mesh that uncertainty asks for: {error}") from None
+
+
+def mesh_variance(here: Array, coarse: Array, window: int) -> Array:
+    """Of a force (3,), or of maps (h, w, ...).
+
+    One difference may be small by chance: that of a force's component counts with LEAST of the whole force's, and a
+    pixel's is the mean of the window [px] around it.
+    """
+    square = (MESH_ERROR * (coarse - here)) ** 2
+    if here.ndim == 1:
+        return np.asarray(square + LEAST**2 * square.sum())
+    return np.asarray(np.maximum(uniform_filter(square, (window, window, *(1,) * (here.ndim - 2))), 0.0))
 
 
 @dataclass(frozen=True)
@@ -47,7 +84,7 @@ class Sensitivities:
         }
         inputs = {name: pair for name, pair in inputs.items() if pair[1] > 0}
         self._deviations = {name: deviation for name, (_, deviation) in inputs.items()}
-        self._modulus = material.modulus
+        self.asked, self._modulus = asked, material.modulus
         self._path = Sensitivity(problem, [parameter for parameter, _ in inputs.values()]) if inputs else None
 
     def at(self, state: State) -> Iterator[Input]:

@@ -118,6 +118,7 @@ class Uncertainty(Part):
 
     material: MaterialDeviation = MaterialDeviation()
     pose: PoseDeviation = PoseDeviation()
+    mesh: bool = False  # of the mesh's error, by a second solve on a coarser one
 
 
 class Quality(NamedTuple):

@@ -110,6 +110,21 @@ def test_a_bundle_says_how_sure_it_is(tmp_path: Path) -> None:
     assert sure["pressure"][inside].mean() < 0.3 * frames["pressure"][inside].mean()
 
 
+def test_the_meshs_error_is_told_by_a_coarser_one(tmp_path: Path) -> None:
+    """Nine of ten errors of the force, against a mesh half as coarse, are within 1.645 standard deviations."""
+    text = HEAD.replace("[force]", "[force, traction]") + "  - press: {depth_mm: 0.8, frames: 4}\n"
+    sets = "uncertainty={mesh: true}", "quality={edge_mm: 0.5, dhat_mm: 0.05}"
+    rows = [made(tmp_path, text, more) for more in sets]
+    bundle, fine = (read(pipeline.run_scene(row, tmp_path / str(k)).path) for k, row in enumerate(rows))
+    sure, error = bundle["/frames/uncertainty/force"], bundle["/frames/force"] - fine["/frames/force"]
+    inside = np.abs(error)[:, 2] <= 1.645 * sure[:, 2]
+    assert inside.mean() >= 0.75
+    assert (sure[:, 2] < 0.3 * np.abs(bundle["/frames/force"][:, 2])).all()
+    pressed = fine["/frames/pressure"] > 0.2 * fine["/frames/pressure"].max()
+    off = np.abs(bundle["/frames/pressure"] - fine["/frames/pressure"])[pressed]
+    assert 0.7 < (off <= 1.645 * bundle["/frames/uncertainty/pressure"][pressed]).mean() < 0.99
+
+
 def test_what_has_no_sensitivities_is_refused(tmp_path: Path) -> None:
     for more in ("contact.formulation=ipctk", "dynamics={density_kg_m3: 1000, frame_s: 0.1}"):
         with pytest.raises(UserError, match="uncertainty: needs quasi-static frames and contact by distance"):
