@@ -84,6 +84,7 @@ class Faces:
     @classmethod
     def on(cls, pattern: Pattern, points: Array, facets: Array) -> "Faces":
         N, _, _ = facet_points(facets.shape[1])
+        facets = np.ascontiguousarray(facets)  # loops are compiled anew for another memory layout
         return cls(facets, N, facet_areas(points, facets)[0], pattern.slots(facets))
 
     def only(self, which: Array) -> "Faces":

@@ -143,7 +143,10 @@ def cauchy(F: Array, I1: Array, J: Array, first: Array, memory: Array) -> Array:
             cofactor(F[e, q], C)
             _piola(F[e, q], C, I1[e, q], first[e, q, 0], first[e, q, 1], first[e, q, 2], P)
             if len(memory):
-                P += F[e, q] @ memory[e, q]
+                for i in range(3):
+                    for j in range(3):
+                        for k in range(3):
+                            P[i, j] += F[e, q, i, k] * memory[e, q, k, j]
             for i in range(3):
                 for j in range(3):
                     for k in range(3):

@@ -104,7 +104,9 @@ def _projected(
         for j in range(3):
             A[i, j] = F[0, i] * F[0, j] + F[1, i] * F[1, j] + F[2, i] * F[2, j]
     _eigen3(A, V)
-    s = np.sqrt(np.array([A[0, 0], A[1, 1], A[2, 2]]))
+    s = np.empty(3)
+    for i in range(3):
+        s[i] = np.sqrt(A[i, i])
     for i in range(3):
         for j in range(3):
             U[i, j] = (F[i, 0] * V[0, j] + F[i, 1] * V[1, j] + F[i, 2] * V[2, j]) / s[j]

@@ -100,11 +100,13 @@ def _weights(corners: Array, at: Array, middles: Array, shared: Array) -> Array:
         middles: those of the centroids of the triangles across from each corner (n, 3, 3), where there is one: shared
             (n, 3).
     """
-    out, turn = np.empty((len(at), 9)), np.empty(3)
+    out, turn, b = np.empty((len(at), 9)), np.empty(3), np.empty(3)
     value, inner, across, toward = np.empty(3), np.empty(3), np.empty(3), np.empty((3, 3))  # Bezier ordinates
     for p in range(len(at)):
-        c = at[p].min()  # in the piece whose corners are the other two and the centroid
-        b, c = at[p] - c, 3 * c
+        c = min(at[p, 0], at[p, 1], at[p, 2])  # in the piece whose corners are the other two and the centroid
+        for k in range(3):
+            b[k] = at[p, k] - c
+        c *= 3
         for k in range(3):
             i, j = middles[p, k, (k + 1) % 3], middles[p, k, (k + 2) % 3]
             turn[k] = (2 * j + i - 1) / (2 - 3 * (i + j)) if shared[p, k] else -0.5
@@ -119,7 +121,8 @@ def _weights(corners: Array, at: Array, middles: Array, shared: Array) -> Array:
                 i, j = (k + 1) % 3, (k + 2) % 3
                 bend = turn[k] * (3 * (toward[i, j] - toward[j, i]) + value[j] - value[i])
                 across[k] = (bend - value[i] + 2 * toward[i, j] - toward[j, i] + inner[i] + inner[j]) / 2
-            out[p, m] = c**3 * (inner.sum() + 2 * across.sum()) / 9
+            whole = inner[0] + inner[1] + inner[2] + 2 * (across[0] + across[1] + across[2])
+            out[p, m] = c**3 * whole / 9
             for k in range(3):
                 i, j = (k + 1) % 3, (k + 2) % 3
                 out[p, m] += b[k] ** 3 * value[k]

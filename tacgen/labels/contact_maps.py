@@ -106,7 +106,8 @@ class Shares:
 
         contact, on = problem.contact.faces, np.asarray(state.normal_force > 0)
         touched, self.sharpenings = np.asarray(on.any(1)), SHARPENING_STEPS[contact.conn.shape[1]]
-        facets, kind, triangles = surface.facets, surface.facets.shape[1], pieces(surface.facets)
+        facets, kind = surface.facets, surface.facets.shape[1]
+        triangles = pieces(facets).astype(np.uint32, order="C")  # as a sheet's are, for which `hits` is compiled
         screen, corner = camera.project(surface.now), surface.now[triangles]  # (t, 3, 3)
         found, place, _ = hits(triangles, screen, -surface.now[:, 2], camera.shape)
         gel = np.asarray(found >= 0)

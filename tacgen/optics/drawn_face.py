@@ -46,6 +46,7 @@ class DrawnFace:
         """Values (n, c) at the nodes, behind each sample (H, W, c), nan where there is no gel; where the face is folded
         of what is nearest to the camera, or of what is outermost."""
         found, place, _ = self._outermost if outermost and self.folded else self._nearest
+        values = np.ascontiguousarray(values)  # `blend` is compiled anew for another memory layout
         return np.asarray(blend(self.sheet.faces, found, place, values))
 
     @cached_property

@@ -44,7 +44,11 @@ def lowest(heights: Floats, cells: int) -> Floats:
     out = np.empty((-(-(h - 1) // cells), -(-(w - 1) // cells)))
     for j in range(out.shape[0]):
         for i in range(out.shape[1]):
-            out[j, i] = heights[j * cells : (j + 1) * cells + 1, i * cells : (i + 1) * cells + 1].min()
+            least = np.inf
+            for y in range(j * cells, min((j + 1) * cells + 1, h)):
+                for x in range(i * cells, min((i + 1) * cells + 1, w)):
+                    least = min(least, heights[y, x])
+            out[j, i] = least
     return out
 
 

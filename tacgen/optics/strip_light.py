@@ -8,9 +8,8 @@ strips themselves. Light that was scattered before (coat to coat, walls) is not 
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numba import config
 
-from tacgen.compiled import njit, prange, vectorize
+from tacgen.compiled import njit, vectorize
 from tacgen.optics.mitsuba_dicts import bottom_depth, frame
 from tacgen.optics.shadows import Terrain, horizon
 
@@ -22,9 +21,6 @@ if TYPE_CHECKING:
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
-# the first that works is taken; with TBB first, an old libtbb on the machine is warned of in every process
-config.THREADING_LAYER_PRIORITY = ["omp", "workqueue", "tbb"]  # type: ignore[attr-defined]
-
 
 CLEAR = 0.01  # [mm] off a strip's plane that both ends of a way must be for the strip to stand in it
 
@@ -252,7 +248,7 @@ def shaded(panels: Panels, p: Floats, source: Floats, home: int, image: int, k: 
             i += -1 if down else 1
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True)
 def gather(
     p: Floats,
     n: Floats,
@@ -276,7 +272,7 @@ def gather(
         terrain: the face for shadows.
     """
     out = np.zeros((len(p), strips, 2))
-    for s in prange(len(p)):
+    for s in range(len(p)):
         if np.isnan(p[s, 0]):
             continue
         ci = max(n[s, 0] * view[s, 0] + n[s, 1] * view[s, 1] + n[s, 2] * view[s, 2], 0.05)

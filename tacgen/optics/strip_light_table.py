@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.compiled import njit, prange
+from tacgen.compiled import njit
 from tacgen.optics.camera import Camera
 from tacgen.optics.shadows import Terrain, horizon
 from tacgen.optics.strip_light import Panels, Points, Slab, arrive, ggx, layer, points, shaded
@@ -88,7 +88,9 @@ def tabulate(z: Floats, aside: Floats, sources: Floats, home: NDArray[np.int64],
         for r in range(len(aside)):
             for image in range(2):
                 for i in range(len(z)):
-                    out[s, r, image, :, i] = arrive(aside[r], z[i], sources[s], home[s], image, slab)
+                    arrived = arrive(aside[r], z[i], sources[s], home[s], image, slab)
+                    for part in range(4):  # assigned as a slice it would compile for three seconds more
+                        out[s, r, image, part, i] = arrived[part]
     return out
 
 
@@ -113,8 +115,10 @@ def add_up(
         level, home: which of the table's heights a point has (p,), and the layers of those.
         table: see tabulate.
     """
-    out, one = np.zeros((len(z), len(places), len(middle), 8), np.float32), np.float32(1.0)
+    out = np.zeros((len(z), len(places), len(middle), 8), np.float32)
+    none, one = np.float32(0.0), np.float32(1.0)
     each, opaque = len(points.at) // len(middle), np.abs(panels.along).sum() > 0.0
+    half = np.float32(0.5 * UP / each)
     given, least, most = (
         np.empty((2, 4, len(z)), np.float32),
         np.empty((2, len(z)), np.float32),
@@ -163,7 +167,9 @@ def add_up(
                         least[image, i] = min(least[image, i], rise / sine - soft)
                         most[image, i] = max(most[image, i], rise / sine + soft)
                 if (q + 1) % UP == 0:
-                    given[:, 3] += np.maximum(most - least, 0.0) * np.float32(0.5 * UP / each)
+                    for image in range(2):
+                        for i in range(len(z)):
+                            given[image, 3, i] += max(most[image, i] - least[image, i], none) * half
             away2 = (middle[c, 0] - p[0]) ** 2 + (middle[c, 1] - p[1]) ** 2
             for image in range(2):
                 for i in range(len(z)):
@@ -195,16 +201,16 @@ def edges(places: Floats, z: Floats, middle: Floats, untouched: Terrain) -> Sing
     return out
 
 
-@njit(cache=True, parallel=True, error_model="numpy", fastmath={"contract", "nsz", "arcp", "reassoc"})
+@njit(cache=True, error_model="numpy", fastmath={"contract", "nsz", "arcp", "reassoc"})
 def shine(
     p: Floats, n: Floats, view: Floats, columns: Columns, radiance: Floats, alpha: float, terrain: Terrain
 ) -> Floats:
     """Radiance toward the camera by strips of `radiance` (strips, c): (samples, c, 2), for a white matt and a
     mirror-rough coat; alpha 0 leaves out the latter. `terrain` is what has changed since the face was untouched; the
     other arguments are those of strip_light.gather."""
-    middle, strip, lowest, step, given, mirror = columns  # loops in parallel take no nested tuples
+    middle, strip, lowest, step, given, mirror = columns
     out = np.zeros((len(p), radiance.shape[1], 2))
-    for s in prange(len(p)):
+    for s in range(len(p)):
         if np.isnan(p[s, 0]):
             continue
         x, y, z = p[s]
