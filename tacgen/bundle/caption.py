@@ -79,6 +79,7 @@ def _move(segment: dict[str, Any]) -> str:
     """One movement of a recipe, `pressed 1 mm deep`; nothing of what is none."""
     kind, keys = next(((kind, keys) for kind, keys in segment.items() if isinstance(keys, dict)), ("", {}))
     number = {key: value for key, value in keys.items() if isinstance(value, int | float)}
+    force = f" under {number['force_n']:g} N" if "force_n" in number else ""
     match kind:
         case "press" if "force_n" in number:
             return f"pressed with {number['force_n']:g} N"
@@ -86,9 +87,9 @@ def _move(segment: dict[str, Any]) -> str:
             return f"pressed {number['depth_mm']:g} mm deep"
         case "slide":
             ways = [f"{number[f'{axis}_mm']:g} mm along {axis}" for axis in "xy" if number.get(f"{axis}_mm")]
-            return f"slid {' and '.join(ways) or '0 mm'}"
+            return f"slid {' and '.join(ways) or '0 mm'}{force}"
         case "twist" | "tilt":
-            return f"{'turned' if kind == 'twist' else 'tilted'} by {number.get('angle_deg', 0):g} degrees"
+            return f"{'turned' if kind == 'twist' else 'tilted'} by {number.get('angle_deg', 0):g} degrees{force}"
         case "replay":
             return f"moved through {keys.get('file', 'a table of poses')}"
     return {"hold": "held", "release": "lifted"}.get(kind, "")

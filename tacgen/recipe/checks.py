@@ -10,7 +10,7 @@ from tacgen.recipe import assets, background_photo, grasp_checks, optics_checks,
 from tacgen.recipe.indenters import Indenter
 from tacgen.recipe.model import IMAGES, Recipe
 from tacgen.recipe.sensor import LIGHTS, Gel, LitSensor, Sensor
-from tacgen.recipe.trajectory import Paced, Press, Replay, Slide, Timed
+from tacgen.recipe.trajectory import Paced, Replay, Slide, Timed
 from tacgen.recipe.trajectory_checks import Folders
 from tacgen.recipe.validation_messages import Problem, needs
 from tacgen.recipe.yaml_source import KeyPath
@@ -161,7 +161,7 @@ def _times(recipe: Recipe, sensor: Sensor, folders: Folders) -> list[Problem]:
         where: KeyPath = ("trajectory", i, step.kind)
         known = not isinstance(step.move, Timed) or step.move.seconds(1.0) is not None
         paced = isinstance(step.move, Paced) and step.move.speed_mm_s is not None
-        forced = forced or (isinstance(step.move, Press) and step.move.force_n is not None)
+        forced = forced or getattr(step.move, "force_n", None) is not None
         if not count:
             if isinstance(step.move, Timed) and known:
                 text = "has no effect without dynamics or a viscoelastic gel"

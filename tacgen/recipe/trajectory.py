@@ -78,16 +78,19 @@ class Press(Paced):
 
 
 class Slide(Paced):
-    """Move sideways by this much from where the indenter is."""
+    """Move sideways by this much from where the indenter is, at its height or, with `force_n`, with this normal force:
+    its frames go in equal steps from the force before."""
 
     x_mm: float = 0.0
     y_mm: float = 0.0
+    force_n: Positive | None = None
 
 
 class Twist(Timed):
-    """Turn about the indenter's own axis by this much."""
+    """Turn about the indenter's own axis by this much, at its height or, with `force_n`, as a slide's."""
 
     angle_deg: float
+    force_n: Positive | None = None
 
 
 class Tilt(Timed):

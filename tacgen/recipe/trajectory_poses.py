@@ -113,16 +113,15 @@ class Walk:
             turn = axis * angle / move.frames
             if isinstance(move, Tilt):
                 pivot = lowest(self.support, first[:3, :3])
-        contact = self.contact(first) if isinstance(move, Press) else np.nan
+        force = getattr(move, "force_n", None)
+        contact = self.contact(first) if isinstance(move, Press) or force else np.nan
         floor = contact - FORCE_DEPTH * self.thickness
         straight = checking and not isinstance(move, Twist | Tilt)
         for k in range(move.frames if straight else 1, move.frames + 1):
             part, asked, below, new = k / move.frames, np.nan, np.nan, first.copy()
             match move:
-                case Press(force_n=float(force)):
-                    asked, self.carry = force, 1.0
+                case Press() if force:
                     new[2, 3] = contact - GUESSED_DEPTH * part * self.thickness
-                    below = new[2, 3] - floor
                 case Press(depth_mm=float(depth)):
                     new[2, 3] += part * (contact - depth - first[2, 3])
                     self.carry = (1 - part) * first_carry
@@ -135,6 +134,8 @@ class Walk:
                     turned = about(axis, part * angle)
                     new[:3, :3] = turned @ first[:3, :3]
                     new[:3, 3] = first[:3, 3] + pivot - turned @ pivot
+            if force:
+                asked, self.carry, below = force, 1.0, new[2, 3] - floor
             self.pose = new
             if isinstance(move, Twist | Tilt) and (wrong := self._why_impossible(EDGE)):
                 raise TrajectoryError((*where, "angle_deg"), wrong)

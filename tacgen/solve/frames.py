@@ -68,9 +68,11 @@ def _reach_force(
 
     try:
         known, at = (-float(last[2, 3]), had), -float(guess[2, 3])
-        if had > 0 and (at <= known[0]) == (target > had):  # the guess lies on the wrong side of what is known
-            face = floor + FORCE_DEPTH * problem.thickness
+        face, elsewhere = floor + FORCE_DEPTH * problem.thickness, not np.allclose((guess - last) * (1 - RISE), 0)
+        if had > 0 and (elsewhere or (at <= known[0]) == (target > had)):  # or the guess contradicts what is known
             at = -face + (known[0] + face) * (target / had) ** POWER
+        if elsewhere:
+            known = -face, 0.0
         meet(bears, target, known=known, guess=at, low=low, high=-floor, tol=tol)
     except OutOfReach as error:
         text = f"{target:g} N asked for, and {FORCE_DEPTH:.0%} of the gel's thickness gives {error.most:.3g} N"

@@ -46,6 +46,21 @@ def test_a_force_is_reached_in_equal_steps_and_its_depth_kept(tmp_path: Path, se
     assert force[4] == pytest.approx(0, abs=0.02)
 
 
+def test_a_slide_and_a_twist_hold_a_force(tmp_path: Path) -> None:
+    """Otherwise they would keep their height, and bear some percent less."""
+    moves = """press: {force_n: 1, frames: 1}
+    slide: {x_mm: 1, force_n: 1, frames: 2}
+    twist: {angle_deg: 20, force_n: 1.4, frames: 2}"""
+    found = solved(row(tmp_path, moves, "contact.friction=0.8"))
+    force = [solve.normal_force(state) for state in found]
+    assert force == pytest.approx([1, 1, 1, 1.2, 1.4], rel=0.0101)
+    assert force[2] == pytest.approx(1, rel=3e-3)
+    assert force[4] == pytest.approx(1.4, rel=3e-3)
+    heights = [state.pose[2, 3] for state in found]
+    assert abs(heights[2] - heights[0]) > 1e-3
+    assert [state.pose[0, 3] for state in found] == pytest.approx([0, 0.5, 1, 1, 1])
+
+
 def test_the_depth_found_gives_the_force_again(tmp_path: Path) -> None:
     """With friction as well: the trials left nothing behind."""
     built = foresee.foreseen(scene.build(row(tmp_path, "press: {force_n: 1.5, frames: 1}", ROUGH)))
