@@ -61,7 +61,7 @@ def test_powers_colours_and_stray_light_of_a_known_unit_are_found(nominal: Path,
     done = CliRunner().invoke(
         cli.app,
         ["calibrate", "optics", "--sensor", str(nominal), "--images", str(photographed(unit, tmp_path / "unit")),
-         "--tolerance-mm", "0", "-o", str(tmp_path / "mine.yaml")],
+         "--tolerance-mm", "0", "--tolerance-deg", "0", "-o", str(tmp_path / "mine.yaml")],
     )  # fmt: skip
     assert done.exit_code == 0, done.output
     assert "change under press_2.png, held out: off by" in done.stdout

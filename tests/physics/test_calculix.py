@@ -26,7 +26,7 @@ name: calculix
 sensor: gelsight_mini
 sensor_overrides: {"gel.layers[0].youngs_modulus_mpa": 0.15, "gel.layers[0].poissons_ratio": 0.48}
 indenter: {shape: sphere, radius_mm: 4.0}
-trajectory: [{press: {depth_mm: 1.0, frames: 1}}]
+trajectory: [{press: {depth_mm: 1.0, frames: 4}}]
 outputs: [force, traction]
 """
 SMALLER = (

@@ -99,7 +99,8 @@ def test_a_scene_turned_as_a_whole_gives_the_turned_force(angle: float, tol: flo
 
 def test_an_indenter_turned_over_its_grid_feels_little_of_it() -> None:
     def force(yaw: float) -> float:
-        made = scene(Box(3.0, 3.0, 0.6), poses([(0, 0, -0.5)], yaw=np.radians(yaw)), edge=0.3)
+        path = poses([(0, 0, -0.125 * k) for k in range(1, 5)], yaw=np.radians(yaw))
+        made = scene(Box(3.0, 3.0, 0.6), path, edge=0.3)
         return float(-run(made, SQUARE).forces[-1, 2])
 
     assert force(30) == pytest.approx(force(0), rel=0.01)

@@ -28,7 +28,7 @@ tacgen: 1
 name: digit
 sensor: digit
 indenter: {shape: sphere, radius_mm: 4.0}
-trajectory: [{press: {depth_mm: 1.0, frames: 1}}]
+trajectory: [{press: {depth_mm: 1.0, frames: 4}}]
 outputs: [force, traction, height, stress]
 """
 OFF = ("start={x_mm: 4, y_mm: 0}",)

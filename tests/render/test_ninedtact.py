@@ -25,7 +25,7 @@ tacgen: 1
 name: nine
 sensor: ninedtact
 indenter: {shape: sphere, radius_mm: 4.0}
-trajectory: [{press: {depth_mm: 1.0, frames: 1}}]
+trajectory: [{press: {depth_mm: 1.0, frames: 4}}]
 outputs: [force, traction, height, stress]
 """
 FINE = 1.1674  # [N] on meshes of 0.25 and 0.2 mm edge (16 800 and 21 800 nodes), dhat 0.03 mm
