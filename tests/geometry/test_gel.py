@@ -142,7 +142,8 @@ def test_pictures_show_the_solid_itself(tmp_path: Path) -> None:
     """Round, not the square of its box; its rim turned from the near light to the far one; as path has it."""
     found = {
         method: bundle.read(pipeline.run_scene(plan.load(
-            folder(tmp_path, sensor=ONE_LAYER + LIT), ("outputs=[rgb, radiance]", f"render.method={method}", f"quality.spp={spp}")
+            folder(tmp_path, sensor=ONE_LAYER + LIT),
+            ("outputs=[rgb, radiance]", f"render.method={method}", f"quality.spp={spp}"),
         ).rows[0], tmp_path / method).path)
         for method, spp in (("transport", 64), ("path", 250))
     }  # fmt: skip
