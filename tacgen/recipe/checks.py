@@ -38,7 +38,7 @@ def recipe_problems(recipe: Recipe, sensor: Sensor, folders: Folders | None = No
     `folders` says where the paths of its files start; the working directory for those that it does not hold.
     """
     folders = folders or {}
-    wrong = grasp_checks.problems(recipe, sensor)
+    wrong = grasp_checks.problems(recipe, sensor, folders)
     if recipe.grasp is None:
         wrong += [*_depths(recipe, sensor), *trajectory_checks.problems(recipe, sensor.gel, folders)]
     wrong += output_problems(recipe, sensor)

@@ -1,7 +1,10 @@
 """What a grasp cannot be: checks that need its movements, its object and its sensors side by side."""
 
+import importlib.util
 import math
 
+from tacgen.errors import UserError
+from tacgen.recipe import trajectory_checks
 from tacgen.recipe.indenters import analytic
 from tacgen.recipe.model import Grasp, Recipe
 from tacgen.recipe.sensor import Sensor
@@ -9,10 +12,10 @@ from tacgen.recipe.trajectory import Start, Timed
 from tacgen.recipe.validation_messages import Problem
 
 OF_GRASP = ("close", "lift")  # movements that only a gripper makes
-MOVES = (*OF_GRASP, "tilt", "hold")  # all that it makes
+MOVES = (*OF_GRASP, "tilt", "hold", "replay")  # all that it makes
 
 
-def problems(recipe: Recipe, sensor: Sensor) -> list[Problem]:
+def problems(recipe: Recipe, sensor: Sensor, folders: trajectory_checks.Folders) -> list[Problem]:
     """What of a trajectory, an object or a sensor does not go with a grasp, or with none."""
     grasp = recipe.grasp
     if grasp is None:
@@ -38,7 +41,22 @@ def problems(recipe: Recipe, sensor: Sensor) -> list[Problem]:
             wrong.append(Problem((key,), "has no effect in a grasp", at_key=True))
     if recipe.contact.formulation != "distance":
         wrong.append(Problem(("contact", "formulation"), "must be distance in a grasp"))
-    return [*wrong, *solid(sensor), *_object(recipe, grasp)]
+    if importlib.util.find_spec("cvxopt") is None:
+        wrong.append(Problem(("grasp",), "needs CVXOPT, which is not installed: pip install cvxopt", at_key=True))
+    return [*wrong, *_tables(recipe, folders), *solid(sensor), *_object(recipe, grasp, sensor)]
+
+
+def _tables(recipe: Recipe, folders: trajectory_checks.Folders) -> list[Problem]:
+    """Tables of the gripper's poses that cannot be used."""
+    wrong = []
+    for i, step in enumerate(recipe.trajectory):
+        where = ("trajectory", i, "replay", "file")
+        try:
+            if step.replay is not None:
+                trajectory_checks.replayed(step.replay, folders.get(where))
+        except UserError as error:
+            wrong += [Problem(where, line) for line in error.lines]
+    return wrong
 
 
 def solid(sensor: Sensor) -> list[Problem]:
@@ -46,8 +64,8 @@ def solid(sensor: Sensor) -> list[Problem]:
     return [Problem(("sensor",), f"has a solid gel, {sensor.name}: a grasp needs pads")] if sensor.gel.solid else []
 
 
-def _object(recipe: Recipe, grasp: Grasp) -> list[Problem]:
-    """An object of a shape has two sides to close on, and a height by which it is held."""
+def _object(recipe: Recipe, grasp: Grasp, sensor: Sensor) -> list[Problem]:
+    """An object of a shape has two sides to close on, no farther than gels are thick, and a height to hold it by."""
     if (shape := analytic(recipe.indenter)) is None:
         return []
     c, s = math.cos(yaw := math.radians(grasp.yaw_deg)), math.sin(yaw)
@@ -61,4 +79,10 @@ def _object(recipe: Recipe, grasp: Grasp) -> list[Problem]:
         return [Problem(("grasp",), text)]
     if (grasp.height_mm or 0.0) > top:
         return [Problem(("grasp", "height_mm"), f"must be at most the object's height, {top:g}")]
-    return []
+    wide += shape.support(np.array([-c, s, 0.0]))
+    least = wide - 2 * sum(layer.thickness_mm for layer in sensor.gel.layers)
+    return [
+        Problem(("trajectory", i, "close", "width_mm"), f"must be above {least:.4g}: the object is {wide:.4g} mm wide")
+        for i, step in enumerate(recipe.trajectory)
+        if step.close is not None and step.close.width_mm is not None and step.close.width_mm <= least
+    ]

@@ -14,7 +14,7 @@ from tacgen.geometry.analytic_sdf import Shape
 from tacgen.geometry.gel import Gel
 from tacgen.geometry.pose import about
 from tacgen.recipe.plan import Row
-from tacgen.recipe.trajectory import Close, Lift, Tilt
+from tacgen.recipe.trajectory import Close, Lift, Replay, Tilt
 from tacgen.scene.path import contact_height
 from tacgen.scene.scene import Scene, gel_of, shape_of
 
@@ -116,14 +116,16 @@ def _first_touch(shape: Shape, gels: tuple[Gel, Gel], height: float, y: float, y
 def _path(row: Row, down: Array) -> tuple[Array, Array, Array, Array]:
     """The gripper's pose (N, 4, 4); the width, the force and the part of its change (N,) of each frame."""
     pose, frames = np.eye(4), []
-    for step in row.recipe.trajectory:
-        first = pose
+    for number, step in enumerate(row.recipe.trajectory):
+        first, rows = pose, row.replayed(number) if step.replay else ()
         for k in range(1, step.frames + 1):
             part, width, force = k / step.frames, np.nan, np.nan
             pose = first.copy()
             match step.move:
                 case Close(width_mm=wide, force_n=strong):
                     width, force = wide or np.nan, strong or np.nan
+                case Replay():  # as the table goes on from its first row
+                    pose = first @ np.linalg.inv(rows[0].pose) @ rows[k - 1].pose
                 case Lift(height_mm=height):
                     pose[:3, 3] -= part * height * down
                 case Tilt(angle_deg=angle, axis_deg=axis):

@@ -129,6 +129,18 @@ def test_two_gels_press_alike_whatever_they_are_made_of(tmp_path: Path) -> None:
     assert abs(frames[-1].pose[0, 3]) > 0.01  # it is not in the middle: the gels are not alike
 
 
+def test_a_gripper_goes_as_a_table_goes_on_from_its_first_row(tmp_path: Path) -> None:
+    """Rows of another frame, a metre away and turned by a quarter; the gripper is lifted and moved along its y."""
+    turned = "0,0,0.7071067811865476,0.7071067811865476"  # qx, qy, qz, qw: a quarter turn about z
+    rows = [f"{t},1000,{-y},{500 + z},{turned}" for t, (y, z) in enumerate(((0, 0), (1, 1), (3, 1)))]
+    (tmp_path / "way.csv").write_text("\n".join(["time_s,x_mm,y_mm,z_mm,qx,qy,qz,qw", *rows]))
+    still, up, beside = found(tmp_path, BALL, "close: {force_n: 1, frames: 1}", "replay: {file: way.csv}")[1:]
+    assert [frame.mode for frame in (up, beside)] == [Mode.held, Mode.held]
+    middle = [np.mean([s[:3, 3] for s in frame.sensors], 0) for frame in (still, up, beside)]
+    assert np.diff(middle, axis=0) == pytest.approx(np.array([[-1, 0, 1], [-2, 0, 0]]), abs=1e-9)
+    assert beside.pose[:3, 3] - up.pose[:3, 3] == pytest.approx([-2, 0, 0], abs=0.02)
+
+
 def bundles(folder: Path) -> tuple[Bundle, Bundle]:
     left, right = (read(folder / f"scene-00000-{side}.h5") for side in "LR")
     return left, right
