@@ -11,7 +11,8 @@ SUITABLE = import sys, venv, ensurepip; sys.exit(not (3, 11) <= sys.version_info
 CANDIDATES = python3 python3.13 python3.12 python3.11 python
 PYTHON ?= $(shell for p in $(CANDIDATES); do $$p -c '$(SUITABLE)' >/dev/null 2>&1 && { echo $$p; break; }; done)
 BIN = .venv/bin
-PYTEST_FLAGS ?= -n auto
+# worksteal: a file stays with one worker, which solves its fixtures once
+PYTEST_FLAGS ?= -n auto --dist worksteal
 
 # one thread per process: sums are added in one order, and two test processes do not fight over cores
 export OMP_NUM_THREADS ?= 1

@@ -13,6 +13,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from helpers.killing import WRITES, calls
 from helpers.synthetic import attributes, write
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -178,38 +179,18 @@ def environment() -> dict[str, str]:
 
 # -- a writer that dies ------------------------------------------------------------------------------------------------
 
-KILLED = """
-import os, signal, sys
-from pathlib import Path
-from helpers.synthetic import write
-
-def die_at(moment, folder):  # the moment-th call to the disk never returns
-    calls = []
-    for name in ("pwrite", "fsync", "replace", "ftruncate"):
-        def call(*args, real=getattr(os, name)):
-            calls.append(args)
-            if len(calls) == moment:
-                os.kill(os.getpid(), signal.SIGKILL)
-            return real(*args)
-        setattr(os, name, call)
-    write(folder / "x.h5", outputs=frozenset({"force", "rgb"}))
-    (folder / "calls").write_text(str(len(calls)))
-    os._exit(0)
-
-root = Path(sys.argv[1])
-os.waitpid(os.fork() or die_at(0, root / "0"), 0)
-count = int((root / "0" / "calls").read_text())
-for moment in {*range(1, count, count // 12), *range(count - 4, count + 1)}:
-    child = os.fork() or die_at(moment, root / str(moment))
-    assert os.WIFSIGNALED(os.waitpid(child, 0)[1])
-"""
-
 
 def test_a_killed_writer_leaves_nothing_that_looks_whole(tmp_path: Path) -> None:
     """Killed at some calls to the disk from first to last: the last ones sync, rename and sync the folder."""
     whole = write(tmp_path / "whole.h5", outputs=frozenset({"force", "rgb"})).read_bytes()
-    (tmp_path / "k").mkdir()
-    subprocess.run([sys.executable, "-c", KILLED, tmp_path / "k"], check=True, env=environment(), timeout=60)
+
+    def run(folder: Path, moment: int) -> int | None:
+        folder.mkdir(parents=True)
+        return calls(lambda: write(folder / "x.h5", outputs=frozenset({"force", "rgb"})), moment, WRITES)
+
+    count = run(tmp_path / "k" / "0", 0) or 0
+    for moment in {*range(1, count, count // 12), *range(count - 4, count + 1)}:
+        assert run(tmp_path / "k" / str(moment), moment) is None
     folders = sorted((tmp_path / "k").iterdir(), key=lambda p: int(p.name))[1:]
     assert len(folders) > 15
     for folder in folders[:-1]:

@@ -9,6 +9,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from helpers.killing import calls
 from helpers.synthetic import write
 
 from tacgen import export
@@ -142,38 +143,16 @@ def packed_shard(loose: Path, tmp_path: Path) -> Path:
     return pack.pack(bundles, tmp_path / "another").shards[0]
 
 
-KILLED = """
-import os, signal, sys
-from pathlib import Path
-from tacgen.bundle import dataset, pack, resume
-
-calls, moment = [], int(sys.argv[3])
-
-def counted(real):
-    def call(*args, **more):
-        calls.append(args)
-        if len(calls) == moment:
-            os.kill(os.getpid(), signal.SIGKILL)
-        return real(*args, **more)
-    return call
-
-for name in ("pwrite", "fsync", "rename", "replace", "unlink", "mkdir", "open"):
-    setattr(os, name, counted(getattr(os, name)))
-pack.pack(dataset.scenes(Path(sys.argv[1])), Path(sys.argv[2]), 0.2)
-print(len(calls))
-"""
-
-
 def test_a_pack_killed_at_any_moment_is_made_whole_by_the_next_run(loose: Path, tmp_path: Path):
-    def run(out: Path, moment: int) -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, "-c", KILLED, str(loose), str(out), str(moment)]
-        return subprocess.run(command, capture_output=True, text=True, cwd=Path(__file__).parents[2])
+    def run(out: Path, moment: int) -> int | None:
+        return calls(lambda: pack.pack(dataset.scenes(loose), out, 0.2), moment)
 
-    count = int(run(tmp_path / "whole" / "out", 0).stdout)
+    count = run(tmp_path / "whole" / "out", 0)
+    assert count
     whole = {path.name: path.read_bytes() for path in (tmp_path / "whole" / "out").iterdir()}
     for moment in (2, count // 3, count // 2, *range(count - 4, count + 1)):
         out = tmp_path / str(moment) / "out"
-        assert run(out, moment).returncode < 0
+        assert run(out, moment) is None
         if not out.exists():
             run(out, 0)
         assert os.listdir(out.parent) == ["out"] or moment == count  # the claim is let go last

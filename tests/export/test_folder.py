@@ -1,19 +1,17 @@
 """An export's folder holds that export and nothing else; whatever else is in its place is left alone."""
 
 import os
-import signal
-import subprocess
-import sys
+import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
+from helpers.killing import DISK, calls
 from helpers.synthetic import OUTPUTS, write
 
 from export.test_exporters import SENSOR, SHAPE, real
 from tacgen.errors import UserError
 from tacgen.export import EXPORTERS, export
-
-TESTS = Path(__file__).parent.parent
 
 
 def scene(folder: Path, number: int) -> Path:
@@ -86,47 +84,20 @@ def test_a_folder_of_other_things_or_of_another_format_is_refused(data: Path, tm
     assert sorted(os.listdir(tmp_path)) == ["file", "list", "other", "tar"]
 
 
-KILLED = """
-import os, shutil, signal, sys
-from pathlib import Path
-import numpy as np
-from tacgen.export import export
-
-source, out, moment = Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3])
-calls = []
-
-def counted(real):
-    def call(*args, **more):
-        calls.append(args)
-        if len(calls) == moment:
-            os.kill(os.getpid(), signal.SIGKILL)
-        return real(*args, **more)
-    return call
-
-for name in ("rename", "replace", "unlink", "mkdir", "rmdir", "open"):
-    setattr(os, name, counted(getattr(os, name)))
-np.save = counted(np.save)
-export("feats", source, out)
-print(len(calls))
-"""
-
-
 def test_killed_at_any_moment_it_leaves_a_whole_one_or_what_the_next_run_removes(data: Path, tmp_path: Path) -> None:
-    def run(moment: int, out: Path) -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, "-c", KILLED, str(data / "one"), str(out), str(moment)]
-        return subprocess.run(command, capture_output=True, text=True, cwd=TESTS.parent)
+    def run(moment: int, out: Path) -> int | None:
+        return calls(lambda: export("feats", data / "one", out), moment, [*DISK, (np, "save")])
 
     fresh, old = ({}, {})
     for name, found in (("one", fresh), ("two", old)):
         export("feats", data / name, tmp_path / name)
         found.update(content(tmp_path / name))
     export("feats", data / "two", tmp_path / "count" / "out")
-    count = int(run(0, tmp_path / "count" / "out").stdout)
+    count = run(0, tmp_path / "count" / "out") or 0
     assert count > 10
     for moment in {1, count // 2, *range(count - 5, count + 1)}:
-        out = tmp_path / str(moment) / "out"
-        export("feats", data / "two", out)
-        assert run(moment, out).returncode == -signal.SIGKILL
+        out = shutil.copytree(tmp_path / "two", tmp_path / str(moment) / "out")
+        assert run(moment, out) is None
         there = content(out) if out.exists() else None
         kept = [content(path) for path in out.parent.iterdir() if path.is_dir()]
         assert there in (fresh, old) or (there is None and old in kept), moment

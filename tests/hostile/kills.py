@@ -1,7 +1,6 @@
 """A process killed at a seeded moment: what a second one makes is what an undisturbed one makes, and nothing more."""
 
 import os
-import signal
 import tempfile
 from collections.abc import Callable
 from functools import cache
@@ -10,14 +9,13 @@ from random import Random
 from typing import Any
 
 import numpy as np
+from helpers.killing import calls
 from helpers.scenes import make, make_plan
 
 from hostile.attempts import Attempt, contained
 from tacgen import array_cache, atomic_file, export
 from tacgen.bundle import dataset, pack
 from tacgen.bundle.journal import write_plan
-
-CALLS = ("open", "pwrite", "ftruncate", "fsync", "replace", "rename", "unlink", "mkdir", "rmdir")
 
 
 def _pack(source: Path, here: Path) -> None:
@@ -58,13 +56,8 @@ def kill(seed: int, source: Path) -> Attempt:
     with tempfile.TemporaryDirectory() as scratch:
         here, note = Path(scratch) / "here", Path(scratch) / "note"
         here.mkdir()
-        moment = rng.randrange(1, calls(name, source) + 1)
-        child = os.fork()
-        if not child:
-            _counted(moment)
-            WORKS[name](source, here)
-            os._exit(0)
-        assert os.WIFSIGNALED(os.waitpid(child, 0)[1])
+        moment = rng.randrange(1, count(name, source) + 1)
+        assert calls(lambda: WORKS[name](source, here), moment) is None
         outcome = contained(lambda: (WORKS[name](source, here), "accepted")[1], note)
         said = f"{name} at call {moment}"
         if outcome != "accepted":
@@ -91,34 +84,9 @@ def whole(name: str, source: Path) -> dict[str, bytes]:
 
 
 @cache
-def calls(name: str, source: Path) -> int:
+def count(name: str, source: Path) -> int:
     """Calls to the disk of an undisturbed run."""
     with tempfile.TemporaryDirectory() as scratch:
-        count, here = Path(scratch) / "count", Path(scratch) / "here"
+        here = Path(scratch) / "here"
         here.mkdir()
-        if not os.fork():
-            made = _counted(0)
-            WORKS[name](source, here)
-            number = len(made)
-            count.write_text(str(number))
-            os._exit(0)
-        os.wait()
-        return int(count.read_text())
-
-
-def _counted(moment: int) -> list[str]:
-    """Have this process killed at its moment-th call."""
-    made: list[str] = []
-
-    def counted(name: str, real: Callable[..., Any]) -> Callable[..., Any]:
-        def call(*args: Any, **more: Any) -> Any:
-            made.append(name)
-            if len(made) == moment:
-                os.kill(os.getpid(), signal.SIGKILL)
-            return real(*args, **more)
-
-        return call
-
-    for name in CALLS:
-        setattr(os, name, counted(name, getattr(os, name)))
-    return made
+        return calls(lambda: WORKS[name](source, here)) or 0
