@@ -57,16 +57,11 @@ class CloughTocher:
         """What takes nodal values and slopes (3s,) to values (n,) at xy (n, 2)."""
         from scipy.sparse import csr_array
 
-        plan, number = self._plan, self._plan.find_simplex(xy)
-        map_, nodes, beside = plan.transform[number], plan.simplices[number], plan.neighbors[number]
-        points = np.concatenate([xy[:, None], plan.points[plan.simplices[beside]].mean(2)], 1)
-        first = np.einsum("nij,nkj->nki", map_[:, :2], points - map_[:, None, 2])
-        barycentric = np.concatenate([first, 1 - first.sum(2, keepdims=True)], 2)
-        values = _weights(plan.points[nodes], barycentric[:, 0], barycentric[:, 1:], beside >= 0)
-        values[number < 0] = np.nan
-        count = len(plan.points)
-        columns = np.concatenate([nodes, count + 2 * np.repeat(nodes, 2, axis=1) + [0, 1] * 3], 1)
-        return csr_array((values.ravel(), columns.ravel(), 9 * np.arange(len(xy) + 1)), shape=(len(xy), 3 * count))
+        plan = self._plan
+        triangles = plan.points, plan.simplices, plan.neighbors, plan.transform
+        values, columns = _weights(xy, plan.find_simplex(xy), *triangles)
+        starts = 9 * np.arange(len(xy) + 1, dtype=np.int32)
+        return csr_array((values.ravel(), columns.ravel(), starts), shape=(len(xy), 3 * len(plan.points)))
 
 
 def _least_curvature(points: Array, start: Array, beside: Array) -> "tuple[csr_array, csr_array]":
@@ -91,30 +86,47 @@ def _least_curvature(points: Array, start: Array, beside: Array) -> "tuple[csr_a
 
 
 @njit(cache=True)
-def _weights(corners: Array, at: Array, middles: Array, shared: Array) -> Array:
-    """Weights (n, 9) of a triangle's three values, and of their slopes along x and y by turns.
+def _weights(
+    xy: Array, number: Array, points: Array, simplices: Array, neighbors: Array, transform: Array
+) -> tuple[Array, Array]:
+    """Weights (n, 9) of a triangle's three values, and of their slopes along x and y by turns; and of which numbers
+    among all values and slopes they are, (n, 9).
 
     Args:
-        corners: of each point's triangle, (n, 3, 2).
-        at: barycentric coordinates of the point, (n, 3).
-        middles: those of the centroids of the triangles across from each corner (n, 3, 3), where there is one: shared
-            (n, 3).
+        xy: where, (n, 2), and the number of the triangle there (n,); -1, with nan for weights, where there is none.
+        points, simplices, neighbors, transform: the triangulation, as SciPy's Delaunay has them.
     """
-    out, turn, b = np.empty((len(at), 9)), np.empty(3), np.empty(3)
+    out, columns = np.full((len(xy), 9), np.nan), np.zeros((len(xy), 9), np.int32)
+    at, b, turn, corners = np.empty(3), np.empty(3), np.empty(3), np.empty((3, 2))
     value, inner, across, toward = np.empty(3), np.empty(3), np.empty(3), np.empty((3, 3))  # Bezier ordinates
-    for p in range(len(at)):
-        c = min(at[p, 0], at[p, 1], at[p, 2])  # in the piece whose corners are the other two and the centroid
+    for p in range(len(xy)):
+        t = number[p]
+        if t < 0:
+            continue
         for k in range(3):
-            b[k] = at[p, k] - c
+            node = simplices[t, k]
+            columns[p, k], columns[p, 3 + 2 * k] = node, len(points) + 2 * node
+            columns[p, 4 + 2 * k] = columns[p, 3 + 2 * k] + 1
+            corners[k, 0], corners[k, 1] = points[node, 0], points[node, 1]
+            turn[k] = -0.5
+            beside = neighbors[t, k]
+            if beside >= 0:  # by where the middle of the triangle across the edge is in this one
+                x = y = 0.0
+                for i in range(3):
+                    x, y = x + points[simplices[beside, i], 0], y + points[simplices[beside, i], 1]
+                _barycentric(transform[t], x / 3, y / 3, at)
+                i, j = at[(k + 1) % 3], at[(k + 2) % 3]
+                turn[k] = (2 * j + i - 1) / (2 - 3 * (i + j))
+        _barycentric(transform[t], xy[p, 0], xy[p, 1], at)
+        c = min(at[0], at[1], at[2])  # in the piece whose corners are the other two and the centroid
+        for k in range(3):
+            b[k] = at[k] - c
         c *= 3
-        for k in range(3):
-            i, j = middles[p, k, (k + 1) % 3], middles[p, k, (k + 2) % 3]
-            turn[k] = (2 * j + i - 1) / (2 - 3 * (i + j)) if shared[p, k] else -0.5
         for m in range(9):
             for i in range(3):
                 value[i] = 1.0 if m == i else 0.0
                 for j in range(3):
-                    slope = (corners[p, j, (m - 3) % 2] - corners[p, i, (m - 3) % 2]) / 3
+                    slope = (corners[j, (m - 3) % 2] - corners[i, (m - 3) % 2]) / 3
                     toward[i, j] = value[i] + (slope if m >= 3 and (m - 3) // 2 == i else 0.0)
                 inner[i] = (value[i] + toward[i, (i + 1) % 3] + toward[i, (i + 2) % 3]) / 3
             for k in range(3):
@@ -128,4 +140,13 @@ def _weights(corners: Array, at: Array, middles: Array, shared: Array) -> Array:
                 out[p, m] += b[k] ** 3 * value[k]
                 out[p, m] += 3 * b[k] ** 2 * (b[i] * toward[k, i] + b[j] * toward[k, j] + c * inner[k])
                 out[p, m] += c**2 * b[k] * (inner[k] + across[i] + across[j]) + 6 * c * b[i] * b[j] * across[k]
-    return out
+    return out, columns
+
+
+@njit(cache=True)
+def _barycentric(transform: Array, x: float, y: float, out: Array) -> None:
+    """Barycentric coordinates (3,) in a triangle by its row (3, 2) of Delaunay.transform."""
+    x, y = x - transform[2, 0], y - transform[2, 1]
+    for k in range(2):
+        out[k] = transform[k, 0] * x + transform[k, 1] * y
+    out[2] = 1 - (out[0] + out[1])
