@@ -2,9 +2,14 @@
 
 import math
 from collections.abc import Iterator
+from functools import lru_cache
+from typing import TYPE_CHECKING, NamedTuple
 
 from tacgen.recipe.sensor import Led, LitSensor, Vec3
 from tacgen.recipe.validation_messages import Problem
+
+if TYPE_CHECKING:
+    from tacgen.geometry.outline import Pad
 
 TOLERANCE = 1e-6  # of distances [mm] and of the length of a cross product [-]
 MAX_RAY_ANGLE = 80.0  # between a camera's ray and the plate's normal [deg]
@@ -14,7 +19,7 @@ def problems(sensor: LitSensor) -> Iterator[Problem]:
     """One for each part that cannot be; paths start at the sensor's root."""
     yield from _layers(sensor)
     eye = sensor.camera
-    if not _in_housing(sensor, *eye.center_mm, 0.0):
+    if not _in_housing(sensor.gel.pad, *eye.center_mm, 0.0):
         text = f"the camera's axis meets the coating outside the pad, at ({eye.center_mm[0]:g}, {eye.center_mm[1]:g})"
         yield Problem(("camera", "center_mm"), text)
     if _steepest(sensor) > MAX_RAY_ANGLE:
@@ -70,8 +75,41 @@ def _dots(sensor: LitSensor) -> Iterator[Problem]:
             yield Problem(("markers", name), f"{count} at a pitch of {pitch:g} mm do not fit on {size:g} mm of gel")
 
 
+class _Room(NamedTuple):
+    """What a sensor's LEDs stand in, as far as they may not leave it; equal where other parts of the sensor vary."""
+
+    pad: "Pad"
+    margin: float  # of the housing around it [mm]
+    thickness: float  # of the gel [mm]
+    clear: float  # of its clear layers [mm]
+    scattering: bool
+    bottom: float  # z of the plate's air face [mm]
+    camera: float  # z of the camera [mm]
+
+    @classmethod
+    def of(cls, sensor: LitSensor) -> "_Room":
+        gel = sensor.gel
+        total, clear = (sum(layer.thickness_mm for layer in layers) for layers in (gel.layers, gel.clear_layers))
+        bottom = -sensor.plate.thickness_mm - total
+        scattering = any(layer.scattering for layer in gel.clear_layers)
+        margin, camera = sensor.walls.margin_mm, bottom - sensor.camera.distance_mm
+        return cls(gel.pad, margin, total, clear, scattering, bottom, camera)
+
+    def coating_z(self, x: float, y: float) -> float:
+        """z of the coating's inner side over (x, y) [mm]; level with the crown beside the pad, where there is none."""
+        if not _in_housing(self.pad, x, y, 0.0):
+            return 0.0
+        return (self.thickness + float(self.pad.top(x, y))) * self.clear / self.thickness - self.thickness
+
+
 def wrong_led(sensor: LitSensor, led: Led) -> tuple[str, str] | None:
     """The key of an LED that is wrong, and why; None where it can be."""
+    return _wrong_led(_Room.of(sensor), led)
+
+
+@lru_cache
+def _wrong_led(room: _Room, led: Led) -> tuple[str, str] | None:
+    """The same; of scenes that vary other parts of a sensor it is asked once."""
     normal, up = _unit(led.normal), _unit(led.up)
     along = _unit(_cross(up, normal)) if normal and up else None
     if normal is None or along is None:
@@ -82,38 +120,28 @@ def wrong_led(sensor: LitSensor, led: Led) -> tuple[str, str] | None:
         tuple(c + a * w * x + b * h * y for c, x, y in zip(led.center_mm, along, vertical, strict=True))
         for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))
     ]
-    bottom = -sensor.plate.thickness_mm - sum(layer.thickness_mm for layer in sensor.gel.layers)
-    scattering = any(layer.scattering for layer in sensor.gel.clear_layers)
+    bottom = room.bottom
     for x, y, z in corners:
-        if not _in_housing(sensor, x, y, sensor.walls.margin_mm):
+        if not _in_housing(room.pad, x, y, room.margin):
             return "center_mm", f"pokes out of the housing, at {_vector((x, y, z))}"
-        if z > _coating_z(sensor, x, y) - TOLERANCE:
+        if z > room.coating_z(x, y) - TOLERANCE:
             return "center_mm", f"reaches into the coating, at {_vector((x, y, z))}"
     below = [z < bottom - TOLERANCE for *_, z in corners]
     if any(below) and not all(below):
         return "center_mm", f"pokes out of the plate, whose air face is at z = {bottom:g}"
-    if all(below) and not scattering:
+    if all(below) and not room.scattering:
         return (
             "center_mm",
             f"lies in the air under the plate (z < {bottom:g}): only a gel that scatters is lit from there",
         )
-    if all(below) and led.center_mm[2] < bottom - sensor.camera.distance_mm:
-        return "center_mm", f"lies behind the camera, which is at z = {bottom - sensor.camera.distance_mm:g}"
+    if all(below) and led.center_mm[2] < room.camera:
+        return "center_mm", f"lies behind the camera, which is at z = {room.camera:g}"
     return None
 
 
-def _in_housing(sensor: LitSensor, x: float, y: float, margin: float) -> bool:
+def _in_housing(pad: "Pad", x: float, y: float, margin: float) -> bool:
     """Whether (x, y) lies no more than `margin` [mm] off the pad; the corners of a rectangular housing are square."""
-    return bool(sensor.gel.pad.housing(margin).contains(x, y, TOLERANCE))
-
-
-def _coating_z(sensor: LitSensor, x: float, y: float) -> float:
-    """z of the coating's inner side over (x, y) [mm]; level with the crown beside the pad, where there is none."""
-    gel = sensor.gel
-    if not _in_housing(sensor, x, y, 0.0):
-        return 0.0
-    total, clear = (sum(layer.thickness_mm for layer in layers) for layers in (gel.layers, gel.clear_layers))
-    return (total - gel.drop_mm(x, y)) * clear / total - total
+    return bool(pad.housing(margin).contains(x, y, TOLERANCE))
 
 
 def _cross(a: Vec3, b: Vec3) -> Vec3:
