@@ -256,7 +256,7 @@ def test_path_and_transport_show_the_same_scene(recipe: Path) -> None:
 
     sensor = plan.load(recipe, SMALL_CAMERA).rows[0].sensor
     transport = Renderer(sensor, 64, 0, True).image(Untouched())
-    path = Renderer(sensor, 400, 0, True, method="path").image(Untouched())
+    path = Renderer(sensor, 100, 0, True, method="path").image(Untouched())
     assert path.mean((0, 1)) == pytest.approx(transport.mean((0, 1)), rel=0.05)
     assert np.abs(path - transport).mean() > 0.005  # it was not transport again
 

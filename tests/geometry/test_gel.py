@@ -145,7 +145,7 @@ def test_pictures_show_the_solid_itself(tmp_path: Path) -> None:
             folder(tmp_path, sensor=ONE_LAYER + LIT),
             ("outputs=[rgb, radiance]", f"render.method={method}", f"quality.spp={spp}"),
         ).rows[0], tmp_path / method).path)
-        for method, spp in (("transport", 64), ("path", 250))
+        for method, spp in (("transport", 64), ("path", 100))
     }  # fmt: skip
     y, x = np.mgrid[:48, :48] * 0.2 - 4.7
     r = np.hypot(x, y)
@@ -161,6 +161,7 @@ def test_pictures_show_the_solid_itself(tmp_path: Path) -> None:
             assert (np.abs(exact[here].mean(0) - truth) <= 0.05 * truth + 2.5 * noise + 1e-9).all(), outer
 
 
+@pytest.mark.slow
 def test_slivers_in_the_file_are_not_in_the_mesh(tmp_path: Path) -> None:
     """Each triangle of the file split close to one of its edges; one layer."""
     recipe = folder(tmp_path, sensor=ONE_LAYER)

@@ -53,6 +53,7 @@ def test_a_mesh_indenter() -> None:
     assert_alike(pressed(1, ball(1)), pressed(by, ball(by)), by, 1e-6)
 
 
+@pytest.mark.slow
 def test_contact_between_meshes() -> None:
     pytest.importorskip("ipctk")
     by = 1 / 128

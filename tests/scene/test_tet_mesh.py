@@ -80,6 +80,7 @@ def test_cells_are_sound(domed: mesh.Mesh) -> None:
     assert 0 < np.linalg.norm(middle, axis=-1).max() < 0.5
 
 
+@pytest.mark.slow
 def test_cells_are_fine_where_it_is_touched_alone() -> None:
     """Of four meshes, no two alike: 1.6 to 1.8 edges, elsewhere 2.3 to 2.5 times that; ungraded ones 4.6 and 0.9."""
     pad = Gel(12.0, 12.0, 0.0, -1, (40.0, 40.0), layers=(Layer(3.0, LAW, 0.15),))
