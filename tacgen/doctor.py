@@ -1,5 +1,6 @@
 """What works on this machine, found by trying it."""
 
+import importlib.util
 import os
 import platform
 import shutil
@@ -11,11 +12,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 PACKAGES = (
-    *("numpy", "scipy", "numba", "mitsuba", "drjit", "h5py", "isal", "pydantic", "ruamel.yaml", "typer", "click"),
+    *("numpy", "scipy", "numba", "h5py", "isal", "pydantic", "ruamel.yaml", "typer", "click"),
     *("rich", "platformdirs", "threadpoolctl", "matplotlib", "pillow", "trimesh", "networkx", "libigl"),
     "pytetwild",
 )
 REPLACEABLE = ("cvxopt", "pymetis")  # without them another linear solver serves
+TRACING = ("mitsuba", "drjit")  # the extra `mitsuba`
 FREE_GB = 1.0  # below this a batch will not get far
 
 
@@ -49,8 +51,8 @@ def _python() -> Iterator[Finding]:
 
 
 def _packages() -> Iterator[Finding]:
-    for name in (*PACKAGES, *REPLACEABLE):
-        needed = name not in REPLACEABLE
+    for name in (*PACKAGES, *REPLACEABLE, *TRACING):
+        needed = name in PACKAGES
         try:
             yield Finding(name, True, version(name), needed)
         except PackageNotFoundError:
@@ -67,6 +69,10 @@ def _solvers() -> Iterator[Finding]:
 def _rendering() -> Iterator[Finding]:
     from tacgen.render import images
 
+    if not importlib.util.find_spec("mitsuba"):
+        text = "clear gels, by transport; for gels that scatter, path and table: pip install 'tacgen[mitsuba]'"
+        yield Finding("rendering", True, text)
+        return
     tried = images.variants()
     for one in tried:
         yield Finding(one.variant, one.works, f"{one.note} {one.library}".strip(), needed=False)

@@ -10,6 +10,8 @@ import pytest
 from typer.testing import CliRunner
 
 from tacgen import cli, doctor
+from tacgen.errors import UserError
+from tacgen.render import mitsuba_variants
 
 
 @pytest.fixture(autouse=True)
@@ -37,6 +39,17 @@ def test_every_package_that_is_installed_with_tacgen_is_looked_for():
     project = tomllib.loads((Path(__file__).parent.parent / "pyproject.toml").read_text())["project"]
     asked = {re.split("[<>=]", name)[0] for name in project["dependencies"]}
     assert asked == {*doctor.PACKAGES, *doctor.REPLACEABLE}
+    extra = project["optional-dependencies"]["mitsuba"]
+    assert {re.split("[<>=]", name)[0] for name in extra} == {*doctor.TRACING}
+
+
+def test_without_mitsuba_clear_gels_are_still_rendered(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    (found,) = doctor._rendering()
+    assert found.ok
+    assert "tacgen[mitsuba]" in found.note
+    with pytest.raises(UserError, match=r"pip install 'tacgen\[mitsuba\]'"):
+        mitsuba_variants.best()
 
 
 def test_the_fast_solver_may_be_taken_out(monkeypatch: pytest.MonkeyPatch):

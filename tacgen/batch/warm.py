@@ -6,6 +6,7 @@ from tempfile import TemporaryDirectory
 
 from tacgen.batch.local import Pool
 from tacgen.batch.worker_process import cores
+from tacgen.errors import UserError
 from tacgen.recipe import assets, plan
 from tacgen.recipe.plan import Row
 
@@ -17,7 +18,12 @@ def warm() -> Iterator[tuple[str, bool, str]]:
     """A ball on each sensor with everything asked for: the sensor's name, whether that went well, and what it took."""
     with TemporaryDirectory() as folder, Pool(min(2, cores())) as pool:
         for sensor in assets.list_sensors():
-            (result,) = pool.run([_touched(sensor)], Path(folder) / sensor)
+            try:
+                row = _touched(sensor)
+            except UserError as error:  # its images need what is not installed
+                yield sensor, False, error.lines[0]
+                continue
+            (result,) = pool.run([row], Path(folder) / sensor)
             seconds = sum(result.seconds.values())
             took = f"{seconds:.0f} s, {result.seconds.get('compile', 0.0):.0f} s of them compiling"
             yield sensor, result.status == "ok", result.reason or took

@@ -236,7 +236,7 @@ def _mitsuba(recipe: Recipe, sensor: Sensor) -> list[Problem]:
     if not traced or importlib.util.find_spec("mitsuba"):
         return []
     why = f"the gel of {sensor.name} scatters light" if scatters else f"render.method is {recipe.render.method}"
-    text = f"asks for images, and {why}: that needs Mitsuba, which is not installed: pip install mitsuba"
+    text = f"asks for images, and {why}: that needs Mitsuba, which is not installed: pip install 'tacgen[mitsuba]'"
     return [Problem(("outputs",), text)]
 
 
