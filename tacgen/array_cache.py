@@ -52,20 +52,11 @@ def kept_one(kind: str, key: str, make: Callable[[], Array]) -> Array:
 def kept_bytes(kind: str, key: str, make: Callable[[], bytes]) -> bytes:
     """The same of bytes: those that were stored under this very key, unchanged, or they are made again."""
     file = cache_folder() / kind / f"{key}.entry"
-    if (found := _read(file, key)) is not None:
-        return found
-    made = make()
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        atomic_file.sweep(file.parent)
-        if (found := _read(file, key)) is None:
-            atomic_file.write(file, _seal(key, made) + made)
-    except (OSError, atomic_file.Busy):
-        pass  # a cache that cannot be written only costs the next run some seconds
-    return made if found is None else found
+    found = read(file, key)
+    return store(file, key, make()) if found is None else found
 
 
-def _read(file: Path, key: str) -> bytes | None:
+def read(file: Path, key: str) -> bytes | None:
     """What an entry holds; None where there is none, or it is not what was stored under its key."""
     try:
         entry = regular_file.read_bytes(file, LARGEST)
@@ -73,6 +64,19 @@ def _read(file: Path, key: str) -> bytes | None:
         return None
     seal, content = entry[:SEAL], entry[SEAL:]
     return content if seal == _seal(key, content) else None
+
+
+def store(file: Path, key: str, made: bytes) -> bytes:
+    """Make an entry, and give what it holds: of two processes at once the first keeps its own."""
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        atomic_file.sweep(file.parent)
+        if (found := read(file, key)) is not None:
+            return found
+        atomic_file.write(file, _seal(key, made) + made)
+    except (OSError, atomic_file.Busy):
+        pass  # a cache that cannot be written only costs the next run some seconds
+    return made
 
 
 def _seal(key: str, content: bytes) -> bytes:

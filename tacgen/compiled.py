@@ -1,34 +1,37 @@
 """Numba, with its machine code kept under the cache folder: for every process and version, and never out of date.
 
 Numba's own cache compares the file of a function alone, and would go on with old code after a change in another file
-whose functions and constants are compiled into it. Here a folder of code belongs to one state of all packages that hold
-compiled functions, to the versions of what compiles them, and to a processor.
+whose functions and constants are compiled into it; and it runs whatever its files hold. Here a folder of code belongs
+to one state of all packages that hold compiled functions, to the versions of what compiles them, and to a processor,
+and code carries a digest: what is not as it was stored is compiled again.
 """
 
 import gc
 import hashlib
 import os
+import pickle
 import platform
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import llvmlite
 import numba
 import numpy as np
 from llvmlite import binding
-from numba.core import event
+from numba.core import caching, event
+from numba.core.compiler import CompileResult
+from numba.core.serialize import dumps
 
-from tacgen import atomic_file
-from tacgen.array_cache import cache_folder
+from tacgen import array_cache, atomic_file
 
 PACKAGES = ("fem", "optics", "geometry", "contact")  # these hold compiled functions, and import no constants but theirs
 WAIT_S = 0.1  # between looks at whether another process is done
 F = TypeVar("F", bound=Callable[..., Any])
-config: Any = numba.config
+pickled: Callable[[Any], bytes] = dumps
 
 
 @cache
@@ -42,37 +45,69 @@ def folder() -> Path:
     processor = binding.get_host_cpu_name(), binding.get_host_cpu_features().flatten()
     state.update(repr((tools, processor)).encode())
     kept = os.environ.get("NUMBA_CACHE_DIR")
-    return (Path(kept) if kept else cache_folder() / "compiled") / f"tacgen-{state.hexdigest()[:16]}"
+    return (Path(kept) if kept else array_cache.cache_folder() / "compiled") / f"tacgen-{state.hexdigest()[:16]}"
 
 
 def njit(*, cache: bool, **options: Any) -> Callable[[F], F]:
     """numba.njit without what only other compilers' code would call; with `cache`, into our folder."""
-    return _kept(numba.njit, cache, {"no_cfunc_wrapper": True, **options})
-
-
-def vectorize(*, cache: bool, **options: Any) -> Callable[[F], F]:
-    """numba.vectorize, likewise."""
-    return _kept(numba.vectorize, cache, options)
-
-
-def _kept(decorator: Callable[..., Any], cache: bool, options: dict[str, Any]) -> Callable[[F], F]:
-    """Numba looks up its folder when a function is decorated; other packages keep theirs."""
 
     def decorate(function: F) -> F:
-        before = config.CACHE_DIR
-        config.CACHE_DIR = str(folder())
-        try:
-            decorated: F = decorator(cache=cache and _writable(), **options)(function)
-        finally:
-            config.CACHE_DIR = before
-        return decorated
+        decorated: Any = numba.njit(no_cfunc_wrapper=True, **options)(function)
+        if cache:
+            decorated._cache = _Code(function)
+        return cast(F, decorated)
 
     return decorate
 
 
+def vectorize(*, cache: bool) -> Callable[[F], F]:
+    """numba.vectorize, likewise."""
+
+    def decorate(function: F) -> F:
+        decorated: Any = numba.vectorize(function)  # type: ignore[no-untyped-call]
+        if cache:
+            decorated._dispatcher.cache = _Code(function)
+        return cast(F, decorated)
+
+    return decorate
+
+
+class _Code(caching._Cache):
+    """The machine code of one function: an entry of the cache for each signature."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self.name = f"{function.__module__}.{function.__qualname__}-{function.__code__.co_firstlineno}"
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """A CompileResult for the types `sig`, or None."""
+        target_context.refresh()
+        found = array_cache.read(*self._entry(sig))
+        rebuild: Any = CompileResult._rebuild
+        return None if found is None else rebuild(target_context, *pickle.loads(found))
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep a CompileResult, unless it holds addresses of this process."""
+        if not data.library.has_dynamic_globals:
+            array_cache.store(*self._entry(sig), pickled(data._reduce()))
+
+    def _entry(self, sig: Any) -> tuple[Path, str]:
+        """File and key."""
+        key = f"{self.name} {sig!r}"
+        return self.cache_path / f"{self.name}.{hashlib.sha256(key.encode()).hexdigest()[:16]}.entry", key
+
+    @property
+    def cache_path(self) -> Path:
+        return folder()
+
+    def enable(self) -> None:
+        """Entries are kept from the first."""
+
+    disable = flush = enable
+
+
 @cache
 def _writable() -> bool:
-    """Whether code can be kept; else Numba would keep it in a place of its own choice."""
+    """Whether code can be kept, and is worth waiting for."""
     try:
         folder().mkdir(parents=True, exist_ok=True)
     except OSError:

@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import sys
 import textwrap
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -54,7 +55,46 @@ def test_a_cache_that_cannot_be_written_compiles_again(tmp_path: Path):
     package, cache = copied(tmp_path / "package", "2"), tmp_path / "cache"
     cache.write_text("no folder")
     assert used(package, cache) == used(package, cache) == "4.0 True"
-    assert not list(package.rglob("*.nbi")), "nor is it kept in a place that nothing keeps up to date"
+    assert not list(package.rglob("*.entry")), "nor is it kept in a place that nothing keeps up to date"
+
+
+def double(x: float) -> float:
+    return 2.0 * x
+
+
+def triple(x: float) -> float:
+    return 3.0 * x
+
+
+def called(function: Callable[[float], float]) -> tuple[float, bool]:
+    """What a function gives for 1, and whether it was compiled."""
+    before = compiled.seconds()
+    return compiled.njit(cache=True)(function)(1.0), compiled.seconds() > before
+
+
+def test_damaged_code_is_compiled_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(compiled, "folder", lambda: tmp_path)
+    assert called(double) == (2.0, True)
+    for entry in [path for path in tmp_path.rglob("*") if path.is_file()]:
+        whole = entry.read_bytes()
+        flips = [whole[:at] + bytes([whole[at] ^ 1]) + whole[at + 1 :] for at in range(0, len(whole), len(whole) // 5)]
+        for damaged in (*flips, whole[:-1], whole[:9], b""):
+            assert called(double) == (2.0, False)
+            entry.write_bytes(damaged)
+            assert called(double) == (2.0, True), "and kept again"
+
+
+def test_code_of_another_function_is_not_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(compiled, "folder", lambda: tmp_path)
+    assert called(double) == (2.0, True)
+    found = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    for path in found:
+        path.unlink()
+    assert called(triple) == (3.0, True)
+    for path in [path for path in tmp_path.rglob("*") if path.is_file()]:
+        (other,) = (code for old, code in found.items() if old.suffix == path.suffix)
+        path.write_bytes(other)
+    assert called(triple) == (3.0, True)
 
 
 def test_one_process_compiles_and_others_wait(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
