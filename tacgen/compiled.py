@@ -37,7 +37,7 @@ pickled: Callable[[Any], bytes] = dumps
 @cache
 def folder() -> Path:
     """Where machine code of this state of the source is kept for this processor; NUMBA_CACHE_DIR overrides."""
-    root, state = Path(__file__).parent, hashlib.sha256()
+    root, state = Path(__file__).parent, hashlib.sha256(Path(__file__).read_bytes())
     for package in PACKAGES:
         for file in sorted((root / package).rglob("*.py")):
             state.update(file.read_bytes())

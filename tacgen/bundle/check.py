@@ -22,6 +22,9 @@ FLOAT32_ERROR = 1e-6  # of maps, over the frame's peak [-]
 VISIBLE_CHANGE = {"/frames/height": 0.02, "/frames/marker_flow": 0.5}  # changes that a camera image must show [mm, px]
 VISIBLE_FORCE_CHANGE = 0.05  # the same of the force, over the largest [-]
 MAX_FLAT_RANGE = 2.0  # a camera image whose values all lie this close together shows nothing [counts of 255]
+Seen = dict[
+    tuple[Path, str], str
+]  # name of the scene with a digest in a folder; it covers number and seed, not the name
 
 
 @dataclass(frozen=True)
@@ -46,14 +49,15 @@ def check(path: Path) -> list[Finding]:
     if not path.is_dir():
         if not path.exists():
             raise UserError(f"{path}: no such file or folder")
-        return _leftover(path) if atomic_file.is_part(path) else _file(path)
+        return _leftover(path) if atomic_file.is_part(path) else _file(path, {})
     if dataset.is_packed(path):
         return _packed(path)
     files, packs = dataset.files(path), dataset.packs(path)
     parts = [part for part in path.rglob("*") if atomic_file.is_part(part)]
     if not (files or packs or parts):
         raise UserError(f"{path}: no bundles (*.h5) in this folder")
-    found = [f for p in sorted([*files, *parts]) for f in (_leftover(p) if atomic_file.is_part(p) else _file(p))]
+    seen: Seen = {}
+    found = [f for p in sorted([*files, *parts]) for f in (_leftover(p) if atomic_file.is_part(p) else _file(p, seen))]
     return found + [f for folder in packs for f in _packed(folder)]
 
 
@@ -67,16 +71,21 @@ def _packed(folder: Path) -> list[Finding]:
         scenes = dataset.packed(folder)
     except UserError as error:
         return [Finding(folder, "error", line.removeprefix(f"{folder}: ")) for line in error.lines]
-    return [f for path, group in scenes for f in _file(path, group)]
+    seen: Seen = {}
+    return [f for path, group in scenes for f in _file(path, seen, group)]
 
 
-def _file(path: Path, group: str = "/") -> list[Finding]:
+def _file(path: Path, seen: Seen, group: str = "/") -> list[Finding]:
     try:
         bundle = read(path, group)
         datasets = bundle.verify()
     except UserError as error:
         level: Literal["error", "incomplete"] = "incomplete" if isinstance(error, Unfinished) else "error"
         return [Finding(path, level, line.removeprefix(f"{path}: ")) for line in error.lines]
+    name = path.name if group == "/" else group[1:]
+    first = seen.setdefault((path.parent, bundle.attrs["digest"]), name)
+    if first != name:
+        return [Finding(path, "error", f"{name} is a copy of {first}: one of them was exchanged")]
     found = [Finding(path, "error", message) for message in _layout(bundle, datasets)]
     if not found:  # the checks below rely on the layout
         found = [Finding(path, "error", message) for rule in RULES for message in rule(bundle)]

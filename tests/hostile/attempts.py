@@ -10,8 +10,9 @@ import tempfile
 import time
 import traceback
 from collections.abc import Callable
-from contextlib import redirect_stderr, redirect_stdout
+from contextlib import redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from random import Random
 
@@ -20,11 +21,13 @@ from helpers.synthetic import OUTPUTS, write
 
 from hostile.mutations import MUTATIONS
 from tacgen.bundle import dataset, pack
+from tacgen.bundle.check import check
 from tacgen.bundle.journal import Journal, write_plan
 from tacgen.errors import UserError
 from tacgen.report import dataset_card
 
-SECONDS = 20.0  # that a reader may take
+SECONDS = 20  # of processor time that a reader may take
+WAIT_S = 120.0  # that pass until one that waits for something is given up; other work may keep it from the processor
 MEMORY = 3 * 2**30  # bytes of address space beyond what the process has
 GOOD = ("accepted", "refused")
 OUTCOMES = (*GOOD, "lost", "wrong", "traceback", "hung", "died")
@@ -166,12 +169,31 @@ def _card(folder: Path) -> None:
     dataset_card.write(folder)
 
 
-def digests(folder: Path) -> list[str]:
-    """Of all scenes, each read through; raises UserError."""
-    found = dataset.scenes(folder)
-    for bundle in found:
-        bundle.verify()
-    return [bundle.attrs["digest"] for bundle in found]
+def warm(source: Path) -> None:
+    """Every reader once in this process, so that no child has to import what it reads with."""
+    for reader in READERS:
+        with tempfile.TemporaryDirectory() as scratch, redirect_stdout(io.StringIO()), suppress(UserError):
+            shutil.copytree(source / "loose", Path(scratch) / "loose")
+            READERS[reader](Path(scratch) / "loose")
+
+
+@dataclass(frozen=True)
+class Content:
+    """Digests of all scenes, each read through, and what `check` says of them."""
+
+    digests: list[str]
+    findings: list[str]
+
+    @classmethod
+    def of(cls, folder: Path) -> "Content":
+        """Raises UserError."""
+        found = dataset.scenes(folder)
+        for bundle in found:
+            bundle.verify()
+        return cls([bundle.attrs["digest"] for bundle in found], [finding.message for finding in check(folder)])
+
+
+sound = cache(Content.of)  # of a folder that nobody spoils
 
 
 def attempt(kind: str, seed: int, source: Path) -> Attempt:
@@ -184,19 +206,21 @@ def attempt(kind: str, seed: int, source: Path) -> Attempt:
         folder, note = Path(scratch) / which, Path(scratch) / "note"
         shutil.copytree(source / which, folder)
         said = f"{MUTATIONS[kind](rng, folder)}, {which}, {reader}"
-        sound = digests(source / which) if kind == "bytes" else None
-        code = contained(lambda: _read(reader, folder, sound), note)
+        wanted = sound(source / which) if kind == "bytes" else None
+        code = contained(lambda: _read(reader, folder, wanted), note)
         return Attempt(kind, seed, said, code, note.read_text() if note.exists() else "")
 
 
-def _read(reader: str, folder: Path, sound: list[str] | None) -> str:
+def _read(reader: str, folder: Path, wanted: Content | None) -> str:
+    """What is no longer what it was is wrong, unless `check` says so."""
     READERS.get(reader, _inputs)(folder)
-    if sound is not None and reader == "check":
-        command("check", str(folder))
+    if wanted is not None and reader == "check":
         try:
-            return "accepted" if digests(folder) == sound else "wrong"
+            found = Content.of(folder)
         except UserError:
             return "accepted"  # check has said it in findings
+        if found.digests != wanted.digests and found.findings == wanted.findings:
+            return "wrong"
     return "accepted"
 
 
@@ -206,13 +230,13 @@ def contained(work: Callable[[], str], note: Path) -> str:
     child = os.fork()
     if not child:
         os._exit(_child(work, note))
-    deadline = time.monotonic() + SECONDS
+    deadline = time.monotonic() + WAIT_S
     while time.monotonic() < deadline:
         pid, status = os.waitpid(child, os.WNOHANG)
         if pid:
             if os.WIFSIGNALED(status):
                 note.write_text(f"signal {os.WTERMSIG(status)}")
-                return "died"
+                return "hung" if os.WTERMSIG(status) == signal.SIGXCPU else "died"
             return next((name for name, code in CODES.items() if code == os.WEXITSTATUS(status)), "died")
         time.sleep(0.005)
     os.kill(child, signal.SIGKILL)
@@ -223,6 +247,7 @@ def contained(work: Callable[[], str], note: Path) -> str:
 def _child(work: Callable[[], str], note: Path) -> int:
     used = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
     resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY, used + MEMORY))
+    resource.setrlimit(resource.RLIMIT_CPU, (SECONDS, SECONDS + 1))
     try:
         with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
             return CODES[work()]

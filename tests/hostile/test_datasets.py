@@ -31,7 +31,9 @@ INPUTS = 12  # of each kind
 
 @pytest.fixture(scope="module")
 def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return attempts.base(tmp_path_factory.mktemp("hostile"))
+    made = attempts.base(tmp_path_factory.mktemp("hostile"))
+    attempts.warm(made)
+    return made
 
 
 @pytest.mark.parametrize("kind", sorted(MUTATIONS.keys() - {"inputs"}))
@@ -66,6 +68,14 @@ def test_a_zeroed_heap_of_strings_is_refused(tmp_path: Path) -> None:
     path.write_bytes(data)
     with pytest.raises(UserError, match="damaged"):
         read(path)
+
+
+def test_a_bundle_in_another_s_place_is_found(source: Path, tmp_path: Path) -> None:
+    sound = attempts.sound(source / "loose")
+    shutil.copytree(source / "loose", tmp_path / "loose")
+    shutil.copy(tmp_path / "loose" / "scene-00000.h5", tmp_path / "loose" / "scene-00002.h5")
+    (new,) = set(attempts.Content.of(tmp_path / "loose").findings) - set(sound.findings)
+    assert new == "scene-00002.h5 is a copy of scene-00000.h5: one of them was exchanged"
 
 
 def test_names_leave_no_folder_and_reach_no_terminal(source: Path, tmp_path: Path) -> None:
