@@ -25,7 +25,9 @@ BENCHES = {  # and the module of each
     "stability": "stability",
     "pay": "cost_per_output",
     "scaling": "scaling",
+    "load": "load",
 }
+PARTS = (*BENCHES, "torture")  # of the page; `make torture` writes the last
 PAGE, FOLDER = "RESULTS.md", "results"
 HEAD = (
     "Written by `tacgen bench` (`make bench`), never by hand: each part says when, where and with what it was made."
@@ -64,4 +66,4 @@ def run(names: Sequence[str], out: Path, level: results_page.Level, say: results
 def record(name: str, found: results_page.Result, seconds: float, out: Path) -> None:
     """Write one part's figures to `out`/results, and `out`/RESULTS.md anew."""
     results_page.write(out / FOLDER, name, found, seconds)
-    results_page.page(out / FOLDER, list(BENCHES), out / PAGE, "Results", f"{HEAD}\n\n{summary.short(out / FOLDER)}")
+    results_page.page(out / FOLDER, PARTS, out / PAGE, "Results", f"{HEAD}\n\n{summary.short(out / FOLDER)}")

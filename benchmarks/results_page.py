@@ -169,9 +169,9 @@ def cores(level: Level = "normal") -> Iterator[Callable[..., Iterator[Any]]]:
         yield workers.map
 
 
-def peak_memory() -> float:
-    """Of this process since it began [MB]; getrusage would count what the parent had when it forked."""
-    return float(Path("/proc/self/status").read_text().partition("VmHWM:")[2].split()[0]) / 1024
+def peak_memory(process: int | str = "self") -> float:
+    """Of a process since it began [MB]; getrusage would count what the parent had when it forked."""
+    return float(Path(f"/proc/{process}/status").read_text().partition("VmHWM:")[2].split()[0]) / 1024
 
 
 def front(x: Sequence[float], y: Sequence[float]) -> list[int]:

@@ -322,7 +322,8 @@ def bench(
     names: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[NAME]...", help="mechanics ordinary pipeline cost peers optics real stability pay scaling, or all"
+            metavar="[NAME]...",
+            help="mechanics ordinary pipeline cost peers optics real stability pay scaling load, or all",
         ),
     ] = None,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for RESULTS.md and results/.")] = Path("out/bench"),

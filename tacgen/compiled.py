@@ -50,9 +50,10 @@ def folder() -> Path:
 
 def njit(*, cache: bool, **options: Any) -> Callable[[F], F]:
     """numba.njit without what only other compilers' code would call; with `cache`, into our folder."""
+    compiler: Any = numba.njit
 
     def decorate(function: F) -> F:
-        decorated: Any = numba.njit(no_cfunc_wrapper=True, **options)(function)
+        decorated = compiler(no_cfunc_wrapper=True, **options)(function)
         if cache:
             decorated._cache = _Code(function)
         return cast(F, decorated)

@@ -1,6 +1,6 @@
 """`make torture`: many hostile inputs and kills, and a table of what became of them.
 
-python -m hostile.torture --inputs 10000 --kills 1000
+python -m hostile.torture --inputs 10000 --kills 1000 -o docs
 """
 
 import argparse
@@ -8,11 +8,20 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable
+from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 
+import benchmarks
+from benchmarks import results_page
 from hostile import attempts, kills
 from hostile.mutations import MUTATIONS
+
+ABOUT = (
+    "Hostile inputs, each read by a command or a loader in a process of its own, and processes killed at a call to the"
+    " disk and run again. Accepted is what a reader does not read, what is as good as it was, what `check` tells, and"
+    " of crafted files with right digests what is laid out as a bundle; of kills what a second run made whole."
+)
 
 
 def main() -> int:
@@ -20,31 +29,32 @@ def main() -> int:
     parser.add_argument("--inputs", type=int, default=10_000, help="shared by all kinds of damage")
     parser.add_argument("--kills", type=int, default=1_000)
     parser.add_argument("--first", type=int, default=0, help="seed to begin with")
+    parser.add_argument("--out", "-o", type=Path, default=Path("out/torture"), help="folder for the page of results")
     args = parser.parse_args()
-    start, bad = time.monotonic(), 0
+    start, counts, bad = time.perf_counter(), dict[str, Counter[str]](), list[str]()
+    numbers = dict.fromkeys(sorted(MUTATIONS), args.inputs // len(MUTATIONS)) | {"kill": args.kills}
+    jobs = [(kind, args.first + i) for kind, number in numbers.items() for i in range(number)]
     with tempfile.TemporaryDirectory() as scratch:
         source = attempts.inputs(attempts.base(Path(scratch)))
-        each = args.inputs // len(MUTATIONS)
-        work: dict[str, tuple[int, Callable[[int], attempts.Attempt]]] = {
-            kind: (each, lambda seed, kind=kind: attempts.attempt(kind, seed, source)) for kind in sorted(MUTATIONS)
-        }
-        work["kill"] = (args.kills, lambda seed: kills.kill(seed, source))
-        rows = []
-        for kind, (number, attempt) in work.items():
-            count: Counter[str] = Counter()
-            for seed in range(args.first, args.first + number):
-                found = attempt(seed)
-                count[found.outcome] += 1
+        attempts.warm(source)
+        with get_context("fork").Pool(results_page.core_count()) as pool:
+            for found in pool.imap_unordered(partial(one, source), jobs, chunksize=4):
+                counts.setdefault(found.kind, Counter())[found.outcome] += 1
                 if found.outcome not in attempts.GOOD:
-                    bad += 1
+                    bad.append(str(found))
                     print(found, file=sys.stderr, flush=True)
-            rows.append([kind, count.total(), *(count[name] for name in attempts.OUTCOMES)])
-    print("| kind | tried | " + " | ".join(attempts.OUTCOMES) + " |")
-    print("|---" * (len(attempts.OUTCOMES) + 2) + "|")
-    for row in rows:
-        print("| " + " | ".join(map(str, row)) + " |")
-    print(f"\n{time.monotonic() - start:.0f} s, seeds from {args.first}")
+    heads = results_page.columns("kind", "tried: d", *(f"{name}: d" for name in attempts.OUTCOMES))
+    rows = [[kind, n.total(), *(n[name] for name in attempts.OUTCOMES)] for kind, n in sorted(counts.items())]
+    table = results_page.Table("Damage and kills", heads, rows, f"Seeds from {args.first}." + "".join(bad))
+    benchmarks.record("torture", results_page.Result(ABOUT, [table]), time.perf_counter() - start, args.out)
+    print((args.out / benchmarks.PAGE).read_text())
     return 1 if bad else 0
+
+
+def one(source: Path, job: tuple[str, int]) -> attempts.Attempt:
+    """One attempt or kill, by its kind and seed."""
+    kind, seed = job
+    return kills.kill(seed, source) if kind == "kill" else attempts.attempt(kind, seed, source)
 
 
 if __name__ == "__main__":
