@@ -8,6 +8,8 @@ import os
 import re
 import shutil
 import signal
+import subprocess
+import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -27,6 +29,7 @@ from tacgen.errors import UserError
 from tacgen.report import dataset_card, dataset_summary, html_report
 
 INPUTS = 12  # of each kind
+TESTS = Path(__file__).parents[1]
 
 
 @pytest.fixture(scope="module")
@@ -164,3 +167,13 @@ def test_a_journal_that_is_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
         return "accepted"
 
     assert attempts.contained(write_it, tmp_path / "note") == "accepted"
+
+
+@pytest.mark.slow
+def test_torture_writes_its_table(tmp_path: Path) -> None:
+    command = [sys.executable, "-W", "ignore", "-m", "hostile.torture", "--inputs", "5", "--kills", "2", "-o", tmp_path]
+    here = {**os.environ, "PYTHONPATH": f"{TESTS}{os.pathsep}{TESTS.parent}"}
+    subprocess.run(command, env=here, check=True, timeout=300, stdout=subprocess.DEVNULL)
+    (table,) = json.loads((tmp_path / "results" / "torture.json").read_text())["tables"]
+    assert [row[:2] for row in table["rows"]] == [[kind, 1] for kind in sorted(MUTATIONS)] + [["kill", 2]]
+    assert "## Torture" in (tmp_path / "RESULTS.md").read_text()

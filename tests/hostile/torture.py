@@ -31,20 +31,21 @@ def main() -> int:
     parser.add_argument("--first", type=int, default=0, help="seed to begin with")
     parser.add_argument("--out", "-o", type=Path, default=Path("out/torture"), help="folder for the page of results")
     args = parser.parse_args()
-    start, counts, bad = time.perf_counter(), dict[str, Counter[str]](), list[str]()
+    start, bad = time.perf_counter(), list[str]()
     numbers = dict.fromkeys(sorted(MUTATIONS), args.inputs // len(MUTATIONS)) | {"kill": args.kills}
+    counts = {kind: Counter[str]() for kind in numbers}
     jobs = [(kind, args.first + i) for kind, number in numbers.items() for i in range(number)]
     with tempfile.TemporaryDirectory() as scratch:
         source = attempts.inputs(attempts.base(Path(scratch)))
         attempts.warm(source)
         with get_context("fork").Pool(results_page.core_count()) as pool:
             for found in pool.imap_unordered(partial(one, source), jobs, chunksize=4):
-                counts.setdefault(found.kind, Counter())[found.outcome] += 1
+                counts[found.kind][found.outcome] += 1
                 if found.outcome not in attempts.GOOD:
                     bad.append(str(found))
                     print(found, file=sys.stderr, flush=True)
     heads = results_page.columns("kind", "tried: d", *(f"{name}: d" for name in attempts.OUTCOMES))
-    rows = [[kind, n.total(), *(n[name] for name in attempts.OUTCOMES)] for kind, n in sorted(counts.items())]
+    rows = [[kind, n.total(), *(n[name] for name in attempts.OUTCOMES)] for kind, n in counts.items()]
     table = results_page.Table("Damage and kills", heads, rows, f"Seeds from {args.first}." + "".join(bad))
     benchmarks.record("torture", results_page.Result(ABOUT, [table]), time.perf_counter() - start, args.out)
     print((args.out / benchmarks.PAGE).read_text())
