@@ -82,10 +82,11 @@ class Faces:
     slots: Array
 
     @classmethod
-    def on(cls, pattern: Pattern, points: Array, facets: Array) -> "Faces":
-        N, _, _ = facet_points(facets.shape[1])
+    def on(cls, pattern: Pattern, points: Array, facets: Array, along: int = 2) -> "Faces":
+        """With so many points `along` each side of a quad."""
+        N, _, _ = facet_points(facets.shape[1], along)
         facets = np.ascontiguousarray(facets)  # loops are compiled anew for another memory layout
-        return cls(facets, N, facet_areas(points, facets)[0], pattern.slots(facets))
+        return cls(facets, N, facet_areas(points, facets, along)[0], pattern.slots(facets))
 
     def only(self, which: Array) -> "Faces":
         """Those numbered `which` (k,)."""

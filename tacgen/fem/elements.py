@@ -13,6 +13,7 @@ HEX_CORNERS = np.array(
 HEX_EDGES = np.array([(0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7)])
 QUAD_CORNERS = HEX_CORNERS[:4, :2]
 GAUSS2 = np.array([-1.0, 1.0]) / np.sqrt(3.0)
+GAUSS = {2: (GAUSS2, np.ones(2)), 3: (np.array([-1.0, 0, 1]) * np.sqrt(0.6), np.array([5.0, 8, 5]) / 9)}  # on a side
 TET_EDGES = np.array([(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)])
 TRIANGLE_EDGES = np.array([(0, 1), (1, 2), (2, 0)])
 TET4 = (5 - np.sqrt(5.0)) / 20  # smaller barycentric coordinate of the 4-point rule of degree 2
@@ -144,16 +145,17 @@ def elements(points: Array, conn: Array) -> Elements:
     return KINDS[conn.shape[1]](points, conn)
 
 
-def facet_points(nodes: int) -> tuple[Array, Array, Array]:
+def facet_points(nodes: int, along: int = 2) -> tuple[Array, Array, Array]:
     """Quadrature on a facet of 4 (quad), 6 or 3 (triangle) nodes: N (q, a), dN (q, a, 2) and weights (q,).
 
-    2x2 Gauss points; 6 points of degree 4 and 3 of degree 2, Dunavant (1985).
+    Gauss points on quads, so many `along` each side; 6 points of degree 4 and 3 of degree 2, Dunavant (1985).
     """
     if nodes == 4:
-        g = np.array([[a, b] for b in GAUSS2 for a in GAUSS2])
+        at, weight = GAUSS[along]
+        g = np.array([[a, b] for b in at for a in at])
         f = 1 + QUAD_CORNERS[None] * g[:, None]
         dN = np.stack([QUAD_CORNERS[:, 0] * f[..., 1], f[..., 0] * QUAD_CORNERS[:, 1]], -1) / 4
-        return f.prod(2) / 4, dN, np.ones(4)
+        return f.prod(2) / 4, dN, np.outer(weight, weight).ravel()
     rule = DUNAVANT[nodes]
     L = np.concatenate([np.full((3, 3), a) + np.eye(3) * (1 - 3 * a) for a, _ in rule])
     N, dL = barycentric(L, nodes)
@@ -168,9 +170,9 @@ def facet_corners(nodes: int) -> Array:
     return np.concatenate([corners, corners[TRIANGLE_EDGES].mean(1)])[:nodes]
 
 
-def facet_areas(points: Array, facets: Array) -> tuple[Array, Array]:
+def facet_areas(points: Array, facets: Array, along: int = 2) -> tuple[Array, Array]:
     """Areas of the quadrature points (f, q) [mm^2] and unit normals (f, q, 3) of curved facets (f, a)."""
-    _, dN, weights = facet_points(facets.shape[1])
+    _, dN, weights = facet_points(facets.shape[1], along)
     tangents = np.einsum("qak,fai->fqki", dN, points[facets])
     normal = np.cross(tangents[:, :, 0], tangents[:, :, 1])
     area = np.linalg.norm(normal, axis=2)

@@ -27,6 +27,9 @@ if TYPE_CHECKING:
 Array = np.ndarray
 USUAL_GAP = 0.75  # of dhat: the mean gap of a light press, by which the indenter is shrunk at first
 FORCE_FLOOR = 1e-3  # of kappa dhat^2: a force that touching to within tolerances may well give
+# Contact points along a facet's side, under an indenter thinner than that side: rubbed gel is drawn out to twice its
+# length, and with two points it comes in between. Elsewhere two, as three stiffen a coarse mesh (1 % for a ball).
+POINTS_IF_THIN = 3
 AnyContact: TypeAlias = "Contact | MeshContact"
 
 
@@ -141,7 +144,8 @@ def _contact(scene: Scene, mesh: Mesh, pat: Pattern) -> AnyContact:
     facets, pose = mesh.facets["coated"], Pose.of(scene.start)
     kappa = 2 * scene.gel.layers[-1].youngs_modulus
     if scene.surface is None:
-        return Contact(Faces.on(pat, mesh.points, facets), scene.shape, pose, scene.dhat, kappa)
+        along = POINTS_IF_THIN if 2 * scene.shape.reach < scene.edge else 2
+        return Contact(Faces.on(pat, mesh.points, facets, along), scene.shape, pose, scene.dhat, kappa)
     from tacgen.contact.ipctk import MeshContact, Pair
 
     pair = Pair.of(pat, mesh.points, facets, scene.surface)

@@ -25,6 +25,15 @@ def test_areas_and_normals_of_a_bent_patch(nodes: int) -> None:
     assert (normal * true).sum(-1).min() > (1 - 1e-12 if nodes == 6 else 0.99)
 
 
+def test_more_points_a_side_integrate_higher_powers() -> None:
+    """u^4 v^4 over [-1, 1]^2 is 4/25: three Gauss points are exact to degree 5, two to degree 3."""
+    for along, exact in ((2, False), (3, True)):
+        N, _, weights = facet_points(4, along)
+        u, v = (N @ facet_corners(4)).T
+        assert bool(abs(weights @ (u**4 * v**4) - 4 / 25) < 1e-12) == exact
+        assert weights.sum() == pytest.approx(4)
+
+
 @KINDS
 def test_a_force_is_shared_evenly_and_wholly(nodes: int) -> None:
     N, _, weights = facet_points(nodes)

@@ -32,6 +32,14 @@ LETTERS = (
     "contact.friction=0.459",
     "sensor_overrides={'gel.layers[0].youngs_modulus_mpa': 1.7912, 'gel.layers[0].poissons_ratio': 0.495}",
 )
+TURNED_LETTERS = (
+    "sensor=gelsight_mini",
+    "indenter={shape: mesh, file: letters}",
+    "trajectory=[{press: {depth_mm: 1.081, frames: 5}}, {slide: {x_mm: 1.615, y_mm: 1.024, frames: 6}},"
+    " {twist: {angle_deg: 20.6, frames: 5}}]",
+    "contact.friction=0.408",
+    "start={x_mm: -2.24, y_mm: 1.72}",
+)
 GEAR = (
     "sensor=digit",
     "indenter={shape: mesh, file: gear}",
@@ -51,8 +59,13 @@ def solved(sets: tuple[str, ...]) -> tuple[Problem, list[State]]:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("sets", "frames", "factored", "frame", "force"),
-    [(KEY, 7, 100, 6, -9.4), (BALL, 19, 500, 2, -4.38), (LETTERS, 12, 250, 1, -72.8)],
-    ids=["key pressed and slid", "ball rubbed there and back", "letters tilted and slid"],
+    [
+        (KEY, 7, 100, 6, -9.4),
+        (BALL, 19, 500, 2, -4.38),
+        (LETTERS, 12, 250, 1, -72.8),
+        (TURNED_LETTERS, 16, 120, 4, -16.1),
+    ],
+    ids=["key pressed and slid", "ball rubbed there and back", "letters tilted and slid", "letters slid and turned"],
 )
 def test_it_ends_with_no_element_inside_out(
     sets: tuple[str, ...], frames: int, factored: int, frame: int, force: float
