@@ -69,7 +69,7 @@ def lines_of(tmp_path: Path, text: str, sets: tuple[str, ...] = ()) -> list[str]
         ("press:", "perss:", "8:5: trajectory[0].perss: unknown key, did you mean press?"),
         ("radius_mm: 4.0", "raduis_mm: 4.0", "6:3: indenter.raduis_mm: unknown key, did you mean radius_mm?"),
         ("radius_mm: 4.0", "radius_mm:", "6:3: indenter.radius_mm: must be a number (got nothing)"),
-        ("shape: sphere", "shape: sphre", "5:10: indenter.shape: must be one of sphere, cylinder, cone, box, wedge"),
+        ("shape: sphere", "shape: sphre", f"5:10: indenter.shape: must be one of {', '.join(SHAPES)}"),
         ("  shape: sphere\n", "", "4:1: indenter.shape: is missing"),
         (
             "outputs: [force]",
