@@ -34,7 +34,9 @@ class Commands(TyperGroup):
             for line in error.lines:
                 typer.echo(line, err=True)
             raise typer.Exit(2) from None
-        except MemoryError:
+        except (MemoryError, ImportError) as error:
+            if isinstance(error, ImportError) and "failed to map segment" not in str(error):
+                raise
             typer.echo("out of memory: close other programs, or raise the limit (ulimit -v)", err=True)
             raise typer.Exit(2) from None
         except OSError as error:

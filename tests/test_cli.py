@@ -240,6 +240,7 @@ def test_an_interrupt_is_exit_code_130(tmp_path: Path, batch: Any, stop: Callabl
         (OSError(errno.EMFILE, "Too many open files", "x.h5"), "x.h5: Too many open files"),
         (OSError(errno.ENOSPC, "No space left on device"), "No space left on device"),
         (MemoryError(), "out of memory"),
+        (ImportError("x.so: failed to map segment from shared object"), "out of memory"),
     ],
 )
 def test_what_the_machine_lacks_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, scarce: Any, says: str):

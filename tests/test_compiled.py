@@ -122,8 +122,9 @@ def test_one_process_compiles_and_others_wait(tmp_path: Path, monkeypatch: pytes
     assert told == [True], "nobody waits any more"
 
 
-def test_no_threads_are_one():
-    environment = {**os.environ, "NUMBA_NUM_THREADS": "0"}
+@pytest.mark.parametrize("threads", ["0", "-1", "many"])
+def test_no_number_of_threads_is_one(threads: str):
+    environment = {**os.environ, "NUMBA_NUM_THREADS": threads}
     asked = "import tacgen.pipeline, numba; print(numba.get_num_threads())"
     done = subprocess.run([sys.executable, "-c", asked], env=environment, capture_output=True, text=True)
-    assert done.stdout == "1\n", done.stderr
+    assert (done.stdout, done.stderr) == ("1\n", "")
