@@ -1,4 +1,4 @@
-"""Whether an indenter passes through the gel unseen: in a step, or between the points where contact acts."""
+"""Tunnelling: whether the indenter passes through the gel in a step, or between the contact's quadrature points."""
 
 from collections.abc import Iterable
 
@@ -9,21 +9,21 @@ from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import QUAD_CORNERS, barycentric
 
 Array = np.ndarray
-DEEPEST = 0.75  # of the indenter's reach: how far inside it a point may come on its way
-BETWEEN = 6  # parts of a facet's side, at whose ends it is looked at between the points of contact
-TURN = 0.25  # minus the cosine by which the way out of it may have turned there
+DEEPEST = 0.75  # depth over the indenter's reach [-]: a point that is deeper at some part of its step has tunnelled
+BETWEEN = 6  # intervals along a facet's side: the overlap is sampled at their ends
+TURN = 0.25  # -cos of the angle between the outward normals at entry and later [-]: beyond it a point has tunnelled
 
 
 def blocked(contact: Contact, was: Pose, before: Array, gap: Array, x: Array) -> bool:
-    """Whether a point of the face, going straight, would have the indenter pass through it.
+    """Whether a straight step carries a point of the face through the indenter.
 
     As seen from the indenter, which `was` at one pose with the nodes at `before` (n, 3) and gaps (f, q) [mm], and is at
-    the contact's with the nodes at x. A point that comes past the indenter's middle, which shows in the way out there
-    having turned by more than a right angle or in a great depth, would be pushed out on the far side.
+    the contact's with the nodes at x. A point past the indenter's middle would be pushed out on the far side; there the
+    outward normal has turned by more than a right angle since the point entered, or the depth is large.
     """
     a, b = was.local(contact.faces.at(before)), contact.pose.local(contact.faces.at(x))
     way = np.linalg.norm(b - a, axis=-1)
-    near = way > np.maximum(gap, 0.0)  # the others cannot have come to the surface
+    near = way > np.maximum(gap, 0.0)  # the others move less than their gap
     if not near.any():
         return False
     start, step, reach = a[near], (b - a)[near], contact.shape.reach
