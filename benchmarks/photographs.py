@@ -8,13 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.results_page import ROOT
+from tacgen.calibrate import contact_circle
 from tacgen.calibrate.photos import Press
 from tacgen.recipe.background_photo import read
 
 Array = np.ndarray
 UNTOUCHED = {"gelsight_mini": "background.png", "digit": "background.png", "ninedtact": "reference_rectified.png"}
-# Middle and radius of the contact [px]. circles.csv has this one around the bright part of the dent alone: its rim,
-# where the colours turn, is as large as that of the same ball elsewhere.
+# Middle and radius of the contact [px], from which the Mini's circles are refined. circles.csv has this one around the
+# bright part of the dent alone: its rim, where the colours turn, is as large as that of the same ball elsewhere.
 MINI = {"ball_6.310mm_5.png": (279.5, 30.0, 34.0)}
 DIGIT_BALL = 1.9  # [mm]
 DIGIT = {  # nobody wrote these down: found together with the unit's lights
@@ -47,7 +48,10 @@ def unit(name: str, folder: Path | None = None) -> Unit | None:
     folder = (folder or reference()) / name
     if not (folder / UNTOUCHED[name]).is_file():
         return None
-    return Unit(folder, read(folder / UNTOUCHED[name]), tuple(_presses(name, folder)))
+    untouched, presses = read(folder / UNTOUCHED[name]), _presses(name, folder)
+    if name == "gelsight_mini":  # flat: where the colours bend, a tenth inside of where they seem to end
+        presses = [contact_circle.refined(press, untouched) for press in presses]
+    return Unit(folder, untouched, tuple(presses))
 
 
 def _presses(name: str, folder: Path) -> list[Press]:

@@ -6,7 +6,7 @@ by as much as a tolerance weighs. Presses count by their change against the unto
 coat and what the lights cannot explain of the background do not drag them.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.optimize import least_squares, nnls
 
-from tacgen.calibrate import press_faces
+from tacgen.calibrate import contact_circle, press_faces
 from tacgen.calibrate.likeness import Comparison, Likeness
 from tacgen.calibrate.photos import Photos, Press
 from tacgen.calibrate.result import Fitted, rgb, rms
@@ -87,6 +87,9 @@ def fit(
     """Lights, and where there are presses the rest; and how alike those held out are before and after. Presses count
     from 1."""
     tolerance = Tolerance(asked.mm, float(np.radians(asked.deg)) if asked.mm else 0.0)
+    if sensor.gel.dome is None:  # on a dome shadows bend the colours more than the rim does
+        refined = tuple(contact_circle.refined(press, photos.untouched) for press in photos.presses)
+        photos = replace(photos, presses=refined)
     faces = [press_faces.face(sensor, press, folders) for press in photos.presses]
     found = Fit(sensor, photos, faces, tolerance, asked.bare).run(asked.steps, held_out)
     judges = [k - 1 for k in held_out if photos.presses[k - 1].contact is not None]

@@ -1,4 +1,4 @@
-"""From linear radiance to the camera's 8-bit picture: vignette, exposure, response; and the stray light."""
+"""From linear radiance to the camera's 8-bit picture: focus, vignette, exposure, response; and the stray light."""
 
 from typing import TYPE_CHECKING
 
@@ -21,6 +21,16 @@ def vignette(camera: "Eye") -> "Floats":
     down = (y - camera.height_px / 2) * camera.mm_per_px + camera.crop_mm[1]
     r2 = right**2 + down**2
     return np.ones_like(r2) if camera.vignette_mm is None else 1.0 / (1.0 + r2 / camera.vignette_mm**2) ** 2
+
+
+def blurred(radiance: "Floats", camera: "Eye") -> "Floats":
+    """A radiance picture (H, W, 3) out of focus: the image of a point is a Gaussian of standard deviation blur_mm."""
+    if not camera.blur_mm:
+        return radiance
+    from scipy.ndimage import gaussian_filter
+
+    sd = camera.blur_mm / camera.mm_per_px
+    return np.asarray(gaussian_filter(radiance, (sd, sd, 0), mode="nearest"))
 
 
 def encoded(light: "Floats", camera: "Eye") -> "Floats":

@@ -104,6 +104,7 @@ class Eye(Protocol):
     mm_per_px: float
     width_px: int
     height_px: int
+    blur_mm: float
     exposure: float
     ambient: Vec3
     vignette_mm: float | None

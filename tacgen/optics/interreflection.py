@@ -34,7 +34,7 @@ TERMS = 5  # of the square polynomial in how far a normal has moved: 1, x, y, x^
 class Glow:
     """What bounces from each of the camera's samples, by how the face has turned there."""
 
-    terms: "Floats"  # radiance (samples, TERMS, 3)
+    terms: "NDArray[np.float32]"  # radiance (samples, TERMS, 3)
     untouched: "Floats"  # sideways parts of the untouched normal, (samples, 2)
 
     def at(self, normal: "Floats", index: "NDArray[np.int64] | slice" = slice(None)) -> "Floats":
@@ -89,11 +89,11 @@ class Bounce:
 
     def glow(self, values: "Floats", view: "View") -> Glow:
         """Values (coat patches, TERMS, 3) as the camera sees them; off the pad its edge."""
-        from scipy.ndimage import map_coordinates, zoom
+        from scipy.ndimage import map_coordinates
 
         at = view.look(self._face)
         rest, normal = at.rest, np.nan_to_num(at.normal[:, :2])
-        grid = zoom(values.reshape(*self.sheet.shape, -1), (FINER, FINER, 1), order=3, mode="nearest")
+        grid = finer(values.reshape(*self.sheet.shape, -1))
         rows, columns, count = grid.shape
         grid_at = np.nan_to_num(((rest / self.sheet.size + 0.5) * [columns - 1, rows - 1]).T[::-1])
         terms, passed = np.empty((len(rest), count), np.float32), view.transmission()
@@ -129,3 +129,15 @@ class Bounce:
                     normals.append([(a[1] - b[1]) / length, (b[0] - a[0]) / length, 0.0])
                     area.append(length / wide * (top - bottom) / tall)
         return np.array(at), np.array(normals), np.array(area)
+
+
+def finer(coarse: "Floats") -> "Floats":
+    """Values (rows, columns, n) FINER times as dense, by cubic splines that stay within what the patches around have:
+    beside a patch that an LED all but touches they would swing below 0 and draw dark spots."""
+    from scipy.ndimage import maximum_filter, minimum_filter, zoom
+
+    def dense(what: "Floats", order: int) -> "Floats":
+        return np.asarray(zoom(what, (FINER, FINER, 1), order=order, mode="nearest"))
+
+    least, most = (dense(of(coarse, size=(3, 3, 1), mode="nearest"), 1) for of in (minimum_filter, maximum_filter))
+    return np.clip(dense(coarse, 3), least, most)

@@ -304,6 +304,7 @@ class Camera(Part):
     mm_per_px: Positive  # on the untouched coating, on the optical axis
     width_px: Annotated[int, Field(ge=8)]
     height_px: Annotated[int, Field(ge=8)]
+    blur_mm: NotNegative = 0.0  # focus: standard deviation of a point's image, at its scale on the coating
     exposure: Positive = 1.0  # linear radiance to sensor full scale
     ambient: Rgb = (0.0, 0.0, 0.0)  # what even stray light adds to a bare coat, fraction of full scale
     vignette_mm: Positive | None = None  # r0 of the fall-off 1/(1+(r/r0)^2)^2 on the coating; none if absent

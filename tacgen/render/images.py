@@ -42,6 +42,7 @@ SMOOTH = 3.5  # [map pixels] the Gaussian that takes the noise off a map
 TABLE_COLUMNS = 64  # of the pictures that a table is calibrated on
 TABLE_PATHS = 8  # in a pixel of those, for each path a pixel that was asked for
 LINEAR = {
+    "blur_mm",
     "exposure",
     "ambient",
     "vignette_mm",
@@ -235,7 +236,7 @@ class Renderer:
         if self.sensor.thickness_response is not None:
             change = at.position[:, 2] - self.untouched.at(at.position[:, :2])[:, 2]
             made *= self._view.picture(scattering.gain(self.sensor.thickness_response, change))
-        return made.astype(np.float32)
+        return camera_response.blurred(made, self.sensor.camera).astype(np.float32)
 
     def flat(self) -> "NDArray[np.float32]":
         """Linear radiance (H, W, 3) of the untouched face."""

@@ -68,3 +68,16 @@ def test_stray_light_is_even_after_the_response_and_dots_stay_dark_in_it():
     share = camera_response.expose(seen, model.camera)[16, 20] / [0.1, 0.2, 0.3]  # the middle of the middle dot
     coat = 0.8 * np.array(model.coating.albedo) + 0.2 * coating.METAL
     assert share == pytest.approx(0.03 / coat, rel=1e-6)
+
+
+def test_out_of_focus_an_edge_is_as_wide_as_the_file_says_whatever_the_pixels():
+    edge = np.repeat(np.repeat(np.where(np.arange(80) < 40, 0.2, 0.8)[None, :, None], 20, 0), 3, 2)
+    for mm_per_px in (0.05, 0.1):
+        camera = sensor(camera={"blur_mm": 0.2, "mm_per_px": mm_per_px}).camera
+        line = camera_response.blurred(edge, camera)[10, :, 1]
+        spread = np.diff(line) / 0.6  # its derivative is the line's image, a Gaussian
+        x = (np.arange(79) - 39) * mm_per_px
+        assert line[[0, -1]] == pytest.approx([0.2, 0.8], abs=1e-6)
+        assert np.sqrt((spread * x**2).sum()) == pytest.approx(0.2, rel=0.02)
+    sharp = sensor().camera
+    assert camera_response.blurred(edge, sharp) is edge

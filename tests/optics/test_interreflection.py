@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from helpers.tiny import sensor
 
-from tacgen.optics import strip_light
+from tacgen.optics import interreflection, strip_light
 from tacgen.optics.interreflection import TERMS, Bounce, Glow
 from tacgen.recipe.sensor import Solid
 
@@ -46,3 +46,15 @@ def test_patches_beyond_a_solids_outline_do_no_harm():
     added = bounce.added(made, strip_light.points(made.leds, 4, 2))
     here = np.abs(added).max(axis=(1, 2, 3))
     assert here.max() < 30 * np.median(here[np.linalg.norm(bounce._at[: len(here), :2], axis=1) < 3])
+
+
+def test_beside_a_patch_that_an_led_all_but_touches_no_spot_is_dark():
+    coarse = np.full((9, 11, 2), 1.0)
+    coarse[4, 5] = 60.0
+    found = interreflection.finer(coarse)
+    assert found.min() >= 1.0 - 1e-9
+    assert found.max() <= 60.0 + 1e-9
+    y, x = np.meshgrid(np.linspace(-1, 1, 9), np.linspace(-1, 1, 11), indexing="ij")
+    smooth = interreflection.finer(np.exp(x - y**2)[..., None])[..., 0]  # and what is smooth stays the spline's
+    fine_y, fine_x = np.meshgrid(np.linspace(-1, 1, 36), np.linspace(-1, 1, 44), indexing="ij")
+    assert smooth[4:-4, 4:-4] == pytest.approx(np.exp(fine_x - fine_y**2)[4:-4, 4:-4], rel=0.01)

@@ -1,0 +1,55 @@
+"""The contact circle of a ball pressed into a flat gel, by what the photograph alone shows.
+
+The slope of the face rises with the radius, as the ball's does, up to the rim of the contact, and falls beyond it (on
+Hertz's half-space with an infinite rate at the rim): the change of colour along a radius bends most there. A circle
+drawn by eye follows the outer edge of the colours, a tenth and more of the radius further out, where the face has left
+the ball already.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.ndimage import map_coordinates
+from scipy.optimize import minimize
+
+from tacgen.calibrate.photos import Press
+
+Array = np.ndarray
+WIDTH = 0.08  # contact radii: standard deviation of the Gaussian whose second derivative measures the bend
+STEPS = np.linspace(-3, 3, 17)  # WIDTHs inward and outward
+TRIED = np.arange(0.76, 1.12, 0.04)  # given radii that the search may start from
+AWAY, LEAST, MOST = 0.15, 0.75, 1.1  # given radii that the middle may move; range of the radius
+ANGLES = 72  # places on the circle
+BEYOND = 1.2  # given radii up to which the picture must show a place's radius
+
+
+def refined(press: Press, untouched: Array) -> Press:
+    """A press with the circle near its own on which the change against the untouched picture (H, W, 3) bends most."""
+    if press.contact is None:
+        return press
+    change, given = press.picture.astype(float) - untouched, press.contact
+    angles, start, width = 2 * np.pi * np.arange(ANGLES) / ANGLES, np.array([*press.center, given]), WIDTH * given
+    far = np.array(press.center) + BEYOND * given * np.column_stack([np.cos(angles), np.sin(angles)])
+    angles = angles[((far > 0) & (far < untouched.shape[1::-1])).all(axis=1)]
+    if len(angles) < ANGLES / 2:
+        return press
+
+    def loss(circle: Array) -> float:
+        return -bend(change, circle, width, angles)
+
+    first = start * [1, 1, min(TRIED, key=lambda share: loss(start * [1, 1, share]))]
+    reach = given * np.array([[-AWAY, AWAY], [-AWAY, AWAY], [LEAST - 1, MOST - 1]])
+    how = {"initial_simplex": first + np.vstack([np.zeros(3), width * np.eye(3)]), "xatol": 0.02, "fatol": 1e-3}
+    x, y, contact = minimize(loss, first, method="Nelder-Mead", bounds=start[:, None] + reach, options=how).x
+    return replace(press, center=(float(x), float(y)), contact=float(contact))
+
+
+def bend(change: Array, circle: Array, width: float, angles: Array) -> float:
+    """How much a change (H, W, 3) [counts] bends along the radius at angles (n,) of a circle, its middle and radius
+    (3,) [px]: the mean of its second derivative's size over the colours, at the scale of a Gaussian of `width` [px]."""
+    radii = circle[2] + width * STEPS[:, None]
+    at = [circle[1] + radii * np.sin(angles) - 0.5, circle[0] + radii * np.cos(angles) - 0.5]
+    seen = np.stack([map_coordinates(change[..., c], at, order=1, mode="nearest") for c in range(3)], axis=2)
+    weight = (STEPS**2 - 1) * np.exp(-(STEPS**2) / 2)
+    found = np.einsum("r,rac->ac", weight - weight.mean(), seen)
+    return float(np.linalg.norm(found, axis=1).mean())
