@@ -30,7 +30,9 @@ PRESSED, SLID = 1, 2
 
 @pytest.fixture(scope="module")
 def mini() -> Sensor:
-    return loading.read_sensor(assets.sensor_path("gelsight_mini"))[0]
+    """Its camera looks at the gel's middle here, where the ball is."""
+    sensor = loading.read_sensor(assets.sensor_path("gelsight_mini"))[0]
+    return sensor.model_copy(update={"camera": sensor.camera.model_copy(update={"crop_mm": (0.0, 0.0)})})
 
 
 @pytest.fixture(scope="module")
