@@ -1,10 +1,12 @@
-"""From frame to frame in load steps: as short as friction can follow, and halved where one does not converge."""
+"""From frame to frame in load steps: as short as contact and friction ask for, halved where one does not converge."""
 
+import math
 from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 
+from tacgen.contact.barrier import Contact, Pose
 from tacgen.geometry.pose import along, between
 from tacgen.solve.equilibrium import equilibrium
 from tacgen.solve.problem import Problem
@@ -35,7 +37,16 @@ def _sharp(problem: Problem) -> bool:
 
 
 def steps_needed(problem: Problem, history: History, a: Array, b: Array, turn: Array) -> int:
-    """Load steps from pose a to pose b such that none carries what is in contact farther than friction can follow."""
+    """Load steps from pose a to pose b such that none goes too deep into the gel as it lies for Newton's method to end
+    soon, nor carries what is in contact farther than friction can follow."""
+    deep = 0.0
+    if isinstance(problem.contact, Contact):
+        deep = -float(problem.contact.moved(Pose.of(b), history.offset).gaps(history.x)[0].min())
+    pressing = math.ceil(deep / (problem.options.sink * problem.edge) - 1e-9)
+    return max(1, pressing, _steps_to_slide(problem, history, a, b, turn))
+
+
+def _steps_to_slide(problem: Problem, history: History, a: Array, b: Array, turn: Array) -> int:
     touching = history.normal_force > 0
     if problem.friction == 0 or not touching.any():
         return 1
@@ -49,7 +60,7 @@ def steps_needed(problem: Problem, history: History, a: Array, b: Array, turn: A
     sliding = float(np.linalg.norm(move - (move @ mean) * mean)) + angle * float(arm)
     options = problem.options
     farthest = (options.slide_sharp if _sharp(problem) else options.slide) * problem.edge
-    return max(1, int(np.ceil(sliding / farthest - 1e-9)))
+    return math.ceil(sliding / farthest - 1e-9)
 
 
 def _reach(

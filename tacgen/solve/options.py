@@ -26,6 +26,7 @@ class SolverOptions:
     mixed_pressure: bool = True  # tangents take the pressure that the linearised step predicts
     # load stepping
     predict: bool = True  # a step begins from the gel carried along with the indenter
+    sink: float = 0.8  # of the edge: the deepest that a load step may go into the gel as it lies; deeper is slower
     slide: float = 1.0  # of the edge: the farthest that a load step may carry what is in contact
     slide_sharp: float = 0.5  # the same for an indenter with edges sharper than the mesh
     halvings: int = 5  # of a load step that does not converge
@@ -46,4 +47,5 @@ def plain() -> SolverOptions:
 
 def short_steps(options: SolverOptions, times: int) -> SolverOptions:
     """The same with load steps `times` as short."""
-    return replace(options, slide=options.slide / times, slide_sharp=options.slide_sharp / times)
+    shorter = {name: getattr(options, name) / times for name in ("sink", "slide", "slide_sharp")}
+    return replace(options, **shorter)

@@ -221,13 +221,24 @@ def test_where_nothing_touches_one_iteration_is_enough() -> None:
     assert max(state.iterations for state in run(s).states) <= 1
 
 
+def test_a_deep_press_at_once_goes_in_load_steps_to_the_same_force() -> None:
+    """Without friction the way there does not matter: half the tangents, the same answer."""
+    made = scene(Sphere(4.0), poses([(0, 0, -1.0)]), pad=gel(12, 12, 4.0), edge=0.6)
+    grid = mesh.build(made.gel, (-3.0, 3.0, -3.0, 3.0), made.edge)
+    problems = [Problem.of(made, grid, options) for options in (SolverOptions(), SolverOptions(sink=np.inf))]
+    (split,), (whole,) = (list(states(made, problem)) for problem in problems)
+    assert (split.substeps, whole.substeps) == (2, 1)
+    assert split.traction_force.sum((0, 1))[2] == pytest.approx(whole.traction_force.sum((0, 1))[2], rel=1e-3)
+    assert problems[0].factored < 0.8 * problems[1].factored
+
+
 def test_friction_taken_round_a_sharp_edge_in_one_step_is_recorded() -> None:
     """A box with edges of a quarter of a cell, slid by a cell at once and in sixty steps; a ball has none."""
     path = [(0.0, 0.0, -0.4), (0.6, 0.1, -0.4)]
 
     def slid(shape: Shape, friction: float, times: int) -> float:
         made = scene(shape, poses(path), pad=gel(8, 8, 2.0), friction=friction, edge=0.6)
-        options = short_steps(SolverOptions(slide=9.0, slide_sharp=9.0), times)
+        options = short_steps(SolverOptions(sink=9.0, slide=9.0, slide_sharp=9.0), times)
         found = list(states(made, Problem.of(made, mesh.build(made.gel, SMALL, made.edge), options)))
         assert found[1].substeps == (1 if times == 1 or not friction else 7)
         return found[1].rounded
