@@ -22,9 +22,8 @@ FLOAT32_ERROR = 1e-6  # of maps, over the frame's peak [-]
 VISIBLE_CHANGE = {"/frames/height": 0.02, "/frames/marker_flow": 0.5}  # changes that a camera image must show [mm, px]
 VISIBLE_FORCE_CHANGE = 0.05  # the same of the force, over the largest [-]
 MAX_FLAT_RANGE = 2.0  # a camera image whose values all lie this close together shows nothing [counts of 255]
-Seen = dict[
-    tuple[Path, str], str
-]  # name of the scene with a digest in a folder; it covers number and seed, not the name
+# By folder and digest, the name of the scene that has it: a digest covers a scene's number and seed, not its name.
+Seen = dict[tuple[Path, str], str]
 
 
 @dataclass(frozen=True)

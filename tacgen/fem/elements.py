@@ -13,7 +13,8 @@ HEX_CORNERS = np.array(
 HEX_EDGES = np.array([(0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7)])
 QUAD_CORNERS = HEX_CORNERS[:4, :2]
 GAUSS2 = np.array([-1.0, 1.0]) / np.sqrt(3.0)
-GAUSS = {2: (GAUSS2, np.ones(2)), 3: (np.array([-1.0, 0, 1]) * np.sqrt(0.6), np.array([5.0, 8, 5]) / 9)}  # on a side
+# Gauss-Legendre points and weights on [-1, 1], by how many they are.
+GAUSS = {2: (GAUSS2, np.ones(2)), 3: (np.array([-1.0, 0, 1]) * np.sqrt(0.6), np.array([5.0, 8, 5]) / 9)}
 TET_EDGES = np.array([(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)])
 TRIANGLE_EDGES = np.array([(0, 1), (1, 2), (2, 0)])
 TET4 = (5 - np.sqrt(5.0)) / 20  # smaller barycentric coordinate of the 4-point rule of degree 2

@@ -145,7 +145,7 @@ def test_the_steps_a_turn_needs_grow_with_its_angle_and_its_arm() -> None:
     assert steps(190, (2.5 * farthest, 0, 0)) == np.ceil(np.radians(190) * arm / farthest + 2.5)
 
 
-def test_only_what_rubs_needs_short_steps_and_sharp_edges_shorter_ones() -> None:
+def test_a_turn_needs_short_steps_only_where_it_rubs_and_sharp_edges_shorter_ones() -> None:
     turn = np.array([0, 0, np.radians(720)])
     made, smooth = small(Sphere(2.5), friction=0.0)
     a = made.poses[0]
