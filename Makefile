@@ -51,7 +51,7 @@ test-slow: sync
 smoke: sync
 	@for recipe in recipes/*.yaml; do \
 	  name=$$(basename $$recipe .yaml); \
-	  $(BIN)/tacgen run $$recipe -o out/smoke/$$name --set quality=draft --set vary=null && \
+	  $(BIN)/tacgen run $$recipe -o out/smoke/$$name --set quality=draft --set vary=null --overwrite && \
 	  $(BIN)/tacgen check out/smoke/$$name || exit 1; \
 	done
 
