@@ -189,7 +189,10 @@ class Sink:
     def publish(self) -> None:
         """Bring the file to the disk and give it its name, atomically."""
         os.fsync(self._handle)
-        os.replace(self.path, self.target)
+        try:
+            os.replace(self.path, self.target)
+        except OSError as error:  # it names the part file, which nobody knows
+            raise OSError(error.errno, error.strerror, str(self.target)) from None
         folder = os.open(self.target.parent, os.O_RDONLY)
         try:
             os.fsync(folder)

@@ -399,6 +399,15 @@ def test_attributes_outside_the_table(tmp_path: Path, attrs: dict) -> None:
         Writer(tmp_path / "x.h5", attributes(**attrs), 1)
 
 
+def test_a_folder_in_a_files_place_is_named_not_the_part_that_was_written(tmp_path: Path) -> None:
+    place = tmp_path / "README.md"
+    place.mkdir()
+    with pytest.raises(IsADirectoryError) as caught:
+        atomic_file.write(place, b"text")
+    assert caught.value.filename == str(place)
+    assert list(tmp_path.iterdir()) == [place]
+
+
 def test_a_disk_that_lies_is_found_out_before_the_bundle_has_its_name(tmp_path: Path, monkeypatch) -> None:
     real = os.pwrite
     monkeypatch.setattr(atomic_file.os, "pwrite", lambda h, data, at: real(h, bytes(data[:-1]) + b"\x55", at))

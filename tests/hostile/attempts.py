@@ -23,6 +23,7 @@ from hostile.mutations import MUTATIONS
 from tacgen.bundle import dataset, pack
 from tacgen.bundle.check import check
 from tacgen.bundle.journal import Journal, write_plan
+from tacgen.cli_common import writing
 from tacgen.errors import UserError
 from tacgen.report import dataset_card
 
@@ -164,9 +165,8 @@ READERS: dict[str, Callable[[Path], None]] = {
 
 
 def _card(folder: Path) -> None:
-    from tacgen.report import dataset_card
-
-    dataset_card.write(folder)
+    with writing(folder):  # as `run` writes it
+        dataset_card.write(folder)
 
 
 def warm(source: Path) -> None:
