@@ -101,10 +101,8 @@ def _reading(out: Path, say: Say) -> Table:
     from tacgen.bundle import dataset, pack
     from tacgen.torch import TactileDataset
 
-    rows = plan.load(
-        assets.recipe_path("quickstart"), ("quality=draft", "outputs=[force, rgb]", PRESS.format(frames=5))
-    ).rows
-    batch.run(plan.Plan("reading", rows), out / "one")
+    sets = ("quality=draft", "outputs=[force, rgb]", PRESS.format(frames=5))
+    batch.run(plan.load(assets.recipe_path("quickstart"), sets), out / "one")
     for i in range(1, 200):  # of different names, so that no cache can help
         shutil.copy(out / "one" / "scene-00000.h5", out / "one" / f"scene-{i:05d}.h5")
     packed = pack.pack(dataset.scenes(out / "one"), out / "packed", 32).folder

@@ -35,7 +35,7 @@ def workers(each: int, many: list[int], say: Say, sets: tuple[str, ...] = WORK) 
     frames = every.rows[0].frames
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder)
-        batch.run(plan.Plan("warm", every.rows[:1]), out / "warm", workers=1)  # compile
+        batch.run(plan.Plan("warm", every.rows[:1], every.frames[:1]), out / "warm", workers=1)  # compile
         for n in many:
             some = every.rows[: each * n]
             ends = list[float]()
@@ -45,7 +45,8 @@ def workers(each: int, many: list[int], say: Say, sets: tuple[str, ...] = WORK) 
                     ends.append(time.perf_counter())
 
             started = time.perf_counter()
-            results = batch.run(plan.Plan("some", some), out / f"on{n}", workers=n, on_event=on_event)
+            part = plan.Plan("some", some, every.frames[: each * n])
+            results = batch.run(part, out / f"on{n}", workers=n, on_event=on_event)
             # seconds of a worker for a scene, while all are at work
             scene = n * (ends[-n] - ends[n - 1]) / (len(some) - 2 * n + 1)
             rates.append(frames * n / scene)

@@ -85,7 +85,7 @@ def run(
     part, processes = shard_of(shard), workers_of(workers)
     plan = plan_of(recipe, sets, part)
     if dry_run:
-        frames, cost = sum(row.frames for row in plan.rows), priced(plan, processes)
+        frames, cost = sum(plan.frames), priced(plan, processes)
         text = f"{out}: would hold {counted(len(plan.rows), 'scene')} of {plan.name}, {frames} frames\n{cost['text']}"
         scenes = [row.name for row in plan.rows]
         show_result({"folder": str(out), "scenes": scenes, "frames": frames, "cost": cost}, text, as_json)
@@ -96,7 +96,7 @@ def run(
         from tacgen.report import dataset_card
         from tacgen.report.progress import Progress
 
-        with Progress(plan.rows) as progress:
+        with Progress(len(plan.rows), sum(plan.frames)) as progress:
 
             def on_event(event: dict[str, Any]) -> None:
                 progress(event)

@@ -144,6 +144,6 @@ def priced(plan: Any, workers: int) -> dict[str, Any]:
     from tacgen.batch import probe
 
     typer.echo("timing a few scenes", err=True)
-    cost, memory = probe.probe(plan.rows, workers)
+    cost, memory = probe.probe(plan, workers)
     text = f"{cost.text(workers)}; {memory:.2g} GB of memory a worker"
     return {**cost.plain(), "memory_gb": round(memory, 3), "workers": workers, "text": text}

@@ -122,8 +122,8 @@ def test_what_is_asked_for_reaches_the_engine(tmp_path: Path, batch: Any):
 def timed(monkeypatch: pytest.MonkeyPatch) -> None:
     """A probe that takes no time."""
 
-    def probe(rows: Any, workers: int) -> Probed:
-        found = cost([row.frames for row in rows], [Made(6, 3.0, 0.01), Made(6, 5.0, 0.01)])
+    def probe(plan: Any, workers: int) -> Probed:
+        found = cost(plan.frames, [Made(6, 3.0, 0.01), Made(6, 5.0, 0.01)])
         assert found is not None
         return Probed(found, 0.4)
 

@@ -51,25 +51,26 @@ def _run(
     """Hand out all rows and collect results as they come. A worker that dies has its scene made by another."""
     from distributed import KilledWorker, as_completed
 
-    futures = {client.submit(make, row, folder, overwrite, how, pure=False): row for row in rows}
+    futures = {client.submit(make, row, folder, overwrite, how, pure=False): k for k, row in enumerate(rows)}
     results: dict[int, SceneResult] = {}
     try:
         for future in as_completed(list(futures)):
-            row = futures.pop(future)
+            place = futures.pop(future)
             if future.cancelled():
                 raise UserError("the Dask scheduler is gone; finished scenes are kept, run again to go on")
             try:
                 result, events = future.result()
             except KilledWorker as error:
-                result = failed(row, folder, f"its Dask worker was lost, {error.allowed_failures + 1} times in a row")
+                reason = f"its Dask worker was lost, {error.allowed_failures + 1} times in a row"
+                result = failed(rows[place], folder, reason)
                 events = [outcome(result)]
-            results[row.index] = result
+            results[place] = result
             for event in events:
                 on_event(event)
             future.release()
     finally:
         client.cancel(list(futures))
-    return [results[row.index] for row in rows]
+    return [results[place] for place in range(len(rows))]
 
 
 def make(row: Row, folder: Path, overwrite: bool, how: tuple[Limits, str]) -> tuple[SceneResult, list[dict[str, Any]]]:

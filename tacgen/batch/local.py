@@ -73,7 +73,7 @@ class Pool:
                     self._release(worker, kind, what)
                     if job is not None:
                         batch.settle(job, kind, what)
-        return [batch.results[row.index] for row in rows]
+        return [batch.results[place] for place in range(len(rows))]
 
     def _assign_jobs(self, batch: "_Batch", overwrite: bool) -> None:
         """As many workers as there is work for, and a job for each that is idle."""
@@ -90,7 +90,7 @@ class Pool:
         """Share the compiling for a scene with pictures between two processes."""
         if self.compiler is None and job.row.recipe.outputs & IMAGES and cores() > 1:
             self.compiler = Worker(COMPILE)
-            self.compiler.give(Job(job.row), folder, overwrite=False)
+            self.compiler.give(Job([job.row], 0), folder, overwrite=False)
 
     def _messages(self) -> list[tuple[Worker, str, Any]]:
         """Messages that came within POLL_S: worker, kind, content. A worker that broke a limit is stopped, and lost."""
@@ -122,8 +122,8 @@ class _Batch:
     """Scenes that wait, and the results of the others."""
 
     def __init__(self, rows: Sequence[Row], folder: Path, on_event: OnEvent) -> None:
-        self.waiting = deque(Job(row) for row in rows)
-        self.results: dict[int, SceneResult] = {}
+        self.waiting = deque(Job(rows, place) for place in range(len(rows)))
+        self.results: dict[int, SceneResult] = {}  # by place among the rows
         self.folder, self.on_event = folder, on_event
 
     def settle(self, job: Job, kind: str, what: Any) -> None:
@@ -145,7 +145,7 @@ class _Batch:
                 self._keep(job, failed(job.row, self.folder, reason), **details)
 
     def _keep(self, job: Job, result: SceneResult, **details: Any) -> None:
-        self.results[job.row.index] = result
+        self.results[job.place] = result
         self.on_event({**outcome(result), "tries": job.tries, **details})
 
 

@@ -2,14 +2,13 @@
 
 import resource
 import time
-from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 from tacgen.batch.local import TASK, Pool
 from tacgen.errors import UserError
-from tacgen.recipe.plan import Row
+from tacgen.recipe.plan import Plan
 from tacgen.report.estimate import Cost, Made, cost, work
 
 SCENES = 8  # timed, and fewer where that takes longer than ENOUGH_S
@@ -23,14 +22,14 @@ class Probed(NamedTuple):
     memory_gb: float
 
 
-def probe(rows: Sequence[Row], workers: int, task: str = TASK) -> Probed:
+def probe(plan: Plan, workers: int, task: str = TASK) -> Probed:
     """Time some scenes, evenly spread over the plan and as many at a time as will be.
 
     Raises:
         UserError: none of them can be made.
     """
-    count = min(SCENES, len(rows))
-    chosen = [rows[i * len(rows) // count] for i in range(count)]
+    count = min(SCENES, len(plan.rows))
+    chosen = [plan.rows[i * len(plan.rows) // count] for i in range(count)]
     made: list[Made] = []
     reason = ""
     with TemporaryDirectory() as name, Pool(min(workers, count), task=task) as pool:
@@ -45,7 +44,7 @@ def probe(rows: Sequence[Row], workers: int, task: str = TASK) -> Probed:
                     made.append(Made(result.frames, work(result.seconds), result.path.stat().st_size / 1e9))
             if time.monotonic() - begun > ENOUGH_S:
                 break
-    found = cost([row.frames for row in rows], made)
+    found = cost(plan.frames, made)
     if found is None:
         raise UserError(f"no scene could be made to judge by: {reason}")
     return Probed(found, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1e6)

@@ -5,9 +5,10 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import cached_property
 from multiprocessing import connection
 from pathlib import Path
 from typing import Any
@@ -31,11 +32,17 @@ class Limits:
 
 @dataclass
 class Job:
-    """A scene to make."""
+    """A scene to make: the one at a place among rows, resolved when its turn comes."""
 
-    row: Row
+    rows: Sequence[Row]
+    place: int
     tries: int = 0
     not_before: float = 0.0  # of time.monotonic
+
+    @cached_property
+    def row(self) -> Row:
+        """The scene."""
+        return self.rows[self.place]
 
 
 class Worker:

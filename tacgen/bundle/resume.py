@@ -50,6 +50,8 @@ def refuse_foreign(rows: Iterable[Row], folder: Path) -> None:
     """UserError if a bundle of other inputs stands where a row's will, or packed scenes; reads attributes only."""
     if dataset.is_packed(folder):
         raise UserError(f"{folder}: holds packed scenes; choose another folder")
+    if not any(folder.glob("*.h5")):
+        return
     for row in (each for scene in rows for each in scene.bundles):
         path = folder / f"{row.name}.h5"
         if path.exists():

@@ -26,8 +26,9 @@ def problems(sensor: LitSensor) -> Iterator[Problem]:
         text = f"turns the picture's corner {_steepest(sensor):.0f} degrees off the plate's normal"
         yield Problem(("camera", "tilt_deg"), text)
     yield from _dots(sensor)
+    room = _Room.of(sensor)
     for i, led in enumerate(sensor.leds):
-        found = wrong_led(sensor, led)
+        found = _wrong_led(room, led)
         if found:
             yield Problem(("leds", i, found[0]), f"{led.name}: {found[1]}")
 

@@ -7,10 +7,11 @@ row i of the whole plan.
 import hashlib
 import json
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from array import array
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, overload
 
 from tacgen.errors import UserError
 from tacgen.recipe import assets, background_photo, checks, grasp_checks
@@ -124,12 +125,33 @@ class Row:
         return _sha256(self.sensor_document())
 
 
+class Rows(Sequence[Row]):
+    """Scenes that are resolved each time they are asked for: of a million, only the drawn numbers are held."""
+
+    def __init__(self, resolve: Callable[[int], Row], places: range) -> None:
+        self._resolve, self._places = resolve, places
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    @overload
+    def __getitem__(self, at: int) -> Row: ...
+    @overload
+    def __getitem__(self, at: slice) -> "Rows": ...
+    def __getitem__(self, at: int | slice) -> "Row | Rows":
+        return Rows(self._resolve, self._places[at]) if isinstance(at, slice) else self._resolve(self._places[at])
+
+    def __iter__(self) -> Iterator[Row]:
+        return map(self._resolve, self._places)
+
+
 @dataclass(frozen=True)
 class Plan:
     """All scenes of a recipe, in order."""
 
     name: str
-    rows: tuple[Row, ...]
+    rows: Sequence[Row]
+    frames: Sequence[int]  # of each scene
     paths: tuple[str, ...] = ()  # what is varied
     warnings: tuple[str, ...] = ()  # what a person should know before this is run
 
@@ -170,28 +192,41 @@ def expand(
         if lacking:
             raise report(lacking)
         seed = scene_seed(0, 0)
-        rows = [Row(0, "scene-00000", seed, resolved(recipe, starts), sensor, folders=starts, other=other)]
-        return Plan(recipe.name, tuple(rows if indices is None else (rows[i] for i in indices)), warnings=told)
+        only = Row(0, "scene-00000", seed, resolved(recipe, starts), sensor, folders=starts, other=other)
+        times = 1 if indices is None else len(indices)
+        return Plan(recipe.name, times * [only], times * [only.frames], warnings=told)
     _check(vary, tree)
     count = scene_count(vary)
     wanted = range(count) if indices is None else indices
     base = recipe.model_copy(update={"vary": None, "sensors": None}).document()
-    rows = []
-    problems: dict[tuple[KeyPath, str], list[tuple[str, Problem]]] = {}
     named, more = _named(vary, tree, bool(recipe.outputs & IMAGES))
     known = sensor, _solid_folder(sensor, loaded.sensor_tree if loaded else None)
-    for index, values in zip(wanted, draw(vary, wanted), strict=True):
+    drawn = draw(vary, wanted)
+
+    def attempt(k: int, *, checking: bool) -> tuple[Row | None, list[Problem]]:
+        index, values = wanted[k], drawn(k)
         chosen = named[values["sensor"]] if "sensor" in values else known
-        row, wrong = _resolve(index, values, base, *chosen, scene_seed(vary.seed, index), tree, vary)
-        if row:
-            rows.append(replace(row, pair=index // len(recipe.sensors)) if recipe.sensors else row)
+        pair = index // len(recipe.sensors) if recipe.sensors else None
+        seed = scene_seed(vary.seed, index)
+        return _resolve(index, values, base, *chosen, seed, pair, tree, vary, checking=checking)
+
+    def resolve(k: int) -> Row:
+        row, _ = attempt(k, checking=False)
+        assert row is not None, "it was checked"
+        return row
+
+    frames = array("i")
+    problems: dict[tuple[KeyPath, str], list[tuple[str, Problem]]] = {}
+    for k, index in enumerate(wanted):
+        row, wrong = attempt(k, checking=True)
+        frames.append(row.frames if row else 0)
         for problem in wrong:
             alike = re.sub(r"-?\d[\d.e+-]*", "#", problem.message)  # numbers differ from scene to scene
             problems.setdefault((problem.path, alike), []).append((f"scene-{index:05d}", problem))
     if problems:
         raise UserError(_message(group, tree, vary) for group in problems.values())
     told = tuple(dict.fromkeys((*told, *more))) + tuple(problem.point(tree) for problem in correlated(vary))
-    return Plan(recipe.name, tuple(rows), tuple(vary.paths), told)
+    return Plan(recipe.name, Rows(resolve, range(len(wanted))), frames, tuple(vary.paths), told)
 
 
 def scene_seed(seed: int, index: int) -> int:
@@ -278,10 +313,13 @@ def _resolve(
     sensor: Sensor,
     solid: dict[KeyPath, Path],
     seed: int,
+    pair: int | None,
     tree: Tree,
     vary: Vary,
+    *,
+    checking: bool,
 ) -> tuple[Row | None, list[Problem]]:
-    """One row, checked as if a person had written it; or what is wrong with it."""
+    """One row, `checking` it as if a person had written it; or what is wrong with it."""
     data: Any = base
     inside = [name for name in values if name.startswith("sensor.")]
     plain_sensor = sensor.model_dump(mode="json", exclude_none=True) if inside else {}
@@ -300,7 +338,8 @@ def _resolve(
         if (name := f"sensor.{format_path(SOLID)}") in values:
             solid = {("sensor", *SOLID): (tree.spot(vary.paths[name]).value.source.folder or Path()).resolve()}
         images = recipe is not None and bool(recipe.outputs & IMAGES)
-        varied, more = check_sensor(plain_sensor, solid.get(("sensor", *SOLID)), images)
+        folder = solid.get(("sensor", *SOLID))
+        varied, more = check_sensor(plain_sensor, folder, images) if checking else validate(Sensor, plain_sensor)
         wrong += [Problem(("sensor", *problem.path), problem.message, problem.at_key) for problem in more]
         if varied is None:
             return None, wrong
@@ -308,12 +347,13 @@ def _resolve(
     if recipe is None:
         return None, wrong
     starts = {**folders(tree, recipe, vary.paths), **solid}
-    wrong += checks.recipe_problems(recipe, sensor, starts)
+    wrong += checks.recipe_problems(recipe, sensor, starts) if checking else []
     other, lacking = _right_sensor(recipe, sensor, tree)
     wrong += [problem for problem, _ in lacking]
     if wrong:
         return None, wrong
-    return Row(index, f"scene-{index:05d}", seed, resolved(recipe, starts), sensor, values, starts, other), []
+    found = resolved(recipe, starts)
+    return Row(index, f"scene-{index:05d}", seed, found, sensor, values, starts, other, pair=pair), []
 
 
 def _message(group: list[tuple[str, Problem]], tree: Tree, vary: Vary) -> str:

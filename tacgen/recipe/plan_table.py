@@ -3,19 +3,19 @@
 import csv
 import io
 import json
+from collections.abc import Iterator, Sequence
 from typing import Any
 
-from tacgen.recipe.plan import Plan
+from tacgen.recipe.plan import Plan, Row
 
 MAX_ROWS = 40  # of the table for a person
 
 
 def as_text(plan: Plan) -> str:
     """Aligned columns; of a long plan the first rows."""
-    head, *rows = _cells(plan, short=True)
-    rows = rows[:MAX_ROWS]
-    widths = [max(len(row[i]) for row in [head, *rows]) for i in range(len(head))]
-    lines = ["  ".join(cell.rjust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in [head, *rows]]
+    table = [*_cells(plan, plan.rows[:MAX_ROWS], short=True)]
+    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+    lines = ["  ".join(cell.rjust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in table]
     if len(plan.rows) > MAX_ROWS:
         lines.append(f"... {len(plan.rows) - MAX_ROWS} more (--csv prints all)")
     return "\n".join(lines) + "\n"
@@ -24,28 +24,28 @@ def as_text(plan: Plan) -> str:
 def as_csv(plan: Plan) -> str:
     """Every row, every digit."""
     text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(_cells(plan, short=False))
+    csv.writer(text, lineterminator="\n").writerows(_cells(plan, plan.rows, short=False))
     return text.getvalue()
 
 
 def as_json(plan: Plan) -> str:
-    """Every row, of a grasp both bundles, with its seed, key and values; its pair where there are several sensors."""
-    rows = [
+    """Every row on a line, of a grasp both bundles, with its seed, key and values; its pair where there are several
+    sensors."""
+    rows = (
         {"scene": r.name, "frames": r.frames, "seed": r.seed, "key": r.key, "values": r.values}
         | ({} if r.pair is None else {"pair": r.pair})
         for scene in plan.rows
         for r in scene.bundles
-    ]
-    return json.dumps({"name": plan.name, "scenes": rows}, indent=1) + "\n"
+    )
+    return f'{{"name": {json.dumps(plan.name)}, "scenes": [\n' + ",\n".join(map(json.dumps, rows)) + "\n]}\n"
 
 
-def _cells(plan: Plan, *, short: bool) -> list[list[str]]:
-    paired = any(row.pair is not None for row in plan.rows)
-    table = [["scene", *["pair"] * paired, "frames", "seed", *plan.paths]]
-    for row in plan.rows:
+def _cells(plan: Plan, rows: Sequence[Row], *, short: bool) -> Iterator[list[str]]:
+    paired = any(row.pair is not None for row in rows[:1])
+    yield ["scene", *["pair"] * paired, "frames", "seed", *plan.paths]
+    for row in rows:
         known = [row.name, *[str(row.pair)] * paired, str(row.frames), str(row.seed)]
-        table.append([*known, *(_cell(row.values[path], short) for path in plan.paths)])
-    return table
+        yield [*known, *(_cell(row.values[path], short) for path in plan.paths)]
 
 
 def _cell(value: Any, short: bool) -> str:

@@ -1,7 +1,7 @@
 """The samples of a `vary`: points of the unit cube by its method and seed, the values there, and a grid across them."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from tacgen.recipe.model import FEW, Distribution, Vary
@@ -22,43 +22,42 @@ def scene_count(vary: Vary) -> int:
     return crossed * math.prod(len(_points(spread)) for spread in vary.over.values())
 
 
-def draw(vary: Vary, indices: Sequence[int]) -> list[dict[str, Any]]:
-    """The varied values of these scenes; each is what the whole plan has there. The grid varies fastest."""
-    from numpy import unravel_index
-
+def draw(vary: Vary, indices: Sequence[int]) -> Callable[[int], dict[str, Any]]:
+    """The varied values of the k-th of these scenes; each is what the whole plan has there. The grid varies fastest."""
     on_grid = {**vary.over, **vary.grid} if vary.method == "grid" else vary.grid
+    over = {} if vary.method == "grid" else vary.over
     columns = [_points(spread) for spread in on_grid.values()]
     points = math.prod(map(len, columns))
-    drawn: list[dict[str, Any]] = [{} for _ in indices]
-    if vary.method != "grid":
-        unit = _unit_points(vary, len(vary.over), [index // points for index in indices])
-        drawn = [{p: _value(s, float(u)) for (p, s), u in zip(vary.over.items(), at, strict=True)} for at in unit]
-    for index, values in zip(indices, drawn, strict=True):
-        places = unravel_index(index % points, [len(column) for column in columns])
-        values.update({path: column[int(i)] for path, column, i in zip(on_grid, columns, places, strict=True)})
-    return drawn
+    unit = _unit_points(vary, len(over), [index // points for index in indices]) if over else None
+
+    def values(k: int) -> dict[str, Any]:
+        drawn = zip(over.items(), [] if unit is None else unit[k].tolist(), strict=True)
+        found, rest = {path: _value(spread, u) for (path, spread), u in drawn}, indices[k] % points
+        place: dict[str, Any] = {}
+        for path, column in reversed([*zip(on_grid, columns, strict=True)]):
+            rest, i = divmod(rest, len(column))
+            place[path] = column[i]
+        return found | {path: place[path] for path in on_grid}
+
+    return values
 
 
-def _unit_points(vary: Vary, d: int, indices: Sequence[int]) -> "list[np.ndarray]":
-    """Points of the unit cube, one a scene."""
+def _unit_points(vary: Vary, d: int, indices: Sequence[int]) -> "np.ndarray":
+    """Points of the unit cube (n, d), one a scene."""
+    import numpy as np
     from numpy.random import SeedSequence, default_rng
     from scipy.stats import qmc
 
     design = vary.design
     if design == "random":
-        return [default_rng(SeedSequence((vary.seed, i, DRAW))).random(d) for i in indices]
+        return np.array([default_rng(SeedSequence((vary.seed, i, DRAW))).random(d) for i in indices])
     rng = default_rng(SeedSequence((vary.seed, 0, DRAW)))
     if design == "lhs":  # a point of a latin hypercube depends on all others: draw them all
         few = (vary.samples or 0) <= FEW  # then by columns that hardly correlate; of more, that takes too long
         points = qmc.LatinHypercube(d, optimization="random-cd" if few else None, rng=rng).random(vary.samples)
-        return [points[i] for i in indices]
+        return np.asarray(points[list(indices)])
     engine = qmc.Sobol(d, rng=rng) if design == "sobol" else qmc.Halton(d, rng=rng)
-    found: dict[int, np.ndarray] = {}
-    for i in sorted(set(indices)):
-        if i > engine.num_generated:
-            engine.fast_forward(i - engine.num_generated)
-        found[i] = engine.random(1)[0]
-    return [found[i] for i in indices]
+    return np.asarray(engine.random(1 << max(indices, default=0).bit_length())[list(indices)])
 
 
 def correlated(vary: Vary) -> list[Problem]:
@@ -68,7 +67,7 @@ def correlated(vary: Vary) -> list[Problem]:
     n, paths = vary.samples or 0, list(vary.over)
     if vary.design not in ("sobol", "halton") or not 3 <= n <= FEW or len(paths) < 2:
         return []
-    r = np.triu(np.corrcoef(np.array(_unit_points(vary, len(paths), range(n))).T), 1)
+    r = np.triu(np.corrcoef(_unit_points(vary, len(paths), range(n)).T), 1)
     i, j = np.unravel_index(np.abs(r).argmax(), r.shape)
     if abs(r[i, j]) < CORRELATED:
         return []

@@ -1,6 +1,5 @@
 """Where a trajectory would take the indenter: impossible movements are found before anything is computed."""
 
-import functools
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -87,7 +86,6 @@ def _walk(recipe: Recipe, gel: Gel, folders: Folders) -> None:
     """Go through the trajectory over a flat face. Raises TrajectoryError."""
     from tacgen.recipe.trajectory_poses import TrajectoryError, Walk
 
-    @functools.cache
     def rows(i: int) -> tuple[Pose, ...]:
         replay = recipe.trajectory[i].replay
         if replay is None:
@@ -110,12 +108,14 @@ def _walk(recipe: Recipe, gel: Gel, folders: Folders) -> None:
             path = ("start",)  # in the cut-off corner: neither alone is to blame
         raise TrajectoryError(path, f"the indenter would start beside {pad}, at ({start.x_mm:g}, {start.y_mm:g})")
     support = shape.support if shape else _unknown_support
-    walk = Walk.at_start(start, rows(0), support, lambda pose: support(-pose[2, :3]), thickness)
+    table = rows(0)
+    walk = Walk.at_start(start, table, support, lambda pose: support(-pose[2, :3]), thickness)
     for i, segment in enumerate(recipe.trajectory):
         move, where = segment.move, ("trajectory", i, segment.kind)
         if isinstance(move, Press) and (move.depth_mm or 0.0) >= thickness:
             return  # recipe_problems says so
-        for k, frame in enumerate(walk.frames(segment, table := rows(i), where, checking=True)):
+        table = rows(i) if i else table
+        for k, frame in enumerate(walk.frames(segment, table, where, checking=True)):
             if isinstance(move, Replay) and walk.low < 0 and beside(frame.pose):
                 place = ", ".join(f"{c:.4g}" for c in frame.pose[:3, 3])
                 text = f"at ({place}) the indenter would be beside {pad} and below its face"

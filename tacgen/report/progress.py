@@ -3,10 +3,8 @@
 import os
 import sys
 import time
-from collections.abc import Sequence
 from typing import Any, TextIO
 
-from tacgen.recipe.plan import Row
 from tacgen.report.wording import duration
 
 
@@ -16,10 +14,9 @@ class Progress:
     Without a terminal there is a line a scene, and a line a frame only where there is a single scene.
     """
 
-    def __init__(self, rows: Sequence[Row], stream: TextIO | None = None) -> None:
+    def __init__(self, scenes: int, frames: int, stream: TextIO | None = None) -> None:
         self.stream = stream or sys.stderr
-        self.total = sum(row.frames for row in rows)
-        self.frames = {row.name: row.frames for row in rows}
+        self.scenes, self.total = scenes, frames
         self.under_way: dict[str, int] = {}  # scene -> frames it has
         self.done = 0  # frames of finished scenes
         self.kept = 0  # of these, those that were there already: they say nothing about speed
@@ -68,8 +65,8 @@ class Progress:
         else:
             self.under_way.pop(name, None)
             self.finished += 1
-            self.done += self.frames.get(name, 0)
-            self.kept += 0 if event["seconds"] else self.frames.get(name, 0)
+            self.done += event["frames"]
+            self.kept += 0 if event["seconds"] else event["frames"]
             good = event["status"] == "ok"
             text = f"{name}: {event['status']}" + (f": {event['reason']}" if event["reason"] else "")
             self._say(text, lasting=not good)
@@ -87,9 +84,9 @@ class Progress:
         if self.bar is not None:
             if lasting:
                 self.bar.console.print(text, markup=False, highlight=False)
-            scenes = f"{self.finished} of {len(self.frames)} scenes" if len(self.frames) > 1 else text
+            scenes = f"{self.finished} of {self.scenes} scenes" if self.scenes > 1 else text
             self.bar.update(self.task, completed=at, description=scenes, left=left)
-        elif len(self.frames) == 1 or ": frame " not in text:
+        elif self.scenes == 1 or ": frame " not in text:
             print(text + (f" ({left})" if left else ""), file=self.stream, flush=True)
 
     def _left(self, frames: int) -> str:

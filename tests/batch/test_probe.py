@@ -10,7 +10,7 @@ from tacgen.errors import UserError
 
 
 def test_a_few_scenes_judge_all(tmp_path: Path):
-    found = probe.probe(make_plan(tmp_path, 40).rows, 2, TASK)
+    found = probe.probe(make_plan(tmp_path, 40), 2, TASK)
     assert found.cost.judged_by == probe.SCENES
     assert found.cost.seconds.expected > 0
     assert 0.01 < found.memory_gb < 4
@@ -27,7 +27,7 @@ def test_where_no_scene_can_be_made_that_is_said(tmp_path: Path, monkeypatch: py
 
     monkeypatch.setattr(probe, "TemporaryDirectory", Spoilt)
     with pytest.raises(UserError, match="no scene could be made to judge by: scene-00000: this cannot be made"):
-        probe.probe(make_plan(tmp_path, 1).rows, 1, TASK)
+        probe.probe(make_plan(tmp_path, 1), 1, TASK)
 
 
 @pytest.mark.parametrize(("cores", "memory", "workers"), [(8, 64.0, 8), (64, 16.0, 16), (2, 0.5, 1)])

@@ -1,7 +1,6 @@
 """Progress: plain lines with the time left where there is no terminal, a bar where there is one."""
 
 import io
-from types import SimpleNamespace
 
 import pytest
 
@@ -13,19 +12,16 @@ class Terminal(io.StringIO):
         return True
 
 
-ROWS = [SimpleNamespace(name="scene-00000", frames=4), SimpleNamespace(name="scene-00001", frames=4)]
-
-
 def frame(scene: str, k: int) -> dict[str, object]:
     return {"event": "frame", "scene": scene, "frame": k, "frames": 4}
 
 
 def end(scene: str, status: str = "ok", reason: str = "", **seconds: float) -> dict[str, object]:
-    return {"event": "scene", "scene": scene, "status": status, "reason": reason, "seconds": seconds}
+    return {"event": "scene", "scene": scene, "status": status, "reason": reason, "frames": 4, "seconds": seconds}
 
 
 def drive(stream: io.StringIO) -> str:
-    with Progress(ROWS, stream) as progress:
+    with Progress(2, 8, stream) as progress:
         progress(frame("scene-00000", 2))
         progress(frame("scene-00001", 2))
         progress({"event": "retry", "scene": "scene-00001", "reason": "its worker [1] was killed"})
@@ -43,7 +39,7 @@ def test_a_line_a_scene_where_there_is_no_terminal():
 
 def test_a_note_is_said_once_for_all_scenes():
     stream = io.StringIO()
-    with Progress(ROWS, stream) as progress:
+    with Progress(2, 8, stream) as progress:
         for scene in ("scene-00000", "scene-00001"):
             progress({"event": "note", "scene": scene, "note": "its edges are sharp"})
     assert stream.getvalue() == "scene-00000: note: its edges are sharp\n"
@@ -51,7 +47,7 @@ def test_a_note_is_said_once_for_all_scenes():
 
 def test_a_line_a_frame_where_there_is_one_scene():
     stream = io.StringIO()
-    with Progress(ROWS[:1], stream) as progress:
+    with Progress(1, 4, stream) as progress:
         progress(frame("scene-00000", 1))
         progress(frame("scene-00000", 3))
         progress(end("scene-00000"))
@@ -65,7 +61,7 @@ def test_what_was_there_already_and_what_comes_once_say_nothing_about_the_time_l
     clock = iter([0.0, 50.0, 60.0, 60.0])
     monkeypatch.setattr("tacgen.report.progress.time.monotonic", lambda: next(clock))
     stream = io.StringIO()
-    with Progress(ROWS, stream) as progress:
+    with Progress(2, 8, stream) as progress:
         progress(end("scene-00000"))
         progress({"event": "compiling", "scene": "scene-00001"})
         progress(frame("scene-00001", 1))
