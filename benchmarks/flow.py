@@ -61,7 +61,8 @@ def measure(sensor: LitSensor, untouched: Surface, moved: Surface, variant: str,
     h, w = camera.shape
     at = np.stack(np.meshgrid(np.arange(w) + 0.5, np.arange(h) + 0.5), -1)
     off = [_off(after, pixels[seen], dots[seen]), _off(after, (at + flow).reshape(-1, 2), before.reshape(-1, 2))]
-    both = [f(np.linalg.norm(e[np.isfinite(e).all(1)], axis=1)) for e in off for f in (_rms, _most)]
+    sizes = [np.linalg.norm(e[np.isfinite(e).all(1)], axis=1) for e in off]
+    both = [float(value) for size in sizes for value in (np.sqrt(np.mean(size**2)), size.max())]
     return Error(float(np.nanmax(np.linalg.norm(flow, axis=-1))), *both)
 
 
@@ -80,11 +81,3 @@ def _off(traced: Array, pixels: Array, rest: Array) -> Array:
     off = np.full(pixels.shape, np.nan)
     off[whole] = np.linalg.solve(slope[whole], (rest - found)[whole, :, None])[..., 0]
     return -off
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))
-
-
-def _most(values: Array) -> float:
-    return float(values.max())

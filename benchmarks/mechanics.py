@@ -166,18 +166,14 @@ def _dragged_answer(sets: tuple[str, ...]) -> Answer | None:
         return None
 
 
-def _largest_drag(force: np.ndarray) -> float:
-    """Tangential over normal force (n, 3) [N] of the frames after the press."""
-    return float((np.hypot(*force[1:, :2].T) / -force[1:, 2]).max())
-
-
 def _edges(fillets: tuple[float, ...], boxes: Iterator[Answer | None], say: Say) -> Table:
     """A box with edges rounded less and less: both formulations of contact where the mesh does not resolve it."""
     rows: list[list[Cell]] = []
     for fillet in fillets:
         true, found = kept(_edged(fillet)), [next(boxes) for _ in FORMULATIONS]
         off = [None if one is None else float(one.force[0, 2] / true.force[0, 2] - 1) for one in found]
-        drag = [None if one is None else _largest_drag(one.force) for one in found]
+        slid = [None if one is None else one.force[1:] for one in found]
+        drag = [None if f is None else float((np.hypot(*f[:, :2].T) / -f[:, 2]).max()) for f in slid]
         edge = row_of(_dragged(fillet, FORMULATIONS[0])).recipe.resolved().edge_mm
         rows.append([fillet / edge, *off, *[None] * (2 - len(off)), *drag, *[None] * (2 - len(drag))])
         say(f"fillet {fillet:g} mm: {', '.join('rejected' if part is None else f'{part:+.1%}' for part in off)}")

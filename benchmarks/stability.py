@@ -127,13 +127,9 @@ def overlap(problem: solve.Problem, state: solve.State, fine: int = 5) -> float:
     return float(max(-inside.min(), 0.0))
 
 
-def _pair(case: tuple[str, Sequence[str]]) -> Outcome:
-    return measure(*case)
-
-
 def bench(level: Level, say: Say) -> Result:
     """The cases and random scenes: some anywhere, and in rounds after that half of them near those hardest so far."""
-    from benchmarks import sensitivity, step_size_error
+    from benchmarks import step_size_error
 
     rounds = {"smoke": [1], "normal": [8], "full": [100] * 4}[level]
     named = {name: CASES[name] for name in SMOKE_CASES} if level == "smoke" else CASES
@@ -144,7 +140,9 @@ def bench(level: Level, say: Say) -> Result:
             points += _drawn(count, rng, points, chance)
             scenes = [(f"random {i}", random(points[i].tolist())) for i in range(len(chance), len(points))]
             found = list[Outcome]()
-            for one in every(_pair, scenes if known else [*scenes, *named.items()]):  # random ones may take longest
+            for one in every(
+                measure, *zip(*scenes, *(() if known else named.items()), strict=True)
+            ):  # random ones may take longest
                 found.append(one)
                 say(f"{one.name}: {one.status}, {one.iterations} iterations, {one.seconds:.1f} s {one.reason}")
             chance, known = chance + found[:count], known + found[count:]
@@ -153,7 +151,7 @@ def bench(level: Level, say: Say) -> Result:
     tables = [_summary(known, chance), Table("Cases", HEADS, rows), _worst(chance)]
     wrong = [one.name for one in everyone if not one.sound]
     about = ABOUT + (f" **Wrong frames in: {', '.join(wrong)}.**" if wrong else "")
-    return Result(about, [*tables, step_size_error.table(level, say), sensitivity.table(level, say)])
+    return Result(about, [*tables, step_size_error.table(level, say)])
 
 
 def _drawn(count: int, rng: np.random.Generator, points: list[Array], found: list[Outcome]) -> list[Array]:

@@ -107,13 +107,11 @@ def _optics(tables: Tables) -> Told:
         each = {sensor: [row for row in mine if row["sensor"] == sensor] for sensor in SENSORS}
         worst = [min(group, key=lambda row: row["dB"]) for group in each.values() if group]
         slowest = [max(group, key=lambda row: row["s a frame"]) for group in each.values() if group]
-        yield f"images by `{method}` against `path`, dB", _by_sensor(worst, _sure)
+        yield (
+            f"images by `{method}` against `path`, dB",
+            _by_sensor(worst, lambda row: f"{row['dB']:.0f}" + (f" +- {row['+-']:.0f}" if row["+-"] >= 1 else "")),
+        )
         yield "s a frame, one core", _by_sensor(slowest, lambda row: f"{row['s a frame']:.2f}")
-
-
-def _sure(row: Row) -> str:
-    """Decibels, with how sure they are where that shows."""
-    return f"{row['dB']:.0f}" + (f" +- {row['+-']:.0f}" if row["+-"] >= 1 else "")
 
 
 def _stability(tables: Tables) -> Told:

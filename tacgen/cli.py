@@ -188,21 +188,13 @@ def show_plan(
     recipe: RecipeFile,
     sets: Sets = None,
     shard: Annotated[str, typer.Option(metavar="I/N", help="Only this part of the scenes.")] = "0/1",
-    estimate: Annotated[
-        bool, typer.Option("--estimate", help="Time a few scenes instead, and say what all would take.")
-    ] = False,
-    workers: Workers = "auto",
     as_csv: Annotated[bool, typer.Option("--csv", help="Print CSV.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Show the table of scenes that a recipe gives, or what they cost."""
+    """Show the table of scenes that a recipe gives; `run --dry-run` says what they cost."""
     from tacgen.recipe import plan_table
 
     plan = plan_of(recipe, sets, shard_of(shard))
-    if estimate:
-        cost = priced(plan, workers_of(workers))
-        show_result(cost, f"{counted(len(plan.rows), 'scene')} of {plan.name}: {cost['text']}", as_json)
-        return
     typer.echo((plan_table.as_json if as_json else plan_table.as_csv if as_csv else plan_table.as_text)(plan), nl=False)
 
 

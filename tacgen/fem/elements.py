@@ -49,15 +49,24 @@ def hexes(points: Array, conn: Array) -> Elements:
     Raises:
         ValueError: an element is turned inside out.
     """
-    g = np.array([[a, b, c] for c in GAUSS2 for b in GAUSS2 for a in GAUSS2])
-    f = 1 + HEX_CORNERS[None] * g[:, None]  # (q, a, 3)
-    dN = np.stack([HEX_CORNERS[:, k] * np.delete(f, k, 2).prod(2) / 8 for k in range(3)], -1)
+    N, dN = _trilinear(np.array([[a, b, c] for c in GAUSS2 for b in GAUSS2 for a in GAUSS2]))
+    gradients, volume = _mapped(points, conn, dN)
+    return Elements(conn.astype(np.int32), gradients, volume, 0.0, N)
+
+
+def _trilinear(at: Array) -> tuple[Array, Array]:
+    """Shape functions N (q, 8) of a hex and dN (q, 8, 3) at points (q, 3) of the reference cube."""
+    f = 1 + HEX_CORNERS[None] * at[:, None]  # (q, a, 3)
+    return f.prod(2) / 8, np.stack([HEX_CORNERS[:, k] * np.delete(f, k, 2).prod(2) / 8 for k in range(3)], -1)
+
+
+def _mapped(points: Array, conn: Array, dN: Array) -> tuple[Array, Array]:
+    """dN/dX (e, q, a, 3) and det(dX/dxi) (e, q) of elements; dN (q, a, 3). Raises ValueError: an inverted element."""
     jacobian = np.einsum("qaj,eai->eqij", dN, points[conn])
     volume = np.linalg.det(jacobian)
     if (volume <= 0).any():
-        raise ValueError(f"{int((volume <= 0).any(1).sum())} hexes are turned inside out")
-    gradients = np.einsum("qaj,eqjI->eqaI", dN, np.linalg.inv(jacobian))
-    return Elements(conn.astype(np.int32), np.ascontiguousarray(gradients), volume, 0.0, f.prod(2) / 8)
+        raise ValueError(f"{int((volume <= 0).any(1).sum())} elements are inverted")
+    return np.ascontiguousarray(np.einsum("qaj,eqjI->eqaI", dN, np.linalg.inv(jacobian))), volume
 
 
 def boxes(number: Array) -> Array:
@@ -95,15 +104,8 @@ def tets(points: Array, conn: Array) -> Elements:
     linear = conn.shape[1] == 4
     L = np.full((1, 4), 0.25) if linear else np.full((4, 4), TET4) + np.eye(4) * (1 - 4 * TET4)
     N, dL = barycentric(L, conn.shape[1])
-    dN = dL[..., 1:] - dL[..., :1]
-    jacobian = np.einsum("qaj,eai->eqij", dN, points[conn])
-    volume = np.linalg.det(jacobian)
-    if (volume <= 0).any():
-        raise ValueError(f"{int((volume <= 0).any(1).sum())} tets are turned inside out")
-    gradients = np.einsum("qaj,eqjI->eqaI", dN, np.linalg.inv(jacobian))
-    return Elements(
-        conn.astype(np.int32), np.ascontiguousarray(gradients), volume / 6 / len(L), np.inf if linear else POINTWISE, N
-    )
+    gradients, volume = _mapped(points, conn, dL[..., 1:] - dL[..., :1])
+    return Elements(conn.astype(np.int32), gradients, volume / 6 / len(L), np.inf if linear else POINTWISE, N)
 
 
 def quadratic(points: Array, *conns: Array) -> tuple[Array, ...]:
@@ -122,8 +124,7 @@ def grid_points(nodes: int) -> tuple[Array, Array]:
     a 3 x 3 x 3 grid, which determine their Jacobian; of tets the nodes."""
     if nodes == 8:
         grid = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3, indexing="ij"), -1).reshape(-1, 3)
-        f = 1 + HEX_CORNERS[None] * grid[:, None]
-        return f.prod(2) / 8, np.stack([HEX_CORNERS[:, k] * np.delete(f, k, 2).prod(2) / 8 for k in range(3)], -1)
+        return _trilinear(grid)
     corners = np.eye(4)
     N, dL = barycentric(np.concatenate([corners, corners[TET_EDGES].mean(1)])[:nodes], nodes)
     return N, dL[..., 1:] - dL[..., :1]
@@ -132,10 +133,9 @@ def grid_points(nodes: int) -> tuple[Array, Array]:
 def dense_points(points: Array, elements: Elements) -> Elements:
     """The same elements with the `grid_points` for integration points, each for its share of the volume."""
     N, dN = grid_points(elements.conn.shape[1])
-    jacobian = np.einsum("qaj,eai->eqij", dN, points[elements.conn])
-    gradients = np.einsum("qaj,eqjI->eqaI", dN, np.linalg.inv(jacobian))
+    gradients, _ = _mapped(points, elements.conn, dN)
     weights = np.repeat(elements.weights.sum(1)[:, None] / len(dN), len(dN), 1)
-    return Elements(elements.conn, np.ascontiguousarray(gradients), weights, np.inf, N)
+    return Elements(elements.conn, gradients, weights, np.inf, N)
 
 
 KINDS = {8: hexes, 10: tets, 4: tets}  # by the number of nodes

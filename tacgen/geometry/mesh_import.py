@@ -230,8 +230,11 @@ def field(solid: Solid, *, cell: float, height: float, half: float) -> Field:
     steepest = max(float(np.abs(np.diff(distances, axis=a)).max()) for a in range(3))
     if steepest > 1.01 * cell:  # a true distance never is: inside and outside are mixed up somewhere
         raise UserError(f"{solid.name}: its surface cuts through itself; unite its parts in a mesh editor first")
+    from scipy.spatial import ConvexHull
+
     radius = max(smallest_radius(solid, height), 2 * cell)  # two cells: what the field rounds edges by
-    return Field.through(distances, origin, cell, smallest_radius=radius, corners=_hull(solid.vertices), blunt=True)
+    corners = solid.vertices[ConvexHull(solid.vertices).vertices]
+    return Field.through(distances, origin, cell, smallest_radius=radius, corners=corners, blunt=True)
 
 
 def smallest_radius(solid: Solid, height: float) -> float:
@@ -249,13 +252,6 @@ def smallest_radius(solid: Solid, height: float) -> float:
         return float(np.inf)
     across = mesh.face_adjacency_span[convex] / 2  # between the middles of two triangles, about
     return round(float(np.quantile(np.where(angle[convex] > SHARP_ANGLE, 0.0, across / angle[convex]), 0.01)), 4)
-
-
-def _hull(points: Array) -> Array:
-    from scipy.spatial import ConvexHull
-
-    corners: Array = points[ConvexHull(points).vertices]
-    return corners
 
 
 def _distances(solid: Solid, origin: Array, cell: float, nodes: tuple[int, ...]) -> Array:

@@ -137,7 +137,8 @@ def _set(tree: Tree, text: str) -> Tree:
         raise UserError(f"--set {text}: needs the form path=value, such as indenter.radius_mm=3")
     try:
         path = parse_path(path_text.strip())
-        value = _with_source(parse(value_text, source), source)
+        value = parse(value_text, source)
+        value = Tree(value.data, {path: Spot(Mark(source), Mark(source)) for path in value.spots})  # no line, no column
         if path[0] == "extends":
             raise LookupError("extends can only stand in the recipe")
         if path[0] == "sensor" and len(path) > 1:
@@ -146,11 +147,6 @@ def _set(tree: Tree, text: str) -> Tree:
         return tree.replaced(path, value)
     except (ValueError, LookupError) as error:
         raise UserError(f"--set {text}: {error}") from None
-
-
-def _with_source(tree: Tree, source: Source) -> Tree:
-    """Every spot at the override as a whole: a command line has no lines and columns."""
-    return Tree(tree.data, {path: Spot(Mark(source), Mark(source)) for path in tree.spots})
 
 
 def named_sensor(tree: Tree, images: bool) -> tuple[Sensor | None, Tree, list[tuple[Problem, Tree]]]:

@@ -5,13 +5,13 @@ from collections.abc import Iterator
 from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
-from tacgen.recipe.sensor import Led, LitSensor, Vec3
+from tacgen.recipe.sensor import Led, LitSensor
 from tacgen.recipe.validation_messages import Problem
 
 if TYPE_CHECKING:
     from tacgen.geometry.outline import Pad
 
-TOLERANCE = 1e-6  # of distances [mm] and of the length of a cross product [-]
+TOLERANCE = 1e-6  # of distances [mm] and of the sine of the angle between two directions [-]
 MAX_RAY_ANGLE = 80.0  # between a camera's ray and the plate's normal [deg]
 
 
@@ -111,18 +111,17 @@ def wrong_led(sensor: LitSensor, led: Led) -> tuple[str, str] | None:
 @lru_cache
 def _wrong_led(room: _Room, led: Led) -> tuple[str, str] | None:
     """The same; of scenes that vary other parts of a sensor it is asked once."""
-    normal, up = _unit(led.normal), _unit(led.up)
-    along = _unit(_cross(up, normal)) if normal and up else None
-    if normal is None or along is None:
-        key = "normal" if normal is None else "up"
+    import numpy as np
+
+    normal, along = np.array(led.normal), np.cross(led.up, led.normal)
+    if np.linalg.norm(along) <= TOLERANCE * np.linalg.norm(led.up) * np.linalg.norm(normal):
+        key = "up" if normal.any() else "normal"
         return key, f"normal {_vector(led.normal)} and up {_vector(led.up)} must be neither zero nor parallel"
-    vertical, (w, h) = _cross(normal, along), (size / 2 for size in led.size_mm)
-    corners = [
-        tuple(c + a * w * x + b * h * y for c, x, y in zip(led.center_mm, along, vertical, strict=True))
-        for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))
-    ]
+    sides = np.array([along, np.cross(normal, along)])
+    sides *= np.array(led.size_mm)[:, None] / 2 / np.linalg.norm(sides, axis=1)[:, None]
+    corners = np.array(led.center_mm) + np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) @ sides
     bottom = room.bottom
-    for x, y, z in corners:
+    for x, y, z in corners.tolist():
         if not _in_housing(room.pad, x, y, room.margin):
             return "center_mm", f"pokes out of the housing, at {_vector((x, y, z))}"
         if z > room.coating_z(x, y) - TOLERANCE:
@@ -143,15 +142,6 @@ def _wrong_led(room: _Room, led: Led) -> tuple[str, str] | None:
 def _in_housing(pad: "Pad", x: float, y: float, margin: float) -> bool:
     """Whether (x, y) lies no more than `margin` [mm] off the pad; the corners of a rectangular housing are square."""
     return bool(pad.housing(margin).contains(x, y, TOLERANCE))
-
-
-def _cross(a: Vec3, b: Vec3) -> Vec3:
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-
-
-def _unit(v: Vec3) -> Vec3 | None:
-    size = math.hypot(*v)
-    return (v[0] / size, v[1] / size, v[2] / size) if size > TOLERANCE else None
 
 
 def _vector(v: tuple[float, ...]) -> str:

@@ -17,22 +17,18 @@ Model = TypeVar("Model", bound=BaseModel)
 
 MISSING = "is missing"
 NOUNS = {
-    "float_type": "a number",
-    "float_parsing": "a number",
-    "finite_number": "a finite number",
-    "int_type": "a whole number",
-    "int_parsing": "a whole number",
-    "int_from_float": "a whole number",
-    "int_parsing_size": "a smaller whole number",
-    "string_type": "text",
-    "bool_type": "true or false",
-    "model_type": "a mapping",
-    "model_attributes_type": "a mapping",
-    "dict_type": "a mapping",
-    "tuple_type": "a list",
-    "list_type": "a list",
-    "set_type": "a list",
-    "frozen_set_type": "a list",
+    kind: noun
+    for noun, kinds in {
+        "a number": "float_type float_parsing",
+        "a finite number": "finite_number",
+        "a whole number": "int_type int_parsing int_from_float",
+        "a smaller whole number": "int_parsing_size",
+        "text": "string_type",
+        "true or false": "bool_type",
+        "a mapping": "model_type model_attributes_type dict_type",
+        "a list": "tuple_type list_type set_type frozen_set_type",
+    }.items()
+    for kind in kinds.split()
 }
 BOUNDS = {
     "greater_than": ("greater than", "gt"),
@@ -108,7 +104,8 @@ def _problem(model: type[BaseModel], data: Any, error: ErrorDetails) -> Problem:
     path = _path_in_data(data, loc, missing=kind == "missing")
     got = f"(got {describe(given)})"
     if kind == "extra_forbidden":
-        hint = suggest(str(loc[-1]), _keys(model, loc[:-1]))
+        here = [each for each in _kinds(model, loc[:-1]) if _is_model(each)]
+        hint = suggest(str(loc[-1]), {name for each in here for name in each.model_fields})
         meant = hint.removeprefix(", did you mean ").rstrip("?")
         return Problem(path, f"unknown key{hint}", at_key=True, meant=meant)
     if kind == "missing":
@@ -132,10 +129,11 @@ def _problem(model: type[BaseModel], data: Any, error: ErrorDetails) -> Problem:
         return Problem(path, f"must be a mapping {got}")
     if kind == "string_pattern_mismatch":
         return Problem(path, f"must be letters, digits, dots, dashes and underscores only {got}")
-    if kind in ("string_too_short", "string_too_long"):
-        return Problem(path, f"must have {_count(ctx)} characters {got}")
-    if kind in ("too_short", "too_long"):
-        return Problem(path, f"must hold {_count(ctx)} (got {ctx.get('actual_length')})")
+    if kind.endswith(("too_short", "too_long")):
+        count = f"at least {ctx['min_length']}" if "min_length" in ctx else f"at most {ctx['max_length']}"
+        if kind.startswith("string"):
+            return Problem(path, f"must have {count} characters {got}")
+        return Problem(path, f"must hold {count} (got {ctx.get('actual_length')})")
     return Problem(path, error["msg"].removeprefix("Value error, ").removeprefix("Assertion failed, "))
 
 
@@ -152,12 +150,6 @@ def suggest(word: str, known: Iterable[str]) -> str:
     return f", did you mean {close[0]}?" if close else ""
 
 
-def _count(ctx: dict[str, Any]) -> str:
-    if "min_length" in ctx:
-        return f"at least {ctx['min_length']}"
-    return f"at most {ctx['max_length']}"
-
-
 def _path_in_data(data: Any, loc: KeyPath, *, missing: bool) -> KeyPath:
     """pydantic's location less the union tags it puts between: only steps that exist in the data."""
     path: KeyPath = ()
@@ -171,19 +163,9 @@ def _path_in_data(data: Any, loc: KeyPath, *, missing: bool) -> KeyPath:
     return path
 
 
-def _keys(model: type[BaseModel], loc: KeyPath) -> set[str]:
-    """Names of the fields a mapping at `loc` may hold."""
-    here = _flat(model)
-    for step in loc:
-        here = [kind for each in here for kind in _step(each, step)] or here
-    return {name for each in here if _is_model(each) for name in each.model_fields}
-
-
 def needs(model: type[BaseModel], loc: KeyPath) -> str:
     """` (width_mm, height_mm)`, the keys that a mapping at `loc` must hold, or each of a list of them; or nothing."""
-    here: list[Any] = [model]
-    for step in loc:
-        here = [kind for each in here for kind in _step(each, step)] or here
+    here = _kinds(model, loc)
     lists = [kind for kind in here if get_origin(kind) is tuple]
     here = [inner for kind in lists for inner in _step(kind, 0)] or here
     kind = next((kind for kind in here if _is_model(kind) and kind is not model), None)
@@ -191,6 +173,14 @@ def needs(model: type[BaseModel], loc: KeyPath) -> str:
         return ""
     names = ", ".join(name for name, field in kind.model_fields.items() if field.is_required())
     return f" (a list, each with {names})" if lists else f" ({names})"
+
+
+def _kinds(model: type[BaseModel], loc: KeyPath) -> list[Any]:
+    """The types that a value at `loc` may have."""
+    here: list[Any] = [model]
+    for step in loc:
+        here = [kind for each in here for kind in _step(each, step)] or here
+    return here
 
 
 def _step(kind: Any, step: str | int) -> list[Any]:

@@ -12,7 +12,6 @@ from tacgen.fem.materials import Law, MooneyRivlin, NeoHooke, StableNeoHooke, Ye
 from tacgen.geometry import mesh_import, surface_nets
 from tacgen.geometry.analytic_sdf import Shape, Triangles
 from tacgen.geometry.gel import Gel, Layer, SolidGel
-from tacgen.geometry.sdf_grid import Field
 from tacgen.recipe import indenters, trajectory
 from tacgen.recipe import sensor as sensors
 from tacgen.recipe.checks import timed
@@ -79,18 +78,14 @@ def _solid(i: indenters.Mesh, row: Row) -> mesh_import.Solid:
     return mesh_import.placed(mesh_import.read(row.mesh_path), up=i.up, scale=i.scale, size=i.size_mm)
 
 
-def _field(i: indenters.Mesh, row: Row) -> Field:
-    """Signed distance of a mesh where the gel can reach it; the grid is as fine as the quality's edge asks for."""
-    half, height = _reach_of_gel(row)
-    return mesh_import.field(_solid(i, row), cell=SDF_CELL * row.recipe.resolved().edge_mm, height=height, half=half)
-
-
 def shape_of(row: Row) -> Shape:
-    """The signed distance of the indenter."""
+    """The signed distance of the indenter; of a mesh on a grid that covers what the gel can reach."""
     indenter = row.recipe.indenter
-    shape = _field(indenter, row) if indenter.shape == "mesh" else indenters.analytic(indenter)
-    assert shape is not None
-    return shape
+    if (shape := indenters.analytic(indenter)) is not None:
+        return shape
+    assert indenter.shape == "mesh"
+    (half, height), edge = _reach_of_gel(row), row.recipe.resolved().edge_mm
+    return mesh_import.field(_solid(indenter, row), cell=SDF_CELL * edge, height=height, half=half)
 
 
 def _surface(row: Row, shape: Shape) -> Triangles | None:
