@@ -1,6 +1,6 @@
 """Element kernels and the sparsity pattern of the stiffness matrix: deformation, invariants and nodal forces.
 
-The kernels know the law only through derivatives in the invariants (see materials).
+The kernels see the material law only through its derivatives with respect to the invariants (see materials).
 """
 
 from collections.abc import Sequence
@@ -41,7 +41,7 @@ def deformation(x: Array, conn: Array, B: Array) -> Array:
 @njit(cache=True, fastmath=True)
 def least_J(x: Array, conn: Array, dN: Array, rest: Array) -> Array:
     """The smallest J (e,) over each element's points: det(dx/dxi), with derivatives dN (a, 3, q), over that at rest
-    (e, q). The innermost loops run over points, side by side."""
+    (e, q). The innermost loops run over points, which are contiguous in memory."""
     (ne, na), nq = conn.shape, rest.shape[1]
     least, T = np.empty(ne), np.empty((3, 3, nq))
     for e in range(ne):
@@ -84,7 +84,7 @@ def invariants(F: Array) -> tuple[Array, Array, Array]:
 
 @njit(cache=True)
 def predicted(taken: Array, F: Array, J: Array, to: Array) -> Array:
-    """J (e, q) on the way from F (e, q, 3, 3), where it is J, `to` another, to first order about `taken`."""
+    """J (e, q) at `to` (e, q, 3, 3), predicted from J at F (e, q, 3, 3) to first order, linearised at `taken`."""
     out, C = J.copy(), np.empty((3, 3))
     for e in range(F.shape[0]):
         for q in range(F.shape[1]):
@@ -156,7 +156,7 @@ def cauchy(F: Array, I1: Array, J: Array, first: Array, memory: Array) -> Array:
 
 @njit(cache=True)
 def mean_stress(sigma: Array, F: Array, volume: Array, weights: Array) -> tuple[Array, Array]:
-    """Means over elements: of sigma (e, 3, 3) over the volume now, and of P = sigma cof F over that at rest."""
+    """Element means (e, 3, 3): of sigma over the current volume, and of P = sigma cof F over the rest volume."""
     now, rest, C = np.zeros((len(F), 3, 3)), np.zeros((len(F), 3, 3)), np.empty((3, 3))
     for e in range(len(F)):
         current, initial = volume[e] / volume[e].sum(), weights[e] / weights[e].sum()
@@ -172,7 +172,7 @@ def mean_stress(sigma: Array, F: Array, volume: Array, weights: Array) -> tuple[
 
 @njit(cache=True)
 def add_pressures(F: Array, conn: Array, B: Array, weighted: Array, out: Array) -> None:
-    """Add the forces of pressures times volumes `weighted` (e, q) to out (n, 3), as they act where F is."""
+    """Add the nodal forces of pressures at deformation F to out (n, 3); `weighted` (e, q): pressure times volume."""
     ne, nq, na, _ = B.shape
     C = np.empty((3, 3))
     for e in range(ne):
@@ -199,7 +199,7 @@ def at_points(x: Array, conn: Array, N: Array) -> Array:
 
 @njit(cache=True)
 def add_point_forces(forces: Array, conn: Array, N: Array, out: Array) -> None:
-    """Add what forces (f, q, c) at the quadrature points of facets conn (f, a) are at the nodes to out (n, c)."""
+    """Add forces (f, q, c) at the quadrature points of facets conn (f, a) to their nodes in out (n, c)."""
     for f in range(len(conn)):
         for q in range(len(N)):
             for a in range(conn.shape[1]):
@@ -224,7 +224,7 @@ def add_point_blocks(D: Array, N: Array, slots: Array, data: Array) -> None:
 
 @njit(cache=True)
 def add_dense_blocks(D: Array, N: Array, dofs: Array, K: Array) -> None:
-    """Add stiffnesses D (f, q, 3, 3) of quadrature points to the dense K (k, k) at `dofs` (f, a, 3), -1 for held."""
+    """Add stiffnesses D (f, q, 3, 3) of quadrature points to the dense K (k, k) at `dofs` (f, a, 3); -1: fixed."""
     for f in range(len(D)):
         for q in range(len(N)):
             for a in range(N.shape[1]):
@@ -244,7 +244,7 @@ class Pattern:
     """Upper triangle of the stiffness matrix on the free dofs, in CSR, fixed for a mesh.
 
     indptr (m+1,), indices (nnz,) int32; free (m,) numbers of the free dofs among all 3n; pairs: sorted keys of the
-    node pairs present; blocks (pairs, 3, 3): slot of each entry of a pair's block, -1 where it is not kept.
+    node pairs present; blocks (pairs, 3, 3): slot of each entry of a pair's block, -1 if it is not stored.
     """
 
     indptr: Array
@@ -263,12 +263,12 @@ class Pattern:
 
     @property
     def size(self) -> int:
-        """How many dofs are free."""
+        """Number of free dofs."""
         return len(self.free)
 
 
 def pattern(conns: Sequence[Array], free: Array) -> Pattern:
-    """The pattern that holds every block of `conns` (e, a) between the free dofs; free (n, 3) bool."""
+    """The pattern with all blocks of the elements `conns` (e, a) between free dofs; free (n, 3) bool."""
     n = len(free)
     keys = [np.unique((c[:, :, None].astype(np.int64) * n + c[:, None, :]).ravel()) for c in conns]
     pairs = np.unique(np.concatenate(keys))

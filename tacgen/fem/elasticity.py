@@ -1,10 +1,10 @@
-"""Strain energy of elements of one law, its forces and its tangent; the pressure may be an unknown of its own.
+"""Strain energy of elements of one law, with forces and tangent; the pressure may be an independent unknown.
 
-A gel that hardly changes its volume has a pressure of a large modulus times J - 1. A Newton step that is right to first
-order leaves a J that is wrong to second order, and with it a pressure wrong by several shear moduli: a tangent taken
-with that pressure is indefinite or leads astray. So the solver carries J as predicted by the linearised step, as
-Newton's method for displacement and pressure would, the pressure eliminated (Q1P0 as a mixed method, Simo, Taylor &
-Pister 1985; mixed integration points, Magisano, Leonetti & Garcea 2017). At an equilibrium both are the same.
+In a nearly incompressible gel the pressure is a large modulus times J - 1. After a Newton step, which is exact to first
+order, J has an error of second order, and the pressure an error of several shear moduli: a tangent with that pressure
+is often indefinite. The solver therefore uses J as predicted by the linearised step, as Newton's method for
+displacement and pressure does after elimination of the pressure (Q1P0 as a mixed method, Simo, Taylor & Pister 1985;
+mixed integration points, Magisano, Leonetti & Garcea 2017). At equilibrium both values of J agree.
 """
 
 from dataclasses import dataclass
@@ -18,32 +18,31 @@ from tacgen.fem.materials import Law
 from tacgen.fem.potential import Projection
 
 Array = np.ndarray
-SMALLEST_J = 1e-9  # below it the energy is infinite: what is divided by J would overflow
+SMALLEST_J = 1e-9  # J below which the energy is infinite, so that divisions by J do not overflow [-]
 NOTHING = np.zeros((0, 0, 3, 3))
-PREDICTED = 2.0  # the predicted J is kept within this factor of the true one
+PREDICTED = 2.0  # largest ratio of the predicted J to the true one, and of the true one to the predicted [-]
 
 
 @dataclass(frozen=True)
 class Point:
-    """The law at the integration points: F (e, q, 3, 3), I1 and J (e, q), and its derivatives in the invariants."""
+    """State at the integration points: F (e, q, 3, 3), I1, J (e, q), and the law's derivatives in the invariants."""
 
     F: Array
     I1: Array
     J: Array
-    energy: float  # [N mm], +inf where an element is turned inside out
+    energy: float  # [N mm], +inf if an element is inverted
     first: Array  # (e, q, 3), U' included
-    second: Array  # (e, q, 6), U'' included unless the dilatation is the element's mean
+    second: Array  # (e, q, 6), U'' included except the part that acts on the mean dilatation
     dilatation: Array  # (e,) U''(mean J)/volume, 0 without mean dilatation
     memory: Array  # (e, q, 3, 3) J^-2/3 M, or (0, 0, 3, 3)
 
 
 @dataclass(frozen=True)
 class Elastic:
-    """Strain energy of elements of one law; infinite where an element turns inside out at an integration point.
+    """Strain energy of elements of one law; infinite if an element is inverted at an integration point.
 
-    slots (e, 3a*3a): where each entry of an element's tangent stands in the Pattern; None where only energies and
-    stresses are asked for. memory (e, q, 3, 3): M [MPa] of the energy J^-2/3 (M : F^T F)/2 that a viscoelastic gel has
-    beside its law's.
+    slots (e, 3a*3a): index of each entry of an element's tangent in the Pattern; None if only energies and stresses
+    are needed. memory (e, q, 3, 3): M [MPa] of the additional energy J^-2/3 (M : F^T F)/2 of a viscoelastic gel.
     """
 
     elements: Elements
@@ -57,11 +56,11 @@ class Elastic:
 
     @property
     def local(self) -> float:
-        """The part of the volumetric energy that is taken at each point, not of the element's mean dilatation."""
+        """Share of the volumetric energy that is a function of J at each point, not of the element's mean J [-]."""
         return min(1.0, self.elements.pointwise * self.law.mu / self.law.kappa)
 
     def evaluate(self, x: Array) -> Point:
-        """Invariants, energies and derivatives at x; +inf is the energy, and the rest nonsense, unless J > 0."""
+        """Invariants, energy and derivatives at x; if J <= 0 anywhere the energy is +inf and the rest is undefined."""
         F = assembly.deformation(x, self.elements.conn, self.elements.gradients)
         I1, I2, J = assembly.invariants(F)
         w = self.elements.weights
@@ -99,15 +98,15 @@ class Elastic:
         return out
 
     def predicted(self, at: Point, there: Point, taken: Array) -> Array:
-        """J (e, q) at `there` as a step from `at` with the tangent taken at F `taken` (e, q, 3, 3) predicts it."""
+        """J (e, q) at `there`, predicted by a step from `at` whose tangent was computed at F = `taken` (e, q, 3, 3)."""
         return np.asarray(assembly.predicted(taken, at.F, at.J, there.F))
 
     def mixed_forces(self, at: Point, J: Array, taken: Array, nodes: int) -> Array:
-        """What a step with the tangent taken at F `taken` has to balance (nodes, 3) [N]; J (e, q) as predicted.
+        """Right-hand side (nodes, 3) [N] of a step whose tangent was computed at F = `taken`; J (e, q) is predicted.
 
-        The forces with the predicted pressure, and what is missing of the true one, acting as where the tangent was
-        taken: the right-hand side of Newton's method for displacement and pressure after elimination of the pressure.
-        With a tangent taken here it is `forces`.
+        The forces with the predicted pressure, plus the difference to the true pressure acting at `taken`: the
+        right-hand side of Newton's method for displacement and pressure after elimination of the pressure. With a
+        tangent computed at x itself it equals `forces`.
         """
         e, first = self.elements, self._with_pressure(at, J)
         out = np.zeros((nodes, 3))
@@ -116,7 +115,7 @@ class Elastic:
         return out
 
     def add_tangent(self, at: Point, data: Array, projection: Projection, J: Array | None = None) -> None:
-        """Add d2E/dx2 to the entries of the Pattern, with the pressure at a predicted J (e, q) if one is given."""
+        """Add d2E/dx2 to the entries of the Pattern; if J (e, q) is given, with the pressure at that J."""
         assert self.slots is not None
         e, first = self.elements, at.first if J is None else self._with_pressure(at, J)
         kernels.add_tangent(

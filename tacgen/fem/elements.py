@@ -13,13 +13,13 @@ HEX_CORNERS = np.array(
 HEX_EDGES = np.array([(0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7)])
 QUAD_CORNERS = HEX_CORNERS[:4, :2]
 GAUSS2 = np.array([-1.0, 1.0]) / np.sqrt(3.0)
-# Gauss-Legendre points and weights on [-1, 1], by how many they are.
+# Gauss-Legendre points and weights on [-1, 1], by number of points
 GAUSS = {2: (GAUSS2, np.ones(2)), 3: (np.array([-1.0, 0, 1]) * np.sqrt(0.6), np.array([5.0, 8, 5]) / 9)}
 TET_EDGES = np.array([(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)])
 TRIANGLE_EDGES = np.array([(0, 1), (1, 2), (2, 0)])
-TET4 = (5 - np.sqrt(5.0)) / 20  # smaller barycentric coordinate of the 4-point rule of degree 2
-POINTWISE = 25.0  # of quadratic tets, see Elements
-# smaller barycentric coordinate and weight of each orbit of three points, by the nodes of the triangle
+TET4 = (5 - np.sqrt(5.0)) / 20  # the smaller barycentric coordinate of the 4-point rule of degree 2 for tets
+POINTWISE = 25.0  # Elements.pointwise of quadratic tets [-]
+# the smaller barycentric coordinate and the weight of each orbit of three points, by nodes of the triangle
 DUNAVANT = {
     3: ((1 / 6, 1 / 3),),
     6: ((0.445948490915965, 0.223381589678011), (0.091576213509771, 0.109951743655322)),
@@ -32,8 +32,8 @@ class Elements:
     """Elements of one type.
 
     conn (e, a) node numbers; gradients (e, q, a, 3) dN/dX [1/mm]; weights (e, q) [mm^3];
-    pointwise: bulk modulus, as a multiple of the shear modulus, up to which the volumetric energy is that of J at each
-    point; what is stiffer is that of the element's mean J, which does not lock. shape (q, a): N.
+    pointwise: bulk modulus, over the shear modulus, up to which the volumetric energy is a function of J at each point;
+    the rest of the bulk modulus acts on the element's mean J, which avoids locking [-]. shape (q, a): N.
     """
 
     conn: Array
@@ -47,7 +47,7 @@ def hexes(points: Array, conn: Array) -> Elements:
     """Trilinear hexes with 2x2x2 points and mean dilatation, Nagtegaal, Parks & Rice (1974).
 
     Raises:
-        ValueError: an element is turned inside out.
+        ValueError: an element is inverted.
     """
     N, dN = _trilinear(np.array([[a, b, c] for c in GAUSS2 for b in GAUSS2 for a in GAUSS2]))
     gradients, volume = _mapped(points, conn, dN)
@@ -70,7 +70,7 @@ def _mapped(points: Array, conn: Array, dN: Array) -> tuple[Array, Array]:
 
 
 def boxes(number: Array) -> Array:
-    """Hexes (i - 1, j - 1, k - 1, 8) between the nodes of a grid, whose numbers are `number` (i, j, k)."""
+    """Hexes (i - 1, j - 1, k - 1, 8) of a grid whose nodes have the numbers `number` (i, j, k)."""
     i, j, k = (n - 1 for n in number.shape)
     corners = ((HEX_CORNERS + 1) / 2).astype(int)
     return np.stack([number[a : a + i, b : b + j, c : c + k] for a, b, c in corners], -1)
@@ -94,12 +94,12 @@ def barycentric(L: Array, corners: int) -> tuple[Array, Array]:
 
 
 def tets(points: Array, conn: Array) -> Elements:
-    """Tetrahedra: quadratic with 10 nodes and 4 points, or linear with 4 nodes and 1 point, which lock.
+    """Tetrahedra: quadratic with 10 nodes and 4 points; or linear with 4 nodes and 1 point, which lock.
 
-    Nodes as in VTK: corners, then the edges' in the order of TET_EDGES; they may lie off the edges' middles.
+    Nodes as in VTK: corners, then edge nodes in the order of TET_EDGES, which need not be at the edges' midpoints.
 
     Raises:
-        ValueError: an element is turned inside out.
+        ValueError: an element is inverted.
     """
     linear = conn.shape[1] == 4
     L = np.full((1, 4), 0.25) if linear else np.full((4, 4), TET4) + np.eye(4) * (1 - 4 * TET4)
@@ -120,8 +120,8 @@ def quadratic(points: Array, *conns: Array) -> tuple[Array, ...]:
 
 
 def grid_points(nodes: int) -> tuple[Array, Array]:
-    """N (q, a) and its derivatives (q, a, 3) at points all over an element, corners included: of hexes the 27 points of
-    a 3 x 3 x 3 grid, which determine their Jacobian; of tets the nodes."""
+    """N (q, a) and its derivatives (q, a, 3) at points of the whole element, corners included: for hexes a grid of
+    3 x 3 x 3 points, which determine the Jacobian; for tets the nodes."""
     if nodes == 8:
         grid = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3, indexing="ij"), -1).reshape(-1, 3)
         return _trilinear(grid)
@@ -131,7 +131,7 @@ def grid_points(nodes: int) -> tuple[Array, Array]:
 
 
 def dense_points(points: Array, elements: Elements) -> Elements:
-    """The same elements with the `grid_points` for integration points, each for its share of the volume."""
+    """The same elements with `grid_points` as integration points, all of equal weight."""
     N, dN = grid_points(elements.conn.shape[1])
     gradients, _ = _mapped(points, elements.conn, dN)
     weights = np.repeat(elements.weights.sum(1)[:, None] / len(dN), len(dN), 1)
@@ -142,14 +142,14 @@ KINDS = {8: hexes, 10: tets, 4: tets}  # by the number of nodes
 
 
 def elements(points: Array, conn: Array) -> Elements:
-    """The elements that the number of nodes in conn (e, a) says."""
+    """The elements of the type that has as many nodes as conn (e, a)."""
     return KINDS[conn.shape[1]](points, conn)
 
 
 def facet_points(nodes: int, along: int = 2) -> tuple[Array, Array, Array]:
     """Quadrature on a facet of 4 (quad), 6 or 3 (triangle) nodes: N (q, a), dN (q, a, 2) and weights (q,).
 
-    Gauss points on quads, so many `along` each side; 6 points of degree 4 and 3 of degree 2, Dunavant (1985).
+    Quads: `along` x `along` Gauss points. Triangles: 6 points of degree 4 or 3 of degree 2, Dunavant (1985).
     """
     if nodes == 4:
         at, weight = GAUSS[along]
@@ -164,7 +164,7 @@ def facet_points(nodes: int, along: int = 2) -> tuple[Array, Array, Array]:
 
 
 def facet_corners(nodes: int) -> Array:
-    """Where the nodes of a facet lie in the coordinates of dN (a, 2)."""
+    """Reference coordinates of the nodes of a facet (a, 2)."""
     if nodes == 4:
         return QUAD_CORNERS
     corners = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
@@ -181,8 +181,8 @@ def facet_areas(points: Array, facets: Array, along: int = 2) -> tuple[Array, Ar
 
 
 def facet_hats(nodes: int, at: Array) -> Array:
-    """Shape functions (n, nodes) at coordinates (n, 2) of a facet as it is drawn: linear on the flat triangles of
-    `triangles`, bilinear on quads."""
+    """Shape functions (n, nodes) at reference coordinates (n, 2) of a facet as it is drawn: linear on the flat
+    triangles of `triangles`, bilinear on quads."""
     u, v = at.T
     if nodes == 4:
         return np.stack([(1 + a * u) * (1 + b * v) / 4 for a, b in QUAD_CORNERS], -1)
@@ -201,11 +201,12 @@ def facet_hats(nodes: int, at: Array) -> Array:
 
 
 def facet_shares(N: Array, areas: Array) -> Array:
-    """What of the forces at a facet's points N (q, a), of areas (f, q), falls to its nodes where they are drawn (q, a).
+    """Shares (q, a) of the nodes in the forces at a facet's points N (q, a), of areas (f, q), for drawing maps.
 
-    That is by `facet_hats`, which keep the resultant and its place. Six points on a quadratic triangle are too few for
-    the kinks of those: of a uniform pressure the corners would get a sixth too little, and maps a grain. What keeps
-    force and place too is moved from edges to corners, so that each node gets what its area bears.
+    They are the `facet_hats`, which preserve the resultant and its line of action. The six points of a quadratic
+    triangle do not resolve the kinks of these functions: under uniform pressure the corners would get a sixth too
+    little, which shows as a pattern in maps. A correction that also preserves the resultant moves force from edge nodes
+    to corners, so that each node gets the force on its own area.
     """
     nodes = N.shape[1]
     at = N @ facet_corners(nodes)
@@ -213,7 +214,7 @@ def facet_shares(N: Array, areas: Array) -> Array:
     if nodes == 6:
         part = areas.sum(0) / areas.sum()
         for k in range(3):
-            near = (hats[:, k] > 0) & (hats[:, k] < 1)  # in the corner's own triangle, and not it itself
+            near = (hats[:, k] > 0) & (hats[:, k] < 1)  # in the corner's own triangle, but not at the corner
             moved = (1 / 12 - part @ hats[:, k]) / part[near].sum()
             hats[near] += moved * np.eye(6)[[k, 3 + (k + 1) % 3]].sum(0)
             hats[near] -= moved * np.eye(6)[[3 + k, 3 + (k + 2) % 3]].sum(0)
@@ -221,5 +222,5 @@ def facet_shares(N: Array, areas: Array) -> Array:
 
 
 def triangles(facets: Array) -> Array:
-    """Flat triangles (t, 3) that facets (f, a) are drawn with."""
+    """Flat triangles (t, 3) with which facets (f, a) are drawn."""
     return np.concatenate([facets[:, corners] for corners in PIECES[facets.shape[1]]])

@@ -1,12 +1,12 @@
-"""A barrier against elements that fold at corners and edges while the integration points inside them are still sound.
+"""A barrier that keeps elements from inverting at corners and edges, outside the integration points.
 
-The strain energy is infinite where J <= 0, but it is only taken at integration points: a hex squeezed before a rubbing
-indenter may turn inside out at a corner (to -.46 of its volume in ordinary scenes). The barrier is 0 unless J somewhere
-is below J0, so that nothing changes elsewhere, and infinite at J = 0. A gel that hardly changes its volume has a J near
-1 everywhere; what a mesh makes of that is off by its own error, and the barrier vanishes as it is refined.
+The strain energy is infinite at J <= 0, but it is evaluated at integration points only: a hex that is compressed in
+front of a sliding indenter may invert at a corner (to J = -.46 in ordinary scenes). The barrier is 0 for J >= J0 and
+infinite at J = 0. In a nearly incompressible gel the exact J is near 1 everywhere, so that J < J0 is a discretisation
+error, and the barrier vanishes with refinement.
 
-It is the clamped logarithm of IPC (Li et al. 2020) on J, as Schuller et al. (2013), "Locally injective mappings", and
-Smith & Schaefer (2015), "Bijective parameterization with free boundaries", have it on areas.
+It is the clamped logarithm of IPC (Li et al. 2020) as a function of J; Schuller et al. (2013), "Locally injective
+mappings", and Smith & Schaefer (2015), "Bijective parameterization with free boundaries", use it for areas.
 """
 
 from dataclasses import dataclass, replace
@@ -21,13 +21,13 @@ from tacgen.fem.materials import Derivatives
 from tacgen.fem.potential import Projection
 
 Array = np.ndarray
-STIFFNESS = 4.0  # shear moduli: with one, hexes of objects' edges fold between the points; with ten, steps are short
-J0 = 0.6  # of the rest volume, where the barrier begins: that of a gel that keeps its volume stays near 1
+STIFFNESS = 4.0  # over the shear modulus [-]: at 1 hexes still invert between points, at 10 Newton steps are short
+J0 = 0.6  # J below which the barrier acts; without inversion J stays near 1 in a nearly incompressible gel [-]
 
 
 @dataclass(frozen=True)
 class ClampedLog:
-    """U(J) = -mu (1 - J/J0)^2 ln(J/J0) for J < J0, 0 above and C2 there; as a law of materials.
+    """U(J) = -mu (1 - J/J0)^2 ln(J/J0) for J < J0, 0 above, C2 at J0; a materials.Law.
 
     mu: STIFFNESS times the shear modulus [MPa].
     """
@@ -51,7 +51,7 @@ class ClampedLog:
 
 @dataclass(frozen=True)
 class FoldingPoint:
-    """The elements with a point below J0, and what holds there; None of them where there are none."""
+    """The elements that have a point with J < J0, and their state; None if there are none."""
 
     elastic: Elastic | None
     point: Point | None
@@ -76,7 +76,7 @@ class FoldingPoint:
 class FoldingBarrier:
     """The barrier on elements of one law; fits potential.Potential."""
 
-    elements: Elements  # with points all over them
+    elements: Elements  # with dense_points as integration points
     slots: Array
     mu: float
     dN: Array  # (a, 3, q), in the element's own coordinates
@@ -90,7 +90,7 @@ class FoldingBarrier:
         return cls(dense, slots, STIFFNESS * mu, np.ascontiguousarray(dN.transpose(1, 2, 0)), rest)
 
     def stiffened(self, times: float) -> "FoldingBarrier":
-        """The same, so many times as stiff."""
+        """The same with `times` its stiffness."""
         return replace(self, mu=times * self.mu)
 
     def evaluate(self, x: Array) -> FoldingPoint:

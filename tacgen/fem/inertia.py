@@ -2,14 +2,13 @@
 
     E(x) = |x - a - h v|^2_M / (2 h^2) + |x - a|^2_C / (2 h),    C = alpha M + beta K
 
-with the positions a, velocities v and step h [s] from where the step starts. Beside an elastic energy W its minimum has
+with positions a and velocities v at the start of the step h [s]. The minimum of E plus an elastic energy W has
 M (w - v)/h + C w + W'(x) = 0 at the velocity w = (x - a)/h. Units are mm, N, s, so that masses are in tonnes.
 
-M is lumped, each element's mass shared out as the squares of its shape functions (Hinton, Rock & Zienkiewicz 1976, "A
-note on mass lumping and related processes"): positive at every node of every element, those of quadratic tets included,
-where sums of rows are not. K is the stiffness where the step starts, made positive semi-definite (Li et al. 2020,
-"Incremental Potential Contact", lag it alike): it follows large turns and strains, as the stiffness at rest would not,
-and E stays convex.
+M is lumped in proportion to the diagonal of the consistent mass matrix (Hinton, Rock & Zienkiewicz 1976, "A note on
+mass lumping and related processes"): positive at all nodes, also of quadratic tets, where row sums are not. K is the
+stiffness at the start of the step, projected to be positive semi-definite (lagged as in Li et al. 2020, "Incremental
+Potential Contact"): unlike the stiffness at rest it follows large rotations and strains, and E stays convex.
 """
 
 from dataclasses import dataclass
@@ -26,7 +25,7 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class Body:
-    """What of a mesh resists being moved fast: mass (n,) [t], and the damping's alpha [1/s] and beta [s]."""
+    """Mass (n,) [t] of the nodes, and the damping's alpha [1/s] and beta [s]."""
 
     pattern: Pattern
     elastic: tuple[Elastic, ...]
@@ -36,7 +35,7 @@ class Body:
 
     @classmethod
     def of(cls, pattern: Pattern, elastic: tuple[Elastic, ...], density: float, alpha: float, beta: float) -> "Body":
-        """Of one density [t/mm^3]."""
+        """The body of a mesh with one density [t/mm^3]."""
         mass = np.zeros(pattern.nodes)
         for part in elastic:
             e = part.elements
@@ -60,12 +59,12 @@ class Body:
 class Inertia:
     """See the module. inertial, drag (n, 1): M/h^2 and alpha M/h [N/mm]; viscous: beta K/h as entries of the pattern.
 
-    Nodes that are held do not move and have neither; what damping makes them bear is left out of the gradient.
+    Fixed nodes do not move; the damping forces that they bear are left out of the gradient.
     """
 
     pattern: Pattern
     start: Array
-    coasting: Array  # where every node would be if nothing held it (n, 3) [mm]
+    coasting: Array  # a + h v: positions without forces (n, 3) [mm]
     inertial: Array
     drag: Array
     viscous: Array | None

@@ -1,7 +1,7 @@
-"""A bound on how far elements are compressed, at all their points and not at the integration points alone.
+"""A lower bound of the Jacobian at all points of the elements, not at the integration points alone.
 
-The Jacobian determinant of an element is a polynomial, and lies between the least and the largest of its Bernstein
-coefficients; those at the element's corners are its values there. Johnen, Remacle & Geuzaine, "Geometrical validity of
+The Jacobian determinant of an element is a polynomial, which lies between the smallest and the largest of its
+Bernstein coefficients; those at the corners are its values there. Johnen, Remacle & Geuzaine, "Geometrical validity of
 curvilinear finite elements", Journal of Computational Physics 233 (2013).
 """
 
@@ -14,11 +14,11 @@ from tacgen.compiled import njit
 from tacgen.fem.elements import HEX_CORNERS, TET_EDGES, barycentric
 
 Array = np.ndarray
-DEPTH = 6  # halvings; each makes the distance of coefficients from values about four times smaller
-MOST = 20_000  # pieces that are divided at once, 35 MB: where all elements fold alike there would be millions
-# how a quadratic polynomial's coefficients on either half of an edge follow from those on the whole, de Casteljau
+DEPTH = 6  # most subdivisions; each reduces the gap between coefficients and values about four times
+MOST = 20_000  # most pieces that are subdivided at once (35 MB); if all elements fold there would be millions
+# coefficients of a quadratic polynomial on each half of an edge from those on the whole edge, by de Casteljau
 HALVES = np.array([[[4, 0, 0], [2, 2, 0], [1, 2, 1]], [[1, 2, 1], [0, 2, 2], [0, 0, 4]]]) / 4
-# a tet's pieces by its nodes, in an order that keeps their pieces' shapes from getting worse: Bey (1995)
+# the eight pieces of a tet by its nodes, in Bey's order (1995), which keeps the shapes of repeated pieces bounded
 EIGHTHS = np.array(
     [(0, 4, 6, 7), (4, 1, 5, 8), (6, 5, 2, 9), (7, 8, 9, 3), (4, 6, 7, 8), (4, 6, 5, 8), (6, 7, 8, 9), (6, 5, 8, 9)]
 )
@@ -26,7 +26,7 @@ EIGHTHS = np.array(
 
 @dataclass(frozen=True)
 class Bernstein:
-    """How the k Bernstein coefficients of the determinant follow from the a nodes of one type of element.
+    """Constants that give the k Bernstein coefficients of the determinant from the a nodes of an element type.
 
     Each column of the Jacobian matrix is linear between its values at p places, so the determinant is a sum over p^3
     triples of them, and a coefficient is the mean of the triples of its monomial. columns (3, p, a): dN/dxi at the
@@ -41,7 +41,7 @@ class Bernstein:
 
 
 def _table(columns: Array, powers: Array) -> tuple[Array, Array, Array]:
-    """Columns, monomials and shares; powers (3, p, v): exponents of what the columns' values are multiplied with."""
+    """Columns, monomials and shares; powers (3, p, v): exponents of the factors of the columns' values."""
     total = powers[0][:, None, None] + powers[1][:, None] + powers[2]
     p = powers.shape[1]
     _, number, count = np.unique(total.reshape(p**3, -1), axis=0, return_inverse=True, return_counts=True)
@@ -67,7 +67,7 @@ def _tets() -> Bernstein:
     pieces = np.zeros((len(EIGHTHS), len(share), len(share)))
     nodes = np.concatenate([corners, corners[TET_EDGES].mean(1)])
     for piece, ends in zip(pieces, nodes[EIGHTHS], strict=True):
-        for triple in np.ndindex(4, 4, 4):  # the blossom at three corners of the piece, in whatever order
+        for triple in np.ndindex(4, 4, 4):  # the blossom at three corners of the piece; it is symmetric
             a, b, c = ends[list(triple)]
             weights = a[:, None, None] * b[:, None] * c
             piece[monomial[triple]] = np.bincount(monomial.ravel(), weights.ravel(), len(share))
@@ -105,18 +105,18 @@ def coefficients(points: Array, cells: Array, columns: Array, monomial: Array, s
                 w = g[0, i, 0] * g[1, j, 1] - g[0, i, 1] * g[1, j, 0]
                 for k in range(p):
                     out[e, monomial[i, j, k]] += u * g[2, k, 0] + v * g[2, k, 1] + w * g[2, k, 2]
-        for k in range(len(share)):  # as an array expression it would compile for two seconds more
+        for k in range(len(share)):  # an array expression takes two seconds longer to compile
             out[e, k] *= share[k]
     return out
 
 
 def least_jacobian(rest: Array, points: Array, cells: Array, tol: float = 0.01) -> float:
-    """Lower bound of J at all points of all elements, as a part of the element's rest volume; 1 at rest if not curved.
+    """Lower bound of J at all points of all elements.
 
-    rest, points (n, 3) [mm]: where the nodes were and are; cells (e, 8, 10 or 4): trilinear hexes, quadratic or linear
-    tets. J is det(dx/dxi) over the element's mean det(dX/dxi), so that of the deformation where the rest element is
-    affine. The bound holds but for rounding, and is less than `tol` below the least J unless DEPTH or MOST is reached;
-    -inf where points are not finite.
+    rest, points (n, 3) [mm]: positions of the nodes at rest and now; cells (e, 8, 10 or 4): trilinear hexes, quadratic
+    or linear tets. J is det(dx/dxi) over the element's mean det(dX/dxi); for an element that is affine at rest it is
+    the Jacobian of the deformation. The bound holds up to rounding, and is at most `tol` below the least J unless DEPTH
+    or MOST is reached; -inf if points are not finite.
 
     Raises:
         ValueError: an element has no volume at rest.

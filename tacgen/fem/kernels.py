@@ -1,6 +1,6 @@
-"""Compiled loops of the elements' tangent: exact, or projected to be positive semi-definite.
+"""Compiled loops of the element tangents: exact, or projected to be positive semi-definite.
 
-The kernels know the law only through derivatives in the invariants (see materials). The projected tangent clamps the
+The kernels see the material law only through its derivatives in the invariants. The projected tangent clamps the
 analytic eigenvalues of an isotropic energy in the principal stretches (Smith, de Goes & Kim 2019, "Analytic
 eigensystems for isotropic distortion energies").
 """
@@ -11,12 +11,12 @@ from tacgen.compiled import njit
 from tacgen.fem.assembly import cofactor
 
 Array = np.ndarray
-MILD = 0.1  # |F^T F - I| below which the exact tangent is positive definite without projection
+MILD = 0.1  # |F^T F - I| below which the exact tangent is not projected: it is positive definite near rest [-]
 
 
 @njit(cache=True, fastmath=True)
 def _eigen3(A: Array, V: Array) -> None:
-    """Cyclic Jacobi on the symmetric A: eigenvalues end on its diagonal, eigenvectors in the columns of V."""
+    """Eigenvalues (on the diagonal of A) and eigenvectors (columns of V) of the symmetric A, by cyclic Jacobi."""
     for i in range(3):
         for j in range(3):
             V[i, j] = 1.0 if i == j else 0.0
@@ -157,7 +157,10 @@ def _projected(
 
 @njit(cache=True, fastmath=True)
 def _remember(F: Array, C: Array, M: Array, G: Array, D: Array) -> None:
-    """Add to D (9, 9) what J^-2/3 (M : F^T F)/2 has beside its derivatives in J alone; M (3, 3) holds J^-2/3."""
+    """Add the second derivatives of J^-2/3 (M : F^T F)/2 to D (9, 9), without those in J alone, which are in s2.
+
+    M (3, 3) includes J^-2/3.
+    """
     for i in range(3):
         for j in range(3):
             G[0, 3 * i + j] = F[i, 0] * M[0, j] + F[i, 1] * M[1, j] + F[i, 2] * M[2, j]
@@ -175,7 +178,7 @@ def _clamp(D: Array) -> None:
     """The positive semi-definite part of the symmetric D (9, 9), by its numerical eigenvalues."""
     values, vectors = np.linalg.eigh(D)
     D[:] = 0.0
-    for k in range(9):  # as an array expression it would compile for three seconds more
+    for k in range(9):  # an array expression takes three seconds longer to compile
         if values[k] > 0.0:
             for a in range(9):
                 for b in range(9):
@@ -184,7 +187,7 @@ def _clamp(D: Array) -> None:
 
 @njit(cache=True, fastmath=True)
 def _strained(F: Array) -> bool:
-    """Whether |F^T F - I| is beyond MILD: nearer to rest the exact tangent is as good as positive."""
+    """Whether |F^T F - I| exceeds MILD."""
     total = 0.0
     for i in range(3):
         for j in range(3):
@@ -206,16 +209,16 @@ def add_tangent(
     slots: Array,
     data: Array,
 ) -> None:
-    """Add d2E/dx2 of all elements to `data` at `slots` (e, 3a*3a), -1 where nothing is kept.
+    """Add d2E/dx2 of all elements to `data` at `slots` (e, 3a*3a).
 
-    dilatation (e,): U''(mean J)/volume of elements with mean dilatation, a rank-one term; 0 elsewhere. memory: see
-    elasticity.Point. project: see potential.Projection.
+    `slots`: -1 where an entry is not stored. dilatation (e,): U''(mean J)/volume of elements with mean dilatation, a
+    rank-one term; 0 for others. memory: see elasticity.Point. project: see potential.Projection.
     """
     ne, nq, na, _ = B.shape
     nd = 3 * na
     A, V, W, Hs, U = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
     C, G, Q, D = np.empty((3, 3)), np.empty((3, 9)), np.empty((9, 9)), np.empty((9, 9))
-    # K[k, r, a] is the entry (r, 3a+k) and b[j, a] = dN_a/dX_j: the innermost loops run over nodes, side by side
+    # K[k, r, a] is the entry (r, 3a+k) and b[j, a] = dN_a/dX_j: inner loops run over nodes, contiguous in memory
     K, BD, g, b = np.empty((3, nd, na)), np.empty((nd, 9)), np.empty(nd), np.empty((3, na))
     for e in range(ne):
         K[:] = 0.0

@@ -1,9 +1,9 @@
-"""Hyperelastic laws as functions of invariants, so that one element kernel serves them all.
+"""Hyperelastic laws as functions of invariants, so that one element kernel serves all laws.
 
     W(F) = w(I1, I2, J) + U(J),    I1 = F:F,    I2 = (I1^2 - tr(C^2))/2,    J = det F
 
 `iso` gives w with its first and second derivatives; `vol` gives U, U', U''. Elements with mean dilatation evaluate U
-at the mean J of the element (Q1P0), all others pointwise. Shapes are whatever the invariants' shape is. W is 0 at rest.
+at the mean J of the element (Q1P0), others at each point. Arrays have the shape of the invariants. W is 0 at rest.
 """
 
 from dataclasses import dataclass
@@ -40,7 +40,7 @@ class Law(Protocol):
 
 
 def _bulk(kappa: float, J: Array) -> tuple[Array, Array, Array]:
-    """U = kappa/2 [(J^2 - 1)/2 - ln J], Simo & Taylor (1982); in J - 1, whose rounding a line search would feel."""
+    """U = kappa/2 [(J^2 - 1)/2 - ln J], Simo & Taylor (1982); written in J - 1 to avoid cancellation."""
     e = J - 1
     return kappa / 2 * (e + e**2 / 2 - np.log1p(e)), kappa / 2 * (J - 1 / J), kappa / 2 * (1 + 1 / J**2)
 
@@ -122,10 +122,10 @@ class Yeoh:
 @dataclass(frozen=True)
 class StableNeoHooke:
     """W = mu/2 (I1 - 3) + lam/2 (J - 1 - mu/lam)^2 - mu^2/(2 lam), Smith, de Goes & Kim (2018), "Stable neo-Hookean
-    flesh simulation", as UIPC has it (without their logarithm); the constant makes W 0 at rest. Finite through J = 0:
-    the elements end it there.
+    flesh simulation", without their logarithm, as in UIPC; the constant makes W 0 at rest. It is finite at J <= 0; the
+    elements make the energy infinite there.
 
-    `lam` is not Lamé's first parameter but that plus mu, so that the small-strain moduli come out right.
+    `lam` is Lamé's first parameter plus mu, so that the small-strain moduli are right.
     """
 
     mu: float  # shear modulus [MPa]
@@ -150,7 +150,7 @@ class StableNeoHooke:
 
 @dataclass(frozen=True)
 class Stiffened:
-    """Another law with `times` its w and the same U; its moduli at rest are that law's own."""
+    """Another law with w multiplied by `times` and the same U; mu and kappa are that law's own."""
 
     law: Law
     times: float
@@ -173,7 +173,7 @@ class Stiffened:
 
 LAWS = {"neo_hooke": NeoHooke, "mooney_rivlin": MooneyRivlin, "yeoh": Yeoh, "stable_neo_hooke": StableNeoHooke}
 
-# One of each with the same moduli at rest, mu = 0.05 MPa and kappa = 0.4 MPa: what the tests of laws try.
+# An example of each law, all with mu = 0.05 MPa and kappa = 0.4 MPa at rest, for tests.
 EXAMPLES: dict[str, Law] = {
     "neo_hooke": NeoHooke(0.05, 0.4),
     "mooney_rivlin": MooneyRivlin(0.015, 0.01, 0.4),

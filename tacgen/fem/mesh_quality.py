@@ -1,4 +1,4 @@
-"""How well shaped a mesh is: counts, angles, Jacobians, volume. Arrays in, numbers out."""
+"""Quality of a mesh: counts, angles, Jacobians, volume."""
 
 from dataclasses import asdict, dataclass
 
@@ -7,16 +7,16 @@ import numpy as np
 from tacgen.fem.elements import TET_EDGES, elements, grid_points
 
 Array = np.ndarray
-# the corners that each corner's edges lead to, right-handed
+# the three neighbours of each corner along edges, right-handed
 HEX_ENDS = np.array([(1, 3, 4), (2, 0, 5), (3, 1, 6), (0, 2, 7), (7, 5, 0), (4, 6, 1), (5, 7, 2), (6, 4, 3)])
 TET_ENDS = np.array([(1, 2, 3), (2, 0, 3), (0, 1, 3), (1, 0, 2)])
-OPPOSITE = np.array([(2, 3), (0, 3), (1, 3), (1, 2), (2, 0), (0, 1)])  # the corners off each of TET_EDGES
+OPPOSITE = np.array([(2, 3), (0, 3), (1, 3), (1, 2), (2, 0), (0, 1)])  # the two corners not on each of TET_EDGES
 
 
 @dataclass(frozen=True)
 class Quality:
-    """Of a mesh: smallest dihedral angle of its tets [deg] (None for hexes), smallest scaled Jacobian (1 is a cube or
-    a regular tet, 0 is flat), and how much its volume differs from the true one, as a part of it."""
+    """Smallest dihedral angle of tets [deg] (None for hexes); smallest scaled Jacobian (1: a cube or a regular tet,
+    0: a flat cell) [-]; relative error of the volume [-]."""
 
     nodes: int
     cells: int
@@ -25,7 +25,7 @@ class Quality:
     volume_error: float
 
     def document(self) -> dict[str, float | int]:
-        """What there is to say, rounded: the last bits of a sum say nothing."""
+        """The numbers that are known, rounded: the last bits of a sum are noise."""
         return {name: round(v, 6) for name, v in asdict(self).items() if v is not None}
 
 
@@ -40,9 +40,9 @@ def dihedral(points: Array, tets: Array) -> Array:
 
 
 def scaled_jacobian(points: Array, cells: Array) -> Array:
-    """The least over a cell's corners of the triple product of its unit edges there, 1 at best (e,).
+    """The smallest triple product of unit edges at a cell's corners (e,), at most 1.
 
-    Of a quadratic tet the volume is that of its curved map, at its worst node: 0 where an edge's node folds it.
+    For a quadratic tet the volume is that of its curved map at the worst node: 0 where an edge node inverts it.
     """
     ends = HEX_ENDS if cells.shape[1] == 8 else TET_ENDS
     x = points[cells[:, : len(ends)]]
@@ -54,10 +54,8 @@ def scaled_jacobian(points: Array, cells: Array) -> Array:
 
 
 def nodal_volume(points: Array, tets: Array) -> Array:
-    """Determinant of the map from the reference tet at each node (e, a) [mm^3]; six times the volume of a straight one.
-
-    Where it is positive at all nodes the map of a curved tet is one to one there.
-    """
+    """Determinant of the map from the reference tet at each node (e, a) [mm^3]; for a straight tet six times its
+    volume. The map of a curved tet is invertible at nodes where it is positive."""
     _, dN = grid_points(tets.shape[1])
     return np.asarray(np.linalg.det(np.einsum("qaj,eai->eqij", dN, points[tets])))
 
@@ -71,5 +69,5 @@ def measure(points: Array, cells: Array, volume: float) -> Quality:
 
 
 def enclosed(vertices: Array, triangles: Array) -> float:
-    """Volume inside a closed surface wound outward [mm^3]."""
+    """Volume inside a closed surface with outward orientation [mm^3]."""
     return float(np.linalg.det(vertices[triangles]).sum() / 6)

@@ -1,4 +1,4 @@
-"""Everything that resists the press is a Potential; their sum is one too. None of them remembers what it was asked."""
+"""The interface of all energies, and their sum. A Potential has no state."""
 
 from dataclasses import dataclass
 from enum import IntEnum
@@ -10,10 +10,10 @@ Array = np.ndarray
 
 
 class Projection(IntEnum):
-    """Whether a tangent is made positive semi-definite, element by element (or contact point by contact point)."""
+    """Whether tangents are projected to be positive semi-definite, per element or per contact point."""
 
     NONE = 0  # the exact second derivative
-    STRAINED = 1  # where the material is strained: near rest the exact tangent is positive
+    STRAINED = 1  # only where the material is strained: near rest the exact tangent is positive definite
     FULL = 2  # everywhere
 
 
@@ -22,7 +22,7 @@ class Potential(Protocol):
     """An energy of the nodal positions x (n, 3) [mm]."""
 
     def value(self, x: Array) -> float:
-        """Energy [N mm]; +inf where x is not admissible."""
+        """Energy [N mm]; +inf if x is not admissible."""
 
     def gradient(self, x: Array) -> Array:
         """dE/dx (n, 3) [N]."""
@@ -31,12 +31,12 @@ class Potential(Protocol):
         """Add d2E/dx2 to `data`, the entries of the Pattern [N/mm]."""
 
     def max_step(self, x: Array, p: Array) -> float:
-        """Largest a in (0, 1] such that x + a p is reached without passing through anything."""
+        """Largest a in (0, 1] such that the step from x to x + a p passes through nothing."""
 
 
 @dataclass(frozen=True)
 class Total:
-    """The sum of some potentials."""
+    """The sum of several potentials."""
 
     parts: tuple[Potential, ...]
 

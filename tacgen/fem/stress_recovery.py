@@ -1,10 +1,10 @@
-"""Nodal stress from element stress: superconvergent patch recovery, one material at a time.
+"""Nodal stress from element stress by superconvergent patch recovery, separately for each material.
 
 Zienkiewicz & Zhu (1992), "The superconvergent patch recovery", Part 1: around each vertex a linear polynomial is fitted
-to the values at the centres of the elements that meet there (the superconvergent points of hexes), and taken at the
-vertex. A vertex whose patch does not determine the polynomial, because it lies on a face, an edge or a corner, takes
-that of the nearest vertices whose patch does. What alternates from element to element, as the pressure of Q1P0 may, is
-orthogonal to every linear polynomial on a patch of 2 x 2 x 2 hexes: none of it reaches the nodes.
+to the values at the centres of the elements that meet there (the superconvergent points of hexes) and evaluated at the
+vertex. A vertex whose patch does not determine the polynomial, such as one on a face, uses that of the nearest vertices
+whose patch does. A pressure that alternates from element to element, as Q1P0 may give, is orthogonal to all linear
+polynomials on a patch of 2 x 2 x 2 hexes and does not reach the nodes.
 """
 
 from dataclasses import dataclass
@@ -18,14 +18,14 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 Array = np.ndarray
-FLAT = 0.1  # spread of a patch's centres, as a part of half its extent, below which a direction is not determined
-VERTICES = {8: 8, 4: 4, 10: 4}  # of an element, by its number of nodes
-FULL = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])  # where each entry of a tensor stands among xx yy zz yz xz xy
+FLAT = 0.1  # spread of a patch's centres over half its extent, below which a direction is undetermined [-]
+VERTICES = {8: 8, 4: 4, 10: 4}  # vertices of an element, by its number of nodes
+FULL = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])  # index of each tensor entry in xx yy zz yz xz xy
 
 
 @dataclass(frozen=True)
 class Recovery:
-    """A node that several materials share has a row for each of them.
+    """The recovery of a mesh as matrices. A node shared by several materials has one row for each.
 
     node (k,) its number; material (k,) ascending; matrix (k, e): element values (e, c) to values of the rows (k, c);
     mean (e, k): values of the rows to their means over the vertices of each element.
@@ -59,14 +59,14 @@ class Recovery:
         return cls(node, np.concatenate(materials), csr_array(vstack(blocks)), mean)
 
     def outermost(self, values: Array, nodes: int) -> Array:
-        """Values (n, c) at the nodes: of the last of its materials where a node has several."""
+        """Values (n, c) at the nodes; for a node of several materials, those of the outermost."""
         out = np.zeros((nodes, values.shape[1]))
         out[self.node] = values
         return out
 
 
 def _weights(points: Array, cells: Array, centres: Array) -> "csr_array":
-    """Weights (n, e) with which the nodes take the values of the elements, of one material."""
+    """Weights (n, e) of the element values in the nodal values, for one material."""
     from scipy.sparse import csr_array
 
     n, corners = len(points), cells[:, : VERTICES[cells.shape[1]]]
@@ -74,7 +74,7 @@ def _weights(points: Array, cells: Array, centres: Array) -> "csr_array":
     around = csr_array((np.ones(len(rows)), (corners.ravel(), rows)), shape=(n, len(cells)))
     fits, ranks = _fits(points, corners, centres, around)
     asked, taken = _taken(cells, n, ranks)
-    # one entry for each node, each patch it takes and each element of that patch
+    # one entry for each node, each patch that it uses, and each element of that patch
     share = 1 / np.bincount(asked, minlength=n)[asked]
     size = np.diff(around.indptr)[taken]
     pair = np.repeat(np.arange(len(taken)), size)
@@ -86,7 +86,7 @@ def _weights(points: Array, cells: Array, centres: Array) -> "csr_array":
 
 @dataclass(frozen=True)
 class _Fits:
-    """Of each vertex the middle of its patch (n, 3); columns (entries, 4) of the fits, in the order of the patches."""
+    """Centre (n, 3) of the patch of each vertex; columns (entries, 4) of the fits, in the order of the patches."""
 
     middle: Array
     columns: Array
@@ -113,7 +113,7 @@ def _fits(points: Array, corners: Array, centres: Array, around: "csr_array") ->
 
 
 def _taken(cells: Array, n: int, ranks: Array) -> tuple[Array, Array]:
-    """Which node takes the polynomial of which vertex's patch: (pairs,) each."""
+    """Pairs of a node and a vertex whose polynomial it uses, (pairs,) each."""
     from scipy.sparse import csr_array, eye_array
 
     edges = HEX_EDGES if cells.shape[1] == 8 else TET_EDGES

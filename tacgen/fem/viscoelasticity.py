@@ -4,17 +4,17 @@
 
 with Cbar = J^-2/3 C, DEV[A] = A - (A : C) C^-1/3, and H_i 0 at rest: Simo (1987), "On a fully three-dimensional
 finite-strain viscoelastic damage model"; Simo & Hughes (1998), "Computational Inelasticity", section 10.3. The elastic
-law is that of infinitely slow moves, and g_i the share of the instantaneous shear modulus that relaxes in tau_i:
+law is the long-term one, and g_i is the share of the instantaneous shear modulus that relaxes with tau_i:
 
     G(t) = G_0 (1 - sum_i g_i (1 - exp(-t/tau_i))),    beta_i = g_i/(1 - sum_i g_i)
 
-A step of h [s] in which s goes at an even pace has exactly (Taylor, Pister & Goudreau 1970, "Thermomechanical analysis
-of viscoelastic solids"; Simo & Hughes take the midpoint, exp(-r/2) for d)
+If s is linear in time over a step of h [s], the exact update is (Taylor, Pister & Goudreau 1970, "Thermomechanical
+analysis of viscoelastic solids"; Simo & Hughes use the midpoint rule, exp(-r/2) for d)
 
     H_i <- exp(-r_i) H_i + d_i (s - s_start),    r_i = h/tau_i,    d_i = (1 - exp(-r_i))/r_i
 
-For any M that is fixed J^-2/3 DEV[M] = d(M : Cbar)/dC, and DEV applied to s changes nothing. So the stress at the end
-of a step is 2 dE/dC of an energy that knows of the past only the state in which the step starts:
+For constant M, J^-2/3 DEV[M] = d(M : Cbar)/dC, and DEV[s] = s. So the stress at the end of a step is 2 dE/dC of an
+energy that depends on the past only through the state at the start of the step:
 
     E = U(J) + (1 + sum_i beta_i d_i) w + M : Cbar / 2,    M = sum_i beta_i (exp(-r_i) H_i - d_i s_start)
 """
@@ -45,7 +45,7 @@ class Viscoelastic:
         return cls(elastic, g / (1 - g.sum()), tau)
 
     def rest(self) -> Array:
-        """H (k, e, q, 3, 3) [MPa] of a gel that has not been touched."""
+        """H (k, e, q, 3, 3) [MPa] of the untouched gel."""
         return np.zeros((len(self.tau), *self.elastic.elements.weights.shape, 3, 3))
 
     def step(self, H: Array, start: Array, h: float) -> Elastic:
@@ -56,12 +56,12 @@ class Viscoelastic:
         return replace(self.elastic, law=Stiffened(self.elastic.law, 1 + now), memory=memory)
 
     def after(self, H: Array, start: Array, x: Array, h: float) -> Array:
-        """H at x (n, 3), where that step ends."""
+        """H at x (n, 3), the end of that step."""
         decay, d = (factor[:, None, None, None, None] for factor in self._factors(h))
         return np.asarray(decay * H + d * (self._isochoric(x) - self._isochoric(start)))
 
     def relaxing(self, H: Array) -> Elastic:
-        """The potential whose stress is the gel's where the internal variables are H."""
+        """The potential whose stress is that of the gel with internal variables H."""
         return replace(self.elastic, memory=np.tensordot(self.beta, H, 1))
 
     def _factors(self, h: float) -> tuple[Array, Array]:

@@ -1,12 +1,12 @@
-"""Indenters as signed distances: every analytic shape is a core grown by a rounding radius.
+"""Signed distances of analytic indenters: each is a core set, offset outward by a rounding radius.
 
-In its own frame an indenter touches the plane z = 0 from above at the origin and its body rises along +z
-(punch, cone, box and wedge without end). A core says, for each point, which of its points is closest; distance,
-normal and curvature follow from that for all shapes alike:
+In its own frame an indenter touches the plane z = 0 from above at the origin, and its body extends along +z (punch,
+cone, box and wedge to infinity). A core gives its closest point c(p) for each point p; distance, normal and curvature
+follow in the same way for all shapes:
 
     d = |p - c(p)| - r,    n = (p - c)/|p - c|,    H = (I - n n^T - dc/dp) / |p - c|
 
-Inside a core d goes on decreasing linearly, so that a gel that starts overlapped is pushed out.
+Inside a core d decreases linearly, so that a gel that overlaps it at the start is pushed out.
 """
 
 from collections.abc import Callable
@@ -28,19 +28,19 @@ class Shape(Protocol):
 
     @property
     def reach(self) -> float:
-        """How far a gel point may lie inside and still be pushed out the way it came [mm]."""
+        """Largest depth of a gel point inside that is pushed out on the side where it entered [mm]."""
 
     def distance(self, p: Array) -> tuple[Array, Array, Array]:
         """Signed distance [mm] (n,), its gradient (n, 3) and Hessian [1/mm] (n, 3, 3) at points p (n, 3) [mm]."""
 
     def support(self, direction: Array) -> float:
-        """How far the shape extends along a unit vector (3,) [mm]; inf where it has no end."""
+        """Support function: extent along a unit vector (3,) [mm]; inf where the shape is infinite."""
 
 
 @dataclass(frozen=True, eq=False)
 class Triangles:
-    """A rigid surface in its own frame: vertices (v, 3) [mm], triangles (t, 3), and how each vertex moves (v, 3) when
-    the surface moves outward by 1."""
+    """A rigid surface in its own frame: vertices (v, 3) [mm], triangles (t, 3), and the displacement (v, 3) of each
+    vertex when all triangles move outward by 1."""
 
     vertices: Array
     triangles: Array
@@ -48,16 +48,16 @@ class Triangles:
 
     @property
     def areas(self) -> Array:
-        """A third of the triangles around each vertex (v,) [mm^2]."""
+        """Area of each vertex: a third of the triangles around it (v,) [mm^2]."""
         a, b, c = np.moveaxis(self.vertices[self.triangles], 1, 0)
         third = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6
         return np.bincount(self.triangles.ravel(), np.repeat(third, 3), len(self.vertices))
 
 
 class Core(NamedTuple):
-    """Closest core points c (n, 3), dc/dp (n, 3, 3), depth inside the core (n,) >= 0 and the way out there (n, 3).
+    """Closest core points c (n, 3), dc/dp (n, 3, 3), depth inside the core (n,) >= 0 and direction out of it (n, 3).
 
-    A core that is a point or a line has no inside: on it the way out is down.
+    A core that is a point or a line has no interior: on it the direction out is down.
     """
 
     closest: Array
@@ -67,19 +67,19 @@ class Core(NamedTuple):
 
 
 def lowest(support: Callable[[Array], float], rotation: Array) -> Array:
-    """The lowest point (3,) of a turned shape from its own origin [mm]: the middle of them where it is an edge or face.
+    """The lowest point (3,) of a rotated shape relative to its origin [mm]; of a lowest edge or face its centre.
 
-    The slope of its support function, by central differences.
+    It is the gradient of the support function, by central differences.
     """
     down, step = -rotation[2], 1e-5
     ends = [[e / np.linalg.norm(e) for e in (down + s, down - s)] for s in step * np.eye(3)]
     slope = np.array([support(ahead) - support(behind) for ahead, behind in ends]) / (2 * step)
-    flat = rotation @ slope  # its part along `down` is lost in the unit vectors
+    flat = rotation @ slope  # unit vectors alone are compared, so the component along `down` is not found
     return np.array([flat[0], flat[1], -support(down)])
 
 
 def _grown(p: Array, core: Core, radius: float) -> tuple[Array, Array, Array]:
-    """Distance, gradient and Hessian, as Shape.distance has them, of a core grown by a radius [mm]."""
+    """Distance, gradient and Hessian (see Shape.distance) of a core offset by a radius [mm]."""
     v = p - core.closest
     length = np.linalg.norm(v, axis=1)
     inside = (core.depth > 0) | (length < 1e-12)
@@ -91,7 +91,7 @@ def _grown(p: Array, core: Core, radius: float) -> tuple[Array, Array, Array]:
 
 
 def _polar(p: Array) -> tuple[Array, Array, Array]:
-    """Distance from the z axis (n,), radial (n, 3) and azimuthal (n, 3) unit vectors; x and y on the axis itself."""
+    """Distance from the z axis (n,), radial (n, 3) and azimuthal (n, 3) unit vectors; on the axis those of x and y."""
     rho = np.hypot(p[:, 0], p[:, 1])
     on_axis = rho < 1e-12
     c = np.where(on_axis, 1.0, p[:, 0] / np.where(on_axis, 1.0, rho))
@@ -109,7 +109,7 @@ def _diagonal(entries: Array) -> Array:
 
 
 def _inside_box(inside_by: Array, normals: Array) -> tuple[Array, Array]:
-    """Depth (n,) and way out (n, 3) from distances to each face (n, k), positive inside, and face normals (n, k, 3)."""
+    """Depth (n,) and direction out (n, 3) from distances inside each face (n, k) and their normals (n, k, 3)."""
     face = inside_by.argmin(1)
     rows = np.arange(len(face))
     return np.maximum(inside_by[rows, face], 0.0), normals[rows, face]
@@ -117,7 +117,7 @@ def _inside_box(inside_by: Array, normals: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class Sphere:
-    """A ball, its lowest point at the origin."""
+    """A ball."""
 
     radius: float  # [mm]
 
@@ -139,7 +139,7 @@ class Sphere:
 
 @dataclass(frozen=True)
 class Capsule:
-    """Lying along x; `length` is between the centres of its two ends."""
+    """A capsule along x; `length` is between the centres of its two hemispheres."""
 
     radius: float  # [mm]
     length: float  # [mm]
@@ -166,7 +166,7 @@ class Capsule:
 
 @dataclass(frozen=True)
 class Torus:
-    """Lying flat; `radius` is that of the ring's centre line."""
+    """A flat ring; `radius` is that of its centre line."""
 
     radius: float  # [mm]
     tube_radius: float  # [mm]
@@ -192,7 +192,7 @@ class Torus:
 
 @dataclass(frozen=True)
 class Cylinder:
-    """A flat punch along z whose lower edge is rounded by `fillet`."""
+    """A flat cylindrical punch along z; its lower edge has the radius `fillet`."""
 
     radius: float  # [mm]
     fillet: float  # [mm]
@@ -226,7 +226,7 @@ class Cylinder:
 
 @dataclass(frozen=True)
 class Box:
-    """A square-ended punch, sides along x and y, all edges rounded by `fillet`."""
+    """A rectangular punch with sides along x and y; all edges have the radius `fillet`."""
 
     size_x: float  # [mm]
     size_y: float  # [mm]

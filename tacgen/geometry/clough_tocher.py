@@ -1,7 +1,7 @@
-"""Smooth interpolation over a triangulation by matrices that are made once, since it is linear in the nodal values.
+"""Smooth interpolation over a triangulation, as matrices that are computed once: it is linear in the nodal values.
 
-On each triangle a cubic in three pieces, C1 throughout (Clough & Tocher 1965; slopes across edges as in SciPy's
-CloughTocher2DInterpolator). The nodes' slopes are those of the least curvature along the edges (Nielson 1983).
+Each triangle has a cubic in three pieces; the whole is C1 (Clough & Tocher 1965; slopes across edges as in SciPy's
+CloughTocher2DInterpolator). The nodal slopes minimise the curvature along the edges (Nielson 1983).
 """
 
 from functools import cached_property
@@ -18,7 +18,7 @@ Array = np.ndarray
 
 
 class CloughTocher:
-    """Values at points (s, 2) to values between them; nothing is made before it is asked for."""
+    """Interpolation of values at points (s, 2); matrices are computed when they are first needed."""
 
     def __init__(self, points: Array) -> None:
         self._points = points
@@ -38,15 +38,12 @@ class CloughTocher:
         return splu(bending), pull
 
     def nodal(self, values: Array) -> Array:
-        """Values (s, c) at the points and, below, their slopes along x and y by turns: (3s, c)."""
+        """Values (s, c) at the points, followed by their slopes, alternately along x and y: (3s, c)."""
         bending, pull = self._slopes
         return np.concatenate([values, bending.solve(pull @ values)])
 
     def at(self, xy: Array, nodal: Array) -> Array:
-        """Values (n, c) at xy (n, 2), nan outside the points' hull.
-
-        The matrix for an array that cannot be written to is kept.
-        """
+        """Values (n, c) at xy (n, 2), nan outside the points' convex hull. The matrix of a read-only xy is cached."""
         if xy.flags.writeable:
             return np.asarray(self._matrix(xy) @ nodal)
         if id(xy) not in self._kept:
@@ -54,7 +51,7 @@ class CloughTocher:
         return np.asarray(self._kept[id(xy)][1] @ nodal)
 
     def _matrix(self, xy: Array) -> "csr_array":
-        """What takes nodal values and slopes (3s,) to values (n,) at xy (n, 2)."""
+        """The matrix from nodal values and slopes (3s,) to values (n,) at xy (n, 2)."""
         from scipy.sparse import csr_array
 
         plan = self._plan
@@ -65,15 +62,15 @@ class CloughTocher:
 
 
 def _least_curvature(points: Array, start: Array, beside: Array) -> "tuple[csr_array, csr_array]":
-    """K (2s, 2s) and P (2s, s): the slopes g with K g = P f bend the edges least.
+    """K (2s, 2s) and P (2s, s): the slopes g with K g = P f minimise the bending of all edges.
 
-    A cubic over an edge of length L that rises by r, with slopes a and b times L at its ends, bends by
+    The bending of a cubic over an edge of length L that rises by r, with slopes a/L and b/L at its ends, is
     4 (a^2 + ab + b^2 - 3r (a + b) + 3r^2) / L^3.
     """
     from scipy.sparse import csc_array, csr_array
 
     s, m = len(points), len(beside)
-    own = np.repeat(np.arange(s), np.diff(start))  # each edge from both of its ends
+    own = np.repeat(np.arange(s), np.diff(start))  # each edge is listed from both of its ends
     way = points[beside] - points[own]
 
     def along(node: Array, ways: Array) -> csr_array:
@@ -89,12 +86,12 @@ def _least_curvature(points: Array, start: Array, beside: Array) -> "tuple[csr_a
 def _weights(
     xy: Array, number: Array, points: Array, simplices: Array, neighbors: Array, transform: Array
 ) -> tuple[Array, Array]:
-    """Weights (n, 9) of a triangle's three values, and of their slopes along x and y by turns; and of which numbers
-    among all values and slopes they are, (n, 9).
+    """Weights (n, 9) of a triangle's three values and of their slopes, alternately along x and y; and their indices
+    (n, 9) among all values and slopes.
 
     Args:
-        xy: where, (n, 2), and the number of the triangle there (n,); -1, with nan for weights, where there is none.
-        points, simplices, neighbors, transform: the triangulation, as SciPy's Delaunay has them.
+        xy: points (n, 2). number: triangle of each point (n,); -1 outside, where the weights are nan.
+        points, simplices, neighbors, transform: the triangulation, as in SciPy's Delaunay.
     """
     out, columns = np.full((len(xy), 9), np.nan), np.zeros((len(xy), 9), np.int32)
     at, b, turn, corners = np.empty(3), np.empty(3), np.empty(3), np.empty((3, 2))
@@ -110,7 +107,7 @@ def _weights(
             corners[k, 0], corners[k, 1] = points[node, 0], points[node, 1]
             turn[k] = -0.5
             beside = neighbors[t, k]
-            if beside >= 0:  # by where the middle of the triangle across the edge is in this one
+            if beside >= 0:  # by the barycentric coordinates of the centroid of the triangle across the edge
                 x = y = 0.0
                 for i in range(3):
                     x, y = x + points[simplices[beside, i], 0], y + points[simplices[beside, i], 1]
@@ -118,7 +115,7 @@ def _weights(
                 i, j = at[(k + 1) % 3], at[(k + 2) % 3]
                 turn[k] = (2 * j + i - 1) / (2 - 3 * (i + j))
         _barycentric(transform[t], xy[p, 0], xy[p, 1], at)
-        c = min(at[0], at[1], at[2])  # in the piece whose corners are the other two and the centroid
+        c = min(at[0], at[1], at[2])  # the piece between the other two corners and the centroid
         for k in range(3):
             b[k] = at[k] - c
         c *= 3

@@ -1,4 +1,4 @@
-"""Gels: what lies inside, how high the face is, which layer is where, and their closed surface as triangles."""
+"""Gels: outline, height of the face, layers, and the closed surface as triangles."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -12,13 +12,13 @@ from tacgen.geometry.outline import Pad
 from tacgen.optics.rasterize import draw
 
 Array = np.ndarray
-SHEET_STEP = 0.024  # grid of the interfaces between a solid's layers, over the longer side [-]
-FACE_PIXEL = 0.004  # grid on which a solid's face is looked for lying over itself, over the longer side [-]
+SHEET_STEP = 0.024  # grid spacing of the interfaces between a solid's layers, over the longer side [-]
+FACE_PIXEL = 0.004  # grid spacing on which overhangs of a solid's face are detected, over the longer side [-]
 
 
 @dataclass(frozen=True)
 class Layer:
-    """A slab of one material; thickness [mm]."""
+    """A layer of one material; thickness [mm]."""
 
     thickness: float
     law: Law
@@ -28,38 +28,38 @@ class Layer:
 
 @dataclass(frozen=True)
 class Gel(Pad):
-    """A pad bonded at its base, layers from base to face."""
+    """A pad that is bonded at its base; layers from base to face."""
 
     layers: tuple[Layer, ...] = field(kw_only=True)
 
     @property
     def thickness(self) -> float:
-        """At the crown [mm]."""
+        """Thickness at the crown [mm]."""
         return sum(layer.thickness for layer in self.layers)
 
     @property
     def side(self) -> float:
-        """The longer one [mm]."""
+        """The longer side [mm]."""
         return max(self.width, self.height)
 
     @property
     def interfaces(self) -> Array:
-        """Height of the face above each layer as a part of the gel's, the last layer's being 1 (layers,)."""
+        """Height of the upper side of each layer over the gel's thickness (layers,); the last is 1 [-]."""
         return np.cumsum([layer.thickness for layer in self.layers]) / self.thickness
 
     def at_height(self, part: float, xy: Array) -> Array:
-        """Points (n, 3) above xy (n, 2) at a part of the gel's height there: a dome thins all layers alike."""
+        """Points (n, 3) at xy (n, 2) and a fraction `part` of the local height: a dome scales all layers."""
         return np.column_stack([xy, part * (self.top(*xy.T) + self.thickness) - self.thickness])
 
     def layer_of(self, points: Array) -> Array:
-        """Number of the layer that each of points (n, 3) lies in."""
+        """Number of the layer (n,) in which points (n, 3) lie."""
         above = [points[:, 2] > self.at_height(float(part), points[:, :2])[:, 2] for part in self.interfaces[:-1]]
         return np.sum(above, axis=0, dtype=np.int32) * np.ones(len(points), np.int32)
 
     def surface(self, step: float, sag: float) -> tuple[Array, Array, list[Array]]:
-        """Vertices (n, 3), triangles (m, 3) of the closed surface wound outward, and those of each interface between
-        layers, whose rims are edges of the sides. On a dome edges are about `step` long; for `sag` see outline. Both
-        are parts of the longer side."""
+        """Vertices (n, 3) and triangles (m, 3) of the closed surface, oriented outward, and the triangles of each
+        interface between layers. On a dome edges are about `step` long; for `sag` see outline. Both are relative to the
+        longer side."""
         from scipy.spatial import Delaunay
 
         step, rim = step * self.side, self.outline(sag * self.side)
@@ -85,18 +85,18 @@ class Gel(Pad):
         return vertices, np.concatenate([sheets[0][:, [0, 2, 1]], sheets[-1], *sides]), sheets[1:-1]
 
     def patches(self, corners: Array, normals: Array, reach: float) -> dict[str, Array]:
-        """Which facets of a mesh, of corners (f, 3, 3) and outward normals (f, 3) within `reach` of the surface, are
-        bonded and which are coated (f,)."""
+        """Which facets of a mesh are bonded and which are coated (f,), from their corners (f, 3, 3) and outward normals
+        (f, 3); facets are within `reach` [mm] of the surface."""
         (x, y, z), n = corners.mean(1).T, normals[:, 2]
         return {"bonded": (n < -0.5) & (z < reach - self.thickness), "coated": (n > 0.5) & (z > self.top(x, y) - reach)}
 
 
 @dataclass(frozen=True, eq=False)
 class SolidGel(Gel):
-    """A gel of any shape, its highest point at z = 0 over the origin of its box.
+    """A gel of any shape with its highest point at z = 0.
 
-    Held where it is no higher than `bonded` [mm] above its lowest point; coated where it faces up to within the angle
-    `coated` [rad], which the camera below must see but once.
+    Bonded up to the height `bonded` [mm] above its lowest point. Coated where the normal is within the angle `coated`
+    [rad] of z; this face must have no overhang, as seen by the camera below.
     """
 
     solid: mesh_import.Solid | None = None
@@ -109,10 +109,10 @@ class SolidGel(Gel):
 
     @cached_property
     def face(self) -> tuple[Array, Array]:
-        """Vertices and the triangles of the coated face: of those that face up, the patch that reaches highest.
+        """Vertices and triangles of the coated face: the highest connected patch of the triangles that face up.
 
         Raises:
-            UserError: it has none, or it lies over itself.
+            UserError: there is none, or it has an overhang.
         """
         v, t, _ = self.surface(0, 0)
         from scipy.sparse import csr_array
@@ -143,19 +143,19 @@ class SolidGel(Gel):
         return v, t
 
     def top(self, x: Array | float, y: Array | float) -> Array:
-        """z of the untouched face [mm]; beside it that of its nearest place."""
+        """z of the untouched face [mm]; outside its outline that of the nearest point."""
         x, y = np.broadcast_arrays(x, y)
         z, _ = mesh_import.above(*self.face, np.column_stack([x.ravel(), y.ravel()]))
         return z.reshape(x.shape)
 
     def contains(self, x: Array | float, y: Array | float, slack: float = 0.0) -> Array:
-        """Whether points lie within the coated face's outline, or no more than `slack` [mm] beside it."""
+        """Whether points lie within the coated face's outline, or at most `slack` [mm] outside."""
         x, y = np.broadcast_arrays(x, y)
         _, beside = mesh_import.above(*self.face, np.column_stack([x.ravel(), y.ravel()]))
         return (beside < slack + 1e-9).reshape(x.shape)
 
     def surface(self, step: float, sag: float) -> tuple[Array, Array, list[Array]]:
-        """Vertices and triangles as they are in the file; the sheets between layers reach out of them on all sides."""
+        """Vertices and triangles of the file; the interfaces between layers extend beyond them on all sides."""
         assert self.solid is not None
         v, t = self.solid.vertices, self.solid.triangles
         v = v - [0.0, 0.0, v[:, 2].max()]
@@ -167,7 +167,7 @@ class SolidGel(Gel):
 
     @cached_property
     def sheets(self) -> list[tuple[Array, Array]]:
-        """Vertices and triangles of the interfaces between layers, from below, over a grid wider than the gel."""
+        """Vertices and triangles of the interfaces between layers, from the base up, on a grid wider than the gel."""
         assert self.solid is not None
         flat, step = self.solid.vertices[:, :2], SHEET_STEP * self.side
         ends = zip(flat.min(0) - 2 * step, flat.max(0) + 2 * step, strict=True)
@@ -179,7 +179,7 @@ class SolidGel(Gel):
         return [(super(SolidGel, self).at_height(float(part), xy), faces) for part in self.interfaces[:-1]]
 
     def at_height(self, part: float, xy: Array) -> Array:
-        """On the sheets between layers, which are what is meshed; as of a pad elsewhere."""
+        """As for a pad; on an interface between layers, on its triangles, since these are meshed."""
         for known, sheet in zip(self.interfaces[:-1], self.sheets if 0 < part < 1 else [], strict=False):
             if part == known:
                 return np.column_stack([xy, mesh_import.above(*sheet, xy)[0]])
@@ -196,7 +196,7 @@ class SolidGel(Gel):
 
 
 def _subdivided(rim: Array, step: float) -> Array:
-    """A closed polygon with corners at most `step` apart."""
+    """A closed polygon divided so that its corners are at most `step` apart."""
     out = []
     for a, b in zip(rim, np.roll(rim, -1, 0), strict=True):
         pieces = max(1, int(np.ceil(np.linalg.norm(b - a) / step)))

@@ -1,8 +1,8 @@
-"""Triangle-mesh files -> fields: reading, checking and turning a mesh, and its signed distance on a grid.
+"""Triangle-mesh files: reading, checking, repairing and placing a mesh, and its signed distance on a grid.
 
-Home of trimesh (files, repair), pymeshlab (repair, where trimesh's is not enough) and libigl (exact distance to
-triangles, signed by angle-weighted pseudonormals: Baerentzen & Aanaes 2005). On 144 000 points and 20 480 triangles
-libigl takes 1.4 s and trimesh with rtree 190 s; they agree to 6e-14 mm.
+trimesh reads and repairs files, pymeshlab repairs what trimesh cannot, libigl gives the exact distance to triangles,
+signed by angle-weighted pseudonormals (Baerentzen & Aanaes 2005). For 144 000 points and 20 480 triangles libigl takes
+1.4 s, trimesh with rtree 190 s; they agree to 6e-14 mm.
 """
 
 import importlib.util
@@ -24,17 +24,17 @@ if TYPE_CHECKING:
 
 Array = np.ndarray
 CACHE_VERSION = 1  # of the grids in the cache
-MAX_FILE = 256 * 2**20  # [bytes]
-MAX_HEAD = 100_000  # in which a PLY file's head is looked for [bytes]
+MAX_FILE = 256 * 2**20  # largest mesh file [bytes]
+MAX_HEAD = 100_000  # largest header of a PLY file [bytes]
 MAX_TRIANGLES = 2_000_000
 MAX_NODES = 8_000_000  # of a distance grid: 64 MB of spline
-MIN_SIZE, MAX_SIZE = 1e-9, 1e9  # of a body, in units of its file
+MIN_SIZE, MAX_SIZE = 1e-9, 1e9  # longest side of a body, in units of its file
 MIN_TRIANGLES = 4  # of a closed body: a tetrahedron
-MAX_CRACK = 1e-4  # width of a crack that is closed, over the box's diagonal [-]
-MAX_HOLE = 40  # edges around a hole that is closed
-MAX_NEW_AREA = 0.02  # change of the surface's area by repair, relative [-]
-MARGIN_CELLS = 6  # around the body in its grid: contact is evaluated no further away
-SHARP_ANGLE = np.radians(30)  # between triangles at a sharp edge; below, they approximate a rounding
+MAX_CRACK = 1e-4  # largest width of a crack that is closed, over the diagonal of the bounding box [-]
+MAX_HOLE = 40  # most edges around a hole that is closed
+MAX_NEW_AREA = 0.02  # largest relative change of the surface's area by repair [-]
+MARGIN_CELLS = 6  # cells of the grid around the body: contact is evaluated no farther away
+SHARP_ANGLE = np.radians(30)  # angle of triangles at a sharp edge; smaller angles approximate a fillet [rad]
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +48,7 @@ class Solid:
 
 
 def read(path: Path) -> Solid:
-    """The mesh in an STL, OBJ or PLY file, mended where that needs no guessing.
+    """The mesh in an STL, OBJ or PLY file, repaired where the repair is unambiguous.
 
     Raises:
         UserError: not a mesh, empty, too big, with open edges, or without volume.
@@ -70,7 +70,7 @@ def read(path: Path) -> Solid:
     if not len(unclosed.faces):
         raise UserError(f"{path}: encloses no volume")
     bad = _edges_not_shared_by_two(_close(mesh))
-    if bad or len(mesh.split(only_watertight=False)[0].faces) < MIN_TRIANGLES:  # trimesh doubles a lone triangle
+    if bad or len(mesh.split(only_watertight=False)[0].faces) < MIN_TRIANGLES:  # trimesh duplicates a single triangle
         mesh = _repaired(unclosed)
         bad = _edges_not_shared_by_two(mesh)
     if bad:
@@ -80,7 +80,7 @@ def read(path: Path) -> Solid:
     volume = sum(abs(float(body.volume)) for body in bodies)
     if not mesh.is_winding_consistent or volume < 1e-6 * float(mesh.extents.max()) ** 3:
         raise UserError(f"{path}: encloses no volume")
-    for body in bodies:  # a cavity that is closed touches nothing: it is filled
+    for body in bodies:  # an enclosed cavity touches nothing, so it is filled
         if body.volume < 0:
             body.invert()
     return _joined(str(path), [(np.asarray(b.vertices, float), np.asarray(b.faces)) for b in bodies])
@@ -97,18 +97,18 @@ def _loaded(path: Path) -> "trimesh.Trimesh":
         if len(count) > 9 or int(count) > len(content):
             raise UserError(f"{path}: is cut short: its head says more of {name.decode()} than there is")
     try:
-        # from memory: what an OBJ file names is not opened
+        # from memory, so that no other file that an OBJ file names is opened
         kind = path.suffix[1:].lower()
         found: Any = trimesh.load_mesh(io.BytesIO(content), file_type=kind, process=False, skip_materials=True)
         return found if isinstance(found, trimesh.Trimesh) else found.to_mesh()
-    except Exception as error:  # each reader of trimesh fails in its own way on a file that is something else
+    except Exception as error:  # trimesh's readers raise many types of errors for a damaged file
         raise UserError(
             f"{path}: is not a mesh that can be read ({type(error).__name__}: {error})".split("\n")[0]
         ) from None
 
 
 def _clean(mesh: Any) -> Any:
-    """Merge equal vertices, drop slivers and doubles."""
+    """Merge equal vertices, remove degenerate and duplicate triangles."""
     mesh.merge_vertices(merge_tex=True, merge_norm=True)
     mesh.update_faces(mesh.nondegenerate_faces())
     mesh.update_faces(mesh.unique_faces())
@@ -117,7 +117,7 @@ def _clean(mesh: Any) -> Any:
 
 
 def _close(mesh: Any) -> Any:
-    """Close holes of three or four edges, wind all alike."""
+    """Close holes of three or four edges and make the orientation consistent."""
     from trimesh import repair
 
     if not mesh.is_watertight:
@@ -128,8 +128,8 @@ def _close(mesh: Any) -> Any:
 
 
 def _repaired(mesh: "trimesh.Trimesh") -> "trimesh.Trimesh":
-    """The mesh with cracks and small holes closed and triangles beyond two at an edge removed, by MeshLab; unchanged
-    where MeshLab is not installed, fails, or changes the surface's area too much."""
+    """The mesh repaired by MeshLab: cracks and small holes closed, non-manifold triangles removed. Unchanged if MeshLab
+    is not installed, fails, or changes the surface's area too much."""
     try:
         import pymeshlab
     except ImportError:  # an extra: tacgen[repair]
@@ -152,7 +152,7 @@ def _repaired(mesh: "trimesh.Trimesh") -> "trimesh.Trimesh":
 
 
 def _welded(mesh: "trimesh.Trimesh") -> Array:
-    """The faces with vertices within MAX_CRACK of each other merged; MeshLab's own filter leaves many apart."""
+    """The faces after merging vertices closer than MAX_CRACK; MeshLab's own filter misses many."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
@@ -184,10 +184,10 @@ def _joined(name: str, parts: list[tuple[Array, Array]]) -> Solid:
 
 
 def placed(solid: Solid, *, up: str = "+z", scale: float = 1.0, size: float | None = None) -> Solid:
-    """The solid as an indenter: the file's axis `up` away from the gel, lowest point at z = 0, middle on the z axis.
+    """The solid as an indenter: the file's axis `up` along z, lowest point at z = 0, box centred on the z axis.
 
     Args:
-        scale: mm per unit of the file. size: longest side [mm], instead.
+        scale: mm per unit of the file. size: length of the longest side [mm], instead of scale.
     """
     axis, sign = "xyz".index(up[1]), 1 if up[0] == "+" else -1
     after = [(axis + 1) % 3, (axis + 2) % 3, axis]  # the file's axes that become x, y, z: cyclic, so right-handed
@@ -198,7 +198,7 @@ def placed(solid: Solid, *, up: str = "+z", scale: float = 1.0, size: float | No
 
 
 def sizes(path: Path, up: str, scale: float) -> tuple[float, float, float]:
-    """Sides of the box [mm] around the solid in a file, turned and scaled; cached until the file changes."""
+    """Sides of the bounding box [mm] of a placed solid; cached until the file changes."""
     state = path.stat()
     return _sizes(path, up, scale, state.st_mtime_ns, state.st_size)
 
@@ -213,34 +213,34 @@ def field(solid: Solid, *, cell: float, height: float, half: float) -> Field:
     """Signed distance of a placed solid as a spline.
 
     Args:
-        cell: spacing of the grid [mm]; made finer for thin bodies, coarser for more than MAX_NODES nodes.
-        height: up to this far above the lowest point the gel can rise [mm].
-        half: as far as this from the z axis the gel can be [mm].
+        cell: spacing of the grid [mm]; smaller for thin bodies, larger if there would be more than MAX_NODES nodes.
+        height: largest height of the gel above the lowest point [mm].
+        half: largest distance of the gel from the z axis [mm].
     """
     low, high = solid.vertices.min(0), solid.vertices.max(0)
     a = np.maximum(low - MARGIN_CELLS * cell, [-half, -half, -np.inf])
     b = np.minimum(high + MARGIN_CELLS * cell, [half, half, height])
     cell = min(cell, float((high - low).min()) / 6)
     cell = max(cell, float((np.prod(b - a) / MAX_NODES) ** (1 / 3)))
-    nodes = np.ceil((b - a) / cell).astype(int) + 5  # a ring of two for the spline
+    nodes = np.ceil((b - a) / cell).astype(int) + 5  # two more on each side for the spline
     origin = a - 2 * cell
     asked = (solid, origin, cell, tuple(int(n) for n in nodes))
     key = array_cache.digest((CACHE_VERSION, *asked[1:], solid.vertices, solid.triangles, solid.body))
     distances = array_cache.kept_one("distances", key, lambda: _distances(*asked))
     steepest = max(float(np.abs(np.diff(distances, axis=a)).max()) for a in range(3))
-    if steepest > 1.01 * cell:  # a true distance never is: inside and outside are mixed up somewhere
+    if steepest > 1.01 * cell:  # impossible for a distance: inside and outside are wrong somewhere
         raise UserError(f"{solid.name}: its surface cuts through itself; unite its parts in a mesh editor first")
     from scipy.spatial import ConvexHull
 
-    radius = max(smallest_radius(solid, height), 2 * cell)  # two cells: what the field rounds edges by
+    radius = max(smallest_radius(solid, height), 2 * cell)  # the field rounds edges by two cells
     corners = solid.vertices[ConvexHull(solid.vertices).vertices]
     return Field.through(distances, origin, cell, smallest_radius=radius, corners=corners, blunt=True)
 
 
 def smallest_radius(solid: Solid, height: float) -> float:
-    """Radius [mm] that a hundredth of the convex edges below `height` undercut; 0 if those are sharp.
+    """The 1 % quantile of the radii of curvature [mm] at convex edges below `height`; 0 for sharp edges.
 
-    Right for strips as CAD makes them, up to 1.5 times too large for equilateral triangles.
+    Exact for the strips of triangles of CAD fillets, up to 1.5 times too large for equilateral triangles.
     """
     import trimesh
 
@@ -250,12 +250,12 @@ def smallest_radius(solid: Solid, height: float) -> float:
     convex = low & mesh.face_adjacency_convex & (angle > 1e-3)
     if not convex.any():
         return float(np.inf)
-    across = mesh.face_adjacency_span[convex] / 2  # between the middles of two triangles, about
+    across = mesh.face_adjacency_span[convex] / 2  # about the distance between the centres of two triangles
     return round(float(np.quantile(np.where(angle[convex] > SHARP_ANGLE, 0.0, across / angle[convex]), 0.01)), 4)
 
 
 def _distances(solid: Solid, origin: Array, cell: float, nodes: tuple[int, ...]) -> Array:
-    """Signed distance (i, j, k) [mm] in single precision, slab by slab; of several bodies the nearest counts."""
+    """Signed distance (i, j, k) [mm] in single precision, slab by slab; of several bodies the smallest."""
     import igl
 
     sign = igl.SIGNED_DISTANCE_TYPE_PSEUDONORMAL
@@ -275,8 +275,8 @@ def _distances(solid: Solid, origin: Array, cell: float, nodes: tuple[int, ...])
 
 
 def above(vertices: Array, triangles: Array, xy: Array) -> tuple[Array, Array]:
-    """Height (n,) of triangles that are a graph over the plane at the points xy (n, 2), and how far those lie beside
-    them (n,) [mm]: there the height is that of the nearest place."""
+    """Height (n,) [mm] at xy (n, 2) of a surface that is a graph over the plane, and distance (n,) [mm] of xy from its
+    outline; outside, the height is that of the nearest point."""
     import igl
 
     flat = vertices * [1.0, 1.0, 0.0]
@@ -288,7 +288,7 @@ def above(vertices: Array, triangles: Array, xy: Array) -> tuple[Array, Array]:
 
 
 def inside(vertices: Array, triangles: Array, points: Array) -> Array:
-    """Whether points (n, 3) lie inside a closed surface wound outward."""
+    """Whether points (n, 3) lie inside a closed surface with outward orientation."""
     import igl
 
     number = igl.winding_number(np.ascontiguousarray(vertices, float), triangles.astype(np.int64), points)
@@ -296,7 +296,7 @@ def inside(vertices: Array, triangles: Array, points: Array) -> Array:
 
 
 def nearest(vertices: Array, triangles: Array, points: Array) -> Array:
-    """The points (n, 3) of a surface that are closest to the points given."""
+    """The points (n, 3) of a surface that are closest to `points` (n, 3)."""
     import igl
 
     ours = np.ascontiguousarray(points, float), np.ascontiguousarray(vertices, float), triangles.astype(np.int64)

@@ -1,4 +1,4 @@
-"""A pad's outline and the height of its face, for meshes, pictures, housings and checks."""
+"""The outline of a pad and the height of its face."""
 
 from dataclasses import dataclass, replace
 
@@ -9,9 +9,10 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class Pad:
-    """A rectangle with rounded corners, or with one end a semicircle, centred on 0; width along x, height along y [mm].
+    """A rectangle with rounded corners or with one semicircular end, centred on 0; width along x, height along y [mm].
 
-    tip: the end in y (-1, +1) that is a semicircle over the whole width, 0 for none; radii: of the dome along x and y.
+    tip: the end in y (-1, +1) that is a semicircle over the whole width, 0 for none; radii of the dome along x and y
+    [mm].
     """
 
     width: float
@@ -30,7 +31,7 @@ class Pad:
         return np.asarray(0.0 - np.hypot(x * x / (2 * self.radii[0]), y * y / (2 * self.radii[1])))
 
     def contains(self, x: Array | float, y: Array | float, slack: float = 0.0) -> Array:
-        """Whether points lie inside the outline, or no more than `slack` [mm] beside it; x and y broadcast."""
+        """Whether points lie inside the outline, or at most `slack` [mm] outside; x and y broadcast."""
         w, h, r = self.width / 2, self.height / 2, self.corner_radius
         if self.tip:
             past = self.tip * y - (h - w)  # beyond the semicircle's centre, toward the tip
@@ -40,7 +41,7 @@ class Pad:
         return np.asarray(within)
 
     def drawn_in(self, xy: Array) -> Array:
-        """Points (n, 2) of the pad's box, those beyond a semicircle or a rounded corner moved inward to its arc."""
+        """Points (n, 2) of the bounding box; those outside a semicircle or a rounded corner are moved to its arc."""
         if self.tip:
             radius = self.width / 2
             out = xy - (0.0, self.tip * (self.height / 2 - radius))
@@ -71,11 +72,11 @@ class Pad:
         return np.concatenate([quarter @ R.T + c for R, c in zip(turns, centres, strict=True)])
 
     def housing(self, margin: float) -> "Pad":
-        """What stands `margin` [mm] off the pad all around, with square corners."""
+        """The outline at a distance `margin` [mm] around the pad, with square corners."""
         return replace(self, width=self.width + 2 * margin, height=self.height + 2 * margin, corner_radius=0.0)
 
     def walls(self, pieces: int) -> Array:
-        """Corners (n, 2) of a polygon around the pad, from +x to +y; a semicircle in so many pieces, corners square."""
+        """Corners (n, 2) of a polygon around the pad, from +x to +y; a semicircle has `pieces` sides."""
         w, h = self.width / 2, self.height / 2
         square = np.array([[w, h], [-w, h], [-w, -h], [w, -h]])
         if not self.tip:
@@ -87,5 +88,5 @@ class Pad:
 
 
 def _corners(angle: float, radius: float, sag: float) -> int:
-    """How many points on an arc, its ends among them, keep the chords within `sag` of it."""
+    """Number of points on an arc, ends included, so that chords are within `sag` of it."""
     return 1 + int(np.ceil(angle / (2 * np.arccos(1 - min(sag, radius) / radius)))) if radius else 1

@@ -1,7 +1,7 @@
-"""An indenter of any form: its signed distance as a cubic B-spline on a regular grid, so that it is C2 everywhere.
+"""An indenter of any shape: its signed distance as a cubic B-spline on a regular grid, C2 everywhere.
 
-Edges sharper than a cell come out rounded by about one cell. The spline is evaluated here because value, gradient and
-Hessian at 1000 points take 0.12 ms together; scipy.interpolate.NdBSpline, asked for each of the ten, takes 3.6 ms.
+Edges sharper than a cell are rounded by about one cell. Value, gradient and Hessian of the spline at 1000 points take
+0.12 ms here, and 3.6 ms by ten calls of scipy.interpolate.NdBSpline.
 """
 
 from dataclasses import dataclass
@@ -12,13 +12,13 @@ from scipy import ndimage
 from tacgen.compiled import njit
 
 Array = np.ndarray
-EDGE_BEND = 0.5  # sum of second differences at an edge, over the cell [-]
-MEAN_EDGE_BEND = 0.35  # the same of the binomial mean, which spreads an edge over some cells [-]
+EDGE_BEND = 0.5  # sum of second differences at an edge, over the cell size [-]
+MEAN_EDGE_BEND = 0.35  # the same for the binomial mean, which spreads an edge over several cells [-]
 
 
 @njit(cache=True)
 def _weights(t: float, w: Array) -> None:
-    """Cubic B-spline at the four nodes around a point a part t of a cell on: w (3, 4) values, slopes and curvatures."""
+    """B-spline weights w (3, 4) of the four nodes around a point at t in its cell: values, slopes, curvatures."""
     s = 1 - t
     w[0, 0] = s * s * s / 6
     w[0, 1] = (4 - 6 * t * t + 3 * t * t * t) / 6
@@ -36,7 +36,7 @@ def _weights(t: float, w: Array) -> None:
 
 @njit(cache=True)
 def _evaluate(p: Array, c: Array, origin: Array, cell: float, d: Array, g: Array, H: Array) -> None:
-    """Distance, gradient and Hessian of the spline c at points p (n, 3); outside the grid a bound from below."""
+    """Distance, gradient and Hessian of the spline c at points p (n, 3); outside the grid a lower bound."""
     w = np.empty((3, 3, 4))
     away = np.empty(3)
     first = np.empty(3, np.int64)
@@ -89,7 +89,7 @@ def _evaluate(p: Array, c: Array, origin: Array, cell: float, d: Array, g: Array
                 H[n, a, b] = 0.0
         if not outside > 0.0:  # not a number
             d[n] = np.nan
-        elif v > 0:  # the body lies in the grid: by Pythagoras it is at least this far
+        elif v > 0:  # the body is inside the grid, so this is a lower bound of its distance
             d[n] = np.sqrt(v * v + outside)
             for a in range(3):
                 g[n, a] = (away[a] if away[a] != 0.0 else v * g[n, a]) / d[n]
@@ -100,8 +100,8 @@ class Field:
     """A rigid indenter given by its signed distance on a grid; fits `analytic_sdf.Shape`.
 
     coefficients (i, j, k) of the spline [mm], the first at `origin` (3,) [mm], `cell` apart [mm]; corners (h, 3) of the
-    body's convex hull [mm]. Outside the grid the distance is a bound from below: the surface that can touch the gel
-    must lie inside, a contact range from the grid's end.
+    body's convex hull [mm]. Outside the grid the distance is a lower bound: the surface that can touch the gel must be
+    inside, at least the contact range from the grid's boundary.
     """
 
     coefficients: Array
@@ -124,12 +124,12 @@ class Field:
     ) -> "Field":
         """The field of signed distances (i, j, k) [mm], at least 4 a side, at the grid's nodes.
 
-        Coefficients are c = d - w bend/6 with `bend` the sum of second differences: with w = 1 the spline is of fourth
-        order (0.5 um off on a sphere of 4 mm with cells of 0.156 mm). At edges, where bend is of the order of a cell, w
-        goes to 0 and the spline only rounds: an exact interpolant has waves on flat faces, which show in the pressure.
+        Coefficients are c = d - w bend/6 with `bend` the sum of second differences. With w = 1 the spline is of fourth
+        order (error 0.5 um on a sphere of 4 mm with cells of 0.156 mm). At edges, where bend is of the order of a cell,
+        w goes to 0 and the spline smooths: an exact interpolant oscillates on flat faces, which shows in the pressure.
 
-        `blunt` rounds edges by two cells instead of one, as a spline on a grid twice as coarse would, and changes
-        nothing else: there c = binomial mean of d, of variance cell^2 a direction.
+        `blunt` rounds edges by two cells instead of one, as a grid twice as coarse would: there c is the binomial mean
+        of d, with variance cell^2 in each direction.
         """
         d = np.asarray(distances, float)
         bend = _second_differences(d)
@@ -150,7 +150,7 @@ class Field:
         return d, g, H
 
     def support(self, direction: Array) -> float:
-        """How far the body extends along a unit vector (3,) [mm]."""
+        """Support function of the body's convex hull along a unit vector (3,) [mm]."""
         return float((self.corners @ direction).max())
 
 
@@ -160,8 +160,9 @@ def _second_differences(d: Array) -> Array:
 
 
 def _half_thickness(distances: Array, cell: float) -> float:
-    """Half the thinnest wall [mm]: the least depth at which the two sides are equally near."""
+    """Half the thinnest wall [mm]: the least depth of points that are equally far from two sides."""
     slope = np.sqrt(sum(g**2 for g in np.gradient(np.asarray(distances, float), cell)))
-    middle = (slope < 0.4) & (distances < -cell)  # 0.7 where two faces meet at a right angle, 0 between parallel ones
+    # the slope is 0.7 between faces at a right angle, 0 between parallel faces
+    middle = (slope < 0.4) & (distances < -cell)
     depth = -distances[middle].max() if middle.any() else -distances.min()
     return float(max(depth, cell))

@@ -1,11 +1,11 @@
-"""Shape or mesh -> Triangles: the surface of an indenter for contact between meshes.
+"""The surface of an indenter as triangles, for contact between meshes.
 
-A shape's triangles are surface nets (Gibson 1998) on a grid just fine enough for its topology. Each vertex is projected
-onto the surface, and edges whose middles are off it are split: few triangles on flat faces, many on fillets. A mesh
-keeps its own triangles and gets vertices along its sharp edges.
+An analytic shape is meshed by surface nets (Gibson 1998) on a grid just fine enough for its topology. Vertices are
+projected onto the surface, and edges whose midpoints are off it are split: few triangles on flat faces, many on
+fillets. A mesh keeps its own triangles and gets more vertices along its sharp edges.
 
-Marching cubes in place of the nets (libigl's, scikit-image's) were tried on eight shapes: on six of them 30 to 209
-triangles come out with an angle below 2 degrees, where nets give none, and some stand nearly upright on the surface.
+Marching cubes (libigl, scikit-image) were tried on eight shapes: on six of them they give 30 to 209 triangles with an
+angle below 2 degrees, surface nets none.
 """
 
 import numpy as np
@@ -14,16 +14,16 @@ from tacgen.geometry.analytic_sdf import Shape, Triangles
 
 Array = np.ndarray
 MAX_CELLS = 2_000_000  # of the coarse grid
-SHARP_ANGLE = np.radians(4)  # between triangles at a sharp edge, along which vertices are added
-MAX_MITER = 3.0  # move of a vertex over that of the faces that meet there, which needles would make large [-]
-MAX_ROUNDS = 60  # of splitting edges
+SHARP_ANGLE = np.radians(4)  # angle of triangles at a sharp edge, along which vertices are added [rad]
+MAX_MITER = 3.0  # largest offset of a vertex over that of its faces; needle-like corners would have more [-]
+MAX_ROUNDS = 60  # most rounds of edge splitting
 
 
 def of_shape(shape: Shape, *, half: float, height: float, tolerance: float) -> Triangles:
-    """What of a shape lies below `height` and within `half` of its z axis [mm].
+    """The part of a shape below `height` and within `half` of its z axis [mm].
 
     Args:
-        tolerance: no middle of an edge or a triangle is further from the true surface [mm].
+        tolerance: largest distance of the midpoints of edges and triangles from the true surface [mm].
     """
     low, high = np.full(3, -half, float), np.array([half, half, height], float)
     for axis, unit in enumerate(np.eye(3)):
@@ -45,7 +45,8 @@ def of_shape(shape: Shape, *, half: float, height: float, tolerance: float) -> T
 
 
 def of_mesh(vertices: Array, triangles: Array, *, height: float, spacing: float) -> Triangles:
-    """What of a closed mesh reaches below `height` [mm], with vertices at most `spacing` apart along sharp edges."""
+    """The triangles of a closed mesh that reach below `height` [mm], with vertices at most `spacing` apart along sharp
+    edges."""
     triangles = triangles[vertices[triangles][:, :, 2].min(1) < height]
     for _ in range(MAX_ROUNDS):
         edges, sides = _edges(triangles)
@@ -61,7 +62,7 @@ def of_mesh(vertices: Array, triangles: Array, *, height: float, spacing: float)
 
 
 def _surface_nets(shape: Shape, low: Array, high: Array, cell: float) -> tuple[Array, Array]:
-    """Surface nets: a vertex in each cell that the surface passes, four joined around each grid edge that it cuts."""
+    """Surface nets: a vertex in each cell that the surface crosses, a quad around each grid edge that it cuts."""
     count = np.ceil((high - low) / cell).astype(int) + 1
     nodes = low + cell * np.stack(np.meshgrid(*(np.arange(n) for n in count), indexing="ij"), -1)
     d = shape.distance(nodes.reshape(-1, 3))[0].reshape(count)
@@ -85,7 +86,7 @@ def _surface_nets(shape: Shape, low: Array, high: Array, cell: float) -> tuple[A
         inner = cut[:, 1:-1, 1:-1]
         around = ((0, 0), (1, 0), (1, 1), (0, 1))
         ring = np.stack([numbers[:, b : b + m - 1, c : c + n - 1][inner] for b, c in around], -1)
-        outward = (d0 < 0)[:, 1:-1, 1:-1][inner] ^ (axis == 1)  # moveaxis of y turns the other two around
+        outward = (d0 < 0)[:, 1:-1, 1:-1][inner] ^ (axis == 1)  # moveaxis of y reverses the order of the other two
         quads.append(np.where(outward[:, None], ring, ring[:, ::-1]))
     quad = np.concatenate(quads)
     used, quad = np.unique(quad, return_inverse=True)
@@ -102,7 +103,7 @@ def _projected(shape: Shape, vertices: Array) -> Array:
 
 
 def _edges(triangles: Array) -> tuple[Array, Array]:
-    """Edges (e, 2) and the three of each triangle (t, 3): that from its corner k to the next."""
+    """Edges (e, 2), and the edges of each triangle (t, 3), the k-th from corner k to the next."""
     both = np.sort(np.stack([triangles, np.roll(triangles, -1, 1)], -1), -1)
     edges, sides = np.unique(both.reshape(-1, 2), axis=0, return_inverse=True)
     return edges, sides.reshape(-1, 3)
@@ -115,14 +116,14 @@ def _longest(vertices: Array, edges: Array, sides: Array) -> Array:
 
 
 def _split(vertices: Array, triangles: Array, edges: Array, sides: Array, which: Array) -> tuple[Array, Array]:
-    """Halve the edges `which` (e,) bool, and the longest of each triangle that has one: no triangle gets thin."""
+    """Bisect the edges `which` (e,) bool, and the longest edge of each of their triangles, so that none gets thin."""
     which, longest = which.copy(), _longest(vertices, edges, sides)
     while (more := which[sides].any(1) & ~which[longest]).any():
         which[longest[more]] = True
     number = np.cumsum(which) - 1 + len(vertices)
     vertices = np.concatenate([vertices, vertices[edges[which]].mean(1)])
     first = (sides == longest[:, None]).argmax(1)[:, None]
-    turned = (first + np.arange(3)) % 3  # from the longest edge on
+    turned = (first + np.arange(3)) % 3  # starting with the longest edge
     a, b, c = np.take_along_axis(triangles, turned, 1).T
     side = np.take_along_axis(sides, turned, 1)
     (ab, bc, ca), (cut, cut_bc, cut_ca) = number[side].T, which[side].T
@@ -152,7 +153,7 @@ def _sharp(vertices: Array, triangles: Array, edges: Array, sides: Array) -> Arr
 
 
 def _miters(vertices: Array, triangles: Array) -> Array:
-    """How each vertex moves when the faces move outward by 1: m . n = 1 for those around it, by least squares."""
+    """Displacement m of each vertex when its faces move outward by 1: m . n = 1 for all of them, by least squares."""
     n = _normals(vertices, triangles)
     a, b, c = np.moveaxis(vertices[triangles], 1, 0)
     corners = ((b - a, c - a), (c - b, a - b), (a - c, b - c))

@@ -8,12 +8,12 @@ from tacgen import regular_file
 from tacgen.errors import UserError, why
 
 PACKAGE = Path(__file__).resolve().parent.parent
-LARGEST = 2**30  # bytes of a file that a recipe names
+LARGEST = 2**30  # largest file that a recipe may name [bytes]
 MESHES = (".stl", ".obj", ".ply")
 
 
 def folder(kind: str) -> Path:
-    """The folder of one kind of asset: beside the package in a checkout, in tacgen/data in a wheel."""
+    """The folder of one kind of file: next to the package in a checkout, in tacgen/data in a wheel."""
     inside = PACKAGE / "data" / kind
     return inside if inside.is_dir() else PACKAGE.parent / kind
 
@@ -35,7 +35,7 @@ def list_objects() -> list[str]:
 
 
 def sensor_path(name_or_path: str, base: Path | None = None) -> Path:
-    """The file of a sensor: `gelsight_mini`, or a path, which starts at `base` (the recipe's folder)."""
+    """The file of a sensor, from a name such as `gelsight_mini` or a path relative to `base`, the recipe's folder."""
     return _find("sensor", name_or_path, base, list_sensors())
 
 
@@ -45,12 +45,12 @@ def recipe_path(name_or_path: str) -> Path:
 
 
 def beside(path: str, folder: Path | None) -> Path:
-    """The file that a path names: an absolute one, or one that starts at `folder` (that of the file it stands in)."""
+    """The file of a path that is absolute, or relative to `folder`."""
     return (folder or Path()) / Path(path).expanduser()
 
 
 def object_path(name_or_path: str, base: Path | None = None) -> Path:
-    """The folder of a shipped object, or a path, which starts at `base` (the recipe's folder)."""
+    """The folder of a shipped object, or the file of a path relative to `base`, the recipe's folder."""
     if _is_path(name_or_path, MESHES):
         return _existing("object", beside(name_or_path, base))
     if name_or_path not in list_objects():
@@ -59,7 +59,7 @@ def object_path(name_or_path: str, base: Path | None = None) -> Path:
 
 
 def mesh_path(name_or_path: str, base: Path | None = None) -> Path:
-    """The mesh file of a shipped object, or a path, which starts at `base` (the recipe's folder)."""
+    """The mesh file of a shipped object, or of a path relative to `base`, the recipe's folder."""
     found = object_path(name_or_path, base)
     if found.is_dir():
         meshes = sorted(p for p in found.iterdir() if p.suffix.lower() in MESHES)
@@ -89,7 +89,7 @@ def _is_path(text: str, suffixes: tuple[str, ...]) -> bool:
 
 
 def _find(kind: str, text: str, base: Path | None, names: list[str]) -> Path:
-    """Resolve a name or path of a YAML asset. Raises UserError: no such file, or no such name."""
+    """The file of a name or path of a shipped YAML file. Raises UserError: there is no such file or name."""
     if _is_path(text, (".yaml", ".yml")):
         return _existing(kind, beside(text, base))
     if text in names:

@@ -1,4 +1,4 @@
-"""A photograph of one's own untouched sensor, behind rendered pictures; the home of what reads it, imported late."""
+"""A photograph of an untouched real sensor as the background of rendered images; reads pictures with Pillow."""
 
 import warnings
 from pathlib import Path
@@ -15,14 +15,14 @@ from tacgen.recipe.yaml_source import KeyPath
 if TYPE_CHECKING:
     import numpy as np
 
-LARGEST = 200_000_000  # bytes of a file
+LARGEST = 200_000_000  # largest file [bytes]
 MOST_PIXELS = 50_000_000
-FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP")  # of Pillow's others, some start programs
+FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP")  # some of Pillow's other readers start programs
 WHERE: KeyPath = ("render", "background")
 
 
 def problems(recipe: Recipe, sensor: Sensor, folder: Path | None) -> list[Problem]:
-    """Why a recipe's photograph cannot stand behind this sensor's pictures."""
+    """Why the recipe's photograph cannot be the background of this sensor's images."""
     name, expected, camera = recipe.render.background, recipe.render.background_sha256, sensor.camera
     if name is None:
         return []
@@ -43,7 +43,7 @@ def problems(recipe: Recipe, sensor: Sensor, folder: Path | None) -> list[Proble
 
 
 def read(path: Path) -> "np.ndarray":
-    """The picture (H, W, 3), 8 bit. Raises UserError: no picture of MOST_PIXELS at most can be read from the file."""
+    """The picture (H, W, 3), 8 bit. Raises UserError: it cannot be read, or has more than MOST_PIXELS."""
     import io
 
     import numpy as np
@@ -57,7 +57,7 @@ def read(path: Path) -> "np.ndarray":
         raise UserError(f"{path}: cannot be read: {why(error)}") from None
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of its size, which is looked at here
+            warnings.simplefilter("ignore")  # about the size, which is checked below
             with Image.open(io.BytesIO(content), formats=FORMATS) as picture:
                 if picture.width * picture.height > MOST_PIXELS:
                     size = f"{picture.width} x {picture.height}"
@@ -65,7 +65,7 @@ def read(path: Path) -> "np.ndarray":
                 return np.asarray(picture.convert("RGB"))
     except UserError:
         raise
-    except Exception as error:  # each of Pillow's readers fails in its own way on a file that is something else
+    except Exception as error:  # Pillow's readers raise many types of errors for a damaged file
         raise UserError(f"{path}: is no picture that can be read") from error
 
 
@@ -79,10 +79,10 @@ def shrunk(light: "np.ndarray", width: int, height: int) -> "np.ndarray":
 
 
 class Backdrop:
-    """A photograph of the untouched sensor, that rendered radiance is laid over.
+    """A photograph of the untouched sensor as the background of rendered radiance.
 
-    The picture is photo x (deformed render / flat render), in linear light; the photograph alone where nothing is
-    rendered, beside the gel.
+    The image is photograph x (deformed render / untouched render) in linear light; beside the gel, where nothing is
+    rendered, it is the photograph alone.
     """
 
     def __init__(self, path: Path, flat: "np.ndarray", camera: Camera) -> None:

@@ -1,4 +1,4 @@
-"""What every piece of a file a person writes has in common."""
+"""Base class and shared types of the models of recipe and sensor files."""
 
 from typing import Annotated, Any, Literal
 
@@ -6,20 +6,20 @@ from pydantic import BaseModel, ConfigDict, Field
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
-FilePath = Annotated[str, Field(min_length=1)]  # starts at the folder of the file that it stands in
-Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]  # a file must be this one; bundles say it
+FilePath = Annotated[str, Field(min_length=1)]  # relative to the folder of the file in which it is written
+Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]  # hash that the named file must have; stored in bundles
 Axis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 ONE_KEY: dict[str, Any] = {"minProperties": 1, "maxProperties": 1}  # in a JSON schema
 
 
 class Part(BaseModel):
-    """A frozen piece of a recipe or sensor file in which an unknown key is an error, and so is nan or inf."""
+    """A frozen part of a recipe or sensor file. Unknown keys, nan and inf are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 def exactly_one(part: Part, what: str = "one", names: tuple[str, ...] = ()) -> None:
-    """Raise ValueError unless one field is given, of `names` or of all."""
+    """Raise ValueError unless exactly one field is given, of those in `names` or of all fields."""
     names = names or tuple(type(part).model_fields)
     given = [name for name in names if getattr(part, name) is not None]
     if len(given) != 1:

@@ -1,4 +1,4 @@
-"""What cannot be done on this sensor: the checks that need the recipe and the sensor side by side."""
+"""Checks that need the recipe and the sensor together: what this sensor cannot do."""
 
 import importlib.util
 from contextlib import suppress
@@ -15,16 +15,16 @@ from tacgen.recipe.trajectory_checks import Folders
 from tacgen.recipe.validation_messages import Problem, needs
 from tacgen.recipe.yaml_source import KeyPath
 
-MIN_HALF_THICKNESS = 0.8  # of an indenter, over the mesh's edge [-]: else it passes between integration points
+MIN_HALF_THICKNESS = 0.8  # of an indenter, over the element edge [-]; thinner ones pass between contact points
 SOLID_SIZE_ERROR = 0.01  # largest difference between a solid's sides and those in its sensor file, relative [-]
-MIN_RIM = 0.1  # thickness of a domed gel at its corner over that at the crown [-]: cells there must not be too flat
+MIN_RIM = 0.1  # thickness of a domed gel at its corner over that at the crown [-]; below, cells are too flat
 
 
 def sensor_problems(sensor: Sensor, folder: Path | None = None, images: bool = True) -> list[Problem]:
-    """What contradicts itself in a sensor file; paths start at the sensor's root.
+    """Contradictions in a sensor file; paths start at the sensor's root.
 
-    `folder` is where the path of the gel's solid starts; None: the working directory. Without `images`, lights may be
-    where they cannot: a gel that is made thinner leaves them behind.
+    The path of the gel's solid is relative to `folder`, by default the working directory. Without `images` the lights
+    are not checked: a recipe that makes the gel thinner may leave them outside.
     """
     optics: list[Problem] = []
     if sensor.lit and images:
@@ -33,9 +33,9 @@ def sensor_problems(sensor: Sensor, folder: Path | None = None, images: bool = T
 
 
 def recipe_problems(recipe: Recipe, sensor: Sensor, folders: Folders | None = None) -> list[Problem]:
-    """What this recipe asks for and this sensor cannot give; paths start at the recipe's root.
+    """What this recipe asks for and this sensor cannot do; paths start at the recipe's root.
 
-    `folders` says where the paths of its files start; the working directory for those that it does not hold.
+    `folders`: the folder to which the path of each of its files is relative, by default the working directory.
     """
     folders = folders or {}
     wrong = grasp_checks.problems(recipe, sensor, folders)
@@ -82,7 +82,7 @@ def _outline(gel: Gel) -> list[Problem]:
 
 
 def _solid(gel: Gel, folder: Path | None) -> list[Problem]:
-    """The file must be there, be the one asked for, close, and be as large as the sensor file says."""
+    """The file must exist, have the right hash, be closed, and have the size that the sensor file says."""
     if gel.solid is None:
         return []
     excluded = [name for name in ("outline", "dome") if getattr(gel, name) is not None]
@@ -107,9 +107,9 @@ def _solid(gel: Gel, folder: Path | None) -> list[Problem]:
 
 
 def light_problems(data: Any) -> list[Problem]:
-    """What a sensor file as plain data lacks of a lit one.
+    """The parts that images need and that are missing from a sensor file, given as plain data.
 
-    A plate may stand alone; coating, walls and LEDs come together and with it, for none makes an image alone.
+    A plate may be given alone; coating, walls and LEDs need each other and the plate.
     """
     there = [name for name in LIGHTS if isinstance(data, dict) and data.get(name) is not None]
     if there in ([], ["plate"]):
@@ -122,7 +122,7 @@ def light_problems(data: Any) -> list[Problem]:
 
 
 def _depths(recipe: Recipe, sensor: Sensor) -> list[Problem]:
-    """Depth counts from first touch: on a dome, from no lower than the face under the start."""
+    """A press must be less deep than the gel is thick under the start."""
     gel, start = sensor.gel, recipe.start
     thick = thickness_mm(gel) - gel.drop_mm(start.x_mm, start.y_mm)
     return [
@@ -140,7 +140,7 @@ def _viscous(sensor: Sensor) -> bool:
 
 
 def timed(recipe: Recipe, sensor: Sensor) -> bool:
-    """Whether frames take time: with dynamics they do, and on a viscoelastic gel if any movement says how long."""
+    """Whether time matters: with dynamics, or on a viscoelastic gel if any movement has a duration."""
     moves = (step.move for step in recipe.trajectory)
     return recipe.dynamics is not None or (
         _viscous(sensor) and any(not isinstance(move, Timed) or move.seconds(1.0) is not None for move in moves)
@@ -148,14 +148,14 @@ def timed(recipe: Recipe, sensor: Sensor) -> bool:
 
 
 def notes(recipe: Recipe, sensor: Sensor) -> list[str]:
-    """What this recipe leaves unused and nobody may have meant."""
+    """Notes on what has no effect, perhaps by mistake."""
     if not _viscous(sensor) or timed(recipe, sensor):
         return []
     return ["no movement says how long it takes: every frame is an equilibrium, and the gel's prony has no effect"]
 
 
 def _times(recipe: Recipe, sensor: Sensor, folders: Folders) -> list[Problem]:
-    """Where time counts every frame takes some."""
+    """If time matters, every movement needs a duration; if not, none may have one."""
     count, dynamics, forced, wrong = timed(recipe, sensor), recipe.dynamics, False, []
     for i, step in enumerate(recipe.trajectory):
         where: KeyPath = ("trajectory", i, step.kind)
@@ -180,7 +180,7 @@ def _times(recipe: Recipe, sensor: Sensor, folders: Folders) -> list[Problem]:
 
 
 def output_problems(recipe: Recipe, sensor: Sensor) -> list[Problem]:
-    """What a sensor has not got that the outputs ask for."""
+    """What the outputs need and the sensor does not have."""
     wrong = []
     if "markers" in recipe.outputs and sensor.markers is None:
         wrong.append(Problem(("outputs",), f"asks for markers, and the sensor {sensor.name} has none"))
@@ -198,7 +198,7 @@ def output_problems(recipe: Recipe, sensor: Sensor) -> list[Problem]:
 
 
 def _too_thin(recipe: Recipe) -> list[Problem]:
-    """A body that has a far side must be thicker than the contact points are apart."""
+    """A thin body must be thicker than the distance between contact points, or it passes between them."""
     indenter, edge = recipe.indenter, recipe.resolved().edge_mm
     if recipe.contact.formulation != "distance":
         return []
@@ -230,7 +230,7 @@ def _ipc_toolkit(recipe: Recipe) -> list[Problem]:
 
 
 def _mitsuba(recipe: Recipe, sensor: Sensor) -> list[Problem]:
-    """Light is summed without it in a clear gel, by transport."""
+    """Whether Mitsuba is needed and missing; a clear gel with method `transport` does without."""
     scatters = any(layer.scattering for layer in sensor.gel.clear_layers)
     traced = recipe.outputs & IMAGES and (scatters or recipe.render.method != "transport")
     if not traced or importlib.util.find_spec("mitsuba"):

@@ -1,4 +1,4 @@
-"""What a grasp cannot be: checks that need its movements, its object and its sensors side by side."""
+"""Checks of a grasp: its movements, its object and its sensors together."""
 
 import importlib.util
 import math
@@ -11,12 +11,12 @@ from tacgen.recipe.sensor import Sensor
 from tacgen.recipe.trajectory import Start, Timed
 from tacgen.recipe.validation_messages import Problem
 
-OF_GRASP = ("close", "lift")  # movements that only a gripper makes
-MOVES = (*OF_GRASP, "tilt", "hold", "replay")  # all that it makes
+OF_GRASP = ("close", "lift")  # movements of a gripper alone
+MOVES = (*OF_GRASP, "tilt", "hold", "replay")  # all movements of a gripper
 
 
 def problems(recipe: Recipe, sensor: Sensor, folders: trajectory_checks.Folders) -> list[Problem]:
-    """What of a trajectory, an object or a sensor does not go with a grasp, or with none."""
+    """What is impossible in a grasp; without a grasp, movements that need one."""
     grasp = recipe.grasp
     if grasp is None:
         return [
@@ -47,7 +47,7 @@ def problems(recipe: Recipe, sensor: Sensor, folders: trajectory_checks.Folders)
 
 
 def _tables(recipe: Recipe, folders: trajectory_checks.Folders) -> list[Problem]:
-    """Tables of the gripper's poses that cannot be used."""
+    """Pose tables of the gripper that cannot be used."""
     wrong = []
     for i, step in enumerate(recipe.trajectory):
         where = ("trajectory", i, "replay", "file")
@@ -65,7 +65,7 @@ def solid(sensor: Sensor) -> list[Problem]:
 
 
 def _object(recipe: Recipe, grasp: Grasp, sensor: Sensor) -> list[Problem]:
-    """An object of a shape has two sides to close on, no farther than gels are thick, and a height to hold it by."""
+    """The object needs two sides to close on and a height; the fingers may close by the gels' thickness at most."""
     if (shape := analytic(recipe.indenter)) is None:
         return []
     c, s = math.cos(yaw := math.radians(grasp.yaw_deg)), math.sin(yaw)

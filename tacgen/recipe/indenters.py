@@ -1,4 +1,4 @@
-"""What may press: indenters by shape, origins at their lowest points. Lengths in mm, angles in degrees."""
+"""The models of indenters by shape; the origin is the lowest point. Lengths in mm, angles in degrees."""
 
 import math
 from typing import TYPE_CHECKING, Annotated, Literal, get_args
@@ -41,7 +41,7 @@ class Cylinder(Part):
 
 
 class Cone(Part):
-    """A cone pointing down with a ball for a tip; the half angle is measured from its axis."""
+    """A cone pointing down with a spherical tip; the half angle is measured from its axis."""
 
     shape: Literal["cone"]
     half_angle_deg: Acute
@@ -64,7 +64,7 @@ class Box(Part):
 
 
 class Wedge(Part):
-    """A wedge pointing down whose rounded edge lies along y; the half angle is measured from z, the length over all."""
+    """A wedge pointing down whose rounded edge is along y; half angle from z, total length along y."""
 
     shape: Literal["wedge"]
     half_angle_deg: Acute
@@ -81,7 +81,7 @@ class Wedge(Part):
 
 
 class Capsule(Part):
-    """A rod with round ends lying along x; the length is between the centres of its two balls."""
+    """A rod with hemispherical ends along x; the length is between the centres of the hemispheres."""
 
     shape: Literal["capsule"]
     radius_mm: Positive
@@ -102,13 +102,13 @@ class Torus(Part):
 
 
 class Mesh(Part):
-    """A closed triangle mesh (STL, OBJ, PLY), its lowest point at the gel and its middle over it."""
+    """A closed triangle mesh (STL, OBJ, PLY), lowest point at z = 0, bounding box centred on the z axis."""
 
     shape: Literal["mesh"]
-    file: FilePath  # or the name of a shipped object
+    file: FilePath  # a path, or the name of a shipped object
     up: Axis = "+z"  # which axis of the file points away from the gel
     scale: Positive = 1.0  # mm per unit of the file
-    size_mm: Positive | None = None  # instead of scale: the longest side
+    size_mm: Positive | None = None  # length of the longest side, instead of scale
     sha256: Sha256 | None = None
 
     @field_validator("size_mm")
@@ -126,8 +126,8 @@ SHAPES: dict[str, type[Part]] = {
 
 
 def analytic(i: Indenter) -> "Shape | None":
-    """The signed distance of an indenter: the class of its name in analytic_sdf, whose fields have the model's names
-    without their units. None of a mesh, whose file is not read here."""
+    """The signed distance of an indenter: the class of the same name in analytic_sdf, with the same fields without
+    units. None for a mesh, whose file is not read here."""
     if i.shape == "mesh":
         return None
     from tacgen.geometry import analytic_sdf

@@ -1,4 +1,4 @@
-"""A recipe file, what it extends, `--set` and the sensor file it names -> Recipe and Sensor, checked together."""
+"""Read a recipe file with the recipe it extends, `--set` and its sensor file; give a checked Recipe and Sensor."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ SOLID: KeyPath = ("gel", "solid", "file")
 
 @dataclass(frozen=True)
 class Loaded:
-    """A checked recipe and its sensor, with the trees that know where each value was written."""
+    """A checked recipe and its sensor, with the trees that hold the position of each value."""
 
     recipe: Recipe
     sensor: Sensor
@@ -40,7 +40,7 @@ def read(path: Path, sets: Iterable[str] = ()) -> Loaded:
     problems = [(problem, tree) for problem in wrong]
     try:
         sensor, sensor_tree, more = named_sensor(tree, recipe is not None and bool(recipe.outputs & IMAGES))
-    except UserError as error:  # the sensor file is no YAML: say so beside what is wrong with the recipe
+    except UserError as error:  # the sensor file is not YAML: report it with the problems of the recipe
         raise UserError([*report(problems).lines, *error.lines]) from None
     problems += more
     if recipe and sensor:
@@ -51,13 +51,13 @@ def read(path: Path, sets: Iterable[str] = ()) -> Loaded:
 
 
 def _crossed(tree: Tree) -> Tree:
-    """A tree that names several `sensors` with the first as its `sensor`, and with `vary` crossed with them all.
+    """A tree with several `sensors`: the first becomes `sensor`, and `vary` takes each scene on all of them.
 
     They vary fastest, so that the scenes of one contact follow each other.
     """
     names, vary = tree.data.get("sensors"), tree.data.get("vary")
     if not isinstance(names, list) or not names or not isinstance(vary, dict | None):
-        return tree  # said by the recipe's own check
+        return tree  # the recipe's own check reports it
     choice = Tree({}, {(): tree.spot(("sensors",))}).replaced(("choice",), tree.under(("sensors",)))
     tree = tree.replaced(("sensor",), tree.under(("sensors", 0)))
     if vary is None:
@@ -69,7 +69,7 @@ def _crossed(tree: Tree) -> Tree:
 
 
 def read_sensor(path: Path) -> tuple[Sensor, Tree]:
-    """Read a sensor file alone. Raises UserError with every problem."""
+    """Read and check a sensor file alone. Raises UserError with all problems."""
     tree = load(path)
     sensor, wrong = check_sensor(tree.data, solid_folder(tree))
     if wrong or sensor is None:
@@ -87,7 +87,7 @@ def check_sensor(data: Any, folder: Path | None = None, images: bool = True) -> 
 
 
 def sensor_warnings(sensor: Sensor, tree: Tree) -> tuple[str, ...]:
-    """A line where numbers of a sensor file come from nowhere."""
+    """A warning if parts of a sensor file name no source of their numbers."""
     if not (parts := sensor.unsourced):
         return ()
     text = f"{', '.join(parts)}: no source; say where the numbers come from, as in source: assumed"
@@ -95,9 +95,9 @@ def sensor_warnings(sensor: Sensor, tree: Tree) -> tuple[str, ...]:
 
 
 def folders(tree: Tree, recipe: Recipe, varied: Mapping[str, KeyPath] | None = None) -> dict[KeyPath, Path]:
-    """The folder, from the root, in which the path of each file of a recipe starts: that of the file it was written in.
+    """The folder to which the path of each file of a recipe is relative: that of the file in which it is written.
 
-    `varied` are the paths of `vary`, one of which may name the file instead, and where they were written.
+    `varied`: the paths of `vary`, one of which may name the file instead, and their places in the recipe.
     """
     found: dict[KeyPath, Path] = {}
     for path in recipe.files:
@@ -107,12 +107,12 @@ def folders(tree: Tree, recipe: Recipe, varied: Mapping[str, KeyPath] | None = N
 
 
 def solid_folder(sensor_tree: Tree) -> Path:
-    """The folder in which the path of a gel's solid starts: that of the file it was written in."""
+    """The folder to which the path of a gel's solid is relative: that of the file in which it is written."""
     return (sensor_tree.spot(SOLID).value.source.folder or Path()).resolve()
 
 
 def _extended(path: Path, chain: tuple[Path, ...]) -> Tree:
-    """The tree of a file laid over the one it extends. `chain` holds the files that led here."""
+    """The tree of a file merged over the one it extends. `chain` holds the files that extend it."""
     tree = load(path)
     if not isinstance(tree.data, dict):
         raise report([(Problem((), f"a recipe must be a mapping (got {describe(tree.data)})"), tree)])
@@ -130,7 +130,7 @@ def _extended(path: Path, chain: tuple[Path, ...]) -> Tree:
 
 
 def _set(tree: Tree, text: str) -> Tree:
-    """`a.b[0].c=value` laid over a tree; the value is YAML."""
+    """A tree changed by `a.b[0].c=value`; the value is YAML."""
     source = Source(f"--set {text}")
     path_text, equals, value_text = text.partition("=")
     if not equals:
@@ -150,10 +150,10 @@ def _set(tree: Tree, text: str) -> Tree:
 
 
 def named_sensor(tree: Tree, images: bool) -> tuple[Sensor | None, Tree, list[tuple[Problem, Tree]]]:
-    """The sensor a recipe names, its overrides laid over the file; problems with the tree each stands in."""
+    """The sensor that a recipe names, with its overrides; each problem comes with the tree it belongs to."""
     name, nothing = tree.data.get("sensor"), Tree(None)
     if not isinstance(name, str) or not name:
-        return None, nothing, []  # said already by the recipe's own check
+        return None, nothing, []  # the recipe's own check reports it
     try:
         sensor_path = assets.sensor_path(name, tree.spot(("sensor",)).value.source.folder)
     except UserError as error:
@@ -168,7 +168,7 @@ def named_sensor(tree: Tree, images: bool) -> tuple[Sensor | None, Tree, list[tu
 
 
 def _overridden(sensor: Tree, recipe: Tree) -> tuple[Tree, list[Problem]]:
-    """Lay `sensor_overrides` over a sensor's tree: keys are paths, mappings merge."""
+    """Apply `sensor_overrides` to a sensor's tree: keys are paths, mappings are merged."""
     overrides = recipe.data.get("sensor_overrides")
     problems: list[Problem] = []
     for key in overrides if isinstance(overrides, dict) else ():

@@ -1,4 +1,4 @@
-"""YAML -> Recipe: what a person wrote, checked, with line numbers. Lengths in mm, angles in degrees."""
+"""The model of a recipe file: its keys, their types and their ranges. Lengths in mm, angles in degrees."""
 
 from typing import Annotated, Any, Literal, NamedTuple, get_args
 
@@ -24,7 +24,7 @@ OutputName = Literal[
     "radiance",
     "rgb",
 ]
-Element = Literal["hex", "tet", "linear_tet"]  # linear tets lock on gels this near to incompressible: to compare with
+Element = Literal["hex", "tet", "linear_tet"]  # linear tets lock in a nearly incompressible gel: for comparison only
 OUTPUTS: tuple[str, ...] = get_args(OutputName)
 IMAGES = frozenset({"radiance", "rgb"})  # outputs that need light
 
@@ -32,7 +32,7 @@ IMAGES = frozenset({"radiance", "rgb"})  # outputs that need light
 class Contact(Part):
     """How indenter and gel touch.
 
-    `distance` measures gaps to the indenter's shape; `ipctk` is contact between two meshes by the IPC Toolkit.
+    `distance` uses the signed distance to the indenter's shape; `ipctk` is mesh-to-mesh contact by the IPC Toolkit.
     """
 
     friction: NotNegative = 0.0
@@ -40,19 +40,19 @@ class Contact(Part):
 
 
 class Grasp(Part):
-    """Two fingers close on the indenter, which stands upright between them and is free: a scene of two bundles.
+    """Two fingers close on the indenter, a free rigid object that stands upright between them; gives two bundles.
 
-    The world's x is the closing axis, from the left finger to the right one, its z up, its origin midway between them.
+    World frame: x is the closing axis, from the left finger to the right one; z is up; the origin is midway between.
     """
 
     mass_kg: Positive
-    right: Annotated[str, Field(min_length=1)] | None = None  # its sensor; None: as the left one, `sensor`
-    height_mm: Positive | None = None  # of the fingers' middle over the object's lowest point; None: half its height
-    y_mm: float = 0.0  # of the object in the world
-    yaw_deg: float = 0.0  # of the object, about the vertical
-    centre_mm: Vector | None = None  # of mass, in the object's frame; None: on its axis, as high as the fingers
-    gravity: Vector = (0.0, 0.0, -1.0)  # its direction in the world
-    fall_mm: Positive = 0.5  # by which the object sinks in a frame once friction does not bear it
+    right: Annotated[str, Field(min_length=1)] | None = None  # the right finger's sensor; None: as the left
+    height_mm: Positive | None = None  # fingers' middle above the object's lowest point; None: half its height
+    y_mm: float = 0.0  # y of the object in the world frame
+    yaw_deg: float = 0.0  # rotation of the object about the vertical
+    centre_mm: Vector | None = None  # centre of mass in the object's frame; None: on its axis, at the fingers' height
+    gravity: Vector = (0.0, 0.0, -1.0)  # direction of gravity in the world frame
+    fall_mm: Positive = 0.5  # how far the object sinks in one frame when friction cannot carry it
 
     @field_validator("gravity")
     @classmethod
@@ -63,44 +63,46 @@ class Grasp(Part):
 
 
 class Rayleigh(Part):
-    """Damping in proportion to mass and to stiffness."""
+    """Rayleigh damping: alpha times the mass matrix plus beta times the stiffness matrix."""
 
     alpha_per_s: NotNegative = 0.0
     beta_s: NotNegative = 0.0
 
 
 class Dynamics(Part):
-    """Let the gel's inertia and damping count. Without, it is as if everything moved infinitely slowly."""
+    """Inertia and damping of the gel. Without this part every frame is a static equilibrium."""
 
     density_kg_m3: Positive
     rayleigh: Rayleigh = Rayleigh()
-    frame_s: Positive | None = None  # what a frame takes; a movement's duration_s and a replay's times go before it
-    step_s: Positive | None = None  # a frame that takes longer goes in several steps of time; None: in one
+    frame_s: Positive | None = None  # duration of a frame, unless a movement's duration_s or a replay's times give it
+    step_s: Positive | None = None  # longest time step, into which frames are divided; None: one step a frame
 
 
 class Render(Part):
-    """How camera images are made: `transport`, exact light; Mitsuba's `path` with the noise of `spp` paths; or `table`,
-    milliseconds an image by Taxim's look-up of light by slope and place, for looks more than for measure.
+    """How camera images are made.
 
-    `noise` is the camera's own, as its sensor file says, in /frames/rgb: what a real camera gives is the default.
+    `transport` computes the light without sampling noise; `path` is Mitsuba's path tracer with `spp` samples a pixel;
+    `table` is Taxim's look-up of colour by slope and position, which takes milliseconds and is less accurate.
+    `noise` adds the camera's noise of the sensor file to /frames/rgb.
     """
 
     method: Literal["transport", "path", "table"] = "transport"
     noise: bool = True
-    # a photograph of one's own untouched unit, dots where the sensor file has them: photo x (deformed / flat render)
+    # photograph of your own untouched unit, with its dots where the sensor file has them: the image is
+    # photograph x (render of the deformed gel / render of the untouched gel)
     background: FilePath | None = None
     background_sha256: Sha256 | None = None
 
 
 class MarkerMotion(Part):
-    """How dots move: `fem`, as the solved gel carries them; or `analytic`, by FOTS's exponentials of the indenter's
-    pose, of which the sensor file holds the numbers."""
+    """How markers move: `fem`, with the solved gel; or `analytic`, by FOTS's exponential functions of the indenter's
+    pose, whose constants are in the sensor file."""
 
     method: Literal["fem", "analytic"] = "fem"
 
 
 class MaterialDeviation(Part):
-    """Standard deviations of what the gel is made of: `modulus` as a part of all layers', the others of the numbers."""
+    """Standard deviations of the gel's constants: `modulus` is relative and for all layers, the others absolute."""
 
     modulus: NotNegative = 0.0
     poissons_ratio: NotNegative = 0.0
@@ -108,23 +110,23 @@ class MaterialDeviation(Part):
 
 
 class PoseDeviation(Part):
-    """Standard deviation of how deep all poses are."""
+    """Standard deviation of the depth, common to all poses."""
 
     depth_mm: NotNegative = 0.0
 
 
 class Uncertainty(Part):
-    """How sure the inputs are: forces and maps then say how sure they are, to first order."""
+    """Standard deviations of the inputs, which are propagated to forces and maps to first order."""
 
     material: MaterialDeviation = MaterialDeviation()
     pose: PoseDeviation = PoseDeviation()
-    mesh: bool = False  # of the mesh's error, by a second solve on a coarser one
+    mesh: bool = False  # include the discretisation error, estimated by a second solve on a coarser mesh
 
 
 class Quality(NamedTuple):
-    """Numbers that trade time for error."""
+    """Numerical parameters that trade run time for accuracy."""
 
-    edge_mm: float  # of the mesh under the contact
+    edge_mm: float  # element edge under the contact
     dhat_mm: float  # range of the contact barrier
     spp: int  # samples a pixel
 
@@ -137,7 +139,7 @@ QUALITIES = {
 
 
 class QualityNumbers(Part):
-    """Numbers given one by one; what is left out is as in `default`."""
+    """Single parameters; those that are left out are as in `default`."""
 
     edge_mm: Positive | None = None
     dhat_mm: Positive | None = None
@@ -149,7 +151,7 @@ def _quality_tag(value: Any) -> str:
 
 
 class Distribution(Part, json_schema_extra=ONE_KEY):
-    """Where the values of one varied path come from."""
+    """The distribution of one varied path."""
 
     uniform: tuple[float, float] | None = None
     loguniform: tuple[Positive, Positive] | None = None
@@ -170,13 +172,13 @@ class Distribution(Part, json_schema_extra=ONE_KEY):
         return self
 
 
-FEW = 256  # samples that an optimised Latin hypercube spreads better than Sobol's points, in a second at most
+FEW = 256  # samples up to which an optimised Latin hypercube is used: more even than Sobol's, computed within 1 s
 
 
 class Vary(Part):
     """A batch: many scenes from one recipe. Each sample of `over` is taken at each point of `grid`."""
 
-    method: Literal["grid", "random", "sobol", "lhs", "halton"] | None = None  # None: lhs of few samples, sobol of many
+    method: Literal["grid", "random", "sobol", "lhs", "halton"] | None = None  # None: lhs for few, sobol for many
     samples: Annotated[int | None, Field(ge=1, le=1_000_000, validate_default=True)] = None
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
     over: Annotated[dict[str, Distribution], Field(min_length=1)]
@@ -194,12 +196,12 @@ class Vary(Part):
 
     @property
     def design(self) -> str:
-        """The method, also where none was named."""
+        """The method: the one that is named, or the one that is chosen by the number of samples."""
         return self.method or ("lhs" if (self.samples or 0) <= FEW else "sobol")
 
     @property
     def paths(self) -> dict[str, KeyPath]:
-        """What is varied, and where in the recipe that was written."""
+        """The varied paths, and the place in the recipe where each is written."""
         return {name: ("vary", key, name) for key in ("over", "grid") for name in getattr(self, key)}
 
 
@@ -219,7 +221,7 @@ class Recipe(Part):
     tacgen: Literal[1]
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=100)]
     sensor: SensorName
-    sensors: Annotated[tuple[SensorName, ...] | None, Field(min_length=2)] = None  # in its place: a scene on each
+    sensors: Annotated[tuple[SensorName, ...] | None, Field(min_length=2)] = None  # each scene on each of them
     sensor_overrides: dict[str, Any] = Field(default_factory=dict)
     indenter: Indenter
     start: Start = Start()
@@ -227,7 +229,7 @@ class Recipe(Part):
     grasp: Grasp | None = None
     contact: Contact = Contact()
     dynamics: Dynamics | None = None
-    mesh: Element | None = None  # None: hex where the gel is a pad, tet where it is a solid of your own
+    mesh: Element | None = None  # None: hex for a pad, tet for a gel that is read from a file
     render: Render = Render()
     markers: MarkerMotion = MarkerMotion()
     uncertainty: Uncertainty | None = None
@@ -266,7 +268,7 @@ class Recipe(Part):
 
     @property
     def files(self) -> tuple[KeyPath, ...]:
-        """Where it names files by a path that starts at the recipe's folder."""
+        """The places in the recipe that name files, whose paths are relative to the file they are written in."""
         tables = [("trajectory", i, "replay", "file") for i, step in enumerate(self.trajectory) if step.replay]
         photo = [("render", "background")] if self.render.background is not None else []
         return (*photo, *([("indenter", "file")] if self.indenter.shape == "mesh" else []), *tables)

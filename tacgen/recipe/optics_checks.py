@@ -1,4 +1,4 @@
-"""What contradicts itself in the optics of a sensor file; checks.py asks, once all that images need is there."""
+"""Checks of the optics of a sensor file that has all parts that images need."""
 
 import math
 from collections.abc import Iterator
@@ -16,7 +16,7 @@ MAX_RAY_ANGLE = 80.0  # between a camera's ray and the plate's normal [deg]
 
 
 def problems(sensor: LitSensor) -> Iterator[Problem]:
-    """One for each part that cannot be; paths start at the sensor's root."""
+    """A problem for each part that is impossible; paths start at the sensor's root."""
     yield from _layers(sensor)
     eye = sensor.camera
     if not _in_housing(sensor.gel.pad, *eye.center_mm, 0.0):
@@ -53,7 +53,7 @@ def _layers(sensor: LitSensor) -> Iterator[Problem]:
 
 
 def _steepest(sensor: LitSensor) -> float:
-    """How far a ray can be off the plate's normal at most [deg]: the picture's corner, turned by the tilt."""
+    """Largest angle of a ray to the plate's normal [deg]: that of the picture's corner, plus the tilt."""
     eye, layers = sensor.camera, (sensor.plate, *sensor.gel.clear_layers)
     depth = eye.distance_mm + sum(layer.thickness_mm / layer.refractive_index for layer in layers)
     sizes = zip((eye.width_px, eye.height_px), eye.crop_mm, strict=True)
@@ -77,12 +77,12 @@ def _dots(sensor: LitSensor) -> Iterator[Problem]:
 
 
 class _Room(NamedTuple):
-    """What a sensor's LEDs stand in, as far as they may not leave it; equal where other parts of the sensor vary."""
+    """The bounds of the LEDs: all of the sensor that decides whether an LED is inside. It is the key of a cache."""
 
     pad: "Pad"
-    margin: float  # of the housing around it [mm]
-    thickness: float  # of the gel [mm]
-    clear: float  # of its clear layers [mm]
+    margin: float  # between the pad and the housing [mm]
+    thickness: float  # of the whole gel [mm]
+    clear: float  # thickness of the clear layers [mm]
     scattering: bool
     bottom: float  # z of the plate's air face [mm]
     camera: float  # z of the camera [mm]
@@ -97,20 +97,20 @@ class _Room(NamedTuple):
         return cls(gel.pad, margin, total, clear, scattering, bottom, camera)
 
     def coating_z(self, x: float, y: float) -> float:
-        """z of the coating's inner side over (x, y) [mm]; level with the crown beside the pad, where there is none."""
+        """z of the coating's inner side at (x, y) [mm]; beside the pad, that of the crown."""
         if not _in_housing(self.pad, x, y, 0.0):
             return 0.0
         return (self.thickness + float(self.pad.top(x, y))) * self.clear / self.thickness - self.thickness
 
 
 def wrong_led(sensor: LitSensor, led: Led) -> tuple[str, str] | None:
-    """The key of an LED that is wrong, and why; None where it can be."""
+    """The key of an LED that is wrong, and the reason; None if the LED is possible."""
     return _wrong_led(_Room.of(sensor), led)
 
 
 @lru_cache
 def _wrong_led(room: _Room, led: Led) -> tuple[str, str] | None:
-    """The same; of scenes that vary other parts of a sensor it is asked once."""
+    """The same, cached: scenes that vary other parts of the sensor check each LED once."""
     import numpy as np
 
     normal, along = np.array(led.normal), np.cross(led.up, led.normal)
@@ -140,7 +140,7 @@ def _wrong_led(room: _Room, led: Led) -> tuple[str, str] | None:
 
 
 def _in_housing(pad: "Pad", x: float, y: float, margin: float) -> bool:
-    """Whether (x, y) lies no more than `margin` [mm] off the pad; the corners of a rectangular housing are square."""
+    """Whether (x, y) is inside the housing, `margin` [mm] off the pad and with square corners."""
     return bool(pad.housing(margin).contains(x, y, TOLERANCE))
 
 

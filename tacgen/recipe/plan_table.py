@@ -1,4 +1,4 @@
-"""A plan as a table: for a person, a spreadsheet or a program."""
+"""A plan as a table: aligned text, CSV or JSON."""
 
 import csv
 import io
@@ -8,11 +8,11 @@ from typing import Any
 
 from tacgen.recipe.plan import Plan, Row
 
-MAX_ROWS = 40  # of the table for a person
+MAX_ROWS = 40  # of the aligned text
 
 
 def as_text(plan: Plan) -> str:
-    """Aligned columns; of a long plan the first rows."""
+    """Aligned columns; for a long plan the first rows alone."""
     table = [*_cells(plan, plan.rows[:MAX_ROWS], short=True)]
     widths = [max(map(len, column)) for column in zip(*table, strict=True)]
     lines = ["  ".join(cell.rjust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in table]
@@ -22,15 +22,14 @@ def as_text(plan: Plan) -> str:
 
 
 def as_csv(plan: Plan) -> str:
-    """Every row, every digit."""
+    """All rows with all digits."""
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(_cells(plan, plan.rows, short=False))
     return text.getvalue()
 
 
 def as_json(plan: Plan) -> str:
-    """Every row on a line, of a grasp both bundles, with its seed, key and values; its pair where there are several
-    sensors."""
+    """All bundles, one a line, with seed, key and values; with several sensors also the number of the pair."""
     rows = (
         {"scene": r.name, "frames": r.frames, "seed": r.seed, "key": r.key, "values": r.values}
         | ({} if r.pair is None else {"pair": r.pair})

@@ -1,4 +1,4 @@
-"""A pose table: CSV with a header and one pose a row, as plain numbers; errors name the line."""
+"""Pose tables: CSV with a header and one pose a row. Errors name the line."""
 
 import csv
 import functools
@@ -17,8 +17,8 @@ from tacgen.recipe.trajectory import Column, Quaternion, Vector, unit
 if TYPE_CHECKING:
     from numpy import ndarray
 
-# What a column may be called, after whatever stands before it in a name of ROS (`field.pose.position.x`, from
-# `rostopic echo -p`); x, y and z may end in _mm or _m, time in _s, _ms, _us or _ns. Capitals do not matter.
+# Accepted titles of each column. The prefix of ROS names (`field.pose.position.x`, from `rostopic echo -p`) is ignored;
+# x, y and z may end in _mm or _m, time in _s, _ms, _us or _ns; upper and lower case are the same.
 COLUMNS = {
     "time": ("time", "timestamp", "t", "%time"),
     **{axis: (axis, f"t{axis}", f"p{axis}", f"position_{axis}", f"position.{axis}") for axis in "xyz"},
@@ -27,12 +27,12 @@ COLUMNS = {
 MM = {"mm": 1.0, "m": 1000.0}
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 MAX_FILE = 200_000_000  # [bytes]
-MAX_MESSAGES = 5  # about one file
-Row = tuple[int, float, Vector, Quaternion]  # line, time as in the file, position [mm] and turn
+MAX_MESSAGES = 5  # reported for one file
+Row = tuple[int, float, Vector, Quaternion]  # line, time as in the file, position [mm] and rotation
 
 
 class Pose(NamedTuple):
-    """One row: where a body stands in the table's frame, lengths in mm."""
+    """One row: the pose of a body in the table's frame, lengths in mm."""
 
     line: int  # of the file, from 1
     time: float  # [s]
@@ -48,10 +48,10 @@ class Table:
 
 
 def read(path: Path, units: str | None = None, columns: Mapping[Column, str] | None = None) -> Table:
-    """Read a table; `units` of x, y and z where the header does not say, `columns` by titles that are none of COLUMNS.
+    """Read a table. `units`: of x, y and z if the header does not say; `columns`: titles that are not in COLUMNS.
 
     Raises:
-        UserError: the file cannot be read, or is no such table; a line each, without the file's name.
+        UserError: the file cannot be read or is not such a table; its lines do not name the file.
     """
     try:
         raw = regular_file.read_bytes(path, MAX_FILE)
@@ -63,7 +63,7 @@ def read(path: Path, units: str | None = None, columns: Mapping[Column, str] | N
 def matrices(positions: list[Vector], quaternions: list[Quaternion]) -> "ndarray":
     """Poses (n, 4, 4) from positions [mm] and unit quaternions w, x, y, z.
 
-    Not as a RigidTransform, which orthogonalises each rotation again and so changes its last bits.
+    Not by SciPy's RigidTransform, which orthogonalises each rotation and so changes its last bits.
     """
     import numpy as np
     from scipy.spatial.transform import Rotation
@@ -76,7 +76,7 @@ def matrices(positions: list[Vector], quaternions: list[Quaternion]) -> "ndarray
 
 @functools.lru_cache(maxsize=8)
 def _parsed(raw: bytes, units: str | None, columns: tuple[tuple[str, str], ...]) -> Table:
-    """The table in the bytes of a file; those of a batch are parsed once."""
+    """The table in the bytes of a file; cached, so that the scenes of a batch parse it once."""
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -115,7 +115,7 @@ def _cells(line: str) -> list[str]:
 
 
 def _columns(header: list[str], units: str | None, columns: Mapping[str, str]) -> tuple[dict[str, int], float, float]:
-    """Where each column stands, and what a length in the file is in mm, a time in s."""
+    """The index of each column, and the factors from the file's units to mm and s."""
     where: dict[str, int] = {}
     said: dict[str, str] = {}  # column -> unit in its name
     titles = {title.strip(): column for column, title in columns.items()}
@@ -146,7 +146,7 @@ def _columns(header: list[str], units: str | None, columns: Mapping[str, str]) -
 
 
 def _row(line: int, cells: list[str], where: dict[str, int], scale: float, width: int, before: Row | None) -> Row:
-    """One row's numbers. Raises ValueError, in words."""
+    """The numbers of one row. Raises ValueError with a message for people."""
     if len(cells) != width:
         raise ValueError(f"has {len(cells)} cells, and the header {width}")
     value: dict[str, float] = {}

@@ -1,4 +1,4 @@
-"""The samples of a `vary`: points of the unit cube by its method and seed, the values there, and a grid across them."""
+"""The samples of `vary`: points of the unit cube by method and seed, their values, and the grid crossed with them."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -10,12 +10,12 @@ from tacgen.recipe.validation_messages import Problem
 if TYPE_CHECKING:
     import numpy as np
 
-DRAW = 1  # purpose of these random numbers; plan holds the other
-CORRELATED = 0.3  # two varied values in a sample: a model trained on it may take one for the other
+DRAW = 1  # number of this purpose in the seeds of random numbers; the other is in plan.py
+CORRELATED = 0.3  # correlation of two varied values above which a warning is given [-]
 
 
 def scene_count(vary: Vary) -> int:
-    """How many scenes a `vary` gives."""
+    """The number of scenes of a `vary`."""
     crossed = math.prod(len(_points(spread)) for spread in vary.grid.values())
     if vary.method != "grid":
         return crossed * (vary.samples or 0)
@@ -23,7 +23,7 @@ def scene_count(vary: Vary) -> int:
 
 
 def draw(vary: Vary, indices: Sequence[int]) -> Callable[[int], dict[str, Any]]:
-    """The varied values of the k-th of these scenes; each is what the whole plan has there. The grid varies fastest."""
+    """The varied values of the k-th of these scenes, the same as in the whole plan. The grid varies fastest."""
     on_grid = {**vary.over, **vary.grid} if vary.method == "grid" else vary.grid
     over = {} if vary.method == "grid" else vary.over
     columns = [_points(spread) for spread in on_grid.values()]
@@ -43,7 +43,7 @@ def draw(vary: Vary, indices: Sequence[int]) -> Callable[[int], dict[str, Any]]:
 
 
 def _unit_points(vary: Vary, d: int, indices: Sequence[int]) -> "np.ndarray":
-    """Points of the unit cube (n, d), one a scene."""
+    """Points of the unit cube (n, d), one for each scene."""
     import numpy as np
     from numpy.random import SeedSequence, default_rng
     from scipy.stats import qmc
@@ -52,8 +52,8 @@ def _unit_points(vary: Vary, d: int, indices: Sequence[int]) -> "np.ndarray":
     if design == "random":
         return np.array([default_rng(SeedSequence((vary.seed, i, DRAW))).random(d) for i in indices])
     rng = default_rng(SeedSequence((vary.seed, 0, DRAW)))
-    if design == "lhs":  # a point of a latin hypercube depends on all others: draw them all
-        few = (vary.samples or 0) <= FEW  # then by columns that hardly correlate; of more, that takes too long
+    if design == "lhs":  # each point depends on all others: draw them all
+        few = (vary.samples or 0) <= FEW  # optimised, so that columns hardly correlate; too slow for many
         points = qmc.LatinHypercube(d, optimization="random-cd" if few else None, rng=rng).random(vary.samples)
         return np.asarray(points[list(indices)])
     engine = qmc.Sobol(d, rng=rng) if design == "sobol" else qmc.Halton(d, rng=rng)
@@ -61,7 +61,7 @@ def _unit_points(vary: Vary, d: int, indices: Sequence[int]) -> "np.ndarray":
 
 
 def correlated(vary: Vary) -> list[Problem]:
-    """Whether few points of a sequence that is meant to be even are not: two varied values go along with each other."""
+    """A warning if the first few points of a quasi-random sequence correlate two varied values."""
     import numpy as np
 
     n, paths = vary.samples or 0, list(vary.over)

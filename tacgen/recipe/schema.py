@@ -1,4 +1,4 @@
-"""JSON Schemas of recipes and sensor files, and the files that `tacgen init` writes: what an editor needs."""
+"""JSON Schemas of recipes and sensor files for editors, and the starter files of `tacgen init`."""
 
 import json
 from pathlib import Path
@@ -16,10 +16,10 @@ def recipe_schema() -> dict[str, Any]:
     """JSON Schema of a recipe file."""
     schema = Recipe.model_json_schema()
     schema["$schema"] = "https://json-schema.org/draft/2020-12/schema"
-    schema["properties"]["extends"] = {"type": "string", "description": "A recipe that this one is laid over."}
+    schema["properties"]["extends"] = {"type": "string", "description": "A recipe whose values this one overrides."}
     needed = schema.pop("required")
     several = ["sensors" if name == "sensor" else name for name in needed]
-    # what is extended may hold the rest
+    # the extended recipe may hold the rest
     schema["anyOf"] = [{"required": needed}, {"required": several}, {"required": ["extends"]}]
     return schema
 
@@ -30,13 +30,13 @@ def sensor_schema() -> dict[str, Any]:
 
 
 def write_starter(path: Path, *, sensor: bool, overwrite: bool) -> tuple[Path, Path]:
-    """Write a commented recipe or sensor file and, beside it, the schema that an editor completes it with.
+    """Write a commented recipe or sensor file, and next to it the schema for completion in an editor.
 
     Returns:
         the file's and the schema's path.
 
     Raises:
-        UserError: the file is there already and `overwrite` is not given.
+        UserError: the file exists and `overwrite` is not set.
     """
     if path.exists() and not overwrite:
         raise UserError(f"{path}: is there already; --overwrite replaces it")

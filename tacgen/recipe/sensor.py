@@ -18,7 +18,7 @@ from tacgen.recipe.yaml_source import KeyPath, format_path
 if TYPE_CHECKING:
     from tacgen.geometry.outline import Pad
 
-NOWHERE = "not stated"  # where the numbers of a part come from
+NOWHERE = "not stated"  # the default `source` of a part: nobody has said where its numbers come from
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Index = Annotated[float, Field(ge=1, le=4)]
 Poisson = Annotated[float, Field(ge=0, lt=0.5)]
@@ -28,7 +28,7 @@ Angle = Annotated[float, Field(ge=-20, le=20)]
 
 
 def _tuple(value: Any) -> Any:
-    """Strictly, what passed through Python holds no list."""
+    """A list as a tuple: the strict mode in which values from Python are checked accepts no list."""
     return tuple(value) if isinstance(value, list) else value
 
 
@@ -38,7 +38,7 @@ def _as_rgb(value: Any) -> Any:
     return _tuple(value)
 
 
-# Red, green and blue; one number stands for three equal ones, so that all can vary together.
+# Red, green, blue. A single number stands for three equal ones, so that `vary` can change all three together.
 Rgb = Annotated[
     tuple[NotNegative, NotNegative, NotNegative],
     BeforeValidator(_as_rgb, json_schema_input_type=NotNegative | tuple[NotNegative, NotNegative, NotNegative]),
@@ -50,32 +50,32 @@ Shares = Annotated[
 
 
 class Scattering(Part):
-    """Fine particles all through a layer, that scatter light as Henyey and Greenstein say and absorb some of it."""
+    """Homogeneous scattering in a layer, with the phase function of Henyey and Greenstein."""
 
-    extinction_per_mm: Positive  # of a ray's light, scattered and absorbed together
-    albedo: Shares  # what of it is scattered
-    forward: Annotated[float, Field(gt=-1, lt=1)] = 0.0  # mean cosine of the turn, g
+    extinction_per_mm: Positive  # extinction coefficient: scattering plus absorption
+    albedo: Shares  # single-scattering albedo: scattering over extinction
+    forward: Annotated[float, Field(gt=-1, lt=1)] = 0.0  # mean cosine g of the scattering angle
     source: str = NOWHERE
 
 
 class LayerBase(Part):
-    """What every layer of gel has, whatever its law."""
+    """The fields that every layer of gel has, whatever its material law."""
 
     name: str
     thickness_mm: Positive
     refractive_index: Index = 1.41
     scattering: Scattering | None = None  # clear if absent
-    opaque: bool = False  # the coating then lies on its inner side
+    opaque: bool = False  # if true, the coating is on the inner side of this layer
     source: str = NOWHERE
 
     @property
     def terms(self) -> tuple[tuple[float, float], ...]:
-        """g and tau [s] of each term of its Prony series, none if it is elastic."""
+        """g and tau [s] of each term of the Prony series; empty if the layer is elastic."""
         return ()
 
 
 class PronyTerm(Part):
-    """A share of the instantaneous shear modulus that relaxes exponentially."""
+    """One term of a Prony series: a share g of the instantaneous shear modulus that relaxes with time constant tau."""
 
     g: Annotated[float, Field(gt=0, lt=1)]
     tau_s: Positive
@@ -91,8 +91,8 @@ Prony = Annotated[tuple[PronyTerm, ...], Field(min_length=1), BeforeValidator(_t
 
 
 class IsochoricLayer(LayerBase):
-    """What changes shape apart from volume, and so may be viscoelastic in shape: its law's constants are those of
-    infinitely slow moves, and at once it is stiffer by 1/(1 - sum of g)."""
+    """A law whose isochoric part is separate, so that it may be viscoelastic. The law's constants are the long-term
+    ones; the instantaneous stiffness is larger by 1/(1 - sum of g)."""
 
     prony: Prony | None = None  # elastic if absent
 
@@ -102,7 +102,7 @@ class IsochoricLayer(LayerBase):
 
 
 class NeoHookeLayer(IsochoricLayer):
-    """Isochoric neo-Hookean; the law of a layer that names none."""
+    """Isochoric neo-Hookean; the default law."""
 
     law: Literal["neo_hooke"] = "neo_hooke"
     youngs_modulus_mpa: Positive
@@ -110,7 +110,7 @@ class NeoHookeLayer(IsochoricLayer):
 
 
 class StableNeoHookeLayer(LayerBase):
-    """Smith et al. (2018), what UIPC calls stable neo-Hookean."""
+    """The stable neo-Hookean law of Smith et al. (2018), as in UIPC."""
 
     law: Literal["stable_neo_hooke"]
     youngs_modulus_mpa: Positive
@@ -118,7 +118,7 @@ class StableNeoHookeLayer(LayerBase):
 
 
 class NearlyIncompressible(IsochoricLayer):
-    """How compressible a layer is: one of two numbers."""
+    """Compressibility, given by one of two numbers."""
 
     poissons_ratio: Poisson | None = None
     bulk_modulus_mpa: Positive | None = None
@@ -168,7 +168,7 @@ Layer = Annotated[
 
 
 class StadiumEnd(Part):
-    """One short side of the rectangle is a semicircle over the whole width; the other stays square."""
+    """One end of the rectangle in y is a semicircle over the whole width; the other end stays straight."""
 
     shape: Literal["stadium_end"]
     end: Literal["-y", "+y"]
@@ -176,9 +176,9 @@ class StadiumEnd(Part):
 
 
 class Dome(Part):
-    """A face that falls by hypot(x^2 / 2 radius_x, y^2 / 2 radius_y) from its crown, the pad's centre.
+    """A domed face: its drop below the crown, the pad's centre, is hypot(x^2 / 2 radius_x, y^2 / 2 radius_y).
 
-    The layers' thicknesses are those at the crown; elsewhere they shrink in proportion.
+    The layers' thicknesses are those at the crown; elsewhere they are thinner in proportion to the gel's height.
     """
 
     radius_x_mm: Positive
@@ -187,21 +187,21 @@ class Dome(Part):
 
 
 class Solid(Part):
-    """The gel's shape from a closed triangle mesh (STL, OBJ, PLY): middle of its box over the origin, top at z = 0."""
+    """The gel's shape from a closed triangle mesh (STL, OBJ, PLY): bounding box centred on the z axis, top at z = 0."""
 
     file: FilePath
     up: Axis = "+z"  # which axis of the file points out of the gel
     scale: Positive = 1.0  # mm per unit of the file
-    bonded_mm: NotNegative = 0.02  # held: all of the surface that is no higher than this above its lowest point
-    coated_deg: Annotated[float, Field(gt=0, lt=90)] = 60.0  # pressed and seen: where it faces up to within this angle
+    bonded_mm: NotNegative = 0.02  # the surface up to this height above its lowest point is bonded
+    coated_deg: Annotated[float, Field(gt=0, lt=90)] = 60.0  # coated: normals within this angle of z
     sha256: Sha256 | None = None
     source: str = NOWHERE
 
 
 class Gel(Part):
-    """A pad bonded at its flat base: a rectangle in plan, its four upright edges rounded or one side a semicircle.
+    """A pad bonded at its flat base. In plan it is a rectangle with rounded corners, or with one semicircular end.
 
-    Or a solid of any shape: width, height and the layers' sum are then those of its box, and are held against it.
+    Or a solid of any shape; then width, height and total thickness must be those of its bounding box.
     """
 
     width_mm: Positive  # along x
@@ -215,30 +215,30 @@ class Gel(Part):
 
     @property
     def clear_layers(self) -> "tuple[Layer, ...]":
-        """Those that light passes, from the base outward to the first opaque one."""
+        """The layers that light passes: from the base outward, up to the first opaque one."""
         opaque = [layer.opaque for layer in self.layers]
         return self.layers[: opaque.index(True)] if any(opaque) else self.layers
 
     @property
     def tip(self) -> int:
-        """The end in y that is a semicircle: -1, +1, or 0 for none."""
+        """Which end in y is a semicircle: -1, +1, or 0 for none."""
         return 0 if self.outline is None else (-1 if self.outline.end == "-y" else 1)
 
     @property
     def pad(self) -> "Pad":
-        """Its outline and the height of its face; of a solid, its box."""
+        """The outline and the height of the face; for a solid, those of its bounding box."""
         from tacgen.geometry.outline import Pad
 
         radii = (math.inf, math.inf) if self.dome is None else (self.dome.radius_x_mm, self.dome.radius_y_mm)
         return Pad(self.width_mm, self.height_mm, self.corner_radius_mm, self.tip, radii)
 
     def drop_mm(self, x_mm: float, y_mm: float) -> float:
-        """How far the untouched face lies below its highest point at (x, y) [mm]."""
+        """Depth of the untouched face at (x, y) below its highest point [mm]."""
         return 0.0 if self.dome is None else -float(self.pad.top(x_mm, y_mm))
 
 
 class Plate(Part):
-    """The clear plate that the gel is bonded to."""
+    """The transparent plate to which the gel is bonded."""
 
     thickness_mm: Positive
     refractive_index: Index
@@ -246,10 +246,10 @@ class Plate(Part):
 
 
 class Coating(Part):
-    """The opaque coat on the outer face, seen from inside: diffuse plus a rough metallic part."""
+    """The opaque coating of the outer face, seen from inside: a diffuse part plus a rough conductor."""
 
     albedo: Shares
-    specular: Fraction  # weight of the rough conductor
+    specular: Fraction  # weight of the rough conductor [-]
     roughness: Annotated[float, Field(gt=0, le=1)]  # GGX alpha
     source: str = NOWHERE
 
@@ -258,13 +258,13 @@ class Walls(Part):
     """The housing around plate and gel."""
 
     albedo: Fraction
-    margin_mm: NotNegative = 0.0  # it stands off the pad's outline by this much, and plate and gel fill the space
+    margin_mm: NotNegative = 0.0  # distance from the pad's outline; plate and gel fill the space between
     source: str = NOWHERE
 
 
 class Led(Part):
-    """A rectangular area light inside plate or gel, or in the air under the plate. Size is (along up x normal,
-    along up)."""
+    """A rectangular area light inside the plate or the gel, or in the air under the plate. `size_mm` is the size along
+    up x normal, and along up."""
 
     name: str
     center_mm: Vec3
@@ -272,58 +272,58 @@ class Led(Part):
     up: Vec3 = (0.0, 0.0, 1.0)
     size_mm: tuple[Positive, Positive]
     radiance: Rgb
-    power: NotNegative = 1.0  # factor on the radiance: how much stronger this one is than its file says
-    lobe: Annotated[int, Field(ge=0, le=32)] = 0  # radiance falls as cos^lobe off the normal: 0 is Lambert's even one
-    see_through: bool = False  # stands for light that passes there, and takes none away: nothing is there but the light
+    power: NotNegative = 1.0  # factor on the radiance, to vary one LED
+    lobe: Annotated[int, Field(ge=0, le=32)] = 0  # radiance ~ cos^lobe(angle to the normal); 0: Lambertian
+    see_through: bool = False  # a source that blocks no light: it stands for light that enters there, not for a body
     source: str = NOWHERE
 
     @property
     def light(self) -> Vec3:
-        """Radiance that it has in this unit."""
+        """Radiance times power."""
         r, g, b = self.radiance
         return self.power * r, self.power * g, self.power * b
 
 
 class Noise(Part):
-    """What a camera's pixels add to the light, per channel, before the response: white, and new in each frame."""
+    """Noise of the camera's pixels per channel, added before the response curve: white, independent in each frame."""
 
-    shot: Rgb  # variance per signal, both in parts of full scale: one over the electrons of a full pixel
-    read: Rgb  # standard deviation in the dark, in parts of full scale
-    strength: NotNegative = 1.0  # factor on the standard deviation of both together
+    shot: Rgb  # shot-noise variance over signal, both relative to full scale: 1 / full-well electrons
+    read: Rgb  # read noise: standard deviation in the dark, relative to full scale
+    strength: NotNegative = 1.0  # factor on the standard deviation of the total noise
     source: str = NOWHERE
 
 
 class Camera(Part):
-    """A pinhole in air behind the plate, looking along +z, or nearly so."""
+    """A pinhole camera in the air behind the plate, looking along +z or nearly so."""
 
-    distance_mm: Positive  # from the plate's air face, or the gel's base where no plate is described, to the pinhole
-    center_mm: Vec2 = (0.0, 0.0)  # over the pinhole: where the optical axis, if not tilted, meets the coating
-    tilt_deg: tuple[Angle, Angle] = (0.0, 0.0)  # of the optical axis, toward +x and toward +y
-    roll_deg: Angle = 0.0  # about the optical axis, from x to y
-    crop_mm: Vec2 = (0.0, 0.0)  # how far off the optical axis the picture was cut, at its scale on the coating
-    mm_per_px: Positive  # on the untouched coating, on the optical axis
+    distance_mm: Positive  # pinhole to the plate's air face, or to the gel's base if there is no plate
+    center_mm: Vec2 = (0.0, 0.0)  # the point of the coating above the pinhole
+    tilt_deg: tuple[Angle, Angle] = (0.0, 0.0)  # tilt of the optical axis towards +x and towards +y
+    roll_deg: Angle = 0.0  # rotation about the optical axis, from x to y
+    crop_mm: Vec2 = (0.0, 0.0)  # offset of the picture's centre from the optical axis, measured on the coating
+    mm_per_px: Positive  # size of a pixel on the untouched coating, at the optical axis
     width_px: Annotated[int, Field(ge=8)]
     height_px: Annotated[int, Field(ge=8)]
-    blur_mm: NotNegative = 0.0  # focus: standard deviation of a point's image, at its scale on the coating
+    blur_mm: NotNegative = 0.0  # defocus: standard deviation of the point spread function, measured on the coating
     exposure: Positive = 1.0  # linear radiance to sensor full scale
-    ambient: Rgb = (0.0, 0.0, 0.0)  # what even stray light adds to a bare coat, fraction of full scale
-    vignette_mm: Positive | None = None  # r0 of the fall-off 1/(1+(r/r0)^2)^2 on the coating; none if absent
-    response: Literal["srgb", "linear"] = "srgb"  # how counts follow from light: by the sRGB curve, or in proportion
-    noise: Noise | None = None  # none if absent
+    ambient: Rgb = (0.0, 0.0, 0.0)  # uniform stray light reflected by a coating without dots, relative to full scale
+    vignette_mm: Positive | None = None  # r0 of the vignetting factor 1/(1+(r/r0)^2)^2 on the coating
+    response: Literal["srgb", "linear"] = "srgb"  # response curve from light to pixel values
+    noise: Noise | None = None
     source: str = NOWHERE
 
 
 class Motion(Part):
-    """How dots move by the indenter's pose alone, for `markers: {method: analytic}`; see labels/fots_markers."""
+    """Constants of the analytic marker motion, `markers: {method: analytic}`; see labels/fots_markers."""
 
     press: tuple[float, Positive]  # gain [1/mm^3] and decay [1/mm^2]
-    shear: tuple[Positive, Positive]  # the farthest a contact drags its middle [mm], and decay [1/mm^2]
-    twist: tuple[Positive, Positive]  # the most it turns it [deg], and decay [1/mm^2]
+    shear: tuple[Positive, Positive]  # largest drag of the contact's centre [mm], and decay [1/mm^2]
+    twist: tuple[Positive, Positive]  # largest rotation [deg], and decay [1/mm^2]
     source: str = NOWHERE
 
 
 class Markers(Part):
-    """Dots printed on the coating, a grid centred on the pad."""
+    """Markers: dots printed on the coating in a grid centred on the pad."""
 
     columns: Annotated[int, Field(ge=1)]  # along x
     rows: Annotated[int, Field(ge=1)]  # along y
@@ -335,8 +335,8 @@ class Markers(Part):
 
 
 class ThicknessResponse(Part):
-    """Gain on all light, by how much thicker the gel is than untouched: what a real unit's pictures show beyond what
-    its optics explain. Interpolated smoothly, constant beyond its ends."""
+    """An empirical gain on the light as a function of the change of gel thickness, for effects in real images that the
+    optical model does not explain. Interpolated smoothly, constant beyond its ends."""
 
     change_mm: Annotated[tuple[float, ...], Field(min_length=2)]
     gain: tuple[Rgb, ...]
@@ -353,7 +353,7 @@ LIGHTS = ("plate", "coating", "walls", "leds")
 
 
 class Sensor(Part):
-    """Everything known of one sensor type. One whose lights nobody has described yet has all but images."""
+    """A sensor type. Without plate, coating, walls and LEDs it gives all outputs but images."""
 
     tacgen_sensor: Literal[1]
     name: str
@@ -369,7 +369,7 @@ class Sensor(Part):
 
     @property
     def unsourced(self) -> list[str]:
-        """Paths of the parts that do not say where their numbers come from."""
+        """Paths of the parts without a `source`."""
 
         def walk(part: Part, path: KeyPath) -> Iterator[str]:
             for name in type(part).model_fields:
@@ -386,12 +386,12 @@ class Sensor(Part):
 
     @property
     def lit(self) -> bool:
-        """Whether plate, coating, walls and LEDs are all there, as images need them."""
+        """Whether plate, coating, walls and LEDs are all given, as images need them."""
         return all(getattr(self, name) is not None for name in LIGHTS)
 
 
 class LitSensor(Sensor):
-    """A sensor that is `lit`, for the type checker: what makes images takes no other."""
+    """A sensor that is `lit`: the type that functions which make images take."""
 
     plate: Plate
     coating: Coating

@@ -1,4 +1,4 @@
-"""What a trajectory is made of: where it starts, and movements of the indenter. Lengths in mm, angles in degrees."""
+"""The model of a trajectory: its start, and the movements of the indenter. Lengths in mm, angles in degrees."""
 
 import math
 from functools import cached_property
@@ -10,14 +10,14 @@ from tacgen.recipe.base_model import ONE_KEY, FilePath, Part, Positive, Sha256, 
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]  # w, x, y, z
-UNIT_TOLERANCE = 1e-3  # of a quaternion's length: rows are written with few digits [-]
-UNIT_EXACT = 1e-12  # a length this close to 1 is left as it is [-]
+UNIT_TOLERANCE = 1e-3  # largest error of a quaternion's length, which tables write with few digits [-]
+UNIT_EXACT = 1e-12  # error of the length up to which a quaternion is not normalised again [-]
 Column = Literal["time", "x", "y", "z", "qw", "qx", "qy", "qz"]
 Frames = Annotated[int, Field(ge=1, le=10_000)]
 
 
 class Start(Part):
-    """Where the indenter stands before it moves: its lowest point `clearance_mm` over the untouched face."""
+    """Pose of the indenter before it moves: its lowest point is `clearance_mm` above the untouched face."""
 
     x_mm: float = 0.0
     y_mm: float = 0.0
@@ -35,18 +35,18 @@ class Start(Part):
 
 
 class Timed(Part):
-    """A movement of as many frames as one says; `duration_s` is what all of them take, where time counts."""
+    """A movement of `frames` frames, which together take `duration_s`."""
 
     frames: Frames
     duration_s: Positive | None = None
 
     def seconds(self, way_mm: float) -> float | None:
-        """What it takes, if it says so, over a way that long."""
+        """Duration of a movement over a distance `way_mm`; None if none is given."""
         return self.duration_s
 
 
 class Paced(Timed):
-    """A movement that may say its speed instead."""
+    """A movement whose duration may be given as a speed."""
 
     speed_mm_s: Positive | None = None
 
@@ -61,11 +61,10 @@ class Paced(Timed):
 
 
 class Press(Paced):
-    """Move along z to `depth_mm` below first touch of the untouched face, or until the gel bears `force_n`.
+    """Move along z to `depth_mm` below first touch of the untouched face, or until the normal force is `force_n`.
 
-    On a dome first touch is wherever that is.
-
-    With a force the frames go in equal steps of the normal force, from the one before to the one asked for.
+    First touch is found for the actual shapes, also on a dome. With a force, the frames are equal steps of the normal
+    force, from the force before to `force_n`.
     """
 
     depth_mm: Positive | None = None
@@ -78,8 +77,8 @@ class Press(Paced):
 
 
 class Slide(Paced):
-    """Move sideways by this much from where the indenter is, at its height or, with `force_n`, with this normal force:
-    its frames go in equal steps from the force before."""
+    """Move sideways by this distance at constant height or, with `force_n`, at this normal force, which is reached in
+    equal steps from the force before."""
 
     x_mm: float = 0.0
     y_mm: float = 0.0
@@ -87,32 +86,32 @@ class Slide(Paced):
 
 
 class Twist(Timed):
-    """Turn about the indenter's own axis by this much, at its height or, with `force_n`, as a slide's."""
+    """Rotate about the indenter's own axis by this angle, at constant height or, with `force_n`, as in a slide."""
 
     angle_deg: float
     force_n: Positive | None = None
 
 
 class Tilt(Timed):
-    """Turn about a horizontal axis through the indenter's lowest point; the axis is `axis_deg` from x towards y."""
+    """Rotate about a horizontal axis through the indenter's lowest point; the axis is `axis_deg` from x towards y."""
 
     angle_deg: Annotated[float, Field(gt=-90, lt=90)]
     axis_deg: float = 0.0
 
 
 def unit(q: Quaternion) -> Quaternion:
-    """The quaternion made exactly of length 1. Raises ValueError: it is not nearly so."""
+    """The quaternion normalised to length 1. Raises ValueError: its length differs from 1 by more than rounding."""
     length = math.hypot(*q)
     if abs(length - 1) > UNIT_TOLERANCE:
         raise ValueError(f"a quaternion must be of length 1 (got {length:.4g})")
     if abs(length - 1) < UNIT_EXACT:
-        return q  # so that reading back what was written changes no digit
+        return q  # so that reading what was written changes no digit
     w, x, y, z = q
     return w / length, x / length, y / length, z / length
 
 
 class Placement(Part):
-    """Where one frame stands in another: its origin there, and its turn as a unit quaternion w, x, y, z."""
+    """Pose of one frame in another: position of its origin, and rotation as a unit quaternion w, x, y, z."""
 
     position_mm: Vector = (0.0, 0.0, 0.0)
     quaternion: Quaternion = (1.0, 0.0, 0.0, 0.0)
@@ -124,29 +123,29 @@ class Placement(Part):
 
 
 class Replay(Part):
-    """Go through the poses of a table, a frame a row: where the indenter's own frame stands in the sensor's.
+    """Follow the poses of a table, one frame a row: the pose of the indenter's frame in the sensor's frame.
 
-    The table is CSV with a header: time_s, x_mm, y_mm, z_mm (or x_m, ...), qw, qx, qy, qz. Rows in another frame than
-    the sensor's need `sensor_pose`, rows of another body's frame than the indenter's `indenter_pose`.
+    The table is CSV with a header: time_s, x_mm, y_mm, z_mm (or x_m, ...), qw, qx, qy, qz. If the rows are in another
+    frame than the sensor's, give `sensor_pose`; if they are poses of another body than the indenter, `indenter_pose`.
     """
 
     file: FilePath
     units: Literal["mm", "m"] | None = None  # of x, y, z, where the header does not say
-    columns: dict[Column, str] | None = None  # titles of the table, where it has names of its own
-    sensor_pose: Placement = Placement()  # of the sensor in the frame that the rows are given in
-    indenter_pose: Placement = Placement()  # of the indenter in the frame of the body whose poses the rows are
-    every: Annotated[int, Field(ge=1)] = 1  # take the first row and then each so many
-    frames: Frames | None = None  # stop after so many; None: at the table's end
+    columns: dict[Column, str] | None = None  # titles of the table's columns, where they are not the usual ones
+    sensor_pose: Placement = Placement()  # pose of the sensor in the frame of the rows
+    indenter_pose: Placement = Placement()  # pose of the indenter in the frame of the body that was recorded
+    every: Annotated[int, Field(ge=1)] = 1  # take every n-th row, from the first
+    frames: Frames | None = None  # number of frames; None: up to the table's end
     sha256: Sha256 | None = None
 
 
 class Hold(Timed):
-    """Stay."""
+    """Stay at the same pose."""
 
 
 class Close(Timed):
-    """Of a grasp: close or open the fingers until their untouched faces are `width_mm` apart, or press with `force_n`
-    each."""
+    """In a grasp: close or open the fingers until their untouched faces are `width_mm` apart, or until each presses
+    with `force_n`."""
 
     width_mm: Positive | None = None
     force_n: Positive | None = None
@@ -158,13 +157,13 @@ class Close(Timed):
 
 
 class Lift(Timed):
-    """Of a grasp: lift the gripper against the weight, or lower it."""
+    """In a grasp: lift the gripper against gravity, or lower it."""
 
     height_mm: float
 
 
 class Release(Paced):
-    """Lift back to the height of the start."""
+    """Lift the indenter back to the height of the start."""
 
 
 Move = Press | Slide | Twist | Tilt | Replay | Hold | Release | Close | Lift
@@ -190,17 +189,17 @@ class Segment(Part, json_schema_extra=ONE_KEY):
 
     @cached_property
     def kind(self) -> str:
-        """press, slide, twist, tilt, replay, hold or release; of a grasp close or lift too."""
+        """press, slide, twist, tilt, replay, hold or release; in a grasp also close or lift."""
         return next(name for name in type(self).model_fields if getattr(self, name) is not None)
 
     @property
     def move(self) -> Move:
-        """The one movement that is given."""
+        """The movement that is given."""
         found: Move = getattr(self, self.kind)
         return found
 
     @property
     def frames(self) -> int:
-        """How many frames it gives."""
+        """Number of frames."""
         assert self.move.frames is not None, "only a plan knows how many rows a table has"
         return self.move.frames

@@ -1,4 +1,4 @@
-"""Where a trajectory would take the indenter: impossible movements are found before anything is computed."""
+"""Checks of a trajectory: impossible movements are found before anything is computed."""
 
 import math
 from collections.abc import Mapping
@@ -19,14 +19,14 @@ if TYPE_CHECKING:
     from numpy import ndarray as Array
 
 MAX_FRAMES = 10_000  # of a segment
-Folders = Mapping[KeyPath, Path]  # where the path of a file starts that is named at a place of the recipe
+Folders = Mapping[KeyPath, Path]  # place in the recipe that names a file -> folder to which its path is relative
 
 
 def replayed(move: Replay, folder: Path | None) -> tuple[Pose, ...]:
-    """The poses of the indenter in the sensor's frame that a replay goes through, a frame each.
+    """The poses of a replay, one a frame: the indenter in the sensor's frame.
 
     Raises:
-        UserError: the table cannot be used, or is another than the one meant; lines start with its name.
+        UserError: the table cannot be used, or its hash is not the expected one; lines start with its name.
     """
     path = assets.beside(move.file, folder)
     try:
@@ -49,7 +49,7 @@ def replayed(move: Replay, folder: Path | None) -> tuple[Pose, ...]:
 
 
 def resolved(recipe: Recipe, folders: Folders) -> Recipe:
-    """The recipe with its tables' hashes and numbers of frames filled in."""
+    """The recipe with the hashes and the numbers of frames of its pose tables filled in."""
     steps = []
     for i, step in enumerate(recipe.trajectory):
         if step.replay:
@@ -67,9 +67,9 @@ def on_pad(gel: Gel, x_mm: float, y_mm: float) -> bool:
 
 
 def problems(recipe: Recipe, gel: Gel, folders: Folders) -> list[Problem]:
-    """What the indenter cannot do over this gel; the first move that cannot be is named, and ends the search.
+    """The first movement that is impossible on this gel.
 
-    A height found from a force, a domed face and a leaning mesh are checked later, by scene.path.
+    Heights that follow from a force, domed faces and tilted meshes are checked later, by scene.path.
     """
     from tacgen.recipe.trajectory_poses import TrajectoryError
 
@@ -83,7 +83,7 @@ def problems(recipe: Recipe, gel: Gel, folders: Folders) -> list[Problem]:
 
 
 def _walk(recipe: Recipe, gel: Gel, folders: Folders) -> None:
-    """Go through the trajectory over a flat face. Raises TrajectoryError."""
+    """Follow the trajectory over a flat face. Raises TrajectoryError."""
     from tacgen.recipe.trajectory_poses import TrajectoryError, Walk
 
     def rows(i: int) -> tuple[Pose, ...]:
@@ -97,7 +97,7 @@ def _walk(recipe: Recipe, gel: Gel, folders: Folders) -> None:
             raise TrajectoryError(where, *error.lines) from None
 
     def beside(pose: "Array") -> bool:
-        x, y = pose[:2, 3].tolist()  # nan where a leaning mesh was turned: its file is not read here
+        x, y = pose[:2, 3].tolist()  # nan for a tilted mesh: its file is not read here
         return math.isfinite(x) and not on_pad(gel, x, y)
 
     pad = f"the pad of {gel.width_mm:g} x {gel.height_mm:g} mm"
@@ -105,7 +105,7 @@ def _walk(recipe: Recipe, gel: Gel, folders: Folders) -> None:
     if not on_pad(gel, start.x_mm, start.y_mm):
         path: KeyPath = ("start", "x_mm" if abs(start.x_mm) > gel.width_mm / 2 else "y_mm")
         if abs(start.x_mm) <= gel.width_mm / 2 and abs(start.y_mm) <= gel.height_mm / 2:
-            path = ("start",)  # in the cut-off corner: neither alone is to blame
+            path = ("start",)  # in a rounded corner: neither coordinate alone is wrong
         raise TrajectoryError(path, f"the indenter would start beside {pad}, at ({start.x_mm:g}, {start.y_mm:g})")
     support = shape.support if shape else _unknown_support
     table = rows(0)
@@ -126,5 +126,5 @@ def _walk(recipe: Recipe, gel: Gel, folders: Folders) -> None:
 
 
 def _unknown_support(direction: "Array") -> float:
-    """How far a mesh extends [mm] whose file is not read yet: its lowest point is the origin, while it is upright."""
+    """Support function [mm] of a mesh whose file is not read yet: known for an upright mesh alone."""
     return 0.0 if direction[2] + 1 < 1e-9 else math.nan

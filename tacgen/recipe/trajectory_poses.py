@@ -1,4 +1,4 @@
-"""Where a trajectory takes the indenter, a pose a frame: what a recipe is checked by, and what is then computed."""
+"""The poses of the indenter along a trajectory, one a frame: used to check a recipe and to compute its scenes."""
 
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -14,8 +14,8 @@ from tacgen.recipe.trajectory import Press, Release, Replay, Segment, Slide, Sta
 from tacgen.recipe.yaml_source import KeyPath
 
 Array = np.ndarray
-FORCE_DEPTH = 0.8  # deepest press in the search for a force, over the gel's thickness [-]
-GUESSED_DEPTH = 0.1  # first press in the search for a force, over the gel's thickness [-]
+FORCE_DEPTH = 0.8  # largest depth in the search for a force, over the gel's thickness [-]
+GUESSED_DEPTH = 0.1  # first guess of the depth in the search for a force, over the gel's thickness [-]
 FLANK = "the indenter's flank would meet the gel before its tip"
 BASE = "the indenter's lowest point, at z = {:.4g} mm, would be at the base of the gel, or below"
 EDGE = "would turn the indenter's edge to the base of the gel, or below"
@@ -23,7 +23,7 @@ Z = np.array([0.0, 0.0, 1.0])
 
 
 class TrajectoryError(Exception):
-    """A trajectory that cannot be followed: where the recipe asks for that, and why, a line each."""
+    """A trajectory that cannot be followed: the place in the recipe, and the reasons, one a line."""
 
     def __init__(self, where: KeyPath, *lines: str) -> None:
         super().__init__(*lines)
@@ -31,8 +31,8 @@ class TrajectoryError(Exception):
 
 
 class Frame(NamedTuple):
-    """One frame: its pose (4, 4), the rotation vector (3,) from the pose before it [rad], None for the shorter way, and
-    how its height follows from a force: see Forced in scene.path."""
+    """One frame: its pose (4, 4); the rotation vector (3,) [rad] from the pose before it, None for the shortest
+    rotation; and how its height follows from a force, see Forced in scene.path."""
 
     pose: Array
     turn: Array | None = None
@@ -52,9 +52,9 @@ def _level(angle_deg: float) -> Array:
 class Walk:
     """The state of a trajectory between two frames.
 
-    support: how far the indenter extends along a unit vector (3,) of its own frame [mm]; contact: height of its origin
-    at which it first touches the untouched face, turned and placed as a pose (4, 4) says [mm]; thickness: of the gel
-    [mm]; home: the height that a release goes back to [mm]; carry: see Forced in scene.path.
+    support: the indenter's support function of a unit vector (3,) in its own frame [mm]; contact: height of its origin
+    at first touch of the untouched face, for the rotation and place of a pose (4, 4) [mm]; thickness of the gel [mm];
+    home: height to which a release returns [mm]; carry: see Forced in scene.path.
     """
 
     support: Callable[[Array], float]
@@ -73,10 +73,10 @@ class Walk:
         contact: Callable[[Array], float],
         thickness: float,
     ) -> "Walk":
-        """At the start, or, where a replay comes first, over its first row if that is in the gel and at it otherwise.
+        """The start; if a replay comes first, the pose of its first row, lifted to first touch if it is in the gel.
 
         Raises:
-            TrajectoryError: the start leans too far.
+            TrajectoryError: the indenter is tilted too far at the start.
         """
         if rows:
             pose = rows[0].pose.copy()
@@ -94,19 +94,19 @@ class Walk:
     def frames(
         self, segment: Segment, rows: Sequence[Pose], where: KeyPath, *, checking: bool = False
     ) -> Iterator[Frame]:
-        """The frames of one segment, at `where` in the recipe; `rows` are those of a replay.
+        """The frames of one segment, which stands at `where` in the recipe; `rows` are those of a replay.
 
-        `checking` leaves out those on a straight way that cannot be wrong if the last is not.
+        With `checking`, a straight movement gives its last frame alone: if that is possible, all before it are.
 
         Raises:
-            TrajectoryError: the indenter would lean too far, or reach the base of the gel.
+            TrajectoryError: the indenter would tilt too far, or reach the base of the gel.
         """
         move = segment.move
         if isinstance(move, Replay):
             yield from self._replayed(rows, (*where, "file"), move.file)
             return
         first, first_carry, angle, turn = self.pose, self.carry, 0.0, np.zeros(3)
-        pivot = np.zeros(3)  # that a turn leaves where it is, from the indenter's origin
+        pivot = np.zeros(3)  # fixed point of a rotation, relative to the indenter's origin
         if isinstance(move, Twist | Tilt):
             angle = float(np.radians(move.angle_deg))
             axis = first[:3, 2] if isinstance(move, Twist) else _level(move.axis_deg)
@@ -142,7 +142,7 @@ class Walk:
             yield Frame(new, turn, asked, part, self.carry, floor, below)
 
     def _replayed(self, rows: Sequence[Pose], where: KeyPath, name: str) -> Iterator[Frame]:
-        """Frames at the rows of a table; no height found before is carried into them."""
+        """Frames at the rows of a table; heights that were found from a force before do not change them."""
         self.carry = 0.0
         for row in rows:
             self.pose = row.pose
@@ -153,11 +153,11 @@ class Walk:
 
     @property
     def low(self) -> float:
-        """z of the indenter's lowest point [mm]; -inf where it leans so far that it has none."""
+        """z of the indenter's lowest point [mm]; -inf if it is tilted so far that it has none."""
         return float(self.pose[2, 3] - self.support(-self.pose[2, :3]))
 
     def _why_impossible(self, at_base: str) -> str | None:
-        """Why the indenter cannot be where it is, if so: `at_base` where its lowest point would be at the base."""
+        """Why the pose is impossible, or None; `at_base` is the message for a lowest point at the base of the gel."""
         if math.isinf(low := self.low):
             return FLANK
         return at_base.format(low) if low <= -self.thickness else None

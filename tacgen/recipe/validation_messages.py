@@ -1,4 +1,4 @@
-"""pydantic's complaints about a tree of YAML values, in words and at the place where the value was written."""
+"""pydantic's validation errors as plain sentences, with the line and column of the value in the YAML file."""
 
 import difflib
 import json
@@ -40,35 +40,35 @@ BOUNDS = {
 
 @dataclass(frozen=True)
 class Problem:
-    """One thing wrong with one value."""
+    """One error of one value."""
 
     path: KeyPath
     message: str
-    at_key: bool = False  # it is the key that is wrong, not the value
-    meant: str = ""  # the key that was meant, when it is plain
+    at_key: bool = False  # point at the key, not at the value
+    meant: str = ""  # the key that was probably meant
 
     def point(self, tree: Tree, prefix: str = "") -> str:
-        """The problem as a line, with the source line and a caret under it."""
+        """The message, then the source line with a caret under the place."""
         return self.mark(tree).point(prefix + ": ".join(filter(None, [format_path(self.path), self.message])))
 
     def mark(self, tree: Tree) -> Mark:
-        """Where the value (or key) stands, or the nearest key around it when it was not written."""
+        """Position of the value (or key); if it was not written, that of the nearest key around it."""
         spot = tree.spot(self.path)
         return spot.key if self.at_key or self.path not in tree.spots else spot.value
 
 
 def validate(model: type[Model], data: Any) -> tuple[Model | None, list[Problem]]:
-    """Check plain data strictly (text is no number, true is no number): the model, or all that is wrong."""
+    """Validate plain data strictly (neither text nor true is a number): the model, or all problems."""
     try:
         return model.model_validate_json(json.dumps(data), strict=True), []
     except ValidationError as error:
         found = [_problem(model, data, e) for e in error.errors(include_url=False) if not _repeats_another(data, e)]
         misspelt = {(*p.path[:-1], p.meant) for p in found if p.meant}
-        return None, _together([p for p in found if p.path not in misspelt])  # a misspelt key is not also missing
+        return None, _together([p for p in found if p.path not in misspelt])  # misspelt, not missing
 
 
 def _together(found: list[Problem]) -> list[Problem]:
-    """Keys that one mapping lacks in one problem, in the place of the first."""
+    """Merge the missing keys of one mapping into one problem, at the place of the first."""
     lacking: dict[KeyPath, list[Problem]] = {}
     for problem in found:
         if problem.message.startswith(MISSING):
@@ -85,20 +85,20 @@ def _together(found: list[Problem]) -> list[Problem]:
 
 
 def report(found: Iterable[tuple[Problem, Tree]]) -> UserError:
-    """One error that holds all problems, in the order in which they stand in their files."""
+    """One error with all problems, in the order of their places in the files."""
     placed = [(problem.mark(tree), problem.point(tree)) for problem, tree in found]
     placed.sort(key=lambda pair: (pair[0].source.name, pair[0].line, pair[0].column))
     return UserError(dict.fromkeys(text for _, text in placed))
 
 
 def _repeats_another(data: Any, error: ErrorDetails) -> bool:
-    """Whether a list is called too short only because its items are wrong, which has a message of its own."""
+    """Whether a list is reported as too short only because its items are wrong, which is reported separately."""
     written = at(data, _path_in_data(data, tuple(error["loc"]), missing=False))
     return error["type"] == "too_short" and len(written or ()) >= error["ctx"]["min_length"]
 
 
 def _problem(model: type[BaseModel], data: Any, error: ErrorDetails) -> Problem:
-    """Translate one entry of ValidationError.errors()."""
+    """One entry of ValidationError.errors() as a Problem."""
     kind, ctx, given = error["type"], error.get("ctx", {}), error["input"]
     loc = tuple(error["loc"])
     path = _path_in_data(data, loc, missing=kind == "missing")
@@ -151,7 +151,7 @@ def suggest(word: str, known: Iterable[str]) -> str:
 
 
 def _path_in_data(data: Any, loc: KeyPath, *, missing: bool) -> KeyPath:
-    """pydantic's location less the union tags it puts between: only steps that exist in the data."""
+    """pydantic's location without the union tags that it inserts: only steps that exist in the data."""
     path: KeyPath = ()
     for i, step in enumerate(loc):
         here = at(data, path)
@@ -164,7 +164,7 @@ def _path_in_data(data: Any, loc: KeyPath, *, missing: bool) -> KeyPath:
 
 
 def needs(model: type[BaseModel], loc: KeyPath) -> str:
-    """` (width_mm, height_mm)`, the keys that a mapping at `loc` must hold, or each of a list of them; or nothing."""
+    """` (width_mm, height_mm)`: the required keys of a mapping, or of each item of a list, at `loc`; or nothing."""
     here = _kinds(model, loc)
     lists = [kind for kind in here if get_origin(kind) is tuple]
     here = [inner for kind in lists for inner in _step(kind, 0)] or here
@@ -184,7 +184,7 @@ def _kinds(model: type[BaseModel], loc: KeyPath) -> list[Any]:
 
 
 def _step(kind: Any, step: str | int) -> list[Any]:
-    """The types found one step of a location below `kind`; a tag of a union chooses among models."""
+    """The types one step of a location below `kind`; the tag of a union selects a model."""
     if _is_model(kind):
         if step in kind.model_fields:
             return _flat(kind.model_fields[step].annotation)
@@ -198,7 +198,7 @@ def _step(kind: Any, step: str | int) -> list[Any]:
 
 
 def _flat(kind: Any) -> list[Any]:
-    """The members of a union, annotations peeled off."""
+    """The members of a union, without Annotated."""
     if get_origin(kind) is Annotated:
         return _flat(get_args(kind)[0])
     if get_origin(kind) in (Union, types.UnionType):

@@ -1,4 +1,4 @@
-"""YAML 1.2 read into plain values, remembering where every key and value was written.
+"""YAML 1.2 as plain values, with the position of every key and value in the file.
 
 PyYAML is not used: it reads 1e5 as a string and `no` as False, and takes duplicate keys silently.
 """
@@ -14,18 +14,18 @@ from tacgen import regular_file
 from tacgen.errors import UserError, why
 
 KeyPath = tuple[str | int, ...]
-LARGEST = 10_000_000  # bytes of a file
-MAX_BITS = 1024  # of an integer: that is what a float holds
-MAX_VALUES = 100_000  # aliases can multiply a small file without end
+LARGEST = 10_000_000  # largest file [bytes]
+MAX_BITS = 1024  # of an integer; a larger one does not fit into a float
+MAX_VALUES = 100_000  # in a file; aliases can expand a small file without bound
 
 
 @dataclass(frozen=True)
 class Source:
-    """A text that values come from: a file, or one `--set` of the command line."""
+    """Where values are written: a file, or one `--set` of the command line."""
 
     name: str
     lines: tuple[str, ...] = ()
-    folder: Path | None = None  # where relative paths in it start; None: the working directory
+    folder: Path | None = None  # to which paths in it are relative; None: the working directory
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Mark:
 
 @dataclass(frozen=True)
 class Spot:
-    """Where a key and its value stand; an item of a list has no key of its own."""
+    """Positions of a key and its value; an item of a list has no key of its own."""
 
     key: Mark
     value: Mark
@@ -58,23 +58,23 @@ class Spot:
 
 @dataclass(frozen=True)
 class Tree:
-    """Plain values (dict, list, str, int, float, bool, None) and the spot of each path that was written."""
+    """Plain values (dict, list, str, int, float, bool, None), and the spot of each path in the file."""
 
     data: Any
     spots: dict[KeyPath, Spot] = field(default_factory=dict)
 
     def spot(self, path: KeyPath) -> Spot:
-        """The spot of `path`, or of the nearest thing around it that was written."""
+        """The spot of `path`; if it was not written, that of the nearest mapping or list around it."""
         for length in range(len(path), -1, -1):
             if path[:length] in self.spots:
                 return self.spots[path[:length]]
         return Spot(*[Mark(Source("recipe"))] * 2)
 
     def replaced(self, path: KeyPath, other: "Tree") -> "Tree":
-        """A copy with `other` at `path`; mappings on the way are made, lists must be long enough.
+        """A copy with `other` at `path`; missing mappings are created, lists must be long enough.
 
         Raises:
-            LookupError: the way leads through a scalar or past the end of a list.
+            LookupError: the path leads through a scalar or past the end of a list.
         """
         data = put(self.data, path, other.data)
         spots = {p: s for p, s in self.spots.items() if p[: len(path)] != path}
@@ -84,8 +84,7 @@ class Tree:
     def merged(self, other: "Tree", path: KeyPath = ()) -> "Tree":
         """A copy with `other` laid over `path`: mappings merge key by key, anything else is replaced.
 
-        Two mappings stand for one choice and are replaced whole: an indenter of another shape, and the
-        distribution of a varied path.
+        Two mappings are replaced as a whole: an indenter of another shape, and the distribution of a varied path.
         """
         mine = at(self.data, path)
         choice = len(path) == 3 and path[:2] in (("vary", "over"), ("vary", "grid"))
@@ -110,7 +109,7 @@ class Tree:
 
 
 def at(data: Any, path: KeyPath) -> Any:
-    """The value at `path`, None where there is none."""
+    """The value at `path`, or None."""
     for step in path:
         there = isinstance(data, list) and isinstance(step, int) and 0 <= step < len(data)
         if there or (isinstance(data, dict) and step in data):
@@ -121,7 +120,7 @@ def at(data: Any, path: KeyPath) -> Any:
 
 
 def put(data: Any, path: KeyPath, value: Any) -> Any:
-    """A copy of plain `data` with `value` at `path`; LookupError says which step cannot be taken."""
+    """A copy of plain `data` with `value` at `path`. Raises LookupError: a step of the path does not exist."""
     if not path:
         return value
     step, rest = path[0], path[1:]
@@ -139,7 +138,7 @@ def put(data: Any, path: KeyPath, value: Any) -> Any:
 
 
 def describe(value: Any) -> str:
-    """A value in an error message: short, and as YAML would write it."""
+    """A value for an error message, short and in YAML's notation."""
     if value is None:
         return "nothing"
     if isinstance(value, dict):
@@ -154,7 +153,7 @@ def describe(value: Any) -> str:
 
 
 def format_path(path: KeyPath) -> str:
-    """('trajectory', 0, 'press') -> trajectory[0].press; a key that holds dots itself stands in brackets."""
+    """('trajectory', 0, 'press') -> trajectory[0].press; a key that contains dots is put in brackets."""
     text = ""
     for step in path:
         if isinstance(step, int) or not re.fullmatch(r"[^.\[\]]+", step):
@@ -173,7 +172,7 @@ def parse_path(text: str) -> KeyPath:
 
 
 def load(path: Path) -> Tree:
-    """Read a YAML file. Raises UserError: cannot be read, is no text, is no YAML, holds a key twice."""
+    """Read a YAML file. Raises UserError: it cannot be read, is not text or not YAML, or has a key twice."""
     name = str(path)
     try:
         raw = regular_file.read_bytes(path, LARGEST)
@@ -193,7 +192,7 @@ def load(path: Path) -> Tree:
 
 
 def edited(path: Path, changes: Mapping[KeyPath, Any]) -> str:
-    """The text of a YAML file with other values at some paths, its comments kept; None takes a key out."""
+    """The text of a YAML file with other values at some paths and its comments kept; None removes a key."""
     from io import StringIO
 
     from ruamel.yaml import YAML
@@ -201,7 +200,7 @@ def edited(path: Path, changes: Mapping[KeyPath, Any]) -> str:
 
     yaml = YAML(typ="rt")
     yaml.indent(mapping=2, sequence=4, offset=2)
-    yaml.width = 4096  # lines stay as they are
+    yaml.width = 4096  # no line is wrapped
     root = yaml.load(path.read_text(encoding="utf-8-sig"))
 
     def written(value: Any) -> Any:
@@ -222,7 +221,7 @@ def edited(path: Path, changes: Mapping[KeyPath, Any]) -> str:
             node.pop(last, None)
         elif isinstance(last, int) or last in node or "source" not in node:
             node[last] = written(value)
-        else:  # a new key goes before the source, which stands last
+        else:  # a new key goes before `source`, which is last
             node.insert([*node].index("source"), last, written(value))
     out = StringIO()
     yaml.dump(root, out)
@@ -230,7 +229,7 @@ def edited(path: Path, changes: Mapping[KeyPath, Any]) -> str:
 
 
 def parse(text: str, source: Source) -> Tree:
-    """Read YAML text; marks point into `source`. Raises UserError as `load` does."""
+    """Parse YAML text; marks refer to `source`. Raises UserError as `load` does."""
     from ruamel.yaml import YAML
     from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
@@ -245,7 +244,7 @@ def parse(text: str, source: Source) -> Tree:
     except RecursionError:
         raise UserError(f"{source.name}: is nested too deeply") from None
     except (ValueError, TypeError, AssertionError, AttributeError, NotImplementedError, LookupError) as error:
-        # the parser itself stumbles over some malformed scalars and tags
+        # ruamel raises these for some malformed scalars and tags
         raise UserError(f"{source.name}: is not YAML that can be read here: {_one_line(str(error))}") from None
     spots: dict[KeyPath, Spot] = {(): Spot(Mark(source), Mark(source))}
     budget = iter(range(MAX_VALUES))
@@ -253,7 +252,7 @@ def parse(text: str, source: Source) -> Tree:
 
 
 def _one_line(problem: str) -> str:
-    """The parser's complaint in one line of words."""
+    """The parser's error message in one line."""
     first = " ".join(problem.split("\n")[0].split())
     if first == "but found another document":
         return "a second document starts here, and one file holds one"
@@ -262,7 +261,7 @@ def _one_line(problem: str) -> str:
 
 
 def _plain(node: Any, path: KeyPath, spots: dict[KeyPath, Spot], budget: Iterator[int], inside: tuple[int, ...]) -> Any:
-    """ruamel's round-trip value as plain data, noting the spot of each path below `path`."""
+    """ruamel's round-trip value as plain data; the spots of all paths below `path` are added to `spots`."""
     import datetime
 
     here = spots[path].value

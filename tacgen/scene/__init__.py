@@ -1,1 +1,1 @@
-"""A scene as numbers: its path, its gel's mesh."""
+"""A resolved scene as numbers: the path of the indenter and the mesh of the gel."""

@@ -1,4 +1,4 @@
-"""Resolved scene -> Grasp: two gels that close on one rigid object, the gripper's path, and what the object weighs.
+"""The grasp of one row of a plan: two gels, one rigid object, the gripper's path, and the object's weight.
 
 Frames: the gripper's x is the closing axis, from the left finger to the right one, its origin midway between their
 faces; both fingers point along its -z. The left sensor looks along +x and the right one along -x, the top of their
@@ -21,15 +21,15 @@ from tacgen.scene.scene import Scene, gel_of, shape_of
 Array = np.ndarray
 # Sensor frame to gripper frame, left and right: columns are the sensor's x, y, z.
 LOOKS = np.array([[[0, 0, 1], [1, 0, 0], [0, 1, 0]], [[0, 0, -1], [-1, 0, 0], [0, 1, 0]]], dtype=float)
-SIDES = np.array([-1.0, 1.0])  # where along the gripper's x they are
+SIDES = np.array([-1.0, 1.0])  # side of the left and the right finger along the gripper's x
 GRAVITY = 9.80665  # [m/s^2], standard
-DEEP = 0.5  # of the gel's thickness: how deep the mesh on which a grasp is foreseen expects a force to press
-MARGIN = 1.25  # times the depth foreseen
+DEEP = 0.5  # depth that the mesh of the coarse first solve allows for, over the gel's thickness [-]
+MARGIN = 1.25  # depth that the final mesh allows for, over the depth of the coarse first solve [-]
 
 
 @dataclass(frozen=True)
 class Grasp:
-    """All that the numerics need of one grasp.
+    """All that the numerics need of one grasp, without the recipe.
 
     fingers: the left and the right gel, whose shape is the object and whose poses are guesses; start (4, 4): the object
     in the gripper's frame at first touch, `opening` [mm] being the distance of the faces then; weight (3,) in the world
@@ -61,7 +61,7 @@ def finger(side: int, width: float) -> Array:
 
 
 def seen_from(side: int, width: float, pose: Array) -> Array:
-    """A pose (4, 4) of the gripper's frame in a sensor's."""
+    """A pose (4, 4) given in the gripper's frame, in a sensor's frame."""
     mount = finger(side, width)
     out = np.eye(4)
     out[:3, :3] = mount[:3, :3].T @ pose[:3, :3]
@@ -73,7 +73,7 @@ def build(row: Row) -> Grasp:
     """The grasp of one row of a plan.
 
     Raises:
-        UserError: the fingers would close by more than a gel is thick.
+        UserError: the fingers would close farther than the gels are thick.
     """
     recipe, asked, quality = row.recipe, row.recipe.grasp, row.recipe.resolved()
     assert asked is not None
@@ -90,7 +90,7 @@ def build(row: Row) -> Grasp:
             raise UserError(f"trajectory[{number}].close.width_mm: {text}")
     segment = np.repeat(np.arange(len(recipe.trajectory)), [step.frames for step in recipe.trajectory])
     closed = opening - DEEP * thin if np.isfinite(force).any() else min(np.nanmin(width), opening)
-    sunk = max(float(((gripper[0, :3, 3] - gripper[:, :3, 3]) @ down).max()), 0.0)  # if it stays on the table
+    sunk = max(float(((gripper[0, :3, 3] - gripper[:, :3, 3]) @ down).max()), 0.0)  # if the object stays on the table
     fingers = []
     for side, gel in enumerate(gels):
         standing = seen_from(side, opening, start)
@@ -114,7 +114,7 @@ def _first_touch(shape: Shape, gels: tuple[Gel, Gel], height: float, y: float, y
 
 
 def _path(row: Row, down: Array) -> tuple[Array, Array, Array, Array]:
-    """The gripper's pose (N, 4, 4); the width, the force and the part of its change (N,) of each frame."""
+    """Of each frame: the gripper's pose (N, 4, 4); width, force and the fraction of its change reached (N,)."""
     pose, frames = np.eye(4), []
     for number, step in enumerate(row.recipe.trajectory):
         first, rows = pose, row.replayed(number) if step.replay else ()
@@ -124,7 +124,7 @@ def _path(row: Row, down: Array) -> tuple[Array, Array, Array, Array]:
             match step.move:
                 case Close(width_mm=wide, force_n=strong):
                     width, force = wide or np.nan, strong or np.nan
-                case Replay():  # as the table goes on from its first row
+                case Replay():  # the table's motion relative to its first row
                     pose = first @ np.linalg.inv(rows[0].pose) @ rows[k - 1].pose
                 case Lift(height_mm=height):
                     pose[:3, 3] -= part * height * down
@@ -137,7 +137,7 @@ def _path(row: Row, down: Array) -> tuple[Array, Array, Array, Array]:
 
 
 def refined(grasp: Grasp, poses: tuple[list[Array], list[Array]]) -> Grasp:
-    """With fingers whose meshes will be fine where `poses` (4, 4) of the object in each sensor's frame have it."""
+    """The grasp with finger meshes that are fine where `poses` (4, 4) of the object in each sensor's frame touch."""
     fingers = []
     for scene, found in zip(grasp.fingers, poses, strict=True):
         deeper = np.array(found)

@@ -1,4 +1,4 @@
-"""Scene -> Mesh: fine where the scene can touch and growing away; a tensor grid of hexes, or tets (see tet_mesh)."""
+"""The mesh of a scene's gel, fine where it can be touched: a tensor grid of hexes, or tets (see tet_mesh)."""
 
 import math
 from dataclasses import dataclass
@@ -15,13 +15,13 @@ from tacgen.scene import tet_mesh
 from tacgen.scene.scene import Scene
 
 Array = np.ndarray
-MAX_SLOPE = 1.1  # of a signed distance [-]: 1, and a little more where it is interpolated
-# nodes, and the edge that fTetWild is asked for as a part of a hex's; it gives 1.25 to 1.35 times that
+MAX_SLOPE = 1.1  # largest slope of a signed distance: 1, and slightly more where it is interpolated [-]
+# nodes; and the edge asked of fTetWild over that of a hex [-], which returns edges 1.25 to 1.35 times as long
 TETS = {"tet": (10, 1.125), "linear_tet": (4, 0.8)}
-MIN_ANGLE_DEG = 2.0  # between the faces of a tet
-MIN_SCALED_JACOBIAN = 0.01  # of a tet [-]
-COARSEST = 11.1  # edge far from the contact over that under it [-]
-MAX_NODES = 500_000  # no machine could factorise the stiffness of more
+MIN_ANGLE_DEG = 2.0  # smallest dihedral angle of a tet [deg]
+MIN_SCALED_JACOBIAN = 0.01  # smallest scaled Jacobian of a tet [-]
+COARSEST = 11.1  # edge far from the contact over the edge under it [-]
+MAX_NODES = 500_000  # a larger stiffness matrix cannot be factorised in the memory of common machines
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Mesh:
 
 
 def of(scene: Scene) -> Mesh:
-    """The gel's mesh for all that the scene touches.
+    """The gel's mesh, fine wherever the scene touches the gel.
 
     Raises:
         UserError: no mesh of usable cells could be made.
@@ -60,7 +60,7 @@ def of(scene: Scene) -> Mesh:
 
 
 def quality(gel: Gel, mesh: Mesh) -> dict[str, float | int | str]:
-    """How well shaped a gel's mesh is, and its own hash: of two that fTetWild makes no two are alike."""
+    """The quality of a gel's mesh, and its hash, since fTetWild never gives the same mesh twice."""
     vertices, triangles, _ = gel.surface(*tet_mesh.FINE)
     found = measure(mesh.points, mesh.cells, enclosed(vertices, triangles))
     parts = (mesh.points, mesh.cells, mesh.layer, *(a for item in sorted(mesh.facets.items()) for a in item))
@@ -68,10 +68,10 @@ def quality(gel: Gel, mesh: Mesh) -> dict[str, float | int | str]:
 
 
 def graded(start: float, end: float, fine: tuple[float, float], edge: float, growth: float, coarsest: float) -> Array:
-    """Coordinates from start to end: at most `edge` apart inside `fine`, the next ones up to `growth` times as long.
+    """Coordinates from start to end: at most `edge` apart inside `fine`; outside, growing by at most `growth`.
 
-    The ends are met exactly by shrinking the intervals on each side a little together; a fine part that ends within
-    half an edge of an end is drawn out to it, so that no sliver is left between them.
+    The intervals on each side are scaled so that the ends are met exactly; a fine part that ends within half an edge of
+    an end is extended to it, so that no thin interval remains.
     """
     low, high = max(start, fine[0]), min(end, fine[1])
     low, high = start if low < start + edge / 2 else low, end if high > end - edge / 2 else high
@@ -88,8 +88,8 @@ def graded(start: float, end: float, fine: tuple[float, float], edge: float, gro
 
 
 def heights(gel: Gel, edge: float, growth: float, coarsest: float) -> tuple[Array, Array]:
-    """Grid heights z from base to face and the layer of each interval: fine at the face, graded down, and every
-    interface is a grid height."""
+    """Grid heights z from base to face, and the layer of each interval: fine at the face, coarser towards the base;
+    each interface is a grid height."""
     z = [0.0]
     layer: list[int] = []
     step = edge
@@ -104,7 +104,7 @@ def heights(gel: Gel, edge: float, growth: float, coarsest: float) -> tuple[Arra
 
 
 def _growing(first: float, length: float, growth: float, longest: float) -> list[float]:
-    """Steps that together are at least as long as `length`, each `growth` times the one before, up to `longest`."""
+    """Steps with a sum of at least `length`, each `growth` times the one before, at most `longest`."""
     steps: list[float] = []
     while sum(steps) < length - 1e-9:
         steps.append(min(steps[-1] * growth, longest) if steps else first)
@@ -114,12 +114,12 @@ def _growing(first: float, length: float, growth: float, longest: float) -> list
 def build(
     gel: Gel, footprint: tuple[float, float, float, float], edge: float, *, growth: float = 1.7, coarsest: float = 0.0
 ) -> Mesh:
-    """Graded hexes for a gel with a flat base; each column of the grid is squeezed to the height of the face there.
+    """Graded hexes for a gel with a flat base; each column of the grid is scaled to the local height of the face.
 
     Args:
-        footprint: x0, x1, y0, y1 [mm] of all that the trajectory can touch; its cells are `edge` wide.
-        edge: target edge under the contact [mm]. growth: ratio of neighbouring edges outside. coarsest: far away [mm],
-            as COARSEST says if 0.
+        footprint: x0, x1, y0, y1 [mm] of the region that the trajectory can touch; its cells are `edge` wide.
+        edge: edge under the contact [mm]. growth: largest ratio of neighbouring edges outside. coarsest: largest edge
+            [mm]; 0: COARSEST times `edge`.
 
     Raises:
         UserError: that would be a mesh of more than MAX_NODES nodes.
@@ -128,7 +128,7 @@ def build(
     x0, x1, y0, y1 = footprint
     xs = graded(-gel.width / 2, gel.width / 2, (x0, x1), edge, growth, coarsest)
     ys = graded(-gel.height / 2, gel.height / 2, (y0, y1), edge, growth, coarsest)
-    zs, layer = heights(gel, 1.3 * edge, 1.1, coarsest / 2)  # a map's rim is as sharp as cells are wide, not deep
+    zs, layer = heights(gel, 1.3 * edge, 1.1, coarsest / 2)  # maps depend on the width of cells, hardly on their height
     shape = len(xs), len(ys), len(zs)
     _refuse_above(MAX_NODES, math.prod(shape), edge, "nodes")
     points = np.stack(np.meshgrid(xs, ys, zs, indexing="ij"), -1).reshape(-1, 3)
@@ -155,8 +155,8 @@ def _refuse_above(most: float, count: float, edge: float, what: str) -> None:
 
 
 def footprint(scene: Scene) -> tuple[float, float, float, float]:
-    """x0, x1, y0, y1 [mm] around all that the scene touches, half an edge more, and on to whole edges from the start:
-    cells lie alike to all sides of a press there, wherever the indenter goes next."""
+    """x0, x1, y0, y1 [mm] around the region that the scene touches, half an edge more, rounded up to whole edges from
+    the start: the cells are symmetric about a press there, wherever the indenter moves next."""
     where, start, edge = touched(scene)[:, :2], scene.start[:2, 3], scene.edge
     low = start - edge * np.ceil((start - where.min(0)) / edge + 0.5)
     high = start + edge * np.ceil((where.max(0) - start) / edge + 0.5)

@@ -24,13 +24,13 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class Forced:
-    """Frames (N,) whose height is solved for, from a normal force: `poses` hold guesses there.
+    """Frames (N,) whose height is found from a normal force; their `poses` hold first guesses.
 
-    asked: force at the end of the segment [N], nan where the height is given; part: of the change of force from the
-    segment before that a frame makes [-]; carry: of the difference between a height found and its guess, the part by
-    which a later pose is moved too [-]; floor: lowest height of the indenter's origin in the search [mm]; below: how
-    far under its guess a frame may be [mm], for which the mesh is made fine; hopeless: a frame whose force the gel
-    cannot bear, and the message.
+    asked: force at the end of the segment [N], nan where the height is given; part: fraction of the segment's change of
+    force that is reached at a frame [-]; carry: fraction of the difference between the last found height and its guess
+    that is added to a later pose [-]; floor: lowest height of the indenter's origin in the search [mm]; below: largest
+    depth of a frame below its guess [mm], which the fine part of the mesh allows for; hopeless: a frame whose force the
+    gel cannot bear, and the message.
     """
 
     asked: Array
@@ -42,7 +42,7 @@ class Forced:
 
     @property
     def allowance(self) -> Array:
-        """How far below its guess (N,) each frame may come, those that follow a found height included [mm]."""
+        """Largest depth (N,) of each frame below its guess, including frames that follow a found height [mm]."""
         below, out = 0.0, np.zeros(len(self.asked))
         for i, asked in enumerate(self.asked):
             below = self.below[i] if np.isfinite(asked) else below
@@ -52,9 +52,8 @@ class Forced:
 
 @dataclass(frozen=True)
 class Path:
-    """Poses (N, 4, 4) at every frame, the rotation vector (N, 3) [rad] from each pose to the next, which may be more
-    than half a turn, the segment (N,) each belongs to, what forces ask for, and the pose (4, 4) before the first frame,
-    clear of the gel."""
+    """Poses (N, 4, 4) at every frame; rotation vectors (N, 3) [rad] from each pose to the next, which may exceed half a
+    turn; segment (N,) of each frame; `forced` frames; and the pose (4, 4) before the first frame, clear of the gel."""
 
     start: Array
     poses: Array
@@ -64,14 +63,14 @@ class Path:
 
 
 def _sink_depth(shape: Shape, pose: Array, gel: "Gel") -> float:
-    """How far a shape that stands on z = 0 may sink along z until it touches the untouched face [mm].
+    """How far a shape that stands on z = 0 can be lowered along z until it touches the untouched face [mm].
 
-    Each round lowers it by its distance from the face, which cannot carry it past; a second grid, 20 times as fine,
-    lies around the point found on the first.
+    Each iteration lowers it by its distance from the face, which cannot overshoot; the search is repeated around the
+    point found, on a grid 20 times as fine.
     """
     if gel.flat:
         return 0.0
-    most = -float(gel.top(np.array(gel.width / 2), np.array(gel.height / 2)))  # beside the pad nothing is touched
+    most = -float(gel.top(np.array(gel.width / 2), np.array(gel.height / 2)))  # depth of the face at the corner
     sunk, step, middle, half = 0.0, 0.2, np.zeros(2), np.array([gel.width, gel.height]) / 2
     for _ in range(2):
         ends = zip(middle - half, middle + half, half, strict=True)
@@ -83,7 +82,7 @@ def _sink_depth(shape: Shape, pose: Array, gel: "Gel") -> float:
             lowered[2, 3] = pose[2, 3] - sunk
             gap = shape.distance(Pose.of(lowered).local(face))[0]
             nearest = int(np.argmin(gap))
-            sunk += gap[nearest]  # the finer grid, that finds points in between, takes a little back
+            sunk += gap[nearest]  # on the finer grid this may be slightly negative
             if abs(gap[nearest]) < 1e-6 or sunk > most:
                 break
         middle, half, step = face[nearest, :2], np.array([step, step]), step / 20
@@ -91,9 +90,9 @@ def _sink_depth(shape: Shape, pose: Array, gel: "Gel") -> float:
 
 
 def contact_height(shape: Shape, gel: "Gel", pose: Array) -> float:
-    """Height of the origin at which an indenter of this turn and place would first touch the untouched face [mm]."""
+    """Height of the indenter's origin at first touch of the untouched face, for this rotation and position [mm]."""
     standing = pose.copy()
-    standing[2, 3] = drop = shape.support(-pose[2, :3])  # how far it hangs below its own origin
+    standing[2, 3] = drop = shape.support(-pose[2, :3])  # extent below its own origin
     return drop - _sink_depth(shape, standing, gel)
 
 
@@ -101,7 +100,7 @@ def lay(recipe: Recipe, shape: Shape, gel: "Gel", replayed: Callable[[int], tupl
     """The path of an indenter over a gel; `replayed` gives the rows of a segment's table.
 
     Raises:
-        UserError: a leaning mesh, or an indenter on a dome, would reach the base of the gel.
+        UserError: a tilted mesh, or an indenter on a dome, would reach the base of the gel.
     """
     rows = [replayed(number) if segment.replay else () for number, segment in enumerate(recipe.trajectory)]
     frames: list[Frame] = []

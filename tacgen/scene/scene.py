@@ -1,4 +1,4 @@
-"""Resolved scene -> Scene: gel, laws, indenter, path and tolerances as plain arrays and numbers."""
+"""The scene of one row of a plan: gel, laws, indenter, path and tolerances as arrays and numbers."""
 
 import math
 from dataclasses import dataclass
@@ -24,25 +24,25 @@ from tacgen.scene.path import Path as Way
 __all__ = ["Gel", "Layer", "Scene", "build"]
 
 Array = np.ndarray
-TONNES_PER_MM3 = 1e-12  # one kg/m^3
-SDF_CELL = 0.25  # grid of a mesh's signed distance over the element edge [-]; its edges are rounded by about two cells
+TONNES_PER_MM3 = 1e-12  # 1 kg/m^3 [t/mm^3]
+SDF_CELL = 0.25  # cell of a mesh's signed distance over the element edge [-]; edges are rounded by about two cells
 
 
 @dataclass(frozen=True)
 class Dynamics:
-    """How the gel's mass and Rayleigh damping resist being moved fast."""
+    """Mass and Rayleigh damping of the gel."""
 
     density: float  # [t/mm^3]
-    alpha: float  # of Rayleigh's damping, with the mass [1/s]
-    beta: float  # and with the stiffness [s]
-    longest: float  # step in time [s]
+    alpha: float  # factor of the mass in Rayleigh damping [1/s]
+    beta: float  # factor of the stiffness in Rayleigh damping [s]
+    longest: float  # longest time step [s]
 
 
 @dataclass(frozen=True)
 class Scene:
-    """All that the numerics need of one scene; nothing in it is a recipe.
+    """All that the numerics need of one scene, without the recipe.
 
-    poses (N, 4, 4): indenter frame to sensor frame at each frame, a guess of the height where `forced` says so;
+    poses (N, 4, 4): indenter frame to sensor frame at each frame; with `forced` some heights are guesses;
     segment (N,): number of the trajectory segment;
     start (4, 4): the pose before the first frame, clear of the gel.
     """
@@ -57,20 +57,20 @@ class Scene:
     dhat: float  # [mm]
     forced: Forced | None = None
     dynamics: Dynamics | None = None
-    duration: Array | None = None  # (N,) of each frame [s]; None: as if it were moved infinitely slowly
+    duration: Array | None = None  # (N,) of each frame [s]; None: quasi-static
     element: Element = "hex"
     surface: Triangles | None = None  # of the indenter, for contact between meshes
-    turns: Array | None = None  # (N, 3) rotation vector from each pose to the next [rad]; None: the shorter way
+    turns: Array | None = None  # (N, 3) rotation vector from each pose to the next [rad]; None: the shortest
 
 
 def _reach_of_gel(row: Row) -> tuple[float, float]:
-    """How far the gel can come to an indenter: distance from its z axis, and height above its lowest point [mm]."""
+    """What the gel can reach: distance from the indenter's z axis, height above its lowest point [mm]."""
     gel = row.sensor.gel
     steps = row.recipe.trajectory
     replays = (row.replayed(number) for number, step in enumerate(steps) if step.replay)
     leans = any(np.hypot(*p.pose[2, :2]) > 2e-9 or p.pose[2, 2] < 0 for poses in replays for p in poses)
     tilted = leans or row.recipe.start.tilt_deg > 0 or any(step.tilt for step in steps) or row.recipe.grasp is not None
-    rise = sum(layer.thickness_mm for layer in gel.layers) + 1.0  # no press is deeper, and gel bulges beside it
+    rise = sum(layer.thickness_mm for layer in gel.layers) + 1.0  # [mm] largest depth, and gel bulging beside it
     return float(np.hypot(gel.width_mm, gel.height_mm)) + 1.0, np.inf if tilted else rise
 
 
@@ -89,8 +89,8 @@ def shape_of(row: Row) -> Shape:
 
 
 def _surface(row: Row, shape: Shape) -> Triangles | None:
-    """The indenter's triangles, where contact is between meshes: a mesh's own, or a shape's, much closer to it than
-    the barrier holds the gel off."""
+    """The indenter's triangles for mesh-to-mesh contact: a mesh's own, or those of an analytic shape with an error much
+    smaller than the barrier's gap."""
     indenter, quality = row.recipe.indenter, row.recipe.resolved()
     if row.recipe.contact.formulation != "ipctk":
         return None
@@ -103,7 +103,7 @@ def _surface(row: Row, shape: Shape) -> Triangles | None:
 
 
 def law_of(layer: sensors.Layer) -> Law:
-    """The law of a layer; what a sensor file says in E and nu becomes mu and the bulk modulus here."""
+    """The law of a layer; E and nu of the sensor file are converted to shear and bulk modulus."""
     match layer:
         case NeoHookeLayer() | StableNeoHookeLayer():
             mu = layer.youngs_modulus_mpa / (2 * (1 + layer.poissons_ratio))
@@ -119,12 +119,12 @@ def law_of(layer: sensors.Layer) -> Law:
 
 def bulk(mu: float, nu: float | None) -> float:
     """Bulk modulus [MPa] from the shear modulus and Poisson's ratio."""
-    assert nu is not None, "the sensor file's check lets no layer through without"
+    assert nu is not None, "the sensor model has checked that one of the two is given"
     return 2 * mu * (1 + nu) / (3 * (1 - 2 * nu))
 
 
 def gel_of(sensor: Sensor, solid_path: Path | None = None) -> Gel:
-    """The gel with its laws; of one that is a solid, from the file at `solid_path`."""
+    """The gel with its laws; a solid is read from the file at `solid_path`."""
     layers = []
     for layer in sensor.gel.layers:
         law = law_of(layer)
@@ -164,12 +164,13 @@ def _dynamics(recipe: Recipe) -> Dynamics | None:
 
 
 def _durations(row: Row, way: Way) -> Array | None:
-    """A replay's frames take what lies between its rows, and the way to the first as long as to the second."""
+    """Duration (N,) of each frame [s]. For a replay, the time between its rows; its first frame takes as long as the
+    second. None if time does not matter."""
     if not timed(row.recipe, row.sensor):
         return None
     usual = 0.0 if row.recipe.dynamics is None else row.recipe.dynamics.frame_s or 0.0
     origins = np.concatenate([way.start[None], way.poses])[:, :3, 3]
-    duration: list[float] = []  # recipe/checks.py lets nothing through that says none
+    duration: list[float] = []  # recipe/checks.py has checked that each movement has one
     for number, step in enumerate(row.recipe.trajectory):
         if isinstance(step.move, trajectory.Replay):
             apart = [b.time - a.time for a, b in pairwise(row.replayed(number))] or [usual]

@@ -1,7 +1,7 @@
-"""Gel -> tets by fTetWild (Hu et al. 2020), fine under the contact; for gels that no grid of hexes fits.
+"""Tetrahedral meshes of gels by fTetWild (Hu et al. 2020), fine under the contact.
 
-Two runs of fTetWild never give the same mesh, not even on one thread: what it made is kept in the cache by a hash of
-what it was asked for, which is what makes a scene repeatable on a machine, and a bundle says the mesh's own hash.
+fTetWild never gives the same mesh twice, not even on one thread. Meshes are therefore cached by a hash of the input,
+which makes a scene repeatable on one machine, and each bundle stores the hash of its mesh.
 """
 
 import importlib.util
@@ -20,14 +20,14 @@ from tacgen.geometry.gel import Gel
 
 Array = np.ndarray
 CACHE_VERSION = 1  # of the meshes in the cache
-EDGE_GROWTH = 0.4  # of the edge over the distance from what is touched [-]
-COARSEST = 7.4  # edge far from the contact over that under it [-]
-ENVELOPE = 1e-3  # distance of fTetWild's mesh from the surface, over the box's diagonal [-]; nodes are projected later
+EDGE_GROWTH = 0.4  # growth of the edge per distance from the touched region [-]
+COARSEST = 7.4  # edge far from the contact over the edge under it [-]
+ENVELOPE = 1e-3  # largest distance of fTetWild's mesh from the surface, over the box's diagonal [-]; projected later
 # step and sag of the gel's surface, over the longer side [-]
-COARSE = (0.04, 4e-3)  # of the surface that is meshed
-FINE = (0.012, 4e-6)  # of the surface that nodes are projected onto
-MAX_ENERGY = 10.0  # AMIPS energy of the worst tet, below which fTetWild ends [-]
-MIN_NODAL_VOLUME = 0.1  # at a tet's nodes, over its volume before projection [-]; below, nodes are put back
+COARSE = (0.04, 4e-3)  # for the surface that is meshed
+FINE = (0.012, 4e-6)  # for the surface onto which nodes are projected
+MAX_ENERGY = 10.0  # AMIPS energy of the worst tet at which fTetWild stops [-]
+MIN_NODAL_VOLUME = 0.1  # at a tet's nodes, over its volume before projection [-]; below, nodes are moved back
 TET_FACES = np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)])  # seen from outside
 
 
@@ -35,7 +35,7 @@ def build(gel: Gel, touched: Array, edge: float, nodes: int) -> tuple[Array, Arr
     """Points, tets of 4 or 10 nodes, their layers, and the named facets of a gel.
 
     Args:
-        touched: points (n, 3) [mm] of the untouched face that the indenter can reach: there edges are about `edge`.
+        touched: points (n, 3) [mm] of the untouched face that the indenter can reach; edges there are about `edge`.
     """
     vertices, triangles, between = gel.surface(*COARSE)
     low, high = vertices.min(0), vertices.max(0)
@@ -65,7 +65,7 @@ def build(gel: Gel, touched: Array, edge: float, nodes: int) -> tuple[Array, Arr
 
 
 def _background(low: Array, high: Array, touched: Array, edge: float, coarsest: float) -> tuple[Array, Array, Array]:
-    """A grid of tets around the gel with the edge that is wanted at each of its points."""
+    """fTetWild's background mesh: a grid of tets around the gel with the wanted edge at each of its points."""
     from scipy.spatial import cKDTree
 
     step = max(edge, float((high - low).max()) / 60)
@@ -95,7 +95,7 @@ def _tetrahedralise(
         False, 1, 80, 6, True, False, True, sizing_points, tets, edges,
     )  # fmt: skip
     points, cells = np.asarray(found[0], float), np.asarray(found[1], np.int64)
-    # fTetWild's own test of what is inside counts the open triangles too
+    # fTetWild's own inside test would count the open triangles `between` too
     cells = cells[mesh_import.inside(vertices, triangles, points[cells].mean(1))]
     used, compact = np.unique(cells, return_inverse=True)
     points, cells = points[used], compact.reshape(-1, 4)
@@ -105,7 +105,7 @@ def _tetrahedralise(
 
 
 def _ftetwild() -> Any:
-    """pytetwild's compiled part. Its package would also import PyVista and with it VTK (0.6 GB) to draw with."""
+    """pytetwild's compiled module; importing the package would also import PyVista and VTK (0.6 GB)."""
     folder = Path(str(distribution("pytetwild").locate_file("pytetwild")))
     spec = importlib.util.spec_from_file_location("PyfTetWildWrapper", next(folder.glob("PyfTetWildWrapper*.so")))
     assert spec is not None
@@ -116,7 +116,7 @@ def _ftetwild() -> Any:
 
 
 def _facets(gel: Gel, points: Array, tets: Array, layer: Array, reach: float) -> tuple[dict[str, Array], list[Array]]:
-    """The boundary's triangles by name, "sides" being the rest, and those between each layer and the next."""
+    """The boundary's triangles by name, where "sides" is the rest; and the triangles between neighbouring layers."""
     faces = tets[:, TET_FACES].reshape(-1, 3)
     owner = np.repeat(np.arange(len(tets)), 4)
     order = np.sort(faces, 1)
@@ -143,7 +143,7 @@ def _patches(gel: Gel, points: Array, triangles: Array, reach: float) -> dict[st
 
 
 def _on_true_surface(gel: Gel, points: Array, tets: Array, facets: dict[str, Array], between: list[Array]) -> Array:
-    """Nodes of the boundary and of the interfaces drawn onto the true ones; what that would fold stays straight."""
+    """Points with the nodes of boundary and interfaces projected onto the true surfaces, except where a tet inverts."""
     new = points.copy()
     vertices, triangles, _ = gel.surface(*FINE)
     true = _patches(gel, vertices, triangles, 1e-6)
@@ -159,8 +159,8 @@ def _on_true_surface(gel: Gel, points: Array, tets: Array, facets: dict[str, Arr
 
 
 def _without_folds(new: Array, old: Array, tets: Array) -> Array:
-    """The new points, but the middle nodes of tets that are folded by them back on their straight edges, and corners
-    where they were, as far as that takes."""
+    """The new points; where they invert a tet, its edge nodes go back to the edges' midpoints and, if that is not
+    enough, its corners to the old points."""
     straight = nodal_volume(old, tets[:, :4]).min(1)
     for corners_too in (False, True):
         for _ in range(10):
