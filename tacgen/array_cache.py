@@ -1,4 +1,4 @@
-"""Arrays kept under the cache folder by a hash of all they depend on; an entry carries a digest of key and content."""
+"""A cache of arrays on disk, by a hash of all inputs; each entry has a digest of its key and content."""
 
 import hashlib
 import io
@@ -12,19 +12,19 @@ import numpy as np
 from tacgen import atomic_file, regular_file
 
 Array = np.ndarray
-LARGEST = 2**31  # bytes of an entry
+LARGEST = 2**31  # largest entry [bytes]
 SEAL = hashlib.sha256().digest_size
 
 
 def cache_folder() -> Path:
-    """Where tacgen keeps what it can compute again; TACGEN_CACHE_DIR overrides."""
+    """The folder of cached results; TACGEN_CACHE_DIR overrides it."""
     from platformdirs import user_cache_path
 
     return Path(os.environ["TACGEN_CACHE_DIR"]) if os.environ.get("TACGEN_CACHE_DIR") else user_cache_path("tacgen")
 
 
 def digest(parts: Iterable[Any]) -> str:
-    """SHA-256 of arrays (with their types and shapes) and of whatever else has a repr."""
+    """SHA-256 of arrays (with types and shapes) and of the repr of other objects."""
     content = hashlib.sha256()
     for part in parts:
         if isinstance(part, np.ndarray):
@@ -36,28 +36,27 @@ def digest(parts: Iterable[Any]) -> str:
 
 
 def kept(kind: str, key: str, make: Callable[[], tuple[Array, ...]]) -> tuple[Array, ...]:
-    """The arrays stored as `kind` under `key`, or what `make` gives, stored for the next time.
+    """The arrays stored as `kind` under `key`; if there are none, those of `make`, which are then stored.
 
-    Of two processes that make them at once the first keeps its own, and both go on with those: what is made may
-    differ from run to run.
+    If two processes make them at once, both use those that were stored first: `make` need not be reproducible.
     """
     return _unpacked(kept_bytes(kind, key, lambda: _packed(make())))
 
 
 def kept_one(kind: str, key: str, make: Callable[[], Array]) -> Array:
-    """The same of a single array."""
+    """The same for a single array."""
     return kept(kind, key, lambda: (make(),))[0]
 
 
 def kept_bytes(kind: str, key: str, make: Callable[[], bytes]) -> bytes:
-    """The same of bytes: those that were stored under this very key, unchanged, or they are made again."""
+    """The same for bytes; a damaged entry, or one of another key, is made again."""
     file = cache_folder() / kind / f"{key}.entry"
     found = read(file, key)
     return store(file, key, make()) if found is None else found
 
 
 def read(file: Path, key: str) -> bytes | None:
-    """What an entry holds; None where there is none, or it is not what was stored under its key."""
+    """The content of an entry; None if there is none, or if it is damaged or of another key."""
     try:
         entry = regular_file.read_bytes(file, LARGEST)
     except OSError:
@@ -67,7 +66,7 @@ def read(file: Path, key: str) -> bytes | None:
 
 
 def store(file: Path, key: str, made: bytes) -> bytes:
-    """Make an entry, and give what it holds: of two processes at once the first keeps its own."""
+    """Store an entry and return its content: that of the first process, if two store it at once."""
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         atomic_file.sweep(file.parent)
@@ -75,7 +74,7 @@ def store(file: Path, key: str, made: bytes) -> bytes:
             return found
         atomic_file.write(file, _seal(key, made) + made)
     except (OSError, atomic_file.Busy):
-        pass  # a cache that cannot be written only costs the next run some seconds
+        pass  # without a writable cache the next run only takes longer
     return made
 
 
@@ -86,7 +85,7 @@ def _seal(key: str, content: bytes) -> bytes:
 
 
 def _packed(arrays: tuple[Array, ...]) -> bytes:
-    """Arrays in NumPy's format, one after the other."""
+    """Arrays in NumPy's file format, concatenated."""
     out = io.BytesIO()
     for array in arrays:
         np.save(out, array, allow_pickle=False)

@@ -1,8 +1,8 @@
-"""A file that gets its name only when it is finished; what a killed process leaves is deleted.
+"""Files that get their name only when they are complete; remains of killed processes are deleted.
 
-Locks are flock's, which the system drops when a process ends, even by kill -9. The package filelock has them too, but
-serves claims alone: part files are locked through the handle they are written by, and looking for dead writers must
-create no file. Where a file system has no locks it leaves marker files, which a killed process would leave behind.
+Locks are those of flock, which the system releases when a process ends, even by kill -9. The package filelock would
+serve for claims only: part files are locked through the handle that writes them, and the search for dead writers must
+create no file. On a file system without locks it creates marker files, which a killed process would leave behind.
 """
 
 import fcntl
@@ -14,39 +14,39 @@ from pathlib import Path
 
 from tacgen.errors import UserError
 
-PART_MARK = ".part-"  # in the name of an unfinished file: x.h5.part-<pid>
-CLAIM_SUFFIX = ".claim"  # of the file that is locked while x.h5 is made: .x.h5.claim
+PART_MARK = ".part-"  # in the name of an incomplete file: x.h5.part-<pid>
+CLAIM_SUFFIX = ".claim"  # suffix of the file that is locked while x.h5 is made: .x.h5.claim
 
 
 class Busy(UserError):
-    """Another process is at work on this very file."""
+    """Another process is making this file."""
 
 
 def is_part(path: Path) -> bool:
-    """Whether this is the name of a part file, a living writer's or a dead one's."""
+    """Whether this is the name of a part file."""
     name, mark, number = path.name.rpartition(PART_MARK)
     return bool(name and mark and number.isdigit())
 
 
 def is_claim(path: Path) -> bool:
-    """Whether this is the name of a file that only says that a process is at work."""
+    """Whether this is the name of a claim file."""
     return path.name.startswith(".") and path.name.endswith(CLAIM_SUFFIX)
 
 
 def claim_path(target: Path) -> Path:
-    """The file that is locked by whoever works on `target`."""
+    """The file that is locked by the process that makes `target`."""
     return target.with_name(f".{target.name}{CLAIM_SUFFIX}")
 
 
 def sweep(folder: Path) -> list[Path]:
-    """Delete part files whose writer is dead and claims of the dead, and return them.
+    """Delete part files and claims of processes that have ended, and return them.
 
-    A writer holds a lock on its part file and the system drops it when the process ends, however it ends. So this is
-    right where process ids are not: in containers, and on a folder that several machines write into.
+    A writer holds a lock on its part file, which the system releases when the process ends. Unlike process ids this
+    also works in containers, and in a folder that several machines write into.
     """
     deleted = []
     for path in [path for path in folder.iterdir() if is_part(path) or is_claim(path)]:
-        with suppress(OSError):  # held, deleted by another, or a file system without locks: leave it
+        with suppress(OSError):  # locked, deleted by another process, or no locks on this file system: leave it
             handle = os.open(path, os.O_RDWR)
             try:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -58,7 +58,7 @@ def sweep(folder: Path) -> list[Path]:
 
 
 def is_claimed(target: Path) -> bool:
-    """Whether a living process is at work on `target`."""
+    """Whether a running process is making `target`."""
     try:
         handle = os.open(claim_path(target), os.O_RDWR)
     except OSError:
@@ -76,7 +76,7 @@ def is_claimed(target: Path) -> bool:
 
 @contextmanager
 def claim(target: Path) -> Iterator[None]:
-    """Be the only process at work on `target`, or raise Busy at once; a file system without locks cannot tell."""
+    """Claim `target` for this process, or raise Busy at once; without effect on a file system without locks."""
     path = claim_path(target)
     handle = _locked(path, tries=3)
     if handle is None:
@@ -90,9 +90,9 @@ def claim(target: Path) -> Iterator[None]:
 
 
 def _locked(path: Path, tries: int) -> int | None:
-    """A handle of the file, locked; None while another holds it.
+    """A locked handle of the file; None if another process holds the lock.
 
-    A sweeper may hold or delete the file between opening and locking, so look again until both hold.
+    `sweep` in another process may lock or delete the file between opening and locking, so it is tried several times.
     """
     for _ in range(tries):
         handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
@@ -113,15 +113,15 @@ class Sink:
     """The file object that HDF5 writes a part file through.
 
     HDF5's own driver reports a full disk as a RuntimeError on close, and again when the interpreter exits. Here the
-    first OSError is kept in `error` and every later write is swallowed, so that HDF5 can close in peace; the caller
-    works under `guard`, which raises it.
+    first OSError is stored in `error` and later writes are ignored, so that HDF5 can close the file; `guard`, in which
+    the caller works, raises it.
     """
 
     def __init__(self, target: Path) -> None:
         self.target = target
         self.path = target.with_name(f"{target.name}{PART_MARK}{os.getpid()}")
         self.error: OSError | None = None
-        self.dead = False  # set to swallow all further writes
+        self.dead = False  # if set, all further writes are ignored
         self._at = 0
         handle = _locked(self.path, tries=50)
         if handle is None:
@@ -140,7 +140,7 @@ class Sink:
         return self._at
 
     def read(self, size: int) -> bytes:
-        """h5py knows a file object by this name and then reads through `readinto`."""
+        """h5py requires this method of a file object, but reads by `readinto`."""
         buffer = bytearray(size)
         return bytes(buffer[: self.readinto(memoryview(buffer))])
 
@@ -171,7 +171,7 @@ class Sink:
 
     @contextmanager
     def guard(self) -> Iterator[None]:
-        """Turn whatever HDF5 makes of a failed write back into the OSError that caused it."""
+        """Raise the OSError of a failed write instead of the error that HDF5 makes of it."""
         try:
             yield
         except Exception:
@@ -187,7 +187,7 @@ class Sink:
         """Nothing is buffered here; `publish` syncs."""
 
     def publish(self) -> None:
-        """Bring the file to the disk and give it its name, atomically."""
+        """Sync the file to disk and rename it atomically."""
         os.fsync(self._handle)
         try:
             os.replace(self.path, self.target)
@@ -209,7 +209,7 @@ class Sink:
 
 @contextmanager
 def published(target: Path) -> Iterator[Sink]:
-    """A sink for a file that has its name when the block ends well, and is deleted otherwise.
+    """A sink for a file that gets its name if the block succeeds, and is deleted otherwise.
 
     Raises:
         OSError: with its errno; Busy: another process writes this very file.

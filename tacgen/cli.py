@@ -1,4 +1,4 @@
-"""Commands: arguments in, exit code out, nothing computed.
+"""The commands: each parses its arguments, calls one function and gives an exit code.
 
 Results go to stdout, progress and errors to stderr. Exit codes: 0 done, 1 findings, rejected or failed scenes,
 2 usage or recipe error, 130 interrupted.
@@ -37,7 +37,7 @@ Sets = Annotated[
 ]
 Workers = Annotated[
     str,
-    typer.Option(metavar="N", help="Scenes at a time, a process and a core each; auto: as cores and memory allow."),
+    typer.Option(metavar="N", help="Number of worker processes, one core each; auto: as cores and memory allow."),
 ]
 
 app.add_typer(calibrations, name="calibrate")
@@ -65,23 +65,23 @@ def run(
     sets: Sets = None,
     workers: Workers = "1",
     shard: Annotated[
-        str, typer.Option(metavar="I/N", help="Only this part of the scenes, 0/N to N-1/N: for job arrays.")
+        str, typer.Option(metavar="I/N", help="Run only part I of N of the scenes, I from 0 to N-1: for job arrays.")
     ] = "0/1",
     overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace bundles made from other inputs, and remake finished ones.")
+        bool, typer.Option("--overwrite", help="Replace existing bundles, also those of other inputs.")
     ] = False,
-    engine: Annotated[str, typer.Option(help="local: this machine; dask: a cluster.")] = "local",
+    engine: Annotated[str, typer.Option(help="local: this machine; dask: a Dask cluster.")] = "local",
     scheduler: Annotated[str, typer.Option(help="Address of a Dask scheduler, such as tcp://host:8786.")] = "",
-    silence_s: Annotated[float, typer.Option(min=0.1, help="Stop a scene after so long without a new frame.")] = 1800,
+    silence_s: Annotated[float, typer.Option(min=0.1, help="Stop a scene without a new frame for so long.")] = 1800,
     memory_gb: Annotated[
-        float | None, typer.Option(min=0.01, help="Stop a scene that uses more; by default an even share of it all.")
+        float | None, typer.Option(min=0.01, help="Stop a scene that uses more memory; default: an equal share.")
     ] = None,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Time a few scenes, say what all would take, and write nothing.")
+        bool, typer.Option("--dry-run", help="Time a few scenes, print the estimated cost of all, and write nothing.")
     ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print events, a JSON object a line.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print events, one JSON object a line.")] = False,
 ) -> None:
-    """Generate every scene of a recipe; scenes that are finished already are kept."""
+    """Generate all scenes of a recipe; finished scenes are kept, so that the same command resumes."""
     part, processes = shard_of(shard), workers_of(workers)
     plan = plan_of(recipe, sets, part)
     if dry_run:
@@ -133,7 +133,7 @@ def status(
     folder: Annotated[Path, typer.Argument(help="A folder that `run` writes into.")],
     as_json: AsJson = False,
 ) -> None:
-    """Say how far a folder is: scenes done, rejected or failed with their reasons, at work and waiting."""
+    """Print the state of a run: scenes that are done, rejected, failed (with reasons), running and waiting."""
     from tacgen.bundle.run_status import survey
     from tacgen.report import estimate
 
@@ -154,7 +154,7 @@ def status(
 
 @app.command()
 def validate(file: RecipeFile, sets: Sets = None) -> None:
-    """Check a recipe with its sensor and every scene of it, or a sensor file alone."""
+    """Check a recipe with its sensor and all its scenes, or a sensor file."""
     from tacgen.recipe import assets, checks, loading, yaml_source
 
     path = assets.recipe_path(file)
@@ -173,7 +173,7 @@ def validate(file: RecipeFile, sets: Sets = None) -> None:
 
 @app.command()
 def schema(
-    sensor: Annotated[bool, typer.Option("--sensor", help="Of a sensor file instead of a recipe.")] = False,
+    sensor: Annotated[bool, typer.Option("--sensor", help="The schema of a sensor file instead of a recipe.")] = False,
 ) -> None:
     """Print the JSON Schema of a recipe, for editors and other programs."""
     import json
@@ -187,11 +187,11 @@ def schema(
 def show_plan(
     recipe: RecipeFile,
     sets: Sets = None,
-    shard: Annotated[str, typer.Option(metavar="I/N", help="Only this part of the scenes.")] = "0/1",
+    shard: Annotated[str, typer.Option(metavar="I/N", help="Only part I of N of the scenes.")] = "0/1",
     as_csv: Annotated[bool, typer.Option("--csv", help="Print CSV.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Show the table of scenes that a recipe gives; `run --dry-run` says what they cost."""
+    """Print the table of scenes of a recipe; `run --dry-run` estimates their cost."""
     from tacgen.recipe import plan_table
 
     plan = plan_of(recipe, sets, shard_of(shard))
@@ -200,13 +200,11 @@ def show_plan(
 
 @app.command()
 def init(
-    path: Annotated[
-        Path | None, typer.Argument(help="The file to write; recipe.yaml or sensor.yaml when left out.")
-    ] = None,
-    sensor: Annotated[bool, typer.Option("--sensor", help="A sensor file instead of a recipe.")] = False,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a file that is there.")] = False,
+    path: Annotated[Path | None, typer.Argument(help="The file to write; default: recipe.yaml or sensor.yaml.")] = None,
+    sensor: Annotated[bool, typer.Option("--sensor", help="Write a sensor file instead of a recipe.")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an existing file.")] = False,
 ) -> None:
-    """Write a commented recipe or sensor file to start from, and the schema that editors complete it with."""
+    """Write a commented recipe or sensor file as a start, and the JSON Schema for completion in an editor."""
     from tacgen.recipe.schema import write_starter
 
     kind = "sensor" if sensor else "recipe"
@@ -218,10 +216,10 @@ def init(
 
 @app.command("list")
 def show_list(
-    kind: Annotated[str, typer.Argument(help="sensors, recipes, objects, shapes or formats; all when left out.")] = "",
+    kind: Annotated[str, typer.Argument(help="sensors, recipes, objects, shapes or formats; default: all.")] = "",
     as_json: AsJson = False,
 ) -> None:
-    """List sensors, recipes, objects, indenter shapes and formats to export to."""
+    """List the available sensors, recipes, objects, indenter shapes and export formats."""
     from tacgen.report.catalogue import KINDS
 
     if kind and kind not in KINDS:
@@ -240,7 +238,7 @@ def check(
     path: Annotated[Path, typer.Argument(help="A bundle, or a folder of bundles.")],
     as_json: AsJson = False,
 ) -> None:
-    """Check finished bundles: whole, unchanged, finite, balanced. Findings are printed and give exit code 1."""
+    """Check that bundles are complete and unchanged, values finite and forces balanced; findings give exit code 1."""
     from tacgen.bundle.check import check as find
 
     findings = find(path)
@@ -253,11 +251,11 @@ def check(
 @app.command()
 def pack(
     source: Annotated[Path, typer.Argument(help="A folder of bundles.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="A folder for the shards and their index.")],
-    size_mb: Annotated[float, typer.Option(min=0.001, help="About how large a shard may be.")] = 1024,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the shards and their index.")],
+    size_mb: Annotated[float, typer.Option(min=0.001, help="Approximate largest size of a shard [MB].")] = 1024,
     as_json: AsJson = False,
 ) -> None:
-    """Copy finished scenes into few larger files, with an index and all frames as one dataset."""
+    """Copy finished scenes into a few large files (shards) with an index, in which all frames are one dataset."""
     from tacgen.bundle.dataset import scenes
     from tacgen.bundle.pack import pack as pack_scenes
 
@@ -276,7 +274,7 @@ for look in (report, show, view):
 
 @app.command()
 def export(
-    kind: Annotated[str, typer.Argument(metavar="FORMAT", help="`tacgen list formats` names them.")],
+    kind: Annotated[str, typer.Argument(metavar="FORMAT", help="One of `tacgen list formats`.")],
     source: Annotated[Path, typer.Argument(help="A bundle, or a folder of bundles.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Where to write.")],
     as_json: AsJson = False,
@@ -292,11 +290,11 @@ def export(
 @app.command()
 def doctor(
     warm: Annotated[
-        bool, typer.Option("--warm", help="Also compile, and prepare every sensor that ships: a minute or more.")
+        bool, typer.Option("--warm", help="Also compile, and prepare all shipped sensors: a minute or more.")
     ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Try what a run needs on this machine: packages, solvers, rendering, HDF5, threads, disk."""
+    """Test what a run needs on this machine: packages, solvers, rendering, HDF5, threads, disk."""
     from tacgen import doctor as checkup
 
     findings = checkup.examine()
@@ -320,14 +318,14 @@ def bench(
     ] = None,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for RESULTS.md and results/.")] = Path("out/bench"),
     full: Annotated[bool, typer.Option("--full", help="Finer meshes, more scenes: an hour or more.")] = False,
-    smoke: Annotated[bool, typer.Option("--smoke", help="As little as shows that it runs.")] = False,
+    smoke: Annotated[bool, typer.Option("--smoke", help="The smallest run of each bench, as a test.")] = False,
 ) -> None:
-    """Measure error against run time, stability, what each output costs and how scenes scale, on this machine."""
+    """Measure accuracy, run time, stability and the cost of outputs and batches on this machine."""
     if full and smoke:
-        raise UserError("--full, --smoke: only one of them")
+        raise UserError("--full, --smoke: give only one of them")
     root = Path(__file__).parents[1]
     if not (root / "benchmarks").is_dir():
-        raise UserError("bench: its scenes come with the source alone: git clone it and run `tacgen bench` from there")
+        raise UserError("bench: needs the source code: git clone it and run `tacgen bench` in the clone")
     sys.path.insert(0, str(root))
     import benchmarks as benches
 

@@ -1,4 +1,4 @@
-"""What every command shares: the app, errors as lines and exit codes, results for a person or a program."""
+"""Shared by all commands: the app, error messages and exit codes, results as text or JSON."""
 
 import errno
 from collections.abc import Iterable, Iterator
@@ -24,10 +24,10 @@ SCARCE = (errno.EMFILE, errno.ENFILE, errno.ENOMEM)
 
 
 class Commands(TyperGroup):
-    """Turns what a person can act on into lines and an exit code; bugs keep their traceback."""
+    """Prints errors that a user can fix as lines and sets the exit code; bugs keep their traceback."""
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run the command that was asked for."""
+        """Run the command."""
         try:
             return super().invoke(ctx)
         except UserError as error:
@@ -53,7 +53,7 @@ class Commands(TyperGroup):
 
 
 def _interrupted(error: BaseException | None) -> bool:
-    """Whether an error is Ctrl-C, which compiled code passes on as a SystemError that it caused."""
+    """Whether an error is Ctrl-C, or a SystemError that it caused in compiled code."""
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or error.__context__
     return error is not None
@@ -69,14 +69,14 @@ app = typer.Typer(
 
 
 def show_result(plain: Any, text: str, as_json: bool) -> None:
-    """Print a result for a person or a program."""
+    """Print a result as text or JSON."""
     import json
 
     typer.echo(json.dumps(plain, indent=1) if as_json else printable(text))
 
 
 def line(event: dict[str, Any]) -> None:
-    """Print an event for a program that listens while the run goes on."""
+    """Print an event as one line of JSON during the run."""
     import json
 
     typer.echo(json.dumps(event))
@@ -84,7 +84,7 @@ def line(event: dict[str, Any]) -> None:
 
 @contextmanager
 def writing(place: Path) -> Iterator[None]:
-    """A disk that is full, read-only or not ours is no bug: one line."""
+    """Turn errors of the disk (full, read-only, no permission) into a UserError."""
     try:
         yield
     except OSError as error:
@@ -94,14 +94,14 @@ def writing(place: Path) -> Iterator[None]:
 
 
 def probe(folder: Path) -> None:
-    """Make the folder and write to it now, not after the first scene is solved."""
+    """Create the folder and test that it can be written, before the first scene is solved."""
     import tempfile
 
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder) as file:
             file.write(b"\0" * 4096)
-    except OSError as error:  # whatever stands in the way, it is the folder that must be another
+    except OSError as error:  # whatever the reason, another folder is needed
         raise UserError(f"{folder}: cannot be written: {error.strerror}") from None
 
 
@@ -115,7 +115,7 @@ def plan_of(recipe: str, sets: list[str] | None, shard: tuple[int, int] = (0, 1)
 
 
 def warn(texts: Iterable[str]) -> None:
-    """Say what a person should know before going on."""
+    """Print warnings."""
     for text in texts:
         typer.echo(f"warning: {text}", err=True)
 
@@ -140,7 +140,7 @@ def workers_of(text: str) -> int:
 
 
 def priced(plan: Any, workers: int) -> dict[str, Any]:
-    """Time some scenes of a plan: their cost as JSON values, and in words under `text`."""
+    """Time some scenes of a plan; the estimated cost as JSON values, and as a sentence under `text`."""
     from tacgen.batch import probe
 
     typer.echo("timing a few scenes", err=True)

@@ -1,4 +1,4 @@
-"""The commands that show finished bundles: a page about a data set, and pictures, films and a page of a bundle."""
+"""The commands that show finished bundles: report, show and view."""
 
 from pathlib import Path
 from typing import Annotated
@@ -11,9 +11,9 @@ from tacgen.errors import UserError, printable
 
 def report(
     folder: Annotated[Path, typer.Argument(help="A folder that `run` or `pack` wrote.")],
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="The page; report.html in the folder.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="The page, by default report.html there.")] = None,
 ) -> None:
-    """Write one HTML page about a dataset: coverage, failures by cause, seconds by stage, pictures."""
+    """Write an HTML report of a dataset: coverage of the varied values, failures by cause, run times, pictures."""
     from tacgen.report import html_report as reporting
 
     out = out or folder / "report.html"
@@ -22,16 +22,14 @@ def report(
 
 
 def show(
-    path: Annotated[Path, typer.Argument(help="A bundle, or a folder of them for a summary.")],
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="Write a picture here instead of a summary.")] = None,
-    field: Annotated[
-        str, typer.Option("--field", help="Draw one of pressure, traction, slip, stress, instead of all there is.")
-    ] = "",
+    path: Annotated[Path, typer.Argument(help="A bundle, or a folder of bundles for a summary.")],
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="Draw a picture; default: print a summary.")] = None,
+    field: Annotated[str, typer.Option("--field", help="Draw one field: pressure, traction, slip or stress.")] = "",
     animate: Annotated[
-        Path | None, typer.Option("--animate", help="Write a film here: webp or gif, or mp4 where ffmpeg is.")
+        Path | None, typer.Option("--animate", help="Write an animation: webp, gif, or mp4 if ffmpeg is installed.")
     ] = None,
 ) -> None:
-    """Say what is in a bundle, or draw it: images, pressure, traction and height over the frames."""
+    """Print the contents of a bundle, or draw images, pressure, traction and height of its frames."""
     if animate is not None:
         if out is not None or field:
             raise UserError("--animate: draws a film of its own; leave out --out and --field")
@@ -63,11 +61,11 @@ def show(
 
 def view(
     path: Annotated[Path, typer.Argument(help="A bundle.")],
-    other: Annotated[Path | None, typer.Argument(help="Another, to compare it with side by side.")] = None,
+    other: Annotated[Path | None, typer.Argument(help="Another bundle, shown side by side.")] = None,
     out: Annotated[Path, typer.Option("--out", "-o", help="The page to write.")] = Path("view.html"),
     browse: Annotated[bool, typer.Option("--browse", help="Open it in the web browser.")] = False,
 ) -> None:
-    """Write one HTML page to look at a bundle frame by frame: camera, maps, and the gel with its stress in 3D."""
+    """Write an interactive HTML page of a bundle: camera image, maps, and the gel with its stress in 3D."""
     from tacgen.report import viewer
 
     with writing(out):

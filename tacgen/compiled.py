@@ -1,9 +1,9 @@
-"""Numba, with its machine code kept under the cache folder: for every process and version, and never out of date.
+"""Numba with its own cache of machine code, shared by processes and never out of date.
 
-Numba's own cache compares the file of a function alone, and would go on with old code after a change in another file
-whose functions and constants are compiled into it; and it runs whatever its files hold. Here a folder of code belongs
-to one state of all packages that hold compiled functions, to the versions of what compiles them, and to a processor,
-and code carries a digest: what is not as it was stored is compiled again.
+Numba's cache checks only the file of a function: it would use old code after a change in another file whose functions
+or constants are compiled into it, and it runs damaged files. Here each folder of code belongs to one state of all
+packages with compiled functions, to the versions of the compilers, and to a processor; code is stored with a digest,
+and damaged code is compiled again.
 """
 
 import gc
@@ -28,15 +28,15 @@ from numba.core.serialize import dumps
 
 from tacgen import array_cache, atomic_file
 
-PACKAGES = ("fem", "optics", "geometry", "contact")  # these hold compiled functions, and import no constants but theirs
-WAIT_S = 0.1  # between looks at whether another process is done
+PACKAGES = ("fem", "optics", "geometry", "contact")  # with compiled functions; they use no other package's constants
+WAIT_S = 0.1  # interval at which a waiting process checks whether another has finished [s]
 F = TypeVar("F", bound=Callable[..., Any])
 pickled: Callable[[Any], bytes] = dumps
 
 
 @cache
 def folder() -> Path:
-    """Where machine code of this state of the source is kept for this processor; NUMBA_CACHE_DIR overrides."""
+    """The folder of the machine code of this source and this processor; NUMBA_CACHE_DIR overrides it."""
     root, state = Path(__file__).parent, hashlib.sha256(Path(__file__).read_bytes())
     for package in PACKAGES:
         for file in sorted((root / package).rglob("*.py")):
@@ -49,7 +49,7 @@ def folder() -> Path:
 
 
 def njit(*, cache: bool, **options: Any) -> Callable[[F], F]:
-    """numba.njit without what only other compilers' code would call; with `cache`, into our folder."""
+    """numba.njit without wrappers for calls from C; with `cache`, machine code is kept in `folder`."""
     compiler: Any = numba.njit
 
     def decorate(function: F) -> F:
@@ -74,7 +74,7 @@ def vectorize(*, cache: bool) -> Callable[[F], F]:
 
 
 class _Code(caching._Cache):
-    """The machine code of one function: an entry of the cache for each signature."""
+    """The cached machine code of one function: one entry for each signature."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self.name = f"{function.__module__}.{function.__qualname__}-{function.__code__.co_firstlineno}"
@@ -87,12 +87,12 @@ class _Code(caching._Cache):
         return None if found is None else rebuild(target_context, *pickle.loads(found))
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep a CompileResult, unless it holds addresses of this process."""
+        """Store a CompileResult, unless it contains addresses of this process."""
         if not data.library.has_dynamic_globals:
             array_cache.store(*self._entry(sig), pickled(data._reduce()))
 
     def _entry(self, sig: Any) -> tuple[Path, str]:
-        """File and key."""
+        """File and key of the entry."""
         key = f"{self.name} {sig!r}"
         return self.cache_path / f"{self.name}.{hashlib.sha256(key.encode()).hexdigest()[:16]}.entry", key
 
@@ -101,14 +101,14 @@ class _Code(caching._Cache):
         return folder()
 
     def enable(self) -> None:
-        """Entries are kept from the first."""
+        """Nothing to do: all entries are stored."""
 
     disable = flush = enable
 
 
 @cache
 def _writable() -> bool:
-    """Whether code can be kept, and is worth waiting for."""
+    """Whether the folder can be written, so that waiting for another process is useful."""
     try:
         folder().mkdir(parents=True, exist_ok=True)
     except OSError:
@@ -117,9 +117,9 @@ def _writable() -> bool:
 
 
 class _Watch(event.Listener):
-    """Adds up the seconds for which something is compiled or waited for, and tells when that begins.
+    """Measures the time of compiling, or of waiting for a process that compiles, and reports when that begins.
 
-    Python's collector pauses meanwhile: Numba makes millions of objects that stay, and a sixth of its time went there.
+    Python's garbage collector is paused meanwhile: it takes a sixth of the time of compiling and frees nothing.
     """
 
     def __init__(self) -> None:
@@ -146,13 +146,13 @@ event.register("numba:compile", _watch)  # type: ignore[no-untyped-call]
 
 
 def seconds() -> float:
-    """That this process has spent on compiling so far, or on waiting for another that compiles."""
+    """Time that this process has spent on compiling, or on waiting for a process that compiles [s]."""
     return _watch.seconds
 
 
 @contextmanager
 def telling(tell: Callable[[], None]) -> Iterator[None]:
-    """Have `tell` called, once, if something has to be compiled in this block."""
+    """Call `tell` once if something is compiled in this block."""
 
     def once() -> None:
         _watch.tell = lambda: None
@@ -167,7 +167,7 @@ def telling(tell: Callable[[], None]) -> Iterator[None]:
 
 @contextmanager
 def once(what: str) -> Iterator[None]:
-    """A block that compiles `what`: the first process to come here runs it, others wait until its code is kept."""
+    """A block that compiles `what`: one process runs it, others wait until its code is stored."""
     done = folder() / what
     with ExitStack() as claims:
         while _writable() and not done.exists():

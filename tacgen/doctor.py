@@ -1,4 +1,4 @@
-"""What works on this machine, found by trying it."""
+"""Tests of what works on this machine."""
 
 import importlib.util
 import os
@@ -16,13 +16,13 @@ PACKAGES = (
     *("rich", "platformdirs", "threadpoolctl", "matplotlib", "pillow", "trimesh", "networkx", "libigl"),
     "pytetwild",
 )
-REPLACEABLE = ("cvxopt", "pymetis")  # without them another linear solver serves
-TRACING = ("mitsuba", "drjit")  # the extra `mitsuba`
-FREE_GB = 1.0  # below this a batch will not get far
+REPLACEABLE = ("cvxopt", "pymetis")  # optional: without them another linear solver is used
+TRACING = ("mitsuba", "drjit")  # installed by the extra `mitsuba`
+FREE_GB = 1.0  # free disk below which a warning is given [GB]
 
 
 class Finding(NamedTuple):
-    """One thing that was tried."""
+    """The result of one test."""
 
     name: str
     ok: bool
@@ -31,7 +31,7 @@ class Finding(NamedTuple):
 
 
 def examine() -> list[Finding]:
-    """Try everything; a trial that fails is a finding, never an exception."""
+    """Run all tests; one that fails is a finding, never an exception."""
     found: list[Finding] = []
     for trial in (_python, _packages, _solvers, _rendering, _hdf5, _threads, _disk):
         found += _tried(trial)
@@ -41,7 +41,7 @@ def examine() -> list[Finding]:
 def _tried(trial: Callable[[], Iterator[Finding]]) -> list[Finding]:
     try:
         return list(trial())
-    except Exception as error:  # whatever goes wrong here is the diagnosis asked for
+    except Exception as error:  # any error is a diagnosis
         return [Finding(trial.__name__.strip("_"), False, f"{type(error).__name__}: {error}".split("\n")[0])]
 
 

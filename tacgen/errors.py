@@ -1,11 +1,11 @@
-"""Errors that a person can act on; everything else is a bug and keeps its traceback."""
+"""Errors that a user can fix; all others are bugs and keep their traceback."""
 
 import unicodedata
 from collections.abc import Iterable
 
 
 class UserError(Exception):
-    """Messages for the person at the keyboard: the command prints them on stderr and exits with 2.
+    """Messages for the user: the command prints them on stderr and exits with 2.
 
     A message is one line; indented lines under it (the offending source line and a caret) belong to it.
     """
@@ -16,14 +16,14 @@ class UserError(Exception):
         super().__init__("\n".join(self.lines))
 
     def __reduce__(self) -> tuple[type["UserError"], tuple[list[str]]]:
-        """Survive the trip back from a worker process."""
+        """Pickled, so that a worker process can return it."""
         return (type(self), (list(self.lines),))
 
 
 def printable(text: str) -> str:
-    """Text for a terminal: control characters and what is no character stand in it as escapes, all but tab and newline.
+    """Text for a terminal, with control characters and invalid characters escaped, except tab and newline.
 
-    Names in files of others may hold what colours, clears or renames a terminal.
+    Names in untrusted files may contain terminal control sequences.
     """
     if text.isprintable():
         return text
@@ -31,5 +31,5 @@ def printable(text: str) -> str:
 
 
 def why(error: Exception) -> str:
-    """What the system said of a file, without its number and name; or what else was wrong with the path."""
+    """The system's message about a file, without error number and file name."""
     return getattr(error, "strerror", None) or str(error)

@@ -1,4 +1,4 @@
-"""The one way in which files that others made are opened: regular files of a bounded size, without ever waiting."""
+"""Opening of untrusted files: only regular files of a bounded size, without blocking."""
 
 import errno
 import os
@@ -8,15 +8,15 @@ from pathlib import Path
 
 
 def descriptor(path: Path, most: int) -> int:
-    """The number of an opened file.
+    """The descriptor of an opened file.
 
     Args:
         most: largest size [bytes].
 
     Raises:
-        OSError: there is none, it is a folder, pipe, socket or device, or larger; `strerror` says so in words.
+        OSError: it does not exist, is a folder, pipe, socket or device, or is larger; see its `strerror`.
     """
-    handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # a pipe that nobody writes to would block
+    handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # a pipe without a writer would block
     try:
         found = os.fstat(handle)
         if stat.S_ISDIR(found.st_mode):

@@ -1,13 +1,13 @@
-"""Frames of a dataset, one by one, for PyTorch's DataLoader or any loop; arrays come as NumPy's.
+"""Frames of a dataset for PyTorch's DataLoader or any other loop, as NumPy arrays.
 
     from torch.utils.data import DataLoader
     from tacgen.torch import TactileDataset
 
-    train = TactileDataset("data/batch", fields=("rgb", "force"), split="train", subtract_reference=True)
+    train = TactileDataset("data/batch", fields=("rgb", "force"), split="train")
     for batch in DataLoader(train, batch_size=64, shuffle=True, num_workers=2):
         batch["rgb"], batch["force"]  # tensors: (64, 240, 320, 3), (64, 3)
 
-PyTorch is not imported here: DataLoader takes whatever has a length and items, and makes tensors of arrays.
+PyTorch is not imported here: DataLoader accepts any object with a length and items, and converts arrays to tensors.
 """
 
 import hashlib
@@ -28,26 +28,26 @@ from tacgen.errors import UserError
 
 Item = dict[str, Any]
 SPLITS = ("train", "val", "test")
-OPEN_FILES = 128  # at a time, in each process
-SMALL = 1024  # bytes a frame: what is smaller is read for a whole scene at once, and kept
+OPEN_FILES = 128  # most open files in each process
+SMALL = 1024  # bytes of a frame up to which a dataset is read for a whole scene at once and kept in memory
 
 
 class TactileDataset:
-    """Frames of finished scenes, numbered through; `dataset[i]` is a dictionary.
+    """The frames of all finished scenes; `dataset[i]` is a dictionary.
 
-    It holds each field by its name, as stored, and `scene` and `frame`, the place it comes from. Files are opened when
-    they are first read, in each process by itself, so a DataLoader may fork or spawn its workers.
+    Its keys are the fields, as stored, and `scene` and `frame`, which say where it comes from. Each process opens files
+    when it first reads them, so that a DataLoader may fork or spawn its workers.
 
     Args:
         path: a bundle, a folder of bundles, or a packed folder.
         fields: names below /frames or /fields of a bundle: rgb, force, pressure, markers, nodal_stress, ...
-        split: a part of the scenes, drawn by `seed`; no scene is in two parts. `all`: every scene.
-        fractions: of scenes for train, val and test.
-        subtract_reference: take the untouched sensor from rgb (then int16), height and markers (float32).
-        transform: is given each item last.
+        split: the part of the scenes, chosen by `seed`; no scene is in two parts. `all`: every scene.
+        fractions: shares of scenes for train, val and test.
+        subtract_reference: subtract the untouched sensor from rgb (then int16), height and markers (float32).
+        transform: a function that is applied to each item.
 
     Raises:
-        UserError: nothing to read, a damaged or newer file, a missing shard, or a field that a scene lacks.
+        UserError: no scenes, a damaged or newer file, a missing shard, or a field that a scene does not have.
     """
 
     def __init__(
@@ -81,7 +81,7 @@ class TactileDataset:
         index %= len(self)
         number = int(np.searchsorted(self._starts, index, side="right")) - 1
         frame = index - int(self._starts[number])
-        if self._process != os.getpid():  # what a fork inherits must not be read by two processes
+        if self._process != os.getpid():  # a file that is inherited by a fork must not be read by two processes
             self._forget()
         item: Item = {"scene": number, "frame": frame}
         for name, path in self.fields.items():
@@ -89,7 +89,7 @@ class TactileDataset:
         return self.transform(item) if self.transform else item
 
     def __getstate__(self) -> dict[str, Any]:
-        """For workers that are spawned: without open files."""
+        """State for spawned workers: without open files."""
         hidden = ("_files", "_kept", "_process")
         return {name: value for name, value in self.__dict__.items() if name not in hidden}
 
@@ -127,7 +127,7 @@ class TactileDataset:
             raise UserError(f"{scene.path}: damaged: {str(error).partition(chr(10))[0]}") from error
 
     def _stored(self, path: Path, inside: str) -> Frames:
-        """A dataset of an open file; the file used longest ago is closed when there are too many."""
+        """A dataset of an open file; if too many files are open, the least recently used one is closed."""
         import h5py
 
         if path not in self._files:
@@ -142,16 +142,16 @@ class TactileDataset:
 
 
 class TactilePairs:
-    """The same contact on several sensors: `pairs[i]` is a frame of it, a dictionary by the sensors' names.
+    """The same contact on several sensors: `pairs[i]` is a dictionary from the sensors' names to one frame of each.
 
-    Each of its values is what TactileDataset, whose arguments these are, gives of that sensor. Contacts that are not
-    there on all of `sensors` are left out.
+    The frames are those of TactileDataset, which has the same arguments. Contacts that do not exist on all of `sensors`
+    are left out.
 
     Args:
-        sensors: names of at least two; None: those of the first contact that there are several of.
+        sensors: names of at least two; None: those of the first contact that exists on several sensors.
 
     Raises:
-        UserError: no contact is there on all of them.
+        UserError: no contact exists on all of them.
     """
 
     def __init__(
@@ -200,12 +200,12 @@ class TactilePairs:
 def divide(
     scenes: Sequence[Bundle], split: str, fractions: tuple[float, float, float], seed: int
 ) -> tuple[Bundle, ...]:
-    """The scenes of one part: all are put in an order by their inputs and the seed, and cut; then as they were.
+    """The scenes of one part, in their original order: all are sorted by a hash of inputs and seed, and divided.
 
-    Those of the same contact on several sensors stay together.
+    Scenes of the same contact on several sensors stay together.
 
     Raises:
-        UserError: an unknown part, fractions that are not parts of one, or no scene in the part.
+        UserError: an unknown part, fractions that do not add up to 1, or no scene in the part.
     """
     if split == "all":
         return tuple(scenes)

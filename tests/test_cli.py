@@ -396,4 +396,4 @@ def test_benches_are_told_to_need_a_checkout(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setattr("tacgen.cli.__file__", str(tmp_path / "site-packages" / "tacgen" / "cli.py"))
     found = tacgen_("bench", "cost", "-o", str(tmp_path / "out"))
     assert found.exit_code == 2
-    assert found.stderr.startswith("bench: its scenes come with the source alone")
+    assert found.stderr.startswith("bench: needs the source code: ")

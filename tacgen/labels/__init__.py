@@ -1,1 +1,1 @@
-"""What the solved gel is asked for beyond its shape: maps, stress, markers' motion."""
+"""Labels from the solved gel: maps, stress, events, marker motion."""

@@ -1,4 +1,4 @@
-"""What the camera sees of a face: its height, its normals and how far the indenter is from it."""
+"""Maps of the face that the camera sees: height, normals, and gap to the indenter."""
 
 from typing import TYPE_CHECKING
 
@@ -17,9 +17,9 @@ Array = np.ndarray
 
 
 def in_view(surface: Surface, camera: "Camera") -> Array:
-    """x0, x1, y0, y1 [mm] around where what the camera may see of a face rests.
+    """x0, x1, y0, y1 [mm] at rest of the part of a face that the camera may see.
 
-    That is what is behind the picture where the face is highest, and as far around as its nodes have moved sideways.
+    The part behind the picture at the height of the face's highest point, extended by the largest sideways motion.
     """
     (h, w), side = camera.shape, np.linspace(0, 1, 9)
     rim = [np.column_stack(xy) for k in (0, 1) for xy in ((w * side, 0 * side + k * h), (0 * side + k * w, h * side))]
@@ -31,7 +31,7 @@ def in_view(surface: Surface, camera: "Camera") -> Array:
 
 
 class View(DrawnFace):
-    """The deformed face behind each pixel of the camera, smooth between the mesh's nodes; nan where there is none."""
+    """The deformed face behind each pixel, smooth between the mesh's nodes; nan where there is no face."""
 
     def height(self) -> Array:
         """z (h, w) [mm]."""
@@ -43,11 +43,11 @@ class View(DrawnFace):
         return np.asarray(unit(mean.reshape(-1, 3)).reshape(mean.shape))
 
     def gap(self, shape: Shape, pose: Array) -> Array:
-        """How far (h, w) [mm] the indenter at a pose (4, 4) is from the face there.
+        """Distance (h, w) [mm] between the face and the indenter at a pose (4, 4).
 
-        In contact it is within micrometres of zero where the face is drawn lying on the indenter (Surface.pressed), and
-        else within a few hundredths, to either side: the barrier holds the faces apart, the indenter is shrunk for it
-        in the mean, and the face is drawn smooth. Of a mesh, beyond the grid of its distance
-        (see geometry/sdf_grid), it is a bound from below.
+        In contact it is within micrometres of zero where the face is drawn on the indenter (Surface.pressed), otherwise
+        within a few hundredths of a millimetre of either sign: the barrier keeps the surfaces apart, the indenter is
+        shrunk by the mean gap, and the face is smoothed. For a mesh it is a lower bound outside the grid of its
+        distance (see geometry/sdf_grid).
         """
         return self.behind(shape.distance(Pose.of(pose).local(self.nodes))[0][:, None], outermost=True)[..., 0]

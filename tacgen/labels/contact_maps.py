@@ -1,4 +1,4 @@
-"""State -> Maps: what the contact does to the deformed coated face, behind each pixel of the camera."""
+"""Maps of contact pressure and friction on the deformed coated face, behind each pixel of the camera."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -15,20 +15,19 @@ if TYPE_CHECKING:
     from tacgen.optics.camera import Camera
 
 Array = np.ndarray
-RIM_SHARE = 0.4  # of points in contact at the contact map's rim [-]: less than half, since the rim passes outside them
-VISIBLE_SHARE = 0.9  # of a node's area [-]: a node of which the camera sees less lies partly out of view
-SHARPENING_STEPS = {4: 2, 3: 2, 6: 1}  # Richardson-Lucy steps by a facet's nodes (see `maps`); more amplify noise
+RIM_SHARE = 0.4  # share of points in contact at the rim of the contact map [-]: below .5, as the rim is outside them
+VISIBLE_SHARE = 0.9  # share of a node's area [-]; a node of which the camera sees less is partly out of view
+SHARPENING_STEPS = {4: 2, 3: 2, 6: 1}  # Richardson-Lucy steps by nodes of a facet (see `maps`); more amplify noise
 
 
 @dataclass(frozen=True)
 class Maps:
     """On the image grid (h, w), by area of the deformed face; all are 0 where the camera sees no gel.
 
-    pressure [MPa] along the indenter's normal, positive in compression; traction (h, w, 2) [MPa] friction on the gel in
-    the face's tangent plane, along the face's own x and y (see `tangents`), so that its size is that of the vector;
-    contact: touched, at least at 40 % of the points around; sliding: share of the pressure that slides, 0 to 1;
-    area [mm^2] of the face behind each pixel; force (h, w, 3) [N] on the gel there, in the sensor frame: its sum is the
-    force that the camera can see.
+    pressure [MPa] along the indenter's normal, positive in compression; traction (h, w, 2) [MPa]: friction on the gel
+    in the face's tangent plane, along the face's own x and y (see `tangents`); contact: at least 40 % of the points
+    around touch; sliding: share of the pressure that slides, 0 to 1; area [mm^2] of the face behind each pixel; force
+    (h, w, 3) [N] on the gel in the sensor frame, whose sum is the force within view.
     """
 
     pressure: Array
@@ -45,33 +44,34 @@ class Maps:
 
 
 def tangents(normal: Array) -> tuple[Array, Array]:
-    """The face's own x and y: unit vectors (..., 3) at right angles to each other and to the outward normal (..., 3).
+    """The face's own x and y: orthogonal unit vectors (..., 3) in the plane of the outward normal (..., 3).
 
-    The first is the sensor's x drawn into the tangent plane; on a level face they are the sensor's x and y.
+    The first is the sensor's x projected onto the tangent plane; on a horizontal face they are the sensor's x and y.
     """
     x = np.eye(3)[0] - normal[..., :1] * normal
     size = np.linalg.norm(x, axis=-1, keepdims=True)
-    x = np.where(size > 1e-6, x / np.maximum(size, 1e-6), np.eye(3)[2])  # a wall across x
+    x = np.where(size > 1e-6, x / np.maximum(size, 1e-6), np.eye(3)[2])  # a vertical wall across x
     return x, np.cross(normal, x)
 
 
 def maps(problem: Problem, surface: Surface, state: State, camera: "Camera") -> Maps:
     """Pressure and traction behind each pixel, through the camera's refraction.
 
-    The force at each point of contact is shared among the nodes of its facet, and each node's sum among the pixels
-    around it: in proportion to linear shape functions, to the pixels' area, and to a weight. The resultant is kept
-    exactly, whatever the pixels. Even weights would blur the map twice, once by each sharing; so the pressure that they
-    give is the weight of the next sharing (Richardson 1972, Lucy 1974), which is as positive and as exact in sum.
+    The force at each contact point is distributed to the nodes of its facet, and the sum of each node to the pixels
+    around it: in proportion to linear shape functions, to the pixels' area, and to a weight. The resultant is preserved
+    exactly. With equal weights the map would be smoothed twice, once by each distribution; therefore the resulting
+    pressure is used as the weight of another distribution (Richardson 1972, Lucy 1974), which stays positive and
+    preserves the sum.
 
-    Normal forces and the two tangential components are spread as numbers: as vectors they would partly cancel around a
-    bend. Where friction slides its sizes are, too, since Coulomb says the size: directions that differ around a node
-    would cancel, and the map fall short of his law.
+    Normal forces and the two tangential components are distributed as scalars: vectors of different normals would
+    partly cancel. Where friction slides, its magnitude is distributed too: with vectors of different directions around
+    a node the map would be below Coulomb's limit.
     """
     return spread(Shares(problem, surface, state, camera), state)
 
 
 def spread(view: "Shares", state: State) -> Maps:
-    """The same where the face is in view as it is in `view`, in this state or in one close by."""
+    """The same for a `view` of the face that was computed in this state or in a nearby one."""
     view.weight = np.ones(len(view.weight))
     for _ in range(view.sharpenings):
         view.weight = view.shared(state.normal_force)[:, 0]
@@ -95,10 +95,10 @@ def spread(view: "Shares", state: State) -> Maps:
 
 
 class Shares:
-    """The deformed face as the camera sees it: how much of it (h, w) [mm^2] is behind each pixel, and which facets are.
+    """The deformed face as the camera sees it: area (h, w) [mm^2] and facet behind each pixel.
 
-    Of the p pixels (`seen`) that see a facet with a node in common with one that is touched: whether they are in
-    contact, and the weight (p,) in sharing forces.
+    For the p pixels (`seen`) that see a facet next to a touched one: whether they are in contact, and their weight (p,)
+    in the distribution of forces.
     """
 
     def __init__(self, problem: Problem, surface: Surface, state: State, camera: "Camera") -> None:
@@ -107,7 +107,7 @@ class Shares:
         contact, on = problem.contact.faces, np.asarray(state.normal_force > 0)
         touched, self.sharpenings = np.asarray(on.any(1)), SHARPENING_STEPS[contact.conn.shape[1]]
         facets, kind = surface.facets, surface.facets.shape[1]
-        triangles = pieces(facets).astype(np.uint32, order="C")  # as a sheet's are, for which `hits` is compiled
+        triangles = pieces(facets).astype(np.uint32, order="C")  # as in a Sheet: `hits` is compiled for it
         screen, corner = camera.project(surface.now), surface.now[triangles]  # (t, 3, 3)
         found, place, _ = hits(triangles, screen, -surface.now[:, 2], camera.shape)
         gel = np.asarray(found >= 0)
@@ -121,7 +121,7 @@ class Shares:
         beside[self._facets[touched]] = True
         self.seen = gel & np.asarray(beside[facets].any(1))[found % len(facets)]
         piece, number = np.divmod(found[self.seen], len(facets))
-        ends = facet_corners(kind)[np.array(PIECES[kind])][piece]  # of each pixel's triangle in its facet, (p, 3, 2)
+        ends = facet_corners(kind)[np.array(PIECES[kind])][piece]  # corners of its triangle, (p, 3, 2)
         v, w = place[self.seen].T[..., None]
         hats = facet_hats(kind, (1 - v - w) * ends[:, 0] + v * ends[:, 1] + w * ends[:, 2])
         starts, size = kind * np.arange(len(hats) + 1), (len(hats), len(surface.now))
@@ -136,7 +136,7 @@ class Shares:
         self.contact = (touching / around)[:, 0] >= RIM_SHARE
 
     def nodal(self, per_point: Array) -> Array:
-        """Sums (s, c) at the facets' nodes of what is at the contact's points, (f, q, c) or numbers (f, q)."""
+        """Nodal sums (s, c) of values at the contact points, (f, q, c) or (f, q)."""
         per_point = per_point.reshape(*per_point.shape[:2], -1)
         out = np.zeros((int(self._facets.max()) + 1, per_point.shape[2]))
         np.add.at(out, self._facets, np.einsum("qk,fqc->fkc", self._hats, per_point))
@@ -147,14 +147,14 @@ class Shares:
         return np.asarray(self._shape @ nodal)
 
     def shared(self, per_point: Array) -> Array:
-        """Forces at the points by area of the face (p, c), in proportion to the weights; of what is shared to a node
-        partly out of view, the part in view."""
+        """Forces at the points per area of the face (p, c), in proportion to the weights; of a node that is partly out
+        of view, the visible part."""
         force, weighted = self.nodal(per_point), self._weighted_area()
         scale = np.divide(self._visible, weighted, out=np.zeros(len(weighted)), where=weighted > 0)
         return self.at(force * scale[:, None]) * self.weight[:, None]
 
     def picture(self, values: Array) -> Array:
-        """Values (p, ...) on the image (h, w, ...), 0 elsewhere."""
+        """Values (p, ...) as an image (h, w, ...), 0 at other pixels."""
         out = np.zeros((*self.area.shape, *values.shape[1:]), values.dtype)
         out[self.seen] = values
         return out

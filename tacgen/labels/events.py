@@ -1,15 +1,15 @@
-"""State -> Events: what the contact does as a whole: does it stick, slip in part, slide, turn, let go.
+"""The state of the contact as a whole: sticking, partly slipping, sliding, turning, releasing.
 
-A frame's mode follows from its labels and the pose before it, never from the movement that the recipe names. Of these
-the first that holds counts:
+The mode of a frame follows from its labels and the pose before it, not from the movement in the recipe. It is the first
+of these that is true:
 
     apart            no pressure
     releasing        the normal force falls, and the indenter moves off the gel more than sideways
     sliding          the whole contact slips, and the indenter moves sideways
-    turning          the same, but at the contact's mean radius it turns by more than it moves sideways
-    touching         the contact bears hardly any load along the face
-    sticking         it bears one, and nearly all of the pressure sticks
-    partly slipping  it bears one, and some of the pressure slides
+    turning          the same, but at the contact's mean radius it rotates by more than it moves sideways
+    touching         hardly any tangential load
+    sticking         a tangential load, and nearly all of the pressure sticks
+    partly slipping  a tangential load, and part of the pressure slides
 """
 
 from dataclasses import dataclass
@@ -24,21 +24,21 @@ if TYPE_CHECKING:
 Array = np.ndarray
 MODES = ("apart", "touching", "sticking", "partly slipping", "sliding", "turning", "releasing")
 APART, TOUCHING, STICKING, SLIPPING, SLIDING, TURNING, RELEASING = range(len(MODES))
-FAINT = 3e-3  # mean pressure over the shear modulus [-]: less is the contact barrier's, on gel that is not dented
-UNLOADED = 0.1  # of the friction that could be [-]: below it the contact bears hardly any load along the face
-NEARLY_ALL = 0.95  # of the pressure [-]
-FULL = 0.9  # of the friction that could be [-]: above it the contact may slide as a whole
-STILL = 1e-6  # [mm] between frames: an indenter that moves less is at rest
-ROUNDS = 30  # of the search for the motion that friction resists least; it stands still to 1e-3 by then
+FAINT = 3e-3  # mean pressure over the shear modulus [-]; below, the barrier acts before the gel is indented
+UNLOADED = 0.1  # friction used [-]; below, there is hardly any tangential load
+NEARLY_ALL = 0.95  # share of the pressure that sticks [-]; above, the contact is sticking
+FULL = 0.9  # friction used [-]; above, the contact may slide as a whole
+STILL = 1e-6  # motion between frames [mm]; below, the indenter is at rest
+ROUNDS = 30  # iterations of the search for the weakest motion; it has converged to 1e-3 by then
 
 
 @dataclass(frozen=True)
 class Events:
     """The contact in one frame; all are 0 where nothing touches.
 
-    mode: a number in MODES; stick_ratio: share of the pressure that does not slide [-]; friction_used: see the function
-    [-]; center_of_pressure (3,) in the sensor frame [mm]; contact_area of the deformed face [mm^2] and the number of
-    patches that it consists of, as the camera sees them.
+    mode: index in MODES; stick_ratio: share of the pressure that sticks [-]; friction_used: see the function of that
+    name [-]; center_of_pressure (3,) in the sensor frame [mm]; contact_area of the deformed face [mm^2], and its number
+    of connected patches, as the camera sees them.
     """
 
     mode: int = APART
@@ -50,7 +50,7 @@ class Events:
 
 
 def events(problem: "Problem", state: "State", before: "State | None", maps: "Maps") -> Events:
-    """The contact in a state; `before` is the state a frame earlier, None in the first."""
+    """The contact in a state; `before` is the state of the previous frame, None in the first."""
     from scipy.ndimage import label
 
     faces, on = problem.contact.faces, state.normal_force > 0
@@ -78,22 +78,22 @@ def events(problem: "Problem", state: "State", before: "State | None", maps: "Ma
 
 
 def friction_used(arm: Array, normal: Array, most: Array, friction: Array) -> float:
-    """How much of the friction that the pressure could give is asked for, 0 to 1; 1 where all of it slides as one.
+    """Share of the available friction that the tangential load uses, 0 to 1; 1 if the whole contact slides.
 
-    Friction bears a load f, two forces and a torque in the sensor's plane, as long as for every motion u in it as a
-    rigid body f . u is at most what friction would take if all slid that way, sum of most |u|. This is the largest
-    ratio of the two: of a level contact that is not turned, friction force over friction coefficient x normal force; of
-    one that is only turned, torque over that at which all of it slides.
+    Friction can carry a load f (two forces and a torque in the sensor's plane) if for every rigid motion u in the plane
+    f . u is at most the friction power of full sliding, the sum of most |u|. The result is the largest ratio of the two
+    over all u. For a horizontal contact under a pure force it is the friction force over friction coefficient x normal
+    force; under a pure torque it is the torque over that of full sliding.
 
     Args:
-        arm: from the centre of pressure to the points (k, 3) [mm]. normal: unit normals there (k, 3).
+        arm: vectors from the centre of pressure to the points (k, 3) [mm]. normal: unit normals there (k, 3).
         most: friction coefficient x normal force (k,) [N]. friction: on the gel there (k, 3) [N].
 
-    Source: Goyal, Ruina & Papadopoulos (1991), "Planar sliding with dry friction", the limit surface; the motion is
-    found by Weiszfeld's reweighted least squares.
+    Source: limit surface of Goyal, Ruina & Papadopoulos (1991), "Planar sliding with dry friction"; the motion is found
+    by Weiszfeld's reweighted least squares.
     """
-    radius = max(float(most @ np.hypot(*arm.T[:2]) / most.sum()), 1e-9)  # a turn counts by the way at this radius
-    along = np.zeros((len(arm), 3, 3))  # motion of the points by one unit of x, y and turn
+    radius = max(float(most @ np.hypot(*arm.T[:2]) / most.sum()), 1e-9)  # weighs rotations against motion
+    along = np.zeros((len(arm), 3, 3))  # motion of the points per unit of x, y and rotation
     along[:, 0, 0] = along[:, 1, 1] = 1.0
     along[:, :2, 2] = np.column_stack([-arm[:, 1], arm[:, 0]]) / radius
     along -= normal[:, :, None] * np.einsum("ki,kij->kj", normal, along)[:, None]
@@ -105,11 +105,11 @@ def friction_used(arm: Array, normal: Array, most: Array, friction: Array) -> fl
             return 0.0
         most_used = max(most_used, float(load @ motion) / taken)
         weight = most / np.maximum(way, 1e-9 * way.max())
-    return min(most_used, 1.0)  # friction is smoothed, and may exceed its bound by rounding
+    return min(most_used, 1.0)  # regularised friction may exceed the limit slightly
 
 
 def _moved(before: Array, pose: Array, center: Array, radius: float) -> tuple[float, float, float]:
-    """How far the indenter moves between two poses (4, 4), at `center` (3,): off the gel, sideways, and by turning
+    """Motion of the indenter between two poses (4, 4) at `center` (3,): away from the gel, sideways, and by rotation
     about z at `radius` [mm]."""
     turn = pose[:3, :3] @ before[:3, :3].T
     move = turn @ (center - before[:3, 3]) + pose[:3, 3] - center

@@ -1,8 +1,8 @@
-"""Pose of the indenter -> how the dots move, by three exponentials of the distance from the contact: no mechanics.
+"""Marker motion from the indenter's pose by three exponential functions of the distance to the contact, no mechanics.
 
-As FOTS has it (Zhao et al., FOTS: A Fast Optical Tactile Simulator for Sim2Real Learning of Tactile-motor Robot
-Manipulation Skills, RA-L 2024): each point that is pressed in drives the dots apart, and the contact drags and turns
-them along with it, up to where it slips. The numbers are the sensor file's, `markers.motion`.
+The model of FOTS (Zhao et al., FOTS: A Fast Optical Tactile Simulator for Sim2Real Learning of Tactile-motor Robot
+Manipulation Skills, RA-L 2024): indented points push the markers apart, and the contact drags and rotates them until it
+slips. The constants are in the sensor file, `markers.motion`.
 """
 
 import math
@@ -20,31 +20,30 @@ if TYPE_CHECKING:
     from tacgen.recipe.sensor import Gel, Motion
 
 Array = np.ndarray
-FACE_SPACING = 0.3  # between the points of the face at which the press depth is taken [mm]
+FACE_SPACING = 0.3  # of the points of the face at which the depth is evaluated [mm]
 
 
 class Drift:
-    """Dots that rest at given places, and one indenter that comes, drags them and goes."""
+    """Markers with given rest positions, moved by one indenter along its path."""
 
     def __init__(self, motion: "Motion", rest: Array, gel: "Gel", shape: "Shape", camera: "Camera") -> None:
         """`rest` (n, 2) [mm]."""
         untouched, sheet = Untouched.of(gel), Sheet.over(gel, FACE_SPACING)
         self.motion, self.shape, self.camera = motion, shape, camera
-        self._face = sheet.at(replace(untouched, skin=0.0))  # what is touched, not what is printed
+        self._face = sheet.at(replace(untouched, skin=0.0))  # the touched surface, not the printed one below the skin
         self._cell = float(np.prod(sheet.size)) / len(self._face)
         self._dots = untouched.at(rest)
         self.undisturbed = camera.project(self._dots)
         self._touched: Pose | None = None
 
     def at(self, pose: Array) -> tuple[Array, Array]:
-        """Pixels (n, 2) of the dots at a pose (4, 4), which follows the one asked for before, and whether they are in
-        the picture (n,)."""
+        """Pixels (n, 2) of the markers at the next pose (4, 4), and whether they are in the image (n,)."""
         now = self._dots + np.column_stack([self.moved(Pose.of(pose)), np.zeros(len(self._dots))])
         pixels, (h, w) = self.camera.project(now), self.camera.shape
         return pixels, np.asarray((pixels >= 0).all(1) & (pixels <= (w, h)).all(1))
 
     def moved(self, pose: Pose) -> Array:
-        """How far the dots have moved sideways (n, 2) [mm]."""
+        """Sideways displacement of the markers (n, 2) [mm]."""
         depth = -self.shape.distance(pose.local(self._face))[0]
         inside = depth > 0
         if not inside.any():
@@ -63,7 +62,7 @@ class Drift:
         return np.asarray(gain * self._cell * np.einsum("np,npi->ni", weight, away))
 
     def _along(self, dots: Array, middle: Array, before: Pose, now: Pose) -> Array:
-        """What was at the contact's middle at first touch has moved and turned since."""
+        """Displacement by drag and rotation of the contact since first touch."""
         drag = (now.world(before.local(middle)) - middle)[:2]
         limit, decay = self.motion.shear
         drag *= min(1.0, limit / max(float(np.linalg.norm(drag)), 1e-12))

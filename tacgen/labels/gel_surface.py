@@ -1,7 +1,7 @@
-"""States -> Fields: the net wrench and the deformed faces.
+"""The deformed faces of the gel, and the net force and torque.
 
-What the camera sees of a face is in camera_maps, pressure and traction in contact_maps, stress in the gel in stress: a
-scene pays for what it asks for.
+Height, normals and gap are in camera_maps, pressure and traction in contact_maps, stress in stress, so that each is
+computed only if it is needed.
 """
 
 from functools import cached_property
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from tacgen.scene.mesh import Mesh
 
 Array = np.ndarray
-MIN_EDGES = 3  # an indenter's smallest radius over the mesh's edge from which a face is drawn lying on it [-]
-STEEPEST = 0.2  # cosine to z of an indenter's normal below which a face cannot be held tangent to it
+MIN_EDGES = 3  # indenter's smallest radius over the element edge from which the face is drawn on the indenter [-]
+STEEPEST = 0.2  # z component of an indenter's normal below which the face is not made tangent to it [-]
 
 
 class Surface:
@@ -28,7 +28,7 @@ class Surface:
     rest, now (s, 3) [mm]; facets (f, a) numbers among them; nodes (s,) their numbers in the mesh.
     """
 
-    _contact: tuple[Shape, Pose, Array] | None = None  # the indenter, and which points of the facets touch it (f, q)
+    _contact: tuple[Shape, Pose, Array] | None = None  # the indenter, and touching points (f, q)
 
     def __init__(self, points: Array, facets: Array) -> None:
         self.nodes = np.unique(facets)
@@ -44,10 +44,10 @@ class Surface:
         return new
 
     def pressed(self, problem: Problem, state: State) -> "Surface":
-        """The same face in a solved state; of a touched one, what lies on the indenter follows it between the nodes.
+        """The same face in a solved state; in contact it follows the indenter's surface between the nodes.
 
-        Cells alone would show as facets within a contact and as ripples around it. They have to be finer than the
-        indenter's bends.
+        Otherwise the cells would be visible as facets within a contact and as ripples around it. The mesh must resolve
+        the indenter's curvature.
         """
         new, shape = self.moved(state.x), problem.contact.shape
         if self.facets.shape[1] > 1 and shape.smallest_radius >= MIN_EDGES * problem.edge:
@@ -56,13 +56,13 @@ class Surface:
 
     @cached_property
     def _nodal(self) -> Array:
-        """Displacements, with z for the third, and their slopes, as CloughTocher.nodal has them."""
+        """Displacements in x and y, positions in z, and their slopes (see CloughTocher.nodal)."""
         if self._contact is None:
             return self._between.nodal(self.now - self.rest * (1.0, 1.0, 0.0))
         (shape, pose, touched), s = self._contact, len(self.rest)
         gap, normal, _ = shape.distance(pose.local(self.now))
         normal = normal @ pose.rotation.T
-        most = np.repeat(touched.mean(1) - 0.5, self.facets.shape[1])  # of the points around a node are touched
+        most = np.repeat(touched.mean(1) - 0.5, self.facets.shape[1])  # over half of the points touch
         lies = (np.bincount(self.facets.ravel(), most) >= 0) & (np.abs(normal[:, 2]) > STEEPEST)
         placed = self.now - np.where(lies, gap, 0.0)[:, None] * normal
         nodal = self._between.nodal(placed - self.rest * (1.0, 1.0, 0.0))
@@ -79,7 +79,7 @@ class Surface:
 
 
 def seen(mesh: "Mesh", clear: int) -> Surface:
-    """The face that a camera sees of a mesh: the coated one, or where the first `clear` layers meet the opaque rest."""
+    """The face that the camera sees: the coated one, or the interface above the first `clear` layers."""
     if clear > mesh.layer.max():
         return Surface(mesh.points, mesh.facets["coated"])
     shared = np.intersect1d(mesh.cells[mesh.layer < clear], mesh.cells[mesh.layer >= clear])

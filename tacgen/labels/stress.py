@@ -1,7 +1,7 @@
-"""State -> Stress: Cauchy stress per element and per node, the traction it gives on the face, and how good it is.
+"""Cauchy stress per element and per node, and its error measures.
 
 Nodal values come from superconvergent patch recovery (fem/stress_recovery), layer by layer. On the coated face they are
-made to agree with the recovered nominal stress P, whose traction loses nothing of the force:
+corrected to agree with the traction of the recovered nominal stress P, which preserves the force:
 
     sigma n da = P N dA     (Nanson)
 """
@@ -35,7 +35,7 @@ class Stress:
 
 
 class Stresses:
-    """What a mesh gives once, to read stress off its states."""
+    """Recovery matrices of a mesh, computed once, and the stress of its states."""
 
     def __init__(self, problem: Problem) -> None:
         mesh = problem.mesh
@@ -47,7 +47,7 @@ class Stresses:
             self._volume[mesh.layer == number] = elastic.elements.weights.sum(1)
 
     def at(self, x: Array, elastic: tuple[Elastic, ...] = ()) -> Stress:
-        """At nodal positions x (n, 3); `elastic` has the layers' stress where that is not their law's alone."""
+        """Stress at nodal positions x (n, 3); `elastic` replaces the layers' laws in a viscoelastic gel."""
         count = len(self.problem.mesh.cells)
         element, nominal = np.zeros((count, 6)), np.zeros((count, 9))
         for number, part in enumerate(elastic or self.problem.elastic):
@@ -61,11 +61,11 @@ class Stresses:
         return Stress(element, rows, node)
 
     def quality(self, stress: Stress, state: State) -> dict[str, float]:
-        """How far sigma n is from the contact forces, in sum and over the face, and how much the pressure alternates.
+        """Difference of sigma n from the contact forces, in total and over the face, and oscillation of the pressure.
 
-        force_error: |sum of sigma n da - force| / |force|, with n da the nodes' parts of the deformed face;
-        traction_error: the same as an L2 norm over the face; pressure_oscillation: rms of the elements' pressure less
-        the recovered one, over that one's rms. The first two are 0 where nothing touches.
+        force_error: |sum of sigma n da - force| / |force|, with n da the area vectors of the nodes;
+        traction_error: the same as an L2 norm over the face; pressure_oscillation: rms of the elements' pressure minus
+        the recovered one, over the rms of the latter. The first two are 0 without contact.
         """
         area = self.face.vectors(state.x)
         pull = np.einsum("nij,nj->ni", stress.node[self.face.nodes][:, FULL], area)
@@ -94,9 +94,9 @@ def _means(elastic: Elastic, x: Array) -> tuple[Array, Array]:
 
 
 def agreeing(stress: Array, normal: Array, traction: Array) -> Array:
-    """Stress (n, 6) changed the least so that with unit normals (n, 3) it gives the traction (n, 3).
+    """Stress (n, 6) with the smallest change that gives the traction (n, 3) on unit normals (n, 3).
 
-    s + d o n + n o d - (d.n) n o n  with d what is missing of the traction: symmetric, and in the plane unchanged.
+    s + d o n + n o d - (d.n) n o n  with d the difference of the traction: symmetric, in-plane part unchanged.
     """
     missing = traction - np.einsum("nij,nj->ni", stress[:, FULL], normal)
     outer = missing[:, :, None] * normal[:, None]
@@ -106,20 +106,20 @@ def agreeing(stress: Array, normal: Array, traction: Array) -> Array:
 
 
 class _Face:
-    """The coated face's nodes and the rest area vectors that belong to them."""
+    """The nodes of the coated face and their area vectors at rest."""
 
     def __init__(self, faces: Faces, points: Array) -> None:
-        self.faces = replace(faces, N=facet_points(faces.conn.shape[1])[0])  # contact may have points of its own
+        self.faces = replace(faces, N=facet_points(faces.conn.shape[1])[0])  # contact may use other points
         self.nodes = np.unique(faces.conn)
         self.rest = self.vectors(points)
 
     def traction(self, P: Array, x: Array) -> tuple[Array, Array, Array]:
-        """Nodes (s,), unit normals now (s, 3) and the traction (s, 3) [MPa] that nodal P (n, 3, 3) gives there."""
+        """Nodes (s,), their current unit normals (s, 3), and the traction (s, 3) [MPa] of nodal P (n, 3, 3)."""
         now = self.vectors(x)
         area = np.linalg.norm(now, axis=1, keepdims=True)
         return self.nodes, now / area, np.einsum("nij,nj->ni", P[self.nodes], self.rest) / area
 
     def vectors(self, x: Array) -> Array:
-        """Area vectors (s, 3) [mm^2], pointing out of the gel, of the parts of the face that belong to the nodes."""
+        """Area vectors (s, 3) [mm^2] of the nodes, pointing out of the gel."""
         area, normal = facet_areas(x, self.faces.conn)
         return np.asarray(self.faces.shared(area[..., None] * normal, len(x))[self.nodes])

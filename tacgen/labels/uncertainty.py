@@ -1,4 +1,4 @@
-"""Which inputs of a scene are not sure, and how its frames move with each."""
+"""Uncertain inputs of a scene, and the change of its frames with each of them."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -17,16 +17,17 @@ from tacgen.solve.foresee import foreseen
 from tacgen.solve.sensitivity import Parameter, Sensitivity
 
 Array = np.ndarray
-COARSER, ORDER = 1.5, 1.5  # of the second mesh's edges; and how errors shrink with edges: of forces and maps 1 to 2
-MESH_ERROR = 1 / (COARSER**ORDER - 1)  # over the difference between both meshes (Richardson's extrapolation)
+COARSER, ORDER = 1.5, 1.5  # edge ratio of the second mesh [-]; order of convergence, 1 to 2 for forces and maps
+MESH_ERROR = 1 / (COARSER**ORDER - 1)  # error over the difference of both meshes (Richardson extrapolation) [-]
 LEAST = 0.05
-SMALL = 1e-3  # of the contact force, by which the state moves of which maps are differenced
+SMALL = 1e-3  # change of the contact force for difference quotients of maps, relative [-]
 
 
 def on_coarser_mesh(row: Row) -> tuple[Problem, Iterator[State]]:
-    """A scene's frames with the edges of the mesh and the range of contact COARSER times as long.
+    """A scene's frames with element edges and contact range COARSER times as long.
 
-    Raises NotConverged where a frame has no solution there.
+    Raises:
+        NotConverged: a frame has no solution on that mesh.
     """
     built = foreseen(scene.build(row))
     built = replace(built, edge=COARSER * built.edge, dhat=COARSER * built.dhat)
@@ -66,10 +67,10 @@ class Input:
 
 
 class Sensitivities:
-    """Goes along the frames of one scene in order: friction's anchors depend on all frames before."""
+    """Sensitivities of the frames of one scene, in order: friction's anchors depend on all frames before."""
 
     def __init__(self, problem: Problem, asked: Uncertainty, gel: Gel) -> None:
-        """Inputs whose standard deviation is 0 are left out."""
+        """Inputs with a standard deviation of 0 are left out."""
 
         def poisson(by: float) -> tuple[Law, ...]:
             number = "poissons_ratio"
@@ -88,9 +89,9 @@ class Sensitivities:
         self._path = Sensitivity(problem, [parameter for parameter, _ in inputs.values()]) if inputs else None
 
     def at(self, state: State) -> Iterator[Input]:
-        """The next frame's."""
+        """The uncertain inputs at the next frame."""
         force, normal_force = state.traction_force, state.normal_force
-        if self._modulus:  # forces are proportional to all moduli together, and nothing moves
+        if self._modulus:  # all moduli scaled together scale the forces and move no node
             yield _moved("modulus", self._modulus, state, force, normal_force, np.zeros_like(force))
         if self._path is not None:
             slopes = self._path.frame(state)
