@@ -1,4 +1,4 @@
-"""What every bench gives: tables and plots, with where and of what they were made; and the page that shows them all."""
+"""Results of a bench as tables and plots, with date, machine and versions; and the page of all results."""
 
 import json
 import os
@@ -24,7 +24,7 @@ ROOT = Path(__file__).parents[1]
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 PACKAGES = ("numpy", "scipy", "numba", "cvxopt", "pymetis", "mitsuba", "drjit", "h5py", "ipctk")
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")  # Okabe and Ito's
-MARKERS = "osD^vPX*"  # one more than colours: the eighth is no twin of the first
+MARKERS = "osD^vPX*"  # one more than colours, so that the eighth series differs from the first
 CHILD = """
 import importlib, json, sys
 module, name = sys.argv[1].split(":")
@@ -33,12 +33,12 @@ print(json.dumps(getattr(importlib.import_module(module), name)(*json.loads(sys.
 
 
 class Absent(Exception):
-    """What a bench needs is not on this machine: what it found elsewhere stays."""
+    """What a bench needs is missing on this machine: earlier results are kept."""
 
 
 @dataclass(frozen=True)
 class Table:
-    """Rows under `columns`: a heading with its unit, and how its numbers are written, as `format` has it."""
+    """A table; `columns`: headings with units, and the format specification of their numbers."""
 
     title: str
     columns: dict[str, str]
@@ -47,13 +47,13 @@ class Table:
 
 
 def columns(*named: str) -> dict[str, str]:
-    """The columns of a table from headings, each with how its numbers are written after a colon: "s a frame: .2f"."""
+    """The columns of a table from texts such as "s a frame: .2f", a heading and a format specification."""
     return {head: form for head, _, form in (name.partition(": ") for name in named)}
 
 
 @dataclass(frozen=True)
 class Series:
-    """Points of a plot, with a word beside each of them where `labels` has one."""
+    """Points of a plot, with optional labels."""
 
     name: str
     x: list[float]
@@ -64,7 +64,7 @@ class Series:
 
 @dataclass(frozen=True)
 class Plot:
-    """Axes, of which those in `log` are logarithmic."""
+    """A plot; the axes in `log` are logarithmic."""
 
     title: str
     x: str
@@ -75,7 +75,7 @@ class Plot:
 
 @dataclass(frozen=True)
 class Result:
-    """What a bench found: `about` says in a few sentences what was done and how to read it."""
+    """The result of a bench; `about` describes the measurement in a few sentences."""
 
     about: str
     tables: list[Table]
@@ -104,7 +104,7 @@ def made() -> dict[str, Any]:
 
 
 def gflops(n: int = 1000) -> float:
-    """How fast matrices of n rows are multiplied here and now: what seconds of different hours are compared by."""
+    """Speed of the product of matrices of n rows [Gflop/s], to compare runs at different times."""
     a = np.random.default_rng(0).random((n, n))
     seconds = []
     for _ in range(9):
@@ -121,18 +121,18 @@ def _processor() -> str:
 
 
 def one_thread() -> dict[str, str]:
-    """The environment in which a process computes on one core, and finds the benchmarks."""
+    """The environment of a process that uses one core and can import the benchmarks."""
     path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
     return os.environ | dict.fromkeys(ONE_THREAD, "1") | {"PYTHONPATH": path}
 
 
 def in_own_process(target: str, *args: Any, env: dict[str, str] | None = None) -> Any:
-    """What `target`, "module:function", gives for plain arguments in a process of its own, on one core.
+    """The result of `target`, "module:function", for plain arguments, in a separate process on one core.
 
     `env` is added to its environment.
 
     Raises:
-        RuntimeError: it failed; the message is what it said.
+        RuntimeError: it failed; the message is its stderr.
     """
     command = [sys.executable, "-c", CHILD, target, json.dumps(args)]
     done = subprocess.run(command, env=one_thread() | (env or {}), capture_output=True, text=True, check=False)
@@ -142,7 +142,7 @@ def in_own_process(target: str, *args: Any, env: dict[str, str] | None = None) -
 
 
 def in_own_processes(target: str, jobs: Iterable[tuple[Any, ...]]) -> Iterator[Any]:
-    """What `in_own_process` gives for each job, or the RuntimeError that it raises; one on each core at a time."""
+    """The result of `in_own_process` for each job, or its RuntimeError; one job on each core at a time."""
 
     def one(job: tuple[Any, ...]) -> Any:
         try:
@@ -150,18 +150,18 @@ def in_own_processes(target: str, jobs: Iterable[tuple[Any, ...]]) -> Iterator[A
         except RuntimeError as error:
             return error
 
-    with ThreadPoolExecutor(core_count()) as threads:  # each waits for a process
+    with ThreadPoolExecutor(core_count()) as threads:  # each thread waits for a process
         yield from threads.map(one, jobs)
 
 
 def core_count() -> int:
-    """Cores that this process may use."""
+    """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0))
 
 
 @contextmanager
 def cores(level: Level = "normal") -> Iterator[Callable[..., Iterator[Any]]]:
-    """A `map` whose calls go to as many processes as there are cores: for what is not timed. At `smoke` it is map."""
+    """A `map` that distributes its calls to one process a core, for work that is not timed; at `smoke` it is map."""
     if level == "smoke":
         yield map
         return
@@ -170,12 +170,12 @@ def cores(level: Level = "normal") -> Iterator[Callable[..., Iterator[Any]]]:
 
 
 def peak_memory(process: int | str = "self") -> float:
-    """Of a process since it began [MB]; getrusage would count what the parent had when it forked."""
+    """Peak memory of a process [MB]; getrusage would include that of the parent before the fork."""
     return float(Path(f"/proc/{process}/status").read_text().partition("VmHWM:")[2].split()[0]) / 1024
 
 
 def front(x: Sequence[float], y: Sequence[float]) -> list[int]:
-    """Pareto front: the points than which none is smaller in both x and y, by rising x."""
+    """Pareto front: the indices of the points that no other point beats in both x and y, by increasing x."""
     kept: list[int] = []
     for i in sorted(range(len(x)), key=lambda i: (x[i], y[i])):
         if not kept or y[i] < y[kept[-1]]:
@@ -184,7 +184,7 @@ def front(x: Sequence[float], y: Sequence[float]) -> list[int]:
 
 
 def write(folder: Path, name: str, found: Result, seconds: float) -> None:
-    """The JSON and the picture of one bench, in `folder`."""
+    """Write the JSON and the plot of one bench to `folder`."""
     folder.mkdir(parents=True, exist_ok=True)
     plain = {"bench": name, "made": made(), "seconds": round(seconds, 1), **asdict(found)}
     (folder / f"{name}.json").write_text(json.dumps(plain, indent=1) + "\n")
@@ -218,13 +218,13 @@ def _draw(plots: Sequence[Plot], out: Path) -> None:
         axes.grid(True, which="both", linewidth=0.3, alpha=0.6)
         axes.legend(fontsize=7)
     sheet.dpi = 110
-    sheet.draw_without_rendering()  # lays out the axes
+    sheet.draw_without_rendering()  # computes the layout of the axes
     spread(texts)
     sheet.savefig(out, dpi=110)
 
 
 def spread(texts: Sequence[Any]) -> None:
-    """Move labels that would be printed over others, up or down; where there is no room, the table alone says it."""
+    """Move labels up or down so that none overlap; labels without room are removed."""
     placed: list[Any] = []
     for text in texts:
         for down in (0, 8, -8, 16, -16, 24, -24, 32, -32):
@@ -238,7 +238,7 @@ def spread(texts: Sequence[Any]) -> None:
 
 
 def page(folder: Path, names: Sequence[str], file: Path, title: str, head: str) -> None:
-    """Markdown of what `folder` holds of these benches, each with where and when it was made."""
+    """Write the page of the results of these benches in `folder`."""
     parts = [f"# {title}", head]
     for name in names:
         source = folder / f"{name}.json"

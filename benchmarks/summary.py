@@ -1,4 +1,4 @@
-"""The results in a few lines, for the head of the page and the README: each figure is taken from what was written."""
+"""A table of the most important figures of the written results, for the README and the head of the results page."""
 
 import json
 from collections.abc import Callable, Iterator
@@ -12,12 +12,12 @@ SENSORS = {"gelsight_mini": "Mini", "digit": "DIGIT", "ninedtact": "9DTact"}
 
 
 def short(folder: Path) -> str:
-    """A table in Markdown of the figures that matter most, of those benches that `folder` has."""
-    lines = ["| | | |", "|---|---|---|"]
+    """The table in Markdown, with the benches whose results are in `folder`."""
+    lines = ["| figure | value | bench |", "|---|---|---|"]
     for name, tell in TOLD.items():
         if (file := folder / f"{name}.json").exists():
             tables = {table["title"]: list(_rows(table)) for table in json.loads(file.read_text())["tables"]}
-            with suppress(KeyError):  # what another version wrote has other columns
+            with suppress(KeyError):  # results of another version have other columns
                 lines += [f"| {what} | {figure} | {name} |" for what, figure in tell(tables)]
     return "\n".join(lines)
 
@@ -39,8 +39,8 @@ def _by_sensor(rows: list[Row], write: Callable[[Row], str]) -> str:
 def _mechanics(tables: Tables) -> Told:
     rows = [row for row in tables.get("Presets on every sensor", ()) if row["quality"] == "default"]
     if rows:
-        yield "force of `default` against `reference`", _by_sensor(rows, lambda row: f"{row['force']:.1%}")
-        yield "its pressure map, L2", _by_sensor(rows, lambda row: f"{row['pressure map']:.1%}")
+        yield "force error of `default` against `reference`", _by_sensor(rows, lambda row: f"{row['force']:.1%}")
+        yield "pressure map error of `default`, L2", _by_sensor(rows, lambda row: f"{row['pressure map']:.1%}")
 
 
 def _ordinary(tables: Tables) -> Told:
@@ -53,10 +53,11 @@ def _ordinary(tables: Tables) -> Told:
         yield f"{row['scenes']} ordinary scenes at `{row['quality']}`", ", ".join(parts)
         if row["ok"]:
             half, most = row["s a frame, p50"], row["s a frame, p90"]
-            yield "their s a frame, one core", f"half below {half:.2f}, nine of ten below {most:.2f}"
+            yield "seconds a frame of ordinary scenes, one core", f"median {half:.2f}, 90 % quantile {most:.2f}"
         if row["compared"]:
             median, worst = row["force error, median"], row["force error, worst"]
-            yield f"force of {row['compared']} of them against short frames", f"median {median:.1%}, worst {worst:.1%}"
+            what = f"force error of long frames, {row['compared']} ordinary scenes"
+            yield what, f"median {median:.1%}, worst {worst:.1%}"
 
 
 def _pipeline(tables: Tables) -> Told:
@@ -66,28 +67,28 @@ def _pipeline(tables: Tables) -> Told:
             rows = [row for row in found if (row["asked for"], row["quality"]) == (asked, quality)]
             if rows:
                 yield (
-                    f"a frame of `{quality}`, [{asked}], one core: s, of it solve / labels / images / writing",
+                    f"seconds a frame, `{quality}`, {asked}, one core (solve / labels / images / writing)",
                     _by_sensor(rows, _stages),
                 )
     rows = [row for row in found if row["quality"] == "draft" and "," in row["asked for"]]
     if rows:
         yield (
-            f"a million frames of `draft`, [{rows[0]['asked for']}]: core-hours, GB",
-            _by_sensor(rows, lambda row: f"{row['core-hours a million']:.0f}, {row['GB a million']:.0f}"),
+            f"a million frames of `draft`, {rows[0]['asked for']}: core-hours / GB",
+            _by_sensor(rows, lambda row: f"{row['core-hours a million']:.0f} / {row['GB a million']:.0f}"),
         )
     rows = [row for row in tables.get("The first scene", ()) if row["caches"] == "empty"]
     if rows:
         yield (
-            "s to the first frame on a new machine",
+            "seconds to the first frame with empty caches",
             _by_sensor(rows, lambda row: f"{row['s to the first frame']:.0f}"),
         )
     for row in tables.get("Workers", ())[-1:]:
-        alone = f"efficiency {row['efficiency']:.2f}, of processes without an engine {row[ALONE]:.2f}"
-        yield f"frames a second of {row['workers']} workers", f"{row['frames a second']:.1f}; {alone}"
+        alone = f"parallel efficiency {row['efficiency']:.2f}, of independent processes {row[ALONE]:.2f}"
+        yield f"frames a second on {row['workers']} workers", f"{row['frames a second']:.1f}; {alone}"
 
 
 def _stages(row: Row) -> str:
-    """Seconds in all, and of four stages."""
+    """Seconds in total, and of four stages."""
     parts = " / ".join(f"{row[f'{stage} [ms]'] / 1000:.2f}" for stage in ("solve", "fields", "render", "bundle"))
     return f"{row['ms a frame'] / 1000:.2f} ({parts})"
 
@@ -95,9 +96,9 @@ def _stages(row: Row) -> str:
 def _peers(tables: Tables) -> Told:
     for row in tables.get("At equal error, and at equal time", ()):
         if row["method"].startswith("CalculiX") and row["times ours"] is not None:
-            yield f"{row['method']}: its time to 1 % force error over ours", f"{row['times ours']:.0f}"
+            yield f"{row['method']}: time to 1 % force error, over that of tacgen", f"{row['times ours']:.0f}"
         if "P1" in row["method"] and row["best error in our time"] is not None:
-            yield "force error of linear tetrahedra in that time", f"{row['best error in our time']:.0%}"
+            yield "force error of linear tetrahedra in the same time", f"{row['best error in our time']:.0%}"
 
 
 def _optics(tables: Tables) -> Told:
@@ -108,10 +109,10 @@ def _optics(tables: Tables) -> Told:
         worst = [min(group, key=lambda row: row["dB"]) for group in each.values() if group]
         slowest = [max(group, key=lambda row: row["s a frame"]) for group in each.values() if group]
         yield (
-            f"images by `{method}` against `path`, dB",
+            f"PSNR of images by `{method}` against `path` [dB]",
             _by_sensor(worst, lambda row: f"{row['dB']:.0f}" + (f" +- {row['+-']:.0f}" if row["+-"] >= 1 else "")),
         )
-        yield "s a frame, one core", _by_sensor(slowest, lambda row: f"{row['s a frame']:.2f}")
+        yield "seconds an image, one core", _by_sensor(slowest, lambda row: f"{row['s a frame']:.2f}")
 
 
 def _stability(tables: Tables) -> Told:
@@ -123,8 +124,8 @@ def _stability(tables: Tables) -> Told:
 def _pay(tables: Tables) -> Told:
     rows = tables.get("Labels: cost and agreement", [])
     if rows:
-        yield "stress and maps, of the solve's time", _by_sensor(rows, lambda row: f"{row['share']:.1%}")
-        yield "recovered stress on the face against the force", _by_sensor(rows, lambda row: f"{row['force']:.1%}")
+        yield "time of stress and maps over that of the solve", _by_sensor(rows, lambda row: f"{row['share']:.1%}")
+        yield "total of the recovered stress against the force", _by_sensor(rows, lambda row: f"{row['force']:.1%}")
 
 
 def _real(tables: Tables) -> Told:
@@ -132,13 +133,13 @@ def _real(tables: Tables) -> Told:
     if rows:
         heads = ("flat [deg]", "rendered to real [deg]", "real to real, left out [deg]")
         yield (
-            "real normals off by, deg: flat, learned from rendered, from real",
+            "error of real normals [deg]: flat / trained on rendered / trained on real images",
             _by_sensor(rows, lambda row: " / ".join(f"{row[head]:.1f}" for head in heads if row[head] is not None)),
         )
     rows = tables.get("Change per slope, rendered over real", [])
     if rows:
         yield (
-            "change of colour per slope, rendered over real (R / G / B)",
+            "colour change per slope, rendered over real (R / G / B)",
             _by_sensor(rows, lambda row: " / ".join(f"{row[head]:.2f}" for head in ("contrast red", "green", "blue"))),
         )
 

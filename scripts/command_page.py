@@ -1,4 +1,4 @@
-"""Print docs/COMMANDS.md from the program's own command line: python scripts/command_page.py > docs/COMMANDS.md"""
+"""Print docs/COMMANDS.md, generated from the command line: python scripts/command_page.py > docs/COMMANDS.md"""
 
 import inspect
 from collections.abc import Iterator
@@ -12,16 +12,16 @@ from tacgen.cli import app
 
 HEAD = """# Commands
 
-From the command line itself, by `python scripts/command_page.py > docs/COMMANDS.md`; not to be edited.
+Generated from the command line by `python scripts/command_page.py > docs/COMMANDS.md`; do not edit.
 
 Results go to stdout, progress and errors to stderr. Every command takes `-h` and `--help`.
 
 | exit code | meaning |
 |---|---|
 | 0 | done |
-| 1 | findings, or scenes that were rejected or failed |
-| 2 | an error in the recipe or in the use of the command |
-| 130 | interrupted; finished scenes are kept, and the same command goes on |
+| 1 | findings of `check`, or scenes that were rejected or failed |
+| 2 | an error in the recipe or in the arguments |
+| 130 | interrupted; finished scenes are kept, and the same command resumes |
 """
 
 

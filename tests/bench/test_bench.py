@@ -323,7 +323,7 @@ def test_a_summary_leaves_out_what_is_not_there(tmp_path: Path) -> None:
         1.0,
     )
     told = summary.short(tmp_path)
-    assert "| force of `default` against `reference` | Mini 0.4% | mechanics |" in told
+    assert "| force error of `default` against `reference` | Mini 0.4% | mechanics |" in told
     assert "stability" not in told
 
 
@@ -333,8 +333,8 @@ def test_the_summary_of_a_frame_names_every_stage(tmp_path: Path) -> None:
     found = {("digit", "draft", "force, rgb"): one}
     results_page.write(tmp_path, "pipeline", results_page.Result("", [pipeline._stages(found)]), 1.0)
     told = summary.short(tmp_path)
-    assert "solve / labels / images / writing | DIGIT 0.20 (0.02 / 0.03 / 0.04 / 0.05) |" in told
-    assert "a million frames of `draft`, [force, rgb]: core-hours, GB | DIGIT 56, 3000 |" in told
+    assert "(solve / labels / images / writing) | DIGIT 0.20 (0.02 / 0.03 / 0.04 / 0.05) |" in told
+    assert "a million frames of `draft`, force, rgb: core-hours / GB | DIGIT 56 / 3000 |" in told
 
 
 def test_a_frame_is_timed_by_stage_and_output_and_weighed_by_dataset() -> None:

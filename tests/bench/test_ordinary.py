@@ -99,7 +99,7 @@ def test_the_summary_says_seconds_of_ordinary_scenes(found: results_page.Result,
     results_page.write(tmp_path, "ordinary", found, 1.0)
     told = summary.short(tmp_path)
     assert f"| 2 ordinary scenes at `{ordinary.SMOKE}` | 2 ok | ordinary |" in told
-    assert re.search(r"\| their s a frame, one core \| half below \d\.\d\d, nine of ten below \d\.\d\d \|", told)
+    assert re.search(r"ordinary scenes, one core \| median \d\.\d\d, 90 % quantile \d\.\d\d \|", told)
 
 
 def test_a_scene_that_cannot_be_is_refused() -> None:
