@@ -6,9 +6,10 @@ in `<name>.timing.json` beside the bundle (the pipeline writes it), never in the
 
 import hashlib
 import json
+import sys
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from errno import EIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -149,7 +150,6 @@ class Bundle:
     path: Path
     attrs: dict[str, Any]
     shapes: dict[str, tuple[int, ...]]
-    recipe: dict[str, Any] = field(repr=False)
     group: str = "/"  # of the file: another in a shard, which holds many scenes
 
     def __contains__(self, path: str) -> bool:
@@ -164,6 +164,12 @@ class Bundle:
         if not 0 <= index < self.frames:
             raise IndexError(f"{self.path} has no frame {index}")
         return self._read(path, index)
+
+    @property
+    def recipe(self) -> dict[str, Any]:
+        """Of this scene, resolved: nothing is varied in it."""
+        recipe: dict[str, Any] = json.loads(self.attrs["recipe"])
+        return recipe
 
     @property
     def frames(self) -> int:
@@ -225,7 +231,7 @@ def read(path: Path, group: str = "/", *, part: bool = False) -> Bundle:
         raise Unfinished(f"{path}: unfinished: what a writer that was stopped left behind, or is still writing")
     shapes, wrong = dict[str, tuple[int, ...]](), ""
     with opened(path, group) as file:
-        attrs = {name: _plain(value) for name, value in file.attrs.items()}
+        attrs = {sys.intern(name): _shared(value) for name, value in file.attrs.items()}
         try:
             shapes = datasets(file)
         except ValueError as error:
@@ -241,7 +247,7 @@ def read(path: Path, group: str = "/", *, part: bool = False) -> Bundle:
         attrs = _checked(attrs, finished=True)
         if wrong:
             raise ValueError(wrong)
-        return Bundle(path, attrs, shapes, json.loads(attrs["recipe"]), group)
+        return Bundle(path, attrs, shapes, group)
     except ValueError as error:
         raise Damaged(f"{path}: damaged: {error}") from error
 
@@ -291,6 +297,12 @@ def _plain(value: Any) -> Any:
     if isinstance(value, Mapping | list | tuple):
         return json.dumps(value, sort_keys=True)
     return value
+
+
+def _shared(value: Any) -> Any:
+    """The same, texts once for all bundles: a sensor's document is 4 kB, and thousands of scenes have the same."""
+    value = _plain(value)
+    return sys.intern(value) if type(value) is str else value
 
 
 def _checked(attrs: dict[str, Any], *, finished: bool = False) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 import io
 import math
 import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -97,7 +98,7 @@ def datasets(root: Any) -> dict[str, tuple[int, ...]]:
 
     def walk(group: Any, above: str) -> None:
         for name in group:
-            path = f"{above}/{name.decode()}"
+            path = sys.intern(f"{above}/{name.decode()}")
             if group.links.get_info(name).type != h5l.TYPE_HARD:
                 raise ValueError(f"{path} is a link")
             item = h5o.open(group, name)

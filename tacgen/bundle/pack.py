@@ -78,11 +78,12 @@ def join(folder: Path) -> Path:
     bundles = dataset.scenes(folder)
     counts = [bundle.frames for bundle in bundles]
     target = folder / dataset.VIRTUAL
-    with atomic_file.published(target) as sink, h5py.File(sink, "w", libver=("v110", "v110")) as file:
-        file.attrs["tacgen_pack"] = dataset.PACK_FORMAT
-        file["scenes"] = [bundle.group[1:] for bundle in bundles]
-        file["scene"] = np.repeat(np.arange(len(counts)), counts)
-        file["frame"] = np.concatenate([np.arange(n) for n in counts])
+    with atomic_file.published(target) as sink:
+        with h5py.File(sink, "w", libver=("v110", "v110")) as file:
+            file.attrs["tacgen_pack"] = dataset.PACK_FORMAT
+            file["scenes"] = [bundle.group[1:] for bundle in bundles]
+            file["scene"] = np.repeat(np.arange(len(counts)), counts)
+            file["frame"] = np.concatenate([np.arange(n) for n in counts])
         for path, (shape, dtype) in _common(bundles).items():
             layout = h5py.VirtualLayout((sum(counts), *shape), dtype)
             start = 0
@@ -90,7 +91,9 @@ def join(folder: Path) -> Path:
                 name, inside = bundle.path.name, f"{bundle.group}{path}"
                 layout[start : start + n] = h5py.VirtualSource(name, inside, (n, *shape), dtype)
                 start += n
-            file.create_virtual_dataset(path, layout)
+            # opened anew for each: HDF5 keeps 4 kB a source until the file is closed
+            with h5py.File(sink, "r+", libver=("v110", "v110")) as file:
+                file.create_virtual_dataset(path, layout)
     return target
 
 
