@@ -1,4 +1,4 @@
-"""Scene + Mesh -> States: load stepping along the path."""
+"""The solver: the states of a scene's gel along the path, by load steps."""
 
 from tacgen.solve.frames import TooMuch, normal_force, states
 from tacgen.solve.options import DEFAULT, SolverOptions, plain, short_steps

@@ -1,4 +1,4 @@
-"""The bulk: everything but contact and friction, and its tangent."""
+"""The bulk: all forces except contact and friction, and their tangent."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -54,7 +54,7 @@ class BulkPoint:
 
 @dataclass(frozen=True)
 class Bulk:
-    """Elasticity, the barrier against folding and, beside them, `other` potentials."""
+    """Elasticity, the barrier against inversion, and `other` potentials."""
 
     elastic: tuple[Elastic, ...]
     folding: tuple[FoldingBarrier, ...]
@@ -75,21 +75,22 @@ class Bulk:
 
 
 class Tangent:
-    """A tangent of the bulk, factorised and condensed to the contact, and where it was taken."""
+    """A factorised tangent of the bulk, condensed to the contact, with the deformation at which it was computed."""
 
     def __init__(self, pattern: Pattern) -> None:
         self.condensation = Condensation(pattern)
         self.taken: tuple[Array, ...] = ()  # F (e, q, 3, 3), law by law
-        self.projected = 0  # tangents that had to be, so far
+        self.projected = 0  # number of tangents that were projected
 
     @property
     def usable(self) -> bool:
         return self.condensation.usable
 
     def take(self, bulk: Bulk, at: BulkPoint, J: tuple[Array, ...] | None) -> None:
-        """Factorise the exact tangent or, where that is not positive definite, the projected one.
+        """Factorise the exact tangent; if it is not positive definite, the projected one.
 
-        Raises NotPositiveDefinite: not even that is.
+        Raises:
+            NotPositiveDefinite: the projected one is not positive definite either.
         """
         for projection in Projection:
             data = np.zeros(len(self.condensation.whole.indices))
@@ -104,13 +105,13 @@ class Tangent:
         self.taken = tuple(point.F for point in at.points)
 
     def unbalanced(self, at: BulkPoint, J: tuple[Array, ...]) -> Array:
-        """What a step with this tangent has to balance (n, 3) [N], the pressure being an unknown of its own."""
+        """Right-hand side (n, 3) [N] of a step with this tangent, with the pressure as an independent unknown."""
         out = at.other_forces()
         for part, point, j, taken in zip(at.elastic, at.points, J, self.taken, strict=True):
             out += part.mixed_forces(point, j, taken, len(at.x))
         return out
 
     def predicted(self, at: BulkPoint, there: BulkPoint) -> tuple[Array, ...]:
-        """J (e, q), law by law, that a step of this tangent from `at` predicts `there`."""
+        """J (e, q) at `there`, for each law, as predicted by a step from `at` with this tangent."""
         each = zip(at.elastic, at.points, there.points, self.taken, strict=True)
         return tuple(part.predicted(a, b, taken) for part, a, b, taken in each)

@@ -1,4 +1,4 @@
-"""Newton's method on the bulk, contact brought to equilibrium on its Schur complement within each step.
+"""Newton's method on the bulk; within each step the contact is solved on the Schur complement of the tangent.
 
     until the residual is small:
         K <- tangent of the bulk at x, factorised            (kept while it contracts well)
@@ -7,8 +7,8 @@
         p <- the step of all nodes that goes with u
         x <- x + p     if that lowers the energy, normal forces frozen; else d grows (Levenberg-Marquardt)
 
-A fold of the gel's surface or a wrinkle of its skin is a snap: no quasi-static path leads through it however short the
-load steps are. There the damped steps follow the energy down, as a gel with some viscosity does.
+Folding of the gel's surface and wrinkling of its skin are instabilities: no quasi-static path continues, however short
+the load steps are. There the damped steps decrease the energy until the next equilibrium, like a slightly viscous gel.
 """
 
 import logging
@@ -26,18 +26,18 @@ from tacgen.solve.problem import Problem
 from tacgen.solve.state import History, NotConverged
 
 Array = np.ndarray
-BAD = 1e-3  # of the predicted decrease of the energy: a step that brings less is taken again, with more damping
-DAMPING_MAX = 1e5  # times the smallest
-USUAL = 0.1  # contraction of the residual by a kept tangent, until it is known
-ROUNDING = 1e-12  # of the energy
-SQUEEZED = 0.2  # of its volume: J below it is named where no equilibrium is found
+BAD = 1e-3  # decrease of the energy over the predicted one, below which a step is repeated with more damping [-]
+DAMPING_MAX = 1e5  # largest damping over the smallest [-]
+USUAL = 0.1  # assumed contraction of the residual by a kept tangent, before it is measured [-]
+ROUNDING = 1e-12  # relative rounding error of the energy [-]
+SQUEEZED = 0.2  # J below which the message of a failure reports it [-]
 log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class Step:
-    """What a step found: the contact's equilibrium, where it leads, the decrease of the energy as a part of the
-    predicted one (-inf where the contact ran off) and the damping [N/mm] it took."""
+    """Result of a step: the contact's equilibrium, the new positions, the decrease of the energy over the predicted one
+    (-inf if the contact diverged), and the damping [N/mm]."""
 
     inner: ContactSolution
     there: BulkPoint
@@ -46,19 +46,16 @@ class Step:
 
 
 class BulkNewton:
-    """One solve; the tangent is the problem's, kept from solve to solve."""
+    """One solve; the tangent belongs to the problem and is kept between solves."""
 
     def __init__(self, problem: Problem, bulk: Bulk, history: History) -> None:
         self.problem, self.bulk, self.history = problem, bulk, history
         self.options, self.tangent = problem.options, problem.tangent
         self.xtol = self.options.step_tol * problem.contact.dhat
-        self.floor = self.xtol * history.least_force  # [N mm], what no energy is told apart by
+        self.floor = self.xtol * history.least_force  # [N mm], smaller differences of the energy are ignored
 
     def solve(self, x: Array, contact: CoupledContact) -> tuple[Array, CoupledContact, int]:
-        """Positions, the contact with its offset there, and how many steps that took.
-
-        Raises NotConverged.
-        """
+        """Positions, the contact with its offset there, and the number of steps. Raises NotConverged."""
         try:
             return self._solve(x, contact)
         except NotPositiveDefinite:
@@ -93,7 +90,7 @@ class BulkNewton:
             )  # fmt: skip
             if self._ended(found, moved, residual) and self._covered(contact, at.x):
                 return at.x, contact, step
-            if np.isfinite(before):  # a step with the same tangent as one before contracts about half as well
+            if np.isfinite(before):  # a step with the same tangent as the one before contracts about half as much
                 rate = (2 if new else 1) * residual / before
             damping = 0.0 if damping <= tangent.condensation.schur.least_damping else damping / 4
             new = not options.keep_tangent or self._slow(residual, rate)
@@ -105,12 +102,12 @@ class BulkNewton:
         return found.inner.converged and (residual <= options.residual_tol or small)
 
     def _slow(self, residual: float, rate: float) -> bool:
-        """Whether the kept tangent would take more than `patience` further steps, contracting by `rate` each."""
+        """Whether the kept tangent would need more than `patience` further steps, at a contraction of `rate` each."""
         options = self.options
         return rate >= 1 or bool(np.log(options.residual_tol / residual) < options.patience * np.log(rate))
 
     def _step(self, at: BulkPoint, J: tuple[Array, ...], contact: CoupledContact, damping: float, insist: bool) -> Step:
-        """With the damping given or, if asked to `insist`, with as much more as lowers the energy."""
+        """A step with this damping; with `insist`, damping is increased until the energy decreases."""
         condensed = self.tangent.condensation
         g = self.tangent.unbalanced(at, J)
         y = condensed.forward(g)
@@ -136,7 +133,7 @@ class BulkNewton:
             schur = Schur(condensed.schur.undamped, max(4 * schur.damping, schur.least_damping))
 
     def _on_condensed(self, contact: CoupledContact) -> CoupledContact:
-        """The contact on the facets that are condensed to, in their nodes' own numbers."""
+        """The contact on the condensed facets, with the numbers of the condensed nodes."""
         condensed, whole = self.tangent.condensation, contact.contact
         which = np.flatnonzero((condensed.local[whole.faces.conn] >= 0).all(1))
         faces = whole.faces.only(which)
@@ -144,7 +141,7 @@ class BulkNewton:
         return replace(contact, contact=replace(whole, faces=faces), anchor=contact.anchor[which])
 
     def _touching(self, contact: Contact, x: Array) -> Array:
-        """Which facets (f,) the indenter acts on; if none, where it acted last, or where it is nearest."""
+        """The facets (f,) on which the indenter acts; if none, those on which it acted last, or the nearest."""
         gap = contact.gaps(x)[0]
         now = (gap < contact.dhat).any(1)
         if now.any():
@@ -153,12 +150,12 @@ class BulkNewton:
         return np.asarray(last if last.any() else gap.min(1) <= gap.min())
 
     def _covered(self, contact: CoupledContact, x: Array) -> bool:
-        """Whether the indenter acts on nothing but what is condensed to."""
+        """Whether the indenter acts on condensed facets only."""
         touching = self._touching(contact.contact, x)
         return self.tangent.condensation.covers(contact.contact.faces.conn[touching])
 
     def _residual(self, found: Step) -> float:
-        """2-norm of the free nodes' forces, as a part of the contact force."""
+        """2-norm of the forces at the free nodes, over the contact force [-]."""
         nodes, inner = self.tangent.condensation.nodes, found.inner
         r = found.there.gradient.copy()
         r[nodes] -= inner.contact.contact.faces.scatter(inner.forces.force, len(nodes))
@@ -172,7 +169,7 @@ def with_neighbours(conn: Array, which: Array) -> Array:
 
 
 def why(bulk: Bulk, x: Array, steps: int) -> str:
-    """What is known of why no equilibrium was found."""
+    """The message for a failure to find an equilibrium."""
     least = min(float(J.min()) for J in bulk.at(x).J)
     squeezed = f", the gel squeezed to {least:.1%} of its volume" if least < SQUEEZED else ""
     return f"Newton did not converge in {steps} steps{squeezed}; try less depth, less friction or a finer mesh"

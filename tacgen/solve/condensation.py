@@ -1,5 +1,5 @@
-"""The bulk's tangent, factorised with the nodes near the contact eliminated last: what is left there is its Schur
-complement (static condensation, Guyan 1965), small and dense, on which contact is solved.
+"""The bulk's tangent, factorised with the nodes near the contact eliminated last. Contact is solved on the remaining
+Schur complement (static condensation, Guyan 1965), which is small and dense.
 
 With K = L L^T and the contact's dofs c last, the Schur complement is S = L_cc L_cc^T, and a load on all other dofs
 reaches c through one forward substitution.
@@ -16,9 +16,10 @@ from tacgen.fem.assembly import Pattern, add_dense_blocks
 from tacgen.solve.linear_solvers import Cholmod, dissection
 
 Array = np.ndarray
-DAMPING = 0.02  # of the median diagonal entry of S, the smallest Levenberg-Marquardt damping
-SHIFT = 10.0  # of the largest diagonal entry: added to the condensed dofs before factorising and taken off S again, so
-# that only what is away from the contact need be stable by itself
+DAMPING = 0.02  # smallest Levenberg-Marquardt damping over the median diagonal entry of S [-]
+# Diagonal shift of the condensed dofs over the largest diagonal entry [-]: added before the factorisation and
+# subtracted from S, so that only the part of the gel away from the contact must be stable by itself
+SHIFT = 10.0
 
 
 class Condensation:
@@ -29,7 +30,7 @@ class Condensation:
         self._free = np.zeros((whole.nodes, 3), bool)
         self._free.ravel()[whole.free] = True
         self.nodes, self.local = np.zeros(0, np.int64), np.full(whole.nodes, -1)  # condensed to these; their numbers
-        self.factored = 0  # times
+        self.factored = 0  # number of factorisations
         self.usable = False
 
     def cover(self, facets: Array) -> None:
@@ -76,7 +77,7 @@ class Condensation:
         return self._factor.forward(g.ravel()[self.whole.free])
 
     def load(self, y: Array) -> Array:
-        """What is left of that gradient on the condensed unknowns (k,)."""
+        """The condensed gradient (k,)."""
         return np.asarray(self._L @ y[-self.size :])
 
     def solve(self, b: Array, contact: Callable[[Array], Array]) -> Array:
@@ -86,7 +87,7 @@ class Condensation:
         return self._factor.backward(y)
 
     def expand(self, u: Array, y: Array) -> Array:
-        """The step (n, 3) of all nodes that goes with u (k,) and the gradient L y."""
+        """The step (n, 3) of all nodes for the condensed step u (k,) and the gradient L y."""
         q = np.concatenate([-y[: -self.size], u @ self._L])
         p = np.zeros(self._free.shape)
         p.ravel()[self.whole.free] = self._factor.backward(q)
@@ -125,8 +126,8 @@ def _lu(K: Array) -> Callable[[Array], Array]:
 class Schur:
     """A dense symmetric stiffness S (k, k) with `damping` on its diagonal, of which only some unknowns are loaded.
 
-    The unknowns on which contact has not acted so far are eliminated once; `active` ones only ever become more. Those
-    eliminated must be stable by themselves: more damping is added until they are.
+    Unknowns on which contact has not acted yet are eliminated once; the set of `active` ones only grows. The eliminated
+    part must be positive definite: damping is increased until it is.
     """
 
     def __init__(self, S: Array, damping: float = 0.0) -> None:
@@ -141,7 +142,7 @@ class Schur:
         return DAMPING * float(np.median(np.diag(self.undamped)))
 
     def activate(self, which: Array) -> None:
-        """Keep these unknowns (k,) bool too."""
+        """Make these unknowns (k,) bool active too."""
         if self._reduced is not None and not (which & ~self.active).any():
             return
         self.active = self.active | which

@@ -1,9 +1,9 @@
-"""Newton's method for contact with friction on a bulk whose tangent is at hand: the inner loop.
+"""Newton's method for contact with friction on a linearised bulk: the inner loop.
 
-The step is that of the consistent, non-symmetric tangent, taken whole where it halves the residual, as near the answer,
-where it converges quadratically. Elsewhere a line search by Armijo's rule lowers the merit function: the energy of bulk
-and barrier, and of friction with its normal forces frozen at the step's start. Where the coupled step does not go down,
-the one of the symmetric positive tangent does.
+The step uses the consistent, non-symmetric tangent. It is taken in full if it halves the residual, as it does near the
+solution, where convergence is quadratic. Otherwise Armijo's rule decreases the merit function: the energy of bulk and
+barrier, and of friction with its normal forces frozen at the start of the step. If the coupled step is no descent
+direction, the step of a symmetric positive definite tangent is used.
 """
 
 from dataclasses import dataclass
@@ -16,10 +16,10 @@ from tacgen.solve.condensation import Schur
 
 Array = np.ndarray
 ARMIJO = 1e-4
-ROUNDING = 1e-12  # of the merit function: by so much a step may raise it
-HALVES = 0.5  # of the residual: a coupled step that leaves no more is taken as it is
-SHORTEST = 1e-8  # a line search that gets here has stalled
-ENOUGH = 0.1  # of a coupled step: where less of it goes down, the symmetric step is tried
+ROUNDING = 1e-12  # relative increase of the merit function that is attributed to rounding [-]
+HALVES = 0.5  # residual over the one before, up to which a coupled step is taken in full [-]
+SHORTEST = 1e-8  # fraction of a step at which a line search has stalled [-]
+ENOUGH = 0.1  # fraction of a coupled step below which the symmetric step is tried [-]
 
 
 class Bulk(Protocol):
@@ -76,16 +76,16 @@ class ContactSolution:
     forces: ContactForces
     converged: bool
     steps: int
-    bounded: bool = False  # it stopped at the radius
+    bounded: bool = False  # it stopped because a node reached the radius
 
 
 def solve_contact(
     bulk: Bulk, contact: CoupledContact, x: Array, *, xtol: float, max_steps: int, radius: float = np.inf
 ) -> ContactSolution:
-    """Equilibrium of bulk, barrier and friction, the indenter shrunk by the mean gap that it leads to.
+    """Equilibrium of bulk, barrier and friction, with the indenter shrunk by the resulting mean gap.
 
-    Ends when a full step moves no node by more than xtol [mm] and the mean gap agrees as well, or where a node has come
-    `radius` [mm] from its start.
+    Ends when a full step moves no node by more than xtol [mm] and the mean gap agrees, or when a node has moved by
+    `radius` [mm].
     """
 
     def residual(forces: ContactForces, x: Array) -> Array:
@@ -95,7 +95,7 @@ def solve_contact(
     forces = contact.evaluate(x)
     g = residual(forces, x)
     while True:
-        if length <= contact.contact.dhat and forces.N.any():  # farther from the answer the mean gap says nothing
+        if length <= contact.contact.dhat and forces.N.any():  # far from the solution the mean gap is meaningless
             drift = forces.mean_gap - contact.contact.offset
             contact = contact.shrunk(forces.mean_gap)
             forces = contact.evaluate(x)

@@ -1,4 +1,4 @@
-"""One load step: the gel at equilibrium under the indenter at one pose, checked before it is handed out."""
+"""One load step: the equilibrium of the gel for one pose of the indenter, with checks of the result."""
 
 import math
 from dataclasses import dataclass, replace
@@ -21,17 +21,17 @@ from tacgen.solve.problem import Problem
 from tacgen.solve.state import History, NotConverged, State, TooFar
 
 Array = np.ndarray
-NEGLIGIBLE = 1e-3  # of the largest contact force so far: below it forces are not told apart
-INSIDE = 0.45  # of the indenter's reach: how deep integration points may be inside it
-STIFFENINGS = 8  # of a barrier, each time by STIFFER, until no point is inside the indenter and no element folded
+NEGLIGIBLE = 1e-3  # smallest force scale, over the largest contact force so far [-]
+INSIDE = 0.45  # largest depth of contact points inside the indenter, over its reach [-]
+STIFFENINGS = 8  # most increases of a barrier's stiffness, each by STIFFER, until nothing penetrates or inverts
 STIFFER = 4.0
-TRIES = 4  # of a solve between meshes
+TRIES = 4  # most solves with contact between meshes, each with smaller tolerances
 
 
 @dataclass(frozen=True)
 class Found:
-    """Where a solve ended: positions, the contact as it is there (offset included) and its forces, smallest gap [mm]
-    and Newton steps."""
+    """Result of a solve: positions, the contact there (with its offset) and its forces, smallest gap [mm], Newton
+    steps."""
 
     x: Array
     contact: CoupledContact | LaggedContact
@@ -68,9 +68,9 @@ class LoadStep:
         self.contact = CoupledContact(contact, problem.friction, self._anchors(contact), self.options.slip * self.dhat)
 
     def _predict(self, contact: Contact, pose: Pose) -> Prediction | None:
-        """Where the tangent at the last equilibrium carries the gel; that tangent is made ready for the first step.
+        """Prediction by the tangent at the last equilibrium, which also serves the first step.
 
-        Taken at a guess instead, it is often indefinite: the guess has pressures of its own.
+        At a first guess the tangent is often indefinite, because of the guess's pressures.
         """
         history, tangent, conn = self.history, self.problem.tangent, contact.faces.conn
         near = contact.gaps(history.x)[0] < contact.dhat
@@ -86,7 +86,7 @@ class LoadStep:
         return predict(contact, tangent, history, pose) if self.options.predict else None
 
     def _anchors(self, contact: Contact) -> Array:
-        """Anchors in the sensor frame; a new point gets one where it will first touch, as predicted."""
+        """Anchors in the sensor frame; that of a new point is at its predicted place of first touch."""
         history = self.history
         x = history.x if self.prediction is None else self.prediction.x
         ahead, gap_ahead = contact.pose.local(contact.faces.at(x)), contact.gaps(x)[0]
@@ -94,10 +94,8 @@ class LoadStep:
         return contact.pose.world(np.where(history.normal_force[..., None] > 0, history.anchor, touch))
 
     def start(self, near: Array | None) -> Array:
-        """Where Newton starts: an answer close by, the prediction, the gel coasting on or as it was, whichever is the
-        first that the indenter lets the gel come to and that turns no element inside out.
-
-        Raises TooFar: there is none.
+        """Start of Newton's method: the first admissible one of a nearby solution, the prediction, the positions by
+        inertia, and the last positions. Admissible: no penetration and no inverted element. Raises TooFar: none is.
         """
         history, contact = self.history, self.contact.contact
         for x in (near, None if self.prediction is None else self.prediction.x, self.ahead, history.x):
@@ -119,7 +117,7 @@ class LoadStep:
 
 
 def _solve_meshes(step: MeshLoadStep, x: Array) -> Found:
-    """Collisions cut steps short, which then look like the last: until forces balance, with ever smaller tolerances."""
+    """Solves with decreasing tolerances until forces balance: steps that are cut by collisions look converged."""
     steps, most = 0, step.problem.options.residual_max
     for _ in range(TRIES):
         x, contact, more = step.solve(x)
@@ -131,7 +129,7 @@ def _solve_meshes(step: MeshLoadStep, x: Array) -> Found:
 
 
 def _imbalance(step: LoadStep | MeshLoadStep, found: Found) -> tuple[float, float]:
-    """Residual on the free dofs and |indenter + inertia + base|, as parts of the contact force."""
+    """Residual on the free dofs and |indenter + inertia + base|, both over the contact force [-]."""
     problem, x, free = step.problem, found.x, step.problem.pattern.free
     outer = found.contact.contact.faces.scatter(-found.forces.force, len(x))
     inertia = step.inert.gradient(x)
@@ -150,8 +148,8 @@ def equilibrium(
 ) -> tuple[History, State]:
     """The gel under the indenter at pose `matrix` (4, 4), a load step on from `history`.
 
-    `duration` [s] is what the step takes, where inertia or viscosity matters. `near` is another answer to the same
-    history, at a pose close by: Newton starts there, and inherits nothing of it.
+    `duration` [s] of the step, with inertia or viscosity. `near`: a solution for the same history at a nearby pose,
+    which is used only as the start of Newton's method.
 
     Raises:
         NotConverged: no equilibrium within the tolerances was found. TooFar: the step must be shorter.
@@ -226,7 +224,7 @@ def _record(
     anchor = history.anchor
     if coupled.friction > 0:
         rub = forces.force - forces.N[..., None] * forces.normal
-        # anchors of what slid are eps behind: what has stopped since is there still, to within the tolerance
+        # anchors of sliding points lag by eps; a point that has stopped is still there within the tolerance
         least = coupled.eps + step.problem.options.step_tol * contact.dhat
         sliding = (np.linalg.norm(coupled.slip(forces), axis=-1) > least) & (forces.N > 0)
         anchor = fr.dragged(coupled.anchor, forces.at, forces.normal, forces.N, coupled.eps, contact.pose)

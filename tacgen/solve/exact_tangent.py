@@ -1,6 +1,6 @@
 """Linear equations with the exact tangent at an equilibrium, for several right-hand sides at once.
 
-The factor that Newton's method has at hand is that of a tangent nearby, and solves by iteration; where it does not, the
+Newton's method keeps the factor of a nearby tangent, which preconditions an iteration; if it does not converge, the
 exact tangent is factorised.
 """
 
@@ -18,8 +18,8 @@ from tacgen.solve.problem import Problem
 from tacgen.solve.state import NotConverged
 
 Array = np.ndarray
-RTOL = 3e-2  # of a solution's largest entry: iteration ends where the next is expected to change less
-MOST = 8  # iterations
+RTOL = 3e-2  # expected change of the next iteration over the solution's largest entry, at which iteration ends [-]
+MOST = 8  # most iterations
 SINGULAR = "no sensitivity: the tangent is singular"
 
 

@@ -1,13 +1,13 @@
-"""Where a rising function meets a value, in few evaluations: a secant that is kept inside what is known."""
+"""Root of an increasing function in few evaluations: a secant method that is kept inside the known bracket."""
 
 from collections.abc import Callable
 
-POWER = 2 / 3  # of the value against u: straight for a ball that is pressed in by u
-END = 1e-12  # u this close to the end is the end
+POWER = 2 / 3  # exponent of the value that makes it linear in u for a ball pressed in by u (Hertz) [-]
+END = 1e-12  # distance of u from an end at which it counts as the end
 
 
 class OutOfReach(ArithmeticError):
-    """The function stays below the target as far as one may go; `most` is its largest value found."""
+    """The function is below the target on the whole interval; `most` is the largest value that was found."""
 
     def __init__(self, most: float) -> None:
         super().__init__(f"at most {most:g}")
@@ -25,21 +25,21 @@ def meet(
     tol: float,
     steps: int = 30,
 ) -> None:
-    """Evaluate a rising f until f(u) is `target` within the part `tol` of it; the last evaluation is the answer.
+    """Evaluate an increasing f until f(u) is `target` within the relative tolerance `tol`; the last u is the result.
 
     Args:
-        f: may return nan where it has no value, which is taken for too far.
-        known: (u, f(u)), not evaluated again. guess: where to look first. low, high: the ends; f(low) < target.
+        f: may return nan where it has no value, which counts as above the target.
+        known: (u, f(u)), not evaluated again. guess: first u. low, high: the interval; f(low) < target.
 
     Raises:
-        OutOfReach: f(high) < target. ArithmeticError: not met in so many steps.
+        OutOfReach: f(high) < target. ArithmeticError: not found within `steps` evaluations.
     """
-    bounded = known[1] >= target  # from above, by an evaluation
+    bounded = known[1] >= target  # whether an evaluation is an upper bound
     below, above = ((low, 0.0), known) if bounded else (known, (high, float("nan")))
     last, u = known, guess
     for step in range(steps):
         inside = below[0] < u < above[0] or (u == high and not bounded)
-        if not inside or step % 6 == 5:  # a secant that creeps up on the answer from one side is cut short
+        if not inside or step % 6 == 5:  # bisection, if the secant approaches from one side only
             u = (below[0] + above[0]) / 2
         v = f(u)
         if abs(v - target) <= tol * target:
@@ -57,7 +57,7 @@ def meet(
 
 
 def _next(target: float, last: tuple[float, float], now: tuple[float, float]) -> float:
-    """The secant through the last two points; nan, which asks for the middle, where they give none."""
+    """The secant through the last two points; nan, which requests bisection, if there is none."""
     rise = max(now[1], 0.0) ** POWER - max(last[1], 0.0) ** POWER
     run = now[0] - last[0]
     if not rise * run > 0:

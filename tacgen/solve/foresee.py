@@ -1,4 +1,4 @@
-"""Scene -> Scene: depths that only a force says, guessed on a coarse mesh, for the true one to be fine there."""
+"""Guesses of the depths that follow from forces, by a solve on a coarse mesh, to make the mesh fine there."""
 
 from dataclasses import replace
 
@@ -9,18 +9,17 @@ from tacgen.recipe.trajectory_poses import FORCE_DEPTH
 from tacgen.scene import mesh
 from tacgen.scene.scene import Scene
 
-HOPELESS = 2  # times the most that the coarse mesh gives
-COARSE = 5  # edges through the thickness, of the mesh on which depths are foreseen
+HOPELESS = 2  # force over the largest that the coarse mesh reaches, above which the scene is refused at once [-]
+COARSE = 5  # edges of the coarse mesh through the gel's thickness
 
 
 def foreseen(scene: Scene) -> Scene:
-    """A scene with the heights of its forced frames guessed by solving it on a coarse mesh first; others unchanged.
+    """A scene whose frames with a force have heights guessed by a solve on a coarse mesh; other scenes are unchanged.
 
-    The mesh has to be fine where the indenter will come, which a force does not say. A stiffness by formula would
-    need one for every shape and law, thin layers and sharp edges; a coarse solve is the same physics in a few
-    seconds. Its depth is some percent off: `below` allows for a quarter more and a quarter of its edge. Where it
-    fails, the mesh is fine for all depths that may be tried, and the true solve says what is wrong; but for a force
-    so far beyond the gel that no mesh would help, which is refused at once.
+    The mesh must be fine where the indenter will be, which is not known for a force. Formulas for the stiffness would
+    be needed for every shape, law and layer; a coarse solve takes a few seconds. Its depth has an error of some
+    percent: `below` allows for a quarter more and a quarter of its edge. If the coarse solve fails, the mesh is fine
+    for all depths, and the true solve reports the reason; a force far above what the gel can bear is refused at once.
     """
     forced = scene.forced
     if forced is None:

@@ -1,7 +1,7 @@
-"""Scene + Mesh -> States: stepping along the path.
+"""The states of all frames along the path.
 
-Each frame is found at exactly the pose asked for, or where the gel bears the force asked for. One that cannot be
-reached ends the scene as rejected.
+Each frame is at exactly the given pose, or at the height that gives the force asked for. If a frame has no solution the
+scene is rejected.
 """
 
 import math
@@ -26,7 +26,7 @@ RISE = np.outer(np.eye(4)[2], np.eye(4)[3])  # added to a pose: 1 mm along z
 
 
 class TooMuch(NotConverged):
-    """A force is asked for that the gel does not give at any depth: `most` is what it does [N]."""
+    """The force is larger than the gel gives at any depth; `most` is the largest [N]."""
 
     def __init__(self, message: str, index: int, asked: float, most: float) -> None:
         super().__init__(message)
@@ -45,9 +45,9 @@ def _reach_force(
     floor: float,
     tol: float,
 ) -> tuple[History, State]:
-    """From pose `last`, where the gel bears `had`, straight to where it bears `target` [N] at the turn of `guess`.
+    """From pose `last` with the normal force `had` to the height with `target` [N], at the rotation of `guess`.
 
-    Every trial starts from the same history, so that friction knows only of the frames that are kept.
+    Every trial starts from the same history, so that rejected trials do not influence friction.
     """
     problem.effort.steps = 0  # all trials share them
     low = -max(last[2, 3], guess[2, 3], floor + problem.thickness)
@@ -100,18 +100,18 @@ def trial(
 
 
 def normal_force(state: State) -> float:
-    """Along z, positive when it presses the gel down [N]."""
+    """Force along z, positive when the gel is pressed down [N]."""
     return -float(state.traction_force[..., 2].sum())
 
 
 def states(scene: Scene, problem: Problem, *, tol: float | None = None) -> Iterator[State]:
     """The gel at every frame of the path, in order.
 
-    A force that is asked for is met within the part `tol` of it in every frame; without `tol` within the options'
-    `force_tol` at the end of a press, and 1e-2 on the way.
+    Forces have the relative tolerance `tol` in every frame; without `tol`, the options' `force_tol` at the end of a
+    movement and 1e-2 in the frames before.
 
     Raises:
-        NotConverged: a frame could not be reached; it and all after it are missing, because each stands on the last.
+        NotConverged: a frame has no solution; it and all later frames are missing, since each depends on the last.
     """
     history, last = problem.rest(Pose.of(scene.start)), scene.start
     end_tol, way_tol = (problem.options.force_tol, 1e-2) if tol is None else (tol, tol)

@@ -1,10 +1,9 @@
-"""An object between two gels: at each frame its pose is the one in which both fingers and its weight balance.
+"""An object between two gels: in each frame, the pose in which the forces of both fingers and its weight balance.
 
-Each gel is the solver's ordinary problem under an indenter whose pose follows from the object's; what couples them is
-that pose. Newton's method finds it, and the width that gives a force asked for, with the tangents of both gels (see
-rigid_stiffness). The object stands on a table until the fingers bear its weight. Where friction does not bear it there
-is no quasi-static answer: the object then sinks by `Grasp.fall` a frame, all else in balance, and the frame says how
-much of the weight was not borne.
+Each gel is an ordinary problem with an indenter whose pose follows from that of the object. Newton's method finds the
+object's pose, and the width for a given force, from the tangents of both gels (see rigid_stiffness). The object stands
+on a table until the fingers carry its weight. If friction cannot carry it there is no quasi-static solution: the object
+then sinks by `Grasp.fall` a frame, all other components balance, and the frame records the remaining weight.
 """
 
 import math
@@ -38,14 +37,14 @@ class Mode(IntEnum):
     falling = 2
 
 
-BALANCE = 5e-4  # of the grip force: where Newton stops, for forces, and for moments over the arm; a check allows 1e-3
-TRIALS = 40  # equilibria of both gels in a frame; ordinary ones take 3 to 6
-SLIGHT = 1e-3  # of the weight: a smaller grip force is measured by this
-UNRESISTED = 1e-6  # of the largest singular value: motions below it are resisted by nothing
+BALANCE = 5e-4  # tolerance of forces, and of moments over the arm, over the grip force [-]; the check allows 1e-3
+TRIALS = 40  # most equilibria of both gels in a frame; ordinary frames take 3 to 6
+SLIGHT = 1e-3  # smallest force scale, over the weight [-]
+UNRESISTED = 1e-6  # singular value over the largest, below which a motion has no stiffness [-]
 # a force is right to what Newton leaves at all nodes, some ten times what it leaves in their 2-norm
 OPTIONS = replace(DEFAULT, residual_tol=DEFAULT.residual_tol / 10, step_tol=DEFAULT.step_tol / 10)
-GUESSED = 0.1  # of the gel's thickness: how deep the search for a force begins where nothing touches yet
-SHORTEST = 1 / 4  # of a Newton step
+GUESSED = 0.1  # first depth in the search for a force without contact, over the gel's thickness [-]
+SHORTEST = 1 / 4  # smallest fraction of a Newton step in the line search [-]
 
 
 @dataclass(frozen=True)

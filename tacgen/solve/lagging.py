@@ -1,13 +1,13 @@
-"""Lagged normal forces, renewed from an answer that depends on them, until both agree.
+"""Fixed-point iteration of lagged normal forces, with Anderson acceleration.
 
-Where two renewals in a row undo each other, the mixture of both with the smallest error is taken: Anderson (1965),
+If two updates in a row cancel each other, the mixture with the smallest error is used: Anderson (1965),
 "Iterative procedures for nonlinear integral equations", with a memory of one.
 """
 
 import numpy as np
 
 Array = np.ndarray
-OPPOSED = 0.8  # minus the cosine between two errors from which on they undo each other
+OPPOSED = 0.8  # minus the cosine between two errors, above which the updates cancel each other [-]
 
 
 class Lag:

@@ -1,4 +1,4 @@
-"""From frame to frame in load steps: as short as contact and friction ask for, halved where one does not converge."""
+"""Load steps between frames: as short as contact and friction need, halved if a step does not converge."""
 
 import math
 from dataclasses import replace
@@ -13,14 +13,14 @@ from tacgen.solve.problem import Problem
 from tacgen.solve.state import History, NotConverged, OutOfEffort, State, TooFar
 
 Array = np.ndarray
-TOO_FAR = 12  # halvings of a load step in which the indenter might pass through the gel
-SHARP = 1.5  # edges of the mesh: an indenter with a smaller radius has edges sharper than the mesh
-TURNED = 0.3  # [rad] by which the indenter's normal at a point changes where a step brings it round an edge
+TOO_FAR = 12  # most halvings of a load step in which the indenter might pass through the gel
+SHARP = 1.5  # indenter's smallest radius over the element edge, below which its edges count as sharp [-]
+TURNED = 0.3  # change of the indenter's normal at a point that counts as crossing an edge in one step [rad]
 
 
 def rounded(problem: Problem, before: History, after: History) -> float:
-    """Friction at points that crossed a sharp edge in one step, as a part of the larger contact force of the two ends;
-    above .05 the result depends on the step size.
+    """Friction at points that crossed a sharp edge in one step, over the larger contact force of both ends [-]; above
+    .05 the result depends on the step size.
 
     Whether such a point is dragged or slips depends on its path round the edge.
     """
@@ -37,8 +37,8 @@ def _sharp(problem: Problem) -> bool:
 
 
 def steps_needed(problem: Problem, history: History, a: Array, b: Array, turn: Array) -> int:
-    """Load steps from pose a to pose b such that none goes too deep into the gel as it lies for Newton's method to end
-    soon, nor carries what is in contact farther than friction can follow."""
+    """Number of load steps from pose a to pose b, so that no step goes so deep that Newton's method becomes slow, or
+    moves the contact farther than friction can resolve."""
     deep = 0.0
     if isinstance(problem.contact, Contact):
         deep = -float(problem.contact.moved(Pose.of(b), history.offset).gaps(history.x)[0].min())
@@ -67,7 +67,7 @@ def _reach(
     problem: Problem, history: History, a: Array, b: Array, turn: Array, index: int, duration: float, halved: int = 0,
     far: int = 0,
 ) -> tuple[History, State]:  # fmt: skip
-    """From pose a to pose b in one load step, or in two halves where that fails or goes too far."""
+    """From pose a to pose b in one load step, or in two halves if it fails or is too long."""
     try:
         after, state = equilibrium(problem, history, b, index, duration)
         return after, replace(state, rounded=rounded(problem, history, after))
@@ -97,9 +97,9 @@ def advance(
     duration: float,
     trial: bool = False,
 ) -> tuple[History, State]:
-    """From pose a to pose b, at an even pace, turning by the rotation vector `turn` (3,) [rad].
+    """From pose a to pose b at constant speed, rotating by `turn` (3,) [rad].
 
-    As a `trial` it shares its Newton steps with others, else each load step has its own.
+    A `trial` shares its budget of Newton steps with other trials; otherwise each load step has its own.
     """
     n, total = max(problem.steps(duration), steps_needed(problem, history, a, b, turn)), None
     for start, end in pairwise([a, *along(a, b, turn, n)]):
@@ -112,7 +112,7 @@ def advance(
 
 
 def _after(first: State, second: State) -> State:
-    """The second state, its work that of both."""
+    """The second state, with the iterations and substeps of both."""
     iterations, substeps = first.iterations + second.iterations, first.substeps + second.substeps
     assert first.after is not None
     passed = (*first.passed, first.after, *second.passed)

@@ -1,4 +1,4 @@
-"""Newton's method on a potential: projected while far, exact when near, with a line search on the true energy."""
+"""Newton's method on a potential: projected tangents far from the solution, exact ones near it, with a line search."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,9 +12,9 @@ from tacgen.solve.linear_solvers import NotPositiveDefinite, Solver
 
 Array = np.ndarray
 ARMIJO = 1e-4
-NOTHING = 1e-6  # of xtol
-ROUNDING = 1e-13  # of the energy: by so much a step may raise it
-SHORTEST = 1e-10  # a line search that gets here has stalled
+NOTHING = 1e-6  # length of a step over xtol, below which it is rounding [-]
+ROUNDING = 1e-13  # relative increase of the energy that is attributed to rounding [-]
+SHORTEST = 1e-10  # fraction of a step at which a line search has stalled [-]
 
 
 class Status(StrEnum):

@@ -1,9 +1,9 @@
-"""Predictor of a load step: the gel carried along with the indenter.
+"""Predictor of a load step: the gel moves with the indenter.
 
-A point that sticks goes where the indenter goes, whatever the load steps before did; the other nodes follow by the
-linearised stiffness. The prediction is what Newton's method starts from, and it says where new points first
-touch: taken from the motion of the step before instead, which a turn makes wrong, a capsule pressed in and slid by 1 mm
-at once was 46 % of its force off the same path in sixteen frames. It is .6 % so.
+Sticking points move with the indenter; the other nodes follow by the linearised stiffness. Newton's method starts from
+the prediction, and it gives the places where new points first touch. With an extrapolation of the step before, which is
+wrong after a change of direction, the force of a capsule that is pressed in and slid by 1 mm in one frame differed by
+46 % from that of the same path in sixteen frames; with this predictor by .6 %.
 """
 
 from dataclasses import dataclass
@@ -15,8 +15,8 @@ from tacgen.solve.bulk import Tangent
 from tacgen.solve.state import History
 
 Array = np.ndarray
-TIE = 16.0  # springs that tie a point to the indenter, times its normal force over dhat: stiff, as friction at rest is
-PARALLEL = 0.9  # cosine between the motions of two steps from which on the indenter goes on as it went
+TIE = 16.0  # stiffness of the springs between sticking points and the indenter, over normal force / dhat [-]
+PARALLEL = 0.9  # cosine between the motions of two steps, above which the second-order prediction is used [-]
 
 
 @dataclass(frozen=True)

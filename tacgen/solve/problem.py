@@ -1,4 +1,4 @@
-"""A mesh made ready to be solved on."""
+"""The discretised problem of a scene: elasticity, contact and linear solver of a mesh."""
 
 import math
 from dataclasses import dataclass, field, replace
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from tacgen.fem.inertia import Body
 
 Array = np.ndarray
-USUAL_GAP = 0.75  # of dhat: the mean gap of a light press, by which the indenter is shrunk at first
-FORCE_FLOOR = 1e-3  # of kappa dhat^2: a force that touching to within tolerances may well give
+USUAL_GAP = 0.75  # mean gap of a light press over dhat, the first offset of the indenter [-]
+FORCE_FLOOR = 1e-3  # smallest force scale over kappa dhat^2: forces that occur within the tolerances [-]
 # Contact points along a facet's side, under an indenter thinner than that side: rubbed gel is drawn out to twice its
 # length, and with two points it comes in between. Elsewhere two, as three stiffen a coarse mesh (1 % for a ball).
 POINTS_IF_THIN = 3
@@ -35,8 +35,8 @@ AnyContact: TypeAlias = "Contact | MeshContact"
 
 @dataclass(frozen=True)
 class Problem:
-    """A mesh made ready: elasticity, contact, the linear solver, mass where the scene asks for dynamics, and the layers
-    that are viscoelastic where it takes time.
+    """Elasticity, contact and linear solver of a mesh; mass, if the scene has dynamics; and the viscoelastic layers, if
+    it has durations.
 
     `longest` is the longest step in time [s].
     """
