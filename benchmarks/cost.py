@@ -1,4 +1,4 @@
-"""How seconds and memory of a frame's solution grow with the mesh; `pipeline` has what a frame costs in all."""
+"""Growth of the time and memory of the solve with the mesh; `pipeline` has the total cost of a frame."""
 
 import math
 import time

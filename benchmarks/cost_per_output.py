@@ -1,4 +1,4 @@
-"""What each output and each feature of a scene costs: what is not asked for is neither imported nor computed."""
+"""Cost of each output and each feature of a scene."""
 
 import sys
 import time

@@ -1,4 +1,4 @@
-"""Datasets of many scenes: seconds, memory and open files of what is done with them, as the number of scenes grows."""
+"""Datasets of many scenes: seconds, memory and open files of each command, as the number of scenes grows."""
 
 import os
 import subprocess
@@ -16,7 +16,7 @@ LOOK_S = 0.02  # between looks at a process
 ABOUT = (
     "The smallest scenes there are, one frame of forces, made, looked at and packed by the commands, each in a process"
     " of its own: processor seconds (of `run` with its workers), and of the command itself the peak of memory and the"
-    " most files open at a time. What grew faster than the scenes, or kept files open, would stop larger datasets."
+    " most files open at a time. Growth faster than the number of scenes would prevent larger datasets."
 )
 
 

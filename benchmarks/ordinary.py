@@ -1,4 +1,4 @@
-"""Ordinary scenes, drawn as a data set would: how many are solved, what a frame costs, how right its force is."""
+"""Ordinary scenes, drawn as for a data set: how many are solved, the time of a frame, the error of its force."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -18,7 +18,7 @@ from tacgen.solve import SolverOptions, foresee
 
 Array = np.ndarray
 LIMIT_S = 150.0  # longest processor time for a scene's frames
-COMPARED = 6  # one of so many draft scenes is solved in short frames too
+COMPARED = 6  # every sixth draft scene is also solved in short frames
 SCENES = {"smoke": 2, "normal": 30, "full": 150}  # at draft
 DEFAULT_SCENES = 30  # at quality `default`, at level full
 ABLATIONS: dict[str, dict[str, bool]] = {  # what is switched off, by name
@@ -33,12 +33,12 @@ STATUSES = ("ok", "refused", "rejected", "out of time", "crashed")
 MEASURES = {"seconds": ("s a frame", ".2f"), "iterations": ("iterations", ".1f"), "factored": ("factorisations", ".1f")}
 QUANTILES = (50, 90, 99)  # [%]
 ABOUT = (
-    "Scenes as a data set would draw them: three sensors with their own materials; seven shapes of 1 to 5 mm and the"
+    "Scenes as in a data set: three sensors with their own materials; seven shapes of 1 to 5 mm and the"
     " five objects that come with tacgen; pressed by .1 to .35 of the gel's thickness (DIGIT: 2.5 mm, at the rim) in 3"
     " to 5 frames, then up to two of slide (3 mm at most, .35 mm a frame), twist (30 deg) and tilt (5 deg), and 3 of 10"
-    " released; friction .2 to 1, within 3 mm of the pad's centre. Only the mechanics are computed. Seconds are the"
-    " processor's for solving the frames, each scene on one core while others run on the rest; mesh and setup are not"
-    " in them. Refused: before it is solved; rejected: a frame did not converge; out of time:"
+    " released; friction .2 to 1, within 3 mm of the pad's centre. Only the mechanics are computed. Seconds are"
+    " processor seconds of the solve, without mesh and setup; each scene runs on one core while others run on the"
+    " rest. Refused: before it is solved; rejected: a frame did not converge; out of time:"
     f" {LIMIT_S:.0f} s had passed before the last frame; crashed: a bug. A scene's seconds, Newton iterations and"
     " factorisations are means over its frames; p50, p90 and p99 are quantiles over the scenes that are ok."
 )
@@ -138,7 +138,7 @@ def _job(job: tuple[Draw, str, bool, SolverOptions]) -> Outcome:
         _warm()
         draw, quality, compared, options = job
         return measure(draw, quality, compared, options=options)
-    except Exception as error:  # a bug that one scene shows must not cost the figures of the others
+    except Exception as error:  # a bug in one scene must not lose the figures of the others
         return Outcome(job[0], job[1], "crashed", f"{type(error).__name__}: {error}")
 
 

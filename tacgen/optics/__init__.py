@@ -1,1 +1,1 @@
-"""Optics as numbers in, arrays or plain dictionaries out; knows no stage, opens no file, imports no renderer."""
+"""Numerics of the optics: arrays in, arrays or plain dictionaries out. No files, no renderer."""

@@ -1,5 +1,5 @@
-"""Light evaluated where it bends and interpolated where it does not: exact on a coarse lattice, whose cells are halved
-until normals and corner values hardly vary in them."""
+"""Adaptive evaluation of light: exact on a coarse lattice, interpolated where normals and corner values hardly vary;
+other cells are halved."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -14,7 +14,7 @@ Integers = NDArray[np.int64]
 
 
 class Tolerance(NamedTuple):
-    """When a cell is not halved any more."""
+    """When a cell is interpolated."""
 
     stride: int = 4  # samples between points of the coarsest lattice
     bend: float = 6e-3  # [-] a normal may differ from its bilinear interpolation by this much
@@ -27,7 +27,7 @@ def evaluate(
     shape: tuple[int, int],
     tolerance: Tolerance,
 ) -> Floats:
-    """`light(indices) -> (n, c)` for every sample of an (h, w) picture, asked for only some of them.
+    """`light(indices) -> (n, c)` for every sample of an (h, w) picture, computed for some and interpolated for others.
 
     Args:
         light: values at flat sample indices.
@@ -91,7 +91,7 @@ def fill(
 
 @njit(cache=True)
 def bends(out: Floats, normals: Floats, t: int, b: int, a: int, r: int, bend: float, spread: float) -> bool:
-    """Whether light cannot be interpolated in a cell; nan is not smooth either."""
+    """Whether light cannot be interpolated in a cell; nan counts as not smooth."""
     for c in range(out.shape[2]):
         least = min(out[t, a, c], out[t, r, c], out[b, a, c], out[b, r, c])
         most = max(out[t, a, c], out[t, r, c], out[b, a, c], out[b, r, c])

@@ -23,7 +23,7 @@ class Stack:
     """Flat layers crossed from the pinhole to the coated face, in that order; the first is the air.
 
     A ray keeps k = n sin(theta) through them (Snell), and with x = tan(theta) in the air, k^2 = x^2/(1+x^2), its
-    sideways travel in a layer of thickness t is t x / sqrt(n^2 + (n^2 - 1) x^2): concave in x for every n >= 1.
+    lateral travel in a layer of thickness t is t x / sqrt(n^2 + (n^2 - 1) x^2): concave in x for every n >= 1.
     """
 
     thicknesses: tuple[float, ...]  # [mm]
@@ -43,7 +43,7 @@ class Stack:
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole that looks along +z, or nearly so, through a stack, to the coating over it at `center`."""
+    """A pinhole camera that looks along +z, or nearly so, through a stack to the coating above it at `center`."""
 
     stack: Stack
     center: tuple[float, float]  # x, y [mm]
@@ -57,8 +57,8 @@ class Camera:
     def from_sensor(cls, sensor: "Sensor") -> "Camera":
         """The camera of a sensor file; mm_per_px holds at the image centre on the untouched face.
 
-        A file that describes no plate yet is taken to have none. What lies in or behind an opaque layer appears where
-        it would if the last clear layer went on.
+        A file without a plate has none. Points in or behind an opaque layer are projected as if the last clear layer
+        continued.
         """
         eye, clear = sensor.camera, (*((sensor.plate,) if sensor.plate else ()), *sensor.gel.clear_layers)
         opaque = sensor.gel.layers[len(sensor.gel.clear_layers) :]
@@ -125,7 +125,7 @@ class Camera:
 
     @property
     def _axis(self) -> "Floats":
-        """Where the optical axis is in the picture [px]."""
+        """Position of the optical axis in the image [px]."""
         return np.array([self.shape[1] / 2, self.shape[0] / 2]) - self.crop_px
 
 
@@ -153,11 +153,11 @@ def _project(
 def _slope(rho: float, z: float, thicknesses: "Floats", indices: "Floats", length: "Floats") -> float:
     """Slope in air, tan(theta) [-], of the ray that reaches radius rho at height z [mm]; nan at or behind the pinhole.
 
-    Newton on the travel: it rises and is concave in x, so from any start at or left of the root, such as the
-    paraxial slope, every step stays left of it and climbs; no safeguard is needed. `length` is room for the layers.
+    Newton's method on the lateral travel, which is increasing and concave in x: from a start at or below the root, such
+    as the paraxial slope, it converges monotonically without a safeguard. `length` is a work array for the layers.
     """
     left, depth, last = z + thicknesses.sum(), 0.0, len(length) - 1
-    for k in range(last + 1):  # beyond the face the last layer goes on
+    for k in range(last + 1):  # beyond the face the last layer continues
         length[k] = max(left if k == last else min(left, thicknesses[k]), 0.0)
         left -= thicknesses[k]
         depth += length[k] / indices[k]
@@ -174,6 +174,6 @@ def _slope(rho: float, z: float, thicknesses: "Floats", indices: "Floats", lengt
             rate += part * n2 * inverse
         step = (rho - travel) / rate
         x += step
-        if abs(step) <= 1e-8 * (1.0 + x):  # what is left is of the order of its square
+        if abs(step) <= 1e-8 * (1.0 + x):  # the remaining error is of the order of its square
             break
     return x

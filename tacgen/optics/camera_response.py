@@ -1,4 +1,4 @@
-"""From linear radiance to the camera's 8-bit picture: focus, vignette, exposure, response; and the stray light."""
+"""From linear radiance to the camera's 8-bit image: focus, vignetting, exposure, response curve, stray light."""
 
 from typing import TYPE_CHECKING
 
@@ -34,13 +34,13 @@ def blurred(radiance: "Floats", camera: "Eye") -> "Floats":
 
 
 def encoded(light: "Floats", camera: "Eye") -> "Floats":
-    """Counts in parts of full scale of light clipped to [0, 1], by the sRGB curve (IEC 61966-2-1) or as is."""
+    """Pixel values over full scale for light clipped to [0, 1], by the sRGB curve (IEC 61966-2-1) or linear."""
     x = np.clip(light, 0.0, 1.0)
     return x if camera.response == "linear" else np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
 
 
 def linear(counts: "Floats", camera: "Eye") -> "Floats":
-    """What `encoded` makes values in [0, 1] of."""
+    """The inverse of `encoded`."""
     if camera.response == "linear":
         return np.asarray(counts, dtype=float)
     return np.where(counts <= 0.04045, counts / 12.92, ((counts + 0.055) / 1.055) ** 2.4)
@@ -54,12 +54,12 @@ def slope(light: "Floats", camera: "Eye") -> "Floats":
 
 
 def stray(camera: "Eye") -> "Floats":
-    """Radiance (H, W, 3) of a bare coat in the stray light alone: `ambient` after the vignette and the exposure."""
+    """Radiance (H, W, 3) of a coating without dots in the stray light alone, so that the image has `ambient`."""
     return np.asarray(np.array(camera.ambient) / (camera.exposure * vignette(camera)[..., None]))
 
 
 def expose(radiance: "Floats", camera: "Eye") -> "Floats":
-    """Linear fraction of full scale (H, W, 3) of a radiance picture (H, W, 3)."""
+    """Linear signal over full scale (H, W, 3) of a radiance image (H, W, 3)."""
     return np.asarray(radiance * (camera.exposure * vignette(camera)[..., None]))
 
 

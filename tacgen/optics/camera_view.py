@@ -1,4 +1,4 @@
-"""What the camera sees of the coated face: which point of it lies behind each ray, and the dots printed there."""
+"""The coated face as the camera sees it: the point behind each ray, and the markers printed there."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -31,7 +31,7 @@ class Samples:
 
 
 class View:
-    """One sensor's camera and coat, ready to look at any deformed face."""
+    """Camera and coating of a sensor, for any deformed face."""
 
     def __init__(self, sensor: "LitSensor", sheet: Sheet, markers: bool, samples: int = 1) -> None:
         """`samples` x `samples` rays a pixel."""
@@ -47,11 +47,11 @@ class View:
         return self.camera.shape[0] * self.samples, self.camera.shape[1] * self.samples
 
     def toward_camera(self) -> "Floats":
-        """Unit directions in the gel from what each ray meets to the camera (samples, 3)."""
+        """Unit directions in the gel from the point behind each ray to the camera (samples, 3)."""
         return -self.camera.rays(self._pixels)[1]
 
     def transmission(self) -> "Floats":
-        """What is left in the air of a unit radiance in the gel, per ray (samples,): Fresnel's losses and 1/n^2."""
+        """Radiance in air over that in the gel, per ray (samples,): Fresnel losses and 1/n^2."""
         slope = self.camera.slopes(self._pixels)
         k = np.hypot(*slope.T) / np.sqrt(1 + (slope**2).sum(axis=1))
         share, n = np.ones(len(k)), self.camera.stack.indices
@@ -60,14 +60,14 @@ class View:
         return np.asarray(share / n[-1] ** 2)
 
     def look(self, surface: Surface) -> Samples:
-        """What the camera's rays meet."""
+        """The points behind the camera's rays."""
         drawn = DrawnFace(self.sheet, surface, self.camera, self.samples)
         hit = drawn.behind(np.column_stack([drawn.nodes, drawn.facing, self.sheet.rest])).reshape(-1, 8)
         position, normal, rest = (np.ascontiguousarray(hit[:, a:b]) for a, b in ((0, 3), (3, 6), (6, 8)))
         return Samples(position, unit(normal), rest, drawn.nodes, self._paint(rest))
 
     def dimmed(self, at: Samples, bare: "Floats") -> "Floats":
-        """What the coat with its dots shows (H, W, 3) of light by which a bare coat would show `bare` (samples, 3)."""
+        """Radiance (H, W, 3) of the coating with its markers; `bare` (samples, 3) is that without markers."""
         if self.markers is not None:
             bare = bare * (1 + at.paint * (self.markers.albedo / coating.white(self.sensor.coating) - 1))
         return self.picture(bare)

@@ -1,4 +1,4 @@
-"""The coat seen from inside, and the dots printed on it: plain dictionaries and a mask over rest coordinates."""
+"""The coating seen from inside and the markers on it: Mitsuba dictionaries, and a mask over rest coordinates."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-METAL = 0.9  # [-] reflectance of the metallic part, aluminium's over the visible range
+METAL = 0.9  # reflectance of the metallic part, that of aluminium in the visible range [-]
 
 
 def bsdf(coating: "Coating") -> dict[str, Any]:
@@ -36,12 +36,12 @@ def bsdf(coating: "Coating") -> dict[str, Any]:
 
 
 def white(coating: "Coating") -> "Floats":
-    """How much of all light that comes the coat throws back, (3,)."""
+    """Total reflectance of the coating (3,)."""
     return np.asarray((1 - coating.specular) * np.array(coating.albedo) + coating.specular * METAL)
 
 
 def dotted(coat: dict[str, Any], markers: "Markers", mask: "Floats") -> dict[str, Any]:
-    """The coat with dots: where `mask` (h, w) in [0, 1] over UV is 1, the marker's paint."""
+    """The coating with markers: their paint where `mask` (h, w) in [0, 1] over UV is 1."""
     texture = {"type": "bitmap", "bitmap": mask, "raw": True, "filter_type": "bilinear", "wrap_mode": "clamp"}
     return {"type": "blendbsdf", "weight": texture, "coat": coat, "paint": diffuse(markers.albedo)}
 
@@ -55,8 +55,8 @@ def centers(markers: "Markers") -> "Floats":
 
 
 def paint(markers: "Markers", xy: "Floats", edge: float) -> "Floats":
-    """Share of paint at rest positions xy (..., 2) [mm], 0 to 1, nan where they are; `edge` [mm] is the width over
-    which a rim fades."""
+    """Share of paint, 0 to 1, at rest positions xy (..., 2) [mm], nan where they are nan; `edge` [mm] is the width of
+    the blurred rim."""
     flat = np.ascontiguousarray(xy, dtype=np.float64).reshape(-1, 2)
     last = (np.array([markers.columns, markers.rows]) - 1) / 2
     return painted(flat, last, np.array(markers.pitch_mm), markers.diameter_mm / 2, edge).reshape(xy.shape[:-1])

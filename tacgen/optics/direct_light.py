@@ -1,4 +1,4 @@
-"""The camera's picture by direct light and its mirror image alone: no noise, no scattered light."""
+"""The camera's image by direct light and its reflection in the plate, without sampling noise."""
 
 from typing import TYPE_CHECKING
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 class Direct:
-    """One sensor's LEDs, layers and camera, ready to light any deformed face."""
+    """LEDs, layers and camera of a sensor, for any deformed face."""
 
     def __init__(
         self,
@@ -52,7 +52,7 @@ class Direct:
         )
 
     def seen(self, at: Samples, glow: "Glow | None" = None) -> "Floats":
-        """Linear radiance (H, W, 3) of what the camera's rays meet, with what bounces there."""
+        """Linear radiance (H, W, 3) of the points behind the camera's rays, with the interreflection `glow`."""
         coat, markers = self.sensor.coating, self.view.markers
         white, dots = coating.white(coat), markers is not None and coat.specular > 0.0
         gather = self._gatherer(at, np.array([led.light for led in self.sensor.leds]))
@@ -73,7 +73,7 @@ class Direct:
         return self.view.picture(found[:, :3] + at.paint * (markers.albedo * found[:, 3:] - found[:, :3]))
 
     def _gatherer(self, at: Samples, radiance: "Floats") -> "Light":
-        """What shines on samples of an index by LEDs of radiance (strips, c), as seen: (n, c, 1 or 2)."""
+        """A function of sample indices: radiance toward the camera by LEDs of radiance (strips, c), (n, c, 1 or 2)."""
         coat = self.sensor.coating
         terrain = Terrain.of(heights(self.sheet, at.nodes), self.sheet.size, self._untouched)
         kinds, alpha = (2, coat.roughness) if coat.specular else (1, 0.0)
@@ -94,7 +94,7 @@ class Direct:
 
 
 def heights(sheet: Sheet, nodes: "Floats") -> "Floats":
-    """A deformed face as heights (rows, columns) [mm] over the pad's rectangle, 0 where it drew back."""
+    """A deformed face as heights (rows, columns) [mm] over the pad's rectangle, 0 where there is no gel."""
     rows, columns = sheet.shape
     scale = np.array([columns - 1, rows - 1]) / sheet.size
     screen = (nodes[:, :2] + np.array(sheet.size) / 2) * scale + 0.5

@@ -1,4 +1,4 @@
-"""A deformed face as a camera sees it, evaluated once whatever is asked of it."""
+"""A deformed face as a camera sees it; each property is computed once."""
 
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -29,7 +29,7 @@ class DrawnFace:
 
     @cached_property
     def screen(self) -> "Floats":
-        """Where the nodes are in the picture (n, 2), in samples."""
+        """Positions of the nodes in the image (n, 2), in samples."""
         return np.asarray(self.camera.project(self.nodes) * self.samples)
 
     @cached_property
@@ -46,7 +46,7 @@ class DrawnFace:
         """Values (n, c) at the nodes, behind each sample (H, W, c), nan where there is no gel; where the face is folded
         of what is nearest to the camera, or of what is outermost."""
         found, place, _ = self._outermost if outermost and self.folded else self._nearest
-        values = np.ascontiguousarray(values)  # `blend` is compiled anew for another memory layout
+        values = np.ascontiguousarray(values)  # `blend` would be compiled again for another memory layout
         return np.asarray(blend(self.sheet.faces, found, place, values))
 
     @cached_property

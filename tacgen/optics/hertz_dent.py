@@ -1,4 +1,4 @@
-"""The dent of a rigid ball in a thin bonded gel: a stand-in for a solved one in calibration and tests."""
+"""The dent of a rigid ball in a thin bonded gel by formula, for calibration and tests without a solve."""
 
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -13,17 +13,17 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-SHALLOW = 0.95  # contact radius over the ball's, at most
-REACH = 0.1  # of the gel's thickness: over so much the skirt falls off
-STEEPEST = 0.8  # slope that it starts with at most
+SHALLOW = 0.95  # largest contact radius over the ball's radius [-]
+REACH = 0.1  # decay length of the depression around the contact, over the gel's thickness [-]
+STEEPEST = 0.8  # largest slope at the contact's rim [-]
 
 
 @dataclass(frozen=True)
 class BallDent:
-    """A spherical cap of the ball inside the contact circle, and a skirt around it that starts with the ball's slope.
+    """A spherical cap inside the contact circle, and around it a depression that starts with the ball's slope.
 
     Its shape is that of solved pads of 4 mm under balls of 1.9 to 4.8 mm, pressed by 0.6 to 1.5 mm, within 0.08 mm. On
-    Hertz's half-space the rim would lie two to three times as deep, and the skirt would be several times as wide.
+    Hertz's half-space the rim would be two to three times as deep, and the depression several times as wide.
     """
 
     radius: float  # of the ball [mm]

@@ -1,4 +1,4 @@
-"""Which points of a sheet stand behind another part of it, seen from the camera."""
+"""Points of a face that are hidden from the camera by another part of it."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -1,8 +1,8 @@
-"""Light that coat and walls throw on the coat again, straight and by way of the plate: radiosity of the untouched gel.
+"""Interreflection of coating and walls, directly and by the plate: radiosity of the untouched gel.
 
-Both are cut into patches that radiate evenly; each lights every other as a small strip would (see strip_light), and
-the sum of all bounces is one linear system. It is smooth, so patches may be coarse, and changes little under a press:
-what a dent gets of it depends on where it turns to (Glow).
+Both are divided into patches of uniform radiosity; each illuminates every other as a small strip would (see
+strip_light), and the sum of all reflections is one linear system. This light is smooth, so patches may be coarse, and
+it changes little under a press: in a dent it is that of the untouched gel as a function of the normal (Glow).
 """
 
 from dataclasses import dataclass
@@ -23,16 +23,16 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-COAT = 1.4  # [mm] between the middles of patches of the coat
-WALL = 2.2  # the same of the walls
-TILT = 0.6  # [-] by which a normal is moved sideways to see what it then gets
-FINER = 4  # times as many patches, by cubic splines, between which a picture is interpolated linearly
-TERMS = 5  # of the square polynomial in how far a normal has moved: 1, x, y, x^2, y^2
+COAT = 1.4  # distance between the centres of the coating's patches [mm]
+WALL = 2.2  # the same for the walls [mm]
+TILT = 0.6  # change of a normal's x or y at which the light is evaluated for the polynomial [-]
+FINER = 4  # refinement of the patches by cubic splines, before linear interpolation to pixels
+TERMS = 5  # terms of the polynomial in the change of the normal: 1, x, y, x^2, y^2
 
 
 @dataclass(frozen=True)
 class Glow:
-    """What bounces from each of the camera's samples, by how the face has turned there."""
+    """Interreflected radiance at each of the camera's samples, as a function of the normal there."""
 
     terms: "NDArray[np.float32]"  # radiance (samples, TERMS, 3)
     untouched: "Floats"  # sideways parts of the untouched normal, (samples, 2)
@@ -45,7 +45,7 @@ class Glow:
 
 
 class Bounce:
-    """Patches of one sensor, and how they light each other."""
+    """The patches of a sensor, and how they illuminate each other."""
 
     def __init__(self, sensor: "LitSensor", untouched: "Surface | None" = None) -> None:
         """The LEDs do not matter yet; `untouched` is the face at rest, what the gel's numbers say of it if None."""
@@ -57,7 +57,7 @@ class Bounce:
         self._coat = len(nodes)
         facing, (rows, columns) = self.sheet.normals(nodes), self.sheet.shape
         share = np.outer(*(np.where(np.isin(np.arange(n), (0, n - 1)), 0.5, 1.0) for n in (rows, columns)))
-        top = mitsuba_dicts.WALL_RISE if sensor.walls.margin_mm else float(level.min())  # the coat hides what is behind
+        top = mitsuba_dicts.WALL_RISE if sensor.walls.margin_mm else float(level.min())  # the coating hides the rest
         walls, inward, pieces = self._walls(sensor, top)
         self._at, self._normals = np.concatenate([nodes, walls]), np.concatenate([facing, inward])
         area = np.concatenate([share.ravel() * self.sheet.areas(nodes), pieces])
@@ -78,7 +78,7 @@ class Bounce:
         )  # (TERMS, coat patches, patches)
 
     def added(self, sensor: "LitSensor", points: strip_light.Points) -> "Floats":
-        """Radiance (coat patches, leds, TERMS, 3) in the gel that bounces add, per unit radiance of each LED."""
+        """Interreflected radiance (coating patches, leds, TERMS, 3) in the gel, per unit radiance of each LED."""
         coat, first, out = sensor.coating, self._gather(sensor, points, len(sensor.leds)), []
         for albedo in coat.albedo:
             rho = np.full((len(first), 1), sensor.walls.albedo)
@@ -106,7 +106,7 @@ class Bounce:
     ) -> "Floats":
         """Radiance (patches, strips) of a white matt patch per unit radiance of each strip; with normals of the coat's
         patches that are not their own, (coat patches, strips)."""
-        shading = sensor.leds if points is not self._patches else []  # what bounces comes from all around
+        shading = sensor.leds if points is not self._patches else []  # interreflected light comes from all directions
         slab, panels = strip_light.Slab.of(sensor), strip_light.Panels.of(shading)
         normals = self._normals if normals is None else normals
         at = self._at[: len(normals)]
@@ -132,8 +132,8 @@ class Bounce:
 
 
 def finer(coarse: "Floats") -> "Floats":
-    """Values (rows, columns, n) FINER times as dense, by cubic splines that stay within what the patches around have:
-    beside a patch that an LED all but touches they would swing below 0 and draw dark spots."""
+    """Values (rows, columns, n) on a grid FINER times as dense, by cubic splines limited to the range of the patches
+    around: next to a patch that is very close to an LED they would overshoot below 0, as dark spots."""
     from scipy.ndimage import maximum_filter, minimum_filter, zoom
 
     def dense(what: "Floats", order: int) -> "Floats":

@@ -1,4 +1,4 @@
-"""Surface -> where what is printed on the coating has moved to in the image, and whether the camera still sees it."""
+"""Motion of points of the coating in the image, and whether the camera still sees them."""
 
 from typing import TYPE_CHECKING
 
@@ -12,11 +12,11 @@ if TYPE_CHECKING:
     from tacgen.optics.surface_grid import Surface
 
 Array = np.ndarray
-SLACK = 0.05  # [mm] that another part of the face must stand before a point to hide it: the sheet is that true to it
+SLACK = 0.05  # distance in front of a point at which another part of the face hides it: the sheet's accuracy [mm]
 
 
 class Points:
-    """Material points of the coating, by where they rest (n, 2) [mm], through the layers' refraction."""
+    """Material points of the coating with rest positions (n, 2) [mm], seen through the refracting layers."""
 
     def __init__(self, rest: Array, surface: "Surface", camera: "Camera") -> None:
         """`surface` is the untouched face."""
@@ -25,7 +25,7 @@ class Points:
         self.undisturbed = self._project(surface.at(self.rest))
 
     def at(self, face: DrawnFace) -> tuple[Array, Array]:
-        """Pixels (n, 2) now, nan of what is not on the face; and whether the camera sees the point (n,)."""
+        """Current pixels (n, 2), nan outside the face; and whether the camera sees the point (n,)."""
         now = face.surface.at(self.rest)
         pixels = self._project(now)
         shown = within(pixels, self.camera)

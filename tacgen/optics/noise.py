@@ -1,4 +1,4 @@
-"""What a camera's pixels add to the light: photons come by chance, and reading them out adds its own."""
+"""Shot noise and read noise of the camera's pixels."""
 
 from typing import TYPE_CHECKING
 
@@ -13,10 +13,9 @@ if TYPE_CHECKING:
 
 
 def noisy(linear: "Floats", noise: "Noise", random: np.random.Generator) -> "Floats":
-    """A linear picture (H, W, 3), in parts of full scale, with white noise of variance shot x signal + read^2, times
-    strength^2.
+    """A linear image (H, W, 3) over full scale with white noise of variance (shot x signal + read^2) strength^2.
 
-    A normal stands for the photons' Poisson: at thousands of electrons in a full pixel they are alike.
+    The normal distribution approximates Poisson's well, since a full pixel has thousands of electrons.
     """
     variance = np.array(noise.shot) * np.clip(linear, 0.0, 1.0) + np.square(noise.read)
     return np.asarray(linear + noise.strength * np.sqrt(variance) * random.standard_normal(linear.shape))

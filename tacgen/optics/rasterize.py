@@ -1,4 +1,4 @@
-"""Nodes of a sheet seen from somewhere: which point of the sheet is behind each sample, by drawing its triangles."""
+"""Rasterisation of a sheet's triangles: the point of the sheet behind each sample of an image."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ Floats = NDArray[np.float64]
 def hits(
     faces: NDArray[np.uint32], screen: Floats, near: Floats, shape: tuple[int, int]
 ) -> tuple[NDArray[np.int32], Floats, bool]:
-    """What is behind each sample: of overlapping triangles the one of least `near`.
+    """The triangle behind each sample; of overlapping triangles the one with the smallest `near`.
 
     Args:
         faces: node numbers, (triangles, 3).

@@ -1,8 +1,8 @@
-"""A gel that scatters, over an opaque skin: what the camera sees follows how thick the gel is there.
+"""A gel that scatters light over an opaque skin: its brightness follows the local thickness of the gel.
 
-Light from even sources turns so often on so short a way that a dent's own slopes and shadows hardly show; its thickness
-does. `Brightness` is that law, tabulated by the renderer on gels of other even thicknesses. Light that turned several
-times has wandered sideways: what counts is the thickness around, blurred by a Gaussian (`felt`, `wander`).
+Light is scattered so often that slopes and shadows of a dent are hardly visible, but its thickness is. `Brightness` is
+this dependence, tabulated by path tracing for gels of uniform thickness. Multiply scattered light spreads sideways, so
+the relevant thickness is an average around the point, by a Gaussian filter (`felt`, `wander`).
 """
 
 from dataclasses import dataclass
@@ -19,13 +19,13 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-SHARES = (0.04, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9, 1.0, 1.1, 1.25, 1.45)  # of the untouched thickness, in the table
-DENT = (1.6, 0.9)  # radius of the ball and of its contact circle, in thicknesses, on which `wander` is found
+SHARES = (0.04, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9, 1.0, 1.1, 1.25, 1.45)  # thickness over untouched, in the table [-]
+DENT = (1.6, 0.9)  # radii of ball and contact circle over the thickness, for the dent that determines `wander` [-]
 
 
 @dataclass(frozen=True)
 class Even:
-    """The face of a gel of one thickness: `share` of the untouched one."""
+    """The face of a gel of uniform thickness, `share` of the untouched one."""
 
     gel: "Gel"
     share: float
@@ -39,14 +39,14 @@ class Even:
 
 @dataclass(frozen=True)
 class Brightness:
-    """Brightness (k, 3) of gels of even thickness, as shares (k,) of the untouched one; 1 at share 1."""
+    """Brightness (k, 3) of gels of uniform thickness, given as shares (k,) of the untouched one; 1 at share 1."""
 
     shares: "Floats"
     values: "Floats"
 
     @classmethod
     def through(cls, shares: "Floats", radiance: "Floats") -> "Brightness":
-        """From radiances (k, 3) traced at `shares`: the smoothest cubic in log radiance takes their noise off."""
+        """From radiances (k, 3) traced at `shares`, smoothed by a cubic in log radiance to remove their noise."""
         u = np.log(shares)
         smooth = np.column_stack([np.polyval(np.polyfit(u, np.log(c), 4), u) for c in radiance.T])
         one = np.column_stack([np.interp(0.0, u, c) for c in smooth.T])
@@ -65,16 +65,16 @@ def thickness(gel: "Gel", position: "Floats") -> "Floats":
 
 
 def felt(share: "Floats", reach: float) -> "Floats":
-    """The thickness (h, w) that light feels: that around, by a Gaussian of `reach` [px]."""
+    """The relevant thickness (h, w): averaged by a Gaussian of standard deviation `reach` [px]."""
     from scipy.ndimage import gaussian_filter
 
     return np.asarray(gaussian_filter(share, reach, mode="nearest", truncate=3.0))
 
 
 def wander(bright: Brightness, share: "Floats", mm_per_px: float, ratio: "Floats") -> float:
-    """Reach [mm] with which `felt` best explains a traced picture (h, w, 3) over the untouched one.
+    """The `reach` [mm] of `felt` that best fits a traced image (h, w, 3) over the untouched one.
 
-    Paths' noise allows for no more than this one number: a share that is felt at the place itself could be anything.
+    The noise of the traced image does not allow to fit more than this one number.
     """
     from scipy.optimize import least_squares
 

@@ -1,8 +1,8 @@
-"""How far up a deformed face cuts off the view along it: what shades light that comes from the side.
+"""Horizons of a deformed face: the slope below which it shades light from the side.
 
-A face is heights over a regular grid, the gel below it. Seen from a point of it along an azimuth, it hides every
-direction steeper than its horizon, so one walk along the azimuth decides for lights at all heights there. Blocks of the
-grid that even their lowest point keeps out of the way are stepped over.
+A face is given by heights over a regular grid, with the gel below it. From a point of it along an azimuth it hides
+all directions steeper than its horizon, so one march along the azimuth decides for lights at all heights. Blocks of the
+grid whose lowest point is out of the way are skipped.
 """
 
 from typing import NamedTuple
@@ -17,7 +17,7 @@ Floats = NDArray[np.float64]
 SMALL, LARGE = 8, 32  # cells along the side of a block
 
 
-DENTED = 0.02  # [mm] by which a face must have drawn back since it was untouched to be looked at for shadows
+DENTED = 0.02  # change of height since untouched from which a place can cast a shadow [mm]
 
 
 class Terrain(NamedTuple):
@@ -90,9 +90,9 @@ def horizon(
     found = limit = above[1]
     if lowest == np.inf:
         return float(found)
-    if limit < 0.0:  # further away the ray is below all of the face
+    if limit < 0.0:  # farther away the ray is below the whole face
         r = min(r, (lowest - z) / limit)
-    while r > first:  # from far to near: beyond a dome's rim most of what is nearer is soon known to be out of the way
+    while r > first:  # from far to near: beyond a dome's rim this decides soonest
         u, v = u0 + r * du, v0 + r * dv
         i, j = int(u), int(v)
         bi, bj = i // LARGE, j // LARGE

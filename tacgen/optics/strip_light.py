@@ -1,8 +1,8 @@
-"""Light from LED strips, and from their mirror images in the plate, to the coated face through flat clear layers.
+"""Light from LED strips and their reflections in the plate to the coated face, through flat clear layers.
 
-A deterministic sum over points of each strip. Every connection bends at the layers as Snell says (a 1-D Newton on the
-ray's k = n sin(theta)), carries Fresnel's losses, and is checked for a shadow against the deformed face and against the
-strips themselves. Light that was scattered before (coat to coat, walls) is not here.
+A deterministic sum over points of each strip. Each connection is refracted at the layers (a 1-D Newton method on the
+ray's k = n sin(theta)), has Fresnel losses, and is tested for shadows of the deformed face and of the strips. Light
+that was reflected before by coating or walls is in interreflection.py.
 """
 
 from typing import TYPE_CHECKING, NamedTuple
@@ -22,11 +22,11 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-CLEAR = 0.01  # [mm] off a strip's plane that both ends of a way must be for the strip to stand in it
+CLEAR = 0.01  # distance of both ends of a ray from a strip's plane, below which the strip does not block it [mm]
 
 
 class Points(NamedTuple):
-    """Points that stand for pieces of the strips, as in Gauss's quadrature."""
+    """Quadrature points of the strips."""
 
     at: Floats  # positions [mm], (p, 3)
     normal: Floats  # unit, (p, 3)
@@ -56,7 +56,7 @@ def points(leds: "Sequence[Led]", along: int, up: int, pieces: int = 1) -> Point
 
 
 class Panels(NamedTuple):
-    """The strips as what stands in the way of light: rectangles, of no size where one can be seen through."""
+    """The strips as rectangles that block light; a strip that blocks none has size 0."""
 
     middle: Floats  # [mm], (m, 3)
     along: Floats  # half of each side [mm], (m, 3)
@@ -200,7 +200,7 @@ def ggx(turn: float, ci: float, co: float, alpha: float) -> float:
 
 @njit(cache=True)
 def crosses(panels: Panels, a: tuple[float, float, float], b: tuple[float, float, float]) -> bool:
-    """Whether a strip stands in the straight way from a to b [mm]; it may begin or end on one."""
+    """Whether a strip blocks the straight line from a to b [mm], which may start or end on one."""
     for m in range(len(panels.middle)):
         ta, tb = 0.0, 0.0
         for c in range(3):
@@ -220,7 +220,7 @@ def crosses(panels: Panels, a: tuple[float, float, float], b: tuple[float, float
 
 @njit(cache=True)
 def shaded(panels: Panels, p: Floats, source: Floats, home: int, image: int, k: float, slab: Slab) -> bool:
-    """Whether a strip stands in the bent way between a point of the face and one that shines, straight or mirrored.
+    """Whether a strip blocks the refracted path between a point of the face and a source, direct or reflected.
 
     Args:
         p, source: the two points [mm], (3,).

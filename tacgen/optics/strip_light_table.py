@@ -1,8 +1,8 @@
-"""The sum over strips at the pace of a picture: what each column of a strip gives is tabulated over places in the gel.
+"""The sum over strips for whole images: the light of each column of a strip is tabulated over positions in the gel.
 
-A column is a piece of a strip as tall as the strip. What of its light arrives somewhere, straight and mirrored, is a
-vector (direction and irradiance on a surface that faces it) and a range of slopes, summed over points fine enough to be
-exact and smooth in place. A picture's samples interpolate them; how a face is turned and what it shades is known then.
+A column is a piece of a strip with the strip's full height. Its light at a position, direct and reflected, is a vector
+(direction and irradiance) and a range of slopes, summed over enough points to be exact and smooth in position. The
+samples of an image interpolate the table; normal and shadows of the deformed face are applied then.
 """
 
 import math
@@ -22,17 +22,17 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 
-ASIDE = 0.1  # [mm] between the ways aside for which connections are tabulated
-PLACE, NEAR = (0.2, 0.4), 0.15  # least and greatest [mm] between the table's places, and over how near strips are
-DEEP = 0.5  # [mm] between its heights
-RISE = 1.0  # [mm] by which a bulging face may be higher than untouched
+ASIDE = 0.1  # spacing of the lateral distances for which connections are tabulated [mm]
+PLACE, NEAR = (0.2, 0.4), 0.15  # smallest and largest spacing of positions [mm]; spacing over the strips' distance [-]
+DEEP = 0.5  # spacing of the heights [mm]
+RISE = 1.0  # largest height of a bulging face above the untouched one [mm]
 ALONG, UP = 2, 16  # points in a column
-EVER = (-9.0, 9.0)  # every slope is of interest
-STEEP = -1e-3  # a normal's z is taken to be no more than this [-]
+EVER = (-9.0, 9.0)  # range that contains all slopes [-]
+STEEP = -1e-3  # largest z component of a normal [-]
 
 
 class Columns(NamedTuple):
-    """Pieces of a sensor's strips, and the table of what they give."""
+    """Columns of a sensor's strips, and the table of their light."""
 
     middle: Floats  # [mm], (columns, 3)
     strip: NDArray[np.int64]  # which LED, (columns,)
@@ -89,7 +89,7 @@ def tabulate(z: Floats, aside: Floats, sources: Floats, home: NDArray[np.int64],
             for image in range(2):
                 for i in range(len(z)):
                     arrived = arrive(aside[r], z[i], sources[s], home[s], image, slab)
-                    for part in range(4):  # assigned as a slice it would compile for three seconds more
+                    for part in range(4):  # a slice assignment takes three seconds longer to compile
                         out[s, r, image, part, i] = arrived[part]
     return out
 

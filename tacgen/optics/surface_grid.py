@@ -1,4 +1,4 @@
-"""The coated face as a fine regular sheet over rest coordinates, so that what is printed on it moves with it."""
+"""The coated face as a fine regular sheet over rest coordinates, so that markers move with it."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 
-BEYOND = 1e-3  # what is beyond the outline of a solid shrinks to so much, at its edge, and shows nothing
+BEYOND = 1e-3  # scale of the part of a sheet outside a solid's outline, which makes it invisible [-]
 EVERYWHERE = (-np.inf, np.inf, -np.inf, np.inf)
 
 
@@ -29,7 +29,7 @@ class Surface(Protocol):
 
 @dataclass(frozen=True)
 class Untouched:
-    """What the camera sees of an untouched gel: the inner side of its coating; a plane at z = 0 if nothing is said."""
+    """The untouched face that the camera sees: the inner side of the coating; by default a plane at z = 0."""
 
     skin: float = 0.0  # thickness of what is opaque, as a share of the gel's
     crown: float = 1.0  # the gel's thickness [mm]

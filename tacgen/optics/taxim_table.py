@@ -1,9 +1,9 @@
-"""Light by a look-up table, as Taxim does it: milliseconds an image, and an error to match.
+"""Images by a look-up table, as in Taxim: milliseconds an image, with a larger error.
 
-What a dent adds to a pixel's light is a polynomial of the pixel's place, one for each slope of the face (Si and Yuan,
-Taxim: An Example-based Simulation Model for GelSight Tactile Sensors, RA-L 2022, III-A), and what stands between pixel
-and lamp takes away a share of it (III-B). Both are fitted to pictures of known dents. Slopes are those of the face
-against the untouched one, so that a dome needs nothing else.
+The light that a dent adds to a pixel is a polynomial of the pixel's position, one for each slope of the face (Si and
+Yuan, Taxim: An Example-based Simulation Model for GelSight Tactile Sensors, RA-L 2022, III-A), reduced by a share for
+each shadowed lamp (III-B). Both are fitted to images of known dents. Slopes are relative to the untouched face, so
+that a dome needs no special treatment.
 """
 
 from collections.abc import Iterator
@@ -25,13 +25,13 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-BINS = 41  # of each component of the slope, which goes from -1 to 1 as the sine of the angle
-SHARED = ((1.0, 1.0), (4.0, 1e-3), (16.0, 1e-6))  # widths [bins] over which bins share what they saw, and how much
-RIDGE = 0.05  # of a bin's samples: how hard terms that the place would multiply are drawn to 0
+BINS = 41  # of each slope component, the sine of its angle from -1 to 1
+SHARED = ((1.0, 1.0), (4.0, 1e-3), (16.0, 1e-6))  # widths [bins] and weights by which bins share their samples
+RIDGE = 0.05  # ridge penalty of the position-dependent terms, over the number of a bin's samples [-]
 ALONG = (-0.6, -0.2, 0.2, 0.6)
 PLACES = [(x, y) for y in ALONG for x in ALONG]  # of dents, in half pictures from the middle
 BALLS = [(1.2, 0.6), (0.6, 0.9), (1.5, 0.35), (0.8, 0.75)]  # radius, in the gel's thickness; sine of the steepest slope
-COARSE = 2  # [px] between pixels whose shadows are sought, and between the points at which a way to a lamp is tried
+COARSE = 2  # spacing of pixels whose shadows are computed, and of the points tested on the line to a lamp [px]
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Face:
 
 @dataclass(frozen=True)
 class Table:
-    """Added light for each slope and place, and how much of it each lamp's shadow takes."""
+    """Added light for each slope and position, and the light that is missing in the shadow of each lamp."""
 
     terms: "Floats"  # (BINS, BINS, 6, 3): of 1, x, y, x^2, x y, y^2 with x, y from -1 to 1 over the picture
     shade: "Floats"  # (lamps, 3): light that is missing where a lamp is wholly hidden
