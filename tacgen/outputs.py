@@ -240,20 +240,21 @@ def _stress(frame: FrameData) -> Datasets:
 
 def _uncertainty(frame: FrameData) -> Datasets:
     """To first order, errors of the inputs being independent."""
-    from tacgen.labels.contact_maps import spread
+    from tacgen.labels.contact_maps import densities
     from tacgen.labels.uncertainty import mesh_variance
 
     scene, out = frame.scene, {}
     names = ("pressure", "traction") if "traction" in scene.row.recipe.outputs else ()
-    variance: dict[str, Any] = dict.fromkeys(("force", *names), 0.0)
     force = frame.state.traction_force.sum((0, 1))
+    here = {name: getattr(frame.maps, name)[frame.shares.seen] for name in names}
+    variance: dict[str, Any] = {name: np.zeros_like(value) for name, value in here.items()} | {"force": np.zeros(3)}
     for unsure in scene.sensitivities.at(frame.state):
         out[f"/frames/sensitivity/{unsure.name}"] = unsure.force
-        slope = {"force": unsure.force}
-        if names:
-            there = spread(frame.shares, unsure.near)
-            slope |= {key: (getattr(there, key) - getattr(frame.maps, key)) / unsure.step for key in names}
-        variance = {key: variance[key] + (unsure.deviation * slope[key]) ** 2 for key in variance}
+        variance["force"] += (unsure.deviation * unsure.force) ** 2
+        there = densities(frame.shares, unsure.near) if names else {}
+        for name in names:
+            variance[name] += (unsure.deviation / unsure.step * (there[name] - here[name])) ** 2
+    variance |= {name: frame.shares.picture(variance[name]) for name in names}
     if scene.sensitivities.asked.mesh:
         coarse, window = next(scene.coarser), round(2 * scene.problem.edge / scene.row.sensor.camera.mm_per_px)
         variance["force"] += mesh_variance(force, coarse.state.traction_force.sum((0, 1)), window)

@@ -72,6 +72,12 @@ def maps(problem: Problem, surface: Surface, state: State, camera: "Camera") -> 
 
 def spread(view: "Shares", state: State) -> Maps:
     """The same for a `view` of the face that was computed in this state or in a nearby one."""
+    found = {name: view.picture(values) for name, values in densities(view, state).items()}
+    return Maps(**found, contact=view.picture(view.contact), area=view.area)
+
+
+def densities(view: "Shares", state: State) -> dict[str, Array]:
+    """Maps of forces by their names, of the pixels alone that `view` has seen (p, ...)."""
     view.weight = np.ones(len(view.weight))
     for _ in range(view.sharpenings):
         view.weight = view.shared(state.normal_force)[:, 0]
@@ -89,9 +95,7 @@ def spread(view: "Shares", state: State) -> Maps:
         length = np.linalg.norm(mean, axis=1)
         longer = np.divide(size, length, out=np.ones(len(mean)), where=length > 1e-9 * size)
         traction = mean * (1 + sliding * (longer - 1))[:, None]
-    each = pressure, traction, view.contact, sliding, force
-    pressure, traction, contact, sliding, force = (view.picture(values) for values in each)
-    return Maps(pressure, traction, contact, sliding, view.area, force)
+    return {"pressure": pressure, "traction": traction, "sliding": sliding, "force": force}
 
 
 class Shares:

@@ -90,19 +90,27 @@ class Cholmod:
 
     def forward(self, b: Array) -> Array:
         """L^-1 P b, in the order of elimination, of b (n,) or (n, k)."""
-        return self._steps(b, PERMUTE, LOWER)
+        return self._triangular(LOWER, b[self.order])
 
     def backward(self, y: Array) -> Array:
         """P^T L^-T y."""
-        return self._steps(y, UPPER, PERMUTE_BACK)
+        x = np.empty_like(y)
+        x[self.order] = self._triangular(UPPER, y)
+        return x
 
-    def _steps(self, b: Array, *systems: int) -> Array:
-        x = self._cvxopt.matrix(b)
-        for system in systems:
-            self._cholmod.solve(self._F, x, sys=system)
-        return np.array(x).reshape(b.shape)
+    def _triangular(self, system: int, b: Array) -> Array:
+        """All columns of b at once: cvxopt would solve for one after the other, and read the factor for each."""
+        library, common = _library()
+        columns = np.asfortranarray(b.reshape(len(b), -1))
+        B = _Dense(*columns.shape, columns.size, len(b), columns.ctypes.data, 0, REAL, DOUBLE)
+        X = library.cholmod_l_solve(system, ctypes.c_void_p(_address(self._F)), ctypes.byref(B), common)
+        if not X:
+            raise MemoryError
+        out = _view(X.contents.x, columns.size, ctypes.c_double).reshape(columns.shape, order="F").copy()
+        library.cholmod_l_free_dense(ctypes.byref(X), common)
+        return out.reshape(b.shape)
 
-    @property
+    @cached_property
     def order(self) -> Array:
         """The dofs (n,) in the order of elimination: that asked for, but for what does not matter."""
         F = _Factor.of(self._F)
@@ -122,7 +130,7 @@ class Cholmod:
         return transposed.T
 
 
-LOWER, UPPER, PERMUTE, PERMUTE_BACK = 4, 5, 7, 8  # systems that CHOLMOD solves, by its numbers for them
+LOWER, UPPER = 4, 5  # L x = b and L^T x = b, by CHOLMOD's numbers for them
 
 
 class _Factor(ctypes.Structure):
@@ -137,9 +145,37 @@ class _Factor(ctypes.Structure):
 
     @classmethod
     def of(cls, capsule: object) -> Any:
-        get = ctypes.pythonapi.PyCapsule_GetPointer
-        get.restype, get.argtypes = ctypes.c_void_p, [ctypes.py_object, ctypes.c_char_p]
-        return cls.from_address(get(capsule, b"CHOLMOD FACTOR D L"))  # double precision, 64-bit numbers
+        return cls.from_address(_address(capsule))
+
+
+class _Dense(ctypes.Structure):
+    """CHOLMOD's dense matrix of doubles, column by column; `x` and `d` are its numbers and its leading dimension."""
+
+    _fields_ = [
+        *((name, ctypes.c_size_t) for name in ("nrow", "ncol", "nzmax", "d", "x", "z")),
+        *((name, ctypes.c_int) for name in ("xtype", "dtype")),
+    ]
+
+
+REAL, DOUBLE = 1, 0  # xtype and dtype
+COMMON = 1 << 16  # [bytes], more than CHOLMOD's settings take in any version
+
+
+@cache
+def _library() -> tuple[ctypes.CDLL, Any]:
+    """CHOLMOD as cvxopt has loaded it, and settings of our own."""
+    from cvxopt import cholmod
+
+    library, common = ctypes.CDLL(cholmod.__file__), ctypes.create_string_buffer(COMMON)
+    library.cholmod_l_solve.restype = ctypes.POINTER(_Dense)
+    library.cholmod_l_start(common)
+    return library, common
+
+
+def _address(capsule: object) -> int:
+    get = ctypes.pythonapi.PyCapsule_GetPointer
+    get.restype, get.argtypes = ctypes.c_void_p, [ctypes.py_object, ctypes.c_char_p]
+    return int(get(capsule, b"CHOLMOD FACTOR D L"))  # double precision, 64-bit numbers
 
 
 def _view(address: int, size: int, kind: Any) -> Array:
@@ -148,17 +184,21 @@ def _view(address: int, size: int, kind: Any) -> Array:
 
 @cache
 def readable() -> bool:
-    """Whether CHOLMOD is installed and its factors are laid out as _Factor says."""
+    """Whether CHOLMOD is installed, can be called and lays its factors out as _Factor says."""
     if "cholmod" not in available():
         return False
     A = np.array([[4.0, 1, 2], [1, 5, 3], [2, 3, 6]])
     solver = Cholmod(assembly.pattern([np.zeros((1, 1), int)], np.ones((1, 3), bool)), np.array([2, 0, 1]))
     solver.factor(A[np.triu_indices(3)])
     try:
-        order, L = solver.order, solver.trailing(3)
-    except ValueError:  # another kind of factor
+        order, L, inverse = solver.order, solver.trailing(3), solver.backward(solver.forward(np.eye(3)))
+    except (ValueError, AttributeError):  # another kind of factor, or a CHOLMOD inside cvxopt
         return False
-    return sorted(order) == [0, 1, 2] and bool(np.allclose(L @ L.T, A[np.ix_(order, order)]))
+    return (
+        sorted(order) == [0, 1, 2]
+        and np.allclose(L @ L.T, A[np.ix_(order, order)])
+        and np.allclose(A @ inverse, np.eye(3))
+    )
 
 
 class SuperLU:

@@ -108,7 +108,9 @@ class Sensitivity:
         rub = stronger[:, None, None, None] * here.friction
         load = _scatter(faces, here.force(self._relative(np.zeros_like(anchors)), anchors) + rub, nodes) - by_law
         solve = tangent.solver(here.forces.tangent, on)
-        *found, lean = solve(np.concatenate([load, _scatter(faces, here.by_offset[None], nodes)]), was.x)
+        loads = _scatter(faces, np.stack([here.by_offset, *np.moveaxis(here.forces.tangent, -1, 0)[:2]]), nodes)
+        # solutions for shifts of the indenter along x and y are not used; they make forces along x and y second order
+        *found, lean, _, _ = solve(np.concatenate([load, loads]))
         x, fixed = np.stack(found), np.zeros(len(found))
         excess = here.gap_excess(self._relative(_at(faces, x)), fixed)
         offset = -excess / here.gap_excess(faces.at(lean)[None], np.ones(1))

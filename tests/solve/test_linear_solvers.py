@@ -87,8 +87,9 @@ def test_the_end_of_cholmods_factor_is_the_end_of_the_factor() -> None:
     L = np.linalg.cholesky(A[np.ix_(order, order)])
     for k in (1, 7, 100, pat.size):
         assert solver.trailing(k) == pytest.approx(L[-k:, -k:], abs=1e-12)
-    assert L @ solver.forward(b) == pytest.approx(b[order], abs=1e-10)
-    assert L.T @ solver.backward(b)[order] == pytest.approx(b, abs=1e-10)
+    for right in (b, rng.normal(size=(pat.size, 5))):
+        assert L @ solver.forward(right) == pytest.approx(right[order], abs=1e-10)
+        assert L.T @ solver.backward(right)[order] == pytest.approx(right, abs=1e-10)
 
 
 def test_an_order_that_is_asked_for_is_kept_even_where_another_is_better() -> None:
