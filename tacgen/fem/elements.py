@@ -221,6 +221,15 @@ def facet_shares(N: Array, areas: Array) -> Array:
     return hats
 
 
+def linear_pressure(N: Array, areas: Array) -> Array:
+    """Forces at a triangle's points N (q, a), of areas (f, q), to those of the linear pressure with the same force and
+    moments (q, q)."""
+    x, y = (N @ facet_corners(N.shape[1])).T
+    linear = np.stack([np.ones(len(N)), x, y], -1)
+    weighted = areas.sum(0)[:, None] * linear
+    return np.asarray(weighted @ np.linalg.solve(linear.T @ weighted, linear.T))
+
+
 def triangles(facets: Array) -> Array:
     """Flat triangles (t, 3) with which facets (f, a) are drawn."""
     return np.concatenate([facets[:, corners] for corners in PIECES[facets.shape[1]]])

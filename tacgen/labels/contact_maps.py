@@ -5,7 +5,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tacgen.fem.elements import PIECES, facet_areas, facet_corners, facet_hats, facet_points, facet_shares
+from tacgen.fem.elements import (
+    PIECES,
+    facet_areas,
+    facet_corners,
+    facet_hats,
+    facet_points,
+    facet_shares,
+    linear_pressure,
+)
 from tacgen.fem.elements import triangles as pieces
 from tacgen.labels.gel_surface import Surface
 from tacgen.optics.rasterize import hits
@@ -17,7 +25,7 @@ if TYPE_CHECKING:
 Array = np.ndarray
 RIM_SHARE = 0.4  # share of points in contact at the rim of the contact map [-]: below .5, as the rim is outside them
 VISIBLE_SHARE = 0.9  # share of a node's area [-]; a node of which the camera sees less is partly out of view
-SHARPENING_STEPS = {4: 2, 3: 2, 6: 1}  # Richardson-Lucy steps by nodes of a facet (see `maps`); more amplify noise
+SHARPENING_STEPS = {4: 2, 3: 2, 6: 0}  # Richardson-Lucy steps by nodes of a facet (see `maps`); more amplify noise
 
 
 @dataclass(frozen=True)
@@ -66,6 +74,10 @@ def maps(problem: Problem, surface: Surface, state: State, camera: "Camera") -> 
     Normal forces and the two tangential components are distributed as scalars: vectors of different normals would
     partly cancel. Where friction slides, its magnitude is distributed too: with vectors of different directions around
     a node the map would be below Coulomb's limit.
+
+    On a facet of six nodes the pressures at its points scatter by 6 %, as a quadratic surface meets a curved indenter
+    at the middles of its edges rather than at its corners. Where all points are in contact, the linear part of the
+    pressures is distributed.
     """
     return spread(Shares(problem, surface, state, camera), state)
 
@@ -120,7 +132,9 @@ class Shares:
         pixels = np.abs(np.linalg.det(drawn[:, 1:] - drawn[:, :1])) / 2
         self.area = np.where(gel, (face_area / np.maximum(pixels, 1e-300))[found], 0.0)
 
-        self._facets, self._hats = facets, facet_shares(contact.N, contact.areas)
+        self._facets, hats = facets, facet_shares(contact.N, contact.areas)
+        level = linear_pressure(contact.N, contact.areas).T @ hats if kind == 6 else hats
+        self._hats = np.where(np.asarray(on.all(1))[:, None, None], level, hats)  # (f, q, k)
         beside = np.zeros(len(surface.now), bool)
         beside[self._facets[touched]] = True
         self.seen = gel & np.asarray(beside[facets].any(1))[found % len(facets)]
@@ -143,7 +157,7 @@ class Shares:
         """Nodal sums (s, c) of values at the contact points, (f, q, c) or (f, q)."""
         per_point = per_point.reshape(*per_point.shape[:2], -1)
         out = np.zeros((int(self._facets.max()) + 1, per_point.shape[2]))
-        np.add.at(out, self._facets, np.einsum("qk,fqc->fkc", self._hats, per_point))
+        np.add.at(out, self._facets, np.einsum("fqk,fqc->fkc", self._hats, per_point))
         return out
 
     def at(self, nodal: Array) -> Array:

@@ -25,9 +25,11 @@ def hertz(at: Array) -> Array:
     return np.asarray(0.1 * np.sqrt(np.maximum(1 - (at[..., 0] ** 2 + at[..., 1] ** 2) / RADIUS**2, 0.0)))
 
 
-def pressed(points: Array, faces: Faces, camera: Camera = CAMERA) -> tuple[contact_maps.Maps, State]:
-    """A level face under a ball that slides along (.6, .8), and its maps."""
-    force = hertz(faces.at(points)) * faces.areas
+def pressed(
+    points: Array, faces: Faces, camera: Camera = CAMERA, uneven: Array | float = 1.0
+) -> tuple[contact_maps.Maps, State]:
+    """A level face under a ball that slides along (.6, .8), and its maps; `uneven` (q,) is times the pressure."""
+    force = hertz(faces.at(points)) * faces.areas * uneven
     rub = FRICTION * force[..., None] * np.array([0.6, 0.8, 0.0])
     down = np.broadcast_to([0.0, 0.0, -1.0], rub.shape)
     state = State(0, np.eye(4), points, force, down, rub, force > 0, 1, 1, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0)
@@ -43,15 +45,26 @@ def error(found: contact_maps.Maps) -> float:
     return float(np.linalg.norm(found.pressure - true) / np.linalg.norm(true))
 
 
-@KINDS
+@pytest.mark.parametrize("kind", [4, 3])
 def test_sharing_by_the_pressure_sharpens_the_rim(kind: int, monkeypatch: pytest.MonkeyPatch) -> None:
     points, faces, _ = patch(12, 5.0, kind)
     errors = []
     for times in (0, contact_maps.SHARPENING_STEPS[kind]):
         monkeypatch.setitem(contact_maps.SHARPENING_STEPS, kind, times)
         errors.append(error(pressed(points, faces)[0]))
-    assert errors[1] < (0.9 if kind == 6 else 0.7) * errors[0], errors  # nodes on edges share finely as it is
+    assert errors[1] < 0.7 * errors[0], errors
     assert 0.03 < errors[1] < 0.09, errors
+
+
+def test_pressures_that_alternate_on_quadratic_facets_leave_no_grain() -> None:
+    """Higher by 6 % near the middles of edges, lower by 12 % near the corners: of the same force and moments."""
+    points, faces, _ = patch(12, 5.0, 6)
+    even = pressed(points, faces)[0].pressure
+    uneven = 1 + 0.08 * np.array([1, 1, 1, -1, -1, -1]) / (6 * faces.areas[0] / faces.areas[0].sum())
+    found = pressed(points, faces, uneven=uneven)[0].pressure
+    middle = even > 0.5 * even.max()
+    assert np.abs(found - even)[middle].max() < 0.03 * even.max()
+    assert error(pressed(points, faces)[0]) < 0.06
 
 
 def test_the_pressure_map_converges() -> None:
