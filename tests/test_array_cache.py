@@ -44,7 +44,7 @@ def test_neither_another_entry_nor_a_foreign_array_is_read():
     assert np.array_equal(array_cache.kept_one("kind", "mine", lambda: MADE), MADE)
 
 
-def test_what_is_no_file_is_passed_over_at_once():
+def test_an_invalid_file_is_passed_over_at_once():
     file = entry("pipe")
     file.unlink()
     os.mkfifo(file)

@@ -317,7 +317,7 @@ def test_init_writes_a_sensor_that_validates_and_renders_where_it_is_lit(tmp_pat
     assert loading.read_sensor(path)[0].lit
 
 
-def test_numbers_from_nowhere_are_warned_about_once(tmp_path: Path) -> None:
+def test_missing_sources_give_one_warning(tmp_path: Path) -> None:
     """Of a sensor file alone and of a recipe's; those that ship say where theirs are from."""
     for name in assets.list_sensors():
         assert loading.read_sensor(assets.sensor_path(name))[0].unsourced == []
@@ -335,7 +335,7 @@ def test_numbers_from_nowhere_are_warned_about_once(tmp_path: Path) -> None:
     assert done.stderr.startswith(text)
 
 
-def test_all_that_a_sensor_file_lacks_is_told_at_once(tmp_path: Path) -> None:
+def test_all_that_a_sensor_file_lacks_is_reported_at_once(tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text("tacgen_sensor: 1\nname: mine\ngel: {width_mm: 20}\nleds: [{name: red}]\n")
     said = [line for line in tacgen_("validate", str(path)).stderr.splitlines() if line.startswith(str(path))]
@@ -392,7 +392,7 @@ def test_check_prints_findings_and_exits_with_1(tmp_path: Path, monkeypatch: pyt
     assert (done.exit_code, done.stdout) == (0, f"{tmp_path}: nothing found wrong\n")
 
 
-def test_benches_are_told_to_need_a_checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_benches_are_reported_to_need_a_checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tacgen.cli.__file__", str(tmp_path / "site-packages" / "tacgen" / "cli.py"))
     found = tacgen_("bench", "cost", "-o", str(tmp_path / "out"))
     assert found.exit_code == 2

@@ -94,7 +94,7 @@ def test_commands_and_options_exist(page: Path) -> None:
             assert (ROOT / script).is_file(), script
 
 
-def test_a_wrong_option_is_seen() -> None:
+def test_the_check_of_commands_sees_a_wrong_option() -> None:
     with pytest.raises(click.UsageError):
         parsed(["run", "quickstart", "-o", "out", "--wokers", "2"])
     with pytest.raises(click.UsageError):

@@ -24,7 +24,7 @@ def quick(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("tacgen.render.images.variants", lambda: tried)
 
 
-def test_all_is_well_here():
+def test_everything_works_on_this_machine():
     found = {f.name: f for f in doctor.examine()}
     assert not [f for f in found.values() if f.needed and not f.ok]
     assert found["rendering"].note == "uses scalar_rgb"

@@ -174,7 +174,7 @@ def test_the_key_of_compiled_code_covers_all_that_is_compiled_into_it():
 
 
 @pytest.mark.parametrize("name", files())
-def test_heavy_packages_are_imported_at_home_and_late(name: str):
+def test_heavy_packages_are_imported_in_their_modules_and_inside_functions(name: str):
     for module, top in imports(files()[name]):
         package = module.split(".")[0]
         if package in HOMES:
@@ -219,17 +219,17 @@ HEAVY = {
 }
 
 
-def test_help_starts_cold():
+def test_help_imports_no_numerics():
     assert loaded_by(command("--help")).isdisjoint({*HEAVY, "pydantic", "ruamel"})
 
 
 @pytest.mark.parametrize("args", [("validate", "quickstart"), ("list",), ("schema",)])
-def test_looking_at_recipes_starts_no_numerics(args: tuple[str, ...]):
+def test_reading_recipes_imports_no_numerics(args: tuple[str, ...]):
     # one scene needs a seed, which NumPy draws; nothing heavier
     assert loaded_by(command(*args)).isdisjoint(HEAVY - {"numpy"})
 
 
-def test_a_scene_without_contact_between_meshes_leaves_its_toolkit_alone():
+def test_a_scene_without_mesh_contact_does_not_import_ipctk():
     assert "ipctk" not in loaded_by("import tacgen.pipeline, tacgen.contact.ipctk")
 
 

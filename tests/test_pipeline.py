@@ -88,7 +88,7 @@ print([name for name in heavy if name in sys.modules])
     assert not {"/frames/rgb", "/frames/pressure", "/frames/markers", "/frames/height"} & shapes.keys()
 
 
-def test_images_of_a_clear_gel_leave_mitsuba_alone(tmp_path: Path) -> None:
+def test_images_of_a_clear_gel_do_not_import_mitsuba(tmp_path: Path) -> None:
     """It need not be installed, and where it is it is not even asked what it can do."""
     program = f"""
 import importlib.metadata, sys
@@ -264,7 +264,7 @@ def test_path_and_transport_show_the_same_scene(recipe: Path) -> None:
 @pytest.mark.parametrize(
     ("radius", "said"), [(3.8, ""), (2.0, "1 to 6 % off"), (1.1, "up to a fifth off, of tips two fifths")]
 )
-def test_an_indenter_that_the_mesh_does_not_resolve_is_told(
+def test_an_indenter_that_the_mesh_does_not_resolve_is_reported(
     recipe: Path, tmp_path: Path, radius: float, said: str
 ) -> None:
     events: list[dict[str, Any]] = []

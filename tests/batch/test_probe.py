@@ -18,7 +18,7 @@ def test_a_few_scenes_judge_all(tmp_path: Path):
     assert size.low <= size.expected <= size.high < 0.1
 
 
-def test_where_no_scene_can_be_made_that_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_where_no_scene_can_be_made_that_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     class Spoilt(probe.TemporaryDirectory):  # type: ignore[type-arg]
         def __enter__(self) -> str:
             name = super().__enter__()

@@ -141,7 +141,7 @@ def test_shorter_frames_come_by_where_the_long_ones_end() -> None:
     assert steps == pytest.approx(steps.mean())
 
 
-def test_a_process_apart() -> None:
+def test_a_function_runs_in_its_own_process() -> None:
     assert results_page.in_own_process("math:hypot", 3, 4) == 5.0
     with pytest.raises(RuntimeError, match="math domain error"):
         results_page.in_own_process("math:sqrt", -1)
@@ -150,7 +150,7 @@ def test_a_process_apart() -> None:
     assert "math domain error" in str(failed)
 
 
-def test_a_bench_that_fails_is_said_and_the_others_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_bench_that_fails_is_reported_and_the_others_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from benchmarks import cost, scaling
 
     def fails(level: results_page.Level, say: results_page.Say) -> results_page.Result:
@@ -164,7 +164,7 @@ def test_a_bench_that_fails_is_said_and_the_others_go_on(tmp_path: Path, monkeyp
     assert "## Scaling" in (tmp_path / "RESULTS.md").read_text()
 
 
-def test_an_unknown_bench_is_told(tmp_path: Path) -> None:
+def test_an_unknown_bench_is_reported(tmp_path: Path) -> None:
     told = runner.invoke(app, ["bench", "speed", "-o", str(tmp_path)])
     assert told.exit_code == 2
     assert told.stderr.startswith("speed: must be one of mechanics, ")
@@ -273,7 +273,7 @@ def used(output: str, friction: float) -> dict[str, list[str]]:
 
 
 @pytest.mark.parametrize("output", ["force", "stress", "markers"])
-def test_what_is_not_asked_for_is_not_imported(output: str) -> None:
+def test_outputs_that_are_not_asked_for_are_not_imported(output: str) -> None:
     found = used(output, 0)
     asked = UNASKED.get(output, set())
     loaded = {*found["modules"], *found["packages"]}
@@ -282,7 +282,7 @@ def test_what_is_not_asked_for_is_not_imported(output: str) -> None:
     assert set(found["packages"]) <= ALWAYS
 
 
-def test_what_is_not_asked_for_is_not_computed() -> None:
+def test_outputs_that_are_not_asked_for_are_not_computed() -> None:
     """Modules that are loaded anyway do nothing: without friction no anchor is dragged, and no mesh is one of tets."""
     without, rubbing = (set(used("force", friction)["ran"]) for friction in (0, 0.5))
     slips = {"tacgen.contact.friction:dragged", "tacgen.contact.coupled:CoupledContact.slip"}

@@ -102,7 +102,7 @@ def test_the_summary_says_seconds_of_ordinary_scenes(found: results_page.Result,
     assert re.search(r"ordinary scenes, one core \| median \d\.\d\d, 90 % quantile \d\.\d\d \|", told)
 
 
-def test_a_scene_that_cannot_be_is_refused() -> None:
+def test_an_impossible_scene_is_refused() -> None:
     ended = measured((*draws.BALL.sets, "trajectory=[{press: {depth_mm: 9, frames: 2}}]"))
     assert (ended.status, ended.frames) == ("refused", 0)
     assert "depth_mm" in ended.reason
@@ -144,7 +144,7 @@ def test_a_bug_in_one_scene_leaves_the_others(monkeypatch: pytest.MonkeyPatch) -
     assert np.isfinite(together["s a frame, p90"])
 
 
-def test_an_element_inside_out_is_listed_though_the_scene_is_ok() -> None:
+def test_an_inverted_element_is_listed_though_the_scene_is_ok() -> None:
     folded = ordinary.Outcome(draws.BALL, "draft", "ok", frames=3, least_J=-0.1)
     assert ordinary._summary("ball", [folded])[-5:-2] == [-0.1, 1, 0]
     (failed,) = ordinary._failed([folded, replace(folded, least_J=0.2)]).rows

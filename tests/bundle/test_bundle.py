@@ -336,7 +336,7 @@ def test_changed_attributes_are_refused(tmp_path: Path, attrs: dict, message: st
     assert len(caught.value.lines) == 1
 
 
-def test_a_writer_that_was_stopped_is_told_from_damage(tmp_path: Path) -> None:
+def test_a_writer_that_was_stopped_is_reported_from_damage(tmp_path: Path) -> None:
     change(write(tmp_path / "x.h5"), complete=False)
     with pytest.raises(Unfinished):
         read(tmp_path / "x.h5")
@@ -351,7 +351,7 @@ def test_changed_data_are_refused_even_with_valid_checksums(tmp_path: Path) -> N
         read(path).verify()
 
 
-def test_what_is_no_bundle_is_refused_in_one_line(tmp_path: Path) -> None:
+def test_an_invalid_bundle_is_refused_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "text.h5").write_text("hello")
     h5py.File(tmp_path / "other.h5", "w").close()
     for name, message in {

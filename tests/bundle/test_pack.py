@@ -125,7 +125,7 @@ def test_a_foreign_or_newer_index_is_one_line(loose: Path, content: str, says: s
     assert len(caught.value.lines) == 1
 
 
-def test_what_cannot_be_packed_is_said(loose: Path, tmp_path: Path):
+def test_what_cannot_be_packed_is_reported(loose: Path, tmp_path: Path):
     with pytest.raises(UserError, match="is not empty"):
         pack.pack(dataset.scenes(loose), loose)
     write(loose / "more" / "scene-00001.h5")

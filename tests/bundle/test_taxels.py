@@ -52,7 +52,7 @@ def test_a_taxel_feels_what_is_above_it(scene: Bundle) -> None:
     assert transposed.tolist() == [[-1, -1], [1, -1], [3, -1], [-1, 1], [1, 1], [3, 1]]
 
 
-def test_layouts_are_read_and_what_is_none_is_told(tmp_path: Path) -> None:
+def test_layouts_are_read_and_what_is_none_is_reported(tmp_path: Path) -> None:
     path = tmp_path / "layout.csv"
     path.write_text("name,y_mm,x_mm\na,1,2\nb,-1,0.5\n")
     assert taxels.read(path).tolist() == [[2, 1], [0.5, -1]]

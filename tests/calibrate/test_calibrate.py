@@ -187,7 +187,7 @@ def test_the_response_to_thickness_is_found_by_solved_presses(tmp_path: Path, mo
         (lambda p: (p / "presses.csv").write_bytes(b"\xff\xfe\x00"), "presses.csv: is no table"),
     ],
 )
-def test_what_cannot_be_used_is_told_in_one_line(nominal: Path, tmp_path: Path, spoil: Any, says: str) -> None:
+def test_what_cannot_be_used_is_reported_in_one_line(nominal: Path, tmp_path: Path, spoil: Any, says: str) -> None:
     for name in ("background.png", *(f"press_{k}.png" for k in range(4))):
         Image.new("RGB", (80, 64), (90, 90, 90)).save(tmp_path / name)
     rows = [f"press_{k}.png,{ball},{x},{y},{a}" for k, (ball, (x, y), a) in enumerate(PRESSES)]

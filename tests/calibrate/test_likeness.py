@@ -40,7 +40,7 @@ def test_pictures_of_the_sensor_itself_are_alike(compared, unit):
     assert found.normals < 3 < 15 < found.flat
 
 
-def test_half_the_change_is_told(compared, unit):
+def test_half_the_change_is_reported(compared, unit):
     untouched, presses, faces = unit
     weak = [replace(p, picture=(untouched + 0.5 * (p.picture.astype(float) - untouched))) for p in presses]
     found = compared.likeness(weak, faces, untouched)

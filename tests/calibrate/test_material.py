@@ -118,7 +118,9 @@ def test_the_command_writes_a_sensor_file_with_its_source(curves: Curves, tmp_pa
         ("depth_mm,force_n\n1,2\n2,3\n3,4\n", ("--second", f"sensor.{MODULUS}=1:2"), "is 0.432, which the range must"),
     ],
 )
-def test_what_cannot_be_used_is_told_in_one_line(tmp_path: Path, table: str, more: tuple[str, ...], says: str) -> None:
+def test_what_cannot_be_used_is_reported_in_one_line(
+    tmp_path: Path, table: str, more: tuple[str, ...], says: str
+) -> None:
     row(tmp_path)
     (tmp_path / "t.csv").write_text(table)
     asked = ["--sensor", "gelsight_mini", "--recipe", str(tmp_path / "press.yaml"), "--data", str(tmp_path / "t.csv")]

@@ -44,7 +44,7 @@ def goes(shape: Shape, start: Pose, end: Pose) -> bool:
         (Cylinder(0.5, 0.2), at(-1.5, -0.3), at(1.5, -0.3), False),  # swept across
     ],
 )
-def test_a_step_that_goes_too_far_is_told(shape: Shape, start: Pose, end: Pose, expected: bool) -> None:
+def test_a_step_that_goes_too_far_is_reported(shape: Shape, start: Pose, end: Pose, expected: bool) -> None:
     assert goes(shape, start, end) is expected
 
 
@@ -58,7 +58,7 @@ def test_what_lies_inside_the_gel_is_found() -> None:
 
 
 @pytest.mark.parametrize("nodes", [4, 3, 6])
-def test_what_cuts_in_between_the_points_of_contact_is_told(nodes: int) -> None:
+def test_what_cuts_in_between_the_points_of_contact_is_reported(nodes: int) -> None:
     """A blunt wedge over the seam of two rows of cells, clear of all points of contact; and a ball, by its sagitta."""
     points, faces, _ = patch(4, 2.0, nodes)
     wedge = Wedge(np.radians(60), 0.05, 1.0)

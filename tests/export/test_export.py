@@ -45,7 +45,7 @@ def test_the_command_writes_a_file_a_scene(source: Path, tmp_path: Path) -> None
     assert sorted((tmp_path / "out").glob("[!.]*")) == made
 
 
-def test_what_cannot_be_exported_is_told_in_a_line(source: Path, tmp_path: Path) -> None:
+def test_what_cannot_be_exported_is_reported_in_one_line(source: Path, tmp_path: Path) -> None:
     for args, words in (
         (("excel", str(source)), f"excel: unknown format, use one of {', '.join(EXPORTERS)}"),
         (("vtkhdf", str(tmp_path / "no")), "no such file or folder"),

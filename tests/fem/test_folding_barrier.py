@@ -74,7 +74,7 @@ def test_gradient_and_hessian_are_slopes(nodes: int, least: float) -> None:
 
 
 @NODES
-def test_a_turn_is_no_squeeze_and_forces_balance(nodes: int) -> None:
+def test_a_rotation_does_not_activate_it_and_forces_balance(nodes: int) -> None:
     points, cells, x = squeezed(nodes, 0.05)
     energy, _ = barrier(points, cells)
     g = energy.gradient(x)
@@ -84,7 +84,7 @@ def test_a_turn_is_no_squeeze_and_forces_balance(nodes: int) -> None:
 
 
 @NODES
-def test_it_grows_without_end_to_where_a_corner_folds_and_is_infinite_beyond(nodes: int) -> None:
+def test_it_grows_to_infinity_where_a_corner_inverts(nodes: int) -> None:
     """Though the strain energy, which knows only the integration points, is finite there."""
     values = []
     for least in (0.15, 1e-2, 1e-4, 1e-6):
@@ -101,7 +101,7 @@ def test_it_grows_without_end_to_where_a_corner_folds_and_is_infinite_beyond(nod
 
 
 @pytest.mark.parametrize("folded", FOLDED)
-def test_a_hex_that_folds_between_its_corners_costs_without_end(folded: list[list[int]]) -> None:
+def test_a_hex_that_folds_between_its_corners_has_infinite_energy(folded: list[list[int]]) -> None:
     x = np.array(folded) / 10
     assert scaled_jacobian(x, HEX).min() > 0.03  # sound at its corners
     energy, _ = barrier(CUBE, HEX)

@@ -126,13 +126,13 @@ def test_the_worst_of_many_counts(nodes: int):
 
 
 @pytest.mark.parametrize("corners", FOLDED)
-def test_a_hex_that_folds_between_its_corners_is_told(corners: list[list[int]]):
+def test_a_hex_that_folds_between_its_corners_is_reported(corners: list[list[int]]):
     points = np.array(corners) / 10
     assert scaled_jacobian(points, HEX).min() > 0.03
     assert scanned(CUBE, points, HEX) - 0.01 <= least_jacobian(CUBE, points, HEX) < -0.02
 
 
-def test_a_hex_with_a_corner_pushed_through_is_told():
+def test_a_hex_with_a_corner_pushed_through_is_reported():
     points = CUBE.copy()
     points[6] = [0.4, 0.4, 0.1]  # past the plane of the corners beside it
     value = np.linalg.det(points[[5, 7, 2]] - points[6])
@@ -151,13 +151,13 @@ def test_a_tet_folds_where_an_edge_s_node_passes_its_quarter(moved: float, folds
     assert (least < 0) is folds
 
 
-def test_a_tet_that_folds_between_its_nodes_is_told():
+def test_a_tet_that_folds_between_its_nodes_is_reported():
     assert nodal_volume(SWOLLEN, QUADRATIC).min() > 0.05
     assert scanned(TET, SWOLLEN, QUADRATIC) - 0.01 <= least_jacobian(TET, SWOLLEN, QUADRATIC) < -0.02
 
 
 @pytest.mark.parametrize(("limit", "value"), [("DEPTH", 0), ("DEPTH", 1), ("MOST", 0)])
-def test_cut_short_it_still_bounds(limit: str, value: int, monkeypatch: pytest.MonkeyPatch):
+def test_it_is_still_a_bound_when_the_subdivision_is_cut_short(limit: str, value: int, monkeypatch: pytest.MonkeyPatch):
     for rest, points, cells in [(CUBE, np.array(FOLDED[1]) / 10, HEX), (TET, SWOLLEN, QUADRATIC)]:
         full = least_jacobian(rest, points, cells, 1e-4)
         with monkeypatch.context() as short:
@@ -165,7 +165,7 @@ def test_cut_short_it_still_bounds(limit: str, value: int, monkeypatch: pytest.M
             assert least_jacobian(rest, points, cells, 1e-4) < full - 1e-3
 
 
-def test_what_says_nothing_is_not_taken_for_good():
+def test_meshes_without_volume_or_finite_points_are_refused():
     rest, cells = mesh(8)
     points = rest.copy()
     points[4, 1] = np.nan

@@ -123,7 +123,7 @@ def test_contact_stiffness_takes_youngs_modulus_at_rest():
         ("stable_neo_hooke", {"youngs_modulus_mpa": 1, "poisons_ratio": 0.4}, "did you mean poissons_ratio?"),
     ],
 )
-def test_what_is_wrong_with_a_layer_is_said(law: str | None, fields: dict[str, float], says: str):
+def test_what_is_wrong_with_a_layer_is_reported(law: str | None, fields: dict[str, float], says: str):
     found, wrong = gel(law, **fields)
     assert found is None
     assert any(says in line for line in wrong), wrong

@@ -130,7 +130,7 @@ def test_stiffness_is_the_slope_of_the_nodal_forces(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", KERNELS)
-def test_turned_inside_out_costs_without_end(name: str) -> None:
+def test_inverted_has_infinite_energy(name: str) -> None:
     potential, x = hex_of(KERNELS[name])
     assert np.isfinite(potential.value(x))
     assert potential.value(x * [1, 1, -1]) == np.inf
@@ -143,7 +143,7 @@ def test_turned_inside_out_costs_without_end(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", KERNELS)
-def test_turning_the_body_turns_its_forces(name: str) -> None:
+def test_rotating_the_body_rotates_its_forces(name: str) -> None:
     potential, x = hex_of(KERNELS[name])
     R = turn(9)
     assert potential.value(x @ R.T) == pytest.approx(potential.value(x), rel=1e-12)
@@ -166,7 +166,7 @@ def test_projection_clamps_the_eigenvalues_of_the_exact_tangent(name: str) -> No
 
 
 @pytest.mark.parametrize("name", GEL)
-def test_half_projection_leaves_what_is_hardly_strained_exact(name: str) -> None:
+def test_the_tangent_near_rest_is_exact_with_projection_of_strained_elements(name: str) -> None:
     law = GEL[name]
     mild, strained = np.diag([1.02, 0.98, 0.99]), np.diag([1.5, 0.6, 1.1])
     assert material_tangent(law, mild, Projection.STRAINED) == pytest.approx(material_tangent(law, mild), abs=1e-14)
@@ -201,7 +201,7 @@ def test_cauchy_stress_gives_the_nodal_forces_back(name: str) -> None:
     assert volume.sum() == pytest.approx((e.weights * np.linalg.det(F)).sum(), rel=1e-12)
 
 
-def test_what_was_asked_before_does_not_show() -> None:
+def test_evaluation_has_no_memory() -> None:
     """Of one body asked for stiffnesses here and there, exact and projected: to the last bit those of a new one."""
     body, x = hex_of(GEL["neo_hooke"])
     pat = whole(np.arange(8)[None], 8)

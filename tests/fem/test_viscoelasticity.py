@@ -104,7 +104,7 @@ def test_a_block_held_squeezed_relaxes_as_in_closed_form(nodes: int) -> None:
 
 @ISOCHORIC
 @NODES
-def test_infinitely_fast_and_slow_it_is_elastic(nodes: int, name: str) -> None:
+def test_it_is_elastic_in_the_limits_of_fast_and_slow(nodes: int, name: str) -> None:
     """At once by a law with twice the shear modulus, after a long time by its own, whatever came between."""
     law = EXAMPLES[name]
     viscous, points = of(nodes, law)
@@ -169,7 +169,7 @@ def test_no_closed_cycle_gives_energy(name: str, pace: float) -> None:
         assert work > 1e-4 * most
 
 
-def test_turning_gel_and_all_turns_the_forces() -> None:
+def test_rotating_the_gel_rotates_the_forces() -> None:
     viscous, points = of(8, EXAMPLES["mooney_rivlin"])
     R, forces = turn(7), []
     for turned in (np.eye(3), R):

@@ -88,7 +88,7 @@ def test_distance_is_1_lipschitz(shape: Shape, seed: int, reach: float) -> None:
 
 @settings(max_examples=40, deadline=None)
 @given(shape=SHAPES, seed=SEED)
-def test_it_stands_on_the_plane_and_nothing_of_it_is_below(shape: Shape, seed: int) -> None:
+def test_its_lowest_point_is_on_the_plane(shape: Shape, seed: int) -> None:
     contact = [0.0, 0.0, 0.0] if not isinstance(shape, Torus) else [shape.radius, 0.0, 0.0]
     d, n, _ = shape.distance(np.array([contact]))
     assert d[0] == pytest.approx(0, abs=1e-12)
@@ -131,7 +131,7 @@ def test_support_is_how_far_it_extends(shape: Shape, seed: int, down: float, aro
 
 @settings(max_examples=40, deadline=None)
 @given(shape=SHAPES, seed=SEED)
-def test_whoever_is_inside_is_pushed_out(shape: Shape, seed: int) -> None:
+def test_points_inside_are_pushed_out(shape: Shape, seed: int) -> None:
     """The gradient is the way out, all the way: after |d| along it a point is out, and further out beyond."""
     p = cloud(seed, 400)
     d, n, _ = shape.distance(p)
@@ -142,7 +142,7 @@ def test_whoever_is_inside_is_pushed_out(shape: Shape, seed: int) -> None:
 
 
 @pytest.mark.parametrize("shape", EACH, ids=lambda s: type(s).__name__)
-def test_its_middle_is_inside_and_defined(shape: Shape) -> None:
+def test_its_centre_is_inside_and_has_a_distance(shape: Shape) -> None:
     """On axes of symmetry the distance has no gradient; some unit vector must be given all the same."""
     axis = np.array([[0.0, 0.0, z] for z in (0.1, shape.smallest_radius, 1.0, 2.0)])
     d, n, H = shape.distance(axis)

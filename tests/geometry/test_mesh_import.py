@@ -81,7 +81,7 @@ def test_formats(suffix: str, tmp_path: Path):
     assert np.ptp(found.vertices, axis=0) == pytest.approx([2, 3, 4])
 
 
-def test_small_damage_is_mended(tmp_path: Path):
+def test_small_damage_is_repaired(tmp_path: Path):
     holed = box(2, 2, 2)
     holed.update_faces(np.arange(12) != 3)
     assert len(mesh_import.read(saved(holed, tmp_path / "holed.stl")).triangles) == 12
@@ -114,7 +114,7 @@ def holed() -> trimesh.Trimesh:
 
 
 @pytest.mark.parametrize("make", [cracked, holed])
-def test_what_trimesh_cannot_mend_is_sewn(make: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_what_trimesh_cannot_repair_is_repaired_by_meshlab(make: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     pytest.importorskip("pymeshlab")
     path = saved(make(), tmp_path / "torn.stl")
     found = mesh_import.read(path)
@@ -190,7 +190,7 @@ def text(name: str, content: bytes):
         (lambda folder: folder / "none.stl", "No such file"),
     ],
 )
-def test_what_cannot_be_used_is_said_in_one_line(make: Any, says: str, tmp_path: Path):
+def test_what_cannot_be_used_is_reported_in_one_line(make: Any, says: str, tmp_path: Path):
     path = make(tmp_path)
     with pytest.raises(UserError) as caught:
         mesh_import.read(path)
@@ -293,7 +293,7 @@ def test_the_key_follows_the_content_of_the_mesh_not_its_place(tmp_path: Path):
     assert here.key != there.key
 
 
-def test_a_mesh_that_was_changed_since_is_said(tmp_path: Path):
+def test_a_mesh_that_was_changed_since_is_reported(tmp_path: Path):
     text = RECIPE.replace("size_mm: 6", f"size_mm: 6, sha256: '{'0' * 64}'")
     with pytest.raises(UserError) as caught:
         plan.load(written(tmp_path / "a", text))

@@ -114,7 +114,7 @@ def test_reach_is_half_the_thinnest_wall():
     assert BLOCK.reach == pytest.approx(2.0, abs=0.1)
 
 
-def test_what_is_no_number_stays_none():
+def test_an_invalid_number_stays_none():
     d, _, _ = BALL.distance(np.array([[np.nan, 0, 0], [0, np.inf, 0], [0, 0, 0]]))
     assert np.isnan(d[0])
     assert d[1] == np.inf or np.isnan(d[1])

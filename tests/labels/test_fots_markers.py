@@ -87,7 +87,7 @@ def test_a_recipe_can_ask_for_it(tmp_path):
         ("digit", ["outputs=[force]", "markers.method=analytic"], "markers.method: cannot be analytic"),
     ],
 )
-def test_what_a_sensor_cannot_do_is_told(tmp_path, name, sets, said):
+def test_what_a_sensor_cannot_do_is_reported(tmp_path, name, sets, said):
     path = tmp_path / "small.yaml"
     path.write_text(HEAD + "  - press: {depth_mm: 0.5, frames: 1}\n")
     with pytest.raises(UserError, match=said):

@@ -235,7 +235,7 @@ def test_the_stress_of_a_press_balances_its_force(pressed: Run) -> None:
         assert pull[2] < 0  # tension is positive: the indenter pushes down
 
 
-def test_a_checkerboard_of_pressure_is_told_and_does_not_reach_the_nodes(pressed: Run) -> None:
+def test_a_checkerboard_of_pressure_is_reported_and_does_not_reach_the_nodes(pressed: Run) -> None:
     made, state = Stresses(pressed.problem), pressed.states[PRESSED]
     calm = made.at(state.x)
     centres = pressed.problem.mesh.points[pressed.problem.mesh.cells].mean(1)

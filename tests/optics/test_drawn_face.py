@@ -42,7 +42,7 @@ def test_a_part_of_a_sheet_shows_what_the_whole_does():
 
 
 @pytest.mark.parametrize(("lean", "folded"), [(0.0, False), (1.0, False), (2.0, True)])
-def test_only_a_face_that_leans_over_is_folded(lean: float, folded: bool):
+def test_only_a_face_that_tilts_over_is_folded(lean: float, folded: bool):
     drawn = DrawnFace(SHEET, Wave(lean), CAMERA)
     assert drawn.folded is folded
     nearest, outermost = (drawn.behind(drawn.nodes[:, 2:], outer)[..., 0] for outer in (False, True))

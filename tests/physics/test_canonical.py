@@ -88,7 +88,7 @@ def test_press_is_symmetric_and_drags_outward(modes: list[Maps]) -> None:
 
 
 @pytest.mark.slow
-def test_slide_leans_forward_is_opposed_and_spreads_in_front(modes: list[Maps]) -> None:
+def test_slide_tilts_forward_is_opposed_and_spreads_in_front(modes: list[Maps]) -> None:
     first, last = modes[DRAGGED], modes[SLID]
     front, rear = first.x > 0.5, first.x < -0.5
     assert 0.01 < first.lean(first.x) < last.lean(last.x) < 0.15

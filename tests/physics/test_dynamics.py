@@ -151,7 +151,7 @@ def test_times_must_be_known_and_of_use(tmp_path: Path, old: str, new: str, line
     assert caught.value.lines[0].removeprefix(f"{tmp_path}/recipe.yaml:").startswith(line)
 
 
-def test_a_table_that_cannot_be_read_is_told_once(tmp_path: Path) -> None:
+def test_a_table_that_cannot_be_read_is_reported_once(tmp_path: Path) -> None:
     text = RECIPE.replace(", frame_s: 0.002", "").split("  - press")[0]
     with pytest.raises(UserError) as caught:
         plan.load(recipe(tmp_path, text + "  - hold: {frames: 2}\n  - replay: {file: gone.csv}\n"))

@@ -67,7 +67,7 @@ def solved(sets: tuple[str, ...]) -> tuple[Problem, list[State]]:
     ],
     ids=["key pressed and slid", "ball rubbed there and back", "letters tilted and slid", "letters slid and turned"],
 )
-def test_it_ends_with_no_element_inside_out(
+def test_it_ends_with_no_element_inverted(
     sets: tuple[str, ...], frames: int, factored: int, frame: int, force: float
 ) -> None:
     problem, found = solved(sets)

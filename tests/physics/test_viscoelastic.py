@@ -222,7 +222,7 @@ def test_a_replay_keeps_its_own_time(tmp_path: Path) -> None:
         ("0.3}]", "0.3}]\n  gel.layers[0].law: stable_neo_hooke", "gel.layers[0].prony: unknown key"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_is_told(tmp_path: Path, old: str, new: str, told: str) -> None:
+def test_the_impossible_is_reported(tmp_path: Path, old: str, new: str, told: str) -> None:
     text = RECIPE.replace(old, new)
     assert text != RECIPE
     with pytest.raises(UserError) as caught:

@@ -35,7 +35,7 @@ def test_paths_start_at_the_recipe(tmp_path: Path):
         ("x" * 5000 + ".yaml", "no such sensor file"),
     ],
 )
-def test_what_is_not_there_is_said_in_one_line(name: str, says: str):
+def test_what_is_not_there_is_reported_in_one_line(name: str, says: str):
     with pytest.raises(UserError) as caught:
         assets.sensor_path(name)
     (line,) = caught.value.lines
@@ -45,7 +45,7 @@ def test_what_is_not_there_is_said_in_one_line(name: str, says: str):
 @pytest.mark.parametrize(
     ("name", "says"), [("./notes.txt", "must be a mesh file (.stl"), ("./empty", "holds no mesh (")]
 )
-def test_an_object_that_is_no_mesh_is_said_in_one_line(name: str, says: str, tmp_path: Path):
+def test_an_object_that_is_no_mesh_is_reported_in_one_line(name: str, says: str, tmp_path: Path):
     (tmp_path / "notes.txt").write_text("")
     (tmp_path / "empty").mkdir()
     with pytest.raises(UserError) as caught:

@@ -112,7 +112,7 @@ def test_another_photograph_is_another_scene(recipe: Path) -> None:
         (lambda p: None, (f"render.background_sha256={'f' * 64}",), "is another file now"),
     ],
 )
-def test_what_cannot_be_is_told_in_one_line(recipe: Path, make, sets: tuple[str, ...], says: str) -> None:
+def test_the_impossible_is_reported_in_one_line(recipe: Path, make, sets: tuple[str, ...], says: str) -> None:
     make(recipe.parent / "mine.png")
     with pytest.raises(UserError) as told:
         plan.load(recipe, sets)

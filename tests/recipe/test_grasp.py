@@ -62,7 +62,7 @@ def test_an_ordinary_scene_is_its_own_bundle(tmp_path: Path) -> None:
         (["grasp.right=ninedtact", "outputs=[markers]"], "grasp.right: asks for markers"),
     ],
 )
-def test_what_cannot_be_is_told_in_a_line(tmp_path: Path, sets: list[str], said: str) -> None:
+def test_the_impossible_is_reported_in_one_line(tmp_path: Path, sets: list[str], said: str) -> None:
     with pytest.raises(UserError) as refused:
         load(tmp_path, *sets)
     assert said in str(refused.value)

@@ -114,7 +114,7 @@ def lines_of(tmp_path: Path, text: str, sets: tuple[str, ...] = ()) -> list[str]
         ("x_mm: 1.0", "x_mm: 13", "9:12: trajectory[1].slide: would carry the indenter's axis off the pad"),
     ],
 )
-def test_a_mistake_is_told_where_it_stands(tmp_path: Path, old: str, new: str, line: str):
+def test_a_mistake_is_reported_where_it_stands(tmp_path: Path, old: str, new: str, line: str):
     assert old in GOOD
     (told,) = lines_of(tmp_path, GOOD.replace(old, new, 1))
     assert told.startswith(f"recipe.yaml:{line}")
@@ -188,7 +188,7 @@ def sensor_text() -> str:
         ("gel:\n", "gel: [\n", "mine.yaml:"),
     ],
 )
-def test_a_mistake_in_the_sensor_file_is_told_in_the_sensor_file(tmp_path: Path, old: str, new: str, says: str):
+def test_a_mistake_in_the_sensor_file_is_reported_in_the_sensor_file(tmp_path: Path, old: str, new: str, says: str):
     assert old in sensor_text()
     (tmp_path / "mine.yaml").write_text(sensor_text().replace(old, new, 1))
     told = lines_of(tmp_path, GOOD.replace("gelsight_mini", "./mine.yaml"))
@@ -219,7 +219,7 @@ def test_a_broken_sensor_file_does_not_hide_the_recipe(tmp_path: Path):
         ("sensor.gel.layers[0].poissons_ratio=0.6", "gel.layers[0].poissons_ratio: must be less than 0.5 (got 0.6)"),
     ],
 )
-def test_a_mistake_on_the_command_line_is_told_there(tmp_path: Path, override: str, line: str | None):
+def test_a_mistake_on_the_command_line_is_reported_there(tmp_path: Path, override: str, line: str | None):
     (told,) = lines_of(tmp_path, GOOD, (override,))
     if line is None:  # the press is too deep for the thinner gel: that stands in the recipe
         assert told.startswith(
@@ -277,7 +277,7 @@ def test_extends_lays_one_recipe_over_another(tmp_path: Path):
         ("", "a recipe must be a mapping (got nothing)"),
     ],
 )
-def test_a_recipe_that_leads_nowhere(tmp_path: Path, text: str, says: str):
+def test_errors_of_extends(tmp_path: Path, text: str, says: str):
     (told,) = lines_of(tmp_path, text)
     assert told.startswith("recipe.yaml:1:")
     assert says in told

@@ -37,7 +37,7 @@ def test_sound_sensors_have_no_problems():
         ({"normal": [0, 0, 0]}, "normal", "must be neither zero nor parallel"),
     ],
 )
-def test_a_light_where_none_can_be(led_changes: Data, key: str, says: str):
+def test_an_led_outside_the_housing_is_refused(led_changes: Data, key: str, says: str):
     found = list(problems(sensor(leds=led(**led_changes))))
     assert [p.path for p in found] == [("leds", 0, key)]
     assert says in found[0].message
@@ -100,7 +100,7 @@ def test_light_is_followed_through_one_clear_layer_under_a_dome():
     assert found.path == ("gel", "dome")
 
 
-def test_dots_under_a_cloud_are_refused():
+def test_markers_under_a_scattering_layer_are_refused():
     assert [p.path for p in problems(cloudy(markers=PLAIN["markers"]))] == [("markers",)]
 
 
@@ -114,7 +114,7 @@ def test_dots_under_a_cloud_are_refused():
         ("leds", led(size_mm=[-1, 1])),
     ],
 )
-def test_numbers_that_no_matter_has(part: str, value: Any):
+def test_unphysical_material_numbers_are_refused(part: str, value: Any):
     data = {**PLAIN, part: {**PLAIN[part], **value} if isinstance(value, dict) else value}
     found, wrong = loading.check_sensor(data)
     assert found is None
@@ -159,7 +159,7 @@ def test_bad_optics_of_the_shipped_sensors_are_one_line(name: str, path: str, va
     assert "\n" not in wrong[0].message
 
 
-def test_a_varied_light_that_leaves_the_housing_is_told_with_its_scene(tmp_path: Path):
+def test_a_varied_light_that_leaves_the_housing_is_reported_with_its_scene(tmp_path: Path):
     text = """
         extends: {}
         name: out

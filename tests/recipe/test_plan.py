@@ -124,7 +124,7 @@ def test_samples_are_spread_evenly_where_no_method_is_named(tmp_path: Path, samp
     assert whole.warnings == ()
 
 
-def test_few_points_of_a_sequence_that_correlate_are_told(tmp_path: Path) -> None:
+def test_few_points_of_a_sequence_that_correlate_are_reported(tmp_path: Path) -> None:
     head = BATCH.partition("    indenter")[0].replace("METHOD", "sobol")
     whole = expanded(loaded(tmp_path, head + NINE, ("vary.samples=30",)))
     (text,) = whole.warnings
@@ -198,7 +198,7 @@ def test_one_contact_on_several_sensors_needs_no_vary(tmp_path: Path) -> None:
           " grid: {sensor: {choice: [digit]}}}"), "vary.grid.sensor: cannot be given beside sensors"),
     ],
 )  # fmt: skip
-def test_what_is_wrong_with_several_sensors_is_told(sets: tuple[str, ...], line: str) -> None:
+def test_what_is_wrong_with_several_sensors_is_reported(sets: tuple[str, ...], line: str) -> None:
     with pytest.raises(UserError) as caught:
         plan.load(assets.recipe_path("quickstart"), ("outputs=[force]", *sets))
     assert any(line in said for said in caught.value.lines), caught.value.lines
@@ -212,7 +212,7 @@ def test_what_is_wrong_with_several_sensors_is_told(sets: tuple[str, ...], line:
         ("{sensor: {choice: [digt]}}", "sensor: "),
     ],
 )
-def test_a_grid_that_cannot_be_is_told(tmp_path: Path, grid: str, line: str) -> None:
+def test_a_grid_that_cannot_be_is_reported(tmp_path: Path, grid: str, line: str) -> None:
     with pytest.raises(UserError) as caught:
         expanded(loaded(tmp_path, BATCH.replace("METHOD", "sobol"), (f"vary.grid={grid}",)))
     assert line in caught.value.lines[0]
@@ -305,7 +305,7 @@ def test_a_grid_takes_no_uniform_and_has_an_end(tmp_path: Path):
     assert "gives 4000000 scenes" in failure(tmp_path, huge)[0]
 
 
-def test_a_fixed_value_that_a_varied_one_breaks_is_told_where_it_stands(tmp_path: Path):
+def test_a_fixed_value_that_a_varied_one_breaks_is_reported_where_it_stands(tmp_path: Path):
     text = BATCH.replace("METHOD", "sobol").replace(
         "youngs_modulus_mpa: {loguniform: [0.05", "thickness_mm: {uniform: [0.1"
     )

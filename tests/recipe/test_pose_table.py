@@ -45,7 +45,7 @@ def matrix(position: Array, q: Array) -> Array:
     return out
 
 
-def test_a_turn_is_scipys() -> None:
+def test_rotations_equal_those_of_scipy() -> None:
     """One that is written out so that a recipe is checked without loading SciPy."""
     rng = np.random.default_rng(0)
     for axis, angle in zip(
@@ -105,7 +105,7 @@ def test_what_ros_writes_is_read(tmp_path: Path) -> None:
         pose_table.read(tmp_path / "poses.csv")
 
 
-def test_titles_may_be_said(tmp_path: Path) -> None:
+def test_titles_may_be_named_by_columns(tmp_path: Path) -> None:
     """Of columns with names of their own, beside others that go by a known one."""
     titles = "stamp_ms,ee_x_m,ee_y_m,ee_z_m,rot.real,qx,qy,qz"
     (tmp_path / "poses.csv").write_text(table(ROWS, titles))
@@ -145,7 +145,7 @@ def test_columns_may_stand_in_any_order_beside_others(tmp_path: Path) -> None:
         (table(ROWS).replace("0.1,0.5,", "0.1,"), "line 3: has 7 cells, and the header 8"),
     ],
 )
-def test_what_is_wrong_with_a_table_is_told_by_line(tmp_path: Path, text: str, says: str) -> None:
+def test_what_is_wrong_with_a_table_is_reported_by_line(tmp_path: Path, text: str, says: str) -> None:
     with pytest.raises(UserError) as caught:
         load(tmp_path, text)
     first = caught.value.lines[0]
@@ -154,7 +154,7 @@ def test_what_is_wrong_with_a_table_is_told_by_line(tmp_path: Path, text: str, s
     assert caught.value.lines[1].strip() == "- replay: {file: poses.csv}"
 
 
-def test_all_bad_lines_are_told_up_to_a_few(tmp_path: Path) -> None:
+def test_all_bad_lines_are_reported_up_to_a_few(tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
     path.write_text(table([(i, 0, 0, 0, 2, 0, 0, 0) for i in range(9)]))
     with pytest.raises(UserError) as caught:
@@ -179,7 +179,7 @@ def test_a_pose_that_cannot_be_is_refused_by_line(tmp_path: Path, row: tuple[flo
     load(tmp_path, table([*ROWS, (0.4, 40, 0, 0.5, 1, 0, 0, 0)]))  # above the face it may be anywhere
 
 
-def test_an_endless_indenter_may_not_lean_too_far(tmp_path: Path) -> None:
+def test_an_endless_indenter_may_not_tilt_too_far(tmp_path: Path) -> None:
     cone = 'indenter={"shape": "cone", "half_angle_deg": 50, "tip_radius_mm": 0.5}'
     load(tmp_path, table([(0, 0, 0, 0, math.cos(0.3), math.sin(0.3), 0, 0)]), cone)
     with pytest.raises(UserError, match=r"poses.csv: line 2: the indenter's flank would meet the gel before its tip"):
@@ -197,7 +197,7 @@ def test_an_endless_indenter_may_not_lean_too_far(tmp_path: Path) -> None:
         ("{file: poses.csv, sensor_pose: {quaternion: [1, 1, 0, 0]}}", "a quaternion must be of length 1 (got 1.414)"),
     ],
 )
-def test_what_a_recipe_says_of_a_table_must_be_so(tmp_path: Path, replay: str, says: str) -> None:
+def test_the_table_must_match_the_recipe(tmp_path: Path, replay: str, says: str) -> None:
     with pytest.raises(UserError) as caught:
         load(tmp_path, table(ROWS), replay=replay)
     assert says in caught.value.lines[0]
@@ -256,7 +256,7 @@ def test_a_replay_that_begins_in_the_gel_is_approached_from_above(tmp_path: Path
     assert inside.start[2, 3] - inside.shape.support(-inside.start[2, :3]) == pytest.approx(0)
 
 
-def test_what_follows_a_replay_goes_on_from_its_last_row(tmp_path: Path) -> None:
+def test_movements_after_a_replay_start_at_its_last_row(tmp_path: Path) -> None:
     after = "  - press: {depth_mm: 0.8, frames: 2}\n  - slide: {x_mm: 0.3, frames: 1}\n  - release: {frames: 1}\n"
     made = built(tmp_path, table(ROWS), more=after)
     assert made.poses[3:, :3, 3] == pytest.approx(
@@ -323,7 +323,7 @@ def test_a_replay_gives_what_the_movements_gave(tmp_path: Path) -> None:
     assert b.recipe["trajectory"][0]["replay"]["frames"] == 4
 
 
-def test_a_table_may_hold_still(tmp_path: Path) -> None:
+def test_a_table_may_repeat_a_pose(tmp_path: Path) -> None:
     rows = [(k, 0, 0, 0.5, 1, 0, 0, 0) for k in range(3)]
     found = pipeline.run_scene(load(tmp_path, table(rows)).rows[0], tmp_path / "out")
     assert check(found.path) == []

@@ -153,14 +153,14 @@ def test_a_press_after_a_tilt_on_a_dome_counts_from_the_turned_indenters_first_t
         ((), "recipe.yaml:10:23: trajectory[1].tilt.angle_deg: the indenter's flank would meet the gel before its tip"),
     ],
 )
-def test_a_tilt_that_cannot_be_is_told_where_it_stands(tmp_path: Path, sets: tuple[str, ...], line: str) -> None:
+def test_a_tilt_that_cannot_be_is_reported_where_it_stands(tmp_path: Path, sets: tuple[str, ...], line: str) -> None:
     cone = "indenter={shape: cone, half_angle_deg: 60, tip_radius_mm: 0.5}"
     with pytest.raises(UserError) as caught:
         row(tmp_path, "press: {depth_mm: 1.0, frames: 1}\ntilt: {angle_deg: 40, frames: 1}", cone, *sets)
     assert caught.value.lines[0].removeprefix(f"{tmp_path}/").startswith(line)
 
 
-def test_of_a_mesh_that_leans_only_its_file_knows_the_lowest_point(tmp_path: Path) -> None:
+def test_of_a_mesh_that_tilts_only_its_file_knows_the_lowest_point(tmp_path: Path) -> None:
     """Which it is then turned about: until the file is read, nothing is said of where that leads."""
     tilts = "tilt: {angle_deg: 5, frames: 1}\ntilt: {angle_deg: 5, frames: 1}\nslide: {x_mm: 1, frames: 1}"
     assert row(tmp_path, tilts, "indenter={shape: mesh, file: gear}").frames == 3

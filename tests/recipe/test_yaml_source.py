@@ -78,7 +78,7 @@ def test_a_mark_shows_the_line_and_a_caret_below_the_place():
         ("[" * 800, "r.yaml"),
     ],
 )
-def test_what_is_no_yaml_is_said_in_one_line(text, says):
+def test_invalid_yaml_is_reported_in_one_line(text, says):
     with pytest.raises(UserError) as caught:
         read(text)
     assert caught.value.lines[0].startswith(says) or says in caught.value.lines[0]
@@ -125,7 +125,7 @@ def test_paths_survive_being_written(steps: list):
 
 
 @pytest.mark.parametrize("text", ["", "a.", ".a", "a[b]", "a b", "a[-1]", "[0]", "a..b", "ä"])
-def test_what_is_no_path_is_refused(text: str):
+def test_an_invalid_path_is_refused(text: str):
     with pytest.raises(ValueError, match="is not a path"):
         parse_path(text)
 

@@ -64,7 +64,7 @@ def test_a_triangle_mesh_crosses_a_plane_in_lines() -> None:
     assert crossed(points, triangles, 3.5).shape == (0, 2, 2)
 
 
-def test_what_cannot_be_drawn_is_told_in_a_line(tmp_path: Path) -> None:
+def test_what_cannot_be_drawn_is_reported_in_one_line(tmp_path: Path) -> None:
     bare = write(tmp_path / "x.h5", outputs=frozenset({"force"}))
     for args, words in (
         (("--field", "heat", "-o", "x.png"), "heat: unknown field, use one of pressure, traction, slip, stress"),

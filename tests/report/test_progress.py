@@ -37,7 +37,7 @@ def test_a_line_a_scene_where_there_is_no_terminal():
     assert lines[2:] == ["scene-00001: ok"]
 
 
-def test_a_note_is_said_once_for_all_scenes():
+def test_a_note_is_reported_once_for_all_scenes():
     stream = io.StringIO()
     with Progress(2, 8, stream) as progress:
         for scene in ("scene-00000", "scene-00001"):

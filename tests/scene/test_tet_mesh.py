@@ -104,7 +104,7 @@ def test_a_mesh_is_kept_and_another_scene_gets_another(domed: mesh.Mesh, monkeyp
         mesh.of(pressed(DOMED, edge=0.55))
 
 
-def test_of_two_that_mesh_at_once_both_go_on_with_the_first(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_two_processes_that_mesh_at_once_use_the_first_mesh(monkeypatch: pytest.MonkeyPatch) -> None:
     from tacgen import array_cache
 
     def second() -> tuple[Array, ...]:
@@ -114,7 +114,7 @@ def test_of_two_that_mesh_at_once_both_go_on_with_the_first(monkeypatch: pytest.
     assert array_cache.kept("meshes", "race", second)[0].tolist() == [0, 0, 0]
 
 
-def test_damaged_caches_are_made_anew() -> None:
+def test_damaged_caches_are_made_again() -> None:
     from tacgen import array_cache
     from tacgen.array_cache import cache_folder
 

@@ -85,7 +85,7 @@ def test_it_is_the_schur_complement_even_of_what_contact_alone_keeps_stable(
     assert (bulk.condensed.schur.undamped == S).all()
 
 
-def test_what_is_unstable_away_from_the_contact_is_told(bulk: Bulk) -> None:
+def test_what_is_unstable_away_from_the_contact_is_reported(bulk: Bulk) -> None:
     bulk.condensed.factor(bulk.data)
     bulk.shift(~bulk.near, -0.05)
     bulk.shift(bulk.near, 100.0)
@@ -191,7 +191,7 @@ def test_an_indefinite_symmetric_sum_still_leads_down() -> None:
     assert any(schur.solve(added, way, False) @ way < 0 for way in ways)
 
 
-def test_what_is_singular_is_told() -> None:
+def test_what_is_singular_is_reported() -> None:
     schur = Schur(np.eye(4))
     schur.activate(np.ones(4, bool))
     with pytest.raises(np.linalg.LinAlgError):
