@@ -118,7 +118,7 @@ def test_the_command_writes_a_sensor_file_with_its_source(curves: Curves, tmp_pa
         ("depth_mm,force_n\n1,2\n2,3\n3,4\n", ("--second", f"sensor.{MODULUS}=1:2"), "is 0.432, which the range must"),
     ],
 )
-def test_what_cannot_be_used_is_reported_in_one_line(
+def test_an_unusable_table_is_reported_in_one_line(
     tmp_path: Path, table: str, more: tuple[str, ...], says: str
 ) -> None:
     row(tmp_path)
