@@ -1,10 +1,10 @@
-"""Mitsuba's variants against each other: seconds of a traced picture on the processor, and on a GPU if there is one.
+"""Compare Mitsuba's variants: seconds of a traced image on the processor, and on a GPU if there is one.
 
     python scripts/bench_variants.py [--spp 16 256 4096] [--sensors digit]
 
-A ball's dent at the sensor's own resolution. The first picture of a size compiles its kernels and is timed apart; of
-three more, the least and the greatest are printed. All variants draw other paths, so pictures agree within their noise:
-the last column is how far the mean light is from that of the first variant, and what its noise explains.
+A ball's dent at the sensor's own resolution. The first image of a size compiles its kernels and is timed separately; of
+three more, the shortest and the longest time are printed. The variants use different random paths, so images agree
+within their noise: the last column is the difference of the mean radiance from the first variant, and its noise.
 """
 
 import argparse

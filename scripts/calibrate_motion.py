@@ -1,8 +1,9 @@
-"""Fit a sensor's `markers.motion` (tacgen/labels/fots_markers.py) to the dots' motion that the solved gel gives.
+"""Fit a sensor's `markers.motion` (tacgen/labels/fots_markers.py) to the marker motion of the solved gel.
 
     python scripts/calibrate_motion.py [--sensor gelsight_mini] [--quality default]
 
-A ball is pressed, slid until it slips and twisted; a smaller ball and a flat punch, not fitted, say the error.
+A ball is pressed, slid until it slips and twisted; a smaller ball and a flat punch, which are not fitted, give the
+error.
 """
 # ruff: noqa: E402
 
@@ -33,7 +34,7 @@ START = (0.002, 0.05, 0.5, 0.03, 10.0, 0.05)
 
 
 class Shown:
-    """What one indenter does to the dots, solved: poses and sideways motion of the dots [mm] in each frame."""
+    """Solved marker motion under one indenter: poses, and sideways motion of the markers [mm], in each frame."""
 
     def __init__(self, sensor: str, indenter: str, quality: str) -> None:
         sets = (f"sensor={sensor}", f"indenter={indenter}", f"trajectory={MOVES}", "outputs=[markers]")
@@ -49,7 +50,7 @@ class Shown:
         self.moved = np.array([self.camera.project(face.moved(state.x).at(self.rest)) - still for state in states])
 
     def drifted(self, numbers: np.ndarray) -> np.ndarray:
-        """The same by the exponentials."""
+        """The same by the exponential functions."""
         press, shear, twist = np.reshape(numbers, (3, 2))
         motion = Motion(press=tuple(press), shear=tuple(shear), twist=tuple(twist), source="trial")
         model = fots_markers.Drift(motion, self.rest, self.gel, self.shape, self.camera)

@@ -2,8 +2,8 @@
 
     python scripts/calibrate_optics.py gelsight_mini [../shared/reference] [--but 9.500mm] [-o mine.yaml]
 
-All this does is to lay the photographs out as that command wants them: background.png and presses.csv. `--but 9.500mm`
-leaves those out whose name has that in it, so that they can judge the file.
+It only arranges the photographs as that command needs them: background.png and presses.csv. `--but 9.500mm` leaves out
+those with that text in their name, so that they can test the fitted file.
 """
 
 import argparse

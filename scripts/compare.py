@@ -1,9 +1,9 @@
-"""Rendered sensors beside photographs of real ones; `tacgen bench real` has the numbers.
+"""Rendered images next to photographs of real sensors; `tacgen bench real` has the numbers.
 
     python scripts/compare.py [gelsight_mini|digit|ninedtact] [--photos ../shared/reference] [-o out] [--file mine.yaml]
 
-Without a sensor, all of them. Each row is a photograph, the rendered picture, and the change of both against the
-untouched one, twice as strong on grey. Where the photographs are absent it says so and stops with exit code 0.
+Without a sensor, all of them. Each row is a photograph, the rendered image, and the change of both from the untouched
+image, twice as strong on grey. If there are no photographs it says so and ends with exit code 0.
 """
 
 import argparse

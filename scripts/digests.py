@@ -1,9 +1,9 @@
-"""Hashes of the bundles that recipes give, so that two versions of tacgen can be compared with diff.
+"""Print hashes of the bundles of recipes, to compare two versions of tacgen with diff.
 
     python scripts/digests.py [quickstart tap ...] [-o folder] [--set PATH=VALUE ...] > after.txt
 
-Without names, every shipped recipe; each as one scene at draft quality. A line is `sha256  recipe  file`, and equal
-lines mean equal bytes. Compare on one machine with the same numbers of threads: sums in another order differ.
+Without names, all shipped recipes; each as one scene at draft quality. A line is `sha256  recipe  file`; equal lines
+mean equal bytes. Compare on one machine with the same number of threads: the order of sums changes their rounding.
 """
 
 import argparse

@@ -1,4 +1,4 @@
-"""Draw the gallery: a contact sheet for each sensor and movement, and the page docs/gallery.md that shows them.
+"""Draw the gallery: a sheet of pictures for each sensor and movement, and the page docs/gallery.md.
 
     python scripts/gallery.py out/gallery -o docs     # `make gallery` runs docs/gallery/gallery.yaml first
 
@@ -22,11 +22,11 @@ from tacgen.recipe.loading import read_sensor
 from tacgen.recipe.trajectory import Segment
 from tacgen.report import bundle_figure, catalogue, field_figure
 
-ACROSS = 6  # indenters side by side; the others follow below
-PANEL, GAP, LEFT, TITLE = 1.5, 0.05, 0.55, 0.3  # inches
-DPI, WEBP = 110, 70  # pixels an inch; quality of the compression
+ACROSS = 6  # indenters in a row
+PANEL, GAP, LEFT, TITLE = 1.5, 0.05, 0.55, 0.3  # sizes of a panel, gap, left margin and title [inch]
+DPI, WEBP = 110, 70  # resolution [pixels an inch]; WebP quality [%]
 VON_MISES = field_figure.SECTIONS[-1:]
-Column = tuple[str, Bundle, int | None]  # indenter, its scene, the frame shown; None: it was not reached
+Column = tuple[str, Bundle, int | None]  # indenter, its scene, the frame shown (None: not reached)
 
 
 def indenter(bundle: Bundle) -> str:
@@ -80,7 +80,7 @@ def sheet(scenes: list[Column]) -> Figure:
 
 
 def draw(panels: list, column: Column, image: tuple[int, int]) -> None:
-    """The four panels of one indenter; in each map's corner what its brightest colour stands for."""
+    """The four panels of one indenter, with the value of the brightest colour in each map's corner."""
     name, bundle, k = column
     panels[0].set_title(name, fontsize=9, pad=4)
     if k is None:
@@ -99,12 +99,12 @@ def draw(panels: list, column: Column, image: tuple[int, int]) -> None:
 
 
 def how_far(move: dict[str, object]) -> str:
-    """`x_mm: 0.8, y_mm: 0`: what a movement says with a unit."""
+    """`x_mm: 0.8, y_mm: 0`: the values of a movement that have a unit."""
     return ", ".join(f"{key}: {value:g}" for key, value in move.items() if key.endswith(("_mm", "_deg")))
 
 
 def heading(sensor: str, bundles: list[Bundle]) -> list[str]:
-    """What is said of a sensor before its sheets."""
+    """The text about a sensor before its sheets."""
     made = read_sensor(assets.sensor_path(sensor))[0]
     wide, high = (made.camera.mm_per_px * n for n in (made.camera.width_px, made.camera.height_px))
     section = field_figure.WIDE * np.ptp(bundles[0]["/mesh/points"][:, 2])
@@ -119,21 +119,21 @@ def heading(sensor: str, bundles: list[Bundle]) -> list[str]:
 
 
 def page(found: dict[str, list[Bundle]]) -> str:
-    """docs/gallery.md: what was run, and every sheet."""
+    """The text of docs/gallery.md."""
     sensor, first = next(iter(found.items()))
     objects = catalogue.objects()
     kinds = [kind for kind in Segment.model_fields if columns(first, kind)]
     lines = [
         "# Gallery",
         "",
-        "Every shape and every shipped object, moved in every way, on every shipped sensor:",
+        "All shapes and shipped objects, with all movements, on all shipped sensors:",
         f"{sum(map(len, found.values()))} scenes at quality `draft`. `make gallery` runs",
-        "[gallery.yaml](gallery/gallery.yaml) on each sensor and draws this page anew, in some 20 minutes on one core.",
+        "[gallery.yaml](gallery/gallery.yaml) on each sensor and draws this page, in some 20 minutes on one core.",
         "",
-        "A column is one frame of one scene: the camera's picture, pressure, size and direction of the tangential",
-        "traction on the gel, and von Mises stress in the plane through the indenter along x. The maps show what is",
-        "dotted in the camera picture, or all of it. Colours go from 0 to the number in the corner. A scene that was",
-        "rejected is named under its sensor, with the reason.",
+        "A column is one frame of one scene: camera image, pressure, magnitude and direction of the tangential",
+        "traction on the gel, and von Mises stress in the plane through the indenter along x. The maps show the dotted",
+        "part of the camera image, or all of it. Colours go from 0 to the number in the corner. Rejected scenes are",
+        "listed under their sensor, with the reason.",
         "",
         "| indenter | |",
         "|---|---|",
@@ -151,7 +151,7 @@ def page(found: dict[str, list[Bundle]]) -> str:
         lines.append(f"| [{kind}](#{sensor}-{kind}) | {about} | {how_far(move)} |")
     lines += [
         "",
-        "All but the replay begin with the press. Of a release the frame half way up is shown, of the others the last.",
+        "All movements but the replay follow a press. The last frame is shown; for a release, the one half way up.",
         "",
     ]
     for sensor, bundles in found.items():

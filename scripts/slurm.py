@@ -1,9 +1,9 @@
-"""A recipe on a SLURM cluster: Dask workers as jobs, and `tacgen run` where this is started (a login node will do).
+"""Run a recipe on a SLURM cluster: Dask workers as jobs, and `tacgen run` on this machine, such as a login node.
 
     python scripts/slurm.py recipes/batch.yaml -o /shared/out/batch --jobs 40 --queue short --walltime 04:00:00
 
-The folder must be one that all nodes see. Started again after it was stopped, it goes on; options that are not
-its own are passed to `tacgen run`, such as `--set quality=draft`. Without Dask, a job array does as well:
+All nodes must share the folder. The same command resumes a stopped run; other options, such as `--set quality=draft`,
+are passed to `tacgen run`. Without Dask, use a job array:
 
     sbatch --array=0-39 --wrap 'tacgen run recipes/batch.yaml -o /shared/out/batch --shard $SLURM_ARRAY_TASK_ID/40'
 """
