@@ -12,6 +12,8 @@ import numpy as np
 from benchmarks.results_page import Cell, Level, Result, Say, Table, columns
 from benchmarks.workers import scenes
 from tacgen import batch
+from tacgen.batch.local import Pool
+from tacgen.batch.worker_process import memory
 from tacgen.bundle.bundle import Writer
 from tacgen.bundle.resume import SceneResult, once
 from tacgen.recipe import assets, plan
@@ -22,13 +24,15 @@ TINY = ("quality={edge_mm: 1.2, dhat_mm: 0.1, spp: 4}", "outputs=[force]", "cont
 
 
 def bench(level: Level, say: Say) -> Result:
-    """What the engines cost, and reading for training."""
+    """Engines, memory and reading."""
     count = {"smoke": 4, "normal": 48, "full": 200}[level]
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder)
         tables = [_overhead(count, out, say)]
-        if level != "smoke" and find_spec("torch"):
-            tables.append(_reading(out, say))
+        if level != "smoke":
+            tables.append(_memory(count, out, say))
+            if find_spec("torch"):
+                tables.append(_reading(out, say))
         return Result(ABOUT, tables)
 
 
@@ -71,6 +75,23 @@ def _overhead(count: int, out: Path, say: Say) -> Table:
         say(f"{engine}: {step - bare:+.1f} ms a scene")
     heads = columns("engine", "ms a scene: .1f", "beyond a bundle's own: +.1f", "its own processor: .1f")
     return Table("Engines", heads, rows, "Scenes without work: claimed, written, read back.")
+
+
+def _memory(count: int, out: Path, say: Say) -> Table:
+    """Of one worker over many scenes: it should not grow."""
+    held: list[float] = []
+    with Pool() as pool:
+
+        def on_event(event: dict[str, Any]) -> None:
+            if event["event"] == "scene":
+                held.append(1000 * memory(pool.workers[0].process.pid))
+
+        pool.run(scenes(count, TINY).rows, out / "flat", on_event=on_event)
+    part = max(1, count // 10)
+    start, end = float(np.median(held[part : 2 * part])), float(np.median(held[-part:]))
+    say(f"memory: {start:.0f} MB, then {end:.0f} MB")
+    heads = columns("scenes: d", "after a tenth [MB]: .0f", "after all [MB]: .0f", "a scene [kB]: +.0f")
+    return Table("Memory of a worker", heads, [[count, start, end, 1000 * (end - start) / count]])
 
 
 def _reading(out: Path, say: Say) -> Table:

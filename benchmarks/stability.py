@@ -128,7 +128,7 @@ def overlap(problem: solve.Problem, state: solve.State, fine: int = 5) -> float:
 
 def bench(level: Level, say: Say) -> Result:
     """The cases and random scenes: some anywhere, and in rounds after that half of them near those hardest so far."""
-    from benchmarks import step_size_error
+    from benchmarks import sensitivity, step_size_error
 
     rounds = {"smoke": [1], "normal": [8], "full": [100] * 4}[level]
     named = {name: CASES[name] for name in SMOKE_CASES} if level == "smoke" else CASES
@@ -149,7 +149,7 @@ def bench(level: Level, say: Say) -> Result:
     tables = [_summary(known, chance), Table("Cases", HEADS, rows), _worst(chance)]
     wrong = [one.name for one in everyone if not one.sound]
     about = ABOUT + (f" **Wrong frames in: {', '.join(wrong)}.**" if wrong else "")
-    return Result(about, [*tables, step_size_error.table(level, say)])
+    return Result(about, [*tables, step_size_error.table(level, say), sensitivity.table(level, say)])
 
 
 def _drawn(count: int, rng: np.random.Generator, points: list[Array], found: list[Outcome]) -> list[Array]:

@@ -188,13 +188,22 @@ def show_plan(
     recipe: RecipeFile,
     sets: Sets = None,
     shard: Annotated[str, typer.Option(metavar="I/N", help="Only part I of N of the scenes.")] = "0/1",
+    estimate: Annotated[
+        bool,
+        typer.Option("--estimate", help="Print what they would cost instead; it times a few of them."),
+    ] = False,
+    workers: Workers = "auto",
     as_csv: Annotated[bool, typer.Option("--csv", help="Print CSV.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Print the table of scenes of a recipe; `run --dry-run` estimates their cost."""
+    """Print the table of scenes of a recipe, or with --estimate their cost."""
     from tacgen.recipe import plan_table
 
     plan = plan_of(recipe, sets, shard_of(shard))
+    if estimate:
+        cost = priced(plan, workers_of(workers))
+        show_result(cost, f"{counted(len(plan.rows), 'scene')} of {plan.name}: {cost['text']}", as_json)
+        return
     typer.echo((plan_table.as_json if as_json else plan_table.as_csv if as_csv else plan_table.as_text)(plan), nl=False)
 
 

@@ -137,11 +137,12 @@ def test_a_dry_run_writes_nothing_and_says_what_it_would_cost(tmp_path: Path, ti
     assert not (tmp_path / "out").exists()
 
 
-def test_a_dry_run_gives_the_cost_to_programs_too(tmp_path: Path, timed: None):
-    done = tacgen_("run", "batch", "-o", str(tmp_path / "out"), "--dry-run", "--json", "--workers", "auto")
-    cost = json.loads(done.stdout)["cost"]
-    assert cost["seconds"][0] == 32.0
-    assert cost["workers"] >= 1
+def test_a_plan_s_cost(timed: None):
+    done = tacgen_("plan", "batch", "--estimate", "--workers", "1")
+    assert done.stdout.startswith("8 scenes of batch: about 32 s of one core (0 s to 88 s); 0.08 GB (0.08 to 0.08); ")
+    plain = json.loads(tacgen_("plan", "batch", "--estimate", "--json", "--workers", "auto").stdout)
+    assert plain["seconds"][0] == 32.0
+    assert plain["workers"] >= 1
 
 
 @pytest.mark.parametrize(
