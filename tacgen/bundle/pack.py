@@ -67,7 +67,7 @@ def join(folder: Path) -> Path:
     """Write `frames.h5`: datasets that all scenes have in one shape, end to end, read from the shards when asked for.
 
     HDF5 reads zeros where a shard is missing, so every shard is looked at first, and so should whoever opens it later:
-    `source.packed` does. /scene and /frame say where each row comes from; /scenes holds the names.
+    `dataset.packed` does. /scene and /frame say where each row comes from; /scenes holds the names.
 
     Raises:
         UserError: a shard is missing or damaged.

@@ -29,7 +29,7 @@ def once(row: Row, folder: Path, make: Callable[[Path], SceneResult], *, overwri
 
     Raises:
         UserError: the bundle's place is taken by a file made from other inputs.
-        partfile.Busy: another process is making this very bundle.
+        atomic_file.Busy: another process is making this bundle.
     """
     paths = [folder / f"{each.name}.h5" for each in row.bundles]
     folder.mkdir(parents=True, exist_ok=True)

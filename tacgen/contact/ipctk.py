@@ -6,7 +6,7 @@ what edges and corners count twice taken off (Li et al. 2023, "Convergent IPC"),
 
 Each crossing of two edges takes a hundredth of that force, only to keep them apart: with their full areas, crossings
 make a flat contact 5 to 65 times as stiff as its area says, and push single nodes along the face by up to a fifth of
-the force across it (tests/fem/test_ipc.py).
+the force across it (tests/contact/test_ipctk.py).
 """
 
 import math

@@ -1,1 +1,1 @@
-"""What pictures need beside `render`: the tracer, its variants, a photograph behind them."""
+"""Rendering of camera images: methods, path tracer, Mitsuba's variants."""

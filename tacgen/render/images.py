@@ -1,9 +1,8 @@
 """Sensor + deformed coated face -> camera images.
 
-In a clear gel, transport is direct light and its mirror image in the plate (optics/direct) and what the untouched face
-throws on itself (optics/bounce), all of it summed without noise. In a gel that scatters it is the untouched picture and
-how that changes with thickness (optics/cloudy), traced once per sensor and kept in the cache. `PathTracer` is the whole
-truth at any spp, for checking either.
+In a clear gel, `transport` is direct light with its reflection in the plate (optics/direct_light) plus interreflection
+(optics/interreflection), without sampling noise. In a gel that scatters it is the untouched image and its change with
+thickness (optics/scattering), traced once per sensor and cached. `PathTracer` is the unbiased reference for both.
 """
 
 import hashlib
@@ -32,15 +31,15 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-BOUNCE_POINTS = 6, 8  # on each strip, along and up, for what bounces
-SPACING = 0.1  # [mm] between the nodes of a sheet that shows all
-FLAT_SPACING = 1.0  # the same of one that stays flat
-COLUMNS = 40  # of a traced map, whatever the image's
-PATHS = 64  # in a pixel of a map, for each path a pixel that was asked for
-MOST = 24  # paths a pixel, whatever was asked for, that count for maps: two minutes on one slow core
-SMOOTH = 3.5  # [map pixels] the Gaussian that takes the noise off a map
-TABLE_COLUMNS = 64  # of the pictures that a table is calibrated on
-TABLE_PATHS = 8  # in a pixel of those, for each path a pixel that was asked for
+BOUNCE_POINTS = 6, 8  # quadrature points along and up each strip, for interreflection
+SPACING = 0.1  # of the nodes of a deformed sheet [mm]
+FLAT_SPACING = 1.0  # of the nodes of a sheet that stays flat [mm]
+COLUMNS = 40  # width of a traced map [px], whatever the image's
+PATHS = 64  # paths in a pixel of a map for each sample a pixel (spp)
+MOST = 24  # largest spp that counts for maps: two minutes on one slow core
+SMOOTH = 3.5  # standard deviation of the Gaussian that removes a map's noise [map pixels]
+TABLE_COLUMNS = 64  # width of the images on which a table is calibrated [px]
+TABLE_PATHS = 8  # paths in a pixel of those images for each sample a pixel (spp)
 LINEAR = {
     "blur_mm",
     "exposure",
@@ -53,7 +52,7 @@ MAP_VERSION = 8  # of how the maps are made; part of their cache key
 
 
 class Light(Protocol):
-    """One way to light a face."""
+    """A method to compute the light on a face."""
 
     def seen(self, at: Samples) -> "Floats":
         """Linear radiance (H, W, 3) of what the camera's rays meet."""
@@ -74,7 +73,7 @@ class Traced:
 
 
 class Clear:
-    """Direct light and its mirror images, and what the coat throws on itself, as on the untouched face."""
+    """Direct light with its reflection in the plate, and the interreflection of the untouched face."""
 
     def __init__(self, sensor: "LitSensor", sheet: Sheet, markers: bool, spp: int, untouched: Surface) -> None:
         effort = Effort.of(spp)
@@ -96,9 +95,9 @@ def clear(sensor: "LitSensor", sheet: Sheet, markers: bool, spp: int, untouched:
 
 
 class Cloudy:
-    """A traced map of the untouched picture, LED by LED, so that their light can vary; and how brightness follows
-    thickness, traced on gels of even thickness and on one dent, that shows how far light wanders sideways. That is
-    taken to be the same whichever LED shines."""
+    """A traced map of the untouched image for each LED, so that their light can vary; and brightness as a function of
+    thickness, traced for gels of uniform thickness and for one dent, which gives the lateral spread of light. The
+    latter is assumed to be the same for all LEDs."""
 
     def __init__(self, sensor: "LitSensor", sheet: Sheet, markers: bool, spp: int, variant: str) -> None:
         samples = Effort.of(spp).samples
@@ -145,7 +144,7 @@ class Cloudy:
 
 
 class Tabled:
-    """A look-up table of light by slope and place, calibrated on traced pictures of dents LED by LED: optics/table."""
+    """A look-up table of light by slope and position, calibrated on traced images of dents: optics/taxim_table."""
 
     def __init__(
         self, sensor: "LitSensor", sheet: Sheet, markers: bool, spp: int, variant: str, untouched: Surface
@@ -200,7 +199,7 @@ class Renderer:
         method: Literal["transport", "path", "table"] = "transport",
         untouched: Surface | None = None,
     ) -> None:
-        """By `transport`, `spp` paths a pixel go into what is traced once; by `path`, into every image.
+        """`spp`: with `transport`, paths a pixel of what is traced once; with `path`, of each image.
 
         `variant` is Mitsuba's, where that is needed, the best here if None; `seed` is that of the paths in images;
         `untouched` is the face at rest, which a gel that is a solid must be given.
@@ -250,7 +249,7 @@ class Renderer:
 
 
 class Effort(NamedTuple):
-    """Numbers by which transport trades time for error."""
+    """Parameters of `transport` that trade time for accuracy."""
 
     pieces: int  # along each strip
     samples: int  # rays along a pixel's side
@@ -259,7 +258,7 @@ class Effort(NamedTuple):
 
     @classmethod
     def of(cls, spp: int) -> "Effort":
-        """What goes with `spp` paths a pixel: draft, default or reference."""
+        """The parameters for `spp`, that of draft, default or reference."""
         if spp < 32:
             return cls(5, 1, 2 * SPACING, adaptive_sampling.Tolerance(8, 1e-2, 0.6))
         if spp <= 256:
@@ -276,7 +275,7 @@ def zoomed(sensor: "LitSensor", columns: int) -> "LitSensor":
 
 
 def lit_by(sensor: "LitSensor", numbers: set[int]) -> "LitSensor":
-    """The sensor with some LEDs of unit radiance, and all others dark."""
+    """The sensor with unit radiance of some LEDs; the others are dark."""
     leds = enumerate(sensor.leds)
     lit = [led.model_copy(update={"radiance": (float(k in numbers),) * 3, "power": 1.0}) for k, led in leds]
     return sensor.model_copy(update={"leds": tuple(lit)})

@@ -1,5 +1,5 @@
-"""Mitsuba's `path` and `volpath` on a sensor: the whole truth about its light, with their noise. The home of Mitsuba,
-which is imported only inside functions."""
+"""Mitsuba's integrators `path` and `volpath` for a sensor: unbiased, with sampling noise. Mitsuba is imported here
+only, inside functions."""
 
 import os
 import tempfile
@@ -21,10 +21,10 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 Window: TypeAlias = tuple[int, int, int, int]  # left, top, width, height [px]
-MASK_PIXEL = 0.02  # [mm] of the marker texture
+MASK_PIXEL = 0.02  # pixel of the marker texture [mm]
 MAX_DEPTH = 12  # path vertices, interfaces included
-MAX_DEPTH_SCATTERING = 64  # the same where light also turns between surfaces; thinned out from MAX_DEPTH on
-BLOCK = 8  # [px] side of the blocks that scalar variants work on
+MAX_DEPTH_SCATTERING = 64  # the same in a scattering gel; with Russian roulette from MAX_DEPTH on
+BLOCK = 8  # side of the blocks that scalar variants render [px]
 FILM = "sensor.film"
 
 
