@@ -34,7 +34,8 @@ Array = np.ndarray
 Datasets = dict[str, Any]  # by their paths in the bundle
 SHEET_MARGIN = 1.0  # [mm] by which a sheet is larger than its first face asks
 OUTWARD = np.array([-1, 1, -1, 1])
-SHEET_SPACING = 0.1  # [mm] between the nodes on which height, normals, gap and the coating's flow are drawn
+SHEET_SPACING = 0.1, 0.2  # least, most [mm] between the nodes on which height, normals, gap and the flow are drawn
+SHEET_NODES = 3  # an edge of the mesh: with more of them labels are no nearer to those on a mesh of .22 mm
 
 
 class _Faces:
@@ -87,7 +88,8 @@ class SceneData(_Faces):
         from tacgen.optics.surface_grid import Sheet
 
         if self._sheet is None or (OUTWARD * (np.array(self._sheet.box) - box) < 0).any():
-            self._sheet = Sheet.over(self.row.sensor.gel, SHEET_SPACING, tuple(box + SHEET_MARGIN * OUTWARD))
+            spacing = float(np.clip(self.problem.edge / SHEET_NODES, *SHEET_SPACING))
+            self._sheet = Sheet.over(self.row.sensor.gel, spacing, tuple(box + SHEET_MARGIN * OUTWARD))
         return self._sheet
 
     @cached_property

@@ -31,7 +31,7 @@ RIDGE = 0.05  # ridge penalty of the position-dependent terms, over the number o
 ALONG = (-0.6, -0.2, 0.2, 0.6)
 PLACES = [(x, y) for y in ALONG for x in ALONG]  # of dents, in half pictures from the middle
 BALLS = [(1.2, 0.6), (0.6, 0.9), (1.5, 0.35), (0.8, 0.75)]  # radius, in the gel's thickness; sine of the steepest slope
-COARSE = 2  # spacing of pixels whose shadows are computed, and of the points tested on the line to a lamp [px]
+COARSE = 4  # spacing of pixels whose shadows are computed, and of the points tested on the line to a lamp [px]
 
 
 @dataclass(frozen=True)
@@ -98,9 +98,10 @@ class Table:
         """What the face adds to the untouched picture's linear radiance, (h, w, 3); see `fitted` for the arguments."""
         out = _look_up(self.terms, face.slope, places(face.height.shape))
         if self.shade.any():
-            h, w = face.height.shape
-            dark = shadows(face.height[::COARSE, ::COARSE], lamps, COARSE * mm_per_px) @ self.shade
-            out -= dark.repeat(COARSE, axis=0).repeat(COARSE, axis=1)[:h, :w]
+            some = np.ascontiguousarray(face.height[COARSE // 2 :: COARSE, COARSE // 2 :: COARSE])
+            dark = shadows(some, lamps, COARSE * mm_per_px) @ self.shade
+            down, across = (_between(n, k) for n, k in zip(face.height.shape, some.shape, strict=True))
+            out -= (down @ (across @ dark).reshape(len(some), -1)).reshape(out.shape)
         return out
 
 
@@ -113,6 +114,13 @@ def dents(sensor: "LitSensor", untouched: "Surface") -> Iterator[BallDent]:
     for (x, y), (share, slope) in zip(PLACES, cycle(BALLS), strict=False):
         at = np.add(camera.center_mm, camera.crop_mm) + reach * (x, y)
         yield BallDent(share * thick, slope * share * thick, (float(at[0]), float(at[1])), untouched, thick)
+
+
+@cache
+def _between(pixels: int, known: int) -> "Floats":
+    """Weights (pixels, known) that take values at every COARSE-th pixel of a row to all of them, linearly."""
+    x, at = np.arange(pixels), COARSE // 2 + COARSE * np.arange(known)
+    return np.array([np.interp(x, at, one) for one in np.eye(known)]).T
 
 
 @cache

@@ -155,21 +155,23 @@ class Tabled:
         level, light = self._view.look(untouched), np.array([led.light for led in sensor.leds])
         self._normals, paths = level.normal.reshape(*self._view.shape, 3), -(-spp * TABLE_PATHS // len(light))
 
+        fine = Sheet.over(sensor.gel, SPACING)  # of what is traced, whatever the pictures'
+
         def trace() -> "Floats":
             coarse = zoomed(sensor, TABLE_COLUMNS)
-            view = View(coarse, sheet, False)
+            view = View(coarse, fine, False)
             dented: list[Surface] = [untouched, *taxim_table.dents(sensor, untouched)]
             flat, *seen = (view.look(face) for face in dented)
             faces = [self._face(at, flat.normal.reshape(*view.shape, 3)) for at in seen]
             made = []
             for k, lamp in enumerate(self._lamps):
-                tracer = PathTracer(lit_by(coarse, {k}), sheet, False, variant)
+                tracer = PathTracer(lit_by(coarse, {k}), fine, False, variant)
                 bare = tracer.render(flat.nodes, 4 * paths, 0)
                 added = [tracer.render(at.nodes, paths, 1 + i) - bare for i, at in enumerate(seen)]
                 made.append(taxim_table.Table.fitted(faces, added, lamp[None], coarse.camera.mm_per_px).packed)
             return np.array(made)
 
-        face = None if sensor.gel.solid is None else np.round(level.nodes, 3).tolist()  # its file may be another
+        face = None if sensor.gel.solid is None else np.round(fine.at(untouched), 3).tolist()  # its file may be another
         name = key(sensor, variant, spp, TABLE_COLUMNS, TABLE_PATHS, taxim_table.PLACES, taxim_table.BALLS, face)
         kept = array_cache.kept_one("table", name, trace)
         self._table = taxim_table.Table.mixed([taxim_table.Table.unpacked(one) for one in kept], light)
@@ -211,7 +213,7 @@ class Renderer:
             raise ValueError(f"spp must be at least 1, not {spp}")
         self.sensor = sensor
         effort, self.untouched = Effort.of(spp), untouched or Untouched.of(sensor.gel)
-        self.sheet = Sheet.over(sensor.gel, effort.spacing if method == "transport" else SPACING)
+        self.sheet = Sheet.over(sensor.gel, SPACING if method == "path" else effort.spacing)
         self._view = View(sensor, self.sheet, markers, effort.samples)
         self._stray = self._view.samples_of(camera_response.stray(sensor.camera))
         self.light: Light

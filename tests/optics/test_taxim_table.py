@@ -62,5 +62,5 @@ def test_what_a_lamp_is_hidden_from_is_darker():
     height[:, 50:53] = -2.0
     shade = taxim_table.Table(np.zeros((taxim_table.BINS, taxim_table.BINS, 6, 3)), np.array([[0.5, 0.2, 0.0]]))
     found = shade.added(taxim_table.Face(height, np.zeros((40, 80, 2))), LAMP, 0.1)
-    assert found[20, 48] == pytest.approx([-0.5, -0.2, 0.0])
+    assert found[20, 46] == pytest.approx([-0.5, -0.2, 0.0])
     assert (found[:, 60:] == 0).all()
