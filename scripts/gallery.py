@@ -153,8 +153,8 @@ def page(found: dict[str, list[Bundle]]) -> str:
         "",
         "All movements but the replay follow a press. The last frame is shown; for a release, the one half way up.",
         "",
-        "Other pictures: [a grasp](cookbook/grasp.md), [the same contact on several sensors](cookbook/sensor_pairs.md), "
-        "[contact events](cookbook/contact_events.md).",
+        "Other pictures: [a grasp](cookbook/grasp.md), [the same contact on several sensors](cookbook/sensor_pairs.md),"
+        " [contact events](cookbook/contact_events.md).",
         "",
     ]
     for sensor, bundles in found.items():

@@ -1,4 +1,4 @@
-"""Worker processes on this machine: one that dies, hangs or takes too much memory costs one scene."""
+"""Worker processes on this machine: if one dies, hangs or uses too much memory, only its scene is lost."""
 
 import time
 from collections import deque

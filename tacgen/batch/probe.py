@@ -1,4 +1,4 @@
-"""A few scenes of a plan, made and timed in a folder that is deleted again: what they all will cost."""
+"""Estimate of the cost of a plan: a few scenes are made and timed in a temporary folder."""
 
 import resource
 import time

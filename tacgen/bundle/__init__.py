@@ -1,1 +1,1 @@
-"""Bundles on disk and what surrounds them: layout, sources, caches, resuming, packing."""
+"""Bundles on disk: layout, reading and writing, checks, resuming, packing."""

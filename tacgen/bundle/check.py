@@ -1,4 +1,4 @@
-"""Check finished bundles: whole, as the layout says, finite, in range, and physically possible."""
+"""Checks of finished bundles: complete, in the right layout, finite, in range, and physically possible."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -14,14 +14,14 @@ from tacgen.bundle.bundle import Bundle, Dataset, Unfinished, read
 from tacgen.bundle.schema import attributes, entry
 from tacgen.errors import UserError
 
-MAX_IMBALANCE = 1e-3  # of forces in a converged frame, over the contact force [-]
-MAX_TENSION = 1e-3  # negative pressure that interpolation may give, over the frame's peak [-]
-LIGHT_CONTACT = 0.01  # frames with a lower peak are measured by this part of the scene's peak pressure [-]
+MAX_IMBALANCE = 1e-3  # largest force imbalance over the contact force [-]
+MAX_TENSION = 1e-3  # largest negative pressure by interpolation, over the frame's peak [-]
+LIGHT_CONTACT = 0.01  # smallest pressure scale of a frame, over the scene's peak pressure [-]
 COULOMB_EXCESS = 2e-3  # over friction x peak pressure [-]: friction follows a lagged normal force (solve/lagging.py)
 FLOAT32_ERROR = 1e-6  # of maps, over the frame's peak [-]
 VISIBLE_CHANGE = {"/frames/height": 0.02, "/frames/marker_flow": 0.5}  # changes that a camera image must show [mm, px]
 VISIBLE_FORCE_CHANGE = 0.05  # the same of the force, over the largest [-]
-MAX_FLAT_RANGE = 2.0  # a camera image whose values all lie this close together shows nothing [counts of 255]
+MAX_FLAT_RANGE = 2.0  # range of values of an image that counts as a single flat colour [counts of 255]
 # By folder and digest, the name of the scene that has it: a digest covers a scene's number and seed, not its name.
 Seen = dict[tuple[Path, str], str]
 
@@ -39,7 +39,7 @@ class Finding:
 
 
 def check(path: Path) -> list[Finding]:
-    """Findings about a bundle, or about every bundle and leftover in a folder and below; empty if all is well.
+    """Findings about a bundle, or about all bundles and part files in and below a folder; empty if all is well.
 
     Raises:
         UserError: `path` does not exist, or is a folder without a single bundle.
@@ -116,7 +116,7 @@ def _finite(bundle: Bundle) -> Iterator[str]:
 
 
 def _pose(bundle: Bundle) -> Iterator[str]:
-    """A pose is a rotation and a shift."""
+    """A pose must be a rigid motion."""
     if "/frames/pose" in bundle:
         pose = bundle["/frames/pose"]
         turn = pose[:, :3, :3]
@@ -140,7 +140,7 @@ def _pressure(bundle: Bundle) -> Iterator[str]:
 
 
 def _friction(bundle: Bundle) -> Iterator[str]:
-    """Coulomb's bound, sample by sample; slip only where there is contact."""
+    """Coulomb's limit at each sample; slip only where there is contact."""
     if "/frames/traction" in bundle and "/frames/pressure" in bundle:
         friction = float(bundle.recipe.get("contact", {}).get("friction", 0.0))
         pressure, size = bundle["/frames/pressure"], np.linalg.norm(bundle["/frames/traction"], axis=-1)
@@ -155,7 +155,7 @@ def _friction(bundle: Bundle) -> Iterator[str]:
 
 
 def _quality(bundle: Bundle) -> Iterator[str]:
-    """What the solver recorded about itself."""
+    """The quality figures that the solver recorded."""
     if "/frames/quality/force_balance" in bundle:
         balance = bundle["/frames/quality/force_balance"]
         yield from _say_frames(balance > MAX_IMBALANCE, "forces do not balance:", balance, "of the force")
@@ -168,10 +168,10 @@ def _quality(bundle: Bundle) -> Iterator[str]:
 
 
 def _repeats(bundle: Bundle) -> Iterator[str]:
-    """Outside holds, replays and a gripper's way no frame has pose and force of the one before; no image stays while
+    """No frame repeats pose and force of the one before, except in holds, replays and grasps; no image repeats while
     the gel moves.
 
-    An image may well repeat: nothing is touched yet, or a ball without friction turns about its own axis.
+    An image may repeat without contact, or when a ball without friction rotates about its own axis.
     """
     if bundle.frames < 2:
         return
@@ -193,7 +193,7 @@ def _repeats(bundle: Bundle) -> Iterator[str]:
 
 
 def _markers(bundle: Bundle) -> Iterator[str]:
-    """Flow is position less reference."""
+    """Marker flow must be position minus reference."""
     paths = ("/frames/markers", "/frames/marker_flow", "/reference/markers")
     if all(path in bundle for path in paths):
         markers, flow, reference = (bundle[path].astype(float) for path in paths)

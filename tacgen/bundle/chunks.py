@@ -1,11 +1,12 @@
-"""Chunks packed and unpacked here, past HDF5's filters and in their formats: shuffle, then deflate, by ISA-L.
+"""Compression of chunks outside HDF5, in the format of its filters: shuffle, then deflate, by ISA-L.
 
-Where it packs less than some 288 bytes, ISA-L (2.32) makes other bytes of the same content in 1 to 2 % of processes;
-of 145 000 streams of 300 bytes and more none differed. So small chunks are packed by zlib, which always makes the same.
+For inputs below about 288 bytes ISA-L (2.32) gives other bytes for the same content in 1 to 2 % of processes; of
+145 000 streams of 300 bytes and more none differed. Small chunks are therefore compressed by zlib, which is
+deterministic.
 
-Any HDF5 reads the same, with a zlib that takes ten times as long to write it. Each stream ends with a checksum of its
-content (Adler-32), which whoever inflates it verifies. A map of several components has a chunk for each of them: they
-are smaller apart. Pictures are whole: apart they would be a tenth smaller, and take half as long again to read.
+Any HDF5 reads the result; its own zlib would take ten times as long to write it. Each stream ends with a checksum of
+its content (Adler-32), which is verified on reading. Each component of a map has its own chunk, which compresses
+better; images are one chunk: with three they would be a tenth smaller but take half as long again to read.
 """
 
 import hashlib
@@ -17,7 +18,7 @@ import numpy as np
 from isal import igzip_lib, isal_zlib
 
 Array = np.ndarray
-LEVEL = 1  # of ISA-L's 0 to 3: the higher ones gain 1 % of bytes
+LEVEL = 1  # ISA-L's compression level, 0 to 3: higher ones save 1 % of bytes
 FILTERS = (2, 1)  # HDF5's numbers of shuffle and deflate
 SMALL = 4096  # bytes of a chunk that frames of a few numbers share; smaller ones are packed by zlib
 

@@ -1,4 +1,4 @@
-"""HDF5 files that others made: opened and looked over before anything in them is used."""
+"""Opening of untrusted HDF5 files: they are validated before any data are used."""
 
 import io
 import math
@@ -14,10 +14,10 @@ from tacgen.bundle.schema import FORMAT, LAYOUT, entry, shape_problem
 from tacgen.errors import UserError
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
-LARGEST = 2**40  # bytes of a file
+LARGEST = 2**40  # largest file [bytes]
 FILTERS = {1, 2, 3}  # deflate, shuffle, fletcher32: others would be loaded from a folder of libraries
-RATIO = 1100  # deflate makes 1032 bytes of one at most
-SMALL = 4096  # bytes of a chunk that need not be filled
+RATIO = 1100  # largest ratio of decompressed to compressed size; that of deflate is 1032 [-]
+SMALL = 4096  # size of a chunk that may be larger than its data [bytes]
 GROUPS = {path[:i] for path in LAYOUT for i in range(1, len(path)) if path[i] == "/"}
 HEAP = b"GCOL\x01\0\0\0"  # head of a heap of HDF5's in which strings are stored
 LARGEST_HEAP = 2**26  # bytes

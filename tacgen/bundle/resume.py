@@ -1,4 +1,4 @@
-"""Which scenes need making: a bundle is kept if it is whole and of the same inputs, never because it exists."""
+"""Resuming a run: a bundle is kept only if it is complete and has the same inputs."""
 
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack

@@ -1,4 +1,4 @@
-"""Rounding of maps to the digits that their own error leaves: bits that say nothing would be most of a file."""
+"""Rounding of maps to the digits that their error allows: meaningless bits would be most of a file."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""How far a dataset's folder is: each planned scene by its bundle, and where there is none by the journal."""
+"""Progress of a dataset's folder: the state of each planned scene, from its bundle or from the journal."""
 
 from collections import Counter
 from dataclasses import dataclass, field

@@ -1,9 +1,9 @@
-"""What an array of taxels would feel: a bundle's force map, summed over the cells of a layout.
+"""Forces of an array of taxels: a bundle's force map, summed over the cells of a layout.
 
     layout = grid(4, 4, 4.0)                 # 4 rows, 4 columns, 4 mm apart; or read(Path("taxels.csv"))
     forces(bundle, 7, layout)                # (16, 3) [N] on the gel, whose sum is that of the force map
 
-A taxel's cell is what lies nearer to its centre than to any other's, on the untouched face.
+A taxel's cell is the part of the untouched face that is nearest to its centre (Voronoi).
 """
 
 import csv

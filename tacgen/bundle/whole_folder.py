@@ -1,4 +1,4 @@
-"""A folder that is written aside and gets its name when it is whole, with a list of the files in it.
+"""Folders that are written under another name and renamed when they are complete, with a list of their files.
 
 However a process ends, the name stands for the old folder or the new one, or for none while the old one waits beside
 it: the next one that writes there puts it back and removes what is left over.
