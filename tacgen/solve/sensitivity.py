@@ -97,7 +97,7 @@ class Sensitivity:
         tangent = ExactTangent(self._problem, after.x)
         by_law = np.stack([self._by_law(parameter, after.x) for parameter in self._parameters])
         straight = was.x
-        if after.predicted is not None:
+        if after.predicted is not None and self._problem.friction:
             straight = was.x + self._carried(after, tangent, by_law - was.by_law + tangent.times(was.x) - was.by_x)
         trial, anchors = self._trial(after, on, straight + self._extrapolated(after) * was.missed)
         contact = replace(self._contact.moved(after.pose, after.offset), kappa=after.kappa, faces=faces)
