@@ -27,7 +27,9 @@ class Pad:
         return bool(np.isinf(self.radii).all())
 
     def top(self, x: Array | float, y: Array | float) -> Array:
-        """z of the untouched face [mm], 0 at the crown; x and y broadcast."""
+        """z of the untouched face [mm], 0 at the crown; x and y broadcast; nan where they are."""
+        if self.flat:
+            return np.asarray(0.0 * np.abs(x + y))
         return np.asarray(0.0 - np.hypot(x * x / (2 * self.radii[0]), y * y / (2 * self.radii[1])))
 
     def contains(self, x: Array | float, y: Array | float, slack: float = 0.0) -> Array:
