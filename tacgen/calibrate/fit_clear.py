@@ -1,7 +1,7 @@
 """Fit of a sensor whose gel is clear: light that goes straight and by the mirror image, and what bounces.
 
 Light is linear in the LEDs' power: for each trial of the rest, power, colour and stray light follow from non-negative
-least squares, channel by channel. The rest moves within the mechanical tolerance, and is held to where the file has it
+least squares. The rest moves within the mechanical tolerance, and is held to where the file has it
 by as much as a tolerance weighs. Presses count by their change against the untouched picture, so that marks on the
 coat and what the lights cannot explain of the background do not drag them.
 """
@@ -26,7 +26,7 @@ from tacgen.optics.mitsuba_dicts import bottom_depth, frame
 from tacgen.optics.shadows import Terrain
 from tacgen.optics.surface_grid import Sheet, Surface, Untouched
 from tacgen.recipe import background_photo, optics_checks
-from tacgen.recipe.sensor import Led, LitSensor
+from tacgen.recipe.sensor import Camera, Led, LitSensor
 from tacgen.recipe.yaml_source import KeyPath
 from tacgen.render import images
 
@@ -149,13 +149,13 @@ class Fit:
     def _ranges(self) -> tuple[Array, Array, Array]:
         """Least, most and start of every searched number: the LEDs' parts, then gloss, roughness, vignette, crop."""
         t, coat, eye = self.tolerance, self.sensor.coating, self.sensor.camera
-        wide, vignette = t.mm > 0, eye.vignette_mm or 1.0
+        wide = t.mm > 0
         longer = float(np.log(t.factor)) * wide
         led = [*[(-t.mm, t.mm, 0.0)] * 3, *[(-t.rad, t.rad, 0.0)] * 2, (-longer, longer, 0.0)]
         rest = [
             (max(0.0, coat.specular - t.specular * wide), min(1.0, coat.specular + t.specular * wide), coat.specular),
             (coat.roughness / t.factor**wide, min(1.0, coat.roughness * t.factor**wide), coat.roughness),
-            (vignette / t.factor**wide, vignette * t.factor**wide, vignette),
+            *((r / t.factor**wide, r * t.factor**wide, r) for r in eye.vignette_mm or (1.0, 1.0, 1.0)),
             *[(-t.mm, t.mm, 0.0)] * 2,
         ]
         least, most, start = np.array([*led * len(self.sensor.leds), *rest], dtype=float).T
@@ -205,25 +205,27 @@ class Fit:
         return self._bounce.glow(added, self._look(0, crop).view)
 
     def columns(self, v: Array, picture: int) -> Array:
-        """Light per unit radiance of each LED, and even stray light: (3, pixels that count, LEDs + 1)."""
+        """Light in each channel per unit radiance of each LED, and of even stray light, in red, then in green and in
+        blue: (3, pixels that count, 3 (LEDs + 1))."""
         leds, coat = len(self.sensor.leds), self.sensor.coating
         parts = [tuple(p) for p in v[: PARTS * leds].reshape(leds, PARTS)]
-        gloss, rough, vignette, *crop = v[PARTS * leds :]
-        lights = np.array([self._column(picture, k, parts[k], rough, tuple(crop)) for k in range(leds)])
+        gloss, rough = v[PARTS * leds : PARTS * leds + 2]
+        camera, crop = self._camera(v), tuple(v[-2:])
+        lights = np.array([self._column(picture, k, parts[k], rough, crop) for k in range(leds)])
         made = [
             (1 - gloss) * albedo * lights[..., 0] + gloss * coating.METAL * lights[..., 1] + lights[..., 2 + c]
             for c, albedo in enumerate(coat.albedo)
         ]
-        fall = camera_response.expose(np.ones(()), self._camera(vignette, crop))[..., 0].ravel()[
-            self.pictures[picture].counts
-        ]
-        stray = np.ones((3, len(fall), 1))
-        return np.concatenate([np.swapaxes(np.array(made), 1, 2) * fall[:, None], stray], axis=2)
+        fall = camera_response.vignette(camera).reshape(-1, 3)[self.pictures[picture].counts]
+        lit = np.pad(camera.exposure * np.swapaxes(made, 1, 2), ((0, 0), (0, 0), (0, 1)), constant_values=1.0)
+        mixed = np.repeat(camera_response.colours(camera)[..., None], leds + 1, axis=2)
+        mixed[..., -1] = np.eye(3)  # stray light is counted as the picture shows it
+        return np.asarray(np.einsum("dnk,cdk,nc->cndk", lit, mixed, fall).reshape(3, len(fall), -1))
 
-    def _camera(self, vignette: float, crop: list[float]) -> Any:
-        eye = self.sensor.camera
-        moved = {"crop_mm": tuple(float(c) for c in np.add(eye.crop_mm, crop))}
-        return eye.model_copy(update=moved | ({"vignette_mm": float(vignette)} if eye.vignette_mm else {}))
+    def _camera(self, v: Array) -> Camera:
+        eye, (right, down) = self.sensor.camera, (float(x) for x in v[-2:])
+        moved: dict[str, Any] = {"crop_mm": (eye.crop_mm[0] + right, eye.crop_mm[1] + down)}
+        return eye.model_copy(update=moved | ({"vignette_mm": rgb(v[-5:-2])} if eye.vignette_mm else {}))
 
     def misfit(self, columns: list[Array], chosen: list[int], lights: Array | None = None) -> tuple[list[Array], Array]:
         """Misfits [counts] of pictures, the untouched one first (pixels, 3 each), by the best lights (3, LEDs + 1) for
@@ -242,11 +244,11 @@ class Fit:
                 slope = picture.slope[here, c] * (WEIGHT if k else 1.0)
                 rows[c].append(np.column_stack([change[c] * slope[:, None], wanted[:, c] * slope]))
         if lights is None:
-            stacked = [np.concatenate(r) for r in rows]
-            lights = np.array([nnls(a[:, :-1], a[:, -1])[0] for a in stacked])
+            stacked = np.concatenate([row for channel in rows for row in channel])
+            lights = nnls(stacked[:, :-1], stacked[:, -1])[0].reshape(3, -1)
+        by = np.append(lights, -1.0)
         return [
-            np.stack([rows[c][i][:, :-1] @ lights[c] - rows[c][i][:, -1] for c in range(3)], 1) / (WEIGHT if k else 1.0)
-            for i, k in enumerate(chosen)
+            np.stack([rows[c][i] @ by for c in range(3)], 1) / (WEIGHT if k else 1.0) for i, k in enumerate(chosen)
         ], lights
 
     def all_columns(self, v: Array, chosen: list[int]) -> list[Array]:
@@ -303,7 +305,7 @@ class Fit:
         for k, led in enumerate(self.sensor.leds):
             moved = self.moved(led, tuple(v[PARTS * k : PARTS * (k + 1)]))
             leds.append(moved.model_copy(update={"radiance": rgb(lights[:, k]), "power": 1.0}))
-        gloss, rough, vignette, *crop = (float(x) for x in v[PARTS * len(leds) :])
-        eye = self._camera(vignette, crop).model_copy(update={"ambient": rgb(lights[:, -1])})
+        gloss, rough = (float(x) for x in v[PARTS * len(leds) :][:2])
+        eye = self._camera(v).model_copy(update={"ambient": rgb(lights[:, -1])})
         coat = self.sensor.coating.model_copy(update={"specular": gloss, "roughness": rough})
         return self.sensor.model_copy(update={"leds": tuple(leds), "camera": eye, "coating": coat})

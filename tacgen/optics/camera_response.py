@@ -1,5 +1,6 @@
-"""From linear radiance to the camera's 8-bit image: focus, vignetting, exposure, response curve, stray light."""
+"""From linear radiance to the camera's 8-bit image: focus, colours, vignetting, exposure, response, stray light."""
 
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,12 +16,24 @@ if TYPE_CHECKING:
 
 
 def vignette(camera: "Eye") -> "Floats":
-    """Fall-off (H, W) of the lens, 1 on the axis: 1 / (1 + (r/r0)^2)^2 with r at the scale on the untouched coating."""
-    y, x = np.mgrid[: camera.height_px, : camera.width_px] + 0.5
-    right = (x - camera.width_px / 2) * camera.mm_per_px + camera.crop_mm[0]
-    down = (y - camera.height_px / 2) * camera.mm_per_px + camera.crop_mm[1]
-    r2 = right**2 + down**2
-    return np.ones_like(r2) if camera.vignette_mm is None else 1.0 / (1.0 + r2 / camera.vignette_mm**2) ** 2
+    """Fall-off (H, W, 3) toward the corners, 1 on the axis: 1 / (1 + (r/r0)^2)^2 with r at the scale on the untouched
+    coating."""
+    size = camera.width_px, camera.height_px, camera.mm_per_px
+    return _fall_off(*size, *camera.crop_mm, camera.vignette_mm or (np.inf,) * 3)
+
+
+@lru_cache(maxsize=4)
+def _fall_off(w: int, h: int, scale: float, right: float, down: float, radii: tuple[float, ...]) -> "Floats":
+    x, y = (np.arange(w) + 0.5 - w / 2) * scale + right, (np.arange(h) + 0.5 - h / 2) * scale + down
+    r2 = x**2 + y[:, None] ** 2
+    fall = 1.0 / (1.0 + r2[..., None] / np.square(radii)) ** 2
+    fall.flags.writeable = False  # shared by the frames of a scene
+    return fall
+
+
+def colours(camera: "Eye") -> "Floats":
+    """Matrix (3, 3) from the sensor's own red, green and blue to those of its counts."""
+    return np.eye(3) if camera.colour_matrix is None else np.array(camera.colour_matrix)
 
 
 def blurred(radiance: "Floats", camera: "Eye") -> "Floats":
@@ -54,13 +67,15 @@ def slope(light: "Floats", camera: "Eye") -> "Floats":
 
 
 def stray(camera: "Eye") -> "Floats":
-    """Radiance (H, W, 3) of a coating without dots in the stray light alone, so that the image has `ambient`."""
-    return np.asarray(np.array(camera.ambient) / (camera.exposure * vignette(camera)[..., None]))
+    """Radiance (H, W, 3) of a coating without dots in the stray light alone: `ambient` after colours and exposure."""
+    even = np.linalg.solve(colours(camera), camera.ambient) / camera.exposure
+    return np.broadcast_to(even, (camera.height_px, camera.width_px, 3))
 
 
 def expose(radiance: "Floats", camera: "Eye") -> "Floats":
     """Linear signal over full scale (H, W, 3) of a radiance image (H, W, 3)."""
-    return np.asarray(radiance * (camera.exposure * vignette(camera)[..., None]))
+    mixed = radiance if camera.colour_matrix is None else radiance @ colours(camera).T
+    return np.asarray(mixed * (camera.exposure * vignette(camera)))
 
 
 def develop(radiance: "Floats", camera: "Eye", random: np.random.Generator | None = None) -> "NDArray[np.uint8]":

@@ -107,7 +107,8 @@ class Eye(Protocol):
     blur_mm: float
     exposure: float
     ambient: Vec3
-    vignette_mm: float | None
+    vignette_mm: Vec3 | None
+    colour_matrix: tuple[Vec3, Vec3, Vec3] | None
 
     @property
     def response(self) -> Literal["srgb", "linear"]: ...

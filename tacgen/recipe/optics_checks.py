@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
-from tacgen.recipe.sensor import Led, LitSensor
+from tacgen.recipe.sensor import Led, LitSensor, Vec3
 from tacgen.recipe.validation_messages import Problem
 
 if TYPE_CHECKING:
@@ -25,12 +25,20 @@ def problems(sensor: LitSensor) -> Iterator[Problem]:
     if _steepest(sensor) > MAX_RAY_ANGLE:
         text = f"turns the picture's corner {_steepest(sensor):.0f} degrees off the plate's normal"
         yield Problem(("camera", "tilt_deg"), text)
+    if eye.colour_matrix and _singular(eye.colour_matrix):
+        yield Problem(("camera", "colour_matrix"), "mixes three colours to two: its determinant is 0")
     yield from _dots(sensor)
     room = _Room.of(sensor)
     for i, led in enumerate(sensor.leds):
         found = _wrong_led(room, led)
         if found:
             yield Problem(("leds", i, found[0]), f"{led.name}: {found[1]}")
+
+
+def _singular(matrix: tuple[Vec3, Vec3, Vec3]) -> bool:
+    import numpy as np
+
+    return bool(abs(np.linalg.det(matrix)) < TOLERANCE)
 
 
 def _layers(sensor: LitSensor) -> Iterator[Problem]:

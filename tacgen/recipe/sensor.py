@@ -8,7 +8,7 @@ below that.
 import math
 from collections.abc import Iterator
 from itertools import pairwise
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
@@ -24,6 +24,8 @@ Index = Annotated[float, Field(ge=1, le=4)]
 Poisson = Annotated[float, Field(ge=0, lt=0.5)]
 Vec2 = tuple[float, float]
 Vec3 = tuple[float, float, float]
+Item = TypeVar("Item")
+Three = tuple[Item, Item, Item]
 Angle = Annotated[float, Field(ge=-20, le=20)]
 
 
@@ -39,14 +41,9 @@ def _as_rgb(value: Any) -> Any:
 
 
 # Red, green, blue. A single number stands for three equal ones, so that `vary` can change all three together.
-Rgb = Annotated[
-    tuple[NotNegative, NotNegative, NotNegative],
-    BeforeValidator(_as_rgb, json_schema_input_type=NotNegative | tuple[NotNegative, NotNegative, NotNegative]),
-]
-Shares = Annotated[
-    tuple[Fraction, Fraction, Fraction],
-    BeforeValidator(_as_rgb, json_schema_input_type=Fraction | tuple[Fraction, Fraction, Fraction]),
-]
+Rgb = Annotated[Three[NotNegative], BeforeValidator(_as_rgb, json_schema_input_type=NotNegative | Three[NotNegative])]
+Radii = Annotated[Three[Positive], BeforeValidator(_as_rgb, json_schema_input_type=Positive | Three[Positive])]
+Shares = Annotated[Three[Fraction], BeforeValidator(_as_rgb, json_schema_input_type=Fraction | Three[Fraction])]
 
 
 class Scattering(Part):
@@ -306,8 +303,9 @@ class Camera(Part):
     height_px: Annotated[int, Field(ge=8)]
     blur_mm: NotNegative = 0.0  # defocus: standard deviation of the point spread function, measured on the coating
     exposure: Positive = 1.0  # linear radiance to sensor full scale
-    ambient: Rgb = (0.0, 0.0, 0.0)  # uniform stray light reflected by a coating without dots, relative to full scale
-    vignette_mm: Positive | None = None  # r0 of the vignetting factor 1/(1+(r/r0)^2)^2 on the coating
+    ambient: Rgb = (0.0, 0.0, 0.0)  # what even stray light adds to a bare coat on the axis, fraction of full scale
+    vignette_mm: Radii | None = None  # r0 of the vignetting factor 1/(1+(r/r0)^2)^2 on the coating, of each channel
+    colour_matrix: tuple[Vec3, Vec3, Vec3] | None = None  # counts = matrix x (R, G, B) of the camera's pixels
     response: Literal["srgb", "linear"] = "srgb"  # response curve from light to pixel values
     noise: Noise | None = None
     source: str = NOWHERE

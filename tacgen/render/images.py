@@ -45,6 +45,7 @@ LINEAR = {
     "exposure",
     "ambient",
     "vignette_mm",
+    "colour_matrix",
     "response",
     "noise",
 }  # of the camera: what is laid over a picture's light

@@ -71,7 +71,8 @@ def test_powers_colours_and_stray_light_of_a_known_unit_are_found(nominal: Path,
         assert (
             led.source == "fitted to an untouched picture and 4 presses of one unit (unit) by tacgen calibrate optics"
         )
-    assert mine.camera.ambient == pytest.approx((0.01, 0.02, 0.03), abs=0.003)
+    # vignetted like the lights, stray light differs from theirs on the presses' slopes alone: known to about a count
+    assert mine.camera.ambient == pytest.approx((0.01, 0.02, 0.03), abs=0.005)
     assert (tmp_path / "mine.yaml").read_text().startswith("# a unit of ours\n")
     assert mine.leds[0].center_mm == tuple(PLAIN["leds"][0]["center_mm"])
 

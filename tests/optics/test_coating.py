@@ -8,6 +8,8 @@ from tacgen.optics import camera_response, coating, mitsuba_dicts
 from tacgen.optics.camera_view import View
 from tacgen.optics.surface_grid import Sheet, Untouched
 
+MIXED = ((1.0, -0.2, -0.3), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
 
 def test_dots_lie_on_their_grid_and_cover_their_area():
     markers = sensor().markers
@@ -50,24 +52,32 @@ def test_response_is_srgb_or_linear_with_a_vignette():
     fall = camera_response.vignette(camera)
     assert fall.max() == pytest.approx(1.0, abs=1e-3)
     r2 = ((19.5**2 + 15.5**2) * 0.04) / 81.0
-    assert fall[0, 0] == pytest.approx(1 / (1 + r2) ** 2)
+    assert fall[0, 0] == pytest.approx([1 / (1 + r2) ** 2] * 3)
     picture = camera_response.develop(np.full((32, 40, 3), 0.2140), camera)
     assert picture.dtype == np.uint8
     assert picture[16, 20, 0] in (127, 128)
     assert camera_response.develop(np.full((32, 40, 3), 0.2140), plain)[16, 20, 0] in (54, 55)
 
 
-def test_stray_light_is_even_after_the_response_and_dots_stay_dark_in_it():
-    model = sensor(camera={"ambient": (0.1, 0.2, 0.3), "exposure": 2.0})
+def test_stray_light_is_even_but_for_the_vignette_and_dots_stay_dark_in_it():
+    model = sensor(camera={"ambient": (0.1, 0.2, 0.3), "exposure": 2.0, "colour_matrix": MIXED})
     assert camera_response.expose(camera_response.stray(model.camera), model.camera) == pytest.approx(
-        np.broadcast_to([0.1, 0.2, 0.3], (32, 40, 3))
+        [0.1, 0.2, 0.3] * camera_response.vignette(model.camera)
     )
     dark = model.model_copy(update={"leds": tuple(x.model_copy(update={"radiance": (0, 0, 0)}) for x in model.leds)})
     view = View(dark, Sheet.over(dark.gel, 0.2), True)
     seen = view.dimmed(view.look(Untouched()), view.samples_of(camera_response.stray(model.camera)))
-    share = camera_response.expose(seen, model.camera)[16, 20] / [0.1, 0.2, 0.3]  # the middle of the middle dot
+    share = seen[16, 20] / camera_response.stray(model.camera)[16, 20]
     coat = 0.8 * np.array(model.coating.albedo) + 0.2 * coating.METAL
     assert share == pytest.approx(0.03 / coat, rel=1e-6)
+
+
+def test_colours_of_the_counts_mix_the_sensors_own_and_each_falls_off_by_itself():
+    camera = sensor(camera={"vignette_mm": (6.0, 9.0, 20.0), "colour_matrix": MIXED, "exposure": 0.5}).camera
+    light = camera_response.expose(np.broadcast_to([0.8, 0.6, 0.4], (32, 40, 3)), camera)
+    r2 = (19.5**2 + 15.5**2) * 0.04
+    fall = [1 / (1 + r2 / r0**2) ** 2 for r0 in (6.0, 9.0, 20.0)]
+    assert light[0, 0] == pytest.approx(np.array([0.8 - 0.12 - 0.12, 0.6, 0.4]) * fall / 2)
 
 
 def test_out_of_focus_an_edge_is_as_wide_as_the_file_says_whatever_the_pixels():

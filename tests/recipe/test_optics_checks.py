@@ -143,6 +143,8 @@ def test_unphysical_material_numbers_are_refused(part: str, value: Any):
         ("camera.tilt_deg", [30.0, 0.0], "camera.tilt_deg[0]"),
         ("camera.exposure", 0.0, "camera.exposure"),
         ("camera.ambient", -0.1, "camera.ambient"),
+        ("camera.vignette_mm", [15.0, 0.0, 15.0], "camera.vignette_mm[1]"),
+        ("camera.colour_matrix", [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 1.0, 0.0]], "camera.colour_matrix"),
         ("coating.albedo", 1.2, "coating.albedo"),
         ("coating.roughness", 0.0, "coating.roughness"),
         ("coating.specular", 1.1, "coating.specular"),
