@@ -2,6 +2,7 @@
 
 import os
 import signal
+import traceback
 import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -31,6 +32,8 @@ def calls(work: Callable[[], Any], moment: int = 0, of: Functions = DISK) -> int
             work()
             os.write(told, str(len(made)).encode())
             status = 0
+        except BaseException:
+            traceback.print_exc()
         finally:
             os._exit(status)
     os.close(told)
