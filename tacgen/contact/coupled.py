@@ -27,7 +27,8 @@ def _point_forces(
     db: Array, ddb: Array, g: Array, H: Array, u: Array, weight: Array, mu: float, eps: float,
     N: Array, n: Array, f: Array, D: Array, S: Array,
 ) -> None:  # fmt: skip
-    """N (p,), n (p, 3), force on the gel f (p, 3), -df/dx as D (p, 3, 3), and its positive symmetric part S.
+    """N (p,), n (p, 3), force on the gel f (p, 3), -df/dx as D (p, 3, 3), and S (p, 3, 3), the merit function's Hessian
+    without the indenter's curvature H.
 
     db, ddb (p,): the barrier's derivatives; g (p, 3), H (p, 3, 3): gradient and Hessian of the distance; u (p, 3): from
     the anchor; weight (p,): kappa times area.
@@ -66,7 +67,7 @@ def _point_forces(
         for i in range(3):
             for j in range(3):
                 P[i, j] = (1.0 if i == j else 0.0) - n[p, i] * n[p, j]
-                S[p, i, j] += mu * N[p] * slope * P[i, j]
+                S[p, i, j] += mu * N[p] * (slope * P[i, j] + bend * t[i] * t[j])
                 P[i, j] -= un * (H[p, i, j] - n[p, i] * Hn[j]) / size + n[p, i] * Ht[j]  # d u_t/dx
         for i in range(3):
             f[p, i] -= mu * N[p] * slope * t[i]
@@ -81,7 +82,8 @@ def _point_forces(
 @dataclass(frozen=True)
 class ContactForces:
     """What holds at some positions: gap (f, q) [mm], at and normal (f, q, 3), normal force N (f, q) [N], force on the
-    gel (f, q, 3) [N], its negative derivative `tangent` (f, q, 3, 3) [N/mm] and a symmetric positive part of that."""
+    gel (f, q, 3) [N], its negative derivative `tangent` (f, q, 3, 3) [N/mm], and `definite`: the Hessian of the merit
+    function without the indenter's curvature, symmetric and positive semidefinite."""
 
     gap: Array
     at: Array

@@ -119,7 +119,7 @@ class BulkNewton:
                 max_steps=self.options.max_contact, radius=self.problem.edge,
             )  # fmt: skip
             there, gain = at, -np.inf
-            if not inner.bounded:
+            if not inner.unstable:
                 u = (inner.x - here)[condensed.dofs >= 0]
                 p = condensed.expand(u, y)
                 there = self.bulk.at(at.x + p)

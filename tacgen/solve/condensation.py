@@ -101,18 +101,6 @@ def _with_diagonal(K: Array, d: float) -> Array:
     return out
 
 
-def _definite(K: Array) -> tuple[Array, bool]:
-    """Cholesky factor of K or, where that is not positive definite, of K with a multiple of the unit matrix added
-    (Nocedal & Wright 2006, algorithm 3.3)."""
-    shift, least = 0.0, 1e-3 * float(np.abs(np.diag(K)).max())
-    while True:
-        try:
-            factor, lower = cho_factor(_with_diagonal(K, shift), lower=True, check_finite=False)
-            return np.asarray(factor), bool(lower)
-        except np.linalg.LinAlgError:
-            shift = max(4 * shift, least)
-
-
 def _lu(K: Array) -> Callable[[Array], Array]:
     """K^-1. Raises LinAlgError: singular."""
     if not len(K):
@@ -121,6 +109,11 @@ def _lu(K: Array) -> Callable[[Array], Array]:
     if info > 0:
         raise np.linalg.LinAlgError("singular")
     return partial(lu_solve, (lu, pivots), check_finite=False)
+
+
+def _cholesky(K: Array) -> Callable[[Array], Array]:
+    """K^-1. Raises LinAlgError: not positive definite."""
+    return partial(cho_solve, cho_factor(K, lower=True, overwrite_a=True, check_finite=False), check_finite=False)
 
 
 class Schur:
@@ -173,7 +166,7 @@ class Schur:
     def solve(self, added: Array, b: Array, symmetric: bool) -> Array:
         """x (k,) of (S + added) x = b, with `added` (a, a) on the active unknowns, not symmetric unless said so.
 
-        Raises LinAlgError: singular.
+        Raises LinAlgError: singular or, if symmetric, not positive definite.
         """
         return self.factored(added, symmetric)(b)
 
@@ -182,7 +175,7 @@ class Schur:
         assert self._reduced is not None
         L, W, rest = self._reduced
         a, K = self.active.copy(), rest + added
-        inner = partial(cho_solve, _definite(K), check_finite=False) if symmetric and a.any() else _lu(K)
+        inner = _cholesky(K) if symmetric and a.any() else _lu(K)
 
         def solve(b: Array) -> Array:
             x = np.empty_like(b)

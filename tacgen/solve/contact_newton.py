@@ -3,7 +3,8 @@
 The step uses the consistent, non-symmetric tangent. It is taken in full if it halves the residual, as it does near the
 solution, where convergence is quadratic. Otherwise Armijo's rule decreases the merit function: the energy of bulk and
 barrier, and of friction with its normal forces frozen at the start of the step. If the coupled step is no descent
-direction, the step of a symmetric positive definite tangent is used.
+direction, Newton's step for the merit function is used. Where that function is not convex, the equilibrium is unstable:
+the search ends, and the bulk needs damping.
 """
 
 from dataclasses import dataclass
@@ -76,7 +77,7 @@ class ContactSolution:
     forces: ContactForces
     converged: bool
     steps: int
-    bounded: bool = False  # it stopped because a node reached the radius
+    unstable: bool = False  # a node reached the radius, or no step decreases the merit function
 
 
 def solve_contact(
@@ -114,7 +115,7 @@ def solve_contact(
         if full is None:
             fraction, p = _downhill(bulk, contact, forces, x, g, p)
         if p is None:
-            return ContactSolution(x, contact, forces, False, steps)
+            return ContactSolution(x, contact, forces, False, steps, True)
         before, x, length = x, x + fraction * p, float(np.abs(p).max())
         if np.abs(x - start).max() > radius:
             x = before + _to_radius(before - start, x - before, radius) * (x - before)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from helpers.small import dense, full, patch, slope, turn
 
-from tacgen.contact.barrier import SOFT, Contact, Pose
+from tacgen.contact.barrier import SOFT, Contact, Pose, barrier
 from tacgen.contact.coupled import ContactForces, CoupledContact
 from tacgen.fem.assembly import add_dense_blocks
 from tacgen.geometry.analytic_sdf import Box, Shape, Sphere, Torus
@@ -170,9 +170,26 @@ def test_the_definite_part_is_symmetric_and_never_negative(name: str, friction: 
     values = np.linalg.eigvalsh(D)
     assert values.min() > -1e-12 * values.max()
     assert (values[:, 2] > 1e-3).all()  # stiff across the face, at every point that touches
-    assert friction == 0 or (values[:, 0] > 1e-6).all()  # and along it
+    stuck = np.linalg.norm(coupled.slip(found), axis=-1)[found.N > 0] < 0.95 * EPS
+    assert friction == 0 or (values[stuck, 0] > 1e-6).all()  # and along it, until it slips
     exact = found.tangent[found.N > 0]
     assert np.linalg.eigvalsh(exact + exact.swapaxes(1, 2)).min() < -1e-3  # which alone would not do
+
+
+@ALL
+def test_the_definite_part_is_the_merit_functions_hessian_less_the_indenters_curvature(name: str) -> None:
+    x = bent(2)
+    coupled = against(name, x, FRICTION, 2)
+    found, c = coupled.evaluate(x), coupled.contact
+    _, _, curvature = c.gaps_at(found.at)
+    _, slope, _ = barrier(found.gap, c.dhat)
+    H = found.definite + (c.kappa * c.faces.areas * slope)[..., None, None] * curvature
+    for seed in range(5):
+        p, h = np.random.default_rng(seed).normal(size=x.shape), 1e-4
+        way = FACES.at(p)
+        merits = [coupled.merit(x + t * p, found) for t in (-h, 0.0, h)]
+        wanted = (merits[0] - 2 * merits[1] + merits[2]) / h**2
+        assert np.einsum("fqi,fqij,fqj->", way, H, way) == pytest.approx(wanted, rel=2e-3)
 
 
 @ALL

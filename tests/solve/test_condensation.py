@@ -172,8 +172,7 @@ def test_where_contact_acts_on_nothing_the_bulk_alone_answers(symmetric: bool) -
     assert schur.solve(np.zeros((0, 0)), b, symmetric) == pytest.approx(np.linalg.solve(S, b))
 
 
-def test_an_indefinite_symmetric_sum_still_leads_down() -> None:
-    """More is added to the diagonal until it is positive; asked for as it is, it is solved as it is."""
+def test_an_indefinite_symmetric_sum_is_reported_and_solved_as_it_is_otherwise() -> None:
     S, b = stiffness(), np.random.default_rng(3).normal(size=12)
     schur = Schur(S)
     schur.activate(np.arange(12) < 5)
@@ -181,14 +180,9 @@ def test_an_indefinite_symmetric_sum_still_leads_down() -> None:
     whole = S.copy()
     whole[:5, :5] += added
     assert np.linalg.eigvalsh(whole)[0] < -0.1
-    exact = np.linalg.solve(whole, b)
-    assert schur.solve(added, b, False) == pytest.approx(exact, abs=1e-10)
-    down = schur.solve(added, b, True)
-    assert down @ b > 0
-    assert np.linalg.norm(down - exact) > 0.1 * np.linalg.norm(exact)
-    ways = np.random.default_rng(4).normal(size=(50, 12))
-    assert all(schur.solve(added, way, True) @ way > 0 for way in ways)
-    assert any(schur.solve(added, way, False) @ way < 0 for way in ways)
+    assert schur.solve(added, b, False) == pytest.approx(np.linalg.solve(whole, b), abs=1e-10)
+    with pytest.raises(np.linalg.LinAlgError):
+        schur.solve(added, b, True)
 
 
 def test_what_is_singular_is_reported() -> None:

@@ -55,7 +55,7 @@ def test_it_ends_in_balance_with_the_indenter_shrunk_by_the_mean_gap(name: str) 
     to, contact = bulk(), CASES[name]
     found = solved(to, contact)
     assert found.converged
-    assert not found.bounded
+    assert not found.unstable
     assert found.steps <= 25
     forces = found.contact.evaluate(found.x)
     assert (forces.force == found.forces.force).all()
@@ -94,11 +94,22 @@ def test_it_ends_where_a_node_has_come_to_the_radius() -> None:
     assert gone > 0.1
     for radius in (0.02, 0.5 * gone):
         found = solved(to, contact, radius=radius)
-        assert found.bounded
+        assert found.unstable
         assert not found.converged
         assert np.abs(found.x - POINTS).max() == pytest.approx(radius)
         assert (found.forces.force == found.contact.evaluate(found.x).force).all()
     assert solved(to, contact, radius=2 * gone).converged
+
+
+def test_it_ends_where_the_bulk_is_unstable() -> None:
+    """Springs that push the sheet away, harder than the contact holds it."""
+    to, contact = bulk(), CASES["ball that slides"]
+    pushing = replace(to, schur=Schur(to.schur.S - 2.0 * np.eye(len(to.force))))
+    found = solved(pushing, contact)
+    assert found.unstable
+    assert not found.converged
+    damped = replace(to, schur=Schur(pushing.schur.S, 2.0))
+    assert solved(damped, contact).converged
 
 
 def test_it_says_that_it_ran_out_of_steps() -> None:
