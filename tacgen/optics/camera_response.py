@@ -78,6 +78,12 @@ def expose(radiance: "Floats", camera: "Eye") -> "Floats":
     return np.asarray(mixed * (camera.exposure * vignette(camera)))
 
 
+def unexposed(light: "Floats", camera: "Eye") -> "Floats":
+    """The inverse of `expose`."""
+    even = light / (camera.exposure * vignette(camera))
+    return even if camera.colour_matrix is None else np.asarray(even @ np.linalg.inv(colours(camera)).T)
+
+
 def develop(radiance: "Floats", camera: "Eye", random: np.random.Generator | None = None) -> "NDArray[np.uint8]":
     """The 8-bit picture (H, W, 3) of a radiance picture (H, W, 3), with noise if `random` is given."""
     light = expose(radiance, camera)

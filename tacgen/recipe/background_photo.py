@@ -91,12 +91,15 @@ class Backdrop:
 
         from tacgen.optics import camera_response
 
-        light = camera_response.linear(read(path) / 255.0, camera)
-        unit = camera_response.expose(np.ones_like(light), camera)
-        lit = flat > 0
-        self._gain = np.where(lit, light / np.where(lit, unit * flat, 1.0), 0.0)
-        self._alone = np.where(lit, 0.0, light / unit)
+        light, rendered = camera_response.linear(read(path) / 255.0, camera), camera_response.expose(flat, camera)
+        lit = rendered > 0
+        self._camera = camera
+        self._gain = np.where(lit, light / np.where(lit, rendered, 1.0), 0.0)
+        self._alone = np.where(lit, 0.0, light)
 
     def under(self, radiance: "np.ndarray") -> "np.ndarray":
         """Radiance (H, W, 3) as photographed."""
-        return (radiance * self._gain + self._alone).astype(radiance.dtype)
+        from tacgen.optics import camera_response
+
+        light = camera_response.expose(radiance, self._camera) * self._gain + self._alone
+        return camera_response.unexposed(light, self._camera).astype(radiance.dtype)

@@ -37,7 +37,8 @@ def test_every_channel_comes_back(tmp_path: Path) -> None:
     assert np.array_equal(rest, scene["/frames/material"][0])
     middle = np.array(row.sensor.camera.crop_mm)
     assert rest[24, 32] == pytest.approx(middle + 0.15, abs=0.05)  # the pixel right of and below the middle
-    assert rest[24, 63, 0] == pytest.approx(middle[0] + 31.5 * 0.317, abs=0.3)
+    # the camera's scale holds on its axis; refraction in the thick plate makes it 3 % smaller at the edge
+    assert rest[24, 63, 0] - middle[0] == pytest.approx(31.5 * 0.317, rel=0.04)
 
 
 def test_a_bundle_without_radiance_is_refused(tmp_path: Path) -> None:

@@ -75,6 +75,8 @@ def test_stray_light_is_even_but_for_the_vignette_and_dots_stay_dark_in_it():
 def test_colours_of_the_counts_mix_the_sensors_own_and_each_falls_off_by_itself():
     camera = sensor(camera={"vignette_mm": (6.0, 9.0, 20.0), "colour_matrix": MIXED, "exposure": 0.5}).camera
     light = camera_response.expose(np.broadcast_to([0.8, 0.6, 0.4], (32, 40, 3)), camera)
+    even = camera_response.unexposed(light, camera)
+    assert even == pytest.approx(np.broadcast_to([0.8, 0.6, 0.4], even.shape), rel=1e-12)
     r2 = (19.5**2 + 15.5**2) * 0.04
     fall = [1 / (1 + r2 / r0**2) ** 2 for r0 in (6.0, 9.0, 20.0)]
     assert light[0, 0] == pytest.approx(np.array([0.8 - 0.12 - 0.12, 0.6, 0.4]) * fall / 2)
