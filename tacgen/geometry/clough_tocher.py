@@ -24,6 +24,9 @@ class CloughTocher:
         self._points = points
         self._kept: dict[int, tuple[Array, csr_array]] = {}
 
+    def __reduce__(self) -> "tuple[type[CloughTocher], tuple[Array]]":
+        return CloughTocher, (self._points,)  # a factorisation cannot be pickled
+
     @cached_property
     def _plan(self) -> Any:
         from scipy.spatial import Delaunay

@@ -1,5 +1,7 @@
 """The matrix against SciPy's interpolator, which solves for the same slopes by iteration."""
 
+import pickle
+
 import numpy as np
 import pytest
 from scipy.interpolate import CloughTocher2DInterpolator
@@ -30,3 +32,12 @@ def test_two_read_only_arrays_have_their_own_matrices() -> None:
     for at in (RNG.uniform(-1, 1, (9, 2)) for _ in range(20)):
         at.flags.writeable = False
         assert between.at(at, between.nodal(GRID)) == pytest.approx(at, abs=1e-12)
+
+
+def test_it_can_be_sent_to_another_process_after_use() -> None:
+    rng = np.random.default_rng(3)
+    cubics, xy = CloughTocher(rng.uniform(-1, 1, (40, 2))), rng.uniform(-0.3, 0.3, (20, 2))
+    values = rng.normal(size=(40, 2))
+    found = cubics.at(xy, cubics.nodal(values))
+    other = pickle.loads(pickle.dumps(cubics))
+    assert np.array_equal(other.at(xy, other.nodal(values)), found)

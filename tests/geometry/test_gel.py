@@ -158,7 +158,8 @@ def test_pictures_show_the_solid_itself(tmp_path: Path) -> None:
         for half in (y < -0.5, y > 0.5):
             here = (r >= inner) & (r < outer) & half
             truth, noise = path[here].mean(0), path[here].std(0) / np.sqrt(here.sum())
-            assert (np.abs(exact[here].mean(0) - truth) <= 0.05 * truth + 2.5 * noise + 1e-9).all(), outer
+            # 18 means are compared: 3 standard errors
+            assert (np.abs(exact[here].mean(0) - truth) <= 0.05 * truth + 3 * noise + 1e-9).all(), outer
 
 
 @pytest.mark.slow
