@@ -29,7 +29,8 @@ vary: {method: random, samples: 8, over: {start.x_mm: {uniform: [-3, 3]}}}
 
 def make_plan(folder: Path, samples: int = 8, shard: tuple[int, int] = (0, 1), outputs: str = "[force]") -> plan.Plan:
     path = folder / "many.yaml"
-    path.write_text(RECIPE)
+    if not path.exists():  # other processes of the torture read it
+        path.write_text(RECIPE)
     return plan.load(path, [f"vary.samples={samples}", f"outputs={outputs}"], shard)
 
 
