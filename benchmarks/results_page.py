@@ -193,13 +193,11 @@ def write(folder: Path, name: str, found: Result, seconds: float) -> None:
 
 
 def _draw(plots: Sequence[Plot], out: Path) -> None:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     columns = min(len(plots), 2)
     rows = -(-len(plots) // columns)
     sheet = Figure(figsize=(6.4 * columns, 4.8 * rows), layout="constrained")
-    FigureCanvasAgg(sheet)
     texts: list[Any] = []
     for number, plot in enumerate(plots):
         axes = sheet.add_subplot(rows, columns, number + 1)

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import get_args
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from tacgen.bundle import caption
@@ -63,7 +62,6 @@ def sheet(scenes: list[Column]) -> Figure:
     tall = TITLE + sum(heights) + GAP * len(heights)
     size = LEFT + ACROSS * (PANEL + GAP), len(blocks) * tall
     drawn = Figure(figsize=size, layout=None)
-    FigureCanvasAgg(drawn)
     for b, block in enumerate(blocks):
         for c, column in enumerate(block):
             panels, top = [], b * tall + TITLE

@@ -53,6 +53,7 @@ HOMES = {
         "report.bundle_figure",
         "report.field_figure",
         "report.fit_figure",
+        "report.sheet",
         "report.viewer",
     },
     "mpl_toolkits": {"report.bundle_figure"},

@@ -1,7 +1,6 @@
 """A bundle as a film: camera, pressure and traction side by side, and the force below, frame by frame."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,9 +17,7 @@ from tacgen.report.bundle_figure import (
     scale_of,
     window_of,
 )
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from tacgen.report.sheet import Sheet
 
 KINDS = {".webp": "pillow", ".gif": "pillow", ".mp4": "ffmpeg"}  # matplotlib's writers
 PER_SECOND = 5  # frames: the trajectories that ship have 4 to 15
@@ -49,38 +46,26 @@ def write(path: Path, out: Path) -> None:
 
 def film(bundle: Bundle, writer: object, out: Path) -> None:
     """Every frame's panels are drawn once, one behind the other; a frame of the film shows one of each."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     rows = [draw for wanted, draw in ROWS[:3] if any(path in bundle for path in wanted)]
     image, window, frames = image_size(bundle), window_of(bundle), np.arange(bundle.frames)
     tall = WIDE * image[0] / image[1]
     across = LEFT + max(len(rows), 2) * (WIDE + BETWEEN) - 0.45
-    size = (across, (TOP + tall if rows else 0.2) + ABOVE_FORCES + FORCES + BELOW)
-    sheet = Figure(figsize=size)
-    FigureCanvasAgg(sheet)
-
-    def axes(x: float, y: float, w: float, h: float) -> "Axes":
-        """At x from the left and y from the top [inch]."""
-        return sheet.add_axes((x / size[0], 1 - (y + h) / size[1], w / size[0], h / size[1]))
-
+    sheet = Sheet(across, (TOP + tall if rows else 0.2) + ABOVE_FORCES + FORCES + BELOW)
     stacks = []
     for c, draw in enumerate(rows):
         x = LEFT + c * (WIDE + BETWEEN)
-        panels = [axes(x, TOP, WIDE, tall) for _ in frames]
+        panels = [sheet.axes(x, TOP, WIDE, tall) for _ in frames]
         colours = draw(bundle, panels, frames, image, window)
         if colours is not None:
-            bar = axes(x + WIDE + 0.03, TOP, 0.1, tall)
-            sheet.colorbar(colours[0], cax=bar).set_label(colours[1], fontsize=8)
-            bar.tick_params(labelsize=7, length=2)
+            sheet.colour_bar(*colours, x=x + WIDE + 0.03, y=TOP, h=tall)
         panels[0].tick_params(labelbottom=True, bottom=True)  # it stays behind the others, with the ticks of all
         panels[0].set_xlabel(f"x [{scale_of(bundle).unit}]", fontsize=8, labelpad=1)
         stacks.append(panels[1:])
-    forces = axes(LEFT, size[1] - BELOW - FORCES, across - LEFT - RIGHT, FORCES)
+    forces = sheet.axes(LEFT, sheet.height - BELOW - FORCES, across - LEFT - RIGHT, FORCES)
     draw_forces(forces, bundle, frames[:0])
     cursor = forces.axvline(0, color="black", linewidth=0.8)
-    heading(sheet, bundle, size[1])
-    with writer.saving(sheet, out, DPI):  # type: ignore[attr-defined]
+    heading(sheet, bundle)
+    with writer.saving(sheet.figure, out, DPI):  # type: ignore[attr-defined]
         for k in frames:
             cursor.set_xdata([k, k])
             for panels in stacks:

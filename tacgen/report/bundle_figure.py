@@ -13,6 +13,7 @@ from tacgen.bundle.bundle import Bundle, read
 from tacgen.bundle.caption import caption, indenter_text
 from tacgen.errors import UserError
 from tacgen.report.layers import LAYERS, limits
+from tacgen.report.sheet import Sheet
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -58,39 +59,28 @@ def figure(bundle: Bundle) -> "Figure":
 
     A row whose dataset is not in the bundle is left out. Image axes: x right, y down, in mm of the untouched face.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     rows = [draw for wanted, draw in ROWS if any(p in bundle for p in wanted) and bundle.frames]
     shown = np.unique(np.linspace(0, max(bundle.frames - 1, 0), COLUMNS).round().astype(int)) if rows else np.zeros(0)
     image, window = image_size(bundle), window_of(bundle)
     tall = PANEL * image[0] / image[1]
     wide = max(len(shown) * (PANEL + GAP), 5.0)
-    size = (LEFT + wide + RIGHT, (TOP if rows else 0.2) + len(rows) * (tall + GAP) + ABOVE_FORCES + FORCES + BELOW)
-    sheet = Figure(figsize=size)
-    FigureCanvasAgg(sheet)
-
-    def axes(x: float, y: float, w: float, h: float) -> "Axes":
-        """At x from the left and y from the top [inch]."""
-        return sheet.add_axes((x / size[0], 1 - (y + h) / size[1], w / size[0], h / size[1]))
-
+    height = (TOP if rows else 0.2) + len(rows) * (tall + GAP) + ABOVE_FORCES + FORCES + BELOW
+    sheet = Sheet(LEFT + wide + RIGHT, height)
     for r, draw in enumerate(rows):
         y = TOP + r * (tall + GAP)
-        panels = [axes(LEFT + c * (PANEL + GAP), y, PANEL, tall) for c in range(len(shown))]
+        panels = [sheet.axes(LEFT + c * (PANEL + GAP), y, PANEL, tall) for c in range(len(shown))]
         colours = draw(bundle, panels, shown, image, window)
         if colours is not None:
-            bar = axes(LEFT + len(shown) * (PANEL + GAP) + 0.03, y + 0.04, 0.1, tall - 0.08)
-            sheet.colorbar(colours[0], cax=bar).set_label(colours[1], fontsize=8)
-            bar.tick_params(labelsize=7, length=2)
+            sheet.colour_bar(*colours, x=LEFT + len(shown) * (PANEL + GAP) + 0.03, y=y + 0.04, h=tall - 0.08)
         if r == 0:
             for panel, k in zip(panels, shown, strict=True):
                 panel.set_title(f"frame {k}\n{bundle.segments[k]}", fontsize=8, pad=4)
     for panel in panels if rows else ():
         panel.tick_params(labelbottom=True, bottom=True)
         panel.set_xlabel(f"x [{scale_of(bundle).unit}]", fontsize=8, labelpad=1)
-    draw_forces(axes(LEFT, size[1] - BELOW - FORCES, wide - GAP, FORCES), bundle, shown)
-    heading(sheet, bundle, size[1])
-    return sheet
+    draw_forces(sheet.axes(LEFT, height - BELOW - FORCES, wide - GAP, FORCES), bundle, shown)
+    heading(sheet, bundle)
+    return sheet.figure
 
 
 def summary(path: Path) -> str:
@@ -131,13 +121,13 @@ def _mesh(found: dict[str, Any]) -> str:
     return ", ".join([*words, f"volume {100 * found['volume_error']:+.2f} %"])
 
 
-def heading(sheet: "Figure", bundle: Bundle, height: float) -> None:
-    """What the bundle is, over a sheet of this height [inch], and in red why it was rejected."""
+def heading(sheet: Sheet, bundle: Bundle) -> None:
+    """The bundle's name, indenter and sensor at the top of a sheet, and in red why it was rejected."""
     text = f"{bundle.recipe.get('name', bundle.path.stem)}: {indenter_text(bundle)}, on {bundle.attrs['sensor']}"
-    sheet.text(0.5, 1 - 0.12 / height, text, ha="center", va="top", fontsize=11)
+    sheet.figure.text(0.5, 1 - 0.12 / sheet.height, text, ha="center", va="top", fontsize=11)
     if bundle.attrs["status"] != "ok":
         text = f"{bundle.attrs['status']}: {bundle.attrs['reason']}"
-        sheet.text(0.5, 1 - 0.34 / height, text, ha="center", va="top", fontsize=8, color="#b00000")
+        sheet.figure.text(0.5, 1 - 0.34 / sheet.height, text, ha="center", va="top", fontsize=8, color="#b00000")
 
 
 def image_size(bundle: Bundle) -> tuple[int, int]:

@@ -26,6 +26,7 @@ from tacgen.report.bundle_figure import (
     zoom,
 )
 from tacgen.report.plane_cut import crossed, cut, outline
+from tacgen.report.sheet import Sheet
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -65,38 +66,28 @@ def picture(path: Path, field: str, out: Path) -> None:
 
 def figure(bundle: Bundle, field: str) -> "Figure":
     """Up to four frames of a bundle, spread over its trajectory, side by side; one colour bar a row."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     needed, output, rows, draw, note = FIELDS[field]
     if missing := [path for path in needed if path not in bundle]:
         raise UserError(f"{bundle.path}: has no {missing[0]}: the recipe's outputs need {output}")
     shown = np.unique(np.linspace(0, bundle.frames - 1, COLUMNS).round().astype(int))
     image = image_size(bundle)
     tall = PANEL * (FLAT if rows > 1 else image[0] / image[1])
-    size = 0.9 + len(shown) * (PANEL + GAP) + 1.0, 0.85 + rows * (tall + GAP) + 0.9
-    sheet = Figure(figsize=size)
-    FigureCanvasAgg(sheet)
-
-    def axes(x: float, y: float, w: float, h: float) -> "Axes":
-        return sheet.add_axes((x / size[0], 1 - (y + h) / size[1], w / size[0], h / size[1]))
-
+    sheet = Sheet(0.9 + len(shown) * (PANEL + GAP) + 1.0, 0.85 + rows * (tall + GAP) + 0.9)
     grid = [
-        [axes(0.9 + c * (PANEL + GAP), 0.85 + r * (tall + GAP), PANEL, tall) for c in range(len(shown))]
+        [sheet.axes(0.9 + c * (PANEL + GAP), 0.85 + r * (tall + GAP), PANEL, tall) for c in range(len(shown))]
         for r in range(rows)
     ]
     for r, (drawn, label, ticks) in enumerate(draw(bundle, grid, shown, image)):
-        bar = axes(0.9 + len(shown) * (PANEL + GAP) + 0.03, 0.9 + r * (tall + GAP), 0.12, tall - 0.1)
-        sheet.colorbar(drawn, cax=bar).set_label(label, fontsize=8)
-        bar.tick_params(labelsize=7, length=2)
+        x, y = 0.9 + len(shown) * (PANEL + GAP) + 0.03, 0.9 + r * (tall + GAP)
+        bar = sheet.colour_bar(drawn, label, x=x, y=y, h=tall - 0.1)
         if ticks:
             bar.set_yticks(list(ticks), list(ticks.values()))
     for panel, k in zip(grid[0], shown, strict=True):
         panel.set_title(f"frame {k} {bundle.segments[k]}", fontsize=8, pad=4)
-    wrapped = textwrap.fill(note, int(14 * size[0]))  # letters of this size an inch
-    sheet.text(0.5, 0.1 / size[1], wrapped, ha="center", va="bottom", fontsize=8)
-    heading(sheet, bundle, size[1])
-    return sheet
+    wrapped = textwrap.fill(note, int(14 * sheet.width))  # letters of this size an inch
+    sheet.figure.text(0.5, 0.1 / sheet.height, wrapped, ha="center", va="bottom", fontsize=8)
+    heading(sheet, bundle)
+    return sheet.figure
 
 
 Bar = tuple[Any, str, dict[float, str]]

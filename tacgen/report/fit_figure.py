@@ -14,11 +14,9 @@ def draw(depth: Array, measured: Array, fitted: Array, off: Array, out: Path) ->
 
     Raises UserError: `out` does not end in a kind of picture.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     sheet = Figure(figsize=(5.2, 4.6), layout="constrained")
-    FigureCanvasAgg(sheet)
     forces, errors = sheet.subplots(2, sharex=True, height_ratios=(2, 1))
     forces.plot(depth, fitted, color="#0072b2", label="fitted")
     forces.plot(depth, measured, "o", color="#d55e00", markersize=4, label="measured")

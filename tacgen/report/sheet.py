@@ -1,0 +1,28 @@
+"""A page of plots that are placed in inches from its left and upper edges."""
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+class Sheet:
+    """A matplotlib figure of this size [inch]."""
+
+    def __init__(self, width: float, height: float) -> None:
+        from matplotlib.figure import Figure
+
+        self.width, self.height = width, height
+        self.figure = Figure(figsize=(width, height))
+
+    def axes(self, x: float, y: float, w: float, h: float) -> "Axes":
+        """New axes of size (w, h) whose upper left corner is at (x, y) [inch]."""
+        place = (x / self.width, 1 - (y + h) / self.height, w / self.width, h / self.height)
+        return self.figure.add_axes(place)
+
+    def colour_bar(self, drawn: Any, label: str, *, x: float, y: float, h: float) -> "Axes":
+        """The colour bar of what was `drawn`, of height h with its upper left corner at (x, y) [inch]."""
+        bar = self.axes(x, y, 0.1, h)
+        self.figure.colorbar(drawn, cax=bar).set_label(label, fontsize=8)
+        bar.tick_params(labelsize=7, length=2)
+        return bar
