@@ -268,7 +268,7 @@ def test_what_extending_names_is_there(file: str, what: str) -> None:
 def test_an_output_is_an_entry_a_name_and_a_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     entry = outputs.Output(lambda frame: {"/frames/lowest": frame.state.x[:, 2].min()})
     monkeypatch.setitem(outputs.OUTPUTS, "lowest", entry)
-    monkeypatch.setitem(schema.LAYOUT, "/frames/lowest", schema.Entry("<f8", ("N",), "mm", "lowest node", "frame"))
+    monkeypatch.setitem(schema.LAYOUT, "/frames/lowest", schema.Entry("<f8", "N", "mm", "lowest node", "frame"))
     (tmp_path / "small.yaml").write_text(f"{HEAD}  - press: {{depth_mm: 0.3, frames: 2}}\n")
     row = plan.load(tmp_path / "small.yaml").rows[0]
     asked = row.recipe.model_copy(update={"outputs": frozenset({"force", "lowest"})})  # past the list of names

@@ -96,7 +96,7 @@ class Writer:
 
     def append(self, arrays: Mapping[str, np.ndarray]) -> None:
         """Store the next frame: the same datasets each time, each without its frame axis."""
-        if self.appended and arrays.keys() != {p for p in self._columns if entry(p).dims[0] == "N"}:
+        if self.appended and arrays.keys() != {p for p in self._columns if entry(p).per_frame}:
             raise ValueError(f"frame {self.appended} has other datasets than frame 0: {sorted(arrays)}")
         if self.appended == self.frames:
             raise ValueError(f"{self.frames} frames were planned and are all written")
@@ -128,7 +128,7 @@ class Writer:
 
     def _cast(self, path: str, array: np.ndarray, *, per_frame: bool) -> np.ndarray:
         row = entry(path)
-        if (row.dims[0] == "N") != per_frame:
+        if row.per_frame != per_frame:
             raise ValueError(f"{path}: {'put' if per_frame else 'append'} it, not {'append' if per_frame else 'put'}")
         values = rounded(path, np.asarray(array).astype(row.dtype, order="C", casting="same_kind", copy=False))
         self._sizes.pop("N", None)

@@ -101,7 +101,7 @@ def _common(bundles: Sequence[Bundle]) -> dict[str, tuple[tuple[int, ...], str]]
     """Per-frame datasets that every scene has, all frames in one shape: their shape less the frame, and type."""
     from tacgen.bundle.schema import entry
 
-    first, *others = [{p: n[1:] for p, n in b.shapes.items() if entry(p).dims[0] == "N"} for b in bundles]
+    first, *others = [{p: n[1:] for p, n in b.shapes.items() if entry(p).per_frame} for b in bundles]
     alike = {path: shape for path, shape in first.items() if all(other.get(path) == shape for other in others)}
     return {path: (shape, entry(path).dtype) for path, shape in alike.items()}
 
