@@ -12,7 +12,6 @@ Where the same contact is there on several sensors it is one episode: `observati
 `observation.force.digit` and so on, a state and an action that hold the poses on each in turn.
 """
 
-import io
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -23,6 +22,7 @@ import numpy as np
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.caption import MODE, caption
 from tacgen.bundle.dataset import contacts
+from tacgen.bundle.image_file import encoded
 from tacgen.errors import UserError
 from tacgen.export import needs, poses
 
@@ -253,10 +253,10 @@ def _arrays(
     import pyarrow as pa
 
     bundle, out = next(iter(episode.values())), dict[str, Any]()
-    count = bundle.frames
+    count, kind = bundle.frames, pa.struct([("bytes", pa.binary()), ("path", pa.string())])
     for name, values in content.items():
         if values.ndim > 2:
-            out[name] = pa.array([{"bytes": _png(image), "path": None} for image in values], _image_type())
+            out[name] = pa.array([{"bytes": encoded(image, "PNG"), "path": None} for image in values], kind)
         else:
             flat = pa.array(values.ravel())
             out[name] = flat if values.shape[1] == 1 else pa.FixedSizeListArray.from_arrays(flat, values.shape[1])
@@ -265,20 +265,6 @@ def _arrays(
     task_index = tasks.index(task(episode))
     known = (np.arange(count), np.full(count, number), start + np.arange(count), np.full(count, task_index))
     return out | {name: pa.array(values) for name, values in zip(INDICES, known, strict=True)}
-
-
-def _image_type() -> Any:
-    import pyarrow as pa
-
-    return pa.struct([("bytes", pa.binary()), ("path", pa.string())])
-
-
-def _png(image: np.ndarray) -> bytes:
-    from PIL import Image
-
-    file = io.BytesIO()
-    Image.fromarray(image).save(file, "PNG")
-    return file.getvalue()
 
 
 def _fps(bundle: Bundle) -> int:

@@ -9,7 +9,6 @@ Of `tactile/left_tactile`: `rgb` (JPEG streams; with the markers in the picture 
 head camera here, so `embodiment` and `observation` are left out rather than filled with zeros.
 """
 
-import io
 import json
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,6 +18,7 @@ import numpy as np
 
 from tacgen import atomic_file
 from tacgen.bundle.bundle import Bundle
+from tacgen.bundle.image_file import encoded
 from tacgen.export import names, needs, poses
 
 METRES = (1e-3, 1e-3, 1e-3, 1, 1, 1, 1)  # of a pose in mm
@@ -75,13 +75,7 @@ def episode(bundle: Bundle) -> dict[str, np.ndarray]:
 
 def streams(images: np.ndarray) -> np.ndarray:
     """JPEG files as byte strings (N,). UniVTAC gives RGB to OpenCV, which takes it for BGR both ways: so is it here."""
-    from PIL import Image
-
-    found = []
-    for image in images:
-        file = io.BytesIO()
-        Image.fromarray(np.ascontiguousarray(image[..., ::-1])).save(file, "JPEG", quality=JPEG_QUALITY)
-        found.append(file.getvalue())
+    found = [encoded(np.ascontiguousarray(image[..., ::-1]), "JPEG", quality=JPEG_QUALITY) for image in images]
     return np.array(found, dtype=f"S{max(map(len, found))}")
 
 

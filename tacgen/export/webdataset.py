@@ -15,6 +15,7 @@ from typing import Any
 
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.caption import caption, modes
+from tacgen.bundle.image_file import encoded
 from tacgen.bundle.schema import UNITS
 from tacgen.errors import UserError
 from tacgen.export import names
@@ -37,7 +38,8 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
             for sample in samples(name, bundle):
                 writer.write(sample)
             if "/reference/rgb" in bundle:
-                made.append(_picture(bundle["/reference/rgb"], out / "reference" / f"{name}.png"))
+                made.append(out / "reference" / f"{name}.png")
+                made[-1].write_bytes(encoded(bundle["/reference/rgb"], "PNG"))
     return [*sorted(out.glob("shard-*.tar")), *made]
 
 
@@ -59,10 +61,3 @@ def samples(name: str, bundle: Bundle) -> Iterator[dict[str, Any]]:
             kind = "png" if path == "/frames/rgb" else "npy"
             sample[f"{path.rpartition('/')[2]}.{kind}"] = bundle.frame(path, k)
         yield sample
-
-
-def _picture(values: Any, path: Path) -> Path:
-    from PIL import Image
-
-    Image.fromarray(values).save(path)
-    return path

@@ -50,13 +50,8 @@ def _varied(seen: Overview) -> str:
 
 
 def _cost(seen: Overview) -> str:
-    timed = sum(scene.frames for scene in seen.scenes if scene.seconds)
-    if not timed:
-        return ""
-    rows = [(stage, f"{s:.1f}", f"{s / timed:.3f}") for stage, s in seen.seconds.items()]
-    total = sum(seen.seconds.values())
-    rows.append(("all", f"{total:.1f}", f"{total / timed:.3f}"))
-    return "## Cost: seconds as they passed\n\n" + _table(("stage", "seconds", "seconds a frame"), rows)
+    rows = [(stage, f"{seconds:.1f}", f"{each:.3f}") for stage, seconds, each in seen.costs]
+    return "## Cost: seconds as they passed\n\n" + _table(("stage", "seconds", "seconds a frame"), rows) if rows else ""
 
 
 def _missing(seen: Overview) -> str:

@@ -56,6 +56,13 @@ class Overview(run_status.Survey):
             total.update(scene.seconds)
         return dict(total.most_common())
 
+    @property
+    def costs(self) -> list[tuple[str, float, float]]:
+        """Stage, seconds, seconds a frame of the scenes whose times are known, and their sums; empty without any."""
+        timed = sum(scene.frames for scene in self.scenes if scene.seconds)
+        rows = [*self.seconds.items(), ("all", sum(self.seconds.values()))]
+        return [(stage, seconds, seconds / timed) for stage, seconds in rows] if timed else []
+
     def distinct(self, attribute: str) -> list[str]:
         """Values that an attribute of the bundles has, in order of first appearance."""
         return list(dict.fromkeys(str(b.attrs[attribute]) for b in self.bundles if attribute in b.attrs))

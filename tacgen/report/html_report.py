@@ -1,7 +1,6 @@
 """One self-contained HTML page about a dataset: coverage, forces, failures by cause, seconds by stage, pictures."""
 
 import base64
-import io
 import re
 from collections.abc import Iterable, Sequence
 from html import escape
@@ -12,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from tacgen.bundle.bundle import Bundle
+from tacgen.bundle.image_file import encoded
 from tacgen.errors import UserError
 from tacgen.report import dataset_summary, viewer
 from tacgen.report.dataset_summary import Overview, Scene
@@ -101,16 +101,12 @@ def _forces(scenes: Sequence[Scene]) -> str:
 
 
 def _seconds(seen: Overview) -> str:
-    timed = sum(scene.frames for scene in seen.scenes if scene.seconds)
-    if not timed:
-        return ""
-    total = max(sum(seen.seconds.values()), 1e-9)
     rows = []
-    for stage, seconds in seen.seconds.items():
-        bar = f'<svg width=300 height=12><rect width={300 * seconds / total:.1f} height=12 fill="#0072b2"/></svg>'
-        rows.append((escape(stage), f"{seconds:.1f} s", f"{seconds / timed:.3f} s a frame", bar))
-    rows.append(("all", f"{total:.1f} s", f"{total / timed:.3f} s a frame", ""))
-    return _table(("stage", "", "", ""), rows, raw=True)
+    for stage, seconds, each in seen.costs:
+        width = 300 * seconds / max(seen.costs[-1][1], 1e-9)
+        bar = f'<svg width=300 height=12><rect width={width:.1f} height=12 fill="#0072b2"/></svg>'
+        rows.append((escape(stage), f"{seconds:.1f} s", f"{each:.3f} s a frame", "" if stage == "all" else bar))
+    return _table(("stage", "", "", ""), rows, raw=True) if rows else ""
 
 
 def _pictures(seen: Overview) -> str:
@@ -140,20 +136,16 @@ def _frames(scenes: Sequence[Scene]) -> str:
 
 def _picture(bundle: Bundle) -> str:
     """The camera image, or the pressure in grey where there is none."""
-    from PIL import Image
-
     k = int(np.linalg.norm(bundle["/frames/force"], axis=1).argmax()) if "/frames/force" in bundle else -1
     if "/frames/rgb" in bundle:
-        image = Image.fromarray(bundle.frame("/frames/rgb", k % bundle.frames))
+        pixels = bundle.frame("/frames/rgb", k % bundle.frames)
     elif "/frames/pressure" in bundle:
         pressure = bundle.frame("/frames/pressure", k % bundle.frames)
-        image = Image.fromarray(np.uint8(255 * np.clip(pressure / max(float(pressure.max()), 1e-9), 0, 1)))
+        pixels = (255 * np.clip(pressure / max(float(pressure.max()), 1e-9), 0, 1)).astype(np.uint8)
     else:
         return ""
-    image = image.resize((PICTURE_WIDTH, round(PICTURE_WIDTH * image.height / image.width)), Image.Resampling.BILINEAR)
-    file = io.BytesIO()
-    image.save(file, "JPEG", quality=85)
-    return f'<img alt="" src="data:image/jpeg;base64,{base64.b64encode(file.getvalue()).decode()}">'
+    content = base64.b64encode(encoded(pixels, "JPEG", PICTURE_WIDTH, quality=85)).decode()
+    return f'<img alt="" src="data:image/jpeg;base64,{content}">'
 
 
 def _histogram(name: str, values: np.ndarray) -> str:

@@ -5,7 +5,6 @@ as WebP, maps as grey PNG in which 0 is nan and 1 to 255 run over the layer's sc
 """
 
 import base64
-import io
 import json
 from collections.abc import Sequence
 from html import escape
@@ -17,6 +16,7 @@ import numpy as np
 
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.caption import indenter_text
+from tacgen.bundle.image_file import encoded
 from tacgen.errors import UserError
 from tacgen.fem.elements import triangles
 from tacgen.report.bundle_figure import LINES, image_size, magnification, only, scale_of
@@ -234,11 +234,7 @@ def _table(colours: str) -> Array:
 
 
 def _picture(pixels: Array, kind: str) -> str:
-    from PIL import Image
-
-    file = io.BytesIO()
-    Image.fromarray(pixels).save(file, kind, quality=85)
-    return base64.b64encode(file.getvalue()).decode()
+    return base64.b64encode(encoded(pixels, kind, quality=85)).decode()
 
 
 def _base64(array: Array) -> str:
