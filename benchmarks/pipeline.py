@@ -16,11 +16,11 @@ from benchmarks.results_page import (
     Say,
     Table,
     columns,
-    core_count,
     in_own_process,
     in_own_processes,
     peak_memory,
 )
+from tacgen.batch import worker_process
 
 ABOUT = (
     "A ball of 4 mm pressed (1 mm; DIGIT .6), slid 1 mm and twisted 10 deg with friction .6, from recipe to bundle:"
@@ -66,7 +66,7 @@ def bench(level: Level, say: Say) -> Result:
             raise one
         found[job[:3]] = one
         say(f"{', '.join(job[:3])}: {one['total']:.3f} s a frame")
-    cores = core_count()
+    cores = worker_process.cores()
     many = sorted({1, *(2**k for k in range(1, 8) if 2**k <= cores), cores})
     table, plot = workers.workers(4, many, say)
     return Result(ABOUT, [_stages(found), *_parts(found), _first(say), table, _others()], [plot])

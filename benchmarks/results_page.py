@@ -17,11 +17,12 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
+from tacgen.batch import worker_process
+
 Cell: TypeAlias = str | float | int | None
 Level: TypeAlias = Literal["smoke", "normal", "full"]
 Say: TypeAlias = Callable[[str], None]
 ROOT = Path(__file__).parents[1]
-ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 PACKAGES = ("numpy", "scipy", "numba", "cvxopt", "pymetis", "mitsuba", "drjit", "h5py", "ipctk")
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")  # Okabe and Ito's
 MARKERS = "osD^vPX*"  # one more than colours, so that the eighth series differs from the first
@@ -94,7 +95,7 @@ def made() -> dict[str, Any]:
     return {
         "date": time.strftime("%Y-%m-%d"),
         "processor": _processor(),
-        "cores": core_count(),
+        "cores": worker_process.cores(),
         "gflops": round(in_own_process(f"{__name__}:gflops"), 1),
         "memory_gb": round(memory),
         "system": f"{platform.system()} {platform.machine()}",
@@ -123,7 +124,7 @@ def _processor() -> str:
 def one_thread() -> dict[str, str]:
     """The environment of a process that uses one core and can import the benchmarks."""
     path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
-    return os.environ | dict.fromkeys(ONE_THREAD, "1") | {"PYTHONPATH": path}
+    return os.environ | dict.fromkeys(worker_process.THREADS, "1") | {"PYTHONPATH": path}
 
 
 def in_own_process(target: str, *args: Any, env: dict[str, str] | None = None) -> Any:
@@ -150,13 +151,8 @@ def in_own_processes(target: str, jobs: Iterable[tuple[Any, ...]]) -> Iterator[A
         except RuntimeError as error:
             return error
 
-    with ThreadPoolExecutor(core_count()) as threads:  # each thread waits for a process
+    with ThreadPoolExecutor(worker_process.cores()) as threads:  # each thread waits for a process
         yield from threads.map(one, jobs)
-
-
-def core_count() -> int:
-    """Number of cores that this process may use."""
-    return len(os.sched_getaffinity(0))
 
 
 @contextmanager
@@ -165,7 +161,7 @@ def cores(level: Level = "normal") -> Iterator[Callable[..., Iterator[Any]]]:
     if level == "smoke":
         yield map
         return
-    with ProcessPoolExecutor(core_count(), mp_context=get_context("spawn")) as workers:
+    with ProcessPoolExecutor(worker_process.cores(), mp_context=get_context("spawn")) as workers:
         yield workers.map
 
 

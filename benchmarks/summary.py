@@ -16,16 +16,13 @@ def short(folder: Path) -> str:
     lines = ["| figure | value | bench |", "|---|---|---|"]
     for name, tell in TOLD.items():
         if (file := folder / f"{name}.json").exists():
-            tables = {table["title"]: list(_rows(table)) for table in json.loads(file.read_text())["tables"]}
+            tables = {
+                table["title"]: [dict(zip(table["columns"], row, strict=True)) for row in table["rows"]]
+                for table in json.loads(file.read_text())["tables"]
+            }
             with suppress(KeyError):  # results of another version have other columns
                 lines += [f"| {what} | {figure} | {name} |" for what, figure in tell(tables)]
     return "\n".join(lines)
-
-
-def _rows(table: dict[str, Any]) -> Iterator[Row]:
-    """Each row by its headings."""
-    for row in table["rows"]:
-        yield dict(zip(table["columns"], row, strict=True))
 
 
 Tables = dict[str, list[Row]]

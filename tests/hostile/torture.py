@@ -16,6 +16,7 @@ import benchmarks
 from benchmarks import results_page
 from hostile import attempts, kills
 from hostile.mutations import MUTATIONS
+from tacgen.batch import worker_process
 
 ABOUT = (
     "Hostile inputs, each read by a command or a loader in a process of its own, and processes killed at a call to the"
@@ -38,7 +39,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as scratch:
         source = attempts.inputs(attempts.base(Path(scratch)))
         attempts.warm(source)
-        with get_context("fork").Pool(results_page.core_count()) as pool:
+        with get_context("fork").Pool(worker_process.cores()) as pool:
             for found in pool.imap_unordered(partial(one, source), jobs, chunksize=4):
                 counts[found.kind][found.outcome] += 1
                 if found.outcome not in (attempts.GOOD if found.kind != "kill" else ("accepted",)):
