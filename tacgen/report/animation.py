@@ -6,17 +6,7 @@ import numpy as np
 
 from tacgen.bundle.bundle import Bundle
 from tacgen.errors import UserError
-from tacgen.report.bundle_figure import (
-    BELOW,
-    FORCES,
-    ROWS,
-    draw_forces,
-    heading,
-    image_size,
-    only,
-    scale_of,
-    window_of,
-)
+from tacgen.report.bundle_figure import BELOW, FORCES, ROWS, draw_forces, heading, image_size, only, scale_of, window_of
 from tacgen.report.sheet import Sheet
 
 KINDS = {".webp": "pillow", ".gif": "pillow", ".mp4": "ffmpeg"}  # matplotlib's writers

@@ -15,16 +15,7 @@ from tacgen.geometry import mesh_import, surface_nets
 from tacgen.geometry.analytic_sdf import Triangles
 from tacgen.recipe import assets
 from tacgen.recipe.indenters import Indenter, analytic
-from tacgen.report.bundle_figure import (
-    draw_map,
-    frame_axes,
-    heading,
-    image_size,
-    only,
-    save,
-    window_of,
-    zoom,
-)
+from tacgen.report.bundle_figure import draw_map, frame_axes, heading, image_size, only, save, window_of, zoom
 from tacgen.report.plane_cut import crossed, cut, outline
 from tacgen.report.sheet import Sheet
 
