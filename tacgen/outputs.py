@@ -71,7 +71,7 @@ class SceneData(_Faces):
         mesh, gel = problem.mesh, row.sensor.gel
         self.touched = gel_surface.Surface(mesh.points, mesh.facets["coated"])
         opaque = len(gel.clear_layers) < len(gel.layers)
-        self.printed = gel_surface.seen(mesh, len(gel.clear_layers)) if opaque else self.touched
+        self.printed = gel_surface.seen(mesh, len(gel.clear_layers)).sharing(self.touched) if opaque else self.touched
 
     @cached_property
     def camera(self) -> "Camera":

@@ -27,14 +27,19 @@ def cofactor(F: Array, C: Array) -> None:
 def deformation(x: Array, conn: Array, B: Array) -> Array:
     """F (e, q, 3, 3) at every integration point."""
     ne, nq, na, _ = B.shape
-    F = np.zeros((ne, nq, 3, 3))
+    F, at = np.empty((ne, nq, 3, 3)), np.empty((na, 3))
     for e in range(ne):
+        for a in range(na):
+            for i in range(3):
+                at[a, i] = x[conn[e, a], i]
         for q in range(nq):
-            for a in range(na):
-                node = conn[e, a]
-                for i in range(3):
-                    for j in range(3):
-                        F[e, q, i, j] += x[node, i] * B[e, q, a, j]
+            for i in range(3):
+                along_x = along_y = along_z = 0.0  # sums in registers: memory would be written for each node
+                for a in range(na):
+                    along_x += at[a, i] * B[e, q, a, 0]
+                    along_y += at[a, i] * B[e, q, a, 1]
+                    along_z += at[a, i] * B[e, q, a, 2]
+                F[e, q, i, 0], F[e, q, i, 1], F[e, q, i, 2] = along_x, along_y, along_z
     return F
 
 
@@ -137,7 +142,7 @@ def add_forces(
 @njit(cache=True)
 def cauchy(F: Array, I1: Array, J: Array, first: Array, memory: Array) -> Array:
     """sigma = P F^T / J (e, q, 3, 3); first and memory as in add_forces."""
-    out, C, P = np.zeros(F.shape), np.empty((3, 3)), np.empty((3, 3))
+    out, C, P = np.empty(F.shape), np.empty((3, 3)), np.empty((3, 3))
     for e in range(F.shape[0]):
         for q in range(F.shape[1]):
             cofactor(F[e, q], C)
@@ -147,10 +152,11 @@ def cauchy(F: Array, I1: Array, J: Array, first: Array, memory: Array) -> Array:
                     for j in range(3):
                         for k in range(3):
                             P[i, j] += F[e, q, i, k] * memory[e, q, k, j]
+            share = 1 / J[e, q]
             for i in range(3):
                 for j in range(3):
-                    for k in range(3):
-                        out[e, q, i, j] += P[i, k] * F[e, q, j, k] / J[e, q]
+                    t = P[i, 0] * F[e, q, j, 0] + P[i, 1] * F[e, q, j, 1] + P[i, 2] * F[e, q, j, 2]
+                    out[e, q, i, j] = share * t
     return out
 
 
@@ -159,14 +165,14 @@ def mean_stress(sigma: Array, F: Array, volume: Array, weights: Array) -> tuple[
     """Element means (e, 3, 3): of sigma over the current volume, and of P = sigma cof F over the rest volume."""
     now, rest, C = np.zeros((len(F), 3, 3)), np.zeros((len(F), 3, 3)), np.empty((3, 3))
     for e in range(len(F)):
-        current, initial = volume[e] / volume[e].sum(), weights[e] / weights[e].sum()
+        current, initial = volume[e].sum(), weights[e].sum()
         for q in range(F.shape[1]):
             cofactor(F[e, q], C)
+            share, part, S = volume[e, q] / current, weights[e, q] / initial, sigma[e, q]
             for i in range(3):
                 for j in range(3):
-                    now[e, i, j] += current[q] * sigma[e, q, i, j]
-                    for k in range(3):
-                        rest[e, i, j] += initial[q] * sigma[e, q, i, k] * C[k, j]
+                    now[e, i, j] += share * S[i, j]
+                    rest[e, i, j] += part * (S[i, 0] * C[0, j] + S[i, 1] * C[1, j] + S[i, 2] * C[2, j])
     return now, rest
 
 

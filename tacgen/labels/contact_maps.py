@@ -99,7 +99,7 @@ def densities(view: "Shares", state: State) -> dict[str, Array]:
         parts += [np.linalg.norm(state.friction, axis=-1, keepdims=True)]
         parts += [(state.normal_force * state.sliding)[..., None]]
     found = view.shared(np.concatenate(parts, -1))
-    pressure, force = found[:, 0], found[:, 1:4] * view.area[view.seen][:, None]
+    pressure, force = found[:, 0], found[:, 1:4] * view.seen_area[:, None]
     traction, sliding = np.zeros((len(found), 2)), np.zeros(len(found))
     if found.shape[1] > 4:
         mean, size, slid = found[:, 4:6], found[:, 6], found[:, 7]
@@ -113,8 +113,8 @@ def densities(view: "Shares", state: State) -> dict[str, Array]:
 class Shares:
     """The deformed face as the camera sees it: area (h, w) [mm^2] and facet behind each pixel.
 
-    For the p pixels (`seen`) that see a facet next to a touched one: whether they are in contact, and their weight (p,)
-    in the distribution of forces.
+    For the p pixels (`seen`) that see a facet next to a touched one: their area, whether they are in contact, and their
+    weight (p,) in the distribution of forces.
     """
 
     def __init__(self, problem: Problem, surface: Surface, state: State, camera: "Camera") -> None:
@@ -137,10 +137,12 @@ class Shares:
         self._hats = np.where(np.asarray(on.all(1))[:, None, None], level, hats)  # (f, q, k)
         beside = np.zeros(len(surface.now), bool)
         beside[self._facets[touched]] = True
-        self.seen = gel & np.asarray(beside[facets].any(1))[found % len(facets)]
-        piece, number = np.divmod(found[self.seen], len(facets))
+        self.seen = gel & np.tile(beside[facets].any(1), len(triangles) // len(facets))[found]
+        self._pixels = np.flatnonzero(self.seen)
+        self.seen_area = self.area.ravel()[self._pixels]
+        piece, number = np.divmod(found.ravel()[self._pixels], len(facets))
         ends = facet_corners(kind)[np.array(PIECES[kind])][piece]  # corners of its triangle, (p, 3, 2)
-        v, w = place[self.seen].T[..., None]
+        v, w = place.reshape(-1, 2)[self._pixels].T[..., None]
         hats = facet_hats(kind, (1 - v - w) * ends[:, 0] + v * ends[:, 1] + w * ends[:, 2])
         starts, size = kind * np.arange(len(hats) + 1), (len(hats), len(surface.now))
         self._shape = csr_array((hats.ravel(), facets[number].ravel(), starts), shape=size)
@@ -174,9 +176,9 @@ class Shares:
     def picture(self, values: Array) -> Array:
         """Values (p, ...) as an image (h, w, ...), 0 at other pixels."""
         out = np.zeros((*self.area.shape, *values.shape[1:]), values.dtype)
-        out[self.seen] = values
+        out.reshape(-1, *values.shape[1:])[self._pixels] = values
         return out
 
     def _weighted_area(self) -> Array:
         """Weighted area (s,) of the pixels around each node."""
-        return np.asarray(self._shape.T @ (self.weight * self.area[self.seen]))
+        return np.asarray(self._shape.T @ (self.weight * self.seen_area))

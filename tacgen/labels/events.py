@@ -98,9 +98,10 @@ def friction_used(arm: Array, normal: Array, most: Array, friction: Array) -> fl
     along[:, :2, 2] = np.column_stack([-arm[:, 1], arm[:, 0]]) / radius
     along -= normal[:, :, None] * np.einsum("ki,kij->kj", normal, along)[:, None]
     load, weight, most_used = np.einsum("ki,kij->j", friction, along), most, 0.0
+    squared = np.einsum("kia,kib->kab", along, along).reshape(-1, 9)  # of the motion, to the squared way of each point
     for _ in range(ROUNDS):
-        motion = np.linalg.lstsq(np.einsum("k,kia,kib->ab", weight, along, along), load, rcond=None)[0]
-        way = np.linalg.norm(along @ motion, axis=1)
+        motion = np.linalg.lstsq((weight @ squared).reshape(3, 3), load, rcond=None)[0]
+        way = np.sqrt(np.maximum(squared @ np.outer(motion, motion).ravel(), 0.0))
         if not (taken := float(most @ way)) > 0:
             return 0.0
         most_used = max(most_used, float(load @ motion) / taken)

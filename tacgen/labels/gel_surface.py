@@ -36,6 +36,12 @@ class Surface:
         self.rest = self.now = points[self.nodes]
         self._between = CloughTocher(self.rest[:, :2])
 
+    def sharing(self, other: "Surface") -> "Surface":
+        """This face; it shares the interpolation of another one whose nodes are at the same x and y."""
+        if np.array_equal(self.rest[:, :2], other.rest[:, :2]):
+            self._between = other._between
+        return self
+
     def moved(self, x: Array) -> "Surface":
         """The same face of the mesh at nodal positions x (n, 3)."""
         new = object.__new__(Surface)

@@ -26,12 +26,13 @@ class Stress:
     """Cauchy stress [MPa] in the order xx yy zz yz xz xy.
 
     element (e, 6): volume mean; rows (k, 6): at the recovery's rows, one for each node and layer; node (n, 6): in the
-    outermost layer of each node.
+    outermost layer of each node; area (s, 3): vectors of the face's nodes [mm^2], out of the gel.
     """
 
     element: Array
     rows: Array
     node: Array
+    area: Array
 
 
 class Stresses:
@@ -56,9 +57,11 @@ class Stresses:
         recovered = self.recovery.matrix @ np.concatenate([element, nominal], 1)
         rows, on_nodes = recovered[:, :6], self.recovery.outermost(recovered, len(x))
         node, P = on_nodes[:, :6].copy(), on_nodes[:, 6:].reshape(-1, 3, 3)
-        nodes, normal, traction = self.face.traction(P, x)
-        node[nodes] = agreeing(node[nodes], normal, traction)
-        return Stress(element, rows, node)
+        nodes, area = self.face.nodes, self.face.vectors(x)
+        size = np.linalg.norm(area, axis=1, keepdims=True)
+        traction = np.einsum("nij,nj->ni", P[nodes], self.face.rest) / size
+        node[nodes] = agreeing(node[nodes], area / size, traction)
+        return Stress(element, rows, node, area)
 
     def quality(self, stress: Stress, state: State) -> dict[str, float]:
         """Difference of sigma n from the contact forces, in total and over the face, and oscillation of the pressure.
@@ -67,7 +70,7 @@ class Stresses:
         traction_error: the same as an L2 norm over the face; pressure_oscillation: rms of the elements' pressure minus
         the recovered one, over the rms of the latter. The first two are 0 without contact.
         """
-        area = self.face.vectors(state.x)
+        area = stress.area
         pull = np.einsum("nij,nj->ni", stress.node[self.face.nodes][:, FULL], area)
         push = self.problem.contact.faces.shared(state.traction_force, len(state.x))[self.face.nodes]
         size = np.linalg.norm(area, axis=1, keepdims=True)
@@ -112,12 +115,6 @@ class _Face:
         self.faces = replace(faces, N=facet_points(faces.conn.shape[1])[0])  # contact may use other points
         self.nodes = np.unique(faces.conn)
         self.rest = self.vectors(points)
-
-    def traction(self, P: Array, x: Array) -> tuple[Array, Array, Array]:
-        """Nodes (s,), their current unit normals (s, 3), and the traction (s, 3) [MPa] of nodal P (n, 3, 3)."""
-        now = self.vectors(x)
-        area = np.linalg.norm(now, axis=1, keepdims=True)
-        return self.nodes, now / area, np.einsum("nij,nj->ni", P[self.nodes], self.rest) / area
 
     def vectors(self, x: Array) -> Array:
         """Area vectors (s, 3) [mm^2] of the nodes, pointing out of the gel."""

@@ -136,7 +136,7 @@ def _project(
     """Pixels (n, 2) of points (n, 3) beside the pinhole's x and y; nan of one at or behind it."""
     out, length = np.empty((len(points), 2)), np.empty(len(thicknesses))
     for i in range(len(points)):
-        px, py, z = points[i]
+        px, py, z = points[i, 0], points[i, 1], points[i, 2]
         rho = np.sqrt(px * px + py * py)
         x = _slope(rho, z, thicknesses, indices, length)
         ratio = x / rho if rho > 0.0 else 0.0

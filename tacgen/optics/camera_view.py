@@ -62,14 +62,15 @@ class View:
     def look(self, surface: Surface) -> Samples:
         """The points behind the camera's rays."""
         drawn = DrawnFace(self.sheet, surface, self.camera, self.samples)
-        hit = drawn.behind(np.column_stack([drawn.nodes, drawn.facing, self.sheet.rest])).reshape(-1, 8)
-        position, normal, rest = (np.ascontiguousarray(hit[:, a:b]) for a, b in ((0, 3), (3, 6), (6, 8)))
+        found = (drawn.behind(values) for values in (drawn.nodes, drawn.facing, self.sheet.rest))
+        position, normal, rest = (values.reshape(-1, values.shape[2]) for values in found)
         return Samples(position, unit(normal), rest, drawn.nodes, self._paint(rest))
 
     def dimmed(self, at: Samples, bare: "Floats") -> "Floats":
         """Radiance (H, W, 3) of the coating with its markers; `bare` (samples, 3) is that without markers."""
         if self.markers is not None:
-            bare = bare * (1 + at.paint * (self.markers.albedo / coating.white(self.sensor.coating) - 1))
+            dots, bare = np.flatnonzero(at.paint), bare.copy()
+            bare[dots] *= 1 + at.paint[dots] * (self.markers.albedo / coating.white(self.sensor.coating) - 1)
         return self.picture(bare)
 
     def samples_of(self, picture: "Floats") -> "Floats":
@@ -81,7 +82,8 @@ class View:
         if self.markers is None:
             return np.zeros((len(rest), 1))
         fade = self.sensor.camera.mm_per_px / self.samples
-        return np.nan_to_num(coating.paint(self.markers, rest, fade))[:, np.newaxis]
+        share = coating.paint(self.markers, rest, fade)[:, np.newaxis]
+        return np.where(np.isnan(share), 0.0, share)
 
     def picture(self, samples: "Floats") -> "Floats":
         """Means (H, W, c) over each pixel's samples (samples, c)."""

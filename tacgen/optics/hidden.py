@@ -37,10 +37,10 @@ def hidden(
     order = np.argsort(key)
     points, key = points[order], key[order]
     for t in range(len(faces)):
-        a, b, c = faces[t]
-        ax, ay = screen[a]
-        bx, by = screen[b]
-        cx, cy = screen[c]
+        a, b, c = faces[t, 0], faces[t, 1], faces[t, 2]
+        ax, ay = screen[a, 0], screen[a, 1]
+        bx, by = screen[b, 0], screen[b, 1]
+        cx, cy = screen[c, 0], screen[c, 1]
         area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
         left, right = max(min(ax, bx, cx), 0.0), min(max(ax, bx, cx), width - 1e-9)
         if area == 0.0 or not np.isfinite(area) or left > right:
@@ -53,7 +53,7 @@ def hidden(
                 p = points[i]
                 if out[p] or own[p] - nearest <= slack:
                     continue
-                x, y = at[p]
+                x, y = at[p, 0], at[p, 1]
                 v = ((x - ax) * (cy - ay) - (y - ay) * (cx - ax)) / area
                 w = ((bx - ax) * (y - ay) - (by - ay) * (x - ax)) / area
                 if v >= 0.0 and w >= 0.0 and v + w <= 1.0:

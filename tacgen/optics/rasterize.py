@@ -28,10 +28,10 @@ def hits(
     found, place = np.full((height, width), -1, np.int32), np.empty((height, width, 2))
     depth, least, most = np.full((height, width), np.inf), 0.0, 0.0
     for t in range(len(faces)):
-        a, b, c = faces[t]
-        ax, ay = screen[a]
-        bx, by = screen[b]
-        cx, cy = screen[c]
+        a, b, c = faces[t, 0], faces[t, 1], faces[t, 2]  # `= faces[t]` would count references, at twice the time
+        ax, ay = screen[a, 0], screen[a, 1]
+        bx, by = screen[b, 0], screen[b, 1]
+        cx, cy = screen[c, 0], screen[c, 1]
         area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
         if area == 0.0 or not np.isfinite(area):
             continue
@@ -63,8 +63,8 @@ def blend(faces: NDArray[np.uint32], found: NDArray[np.int32], place: Floats, va
     for j in range(height):
         for i in range(width):
             if found[j, i] >= 0:
-                a, b, c = faces[found[j, i]]
-                v, w = place[j, i]
+                t, v, w = found[j, i], place[j, i, 0], place[j, i, 1]
+                a, b, c = faces[t, 0], faces[t, 1], faces[t, 2]
                 for k in range(values.shape[1]):
                     out[j, i, k] = (1.0 - v - w) * values[a, k] + v * values[b, k] + w * values[c, k]
     return out

@@ -132,9 +132,9 @@ def unit(vectors: "Floats") -> "Floats":
     """Vectors (n, 3) scaled to length 1."""
     out = np.empty_like(vectors)
     for i in range(len(vectors)):
-        x, y, z = vectors[i]
-        length = np.sqrt(x * x + y * y + z * z)
-        out[i, 0], out[i, 1], out[i, 2] = x / length, y / length, z / length
+        x, y, z = vectors[i, 0], vectors[i, 1], vectors[i, 2]
+        scale = 1.0 / np.sqrt(x * x + y * y + z * z)
+        out[i, 0], out[i, 1], out[i, 2] = scale * x, scale * y, scale * z
     return out
 
 

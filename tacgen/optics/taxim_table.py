@@ -44,7 +44,8 @@ class Face:
     @classmethod
     def of(cls, height: "Floats", normal: "Floats", untouched: "Floats") -> "Face":
         """From unit normals (h, w, 3) now and untouched; no gel there: as if untouched."""
-        return cls(np.nan_to_num(height), np.nan_to_num(normal[..., :2] - untouched[..., :2]))
+        slope = normal[..., :2] - untouched[..., :2]
+        return cls(np.where(np.isnan(height), 0.0, height), np.where(np.isnan(slope), 0.0, slope))
 
 
 @dataclass(frozen=True)
@@ -96,13 +97,9 @@ class Table:
 
     def added(self, face: Face, lamps: "Floats", mm_per_px: float) -> "Floats":
         """What the face adds to the untouched picture's linear radiance, (h, w, 3); see `fitted` for the arguments."""
-        out = _look_up(self.terms, face.slope, places(face.height.shape))
-        if self.shade.any():
-            some = np.ascontiguousarray(face.height[COARSE // 2 :: COARSE, COARSE // 2 :: COARSE])
-            dark = shadows(some, lamps, COARSE * mm_per_px) @ self.shade
-            down, across = (_between(n, k) for n, k in zip(face.height.shape, some.shape, strict=True))
-            out -= (down @ (across @ dark).reshape(len(some), -1)).reshape(out.shape)
-        return out
+        some = np.ascontiguousarray(face.height[COARSE // 2 :: COARSE, COARSE // 2 :: COARSE])
+        dark = shadows(some, lamps, COARSE * mm_per_px) @ self.shade
+        return _look_up(self.terms, face.slope, places(face.height.shape), dark)
 
 
 def dents(sensor: "LitSensor", untouched: "Surface") -> Iterator[BallDent]:
@@ -114,13 +111,6 @@ def dents(sensor: "LitSensor", untouched: "Surface") -> Iterator[BallDent]:
     for (x, y), (share, slope) in zip(PLACES, cycle(BALLS), strict=False):
         at = np.add(camera.center_mm, camera.crop_mm) + reach * (x, y)
         yield BallDent(share * thick, slope * share * thick, (float(at[0]), float(at[1])), untouched, thick)
-
-
-@cache
-def _between(pixels: int, known: int) -> "Floats":
-    """Weights (pixels, known) that take values at every COARSE-th pixel of a row to all of them, linearly."""
-    x, at = np.arange(pixels), COARSE // 2 + COARSE * np.arange(known)
-    return np.array([np.interp(x, at, one) for one in np.eye(known)]).T
 
 
 @cache
@@ -164,25 +154,35 @@ def _accumulate(a: "Floats", b: "Floats", index: "NDArray[np.int64]", basis: "Fl
 
 
 @njit(cache=True)
-def _look_up(terms: "Floats", slope: "Floats", basis: "Floats") -> "Floats":
-    """The table's light (h, w, 3), bilinear between bins."""
+def _look_up(terms: "Floats", slope: "Floats", basis: "Floats", dark: "Floats") -> "Floats":
+    """The table's light (h, w, 3), bilinear between bins, less what is `dark` at every COARSE-th pixel."""
     h, w, _ = slope.shape
-    n = terms.shape[0] - 1
+    n, rows, columns = terms.shape[0] - 1, dark.shape[0] - 1, dark.shape[1] - 1
     out = np.zeros((h, w, 3))
     for y in range(h):
+        j0, d = _between((y - COARSE // 2) / COARSE, rows)
         for x in range(w):
-            u = min(max((slope[y, x, 0] + 1) / 2 * n, 0.0), n - 1e-9)
-            v = min(max((slope[y, x, 1] + 1) / 2 * n, 0.0), n - 1e-9)
-            i, j = int(u), int(v)
-            a, b = u - i, v - j
-            for c in range(3):
-                total = 0.0
-                for k in range(6):
+            i0, e = _between((x - COARSE // 2) / COARSE, columns)
+            i, a = _between((slope[y, x, 0] + 1) / 2 * n, n)
+            j, b = _between((slope[y, x, 1] + 1) / 2 * n, n)
+            for k in range(6):
+                weight = basis[y, x, k]
+                for c in range(3):
                     low = (1 - a) * terms[j, i, k, c] + a * terms[j, i + 1, k, c]
                     high = (1 - a) * terms[j + 1, i, k, c] + a * terms[j + 1, i + 1, k, c]
-                    total += basis[y, x, k] * ((1 - b) * low + b * high)
-                out[y, x, c] = total
+                    out[y, x, c] += weight * ((1 - b) * low + b * high)
+            for c in range(3):
+                low = (1 - e) * dark[j0, i0, c] + e * dark[j0, i0 + 1, c]
+                high = (1 - e) * dark[j0 + 1, i0, c] + e * dark[j0 + 1, i0 + 1, c]
+                out[y, x, c] -= (1 - d) * low + d * high
     return out
+
+
+@njit(cache=True)
+def _between(at: float, last: int) -> tuple[int, float]:
+    """The place before `at` among 0, 1, ... last, and the share of the one behind it; constant beyond the ends."""
+    at = min(max(at, 0.0), last - 1e-9)
+    return int(at), at - int(at)
 
 
 @njit(cache=True)
