@@ -1,1 +1,1 @@
-"""Finished things for people's eyes: pictures, summaries, cards, reports, tables."""
+"""Figures, summaries, dataset cards, HTML reports and tables, made from bundles."""

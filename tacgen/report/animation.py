@@ -1,4 +1,4 @@
-"""A bundle as a film: camera, pressure and traction side by side, and the force below, frame by frame."""
+"""An animation of a bundle: camera, pressure and traction side by side, the force curve below."""
 
 from pathlib import Path
 
@@ -10,7 +10,7 @@ from tacgen.report.bundle_figure import BELOW, FORCES, ROWS, draw_forces, headin
 from tacgen.report.sheet import Sheet
 
 KINDS = {".webp": "pillow", ".gif": "pillow", ".mp4": "ffmpeg"}  # matplotlib's writers
-PER_SECOND = 5  # frames: the trajectories that ship have 4 to 15
+PER_SECOND = 5  # frames; the shipped trajectories have 4 to 15
 WIDE, LEFT, RIGHT, TOP, BETWEEN, ABOVE_FORCES = 2.1, 0.65, 0.75, 0.5, 1.35, 0.8  # inches
 DPI = 100
 
@@ -35,7 +35,7 @@ def write(path: Path, out: Path) -> None:
 
 
 def film(bundle: Bundle, writer: object, out: Path) -> None:
-    """Every frame's panels are drawn once, one behind the other; a frame of the film shows one of each."""
+    """Draw the panels of all frames once, one above the other; each frame of the animation shows one of each stack."""
     rows = [draw for wanted, draw in ROWS[:3] if any(path in bundle for path in wanted)]
     image, window, frames = image_size(bundle), window_of(bundle), np.arange(bundle.frames)
     tall = WIDE * image[0] / image[1]
@@ -48,7 +48,7 @@ def film(bundle: Bundle, writer: object, out: Path) -> None:
         colours = draw(bundle, panels, frames, image, window)
         if colours is not None:
             sheet.colour_bar(*colours, x=x + WIDE + 0.03, y=TOP, h=tall)
-        panels[0].tick_params(labelbottom=True, bottom=True)  # it stays behind the others, with the ticks of all
+        panels[0].tick_params(labelbottom=True, bottom=True)  # the lowest panel, always visible: its ticks serve all
         panels[0].set_xlabel(f"x [{scale_of(bundle).unit}]", fontsize=8, labelpad=1)
         stacks.append(panels[1:])
     forces = sheet.axes(LEFT, sheet.height - BELOW - FORCES, across - LEFT - RIGHT, FORCES)

@@ -19,25 +19,25 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-COLUMNS = 5  # as many as leave the text readable on a page
-# Inches: one panel, what stands left of, right of, above and below the panels, and the force plot
+COLUMNS = 5  # more would make the text unreadable on a page
+# Inches: a panel, the gap between panels, margins of the page, and the height of the force plot
 PANEL, GAP, LEFT, RIGHT, TOP, ABOVE_FORCES, FORCES, BELOW = 1.4, 0.07, 0.9, 0.85, 0.85, 0.75, 1.4, 0.7
 SHADES = {"press": "#e4e4e4", "slide": "#d3e5f5", "twist": "#fce5cd", "hold": "#f4f4f4", "release": "#ddefdd"}
-LINES = {"$F_x$": "#d55e00", "$F_y$": "#009e73", "$F_z$": "#0072b2"}  # Okabe and Ito's, for colour-blind readers too
+LINES = {"$F_x$": "#d55e00", "$F_y$": "#009e73", "$F_z$": "#0072b2"}  # Okabe and Ito's palette
 
 
 def picture(path: Path, out: Path) -> None:
-    """Draw a bundle, or the only one of a folder, into `out` (png, pdf, svg: by its ending).
+    """Draw a bundle, or the only one of a folder, into `out`, whose suffix gives the format (png, pdf, svg).
 
     Raises:
-        UserError: `path` is no whole bundle, or `out` does not end in a kind of picture.
+        UserError: `path` is not a complete bundle, or the suffix of `out` is not an image format.
         OSError: `out` cannot be written.
     """
     save(figure(only(path)), out)
 
 
 def only(path: Path) -> Bundle:
-    """The bundle at a path, or the one in a folder. UserError if that holds several."""
+    """The bundle at a path, or the only one of a folder. UserError if the folder holds several."""
     found = dataset.scenes(path)
     if len(found) > 1:
         raise UserError(
@@ -47,7 +47,7 @@ def only(path: Path) -> Bundle:
 
 
 def save(drawn: "Figure", out: Path) -> None:
-    """Write a figure. UserError if `out` does not end in a kind of picture, OSError if it cannot be written."""
+    """Write a figure. UserError if the suffix of `out` is not an image format, OSError if it cannot be written."""
     kinds = drawn.canvas.get_supported_filetypes()
     if out.suffix.lstrip(".").lower() not in kinds:
         raise UserError(f"{out}: unknown kind of picture, use one of {', '.join('.' + kind for kind in sorted(kinds))}")
@@ -55,9 +55,9 @@ def save(drawn: "Figure", out: Path) -> None:
 
 
 def figure(bundle: Bundle) -> "Figure":
-    """Up to five frames of a bundle, spread over its trajectory, and its forces.
+    """Up to five frames of a bundle, evenly spread over its trajectory, and its force curve.
 
-    A row whose dataset is not in the bundle is left out. Image axes: x right, y down, in mm of the untouched face.
+    Rows whose dataset is not in the bundle are left out. Image axes: x right, y down, in mm of the untouched face.
     """
     rows = [draw for wanted, draw in ROWS if any(p in bundle for p in wanted) and bundle.frames]
     shown = np.unique(np.linspace(0, max(bundle.frames - 1, 0), COLUMNS).round().astype(int)) if rows else np.zeros(0)
@@ -84,7 +84,7 @@ def figure(bundle: Bundle) -> "Figure":
 
 
 def summary(path: Path) -> str:
-    """What a bundle holds, in a few lines of text. UserError if `path` is no whole bundle."""
+    """A summary of a bundle in a few lines of text. UserError if `path` is not a complete bundle."""
     bundle = read(path)
     attrs = bundle.attrs
     status = attrs["status"] + (f" ({attrs['reason']})" if attrs["reason"] else "")
@@ -131,7 +131,7 @@ def heading(sheet: Sheet, bundle: Bundle) -> None:
 
 
 def image_size(bundle: Bundle) -> tuple[int, int]:
-    """(H, W) [px]: of the images, otherwise of the camera that would have taken them, otherwise of the maps."""
+    """(H, W) [px] of the images; without images, of the camera or else of the maps."""
     if "sensor_document" in bundle.attrs and "/frames/rgb" not in bundle:
         return bundle.sensor.camera.height_px, bundle.sensor.camera.width_px
     shapes = [bundle.shapes[p] for p in ("/frames/rgb", "/frames/pressure", "/frames/height") if p in bundle]
@@ -139,14 +139,14 @@ def image_size(bundle: Bundle) -> tuple[int, int]:
 
 
 class Scale(NamedTuple):
-    """Where the pixels of the image lie on the untouched face: its centre (x, y) and one pixel, in `unit`."""
+    """Scale of the image on the untouched face: its centre (x, y) and the size of a pixel, both in `unit`."""
 
     centre: tuple[float, float]
     per_px: float
     unit: str
 
     def ticks(self, low: float, high: float, length: int, axis: int) -> tuple[list[float], list[str]]:
-        """Places [px] and labels of round numbers between two pixels of a side of `length` pixels; axis 0 is x."""
+        """Positions [px] and labels of ticks at round numbers between two pixels of axis 0 (x) or 1 of `length` px."""
         from matplotlib.ticker import MaxNLocator
 
         zero = length / 2 - self.centre[axis] / self.per_px
@@ -156,7 +156,7 @@ class Scale(NamedTuple):
 
 
 def scale_of(bundle: Bundle) -> Scale:
-    """By the sensor's camera, its tilt aside; pixels if the bundle does not say it."""
+    """From the sensor's camera, ignoring its tilt; in pixels if the bundle does not hold the sensor."""
     try:
         camera = bundle.sensor.camera
     except UserError:
@@ -170,7 +170,7 @@ Window = tuple[float, float, float, float]
 
 
 def window_of(bundle: Bundle) -> Window:
-    """(x0, x1, y0, y1) as fractions of the image: where the gel is ever touched, and a margin around."""
+    """(x0, x1, y0, y1) as fractions of the image: the region touched in any frame, with a margin."""
     if "/frames/pressure" not in bundle:
         return 0.0, 1.0, 0.0, 1.0
     pressure = bundle["/frames/pressure"].max(axis=0)
@@ -184,7 +184,7 @@ def window_of(bundle: Bundle) -> Window:
 
 
 def magnification(bundle: Bundle) -> int:
-    """How many times the markers' motion is drawn magnified: the longest arrow is within 13 % of the width."""
+    """Magnification of the markers' motion: the longest arrow is at most 13 % of the image's width."""
     largest = max(float(np.linalg.norm(bundle["/frames/marker_flow"], axis=-1).max()), 1e-6)
     return max((t for t in (1, 2, 3, 5, 10, 20, 50) if t * largest <= 0.13 * image_size(bundle)[1]), default=1)
 
@@ -192,7 +192,7 @@ def magnification(bundle: Bundle) -> int:
 def draw_camera(
     bundle: Bundle, panels: list["Axes"], shown: np.ndarray, image: tuple[int, int], window: Window
 ) -> None:
-    """The camera's images, the markers' displacement drawn magnified on them, and the window of the rows below."""
+    """Draw the camera's images, the magnified displacement of the markers, and the outline of the maps' window."""
     from matplotlib.patches import Rectangle
 
     height, width = image
@@ -222,9 +222,9 @@ def draw_camera(
 def draw_map(
     bundle: Bundle, panels: list["Axes"], shown: np.ndarray, image: tuple[int, int], window: Window, name: str
 ) -> tuple[Any, str]:
-    """Draw one of LAYERS in image pixels, nan in grey, all frames on one scale; returns what a colour bar needs.
+    """Draw one of LAYERS in image pixels, nan in grey, all frames on one scale.
 
-    Arrows, where it has them, stand on a coarse grid over the window.
+    Vectors are drawn as arrows on a coarse grid over the window. Returns the mappable and the label of a colour bar.
     """
     layer = LAYERS[name]
     values = layer.values(bundle)
@@ -249,7 +249,7 @@ def draw_map(
 
 
 def zoom(bundle: Bundle, panels: list["Axes"], image: tuple[int, int], window: Window, label: str) -> None:
-    """Show the window alone: image pixels, ticked in the unit of the scale."""
+    """Limit the axes to the window, in image pixels, with ticks in the unit of the scale."""
     (height, width), (x0, x1, y0, y1), scale = image, window, scale_of(bundle)
     for panel in panels:
         panel.set(xlim=(x0 * width, x1 * width), ylim=(y1 * height, y0 * height))
@@ -265,7 +265,7 @@ ROWS: tuple[tuple[tuple[str, ...], Any], ...] = (
 
 
 def _arrows(panel: "Axes", at: np.ndarray, arrows: np.ndarray, span: float) -> None:
-    """Arrows (n, 2) in image pixels at points (n, 2), the shortest left out; `span` is the panel's width [px]."""
+    """Draw arrows (n, 2) at points (n, 2) in image pixels, without very short ones; `span`: the panel's width [px]."""
     keep = np.linalg.norm(arrows, axis=1) > 0.01 * span
     style: dict[str, Any] = {"color": "white", "edgecolor": "black", "linewidth": 0.3}
     style |= {"width": 0.009, "headwidth": 3, "headlength": 3.5, "minlength": 0}
@@ -273,7 +273,7 @@ def _arrows(panel: "Axes", at: np.ndarray, arrows: np.ndarray, span: float) -> N
 
 
 def frame_axes(panels: list["Axes"], label: str) -> None:
-    """Small ticks at the side of the first panel of a row only."""
+    """Small tick labels; y ticks on the first panel of a row only."""
     for panel in panels:
         panel.tick_params(labelsize=7, length=2, pad=1.5, labelbottom=False, bottom=False)
         if panel is not panels[0]:
@@ -282,7 +282,7 @@ def frame_axes(panels: list["Axes"], label: str) -> None:
 
 
 def draw_forces(panel: "Axes", bundle: Bundle, shown: np.ndarray) -> None:
-    """Force against the frame, the trajectory's segments shaded, the frames pictured above marked below."""
+    """Plot the force over the frames, with the segments of the trajectory shaded and the pictured frames marked."""
     panel.set_xlabel("frame (pictured above: triangles)" if len(shown) else "frame", fontsize=8)
     panel.set_ylabel("force on gel [N]", fontsize=8)
     panel.tick_params(labelsize=7, length=2)

@@ -1,4 +1,4 @@
-"""What there is to choose from, one line each: for `tacgen list`."""
+"""The available sensors, recipes, objects, shapes and formats, one line each: for `tacgen list`."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -9,7 +9,7 @@ from tacgen.recipe.indenters import SHAPES
 from tacgen.recipe.loading import read_sensor
 from tacgen.recipe.yaml_source import load
 
-Entries = dict[str, str]  # name -> one line about it
+Entries = dict[str, str]  # name -> description in one line
 
 
 def sensors() -> Entries:
@@ -18,17 +18,17 @@ def sensors() -> Entries:
 
 
 def recipes() -> Entries:
-    """Shipped recipes; the line about one is the first comment of its file."""
+    """Shipped recipes, described by the first comment of their files."""
     found = {}
     for name in assets.list_recipes():
         path = assets.recipe_path(name)
-        load(path)  # a recipe that is no YAML should not be offered
+        load(path)  # raises UserError if it is not valid YAML
         found[name] = path.read_text(encoding="utf-8").split("\n", 1)[0].lstrip("# ")
     return found
 
 
 def objects() -> Entries:
-    """Shipped objects; the line about one is the first of its README, less the name."""
+    """Shipped objects, described by the first line of their README without the name."""
     return {name: _about(assets.object_path(name) / "README.md") for name in assets.list_objects()}
 
 
@@ -38,7 +38,7 @@ def _about(readme: Path) -> str:
 
 
 def shapes() -> Entries:
-    """Indenter shapes and their fields; those with a default can be left out."""
+    """Indenter shapes and their fields, with defaults."""
     return {
         name: ", ".join(
             key if info.is_required() else f"{key}={_short(info.default)}"

@@ -1,4 +1,4 @@
-"""The dataset card, README.md in a dataset's folder: what it is, how much, what it cost, whose it is."""
+"""The dataset card, README.md in a dataset's folder: contents, size, cost, limits and licence."""
 
 import hashlib
 import json
@@ -12,11 +12,11 @@ from tacgen.report import dataset_summary
 from tacgen.report.dataset_summary import Overview
 
 FILE_NAME = "README.md"
-MAX_REASONS = 20  # scenes that are not in the data, listed with their reasons
+MAX_REASONS = 20  # most rows in the table of missing scenes
 
 
 def write(folder: Path) -> Path:
-    """Write the card of a folder that has a finished scene; it is made anew, so keep notes elsewhere."""
+    """Write the card of a folder that has a finished scene. An existing card is overwritten."""
     path = folder / FILE_NAME
     atomic_file.write(path, text(dataset_summary.look(folder)).encode())
     return path
@@ -46,12 +46,12 @@ def _what(seen: Overview) -> str:
 
 def _varied(seen: Overview) -> str:
     rows = [(f"`{path}`", dataset_summary.spread(values)) for path, values in seen.varied.items()]
-    return "## What differs between scenes\n\n" + _table(("path", "values"), rows) if rows else ""
+    return "## Varied inputs\n\n" + _table(("path", "values"), rows) if rows else ""
 
 
 def _cost(seen: Overview) -> str:
     rows = [(stage, f"{seconds:.1f}", f"{each:.3f}") for stage, seconds, each in seen.costs]
-    return "## Cost: seconds as they passed\n\n" + _table(("stage", "seconds", "seconds a frame"), rows) if rows else ""
+    return "## Cost in wall-clock seconds\n\n" + _table(("stage", "seconds", "seconds a frame"), rows) if rows else ""
 
 
 def _missing(seen: Overview) -> str:
@@ -59,36 +59,36 @@ def _missing(seen: Overview) -> str:
     if not rows:
         return ""
     more = f"\n\nand {len(rows) - MAX_REASONS} more: `tacgen status` names all" if len(rows) > MAX_REASONS else ""
-    return "## Scenes that are not in the data\n\n" + _table(("scene", "state", "reason"), rows[:MAX_REASONS]) + more
+    return "## Missing scenes\n\n" + _table(("scene", "state", "reason"), rows[:MAX_REASONS]) + more
 
 
 def _contents(seen: Overview) -> str:
     rows = [(f"`{path}`", shape) for path, shape in seen.datasets.items() if not path.startswith("/frames/quality/")]
     note = "Units mm, N, MPa, s; sensor frame: x right and y down in the image, z out of the gel."
-    return f"## What a scene holds\n\n{note}\n\n" + _table(("dataset", "shape"), rows) if rows else ""
+    return f"## Datasets of a scene\n\n{note}\n\n" + _table(("dataset", "shape"), rows) if rows else ""
 
 
 def _splits(seen: Overview) -> str:
     if len(seen.bundles) < 2:
         return ""
     return (
-        "## Splits\n\nFrames of one scene are alike: divide scenes, not frames. `tacgen.torch.TactileDataset(folder, "
-        'split="train")`, `"val"` and `"test"` hold 80, 10 and 10 % of the scenes, by their inputs and a seed: the '
-        "same ones on every machine."
+        "## Splits\n\nFrames of one scene are similar: split by scenes, not by frames. "
+        '`tacgen.torch.TactileDataset(folder, split="train")`, `"val"` and `"test"` hold 80, 10 and 10 % of the scenes, '
+        "chosen by their inputs and a seed: the same ones on every machine."
     )
 
 
 def _limits(seen: Overview) -> str:
     notes = Counter(note for bundle in seen.bundles for note in json.loads(bundle.attrs.get("notes", "[]")))
     rows = [(str(n), note) for note, n in notes.most_common(MAX_REASONS)]
-    about = "Simulated: `docs/LIMITS.md` of tacgen says what is known to be off."
+    about = "Simulated data; `docs/LIMITS.md` of tacgen lists the known errors."
     return f"## Known limits\n\n{about}" + ("\n\n" + _table(("scenes", "note"), rows) if rows else "")
 
 
 def _licence(seen: Overview) -> str:
     lines = [
         "## Licence",
-        "tacgen's authors claim no rights in what it makes: whoever publishes this data names its licence.",
+        "tacgen's authors claim no rights in its output: whoever publishes this data chooses its licence.",
     ]
     lines += [f"- Object `{name}`: {_plain(about)}" for name, about in seen.objects.items()]
     return "\n\n".join(lines[:2]) + ("\n\n" + "\n".join(lines[2:]) if lines[2:] else "")
@@ -99,8 +99,8 @@ def _again(seen: Overview) -> str:
         return ""
     digests = "".join(str(bundle.attrs["digest"]) for bundle in seen.bundles)
     return (
-        "## The same again\n\nEach bundle holds its resolved recipe, sensor and seed; equal contents, equal digests. "
-        f"That of all scenes in order is `{hashlib.sha256(digests.encode()).hexdigest()}`."
+        "## Reproducibility\n\nEach bundle holds its recipe, sensor and seed. Equal digests mean equal contents. "
+        f"The digest of all scenes in order is `{hashlib.sha256(digests.encode()).hexdigest()}`."
     )
 
 
@@ -110,5 +110,5 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def _plain(text: str) -> str:
-    """What a bundle says, as text that is no Markdown table's and no HTML."""
+    """Text from a bundle, escaped for a Markdown table and for HTML."""
     return printable(" ".join(text.split())).replace("&", "&amp;").replace("<", "&lt;").replace("|", "\\|")

@@ -1,4 +1,4 @@
-"""A dataset at a glance, from its bundles: what `show` prints of a folder, and its card and report are made from."""
+"""An overview of a dataset from its bundles: printed by `show`, and the source of the dataset card and the report."""
 
 import json
 from collections import Counter
@@ -19,13 +19,13 @@ from tacgen.report.wording import counted
 
 @dataclass(frozen=True)
 class Scene(run_status.Scene):
-    """One scene: `bundle` is None where there is none to read."""
+    """One scene; `bundle` is None if it cannot be read or does not exist yet."""
 
     bundle: Bundle | None = field(default=None, repr=False)
 
     @cached_property
     def peak_n(self) -> float | None:
-        """Largest force [N]; None where there is none."""
+        """Largest force [N]; None without a force."""
         if self.bundle is None or "/frames/force" not in self.bundle or not self.bundle.frames:
             return None
         return float(np.linalg.norm(self.bundle["/frames/force"], axis=1).max())
@@ -33,24 +33,24 @@ class Scene(run_status.Scene):
 
 @dataclass(frozen=True)
 class Overview(run_status.Survey):
-    """The scenes of a folder, in order, and what they have in common."""
+    """All scenes of a folder, in order, and properties of the whole dataset."""
 
     scenes: tuple[Scene, ...]
     bytes: int
 
     @property
     def bundles(self) -> list[Bundle]:
-        """Of the scenes that are ok."""
+        """The bundles of scenes that are ok."""
         return [scene.bundle for scene in self.scenes if scene.bundle is not None and scene.state == "ok"]
 
     @property
     def frames(self) -> int:
-        """In scenes that are ok."""
+        """Number of frames in scenes that are ok."""
         return sum(bundle.frames for bundle in self.bundles)
 
     @property
     def seconds(self) -> dict[str, float]:
-        """By stage, of all scenes whose times are known."""
+        """Seconds of each stage, over all scenes whose times are known."""
         total: Counter[str] = Counter()
         for scene in self.scenes:
             total.update(scene.seconds)
@@ -64,18 +64,18 @@ class Overview(run_status.Survey):
         return [(stage, seconds, seconds / timed) for stage, seconds in rows] if timed else []
 
     def distinct(self, attribute: str) -> list[str]:
-        """Values that an attribute of the bundles has, in order of first appearance."""
+        """The different values of an attribute of the bundles, in order of first appearance."""
         return list(dict.fromkeys(str(b.attrs[attribute]) for b in self.bundles if attribute in b.attrs))
 
     @property
     def indenters(self) -> list[str]:
-        """Shapes, a mesh by its file."""
+        """The different indenters: their shapes, or the files of meshes."""
         found = (b.recipe.get("indenter", {}) for b in self.bundles)
         return list(dict.fromkeys(str(i.get("file", i.get("shape", "?"))) for i in found))
 
     @property
     def datasets(self) -> dict[str, str]:
-        """Path -> shape, a size that is not the same in all scenes as `*`."""
+        """Path -> shape; sizes that differ between scenes are `*`."""
         shapes: dict[str, list[tuple[int, ...]]] = {}
         for bundle in self.bundles:
             for path, shape in bundle.shapes.items():
@@ -90,13 +90,13 @@ class Overview(run_status.Survey):
 
     @property
     def objects(self) -> dict[str, str]:
-        """Shipped meshes that were pressed -> the first line about each."""
+        """Shipped objects that were used -> the line on their licence."""
         known = set(assets.list_objects())
         return {name: _licence(name) for name in self.indenters if name in known}
 
 
 def look(folder: Path) -> Overview:
-    """Read what there is in a folder of bundles, with or without a plan, or in a packed one.
+    """Read a folder of bundles, with or without a plan, or a packed folder.
 
     Raises:
         UserError: nothing to read; a packed folder that is incomplete.
@@ -116,7 +116,7 @@ def look(folder: Path) -> Overview:
 
 
 def summary(folder: Path) -> str:
-    """A few lines of text about a folder."""
+    """A summary of a folder in a few lines of text."""
     seen = look(folder)
     states = ", ".join(f"{n} {state}" for state, n in seen.count().items())
     lines = [
@@ -132,13 +132,13 @@ def summary(folder: Path) -> str:
     lines += [f"varied    {path}: {spread(values)}" for path, values in seen.varied.items()]
     if seen.seconds:
         stages = ", ".join(f"{stage} {value:.0f}" for stage, value in seen.seconds.items())
-        lines.append(f"seconds   {sum(seen.seconds.values()):.0f} as they passed ({stages})")
+        lines.append(f"seconds   {sum(seen.seconds.values()):.0f} wall-clock ({stages})")
     width = max(map(len, seen.datasets), default=0) + 2
     return "\n".join(lines + [f"{path:<{width}}{shape}" for path, shape in seen.datasets.items()])
 
 
 def spread(values: Sequence[Any]) -> str:
-    """`0.3 to 1.2` of numbers, `draft (3), default (5)` of anything else."""
+    """Summary of values: `0.3 to 1.2` for numbers, `draft (3), default (5)` for anything else."""
     given = [value for value in values if value is not None]
     if given and all(isinstance(value, int | float) and not isinstance(value, bool) for value in given):
         ends = [f"{end:.4g}" for end in (min(given), max(given))]
@@ -167,7 +167,7 @@ def _common(shapes: list[tuple[int, ...]]) -> str:
 
 
 def _licence(name: str) -> str:
-    """What an object's README says of its licence."""
+    """The line of an object's README that states its licence."""
     readme = assets.object_path(name) / "README.md"
     lines = readme.read_text(encoding="utf-8").splitlines() if readme.is_file() else []
     return next((line.lstrip("-* ") for line in lines if "licen" in line.lower()), "licence not stated")

@@ -1,4 +1,4 @@
-"""What scenes that are still to be made will cost, by those that are made: with how far that may be off."""
+"""Estimate of the cost of scenes from scenes that are finished, with a confidence interval."""
 
 import math
 from collections.abc import Sequence
@@ -7,12 +7,12 @@ from typing import Any, NamedTuple
 from tacgen.bundle.run_status import Survey
 from tacgen.report.wording import counted, duration
 
-ONCE = ("start", "compile")  # stages that a process or a machine pays once, and not each scene
-SURE = 0.95  # that a sum is not above its range, and as sure that it is not below
+ONCE = ("start", "compile")  # stages that occur once per process or machine, not in each scene
+SURE = 0.95  # probability for each end of a range, so that 90 % lie within
 
 
 class Made(NamedTuple):
-    """A scene that was made: its frames, seconds of one core, gigabytes on disk."""
+    """A finished scene: number of frames, seconds of one core, gigabytes on disk."""
 
     frames: int
     seconds: float
@@ -20,7 +20,7 @@ class Made(NamedTuple):
 
 
 class Range(NamedTuple):
-    """A sum, and what it is between with nine tenths of certainty; nan where one scene says nothing about that."""
+    """An estimated sum and its 90 % confidence interval; the ends are nan if only one scene is known."""
 
     expected: float
     low: float
@@ -28,11 +28,11 @@ class Range(NamedTuple):
 
 
 class Cost(NamedTuple):
-    """What scenes cost together."""
+    """Total cost of scenes."""
 
     seconds: Range  # of one core
     gigabytes: Range  # on disk
-    judged_by: int  # scenes
+    judged_by: int  # number of finished scenes
 
     def text(self, workers: int) -> str:
         """`about 3.4 h of one core (2.6 h to 4.2 h), 26 min with 8 workers; 12 GB (11 to 13); judged by 6 scenes`"""
@@ -45,19 +45,19 @@ class Cost(NamedTuple):
         return f"{text}; judged by {counted(self.judged_by, 'scene')}"
 
     def plain(self) -> dict[str, Any]:
-        """As JSON values; null where there is no range."""
+        """As JSON values; null without a confidence interval."""
         ranges = {"seconds": self.seconds, "gigabytes": self.gigabytes}
         said = {name: [None if math.isnan(x) else x for x in value] for name, value in ranges.items()}
         return {**said, "judged_by": self.judged_by}
 
 
 def work(seconds: dict[str, float]) -> float:
-    """Seconds of a scene that every scene like it takes."""
+    """Seconds of a scene without the stages in ONCE."""
     return sum(value for stage, value in seconds.items() if stage not in ONCE)
 
 
 def cost(frames: Sequence[int], made: Sequence[Made]) -> Cost | None:
-    """Of scenes with so many frames; None where there is nothing to judge by."""
+    """Estimated cost of scenes with these numbers of frames; None if no scene is finished."""
     if not sum(one.frames for one in made):
         return None
     seconds, gigabytes = ([getattr(one, name) for one in made] for name in ("seconds", "gigabytes"))
@@ -66,7 +66,7 @@ def cost(frames: Sequence[int], made: Sequence[Made]) -> Cost | None:
 
 
 def _sum(frames: Sequence[int], known: Sequence[int], costs: Sequence[float]) -> Range:
-    """By the ratio of cost to frames (Cochran 1977, Sampling Techniques, 6.4), for scenes drawn as the known ones."""
+    """Ratio estimate by cost per frame (Cochran 1977, Sampling Techniques, 6.4): scenes of the same distribution."""
     k, n, rate = len(costs), len(frames), sum(costs) / sum(known)
     expected = rate * sum(frames)
     if k < 2:
@@ -79,7 +79,7 @@ def _sum(frames: Sequence[int], known: Sequence[int], costs: Sequence[float]) ->
 
 
 def left(found: Survey) -> Cost | None:
-    """What the scenes of a folder cost that are not made yet, by those that are."""
+    """Estimated cost of the unfinished scenes of a folder; None if there are none, or nothing to estimate from."""
     done = [scene for scene in found.scenes if scene.seconds and scene.state in ("ok", "rejected")]
     made = [Made(scene.frames, work(scene.seconds), scene.path.stat().st_size / 1e9) for scene in done]
     frames = [scene.frames for scene in found.scenes if scene.state in ("waiting", "at work", "damaged")]

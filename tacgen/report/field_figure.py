@@ -1,4 +1,4 @@
-"""One field of a bundle over its frames, large, with its unit, signs and axes: pressure, traction, slip or stress."""
+"""A figure of one field of a bundle over its frames: pressure, traction, slip, or stress in a section of the gel."""
 
 import textwrap
 from collections.abc import Callable
@@ -27,14 +27,14 @@ Array = np.ndarray
 COLUMNS, PANEL, GAP = 4, 1.85, 0.1  # panels side by side, and inches
 FLAT = 0.42  # height of a section over its width
 WIDE = 3.4  # width of a section over the gel's thickness
-OFF = 1e-6  # mm: a plane of symmetry goes through nodes, this one between them
+OFF = 1e-6  # [mm] shift of the section, so that it does not pass through nodes of a symmetric mesh
 STATES = {
     postprocess.FREE: ("free", "#f2f2f2"),
     postprocess.EDGE: ("edge", "#f0e442"),
     postprocess.STICK: ("stick", "#0072b2"),
 }
 STATES |= {postprocess.SLIP: ("slip", "#d55e00")}
-# of the stress under the contact: name, what of it, colours, whether it has a sign
+# a component of stress: its name, function of the tensor (n, 6), colour map, and whether it is signed
 Section = tuple[str, Callable[[Array], Array], str, bool]
 SECTIONS: tuple[Section, ...] = (
     ("σ_zz", lambda s: s[:, 2], "RdBu_r", True),
@@ -47,7 +47,7 @@ def picture(path: Path, field: str, out: Path) -> None:
     """Draw one of FIELDS into `out`.
 
     Raises:
-        UserError: no such field, no whole bundle, one without it, or an unknown kind of picture.
+        UserError: unknown field, no complete bundle, a bundle without the field, or an unknown image format.
         OSError: `out` cannot be written.
     """
     if field not in FIELDS:
@@ -56,7 +56,7 @@ def picture(path: Path, field: str, out: Path) -> None:
 
 
 def figure(bundle: Bundle, field: str) -> "Figure":
-    """Up to four frames of a bundle, spread over its trajectory, side by side; one colour bar a row."""
+    """Up to four frames of a bundle, evenly spread over its trajectory, side by side; one colour bar per row."""
     needed, output, rows, draw, note = FIELDS[field]
     if missing := [path for path in needed if path not in bundle]:
         raise UserError(f"{bundle.path}: has no {missing[0]}: the recipe's outputs need {output}")
@@ -105,8 +105,8 @@ def _slip(bundle: Bundle, grid: Grid, shown: Array, image: tuple[int, int]) -> l
 def draw_stress(
     bundle: Bundle, grid: Grid, shown: Array, image: tuple[int, int], sections: tuple[Section, ...] = SECTIONS
 ) -> list[Bar]:
-    """Vertical sections through the indenter, of the deformed gel, and the indenter's outline: a row of panels for each
-    of `sections`."""
+    """Draw vertical sections of the deformed gel through the indenter, with the indenter's outline: a row for each of
+    `sections`."""
     from matplotlib.collections import LineCollection
 
     points, cells, layer = bundle["/mesh/points"], bundle["/mesh/cells"], bundle["/mesh/layer"]
@@ -141,7 +141,7 @@ def draw_stress(
 
 
 def section(bundle: Bundle, k: int, points: Array, cells: Array, layer: Array) -> tuple[Array, Array, Array]:
-    """Through the indenter's origin at frame k: triangles (t, 3, 2), stress (t, 3, 6), outlines of layers (l, 2, 2)."""
+    """Section through the indenter at frame k: triangles (t, 3, 2), stress (t, 3, 6), layer outlines (l, 2, 2)."""
     nodes, layers, stress = postprocess.stress_by_layer(bundle, k)
     row = np.zeros((layers.max() + 1, len(points)), int)
     row[layers, nodes] = np.arange(len(nodes))
@@ -156,7 +156,7 @@ def section(bundle: Bundle, k: int, points: Array, cells: Array, layer: Array) -
 
 
 def indenter_surface(bundle: Bundle, size: float) -> "Triangles | None":
-    """The indenter's triangles in its own frame, as far as `size` [mm]; None where a mesh's file is not found."""
+    """The indenter's triangles in its own frame, up to `size` [mm]; None if the file of a mesh is not found."""
     from pydantic import TypeAdapter
 
     indenter: Indenter = TypeAdapter(Indenter).validate_python(bundle.recipe["indenter"])
@@ -173,7 +173,7 @@ def indenter_surface(bundle: Bundle, size: float) -> "Triangles | None":
 
 
 XY = "x to the right, y down in the image, z out of the gel toward the object"
-FIELDS: dict[str, tuple[tuple[str, ...], str, int, Any, str]] = {  # datasets, output, rows, how, what it means
+FIELDS: dict[str, tuple[tuple[str, ...], str, int, Any, str]] = {  # datasets, output, rows, function, caption
     "pressure": (
         ("/frames/pressure",), "traction", 1, partial(_map, "pressure"),
         f"normal to the deformed coated face, per area of it, positive in compression; {XY}",

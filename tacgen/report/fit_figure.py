@@ -1,4 +1,4 @@
-"""A picture of measured forces beside those of a fit."""
+"""Figure of measured and fitted forces."""
 
 from pathlib import Path
 
@@ -10,9 +10,9 @@ Array = np.ndarray
 
 
 def draw(depth: Array, measured: Array, fitted: Array, off: Array, out: Path) -> None:
-    """Forces [N] over depth [mm], and the parts `off` that the fitted ones are off by, each (n,), into `out`.
+    """Plot forces [N] and the relative error `off` of the fit over depth [mm], each (n,), into `out`.
 
-    Raises UserError: `out` does not end in a kind of picture.
+    Raises UserError: the suffix of `out` is not an image format.
     """
     from matplotlib.figure import Figure
 

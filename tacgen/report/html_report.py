@@ -1,4 +1,4 @@
-"""One self-contained HTML page about a dataset: coverage, forces, failures by cause, seconds by stage, pictures."""
+"""A self-contained HTML page about a dataset: coverage, forces, failures by cause, seconds by stage, images."""
 
 import base64
 import re
@@ -30,7 +30,7 @@ h2{margin-top:1.6em;font-size:1.15em}code{font-size:.95em}"""
 
 
 def write(folder: Path, out: Path) -> Path:
-    """Write the page. Raises UserError if there is nothing in `folder` to report."""
+    """Write the page. Raises UserError if `folder` holds no scenes."""
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_text(page(dataset_summary.look(folder)), encoding="utf-8")
     return out
@@ -44,7 +44,7 @@ def page(seen: Overview) -> str:
         ("Failures by cause", _causes(seen.scenes)),
         ("Coverage", _coverage(seen)),
         ("Largest force in a scene", _forces(seen.scenes)),
-        ("Seconds by stage, as they passed", _seconds(seen)),
+        ("Wall-clock seconds by stage", _seconds(seen)),
         ("Pictures", _pictures(seen)),
         ("A scene frame by frame", _frames(seen.scenes)),
         ("Datasets", _table(("dataset", "shape"), seen.datasets.items())),
@@ -55,7 +55,7 @@ def page(seen: Overview) -> str:
 
 
 def causes(scenes: Iterable[Scene]) -> dict[tuple[str, str], list[str]]:
-    """(state, reason with its numbers left out) -> names of scenes, the most frequent first."""
+    """(state, reason with numbers replaced by #) -> names of scenes, most frequent first."""
     found: dict[tuple[str, str], list[str]] = {}
     for scene in scenes:
         if scene.state != "ok":
@@ -77,11 +77,11 @@ def _causes(scenes: Sequence[Scene]) -> str:
     for (state, reason), names in causes(scenes).items():
         shown = ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
         rows.append((str(len(names)), state, reason or "not made yet", shown))
-    return _table(("scenes", "state", "cause", ""), rows) if rows else "<p>None: every scene is there.</p>"
+    return _table(("scenes", "state", "cause", ""), rows) if rows else "<p>None: all scenes are finished.</p>"
 
 
 def _coverage(seen: Overview) -> str:
-    """Each varied path alone, and numbers in pairs, a point a scene in the colour of its state."""
+    """A histogram of each varied number, and scatter plots of pairs, one point per scene, coloured by its state."""
     numbers = {p: v for p, v in seen.varied.items() if all(isinstance(x, int | float) for x in v)}
     colours = [COLOURS.get(scene.state, OTHER_COLOUR) for scene in seen.scenes]
     names = short(seen.varied)
@@ -110,7 +110,7 @@ def _seconds(seen: Overview) -> str:
 
 
 def _pictures(seen: Overview) -> str:
-    """Scenes spread over the plan, each at the frame of its largest force."""
+    """Images of scenes evenly spread over the plan, each at the frame of its largest force."""
     names = short(seen.varied)
     good = [scene for scene in seen.scenes if scene.bundle is not None and scene.bundle.frames]
     step = max(1.0, len(good) / MAX_PICTURES)
@@ -126,7 +126,7 @@ def _pictures(seen: Overview) -> str:
 
 
 def _frames(scenes: Sequence[Scene]) -> str:
-    """The first good scene in the viewer, less its solid, which `tacgen view` shows."""
+    """The first scene that is ok, in the viewer, without the 3D view of `tacgen view`."""
     bundle = next((s.bundle for s in scenes if s.state == "ok" and s.bundle is not None and s.bundle.frames), None)
     try:
         return viewer.block([bundle], in_3d=False) if bundle else ""
@@ -135,7 +135,7 @@ def _frames(scenes: Sequence[Scene]) -> str:
 
 
 def _picture(bundle: Bundle) -> str:
-    """The camera image, or the pressure in grey where there is none."""
+    """The camera image, or else the pressure in grey, as an HTML element."""
     k = int(np.linalg.norm(bundle["/frames/force"], axis=1).argmax()) if "/frames/force" in bundle else -1
     if "/frames/rgb" in bundle:
         pixels = bundle.frame("/frames/rgb", k % bundle.frames)
@@ -149,7 +149,7 @@ def _picture(bundle: Bundle) -> str:
 
 
 def _histogram(name: str, values: np.ndarray) -> str:
-    """Bars over the range of the values; its ends and the fullest bar's count are written."""
+    """A histogram as SVG, labelled with the ends of the range and the largest count."""
     count, edges = np.histogram(values, bins=min(20, max(5, len(values) // 3)))
     width, height = 220, 90
     step = width / len(count)
@@ -165,7 +165,7 @@ def _histogram(name: str, values: np.ndarray) -> str:
 
 
 def _scatter(a: str, x: np.ndarray, b: str, y: np.ndarray, colours: Sequence[str]) -> str:
-    """y over x in a square box, the names of both and the ends of their ranges at its sides."""
+    """A scatter plot as SVG, with both names and ticks at the ends and the middle of the ranges."""
 
     def unit(v: np.ndarray) -> np.ndarray:
         return np.asarray((v - v.min()) / max(float(np.ptp(v)), 1e-12))
@@ -187,7 +187,7 @@ def _scatter(a: str, x: np.ndarray, b: str, y: np.ndarray, colours: Sequence[str
 
 
 def _label(name: str) -> str:
-    """The end of a long path, which is its telling part."""
+    """A name, cut at the left if it is long."""
     return escape(name if len(name) <= 32 else "\N{HORIZONTAL ELLIPSIS}" + name[-30:])
 
 

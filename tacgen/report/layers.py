@@ -1,4 +1,4 @@
-"""The maps of a bundle as they are drawn everywhere: what they need, their values, label and colours."""
+"""How each map of a bundle is drawn in figures and in the viewer: datasets, values, label and colours."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -11,10 +11,10 @@ Array = np.ndarray
 
 
 class Layer(NamedTuple):
-    """A map over the frames. Its colours rise evenly to the eye (matplotlib's names)."""
+    """A map over the frames, with a perceptually uniform colour map of matplotlib."""
 
     needs: tuple[str, ...]
-    values: Callable[[Bundle], Array]  # (N, h, w), nan where there is none
+    values: Callable[[Bundle], Array]  # (N, h, w), nan outside the coating
     label: str
     colours: str
     vectors: str = ""  # the dataset (N, h, w, 2) whose arrows are drawn on it
@@ -29,7 +29,7 @@ LAYERS = {
         "magma",
         "/frames/traction",
     ),
-    "height": Layer(  # a dome's own height would hide how far the face has risen or sunk
+    "height": Layer(  # minus the reference: on a dome its height would hide the change
         ("/frames/height", "/reference/height"),
         lambda bundle: bundle["/frames/height"] - bundle["/reference/height"],
         "change of z [mm]",
@@ -46,7 +46,7 @@ LAYERS = {
 
 
 def limits(values: Array) -> tuple[float, float]:
-    """The ends of a colour scale from 0, or what is below it, to the largest value."""
+    """The ends of a colour scale: 0 or the smallest negative value, and the largest value."""
     known = values[np.isfinite(values)]
     low = float(known.min(initial=0.0))
     return low, float(known.max(initial=low + 1e-3))

@@ -1,18 +1,18 @@
-"""What is seen of a solid mesh: its outside, and a plane cut through it, with values interpolated to the corners."""
+"""The boundary of a solid mesh, and its intersection with a plane, with interpolated values."""
 
 import numpy as np
 
 from tacgen.scene.tet_mesh import TET_FACES
 
 Array = np.ndarray
-# a hex around its diagonal 0-6; the corners of a tetrahedron alone
+# six tetrahedra of a hex, around its diagonal 0-6; of a quadratic tetrahedron, its corners
 TETS = {8: [[0, 1, 2, 6], [0, 1, 5, 6], [0, 4, 5, 6], [0, 4, 7, 6], [0, 3, 7, 6], [0, 3, 2, 6]], 4: [[0, 1, 2, 3]]}
 
 HEX_FACES = np.array([(0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)])
 
 
 def boundary(cells: Array) -> Array:
-    """The facets (f, 4 or 3) of cells (e, 8, 4 or 10) that no two share, by their corners."""
+    """The facets (f, 4 or 3) of cells (e, 8, 4 or 10) that belong to one cell only, as corner nodes."""
     facets = cells[:, HEX_FACES if cells.shape[1] == 8 else TET_FACES]
     facets = facets.reshape(-1, facets.shape[2])
     _, first, count = np.unique(np.sort(facets, axis=1), axis=0, return_index=True, return_counts=True)
@@ -20,21 +20,21 @@ def boundary(cells: Array) -> Array:
 
 
 def cut(points: Array, cells: Array, values: Array, y: float) -> tuple[Array, Array]:
-    """The plane at `y` through points (n, 3) and cells (e, 8, 4 or 10), with values (n, c) at the points.
+    """Intersection of a plane of constant `y` with cells (e, 8, 4 or 10) of points (n, 3), with values (n, c) there.
 
-    Cells are taken as tetrahedra with straight edges. Returns corners (t, 3, 2), x and z, and values there (t, 3, c),
-    the largest last: drawn in this order, slivers of cells that the plane hardly touches are covered by the rest.
+    Cells are divided into tetrahedra with straight edges. Returns triangles (t, 3, 2) in x and z, and values at their
+    corners (t, 3, c), sorted by area: large triangles are drawn last and cover slivers.
     """
     corners = TETS[8 if cells.shape[1] == 8 else 4]
     tets = np.concatenate([cells[:, four] for four in corners])
     side = points[tets, 1] - y
     count = (side > 0).sum(1)
     pieces = []
-    for above in (1, 3):  # one corner alone on its side: a triangle
+    for above in (1, 3):  # one corner on one side of the plane: a triangle
         order = np.argsort(side[count == above] * (1 if above == 3 else -1), axis=1)
         lone = np.take_along_axis(tets[count == above], order, 1)
         pieces.append([(lone[:, 0], lone[:, k]) for k in (1, 2, 3)])
-    order = np.argsort(side[count == 2], axis=1)  # two and two: a quadrangle
+    order = np.argsort(side[count == 2], axis=1)  # two corners on each side: a quadrilateral
     a, b, c, d = np.take_along_axis(tets[count == 2], order, 1).T
     pieces += [[(a, c), (a, d), (b, d)], [(a, c), (b, d), (b, c)]]
     flat, found = [], []
@@ -50,12 +50,12 @@ def cut(points: Array, cells: Array, values: Array, y: float) -> tuple[Array, Ar
 
 
 def _stacked(parts: list[Array]) -> Array:
-    """Corners one after the other, three to a triangle, as triangles (t, 3, c)."""
+    """Triangles (t, 3, c) from their corners, three consecutive parts for each block of triangles."""
     return np.concatenate([np.stack(parts[k : k + 3], 1) for k in range(0, len(parts), 3)])
 
 
 def outline(corners: Array) -> Array:
-    """The sides (l, 2, 2) of triangles (t, 3, 2) that no other has."""
+    """The sides (l, 2, 2) of triangles (t, 3, 2) that belong to one triangle only."""
     sides = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
     _, number = np.unique(sides.reshape(-1, 2).round(7), axis=0, return_inverse=True)
     ends = np.sort(number.reshape(-1, 2), axis=1)
@@ -64,7 +64,7 @@ def outline(corners: Array) -> Array:
 
 
 def crossed(points: Array, triangles: Array, y: float) -> Array:
-    """Where triangles (t, 3) of points (n, 3) cross the plane at `y`: lines (l, 2, 2) in x and z."""
+    """Intersection of triangles (t, 3) of points (n, 3) with a plane of constant `y`: lines (l, 2, 2) in x and z."""
     corners = points[triangles]
     side = corners[..., 1] - y
     here = (side > 0).any(1) & (side <= 0).any(1)

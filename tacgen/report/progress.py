@@ -1,4 +1,4 @@
-"""How far a run is, on stderr: a bar with the time left on a terminal, plain lines elsewhere or with NO_COLOR."""
+"""Progress of a run on stderr: a bar with the remaining time on a terminal, plain lines elsewhere or with NO_COLOR."""
 
 import os
 import sys
@@ -9,21 +9,21 @@ from tacgen.report.wording import duration
 
 
 class Progress:
-    """Takes the events of a run; frames are what is counted.
+    """Shows the events of a run; progress is counted in frames.
 
-    Without a terminal there is a line a scene, and a line a frame only where there is a single scene.
+    Without a terminal it prints a line for each scene, and for each frame only if there is a single scene.
     """
 
     def __init__(self, scenes: int, frames: int, stream: TextIO | None = None) -> None:
         self.stream = stream or sys.stderr
         self.scenes, self.total = scenes, frames
-        self.under_way: dict[str, int] = {}  # scene -> frames it has
+        self.under_way: dict[str, int] = {}  # scene -> number of its finished frames
         self.done = 0  # frames of finished scenes
-        self.kept = 0  # of these, those that were there already: they say nothing about speed
+        self.kept = 0  # of these, frames of scenes that existed before this run; not used for the estimate
         self.finished = 0
         self.noted: set[str] = set()
-        self.started = time.monotonic()  # or when there was a first frame: what comes before it comes once
-        self.ahead: set[str] = set()  # scenes with a frame before any was finished: that frame says nothing about speed
+        self.started = time.monotonic()  # or the time of the first frame: what comes before it happens once
+        self.ahead: set[str] = set()  # scenes whose first frame came before any scene was finished; not used either
         self.bar: Any = None
         self.task: Any = None
 
@@ -72,13 +72,13 @@ class Progress:
             self._say(text, lasting=not good)
 
     def _say_once(self, text: str, scene: str = "") -> None:
-        """A line that holds for all scenes of a run."""
+        """Print a line that holds for all scenes of a run only once."""
         if text not in self.noted:
             self.noted.add(text)
             self._say(f"{scene}: {text}" if scene else text)
 
     def _say(self, text: str, *, lasting: bool = True) -> None:
-        """A line; on a terminal only what should stay is one, and the bar says the rest."""
+        """Print a line. On a terminal, only `lasting` lines are printed; others appear in the bar."""
         at = self.done + sum(self.under_way.values())
         left = self._left(at)
         if self.bar is not None:
@@ -90,7 +90,7 @@ class Progress:
             print(text + (f" ({left})" if left else ""), file=self.stream, flush=True)
 
     def _left(self, frames: int) -> str:
-        """`about 40 s left`, once there is something to judge by."""
+        """`about 40 s left`, as soon as it can be estimated."""
         made = frames - self.kept - len(self.ahead)
         if made <= 0 or frames >= self.total:
             return ""

@@ -1,7 +1,8 @@
-"""One HTML page to look at a bundle frame by frame, or at two side by side: camera, maps, and the gel with its stress.
+"""An HTML page to view a bundle frame by frame, or two side by side: camera, maps, and the gel in 3D with its stress.
 
-It needs no other file and no network, and asks the browser to refuse both. viewer.js draws; here are the data: pictures
-as WebP, maps as grey PNG in which 0 is nan and 1 to 255 run over the layer's scale, the solid as little-endian arrays.
+It needs no other file and no network, and its content security policy forbids both. viewer.js draws; this module
+provides the data: images as WebP, maps as grey PNG (0: nan, 1 to 255: the layer's scale), the gel as little-endian
+arrays.
 """
 
 import base64
@@ -30,12 +31,12 @@ if TYPE_CHECKING:
 Array = np.ndarray
 NEEDS = {
     "camera": ("/frames/rgb",),
-    "markers": ("/reference/markers", "/frames/marker_flow"),  # arrows on the camera's pictures
+    "markers": ("/reference/markers", "/frames/marker_flow"),  # arrows on the camera images
     **{name: layer.needs for name, layer in LAYERS.items()},
     "stress": ("/mesh/points", "/frames/pose", *FIELDS["stress"][0]),
 }
-FRAMES = 60  # shown at most, spread over a longer scene; a frame of everything takes some 0.2 MB
-ARROWS = 16  # across a map
+FRAMES = 60  # most frames of a page, evenly spread over a longer scene; a frame with all layers takes about 0.2 MB
+ARROWS = 16  # arrows across a map
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
 STYLE = """.viewer{font:13px/1.4 system-ui,sans-serif;color:#222}.viewer .sides{display:flex;flex-wrap:wrap;gap:1em}
 .viewer .stage{position:relative;width:560px;height:370px;touch-action:none}.viewer canvas{display:block}
@@ -46,10 +47,10 @@ STYLE = """.viewer{font:13px/1.4 system-ui,sans-serif;color:#222}.viewer .sides{
 
 
 def write(paths: Sequence[Path], out: Path) -> None:
-    """Write the page of one bundle or two; of a folder, its only one.
+    """Write the page of one or two bundles, each given by its file or by a folder with only one.
 
     Raises:
-        UserError: no whole bundle, or one without frames.
+        UserError: not a complete bundle, or one without frames.
         OSError: `out` cannot be written.
     """
     bundles = [only(path) for path in paths]
@@ -64,9 +65,9 @@ def write(paths: Sequence[Path], out: Path) -> None:
 
 
 def block(bundles: Sequence[Bundle], *, in_3d: bool = True) -> str:
-    """The viewer as a part of a page that has STYLE: its data, and the script that makes everything else of them.
+    """The viewer as part of a page with STYLE: its data and its script.
 
-    Two bundles have the scales of their colours and arrows in common. Raises UserError: a mesh that cannot be drawn.
+    Two bundles share the scales of colours and arrows. Raises UserError: a mesh that cannot be drawn.
     """
     wanted = {name: needs for name, needs in NEEDS.items() if in_3d or name != "stress"}
     names = [name for name, needs in wanted.items() if any(_all_in(bundle, needs) for bundle in bundles)]
@@ -96,7 +97,7 @@ def block(bundles: Sequence[Bundle], *, in_3d: bool = True) -> str:
 
 
 def shown(bundle: Bundle) -> Array:
-    """The frames of a bundle that the page has."""
+    """The numbers of the frames that the page shows."""
     return np.unique(np.linspace(0, bundle.frames - 1, FRAMES).round().astype(int))
 
 
@@ -116,7 +117,7 @@ def _scale(name: str, bundles: Sequence[Bundle]) -> dict[str, Any]:
 
 
 def _about(bundle: Bundle) -> dict[str, Any]:
-    """Words, numbers and sizes."""
+    """Texts, forces and sizes of a bundle."""
     frames, segments = shown(bundle), bundle.segments
     scale, (height, width) = scale_of(bundle), image_size(bundle)
     left, top = (scale.centre[k] - size / 2 * scale.per_px for k, size in enumerate((width, height)))
@@ -133,7 +134,7 @@ def _about(bundle: Bundle) -> dict[str, Any]:
 
 
 def _layers(bundle: Bundle, scales: dict[str, Any], times: int) -> dict[str, Any]:
-    """Pictures and arrows of every layer but the solid."""
+    """Images and arrows of every layer except the 3D view."""
     found: dict[str, Any] = {}
     frames, (height, width) = shown(bundle), image_size(bundle)
     if _all_in(bundle, NEEDS["camera"]):
@@ -160,13 +161,13 @@ def _layers(bundle: Bundle, scales: dict[str, Any], times: int) -> dict[str, Any
 
 
 class _Solid(NamedTuple):
-    """The gel's faces over the frames, cut open through the indenter: values are those of SECTIONS in order."""
+    """The gel's boundary over the frames, and sections through the indenter, with the values of SECTIONS in order."""
 
-    faces: Array  # (t, 3) of the nodes below
+    faces: Array  # (t, 3) numbers of boundary nodes
     rims: Array  # (l, 2), edges of the mesh
     points: Array  # (n, s, 3) [mm]
     values: Array  # (parts, n, s) [MPa]
-    cuts: list[tuple[Array, Array, float]]  # a frame: corners (t, 3, 3) [mm], values (parts, 3 t), y of the plane [mm]
+    cuts: list[tuple[Array, Array, float]]  # a frame: corners (t, 3, 3) [mm], values (parts, 3 t), y [mm]
     indenter: "Triangles | None"
     poses: Array  # (n, 4, 4)
 
@@ -174,7 +175,7 @@ class _Solid(NamedTuple):
         return np.concatenate([self.values[part].ravel(), *(values[part] for _, values, _ in self.cuts)])
 
     def packed(self, parts: list[dict[str, Any]]) -> dict[str, Any]:
-        """For the script: arrays as text, values as levels of their scales."""
+        """The data for the script: arrays as base64, values as levels of their scales."""
 
         def levels(values: Array) -> list[str]:
             return [_base64(_levels(v, scale)) for v, scale in zip(values, parts, strict=True)]
@@ -193,7 +194,7 @@ class _Solid(NamedTuple):
                 "points": _base64(self.indenter.vertices.astype("<f4")),
                 "faces": _base64(self.indenter.triangles.astype("<u4")),
             },
-            "poses": _numbers(self.poses.transpose(0, 2, 1).reshape(-1, 16)),  # by columns
+            "poses": _numbers(self.poses.transpose(0, 2, 1).reshape(-1, 16)),  # column-major
         }
 
 
@@ -221,7 +222,7 @@ def _solid(bundle: Bundle) -> _Solid:
 
 
 def _levels(values: Array, scale: dict[str, Any]) -> Array:
-    """1 to 255 over the scale, 0 where nan."""
+    """Values as 1 to 255 over the scale; nan as 0."""
     part = np.clip((values - scale["low"]) / (scale["high"] - scale["low"]), 0, 1)
     return np.where(np.isfinite(values), 1 + np.rint(254 * np.nan_to_num(part)), 0).astype(np.uint8)
 
@@ -242,5 +243,5 @@ def _base64(array: Array) -> str:
 
 
 def _numbers(values: Array) -> Any:
-    """As lists; 0 where not finite, which JSON has no word for."""
+    """As lists; 0 where not finite, which JSON cannot express."""
     return np.nan_to_num(values.astype(float), posinf=0.0, neginf=0.0).round(5).tolist()

@@ -1,4 +1,4 @@
-"""Numbers in words, and paths in few."""
+"""Counts and durations as text, and short names of paths."""
 
 from collections.abc import Iterable
 
@@ -16,7 +16,7 @@ def duration(seconds: float) -> str:
 
 
 def short(paths: Iterable[str]) -> dict[str, str]:
-    """Path -> the fewest of its last steps that no other path ends in: `leds[0].power` beside `leds[1].power`."""
+    """Path -> its shortest end that no other path has: `leds[0].power` and `leds[1].power`."""
     steps = {path: path.split(".") for path in paths}
 
     def alone(path: str, n: int) -> bool:
