@@ -1,6 +1,6 @@
-"""Many scenes at once: an engine makes them, and the journal records what becomes of each.
+"""Batches: an engine makes many scenes in parallel, and the journal records the outcome of each.
 
-Engines know nothing of physics: they call one function, `pipeline.run_scene`, for each row of a plan.
+Engines call one function, `pipeline.run_scene`, for each row of a plan, and know nothing else of the scenes.
 """
 
 from collections.abc import Callable, Iterator
@@ -44,23 +44,23 @@ def run(
     task: str = TASK,
     on_event: OnEvent = lambda event: None,
 ) -> list[SceneResult]:
-    """Make every scene of a plan that is not finished yet; run again, it goes on where it was stopped.
+    """Make every scene of a plan that is not finished yet. Called again, it resumes a run that was stopped.
 
     Args:
-        plan: the scenes, of this shard alone if there is one.
-        folder: where bundles, plan and journal go; other runs may be at work in it.
-        workers: processes at a time; with a scheduler, its workers are used instead.
+        plan: the scenes; with a shard, only its own.
+        folder: of bundles, plan and journal; other runs may use it at the same time.
+        workers: number of processes; with a scheduler, its workers are used instead.
         overwrite: make finished scenes again, and replace bundles of other inputs.
         shard: which part of the whole plan this is.
-        limits: of a scene and of a worker.
+        limits: limits of a scene and of a worker.
         engine: a name in ENGINES.
         scheduler: address of a Dask scheduler.
-        task: `module:function` that makes a scene, as pipeline.run_scene does.
-        on_event: is called with each frame, retry and outcome.
+        task: `module:function` with the signature of pipeline.run_scene.
+        on_event: called with each event: frame, note, retry or outcome.
 
     Raises:
-        UserError: a bundle of other inputs is in the way, or no worker starts.
-        OSError: the disk is full, read-only or not ours.
+        UserError: a bundle of other inputs has a scene's name, or no worker starts.
+        OSError: the disk is full or read-only, or permission is missing.
     """
     if engine not in ENGINES:
         raise UserError(f"--engine {engine}: must be one of {', '.join(ENGINES)}")

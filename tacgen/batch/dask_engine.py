@@ -1,4 +1,4 @@
-"""Dask distributed: scenes on the workers of a cluster, each made in a process watched there as on one machine."""
+"""Dask distributed: scenes on the workers of a cluster, each in a monitored process as on one machine."""
 
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -18,7 +18,7 @@ _thread = threading.local()  # on a Dask worker: the pool of this thread
 
 @contextmanager
 def engine(workers: int, limits: Limits, task: str, scheduler: str) -> Iterator[Callable[..., list[SceneResult]]]:
-    """Use the cluster behind a scheduler's address, or one of `workers` processes that lasts as long as the block.
+    """Connect to the scheduler of a cluster, or start a local cluster of `workers` processes for the block.
 
     Raises:
         UserError: Dask is not installed, or no scheduler answers.
@@ -48,7 +48,7 @@ def engine(workers: int, limits: Limits, task: str, scheduler: str) -> Iterator[
 def _run(
     client: Any, how: tuple[Limits, str], rows: Sequence[Row], folder: Path, overwrite: bool, on_event: OnEvent
 ) -> list[SceneResult]:
-    """Hand out all rows and collect results as they come. A worker that dies has its scene made by another."""
+    """Submit all rows and collect the results. If a Dask worker is lost, another one makes its scene."""
     from distributed import KilledWorker, as_completed
 
     futures = {client.submit(make, row, folder, overwrite, how, pure=False): k for k, row in enumerate(rows)}
@@ -74,7 +74,7 @@ def _run(
 
 
 def make(row: Row, folder: Path, overwrite: bool, how: tuple[Limits, str]) -> tuple[SceneResult, list[dict[str, Any]]]:
-    """On a Dask worker: one scene in this thread's watched process, which stays for the next; its events but frames."""
+    """On a Dask worker: make a scene in this thread's process, which is kept; returns its events but frames."""
     if getattr(_thread, "how", None) != how:
         if hasattr(_thread, "pool"):
             _thread.pool.__exit__()
@@ -90,7 +90,7 @@ def make(row: Row, folder: Path, overwrite: bool, how: tuple[Limits, str]) -> tu
 
 
 def _memory_limit_gb() -> float | None:
-    """Memory that Dask gave this worker [GB]; None if it gave no limit."""
+    """Memory limit of this Dask worker [GB]; None without one."""
     from distributed import get_worker
 
     limit = get_worker().memory_manager.memory_limit

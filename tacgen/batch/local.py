@@ -1,4 +1,4 @@
-"""Worker processes on this machine: if one dies, hangs or uses too much memory, only its scene is lost."""
+"""Worker processes on this machine. If one dies, hangs or uses too much memory, only its scene is affected."""
 
 import time
 from collections import deque
@@ -14,17 +14,17 @@ from tacgen.recipe.model import IMAGES
 from tacgen.recipe.plan import Row
 
 TASK = "tacgen.pipeline:run_scene"
-COMPILE = "tacgen.pipeline:compile_pictures"  # beside the solver, where there is a core for it
+COMPILE = "tacgen.pipeline:compile_pictures"  # in a second process, if there is a second core
 MAX_TRIES = 2  # a scene whose worker died this often is recorded as failed
-POLL_S = 0.2  # longest wait for messages [s], and the time between checks of limits
-BUSY_RETRY_S = 0.5  # until a scene that another run is making is tried again [s]
-MAX_FAILED_STARTS = 3  # workers in a row that end before their first scene: no scene is to blame
+POLL_S = 0.2  # longest wait for messages, and interval of checks of the limits [s]
+BUSY_RETRY_S = 0.5  # delay before a scene that another run is making is tried again [s]
+MAX_FAILED_STARTS = 3  # consecutive workers that end before their first scene; then the run ends
 
 OnEvent = Callable[[dict[str, Any]], None]
 
 
 class Pool:
-    """Workers that stay between calls of `run`; they end with the block."""
+    """Worker processes that are kept between calls of `run`, until the block ends."""
 
     def __init__(
         self, workers: int = 1, limits: Limits | None = None, task: str = TASK, memory_gb: float | None = None
@@ -50,13 +50,13 @@ class Pool:
     def run(
         self, rows: Sequence[Row], folder: Path, *, overwrite: bool = False, on_event: OnEvent = lambda event: None
     ) -> list[SceneResult]:
-        """Make every row's scene; `on_event` gets frames, retries and outcomes. Results come in the rows' order.
+        """Make the scenes of all rows, with results in the same order. `on_event` is called as in `batch.run`.
 
-        A scene that lost its worker is tried once more, then has the status `failed`, as has one that cannot be made.
+        A scene whose worker was lost is tried once more. After that, or if it cannot be made, its status is `failed`.
 
         Raises:
-            OSError: the disk is full or read-only, which no other scene would survive either.
-            UserError: workers do not even start.
+            OSError: the disk is full or read-only, so that all other scenes would fail too.
+            UserError: workers do not start.
         """
         batch = _Batch(rows, folder, on_event)
         while len(batch.results) < len(rows):
@@ -76,7 +76,7 @@ class Pool:
         return [batch.results[place] for place in range(len(rows))]
 
     def _assign_jobs(self, batch: "_Batch", overwrite: bool) -> None:
-        """As many workers as there is work for, and a job for each that is idle."""
+        """Start as many workers as there are jobs, up to the limit, and give each idle worker a job."""
         busy = sum(worker.job is not None for worker in self.workers)
         while len(self.workers) < min(self.size, busy + len(batch.waiting)):
             self.workers.append(Worker(self.task))
@@ -87,13 +87,13 @@ class Pool:
                 worker.give(batch.waiting.popleft(), batch.folder, overwrite)
 
     def _compile(self, job: Job, folder: Path) -> None:
-        """Share the compiling for a scene with pictures between two processes."""
+        """Compile the code for images in a second process, while the scene's worker compiles the solver."""
         if self.compiler is None and job.row.recipe.outputs & IMAGES and cores() > 1:
             self.compiler = Worker(COMPILE)
             self.compiler.give(Job([job.row], 0), folder, overwrite=False)
 
     def _messages(self) -> list[tuple[Worker, str, Any]]:
-        """Messages that came within POLL_S: worker, kind, content. A worker that broke a limit is stopped, and lost."""
+        """Messages received within POLL_S: worker, kind, content. Workers that exceed a limit are stopped: `lost`."""
         readable = connection.wait([worker.link for worker in self.workers], timeout=POLL_S)
         found = [(w, kind, what) for w in self.workers if w.link in readable for kind, what in w.listen()]
         if time.monotonic() - self.last_check > POLL_S:
@@ -106,7 +106,7 @@ class Pool:
         return found
 
     def _release(self, worker: Worker, kind: str, what: Any) -> None:
-        """Remove a worker that is lost, or that has made as many scenes as it may."""
+        """Remove a worker that is lost or has made its maximum of scenes."""
         worker.scenes_made += 1
         if kind == "lost":
             self.workers.remove(worker)
@@ -119,7 +119,7 @@ class Pool:
 
 
 class _Batch:
-    """Scenes that wait, and the results of the others."""
+    """The waiting jobs and the results of a call of `Pool.run`."""
 
     def __init__(self, rows: Sequence[Row], folder: Path, on_event: OnEvent) -> None:
         self.waiting = deque(Job(rows, place) for place in range(len(rows)))
@@ -127,7 +127,7 @@ class _Batch:
         self.folder, self.on_event = folder, on_event
 
     def settle(self, job: Job, kind: str, what: Any) -> None:
-        """Keep a result, or try again, or record that the scene cannot be made."""
+        """Store the result of a job, queue it again, or record the scene as failed."""
         if kind == "full":
             raise OSError(*what)
         if kind == "busy":
@@ -150,7 +150,7 @@ class _Batch:
 
 
 def failed(row: Row, folder: Path, reason: str) -> SceneResult:
-    """Of a scene that could not be made."""
+    """The result of a scene that could not be made."""
     return SceneResult(row.name, folder / f"{row.name}.h5", "failed", reason, row.frames)
 
 

@@ -11,22 +11,22 @@ from tacgen.errors import UserError
 from tacgen.recipe.plan import Plan
 from tacgen.report.estimate import Cost, Made, cost, work
 
-SCENES = 8  # timed, and fewer where that takes longer than ENOUGH_S
-ENOUGH_S = 60.0
+SCENES = 8  # timed scenes at most
+ENOUGH_S = 60.0  # after this time no further scenes are timed [s]
 
 
 class Probed(NamedTuple):
-    """What a plan costs, and the most memory that a worker had [GB]."""
+    """Estimated cost of a plan, and the peak memory of a worker [GB]."""
 
     cost: Cost
     memory_gb: float
 
 
 def probe(plan: Plan, workers: int, task: str = TASK) -> Probed:
-    """Time some scenes, evenly spread over the plan and as many at a time as will be.
+    """Time some scenes, evenly spread over the plan, on the same number of workers as the run.
 
     Raises:
-        UserError: none of them can be made.
+        UserError: none of them could be made.
     """
     count = min(SCENES, len(plan.rows))
     chosen = [plan.rows[i * len(plan.rows) // count] for i in range(count)]

@@ -1,4 +1,4 @@
-"""All that a first run compiles and prepares, done for every sensor that ships: the next runs start at once."""
+"""Compile all code and fill the caches for every shipped sensor, so that later runs start at once."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,12 +15,12 @@ PLAIN = "force, traction, force_map, height, normals, gap, flow, material, rgb, 
 
 
 def warm() -> Iterator[tuple[str, bool, str]]:
-    """A ball on each sensor with everything asked for: the sensor's name, whether that went well, and what it took."""
+    """Press a ball on each sensor with all outputs: yields the sensor's name, success, and a note (time or reason)."""
     with TemporaryDirectory() as folder, Pool(min(2, cores())) as pool:
         for sensor in assets.list_sensors():
             try:
                 row = _touched(sensor)
-            except UserError as error:  # its images need what is not installed
+            except UserError as error:  # its images need a package that is not installed
                 yield sensor, False, error.lines[0]
                 continue
             (result,) = pool.run([row], Path(folder) / sensor)

@@ -1,6 +1,6 @@
-"""A worker's process: makes one scene after another and reports on them over a pipe.
+"""The main program of a worker process: makes scenes one after another and reports on them over a pipe.
 
-Started by `worker_process.Worker` as `python -m tacgen.batch.worker_main FD PARENT`; imports what a scene needs alone.
+Started by `worker_process.Worker` as `python -m tacgen.batch.worker_main FD PARENT`; imports only what a scene needs.
 """
 
 import errno
@@ -17,13 +17,13 @@ from typing import Any
 from tacgen.atomic_file import Busy
 from tacgen.errors import UserError
 
-DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)  # no other scene could be written either
+DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)  # errors that all scenes would have
 
 
 def main(link: Connection, parent: int) -> None:
     """Answer each job with an outcome until the parent closes the pipe.
 
-    Sent: ("ready", None), ("event", dict) while a scene is made, and one outcome a job: ("done", SceneResult),
+    Sends ("ready", None), ("event", dict) during a scene, and one outcome per job: ("done", SceneResult),
     ("busy", None), ("refused", lines), ("full", (errno, text, file)), ("error", traceback).
     """
     faulthandler.enable()
@@ -58,14 +58,14 @@ def _outcome(task: Any, row: Any, folder: Any, overwrite: bool, link: Connection
 
 
 def _exit_with_parent(parent: int) -> None:
-    """End with the parent, even in the middle of a scene."""
+    """End this process when the parent ends, even during a scene."""
     while os.getppid() == parent:
         time.sleep(0.5)
     os._exit(1)
 
 
 def _be_killed_first() -> None:
-    """When memory runs out, Linux kills this process and not the parent, which records that."""
+    """Have Linux kill this process before the parent when memory runs out; the parent records it."""
     try:
         with open("/proc/self/oom_score_adj", "w") as file:
             file.write("500")
@@ -76,5 +76,5 @@ def _be_killed_first() -> None:
 if __name__ == "__main__":
     try:
         main(Connection(int(sys.argv[1])), int(sys.argv[2]))
-    except (EOFError, OSError):  # of the pipe: the parent is gone, or was stopped while it spoke
+    except (EOFError, OSError):  # of the pipe: the parent has ended, perhaps during a message
         sys.exit(1)

@@ -1,4 +1,4 @@
-"""One worker process seen from outside: its messages, when the last one came, how much memory it uses."""
+"""A worker process as seen by the parent: its messages, the time of the last one, its memory."""
 
 import os
 import signal
@@ -16,23 +16,23 @@ from typing import Any
 from tacgen.recipe.plan import Row
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
-WORKER_GB = 1.0  # memory that a worker is reckoned to need; most of default quality take half of that
-START_S = 300.0  # longest time from start to `ready`, spent on imports [s]
+WORKER_GB = 1.0  # assumed memory of a worker for `--workers auto`; most scenes at `default` need half of it
+START_S = 300.0  # longest time from start to `ready`, for imports [s]
 PACKAGE_PARENT = str(Path(__file__).resolve().parents[2])
 
 
 @dataclass(frozen=True)
 class Limits:
-    """Time and memory of a scene before its worker is stopped, and scenes before a worker is replaced."""
+    """Limits of time and memory of a scene, beyond which its worker is stopped, and of scenes per worker."""
 
     silence_s: float = 1800.0  # longest time without a new frame
-    memory_gb: float | None = None  # None: nine tenths of the machine's, shared evenly
-    scenes: int = 200  # then the worker is replaced by a fresh one
+    memory_gb: float | None = None  # None: an equal share of 90 % of the machine's memory
+    scenes: int = 200  # then the worker is replaced by a new one
 
 
 @dataclass
 class Job:
-    """A scene to make: the one at a place among rows, resolved when its turn comes."""
+    """A scene to make: row number `place`, which is resolved only when it is needed."""
 
     rows: Sequence[Row]
     place: int
@@ -46,7 +46,7 @@ class Job:
 
 
 class Worker:
-    """One process, the scene it is making, and when its last message came."""
+    """A process, its current job, and the time of its last message."""
 
     def __init__(self, task: str) -> None:
         self.link, theirs = connection.Pipe()
@@ -56,7 +56,7 @@ class Worker:
                 [sys.executable, "-P", "-m", "tacgen.batch.worker_main", str(theirs.fileno()), str(os.getpid())],
                 pass_fds=[theirs.fileno()],
                 stdin=subprocess.DEVNULL,
-                stdout=2,  # what a library prints must not end up between results
+                stdout=2,  # to stderr: prints of libraries must not mix with results
                 env={**os.environ, **_threads(), "PYTHONPATH": os.pathsep.join(paths)},
             )
         theirs.close()
@@ -67,13 +67,13 @@ class Worker:
         self._send({"path": sys.path, "task": task})
 
     def give(self, job: Job, folder: Path, overwrite: bool) -> None:
-        """Have it make a scene."""
+        """Send it a job."""
         job.tries += 1
         self.job, self.last_message = job, time.monotonic()
         self._send((job.row, folder, overwrite))
 
     def listen(self) -> list[tuple[str, Any]]:
-        """Its messages since the last call; ("lost", reason) as the last one if the process has ended."""
+        """Its messages since the last call; the last one is ("lost", reason) if the process has ended."""
         messages: list[tuple[str, Any]] = []
         try:
             while self.link.poll():
@@ -84,7 +84,7 @@ class Worker:
         return messages
 
     def excess(self, limits: Limits, memory_gb: float) -> str:
-        """Which limit it broke, if any."""
+        """The limit that it exceeds, as text; empty if none."""
         silence = time.monotonic() - self.last_message
         if self.job and silence > limits.silence_s:
             return f"no new frame for {limits.silence_s:g} s"
@@ -94,8 +94,8 @@ class Worker:
         return f"{used:.2f} GB of memory used, {memory_gb:.2f} allowed" if used > memory_gb else ""
 
     def stop(self, patience: float = 0.5) -> int:
-        """End the process, by force if it is still there after `patience` seconds, and return its exit code."""
-        self.link.close()  # it ends by itself when it next looks for a job
+        """End the process, killing it after `patience` seconds, and return its exit code."""
+        self.link.close()  # the process ends by itself when it waits for a job
         try:
             return self.process.wait(patience)
         except subprocess.TimeoutExpired:
@@ -103,13 +103,13 @@ class Worker:
             return self.process.wait()
 
     def _send(self, message: Any) -> None:
-        with suppress(OSError):  # `listen` finds out that a process has died
+        with suppress(OSError):  # `listen` reports a process that has died
             self.link.send(message)
 
 
 @contextmanager
 def _without_interrupts() -> Iterator[None]:
-    """Ctrl-C reaches the whole group; a process that is started here never gets it, even before it can say so."""
+    """Block Ctrl-C, which is sent to the whole process group, for a process that is started in this block."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -118,13 +118,13 @@ def _without_interrupts() -> Iterator[None]:
 
 
 def _threads() -> dict[str, str]:
-    """Of BLAS and numba, one each unless the environment says another number; numba does not start with 0."""
+    """Environment variables for threads of BLAS and numba: 1 unless set to a positive number."""
     said = {name: os.environ.get(name, "") for name in THREADS}
     return {name: value if value.isdecimal() and int(value) > 0 else "1" for name, value in said.items()}
 
 
 def memory(pid: int) -> float:
-    """Resident memory of a process [GB]; 0 where the system does not tell."""
+    """Resident memory of a process [GB]; 0 if not available."""
     try:
         return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e9
     except (OSError, ValueError, IndexError):
@@ -132,7 +132,7 @@ def memory(pid: int) -> float:
 
 
 def machine_memory() -> float:
-    """Memory of this machine, or of the control group it is limited to [GB]."""
+    """Memory of this machine, or the limit of its control group [GB]."""
     sizes = [os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")]
     with suppress(OSError, ValueError):
         sizes.append(int(Path("/sys/fs/cgroup/memory.max").read_text()))
@@ -140,16 +140,16 @@ def machine_memory() -> float:
 
 
 def cores() -> int:
-    """Processor cores that this process may use: those it is bound to, or fewer if its control group has less time."""
+    """Number of processor cores for this process, by its CPU affinity and the quota of its control group."""
     count = len(os.sched_getaffinity(0))
-    with suppress(OSError, ValueError):  # "max" has no limit
+    with suppress(OSError, ValueError):  # "max": no quota
         quota, period = Path("/sys/fs/cgroup/cpu.max").read_text().split()
         count = min(count, max(1, int(quota) // int(period)))
     return count
 
 
 def usual_workers() -> int:
-    """As many as there are cores, and memory for."""
+    """The number of workers for `auto`: by cores and memory."""
     return max(1, min(cores(), int(machine_memory() / WORKER_GB)))
 
 

@@ -1,7 +1,7 @@
-"""Write, read and verify a bundle: one HDF5 file a scene. What it holds is the table in schema.py.
+"""Writing, reading and verifying bundles: one HDF5 file per scene, with the contents of the table in schema.py.
 
-The same inputs give the same bytes, so nothing here depends on the clock: how long each stage took belongs
-in `<name>.timing.json` beside the bundle (the pipeline writes it), never in the bundle.
+The same inputs give the same bytes, so nothing here depends on the clock: the pipeline writes the time of each stage
+to `<name>.timing.json` beside the bundle.
 """
 
 import hashlib
@@ -27,20 +27,20 @@ from tacgen.errors import UserError
 if TYPE_CHECKING:
     from tacgen.recipe.sensor import Sensor
 
-NOT_IN_DIGEST = ("digest", "complete")  # attributes that are written last
+NOT_IN_DIGEST = ("digest", "complete")  # attributes that are written after the digest is known
 PACKED_HINT = ": it holds packed scenes; give the folder it is in"
 
 
 class Unfinished(UserError):
-    """The writer was stopped: writing the bundle again mends it."""
+    """The writer was stopped; the bundle has to be written again."""
 
 
 class Missing(UserError, KeyError):
-    """The bundle has no dataset of that name."""
+    """The bundle has no dataset of this name."""
 
 
 class Writer:
-    """Writes one bundle. Nothing stands under the bundle's name until `finish` has read it all back.
+    """Writes one bundle. The file gets its name only after `finish` has read everything back.
 
         with Writer(path, attrs, frames=15) as writer:
             writer.put("/reference/rgb", flat)
@@ -48,13 +48,13 @@ class Writer:
                 writer.append({"/frames/force": force, "/frames/rgb": image})
             writer.finish()
 
-    Leaving the block without `finish` removes the part file. `attrs` holds what ATTRS and OPTIONAL name, less what
-    the writer knows itself; mappings and lists are stored as JSON. Arrays must have the layout's shape and kind.
+    Leaving the block without `finish` removes the part file. `attrs` are those of ATTRS and OPTIONAL that the writer
+    does not set itself; mappings and lists are stored as JSON. Arrays must have the shape and kind of the layout.
 
     Raises:
-        ValueError, TypeError: an attribute, path, shape or type that is not in the tables (a bug of the caller).
+        ValueError, TypeError: an attribute, path, shape or type that is not in the tables (a bug in the caller).
         OSError: with its errno, e.g. ENOSPC when the disk is full.
-        UserError: another process is writing this very bundle.
+        UserError: another process is writing the same bundle.
     """
 
     def __init__(self, path: Path, attrs: Mapping[str, Any], frames: int) -> None:
@@ -73,7 +73,7 @@ class Writer:
         self._sink = atomic_file.Sink(self.path)
         try:
             with self._sink.guard():
-                # v110: every piece of metadata carries a checksum, and any HDF5 since 1.10 reads it
+                # v110: all metadata have checksums; readable by every HDF5 since 1.10
                 self._file = h5py.File(self._sink, "w", libver=("v110", "v110"))
                 self._file.attrs.update(sorted(self._attrs.items()))
         except BaseException:
@@ -83,19 +83,19 @@ class Writer:
 
     def __exit__(self, *_: object) -> None:
         if not self._finished:
-            self._sink.dead = True  # what HDF5 still has to flush goes nowhere
+            self._sink.dead = True  # ignore what HDF5 still flushes
             with suppress(Exception):
                 self._file.close()
             self._sink.discard()
 
     def put(self, path: str, array: np.ndarray) -> None:
-        """Store a dataset that belongs to the scene, not to a frame: /reference, /mesh."""
+        """Store a dataset of the scene, without a frame axis: /reference, /mesh."""
         values = self._cast(path, array, per_frame=False)
         with self._sink.guard():
             self._write(path, values, None)
 
     def append(self, arrays: Mapping[str, np.ndarray]) -> None:
-        """Store the next frame: the same datasets each time, each without its frame axis."""
+        """Store the next frame: the same datasets for every frame, without the frame axis."""
         if self.appended and arrays.keys() != {p for p in self._columns if entry(p).per_frame}:
             raise ValueError(f"frame {self.appended} has other datasets than frame 0: {sorted(arrays)}")
         if self.appended == self.frames:
@@ -107,7 +107,7 @@ class Writer:
         self.appended += 1
 
     def finish(self, status: str = "ok", reason: str = "") -> None:
-        """Close, read everything back, and only then give the file its name; `status` is ok or rejected."""
+        """Close the file, read everything back, and rename it; `status` is ok or rejected."""
         if (status, bool(reason)) != (("ok", False) if self.appended == self.frames else ("rejected", True)):
             raise ValueError(f"{status!r} ({reason!r}) with {self.appended} of {self.frames} frames")
         self._attrs.update(status=status, reason=reason)
@@ -145,18 +145,18 @@ class Writer:
 
 @dataclass(frozen=True)
 class Bundle:
-    """A finished bundle. Arrays are read when asked for; no file stays open, so it pickles and needs no closing."""
+    """A finished bundle. Arrays are read on access; no file stays open, so it can be pickled and needs no closing."""
 
     path: Path
     attrs: dict[str, Any]
     shapes: dict[str, tuple[int, ...]]
-    group: str = "/"  # of the file: another in a shard, which holds many scenes
+    group: str = "/"  # in the file; a shard holds a scene in each group
 
     def __contains__(self, path: str) -> bool:
         return path in self.shapes
 
     def __getitem__(self, path: str) -> np.ndarray:
-        """A whole dataset. Raises Missing if the bundle has none of that name, UserError if the file is damaged."""
+        """A whole dataset. Raises Missing if there is none of this name, UserError if the file is damaged."""
         return self._read(path, None)
 
     def frame(self, path: str, index: int) -> np.ndarray:
@@ -167,18 +167,18 @@ class Bundle:
 
     @property
     def recipe(self) -> dict[str, Any]:
-        """Of this scene, resolved: nothing is varied in it."""
+        """The resolved recipe of this scene, with nothing left to vary."""
         recipe: dict[str, Any] = json.loads(self.attrs["recipe"])
         return recipe
 
     @property
     def frames(self) -> int:
-        """How many frames are stored; fewer than planned in a rejected scene."""
+        """Number of stored frames; fewer than planned in a rejected scene."""
         return max((n[0] for p, n in self.shapes.items() if p.startswith(("/frames/", "/fields/"))), default=0)
 
     @property
     def segments(self) -> tuple[str, ...]:
-        """For each frame, the kind of trajectory segment it belongs to (press, slide, ...)."""
+        """For each frame, the kind of its trajectory segment (press, slide, ...)."""
         moves = self.recipe.get("trajectory", ())
         kinds = [next((kind for kind, move in s.items() if move is not None), "") for s in moves]
         if "/frames/segment" not in self:
@@ -187,7 +187,7 @@ class Bundle:
 
     @property
     def sensor(self) -> "Sensor":
-        """The sensor it was made with. Raises UserError: the bundle does not say, or this tacgen cannot read it."""
+        """The sensor of the scene. Raises UserError: the bundle does not hold it, or this version cannot read it."""
         from tacgen.recipe.sensor import Sensor
 
         if "sensor_document" not in self.attrs:
@@ -198,9 +198,9 @@ class Bundle:
             raise UserError(f"{self.path}: its sensor is none that this tacgen knows: {error}") from None
 
     def verify(self, content: Callable[[str, Any], str] | None = None) -> dict[str, "Dataset"]:
-        """Read everything back against the digest; UserError if a single bit has changed. Returns what is there.
+        """Compare all contents with the digest; UserError if a single bit has changed. Returns the datasets by path.
 
-        `content` gives the SHA-256 of an open dataset by its path, for a writer that knows what its chunks hold.
+        `content` gives the SHA-256 of an open dataset by its path, for a writer that knows its chunks' contents.
         """
         found = {}
         with opened(self.path, self.group) as file:
@@ -220,11 +220,11 @@ class Bundle:
 
 
 def read(path: Path, group: str = "/", *, part: bool = False) -> Bundle:
-    """Open a finished bundle, or a scene of a shard; the data itself is checked by `Bundle.verify`.
+    """Open a finished bundle, or a scene of a shard. The data themselves are checked by `Bundle.verify`.
 
     Raises:
-        Unfinished, Damaged: writing it again mends it. `part` accepts the name of a part file.
-        UserError: missing, no bundle, or of a newer format.
+        Unfinished, Damaged: it has to be written again. `part` accepts the name of a part file.
+        UserError: the file is missing, is not a bundle, or has a newer format.
     """
     path = Path(path)
     if atomic_file.is_part(path) and not part:
@@ -253,9 +253,9 @@ def read(path: Path, group: str = "/", *, part: bool = False) -> Bundle:
 
 
 def is_complete(path: Path, key: str) -> bool:
-    """Whether `path` is a whole, undamaged bundle made from the inputs that `key` stands for. Reads all of it.
+    """Whether `path` is a complete, undamaged bundle with this input key. Reads all of it.
 
-    A rejected scene is complete too: the same inputs would be rejected again.
+    A rejected scene counts as complete: the same inputs would be rejected again.
     """
     try:
         bundle = read(path)
@@ -269,7 +269,7 @@ def is_complete(path: Path, key: str) -> bool:
 
 @dataclass(frozen=True)
 class Dataset:
-    """What the digest covers of one dataset."""
+    """The properties of a dataset that the digest covers."""
 
     dtype: str
     shape: tuple[int, ...]
@@ -278,20 +278,20 @@ class Dataset:
 
     @classmethod
     def of(cls, data: Any, sha256: str) -> "Dataset":
-        """Of an open h5py dataset, whose content has this sum."""
+        """Of an open h5py dataset whose content has this SHA-256."""
         attrs = {name: _plain(value) for name, value in data.attrs.items()}
         return cls(data.dtype.str, data.shape, attrs, sha256)
 
 
 def _digest(attrs: Mapping[str, Any], found: Mapping[str, Dataset]) -> str:
-    """Of the content, not of the file: paths, types, shapes, bytes and attributes, all sorted."""
+    """Digest of the content, not of the file: paths, types, shapes, bytes and attributes, sorted."""
     root = {name: value for name, value in attrs.items() if name not in NOT_IN_DIGEST}
     rows = [[path, d.dtype, list(d.shape), d.attrs, d.sha256] for path, d in sorted(found.items())]
     return hashlib.sha256(json.dumps([root, rows], sort_keys=True, default=repr).encode()).hexdigest()
 
 
 def _plain(value: Any) -> Any:
-    """An attribute as Python's own str, int, float or bool; mappings and sequences become JSON."""
+    """An attribute as a Python str, int, float or bool; mappings and sequences as JSON."""
     if isinstance(value, np.generic | np.ndarray):
         value = value.tolist()
     if isinstance(value, Mapping | list | tuple):
@@ -300,13 +300,13 @@ def _plain(value: Any) -> Any:
 
 
 def _shared(value: Any) -> Any:
-    """The same, texts once for all bundles: a sensor's document is 4 kB, and thousands of scenes have the same."""
+    """The same with interned strings: thousands of scenes share a sensor document of 4 kB."""
     value = _plain(value)
     return sys.intern(value) if type(value) is str else value
 
 
 def _checked(attrs: dict[str, Any], *, finished: bool = False) -> dict[str, Any]:
-    """The attributes themselves; ValueError unless they are what ATTRS and OPTIONAL say."""
+    """The attributes unchanged; ValueError unless they are those of ATTRS and OPTIONAL."""
     last = set() if finished else {"status", "reason", *NOT_IN_DIGEST}
     if missing := [name for name in ATTRS if name not in attrs and name not in last]:
         raise ValueError(f"attribute {missing[0]!r} is missing")
@@ -317,7 +317,7 @@ def _checked(attrs: dict[str, Any], *, finished: bool = False) -> dict[str, Any]
         if type(value) is not wanted[0]:
             raise ValueError(f"attribute {name!r} is {str(value)[:60]!r}, expected {wanted[0].__name__}")
         if isinstance(value, str):
-            value.encode()  # ValueError of what is no text: HDF5 keeps any bytes
+            value.encode()  # ValueError if it is not valid text: HDF5 stores any bytes
         if isinstance(value, str) and name in STORED:
             try:
                 parsed(STORED[name], value)

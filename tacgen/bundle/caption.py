@@ -1,4 +1,4 @@
-"""A scene in words: what its recipe does, and what then happens by its events.
+"""Captions: a scene described in words, from its recipe and its contact events.
 
 A sphere, radius 4 mm, on gelsight_mini: pressed 1 mm deep, slid 1 mm along x. Touching from frame 0, partly slipping
 from frame 5, sliding from frame 9. The largest force is 3.31 N, in frame 4.
@@ -15,7 +15,7 @@ MODE = "/frames/events/mode"
 
 
 class Change(NamedTuple):
-    """The first frame of a mode of contact, and when that is where time counts [s]."""
+    """A change of the contact mode: its first frame, the mode, and the time [s] if frames have one."""
 
     frame: int
     mode: str
@@ -23,7 +23,7 @@ class Change(NamedTuple):
 
 
 def caption(bundle: Bundle) -> str:
-    """The scene in a few sentences; events are told where the recipe's outputs asked for them."""
+    """The scene in a few sentences, with its contact events if they are among the outputs."""
     moves = ", ".join(filter(None, map(_move, bundle.recipe.get("trajectory", ()))))
     said = [
         f"{_article(text := indenter_text(bundle))} {text}, on {bundle.attrs['sensor']}" + f": {moves}" * bool(moves)
@@ -38,12 +38,12 @@ def caption(bundle: Bundle) -> str:
 
 
 def modes(bundle: Bundle) -> list[str]:
-    """The mode of contact of each frame, as in tacgen.labels.events. Raises Missing: `events` was not asked for."""
+    """The contact mode of each frame, as in tacgen.labels.events. Raises Missing: `events` is not in the bundle."""
     return [MODES[k] if 0 <= k < len(MODES) else "unknown" for k in bundle[MODE]]
 
 
 def changes(bundle: Bundle) -> list[Change]:
-    """The event times: each frame whose mode of contact is another than that of the frame before, and the first."""
+    """The first frame, and each frame whose contact mode differs from that of the frame before."""
     if MODE not in bundle:
         return []
     named = modes(bundle)
@@ -76,7 +76,7 @@ def _at(time: float | None) -> str:
 
 
 def _move(segment: dict[str, Any]) -> str:
-    """One movement of a recipe, `pressed 1 mm deep`; nothing of what is none."""
+    """A movement of a recipe in words, such as `pressed 1 mm deep`; empty for an unknown one."""
     kind, keys = next(((kind, keys) for kind, keys in segment.items() if isinstance(keys, dict)), ("", {}))
     number = {key: value for key, value in keys.items() if isinstance(value, int | float)}
     force = f" under {number['force_n']:g} N" if "force_n" in number else ""

@@ -18,17 +18,17 @@ MAX_IMBALANCE = 1e-3  # largest force imbalance over the contact force [-]
 MAX_TENSION = 1e-3  # largest negative pressure by interpolation, over the frame's peak [-]
 LIGHT_CONTACT = 0.01  # smallest pressure scale of a frame, over the scene's peak pressure [-]
 COULOMB_EXCESS = 2e-3  # over friction x peak pressure [-]: friction follows a lagged normal force (solve/lagging.py)
-FLOAT32_ERROR = 1e-6  # of maps, over the frame's peak [-]
+FLOAT32_ERROR = 1e-6  # rounding error of maps, over the frame's peak [-]
 VISIBLE_CHANGE = {"/frames/height": 0.02, "/frames/marker_flow": 0.5}  # changes that a camera image must show [mm, px]
 VISIBLE_FORCE_CHANGE = 0.05  # the same of the force, over the largest [-]
 MAX_FLAT_RANGE = 2.0  # range of values of an image that counts as a single flat colour [counts of 255]
-# By folder and digest, the name of the scene that has it: a digest covers a scene's number and seed, not its name.
+# (folder, digest) -> name of the scene. The digest covers the number and seed of a scene, not its name.
 Seen = dict[tuple[Path, str], str]
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One line about one file: `rejected` is a scene that says so itself, `error` is a file to distrust."""
+    """A line about a file: `rejected` is a scene whose status says so, `error` is a file not to be trusted."""
 
     path: Path
     level: Literal["error", "incomplete", "rejected"]
@@ -39,7 +39,7 @@ class Finding:
 
 
 def check(path: Path) -> list[Finding]:
-    """Findings about a bundle, or about all bundles and part files in and below a folder; empty if all is well.
+    """Findings about a bundle, or about all bundles and part files in and below a folder; empty if there are none.
 
     Raises:
         UserError: `path` does not exist, or is a folder without a single bundle.
@@ -65,7 +65,7 @@ def _leftover(path: Path) -> list[Finding]:
 
 
 def _packed(folder: Path) -> list[Finding]:
-    """Every scene of every shard that the index names; a shard that is missing ends the search."""
+    """Check every scene of a packed folder; if a shard is missing, only that is reported."""
     try:
         scenes = dataset.packed(folder)
     except UserError as error:
@@ -94,10 +94,10 @@ def _file(path: Path, seen: Seen, group: str = "/") -> list[Finding]:
 
 
 def _layout(bundle: Bundle, datasets: dict[str, Dataset]) -> Iterator[str]:
-    """Attributes of datasets against the table in schema.py; `read` has looked at their types and shapes."""
+    """Compare the attributes of datasets with the table in schema.py; `read` has checked types and shapes."""
     for path, data in datasets.items():
         for name, wanted in attributes(path).items():
-            if data.attrs.get(name) != wanted and (name != "rounding" or name in data.attrs):  # earlier: not rounded
+            if data.attrs.get(name) != wanted and (name != "rounding" or name in data.attrs):  # earlier ones have none
                 yield f"{path} has {name} {data.attrs.get(name)!r}, expected {wanted!r}"
     status, planned = bundle.attrs["status"], bundle.attrs["frames_planned"]
     if status == "ok" and bundle.frames != planned:
@@ -146,7 +146,7 @@ def _friction(bundle: Bundle) -> Iterator[str]:
         pressure, size = bundle["/frames/pressure"], np.linalg.norm(bundle["/frames/traction"], axis=-1)
         excess = (size - friction * np.maximum(pressure, 0)).max(axis=(1, 2))
         peak = pressure.max(axis=(1, 2))
-        peak = np.maximum(peak, LIGHT_CONTACT * peak.max(initial=0.0))  # light contact is not measured by its own peak
+        peak = np.maximum(peak, LIGHT_CONTACT * peak.max(initial=0.0))  # light contact: relative to the scene
         allowed = (COULOMB_EXCESS * friction + FLOAT32_ERROR) * peak
         yield from _say_frames(excess > allowed, f"/frames/traction exceeds {friction:g} x pressure by", excess, "MPa")
     if "/frames/slip" in bundle and "/frames/contact" in bundle:

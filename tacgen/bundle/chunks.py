@@ -1,6 +1,6 @@
 """Compression of chunks outside HDF5, in the format of its filters: shuffle, then deflate, by ISA-L.
 
-For inputs below about 288 bytes ISA-L (2.32) gives other bytes for the same content in 1 to 2 % of processes; of
+For inputs below about 288 bytes ISA-L (2.32) gives different bytes for the same content in 1 to 2 % of processes; of
 145 000 streams of 300 bytes and more none differed. Small chunks are therefore compressed by zlib, which is
 deterministic.
 
@@ -20,22 +20,22 @@ from isal import igzip_lib, isal_zlib
 Array = np.ndarray
 LEVEL = 1  # ISA-L's compression level, 0 to 3: higher ones save 1 % of bytes
 FILTERS = (2, 1)  # HDF5's numbers of shuffle and deflate
-SMALL = 4096  # bytes of a chunk that frames of a few numbers share; smaller ones are packed by zlib
+SMALL = 4096  # [bytes] chunks up to this size hold several small frames; smaller chunks are compressed by zlib
 
 
 class Column:
-    """A dataset that is being written, frame by frame or at once.
+    """A dataset during writing, frame by frame or at once.
 
     Args:
         group: an open HDF5 group.
         first: the first frame, or the whole dataset.
-        frames: how many are planned; None: the dataset has no axis of frames.
-        attrs: of the dataset.
+        frames: planned number of frames; None: the dataset has no frame axis.
+        attrs: attributes of the dataset.
     """
 
     def __init__(self, group: Any, path: str, first: Array, frames: int | None, attrs: dict[str, str]) -> None:
         self.hash, self.length = hashlib.sha256(), 0
-        self._sums: dict[tuple[int, ...], int] = {}  # CRC-32 of each chunk as stored, by where it begins
+        self._sums: dict[tuple[int, ...], int] = {}  # offset of each chunk -> CRC-32 of its stored bytes
         self._waiting: list[Array] = []
         self._parts = first.shape[-1] if first.ndim == 3 and first.dtype.kind == "f" else 1
         chunk = (*first.shape[:-1], 1) if self._parts > 1 else first.shape
@@ -51,24 +51,24 @@ class Column:
     def append(self, values: Array) -> None:
         """The next frame, or the whole dataset."""
         self.hash.update(np.ascontiguousarray(values).data)
-        self._waiting.append(values.copy() if self._rows > 1 else values)  # its owner may change what waits
+        self._waiting.append(values.copy() if self._rows > 1 else values)  # copied, because the caller may change it
         self.length += 1
         if len(self._waiting) >= self._rows:
             self._flush()
 
     def finish(self) -> None:
-        """Forget the frames that were planned and never came, and write what waits."""
+        """Remove the frames that were planned but not written, and write what is buffered."""
         if self._rows and self.length < len(self.data):
-            self.data.resize(self.length, axis=0)  # first: HDF5 would pack a chunk anew that it cuts
+            self.data.resize(self.length, axis=0)  # before writing: HDF5 would compress a chunk again that it truncates
         if self._waiting:
             self._waiting += [np.zeros_like(self._waiting[0])] * (self._rows - len(self._waiting))
             self._flush()
 
     def stored(self, data: Any) -> str:
-        """SHA-256 of the content, if this dataset of a file that was opened anew has the chunks that were written.
+        """SHA-256 of the content, if this dataset of the reopened file has the chunks that were written.
 
         Raises:
-            ValueError: it has not.
+            ValueError: it does not.
         """
         for begin, checksum in self._sums.items():
             if isal_zlib.crc32(data.id.read_direct_chunk(begin)[1]) != checksum:
@@ -89,7 +89,7 @@ class Column:
 
 
 class Frames:
-    """A dataset of an open file that is read frame by frame; where its chunks are not as above, HDF5 unpacks them."""
+    """Reads a dataset of an open file frame by frame; HDF5 decompresses chunks that are not laid out as above."""
 
     def __init__(self, data: Any) -> None:
         packing, chunk = data.id.get_create_plist(), data.chunks
@@ -100,7 +100,7 @@ class Frames:
         self.ours = whole and (self._parts > 1 or chunk == (1, *self.shape))
 
     def __getitem__(self, index: int) -> Array:
-        """One frame, which may be written to. Raises ValueError or what h5py does: it is damaged."""
+        """One frame, as a writable array. Raises ValueError, or an error of h5py, if it is damaged."""
         if not self.ours:
             return np.asarray(self.data[index])
         begin, streams = [index] + [0] * len(self.shape), list[bytes]()
@@ -121,7 +121,7 @@ class Frames:
         return out
 
     def sha256(self) -> str:
-        """Of the whole content, chunk after chunk."""
+        """SHA-256 of the whole content, chunk by chunk."""
         found = hashlib.sha256()
         rows = self.data.chunks[0] if self.data.chunks else 1
         for start in range(0, self.data.shape[0] if self.data.shape else 0, rows):
@@ -130,19 +130,19 @@ class Frames:
 
 
 def _packed(block: Array, parts: int) -> list[bytes]:
-    """A block (..., c) in 1 chunk, or in c of one component each."""
+    """Compress a block (..., c) as 1 chunk, or as c chunks of one component each."""
     flat = np.ascontiguousarray(block).reshape(-1).view(np.uint8)
     planes = np.ascontiguousarray(flat.reshape(-1, parts * block.itemsize).T).reshape(parts, -1)
     return [(zlib if len(plane) < SMALL else isal_zlib).compress(plane, LEVEL) for plane in planes]
 
 
 def _unpacked(streams: list[bytes], dtype: np.dtype, shape: tuple[int, ...]) -> Array:
-    """The block again."""
+    """Decompress the streams of a block."""
     size, plain = dtype.itemsize * math.prod(shape) // len(streams), list[bytes]()
     for stream in streams:
         inflater = isal_zlib.decompressobj()
         try:
-            plain.append(inflater.decompress(stream, size + 1))  # and no more, whatever a crafted stream holds
+            plain.append(inflater.decompress(stream, size + 1))  # limits the output of a malicious stream
         except igzip_lib.IsalError as error:  # type: ignore[misc]
             raise ValueError(f"a chunk does not inflate: {error}") from None
         if not inflater.eof or len(plain[-1]) != size:

@@ -1,6 +1,6 @@
-"""The finished scenes of a bundle, of a folder of bundles, or of a packed folder: whoever reads datasets starts here.
+"""Finding the finished scenes of a bundle, a folder of bundles or a packed folder.
 
-A packed folder holds shards, HDF5 files with a bundle in each group, and index.json, which says what is in them:
+A packed folder holds shards, which are HDF5 files with a bundle in each group, and their index, index.json:
 
     {"tacgen_pack": 1, "name": ..., "shards": [{"file", "bytes"}, ...],
      "scenes": [{"scene", "shard", "frames", "digest", "values"}, ...]}
@@ -20,7 +20,7 @@ from tacgen.errors import UserError
 
 INDEX = "index.json"
 PACK_FORMAT = 1
-VIRTUAL = "frames.h5"  # every frame of a packed folder as one dataset
+VIRTUAL = "frames.h5"  # all frames of a packed folder as virtual datasets
 SHARD = "shard-{:05d}.h5"
 
 
@@ -42,7 +42,7 @@ class Packed(Stored):
 
 
 class Index(Stored):
-    """What index.json says."""
+    """The contents of index.json."""
 
     tacgen_pack: int
     name: str
@@ -55,10 +55,10 @@ class _Format(Stored):
 
 
 def scenes(source: Path) -> list[Bundle]:
-    """All of them in order, rejected ones too; packed folders inside of a folder of bundles are other datasets.
+    """All scenes in order, including rejected ones. Packed folders below a folder of bundles are not included.
 
     Raises:
-        UserError: there is none, a file is damaged, foreign or of a newer format, or a shard is missing.
+        UserError: there is none; a file is damaged, not a bundle, or of a newer format; a shard is missing.
     """
     try:
         os.stat(source)
@@ -79,7 +79,7 @@ def scenes(source: Path) -> list[Bundle]:
 
 
 def contacts(bundles: Sequence[Bundle]) -> list[list[int]]:
-    """The places of bundles that hold the same contact on several sensors, together; any other bundle's alone."""
+    """Groups of indices of bundles that hold the same contact on different sensors; any other bundle is alone."""
     found: dict[object, list[int]] = {}
     for place, bundle in enumerate(bundles):
         number = bundle.attrs.get("pair")
@@ -89,7 +89,7 @@ def contacts(bundles: Sequence[Bundle]) -> list[list[int]]:
 
 
 def files(folder: Path) -> list[Path]:
-    """Bundles in a folder and below, in the order of their scenes; what a writer left unfinished is passed over."""
+    """Bundles in and below a folder, in the order of their scenes, without part files."""
     found = [path for place, names in _folders(folder) for name in names if (path := place / name).suffix == ".h5"]
     return sorted(found, key=lambda path: (path.parent, len(path.name), path.name))
 
@@ -101,14 +101,14 @@ def packs(folder: Path) -> list[Path]:
 
 
 def _folders(folder: Path) -> Iterator[tuple[Path, list[str]]]:
-    """Each folder from `folder` down, and the files in it; neither hidden nor packed ones."""
+    """Each folder from `folder` down with its files, without hidden and packed folders."""
     for place, inner, names in os.walk(folder, onerror=_refuse):
         inner[:] = [name for name in inner if not name.startswith(".") and not _is_pack(Path(place, name))]
         yield Path(place), names
 
 
 def _refuse(error: OSError) -> None:
-    """A folder that may not be read is not an empty one."""
+    """Raise UserError: a folder that cannot be read must not count as empty."""
     raise UserError(f"{error.filename}: cannot be read: {error.strerror}") from None
 
 
@@ -118,11 +118,11 @@ def _hint(found: list[Path]) -> str:
 
 def is_packed(folder: Path) -> bool:
     """Whether a folder holds shards and their index."""
-    return os.path.exists(folder / INDEX)  # False where that cannot be seen
+    return os.path.exists(folder / INDEX)  # False without permission
 
 
 def _is_pack(folder: Path) -> bool:
-    """The same of a folder that nobody has named: an index.json may be anybody's."""
+    """The same for a folder that was not named by the user: index.json may belong to another program."""
     return is_packed(folder) and os.path.exists(folder / SHARD.format(0))
 
 
@@ -130,7 +130,7 @@ def packed(folder: Path) -> list[tuple[Path, str]]:
     """The file and group of every scene of a packed folder.
 
     Raises:
-        UserError: every shard that is missing or not as long as it was, or an index that cannot be read.
+        UserError: shards that are missing or have another size, or an index that cannot be read.
     """
     index = read_index(folder)
     problems = []
@@ -146,7 +146,7 @@ def packed(folder: Path) -> list[tuple[Path, str]]:
 
 
 def read_index(folder: Path) -> Index:
-    """What index.json says. Raises UserError: unreadable, foreign or of a newer format."""
+    """The contents of index.json. Raises UserError: unreadable, of another program, or of a newer format."""
     path = folder / INDEX
     number = read_json(_Format, path).tacgen_pack
     if number > PACK_FORMAT:

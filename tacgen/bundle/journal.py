@@ -1,7 +1,7 @@
-"""What a dataset's folder says of itself beside its bundles: the plan, and a journal of what happened.
+"""The plan and the journal of a run, in the dataset's folder beside the bundles.
 
-Neither is ever trusted about a finished scene: a bundle counts by its own contents alone. Runs of different shards
-write different files, so that machines that share the folder do not write into each other's.
+Neither decides whether a scene is finished: only the bundle's own contents do. Runs of different shards write to
+different files, so that several machines can share the folder.
 """
 
 import json
@@ -23,11 +23,11 @@ from tacgen.errors import UserError, why
 from tacgen.recipe import plan_table
 from tacgen.recipe.plan import Plan
 
-Shard = tuple[int, int]  # (i, N): the scenes whose index leaves i when divided by N
+Shard = tuple[int, int]  # (i, N): the scenes whose index modulo N is i
 
 
 def write_plan(plan: Plan, folder: Path, shard: Shard | None) -> None:
-    """Write `plan.json`, or a shard's own; those of another division of the work are removed."""
+    """Write `plan.json`, or that of a shard, and remove the plans of other divisions into shards."""
     target = folder / f"plan{_suffix(shard)}.json"
     mine = {target.name} if shard is None else {f"plan{_suffix((i, shard[1]))}.json" for i in range(shard[1])}
     for other in set(folder.glob("plan*.json")):
@@ -46,14 +46,14 @@ class PlannedScene(Stored):
 
 
 class StoredPlan(Stored):
-    """What plan.json says."""
+    """The contents of plan.json."""
 
     name: str
     scenes: list[PlannedScene]
 
 
 def read_plan(folder: Path) -> StoredPlan | None:
-    """The plan of all shards together; None if the folder has none. Raises UserError: it is damaged."""
+    """The combined plan of all shards; None if the folder has none. Raises UserError: it is damaged."""
     plans = [stored_json.read(StoredPlan, path) for path in sorted(folder.glob("plan*.json"))]
     if not plans:
         return None
@@ -63,14 +63,14 @@ def read_plan(folder: Path) -> StoredPlan | None:
 
 
 class Journal:
-    """One JSON object a line: when a run began and ended, and each scene's outcome and retries."""
+    """Log of a run with a JSON object per line: begin and end, and the outcome and retries of each scene."""
 
     def __init__(self, folder: Path, shard: Shard | None) -> None:
         self.path = folder / f"journal{_suffix(shard)}.jsonl"
         self.who = f"{socket.gethostname()}:{os.getpid()}"
 
     def __enter__(self) -> "Journal":
-        handle = os.open(self.path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NONBLOCK, 0o666)  # waits for no pipe
+        handle = os.open(self.path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NONBLOCK, 0o666)  # no wait for a pipe
         self.file = os.fdopen(handle, "a", encoding="utf-8")
         self.write({"event": "begin"})
         return self
@@ -82,11 +82,11 @@ class Journal:
             self.write({"event": "end"} if kind is None else {"event": "end", "error": f"{kind.__name__}: {error}"})
             self.file.close()
         except OSError:
-            if kind is None:  # otherwise what stopped the run is the better message
+            if kind is None:  # otherwise the error that stopped the run matters more
                 raise
 
     def write(self, event: dict[str, Any]) -> None:
-        """Append a line; a frame is not worth one."""
+        """Append an event as a line; events of single frames are skipped."""
         if event["event"] != "frame":
             line = {"time": time.strftime("%Y-%m-%dT%H:%M:%S%z"), "run": self.who, **event}
             self.file.write(json.dumps(line) + "\n")
@@ -94,7 +94,7 @@ class Journal:
 
 
 class Event(Stored):
-    """A line of a journal; of one that ends a scene more is said."""
+    """A line of a journal; status, reason and traceback are those of a scene that ended."""
 
     event: str
     scene: str = ""
@@ -104,7 +104,7 @@ class Event(Stored):
 
 
 def read_journal(folder: Path) -> Iterator[Event]:
-    """Every line of every journal in the folder, in the order written; one that a killed run cut short is left out.
+    """All lines of all journals in the folder, in order, without lines that a killed run left incomplete.
 
     Raises:
         UserError: a journal cannot be read.

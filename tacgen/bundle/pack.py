@@ -1,4 +1,4 @@
-"""Many bundles into few files: copies of scenes in shards of a chosen size, an index, and all frames as one dataset."""
+"""Packing of many bundles into few files: shards of a chosen size, an index, and virtual datasets of all frames."""
 
 import json
 from collections.abc import Sequence
@@ -25,12 +25,12 @@ class Packed:
 
 
 def pack(bundles: Sequence[Bundle], out: Path, size_mb: float = 1024.0) -> Packed:
-    """Copy finished scenes, bit by bit as they are stored, into shards of about `size_mb`.
+    """Copy finished scenes, with their compressed bytes, into shards of about `size_mb`.
 
-    Every scene is read back from its shard against its digest before the folder gets its name.
+    Every scene is verified in its shard before the folder gets its name.
 
     Raises:
-        UserError: a scene is damaged, two have one name, nothing is finished, or `out` is not empty.
+        UserError: a scene is damaged, two have the same name, none is finished, or `out` is not empty.
         OSError: `out` cannot be written.
     """
     good = [bundle for bundle in bundles if bundle.attrs["status"] == "ok"]
@@ -64,10 +64,10 @@ def pack(bundles: Sequence[Bundle], out: Path, size_mb: float = 1024.0) -> Packe
 
 
 def join(folder: Path) -> Path:
-    """Write `frames.h5`: datasets that all scenes have in one shape, end to end, read from the shards when asked for.
+    """Write `frames.h5`: virtual datasets that concatenate the frames of all scenes, where their shapes are equal.
 
-    HDF5 reads zeros where a shard is missing, so every shard is looked at first, and so should whoever opens it later:
-    `dataset.packed` does. /scene and /frame say where each row comes from; /scenes holds the names.
+    HDF5 reads zeros where a shard is missing, so all shards are checked first. Readers should do so too, with
+    `dataset.packed`. /scene and /frame give the origin of each row; /scenes holds the names.
 
     Raises:
         UserError: a shard is missing or damaged.
@@ -91,14 +91,14 @@ def join(folder: Path) -> Path:
                 name, inside = bundle.path.name, f"{bundle.group}{path}"
                 layout[start : start + n] = h5py.VirtualSource(name, inside, (n, *shape), dtype)
                 start += n
-            # opened anew for each: HDF5 keeps 4 kB a source until the file is closed
+            # reopened for each: HDF5 holds 4 kB per source until the file is closed
             with h5py.File(sink, "r+", libver=("v110", "v110")) as file:
                 file.create_virtual_dataset(path, layout)
     return target
 
 
 def _common(bundles: Sequence[Bundle]) -> dict[str, tuple[tuple[int, ...], str]]:
-    """Per-frame datasets that every scene has, all frames in one shape: their shape less the frame, and type."""
+    """Per-frame datasets that all scenes have with the same shape of a frame: that shape and the type."""
     from tacgen.bundle.schema import entry
 
     first, *others = [{p: n[1:] for p, n in b.shapes.items() if entry(p).per_frame} for b in bundles]
@@ -107,7 +107,7 @@ def _common(bundles: Sequence[Bundle]) -> dict[str, tuple[tuple[int, ...], str]]
 
 
 def _names(bundles: Sequence[Bundle]) -> list[str]:
-    """What each scene is called in its shard."""
+    """The name of each scene in its shard."""
     names = [bundle.group[1:] or bundle.path.stem for bundle in bundles]
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
@@ -117,7 +117,7 @@ def _names(bundles: Sequence[Bundle]) -> list[str]:
 
 
 def _parts(bundles: Sequence[Bundle], size: float) -> list[list[int]]:
-    """Which scenes go together: consecutive ones until what they hold adds up to `size` bytes."""
+    """Indices of the scenes of each shard: consecutive scenes of `size` bytes in total at most."""
     parts: list[list[int]] = [[]]
     total = 0
     for i, bundle in enumerate(bundles):
@@ -131,7 +131,7 @@ def _parts(bundles: Sequence[Bundle], size: float) -> list[list[int]]:
 
 
 def _stored(bundle: Bundle) -> int:
-    """Bytes that the arrays of a scene take on disk."""
+    """Size of the arrays of a scene on disk [bytes]."""
     with opened(bundle.path, bundle.group) as group:
         return sum(int(group[path[1:]].id.get_storage_size()) for path in bundle.shapes)
 

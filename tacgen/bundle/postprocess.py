@@ -1,4 +1,4 @@
-"""What follows from a bundle's contents, computed on reading: wrenches, stress invariants, strain energy, who sticks.
+"""Quantities computed from a bundle's contents: wrenches, stress invariants, strain energy, stick and slip.
 
     bundle = read(path)
     von_mises(bundle["/fields/nodal_stress"])        # (N, n) [MPa]
@@ -22,8 +22,8 @@ FREE, EDGE, STICK, SLIP = range(4)  # of `contact_state`
 def wrench(bundle: Bundle, pose: Array | None = None) -> Array:
     """Force [N] and torque [N mm] on the gel (N, 6), along the axes of a frame and about its origin.
 
-    `pose` (4, 4) or (N, 4, 4) is where that frame stands in the sensor's; None: the sensor's own. That at the tool is
-    `wrench(bundle, bundle["/frames/pose"])`, and minus it what a force-torque sensor there would say of the contact.
+    `pose` (4, 4) or (N, 4, 4) is the pose of that frame in the sensor frame; None: the sensor frame itself. At the tool
+    it is `wrench(bundle, bundle["/frames/pose"])`; a force-torque sensor there would measure minus this.
     """
     force, torque = bundle["/frames/force"], bundle["/frames/torque"]
     pose = np.eye(4) if pose is None else np.asarray(pose)
@@ -61,7 +61,7 @@ def largest_shear(stress: Array) -> Array:
 
 
 def contact_state(bundle: Bundle, frame: int) -> Array:
-    """FREE, EDGE, STICK or SLIP behind each pixel (h, w): on the edge some pressure acts on less than 40 % of the
+    """FREE, EDGE, STICK or SLIP behind each pixel (h, w). EDGE: there is pressure, but at less than 40 % of the
     points around. Without friction all contact is SLIP."""
     contact = bundle.frame("/frames/contact", frame)
     slip = bundle.frame("/frames/slip", frame) if "/frames/slip" in bundle else contact
@@ -70,7 +70,7 @@ def contact_state(bundle: Bundle, frame: int) -> Array:
 
 
 def stress_by_layer(bundle: Bundle, frame: int) -> tuple[Array, Array, Array]:
-    """Nodal stress of every layer, where /fields/nodal_stress has that of a node's outermost only.
+    """Nodal stress of every layer; /fields/nodal_stress has only that of a node's outermost layer.
 
     Returns:
         nodes (k,), their layers (k,) and stresses (k, 6) [MPa]: a node between two layers has a row for each.
@@ -78,17 +78,17 @@ def stress_by_layer(bundle: Bundle, frame: int) -> tuple[Array, Array, Array]:
     recovery = Recovery.on(bundle["/mesh/points"], bundle["/mesh/cells"], bundle["/mesh/layer"])
     values = recovery.matrix @ bundle.frame("/fields/cauchy_stress", frame).astype(float)
     outer = np.zeros(len(bundle["/mesh/points"]), int)
-    outer[recovery.node] = recovery.material  # the last row of a node is its outermost layer's
+    outer[recovery.node] = recovery.material  # the last row of a node belongs to its outermost layer
     last = outer[recovery.node] == recovery.material
     values[last] = bundle.frame("/fields/nodal_stress", frame)[recovery.node[last]]
     return recovery.node, recovery.material, values
 
 
 def strain_energy(bundle: Bundle, frame: int) -> Array:
-    """Strain energy (m,) [N mm] stored in each cell; of a viscoelastic layer what stays when it has relaxed.
+    """Strain energy (m,) [N mm] of each cell; of a viscoelastic layer the long-term part.
 
     Raises:
-        UserError: the bundle does not say what the sensor is made of.
+        UserError: the bundle does not hold its sensor.
     """
     from tacgen.scene.scene import law_of
 

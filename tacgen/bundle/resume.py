@@ -14,21 +14,21 @@ from tacgen.recipe.plan import Row
 
 @dataclass(frozen=True)
 class SceneResult:
-    """What became of a scene; seconds by stage, empty if the bundle was there already."""
+    """The outcome of a scene. `seconds` by stage is empty if the bundle existed before."""
 
     name: str
     path: Path
-    status: str  # ok, rejected (the solver gave up on a frame), failed (there is no bundle)
+    status: str  # ok, rejected (a frame did not converge), failed (there is no bundle)
     reason: str
     frames: int
     seconds: dict[str, float] = field(default_factory=dict)
 
 
 def once(row: Row, folder: Path, make: Callable[[Path], SceneResult], *, overwrite: bool = False) -> SceneResult:
-    """Make a scene unless its bundle is there and whole; `overwrite` makes it anyway.
+    """Make a scene unless its bundle exists and is complete; with `overwrite` in any case.
 
     Raises:
-        UserError: the bundle's place is taken by a file made from other inputs.
+        UserError: the bundle's name is taken by a file made from other inputs.
         atomic_file.Busy: another process is making this bundle.
     """
     paths = [folder / f"{each.name}.h5" for each in row.bundles]
@@ -47,7 +47,7 @@ def once(row: Row, folder: Path, make: Callable[[Path], SceneResult], *, overwri
 
 
 def refuse_foreign(rows: Iterable[Row], folder: Path) -> None:
-    """UserError if a bundle of other inputs stands where a row's will, or packed scenes; reads attributes only."""
+    """UserError if the folder is packed, or a bundle of other inputs has a row's name. Reads attributes only."""
     if dataset.is_packed(folder):
         raise UserError(f"{folder}: holds packed scenes; choose another folder")
     if not any(folder.glob("*.h5")):
@@ -66,7 +66,7 @@ def refuse_foreign(rows: Iterable[Row], folder: Path) -> None:
 
 
 def _refuse(path: Path) -> None:
-    """Complain of a whole bundle of other inputs; one that is unfinished or damaged is redone."""
+    """UserError if the file is a complete bundle; an unfinished or damaged one may be replaced."""
     try:
         other = bundle.read(path)
         other.verify()

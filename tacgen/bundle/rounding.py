@@ -1,4 +1,4 @@
-"""Rounding of maps to the digits that their error allows: meaningless bits would be most of a file."""
+"""Rounding of maps to the digits that their error allows, since random bits cannot be compressed."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from tacgen.bundle.schema import BITS, STEPS
 
 
 def rounded(path: str, values: np.ndarray) -> np.ndarray:
-    """What is stored of a dataset's values."""
+    """The values of a dataset as they are stored."""
     if path in STEPS:
         return to_multiples(values, 2.0 ** STEPS[path])
     return to_bits(values, BITS[path]) if path in BITS else values
@@ -24,7 +24,7 @@ def to_multiples(values: np.ndarray, step: float) -> np.ndarray:
 
 
 def to_bits(values: np.ndarray, bits: int) -> np.ndarray:
-    """Float32 values to the nearest with so many significant bits: the upper half of Dekker's (1971) split."""
+    """Float32 values with so many significant bits, to nearest: the upper half of Dekker's (1971) split."""
     out = np.asarray(values * np.float32(2 ** (24 - bits) + 1))
     out -= out - values
     return out

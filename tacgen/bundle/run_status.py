@@ -19,7 +19,7 @@ STATES = ("ok", "rejected", "failed", "damaged", "at work", "waiting")
 
 @dataclass(frozen=True)
 class Scene:
-    """One planned scene. `damaged` has a file that `run` will make again."""
+    """One planned scene. If `damaged`, `run` makes it again."""
 
     name: str
     state: str
@@ -45,7 +45,7 @@ class Survey:
 
 
 def survey(folder: Path) -> Survey:
-    """Look at a folder that `run` wrote; bundles are opened but not read through, which is `check`'s work.
+    """The state of a folder that `run` wrote. Bundles are opened, but not verified as by `check`.
 
     Raises:
         UserError: there is no plan in it.
@@ -66,7 +66,7 @@ def survey(folder: Path) -> Survey:
 
 
 class Timing(Stored):
-    """What `<scene>.timing.json` says."""
+    """The contents of `<scene>.timing.json`."""
 
     seconds: dict[str, NonNegativeFloat]
 
@@ -91,7 +91,7 @@ def _scene(folder: Path, row: PlannedScene, failure: str) -> Scene:
 
 
 def _seconds(path: Path) -> dict[str, float]:
-    """What each stage took, from the file beside the bundle; empty if there is none that can be read."""
+    """Seconds of each stage from the file beside the bundle; empty if it cannot be read."""
     try:
         return read_json(Timing, path.with_suffix(".timing.json")).seconds
     except UserError:

@@ -1,5 +1,5 @@
-"""What a bundle holds: the table of datasets and those of attributes. docs/BUNDLE.md is made from them by
-scripts/bundle_page.py, and check.py compares finished files with them."""
+"""The layout of a bundle: tables of its datasets and attributes. scripts/bundle_page.py makes docs/BUNDLE.md from them,
+and check.py compares finished files with them."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -139,9 +139,9 @@ LAYOUT: dict[str, Entry] = {
     "/fields/nodal_stress": Entry("<f4", "N n 6", "MPa", "stress, xx yy zz yz xz xy", "frame node component"),
 }
 
-# Maps are stored to fewer digits than float32 has: rounded by a hundredth of their own error or less (rms of a ball
-# pressed and slid at `default`, against `reference`, on the Mini and DIGIT: height 1.6e-3 mm, normals 4e-3, gap 1.1e-3
-# mm, flow .02 px, material 1.1e-3 mm, sliding .1; median of pressure 2 %, traction and force 4 %, area .4 %).
+# Maps are rounded by a hundredth of their own error or less. Errors (rms of a ball pressed and slid at `default`,
+# against `reference`, on the Mini and DIGIT): height 1.6e-3 mm, normals 4e-3, gap 1.1e-3
+# mm, flow .02 px, material 1.1e-3 mm, sliding .1; median of pressure 2 %, traction and force 4 %, area .4 %.
 STEPS = {  # multiples of 2 to this power, in the dataset's unit
     "/frames/height": -16,
     "/frames/normals": -14,
@@ -184,13 +184,13 @@ OPTIONAL: dict[str, tuple[type, str]] = {
 
 
 class StoredContact(Stored):
-    """What is read of a recipe's contact."""
+    """The fields of a recipe's contact that readers use."""
 
     friction: float = 0.0
 
 
 class StoredRecipe(Stored):
-    """What is read of a resolved recipe, of this version or an earlier one."""
+    """The fields of a resolved recipe, of this or an earlier version, that readers use."""
 
     name: str = ""
     indenter: dict[str, JsonValue] = Field(default_factory=dict)
@@ -199,7 +199,7 @@ class StoredRecipe(Stored):
 
 
 class StoredMesh(Stored):
-    """What is read of a mesh's quality."""
+    """The fields of a mesh's quality that readers use."""
 
     nodes: int
     cells: int
@@ -208,7 +208,7 @@ class StoredMesh(Stored):
     smallest_dihedral_deg: float | None = None
 
 
-# Attributes that are JSON, by what readers rely on.
+# Attributes that are JSON, and the types that readers rely on.
 STORED: dict[str, Any] = {
     "recipe": StoredRecipe,
     "sensor_document": dict[str, JsonValue],
@@ -227,7 +227,7 @@ def entry(path: str) -> Entry:
 
 
 def attributes(path: str) -> dict[str, str]:
-    """Of a dataset; those with `rounding` are stored to fewer digits than their type has."""
+    """The attributes of a dataset; `rounding` is that of STEPS and BITS."""
     row = entry(path)
     known = {"units": row.units, "long_name": row.long_name, "axes": row.axes}
     if path in STEPS:

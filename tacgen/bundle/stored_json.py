@@ -1,4 +1,4 @@
-"""JSON that is read back from disk: of a bounded size, and what its model says, or one line about what is wrong."""
+"""Reading of JSON files written by tacgen: of limited size, validated, with errors of one line."""
 
 from functools import cache
 from pathlib import Path
@@ -14,7 +14,7 @@ T = TypeVar("T")
 
 
 class Stored(BaseModel):
-    """A piece of a file that tacgen wrote; keys of a later version are passed over."""
+    """Part of a file written by tacgen; unknown keys, of later versions, are ignored."""
 
     model_config = ConfigDict(frozen=True, strict=True, allow_inf_nan=False)
 
@@ -25,11 +25,11 @@ def _step(name: str) -> str:
     return name
 
 
-Name = Annotated[str, AfterValidator(_step)]  # one step of a path: nothing outside of the folder can be named
+Name = Annotated[str, AfterValidator(_step)]  # a single path component, so that it cannot point outside the folder
 
 
 def read(kind: type[T], path: Path) -> T:
-    """What a file holds. Raises UserError: it cannot be read, or is damaged."""
+    """The contents of a file. Raises UserError: it cannot be read, or is damaged."""
     try:
         content = regular_file.read_bytes(path, LARGEST)
     except OSError as error:
@@ -46,7 +46,7 @@ def _adapter(kind: Any) -> TypeAdapter[Any]:
 
 
 def parsed(kind: type[T], content: str | bytes) -> T:
-    """What a text holds. Raises ValueError, in a line: it is no JSON, or not of this kind."""
+    """The contents of a text. Raises ValueError, in one line: not JSON, or not of this type."""
     try:
         found: T = _adapter(kind).validate_json(content)  # type: ignore[arg-type]
         return found

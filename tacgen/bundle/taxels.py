@@ -27,7 +27,7 @@ def grid(rows: int, columns: int, pitch_mm: float, center_mm: tuple[float, float
 
 
 def read(path: Path) -> Array:
-    """Centres (n, 2) [mm] from CSV whose header names x_mm and y_mm. Raises UserError: unreadable, or no such table."""
+    """Centres (n, 2) [mm] of a CSV file with columns x_mm and y_mm. Raises UserError: not readable as such a table."""
     try:
         rows = list(csv.DictReader(io.StringIO(regular_file.read_bytes(path, LARGEST).decode("utf-8-sig"))))
         layout = np.array([[float(row["x_mm"]), float(row["y_mm"])] for row in rows])
@@ -48,14 +48,14 @@ def forces(bundle: Bundle, frame: int, layout: Array) -> Array:
 
 
 def cells(bundle: Bundle, layout: Array) -> Array:
-    """The number (h x w,) of the taxel whose cell each sample of a map lies in."""
+    """The index (h x w,) of the taxel to which each sample of a map belongs."""
     from scipy.spatial import cKDTree
 
     return np.asarray(cKDTree(layout).query(_places(bundle))[1])
 
 
 def _places(bundle: Bundle) -> Array:
-    """Where on the untouched face (h x w, 2) [mm] the samples of a map look; a dome's is known by `height`."""
+    """Positions (h x w, 2) [mm] on the untouched face behind the samples of a map; a dome needs the output `height`."""
     from tacgen.optics.camera import Camera
 
     camera, (h, w) = Camera.from_sensor(bundle.sensor), bundle.shapes["/frames/force_map"][1:3]

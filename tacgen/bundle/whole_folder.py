@@ -1,7 +1,7 @@
-"""Folders that are written under another name and renamed when they are complete, with a list of their files.
+"""Folders that are written under a temporary name and renamed when complete, with a list of their files.
 
-However a process ends, the name stands for the old folder or the new one, or for none while the old one waits beside
-it: the next one that writes there puts it back and removes what is left over.
+If a process is killed, the name refers to the old folder or the new one, or to none while the old one is still there
+under a temporary name: the next process that writes there restores it and removes remains.
 """
 
 import json
@@ -18,7 +18,7 @@ LIST = ".tacgen-export.json"
 
 
 class Listed(Stored):
-    """What the list says: the kind of folder, and each file's path in it and size [bytes]."""
+    """Contents of the list: the kind of folder, and the path and size [bytes] of each file."""
 
     kind: str
     files: dict[str, int]
@@ -26,14 +26,14 @@ class Listed(Stored):
 
 @contextmanager
 def written(folder: Path, kind: str = "") -> Iterator[Path]:
-    """Where to write; it is renamed to `folder` when the block ends well, and removed otherwise.
+    """A temporary folder to write into. It is renamed to `folder` if the block succeeds, and removed otherwise.
 
     Args:
-        kind: a folder of this kind may be replaced, if nothing was added or changed since. Without one a folder
-            gets no list and must be empty, or not there.
+        kind: a folder of this kind is replaced if no file was added or changed since. Without a kind no list is
+            written, and an existing folder must be empty.
 
     Raises:
-        UserError: something else is in the way, or another process writes this very folder.
+        UserError: something else is in the way, or another process is writing the same folder.
     """
     folder = folder.resolve()
     if not folder.name:
@@ -71,7 +71,7 @@ def _removed(*folders: Path) -> None:
 
 
 def _refuse(folder: Path, kind: str) -> None:
-    """UserError unless `folder` is missing, empty, or all of it was written as this kind."""
+    """UserError unless `folder` is missing, empty, or was written entirely as this kind."""
     if not folder.exists():
         return
     if not folder.is_dir():
@@ -90,7 +90,7 @@ def _refuse(folder: Path, kind: str) -> None:
 
 
 def _files(folder: Path) -> dict[str, int | None]:
-    """Path below the folder -> size [bytes] of a regular file; None of anything else, an empty folder too."""
+    """Path below the folder -> size [bytes] of a regular file; None for anything else, including empty folders."""
     found: dict[str, int | None] = {}
     for path in folder.rglob("*"):
         plain = path.is_file() and not path.is_symlink()

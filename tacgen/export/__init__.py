@@ -1,11 +1,11 @@
-"""Finished bundles into the files of other tools: a module a format, each with `write(bundles, out)`.
+"""Export of finished bundles to the formats of other tools, one module per format.
 
 A format is a line of EXPORTERS and a module of that name with
 
     def write(bundles: Sequence[Bundle], out: Path) -> list[Path]: ...
 
-that writes below the folder `out`, which is new and empty, and says which files it made. Where one scene is one file
-that can be named itself, the module says so by SUFFIX: `out` may then be that file.
+that writes into the new, empty folder `out` and returns the files it made. If a scene becomes a single file, the module
+defines its SUFFIX, and `out` may then be the name of that file.
 """
 
 from collections.abc import Sequence
@@ -32,7 +32,7 @@ EXPORTERS = {
 
 
 def bundles(source: Path) -> "list[Bundle]":
-    """The finished bundle `source`, or all of those in a folder or pack, in order; rejected scenes are left out.
+    """The finished bundle `source`, or all in a folder or packed folder, in order, without rejected scenes.
 
     Raises:
         UserError: there is none, or one is damaged.
@@ -49,8 +49,8 @@ def export(kind: str, source: Path, out: Path) -> list[Path]:
     """Write the bundles at `source` in a format of EXPORTERS, and return the files made.
 
     Raises:
-        UserError: an unknown format, nothing to export, a damaged bundle, or one without what the format needs;
-            `out` holds anything but an earlier export of this format, which is replaced.
+        UserError: an unknown format, nothing to export, a damaged bundle, or one without the datasets that the
+            format needs; `out` holds anything other than an export of this format, which would be replaced.
         OSError: `out` cannot be written.
     """
     if kind not in EXPORTERS:
@@ -67,13 +67,13 @@ def export(kind: str, source: Path, out: Path) -> list[Path]:
 
 
 def needs(bundle: "Bundle", paths: Sequence[str], output: str) -> None:
-    """UserError unless the bundle holds every dataset of `paths`, which the recipe's `output` brings."""
+    """UserError, naming the `output` of the recipe, unless the bundle holds all datasets of `paths`."""
     if missing := [path for path in paths if path not in bundle]:
         raise UserError(f"{bundle.path}: has no {missing[0]}: the recipe's outputs need {output}")
 
 
 def names(bundles: "Sequence[Bundle]") -> list[str]:
-    """A name of its own for each bundle: that of its file, with its folders before it as far as they are needed."""
+    """A unique name for each bundle: that of its file, preceded by as many folder names as needed."""
     paths = [bundle.path.with_suffix("") for bundle in bundles]
     parts = [(*p.relative_to(p.anchor).parts, *b.group.split("/")[1:]) for p, b in zip(paths, bundles, strict=True)]
     parts = [tuple(filter(None, part)) for part in parts]

@@ -1,7 +1,7 @@
-"""OpenEXR: one multi-channel picture a frame, 32-bit, of linear light and what lies behind each pixel.
+"""OpenEXR: one 32-bit multi-channel image per frame, with linear light and geometry behind each pixel.
 
-R, G, B (`radiance`), Z (`height` [mm], z out of the gel), N.X, N.Y, N.Z (`normals`), P.X, P.Y (`material` [mm]): as
-many of them as the bundle holds in the pictures' size.
+R, G, B (`radiance`), Z (`height` [mm], z out of the gel), N.X, N.Y, N.Z (`normals`), P.X, P.Y (`material` [mm]):
+those that the bundle holds in the size of the images.
 """
 
 from collections.abc import Sequence
@@ -35,7 +35,7 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
 
 
 def channels(bundle: Bundle, frame: int) -> dict[str, np.ndarray]:
-    """Every channel (H, W) of one frame by its name."""
+    """The channels (H, W) of a frame by name."""
     found: dict[str, np.ndarray] = {}
     for field, called in CHANNELS.items():
         if bundle.shapes.get(path := f"/frames/{field}", ())[:3] == bundle.shapes["/frames/radiance"][:3]:

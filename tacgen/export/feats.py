@@ -1,12 +1,12 @@
-"""FEATS: one .npy dictionary a frame, as its FEATSDataset and its training scripts read them.
+"""FEATS: one .npy dictionary per frame, as read by its FEATSDataset and training scripts.
 
     https://github.com/feats-ai/feats (src/feats/scripts/label_generation.py, src/feats/src/data/dataloader.py)
 
 `gs_img` (240, 320, 3) RGB; `grid_x|y|z` (24, 32), the force on the gel in each cell of the image [N]; `f_x|y|z`,
 their sums. Their grid_x is the force along their solver's y, which by their homography points left in the image,
 and grid_y that along its x, which points up; z is negative in compression. So grid_x = -Fx, grid_y = -Fy, grid_z =
-Fz in the sensor frame (x right, y down). They do not say whose force it is: taken here as that on the gel, as the
-sign of their z has it.
+Fz in the sensor frame (x right, y down). They do not state on which body the force
+acts; by the sign of z it is taken as the force on the gel.
 """
 
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ SIGNS = (("x", -1.0), ("y", -1.0), ("z", 1.0))
 
 
 def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
-    """`out/train/<scene>_<frame>.npy`, and `out/normalization.npy`, the ranges that FEATSDataset scales by."""
+    """`out/train/<scene>_<frame>.npy`, and `out/normalization.npy`, the ranges by which FEATSDataset scales."""
     for bundle in bundles:
         needs(bundle, ("/frames/rgb", "/frames/force_map"), "rgb and force_map")
         if bundle.shapes["/frames/rgb"][1:] != IMAGE:
@@ -46,7 +46,7 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
 
 
 def sample(bundle: Bundle, frame: int) -> dict[str, np.ndarray]:
-    """What FEATS knows of one frame."""
+    """The dictionary of a frame."""
     force = bundle.frame("/frames/force_map", frame).astype(float)
     rows, columns = (shares(n, cells) for n, cells in zip(force.shape, GRID, strict=False))
     label = {"gs_img": bundle.frame("/frames/rgb", frame)}
@@ -58,7 +58,7 @@ def sample(bundle: Bundle, frame: int) -> dict[str, np.ndarray]:
 
 
 def shares(n: int, cells: int) -> np.ndarray:
-    """(cells, n) how much of each of n equal samples lies in each of `cells` equal cells; columns sum to one."""
+    """(cells, n): fraction of each of n equal samples that lies in each of `cells` equal cells; columns sum to one."""
     edges = np.arange(n + 1) * cells / n
     low, high = edges[:-1], edges[1:]
     cell = np.arange(cells)[:, None]

@@ -1,15 +1,15 @@
-"""LeRobot, dataset format v3.0: Parquet tables of frames with their images in them, an episode a scene.
+"""LeRobot, dataset format v3.0: Parquet tables of frames with embedded images, one episode per scene.
 
     https://github.com/huggingface/lerobot (src/lerobot/datasets)
 
 `observation.images.tactile` is the camera's image, `observation.state` the indenter's pose (x y z [mm], quaternion
-w x y z) and `action` the pose of the next frame. There if the scenes have them: `observation.force` [N], `.torque`
+w x y z) and `action` the pose of the next frame. If the scenes have them: `observation.force` [N], `.torque`
 [N mm], `.markers` and `.marker_flow` [px] (x and y in turn), `.contact_mode` (a number, see tacgen.labels.events),
-`.contact`, and `observation.images.tactile_depth`, how far the face is pressed in, in 16 bits [um]. A task is a scene's
-caption. Quasi-static scenes know no time: frames then come at a nominal rate of FPS.
+`.contact`, and `observation.images.tactile_depth`, the indentation in 16 bits [um]. The task is the scene's caption.
+Quasi-static scenes have no time; their frames get a nominal rate of FPS.
 
-Where the same contact is there on several sensors it is one episode: `observation.images.digit`,
-`observation.force.digit` and so on, a state and an action that hold the poses on each in turn.
+The same contact on several sensors is one episode: `observation.images.digit`, `observation.force.digit` and so on, and
+state and action concatenate the poses on all of them.
 """
 
 import json
@@ -27,9 +27,9 @@ from tacgen.errors import UserError
 from tacgen.export import needs, poses
 
 FPS = 10
-FILE_BYTES = 100_000_000  # of a Parquet file, as LeRobot has it
-FILES = 1000  # in a folder
-ALONE = "tactile"  # what stands in names where episodes are of one sensor
+FILE_BYTES = 100_000_000  # size of a Parquet file, as in LeRobot
+FILES = 1000  # files in a folder
+ALONE = "tactile"  # stands for the sensor in names of episodes with a single sensor
 IMAGE, DEPTH = f"observation.images.{ALONE}", f"observation.images.{ALONE}_depth"
 POSE = [*(f"{axis}_mm" for axis in "xyz"), *(f"q{axis}" for axis in "wxyz")]
 CONTACT = {  # datasets of /frames/events, and the names of their components
@@ -40,19 +40,19 @@ CONTACT = {  # datasets of /frames/events, and the names of their components
     "patches": ["patches"],
 }
 VECTORS = {"force": "n", "torque": "n_mm", "markers": "px", "marker_flow": "px"}  # and their units
-COUNTS_PER_MM = 1000  # of a depth image: a count is 1 um, the most 65 mm
+COUNTS_PER_MM = 1000  # of a depth image: 1 um per count, up to 65 mm
 Episode = dict[str, Bundle]  # by the sensor's name, or ALONE
-Each = dict[str, dict[str, Any]]  # by the same, a sensor's features
+Each = dict[str, dict[str, Any]]  # by the same key, the features of that sensor
 INDICES = ("frame_index", "episode_index", "index", "task_index")
 QUANTILES = (0.01, 0.10, 0.50, 0.90, 0.99)
 DATA, EPISODES = "data/chunk-{:03d}/file-{:03d}.parquet", "meta/episodes/chunk-000/file-000.parquet"
 
 
 def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
-    """The dataset's folder; to be read with LeRobotDataset(name, root=out).
+    """Write the dataset's folder, to be read with LeRobotDataset(name, root=out).
 
     Raises:
-        UserError: PyArrow is missing, a scene has no images, or they are not all of one size or at one rate.
+        UserError: PyArrow is missing, a scene has no images, or sizes or frame rates differ.
     """
     try:
         import pyarrow  # noqa: F401
@@ -94,7 +94,7 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
 
 
 def episodes(bundles: Sequence[Bundle]) -> list[Episode]:
-    """An episode a scene, or a contact where some are there on several sensors: those that are on all of them."""
+    """One episode per scene, or per contact if contacts are on several sensors; those without all are left out."""
     found: list[Episode] = []
     for together in contacts(bundles):
         found.append({bundles[i].attrs["sensor"]: bundles[i] for i in together})
@@ -105,17 +105,17 @@ def episodes(bundles: Sequence[Bundle]) -> list[Episode]:
 
 
 def task(episode: Episode) -> str:
-    """What is done and what happens, in words."""
+    """The task of an episode: the captions of its bundles."""
     return " ".join(map(caption, episode.values()))
 
 
 def columns(episode: Episode, features: Each) -> dict[str, np.ndarray]:
-    """Of each feature but the indices, its values frame by frame; `features` are those of each sensor."""
+    """Values of each feature over the frames, without the indices; `features` are those of each sensor."""
     return _together({role: _columns(bundle, features[role]) for role, bundle in episode.items()}, _hstack)
 
 
 def _columns(bundle: Bundle, features: dict[str, Any]) -> dict[str, np.ndarray]:
-    """The same of one sensor, by the names that it has alone."""
+    """The same for one sensor, with the names of a single sensor."""
     state = poses(bundle["/frames/pose"])
     found = {IMAGE: bundle["/frames/rgb"], "observation.state": state, "action": np.vstack([state[1:], state[-1:]])}
     for name in VECTORS:
@@ -131,10 +131,10 @@ def _columns(bundle: Bundle, features: dict[str, Any]) -> dict[str, np.ndarray]:
 
 
 def statistics(episodes: Sequence[dict[str, np.ndarray]]) -> dict[str, dict[str, list]]:
-    """By feature: extremes, mean, deviation and quantiles of each component; of images by colour, in [0, 1]."""
+    """By feature: extremes, mean, deviation and quantiles of each component; of images per colour, in [0, 1]."""
     found = {}
     for name, first in episodes[0].items():
-        if first.ndim > 2:  # every eighth pixel will do
+        if first.ndim > 2:  # every eighth pixel is enough
             colours, full = (3, 255.0) if first.ndim == 4 else (1, 1.0)
             values = np.concatenate([e[name][:, ::8, ::8].reshape(-1, colours) for e in episodes]) / full
         else:
@@ -157,7 +157,7 @@ def _picture(shape: Sequence[int], **info: Any) -> dict[str, Any]:
 
 
 def _features(bundles: Sequence[Bundle]) -> dict[str, Any]:
-    """LeRobot's description of one sensor's columns: what every scene has in one size."""
+    """LeRobot's description of one sensor's columns: the data that all scenes have with the same size."""
     sizes = {bundle.shapes["/frames/rgb"][1:] for bundle in bundles}
     if len(sizes) > 1:
         raise UserError(f"{bundles[0].path.parent}: LeRobot takes images of one size, these have {sorted(sizes)}")
@@ -179,7 +179,7 @@ def _features(bundles: Sequence[Bundle]) -> dict[str, Any]:
 
 
 def _together(parts: dict[str, dict[str, Any]], join: Callable[[dict[str, Any]], Any]) -> dict[str, Any]:
-    """What is there of each sensor as one episode's: state and action joined, all else under the sensor's name."""
+    """The columns of all sensors as those of one episode: state and action joined, others renamed by sensor."""
     if list(parts) == [ALONE]:
         return parts[ALONE]
     found = {name: join({role: part[name] for role, part in parts.items()}) for name in ("observation.state", "action")}
@@ -206,7 +206,7 @@ def _length(episode: Episode) -> int:
 def _data(
     told: Sequence[Episode], tasks: list[str], features: Each, out: Path
 ) -> tuple[list[Path], list[dict[str, Any]]]:
-    """Write the frames, episode after episode, and return the files and a row about each episode."""
+    """Write the frames of all episodes, and return the files and a row of metadata for each episode."""
     import pyarrow as pa
     from pyarrow import parquet
 
@@ -249,7 +249,7 @@ def _data(
 def _arrays(
     episode: Episode, content: dict[str, np.ndarray], number: int, start: int, tasks: list[str]
 ) -> dict[str, Any]:
-    """Arrow arrays of one episode: images as PNG files, vectors as lists of fixed length."""
+    """Arrow arrays of an episode: images as PNG files, vectors as lists of fixed length."""
     import pyarrow as pa
 
     bundle, out = next(iter(episode.values())), dict[str, Any]()
@@ -268,7 +268,7 @@ def _arrays(
 
 
 def _fps(bundle: Bundle) -> int:
-    """Frames a second, of a scene whose frames are evenly spaced in time; FPS where there is no time."""
+    """Frame rate of a scene, whose frames must be evenly spaced in time; FPS without time."""
     if "/frames/time" not in bundle or bundle.frames < 2:
         return FPS
     steps = np.diff(bundle["/frames/time"])
@@ -278,7 +278,7 @@ def _fps(bundle: Bundle) -> int:
 
 
 def _tasks(tasks: list[str]) -> tuple[list[dict[str, Any]], dict[str, Any]]:
-    """The table of tasks, and what makes pandas take their names for its index."""
+    """The table of tasks, and the metadata by which pandas uses their names as index."""
     kinds = (("task_index", "int64", "int64"), ("task", "unicode", "object"))
     keys = ("name", "field_name", "pandas_type", "numpy_type", "metadata")
     about = [dict(zip(keys, (name, name, kind, plain, None), strict=True)) for name, kind, plain in kinds]

@@ -1,10 +1,10 @@
-"""UniVTAC: an HDF5 file an episode, as its HDF5Handler reads them; the sensor is the left finger's.
+"""UniVTAC: one HDF5 file per episode, as read by its HDF5Handler; the sensor is that of the left finger.
 
     https://github.com/univtac/UniVTAC (docs/Collection.md, envs/utils/data.py)
 
 Of `tactile/left_tactile`: `rgb` (JPEG streams; with the markers in the picture also `rgb_marker`), `marker`
 (reference and present pixels), `press_depth` (indentation, positive [mm]), `depth` (from the pinhole along its axis
-[mm]), `pose` (of the sensor: it is the frame of reference), and what UniVTAC has no name for, `force` and `torque`
+[mm]), `pose` (of the sensor, which is the reference frame), and in addition to UniVTAC's datasets `force` and `torque`
 [N, N mm]. `actor/indenter` is the indenter's pose, x y z [m] and a quaternion w x y z. There is no robot and no
 head camera here, so `embodiment` and `observation` are left out rather than filled with zeros.
 """
@@ -21,12 +21,12 @@ from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.image_file import encoded
 from tacgen.export import names, needs, poses
 
-METRES = (1e-3, 1e-3, 1e-3, 1, 1, 1, 1)  # of a pose in mm
+METRES = (1e-3, 1e-3, 1e-3, 1, 1, 1, 1)  # factors that convert a pose from mm to m
 JPEG_QUALITY = 95  # what UniVTAC's encoder uses
 
 
 def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
-    """`out/hdf5/<n>.hdf5`, numbered in order, and `out/metadata.json`, which says what each is."""
+    """`out/hdf5/<n>.hdf5`, numbered in order, and `out/metadata.json`, which describes each."""
     for bundle in bundles:
         needs(bundle, ("/frames/rgb",), "rgb")
     folder = out / "hdf5"
@@ -74,7 +74,7 @@ def episode(bundle: Bundle) -> dict[str, np.ndarray]:
 
 
 def streams(images: np.ndarray) -> np.ndarray:
-    """JPEG files as byte strings (N,). UniVTAC gives RGB to OpenCV, which takes it for BGR both ways: so is it here."""
+    """JPEG files as byte strings (N,), red and blue swapped as by UniVTAC: OpenCV takes its RGB for BGR."""
     found = [encoded(np.ascontiguousarray(image[..., ::-1]), "JPEG", quality=JPEG_QUALITY) for image in images]
     return np.array(found, dtype=f"S{max(map(len, found))}")
 

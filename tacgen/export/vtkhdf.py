@@ -1,4 +1,4 @@
-"""ParaView: an UnstructuredGrid over time in a VTKHDF file, the rest mesh once and its fields a step a frame.
+"""ParaView: an UnstructuredGrid over time in a VTKHDF file; the rest mesh is stored once, the fields for each frame.
 
     https://docs.vtk.org/en/latest/vtk_file_formats/vtkhdf_file_format/vtkhdf_specifications.html
 
@@ -17,11 +17,11 @@ from tacgen.bundle.bundle import Bundle
 from tacgen.export import names, needs
 
 SUFFIX = ".vtkhdf"
-VERSION = (2, 2)  # the first with steps over a mesh that is written once in ParaView as well (5.13)
+VERSION = (2, 2)  # the first version with time steps on a static mesh; read by ParaView since 5.13
 CELL_TYPES = {8: 12, 4: 10, 10: 24}  # nodes -> VTK_HEXAHEDRON, VTK_TETRA, VTK_QUADRATIC_TETRA
 TENSOR = (0, 1, 2, 5, 3, 4)  # of xx yy zz yz xz xy
 NEEDED = ("/mesh/points", "/mesh/cells", "/mesh/layer", "/fields/displacement")
-FIELDS = (  # in the bundle, in VTK, where
+FIELDS = (  # dataset of the bundle, name and location in VTK
     ("/fields/displacement", "displacement", "PointData"),
     ("/fields/nodal_stress", "stress", "PointData"),
     ("/fields/cauchy_stress", "element_stress", "CellData"),

@@ -1,11 +1,11 @@
-"""WebDataset: tar files of samples for streaming, a sample a frame.
+"""WebDataset: tar files of samples for streaming, one sample per frame.
 
     https://github.com/webdataset/webdataset
 
-`<scene>-<frame>.rgb.png`, `.force.npy`, `.pose.npy`, ... : every dataset of /frames by its name, quality left out,
-and `.json`: scene, sensor, caption, frame, segment, what was varied, units, and where the bundle has them the contact's
-events and its number among those on several sensors (`pair`). The untouched sensor is one file a scene,
-`reference/<scene>.png`, since a copy in each sample would double the size.
+`<scene>-<frame>.rgb.png`, `.force.npy`, `.pose.npy`, ... : every dataset of /frames by its name, except quality,
+and `.json`: scene, sensor, caption, frame, segment, varied values, units, and if the bundle has them the contact events
+and the number of the contact on several sensors (`pair`). The image of the untouched sensor is stored once per scene,
+`reference/<scene>.png`: a copy in each sample would double the size.
 """
 
 import json
@@ -31,7 +31,7 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
         raise UserError("export webdataset needs WebDataset: pip install 'tacgen[webdataset]'") from None
     (out / "reference").mkdir()
     made = []
-    # no clock and no names in the headers: the same bundles, the same bytes
+    # no time and no user in the headers, so that the same bundles give the same bytes
     plain = {"mtime": 0, "user": "tacgen", "group": "tacgen", "verbose": 0}
     with ShardWriter(str(out / "shard-%06d.tar"), maxcount=10**9, maxsize=SHARD_BYTES, **plain) as writer:
         for name, bundle in zip(names(bundles), bundles, strict=True):
@@ -44,7 +44,7 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
 
 
 def samples(name: str, bundle: Bundle) -> Iterator[dict[str, Any]]:
-    """What WebDataset's writer takes, frame by frame."""
+    """The samples of a bundle, frame by frame, as WebDataset's writer takes them."""
     paths = [path for path in bundle.shapes if path.startswith("/frames/") and path.count("/") == 2]
     events = {path.rpartition("/")[2]: bundle[path] for path in bundle.shapes if path.startswith("/frames/events/")}
     scene: dict[str, Any] = {"scene": name, "sensor": bundle.attrs["sensor"], "caption": caption(bundle)}

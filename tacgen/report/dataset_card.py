@@ -73,8 +73,8 @@ def _splits(seen: Overview) -> str:
         return ""
     return (
         "## Splits\n\nFrames of one scene are similar: split by scenes, not by frames. "
-        '`tacgen.torch.TactileDataset(folder, split="train")`, `"val"` and `"test"` hold 80, 10 and 10 % of the scenes, '
-        "chosen by their inputs and a seed: the same ones on every machine."
+        '`tacgen.torch.TactileDataset(folder, split="train")`, `"val"` and `"test"` hold 80, 10 and 10 % of the '
+        "scenes, chosen by their inputs and a seed: the same ones on every machine."
     )
 
 
