@@ -3,10 +3,12 @@
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
+from itertools import islice
 from multiprocessing import connection
 from pathlib import Path
 from typing import Any
 
+from tacgen.batch.scene_order import WINDOW, SceneOrder
 from tacgen.batch.worker_process import Job, Limits, Worker, cores, machine_memory
 from tacgen.bundle.resume import SceneResult
 from tacgen.errors import UserError
@@ -58,7 +60,7 @@ class Pool:
             OSError: the disk is full or read-only, so that all other scenes would fail too.
             UserError: workers do not start.
         """
-        batch = _Batch(rows, folder, on_event)
+        batch = _Batch(rows, folder, on_event, in_order=self.size == 1)
         while len(batch.results) < len(rows):
             self._assign_jobs(batch, overwrite)
             for worker, kind, what in self._messages():
@@ -81,10 +83,8 @@ class Pool:
         while len(self.workers) < min(self.size, busy + len(batch.waiting)):
             self.workers.append(Worker(self.task))
         for worker in self.workers:
-            if worker.ready and worker.job is None and batch.waiting:
-                if batch.waiting[0].not_before > time.monotonic():
-                    break
-                worker.give(batch.waiting.popleft(), batch.folder, overwrite)
+            if worker.ready and worker.job is None and (job := batch.next()):
+                worker.give(job, batch.folder, overwrite)
 
     def _compile(self, job: Job, folder: Path) -> None:
         """Compile the code for images in a second process, while the scene's worker compiles the solver."""
@@ -121,10 +121,21 @@ class Pool:
 class _Batch:
     """The waiting jobs and the results of a call of `Pool.run`."""
 
-    def __init__(self, rows: Sequence[Row], folder: Path, on_event: OnEvent) -> None:
+    def __init__(self, rows: Sequence[Row], folder: Path, on_event: OnEvent, *, in_order: bool) -> None:
         self.waiting = deque(Job(rows, place) for place in range(len(rows)))
         self.results: dict[int, SceneResult] = {}  # by place among the rows
         self.folder, self.on_event = folder, on_event
+        self.order, self.window = SceneOrder(), 1 if in_order else WINDOW
+
+    def next(self) -> Job | None:
+        """Take the job that should be begun first, if one may be begun now."""
+        now = time.monotonic()
+        jobs = [job for job in islice(self.waiting, self.window) if job.not_before <= now]
+        if not jobs:
+            return None
+        job = jobs[self.order.longest([job.row for job in jobs])]
+        self.waiting.remove(job)
+        return job
 
     def settle(self, job: Job, kind: str, what: Any) -> None:
         """Store the result of a job, queue it again, or record the scene as failed."""
@@ -134,6 +145,7 @@ class _Batch:
             job.tries, job.not_before = job.tries - 1, time.monotonic() + BUSY_RETRY_S
             self.waiting.append(job)
         elif kind == "done":
+            self.order.learn(job.row, what.seconds)
             self._keep(job, what)
         else:
             reason = "; ".join(what) if kind == "refused" else str(what).strip().splitlines()[-1]
