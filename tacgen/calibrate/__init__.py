@@ -1,4 +1,4 @@
-"""Photographs of one's own unit -> a sensor file with its lights, by least squares on the transport."""
+"""Calibration of a sensor file's LEDs to photographs of a unit, by least squares on the light transport."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -17,33 +17,33 @@ if TYPE_CHECKING:
     from tacgen.calibrate.result import Fitted
 
 BY = "by tacgen calibrate optics"
-EVERY = 3  # of so many presses the last is held out
+EVERY = 3  # every third press is held out
 
 
 @dataclass(frozen=True)
 class Asked:
-    """How far a fit may go, and how long."""
+    """Limits of a fit."""
 
-    mm: float = 0.5  # that LEDs and the picture's crop may be off
-    deg: float = 5.0  # that LEDs may be turned
-    bare: bool = False  # the photographed gel has no dots, whatever the sensor file says
-    steps: int = 10  # most Jacobians
+    mm: float = 0.5  # tolerance of the LEDs' positions and of the crop [mm]
+    deg: float = 5.0  # tolerance of the LEDs' directions [deg]
+    bare: bool = False  # the photographed gel has no markers, whatever the sensor file says
+    steps: int = 10  # Jacobians at most
 
 
 @dataclass(frozen=True)
 class Calibrated:
-    """A fit, and what it changes of the sensor file."""
+    """A fit, and the values of the sensor file that it changes."""
 
     path: Path
-    sensor: Sensor  # as it was
+    sensor: Sensor  # before the fit
     photographs: str
     fitted: "Fitted"
-    held_out: tuple[str, ...]  # files
-    likeness: "tuple[Likeness | ChangeLikeness, ...]"  # of those as rendered before and after; none held out, none
+    held_out: tuple[str, ...]  # file names
+    likeness: "tuple[Likeness | ChangeLikeness, ...]"  # of held-out presses, before and after; may be empty
     changes: dict[KeyPath, Any]
 
     def lines(self) -> Iterator[str]:
-        """For a person."""
+        """Report in text."""
         yield f"{self.sensor.name}: fitted to {self.photographs}"
         found = self.fitted
         yield f"untouched: off by {found.untouched:.1f} counts rms (the file as it was: {found.before:.1f})"
@@ -55,7 +55,7 @@ class Calibrated:
             for when, like in zip(("before", "after"), self.likeness, strict=True):
                 yield f"  {when}: {like}"
         if found.deeper != 1:
-            yield f"all depths look {found.deeper:g} times what they are given as"
+            yield f"all depths appear to be {found.deeper:g} times the given ones"
         for led, now in zip(self.sensor.leds or (), found.sensor.leds, strict=True):
             before = sum(led.light)
             times = f"{sum(now.light) / before:.2f} times as strong" if before else "lit"
@@ -63,7 +63,7 @@ class Calibrated:
             yield f"  {led.name}: {times}, moved {moved:.2f} mm, radiance {digits(now.radiance)}"
 
     def plain(self) -> dict[str, Any]:
-        """For a program."""
+        """Report as JSON values."""
         found = self.fitted
         errors = {name: getattr(found, name) for name in ("untouched", "before", "presses", "held_out", "deeper")}
         changes = {yaml_source.format_path(path): value for path, value in self.changes.items()}
@@ -71,15 +71,15 @@ class Calibrated:
                 "likeness": [like.plain() for like in self.likeness], "changes": changes}  # fmt: skip
 
     def write(self, out: Path) -> None:
-        """The sensor file with the changes in it, its comments kept."""
+        """Write the changed sensor file; comments are kept."""
         write_sensor(self.path, self.sensor, self.changes, out)
 
 
 def optics(name: str, folder: Path, asked: Asked | None = None) -> Calibrated:
-    """Fit the lights of a sensor file, given by name or path, to the photographs in a folder.
+    """Fit the LEDs of a sensor file, given by name or path, to the photographs in a folder.
 
     Raises:
-        UserError: what is missing from the folder, or cannot be used.
+        UserError: photographs that are missing or cannot be used, a line each.
     """
     from tacgen.calibrate import photos as reading
 
@@ -114,7 +114,7 @@ def _said(photos: "Photos") -> str:
 
 
 def _changes(sensor: LitSensor, found: "Fitted", said: str, *, bare: bool) -> dict[KeyPath, Any]:
-    """What of the sensor file is another now, by path; None where a key goes."""
+    """Changed values of the sensor file by path; None for keys to remove."""
     now, by = found.sensor, f"fitted to {said} {BY}"
     out: dict[KeyPath, Any] = {}
     for k, (led, new) in enumerate(zip(sensor.leds, now.leds, strict=True)):

@@ -1,4 +1,4 @@
-"""The contact circle of a ball pressed into a flat gel, by what the photograph alone shows.
+"""The contact circle of a ball pressed into a flat gel, found in the photograph.
 
 The slope of the face rises with the radius, as the ball's does, up to the rim of the contact, and falls beyond it (on
 Hertz's half-space with an infinite rate at the rim): the change of colour along a radius bends most there. A circle
@@ -17,14 +17,14 @@ from tacgen.calibrate.photos import Press
 Array = np.ndarray
 WIDTH = 0.08  # contact radii: standard deviation of the Gaussian whose second derivative measures the bend
 STEPS = np.linspace(-3, 3, 17)  # WIDTHs inward and outward
-TRIED = np.arange(0.76, 1.12, 0.04)  # given radii that the search may start from
-AWAY, LEAST, MOST = 0.15, 0.75, 1.1  # given radii that the middle may move; range of the radius
-ANGLES = 72  # places on the circle
-BEYOND = 1.2  # given radii up to which the picture must show a place's radius
+TRIED = np.arange(0.76, 1.12, 0.04)  # start values of the radius, over the given one
+AWAY, LEAST, MOST = 0.15, 0.75, 1.1  # largest shift of the centre and range of the radius, over the given radius
+ANGLES = 72  # points on the circle
+BEYOND = 1.2  # over the given radius: points whose ray leaves the picture before this are skipped
 
 
 def refined(press: Press, untouched: Array) -> Press:
-    """A press with the circle near its own on which the change against the untouched picture (H, W, 3) bends most."""
+    """The press with a refined circle, on which the change against the untouched picture (H, W, 3) bends most."""
     if press.contact is None:
         return press
     change, given = press.picture.astype(float) - untouched, press.contact
@@ -45,8 +45,8 @@ def refined(press: Press, untouched: Array) -> Press:
 
 
 def bend(change: Array, circle: Array, width: float, angles: Array) -> float:
-    """How much a change (H, W, 3) [counts] bends along the radius at angles (n,) of a circle, its middle and radius
-    (3,) [px]: the mean of its second derivative's size over the colours, at the scale of a Gaussian of `width` [px]."""
+    """Curvature of a change (H, W, 3) [counts] along the radius at angles (n,) of a circle (x, y, r) [px]: magnitude of
+    the second derivative, averaged over the colours, at the scale of a Gaussian of `width` [px]."""
     radii = circle[2] + width * STEPS[:, None]
     at = [circle[1] + radii * np.sin(angles) - 0.5, circle[0] + radii * np.cos(angles) - 0.5]
     seen = np.stack([map_coordinates(change[..., c], at, order=1, mode="nearest") for c in range(3)], axis=2)

@@ -1,4 +1,4 @@
-"""Small tables of comma-separated values with a header; what is wrong is told by line."""
+"""Reading of small CSV tables with a header; problems are reported by line."""
 
 import csv
 import math
@@ -11,8 +11,8 @@ Rows = list[tuple[int, dict[str, str]]]
 
 
 def rows(table: Path, needed: tuple[str, ...], either: tuple[str, ...], wrong: list[str]) -> Rows:
-    """Rows with their lines; none where it has not all columns `needed` and one of `either`, which is added
-    to `wrong`."""
+    """Rows with their line numbers. Without all columns `needed` and one of `either` there are none, and the problem
+    is added to `wrong`."""
     try:
         text = regular_file.read_bytes(table, LARGEST).decode("utf-8-sig")
         reader = csv.DictReader(text.splitlines(), strict=True)

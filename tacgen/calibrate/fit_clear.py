@@ -1,9 +1,9 @@
-"""Fit of a sensor whose gel is clear: light that goes straight and by the mirror image, and what bounces.
+"""Fit of a sensor with a clear gel: direct light, its reflection in the plate, and interreflection.
 
-Light is linear in the LEDs' power: for each trial of the rest, power, colour and stray light follow from non-negative
-least squares. The rest moves within the mechanical tolerance, and is held to where the file has it
-by as much as a tolerance weighs. Presses count by their change against the untouched picture, so that marks on the
-coat and what the lights cannot explain of the background do not drag them.
+The picture is linear in the LEDs' radiance: for each trial of the other parameters, radiance and stray light follow
+from non-negative least squares. The other parameters vary within their tolerances, with a penalty on the distance from
+the sensor file. Presses are compared by their change against the untouched picture, so that marks on the coating and
+errors of the background do not affect them.
 """
 
 from dataclasses import dataclass, replace
@@ -34,24 +34,24 @@ if TYPE_CHECKING:
     from tacgen.calibrate import Asked
 
 Array = np.ndarray
-SHRINK = 4  # pixels of a photograph per pixel of the fit
-LEAST_WIDTH = 40  # pixels that the fit has across
-SHEET = 0.2  # [mm]
-PIECES = (6, 2)  # points on each strip
-NEAR = 0.97  # contact radii that count: there the face is the ball, around it who knows
-REACH = 3.0  # [mm] the same of a press whose contact nobody saw
-WEIGHT = 2.0  # of a press's pixel beside one of the untouched picture
-SOFT = 15.0  # [counts] misfits beyond count less: marks, dust
-HOLD = 3.0  # [counts] that a whole tolerance weighs
-BRIGHT = 0.95  # of full scale: pixels beyond are not compared
-STEEPEST = 1500.0  # [counts per unit of light]: a dark pixel weighs no more
-PARTS = 6  # numbers of an LED: three of place, a tilt about its length, a turn about its upright, log of its length
-CLEAR = 0.02  # [mm] that LEDs stay off the housing and the untouched face
+SHRINK = 4  # pixels of the photograph per pixel of the fit
+LEAST_WIDTH = 40  # width of the fit's pictures at least [px]
+SHEET = 0.2  # node spacing of the face [mm]
+PIECES = (6, 2)  # points along and across each LED
+NEAR = 0.97  # contact radii within which a press is compared: there the face is the ball's surface
+REACH = 3.0  # the same for a press without a contact radius [mm]
+WEIGHT = 2.0  # weight of a press's pixel over one of the untouched picture
+SOFT = 15.0  # scale of the soft-l1 loss, for marks and dust [counts]
+HOLD = 3.0  # penalty of a parameter at the end of its tolerance [counts]
+BRIGHT = 0.95  # of full scale; brighter pixels are not compared
+STEEPEST = 1500.0  # largest slope of the response, which limits the weight of dark pixels [counts per unit of light]
+PARTS = 6  # parameters of an LED: position, tilt about its length, turn about its upright, log of its length
+CLEAR = 0.02  # smallest distance of LEDs from the housing and the untouched face [mm]
 
 
 @dataclass(frozen=True)
 class Tolerance:
-    """How far the fit may go from the sensor file."""
+    """Tolerances of the parameters around the sensor file."""
 
     mm: float
     rad: float
@@ -64,30 +64,30 @@ class Picture:
     """A photograph at the fit's scale."""
 
     name: str
-    light: Array  # (pixels, 3), linear, in parts of full scale
+    light: Array  # (pixels, 3), linear, relative to full scale
     slope: Array  # (pixels, 3) [counts] per unit of light
-    counts: Array  # (pixels,) bool: which are compared
+    counts: Array  # (pixels,) bool: pixels that are compared
     face: Surface
 
 
 @dataclass(frozen=True)
 class Looked:
-    """What the camera's rays meet of one picture's face."""
+    """Where the camera's rays meet the face of a picture."""
 
     view: View
     at: Samples
     toward: Array  # unit directions in the gel to the camera, (pixels, 3)
-    passed: Array  # of a unit radiance in the gel, (pixels,)
+    passed: Array  # transmission from the gel to the camera, (pixels,)
     terrain: Terrain
 
 
 def fit(
     sensor: LitSensor, photos: Photos, held_out: list[int], folders: dict[KeyPath, Path], asked: "Asked"
 ) -> tuple[Fitted, tuple[Likeness, ...]]:
-    """Lights, and where there are presses the rest; and how alike those held out are before and after. Presses count
-    from 1."""
+    """Fit the radiance and, with presses, the other parameters; also the likeness of held-out presses before and
+    after. `held_out` counts presses from 1."""
     tolerance = Tolerance(asked.mm, float(np.radians(asked.deg)) if asked.mm else 0.0)
-    if sensor.gel.dome is None:  # on a dome shadows bend the colours more than the rim does
+    if sensor.gel.dome is None:  # on a dome the rim is hidden by the change of shadows
         refined = tuple(contact_circle.refined(press, photos.untouched) for press in photos.presses)
         photos = replace(photos, presses=refined)
     faces = [press_faces.face(sensor, press, folders) for press in photos.presses]
@@ -104,12 +104,12 @@ def fit(
 
 
 class Fit:
-    """Photographs against trial sensors."""
+    """Misfit between photographs and trial sensors."""
 
     def __init__(
         self, sensor: LitSensor, photos: Photos, faces: list[Surface], tolerance: Tolerance, bare: bool
     ) -> None:
-        """`faces` are those of the presses; `bare`: the photographed gel has no dots, whatever the file says."""
+        """`faces`: those of the presses; `bare`: the photographed gel has no markers, whatever the file says."""
         self.tolerance = tolerance
         columns = max(min(LEAST_WIDTH, sensor.camera.width_px), sensor.camera.width_px // SHRINK)
         self.sensor = images.zoomed(sensor, columns)
@@ -147,7 +147,7 @@ class Fit:
         return np.asarray((away < reach).ravel())
 
     def _ranges(self) -> tuple[Array, Array, Array]:
-        """Least, most and start of every searched number: the LEDs' parts, then gloss, roughness, vignette, crop."""
+        """Bounds and start of every parameter: those of the LEDs, then specular weight, roughness, vignette, crop."""
         t, coat, eye = self.tolerance, self.sensor.coating, self.sensor.camera
         wide = t.mm > 0
         longer = float(np.log(t.factor)) * wide
@@ -162,7 +162,7 @@ class Fit:
         return least, most, start
 
     def moved(self, led: Led, parts: tuple[float, ...]) -> Led:
-        """An LED changed by PARTS numbers, and pushed back where it would leave its housing."""
+        """An LED changed by PARTS parameters, and moved back if it would leave the housing."""
         axes = frame(led.normal, led.up)
         for share in (1.0, 0.75, 0.5, 0.25):
             *by, tilt, turn, longer = share * np.array(parts)
@@ -173,7 +173,7 @@ class Fit:
                             [*(self._room[:2] - reach[:2]), -reach[2] - CLEAR])  # fmt: skip
             numbers = {"center_mm": place, "normal": normal / np.linalg.norm(normal), "size_mm": size}
             tried = led.model_copy(update={key: tuple(float(c) for c in value) for key, value in numbers.items()})
-            if not optics_checks.wrong_led(self.sensor, tried):  # beside a round end or a dome the box is too large
+            if not optics_checks.wrong_led(self.sensor, tried):  # at a round end or a dome the box is too large
                 return tried
         return led
 
@@ -187,8 +187,8 @@ class Fit:
         return Looked(view, at, view.toward_camera(), view.transmission(), terrain)
 
     def _lit(self, picture: int, led: int, parts: tuple[float, ...], rough: float, crop: tuple[float, ...]) -> Array:
-        """Light by one LED of unit radiance that goes straight, from a matt white coat and a mirror-rough one, and
-        what bounces (RGB): (pixels that count, 5)."""
+        """Direct light of one LED of unit radiance on a diffuse white coating and on a specular one, and its
+        interreflection (RGB): (compared pixels, 5)."""
         seen, here = self._look(picture, crop), self.pictures[picture].counts
         one = (self.moved(self.sensor.leds[led], parts),)
         at, normal, toward = (part[here] for part in (seen.at.position, seen.at.normal, seen.toward))
@@ -199,14 +199,14 @@ class Fit:
         return np.column_stack([np.nan_to_num(straight * seen.passed[here, None]), bounced])
 
     def _bounced(self, led: int, parts: tuple[float, ...], crop: tuple[float, ...]) -> Glow:
-        """Light by one LED of unit radiance that bounces, with the coat as the file has it."""
+        """Interreflection of one LED of unit radiance, with the coating of the file."""
         one = self.sensor.model_copy(update={"leds": (self.moved(self.sensor.leds[led], parts),)})
         added = self._bounce.added(one, strip_light.points(one.leds, *PIECES))[:, 0]
         return self._bounce.glow(added, self._look(0, crop).view)
 
     def columns(self, v: Array, picture: int) -> Array:
-        """Light in each channel per unit radiance of each LED, and of even stray light, in red, then in green and in
-        blue: (3, pixels that count, 3 (LEDs + 1))."""
+        """Light in each channel per unit radiance of each LED and of uniform stray light, in red, then green, then
+        blue: (3, compared pixels, 3 (LEDs + 1))."""
         leds, coat = len(self.sensor.leds), self.sensor.coating
         parts = [tuple(p) for p in v[: PARTS * leds].reshape(leds, PARTS)]
         gloss, rough = v[PARTS * leds : PARTS * leds + 2]
@@ -219,7 +219,7 @@ class Fit:
         fall = camera_response.vignette(camera).reshape(-1, 3)[self.pictures[picture].counts]
         lit = np.pad(camera.exposure * np.swapaxes(made, 1, 2), ((0, 0), (0, 0), (0, 1)), constant_values=1.0)
         mixed = np.repeat(camera_response.colours(camera)[..., None], leds + 1, axis=2)
-        mixed[..., -1] = np.eye(3)  # stray light is counted as the picture shows it
+        mixed[..., -1] = np.eye(3)  # stray light is not mixed by the colour matrix
         return np.asarray(np.einsum("dnk,cdk,nc->cndk", lit, mixed, fall).reshape(3, len(fall), -1))
 
     def _camera(self, v: Array) -> Camera:
@@ -228,8 +228,8 @@ class Fit:
         return eye.model_copy(update=moved | ({"vignette_mm": rgb(v[-5:-2])} if eye.vignette_mm else {}))
 
     def misfit(self, columns: list[Array], chosen: list[int], lights: Array | None = None) -> tuple[list[Array], Array]:
-        """Misfits [counts] of pictures, the untouched one first (pixels, 3 each), by the best lights (3, LEDs + 1) for
-        all of them, or by those given."""
+        """Misfits [counts] of pictures (pixels, 3 each), the untouched one first, for the best radiances
+        (3, LEDs + 1) of all of them or for given ones; also the radiances."""
         rows: list[list[Array]] = [[] for _ in range(3)]
         for k in chosen:
             picture, first = self.pictures[k], self.pictures[0]
@@ -273,9 +273,9 @@ class Fit:
         )  # fmt: skip
 
     def _search(self, begin: Array, seen: list[int], steps: int) -> Array:
-        """The numbers that explain some pictures best, the lights being what they must be."""
+        """The parameters with the smallest misfit of some pictures, with the best radiances for each trial."""
         span = self._most - self._least
-        free = np.flatnonzero(span > 0) if len(seen) > 1 else np.zeros(0, int)  # the background alone tells powers only
+        free = np.flatnonzero(span > 0) if len(seen) > 1 else np.zeros(0, int)  # a background determines only radiances
         if not len(free):
             return begin
 
@@ -290,7 +290,7 @@ class Fit:
             held = HOLD * 2 * (numbers(u) - self._start)[free] / span[free]
             return np.concatenate([*(w * m.ravel() for w, m in zip(weights, found, strict=True)), held])
 
-        start = np.clip(1 + 2 * (begin - self._least)[free] / span[free], 1.02, 2.98)  # a step is a share of the range
+        start = np.clip(1 + 2 * (begin - self._least)[free] / span[free], 1.02, 2.98)  # from 1 to 3 over the range
         how: Any = {"bounds": (1, 3), "diff_step": 0.02, "max_nfev": steps, "loss": "soft_l1", "f_scale": SOFT}
         return numbers(least_squares(left, start, **how).x)
 
@@ -300,7 +300,7 @@ class Fit:
         return rms(self.misfit([self.columns(self._start, 0)], [0], own)[0])
 
     def _sensor(self, v: Array, lights: Array) -> LitSensor:
-        """The trial sensor, at the fit's scale, with its lights."""
+        """The sensor of a trial with its radiances, at the fit's scale."""
         leds = []
         for k, led in enumerate(self.sensor.leds):
             moved = self.moved(led, tuple(v[PARTS * k : PARTS * (k + 1)]))

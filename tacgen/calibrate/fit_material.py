@@ -19,25 +19,25 @@ from scipy.stats import t as student
 from tacgen.calibrate.press_forces import MARGIN, Curves, Measured
 
 Array = np.ndarray
-LEVEL = 0.95  # of the confidence intervals
-FLOOR = 0.05  # of the largest force: smaller ones are off by parts of this, not of themselves
-EVEN = (0.01, 0.03, 0.1, 0.3, 1.0, 10.0)  # of the largest force: errors that all forces have, over their own in parts
-USUAL = 0.1  # the same where rows are too few to tell
-ROUNDS = 3  # of fits, each with errors in proportion to the forces of the one before
-PIECES = 8  # of the way between two rows, in each of which the elastic force goes at an even pace
-MOST_RELAXED = 0.95  # of the instantaneous modulus, by all terms
-MOST_FACTOR = 1e3  # of the moduli, up or down
+LEVEL = 0.95  # probability of the confidence intervals
+FLOOR = 0.05  # of the largest force: errors of smaller forces are relative to this
+EVEN = (0.01, 0.03, 0.1, 0.3, 1.0, 10.0)  # tried ratios of constant error (over the largest force) to relative error
+USUAL = 0.1  # this ratio if there are too few rows to estimate it
+ROUNDS = 3  # reweighted fits, each with the forces of the one before
+PIECES = 8  # intervals between two rows; in each the elastic force changes at a constant rate
+MOST_RELAXED = 0.95  # largest sum of g over all terms
+MOST_FACTOR = 1e3  # largest factor on the moduli, and its inverse the smallest
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A parameter with the interval that holds it with a probability of LEVEL."""
+    """A parameter and its confidence interval of probability LEVEL."""
 
     name: str
     value: float
     low: float
     high: float
-    bound: bool = False  # it stands at the end of its range, and has no interval
+    bound: bool = False  # at the end of its range, without an interval
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class MaterialFit:
 
     @property
     def off(self) -> Array:
-        """Fitted over measured force, less 1 (n,); of forces below FLOOR of the largest, over that instead."""
+        """Relative error of the fitted forces (n,); forces below FLOOR of the largest are compared with that."""
         measured = self.measured.force
         return np.asarray((self.force - measured) / np.maximum(np.abs(measured), FLOOR * measured.max()))
 
@@ -66,7 +66,7 @@ class MaterialFit:
 
 @dataclass(frozen=True)
 class _Unknown:
-    """A number that the fit looks for, and how it is shown."""
+    """An unknown of the fit, and its conversion for display."""
 
     name: str
     start: float
@@ -78,7 +78,7 @@ class _Unknown:
 def fit(
     curves: Curves, measured: Measured, *, zero: bool = True, value: float | None = None, terms: int = 0
 ) -> MaterialFit:
-    """Least squares, weighted by errors that are in part the same for all forces and in part in proportion to each.
+    """Weighted least squares; the error of a force has a constant part and a part proportional to the force.
 
     Args:
         zero: look for the zero of depth: first touch lies that much [mm] above where the table has it.
@@ -125,7 +125,7 @@ def fit(
         Estimate(u.name, float(u.shown(x)), float(u.shown(x - h)), float(u.shown(x + h)), not inside)
         for u, x, h, inside in zip(unknowns, best.at, half, free, strict=True)
     )
-    correlation = np.eye(len(unknowns))  # of one that stands at its end none is known
+    correlation = np.eye(len(unknowns))  # unknown for parameters at the end of their range
     correlation[np.ix_(free, free)] = covariance / np.sqrt(np.outer(np.diag(covariance), np.diag(covariance)))
     return MaterialFit(estimates, correlation, force(best.at), measured)
 
@@ -133,8 +133,8 @@ def fit(
 def relaxing(
     curves: Curves, measured: Measured, zero: float, second: float, series: list[tuple[float, float]]
 ) -> Array:
-    """F/m (n,) [N] at the rows of a table, with g and tau [s] of each term; between rows the depth goes at an even
-    pace, from first touch at 0 s on."""
+    """F/m (n,) [N] at the rows of a table, with g and tau [s] of each term. The depth is linear in time between rows,
+    from first touch at 0 s."""
     if not series:
         return curves.force(measured.depth + zero, second)
     assert measured.time is not None
@@ -157,7 +157,7 @@ def relaxing(
 
 @dataclass(frozen=True)
 class _Weighted:
-    """A fit under one law of errors: unknowns (k,), covariance (k, k), 0 for those at their ends, and minus the
+    """A fit for one ratio of EVEN: unknowns (k,), covariance (k, k), 0 for those at their bounds, and minus the
     logarithm of the restricted likelihood (Patterson & Thompson 1971)."""
 
     at: Array
@@ -168,8 +168,7 @@ class _Weighted:
 def _weighted(
     force: Callable[[Array], Array], wanted: Array, ranges: tuple[Array, Array, Array], even: float
 ) -> _Weighted:
-    """The fit where errors are so much of the largest force and as much again of each. `ranges`: start, least and most
-    of each unknown."""
+    """The fit for one ratio of the errors. `ranges`: start, lower and upper bound of each unknown."""
     (start, low, high), at = ranges, wanted
     for _ in range(ROUNDS):
         error = np.hypot(even * wanted.max(), at)
@@ -184,7 +183,7 @@ def _weighted(
 
 
 def _averaged(best: _Weighted, tried: list[_Weighted]) -> Array:
-    """Covariance (k, k) about the best fit, under all laws of errors by how likely each is."""
+    """Covariance (k, k) about the best fit, averaged over all ratios of EVEN by their likelihoods."""
     likely = np.exp([best.unlikely - one.unlikely for one in tried])
     apart = [one.covariance + np.outer(one.at - best.at, one.at - best.at) for one in tried]
     return np.asarray(np.tensordot(likely / likely.sum(), apart, 1))
@@ -195,6 +194,6 @@ def _residual(force: Callable[[Array], Array], wanted: Array, error: Array, v: A
 
 
 def _factor(model: Array, wanted: Array) -> float:
-    """The modulus that fits best where it is the only unknown, within its range."""
+    """The best modulus with all other unknowns fixed, within its range."""
     best = float(model @ wanted) / float(model @ model)
     return float(np.clip(best, 2 / MOST_FACTOR, MOST_FACTOR / 2))

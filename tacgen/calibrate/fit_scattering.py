@@ -1,4 +1,4 @@
-"""Fit of a sensor whose gel scatters.
+"""Fit of a sensor whose gel scatters light.
 
 The untouched photograph gives the LEDs' light, by least squares on maps traced with one LED at a time. Presses give the
 gain by thickness: how the photographs change, over how transport says they should, on faces that are solved at depths
@@ -27,30 +27,30 @@ from tacgen.recipe.yaml_source import KeyPath
 from tacgen.render import images
 
 Array = np.ndarray
-CHANGES = (-2.1, -1.6, -1.2, -0.8, -0.4, -0.15, 0.0, 0.08, 0.16, 0.24, 0.32, 0.45)  # [mm] where the gain is given
-FACTORS = (0.92, 0.94, 0.96, 0.98, 1.0, 1.02, 1.04, 1.06, 1.08)  # that the depths may be off by
-REACH = 9.0  # [mm] around a press that counts
+CHANGES = (-2.1, -1.6, -1.2, -0.8, -0.4, -0.15, 0.0, 0.08, 0.16, 0.24, 0.32, 0.45)  # of thickness, for the gain [mm]
+FACTORS = (0.92, 0.94, 0.96, 0.98, 1.0, 1.02, 1.04, 1.06, 1.08)  # tried factors on all depths
+REACH = 9.0  # distance from a press within which pixels are compared [mm]
 SPP = 64  # paths, as in render.Renderer
-FIXED = 1e5  # weight of no gain at no change, beside that of a pixel
+FIXED = 1e5  # weight of gain 1 at no change of thickness, over that of a pixel
 
 
 @dataclass(frozen=True)
 class Seen:
-    """One press as it would look at one depth, all over the picture (pixels, 3) but `near` (pixels,)."""
+    """A press rendered at one depth, over the whole picture (pixels, 3), and which pixels are `near` (pixels,)."""
 
-    change: Array  # (pixels,) [mm] of thickness
-    own: Array  # transport's picture over the untouched one
-    wanted: Array  # the photograph's over the untouched one
+    change: Array  # change of thickness (pixels,) [mm]
+    own: Array  # rendered picture over the rendered untouched one
+    wanted: Array  # photograph over the untouched photograph
     near: Array
 
     def off(self, table: Array, untouched: Array, camera: Eye) -> Array:
-        """Misfit [counts] (k, 3) by a table of gains, over an untouched picture of linear light (pixels, 3)."""
+        """Misfit [counts] (k, 3) for a table of gains and an untouched picture of linear light (pixels, 3)."""
         response = ThicknessResponse(change_mm=CHANGES, gain=tuple(rgb(row) for row in table), source="fit")
         wanted, made = self.changes(response, untouched, camera)
         return np.asarray(made - wanted)
 
     def changes(self, response: ThicknessResponse | None, untouched: Array, camera: Eye) -> tuple[Array, Array]:
-        """How counts change (k, 3) as photographed, and by a gain over an untouched picture of light (pixels, 3)."""
+        """Change of counts (k, 3) as photographed, and as rendered with a gain, on an untouched picture (pixels, 3)."""
         gain = 1.0 if response is None else scattering.gain(response, self.change)
         lights = (untouched, untouched * self.wanted, untouched * self.own * gain)
         before, wanted, made = (255 * camera_response.encoded(light, camera)[self.near] for light in lights)
@@ -60,7 +60,7 @@ class Seen:
 def fit(
     sensor: LitSensor, photos: Photos, held_out: list[int], folders: dict[KeyPath, Path]
 ) -> tuple[Fitted, tuple[ChangeLikeness, ...]]:
-    """Lights and the response to thickness, and how alike presses held out are before and after; presses count from 1.
+    """Fit radiances and the response to thickness; also the likeness of held-out presses, which count from 1.
 
     Raises:
         UserError: a press of unknown depth.
@@ -110,7 +110,7 @@ def fit(
 
 
 def powers(sensor: LitSensor, maps: Array, untouched: Array) -> Array:
-    """Radiances (leds, 3) by which maps (leds, h, w, 3) of unit radiance add up to a photograph (H, W, 3)."""
+    """Radiances (leds, 3) with which maps (leds, h, w, 3) of unit radiance sum to a photograph (H, W, 3)."""
     h, w = maps.shape[1:3]
     wanted = background_photo.shrunk(camera_response.linear(untouched / 255.0, sensor.camera), w, h)
     shown = np.array([camera_response.expose(one, images.zoomed(sensor, w).camera) for one in maps])
@@ -136,7 +136,7 @@ def gains(change: Array, wanted: Array) -> Array:
 def _seen(
     sensor: LitSensor, renderer: images.Renderer, photos: Photos, press: Press, folders: dict[KeyPath, Path]
 ) -> list[Seen]:
-    """A press as it would look at each of FACTORS times its depth."""
+    """A press rendered at each of FACTORS times its depth."""
     assert press.depth is not None
     view, camera, flat = View(sensor, renderer.sheet, False), Camera.from_sensor(sensor), renderer.flat().astype(float)
     before, after = (

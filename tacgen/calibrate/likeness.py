@@ -1,5 +1,5 @@
-"""How well rendered presses stand for photographed ones: how colours change with the slope of a ball's surface, and how
-far off on real normals a net is that learned them from rendered pictures (the net: Wang et al. 2021)."""
+"""Comparison of rendered with photographed presses: the change of colour per slope of the ball's surface, and the error
+of normals in photographs by a network that was trained on rendered pictures (network: Wang et al. 2021)."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -18,13 +18,13 @@ from tacgen.recipe.sensor import LitSensor
 from tacgen.render.images import Renderer
 
 Array = np.ndarray
-WITHIN = 0.95  # contact radii: where a press's slopes are the ball's
-WEAK = 15.0  # [counts per slope] of which a ratio would be one of noise
-AROUND = 1.7  # contact radii in which changes are correlated
-DENTS = 96  # rendered ones that a net learns from
-BALLS, SHARE, WIDEST = (1.5, 5.5), (0.3, 0.75), 3.5  # their radii [mm], contact radii over those, and at most [mm]
-PIXELS = 300  # of each that it learns from
-SPP = 16  # of draft pictures
+WITHIN = 0.95  # contact radii within which the slopes are the ball's
+WEAK = 15.0  # changes below this are too noisy for a ratio [counts per slope]
+AROUND = 1.7  # contact radii within which changes are correlated
+DENTS = 96  # rendered dents that a network is trained on
+BALLS, SHARE, WIDEST = (1.5, 5.5), (0.3, 0.75), 3.5  # radii [mm], contact radius over that, at most [mm]
+PIXELS = 300  # pixels of each dent
+SPP = 16  # samples a pixel
 
 
 @dataclass(frozen=True)
@@ -33,12 +33,12 @@ class Seen:
 
     change: Array  # against the untouched picture (H, W, 3) [counts]
     where: Array  # (H, W) bool: inside the contact circle
-    slopes: Array  # sideways parts of the ball's unit normals there, (n, 2)
+    slopes: Array  # x and y of the ball's unit normals there, (n, 2)
     flat: Array  # the same of the untouched face, (n, 2)
 
     @property
     def features(self) -> Array:
-        """What a net sees inside the contact circle (n, 5)."""
+        """Inputs of the network inside the contact circle (n, 5)."""
         return normal_net.features(self.change, self.where)
 
     def off(self, slopes: Array) -> float:
@@ -53,20 +53,20 @@ class Seen:
 
 @dataclass(frozen=True)
 class Likeness:
-    """Rendered over photographed presses, per channel (3,); angles in degrees."""
+    """Rendered compared with photographed presses, per channel (3,); angles in degrees."""
 
     contrast: Array  # change per slope, rendered over real, median of presses where the real one is not WEAK
     direction: Array  # angle between the two, median
     correlation: Array  # of the change around the contact, median
-    normals: float  # real normals by a net that learned from rendered pictures, mean
-    flat: float  # the same of guessing that nothing is pressed
+    normals: float  # mean error of normals in photographs, by a network trained on rendered pictures
+    flat: float  # the same for the untouched face
 
     def __str__(self) -> str:
         normals = f"real normals off by {self.normals:.1f} deg (flat: {self.flat:.1f})"
         return f"{of_change(self.contrast, self.correlation)}, {normals}"
 
     def plain(self) -> dict[str, Any]:
-        """For a program."""
+        """As JSON values."""
         return {"normals": self.normals, "flat": self.flat} | {
             name: getattr(self, name).tolist() for name in ("contrast", "direction", "correlation")
         }
@@ -74,7 +74,7 @@ class Likeness:
 
 @dataclass(frozen=True)
 class ChangeLikeness:
-    """Of a gel that scatters, whose colours follow its thickness: rendered by real change, and their correlation."""
+    """The same for a gel that scatters, whose colours follow its thickness: rendered over real change, correlation."""
 
     contrast: Array
     correlation: Array
@@ -89,18 +89,18 @@ class ChangeLikeness:
         return of_change(self.contrast, self.correlation)
 
     def plain(self) -> dict[str, Any]:
-        """For a program."""
+        """As JSON values."""
         return {name: getattr(self, name).tolist() for name in ("contrast", "correlation")}
 
 
 def of_change(contrast: Array, correlation: Array) -> str:
-    """Both for a person."""
+    """Both as text."""
     shown, alike = (" / ".join(f"{v:.2f}" for v in one) for one in (contrast, correlation))
     return f"contrast {shown} of the real (red / green / blue), correlation {alike}"
 
 
 class Comparison:
-    """One sensor's renderer, against presses."""
+    """Compares the renderer of a sensor with photographs."""
 
     def __init__(self, sensor: LitSensor) -> None:
         self.sensor, self._renderer = sensor, Renderer(sensor, SPP, 0, markers=False)
@@ -109,7 +109,7 @@ class Comparison:
         self._level = self._slopes(self._renderer.untouched)
 
     def photographed(self, press: Press, face: Surface, untouched: Array) -> Seen:
-        """A photograph over that of the untouched unit."""
+        """A photographed press against the photograph of the untouched unit."""
         return self._seen(press.picture, untouched, face, press.center, press.contact or 0.0)
 
     def rendered(self, press: Press, face: Surface) -> Seen:
@@ -118,11 +118,11 @@ class Comparison:
         return self._seen(made, self._flat, face, press.center, press.contact or 0.0)
 
     def net(self, seed: int = 0) -> NormalNet:
-        """One that learned from rendered dents with the camera's noise."""
+        """A network trained on rendered dents with the camera's noise."""
         return learned(list(self._dents(seed)))
 
     def likeness(self, presses: Sequence[Press], faces: Sequence[Surface], untouched: Array) -> Likeness:
-        """Over presses whose contact circles were seen."""
+        """Likeness over presses with known contact circles."""
         pairs = [
             (self.photographed(press, face, untouched), self.rendered(press, face), near(press, AROUND))
             for press, face in zip(presses, faces, strict=True)
@@ -168,7 +168,7 @@ class Comparison:
 
 
 def learned(seen: Sequence[Seen], seed: int = 0) -> NormalNet:
-    """A net trained inside the contact circles of some presses, on equally many pixels of each that has enough."""
+    """A network trained inside the contact circles of presses, with the same number of pixels of each."""
     random = np.random.default_rng(seed)
     some = [random.permutation(len(one.slopes))[: max(PIXELS, normal_net.MOST // len(seen))] for one in seen]
     features = np.concatenate([one.features[k] for one, k in zip(seen, some, strict=True)])
@@ -176,7 +176,7 @@ def learned(seen: Sequence[Seen], seed: int = 0) -> NormalNet:
 
 
 def circle(shape: tuple[int, ...], center: tuple[float, float], radius: float) -> Array:
-    """Pixels (H, W) bool whose middles lie within a circle [px]."""
+    """Pixels (H, W) bool whose centres are within a circle [px]."""
     y, x = np.mgrid[: shape[0], : shape[1]] + 0.5
     return np.asarray(np.hypot(x - center[0], y - center[1]) < radius)
 

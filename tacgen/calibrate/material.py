@@ -1,4 +1,4 @@
-"""Measured forces of presses -> a sensor file with the moduli of its gel."""
+"""Calibration of the moduli of a sensor file to measured forces of presses."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -16,24 +16,24 @@ from tacgen.report.wording import counted
 if TYPE_CHECKING:
     from tacgen.calibrate.fit_material import MaterialFit
 
-CORRELATED = 0.5  # correlations that are told
-ROWS = 12  # of the table that are shown
-VALUES = 5  # of the second parameter that curves are solved for
+CORRELATED = 0.5  # smallest correlation that is reported
+ROWS = 12  # rows of the table that are printed
+VALUES = 5  # values of the second parameter for which curves are solved
 BY = "by tacgen calibrate material"
 
 
 @dataclass(frozen=True)
 class Asked:
-    """What is looked for beside the modulus."""
+    """Unknowns of the fit besides the modulus."""
 
-    zero: bool = True  # of the depth
+    zero: bool = True  # the depth of first touch
     second: str = ""  # PATH=LOW:HIGH, a number of the recipe, or under `sensor.` of the sensor file
-    terms: int = 0  # of a Prony series
+    terms: int = 0  # number of terms of a Prony series
 
 
 @dataclass(frozen=True)
 class Material:
-    """A fit, simpler ones beside it, and what it changes of the sensor file."""
+    """A fit, simpler fits for comparison, and the values of the sensor file that it changes."""
 
     row: plan.Row
     path: Path  # of the sensor file
@@ -43,11 +43,11 @@ class Material:
 
     @property
     def second(self) -> str:
-        """The path of the second parameter, or nothing."""
+        """The path of the second parameter; empty if none."""
         return self.asked.second.partition("=")[0].strip()
 
     def lines(self) -> Iterator[str]:
-        """For a person."""
+        """Report in text."""
         measured, worst = self.fitted.measured, 100 * self.fitted.worst
         count, deepest = counted(len(measured.depth), "force"), f"{measured.depth.max():g} mm"
         yield f"{self.row.sensor.name}: fitted to {count} down to {deepest} ({measured.name})"
@@ -70,7 +70,7 @@ class Material:
                 yield f"{format_path(key)}: {value}"
 
     def plain(self) -> dict[str, Any]:
-        """For a program."""
+        """Report as JSON values."""
         estimates = {
             self._named(e.name)[0]: {"value": e.value, "low": e.low, "high": e.high, "bound": e.bound}
             for e in self.fitted.estimates
@@ -83,18 +83,18 @@ class Material:
         }  # fmt: skip
 
     def write(self, out: Path) -> None:
-        """The sensor file with its moduli and their source, its comments kept."""
+        """Write the sensor file with the new moduli and their source; comments are kept."""
         write_sensor(self.path, self.row.sensor, self.changes(), out)
 
     def draw(self, out: Path) -> None:
-        """Forces and residuals, as a picture."""
+        """Plot forces and residuals into `out`."""
         from tacgen.report import fit_figure
 
         fitted = self.fitted
         fit_figure.draw(fitted.measured.depth, fitted.measured.force, fitted.force, fitted.off, out)
 
     def changes(self) -> dict[KeyPath, Any]:
-        """What of the sensor file is another now, by path."""
+        """Changed values of the sensor file by path."""
         out: dict[KeyPath, Any] = {}
         if self.second.startswith("sensor."):
             out[parse_path(self.second)[1:]] = digits(self.fitted["second"])
@@ -119,16 +119,16 @@ class Material:
         return out
 
     def _named(self, name: str) -> tuple[str, str]:
-        """A parameter as a person calls it, and what stands after its value."""
+        """The displayed name of a parameter, and the unit after its value."""
         plain = {"modulus": ("modulus", " times the file's"), "zero": ("zero", " mm: first touch is above the table's")}
         return plain.get(name) or ((self.second, "") if name == "second" else (name, " s" if name[0] == "t" else ""))
 
 
 def material(sensor: str, recipe: str, table: Path, asked: Asked | None = None) -> Material:
-    """Fit the moduli of a sensor file to the forces in a table; indenter, friction and mesh are those of a recipe.
+    """Fit the moduli of a sensor file to the forces in a table, with indenter, friction and mesh of a recipe.
 
     Raises:
-        UserError: what cannot be read or used, or a press that the gel cannot be solved in.
+        UserError: unreadable or unusable input, or a press for which the solver fails.
     """
     import numpy as np
 

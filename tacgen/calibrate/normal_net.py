@@ -1,4 +1,4 @@
-"""The photometric-stereo net that users of such sensors train: change of colour and place in the picture -> the normal.
+"""The photometric-stereo network that users of such sensors train: change of colour and pixel position -> normal.
 
 Two hidden layers of tanh, fitted by L-BFGS to least squares with a little weight decay; small enough for NumPy, and the
 same bytes for the same samples.
@@ -12,10 +12,10 @@ from scipy.optimize import minimize
 
 Array = np.ndarray
 HIDDEN = 24  # units in each hidden layer
-COUNTS = 40.0  # a usual change of colour [counts], 1 at the net's input
-DECAY = 1e-4  # of the weights' squares, beside the mean square error
-STEPS = 300  # of L-BFGS at most
-MOST = 8000  # samples that a net is trained on; of more, some are drawn
+COUNTS = 40.0  # change of colour that is scaled to 1 at the input [counts]
+DECAY = 1e-4  # factor of the squared weights in the loss
+STEPS = 300  # iterations of L-BFGS at most
+MOST = 8000  # training samples at most; chosen at random from more
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class NormalNet:
 
     @classmethod
     def trained(cls, features: Array, normals: Array, seed: int = 0) -> "NormalNet":
-        """From samples: features (n, 5), see `features`, and sideways parts of unit normals (n, 2)."""
+        """Train on samples: features (n, 5), see `features`, and x and y of unit normals (n, 2)."""
         random = np.random.default_rng(seed)
         some = random.permutation(len(features))[:MOST]
         x, wanted, sizes = features[some], normals[some], (features.shape[1], HIDDEN, HIDDEN, 2)
@@ -55,7 +55,7 @@ class NormalNet:
         return cls(tuple((w[:-1], w[-1]) for w in best))
 
     def normals(self, features: Array) -> Array:
-        """Sideways parts of the unit normals (n, 2) of samples (n, 5)."""
+        """x and y of the unit normals (n, 2) of samples (n, 5)."""
         for weight, bias in self.layers[:-1]:
             features = np.tanh(features @ weight + bias)
         weight, bias = self.layers[-1]
@@ -63,14 +63,14 @@ class NormalNet:
 
 
 def features(change: Array, where: Array) -> Array:
-    """What the net sees (n, 5) of pixels `where` (H, W) bool of a change of colour (H, W, 3) [counts]: the change, and
-    the place from -1 to 1 along the picture's width."""
+    """Inputs (n, 5) for the pixels `where` (H, W) bool: the change of colour (H, W, 3) [counts], and the position from
+    -1 to 1 along the picture's width."""
     (h, w), (y, x) = where.shape, np.nonzero(where)
     return np.column_stack([change[where] / COUNTS, 2 * (x + 0.5) / w - 1, (2 * y + 1 - h) / w])
 
 
 def degrees_apart(a: Array, b: Array) -> Array:
-    """Angles (n,) [deg] between unit normals of which the sideways parts (n, 2) are given; longer ones count as 1."""
+    """Angles (n,) [deg] between unit normals given by x and y (n, 2), which are limited to length 1."""
     one, other = (s / np.maximum(1.0, np.linalg.norm(s, axis=1, keepdims=True)) for s in (a, b))
     up = np.prod([np.sqrt(np.maximum(1 - (s**2).sum(axis=1), 0)) for s in (one, other)], axis=0)
     return np.asarray(np.degrees(np.arccos(np.clip((one * other).sum(axis=1) + up, -1, 1))))

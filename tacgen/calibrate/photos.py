@@ -1,4 +1,4 @@
-"""A folder of photographs of one's own unit: it untouched, and balls pressed into it, each a row of presses.csv."""
+"""A folder of photographs of a unit: untouched, and with balls pressed into it, each a row of presses.csv."""
 
 import math
 from dataclasses import dataclass
@@ -16,19 +16,19 @@ UNTOUCHED = ("background.png", "background.jpg", "background.jpeg", "background.
 TABLE = "presses.csv"
 NEEDED = ("file", "ball_radius_mm", "x_px", "y_px")
 EITHER = ("contact_radius_px", "depth_mm")
-SATURATED, DARK = 254, 5  # counts of 8 bit
-MOST_SATURATED = 0.01  # share of the pixels
+SATURATED, DARK = 254, 5  # 8-bit counts
+MOST_SATURATED = 0.01  # largest share of saturated pixels
 
 
 @dataclass(frozen=True)
 class Press:
-    """One photographed press: its ball, and how deep it is, or how large its contact looks."""
+    """A photographed press: its ball, and its depth or the radius of its contact."""
 
     name: str
     picture: Array  # (H, W, 3), 8 bit
     ball: float  # radius [mm]
     center: tuple[float, float]  # of the contact [px]
-    contact: float | None  # its radius [px]
+    contact: float | None  # radius of the contact [px]
     depth: float | None  # [mm] from first touch
 
 
@@ -42,7 +42,7 @@ class Photos:
 
 
 def read(folder: Path, camera: Camera) -> Photos:
-    """The photographs in a folder. Raises UserError: every one that is missing or cannot be used, a line each."""
+    """The photographs in a folder. Raises UserError: all that are missing or cannot be used, a line each."""
     found = next((folder / name for name in UNTOUCHED if (folder / name).is_file()), None)
     wrong: list[str] = []
     if not folder.is_dir():
@@ -61,7 +61,7 @@ def read(folder: Path, camera: Camera) -> Photos:
 
 
 def _picture(path: Path, camera: Camera, wrong: list[str]) -> Array:
-    """The picture, if it can be calibrated with."""
+    """Read a picture; problems are added to `wrong`."""
     try:
         picture = background_photo.read(path)
     except UserError as error:
@@ -82,7 +82,7 @@ def _picture(path: Path, camera: Camera, wrong: list[str]) -> Array:
 
 
 def _press(folder: Path, line: int, row: dict[str, str], camera: Camera, wrong: list[str]) -> Press | None:
-    """One row, if nothing is wrong with it."""
+    """Read a row of the table; problems are added to `wrong`."""
     said = f"{folder / TABLE}:{line}"
     name = (row["file"] or "").strip()
     if not name:

@@ -21,7 +21,7 @@ from tacgen.solve import foresee
 
 
 def face(sensor: LitSensor, press: Press, folders: dict[KeyPath, Path]) -> Surface:
-    """By a formula if its contact was seen, else solved at its depth; for `folders` see plan.Row."""
+    """The face of a press: by a formula from its contact radius, or solved at its depth; `folders`: see plan.Row."""
     if press.contact is None:
         assert press.depth is not None
         return solved(sensor, press, [press.depth], folders)[0]
@@ -32,7 +32,7 @@ def face(sensor: LitSensor, press: Press, folders: dict[KeyPath, Path]) -> Surfa
 
 
 def solved(sensor: LitSensor, press: Press, depths: Sequence[float], folders: dict[KeyPath, Path]) -> Sequence[Surface]:
-    """At each of rising depths [mm], where the photograph shows the ball."""
+    """Solved faces at increasing depths [mm], at the position of the ball in the photograph."""
     x, y = place(sensor, press.center, float(np.mean(depths)))
     recipe = {
         "tacgen": 1, "name": "press", "sensor": sensor.name, "outputs": ["force"], "start": {"x_mm": x, "y_mm": y},
@@ -44,7 +44,7 @@ def solved(sensor: LitSensor, press: Press, depths: Sequence[float], folders: di
 
 
 def faces(row: plan.Row) -> Iterator[gel_surface.Surface]:
-    """The face that the camera sees: untouched, then in each frame of a scene. No bundle is written."""
+    """The face seen by the camera: untouched, then in each frame of a scene. No bundle is written."""
     built = foresee.foreseen(scene.build(row))
     problem = solve.Problem.of(built, mesh.of(built))
     untouched = gel_surface.seen(problem.mesh, len(row.sensor.gel.clear_layers))
@@ -54,7 +54,7 @@ def faces(row: plan.Row) -> Iterator[gel_surface.Surface]:
 
 
 def place(sensor: LitSensor, pixel: tuple[float, float], depth: float) -> tuple[float, float]:
-    """Where (x, y) [mm] the camera sees a place on the face at `pixel`, once it is pressed by `depth` [mm]."""
+    """Position (x, y) [mm] of the point at `pixel` on the face pressed by `depth` [mm]."""
     camera, untouched, at = Camera.from_sensor(sensor), Untouched.of(sensor.gel), np.zeros((1, 2))
     origin, ray = camera.rays(np.array([pixel]))
     for _ in range(5):

@@ -1,4 +1,4 @@
-"""Forces of presses: as measured, and as the gel of a sensor file gives them."""
+"""Forces of presses: measured ones, and those computed for the gel of a sensor file."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,10 +15,10 @@ from tacgen.scene import mesh, scene
 from tacgen.solve import foresee
 
 Array = np.ndarray
-LEAST = 3  # rows of a table
+LEAST = 3  # rows of a table at least
 NODES = 12  # depths at which a curve is solved
-MARGIN = 0.1  # of the largest depth: how far first touch may be from where a table has it
-POWER = 2 / 3  # of the force: nearly straight against the depth, as Hertz's is
+MARGIN = 0.1  # of the largest depth: range of the unknown depth of first touch
+POWER = 2 / 3  # F^(2/3) is nearly linear in the depth (Hertz)
 
 
 @dataclass(frozen=True)
@@ -32,9 +32,9 @@ class Measured:
 
 
 def read(table: Path) -> Measured:
-    """A table with the columns depth_mm, force_n and, where time counts, time_s from first touch on.
+    """Read a table with the columns depth_mm, force_n and, for relaxation, time_s since first touch.
 
-    Raises UserError: what is wrong with it, a line each.
+    Raises UserError: all problems, a line each.
     """
     wrong: list[str] = []
     found: dict[str, list[float]] = {"depth_mm": [], "force_n": [], "time_s": []}
@@ -59,9 +59,9 @@ def read(table: Path) -> Measured:
 
 
 def solved(row: Row, depths: Array) -> Array:
-    """Normal force (n,) [N] of a recipe's indenter at rising depths (n,) [mm], as if it moved infinitely slowly.
+    """Quasi-static normal force (n,) [N] of a recipe's indenter at increasing depths (n,) [mm].
 
-    Of the recipe count all but its movements. Raises UserError: a depth that the gel cannot be solved at.
+    The movements of the recipe are not used. Raises UserError: a depth at which the solver fails.
     """
     presses = tuple(Segment(press=Press(depth_mm=float(depth), frames=1)) for depth in depths)
     recipe = row.recipe.model_copy(update={"trajectory": presses, "dynamics": None})
@@ -76,12 +76,12 @@ def solved(row: Row, depths: Array) -> Array:
 
 
 def depths_for(largest: float) -> Array:
-    """Depths (NODES,) [mm] at which a curve is solved for a table as deep as `largest`."""
+    """Depths (NODES,) [mm] at which a curve is solved, for a table with this largest depth."""
     return np.linspace(0, (1 + MARGIN) * largest, NODES + 1)[1:]
 
 
 class Curves:
-    """Force over depth for a few values of a second parameter, or for none."""
+    """Interpolated force over depth, for several values of a second parameter or without one."""
 
     def __init__(self, depth: Array, force: Array, values: Array | None = None) -> None:
         """depth (n,) [mm] rising from above 0; force (k, n) [N]; values (k,) rising, None where k is 1."""
@@ -90,7 +90,7 @@ class Curves:
         self._over = CubicSpline(np.concatenate([[0.0], depth]), rooted, axis=1)
 
     def force(self, depth: Array, value: float = 0.0) -> Array:
-        """(n,) [N] at depths (n,) [mm], 0 above the gel."""
+        """Force (n,) [N] at depths (n,) [mm]; 0 above the gel."""
         rooted = self._over(np.clip(depth, 0, self.deepest))
         if self.values is not None:
             rooted = PchipInterpolator(self.values, rooted)(value)

@@ -1,4 +1,4 @@
-"""What a fit found: a sensor, and how well it explains the photographs; and the sensor file with it."""
+"""The result of a fit to photographs, and writing of the changed sensor file."""
 
 import os
 from collections.abc import Mapping
@@ -17,15 +17,15 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class Fitted:
-    """Misfits in counts of 8 bit, root mean square."""
+    """A fitted sensor; misfits are rms in 8-bit counts."""
 
     sensor: LitSensor
     untouched: float
-    before: float  # the same of the sensor file as it was
-    presses: float | None = None  # of how the presses change the picture
-    held_out: float | None = None  # of those the fit has not seen
-    deeper: float = 1.0  # what all depths that were given seem to be off by
-    judged: LitSensor | None = None  # fitted without those held out, that they can judge it
+    before: float  # the same before the fit
+    presses: float | None = None  # of the change under the presses
+    held_out: float | None = None  # of held-out presses
+    deeper: float = 1.0  # factor on all given depths
+    judged: LitSensor | None = None  # fitted without the held-out presses, to be judged by them
 
 
 def rms(parts: list[Array]) -> float:
@@ -34,19 +34,19 @@ def rms(parts: list[Array]) -> float:
 
 
 def rgb(row: Array) -> tuple[float, float, float]:
-    """Plain numbers."""
+    """Three plain numbers."""
     return float(row[0]), float(row[1]), float(row[2])
 
 
 def digits(value: Any) -> Any:
-    """Numbers with four digits, as a person would write them."""
+    """Numbers with four significant digits."""
     if isinstance(value, tuple):
         return [digits(v) for v in value]
     return float(f"{value:.4g}")
 
 
 def write_sensor(path: Path, sensor: Sensor, changes: Mapping[KeyPath, Any], out: Path) -> None:
-    """A sensor file with changes in it, its comments kept; the file of a solid gel is found from the new place too."""
+    """Write a sensor file with changes; comments are kept, and the path of a solid gel is adapted to the new place."""
     changes = dict(changes)
     if sensor.gel.solid is not None:
         solid = assets.mesh_path(sensor.gel.solid.file, path.parent)
