@@ -17,7 +17,7 @@ from tacgen.geometry.analytic_sdf import Shape
 from tacgen.geometry.pose import about, shortest_turn
 
 Array = np.ndarray
-SOFT = 0.5  # below SOFT * dhat the barrier goes on as a parabola, so that Newton can start from an overlap
+SOFT = 0.5  # below SOFT * dhat the barrier continues as a parabola, so that Newton can start from an overlap
 
 
 def barrier(d: Array, dhat: float) -> tuple[Array, Array, Array]:
@@ -44,10 +44,10 @@ def barrier(d: Array, dhat: float) -> tuple[Array, Array, Array]:
 
 @dataclass(frozen=True)
 class Pose:
-    """Where the indenter is: x = rotation @ X + position takes its own frame to the sensor's.
+    """Pose of the indenter: x = rotation @ X + position maps its own frame to the sensor frame.
 
-    Not scipy's RigidTransform, whose `apply` takes six times as long: 980 instead of 150 us for 20 000 points, which
-    every Newton iteration asks for.
+    Not scipy's RigidTransform, whose `apply` takes six times as long: 980 instead of 150 us for 20 000 points, in
+    every Newton iteration.
     """
 
     rotation: Array
@@ -67,7 +67,7 @@ class Pose:
         return np.asarray(X @ self.rotation.T + self.position)
 
     def toward(self, other: "Pose", part: float) -> "Pose":
-        """A part of the way to another pose: straight in position, steady in rotation."""
+        """The pose at a part of the way to another one: linear in position, constant rate of rotation."""
         turned = about(shortest_turn(self.rotation, other.rotation), part)
         return Pose(turned @ self.rotation, (1 - part) * self.position + part * other.position)
 
@@ -83,13 +83,13 @@ class Faces:
 
     @classmethod
     def on(cls, pattern: Pattern, points: Array, facets: Array, along: int = 2) -> "Faces":
-        """With so many points `along` each side of a quad."""
+        """With this number of points `along` each side of a quad."""
         N, _, _ = facet_points(facets.shape[1], along)
-        facets = np.ascontiguousarray(facets)  # loops are compiled anew for another memory layout
+        facets = np.ascontiguousarray(facets)  # another memory layout would compile the loops again
         return cls(facets, N, facet_areas(points, facets, along)[0], pattern.slots(facets))
 
     def only(self, which: Array) -> "Faces":
-        """Those numbered `which` (k,)."""
+        """The faces with indices `which` (k,)."""
         return replace(self, conn=self.conn[which], areas=self.areas[which], slots=self.slots[which])
 
     def at(self, x: Array) -> Array:
@@ -97,11 +97,11 @@ class Faces:
         return np.asarray(assembly.at_points(x, self.conn, self.N))
 
     def scatter(self, forces: Array, nodes: int) -> Array:
-        """Nodal sums (n, c) of forces (f, q, c) at the quadrature points: what they do to the nodes."""
+        """Nodal forces (n, c) of forces (f, q, c) at the quadrature points."""
         return self._sum(self.N, forces, nodes)
 
     def shared(self, forces: Array, nodes: int) -> Array:
-        """Nodal sums (n, c) for drawing: as `scatter`, but even where a uniform pressure is (see facet_shares)."""
+        """Nodal sums (n, c) for maps: as `scatter`, but uniform under a uniform pressure (see facet_shares)."""
         return self._sum(facet_shares(self.N, self.areas), forces, nodes)
 
     def _sum(self, weights: Array, forces: Array, nodes: int) -> Array:
@@ -110,7 +110,7 @@ class Faces:
         return out
 
     def add_blocks(self, which: Array, D: Array, data: Array) -> None:
-        """Add the stiffness D (k, q, 3, 3) of the faces numbered `which` (k,)."""
+        """Add the stiffness D (k, q, 3, 3) of the faces with indices `which` (k,)."""
         assembly.add_point_blocks(D, self.N, self.slots[which], data)
 
 
@@ -118,8 +118,8 @@ class Faces:
 class Contact:
     """The barrier between the coated face and an indenter shrunk by `offset`.
 
-    The barrier holds the gel off by some gap; shrinking the indenter by the mean gap puts the face where the real
-    surface would hold it (see solve.equilibrium).
+    The barrier keeps the gel at a small gap. The indenter is shrunk by the mean gap, so that on average the face lies
+    on the real surface (see solve.equilibrium).
     """
 
     faces: Faces
@@ -133,11 +133,11 @@ class Contact:
         return replace(self, pose=pose, offset=offset)
 
     def grown(self, offset: float, x: Array) -> "Contact":
-        """Shrunk by another offset, with the gel at x."""
+        """With another offset; x is not used here (see MeshContact)."""
         return replace(self, offset=offset)
 
     def clear(self, pose: Pose, x: Array) -> Pose:
-        """Where an indenter may start from: at `pose`, since gaps may be negative."""
+        """A pose from which the indenter may start: `pose` itself, since gaps may be negative."""
         return pose
 
     def starts(self, x: Array, ahead: Array, pose: Pose) -> tuple[Array, Array]:
@@ -147,7 +147,7 @@ class Contact:
     def friction(
         self, coefficient: float, x: Array, normal_force: Array, normal: Array, anchor: Array, eps: float
     ) -> Friction:
-        """Friction with what is lagged: the forces and normals of the gel at x, and anchors."""
+        """Friction with lagged normal forces, normals and anchors."""
         return Friction(self.faces, coefficient, normal_force, normal, anchor, eps)
 
     def gaps(self, x: Array) -> tuple[Array, Array, Array]:
@@ -164,11 +164,11 @@ class Contact:
     def pressure(self, x: Array) -> tuple[Array, Array, Array]:
         """Force of each quadrature point on the indenter (f, q) [N], normals (f, q, 3) and gaps (f, q) [mm]."""
         d, n, _ = self.gaps(x)
-        slope = np.maximum(np.linalg.norm(n, axis=2), 1e-12)  # 1, but for a distance that is interpolated
+        slope = np.maximum(np.linalg.norm(n, axis=2), 1e-12)  # 1 except for interpolated distances
         return -self.kappa * self.faces.areas * barrier(d, self.dhat)[1] * slope, n / slope[..., None], d
 
     def mean_gap(self, x: Array) -> float:
-        """Force-weighted mean gap to the shrunk indenter [mm]; the present shrinkage where nothing touches."""
+        """Force-weighted mean gap to the shrunk indenter [mm]; the present offset without contact."""
         force, _, gap = self.pressure(x)
         total = force.sum()
         return float((force * gap).sum() / total) if total > 0 else self.offset
@@ -191,16 +191,16 @@ class Contact:
         _, db, ddb = barrier(d[which], self.dhat)
         w = (self.kappa * self.faces.areas[which])[..., None, None]
         D = w * ddb[..., None, None] * n[which][..., :, None] * n[which][..., None, :]
-        if projection == Projection.NONE:  # the indenter's curvature only ever softens a convex contact
+        if projection == Projection.NONE:  # negative semidefinite for a convex indenter
             D += w * db[..., None, None] * H[which]
         self.faces.add_blocks(which, D, data)
 
     def max_step(self, x: Array, p: Array) -> float:
-        """Signed distance is 1-Lipschitz: a point that moves less than its gap cannot pass the surface, and one that
-        also moves less than half the indenter's reach cannot leave it on the far side."""
+        """Largest part of step p without tunnelling. Distance is 1-Lipschitz: a point that moves less than its gap
+        cannot enter, and with half the indenter's reach in addition it cannot leave on the far side."""
         return self.max_step_from(self.gaps(x)[0], p)
 
     def max_step_from(self, gap: Array, p: Array) -> float:
-        """The same where the gaps (f, q) [mm] are known."""
+        """The same with known gaps (f, q) [mm]."""
         allowed = np.maximum(gap, 0.0) + self.shape.reach / 2
         return float(min(1.0, (allowed / np.maximum(np.linalg.norm(self.faces.at(p), axis=2), 1e-300)).min()))

@@ -1,14 +1,14 @@
-"""Contact with Coulomb friction as one set of forces: friction's normal force is the barrier's at the same positions.
+"""Fully coupled contact and Coulomb friction: the normal force in friction is the barrier force at the same positions.
 
 At each quadrature point, with the gap d, the unit normal n and the slip u_t from an anchor on the indenter,
 
     N = -kappa A b'(d),    f = N n - mu N f0'(|u_t|) u_t/|u_t|,
 
-so that |f_t| <= mu N holds at every point of an equilibrium by itself. The tangent is consistent and not symmetric: N
+so that |f_t| <= mu N holds at every point of an equilibrium. The tangent is consistent and not symmetric: N
 depends on d, and u_t on the normal. Alart & Curnier (1991), "A mixed formulation for frictional contact problems prone
 to Newton like solution methods"; Wriggers (2006), "Computational contact mechanics", ch. 5. Friction has no energy, so
-line searches take `merit`, that of a friction whose normal forces are frozen: its gradient where they were taken is the
-true force.
+line searches use `merit`, the energy with the normal forces frozen; where they were taken, its gradient is the true
+force.
 """
 
 from dataclasses import dataclass, replace
@@ -61,7 +61,7 @@ def _point_forces(
             slope, bend = 2 / eps - length / eps**2, -1 / (eps**2 * max(length, 1e-12 * eps))
         else:
             slope, bend = 1 / length, -1 / length**3
-        for j in range(3):  # the normal turns with the place on the indenter: dn/dx = (1 - n n^T) H / |g|
+        for j in range(3):  # the normal depends on the position on the indenter: dn/dx = (1 - n n^T) H / |g|
             Hn[j] = n[p, 0] * H[p, 0, j] + n[p, 1] * H[p, 1, j] + n[p, 2] * H[p, 2, j]
             Ht[j] = (t[0] * H[p, 0, j] + t[1] * H[p, 1, j] + t[2] * H[p, 2, j]) / size
         for i in range(3):
@@ -81,7 +81,7 @@ def _point_forces(
 
 @dataclass(frozen=True)
 class ContactForces:
-    """What holds at some positions: gap (f, q) [mm], at and normal (f, q, 3), normal force N (f, q) [N], force on the
+    """Contact at given positions: gap (f, q) [mm], at and normal (f, q, 3), normal force N (f, q) [N], force on the
     gel (f, q, 3) [N], its negative derivative `tangent` (f, q, 3, 3) [N/mm], and `definite`: the Hessian of the merit
     function without the indenter's curvature, symmetric and positive semidefinite."""
 
@@ -95,7 +95,7 @@ class ContactForces:
 
     @property
     def mean_gap(self) -> float:
-        """Force-weighted mean gap [mm]; nan where nothing touches."""
+        """Force-weighted mean gap [mm]; nan without contact."""
         total = float(self.N.sum())
         return float((self.N * self.gap).sum()) / total if total > 0 else float("nan")
 
@@ -115,20 +115,20 @@ class CoupledContact:
         return replace(self, contact=replace(self.contact, offset=offset))
 
     def stiffened(self, times: float) -> "CoupledContact":
-        """With a barrier so many times as stiff."""
+        """With the barrier stiffness multiplied by `times`."""
         return replace(self, contact=replace(self.contact, kappa=times * self.contact.kappa))
 
     def evaluate(self, x: Array) -> ContactForces:
         """Forces and tangents at nodes x (n, 3).
 
-        Where points overlap, as they do in no answer, the tangents leave out how the normal turns.
+        At points that overlap, which no solution has, the tangents omit the rotation of the normal.
         """
         c = self.contact
         at = c.faces.at(x)
         shape = at.shape[:2]
         d, g, H = c.gaps_at(at)
         _, db, ddb = barrier(d, c.dhat)
-        H[d < 0] = 0.0  # where Newton starts from an overlap, N is yet far too large
+        H[d < 0] = 0.0  # in an overlap at the start of Newton, N is far too large
         m = d.size
         N, n, f, D, S = np.empty(m), np.empty((m, 3)), np.empty((m, 3)), np.empty((m, 3, 3)), np.empty((m, 3, 3))
         _point_forces(

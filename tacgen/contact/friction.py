@@ -74,10 +74,10 @@ class Friction:
 
 
 def onset(before: Array, ahead: Array, gap_before: Array, gap_ahead: Array) -> Array:
-    """Where points that come into contact during a frame first touch (f, q, 3), in the indenter's frame.
+    """Positions (f, q, 3), in the indenter's frame, where points that come into contact during a frame first touch.
 
-    `before` and `ahead` are a point's positions at the start of the frame and, going on as it did, at its end; the
-    gaps there [mm] are to the surface it will rest on. It touches where the straight way between them meets it.
+    `before` and `ahead` are the positions at the start of the frame and, extrapolated, at its end; the gaps there [mm]
+    are to the surface of contact. A point touches where the straight line between them meets that surface.
     """
     closing = gap_before - gap_ahead
     part = np.where(gap_ahead < 0, np.clip(gap_before / np.maximum(closing, 1e-12), 0.0, 1.0), 1.0)
@@ -85,7 +85,7 @@ def onset(before: Array, ahead: Array, gap_before: Array, gap_ahead: Array) -> A
 
 
 def dragged(anchor: Array, x: Array, normal: Array, normal_force: Array, eps: float, pose: "Pose") -> Array:
-    """Anchors after a frame, in the indenter's frame: pulled along by slip beyond eps; free points carry their own.
+    """Anchors after a frame, in the indenter's frame: moved by the slip beyond eps; free points carry their own.
 
     anchor and x (f, q, 3) are in the sensor frame.
     """

@@ -1,12 +1,12 @@
 """Contact between two meshes by the IPC Toolkit: the coated face against a triangulated, rigid indenter.
 
-The face is triangulated through its nodes and quadrature points. Each of these pushes on the indenter's triangles, and
-each of the indenter's vertices on the face's, with the clamped log barrier of Li et al. (2020), weighted by area, with
-what edges and corners count twice taken off (Li et al. 2023, "Convergent IPC"), and with friction on the same pairs.
+The face is triangulated through its nodes and quadrature points. Each of these acts on the indenter's triangles, and
+each of the indenter's vertices on those of the face, by the clamped log barrier of Li et al. (2020), weighted by area,
+without double counting at edges and corners (Li et al. 2023, "Convergent IPC"), and with friction on the same pairs.
 
-Each crossing of two edges takes a hundredth of that force, only to keep them apart: with their full areas, crossings
-make a flat contact 5 to 65 times as stiff as its area says, and push single nodes along the face by up to a fifth of
-the force across it (tests/contact/test_ipctk.py).
+Pairs of edges get a hundredth of that force, only to prevent intersections: with their full areas they make a flat
+contact 5 to 65 times too stiff, and cause tangential forces of up to a fifth of the normal force at single nodes
+(tests/contact/test_ipctk.py).
 """
 
 import math
@@ -26,12 +26,12 @@ from tacgen.fem.potential import Projection
 from tacgen.geometry.analytic_sdf import Shape, Triangles
 
 Array = np.ndarray
-NODES = 0.04  # of a facet's area falls to its nodes, which only keep what is sharp from slipping between the others
-VERTEX = 0.25  # of a quadrature point's area is the most that an indenter's vertex stands for, for the same reason
-EDGE = 0.01  # of its area falls to each crossing of two edges: enough to keep them apart, too little to be felt
-LIKE_DISTANCE = 0.25  # the Toolkit's barrier, of squared distances, pushes about 4 times as hard as contact.barrier
-CLEAR = 2.0  # times dhat: how far above the gel the indenter starts, at least
-SAFE = 0.25  # of the smallest gap, by which the indenter's surface may grow at a time
+NODES = 0.04  # share of a facet's area for its nodes, which only stop sharp features between quadrature points
+VERTEX = 0.25  # largest area of an indenter's vertex, over that of a quadrature point, for the same reason
+EDGE = 0.01  # share of that area for a pair of edges: prevents intersections with a negligible force
+LIKE_DISTANCE = 0.25  # factor on kappa: the Toolkit's barrier, of squared distances, is about 4 times as strong
+CLEAR = 2.0  # smallest height above the gel at which the indenter starts, over dhat
+SAFE = 0.25  # largest reduction of the offset in one step, over the smallest gap
 
 
 @cache
@@ -40,18 +40,18 @@ def _toolkit() -> Any:
     import ipctk
 
     class GaussNewton(ipctk.Barrier):  # type: ignore[misc]
-        """A clamped log barrier f(D), D = d^2, without slope: of its Hessian, what stretches d is left.
+        """A clamped log barrier f(D), D = d^2, with zero slope, so that only the part b'' of its Hessian remains.
 
         Of b(d) = f(D), b'' grad d grad d is (f'' + f'/2D) grad D grad D, with f = -(D - Dhat)^2 ln(D/Dhat). The
-        curvature of d, which jumps wherever a corner is passed, stalls Newton's method, and clamped at zero it makes
-        the gel stiff against sliding.
+        curvature of d jumps at corners, which stalls Newton's method; clamped to be positive it makes the gel too stiff
+        against sliding.
         """
 
         def __init__(self) -> None:
             super().__init__()
 
         def __call__(self, D: float, Dhat: float) -> float:
-            return 0.0  # it would only bring in how crossings fade where edges become parallel
+            return 0.0  # would only add the mollifier of nearly parallel edges
 
         def first_derivative(self, D: float, Dhat: float) -> float:
             return 0.0
@@ -63,14 +63,14 @@ def _toolkit() -> Any:
         def units(self, Dhat: float) -> float:
             return Dhat * Dhat
 
-    ipctk.set_num_threads(1)  # sums in one order
+    ipctk.set_num_threads(1)  # deterministic order of sums
     ipctk.set_logger_level(ipctk.LoggerLevel.error)
     return ipctk, GaussNewton()
 
 
 def lattice(nodes: int) -> tuple[Array, Array, Array]:
-    """Points on a facet, its nodes and then its quadrature points: N (q, a), their parts of its area (q,), and the
-    triangles (t, 3) between them."""
+    """Points on a facet, first its nodes, then its quadrature points: N (q, a), their shares of its area (q,), and a
+    triangulation (t, 3)."""
     N, _, weights = facet_points(nodes)
     N = np.concatenate([np.eye(nodes), N])
     at = N @ facet_corners(nodes)
@@ -82,7 +82,7 @@ def lattice(nodes: int) -> tuple[Array, Array, Array]:
 
 
 def _follow(pattern: Pattern, points: Array, facets: Array) -> Array:
-    """1 on the face, 0 where the gel is held, in proportion to the height above the base in between (n,)."""
+    """(n,) 1 on the face, 0 where the gel is bonded, and in between proportional to the height above the base."""
     face, held = np.unique(facets), np.ones(len(points), bool)
     held[pattern.free // 3] = False
     base = points[held, 2].min() if held.any() else points[:, 2].min() - 1.0
@@ -94,11 +94,11 @@ def _follow(pattern: Pattern, points: Array, facets: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """The two surfaces side by side for the Toolkit: first c points of the gel's face, then the indenter's v vertices.
+    """Both surfaces as one mesh for the Toolkit: first c points of the gel's face, then the indenter's v vertices.
 
     faces: the points by facet (f, q), those on edges once for each facet; copy (f, q): which of the c points each is;
-    share (f, q): its part of that point's area; weights (c, n): the points from the nodes; follow (n,): how far nodes
-    go along where the whole face is moved.
+    share (f, q): its part of that point's area; weights (c, n): interpolation from the nodes; follow (n,): share of a
+    motion of the whole face that a node follows.
     """
 
     faces: Faces
@@ -130,7 +130,7 @@ class Pair:
         collision = ipctk.CollisionMesh(rest, ipctk.edges(triangles), triangles)
         stands_for = np.minimum(indenter.areas, VERTEX * simple.areas.min())
         collision.edge_areas = np.full(collision.num_edges, 2 * EDGE * simple.areas.min())  # both are added, and halved
-        collision.vertex_areas = 4 * np.concatenate([area, stands_for])  # of which the Toolkit takes a quarter
+        collision.vertex_areas = 4 * np.concatenate([area, stands_for])  # the Toolkit takes a quarter of it
         body = np.repeat(np.array([0, 1], np.int32), [len(first), len(indenter.vertices)])
         collision.can_collide = ipctk.make_vertex_patches_filter(body)
         follow = _follow(pattern, points, facets)
@@ -138,7 +138,7 @@ class Pair:
 
     @property
     def points(self) -> int:
-        """How many of the vertices are the gel's."""
+        """Number of vertices on the gel."""
         return int(self.weights.shape[0])
 
     @cached_property
@@ -148,12 +148,12 @@ class Pair:
 
     @cached_property
     def moves(self) -> Any:
-        """Displacements (3c,) of the points from those of the pattern's free dofs."""
+        """Matrix from displacements of the pattern's free dofs to those of the points (3c,)."""
         return sparse.kron(self.weights, sparse.eye(3), format="csc")[:, self.pattern.free]
 
     @cached_property
     def entries(self) -> Array:
-        """The pattern's entries in their order, row by row, each as one number."""
+        """The pattern's entries, row by row, each as one sorted key."""
         rows = np.repeat(np.arange(self.pattern.size), np.diff(self.pattern.indptr))
         return np.asarray(rows * np.int64(self.pattern.size) + self.pattern.indices)
 
@@ -163,22 +163,22 @@ class Pair:
         return np.asfortranarray(np.concatenate([self.weights @ x, body]))
 
     def spread(self, forces: Array) -> Array:
-        """What of forces on the vertices (c + v, 3) falls to the gel's points, facet by facet (f, q, 3)."""
+        """Forces on the gel's points per facet (f, q, 3), from forces on the vertices (c + v, 3)."""
         return np.asarray(forces[self.copy] * self.share[..., None])
 
     def on_nodes(self, forces: Array) -> Array:
-        """What forces on the vertices (c + v, 3) do to the gel's nodes (n, 3)."""
+        """Nodal forces on the gel (n, 3), from forces on the vertices (c + v, 3)."""
         return np.asarray(self.weights.T @ forces[: self.points])
 
     def free_way(self, start: Array, end: Array) -> float:
-        """Part of the straight way between two sets of vertices that is free of collisions."""
+        """Largest part of the linear motion between two sets of vertices that is free of collisions."""
         ipctk, _ = _toolkit()
-        ccd = ipctk.AdditiveCCD()  # the exact one takes minutes where flat faces are parallel
+        ccd = ipctk.AdditiveCCD()  # the exact method takes minutes for parallel flat faces
         part = float(ipctk.compute_collision_free_stepsize(self.collision, start, end, 0.0, ipctk.LBVH(), ccd))
         return 1.0 if part > 1 - 1e-9 else part
 
     def add_hessian(self, hessian: Any, data: Array) -> None:
-        """Add d2E (3(c+v), 3(c+v)), of which the indenter's part is fixed, to the pattern's entries."""
+        """Add d2E (3(c+v), 3(c+v)), restricted to the gel, to the pattern's entries."""
         S = self.moves
         K = sparse.triu(S.T @ hessian[: S.shape[0], : S.shape[0]] @ S).tocoo()
         np.add.at(data, np.searchsorted(self.entries, K.row * np.int64(S.shape[1]) + K.col), K.data)
@@ -212,11 +212,11 @@ class MeshContact:
         return replace(self, pose=pose, offset=offset, distance=self.distance.moved(pose, offset))
 
     def grown(self, offset: float, x: Array) -> "MeshContact":
-        """Shrunk by another offset, or by as near to it as what is close to the gel at x allows."""
+        """With another offset, or the nearest to it that the gaps of the gel at x allow."""
         return self.moved(self.pose, max(offset, self.offset - SAFE * self.least(x)))
 
     def clear(self, pose: Pose, x: Array) -> Pose:
-        """Above `pose`, where the indenter does not touch the gel at x."""
+        """A pose above `pose` at which the indenter does not touch the gel at x."""
         ipctk, _ = _toolkit()
         for doublings in range(20):
             lift = CLEAR * self.dhat * 2**doublings
@@ -228,19 +228,19 @@ class MeshContact:
     def starts(self, x: Array, ahead: Array, pose: Pose) -> tuple[Array, Array]:
         """Positions from which Newton may start, reached without a collision from x under the indenter at `pose`.
 
-        The indenter moves through air as far as it can; from there on the whole face follows as if glued to it, which
-        is the first answer. The second then goes toward the guess `ahead` as far as it can.
+        The indenter moves freely up to a collision. Then the face follows it rigidly: the first result. The second
+        moves from there towards the guess `ahead` up to a collision.
         """
         before = self.moved(pose, self.offset)
         part = before._way(x, self, x)
         if part < 1:
             on = before.moved(before.pose.toward(self.pose, part), self.offset)
-            on = on if before._way(x, on, x) == 1 else before  # its way is a turn, and the one looked at was straight
+            on = on if before._way(x, on, x) == 1 else before  # the check assumed a linear motion
             x = x + self.pair.follow[:, None] * (self.pose.world(on.pose.local(x)) - x)
         return x, x + self._way(x, self, ahead) * (ahead - x)
 
     def _way(self, x: Array, other: "MeshContact", there: Array) -> float:
-        """Part of the way to another place of indenter and gel that is free of collisions."""
+        """Largest part of the motion to another state of indenter and gel that is free of collisions."""
         return self.pair.free_way(self._vertices(x), other._vertices(there))
 
     def _vertices(self, x: Array) -> Array:
@@ -249,7 +249,7 @@ class MeshContact:
     def _near(self, x: Array) -> tuple[Array, Any, Array]:
         """All vertices, the pairs within dhat of each other and the gradient of their energy (c + v, 3).
 
-        The search takes far longer than all else: what it found for the last array is kept.
+        The search dominates the time, so the result for the last array is kept.
         """
         if not self._found or self._found[0][0] is not x:
             self._found[:] = [(x, self._find(x))]
@@ -317,7 +317,7 @@ class MeshContact:
     def friction(
         self, coefficient: float, x: Array, normal_force: Array, normal: Array, anchor: Array, eps: float
     ) -> "MeshFriction":
-        """Friction with what is lagged: the pairs of the gel at x, their forces and directions, and anchors."""
+        """Friction with lagged pairs, forces and directions of the gel at x, and anchors."""
         ipctk, _ = _toolkit()
         V, near, _ = self._near(x)
         rubbing = ipctk.TangentialCollisions()
@@ -333,7 +333,7 @@ class MeshFriction(Friction):
     rubbing: Any
 
     def _slips(self, x: Array) -> tuple[Any, Any, Array]:
-        """What the Toolkit asks for: the pairs, the mesh, and how far each vertex (c + v, 3) has slipped."""
+        """Arguments for the Toolkit: the pairs, the mesh, and the slip of each vertex (c + v, 3)."""
         slips = np.zeros((self.pair.points + len(self.pair.indenter.vertices), 3), order="F")
         slips[: self.pair.points] = self.pair.weights @ x - self.anchor.reshape(-1, 3)[self.pair.firsts]
         return self.rubbing, self.pair.collision, slips

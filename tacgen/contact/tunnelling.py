@@ -9,7 +9,7 @@ from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import QUAD_CORNERS, barycentric
 
 Array = np.ndarray
-DEEPEST = 0.75  # depth over the indenter's reach [-]: a point that is deeper at some part of its step has tunnelled
+DEEPEST = 0.75  # depth over the indenter's reach [-] beyond which a point has tunnelled, anywhere in its step
 BETWEEN = 6  # intervals along a facet's side: the overlap is sampled at their ends
 TURN = 0.25  # -cos of the angle between the outward normals at entry and later [-]: beyond it a point has tunnelled
 
@@ -17,8 +17,8 @@ TURN = 0.25  # -cos of the angle between the outward normals at entry and later 
 def blocked(contact: Contact, was: Pose, before: Array, gap: Array, x: Array) -> bool:
     """Whether a straight step carries a point of the face through the indenter.
 
-    As seen from the indenter, which `was` at one pose with the nodes at `before` (n, 3) and gaps (f, q) [mm], and is at
-    the contact's with the nodes at x. A point past the indenter's middle would be pushed out on the far side; there the
+    The motion is taken in the indenter's frame, from pose `was` with nodes `before` (n, 3) and gaps (f, q) [mm] to the
+    contact's pose with nodes x. A point beyond the indenter's middle would be pushed out on the far side. There the
     outward normal has turned by more than a right angle since the point entered, or the depth is large.
     """
     a, b = was.local(contact.faces.at(before)), contact.pose.local(contact.faces.at(x))
@@ -41,7 +41,7 @@ def blocked(contact: Contact, was: Pose, before: Array, gap: Array, x: Array) ->
 
 
 def depth_inside(contact: Contact, elastic: Iterable[Elastic], x: Array) -> float:
-    """How deep matter of the gel is inside the shrunk indenter [mm], at the integration points."""
+    """Largest penetration of the gel into the shrunk indenter [mm], at the integration points."""
     least = 0.0
     for part in elastic:
         at = np.einsum("qa,eai->eqi", part.elements.shape, x[part.elements.conn]).reshape(-1, 3)
@@ -50,9 +50,9 @@ def depth_inside(contact: Contact, elastic: Iterable[Elastic], x: Array) -> floa
 
 
 def overlap(contact: Contact, x: Array) -> float:
-    """How deep the gel's face is inside the shrunk indenter [mm], between the points where contact acts.
+    """Largest penetration of the gel's face into the shrunk indenter [mm], between the contact points.
 
-    A few micrometres where the mesh resolves the indenter; with edges sharper than its cells, what they cut into it.
+    A few micrometres if the mesh resolves the indenter; more at edges sharper than the mesh.
     """
     conn, gap = contact.faces.conn, contact.gaps(x)[0].min(1)
     near = gap < contact.dhat + np.sqrt(contact.faces.areas.sum(1))
