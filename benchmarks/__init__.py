@@ -1,4 +1,4 @@
-"""Measurements of the program: accuracy, stability, run time.
+"""Benchmarks: accuracy, stability and run time of tacgen.
 
 A bench is a module with `bench(level, say) -> results_page.Result` and a line in BENCHES. Its figures are written as
 JSON and a plot; the results page is generated from these files.

@@ -1,8 +1,8 @@
-"""The press of a ball by CalculiX, an established finite element program, where its `ccx` is installed.
+"""The press of a ball solved by CalculiX, an established finite element program, if its `ccx` is installed.
 
-As an engineer would set it up: quadratic hexes with reduced integration (C3D20R), graded as ours; the same neo-Hookean
-energy but for its volumetric part, K/2 (J - 1)^2; the ball as a surface that is moved; contact from face to face by a
-stiff linear penalty; steps as long as keep the force within some tenths of a percent of that of short ones.
+The usual set-up: quadratic hexes with reduced integration (C3D20R), graded like tacgen's; the same neo-Hookean energy,
+except for the volumetric part K/2 (J - 1)^2; the ball as a moved surface; surface-to-surface contact with a stiff
+linear penalty; steps as long as possible with the force within some tenths of a percent of that of short steps.
 """
 
 import re
@@ -25,9 +25,9 @@ from tacgen.scene import mesh
 
 Array = np.ndarray
 PROGRAM = "ccx"
-STIFF = 1000.0  # of the penalty, in Young's moduli a millimetre; softer is quicker and too weak, 0.2 % at 300
-RINGS, SECTORS = 40, 24  # of a quarter of the ball's surface
-INCREMENTS = "0.25, 1., 1e-6, 0.5"  # first, all, least and greatest part of the way in a step
+STIFF = 1000.0  # penalty stiffness in Young's moduli per mm; 300 is faster, with an error of 0.2 %
+RINGS, SECTORS = 40, 24  # elements on a quarter of the ball's surface
+INCREMENTS = "0.25, 1., 1e-6, 0.5"  # first, total, smallest and largest step, as parts of the press
 
 
 @dataclass(frozen=True)
@@ -40,19 +40,19 @@ class Pressed:
 
 
 def installed() -> bool:
-    """Whether the program is there."""
+    """Whether the program is installed."""
     return shutil.which(PROGRAM) is not None
 
 
 def version() -> str:
-    """As the program says it."""
+    """Name and version of the program."""
     said = subprocess.run([PROGRAM, "-v"], capture_output=True, text=True, check=False).stdout
     return "CalculiX " + (re.search(r"[\d.]+", said) or [""])[0]
 
 
 def press(gel: Gel, radius: float, depth: float, edge: float, *, quarter: bool = True) -> Pressed:
-    """Press a ball without friction into a flat pad of one neo-Hookean layer, on a mesh of `edge` [mm] below it: the
-    pad as tacgen solves it, or a quarter by symmetry."""
+    """Press a ball without friction into a flat pad of one neo-Hookean layer, with element edge `edge` [mm] below it:
+    the whole pad as tacgen solves it, or a quarter by symmetry."""
     deck, nodes = _deck(gel, radius, depth, edge, quarter)
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "press.inp").write_text(deck)
@@ -71,10 +71,10 @@ def press(gel: Gel, radius: float, depth: float, edge: float, *, quarter: bool =
 
 
 def _deck(gel: Gel, radius: float, depth: float, edge: float, quarter: bool) -> tuple[str, int]:
-    """Its input, and how many nodes the gel has."""
+    """The input file, and the number of nodes of the gel."""
     law = gel.layers[0].law
     assert isinstance(law, NeoHooke)
-    reach = np.sqrt(2 * radius * depth) + edge / 2  # as far as the ball cuts into the untouched face
+    reach = np.sqrt(2 * radius * depth) + edge / 2  # radius of the ball's section with the untouched face
     low = 0.0 if quarter else -1.0
     points, cells, top = _pad(gel, low, reach, edge)
     ball, bricks, wedges = _ball(radius, min(1.1 * reach, 0.97 * radius), 1 if quarter else 4, len(points))
@@ -106,7 +106,7 @@ def _deck(gel: Gel, radius: float, depth: float, edge: float, quarter: bool) -> 
 
 
 def _pad(gel: Gel, low: float, reach: float, edge: float) -> tuple[Array, Array, Array]:
-    """Points, cells of 20 nodes and the numbers of the topmost cells; x and y from `low` times the half pad on."""
+    """Points, cells of 20 nodes and indices of the top cells; x and y start at `low` times the pad's half size."""
     size, fine = (gel.width / 2, gel.height / 2), (low * reach, reach)
     xs, ys = (mesh.graded(low * half, half, fine, edge, 1.7, 4.0) for half in size)
     zs, _ = mesh.heights(gel, 1.1 * edge, 1.1, 2.0)
@@ -126,8 +126,8 @@ def _pad(gel: Gel, low: float, reach: float, edge: float) -> tuple[Array, Array,
 
 
 def _ball(radius: float, reach: float, quarters: int, first: int) -> tuple[Array, Array, Array]:
-    """Some quarters of the ball's lower face as a shell of bricks and, at its pole, wedges, whose faces S1 look at the
-    gel: points and nodes, numbered from `first` on."""
+    """Quarters of the ball's lower surface as a shell of bricks and, at the pole, wedges, with faces S1 towards the
+    gel: points, and nodes numbered from `first`."""
     polar = np.linspace(0, np.arcsin(reach / radius), RINGS + 1)[1:]
     sectors = quarters * SECTORS
     turn = np.linspace(0, quarters * np.pi / 2, sectors + 1)

@@ -1,4 +1,4 @@
-"""Scenes at the end of what can be asked for, by name and at random; PLAIN is what each of them changes."""
+"""Extreme scenes, named and random, each as changes to the scene PLAIN."""
 
 from collections.abc import Sequence
 
@@ -91,7 +91,7 @@ CASES: dict[str, Sets] = {
 
 
 def scaled(by: float) -> Sets:
-    """The plain scene with all its lengths so many times as long."""
+    """The plain scene with all lengths multiplied by `by`."""
     size = {"width_mm": 25.25, "height_mm": 20.75, "corner_radius_mm": 1.5, "layers[0].thickness_mm": 4.0}
     press = f"{{press: {{depth_mm: {by}, frames: 2}}}}, {{slide: {{x_mm: {0.4 * by}, frames: 1}}}}"
     return (
@@ -106,12 +106,12 @@ SCALES = (0.01, 0.1, 10.0, 100.0)
 CASES |= {f"all lengths {by:g} times": scaled(by) for by in SCALES}
 
 
-RANDOM = 12  # numbers that a random scene is made of
+RANDOM = 12  # numbers that define a random scene
 
 
 def random(u: Sequence[float]) -> Sets:
-    """A scene from RANDOM numbers in [0, 1]; at 0 it is mild: a ball, shallow, smooth, not slid nor turned nor tilted,
-    on one layer."""
+    """A scene from RANDOM numbers in [0, 1]. All 0: a ball, pressed little, without friction, slide, twist or tilt, on
+    one layer."""
     size = 1.4 + 2.6 * u[1]
     shapes = (
         f"shape: sphere, radius_mm: {size}",
@@ -122,7 +122,7 @@ def random(u: Sequence[float]) -> Sets:
         f"shape: cone, half_angle_deg: {20 + 10 * size}, tip_radius_mm: {size / 8}",
         f"shape: wedge, half_angle_deg: {20 + 10 * size}, tip_radius_mm: {size / 8}, length_mm: {2 * size}",
     )
-    frames = 2 if u[10] < 0.7 else 1  # or at once
+    frames = 2 if u[10] < 0.7 else 1  # or in one frame
     moves = (
         f"{{press: {{depth_mm: {0.2 + 1.3 * u[2]}, frames: {frames}}}}}",
         f"{{slide: {{x_mm: {2 * u[4]}, y_mm: {u[4] * u[5]}, frames: {frames}}}}}",

@@ -1,4 +1,4 @@
-"""Growth of the time and memory of the solve with the mesh; `pipeline` has the total cost of a frame."""
+"""Growth of time and memory of the solve with the size of the mesh; `pipeline` measures the total cost of a frame."""
 
 import math
 import time
@@ -8,8 +8,8 @@ from typing import Any
 from benchmarks.results_page import Cell, Level, Plot, Result, Say, Series, Table, columns, in_own_process, peak_memory
 
 ABOUT = (
-    "A ball of 4 mm with friction 0.6 on the Mini, labels and images left out: each line is a process of its own on one"
-    " core, in processor seconds, what is compiled being compiled before."
+    "A ball of 4 mm with friction 0.6 on the Mini, without labels and images. Each line is a separate process on one"
+    " core; processor seconds without compiling."
 )
 PRESS = "trajectory=[{press: {depth_mm: 1.0, frames: 1}}]"
 BALL = ("outputs=[force]", "indenter={shape: sphere, radius_mm: 4}", "contact.friction=0.6")
@@ -21,13 +21,13 @@ NODES = {
 
 
 def bench(level: Level, say: Say) -> Result:
-    """Finer and finer meshes."""
+    """Increasingly fine meshes."""
     growth, curve = _growth(level, say)
     return Result(ABOUT, [growth], [curve])
 
 
 def solved(sets: list[str]) -> dict[str, Any]:
-    """Of the quickstart with these changes, solved in one frame: seconds, iterations, nodes, and memory [MB]."""
+    """Solve the quickstart with these changes in one frame: seconds, iterations, nodes, and memory [MB]."""
     from tacgen import solve
     from tacgen.recipe import assets, plan
     from tacgen.scene import mesh, scene
@@ -57,9 +57,9 @@ def _growth(level: Level, say: Say) -> tuple[Table, Plot]:
         say(f"{found['nodes']} nodes: {seconds:.1f} s")
     whole, *local = (_slope(*ends) for ends in ((nodes[0], each[0], nodes[-1], each[-1]), *_steps(nodes, each)))
     heads = ("edge [mm]: .3f", "nodes: d", "iterations: d", "s a frame: .2f", "s an iteration: .3f", "memory [MB]: .0f")
-    note = f"A press of 1 mm in one frame. It costs as nodes^{whole:.2f} over the whole range, and from size to size as"
-    note += " nodes^" + ", ".join(f"{slope:.2f}" for slope in local)
-    note += ". An iteration is a step of the whole gel; contact comes to equilibrium within it."
+    note = f"A press of 1 mm in one frame. The cost grows as nodes^{whole:.2f} over the whole range, and between sizes"
+    note += " as nodes^" + ", ".join(f"{slope:.2f}" for slope in local)
+    note += ". An iteration is a Newton step of the whole gel, in which contact is solved to equilibrium."
     line = Series(f"nodes^{whole:.2f}", [nodes[0], nodes[-1]], [each[0], each[-1]], line=True)
     plot = Plot("Cost of a frame", "nodes", "s a frame", [Series("measured", nodes, each), line])
     return Table("How cost grows with the mesh", columns(*heads), rows, note), plot

@@ -12,9 +12,9 @@ from benchmarks.results_page import Cell, Level, Result, Say, Table, columns, in
 from tacgen.errors import UserError
 
 ABOUT = (
-    "A ball pressed and slid on the Mini at `draft`, each line in a process of its own on one core, with others beside"
-    " it on the rest: processor seconds of the scene after a smaller one, which compiles, the process's peak of memory,"
-    " and the large packages that it loaded."
+    "A ball pressed and slid on the Mini at `draft`. Each line is a separate process on one core, while others run on"
+    " the other cores: processor seconds of the scene after a smaller one, which compiles, the peak memory of the"
+    " process, and the large packages that it loaded."
 )
 MOVES = "trajectory=[{press: {depth_mm: 0.8, frames: 1}}, {slide: {x_mm: 0.4, frames: 1}}]"
 SCENE = ("indenter={shape: sphere, radius_mm: 4}", MOVES, "contact.friction=0.5", "quality=draft")
@@ -48,7 +48,7 @@ ASKED: dict[str, tuple[str, tuple[str, ...]]] = {  # name: (outputs, changes)
         (),
     ),
 }
-# large packages, of which a scene should load no more than it needs
+# large packages, which a scene should load only if it needs them
 LARGE = ("numpy", "scipy", "numba", "h5py", "cvxopt", "pymetis", "mitsuba", "drjit", "matplotlib", "ipctk", "pytetwild",
          "PyfTetWildWrapper", "trimesh", "igl", "pymeshlab", "torch", "PIL", "distributed")  # fmt: skip
 WARM_UP = (  # a smaller scene that compiles and fills the caches
@@ -60,7 +60,7 @@ AT_FULL = ("force, ipctk", "rgb by path")  # lines for level full alone: mechani
 
 
 def bench(level: Level, say: Say) -> Result:
-    """Every line of ASKED, and what labels cost on every sensor."""
+    """Every line of ASKED, and the cost of labels on every sensor."""
     rows: list[list[Cell]] = []
     normal = tuple(name for name in ASKED if name not in AT_FULL)
     names = {"smoke": AT_SMOKE, "normal": normal, "full": tuple(ASKED)}[level]
@@ -89,8 +89,8 @@ def rows_of(outputs: str, sets: list[str]) -> Any:
 
 
 def run(outputs: str, sets: list[str]) -> dict[str, Any]:
-    """The scene through the pipeline in this process, after a rough one, and what that took; a UserError ends the
-    process."""
+    """Run the scene through the pipeline in this process, after a coarse one: seconds, memory, modules and packages.
+    A UserError ends the process."""
     from tacgen import pipeline
 
     rough, rows = rows_of(outputs, [*sets, *WARM_UP]), rows_of(outputs, sets)
@@ -105,13 +105,13 @@ def run(outputs: str, sets: list[str]) -> dict[str, Any]:
 
 
 def loaded() -> dict[str, list[str]]:
-    """What this process has imported: modules of tacgen, and large packages."""
+    """Imports of this process: modules of tacgen, and large packages."""
     modules = sorted(name for name in sys.modules if name.partition(".")[0] == "tacgen")
     return {"modules": modules, "packages": [name for name in LARGE if name in sys.modules]}
 
 
 def used(outputs: str, sets: list[str]) -> dict[str, list[str]]:
-    """What one scene imports, and which functions of tacgen ran, as "module:function", what makes ready left out."""
+    """Imports of one scene, and the functions of tacgen that ran, as "module:function", without compiling."""
     from tacgen import pipeline, solve
 
     here = str(Path(pipeline.__file__).parent)
@@ -134,7 +134,7 @@ def used(outputs: str, sets: list[str]) -> dict[str, list[str]]:
 
 
 def _labels(say: Say) -> Table:
-    """Stress and maps at `default` beside the solve, and how well they agree with one another."""
+    """Time of stress and maps at `default` compared with the solve, and their consistency."""
     rows: list[list[Cell]] = []
     sensors = ("gelsight_mini", "digit", "ninedtact")
     for sensor, found in zip(
@@ -149,16 +149,16 @@ def _labels(say: Say) -> Table:
     heads = columns("sensor", "solve [s]: .2f", "stress [ms]: .0f", "maps [ms]: .0f", "share: .1%")
     heads |= columns("force: .2%", "traction: .1%", "alternates: .1%", "map's sum: .0e", "Coulomb: .1e")
     note = (
-        "A frame of a ball pressed, slid and twisted, friction 0.6, at `default`; share: of stress and maps in the"
-        " solve. Of the worst frame: sigma n against the force, and over the face against the contact's traction"
-        " (L2); how much pressure alternates from cell to cell; how far the force map's sum is from the force; by how"
-        " much the traction map exceeds Coulomb's law, as a part of the largest."
+        "A frame of a ball pressed, slid and twisted, friction 0.6, at `default`; share: time of stress and maps over"
+        " that of the solve. In the worst frame: the sum of sigma n against the force; sigma n against the contact"
+        " traction over the face (L2); the alternation of pressure between cells; the error of the force map's sum; the"
+        " largest excess of the traction map over Coulomb's law, over the largest limit."
     )
     return Table("Labels: cost and agreement", heads, rows, note)
 
 
 def labels(sensor: str) -> dict[str, list[float]]:
-    """Seconds a frame of solve, stress and maps, and the worst frame's disagreements."""
+    """Seconds a frame of solve, stress and maps, and the inconsistencies of the worst frame."""
     import numpy as np
 
     from tacgen import solve

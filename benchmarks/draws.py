@@ -1,4 +1,4 @@
-"""Ordinary scenes by number, drawn as a data set would draw them: these ranges define what "ordinary" means."""
+"""Ordinary scenes by number, drawn at random as in a data set: these ranges define "ordinary"."""
 
 import math
 from dataclasses import dataclass
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 SEED = 41
-# of the gel [mm], of which press depths are parts; DIGIT: at the rim, its dome is 4.06 mm at the crown
+# of the gel [mm], for press depths; DIGIT: at the rim (4.06 mm at the crown)
 THICKNESS = {"gelsight_mini": 4.0, "digit": 2.5, "ninedtact": 2.8}
 OBJECTS = ("gear", "hex_bolt", "key", "letters", "ring")
 KINDS = ("sphere", "sphere", "cylinder", "box", "cone", "wedge", "capsule", "torus", "mesh", "mesh")  # equal chances
@@ -42,7 +42,7 @@ def drawn(index: int) -> Draw:
 
 
 def _indenter(r: np.random.Generator) -> tuple[str, str]:
-    """The name of a shape or object, and the indenter as a recipe has it."""
+    """The name of a shape or object, and the indenter in a recipe."""
     kind, size, tip, length = str(r.choice(KINDS)), r.uniform(2, 5), r.uniform(0.8, 1.5), r.uniform(5, 10)
     if kind == "mesh":
         name = str(r.choice(OBJECTS))

@@ -1,7 +1,7 @@
-"""Flow of what is printed on the coating, against Mitsuba's paths through plate and layers to the same moved face.
+"""Error of marker positions and flow, against Mitsuba's paths through plate and layers to the same deformed face.
 
-Paths give which point of the coating is behind each pixel, densely; `markers` and `flow` go the other way, from the
-point to the pixel. So each is carried into the traced picture, and what is missing there counts, in pixels.
+Paths give the point of the coating behind each pixel; `markers` and `flow` map points to pixels. Each result is
+therefore looked up in the traced picture, and the remaining difference is converted to pixels.
 """
 
 from typing import NamedTuple
@@ -21,12 +21,12 @@ from tacgen.render import mitsuba_path
 
 Array = np.ndarray
 SHEAR = 0.5  # [mm]
-DEPTHS = {"gelsight_mini": 1.0, "digit": 0.8, "ninedtact": 0.8}  # of a ball of 4 mm, before it is moved [mm]
-SPACING, SHEET = 0.05, 0.1  # [mm] between the nodes of the traced face, and of tacgen's own
+DEPTHS = {"gelsight_mini": 1.0, "digit": 0.8, "ninedtact": 0.8}  # of a ball of 4 mm, before the shear [mm]
+SPACING, SHEET = 0.05, 0.1  # distance of nodes [mm] of the traced face, and of tacgen's
 
 
 class Error(NamedTuple):
-    """In pixels: how far things moved at most, and how far off the two are, as root mean square and at most."""
+    """In pixels: the largest motion, and rms and largest errors of markers and flow."""
 
     moved: float
     markers_rms: float
@@ -36,7 +36,7 @@ class Error(NamedTuple):
 
 
 def sheared(name: str, quality: str = "draft") -> tuple[Sensor, Surface, Surface]:
-    """A shipped sensor, its face untouched, and pressed and sheared by a ball."""
+    """A shipped sensor, its untouched face, and its face pressed and sheared by a ball."""
     sensor = loading.read_sensor(assets.sensor_path(name))[0]
     recipe = {
         "tacgen": 1, "name": "shear", "sensor": name, "indenter": {"shape": "sphere", "radius_mm": 4.0},
@@ -48,7 +48,7 @@ def sheared(name: str, quality: str = "draft") -> tuple[Sensor, Surface, Surface
 
 
 def measure(sensor: LitSensor, untouched: Surface, moved: Surface, variant: str, spp: int = 256) -> Error:
-    """Errors of marker positions and of dense flow; a sensor without markers is given a millimetre's grid."""
+    """Errors of marker positions and of dense flow; a sensor without markers gets a grid of 1 mm."""
     camera, fine, own = Camera.from_sensor(sensor), *(Sheet.over(sensor.gel, d) for d in (SPACING, SHEET))
     before, after = (mitsuba_path.rest(sensor, fine, face, spp, variant) for face in (untouched, moved))
     if sensor.markers is not None:
@@ -67,7 +67,7 @@ def measure(sensor: LitSensor, untouched: Surface, moved: Surface, variant: str,
 
 
 def _off(traced: Array, pixels: Array, rest: Array) -> Array:
-    """How far (n, 2) [px] `pixels` (n, 2) are from where a traced picture (h, w, 2) shows the points `rest` (n, 2)."""
+    """Distance (n, 2) [px] of `pixels` (n, 2) from where a traced picture (h, w, 2) shows the points `rest` (n, 2)."""
     from scipy.ndimage import map_coordinates
 
     at = pixels.T[::-1] - 0.5

@@ -1,11 +1,11 @@
-"""How far pictures are from Mitsuba's `path`, and what they cost: sensors x solved faces x methods and settings.
+"""Error of images against Mitsuba's `path`, and their time: sensors x solved faces x methods and settings.
 
-PSNR in dB on the developed picture before rounding and without the camera's noise. The reference comes in several
-independent parts: the mean of the products of the picture's errors against each two of them, in linear light and turned
-into counts by the slope at the picture measured, has none of their noise in it, however strong that is. By how much it
-still strays falls with the number of paths a pixel, but with the root of that of pixels: so paths say most about few
-pixels. Those are drawn at random, one in each cell of a grid over the picture, and stand for it without bias.
-References are kept in the cache.
+PSNR in dB on the developed image before rounding and without the camera's noise. The reference consists of several
+independent parts. The mean product of the image's errors against each pair of parts, in linear light and converted to
+counts by the slope of the response, is an unbiased estimate of the squared error, however noisy the parts are. Its
+standard deviation falls with the number of paths per pixel, but only with the root of the number of pixels, so many
+paths at few pixels are best. The pixels are drawn at random, one in each cell of a grid, which has no bias.
+References are cached.
 """
 
 import hashlib
@@ -34,27 +34,27 @@ BALL = "indenter={shape: sphere, radius_mm: 4}"
 BOX = "indenter={shape: box, size_x_mm: 5, size_y_mm: 4, fillet_mm: 0.2}"
 PRESS = "trajectory=[{press: {depth_mm: %g, frames: 2}}]"
 SHEAR = "trajectory=[{press: {depth_mm: %g, frames: 2}}, {slide: {x_mm: 0.4, y_mm: 0.3, frames: 2}}]"
-FACES = {  # what is pressed, the movement, its depth against the ball's, and whether there are dots
+FACES = {  # indenter, movement, depth over that of the ball, and whether there are markers
     "untouched": (BALL, "", 0.0, False),
     "ball": (BALL, PRESS, 1.0, False),
     "sharp box": (BOX, PRESS, 0.5, False),
     "sheared dots": (BALL, SHEAR, 1.0, True),
 }
 DEPTHS = {"gelsight_mini": 1.0, "digit": 1.0, "ninedtact": 0.8}  # of the ball [mm]
-DOTS = (  # printed on a DIGIT, which has none: as on the Mini, turned
+DOTS = (  # for DIGIT, which has no markers: the Mini's grid, rotated
     "sensor.markers={columns: 7, rows: 9, pitch_mm: [2.0625, 2.0625], diameter_mm: 1.0, albedo: 0.065, source: bench}"
 )
 METHODS = [("transport", quality) for quality in QUALITIES] + [("path", str(spp)) for spp in (16, 64)]
 BEST_METHOD = len(QUALITIES) - 1  # its index
-PATH_FACE = "ball"  # that paths are looked at on: their noise is the same on all
-BAND_COUNT, BAND_SHARE = 4, 16  # bands across the picture in which paths are traced, and all rows over theirs
+PATH_FACE = "ball"  # the only face on which `path` is measured: its noise is the same on all
+BAND_COUNT, BAND_SHARE = 4, 16  # bands in which paths are traced, and the number of all rows over theirs
 MAX_SPP = 256  # paths a pixel in one pass over a whole picture
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """A picture against its reference: PSNR [dB] and how sure that is, and its seconds of processor: a frame's, and
-    what was made ready before the first one."""
+    """An image against its reference: PSNR [dB] and its standard deviation, and processor seconds of a frame and of the
+    setup."""
 
     sensor: str
     face: str
@@ -69,7 +69,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Truth:
-    """How a reference is traced: parts, paths a pixel in each, at how many pixels (None: all)."""
+    """How a reference is traced: number of parts, paths a pixel in each, number of pixels (None: all)."""
 
     parts: int
     spp: int
@@ -77,7 +77,7 @@ class Truth:
 
 
 class Reference(NamedTuple):
-    """A sensor, a solved face, whether it has dots, and traced pictures of it (H, W, 3), nan where they are not."""
+    """A sensor, a solved face, whether it has markers, and traced images (H, W, 3), nan outside the chosen pixels."""
 
     sensor: LitSensor
     surface: Surface
@@ -86,7 +86,7 @@ class Reference(NamedTuple):
 
 
 class Paths:
-    """Mitsuba's paths in some windows, or everywhere: new ones at each look, or what the cache has of that look."""
+    """Light by Mitsuba's paths in some windows or everywhere; with `keep`, each image is cached."""
 
     def __init__(
         self, sensor: LitSensor, markers: bool, spp: int, variant: str, windows: Sequence[Window], keep: bool
@@ -122,7 +122,7 @@ class Paths:
         return made.astype(np.float32)
 
     def name(self, nodes: Array) -> str:
-        """Its place in the cache, whatever the variant."""
+        """Its key in the cache, independent of the variant."""
         dots = self.sensor.markers.model_dump() if self.markers and self.sensor.markers else None
         light = [led.light for led in self.sensor.leds]
         face = hashlib.sha256(nodes.astype(np.float32).tobytes()).hexdigest()
@@ -130,7 +130,7 @@ class Paths:
 
 
 def chosen(camera: Camera, count: int, seed: int = 0) -> list[Window]:
-    """About so many pixels, one at random in each cell of a grid: each of the picture's is as likely as any other."""
+    """About `count` pixels, one at random in each cell of a grid, with equal probability for all pixels."""
     width, height = camera.width_px, camera.height_px
     rows = max(1, round((count * height / width) ** 0.5))
     columns = max(1, round(count / rows))
@@ -140,11 +140,11 @@ def chosen(camera: Camera, count: int, seed: int = 0) -> list[Window]:
 
 
 def solved(sensor: str, face: str, shrink: int) -> tuple[LitSensor, Surface, bool]:
-    """The sensor with a picture `shrink` times smaller, the face that it sees, and whether dots are on it."""
+    """The sensor with an image `shrink` times smaller, the solved face, and whether it has markers."""
     indenter, path, share, dots = FACES[face]
     sets = [f"sensor={sensor}", indenter, "contact.friction=0.8", "outputs=[force]"]
     sets += [path % (share * DEPTHS[sensor])] if path else []
-    dots &= sensor != "ninedtact"  # they cannot be seen through what scatters
+    dots &= sensor != "ninedtact"  # invisible through a scattering gel
     row = plan.load(assets.recipe_path("quickstart"), [*sets, *([DOTS] if dots and sensor == "digit" else [])]).rows[0]
     lit = cast(LitSensor, row.sensor)
     lit = images.zoomed(lit, lit.camera.width_px // shrink) if shrink > 1 else lit
@@ -157,8 +157,8 @@ def solved(sensor: str, face: str, shrink: int) -> tuple[LitSensor, Surface, boo
 
 
 def decibel(picture: Array, truths: Sequence[Array], camera: Camera, noisy: bool) -> tuple[float, float]:
-    """PSNR [dB] of a radiance picture (H, W, 3), that may be `noisy` itself, against several noisy ones, where they are
-    not nan, and its standard deviation [dB]; where that hides the error, no more PSNR than is sure."""
+    """PSNR [dB] of a radiance image (H, W, 3), which may be `noisy` itself, against several noisy ones where they are
+    not nan, and its standard deviation [dB]. An error below the standard deviation counts as that."""
     lights = np.array([camera_response.expose(light.astype(np.float64), camera) for light in (picture, *truths)])
     x, *parts = lights[:, np.isfinite(lights).all((0, 3))]
     slope = camera_response.slope(np.clip(x, 0.0, 1.0), camera) * (x < 1.0)
@@ -175,10 +175,10 @@ def decibel(picture: Array, truths: Sequence[Array], camera: Camera, noisy: bool
 
 
 def reference(name: str, face: str, shrink: int, how: Truth, variant: str) -> Reference:
-    """A solved face and its traced pictures, from the cache where they are."""
+    """A solved face and its traced images, from the cache if they are there."""
     sensor, surface, dots = solved(name, face, shrink)
     windows = chosen(sensor.camera, how.pixels) if how.pixels else ()
-    variant = mitsuba_variants.SCALAR if windows else variant  # others compile anew for each window
+    variant = mitsuba_variants.SCALAR if windows else variant  # others compile for each window
     kept = images.Renderer(sensor, 1, 0, dots, variant, "path")
     kept.light = Paths(sensor, dots, how.spp, variant, windows, True)
     return Reference(sensor, surface, dots, [kept.image(surface) for _ in range(how.parts)])
@@ -187,7 +187,7 @@ def reference(name: str, face: str, shrink: int, how: Truth, variant: str) -> Re
 def measure(
     name: str, found: Mapping[str, Reference], ways: Sequence[tuple[str, str]], variant: str
 ) -> Iterator[Outcome]:
-    """Each outcome of a sensor, whose faces' references are given."""
+    """All outcomes of a sensor, for the given references of its faces."""
     ready: dict[tuple[str, str, bool], tuple[images.Renderer, float]] = {}
     for face, (sensor, surface, dots, truths) in found.items():
         size, best = (sensor.camera.width_px, sensor.camera.height_px), truths[0]
@@ -212,8 +212,8 @@ def measure(
 
 
 def _noise(seen: Reference, spp: int, best: Array, variant: str) -> tuple[float, float, float, float]:
-    """PSNR [dB] of paths, how sure that is, seconds of a frame and before the first: looked at in bands of the picture,
-    against the best that there is without noise, whose error is nothing beside theirs."""
+    """PSNR [dB] of `path`, its standard deviation, seconds of a frame and of the setup: measured in bands of the image,
+    against the best noise-free image, whose error is negligible here."""
     width, height = seen.sensor.camera.width_px, seen.sensor.camera.height_px
     rows = max(1, height // (BAND_COUNT * BAND_SHARE))
     bands = [(0, (2 * i + 1) * height // (2 * BAND_COUNT) - rows // 2, width, rows) for i in range(BAND_COUNT)]

@@ -12,11 +12,11 @@ from benchmarks.results_page import Cell, Level, Plot, Result, Say, Series, Tabl
 from benchmarks.scaling import TINY
 
 COUNTS: dict[Level, tuple[int, ...]] = {"smoke": (2, 4), "normal": (250, 1000), "full": (250, 1000, 5000)}
-LOOK_S = 0.02  # between looks at a process
+LOOK_S = 0.02  # interval at which a process is sampled [s]
 ABOUT = (
-    "The smallest scenes there are, one frame of forces, made, looked at and packed by the commands, each in a process"
-    " of its own: processor seconds (of `run` with its workers), and of the command itself the peak of memory and the"
-    " most files open at a time. Growth faster than the number of scenes would prevent larger datasets."
+    "The smallest possible scenes, one frame of forces, are made, checked and packed by the commands, each in a"
+    " separate process: processor seconds (of `run` with its workers), and peak memory and largest number of open"
+    " files of the command itself. Growth faster than the number of scenes would prevent larger datasets."
 )
 
 
@@ -42,7 +42,7 @@ def bench(level: Level, say: Say) -> Result:
 
 
 def _commands(count: int, here: Path) -> dict[str, list[str]]:
-    """In the order in which they are run."""
+    """The commands, in the order in which they are run."""
     made = str(here / "made")
     over = f"vary={{method: random, samples: {count}, over: {{start.x_mm: {{uniform: [-4, 4]}}}}}}"
     sets = [word for text in (*TINY, over) for word in ("--set", text)]
@@ -58,17 +58,17 @@ def _commands(count: int, here: Path) -> dict[str, list[str]]:
 
 
 def measured(args: list[str]) -> tuple[float, float, int]:
-    """Processor seconds, peak memory [MB] and most open files of a command.
+    """Processor seconds, peak memory [MB] and largest number of open files of a command.
 
     Raises:
-        RuntimeError: it failed; the message is what it said.
+        RuntimeError: it failed; the message is its output.
     """
     command = [sys.executable, "-m", "tacgen", *args]
     with tempfile.TemporaryFile() as said:
         process = subprocess.Popen(command, env=one_thread(), stdout=said, stderr=subprocess.STDOUT)
         memory, files = 0.0, 0
         while not (ended := os.wait4(process.pid, os.WNOHANG))[0]:
-            with suppress(OSError, IndexError):  # it ends just now
+            with suppress(OSError, IndexError):  # the process has just ended
                 memory = max(memory, peak_memory(process.pid))
                 files = max(files, len(os.listdir(f"/proc/{process.pid}/fd")))
             time.sleep(LOOK_S)

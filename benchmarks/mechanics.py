@@ -1,4 +1,4 @@
-"""Error of the mechanics against its run time: what each choice of mesh, element, contact and solver costs."""
+"""Error of the mechanics against run time, for each choice of mesh, element, contact and solver."""
 
 from collections.abc import Iterator
 from dataclasses import astuple, dataclass, replace
@@ -11,15 +11,15 @@ from benchmarks.results_page import Cell, Level, Plot, Result, Say, Series, Tabl
 from tacgen.solve import DEFAULT, NotConverged, SolverOptions, plain, short_steps
 
 ABOUT = (
-    "A ball of 4 mm is pressed 1 mm (0.8 mm on DIGIT and 9DTact) and slid by 0.6 mm with friction 0.5, in one frame and"
-    " in two. Errors are against quality `reference`: force, of the vector, in the worst frame; pressure map and stress"
-    " in the gel under the contact, L2 norms in the last frame; markers, rms in pixels. Seconds are the processor's on"
-    " one core, without the mesh."
+    "A ball of 4 mm is pressed 1 mm (0.8 mm on DIGIT and 9DTact) in one frame and slid by 0.6 mm in two, with"
+    " friction 0.5. Errors against quality `reference`: force vector in the worst frame; pressure map and stress in"
+    " the gel under the contact, L2 norms in the last frame; markers, rms in pixels. Processor seconds on one core,"
+    " without meshing."
 )
 ERRORS = ("force: .2%", "pressure map: .1%", "stress: .1%", "markers [px]: .3f")
 WORK = ("nodes: d", "iterations a frame: .1f", "s a frame: .2f")
-FILLETS = {"normal": (0.3, 0.6), "full": (0.1, 0.3, 0.6, 1.2)}  # of a box [mm]; an edge at `draft`: .6
-SHIFTS = ((0.0, 0.0), (0.5, 0.0), (0.3, 0.5))  # of the mesh under the ball, in edges
+FILLETS = {"normal": (0.3, 0.6), "full": (0.1, 0.3, 0.6, 1.2)}  # of a box [mm]; the element edge at `draft` is 0.6
+SHIFTS = ((0.0, 0.0), (0.5, 0.0), (0.3, 0.5))  # of the mesh under the ball, in element edges
 FORMULATIONS = [name for name in ("distance", "ipctk") if name == "distance" or find_spec("ipctk")]
 BOX = "indenter={{shape: box, size_x_mm: 3, size_y_mm: 3, fillet_mm: {fillet}}}"
 PRESSED, SLID = "{press: {depth_mm: 0.5, frames: 1}}", "{slide: {x_mm: 0.1, y_mm: 0.06, frames: 1}}"
@@ -32,7 +32,7 @@ HEXES = {
 }
 
 
-SOLVERS = {  # name: what is done otherwise
+SOLVERS = {  # name: options of the solver
     "as it is": DEFAULT,
     "nothing predicted": replace(DEFAULT, predict=False),
     "pressure not mixed": replace(DEFAULT, mixed_pressure=False),
@@ -44,7 +44,7 @@ FULL_SOLVERS = {"nothing condensed": replace(DEFAULT, condense=False), "plain": 
 
 @dataclass(frozen=True)
 class Variant:
-    """One choice: the changes to the scene, and the options of the solver, that make it."""
+    """A choice: changes to the scene, and options of the solver."""
 
     axis: str
     name: str
@@ -53,7 +53,7 @@ class Variant:
 
 
 def variants(level: Level) -> list[Variant]:
-    """All that is swept: at `default` but for the one thing; at `draft` what takes longest."""
+    """All choices of the sweep, each a single change to `default`, or to `draft` for the slowest."""
     found = [Variant("hex, edge", f"{e:g}", (f"quality={{edge_mm: {e}}}",)) for e in HEXES[level]]
     if level == "smoke":
         return found
@@ -70,7 +70,7 @@ def variants(level: Level) -> list[Variant]:
 
 
 def _tolerances(times: float) -> SolverOptions:
-    """Equilibria found to so many times the usual tolerances."""
+    """Options with the usual tolerances multiplied by `times`."""
     step, residual, most = DEFAULT.step_tol, DEFAULT.residual_tol, DEFAULT.residual_max
     return replace(DEFAULT, step_tol=times * step, residual_tol=times * residual, residual_max=max(times, 1.0) * most)
 
@@ -81,7 +81,7 @@ def bench(level: Level, say: Say) -> Result:
     if level == "smoke":
         return Result(ABOUT, *_sweep(level, {}, say))
     fillets = FILLETS[level]
-    with cores() as every:  # what is not timed needs no core to itself
+    with cores() as every:  # runs that are not timed may share the machine
         true = [_preset(sensor, "reference") for sensor in DEPTHS]
         references = every(kept, [*true, *(_edged(fillet) for fillet in fillets)])
         boxes = every(_dragged_answer, [_dragged(fillet, name) for fillet in fillets for name in FORMULATIONS])
@@ -115,19 +115,19 @@ def _sweep(level: Level, presets: dict[tuple[str, str], Answer], say: Say) -> tu
     best = [front(seconds, error) for error in errors]
     for i, row in enumerate(rows):
         row.append("".join(letter for letter, those in zip("fpsm", best, strict=True) if i in those))
-    note = "Front: on the Pareto front of (f)orce, (p)ressure, (s)tress, (m)arkers. All else is as in `default`,"
-    note += " or in `draft` where it says so."
+    note = "Front: on the Pareto front of (f)orce, (p)ressure, (s)tress, (m)arkers. Everything else is as in"
+    note += " `default`, or `draft` where stated."
     table = Table("Choices on the Mini", columns("choice", "value", *WORK, *ERRORS, "front"), rows, note)
     return [table], [_plot(rows, seconds, errors[k], best[k], ERRORS[k].partition(":")[0]) for k in range(4)]
 
 
 def _places(shifted: Iterator[Answer]) -> Table:
-    """The presets with the ball at several places of a cell."""
+    """The presets with the ball at several positions within a cell."""
     reference, rows = kept(_preset("gelsight_mini", "reference")), list[list[Cell]]()
     for name in PRESETS:
         kinds = list(zip(*(astuple(next(shifted).error(reference)) for _ in SHIFTS), strict=True))
         rows += [[name, "worst", *map(max, kinds)], [name, "best", *map(min, kinds)]]
-    note = "Worst and best of three places of the ball in a cell; above, as for all else, of that over a node."
+    note = "Worst and best of three positions of the ball within a cell; in all other tables it is over a node."
     return Table("Presets wherever the ball stands", columns("preset", "error", *ERRORS), rows, note)
 
 
@@ -148,13 +148,13 @@ def _plot(rows: list[list[Cell]], seconds: list[float], errors: list[float], bes
 
 
 def _edged(fillet: float, moves: str = PRESSED, quality: str = "reference") -> tuple[str, ...]:
-    """A box with rounded edges, without friction."""
+    """A pressed box with rounded edges, without friction."""
     scene = ("outputs=[force]", BOX.format(fillet=fillet), f"trajectory=[{moves}]", "contact.friction=0")
     return (*scene, f"quality={quality}")
 
 
 def _dragged(fillet: float, formulation: str) -> tuple[str, ...]:
-    """The same pressed and slid."""
+    """The same box pressed and slid."""
     return (*_edged(fillet, f"{PRESSED}, {SLID}", "draft"), f"contact.formulation={formulation}")
 
 
@@ -167,7 +167,7 @@ def _dragged_answer(sets: tuple[str, ...]) -> Answer | None:
 
 
 def _edges(fillets: tuple[float, ...], boxes: Iterator[Answer | None], say: Say) -> Table:
-    """A box with edges rounded less and less: both formulations of contact where the mesh does not resolve it."""
+    """A box with decreasing radius of its edges: both formulations of contact where the mesh does not resolve it."""
     rows: list[list[Cell]] = []
     for fillet in fillets:
         true, found = kept(_edged(fillet)), [next(boxes) for _ in FORMULATIONS]
@@ -182,9 +182,9 @@ def _edges(fillets: tuple[float, ...], boxes: Iterator[Answer | None], say: Say)
         "drag, distance: .2%", "drag, ipctk: .2%",
     )  # fmt: skip
     note = (
-        "A box of 3 mm at `draft`, pressed 0.5 mm without friction: force against `reference`, and while it slides"
-        " the largest tangential force as a part of the normal one, which is the mesh's imprint. The two differ as"
-        " their points of contact do; both are off by what the mesh cannot bend. Empty: a frame did not converge."
+        "A box of 3 mm at `draft`, pressed 0.5 mm without friction: error of the force against `reference`, and the"
+        " largest tangential over normal force while it slides, a discretisation error. The formulations have different"
+        " contact points; both have the error of a mesh that cannot follow the edge. Empty: a frame did not converge."
     )
     return Table("Edges sharper than the mesh", heads, rows, note)
 

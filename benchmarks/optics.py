@@ -12,15 +12,15 @@ from tacgen.recipe.sensor import LitSensor
 from tacgen.render import mitsuba_variants
 
 ABOUT = (
-    "Pictures of solved faces against Mitsuba's `path`: PSNR on developed pictures before rounding and without the"
-    " camera's noise, the reference's own noise taken off (one standard deviation of what that leaves, and of the"
-    " choice of pixels, stands beside), and the processor's seconds of a frame on one core; ready: of what is made once"
-    " a sensor, where it was not in the cache. `path` is looked at in bands, a sixteenth of the picture, which would"
-    " take that many times as long. In the plots points above each other are one way on its faces."
+    "Images of solved faces against Mitsuba's `path`: PSNR on developed images before rounding and without the camera's"
+    " noise, corrected for the noise of the reference (+-: one standard deviation of the remaining noise and of the"
+    " choice of pixels), and processor seconds of a frame on one core; ready: setup once per sensor, if not cached."
+    " `path` is measured in bands, a sixteenth of the image; the seconds are those of a whole image. In the plots,"
+    " points above each other are one method on its faces."
 )
-TABLE = [("table", "64")]  # Taxim's, for gels that do not scatter; calibrated with so many paths
+TABLE = [("table", "64")]  # Taxim's table, for clear gels; paths a pixel of its calibration
 SENSORS = ("gelsight_mini", "digit", "ninedtact")
-TRUTHS = {  # the reference: DIGIT's small far lights are found by few paths
+TRUTHS = {  # references: few paths find DIGIT's small, distant LEDs
     "smoke": dict.fromkeys(SENSORS, Truth(2, 16, 16)),
     "normal": {"digit": Truth(8, 32768, 64), "gelsight_mini": Truth(8, 2048, 256), "ninedtact": Truth(8, 1024, 256)},
     "full": {"digit": Truth(8, 8192), "gelsight_mini": Truth(8, 4096), "ninedtact": Truth(5, 512)},
@@ -60,10 +60,10 @@ def bench(level: Level, say: Say) -> Result:
 
 
 def _pictures(level: Level, names: Sequence[str], variant: str, say: Say) -> Iterator[image_error.Outcome]:
-    """Outcomes, sensor by sensor, of all methods that it has."""
+    """Outcomes of all methods, sensor by sensor."""
     jobs = [(name, face, SHRINK[level], how, variant) for name, how in TRUTHS[level].items() if name in names
             for face in FACES[level]]  # fmt: skip
-    with cores() if level == "normal" else nullcontext(map) as every:  # whole pictures take all cores as it is
+    with cores() if level == "normal" else nullcontext(map) as every:  # tracing whole images uses all cores
         found = {
             job[:2]: one for job, one in zip(jobs, every(image_error.reference, *zip(*jobs, strict=True)), strict=True)
         }
@@ -77,7 +77,7 @@ def _pictures(level: Level, names: Sequence[str], variant: str, say: Say) -> Ite
 
 
 def _curve(name: str, group: list[image_error.Outcome]) -> Series:
-    """A way's faces above each other, at their mean time: times of one way hardly differ, and points apart hide it."""
+    """The faces of a method, plotted at their mean time, since their times hardly differ."""
     group = sorted(group, key=lambda one: one.decibel)
     mean = sum(one.seconds for one in group) / len(group)
     ends = [*[""] * (len(group) - 1), name] if len(group) > 1 else [name]
@@ -96,6 +96,6 @@ def _flow(sensors: Sequence[str], paths: int, variant: str, say: Say) -> Table:
         "sensor", "moved [px]: .1f", "markers, rms [px]: .3f", "most: .3f", "flow, rms [px]: .3f", "at most: .3f"
     )
     note = (
-        f"A ball pressed and sheared by {flow.SHEAR:g} mm, against the coating's own places as {paths} paths see them."
+        f"A ball pressed and sheared by {flow.SHEAR:g} mm; errors against the coating's points found by {paths} paths."
     )
     return Table("Flow", heads, rows, note)

@@ -1,4 +1,4 @@
-"""Ordinary scenes, drawn as for a data set: how many are solved, the time of a frame, the error of its force."""
+"""Ordinary scenes, drawn at random as for a data set: how many are solved, the time and the force error of a frame."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -17,11 +17,11 @@ from tacgen.scene import mesh, scene
 from tacgen.solve import SolverOptions, foresee
 
 Array = np.ndarray
-LIMIT_S = 150.0  # longest processor time for a scene's frames
+LIMIT_S = 150.0  # longest processor time of a scene [s]
 COMPARED = 6  # every sixth draft scene is also solved in short frames
 SCENES = {"smoke": 2, "normal": 30, "full": 150}  # at draft
 DEFAULT_SCENES = 30  # at quality `default`, at level full
-ABLATIONS: dict[str, dict[str, bool]] = {  # what is switched off, by name
+ABLATIONS: dict[str, dict[str, bool]] = {  # name: options that are switched off
     "nothing": {},
     "kept tangents": {"keep_tangent": False},
     "predictor": {"predict": False},
@@ -33,25 +33,25 @@ STATUSES = ("ok", "refused", "rejected", "out of time", "crashed")
 MEASURES = {"seconds": ("s a frame", ".2f"), "iterations": ("iterations", ".1f"), "factored": ("factorisations", ".1f")}
 QUANTILES = (50, 90, 99)  # [%]
 ABOUT = (
-    "Scenes as in a data set: three sensors with their own materials; seven shapes of 1 to 5 mm and the"
-    " five objects that come with tacgen; pressed by .1 to .35 of the gel's thickness (DIGIT: 2.5 mm, at the rim) in 3"
-    " to 5 frames, then up to two of slide (3 mm at most, .35 mm a frame), twist (30 deg) and tilt (5 deg), and 3 of 10"
-    " released; friction .2 to 1, within 3 mm of the pad's centre. Only the mechanics are computed. Seconds are"
-    " processor seconds of the solve, without mesh and setup; each scene runs on one core while others run on the"
-    " rest. Refused: before it is solved; rejected: a frame did not converge; out of time:"
-    f" {LIMIT_S:.0f} s had passed before the last frame; crashed: a bug. A scene's seconds, Newton iterations and"
-    " factorisations are means over its frames; p50, p90 and p99 are quantiles over the scenes that are ok."
+    "Scenes as in a data set: three sensors with their own materials; seven shapes of 1 to 5 mm and the five shipped"
+    " objects; pressed by 0.1 to 0.35 of the gel's thickness (DIGIT: of 2.5 mm, at the rim) in 3 to 5 frames, then up"
+    " to two of slide (at most 3 mm, 0.35 mm a frame), twist (30 deg) and tilt (5 deg), and released in 3 of 10;"
+    " friction 0.2 to 1, within 3 mm of the pad's centre. Only the mechanics are computed. Seconds are processor"
+    " seconds of the solve, without mesh and setup; each scene runs on one core while others run on the other cores."
+    f" Refused: before it is solved; rejected: a frame did not converge; out of time: {LIMIT_S:.0f} s had passed"
+    " before the last frame; crashed: a bug. A scene's seconds, Newton iterations and factorisations are means over"
+    " its frames; p50, p90 and p99 are quantiles over the scenes that are ok."
 )
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a scene ended: `status` is one of STATUSES, `reason` says why; the rest is of the frames that were solved.
+    """The outcome of a scene: `status` is one of STATUSES, with a `reason`; the rest is of the solved frames.
 
     force: on the gel in the last frame [N]; seconds, iterations, factored: processor seconds, Newton iterations and
-    factorisations, means over the frames; substeps: most of one frame; least_J: certified lower bound of the Jacobian
-    in all elements and frames; error: of the force against short frames, in the worst frame, as a part of the largest
-    force; None where that was not measured.
+    factorisations, means over the frames; substeps: largest number of a frame; least_J: certified lower bound of the
+    Jacobian in all elements and frames; error: of the force against short frames, in the worst frame, over the largest
+    force; None if not measured.
     """
 
     draw: Draw
@@ -80,7 +80,7 @@ class Outcome:
 def measure(
     draw: Draw, quality: str, compared: bool, limit: float = LIMIT_S, options: SolverOptions = solve.DEFAULT
 ) -> Outcome:
-    """Solve a scene in at most `limit` processor seconds and, where it is compared and ok, in short frames too."""
+    """Solve a scene in at most `limit` processor seconds; if `compared` and ok, also in short frames."""
     try:
         made = _scene((f"sensor={draw.sensor}", *draw.sets, f"quality={quality}"))
         grid = mesh.of(made)
@@ -118,8 +118,8 @@ def _scene(sets: Sequence[str]) -> scene.Scene:
 
 
 def _force_error(long: Array, short: Array) -> float | None:
-    """Largest difference of forces (n, 3) from those of short frames (m, 3), over the frames that both reached and as a
-    part of the largest force; None if there are none."""
+    """Largest difference of forces (n, 3) from those of short frames (m, 3) in frames that both reached, over the
+    largest force; None if there are none."""
     ends = short[FINER - 1 :: FINER]
     off = np.linalg.norm(long[: len(ends)] - ends, axis=1)
     return float(off.max() / np.linalg.norm(short, axis=1).max()) if len(off) else None
@@ -127,7 +127,7 @@ def _force_error(long: Array, short: Array) -> float | None:
 
 @cache
 def _warm() -> None:
-    """Load what is compiled, once in each process, before anything is timed."""
+    """Load compiled code, once in each process, before anything is timed."""
     moves = "trajectory=[{press: {depth_mm: 0.5, frames: 1}}, {slide: {x_mm: 0.2, frames: 1}}]"
     made = _scene(("sensor=ninedtact", "indenter={shape: mesh, file: ring}", moves, f"quality={SMOKE}"))
     solve_frames(made, solve.Problem.of(made, mesh.of(made)))
@@ -168,9 +168,9 @@ def bench(level: Level, say: Say) -> Result:
     heads |= columns("least J: .3f", "J <= 0: d", "compared: d", "force error, worst: .2%", "force error, median: .2%")
     note = (
         "Least J: certified lower bound of the Jacobian, 1 at rest, over all elements and frames; J <= 0: scenes with"
-        f" an element inside out. Force error: against the same path in {FINER} frames for each, worst frame that both"
-        " reached, as a part of the largest force; of the scenes compared, the worst and the median. Ball: of 4 mm on"
-        " the Mini, pressed 1 mm in 3 frames and slid 1.5 mm in 5 with friction .6."
+        f" an inverted element. Force error: against the same path with {FINER} frames for each, in the worst frame"
+        " that both reached, over the largest force; worst and median of the compared scenes. Ball: of 4 mm on the"
+        " Mini, pressed 1 mm in 3 frames and slid 1.5 mm in 5 with friction 0.6."
     )
     tables = [
         Table("Together", heads, together, note),
@@ -185,7 +185,7 @@ def bench(level: Level, say: Say) -> Result:
 
 
 def _quantile(group: Sequence[Outcome], name: str, percent: float) -> float | None:
-    """Over the scenes that are ok; None if none is."""
+    """Quantile over the scenes that are ok; None if there are none."""
     values = [getattr(one, name) for one in group if one.status == "ok"]
     return float(np.percentile(values, percent)) if values else None
 
@@ -211,7 +211,7 @@ def _groups(title: str, head: str, found: Sequence[Outcome], of: Callable[[Outco
 
 
 def _ablated(found: Sequence[Outcome], count: int) -> Table:
-    """Seconds a frame of the same scenes with one acceleration switched off, over those with all of them."""
+    """Time of the same scenes with one acceleration switched off, relative to all switched on."""
     groups = [found[i : i + count] for i in range(0, len(found), count)]
     rows: list[list[Cell]] = []
     for name, group in zip(ABLATIONS, groups, strict=True):
@@ -221,18 +221,18 @@ def _ablated(found: Sequence[Outcome], count: int) -> Table:
         work = [_quantile(group, what, 50) for what in ("iterations", "factored")]
         rows.append([name, count, ended, *times, *work])
     heads = columns("without", "scenes: d", "ok: d", "time, p50: .2f", "time, p90: .2f", "iterations, p50: .1f")
-    note = "Time: of a scene without, over that of the same scene with everything."
+    note = "Time of a scene without it, over that of the same scene with all accelerations."
     return Table("What each acceleration saves", heads | columns("factorisations, p50: .1f"), rows, note)
 
 
 def _failed(found: Sequence[Outcome]) -> Table:
-    """The scenes that are not ok, and those with a frame in which an element may be inside out."""
+    """The scenes that are not ok, or in which an element may be inverted."""
     rows: list[list[Cell]] = []
     for one in found:
         reason = one.reason or f"least certified J {one.least_J:.3f}"
         if one.status != "ok" or not one.least_J > 0:
             rows.append([one.draw.index, one.quality, one.draw.sensor, one.draw.shape, one.status, reason])
-    note = "`benchmarks.draws.drawn(i)` holds what scene i changes in the quickstart: values of `--set`."
+    note = "`benchmarks.draws.drawn(i)` gives the changes of scene i to the quickstart, as values of `--set`."
     return Table("What failed", columns("scene: d", "quality", "sensor", "shape", "status", "reason"), rows, note)
 
 

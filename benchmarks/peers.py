@@ -1,4 +1,4 @@
-"""The same press by others: CalculiX where it is installed, linear tetrahedra, closed forms, and what was published."""
+"""The same press by other methods: CalculiX if it is installed, linear tetrahedra, closed forms, published figures."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -19,9 +19,9 @@ from tacgen.scene import mesh, scene
 
 ABOUT = (
     "One press on the Mini's pad (ball of 4 mm, 1 mm deep, no friction, E 0.15 MPa, nu 0.48), by tacgen's hexes, by"
-    " quadratic and linear tetrahedra on the same solver, and by CalculiX; all from rest in this one run, on one"
-    " core, in processor seconds without the mesh. tacgen solves the whole pad, CalculiX the same, and a quarter of it"
-    " by symmetry. Errors are of the normal force, against the mean of what the two programs give on fine meshes."
+    " quadratic and linear tetrahedra with the same solver, and by CalculiX; all in this run, from rest, on one core,"
+    " in processor seconds without meshing. tacgen solves the whole pad; CalculiX the whole pad, and a quarter by"
+    " symmetry. Errors of the normal force are against the mean of both programs on fine meshes."
 )
 PRESS = (
     *BALL,
@@ -30,13 +30,13 @@ PRESS = (
     "sensor.gel.layers[0].youngs_modulus_mpa=0.15",
     "sensor.gel.layers[0].poissons_ratio=0.48",
 )
-EQUAL = 0.01  # force error at which times are compared
-FINEST = 0.6  # edge of CalculiX' [mm]
+EQUAL = 0.01  # force error at which times are compared [-]
+FINEST = 0.6  # element edge of CalculiX's fine mesh [mm]
 
 
 @dataclass(frozen=True)
 class Runs:
-    """One method on finer and finer meshes."""
+    """One method on several meshes."""
 
     name: str
     labels: list[str]
@@ -48,7 +48,7 @@ class Runs:
         return [force / reference - 1 for force in self.forces]
 
     def cheapest(self, reference: float) -> float | None:
-        """Least seconds of a run that is EQUAL right, None if none is."""
+        """Smallest time of a run with an error of at most EQUAL; None if there is none."""
         fit = [s for s, e in zip(self.seconds, self.errors(reference), strict=True) if abs(e) <= EQUAL]
         return min(fit, default=None)
 
@@ -56,7 +56,7 @@ class Runs:
 def bench(level: Level, say: Say) -> Result:
     """Every method on several meshes."""
     smoke = level == "smoke"
-    with cores(level) as every:  # what is not compared in time needs no core to itself
+    with cores(level) as every:  # runs that are not timed may share the machine
         fine = _finest(smoke, every)
         layers = every(pressed, *zip(*LAYERS[level], strict=True), [2 if smoke else 5] * len(LAYERS[level]))
         finest, anchors = dict(fine), _anchors(level, layers, say)
@@ -77,7 +77,7 @@ def bench(level: Level, say: Say) -> Result:
         rows += [[one.name, *row] for row in zip(*parts, strict=True)]
     rows += [[f"finest, {name}", "", None, None, force, force / reference - 1] for name, force in finest.items()]
     heads = columns("method", "edge [mm]", "nodes: d", "s: .2f", "force [N]: .4f", "error: +.2%")
-    note = "Seconds from the mesh to the force; of CalculiX the whole program."
+    note = "Seconds from the mesh to the force; for CalculiX those of the whole program."
     tables = [Table("One press", heads, rows, note), _equal(runs, ours, reference), anchors]
     series = [Series(r.name, r.seconds, [abs(e) for e in r.errors(reference)], r.labels) for r in runs]
     plot = Plot("Force error of one press", "s", "|error| of the force [-]", series)
@@ -95,7 +95,7 @@ def _finest(smoke: bool, every: Callable[..., Iterator[float]]) -> Iterator[tupl
 
 
 def _fine(name: str, quality: str | None) -> float:
-    """Force [N] by tacgen at this quality, or by CalculiX, whose version the name says."""
+    """Force [N] by tacgen at this quality; if None by CalculiX, whose version is part of `name`."""
     if quality is not None:
         return -float(kept((*PRESS, f"quality={quality}")).force[-1, 2])
     gel, key = scene.build(row_of(PRESS)).gel, array_cache.digest([name, *PRESS, Path(calculix.__file__).read_bytes()])
@@ -115,7 +115,7 @@ def _runs(name: str, press: Callable[[float], Pressed], edges: tuple[float, ...]
 
 
 def _tacgen(*sets: str) -> Callable[[float], Pressed]:
-    """The press by tacgen with these changes, on a mesh of a given edge [mm]."""
+    """The press by tacgen with these changes, as a function of the element edge [mm]."""
 
     def press(edge: float) -> Pressed:
         found = answer((*PRESS, *sets, f"quality={{edge_mm: {edge}}}"))
@@ -131,7 +131,7 @@ def _calculix(edges: tuple[float, ...], quarter: bool, say: Say) -> Runs:
 
 
 def _equal(runs: list[Runs], ours: Runs, reference: float) -> Table:
-    """Each method where its force is EQUAL right, and its error in the time that takes us."""
+    """The time of each method for a force error of EQUAL, and its error in the time that tacgen needs for that."""
     base, rows = ours.cheapest(reference), list[list[Cell]]()
     for one in runs:
         least = one.cheapest(reference)
@@ -142,7 +142,7 @@ def _equal(runs: list[Runs], ours: Runs, reference: float) -> Table:
     heads = columns("method", f"s to {EQUAL:.0%}", "times ours: .1f", "best error in our time: .1%")
     if not calculix.installed():
         rows.append(["CalculiX", "not installed here", None, None])
-    return Table("At equal error, and at equal time", heads, rows, "The cheapest of the runs above that is that right.")
+    return Table("At equal error, and at equal time", heads, rows, "The fastest of the runs above with that error.")
 
 
 E, R, DEPTH = 0.15, 200.0, 0.5  # of the closed forms [MPa, mm, mm]: a/R = .05
@@ -180,7 +180,8 @@ def _anchors(level: Level, layers: Iterator[float], say: Say) -> Table:
 
 
 def pressed(nu: float, chi: float, fine: int) -> float:
-    """Force [N] of a ball of R pressed by DEPTH, `fine` cells in the contact's radius a, into a pad a/chi thick."""
+    """Force [N] of a ball of radius R pressed by DEPTH into a pad of thickness a/chi, with `fine` cells in the contact
+    radius a."""
     a = math.sqrt(R * DEPTH)
     law = NeoHooke(E / (2 * (1 + nu)), E / (3 * (1 - 2 * nu)))
     pad = Gel(80 * a, 80 * a, layers=(Layer(a / chi, law, E),))
@@ -203,5 +204,5 @@ def _published() -> Table:
         ["libuipc 0.0.29, P1", "the same; 60 025 vertices", h100, "1.39 N, 276 ms a frame"],
         ["ANSYS", "R 3 mm, 0.8 mm, E 0.1 MPa, nu 0.49, friction 0.5", "", "0.36087 N"],
     ]
-    note = "Others' figures on their hardware, and libuipc as run for tacgen's design: none on the machine above."
+    note = "Published, on the authors' hardware; libuipc as run for tacgen's design. Not measured on the machine above."
     return Table("Quoted, not measured here", heads, rows, note)

@@ -1,4 +1,4 @@
-"""Photographs of real units, where they are: ../shared/reference, or the folder in TACGEN_REFERENCE."""
+"""Photographs of real units, if available: in ../shared/reference, or the folder in TACGEN_REFERENCE."""
 
 import csv
 import os
@@ -14,11 +14,11 @@ from tacgen.recipe.background_photo import read
 
 Array = np.ndarray
 UNTOUCHED = {"gelsight_mini": "background.png", "digit": "background.png", "ninedtact": "reference_rectified.png"}
-# Middle and radius of the contact [px], from which the Mini's circles are refined. circles.csv has this one around the
-# bright part of the dent alone: its rim, where the colours turn, is as large as that of the same ball elsewhere.
+# Centre and radius of the contact [px], start values of the refinement. In circles.csv this circle is only around the
+# bright part of the dent; the rim, where the colours turn, is as large as for the same ball elsewhere.
 MINI = {"ball_6.310mm_5.png": (279.5, 30.0, 34.0)}
 DIGIT_BALL = 1.9  # [mm]
-DIGIT = {  # nobody wrote these down: found together with the unit's lights
+DIGIT = {  # centre and radius [px], not recorded: fitted together with the unit's LEDs
     "sphere_0001.png": (142.5, 147.6, 34.9),
     "sphere_0005.png": (118.1, 196.1, 35.8),
     "sphere_0010.png": (99.7, 92.2, 36.0),
@@ -26,7 +26,7 @@ DIGIT = {  # nobody wrote these down: found together with the unit's lights
     "sphere_0024.png": (102.4, 221.1, 34.8),
     "sphere_0036.png": (163.5, 228.4, 35.3),
 }
-NINE = ("ball_R4mm_rectified.png", 4.0, (245.0, 189.5), 1.78)  # radius [mm], place [px], depth [mm]
+NINE = ("ball_R4mm_rectified.png", 4.0, (245.0, 189.5), 1.78)  # radius [mm], centre [px], depth [mm]
 
 
 @dataclass(frozen=True)
@@ -39,17 +39,17 @@ class Unit:
 
 
 def reference() -> Path:
-    """The folder of photographs, one of each sensor in it; it need not be there."""
+    """The folder of photographs, with a folder for each sensor; it may not exist."""
     return Path(os.environ.get("TACGEN_REFERENCE", ROOT.parent / "shared" / "reference"))
 
 
 def unit(name: str, folder: Path | None = None) -> Unit | None:
-    """A sensor's photographs; None where they are absent."""
+    """The photographs of a sensor; None if there are none."""
     folder = (folder or reference()) / name
     if not (folder / UNTOUCHED[name]).is_file():
         return None
     untouched, presses = read(folder / UNTOUCHED[name]), _presses(name, folder)
-    if name == "gelsight_mini":  # flat: where the colours bend, a tenth inside of where they seem to end
+    if name == "gelsight_mini":  # flat gel: refine the circles, which are a tenth too large by eye
         presses = [contact_circle.refined(press, untouched) for press in presses]
     return Unit(folder, untouched, tuple(presses))
 

@@ -1,4 +1,4 @@
-"""What a frame costs from end to end: by stage, output and sensor, on a new machine, and on several workers."""
+"""Cost of a frame from recipe to bundle: by stage, output and sensor, with empty caches, and on several workers."""
 
 import resource
 import tempfile
@@ -23,10 +23,10 @@ from benchmarks.results_page import (
 from tacgen.batch import worker_process
 
 ABOUT = (
-    "A ball of 4 mm pressed (1 mm; DIGIT .6), slid 1 mm and twisted 10 deg with friction .6, from recipe to bundle:"
-    " each line is a process of its own on one core, with others beside it on the rest, in processor seconds a frame."
-    " Mesh and what images need are made once a scene, and are shared by its frames. Warm: the process has made a"
-    " smaller scene before, as a worker has."
+    "A ball of 4 mm pressed (1 mm; DIGIT 0.6), slid 1 mm and twisted 10 deg with friction 0.6, from recipe to bundle."
+    " Each line is a separate process on one core, while others run on the other cores; processor seconds a frame. The"
+    " mesh and the setup of images are made once per scene and divided among its frames. Before the measurement each"
+    " process makes a smaller scene, so that code is compiled and caches are filled."
 )
 DEPTHS = {"gelsight_mini": 1.0, "digit": 0.6, "ninedtact": 1.0}  # [mm]
 MARKED = ("gelsight_mini",)  # sensors with markers
@@ -35,11 +35,11 @@ MOVES = (
     " {{twist: {{angle_deg: 10, frames: {n[2]}}}}}]"
 )
 BALL = ("indenter={shape: sphere, radius_mm: 4}", "contact.friction=0.6")
-FRAMES, FEW = (8, 7, 5), (1, 1, 1)  # of each move: timed, and to warm up
+FRAMES, FEW = (8, 7, 5), (1, 1, 1)  # of each movement: timed, and before the measurement
 STAGES = ("mesh", "solve", "fields", "render", "bundle")
 EVERYTHING = "everything"
 FORCE_RGB = "force, rgb"
-SHOWN = 0.1  # outputs below so many milliseconds, and datasets below so many kilobytes, are left out
+SHOWN = 0.1  # smaller outputs [ms] and datasets [kB] are left out
 SMOKE = "{edge_mm: 1.2, dhat_mm: 0.1, spp: 4}"
 OTHERS: tuple[tuple[str, str, str, float, float], ...] = (  # program, what, hardware, frames a second from and to
     ("TaCauchy (UIPC)", "gel by finite elements, forces, image; one sensor", "RTX 5090, Ryzen 9950X", 33.4, 33.4),
@@ -53,7 +53,7 @@ OTHERS: tuple[tuple[str, str, str, float, float], ...] = (  # program, what, har
 
 
 def bench(level: Level, say: Say) -> Result:
-    """Stages, outputs, bytes and a million frames; the first scene of a machine; workers; the rates of others."""
+    """Stages, outputs, bytes and a million frames; the first scene with empty caches; workers; published rates."""
     if level == "smoke":
         case = ("gelsight_mini", SMOKE, "traction")
         found = {case: in_own_process("benchmarks.pipeline:made", *case, FEW)}
@@ -84,10 +84,10 @@ def row(sensor: str, quality: str, asked: str, frames: tuple[int, int, int]) -> 
 
 
 def made(sensor: str, quality: str, asked: str, frames: tuple[int, int, int]) -> dict[str, Any]:
-    """A scene in this process after a smaller one.
+    """Make a scene in this process after a smaller one.
 
-    Returns, each for a frame: `total` processor seconds, by stage, `outputs` the same by output, `bytes` by dataset;
-    and the process's `memory` [MB].
+    Returns, per frame: `total` processor seconds, `stages` and `outputs` the same by stage and output, `bytes` by
+    dataset, `size` of the file; and the peak `memory` of the process [MB].
     """
     import h5py
 
@@ -143,12 +143,12 @@ def _stages(found: Found) -> Table:
         "sensor", "quality", "asked for", *(f"{stage} [ms]: .0f" for stage in STAGES), "other [ms]: .0f",
         "ms a frame: .0f", "kB a frame: .0f", "memory [MB]: .0f", "core-hours a million: .0f", "GB a million: .0f",
     )  # fmt: skip
-    note = "Memory: the process's peak. The last two: of a million frames, in scenes like this."
+    note = "Memory: peak of the process. The last two columns are for a million frames of scenes like this."
     return Table("Where the time goes", heads, rows, note)
 
 
 def _parts(found: Found) -> list[Table]:
-    """Milliseconds of each output and kilobytes of each dataset, where most was asked for."""
+    """Milliseconds of each output and kilobytes of each dataset, in the scenes with all outputs."""
     whole = {(sensor, quality): one for (sensor, quality, asked), one in found.items() if asked != FORCE_RGB}
     heads = [f"{sensor} {quality}" for sensor, quality in whole]
 
@@ -162,15 +162,16 @@ def _parts(found: Found) -> list[Table]:
         ]
         return Table(title, {kind: "", **dict.fromkeys(heads, ".1f")}, rows, note)
 
-    shared = "What outputs share counts for the first of them in the bundle's order."
+    stored = "As stored; datasets of the whole scene are divided by its frames."
+    shared = "Data shared by several outputs count for the first of them in the bundle's order."
     return [
         table("Milliseconds a frame of each output", "outputs", 1e3, shared),
-        table("Kilobytes a frame of each dataset", "bytes", 1e-3, "As stored; what a scene has once, by its frames."),
+        table("Kilobytes a frame of each dataset", "bytes", 1e-3, stored),
     ]
 
 
 def _first(say: Say) -> Table:
-    """The quickstart on every sensor, with empty caches and with those that this has filled."""
+    """The quickstart on every sensor, with empty caches and then with filled ones."""
     rows: list[list[Cell]] = []
     for sensor in DEPTHS:
         with tempfile.TemporaryDirectory() as folder:
@@ -185,16 +186,16 @@ def _first(say: Say) -> Table:
         "sensor", "caches", "s to the first frame: .1f", "s in all: .1f", "processor in all: .1f", "memory [MB]: .0f"
     )
     note = (
-        "The quickstart (15 frames, `default`) on every sensor as `tacgen run` makes it, one after the other: caches of"
-        " compiled code and of what images need are empty, or filled by the line above. Where there are two cores one"
-        " compiles for the solver while the other does for images. Seconds as they passed, the start of Python among"
-        " them, and those of all processes together; memory of the largest."
+        "The quickstart (15 frames, `default`) on every sensor as by `tacgen run`, one after the other: caches of"
+        " compiled code and of the setup of images are empty, or filled by the line above. With two cores, one"
+        " compiles the solver while the other compiles the code for images. Wall-clock seconds including the start of"
+        " Python, and processor seconds of all processes; memory of the largest process."
     )
     return Table("The first scene", heads, rows, note)
 
 
 def first(sensor: str, started: float) -> dict[str, Any]:
-    """The quickstart by a worker of this process, which started at that time."""
+    """Make the quickstart by a worker process; `started` is the time at which this process was started."""
     from tacgen.batch.local import Pool
     from tacgen.recipe import assets, plan
 
@@ -220,7 +221,7 @@ def _others() -> Table:
         hours = f"{1e6 / high / 3600:.1f}" if low == high else f"{1e6 / high / 3600:.1f} - {1e6 / low / 3600:.0f}"
         rows.append([*what, rate, hours])
     note = (
-        "As published, on their hardware; none was run here, and none has all of what is asked for above. TaCauchy:"
+        "As published, on the authors' hardware; not run here, and none computes all outputs measured above. TaCauchy:"
         " arXiv 2606.20426. TacEx: arXiv 2411.04776. FOTS: arXiv 2404.19217. TACTO: arXiv 2012.08456."
     )
     heads = columns("program", "what", "hardware", "frames a second", "hours a million")

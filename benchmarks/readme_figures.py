@@ -1,8 +1,8 @@
-"""Put the figures of docs/results into README.md, between the lines that say so.
+"""Write the figures of docs/results into README.md, between its two marker lines.
 
     python -m benchmarks.readme_figures
 
-`make bench` runs it; a test holds that README says what RESULTS.md does.
+`make bench` runs it; a test compares README.md with RESULTS.md.
 """
 
 from pathlib import Path

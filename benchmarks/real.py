@@ -1,4 +1,4 @@
-"""What rendered pictures are worth on real units: what a net that learned from them makes of photographs."""
+"""Comparison of rendered pictures with photographs of real units."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -19,23 +19,23 @@ from tacgen.render.images import Renderer
 
 Array = np.ndarray
 ABOUT = (
-    "Rendered pictures against photographs of balls pressed into one real unit a sensor. Normals: the mean angle"
-    " between the ball's inside the contact circle and those of a net (colour change and place to slopes, two layers)"
-    " that learned from rendered dents, beside one that learned from the unit's other presses, and beside guessing that"
-    " nothing is pressed. Contrast: change of colour per slope of the ball, rendered over real. The shipped"
-    " files' lights were fitted to presses among these, as they say."
-    " SSIM of whole pictures hides all this; it stands beside its floor, the untouched photograph, and its ceiling."
+    "Rendered pictures against photographs of balls pressed into one real unit of each sensor. Normals: mean angle"
+    " inside the contact circle between the ball's normals and those of a network (colour change and position to"
+    " slopes, two layers) trained on rendered dents; beside it, of a network trained on the unit's other presses, and"
+    " of the flat face. Contrast: change of colour per slope of the ball, rendered over real. The LEDs of the shipped"
+    " files were fitted to some of these presses, as stated there. SSIM of whole pictures hardly shows these"
+    " differences; it is given with a lower reference, the untouched photograph, and an upper one."
 )
 CLEAR = ("gelsight_mini", "digit")
 HEADS = ("contrast red: .2f", "green: .2f", "blue: .2f", "turned red [deg]: .0f", "green [deg]: .0f", "blue [deg]: .0f",
          "correlation red: .2f", "of green: .2f", "of blue: .2f")  # fmt: skip
 SPP = 64
-OTHERS = (3.0, 5.0)  # [mm] balls that a table of 9DTact's grey to depth is made of
-CONTACT = 2.4  # [mm] around its middle where the ball surely touches
+OTHERS = (3.0, 5.0)  # radii [mm] of the balls from which the table of grey to depth for 9DTact is made
+CONTACT = 2.4  # radius [mm] around the centre within which the ball is certainly in contact
 
 
 def bench(level: Level, say: Say) -> Result:
-    """Every sensor whose photographs are here; Absent where there are none."""
+    """Every sensor with photographs. Raises Absent if there are none."""
     units = {name: unit for name in photographs.UNTOUCHED if (unit := photographs.unit(name))}
     if not units:
         raise Absent(f"no photographs in {photographs.reference()} (set TACGEN_REFERENCE)")
@@ -65,20 +65,20 @@ def bench(level: Level, say: Say) -> Result:
         tables.append(_depth(units["ninedtact"], say))
     if similar:
         heads = columns("sensor", "picture", "rendered: .3f", "floor: .3f", "ceiling: .3f")
-        note = "Around the dent; floor: the unit's untouched photograph, ceiling: the press itself with noise again."
+        note = "Around the dent; floor: the untouched photograph, ceiling: the press itself with noise added."
         tables.append(Table("SSIM", heads, similar, note))
     return Result(ABOUT, tables)
 
 
 def _left_out(real: list[likeness.Seen]) -> Iterator[float]:
-    """Each press by a net that learned from all others [deg]."""
+    """Error [deg] for each press of a network trained on all others."""
     for k, one in enumerate(real):
         yield one.off(likeness.learned(real[:k] + real[k + 1 :]).normals(one.features))
 
 
 def _similar(sensor: LitSensor, unit: Unit) -> Iterator[list[Cell]]:
     """Structural similarity of the rendered picture, of the untouched photograph, and of the photograph with the
-    camera's noise once more."""
+    camera's noise added again."""
     from skimage.metrics import structural_similarity
 
     renderer, random = Renderer(sensor, SPP, 0, markers=False), np.random.default_rng(0)
@@ -98,8 +98,8 @@ def _similar(sensor: LitSensor, unit: Unit) -> Iterator[list[Cell]]:
 
 
 def _depth(unit: Unit, say: Say) -> Table:
-    """9DTact's press: depth by how much darker it is, with a table from rendered presses of other balls, and with the
-    unit's own (gray_to_depth.csv)."""
+    """9DTact's press: depth from the decrease of grey, by a table from rendered presses of other balls, and by the
+    unit's own table (gray_to_depth.csv)."""
     sensor = cast(LitSensor, loading.read_sensor(assets.sensor_path("ninedtact"))[0])
     renderer, (press,) = Renderer(sensor, SPP, 0, markers=False), unit.presses
     view, level = View(sensor, renderer.sheet, markers=False), renderer.develop(renderer.flat()).astype(float)
@@ -130,5 +130,5 @@ def _depth(unit: Unit, say: Say) -> Table:
     row = [float(np.sqrt(np.mean(truth[where] ** 2))), off(steps + 1.0, np.array(rendered)), off(*own.T[:, 1:])]
     say(f"ninedtact: depth off by {row[1]:.3f} mm, by its own table {row[2]:.3f}")
     heads = columns("sensor", "flat [mm]: .3f", "rendered to real [mm]: .3f", "real to real [mm]: .3f")
-    note = f"Within {CONTACT:g} mm of the middle, rms; its gain by thickness was fitted to this press."
+    note = f"Within {CONTACT:g} mm of the centre, rms; the gain by thickness was fitted to this press."
     return Table("Depth from grey", heads, [["ninedtact", *row]], note)

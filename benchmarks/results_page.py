@@ -1,4 +1,4 @@
-"""Results of a bench as tables and plots, with date, machine and versions; and the page of all results."""
+"""Results of benches as tables and plots, with date, machine and versions, and the page of all results."""
 
 import json
 import os
@@ -34,7 +34,7 @@ print(json.dumps(getattr(importlib.import_module(module), name)(*json.loads(sys.
 
 
 class Absent(Exception):
-    """What a bench needs is missing on this machine: earlier results are kept."""
+    """Something that a bench needs is missing on this machine; earlier results are kept."""
 
 
 @dataclass(frozen=True)

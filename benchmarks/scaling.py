@@ -1,4 +1,4 @@
-"""What running and reading many scenes costs beyond the scenes; `pipeline` has what workers make of them."""
+"""Overhead of running and reading many scenes; `pipeline` measures the speed-up by workers."""
 
 import shutil
 import tempfile
@@ -18,7 +18,7 @@ from tacgen.bundle.bundle import Writer
 from tacgen.bundle.resume import SceneResult, once
 from tacgen.recipe import assets, plan
 
-ABOUT = "Many scenes by `tacgen run`, as seconds passed, which other work on the machine lengthens."
+ABOUT = "Many scenes by `tacgen run`, in wall-clock seconds, which other work on the machine increases."
 PRESS = "trajectory=[{{press: {{depth_mm: 0.4, frames: {frames}}}}}]"
 TINY = ("quality={edge_mm: 1.2, dhat_mm: 0.1, spp: 4}", "outputs=[force]", "contact.friction=0", PRESS.format(frames=1))
 
@@ -37,7 +37,7 @@ def bench(level: Level, say: Say) -> Result:
 
 
 def nothing(row: plan.Row, folder: Path, *, overwrite: bool = False, on_event: Any = None) -> SceneResult:
-    """A scene without work: claimed, written, read back."""
+    """A scene without computation: claimed, written, read back."""
 
     def make(path: Path) -> SceneResult:
         known = {"recipe": row.document(), "scene_index": row.index, "seed": row.seed, "sensor": row.sensor.name}
@@ -51,7 +51,7 @@ def nothing(row: plan.Row, folder: Path, *, overwrite: bool = False, on_event: A
 
 
 def _overhead(count: int, out: Path, say: Say) -> Table:
-    """Stand-in scenes without work: what an engine takes for each."""
+    """Overhead of an engine per scene, measured on scenes without computation."""
     plan_of = scenes(count, TINY)
     start = time.perf_counter()
     for row in plan_of.rows:
@@ -69,16 +69,16 @@ def _overhead(count: int, out: Path, say: Say) -> Table:
             spent.append(time.process_time())
 
         batch.run(plan_of, out / engine, engine=engine, task="benchmarks.scaling:nothing", on_event=on_event)
-        step = 1000 * float(np.median(np.diff(ends)))  # workers have started by then
+        step = 1000 * float(np.median(np.diff(ends)))  # median: without the start of workers
         here = 1000 * (spent[-1] - spent[0]) / (count - 1)
         rows.append([engine, step, step - bare, here])
         say(f"{engine}: {step - bare:+.1f} ms a scene")
     heads = columns("engine", "ms a scene: .1f", "beyond a bundle's own: +.1f", "its own processor: .1f")
-    return Table("Engines", heads, rows, "Scenes without work: claimed, written, read back.")
+    return Table("Engines", heads, rows, "Scenes without computation: claimed, written, read back.")
 
 
 def _memory(count: int, out: Path, say: Say) -> Table:
-    """Of one worker over many scenes: it should not grow."""
+    """Memory of one worker over many scenes, which should not grow."""
     held: list[float] = []
     with Pool() as pool:
 
@@ -95,7 +95,7 @@ def _memory(count: int, out: Path, say: Say) -> Table:
 
 
 def _reading(out: Path, say: Say) -> Table:
-    """Frames at random by PyTorch's DataLoader, RGB and force, 320 x 240, two loader workers."""
+    """Random frames by PyTorch's DataLoader, RGB and force, 320 x 240, two loader workers."""
     from torch.utils.data import DataLoader
 
     from tacgen.bundle import dataset, pack
@@ -103,7 +103,7 @@ def _reading(out: Path, say: Say) -> Table:
 
     sets = ("quality=draft", "outputs=[force, rgb]", PRESS.format(frames=5))
     batch.run(plan.load(assets.recipe_path("quickstart"), sets), out / "one")
-    for i in range(1, 200):  # of different names, so that no cache can help
+    for i in range(1, 200):  # separate files, against the effect of caches
         shutil.copy(out / "one" / "scene-00000.h5", out / "one" / f"scene-{i:05d}.h5")
     packed = pack.pack(dataset.scenes(out / "one"), out / "packed", 32).folder
     table: list[list[Cell]] = []
@@ -111,7 +111,7 @@ def _reading(out: Path, say: Say) -> Table:
         data = TactileDataset(kind)
         order = np.random.default_rng(0).permutation(len(data))
         for i in order[:: len(data) // 60]:
-            data[int(i)]  # files open
+            data[int(i)]  # opens the files
         start = time.process_time()
         for i in order:
             data[int(i)]

@@ -1,4 +1,4 @@
-"""How much an answer moves when what is given moves by next to nothing."""
+"""Sensitivity of the force to tiny changes of the inputs."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -17,18 +17,18 @@ from tacgen.solve.linear_solvers import NotPositiveDefinite, SuperLU
 
 Array = np.ndarray
 CASE_NAMES = ("", "nu 0.4999", "1 kPa", "100 MPa", "friction 2", "half deep", "skin stiffer 1000:1")
-RELATIVE_NUDGE = 1e-10  # of the input that is changed [-]
+RELATIVE_NUDGE = 1e-10  # relative change of an input [-]
 
 
 def table(level: Level, say: Say) -> Table:
-    """Condition of the stiffness, and what each nudge does."""
+    """Condition number of the stiffness, and the effect of each change."""
     names = CASE_NAMES[:1] if level == "smoke" else CASE_NAMES
     with cores(level) as every:
         return _table(names, every(nudged, names), say)
 
 
 def _solved(sets: Sets, nudge: str = "") -> tuple[solve.Problem, solve.State]:
-    """The last frame without friction's history: one press, with one input a little larger."""
+    """The last frame of the case, with one input slightly larger."""
     made = scene.build(row_of((*PLAIN, *sets)))
     if nudge == "depth":
         poses = made.poses.copy()
@@ -46,7 +46,7 @@ def _solved(sets: Sets, nudge: str = "") -> tuple[solve.Problem, solve.State]:
 
 
 def nudged(name: str) -> tuple[float, list[float]]:
-    """Condition of a case, and how far each nudge moves its force, as a part of that."""
+    """Condition number of a case, and the relative change of its force for each changed input."""
     sets = CASES[name] if name else ()
     problem, state = _solved(sets)
     force, moved = state.traction_force.sum((0, 1)), []
@@ -63,15 +63,15 @@ def _table(names: tuple[str, ...], found: Iterator[tuple[float, list[float]]], s
         say(f"{name or 'plain'}: condition {number:.1e}, moved by {max(moved):.1e}")
     heads = columns("case", "condition: .1e", "depth: .0e", "shear modulus: .0e", "friction: .0e")
     note = (
-        "Condition: of the stiffness in the last frame, its largest over its smallest eigenvalue. The rest: change of"
-        f" the last frame's force, as a part of it, when this input grows by {RELATIVE_NUDGE:g} of itself; Newton's own"
-        " tolerance lets it move by up to 1e-3 where a nudge changes its path."
+        "Condition: largest over smallest eigenvalue of the stiffness in the last frame. Other columns: relative"
+        f" change of the last frame's force when this input is increased by {RELATIVE_NUDGE:g} of itself. Within"
+        " Newton's tolerance it can be up to 1e-3, if the iterations take another path."
     )
     return Table("Condition, and what a nudge does", heads, rows, note)
 
 
 def condition(problem: solve.Problem, state: solve.State) -> float:
-    """Largest over smallest eigenvalue of the stiffness at a state."""
+    """Condition number of the stiffness at a state."""
     import scipy.sparse as sp
     from scipy.sparse.linalg import LinearOperator, eigsh
 

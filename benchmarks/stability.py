@@ -1,4 +1,4 @@
-"""Extreme scenes: no inverted element, no indenter through the gel, no wrong frame."""
+"""Extreme scenes: no inverted element, no tunnelling, no wrong frame."""
 
 import tempfile
 import time
@@ -33,11 +33,10 @@ SMOKE_CASES = ("1 kPa",)  # for a smoke test
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a scene ended: `status` is ok, refused (before it was solved) or rejected (on the way), `reason` says why.
+    """The outcome of a scene: `status` is ok, refused (before the solve) or rejected (during it), with a `reason`.
 
     Over its frames: most iterations and substeps of one frame; certified lower bound of J; smallest gap [mm]; largest
-    force balance and residual; overlap, in edges of the mesh: so far is matter inside the indenter between the points
-    where contact acts.
+    force balance and residual; overlap: largest penetration between contact points, in element edges.
     """
 
     name: str
@@ -56,7 +55,7 @@ class Outcome:
 
     @property
     def sound(self) -> bool:
-        """Whether all frames that were solved are right."""
+        """Whether all solved frames are valid."""
         return self.balance < 1e-3 and self.residual < 1e-3 and self.least_J > 0 and self.min_gap > 0
 
     def cells(self) -> list[Cell]:
@@ -68,7 +67,7 @@ class Outcome:
 
 
 def measure(name: str, sets: Sequence[str]) -> Outcome:
-    """Solve the plain scene with these changes and look at every frame."""
+    """Solve the plain scene with these changes and check every frame."""
     started = time.process_time()
     try:
         with tempfile.TemporaryDirectory() as folder:
@@ -101,7 +100,7 @@ def measure(name: str, sets: Sequence[str]) -> Outcome:
 
 
 def _write_meshes(folder: Path) -> None:
-    """The indenters that CASES names by files: a ball of triangles forty times longer than wide; an upright plate."""
+    """Write the mesh files of CASES: a ball of triangles forty times longer than wide; an upright plate."""
     from trimesh import creation
 
     creation.uv_sphere(4.0, count=(25, 1000)).export(folder / "slivers.obj")
@@ -109,9 +108,9 @@ def _write_meshes(folder: Path) -> None:
 
 
 def overlap(problem: solve.Problem, state: solve.State, fine: int = 5) -> float:
-    """How deep matter of the gel is inside the shrunk indenter [mm], sampled fine^3 times in each hex around it.
+    """Largest penetration of the gel into the shrunk indenter [mm], at fine^3 points of each hex around it.
 
-    Contact acts at points of the face; what is thinner than they are apart could pass between them unseen.
+    Contact acts at points of the face; thin features could pass between them unnoticed.
     """
     x = state.x[problem.mesh.cells]
     size = np.linalg.norm(np.ptp(x, axis=1), axis=1)
@@ -127,7 +126,7 @@ def overlap(problem: solve.Problem, state: solve.State, fine: int = 5) -> float:
 
 
 def bench(level: Level, say: Say) -> Result:
-    """The cases and random scenes: some anywhere, and in rounds after that half of them near those hardest so far."""
+    """The cases, and rounds of random scenes; after the first round half of them are near the hardest ones so far."""
     from benchmarks import sensitivity, step_size_error
 
     rounds = {"smoke": [1], "normal": [8], "full": [100] * 4}[level]
@@ -139,7 +138,7 @@ def bench(level: Level, say: Say) -> Result:
             points += _drawn(count, rng, points, chance)
             scenes = [(f"random {i}", random(points[i].tolist())) for i in range(len(chance), len(points))]
             found = list[Outcome]()
-            some = scenes if known else [*scenes, *named.items()]  # random ones first: they may take longest
+            some = scenes if known else [*scenes, *named.items()]  # random scenes first, which may take longest
             for one in every(measure, *zip(*some, strict=True)):
                 found.append(one)
                 say(f"{one.name}: {one.status}, {one.iterations} iterations, {one.seconds:.1f} s {one.reason}")
@@ -153,7 +152,7 @@ def bench(level: Level, say: Say) -> Result:
 
 
 def _drawn(count: int, rng: np.random.Generator, points: list[Array], found: list[Outcome]) -> list[Array]:
-    """So many random scenes more, as the numbers they are made of; every other one near the hardest found so far."""
+    """The numbers of `count` further random scenes; every other one near the hardest found so far."""
     hardest = sorted(range(len(found)), key=lambda i: -_hardness(found[i]))[: max(1, len(found) // 5)]
     drawn = []
     for i in range(count):
@@ -184,11 +183,11 @@ def _summary(known: list[Outcome], chance: list[Outcome]) -> Table:
     heads |= columns("median: .0f", "least J: .3f", "least gap [mm]: .1e", "worst balance: .0e")
     heads |= columns("overlap [edges]: .2f")
     note = (
-        "Wrong: a frame handed out with an element inside out anywhere, a gap below 0, or a balance or residual above"
-        " 1e-3. Overlap is none of these: what is sharper than the mesh cuts in"
-        " between points of contact, and a force's error does not follow that. Of boxes, cones and wedges with radii"
-        " of .1 to .2 mm, on cells of .4 and .8 mm against .25 mm, overlaps came to a third of an edge at most, and"
-        " forces were 2 to 40 % off: tips the most, and where they barely touch."
+        "Wrong: an accepted frame with an inverted element, a gap below 0, or a balance or residual above 1e-3. Overlap"
+        " does not count: features sharper than the mesh penetrate between contact points, and the error of the force"
+        " does not depend on that. For boxes, cones and wedges with radii of 0.1 to 0.2 mm, on cells of 0.4 and 0.8 mm"
+        " against 0.25 mm, the overlap was a third of an edge at most, and the force error 2 to 40 %, largest for tips"
+        " and for light contact."
     )
     return Table("Together", heads, rows, note)
 
@@ -197,7 +196,7 @@ def _worst(chance: list[Outcome], count: int = 8) -> Table:
     hardest = sorted(chance, key=_hardness, reverse=True)[:count]
     note = (
         "Ball, capsule, torus, punch, box, cone or wedge of 1.4 to 4 mm, pressed 0.2 to 1.5 mm, slid, twisted, tilted"
-        " and released; friction 0 to 2, 1 kPa to 100 MPa, nu 0 to 0.4999, half of them with a skin down to a"
-        " hundredth or up to a hundred times as stiff."
+        " and released; friction 0 to 2, 1 kPa to 100 MPa, nu 0 to 0.4999, half of them with a skin that is up to a"
+        " hundred times softer or stiffer."
     )
     return Table("The hardest random scenes", HEADS, [one.cells() for one in hardest], note)

@@ -1,4 +1,4 @@
-"""Error of long frames: the same path again with four frames for each. Friction depends on the path."""
+"""Error of long frames, against the same path with four frames for each: friction depends on the path."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -14,7 +14,7 @@ from tacgen.geometry.pose import along, shortest_turn
 from tacgen.scene import mesh, scene
 
 Array = np.ndarray
-FINER = 4  # frames of the comparison for each frame of a path
+FINER = 4  # frames of the compared path for each frame
 CYLINDER = "indenter={shape: cylinder, radius_mm: 3, fillet_mm: 0.5}"
 PRESS = "{press: {depth_mm: 0.6, frames: 3}}"
 ROD, ROUGH = "indenter={shape: capsule, radius_mm: 1, length_mm: 2}", "contact.friction=1.1"
@@ -33,7 +33,7 @@ PATHS |= {name: CASES[name] for name in WORST_CASES}
 
 
 def table(level: Level, say: Say) -> Table:
-    """How far forces are from those of the same way in shorter frames."""
+    """Difference of forces from those of the same path in shorter frames."""
     some: dict[str, Sets] = {"ball pressed, slid": ()}
     ways = {"smoke": some, "normal": PATHS, "full": PATHS | RANDOM_PATHS}[level]
     with cores(level) as every:
@@ -41,7 +41,7 @@ def table(level: Level, say: Say) -> Table:
 
 
 def finer(made: scene.Scene, times: int) -> scene.Scene:
-    """The same way with `times` frames for each, the last of them where that was."""
+    """The same path with `times` frames for each; every `times`-th is the same pose."""
     ways = list(pairwise([made.start, *made.poses]))
     turns = [shortest_turn(a, b) for a, b in ways] if made.turns is None else made.turns
     poses = [pose for (a, b), turn in zip(ways, turns, strict=True) for pose in along(a, b, turn, times)]
@@ -50,7 +50,7 @@ def finer(made: scene.Scene, times: int) -> scene.Scene:
 
 
 def error(sets: Sets) -> tuple[Array, Array, float, float]:
-    """Forces at the frames (n, 3), those in shorter ones at the same places (m, 3), and processor seconds of both."""
+    """Forces of the frames (n, 3), those of short frames at the same poses (m, 3), and processor seconds of both."""
     made = scene.build(row_of((*PLAIN, *sets)))
     both = (made, finer(made, FINER))
     long, short = (solve_frames(way, solve.Problem.of(way, mesh.of(way))) for way in both)
@@ -70,8 +70,8 @@ def _table(names: list[str], found: Iterable[tuple[Array, Array, float, float]],
         say(f"{name}: {off.max():.2%} off shorter frames")
     heads = columns("way", "frames: d", "force [N]: .4g", "worst: .2%", "last: .2%", "s: .1f", "s, shorter: .1f")
     note = (
-        f"Force of each frame against that of the same way in {FINER} frames for each, as a part of the largest: the"
-        " worst of those that both got to, and the last. At edge .8 mm. Four for each have an error of their own: 2 %"
-        " of 32 for each, where a rough rod slides as a whole and the gel curls before it."
+        f"Force of each frame against that of the same path with {FINER} frames for each, over the largest force: worst"
+        " and last of the frames that both reached. At edge 0.8 mm. Four frames for each have an error themselves: 2 %"
+        " against 32 for each, for a rough rod that slides as a whole while the gel bulges in front of it."
     )
     return Table("Frames that are long", heads, rows, note)

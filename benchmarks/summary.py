@@ -1,4 +1,4 @@
-"""A table of the most important figures of the written results, for the README and the head of the results page."""
+"""A table of the most important results, for the README and the head of the results page."""
 
 import json
 from collections.abc import Callable, Iterator
@@ -12,7 +12,7 @@ SENSORS = {"gelsight_mini": "Mini", "digit": "DIGIT", "ninedtact": "9DTact"}
 
 
 def short(folder: Path) -> str:
-    """The table in Markdown, with the benches whose results are in `folder`."""
+    """The table in Markdown, of the benches with results in `folder`."""
     lines = ["| figure | value | bench |", "|---|---|---|"]
     for name, tell in TOLD.items():
         if (file := folder / f"{name}.json").exists():

@@ -1,4 +1,4 @@
-"""Frames a second on one worker and on several, and in as many processes without an engine."""
+"""Frames a second on one and several workers, and in as many independent processes without an engine."""
 
 import tempfile
 import time
@@ -23,13 +23,13 @@ SMOKE = ("quality={edge_mm: 1.2, dhat_mm: 0.1, spp: 4}", "outputs=[force, tracti
 
 
 def scenes(count: int, sets: tuple[str, ...]) -> plan.Plan:
-    """Presses of the batch recipe's ball at different places."""
+    """Presses of the ball of the batch recipe at different positions."""
     vary = f"vary={{method: random, samples: {count}, over: {{start.x_mm: {{uniform: [-4, 4]}}}}}}"
     return plan.load(assets.recipe_path("batch"), (*sets, vary))
 
 
 def workers(each: int, many: list[int], say: Say, sets: tuple[str, ...] = WORK) -> tuple[Table, Plot]:
-    """So many scenes a worker, on each of these numbers of workers."""
+    """Run `each` scenes per worker on each number of workers in `many`."""
     whole, rows, rates, alone = each * many[-1], list[list[Cell]](), list[float](), list[float]()
     every = scenes(whole, sets)
     frames = every.rows[0].frames
@@ -47,7 +47,7 @@ def workers(each: int, many: list[int], say: Say, sets: tuple[str, ...] = WORK) 
             started = time.perf_counter()
             part = plan.Plan("some", some, every.frames[: each * n])
             results = batch.run(part, out / f"on{n}", workers=n, on_event=on_event)
-            # seconds of a worker for a scene, while all are at work
+            # seconds of a worker for a scene, while all workers are busy
             scene = n * (ends[-n] - ends[n - 1]) / (len(some) - 2 * n + 1)
             rates.append(frames * n / scene)
             alone.append(_without_engine(whole, len(some), n, out, sets))
@@ -61,10 +61,10 @@ def workers(each: int, many: list[int], say: Say, sets: tuple[str, ...] = WORK) 
         "equal bytes",
     )  # fmt: skip
     note = (
-        f"{each} scenes a worker of {frames} frames at `draft` on the Mini: force, traction, height, markers, rgb. As"
-        " seconds passed, which other work on the machine lengthens. Start: until a worker begins its first scene; the"
-        " rate is that from there on. Without an engine: as many independent processes, each with a share of the"
-        " scenes; what a machine loses when all its cores work is in both."
+        f"{each} scenes per worker of {frames} frames at `draft` on the Mini: force, traction, height, markers, rgb."
+        " Wall-clock seconds, which other work on the machine increases. Start: time until a worker begins its first"
+        " scene; the rate is measured after that. Without an engine: as many independent processes, each with a share"
+        " of the scenes; the slow-down of a machine whose cores are all busy is in both."
     )
     series = [
         Series("measured", [float(n) for n in many], rates),
@@ -74,8 +74,8 @@ def workers(each: int, many: list[int], say: Say, sets: tuple[str, ...] = WORK) 
 
 
 def _without_engine(whole: int, count: int, many: int, out: Path, sets: tuple[str, ...]) -> float:
-    """Seconds a scene in processes side by side, with a share of the scenes each."""
-    with ThreadPoolExecutor(many) as threads:  # each waits for a process
+    """Seconds per scene in parallel processes, each with a share of the scenes."""
+    with ThreadPoolExecutor(many) as threads:  # each thread waits for a process
         shares = [
             threads.submit(in_own_process, "benchmarks.workers:share", whole, count, i, many, str(out), sets)
             for i in range(many)
@@ -84,7 +84,7 @@ def _without_engine(whole: int, count: int, many: int, out: Path, sets: tuple[st
 
 
 def share(whole: int, count: int, first: int, step: int, out: str, sets: list[str]) -> float:
-    """Every `step`-th of `count` scenes, one after the other, in this process: seconds of each after the first."""
+    """Make every `step`-th of `count` scenes in this process; mean seconds per scene after the first."""
     clock = []
     with tempfile.TemporaryDirectory(dir=out) as folder:
         for row in scenes(whole, tuple(sets)).rows[first:count:step]:
