@@ -191,11 +191,11 @@ class Bundle:
         from tacgen.recipe.sensor import Sensor
 
         if "sensor_document" not in self.attrs:
-            raise UserError(f"{self.path}: does not say what its sensor is")
+            raise UserError(f"{self.path}: does not hold its sensor")
         try:
             return parsed(Sensor, str(self.attrs["sensor_document"]))
         except ValueError as error:
-            raise UserError(f"{self.path}: its sensor is none that this tacgen knows: {error}") from None
+            raise UserError(f"{self.path}: its sensor cannot be read by this version of tacgen: {error}") from None
 
     def verify(self, content: Callable[[str, Any], str] | None = None) -> dict[str, "Dataset"]:
         """Compare all contents with the digest; UserError if a single bit has changed. Returns the datasets by path.
@@ -228,7 +228,7 @@ def read(path: Path, group: str = "/", *, part: bool = False) -> Bundle:
     """
     path = Path(path)
     if atomic_file.is_part(path) and not part:
-        raise Unfinished(f"{path}: unfinished: what a writer that was stopped left behind, or is still writing")
+        raise Unfinished(f"{path}: unfinished: part file of a writer that was stopped or is still running")
     shapes, wrong = dict[str, tuple[int, ...]](), ""
     with opened(path, group) as file:
         attrs = {sys.intern(name): _shared(value) for name, value in file.attrs.items()}

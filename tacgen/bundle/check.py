@@ -61,7 +61,7 @@ def check(path: Path) -> list[Finding]:
 
 
 def _leftover(path: Path) -> list[Finding]:
-    return [Finding(path, "incomplete", "what a writer that was stopped left behind, or is still writing")]
+    return [Finding(path, "incomplete", "part file of a writer that was stopped or is still running")]
 
 
 def _packed(folder: Path) -> list[Finding]:
@@ -84,7 +84,7 @@ def _file(path: Path, seen: Seen, group: str = "/") -> list[Finding]:
     name = path.name if group == "/" else group[1:]
     first = seen.setdefault((path.parent, bundle.attrs["digest"]), name)
     if first != name:
-        return [Finding(path, "error", f"{name} is a copy of {first}: one of them was exchanged")]
+        return [Finding(path, "error", f"{name} is a copy of {first}: one of them was replaced")]
     found = [Finding(path, "error", message) for message in _layout(bundle, datasets)]
     if not found:  # the checks below rely on the layout
         found = [Finding(path, "error", message) for rule in RULES for message in rule(bundle)]
@@ -101,7 +101,7 @@ def _layout(bundle: Bundle, datasets: dict[str, Dataset]) -> Iterator[str]:
                 yield f"{path} has {name} {data.attrs.get(name)!r}, expected {wanted!r}"
     status, planned = bundle.attrs["status"], bundle.attrs["frames_planned"]
     if status == "ok" and bundle.frames != planned:
-        yield f"{bundle.frames} frames, {planned} planned, and yet status is ok"
+        yield f"{bundle.frames} frames, {planned} planned, but status is ok"
 
 
 def _finite(bundle: Bundle) -> Iterator[str]:
@@ -201,16 +201,8 @@ def _markers(bundle: Bundle) -> Iterator[str]:
         yield from _say_frames(error > 1e-3, "/frames/marker_flow is not markers less reference, off by", error, "px")
 
 
-RULES: tuple[Callable[[Bundle], Iterator[str]], ...] = (
-    _finite,
-    _pose,
-    _images,
-    _pressure,
-    _friction,
-    _quality,
-    _repeats,
-    _markers,
-)
+Rule = Callable[[Bundle], Iterator[str]]
+RULES: tuple[Rule, ...] = (_finite, _pose, _images, _pressure, _friction, _quality, _repeats, _markers)
 
 
 def _changed(values: np.ndarray, threshold: float = 0.0) -> np.ndarray:

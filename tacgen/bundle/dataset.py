@@ -139,7 +139,7 @@ def packed(folder: Path) -> list[tuple[Path, str]]:
         if not path.is_file():
             problems.append(f"{path}: missing, though {INDEX} names it")
         elif path.stat().st_size != shard.bytes:
-            problems.append(f"{path}: damaged: {path.stat().st_size} bytes long, and was {shard.bytes}")
+            problems.append(f"{path}: damaged: {path.stat().st_size} bytes long, expected {shard.bytes}")
     if problems:
         raise UserError(problems)
     return [(folder / index.shards[scene.shard].file, f"/{scene.scene}") for scene in index.scenes]

@@ -66,7 +66,7 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
     features, rates = _together(each, _joined) | common, {_fps(bundle) for bundle in bundles}
     if len(rates) > 1:
         raise UserError(
-            f"{bundles[0].path.parent}: LeRobot takes frames at one rate, these have {sorted(rates)} a second"
+            f"{bundles[0].path.parent}: LeRobot needs one frame rate, these have {sorted(rates)} frames a second"
         )
     tasks = list(dict.fromkeys(map(task, told)))
     made, rows = _data(told, tasks, each, out)
@@ -111,7 +111,8 @@ def task(episode: Episode) -> str:
 
 def columns(episode: Episode, features: Each) -> dict[str, np.ndarray]:
     """Values of each feature over the frames, without the indices; `features` are those of each sensor."""
-    return _together({role: _columns(bundle, features[role]) for role, bundle in episode.items()}, _hstack)
+    parts = {role: _columns(bundle, features[role]) for role, bundle in episode.items()}
+    return _together(parts, lambda values: np.hstack(list(values.values())))
 
 
 def _columns(bundle: Bundle, features: dict[str, Any]) -> dict[str, np.ndarray]:
@@ -160,7 +161,7 @@ def _features(bundles: Sequence[Bundle]) -> dict[str, Any]:
     """LeRobot's description of one sensor's columns: the data that all scenes have with the same size."""
     sizes = {bundle.shapes["/frames/rgb"][1:] for bundle in bundles}
     if len(sizes) > 1:
-        raise UserError(f"{bundles[0].path.parent}: LeRobot takes images of one size, these have {sorted(sizes)}")
+        raise UserError(f"{bundles[0].path.parent}: LeRobot needs images of one size, these have {sorted(sizes)}")
     pose = _vector("float32", 7, POSE)
     found = {IMAGE: _picture(sizes.pop()), "observation.state": pose, "action": pose}
     for name, units in VECTORS.items():
@@ -193,10 +194,6 @@ def _together(parts: dict[str, dict[str, Any]], join: Callable[[dict[str, Any]],
 def _joined(parts: dict[str, Any]) -> dict[str, Any]:
     names = [f"{role}.{name}" for role, part in parts.items() for name in part["names"]]
     return _vector("float32", len(names), names)
-
-
-def _hstack(parts: dict[str, Any]) -> np.ndarray:
-    return np.hstack(list(parts.values()))
 
 
 def _length(episode: Episode) -> int:
@@ -273,7 +270,7 @@ def _fps(bundle: Bundle) -> int:
         return FPS
     steps = np.diff(bundle["/frames/time"])
     if np.ptp(steps) > 1e-4 or steps[0] <= 0 or abs(1 / steps[0] - round(1 / steps[0])) > 1e-3:
-        raise UserError(f"{bundle.path}: LeRobot takes frames at an even, whole rate a second, these come otherwise")
+        raise UserError(f"{bundle.path}: LeRobot needs evenly spaced frames, a whole number a second")
     return round(1 / float(steps[0]))
 
 

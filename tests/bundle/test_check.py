@@ -190,7 +190,7 @@ def retype(file: h5py.File) -> None:
             lambda file: file["frames/height"].resize(3, axis=0),
             "/frames/height has shape (3, 12, 16), expected (12, 12, 16)",
         ),
-        (lambda file: file.attrs.update(frames_planned=13), "12 frames, 13 planned, and yet status is ok"),
+        (lambda file: file.attrs.update(frames_planned=13), "12 frames, 13 planned, but status is ok"),
         (lambda file: file.attrs.update(status="fine"), "status is 'fine', expected 'ok' or 'rejected'"),
     ],
     ids=["type", "units", "axes", "path", "shape", "frames", "status"],

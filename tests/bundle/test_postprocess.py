@@ -71,5 +71,5 @@ def test_energy_is_the_work_of_the_press(tmp_path: Path) -> None:
 
 
 def test_energy_needs_the_materials(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match="does not say what its sensor is"):
+    with pytest.raises(UserError, match="does not hold its sensor"):
         postprocess.strain_energy(bundle.read(write(tmp_path / "x.h5")), 0)

@@ -261,8 +261,8 @@ def test_lerobot_begins_a_file_when_one_is_full(folder: Path, tmp_path: Path, mo
 @pytest.mark.parametrize(
     ("times", "says"),
     [
-        ([np.arange(FRAMES) ** 2 / 10] * 2, "even, whole rate"),
-        ([np.arange(FRAMES) / 10, np.arange(FRAMES) / 5], "one rate"),
+        ([np.arange(FRAMES) ** 2 / 10] * 2, "evenly spaced frames"),
+        ([np.arange(FRAMES) / 10, np.arange(FRAMES) / 5], "one frame rate"),
     ],
 )
 def test_lerobot_takes_one_even_rate_and_writes_nothing_else(times: list[np.ndarray], says: str, tmp_path: Path):

@@ -78,7 +78,7 @@ def test_a_bundle_in_another_s_place_is_found(source: Path, tmp_path: Path) -> N
     shutil.copytree(source / "loose", tmp_path / "loose")
     shutil.copy(tmp_path / "loose" / "scene-00000.h5", tmp_path / "loose" / "scene-00002.h5")
     (new,) = set(attempts.Content.of(tmp_path / "loose").findings) - set(sound.findings)
-    assert new == "scene-00002.h5 is a copy of scene-00000.h5: one of them was exchanged"
+    assert new == "scene-00002.h5 is a copy of scene-00000.h5: one of them was replaced"
 
 
 def test_names_leave_no_folder_and_reach_no_terminal(source: Path, tmp_path: Path) -> None:
