@@ -278,7 +278,7 @@ class Dataset:
 
     @classmethod
     def of(cls, data: Any, sha256: str) -> "Dataset":
-        """Of an open h5py dataset whose content has this SHA-256."""
+        """The properties of an open h5py dataset, given the SHA-256 of its content."""
         attrs = {name: _plain(value) for name, value in data.attrs.items()}
         return cls(data.dtype.str, data.shape, attrs, sha256)
 

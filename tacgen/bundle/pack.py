@@ -15,7 +15,7 @@ from tacgen.errors import UserError
 
 @dataclass(frozen=True)
 class Packed:
-    """What was written."""
+    """The files and counts of a packed folder."""
 
     folder: Path
     shards: tuple[Path, ...]

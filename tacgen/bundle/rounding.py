@@ -24,7 +24,7 @@ def to_multiples(values: np.ndarray, step: float) -> np.ndarray:
 
 
 def to_bits(values: np.ndarray, bits: int) -> np.ndarray:
-    """Float32 values with so many significant bits, to nearest: the upper half of Dekker's (1971) split."""
+    """Float32 values rounded to `bits` significant bits: the upper half of Dekker's (1971) split."""
     out = np.asarray(values * np.float32(2 ** (24 - bits) + 1))
     out -= out - values
     return out

@@ -46,7 +46,7 @@ class Calibrated:
         """Report in text."""
         yield f"{self.sensor.name}: fitted to {self.photographs}"
         found = self.fitted
-        yield f"untouched: off by {found.untouched:.1f} counts rms (the file as it was: {found.before:.1f})"
+        yield f"untouched: off by {found.untouched:.1f} counts rms (before the fit: {found.before:.1f})"
         if found.presses is not None:
             yield f"change under the presses: off by {found.presses:.1f} counts rms"
         if found.held_out is not None:

@@ -163,7 +163,7 @@ class Comparison:
         return Seen(picture.astype(float) - untouched, where, slopes[where], self._level[where])
 
     def _slopes(self, face: Surface) -> Array:
-        """Of the face behind each pixel (H, W, 2)."""
+        """Slopes of the face behind each pixel: x and y of its unit normals (H, W, 2)."""
         return self._view.look(face).normal[:, :2].reshape(*self._view.shape, 2)
 
 

@@ -60,32 +60,32 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
         raise UserError("export lerobot needs PyArrow: pip install 'tacgen[lerobot]'") from None
     for bundle in bundles:
         needs(bundle, ("/frames/rgb",), "rgb")
-    told = episodes(bundles)
-    each = {role: _features([episode[role] for episode in told]) for role in told[0]}
+    all_episodes = episodes(bundles)
+    each = {role: _features([episode[role] for episode in all_episodes]) for role in all_episodes[0]}
     common = {"timestamp": _vector("float32", 1)} | {name: _vector("int64", 1) for name in INDICES}
     features, rates = _together(each, _joined) | common, {_fps(bundle) for bundle in bundles}
     if len(rates) > 1:
         raise UserError(
             f"{bundles[0].path.parent}: LeRobot needs one frame rate, these have {sorted(rates)} frames a second"
         )
-    tasks = list(dict.fromkeys(map(task, told)))
-    made, rows = _data(told, tasks, each, out)
+    tasks = list(dict.fromkeys(map(task, all_episodes)))
+    made, rows = _data(all_episodes, tasks, each, out)
     info = {
         "codebase_version": "v3.0",
-        "robot_type": ", ".join(bundle.attrs["sensor"] for bundle in told[0].values()),
-        "total_episodes": len(told),
-        "total_frames": sum(map(_length, told)),
+        "robot_type": ", ".join(bundle.attrs["sensor"] for bundle in all_episodes[0].values()),
+        "total_episodes": len(all_episodes),
+        "total_frames": sum(map(_length, all_episodes)),
         "total_tasks": len(tasks),
         "chunks_size": FILES,
         "data_files_size_in_mb": FILE_BYTES // 10**6,
         "video_files_size_in_mb": 200,
         "fps": rates.pop(),
-        "splits": {"train": f"0:{len(told)}"},
+        "splits": {"train": f"0:{len(all_episodes)}"},
         "data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
         "video_path": None,
         "features": features,
     }
-    stats = statistics([columns(episode, each) for episode in told])
+    stats = statistics([columns(episode, each) for episode in all_episodes])
     made += [_table(out / "meta/tasks.parquet", *_tasks(tasks)), _table(out / EPISODES, rows)]
     for name, content in (("info", info), ("stats", stats)):
         made.append(out / "meta" / f"{name}.json")
@@ -201,7 +201,7 @@ def _length(episode: Episode) -> int:
 
 
 def _data(
-    told: Sequence[Episode], tasks: list[str], features: Each, out: Path
+    all_episodes: Sequence[Episode], tasks: list[str], features: Each, out: Path
 ) -> tuple[list[Path], list[dict[str, Any]]]:
     """Write the frames of all episodes, and return the files and a row of metadata for each episode."""
     import pyarrow as pa
@@ -210,7 +210,7 @@ def _data(
     made: list[Path] = []
     rows: list[dict[str, Any]] = []
     start, writer = 0, None
-    for number, episode in enumerate(told):
+    for number, episode in enumerate(all_episodes):
         content = columns(episode, features)
         count = _length(episode)
         table = pa.table(_arrays(episode, content, number, start, tasks))
