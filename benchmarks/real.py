@@ -6,7 +6,7 @@ from typing import cast
 
 import numpy as np
 
-from benchmarks import photographs
+from benchmarks import photographs, real_rim
 from benchmarks.photographs import Unit
 from benchmarks.results_page import Absent, Cell, Level, Result, Say, Table, columns
 from tacgen.calibrate import likeness, press_faces
@@ -21,9 +21,10 @@ Array = np.ndarray
 ABOUT = (
     "Rendered pictures against photographs of balls pressed into one real unit of each sensor. Normals: mean angle"
     " inside the contact circle between the ball's normals and those of a network (colour change and position to"
-    " slopes, two layers) trained on rendered dents; beside it, of a network trained on the unit's other presses, and"
-    " of the flat face. Contrast: change of colour per slope of the ball, rendered over real. The LEDs of the shipped"
-    " files were fitted to some of these presses, as stated there. SSIM of whole pictures hardly shows these"
+    " slopes, two layers) trained on rendered dents; beside it, of the same network on the same presses rendered with"
+    " the camera's noise (what a perfect sensor file would reach), of a network trained on the unit's other presses,"
+    " and of the flat face. Contrast: change of colour per slope of the ball, rendered over real. The LEDs of the"
+    " shipped files were fitted to some of these presses, as stated there. SSIM of whole pictures hardly shows these"
     " differences; it is given with a lower reference, the untouched photograph, and an upper one."
 )
 CLEAR = ("gelsight_mini", "digit")
@@ -51,16 +52,24 @@ def bench(level: Level, say: Say) -> Result:
         like = compared.likeness(unit.presses, faces, unit.untouched)
         real = [compared.photographed(p, f, unit.untouched) for p, f in zip(unit.presses, faces, strict=True)]
         own = float(np.mean(list(_left_out(real)))) if level != "smoke" else None
-        normals.append([name, len(real), like.flat, like.normals, own])
+        normals.append([name, len(real), like.flat, like.normals, like.noisy, own])
         colours.append([name, *map(float, (*like.contrast, *like.direction, *like.correlation))])
         say(f"{name}: {like}")
         similar += [[name, *row] for row in _similar(sensor, unit)] if level != "smoke" else []
     heads = columns(
-        "sensor", "presses", "flat [deg]: .1f", "rendered to real [deg]: .1f", "real to real, left out [deg]: .1f"
+        "sensor",
+        "presses",
+        "flat [deg]: .1f",
+        "rendered to real [deg]: .1f",
+        "rendered to rendered [deg]: .1f",
+        "real to real, left out [deg]: .1f",
     )
     tables = [Table("Normals inside the contact circle", heads, normals),
               Table("Change per slope, rendered over real", columns("sensor", *HEADS), colours,
                     "Medians over presses; correlation of the change within 1.7 contact radii.")]  # fmt: skip
+    if "gelsight_mini" in units and level != "smoke":
+        mini = cast(LitSensor, loading.read_sensor(assets.sensor_path("gelsight_mini"))[0])
+        tables += real_rim.tables(mini, units["gelsight_mini"], say)
     if "ninedtact" in units and level != "smoke":
         tables.append(_depth(units["ninedtact"], say))
     if similar:

@@ -128,9 +128,9 @@ def _pay(tables: Tables) -> Told:
 def _real(tables: Tables) -> Told:
     rows = tables.get("Normals inside the contact circle", [])
     if rows:
-        heads = ("flat [deg]", "rendered to real [deg]", "real to real, left out [deg]")
+        heads = ("flat [deg]", "rendered to real [deg]", "rendered to rendered [deg]", "real to real, left out [deg]")
         yield (
-            "error of real normals [deg]: flat / trained on rendered / trained on real images",
+            "error of real normals [deg]: flat / trained on rendered / the same on rendered presses / trained on real",
             _by_sensor(rows, lambda row: " / ".join(f"{row[head]:.1f}" for head in heads if row[head] is not None)),
         )
     rows = tables.get("Change per slope, rendered over real", [])

@@ -3,7 +3,7 @@
     python scripts/calibrate_optics.py gelsight_mini [../shared/reference] [--but 9.500mm] [-o mine.yaml]
 
 It only arranges the photographs as that command needs them: background.png and presses.csv. `--but 9.500mm` leaves out
-those with that text in their name, so that they can test the fitted file.
+those with that text in their name; of clear gels it prints how well the file before and after the fit suits them.
 """
 
 import argparse
@@ -13,10 +13,27 @@ import tempfile
 from pathlib import Path
 
 from tacgen import calibrate
+from tacgen.calibrate import press_faces
+from tacgen.calibrate.likeness import Comparison
+from tacgen.calibrate.photos import Press
+from tacgen.recipe import loading
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 from benchmarks import photographs  # noqa: E402
+
+
+def left_out(press: Press, but: list[str]) -> bool:
+    """Whether a press has one of these texts in its name."""
+    return any(part in press.name for part in but)
+
+
+def judged(file: Path, unit: photographs.Unit, but: list[str]) -> str:
+    """How well a sensor file of a clear gel suits the presses that were left out."""
+    sensor, _ = loading.read_sensor(file)
+    presses = [press for press in unit.presses if left_out(press, but)]
+    faces = [press_faces.face(sensor, press, {}) for press in presses]
+    return str(Comparison(sensor).likeness(presses, faces, unit.untouched))
 
 
 def lay_out(unit: photographs.Unit, untouched: str, into: Path, but: list[str]) -> None:
@@ -27,7 +44,7 @@ def lay_out(unit: photographs.Unit, untouched: str, into: Path, but: list[str]) 
         table = csv.writer(file)
         table.writerow(["file", "ball_radius_mm", "x_px", "y_px", "contact_radius_px", "depth_mm"])
         for press in unit.presses:
-            if not any(part in press.name for part in but):
+            if not left_out(press, but):
                 (into / press.name).symlink_to((unit.folder / press.name).resolve())
                 table.writerow([press.name, press.ball, *press.center, press.contact, press.depth])
 
@@ -52,9 +69,12 @@ def main() -> None:
         into = Path(scratch) / "reference"
         lay_out(unit, photographs.UNTOUCHED[asked.sensor], into, asked.but)
         found = calibrate.optics(asked.start or asked.sensor, into, how)
-    print("\n".join(found.lines()))
-    if asked.out:
-        found.write(asked.out)
+        print("\n".join(found.lines()))
+        out = asked.out or into / "fitted.yaml"
+        found.write(out)
+        if asked.but and asked.sensor != "ninedtact":
+            print(f"left out, before: {judged(found.path, unit, asked.but)}")
+            print(f"left out, after: {judged(out, unit, asked.but)}")
 
 
 if __name__ == "__main__":

@@ -59,15 +59,16 @@ class Likeness:
     direction: Array  # angle between the two, median
     correlation: Array  # of the change around the contact, median
     normals: float  # mean error of normals in photographs, by a network trained on rendered pictures
+    noisy: float  # the same for the presses rendered with noise: what a perfect sensor file would reach
     flat: float  # the same for the untouched face
 
     def __str__(self) -> str:
-        normals = f"real normals off by {self.normals:.1f} deg (flat: {self.flat:.1f})"
+        normals = f"real normals off by {self.normals:.1f} deg (rendered ones: {self.noisy:.1f}, flat: {self.flat:.1f})"
         return f"{of_change(self.contrast, self.correlation)}, {normals}"
 
     def plain(self) -> dict[str, Any]:
         """As JSON values."""
-        return {"normals": self.normals, "flat": self.flat} | {
+        return {"normals": self.normals, "noisy": self.noisy, "flat": self.flat} | {
             name: getattr(self, name).tolist() for name in ("contrast", "direction", "correlation")
         }
 
@@ -112,9 +113,9 @@ class Comparison:
         """A photographed press against the photograph of the untouched unit."""
         return self._seen(press.picture, untouched, face, press.center, press.contact or 0.0)
 
-    def rendered(self, press: Press, face: Surface) -> Seen:
-        """The same press as rendered, without noise."""
-        made = self._renderer.develop(self._renderer.image(face))
+    def rendered(self, press: Press, face: Surface, random: np.random.Generator | None = None) -> Seen:
+        """The same press as rendered, with the camera's noise if `random` is given."""
+        made = self._renderer.develop(self._renderer.image(face), random)
         return self._seen(made, self._flat, face, press.center, press.contact or 0.0)
 
     def net(self, seed: int = 0) -> NormalNet:
@@ -135,11 +136,13 @@ class Comparison:
             [np.corrcoef(real.change[around][:, c], made.change[around][:, c])[0, 1] for c in range(3)]
             for real, made, around in pairs
         ]
-        net = self.net()
+        net, random = self.net(), np.random.default_rng(0)
+        noisy = [self.rendered(press, face, random) for press, face in zip(presses, faces, strict=True)]
         return Likeness(
             np.nanmedian(np.where(seen, size[:, 1] / size[:, 0], np.nan), axis=0),
             np.nanmedian(np.where(seen, turn, np.nan), axis=0), np.median(correlation, axis=0),
             float(np.mean([real.off(net.normals(real.features)) for real, _, _ in pairs])),
+            float(np.mean([made.off(net.normals(made.features)) for made in noisy])),
             float(np.mean([real.off(real.flat) for real, _, _ in pairs])),
         )  # fmt: skip
 

@@ -31,12 +31,14 @@ def face(sensor: LitSensor, press: Press, folders: dict[KeyPath, Path]) -> Surfa
     return BallDent.seen(camera, press.ball, press.center, press.contact, untouched, bend)
 
 
-def solved(sensor: LitSensor, press: Press, depths: Sequence[float], folders: dict[KeyPath, Path]) -> Sequence[Surface]:
+def solved(
+    sensor: LitSensor, press: Press, depths: Sequence[float], folders: dict[KeyPath, Path], quality: str = "default"
+) -> Sequence[Surface]:
     """Solved faces at increasing depths [mm], at the position of the ball in the photograph."""
     x, y = place(sensor, press.center, float(np.mean(depths)))
     recipe = {
         "tacgen": 1, "name": "press", "sensor": sensor.name, "outputs": ["force"], "start": {"x_mm": x, "y_mm": y},
-        "indenter": {"shape": "sphere", "radius_mm": press.ball},
+        "indenter": {"shape": "sphere", "radius_mm": press.ball}, "quality": quality,
         "trajectory": [{"press": {"depth_mm": float(depth), "frames": 1}} for depth in depths],
     }  # fmt: skip
     (row,) = plan.expand(Recipe.model_validate(recipe), sensor).rows

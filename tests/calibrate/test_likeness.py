@@ -38,6 +38,7 @@ def test_pictures_of_the_sensor_itself_are_alike(compared, unit):
     assert found.direction == pytest.approx(0.0, abs=1e-6)
     assert found.correlation == pytest.approx(1.0, abs=1e-9)
     assert found.normals < 3 < 15 < found.flat
+    assert found.noisy == pytest.approx(found.normals, abs=1e-9)  # this camera has no noise
 
 
 def test_half_the_change_is_reported(compared, unit):
@@ -46,6 +47,7 @@ def test_half_the_change_is_reported(compared, unit):
     found = compared.likeness(weak, faces, untouched)
     assert found.contrast == pytest.approx(2.0, rel=0.02)
     assert found.normals > 2 * compared.likeness(presses, faces, untouched).normals
+    assert found.noisy < found.normals / 2
 
 
 def test_the_nets_slope_is_that_of_its_loss(monkeypatch):
