@@ -11,10 +11,10 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from pydantic import JsonValue, NonNegativeInt
+from pydantic import NonNegativeInt
 
 from tacgen.bundle.bundle import Bundle, read
-from tacgen.bundle.stored_json import Name, Stored
+from tacgen.bundle.stored_json import Name, Stored, Value
 from tacgen.bundle.stored_json import read as read_json
 from tacgen.errors import UserError
 
@@ -38,7 +38,7 @@ class Packed(Stored):
     shard: NonNegativeInt
     frames: NonNegativeInt
     digest: str
-    values: dict[str, JsonValue]
+    values: dict[str, Value]
 
 
 class Index(Stored):

@@ -14,11 +14,11 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from pydantic import JsonValue, NonNegativeInt
+from pydantic import NonNegativeInt
 
 from tacgen import atomic_file, regular_file
 from tacgen.bundle import stored_json
-from tacgen.bundle.stored_json import Name, Stored
+from tacgen.bundle.stored_json import Name, Stored, Value
 from tacgen.errors import UserError, why
 from tacgen.recipe import plan_table
 from tacgen.recipe.plan import Plan
@@ -42,7 +42,7 @@ class PlannedScene(Stored):
     scene: Name
     frames: NonNegativeInt
     key: str
-    values: dict[str, JsonValue]
+    values: dict[str, Value]
 
 
 class StoredPlan(Stored):

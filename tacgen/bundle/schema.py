@@ -4,9 +4,9 @@ and check.py compares finished files with them."""
 from dataclasses import dataclass
 from typing import Any
 
-from pydantic import Field, JsonValue
+from pydantic import Field
 
-from tacgen.bundle.stored_json import Stored
+from tacgen.bundle.stored_json import Stored, Value
 
 FORMAT = 1
 UNITS = "mm N MPa s rad"
@@ -193,8 +193,8 @@ class StoredRecipe(Stored):
     """The fields of a resolved recipe, of this or an earlier version, that readers use."""
 
     name: str = ""
-    indenter: dict[str, JsonValue] = Field(default_factory=dict)
-    trajectory: list[dict[str, JsonValue]] = Field(default_factory=list)
+    indenter: dict[str, Value] = Field(default_factory=dict)
+    trajectory: list[dict[str, Value]] = Field(default_factory=list)
     contact: StoredContact = StoredContact()
 
 
@@ -211,9 +211,9 @@ class StoredMesh(Stored):
 # Attributes that are JSON, and the types that readers rely on.
 STORED: dict[str, Any] = {
     "recipe": StoredRecipe,
-    "sensor_document": dict[str, JsonValue],
+    "sensor_document": dict[str, Value],
     "mesh": StoredMesh,
-    "values": dict[str, JsonValue],
+    "values": dict[str, Value],
     "notes": list[str],
 }
 

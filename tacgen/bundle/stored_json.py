@@ -4,12 +4,13 @@ from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, TypeAdapter, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, JsonValue, TypeAdapter, ValidationError
 
 from tacgen import regular_file
 from tacgen.errors import UserError, why
 
 LARGEST = 2**30  # bytes of a file
+LARGEST_NUMBER = 1e100  # what is plotted and summed must not overflow
 T = TypeVar("T")
 
 
@@ -26,6 +27,17 @@ def _step(name: str) -> str:
 
 
 Name = Annotated[str, AfterValidator(_step)]  # a single path component, so that it cannot point outside the folder
+
+
+def _bounded(value: JsonValue) -> JsonValue:
+    for part in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
+        _bounded(part)
+    if isinstance(value, int | float) and not abs(value) < LARGEST_NUMBER:
+        raise ValueError(f"must be a finite number below {LARGEST_NUMBER:g}")
+    return value
+
+
+Value = Annotated[JsonValue, AfterValidator(_bounded)]  # of any kind, with numbers that can be computed with
 
 
 def read(kind: type[T], path: Path) -> T:

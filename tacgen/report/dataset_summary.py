@@ -25,10 +25,11 @@ class Scene(run_status.Scene):
 
     @cached_property
     def peak_n(self) -> float | None:
-        """Largest force [N]; None without a force."""
+        """Largest force [N]; None without a finite one."""
         if self.bundle is None or "/frames/force" not in self.bundle or not self.bundle.frames:
             return None
-        return float(np.linalg.norm(self.bundle["/frames/force"], axis=1).max())
+        largest = float(np.linalg.norm(self.bundle["/frames/force"], axis=1).max())
+        return largest if np.isfinite(largest) else None
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import h5py
+import numpy as np
 import pytest
 from helpers.synthetic import attributes, write
 
@@ -95,6 +96,24 @@ def test_names_leave_no_folder_and_reach_no_terminal(source: Path, tmp_path: Pat
     with h5py.File(write(tmp_path / "x.h5"), "a") as file:
         file.attrs["sensor"] = "\x1b[31mred"
     assert "\x1b" not in str(UserError(f"{read(tmp_path / 'x.h5').attrs['sensor']}: no such sensor"))
+
+
+def test_numbers_that_are_not_finite_or_beyond_use_are_refused(source: Path, tmp_path: Path) -> None:
+    stored = json.loads((source / "loose" / "plan.json").read_text())
+    for number in ("1e999", "-1e308", f"1{400 * '0'}", '[0.1, {"x": 1e999}]'):
+        plan = json.dumps(stored).replace(json.dumps(stored["scenes"][1]["values"]["start.x_mm"]), number)
+        (tmp_path / "plan.json").write_text(plan)
+        with pytest.raises(UserError, match=r"scenes\.1\.values\.start\.x_mm: .* finite number below 1e\+100"):
+            survey(tmp_path)
+
+
+def test_forces_that_are_not_finite_are_left_out_of_the_report(tmp_path: Path) -> None:
+    for k in range(3):
+        path = write(tmp_path / f"scene-0000{k}.h5")
+        if k:
+            with h5py.File(path, "a") as file:
+                file["frames/force"][...] = np.inf
+    assert "1 scene" in html_report.page(dataset_summary.look(tmp_path))
 
 
 def test_external_links_and_storage_are_refused(tmp_path: Path) -> None:
