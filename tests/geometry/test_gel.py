@@ -128,6 +128,47 @@ def test_from_a_sensor_file_to_a_bundle(text: str, tmp_path: Path) -> None:
     assert len(sensor["gel"]["solid"]["sha256"]) == 64
 
 
+DOME = """\
+tacgen_sensor: 1
+name: dome
+description: a half ball with markers, as a TacTip has
+gel:
+  solid: {file: knob.stl, up: "-y", scale: 10, bonded_mm: 0.05, coated_deg: 60, source: made by a test}
+  width_mm: 20.0
+  height_mm: 20.0
+  layers:
+    - {name: gel, thickness_mm: 10.0, youngs_modulus_mpa: 0.2, poissons_ratio: 0.48, source: assumed}
+  source: made by a test
+camera: {distance_mm: 20, mm_per_px: 0.1, width_px: 120, height_px: 120, source: assumed}
+markers: {columns: 5, rows: 5, pitch_mm: [2.5, 2.5], diameter_mm: 0.8, albedo: 0.9, source: assumed}
+"""
+
+
+@pytest.mark.slow
+def test_a_half_ball_is_pressed_as_hertz_says_and_its_markers_move_apart(tmp_path: Path) -> None:
+    """Pressure for the force that was found, of two balls, in rings around the middle; markers radially."""
+    angles = np.radians(np.arange(0, 89, 4))
+    profile = [(10 * np.cos(t), 10 * np.sin(t)) for t in angles]
+    press = "trajectory=[{press: {depth_mm: 1.0, frames: 1}}]", "start.x_mm=0", "indenter.radius_mm=5"
+    sets = (*press, "contact.friction=0", "quality={edge_mm: 1.0, dhat_mm: 0.05}")
+    found = bundle.read(pipeline.run_scene(plan.load(folder(tmp_path, profile, DOME), sets).rows[0], tmp_path).path)
+    force, modulus, radius = -found["/frames/force"][0, 2], 0.2 / (1 - 0.48**2), 1 / (1 / 10 + 1 / 5)
+    a = (0.75 * force * radius / modulus) ** (1 / 3)
+    pressure = found["/frames/pressure"][0]
+    y, x = np.indices(pressure.shape) + 0.5 - 60
+    r = 0.1 * np.hypot(x, y)
+    hertz = 1.5 * force / (np.pi * a**2) * np.sqrt(np.maximum(1 - (r / a) ** 2, 0))
+    for low in np.arange(0, 0.75 * a, 0.25):
+        ring = (r >= low) & (r < low + 0.25)
+        assert pressure[ring].mean() == pytest.approx(hertz[ring].mean(), rel=0.08)
+        assert pressure[ring].std() < 0.12 * pressure.max()
+    assert found["/frames/marker_visible"].all()
+    flow = found["/frames/marker_flow"][0].reshape(5, 5, 2)
+    outward = np.stack(np.meshgrid(np.arange(-2, 3), np.arange(-2, 3)), -1)
+    assert (flow * outward).sum(-1)[np.abs(outward).sum(-1) > 0].min() > 0.2
+    assert flow == pytest.approx(-flow[::-1, ::-1], abs=0.12)
+
+
 LIT = """\
 plate: {thickness_mm: 2, refractive_index: 1.49, source: assumed}
 coating: {albedo: 0.5, specular: 0.1, roughness: 0.4, source: assumed}
