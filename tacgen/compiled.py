@@ -24,6 +24,8 @@ import numpy as np
 from llvmlite import binding
 from numba.core import caching, event
 from numba.core.compiler import CompileResult
+from numba.core.cpu import CPUTargetOptions
+from numba.core.registry import cpu_target
 from numba.core.serialize import dumps
 
 from tacgen import array_cache, atomic_file
@@ -48,8 +50,25 @@ def folder() -> Path:
     return (Path(kept) if kept else array_cache.cache_folder() / "compiled") / f"tacgen-{state.hexdigest()[:16]}"
 
 
+class _Options(CPUTargetOptions):
+    """Options of a function, none of them taken over from the function whose compilation asks for it."""
+
+    def finalize(self, flags: Any, options: Any) -> None:
+        for name, value in (("fastmath", False), ("error_model", "python")):
+            if not flags.is_set(name):
+                setattr(flags, name, value)
+        super().finalize(flags, options)  # type: ignore[no-untyped-call]
+
+
+cpu_target.options = _Options
+
+
 def njit(*, cache: bool, **options: Any) -> Callable[[F], F]:
-    """numba.njit without wrappers for calls from C; with `cache`, machine code is kept in `folder`."""
+    """numba.njit without wrappers for calls from C; with `cache`, machine code is kept in `folder`.
+
+    Only functions that Python calls are kept. One that compiled functions call is compiled with them, so that their
+    code depends on the source alone, not on what was kept before.
+    """
     compiler: Any = numba.njit
 
     def decorate(function: F) -> F:
@@ -119,7 +138,9 @@ def _writable() -> bool:
 class _Watch(event.Listener):
     """Measures the time of compiling, or of waiting for a process that compiles, and reports when that begins.
 
-    Python's garbage collector is paused meanwhile: it takes a sixth of the time of compiling and frees nothing.
+    Python's garbage collector is paused meanwhile: it takes a sixth of the time of compiling and frees nothing. Numba's
+    own loops and powers are forgotten before and after each function: it compiles them once, with the arithmetic
+    (fastmath) of the first function that needs them, so that results would depend on what else is compiled.
     """
 
     def __init__(self) -> None:
@@ -127,6 +148,7 @@ class _Watch(event.Listener):
         self.tell: Callable[[], None] = lambda: None
 
     def on_start(self, event: Any = None) -> None:
+        cpu_target.target_context.cached_internal_func.clear()
         if not self.depth:
             self.begun, self.collected = time.perf_counter(), gc.isenabled()
             gc.disable()
@@ -134,6 +156,7 @@ class _Watch(event.Listener):
         self.depth += 1
 
     def on_end(self, event: Any = None) -> None:
+        cpu_target.target_context.cached_internal_func.clear()
         self.depth -= 1
         if not self.depth:
             self.seconds += time.perf_counter() - self.begun

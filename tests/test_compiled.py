@@ -1,14 +1,18 @@
 """Compiled code is kept for the next process, never used after a change, and compiled by one process at a time."""
 
+import importlib
 import os
+import pkgutil
 import shutil
 import subprocess
 import sys
 import textwrap
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
+from numba.core.dispatcher import Dispatcher
 
 from tacgen import compiled
 
@@ -28,7 +32,7 @@ def copied(folder: Path, factor: str) -> Path:
         shutil.copy(PACKAGE / name, folder / "tacgen" / name)
     head = "from tacgen.compiled import njit\n"
     (folder / "tacgen/optics/__init__.py").write_text("")
-    called = f"@njit(cache=True)\ndef scaled(x):\n    return {factor} * x\n"
+    called = f"@njit(cache=False)\ndef scaled(x):\n    return {factor} * x\n"
     (folder / "tacgen/optics/scale.py").write_text(head + called)
     text = "from tacgen.optics.scale import scaled\n\n@njit(cache=True)\ndef twice(x):\n    return scaled(x)\n"
     (folder / "tacgen/optics/probe.py").write_text(head + text)
@@ -49,6 +53,58 @@ def test_code_is_kept_and_a_change_in_another_file_is_seen(tmp_path: Path):
     assert used(package, cache) == "4.0 False"
     assert used(copied(package, "3"), cache) == "6.0 True"
     assert used(copied(package, "2"), cache) == "4.0 False", "the older version's is still there"
+
+
+def dispatcher(value: Any) -> Any:
+    found = getattr(value, "_dispatcher", value)
+    return found if isinstance(found, Dispatcher) else None
+
+
+def test_what_compiled_functions_call_is_not_kept():
+    """Else the code of a function depends on what was kept before: by a run that was killed, or by another at once."""
+    callers, called = 0, set[str]()
+    for package in compiled.PACKAGES:
+        for module in pkgutil.walk_packages([str(PACKAGE / package)], f"tacgen.{package}."):
+            for caller in filter(None, map(dispatcher, vars(importlib.import_module(module.name)).values())):
+                callers += 1
+                known, names = caller.py_func.__globals__, caller.py_func.__code__.co_names
+                inner = filter(None, (dispatcher(known.get(name)) for name in names))
+                called |= {one.py_func.__qualname__ for one in inner if isinstance(one._cache, compiled._Code)}
+    assert callers > 40
+    assert not called
+
+
+POWERS = """
+import re
+import sys
+import numpy as np
+from tacgen.compiled import njit
+
+@njit(cache=False)
+def product(x):
+    return x[1] * x[2]
+
+for fast in map(int, sys.argv[1:]):
+    @njit(cache=False, fastmath=bool(fast))
+    def power(x):
+        return np.abs(x[0]) ** 2 + np.sum(x) + product(x)
+
+    power(np.ones(4))
+    lines = re.findall(" = (f(?:mul|add)(?: fast)?) ", power.inspect_llvm(power.signatures[0]))
+    print(fast, *(f"{line} {lines.count(line)}" for line in sorted(set(lines))))
+"""
+
+
+def test_arithmetic_is_a_functions_own_whatever_was_compiled_before():
+    """Numba compiles its own powers, and what functions call, once: with the arithmetic of the first caller."""
+    found = [
+        subprocess.run([sys.executable, "-c", POWERS, *order], capture_output=True, text=True, check=True).stdout
+        for order in ("01", "10")
+    ]
+    one, other = (sorted(text.splitlines()) for text in found)
+    assert one == other
+    assert "fast" in one[1]
+    assert "fast" not in one[0]
 
 
 def test_a_cache_that_cannot_be_written_compiles_again(tmp_path: Path):

@@ -13,7 +13,7 @@ from tacgen.compiled import njit
 Array = np.ndarray
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=False, fastmath=True)
 def cofactor(F: Array, C: Array) -> None:
     """Write the cofactors of F (3, 3) into C (3, 3): J F^-T, also where J is 0."""
     for i in range(3):
@@ -100,7 +100,7 @@ def predicted(taken: Array, F: Array, J: Array, to: Array) -> Array:
     return out
 
 
-@njit(cache=True)
+@njit(cache=False)
 def _piola(F: Array, C: Array, I1: float, w1: float, w2: float, w3: float, P: Array) -> None:
     """P = 2 w1 F + 2 w2 (I1 F - F F^T F) + w3 cof F."""
     for i in range(3):

@@ -14,7 +14,7 @@ Array = np.ndarray
 MILD = 0.1  # |F^T F - I| below which the exact tangent is not projected: it is positive definite near rest [-]
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=False, fastmath=True)
 def _eigen3(A: Array, V: Array) -> None:
     """Eigenvalues (on the diagonal of A) and eigenvectors (columns of V) of the symmetric A, by cyclic Jacobi."""
     for i in range(3):
@@ -49,7 +49,7 @@ def _eigen3(A: Array, V: Array) -> None:
                     V[k, q] = s * u + c * v
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=False, fastmath=True)
 def _exact(F: Array, C: Array, f: Array, s2: Array, G: Array, D: Array) -> None:
     """D (9, 9) = dP/dF, index 3 i + J, from the derivatives f (3,) and s2 (6,) of W in (I1, I2, J); C = cof F."""
     I1 = 0.0
@@ -95,7 +95,7 @@ def _exact(F: Array, C: Array, f: Array, s2: Array, G: Array, D: Array) -> None:
                         D[3 * i + j, 3 * k + m] += f[1] * (4 * F[i, j] * F[k, m] - 2 * F[i, m] * F[k, j])
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=False, fastmath=True)
 def _projected(
     F: Array, f: Array, s2: Array, A: Array, V: Array, W: Array, Hs: Array, U: Array, Q: Array, D: Array
 ) -> None:
@@ -155,7 +155,7 @@ def _projected(
                     D[a, b] += t * Q[k, b]
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=False, fastmath=True)
 def _remember(F: Array, C: Array, M: Array, G: Array, D: Array) -> None:
     """Add the second derivatives of J^-2/3 (M : F^T F)/2 to D (9, 9), without those in J alone, which are in s2.
 
@@ -173,7 +173,7 @@ def _remember(F: Array, C: Array, M: Array, G: Array, D: Array) -> None:
             D[a, b] += mixed * (G[0, a] * G[2, b] + G[2, a] * G[0, b])
 
 
-@njit(cache=True)
+@njit(cache=False)
 def _clamp(D: Array) -> None:
     """The positive semi-definite part of the symmetric D (9, 9), by its numerical eigenvalues."""
     values, vectors = np.linalg.eigh(D)
@@ -185,7 +185,7 @@ def _clamp(D: Array) -> None:
                     D[a, b] += values[k] * vectors[a, k] * vectors[b, k]
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=False, fastmath=True)
 def _strained(F: Array) -> bool:
     """Whether |F^T F - I| exceeds MILD."""
     total = 0.0

@@ -143,7 +143,7 @@ def _weights(
     return out, columns
 
 
-@njit(cache=True)
+@njit(cache=False)
 def _barycentric(transform: Array, x: float, y: float, out: Array) -> None:
     """Barycentric coordinates (3,) in a triangle by its row (3, 2) of Delaunay.transform."""
     x, y = x - transform[2, 0], y - transform[2, 1]

@@ -16,7 +16,7 @@ EDGE_BEND = 0.5  # sum of second differences at an edge, over the cell size [-]
 MEAN_EDGE_BEND = 0.35  # the same for the binomial mean, which spreads an edge over several cells [-]
 
 
-@njit(cache=True)
+@njit(cache=False)
 def _weights(t: float, w: Array) -> None:
     """B-spline weights w (3, 4) of the four nodes around a point at t in its cell: values, slopes, curvatures."""
     s = 1 - t

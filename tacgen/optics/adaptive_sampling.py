@@ -89,7 +89,7 @@ def fill(
     return left[:count]
 
 
-@njit(cache=True)
+@njit(cache=False)
 def bends(out: Floats, normals: Floats, t: int, b: int, a: int, r: int, bend: float, spread: float) -> bool:
     """Whether light cannot be interpolated in a cell; nan counts as not smooth."""
     for c in range(out.shape[2]):

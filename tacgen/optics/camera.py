@@ -149,7 +149,7 @@ def _project(
     return out
 
 
-@njit(cache=True)
+@njit(cache=False)
 def _slope(rho: float, z: float, thicknesses: "Floats", indices: "Floats", length: "Floats") -> float:
     """Slope in air, tan(theta) [-], of the ray that reaches radius rho at height z [mm]; nan at or behind the pinhole.
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from tacgen.compiled import njit
 
 Floats = NDArray[np.float64]
+SUMS = {"contract", "nsz", "arcp", "reassoc"}  # of LLVM's fast arithmetic, what sums in loops need to run on vectors
 
 SMALL, LARGE = 8, 32  # cells along the side of a block
 
@@ -52,7 +53,7 @@ def lowest(heights: Floats, cells: int) -> Floats:
     return out
 
 
-@njit(cache=True)
+@njit(cache=False, error_model="numpy", fastmath=SUMS)
 def horizon(
     terrain: Terrain,
     x: float,

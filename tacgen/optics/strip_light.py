@@ -11,7 +11,7 @@ import numpy as np
 
 from tacgen.compiled import njit, vectorize
 from tacgen.optics.mitsuba_dicts import bottom_depth, frame
-from tacgen.optics.shadows import Terrain, horizon
+from tacgen.optics.shadows import SUMS, Terrain, horizon
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -100,7 +100,7 @@ def fresnel_transmission(k: float, n1: float, n2: float) -> float:
     return float(1.0 - 0.5 * (s * s + p * p))
 
 
-@njit(cache=True)
+@njit(cache=False)
 def connect(rho: float, lengths: Floats, indices: Floats) -> tuple[float, float]:
     """k of the ray that travels sideways by rho [mm] through layers of given lengths, and d rho/dk [mm]; see Stack."""
     low = np.inf
@@ -134,7 +134,7 @@ def connect(rho: float, lengths: Floats, indices: Floats) -> tuple[float, float]
     return k, derivative
 
 
-@njit(cache=True)
+@njit(cache=False)
 def arrive(rho: float, z: float, source: float, home: int, image: int, slab: Slab) -> tuple[float, float, float, float]:
     """How light from a point `rho` [mm] aside at height `source` comes to height z: straight (image 0) or mirrored (1).
 
@@ -176,7 +176,7 @@ def arrive(rho: float, z: float, source: float, home: int, image: int, slab: Sla
     return sg, sign * cg, -sign * cl if image == 0 else sign * cl, weight
 
 
-@njit(cache=True)
+@njit(cache=False)
 def layer(z: float, tops: Floats) -> int:
     """The layer in which a height lies."""
     home = 0
@@ -185,7 +185,7 @@ def layer(z: float, tops: Floats) -> int:
     return home
 
 
-@njit(cache=True)
+@njit(cache=False, error_model="numpy", fastmath=SUMS)
 def ggx(turn: float, ci: float, co: float, alpha: float) -> float:
     """GGX reflection times cos(wo) of a perfect mirror's microfacets: D G1 G1 / (4 cos wi).
 
@@ -198,7 +198,7 @@ def ggx(turn: float, ci: float, co: float, alpha: float) -> float:
     return float(a2 / (np.pi * q * q) * g / (4 * ci))
 
 
-@njit(cache=True)
+@njit(cache=False)
 def crosses(panels: Panels, a: tuple[float, float, float], b: tuple[float, float, float]) -> bool:
     """Whether a strip blocks the straight line from a to b [mm], which may start or end on one."""
     for m in range(len(panels.middle)):
@@ -218,7 +218,7 @@ def crosses(panels: Panels, a: tuple[float, float, float], b: tuple[float, float
     return False
 
 
-@njit(cache=True)
+@njit(cache=False)
 def shaded(panels: Panels, p: Floats, source: Floats, home: int, image: int, k: float, slab: Slab) -> bool:
     """Whether a strip blocks the refracted path between a point of the face and a source, direct or reflected.
 

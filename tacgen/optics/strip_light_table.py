@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from tacgen.compiled import njit
 from tacgen.optics.camera import Camera
-from tacgen.optics.shadows import Terrain, horizon
-from tacgen.optics.strip_light import Panels, Points, Slab, arrive, ggx, layer, points, shaded
+from tacgen.optics.shadows import SUMS, Terrain, horizon
+from tacgen.optics.strip_light import Panels, Points, Slab, arrive, ggx, points, shaded
 
 if TYPE_CHECKING:
     from tacgen.optics.description import LitSensor
@@ -50,7 +50,7 @@ class Columns(NamedTuple):
 
         slab, lights = Slab.of(sensor), points(sensor.leds, ALONG, UP, pieces)
         heights, level = np.unique(lights.at[:, 2].round(6), return_inverse=True)
-        home, field = np.array([layer(z, slab.tops) for z in heights]), seen(sensor)
+        home, field = np.searchsorted(slab.tops[:-1], heights, side="right"), seen(sensor)
         z = np.linspace(slab.bottoms[-1] + 0.1 * DEEP, RISE, round((RISE - slab.bottoms[-1]) / DEEP) + 1)
         reach = np.linalg.norm(np.abs(lights.at[:, :2]).max(axis=0) + np.abs(field).max(axis=0))
         aside = np.arange(0.0, reach + 2 * ASIDE, ASIDE)
@@ -94,7 +94,7 @@ def tabulate(z: Floats, aside: Floats, sources: Floats, home: NDArray[np.int64],
     return out
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract", "nsz", "arcp", "reassoc"})
+@njit(cache=True, error_model="numpy", fastmath=SUMS)
 def add_up(
     places: Floats,
     z: Floats,
@@ -201,7 +201,7 @@ def edges(places: Floats, z: Floats, middle: Floats, untouched: Terrain) -> Sing
     return out
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract", "nsz", "arcp", "reassoc"})
+@njit(cache=True, error_model="numpy", fastmath=SUMS)
 def shine(
     p: Floats, n: Floats, view: Floats, columns: Columns, radiance: Floats, alpha: float, terrain: Terrain
 ) -> Floats:
@@ -260,7 +260,7 @@ def shine(
     return out
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract", "nsz", "arcp", "reassoc"})
+@njit(cache=False, error_model="numpy", fastmath=SUMS)
 def between(given: Singles, u: float, v: float, w: float) -> Singles:
     """A table (heights, rows, columns, c) at column u, row v and height w: (c,), linear, constant beyond its ends."""
     u = min(max(u, 0.0), given.shape[2] - 1.001)
@@ -280,7 +280,7 @@ def between(given: Singles, u: float, v: float, w: float) -> Singles:
     return out
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract", "nsz", "arcp", "reassoc"})
+@njit(cache=False, error_model="numpy", fastmath=SUMS)
 def aspect(got: Singles, at: int, nx: float, ny: float, nz: float) -> tuple[float, float, float, float]:
     """Of an irradiance vector and half a range of slopes in `got` and a normal: the vector's part sideways and its
     slope, that half, and the slope of the face along it."""

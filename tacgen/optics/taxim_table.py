@@ -178,7 +178,7 @@ def _look_up(terms: "Floats", slope: "Floats", basis: "Floats", dark: "Floats") 
     return out
 
 
-@njit(cache=True)
+@njit(cache=False)
 def _between(at: float, last: int) -> tuple[int, float]:
     """The place before `at` among 0, 1, ... last, and the share of the one behind it; constant beyond the ends."""
     at = min(max(at, 0.0), last - 1e-9)
