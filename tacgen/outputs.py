@@ -22,7 +22,7 @@ from tacgen.solve import Problem, State
 if TYPE_CHECKING:
     from tacgen.labels.camera_maps import View
     from tacgen.labels.contact_maps import Maps, Shares
-    from tacgen.labels.stress import Stresses
+    from tacgen.labels.stress import Stress, Stresses
     from tacgen.labels.uncertainty import Sensitivities
     from tacgen.optics.camera import Camera
     from tacgen.optics.material_flow import Flow
@@ -173,6 +173,11 @@ class FrameData(_Faces):
         return Shares(self.scene.problem, self.touched, self.state, self.scene.camera)
 
     @cached_property
+    def stress(self) -> "Stress":
+        """Cauchy stress of elements and nodes."""
+        return self.scene.stresses.at(self.state.x, self.scene.problem.stressed(self.state.internal))
+
+    @cached_property
     def radiance(self) -> Array:
         """Linear light (H, W, 3)."""
         return self.scene.pictures.radiance(self.printed)
@@ -230,13 +235,20 @@ def _markers(frame: FrameData) -> Datasets:
 
 
 def _stress(frame: FrameData) -> Datasets:
-    recovery, state = frame.scene.stresses, frame.state
-    stress = recovery.at(state.x, frame.scene.problem.stressed(state.internal))
+    state, stress = frame.state, frame.stress
     return {
         "/fields/displacement": state.x - frame.scene.problem.mesh.points,
         "/fields/cauchy_stress": stress.element,
         "/fields/nodal_stress": stress.node,
-        **{f"/frames/quality/{name}": value for name, value in recovery.quality(stress, state).items()},
+        **{f"/frames/quality/{name}": value for name, value in frame.scene.stresses.quality(stress, state).items()},
+    }
+
+
+def _surface_stress(frame: FrameData) -> Datasets:
+    nodes = frame.scene.stresses.face.nodes
+    return {
+        "/fields/surface_displacement": (frame.state.x - frame.scene.problem.mesh.points)[nodes],
+        "/fields/surface_stress": frame.stress.node[nodes],
     }
 
 
@@ -271,6 +283,12 @@ def _mesh(scene: SceneData) -> Datasets:
     return {"/mesh/points": mesh.points, "/mesh/cells": mesh.cells, "/mesh/layer": mesh.layer, **patches}
 
 
+def _surface(scene: SceneData) -> Datasets:
+    face, points = scene.problem.contact.faces.conn, scene.problem.mesh.points
+    nodes = scene.stresses.face.nodes
+    return {"/mesh/surface/points": points[nodes], "/mesh/surface/facets": np.searchsorted(nodes, face)}
+
+
 class Output(NamedTuple):
     """One name that a recipe's `outputs` may hold."""
 
@@ -297,5 +315,6 @@ OUTPUTS = {
     ),
     "radiance": Output(lambda f: {"/frames/radiance": f.radiance}),
     "stress": Output(_stress, _mesh),
+    "surface_stress": Output(_surface_stress, _surface),
     "uncertainty": Output(_uncertainty),  # where the recipe says how sure its inputs are
 }

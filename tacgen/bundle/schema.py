@@ -134,9 +134,15 @@ LAYOUT: dict[str, Entry] = {
     "/mesh/cells": Entry("<i4", "m *", "1", "nodes of each cell", "cell corner"),
     "/mesh/layer": Entry("<i4", "m", "1", "gel layer of each cell, 0 at the base", "cell"),
     "/mesh/facets/*": Entry("<i4", "* *", "1", "nodes of each facet of a named patch", "facet corner"),
+    "/mesh/surface/points": Entry("<f8", "k 3", "mm", "nodes of the coated face at rest", "node xyz"),
+    "/mesh/surface/facets": Entry("<i4", "* *", "1", "nodes of each facet, numbered as in points", "facet corner"),
     "/fields/displacement": Entry("<f4", "N n 3", "mm", "nodal displacement", "frame node xyz"),
     "/fields/cauchy_stress": Entry("<f4", "N m 6", "MPa", "stress, xx yy zz yz xz xy", "frame cell component"),
     "/fields/nodal_stress": Entry("<f4", "N n 6", "MPa", "stress, xx yy zz yz xz xy", "frame node component"),
+    "/fields/surface_displacement": Entry("<f4", "N k 3", "mm", "displacement of the coated face", "frame node xyz"),
+    "/fields/surface_stress": Entry(
+        "<f4", "N k 6", "MPa", "stress of the coated face, xx yy zz yz xz xy", "frame node component"
+    ),
 }
 
 # Maps are rounded by a hundredth of their own error or less. Errors (rms of a ball pressed and slid at `default`,

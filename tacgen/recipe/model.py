@@ -18,6 +18,7 @@ OutputName = Literal[
     "normals",
     "gap",
     "stress",
+    "surface_stress",
     "markers",
     "flow",
     "material",

@@ -45,7 +45,7 @@ def contents(draw: st.DrawFn) -> tuple[int, int, dict[str, np.ndarray]]:
     planned = draw(st.integers(1, 4))
     written = draw(st.integers(0, planned))
     rng = np.random.default_rng(draw(st.integers(0, 2**32)))
-    sizes = {name: draw(st.integers(1 if name in "HWhw" else 0, 5)) for name in "HWhwMnm*"} | {"N": written}
+    sizes = {name: draw(st.integers(1 if name in "HWhw" else 0, 5)) for name in "HWhwMnmk*"} | {"N": written}
     paths = draw(st.sets(st.sampled_from(sorted(LAYOUT))))
     arrays = {}
     for path in paths:

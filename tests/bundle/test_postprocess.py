@@ -70,6 +70,23 @@ def test_energy_is_the_work_of_the_press(tmp_path: Path) -> None:
     assert (values[order] == found["/fields/nodal_stress"][11]).all()
 
 
+def test_stress_of_the_face_alone(tmp_path: Path) -> None:
+    """The same numbers as `stress` on the coated face, in much less space."""
+    path, found = tmp_path / "small.yaml", {}
+    path.write_text(RECIPE)
+    for asked in ("stress", "surface_stress"):
+        row = plan.load(path, [f"outputs=[{asked}]"]).rows[0]
+        found[asked] = bundle.read(pipeline.run_scene(row, tmp_path / asked).path)
+    whole, face = found["stress"], found["surface_stress"]
+    nodes = np.unique(whole["/mesh/facets/coated"])
+    assert (face["/fields/surface_stress"] == whole["/fields/nodal_stress"][:, nodes]).all()
+    assert (face["/fields/surface_displacement"] == whole["/fields/displacement"][:, nodes]).all()
+    points, facets = face["/mesh/surface/points"], face["/mesh/surface/facets"]
+    assert (points[facets] == whole["/mesh/points"][whole["/mesh/facets/coated"]]).all()
+    whole_size, size = (sum(np.prod(b.shapes[f]) for f in b.shapes if f.startswith("/fields/")) for b in (whole, face))
+    assert 5 * size < whole_size
+
+
 def test_energy_needs_the_materials(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="does not hold its sensor"):
         postprocess.strain_energy(bundle.read(write(tmp_path / "x.h5")), 0)
