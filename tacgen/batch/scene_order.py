@@ -1,7 +1,7 @@
-"""Which scene is next: of those that wait, the one expected to take longest, so that no long one is left for the end.
+"""Order of a batch's scenes: the one predicted to take longest is started first, so that workers end together.
 
-The logarithm of a scene's seconds is predicted from its frames and its varied values by ridge regression on the scenes
-that are made: numbers are taken as they are, other values as categories.
+The logarithm of a scene's seconds is predicted from its frames and its varied values, by ridge regression on the scenes
+that are done. Numbers enter as they are, other values as categories.
 """
 
 from collections import deque
@@ -15,25 +15,25 @@ from tacgen.report.estimate import work
 
 Array = np.ndarray
 Known = tuple[int, dict[str, Any]]  # a scene's frames and varied values
-LEAST = 8  # scenes made, before which the plan's order is kept
-LEARNT = 128  # latest scenes made that are remembered
-WINDOW = 128  # waiting scenes that are compared, which takes 2 ms: each is resolved for it, 28 kB
-RIDGE = 30.0  # penalty of a standardised value's weight, as of so many more scenes of average cost [-]
+LEAST = 8  # scenes done before the first prediction; until then the plan's order is kept
+LEARNT = 128  # scenes, the latest ones done, on which the prediction is based
+WINDOW = 128  # waiting scenes that are compared; it takes 2 ms, and 28 kB for each scene's recipe
+RIDGE = 30.0  # penalty on the weights of standardised values, equivalent to so many scenes of average cost [-]
 
 
 class SceneOrder:
-    """Remembers what scenes took."""
+    """Predicts the run time of scenes from those done."""
 
     def __init__(self) -> None:
         self._made: deque[tuple[Known, float]] = deque(maxlen=LEARNT)  # with the logarithm of seconds a frame
 
     def learn(self, row: Row, seconds: dict[str, float]) -> None:
-        """A scene was made, with these seconds by stage."""
+        """Records the seconds by stage of a scene that is done."""
         if (spent := work(seconds)) > 0:
             self._made.append(((row.frames, row.values), float(np.log(spent / row.frames))))
 
     def longest(self, rows: Sequence[Row]) -> int:
-        """Place of the scene among `rows` to make next; 0 while too few are known."""
+        """Index in `rows` of the scene to make next; 0 until LEAST scenes are done."""
         known = len(self._made)
         if known < LEAST or len(rows) < 2:
             return 0
@@ -49,7 +49,7 @@ class SceneOrder:
 
 
 def _features(scenes: Sequence[Known]) -> Array:
-    """Numbers (scenes, columns) that the cost of a frame may depend on."""
+    """The regression's features, (scenes, columns)."""
     columns: dict[str, Array] = {}
     for k, (frames, values) in enumerate(scenes):
         columns.setdefault("frames", np.zeros(len(scenes)))[k] = frames

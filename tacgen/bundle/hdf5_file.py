@@ -1,4 +1,4 @@
-"""Opening of untrusted HDF5 files: they are validated before any data are used."""
+"""Opening of untrusted HDF5 files: structure, types, shapes and filters are validated before any data are read."""
 
 import io
 import math
@@ -19,8 +19,8 @@ FILTERS = {1, 2, 3}  # deflate, shuffle, fletcher32: others would be loaded from
 RATIO = 1100  # largest ratio of decompressed to compressed size; that of deflate is 1032 [-]
 SMALL = 4096  # size of a chunk that may be larger than its data [bytes]
 GROUPS = {path[:i] for path in LAYOUT for i in range(1, len(path)) if path[i] == "/"}
-HEAP = b"GCOL\x01\0\0\0"  # head of a heap of HDF5's in which strings are stored
-LARGEST_HEAP = 2**26  # bytes
+HEAP = b"GCOL\x01\0\0\0"  # signature of a global heap, in which HDF5 stores strings
+LARGEST_HEAP = 2**26  # largest heap that is checked [bytes]
 
 
 class Damaged(UserError):
@@ -28,10 +28,10 @@ class Damaged(UserError):
 
 
 class Source(io.FileIO):
-    """The file that HDF5 reads through.
+    """The file object that HDF5 reads from.
 
-    HDF5 (1.14) never returns from a heap in which an unused piece has no length, as zeroed sectors leave it: so
-    the heaps are walked here first.
+    HDF5 1.14 never returns from a global heap that holds a free object of size 0, as zeroed disk sectors leave it. So
+    each heap is checked as it is read.
     """
 
     def readinto(self, buffer: Any) -> int:
@@ -41,12 +41,12 @@ class Source(io.FileIO):
         head = bytes(buffer[:count])
         at = head.find(HEAP)
         while at >= 0:
-            self._walk(start + at)
+            self._check_heap(start + at)
             at = head.find(HEAP, at + 1)
         return count
 
-    def _walk(self, start: int) -> None:
-        """Through the pieces of a heap: index (2 bytes, 0 of what is unused), 6 others, length (8), content."""
+    def _check_heap(self, start: int) -> None:
+        """Each object of a heap is an index (2 bytes, 0: free), 6 other bytes, the size (8 bytes) and the content."""
         size = int.from_bytes(os.pread(self.fileno(), 8, start + len(HEAP)), "little")
         heap = os.pread(self.fileno(), min(size, LARGEST_HEAP), start)
         at = len(HEAP) + 8
@@ -60,7 +60,7 @@ class Source(io.FileIO):
 
 @contextmanager
 def opened(path: Path, group: str = "/") -> Iterator[Any]:
-    """An open group of a file. Whatever goes wrong while it is read becomes one line: run nothing else here.
+    """An open group of a file. Any exception raised inside becomes a UserError, so only reading belongs there.
 
     Raises:
         Damaged; UserError: there is no such file, or it is something else.
@@ -86,10 +86,10 @@ def opened(path: Path, group: str = "/") -> Iterator[Any]:
 def datasets(root: Any) -> dict[str, tuple[int, ...]]:
     """Shape of every dataset of an open bundle by its path.
 
-    By h5py's lower layer, in half of the time that the upper one takes: whoever opens a folder waits for this.
+    h5py's low-level API takes half the time of the usual one, which matters when a folder of bundles is opened.
 
     Raises:
-        ValueError: something is not as the layout says, or no part of it.
+        ValueError: a dataset or group is not in the layout, or differs from it.
     """
     from h5py import h5d, h5g, h5l, h5o
 
@@ -103,7 +103,7 @@ def datasets(root: Any) -> dict[str, tuple[int, ...]]:
                 raise ValueError(f"{path} is a link")
             item = h5o.open(group, name)
             if isinstance(item, h5d.DatasetID):
-                found[path] = _looked(path, item, sizes)
+                found[path] = _checked_shape(path, item, sizes)
             elif path in GROUPS and isinstance(item, h5g.GroupID):
                 walk(item, path)
             else:
@@ -113,8 +113,9 @@ def datasets(root: Any) -> dict[str, tuple[int, ...]]:
     return dict(sorted(found.items()))
 
 
-def _looked(path: str, data: Any, sizes: dict[str, int]) -> tuple[int, ...]:
-    """A dataset's shape; ValueError unless it lies in this file, as the layout says, and no larger than it can be."""
+def _checked_shape(path: str, data: Any, sizes: dict[str, int]) -> tuple[int, ...]:
+    """A dataset's shape. Raises ValueError: it is stored elsewhere, differs from the layout, or claims more data than
+    its compressed size can hold."""
     from h5py import h5d
 
     row, packing, dtype = entry(path), data.get_create_plist(), data.dtype

@@ -4,6 +4,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tacgen.compiled import njit
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -17,5 +19,18 @@ def noisy(linear: "Floats", noise: "Noise", random: np.random.Generator) -> "Flo
 
     The normal distribution approximates Poisson's well, since a full pixel has thousands of electrons.
     """
-    variance = np.array(noise.shot) * np.clip(linear, 0.0, 1.0) + np.square(noise.read)
-    return np.asarray(linear + noise.strength * np.sqrt(variance) * random.standard_normal(linear.shape))
+    normal = random.standard_normal(linear.shape)
+    return np.asarray(_added(linear, np.array(noise.shot), np.array(noise.read), noise.strength, normal))
+
+
+@njit(cache=True)
+def _added(linear: "Floats", shot: "Floats", read: "Floats", strength: float, normal: "Floats") -> "Floats":
+    """In one loop: NumPy takes twice the time, because it multiplies three channels at a time."""
+    out = np.empty_like(linear)
+    for y in range(linear.shape[0]):
+        for x in range(linear.shape[1]):
+            for c in range(3):
+                light = linear[y, x, c]
+                variance = shot[c] * min(max(light, 0.0), 1.0) + read[c] ** 2
+                out[y, x, c] = light + strength * np.sqrt(variance) * normal[y, x, c]
+    return out
