@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     import trimesh
 
 Array = np.ndarray
-CACHE_VERSION = 1  # of the grids in the cache
+CACHE_VERSION = 2  # of the grids in the cache
 MAX_FILE = 256 * 2**20  # largest mesh file [bytes]
 MAX_HEAD = 100_000  # largest header of a PLY file [bytes]
 MAX_TRIANGLES = 2_000_000
@@ -34,6 +34,8 @@ MAX_CRACK = 1e-4  # largest width of a crack that is closed, over the diagonal o
 MAX_HOLE = 40  # most edges around a hole that is closed
 MAX_NEW_AREA = 0.02  # largest relative change of the surface's area by repair [-]
 MARGIN_CELLS = 6  # cells of the grid around the body: contact is evaluated no farther away
+MIN_WALL = 3  # thickness of a wall over the grid's cell [-]; forces of thinner ones are 10 to 90 % too low
+MAX_THIN = 0.01  # largest share of the surface that may belong to thinner walls
 SHARP_ANGLE = np.radians(30)  # angle of triangles at a sharp edge; smaller angles approximate a fillet [rad]
 
 
@@ -216,6 +218,8 @@ def field(solid: Solid, *, cell: float, height: float, half: float) -> Field:
         cell: spacing of the grid [mm]; smaller for thin bodies, larger if there would be more than MAX_NODES nodes.
         height: largest height of the gel above the lowest point [mm].
         half: largest distance of the gel from the z axis [mm].
+
+    Raises: as _distances.
     """
     low, high = solid.vertices.min(0), solid.vertices.max(0)
     a = np.maximum(low - MARGIN_CELLS * cell, [-half, -half, -np.inf])
@@ -227,14 +231,23 @@ def field(solid: Solid, *, cell: float, height: float, half: float) -> Field:
     asked = (solid, origin, cell, tuple(int(n) for n in nodes))
     key = array_cache.digest((CACHE_VERSION, *asked[1:], solid.vertices, solid.triangles, solid.body))
     distances = array_cache.kept_one("distances", key, lambda: _distances(*asked))
-    steepest = max(float(np.abs(np.diff(distances, axis=a)).max()) for a in range(3))
-    if steepest > 1.01 * cell:  # impossible for a distance: inside and outside are wrong somewhere
-        raise UserError(f"{solid.name}: its surface cuts through itself; unite its parts in a mesh editor first")
     from scipy.spatial import ConvexHull
 
     radius = max(smallest_radius(solid, height), 2 * cell)  # the field rounds edges by two cells
     corners = solid.vertices[ConvexHull(solid.vertices).vertices]
     return Field.through(distances, origin, cell, smallest_radius=radius, corners=corners, blunt=True)
+
+
+def _thin_share(solid: Solid, thickness: float, height: float) -> float:
+    """Share of the triangles' area below `height` [mm] on walls thinner than `thickness` [mm]: so far inward is outside."""
+    a, b, c = (solid.vertices[solid.triangles[:, k]] for k in range(3))
+    middle, normal = (a + b + c) / 3, np.cross(b - a, c - a)
+    area = np.linalg.norm(normal, axis=1)
+    some = np.flatnonzero((np.minimum(a, np.minimum(b, c))[:, 2] < height) & (area > 0))
+    some = some[:: 1 + len(some) // 10_000]  # enough for a share
+    inward = middle[some] - thickness * normal[some] / area[some, None]
+    thin = area[some] @ ~inside(solid.vertices, solid.triangles, inward)
+    return float(thin / max(area[some].sum(), np.finfo(float).tiny))
 
 
 def smallest_radius(solid: Solid, height: float) -> float:
@@ -255,7 +268,11 @@ def smallest_radius(solid: Solid, height: float) -> float:
 
 
 def _distances(solid: Solid, origin: Array, cell: float, nodes: tuple[int, ...]) -> Array:
-    """Signed distance (i, j, k) [mm] in single precision, slab by slab; of several bodies the smallest."""
+    """Signed distance (i, j, k) [mm] in single precision, slab by slab; of several bodies the smallest.
+
+    Raises:
+        UserError: a surface that cuts through itself, or walls too thin for the grid.
+    """
     import igl
 
     sign = igl.SIGNED_DISTANCE_TYPE_PSEUDONORMAL
@@ -271,6 +288,12 @@ def _distances(solid: Solid, origin: Array, cell: float, nodes: tuple[int, ...])
             d = igl.signed_distance(part.reshape(-1, 3), vertices, faces, sign_type=sign)[0]
             block = out[start : start + rows]
             np.minimum(block, d.reshape(block.shape).astype(np.float32), out=block)
+    steepest = max(float(np.abs(np.diff(out, axis=a)).max()) for a in range(3))
+    if steepest > 1.01 * cell:  # impossible for a distance: inside and outside are wrong somewhere
+        raise UserError(f"{solid.name}: its surface cuts through itself; unite its parts in a mesh editor first")
+    if _thin_share(solid, MIN_WALL * cell, z[-1]) > MAX_THIN:
+        text = f"has walls thinner than {MIN_WALL * cell:.2g} mm, too thin for this quality"
+        raise UserError(f"{solid.name}: {text}: ask for a finer mesh, as in quality: {{edge_mm: 0.2}}")
     return out
 
 

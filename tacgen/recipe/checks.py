@@ -56,7 +56,7 @@ def recipe_problems(recipe: Recipe, sensor: Sensor, folders: Folders | None = No
         *_mitsuba(recipe, sensor),
         *background_photo.problems(recipe, sensor, folders.get(background_photo.WHERE)),
     ]
-    return [*wrong, *_mesh_file(recipe.indenter, folders.get(("indenter", "file")))]
+    return [*wrong, *_mesh_file(recipe.indenter, recipe.resolved().edge_mm, folders.get(("indenter", "file")))]
 
 
 def thickness_mm(gel: Gel) -> float:
@@ -240,13 +240,21 @@ def _mitsuba(recipe: Recipe, sensor: Sensor) -> list[Problem]:
     return [Problem(("outputs",), text)]
 
 
-def _mesh_file(indenter: Indenter, folder: Path | None) -> list[Problem]:
+def _mesh_file(indenter: Indenter, edge: float, folder: Path | None) -> list[Problem]:
+    """The file must be a closed mesh, have the right hash, and not be too small to touch a contact point."""
     if indenter.shape != "mesh":
         return []
+    from tacgen.geometry import mesh_import
+
     try:
-        found = assets.sha256(assets.mesh_path(indenter.file, folder))
+        path = assets.mesh_path(indenter.file, folder)
+        sides = mesh_import.sizes(path, indenter.up, indenter.scale)
     except UserError as error:
         return [Problem(("indenter", "file"), error.lines[0])]
-    if indenter.sha256 in (None, found):
-        return []
-    return [Problem(("indenter", "sha256"), f"{indenter.file} is another file now ({found[:12]}...)")]
+    wrong, longest = [], indenter.size_mm or max(sides)
+    if indenter.sha256 not in (None, found := assets.sha256(path)):
+        wrong.append(Problem(("indenter", "sha256"), f"{indenter.file} is another file now ({found[:12]}...)"))
+    if longest < 2 * MIN_HALF_THICKNESS * edge:
+        text = f"is {longest:.3g} mm long, too small for a mesh of edge {edge:g} mm: a file in metres needs scale: 1000"
+        wrong.append(Problem(("indenter", "file"), text))
+    return wrong

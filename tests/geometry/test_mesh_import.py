@@ -212,6 +212,14 @@ def test_limits_of_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     assert field(ball(2), 0.05).coefficients.size < 60_000
 
 
+def test_a_thin_wall_is_refused_where_its_grid_would_lose_it():
+    """A tube with a wall of 0.3 mm: on cells of 0.15 mm its spline has no inside, and a press had an eighth of the force."""
+    tube = trimesh.creation.annulus(r_min=3.7, r_max=4.0, height=6)
+    with pytest.raises(UserError, match="has walls thinner than 0.45 mm"):
+        field(tube, 0.15)
+    assert field(tube, 0.09).distance(np.array([[3.85, 0.0, 0.5]]))[0][0] < -0.06
+
+
 def test_a_surface_through_itself_is_refused():
     mesh = box(2, 2, 2).subdivide().subdivide()
     top = mesh.vertices[:, 2] > 0.9
@@ -273,6 +281,7 @@ quality: draft
 def written(folder: Path, text: str = RECIPE) -> Path:
     folder.mkdir(exist_ok=True)
     saved(ball(3), folder / "ball.stl")
+    saved(trimesh.Trimesh(np.eye(3), [[0, 1, 2]]), folder / "open.stl")
     (folder / "r.yaml").write_text(text)
     return folder / "r.yaml"
 
@@ -322,6 +331,8 @@ def test_varied_meshes(tmp_path: Path):
         ("ball.stl", "hexbolt", "no object is called 'hexbolt'; did you mean hex_bolt?"),
         ("size_mm: 6", "size_mm: 6, scale: 2", "indenter.size_mm: cannot be given beside scale"),
         ("size_mm: 6", "up: z", "indenter.up: must be one of +x, -x, +y, -y, +z, -z (got 'z')"),
+        ("size_mm: 6", "scale: 0.001", "indenter.file: is 0.008 mm long, too small for a mesh of edge "),
+        ("ball.stl", "open.stl", "open.stl: is not closed: 3 open edges; close it in a mesh editor"),
         ("size_mm: 6", "scale: 0", "indenter.scale: must be greater than 0 (got 0)"),
     ],
 )
