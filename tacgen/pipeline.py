@@ -94,12 +94,12 @@ def _resolution_note(radius: float, edge: float, formulation: str) -> str:
         return ""
     small = f"the indenter's smallest radius, {radius:g} mm, is below"
     if radius >= edge:
-        where = "where such bends bear the load forces are 1 to 6 % off"
+        where = "where such bends carry the load, forces are 1 to 6 % off"
         return f"{small} {MIN_EDGES} edges of the mesh, {edge:g} mm: {where}"
-    off = "up to half too high" if formulation == "ipctk" else "up to a fifth off, of tips two fifths"
+    off = "up to 50 % too high" if formulation == "ipctk" else "up to 20 % off, of tips 40 %"
     return (
-        f"{small} the mesh's edge, {edge:g} mm: details that fine are not resolved, and where they bear the load forces"
-        f" are {off}"
+        f"{small} the mesh's edge, {edge:g} mm: finer details are not resolved; where they carry the"
+        f" load, forces are {off}"
     )
 
 

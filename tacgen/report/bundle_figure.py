@@ -75,9 +75,8 @@ def figure(bundle: Bundle) -> "Figure":
         if r == 0:
             for panel, k in zip(panels, shown, strict=True):
                 panel.set_title(f"frame {k}\n{bundle.segments[k]}", fontsize=8, pad=4)
-    for panel in panels if rows else ():
-        panel.tick_params(labelbottom=True, bottom=True)
-        panel.set_xlabel(f"x [{scale_of(bundle).unit}]", fontsize=8, labelpad=1)
+    if rows:
+        label_x(panels, scale_of(bundle).unit)
     draw_forces(sheet.axes(LEFT, height - BELOW - FORCES, wide - GAP, FORCES), bundle, shown)
     heading(sheet, bundle)
     return sheet.figure
@@ -279,6 +278,13 @@ def frame_axes(panels: list["Axes"], label: str) -> None:
         if panel is not panels[0]:
             panel.tick_params(labelleft=False, left=False)
     panels[0].set_ylabel(label, fontsize=8)
+
+
+def label_x(panels: list["Axes"], unit: str) -> None:
+    """The x axis under the lowest row of panels."""
+    for panel in panels:
+        panel.tick_params(labelbottom=True, bottom=True)
+        panel.set_xlabel(f"x [{unit}]", fontsize=8, labelpad=1)
 
 
 def draw_forces(panel: "Axes", bundle: Bundle, shown: np.ndarray) -> None:

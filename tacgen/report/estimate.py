@@ -35,14 +35,14 @@ class Cost(NamedTuple):
     judged_by: int  # number of finished scenes
 
     def text(self, workers: int) -> str:
-        """`about 3.4 h of one core (2.6 h to 4.2 h), 26 min with 8 workers; 12 GB (11 to 13); judged by 6 scenes`"""
+        """`about 3.4 h of one core (2.6 h to 4.2 h), 26 min with 8 workers; 12 GB (11 to 13); estimated from 6 scenes`"""
         time, size = self.seconds, self.gigabytes
         text = f"about {duration(time.expected)} of one core"
         text += "" if math.isnan(time.low) else f" ({duration(time.low)} to {duration(time.high)})"
         text += f", {duration(time.expected / workers)} with {workers} workers" if workers > 1 else ""
         text += f"; {size.expected:.2g} GB"
         text += "" if math.isnan(size.low) else f" ({size.low:.2g} to {size.high:.2g})"
-        return f"{text}; judged by {counted(self.judged_by, 'scene')}"
+        return f"{text}; estimated from {counted(self.judged_by, 'scene')}"
 
     def plain(self) -> dict[str, Any]:
         """As JSON values; null without a confidence interval."""

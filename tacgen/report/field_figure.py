@@ -15,7 +15,18 @@ from tacgen.geometry import mesh_import, surface_nets
 from tacgen.geometry.analytic_sdf import Triangles
 from tacgen.recipe import assets
 from tacgen.recipe.indenters import Indenter, analytic
-from tacgen.report.bundle_figure import draw_map, frame_axes, heading, image_size, only, save, window_of, zoom
+from tacgen.report.bundle_figure import (
+    draw_map,
+    frame_axes,
+    heading,
+    image_size,
+    label_x,
+    only,
+    save,
+    scale_of,
+    window_of,
+    zoom,
+)
 from tacgen.report.plane_cut import crossed, cut, outline
 from tacgen.report.sheet import Sheet
 
@@ -75,6 +86,8 @@ def figure(bundle: Bundle, field: str) -> "Figure":
             bar.set_yticks(list(ticks), list(ticks.values()))
     for panel, k in zip(grid[0], shown, strict=True):
         panel.set_title(f"frame {k} {bundle.segments[k]}", fontsize=8, pad=4)
+    if rows == 1:
+        label_x(grid[0], scale_of(bundle).unit)
     wrapped = textwrap.fill(note, int(14 * sheet.width))  # letters of this size an inch
     sheet.figure.text(0.5, 0.1 / sheet.height, wrapped, ha="center", va="bottom", fontsize=8)
     heading(sheet, bundle)
@@ -134,9 +147,7 @@ def draw_stress(
             panel.set_aspect("equal")
         frame_axes(row, "z [mm]")
         bars.append((drawn, f"{name} [MPa]", {}))
-    for panel in grid[-1]:
-        panel.tick_params(labelbottom=True, bottom=True)
-        panel.set_xlabel("x [mm]", fontsize=8)
+    label_x(grid[-1], "mm")
     return bars
 
 
@@ -188,7 +199,7 @@ FIELDS: dict[str, tuple[tuple[str, ...], str, int, Any, str]] = {  # datasets, o
     ),
     "stress": (
         ("/fields/cauchy_stress", "/fields/nodal_stress"), "stress", len(SECTIONS), draw_stress,
-        "Cauchy stress in the plane y = that of the indenter, on the deformed gel; tension is positive; "
+        "Cauchy stress of the deformed gel in the xz plane through the indenter; tension is positive; "
         "x to the right in the image, z out of the gel",
     ),
 }  # fmt: skip

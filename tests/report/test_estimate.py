@@ -31,7 +31,7 @@ def test_one_scene_gives_no_range_and_none_no_cost():
     assert found is not None
     assert found.seconds.expected == 8.0
     assert math.isnan(found.seconds.low)
-    assert found.text(4) == "about 8 s of one core, 2 s with 4 workers; 2 GB; judged by 1 scene"
+    assert found.text(4) == "about 8 s of one core, 2 s with 4 workers; 2 GB; estimated from 1 scene"
     assert found.plain()["seconds"] == [8.0, None, None]
     assert estimate.cost([10], []) is None
 

@@ -37,6 +37,9 @@ def test_a_field_is_drawn_with_its_unit(tmp_path: Path, field: str, bars: list[s
     panels, found = drawn.axes[: 4 * rows], drawn.axes[4 * rows :]
     assert [bar.get_ylabel() for bar in found] == bars
     assert panels[0].get_title() == "frame 0 press"
+    for panel in panels[-4:]:
+        assert panel.get_xlabel() in ("x [px]", "x [mm]")
+        assert panel.xaxis.get_tick_params()["labelbottom"]
     assert any("z out of the gel" in text.get_text().replace("\n", " ") for text in drawn.texts)
     if field == "slip":
         assert [label.get_text() for label in found[0].get_yticklabels()] == ["free", "edge", "stick", "slip"]
