@@ -239,7 +239,7 @@ def field(solid: Solid, *, cell: float, height: float, half: float) -> Field:
 
 
 def _thin_share(solid: Solid, thickness: float, height: float) -> float:
-    """Share of the triangles' area below `height` [mm] on walls thinner than `thickness` [mm]: so far inward is outside."""
+    """Share of the triangles' area below `height` [mm] where `thickness` [mm] inward is outside again."""
     a, b, c = (solid.vertices[solid.triangles[:, k]] for k in range(3))
     middle, normal = (a + b + c) / 3, np.cross(b - a, c - a)
     area = np.linalg.norm(normal, axis=1)

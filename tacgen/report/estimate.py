@@ -35,7 +35,7 @@ class Cost(NamedTuple):
     judged_by: int  # number of finished scenes
 
     def text(self, workers: int) -> str:
-        """`about 3.4 h of one core (2.6 h to 4.2 h), 26 min with 8 workers; 12 GB (11 to 13); estimated from 6 scenes`"""
+        """`about 3.4 h of one core (2.6 h to 4.2 h), 26 min with 8 workers; 12 GB; estimated from 6 scenes`"""
         time, size = self.seconds, self.gigabytes
         text = f"about {duration(time.expected)} of one core"
         text += "" if math.isnan(time.low) else f" ({duration(time.low)} to {duration(time.high)})"

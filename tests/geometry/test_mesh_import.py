@@ -213,9 +213,9 @@ def test_limits_of_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 
 
 def test_a_thin_wall_is_refused_where_its_grid_would_lose_it():
-    """A tube with a wall of 0.3 mm: on cells of 0.15 mm its spline has no inside, and a press had an eighth of the force."""
+    """A tube with a wall of 0.3 mm: on cells of 0.15 mm its spline has no inside, and a press 1/8 of the force."""
     tube = trimesh.creation.annulus(r_min=3.7, r_max=4.0, height=6)
-    with pytest.raises(UserError, match="has walls thinner than 0.45 mm"):
+    with pytest.raises(UserError, match=r"has walls thinner than 0\.45 mm"):
         field(tube, 0.15)
     assert field(tube, 0.09).distance(np.array([[3.85, 0.0, 0.5]]))[0][0] < -0.06
 
