@@ -168,18 +168,20 @@ def _quality(bundle: Bundle) -> Iterator[str]:
 
 
 def _repeats(bundle: Bundle) -> Iterator[str]:
-    """No frame repeats pose and force of the one before, except in holds, replays and grasps; no image repeats while
-    the gel moves.
+    """No frame repeats pose and force of the one before , except in holds, replays, grasps, and movements
+    that go nowhere: a release of what is released, or whole turns. No image repeats while the gel moves.
 
     An image may repeat without contact, or when a ball without friction rotates about its own axis.
     """
     if bundle.frames < 2:
         return
-    if "/frames/pose" in bundle and "/frames/force" in bundle:
+    if all(path in bundle for path in ("/frames/pose", "/frames/force", "/frames/segment")):
         same = ~_changed(bundle["/frames/pose"]) & ~_changed(bundle["/frames/force"])
         still = ("hold", "replay", *(("lift", "tilt") if "/frames/grasp/object" in bundle else ()))
         held = np.array([kind in still for kind in bundle.segments[1:]])
-        yield from _say_frames(np.append(False, same & ~held), "pose and force repeat the frame before")
+        segment = bundle["/frames/segment"][1:]
+        moves = np.isin(segment, segment[~same])
+        yield from _say_frames(np.append(False, same & moves & ~held), "pose and force repeat the frame before")
     if "/frames/rgb" in bundle:
         moved = np.zeros(bundle.frames - 1, bool)
         for path, threshold in VISIBLE_CHANGE.items():

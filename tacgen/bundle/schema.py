@@ -21,7 +21,7 @@ class Entry:
     units: str  # "1" is dimensionless
     long_name: str
     axes: str  # one word an axis
-    nan: bool = False  # may hold nan: where a pixel shows no point of the coating
+    nan: bool = False  # may hold nan: where a pixel shows no gel, or not the point in question
 
     @property
     def dims(self) -> tuple[str | int, ...]:
@@ -54,9 +54,11 @@ LAYOUT: dict[str, Entry] = {
     "/frames/traction": Entry("<f4", "N h w 2", "MPa", "friction on the gel, in the tangent plane", MAP + " xy"),
     "/frames/force_map": Entry("<f4", "N h w 3", "N", "force on the gel behind each sample", MAP + " xyz"),
     "/frames/area": Entry("<f4", "N h w", "mm^2", "area of the deformed coated face behind each sample", MAP),
-    "/frames/height": Entry("<f4", "N h w", "mm", "z of the deformed coated face, negative in a dent", MAP),
-    "/frames/normals": Entry("<f4", "N h w 3", "1", "unit normal of the deformed face, outward", MAP + " xyz"),
-    "/frames/gap": Entry("<f4", "N h w", "mm", "distance of the deformed coated face from the indenter", MAP),
+    "/frames/height": Entry("<f4", "N h w", "mm", "z of the deformed coated face, negative in a dent", MAP, nan=True),
+    "/frames/normals": Entry(
+        "<f4", "N h w 3", "1", "unit normal of the deformed face, outward", MAP + " xyz", nan=True
+    ),
+    "/frames/gap": Entry("<f4", "N h w", "mm", "distance of the deformed coated face from the indenter", MAP, nan=True),
     "/frames/contact": Entry("|b1", "N h w", "1", "in contact", MAP),
     "/frames/slip": Entry("|b1", "N h w", "1", "in contact, and half or more of the pressure slides", MAP),
     "/frames/sliding": Entry("<f4", "N h w", "1", "share of the pressure that slides, 0 to 1", MAP),
@@ -128,8 +130,8 @@ LAYOUT: dict[str, Entry] = {
     ),
     "/reference/rgb": Entry("|u1", "H W 3", "1", "camera image of the untouched sensor", "row column rgb"),
     "/reference/markers": Entry("<f4", "M 2", "px", "marker centres on the untouched sensor", "marker xy"),
-    "/reference/height": Entry("<f4", "h w", "mm", "z of the untouched coated face", "row column"),
-    "/reference/normals": Entry("<f4", "h w 3", "1", "unit normal of the untouched face", "row column xyz"),
+    "/reference/height": Entry("<f4", "h w", "mm", "z of the untouched coated face", "row column", nan=True),
+    "/reference/normals": Entry("<f4", "h w 3", "1", "unit normal of the untouched face", "row column xyz", nan=True),
     "/mesh/points": Entry("<f8", "n 3", "mm", "nodes of the rest mesh", "node xyz"),
     "/mesh/cells": Entry("<i4", "m *", "1", "nodes of each cell", "cell corner"),
     "/mesh/layer": Entry("<i4", "m", "1", "gel layer of each cell, 0 at the base", "cell"),

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 Array = np.ndarray
 RIM_SHARE = 0.4  # share of points in contact at the rim of the contact map [-]: below .5, as the rim is outside them
 VISIBLE_SHARE = 0.9  # share of a node's area [-]; a node of which the camera sees less is partly out of view
+COULOMB, ROUNDING = 1e-3, 1e-9  # what friction may exceed its limit by, and a share 0 and 1 [-]
 SHARPENING_STEPS = {4: 2, 3: 2, 6: 0}  # Richardson-Lucy steps by nodes of a facet (see `maps`); more amplify noise
 
 
@@ -77,7 +78,7 @@ def maps(problem: Problem, surface: Surface, state: State, camera: "Camera") -> 
 
     On a facet of six nodes the pressures at its points scatter by 6 %, as a quadratic surface meets a curved indenter
     at the middles of its edges rather than at its corners. Where all points are in contact, the linear part of the
-    pressures is distributed.
+    pressures and of friction is distributed, if that too obeys Coulomb's law.
     """
     return spread(Shares(problem, surface, state, camera), state)
 
@@ -110,6 +111,17 @@ def densities(view: "Shares", state: State) -> dict[str, Array]:
     return {"pressure": pressure, "traction": traction, "sliding": sliding, "force": force}
 
 
+def _lawful(level: Array, state: State, friction: float) -> Array:
+    """Facets (f,) on which forces after `level` (q, q) obey Coulomb's law at all points, shares from 0 to 1."""
+    normal = state.normal_force @ level.T
+    kept = normal >= 0
+    if state.friction is not None and state.sliding is not None:
+        slid = (state.normal_force * state.sliding) @ level.T
+        kept &= (slid >= -ROUNDING * normal) & (slid <= (1 + ROUNDING) * normal)
+        kept &= np.linalg.norm(level @ state.friction, axis=-1) <= (1 + COULOMB) * friction * normal
+    return np.asarray(kept.all(1))
+
+
 class Shares:
     """The deformed face as the camera sees it: area (h, w) [mm^2] and facet behind each pixel.
 
@@ -133,8 +145,10 @@ class Shares:
         self.area = np.where(gel, (face_area / np.maximum(pixels, 1e-300))[found], 0.0)
 
         self._facets, hats = facets, facet_shares(contact.N, contact.areas)
-        level = linear_pressure(contact.N, contact.areas).T @ hats if kind == 6 else hats
-        self._hats = np.where(np.asarray(on.all(1))[:, None, None], level, hats)  # (f, q, k)
+        self._hats = np.tile(hats, (len(on), 1, 1))  # (f, q, k)
+        if kind == 6:
+            level = linear_pressure(contact.N, contact.areas)
+            self._hats[on.all(1) & _lawful(level, state, problem.friction)] = level.T @ hats
         beside = np.zeros(len(surface.now), bool)
         beside[self._facets[touched]] = True
         self.seen = gel & np.tile(beside[facets].any(1), len(triangles) // len(facets))[found]

@@ -18,6 +18,7 @@ from tacgen.scene.scene import Scene
 from tacgen.solve.equilibrium import equilibrium
 from tacgen.solve.force_control import POWER, OutOfReach, meet
 from tacgen.solve.load_stepping import advance
+from tacgen.solve.options import DEFAULT, tighter
 from tacgen.solve.problem import Problem
 from tacgen.solve.state import History, NotConverged, OutOfEffort, State
 
@@ -81,6 +82,9 @@ def _reach_force(
         most = max((normal_force(state) for _, state in found), default=had)
         raise NotConverged(f"{target:g} N asked for: {error}, of which the best gives {most:.3g} N") from None
     except ArithmeticError as error:
+        if not refused and problem.options.step_tol >= DEFAULT.step_tol:  # light forces vary within the tolerances
+            finer = replace(problem, options=tighter(problem.options))
+            return _reach_force(finer, history, last, guess, index, duration, target, had, floor, tol)
         most = max((normal_force(state) for _, state in found), default=had)
         why = refused[-1] if refused else error
         raise NotConverged(

@@ -21,7 +21,7 @@ from tacgen.scene.grasp import LOOKS, SIDES, Grasp, finger, refined, seen_from
 from tacgen.scene.scene import Scene
 from tacgen.solve.foresee import COARSE
 from tacgen.solve.frames import normal_force, trial
-from tacgen.solve.options import DEFAULT
+from tacgen.solve.options import DEFAULT, tighter
 from tacgen.solve.problem import Problem
 from tacgen.solve.rigid_stiffness import stiffness
 from tacgen.solve.state import History, NotConverged, State
@@ -42,7 +42,7 @@ TRIALS = 40  # most equilibria of both gels in a frame; ordinary frames take 3 t
 SLIGHT = 1e-3  # smallest force scale, over the weight [-]
 UNRESISTED = 1e-6  # singular value over the largest, below which a motion has no stiffness [-]
 # a force is right to what Newton leaves at all nodes, some ten times what it leaves in their 2-norm
-OPTIONS = replace(DEFAULT, residual_tol=DEFAULT.residual_tol / 10, step_tol=DEFAULT.step_tol / 10)
+OPTIONS = tighter(DEFAULT)
 GUESSED = 0.1  # first depth in the search for a force without contact, over the gel's thickness [-]
 SHORTEST = 1 / 4  # smallest fraction of a Newton step in the line search [-]
 

@@ -35,7 +35,7 @@ class Prediction:
 
 def predict(contact: Contact, tangent: Tangent, history: History, pose: Pose) -> Prediction | None:
     """To first order, or to second where the indenter goes on as it went; None where nothing touches that the tangent
-    is condensed to."""
+    is condensed to, or where the gel with its sticking points tied is unstable."""
     touching = history.normal_force > 0
     at = contact.faces.at(history.x)
     way = np.where(touching[..., None], pose.world(history.pose.local(at)) - at, 0.0)
@@ -62,5 +62,8 @@ def _tied(contact: Contact, tangent: Tangent, history: History, way: Array) -> A
     springs = condensed.schur.stiffness(ties[..., None] * np.eye(3), faces.N, dofs)
     part = faces.only(which)
     pull = part.scatter(ties * way[which], len(x))[condensed.nodes][condensed.dofs >= 0]
-    u = condensed.schur.solve(springs, pull, symmetric=True)
+    try:
+        u = condensed.schur.solve(springs, pull, symmetric=True)
+    except np.linalg.LinAlgError:
+        return None
     return np.asarray(x + condensed.expand(u, np.zeros(len(condensed.whole.free))))

@@ -17,7 +17,7 @@ from tacgen.scene.mesh import Mesh
 from tacgen.scene.scene import Scene
 from tacgen.solve import linear_solvers
 from tacgen.solve.bulk import Tangent
-from tacgen.solve.options import DEFAULT, SolverOptions
+from tacgen.solve.options import DEFAULT, SolverOptions, tighter
 from tacgen.solve.state import Effort, History
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ class Problem:
             if layer.prony and scene.duration is not None:
                 viscous[number] = Viscoelastic.of(elastic[number], layer.prony)
         if scene.dynamics is not None or viscous:  # velocities are errors in x over a short time, relaxation is small
-            options = replace(options, step_tol=options.step_tol / 10, residual_tol=options.residual_tol / 10)
+            options = tighter(options)
         contact, parts = _contact(scene, mesh, pat), (tuple(elastic), tuple(folding))
         ready = cls(mesh, *parts, contact, pat, scene.friction, scene.edge, viscous=viscous, options=options)
         if (d := scene.dynamics) is None:

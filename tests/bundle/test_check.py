@@ -102,6 +102,17 @@ def test_flow_may_be_nan_and_not_infinite(tmp_path: Path) -> None:
     assert lines(write(tmp_path / "x.h5", edit=edit)) == ["/frames/flow is not finite at (3, 3, 4, 0)"]
 
 
+def test_maps_of_the_face_are_nan_where_the_camera_looks_past_the_gel(tmp_path: Path) -> None:
+    past: Any = np.zeros((12, 16), bool)
+    past[:, :3] = True
+
+    def edit(index: int, arrays: dict[str, Any]) -> None:
+        for name, size in (("height", ()), ("gap", ()), ("normals", (3,))):
+            arrays[f"/frames/{name}"] = np.where(past.reshape(past.shape + (1,) * len(size)), np.nan, np.ones(size))
+
+    assert lines(write(tmp_path / "x.h5", edit=edit, outputs=frozenset({"force", "height"}))) == []
+
+
 def test_a_gap_that_closed(tmp_path: Path) -> None:
     def edit(index: int, arrays: dict[str, Any]) -> None:
         arrays["/frames/quality/min_gap_mm"] = -1e-4 if index in (2, 5) else 0.01
@@ -132,6 +143,9 @@ def test_repeated_frames(tmp_path: Path) -> None:
         "/frames/rgb repeats the frame before although the gel moved (frame 2)"
     ]
     assert lines(write(tmp_path / "c.h5", edit=repeating("/frames/force", at=6))) == [], "the pose moved on"
+    whole = [repeating(*both, "/frames/rgb", at=k) for k in (9, 10, 11)]
+    path = write(tmp_path / "e.h5", edit=lambda *frame: [edit(*frame) for edit in whole])
+    assert lines(path) == [], "each frame of the last movement turns by 360 degrees"
     held = repeating(*both, "/frames/rgb", at=8)
     assert lines(write(tmp_path / "d.h5", edit=held)) == [], "the synthetic trajectory holds there"
 

@@ -33,7 +33,7 @@ def pressed(
     rub = FRICTION * force[..., None] * np.array([0.6, 0.8, 0.0])
     down = np.broadcast_to([0.0, 0.0, -1.0], rub.shape)
     state = State(0, np.eye(4), points, force, down, rub, force > 0, 1, 1, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0)
-    problem: Problem = SimpleNamespace(contact=SimpleNamespace(faces=faces))  # type: ignore[assignment]
+    problem: Problem = SimpleNamespace(contact=SimpleNamespace(faces=faces), friction=FRICTION)  # type: ignore[assignment]
     return contact_maps.maps(problem, Surface(points, faces.conn), state, camera), state
 
 
@@ -98,6 +98,25 @@ def test_what_is_out_of_view_is_not_in_the_map() -> None:
     found, _ = pressed(points, faces, half)
     assert (found.pressure * found.area).sum() == pytest.approx(state.normal_force.sum() / 2, rel=0.03)
     assert found.pressure[:, :60] == pytest.approx(whole.pressure[:, 60:], abs=0.02 * whole.pressure.max())
+
+
+@KINDS
+@pytest.mark.parametrize("stuck", [0.2, 1.0])
+def test_friction_in_any_direction_of_points_that_slide_or_stick_obeys_coulombs_law(kind: int, stuck: float) -> None:
+    points, faces, _ = patch(6, 5.0, kind)
+    _, state = pressed(points, faces)
+    random = np.random.default_rng(3)
+    sliding, angle = random.random(state.normal_force.shape) < 0.4, random.uniform(0, 1.5, state.normal_force.shape)
+    size = FRICTION * state.normal_force * np.where(sliding, 1.0, stuck)
+    rub = size[..., None] * np.stack([np.cos(angle), np.sin(angle), 0 * angle], -1)
+    partly = replace(state, sliding=sliding, friction=rub)
+    problem: Problem = SimpleNamespace(contact=SimpleNamespace(faces=faces), friction=FRICTION)  # type: ignore[assignment]
+    found = contact_maps.maps(problem, Surface(points, faces.conn), partly, CAMERA)
+    assert found.pressure.min() >= 0
+    assert found.sliding.min() >= 0
+    assert found.sliding.max() <= 1 + 1e-12
+    excess = np.linalg.norm(found.traction, axis=-1) - FRICTION * found.pressure
+    assert excess.max() < 1e-3 * FRICTION * found.pressure.max()
 
 
 def test_slip_is_where_most_of_the_pressure_slides() -> None:

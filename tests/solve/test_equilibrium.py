@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 from helpers.presses import gel, poses, scene
 
+from tacgen.contact.barrier import Contact, Pose
 from tacgen.geometry.analytic_sdf import Cylinder, Shape, Sphere
 from tacgen.scene import mesh
 from tacgen.solve import Problem, SolverOptions, State, plain, states
-from tacgen.solve.condensation import Condensation
+from tacgen.solve.condensation import Condensation, Schur
+from tacgen.solve.frames import RISE
+from tacgen.solve.predictor import predict
 
 Array = np.ndarray
 PATH = [(0.0, 0.0, -0.2), (0.0, 0.0, -0.4), (0.2, 0.0, -0.4), (0.4, 0.1, -0.3)]
@@ -121,3 +124,21 @@ def test_coulombs_law_holds_at_every_point_of_every_frame() -> None:
         assert size[state.sliding] == pytest.approx(0.6 * state.normal_force[state.sliding])
         assert (state.friction * state.normal).sum(-1) == pytest.approx(np.zeros(size.shape), abs=1e-12)
     assert state.sliding.any()
+
+
+def test_nothing_is_predicted_where_the_tied_gel_is_unstable() -> None:
+    made = scene(Sphere(2.5), poses(PATH), pad=gel(8, 8, 2.0), friction=0.6, edge=1.0)
+    problem = Problem.of(made, mesh.build(made.gel, (-2, 2, -2, 2), made.edge), USUAL)
+    *_, last = states(made, problem)
+    assert last.after is not None
+    contact = problem.contact
+    assert isinstance(contact, Contact)
+    further = Pose.of(last.pose + 0.1 * RISE)
+    assert predict(contact, problem.tangent, last.after, further) is not None
+    condensed = problem.tangent.condensation
+    touched = np.zeros(condensed.size, bool)
+    facets = contact.faces.conn[(last.normal_force > 0).any(1)]
+    touched[condensed.dofs[condensed.local[facets]]] = True
+    S = condensed.schur.undamped - 1e3 * np.diag(touched)
+    condensed.schur = Schur(S)
+    assert predict(contact, problem.tangent, last.after, further) is None

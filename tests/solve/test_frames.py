@@ -10,8 +10,9 @@ from helpers.presses import gel, poses, run, scene
 from tacgen.contact.barrier import Pose
 from tacgen.fem.elasticity import Elastic
 from tacgen.fem.jacobian import least_jacobian
-from tacgen.geometry.analytic_sdf import Box, Shape, Sphere
+from tacgen.geometry.analytic_sdf import Box, Cylinder, Shape, Sphere
 from tacgen.scene import mesh
+from tacgen.scene.path import Forced
 from tacgen.scene.scene import Scene
 from tacgen.solve import NotConverged, Problem, SolverOptions, equilibrium, load_stepping, short_steps, states
 from tacgen.solve.state import History, TooFar
@@ -45,6 +46,15 @@ def test_frames_come_in_order_at_the_poses_asked_for() -> None:
         assert inside.min() > -state.offset
     assert -found[1].traction_force.sum((0, 1))[2] > -2 * found[0].traction_force.sum((0, 1))[2]  # stiffens
     assert found[2].traction_force.sum((0, 1))[0] > 0
+
+
+@pytest.mark.parametrize("asked", [0.02, 0.05, 0.2])
+def test_a_punch_reaches_forces_that_are_light_beside_the_solvers_tolerances(asked: float) -> None:
+    one = np.ones(1)
+    s = scene(Cylinder(3.0, 0.4), poses([(0, 0, -0.05)]), pad=gel(8, 8, 2.0, nu=0.4995), friction=1.0, edge=1.0)
+    s = replace(s, dhat=0.1, forced=Forced(asked * one, one, one, -1.6 * one, 1.5 * one))
+    (state,) = states(s, Problem.of(s, mesh.build(s.gel, (-3.5, 3.5, -3.5, 3.5), s.edge)))
+    assert -state.traction_force[..., 2].sum() == pytest.approx(asked, rel=USUAL.force_tol)
 
 
 def test_solving_again_gives_the_same_numbers() -> None:
