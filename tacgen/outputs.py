@@ -109,6 +109,8 @@ class SceneData(_Faces):
         from tacgen.optics.material_flow import Points
 
         points = Points(rest, self.printed, self.camera)
+        if np.isnan(points.undisturbed).any():
+            raise UserError(f"outputs: some markers of {sensor.name} lie beside the gel's face: fewer, or closer ones")
         return points.undisturbed, lambda frame: points.at(frame.seen)
 
     @cached_property

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -289,3 +290,13 @@ def test_pairs_bear_the_same_force(tmp_path: Path) -> None:
     assert forces.mean(0) == pytest.approx([0.6, 1.2], rel=0.003)
     depths = [-scene["/frames/pose"][-1, 2, 3] for scene in made]
     assert np.ptp(depths) > 0.05  # the gels are not alike
+
+
+def test_markers_beside_the_face_are_refused(recipe: Path, tmp_path: Path) -> None:
+    """As on a solid, of which the recipe's checks know the box alone."""
+    row = plan.load(recipe, ["outputs=[markers]"]).rows[0]
+    assert row.sensor.markers is not None
+    wide = row.sensor.markers.model_copy(update={"columns": 15})
+    row = replace(row, sensor=row.sensor.model_copy(update={"markers": wide}))
+    with pytest.raises(UserError, match="some markers of gelsight_mini lie beside the gel's face"):
+        pipeline.run_scene(row, tmp_path / "out")

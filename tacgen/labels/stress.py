@@ -112,7 +112,8 @@ class _Face:
     """The nodes of the coated face and their area vectors at rest."""
 
     def __init__(self, faces: Faces, points: Array) -> None:
-        self.faces = replace(faces, N=facet_points(faces.conn.shape[1])[0])  # contact may use other points
+        own = {"N": facet_points(faces.conn.shape[1])[0], "areas": facet_areas(points, faces.conn)[0]}
+        self.faces = replace(faces, **own)  # contact may use other points
         self.nodes = np.unique(faces.conn)
         self.rest = self.vectors(points)
 

@@ -184,6 +184,9 @@ def output_problems(recipe: Recipe, sensor: Sensor) -> list[Problem]:
     wrong = []
     if "markers" in recipe.outputs and sensor.markers is None:
         wrong.append(Problem(("outputs",), f"asks for markers, and the sensor {sensor.name} has none"))
+    if "markers" in recipe.outputs and not _on_gel(sensor):
+        text = f"asks for markers, and some of the sensor {sensor.name} would lie beside its gel: fewer, or closer ones"
+        wrong.append(Problem(("outputs",), text))
     if (images := recipe.outputs & IMAGES) and not sensor.lit:
         asked = " and ".join(sorted(images))
         lacking = ", ".join(name for name in LIGHTS if getattr(sensor, name) is None)
@@ -195,6 +198,14 @@ def output_problems(recipe: Recipe, sensor: Sensor) -> list[Problem]:
         text = f"cannot be analytic: the sensor file {sensor.name} holds no markers.motion"
         wrong.append(Problem(("markers", "method"), text))
     return wrong
+
+
+def _on_gel(sensor: Sensor) -> bool:
+    """Whether the corners of the grid of markers lie on the pad, and so all of it."""
+    if (dots := sensor.markers) is None:
+        return True
+    x, y = (dots.columns - 1) * dots.pitch_mm[0] / 2, (dots.rows - 1) * dots.pitch_mm[1] / 2
+    return all(trajectory_checks.on_pad(sensor.gel, i * x, j * y) for i in (-1, 1) for j in (-1, 1))
 
 
 def _too_thin(recipe: Recipe) -> list[Problem]:

@@ -5,9 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers.presses import Run, gel, poses, run, scene
+from helpers.small import patch
 
 from tacgen import solve
 from tacgen.contact.barrier import Pose
+from tacgen.contact.ipctk import lattice
 from tacgen.fem.elements import facet_areas
 from tacgen.fem.materials import NeoHooke
 from tacgen.fem.stress_recovery import FULL
@@ -15,7 +17,7 @@ from tacgen.geometry.analytic_sdf import Sphere
 from tacgen.labels import camera_maps, gel_surface
 from tacgen.labels.contact_maps import Maps, tangents
 from tacgen.labels.contact_maps import maps as maps_of
-from tacgen.labels.stress import Stresses, agreeing
+from tacgen.labels.stress import Stresses, _Face, agreeing
 from tacgen.optics.camera import Camera
 from tacgen.optics.surface_grid import Sheet
 from tacgen.recipe import assets, loading
@@ -220,6 +222,15 @@ def test_the_stress_of_a_uniform_state_is_exact() -> None:
     outer = (grid.points[:, 2] > -0.7 - 1e-9).astype(int)
     assert 0 < outer.sum() < len(outer)
     assert found.node == pytest.approx(np.array(expected)[outer], abs=1e-12)
+
+
+@pytest.mark.parametrize("kind", [4, 3, 6])
+def test_area_vectors_do_not_depend_on_the_points_of_contact(kind: int) -> None:
+    """Those of the IPC Toolkit's faces are others."""
+    points, faces, _ = patch(4, 5.0, kind)
+    N, part, _ = lattice(kind)
+    others = replace(faces, N=N, areas=faces.areas.sum(1)[:, None] * part)
+    assert np.array_equal(_Face(others, points).rest, _Face(faces, points).rest)
 
 
 def test_the_stress_of_a_press_balances_its_force(pressed: Run) -> None:

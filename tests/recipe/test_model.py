@@ -288,6 +288,14 @@ def test_markers_need_a_sensor_with_markers(tmp_path: Path):
     assert told.endswith("asks for markers, and the sensor gelsight_mini has none")
 
 
+@pytest.mark.parametrize("change", ["sensor.gel.width_mm=12", "sensor.markers.rows=12", "sensor.gel.height_mm=12"])
+def test_markers_lie_on_the_gel(tmp_path: Path, change: str):
+    (told,) = lines_of(tmp_path, GOOD.replace("[force]", "[markers]"), (change,))
+    assert told.endswith("some of the sensor gelsight_mini would lie beside its gel: fewer, or closer ones")
+    (tmp_path / "recipe.yaml").write_text(GOOD)
+    assert read(tmp_path / "recipe.yaml", (change,)).sensor.markers, "which nothing asks for"
+
+
 @pytest.mark.parametrize(
     ("vary", "line"),
     [
