@@ -159,7 +159,7 @@ def validate(file: RecipeFile, sets: Sets = None) -> None:
 
     path = assets.recipe_path(file)
     data = yaml_source.load(path).data
-    if isinstance(data, dict) and "tacgen_sensor" in data:
+    if isinstance(data, dict) and ("tacgen_sensor" in data or "gel" in data):
         sensor, tree = loading.read_sensor(path)
         warn(loading.sensor_warnings(sensor, tree))
         typer.echo(f"{path}: a valid sensor, {sensor.name}")

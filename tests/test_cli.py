@@ -271,6 +271,10 @@ def test_validate_tells_recipes_and_sensors_apart(tmp_path: Path):
     done = tacgen_("validate", str(bad))
     assert done.exit_code == 2
     assert "gel.layers[0].poissons_ratio: must be less than 0.5 (got 0.5)" in done.stderr
+    bad.write_text(sensor.read_text().replace("tacgen_sensor: 1", ""))
+    assert tacgen_("validate", str(bad)).stderr.startswith(f"{bad}:1:1: tacgen_sensor: is missing\n")
+    bad.write_text("tacgen: 1\nname: x\n")
+    assert "trajectory (a list), outputs" in tacgen_("validate", str(bad)).stderr
 
 
 def test_validate_finds_what_only_a_varied_scene_does_wrong():

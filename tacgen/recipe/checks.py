@@ -17,6 +17,7 @@ from tacgen.recipe.yaml_source import KeyPath
 
 MIN_HALF_THICKNESS = 0.8  # of an indenter, over the element edge [-]; thinner ones pass between contact points
 SOLID_SIZE_ERROR = 0.01  # largest difference between a solid's sides and those in its sensor file, relative [-]
+MIN_PIXELS = 8  # of the image along the gel's shorter side
 MIN_RIM = 0.1  # thickness of a domed gel at its corner over that at the crown [-]; below, cells are too flat
 
 
@@ -29,7 +30,7 @@ def sensor_problems(sensor: Sensor, folder: Path | None = None, images: bool = T
     optics: list[Problem] = []
     if sensor.lit and images:
         optics += optics_checks.problems(cast(LitSensor, sensor))
-    return [*_outline(sensor.gel), *_solid(sensor.gel, folder), *optics]
+    return [*_outline(sensor.gel), *_solid(sensor.gel, folder), *_seen(sensor), *optics]
 
 
 def recipe_problems(recipe: Recipe, sensor: Sensor, folders: Folders | None = None) -> list[Problem]:
@@ -78,6 +79,24 @@ def _outline(gel: Gel) -> list[Problem]:
     if rim < MIN_RIM * thickness_mm(gel):
         text = f"leaves {rim:.3g} mm of gel at the pad's corner, less than a tenth of what the crown has"
         wrong.append(Problem(("gel", "dome"), text))
+    return wrong
+
+
+def _seen(sensor: Sensor) -> list[Problem]:
+    """A wrong unit would leave the gel on a few pixels, or the dots beside it or on top of each other."""
+    gel, markers, wrong = sensor.gel, sensor.markers, []
+    sides = gel.width_mm, gel.height_mm
+    if min(sides) < MIN_PIXELS * sensor.camera.mm_per_px:
+        text = f"leaves {min(sides) / sensor.camera.mm_per_px:.2g} pixels for the gel, {min(sides):g} mm: a wrong unit?"
+        wrong.append(Problem(("camera", "mm_per_px"), text))
+    if markers is None:
+        return wrong
+    grid = list(zip((markers.columns, markers.rows), markers.pitch_mm, sides, strict=True))
+    if any((count - 1) * pitch > 2 * side for count, pitch, side in grid):
+        wrong.append(Problem(("markers", "pitch_mm"), "leaves most dots beside the gel"))
+    if any(count > 1 and markers.diameter_mm >= pitch for count, pitch, _ in grid):
+        text = f"must be less than pitch_mm, or dots overlap (got {markers.diameter_mm:g})"
+        wrong.append(Problem(("markers", "diameter_mm"), text))
     return wrong
 
 

@@ -172,7 +172,9 @@ def needs(model: type[BaseModel], loc: KeyPath) -> str:
     if kind is None:
         return ""
     names = ", ".join(name for name, field in kind.model_fields.items() if field.is_required())
-    return f" (a list, each with {names})" if lists else f" ({names})"
+    if lists:
+        return f" (a list, each with {names})" if names else " (a list)"
+    return f" ({names})"
 
 
 def _kinds(model: type[BaseModel], loc: KeyPath) -> list[Any]:
