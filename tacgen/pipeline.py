@@ -24,6 +24,7 @@ from tacgen.solve import foresee
 MIN_EDGES = 3  # an indenter's smallest radius should be at least so many edges of the mesh
 DENT = 0.05  # [mm] deep, of the face whose picture is rendered only to compile what renders it
 MATCHED = 2e-3  # of a force that is asked for on several sensors: within this part of it in every frame [-]
+NO_CONTACT = "the indenter touches the gel in no frame: check its start or poses, and their unit"
 OnEvent = Callable[[dict[str, Any]], None]
 Data = TypeVar("Data", SceneData, FrameData)
 
@@ -193,9 +194,8 @@ class Recorder:
         self.reference = _datasets(made, self.shared, clock)
         self.of_frame = {k: output.frame for k, output in OUTPUTS.items() if k in asked}
         attributes = _attributes(gel.scene.gel, self.shared, clock)
-        if on_event:
-            for note in attributes.get("notes", ()):
-                on_event({"event": "note", "scene": gel.row.name, "note": note})
+        self.name, self.on_event, self.touched = gel.row.name, on_event, False
+        self._tell(attributes.get("notes", ()))
         self.writer = bundle.Writer(path, attributes, gel.row.frames)
 
     def __enter__(self) -> "Recorder":
@@ -207,10 +207,21 @@ class Recorder:
     def __exit__(self, *error: object) -> None:
         self.writer.__exit__(*error)
 
+    def _tell(self, found: Sequence[str]) -> None:
+        for note in found:
+            if self.on_event:
+                self.on_event({"event": "note", "scene": self.name, "note": note})
+
+    def finish(self, reason: str) -> None:
+        """Close the bundle; it is rejected if there is a reason."""
+        late = [] if reason or self.touched else [NO_CONTACT]
+        self._tell(late)
+        self.writer.finish("rejected" if reason else "ok", reason, late)
+
     def frame(self, state: solve.State, more: Datasets) -> None:
         """Record a frame."""
         frame = _datasets(self.of_frame, FrameData(self.shared, state, self.before), self.clock) | more
-        self.before = state
+        self.before, self.touched = state, self.touched or bool(frame["/frames/force"].any())
         frame["/frames/segment"] = self.scene.segment[state.index]
         if self.scene.duration is not None:
             frame["/frames/time"] = self.scene.duration[: state.index + 1].sum()
@@ -243,7 +254,7 @@ def _made(row: Row, path: Path, on_event: OnEvent | None, clock: Clock) -> Scene
                 on_event({"event": "frame", "scene": row.name, "frame": done, "frames": row.frames})
         with clock.stage("bundle"):
             for recorder in recorders:
-                recorder.writer.finish("rejected" if reason else "ok", reason)
+                recorder.finish(reason)
     seconds = {name: round(value, 4) for name, value in clock.seconds.items()}
     path.with_suffix(".timing.json").write_text(json.dumps({"frames": row.frames, "seconds": seconds}, indent=1) + "\n")
     return SceneResult(row.name, path, "rejected" if reason else "ok", reason, row.frames, seconds)

@@ -275,6 +275,17 @@ def test_an_indenter_that_the_mesh_does_not_resolve_is_reported(
     assert notes == json.loads(bundle.read(done.path).attrs.get("notes", "[]"))
 
 
+def test_a_scene_without_contact_is_reported(recipe: Path, tmp_path: Path) -> None:
+    """As when metres are taken for mm: forces and maps are zero, and the scene is ok."""
+    events: list[dict[str, Any]] = []
+    sets = ("start.clearance_mm=3", "trajectory=[{slide: {x_mm: 1, frames: 1}}]", "quality.edge_mm=1.2")
+    (done,) = pipeline.run(plan.load(recipe, sets).rows, tmp_path / "out", on_event=events.append)
+    (note,) = (event["note"] for event in events if event["event"] == "note")
+    assert "touches the gel in no frame" in note
+    assert json.loads(bundle.read(done.path).attrs["notes"]) == [note]
+    assert not check(done.path)
+
+
 def test_pairs_bear_the_same_force(tmp_path: Path) -> None:
     """Within .5 % of each other in every frame of a press by force, whatever the gel."""
     recipe = tmp_path / "pairs.yaml"

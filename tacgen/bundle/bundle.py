@@ -7,7 +7,7 @@ to `<name>.timing.json` beside the bundle.
 import hashlib
 import json
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from errno import EIO
@@ -106,18 +106,20 @@ class Writer:
                 self._write(path, value, self.frames)
         self.appended += 1
 
-    def finish(self, status: str = "ok", reason: str = "") -> None:
-        """Close the file, read everything back, and rename it; `status` is ok or rejected."""
+    def finish(self, status: str = "ok", reason: str = "", notes: Sequence[str] = ()) -> None:
+        """Close the file, read everything back, and rename it; `status` is ok or rejected, `notes` those of the end."""
         if (status, bool(reason)) != (("ok", False) if self.appended == self.frames else ("rejected", True)):
             raise ValueError(f"{status!r} ({reason!r}) with {self.appended} of {self.frames} frames")
-        self._attrs.update(status=status, reason=reason)
+        late = {"status": status, "reason": reason}
+        if notes:
+            late["notes"] = json.dumps([*json.loads(self._attrs.get("notes", "[]")), *notes])
+        self._attrs.update(late)
         found = {}
         with self._sink.guard():
             for path, column in self._columns.items():
                 column.finish()
                 found[path] = Dataset.of(column.data, column.hash.hexdigest())
-            last = {"status": status, "reason": reason, "digest": _digest(self._attrs, found), "complete": True}
-            self._file.attrs.update(last)
+            self._file.attrs.update({**late, "digest": _digest(self._attrs, found), "complete": True})
             self._file.close()
         try:
             read(self._sink.path, part=True).verify(lambda path, data: self._columns[path].stored(data))
