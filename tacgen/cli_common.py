@@ -84,11 +84,11 @@ def line(event: dict[str, Any]) -> None:
 
 @contextmanager
 def writing(place: Path) -> Iterator[None]:
-    """Turn errors of the disk (full, read-only, no permission) into a UserError."""
+    """Turn errors of the disk (full, read-only, no permission, no such place) into a UserError."""
     try:
         yield
     except OSError as error:
-        if error.errno not in DISK_ERRORS:
+        if error.errno not in (*DISK_ERRORS, errno.ENOENT):
             raise
         raise UserError(f"{error.filename or place}: cannot be written: {error.strerror}") from None
 

@@ -16,6 +16,8 @@ def report(
     """Write an HTML report of a dataset: coverage of the varied values, failures by cause, run times, pictures."""
     from tacgen.report import html_report as reporting
 
+    if folder.is_file():
+        raise UserError(f"{folder}: is a file, and a report is of a folder; tacgen show and view draw one bundle")
     out = out or folder / "report.html"
     with writing(out):
         typer.echo(str(reporting.write(folder, out)))

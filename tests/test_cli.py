@@ -273,6 +273,7 @@ def test_validate_tells_recipes_and_sensors_apart(tmp_path: Path):
     assert "gel.layers[0].poissons_ratio: must be less than 0.5 (got 0.5)" in done.stderr
     bad.write_text(sensor.read_text().replace("tacgen_sensor: 1", ""))
     assert tacgen_("validate", str(bad)).stderr.startswith(f"{bad}:1:1: tacgen_sensor: is missing\n")
+    assert "is a sensor file, not a recipe" in tacgen_("plan", str(sensor)).stderr
     bad.write_text("tacgen: 1\nname: x\n")
     assert "trajectory (a list), outputs" in tacgen_("validate", str(bad)).stderr
 

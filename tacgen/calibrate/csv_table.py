@@ -5,6 +5,7 @@ import math
 from pathlib import Path
 
 from tacgen import regular_file
+from tacgen.errors import why
 
 LARGEST = 10_000_000  # [bytes]
 Rows = list[tuple[int, dict[str, str]]]
@@ -19,7 +20,10 @@ def rows(table: Path, needed: tuple[str, ...], either: tuple[str, ...], wrong: l
         header = [name.strip() for name in reader.fieldnames or ()]
         reader.fieldnames = header
         found = [(reader.line_num, row) for row in reader]
-    except (OSError, ValueError, csv.Error) as error:
+    except OSError as error:
+        wrong.append(f"{table}: cannot be read: {why(error)}")
+        return []
+    except (ValueError, csv.Error) as error:
         wrong.append(f"{table}: is no table of comma-separated values: {error}")
         return []
     missing = [name for name in needed if name not in header]

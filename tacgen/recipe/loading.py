@@ -116,6 +116,9 @@ def _extended(path: Path, chain: tuple[Path, ...]) -> Tree:
     tree = load(path)
     if not isinstance(tree.data, dict):
         raise report([(Problem((), f"a recipe must be a mapping (got {describe(tree.data)})"), tree)])
+    if "tacgen_sensor" in tree.data:
+        text = f"is a sensor file, not a recipe: a recipe names it, as in sensor: {path.name}"
+        raise report([(Problem((), text), tree)])
     if "extends" not in tree.data:
         return tree
     name, here = tree.data["extends"], (*chain, path.resolve())

@@ -120,6 +120,8 @@ def _columns(header: list[str], units: str | None, columns: Mapping[str, str]) -
     said: dict[str, str] = {}  # column -> unit in its name
     titles = {title.strip(): column for column, title in columns.items()}
     shown = f"(its header: {','.join(header)})"
+    if len(header) == 1:
+        raise UserError(f"has one column: commas must separate its cells {shown}")
     for i, title in enumerate(header):
         name = ".".join(re.split(r"[./]", title.strip().lower())[-2:])
         stem, _, suffix = name.rpartition("_")

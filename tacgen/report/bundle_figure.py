@@ -23,6 +23,7 @@ COLUMNS = 5  # more would make the text unreadable on a page
 # Inches: a panel, the gap between panels, margins of the page, and the height of the force plot
 PANEL, GAP, LEFT, RIGHT, TOP, ABOVE_FORCES, FORCES, BELOW = 1.4, 0.07, 0.9, 0.85, 0.85, 0.75, 1.4, 0.7
 SHADES = {"press": "#e4e4e4", "slide": "#d3e5f5", "twist": "#fce5cd", "hold": "#f4f4f4", "release": "#ddefdd"}
+SHADES |= {"close": "#e4e4e4", "lift": "#d3e5f5", "tilt": "#ece1f3", "replay": "#f4f4f4"}
 LINES = {"$F_x$": "#d55e00", "$F_y$": "#009e73", "$F_z$": "#0072b2"}  # Okabe and Ito's palette
 
 

@@ -107,6 +107,7 @@ def test_the_command_writes_a_sensor_file_with_its_source(curves: Curves, tmp_pa
     ("table", "more", "says"),
     [
         ("depth,force_n\n1,2\n", (), "has no column depth_mm (its header: depth,force_n)"),
+        ("", ("--data", "nothing.csv"), "nothing.csv: cannot be read: No such file"),
         ("depth_mm,force_n\n1,2\n2,3\n", (), "has 2 rows, and a fit takes 3 at least"),
         ("depth_mm,force_n\n1,2\n2,x\n3,4\n", (), ":3: force_n: must be a number (got 'x')"),
         ("depth_mm,force_n\n1,-2\n2,-3\n3,-4\n", (), "holds no press"),

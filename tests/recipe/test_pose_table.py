@@ -136,6 +136,7 @@ def test_columns_may_stand_in_any_order_beside_others(tmp_path: Path) -> None:
         ("", "is empty"),
         (TITLES + "\n", "holds no pose"),
         ("time,x,y,z\n0,0,0,0\n", "has no column qw, qx, qy, qz: name it under columns (its header: time,x,y,z)"),
+        (table(ROWS).replace(",", ";"), "has one column: commas must separate its cells (its header: time_s;x_mm;"),
         ("x,x_mm,y,z,time,qw,qx,qy,qz\n", "the columns x and x_mm are both x"),
         ("time,x_mm,y_m,z_mm,qw,qx,qy,qz\n", "must be in one unit"),
         (table(ROWS).replace("0.7", "red"), "line 4: x must be a number (got 'red')"),

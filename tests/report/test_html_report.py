@@ -145,6 +145,8 @@ def test_commands_print_and_write(folder: Path, tmp_path: Path):
     assert run("show", str(folder)).splitlines()[1] == "scenes    4 ok, 1 rejected, 1 failed"
     assert run("report", str(folder)) == f"{folder}/report.html\n"
     assert (folder / "report.html").exists()
+    refused = CliRunner().invoke(app, ["report", str(next(folder.glob("*.h5")))])
+    assert (refused.exit_code, "is a file, and a report is of a folder" in refused.stderr) == (2, True)
     said = run("pack", str(folder), "-o", str(tmp_path / "p"), "--size-mb", "0.1")
     assert re.search(r"4 scenes in \d shards?, 48 frames; left out 1 rejected scene$", said.strip())
     assert run("check", str(tmp_path / "p")).endswith("nothing found wrong\n")
