@@ -145,5 +145,5 @@ def priced(plan: Any, workers: int) -> dict[str, Any]:
 
     typer.echo("timing a few scenes", err=True)
     cost, memory = probe.probe(plan, workers)
-    text = f"{cost.text(workers)}; {memory:.2g} GB of memory a worker"
+    text = f"{cost.text(min(workers, len(plan.rows)))}; {memory:.2g} GB of memory a worker"
     return {**cost.plain(), "memory_gb": round(memory, 3), "workers": workers, "text": text}

@@ -143,6 +143,8 @@ def test_a_plan_s_cost(timed: None):
     plain = json.loads(tacgen_("plan", "batch", "--estimate", "--json", "--workers", "auto").stdout)
     assert plain["seconds"][0] == 32.0
     assert plain["workers"] >= 1
+    done = tacgen_("plan", "batch", "--estimate", "--workers", "16")
+    assert "4 s with 8 workers" in done.stdout, "of eight scenes"
 
 
 @pytest.mark.parametrize(

@@ -215,7 +215,7 @@ class Bundle:
 
     def _read(self, path: str, index: int | None) -> np.ndarray:
         if path not in self.shapes:
-            raise Missing(f"{self.path}: has no {path}")
+            raise Missing(f"{self.path}: has no {path}" + f", did you mean /{path}?" * (f"/{path}" in self.shapes))
         with opened(self.path, self.group) as file:
             data = Frames(file[path[1:]])
             return data.whole() if index is None else data[index]

@@ -83,19 +83,15 @@ def _outline(gel: Gel) -> list[Problem]:
 
 
 def _seen(sensor: Sensor) -> list[Problem]:
-    """A wrong unit would leave the gel on a few pixels, or the dots beside it or on top of each other."""
-    gel, markers, wrong = sensor.gel, sensor.markers, []
-    sides = gel.width_mm, gel.height_mm
-    if min(sides) < MIN_PIXELS * sensor.camera.mm_per_px:
-        text = f"leaves {min(sides) / sensor.camera.mm_per_px:.2g} pixels for the gel, {min(sides):g} mm: a wrong unit?"
+    """A wrong unit would leave the gel on a few pixels, or the dots on top of each other."""
+    dots, scale, wrong = sensor.markers, sensor.camera.mm_per_px, []
+    side = min(sensor.gel.width_mm, sensor.gel.height_mm)
+    if side < MIN_PIXELS * scale:
+        text = f"leaves {side / scale:.2g} pixels for the gel, {side:g} mm: a wrong unit?"
         wrong.append(Problem(("camera", "mm_per_px"), text))
-    if markers is None:
-        return wrong
-    grid = list(zip((markers.columns, markers.rows), markers.pitch_mm, sides, strict=True))
-    if any((count - 1) * pitch > 2 * side for count, pitch, side in grid):
-        wrong.append(Problem(("markers", "pitch_mm"), "leaves most dots beside the gel"))
-    if any(count > 1 and markers.diameter_mm >= pitch for count, pitch, _ in grid):
-        text = f"must be less than pitch_mm, or dots overlap (got {markers.diameter_mm:g})"
+    pitches = zip((dots.columns, dots.rows), dots.pitch_mm, strict=True) if dots else ()
+    if dots and any(count > 1 and dots.diameter_mm >= pitch for count, pitch in pitches):
+        text = f"must be less than pitch_mm, or dots overlap (got {dots.diameter_mm:g})"
         wrong.append(Problem(("markers", "diameter_mm"), text))
     return wrong
 

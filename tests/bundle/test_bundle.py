@@ -162,6 +162,11 @@ def test_a_bundle_pickles(tmp_path: Path) -> None:
     assert found.segments == ("press",) * 4 + ("slide",) * 3 + ("hold",) * 2 + ("twist",) * 3
 
 
+def test_a_dataset_named_as_in_h5py_is_pointed_out(tmp_path: Path) -> None:
+    with pytest.raises(KeyError, match="has no frames/force, did you mean /frames/force"):
+        read(write(tmp_path / "x.h5"))["frames/force"]
+
+
 def test_the_page_is_the_table() -> None:
     root = Path(__file__).parents[2]
     made = subprocess.run(

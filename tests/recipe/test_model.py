@@ -183,7 +183,6 @@ def sensor_text() -> str:
             "gel.corner_radius_mm: must be at most half the pad's shorter",
         ),
         ("mm_per_px: 0.0634", "mm_per_px: 60", "camera.mm_per_px: leaves 0.35 pixels for the gel, 20.75 mm"),
-        ("pitch_mm: [2.0625, 2.0625]", "pitch_mm: [20.6, 20.6]", "markers.pitch_mm: leaves most dots beside the gel"),
         ("diameter_mm: 0.74", "diameter_mm: 7.4", "markers.diameter_mm: must be less than pitch_mm, or dots overlap"),
         ("youngs_modulus_mpa", "young_modulus_mpa", "unknown key, did you mean youngs_modulus_mpa?"),
         ("law: neo_hooke", "law: neo_hook", "(got 'neo_hook'), did you mean neo_hooke?"),
