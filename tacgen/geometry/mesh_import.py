@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     import trimesh
 
 Array = np.ndarray
-CACHE_VERSION = 2  # of the grids in the cache
+CACHE_VERSION = 1  # of the grids in the cache
 MAX_FILE = 256 * 2**20  # largest mesh file [bytes]
 MAX_HEAD = 100_000  # largest header of a PLY file [bytes]
 MAX_TRIANGLES = 2_000_000
@@ -219,7 +219,8 @@ def field(solid: Solid, *, cell: float, height: float, half: float) -> Field:
         height: largest height of the gel above the lowest point [mm].
         half: largest distance of the gel from the z axis [mm].
 
-    Raises: as _distances.
+    Raises:
+        UserError: a surface that cuts through itself.
     """
     low, high = solid.vertices.min(0), solid.vertices.max(0)
     a = np.maximum(low - MARGIN_CELLS * cell, [-half, -half, -np.inf])
@@ -238,8 +239,10 @@ def field(solid: Solid, *, cell: float, height: float, half: float) -> Field:
     return Field.through(distances, origin, cell, smallest_radius=radius, corners=corners, blunt=True)
 
 
-def _thin_share(solid: Solid, thickness: float, height: float) -> float:
-    """Share of the triangles' area below `height` [mm] where `thickness` [mm] inward is outside again."""
+def refuse_thin_walls(solid: Solid, cell: float, height: float) -> None:
+    """Raise UserError if a grid with this cell [mm] would lose walls of the solid below `height` [mm]: where MIN_WALL
+    cells inward of the surface is outside again."""
+    thickness = MIN_WALL * cell
     a, b, c = (solid.vertices[solid.triangles[:, k]] for k in range(3))
     middle, normal = (a + b + c) / 3, np.cross(b - a, c - a)
     area = np.linalg.norm(normal, axis=1)
@@ -247,7 +250,9 @@ def _thin_share(solid: Solid, thickness: float, height: float) -> float:
     some = some[:: 1 + len(some) // 10_000]  # enough for a share
     inward = middle[some] - thickness * normal[some] / area[some, None]
     thin = area[some] @ ~inside(solid.vertices, solid.triangles, inward)
-    return float(thin / max(area[some].sum(), np.finfo(float).tiny))
+    if thin > MAX_THIN * area[some].sum():
+        text = f"has walls thinner than {thickness:.2g} mm, too thin for this quality"
+        raise UserError(f"{solid.name}: {text}: ask for a finer mesh, as in quality: {{edge_mm: 0.2}}")
 
 
 def smallest_radius(solid: Solid, height: float) -> float:
@@ -271,7 +276,7 @@ def _distances(solid: Solid, origin: Array, cell: float, nodes: tuple[int, ...])
     """Signed distance (i, j, k) [mm] in single precision, slab by slab; of several bodies the smallest.
 
     Raises:
-        UserError: a surface that cuts through itself, or walls too thin for the grid.
+        UserError: a surface that cuts through itself.
     """
     import igl
 
@@ -291,9 +296,6 @@ def _distances(solid: Solid, origin: Array, cell: float, nodes: tuple[int, ...])
     steepest = max(float(np.abs(np.diff(out, axis=a)).max()) for a in range(3))
     if steepest > 1.01 * cell:  # impossible for a distance: inside and outside are wrong somewhere
         raise UserError(f"{solid.name}: its surface cuts through itself; unite its parts in a mesh editor first")
-    if _thin_share(solid, MIN_WALL * cell, z[-1]) > MAX_THIN:
-        text = f"has walls thinner than {MIN_WALL * cell:.2g} mm, too thin for this quality"
-        raise UserError(f"{solid.name}: {text}: ask for a finer mesh, as in quality: {{edge_mm: 0.2}}")
     return out
 
 

@@ -85,7 +85,11 @@ def shape_of(row: Row) -> Shape:
         return shape
     assert indenter.shape == "mesh"
     (half, height), edge = _reach_of_gel(row), row.recipe.resolved().edge_mm
-    return mesh_import.field(_solid(indenter, row), cell=SDF_CELL * edge, height=height, half=half)
+    solid = _solid(indenter, row)
+    found = mesh_import.field(solid, cell=SDF_CELL * edge, height=height, half=half)
+    if row.recipe.contact.formulation == "distance":
+        mesh_import.refuse_thin_walls(solid, found.cell, height)
+    return found
 
 
 def _surface(row: Row, shape: Shape) -> Triangles | None:

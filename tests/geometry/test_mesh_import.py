@@ -215,9 +215,12 @@ def test_limits_of_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 def test_a_thin_wall_is_refused_where_its_grid_would_lose_it():
     """A tube with a wall of 0.3 mm: on cells of 0.15 mm its spline has no inside, and a press 1/8 of the force."""
     tube = trimesh.creation.annulus(r_min=3.7, r_max=4.0, height=6)
+    solid, inside = mesh_import.placed(solid_of(tube)), np.array([[3.85, 0.0, 0.5]])
+    assert field(tube, 0.15).distance(inside)[0][0] > -0.02
     with pytest.raises(UserError, match=r"has walls thinner than 0\.45 mm"):
-        field(tube, 0.15)
-    assert field(tube, 0.09).distance(np.array([[3.85, 0.0, 0.5]]))[0][0] < -0.06
+        mesh_import.refuse_thin_walls(solid, 0.15, 1.5)
+    mesh_import.refuse_thin_walls(solid, 0.09, 1.5)
+    assert field(tube, 0.09).distance(inside)[0][0] < -0.06
 
 
 def test_a_surface_through_itself_is_refused():
