@@ -125,7 +125,9 @@ class Cloudy:
             share = scattering.thickness(sensor.gel, at.position).reshape(self.maps.shape[1:3])
             evenly = lit_by(coarse, set(leds))
             traced = PathTracer(evenly, sheet, False, variant).render(at.nodes, spp * PATHS, 1)
-            return np.array(scattering.wander(bright, share, coarse.camera.mm_per_px, traced / self.maps.sum(axis=0)))
+            flat = self.maps.sum(axis=0)
+            ratio = np.divide(traced, flat, out=np.ones_like(flat), where=flat > 0)  # past the gel all is dark
+            return np.array(scattering.wander(bright, share, coarse.camera.mm_per_px, ratio))
 
         name = key(sensor, variant, spp, scattering.SHARES, scattering.DENT)
         self.maps = array_cache.kept_one(

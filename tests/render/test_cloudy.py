@@ -75,6 +75,14 @@ def test_light_that_varies_alone_is_not_traced_again(monkeypatch):
         )
 
 
+def test_a_camera_may_look_past_the_gel():
+    wide = sensor(camera={"mm_per_px": 3.0, "vignette_mm": None})
+    made = images.Renderer(wide, 1, 0, False, mitsuba_variants.SCALAR)
+    image = made.image(DENT)
+    assert np.isfinite(image).all()
+    assert image[14:18, 18:22].mean() > 10 * image[:4].mean()
+
+
 def test_a_dark_sensor_is_dark():
     assert (images.Renderer(sensor(leds=[{**sensor().leds[0].model_dump(), "power": 0}]), 1, 0, False,
                             mitsuba_variants.SCALAR).image(DENT) == 0).all()  # fmt: skip
