@@ -43,8 +43,11 @@ class Condensation:
         self.dofs[free] = np.arange(free.sum())
         self.size = int(free.sum())
         last = (self.local >= 0)[self.whole.free // 3][self._order]
-        self._factor = Cholmod(self.whole, np.concatenate([self._order[~last], self._order[last]]))
         condensed = np.isin(self.whole.free // 3, self.nodes)
+        order = np.concatenate([self._order[~last], self._order[last]])
+        self._factor = Cholmod(self.whole, order)
+        if not condensed[self._factor.order[-self.size :]].all():  # as where the gel is one cell thick
+            self._factor = Cholmod(self.whole, order, postorder=False)
         self._diagonal = self.whole.indptr[:-1][condensed]  # entries, each the first of its row
         self._rows = np.argsort(self._factor.order[-self.size :])  # the factor has an order of its own
         self.usable = False

@@ -56,7 +56,8 @@ class Cholmod:
     name = "cholmod"
     factored = 0
 
-    def __init__(self, pattern: Pattern, order: Array | None = None) -> None:
+    def __init__(self, pattern: Pattern, order: Array | None = None, postorder: bool = True) -> None:
+        """With `postorder`, independent parts of `order` are eliminated in the order that makes larger supernodes."""
         import cvxopt
         from cvxopt import cholmod
 
@@ -67,12 +68,13 @@ class Cholmod:
         as_list = cvxopt.matrix(pattern.indices.astype(np.int64)), cvxopt.matrix(columns)
         self._cvxopt, self._cholmod = cvxopt, cholmod
         self._A = cvxopt.spmatrix(1.0, *as_list, (n, n))
-        self._pattern, self._order = pattern, order
+        self._pattern, self._order, self._postorder = pattern, order, postorder
 
     @cached_property
     def _F(self) -> Any:
         """The factor, symbolic at first: it takes as long as solving, and not every solver is asked."""
         order = dissection(self._pattern) if self._order is None else self._order
+        self._cholmod.options["postorder"] = self._postorder
         return self._cholmod.symbolic(self._A, p=self._cvxopt.matrix(order.astype(np.int64)))
 
     def factor(self, data: Array) -> None:

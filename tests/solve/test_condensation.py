@@ -6,7 +6,7 @@ from helpers.small import block, full
 
 from tacgen.fem.assembly import pattern
 from tacgen.fem.elasticity import Elastic
-from tacgen.fem.elements import hexes
+from tacgen.fem.elements import boxes, hexes
 from tacgen.fem.materials import NeoHooke
 from tacgen.fem.potential import Projection
 from tacgen.solve.condensation import Condensation, Schur
@@ -61,6 +61,28 @@ def test_what_it_condenses_to_are_the_free_dofs_of_those_nodes(bulk: Bulk) -> No
     assert (np.sort(found.dofs[found.dofs >= 0]) == np.arange(found.size)).all()
     number = (3 * found.nodes[:, None] + np.arange(3))[found.dofs >= 0]
     assert (number == bulk.pattern.free[bulk.near]).all()  # in their order
+
+
+def test_it_is_the_schur_complement_where_some_condensed_nodes_have_no_others_beside_them() -> None:
+    """A plate one cell thick, bonded below; condensed to the middle and, beyond nodes that are not, to a corner."""
+    n = 8
+    ticks = np.arange(n + 1.0)
+    points = np.stack(np.meshgrid(ticks, ticks, [0.0, 1.0], indexing="ij"), -1).reshape(-1, 3)
+    cells = boxes(np.arange(len(points)).reshape(n + 1, n + 1, 2)).reshape(-1, 8)
+    free = np.ones((len(points), 3), bool)
+    free[points[:, 2] == 0] = False
+    pat = pattern([cells], free)
+    data = np.zeros(len(pat.indices))
+    Elastic.on(pat, hexes(points, cells), NeoHooke(0.05, 1.0)).add_hessian(points, data, Projection.NONE)
+    K = full(pat, data)
+    for where in (slice(2, 7), slice(0, 5), slice(4, 9)):
+        on = np.arange(len(points)).reshape(n + 1, n + 1, 2)[where, where, 1]
+        condensed = Condensation(pat)
+        condensed.cover(on.ravel()[None])
+        condensed.factor(data)
+        c = np.isin(pat.free // 3, on)
+        exact = K[np.ix_(c, c)] - K[np.ix_(c, ~c)] @ np.linalg.solve(K[np.ix_(~c, ~c)], K[np.ix_(~c, c)])
+        assert condensed.schur.undamped == pytest.approx(exact, abs=1e-12)
 
 
 @pytest.mark.parametrize(("softer", "every"), [(0.0, 1), (0.02, 1), (0.05, 1), (0.3, 3)])
