@@ -83,9 +83,12 @@ def _outline(gel: Gel) -> list[Problem]:
 
 
 def _seen(sensor: Sensor) -> list[Problem]:
-    """A wrong unit would leave the gel on a few pixels, or the dots on top of each other."""
+    """The camera must see the coating; a wrong unit leaves the gel a few pixels, or dots on top of each other."""
     dots, scale, wrong = sensor.markers, sensor.camera.mm_per_px, []
     side = min(sensor.gel.width_mm, sensor.gel.height_mm)
+    if sensor.gel.layers[0].opaque:
+        text = "hides the coating: layers are from the bonded base outward, and the first must be clear"
+        wrong.append(Problem(("gel", "layers", 0, "opaque"), text))
     if side < MIN_PIXELS * scale:
         text = f"leaves {side / scale:.2g} pixels for the gel, {side:g} mm: a wrong unit?"
         wrong.append(Problem(("camera", "mm_per_px"), text))

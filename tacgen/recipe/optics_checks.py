@@ -44,10 +44,6 @@ def _singular(matrix: tuple[Vec3, Vec3, Vec3]) -> bool:
 def _layers(sensor: LitSensor) -> Iterator[Problem]:
     gel, clear = sensor.gel, sensor.gel.clear_layers
     for i, layer in enumerate(gel.layers):
-        if layer.opaque and i == 0:
-            yield Problem(
-                ("gel", "layers", i, "opaque"), "hides the coating: the layer bonded to the plate must be clear"
-            )
         if i >= len(clear) and layer.scattering:
             yield Problem(("gel", "layers", i, "scattering"), "no light comes here, behind an opaque layer")
     scattering = [i for i, layer in enumerate(clear) if layer.scattering]

@@ -304,7 +304,7 @@ def draw_forces(panel: "Axes", bundle: Bundle, shown: np.ndarray) -> None:
         middle = (bundle.frames + bundle.attrs["frames_planned"] - 1) / 2
         panel.text(middle, 1.02, "not reached", transform=panel.get_xaxis_transform(), fontsize=8, ha="center")
     panel.set_xlim(-0.5, max(bundle.frames, bundle.attrs["frames_planned"]) - 0.5)
-    panel.locator_params(axis="x", integer=True)
+    panel.locator_params(axis="x", integer=True, min_n_ticks=1)
     if "/frames/force" not in bundle or not bundle.frames:
         panel.text(0.5, 0.5, "no frames" if not bundle.frames else "no forces", transform=panel.transAxes, ha="center")
         return

@@ -10,10 +10,11 @@ from hypothesis import strategies as st
 from ruamel.yaml import YAML
 
 from tacgen.errors import UserError
-from tacgen.recipe import assets
+from tacgen.recipe import assets, loading, yaml_source
 from tacgen.recipe.indenters import SHAPES
 from tacgen.recipe.loading import read
 from tacgen.recipe.model import OUTPUTS, QUALITIES, Recipe
+from tacgen.recipe.sensor import LIGHTS
 from tacgen.recipe.validation_messages import validate
 from tacgen.recipe.yaml_source import Source, format_path, parse, parse_path, put
 
@@ -196,6 +197,15 @@ def test_a_mistake_in_the_sensor_file_is_reported_in_the_sensor_file(tmp_path: P
     told = lines_of(tmp_path, GOOD.replace("gelsight_mini", "./mine.yaml"))
     assert all(line.startswith("mine.yaml:") and line.split(":")[1].isdigit() for line in told)
     assert any(says in line for line in told)
+
+
+def test_layers_in_the_wrong_order_are_reported_without_lights_too():
+    """An opaque skin at the base: maps, which the camera takes through the layers, ended in a traceback."""
+    data = yaml_source.load(assets.sensor_path("gelsight_mini")).data
+    unlit = {key: value for key, value in data.items() if key not in LIGHTS}
+    unlit["gel"]["layers"][0]["opaque"] = True
+    _, (wrong,) = loading.check_sensor(unlit)
+    assert wrong.message.startswith("hides the coating: layers are from the bonded base outward")
 
 
 def test_a_broken_sensor_file_does_not_hide_the_recipe(tmp_path: Path):

@@ -69,7 +69,6 @@ def test_beside_a_round_end_is_outside():
 @pytest.mark.parametrize(
     ("layers", "says"),
     [
-        ([{"opaque": True}], "hides the coating"),
         ([{}, {"scattering": {"extinction_per_mm": 1, "albedo": (1, 1, 1), "source": "t"}}], "must be the only one"),
         (
             [{}, {"opaque": True}, {"scattering": {"extinction_per_mm": 1, "albedo": (1, 1, 1), "source": "t"}}],
