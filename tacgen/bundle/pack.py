@@ -12,6 +12,8 @@ from tacgen.bundle.bundle import Bundle, read
 from tacgen.bundle.hdf5_file import opened
 from tacgen.errors import UserError
 
+REOPENED = 100  # scenes copied before a shard is closed and opened again: HDF5 holds 20 to 50 kB a scene until then
+
 
 @dataclass(frozen=True)
 class Packed:
@@ -139,8 +141,10 @@ def _stored(bundle: Bundle) -> int:
 def _write(path: Path, scenes: Sequence[tuple[str, Bundle]]) -> None:
     import h5py
 
-    with atomic_file.published(path) as sink, h5py.File(sink, "w", libver=("v110", "v110")) as file:
-        file.attrs["tacgen_pack"] = dataset.PACK_FORMAT
-        for name, bundle in scenes:
-            with opened(bundle.path, bundle.group) as original:
-                file.copy(original, file, name)
+    with atomic_file.published(path) as sink:
+        for first in range(0, len(scenes), REOPENED):
+            with h5py.File(sink, "r+" if first else "w", libver=("v110", "v110")) as file:
+                file.attrs["tacgen_pack"] = dataset.PACK_FORMAT
+                for name, bundle in scenes[first : first + REOPENED]:
+                    with opened(bundle.path, bundle.group) as original:
+                        file.copy(original, file, name)
