@@ -48,9 +48,13 @@ class Runs:
         return [force / reference - 1 for force in self.forces]
 
     def cheapest(self, reference: float) -> float | None:
-        """Smallest time of a run with an error of at most EQUAL; None if there is none."""
-        fit = [s for s, e in zip(self.seconds, self.errors(reference), strict=True) if abs(e) <= EQUAL]
-        return min(fit, default=None)
+        """Time of the coarsest mesh from which on all errors are at most EQUAL; None if there is none."""
+        found = None
+        for seconds, error in zip(self.seconds[::-1], self.errors(reference)[::-1], strict=True):  # finest first
+            if abs(error) > EQUAL:
+                break
+            found = seconds
+        return found
 
 
 def bench(level: Level, say: Say) -> Result:
@@ -67,7 +71,7 @@ def bench(level: Level, say: Say) -> Result:
     runs = [ours]
     if not smoke:
         runs.append(_runs("tacgen, P2 tetrahedra", _tacgen("mesh=tet"), (0.8, 0.6, 0.45), say))
-        runs.append(_runs("tacgen, P1 tetrahedra", _tacgen("mesh=linear_tet"), (0.4, 0.25, 0.15), say))
+        runs.append(_runs("tacgen, P1 tetrahedra", _tacgen("mesh=linear_tet"), (0.6, 0.4, 0.25, 0.15), say))
     if calculix.installed() and not smoke:
         runs.append(_calculix((2.0, 1.2) if level == "normal" else (2.0, 1.2, 0.8, 0.6, 0.5), True, say))
         runs.append(_calculix((2.0,), False, say))
@@ -142,7 +146,9 @@ def _equal(runs: list[Runs], ours: Runs, reference: float) -> Table:
     heads = columns("method", f"s to {EQUAL:.0%}", "times ours: .1f", "best error in our time: .1%")
     if not calculix.installed():
         rows.append(["CalculiX", "not installed here", None, None])
-    return Table("At equal error, and at equal time", heads, rows, "The fastest of the runs above with that error.")
+    return Table(
+        "At equal error, and at equal time", heads, rows, "The coarsest mesh from which on all errors are within that."
+    )
 
 
 E, R, DEPTH = 0.15, 200.0, 0.5  # of the closed forms [MPa, mm, mm]: a/R = .05

@@ -250,6 +250,16 @@ def test_calculix_presses_as_it_did() -> None:
     assert found.force == pytest.approx(1.0, rel=0.01)
 
 
+def test_a_method_is_as_fast_as_its_coarsest_mesh_from_which_on_all_are_right() -> None:
+    from benchmarks.peers import Runs
+
+    runs = Runs(
+        "by luck right at first", ["2", "1", ".5", ".2"], [1, 2, 3, 4], [0.1, 0.2, 0.4, 0.8], [1, 1.02, 1.005, 1]
+    )
+    assert runs.cheapest(1.0) == 0.4
+    assert runs.cheapest(1.1) is None
+
+
 ALWAYS = {"numpy", "scipy", "numba", "h5py", "cvxopt", "pymetis"}
 UNASKED = {  # modules and packages that only this brings
     "traction": {"tacgen.labels.contact_maps"},
