@@ -50,8 +50,9 @@ class Outcome:
 
     force: on the gel in the last frame [N]; seconds, iterations, factored: processor seconds, Newton iterations and
     factorisations, means over the frames; substeps: largest number of a frame; least_J: certified lower bound of the
-    Jacobian in all elements and frames; error: of the force against short frames, in the worst frame, over the largest
-    force; None if not measured.
+    Jacobian in all elements and frames; stable: frames before the first in which a Newton step needed damping; error:
+    of the force against short frames, in the worst frame, over the largest force, None if not measured; stable_error:
+    the same in the stable frames.
     """
 
     draw: Draw
@@ -66,7 +67,9 @@ class Outcome:
     substeps: int = 0
     factored: float = 0.0
     least_J: float = math.inf
+    stable: int = 0
     error: float | None = None
+    stable_error: float | None = None
 
     def cells(self) -> list[Cell]:
         """A row of the table of all scenes."""
@@ -91,11 +94,12 @@ def measure(
     states, status, n = solved.states, solved.status, len(solved.states)
     if not n:
         return Outcome(draw, quality, status, solved.reason)
-    off = None
+    stable = next((k for k, state in enumerate(states) if state.damped), n)
+    off: list[float | None] = [None, None]
     if compared and status == "ok":
         short = finer(made, FINER)
         between = solve_frames(short, solve.Problem.of(short, grid), limit).forces
-        off = _force_error(solved.forces, between)
+        off = [_force_error(solved.forces[:count], between) for count in (n, stable)]
     return Outcome(
         draw,
         quality,
@@ -109,7 +113,8 @@ def measure(
         max(state.substeps for state in states),
         problem.factored / n,
         min(state.least_J for state in states),
-        off,
+        stable,
+        *off,
     )
 
 
@@ -120,7 +125,7 @@ def _scene(sets: Sequence[str]) -> scene.Scene:
 def _force_error(long: Array, short: Array) -> float | None:
     """Largest difference of forces (n, 3) from those of short frames (m, 3) in frames that both reached, over the
     largest force; None if there are none."""
-    ends = short[FINER - 1 :: FINER]
+    ends = short[FINER - 1 :: FINER][: len(long)]
     off = np.linalg.norm(long[: len(ends)] - ends, axis=1)
     return float(off.max() / np.linalg.norm(short, axis=1).max()) if len(off) else None
 
@@ -166,10 +171,13 @@ def bench(level: Level, say: Say) -> Result:
     heads = columns("scenes of", "quality", "scenes: d", *(f"{status}: d" for status in STATUSES))
     heads |= columns(*(f"{head}, p{q}: {form}" for head, form in MEASURES.values() for q in QUANTILES))
     heads |= columns("least J: .3f", "J <= 0: d", "compared: d", "force error, worst: .2%", "force error, median: .2%")
+    heads |= columns("stable frames: .0%", "force error in these, worst: .2%")
     note = (
         "Least J: certified lower bound of the Jacobian, 1 at rest, over all elements and frames; J <= 0: scenes with"
         f" an inverted element. Force error: against the same path with {FINER} frames for each, in the worst frame"
-        " that both reached, over the largest force; worst and median of the compared scenes. Ball: of 4 mm on the"
+        " that both reached, over the largest force; worst and median of the compared scenes. Stable frames: those"
+        " before the first in which a Newton step needed damping, because the gel folds, wrinkles or slips suddenly"
+        " (`/frames/quality/damped_steps`); from there on forces may depend on the step size. Ball: of 4 mm on the"
         " Mini, pressed 1 mm in 3 frames and slid 1.5 mm in 5 with friction 0.6."
     )
     tables = [
@@ -197,7 +205,11 @@ def _summary(what: str, group: Sequence[Outcome]) -> list[Cell]:
     folded = sum(not J > 0 for J in least)
     errors = [one.error for one in group if one.error is not None]
     off = [max(errors), float(np.median(errors))] if errors else [None, None]
-    return [what, group[0].quality, len(group), *counts, *work, min(least, default=None), folded, len(errors), *off]
+    frames = sum(one.frames for one in group)
+    stable = sum(one.stable for one in group) / frames if frames else None
+    before = max((one.stable_error for one in group if one.stable_error is not None), default=None)
+    found = [min(least, default=None), folded, len(errors), *off, stable, before]
+    return [what, group[0].quality, len(group), *counts, *work, *found]
 
 
 def _groups(title: str, head: str, found: Sequence[Outcome], of: Callable[[Outcome], str]) -> Table:

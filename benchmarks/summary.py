@@ -54,7 +54,9 @@ def _ordinary(tables: Tables) -> Told:
         if row["compared"]:
             median, worst = row["force error, median"], row["force error, worst"]
             what = f"force error of long frames, {row['compared']} ordinary scenes"
-            yield what, f"median {median:.1%}, worst {worst:.1%}"
+            calm = row.get("force error in these, worst")
+            told = "" if calm is None else f"; {calm:.1%} before the gel's first instability"
+            yield what, f"median {median:.1%}, worst {worst:.1%}{told}"
 
 
 def _pipeline(tables: Tables) -> Told:

@@ -194,6 +194,7 @@ def _force(frame: FrameData) -> Datasets:
         "/frames/force": force,
         "/frames/torque": torque,
         "/frames/quality/newton_iterations": state.iterations,
+        "/frames/quality/damped_steps": state.damped,
         "/frames/quality/substeps": state.substeps,
         "/frames/quality/min_gap_mm": state.min_gap,
         "/frames/quality/mean_gap_mm": state.mean_gap,

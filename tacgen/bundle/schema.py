@@ -89,6 +89,14 @@ LAYOUT: dict[str, Entry] = {
     ),
     "/frames/radiance": Entry("<f4", "N H W 3", "1", "linear light, before exposure", "frame row column rgb"),
     "/frames/quality/newton_iterations": Entry("<i4", "N", "1", "Newton iterations spent on the frame", "frame"),
+    "/frames/quality/damped_steps": Entry(
+        "<i4",
+        "N",
+        "1",
+        "of these, steps that needed damping: the gel folds, wrinkles or slips suddenly, and from then on forces may"
+        " depend on the step size",
+        "frame",
+    ),
     "/frames/quality/substeps": Entry("<i4", "N", "1", "steps the frame was split into", "frame"),
     "/frames/quality/min_gap_mm": Entry("<f8", "N", "mm", "smallest gap between gel and indenter", "frame"),
     "/frames/quality/mean_gap_mm": Entry("<f8", "N", "mm", "pressure-weighted mean gap", "frame"),

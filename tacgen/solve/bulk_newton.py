@@ -53,6 +53,7 @@ class BulkNewton:
         self.options, self.tangent = problem.options, problem.tangent
         self.xtol = self.options.step_tol * problem.contact.dhat
         self.floor = self.xtol * history.least_force  # [N mm], smaller differences of the energy are ignored
+        self.damped = 0  # number of steps that needed damping
 
     def solve(self, x: Array, contact: CoupledContact) -> tuple[Array, CoupledContact, int]:
         """Positions, the contact with its offset there, and the number of steps. Raises NotConverged."""
@@ -80,6 +81,7 @@ class BulkNewton:
                     break
                 new = True
                 continue
+            self.damped += found.damping > 0
             moved = float(np.abs(found.there.x - at.x).max())
             contact = contact.shrunk(found.inner.contact.contact.offset)
             J = tangent.predicted(at, found.there) if options.mixed_pressure else found.there.J

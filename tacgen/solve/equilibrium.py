@@ -31,18 +31,19 @@ TRIES = 4  # most solves with contact between meshes, each with smaller toleranc
 @dataclass(frozen=True)
 class Found:
     """Result of a solve: positions, the contact there (with its offset) and its forces, smallest gap [mm], Newton
-    steps."""
+    steps and how many of them needed damping."""
 
     x: Array
     contact: CoupledContact | LaggedContact
     forces: ContactForces
     least_gap: float
     steps: int
+    damped: int = 0
 
     @classmethod
-    def coupled(cls, x: Array, contact: CoupledContact, steps: int) -> "Found":
+    def coupled(cls, x: Array, contact: CoupledContact, steps: int, damped: int = 0) -> "Found":
         forces = contact.evaluate(x)
-        return cls(x, contact, forces, float(forces.gap.min()), steps)
+        return cls(x, contact, forces, float(forces.gap.min()), steps, damped)
 
 
 class LoadStep:
@@ -108,8 +109,8 @@ class LoadStep:
     def solve(self, x: Array) -> Found:
         """Raises NotConverged."""
         if self.problem.condensed:
-            x, contact, steps = BulkNewton(self.problem, self.bulk, self.history).solve(x, self.contact)
-            return Found.coupled(x, contact, steps)
+            newton = BulkNewton(self.problem, self.bulk, self.history)
+            return Found.coupled(*newton.solve(x, self.contact), newton.damped)
         found = full_newton.solve(self.problem, self.bulk, self.contact, x)
         if not found.converged:
             raise NotConverged(why(self.bulk, found.x, found.steps))
@@ -157,7 +158,7 @@ def equilibrium(
     coupled = isinstance(problem.contact, Contact)
     step = (LoadStep if coupled else MeshLoadStep)(problem, history, Pose.of(matrix), duration)
     try:
-        found, steps, least_J = _until_sound(step, step.start(None if near is None else near.x))
+        found, least_J = _until_sound(step, step.start(None if near is None else near.x))
         residual, balance = _imbalance(step, found)
         if residual > problem.options.residual_max or balance > problem.options.residual_max or found.least_gap <= 0:
             raise NotConverged(
@@ -175,16 +176,16 @@ def equilibrium(
         if problem.condensed:
             problem.tangent.condensation.usable = False
         raise
-    return _record(step, found, index, matrix, steps, (residual, balance, least_J))
+    return _record(step, found, index, matrix, (residual, balance, least_J))
 
 
-def _until_sound(step: LoadStep | MeshLoadStep, x: Array) -> tuple[Found, int, float]:
+def _until_sound(step: LoadStep | MeshLoadStep, x: Array) -> tuple[Found, float]:
     """The equilibrium with barriers stiff enough that no point is inside the shrunk indenter and no element folded
-    between the points of the folding barrier; all Newton steps, and the certified J."""
-    steps, mesh = 0, step.problem.mesh
+    between the points of the folding barrier, with the Newton steps of all solves; and the certified J."""
+    steps, damped, mesh = 0, 0, step.problem.mesh
     for _ in range(STIFFENINGS):
         found = step.solve(x) if isinstance(step, LoadStep) else _solve_meshes(step, x)
-        x, steps = found.x, steps + found.steps
+        x, steps, damped = found.x, steps + found.steps, damped + found.damped
         least_J = least_jacobian(mesh.points, x, mesh.cells)
         if found.least_gap > 0 and least_J > 0:
             break
@@ -197,7 +198,7 @@ def _until_sound(step: LoadStep | MeshLoadStep, x: Array) -> tuple[Found, int, f
             step.contact = replace(step.contact, kappa=STIFFER * step.contact.kappa)
         else:
             break
-    return found, steps, least_J
+    return replace(found, steps=steps, damped=damped), least_J
 
 
 def _check_inside(problem: Problem, found: Found) -> None:
@@ -216,7 +217,6 @@ def _record(
     found: Found,
     index: int,
     matrix: Array,
-    steps: int,
     quality: tuple[float, float, float],
 ) -> tuple[History, State]:
     coupled, contact, forces, history = found.contact, found.contact.contact, found.forces, step.history
@@ -248,6 +248,6 @@ def _record(
     mean = contact.mean_gap(found.x)
     residual, balance, least_J = quality
     return after, State(
-        index, matrix, found.x, forces.N, forces.normal, rub, sliding, steps, 1, contact.offset, mean,
-        found.least_gap, residual, balance, least_J, internal=internal, after=after,
+        index, matrix, found.x, forces.N, forces.normal, rub, sliding, found.steps, 1, contact.offset, mean,
+        found.least_gap, residual, balance, least_J, found.damped, internal=internal, after=after,
     )  # fmt: skip

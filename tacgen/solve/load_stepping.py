@@ -113,9 +113,7 @@ def advance(
 
 def _after(first: State, second: State) -> State:
     """The second state, with the iterations and substeps of both."""
-    iterations, substeps = first.iterations + second.iterations, first.substeps + second.substeps
+    both = {name: getattr(first, name) + getattr(second, name) for name in ("iterations", "damped", "substeps")}
     assert first.after is not None
     passed = (*first.passed, first.after, *second.passed)
-    return replace(
-        second, iterations=iterations, substeps=substeps, rounded=max(first.rounded, second.rounded), passed=passed
-    )
+    return replace(second, **both, rounded=max(first.rounded, second.rounded), passed=passed)

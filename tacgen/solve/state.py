@@ -81,6 +81,7 @@ class State:
     residual: float  # of the free nodes' forces (2-norm), as a part of the contact force
     balance: float  # |indenter force + base reaction| / indenter force
     least_J: float  # certified lower bound of J over all of the gel, as a part of the rest volume
+    damped: int = 0  # of the iterations, those that needed damping: the gel was unstable
     rounded: float = 0.0  # friction at points that one step brought round an edge, as a part of the contact force
     internal: dict[int, Array] = field(default_factory=dict)  # see History
     after: History | None = None  # what the next frame inherits of it

@@ -62,7 +62,7 @@ def frame(state: tuple[int, float, float, float], shape: tuple[int, int], output
     out["/frames/force"] = np.array([drag * normal, 0.0, -normal])
     out["/frames/torque"] = np.array([0.0, 0.0, 0.3 * angle * normal])
     out["/frames/quality/force_balance"] = 1e-9
-    out["/frames/quality/newton_iterations"] = 4
+    out["/frames/quality/newton_iterations"], out["/frames/quality/damped_steps"] = 4, 0
     grid, flat = positions((shape[0] // 4, shape[1] // 4), x)
     radius = np.sqrt(4.0 * depth)
     pressure = 0.09 * np.sqrt(depth) * np.sqrt(np.clip(1 - (flat / radius) ** 2, 0, None))
