@@ -168,7 +168,7 @@ def _quality(bundle: Bundle) -> Iterator[str]:
 
 
 def _repeats(bundle: Bundle) -> Iterator[str]:
-    """No frame repeats pose and force of the one before , except in holds, replays, grasps, and movements
+    """No frame repeats pose and force of the one before, except in holds, replays, grasps, and movements
     that go nowhere: a release of what is released, or whole turns. No image repeats while the gel moves.
 
     An image may repeat without contact, or when a ball without friction rotates about its own axis.
