@@ -96,6 +96,7 @@ def scaled(by: float) -> Sets:
     press = f"{{press: {{depth_mm: {by}, frames: 2}}}}, {{slide: {{x_mm: {0.4 * by}, frames: 1}}}}"
     return (
         *(f"sensor.gel.{name}={by * value:g}" for name, value in size.items()),
+        f"sensor.camera.mm_per_px={0.06 * by:g}",
         _indenter(f"shape: sphere, radius_mm: {4 * by}"),
         f"trajectory=[{press}]",
         f"quality={{edge_mm: {0.8 * by}, dhat_mm: {0.05 * by}}}",

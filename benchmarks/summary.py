@@ -47,10 +47,9 @@ def _ordinary(tables: Tables) -> Told:
         ends = ("ok", "refused", "rejected", "out of time", "crashed")
         parts = [f"{row[status]} {status}" for status in ends if row[status]]
         parts += [f"{row['J <= 0']} with an element inside out"] if row["J <= 0"] else []
-        yield f"{row['scenes']} ordinary scenes at `{row['quality']}`", ", ".join(parts)
-        if row["ok"]:
-            half, most = row["s a frame, p50"], row["s a frame, p90"]
-            yield "seconds a frame of ordinary scenes, one core", f"median {half:.2f}, 90 % quantile {most:.2f}"
+        ended, half, most = ", ".join(parts), row["s a frame, p50"], row["s a frame, p90"]
+        seconds = f"; seconds a frame: median {half:.2f}, 90 % quantile {most:.2f}" if row["ok"] else ""
+        yield f"{row['scenes']} ordinary scenes at `{row['quality']}`, one core", ended + seconds
         if row["compared"]:
             median, worst = row["force error, median"], row["force error, worst"]
             what = f"force error of long frames, {row['compared']} ordinary scenes"
