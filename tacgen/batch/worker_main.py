@@ -3,6 +3,7 @@
 Started by `worker_process.Worker` as `python -m tacgen.batch.worker_main FD PARENT`; imports only what a scene needs.
 """
 
+import ctypes
 import errno
 import faulthandler
 import importlib
@@ -11,6 +12,7 @@ import sys
 import threading
 import time
 import traceback
+from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -40,6 +42,7 @@ def main(link: Connection, parent: int) -> None:
         except EOFError:
             return
         link.send(_outcome(task, row, folder, overwrite, link))
+        _return_memory()
 
 
 def _outcome(task: Any, row: Any, folder: Any, overwrite: bool, link: Connection) -> tuple[str, Any]:
@@ -62,6 +65,12 @@ def _exit_with_parent(parent: int) -> None:
     while os.getppid() == parent:
         time.sleep(0.5)
     os._exit(1)
+
+
+def _return_memory() -> None:
+    """Return freed memory to the system: glibc keeps more of it after each scene, 150 MB after 200 small ones."""
+    with suppress(OSError, AttributeError):  # another C library
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 def _be_killed_first() -> None:

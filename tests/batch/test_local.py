@@ -1,8 +1,10 @@
 """The local engine: one scene is lost with its worker, tried again, and recorded; the rest never notice."""
 
+import ctypes
 import hashlib
 import json
 import os
+import resource
 import signal
 import time
 from dataclasses import replace
@@ -15,6 +17,7 @@ from helpers.scenes import TASK, made, make, make_plan, spoil
 from tacgen import batch
 from tacgen.batch import Limits
 from tacgen.batch.local import Pool
+from tacgen.batch.worker_main import _return_memory
 from tacgen.bundle.check import check
 from tacgen.bundle.journal import read_journal
 from tacgen.bundle.run_status import survey
@@ -36,6 +39,19 @@ def digests(folder: Path) -> dict[str, str]:
 def leftovers(folder: Path) -> list[str]:
     known = (".h5", ".json", ".jsonl", ".log")
     return [path.name for path in folder.iterdir() if path.is_file() and not path.name.endswith(known)]
+
+
+@pytest.mark.skipif(not hasattr(ctypes.CDLL(None), "malloc_trim"), reason="needs glibc")
+def test_freed_memory_is_returned_to_the_system():
+    def used() -> float:
+        return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 1e6
+
+    blocks = [bytes(2000) for _ in range(50_000)]  # 100 MB
+    blocks = blocks[::1000]  # one of each 2 MB is kept
+    before = used()
+    _return_memory()
+    assert used() < before - 50
+    assert len(blocks) == 50
 
 
 def test_shards_on_any_number_of_workers_give_what_one_process_gives(tmp_path: Path):
