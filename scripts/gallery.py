@@ -74,6 +74,8 @@ def sheet(scenes: list[Column]) -> Figure:
                 panel.set_xlabel("")
                 panel.set_ylabel(label if c == 0 else "", fontsize=8)
                 panel.set(xticks=[], yticks=[])
+    for note in list(drawn.texts):  # the page has them
+        note.remove()
     return drawn
 
 

@@ -58,7 +58,7 @@ SLOW: dict[str, Kind] = {
     "torus tilted": (
         DIGIT, 0.9, 0.8, "shape: torus, radius_mm: 2.8, tube_radius_mm: 1.2", "press .5 2, tilt 3 0 2",
     ),
-    "letters slid": (MINI, 0.9, 0.5, "shape: mesh, file: letters", "press .4 2, slide .3 0 2"),
+    "letters slid": (MINI, 0.75, 0.5, "shape: mesh, file: letters", "press .4 2, slide .3 0 2"),
     "key tilted": (NINE, 1.0, 0.7, "shape: mesh, file: key", "press .5 2, tilt 3 80 2"),
     "gear slid": (DIGIT, 0.9, 0.4, "shape: mesh, file: gear", "press .5 2, slide .4 .2 2"),
     "bolt twisted": (MINI, 0.85, 0.6, "shape: mesh, file: hex_bolt", "press .5 2, twist 8 2"),
