@@ -86,13 +86,13 @@ class Tangent:
     def usable(self) -> bool:
         return self.condensation.usable
 
-    def take(self, bulk: Bulk, at: BulkPoint, J: tuple[Array, ...] | None) -> None:
-        """Factorise the exact tangent; if it is not positive definite, the projected one.
+    def take(self, bulk: Bulk, at: BulkPoint, J: tuple[Array, ...] | None, least: Projection = Projection.NONE) -> None:
+        """Factorise the exact tangent; if it is not positive definite, or `least` says so, the projected one.
 
         Raises:
             NotPositiveDefinite: the projected one is not positive definite either.
         """
-        for projection in Projection:
+        for projection in (p for p in Projection if p >= least):
             data = np.zeros(len(self.condensation.whole.indices))
             bulk.add_tangent(at, data, projection, J)
             try:

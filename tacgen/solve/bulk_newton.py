@@ -18,6 +18,7 @@ import numpy as np
 
 from tacgen.contact.barrier import Contact
 from tacgen.contact.coupled import CoupledContact
+from tacgen.fem.potential import Projection
 from tacgen.solve.bulk import Bulk, BulkPoint
 from tacgen.solve.condensation import Schur
 from tacgen.solve.contact_newton import ContactSolution, Quadratic, solve_contact
@@ -53,7 +54,7 @@ class BulkNewton:
         self.options, self.tangent = problem.options, problem.tangent
         self.xtol = self.options.step_tol * problem.contact.dhat
         self.floor = self.xtol * history.least_force  # [N mm], smaller differences of the energy are ignored
-        self.damped = 0  # number of steps that needed damping
+        self.damped = 0  # number of steps that needed damping or projection
 
     def solve(self, x: Array, contact: CoupledContact) -> tuple[Array, CoupledContact, int]:
         """Positions, the contact with its offset there, and the number of steps. Raises NotConverged."""
@@ -75,13 +76,17 @@ class BulkNewton:
             if new := new or not tangent.usable:
                 tangent.take(self.bulk, at, J if options.mixed_pressure else None)
             found = self._step(at, J, contact, damping, insist=new)
+            if unstable := found.gain < BAD and new:
+                # damping acts on the condensed nodes alone; where the gel is unstable elsewhere, projection is needed
+                tangent.take(self.bulk, at, J if options.mixed_pressure else None, Projection.FULL)
+                found = self._step(at, J, contact, 0.0, insist=True)
             damping = found.damping
             if found.gain < BAD:
                 if new:
                     break
                 new = True
                 continue
-            self.damped += found.damping > 0
+            self.damped += unstable or found.damping > 0
             moved = float(np.abs(found.there.x - at.x).max())
             contact = contact.shrunk(found.inner.contact.contact.offset)
             J = tangent.predicted(at, found.there) if options.mixed_pressure else found.there.J

@@ -1,5 +1,7 @@
 """Ordinary scenes that a former solver lost its way on, by name."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -48,6 +50,13 @@ GEAR = (
     "sensor_overrides={'gel.layers[0].youngs_modulus_mpa': 0.1443, 'gel.layers[0].poissons_ratio': 0.499}",
 )
 
+REPLAYED_KEY = (  # the gel is unstable beside the contact, where damping does not act
+    "sensor=ninedtact",
+    "indenter={shape: mesh, file: key}",
+    f"trajectory=[{{replay: {{file: {Path(__file__).parents[2] / 'docs/gallery/poses.csv'}}}}}]",
+    "contact.friction=0.6",
+)
+
 
 def solved(sets: tuple[str, ...]) -> tuple[Problem, list[State]]:
     made = stage.build(row_of((*COMMON, *sets)))
@@ -64,8 +73,15 @@ def solved(sets: tuple[str, ...]) -> tuple[Problem, list[State]]:
         (BALL, 19, 500, 2, -4.38),
         (LETTERS, 12, 250, 1, -72.8),
         (TURNED_LETTERS, 16, 120, 4, -16.1),
+        (REPLAYED_KEY, 3, 250, 0, -4.49),
     ],
-    ids=["key pressed and slid", "ball rubbed there and back", "letters tilted and slid", "letters slid and turned"],
+    ids=[
+        "key pressed and slid",
+        "ball rubbed there and back",
+        "letters tilted and slid",
+        "letters slid and turned",
+        "key replayed",
+    ],
 )
 def test_it_ends_with_no_element_inverted(
     sets: tuple[str, ...], frames: int, factored: int, frame: int, force: float
