@@ -74,7 +74,7 @@ def sheet(scenes: list[Column]) -> Figure:
                 panel.set_xlabel("")
                 panel.set_ylabel(label if c == 0 else "", fontsize=8)
                 panel.set(xticks=[], yticks=[])
-    for note in list(drawn.texts):  # the page has them
+    for note in list(drawn.texts):  # draw_camera's, under each sheet: the page's text has it
         note.remove()
     return drawn
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     import trimesh
 
 Array = np.ndarray
-CACHE_VERSION = 1  # of the grids in the cache
+CACHE_VERSION = 2  # of the grids and walls in the cache
 MAX_FILE = 256 * 2**20  # largest mesh file [bytes]
 MAX_HEAD = 100_000  # largest header of a PLY file [bytes]
 MAX_TRIANGLES = 2_000_000
@@ -243,16 +243,23 @@ def refuse_thin_walls(solid: Solid, cell: float, height: float) -> None:
     """Raise UserError if a grid with this cell [mm] would lose walls of the solid below `height` [mm]: where MIN_WALL
     cells inward of the surface is outside again."""
     thickness = MIN_WALL * cell
+    key = array_cache.digest((CACHE_VERSION, thickness, height, solid.vertices, solid.triangles))
+    if array_cache.kept_one("walls", key, lambda: np.array(_thin_share(solid, thickness, height))) > MAX_THIN:
+        text = f"has walls thinner than {thickness:.2g} mm, too thin for this quality"
+        raise UserError(f"{solid.name}: {text}: ask for a finer mesh, as in quality: {{edge_mm: 0.2}}")
+
+
+def _thin_share(solid: Solid, thickness: float, height: float) -> float:
+    """Share of the surface below `height` [mm] from which `thickness` [mm] inward is outside again; from 10 000
+    triangles at most."""
     a, b, c = (solid.vertices[solid.triangles[:, k]] for k in range(3))
     middle, normal = (a + b + c) / 3, np.cross(b - a, c - a)
     area = np.linalg.norm(normal, axis=1)
     some = np.flatnonzero((np.minimum(a, np.minimum(b, c))[:, 2] < height) & (area > 0))
-    some = some[:: 1 + len(some) // 10_000]  # enough for a share
+    some = some[:: 1 + len(some) // 10_000]
     inward = middle[some] - thickness * normal[some] / area[some, None]
     thin = area[some] @ ~inside(solid.vertices, solid.triangles, inward)
-    if thin > MAX_THIN * area[some].sum():
-        text = f"has walls thinner than {thickness:.2g} mm, too thin for this quality"
-        raise UserError(f"{solid.name}: {text}: ask for a finer mesh, as in quality: {{edge_mm: 0.2}}")
+    return float(thin / area[some].sum()) if len(some) else 0.0
 
 
 def smallest_radius(solid: Solid, height: float) -> float:

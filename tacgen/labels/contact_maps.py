@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 Array = np.ndarray
 RIM_SHARE = 0.4  # share of points in contact at the rim of the contact map [-]: below .5, as the rim is outside them
 VISIBLE_SHARE = 0.9  # share of a node's area [-]; a node of which the camera sees less is partly out of view
-COULOMB, ROUNDING = 1e-3, 1e-9  # what friction may exceed its limit by, and a share 0 and 1 [-]
+COULOMB, ROUNDING = 1e-3, 1e-9  # relative tolerances of Coulomb's law, and of shares between 0 and 1 [-]
 SHARPENING_STEPS = {4: 2, 3: 2, 6: 0}  # Richardson-Lucy steps by nodes of a facet (see `maps`); more amplify noise
 
 

@@ -17,7 +17,7 @@ from tacgen.recipe.yaml_source import KeyPath
 
 MIN_HALF_THICKNESS = 0.8  # of an indenter, over the element edge [-]; thinner ones pass between contact points
 SOLID_SIZE_ERROR = 0.01  # largest difference between a solid's sides and those in its sensor file, relative [-]
-MIN_PIXELS = 8  # of the image along the gel's shorter side
+MIN_PIXELS = 8  # smallest number of the image's pixels along the gel's shorter side
 MIN_RIM = 0.1  # thickness of a domed gel at its corner over that at the crown [-]; below, cells are too flat
 
 

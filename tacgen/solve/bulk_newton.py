@@ -73,12 +73,13 @@ class BulkNewton:
             touching = self._touching(contact.contact, at.x)
             if not tangent.condensation.covers(conn[touching]):
                 tangent.condensation.cover(with_neighbours(conn, touching))
+            pressures = J if options.mixed_pressure else None
             if new := new or not tangent.usable:
-                tangent.take(self.bulk, at, J if options.mixed_pressure else None)
+                tangent.take(self.bulk, at, pressures)
             found = self._step(at, J, contact, damping, insist=new)
             if unstable := found.gain < BAD and new:
                 # damping acts on the condensed nodes alone; where the gel is unstable elsewhere, projection is needed
-                tangent.take(self.bulk, at, J if options.mixed_pressure else None, Projection.FULL)
+                tangent.take(self.bulk, at, pressures, Projection.FULL)
                 found = self._step(at, J, contact, 0.0, insist=True)
             damping = found.damping
             if found.gain < BAD:
