@@ -1,5 +1,6 @@
 """The bulk: all forces except contact and friction, and their tangent."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -51,6 +52,18 @@ class BulkPoint:
         """At the integration points, law by law."""
         return tuple(p.J for p in self.points)
 
+    def stiffness(
+        self, pattern: Pattern, projection: Projection = Projection.NONE, J: tuple[Array, ...] | None = None
+    ) -> Array:
+        """d2E/dx2, the entries of the pattern [N/mm]; with pressures at the predicted J if given."""
+        data = np.zeros(len(pattern.indices))
+        self.other.add_hessian(self.x, data, projection)
+        for folding in self.folding:
+            folding.add_tangent(data, projection)
+        for k, (part, point) in enumerate(zip(self.elastic, self.points, strict=True)):
+            part.add_tangent(point, data, projection, None if J is None else J[k])
+        return data
+
 
 @dataclass(frozen=True)
 class Bulk:
@@ -65,20 +78,12 @@ class Bulk:
         folding = tuple(barrier.evaluate(x) for barrier in self.folding)
         return BulkPoint(self.elastic, Total(self.other), x, points, folding)
 
-    def add_tangent(self, at: BulkPoint, data: Array, projection: Projection, J: tuple[Array, ...] | None) -> None:
-        """Add d2E/dx2 to the entries of the Pattern, with pressures at the predicted J if given."""
-        at.other.add_hessian(at.x, data, projection)
-        for folding in at.folding:
-            folding.add_tangent(data, projection)
-        for k, (part, point) in enumerate(zip(self.elastic, at.points, strict=True)):
-            part.add_tangent(point, data, projection, None if J is None else J[k])
-
 
 class Tangent:
     """A factorised tangent of the bulk, condensed to the contact, with the deformation at which it was computed."""
 
-    def __init__(self, pattern: Pattern) -> None:
-        self.condensation = Condensation(pattern)
+    def __init__(self, pattern: Pattern, at_rest: Callable[[], Array]) -> None:
+        self.condensation = Condensation(pattern, at_rest)
         self.taken: tuple[Array, ...] = ()  # F (e, q, 3, 3), law by law
         self.projected = 0  # number of tangents that were projected
 
@@ -86,17 +91,15 @@ class Tangent:
     def usable(self) -> bool:
         return self.condensation.usable
 
-    def take(self, bulk: Bulk, at: BulkPoint, J: tuple[Array, ...] | None, least: Projection = Projection.NONE) -> None:
-        """Factorise the exact tangent; if it is not positive definite, or `least` says so, the projected one.
+    def take(self, at: BulkPoint, J: tuple[Array, ...] | None) -> None:
+        """Factorise the exact tangent; if it is not positive definite, the projected one.
 
         Raises:
             NotPositiveDefinite: the projected one is not positive definite either.
         """
-        for projection in (p for p in Projection if p >= least):
-            data = np.zeros(len(self.condensation.whole.indices))
-            bulk.add_tangent(at, data, projection, J)
+        for projection in Projection:
             try:
-                self.condensation.factor(data)
+                self.condensation.factor(at.stiffness(self.condensation.whole, projection, J))
                 break
             except NotPositiveDefinite:
                 self.projected += 1

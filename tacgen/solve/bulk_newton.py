@@ -3,9 +3,10 @@
     until the residual is small:
         K <- tangent of the bulk at x, factorised            (kept while it contracts well)
         S <- Schur complement of K on the nodes near contact
-        solve  (S + d 1) u + load + contact(u) + friction(u) = 0          (see contact_newton)
+        solve  (S + d S_0) u + load + contact(u) + friction(u) = 0        (see contact_newton)
+            where that is unstable, d grows (Levenberg-Marquardt)
         p <- the step of all nodes that goes with u
-        x <- x + p     if that lowers the energy, normal forces frozen; else d grows (Levenberg-Marquardt)
+        x <- x + a p   with the first a = 1, 1/2, 1/4... that lowers the energy, normal forces frozen
 
 Folding of the gel's surface and wrinkling of its skin are instabilities: no quasi-static path continues, however short
 the load steps are. There the damped steps decrease the energy until the next equilibrium, like a slightly viscous gel.
@@ -18,17 +19,17 @@ import numpy as np
 
 from tacgen.contact.barrier import Contact
 from tacgen.contact.coupled import CoupledContact
-from tacgen.fem.potential import Projection
 from tacgen.solve.bulk import Bulk, BulkPoint
-from tacgen.solve.condensation import Schur
+from tacgen.solve.condensation import LEAST_DAMPING, MORE
 from tacgen.solve.contact_newton import ContactSolution, Quadratic, solve_contact
 from tacgen.solve.linear_solvers import NotPositiveDefinite
 from tacgen.solve.problem import Problem
 from tacgen.solve.state import History, NotConverged
 
 Array = np.ndarray
-BAD = 1e-3  # decrease of the energy over the predicted one, below which a step is repeated with more damping [-]
-DAMPING_MAX = 1e5  # largest damping over the smallest [-]
+BAD = 1e-3  # decrease of the energy over the predicted one, below which a step is halved [-]
+SHORTEST = 1 / 16  # shortest part of a step; below, it is repeated with more damping [-]
+DAMPING_MAX = 2e3  # largest damping [-]
 USUAL = 0.1  # assumed contraction of the residual by a kept tangent, before it is measured [-]
 ROUNDING = 1e-12  # relative rounding error of the energy [-]
 SQUEEZED = 0.2  # J below which the message of a failure reports it [-]
@@ -37,13 +38,15 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Step:
-    """Result of a step: the contact's equilibrium, the new positions, the decrease of the energy over the predicted one
-    (-inf if the contact diverged), and the damping [N/mm]."""
+    """Result of a step: the contact's equilibrium, or its state where only part of the step was taken; the new
+    positions, the decrease of the energy over the predicted one (-inf if the contact diverged), the damping, and the
+    part of the step that was taken."""
 
     inner: ContactSolution
     there: BulkPoint
     gain: float
     damping: float
+    part: float = 1.0
 
 
 class BulkNewton:
@@ -54,7 +57,7 @@ class BulkNewton:
         self.options, self.tangent = problem.options, problem.tangent
         self.xtol = self.options.step_tol * problem.contact.dhat
         self.floor = self.xtol * history.least_force  # [N mm], smaller differences of the energy are ignored
-        self.damped = 0  # number of steps that needed damping or projection
+        self.damped = 0  # number of steps that needed damping
 
     def solve(self, x: Array, contact: CoupledContact) -> tuple[Array, CoupledContact, int]:
         """Positions, the contact with its offset there, and the number of steps. Raises NotConverged."""
@@ -73,35 +76,31 @@ class BulkNewton:
             touching = self._touching(contact.contact, at.x)
             if not tangent.condensation.covers(conn[touching]):
                 tangent.condensation.cover(with_neighbours(conn, touching))
-            pressures = J if options.mixed_pressure else None
             if new := new or not tangent.usable:
-                tangent.take(self.bulk, at, pressures)
+                tangent.take(at, J if options.mixed_pressure else None)
             found = self._step(at, J, contact, damping, insist=new)
-            if unstable := found.gain < BAD and new:
-                # damping acts on the condensed nodes alone; where the gel is unstable elsewhere, projection is needed
-                tangent.take(self.bulk, at, pressures, Projection.FULL)
-                found = self._step(at, J, contact, 0.0, insist=True)
             damping = found.damping
             if found.gain < BAD:
                 if new:
                     break
                 new = True
                 continue
-            self.damped += unstable or found.damping > 0
+            self.damped += found.damping > 0
             moved = float(np.abs(found.there.x - at.x).max())
             contact = contact.shrunk(found.inner.contact.contact.offset)
             J = tangent.predicted(at, found.there) if options.mixed_pressure else found.there.J
             at, before, residual = found.there, residual, self._residual(found)
             log.debug(
-                "step %d: %s tangent, %d in contact, moved %.1e mm, gain %.2f, damping %.1e, residual %.1e",
-                step, "new" if new else "kept", found.inner.steps, moved, found.gain, damping, residual,
+                "step %d: %s tangent, %d in contact, moved %.1e mm, part %g, gain %.2f, damping %.1e, residual %.1e",
+                step, "new" if new else "kept", found.inner.steps, moved, found.part, found.gain, damping, residual,
             )  # fmt: skip
             if self._ended(found, moved, residual) and self._covered(contact, at.x):
                 return at.x, contact, step
             if np.isfinite(before):  # a step with the same tangent as the one before contracts about half as much
                 rate = (2 if new else 1) * residual / before
-            damping = 0.0 if damping <= tangent.condensation.schur.least_damping else damping / 4
-            new = not options.keep_tangent or self._slow(residual, rate)
+            if found.part == 1:
+                damping = 0.0 if damping <= LEAST_DAMPING else damping / MORE
+            new = not options.keep_tangent or found.part < 1 or self._slow(residual, rate)
         raise NotConverged(why(self.bulk, at.x, step))
 
     def _ended(self, found: Step, moved: float, residual: float) -> bool:
@@ -120,25 +119,45 @@ class BulkNewton:
         g = self.tangent.unbalanced(at, J)
         y = condensed.forward(g)
         load, here, part = condensed.load(y), at.x[condensed.nodes], self._on_condensed(contact)
-        schur = Schur(condensed.schur.undamped, damping) if damping else condensed.schur
+        schur = condensed.schur.damped(damping)
         while True:
+            quadratic = Quadratic(here, condensed.dofs, schur, load)
             inner = solve_contact(
-                Quadratic(here, condensed.dofs, schur, load), part, here, xtol=self.xtol,
-                max_steps=self.options.max_contact, radius=self.problem.edge,
-            )  # fmt: skip
-            there, gain = at, -np.inf
-            if not inner.unstable:
-                u = (inner.x - here)[condensed.dofs >= 0]
-                p = condensed.expand(u, y)
-                there = self.bulk.at(at.x + p)
-                felt = inner.contact.merit(inner.x, inner.forces) - inner.contact.merit(here, inner.forces)
-                # (g . p + p . K p)/2 of the quadratic bulk is half of what the condensed unknowns do against their load
-                model = float((g * p).sum() + u @ (schur.S @ u + load)) / 2 + felt
-                change, rounding = there.energy - at.energy + felt, self.floor + ROUNDING * abs(at.energy)
-                gain = 1.0 if abs(change) <= rounding else change / min(model, -rounding)
-            if gain >= BAD or not insist or schur.damping > DAMPING_MAX * schur.least_damping:
-                return Step(inner, there, gain, schur.damping)
-            schur = Schur(condensed.schur.undamped, max(4 * schur.damping, schur.least_damping))
+                quadratic, part, here, xtol=self.xtol, max_steps=self.options.max_contact, radius=self.problem.edge
+            )
+            found = (
+                Step(inner, at, -np.inf, schur.damping) if inner.unstable else self._along(at, g, y, quadratic, inner)
+            )
+            if found.gain >= BAD or not insist or schur.damping > DAMPING_MAX:
+                return found
+            schur = schur.more_damped()
+
+    def _along(self, at: BulkPoint, g: Array, y: Array, quadratic: Quadratic, inner: ContactSolution) -> Step:
+        """Line search: the first of the whole step, a half, a quarter... that lowers the energy, normal forces frozen.
+
+        A step of the bulk that is too long turns elements inside out, mostly away from the contact, where damping does
+        not help.
+        """
+        condensed, here, schur = self.tangent.condensation, quadratic.start, quadratic.schur
+        u = (inner.x - here)[condensed.dofs >= 0]
+        p, part, contact = condensed.expand(u, y), 1.0, inner.contact
+        before = contact.merit(here, inner.forces)
+        felt = contact.merit(inner.x, inner.forces) - before
+        # (g . p + p . K p)/2 of the quadratic bulk is half of what the condensed unknowns do against their load
+        model = float((g * p).sum() + u @ (schur.S @ u + quadratic.force)) / 2 + felt
+        rounding = self.floor + ROUNDING * abs(at.energy)
+        while True:
+            there = self.bulk.at(at.x + part * p)
+            change = there.energy - at.energy + felt
+            gain = 1.0 if abs(change) <= rounding else change / min(part * model, -rounding)
+            if gain >= BAD or part <= SHORTEST:
+                break
+            part /= 2
+            felt = contact.merit(here + part * p[condensed.nodes], inner.forces) - before
+        if part < 1:
+            x = there.x[condensed.nodes]
+            inner = replace(inner, x=x, forces=contact.evaluate(x), converged=False)
+        return Step(inner, there, gain, schur.damping, part)
 
     def _on_condensed(self, contact: CoupledContact) -> CoupledContact:
         """The contact on the condensed facets, with the numbers of the condensed nodes."""

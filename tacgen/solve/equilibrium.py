@@ -81,7 +81,7 @@ class LoadStep:
         if not tangent.usable or not tangent.condensation.covers(conn[touching]):
             tangent.condensation.cover(with_neighbours(conn, touching))
             try:
-                tangent.take(self.bulk, self.bulk.at(history.x), None)
+                tangent.take(self.bulk.at(history.x), None)
             except NotPositiveDefinite:
                 return None
         return predict(contact, tangent, history, pose) if self.options.predict else None

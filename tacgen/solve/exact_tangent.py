@@ -11,7 +11,6 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 from tacgen.contact.barrier import Faces
-from tacgen.fem.potential import Projection
 from tacgen.solve.bulk import Bulk
 from tacgen.solve.full_newton import exact_factor
 from tacgen.solve.problem import Problem
@@ -29,8 +28,7 @@ class ExactTangent:
     def __init__(self, problem: Problem, x: Array) -> None:
         self._problem, self._shape, pattern = problem, x.shape, problem.pattern
         self._free = pattern.free
-        bulk, data = Bulk(problem.elastic, problem.folding, ()), np.zeros(len(pattern.indices))
-        bulk.add_tangent(bulk.at(x), data, Projection.NONE, None)
+        data = Bulk(problem.elastic, problem.folding, ()).at(x).stiffness(pattern)
         self._upper = csr_matrix((data, pattern.indices, pattern.indptr), shape=(pattern.size,) * 2)
         self._diagonal = self._upper.diagonal()[:, None]
 

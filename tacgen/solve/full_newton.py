@@ -42,8 +42,7 @@ class WholeBulk:
 
     def solve(self, x: Array, contact: CoupledContact, D: Array, g: Array, symmetric: bool) -> Array | None:
         pattern, p = self.problem.pattern, np.zeros(x.size)
-        data = np.zeros(len(pattern.indices))
-        self.bulk.add_tangent(self.at(x), data, Projection.FULL if symmetric else Projection.NONE, None)
+        data = self.at(x).stiffness(pattern, Projection.FULL if symmetric else Projection.NONE)
         b = -g.ravel()[pattern.free]
         if symmetric:
             contact.contact.faces.add_blocks(np.arange(len(D)), D, data)

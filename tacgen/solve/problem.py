@@ -16,7 +16,7 @@ from tacgen.fem.viscoelasticity import Viscoelastic
 from tacgen.scene.mesh import Mesh
 from tacgen.scene.scene import Scene
 from tacgen.solve import linear_solvers
-from tacgen.solve.bulk import Tangent
+from tacgen.solve.bulk import Bulk, Tangent
 from tacgen.solve.options import DEFAULT, SolverOptions, tighter
 from tacgen.solve.state import Effort, History
 
@@ -85,7 +85,9 @@ class Problem:
     @cached_property
     def tangent(self) -> Tangent:
         """The factorised tangent of the bulk, kept from step to step."""
-        return Tangent(self.pattern)
+        return Tangent(
+            self.pattern, lambda: Bulk(self.elastic, self.folding, ()).at(self.mesh.points).stiffness(self.pattern)
+        )
 
     @cached_property
     def effort(self) -> Effort:

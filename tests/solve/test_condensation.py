@@ -9,7 +9,7 @@ from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import boxes, hexes
 from tacgen.fem.materials import NeoHooke
 from tacgen.fem.potential import Projection
-from tacgen.solve.condensation import Condensation, Schur
+from tacgen.solve.condensation import MORE, Condensation, Schur
 from tacgen.solve.linear_solvers import NotPositiveDefinite
 
 Array = np.ndarray
@@ -28,7 +28,8 @@ class Bulk:
         self.data = np.zeros(len(self.pattern.indices))
         elastic = Elastic.on(self.pattern, hexes(points, cells), NeoHooke(0.05, 1.0))
         elastic.add_hessian(points, self.data, Projection.NONE)
-        self.condensed = Condensation(self.pattern)
+        self.rest = self.data.copy()
+        self.condensed = Condensation(self.pattern, lambda: self.rest)
         self.condensed.cover(self.top[[5, 6, 9]])
         self.near = np.isin(self.pattern.free // 3, self.top[[5, 6, 9]])  # among the free dofs
 
@@ -77,7 +78,7 @@ def test_it_is_the_schur_complement_where_some_condensed_nodes_have_no_others_be
     K = full(pat, data)
     for where in (slice(2, 7), slice(0, 5), slice(4, 9)):
         on = np.arange(len(points)).reshape(n + 1, n + 1, 2)[where, where, 1]
-        condensed = Condensation(pat)
+        condensed = Condensation(pat, lambda: data)
         condensed.cover(on.ravel()[None])
         condensed.factor(data)
         c = np.isin(pat.free // 3, on)
@@ -164,11 +165,19 @@ def stiffness(size: int = 12, seed: int = 0) -> Array:
     return np.asarray(q @ np.diag(np.linspace(1, 5, size)) @ q.T)
 
 
+REST = stiffness(seed=5)
+
+
+def at_rest() -> Array:
+    """What damping multiplies."""
+    return REST
+
+
 @pytest.mark.parametrize("symmetric", [False, True])
 def test_while_contact_acts_on_more_and_more_the_answer_is_the_dense_one(symmetric: bool) -> None:
     rng = np.random.default_rng(0)
     S = stiffness()
-    schur, b = Schur(S.copy()), rng.normal(size=12)
+    schur, b = Schur(S.copy(), at_rest), rng.normal(size=12)
     acted = np.zeros(12, bool)
     for which in ([3], [3, 8], [8], [1, 2, 11], range(12)):
         now = np.isin(np.arange(12), list(which))
@@ -189,14 +198,14 @@ def test_while_contact_acts_on_more_and_more_the_answer_is_the_dense_one(symmetr
 @pytest.mark.parametrize("symmetric", [False, True])
 def test_where_contact_acts_on_nothing_the_bulk_alone_answers(symmetric: bool) -> None:
     S, b = stiffness(), np.ones(12)
-    schur = Schur(S)
+    schur = Schur(S, at_rest)
     schur.activate(np.zeros(12, bool))
     assert schur.solve(np.zeros((0, 0)), b, symmetric) == pytest.approx(np.linalg.solve(S, b))
 
 
 def test_an_indefinite_symmetric_sum_is_reported_and_solved_as_it_is_otherwise() -> None:
     S, b = stiffness(), np.random.default_rng(3).normal(size=12)
-    schur = Schur(S)
+    schur = Schur(S, at_rest)
     schur.activate(np.arange(12) < 5)
     added = -4 * np.eye(5)
     whole = S.copy()
@@ -208,26 +217,45 @@ def test_an_indefinite_symmetric_sum_is_reported_and_solved_as_it_is_otherwise()
 
 
 def test_what_is_singular_is_reported() -> None:
-    schur = Schur(np.eye(4))
+    schur = Schur(np.eye(4), lambda: np.eye(4))
     schur.activate(np.ones(4, bool))
     with pytest.raises(np.linalg.LinAlgError):
         schur.solve(-np.eye(4), np.ones(4), False)
 
 
-def test_damping_stands_on_the_diagonal_and_shortens_the_step() -> None:
+def test_damping_adds_to_the_stiffness_at_rest_and_shortens_the_step() -> None:
     S, b = stiffness(), np.ones(12)
     lengths = []
     for damping in (0.0, 1.0, 100.0):
-        schur = Schur(S, damping)
+        schur = Schur(S, at_rest).damped(damping)
         assert schur.damping == damping
         assert (schur.undamped == S).all()
         schur.activate(np.arange(12) < 3)
-        assert pytest.approx(S + damping * np.eye(12)) == schur.S
+        assert pytest.approx(S + damping * REST) == schur.S
         x = schur.solve(np.zeros((3, 3)), b, True)
-        assert x == pytest.approx(np.linalg.solve(S + damping * np.eye(12), b))
+        assert x == pytest.approx(np.linalg.solve(S + damping * REST, b))
         lengths.append(float(np.linalg.norm(x)))
     assert lengths[0] > 1.2 * lengths[1] > 10 * lengths[2]
-    assert 0 < Schur(S).least_damping < 0.1 * np.diag(S).min()
+    more = Schur(S, at_rest).more_damped()
+    assert 0 < more.damping < more.more_damped().damping == more.damped(more.damping).more_damped().damping
+
+
+def test_the_schur_complement_at_rest_is_computed_once_and_disturbs_nothing(bulk: Bulk) -> None:
+    rest = bulk.schur()
+    bulk.shift(bulk.near, 0.3)
+    bulk.condensed.factor(bulk.data)
+    y = bulk.condensed.forward(np.ones(bulk.free.shape))
+    exact = bulk.schur()
+    for damping in (0.5, 2.0):
+        assert pytest.approx(exact + damping * rest, abs=1e-10) == bulk.condensed.schur.damped(damping).S
+    assert bulk.condensed.factored == 2
+    assert (bulk.condensed.forward(np.ones(bulk.free.shape)) == y).all()
+    bulk.condensed.cover(bulk.top[[0, 15]])
+    bulk.near = np.isin(bulk.pattern.free // 3, bulk.top[[0, 15]])
+    bulk.condensed.factor(bulk.data)
+    exact = bulk.schur()
+    bulk.data = bulk.rest
+    assert pytest.approx(exact + 3 * bulk.schur(), abs=1e-10) == bulk.condensed.schur.damped(3.0).S
 
 
 def test_what_is_eliminated_is_damped_until_it_is_stable_by_itself() -> None:
@@ -235,19 +263,18 @@ def test_what_is_eliminated_is_damped_until_it_is_stable_by_itself() -> None:
     S = stiffness()
     S[:3, :3] -= 9 * np.eye(3)  # the first ones are unstable
     b = np.random.default_rng(2).normal(size=12)
-    kept = Schur(S)
+    kept = Schur(S, at_rest)
     kept.activate(np.arange(12) < 3)
     assert kept.damping == 0
     added = 20 * np.eye(3)
     whole = S.copy()
     whole[:3, :3] += added
     assert kept.solve(added, b, True) == pytest.approx(np.linalg.solve(whole, b), abs=1e-10)
-    damped = Schur(S)
+    damped = Schur(S, at_rest)
     damped.activate(np.arange(12) >= 9)
-    least = -np.linalg.eigvalsh(S[:9, :9])[0]
-    assert least > 0
-    assert least < damped.damping < 4 * least
-    assert pytest.approx(S + damped.damping * np.eye(12)) == damped.S
+    part = np.ix_(range(9), range(9))
+    assert np.linalg.eigvalsh((S + damped.damping / MORE * REST)[part])[0] < 0 < np.linalg.eigvalsh(damped.S[part])[0]
+    assert pytest.approx(S + damped.damping * REST) == damped.S
     assert (damped.undamped == S).all()
     whole = damped.S.copy()
     whole[9:, 9:] += 20 * np.eye(3)
