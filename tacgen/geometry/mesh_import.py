@@ -34,6 +34,7 @@ MAX_CRACK = 1e-4  # largest width of a crack that is closed, over the diagonal o
 MAX_HOLE = 40  # most edges around a hole that is closed
 MAX_NEW_AREA = 0.02  # largest relative change of the surface's area by repair [-]
 MARGIN_CELLS = 6  # cells of the grid around the body: contact is evaluated no farther away
+FINER = (0.7, 0.5, 0.35, 0.25, 0.15, 0.1)  # parts of the edge that are tried for walls too thin for it [-]
 MIN_WALL = 3  # thickness of a wall over the grid's cell [-]; forces of thinner ones are 10 to 90 % too low
 MAX_THIN = 0.01  # largest share of the surface that may belong to thinner walls
 SHARP_ANGLE = np.radians(30)  # angle of triangles at a sharp edge; smaller angles approximate a fillet [rad]
@@ -239,14 +240,22 @@ def field(solid: Solid, *, cell: float, height: float, half: float) -> Field:
     return Field.through(distances, origin, cell, smallest_radius=radius, corners=corners, blunt=True)
 
 
-def refuse_thin_walls(solid: Solid, cell: float, height: float) -> None:
-    """Raise UserError if a grid with this cell [mm] would lose walls of the solid below `height` [mm]: where MIN_WALL
-    cells inward of the surface is outside again."""
-    thickness = MIN_WALL * cell
-    key = array_cache.digest((CACHE_VERSION, thickness, height, solid.vertices, solid.triangles))
-    if array_cache.kept_one("walls", key, lambda: np.array(_thin_share(solid, thickness, height))) > MAX_THIN:
-        text = f"has walls thinner than {thickness:.2g} mm, too thin for this quality"
-        raise UserError(f"{solid.name}: {text}: ask for a finer mesh, as in quality: {{edge_mm: 0.2}}")
+def refuse_thin_walls(solid: Solid, cell: float, height: float, edge: float) -> None:
+    """Raise UserError if a grid with this cell [mm], of a gel with this `edge` [mm], would lose walls of the solid
+    below `height` [mm]: where MIN_WALL cells inward of the surface is outside again."""
+
+    def thin(part: float) -> bool:
+        thickness = MIN_WALL * cell * part
+        key = array_cache.digest((CACHE_VERSION, thickness, height, solid.vertices, solid.triangles))
+        share = array_cache.kept_one("walls", key, lambda: np.array(_thin_share(solid, thickness, height)))
+        return bool(share > MAX_THIN)
+
+    if not thin(1.0):
+        return
+    fine = next((part for part in FINER if not thin(part)), None)
+    advice = f"ask for a finer mesh, as in quality: {{edge_mm: {edge * fine:.2g}}}" if fine else "make them thicker"
+    text = f"has walls thinner than {MIN_WALL * cell:.2g} mm, too thin for this quality: {advice}"
+    raise UserError(f"{solid.name}: {text}")
 
 
 def _thin_share(solid: Solid, thickness: float, height: float) -> float:

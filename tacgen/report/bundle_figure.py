@@ -42,7 +42,7 @@ def only(path: Path) -> Bundle:
     found = dataset.scenes(path)
     if len(found) > 1:
         raise UserError(
-            f"{path}: holds {len(found)} scenes; draw one, such as {found[0].path}, or all: tacgen report {path}"
+            f"{path}: holds {len(found)} bundles; draw one, such as {found[0].path}, or all: tacgen report {path}"
         )
     return found[0]
 

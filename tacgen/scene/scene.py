@@ -88,7 +88,7 @@ def shape_of(row: Row) -> Shape:
     solid = _solid(indenter, row)
     found = mesh_import.field(solid, cell=SDF_CELL * edge, height=height, half=half)
     if row.recipe.contact.formulation == "distance":
-        mesh_import.refuse_thin_walls(solid, found.cell, height)
+        mesh_import.refuse_thin_walls(solid, found.cell, height, edge)
     return found
 
 

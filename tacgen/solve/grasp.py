@@ -38,6 +38,7 @@ class Mode(IntEnum):
 
 
 BALANCE = 5e-4  # tolerance of forces, and of moments over the arm, over the grip force [-]; the check allows 1e-3
+REMEDY = "try more frames for this movement, more grip force or a finer mesh"
 TRIALS = 40  # most equilibria of both gels in a frame; ordinary frames take 3 to 6
 SLIGHT = 1e-3  # smallest force scale, over the weight [-]
 UNRESISTED = 1e-6  # singular value over the largest, below which a motion has no stiffness [-]
@@ -194,7 +195,7 @@ class Frame:
         """Both gels with the object there, from the last frame's history. Raises NotConverged."""
         self.trials += 1
         if self.trials > TRIALS:
-            raise NotConverged(f"the object's balance was not found in {TRIALS} trials")
+            raise NotConverged(f"the object's balance was not found in {TRIALS} trials; {REMEDY}")
         gels, wrench, normal, centre = [], np.zeros(6), 0.0, self._centre(pose)
         for side, problem in enumerate(self.problems):
             problem.effort.steps = 0

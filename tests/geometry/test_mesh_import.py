@@ -217,10 +217,14 @@ def test_a_thin_wall_is_refused_where_its_grid_would_lose_it():
     tube = trimesh.creation.annulus(r_min=3.7, r_max=4.0, height=6)
     solid, inside = mesh_import.placed(solid_of(tube)), np.array([[3.85, 0.0, 0.5]])
     assert field(tube, 0.15).distance(inside)[0][0] > -0.02
-    with pytest.raises(UserError, match=r"has walls thinner than 0\.45 mm"):
-        mesh_import.refuse_thin_walls(solid, 0.15, 1.5)
-    mesh_import.refuse_thin_walls(solid, 0.09, 1.5)
+    with pytest.raises(UserError, match=r"has walls thinner than 0\.45 mm.*edge_mm: 0\.3}"):
+        mesh_import.refuse_thin_walls(solid, 0.15, 1.5, 0.6)
+    mesh_import.refuse_thin_walls(solid, 0.15 * 0.3 / 0.6, 1.5, 0.3)
+    mesh_import.refuse_thin_walls(solid, 0.09, 1.5, 0.6)
     assert field(tube, 0.09).distance(inside)[0][0] < -0.06
+    foil = mesh_import.placed(solid_of(trimesh.creation.annulus(r_min=3.98, r_max=4.0, height=6)))
+    with pytest.raises(UserError, match="too thin for this quality: make them thicker"):
+        mesh_import.refuse_thin_walls(foil, 0.15, 1.5, 0.6)
 
 
 def test_a_surface_through_itself_is_refused():

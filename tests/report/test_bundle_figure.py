@@ -130,7 +130,7 @@ def test_a_folder_of_one_scene_is_drawn_and_of_several_is_asked_about(tmp_path: 
     write(tmp_path / "scene-00001.h5")
     done = CliRunner().invoke(cli.app, ["show", str(tmp_path), "-o", str(tmp_path / "y.png")])
     assert done.exit_code == 2
-    assert f"{tmp_path}: holds 2 scenes; draw one, such as {tmp_path}/scene-00000.h5, or all: tacgen" in done.stderr
+    assert f"{tmp_path}: holds 2 bundles; draw one, such as {tmp_path}/scene-00000.h5, or all: tacgen" in done.stderr
 
 
 @pytest.mark.parametrize("stop", [0, 1, 5])
