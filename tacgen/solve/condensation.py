@@ -5,8 +5,7 @@ With K = L L^T and the contact's dofs c last, the Schur complement is S = L_cc L
 reaches c through one forward substitution.
 
 Levenberg-Marquardt damping adds a multiple of the Schur complement at rest, S_0: like a viscosity of the gel it resists
-strain, and so the short waves of a fold, far more than a motion of the whole contact. With a multiple of the unit
-matrix, frames with folds took a fifth more steps.
+strain, and so the short waves of a fold, far more than a motion of the whole contact.
 """
 
 from collections.abc import Callable
