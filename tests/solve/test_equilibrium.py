@@ -1,6 +1,7 @@
 """Contact solved on the condensed bulk leads to the answer of Newton's method on everything, at less cost."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +11,9 @@ from tacgen.contact.barrier import Contact, Pose
 from tacgen.geometry.analytic_sdf import Cylinder, Shape, Sphere
 from tacgen.scene import mesh
 from tacgen.solve import Problem, SolverOptions, State, plain, states
+from tacgen.solve.bulk_newton import BulkNewton
 from tacgen.solve.condensation import Condensation, Schur
+from tacgen.solve.equilibrium import LoadStep
 from tacgen.solve.frames import RISE
 from tacgen.solve.predictor import predict
 
@@ -142,3 +145,34 @@ def test_nothing_is_predicted_where_the_tied_gel_is_unstable() -> None:
     S = condensed.schur.undamped - 1e3 * np.diag(touched)
     condensed.schur = Schur(S, lambda: S)
     assert predict(contact, problem.tangent, last.after, further) is None
+
+
+def test_a_step_too_long_away_from_the_contact_is_halved_and_not_damped(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A node in the corner of the pad is pushed almost through its element: Newton's step throws it out on the other
+    side. Damping acts on the nodes at the contact and would not help."""
+    made = scene(Sphere(2.5), poses(PATH), pad=gel(8, 8, 2.0), friction=0.6, edge=0.5)
+    problem = Problem.of(made, mesh.build(made.gel, (-2, 2, -2, 2), made.edge), TIGHT)
+    *_, last = states(made, problem)
+    assert last.after is not None
+    step = LoadStep(problem, last.after, Pose.of(last.pose - 0.05 * RISE), np.inf)
+    x = step.start(None)
+    usual, _, _ = BulkNewton(problem, step.bulk, last.after).solve(x, step.contact)
+    far = np.flatnonzero(problem.mesh.points[:, 2] == problem.mesh.points[:, 2].max())
+    far = far[problem.mesh.points[far, :2].sum(1).argmax()]
+    pushed = x.copy()
+    pushed[far, 2] -= 0.4
+    parts: list[float] = []
+    along = BulkNewton._along
+
+    def seen(self: BulkNewton, *args: Any) -> Any:
+        found = along(self, *args)
+        parts.append(found.part)
+        assert found.gain < 0 or found.there.energy < args[0].energy + 1e-3
+        return found
+
+    monkeypatch.setattr(BulkNewton, "_along", seen)
+    newton = BulkNewton(problem, step.bulk, last.after)
+    answer, _, _ = newton.solve(pushed, step.contact)
+    assert min(parts) < 1
+    assert newton.damped == 0
+    assert answer == pytest.approx(usual, abs=1e-4)
