@@ -79,11 +79,11 @@ class Condensation:
         factor.factor(data)
         L = factor.trailing(self.size)
         # L L^T, a third of the work of a product: LAPACK has U U^T of triangles, and L backwards is upper triangular
-        upper = np.triu(dlauum(np.asfortranarray(L[::-1, ::-1]), overwrite_c=1)[0])
-        upper += np.triu(upper, 1).T
+        upper = dlauum(np.asfortranarray(L[::-1, ::-1]), overwrite_c=1)[0]
         backwards = self.size - 1 - self._rows
-        S = upper[backwards][:, backwards]
-        S[np.diag_indices(self.size)] -= shift
+        S = (upper + upper.T).take(backwards, 0).take(backwards, 1)
+        diagonal = np.diag_indices(self.size)
+        S[diagonal] = S[diagonal] / 2 - shift
         return L[self._rows], S
 
     def _schur_at_rest(self) -> Array:
