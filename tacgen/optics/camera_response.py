@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tacgen.compiled import njit
 from tacgen.optics.noise import noisy
 
 if TYPE_CHECKING:
@@ -13,6 +14,8 @@ if TYPE_CHECKING:
     from tacgen.optics.description import Eye
 
     Floats = NDArray[np.float64]
+
+CELLS = 4096  # of the light from 0 to 1, in each of which the search for a pixel's count starts
 
 
 def vignette(camera: "Eye") -> "Floats":
@@ -48,8 +51,12 @@ def blurred(radiance: "Floats", camera: "Eye") -> "Floats":
 
 def encoded(light: "Floats", camera: "Eye") -> "Floats":
     """Pixel values over full scale for light clipped to [0, 1], by the sRGB curve (IEC 61966-2-1) or linear."""
+    return _curve(light, camera.response)
+
+
+def _curve(light: "Floats", response: str) -> "Floats":
     x = np.clip(light, 0.0, 1.0)
-    return x if camera.response == "linear" else np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
+    return x if response == "linear" else np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
 
 
 def linear(counts: "Floats", camera: "Eye") -> "Floats":
@@ -84,9 +91,53 @@ def unexposed(light: "Floats", camera: "Eye") -> "Floats":
     return even if camera.colour_matrix is None else np.asarray(even @ np.linalg.inv(colours(camera)).T)
 
 
-def develop(radiance: "Floats", camera: "Eye", random: np.random.Generator | None = None) -> "NDArray[np.uint8]":
+def develop(
+    radiance: "NDArray[np.floating]", camera: "Eye", random: np.random.Generator | None = None
+) -> "NDArray[np.uint8]":
     """The 8-bit picture (H, W, 3) of a radiance picture (H, W, 3), with noise if `random` is given."""
-    light = expose(radiance, camera)
+    normal, shot, read, strength = np.empty((0, 0, 0)), (0.0,) * 3, (0.0,) * 3, 0.0
     if random is not None and camera.noise is not None:
-        light = noisy(light, camera.noise, random)
-    return np.asarray(np.round(255.0 * encoded(light, camera)), dtype=np.uint8)
+        normal = random.standard_normal(radiance.shape)
+        shot, read, strength = camera.noise.shot, camera.noise.read, camera.noise.strength
+    grain = np.array(shot), np.array(read), strength, normal
+    return np.asarray(
+        _counted(radiance, colours(camera), vignette(camera), camera.exposure, *grain, *_steps(camera.response))
+    )
+
+
+@lru_cache(maxsize=2)
+def _steps(response: str) -> "tuple[Floats, NDArray[np.int64]]":
+    """The least light that is rounded to each count (256,) and infinity, by bisection of the curve; and the counts at
+    the lower ends of CELLS equal cells of light."""
+    count, low, most = np.arange(256), np.zeros(256), np.ones(256)
+    for _ in range(80):  # halvings: a double has 53 bits, and the darkest step is above 2^-13
+        middle = (low + most) / 2
+        above = np.round(255.0 * _curve(middle, response)) >= count
+        low, most = np.where(above, low, middle), np.where(above, middle, most)
+    return np.append(most, np.inf), np.searchsorted(most[1:], np.arange(CELLS) / CELLS, side="right")
+
+
+@njit(cache=True)
+def _counted(
+    radiance: "NDArray[np.floating]", mix: "Floats", fall: "Floats", exposure: float, shot: "Floats", read: "Floats",
+    strength: float, normal: "Floats", steps: "Floats", cells: "NDArray[np.int64]",
+) -> "NDArray[np.uint8]":  # fmt: skip
+    """All in one loop, because a picture's temporary arrays cost more than its arithmetic; no noise if `normal` is
+    empty."""
+    height, width, _ = radiance.shape
+    out = np.zeros((height, width, 3), np.uint8)
+    for y in range(height):
+        for x in range(width):
+            for c in range(3):
+                light = radiance[y, x, 0] * mix[c, 0] + radiance[y, x, 1] * mix[c, 1] + radiance[y, x, 2] * mix[c, 2]
+                light *= exposure * fall[y, x, c]
+                if normal.size:
+                    light = noisy(light, shot[c], read[c], strength, normal[y, x, c])
+                if light >= 1.0:
+                    out[y, x, c] = 255
+                elif light > 0.0:
+                    count = cells[int(light * CELLS)]
+                    while light >= steps[count + 1]:
+                        count += 1
+                    out[y, x, c] = count
+    return out

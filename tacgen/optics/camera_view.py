@@ -1,11 +1,12 @@
 """The coated face as the camera sees it: the point behind each ray, and the markers printed there."""
 
-from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tacgen.compiled import njit
 from tacgen.optics import coating, strip_light
 from tacgen.optics.camera import Camera
 from tacgen.optics.drawn_face import DrawnFace
@@ -19,15 +20,35 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Samples:
-    """Where rays meet the coated face; nan where they miss the pad."""
+class Samples(DrawnFace):
+    """Where rays meet the coated face, nan where they miss the pad; each property is computed once, if at all."""
 
-    position: "Floats"  # [mm], (samples, 3)
-    normal: "Floats"  # unit, into the gel, (samples, 3)
-    rest: "Floats"  # rest position [mm], (samples, 2)
-    nodes: "Floats"  # the whole face: the sheet's nodes now [mm], (nodes, 3)
-    paint: "Floats"  # share of marker paint, (samples, 1)
+    def __init__(self, view: "View", surface: Surface) -> None:
+        super().__init__(view.sheet, surface, view.camera, view.samples)
+        self._view = view
+
+    @cached_property
+    def position(self) -> "Floats":
+        """[mm], (samples, 3)."""
+        return self._values(self.nodes)
+
+    @cached_property
+    def normal(self) -> "Floats":
+        """Unit, into the gel, (samples, 3)."""
+        return np.asarray(unit(self._values(self.facing)))
+
+    @cached_property
+    def rest(self) -> "Floats":
+        """Rest position [mm], (samples, 2)."""
+        return self._values(self.sheet.rest)
+
+    @cached_property
+    def paint(self) -> "Floats":
+        """Share of marker paint (samples, 1)."""
+        return self._view.paint(self)
+
+    def _values(self, values: "Floats") -> "Floats":
+        return self.behind(values).reshape(-1, values.shape[1])
 
 
 class View:
@@ -61,16 +82,12 @@ class View:
 
     def look(self, surface: Surface) -> Samples:
         """The points behind the camera's rays."""
-        drawn = DrawnFace(self.sheet, surface, self.camera, self.samples)
-        found = (drawn.behind(values) for values in (drawn.nodes, drawn.facing, self.sheet.rest))
-        position, normal, rest = (values.reshape(-1, values.shape[2]) for values in found)
-        return Samples(position, unit(normal), rest, drawn.nodes, self._paint(rest))
+        return Samples(self, surface)
 
     def dimmed(self, at: Samples, bare: "Floats") -> "Floats":
         """Radiance (H, W, 3) of the coating with its markers; `bare` (samples, 3) is that without markers."""
         if self.markers is not None:
-            dots, bare = np.flatnonzero(at.paint), bare.copy()
-            bare[dots] *= 1 + at.paint[dots] * (self.markers.albedo / coating.white(self.sensor.coating) - 1)
+            bare = _dimmed(bare, at.paint, self.markers.albedo / coating.white(self.sensor.coating) - 1)
         return self.picture(bare)
 
     def samples_of(self, picture: "Floats") -> "Floats":
@@ -78,11 +95,12 @@ class View:
         n = self.samples
         return np.repeat(np.repeat(picture, n, axis=0), n, axis=1).reshape(-1, picture.shape[2])
 
-    def _paint(self, rest: "Floats") -> "Floats":
+    def paint(self, at: Samples) -> "Floats":
+        """Share of marker paint (samples, 1); 0 where there is no gel."""
         if self.markers is None:
-            return np.zeros((len(rest), 1))
+            return np.zeros((self.shape[0] * self.shape[1], 1))
         fade = self.sensor.camera.mm_per_px / self.samples
-        share = coating.paint(self.markers, rest, fade)[:, np.newaxis]
+        share = coating.paint(self.markers, at.rest, fade)[:, np.newaxis]
         return np.where(np.isnan(share), 0.0, share)
 
     def picture(self, samples: "Floats") -> "Floats":
@@ -91,3 +109,13 @@ class View:
         if n == 1:
             return samples.reshape(h, w, -1)
         return np.asarray(samples.reshape(h, n, w, n, -1).mean(axis=(1, 3)))
+
+
+@njit(cache=True)
+def _dimmed(bare: "Floats", paint: "Floats", change: "Floats") -> "Floats":
+    """Light (samples, 3) times 1 + its share of paint (samples, 1) x `change` (3,)."""
+    out = np.empty(bare.shape)
+    for i in range(len(bare)):
+        for c in range(3):
+            out[i, c] = bare[i, c] * (1.0 + paint[i, 0] * change[c])
+    return out

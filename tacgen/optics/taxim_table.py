@@ -44,8 +44,7 @@ class Face:
     @classmethod
     def of(cls, height: "Floats", normal: "Floats", untouched: "Floats") -> "Face":
         """From unit normals (h, w, 3) now and untouched; no gel there: as if untouched."""
-        slope = normal[..., :2] - untouched[..., :2]
-        return cls(np.where(np.isnan(height), 0.0, height), np.where(np.isnan(slope), 0.0, slope))
+        return cls(*_bent(height, normal, untouched))
 
 
 @dataclass(frozen=True)
@@ -154,27 +153,42 @@ def _accumulate(a: "Floats", b: "Floats", index: "NDArray[np.int64]", basis: "Fl
 
 
 @njit(cache=True)
+def _bent(height: "Floats", normal: "Floats", untouched: "Floats") -> tuple["Floats", "Floats"]:
+    """Heights (h, w) and differences of normals in x and y (h, w, 2); 0 where they are nan."""
+    h, w = height.shape
+    out, slope = np.empty((h, w)), np.empty((h, w, 2))
+    for y in range(h):
+        for x in range(w):
+            out[y, x] = 0.0 if np.isnan(height[y, x]) else height[y, x]
+            for k in range(2):
+                bend = normal[y, x, k] - untouched[y, x, k]
+                slope[y, x, k] = 0.0 if np.isnan(bend) else bend
+    return out, slope
+
+
+@njit(cache=True)
 def _look_up(terms: "Floats", slope: "Floats", basis: "Floats", dark: "Floats") -> "Floats":
     """The table's light (h, w, 3), bilinear between bins, less what is `dark` at every COARSE-th pixel."""
     h, w, _ = slope.shape
     n, rows, columns = terms.shape[0] - 1, dark.shape[0] - 1, dark.shape[1] - 1
-    out = np.zeros((h, w, 3))
+    out, numbers, here = np.empty((h, w, 3)), terms.ravel(), np.empty(18)
     for y in range(h):
         j0, d = _between((y - COARSE // 2) / COARSE, rows)
         for x in range(w):
-            i0, e = _between((x - COARSE // 2) / COARSE, columns)
             i, a = _between((slope[y, x, 0] + 1) / 2 * n, n)
             j, b = _between((slope[y, x, 1] + 1) / 2 * n, n)
-            for k in range(6):
-                weight = basis[y, x, k]
-                for c in range(3):
-                    low = (1 - a) * terms[j, i, k, c] + a * terms[j, i + 1, k, c]
-                    high = (1 - a) * terms[j + 1, i, k, c] + a * terms[j + 1, i + 1, k, c]
-                    out[y, x, c] += weight * ((1 - b) * low + b * high)
+            low = numbers[18 * (j * (n + 1) + i) :][:36]  # as slices, so that the loop becomes vector instructions
+            high = numbers[18 * ((j + 1) * (n + 1) + i) :][:36]
+            for m in range(18):
+                here[m] = (1 - b) * ((1 - a) * low[m] + a * low[m + 18]) + b * ((1 - a) * high[m] + a * high[m + 18])
+            i0, e = _between((x - COARSE // 2) / COARSE, columns)
             for c in range(3):
-                low = (1 - e) * dark[j0, i0, c] + e * dark[j0, i0 + 1, c]
-                high = (1 - e) * dark[j0 + 1, i0, c] + e * dark[j0 + 1, i0 + 1, c]
-                out[y, x, c] -= (1 - d) * low + d * high
+                light = 0.0
+                for k in range(6):
+                    light += basis[y, x, k] * here[3 * k + c]
+                above = (1 - e) * dark[j0, i0, c] + e * dark[j0, i0 + 1, c]
+                below = (1 - e) * dark[j0 + 1, i0, c] + e * dark[j0 + 1, i0 + 1, c]
+                out[y, x, c] = light - ((1 - d) * above + d * below)
     return out
 
 

@@ -250,7 +250,7 @@ class Renderer:
         self, radiance: "NDArray[np.float32]", random: np.random.Generator | None = None
     ) -> "NDArray[np.uint8]":
         """The camera's 8-bit picture (H, W, 3) of a radiance picture, with its noise if `random` is given."""
-        return camera_response.develop(radiance.astype(np.float64), self.sensor.camera, random)
+        return camera_response.develop(radiance, self.sensor.camera, random)
 
 
 class Effort(NamedTuple):

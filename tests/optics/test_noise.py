@@ -36,11 +36,12 @@ def test_counts_scatter_as_published(name: str, mean: tuple[float, float, float]
 
 @pytest.mark.parametrize("level", [0.0, 0.2, 0.8])
 def test_variance_is_shot_times_signal_plus_read_squared(level: float) -> None:
-    made = noisy(np.full((300, 400, 3), level), GRAIN, np.random.default_rng(1)) - level
+    normal = np.random.default_rng(1).standard_normal((300, 400, 3))
+    made = np.vectorize(noisy)(level, GRAIN.shot, GRAIN.read, 1.0, normal) - level
     assert made.var(axis=(0, 1)) == pytest.approx(np.array(GRAIN.shot) * level + np.square(GRAIN.read), rel=0.03)
     assert np.abs(made.mean(axis=(0, 1))).max() < 4 * made.std() / 346
-    twice = GRAIN.model_copy(update={"strength": 2.0})
-    assert noisy(np.full((300, 400, 3), level), twice, np.random.default_rng(1)) - level == pytest.approx(2 * made)
+    twice = np.vectorize(noisy)(level, GRAIN.shot, GRAIN.read, 2.0, normal) - level
+    assert twice == pytest.approx(2 * made)
 
 
 def test_none_unless_asked_for_and_the_same_for_the_same_numbers() -> None:
@@ -54,3 +55,18 @@ def test_none_unless_asked_for_and_the_same_for_the_same_numbers() -> None:
     assert np.array_equal(one, again)
     assert not np.array_equal(one, other)
     assert not np.array_equal(one, clean)
+
+
+@pytest.mark.parametrize("response", ["srgb", "linear"])
+def test_counts_are_the_rounded_curve_at_every_light(response: str) -> None:
+    rows = ((1.0, -0.2, -0.3), (0.0, 1.0, 0.0), (0.1, 0.0, 0.8))
+    camera = sensor().camera.model_copy(update={"response": response, "colour_matrix": rows, "exposure": 0.9})
+    light = np.random.default_rng(0).uniform(-0.1, 1.3, (200, 32, 40, 3)) ** 3  # a third of it below .03
+    light[0], light[1], light[2] = 0.0, 1 / camera.exposure, 2.0
+    for picture in light:
+        curve = camera_response.encoded(camera_response.expose(picture, camera), camera)
+        assert np.array_equal(camera_response.develop(picture, camera), np.round(255 * curve))
+    even = np.broadcast_to((np.arange(510) / 2 / 255)[:, None, None], (510, 1, 3))  # each count, and each tie
+    size = {"width_px": 1, "height_px": 510}
+    plain = sensor().camera.model_copy(update={"response": response, "vignette_mm": None, "exposure": 1.0, **size})
+    assert np.array_equal(camera_response.develop(even, plain), np.round(255 * camera_response.encoded(even, plain)))
