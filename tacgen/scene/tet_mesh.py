@@ -27,7 +27,7 @@ ENVELOPE = 1e-3  # largest distance of fTetWild's mesh from the surface, over th
 COARSE = (0.04, 4e-3)  # for the surface that is meshed
 FINE = (0.012, 4e-6)  # for the surface onto which nodes are projected
 MAX_ENERGY = 10.0  # AMIPS energy of the worst tet at which fTetWild stops [-]
-MIN_NODAL_VOLUME = 0.1  # at a tet's nodes, over its volume before projection [-]; below, nodes are moved back
+MIN_NODAL_VOLUME = 0.1  # at a tet's nodes and of its corners, over that before projection [-]; below, nodes go back
 TET_FACES = np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)])  # seen from outside
 
 
@@ -164,8 +164,8 @@ def _without_folds(new: Array, old: Array, tets: Array) -> Array:
     straight = nodal_volume(old, tets[:, :4]).min(1)
     for corners_too in (False, True):
         for _ in range(10):
-            least = nodal_volume(new, tets).min(1)
-            bad = tets[least <= MIN_NODAL_VOLUME * straight]
+            curved, flat = nodal_volume(new, tets).min(1), nodal_volume(new, tets[:, :4]).min(1)
+            bad = tets[np.minimum(curved, flat) <= MIN_NODAL_VOLUME * straight]
             if not len(bad):
                 return new
             if corners_too:

@@ -201,3 +201,18 @@ def test_quality_of_known_shapes() -> None:
     curved[4] = [0.2, 0, 0]  # past the quarter of its edge: folded
     assert nodal_volume(curved, ten).min() < 0
     assert scaled_jacobian(curved, ten) < 0
+
+
+def test_a_tet_whose_corners_turn_over_is_moved_back() -> None:
+    """Its edge nodes keep the map positive at every node; the straight tet, whose angles are checked, is inverted."""
+    old = np.array([(0.0, 0, 0), (1, 0, 0), (0, 1, 0), (0.3, 0.3, 0.1)])
+    tets = np.arange(4)[None]
+    points = np.concatenate([old, old[TET_EDGES].mean(1)])
+    ten = np.arange(10)[None]
+    moved = points.copy()
+    moved[3, 2] = -0.02
+    moved[4:, 2] += [-0.3 if 3 not in edge else -0.15 for edge in TET_EDGES.tolist()]
+    assert nodal_volume(moved, ten).min() > 0.1 * nodal_volume(old, tets).min()
+    assert nodal_volume(moved, tets).min() < 0
+    mended = tet_mesh._without_folds(moved, points, ten)
+    assert nodal_volume(mended, tets).min() > 0.1 * nodal_volume(old, tets).min()
