@@ -6,13 +6,17 @@ the relevant thickness is an average around the point, by a Gaussian filter (`fe
 """
 
 from dataclasses import dataclass
+from functools import cached_property, lru_cache, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tacgen.compiled import njit
 from tacgen.optics.surface_grid import Untouched
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from numpy.typing import NDArray
 
     from tacgen.optics.description import Gel, ThicknessResponse
@@ -20,6 +24,9 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 SHARES = (0.04, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9, 1.0, 1.1, 1.25, 1.45)  # thickness over untouched, in the table [-]
+BLOCK = 4.0  # standard deviation of a Gaussian over the side of the blocks that it is applied to [-]
+MARGIN = 2  # blocks around a picture that the splines need
+ROWS = 4096  # of a tabulated curve
 DENT = (1.6, 0.9)  # radii of ball and contact circle over the thickness, for the dent that determines `wander` [-]
 
 
@@ -52,6 +59,11 @@ class Brightness:
         one = np.column_stack([np.interp(0.0, u, c) for c in smooth.T])
         return cls(shares, np.exp(smooth - one))
 
+    @cached_property
+    def tabulated(self) -> "Tabulated":
+        """The same, for whole pictures."""
+        return Tabulated.of(self.at, self.shares[0], self.shares[-1])
+
     def at(self, share: "Floats") -> "Floats":
         """Brightness (n, 3) where the gel is `share` (n,) of its untouched thickness."""
         return between(np.log(np.maximum(share, 1e-3)), np.log(self.shares), np.log(self.values), np.exp)
@@ -60,15 +72,24 @@ class Brightness:
 def thickness(gel: "Gel", position: "Floats") -> "Floats":
     """Share (n,) of its untouched thickness that the gel has at points (n, 3) [mm] of its face; 1 off the pad."""
     base = -depths(gel)[0]
-    before = Untouched.of(gel).at(position[:, :2])[:, 2]
-    return np.nan_to_num((position[:, 2] - base) / (before - base), nan=1.0)
+    share = position[:, 2] - base
+    share /= Untouched.of(gel).height(position[:, :2]) - base
+    return np.nan_to_num(share, copy=False, nan=1.0)
 
 
 def felt(share: "Floats", reach: float) -> "Floats":
-    """The relevant thickness (h, w): averaged by a Gaussian of standard deviation `reach` [px]."""
+    """The relevant thickness (h, w): averaged by a Gaussian of standard deviation `reach` [px].
+
+    A wide one is applied to means over blocks of n x n pixels, whose result is spread by cubic B-splines. Each of the
+    three adds its variance, (n^2 - 1) / 12 and n^2 / 3 [px^2] besides the filter's own.
+    """
     from scipy.ndimage import gaussian_filter
 
-    return np.asarray(gaussian_filter(share, reach, mode="nearest", truncate=3.0))
+    n = max(1, int(reach / BLOCK))
+    if n == 1:
+        return np.asarray(gaussian_filter(share, reach, mode="nearest", truncate=3.0))
+    own = np.sqrt(reach**2 - (n * n - 1) / 12 - n * n / 3) / n
+    return np.asarray(_spread(gaussian_filter(_means(share, n), own, mode="nearest", truncate=3.0), n, share.shape))
 
 
 def wander(bright: Brightness, share: "Floats", mm_per_px: float, ratio: "Floats") -> float:
@@ -96,6 +117,76 @@ def depths(gel: "Gel") -> tuple[float, float]:
     """Crown to base, and opaque skin to base [mm]."""
     total, clear = (sum(layer.thickness_mm for layer in layers) for layers in (gel.layers, gel.clear_layers))
     return total, clear
+
+
+@dataclass(frozen=True)
+class Tabulated:
+    """A smooth curve with three values, tabulated so finely that linear interpolation is right to 1e-6."""
+
+    first: float
+    step: float
+    values: "Floats"  # (ROWS, 3)
+
+    @classmethod
+    def of(cls, curve: "Callable[[Floats], Floats]", first: float, last: float) -> "Tabulated":
+        """Of `curve` (n,) -> (n, 3) between two ends, beyond which it is constant."""
+        return cls(first, (last - first) / (ROWS - 1), curve(np.linspace(first, last, ROWS)))
+
+    def at(self, x: "Floats") -> "Floats":
+        """Values (n, 3) at x (n,); 1 where it is nan."""
+        return np.asarray(_interpolated(x, self.first, self.step, self.values))
+
+
+@lru_cache(maxsize=4)
+def tabulated(response: "ThicknessResponse") -> Tabulated:
+    """`gain`, for whole pictures."""
+    return Tabulated.of(partial(gain, response), response.change_mm[0], response.change_mm[-1])
+
+
+@njit(cache=True)
+def _interpolated(x: "Floats", first: float, step: float, values: "Floats") -> "Floats":
+    out, last = np.ones((len(x), 3)), len(values) - 1
+    for i in range(len(x)):
+        if not np.isnan(x[i]):
+            at = min(max((x[i] - first) / step, 0.0), last - 1e-9)
+            k = int(at)
+            for c in range(3):
+                out[i, c] = values[k, c] + (at - k) * (values[k + 1, c] - values[k, c])
+    return out
+
+
+@njit(cache=True)
+def _means(picture: "Floats", n: int) -> "Floats":
+    """Means over blocks of n x n pixels of a picture (h, w) and of MARGIN blocks around it, where its edge goes on."""
+    h, w = picture.shape
+    out = np.zeros((2 * MARGIN - (-h // n), 2 * MARGIN - (-w // n)))
+    for y in range(n * out.shape[0]):
+        row = min(max(y - MARGIN * n, 0), h - 1)
+        for x in range(n * out.shape[1]):
+            out[y // n, x // n] += picture[row, min(max(x - MARGIN * n, 0), w - 1)]
+    return out / (n * n)
+
+
+@njit(cache=True)
+def _spread(coarse: "Floats", n: int, shape: tuple[int, int]) -> "Floats":
+    """A picture (h, w) by cubic B-splines on blocks of n x n pixels (see `_means`), first down and then across."""
+    columns, weights = coarse.shape[1], np.empty((n, 4))
+    for k in range(n):
+        f = (k + 0.5) / n - 0.5  # from the block's centre; the splines of four centres reach it
+        f += 1.0 if f < 0 else 0.0
+        g = 1.0 - f
+        weights[k] = g**3 / 6, 2 / 3 - f * f * (2 - f) / 2, 2 / 3 - g * g * (2 - g) / 2, f**3 / 6
+    down, out = np.zeros((shape[0], columns)), np.zeros(shape)
+    for y in range(shape[0]):
+        first = (2 * y + 1 - n) // (2 * n) - 1 + MARGIN
+        for m in range(4):
+            for x in range(columns):
+                down[y, x] += weights[y % n, m] * coarse[first + m, x]
+        for x in range(shape[1]):
+            first = (2 * x + 1 - n) // (2 * n) - 1 + MARGIN
+            for m in range(4):
+                out[y, x] += weights[x % n, m] * down[y, first + m]
+    return out
 
 
 def gain(response: "ThicknessResponse", change: "Floats") -> "Floats":

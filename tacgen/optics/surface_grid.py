@@ -44,8 +44,12 @@ class Untouched:
     def at(self, xy: Any) -> "Floats":
         """Current positions (n, 3) [mm] of rest positions (n, 2) [mm]."""
         xy = np.asarray(xy, dtype=np.float64)
-        top = self.pad.top(*xy.T) if self.pad else np.zeros(len(xy))
-        return np.column_stack([xy, top - self.skin * (self.crown + top)])
+        return np.column_stack([xy, self.height(xy)])
+
+    def height(self, xy: "Floats") -> "Floats":
+        """z (n,) [mm] at rest positions (n, 2) [mm]; a number on a flat face, even where they are nan."""
+        top = np.zeros(len(xy)) if self.pad is None or self.pad.flat else self.pad.top(*xy.T)
+        return np.asarray(top - self.skin * (self.crown + top))
 
 
 @dataclass(frozen=True)

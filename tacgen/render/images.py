@@ -56,7 +56,7 @@ class Light(Protocol):
     """A method to compute the light on a face."""
 
     def seen(self, at: Samples) -> "Floats":
-        """Linear radiance (H, W, 3) of what the camera's rays meet."""
+        """Linear radiance (H, W, 3) of what the camera's rays meet, in an array that the caller may change."""
 
 
 class Traced:
@@ -143,7 +143,7 @@ class Cloudy:
         """Linear radiance (H, W, 3), without noise of its own."""
         share = scattering.thickness(self._gel, at.position).reshape(self._view.shape)
         felt = scattering.felt(share, self._reach)
-        return self._view.picture(self._bright.at(felt.ravel())) * self.scattered
+        return self._view.picture(self._bright.tabulated.at(felt.ravel())) * self.scattered
 
 
 class Tabled:
@@ -218,7 +218,9 @@ class Renderer:
         effort, self.untouched = Effort.of(spp), untouched or Untouched.of(sensor.gel)
         self.sheet = Sheet.over(sensor.gel, SPACING if method == "path" else effort.spacing)
         self._view = View(sensor, self.sheet, markers, effort.samples)
-        self._stray = self._view.samples_of(camera_response.stray(sensor.camera))
+        self._stray = (
+            self._view.samples_of(camera_response.stray(sensor.camera)) if any(sensor.camera.ambient) else None
+        )
         self.light: Light
         if method == "transport" and not any(layer.scattering for layer in sensor.gel.clear_layers):
             self.name = "transport"
@@ -236,11 +238,17 @@ class Renderer:
     def image(self, surface: Surface) -> "NDArray[np.float32]":
         """Linear radiance (H, W, 3) of a deformed face, before the response; transport's only noise is the map's."""
         at = self._view.look(surface)
-        made = self.light.seen(at) + self._view.dimmed(at, self._stray)
+        made = self.light.seen(at)
+        if self._stray is not None:
+            made = made + self._view.dimmed(at, self._stray)
         if self.sensor.thickness_response is not None:
-            change = at.position[:, 2] - self.untouched.at(at.position[:, :2])[:, 2]
-            made *= self._view.picture(scattering.gain(self.sensor.thickness_response, change))
+            change = at.position[:, 2] - self._height(at.position[:, :2])
+            made *= self._view.picture(scattering.tabulated(self.sensor.thickness_response).at(change))
         return camera_response.blurred(made, self.sensor.camera).astype(np.float32)
+
+    def _height(self, xy: "Floats") -> "Floats":
+        face = self.untouched
+        return face.height(xy) if isinstance(face, Untouched) else np.asarray(face.at(xy)[:, 2])
 
     def flat(self) -> "NDArray[np.float32]":
         """Linear radiance (H, W, 3) of the untouched face."""

@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 from helpers.tiny import cloudy as sensor
+from scipy.ndimage import gaussian_filter
 
 from tacgen.optics import scattering
 from tacgen.optics.hertz_dent import BallDent
 from tacgen.optics.surface_grid import Untouched
+from tacgen.recipe import assets, loading
 from tacgen.recipe.sensor import Sensor
 from tacgen.render import images, mitsuba_variants
 from tacgen.render.mitsuba_path import PathTracer
@@ -115,6 +117,14 @@ def test_brightness_rises_with_thickness_and_is_one_where_untouched():
     assert bright.at(np.ones(1)) == pytest.approx(np.ones((1, 3)), abs=1e-9)
     assert bright.at(np.array([0.5]))[0] == pytest.approx(0.2 + 0.8 * 0.5**0.7, rel=0.02)
     assert (np.diff(bright.at(np.linspace(0.05, 1.4, 50))[:, 0]) > 0).all()
+    anywhere = np.random.default_rng(0).uniform(0.0, 1.6, 1000)
+    assert bright.tabulated.at(anywhere) == pytest.approx(bright.at(anywhere), abs=2e-6)
+
+
+def test_the_tabulated_gain_is_the_shipped_sensors_gain():
+    response = loading.read_sensor(assets.sensor_path("ninedtact"))[0].thickness_response
+    anywhere = np.append(np.random.default_rng(0).uniform(-2.5, 0.6, 1000), np.nan)
+    assert scattering.tabulated(response).at(anywhere) == pytest.approx(scattering.gain(response, anywhere), abs=2e-6)
 
 
 def test_light_feels_the_thickness_around():
@@ -123,6 +133,11 @@ def test_light_feels_the_thickness_around():
     assert scattering.felt(share, 0.01) == pytest.approx(share)
     blurred = scattering.felt(share, 3.0)
     assert 0.6 < blurred[20, 19] < 0.9
+    y, x = np.mgrid[:121, :163]
+    hole = np.where(np.hypot(x - 90, y - 40) < 20, 0.4, 1.0) - 0.001 * y
+    for reach in (8.5, 16.0, 31.0):  # by blocks of 2, 4 and 7 pixels
+        exact = gaussian_filter(hole, reach, mode="nearest", truncate=5.0)
+        assert scattering.felt(hole, reach) == pytest.approx(exact, abs=2e-3)
     bright = scattering.Brightness(np.array([0.1, 1.0]), np.array([[0.4] * 3, [1.0] * 3]))
     picture = bright.at(blurred.ravel()).reshape(40, 40, 3)
     assert scattering.wander(bright, share, 0.5, picture) == pytest.approx(1.5, rel=0.02)
