@@ -166,7 +166,9 @@ def validate(file: RecipeFile, sets: Sets = None) -> None:
         return
     plan = plan_of(file, sets)
     row = plan.rows[0]
-    typer.echo(f"{path}: a valid recipe, {plan.name}: {counted(len(plan.rows), 'scene')}, sensor {row.sensor.name}")
+    names = plan.sensors
+    on = f"{'sensors' if len(names) > 1 else 'sensor'} {', '.join(names)}"
+    typer.echo(f"{path}: a valid recipe, {plan.name}: {counted(len(plan.rows), 'scene')}, {on}")
     for note in checks.notes(row.recipe, row.sensor):
         typer.echo(f"note: {note}")
 

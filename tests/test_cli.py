@@ -266,6 +266,9 @@ def test_a_bug_keeps_its_traceback(tmp_path: Path, batch: Any, bug: Exception):
 
 def test_validate_tells_recipes_and_sensors_apart(tmp_path: Path):
     assert "a valid recipe, batch: 8 scenes, sensor gelsight_mini" in tacgen_("validate", "batch").stdout
+    all_of_them = "a valid recipe, sensor_pairs: 6 scenes, sensors gelsight_mini, digit, ninedtact\n"
+    assert all_of_them in tacgen_("validate", "sensor_pairs").stdout
+    assert "1 scene, sensors gelsight_mini, digit\n" in tacgen_("validate", "grasp").stdout
     sensor = assets.sensor_path("gelsight_mini")
     assert tacgen_("validate", str(sensor)).stdout == f"{sensor}: a valid sensor, gelsight_mini\n"
     bad = tmp_path / "s.yaml"

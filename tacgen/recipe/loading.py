@@ -9,6 +9,7 @@ from tacgen.errors import UserError
 from tacgen.recipe import assets, checks
 from tacgen.recipe.model import IMAGES, Recipe
 from tacgen.recipe.sensor import Sensor
+from tacgen.recipe.usual_values import unusual
 from tacgen.recipe.validation_messages import Problem, report, suggest, validate
 from tacgen.recipe.yaml_source import KeyPath, Mark, Source, Spot, Tree, at, describe, load, parse, parse_path
 
@@ -87,11 +88,12 @@ def check_sensor(data: Any, folder: Path | None = None, images: bool = True) -> 
 
 
 def sensor_warnings(sensor: Sensor, tree: Tree) -> tuple[str, ...]:
-    """A warning if parts of a sensor file name no source of their numbers."""
+    """Warnings about numbers that are unusual, and one if parts of a sensor file name no source of theirs."""
+    told = tuple(problem.place(tree) for problem in unusual(sensor.gel))
     if not (parts := sensor.unsourced):
-        return ()
+        return told
     text = f"{', '.join(parts)}: no source; say where the numbers come from, as in source: assumed"
-    return (f"{tree.spot(()).value.source.name}: {text}",)
+    return (*told, f"{tree.spot(()).value.source.name}: {text}")
 
 
 def folders(tree: Tree, recipe: Recipe, varied: Mapping[str, KeyPath] | None = None) -> dict[KeyPath, Path]:

@@ -30,6 +30,7 @@ from tacgen.recipe.pose_table import Pose
 from tacgen.recipe.sampling import correlated, draw, scene_count
 from tacgen.recipe.sensor import Sensor
 from tacgen.recipe.trajectory_checks import replayed, resolved
+from tacgen.recipe.usual_values import unusual
 from tacgen.recipe.validation_messages import Problem, report, validate
 from tacgen.recipe.yaml_source import KeyPath, Tree, format_path, parse_path, put
 
@@ -154,6 +155,7 @@ class Plan:
     frames: Sequence[int]  # of each scene
     paths: tuple[str, ...] = ()  # what is varied
     warnings: tuple[str, ...] = ()  # what a person should know before this is run
+    sensors: tuple[str, ...] = ()  # names of those that its scenes are made on, in the order of the recipe
 
 
 def load(path: Path, sets: Iterable[str] = (), shard: tuple[int, int] = (0, 1)) -> Plan:
@@ -191,10 +193,13 @@ def expand(
         other, lacking = _right_sensor(recipe, sensor, tree)
         if lacking:
             raise report(lacking)
+        if other is not None and other is not sensor:
+            told += tuple(f"{other.name}: {format_path(odd.path)}: {odd.message}" for odd in unusual(other.gel))
         seed = scene_seed(0, 0)
         only = Row(0, "scene-00000", seed, resolved(recipe, starts), sensor, folders=starts, other=other)
         times = 1 if indices is None else len(indices)
-        return Plan(recipe.name, times * [only], times * [only.frames], warnings=told)
+        names = tuple(dict.fromkeys(each.name for each in (sensor, other) if each))
+        return Plan(recipe.name, times * [only], times * [only.frames], warnings=told, sensors=names)
     _check(vary, tree)
     count = scene_count(vary)
     wanted = range(count) if indices is None else indices
@@ -217,16 +222,24 @@ def expand(
 
     frames = array("i")
     problems: dict[tuple[KeyPath, str], list[tuple[str, Problem]]] = {}
+    odd: dict[KeyPath, list[tuple[str, Problem]]] = {}  # values of the sensor that are drawn, and unusual
+    drawn_gel = any(name.startswith("sensor.gel") for name in vary.paths)
     for k, index in enumerate(wanted):
         row, wrong = attempt(k, checking=True)
         frames.append(row.frames if row else 0)
+        for strange in unusual(row.sensor.gel) if row and drawn_gel else ():
+            path = ("sensor", *strange.path)
+            odd.setdefault(path, []).append((f"scene-{index:05d}", replace(strange, path=path)))
         for problem in wrong:
             alike = re.sub(r"-?\d[\d.e+-]*", "#", problem.message)  # numbers differ from scene to scene
             problems.setdefault((problem.path, alike), []).append((f"scene-{index:05d}", problem))
     if problems:
         raise UserError(_message(group, tree, vary) for group in problems.values())
+    names = tuple(dict.fromkeys(each.name for each, _ in named.values())) or (sensor.name,)
+    told += tuple(_message(group, tree, vary).split("\n", 1)[0] for group in odd.values())
     told = tuple(dict.fromkeys((*told, *more))) + tuple(problem.point(tree) for problem in correlated(vary))
-    return Plan(recipe.name, Rows(resolve, range(len(wanted))), frames, tuple(vary.paths), told)
+    varied = Rows(resolve, range(len(wanted)))
+    return Plan(recipe.name, varied, frames, tuple(vary.paths), told, names)
 
 
 def scene_seed(seed: int, index: int) -> int:

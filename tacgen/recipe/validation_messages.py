@@ -51,6 +51,10 @@ class Problem:
         """The message, then the source line with a caret under the place."""
         return self.mark(tree).point(prefix + ": ".join(filter(None, [format_path(self.path), self.message])))
 
+    def place(self, tree: Tree) -> str:
+        """The message alone, with its place: one line."""
+        return self.point(tree).split("\n", 1)[0]
+
     def mark(self, tree: Tree) -> Mark:
         """Position of the value (or key); if it was not written, that of the nearest key around it."""
         spot = tree.spot(self.path)
