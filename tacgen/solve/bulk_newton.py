@@ -4,7 +4,7 @@
         K <- tangent of the bulk at x, factorised            (kept while it contracts well)
         S <- Schur complement of K on the nodes near contact
         solve  (S + d S_0) u + load + contact(u) + friction(u) = 0        (see contact_newton)
-            where that is unstable, d grows (Levenberg-Marquardt)
+            where that is unstable, or steps go in circles, d grows (Levenberg-Marquardt)
         p <- the step of all nodes that goes with u
         x <- x + a p   with the first a = 1, 1/2, 1/4... that lowers the energy, normal forces frozen
 
@@ -29,7 +29,7 @@ from tacgen.solve.state import History, NotConverged
 Array = np.ndarray
 BAD = 1e-3  # decrease of the energy over the predicted one, below which a step is halved [-]
 SHORTEST = 1 / 16  # shortest part of a step; below, it is repeated with more damping [-]
-DAMPING_MAX = 2e3  # largest damping [-]
+DAMPING_MAX = 2e3  # largest damping, over the stiffness at rest [-]
 USUAL = 0.1  # assumed contraction of the residual by a kept tangent, before it is measured [-]
 ROUNDING = 1e-12  # relative rounding error of the energy [-]
 SQUEEZED = 0.2  # J below which the message of a failure reports it [-]
@@ -98,8 +98,7 @@ class BulkNewton:
                 return at.x, contact, step
             if np.isfinite(before):  # a step with the same tangent as the one before contracts about half as much
                 rate = (2 if new else 1) * residual / before
-            if found.part == 1:
-                damping = 0.0 if damping <= LEAST_DAMPING else damping / MORE
+            damping = self._next_damping(found, residual < before)
             new = not options.keep_tangent or found.part < 1 or self._slow(residual, rate)
         raise NotConverged(why(self.bulk, at.x, step))
 
@@ -107,6 +106,15 @@ class BulkNewton:
         options = self.options
         small = moved <= self.xtol and residual <= options.residual_max / 2 and found.damping == 0
         return found.inner.converged and (residual <= options.residual_tol or small)
+
+    def _next_damping(self, found: Step, fell: bool) -> float:
+        """Less after a full step; more if its contact did not converge and the residual did not fall: such steps go
+        in circles, each with normal forces of its own."""
+        if not found.inner.converged and found.inner.steps >= self.options.max_contact:
+            return found.damping if fell else max(MORE * found.damping, LEAST_DAMPING)
+        if found.part < 1:
+            return found.damping
+        return 0.0 if found.damping <= LEAST_DAMPING else found.damping / MORE
 
     def _slow(self, residual: float, rate: float) -> bool:
         """Whether the kept tangent would need more than `patience` further steps, at a contraction of `rate` each."""

