@@ -142,7 +142,8 @@ class TactileDataset:
 
 
 class TactilePairs:
-    """The same contact on several sensors: `pairs[i]` is a dictionary from the sensors' names to one frame of each.
+    """The same contact on several sensors: `pairs[i]` is a dictionary from the sensors' names to one frame of each; or
+    the two fingers of a grasp, named `left` and `right`.
 
     The frames are those of TactileDataset, which has the same arguments. Contacts that do not exist on all of `sensors`
     are left out.
@@ -176,7 +177,7 @@ class TactilePairs:
             transform=transform,
         )
         scenes = self.dataset.scenes
-        contacts = [{scenes[i].attrs["sensor"]: i for i in places} for places in dataset.contacts(scenes)]
+        contacts = [{dataset.role(scenes[i]): i for i in places} for places in dataset.contacts(scenes)]
         several = sensors or next((tuple(contact) for contact in contacts if len(contact) > 1), ())
         self.sensors = tuple(several)
         whole = [contact for contact in contacts if several and contact.keys() >= set(several)]
@@ -202,7 +203,7 @@ def divide(
 ) -> tuple[Bundle, ...]:
     """The scenes of one part, in their original order: all are sorted by a hash of inputs and seed, and divided.
 
-    Scenes of the same contact on several sensors stay together.
+    Scenes of the same contact on several sensors, and the fingers of a grasp, stay together.
 
     Raises:
         UserError: an unknown part, fractions that do not add up to 1, or no scene in the part.

@@ -187,3 +187,15 @@ def test_a_contact_is_in_one_part_on_all_its_sensors(paired: Path, folder: Path)
         TactilePairs(folder, ("force",))
     with pytest.raises(UserError, match="holds no contact on digit and tip"):
         TactilePairs(paired, ("force",), sensors=("digit", "tip"))
+
+
+def test_both_fingers_of_a_grasp_are_in_the_same_part(tmp_path: Path) -> None:
+    for i in range(16):
+        finger = {"scene_index": i // 2, "finger": ("left", "right")[i % 2], "sensor": "digit"}
+        write(tmp_path / f"scene-{i // 2:05d}-{'LR'[i % 2]}.h5", input_key=f"{i:064d}", **finger)
+    parts = []
+    for part in ("train", "val", "test"):
+        pairs = TactilePairs(tmp_path, ("force",), split=part, fractions=(0.5, 0.25, 0.25))
+        assert pairs.sensors == ("left", "right")
+        parts.append(len(pairs))
+    assert parts == [4 * FRAMES, 2 * FRAMES, 2 * FRAMES]

@@ -25,9 +25,7 @@ class Change(NamedTuple):
 def caption(bundle: Bundle) -> str:
     """The scene in a few sentences, with its contact events if they are among the outputs."""
     moves = ", ".join(filter(None, map(_move, bundle.recipe.get("trajectory", ()))))
-    said = [
-        f"{_article(text := indenter_text(bundle))} {text}, on {bundle.attrs['sensor']}" + f": {moves}" * bool(moves)
-    ]
+    said = [f"{_article(text := indenter_text(bundle))} {text}, on {sensor_text(bundle)}" + f": {moves}" * bool(moves)]
     if found := changes(bundle):
         text = ", ".join(f"{change.mode} from frame {change.frame}{_at(change.time)}" for change in found)
         said.append(text[0].upper() + text[1:])
@@ -62,9 +60,20 @@ def indenter_text(bundle: Bundle) -> str:
         del fields["scale"]
     for name, value in fields.items():
         what, _, unit = name.rpartition("_") if "_" in name else (name, "", "")
-        number = f"{what.replace('_', ' ')} {value:g} {unit}".rstrip() if isinstance(value, int | float) else ""
+        number = f"{what.replace('_', ' ')} {rounded(value)} {unit}".rstrip() if isinstance(value, int | float) else ""
         words.append(number or f"{value}")
     return ", ".join(words)
+
+
+def sensor_text(bundle: Bundle) -> str:
+    """`digit`; of a grasp `digit (right finger)`."""
+    finger = f" ({bundle.attrs['finger']} finger)" if "finger" in bundle.attrs else ""
+    return f"{bundle.attrs['sensor']}{finger}"
+
+
+def rounded(value: float) -> str:
+    """A number with three significant digits, or to the nearest whole one: `0.524`, `1235`."""
+    return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
 
 
 def _article(text: str) -> str:
@@ -79,17 +88,24 @@ def _move(segment: dict[str, Any]) -> str:
     """A movement of a recipe in words, such as `pressed 1 mm deep`; empty for an unknown one."""
     kind, keys = next(((kind, keys) for kind, keys in segment.items() if isinstance(keys, dict)), ("", {}))
     number = {key: value for key, value in keys.items() if isinstance(value, int | float)}
-    force = f" under {number['force_n']:g} N" if "force_n" in number else ""
+    said = {key: rounded(value) for key, value in number.items()}
+    force = f" under {said['force_n']} N" if "force_n" in said else ""
     match kind:
-        case "press" if "force_n" in number:
-            return f"pressed with {number['force_n']:g} N"
-        case "press" if "depth_mm" in number:
-            return f"pressed {number['depth_mm']:g} mm deep"
+        case "press" if force:
+            return f"pressed with {said['force_n']} N"
+        case "press" if "depth_mm" in said:
+            return f"pressed {said['depth_mm']} mm deep"
         case "slide":
-            ways = [f"{number[f'{axis}_mm']:g} mm along {axis}" for axis in "xy" if number.get(f"{axis}_mm")]
+            ways = [f"{said[f'{axis}_mm']} mm along {axis}" for axis in "xy" if number.get(f"{axis}_mm")]
             return f"slid {' and '.join(ways) or '0 mm'}{force}"
         case "twist" | "tilt":
-            return f"{'turned' if kind == 'twist' else 'tilted'} by {number.get('angle_deg', 0):g} degrees{force}"
+            return f"{'turned' if kind == 'twist' else 'tilted'} by {said.get('angle_deg', 0)} degrees{force}"
+        case "close":
+            return f"gripped with {said['force_n']} N" if force else f"gripped {said.get('width_mm', '?')} mm wide"
+        case "lift" if number.get("height_mm", 0) < 0:
+            return f"lowered {rounded(-number['height_mm'])} mm"
+        case "lift":
+            return f"lifted {said.get('height_mm', '?')} mm"
         case "replay":
             return f"moved through {keys.get('file', 'a table of poses')}"
     return {"hold": "held", "release": "lifted"}.get(kind, "")

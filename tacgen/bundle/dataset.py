@@ -79,13 +79,19 @@ def scenes(source: Path) -> list[Bundle]:
 
 
 def contacts(bundles: Sequence[Bundle]) -> list[list[int]]:
-    """Groups of indices of bundles that hold the same contact on different sensors; any other bundle is alone."""
+    """Groups of indices of bundles that belong together: the same contact on different sensors, or the two fingers of a
+    grasp. Any other bundle is alone."""
     found: dict[object, list[int]] = {}
     for place, bundle in enumerate(bundles):
-        number = bundle.attrs.get("pair")
+        number = bundle.attrs.get("scene_index" if "finger" in bundle.attrs else "pair")
         key = place if number is None else (bundle.path.parent, bundle.recipe.get("name"), number)
         found.setdefault(key, []).append(place)
     return list(found.values())
+
+
+def role(bundle: Bundle) -> str:
+    """What tells a bundle from the others of its contact: `left` or `right` of a grasp, otherwise the sensor."""
+    return str(bundle.attrs.get("finger", bundle.attrs["sensor"]))
 
 
 def files(folder: Path) -> list[Path]:

@@ -9,7 +9,8 @@ w x y z) and `action` the pose of the next frame. If the scenes have them: `obse
 Quasi-static scenes have no time; their frames get a nominal rate of FPS.
 
 The same contact on several sensors is one episode: `observation.images.digit`, `observation.force.digit` and so on, and
-state and action concatenate the poses on all of them.
+state and action concatenate the poses on all of them. So are the two fingers of a grasp: `observation.images.left`,
+`observation.force.right`.
 """
 
 import json
@@ -22,6 +23,7 @@ import numpy as np
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.caption import MODE, caption
 from tacgen.bundle.dataset import contacts
+from tacgen.bundle.dataset import role as role_of
 from tacgen.bundle.image_file import encoded
 from tacgen.errors import UserError
 from tacgen.export import needs, poses
@@ -41,7 +43,7 @@ CONTACT = {  # datasets of /frames/events, and the names of their components
 }
 VECTORS = {"force": "n", "torque": "n_mm", "markers": "px", "marker_flow": "px"}  # and their units
 COUNTS_PER_MM = 1000  # of a depth image: 1 um per count, up to 65 mm
-Episode = dict[str, Bundle]  # by the sensor's name, or ALONE
+Episode = dict[str, Bundle]  # by the sensor's name or the finger, or ALONE
 Each = dict[str, dict[str, Any]]  # by the same key, the features of that sensor
 INDICES = ("frame_index", "episode_index", "index", "task_index")
 QUANTILES = (0.01, 0.10, 0.50, 0.90, 0.99)
@@ -94,10 +96,11 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
 
 
 def episodes(bundles: Sequence[Bundle]) -> list[Episode]:
-    """One episode per scene, or per contact if contacts are on several sensors; those without all are left out."""
+    """One episode per scene, or per contact if contacts are on several sensors or fingers; those without all are left
+    out."""
     found: list[Episode] = []
     for together in contacts(bundles):
-        found.append({bundles[i].attrs["sensor"]: bundles[i] for i in together})
+        found.append({role_of(bundles[i]): bundles[i] for i in together})
     most = max(found, key=len)
     if len(most) == 1:
         return [{ALONE: bundle} for bundle in bundles]

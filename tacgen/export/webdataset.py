@@ -4,8 +4,8 @@
 
 `<scene>-<frame>.rgb.png`, `.force.npy`, `.pose.npy`, ... : every dataset of /frames by its name, except quality,
 and `.json`: scene, sensor, caption, frame, segment, varied values, units, and if the bundle has them the contact events
-and the number of the contact on several sensors (`pair`). The image of the untouched sensor is stored once per scene,
-`reference/<scene>.png`: a copy in each sample would double the size.
+and the number of the contact on several sensors (`pair`) or the `finger` of a grasp. The image of the untouched sensor
+is stored once per scene, `reference/<scene>.png`: a copy in each sample would double the size.
 """
 
 import json
@@ -49,8 +49,7 @@ def samples(name: str, bundle: Bundle) -> Iterator[dict[str, Any]]:
     events = {path.rpartition("/")[2]: bundle[path] for path in bundle.shapes if path.startswith("/frames/events/")}
     scene: dict[str, Any] = {"scene": name, "sensor": bundle.attrs["sensor"], "caption": caption(bundle)}
     scene["values"] = json.loads(bundle.attrs.get("values", "{}"))
-    if "pair" in bundle.attrs:
-        scene["pair"] = bundle.attrs["pair"]
+    scene |= {name: bundle.attrs[name] for name in ("pair", "finger") if name in bundle.attrs}
     for k in range(bundle.frames):
         about = {**scene, "frame": k, "segment": bundle.segments[k], "units": UNITS}
         if events:

@@ -10,7 +10,7 @@ import numpy as np
 
 from tacgen.bundle import dataset
 from tacgen.bundle.bundle import Bundle, read
-from tacgen.bundle.caption import caption, indenter_text
+from tacgen.bundle.caption import caption, indenter_text, sensor_text
 from tacgen.errors import UserError
 from tacgen.report.layers import LAYERS, limits
 from tacgen.report.sheet import Sheet
@@ -90,7 +90,7 @@ def summary(path: Path) -> str:
     status = attrs["status"] + (f" ({attrs['reason']})" if attrs["reason"] else "")
     runs = [f"{kind} {len(list(group))}" for kind, group in groupby(bundle.segments) if kind]
     lines = [
-        f"{path}: {bundle.recipe.get('name', '')}, {attrs['sensor']}, {indenter_text(bundle)}",
+        f"{path}: {bundle.recipe.get('name', '')}, {sensor_text(bundle)}, {indenter_text(bundle)}",
         f"about     {caption(bundle)}",
         f"status    {status}",
         f"frames    {bundle.frames} of {attrs['frames_planned']}" + (f": {', '.join(runs)}" if runs else ""),
@@ -123,7 +123,7 @@ def _mesh(found: dict[str, Any]) -> str:
 
 def heading(sheet: Sheet, bundle: Bundle) -> None:
     """The bundle's name, indenter and sensor at the top of a sheet, and in red why it was rejected."""
-    text = f"{bundle.recipe.get('name', bundle.path.stem)}: {indenter_text(bundle)}, on {bundle.attrs['sensor']}"
+    text = f"{bundle.recipe.get('name', bundle.path.stem)}: {indenter_text(bundle)}, on {sensor_text(bundle)}"
     sheet.figure.text(0.5, 1 - 0.12 / sheet.height, text, ha="center", va="top", fontsize=11)
     if bundle.attrs["status"] != "ok":
         text = f"{bundle.attrs['status']}: {bundle.attrs['reason']}"

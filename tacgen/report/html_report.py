@@ -121,8 +121,15 @@ def _pictures(seen: Overview) -> str:
         if picture:
             values = "<br>".join(escape(f"{names[p]} {dataset_summary.spread([v])}") for p, v in scene.values.items())
             force = "" if scene.peak_n is None else f"{scene.peak_n:.3g} N"
-            shown.append(f"<figure>{picture}<b>{escape(scene.name)}</b> {force}<br>{values}</figure>")
+            shown.append(
+                f"<figure>{picture}<b>{escape(scene.name)}</b>{_finger(scene.bundle)} {force}<br>{values}</figure>"
+            )
     return "".join(shown)
+
+
+def _finger(bundle: Bundle) -> str:
+    """Of a grasp, ` left finger` or ` right finger`."""
+    return f" {escape(bundle.attrs['finger'])} finger" if "finger" in bundle.attrs else ""
 
 
 def _frames(scenes: Sequence[Scene]) -> str:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from tacgen.bundle.bundle import Bundle
-from tacgen.bundle.caption import indenter_text
+from tacgen.bundle.caption import indenter_text, sensor_text
 from tacgen.bundle.image_file import encoded
 from tacgen.errors import UserError
 from tacgen.fem.elements import triangles
@@ -123,7 +123,7 @@ def _about(bundle: Bundle) -> dict[str, Any]:
     left, top = (scale.centre[k] - size / 2 * scale.per_px for k, size in enumerate((width, height)))
     return {
         "name": _name(bundle),
-        "about": f"{indenter_text(bundle)}, on {bundle.attrs['sensor']}",
+        "about": f"{indenter_text(bundle)}, on {sensor_text(bundle)}",
         "rejected": "" if bundle.attrs["status"] == "ok" else f"{bundle.attrs['status']}: {bundle.attrs['reason']}",
         "frames": frames.tolist(),
         "segments": [segments[k] for k in frames],

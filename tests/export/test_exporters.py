@@ -231,6 +231,29 @@ def test_lerobot_has_an_episode_for_each_contact_on_several_sensors(tmp_path: Pa
     assert set(rows[0]) == set(features)
 
 
+def test_lerobot_has_an_episode_for_both_fingers_of_a_grasp(tmp_path: Path) -> None:
+    """Of the same sensor, and features named by the finger; a finger alone is left out."""
+    parquet = pytest.importorskip("pyarrow.parquet")
+    for i in range(5):
+        finger = {"scene_index": i // 2, "finger": ("left", "right")[i % 2], "sensor": "digit"}
+        write(tmp_path / "in" / f"scene-{i // 2:05d}-{'LR'[i % 2]}.h5", shape=(48, 64), edit=real, **finger,
+              reference_height=np.zeros((12, 16)))  # fmt: skip
+    export.export("lerobot", tmp_path / "in", tmp_path / "out")
+    info = json.loads((tmp_path / "out/meta/info.json").read_text())
+    assert (info["robot_type"], info["total_episodes"], info["total_frames"]) == ("digit, digit", 2, 2 * FRAMES)
+    names = info["features"]["observation.state"]["names"]
+    assert (names[0], names[7]) == ("left.x_mm", "right.x_mm")
+    rows = parquet.read_table(tmp_path / "out/data/chunk-000/file-000.parquet").to_pylist()
+    for finger in ("left", "right"):
+        scene, row = read(tmp_path / "in" / f"scene-00001-{finger[0].upper()}.h5"), rows[FRAMES + 4]
+        image = np.asarray(Image.open(io.BytesIO(row[f"observation.images.{finger}"]["bytes"])))
+        assert np.array_equal(image, scene.frame("/frames/rgb", 4))
+        assert row[f"observation.force.{finger}"] == pytest.approx(scene.frame("/frames/force", 4))
+    (task,) = parquet.read_table(tmp_path / "out/meta/tasks.parquet").column("task").to_pylist()
+    assert "on digit (left finger): " in task
+    assert "on digit (right finger): " in task
+
+
 def test_lerobot_depth_is_16_bit_in_micrometres(folder: Path, scene: Bundle, tmp_path: Path) -> None:
     parquet = pytest.importorskip("pyarrow.parquet")
     export.export("lerobot", folder, tmp_path)

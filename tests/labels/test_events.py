@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.synthetic import attributes, write
 
 from tacgen import pipeline
 from tacgen.bundle.bundle import Bundle, read
@@ -11,6 +12,8 @@ from tacgen.bundle.caption import Change, caption, changes, modes
 from tacgen.labels.events import friction_used
 from tacgen.optics.camera import Camera
 from tacgen.recipe import plan
+from tacgen.report import viewer
+from tacgen.report.bundle_figure import figure, summary
 
 Array = np.ndarray
 BALL, PUNCH = "{shape: sphere, radius_mm: 4}", "{shape: cylinder, radius_mm: 3, fillet_mm: 0.4}"
@@ -60,6 +63,21 @@ def test_a_caption_tells_what_is_done_and_what_happens(tmp_path: Path) -> None:
         "A sphere, radius 4 mm, on gelsight_mini: pressed 0.6 mm deep, slid -2 mm along x. Touching from frame 0 (1 s),"
         f" sliding from frame 1 (1.5 s). The largest force is {force.max():.3g} N, in frame {force.argmax()}."
     )
+
+
+def test_a_caption_rounds_and_names_the_finger_of_a_grasp(tmp_path: Path) -> None:
+    moves = [{"close": {"force_n": 3.00049}}, {"lift": {"height_mm": -5.12345}}, {"tilt": {"angle_deg": -123.6}},
+             {"close": {"width_mm": 11.98765}}]  # fmt: skip
+    indenter = {"shape": "capsule", "radius_mm": 4.238172, "length_mm": 14.0}
+    recipe = attributes()["recipe"] | {"indenter": indenter, "trajectory": moves}
+    bundle = read(write(tmp_path / "a.h5", recipe=recipe, finger="right", sensor="digit"))
+    assert caption(bundle).startswith(
+        "A capsule, length 14 mm, radius 4.24 mm, on digit (right finger): gripped with 3 N, lowered 5.12 mm,"
+        " tilted by -124 degrees, gripped 12 mm wide. The largest force is"
+    )
+    assert "digit (right finger)" in summary(bundle.path)
+    assert "digit (right finger)" in viewer.block([bundle], in_3d=False)
+    assert any(text.get_text().endswith("on digit (right finger)") for text in figure(bundle).texts)
 
 
 def test_share_area_and_center_agree_with_the_maps(tmp_path: Path) -> None:
