@@ -25,7 +25,7 @@ from tacgen.optics.surface_grid import Sheet, Surface, Untouched
 from tacgen.recipe import assets, plan
 from tacgen.recipe.model import QUALITIES
 from tacgen.recipe.sensor import Camera, LitSensor
-from tacgen.render import images, mitsuba_variants
+from tacgen.render import images, mitsuba_variants, traced_maps
 from tacgen.render.mitsuba_path import PathTracer, Window
 from tacgen.scene import mesh, scene
 
@@ -96,7 +96,7 @@ class Paths:
 
     @cached_property
     def _tracer(self) -> PathTracer:
-        return PathTracer(self.sensor, Sheet.over(self.sensor.gel, images.SPACING), self.markers, self.variant)
+        return PathTracer(self.sensor, Sheet.over(self.sensor.gel, traced_maps.SPACING), self.markers, self.variant)
 
     def seen(self, at: Samples) -> Array:
         """Linear radiance (H, W, 3), nan outside the windows."""
@@ -126,7 +126,7 @@ class Paths:
         dots = self.sensor.markers.model_dump() if self.markers and self.sensor.markers else None
         light = [led.light for led in self.sensor.leds]
         face = hashlib.sha256(nodes.astype(np.float32).tobytes()).hexdigest()
-        return images.key(self.sensor, "any", light, dots, face, self.spp, self.windows, self.looks)
+        return traced_maps.key(self.sensor, "any", light, dots, face, self.spp, self.windows, self.looks)
 
 
 def chosen(camera: Camera, count: int, seed: int = 0) -> list[Window]:
@@ -147,7 +147,7 @@ def solved(sensor: str, face: str, shrink: int) -> tuple[LitSensor, Surface, boo
     dots &= sensor != "ninedtact"  # invisible through a scattering gel
     row = plan.load(assets.recipe_path("quickstart"), [*sets, *([DOTS] if dots and sensor == "digit" else [])]).rows[0]
     lit = cast(LitSensor, row.sensor)
-    lit = images.zoomed(lit, lit.camera.width_px // shrink) if shrink > 1 else lit
+    lit = traced_maps.zoomed(lit, lit.camera.width_px // shrink) if shrink > 1 else lit
     if not path:
         return lit, Untouched.of(lit.gel), dots
     made = scene.build(row)

@@ -3,7 +3,8 @@
 import hashlib
 import io
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from tacgen import atomic_file, regular_file
 Array = np.ndarray
 LARGEST = 2**31  # largest entry [bytes]
 SEAL = hashlib.sha256().digest_size
+_tell: list[Callable[[str], None]] = []  # called with the kind of an entry before it is made
 
 
 def cache_folder() -> Path:
@@ -52,7 +54,21 @@ def kept_bytes(kind: str, key: str, make: Callable[[], bytes]) -> bytes:
     """The same for bytes; a damaged entry, or one of another key, is made again."""
     file = cache_folder() / kind / f"{key}.entry"
     found = read(file, key)
-    return store(file, key, make()) if found is None else found
+    if found is not None:
+        return found
+    for tell in _tell:
+        tell(kind)
+    return store(file, key, make())
+
+
+@contextmanager
+def telling(tell: Callable[[str], None]) -> Iterator[None]:
+    """Call `tell` with the kind of each entry that this block has to make, before it is made."""
+    _tell.append(tell)
+    try:
+        yield
+    finally:
+        _tell.remove(tell)
 
 
 def read(file: Path, key: str) -> bytes | None:

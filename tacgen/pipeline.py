@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from tacgen import compiled, solve
+from tacgen import array_cache, compiled, solve
 from tacgen.bundle import bundle, resume
 from tacgen.bundle.resume import SceneResult
 from tacgen.geometry import gel as geometry
@@ -25,6 +25,7 @@ MIN_EDGES = 3  # an indenter's smallest radius should be at least so many edges 
 DENT = 0.05  # [mm] deep, of the face whose picture is rendered only to compile what renders it
 MATCHED = 2e-3  # of a force that is asked for on several sensors: within this part of it in every frame [-]
 NO_CONTACT = "the indenter touches the gel in no frame: check its start or poses, and their unit"
+TRACED = ("untouched", "table")  # entries of the cache that take long, and that come first of a sensor's images
 OnEvent = Callable[[dict[str, Any]], None]
 Data = TypeVar("Data", SceneData, FrameData)
 
@@ -124,8 +125,12 @@ def _make(row: Row, path: Path, on_event: OnEvent | None) -> SceneResult:
         if on_event:
             on_event({"event": "compiling", "scene": row.name})
 
+    def tell_tracing(kind: str) -> None:
+        if on_event and kind in TRACED:
+            on_event({"event": "tracing", "scene": row.name})
+
     clock = Clock()
-    with compiled.telling(tell):
+    with compiled.telling(tell), array_cache.telling(tell_tracing):
         with clock.stage("start"), compiled.once("solve"):
             solve.warm()  # every BLAS is loaded by now: a limit does not reach those that come later
         with threadpool_limits(1, user_api="blas"):

@@ -71,3 +71,14 @@ array_cache.kept_one("kind", "killed", lambda: np.arange(6.0))
     assert [path for path in file.parent.iterdir() if "part" in path.name]
     assert np.array_equal(again("killed"), -MADE)
     assert not [path for path in file.parent.iterdir() if "part" in path.name]
+
+
+def test_what_has_to_be_made_is_told_before():
+    told: list[str] = []
+    with array_cache.telling(told.append):
+        for _ in range(2):
+            array_cache.kept_one("slow", "key", lambda: np.full(1, len(told)))
+    assert told == ["slow"]
+    assert array_cache.kept_one("slow", "key", lambda: MADE)[0] == 1
+    entry("after")
+    assert told == ["slow"]

@@ -28,7 +28,7 @@ from tacgen.optics.surface_grid import Sheet, Surface, Untouched
 from tacgen.recipe import background_photo, optics_checks
 from tacgen.recipe.sensor import Camera, Led, LitSensor
 from tacgen.recipe.yaml_source import KeyPath
-from tacgen.render import images
+from tacgen.render import traced_maps
 
 if TYPE_CHECKING:
     from tacgen.calibrate import Asked
@@ -112,7 +112,7 @@ class Fit:
         """`faces`: those of the presses; `bare`: the photographed gel has no markers, whatever the file says."""
         self.tolerance = tolerance
         columns = max(min(LEAST_WIDTH, sensor.camera.width_px), sensor.camera.width_px // SHRINK)
-        self.sensor = images.zoomed(sensor, columns)
+        self.sensor = traced_maps.zoomed(sensor, columns)
         self.sheet, untouched = Sheet.over(sensor.gel, SHEET), Untouched.of(sensor.gel)
         self._bounce = Bounce(self.sensor)
         sides = np.array([sensor.gel.width_mm, sensor.gel.height_mm]) / 2 + sensor.walls.margin_mm

@@ -24,7 +24,7 @@ from tacgen.recipe import background_photo
 from tacgen.recipe.sensor import Camera as Eye
 from tacgen.recipe.sensor import LitSensor, ThicknessResponse
 from tacgen.recipe.yaml_source import KeyPath
-from tacgen.render import images
+from tacgen.render import images, traced_maps
 
 Array = np.ndarray
 CHANGES = (-2.1, -1.6, -1.2, -0.8, -0.4, -0.15, 0.0, 0.08, 0.16, 0.24, 0.32, 0.45)  # of thickness, for the gain [mm]
@@ -113,7 +113,7 @@ def powers(sensor: LitSensor, maps: Array, untouched: Array) -> Array:
     """Radiances (leds, 3) with which maps (leds, h, w, 3) of unit radiance sum to a photograph (H, W, 3)."""
     h, w = maps.shape[1:3]
     wanted = background_photo.shrunk(camera_response.linear(untouched / 255.0, sensor.camera), w, h)
-    shown = np.array([camera_response.expose(one, images.zoomed(sensor, w).camera) for one in maps])
+    shown = np.array([camera_response.expose(one, traced_maps.zoomed(sensor, w).camera) for one in maps])
     return np.asarray(
         np.array([nnls(shown[..., c].reshape(len(maps), -1).T, wanted[..., c].ravel())[0] for c in range(3)]).T
     )
@@ -159,7 +159,7 @@ def _off(sensor: LitSensor, maps: Array, untouched: Array) -> float:
     """Misfit [counts] of the untouched picture, rms, at the maps' scale."""
     h, w = maps.shape[1:3]
     made = np.einsum("khwc,kc->hwc", maps, [led.light for led in sensor.leds])
-    shown = camera_response.expose(made, images.zoomed(sensor, w).camera)
+    shown = camera_response.expose(made, traced_maps.zoomed(sensor, w).camera)
     wanted = background_photo.shrunk(camera_response.linear(untouched / 255.0, sensor.camera), w, h)
     made, real = (camera_response.encoded(light, sensor.camera) for light in (shown, wanted))
     return rms([255 * (made - real)])

@@ -93,15 +93,17 @@ def felt(share: "Floats", reach: float) -> "Floats":
 
 
 def wander(bright: Brightness, share: "Floats", mm_per_px: float, ratio: "Floats") -> float:
-    """The `reach` [mm] of `felt` that best fits a traced image (h, w, 3) over the untouched one.
+    """The `reach` [mm] of `felt` that best fits a traced image (h, w, 3) over the untouched one, where it is not nan.
 
     The noise of the traced image does not allow to fit more than this one number.
     """
     from scipy.optimize import least_squares
 
+    there = np.isfinite(ratio).all(axis=2)
+
     def left(q: "Floats") -> "Floats":
-        made = bright.at(felt(share, float(q[0]) / mm_per_px).ravel())
-        return np.asarray((made - ratio.reshape(-1, 3)).mean(axis=1))
+        made = bright.at(felt(share, float(q[0]) / mm_per_px)[there])
+        return np.asarray((made - ratio[there]).mean(axis=1))
 
     return float(least_squares(left, [1.0], bounds=(0.05, 20.0), diff_step=0.02).x[0])
 

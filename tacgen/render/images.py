@@ -5,11 +5,9 @@ In a clear gel, `transport` is direct light with its reflection in the plate (op
 thickness (optics/scattering), traced once per sensor and cached. `PathTracer` is the unbiased reference for both.
 """
 
-import hashlib
-import json
 from functools import lru_cache
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol
 
 import numpy as np
 
@@ -18,11 +16,12 @@ from tacgen.optics import adaptive_sampling, camera_response, mitsuba_dicts, sca
 from tacgen.optics.camera import Camera
 from tacgen.optics.camera_view import Samples, View
 from tacgen.optics.direct_light import Direct
-from tacgen.optics.hertz_dent import BallDent
 from tacgen.optics.interreflection import Bounce
 from tacgen.optics.surface_grid import Sheet, Surface, Untouched
 from tacgen.render import mitsuba_variants as probing
-from tacgen.render.mitsuba_path import MAX_DEPTH, MAX_DEPTH_SCATTERING, PathTracer
+from tacgen.render import traced_maps
+from tacgen.render.mitsuba_path import PathTracer
+from tacgen.render.traced_maps import SPACING
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -32,24 +31,8 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 BOUNCE_POINTS = 6, 8  # quadrature points along and up each strip, for interreflection
-SPACING = 0.1  # of the nodes of a deformed sheet [mm]
-FLAT_SPACING = 1.0  # of the nodes of a sheet that stays flat [mm]
-COLUMNS = 40  # width of a traced map [px], whatever the image's
-PATHS = 64  # paths in a pixel of a map for each sample a pixel (spp)
-MOST = 24  # largest spp that counts for maps: two minutes on one slow core
-SMOOTH = 3.5  # standard deviation of the Gaussian that removes a map's noise [map pixels]
 TABLE_COLUMNS = 64  # width of the images on which a table is calibrated [px]
 TABLE_PATHS = 8  # paths in a pixel of those images for each sample a pixel (spp)
-LINEAR = {
-    "blur_mm",
-    "exposure",
-    "ambient",
-    "vignette_mm",
-    "colour_matrix",
-    "response",
-    "noise",
-}  # of the camera: what is laid over a picture's light
-MAP_VERSION = 8  # of how the maps are made; part of their cache key
 
 
 class Light(Protocol):
@@ -96,48 +79,15 @@ def clear(sensor: "LitSensor", sheet: Sheet, markers: bool, spp: int, untouched:
 
 
 class Cloudy:
-    """A traced map of the untouched image for each LED, so that their light can vary; and brightness as a function of
-    thickness, traced for gels of uniform thickness and for one dent, which gives the lateral spread of light. The
-    latter is assumed to be the same for all LEDs."""
+    """The untouched image, and brightness as a function of the thickness that is felt, as traced by `traced_maps`."""
 
     def __init__(self, sensor: "LitSensor", sheet: Sheet, markers: bool, spp: int, variant: str) -> None:
         samples = Effort.of(spp).samples
         self._view, self._gel = View(sensor, sheet, markers, samples), sensor.gel
-        sheet = Sheet.over(sensor.gel, SPACING)  # of what is traced, whatever the pictures'
-        coarse, untouched, spp = zoomed(sensor, COLUMNS), Untouched.of(sensor.gel), min(spp, MOST)
-        shares, flat, leds = np.array(scattering.SHARES), Sheet.over(sensor.gel, FLAT_SPACING), range(len(sensor.leds))
-
-        def trace() -> "Floats":
-            tracers = [PathTracer(lit_by(coarse, {k}), flat, False, variant) for k in leds]
-            return np.array([smooth(t.radiance(untouched, spp * PATHS // 4, k), SMOOTH) for k, t in enumerate(tracers)])
-
-        def tabulate() -> "Floats":
-            tracer = PathTracer(lit_by(zoomed(sensor, 8), set(leds)), flat, False, variant)
-            faces = [scattering.Even(sensor.gel, share) for share in shares]
-            return np.array([tracer.radiance(face, spp * PATHS, 0).mean(axis=(0, 1)) for face in faces])
-
-        def wander() -> "Floats":
-            clear = scattering.depths(sensor.gel)[1]
-            middle = np.add(sensor.camera.center_mm, sensor.camera.crop_mm)
-            size, contact = (share * clear for share in scattering.DENT)
-            dent = BallDent(size, contact, (middle[0], middle[1]), untouched, clear)
-            at = View(coarse, sheet, False).look(dent)
-            share = scattering.thickness(sensor.gel, at.position).reshape(self.maps.shape[1:3])
-            evenly = lit_by(coarse, set(leds))
-            traced = PathTracer(evenly, sheet, False, variant).render(at.nodes, spp * PATHS, 1)
-            flat = self.maps.sum(axis=0)
-            ratio = np.divide(traced, flat, out=np.ones_like(flat), where=flat > 0)  # past the gel all is dark
-            return np.array(scattering.wander(bright, share, coarse.camera.mm_per_px, ratio))
-
-        name = key(sensor, variant, spp, scattering.SHARES, scattering.DENT)
-        self.maps = array_cache.kept_one(
-            "untouched", name, trace
-        )  # (leds, h, w, 3) by each LED alone, of unit radiance
-        bright = scattering.Brightness.through(shares, array_cache.kept_one("brightness", name, tabulate))
-        reach = float(array_cache.kept_one("wander", name, wander))
+        self.maps, self._bright, reach = traced_maps.scattered(sensor, spp, variant)
         map_ = np.einsum("khwc,kc->hwc", self.maps, [led.light for led in sensor.leds])
-        self.scattered = spread(map_, Camera.from_sensor(sensor).shape)
-        self._bright, self._reach = bright, reach / sensor.camera.mm_per_px * samples
+        self.scattered = traced_maps.spread(map_, Camera.from_sensor(sensor).shape)
+        self._reach = reach / sensor.camera.mm_per_px * samples
 
     def seen(self, at: Samples) -> "Floats":
         """Linear radiance (H, W, 3), without noise of its own."""
@@ -153,7 +103,7 @@ class Tabled:
         self, sensor: "LitSensor", sheet: Sheet, markers: bool, spp: int, variant: str, untouched: Surface
     ) -> None:
         """`sensor` must be one without a layer that scatters."""
-        self._view, spp = View(sensor, sheet, markers), min(spp, MOST)
+        self._view, spp = View(sensor, sheet, markers), min(spp, traced_maps.MOST)
         self._lamps, self._mm = mitsuba_dicts.strips(sensor), sensor.camera.mm_per_px
         level, light = self._view.look(untouched), np.array([led.light for led in sensor.leds])
         self._normals, paths = level.normal.reshape(*self._view.shape, 3), -(-spp * TABLE_PATHS // len(light))
@@ -161,21 +111,23 @@ class Tabled:
         fine = Sheet.over(sensor.gel, SPACING)  # of what is traced, whatever the pictures'
 
         def trace() -> "Floats":
-            coarse = zoomed(sensor, TABLE_COLUMNS)
+            coarse = traced_maps.zoomed(sensor, TABLE_COLUMNS)
             view = View(coarse, fine, False)
             dented: list[Surface] = [untouched, *taxim_table.dents(sensor, untouched)]
             flat, *seen = (view.look(face) for face in dented)
             faces = [self._face(at, flat.normal.reshape(*view.shape, 3)) for at in seen]
             made = []
             for k, lamp in enumerate(self._lamps):
-                tracer = PathTracer(lit_by(coarse, {k}), fine, False, variant)
+                tracer = PathTracer(traced_maps.lit_by(coarse, {k}), fine, False, variant)
                 bare = tracer.render(flat.nodes, 4 * paths, 0)
                 added = [tracer.render(at.nodes, paths, 1 + i) - bare for i, at in enumerate(seen)]
                 made.append(taxim_table.Table.fitted(faces, added, lamp[None], coarse.camera.mm_per_px).packed)
             return np.array(made)
 
         face = None if sensor.gel.solid is None else np.round(fine.at(untouched), 3).tolist()  # its file may be another
-        name = key(sensor, variant, spp, TABLE_COLUMNS, TABLE_PATHS, taxim_table.PLACES, taxim_table.BALLS, face)
+        name = traced_maps.key(
+            sensor, variant, spp, TABLE_COLUMNS, TABLE_PATHS, taxim_table.PLACES, taxim_table.BALLS, face
+        )
         kept = array_cache.kept_one("table", name, trace)
         self._table = taxim_table.Table.mixed([taxim_table.Table.unpacked(one) for one in kept], light)
         self._flat = Clear(sensor, sheet, False, spp, untouched).seen(level)
@@ -277,58 +229,6 @@ class Effort(NamedTuple):
         if spp <= 256:
             return cls(6, 1, SPACING, adaptive_sampling.Tolerance())
         return cls(16, 2, SPACING, adaptive_sampling.Tolerance(4, 3e-3, 0.12))
-
-
-def zoomed(sensor: "LitSensor", columns: int) -> "LitSensor":
-    """The sensor with a coarser camera of the same field of view."""
-    eye = sensor.camera
-    scale = eye.width_px / columns
-    size = {"width_px": columns, "height_px": max(1, round(eye.height_px / scale)), "mm_per_px": eye.mm_per_px * scale}
-    return sensor.model_copy(update={"camera": eye.model_copy(update=size)})
-
-
-def lit_by(sensor: "LitSensor", numbers: set[int]) -> "LitSensor":
-    """The sensor with unit radiance of some LEDs; the others are dark."""
-    leds = enumerate(sensor.leds)
-    lit = [led.model_copy(update={"radiance": (float(k in numbers),) * 3, "power": 1.0}) for k, led in leds]
-    return sensor.model_copy(update={"leds": tuple(lit)})
-
-
-def smooth(picture: "Floats", sigma: float) -> "Floats":
-    """A map (h, w, 3) without its noise."""
-    from scipy.ndimage import gaussian_filter
-
-    return np.asarray(gaussian_filter(picture, (sigma, sigma, 0), mode="nearest"))
-
-
-def spread(coarse: "Floats", shape: tuple[int, int]) -> "Floats":
-    """A smooth map (h, w, 3) over the same field of view at a finer shape (H, W, 3), by cubic splines."""
-    from scipy.ndimage import map_coordinates
-
-    scale = coarse.shape[1] / shape[1]  # rows share it: the coarse camera keeps the field of view in x
-    y, x = np.mgrid[: shape[0], : shape[1]] + 0.5
-    at = [
-        (y - shape[0] / 2) * scale + coarse.shape[0] / 2 - 0.5,
-        (x - shape[1] / 2) * scale + coarse.shape[1] / 2 - 0.5,
-    ]
-    return np.stack([map_coordinates(coarse[..., c], at, order=3, mode="nearest") for c in range(3)], axis=-1)
-
-
-def key(sensor: "LitSensor", variant: str, *more: object) -> str:
-    """What traced maps depend on, hashed: the sensor's optics, variant and versions.
-
-    Not the gel's mechanics, nor what acts on light linearly: the LEDs' power and colour, and the camera's response.
-    """
-    parts_seen = {"plate", "coating", "walls", "leds", "camera", "gel"}
-    linear: Any = {"leds": {"__all__": {"radiance", "power"}}, "camera": LINEAR}
-    seen = sensor.model_dump(mode="json", exclude_none=True, include=parts_seen, exclude=linear)
-    from tacgen.recipe.sensor import LayerBase
-
-    optical = LayerBase.model_fields  # the law's own fields are not among them
-    seen["gel"]["layers"] = [{k: v for k, v in layer.items() if k in optical} for layer in seen["gel"]["layers"]]
-    how = [MAP_VERSION, COLUMNS, PATHS, SMOOTH, SPACING, MAX_DEPTH, MAX_DEPTH_SCATTERING]
-    parts = [seen, variant, version("mitsuba"), how, more]
-    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:32]
 
 
 def variants() -> list[probing.Probed]:

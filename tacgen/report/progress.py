@@ -56,6 +56,8 @@ class Progress:
             self._say(f"{name}: frame {event['frame']} of {event['frames']}", lasting=False)
         elif event["event"] == "compiling":
             self._say_once("compiling: half a minute, once for this version on this machine")
+        elif event["event"] == "tracing":
+            self._say_once("tracing light through the gel: seconds to minutes, once for this sensor and quality")
         elif event["event"] == "note":
             self._say_once(f"note: {event['note']}", name)
         elif event["event"] == "retry":

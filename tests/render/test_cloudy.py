@@ -10,7 +10,7 @@ from tacgen.optics.hertz_dent import BallDent
 from tacgen.optics.surface_grid import Untouched
 from tacgen.recipe import assets, loading
 from tacgen.recipe.sensor import Sensor
-from tacgen.render import images, mitsuba_variants
+from tacgen.render import images, mitsuba_variants, traced_maps
 from tacgen.render.mitsuba_path import PathTracer
 
 FACE = Untouched.of(sensor().gel)
@@ -45,7 +45,7 @@ def test_transport_agrees_with_volpath_within_its_noise(renderer):
 
 
 def test_maps_are_cached_by_optics_and_not_by_mechanics(renderer, monkeypatch):
-    monkeypatch.setattr(images, "PathTracer", None)  # any tracing now would fail
+    monkeypatch.setattr(traced_maps, "PathTracer", None)  # any tracing now would fail
     data = sensor().model_dump()
     data["gel"]["layers"][0]["youngs_modulus_mpa"] = 9.0
     again = images.Renderer(Sensor.model_validate(data), 6, 5, False, mitsuba_variants.SCALAR)
@@ -59,7 +59,7 @@ def test_light_that_varies_alone_is_not_traced_again(monkeypatch):
     panel = sensor().leds[0].model_dump()
     left, right = ({**panel, "center_mm": (x, 0, -4.35), "size_mm": (6, 10)} for x in (-3, 3))
     images.Renderer(sensor(leds=[left, right]), 1, 0, False, mitsuba_variants.SCALAR)
-    monkeypatch.setattr(images, "PathTracer", None)  # any tracing now would fail
+    monkeypatch.setattr(traced_maps, "PathTracer", None)  # any tracing now would fail
     grain = {"shot": 1e-4, "read": 0.002, "source": "test"}
     other = sensor(
         leds=[{**left, "power": 1.3}, {**right, "radiance": (1, 2, 3), "power": 0.5}],
@@ -75,6 +75,32 @@ def test_light_that_varies_alone_is_not_traced_again(monkeypatch):
         images.Renderer(
             sensor(leds=[left, {**right, "center_mm": (3, 0.1, -4.35)}]), 1, 0, False, mitsuba_variants.SCALAR
         )
+
+
+def test_leds_that_are_traced_together_are_as_traced_alone(monkeypatch):
+    panel = sensor().leds[0].model_dump()
+    four = sensor(leds=[{**panel, "center_mm": (x, 0, -4.35), "size_mm": (3, 10)} for x in (-4.5, -1.5, 1.5, 4.5)])
+    together = traced_maps.scattered(four, 6, mitsuba_variants.SCALAR).alone
+    monkeypatch.setattr(traced_maps, "grey", lambda sensor: False)
+    monkeypatch.setattr(traced_maps, "SCATTERED_VERSION", -1)  # of another entry in the cache
+    alone = traced_maps.scattered(four, 6, mitsuba_variants.SCALAR).alone
+    assert together.shape == alone.shape == (4, 32, 40, 3)
+    for one, other in zip(together, alone, strict=True):
+        assert one.mean() == pytest.approx(other.mean(), rel=0.03)
+        assert np.abs(one - other).mean() < 0.06 * other.mean()
+
+
+def test_a_sensor_of_other_colours_is_not_grey():
+    assert traced_maps.grey(sensor())
+    assert not traced_maps.grey(sensor(coating={"albedo": [0.03, 0.03, 0.04], "specular": 0.0}))
+
+
+def test_the_window_around_a_dent():
+    there = np.zeros((30, 40), bool)
+    assert traced_maps.around(there, 3) == (0, 0, 40, 30)
+    there[10:14, 35:37] = True
+    assert traced_maps.around(there, 3) == (32, 7, 8, 10)
+    assert traced_maps.around(there, 9) == (26, 1, 14, 22)
 
 
 def test_a_camera_may_look_past_the_gel():

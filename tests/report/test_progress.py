@@ -64,12 +64,15 @@ def test_what_was_there_already_and_what_comes_once_say_nothing_about_the_time_l
     with Progress(2, 8, stream) as progress:
         progress(end("scene-00000"))
         progress({"event": "compiling", "scene": "scene-00001"})
+        progress({"event": "tracing", "scene": "scene-00000"})
+        progress({"event": "tracing", "scene": "scene-00001"})
         progress(frame("scene-00001", 1))
         progress({"event": "compiling", "scene": "scene-00001"})
         assert "left" not in stream.getvalue()
         progress(frame("scene-00001", 2))
         progress({"event": "retry", "scene": "scene-00009", "reason": "so that a line is printed"})
     assert stream.getvalue().count("compiling") == 1
+    assert stream.getvalue().count("tracing") == 1
     assert "(about 20 s left)" in stream.getvalue()  # 10 s from the first frame to the second, two to go
 
 

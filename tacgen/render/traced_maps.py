@@ -1,0 +1,171 @@
+"""What is traced once for a sensor and cached: how light travels in a gel that scatters."""
+
+import hashlib
+import json
+from collections.abc import Sequence
+from importlib.metadata import version
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from tacgen import array_cache
+from tacgen.optics import scattering
+from tacgen.optics.camera_view import View
+from tacgen.optics.hertz_dent import BallDent
+from tacgen.optics.surface_grid import Sheet, Untouched
+from tacgen.render.mitsuba_path import MAX_DEPTH, MAX_DEPTH_SCATTERING, PathTracer, Window
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from tacgen.recipe.sensor import LitSensor
+
+    Floats = NDArray[np.float64]
+
+SPACING = 0.1  # of the nodes of a deformed sheet [mm]
+FLAT_SPACING = 1.0  # of the nodes of a sheet that stays flat [mm]
+COLUMNS = 40  # width of a traced map [px], whatever the image's
+PATHS = 64  # paths in a pixel of a map for each sample a pixel (spp)
+MOST = 24  # largest spp that counts for maps: two minutes on one slow core
+SMOOTH = 3.5  # standard deviation of the Gaussian that removes a map's noise [map pixels]
+LINEAR = {
+    "blur_mm",
+    "exposure",
+    "ambient",
+    "vignette_mm",
+    "colour_matrix",
+    "response",
+    "noise",
+}  # of the camera: what is laid over a picture's light
+MAP_VERSION = 8  # of how the maps are made; part of their cache key
+SCATTERED_VERSION = 1  # of how `scattered` is made; part of its key in the cache
+CHANGED = 0.01  # share of the thickness by which a dent that is traced has changed a pixel, at least
+
+
+class Scattered(NamedTuple):
+    """How light travels in a gel that scatters."""
+
+    alone: (
+        "Floats"  # untouched images (leds, h, w, 3) by each LED alone, of unit radiance, so that their light can vary
+    )
+    bright: scattering.Brightness  # by thickness, from gels of uniform thickness
+    reach: float  # lateral spread of light [mm], from a dent; assumed to be the same for all LEDs
+
+
+def scattered(sensor: "LitSensor", spp: int, variant: str) -> Scattered:
+    """Traced with Mitsuba's `variant`, or from the cache; more than MOST paths a pixel (`spp`) count as MOST."""
+    coarse, untouched, spp = zoomed(sensor, COLUMNS), Untouched.of(sensor.gel), min(spp, MOST)
+    shares, flat, leds = np.array(scattering.SHARES), Sheet.over(sensor.gel, FLAT_SPACING), range(len(sensor.leds))
+
+    def trace() -> "Floats":
+        """Where colours are treated alike, three LEDs at a time, with the noise of each alone."""
+
+        def radiance(lit: "LitSensor", seed: int) -> "Floats":
+            return smooth(PathTracer(lit, flat, False, variant).radiance(untouched, spp * PATHS // 4, seed), SMOOTH)
+
+        if not grey(sensor):
+            return np.array([radiance(lit_by(coarse, {k}), k) for k in leds])
+        threes = [leds[k : k + 3] for k in leds[::3]]
+        made = [radiance(coloured(coarse, three), three[0])[..., : len(three)] for three in threes]
+        return np.repeat(np.moveaxis(np.concatenate(made, axis=-1), -1, 0)[..., None], 3, axis=-1)
+
+    def tabulate() -> "Floats":
+        tracer = PathTracer(lit_by(zoomed(sensor, 8), set(leds)), flat, False, variant)
+        faces = [scattering.Even(sensor.gel, share) for share in shares]
+        return np.array([tracer.radiance(face, spp * PATHS, 0).mean(axis=(0, 1)) for face in faces])
+
+    def wander() -> "Floats":
+        clear, sheet = scattering.depths(sensor.gel)[1], Sheet.over(sensor.gel, SPACING)
+        middle = np.add(sensor.camera.center_mm, sensor.camera.crop_mm)
+        size, contact = (share * clear for share in scattering.DENT)
+        dent = BallDent(size, contact, (middle[0], middle[1]), untouched, clear)
+        at = View(coarse, sheet, False).look(dent)
+        share = scattering.thickness(sensor.gel, at.position).reshape(alone.shape[1:3])
+        window = around(np.abs(share - 1) > CHANGED, round(clear / coarse.camera.mm_per_px))
+        evenly = lit_by(coarse, set(leds))
+        traced = PathTracer(evenly, sheet, False, variant).windows(at.nodes, [window], spp * PATHS, 1)
+        level = alone.sum(axis=0)
+        ratio = np.divide(traced, level, out=np.ones_like(level), where=level > 0)  # past the gel all is dark
+        return np.array(scattering.wander(bright, share, coarse.camera.mm_per_px, ratio))
+
+    name = key(sensor, variant, spp, scattering.SHARES, scattering.DENT, SCATTERED_VERSION)
+    alone = array_cache.kept_one("untouched", name, trace)
+    bright = scattering.Brightness.through(shares, array_cache.kept_one("brightness", name, tabulate))
+    return Scattered(alone, bright, float(array_cache.kept_one("wander", name, wander)))
+
+
+def around(there: "NDArray[np.bool_]", margin: int) -> Window:
+    """The window of all pixels (h, w) that are `there`, and `margin` more on each side; of all pixels if none is."""
+    rows, columns = np.nonzero(there)
+    if not len(rows):
+        return 0, 0, there.shape[1], there.shape[0]
+    top, left = max(int(rows.min()) - margin, 0), max(int(columns.min()) - margin, 0)
+    bottom, right = (min(int(n.max()) + 1 + margin, most) for n, most in zip((rows, columns), there.shape, strict=True))
+    return left, top, right - left, bottom - top
+
+
+def zoomed(sensor: "LitSensor", columns: int) -> "LitSensor":
+    """The sensor with a coarser camera of the same field of view."""
+    eye = sensor.camera
+    scale = eye.width_px / columns
+    size = {"width_px": columns, "height_px": max(1, round(eye.height_px / scale)), "mm_per_px": eye.mm_per_px * scale}
+    return sensor.model_copy(update={"camera": eye.model_copy(update=size)})
+
+
+def lit_by(sensor: "LitSensor", numbers: set[int]) -> "LitSensor":
+    """The sensor with unit radiance of some LEDs; the others are dark."""
+    leds = enumerate(sensor.leds)
+    lit = [led.model_copy(update={"radiance": (float(k in numbers),) * 3, "power": 1.0}) for k, led in leds]
+    return sensor.model_copy(update={"leds": tuple(lit)})
+
+
+def coloured(sensor: "LitSensor", numbers: Sequence[int]) -> "LitSensor":
+    """The sensor with up to three LEDs of unit radiance, one in each colour channel; the others are dark."""
+    light = np.zeros((len(sensor.leds), 3))
+    light[numbers, np.arange(len(numbers))] = 1.0
+    pairs = zip(sensor.leds, light.tolist(), strict=True)
+    lit = [led.model_copy(update={"radiance": tuple(rgb), "power": 1.0}) for led, rgb in pairs]
+    return sensor.model_copy(update={"leds": tuple(lit)})
+
+
+def grey(sensor: "LitSensor") -> bool:
+    """Whether all that light meets treats its colours alike."""
+    albedos = [layer.scattering.albedo for layer in sensor.gel.clear_layers if layer.scattering]
+    return all(len(set(albedo)) == 1 for albedo in (*albedos, sensor.coating.albedo))
+
+
+def smooth(picture: "Floats", sigma: float) -> "Floats":
+    """A map (h, w, 3) without its noise."""
+    from scipy.ndimage import gaussian_filter
+
+    return np.asarray(gaussian_filter(picture, (sigma, sigma, 0), mode="nearest"))
+
+
+def spread(coarse: "Floats", shape: tuple[int, int]) -> "Floats":
+    """A smooth map (h, w, 3) over the same field of view at a finer shape (H, W, 3), by cubic splines."""
+    from scipy.ndimage import map_coordinates
+
+    scale = coarse.shape[1] / shape[1]  # rows share it: the coarse camera keeps the field of view in x
+    y, x = np.mgrid[: shape[0], : shape[1]] + 0.5
+    at = [
+        (y - shape[0] / 2) * scale + coarse.shape[0] / 2 - 0.5,
+        (x - shape[1] / 2) * scale + coarse.shape[1] / 2 - 0.5,
+    ]
+    return np.stack([map_coordinates(coarse[..., c], at, order=3, mode="nearest") for c in range(3)], axis=-1)
+
+
+def key(sensor: "LitSensor", variant: str, *more: object) -> str:
+    """What traced maps depend on, hashed: the sensor's optics, variant and versions.
+
+    Not the gel's mechanics, nor what acts on light linearly: the LEDs' power and colour, and the camera's response.
+    """
+    parts_seen = {"plate", "coating", "walls", "leds", "camera", "gel"}
+    linear: Any = {"leds": {"__all__": {"radiance", "power"}}, "camera": LINEAR}
+    seen = sensor.model_dump(mode="json", exclude_none=True, include=parts_seen, exclude=linear)
+    from tacgen.recipe.sensor import LayerBase
+
+    optical = LayerBase.model_fields  # the law's own fields are not among them
+    seen["gel"]["layers"] = [{k: v for k, v in layer.items() if k in optical} for layer in seen["gel"]["layers"]]
+    how = [MAP_VERSION, COLUMNS, PATHS, SMOOTH, SPACING, MAX_DEPTH, MAX_DEPTH_SCATTERING]
+    parts = [seen, variant, version("mitsuba"), how, more]
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:32]
