@@ -64,7 +64,7 @@ def mesh_path(name_or_path: str, base: Path | None = None) -> Path:
     if found.is_dir():
         meshes = sorted(p for p in found.iterdir() if p.suffix.lower() in MESHES)
         if not meshes:
-            raise UserError(f"{found}: holds no mesh ({', '.join(MESHES)})")
+            raise UserError(f"{found}: holds no mesh ({', '.join(MESHES)}): name its file instead")
         return meshes[0]
     if found.suffix.lower() not in MESHES:
         raise UserError(f"{found}: must be a mesh file ({', '.join(MESHES)})")
@@ -78,6 +78,11 @@ def sha256(path: Path) -> str:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except (OSError, ValueError) as error:
         raise UserError(f"{path}: cannot be read: {why(error)}") from None
+
+
+def changed(found: str) -> str:
+    """What is wrong with a file whose SHA-256 is not the one that is asked for."""
+    return f"is another file now ({found[:12]}...): leave its sha256 out to take it"
 
 
 def _names(kind: str) -> list[str]:
@@ -105,7 +110,8 @@ def _existing(kind: str, path: Path) -> Path:
     except (OSError, ValueError):
         there = False
     if not there:
-        raise UserError(f"{path}: no such {kind} file")
+        start = "the working folder" if kind == "recipe" else "the folder of the file that names it"
+        raise UserError(f"{path}: no such {kind} file: a relative path starts at {start}")
     return path
 
 

@@ -27,7 +27,13 @@ def problems(recipe: Recipe, sensor: Sensor, folder: Path | None) -> list[Proble
     if name is None:
         return []
     if not recipe.outputs & IMAGES:
-        return [Problem(WHERE, "has no effect: outputs do not ask for rgb or radiance", at_key=True)]
+        return [
+            Problem(
+                WHERE,
+                "has no effect: outputs do not ask for rgb or radiance: add rgb to them, or leave background out",
+                at_key=True,
+            )
+        ]
     path = assets.beside(name, folder)
     try:
         found = assets.sha256(path)
@@ -35,7 +41,7 @@ def problems(recipe: Recipe, sensor: Sensor, folder: Path | None) -> list[Proble
     except UserError as error:
         return [Problem(WHERE, error.lines[0])]
     if expected not in (None, found):
-        return [Problem(("render", "background_sha256"), f"{name} is another file now ({found[:12]}...)")]
+        return [Problem(("render", "background_sha256"), f"{name} {assets.changed(found)}")]
     if (width, height) != (camera.width_px, camera.height_px):
         pictures = f"{camera.width_px} x {camera.height_px}"
         return [Problem(WHERE, f"is {width} x {height}, and the camera's pictures are {pictures}: crop and resize it")]
@@ -61,12 +67,14 @@ def read(path: Path) -> "np.ndarray":
             with Image.open(io.BytesIO(content), formats=FORMATS) as picture:
                 if picture.width * picture.height > MOST_PIXELS:
                     size = f"{picture.width} x {picture.height}"
-                    raise UserError(f"{path}: is {size} pixels, at most {MOST_PIXELS / 1e6:.0f} million can be read")
+                    raise UserError(
+                        f"{path}: is {size} pixels, at most {MOST_PIXELS / 1e6:.0f} million can be read: scale it down"
+                    )
                 return np.asarray(picture.convert("RGB"))
     except UserError:
         raise
     except Exception as error:  # Pillow's readers raise many types of errors for a damaged file
-        raise UserError(f"{path}: is no picture that can be read") from error
+        raise UserError(f"{path}: is no picture that can be read: save it as PNG or JPEG") from error
 
 
 def shrunk(light: "np.ndarray", width: int, height: int) -> "np.ndarray":

@@ -46,10 +46,17 @@ def recipe_problems(recipe: Recipe, sensor: Sensor, folders: Folders | None = No
     if recipe.grasp is None:
         wrong += _times(recipe, sensor, folders)
     if recipe.mesh == "hex" and sensor.gel.solid is not None:
-        wrong.append(Problem(("mesh",), f"cannot be hex: the gel of {sensor.name} is a solid, which is meshed by tets"))
+        wrong.append(
+            Problem(
+                ("mesh",),
+                f"cannot be hex: the gel of {sensor.name} is a solid, which is meshed by tets: leave mesh out",
+            )
+        )
     elsewhere = recipe.grasp is not None or recipe.contact.formulation == "ipctk"
     if recipe.uncertainty is not None and (elsewhere or timed(recipe, sensor)):
-        text = "needs quasi-static frames and contact by distance: no grasp, dynamics, viscosity or ipctk"
+        text = (
+            "needs quasi-static frames and contact by distance: leave it out, or grasp, dynamics, viscosity and ipctk"
+        )
         wrong.append(Problem(("uncertainty",), text))
     wrong += [
         *_too_thin(recipe),
@@ -73,11 +80,13 @@ def _outline(gel: Gel) -> list[Problem]:
     if gel.tip and gel.corner_radius_mm:
         wrong.append(Problem(("gel", "corner_radius_mm"), "must be 0 beside an outline with a semicircular end"))
     if gel.tip and gel.width_mm / 2 > gel.height_mm:
-        text = f"a semicircle over {gel.width_mm:g} mm does not fit into the pad's height, {gel.height_mm:g}"
+        text = (
+            f"a semicircle over {gel.width_mm:g} mm does not fit into a height of {gel.height_mm:g}: leave outline out"
+        )
         wrong.append(Problem(("gel", "outline"), text))
     rim = thickness_mm(gel) - gel.drop_mm(gel.width_mm / 2, gel.height_mm / 2)
     if rim < MIN_RIM * thickness_mm(gel):
-        text = f"leaves {rim:.3g} mm of gel at the pad's corner, less than a tenth of what the crown has"
+        text = f"leaves {rim:.3g} mm of gel at the pad's corner, less than a tenth of what the crown has: larger radii"
         wrong.append(Problem(("gel", "dome"), text))
     return wrong
 
@@ -106,7 +115,10 @@ def _solid(gel: Gel, folder: Path | None) -> list[Problem]:
     excluded = [name for name in ("outline", "dome") if getattr(gel, name) is not None]
     excluded += ["corner_radius_mm"] if gel.corner_radius_mm else []
     if excluded:
-        return [Problem(("gel", name), "cannot be given beside solid", at_key=True) for name in excluded]
+        return [
+            Problem(("gel", name), "cannot be given beside solid, which is the whole shape: leave it out", at_key=True)
+            for name in excluded
+        ]
     from tacgen.geometry import mesh_import
 
     try:
@@ -115,7 +127,7 @@ def _solid(gel: Gel, folder: Path | None) -> list[Problem]:
     except UserError as error:
         return [Problem(("gel", "solid", "file"), error.lines[0])]
     if gel.solid.sha256 not in (None, found := assets.sha256(path)):
-        return [Problem(("gel", "solid", "sha256"), f"{gel.solid.file} is another file now ({found[:12]}...)")]
+        return [Problem(("gel", "solid", "sha256"), f"{gel.solid.file} {assets.changed(found)}")]
     said = {"width_mm": gel.width_mm, "height_mm": gel.height_mm, "layers": thickness_mm(gel)}
     return [
         Problem(("gel", key), f"the solid measures {size:.4g} mm along {axis} (got {value:g}): is scale or up wrong?")
@@ -134,7 +146,11 @@ def light_problems(data: Any) -> list[Problem]:
         return []
     missing = [name for name in LIGHTS if name not in there]
     return [
-        Problem((name,), f"is missing, and {there[-1]} is there{needs(Sensor, (name,))}", at_key=True)
+        Problem(
+            (name,),
+            f"is missing, and {there[-1]} is there{needs(Sensor, (name,))}",
+            at_key=True,
+        )
         for name in missing
     ]
 
@@ -182,7 +198,7 @@ def _times(recipe: Recipe, sensor: Sensor, folders: Folders) -> list[Problem]:
         forced = forced or getattr(step.move, "force_n", None) is not None
         if not count:
             if isinstance(step.move, Timed) and known:
-                text = "has no effect without dynamics or a viscoelastic gel"
+                text = "has no effect without dynamics or a viscoelastic gel: leave it out, or add one of them"
                 wrong.append(Problem((*where, "speed_mm_s" if paced else "duration_s"), text, at_key=True))
         elif forced and paced and not isinstance(step.move, Slide):
             text = "needs a way that is known, which force_n leaves open: say duration_s"
@@ -201,19 +217,31 @@ def output_problems(recipe: Recipe, sensor: Sensor) -> list[Problem]:
     """What the outputs need and the sensor does not have."""
     wrong = []
     if "markers" in recipe.outputs and sensor.markers is None:
-        wrong.append(Problem(("outputs",), f"asks for markers, and the sensor {sensor.name} has none"))
+        wrong.append(
+            Problem(
+                ("outputs",),
+                f"asks for markers, and the sensor {sensor.name} has none: leave them out, or add markers to its file",
+            )
+        )
     if "markers" in recipe.outputs and not _on_gel(sensor):
         text = f"asks for markers, and some of the sensor {sensor.name} would lie beside its gel: fewer, or closer ones"
         wrong.append(Problem(("outputs",), text))
     if (images := recipe.outputs & IMAGES) and not sensor.lit:
         asked = " and ".join(sorted(images))
         lacking = ", ".join(name for name in LIGHTS if getattr(sensor, name) is None)
-        wrong.append(Problem(("outputs",), f"asks for {asked}: the sensor {sensor.name} has no {lacking}"))
+        wrong.append(
+            Problem(
+                ("outputs",),
+                f"asks for {asked}: the sensor {sensor.name} has no {lacking}: add them to its file",
+            )
+        )
     if images and recipe.render.method == "table" and any(layer.scattering for layer in sensor.gel.clear_layers):
-        text = f"cannot be table: the gel of {sensor.name} scatters, and its light does not follow the face's slope"
+        text = (
+            f"cannot be table, whose light follows the face's slope: the gel of {sensor.name} scatters; take transport"
+        )
         wrong.append(Problem(("render", "method"), text))
     if recipe.markers.method == "analytic" and (sensor.markers is None or sensor.markers.motion is None):
-        text = f"cannot be analytic: the sensor file {sensor.name} holds no markers.motion"
+        text = f"cannot be analytic: the sensor file {sensor.name} holds no markers.motion: take fem"
         wrong.append(Problem(("markers", "method"), text))
     return wrong
 
@@ -282,7 +310,7 @@ def _mesh_file(indenter: Indenter, edge: float, folder: Path | None) -> list[Pro
         return [Problem(("indenter", "file"), error.lines[0])]
     wrong, longest = [], indenter.size_mm or max(sides)
     if indenter.sha256 not in (None, found := assets.sha256(path)):
-        wrong.append(Problem(("indenter", "sha256"), f"{indenter.file} is another file now ({found[:12]}...)"))
+        wrong.append(Problem(("indenter", "sha256"), f"{indenter.file} {assets.changed(found)}"))
     if longest < 2 * MIN_HALF_THICKNESS * edge:
         text = f"is {longest:.3g} mm long, too small for a mesh of edge {edge:g} mm: a file in metres needs scale: 1000"
         wrong.append(Problem(("indenter", "file"), text))

@@ -20,7 +20,7 @@ def problems(recipe: Recipe, sensor: Sensor, folders: trajectory_checks.Folders)
     grasp = recipe.grasp
     if grasp is None:
         return [
-            Problem(("trajectory", i, step.kind), "needs a grasp", at_key=True)
+            Problem(("trajectory", i, step.kind), "needs a grasp: add one, or leave this movement out", at_key=True)
             for i, step in enumerate(recipe.trajectory)
             if step.kind in OF_GRASP
         ]
@@ -32,13 +32,15 @@ def problems(recipe: Recipe, sensor: Sensor, folders: trajectory_checks.Folders)
     if recipe.trajectory[0].kind != "close" and not wrong:
         wrong.append(Problem(("trajectory", 0), "must be close: until then nothing is held"))
     wrong += [
-        Problem(("trajectory", i, step.kind, "duration_s"), "has no effect in a grasp, which is quasi-static")
+        Problem(
+            ("trajectory", i, step.kind, "duration_s"), "has no effect in a grasp, which is quasi-static: leave it out"
+        )
         for i, step in enumerate(recipe.trajectory)
         if isinstance(step.move, Timed) and step.move.duration_s is not None
     ]
     for key, usual in (("start", Start()), ("dynamics", None)):
         if getattr(recipe, key) != usual:
-            wrong.append(Problem((key,), "has no effect in a grasp", at_key=True))
+            wrong.append(Problem((key,), "has no effect in a grasp: leave it out", at_key=True))
     if recipe.contact.formulation != "distance":
         wrong.append(Problem(("contact", "formulation"), "must be distance in a grasp"))
     if importlib.util.find_spec("cvxopt") is None:
@@ -61,7 +63,11 @@ def _tables(recipe: Recipe, folders: trajectory_checks.Folders) -> list[Problem]
 
 def solid(sensor: Sensor) -> list[Problem]:
     """A finger's gel must be a pad."""
-    return [Problem(("sensor",), f"has a solid gel, {sensor.name}: a grasp needs pads")] if sensor.gel.solid else []
+    return (
+        [Problem(("sensor",), f"has a solid gel, {sensor.name}: a grasp needs pads: take another sensor")]
+        if sensor.gel.solid
+        else []
+    )
 
 
 def _object(recipe: Recipe, grasp: Grasp, sensor: Sensor) -> list[Problem]:
@@ -73,7 +79,9 @@ def _object(recipe: Recipe, grasp: Grasp, sensor: Sensor) -> list[Problem]:
 
     wide, top = shape.support(np.array([c, -s, 0.0])), shape.support(np.array([0.0, 0.0, 1.0]))
     if math.isinf(wide):
-        return [Problem(("indenter",), "has no upright sides that fingers could close on")]
+        return [
+            Problem(("indenter",), "has no upright sides that fingers could close on: turn it, or take another shape")
+        ]
     if grasp.height_mm is None and math.isinf(top):
         text = "must say at which height over its lowest point an object without a top is held: height_mm"
         return [Problem(("grasp",), text)]

@@ -115,7 +115,7 @@ class Mesh(Part):
     @classmethod
     def _alone(cls, value: float | None, info: ValidationInfo) -> float | None:
         if value is not None and info.data.get("scale", 1.0) != 1.0:
-            raise ValueError("cannot be given beside scale")
+            raise ValueError("cannot be given beside scale: leave one of them out")
         return value
 
 

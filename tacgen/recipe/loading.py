@@ -65,7 +65,18 @@ def _crossed(tree: Tree) -> Tree:
         tree = tree.replaced(("vary",), Tree({"method": "grid", "over": {}}))
     key = "grid" if vary else "over"
     if "sensor" in (at(vary, (key,)) or {}):
-        raise report([(Problem(("vary", key, "sensor"), "cannot be given beside sensors", at_key=True), tree)])
+        raise report(
+            [
+                (
+                    Problem(
+                        ("vary", key, "sensor"),
+                        "cannot be given beside sensors, which are varied already: leave it out",
+                        at_key=True,
+                    ),
+                    tree,
+                )
+            ]
+        )
     return tree.replaced(("vary", key, "sensor"), choice)
 
 
@@ -128,9 +139,9 @@ def _extended(path: Path, chain: tuple[Path, ...]) -> Tree:
         raise report([(Problem(("extends",), f"must be the path of a recipe (got {describe(name)})"), tree)])
     other = path.parent / name
     if other.resolve() in here:
-        raise report([(Problem(("extends",), f"{name} is extended by this very recipe"), tree)])
+        raise report([(Problem(("extends",), f"{name} is extended by this very recipe: extend another"), tree)])
     if not other.exists():
-        raise report([(Problem(("extends",), f"no such file: {other}"), tree)])
+        raise report([(Problem(("extends",), f"no such file: {other}; the path starts at this recipe's folder"), tree)])
     return _extended(other, here).merged(tree.without("extends"))
 
 

@@ -59,7 +59,7 @@ class Grasp(Part):
     @classmethod
     def _somewhere(cls, value: Vector) -> Vector:
         if not any(value):
-            raise ValueError("must be a direction (got 0, 0, 0)")
+            raise ValueError("must be a direction, such as 0, 0, -1 (got 0, 0, 0)")
         return value
 
 
@@ -245,7 +245,7 @@ class Recipe(Part):
     @classmethod
     def _each_once(cls, value: tuple[str, ...] | None) -> tuple[str, ...] | None:
         if value is not None and len(set(value)) < len(value):
-            raise ValueError("must name each sensor once")
+            raise ValueError("must name each sensor once: leave the repeated one out")
         return value
 
     @field_validator("grasp")

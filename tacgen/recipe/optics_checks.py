@@ -20,13 +20,15 @@ def problems(sensor: LitSensor) -> Iterator[Problem]:
     yield from _layers(sensor)
     eye = sensor.camera
     if not _in_housing(sensor.gel.pad, *eye.center_mm, 0.0):
-        text = f"the camera's axis meets the coating outside the pad, at ({eye.center_mm[0]:g}, {eye.center_mm[1]:g})"
+        place = f"({eye.center_mm[0]:g}, {eye.center_mm[1]:g})"
+        text = f"the camera's axis meets the coating outside the pad, at {place}: nearer to 0, 0"
         yield Problem(("camera", "center_mm"), text)
     if _steepest(sensor) > MAX_RAY_ANGLE:
         text = f"turns the picture's corner {_steepest(sensor):.0f} degrees off the plate's normal"
+        text += ": less tilt, more distance_mm or a smaller picture"
         yield Problem(("camera", "tilt_deg"), text)
     if eye.colour_matrix and _singular(eye.colour_matrix):
-        yield Problem(("camera", "colour_matrix"), "mixes three colours to two: its determinant is 0")
+        yield Problem(("camera", "colour_matrix"), "mixes three colours to two: its determinant is 0; change a row")
     yield from _dots(sensor)
     room = _Room.of(sensor)
     for i, led in enumerate(sensor.leds):
@@ -45,15 +47,24 @@ def _layers(sensor: LitSensor) -> Iterator[Problem]:
     gel, clear = sensor.gel, sensor.gel.clear_layers
     for i, layer in enumerate(gel.layers):
         if i >= len(clear) and layer.scattering:
-            yield Problem(("gel", "layers", i, "scattering"), "no light comes here, behind an opaque layer")
+            yield Problem(
+                ("gel", "layers", i, "scattering"), "no light comes here, behind an opaque layer: leave it out"
+            )
     scattering = [i for i, layer in enumerate(clear) if layer.scattering]
     if scattering and (len(clear) > 1 or gel.dome or gel.solid):
-        text = "a layer that scatters must be the only one that is not opaque, and under a flat face"
+        text = (
+            "a layer that scatters must be the only one that is not opaque, and under a flat face: leave scattering out"
+        )
         yield Problem(("gel", "layers", scattering[0], "scattering"), text)
     elif gel.dome and len(clear) > 1:
-        yield Problem(("gel", "dome"), "light is followed through one clear layer under a dome, not several")
+        yield Problem(
+            ("gel", "dome"),
+            "light is followed through one clear layer under a dome, not several: leave dome out",
+        )
     if scattering and sensor.markers:
-        yield Problem(("markers",), "cannot be seen through a layer that scatters", at_key=True)
+        yield Problem(
+            ("markers",), "cannot be seen through a layer that scatters: leave them out, or scattering", at_key=True
+        )
 
 
 def _steepest(sensor: LitSensor) -> float:
@@ -70,14 +81,17 @@ def _dots(sensor: LitSensor) -> Iterator[Problem]:
     if dots is None:
         return
     if dots.diameter_mm >= min(dots.pitch_mm):
-        text = f"dots of {dots.diameter_mm:g} mm touch at a pitch of {min(dots.pitch_mm):g} mm"
+        text = f"dots of {dots.diameter_mm:g} mm touch at a pitch of {min(dots.pitch_mm):g} mm: smaller or farther ones"
         yield Problem(("markers", "diameter_mm"), text)
     for name, count, pitch, size in (
         ("columns", dots.columns, dots.pitch_mm[0], gel.width_mm),
         ("rows", dots.rows, dots.pitch_mm[1], gel.height_mm),
     ):
         if (count - 1) * pitch > size:
-            yield Problem(("markers", name), f"{count} at a pitch of {pitch:g} mm do not fit on {size:g} mm of gel")
+            yield Problem(
+                ("markers", name),
+                f"{count} at a pitch of {pitch:g} mm do not fit on {size:g} mm of gel: fewer, or closer ones",
+            )
 
 
 class _Room(NamedTuple):
@@ -127,19 +141,19 @@ def _wrong_led(room: _Room, led: Led) -> tuple[str, str] | None:
     bottom = room.bottom
     for x, y, z in corners.tolist():
         if not _in_housing(room.pad, x, y, room.margin):
-            return "center_mm", f"pokes out of the housing, at {_vector((x, y, z))}"
+            return "center_mm", f"pokes out of the housing, at {_vector((x, y, z))}: move it, or raise walls.margin_mm"
         if z > room.coating_z(x, y) - TOLERANCE:
-            return "center_mm", f"reaches into the coating, at {_vector((x, y, z))}"
+            return "center_mm", f"reaches into the coating, at {_vector((x, y, z))}: lower, or smaller"
     below = [z < bottom - TOLERANCE for *_, z in corners]
     if any(below) and not all(below):
-        return "center_mm", f"pokes out of the plate, whose air face is at z = {bottom:g}"
+        return "center_mm", f"pokes out of the plate, whose air face is at z = {bottom:g}: higher, or smaller"
     if all(below) and not room.scattering:
         return (
             "center_mm",
-            f"lies in the air under the plate (z < {bottom:g}): only a gel that scatters is lit from there",
+            f"lies in the air under the plate (z < {bottom:g}): only a gel that scatters is lit from there: raise it",
         )
     if all(below) and led.center_mm[2] < room.camera:
-        return "center_mm", f"lies behind the camera, which is at z = {room.camera:g}"
+        return "center_mm", f"lies behind the camera, which is at z = {room.camera:g}: raise it"
     return None
 
 

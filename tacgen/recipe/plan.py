@@ -260,15 +260,20 @@ def _check(vary: Vary, tree: Tree) -> None:
             problems.append(Problem(here, str(error), at_key=True))
             continue
         if path[0] in NOT_VARIABLE:
-            problems.append(Problem(here, f"{path[0]} cannot be varied", at_key=True))
+            problems.append(Problem(here, f"{path[0]} cannot be varied: write a recipe for each value", at_key=True))
         if path == ("sensor",) and not all(isinstance(value, str) for value in spread.choice or (None,)):
             problems.append(Problem(here, "must be a choice of sensors' names or files"))
         if here[1] == "grid" and name in vary.over:
-            problems.append(Problem(here, "is in over already", at_key=True))
+            problems.append(Problem(here, "is in over already: leave one of them out", at_key=True))
         if "grid" in (vary.method, here[1]) and spread.choice is None and spread.linspace is None:
             problems.append(Problem(here, "a grid takes choice or linspace only"))
     if not problems and scene_count(vary) > MAX_SCENES:
-        problems.append(Problem(("vary", "over"), f"gives {scene_count(vary)} scenes; at most {MAX_SCENES} can be"))
+        problems.append(
+            Problem(
+                ("vary", "over"),
+                f"gives {scene_count(vary)} scenes; at most {MAX_SCENES} can be: fewer samples or choices",
+            )
+        )
     if problems:
         raise UserError(problem.point(tree) for problem in problems)
 

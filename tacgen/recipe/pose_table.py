@@ -101,7 +101,7 @@ def _parsed(raw: bytes, units: str | None, columns: tuple[tuple[str, str], ...])
         more = [f"and {len(wrong) - MAX_MESSAGES} more lines"] if len(wrong) > MAX_MESSAGES else []
         raise UserError([*wrong[:MAX_MESSAGES], *more])
     if not rows_read:
-        raise UserError("holds no pose below its header")
+        raise UserError("holds no pose below its header: a row for each is needed")
     lines, times, positions, quaternions = (list(column) for column in zip(*rows_read, strict=True))
     poses = map(Pose, lines, [second * time for time in times], matrices(positions, quaternions))
     return Table(hashlib.sha256(raw).hexdigest(), tuple(poses))
@@ -130,7 +130,9 @@ def _columns(header: list[str], units: str | None, columns: Mapping[str, str]) -
             bare, unit_said = (stem, suffix) if stem and suffix in known else (name, "")
             if titles.get(title.strip()) == column or (column not in columns and bare in names):
                 if column in where:
-                    raise UserError(f"the columns {header[where[column]]} and {title} are both {column}")
+                    raise UserError(
+                        f"the columns {header[where[column]]} and {title} are both {column}: name one under columns"
+                    )
                 where[column], said[column] = i, unit_said or ("ns" if bare == "%time" else "")
     wrong = []
     if lost := [title for title, column in titles.items() if column not in where]:
@@ -143,7 +145,10 @@ def _columns(header: list[str], units: str | None, columns: Mapping[str, str]) -
     if wrong:
         raise UserError(wrong)
     if len(lengths) > 1 or (units and lengths != {units}):
-        raise UserError(f"x, y and z must be in one unit (header: {','.join(header)}; units: {units or 'not given'})")
+        raise UserError(
+            f"x, y and z must be in one unit (header: {','.join(header)}; units: {units or 'not given'}):"
+            " leave units out, or name the columns alike"
+        )
     return where, MM[lengths.pop()], SECONDS[said["time"] or "s"]
 
 
@@ -160,6 +165,6 @@ def _row(line: int, cells: list[str], where: dict[str, int], scale: float, width
         if not math.isfinite(value[column]):
             raise ValueError(f"{column} must be a number (got {cells[i].strip()!r})")
     if before is not None and value["time"] <= before[1]:
-        raise ValueError(f"time must increase (got {value['time']:g} after {before[1]:g})")
+        raise ValueError(f"time must increase (got {value['time']:g} after {before[1]:g}): sort the rows")
     turn = unit((value["qw"], value["qx"], value["qy"], value["qz"]))
     return line, value["time"], (scale * value["x"], scale * value["y"], scale * value["z"]), turn

@@ -80,7 +80,7 @@ class PronyTerm(Part):
 
 def _some_left(value: tuple[PronyTerm, ...]) -> tuple[PronyTerm, ...]:
     if (total := sum(term.g for term in value)) >= 1:
-        raise ValueError(f"must have g that add up to less than 1 (got {total:g}): nothing is left at rest")
+        raise ValueError(f"must have g that add up to less than 1 (got {total:g}): nothing is left at rest; lower them")
     return value
 
 
@@ -343,7 +343,7 @@ class ThicknessResponse(Part):
     @model_validator(mode="after")
     def _table(self) -> Self:
         if len(self.gain) != len(self.change_mm) or any(a >= b for a, b in pairwise(self.change_mm)):
-            raise ValueError("must hold rising change_mm and as many rows of gain")
+            raise ValueError("must hold rising change_mm and as many rows of gain: a row for each change")
         return self
 
 

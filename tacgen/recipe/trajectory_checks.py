@@ -34,12 +34,14 @@ def replayed(move: Replay, folder: Path | None) -> tuple[Pose, ...]:
     except UserError as error:
         raise UserError(f"{move.file}: {line}" for line in error.lines) from None
     if move.sha256 not in (None, table.sha256):
-        raise UserError(f"{move.file}: is another file now ({table.sha256[:12]}...)")
+        raise UserError(f"{move.file}: {assets.changed(table.sha256)}")
     rows = table.poses[:: move.every][: move.frames]
     if len(rows) > MAX_FRAMES:
         raise UserError(f"{move.file}: gives {len(rows)} frames, at most {MAX_FRAMES} can be: thin it out by `every`")
     if len(rows) < (move.frames or 0):
-        raise UserError(f"{move.file}: gives {len(rows)} frames, and {move.frames} are asked for")
+        raise UserError(
+            f"{move.file}: gives {len(rows)} frames, and {move.frames} are asked for: leave frames out, or as many"
+        )
     import numpy as np
 
     frames = (move.sensor_pose, move.indenter_pose)
@@ -74,7 +76,11 @@ def problems(recipe: Recipe, gel: Gel, folders: Folders) -> list[Problem]:
     from tacgen.recipe.trajectory_poses import TrajectoryError
 
     if recipe.trajectory[0].replay and recipe.start != Start():
-        return [Problem(("start",), "has no effect before a replay, which begins over its first row", at_key=True)]
+        return [
+            Problem(
+                ("start",), "has no effect before a replay, which begins over its first row: leave it out", at_key=True
+            )
+        ]
     try:
         _walk(recipe, gel, folders)
     except TrajectoryError as refused:
@@ -118,7 +124,7 @@ def _walk(recipe: Recipe, gel: Gel, folders: Folders) -> None:
         for k, frame in enumerate(walk.frames(segment, table, where, checking=True)):
             if isinstance(move, Replay) and walk.low < 0 and beside(frame.pose):
                 place = ", ".join(f"{c:.4g}" for c in frame.pose[:3, 3])
-                text = f"at ({place}) the indenter would be beside {pad} and below its face"
+                text = f"at ({place}) the indenter would be beside {pad} and below its face: move it in, or up"
                 raise TrajectoryError((*where, "file"), f"{move.file}: line {table[k].line}: {text}")
         if isinstance(move, Slide) and beside(walk.pose):
             x, y = walk.pose[:2, 3]

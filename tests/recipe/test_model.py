@@ -297,7 +297,9 @@ def test_errors_of_extends(tmp_path: Path, text: str, says: str):
 
 def test_markers_need_a_sensor_with_markers(tmp_path: Path):
     (told,) = lines_of(tmp_path, GOOD.replace("[force]", "[markers]"), ("sensor.markers=null",))
-    assert told.endswith("asks for markers, and the sensor gelsight_mini has none")
+    assert told.endswith(
+        "asks for markers, and the sensor gelsight_mini has none: leave them out, or add markers to its file"
+    )
 
 
 @pytest.mark.parametrize("change", ["sensor.gel.width_mm=12", "sensor.markers.rows=12", "sensor.gel.height_mm=12"])
