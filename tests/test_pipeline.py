@@ -249,6 +249,7 @@ def test_forces_agree_with_the_maps_and_the_base(recipe: Path, tmp_path: Path) -
     assert np.isfinite(kept["/frames/pressure"]).all()
 
 
+@pytest.mark.slow
 def test_path_and_transport_show_the_same_scene(recipe: Path) -> None:
     """`render: {method: path}` is Mitsuba alone: noisy, and in the mean what transport shows. Noise is not even after
     the response, so radiances are compared."""
@@ -286,6 +287,7 @@ def test_a_scene_without_contact_is_reported(recipe: Path, tmp_path: Path) -> No
     assert not check(done.path)
 
 
+@pytest.mark.slow
 def test_pairs_bear_the_same_force(tmp_path: Path) -> None:
     """Within .5 % of each other in every frame of a press by force, whatever the gel."""
     recipe = tmp_path / "pairs.yaml"

@@ -54,6 +54,7 @@ def nominal(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return written(sensor(camera=FINE, markers=None), tmp_path_factory.mktemp("sensor") / "nominal.yaml")
 
 
+@pytest.mark.slow
 def test_powers_colours_and_stray_light_of_a_known_unit_are_found(nominal: Path, tmp_path: Path) -> None:
     true = ([11.0, 0.5, 0.0], [0.0, 7.0, 1.0], [0.3, 0.0, 9.9])
     leds = [{**led, "radiance": light} for led, light in zip(PLAIN["leds"], true, strict=True)]
@@ -77,6 +78,7 @@ def test_powers_colours_and_stray_light_of_a_known_unit_are_found(nominal: Path,
     assert mine.leds[0].center_mm == tuple(PLAIN["leds"][0]["center_mm"])
 
 
+@pytest.mark.slow
 def test_lights_that_sit_elsewhere_are_found_by_the_presses(nominal: Path, tmp_path: Path) -> None:
     moved = [
         {**PLAIN["leds"][0], "center_mm": [0.3, -4.8, -2.35], "radiance": [10.8, 0, 0]},
@@ -116,6 +118,7 @@ def test_dots_are_left_out(tmp_path: Path) -> None:
     assert blind.changes["markers",] is None
 
 
+@pytest.mark.slow
 def test_a_gel_that_scatters(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TACGEN_CACHE_DIR", str(tmp_path / "cache"))
     monkeypatch.setattr("tacgen.calibrate.fit_scattering.SPP", 6)

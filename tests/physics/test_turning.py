@@ -97,6 +97,7 @@ def test_a_scene_turned_as_a_whole_gives_the_turned_force(angle: float, tol: flo
     assert two.forces == pytest.approx(one.forces @ R.T, abs=tol * np.abs(one.forces).max())
 
 
+@pytest.mark.slow
 def test_an_indenter_turned_over_its_grid_feels_little_of_it() -> None:
     def force(yaw: float) -> float:
         path = poses([(0, 0, -0.125 * k) for k in range(1, 5)], yaw=np.radians(yaw))

@@ -175,6 +175,7 @@ def test_no_paths_are_refused():
         images.Renderer(sensor(), 0, 0, False, mitsuba_variants.SCALAR)
 
 
+@pytest.mark.slow
 def test_the_table_looks_like_transport_where_it_was_not_calibrated(renderer):
     cheap = images.Renderer(renderer.sensor, 8, 0, False, mitsuba_variants.SCALAR, method="table")
     truth, image = renderer.image(DENT), cheap.image(DENT)
