@@ -89,7 +89,8 @@ def felt(share: "Floats", reach: float) -> "Floats":
     if n == 1:
         return np.asarray(gaussian_filter(share, reach, mode="nearest", truncate=3.0))
     own = np.sqrt(reach**2 - (n * n - 1) / 12 - n * n / 3) / n
-    return np.asarray(_spread(gaussian_filter(_means(share, n), own, mode="nearest", truncate=3.0), n, share.shape))
+    coarse = gaussian_filter(_means(share, n), own, mode="nearest", truncate=3.0)
+    return np.asarray(_spread(coarse, _splines(n), share.shape))
 
 
 def wander(bright: Brightness, share: "Floats", mm_per_px: float, ratio: "Floats") -> float:
@@ -169,15 +170,17 @@ def _means(picture: "Floats", n: int) -> "Floats":
     return out / (n * n)
 
 
+def _splines(n: int) -> "Floats":
+    """Weights (n, 4) at each of n pixels along a block of the cubic B-splines of the four blocks that reach it."""
+    f = ((np.arange(n) + 0.5) / n - 0.5) % 1.0  # from the nearest block's centre before the pixel
+    g = 1.0 - f
+    return np.column_stack([g**3 / 6, 2 / 3 - f * f * (2 - f) / 2, 2 / 3 - g * g * (2 - g) / 2, f**3 / 6])
+
+
 @njit(cache=True)
-def _spread(coarse: "Floats", n: int, shape: tuple[int, int]) -> "Floats":
-    """A picture (h, w) by cubic B-splines on blocks of n x n pixels (see `_means`), first down and then across."""
-    columns, weights = coarse.shape[1], np.empty((n, 4))
-    for k in range(n):
-        f = (k + 0.5) / n - 0.5  # from the block's centre; the splines of four centres reach it
-        f += 1.0 if f < 0 else 0.0
-        g = 1.0 - f
-        weights[k] = g**3 / 6, 2 / 3 - f * f * (2 - f) / 2, 2 / 3 - g * g * (2 - g) / 2, f**3 / 6
+def _spread(coarse: "Floats", weights: "Floats", shape: tuple[int, int]) -> "Floats":
+    """A picture (h, w) by splines on blocks of n x n pixels (see `_means`, `_splines`), first down and then across."""
+    n, columns = len(weights), coarse.shape[1]
     down, out = np.zeros((shape[0], columns)), np.zeros(shape)
     for y in range(shape[0]):
         first = (2 * y + 1 - n) // (2 * n) - 1 + MARGIN
