@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
+LANES = 64  # points that are projected together
+
 
 @dataclass(frozen=True)
 class Stack:
@@ -129,51 +131,62 @@ class Camera:
         return np.array([self.shape[1] / 2, self.shape[0] / 2]) - self.crop_px
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _project(
     points: "Floats", thicknesses: "Floats", indices: "Floats", turn: "Floats", focal: float, axis: "Floats"
 ) -> "Floats":
     """Pixels (n, 2) of points (n, 3) beside the pinhole's x and y; nan of one at or behind it."""
-    out, length = np.empty((len(points), 2)), np.empty(len(thicknesses))
-    for i in range(len(points)):
-        px, py, z = points[i, 0], points[i, 1], points[i, 2]
-        rho = np.sqrt(px * px + py * py)
-        x = _slope(rho, z, thicknesses, indices, length)
-        ratio = x / rho if rho > 0.0 else 0.0
-        sx, sy = px * ratio, py * ratio
-        down = sx * turn[0, 2] + sy * turn[1, 2] + turn[2, 2]
-        for k in range(2):
-            out[i, k] = focal * (sx * turn[0, k] + sy * turn[1, k] + turn[2, k]) / down + axis[k]
-        if not x >= 0.0:
-            out[i] = np.nan
+    out, slope, rho = np.empty((len(points), 2)), np.empty(LANES), np.empty(LANES)
+    work = np.empty((len(thicknesses) + 3, LANES))
+    for start in range(0, len(points), LANES):
+        some = points[start : start + LANES]
+        for j in range(len(some)):
+            rho[j] = np.sqrt(some[j, 0] * some[j, 0] + some[j, 1] * some[j, 1])
+        _slopes(rho, some[:, 2], thicknesses, indices, slope, work)
+        for j in range(len(some)):
+            ratio = slope[j] / rho[j] if rho[j] > 0.0 else 0.0
+            sx, sy = some[j, 0] * ratio, some[j, 1] * ratio
+            down = sx * turn[0, 2] + sy * turn[1, 2] + turn[2, 2]
+            for k in range(2):
+                pixel = focal * (sx * turn[0, k] + sy * turn[1, k] + turn[2, k]) / down + axis[k]
+                out[start + j, k] = pixel if slope[j] >= 0.0 else np.nan
     return out
 
 
-@njit(cache=False)
-def _slope(rho: float, z: float, thicknesses: "Floats", indices: "Floats", length: "Floats") -> float:
-    """Slope in air, tan(theta) [-], of the ray that reaches radius rho at height z [mm]; nan at or behind the pinhole.
+@njit(cache=False, error_model="numpy")  # without checks of divisors, which would stop the compiler
+def _slopes(rho: "Floats", z: "Floats", thicknesses: "Floats", indices: "Floats", x: "Floats", work: "Floats") -> None:
+    """Slopes in air `x`, tan(theta) [-], of the rays that reach radii rho at heights z (n,) [mm]; nan at or behind the
+    pinhole.
 
     Newton's method on the lateral travel, which is increasing and concave in x: from a start at or below the root, such
-    as the paraxial slope, it converges monotonically without a safeguard. `length` is a work array for the layers.
+    as the paraxial slope, it converges monotonically without a safeguard. Loops over points are the inner ones, which
+    the compiler turns into vector instructions. `work` (layers + 3, LANES) is overwritten.
     """
-    left, depth, last = z + thicknesses.sum(), 0.0, len(length) - 1
-    for k in range(last + 1):  # beyond the face the last layer continues
-        length[k] = max(left if k == last else min(left, thicknesses[k]), 0.0)
-        left -= thicknesses[k]
-        depth += length[k] / indices[k]
-    if not depth > 0.0:
-        return np.nan
-    x = rho / depth
+    n, last, whole = len(z), len(thicknesses) - 1, thicknesses.sum()
+    length, (travel, rate, moving) = work[: last + 1], (work[last + 1], work[last + 2], work[last + 3])
+    for j in range(n):
+        left, depth = z[j] + whole, 0.0
+        for k in range(last + 1):  # beyond the face the last layer continues
+            length[k, j] = max(left if k == last else min(left, thicknesses[k]), 0.0)
+            left -= thicknesses[k]
+            depth += length[k, j] / indices[k]
+        x[j], moving[j] = rho[j] / depth if depth > 0.0 else np.nan, 1.0
     for _ in range(50):
-        travel, rate = length[0] * x, length[0]  # of the air
+        for j in range(n):
+            travel[j], rate[j] = length[0, j] * x[j], length[0, j]  # of the air
         for k in range(1, last + 1):
             n2 = indices[k] * indices[k]
-            inverse = 1.0 / (n2 + (n2 - 1.0) * x * x)
-            part = length[k] * np.sqrt(inverse)
-            travel += part * x
-            rate += part * n2 * inverse
-        step = (rho - travel) / rate
-        x += step
-        if abs(step) <= 1e-8 * (1.0 + x):  # the remaining error is of the order of its square
+            for j in range(n):
+                inverse = 1.0 / (n2 + (n2 - 1.0) * x[j] * x[j])
+                part = length[k, j] * np.sqrt(inverse)
+                travel[j] += part * x[j]
+                rate[j] += part * n2 * inverse
+        count = 0
+        for j in range(n):
+            step = (rho[j] - travel[j]) / rate[j]
+            x[j] += step if moving[j] > 0.0 else 0.0
+            # the remaining error is of the order of the step's square
+            moving[j] = 1.0 if moving[j] > 0.0 and abs(step) > 1e-8 * (1.0 + x[j]) else 0.0
+            count += 1 if moving[j] > 0.0 else 0
+        if count == 0:
             break
-    return x
