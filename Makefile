@@ -4,7 +4,7 @@
 #   make test    the tests
 #   make torture hostile files and kills, half an hour on two cores: what became of them, into docs/RESULTS.md
 #   make docs    the documentation site in out/site
-#   make gallery docs/gallery.md: every shape, movement and sensor, WORKERS scenes at a time, some 20 minutes on one core
+#   make gallery docs/gallery.md: every shape, movement and sensor, WORKERS scenes at a time, an hour on one core
 #   make bench   error against run time, stability, cost: docs/RESULTS.md, in some 20 minutes; BENCH_FLAGS=--full for more
 
 SUITABLE = import sys, venv, ensurepip; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))

@@ -54,6 +54,13 @@ def test_an_object_that_is_no_mesh_is_reported_in_one_line(name: str, says: str,
     assert line.startswith(f"{tmp_path / name}: {says}")
 
 
+def test_solid_gels_are_those_that_the_script_draws(tmp_path: Path):
+    subprocess.run([sys.executable, ROOT / "scripts/make_gels.py", "-o", tmp_path], check=True, timeout=60)
+    made = sorted(tmp_path.iterdir())
+    assert [path.name for path in made] == sorted(path.name for path in (ROOT / "sensors").glob("*.obj"))
+    assert all(path.read_bytes() == (ROOT / "sensors" / path.name).read_bytes() for path in made)
+
+
 def test_an_installed_package_looks_inside_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     (tmp_path / "data" / "sensors").mkdir(parents=True)
     (tmp_path / "data" / "sensors" / "other.yaml").write_text("")
