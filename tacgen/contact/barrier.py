@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tacgen.contact.friction import Friction
 from tacgen.fem import assembly
 from tacgen.fem.assembly import Pattern
 from tacgen.fem.elements import facet_areas, facet_points, facet_shares
@@ -17,7 +16,7 @@ from tacgen.geometry.analytic_sdf import Shape
 from tacgen.geometry.pose import about, shortest_turn
 
 Array = np.ndarray
-SOFT = 0.5  # below SOFT * dhat the barrier continues as a parabola, so that Newton can start from an overlap
+SOFT = 0.5  # gap over dhat below which the barrier is a parabola, so that Newton can start from an overlap [-]
 
 
 def barrier(d: Array, dhat: float) -> tuple[Array, Array, Array]:
@@ -132,23 +131,9 @@ class Contact:
     def moved(self, pose: Pose, offset: float) -> "Contact":
         return replace(self, pose=pose, offset=offset)
 
-    def grown(self, offset: float, x: Array) -> "Contact":
-        """With another offset; x is not used here (see MeshContact)."""
-        return replace(self, offset=offset)
-
     def clear(self, pose: Pose, x: Array) -> Pose:
         """A pose from which the indenter may start: `pose` itself, since gaps may be negative."""
         return pose
-
-    def starts(self, x: Array, ahead: Array, pose: Pose) -> tuple[Array, Array]:
-        """Positions from which Newton may start: those of the last `pose` and a guess, since gaps may be negative."""
-        return x, ahead
-
-    def friction(
-        self, coefficient: float, x: Array, normal_force: Array, normal: Array, anchor: Array, eps: float
-    ) -> Friction:
-        """Friction with lagged normal forces, normals and anchors."""
-        return Friction(self.faces, coefficient, normal_force, normal, anchor, eps)
 
     def gaps(self, x: Array) -> tuple[Array, Array, Array]:
         """Gap to the shrunk indenter (f, q) [mm], normal (f, q, 3) and Hessian (f, q, 3, 3), in the sensor frame."""

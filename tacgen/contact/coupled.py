@@ -17,7 +17,7 @@ import numpy as np
 
 from tacgen.compiled import njit
 from tacgen.contact.barrier import Contact, barrier
-from tacgen.contact.friction import smooth
+from tacgen.contact.friction import slip, smooth
 
 Array = np.ndarray
 
@@ -140,18 +140,11 @@ class CoupledContact:
             d, at, n.reshape(wide), N.reshape(shape), f.reshape(wide), D.reshape(*wide, 3), S.reshape(*wide, 3)
         )
 
-    def slip(self, at: ContactForces) -> Array:
-        """Tangential displacement (f, q, 3) from the anchors [mm]."""
-        u = at.at - self.anchor
-        return np.asarray(u - (u * at.normal).sum(-1, keepdims=True) * at.normal)
-
     def merit(self, x: Array, frozen: ContactForces) -> float:
         """Energy [N mm] of the barrier and of friction with the normal forces and normals of `frozen`."""
         c, at = self.contact, self.contact.faces.at(x)
         energy = float((c.kappa * c.faces.areas * barrier(c.gaps_at(at)[0], c.dhat)[0]).sum())
         if self.friction == 0:
             return energy
-        u = at - self.anchor
-        u = u - (u * frozen.normal).sum(-1, keepdims=True) * frozen.normal
-        f0 = smooth(np.linalg.norm(u, axis=-1), self.eps)[0]
+        f0 = smooth(np.linalg.norm(slip(at, self.anchor, frozen.normal), axis=-1), self.eps)[0]
         return energy + self.friction * float((frozen.N * f0).sum())

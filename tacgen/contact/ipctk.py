@@ -19,7 +19,6 @@ from scipy import sparse
 from scipy.spatial import Delaunay, cKDTree
 
 from tacgen.contact.barrier import Contact, Faces, Pose
-from tacgen.contact.friction import Friction
 from tacgen.fem.assembly import Pattern
 from tacgen.fem.elements import facet_corners, facet_points
 from tacgen.fem.potential import Projection
@@ -29,9 +28,9 @@ Array = np.ndarray
 NODES = 0.04  # share of a facet's area for its nodes, which only stop sharp features between quadrature points
 VERTEX = 0.25  # largest area of an indenter's vertex, over that of a quadrature point, for the same reason
 EDGE = 0.01  # share of that area for a pair of edges: prevents intersections with a negligible force
-LIKE_DISTANCE = 0.25  # factor on kappa: the Toolkit's barrier, of squared distances, is about 4 times as strong
-CLEAR = 2.0  # smallest height above the gel at which the indenter starts, over dhat
-SAFE = 0.25  # largest reduction of the offset in one step, over the smallest gap
+LIKE_DISTANCE = 0.25  # factor on kappa [-]: the Toolkit's barrier, of squared distances, is about 4 times as strong
+CLEAR = 2.0  # smallest height above the gel at which the indenter starts, over dhat [-]
+SAFE = 0.25  # largest reduction of the offset (growth of the shrunk indenter) in one step, over the smallest gap [-]
 
 
 @cache
@@ -314,29 +313,31 @@ class MeshContact:
     def max_step(self, x: Array, p: Array) -> float:
         return self._way(x, self, x + p)
 
-    def friction(
-        self, coefficient: float, x: Array, normal_force: Array, normal: Array, anchor: Array, eps: float
-    ) -> "MeshFriction":
-        """Friction with lagged pairs, forces and directions of the gel at x, and anchors."""
+    def friction(self, coefficient: float, x: Array, normal_force: Array, anchor: Array, eps: float) -> "MeshFriction":
+        """Friction with the pairs, forces and directions of the gel at x, lagged; `normal_force` (f, q) [N] are these
+        forces, `anchor` (f, q, 3) in the sensor frame."""
         ipctk, _ = _toolkit()
         V, near, _ = self._near(x)
-        rubbing = ipctk.TangentialCollisions()
-        rubbing.build(self.pair.collision, V, near, self._barrier, coefficient)
-        return MeshFriction(self.faces, coefficient, normal_force, normal, anchor, eps, self.pair, rubbing)
+        tangential = ipctk.TangentialCollisions()
+        tangential.build(self.pair.collision, V, near, self._barrier, coefficient)
+        return MeshFriction(normal_force, anchor, eps, self.pair, tangential)
 
 
 @dataclass(frozen=True)
-class MeshFriction(Friction):
-    """Friction of pairs of primitives; slip counts from each point's anchor on the indenter, as in Friction."""
+class MeshFriction:
+    """Friction of pairs of primitives; slip counts from each point's anchor. Fits potential.Potential."""
 
+    normal_force: Array  # (f, q) [N], lagged
+    anchor: Array
+    eps: float  # slip over which friction builds up [mm]
     pair: Pair
-    rubbing: Any
+    tangential: Any
 
     def _slips(self, x: Array) -> tuple[Any, Any, Array]:
         """Arguments for the Toolkit: the pairs, the mesh, and the slip of each vertex (c + v, 3)."""
         slips = np.zeros((self.pair.points + len(self.pair.indenter.vertices), 3), order="F")
         slips[: self.pair.points] = self.pair.weights @ x - self.anchor.reshape(-1, 3)[self.pair.firsts]
-        return self.rubbing, self.pair.collision, slips
+        return self.tangential, self.pair.collision, slips
 
     @property
     def _potential(self) -> Any:
@@ -346,6 +347,7 @@ class MeshFriction(Friction):
         return np.asarray(self._potential.gradient(*self._slips(x)).reshape(-1, 3))
 
     def force(self, x: Array) -> Array:
+        """Friction on the gel (f, q, 3) [N]."""
         return self.pair.spread(-self._push(x))
 
     def value(self, x: Array) -> float:
@@ -358,3 +360,6 @@ class MeshFriction(Friction):
         method = _toolkit()[0].PSDProjectionMethod
         hessian = self._potential.hessian(*self._slips(x), method.CLAMP if projection else method.NONE)
         self.pair.add_hessian(hessian, data)
+
+    def max_step(self, x: Array, p: Array) -> float:
+        return 1.0

@@ -20,17 +20,17 @@ import numpy as np
 from tacgen.contact.barrier import Contact
 from tacgen.contact.coupled import CoupledContact
 from tacgen.solve.bulk import Bulk, BulkPoint
-from tacgen.solve.condensation import LEAST_DAMPING, MORE
+from tacgen.solve.condensation import DAMPING_FACTOR, LEAST_DAMPING
 from tacgen.solve.contact_newton import ContactSolution, Quadratic, solve_contact
 from tacgen.solve.linear_solvers import NotPositiveDefinite
 from tacgen.solve.problem import Problem
 from tacgen.solve.state import History, NotConverged
 
 Array = np.ndarray
-BAD = 1e-3  # decrease of the energy over the predicted one, below which a step is halved [-]
+MIN_GAIN = 1e-3  # decrease of the energy over the predicted one, below which a step is halved [-]
 SHORTEST = 1 / 16  # shortest part of a step; below, it is repeated with more damping [-]
 DAMPING_MAX = 2e3  # largest damping, over the stiffness at rest [-]
-USUAL = 0.1  # assumed contraction of the residual by a kept tangent, before it is measured [-]
+RATE_GUESS = 0.1  # assumed contraction of the residual by a kept tangent, before it is measured [-]
 ROUNDING = 1e-12  # relative rounding error of the energy [-]
 SQUEEZED = 0.2  # J below which the message of a failure reports it [-]
 log = logging.getLogger(__name__)
@@ -70,7 +70,7 @@ class BulkNewton:
         options, tangent, conn = self.options, self.tangent, contact.contact.faces.conn
         at = self.bulk.at(x)
         J = self.bulk.at(self.history.x).J if options.mixed_pressure else at.J
-        new, residual, damping, rate, step = not options.keep_tangent, np.inf, 0.0, USUAL, 0
+        new, residual, damping, rate, step = not options.keep_tangent, np.inf, 0.0, RATE_GUESS, 0
         for step in range(1, options.max_newton + 1):
             self.problem.effort.count()
             touching = self._touching(contact.contact, at.x)
@@ -80,7 +80,7 @@ class BulkNewton:
                 tangent.take(at, J if options.mixed_pressure else None)
             found = self._step(at, J, contact, damping, insist=new)
             damping = found.damping
-            if found.gain < BAD:
+            if found.gain < MIN_GAIN:
                 if new:
                     break
                 new = True
@@ -96,7 +96,7 @@ class BulkNewton:
             )  # fmt: skip
             if self._ended(found, moved, residual) and self._covered(contact, at.x):
                 return at.x, contact, step
-            if np.isfinite(before):  # a step with the same tangent as the one before contracts about half as much
+            if np.isfinite(before):  # a kept tangent reduces the residual about half as much as a new one
                 rate = (2 if new else 1) * residual / before
             damping = self._next_damping(found, residual < before)
             new = not options.keep_tangent or found.part < 1 or self._slow(residual, rate)
@@ -111,10 +111,10 @@ class BulkNewton:
         """Less after a full step; more if its contact did not converge and the residual did not fall: such steps go
         in circles, each with normal forces of its own."""
         if not found.inner.converged and found.inner.steps >= self.options.max_contact:
-            return found.damping if fell else max(MORE * found.damping, LEAST_DAMPING)
+            return found.damping if fell else max(DAMPING_FACTOR * found.damping, LEAST_DAMPING)
         if found.part < 1:
             return found.damping
-        return 0.0 if found.damping <= LEAST_DAMPING else found.damping / MORE
+        return 0.0 if found.damping <= LEAST_DAMPING else found.damping / DAMPING_FACTOR
 
     def _slow(self, residual: float, rate: float) -> bool:
         """Whether the kept tangent would need more than `patience` further steps, at a contraction of `rate` each."""
@@ -136,7 +136,7 @@ class BulkNewton:
             found = (
                 Step(inner, at, -np.inf, schur.damping) if inner.unstable else self._along(at, g, y, quadratic, inner)
             )
-            if found.gain >= BAD or not insist or schur.damping > DAMPING_MAX:
+            if found.gain >= MIN_GAIN or not insist or schur.damping > DAMPING_MAX:
                 return found
             schur = schur.more_damped()
 
@@ -150,18 +150,18 @@ class BulkNewton:
         u = (inner.x - here)[condensed.dofs >= 0]
         p, part, contact = condensed.expand(u, y), 1.0, inner.contact
         before = contact.merit(here, inner.forces)
-        felt = contact.merit(inner.x, inner.forces) - before
-        # (g . p + p . K p)/2 of the quadratic bulk is half of what the condensed unknowns do against their load
-        model = float((g * p).sum() + u @ (schur.S @ u + quadratic.force)) / 2 + felt
+        contact_change = contact.merit(inner.x, inner.forces) - before
+        # of the bulk g.p + p.Kp/2 = (g.p + p.(g + Kp))/2; g + Kp is 0 but for the condensed unknowns
+        model = float((g * p).sum() + u @ (schur.S @ u + quadratic.force)) / 2 + contact_change
         rounding = self.floor + ROUNDING * abs(at.energy)
         while True:
             there = self.bulk.at(at.x + part * p)
-            change = there.energy - at.energy + felt
+            change = there.energy - at.energy + contact_change
             gain = 1.0 if abs(change) <= rounding else change / min(part * model, -rounding)
-            if gain >= BAD or part <= SHORTEST:
+            if gain >= MIN_GAIN or part <= SHORTEST:
                 break
             part /= 2
-            felt = contact.merit(here + part * p[condensed.nodes], inner.forces) - before
+            contact_change = contact.merit(here + part * p[condensed.nodes], inner.forces) - before
         if part < 1:
             x = there.x[condensed.nodes]
             inner = replace(inner, x=x, forces=contact.evaluate(x), converged=False)

@@ -20,7 +20,7 @@ from tacgen.solve.linear_solvers import Cholmod, dissection
 
 Array = np.ndarray
 LEAST_DAMPING = 0.02  # smallest Levenberg-Marquardt damping that is worth trying, over the stiffness at rest [-]
-MORE = 4.0  # by which damping is multiplied where it is not enough
+DAMPING_FACTOR = 4.0  # by which damping is increased where it does not suffice [-]
 # Diagonal shift of the condensed dofs over the largest diagonal entry [-]: added before the factorisation and
 # subtracted from S, so that only the part of the gel away from the contact must be stable by itself
 SHIFT = 10.0
@@ -33,7 +33,7 @@ class Condensation:
         self.whole, self._order, self._at_rest = whole, dissection(whole), at_rest
         self._free = np.zeros((whole.nodes, 3), bool)
         self._free.ravel()[whole.free] = True
-        self.nodes, self.local = np.zeros(0, np.int64), np.full(whole.nodes, -1)  # condensed to these; their numbers
+        self.nodes, self.local = np.zeros(0, np.int64), np.full(whole.nodes, -1)  # condensed nodes; their numbers
         self.factored = 0  # number of factorisations
         self.usable = False
 
@@ -129,11 +129,10 @@ def _cholesky(K: Array) -> Callable[[Array], Array]:
 
 
 class Schur:
-    """A dense symmetric stiffness S (k, k), to which `damping` times that at rest is added, of which only some unknowns
-    are loaded.
+    """The Schur complement S (k, k), a dense symmetric stiffness, with `damping` times that at rest added.
 
-    Unknowns on which contact has not acted yet are eliminated once; the set of `active` ones only grows. The eliminated
-    part must be positive definite: damping is increased until it is.
+    Contact acts on few of its unknowns. The others are eliminated once; the set of `active` ones, on which contact has
+    acted, only grows. The eliminated part must be positive definite: damping is increased until it is.
     """
 
     def __init__(self, S: Array, at_rest: Callable[[], Array], damping: float = 0.0) -> None:
@@ -148,7 +147,7 @@ class Schur:
 
     def more_damped(self) -> "Schur":
         """The same with the next larger damping."""
-        return self.damped(max(MORE * self.damping, LEAST_DAMPING))
+        return self.damped(max(DAMPING_FACTOR * self.damping, LEAST_DAMPING))
 
     def activate(self, which: Array) -> None:
         """Make these unknowns (k,) bool active too."""
@@ -167,7 +166,8 @@ class Schur:
         self._reduced = L, W, self.S[np.ix_(a, a)] - W.T @ W
 
     def stiffness(self, D: Array, N: Array, dofs: Array) -> Array:
-        """Tangents D (f, q, 3, 3) [N/mm] of facets' points on the active unknowns (a, a), which theirs then are.
+        """Stiffness (a, a) on the active unknowns by tangents D (f, q, 3, 3) [N/mm] at the points of facets; the
+        unknowns of these facets become active.
 
         N (q, a): shape functions; dofs (f, a, 3): numbers of the condensed unknowns, -1 where held.
         """

@@ -16,11 +16,11 @@ from tacgen.contact.coupled import ContactForces, CoupledContact
 from tacgen.solve.condensation import Schur
 
 Array = np.ndarray
-ARMIJO = 1e-4
+ARMIJO = 1e-4  # smallest decrease of the merit function over that predicted by its slope (Armijo's rule) [-]
 ROUNDING = 1e-12  # relative increase of the merit function that is attributed to rounding [-]
-HALVES = 0.5  # residual over the one before, up to which a coupled step is taken in full [-]
+FULL_STEP = 0.5  # residual over the one before, up to which a coupled step is taken in full [-]
 SHORTEST = 1e-8  # fraction of a step at which a line search has stalled [-]
-ENOUGH = 0.1  # fraction of a coupled step below which the symmetric step is tried [-]
+MIN_COUPLED = 0.1  # smallest fraction of a coupled step; below, the symmetric step is tried [-]
 
 
 class Bulk(Protocol):
@@ -58,8 +58,8 @@ class Quadratic:
 
     def solve(self, x: Array, contact: CoupledContact, D: Array, g: Array, symmetric: bool) -> Array | None:
         faces = contact.contact.faces
-        felt = np.flatnonzero(D.any((1, 2, 3)))
-        added = self.schur.stiffness(D[felt], faces.N, self.dofs[faces.conn[felt]])
+        loaded = np.flatnonzero(D.any((1, 2, 3)))
+        added = self.schur.stiffness(D[loaded], faces.N, self.dofs[faces.conn[loaded]])
         p = np.zeros(x.shape)
         try:
             p[self.dofs >= 0] = self.schur.solve(added, -g[self.dofs >= 0], symmetric)
@@ -70,7 +70,7 @@ class Quadratic:
 
 @dataclass(frozen=True)
 class ContactSolution:
-    """Positions x (n, 3), the contact as it is there (its offset included), its forces there, and how it ended."""
+    """Positions x (n, 3), the contact with its offset there, its forces, and how the iteration ended."""
 
     x: Array
     contact: CoupledContact
@@ -109,7 +109,7 @@ def solve_contact(
         if p is not None and contact.contact.max_step_from(forces.gap, p) == 1.0:
             there = contact.evaluate(x + p)
             ahead = residual(there, x + p)
-            if np.linalg.norm(ahead) <= HALVES * np.linalg.norm(g):
+            if np.linalg.norm(ahead) <= FULL_STEP * np.linalg.norm(g):
                 full = there, ahead
         fraction = 1.0
         if full is None:
@@ -130,7 +130,7 @@ def solve_contact(
 
 
 def _to_radius(gone: Array, step: Array, radius: float) -> float:
-    """Part of a step with which the first entry comes to the radius."""
+    """Fraction of a step at which the first entry reaches the radius."""
     away = np.where(step != 0, (radius - np.sign(step) * gone) / np.maximum(np.abs(step), 1e-300), np.inf)
     return float(max(away.min(), 0.0))
 
@@ -138,11 +138,11 @@ def _to_radius(gone: Array, step: Array, radius: float) -> float:
 def _downhill(
     bulk: Bulk, contact: CoupledContact, forces: ContactForces, x: Array, g: Array, coupled: Array | None
 ) -> tuple[float, Array | None]:
-    """Which part of which step lowers the merit function: of the coupled one or, where that goes down too little, of
-    the symmetric one; None where neither does."""
+    """Fraction and step that lower the merit function: the coupled step or, if less than MIN_COUPLED of it does, the
+    symmetric one; None if neither does."""
     here = bulk.value(x) + contact.merit(x, forces)
 
-    def down(p: Array, least: float) -> float:
+    def decreasing(p: Array, least: float) -> float:
         slope = float((g * p).sum())
         if slope > 0:
             return 0.0
@@ -156,9 +156,9 @@ def _downhill(
             fraction /= 2
         return 0.0
 
-    if coupled is not None and (fraction := down(coupled, ENOUGH)) > 0:
+    if coupled is not None and (fraction := decreasing(coupled, MIN_COUPLED)) > 0:
         return fraction, coupled
     p = bulk.solve(x, contact, forces.definite, g, True)
-    if p is not None and (fraction := down(p, SHORTEST)) > 0:
+    if p is not None and (fraction := decreasing(p, SHORTEST)) > 0:
         return fraction, p
     return 0.0, None

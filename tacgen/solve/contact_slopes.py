@@ -1,4 +1,4 @@
-"""How contact forces and friction's anchors change where contact points, anchors and the indenter's offset move.
+"""Derivatives of contact forces and friction's anchors with respect to contact points, anchors and the offset.
 
 Motions are (k, f, q, 3) for k parameters at once, in the sensor frame, relative to the indenter: forces do not change
 where all move together.
@@ -10,7 +10,7 @@ import numpy as np
 
 from tacgen.contact.barrier import barrier
 from tacgen.contact.coupled import CoupledContact
-from tacgen.contact.friction import smooth
+from tacgen.contact.friction import slip, smooth
 
 Array = np.ndarray
 
@@ -36,9 +36,9 @@ class ContactSlopes:
         _, db, ddb = barrier(gap, contact.dhat)
         stiffness = contact.kappa * contact.faces.areas
         self._N_by_gap = -stiffness * ddb * self._size
-        self._N_by_way = -(stiffness * db)[..., None] * np.einsum("fqi,fqij->fqj", n, self._hessian)
+        self._N_by_motion = -(stiffness * db)[..., None] * np.einsum("fqi,fqij->fqj", n, self._hessian)
         self._across = np.eye(3) - n[..., :, None] * n[..., None, :]
-        self._lever, self._slip = dot(self.forces.at - coupled.anchor, n), coupled.slip(self.forces)
+        self._lever, self._slip = dot(self.forces.at - coupled.anchor, n), slip(self.forces.at, coupled.anchor, n)
         self._length = np.linalg.norm(self._slip, axis=-1)
         _, slope, bend = smooth(self._length, coupled.eps)
         curved = bend[..., None, None] * self._slip[..., :, None] * self._slip[..., None, :]
@@ -51,30 +51,30 @@ class ContactSlopes:
         """Friction on the gel (f, q, 3) [N]."""
         return np.asarray(self.forces.force - self.forces.N[..., None] * self.forces.normal)
 
-    def force(self, way: Array, anchors: Array) -> Array:
-        """Of the force on the gel (k, f, q, 3) [N], the offset held."""
-        return np.asarray(times(self._by_anchor, anchors) - times(self.forces.tangent, way))
+    def force(self, motion: Array, anchors: Array) -> Array:
+        """Change of the force on the gel (k, f, q, 3) [N], at a constant offset."""
+        return np.asarray(times(self._by_anchor, anchors) - times(self.forces.tangent, motion))
 
-    def normal_force(self, way: Array, offset: Array) -> Array:
-        """(k, f, q) [N], where the offset moves by (k,)."""
-        closer = dot(self._gradient, way) + offset[:, None, None]
-        return np.asarray(self._N_by_gap * closer + dot(self._N_by_way, way))
+    def normal_force(self, motion: Array, offset: Array) -> Array:
+        """Its change (k, f, q) [N]; `offset` (k,) is that of the offset [mm]."""
+        closer = dot(self._gradient, motion) + offset[:, None, None]
+        return np.asarray(self._N_by_gap * closer + dot(self._N_by_motion, motion))
 
-    def normal(self, way: Array) -> Array:
-        """(k, f, q, 3): it turns with the place on the indenter."""
-        return np.asarray(times(self._across, times(self._hessian, way)) / self._size[..., None])
+    def normal(self, motion: Array) -> Array:
+        """Its change (k, f, q, 3) with the position on the indenter."""
+        return np.asarray(times(self._across, times(self._hessian, motion)) / self._size[..., None])
 
-    def gap_excess(self, way: Array, offset: Array) -> Array:
-        """Of the force-weighted mean gap less the offset, times the normal force (k,) [N]."""
+    def gap_excess(self, motion: Array, offset: Array) -> Array:
+        """Change of the force-weighted mean gap less the offset, times the normal force (k,) [N mm]."""
         N, gap = self.forces.N, self.forces.gap - self.forces.mean_gap
-        return np.asarray((self.normal_force(way, offset) * gap + N * dot(self._gradient, way)).sum((1, 2)))
+        return np.asarray((self.normal_force(motion, offset) * gap + N * dot(self._gradient, motion)).sum((1, 2)))
 
-    def dragged(self, way: Array, anchors: Array) -> Array:
-        """Of the anchors after the step, where they were `anchors` before it (see friction.dragged)."""
+    def dragged(self, motion: Array, anchors: Array) -> Array:
+        """Change of the anchors after the step; `anchors` is that before it (see friction.dragged)."""
         n, length, u = self.forces.normal, np.maximum(self._length, 1e-300), self._slip
-        turn, away = self.normal(way), way - anchors
+        turn, away = self.normal(motion), motion - anchors
         slip = times(self._across, away) - self._lever[..., None] * turn
         slip -= dot(turn, u + self._lever[..., None] * n)[..., None] * n
         kept = np.minimum(1.0, self.eps / length)
         change = np.where(length > self.eps, -kept / length**2 * dot(u, slip), 0.0)
-        return np.asarray(way - change[..., None] * u - kept[..., None] * slip)
+        return np.asarray(motion - change[..., None] * u - kept[..., None] * slip)

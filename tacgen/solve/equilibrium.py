@@ -22,9 +22,9 @@ from tacgen.solve.state import History, NotConverged, State, TooFar
 
 Array = np.ndarray
 NEGLIGIBLE = 1e-3  # smallest force scale, over the largest contact force so far [-]
-INSIDE = 0.45  # largest depth of contact points inside the indenter, over its reach [-]
-STIFFENINGS = 8  # most increases of a barrier's stiffness, each by STIFFER, until nothing penetrates or inverts
-STIFFER = 4.0
+INSIDE = 0.45  # largest depth of the gel inside the indenter, over its reach [-]; 1 is its middle
+STIFFENINGS = 8  # most solves, with barriers STIFFER times as stiff each time, until nothing penetrates or inverts
+STIFFER = 4.0  # [-]
 TRIES = 4  # most solves with contact between meshes, each with smaller tolerances
 
 
@@ -95,9 +95,8 @@ class LoadStep:
         return contact.pose.world(np.where(history.normal_force[..., None] > 0, history.anchor, touch))
 
     def start(self, near: Array | None) -> Array:
-        """Start of Newton's method: the first admissible one of a nearby solution, the prediction, the positions by
-        inertia, and the last positions. Admissible: no penetration and no inverted element. Raises TooFar: none is.
-        """
+        """Start of Newton's method: the first of a nearby solution, the prediction, the positions by inertia, and the
+        last positions in which nothing tunnels and no element is inverted. Raises TooFar: there is none."""
         history, contact = self.history, self.contact.contact
         for x in (near, None if self.prediction is None else self.prediction.x, self.ahead, history.x):
             if x is None or blocked(contact, history.pose, history.x, history.gap, x):
@@ -180,8 +179,8 @@ def equilibrium(
 
 
 def _until_sound(step: LoadStep | MeshLoadStep, x: Array) -> tuple[Found, float]:
-    """The equilibrium with barriers stiff enough that no point is inside the shrunk indenter and no element folded
-    between the points of the folding barrier, with the Newton steps of all solves; and the certified J."""
+    """The equilibrium, with barriers stiff enough that no point is inside the shrunk indenter and no element is
+    inverted, and the Newton steps of all solves; and the certified lower bound of J."""
     steps, damped, mesh = 0, 0, step.problem.mesh
     for _ in range(STIFFENINGS):
         found = step.solve(x) if isinstance(step, LoadStep) else _solve_meshes(step, x)
@@ -220,13 +219,13 @@ def _record(
     quality: tuple[float, float, float],
 ) -> tuple[History, State]:
     coupled, contact, forces, history = found.contact, found.contact.contact, found.forces, step.history
-    rub = sliding = None
+    friction = sliding = None
     anchor = history.anchor
     if coupled.friction > 0:
-        rub = forces.force - forces.N[..., None] * forces.normal
-        # anchors of sliding points lag by eps; a point that has stopped is still there within the tolerance
+        friction = forces.force - forces.N[..., None] * forces.normal
+        # the anchor of a sliding point lags by eps; the slip of one that has stopped is still eps, within the tolerance
         least = coupled.eps + step.problem.options.step_tol * contact.dhat
-        sliding = (np.linalg.norm(coupled.slip(forces), axis=-1) > least) & (forces.N > 0)
+        sliding = (np.linalg.norm(fr.slip(forces.at, coupled.anchor, forces.normal), axis=-1) > least) & (forces.N > 0)
         anchor = fr.dragged(coupled.anchor, forces.at, forces.normal, forces.N, coupled.eps, contact.pose)
     internal = step.problem.internal(history, found.x, step.duration)
     after = History(
@@ -242,12 +241,12 @@ def _record(
         None if history.velocity is None else (found.x - history.x) / step.duration,
         history.x,
         internal,
-        None if step.prediction is None else step.prediction.missed(found.x),
+        None if step.prediction is None else step.prediction.error(found.x),
         None if step.prediction is None else step.prediction.x,
     )
     mean = contact.mean_gap(found.x)
     residual, balance, least_J = quality
     return after, State(
-        index, matrix, found.x, forces.N, forces.normal, rub, sliding, found.steps, 1, contact.offset, mean,
+        index, matrix, found.x, forces.N, forces.normal, friction, sliding, found.steps, 1, contact.offset, mean,
         found.least_gap, residual, balance, least_J, found.damped, internal=internal, after=after,
     )  # fmt: skip

@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 POWER = 2 / 3  # exponent of the value that makes it linear in u for a ball pressed in by u (Hertz) [-]
 END = 1e-12  # distance of u from an end at which it counts as the end
+TRIALS = 30  # most evaluations
 
 
 class OutOfReach(ArithmeticError):
@@ -23,7 +24,6 @@ def meet(
     low: float,
     high: float,
     tol: float,
-    steps: int = 30,
 ) -> None:
     """Evaluate an increasing f until f(u) is `target` within the relative tolerance `tol`; the last u is the result.
 
@@ -32,12 +32,12 @@ def meet(
         known: (u, f(u)), not evaluated again. guess: first u. low, high: the interval; f(low) < target.
 
     Raises:
-        OutOfReach: f(high) < target. ArithmeticError: not found within `steps` evaluations.
+        OutOfReach: f(high) < target. ArithmeticError: not found within TRIALS evaluations.
     """
     bounded = known[1] >= target  # whether an evaluation is an upper bound
     below, above = ((low, 0.0), known) if bounded else (known, (high, float("nan")))
     last, u = known, guess
-    for step in range(steps):
+    for step in range(TRIALS):
         inside = below[0] < u < above[0] or (u == high and not bounded)
         if not inside or step % 6 == 5:  # bisection, if the secant approaches from one side only
             u = (below[0] + above[0]) / 2
@@ -53,7 +53,7 @@ def meet(
         u, last = _next(target, last, (u, v)), (u, v)
         if not bounded:
             u = min(u, high, last[0] + max(4 * (last[0] - known[0]), (high - last[0]) / 4))
-    raise ArithmeticError(f"{target:g} not met within {tol:g} of it in {steps} trials, from {below} to {above}")
+    raise ArithmeticError(f"{target:g} not met within {tol:g} of it in {TRIALS} trials, from {below} to {above}")
 
 
 def _next(target: float, last: tuple[float, float], now: tuple[float, float]) -> float:

@@ -1,4 +1,4 @@
-"""Guesses of the depths that follow from forces, by a solve on a coarse mesh, to make the mesh fine there."""
+"""Depths of frames with a prescribed force, by a solve on a coarse mesh: the final mesh is made fine there."""
 
 from dataclasses import replace
 
@@ -9,17 +9,17 @@ from tacgen.recipe.trajectory_poses import FORCE_DEPTH
 from tacgen.scene import mesh
 from tacgen.scene.scene import Scene
 
-HOPELESS = 2  # force over the largest that the coarse mesh reaches, above which the scene is refused at once [-]
+HOPELESS = 2  # force over the largest on the coarse mesh, above which the scene is refused at once [-]
 COARSE = 5  # edges of the coarse mesh through the gel's thickness
 
 
 def foreseen(scene: Scene) -> Scene:
-    """A scene whose frames with a force have heights guessed by a solve on a coarse mesh; other scenes are unchanged.
+    """The scene with guessed heights at frames with a force; a scene without such frames is returned unchanged.
 
     The mesh must be fine where the indenter will be, which is not known for a force. Formulas for the stiffness would
     be needed for every shape, law and layer; a coarse solve takes a few seconds. Its depth has an error of some
-    percent: `below` allows for a quarter more and a quarter of its edge. If the coarse solve fails, the mesh is fine
-    for all depths, and the true solve reports the reason; a force far above what the gel can bear is refused at once.
+    percent: `below` allows for a quarter of the depth plus a quarter of the edge. If the coarse solve fails, the mesh
+    is fine for all depths, and the true solve reports the reason; a force far above what the gel can bear is refused.
     """
     forced = scene.forced
     if forced is None:

@@ -1,6 +1,6 @@
 """The states of all frames along the path.
 
-Each frame is at exactly the given pose, or at the height that gives the force asked for. If a frame has no solution the
+Each frame is at exactly the given pose, or at the height of the prescribed force. If a frame has no solution the
 scene is rejected.
 """
 
@@ -42,11 +42,11 @@ def _reach_force(
     index: int,
     duration: float,
     target: float,
-    had: float,
+    before: float,
     floor: float,
     tol: float,
 ) -> tuple[History, State]:
-    """From pose `last` with the normal force `had` to the height with `target` [N], at the rotation of `guess`.
+    """From pose `last` with the normal force `before` to the height with `target` [N], else at pose `guess`.
 
     Every trial starts from the same history, so that rejected trials do not influence friction.
     """
@@ -55,7 +55,7 @@ def _reach_force(
     found: list[tuple[History, State]] = []
     refused: list[NotConverged] = []
 
-    def bears(u: float) -> float:
+    def force_at(u: float) -> float:
         pose = guess.copy()
         pose[2, 3] = -u
         try:
@@ -68,24 +68,24 @@ def _reach_force(
         return normal_force(found[-1][1])
 
     try:
-        known, at = (-float(last[2, 3]), had), -float(guess[2, 3])
+        known, at = (-float(last[2, 3]), before), -float(guess[2, 3])
         face, elsewhere = floor + FORCE_DEPTH * problem.thickness, not np.allclose((guess - last) * (1 - RISE), 0)
-        if had > 0 and (elsewhere or (at <= known[0]) == (target > had)):  # or the guess contradicts what is known
-            at = -face + (known[0] + face) * (target / had) ** POWER
+        if before > 0 and (elsewhere or (at <= known[0]) == (target > before)):  # or it contradicts `known`
+            at = -face + (known[0] + face) * (target / before) ** POWER
         if elsewhere:
             known = -face, 0.0
-        meet(bears, target, known=known, guess=at, low=low, high=-floor, tol=tol)
+        meet(force_at, target, known=known, guess=at, low=low, high=-floor, tol=tol)
     except OutOfReach as error:
         text = f"{target:g} N asked for, and {FORCE_DEPTH:.0%} of the gel's thickness gives {error.most:.3g} N"
         raise TooMuch(text, index, target, error.most) from None
     except OutOfEffort as error:
-        most = max((normal_force(state) for _, state in found), default=had)
+        most = max((normal_force(state) for _, state in found), default=before)
         raise NotConverged(f"{target:g} N asked for: {error}, of which the best gives {most:.3g} N") from None
     except ArithmeticError as error:
-        if not refused and problem.options.step_tol >= DEFAULT.step_tol:  # light forces vary within the tolerances
+        if not refused and problem.options.step_tol >= DEFAULT.step_tol:  # tolerances are large beside light forces
             finer = replace(problem, options=tighter(problem.options))
-            return _reach_force(finer, history, last, guess, index, duration, target, had, floor, tol)
-        most = max((normal_force(state) for _, state in found), default=had)
+            return _reach_force(finer, history, last, guess, index, duration, target, before, floor, tol)
+        most = max((normal_force(state) for _, state in found), default=before)
         why = refused[-1] if refused else error
         raise NotConverged(
             f"{target:g} N asked for, and as far as the gel could be solved it gives {most:.3g} N: {why}"
@@ -98,7 +98,7 @@ def trial(
     problem: Problem, history: History, last: Array, pose: Array, index: int, duration: float, near: State | None
 ) -> tuple[History, State]:
     if near is not None and near.substeps == 1:
-        with suppress(NotConverged):  # OutOfEffort comes again at once
+        with suppress(NotConverged):  # OutOfEffort is raised again at once
             return equilibrium(problem, history, pose, index, duration, near)
     return advance(problem, history, last, pose, shortest_turn(last, pose), index, duration, trial=True)
 
@@ -119,18 +119,20 @@ def states(scene: Scene, problem: Problem, *, tol: float | None = None) -> Itera
     """
     history, last = problem.rest(Pose.of(scene.start)), scene.start
     end_tol, way_tol = (problem.options.force_tol, 1e-2) if tol is None else (tol, tol)
-    forced, shift, had, begun = scene.forced, 0.0, 0.0, 0.0
+    forced, shift, before, start_force = scene.forced, 0.0, 0.0, 0.0
     for index, pose in enumerate(scene.poses):
         duration = math.inf if scene.duration is None else float(scene.duration[index])
         if forced is not None and forced.hopeless is not None and forced.hopeless[0] == index:
             raise NotConverged(forced.hopeless[1])
         if forced is not None and (index == 0 or scene.segment[index] != scene.segment[index - 1]):
-            begun = had  # the force before the segment
+            start_force = before
         if forced is not None and np.isfinite(asked := forced.asked[index]):
-            target = begun + forced.part[index] * (asked - begun)
+            target = start_force + forced.part[index] * (asked - start_force)
             part_tol = end_tol if forced.part[index] == 1 else way_tol
             floor = forced.floor[index]
-            history, state = _reach_force(problem, history, last, pose, index, duration, target, had, floor, part_tol)
+            history, state = _reach_force(
+                problem, history, last, pose, index, duration, target, before, floor, part_tol
+            )
             shift = state.pose[2, 3] - pose[2, 3]
             if -shift > forced.below[index] + 1e-9:
                 raise NotConverged(f"{target:g} N are {-shift:.3g} mm deeper than the mesh was made for")
@@ -140,6 +142,6 @@ def states(scene: Scene, problem: Problem, *, tol: float | None = None) -> Itera
             turn = shortest_turn(last, pose) if scene.turns is None else scene.turns[index]
             history, state = advance(problem, history, last, pose, turn, index, duration)
         if forced is not None:
-            had = normal_force(state)
+            before = normal_force(state)
         yield state
         last = state.pose

@@ -1,7 +1,7 @@
-"""Newton's method on all unknowns at once: the oracle, and what serves where CHOLMOD's factors cannot be read.
+"""Newton's method on all unknowns at once: the reference solver, also used where CHOLMOD's factors cannot be read.
 
 The same equations, merit function and steps as in contact_newton, with the bulk itself instead of its Schur complement:
-each tangent exact and new, and one sparse LU factorisation of bulk and contact together.
+a new exact tangent in each step, and one sparse LU factorisation of bulk and contact together.
 """
 
 from dataclasses import dataclass, field
@@ -72,10 +72,10 @@ def exact_factor(pattern: Pattern, data: Array, faces: Faces, D: Array) -> "sp.l
 
 def _sparse(pattern: Pattern, faces: Faces, D: Array) -> sp.csr_matrix:
     """The contact's tangent on the free dofs."""
-    felt, dofs = np.flatnonzero(D.any((1, 2, 3))), 3 * pattern.nodes
-    blocks = np.einsum("qa,qb,fqij->faibj", faces.N, faces.N, D[felt])
+    loaded, dofs = np.flatnonzero(D.any((1, 2, 3))), 3 * pattern.nodes
+    blocks = np.einsum("qa,qb,fqij->faibj", faces.N, faces.N, D[loaded])
     size = 3 * faces.conn.shape[1]
-    number = (3 * faces.conn[felt][..., None] + np.arange(3)).reshape(len(felt), size)
+    number = (3 * faces.conn[loaded][..., None] + np.arange(3)).reshape(len(loaded), size)
     rows, columns = np.repeat(number, size, 1).ravel(), np.tile(number, (1, size)).ravel()
     whole = sp.coo_matrix((blocks.ravel(), (rows, columns)), shape=(dofs, dofs)).tocsr()
     return whole[pattern.free][:, pattern.free]

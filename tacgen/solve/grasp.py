@@ -42,7 +42,7 @@ REMEDY = "try more frames for this movement, more grip force or a finer mesh"
 TRIALS = 40  # most equilibria of both gels in a frame; ordinary frames take 3 to 6
 SLIGHT = 1e-3  # smallest force scale, over the weight [-]
 UNRESISTED = 1e-6  # singular value over the largest, below which a motion has no stiffness [-]
-# a force is right to what Newton leaves at all nodes, some ten times what it leaves in their 2-norm
+# the error of a resultant is the sum of the nodal residuals, some ten times their 2-norm
 OPTIONS = tighter(DEFAULT)
 GUESSED = 0.1  # first depth in the search for a force without contact, over the gel's thickness [-]
 SHORTEST = 1 / 4  # smallest fraction of a Newton step in the line search [-]
@@ -53,7 +53,7 @@ class Held:
     """A frame of a grasp.
 
     states: of the left and the right gel; pose, sensors (4, 4): of the object and of both sensors in the world; width
-    [mm] between the untouched faces; unborne: what the fingers do not bear of the weight [N]; balance: what is left of
+    [mm] between the untouched faces; unborne: part of the weight that the fingers do not bear [N]; balance: residual of
     both fingers' forces and moments, the weight and the table, over the grip force [-].
     """
 
@@ -82,7 +82,7 @@ def problem_of(finger: Scene) -> Problem:
 
 
 def held(grasp: Grasp, problems: tuple[Problem, Problem], *, tol: float | None = None) -> Iterator[Held]:
-    """The grasp at every frame, in order; a force that is asked for is met within the part `tol` of it.
+    """The grasp at every frame, in order; `tol`: relative tolerance of a prescribed force.
 
     Raises:
         NotConverged: a frame could not be reached; it and all after it are missing.
@@ -97,12 +97,12 @@ def held(grasp: Grasp, problems: tuple[Problem, Problem], *, tol: float | None =
         last, mode = frame.find(mode)
         gripper, states = grasp.gripper[index], tuple(state for _, state in last.gels)
         fingers = tuple(gripper @ finger(side, last.width) for side in (0, 1))
-        pose, unborne = gripper @ last.pose, frame.pull(last)
-        yield Held(states, pose, fingers, last.width, mode, unborne, frame.balance(last, mode))  # type: ignore[arg-type]
+        pose, left = gripper @ last.pose, frame.unborne(last)
+        yield Held(states, pose, fingers, last.width, mode, left, frame.balance(last, mode))  # type: ignore[arg-type]
 
 
 class Frame:
-    """One frame, looked for from the last; vectors are in the gripper's frame, moments divided and turns multiplied by
+    """The solve of one frame. Vectors are in the gripper's frame; moments are divided and rotations multiplied by
     `arm`, so that all are forces [N] and lengths [mm]."""
 
     def __init__(
@@ -124,30 +124,30 @@ class Frame:
     def find(self, mode: Mode) -> tuple[Trial, Mode]:
         """The frame's equilibrium, and what the object does in it. Raises NotConverged.
 
-        A held object is looked for from where the gripper carried it, where the gel sticks: once all of it slides, a
-        tangent says nothing.
+        For a held object Newton's method starts from the pose carried along by the gripper, where the gel sticks: where
+        the whole contact slides, the tangent is no guide.
         """
         table, carried, width = self._height(self.last.pose), self.last.pose, self._first_width()
         lowest = table if mode == Mode.standing else min(table, self.grasp.fall)
         if mode == Mode.held or (mode == Mode.standing and lowest > 0):
-            found = self._settle(self._trial(carried, width), Mode.held, lowest)
+            found = self._newton(self._trial(carried, width), Mode.held, lowest)
             if found is not None:
                 return found, Mode.held
         mode = Mode.standing if lowest == table else Mode.falling
-        found = self._settle(self._trial(self._lowered(carried, lowest, mode), width), mode)
+        found = self._newton(self._trial(self._lowered(carried, lowest, mode), width), mode)
         assert found is not None
-        if self.pull(found) >= -self.balanced * self._least(found):
+        if self.unborne(found) >= -self.balanced * self._least(found):
             return found, mode
-        found = self._settle(self._trial(carried, found.width), Mode.held, lowest, bounded=True)
+        found = self._newton(self._trial(carried, found.width), Mode.held, lowest, bounded=True)
         assert found is not None
         return found, Mode.held
 
-    def pull(self, at: Trial) -> float:
-        """What the fingers do not bear of the weight [N]."""
+    def unborne(self, at: Trial) -> float:
+        """Part of the weight that the fingers do not bear [N]."""
         return float((at.wrench + self.load)[:3] @ self.down)
 
     def balance(self, at: Trial, mode: Mode) -> float:
-        """What is left of forces, and of moments over the arm, in the directions in which the object is free."""
+        """Residual of forces, and of moments over the arm, in the directions in which the object is free [-]."""
         free = self._free(mode)
         return float(np.linalg.norm(free.T @ ((at.wrench + self.load) / self.scale))) / self._least(at)
 
@@ -155,7 +155,7 @@ class Frame:
         return max(at.grip, SLIGHT * self.heaviness, *(gel.least_force for gel, _ in at.gels))
 
     def _free(self, mode: Mode) -> Array:
-        """Orthonormal directions (6, k) in which the object is moved by what acts on it."""
+        """Orthonormal directions (6, k) in which the object is free to move."""
         if mode == Mode.held:
             return np.eye(6)
         level = np.linalg.svd(self.down[None])[2][1:]
@@ -177,7 +177,7 @@ class Frame:
         return float((self._centre(pose) - self._centre(self.last.pose)) @ self.down)
 
     def _lowered(self, pose: Array, lowest: float, mode: Mode) -> Array:
-        """`pose` as low as it may be, and upright as it stood on a table."""
+        """`pose` lowered to `lowest`; on a table, with the rotation that it had there."""
         out = pose.copy()
         if mode == Mode.standing:
             out[:3, :3] = self.gripper[:3, :3].T @ self.before[:3, :3] @ self.last.pose[:3, :3]
@@ -226,15 +226,14 @@ class Frame:
         return out
 
     def _residual(self, at: Trial, free: Array) -> Array:
-        """(k + 1,) [N]: what is left in the free directions, and of the force that is asked for, made straight as in
-        force_control."""
+        """(k + 1,) [N]: in the free directions, and of the prescribed force, in its power 2/3 as in force_control."""
         short = 0.0
         if math.isfinite(self.force):
             short = 1.5 * self.force ** (1 / 3) * (max(at.grip, 0.0) ** (2 / 3) - self.force ** (2 / 3))
         return np.append(free.T @ ((at.wrench + self.load) / self.scale), short)
 
-    def _settle(self, at: Trial, mode: Mode, lowest: float = math.inf, bounded: bool = False) -> Trial | None:
-        """Newton's method from a trial; None where a held object seems to sink below `lowest`, unless it is known to be
+    def _newton(self, at: Trial, mode: Mode, lowest: float = math.inf, bounded: bool = False) -> Trial | None:
+        """Newton's method from a trial; None if a held object seems to sink below `lowest`, unless it is known to be
         held above (`bounded`). Raises NotConverged."""
         free, forced = self._free(mode), math.isfinite(self.force)
         cap = min(problem.edge for problem in self.problems)
@@ -247,8 +246,8 @@ class Frame:
             A = np.zeros((len(r), len(r)))
             A[:-1, :-1], A[:-1, -1] = free.T @ J[:6, :6] @ free, free.T @ J[:6, 6]
             if forced:
-                straight = (self.force / max(at.grip, 1e-3 * self.force)) ** (1 / 3)
-                A[-1, :-1], A[-1, -1] = straight * (J[6, :6] @ free), straight * J[6, 6]
+                slope = (self.force / max(at.grip, 1e-3 * self.force)) ** (1 / 3)
+                A[-1, :-1], A[-1, -1] = slope * (J[6, :6] @ free), slope * J[6, 6]
             else:
                 A[:, -1] = 0.0
             step = np.linalg.lstsq(A, -r, rcond=UNRESISTED)[0]
@@ -258,13 +257,13 @@ class Frame:
                 if not bounded:
                     return None
                 step *= (lowest - here) / (there - here) / 2
-            before, (at, r) = np.linalg.norm(r), self._searched(at, r, free, step)
-            if lowest < math.inf and not bounded and np.linalg.norm(r) >= before and self.pull(at) > 0:
+            before, (at, r) = np.linalg.norm(r), self._line_search(at, r, free, step)
+            if lowest < math.inf and not bounded and np.linalg.norm(r) >= before and self.unborne(at) > 0:
                 return None
         return at
 
-    def _searched(self, at: Trial, r: Array, free: Array, step: Array) -> tuple[Trial, Array]:
-        """A part of a Newton step that leaves less, or the shortest one."""
+    def _line_search(self, at: Trial, r: Array, free: Array, step: Array) -> tuple[Trial, Array]:
+        """The first fraction of a Newton step that lowers the residual, or the shortest one."""
         part = 1.0
         while True:
             try:
@@ -288,8 +287,8 @@ class Frame:
 
 
 def foreseen(grasp: Grasp) -> Grasp:
-    """A grasp whose meshes will be fine where a solve on coarse ones has the object; where that fails, as far as it
-    came and where the recipe's movements let one expect it (see foresee)."""
+    """The grasp with meshes that are fine where a solve on coarse ones has the object (see foresee); if that fails, at
+    the poses found so far and at those of the recipe's movements."""
     rough = tuple(
         replace(scene, edge=max(scene.edge, scene.gel.thickness / COARSE), dhat=max(scene.dhat, 0.05))
         for scene in grasp.fingers

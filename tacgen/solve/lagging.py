@@ -11,13 +11,13 @@ OPPOSED = 0.8  # minus the cosine between two errors, above which the updates ca
 
 
 class Lag:
-    """The last positions x (n, 3), the forces found there and by how much they were off those that had been lagged."""
+    """Keeps the last positions x (n, 3), the forces there, and their difference from the lagged ones."""
 
     def __init__(self) -> None:
         self._last: tuple[Array, Array, Array] | None = None
 
     def next(self, x: Array, force: Array, lagged: Array) -> tuple[Array, Array]:
-        """Positions and forces to lag, where `lagged` led to x and `force`."""
+        """The next positions and forces to lag, if `lagged` led to x and `force`."""
         error, last = force - lagged, self._last
         self._last = x, force, error
         if last is None:

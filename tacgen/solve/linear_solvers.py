@@ -24,10 +24,10 @@ class NotPositiveDefinite(ArithmeticError):
 
 
 class Solver(Protocol):
-    """Factorise once, solve many times."""
+    """A direct solver: factorise once, solve many times."""
 
     name: str
-    factored: int  # times, so far
+    factored: int  # number of factorisations so far
 
     def factor(self, data: Array) -> None:
         """Raises NotPositiveDefinite, where the method can tell."""
@@ -61,7 +61,7 @@ class Cholmod:
         import cvxopt
         from cvxopt import cholmod
 
-        cholmod.options["supernodal"], cholmod.options["nmethods"] = 2, 1  # it would try other orders than ours
+        cholmod.options["supernodal"], cholmod.options["nmethods"] = 2, 1  # supernodal, in the given order alone
         n = pattern.size
         # the upper triangle by rows is the lower triangle by columns, which is what cvxopt keeps
         columns = np.repeat(np.arange(n), np.diff(pattern.indptr))
@@ -72,7 +72,7 @@ class Cholmod:
 
     @cached_property
     def _F(self) -> Any:
-        """The factor, symbolic at first: it takes as long as solving, and not every solver is asked."""
+        """The factor, at first symbolic only; made when it is needed, as the analysis takes as long as a solve."""
         order = dissection(self._pattern) if self._order is None else self._order
         self._cholmod.options["postorder"] = self._postorder
         return self._cholmod.symbolic(self._A, p=self._cvxopt.matrix(order.astype(np.int64)))
@@ -114,7 +114,7 @@ class Cholmod:
 
     @cached_property
     def order(self) -> Array:
-        """The dofs (n,) in the order of elimination: that asked for, but for what does not matter."""
+        """The dofs (n,) in the order of elimination: the given one, postordered unless `postorder` is False."""
         F = _Factor.of(self._F)
         return _view(F.Perm, F.n, ctypes.c_int64).copy()
 
@@ -127,7 +127,9 @@ class Cholmod:
         for s in range(int(np.searchsorted(first, F.n - k, side="right")) - 1, F.nsuper):  # columns of equal pattern
             rows = numbers[start[s] : start[s + 1]] - (F.n - k)
             width, before = first[s + 1] - first[s], max(0, F.n - k - first[s])
-            block = values[at[s] : at[s] + width * len(rows)].reshape(width, len(rows))  # L^T, with rubbish left of it
+            block = values[at[s] : at[s] + width * len(rows)].reshape(
+                width, len(rows)
+            )  # L^T; entries left of it are undefined
             transposed[rows[before] : rows[width - 1] + 1, rows[before:]] = np.triu(block)[before:, before:]
         return transposed.T
 
@@ -204,7 +206,7 @@ def readable() -> bool:
 
 
 class SuperLU:
-    """SciPy's SuperLU on the whole symmetric matrix; it cannot tell an indefinite one."""
+    """SciPy's SuperLU on the whole symmetric matrix; it does not detect an indefinite one."""
 
     name = "superlu"
     factored = 0

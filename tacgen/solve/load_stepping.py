@@ -13,7 +13,7 @@ from tacgen.solve.problem import Problem
 from tacgen.solve.state import History, NotConverged, OutOfEffort, State, TooFar
 
 Array = np.ndarray
-TOO_FAR = 12  # most halvings of a load step in which the indenter might pass through the gel
+TOO_FAR = 12  # most halvings of a load step in which the indenter might tunnel through the gel
 SHARP = 1.5  # indenter's smallest radius over the element edge, below which its edges count as sharp [-]
 TURNED = 0.3  # change of the indenter's normal at a point that counts as crossing an edge in one step [rad]
 
@@ -37,8 +37,7 @@ def _sharp(problem: Problem) -> bool:
 
 
 def steps_needed(problem: Problem, history: History, a: Array, b: Array, turn: Array) -> int:
-    """Number of load steps from pose a to pose b, so that no step goes so deep that Newton's method becomes slow, or
-    moves the contact farther than friction can resolve."""
+    """Number of load steps from pose a to pose b, within the options `sink`, `slide` and `slide_sharp`."""
     deep = 0.0
     if isinstance(problem.contact, Contact):
         deep = -float(problem.contact.moved(Pose.of(b), history.offset).gaps(history.x)[0].min())
@@ -84,7 +83,7 @@ def _reach(
     middle = between(a, b, turn, 0.5)
     there, first = _reach(problem, history, a, middle, turn / 2, index, duration / 2, halved, far)
     there, second = _reach(problem, there, middle, b, turn / 2, index, duration / 2, halved, far)
-    return there, _after(first, second)
+    return there, _joined(first, second)
 
 
 def advance(
@@ -106,12 +105,12 @@ def advance(
         if not trial:
             problem.effort.steps = 0
         history, state = _reach(problem, history, start, end, turn / n, index, duration / n)
-        total = state if total is None else _after(total, state)
+        total = state if total is None else _joined(total, state)
     assert total is not None
     return history, total
 
 
-def _after(first: State, second: State) -> State:
+def _joined(first: State, second: State) -> State:
     """The second state, with the iterations and substeps of both."""
     both = {name: getattr(first, name) + getattr(second, name) for name in ("iterations", "damped", "substeps")}
     assert first.after is not None

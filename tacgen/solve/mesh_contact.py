@@ -12,7 +12,6 @@ import numpy as np
 from tacgen.contact import friction as fr
 from tacgen.contact.barrier import Pose
 from tacgen.contact.coupled import ContactForces
-from tacgen.contact.friction import Friction
 from tacgen.fem.potential import Potential, Total
 from tacgen.solve.lagging import Lag
 from tacgen.solve.newton import Status, minimise
@@ -20,7 +19,7 @@ from tacgen.solve.problem import Problem
 from tacgen.solve.state import History, NotConverged, TooFar
 
 if TYPE_CHECKING:
-    from tacgen.contact.ipctk import MeshContact
+    from tacgen.contact.ipctk import MeshContact, MeshFriction
 
 Array = np.ndarray
 
@@ -33,12 +32,7 @@ class LaggedContact:
     friction: float
     anchor: Array
     eps: float
-    lagged: Friction | None
-
-    def slip(self, at: ContactForces) -> Array:
-        """Tangential displacement (f, q, 3) from the anchors [mm]."""
-        u = at.at - self.anchor
-        return np.asarray(u - (u * at.normal).sum(-1, keepdims=True) * at.normal)
+    lagged: "MeshFriction | None"
 
     def forces(self, x: Array) -> ContactForces:
         """Forces at nodes x (n, 3), without tangents."""
@@ -67,18 +61,18 @@ class MeshLoadStep:
         self.inert = Total(inert)
         self.elastic = problem.during(history, duration)
         self.bulk: tuple[Potential, ...] = (*self.elastic, *problem.folding, *inert)
-        self.lag, self.friction = Lag(), None
+        self.lag = Lag()
+        self.friction: MeshFriction | None = None
         self.anchor = pose.world(self._anchors())
         if problem.friction > 0:
-            x, normal = pose.world(history.pose.local(history.x)), history.normal @ pose.rotation.T
-            self.friction = self._rubbing(x, history.normal_force, normal)
+            self.friction = self._lagged_friction(pose.world(history.pose.local(history.x)), history.normal_force)
         self.starts = self.contact.starts(history.x, ahead, history.pose)
 
-    def _rubbing(self, x: Array, normal_force: Array, normal: Array) -> Friction:
-        return self.contact.friction(self.problem.friction, x, normal_force, normal, self.anchor, self.eps)
+    def _lagged_friction(self, x: Array, normal_force: Array) -> "MeshFriction":
+        return self.contact.friction(self.problem.friction, x, normal_force, self.anchor, self.eps)
 
     def _anchors(self) -> Array:
-        """In the indenter's frame; a new point gets one where it will touch if the gel stays."""
+        """Anchors in the indenter's frame; that of a new point is where it first touches if the gel stays."""
         history, contact = self.history, self.contact
         ahead, gap_ahead = contact.pose.local(contact.faces.at(history.x)), contact.gaps(history.x)[0]
         touch = fr.onset(history.anchor, ahead, history.gap - contact.offset, gap_ahead - contact.offset)
@@ -86,8 +80,8 @@ class MeshLoadStep:
 
     @property
     def total(self) -> Total:
-        rubbing: tuple[Potential, ...] = () if self.friction is None else (self.friction,)
-        return Total((*self.bulk, self.contact, *rubbing))
+        friction: tuple[Potential, ...] = () if self.friction is None else (self.friction,)
+        return Total((*self.bulk, self.contact, *friction))
 
     def start(self, near: Array | None) -> Array:
         """The start of lower energy. Raises TooFar: the gel cannot follow that far."""
@@ -101,7 +95,7 @@ class MeshLoadStep:
 
     def _renew(self, x: Array) -> Total | None:
         """What is lagged, from x, if it is off by more than the tolerances."""
-        force, normal, _ = self.contact.pressure(x)
+        force = self.contact.pressure(x)[0]
         gap = self.contact.mean_gap(x)
         self.force = float(force.sum())
         scale, off = max(self.force, self.history.least_force), 0.0
@@ -113,7 +107,7 @@ class MeshLoadStep:
             return None
         if self.friction is not None:
             there, force = self.lag.next(x, force, self.friction.normal_force)
-            self.friction = self._rubbing(there, force, normal)
+            self.friction = self._lagged_friction(there, force)
         self.contact = self.contact.grown(gap, x)
         return self.total
 

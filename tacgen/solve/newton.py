@@ -11,8 +11,8 @@ from tacgen.fem.potential import Potential, Projection
 from tacgen.solve.linear_solvers import NotPositiveDefinite, Solver
 
 Array = np.ndarray
-ARMIJO = 1e-4
-NOTHING = 1e-6  # length of a step over xtol, below which it is rounding [-]
+ARMIJO = 1e-4  # smallest decrease of the energy over that predicted by its slope (Armijo's rule) [-]
+NEGLIGIBLE = 1e-6  # length of a step over xtol, below which it is rounding [-]
 ROUNDING = 1e-13  # relative increase of the energy that is attributed to rounding [-]
 SHORTEST = 1e-10  # fraction of a step at which a line search has stalled [-]
 
@@ -66,7 +66,7 @@ def direction(
 def backtrack(
     value: Callable[[Array], float], x: Array, p: Array, energy: float, slope: float, fraction: float
 ) -> tuple[float, Array, float]:
-    """Fraction of p by Armijo's rule, where it leads and the energy there; 0 where none down to SHORTEST lowers it."""
+    """Fraction of p by Armijo's rule, the positions and the energy there; 0 if none down to SHORTEST lowers it."""
     noise = ROUNDING * abs(energy)
     while fraction > SHORTEST:
         there = x + fraction * p
@@ -84,7 +84,6 @@ def minimise(
     solver: Solver,
     *,
     xtol: float,
-    expect: float = np.inf,
     refresh: Callable[[Array], Potential | None] = lambda x: None,
     negligible: Callable[[Array], bool] = lambda g: False,
     near: float = np.inf,
@@ -94,15 +93,14 @@ def minimise(
 
     Args:
         x: start (n, 3) [mm], of finite energy.
-        expect: how far the start may be from the answer [mm].
-        refresh: asked after each full step shorter than `near` for the potential to go on with, where it depends on the
-            answer (lagged quantities); None if it may stay as it is, which is needed to end.
-        negligible: whether a gradient (n, 3) is too small to matter; after a full step of at most 10 xtol that ends it
-            too, since the step it would lead to is shorter still.
+        refresh: called after each full step shorter than `near`: the potential with new lagged quantities, or None if
+            they may stay as they are, without which the iteration does not end.
+        negligible: whether a gradient (n, 3) is below the tolerance; after a full step of at most 10 xtol this ends the
+            iteration too, since the next step would be shorter still.
         near: steps longer than this [mm] use the projected stiffness.
     """
     steps: list[Step] = []
-    length = expect
+    length = np.inf
     energy = potential.value(x)
     settled = False  # the last step was short and changed nothing that is lagged
     while len(steps) < max_steps:
@@ -116,7 +114,7 @@ def minimise(
         length = float(np.abs(p).max())
         if not np.isfinite(length):
             return Solution(x, Status.nonfinite, tuple(steps))
-        if length <= NOTHING * xtol:  # rounding: no line search could tell whether that lowers the energy
+        if length <= NEGLIGIBLE * xtol:  # rounding: no line search could tell whether that lowers the energy
             if (fresh := refresh(x)) is None:
                 return Solution(x, Status.converged, tuple(steps))
             steps.append(Step(energy, length, 0.0, projected))

@@ -21,37 +21,37 @@ PARALLEL = 0.9  # cosine between the motions of two steps, above which the secon
 
 @dataclass(frozen=True)
 class Prediction:
-    """Nodes x (n, 3) where the points in contact went `way` (f, q, 3) along with the indenter, all else following; by
-    the tangent alone, to first order, they are `straight`."""
+    """Predicted nodes x (n, 3), and to first order, by the tangent alone; `motion` (f, q, 3): that of the points in
+    contact, with the indenter."""
 
     x: Array
-    straight: Array
-    way: Array
+    first_order: Array
+    motion: Array
 
-    def missed(self, answer: Array) -> tuple[Array, Array]:
-        """What the first order missed of an answer (n, 3), and the way on which it did."""
-        return answer - self.straight, self.way
+    def error(self, x: Array) -> tuple[Array, Array]:
+        """Error of the first order against the solution x (n, 3), and the motion it belongs to."""
+        return x - self.first_order, self.motion
 
 
 def predict(contact: Contact, tangent: Tangent, history: History, pose: Pose) -> Prediction | None:
-    """To first order, or to second where the indenter goes on as it went; None where nothing touches that the tangent
-    is condensed to, or where the gel with its sticking points tied is unstable."""
+    """To first order, or to second if the indenter continues its last motion; None if no facet in contact is condensed,
+    or if the gel with its sticking points tied to the indenter is unstable."""
     touching = history.normal_force > 0
     at = contact.faces.at(history.x)
-    way = np.where(touching[..., None], pose.world(history.pose.local(at)) - at, 0.0)
-    straight = _tied(contact, tangent, history, way)
-    if straight is None:
+    motion = np.where(touching[..., None], pose.world(history.pose.local(at)) - at, 0.0)
+    first_order = _tied(contact, tangent, history, motion)
+    if first_order is None:
         return None
-    if history.missed is None:
-        return Prediction(straight, straight, way)
-    missed, before = history.missed
+    if history.predictor_error is None:
+        return Prediction(first_order, first_order, motion)
+    error, before = history.predictor_error
     both = touching & before.any(-1)
-    along, now, then = (float((a * b)[both].sum()) for a, b in ((way, before), (way, way), (before, before)))
+    along, now, then = (float((a * b)[both].sum()) for a, b in ((motion, before), (motion, motion), (before, before)))
     part = min(along / then, 1.0) if along > PARALLEL * np.sqrt(now * then) else 0.0
-    return Prediction(straight + part**2 * missed, straight, way)
+    return Prediction(first_order + part**2 * error, first_order, motion)
 
 
-def _tied(contact: Contact, tangent: Tangent, history: History, way: Array) -> Array | None:
+def _tied(contact: Contact, tangent: Tangent, history: History, motion: Array) -> Array | None:
     condensed, faces, x = tangent.condensation, contact.faces, history.x
     inside = (condensed.local[faces.conn] >= 0).all(1)
     which = np.flatnonzero((history.normal_force > 0).any(1) & inside)
@@ -61,7 +61,7 @@ def _tied(contact: Contact, tangent: Tangent, history: History, way: Array) -> A
     dofs = condensed.dofs[condensed.local[faces.conn[which]]]
     springs = condensed.schur.stiffness(ties[..., None] * np.eye(3), faces.N, dofs)
     part = faces.only(which)
-    pull = part.scatter(ties * way[which], len(x))[condensed.nodes][condensed.dofs >= 0]
+    pull = part.scatter(ties * motion[which], len(x))[condensed.nodes][condensed.dofs >= 0]
     try:
         u = condensed.schur.solve(springs, pull, symmetric=True)
     except np.linalg.LinAlgError:

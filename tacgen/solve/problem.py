@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 Array = np.ndarray
 USUAL_GAP = 0.75  # mean gap of a light press over dhat, the first offset of the indenter [-]
 FORCE_FLOOR = 1e-3  # smallest force scale over kappa dhat^2: forces that occur within the tolerances [-]
-# Contact points along a facet's side, under an indenter thinner than that side: rubbed gel is drawn out to twice its
-# length, and with two points it comes in between. Elsewhere two, as three stiffen a coarse mesh (1 % for a ball).
+# Contact points along a facet's side, under an indenter thinner than that side: it would pass between two where
+# friction stretches the gel to twice its length. Elsewhere two: three stiffen a coarse mesh (by 1 % for a ball).
 POINTS_IF_THIN = 3
 AnyContact: TypeAlias = "Contact | MeshContact"
 
@@ -67,7 +67,7 @@ class Problem:
             folding.append(FoldingBarrier.on(pat, mesh.points, some, layer.law.mu))
             if layer.prony and scene.duration is not None:
                 viscous[number] = Viscoelastic.of(elastic[number], layer.prony)
-        if scene.dynamics is not None or viscous:  # velocities are errors in x over a short time, relaxation is small
+        if scene.dynamics is not None or viscous:  # velocity is a difference of x over a short time
             options = tighter(options)
         contact, parts = _contact(scene, mesh, pat), (tuple(elastic), tuple(folding))
         ready = cls(mesh, *parts, contact, pat, scene.friction, scene.edge, viscous=viscous, options=options)
@@ -101,7 +101,7 @@ class Problem:
 
     @property
     def factored(self) -> int:
-        """How many times the tangent was factorised so far."""
+        """Number of factorisations so far."""
         return self.linear.factored if not self.condensed else self.tangent.condensation.factored
 
     @property
@@ -132,7 +132,7 @@ class Problem:
         return {k: layer.after(history.internal[k], history.x, x, h) for k, layer in self.viscous.items()}
 
     def stressed(self, internal: dict[int, Array]) -> tuple[Elastic, ...]:
-        """The layers with the stress that they have at such internal variables."""
+        """The layers' potentials whose stress includes these internal variables."""
         now = {k: layer.relaxing(internal[k]) for k, layer in self.viscous.items()}
         return tuple(now.get(k, part) for k, part in enumerate(self.elastic))
 
@@ -142,7 +142,7 @@ class Problem:
 
 
 def _contact(scene: Scene, mesh: Mesh, pat: Pattern) -> AnyContact:
-    """Barely softer than the gel: what the outermost layer is made of sets the barrier's stiffness."""
+    """The contact; the barrier's stiffness kappa is twice Young's modulus of the outermost layer."""
     facets, pose = mesh.facets["coated"], Pose.of(scene.start)
     kappa = 2 * scene.gel.layers[-1].youngs_modulus
     if scene.surface is None:

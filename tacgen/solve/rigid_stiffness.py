@@ -1,8 +1,8 @@
 """How the wrench of a rigid indenter on the gel changes with its pose: the implicit function theorem at an equilibrium.
 
-With r(x, q) = 0 at the equilibrium, dx/dq = -(dr/dx)^-1 dr/dq. A rigid motion of the indenter drags the contact points
-along by `way`, so that dr/dq is the contact's tangent D times it, and dr/dx is the Schur complement S of the bulk, with
-D on it: one dense solve for all six motions.
+With r(x, q) = 0 at the equilibrium, dx/dq = -(dr/dx)^-1 dr/dq. A rigid motion of the indenter moves the contact points
+by `motion`, so that dr/dq is the contact's tangent D times it; dr/dx is the Schur complement S of the bulk plus D: one
+dense solve for all six motions.
 """
 
 from dataclasses import replace
@@ -18,7 +18,7 @@ Array = np.ndarray
 
 
 def _forces(problem: Problem, before: History, at: History, substeps: int) -> ContactForces:
-    """With anchors as the last load step had them: what slid keeps its direction the better the farther it slid."""
+    """Contact forces with the anchors set back by the drag of one load step, so that sliding points keep sliding."""
     assert isinstance(problem.contact, Contact)
     contact = replace(problem.contact.moved(at.pose, at.offset), kappa=at.kappa)
     dragged = np.where(before.normal_force[..., None] > 0, at.anchor - before.anchor, 0.0)
@@ -44,14 +44,14 @@ def stiffness(problem: Problem, before: History, at: History, substeps: int, cen
     out = np.zeros((6, 6))
     for k in range(6):
         turn = np.eye(6)[k, 3:]
-        way = np.cross(turn, arm) if k >= 3 else np.broadcast_to(np.eye(3)[k], arm.shape)
+        motion = np.cross(turn, arm) if k >= 3 else np.broadcast_to(np.eye(3)[k], arm.shape)
         turned = np.cross(turn, f)
-        pull = np.einsum("fqij,fqj->fqi", D, way) + turned
+        pull = np.einsum("fqij,fqj->fqi", D, motion) + turned
         load = faces.scatter(pull, len(condensed.nodes))[condensed.dofs >= 0]
         moved = np.zeros(condensed.dofs.shape)
         moved[condensed.dofs >= 0] = condensed.schur.solve(added, load, symmetric=False)
         went = faces.at(moved)
-        df = np.einsum("fqij,fqj->fqi", D, way - went) + turned
+        df = np.einsum("fqij,fqj->fqi", D, motion - went) + turned
         shift = np.eye(6)[k, :3]
         torque = np.cross(arm, df) + np.cross(went - shift, f)
         out[:, k] = np.concatenate([df.sum((0, 1)), torque.sum((0, 1))])

@@ -1,8 +1,8 @@
-"""How the equilibria along a path move with parameters: direct differentiation, no second solve.
+"""Sensitivity of the equilibria along a path to parameters: direct differentiation, no second solve.
 
     R(x, o, a; p) = 0    forces on the free dofs,        K dx + R_o do + R_a da + R_p dp = 0
     o = m(x, o; p)       mean gap, the shrunk offset,    do = m_x dx + m_o do + m_p dp
-    a = r(x, a'; p)      anchors of friction,            carried on from load step to load step
+    a = r(x, a'; p)      anchors of friction,            from the last load step's a'
 
 Friction makes a frame depend on all before it: Michaleris, Tortorelli & Vidal (1994), "Tangent operators and design
 sensitivity formulations for transient non-linear coupled problems".
@@ -24,13 +24,13 @@ from tacgen.solve.problem import Problem
 from tacgen.solve.state import History, State
 
 Array = np.ndarray
-SMALL = 1e-3  # of a parameter's scale, by which the laws' forces are differenced
+SMALL = 1e-3  # difference of a parameter over its scale, for derivatives of the laws' forces [-]
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """What changes with p: the layers' laws, friction and how deep all poses are [mm], the latter two per unit of p;
-    `scale` is what p is small beside."""
+    """A parameter p: the layers' laws at p, or the change of friction or of the depth of all poses [mm] per unit of p;
+    `scale`: changes of p are small compared with it."""
 
     scale: float
     laws: Callable[[float], tuple[Law, ...]] | None = None
@@ -43,7 +43,7 @@ class Slopes:
     """Derivatives by k parameters at the end of a load step.
 
     Of normal forces (k, f, q) and normals (k, f, q, 3) at the contact's points and forces there on the gel (k, f, q, 3)
-    [N]; of anchors (k, f, q, 3) in the indenter's frame; of positions x (k, n, 3) and what the predictor missed of
+    [N]; of anchors (k, f, q, 3) in the indenter's frame; of positions x (k, n, 3) and of the predictor's error in
     them; of the bulk's forces (k, n, 3), by the laws alone and by x alone.
     """
 
@@ -52,54 +52,55 @@ class Slopes:
     force: Array
     anchor: Array
     x: Array
-    missed: Array
+    predictor_error: Array
     by_law: Array
     by_x: Array
 
 
 class Sensitivity:
-    """Goes along the frames of one scene in order."""
+    """Derivatives at the frames of one scene, in order."""
 
     def __init__(self, problem: Problem, parameters: Sequence[Parameter]) -> None:
         assert isinstance(problem.contact, Contact)
         self._problem, self._contact, self._parameters = problem, problem.contact, tuple(parameters)
         self._lower = -np.array([p.depth for p in parameters])[:, None] * np.eye(3)[2]  # of the pose (k, 3)
         self._before = problem.rest(problem.contact.pose)
-        self._slopes = self._apart(self._before)
+        self._slopes = self._without_contact(self._before)
 
     def frame(self, state: State) -> Slopes:
-        """The next frame's; its problem's factor is to be that of its solve.
+        """Those of the next frame, called right after its solve, whose factor it uses.
 
-        Raises NotConverged: the linear equations have no solution, as where the gel snaps.
+        Raises NotConverged: the tangent is singular, as where the gel snaps.
         """
         assert state.after is not None
         for after in (*state.passed, state.after):
             on = np.flatnonzero((after.normal_force > 0).any(1))
-            self._slopes = self._touching(after, on) if on.size else self._apart(after)
+            self._slopes = self._in_contact(after, on) if on.size else self._without_contact(after)
             self._before = after
         return self._slopes
 
-    def _apart(self, at: History) -> Slopes:
+    def _without_contact(self, at: History) -> Slopes:
         k = len(self._parameters)
         none, still = np.zeros((k, *at.gap.shape, 3)), np.zeros((k, *at.x.shape))
         return Slopes(none[..., 0], none, none, self._local(none, at), *(still,) * 4)
 
-    def _relative(self, way: Array) -> Array:
+    def _relative(self, motion: Array) -> Array:
         """Motions (k, f, q, 3) relative to the indenter."""
-        return np.asarray(way - self._lower[:, None, None])
+        return np.asarray(motion - self._lower[:, None, None])
 
-    def _local(self, way: Array, at: History) -> Array:
-        return np.asarray(self._relative(way) @ at.pose.rotation)
+    def _local(self, motion: Array, at: History) -> Array:
+        return np.asarray(self._relative(motion) @ at.pose.rotation)
 
-    def _touching(self, after: History, on: Array) -> Slopes:
-        """Where facets `on` are in contact."""
+    def _in_contact(self, after: History, on: Array) -> Slopes:
+        """With facets `on` in contact."""
         was, faces, nodes = self._slopes, self._contact.faces.only(on), len(after.x)
         tangent = ExactTangent(self._problem, after.x)
         by_law = np.stack([self._by_law(parameter, after.x) for parameter in self._parameters])
-        straight = was.x
+        first_order = was.x
         if after.predicted is not None and self._problem.friction:
-            straight = was.x + self._carried(after, tangent, by_law - was.by_law + tangent.times(was.x) - was.by_x)
-        trial, anchors = self._trial(after, on, straight + self._extrapolated(after) * was.missed)
+            softer = by_law - was.by_law + tangent.times(was.x) - was.by_x
+            first_order = was.x + self._predictor_slopes(after, tangent, softer)
+        trial, anchors = self._trial_anchors(after, on, first_order + self._extrapolated(after) * was.predictor_error)
         contact = replace(self._contact.moved(after.pose, after.offset), kappa=after.kappa, faces=faces)
         eps = self._problem.options.slip * contact.dhat
         here = ContactSlopes(CoupledContact(contact, self._problem.friction, trial, eps), after.x)
@@ -110,30 +111,30 @@ class Sensitivity:
         solve = tangent.solver(here.forces.tangent, on)
         loads = _scatter(faces, np.stack([here.by_offset, *np.moveaxis(here.forces.tangent, -1, 0)[:2]]), nodes)
         # solutions for shifts of the indenter along x and y are not used; they make forces along x and y second order
-        *found, lean, _, _ = solve(np.concatenate([load, loads]))
+        *found, x_by_offset, _, _ = solve(np.concatenate([load, loads]))
         x, fixed = np.stack(found), np.zeros(len(found))
         excess = here.gap_excess(self._relative(_at(faces, x)), fixed)
-        offset = -excess / here.gap_excess(faces.at(lean)[None], np.ones(1))
-        x = x + offset[:, None, None] * lean
+        offset = -excess / here.gap_excess(faces.at(x_by_offset)[None], np.ones(1))
+        x = x + offset[:, None, None] * x_by_offset
 
-        way, everywhere = self._relative(_at(faces, x)), _at(self._contact.faces, x)
-        force = here.force(way, anchors) + rub + offset[:, None, None, None] * here.by_offset
-        dragged = here.dragged(way, anchors) @ after.pose.rotation
+        motion, everywhere = self._relative(_at(faces, x)), _at(self._contact.faces, x)
+        force = here.force(motion, anchors) + rub + offset[:, None, None, None] * here.by_offset
+        dragged = here.dragged(motion, anchors) @ after.pose.rotation
         anchor, wide = self._local(everywhere, after), np.zeros_like(everywhere)
         anchor[:, on] = np.where((after.normal_force[on] > 0)[..., None], dragged, anchor[:, on])
-        parts = here.normal_force(way, offset), here.normal(way), force
+        parts = here.normal_force(motion, offset), here.normal(motion), force
         normal_force, normal, force = (_placed(part, on, wide) for part in parts)
-        return Slopes(normal_force, normal, force, anchor, x, x - straight, by_law, tangent.times(x))
+        return Slopes(normal_force, normal, force, anchor, x, x - first_order, by_law, tangent.times(x))
 
-    def _carried(self, after: History, tangent: ExactTangent, softer: Array) -> Array:
+    def _predictor_slopes(self, after: History, tangent: ExactTangent, softer: Array) -> Array:
         """Of the step that the predictor takes along its tangent (k, n, 3); `softer` (k, n, 3): how the bulk's forces
         change with the parameters from before the step to its end, which is how its tangent does along the step."""
         before, was = self._before, self._slopes
         on = np.flatnonzero((before.normal_force > 0).any(1))
         faces, ties = self._contact.faces.only(on), TIE / self._contact.dhat
-        assert after.missed is not None
-        missed, way = after.missed
-        lag = way[on] - faces.at(after.x - missed - before.x)
+        assert after.predictor_error is not None
+        error, motion = after.predictor_error
+        lag = motion[on] - faces.at(after.x - error - before.x)
         turn = after.pose.rotation @ before.pose.rotation.T - np.eye(3)
         pull = was.normal_force[:, on, :, None] * lag
         pull += before.normal_force[on, :, None] * (self._relative(_at(faces, was.x)) @ turn.T)
@@ -141,14 +142,14 @@ class Sensitivity:
         return tangent.nearly(springs, on)(_scatter(faces, ties * pull, len(after.x)) - softer)
 
     def _extrapolated(self, after: History) -> float:
-        """The part of what the predictor missed before that it added in this step."""
-        if after.predicted is None or self._before.missed is None:
+        """The fraction of its last first-order error that the predictor added in this step."""
+        if after.predicted is None or self._before.predictor_error is None:
             return 0.0
-        assert after.missed is not None
-        straight, missed = after.x - after.missed[0], self._before.missed[0]
-        return float(((after.predicted - straight) * missed).sum() / (missed**2).sum())
+        assert after.predictor_error is not None
+        first_order, error = after.x - after.predictor_error[0], self._before.predictor_error[0]
+        return float(((after.predicted - first_order) * error).sum() / (error**2).sum())
 
-    def _trial(self, after: History, on: Array, predicted: Array) -> tuple[Array, Array]:
+    def _trial_anchors(self, after: History, on: Array, predicted: Array) -> tuple[Array, Array]:
         """Anchors that the step's friction started from (f, q, 3) [mm], and their slopes (k, f, q, 3), relative to the
         indenter; of new points as friction.onset has them, where the predicted x has slopes `predicted` (k, n, 3)."""
         before, was, faces = self._before, self._slopes.anchor[:, on], self._contact.faces.only(on)

@@ -1,4 +1,4 @@
-"""What a frame is, and what the next one inherits from it."""
+"""The solved state of a frame, and the history that the next load step needs."""
 
 from dataclasses import dataclass, field
 
@@ -14,16 +14,16 @@ class NotConverged(ArithmeticError):
 
 
 class TooFar(NotConverged):
-    """A load step in which the indenter might pass through the gel unseen."""
+    """A load step in which the indenter might tunnel through the gel."""
 
 
 class OutOfEffort(NotConverged):
-    """As many Newton steps were taken as may be; shorter load steps would take more."""
+    """The budget of Newton steps is spent; shorter load steps would take more."""
 
 
 @dataclass
 class Effort:
-    """Newton steps of the bulk taken in all that was tried for a load step, or for a force that is asked for."""
+    """Newton steps of the bulk in all trials of a load step, or of a prescribed force."""
 
     most: int
     steps: int = 0
@@ -50,12 +50,12 @@ class History:
     anchor: Array  # (f, q, 3) [mm]
     gap: Array  # (f, q) [mm]
     kappa: float  # barrier stiffness [MPa]
-    least_force: float  # below it no forces are told apart [N]
+    least_force: float  # smallest force scale of the tolerances [N]
     velocity: Array | None  # (n, 3) [mm/s], with inertia
     before: Array  # x one load step earlier, from which lagged friction extrapolates
     internal: dict[int, Array]  # of viscoelastic layers, by their numbers: H (k, e, q, 3, 3) [MPa]
-    missed: tuple[Array, Array] | None = None  # what the predictor missed of x, and on which way (see predictor)
-    predicted: Array | None = None  # x as this load step's predictor had it
+    predictor_error: tuple[Array, Array] | None = None  # of first order, and the motion it belongs to (see predictor)
+    predicted: Array | None = None  # x (n, 3) by this load step's predictor
 
 
 @dataclass(frozen=True)
@@ -78,14 +78,14 @@ class State:
     offset: float  # by which the indenter was shrunk [mm]
     mean_gap: float  # [mm], to the shrunk indenter; equal to offset within step_tol
     min_gap: float  # [mm], to the shrunk indenter
-    residual: float  # of the free nodes' forces (2-norm), as a part of the contact force
+    residual: float  # 2-norm of the free nodes' forces, over the contact force
     balance: float  # |indenter force + base reaction| / indenter force
-    least_J: float  # certified lower bound of J over all of the gel, as a part of the rest volume
+    least_J: float  # certified lower bound of J over all of the gel [-]
     damped: int = 0  # of the iterations, those that needed damping: the gel was unstable
-    rounded: float = 0.0  # friction at points that one step brought round an edge, as a part of the contact force
+    rounded: float = 0.0  # friction at points that crossed a sharp edge in one step, over the contact force
     internal: dict[int, Array] = field(default_factory=dict)  # see History
-    after: History | None = None  # what the next frame inherits of it
-    passed: tuple[History, ...] = ()  # where its load steps but the last ended
+    after: History | None = None  # at its end
+    passed: tuple[History, ...] = ()  # at the ends of its load steps but the last
 
     @property
     def traction_force(self) -> Array:

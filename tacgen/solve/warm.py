@@ -1,4 +1,4 @@
-"""The compiled loops made ready, once a process: reading them takes as long as several frames."""
+"""Loads the compiled loops, once a process: this takes as long as several frames."""
 
 from functools import cache
 

@@ -1,11 +1,11 @@
-"""Barrier, contact and friction on a small bent patch below a turned indenter."""
+"""Barrier, contact and anchors on a small bent patch below a turned indenter."""
 
 import numpy as np
 import pytest
 from helpers.small import dense, patch, slope, turn
 
 from tacgen.contact.barrier import SOFT, Contact, Pose, barrier
-from tacgen.contact.friction import Friction, dragged, onset, smooth
+from tacgen.contact.friction import dragged, onset, smooth
 from tacgen.fem.potential import Projection
 from tacgen.geometry.analytic_sdf import Cone, Cylinder, Shape, Sphere, Torus
 
@@ -36,16 +36,6 @@ CONTACTS = {
     "cone": against(Cone(np.radians(50), 0.4)),
     "punch": against(Cylinder(0.6, 0.3)),
 }
-
-
-def rubbing(seed: int = 1) -> Friction:
-    """Friction with slips on both sides of eps, some points without normal force."""
-    rng = np.random.default_rng(seed)
-    shape = FACES.areas.shape
-    normal = rng.normal(size=(*shape, 3))
-    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-    force = rng.uniform(0.1, 1, shape) * (rng.uniform(size=shape) > 0.3)
-    return Friction(FACES, 0.6, force, normal, FACES.at(POINTS) + rng.uniform(-0.2, 0.2, (*shape, 3)), 0.15)
 
 
 def test_barrier_derivatives() -> None:
@@ -173,38 +163,6 @@ def test_smoothed_coulomb_law() -> None:
     left, right = smooth(np.array([eps * (1 - 1e-9)]), eps), smooth(np.array([eps * (1 + 1e-9)]), eps)
     assert left[0] == pytest.approx(right[0], rel=1e-8)
     assert left[1] == pytest.approx(right[1], rel=1e-8)
-
-
-def test_friction_gradient_and_hessian_are_slopes() -> None:
-    friction, x = rubbing(), bent()
-    u = np.linalg.norm(friction.slip(x), axis=-1)
-    assert ((u < friction.eps) & (friction.normal_force > 0)).any()
-    assert ((u > friction.eps) & (friction.normal_force > 0)).any()
-    g = friction.gradient(x)
-    assert g.ravel() == pytest.approx(slope(friction.value, x, 1e-6), abs=1e-7 * np.abs(g).max())
-    stiffness = dense(friction, x, PATTERN)
-    size = np.abs(stiffness).max()
-    assert size > 1e-2
-    assert stiffness == pytest.approx(slope(lambda y: friction.gradient(y).ravel(), x, 1e-6), abs=1e-6 * size)
-
-
-def test_projected_friction_is_positive() -> None:
-    values = np.linalg.eigvalsh(dense(rubbing(), bent(), PATTERN, Projection.FULL))
-    assert values.max() > 1e-2
-    assert values.min() > -1e-12 * values.max()
-
-
-def test_friction_obeys_coulomb_at_every_point_and_opposes_slip() -> None:
-    friction, x = rubbing(), bent()
-    force, u = friction.force(x), friction.slip(x)
-    size, limit = np.linalg.norm(force, axis=-1), friction.coefficient * friction.normal_force
-    length = np.linalg.norm(u, axis=-1)
-    assert (size <= limit * (1 + 1e-12)).all()
-    slipping = length >= friction.eps
-    assert size[slipping] == pytest.approx(limit[slipping])
-    assert (size[~slipping] < limit[~slipping] + (limit[~slipping] == 0)).all()
-    assert (force * u).sum(-1) == pytest.approx(-size * length)  # straight against it
-    assert (force * friction.normal).sum(-1) == pytest.approx(np.zeros(size.shape), abs=1e-14)
 
 
 def test_a_point_touches_where_its_way_meets_the_surface() -> None:

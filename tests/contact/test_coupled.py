@@ -8,6 +8,7 @@ from helpers.small import dense, full, patch, slope, turn
 
 from tacgen.contact.barrier import SOFT, Contact, Pose, barrier
 from tacgen.contact.coupled import ContactForces, CoupledContact
+from tacgen.contact.friction import slip
 from tacgen.fem.assembly import add_dense_blocks
 from tacgen.geometry.analytic_sdf import Box, Shape, Sphere, Torus
 from tacgen.geometry.sdf_grid import Field
@@ -73,7 +74,7 @@ def slopes(coupled: CoupledContact, x: Array, h: float = 1e-6) -> Array:
 
 def kinds(coupled: CoupledContact, forces: ContactForces) -> list[int]:
     """How many points that touch stick, change, slip, and are in each piece of the barrier."""
-    length, on = np.linalg.norm(coupled.slip(forces), axis=-1), forces.N > 0
+    length, on = np.linalg.norm(slip(forces.at, coupled.anchor, forces.normal), axis=-1), forces.N > 0
     stuck, slips = length < 0.99 * EPS, length > 1.01 * EPS
     soft = forces.gap < SOFT * DHAT
     return [int((on & which).sum()) for which in (stuck, ~stuck & ~slips, slips, soft, ~soft)]
@@ -170,7 +171,7 @@ def test_the_definite_part_is_symmetric_and_never_negative(name: str, friction: 
     values = np.linalg.eigvalsh(D)
     assert values.min() > -1e-12 * values.max()
     assert (values[:, 2] > 1e-3).all()  # stiff across the face, at every point that touches
-    stuck = np.linalg.norm(coupled.slip(found), axis=-1)[found.N > 0] < 0.95 * EPS
+    stuck = np.linalg.norm(slip(found.at, coupled.anchor, found.normal), axis=-1)[found.N > 0] < 0.95 * EPS
     assert friction == 0 or (values[stuck, 0] > 1e-6).all()  # and along it, until it slips
     exact = found.tangent[found.N > 0]
     assert np.linalg.eigvalsh(exact + exact.swapaxes(1, 2)).min() < -1e-3  # which alone would not do
@@ -198,7 +199,7 @@ def test_friction_obeys_coulomb_at_every_point_and_opposes_slip(name: str) -> No
     coupled = against(name, x, seed=3)
     found = coupled.evaluate(x)
     rub = found.force - found.N[..., None] * found.normal
-    size, u = np.linalg.norm(rub, axis=-1), coupled.slip(found)
+    size, u = np.linalg.norm(rub, axis=-1), slip(found.at, coupled.anchor, found.normal)
     length = np.linalg.norm(u, axis=-1)
     limit = FRICTION * found.N
     assert (found.N >= 0).all()

@@ -58,10 +58,10 @@ def plate() -> MeshContact:
 
 
 def rubbing(contact: MeshContact, x: Array) -> MeshFriction:
-    force, normal, _ = contact.pressure(x)
+    force = contact.pressure(x)[0]
     rng = np.random.default_rng(3)
     anchor = contact.faces.at(x) + 0.1 * contact.pair.spread(rng.normal(size=(9999, 3))) / contact.pair.share[..., None]
-    return contact.friction(0.6, x, force, normal, anchor, 0.15)
+    return contact.friction(0.6, x, force, anchor, 0.15)
 
 
 def test_the_points_stand_for_the_whole_face(ball: MeshContact) -> None:

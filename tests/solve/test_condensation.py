@@ -9,7 +9,7 @@ from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import boxes, hexes
 from tacgen.fem.materials import NeoHooke
 from tacgen.fem.potential import Projection
-from tacgen.solve.condensation import MORE, Condensation, Schur
+from tacgen.solve.condensation import DAMPING_FACTOR, Condensation, Schur
 from tacgen.solve.linear_solvers import NotPositiveDefinite
 
 Array = np.ndarray
@@ -273,7 +273,8 @@ def test_what_is_eliminated_is_damped_until_it_is_stable_by_itself() -> None:
     damped = Schur(S, at_rest)
     damped.activate(np.arange(12) >= 9)
     part = np.ix_(range(9), range(9))
-    assert np.linalg.eigvalsh((S + damped.damping / MORE * REST)[part])[0] < 0 < np.linalg.eigvalsh(damped.S[part])[0]
+    before = S + damped.damping / DAMPING_FACTOR * REST
+    assert np.linalg.eigvalsh(before[part])[0] < 0 < np.linalg.eigvalsh(damped.S[part])[0]
     assert pytest.approx(S + damped.damping * REST) == damped.S
     assert (damped.undamped == S).all()
     whole = damped.S.copy()
