@@ -53,7 +53,7 @@ class Shown:
         """The same by the exponential functions."""
         press, shear, twist = np.reshape(numbers, (3, 2))
         motion = Motion(press=tuple(press), shear=tuple(shear), twist=tuple(twist), source="trial")
-        model = fots_markers.Drift(motion, self.rest, self.gel, self.shape, self.camera)
+        model = fots_markers.FotsMarkers(motion, self.rest, self.gel, self.shape, self.camera)
         return np.array([model.at(pose)[0] - model.undisturbed for pose in self.poses])
 
     def error(self, numbers: np.ndarray) -> str:

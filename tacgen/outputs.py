@@ -102,9 +102,9 @@ class SceneData(_Faces):
             raise UserError(f"outputs: the sensor {sensor.name} has no markers")
         rest, motion = centers(sensor.markers), sensor.markers.motion
         if self.row.recipe.markers.method == "analytic" and motion is not None:
-            from tacgen.labels.fots_markers import Drift
+            from tacgen.labels.fots_markers import FotsMarkers
 
-            drift = Drift(motion, rest, sensor.gel, self.problem.contact.shape, self.camera)
+            drift = FotsMarkers(motion, rest, sensor.gel, self.problem.contact.shape, self.camera)
             return drift.undisturbed, lambda frame: drift.at(frame.state.pose)
         from tacgen.optics.material_flow import Points
 

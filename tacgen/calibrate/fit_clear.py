@@ -21,7 +21,7 @@ from tacgen.calibrate.result import Fitted, rgb, rms
 from tacgen.optics import camera_response, coating, strip_light
 from tacgen.optics.camera_view import Samples, View
 from tacgen.optics.direct_light import heights
-from tacgen.optics.interreflection import Bounce, Glow
+from tacgen.optics.interreflection import Glow, Radiosity
 from tacgen.optics.mitsuba_dicts import bottom_depth, frame
 from tacgen.optics.shadows import Terrain
 from tacgen.optics.surface_grid import Sheet, Surface, Untouched
@@ -114,7 +114,7 @@ class Fit:
         columns = max(min(LEAST_WIDTH, sensor.camera.width_px), sensor.camera.width_px // SHRINK)
         self.sensor = traced_maps.zoomed(sensor, columns)
         self.sheet, untouched = Sheet.over(sensor.gel, SHEET), Untouched.of(sensor.gel)
-        self._bounce = Bounce(self.sensor)
+        self._bounce = Radiosity(self.sensor)
         sides = np.array([sensor.gel.width_mm, sensor.gel.height_mm]) / 2 + sensor.walls.margin_mm
         self._room = np.array([*sides, bottom_depth(sensor)]) - CLEAR  # half the housing's sides, and its depth [mm]
         self._look = lru_cache(64)(self._looked)

@@ -19,7 +19,7 @@ from tacgen.fem.potential import Projection
 
 Array = np.ndarray
 SMALLEST_J = 1e-9  # J below which the energy is infinite, so that divisions by J do not overflow [-]
-NOTHING = np.zeros((0, 0, 3, 3))
+NO_MEMORY = np.zeros((0, 0, 3, 3))
 PREDICTED = 2.0  # largest ratio of the predicted J to the true one, and of the true one to the predicted [-]
 
 
@@ -82,7 +82,7 @@ class Elastic:
             energy += local * float((w * U).sum())
             first[..., 2] += local * dU
             second[..., 2] += local * ddU
-        memory = NOTHING
+        memory = NO_MEMORY
         if self.memory is not None:
             memory = J[..., None, None] ** (-2 / 3) * self.memory
             stretch = np.einsum("eqik,eqkl,eqil->eq", F, memory, F)

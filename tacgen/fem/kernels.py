@@ -156,7 +156,7 @@ def _projected(
 
 
 @njit(cache=False, fastmath=True)
-def _remember(F: Array, C: Array, M: Array, G: Array, D: Array) -> None:
+def _add_memory(F: Array, C: Array, M: Array, G: Array, D: Array) -> None:
     """Add the second derivatives of J^-2/3 (M : F^T F)/2 to D (9, 9), without those in J alone, which are in s2.
 
     M (3, 3) includes J^-2/3.
@@ -229,7 +229,7 @@ def add_tangent(
             clamped = project == 2 or (project == 1 and _strained(F[e, q]))
             if len(memory):
                 _exact(F[e, q], C, first[e, q], second[e, q], G, D)
-                _remember(F[e, q], C, memory[e, q], G, D)
+                _add_memory(F[e, q], C, memory[e, q], G, D)
                 if clamped:
                     _clamp(D)
             elif clamped:

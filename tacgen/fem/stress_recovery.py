@@ -73,15 +73,15 @@ def _weights(points: Array, cells: Array, centres: Array) -> "csr_array":
     rows = np.repeat(np.arange(len(cells)), corners.shape[1])
     around = csr_array((np.ones(len(rows)), (corners.ravel(), rows)), shape=(n, len(cells)))
     fits, ranks = _fits(points, corners, centres, around)
-    asked, taken = _taken(cells, n, ranks)
+    node, used = _patches_used(cells, n, ranks)
     # one entry for each node, each patch that it uses, and each element of that patch
-    share = 1 / np.bincount(asked, minlength=n)[asked]
-    size = np.diff(around.indptr)[taken]
-    pair = np.repeat(np.arange(len(taken)), size)
-    entry = np.arange(len(pair)) - np.repeat(np.cumsum(size) - size, size) + around.indptr[taken][pair]
-    shift = np.concatenate([np.ones((len(taken), 1)), points[asked] - fits.middle[taken]], 1)
+    share = 1 / np.bincount(node, minlength=n)[node]
+    size = np.diff(around.indptr)[used]
+    pair = np.repeat(np.arange(len(used)), size)
+    entry = np.arange(len(pair)) - np.repeat(np.cumsum(size) - size, size) + around.indptr[used][pair]
+    shift = np.concatenate([np.ones((len(used), 1)), points[node] - fits.middle[used]], 1)
     value = share[pair] * (shift[pair] * fits.columns[entry]).sum(1)
-    return csr_array((value, (asked[pair], around.indices[entry])), shape=(n, len(cells)))
+    return csr_array((value, (node[pair], around.indices[entry])), shape=(n, len(cells)))
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ def _fits(points: Array, corners: Array, centres: Array, around: "csr_array") ->
     return _Fits(middle, columns), ranks
 
 
-def _taken(cells: Array, n: int, ranks: Array) -> tuple[Array, Array]:
+def _patches_used(cells: Array, n: int, ranks: Array) -> tuple[Array, Array]:
     """Pairs of a node and a vertex whose polynomial it uses, (pairs,) each."""
     from scipy.sparse import csr_array, eye_array
 
@@ -124,15 +124,15 @@ def _taken(cells: Array, n: int, ranks: Array) -> tuple[Array, Array]:
     both = np.concatenate([ends, ends[:, ::-1]])
     beside = csr_array((np.ones(len(both)), (both[:, 0], both[:, 1])), shape=(n, n))
     known = ranks == ranks.max()
-    taken = csr_array(eye_array(n).tocsr()[known].T @ eye_array(n).tocsr()[known])
+    used = csr_array(eye_array(n).tocsr()[known].T @ eye_array(n).tocsr()[known])
     while not known.all():
         reached = ~known & (beside @ known.astype(float) > 0)
         if not reached.any():  # a piece that hangs on by a corner: its own fits, as far as they go
             reached = ~known & (ranks > 0)
-            taken = taken + csr_array((reached.astype(float), (np.arange(n), np.arange(n))), shape=(n, n))
+            used = used + csr_array((reached.astype(float), (np.arange(n), np.arange(n))), shape=(n, n))
         else:
             rows = csr_array((reached.astype(float), (np.arange(n), np.arange(n))), shape=(n, n))
-            taken = taken + rows @ beside @ taken
+            used = used + rows @ beside @ used
         known = known | reached
-    found = taken.tocoo()
+    found = used.tocoo()
     return found.row, found.col

@@ -48,7 +48,7 @@ class Maps:
 
     @property
     def slip(self) -> Array:
-        """Where there is contact and most of the pressure slides."""
+        """Where there is contact and half or more of the pressure slides."""
         return np.asarray(self.contact & (self.sliding >= 0.5))
 
 
@@ -90,7 +90,7 @@ def spread(view: "Shares", state: State) -> Maps:
 
 
 def densities(view: "Shares", state: State) -> dict[str, Array]:
-    """Maps of forces by their names, of the pixels alone that `view` has seen (p, ...)."""
+    """Maps of forces by name, at the pixels (p, ...) of `view.seen`."""
     view.weight = np.ones(len(view.weight))
     for _ in range(view.sharpenings):
         view.weight = view.shared(state.normal_force)[:, 0]
@@ -111,8 +111,8 @@ def densities(view: "Shares", state: State) -> dict[str, Array]:
     return {"pressure": pressure, "traction": traction, "sliding": sliding, "force": force}
 
 
-def _lawful(level: Array, state: State, friction: float) -> Array:
-    """Facets (f,) on which forces after `level` (q, q) obey Coulomb's law at all points, shares from 0 to 1."""
+def _obeys_coulomb(level: Array, state: State, friction: float) -> Array:
+    """Facets (f,) on which forces mapped by `level` (q, q) obey Coulomb's law at all points, shares within 0 and 1."""
     normal = state.normal_force @ level.T
     kept = normal >= 0
     if state.friction is not None and state.sliding is not None:
@@ -148,7 +148,7 @@ class Shares:
         self._hats = np.tile(hats, (len(on), 1, 1))  # (f, q, k)
         if kind == 6:
             level = linear_pressure(contact.N, contact.areas)
-            self._hats[on.all(1) & _lawful(level, state, problem.friction)] = level.T @ hats
+            self._hats[on.all(1) & _obeys_coulomb(level, state, problem.friction)] = level.T @ hats
         beside = np.zeros(len(surface.now), bool)
         beside[self._facets[touched]] = True
         self.seen = gel & np.tile(beside[facets].any(1), len(triangles) // len(facets))[found]

@@ -20,10 +20,10 @@ if TYPE_CHECKING:
     from tacgen.recipe.sensor import Gel, Motion
 
 Array = np.ndarray
-FACE_SPACING = 0.3  # of the points of the face at which the depth is evaluated [mm]
+FACE_SPACING = 0.3  # spacing of the points of the face at which the depth is evaluated [mm]
 
 
-class Drift:
+class FotsMarkers:
     """Markers with given rest positions, moved by one indenter along its path."""
 
     def __init__(self, motion: "Motion", rest: Array, gel: "Gel", shape: "Shape", camera: "Camera") -> None:
@@ -53,15 +53,16 @@ class Drift:
         depth, at = depth[inside], self._face[inside]
         middle = depth @ at / depth.sum()
         dots = self._dots[:, :2]
-        return np.asarray(self._apart(dots, at[:, :2], depth) + self._along(dots, middle, self._touched, pose))
+        pushed = self._pushed_apart(dots, at[:, :2], depth)
+        return np.asarray(pushed + self._dragged_and_turned(dots, middle, self._touched, pose))
 
-    def _apart(self, dots: Array, at: Array, depth: Array) -> Array:
+    def _pushed_apart(self, dots: Array, at: Array, depth: Array) -> Array:
         gain, decay = self.motion.press
         away = dots[:, None] - at
         weight = depth * np.exp(-decay * (away**2).sum(axis=-1))
         return np.asarray(gain * self._cell * np.einsum("np,npi->ni", weight, away))
 
-    def _along(self, dots: Array, middle: Array, before: Pose, now: Pose) -> Array:
+    def _dragged_and_turned(self, dots: Array, middle: Array, before: Pose, now: Pose) -> Array:
         """Displacement by drag and rotation of the contact since first touch."""
         drag = (now.world(before.local(middle)) - middle)[:2]
         limit, decay = self.motion.shear

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from tacgen.scene.mesh import Mesh
 
 Array = np.ndarray
-MIN_EDGES = 3  # indenter's smallest radius over the element edge from which the face is drawn on the indenter [-]
+MIN_EDGES = 3  # indenter's smallest radius over the element edge, from which the face follows the indenter [-]
 STEEPEST = 0.2  # z component of an indenter's normal below which the face is not made tangent to it [-]
 
 

@@ -97,7 +97,7 @@ def _means(elastic: Elastic, x: Array) -> tuple[Array, Array]:
 
 
 def agreeing(stress: Array, normal: Array, traction: Array) -> Array:
-    """Stress (n, 6) with the smallest change that gives the traction (n, 3) on unit normals (n, 3).
+    """Stress (n, 6) changed as little as possible so that it has the traction (n, 3) on unit normals (n, 3).
 
     s + d o n + n o d - (d.n) n o n  with d the difference of the traction: symmetric, in-plane part unchanged.
     """

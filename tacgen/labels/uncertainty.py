@@ -19,8 +19,8 @@ from tacgen.solve.sensitivity import Parameter, Sensitivity
 Array = np.ndarray
 COARSER, ORDER = 1.5, 1.5  # edge ratio of the second mesh [-]; order of convergence, 1 to 2 for forces and maps
 MESH_ERROR = 1 / (COARSER**ORDER - 1)  # error over the difference of both meshes (Richardson extrapolation) [-]
-LEAST = 0.05
-SMALL = 1e-3  # change of the contact force for difference quotients of maps, relative [-]
+LEAST = 0.05  # smallest difference of a force's component over that of the whole force [-]
+SMALL = 1e-3  # relative change of the contact force in difference quotients of maps [-]
 
 
 def on_coarser_mesh(row: Row) -> tuple[Problem, Iterator[State]]:
@@ -43,10 +43,10 @@ def _solved(built: scene.Scene, problem: Problem) -> Iterator[State]:
 
 
 def mesh_variance(here: Array, coarse: Array, window: int) -> Array:
-    """Of a force (3,), or of maps (h, w, ...).
+    """Variance by the discretisation error, of a force (3,) or of maps (h, w, ...).
 
-    One difference may be small by chance: that of a force's component counts with LEAST of the whole force's, and a
-    pixel's is the mean of the window [px] around it.
+    A single difference may be small by chance: to that of a force's component LEAST of the whole force's is added, and
+    a pixel's square is the mean of the window [px] around it.
     """
     square = (MESH_ERROR * (coarse - here)) ** 2
     if here.ndim == 1:
@@ -56,8 +56,8 @@ def mesh_variance(here: Array, coarse: Array, window: int) -> Array:
 
 @dataclass(frozen=True)
 class Input:
-    """What is not sure: its name and standard deviation; the change of force (3,) [N] by it; and the state where it is
-    larger by a small `step`, forces and normals moved but no node."""
+    """An uncertain input: its name and standard deviation; the derivative of the force (3,) [N] with respect to it; and
+    the state with the input larger by `step`, to first order: forces and normals change, nodes do not move."""
 
     name: str
     deviation: float
@@ -91,7 +91,7 @@ class Sensitivities:
     def at(self, state: State) -> Iterator[Input]:
         """The uncertain inputs at the next frame."""
         force, normal_force = state.traction_force, state.normal_force
-        if self._modulus:  # all moduli scaled together scale the forces and move no node
+        if self._modulus:  # scaling all moduli scales the forces and moves no node
             yield _moved("modulus", self._modulus, state, force, normal_force, np.zeros_like(force))
         if self._path is not None:
             slopes = self._path.frame(state)
@@ -101,7 +101,8 @@ class Sensitivities:
 
 
 def _moved(name: str, deviation: float, state: State, force: Array, normal_force: Array, normal: Array) -> Input:
-    step = SMALL * float(state.normal_force.sum()) / max(float(np.abs(force).sum()), 1e-300) or SMALL  # or none touches
+    pressed, change = float(state.normal_force.sum()), float(np.abs(force).sum())
+    step = SMALL * pressed / max(change, 1e-300) or SMALL  # SMALL without contact
     N, n = state.normal_force + step * normal_force, state.normal + step * normal
     rub = None if state.friction is None else state.traction_force + step * force - N[..., None] * n
     return Input(name, deviation, force.sum((0, 1)), replace(state, normal_force=N, normal=n, friction=rub), step)

@@ -8,7 +8,7 @@ from tacgen.optics import adaptive_sampling, coating
 from tacgen.optics.camera_view import Samples, View
 from tacgen.optics.rasterize import draw
 from tacgen.optics.shadows import Terrain
-from tacgen.optics.strip_light_table import Columns, shine
+from tacgen.optics.strip_light_table import Columns, toward_camera
 from tacgen.optics.surface_grid import Sheet, Surface
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ class Direct:
 
         def gather(index: "NDArray[np.int64]") -> "Floats":
             seen = at.position[index], at.normal[index], self._toward[index]
-            lit = shine(*seen, self._columns, radiance, alpha, terrain)[..., :kinds]
+            lit = toward_camera(*seen, self._columns, radiance, alpha, terrain)[..., :kinds]
             return np.asarray(lit * self._seen[index, None, None])
 
         return gather

@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-COAT = 1.4  # distance between the centres of the coating's patches [mm]
-WALL = 2.2  # the same for the walls [mm]
-TILT = 0.6  # change of a normal's x or y at which the light is evaluated for the polynomial [-]
+COAT_SPACING = 1.4  # distance between the centres of the coating's patches [mm]
+WALL_SPACING = 2.2  # the same for the walls [mm]
+TILT = 0.6  # change of a normal's x or y in the difference quotients of the polynomial [-]
 FINER = 4  # refinement of the patches by cubic splines, before linear interpolation to pixels
 TERMS = 5  # terms of the polynomial in the change of the normal: 1, x, y, x^2, y^2
 
@@ -44,12 +44,12 @@ class Glow:
         return np.asarray(np.maximum(one + dx * (x + dx * xx) + dy * (y + dy * yy), 0.0))
 
 
-class Bounce:
-    """The patches of a sensor, and how they illuminate each other."""
+class Radiosity:
+    """The patches of a sensor and their form factors."""
 
     def __init__(self, sensor: "LitSensor", untouched: "Surface | None" = None) -> None:
-        """The LEDs do not matter yet; `untouched` is the face at rest, what the gel's numbers say of it if None."""
-        self.sheet = Sheet.over(sensor.gel, COAT)
+        """Independent of the LEDs; `untouched` is the face at rest, None: that of the sensor's gel."""
+        self.sheet = Sheet.over(sensor.gel, COAT_SPACING)
         self._face = untouched or Untouched.of(sensor.gel)
         nodes = self.sheet.at(self._face)
         level = np.ascontiguousarray(nodes[:, 2].reshape(self.sheet.shape))
@@ -63,16 +63,16 @@ class Bounce:
         area = np.concatenate([share.ravel() * self.sheet.areas(nodes), pieces])
         every = np.arange(len(area))
         self._patches = strip_light.Points(self._at, self._normals, area, np.sqrt(area) / 2, every, 0 * every)
-        self._onto = self._gather(sensor, self._patches, len(area))
+        self._form_factors = self._gather(sensor, self._patches, len(area))
         turned = []
         for by in ((TILT, 0.0), (-TILT, 0.0), (0.0, TILT), (0.0, -TILT)):
             side = facing[:, :2] + by
             side *= np.minimum(1.0, 0.95 / np.linalg.norm(side, axis=1, keepdims=True))
             normals = np.column_stack([side, -np.sqrt(1 - (side**2).sum(axis=1))])
             turned.append(self._gather(sensor, self._patches, len(area), np.ascontiguousarray(normals)))
-        level = self._onto[: self._coat]
+        level = self._form_factors[: self._coat]
         right, left, down, up = turned
-        self._turned = np.array(
+        self._form_factor_terms = np.array(
             [level, (right - left) / (2 * TILT), (down - up) / (2 * TILT)]
             + [(a + b - 2 * level) / (2 * TILT**2) for a, b in ((right, left), (down, up))]
         )  # (TERMS, coat patches, patches)
@@ -83,8 +83,8 @@ class Bounce:
         for albedo in coat.albedo:
             rho = np.full((len(first), 1), sensor.walls.albedo)
             rho[: self._coat] = (1 - coat.specular) * albedo + coat.specular * coating.METAL
-            all_ = np.linalg.solve(np.eye(len(first)) - rho * self._onto, rho * first)
-            out.append(rho[0] * np.moveaxis(self._turned @ all_, 0, -1))
+            total = np.linalg.solve(np.eye(len(first)) - rho * self._form_factors, rho * first)
+            out.append(rho[0] * np.moveaxis(self._form_factor_terms @ total, 0, -1))
         return np.stack(out, axis=-1)
 
     def glow(self, values: "Floats", view: "View") -> Glow:
@@ -111,7 +111,7 @@ class Bounce:
         normals = self._normals if normals is None else normals
         at = self._at[: len(normals)]
         lit = strip_light.gather(at, normals, normals, points, strips, slab, panels, 1.0, self._terrain)[..., 0]
-        if points is self._patches:  # one that is nearer than it is large would give more than all around can
+        if points is self._patches:  # patches closer than their size would give form factors with a sum above 1
             lit /= np.maximum(lit.sum(axis=1, keepdims=True), 1.0)
         return lit
 
@@ -119,10 +119,10 @@ class Bounce:
         """Middles (n, 3) [mm], inward normals (n, 3) and areas (n,) [mm^2] of the walls' patches up to height `top`."""
         corners, bottom = mitsuba_dicts.outline(sensor), -mitsuba_dicts.bottom_depth(sensor)
         at, normals, area = [], [], []
-        tall = max(1, round((top - bottom) / WALL))
+        tall = max(1, round((top - bottom) / WALL_SPACING))
         for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
             length = float(np.linalg.norm(b - a))
-            wide = max(1, round(length / WALL))
+            wide = max(1, round(length / WALL_SPACING))
             for i in range(wide):
                 for j in range(tall):
                     at.append([*(a + (b - a) * (i + 0.5) / wide), bottom + (top - bottom) * (j + 0.5) / tall])

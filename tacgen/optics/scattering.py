@@ -2,7 +2,7 @@
 
 Light is scattered so often that slopes and shadows of a dent are hardly visible, but its thickness is. `Brightness` is
 this dependence, tabulated by path tracing for gels of uniform thickness. Multiply scattered light spreads sideways, so
-the relevant thickness is an average around the point, by a Gaussian filter (`felt`, `wander`).
+the relevant thickness is an average around the point, by a Gaussian filter (`averaged`, `fitted_reach`).
 """
 
 from dataclasses import dataclass
@@ -23,15 +23,15 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-SHARES = (0.04, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9, 1.0, 1.1, 1.25, 1.45)  # thickness over untouched, in the table [-]
-BLOCK = 4.0  # standard deviation of a Gaussian over the side of the blocks that it is applied to [-]
+SHARES = (0.04, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9, 1.0, 1.1, 1.25, 1.45)  # tabulated thickness over untouched [-]
+BLOCKS = 4.0  # standard deviation of a Gaussian over the side of the blocks to whose means it is applied [-]
 MARGIN = 2  # blocks around a picture that the splines need
-ROWS = 4096  # of a tabulated curve
-DENT = (1.6, 0.9)  # radii of ball and contact circle over the thickness, for the dent that determines `wander` [-]
+ROWS = 4096  # points of a tabulated curve
+DENT = (1.6, 0.9)  # radii of ball and contact circle over the thickness, of the dent for `fitted_reach` [-]
 
 
 @dataclass(frozen=True)
-class Even:
+class UniformFace:
     """The face of a gel of uniform thickness, `share` of the untouched one."""
 
     gel: "Gel"
@@ -66,7 +66,7 @@ class Brightness:
 
     def at(self, share: "Floats") -> "Floats":
         """Brightness (n, 3) where the gel is `share` (n,) of its untouched thickness."""
-        return between(np.log(np.maximum(share, 1e-3)), np.log(self.shares), np.log(self.values), np.exp)
+        return interpolated(np.log(np.maximum(share, 1e-3)), np.log(self.shares), np.log(self.values), np.exp)
 
 
 def thickness(gel: "Gel", position: "Floats") -> "Floats":
@@ -77,7 +77,7 @@ def thickness(gel: "Gel", position: "Floats") -> "Floats":
     return np.nan_to_num(share, copy=False, nan=1.0)
 
 
-def felt(share: "Floats", reach: float) -> "Floats":
+def averaged(share: "Floats", reach: float) -> "Floats":
     """The relevant thickness (h, w): averaged by a Gaussian of standard deviation `reach` [px].
 
     A wide one is applied to means over blocks of n x n pixels, whose result is spread by cubic B-splines. Each of the
@@ -85,7 +85,7 @@ def felt(share: "Floats", reach: float) -> "Floats":
     """
     from scipy.ndimage import gaussian_filter
 
-    n = max(1, int(reach / BLOCK))
+    n = max(1, int(reach / BLOCKS))
     if n == 1:
         return np.asarray(gaussian_filter(share, reach, mode="nearest", truncate=3.0))
     own = np.sqrt(reach**2 - (n * n - 1) / 12 - n * n / 3) / n
@@ -93,8 +93,8 @@ def felt(share: "Floats", reach: float) -> "Floats":
     return np.asarray(_spread(coarse, _splines(n), share.shape))
 
 
-def wander(bright: Brightness, share: "Floats", mm_per_px: float, ratio: "Floats") -> float:
-    """The `reach` [mm] of `felt` that best fits a traced image (h, w, 3) over the untouched one, where it is not nan.
+def fitted_reach(bright: Brightness, share: "Floats", mm_per_px: float, ratio: "Floats") -> float:
+    """The `reach` [mm] of `averaged` that best fits a traced image (h, w, 3) over the untouched one, nan left out.
 
     The noise of the traced image does not allow to fit more than this one number.
     """
@@ -103,13 +103,13 @@ def wander(bright: Brightness, share: "Floats", mm_per_px: float, ratio: "Floats
     there = np.isfinite(ratio).all(axis=2)
 
     def left(q: "Floats") -> "Floats":
-        made = bright.at(felt(share, float(q[0]) / mm_per_px)[there])
+        made = bright.at(averaged(share, float(q[0]) / mm_per_px)[there])
         return np.asarray((made - ratio[there]).mean(axis=1))
 
     return float(least_squares(left, [1.0], bounds=(0.05, 20.0), diff_step=0.02).x[0])
 
 
-def between(x: "Floats", known: "Floats", values: "Floats", then: Any = np.asarray) -> "Floats":
+def interpolated(x: "Floats", known: "Floats", values: "Floats", then: Any = np.asarray) -> "Floats":
     """`then` of each column of `values` (k, 3) interpolated at x (n,) without overshoot, constant beyond its ends."""
     from scipy.interpolate import PchipInterpolator
 
@@ -196,4 +196,4 @@ def _spread(coarse: "Floats", weights: "Floats", shape: tuple[int, int]) -> "Flo
 
 def gain(response: "ThicknessResponse", change: "Floats") -> "Floats":
     """The fitted response's gain (n, 3) where the gel is `change` (n,) [mm] thicker than untouched; 1 off the pad."""
-    return np.nan_to_num(between(change, np.array(response.change_mm), np.array(response.gain)), nan=1.0)
+    return np.nan_to_num(interpolated(change, np.array(response.change_mm), np.array(response.gain)), nan=1.0)

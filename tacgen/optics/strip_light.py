@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-CLEAR = 0.01  # distance of both ends of a ray from a strip's plane, below which the strip does not block it [mm]
+CLEAR = 0.01  # distance of a ray's end from a strip's plane, below which the strip does not block it [mm]
 
 
 class Points(NamedTuple):
@@ -37,8 +37,8 @@ class Points(NamedTuple):
 
 
 def points(leds: "Sequence[Led]", along: int, up: int, pieces: int = 1) -> Points:
-    """`along` x `up` points of Gauss and Legendre on each of `pieces` of the same length, with their shares of a
-    strip's area: strip by strip, piece by piece, and then upward at one place along it after the other."""
+    """`along` x `up` Gauss-Legendre points on each of the `pieces` of equal length of every strip, with their areas:
+    strip by strip, piece by piece, position by position along it, and from bottom to top."""
     at, normal, area, half, strip, lobe = [], [], [], [], [], []
     (a, share_a), (b, share_b) = (np.polynomial.legendre.leggauss(n) for n in (along, up))
     a, share_a = ((2 * np.arange(pieces)[:, None] + 1 + a) / pieces - 1).ravel(), np.tile(share_a / pieces, pieces)
@@ -121,7 +121,7 @@ def connect(rho: float, lengths: Floats, indices: Floats) -> tuple[float, float]
                 slope += lengths[i] * low * n2 / (root * root * root)
         step = (rho - value) / slope
         x += step
-        if abs(step) <= 1e-4 * (1.0 + x):  # Newton doubles the digits once more than this
+        if abs(step) <= 1e-4 * (1.0 + x):  # the remaining error is of the order of its square
             break
     root = np.sqrt(1.0 + x * x)
     k = low * x / root
@@ -129,14 +129,15 @@ def connect(rho: float, lengths: Floats, indices: Floats) -> tuple[float, float]
     for i in range(len(lengths)):
         if lengths[i] > 0.0:
             n2 = indices[i] * indices[i]
-            c2 = max(n2 - k * k, 1e-12)  # 0 in the digits there are, for a point level with the other
+            c2 = max(n2 - k * k, 1e-12)  # rounds to 0 for two points at the same height
             derivative += lengths[i] * n2 / (c2 * np.sqrt(c2))
     return k, derivative
 
 
 @njit(cache=False)
 def arrive(rho: float, z: float, source: float, home: int, image: int, slab: Slab) -> tuple[float, float, float, float]:
-    """How light from a point `rho` [mm] aside at height `source` comes to height z: straight (image 0) or mirrored (1).
+    """Path of light from a point at lateral distance `rho` [mm] and height `source` to height z: direct (image 0), or
+    reflected (1).
 
     Args:
         rho, z, source: see above; z lies in the outermost layer.
@@ -145,8 +146,8 @@ def arrive(rho: float, z: float, source: float, home: int, image: int, slab: Sla
         slab: light mirrors at its first bottom, against air.
 
     Returns:
-        sine and rise of the unit vector from z toward the light (sideways, along +z), rise of the unit vector along
-        which the light left, and radiance carried over times solid angle, per area [1/mm^2] that faces along that.
+        lateral and z component of the unit vector from z toward the light; z component of the unit vector along which
+        the light leaves; and radiance carried over times solid angle, per area [1/mm^2] normal to that direction.
     """
     bottoms, tops, indices = slab
     last = len(indices) - 1
@@ -178,7 +179,7 @@ def arrive(rho: float, z: float, source: float, home: int, image: int, slab: Sla
 
 @njit(cache=False)
 def layer(z: float, tops: Floats) -> int:
-    """The layer in which a height lies."""
+    """Index of the layer at height z."""
     home = 0
     while home < len(tops) - 1 and z >= tops[home]:
         home += 1

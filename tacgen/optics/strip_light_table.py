@@ -1,8 +1,8 @@
 """The sum over strips for whole images: the light of each column of a strip is tabulated over positions in the gel.
 
-A column is a piece of a strip with the strip's full height. Its light at a position, direct and reflected, is a vector
-(direction and irradiance) and a range of slopes, summed over enough points to be exact and smooth in position. The
-samples of an image interpolate the table; normal and shadows of the deformed face are applied then.
+A column is a piece of a strip with the strip's full height. Its light at a position, direct and reflected, is an
+irradiance vector and a range of slopes, summed over enough points to be exact and smooth in position. The samples of an
+image interpolate the table; then the normal and the shadows of the deformed face are applied.
 """
 
 import math
@@ -22,12 +22,12 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 
-ASIDE = 0.1  # spacing of the lateral distances for which connections are tabulated [mm]
+LATERAL_STEP = 0.1  # spacing of the lateral distances for which connections are tabulated [mm]
 PLACE, NEAR = (0.2, 0.4), 0.15  # smallest and largest spacing of positions [mm]; spacing over the strips' distance [-]
-DEEP = 0.5  # spacing of the heights [mm]
+HEIGHT_STEP = 0.5  # spacing of the heights [mm]
 RISE = 1.0  # largest height of a bulging face above the untouched one [mm]
-ALONG, UP = 2, 16  # points in a column
-EVER = (-9.0, 9.0)  # range that contains all slopes [-]
+ALONG, UP = 2, 16  # quadrature points along and across a column
+SLOPES = (-9.0, 9.0)  # range that contains all slopes [-]
 STEEP = -1e-3  # largest z component of a normal [-]
 
 
@@ -38,9 +38,9 @@ class Columns(NamedTuple):
     strip: NDArray[np.int64]  # which LED, (columns,)
     lowest: Floats  # corner of the table [mm], (3,): x, y, z
     step: Floats  # between its entries [mm], (3,)
-    # per unit radiance, straight and mirrored: irradiance vector times distance^2 [mm^2] and half the range of slopes,
-    # of each column; and of each the slope up to which the untouched face lets light pass
-    given: Singles  # (heights, rows, columns of places, 8 x columns + columns)
+    # of each column per unit radiance, direct and reflected: irradiance vector times distance^2 [mm^2] and half the
+    # range of slopes; then of each column the slope up to which the untouched face lets light pass
+    light: Singles  # (heights, rows, columns of places, 8 x columns + columns)
     mirror: float  # height of the plate's air face [mm]
 
     @classmethod
@@ -51,10 +51,10 @@ class Columns(NamedTuple):
         slab, lights = Slab.of(sensor), points(sensor.leds, ALONG, UP, pieces)
         heights, level = np.unique(lights.at[:, 2].round(6), return_inverse=True)
         home, field = np.searchsorted(slab.tops[:-1], heights, side="right"), seen(sensor)
-        z = np.linspace(slab.bottoms[-1] + 0.1 * DEEP, RISE, round((RISE - slab.bottoms[-1]) / DEEP) + 1)
+        z = np.linspace(slab.bottoms[-1] + 0.1 * HEIGHT_STEP, RISE, round((RISE - slab.bottoms[-1]) / HEIGHT_STEP) + 1)
         reach = np.linalg.norm(np.abs(lights.at[:, :2]).max(axis=0) + np.abs(field).max(axis=0))
-        aside = np.arange(0.0, reach + 2 * ASIDE, ASIDE)
-        aside[0] = 1e-3 * ASIDE
+        aside = np.arange(0.0, reach + 2 * LATERAL_STEP, LATERAL_STEP)
+        aside[0] = 1e-3 * LATERAL_STEP
         off = lights.at - np.column_stack([np.clip(lights.at[:, :2], *field), np.zeros(len(lights.at))])
         place = np.clip(NEAR * np.linalg.norm(off, axis=1).min(), *PLACE)
         x, y = (np.linspace(low, high, math.ceil((high - low) / place) + 1) for low, high in field.T)
@@ -64,11 +64,12 @@ class Columns(NamedTuple):
         places = np.column_stack([places, face])
         middle = lights.at.reshape(-1, ALONG * UP, 3).mean(axis=1)
         table = tabulate(z, aside, heights, home, slab)
-        given = add_up(places, z, lights, middle, level, home, table, Panels.of(sensor.leds), slab)
+        light = column_light(places, z, lights, middle, level, home, table, Panels.of(sensor.leds), slab)
         lowest, step = np.array([x[0], y[0], z[0]]), np.array([x[1] - x[0], y[1] - y[0], z[1] - z[0]])
-        given = np.concatenate([given.reshape(len(z), len(places), -1), edges(places, z, middle, untouched)], axis=2)
-        given = given.reshape(len(z), len(y), len(x), -1)
-        return cls(middle, lights.strip[:: ALONG * UP].copy(), lowest, step, given, float(slab.bottoms[0]))
+        horizons = untouched_horizons(places, z, middle, untouched)
+        light = np.concatenate([light.reshape(len(z), len(places), -1), horizons], axis=2)
+        light = light.reshape(len(z), len(y), len(x), -1)
+        return cls(middle, lights.strip[:: ALONG * UP].copy(), lowest, step, light, float(slab.bottoms[0]))
 
 
 def seen(sensor: "LitSensor") -> Floats:
@@ -95,7 +96,7 @@ def tabulate(z: Floats, aside: Floats, sources: Floats, home: NDArray[np.int64],
 
 
 @njit(cache=True, error_model="numpy", fastmath=SUMS)
-def add_up(
+def column_light(
     places: Floats,
     z: Floats,
     points: Points,
@@ -106,20 +107,20 @@ def add_up(
     panels: Panels,
     slab: Slab,
 ) -> Singles:
-    """Columns.given at heights z (m,) over places (n, 3) of the untouched face: (m, n, columns, 8).
+    """Columns.light at heights z (m,) over places (n, 3) of the untouched face: (m, n, columns, 8).
 
-    What strips keep off those is kept off all heights there.
+    Light that strips block at a place of the untouched face counts as blocked at all heights there.
 
     Args:
         points: those of the columns, one column after the other, their middles being `middle` (columns, 3).
-        level, home: which of the table's heights a point has (p,), and the layers of those.
+        level, home: index (p,) of each point's height in the table, and the layer of each height.
         table: see tabulate.
     """
     out = np.zeros((len(z), len(places), len(middle), 8), np.float32)
     none, one = np.float32(0.0), np.float32(1.0)
     each, opaque = len(points.at) // len(middle), np.abs(panels.along).sum() > 0.0
     half = np.float32(0.5 * UP / each)
-    given, least, most = (
+    light, least, most = (
         np.empty((2, 4, len(z)), np.float32),
         np.empty((2, len(z)), np.float32),
         np.empty((2, len(z)), np.float32),
@@ -131,14 +132,14 @@ def add_up(
         below = int(untouched)
         share = untouched - below
         for c in range(len(middle)):
-            given[:] = 0.0
+            light[:] = 0.0
             for q in range(c * each, (c + 1) * each):
                 if q % UP == 0:
                     least[:], most[:] = np.inf, -np.inf
                 dx, dy = points.at[q, 0] - p[0], points.at[q, 1] - p[1]
                 rho = max(np.sqrt(dx * dx + dy * dy), 1e-9)
-                dx, dy, r = dx / rho, dy / rho, int(rho / ASIDE)
-                far = np.float32(rho / ASIDE - r)
+                dx, dy, r = dx / rho, dy / rho, int(rho / LATERAL_STEP)
+                far = np.float32(rho / LATERAL_STEP - r)
                 near, x, y, soft = one - far, np.float32(dx), np.float32(dy), np.float32(points.half[q] / rho)
                 index, normal = slab.indices[-1] / slab.indices[home[level[q]]], points.normal[q]
                 aside = np.float32(index * (normal[0] * dx + normal[1] * dy))
@@ -161,29 +162,29 @@ def add_up(
                             weight[i] *= facing[i]
                     for i in range(len(z)):
                         sine, rise = near * low[0, i] + far * high[0, i], near * low[1, i] + far * high[1, i]
-                        given[image, 0, i] += weight[i] * sine * x
-                        given[image, 1, i] += weight[i] * sine * y
-                        given[image, 2, i] += weight[i] * rise
+                        light[image, 0, i] += weight[i] * sine * x
+                        light[image, 1, i] += weight[i] * sine * y
+                        light[image, 2, i] += weight[i] * rise
                         least[image, i] = min(least[image, i], rise / sine - soft)
                         most[image, i] = max(most[image, i], rise / sine + soft)
                 if (q + 1) % UP == 0:
                     for image in range(2):
                         for i in range(len(z)):
-                            given[image, 3, i] += max(most[image, i] - least[image, i], none) * half
+                            light[image, 3, i] += max(most[image, i] - least[image, i], none) * half
             away2 = (middle[c, 0] - p[0]) ** 2 + (middle[c, 1] - p[1]) ** 2
             for image in range(2):
                 for i in range(len(z)):
                     height = (2 * slab.bottoms[0] if image == 1 else 2 * z[i]) - middle[c, 2] - z[i]
                     for m in range(3):
-                        out[i, s, c, 4 * image + m] = given[image, m, i] * (away2 + height * height)
-                    out[i, s, c, 4 * image + 3] = given[image, 3, i]
+                        out[i, s, c, 4 * image + m] = light[image, m, i] * (away2 + height * height)
+                    out[i, s, c, 4 * image + 3] = light[image, 3, i]
     return out
 
 
 @njit(cache=True)
-def edges(places: Floats, z: Floats, middle: Floats, untouched: Terrain) -> Singles:
+def untouched_horizons(places: Floats, z: Floats, middle: Floats, untouched: Terrain) -> Singles:
     """Greatest slope that passes the untouched face from heights z (m,) over places (n, 3) of it toward each column:
-    (m, n, columns). Above the face it is continued, as it is where what cuts light off is far away."""
+    (m, n, columns). Above the face it is extrapolated linearly, which is exact if the occluder is far away."""
     out = np.empty((len(z), len(places), len(middle)), np.float32)
     for s in range(len(places)):
         x, y, face = places[s]
@@ -191,24 +192,25 @@ def edges(places: Floats, z: Floats, middle: Floats, untouched: Terrain) -> Sing
             dx, dy = middle[c, 0] - x, middle[c, 1] - y
             rho = max(np.sqrt(dx * dx + dy * dy), 1e-9)
             dx, dy = dx / rho, dy / rho
-            level = horizon(untouched, x, y, face, dx, dy, rho, EVER, EVER)
-            slope = (level - horizon(untouched, x, y, face - DEEP, dx, dy, rho, EVER, EVER)) / DEEP
+            level = horizon(untouched, x, y, face, dx, dy, rho, SLOPES, SLOPES)
+            lower = horizon(untouched, x, y, face - HEIGHT_STEP, dx, dy, rho, SLOPES, SLOPES)
+            slope = (level - lower) / HEIGHT_STEP
             for i in range(len(z)):
                 if z[i] < face:
-                    out[i, s, c] = horizon(untouched, x, y, z[i], dx, dy, rho, EVER, EVER)
+                    out[i, s, c] = horizon(untouched, x, y, z[i], dx, dy, rho, SLOPES, SLOPES)
                 else:
                     out[i, s, c] = level + slope * (z[i] - face)
     return out
 
 
 @njit(cache=True, error_model="numpy", fastmath=SUMS)
-def shine(
+def toward_camera(
     p: Floats, n: Floats, view: Floats, columns: Columns, radiance: Floats, alpha: float, terrain: Terrain
 ) -> Floats:
     """Radiance toward the camera by strips of `radiance` (strips, c): (samples, c, 2), for a white matt and a
     mirror-rough coat; alpha 0 leaves out the latter. `terrain` is what has changed since the face was untouched; the
     other arguments are those of strip_light.gather."""
-    middle, strip, lowest, step, given, mirror = columns
+    middle, strip, lowest, step, light, mirror = columns
     out = np.zeros((len(p), radiance.shape[1], 2))
     for s in range(len(p)):
         if np.isnan(p[s, 0]):
@@ -217,13 +219,13 @@ def shine(
         nx, ny, nz = n[s]
         vx, vy, vz = view[s]
         ci = max(nx * vx + ny * vy + nz * vz, 0.05)
-        got = between(given, (x - lowest[0]) / step[0], (y - lowest[1]) / step[1], (z - lowest[2]) / step[2])
+        got = trilinear(light, (x - lowest[0]) / step[0], (y - lowest[1]) / step[1], (z - lowest[2]) / step[2])
         for c in range(len(middle)):
             dx, dy = middle[c, 0] - x, middle[c, 1] - y
             rho = max(np.sqrt(dx * dx + dy * dy), 1e-9)
             # of each image: irradiance sideways, its mean slope, half their range, where the face turns away
-            side0, slope0, half0, turn0 = aspect(got, 8 * c, nx, ny, nz)
-            side1, slope1, half1, turn1 = aspect(got, 8 * c + 4, nx, ny, nz)
+            side0, slope0, half0, turn0 = irradiance_slopes(got, 8 * c, nx, ny, nz)
+            side1, slope1, half1, turn1 = irradiance_slopes(got, 8 * c + 4, nx, ny, nz)
             free = np.float64(got[8 * len(middle) + c])
             above = slope0 - half0, min(slope0 + half0, turn0, free)
             below = slope1 - half1, min(slope1 + half1, turn1, free)
@@ -261,19 +263,19 @@ def shine(
 
 
 @njit(cache=False, error_model="numpy", fastmath=SUMS)
-def between(given: Singles, u: float, v: float, w: float) -> Singles:
+def trilinear(table: Singles, u: float, v: float, w: float) -> Singles:
     """A table (heights, rows, columns, c) at column u, row v and height w: (c,), linear, constant beyond its ends."""
-    u = min(max(u, 0.0), given.shape[2] - 1.001)
-    v = min(max(v, 0.0), given.shape[1] - 1.001)
-    w = min(max(w, 0.0), given.shape[0] - 1.001)
+    u = min(max(u, 0.0), table.shape[2] - 1.001)
+    v = min(max(v, 0.0), table.shape[1] - 1.001)
+    w = min(max(w, 0.0), table.shape[0] - 1.001)
     i, j, k = int(u), int(v), int(w)
     a, b, d = np.float32(u - i), np.float32(v - j), np.float32(w - k)
     one = np.float32(1.0)
-    near00, near01, near10, near11 = given[k, j, i], given[k, j, i + 1], given[k, j + 1, i], given[k, j + 1, i + 1]
+    near00, near01, near10, near11 = table[k, j, i], table[k, j, i + 1], table[k, j + 1, i], table[k, j + 1, i + 1]
     k += 1
-    far00, far01, far10, far11 = given[k, j, i], given[k, j, i + 1], given[k, j + 1, i], given[k, j + 1, i + 1]
+    far00, far01, far10, far11 = table[k, j, i], table[k, j, i + 1], table[k, j + 1, i], table[k, j + 1, i + 1]
     w00, w01, w10, w11 = (one - b) * (one - a), (one - b) * a, b * (one - a), b * a
-    out = np.empty(given.shape[3], np.float32)
+    out = np.empty(table.shape[3], np.float32)
     for c in range(len(out)):
         near = w00 * near00[c] + w01 * near01[c] + w10 * near10[c] + w11 * near11[c]
         out[c] = near + d * (w00 * far00[c] + w01 * far01[c] + w10 * far10[c] + w11 * far11[c] - near)
@@ -281,9 +283,9 @@ def between(given: Singles, u: float, v: float, w: float) -> Singles:
 
 
 @njit(cache=False, error_model="numpy", fastmath=SUMS)
-def aspect(got: Singles, at: int, nx: float, ny: float, nz: float) -> tuple[float, float, float, float]:
-    """Of an irradiance vector and half a range of slopes in `got` and a normal: the vector's part sideways and its
-    slope, that half, and the slope of the face along it."""
+def irradiance_slopes(got: Singles, at: int, nx: float, ny: float, nz: float) -> tuple[float, float, float, float]:
+    """From an irradiance vector and half a range of slopes at `got[at]`, and a normal: the vector's lateral part and
+    its slope, that half, and the slope of the face along it."""
     ex, ey, ez, half = np.float64(got[at]), np.float64(got[at + 1]), np.float64(got[at + 2]), np.float64(got[at + 3])
     side = np.sqrt(ex * ex + ey * ey)
     if side <= 0.0:

@@ -29,8 +29,13 @@ BINS = 41  # of each slope component, the sine of its angle from -1 to 1
 SHARED = ((1.0, 1.0), (4.0, 1e-3), (16.0, 1e-6))  # widths [bins] and weights by which bins share their samples
 RIDGE = 0.05  # ridge penalty of the position-dependent terms, over the number of a bin's samples [-]
 ALONG = (-0.6, -0.2, 0.2, 0.6)
-PLACES = [(x, y) for y in ALONG for x in ALONG]  # of dents, in half pictures from the middle
-BALLS = [(1.2, 0.6), (0.6, 0.9), (1.5, 0.35), (0.8, 0.75)]  # radius, in the gel's thickness; sine of the steepest slope
+PLACES = [(x, y) for y in ALONG for x in ALONG]  # centres of dents from the picture's middle, over half its size [-]
+BALLS = [
+    (1.2, 0.6),
+    (0.6, 0.9),
+    (1.5, 0.35),
+    (0.8, 0.75),
+]  # radius over the gel's thickness, sine of the largest slope
 COARSE = 4  # spacing of pixels whose shadows are computed, and of the points tested on the line to a lamp [px]
 
 
@@ -65,7 +70,7 @@ class Table:
         """
         a, b = np.zeros((BINS * BINS, 6, 6)), np.zeros((BINS * BINS, 6, 3))
         for face, light in zip(faces, added, strict=True):
-            basis, index = places(light.shape[:2]).reshape(-1, 6), _bin(face.slope).ravel()
+            basis, index = quadratic_basis(light.shape[:2]).reshape(-1, 6), _bin(face.slope).ravel()
             _accumulate(a, b, index, basis, light.reshape(-1, 3))
         table = cls(_solved(a, b), np.zeros((len(lamps), 3)))
         dark = [shadows(face.height, lamps, mm_per_px).reshape(-1, len(lamps)) for face in faces]
@@ -98,7 +103,7 @@ class Table:
         """What the face adds to the untouched picture's linear radiance, (h, w, 3); see `fitted` for the arguments."""
         some = np.ascontiguousarray(face.height[COARSE // 2 :: COARSE, COARSE // 2 :: COARSE])
         dark = shadows(some, lamps, COARSE * mm_per_px) @ self.shade
-        return _look_up(self.terms, face.slope, places(face.height.shape), dark)
+        return _look_up(self.terms, face.slope, quadratic_basis(face.height.shape), dark)
 
 
 def dents(sensor: "LitSensor", untouched: "Surface") -> Iterator[BallDent]:
@@ -113,7 +118,7 @@ def dents(sensor: "LitSensor", untouched: "Surface") -> Iterator[BallDent]:
 
 
 @cache
-def places(shape: tuple[int, int]) -> "Floats":
+def quadratic_basis(shape: tuple[int, int]) -> "Floats":
     """1, x, y, x^2, x y, y^2 of each pixel's centre (h, w, 6), x and y from -1 to 1 over the picture."""
     y, x = ((np.arange(n) + 0.5) / n * 2 - 1 for n in shape)
     x, y = np.meshgrid(x, y)

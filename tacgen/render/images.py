@@ -16,7 +16,7 @@ from tacgen.optics import adaptive_sampling, camera_response, mitsuba_dicts, sca
 from tacgen.optics.camera import Camera
 from tacgen.optics.camera_view import Samples, View
 from tacgen.optics.direct_light import Direct
-from tacgen.optics.interreflection import Bounce
+from tacgen.optics.interreflection import Radiosity
 from tacgen.optics.surface_grid import Sheet, Surface, Untouched
 from tacgen.render import mitsuba_variants as probing
 from tacgen.render import traced_maps
@@ -62,7 +62,7 @@ class Clear:
     def __init__(self, sensor: "LitSensor", sheet: Sheet, markers: bool, spp: int, untouched: Surface) -> None:
         effort = Effort.of(spp)
         self._direct = Direct(sensor, sheet, markers, untouched, effort.pieces, effort.samples, effort.sparse)
-        bounce = Bounce(sensor, untouched)
+        bounce = Radiosity(sensor, untouched)
         added = bounce.added(sensor, strip_light.points(sensor.leds, *BOUNCE_POINTS))
         mixed = np.einsum("pktc,kc->ptc", added, [led.light for led in sensor.leds])
         self.glow = bounce.glow(mixed, self._direct.view)
@@ -79,7 +79,7 @@ def clear(sensor: "LitSensor", sheet: Sheet, markers: bool, spp: int, untouched:
 
 
 class Cloudy:
-    """The untouched image, and brightness as a function of the thickness that is felt, as traced by `traced_maps`."""
+    """The untouched image, and brightness as a function of the averaged thickness, as traced by `traced_maps`."""
 
     def __init__(self, sensor: "LitSensor", sheet: Sheet, markers: bool, spp: int, variant: str) -> None:
         samples = Effort.of(spp).samples
@@ -92,8 +92,8 @@ class Cloudy:
     def seen(self, at: Samples) -> "Floats":
         """Linear radiance (H, W, 3), without noise of its own."""
         share = scattering.thickness(self._gel, at.position).reshape(self._view.shape)
-        felt = scattering.felt(share, self._reach)
-        return self._view.picture(self._bright.tabulated.at(felt.ravel())) * self.scattered
+        averaged = scattering.averaged(share, self._reach)
+        return self._view.picture(self._bright.tabulated.at(averaged.ravel())) * self.scattered
 
 
 class Tabled:

@@ -71,10 +71,10 @@ def scattered(sensor: "LitSensor", spp: int, variant: str) -> Scattered:
 
     def tabulate() -> "Floats":
         tracer = PathTracer(lit_by(zoomed(sensor, 8), set(leds)), flat, False, variant)
-        faces = [scattering.Even(sensor.gel, share) for share in shares]
+        faces = [scattering.UniformFace(sensor.gel, share) for share in shares]
         return np.array([tracer.radiance(face, spp * PATHS, 0).mean(axis=(0, 1)) for face in faces])
 
-    def wander() -> "Floats":
+    def fitted_reach() -> "Floats":
         clear, sheet = scattering.depths(sensor.gel)[1], Sheet.over(sensor.gel, SPACING)
         middle = np.add(sensor.camera.center_mm, sensor.camera.crop_mm)
         size, contact = (share * clear for share in scattering.DENT)
@@ -86,12 +86,12 @@ def scattered(sensor: "LitSensor", spp: int, variant: str) -> Scattered:
         traced = PathTracer(evenly, sheet, False, variant).windows(at.nodes, [window], spp * PATHS, 1)
         level = alone.sum(axis=0)
         ratio = np.divide(traced, level, out=np.ones_like(level), where=level > 0)  # past the gel all is dark
-        return np.array(scattering.wander(bright, share, coarse.camera.mm_per_px, ratio))
+        return np.array(scattering.fitted_reach(bright, share, coarse.camera.mm_per_px, ratio))
 
     name = key(sensor, variant, spp, scattering.SHARES, scattering.DENT, SCATTERED_VERSION)
     alone = array_cache.kept_one("untouched", name, trace)
     bright = scattering.Brightness.through(shares, array_cache.kept_one("brightness", name, tabulate))
-    return Scattered(alone, bright, float(array_cache.kept_one("wander", name, wander)))
+    return Scattered(alone, bright, float(array_cache.kept_one("wander", name, fitted_reach)))
 
 
 def around(there: "NDArray[np.bool_]", margin: int) -> Window:

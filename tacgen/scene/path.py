@@ -63,7 +63,7 @@ class Path:
 
 
 def _sink_depth(shape: Shape, pose: Array, gel: "Gel") -> float:
-    """How far a shape that stands on z = 0 can be lowered along z until it touches the untouched face [mm].
+    """Distance along z from a shape that stands on z = 0 to first touch of the untouched face [mm].
 
     Each iteration lowers it by its distance from the face, which cannot overshoot; the search is repeated around the
     point found, on a grid 20 times as fine.
@@ -96,7 +96,9 @@ def contact_height(shape: Shape, gel: "Gel", pose: Array) -> float:
     return drop - _sink_depth(shape, standing, gel)
 
 
-def lay(recipe: Recipe, shape: Shape, gel: "Gel", replayed: Callable[[int], tuple[pose_table.Pose, ...]]) -> Path:
+def indenter_path(
+    recipe: Recipe, shape: Shape, gel: "Gel", replayed: Callable[[int], tuple[pose_table.Pose, ...]]
+) -> Path:
     """The path of an indenter over a gel; `replayed` gives the rows of a segment's table.
 
     Raises:

@@ -18,13 +18,13 @@ from tacgen.recipe.checks import timed
 from tacgen.recipe.model import Element, Recipe
 from tacgen.recipe.plan import Row
 from tacgen.recipe.sensor import MooneyRivlinLayer, NeoHookeLayer, Sensor, StableNeoHookeLayer, YeohLayer
-from tacgen.scene.path import Forced, lay
-from tacgen.scene.path import Path as Way
+from tacgen.scene.path import Forced, indenter_path
+from tacgen.scene.path import Path as IndenterPath
 
 __all__ = ["Gel", "Layer", "Scene", "build"]
 
 Array = np.ndarray
-TONNES_PER_MM3 = 1e-12  # 1 kg/m^3 [t/mm^3]
+TONNES_PER_MM3 = 1e-12  # 1 kg/m^3 in t/mm^3
 SDF_CELL = 0.25  # cell of a mesh's signed distance over the element edge [-]; edges are rounded by about two cells
 
 
@@ -64,7 +64,7 @@ class Scene:
 
 
 def _reach_of_gel(row: Row) -> tuple[float, float]:
-    """What the gel can reach: distance from the indenter's z axis, height above its lowest point [mm]."""
+    """Region of the indenter that the gel can reach: distance from its z axis, height above its lowest point [mm]."""
     gel = row.sensor.gel
     steps = row.recipe.trajectory
     replays = (row.replayed(number) for number, step in enumerate(steps) if step.replay)
@@ -147,16 +147,16 @@ def build(row: Row) -> Scene:
     recipe, quality = row.recipe, row.recipe.resolved()
     gel = gel_of(row.sensor, row.solid_path if row.sensor.gel.solid else None)
     shape = shape_of(row)
-    way = lay(recipe, shape, gel, row.replayed)
+    path = indenter_path(recipe, shape, gel, row.replayed)
     friction, edge, dhat = recipe.contact.friction, quality.edge_mm, quality.dhat_mm
     element = recipe.mesh or ("hex" if row.sensor.gel.solid is None else "tet")
-    positions = np.concatenate([way.start[None], way.poses])[:, :2, 3]
+    positions = np.concatenate([path.start[None], path.poses])[:, :2, 3]
     off_face = positions[~gel.contains(*positions.T)] if isinstance(gel, SolidGel) else positions[:0]
     if len(off_face):
         x, y = off_face[0]
         raise UserError(f"trajectory: would carry the indenter's axis off the gel's coated face, to ({x:g}, {y:g})")
-    more = (way.forced, _dynamics(recipe), _durations(row, way), element, _surface(row, shape), way.turns)
-    return Scene(gel, shape, way.poses, way.start, way.segment, friction, edge, dhat, *more)
+    more = (path.forced, _dynamics(recipe), _durations(row, path), element, _surface(row, shape), path.turns)
+    return Scene(gel, shape, path.poses, path.start, path.segment, friction, edge, dhat, *more)
 
 
 def _dynamics(recipe: Recipe) -> Dynamics | None:
@@ -167,13 +167,13 @@ def _dynamics(recipe: Recipe) -> Dynamics | None:
     return Dynamics(density, damping.alpha_per_s, damping.beta_s, asked.step_s or math.inf)
 
 
-def _durations(row: Row, way: Way) -> Array | None:
+def _durations(row: Row, path: IndenterPath) -> Array | None:
     """Duration (N,) of each frame [s]. For a replay, the time between its rows; its first frame takes as long as the
     second. None if time does not matter."""
     if not timed(row.recipe, row.sensor):
         return None
     usual = 0.0 if row.recipe.dynamics is None else row.recipe.dynamics.frame_s or 0.0
-    origins = np.concatenate([way.start[None], way.poses])[:, :3, 3]
+    origins = np.concatenate([path.start[None], path.poses])[:, :3, 3]
     duration: list[float] = []  # recipe/checks.py has checked that each movement has one
     for number, step in enumerate(row.recipe.trajectory):
         if isinstance(step.move, trajectory.Replay):

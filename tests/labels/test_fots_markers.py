@@ -8,7 +8,7 @@ from helpers.tiny import sensor
 from tacgen.bundle import bundle
 from tacgen.errors import UserError
 from tacgen.geometry.analytic_sdf import Sphere
-from tacgen.labels.fots_markers import Drift
+from tacgen.labels.fots_markers import FotsMarkers
 from tacgen.optics.camera import Camera
 from tacgen.optics.coating import centers
 from tacgen.pipeline import run
@@ -29,10 +29,10 @@ def pose(z: float, x: float = 0.0, turn_deg: float = 0.0) -> np.ndarray:
 
 @pytest.fixture
 def drift():
-    return Drift(MOTION, centers(TINY.markers), TINY.gel, Sphere(3.0), Camera.from_sensor(TINY))
+    return FotsMarkers(MOTION, centers(TINY.markers), TINY.gel, Sphere(3.0), Camera.from_sensor(TINY))
 
 
-def flow(drift: Drift, *poses: np.ndarray) -> np.ndarray:
+def flow(drift: FotsMarkers, *poses: np.ndarray) -> np.ndarray:
     """Of the dots (3, 3, 2) [px] at the last pose."""
     return (np.array([drift.at(one)[0] for one in poses])[-1] - drift.undisturbed).reshape(3, 3, 2)
 

@@ -5,21 +5,21 @@ import pytest
 from helpers.tiny import sensor
 
 from tacgen.optics import interreflection, strip_light
-from tacgen.optics.interreflection import TERMS, Bounce, Glow
+from tacgen.optics.interreflection import TERMS, Glow, Radiosity
 from tacgen.recipe.sensor import Solid
 
 
 @pytest.mark.parametrize("turn", [(0.3, -0.3), (-0.5, 0.2), (0.0, 0.0)])
 def test_a_turned_face_gets_what_it_would_gather(turn):
     made = sensor()
-    bounce = Bounce(made)
+    bounce = Radiosity(made)
     lit = np.where(bounce._at[:, 0] > 0, 1.0, 0.2)  # brighter on the right
     level = bounce._normals[: bounce._coat]
     side = level[:, :2] + turn
     turned = np.ascontiguousarray(np.column_stack([side, -np.sqrt(1 - (side**2).sum(axis=1))]))
     exact = bounce._gather(made, bounce._patches, len(lit), turned) @ lit
     flat = bounce._gather(made, bounce._patches, len(lit), np.ascontiguousarray(level)) @ lit
-    terms = np.repeat((bounce._turned @ lit).T[:, :, None], 3, axis=2)
+    terms = np.repeat((bounce._form_factor_terms @ lit).T[:, :, None], 3, axis=2)
     found = Glow(terms, level[:, :2]).at(turned)
     assert terms.shape[1:] == (TERMS, 3)
     off = np.linalg.norm(found[:, 0] - exact) / np.linalg.norm(exact)
@@ -41,8 +41,8 @@ def test_patches_beyond_a_solids_outline_do_no_harm():
     made = sensor()
     solid = Solid(file="dome.stl", source="test")
     made = made.model_copy(update={"gel": made.gel.model_copy(update={"solid": solid})})
-    bounce = Bounce(made, Dome())
-    assert bounce._onto.sum(axis=1).max() <= 1 + 1e-9
+    bounce = Radiosity(made, Dome())
+    assert bounce._form_factors.sum(axis=1).max() <= 1 + 1e-9
     added = bounce.added(made, strip_light.points(made.leds, 4, 2))
     here = np.abs(added).max(axis=(1, 2, 3))
     assert here.max() < 30 * np.median(here[np.linalg.norm(bounce._at[: len(here), :2], axis=1) < 3])

@@ -15,7 +15,7 @@ def face(seed: int, shape: tuple[int, int] = (60, 80)) -> taxim_table.Face:
 
 def light(one: taxim_table.Face) -> np.ndarray:
     """Linear in the slope, and more of it to the right."""
-    x = taxim_table.places(one.height.shape)[..., 1]
+    x = taxim_table.quadratic_basis(one.height.shape)[..., 1]
     return np.stack([(1 + 0.5 * x) * (one.slope @ w) for w in ((0.3, 0.1), (-0.2, 0.4), (0.0, 0.5))], axis=-1)
 
 

@@ -156,14 +156,14 @@ def test_the_tabulated_gain_is_the_shipped_sensors_gain():
 def test_light_feels_the_thickness_around():
     share = np.ones((40, 40))
     share[:, 20:] = 0.5
-    assert scattering.felt(share, 0.01) == pytest.approx(share)
-    blurred = scattering.felt(share, 3.0)
+    assert scattering.averaged(share, 0.01) == pytest.approx(share)
+    blurred = scattering.averaged(share, 3.0)
     assert 0.6 < blurred[20, 19] < 0.9
     y, x = np.mgrid[:121, :163]
     hole = np.where(np.hypot(x - 90, y - 40) < 20, 0.4, 1.0) - 0.001 * y
     for reach in (8.5, 16.0, 31.0):  # by blocks of 2, 4 and 7 pixels
         exact = gaussian_filter(hole, reach, mode="nearest", truncate=5.0)
-        assert scattering.felt(hole, reach) == pytest.approx(exact, abs=2e-3)
+        assert scattering.averaged(hole, reach) == pytest.approx(exact, abs=2e-3)
     bright = scattering.Brightness(np.array([0.1, 1.0]), np.array([[0.4] * 3, [1.0] * 3]))
     picture = bright.at(blurred.ravel()).reshape(40, 40, 3)
-    assert scattering.wander(bright, share, 0.5, picture) == pytest.approx(1.5, rel=0.02)
+    assert scattering.fitted_reach(bright, share, 0.5, picture) == pytest.approx(1.5, rel=0.02)
