@@ -38,6 +38,7 @@ Array = np.ndarray
 COLUMNS, PANEL, GAP = 4, 1.85, 0.1  # panels side by side, and inches
 FLAT = 0.42  # height of a section over its width
 WIDE = 3.4  # width of a section over the gel's thickness
+LEAST_STRESS = 1e-6  # [MPa] of the brightest colour: rounding of a gel that nothing touches stays dark
 OFF = 1e-6  # [mm] shift of the section, so that it does not pass through nodes of a symmetric mesh
 STATES = {
     postprocess.FREE: ("free", "#f2f2f2"),
@@ -129,7 +130,7 @@ def draw_stress(
     bars: list[Bar] = []
     for row, (name, what, colours, signed) in zip(grid, sections, strict=True):
         values = [what(stress.reshape(-1, 6)) for _, stress, _ in found]
-        top = max(float(np.quantile(np.abs(v), 0.999)) for v in values)
+        top = max(LEAST_STRESS, *(float(np.quantile(np.abs(v), 0.999)) for v in values))
         for panel, (corners, _, rim), value, k in zip(row, found, values, shown, strict=True):
             x, z = corners.reshape(-1, 2).T
             own = np.arange(len(x)).reshape(-1, 3)

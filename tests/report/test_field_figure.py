@@ -58,6 +58,15 @@ def test_a_section_shows_the_indenter_and_stress_without_steps(tmp_path: Path) -
     assert np.hypot(*(out[out[:, 1] < 1] - [0, 4]).T) == pytest.approx(4.0, abs=0.03)  # the ball, from its lowest point
 
 
+def test_rounding_errors_of_stress_have_no_colour(tmp_path: Path) -> None:
+    from matplotlib.figure import Figure
+
+    bundle, panel = read(write(tmp_path / "x.h5")), Figure().add_subplot()
+    rounding = ("rounding", lambda s: 1e-15 * np.arange(len(s)) / len(s), "magma", False)
+    [(drawn, _, _)] = field_figure.draw_stress(bundle, [[panel]], np.array([0]), (24, 32), (rounding,))
+    assert drawn.get_clim() == (0, 1e-6)
+
+
 def test_a_triangle_mesh_crosses_a_plane_in_lines() -> None:
     points = np.array([[0, 0, 0], [2, 0, 0], [0, 3, 0], [0, 0, 4.0]])
     triangles = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
