@@ -171,8 +171,6 @@ class Stiffened:
         return self.law.vol(J)
 
 
-LAWS = {"neo_hooke": NeoHooke, "mooney_rivlin": MooneyRivlin, "yeoh": Yeoh, "stable_neo_hooke": StableNeoHooke}
-
 # An example of each law, all with mu = 0.05 MPa and kappa = 0.4 MPa at rest, for tests.
 EXAMPLES: dict[str, Law] = {
     "neo_hooke": NeoHooke(0.05, 0.4),

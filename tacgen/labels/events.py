@@ -3,7 +3,7 @@
 The mode of a frame follows from its labels and the pose before it, not from the movement in the recipe. It is the first
 of these that is true:
 
-    apart            no pressure
+    apart            hardly any pressure: less than FAINT
     releasing        the normal force falls, and the indenter moves off the gel more than sideways
     sliding          the whole contact slips, and the indenter moves sideways
     turning          the same, but at the contact's mean radius it rotates by more than it moves sideways

@@ -22,7 +22,7 @@ from tacgen.solve.state import History, NotConverged, State, TooFar
 
 Array = np.ndarray
 NEGLIGIBLE = 1e-3  # smallest force scale, over the largest contact force so far [-]
-INSIDE = 0.45  # largest depth of the gel inside the indenter, over its reach [-]; 1 is its middle
+INSIDE = 0.45  # largest depth of the gel inside the indenter, over its reach [-]; at 1 it may come out on the far side
 STIFFENINGS = 8  # most solves, with barriers STIFFER times as stiff each time, until nothing penetrates or inverts
 STIFFER = 4.0  # [-]
 TRIES = 4  # most solves with contact between meshes, each with smaller tolerances
