@@ -104,8 +104,8 @@ class SceneData(_Faces):
         if self.row.recipe.markers.method == "analytic" and motion is not None:
             from tacgen.labels.fots_markers import FotsMarkers
 
-            drift = FotsMarkers(motion, rest, sensor.gel, self.problem.contact.shape, self.camera)
-            return drift.undisturbed, lambda frame: drift.at(frame.state.pose)
+            fots = FotsMarkers(motion, rest, sensor.gel, self.problem.contact.shape, self.camera)
+            return fots.undisturbed, lambda frame: fots.at(frame.state.pose)
         from tacgen.optics.material_flow import Points
 
         points = Points(rest, self.printed, self.camera)
@@ -129,7 +129,7 @@ class SceneData(_Faces):
 
     @cached_property
     def sensitivities(self) -> "Sensitivities":
-        """How the frames move with what is not sure."""
+        """Derivatives of the frames with respect to the uncertain inputs."""
         from tacgen.labels.uncertainty import Sensitivities
 
         assert self.row.recipe.uncertainty is not None
@@ -256,7 +256,7 @@ def _surface_stress(frame: FrameData) -> Datasets:
 
 
 def _uncertainty(frame: FrameData) -> Datasets:
-    """To first order, errors of the inputs being independent."""
+    """Standard deviations to first order, for independent errors of the inputs."""
     from tacgen.labels.contact_maps import densities
     from tacgen.labels.uncertainty import mesh_variance
 

@@ -118,9 +118,9 @@ class Comparison:
         made = self._renderer.develop(self._renderer.image(face), random)
         return self._seen(made, self._flat, face, press.center, press.contact or 0.0)
 
-    def net(self, seed: int = 0) -> NormalNet:
+    def net(self) -> NormalNet:
         """A network trained on rendered dents with the camera's noise."""
-        return learned(list(self._dents(seed)))
+        return learned(list(self._dents()))
 
     def likeness(self, presses: Sequence[Press], faces: Sequence[Surface], untouched: Array) -> Likeness:
         """Likeness over presses with known contact circles."""
@@ -146,8 +146,8 @@ class Comparison:
             float(np.mean([real.off(real.flat) for real, _, _ in pairs])),
         )  # fmt: skip
 
-    def _dents(self, seed: int) -> Iterator[Seen]:
-        random, renderer = np.random.default_rng(seed), self._renderer
+    def _dents(self) -> Iterator[Seen]:
+        random, renderer = np.random.default_rng(0), self._renderer
         camera, gel = Camera.from_sensor(self.sensor), self.sensor.gel
         for _ in range(DENTS):
             ball = float(np.exp(random.uniform(*np.log(BALLS))))
@@ -170,12 +170,12 @@ class Comparison:
         return self._view.look(face).normal[:, :2].reshape(*self._view.shape, 2)
 
 
-def learned(seen: Sequence[Seen], seed: int = 0) -> NormalNet:
+def learned(seen: Sequence[Seen]) -> NormalNet:
     """A network trained inside the contact circles of presses, with the same number of pixels of each."""
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(0)
     some = [random.permutation(len(one.slopes))[: max(PIXELS, normal_net.MOST // len(seen))] for one in seen]
     features = np.concatenate([one.features[k] for one, k in zip(seen, some, strict=True)])
-    return NormalNet.trained(features, np.concatenate([one.slopes[k] for one, k in zip(seen, some, strict=True)]), seed)
+    return NormalNet.trained(features, np.concatenate([one.slopes[k] for one, k in zip(seen, some, strict=True)]))
 
 
 def circle(shape: tuple[int, ...], center: tuple[float, float], radius: float) -> Array:

@@ -47,9 +47,9 @@ class Problem:
     at_key: bool = False  # point at the key, not at the value
     meant: str = ""  # the key that was probably meant
 
-    def point(self, tree: Tree, prefix: str = "") -> str:
+    def point(self, tree: Tree) -> str:
         """The message, then the source line with a caret under the place."""
-        return self.mark(tree).point(prefix + ": ".join(filter(None, [format_path(self.path), self.message])))
+        return self.mark(tree).point(": ".join(filter(None, [format_path(self.path), self.message])))
 
     def place(self, tree: Tree) -> str:
         """The message alone, with its place: one line."""

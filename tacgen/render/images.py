@@ -62,10 +62,10 @@ class Clear:
     def __init__(self, sensor: "LitSensor", sheet: Sheet, markers: bool, spp: int, untouched: Surface) -> None:
         effort = Effort.of(spp)
         self._direct = Direct(sensor, sheet, markers, untouched, effort.pieces, effort.samples, effort.sparse)
-        bounce = Radiosity(sensor, untouched)
-        added = bounce.added(sensor, strip_light.points(sensor.leds, *BOUNCE_POINTS))
+        radiosity = Radiosity(sensor, untouched)
+        added = radiosity.added(sensor, strip_light.points(sensor.leds, *BOUNCE_POINTS))
         mixed = np.einsum("pktc,kc->ptc", added, [led.light for led in sensor.leds])
-        self.glow = bounce.glow(mixed, self._direct.view)
+        self.glow = radiosity.glow(mixed, self._direct.view)
 
     def seen(self, at: Samples) -> "Floats":
         """Linear radiance (H, W, 3), without noise."""
@@ -156,7 +156,7 @@ class Renderer:
         method: Literal["transport", "path", "table"] = "transport",
         untouched: Surface | None = None,
     ) -> None:
-        """`spp`: with `transport`, paths a pixel of what is traced once; with `path`, of each image.
+        """`spp`: paths a pixel, with `path` of each image, else of what is traced once; and the level of `Effort`.
 
         `variant` is Mitsuba's, where that is needed, the best here if None; `seed` is that of the paths in images;
         `untouched` is the face at rest, which a gel that is a solid must be given.
