@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class DrawnFace:
-    """One face on the nodes (n,) of a sheet, before a camera of `samples` x `samples` samples a pixel."""
+    """One face on the nodes (n,) of a sheet, seen by a camera with `samples` x `samples` samples a pixel."""
 
     def __init__(self, sheet: "Sheet", surface: "Surface", camera: "Camera", samples: int = 1) -> None:
         self.sheet, self.surface, self.camera, self.samples = sheet, surface, camera, samples

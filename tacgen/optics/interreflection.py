@@ -38,7 +38,7 @@ class Glow:
     untouched: "Floats"  # sideways parts of the untouched normal, (samples, 2)
 
     def at(self, normal: "Floats", index: "NDArray[np.int64] | slice" = slice(None)) -> "Floats":
-        """Radiance (n, 3) of a bare coat with normals (n, 3) at the samples of an index, or at all."""
+        """Radiance (n, 3) of a coat without markers, with normals (n, 3) at the samples `index`."""
         dx, dy = np.clip(np.nan_to_num(normal[:, :2] - self.untouched[index]), -1.5 * TILT, 1.5 * TILT).T[..., None]
         one, x, y, xx, yy = np.moveaxis(self.terms[index], 1, 0)
         return np.asarray(np.maximum(one + dx * (x + dx * xx) + dy * (y + dy * yy), 0.0))
@@ -133,7 +133,7 @@ class Radiosity:
 
 def finer(coarse: "Floats") -> "Floats":
     """Values (rows, columns, n) on a grid FINER times as dense, by cubic splines limited to the range of the patches
-    around: next to a patch that is very close to an LED they would overshoot below 0, as dark spots."""
+    around: beside a patch very close to an LED they would fall below 0 and show as dark spots."""
     from scipy.ndimage import maximum_filter, minimum_filter, zoom
 
     def dense(what: "Floats", order: int) -> "Floats":

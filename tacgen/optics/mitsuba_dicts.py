@@ -16,13 +16,13 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-ARC = 16  # walls around a semicircle
+ARC = 16  # number of walls around a semicircle
 LOBED = "lobed_area"  # emitter whose radiance falls as a power of the cosine
-WALL_RISE = 3.0  # [mm] the walls go on beyond the coated face, so that no light leaks past a bulging gel
+WALL_RISE = 3.0  # height of the walls above the coated face, so that no light leaks past a bulging gel [mm]
 
 
 def frame(normal: "Sequence[float]", up: "Sequence[float]") -> "Floats":
-    """Columns (along, up, normal) of a right-handed orthonormal frame, (3, 3); `up` only has to lean the right way.
+    """Columns (along, up, normal) of a right-handed orthonormal frame, (3, 3); `up` need not be orthogonal to `normal`.
 
     Raises:
         ValueError: normal is zero or parallel to up.
@@ -64,9 +64,9 @@ def diffuse(albedo: "float | Sequence[float]") -> dict[str, Any]:
 
 
 def led(light: "Led", wall_albedo: float) -> dict[str, Any]:
-    """One LED strip: it radiates from its front, if at all, and is as dark as the walls otherwise, or not there.
+    """One LED strip: it radiates from its front, and reflects as the walls do or, with `see_through`, is invisible.
 
-    Mitsuba's area lights are Lambertian: for others the renderer's home brings LOBED.
+    Mitsuba's area lights are Lambertian; others are LOBED emitters, which render/mitsuba_path registers.
     """
     radiance = [float(v) for v in light.light]
     emitter: dict[str, Any] = {"type": "area", "radiance": {"type": "rgb", "value": radiance}}
@@ -103,7 +103,7 @@ def outline(sensor: "LitSensor") -> "Floats":
 
 
 def interfaces(sensor: "LitSensor") -> dict[str, dict[str, Any]]:
-    """Interfaces from the air inward; one between equals does not exist."""
+    """Interfaces from the air inward; none between equal media."""
     w, h = (size + 2 * sensor.walls.margin_mm for size in (sensor.gel.width_mm, sensor.gel.height_mm))
     z, outside, around, made = -bottom_depth(sensor), 1.0, None, {}
     bodies = [

@@ -53,7 +53,7 @@ class Brightness:
 
     @classmethod
     def through(cls, shares: "Floats", radiance: "Floats") -> "Brightness":
-        """From radiances (k, 3) traced at `shares`, smoothed by a cubic in log radiance to remove their noise."""
+        """From radiances (k, 3) traced at `shares`, smoothed by a quartic of the logarithms to remove their noise."""
         u = np.log(shares)
         smooth = np.column_stack([np.polyval(np.polyfit(u, np.log(c), 4), u) for c in radiance.T])
         one = np.column_stack([np.interp(0.0, u, c) for c in smooth.T])
@@ -96,7 +96,7 @@ def averaged(share: "Floats", reach: float) -> "Floats":
 def fitted_reach(bright: Brightness, share: "Floats", mm_per_px: float, ratio: "Floats") -> float:
     """The `reach` [mm] of `averaged` that best fits a traced image (h, w, 3) over the untouched one, nan left out.
 
-    The noise of the traced image does not allow to fit more than this one number.
+    The traced image is too noisy to fit more than this one number.
     """
     from scipy.optimize import least_squares
 

@@ -13,12 +13,9 @@ from numpy.typing import NDArray
 from tacgen.compiled import njit
 
 Floats = NDArray[np.float64]
-SUMS = {"contract", "nsz", "arcp", "reassoc"}  # of LLVM's fast arithmetic, what sums in loops need to run on vectors
-
+SUMS = {"contract", "nsz", "arcp", "reassoc"}  # flags of LLVM's fast math with which sums in loops are vectorised
 SMALL, LARGE = 8, 32  # cells along the side of a block
-
-
-DENTED = 0.02  # change of height since untouched from which a place can cast a shadow [mm]
+DENTED = 0.02  # smallest fall of a place since untouched with which it casts a shadow [mm]
 
 
 class Terrain(NamedTuple):
@@ -32,7 +29,7 @@ class Terrain(NamedTuple):
 
     @classmethod
     def of(cls, heights: Floats, size: tuple[float, float], before: Floats | None = None) -> "Terrain":
-        """That of a face; with its heights `before`, only what has drawn back since then shades."""
+        """That of a face; with its heights `before`, only places that have receded since then cast shadows."""
         blocked = heights if before is None else np.where(heights < before - DENTED, heights, np.inf)
         small, large = (lowest(blocked, cells) for cells in (SMALL, LARGE))
         return cls(heights, small, large, np.array(size), float(large.min()))
@@ -72,8 +69,8 @@ def horizon(
         x, y, z: the point [mm].
         dx, dy: unit vector sideways to the light.
         reach: sideways way [mm] to it.
-        above, below: (least, greatest) slope of interest, of two sorts of rays, the steeper first; anything is a right
-            answer that lies between the same of these four as the horizon.
+        above, below: (least, greatest) slope of two bundles of rays, the steeper first. The result is exact within
+            these ranges; outside, it only lies on the same side of each of the four limits as the horizon.
     """
     heights, small, large, size, lowest = terrain
     rows, columns = heights.shape

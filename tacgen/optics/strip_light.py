@@ -188,9 +188,9 @@ def layer(z: float, tops: Floats) -> int:
 
 @njit(cache=False, error_model="numpy", fastmath=SUMS)
 def ggx(turn: float, ci: float, co: float, alpha: float) -> float:
-    """GGX reflection times cos(wo) of a perfect mirror's microfacets: D G1 G1 / (4 cos wi).
+    """GGX reflection times cos(wo), of microfacets with reflectance 1: D G1 G1 / (4 cos wi).
 
-    `turn` is the cosine between the directions wi and wo, ci and co theirs to the normal, that must be > 0.
+    `turn`: cosine between the directions wi and wo; ci, co: their cosines to the normal, > 0.
     """
     ch2 = (ci + co) ** 2 / (2.0 + 2.0 * turn)
     a2 = alpha * alpha
@@ -261,14 +261,15 @@ def gather(
     alpha: float,
     terrain: Terrain,
 ) -> Floats:
-    """Radiance toward the camera per unit LED radiance: (samples, strips, 2), for a white matt and a mirror-rough coat.
+    """Radiance toward the camera per unit LED radiance: (samples, strips, 2), for a white Lambertian coat and a
+    rough mirror.
 
     Args:
         p, n, view: samples of the face: positions [mm], unit normals into the gel, unit directions to the camera in
             the gel, each (samples, 3).
-        points: what shines, of so many `strips`.
+        points: quadrature points of that many `strips`.
         slab: light mirrors at its first bottom, against air.
-        panels: what shades it, beside the face.
+        panels: strips that block light, as the face does.
         alpha: GGX roughness.
         terrain: the face for shadows.
     """

@@ -207,9 +207,9 @@ def untouched_horizons(places: Floats, z: Floats, middle: Floats, untouched: Ter
 def toward_camera(
     p: Floats, n: Floats, view: Floats, columns: Columns, radiance: Floats, alpha: float, terrain: Terrain
 ) -> Floats:
-    """Radiance toward the camera by strips of `radiance` (strips, c): (samples, c, 2), for a white matt and a
-    mirror-rough coat; alpha 0 leaves out the latter. `terrain` is what has changed since the face was untouched; the
-    other arguments are those of strip_light.gather."""
+    """Radiance toward the camera by strips of `radiance` (strips, c): (samples, c, 2), for a white Lambertian coat and
+    a rough mirror; alpha 0 leaves out the latter. `terrain`: what has receded since the face was untouched; the other
+    arguments are those of strip_light.gather."""
     middle, strip, lowest, step, light, mirror = columns
     out = np.zeros((len(p), radiance.shape[1], 2))
     for s in range(len(p)):

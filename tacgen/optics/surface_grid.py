@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 
-BEYOND = 1e-3  # scale of the part of a sheet outside a solid's outline, which makes it invisible [-]
+BEYOND = 1e-3  # scale of the part of a sheet outside a solid's outline: too small to be seen [-]
 EVERYWHERE = (-np.inf, np.inf, -np.inf, np.inf)
 
 
@@ -105,8 +105,8 @@ class Sheet:
         return np.concatenate([np.stack([a, c, b], 1), np.stack([a, d, c], 1)])
 
     def at(self, surface: Surface) -> "Floats":
-        """Current positions of the nodes [mm], (nodes, 3). A node in a cut-off corner rides with the nearest point of
-        the pad, so that `surface` is only asked where it exists."""
+        """Current positions of the nodes [mm], (nodes, 3). A node in a cut-off corner moves with the nearest point of
+        the pad, so that `surface` is evaluated only where it exists."""
         pad, now = self.inside, np.array(surface.at(self.inside), dtype=np.float64)
         lost = np.isnan(now[:, 2])
         if lost.any():  # between the outline and what a mesh makes of it
@@ -123,7 +123,7 @@ class Sheet:
         return unit(self._spans(now))
 
     def areas(self, now: "Floats") -> "Floats":
-        """What each node stands for of the face [mm^2], (nodes,); twice as much at an edge, where half of it is off."""
+        """Area of the face per node [mm^2], (nodes,); at the sheet's edge twice that of the half cell there."""
         return np.asarray(np.linalg.norm(self._spans(now), axis=1))
 
     def _spans(self, now: "Floats") -> "Floats":

@@ -64,7 +64,7 @@ class BulkNewton:
         try:
             return self._solve(x, contact)
         except NotPositiveDefinite:
-            raise NotConverged(why(self.bulk, x, 0)) from None
+            raise NotConverged(failure_message(self.bulk, x, 0)) from None
 
     def _solve(self, x: Array, contact: CoupledContact) -> tuple[Array, CoupledContact, int]:
         options, tangent, conn = self.options, self.tangent, contact.contact.faces.conn
@@ -100,7 +100,7 @@ class BulkNewton:
                 rate = (2 if new else 1) * residual / before
             damping = self._next_damping(found, residual < before)
             new = not options.keep_tangent or found.part < 1 or self._slow(residual, rate)
-        raise NotConverged(why(self.bulk, at.x, step))
+        raise NotConverged(failure_message(self.bulk, at.x, step))
 
     def _ended(self, found: Step, moved: float, residual: float) -> bool:
         options = self.options
@@ -203,7 +203,7 @@ def with_neighbours(conn: Array, which: Array) -> Array:
     return np.asarray(conn[np.isin(conn, conn[which]).any(1)])
 
 
-def why(bulk: Bulk, x: Array, steps: int) -> str:
+def failure_message(bulk: Bulk, x: Array, steps: int) -> str:
     """The message for a failure to find an equilibrium."""
     least = min(float(J.min()) for J in bulk.at(x).J)
     squeezed = f", the gel squeezed to {least:.1%} of its volume" if least < SQUEEZED else ""

@@ -13,7 +13,7 @@ from tacgen.fem.jacobian import least_jacobian
 from tacgen.fem.potential import Potential, Total
 from tacgen.solve import full_newton
 from tacgen.solve.bulk import Bulk
-from tacgen.solve.bulk_newton import BulkNewton, why, with_neighbours
+from tacgen.solve.bulk_newton import BulkNewton, failure_message, with_neighbours
 from tacgen.solve.linear_solvers import NotPositiveDefinite
 from tacgen.solve.mesh_contact import LaggedContact, MeshLoadStep
 from tacgen.solve.predictor import Prediction, predict
@@ -112,7 +112,7 @@ class LoadStep:
             return Found.coupled(*newton.solve(x, self.contact), newton.damped)
         found = full_newton.solve(self.problem, self.bulk, self.contact, x)
         if not found.converged:
-            raise NotConverged(why(self.bulk, found.x, found.steps))
+            raise NotConverged(failure_message(self.bulk, found.x, found.steps))
         return Found.coupled(found.x, found.contact, found.steps)
 
 
@@ -157,7 +157,7 @@ def equilibrium(
     coupled = isinstance(problem.contact, Contact)
     step = (LoadStep if coupled else MeshLoadStep)(problem, history, Pose.of(matrix), duration)
     try:
-        found, least_J = _until_sound(step, step.start(None if near is None else near.x))
+        found, least_J = _until_admissible(step, step.start(None if near is None else near.x))
         residual, balance = _imbalance(step, found)
         if residual > problem.options.residual_max or balance > problem.options.residual_max or found.least_gap <= 0:
             raise NotConverged(
@@ -178,7 +178,7 @@ def equilibrium(
     return _record(step, found, index, matrix, (residual, balance, least_J))
 
 
-def _until_sound(step: LoadStep | MeshLoadStep, x: Array) -> tuple[Found, float]:
+def _until_admissible(step: LoadStep | MeshLoadStep, x: Array) -> tuple[Found, float]:
     """The equilibrium, with barriers stiff enough that no point is inside the shrunk indenter and no element is
     inverted, and the Newton steps of all solves; and the certified lower bound of J."""
     steps, damped, mesh = 0, 0, step.problem.mesh

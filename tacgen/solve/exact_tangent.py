@@ -1,7 +1,7 @@
 """Linear equations with the exact tangent at an equilibrium, for several right-hand sides at once.
 
-Newton's method keeps the factor of a nearby tangent, which preconditions an iteration; if it does not converge, the
-exact tangent is factorised.
+The iteration is preconditioned by the factor of a nearby tangent, which Newton's method kept; if it does not converge,
+the exact tangent is factorised.
 """
 
 import math
@@ -45,9 +45,9 @@ class ExactTangent:
         v = self._columns(V)
         return self._wide(self._upper @ v + self._upper.T @ v - self._diagonal * v)
 
-    def nearly(self, D: Array, on: Array) -> Callable[[Array], Array]:
-        """V of about (K + D) V = B, with stiffnesses D (f, q, 3, 3) at the points of facets `on`, by the factor at
-        hand; only where that is condensed to them.
+    def approximate(self, D: Array, on: Array) -> Callable[[Array], Array]:
+        """Approximate V of (K + D) V = B, with stiffnesses D (f, q, 3, 3) at the points of facets `on`, by the kept
+        factor, which must be condensed to these facets.
 
         Raises LinAlgError: singular.
         """
@@ -66,7 +66,7 @@ class ExactTangent:
         if condensed is None or not condensed.usable or not condensed.covers(faces.conn):
             return self._direct(D, faces)
         try:
-            nearly = self.nearly(D, on)
+            approximate = self.approximate(D, on)
         except np.linalg.LinAlgError:
             raise NotConverged(SINGULAR) from None
 
@@ -80,7 +80,7 @@ class ExactTangent:
             V = KV = np.zeros((len(b), 0))
             r, size = b, np.linalg.norm(b, axis=0)
             for _ in range(MOST):
-                more = nearly(self._wide(r))
+                more = approximate(self._wide(r))
                 V, KV = np.hstack([V, self._columns(more)]), np.hstack([KV, times(more)])
                 y = _without_residual(V, KV, b)
                 r = b - KV @ y

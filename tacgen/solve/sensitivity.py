@@ -139,7 +139,7 @@ class Sensitivity:
         pull = was.normal_force[:, on, :, None] * lag
         pull += before.normal_force[on, :, None] * (self._relative(_at(faces, was.x)) @ turn.T)
         springs = ties * before.normal_force[on, :, None, None] * np.eye(3)
-        return tangent.nearly(springs, on)(_scatter(faces, ties * pull, len(after.x)) - softer)
+        return tangent.approximate(springs, on)(_scatter(faces, ties * pull, len(after.x)) - softer)
 
     def _extrapolated(self, after: History) -> float:
         """The fraction of its last first-order error that the predictor added in this step."""
