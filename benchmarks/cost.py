@@ -31,11 +31,11 @@ def solved(sets: list[str]) -> dict[str, Any]:
     from tacgen import solve
     from tacgen.recipe import assets, plan
     from tacgen.scene import mesh, scene
-    from tacgen.solve import foresee
+    from tacgen.solve import presolve
 
     rough = scene.build(plan.load(assets.recipe_path("quickstart"), (*BALL, PRESS, "quality={edge_mm: 1.5}")).rows[0])
     next(solve.states(rough, solve.Problem.of(rough, mesh.of(rough))))  # compile
-    made = foresee.foreseen(scene.build(plan.load(assets.recipe_path("quickstart"), (*BALL, *sets)).rows[0]))
+    made = presolve.presolved(scene.build(plan.load(assets.recipe_path("quickstart"), (*BALL, *sets)).rows[0]))
     problem = solve.Problem.of(made, mesh.of(made))
     start = time.process_time()
     (state,) = solve.states(made, problem)

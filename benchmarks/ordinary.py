@@ -14,7 +14,7 @@ from benchmarks.step_size_error import FINER, finer
 from tacgen import solve
 from tacgen.errors import UserError
 from tacgen.scene import mesh, scene
-from tacgen.solve import SolverOptions, foresee
+from tacgen.solve import SolverOptions, presolve
 
 Array = np.ndarray
 LIMIT_S = 150.0  # longest processor time of a scene [s]
@@ -119,7 +119,7 @@ def measure(
 
 
 def _scene(sets: Sequence[str]) -> scene.Scene:
-    return foresee.foreseen(scene.build(row_of(("outputs=[force]", *sets))))
+    return presolve.presolved(scene.build(row_of(("outputs=[force]", *sets))))
 
 
 def _force_error(long: Array, short: Array) -> float | None:

@@ -17,7 +17,7 @@ from tacgen.optics.coating import centers
 from tacgen.recipe import assets, plan
 from tacgen.recipe.sensor import Markers
 from tacgen.scene import mesh, scene
-from tacgen.solve import foresee
+from tacgen.solve import presolve
 
 Array = np.ndarray
 PACKAGE = Path(solve.__file__).parents[1]
@@ -122,7 +122,7 @@ def answer(
     """Solve the quickstart with changes and take its labels; `shift` moves a mesh of hexes under the indenter, in parts
     of an edge."""
     row = row_of(sets)
-    made = foresee.foreseen(scene.build(row))
+    made = presolve.presolved(scene.build(row))
     if any(shift):
         dx, dy = (made.edge * s for s in shift)
         x0, x1, y0, y1 = mesh.footprint(made)

@@ -24,7 +24,7 @@ from tacgen.optics.coating import centers
 from tacgen.recipe import assets, plan
 from tacgen.recipe.sensor import Motion
 from tacgen.scene import mesh, scene
-from tacgen.solve import foresee
+from tacgen.solve import presolve
 
 MOVES = "[{press: {depth_mm: 0.8, frames: 3}}, {slide: {x_mm: 1.2, y_mm: 0.4, frames: 4}}, {release: {frames: 1}}, "
 MOVES += "{press: {depth_mm: 0.8, frames: 1}}, {twist: {angle_deg: 30, frames: 4}}]"
@@ -40,7 +40,7 @@ class Shown:
         sets = (f"sensor={sensor}", f"indenter={indenter}", f"trajectory={MOVES}", "outputs=[markers]")
         row = plan.load(assets.recipe_path("quickstart"), (*sets, f"quality={quality}")).rows[0]
         assert row.sensor.markers is not None
-        built = foresee.foreseen(scene.build(row))
+        built = presolve.presolved(scene.build(row))
         problem = solve.Problem.of(built, mesh.of(built))
         face, self.rest = seen(problem.mesh, len(row.sensor.gel.clear_layers)), centers(row.sensor.markers)
         self.gel, self.shape, self.camera = row.sensor.gel, problem.contact.shape, Camera.from_sensor(row.sensor)

@@ -19,7 +19,7 @@ from tacgen.recipe.checks import notes
 from tacgen.recipe.model import IMAGES
 from tacgen.recipe.plan import Row
 from tacgen.scene import mesh, scene
-from tacgen.solve import foresee
+from tacgen.solve import presolve
 
 MIN_EDGES = 3  # an indenter's smallest radius should be at least so many edges of the mesh
 DENT = 0.05  # [mm] deep, of the face whose picture is rendered only to compile what renders it
@@ -157,7 +157,7 @@ def _gels(row: Row, clock: Clock) -> tuple[tuple[Gel, ...], Iterator[Found]]:
         built = scene.build(row)
     if built.forced is not None:
         with clock.stage("foresee"):
-            built = foresee.foreseen(built)
+            built = presolve.presolved(built)
     with clock.stage("mesh"):
         gel = Gel(row, built, solve.Problem.of(built, mesh.of(built)))
     states = solve.states(built, gel.problem, tol=None if row.pair is None else MATCHED)
@@ -172,7 +172,7 @@ def _grasped(row: Row, clock: Clock) -> tuple[tuple[Gel, ...], Iterator[Found]]:
     with clock.stage("mesh"):
         grasp = two_fingers.build(row)
     with clock.stage("foresee"):
-        grasp = holding.foreseen(grasp)
+        grasp = holding.presolved(grasp)
     with clock.stage("mesh"):
         each = zip(row.bundles, grasp.fingers, strict=True)
         left, right = (Gel(finger, built, holding.problem_of(built)) for finger, built in each)

@@ -231,8 +231,8 @@ def test_the_check_sees_a_bad_import(tmp_path: Path):
     bad = tmp_path / "bad.py"
     bad.write_text("import mitsuba\ndef f():\n    from tacgen import cli\n    import h5py\n")
     assert imports(bad) == [("mitsuba", True), ("tacgen.cli", False), ("h5py", False)]
-    bad.write_text("from tacgen.solve import State, states, foresee\nfrom tacgen import __version__\n")
-    assert imports(bad) == [("tacgen.solve", True), ("tacgen.solve.foresee", True), ("tacgen", True)]
+    bad.write_text("from tacgen.solve import State, states, presolve\nfrom tacgen import __version__\n")
+    assert imports(bad) == [("tacgen.solve", True), ("tacgen.solve.presolve", True), ("tacgen", True)]
     assert [layer(module) for module, _ in imports(bad)] == ["solve", "solve", ""]
 
 

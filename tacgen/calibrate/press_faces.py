@@ -17,7 +17,7 @@ from tacgen.recipe.model import Recipe
 from tacgen.recipe.sensor import LitSensor
 from tacgen.recipe.yaml_source import KeyPath
 from tacgen.scene import mesh, scene
-from tacgen.solve import foresee
+from tacgen.solve import presolve
 
 
 def face(sensor: LitSensor, press: Press, folders: dict[KeyPath, Path]) -> Surface:
@@ -47,7 +47,7 @@ def solved(
 
 def faces(row: plan.Row) -> Iterator[gel_surface.Surface]:
     """The face seen by the camera: untouched, then in each frame of a scene. No bundle is written."""
-    built = foresee.foreseen(scene.build(row))
+    built = presolve.presolved(scene.build(row))
     problem = solve.Problem.of(built, mesh.of(built))
     untouched = gel_surface.seen(problem.mesh, len(row.sensor.gel.clear_layers))
     yield untouched

@@ -12,7 +12,7 @@ from tacgen.errors import UserError
 from tacgen.recipe.plan import Row
 from tacgen.recipe.trajectory import Press, Segment
 from tacgen.scene import mesh, scene
-from tacgen.solve import foresee
+from tacgen.solve import presolve
 
 Array = np.ndarray
 LEAST = 3  # rows of a table at least
@@ -65,7 +65,7 @@ def solved(row: Row, depths: Array) -> Array:
     """
     presses = tuple(Segment(press=Press(depth_mm=float(depth), frames=1)) for depth in depths)
     recipe = row.recipe.model_copy(update={"trajectory": presses, "dynamics": None})
-    built = foresee.foreseen(scene.build(replace(row, recipe=recipe)))
+    built = presolve.presolved(scene.build(replace(row, recipe=recipe)))
     problem = solve.Problem.of(built, mesh.of(built))
     forces: list[float] = []
     try:

@@ -13,7 +13,7 @@ from tacgen.recipe.sensor import Gel
 from tacgen.scene import mesh, scene
 from tacgen.scene.scene import law_of
 from tacgen.solve import NotConverged, Problem, State, states
-from tacgen.solve.foresee import foreseen
+from tacgen.solve.presolve import presolved
 from tacgen.solve.sensitivity import Parameter, Sensitivity
 
 Array = np.ndarray
@@ -29,7 +29,7 @@ def on_coarser_mesh(row: Row) -> tuple[Problem, Iterator[State]]:
     Raises:
         NotConverged: a frame has no solution on that mesh.
     """
-    built = foreseen(scene.build(row))
+    built = presolved(scene.build(row))
     built = replace(built, edge=COARSER * built.edge, dhat=COARSER * built.dhat)
     problem = Problem.of(built, mesh.of(built))
     return problem, _solved(built, problem)

@@ -1,4 +1,8 @@
-"""The solver: the states of a scene's gel along the path, by load steps."""
+"""The solver: the states of a scene's gel along the path, by load steps. docs/MECHANICS.md has the algorithm by module.
+
+Contact by distance is solved by bulk_newton (on the gel) with contact_newton (on its Schur complement), or without
+CHOLMOD by full_newton (on all unknowns); contact between meshes by newton (on an energy) and lagging.
+"""
 
 from tacgen.solve.frames import TooMuch, normal_force, states
 from tacgen.solve.options import DEFAULT, SolverOptions, plain, short_steps

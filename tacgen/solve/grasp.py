@@ -19,9 +19,9 @@ from tacgen.geometry.pose import about
 from tacgen.scene import mesh
 from tacgen.scene.grasp import LOOKS, SIDES, Grasp, finger, refined, seen_from
 from tacgen.scene.scene import Scene
-from tacgen.solve.foresee import COARSE
 from tacgen.solve.frames import normal_force, trial
 from tacgen.solve.options import DEFAULT, tighter
+from tacgen.solve.presolve import COARSE
 from tacgen.solve.problem import Problem
 from tacgen.solve.rigid_stiffness import stiffness
 from tacgen.solve.state import History, NotConverged, State
@@ -286,8 +286,8 @@ class Frame:
         return out
 
 
-def foreseen(grasp: Grasp) -> Grasp:
-    """The grasp with meshes that are fine where a solve on coarse ones has the object (see foresee); if that fails, at
+def presolved(grasp: Grasp) -> Grasp:
+    """The grasp with meshes that are fine where a solve on coarse ones has the object (see presolve); if that fails, at
     the poses found so far and at those of the recipe's movements."""
     rough = tuple(
         replace(scene, edge=max(scene.edge, scene.gel.thickness / COARSE), dhat=max(scene.dhat, 0.05))

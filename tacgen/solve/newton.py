@@ -1,4 +1,4 @@
-"""Newton's method on a potential: projected tangents far from the solution, exact ones near it, with a line search."""
+"""Newton's method on a potential, for contact between meshes: projected tangents far from the solution, exact near it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

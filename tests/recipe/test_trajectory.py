@@ -13,7 +13,7 @@ from tacgen.contact.barrier import Pose
 from tacgen.errors import UserError
 from tacgen.recipe import plan, trajectory_poses
 from tacgen.scene import mesh, scene
-from tacgen.solve import foresee, frames
+from tacgen.solve import frames, presolve
 from tacgen.solve.force_control import OutOfReach, meet
 
 BOX = "indenter={shape: box, size_x_mm: 4, size_y_mm: 3, fillet_mm: 0.3}"
@@ -27,7 +27,7 @@ def row(folder: Path, segments: str, *sets: str) -> plan.Row:
 
 
 def solved(made: plan.Row) -> list[solve.State]:
-    built = foresee.foreseen(scene.build(made))
+    built = presolve.presolved(scene.build(made))
     grid = mesh.build(built.gel, mesh.footprint(built), built.edge)
     return list(solve.states(built, solve.Problem.of(built, grid)))
 
@@ -63,7 +63,7 @@ def test_a_slide_and_a_twist_hold_a_force(tmp_path: Path) -> None:
 
 def test_the_depth_found_gives_the_force_again(tmp_path: Path) -> None:
     """With friction as well: the trials left nothing behind."""
-    built = foresee.foreseen(scene.build(row(tmp_path, "press: {force_n: 1.5, frames: 1}", ROUGH)))
+    built = presolve.presolved(scene.build(row(tmp_path, "press: {force_n: 1.5, frames: 1}", ROUGH)))
     problem = solve.Problem.of(built, mesh.build(built.gel, mesh.footprint(built), built.edge))
     found = next(solve.states(built, problem))
     again = next(solve.states(replace(built, poses=found.pose[None], forced=None), problem))
@@ -80,7 +80,7 @@ def test_a_second_force_may_be_smaller_and_a_depth_may_follow(tmp_path: Path) ->
 
 
 def test_a_force_the_gel_cannot_give_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in (trajectory_poses, frames, foresee):
+    for module in (trajectory_poses, frames, presolve):
         monkeypatch.setattr(module, "FORCE_DEPTH", 0.2)
     found = pipeline.run_scene(row(tmp_path, "press: {force_n: 500, frames: 1}"), tmp_path / "out")
     assert found.status == "rejected"
@@ -168,7 +168,7 @@ def test_of_a_mesh_that_tilts_only_its_file_knows_the_lowest_point(tmp_path: Pat
 
 def test_the_footprint_holds_what_a_force_may_need(tmp_path: Path) -> None:
     made = scene.build(row(tmp_path, "press: {force_n: 1, frames: 1}"))
-    sure, seen = mesh.footprint(made), mesh.footprint(foresee.foreseen(made))
+    sure, seen = mesh.footprint(made), mesh.footprint(presolve.presolved(made))
     assert sure[0] < seen[0] < -1
     assert seen[1] - seen[0] < 0.8 * (sure[1] - sure[0])
 

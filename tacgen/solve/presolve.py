@@ -13,7 +13,7 @@ HOPELESS = 2  # force over the largest on the coarse mesh, above which the scene
 COARSE = 5  # edges of the coarse mesh through the gel's thickness
 
 
-def foreseen(scene: Scene) -> Scene:
+def presolved(scene: Scene) -> Scene:
     """The scene with guessed heights at frames with a force; a scene without such frames is returned unchanged.
 
     The mesh must be fine where the indenter will be, which is not known for a force. Formulas for the stiffness would
