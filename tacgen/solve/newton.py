@@ -1,4 +1,4 @@
-"""Newton's method on a potential, for contact between meshes: projected tangents far from the solution, exact near it."""
+"""Newton's method on a potential, for contact between meshes: tangents far from the solution are projected."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
