@@ -70,7 +70,7 @@ def _rendering() -> Iterator[Finding]:
     from tacgen.render import images
 
     if not importlib.util.find_spec("mitsuba"):
-        text = "clear gels, by transport; for gels that scatter, path and table: pip install 'tacgen[mitsuba]'"
+        text = "clear gels, by transport and table; for gels that scatter, and path: pip install 'tacgen[mitsuba]'"
         yield Finding("rendering", True, text)
         return
     tried = images.variants()

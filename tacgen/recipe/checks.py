@@ -287,12 +287,12 @@ def _ipc_toolkit(recipe: Recipe) -> list[Problem]:
 
 
 def _mitsuba(recipe: Recipe, sensor: Sensor) -> list[Problem]:
-    """Whether Mitsuba is needed and missing; a clear gel with method `transport` does without."""
+    """Whether Mitsuba is needed and missing; a clear gel needs it with method `path` alone."""
     scatters = any(layer.scattering for layer in sensor.gel.clear_layers)
-    traced = recipe.outputs & IMAGES and (scatters or recipe.render.method != "transport")
+    traced = recipe.outputs & IMAGES and (scatters or recipe.render.method == "path")
     if not traced or importlib.util.find_spec("mitsuba"):
         return []
-    why = f"the gel of {sensor.name} scatters light" if scatters else f"render.method is {recipe.render.method}"
+    why = f"the gel of {sensor.name} scatters light" if scatters else "render.method is path"
     text = f"asks for images, and {why}: that needs Mitsuba, which is not installed: pip install 'tacgen[mitsuba]'"
     return [Problem(("outputs",), text)]
 

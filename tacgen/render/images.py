@@ -3,6 +3,7 @@
 In a clear gel, `transport` is direct light with its reflection in the plate (optics/direct_light) plus interreflection
 (optics/interreflection), without sampling noise. In a gel that scatters it is the untouched image and its change with
 thickness (optics/scattering), traced once per sensor and cached. `PathTracer` is the unbiased reference for both.
+`table` is calibrated on `transport`.
 """
 
 from functools import lru_cache
@@ -32,7 +33,8 @@ if TYPE_CHECKING:
 
 BOUNCE_POINTS = 6, 8  # quadrature points along and up each strip, for interreflection
 TABLE_COLUMNS = 64  # width of the images on which a table is calibrated [px]
-TABLE_PATHS = 8  # paths in a pixel of those images for each sample a pixel (spp)
+TABLE_EFFORT = 256  # the level of `Effort` of those images
+TABLE_VERSION = 1  # of how tables are made; part of their key in the cache
 
 
 class Light(Protocol):
@@ -97,20 +99,17 @@ class Cloudy:
 
 
 class Tabled:
-    """A look-up table of light by slope and position, calibrated on traced images of dents: optics/taxim_table."""
+    """A look-up table of light by slope and position, calibrated on images of dents by `Clear`: optics/taxim_table."""
 
-    def __init__(
-        self, sensor: "LitSensor", sheet: Sheet, markers: bool, spp: int, variant: str, untouched: Surface
-    ) -> None:
+    def __init__(self, sensor: "LitSensor", sheet: Sheet, markers: bool, spp: int, untouched: Surface) -> None:
         """`sensor` must be one without a layer that scatters."""
-        self._view, spp = View(sensor, sheet, markers), min(spp, traced_maps.MOST)
-        self._lamps, self._mm = mitsuba_dicts.strips(sensor), sensor.camera.mm_per_px
-        level, light = self._view.look(untouched), np.array([led.light for led in sensor.leds])
-        self._normals, paths = level.normal.reshape(*self._view.shape, 3), -(-spp * TABLE_PATHS // len(light))
+        self._view, self._mm = View(sensor, sheet, markers), sensor.camera.mm_per_px
+        self._lamps, light = mitsuba_dicts.strips(sensor), np.array([led.light for led in sensor.leds])
+        level = self._view.look(untouched)
+        self._normals = level.normal.reshape(*self._view.shape, 3)
+        fine = Sheet.over(sensor.gel, SPACING)  # of the dents, whatever the pictures'
 
-        fine = Sheet.over(sensor.gel, SPACING)  # of what is traced, whatever the pictures'
-
-        def trace() -> "Floats":
+        def calibrate() -> "Floats":
             coarse = traced_maps.zoomed(sensor, TABLE_COLUMNS)
             view = View(coarse, fine, False)
             dented: list[Surface] = [untouched, *taxim_table.dents(sensor, untouched)]
@@ -118,19 +117,17 @@ class Tabled:
             faces = [self._face(at, flat.normal.reshape(*view.shape, 3)) for at in seen]
             made = []
             for k, lamp in enumerate(self._lamps):
-                tracer = PathTracer(traced_maps.lit_by(coarse, {k}), fine, False, variant)
-                bare = tracer.render(flat.nodes, 4 * paths, 0)
-                added = [tracer.render(at.nodes, paths, 1 + i) - bare for i, at in enumerate(seen)]
+                alone = Clear(traced_maps.lit_by(coarse, {k}), fine, False, TABLE_EFFORT, untouched)
+                bare = alone.seen(flat)
+                added = [alone.seen(at) - bare for at in seen]
                 made.append(taxim_table.Table.fitted(faces, added, lamp[None], coarse.camera.mm_per_px).packed)
             return np.array(made)
 
         face = None if sensor.gel.solid is None else np.round(fine.at(untouched), 3).tolist()  # its file may be another
-        name = traced_maps.key(
-            sensor, variant, spp, TABLE_COLUMNS, TABLE_PATHS, taxim_table.PLACES, taxim_table.BALLS, face
-        )
-        kept = array_cache.kept_one("table", name, trace)
+        how = TABLE_VERSION, TABLE_COLUMNS, TABLE_EFFORT, taxim_table.PLACES, taxim_table.BALLS
+        kept = array_cache.kept_one("table", traced_maps.key(sensor, None, *how, face), calibrate)
         self._table = taxim_table.Table.mixed([taxim_table.Table.unpacked(one) for one in kept], light)
-        self._flat = Clear(sensor, sheet, False, spp, untouched).seen(level)
+        self._flat = Clear(sensor, sheet, False, min(spp, TABLE_EFFORT), untouched).seen(level)
 
     def seen(self, at: Samples) -> "Floats":
         """Linear radiance (H, W, 3), without noise."""
@@ -178,12 +175,14 @@ class Renderer:
             self.name = "transport"
             self.light = clear(sensor, self.sheet, markers, spp, self.untouched)  # type: ignore[arg-type]
             return
+        if method == "table":
+            self.name = "table"
+            self.light = Tabled(sensor, self.sheet, markers, spp, self.untouched)
+            return
         variant = variant or probing.best().variant
         self.name = f"mitsuba {version('mitsuba')} {variant}"
         if method == "path":
             self.light = Traced(sensor, self.sheet, markers, spp, seed, variant)
-        elif method == "table":
-            self.light = Tabled(sensor, self.sheet, markers, spp, variant, self.untouched)
         else:
             self.light = Cloudy(sensor, self.sheet, markers, spp, variant)
 

@@ -154,8 +154,8 @@ def spread(coarse: "Floats", shape: tuple[int, int]) -> "Floats":
     return np.stack([map_coordinates(coarse[..., c], at, order=3, mode="nearest") for c in range(3)], axis=-1)
 
 
-def key(sensor: "LitSensor", variant: str, *more: object) -> str:
-    """What traced maps depend on, hashed: the sensor's optics, variant and versions.
+def key(sensor: "LitSensor", variant: str | None, *more: object) -> str:
+    """What maps depend on, hashed: the sensor's optics and, where they are traced, Mitsuba's variant and version.
 
     Not the gel's mechanics, nor what acts on light linearly: the LEDs' power and colour, and the camera's response.
     """
@@ -167,5 +167,5 @@ def key(sensor: "LitSensor", variant: str, *more: object) -> str:
     optical = LayerBase.model_fields  # the law's own fields are not among them
     seen["gel"]["layers"] = [{k: v for k, v in layer.items() if k in optical} for layer in seen["gel"]["layers"]]
     how = [MAP_VERSION, COLUMNS, PATHS, SMOOTH, SPACING, MAX_DEPTH, MAX_DEPTH_SCATTERING]
-    parts = [seen, variant, version("mitsuba"), how, more]
+    parts = [seen, variant, variant and version("mitsuba"), how, more]
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:32]
