@@ -11,6 +11,7 @@ from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import PackageNotFoundError, version
+from itertools import product
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
@@ -194,9 +195,10 @@ def _draw(plots: Sequence[Plot], out: Path) -> None:
     columns = min(len(plots), 2)
     rows = -(-len(plots) // columns)
     sheet = Figure(figsize=(6.4 * columns, 4.8 * rows), layout="constrained")
-    texts: list[Any] = []
+    labels: list[tuple[Any, list[Any]]] = []
     for number, plot in enumerate(plots):
         axes = sheet.add_subplot(rows, columns, number + 1)
+        texts: list[Any] = []
         for k, one in enumerate(plot.series):
             colour, mark = COLOURS[k % len(COLOURS)], "" if one.line else MARKERS[k % len(MARKERS)]
             axes.plot(
@@ -209,22 +211,47 @@ def _draw(plots: Sequence[Plot], out: Path) -> None:
         scale = dict.fromkeys(plot.log, "log")
         axes.set(xscale=scale.get("x", "linear"), yscale=scale.get("y", "linear"))
         axes.set(title=plot.title, xlabel=plot.x, ylabel=plot.y)
+        for axis in (getattr(axes, f"{name}axis") for name in scale):
+            round_ticks(axis)
         axes.grid(True, which="both", linewidth=0.3, alpha=0.6)
-        axes.legend(fontsize=7)
+        if len(plot.series) > 1 or not texts:
+            axes.legend(fontsize=7)
+        labels.append((axes, texts))
     sheet.dpi = 110
     sheet.draw_without_rendering()  # computes the layout of the axes
-    spread(texts)
+    for axes, texts in labels:
+        spread(axes, texts, [point for line in axes.get_lines() for point in line.get_xydata()])
     sheet.savefig(out, dpi=110)
 
 
-def spread(texts: Sequence[Any]) -> None:
-    """Move labels up or down so that none overlap; labels without room are removed."""
-    placed: list[Any] = []
+def round_ticks(axis: Any) -> None:
+    """Label a logarithmic axis with plain numbers: powers of ten; with 2 and 5 of each decade on an axis of up to two;
+    evenly spaced ones on an axis of less than one."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+
+    low, high = axis.get_view_interval()
+    decades = LogLocator(subs=(1.0, 2.0, 5.0) if high < 100 * low else (1.0,))
+    axis.set_major_locator(decades if high > 5 * low else MaxNLocator(5, steps=[1, 2, 5, 10]))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def spread(axes: Any, texts: Sequence[Any], points: Sequence[Any] = ()) -> None:
+    """Move labels beside their points so that none overlaps another, the legend or `points` [data], or leaves the axes.
+
+    Labels without room are removed.
+    """
+    from matplotlib.transforms import Bbox
+
+    legend, inside = axes.get_legend(), axes.get_window_extent()
+    placed: list[Any] = [legend.get_window_extent()] if legend else []
+    placed += [Bbox.from_extents(*(at - 3), *(at + 3)) for at in map(axes.transData.transform, points)]
     for text in texts:
-        for down in (0, 8, -8, 16, -16, 24, -24, 32, -32):
-            text.set_position((4, 3 - down))
+        for down, side in product((0, 8, -8, 16, -16, 24, -24, 32, -32), ("left", "right")):
+            text.set(position=(4 if side == "left" else -4, 3 - down), horizontalalignment=side)
             box = text.get_window_extent()
-            if not any(box.overlaps(other) for other in placed):
+            within = inside.x0 <= box.x0 and box.x1 <= inside.x1 and inside.y0 <= box.y0 and box.y1 <= inside.y1
+            if within and not any(box.overlaps(other) for other in placed):
                 placed.append(box)
                 break
         else:

@@ -82,20 +82,38 @@ def test_pareto_front() -> None:
 
 
 def test_labels_are_not_printed_over_each_other() -> None:
-    """As many as there is room for beside one point, and the one that is elsewhere where it was."""
+    """As many as there is room for beside one point, the one that is elsewhere where it was, and all within the axes."""
     sheet = Figure(dpi=110)
     FigureCanvasAgg(sheet)
     axes = sheet.add_subplot()
     place = {"xytext": (4, 3), "textcoords": "offset points", "fontsize": 7}
     texts = [axes.annotate("a label", (0.5, 0.5), **place) for _ in range(12)]
-    texts.append(axes.annotate("afar", (0.1, 0.1), **place))
+    texts += [axes.annotate(*label, **place) for label in (("outside", (1.0, 1.0)), ("afar", (0.1, 0.1)))]
+    (point,) = axes.plot(0.55, 0.5, "o")
+    axes.set(xlim=(0, 1), ylim=(0, 1))
+    legend = axes.legend([point], ["in the way"], loc=(0.4, 0.55))
     sheet.draw_without_rendering()
-    results_page.spread(texts)
+    results_page.spread(axes, texts, point.get_xydata())
     left = [text for text in texts if text.axes is not None]
-    assert 6 <= len(left) < 13
+    assert 6 <= len(left) < 14
     boxes = [text.get_window_extent() for text in left]
-    assert not any(a.overlaps(b) for a, b in combinations(boxes, 2))
+    assert not any(a.overlaps(b) for a, b in combinations([*boxes, legend.get_window_extent()], 2))
+    assert not any(box.contains(*axes.transData.transform((0.55, 0.5))) for box in boxes)
+    assert all(axes.get_window_extent().contains(*corner) for box in boxes for corner in (box.min, box.max))
     assert texts[-1].get_position() == (4, 3)
+
+
+@pytest.mark.parametrize(
+    ("ends", "labels"),
+    [((9, 19), "10 12 14 16 18"), ((250, 5000), "500 1000 2000 5000"), ((0.01, 90), "0.01 0.1 1 10")],
+)
+def test_a_logarithmic_axis_has_plain_round_ticks(ends: tuple[float, float], labels: str) -> None:
+    axes = Figure().add_subplot(xscale="log", xlim=ends)
+    results_page.round_ticks(axes.xaxis)
+    axes.figure.draw_without_rendering()
+    shown = [tick.get_text() for tick in axes.get_xticklabels() if ends[0] <= tick.get_position()[0] <= ends[1]]
+    assert " ".join(shown) == labels
+    assert not any(tick.get_text() for tick in axes.get_xticklabels(minor=True))
 
 
 def test_answers_are_compared_from_the_last_frame_back() -> None:
