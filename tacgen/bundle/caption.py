@@ -51,7 +51,12 @@ def changes(bundle: Bundle) -> list[Change]:
 
 def indenter_text(bundle: Bundle) -> str:
     """`sphere, radius 4 mm`, `letters`"""
-    fields: dict[str, Any] = dict(bundle.recipe.get("indenter", {}))
+    return shape_text(bundle.recipe.get("indenter", {}))
+
+
+def shape_text(indenter: dict[str, Any]) -> str:
+    """The same for the indenter of a recipe."""
+    fields = dict(indenter)
     shape = fields.pop("shape", "indenter")
     words = [fields.pop("file", shape)]
     for name in ("sha256", "up"):

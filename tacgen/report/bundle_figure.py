@@ -13,7 +13,7 @@ from tacgen.bundle.bundle import Bundle, read
 from tacgen.bundle.caption import caption, indenter_text, sensor_text
 from tacgen.errors import UserError
 from tacgen.report.layers import LAYERS, limits
-from tacgen.report.sheet import Sheet
+from tacgen.report.sheet import Sheet, round_ticks
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -147,11 +147,9 @@ class Scale(NamedTuple):
 
     def ticks(self, low: float, high: float, length: int, axis: int) -> tuple[list[float], list[str]]:
         """Positions [px] and labels of ticks at round numbers between two pixels of axis 0 (x) or 1 of `length` px."""
-        from matplotlib.ticker import MaxNLocator
-
         zero = length / 2 - self.centre[axis] / self.per_px
         low, high = sorted(((low - zero) * self.per_px, (high - zero) * self.per_px))
-        values = [v for v in MaxNLocator(6, steps=[1, 2, 5, 10]).tick_values(low, high) if low <= v <= high]
+        values = round_ticks(low, high, 7)
         return [v / self.per_px + zero for v in values], [f"{v:g}".replace("-", "\N{MINUS SIGN}") for v in values]
 
 

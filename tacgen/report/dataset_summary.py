@@ -12,9 +12,12 @@ import numpy as np
 
 from tacgen.bundle import dataset, run_status
 from tacgen.bundle.bundle import Bundle
+from tacgen.bundle.caption import shape_text
 from tacgen.errors import UserError
 from tacgen.recipe import assets
 from tacgen.report.wording import counted
+
+MAX_VALUES = 12  # named of a varied quantity that is no number
 
 
 @dataclass(frozen=True)
@@ -139,13 +142,22 @@ def summary(folder: Path) -> str:
 
 
 def spread(values: Sequence[Any]) -> str:
-    """Summary of values: `0.3 to 1.2` for numbers, `draft (3), default (5)` for anything else."""
+    """Summary of values: `0.3 to 1.2` for numbers, `draft (3), default (5)` for anything else, by frequency."""
     given = [value for value in values if value is not None]
     if given and all(isinstance(value, int | float) and not isinstance(value, bool) for value in given):
         ends = [f"{end:.4g}" for end in (min(given), max(given))]
         return " to ".join(dict.fromkeys(ends))
-    count = Counter(value if isinstance(value, str) else json.dumps(value) for value in given)
-    return ", ".join(f"{value} ({n})" for value, n in count.most_common(12))
+    count = Counter(map(_named, given))
+    shown = [f"{value} ({n})" if len(given) > 1 else value for value, n in count.most_common(MAX_VALUES)]
+    more = [f"and {len(count) - MAX_VALUES} more"] if len(count) > MAX_VALUES else []
+    return ("; " if any("," in value for value in count) else ", ").join(shown + more)
+
+
+def _named(value: Any) -> str:
+    """A varied value as text: an indenter in words, what else has parts as JSON."""
+    if isinstance(value, dict) and "shape" in value:
+        return shape_text(value)
+    return value if isinstance(value, str) else json.dumps(value)
 
 
 def _plain(folder: Path, name: str) -> Overview:

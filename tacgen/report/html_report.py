@@ -15,6 +15,7 @@ from tacgen.bundle.image_file import encoded
 from tacgen.errors import UserError
 from tacgen.report import dataset_summary, viewer
 from tacgen.report.dataset_summary import Overview, Scene
+from tacgen.report.sheet import round_ticks
 from tacgen.report.wording import counted, short
 
 MAX_PICTURES = 48
@@ -172,21 +173,26 @@ def _histogram(name: str, values: np.ndarray) -> str:
 
 
 def _scatter(a: str, x: np.ndarray, b: str, y: np.ndarray, colours: Sequence[str]) -> str:
-    """A scatter plot as SVG, with both names and ticks at the ends and the middle of the ranges."""
+    """A scatter plot as SVG, with both names and ticks at round numbers."""
 
-    def unit(v: np.ndarray) -> np.ndarray:
-        return np.asarray((v - v.min()) / max(float(np.ptp(v)), 1e-12))
+    def at(v: np.ndarray, value: Any) -> Any:
+        """Pixels of the plot from the least of v."""
+        return 180 * (value - v.min()) / max(float(np.ptp(v)), 1e-12)
 
     points = "".join(
-        f'<circle cx={70 + 180 * u:.1f} cy={195 - 180 * v:.1f} r=2.2 fill="{colour}" fill-opacity=.7 />'
-        for u, v, colour in zip(unit(x), unit(y), colours, strict=True)
+        f'<circle cx={70 + right:.1f} cy={195 - up:.1f} r=2.2 fill="{colour}" fill-opacity=.7 />'
+        for right, up, colour in zip(at(x, x), at(y, y), colours, strict=True)
     )
     frame = '<rect x=65 y=10 width=190 height=190 fill="none" stroke="#bbb"/>'
     ticks = "".join(
-        f'<path d="M{70 + 180 * p} 200v4M65 {195 - 180 * p}h-4" stroke="#bbb"/>'
-        f"<text x={70 + 180 * p} y=215 text-anchor=middle>{x.min() + p * np.ptp(x):.3g}</text>"
-        f"<text x=59 y={199 - 180 * p} text-anchor=end>{y.min() + p * np.ptp(y):.3g}</text>"
-        for p in (0, 0.5, 1)
+        f'<path d="M{70 + at(x, v):.1f} 200v4" stroke="#bbb"/>'
+        f"<text x={70 + at(x, v):.1f} y=215 text-anchor=middle>{v:g}</text>"
+        for v in round_ticks(x.min(), x.max(), 5)
+    )
+    ticks += "".join(
+        f'<path d="M65 {195 - at(y, v):.1f}h-4" stroke="#bbb"/>'
+        f"<text x=59 y={199 - at(y, v):.1f} text-anchor=end>{v:g}</text>"
+        for v in round_ticks(y.min(), y.max(), 5)
     )
     under = f"<text x=160 y=231 text-anchor=middle>{_label(a)}</text>"
     beside = f'<text transform="translate(11 105) rotate(-90)" text-anchor=middle>{_label(b)}</text>'

@@ -6,6 +6,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
+def round_ticks(low: float, high: float, most: int = 6) -> list[float]:
+    """At most so many round numbers from low to high, evenly spaced."""
+    from matplotlib.ticker import MaxNLocator
+
+    values = MaxNLocator(most - 1, steps=[1, 2, 5, 10]).tick_values(low, high)
+    return [float(value) + 0.0 for value in values if low <= value <= high]
+
+
 class Sheet:
     """A matplotlib figure of this size [inch]."""
 

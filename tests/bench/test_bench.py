@@ -82,7 +82,7 @@ def test_pareto_front() -> None:
 
 
 def test_labels_are_not_printed_over_each_other() -> None:
-    """As many as there is room for beside one point, the one that is elsewhere where it was, and all within the axes."""
+    """As many as there is room for beside one point, the one elsewhere where it was, and all within the axes."""
     sheet = Figure(dpi=110)
     FigureCanvasAgg(sheet)
     axes = sheet.add_subplot()

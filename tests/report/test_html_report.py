@@ -72,14 +72,22 @@ def test_the_report_is_one_page_that_needs_nothing_else(folder: Path, tmp_path: 
 
 def test_pairs_of_varied_numbers_are_plotted_a_point_a_scene(tmp_path: Path):
     for i in range(4):
-        values = {"a": i / 3, "b": i * 2.0, "name": "x<y", "sensor.leds[0].power": 1, "sensor.leds[1].power": "low"}
+        values = {"a": 0.04 + i / 3, "b": i * 2.0, "name": "x<y", "sensor.leds[0].power": 1, "sensor.leds[1].power": "low"}
         write(tmp_path / f"scene-{i:05d}.h5", outputs=frozenset({"force"}), values=values)
     page = html_report.page(dataset_summary.look(tmp_path))
     assert len(re.findall(r"<circle", page)) == 12
     assert "x&lt;y (4)" in page
     plot = page[page.index("<rect x=65") :]
-    assert re.findall(r">([-\d.]+)</text>", plot)[:6] == ["0", "0", "0.5", "3", "1", "6"]  # ticks of a and b
+    assert re.findall(r">([-\d.]+)</text>", plot)[:6] == ["0.5", "1", "0", "2", "4", "6"]  # ticks of a and b
     assert "<x" not in page
+
+
+def test_indenters_are_told_in_words_and_counted() -> None:
+    balls = [{"shape": "sphere", "radius_mm": 3.0}] * 2 + [{"shape": "mesh", "file": "gear", "scale": 1.0}]
+    assert dataset_summary.spread(balls) == "sphere, radius 3 mm (2); gear (1)"
+    assert dataset_summary.spread(balls[:1]) == "sphere, radius 3 mm"
+    many = [f"sensor {k}" for k in range(15)]
+    assert dataset_summary.spread(many).endswith("sensor 11 (1), and 3 more")
 
 
 def test_captions_tell_what_was_varied_apart(tmp_path: Path):
