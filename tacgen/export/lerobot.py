@@ -42,7 +42,8 @@ CONTACT = {  # datasets of /frames/events, and the names of their components
     "patches": ["patches"],
 }
 VECTORS = {"force": "n", "torque": "n_mm", "markers": "px", "marker_flow": "px"}  # and their units
-COUNTS_PER_MM = 1000  # of a depth image: 1 um per count, up to 65 mm
+COUNTS_PER_MM = 1000  # of a depth image: 1 um per count
+MOST_COUNTS = 2**15 - 1  # LeRobot's reader gives 16 bits with a sign: up to 32 mm
 Episode = dict[str, Bundle]  # by the sensor's name or the finger, or ALONE
 Each = dict[str, dict[str, Any]]  # by the same key, the features of that sensor
 INDICES = ("frame_index", "episode_index", "index", "task_index")
@@ -130,7 +131,7 @@ def _columns(bundle: Bundle, features: dict[str, Any]) -> dict[str, np.ndarray]:
         found["observation.contact_mode"] = bundle[MODE][:, None]
     if DEPTH in features:
         depth = (bundle["/reference/height"] - bundle["/frames/height"]) * COUNTS_PER_MM
-        found[DEPTH] = np.clip(np.rint(np.nan_to_num(depth)), 0, 2**16 - 1).astype(np.uint16)
+        found[DEPTH] = np.clip(np.rint(np.nan_to_num(depth)), 0, MOST_COUNTS).astype(np.uint16)
     return {n: v if v.ndim > 2 else v.astype(features[n]["dtype"]) for n, v in found.items()}
 
 

@@ -2,10 +2,10 @@
 
     https://github.com/webdataset/webdataset
 
-`<scene>-<frame>.rgb.png`, `.force.npy`, `.pose.npy`, ... : every dataset of /frames by its name, except quality,
-and `.json`: scene, sensor, caption, frame, segment, varied values, units, and if the bundle has them the contact events
-and the number of the contact on several sensors (`pair`) or the `finger` of a grasp. The image of the untouched sensor
-is stored once per scene, `reference/<scene>.png`: a copy in each sample would double the size.
+`<scene>-<frame>.rgb.png`, `.force.npy`, `.pose.npy`, `.grasp_object.npy`, ... : every dataset of /frames by its name,
+except quality, and `.json`: scene, sensor, caption, frame, segment, varied values, units, and if the bundle has them
+the contact events and the number of the contact on several sensors (`pair`) or the `finger` of a grasp. The image of
+the untouched sensor is stored once per scene, `reference/<scene>.png`: a copy in each sample would double the size.
 """
 
 import json
@@ -45,7 +45,8 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
 
 def samples(name: str, bundle: Bundle) -> Iterator[dict[str, Any]]:
     """The samples of a bundle, frame by frame, as WebDataset's writer takes them."""
-    paths = [path for path in bundle.shapes if path.startswith("/frames/") and path.count("/") == 2]
+    apart = ("/frames/quality/", "/frames/events/")
+    paths = [path for path in bundle.shapes if path.startswith("/frames/") and not path.startswith(apart)]
     events = {path.rpartition("/")[2]: bundle[path] for path in bundle.shapes if path.startswith("/frames/events/")}
     scene: dict[str, Any] = {"scene": name, "sensor": bundle.attrs["sensor"], "caption": caption(bundle)}
     scene["values"] = json.loads(bundle.attrs.get("values", "{}"))
@@ -58,5 +59,5 @@ def samples(name: str, bundle: Bundle) -> Iterator[dict[str, Any]]:
         sample: dict[str, Any] = {"__key__": f"{name}-{k:05d}", "json": about}
         for path in paths:
             kind = "png" if path == "/frames/rgb" else "npy"
-            sample[f"{path.rpartition('/')[2]}.{kind}"] = bundle.frame(path, k)
+            sample[f"{path.removeprefix('/frames/').replace('/', '_')}.{kind}"] = bundle.frame(path, k)
         yield sample

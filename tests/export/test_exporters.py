@@ -35,6 +35,7 @@ def real(index: int, arrays: dict[str, Any]) -> None:
     events = {"mode": 1 + (index > 3), "stick_ratio": 1 - index / 20, "friction_used": index / 20, "contact_area": 9.5,
               "center_of_pressure": np.array([index / 10, 0, -0.5]), "patches": 1}  # fmt: skip
     arrays |= {f"/frames/events/{name}": value for name, value in events.items()}
+    arrays["/frames/grasp/width_mm"], arrays["/frames/uncertainty/force"] = 9.5 - index, np.full(3, index / 9)
 
 
 @pytest.fixture(scope="module")
@@ -141,6 +142,8 @@ def test_webdataset_streams_what_the_bundles_hold(folder: Path, scene: Bundle, t
     assert np.array_equal(sample["rgb.png"], scene.frame("/frames/rgb", 7))
     for name in ("force", "pressure", "marker_flow", "pose", "contact"):
         assert np.array_equal(sample[f"{name}.npy"], scene.frame(f"/frames/{name}", 7))
+    assert (sample["grasp_width_mm.npy"], sample["uncertainty_force.npy"][2]) == (2.5, pytest.approx(7 / 9))
+    assert not [name for name in sample if name.startswith(("quality", "events"))]
     assert sample["json"]["values"] == {"start.x_mm": 0.5}
     assert (sample["json"]["frame"], sample["json"]["segment"]) == (7, scene.segments[7])
     assert sample["json"]["caption"] == caption(scene)
@@ -306,6 +309,21 @@ def test_lerobot_itself_loads_it(folder: Path, scene: Bundle, tmp_path: Path):
     assert (data.num_episodes, data.num_frames, item["task"]) == (2, 2 * FRAMES, data.meta.tasks.index[0])
     assert np.allclose(item["observation.images.tactile"].permute(1, 2, 0) * 255, scene.frame("/frames/rgb", 7))
     assert np.allclose(item["observation.force"], scene.frame("/frames/force", 7))
+    depth = (scene["/reference/height"] - scene.frame("/frames/height", 7)) * 1000
+    assert item["observation.images.tactile_depth"].squeeze().numpy() == pytest.approx(np.maximum(depth, 0), abs=0.51)
+
+
+def test_lerobot_depth_stays_within_the_15_bits_that_its_reader_gives(tmp_path: Path) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet")
+
+    def deep(index: int, arrays: dict[str, Any]) -> None:
+        arrays["/frames/height"][3, 4] = -40.0
+
+    write(tmp_path / "in" / "scene-00000.h5", outputs=OUTPUTS, edit=deep)
+    export.export("lerobot", tmp_path / "in", tmp_path / "out")
+    rows = parquet.read_table(tmp_path / "out/data/chunk-000/file-000.parquet").to_pylist()
+    picture = np.asarray(Image.open(io.BytesIO(rows[0]["observation.images.tactile_depth"]["bytes"])))
+    assert picture[3, 4] == picture.max() == 2**15 - 1
 
 
 @pytest.mark.parametrize("kind", ["feats", "lerobot", "univtac", "webdataset"])
