@@ -6,12 +6,23 @@ import numpy as np
 
 from tacgen.bundle.bundle import Bundle
 from tacgen.errors import UserError
-from tacgen.report.bundle_figure import BELOW, FORCES, ROWS, draw_forces, heading, image_size, only, scale_of, window_of
+from tacgen.report.bundle_figure import (
+    BELOW,
+    FORCES,
+    ROWS,
+    draw_camera,
+    draw_forces,
+    heading,
+    image_size,
+    only,
+    scale_of,
+    window_of,
+)
 from tacgen.report.sheet import Sheet
 
 KINDS = {".webp": "pillow", ".gif": "pillow", ".mp4": "ffmpeg"}  # matplotlib's writers
 PER_SECOND = 5  # frames; the shipped trajectories have 4 to 15
-WIDE, LEFT, RIGHT, TOP, BETWEEN, ABOVE_FORCES = 2.1, 0.65, 0.75, 0.5, 1.35, 0.8  # inches
+WIDE, LEFT, RIGHT, TOP, BETWEEN, BAR, ABOVE_FORCES = 2.1, 0.65, 0.75, 0.5, 0.7, 0.6, 0.8  # inches
 DPI = 100
 
 
@@ -39,11 +50,12 @@ def film(bundle: Bundle, writer: object, out: Path) -> None:
     rows = [draw for wanted, draw in ROWS[:3] if any(path in bundle for path in wanted)]
     image, window, frames = image_size(bundle), window_of(bundle), np.arange(bundle.frames)
     tall = WIDE * image[0] / image[1]
-    across = LEFT + max(len(rows), 2) * (WIDE + BETWEEN) - 0.45
+    bars = [BAR * (draw is not draw_camera) for draw in rows]  # beside each panel
+    across = LEFT + max(len(rows), 2) * (WIDE + BETWEEN) - BETWEEN + max(sum(bars), BAR) + 0.2
     sheet = Sheet(across, (TOP + tall if rows else 0.2) + ABOVE_FORCES + FORCES + BELOW)
     stacks = []
     for c, draw in enumerate(rows):
-        x = LEFT + c * (WIDE + BETWEEN)
+        x = LEFT + c * (WIDE + BETWEEN) + sum(bars[:c])
         panels = [sheet.axes(x, TOP, WIDE, tall) for _ in frames]
         colours = draw(bundle, panels, frames, image, window)
         if colours is not None:

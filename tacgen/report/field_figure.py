@@ -147,7 +147,8 @@ def draw_stress(
             panel.set(xlim=(middle - half, middle + half), ylim=(low, low + 2 * half * FLAT), facecolor="white")
             panel.set_aspect("equal")
         frame_axes(row, "z [mm]")
-        bars.append((drawn, f"{name} [MPa]", {}))
+        symbol, _, index = name.partition("_")
+        bars.append((drawn, (f"${symbol}_{{{index}}}$" if index else name) + " [MPa]", {}))
     label_x(grid[-1], "mm")
     return bars
 
@@ -201,6 +202,6 @@ FIELDS: dict[str, tuple[tuple[str, ...], str, int, Any, str]] = {  # datasets, o
     "stress": (
         ("/fields/cauchy_stress", "/fields/nodal_stress"), "stress", len(SECTIONS), draw_stress,
         "Cauchy stress of the deformed gel in the xz plane through the indenter; tension is positive; "
-        "x to the right in the image, z out of the gel",
+        "x right in the image, z out of the gel",
     ),
 }  # fmt: skip
