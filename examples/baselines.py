@@ -28,6 +28,9 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from torch import nn
 from torch.nn import functional as F
 
@@ -40,6 +43,7 @@ BATCH, RATE = 32, 2e-3
 SHIFT = 3  # [px] up to which pictures are shifted in training: shapes are told better by it, shear force a little worse
 COUNTS, LENGTH = 32.0, 0.2  # [counts], [mm]: about 1 at the network's ends
 MOVED = 0.02  # [mm]: the face's errors are taken where it moved by more
+DPI = 110  # of the plot
 Frames = dict[str, torch.Tensor]
 
 
@@ -223,10 +227,16 @@ def table(tests: list[str], found: list[dict[str, dict[str, float]]]) -> str:
 
 def plot(said: Frames, true: Frames, shapes: list[str], out: Path) -> None:
     """Predicted over true force, who takes which mode and shape for which, and one face."""
-    from matplotlib.figure import Figure
+    with rc_context({"font.size": 8, "axes.titlesize": 9}):
+        sheet = Figure(figsize=(8.6, 6), layout="constrained")
+        grid = sheet.add_gridspec(4, 3)
+        places = [*(grid[:2, k] for k in range(3)), grid[2:, 0], grid[2:, 1], grid[2, 2], grid[3, 2]]
+        draw(sheet, [sheet.add_subplot(place) for place in places], said, true, shapes)
+        sheet.savefig(out, dpi=DPI)
 
-    sheet = Figure(figsize=(12, 7), layout="constrained")
-    panels = sheet.subplots(2, 4).ravel()
+
+def draw(sheet: Figure, panels: list[Axes], said: Frames, true: Frames, shapes: list[str]) -> None:
+    """The seven panels of the plot."""
     for k, name in enumerate("xyz"):
         panels[k].plot(true["force"][:, k], said["force"][:, k], ".", color="#0072b2", markersize=3)
         panels[k].axline((0, 0), slope=1, color="#808080", linewidth=0.8)
@@ -235,18 +245,20 @@ def plot(said: Frames, true: Frames, shapes: list[str], out: Path) -> None:
         here = true["mode"] > 0 if name == "shape" else slice(None)
         count = np.zeros((len(words), len(words)))
         np.add.at(count, (true[name][here].numpy(), said[name][here].numpy()), 1)
-        panel.imshow(count / np.maximum(count.sum(1, keepdims=True), 1), cmap="viridis", vmin=0, vmax=1)
-        panel.set_xticks(range(len(words)), words, rotation=60, ha="right", fontsize=7)
-        panel.set_yticks(range(len(words)), words, fontsize=7)
+        share = count / np.maximum(count.sum(1, keepdims=True), 1)
+        panel.imshow(share, cmap="viridis", vmin=0, vmax=1)
+        for row, column in np.argwhere(share >= 0.005):
+            colour = "black" if share[row, column] > 0.6 else "white"
+            panel.text(column, row, f"{share[row, column]:.2f}", ha="center", va="center", fontsize=6, color=colour)
+        panel.set_xticks(range(len(words)), words, rotation=60, ha="right")
+        panel.set_yticks(range(len(words)), words)
         panel.set(title=f"{name}: share of the true", xlabel="predicted", ylabel="true")
     deepest = int(true["face"][:, 0].amin((1, 2)).argmin())
     low = LENGTH * float(true["face"][deepest, 0].min())
     for panel, name, frames in ((panels[5], "true", true), (panels[6], "predicted", said)):
         drawn = panel.imshow(LENGTH * frames["face"][deepest, 0], cmap="cividis", vmin=low, vmax=0.1)
-        panel.set(title=f"change of z [mm], {name}", xticks=[], yticks=[])
-    sheet.colorbar(drawn, ax=panels[5:7], shrink=0.6)
-    panels[7].set_axis_off()
-    sheet.savefig(out, dpi=110)
+        panel.set(title=f"face: {name}", xticks=[], yticks=[])
+    sheet.colorbar(drawn, ax=panels[5:7], label="change of z [mm]")
 
 
 def main() -> None:
