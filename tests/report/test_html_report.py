@@ -72,7 +72,8 @@ def test_the_report_is_one_page_that_needs_nothing_else(folder: Path, tmp_path: 
 
 def test_pairs_of_varied_numbers_are_plotted_a_point_a_scene(tmp_path: Path):
     for i in range(4):
-        values = {"a": 0.04 + i / 3, "b": i * 2.0, "name": "x<y", "sensor.leds[0].power": 1, "sensor.leds[1].power": "low"}
+        values = {"a": 0.04 + i / 3, "b": i * 2.0, "name": "x<y"}
+        values |= {"sensor.leds[0].power": 1, "sensor.leds[1].power": "low"}
         write(tmp_path / f"scene-{i:05d}.h5", outputs=frozenset({"force"}), values=values)
     page = html_report.page(dataset_summary.look(tmp_path))
     assert len(re.findall(r"<circle", page)) == 12
