@@ -1,21 +1,24 @@
-"""Draw docs/cookbook/sensor_pairs.png and contact_events.png from bundles of the recipes with these names.
+"""Draw the pictures of docs/cookbook that are named as recipes: sensor_pairs, contact_events, uncertainty, taxels.
 
-python scripts/cookbook_figures.py out docs/cookbook, after `tacgen run sensor_pairs -o out/sensor_pairs` and
-`tacgen run contact_events -o out/contact_events`.
+python scripts/cookbook_figures.py out docs/cookbook, after `tacgen run NAME -o out/NAME` for each of these recipes.
 """
 
 import sys
 from pathlib import Path
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from tacgen.bundle import caption, dataset
+from tacgen.bundle import caption, dataset, taxels
 from tacgen.bundle.bundle import Bundle
-from tacgen.report.bundle_figure import image_size
+from tacgen.report.bundle_figure import LINES, image_size, scale_of, window_of
 
 COLOURS = {"sticks": "#0b6fa4", "friction used": "#c2571a"}
 HEIGHT, DPI = 1.6, 100  # of a panel [inches]; pixels an inch
+NINETY = 1.645  # standard deviations on both sides of a 90 % interval
+TAXELS, PITCH = (6, 8), 2.35  # rows and columns, and mm apart
+SHEAR = 5.0  # length of an arrow [mm] per N
 
 
 def pairs(bundles: list[Bundle]) -> Figure:
@@ -48,8 +51,8 @@ def pairs(bundles: list[Bundle]) -> Figure:
 def events(bundle: Bundle) -> Figure:
     """The camera where the mode changes, and what the contact does over the frames."""
     changes = [change for change in caption.changes(bundle) if change.mode != "apart"]
-    sheet = Figure(figsize=(1.8 * len(changes), 3.8), layout="constrained")
-    cameras, below = sheet.subfigures(2, 1, height_ratios=(1, 1.6))
+    sheet = Figure(figsize=(1.6 * len(changes), 4.4), layout="constrained")
+    cameras, below = sheet.subfigures(2, 1, height_ratios=(1, 1.4))
     for axes, change in zip(cameras.subplots(1, len(changes)), changes, strict=True):
         axes.imshow(bundle.frame("/frames/rgb", change.frame))
         axes.set_title(f"frame {change.frame}:\n{change.mode}", fontsize=9)
@@ -66,7 +69,64 @@ def events(bundle: Bundle) -> Figure:
     return sheet
 
 
+def uncertainty(bundle: Bundle) -> Figure:
+    """The force with its interval, what the inputs contribute to its deviation, and the deviation of the pressure."""
+    sheet = Figure(figsize=(9.4, 3.0), layout="constrained")
+    curve, parts, map_ = sheet.subplots(1, 3, width_ratios=(1.2, 0.8, 1.1))
+    force, sure, last = bundle["/frames/force"], bundle["/frames/uncertainty/force"], bundle.frames - 1
+    for k, (name, colour) in enumerate(LINES.items()):
+        curve.plot(force[:, k], "o-", color=colour, markersize=3, label=name)
+        low, high = (force[:, k] + side * NINETY * sure[:, k] for side in (-1, 1))
+        curve.fill_between(np.arange(bundle.frames), low, high, color=colour, alpha=0.25, linewidth=0)
+    curve.set(xlabel="frame", ylabel="force on gel [N]", title="force and its 90 % interval")
+    curve.legend(fontsize=8, frameon=False)
+    asked = bundle.recipe["uncertainty"]
+    inputs = asked["material"] | {"depth": asked["pose"]["depth_mm"]}
+    share = [abs(bundle[f"/frames/sensitivity/{name}"][last, 2]) * value for name, value in inputs.items()]
+    mesh = np.sqrt(sure[last, 2] ** 2 - np.square(share).sum())  # inputs are independent
+    names = [name.replace("poissons_", "Poisson's ") for name in (*inputs, "mesh")]
+    parts.barh(names, [*share, mesh], color=COLOURS["sticks"])
+    parts.invert_yaxis()
+    parts.set(xlabel="standard deviation of $F_z$ [N]", title=f"by input, frame {last}")
+    label(bundle, sheet, map_, bundle.frame("/frames/uncertainty/pressure", last), "standard deviation [MPa]")
+    map_.set_title(f"pressure, frame {last}")
+    return sheet
+
+
+def label(bundle: Bundle, sheet: Figure, axes: Axes, values: np.ndarray, name: str) -> None:
+    """Draw a map (h, w) over the region touched in any frame, in mm, with a colour bar."""
+    (height, width), (x0, x1, y0, y1), scale = image_size(bundle), window_of(bundle), scale_of(bundle)
+    drawn = axes.imshow(values, extent=(0, width, height, 0))
+    axes.set(xlim=(x0 * width, x1 * width), ylim=(y1 * height, y0 * height), xlabel="x [mm]", ylabel="y [mm]")
+    axes.set_xticks(*scale.ticks(x0 * width, x1 * width, width, 0))
+    axes.set_yticks(*scale.ticks(y0 * height, y1 * height, height, 1))
+    sheet.colorbar(drawn, ax=axes, label=name, shrink=0.8)
+
+
+def binned(bundle: Bundle) -> Figure:
+    """The normal force on each taxel, and arrows of its shear force, at the end of each movement."""
+    ends = [k for k, kind in enumerate(bundle.segments) if kind not in bundle.segments[k + 1 :]]
+    layout = taxels.grid(*TAXELS, PITCH)
+    found = [taxels.forces(bundle, k, layout) for k in ends]
+    sheet = Figure(figsize=(4.2 * len(ends) + 0.8, 3.6), layout="constrained")
+    panels = sheet.subplots(1, len(ends), sharey=True)
+    top = max(-forces[:, 2].min() for forces in found)
+    y, x = (PITCH * (np.arange(n + 1) - n / 2) for n in TAXELS)  # borders
+    for axes, k, forces in zip(panels, ends, found, strict=True):
+        drawn = axes.pcolormesh(x, y, -forces[:, 2].reshape(TAXELS), vmin=0, vmax=top, edgecolors="#808080", lw=0.5)
+        felt = np.linalg.norm(forces[:, :2], axis=1) > 0.01
+        style = {"angles": "xy", "scale_units": "xy", "scale": 1, "color": "#d55e00"}
+        axes.quiver(*layout[felt].T, *(SHEAR * forces[felt, :2].T), **style)
+        axes.set(title=f"frame {k}, {bundle.segments[k]}: {-forces[:, 2].sum():.2f} N", xlabel="x [mm]", aspect="equal")
+        axes.set_ylim(y[-1], y[0])  # down, as in the image
+    panels[0].set_ylabel("y [mm]")
+    sheet.colorbar(drawn, ax=panels, label="normal force of a taxel [N]")
+    return sheet
+
+
+DRAWN = {"sensor_pairs": pairs, "contact_events": lambda found: events(found[0])}
+DRAWN |= {"uncertainty": lambda found: uncertainty(found[0]), "taxels": lambda found: binned(found[0])}
 if __name__ == "__main__":
     source, out = Path(sys.argv[1]), Path(sys.argv[2])
-    pairs(dataset.scenes(source / "sensor_pairs")).savefig(out / "sensor_pairs.png", dpi=DPI)
-    events(dataset.scenes(source / "contact_events")[0]).savefig(out / "contact_events.png", dpi=DPI)
+    for name, draw in DRAWN.items():
+        draw(dataset.scenes(source / name)).savefig(out / f"{name}.png", dpi=DPI)

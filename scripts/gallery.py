@@ -154,7 +154,8 @@ def page(found: dict[str, list[Bundle]]) -> str:
         "All movements but the replay follow a press. The last frame is shown; for a release, the one half way up.",
         "",
         "Other pictures: [a grasp](cookbook/grasp.md), [the same contact on several sensors](cookbook/sensor_pairs.md),"
-        " [contact events](cookbook/contact_events.md).",
+        " [contact events](cookbook/contact_events.md), [uncertain labels](cookbook/uncertainty.md),"
+        " [taxels](cookbook/taxels.md), [bundles in the browser](cookbook/looking.md).",
         "",
     ]
     for sensor, bundles in found.items():

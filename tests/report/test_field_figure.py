@@ -24,7 +24,7 @@ Array = np.ndarray
         ("pressure", ["pressure [MPa]"]),
         ("traction", ["traction [MPa]"]),
         ("slip", [""]),
-        ("stress", ["σ_zz [MPa]", "σ_xz [MPa]", "von Mises [MPa]"]),
+        ("stress", ["$σ_{zz}$ [MPa]", "$σ_{xz}$ [MPa]", "von Mises [MPa]"]),
     ],
 )
 def test_a_field_is_drawn_with_its_unit(tmp_path: Path, field: str, bars: list[str]) -> None:
