@@ -9,6 +9,7 @@ const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
 const floats = (text) => new Float32Array(bytes(text).buffer), numbers = (text) => new Uint32Array(bytes(text).buffer);
 const tables = Object.fromEntries(Object.entries(data.colours).map(([name, text]) => [name, bytes(text)]));
 const short = (x) => String(+x.toPrecision(3)).replace("-", "\u2212");
+const fixed = (x, digits) => (+x.toFixed(digits) || 0).toFixed(digits).replace("-", "\u2212"); // never -0.00
 
 function make(kind, parent, set = {}) {
   const made = Object.assign(document.createElement(kind), set);
@@ -222,6 +223,8 @@ function drawSolid(side, k) {
   if (!solid) return write(pen, "no stress in this bundle", SIZE[0] / 2, 60);
   if (!solid.gl) return write(pen, "this browser has no WebGL 2", SIZE[0] / 2, 60);
   solid.draw(k);
+  pen.fillStyle = "#fffd"; // so that a solid that is zoomed in does not hide the bar's text
+  pen.fillRect(SIZE[0] - PLOT.right, 0, PLOT.right, SIZE[1]);
   bar(pen, data.parts[state.part], SIZE[0] - 84, 20, 300);
   const [x, y] = [46, SIZE[1] - 60], unit = (solid.scale * state.zoom * SIZE[1]) / 2; // pixels a mm
   solid.axes().forEach(([u, v], i) => {
@@ -251,7 +254,7 @@ function drawForce(side, k) {
     if (!force) return;
     line(pen, colour, 1.6, ...force.map((values, i) => [forceAt(side, i), y(values[axis])]));
     pen.fillStyle = colour;
-    pen.fillText(`F${"xyz"[axis]} ${force[k][axis].toFixed(3).replace("-", "\u2212")} N`, right + 8, 30 + 18 * axis);
+    pen.fillText(`F${"xyz"[axis]} ${fixed(force[k][axis], 3)} N`, right + 8, 30 + 18 * axis);
   });
   line(pen, "#222", 1, [forceAt(side, k), 14], [forceAt(side, k), FORCE[1] - 34]);
   for (const i of new Set(ticks(0, frames.length - 1 || 1, 8).filter((i) => Number.isInteger(i) && i < frames.length))) write(pen, frames[i], forceAt(side, i), FORCE[1] - 24);
@@ -280,7 +283,7 @@ function said(side, event) { // the value under the pointer
   if (!(x >= 0 && x < 1 && y >= 0 && y < 1) || state.layer === "stress") return (side.said.textContent = "");
   const [x0, y0, x1, y1] = bundle.box, level = shown.levels?.[Math.floor(y * shown.canvas.height) * shown.canvas.width + Math.floor(x * shown.canvas.width)];
   const value = level === undefined ? "" : level ? `: ${short(shown.scale.low + ((level - 1) / 254) * (shown.scale.high - shown.scale.low))} (${shown.scale.label})` : ": none";
-  side.said.textContent = `x ${(x0 + x * (x1 - x0)).toFixed(2)}, y ${(y0 + y * (y1 - y0)).toFixed(2)} ${bundle.unit}${value}`;
+  side.said.textContent = `x ${fixed(x0 + x * (x1 - x0), 2)}, y ${fixed(y0 + y * (y1 - y0), 2)} ${bundle.unit}${value}`;
 }
 
 const bars = make("fieldset", root), chosen = make("fieldset", root), only = make("fieldset", root);

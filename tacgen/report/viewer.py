@@ -36,7 +36,7 @@ NEEDS = {
     "stress": ("/mesh/points", "/frames/pose", *FIELDS["stress"][0]),
 }
 FRAMES = 60  # most frames of a page, evenly spread over a longer scene; a frame with all layers takes about 0.2 MB
-ARROWS = 16  # arrows across a map
+ARROWS = 24  # arrows across a map
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
 STYLE = """.viewer{font:13px/1.4 system-ui,sans-serif;color:#222}.viewer .sides{display:flex;flex-wrap:wrap;gap:1em}
 .viewer .stage{position:relative;width:560px;height:370px;touch-action:none}.viewer canvas{display:block}

@@ -161,3 +161,36 @@ def test_a_browser_shows_maps_and_the_solid(solved: Path) -> None:
         share[layer] = float((np.ptp(seen, axis=-1) > 60).mean())  # of strong colours
     assert share["pressure"] > 0.3  # viridis begins with dark violet
     assert 0.001 < share["stress"] < 0.3  # the stressed part of a pale gel
+
+
+USED = """<script>setTimeout(() => {
+  const slider = document.querySelector("input[type=range]"), force = document.querySelector("canvas.force");
+  const texts = () => [...document.querySelectorAll(".viewer p")].map((p) => p.textContent).join("|");
+  const at = (kind, target, x, y) => {
+    const { left, top } = target.getBoundingClientRect();
+    target.dispatchEvent(new PointerEvent(kind, { clientX: left + x, clientY: top + y, bubbles: true }));
+  };
+  slider.value = 7;
+  slider.dispatchEvent(new Event("input"));
+  document.querySelector("[value=pressure]").click();
+  setTimeout(() => {
+    at("pointermove", document.querySelectorAll(".stage canvas")[1], 250, 160);
+    const said = [texts()];
+    at("click", force, 55, 50);
+    document.body.append(["USED", ...said, texts(), slider.value].join(";"));
+  }, 500);
+}, 300)</script></body>"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium")
+def test_slider_pointer_and_force_plot_can_be_used(tmp_path: Path) -> None:
+    viewer.write([write(tmp_path / "x.h5")], tmp_path / "x.html")
+    page = (tmp_path / "x.html").read_text()
+    (tmp_path / "used.html").write_text(page.replace("</body>", USED))
+    shown = browser(tmp_path / "used.html", "", "--dump-dom").rpartition("USED;")[2].partition("<")[0]
+    moved, clicked, slider = shown.split(";")
+    assert f"|frame 7, {read(tmp_path / 'x.h5').segments[7]}|x " in moved
+    assert moved.endswith("(pressure [MPa])")
+    assert "|frame 0, press|" in clicked
+    assert slider == "0"
