@@ -160,6 +160,10 @@ class Solid {
     [this.faces, this.rims] = [numbers(told.faces), numbers(told.rims)];
     const rest = floats(told.points[0]), ends = (axis) => rest.filter((_, i) => i % 3 === axis).reduce(([a, b], v) => [Math.min(a, v), Math.max(b, v)], [Infinity, -Infinity]);
     this.ends = [0, 1, 2].map(ends);
+    if (told.indenter) { // is seen whole
+      const top = floats(told.indenter.points).reduce((most, v, i) => (i % 3 === 2 ? Math.max(most, v) : most), -Infinity);
+      this.ends[2][1] = Math.max(this.ends[2][1], told.poses[0][14] + top);
+    }
     this.scale = 2.2 / Math.hypot(...this.ends.map(([a, b]) => b - a));
   }
 
