@@ -156,7 +156,7 @@ def _gels(row: Row, clock: Clock) -> tuple[tuple[Gel, ...], Iterator[Found]]:
     with clock.stage("mesh"):
         built = scene.build(row)
     if built.forced is not None:
-        with clock.stage("foresee"):
+        with clock.stage("presolve"):
             built = presolve.presolved(built)
     with clock.stage("mesh"):
         gel = Gel(row, built, solve.Problem.of(built, mesh.of(built)))
@@ -171,7 +171,7 @@ def _grasped(row: Row, clock: Clock) -> tuple[tuple[Gel, ...], Iterator[Found]]:
 
     with clock.stage("mesh"):
         grasp = two_fingers.build(row)
-    with clock.stage("foresee"):
+    with clock.stage("presolve"):
         grasp = holding.presolved(grasp)
     with clock.stage("mesh"):
         each = zip(row.bundles, grasp.fingers, strict=True)
