@@ -42,7 +42,6 @@ BROUGHT = {
     "parts/thing.stl": ROOT / "objects/ring/ring.stl",
     "rollout.csv": ROOT / "recipes/rollout.csv",
     "tool.csv": ROOT / "tests/helpers/tool.csv",
-    "quickstart.yaml": ROOT / "recipes/quickstart.yaml",
 }
 
 

@@ -39,9 +39,9 @@ def sensor_path(name_or_path: str, base: Path | None = None) -> Path:
     return _find("sensor", name_or_path, base, list_sensors())
 
 
-def recipe_path(name_or_path: str) -> Path:
-    """The file of a recipe: a path, or the name of a shipped one."""
-    return _find("recipe", name_or_path, None, list_recipes())
+def recipe_path(name_or_path: str, base: Path | None = None) -> Path:
+    """The file of a recipe, from the name of a shipped one or a path relative to `base`, else to the working folder."""
+    return _find("recipe", name_or_path, base, list_recipes())
 
 
 def beside(path: str, folder: Path | None) -> Path:
@@ -52,7 +52,7 @@ def beside(path: str, folder: Path | None) -> Path:
 def object_path(name_or_path: str, base: Path | None = None) -> Path:
     """The folder of a shipped object, or the file of a path relative to `base`, the recipe's folder."""
     if _is_path(name_or_path, MESHES):
-        return _existing("object", beside(name_or_path, base))
+        return _existing("object", beside(name_or_path, base), base)
     if name_or_path not in list_objects():
         raise UserError(_unknown("object", name_or_path, list_objects()))
     return folder("objects") / name_or_path
@@ -96,26 +96,30 @@ def _is_path(text: str, suffixes: tuple[str, ...]) -> bool:
 def _find(kind: str, text: str, base: Path | None, names: list[str]) -> Path:
     """The file of a name or path of a shipped YAML file. Raises UserError: there is no such file or name."""
     if _is_path(text, (".yaml", ".yml")):
-        return _existing(kind, beside(text, base))
+        return _existing(kind, beside(text, base), base)
     if text in names:
         return folder(f"{kind}s") / f"{text}.yaml"
-    if base is None and Path(text).exists():
+    if base is None and _there(Path(text)):
         return Path(text)
-    raise UserError(_unknown(kind, text, names))
+    file = f"{text}.yaml"
+    raise UserError(_unknown(kind, text, names, file if _there(beside(file, base)) else ""))
 
 
-def _existing(kind: str, path: Path) -> Path:
-    try:
-        there = path.exists()
-    except (OSError, ValueError):
-        there = False
-    if not there:
-        start = "the working folder" if kind == "recipe" else "the folder of the file that names it"
+def _existing(kind: str, path: Path, base: Path | None) -> Path:
+    if not _there(path):
+        start = "the working folder" if base is None else "the folder of the file that names it"
         raise UserError(f"{path}: no such {kind} file: a relative path starts at {start}")
     return path
 
 
-def _unknown(kind: str, name: str, names: list[str]) -> str:
-    close = difflib.get_close_matches(name, names, n=1)
+def _there(path: Path) -> bool:
+    try:
+        return path.exists()
+    except (OSError, ValueError):  # a name that no file can have
+        return False
+
+
+def _unknown(kind: str, name: str, names: list[str], file: str = "") -> str:
+    close = [file] if file else difflib.get_close_matches(name, names, n=1)
     hint = f"did you mean {close[0]}?" if close else f"there are: {', '.join(names) or 'none'}"
     return f"no {kind} is called {name!r}; {hint}"

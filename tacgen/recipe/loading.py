@@ -134,14 +134,16 @@ def _extended(path: Path, chain: tuple[Path, ...]) -> Tree:
         raise report([(Problem((), text), tree)])
     if "extends" not in tree.data:
         return tree
-    name, here = tree.data["extends"], (*chain, path.resolve())
-    if not isinstance(name, str):
-        raise report([(Problem(("extends",), f"must be the path of a recipe (got {describe(name)})"), tree)])
-    other = path.parent / name
+    name, here, place = tree.data["extends"], (*chain, path.resolve()), ("extends",)
+    if not isinstance(name, str) or not name:
+        text = f"must be the path of a recipe, or the name of a shipped one (got {describe(name)})"
+        raise report([(Problem(place, text), tree)])
+    try:
+        other = assets.recipe_path(name, path.parent)
+    except UserError as error:
+        raise report([(Problem(place, error.lines[0]), tree)]) from None
     if other.resolve() in here:
-        raise report([(Problem(("extends",), f"{name} is extended by this very recipe: extend another"), tree)])
-    if not other.exists():
-        raise report([(Problem(("extends",), f"no such file: {other}; the path starts at this recipe's folder"), tree)])
+        raise report([(Problem(place, f"{name} is extended by this very recipe: extend another"), tree)])
     return _extended(other, here).merged(tree.without("extends"))
 
 

@@ -16,7 +16,8 @@ def recipe_schema() -> dict[str, Any]:
     """JSON Schema of a recipe file."""
     schema = Recipe.model_json_schema()
     schema["$schema"] = "https://json-schema.org/draft/2020-12/schema"
-    schema["properties"]["extends"] = {"type": "string", "description": "A recipe whose values this one overrides."}
+    about = "A recipe whose values this one overrides: a shipped one's name, or a path."
+    schema["properties"]["extends"] = {"type": "string", "description": about}
     needed = schema.pop("required")
     several = ["sensors" if name == "sensor" else name for name in needed]
     # the extended recipe may hold the rest

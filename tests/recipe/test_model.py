@@ -279,12 +279,21 @@ def test_extends_lays_one_recipe_over_another(tmp_path: Path):
     assert told.startswith("base.yaml:8:23: trajectory[0].press.depth_mm")
 
 
+def test_a_shipped_recipe_is_extended_by_its_name(tmp_path: Path):
+    path = tmp_path / "recipe.yaml"
+    path.write_text("extends: quickstart\nname: child\n")
+    recipe, shipped = read(path).recipe, read(assets.recipe_path("quickstart")).recipe
+    assert recipe == shipped.model_copy(update={"name": "child"})
+
+
 @pytest.mark.parametrize(
     ("text", "says"),
     [
         ("extends: recipe.yaml\n", "recipe.yaml is extended by this very recipe"),
-        ("extends: nowhere.yaml\n", "no such file"),
-        ("extends: 3\n", "must be the path of a recipe (got 3)"),
+        ("extends: nowhere.yaml\n", "no such recipe file: a relative path starts at the folder of the file that names it"),
+        ("extends: quikstart\n", "no recipe is called 'quikstart'; did you mean quickstart?"),
+        ("extends: recipe\n", "no recipe is called 'recipe'; did you mean recipe.yaml?"),
+        ("extends: 3\n", "must be the path of a recipe, or the name of a shipped one (got 3)"),
         ("- 1\n", "a recipe must be a mapping (got a list)"),
         ("", "a recipe must be a mapping (got nothing)"),
     ],
