@@ -290,7 +290,7 @@ def test_a_shipped_recipe_is_extended_by_its_name(tmp_path: Path):
     ("text", "says"),
     [
         ("extends: recipe.yaml\n", "recipe.yaml is extended by this very recipe"),
-        ("extends: nowhere.yaml\n", "no such recipe file: a relative path starts at the folder of the file that names it"),
+        ("extends: nowhere.yaml\n", "no such recipe file: a relative path starts at the folder of the file"),
         ("extends: quikstart\n", "no recipe is called 'quikstart'; did you mean quickstart?"),
         ("extends: recipe\n", "no recipe is called 'recipe'; did you mean recipe.yaml?"),
         ("extends: 3\n", "must be the path of a recipe, or the name of a shipped one (got 3)"),
