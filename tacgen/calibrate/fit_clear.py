@@ -37,9 +37,9 @@ Array = np.ndarray
 SHRINK = 4  # pixels of the photograph per pixel of the fit
 LEAST_WIDTH = 40  # width of the fit's pictures at least [px]
 SHEET = 0.2  # node spacing of the face [mm]
-PIECES = (6, 2)  # points along and across each LED
+ALONG, ACROSS = 3.0, 1.5  # largest distance of the points that stand for an LED, along and across it [mm]
 NEAR = 0.97  # contact radii within which a press is compared: there the face is the ball's surface
-REACH = 3.0  # the same for a press without a contact radius [mm]
+REACH = 3.0  # the same for a press of known depth, whose face is solved and right beyond the contact too [mm]
 WEIGHT = 2.0  # weight of a press's pixel over one of the untouched picture
 SOFT = 15.0  # scale of the soft-l1 loss, for marks and dust [counts]
 HOLD = 3.0  # penalty of a parameter at the end of its tolerance [counts]
@@ -103,6 +103,14 @@ def fit(
     return found, tuple(Comparison(one).likeness(presses, seen, photos.untouched) for one in (sensor, judged))
 
 
+def _points(one: tuple[Led, ...]) -> strip_light.Points:
+    """The points that stand for a single LED."""
+    (wide, tall), least = one[0].size_mm, (6, 2)
+    along, across = (max(n, int(np.ceil(size / by)))
+                     for n, size, by in zip(least, (wide, tall), (ALONG, ACROSS), strict=True))  # fmt: skip
+    return strip_light.points(one, along, across)
+
+
 class Fit:
     """Misfit between photographs and trial sensors."""
 
@@ -143,7 +151,8 @@ class Fit:
         shrink = press.picture.shape[1] / eye.width_px
         y, x = np.mgrid[: eye.height_px, : eye.width_px] + 0.5
         away = np.hypot(x * shrink - press.center[0], y * shrink - press.center[1])
-        reach = REACH / eye.mm_per_px * shrink if press.contact is None else NEAR * press.contact
+        solved = press.contact is None or press.depth is not None
+        reach = REACH / eye.mm_per_px * shrink if solved else NEAR * (press.contact or 0.0)
         return np.asarray((away < reach).ravel())
 
     def _ranges(self) -> tuple[Array, Array, Array]:
@@ -193,7 +202,7 @@ class Fit:
         one = (self.moved(self.sensor.leds[led], parts),)
         at, normal, toward = (part[here] for part in (seen.at.position, seen.at.normal, seen.toward))
         slab, panels = strip_light.Slab.of(self.sensor), strip_light.Panels.of(one)
-        lights = strip_light.points(one, *PIECES)
+        lights = _points(one)
         straight = strip_light.gather(at, normal, toward, lights, 1, slab, panels, rough, seen.terrain)[:, 0]
         bounced = self._around(led, parts, crop).at(seen.at.normal)[here]
         return np.column_stack([np.nan_to_num(straight * seen.passed[here, None]), bounced])
@@ -201,7 +210,7 @@ class Fit:
     def _bounced(self, led: int, parts: tuple[float, ...], crop: tuple[float, ...]) -> Glow:
         """Interreflection of one LED of unit radiance, with the coating of the file."""
         one = self.sensor.model_copy(update={"leds": (self.moved(self.sensor.leds[led], parts),)})
-        added = self._bounce.added(one, strip_light.points(one.leds, *PIECES))[:, 0]
+        added = self._bounce.added(one, _points(one.leds))[:, 0]
         return self._bounce.glow(added, self._look(0, crop).view)
 
     def columns(self, v: Array, picture: int) -> Array:

@@ -118,9 +118,10 @@ class Comparison:
         made = self._renderer.develop(self._renderer.image(face), random)
         return self._seen(made, self._flat, face, press.center, press.contact or 0.0)
 
-    def net(self) -> NormalNet:
-        """A network trained on rendered dents with the camera's noise."""
-        return learned(list(self._dents()))
+    def net(self, deepest: float = 0.0) -> NormalNet:
+        """A network trained on rendered dents with the camera's noise; `deepest`: contact radius over the ball's that
+        they reach at least."""
+        return learned(list(self._dents(max(SHARE[1], deepest))))
 
     def likeness(self, presses: Sequence[Press], faces: Sequence[Surface], untouched: Array) -> Likeness:
         """Likeness over presses with known contact circles."""
@@ -136,7 +137,8 @@ class Comparison:
             [np.corrcoef(real.change[around][:, c], made.change[around][:, c])[0, 1] for c in range(3)]
             for real, made, around in pairs
         ]
-        net, random = self.net(), np.random.default_rng(0)
+        deepest = max((press.contact or 0.0) * self.sensor.camera.mm_per_px / press.ball for press in presses)
+        net, random = self.net(deepest), np.random.default_rng(0)
         noisy = [self.rendered(press, face, random) for press, face in zip(presses, faces, strict=True)]
         return Likeness(
             np.nanmedian(np.where(seen, size[:, 1] / size[:, 0], np.nan), axis=0),
@@ -146,12 +148,12 @@ class Comparison:
             float(np.mean([real.off(real.flat) for real, _, _ in pairs])),
         )  # fmt: skip
 
-    def _dents(self) -> Iterator[Seen]:
+    def _dents(self, deepest: float) -> Iterator[Seen]:
         random, renderer = np.random.default_rng(0), self._renderer
         camera, gel = Camera.from_sensor(self.sensor), self.sensor.gel
         for _ in range(DENTS):
             ball = float(np.exp(random.uniform(*np.log(BALLS))))
-            contact = min(ball * random.uniform(*SHARE), WIDEST) / camera.mm_per_px
+            contact = min(ball * random.uniform(SHARE[0], deepest), WIDEST) / camera.mm_per_px
             center = tuple(float(random.uniform(0, side)) for side in camera.shape[::-1])
             bend = 0.0 if gel.dome is None else (1 / gel.dome.radius_x_mm + 1 / gel.dome.radius_y_mm) / 2
             face = BallDent.seen(camera, ball, (center[0], center[1]), contact, renderer.untouched, bend)

@@ -22,7 +22,7 @@ MOST_SATURATED = 0.01  # largest share of saturated pixels
 
 @dataclass(frozen=True)
 class Press:
-    """A photographed press: its ball, and its depth or the radius of its contact."""
+    """A photographed press: its ball, and the radius of its contact, its depth or both."""
 
     name: str
     picture: Array  # (H, W, 3), 8 bit
@@ -97,8 +97,8 @@ def _press(folder: Path, line: int, row: dict[str, str], camera: Camera, wrong: 
         number[column] = csv_table.number(text)
         if math.isnan(number[column]) or (number[column] <= 0 and column not in ("x_px", "y_px")):
             wrong.append(f"{said}: {column}: must be a number{_positive(column)} (got {text!r})")
-    if sum(column in number for column in EITHER) != 1:
-        wrong.append(f"{said}: must hold exactly one of {', '.join(EITHER)}")
+    if not any(column in number for column in EITHER):
+        wrong.append(f"{said}: must hold {' or '.join(EITHER)}, or both")
     picture = _picture(folder / name, camera, wrong)
     if len(wrong) > before:
         return None

@@ -21,10 +21,11 @@ from tacgen.solve import presolve
 
 
 def face(sensor: LitSensor, press: Press, folders: dict[KeyPath, Path]) -> Surface:
-    """The face of a press: by a formula from its contact radius, or solved at its depth; `folders`: see plan.Row."""
-    if press.contact is None:
-        assert press.depth is not None
+    """The face of a press: solved at its depth if that is known, else by a formula from its contact radius; `folders`:
+    see plan.Row."""
+    if press.depth is not None:
         return solved(sensor, press, [press.depth], folders)[0]
+    assert press.contact is not None
     dome = sensor.gel.dome
     bend = 0.0 if dome is None else (1 / dome.radius_x_mm + 1 / dome.radius_y_mm) / 2
     untouched, camera = Untouched.of(sensor.gel), Camera.from_sensor(sensor)

@@ -2,6 +2,7 @@
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from tacgen.errors import UserError
 from tacgen.optics.camera import Camera
 from tacgen.optics.hertz_dent import BallDent
 from tacgen.optics.scattering import gain as response_of
-from tacgen.recipe import loading
+from tacgen.recipe import assets, loading
 from tacgen.recipe.sensor import Sensor
 from tacgen.render import images, mitsuba_variants
 
@@ -182,7 +183,7 @@ def test_the_response_to_thickness_is_found_by_solved_presses(tmp_path: Path, mo
             "presses.csv:3: ball_radius_mm: must be a number greater than 0 (got 'x')",
         ),
         (lambda p: _swap(p, "3.0,52", "3.0,152"), "presses.csv:3: (152, 40) lies outside the picture"),
-        (lambda p: _swap(p, "40,14.0", "40,"), "presses.csv:3: must hold exactly one of contact_radius_px, depth_mm"),
+        (lambda p: _swap(p, "40,14.0", "40,"), "presses.csv:3: must hold contact_radius_px or depth_mm, or both"),
         (
             lambda p: _swap(p, "40,14.0", "40,31"),
             "presses.csv:3: contact_radius_px: is 3.1 mm, and the ball's radius 3.0",
@@ -223,3 +224,12 @@ def _swap(folder: Path, old: str, new: str) -> None:
     table = folder / "presses.csv"
     assert old in table.read_text()
     table.write_text(table.read_text().replace(old, new))
+
+
+def test_a_press_of_known_depth_is_solved_also_where_its_contact_is_known():
+    sensor, _ = loading.read_sensor(assets.sensor_path("gelsight_mini"))
+    press = photos.Press("p.png", np.zeros((240, 320, 3), np.uint8), 3.0, (160.0, 120.0), 25.0, None)
+    assert isinstance(press_faces.face(sensor, press, {}), BallDent)
+    face = press_faces.face(sensor, replace(press, depth=0.5), {})
+    under = np.array([press_faces.place(sensor, press.center, 0.5)])
+    assert face.at(under)[0, 2] == pytest.approx(-0.5, abs=0.03)
