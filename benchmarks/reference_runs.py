@@ -15,7 +15,7 @@ from tacgen.labels.stress import Stresses
 from tacgen.optics.camera import Camera
 from tacgen.optics.coating import centers
 from tacgen.recipe import assets, plan
-from tacgen.recipe.sensor import Markers
+from tacgen.recipe.markers import GridMarkers
 from tacgen.scene import mesh, scene
 from tacgen.solve import presolve
 
@@ -25,7 +25,7 @@ USED = ("fem", "optics", "geometry", "contact", "scene", "solve", "labels")  # p
 BALL = ("outputs=[force]", "indenter={shape: sphere, radius_mm: 4}")
 DEPTHS = {"gelsight_mini": 1.0, "digit": 0.8, "ninedtact": 0.8}  # of the ball [mm]
 MOVES = "trajectory=[{{press: {{depth_mm: {depth}, frames: 1}}}}, {{slide: {{x_mm: 0.6, frames: 2}}}}]"
-DOTS = Markers(columns=5, rows=5, pitch_mm=(1.8, 1.8), diameter_mm=1.0, albedo=0.1, source="made up, for all sensors")
+DOTS = GridMarkers(columns=5, rows=5, pitch_mm=(1.8, 1.8), diameter_mm=1, albedo=0.1, source="made up, for all sensors")
 BELOW = np.array([0.15, 0.3, 0.45, 0.6])  # where stress is compared: parts of the thickness below the face,
 AROUND = np.arange(-3.0, 3.1, 0.6)  # and along x and y [mm]
 

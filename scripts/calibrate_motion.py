@@ -22,7 +22,7 @@ from tacgen.labels.gel_surface import seen
 from tacgen.optics.camera import Camera
 from tacgen.optics.coating import centers
 from tacgen.recipe import assets, plan
-from tacgen.recipe.sensor import Motion
+from tacgen.recipe.markers import Motion
 from tacgen.scene import mesh, scene
 from tacgen.solve import presolve
 

@@ -24,7 +24,8 @@ from typer.testing import CliRunner
 from tacgen import export, outputs, pipeline
 from tacgen.bundle import bundle, schema
 from tacgen.cli import app
-from tacgen.recipe import assets, loading, model, plan, sensor
+from tacgen.recipe import assets, loading, markers, model, plan, sensor
+from tacgen.recipe.base_model import Part
 from tacgen.recipe.grasp_checks import OF_GRASP
 from tacgen.recipe.indenters import SHAPES
 from tacgen.recipe.trajectory import Segment
@@ -189,13 +190,24 @@ def test_every_page_is_in_the_navigation() -> None:
     assert sorted(found) == sorted(page.relative_to(DOCS).as_posix() for page in DOCS.rglob("*.md"))
 
 
-@pytest.mark.parametrize("part", ["gel", "camera", "markers", "plate", "coating", "walls", "leds[i]"])
-def test_the_table_of_sensor_parts_names_every_key(part: str) -> None:
+@pytest.mark.parametrize(
+    ("part", "kind"),
+    [
+        ("`gel`", sensor.Gel),
+        ("`camera`", sensor.Camera),
+        ("`markers`", markers.GridMarkers),
+        ("`markers`, hexagonal", markers.HexagonalMarkers),
+        ("`plate`", sensor.Plate),
+        ("`coating`", sensor.Coating),
+        ("`walls`", sensor.Walls),
+        ("`leds[i]`", sensor.Led),
+    ],
+)
+def test_the_table_of_sensor_parts_names_every_key(part: str, kind: type[Part]) -> None:
     page = (DOCS / "cookbook/own_sensor.md").read_text()
     must, _, may = (
-        next(line for line in page.splitlines() if line.startswith(f"| `{part}` |")).split("|")[2].partition("(")
+        next(line for line in page.splitlines() if line.startswith(f"| {part} |")).split("|")[2].partition("(")
     )
-    kind = {**vars(sensor), "Leds[i]": sensor.Led}[part.capitalize()]
     needed = {name for name, field in kind.model_fields.items() if field.is_required()}
     assert set(re.findall(r"`(\w+)`", must)) == needed
     assert set(re.findall(r"`(\w+)`", may)) == kind.model_fields.keys() - needed - {"source"}

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.ndimage import map_coordinates
 
 from tacgen import pipeline, solve
 from tacgen.bundle import bundle
@@ -313,3 +314,37 @@ def test_markers_beside_the_face_are_refused(recipe: Path, tmp_path: Path) -> No
     row = replace(row, sensor=row.sensor.model_copy(update={"markers": wide}))
     with pytest.raises(UserError, match="some markers of gelsight_mini lie beside the gel's face"):
         pipeline.run_scene(row, tmp_path / "out")
+
+
+def test_hexagonal_markers_are_where_the_image_shows_dots_and_move_with_the_flow(recipe: Path, tmp_path: Path) -> None:
+    text = assets.sensor_path("gelsight_mini").read_text()
+    grid = "  columns: 9\n  rows: 7\n  pitch_mm: [2.0625, 2.0625]\n"
+    assert grid in text
+    (tmp_path / "hexagonal.yaml").write_text(text.replace(grid, "  layout: hexagonal\n  rings: 3\n  pitch_mm: 2.0\n"))
+    recipe.write_text(RECIPE.replace("gelsight_mini", "hexagonal.yaml"))
+    row = plan.load(recipe, ["outputs=[force, markers, flow, rgb]", "render.noise=false"]).rows[0]
+    dotted = bundle.read(pipeline.run_scene(row, tmp_path / "dotted").path)
+    bare = replace(row, sensor=row.sensor.model_copy(update={"markers": None}))
+    bare = replace(bare, recipe=row.recipe.model_copy(update={"outputs": frozenset({"rgb"})}))
+    plain = bundle.read(pipeline.run_scene(bare, tmp_path / "plain").path)
+    at = dotted["/frames/markers"]
+    assert at.shape == (3, 37, 2)
+    assert dotted["/frames/marker_visible"].all()
+    assert check(dotted.path) == []
+
+    rest = dotted["/reference/markers"]
+    assert rest + rest[::-1] == pytest.approx(np.broadcast_to(2 * rest[18], rest.shape), abs=1e-3)  # 18: the middle one
+    y, x = np.indices(dotted["/frames/rgb"].shape[1:3]) + 0.5
+    for k in range(3):
+        dark = (plain["/frames/rgb"][k].astype(float) - dotted["/frames/rgb"][k]).sum(-1)
+        for place in at[k]:
+            weight = dark * (np.hypot(x - place[0], y - place[1]) < 12)  # less than half the 32 px between dots
+            centre = np.array([(weight * x).sum(), (weight * y).sum()]) / weight.sum()
+            assert centre == pytest.approx(place, abs=0.5)
+    assert np.abs(dark).sum() > 20_000  # of 37 dots with an area of 107 px each
+
+    flow = dotted["/frames/flow"][-1]
+    scale = flow.shape[1] / x.shape[1]
+    moved = [map_coordinates(flow[..., c], (scale * rest - 0.5).T[::-1], order=1) for c in (0, 1)]
+    assert np.stack(moved, -1) == pytest.approx(dotted["/frames/marker_flow"][-1], abs=0.05)
+    assert np.linalg.norm(dotted["/frames/marker_flow"][-1], axis=1).max() > 1

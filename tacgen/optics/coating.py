@@ -47,32 +47,41 @@ def dotted(coat: dict[str, Any], markers: "Markers", mask: "Floats") -> dict[str
 
 
 def centers(markers: "Markers") -> "Floats":
-    """Rest positions of the dots on the coated face [mm], (rows * columns, 2), row by row from the top left."""
-    x = (np.arange(markers.columns) - (markers.columns - 1) / 2) * markers.pitch_mm[0]
-    y = (np.arange(markers.rows) - (markers.rows - 1) / 2) * markers.pitch_mm[1]
-    grid = np.meshgrid(x, y)
-    return np.column_stack([grid[0].ravel(), grid[1].ravel()])
+    """Rest positions of the dots on the coated face [mm], (dots, 2), row by row from the top left."""
+    across, down = markers.spacing_mm
+    last = (len(markers.row_counts) - 1) / 2
+    rows = enumerate(markers.row_counts)
+    return np.array([((i - (n - 1) / 2) * across, (row - last) * down) for row, n in rows for i in range(n)])
 
 
 def paint(markers: "Markers", xy: "Floats", edge: float) -> "Floats":
     """Share of paint, 0 to 1, at rest positions xy (..., 2) [mm], nan where they are nan; `edge` [mm] is the width of
     the blurred rim."""
     flat = np.ascontiguousarray(xy, dtype=np.float64).reshape(-1, 2)
-    last = (np.array([markers.columns, markers.rows]) - 1) / 2
-    return painted(flat, last, np.array(markers.pitch_mm), markers.diameter_mm / 2, edge).reshape(xy.shape[:-1])
+    counts = np.array(markers.row_counts)
+    return painted(flat, counts, *markers.spacing_mm, markers.diameter_mm / 2, edge).reshape(xy.shape[:-1])
 
 
 @njit(cache=True)
-def painted(xy: "Floats", last: "Floats", pitch: "Floats", radius: float, edge: float) -> "Floats":
-    """The same at (n, 2), by the number of the last dot each way [-] from the middle, and their radius [mm]."""
-    out = np.empty(len(xy))
+def painted(
+    xy: "Floats", counts: "NDArray[np.int64]", across: float, down: float, radius: float, edge: float
+) -> "Floats":
+    """The same at (n, 2), of rows of `counts` dots of this radius; across, down: spacing in and between rows [mm].
+
+    Only the rows above and below a point are searched: a dot of another row is at least `down` away.
+    """
+    out, last = np.empty(len(xy)), (len(counts) - 1) / 2
     for i in range(len(xy)):
-        away2 = 0.0
-        for c in range(2):
-            nearest = min(max(np.rint(xy[i, c] / pitch[c] + last[c]) - last[c], -last[c]), last[c])
-            away2 += (xy[i, c] - nearest * pitch[c]) ** 2
-        share = (radius - np.sqrt(away2)) / edge + 0.5
-        out[i] = share if np.isnan(away2) else min(max(share, 0.0), 1.0)
+        x, y = xy[i]
+        if np.isnan(x + y):
+            out[i] = np.nan
+            continue
+        above, away2 = min(max(int(np.floor(y / down + last)), 0), len(counts) - 1), np.inf
+        for row in range(above, min(above + 2, len(counts))):
+            end = (counts[row] - 1) / 2
+            nearest = min(max(np.rint(x / across + end) - end, -end), end)
+            away2 = min(away2, (x - nearest * across) ** 2 + (y - (row - last) * down) ** 2)
+        out[i] = min(max((radius - np.sqrt(away2)) / edge + 0.5, 0.0), 1.0)
     return out
 
 

@@ -119,11 +119,15 @@ class Eye(Protocol):
 
 
 class Markers(Protocol):
-    columns: int
-    rows: int
-    pitch_mm: Vec2
+    """Dots in centred rows along x: how many are in each row from the least y, and the spacing in and between rows."""
+
     diameter_mm: float
     albedo: float
+
+    @property
+    def row_counts(self) -> tuple[int, ...]: ...
+    @property
+    def spacing_mm(self) -> Vec2: ...
 
 
 class ThicknessResponse(Protocol):

@@ -6,9 +6,13 @@ from pydantic import BaseModel, ConfigDict, Field
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
+Fraction = Annotated[float, Field(ge=0, le=1)]
+Vec2 = tuple[float, float]
+Vec3 = tuple[float, float, float]
 FilePath = Annotated[str, Field(min_length=1)]  # relative to the folder of the file in which it is written
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]  # hash that the named file must have; stored in bundles
 Axis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
+NOWHERE = "not stated"  # the default `source` of a part: nobody has said where its numbers come from
 ONE_KEY: dict[str, Any] = {"minProperties": 1, "maxProperties": 1}  # in a JSON schema
 
 

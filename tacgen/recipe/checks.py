@@ -101,9 +101,8 @@ def _seen(sensor: Sensor) -> list[Problem]:
     if side < MIN_PIXELS * scale:
         text = f"leaves {side / scale:.2g} pixels for the gel, {side:g} mm: a wrong unit?"
         wrong.append(Problem(("camera", "mm_per_px"), text))
-    pitches = zip((dots.columns, dots.rows), dots.pitch_mm, strict=True) if dots else ()
-    if dots and any(count > 1 and dots.diameter_mm >= pitch for count, pitch in pitches):
-        text = f"must be less than pitch_mm, or dots overlap (got {dots.diameter_mm:g})"
+    if dots and dots.diameter_mm >= dots.nearest_mm:
+        text = f"dots of {dots.diameter_mm:g} mm touch at a pitch of {dots.nearest_mm:g} mm: smaller or farther ones"
         wrong.append(Problem(("markers", "diameter_mm"), text))
     return wrong
 
@@ -247,11 +246,13 @@ def output_problems(recipe: Recipe, sensor: Sensor) -> list[Problem]:
 
 
 def _on_gel(sensor: Sensor) -> bool:
-    """Whether the corners of the grid of markers lie on the pad, and so all of it."""
+    """Whether both ends of each row of markers lie on the pad, and so all of it."""
     if (dots := sensor.markers) is None:
         return True
-    x, y = (dots.columns - 1) * dots.pitch_mm[0] / 2, (dots.rows - 1) * dots.pitch_mm[1] / 2
-    return all(trajectory_checks.on_pad(sensor.gel, i * x, j * y) for i in (-1, 1) for j in (-1, 1))
+    across, down = dots.spacing_mm
+    middle = (len(dots.row_counts) - 1) / 2
+    ends = [((n - 1) / 2 * across, (row - middle) * down) for row, n in enumerate(dots.row_counts)]
+    return all(trajectory_checks.on_pad(sensor.gel, side * x, y) for x, y in ends for side in (-1, 1))
 
 
 def _too_thin(recipe: Recipe) -> list[Problem]:

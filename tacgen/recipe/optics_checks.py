@@ -5,7 +5,8 @@ from collections.abc import Iterator
 from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
-from tacgen.recipe.sensor import Led, LitSensor, Vec3
+from tacgen.recipe.base_model import Vec3
+from tacgen.recipe.sensor import Led, LitSensor
 from tacgen.recipe.validation_messages import Problem
 
 if TYPE_CHECKING:
@@ -80,18 +81,13 @@ def _dots(sensor: LitSensor) -> Iterator[Problem]:
     dots, gel = sensor.markers, sensor.gel
     if dots is None:
         return
-    if dots.diameter_mm >= min(dots.pitch_mm):
-        text = f"dots of {dots.diameter_mm:g} mm touch at a pitch of {min(dots.pitch_mm):g} mm: smaller or farther ones"
-        yield Problem(("markers", "diameter_mm"), text)
-    for name, count, pitch, size in (
-        ("columns", dots.columns, dots.pitch_mm[0], gel.width_mm),
-        ("rows", dots.rows, dots.pitch_mm[1], gel.height_mm),
-    ):
-        if (count - 1) * pitch > size:
-            yield Problem(
-                ("markers", name),
-                f"{count} at a pitch of {pitch:g} mm do not fit on {size:g} mm of gel: fewer, or closer ones",
-            )
+    keys = ("rings", "rings") if dots.layout == "hexagonal" else ("columns", "rows")
+    counts = max(dots.row_counts), len(dots.row_counts)
+    sides = gel.width_mm, gel.height_mm
+    for key, count, spacing, side in zip(keys, counts, dots.spacing_mm, sides, strict=True):
+        if (count - 1) * spacing > side:
+            text = f"{count} dots, {spacing:g} mm apart, do not fit on {side:g} mm of gel: fewer, or closer ones"
+            yield Problem(("markers", key), text)
 
 
 class _Room(NamedTuple):

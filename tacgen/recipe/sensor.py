@@ -12,18 +12,27 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from tacgen.recipe.base_model import Axis, FilePath, NotNegative, Part, Positive, Sha256, exactly_one
+from tacgen.recipe.base_model import (
+    NOWHERE,
+    Axis,
+    FilePath,
+    Fraction,
+    NotNegative,
+    Part,
+    Positive,
+    Sha256,
+    Vec2,
+    Vec3,
+    exactly_one,
+)
+from tacgen.recipe.markers import Markers
 from tacgen.recipe.yaml_source import KeyPath, format_path
 
 if TYPE_CHECKING:
     from tacgen.geometry.outline import Pad
 
-NOWHERE = "not stated"  # the default `source` of a part: nobody has said where its numbers come from
-Fraction = Annotated[float, Field(ge=0, le=1)]
 Index = Annotated[float, Field(ge=1, le=4)]
 Poisson = Annotated[float, Field(ge=0, lt=0.5)]
-Vec2 = tuple[float, float]
-Vec3 = tuple[float, float, float]
 Item = TypeVar("Item")
 Three = tuple[Item, Item, Item]
 Angle = Annotated[float, Field(ge=-20, le=20)]
@@ -308,27 +317,6 @@ class Camera(Part):
     colour_matrix: tuple[Vec3, Vec3, Vec3] | None = None  # counts = matrix x (R, G, B) of the camera's pixels
     response: Literal["srgb", "linear"] = "srgb"  # response curve from light to pixel values
     noise: Noise | None = None
-    source: str = NOWHERE
-
-
-class Motion(Part):
-    """Constants of the analytic marker motion, `markers: {method: analytic}`; see labels/fots_markers."""
-
-    press: tuple[float, Positive]  # gain [1/mm^3] and decay [1/mm^2]
-    shear: tuple[Positive, Positive]  # largest drag of the contact's centre [mm], and decay [1/mm^2]
-    twist: tuple[Positive, Positive]  # largest rotation [deg], and decay [1/mm^2]
-    source: str = NOWHERE
-
-
-class Markers(Part):
-    """Markers: dots printed on the coating in a grid centred on the pad."""
-
-    columns: Annotated[int, Field(ge=1)]  # along x
-    rows: Annotated[int, Field(ge=1)]  # along y
-    pitch_mm: tuple[Positive, Positive]
-    diameter_mm: Positive
-    albedo: Fraction
-    motion: Motion | None = None
     source: str = NOWHERE
 
 

@@ -109,6 +109,8 @@ def _problem(model: type[BaseModel], data: Any, error: ErrorDetails) -> Problem:
     got = f"(got {describe(given)})"
     if kind == "extra_forbidden":
         here = [each for each in _kinds(model, loc[:-1]) if _is_model(each)]
+        if other := _of_another_kind(model, loc):
+            return Problem(path, f"unknown key in {other}", at_key=True)
         hint = suggest(str(loc[-1]), {name for each in here for name in each.model_fields})
         meant = hint.removeprefix(", did you mean ").rstrip("?")
         return Problem(path, f"unknown key{hint}", at_key=True, meant=meant)
@@ -123,7 +125,7 @@ def _problem(model: type[BaseModel], data: Any, error: ErrorDetails) -> Problem:
         expected = ctx.get("expected") or ctx.get("expected_tags") or ""
         names = [name.strip().strip("'") for name in expected.replace(" or ", ", ").split(",")]
         if kind == "union_tag_invalid":
-            key = str(ctx.get("discriminator", "")).strip("'")
+            key = str(ctx.get("discriminator", "")).strip("'()")  # a key, or a function of that name
             path, given = (*path, key), ctx.get("tag")
         return Problem(path, one_of(given, names))
     if kind == "union_tag_not_found":
@@ -179,6 +181,24 @@ def needs(model: type[BaseModel], loc: KeyPath) -> str:
     if lists:
         return f" (a list, each with {names})" if names else " (a list)"
     return f" ({names})"
+
+
+def _of_another_kind(model: type[BaseModel], loc: KeyPath) -> str:
+    """`layout: grid, known in hexagonal`: of a key that other members of its union have; else nothing."""
+    tags = {
+        tag: (name, kind)
+        for kind in _kinds(model, loc[:-2])
+        if _is_model(kind)
+        for name, field in kind.model_fields.items()
+        if get_origin(field.annotation) is Literal
+        for tag in get_args(field.annotation)
+    }
+    here, key = (loc[-2] if len(loc) > 1 else None), loc[-1]
+    if here not in tags:
+        return ""
+    by = tags[here][0]
+    others = [str(tag) for tag, (name, kind) in tags.items() if name == by and key in kind.model_fields]
+    return f"{by}: {here}, known in {', '.join(others)}" if others else ""
 
 
 def _kinds(model: type[BaseModel], loc: KeyPath) -> list[Any]:

@@ -7,6 +7,7 @@ from helpers.tiny import sensor
 from tacgen.optics import camera_response, coating, mitsuba_dicts
 from tacgen.optics.camera_view import View
 from tacgen.optics.surface_grid import Sheet, Untouched
+from tacgen.recipe.markers import HexagonalMarkers
 
 MIXED = ((1.0, -0.2, -0.3), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
@@ -20,6 +21,41 @@ def test_dots_lie_on_their_grid_and_cover_their_area():
     picture = coating.mask(markers, (12.0, 10.0), 0.02)
     assert picture.mean() * 120.0 == pytest.approx(9 * np.pi * 0.45**2, rel=5e-3)
     assert coating.paint(markers, np.array([[4.8, 0.0]]), 0.02) == 0.0  # where a fourth column would be
+
+
+def hexagonal(rings: int, pitch_mm: float, diameter_mm: float) -> HexagonalMarkers:
+    return HexagonalMarkers(
+        layout="hexagonal", rings=rings, pitch_mm=pitch_mm, diameter_mm=diameter_mm, albedo=0.1, source="test"
+    )
+
+
+def test_hexagonal_dots_stand_in_rings_and_are_numbered_row_by_row():
+    centers = coating.centers(hexagonal(6, 2.5, 1.0))
+    assert len(centers) == 127  # of a TacTip
+    around = np.exp(1j * np.pi / 3 * np.arange(6))
+    side, along = np.meshgrid(np.arange(6), np.arange(1, 7))  # places k < n of a side of the ring n, from its corner
+    ring = (along * around[:, None, None] + side * (around * np.exp(2j * np.pi / 3))[:, None, None])[:, side < along]
+    expected = 2.5 * np.append(ring.ravel(), 0)
+    off = np.abs(expected[:, None] - (centers @ [1, 1j]))
+    assert (off.min(axis=1) < 1e-12).all()
+    assert len(set(off.argmin(axis=1))) == 127
+    assert centers[0] == pytest.approx([-7.5, -7.5 * np.sqrt(3)])
+    assert centers[63] == pytest.approx([0, 0], abs=1e-12)
+    order = np.lexsort((centers[:, 0], centers[:, 1].round(9)))
+    assert (order == np.arange(127)).all()
+
+
+@pytest.mark.parametrize("rings", [1, 2, 6])
+def test_paint_is_that_of_the_nearest_dot(rings: int):
+    markers = hexagonal(rings, 2.0, 1.9)
+    reach = 2 * rings + 3
+    xy = np.random.default_rng(0).uniform(-reach, reach, (20_000, 2))
+    xy[0] = np.nan
+    away = np.linalg.norm(xy[:, None] - coating.centers(markers), axis=-1).min(axis=1)
+    expected = np.clip((0.95 - away) / 0.2 + 0.5, 0, 1)
+    assert coating.paint(markers, xy, 0.2) == pytest.approx(expected, abs=1e-12, nan_ok=True)
+    picture = coating.mask(markers, (2 * reach, 2 * reach), 0.02)
+    assert picture.mean() * 4 * reach**2 == pytest.approx(len(coating.centers(markers)) * np.pi * 0.95**2, rel=5e-3)
 
 
 def test_a_rectangle_keeps_size_place_and_front():

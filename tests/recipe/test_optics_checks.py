@@ -10,6 +10,7 @@ from helpers.tiny import PLAIN, cloudy, sensor
 from tacgen.errors import UserError
 from tacgen.recipe import assets, loading, plan
 from tacgen.recipe.optics_checks import problems
+from tacgen.recipe.sensor import Sensor
 from tacgen.recipe.yaml_source import format_path, parse_path, put
 
 Data = dict[str, Any]
@@ -53,10 +54,19 @@ def test_a_light_behind_the_camera_and_an_axis_beside_the_pad():
 
 
 @pytest.mark.parametrize(
-    ("markers", "key"), [({"diameter_mm": 2.1}, "diameter_mm"), ({"columns": 7}, "columns"), ({"rows": 9}, "rows")]
+    ("dots", "keys"),
+    [
+        ({"columns": 7}, ["columns"]),
+        ({"rows": 9}, ["rows"]),
+        ({"rings": 3, "pitch_mm": 1.9}, []),
+        ({"rings": 3, "pitch_mm": 1.95}, ["rings"]),  # 11.7 mm across of 12, and 10.13 of 10
+    ],
 )
-def test_dots_that_touch_or_do_not_fit(markers: Data, key: str):
-    assert [p.path for p in problems(sensor(markers=markers))] == [("markers", key)]
+def test_dots_that_do_not_fit(dots: Data, keys: list[str]):
+    looks = {"diameter_mm": 0.9, "albedo": 0.03}
+    markers = {"layout": "hexagonal", **looks, **dots} if "rings" in dots else {**PLAIN["markers"], **dots}
+    model = Sensor.model_validate(PLAIN | {"markers": markers})
+    assert [p.path for p in problems(model)] == [("markers", key) for key in keys]
 
 
 def test_beside_a_round_end_is_outside():

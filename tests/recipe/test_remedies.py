@@ -16,7 +16,7 @@ RECIPES = {
     "mesh=hex|sensor=digit_pinki": "leave mesh out",
     "render.method=table|sensor=ninedtact|outputs=[rgb]": "take transport",
     "markers.method=analytic|sensor=digit|outputs=[force]": "take fem",
-    "sensor=no/such.yaml": "a relative path starts at the folder of the file that names it",
+    "sensor=no/such.yaml": "a relative path starts at the working folder",
     "outputs=[force]|render.background=a.png": "add rgb to them, or leave background out",
     "sensors=[digit, digit]|sensor=null": "leave the repeated one out",
     "vary={method: grid, over: {name: {choice: [a, b]}}}": "write a recipe for each value",

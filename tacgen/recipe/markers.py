@@ -1,0 +1,84 @@
+"""Markers of a sensor file: where dots are printed on its coating, and the constants of their analytic motion."""
+
+import math
+from typing import Annotated, Any, Literal
+
+from pydantic import Discriminator, Field, Tag
+
+from tacgen.recipe.base_model import NOWHERE, Fraction, Part, Positive, Vec2
+
+
+class Motion(Part):
+    """Constants of the analytic marker motion, `markers: {method: analytic}`; see labels/fots_markers."""
+
+    press: tuple[float, Positive]  # gain [1/mm^3] and decay [1/mm^2]
+    shear: tuple[Positive, Positive]  # largest drag of the contact's centre [mm], and decay [1/mm^2]
+    twist: tuple[Positive, Positive]  # largest rotation [deg], and decay [1/mm^2]
+    source: str = NOWHERE
+
+
+class MarkersBase(Part):
+    """Markers: dots printed on the coating, in rows along x that are centred on the pad."""
+
+    diameter_mm: Positive
+    albedo: Fraction
+    motion: Motion | None = None
+    source: str = NOWHERE
+
+
+class GridMarkers(MarkersBase):
+    """Dots in a rectangular grid; the default layout."""
+
+    layout: Literal["grid"] = "grid"
+    columns: Annotated[int, Field(ge=1)]  # along x
+    rows: Annotated[int, Field(ge=1)]  # along y
+    pitch_mm: tuple[Positive, Positive]
+
+    @property
+    def row_counts(self) -> tuple[int, ...]:
+        """Number of dots in each row, from the least y."""
+        return (self.columns,) * self.rows
+
+    @property
+    def spacing_mm(self) -> Vec2:
+        """Between the dots of a row, and between rows."""
+        return self.pitch_mm
+
+    @property
+    def nearest_mm(self) -> float:
+        """Distance of a dot from the nearest other one; inf if there is none."""
+        counts = zip((self.columns, self.rows), self.pitch_mm, strict=True)
+        return min((pitch for count, pitch in counts if count > 1), default=math.inf)
+
+
+class HexagonalMarkers(MarkersBase):
+    """Dots in hexagonal rings around one in the middle: 6 dots in the first ring, and 6 more in each further one."""
+
+    layout: Literal["hexagonal"]
+    rings: Annotated[int, Field(ge=1)]
+    pitch_mm: Positive  # between nearest dots, six of which surround each inner one; two of them along x
+
+    @property
+    def row_counts(self) -> tuple[int, ...]:
+        """As of a grid: the row through the middle has 2 rings + 1 dots, and each beyond it one fewer."""
+        return tuple(2 * self.rings + 1 - abs(row) for row in range(-self.rings, self.rings + 1))
+
+    @property
+    def spacing_mm(self) -> Vec2:
+        """As of a grid."""
+        return self.pitch_mm, self.pitch_mm * math.sqrt(3) / 2
+
+    @property
+    def nearest_mm(self) -> float:
+        """As of a grid."""
+        return self.pitch_mm
+
+
+def layout(value: Any) -> str:
+    """The layout that a mapping or model says, or `grid`. Error messages show this function's name as the key."""
+    return str(value.get("layout", "grid") if isinstance(value, dict) else getattr(value, "layout", "grid"))
+
+
+Markers = Annotated[
+    Annotated[GridMarkers, Tag("grid")] | Annotated[HexagonalMarkers, Tag("hexagonal")], Discriminator(layout)
+]
