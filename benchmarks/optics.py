@@ -20,10 +20,10 @@ ABOUT = (
 )
 TABLE = [("table", "64")]  # Taxim's table, for clear gels; paths a pixel of its calibration
 SENSORS = ("gelsight_mini", "digit", "ninedtact")
-TRUTHS = {  # references: few paths find DIGIT's small, distant LEDs
+TRUTHS = {  # references
     "smoke": dict.fromkeys(SENSORS, Truth(2, 16, 16)),
-    "normal": {"digit": Truth(8, 32768, 64), "gelsight_mini": Truth(8, 2048, 256), "ninedtact": Truth(8, 1024, 256)},
-    "full": {"digit": Truth(8, 8192), "gelsight_mini": Truth(8, 4096), "ninedtact": Truth(5, 512)},
+    "normal": {"digit": Truth(8, 2048, 256), "gelsight_mini": Truth(8, 2048, 256), "ninedtact": Truth(8, 1024, 256)},
+    "full": {"digit": Truth(8, 4096), "gelsight_mini": Truth(8, 4096), "ninedtact": Truth(5, 512)},
 }
 FACES = {"smoke": ["ball"], "normal": ["ball", "sheared dots"], "full": list(image_error.FACES)}
 SHRINK = {"smoke": 8, "normal": 1, "full": 1}  # of the pictures

@@ -57,6 +57,14 @@ def unit(name: str, folder: Path | None = None) -> Unit | None:
     return Unit(folder, untouched, tuple(presses))
 
 
+def radial_profile(change: Array, middle: tuple[float, float], mm_per_px: float) -> Array:
+    """Mean change [counts] of a picture (h, w) in rings of 0.2 mm to 9 mm around a place [px]."""
+    y, x = np.mgrid[: change.shape[0], : change.shape[1]] + 0.5
+    ring = (np.hypot(x - middle[0], y - middle[1]) * mm_per_px / 0.2).astype(int)
+    sums, count = (np.bincount(ring.ravel(), w, 45)[:45] for w in (change.ravel(), np.ones(change.size)))
+    return np.asarray(sums / count)
+
+
 def _presses(name: str, folder: Path) -> list[Press]:
     if name == "ninedtact":
         file, ball, center, depth = NINE
