@@ -85,6 +85,8 @@ class Tangent:
     def __init__(self, pattern: Pattern, at_rest: Callable[[], Array]) -> None:
         self.condensation = Condensation(pattern, at_rest)
         self.taken: tuple[Array, ...] = ()  # F (e, q, 3, 3), law by law
+        self.exact_at: Array | None = None  # the x (n, 3) whose exact tangent it is
+        self.followed = False  # whether predictions use the exact tangent and keep their equations, for derivatives
         self.projected = 0  # number of tangents that were projected
 
     @property
@@ -106,6 +108,7 @@ class Tangent:
                 if projection is Projection.FULL:
                     raise
         self.taken = tuple(point.F for point in at.points)
+        self.exact_at = at.x if J is None and projection is Projection.NONE else None
 
     def unbalanced(self, at: BulkPoint, J: tuple[Array, ...]) -> Array:
         """Right-hand side (n, 3) [N] of a step with this tangent, with the pressure as an independent unknown."""

@@ -9,6 +9,7 @@ strain, and so the short waves of a fold, far more than a motion of the whole co
 """
 
 from collections.abc import Callable
+from copy import copy
 from functools import partial
 
 import numpy as np
@@ -35,6 +36,7 @@ class Condensation:
         self._free.ravel()[whole.free] = True
         self.nodes, self.local = np.zeros(0, np.int64), np.full(whole.nodes, -1)  # condensed nodes; their numbers
         self.factored = 0  # number of factorisations
+        self._shared = False  # whether a copy uses the factor
         self.usable = False
 
     def cover(self, facets: Array) -> None:
@@ -57,7 +59,7 @@ class Condensation:
         self._rows = np.argsort(self._factor.order[-self.size :])  # the factor has an order of its own
         self._new_factor = ordered
         self._S0: Array | None = None  # the Schur complement at rest, if needed so far
-        self.usable = False
+        self.usable = self._shared = False
 
     def covers(self, facets: Array) -> bool:
         """Whether it is condensed to all nodes of these facets (f, a)."""
@@ -66,9 +68,16 @@ class Condensation:
     def factor(self, data: Array) -> None:
         """Raises NotPositiveDefinite."""
         self.usable = False
+        if self._shared:
+            self._factor, self._shared = self._factor.another(), False
         self._L, S = self._condensed(self._factor, data)
         self.schur = Schur(S, self._schur_at_rest)
         self.usable = True
+
+    def frozen(self) -> "Condensation":
+        """A copy that keeps the present factor."""
+        self._shared = True
+        return copy(self)
 
     def _condensed(self, factor: Cholmod, data: Array) -> tuple[Array, Array]:
         """The condensed rows of the factor of the shifted matrix, and the Schur complement."""

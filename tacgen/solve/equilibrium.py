@@ -78,8 +78,10 @@ class LoadStep:
         touching = np.asarray((near | (history.normal_force > 0)).any(1))
         if not touching.any():
             return None
-        if not tangent.usable or not tangent.condensation.covers(conn[touching]):
+        covered = tangent.usable and tangent.condensation.covers(conn[touching])
+        if not covered:
             tangent.condensation.cover(with_neighbours(conn, touching))
+        if not covered or (tangent.followed and tangent.exact_at is not history.x):
             try:
                 tangent.take(self.bulk.at(history.x), None)
             except NotPositiveDefinite:
@@ -243,6 +245,7 @@ def _record(
         internal,
         None if step.prediction is None else step.prediction.error(found.x),
         None if step.prediction is None else step.prediction.x,
+        None if step.prediction is None else step.prediction.tied,
     )
     mean = contact.mean_gap(found.x)
     residual, balance, least_J = quality

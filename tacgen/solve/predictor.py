@@ -6,6 +6,7 @@ wrong after a change of direction, the force of a capsule that is pressed in and
 46 % from that of the same path in sixteen frames; with this predictor by .6 %.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,7 @@ from tacgen.solve.bulk import Tangent
 from tacgen.solve.state import History
 
 Array = np.ndarray
+Solve = Callable[[Array], Array]
 TIE = 16.0  # stiffness of the springs between sticking points and the indenter, over normal force / dhat [-]
 PARALLEL = 0.9  # cosine between the motions of two steps, above which the second-order prediction is used [-]
 
@@ -22,11 +24,12 @@ PARALLEL = 0.9  # cosine between the motions of two steps, above which the secon
 @dataclass(frozen=True)
 class Prediction:
     """Predicted nodes x (n, 3), and to first order, by the tangent alone; `motion` (f, q, 3): that of the points in
-    contact, with the indenter."""
+    contact, with the indenter; `tied`, if the tangent is followed: see History."""
 
     x: Array
     first_order: Array
     motion: Array
+    tied: Solve | None = None
 
     def error(self, x: Array) -> tuple[Array, Array]:
         """Error of the first order against the solution x (n, 3), and the motion it belongs to."""
@@ -39,19 +42,19 @@ def predict(contact: Contact, tangent: Tangent, history: History, pose: Pose) ->
     touching = history.normal_force > 0
     at = contact.faces.at(history.x)
     motion = np.where(touching[..., None], pose.world(history.pose.local(at)) - at, 0.0)
-    first_order = _tied(contact, tangent, history, motion)
-    if first_order is None:
+    if (found := _tied(contact, tangent, history, motion)) is None:
         return None
+    first_order, tied = found
     if history.predictor_error is None:
-        return Prediction(first_order, first_order, motion)
+        return Prediction(first_order, first_order, motion, tied)
     error, before = history.predictor_error
     both = touching & before.any(-1)
     along, now, then = (float((a * b)[both].sum()) for a, b in ((motion, before), (motion, motion), (before, before)))
     part = min(along / then, 1.0) if along > PARALLEL * np.sqrt(now * then) else 0.0
-    return Prediction(first_order + part**2 * error, first_order, motion)
+    return Prediction(first_order + part**2 * error, first_order, motion, tied)
 
 
-def _tied(contact: Contact, tangent: Tangent, history: History, motion: Array) -> Array | None:
+def _tied(contact: Contact, tangent: Tangent, history: History, motion: Array) -> tuple[Array, Solve | None] | None:
     condensed, faces, x = tangent.condensation, contact.faces, history.x
     inside = (condensed.local[faces.conn] >= 0).all(1)
     which = np.flatnonzero((history.normal_force > 0).any(1) & inside)
@@ -63,7 +66,11 @@ def _tied(contact: Contact, tangent: Tangent, history: History, motion: Array) -
     part = faces.only(which)
     pull = part.scatter(ties * motion[which], len(x))[condensed.nodes][condensed.dofs >= 0]
     try:
-        u = condensed.schur.solve(springs, pull, symmetric=True)
+        inner = condensed.schur.factored(springs, symmetric=True)
     except np.linalg.LinAlgError:
         return None
-    return np.asarray(x + condensed.expand(u, np.zeros(len(condensed.whole.free))))
+    there = x + condensed.expand(inner(pull), np.zeros(len(condensed.whole.free)))
+    if not tangent.followed:
+        return there, None
+    kept = condensed.frozen()
+    return there, lambda b: kept.solve(b, inner)

@@ -9,6 +9,7 @@ sensitivity formulations for transient non-linear coupled problems".
 """
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,14 +18,17 @@ from tacgen.contact.barrier import Contact, Faces
 from tacgen.contact.coupled import CoupledContact
 from tacgen.contact.friction import onset
 from tacgen.fem.materials import Law
+from tacgen.solve.bulk import Bulk
 from tacgen.solve.contact_slopes import ContactSlopes, dot
-from tacgen.solve.exact_tangent import ExactTangent
+from tacgen.solve.exact_tangent import everywhere, free_columns, solver
+from tacgen.solve.linear_solvers import NotPositiveDefinite
 from tacgen.solve.predictor import TIE
 from tacgen.solve.problem import Problem
 from tacgen.solve.state import History, State
 
 Array = np.ndarray
 SMALL = 1e-3  # difference of a parameter over its scale, for derivatives of the laws' forces [-]
+TINY = 1e-5  # largest difference of positions over the edge, for derivatives of forces [-]
 
 
 @dataclass(frozen=True)
@@ -44,7 +48,7 @@ class Slopes:
 
     Of normal forces (k, f, q) and normals (k, f, q, 3) at the contact's points and forces there on the gel (k, f, q, 3)
     [N]; of anchors (k, f, q, 3) in the indenter's frame; of positions x (k, n, 3) and of the predictor's error in
-    them; of the bulk's forces (k, n, 3), by the laws alone and by x alone.
+    them.
     """
 
     normal_force: Array
@@ -53,8 +57,6 @@ class Slopes:
     anchor: Array
     x: Array
     predictor_error: Array
-    by_law: Array
-    by_x: Array
 
 
 class Sensitivity:
@@ -64,6 +66,7 @@ class Sensitivity:
         assert isinstance(problem.contact, Contact)
         self._problem, self._contact, self._parameters = problem, problem.contact, tuple(parameters)
         self._lower = -np.array([p.depth for p in parameters])[:, None] * np.eye(3)[2]  # of the pose (k, 3)
+        problem.tangent.followed = True
         self._before = problem.rest(problem.contact.pose)
         self._slopes = self._without_contact(self._before)
 
@@ -75,14 +78,23 @@ class Sensitivity:
         assert state.after is not None
         for after in (*state.passed, state.after):
             on = np.flatnonzero((after.normal_force > 0).any(1))
+            if after is state.after and on.size:
+                self._take(after)
             self._slopes = self._in_contact(after, on) if on.size else self._without_contact(after)
             self._before = after
         return self._slopes
 
+    def _take(self, at: History) -> None:
+        """Factorise the exact tangent at the last equilibrium, from which the next step will be predicted."""
+        tangent = self._problem.tangent
+        if self._problem.condensed and tangent.usable:
+            with suppress(NotPositiveDefinite):
+                tangent.take(Bulk(self._problem.elastic, self._problem.folding, ()).at(at.x), None)
+
     def _without_contact(self, at: History) -> Slopes:
         k = len(self._parameters)
         none, still = np.zeros((k, *at.gap.shape, 3)), np.zeros((k, *at.x.shape))
-        return Slopes(none[..., 0], none, none, self._local(none, at), *(still,) * 4)
+        return Slopes(none[..., 0], none, none, self._local(none, at), *(still,) * 2)
 
     def _relative(self, motion: Array) -> Array:
         """Motions (k, f, q, 3) relative to the indenter."""
@@ -94,24 +106,21 @@ class Sensitivity:
     def _in_contact(self, after: History, on: Array) -> Slopes:
         """With facets `on` in contact."""
         was, faces, nodes = self._slopes, self._contact.faces.only(on), len(after.x)
-        tangent = ExactTangent(self._problem, after.x)
-        by_law = np.stack([self._by_law(parameter, after.x) for parameter in self._parameters])
         first_order = was.x
-        if after.predicted is not None and self._problem.friction:
-            softer = by_law - was.by_law + tangent.times(was.x) - was.by_x
-            first_order = was.x + self._predictor_slopes(after, tangent, softer)
+        if after.tied is not None and self._problem.friction:
+            first_order = was.x + self._predictor_slopes(after, after.tied)
         trial, anchors = self._trial_anchors(after, on, first_order + self._extrapolated(after) * was.predictor_error)
         contact = replace(self._contact.moved(after.pose, after.offset), kappa=after.kappa, faces=faces)
         eps = self._problem.options.slip * contact.dhat
-        here = ContactSlopes(CoupledContact(contact, self._problem.friction, trial, eps), after.x)
+        coupled = CoupledContact(contact, self._problem.friction, trial, eps)
+        here = ContactSlopes(coupled, after.x)
+        by_law = np.stack([self._by_law(parameter, after.x) for parameter in self._parameters])
 
         stronger = np.array([p.friction for p in self._parameters]) / max(self._problem.friction, 1e-300)
         rub = stronger[:, None, None, None] * here.friction
         load = _scatter(faces, here.force(self._relative(np.zeros_like(anchors)), anchors) + rub, nodes) - by_law
-        solve = tangent.solver(here.forces.tangent, on)
-        loads = _scatter(faces, np.stack([here.by_offset, *np.moveaxis(here.forces.tangent, -1, 0)[:2]]), nodes)
-        # solutions for shifts of the indenter along x and y are not used; they make forces along x and y second order
-        *found, x_by_offset, _, _ = solve(np.concatenate([load, loads]))
+        solve = solver(self._problem, after.x, here.forces.tangent, on)
+        *found, x_by_offset = solve(np.concatenate([load, _scatter(faces, here.by_offset[None], nodes)]))
         x, fixed = np.stack(found), np.zeros(len(found))
         excess = here.gap_excess(self._relative(_at(faces, x)), fixed)
         offset = -excess / here.gap_excess(faces.at(x_by_offset)[None], np.ones(1))
@@ -124,22 +133,41 @@ class Sensitivity:
         anchor[:, on] = np.where((after.normal_force[on] > 0)[..., None], dragged, anchor[:, on])
         parts = here.normal_force(motion, offset), here.normal(motion), force
         normal_force, normal, force = (_placed(part, on, wide) for part in parts)
-        return Slopes(normal_force, normal, force, anchor, x, x - first_order, by_law, tangent.times(x))
+        return Slopes(normal_force, normal, force, anchor, x, x - first_order)
 
-    def _predictor_slopes(self, after: History, tangent: ExactTangent, softer: Array) -> Array:
-        """Of the step that the predictor takes along its tangent (k, n, 3); `softer` (k, n, 3): how the bulk's forces
-        change with the parameters from before the step to its end, which is how its tangent does along the step."""
+    def _predictor_slopes(self, after: History, tied: Callable[[Array], Array]) -> Array:
+        """Of the step that the predictor takes along its tangent (k, n, 3)."""
         before, was = self._before, self._slopes
         on = np.flatnonzero((before.normal_force > 0).any(1))
         faces, ties = self._contact.faces.only(on), TIE / self._contact.dhat
         assert after.predictor_error is not None
         error, motion = after.predictor_error
-        lag = motion[on] - faces.at(after.x - error - before.x)
+        step = after.x - error - before.x
+        lag = motion[on] - faces.at(step)
         turn = after.pose.rotation @ before.pose.rotation.T - np.eye(3)
         pull = was.normal_force[:, on, :, None] * lag
         pull += before.normal_force[on, :, None] * (self._relative(_at(faces, was.x)) @ turn.T)
-        springs = ties * before.normal_force[on, :, None, None] * np.eye(3)
-        return tangent.approximate(springs, on)(_scatter(faces, ties * pull, len(after.x)) - softer)
+        b = _scatter(faces, ties * pull, len(after.x)) - self._stiffer(step)
+        return everywhere(self._problem, tied(free_columns(self._problem, b)))
+
+    def _stiffer(self, u: Array) -> Array:
+        """How the tangent before the step, times u (n, 3), changes with the parameters (k, n, 3) [N]: a mixed second
+        difference of the bulk's forces."""
+        problem, x, found = self._problem, self._before.x, []
+        far = TINY * problem.edge / max(float(np.abs(u).max()), 1e-300)
+
+        def times(laws: Sequence[Law], x: Array) -> Array:
+            elastic = tuple(replace(part, law=law) for part, law in zip(problem.elastic, laws, strict=True))
+            bulk = Bulk(elastic, problem.folding, ())
+            return np.asarray((bulk.at(x + far * u).gradient - bulk.at(x).gradient) / far)
+
+        laws = [part.law for part in problem.elastic]
+        here = times(laws, x)
+        for parameter, slope in zip(self._parameters, self._slopes.x, strict=True):
+            small = SMALL / 10 * parameter.scale
+            changed = laws if parameter.laws is None else parameter.laws(small)
+            found.append((times(changed, x + small * slope) - here) / small)
+        return np.stack(found)
 
     def _extrapolated(self, after: History) -> float:
         """The fraction of its last first-order error that the predictor added in this step."""
