@@ -7,6 +7,7 @@ import pytest
 import trimesh
 
 from tacgen import solve
+from tacgen.errors import UserError
 from tacgen.recipe import plan
 from tacgen.scene import mesh, scene
 
@@ -53,3 +54,17 @@ def test_letters_are_reached_in_one_step(tmp_path: Path):
         assert state.min_gap > 0
         assert state.balance < 1e-3
         assert state.traction_force[..., 2].sum() < -0.5
+
+
+def test_a_plate_that_is_thinner_than_contact_reaches_is_refused(tmp_path: Path):
+    """It bore no force at any depth: contact shrinks the indenter, and of this one nothing was left."""
+    trimesh.creation.box([8, 8, 0.1]).export(tmp_path / "plate.stl")
+    plate = f"indenter={{shape: mesh, file: {tmp_path / 'plate.stl'}}}"
+    press = plate, "trajectory=[{press: {depth_mm: 0.2, frames: 1}}]"
+    with pytest.raises(UserError, match=r"plate\.stl: has no point deeper inside than 0\.0.*{dhat_mm: 0\.01}"):
+        pressed(tmp_path, *press)
+    (state,) = pressed(tmp_path, *press, "quality={edge_mm: 0.8, dhat_mm: 0.01}")
+    trimesh.creation.box([8, 8, 0.5]).export(tmp_path / "plate.stl")
+    (thick,) = pressed(tmp_path, *press, "quality={edge_mm: 0.8, dhat_mm: 0.01}")
+    force, same = (s.traction_force.sum((0, 1))[2] for s in (state, thick))
+    assert force == pytest.approx(same, rel=0.1)
