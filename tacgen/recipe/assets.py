@@ -9,7 +9,7 @@ from tacgen.errors import UserError, why
 
 PACKAGE = Path(__file__).resolve().parent.parent
 LARGEST = 2**30  # largest file that a recipe may name [bytes]
-MESHES = (".stl", ".obj", ".ply")
+MESHES, YAML = (".stl", ".obj", ".ply"), (".yaml", ".yml")
 
 
 def folder(kind: str) -> Path:
@@ -95,7 +95,7 @@ def _is_path(text: str, suffixes: tuple[str, ...]) -> bool:
 
 def _find(kind: str, text: str, base: Path | None, names: list[str]) -> Path:
     """The file of a name or path of a shipped YAML file. Raises UserError: there is no such file or name."""
-    if _is_path(text, (".yaml", ".yml")):
+    if _is_path(text, YAML):
         return _existing(kind, beside(text, base), base)
     if text in names:
         return folder(f"{kind}s") / f"{text}.yaml"
@@ -108,7 +108,8 @@ def _find(kind: str, text: str, base: Path | None, names: list[str]) -> Path:
 def _existing(kind: str, path: Path, base: Path | None) -> Path:
     if not _there(path):
         start = "the working folder" if base is None else "the folder of the file that names it"
-        raise UserError(f"{path}: no such {kind} file: a relative path starts at {start}")
+        hint = _meant(path.stem, _files_beside(path, kind)) or f": a relative path starts at {start}"
+        raise UserError(f"{path}: no such {kind} file{hint}")
     return path
 
 
@@ -119,7 +120,22 @@ def _there(path: Path) -> bool:
         return False
 
 
+def _files_beside(path: Path, kind: str) -> dict[str, str]:
+    """Names of the files of this kind in a path's folder, by those without suffix, of which typing errors are told."""
+    suffixes = MESHES if kind == "object" else YAML
+    try:
+        return {other.stem: other.name for other in path.parent.iterdir() if other.suffix.lower() in suffixes}
+    except (OSError, ValueError):
+        return {}
+
+
 def _unknown(kind: str, name: str, names: list[str], file: str = "") -> str:
-    close = [file] if file else difflib.get_close_matches(name, names, n=1)
-    hint = f"did you mean {close[0]}?" if close else f"there are: {', '.join(names) or 'none'}"
-    return f"no {kind} is called {name!r}; {hint}"
+    hint = _meant(name, {name: file} if file else {each: each for each in names})
+    return f"no {kind} is called {name!r}" + (hint or f"; there are: {', '.join(names) or 'none'}")
+
+
+def _meant(name: str, known: dict[str, str]) -> str:
+    """`; did you mean a or b?`: what begins with the name, else the one that is closest; nothing if none is."""
+    begun = sorted(each for each in known if name and each.startswith(name))[:3]
+    close = begun or difflib.get_close_matches(name, known, n=1)
+    return f"; did you mean {' or '.join(known[each] for each in close)}?" if close else ""

@@ -12,6 +12,18 @@ from tacgen.recipe import assets
 ROOT = Path(__file__).parents[2]
 
 
+def test_a_misspelt_path_is_told_the_file_beside_it(tmp_path: Path):
+    (tmp_path / "press.yaml").write_text("")
+    for name in ("press.yml", "pres.yaml"):
+        with pytest.raises(UserError, match=rf"{name}: no such recipe file; did you mean press.yaml\?$"):
+            assets.recipe_path(name, tmp_path)
+    (tmp_path / "press.stl").write_text("")
+    with pytest.raises(UserError, match=r"no such object file; did you mean press.stl\?"):
+        assets.mesh_path("press.obj", tmp_path)
+    with pytest.raises(UserError, match=r"no such recipe file: a relative path starts at the folder"):
+        assets.recipe_path("other.yaml", tmp_path)
+
+
 def test_names_are_those_of_the_files():
     assert "gelsight_mini" in assets.list_sensors()
     assert "quickstart" in assets.list_recipes()
@@ -30,6 +42,7 @@ def test_paths_start_at_the_recipe(tmp_path: Path):
     ("name", "says"),
     [
         ("gelsight_mimi", "no sensor is called 'gelsight_mimi'; did you mean gelsight_mini?"),
+        ("gelsight", "'gelsight'; did you mean gelsight_mini or gelsight_r15 or gelsight_wedge?"),
         ("zzz", "no sensor is called 'zzz'; there are: "),
         ("no/such.yaml", "no/such.yaml: no such sensor file"),
         ("x" * 5000 + ".yaml", "no such sensor file"),
