@@ -6,6 +6,7 @@ asks for it. Labels and images stand in one table, because images show the face 
 bundles hold their datasets in the table's order.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -38,40 +39,43 @@ SHEET_SPACING = 0.1, 0.2  # least, most [mm] between the nodes on which height, 
 SHEET_NODES = 3  # an edge of the mesh: with more of them labels are no nearer to those on a mesh of .22 mm
 
 
-class _Faces:
+class _Faces(ABC):
     """A gel's faces as the camera sees them; each is drawn once, when it is first asked for."""
 
-    scene: "SceneData"
     touched: gel_surface.Surface  # the outer face of the coating, that indenters touch
     printed: gel_surface.Surface  # the one seen through the clear layers, with the markers on it; it may be the same
 
     @cached_property
     def outer(self) -> "View":
         """What is touched, behind each pixel."""
-        return self._drawn(self.touched)
+        return self.drawn(self.touched)
 
     @cached_property
     def seen(self) -> "View":
         """What is printed on, behind each pixel."""
-        return self.outer if self.printed is self.touched else self._drawn(self.printed)
+        return self.outer if self.printed is self.touched else self.drawn(self.printed)
 
-    def _drawn(self, surface: gel_surface.Surface) -> "View":
-        from tacgen.labels.camera_maps import View, in_view
-
-        camera = self.scene.camera
-        return View(self.scene.sheet(in_view(surface, camera)), surface, camera)
+    @abstractmethod
+    def drawn(self, surface: gel_surface.Surface) -> "View":
+        """A face behind each pixel."""
 
 
 class SceneData(_Faces):
     """What outputs need of the untouched gel and its camera, the same for all frames of a scene."""
 
     def __init__(self, row: Row, problem: Problem) -> None:
-        self.row, self.problem, self.scene = row, problem, self
+        self.row, self.problem = row, problem
         self._sheet: Sheet | None = None
         mesh, gel = problem.mesh, row.sensor.gel
         self.touched = gel_surface.Surface(mesh.points, mesh.facets["coated"])
         opaque = len(gel.clear_layers) < len(gel.layers)
         self.printed = gel_surface.seen(mesh, len(gel.clear_layers)).sharing(self.touched) if opaque else self.touched
+
+    def drawn(self, surface: gel_surface.Surface) -> "View":
+        """A face behind each pixel."""
+        from tacgen.labels.camera_maps import View, in_view
+
+        return View(self.sheet(in_view(surface, self.camera)), surface, self.camera)
 
     @cached_property
     def camera(self) -> "Camera":
@@ -159,6 +163,10 @@ class FrameData(_Faces):
         self.scene, self.state, self.before = scene, state, before
         self.touched = scene.touched.pressed(scene.problem, state)
         self.printed = self.touched if scene.printed is scene.touched else scene.printed.moved(state.x)
+
+    def drawn(self, surface: gel_surface.Surface) -> "View":
+        """A face behind each pixel."""
+        return self.scene.drawn(surface)
 
     @cached_property
     def maps(self) -> "Maps":

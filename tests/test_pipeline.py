@@ -1,11 +1,13 @@
 """One scene down the line: only what is asked for, the same bytes twice, and nothing lost when it is killed."""
 
+import gc
 import json
 import os
 import signal
 import subprocess
 import sys
 import time
+import weakref
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,14 +16,16 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from tacgen import pipeline, solve
+from tacgen import outputs, pipeline, solve
 from tacgen.bundle import bundle
 from tacgen.bundle.check import check
 from tacgen.errors import UserError
 from tacgen.outputs import OUTPUTS as TABLE
 from tacgen.recipe import assets, plan
 from tacgen.recipe.model import OUTPUTS
+from tacgen.render.images import Renderer
 from tacgen.solve import load_stepping
+from tacgen.solve.condensation import Condensation
 
 ROOT = Path(__file__).parent.parent
 RECIPE = """
@@ -169,6 +173,33 @@ def test_noise_is_the_frames_own_and_can_be_left_out(recipe: Path, tmp_path: Pat
     assert np.array_equal(pictures["with"]["/reference/rgb"], pictures["without"]["/reference/rgb"])
     first = np.random.default_rng(np.random.SeedSequence((row.seed, 0, plan.NOISE))).standard_normal(grain[0].shape)
     assert np.corrcoef(grain[0].ravel(), first.ravel())[0, 1] > 0.8  # by seed and frame, not by order of work
+
+
+def test_a_scene_leaves_nothing_behind(recipe: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Reference cycles would keep its arrays until Python's garbage collector runs, after some scenes of 50 MB each."""
+    alive: list[weakref.ref[Any]] = []
+
+    def remembered(kind: type, method: str) -> None:
+        made = getattr(kind, method)
+
+        def of(*args: Any, **kwargs: Any) -> Any:
+            out = made(*args, **kwargs)
+            alive.append(weakref.ref(args[0] if out is None else out))
+            return out
+
+        monkeypatch.setattr(kind, method, of if method == "__init__" else staticmethod(of))
+
+    remembered(solve.Problem, "of")
+    for kind in (outputs.SceneData, Condensation, Renderer):
+        remembered(kind, "__init__")
+    gc.collect()
+    gc.disable()
+    try:
+        pipeline.run_scene(plan.load(recipe, (EVERYTHING, *SMALL_CAMERA)).rows[0], tmp_path)
+        assert len(alive) >= 4
+        assert [type(found()) for one in alive if (found := one)() is not None] == []
+    finally:
+        gc.enable()
 
 
 def test_the_same_recipe_and_seed_give_the_same_bytes(recipe: Path, tmp_path: Path) -> None:

@@ -35,7 +35,8 @@ class Condensation:
         self._free = np.zeros((whole.nodes, 3), bool)
         self._free.ravel()[whole.free] = True
         self.nodes, self.local = np.zeros(0, np.int64), np.full(whole.nodes, -1)  # condensed nodes; their numbers
-        self.factored = 0  # number of factorisations
+        self._factored = 0  # number of factorisations, but for those in _rest
+        self._rest: _AtRest | None = None
         self._shared = False  # whether a copy uses the factor
         self.usable = False
 
@@ -57,8 +58,8 @@ class Condensation:
             self._factor = ordered()
         self._diagonal = self.whole.indptr[:-1][condensed]  # entries, each the first of its row
         self._rows = np.argsort(self._factor.order[-self.size :])  # the factor has an order of its own
-        self._new_factor = ordered
-        self._S0: Array | None = None  # the Schur complement at rest, if needed so far
+        self._factored = self.factored
+        self._rest = _AtRest(ordered, self._at_rest, self._diagonal, self._rows)
         self.usable = self._shared = False
 
     def covers(self, facets: Array) -> bool:
@@ -70,35 +71,21 @@ class Condensation:
         self.usable = False
         if self._shared:
             self._factor, self._shared = self._factor.another(), False
-        self._L, S = self._condensed(self._factor, data)
-        self.schur = Schur(S, self._schur_at_rest)
+        self._factored += 1
+        self._L, S = _condensed(self._factor, data, self._diagonal, self._rows)
+        assert self._rest is not None
+        self.schur = Schur(S, self._rest.schur)
         self.usable = True
+
+    @property
+    def factored(self) -> int:
+        """Number of factorisations so far."""
+        return self._factored + (self._rest.factored if self._rest else 0)
 
     def frozen(self) -> "Condensation":
         """A copy that keeps the present factor."""
         self._shared = True
         return copy(self)
-
-    def _condensed(self, factor: Cholmod, data: Array) -> tuple[Array, Array]:
-        """The condensed rows of the factor of the shifted matrix, and the Schur complement."""
-        self.factored += 1
-        data = data.copy()
-        shift = SHIFT * float(np.abs(data[self._diagonal]).max())
-        data[self._diagonal] += shift
-        factor.factor(data)
-        L = factor.trailing(self.size)
-        # L L^T, a third of the work of a product: LAPACK has U U^T of triangles, and L backwards is upper triangular
-        upper = dlauum(np.asfortranarray(L[::-1, ::-1]), overwrite_c=1)[0]
-        backwards = self.size - 1 - self._rows
-        S = (upper + upper.T).take(backwards, 0).take(backwards, 1)
-        diagonal = np.diag_indices(self.size)
-        S[diagonal] = S[diagonal] / 2 - shift
-        return L[self._rows], S
-
-    def _schur_at_rest(self) -> Array:
-        if self._S0 is None:  # with a factor of its own, as the other stays in use
-            self._S0 = self._condensed(self._new_factor(), self._at_rest())[1]
-        return self._S0
 
     def forward(self, g: Array) -> Array:
         """L^-1 of a gradient (n, 3)."""
@@ -135,6 +122,48 @@ def _lu(K: Array) -> Callable[[Array], Array]:
 def _cholesky(K: Array) -> Callable[[Array], Array]:
     """K^-1. Raises LinAlgError: not positive definite."""
     return partial(cho_solve, cho_factor(K, lower=True, overwrite_a=True, check_finite=False), check_finite=False)
+
+
+def _condensed(factor: Cholmod, data: Array, diagonal: Array, rows: Array) -> tuple[Array, Array]:
+    """Factorises a matrix of entries `data`, shifted at those of the condensed `diagonal`: the condensed rows of the
+    factor, which are its last ones at `rows`, and the Schur complement."""
+    size, data = len(rows), data.copy()
+    shift = SHIFT * float(np.abs(data[diagonal]).max())
+    data[diagonal] += shift
+    factor.factor(data)
+    L = factor.trailing(size)
+    # L L^T, a third of the work of a product: LAPACK has U U^T of triangles, and L backwards is upper triangular
+    upper = dlauum(np.asfortranarray(L[::-1, ::-1]), overwrite_c=1)[0]
+    backwards = size - 1 - rows
+    S = (upper + upper.T).take(backwards, 0).take(backwards, 1)
+    own = np.diag_indices(size)
+    S[own] = S[own] / 2 - shift
+    return L[rows], S
+
+
+class _AtRest:
+    """The Schur complement at rest, computed when first needed, with a factor of its own as the other stays in use.
+
+    It knows no Condensation: whose Schur complements refer to it, and a cycle would keep them after the scene.
+    """
+
+    def __init__(
+        self, new_factor: Callable[[], Cholmod], entries: Callable[[], Array], diagonal: Array, rows: Array
+    ) -> None:
+        self._parts = new_factor, entries, diagonal, rows
+        self._S: Array | None = None
+
+    def schur(self) -> Array:
+        """S_0 (k, k)."""
+        if self._S is None:
+            new_factor, entries, diagonal, rows = self._parts
+            self._S = _condensed(new_factor(), entries(), diagonal, rows)[1]
+        return self._S
+
+    @property
+    def factored(self) -> int:
+        """Number of factorisations so far."""
+        return int(self._S is not None)
 
 
 class Schur:

@@ -85,9 +85,8 @@ class Problem:
     @cached_property
     def tangent(self) -> Tangent:
         """The factorised tangent of the bulk, kept from step to step."""
-        return Tangent(
-            self.pattern, lambda: Bulk(self.elastic, self.folding, ()).at(self.mesh.points).stiffness(self.pattern)
-        )
+        at_rest, points, pattern = Bulk(self.elastic, self.folding, ()), self.mesh.points, self.pattern  # not self: a
+        return Tangent(pattern, lambda: at_rest.at(points).stiffness(pattern))  # cycle would outlive the scene
 
     @cached_property
     def effort(self) -> Effort:
