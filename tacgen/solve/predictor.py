@@ -6,17 +6,16 @@ wrong after a change of direction, the force of a capsule that is pressed in and
 46 % from that of the same path in sixteen frames; with this predictor by .6 %.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from tacgen.contact.barrier import Contact, Pose
 from tacgen.solve.bulk import Tangent
+from tacgen.solve.condensation import Tied
 from tacgen.solve.state import History
 
 Array = np.ndarray
-Solve = Callable[[Array], Array]
 TIE = 16.0  # stiffness of the springs between sticking points and the indenter, over normal force / dhat [-]
 PARALLEL = 0.9  # cosine between the motions of two steps, above which the second-order prediction is used [-]
 
@@ -29,7 +28,7 @@ class Prediction:
     x: Array
     first_order: Array
     motion: Array
-    tied: Solve | None = None
+    tied: Tied | None = None
 
     def error(self, x: Array) -> tuple[Array, Array]:
         """Error of the first order against the solution x (n, 3), and the motion it belongs to."""
@@ -54,7 +53,7 @@ def predict(contact: Contact, tangent: Tangent, history: History, pose: Pose) ->
     return Prediction(first_order + part**2 * error, first_order, motion, tied)
 
 
-def _tied(contact: Contact, tangent: Tangent, history: History, motion: Array) -> tuple[Array, Solve | None] | None:
+def _tied(contact: Contact, tangent: Tangent, history: History, motion: Array) -> tuple[Array, Tied | None] | None:
     condensed, faces, x = tangent.condensation, contact.faces, history.x
     inside = (condensed.local[faces.conn] >= 0).all(1)
     which = np.flatnonzero((history.normal_force > 0).any(1) & inside)
@@ -72,5 +71,4 @@ def _tied(contact: Contact, tangent: Tangent, history: History, motion: Array) -
     there = x + condensed.expand(inner(pull), np.zeros(len(condensed.whole.free)))
     if not tangent.followed:
         return there, None
-    kept = condensed.frozen()
-    return there, lambda b: kept.solve(b, inner)
+    return there, Tied(condensed.frozen(), inner)

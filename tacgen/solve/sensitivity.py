@@ -19,6 +19,7 @@ from tacgen.contact.coupled import CoupledContact
 from tacgen.contact.friction import onset
 from tacgen.fem.materials import Law
 from tacgen.solve.bulk import Bulk
+from tacgen.solve.condensation import Condensation, Tied
 from tacgen.solve.contact_slopes import ContactSlopes, dot
 from tacgen.solve.exact_tangent import everywhere, free_columns, solver
 from tacgen.solve.linear_solvers import NotPositiveDefinite
@@ -76,11 +77,13 @@ class Sensitivity:
         Raises NotConverged: the tangent is singular, as where the gel snaps.
         """
         assert state.after is not None
-        for after in (*state.passed, state.after):
+        steps = (*state.passed, state.after)
+        for after, following in zip(steps, (*steps[1:], None), strict=True):
             on = np.flatnonzero((after.normal_force > 0).any(1))
-            if after is state.after and on.size:
+            if following is None and on.size:
                 self._take(after)
-            self._slopes = self._in_contact(after, on) if on.size else self._without_contact(after)
+            at_x = None if following is None or following.tied is None else following.tied.tangent
+            self._slopes = self._in_contact(after, on, at_x) if on.size else self._without_contact(after)
             self._before = after
         return self._slopes
 
@@ -103,8 +106,8 @@ class Sensitivity:
     def _local(self, motion: Array, at: History) -> Array:
         return np.asarray(self._relative(motion) @ at.pose.rotation)
 
-    def _in_contact(self, after: History, on: Array) -> Slopes:
-        """With facets `on` in contact."""
+    def _in_contact(self, after: History, on: Array, at_x: Condensation | None) -> Slopes:
+        """With facets `on` in contact; `at_x`: see solver."""
         was, faces, nodes = self._slopes, self._contact.faces.only(on), len(after.x)
         first_order = was.x
         if after.tied is not None and self._problem.friction:
@@ -119,7 +122,7 @@ class Sensitivity:
         stronger = np.array([p.friction for p in self._parameters]) / max(self._problem.friction, 1e-300)
         rub = stronger[:, None, None, None] * here.friction
         load = _scatter(faces, here.force(self._relative(np.zeros_like(anchors)), anchors) + rub, nodes) - by_law
-        solve = solver(self._problem, after.x, here.forces.tangent, on)
+        solve = solver(self._problem, after.x, here.forces.tangent, on, at_x)
         *found, x_by_offset = solve(np.concatenate([load, _scatter(faces, here.by_offset[None], nodes)]))
         x, fixed = np.stack(found), np.zeros(len(found))
         excess = here.gap_excess(self._relative(_at(faces, x)), fixed)
@@ -135,7 +138,7 @@ class Sensitivity:
         normal_force, normal, force = (_placed(part, on, wide) for part in parts)
         return Slopes(normal_force, normal, force, anchor, x, x - first_order)
 
-    def _predictor_slopes(self, after: History, tied: Callable[[Array], Array]) -> Array:
+    def _predictor_slopes(self, after: History, tied: Tied) -> Array:
         """Of the step that the predictor takes along its tangent (k, n, 3)."""
         before, was = self._before, self._slopes
         on = np.flatnonzero((before.normal_force > 0).any(1))
@@ -148,17 +151,18 @@ class Sensitivity:
         pull = was.normal_force[:, on, :, None] * lag
         pull += before.normal_force[on, :, None] * (self._relative(_at(faces, was.x)) @ turn.T)
         b = _scatter(faces, ties * pull, len(after.x)) - self._stiffer(step)
-        return everywhere(self._problem, tied(free_columns(self._problem, b)))
+        return everywhere(self._problem, tied.solve(free_columns(self._problem, b)))
 
     def _stiffer(self, u: Array) -> Array:
         """How the tangent before the step, times u (n, 3), changes with the parameters (k, n, 3) [N]: a mixed second
         difference of the bulk's forces."""
         problem, x, found = self._problem, self._before.x, []
         far = TINY * problem.edge / max(float(np.abs(u).max()), 1e-300)
+        folds = any(barrier.evaluate(x).point is not None for barrier in problem.folding)
 
         def times(laws: Sequence[Law], x: Array) -> Array:
             elastic = tuple(replace(part, law=law) for part, law in zip(problem.elastic, laws, strict=True))
-            bulk = Bulk(elastic, problem.folding, ())
+            bulk = Bulk(elastic, problem.folding if folds else (), ())
             return np.asarray((bulk.at(x + far * u).gradient - bulk.at(x).gradient) / far)
 
         laws = [part.law for part in problem.elastic]

@@ -1,11 +1,11 @@
 """The solved state of a frame, and the history that the next load step needs."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from tacgen.contact.barrier import Pose
+from tacgen.solve.condensation import Tied
 
 Array = np.ndarray
 
@@ -57,8 +57,7 @@ class History:
     internal: dict[int, Array]  # of viscoelastic layers, by their numbers: H (k, e, q, 3, 3) [MPa]
     predictor_error: tuple[Array, Array] | None = None  # of first order, and the motion it belongs to (see predictor)
     predicted: Array | None = None  # x (n, 3) by this load step's predictor
-    # solves that prediction's equations for k loads on the free dofs (m, k), where its derivatives are asked for
-    tied: Callable[[Array], Array] | None = None
+    tied: Tied | None = None  # that prediction's equations, where its derivatives are asked for
 
 
 @dataclass(frozen=True)
