@@ -128,7 +128,7 @@ def page(found: dict[str, list[Bundle]]) -> str:
         "",
         "All shapes and shipped objects, with all movements, on all shipped sensors:",
         f"{sum(map(len, found.values()))} scenes at quality `draft`. `make gallery` runs",
-        "[gallery.yaml](gallery/gallery.yaml) on each sensor and draws this page, in an hour on one core.",
+        "[gallery.yaml](gallery/gallery.yaml) on each sensor and draws this page, in two hours on one core.",
         "",
         "A column is one frame of one scene: camera image, pressure, magnitude and direction of the tangential",
         "traction on the gel, and von Mises stress in the plane through the indenter along x. The maps show the dotted",
