@@ -1,10 +1,11 @@
 """How often an error lies within the interval that `uncertainty: {mesh: true}` gives it, where 90 % are expected.
 
-    python scripts/interval_coverage.py [--edge 0.25] [--sensors gelsight_mini digit]
+    python scripts/interval_coverage.py [--edge 0.25] [--sensors gelsight_mini digit] [--draws 8 9 14]
 
-Five shapes are pressed and slid on each sensor at `draft`. An error is the difference from the same scene on a mesh
-with edges of --edge [mm]; the interval is 1.645 standard deviations on both sides. Of the maps only pixels with more
-than a fifth of the largest pressure count.
+Five shapes are pressed and slid on each sensor at `draft`; with --draws, ordinary scenes of these numbers
+(benchmarks/draws.py) instead. An error is the difference from the same scene on a mesh with edges of --edge [mm]; the
+interval is 1.645 standard deviations on both sides. Of the maps only pixels with more than a fifth of the largest
+pressure count. The last line is the mean of the scenes. A scene takes half a minute to six minutes.
 """
 
 import argparse
@@ -13,6 +14,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from benchmarks.draws import drawn
 from tacgen import pipeline
 from tacgen.bundle.bundle import Bundle, read
 from tacgen.recipe import assets, plan
@@ -28,11 +30,21 @@ SHAPES = (
 SHARE, NINETY = 0.2, 1.645
 
 
-def scene(sensor: str, shape: str, folder: Path, *sets: str) -> Bundle:
-    """The bundle of a shape pressed and slid."""
-    moves = "trajectory=[{press: {depth_mm: 0.6, frames: 2}}, {slide: {x_mm: 0.6, y_mm: 0.2, frames: 1}}]"
-    asked = (f"sensor={sensor}", f"indenter={shape}", moves, "contact.friction=0.5", "outputs=[force, traction]", *sets)
-    return read(pipeline.run_scene(plan.load(assets.recipe_path("quickstart"), asked).rows[0], folder).path)
+MOVES = "trajectory=[{press: {depth_mm: 0.6, frames: 2}}, {slide: {x_mm: 0.6, y_mm: 0.2, frames: 1}}]"
+
+
+def scenes(sensors: list[str], draws: list[int]) -> dict[str, tuple[str, ...]]:
+    """Settings of each scene by its name."""
+    if draws:
+        some = {number: drawn(number) for number in draws}
+        return {f"draw {number}, {one.sensor}": (f"sensor={one.sensor}", *one.sets) for number, one in some.items()}
+    both = [(sensor, shape) for sensor in sensors for shape in SHAPES]
+    return {f"{a}, {b}": (f"sensor={a}", f"indenter={b}", MOVES, "contact.friction=0.5") for a, b in both}
+
+
+def bundle(folder: Path, *sets: str) -> Bundle:
+    row = plan.load(assets.recipe_path("quickstart"), ("outputs=[force, traction]", *sets)).rows[0]
+    return read(pipeline.run_scene(row, folder).path)
 
 
 def inside(rough: Bundle, fine: Bundle) -> dict[str, np.ndarray]:
@@ -51,20 +63,22 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--edge", type=float, default=0.25)
     parser.add_argument("--sensors", nargs="*", default=["gelsight_mini", "digit"])
+    parser.add_argument("--draws", type=int, nargs="*", default=[])
     asked = parser.parse_args()
     quality = f"quality={{edge_mm: {asked.edge}, dhat_mm: {QUALITIES['draft'].dhat_mm}}}"
-    every: dict[str, list[np.ndarray]] = {}
-    for sensor in asked.sensors:
-        for shape in SHAPES:
-            with TemporaryDirectory() as name:
-                rough = scene(sensor, shape, Path(name) / "rough", "quality=draft", "uncertainty={mesh: true}")
-                found = inside(rough, scene(sensor, shape, Path(name) / "fine", quality))
-            for label, within in found.items():
-                every.setdefault(label, []).append(within)
-            said = ", ".join(f"{label} {within.mean():.0%}" for label, within in found.items())
-            print(f"{sensor}, {shape}: {said}", flush=True)
-    said = ", ".join(f"{label} {np.concatenate(within).mean():.1%}" for label, within in every.items())
-    print(f"all: {said}")
+    every: dict[str, list[float]] = {}
+    for name, sets in scenes(asked.sensors, asked.draws).items():
+        with TemporaryDirectory() as folder:
+            rough = bundle(Path(folder) / "rough", *sets, "quality=draft", "uncertainty={mesh: true}")
+            fine = bundle(Path(folder) / "fine", *sets, quality)
+            if rejected := [one.attrs["reason"] for one in (rough, fine) if one.attrs["status"] != "ok"]:
+                print(f"{name}: left out, {rejected[0]}", flush=True)
+                continue
+            found = {label: float(within.mean()) for label, within in inside(rough, fine).items()}
+        for label, share in found.items():
+            every.setdefault(label, []).append(share)
+        print(f"{name}: {', '.join(f'{label} {share:.0%}' for label, share in found.items())}", flush=True)
+    print(f"mean: {', '.join(f'{label} {np.mean(shares):.1%}' for label, shares in every.items())}")
 
 
 if __name__ == "__main__":
