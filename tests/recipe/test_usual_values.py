@@ -1,4 +1,4 @@
-"""A modulus that no gel has is warned about in one line: where, what is usual, in which unit."""
+"""A modulus or a size that no gel has is warned about in one line: where, what is usual, in which unit."""
 
 from pathlib import Path
 
@@ -34,6 +34,18 @@ def test_it_is_told_in_one_line(modulus: str, says: str) -> None:
 @pytest.mark.parametrize("modulus", ["0.005", "0.432", "5"])
 def test_what_is_usual_is_not(modulus: str) -> None:
     assert told(f"{KEY}={modulus}") == ()
+
+
+def test_a_gel_measured_in_metres_is_told() -> None:
+    gel = loading.read_sensor(assets.sensor_path("gelsight_mini"))[0].gel
+    layers = [layer.model_copy(update={"thickness_mm": layer.thickness_mm / 1000}) for layer in gel.layers]
+    sizes = {"width_mm": gel.width_mm / 1000, "height_mm": gel.height_mm / 1000, "layers": layers}
+    told = [f"{p.path[-1]}: {p.message}" for p in unusual(gel.model_copy(update=sizes))]
+    assert told == [
+        "width_mm: a gel of 0.02525 mm; gels have 2 to 200, and lengths are in mm: 25.25 mm if it is in m?",
+        "height_mm: a gel of 0.02075 mm; gels have 2 to 200, and lengths are in mm: 20.75 mm if it is in m?",
+        "thickness_mm: a gel 0.004 mm thick; gels have 0.2 to 100, and lengths are in mm: 4 mm if it is in m?",
+    ]
 
 
 @pytest.mark.parametrize(
