@@ -1,7 +1,9 @@
 """The mesh of a scene's gel, fine where it can be touched: a tensor grid of hexes, or tets (see tet_mesh)."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -11,6 +13,7 @@ from tacgen.errors import UserError
 from tacgen.fem.elements import boxes
 from tacgen.fem.mesh_quality import dihedral, enclosed, measure, scaled_jacobian
 from tacgen.geometry.gel import Gel
+from tacgen.geometry.pose import along, shortest_turn
 from tacgen.scene import tet_mesh
 from tacgen.scene.scene import Scene
 
@@ -168,6 +171,8 @@ def touched(scene: Scene) -> Array:
     its start if there are none.
 
     A rigid body cuts a wider patch out of the untouched face than it touches of a soft one: this is on the safe side.
+    Between frames the path is looked at in steps of half the indenter's thickness: a thin plate is wholly below the
+    untouched face where it has been pressed deeper than it is thick.
     """
     gel, step = scene.gel, scene.edge / 3
     _refuse_above(60 * MAX_NODES, gel.width * gel.height / step**2, scene.edge, "points of the face to look at")
@@ -181,7 +186,7 @@ def touched(scene: Scene) -> Array:
         poses[:, 2, 3] -= scene.forced.allowance
     before = Pose.of(scene.start).local(face)
     bound = np.zeros(len(face))  # of the distance, from below: it is evaluated only where this is negative
-    for matrix in poses:
+    for matrix in _dense(scene.start, poses, scene.shape.reach):
         local = Pose.of(matrix).local(face)
         bound -= MAX_SLOPE * np.linalg.norm(local - before, axis=1)
         near = np.flatnonzero(~hit & (bound <= 0))
@@ -192,3 +197,10 @@ def touched(scene: Scene) -> Array:
         return face[hit]
     start = scene.start[None, :2, 3]
     return np.column_stack([start, gel.top(*start.T)])
+
+
+def _dense(start: Array, poses: Array, step: float) -> Iterator[Array]:
+    """The poses (n, 4, 4), and more between them, at most `step` [mm] of translation apart."""
+    for a, b in pairwise([start, *poses]):
+        n = max(1, math.ceil(float(np.linalg.norm(b[:3, 3] - a[:3, 3])) / step))
+        yield from along(a, b, shortest_turn(a, b), n)

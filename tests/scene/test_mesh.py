@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from tacgen.errors import UserError
 from tacgen.fem.elements import facet_areas, hexes
 from tacgen.fem.materials import NeoHooke
-from tacgen.geometry.analytic_sdf import Sphere
+from tacgen.geometry.analytic_sdf import Sphere, Torus
 from tacgen.scene import mesh
 from tacgen.scene.scene import Gel, Layer
 
@@ -119,6 +119,13 @@ def test_a_press_in_the_middle_has_a_mesh_that_mirrors_in_x_and_y() -> None:
     points = mesh.of(made).points
     for mirror in ([-1, 1, 1], [1, -1, 1]):
         assert cKDTree(points).query(points * mirror)[0].max() < 1e-12
+
+
+def test_what_a_thin_indenter_leaves_below_the_face_is_fine_too() -> None:
+    """A ring of 1 mm, pressed by 2 mm in one frame, is nowhere in the untouched face at the end."""
+    made = scene(Torus(3.0, 0.5), poses([(0.0, 0.0, -2.0)]), edge=0.4)
+    x0, x1, y0, y1 = mesh.footprint(made)
+    assert min(-x0, x1, -y0, y1) >= 3.0
 
 
 def test_cells_lie_alike_around_the_start_of_a_slide() -> None:
