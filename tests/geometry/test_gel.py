@@ -150,7 +150,7 @@ def test_a_half_ball_is_pressed_as_hertz_says_and_its_markers_move_apart(tmp_pat
     angles = np.radians(np.arange(0, 89, 4))
     profile = [(10 * np.cos(t), 10 * np.sin(t)) for t in angles]
     press = "trajectory=[{press: {depth_mm: 1.0, frames: 1}}]", "start.x_mm=0", "indenter.radius_mm=5"
-    sets = (*press, "contact.friction=0", "quality={edge_mm: 1.0, dhat_mm: 0.05}")
+    sets = (*press, "contact.friction=0", "quality={edge_mm: 0.5, dhat_mm: 0.05}")
     found = bundle.read(pipeline.run_scene(plan.load(folder(tmp_path, profile, DOME), sets).rows[0], tmp_path).path)
     force, modulus, radius = -found["/frames/force"][0, 2], 0.2 / (1 - 0.48**2), 1 / (1 / 10 + 1 / 5)
     a = (0.75 * force * radius / modulus) ** (1 / 3)
@@ -167,7 +167,7 @@ def test_a_half_ball_is_pressed_as_hertz_says_and_its_markers_move_apart(tmp_pat
     outward = np.stack(np.meshgrid(np.arange(-2, 3), np.arange(-2, 3)), -1)
     assert (flow * outward).sum(-1)[np.abs(outward).sum(-1) > 0].min() > 0.2
     lopsided = flow + flow[::-1, ::-1]  # no two meshings are alike, and none is symmetric
-    assert np.sqrt((lopsided**2).mean()) < 0.1 * np.sqrt((flow**2).mean())
+    assert np.sqrt((lopsided**2).mean()) < 0.08 * np.sqrt((flow**2).mean())
 
 
 LIT = """\
