@@ -15,9 +15,9 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from benchmarks.draws import drawn
+from benchmarks.reference_runs import row_of
 from tacgen import pipeline
 from tacgen.bundle.bundle import Bundle, read
-from tacgen.recipe import assets, plan
 from tacgen.recipe.model import QUALITIES
 
 SHAPES = (
@@ -28,8 +28,6 @@ SHAPES = (
     "{shape: torus, radius_mm: 3, tube_radius_mm: 2}",
 )
 SHARE, NINETY = 0.2, 1.645
-
-
 MOVES = "trajectory=[{press: {depth_mm: 0.6, frames: 2}}, {slide: {x_mm: 0.6, y_mm: 0.2, frames: 1}}]"
 
 
@@ -43,8 +41,8 @@ def scenes(sensors: list[str], draws: list[int]) -> dict[str, tuple[str, ...]]:
 
 
 def bundle(folder: Path, *sets: str) -> Bundle:
-    row = plan.load(assets.recipe_path("quickstart"), ("outputs=[force, traction]", *sets)).rows[0]
-    return read(pipeline.run_scene(row, folder).path)
+    """That of one scene, made in the folder."""
+    return read(pipeline.run_scene(row_of(("outputs=[force, traction]", *sets)), folder).path)
 
 
 def inside(rough: Bundle, fine: Bundle) -> dict[str, np.ndarray]:

@@ -8,8 +8,9 @@ from tacgen.recipe.validation_messages import Problem
 MODULUS_MPA = (0.005, 5.0)  # Young's modulus of gels and skins, from the softest silicone gels to hard rubber [MPa]
 SIDE_MM = (2.0, 200.0)  # width and height of a gel, from a fingertip's to a palm's [mm]
 THICKNESS_MM = (0.2, 100.0)  # of all its layers, from a skin on a plate to a large half ball [mm]
-MODULI = {"kPa": 1e-3, "Pa": 1e-6}  # in which moduli are written by mistake [MPa]
-LENGTHS = {"m": 1e3, "cm": 10.0}  # and lengths [mm]
+Kind = tuple[str, str, dict[str, float]]  # of quantity, its unit, and units in which it is written by mistake
+MODULI: Kind = "moduli", "MPa", {"kPa": 1e-3, "Pa": 1e-6}
+LENGTHS: Kind = "lengths", "mm", {"m": 1e3, "cm": 10.0}
 
 
 def unusual(gel: Gel) -> Iterator[Problem]:
@@ -17,25 +18,25 @@ def unusual(gel: Gel) -> Iterator[Problem]:
     paths start at the sensor's root."""
     for name in ("width_mm", "height_mm"):
         size = getattr(gel, name)
-        if asked := _asked(size, SIDE_MM, "mm", LENGTHS):
+        if asked := _asked(size, SIDE_MM, LENGTHS):
             yield Problem(("gel", name), f"a gel of {size:g} mm; gels have {asked}")
     thickness = sum(layer.thickness_mm for layer in gel.layers)
-    if asked := _asked(thickness, THICKNESS_MM, "mm", LENGTHS):
+    if asked := _asked(thickness, THICKNESS_MM, LENGTHS):
         yield Problem(("gel", "layers", 0, "thickness_mm"), f"a gel {thickness:g} mm thick; gels have {asked}")
     for i, layer in enumerate(gel.layers):
         key, modulus = _modulus(layer)
-        if asked := _asked(modulus, MODULUS_MPA, "MPa", MODULI):
+        if asked := _asked(modulus, MODULUS_MPA, MODULI):
             yield Problem(("gel", "layers", i, key), f"a Young's modulus of {modulus:g} MPa; that of gels is {asked}")
 
 
-def _asked(value: float, usual: tuple[float, float], unit: str, mistaken: dict[str, float]) -> str:
+def _asked(value: float, usual: tuple[float, float], kind: Kind) -> str:
     """What is usual, and what the value would be in the first unit in which it is; "" if it is usual as it stands."""
-    least, most = usual
+    (least, most), (quantity, unit, mistaken) = usual, kind
     if least <= value <= most:
         return ""
-    meant = [f": {value * size:g} {unit} if it is in {name}?" for name, size in mistaken.items()
-             if least <= value * size <= most]  # fmt: skip
-    return f"{least:g} to {most:g}, and {'moduli' if unit == 'MPa' else 'lengths'} are in {unit}{''.join(meant[:1])}"
+    in_unit = {name: value * size for name, size in mistaken.items()}
+    meant = [f": {v:g} {unit} if it is in {name}?" for name, v in in_unit.items() if least <= v <= most]
+    return f"{least:g} to {most:g}, and {quantity} are in {unit}{''.join(meant[:1])}"
 
 
 def _modulus(layer: Layer) -> tuple[str, float]:

@@ -82,17 +82,18 @@ def test_cells_are_sound(domed: mesh.Mesh) -> None:
 
 @pytest.mark.slow
 def test_cells_are_fine_where_it_is_touched_alone() -> None:
-    """Of ten meshes, no two alike: 1.5 to 1.9 edges, elsewhere 1.6 to 2.0 times that; ungraded ones 4.6 and 0.9."""
-    pad, found = Gel(12.0, 12.0, 0.0, -1, (40.0, 40.0), layers=(Layer(3.0, LAW, 0.15),)), []
-    for edge in (0.398, 0.4, 0.402, 0.404):  # a mesh of the same edge would come from the cache
+    """Of eight meshes, no two alike: 1.7 to 2.3 edges, elsewhere 2.5 to 3.6 times that. On 12 mm of gel cells have no
+    room to grow: 1.6 to 2.0 times; ungraded ones had 4.6 and 0.9 there."""
+    pad, found = Gel(20.0, 20.0, 0.0, -1, (120.0, 120.0), layers=(Layer(3.0, LAW, 0.15),)), []
+    for edge in (0.398, 0.4, 0.402):  # a mesh of the same edge would come from the cache
         made = mesh.of(pressed(pad, edge=edge))
         face = made.points[made.facets["coated"][:, :3]]
         length = np.linalg.norm(face - np.roll(face, 1, axis=1), axis=-1).mean(1)
         away = np.hypot(*(face.mean(1)[:, :2] - 0.5).T)
         found.append((length[away < 1.2].mean(), length[away > 4].mean()))
     near, far = np.mean(found, 0)
-    assert near < 2.0 * 0.4
-    assert far > 1.6 * near
+    assert near < 2.4 * 0.4
+    assert far > 1.7 * near
 
 
 def test_a_mesh_is_kept_and_another_scene_gets_another(domed: mesh.Mesh, monkeypatch: pytest.MonkeyPatch) -> None:
