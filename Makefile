@@ -49,9 +49,10 @@ test-slow: sync
 	$(BIN)/python -m pytest -m slow $(PYTEST_FLAGS)
 
 smoke: sync
+	rm -rf out/smoke
 	@for recipe in recipes/*.yaml; do \
 	  name=$$(basename $$recipe .yaml); \
-	  $(BIN)/tacgen run $$recipe -o out/smoke/$$name --set quality=draft --set vary=null --overwrite && \
+	  $(BIN)/tacgen run $$recipe -o out/smoke/$$name --set quality=draft --set vary=null && \
 	  $(BIN)/tacgen check out/smoke/$$name || exit 1; \
 	done
 
@@ -70,7 +71,7 @@ docs: sync
 
 demo: sync
 	$(BIN)/tacgen run recipes/quickstart.yaml -o out/quickstart
-	$(BIN)/tacgen show out/quickstart/scene-00000.h5 -o out/quickstart.png
+	$(BIN)/tacgen show out/quickstart/scene-00000.h5 -o out/quickstart.png --overwrite
 	@echo "bundle:  out/quickstart/scene-00000.h5"
 	@echo "picture: out/quickstart.png"
 

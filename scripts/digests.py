@@ -18,7 +18,10 @@ from tacgen.recipe import assets, plan
 def digests(recipe: str, folder: Path, sets: list[str]) -> list[str]:
     """A line for each bundle of a recipe given by name or path; bundles of earlier runs are made again."""
     rows = plan.load(assets.recipe_path(recipe), ["quality=draft", "vary=null", *sets]).rows
-    made = pipeline.run(rows, folder / Path(recipe).stem, overwrite=True)
+    place = folder / Path(recipe).stem
+    for old in place.glob("scene-*.h5"):
+        old.unlink()
+    made = pipeline.run(rows, place)
     return [f"{hashlib.sha256(m.path.read_bytes()).hexdigest()}  {recipe}  {m.path.name}" for m in made]
 
 

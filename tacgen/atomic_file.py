@@ -14,8 +14,9 @@ from pathlib import Path
 
 from tacgen.errors import UserError
 
-PART_MARK = ".part-"  # in the name of an incomplete file: x.h5.part-<pid>
-CLAIM_SUFFIX = ".claim"  # suffix of the file that is locked while x.h5 is made: .x.h5.claim
+# These names hold "tacgen", since files that match them are deleted: backup.tar.part-01 is a user's
+PART_MARK = ".tacgen-part-"  # in the name of an incomplete file: x.h5.tacgen-part-<pid>
+CLAIM_SUFFIX = ".tacgen-claim"  # suffix of the file that is locked while x.h5 is made: .x.h5.tacgen-claim
 
 
 class Busy(UserError):

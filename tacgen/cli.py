@@ -14,6 +14,7 @@ from tacgen import __version__
 from tacgen.cli_calibrate import calibrations
 from tacgen.cli_common import (
     AsJson,
+    Overwrite,
     app,
     line,
     plan_of,
@@ -28,6 +29,7 @@ from tacgen.cli_common import (
 from tacgen.cli_look import report, show, view
 from tacgen.errors import UserError
 from tacgen.report.wording import counted
+from tacgen.terminal import say
 
 __all__ = ["app"]
 
@@ -35,6 +37,7 @@ RecipeFile = Annotated[str, typer.Argument(metavar="RECIPE", help="A recipe file
 Sets = Annotated[
     list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="Override a value; can be given many times.")
 ]
+Merge = Annotated[bool, typer.Option("--merge", help="Take several data sets below the folder as one.")]
 Workers = Annotated[
     str,
     typer.Option(metavar="N", help="Number of worker processes, one core each; auto: as cores and memory allow."),
@@ -68,7 +71,11 @@ def run(
         str, typer.Option(metavar="I/N", help="Run only part I of N of the scenes, I from 0 to N-1: for job arrays.")
     ] = "0/1",
     overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace existing bundles, also those of other inputs.")
+        bool,
+        typer.Option(
+            "--overwrite",
+            help="Replace bundles of other inputs or of another tacgen, and remove those that the plan no longer has.",
+        ),
     ] = False,
     engine: Annotated[str, typer.Option(help="local: this machine; dask: a Dask cluster.")] = "local",
     scheduler: Annotated[str, typer.Option(help="Address of a Dask scheduler, such as tcp://host:8786.")] = "",
@@ -115,16 +122,18 @@ def run(
                 on_event=on_event,
             )
         if any(result.status == "ok" for result in results):
-            dataset_card.write(out)
+            card = dataset_card.write(out)
+            if card != out / dataset_card.FILE_NAME:
+                warn([f"{out / dataset_card.FILE_NAME}: not the card that tacgen wrote, kept; the card is {card}"])
     count = {status: sum(r.status == status for r in results) for status in ("ok", "rejected", "failed")}
     if as_json:
         line({"event": "end", "folder": str(out), **count})
     else:
         for result in results:
             if result.status != "ok":
-                typer.echo(f"{result.name}: {result.status}: {result.reason}")
+                say(f"{result.name}: {result.status}: {result.reason}")
         more = f", {count['failed']} failed" if count["failed"] else ""
-        typer.echo(f"{out}: {counted(count['ok'], 'scene')} kept, {count['rejected']} rejected{more}")
+        say(f"{out}: {counted(count['ok'], 'scene')} kept, {count['rejected']} rejected{more}")
     raise typer.Exit(0 if count["ok"] == len(results) else 1)
 
 
@@ -134,6 +143,7 @@ def status(
     as_json: AsJson = False,
 ) -> None:
     """Print the state of a run: scenes that are done, rejected, failed (with reasons), running and waiting."""
+    from tacgen.bundle import dataset
     from tacgen.bundle.run_status import survey
     from tacgen.report import estimate
 
@@ -145,6 +155,8 @@ def status(
     lines.append(
         f"{folder}: {found.name}, {counted(total, 'scene')}: {', '.join(f'{n} {s}' for s, n in count.items())}"
     )
+    if left_out := dataset.unplanned(folder):
+        lines.append(f"not of the plan, left out: {dataset.some([path.name for path in left_out])}")
     if cost := estimate.left(found):
         lines.append(f"left: {cost.text(1)}")
     plain_cost = cost and cost.plain()
@@ -213,7 +225,7 @@ def show_plan(
 def init(
     path: Annotated[Path | None, typer.Argument(help="The file to write; default: recipe.yaml or sensor.yaml.")] = None,
     sensor: Annotated[bool, typer.Option("--sensor", help="Write a sensor file instead of a recipe.")] = False,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an existing file.")] = False,
+    overwrite: Overwrite = False,
 ) -> None:
     """Write a commented recipe or sensor file as a start, and the JSON Schema for completion in an editor."""
     from tacgen.recipe.schema import write_starter
@@ -264,6 +276,7 @@ def pack(
     source: Annotated[Path, typer.Argument(help="A folder of bundles.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the shards and their index.")],
     size_mb: Annotated[float, typer.Option(min=0.001, help="Approximate largest size of a shard [MB].")] = 1024,
+    merge: Merge = False,
     as_json: AsJson = False,
 ) -> None:
     """Copy finished scenes into a few large files (shards) with an index, in which all frames are one dataset."""
@@ -271,7 +284,7 @@ def pack(
     from tacgen.bundle.pack import pack as pack_scenes
 
     with writing(out):
-        made = pack_scenes(scenes(source), out, size_mb)
+        made = pack_scenes(scenes(source, merge=merge), out, size_mb)
     text = f"{out}: {counted(made.scenes, 'scene')} in {counted(len(made.shards), 'shard')}, {made.frames} frames"
     if made.left_out:
         text += f"; left out {counted(len(made.left_out), 'rejected scene')}"
@@ -288,13 +301,15 @@ def export(
     kind: Annotated[str, typer.Argument(metavar="FORMAT", help="One of `tacgen list formats`.")],
     source: Annotated[Path, typer.Argument(help="A bundle, or a folder of bundles.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Where to write.")],
+    merge: Merge = False,
+    overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
     """Write finished bundles in the format of another tool."""
     from tacgen import export as exporting
 
     with writing(out):
-        made = exporting.export(kind, source, out)
+        made = exporting.export(kind, source, out, merge=merge, overwrite=overwrite)
     show_result([str(path) for path in made], "\n".join(map(str, made)), as_json)
 
 

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from tacgen.cli_common import AsJson, show_result, writing
+from tacgen.cli_common import AsJson, Overwrite, allowed, show_result, written
 
 calibrations = typer.Typer(
     no_args_is_help=True, help="Fit a sensor file to your own unit: lights to photographs, gel to forces."
@@ -27,16 +27,19 @@ def optics(
     tolerance_deg: Annotated[float, typer.Option(min=0, max=90, help="Largest rotation of the LEDs [deg].")] = 5.0,
     no_markers: Annotated[bool, typer.Option("--no-markers", help="The photographed gel has no markers.")] = False,
     steps: Annotated[int, typer.Option(min=1, help="Largest number of iterations of the fit.")] = 10,
+    overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
     """Fit a sensor file to photographs of your own unit: LED radiances and positions, stray light, gloss, crop."""
     from tacgen import calibrate as fitting
 
+    inputs = [Path(sensor), images]
+    allowed(out, inputs, overwrite)
     found = fitting.optics(sensor, images, fitting.Asked(tolerance_mm, tolerance_deg, no_markers, steps))
     lines = list(found.lines())
     if out is not None:
-        with writing(out):
-            found.write(out)
+        with written(out, inputs, overwrite) as path:
+            found.write(path)
         lines.append(f"{out}: the sensor file of this unit")
     show_result(found.plain(), "\n".join(lines), as_json)
 
@@ -57,19 +60,23 @@ def material(
     ] = "",
     no_zero: Annotated[bool, typer.Option("--no-zero", help="Depths are exact: do not fit their zero.")] = False,
     prony: Annotated[int, typer.Option(min=0, max=3, help="Terms of a Prony series to fit; needs time_s.")] = 0,
+    overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
     """Fit moduli, zero of the depth and relaxation of a gel to measured forces, with confidence intervals."""
     from tacgen.calibrate import material as fitting
 
+    inputs = [Path(sensor), Path(recipe), data]
+    for path in (out, plot):
+        allowed(path, inputs, overwrite)
     found = fitting.material(sensor, recipe, data, fitting.Asked(not no_zero, second, prony))
     lines = list(found.lines())
     if plot is not None:
-        with writing(plot):
-            found.draw(plot)
+        with written(plot, inputs, overwrite) as path:
+            found.draw(path)
         lines.append(f"{plot}: forces, and what the fit is off by")
     if out is not None:
-        with writing(out):
-            found.write(out)
+        with written(out, inputs, overwrite) as path:
+            found.write(path)
         lines.append(f"{out}: the sensor file of this gel")
     show_result(found.plain(), "\n".join(lines), as_json)

@@ -10,9 +10,12 @@ import click
 import typer
 from typer.core import TyperGroup
 
-from tacgen.errors import UserError, printable
+from tacgen import output_file
+from tacgen.errors import LeftOut, UserError, printable
+from tacgen.terminal import open_standard_streams, say
 
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an existing file.")]
 DISK_ERRORS = tuple(
     getattr(errno, name)
     for name in (
@@ -26,30 +29,55 @@ SCARCE = (errno.EMFILE, errno.ENFILE, errno.ENOMEM)
 class Commands(TyperGroup):
     """Prints errors that a user can fix as lines and sets the exit code; bugs keep their traceback."""
 
+    def main(self, *args: Any, **more: Any) -> Any:
+        """The whole program."""
+        open_standard_streams()
+        return super().main(*args, **more)
+
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command."""
         try:
-            return super().invoke(ctx)
+            with _left_out_told():
+                return super().invoke(ctx)
         except UserError as error:
             for line in error.lines:
-                typer.echo(line, err=True)
+                say(line, err=True)
             raise typer.Exit(2) from None
         except (MemoryError, ImportError) as error:
             if isinstance(error, ImportError) and "failed to map segment" not in str(error):
                 raise
-            typer.echo("out of memory: close other programs, or raise the limit (ulimit -v)", err=True)
+            say("out of memory: close other programs, or raise the limit (ulimit -v)", err=True)
             raise typer.Exit(2) from None
         except OSError as error:
             if error.errno not in (*DISK_ERRORS, *SCARCE):
                 raise
             place = f"{error.filename}: " if error.filename else ""
-            typer.echo(printable(f"{place}{error.strerror}"), err=True)
+            say(printable(f"{place}{error.strerror}"), err=True)
             raise typer.Exit(2) from None
         except (KeyboardInterrupt, SystemError) as error:
             if not _interrupted(error):
                 raise
-            typer.echo("interrupted; finished scenes are kept, run again to go on", err=True)
+            say("interrupted; finished scenes are kept, run again to go on", err=True)
             raise typer.Exit(130) from None
+
+
+@contextmanager
+def _left_out_told() -> Iterator[None]:
+    """Print LeftOut warnings as a line each; others as usual."""
+    import warnings
+
+    with warnings.catch_warnings():
+        usual = warnings.showwarning
+        warnings.simplefilter("always", LeftOut)
+
+        def show(message: Warning | str, category: type[Warning], *more: Any) -> None:
+            if issubclass(category, LeftOut):
+                warn([printable(str(message))])
+            else:
+                usual(message, category, *more)
+
+        warnings.showwarning = show  # type: ignore[assignment]
+        yield
 
 
 def _interrupted(error: BaseException | None) -> bool:
@@ -76,10 +104,10 @@ def show_result(plain: Any, text: str, as_json: bool) -> None:
 
 
 def line(event: dict[str, Any]) -> None:
-    """Print an event as one line of JSON during the run."""
+    """Print an event as one line of JSON during the run, which goes on if nobody reads it."""
     import json
 
-    typer.echo(json.dumps(event))
+    say(json.dumps(event))
 
 
 @contextmanager
@@ -91,6 +119,19 @@ def writing(place: Path) -> Iterator[None]:
         if error.errno not in (*DISK_ERRORS, errno.ENOENT):
             raise
         raise UserError(f"{error.filename or place}: cannot be written: {error.strerror}") from None
+
+
+@contextmanager
+def written(out: Path, inputs: Iterable[Path], overwrite: bool) -> Iterator[Path]:
+    """A path to write to, which gets the name `out` when it is complete; errors as of `output_file.written`."""
+    with writing(out), output_file.written(out, inputs, overwrite=overwrite) as path:
+        yield path
+
+
+def allowed(out: Path | None, inputs: Iterable[Path], overwrite: bool) -> None:
+    """UserError, before long work, if `out` could not be written afterwards."""
+    if out is not None:
+        output_file.refuse(out, inputs, overwrite=overwrite)
 
 
 def probe(folder: Path) -> None:
@@ -117,7 +158,7 @@ def plan_of(recipe: str, sets: list[str] | None, shard: tuple[int, int] = (0, 1)
 def warn(texts: Iterable[str]) -> None:
     """Print warnings."""
     for text in texts:
-        typer.echo(f"warning: {text}", err=True)
+        say(f"warning: {text}", err=True)
 
 
 def shard_of(text: str) -> tuple[int, int]:
@@ -143,7 +184,7 @@ def priced(plan: Any, workers: int) -> dict[str, Any]:
     """Time some scenes of a plan; the estimated cost as JSON values, and as a sentence under `text`."""
     from tacgen.batch import probe
 
-    typer.echo("timing a few scenes", err=True)
+    say("timing a few scenes", err=True)
     cost, memory = probe.probe(plan, workers)
     text = f"{cost.text(min(workers, len(plan.rows)))}; {memory:.2g} GB of memory a worker"
     return {**cost.plain(), "memory_gb": round(memory, 3), "workers": workers, "text": text}

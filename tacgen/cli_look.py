@@ -5,13 +5,14 @@ from typing import Annotated
 
 import typer
 
-from tacgen.cli_common import writing
+from tacgen.cli_common import Overwrite, written
 from tacgen.errors import UserError, printable
 
 
 def report(
     folder: Annotated[Path, typer.Argument(help="A folder that `run` or `pack` wrote.")],
     out: Annotated[Path | None, typer.Option("--out", "-o", help="The page, by default report.html there.")] = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """Write an HTML report of a dataset: coverage of the varied values, failures by cause, run times, pictures."""
     from tacgen.report import html_report as reporting
@@ -19,8 +20,9 @@ def report(
     if folder.is_file():
         raise UserError(f"{folder}: is a file, and a report is of a folder; tacgen show and view draw one bundle")
     out = out or folder / "report.html"
-    with writing(out):
-        typer.echo(str(reporting.write(folder, out)))
+    with written(out, [folder], overwrite) as path:
+        reporting.write(folder, path)
+    typer.echo(str(out))
 
 
 def show(
@@ -30,6 +32,7 @@ def show(
     animate: Annotated[
         Path | None, typer.Option("--animate", help="Write an animation: webp, gif, or mp4 if ffmpeg is installed.")
     ] = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """Print the contents of a bundle, or draw images, pressure, traction and height of its frames."""
     if animate is not None:
@@ -37,9 +40,8 @@ def show(
             raise UserError("--animate: draws a film of its own; leave out --out and --field")
         from tacgen.report import animation
 
-        with writing(animate):
-            animate.parent.mkdir(parents=True, exist_ok=True)
-            animation.write(path, animate)
+        with written(animate, [path], overwrite) as film:
+            animation.write(path, film)
         typer.echo(str(animate))
         return
     from tacgen.report import bundle_figure as showing
@@ -50,14 +52,13 @@ def show(
             raise UserError("--field: draws a picture, and needs --out to say where")
         typer.echo(printable(dataset_summary.summary(path) if path.is_dir() else showing.summary(path)))
         return
-    with writing(out):
-        out.parent.mkdir(parents=True, exist_ok=True)
+    with written(out, [path], overwrite) as picture:
         if field:
             from tacgen.report import field_figure
 
-            field_figure.picture(path, field, out)
+            field_figure.picture(path, field, picture)
         else:
-            showing.picture(path, out)
+            showing.picture(path, picture)
     typer.echo(str(out))
 
 
@@ -66,12 +67,14 @@ def view(
     other: Annotated[Path | None, typer.Argument(help="Another bundle, shown side by side.")] = None,
     out: Annotated[Path, typer.Option("--out", "-o", help="The page to write.")] = Path("view.html"),
     browse: Annotated[bool, typer.Option("--browse", help="Open it in the web browser.")] = False,
+    overwrite: Overwrite = False,
 ) -> None:
     """Write an interactive HTML page of a bundle: camera image, maps, and the gel with its stress in 3D."""
     from tacgen.report import viewer
 
-    with writing(out):
-        viewer.write([path] if other is None else [path, other], out)
+    bundles = [path] if other is None else [path, other]
+    with written(out, bundles, overwrite) as page:
+        viewer.write(bundles, page)
     typer.echo(str(out))
     if browse:
         typer.launch(str(out))

@@ -20,6 +20,10 @@ class UserError(Exception):
         return (type(self), (list(self.lines),))
 
 
+class LeftOut(UserWarning):
+    """Something of the user's is not part of what is read: commands print it, programs may turn it into an error."""
+
+
 def printable(text: str) -> str:
     """Text for a terminal, with control characters and invalid characters escaped, except tab and newline.
 

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from tacgen import array_cache, compiled, solve
+from tacgen import array_cache, atomic_file, compiled, solve
 from tacgen.bundle import bundle, resume
 from tacgen.bundle.resume import SceneResult
 from tacgen.geometry import gel as geometry
@@ -261,7 +261,8 @@ def _made(row: Row, path: Path, on_event: OnEvent | None, clock: Clock) -> Scene
             for recorder in recorders:
                 recorder.finish(reason)
     seconds = {name: round(value, 4) for name, value in clock.seconds.items()}
-    path.with_suffix(".timing.json").write_text(json.dumps({"frames": row.frames, "seconds": seconds}, indent=1) + "\n")
+    timing = json.dumps({"frames": row.frames, "seconds": seconds}, indent=1) + "\n"
+    atomic_file.write(path.with_suffix(".timing.json"), timing.encode())
     return SceneResult(row.name, path, "rejected" if reason else "ok", reason, row.frames, seconds)
 
 
@@ -291,5 +292,5 @@ def run(
         UserError: before anything is computed, if a bundle of other inputs is in the way.
     """
     if not overwrite:
-        resume.refuse_foreign(rows, folder)
+        resume.existing(rows, folder)
     return [run_scene(row, folder, overwrite=overwrite, on_event=on_event) for row in rows]

@@ -41,13 +41,17 @@ class TactileDataset:
     Args:
         path: a bundle, a folder of bundles, or a packed folder.
         fields: names below /frames or /fields of a bundle: rgb, force, pressure, markers, nodal_stress, ...
+        merge: `path` may hold several data sets in folders of their own, which are taken as one.
         split: the part of the scenes, chosen by `seed`; no scene is in two parts. `all`: every scene.
         fractions: shares of scenes for train, val and test.
         subtract_reference: subtract the untouched sensor from rgb (then int16), height and markers (float32).
         transform: a function that is applied to each item.
 
     Raises:
-        UserError: no scenes, a damaged or newer file, a missing shard, or a field that a scene does not have.
+        UserError: no scenes, several data sets without `merge`, a damaged or newer file, a missing shard, or a field
+            that a scene does not have.
+
+    A LeftOut warning names bundles that are not of the plan of their folder, which are left out.
     """
 
     def __init__(
@@ -55,13 +59,14 @@ class TactileDataset:
         path: str | Path,
         fields: Sequence[str] = ("rgb", "force"),
         *,
+        merge: bool = False,
         split: Literal["all", "train", "val", "test"] = "all",
         fractions: tuple[float, float, float] = (0.8, 0.1, 0.1),
         seed: int = 0,
         subtract_reference: bool = False,
         transform: Callable[[Item], Any] | None = None,
     ) -> None:
-        good = [scene for scene in dataset.scenes(Path(path)) if scene.attrs["status"] == "ok"]
+        good = [scene for scene in dataset.scenes(Path(path), merge=merge) if scene.attrs["status"] == "ok"]
         self.scenes = divide(good, split, fractions, seed)
         self.fields = {name: _path(name) for name in fields}
         for scene in self.scenes:
@@ -161,6 +166,7 @@ class TactilePairs:
         fields: Sequence[str] = ("rgb", "force"),
         *,
         sensors: Sequence[str] | None = None,
+        merge: bool = False,
         split: Literal["all", "train", "val", "test"] = "all",
         fractions: tuple[float, float, float] = (0.8, 0.1, 0.1),
         seed: int = 0,
@@ -170,6 +176,7 @@ class TactilePairs:
         self.dataset = TactileDataset(
             path,
             fields,
+            merge=merge,
             split=split,
             fractions=fractions,
             seed=seed,

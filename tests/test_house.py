@@ -15,6 +15,8 @@ LAYERS = [
     "errors",
     "regular_file",
     "atomic_file",
+    "output_file",
+    "terminal",
     "array_cache",
     "compiled",
     "fem",

@@ -217,7 +217,7 @@ def test_a_killed_run_leaves_an_incomplete_file_that_the_next_run_redoes(recipe:
     child = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         deadline = time.monotonic() + 120
-        while not list(out.glob("*.part-*")):
+        while not list(out.glob("*.tacgen-part-*")):
             assert child.poll() is None, "ended before it could be killed"
             assert time.monotonic() < deadline
             time.sleep(0.01)

@@ -151,7 +151,7 @@ def paired(tmp_path_factory: pytest.TempPathFactory) -> Path:
         known = {"scene_index": i, "pair": i // 3, "sensor": ("mini", "digit", "ninedtact")[i % 3]}
         write(out / f"scene-{i:05d}.h5", input_key=f"{i:064d}", stop=3 if i == 23 else None, **known,
               edit=lambda k, arrays, i=i: arrays.update({"/frames/force": np.array([i, k, 0.0])}))  # fmt: skip
-    write(out / "other" / "scene-00099.h5")
+    write(out / "scene-00099.h5")
     pack.pack(source.scenes(out), out.parent / "packed", 0.2)
     return out
 

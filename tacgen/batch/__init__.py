@@ -3,17 +3,20 @@
 Engines call one function, `pipeline.run_scene`, for each row of a plan, and know nothing else of the scenes.
 """
 
+import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from tacgen import atomic_file
+from tacgen import __version__, atomic_file
 from tacgen.batch import dask_engine
 from tacgen.batch.local import TASK, OnEvent, Pool
 from tacgen.batch.worker_process import Limits
-from tacgen.bundle.journal import Journal, Shard, write_plan
-from tacgen.bundle.resume import SceneResult, refuse_foreign
+from tacgen.bundle import dataset, journal
+from tacgen.bundle.bundle import read
+from tacgen.bundle.journal import Journal, Shard
+from tacgen.bundle.resume import SceneResult, existing
 from tacgen.errors import UserError
 from tacgen.recipe.plan import Plan
 
@@ -50,7 +53,8 @@ def run(
         plan: the scenes; with a shard, only its own.
         folder: of bundles, plan and journal; other runs may use it at the same time.
         workers: number of processes; with a scheduler, its workers are used instead.
-        overwrite: make finished scenes again, and replace bundles of other inputs.
+        overwrite: replace bundles of other inputs, make those of another version of tacgen again, and remove those
+            of earlier runs here that are not in the plan.
         shard: which part of the whole plan this is.
         limits: limits of a scene and of a worker.
         engine: a name in ENGINES.
@@ -59,24 +63,67 @@ def run(
         on_event: called with each event: frame, note, retry or outcome.
 
     Raises:
-        UserError: a bundle of other inputs has a scene's name, or no worker starts.
+        UserError: a bundle of other inputs has a scene's name, a file that no run wrote has the name of the plan or
+            journal, or no worker starts.
         OSError: the disk is full or read-only, or permission is missing.
     """
     if engine not in ENGINES:
         raise UserError(f"--engine {engine}: must be one of {', '.join(ENGINES)}")
     folder.mkdir(parents=True, exist_ok=True)
+    journal.refuse_foreign(folder, shard)
     atomic_file.sweep(folder)
-    if not overwrite:
-        refuse_foreign(plan.rows, folder)
-    write_plan(plan, folder, shard)
-    with Journal(folder, shard) as journal:
+    before = journal.made(folder) if overwrite else set()
+    notes = [] if overwrite else _of_other_versions(existing(plan.rows, folder))
+    journal.write_plan(plan, folder, shard)
+    notes += _unplanned(folder, shard, before)
+    with Journal(folder, shard) as log:
 
         def record(event: dict[str, Any]) -> None:
-            journal.write(event)
+            log.write(event)
             on_event(event)
 
+        for note in notes:
+            record({"event": "note", "scene": "", "note": note})
         try:
             with ENGINES[engine](workers, limits or Limits(), task, scheduler) as make:
                 return make(plan.rows, folder, overwrite=overwrite, on_event=record)
         finally:
             atomic_file.sweep(folder)
+
+
+def _of_other_versions(versions: dict[str, str]) -> list[str]:
+    """A note on the scenes that are kept though another version of tacgen made them."""
+    others = {name: version for name, version in versions.items() if version != __version__}
+    if not others:
+        return []
+    made = ", ".join(sorted(set(others.values())))
+    return [
+        f"kept, made by tacgen {made}, this is {__version__}: {dataset.some([*others])}; --overwrite makes them again"
+    ]
+
+
+def _unplanned(folder: Path, shard: Shard | None, made: set[tuple[str, str]]) -> list[str]:
+    """Notes on bundles that are not in the plan; those that earlier runs here made (name and input key) are removed.
+
+    A shard is answerable for the scenes of its own numbers alone.
+    """
+    removed, left = [], []
+    for path in dataset.unplanned(folder):
+        number = re.fullmatch(r"scene-(\d+)(-[LR])?", path.stem)
+        if shard is not None and not (number and int(number[1]) % shard[1] == shard[0]):
+            continue
+        if made and _is_of(path, made):
+            path.unlink()
+            path.with_suffix(".timing.json").unlink(missing_ok=True)
+            removed.append(path.stem)
+        else:
+            left.append(path.stem)
+    notes = [f"removed, no longer in the plan: {dataset.some(removed)}"] if removed else []
+    return notes + ([f"left out, not in the plan: {dataset.some(left)}; readers pass over them"] if left else [])
+
+
+def _is_of(path: Path, made: set[tuple[str, str]]) -> bool:
+    try:
+        return (path.stem, read(path).attrs["input_key"]) in made
+    except UserError:
+        return False

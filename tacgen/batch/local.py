@@ -158,7 +158,8 @@ class _Batch:
 
     def _keep(self, job: Job, result: SceneResult, **details: Any) -> None:
         self.results[job.place] = result
-        self.on_event({**outcome(result), "tries": job.tries, **details})
+        keys = {each.name: each.key for each in job.row.bundles}
+        self.on_event({**outcome(result), "keys": keys, "tries": job.tries, **details})
 
 
 def failed(row: Row, folder: Path, reason: str) -> SceneResult:

@@ -254,8 +254,8 @@ def read(path: Path, group: str = "/", *, part: bool = False) -> Bundle:
         raise Damaged(f"{path}: damaged: {error}") from error
 
 
-def is_complete(path: Path, key: str) -> bool:
-    """Whether `path` is a complete, undamaged bundle with this input key. Reads all of it.
+def complete(path: Path, key: str) -> Bundle | None:
+    """The bundle at `path` if it is complete, undamaged and has this input key; reads all of it.
 
     A rejected scene counts as complete: the same inputs would be rejected again.
     """
@@ -263,10 +263,10 @@ def is_complete(path: Path, key: str) -> bool:
         bundle = read(path)
         if bundle.attrs["input_key"] == key:
             bundle.verify()
-            return True
+            return bundle
     except UserError:
         pass
-    return False
+    return None
 
 
 @dataclass(frozen=True)

@@ -28,10 +28,11 @@ Seen = dict[tuple[Path, str], str]
 
 @dataclass(frozen=True)
 class Finding:
-    """A line about a file: `rejected` is a scene whose status says so, `error` is a file not to be trusted."""
+    """A line about a file: `rejected` is a scene whose status says so, `error` is a file not to be trusted, `stray` is a
+    bundle that is not of the plan in its folder, and which readers leave out."""
 
     path: Path
-    level: Literal["error", "incomplete", "rejected"]
+    level: Literal["error", "incomplete", "rejected", "stray"]
     message: str
 
     def __str__(self) -> str:
@@ -56,8 +57,23 @@ def check(path: Path) -> list[Finding]:
     if not (files or packs or parts):
         raise UserError(f"{path}: no bundles (*.h5) in this folder")
     seen: Seen = {}
-    found = [f for p in sorted([*files, *parts]) for f in (_leftover(p) if atomic_file.is_part(p) else _file(p, seen))]
+    keys = {folder: dataset.planned_keys(folder) for folder in {file.parent for file in files}}
+    found = []
+    for file in sorted([*files, *parts]):
+        found += _leftover(file) if atomic_file.is_part(file) else _planned(file, seen, keys[file.parent])
     return found + [f for folder in packs for f in _packed(folder)]
+
+
+def _planned(path: Path, seen: Seen, keys: dict[str, str] | None) -> list[Finding]:
+    """Findings about a bundle in a folder with a plan, given the planned input keys by name."""
+    if keys is not None and path.stem not in keys:
+        return [Finding(path, "stray", "is not of the plan in its folder: readers leave it out")]
+    found = _file(path, seen)
+    if keys is not None and not any(finding.level in ("error", "incomplete") for finding in found):
+        made = read(path)
+        if made.attrs["input_key"] != keys[path.stem]:
+            return [Finding(path, "stray", "was made from other inputs than those of the plan: readers leave it out")]
+    return found
 
 
 def _leftover(path: Path) -> list[Finding]:

@@ -7,6 +7,7 @@ A packed folder holds shards, which are HDF5 files with a bundle in each group, 
 """
 
 import os
+import warnings
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -14,9 +15,10 @@ from pathlib import Path
 from pydantic import NonNegativeInt
 
 from tacgen.bundle.bundle import Bundle, read
+from tacgen.bundle.journal import read_plan
 from tacgen.bundle.stored_json import Name, Stored, Value
 from tacgen.bundle.stored_json import read as read_json
-from tacgen.errors import UserError
+from tacgen.errors import LeftOut, UserError
 
 INDEX = "index.json"
 PACK_FORMAT = 1
@@ -54,11 +56,18 @@ class _Format(Stored):
     tacgen_pack: int
 
 
-def scenes(source: Path) -> list[Bundle]:
-    """All scenes in order, including rejected ones. Packed folders below a folder of bundles are not included.
+def scenes(source: Path, *, merge: bool = False) -> list[Bundle]:
+    """All scenes of a data set in order, including rejected ones.
+
+    A data set is a bundle, a packed folder, or a folder of bundles. Where a folder holds the plan of a run, its scenes
+    are those of the plan, made from the plan's inputs; other bundles there are left out with a LeftOut warning. Packed
+    folders below a folder of bundles are not included.
+
+    Args:
+        merge: a folder may hold several data sets in folders of their own, which are taken as one.
 
     Raises:
-        UserError: there is none; a file is damaged, not a bundle, or of a newer format; a shard is missing.
+        UserError: there is none, or several; a file is damaged, not a bundle, or of a newer format; a shard is missing.
     """
     try:
         os.stat(source)
@@ -72,10 +81,50 @@ def scenes(source: Path) -> list[Bundle]:
         return [read(source)]
     if is_packed(source):
         return [read(path, group) for path, group in packed(source)]
-    found = [read(path) for path in files(source)]
+    found, others = _planned(source, merge)
+    if others:
+        left = some([path.name for path in others])
+        warnings.warn(f"{others[0].parent}: left out {left}: not of the plan there", LeftOut, stacklevel=2)
     if not found:
         raise UserError(f"{source}: no bundles (*.h5) in this folder" + _hint(packs(source)))
     return found
+
+
+def _planned(source: Path, merge: bool) -> tuple[list[Bundle], list[Path]]:
+    """The bundles of the plans in and below a folder, all bundles where there is no plan, and the files left out."""
+    found: list[Bundle] = []
+    others: list[Path] = []
+    paths = files(source)
+    folders = {folder: planned_keys(folder) for folder in dict.fromkeys(path.parent for path in paths)}
+    if len(folders) > 1 and not merge:
+        names = some([*map(str, folders)])
+        raise UserError(f"{source}: holds {len(folders)} data sets: {names}: name one of them, or merge them (--merge)")
+    for path in paths:
+        keys = folders[path.parent]
+        if keys is None:
+            found.append(read(path))
+        elif path.stem in keys and (bundle := read(path)).attrs["input_key"] == keys[path.stem]:
+            found.append(bundle)
+        else:
+            others.append(path)
+    return found, others
+
+
+def planned_keys(folder: Path) -> dict[str, str] | None:
+    """Input key of each planned bundle by its name; None if the folder has no plan."""
+    plan = read_plan(folder)
+    return None if plan is None else {row.scene: row.key for row in plan.scenes}
+
+
+def unplanned(folder: Path) -> list[Path]:
+    """Bundles in a folder of a run that its plan does not name, by their names alone."""
+    keys = planned_keys(folder)
+    return [] if keys is None else [p for p in files(folder) if p.parent == folder and p.stem not in keys]
+
+
+def some(names: Sequence[str]) -> str:
+    """The first of many names, for a message."""
+    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
 
 
 def contacts(bundles: Sequence[Bundle]) -> list[list[int]]:

@@ -6,34 +6,72 @@ different files, so that several machines can share the folder.
 
 import json
 import os
+import re
 import socket
 import time
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from pydantic import NonNegativeInt
+from pydantic import Field, NonNegativeInt
 
 from tacgen import atomic_file, regular_file
 from tacgen.bundle import stored_json
 from tacgen.bundle.stored_json import Name, Stored, Value
 from tacgen.errors import UserError, why
-from tacgen.recipe import plan_table
-from tacgen.recipe.plan import Plan
+
+if TYPE_CHECKING:
+    from tacgen.recipe.plan import Plan
 
 Shard = tuple[int, int]  # (i, N): the scenes whose index modulo N is i
+NAME = re.compile(r"(plan|journal)(?:-\d+-of-(\d+))?\.jsonl?")  # of the files that runs write; N of their shards
+BEGINNINGS = {  # of their contents: a file that begins otherwise is not a run's, and stays untouched
+    "plan": re.compile(rb'\{"name": "(?:[^"\\]|\\.)*", "scenes": \[\s*\{"scene": "'),
+    "journal": re.compile(rb'\{"time": "[^"]*", "run": "'),
+}
+HEAD = 65536  # bytes at the beginning of a file in which these are looked for
 
 
-def write_plan(plan: Plan, folder: Path, shard: Shard | None) -> None:
+def write_plan(plan: "Plan", folder: Path, shard: Shard | None) -> None:
     """Write `plan.json`, or that of a shard, and remove the plans of other divisions into shards."""
+    from tacgen.recipe import plan_table
+
     target = folder / f"plan{_suffix(shard)}.json"
-    mine = {target.name} if shard is None else {f"plan{_suffix((i, shard[1]))}.json" for i in range(shard[1])}
-    for other in set(folder.glob("plan*.json")):
-        if other.name not in mine:
-            other.unlink(missing_ok=True)
+    for path, shards in _files(folder, "plan"):
+        if shards != (shard and str(shard[1])):
+            path.unlink(missing_ok=True)
     atomic_file.write(target, plan_table.as_json(plan).encode())
+
+
+def refuse_foreign(folder: Path, shard: Shard | None) -> None:
+    """UserError if files that no run wrote have the names of this run's plan or journal."""
+    for path in (folder / f"plan{_suffix(shard)}.json", folder / f"journal{_suffix(shard)}.jsonl"):
+        if os.path.lexists(path) and path not in dict(_files(folder, path.name.partition("-")[0].partition(".")[0])):
+            raise UserError(
+                f"{path}: was not written by tacgen run, which needs this name: move it, or choose another folder"
+            )
+
+
+def _files(folder: Path, kind: str) -> list[tuple[Path, str | None]]:
+    """The plans or journals that runs wrote in a folder, sorted, each with the number of shards that its name gives."""
+    found = []
+    for name in sorted(os.listdir(folder)):
+        match = NAME.fullmatch(name)
+        if match and match[1] == kind and _is_ours(folder / name, kind):
+            found.append((folder / name, match[2]))
+    return found
+
+
+def _is_ours(path: Path, kind: str) -> bool:
+    """Whether a file begins as those that runs write; an empty one holds nothing that could be lost."""
+    try:
+        with regular_file.opened(path, stored_json.LARGEST) as file:
+            head = file.read(HEAD)
+    except OSError:
+        return False
+    return not head or BEGINNINGS[kind].match(head) is not None
 
 
 class PlannedScene(Stored):
@@ -54,7 +92,7 @@ class StoredPlan(Stored):
 
 def read_plan(folder: Path) -> StoredPlan | None:
     """The combined plan of all shards; None if the folder has none. Raises UserError: it is damaged."""
-    plans = [stored_json.read(StoredPlan, path) for path in sorted(folder.glob("plan*.json"))]
+    plans = [stored_json.read(StoredPlan, path) for path, _ in _files(folder, "plan")]
     if not plans:
         return None
     scenes = [scene for plan in plans for scene in plan.scenes]
@@ -101,6 +139,7 @@ class Event(Stored):
     status: str = ""
     reason: str = ""
     traceback: str = ""
+    keys: dict[str, str] = Field(default_factory=dict)  # of each bundle of the scene, by its name
 
 
 def read_journal(folder: Path) -> Iterator[Event]:
@@ -109,7 +148,7 @@ def read_journal(folder: Path) -> Iterator[Event]:
     Raises:
         UserError: a journal cannot be read.
     """
-    for path in sorted(folder.glob("journal*.jsonl")):
+    for path, _ in _files(folder, "journal"):
         try:
             lines = regular_file.read_bytes(path, stored_json.LARGEST).splitlines()
         except OSError as error:
@@ -117,6 +156,13 @@ def read_journal(folder: Path) -> Iterator[Event]:
         for line in lines:
             with suppress(ValueError):
                 yield stored_json.parsed(Event, line)
+
+
+def made(folder: Path) -> set[tuple[str, str]]:
+    """Name and input key of every bundle that the runs in this folder planned or made."""
+    plan = read_plan(folder)
+    planned = {(row.scene, row.key) for row in plan.scenes} if plan else set()
+    return planned.union(*(event.keys.items() for event in read_journal(folder)))
 
 
 def _suffix(shard: Shard | None) -> str:

@@ -1,15 +1,19 @@
 """Resuming a run: a bundle is kept only if it is complete and has the same inputs."""
 
-from collections.abc import Callable, Iterable
+import json
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
-from tacgen import atomic_file
+from tacgen import __version__, atomic_file
 from tacgen.bundle import bundle, dataset
 from tacgen.bundle.hdf5_file import Damaged
 from tacgen.errors import UserError
 from tacgen.recipe.plan import Row
+
+SHOWN = 3  # differing inputs that a message names
 
 
 @dataclass(frozen=True)
@@ -25,7 +29,9 @@ class SceneResult:
 
 
 def once(row: Row, folder: Path, make: Callable[[Path], SceneResult], *, overwrite: bool = False) -> SceneResult:
-    """Make a scene unless its bundle exists and is complete; with `overwrite` in any case.
+    """Make a scene, unless its bundles exist, are complete and have the same inputs.
+
+    With `overwrite`, those that another version of tacgen wrote are made again, and those of other inputs are replaced.
 
     Raises:
         UserError: the bundle's name is taken by a file made from other inputs.
@@ -36,36 +42,46 @@ def once(row: Row, folder: Path, make: Callable[[Path], SceneResult], *, overwri
     with ExitStack() as claims:
         for path in paths:
             claims.enter_context(atomic_file.claim(path))
-        if not overwrite:
-            whole = [bundle.is_complete(path, each.key) for path, each in zip(paths, row.bundles, strict=True)]
-            if all(whole):
-                kept = bundle.read(paths[0]).attrs
-                return SceneResult(row.name, paths[0], kept["status"], kept["reason"], row.frames)
-            for path in (path for path, done in zip(paths, whole, strict=True) if path.exists() and not done):
-                _refuse(path)
+        kept = [bundle.complete(path, each.key) for path, each in zip(paths, row.bundles, strict=True)]
+        if overwrite:
+            kept = [one if one and one.attrs["tacgen_version"] == __version__ else None for one in kept]
+        if kept[0] and all(kept):
+            attrs = kept[0].attrs
+            return SceneResult(row.name, paths[0], attrs["status"], attrs["reason"], row.frames)
+        for path, each, one in zip(paths, row.bundles, kept, strict=True):
+            if path.exists() and not (one or overwrite):
+                _refuse(path, each)
         return make(paths[0])
 
 
-def refuse_foreign(rows: Iterable[Row], folder: Path) -> None:
-    """UserError if the folder is packed, or a bundle of other inputs has a row's name. Reads attributes only."""
+def existing(rows: Iterable[Row], folder: Path) -> dict[str, str]:
+    """The version of tacgen that wrote each existing bundle of these scenes, by its name. Reads attributes only.
+
+    Raises:
+        UserError: the folder is packed, or a bundle made from other inputs has a scene's name.
+    """
     if dataset.is_packed(folder):
         raise UserError(f"{folder}: holds packed scenes; choose another folder")
+    found: dict[str, str] = {}
     if not any(folder.glob("*.h5")):
-        return
+        return found
     for row in (each for scene in rows for each in scene.bundles):
         path = folder / f"{row.name}.h5"
         if path.exists():
             try:
-                ours = bundle.read(path).attrs["input_key"] == row.key
+                attrs = bundle.read(path).attrs
             except (bundle.Unfinished, Damaged):
                 continue
             except UserError:
-                ours = False
-            if not ours:
-                _refuse(path)
+                _refuse(path, row)
+                continue
+            if attrs["input_key"] != row.key:
+                _refuse(path, row)
+            found[row.name] = attrs["tacgen_version"]
+    return found
 
 
-def _refuse(path: Path) -> None:
+def _refuse(path: Path, row: Row) -> None:
     """UserError if the file is a complete bundle; an unfinished or damaged one may be replaced."""
     try:
         other = bundle.read(path)
@@ -74,5 +90,32 @@ def _refuse(path: Path) -> None:
         return
     except UserError as error:
         raise UserError([*error.lines[:-1], f"{error.lines[-1]}; pass --overwrite to replace it"]) from None
-    made = other.recipe.get("name", "?")
-    raise UserError(f"{path}: made from other inputs (recipe {made}); pass --overwrite or choose another folder")
+    raise UserError(f"{path}: made from other inputs ({differences(other, row)}); --overwrite replaces it")
+
+
+def differences(made: bundle.Bundle, row: Row) -> str:
+    """The first inputs in which a bundle differs from a scene, as `contact.friction: 0.65 -> 0.62`."""
+    sensor = json.loads(made.attrs.get("sensor_document", "{}"))
+    before = {**made.recipe, "sensor file": sensor, "seed": made.attrs["seed"], "scene": made.attrs["scene_index"]}
+    now = {**row.document(), "sensor file": row.sensor_document(), "seed": row.seed, "scene": row.index}
+    old, new = dict(_values(before)), dict(_values(now))
+    changed = [path for path in dict.fromkeys([*new, *old]) if old.get(path) != new.get(path)]
+    said = [f"{path}: {_short(old.get(path))} -> {_short(new.get(path))}" for path in changed[:SHOWN]]
+    more = f" and {len(changed) - SHOWN} more" if len(changed) > SHOWN else ""
+    return (", ".join(said) or "another version of their keys") + more
+
+
+def _values(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+    """Path and value of every number and text in a document."""
+    if isinstance(value, dict) and value:
+        for name, part in value.items():
+            yield from _values(part, f"{path}.{name}" if path else name)
+    elif isinstance(value, list) and value:
+        for place, part in enumerate(value):
+            yield from _values(part, f"{path}[{place}]")
+    else:
+        yield path, value
+
+
+def _short(value: Any) -> str:
+    return "none" if value is None else f"{value:g}" if isinstance(value, float) else str(value)[:40]

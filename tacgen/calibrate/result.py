@@ -51,5 +51,4 @@ def write_sensor(path: Path, sensor: Sensor, changes: Mapping[KeyPath, Any], out
     if sensor.gel.solid is not None:
         solid = assets.mesh_path(sensor.gel.solid.file, path.parent)
         changes[loading.SOLID] = os.path.relpath(solid.resolve(), out.parent.resolve())
-    out.parent.mkdir(parents=True, exist_ok=True)
     out.write_text(yaml_source.edited(path, changes), encoding="utf-8")

@@ -13,6 +13,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from tacgen import output_file
 from tacgen.bundle import whole_folder
 from tacgen.errors import UserError
 
@@ -31,36 +32,43 @@ EXPORTERS = {
 }
 
 
-def bundles(source: Path) -> "list[Bundle]":
-    """The finished bundle `source`, or all in a folder or packed folder, in order, without rejected scenes.
+def bundles(source: Path, *, merge: bool = False) -> "list[Bundle]":
+    """The finished bundle `source`, or all of a data set, in order, without rejected scenes; `merge` as of `scenes`.
 
     Raises:
-        UserError: there is none, or one is damaged.
+        UserError: there is none, or one is damaged; there are several data sets and no `merge`.
     """
     from tacgen.bundle.dataset import scenes
 
-    found = [bundle for bundle in scenes(source) if bundle.attrs["status"] == "ok"]
+    found = [bundle for bundle in scenes(source, merge=merge) if bundle.attrs["status"] == "ok"]
     if not found:
         raise UserError(f"{source}: no finished scene to export")
     return found
 
 
-def export(kind: str, source: Path, out: Path) -> list[Path]:
+def export(kind: str, source: Path, out: Path, *, merge: bool = False, overwrite: bool = False) -> list[Path]:
     """Write the bundles at `source` in a format of EXPORTERS, and return the files made.
+
+    Args:
+        merge: `source` may hold several data sets, which become one.
+        overwrite: `out`, if it is a file, may exist.
 
     Raises:
         UserError: an unknown format, nothing to export, a damaged bundle, or one without the datasets that the
-            format needs; `out` holds anything other than an export of this format, which would be replaced.
+            format needs; `out` is a file or input, or holds anything other than an export of this format, which would
+            be replaced.
         OSError: `out` cannot be written.
     """
     if kind not in EXPORTERS:
         raise UserError(f"{kind}: unknown format, use one of {', '.join(EXPORTERS)}")
-    found = bundles(source)
+    found = bundles(source, merge=merge)
     for bundle in found:
         bundle.verify()
     module = import_module(f"tacgen.export.{kind}")
     if len(found) == 1 and out.suffix == getattr(module, "SUFFIX", None):
-        return list(module.write(found, out))
+        with output_file.written(out, [source], overwrite=overwrite) as path:
+            module.write(found, path)
+        return [out]
     with whole_folder.written(out, kind) as folder:
         made = [path.relative_to(folder) for path in module.write(found, folder)]
     return [out / path for path in made]

@@ -1,15 +1,17 @@
 """JSON Schemas of recipes and sensor files for editors, and the starter files of `tacgen init`."""
 
 import json
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from tacgen.errors import UserError
+from tacgen import output_file, regular_file
 from tacgen.recipe import assets
 from tacgen.recipe.model import Recipe
 from tacgen.recipe.sensor import Sensor
 
 SCHEMA_FILE, SENSOR_SCHEMA_FILE = "tacgen.schema.json", "tacgen-sensor.schema.json"
+LARGEST_SCHEMA = 2**24  # [bytes]
 
 
 def recipe_schema() -> dict[str, Any]:
@@ -39,16 +41,18 @@ def write_starter(path: Path, *, sensor: bool, overwrite: bool) -> tuple[Path, P
     Raises:
         UserError: the file exists and `overwrite` is not set.
     """
-    if path.exists() and not overwrite:
-        raise UserError(f"{path}: is there already; --overwrite replaces it")
+    schema = path.parent / (SENSOR_SCHEMA_FILE if sensor else SCHEMA_FILE)
+    plain = json.dumps(sensor_schema() if sensor else recipe_schema(), indent=1) + "\n"
+    output_file.refuse(path, overwrite=overwrite)
+    with suppress(FileNotFoundError):  # that of another version is replaced, anything else is not
+        if '"$schema"' not in regular_file.read_bytes(schema, LARGEST_SCHEMA).decode(errors="replace"):
+            output_file.refuse(schema, overwrite=overwrite)
     start = Path(__file__).with_name("starter_sensor.yaml") if sensor else assets.recipe_path("quickstart")
     title, *lines = start.read_text(encoding="utf-8").splitlines()
     said = f"#   tacgen validate {path}" if sensor else f"#   tacgen run {path} -o out/first"
     body = [said if line.startswith(("#   tacgen run", "#   tacgen validate")) else line for line in lines]
-    schema = path.parent / (SENSOR_SCHEMA_FILE if sensor else SCHEMA_FILE)
     text = "\n".join([f"# yaml-language-server: $schema={schema.name}", title, *body, ""])
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(text.replace("name: quickstart", "name: first"), encoding="utf-8")
-    plain = sensor_schema() if sensor else recipe_schema()
-    schema.write_text(json.dumps(plain, indent=1) + "\n", encoding="utf-8")
+    for target, content in ((path, text.replace("name: quickstart", "name: first")), (schema, plain)):
+        with output_file.written(target, overwrite=overwrite or target == schema) as new:
+            new.write_text(content, encoding="utf-8")
     return path, schema

@@ -36,9 +36,9 @@ def write(path: Path, out: Path) -> None:
     from matplotlib import animation
 
     if (kind := KINDS.get(out.suffix.lower())) is None:
-        raise UserError(f"{out}: unknown kind of film, use one of {', '.join(KINDS)}")
+        raise UserError(f"{out.suffix or 'no suffix'}: unknown kind of film, use one of {', '.join(KINDS)}")
     if not animation.writers.is_available(kind):
-        raise UserError(f"{out}: mp4 needs ffmpeg on the PATH; .webp and .gif do without")
+        raise UserError(".mp4: needs ffmpeg on the PATH; .webp and .gif do without")
     bundle = only(path)
     if not bundle.frames:
         raise UserError(f"{bundle.path}: has no frames to show")

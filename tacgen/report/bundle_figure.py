@@ -51,7 +51,8 @@ def save(drawn: "Figure", out: Path) -> None:
     """Write a figure. UserError if the suffix of `out` is not an image format, OSError if it cannot be written."""
     kinds = drawn.canvas.get_supported_filetypes()
     if out.suffix.lstrip(".").lower() not in kinds:
-        raise UserError(f"{out}: unknown kind of picture, use one of {', '.join('.' + kind for kind in sorted(kinds))}")
+        known = ", ".join(f".{kind}" for kind in sorted(kinds))
+        raise UserError(f"{out.suffix or 'no suffix'}: unknown kind of picture, use one of {known}")
     drawn.savefig(out, dpi=150)
 
 

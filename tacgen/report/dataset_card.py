@@ -2,24 +2,34 @@
 
 import hashlib
 import json
+import os
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-from tacgen import atomic_file
-from tacgen.errors import printable
+from tacgen import atomic_file, output_file
+from tacgen.errors import UserError, printable
 from tacgen.report import dataset_summary
 from tacgen.report.dataset_summary import Overview
 
-FILE_NAME = "README.md"
+FILE_NAME, OTHER_NAME = "README.md", "DATASET_CARD.md"  # the latter if the former is somebody's
 MAX_REASONS = 20  # most rows in the table of missing scenes
 
 
 def write(folder: Path) -> Path:
-    """Write the card of a folder that has a finished scene. An existing card is overwritten."""
-    path = folder / FILE_NAME
-    atomic_file.write(path, text(dataset_summary.look(folder)).encode())
-    return path
+    """Write the card of a folder that has a finished scene, and return its path.
+
+    It is README.md or, if that was not written by tacgen or was changed since, DATASET_CARD.md.
+
+    Raises:
+        UserError: neither is tacgen's.
+    """
+    content = output_file.signed(text(dataset_summary.look(folder)))
+    for path in (folder / FILE_NAME, folder / OTHER_NAME):
+        if not os.path.lexists(path) or output_file.is_unchanged_page(path):
+            atomic_file.write(path, content)
+            return path
+    raise UserError(f"{folder}: no card written: {FILE_NAME} and {OTHER_NAME} are not as tacgen wrote them")
 
 
 def text(seen: Overview) -> str:

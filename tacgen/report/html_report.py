@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from tacgen import output_file
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.image_file import encoded
 from tacgen.errors import UserError
@@ -31,9 +32,8 @@ h2{margin-top:1.6em;font-size:1.15em}code{font-size:.95em}"""
 
 
 def write(folder: Path, out: Path) -> Path:
-    """Write the page. Raises UserError if `folder` holds no scenes."""
-    out.parent.mkdir(parents=True, exist_ok=True)
-    out.write_text(page(dataset_summary.look(folder)), encoding="utf-8")
+    """Write the page, signed. Raises UserError if `folder` holds no scenes."""
+    out.write_bytes(output_file.signed(page(dataset_summary.look(folder))))
     return out
 
 

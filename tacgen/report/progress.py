@@ -6,12 +6,14 @@ import time
 from typing import Any, TextIO
 
 from tacgen.report.wording import duration
+from tacgen.terminal import dropping
 
 
 class Progress:
     """Shows the events of a run; progress is counted in frames.
 
-    Without a terminal it prints a line for each scene, and for each frame only if there is a single scene.
+    Without a terminal it prints a line for each scene, and for each frame only if there is a single scene. What the
+    stream does not take is dropped, and the run goes on.
     """
 
     def __init__(self, scenes: int, frames: int, stream: TextIO | None = None) -> None:
@@ -37,15 +39,21 @@ class Progress:
             times = (TextColumn("frames"), TimeElapsedColumn(), TextColumn("{task.fields[left]}"))
             self.bar = Bar(*columns, *times, console=Console(file=self.stream), transient=True)
             self.task = self.bar.add_task("starting", total=self.total, left="")
-            self.bar.start()
+            with dropping(self.stream):
+                self.bar.start()
         return self
 
     def __exit__(self, *_: object) -> None:
         if self.bar is not None:
-            self.bar.stop()
+            with dropping(self.stream):
+                self.bar.stop()
 
     def __call__(self, event: dict[str, Any]) -> None:
         """Show an event: a frame, a note, a retry or the end of a scene."""
+        with dropping(self.stream):
+            self._show(event)
+
+    def _show(self, event: dict[str, Any]) -> None:
         name = event["scene"]
         if event["event"] == "frame":
             if not self.ahead:
@@ -68,9 +76,11 @@ class Progress:
             self.under_way.pop(name, None)
             self.finished += 1
             self.done += event["frames"]
-            self.kept += 0 if event["seconds"] else event["frames"]
+            before = not event["seconds"] and event["status"] != "failed"  # made by an earlier run
+            self.kept += event["frames"] if before else 0
             good = event["status"] == "ok"
-            text = f"{name}: {event['status']}" + (f": {event['reason']}" if event["reason"] else "")
+            state = "kept" if before and good else f"kept, {event['status']}" if before else event["status"]
+            text = f"{name}: {state}" + (f": {event['reason']}" if event["reason"] else "")
             self._say(text, lasting=not good)
 
     def _say_once(self, text: str, scene: str = "") -> None:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from tacgen import output_file
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.caption import indenter_text, sensor_text
 from tacgen.bundle.image_file import encoded
@@ -47,7 +48,7 @@ STYLE = """.viewer{font:13px/1.4 system-ui,sans-serif;color:#222}.viewer .sides{
 
 
 def write(paths: Sequence[Path], out: Path) -> None:
-    """Write the page of one or two bundles, each given by its file or by a folder with only one.
+    """Write the signed page of one or two bundles, each given by its file or by a folder with only one.
 
     Raises:
         UserError: not a complete bundle, or one without frames.
@@ -60,8 +61,7 @@ def write(paths: Sequence[Path], out: Path) -> None:
     title = escape(" | ".join(_name(bundle) for bundle in bundles))
     head = f'<meta charset="utf-8"><meta http-equiv="Content-Security-Policy" content="{POLICY}"><title>{title}</title>'
     page = f"<!doctype html><html lang=en><head>{head}<style>{STYLE}</style></head><body>{block(bundles)}</body></html>"
-    out.parent.mkdir(parents=True, exist_ok=True)
-    out.write_text(page + "\n", encoding="utf-8")
+    out.write_bytes(output_file.signed(page))
 
 
 def block(bundles: Sequence[Bundle], *, in_3d: bool = True) -> str:

@@ -47,7 +47,7 @@ def test_a_parent_killed_twice_during_a_write_takes_its_workers_along_and_loses_
     spoil(out, "scene-00003", "hang writing")
     for _ in range(2):
         program = start(out, workers=2)
-        wait_for(lambda: list(out.glob("scene-00003.h5.part-*")) and len(made(out)) == 7)
+        wait_for(lambda: list(out.glob("scene-00003.h5.tacgen-part-*")) and len(made(out)) == 7)
         program.send_signal(signal.SIGKILL)
         program.communicate()
         assert not (out / "scene-00003.h5").exists()
@@ -77,7 +77,7 @@ def test_a_run_takes_over_what_another_one_dies_of(tmp_path: Path):
     out = tmp_path / "out"
     spoil(out, "scene-00000", "hang writing")
     first = start(out, workers=1)
-    wait_for(lambda: list(out.glob("scene-00000.h5.part-*")))
+    wait_for(lambda: list(out.glob("scene-00000.h5.tacgen-part-*")))
     (out / "faults" / "scene-00000").unlink()
     second = start(out, workers=1)
     wait_for(lambda: len(made(out)) == 7)
@@ -133,7 +133,7 @@ def test_ctrl_c_leaves_no_worker_and_no_leftovers(tmp_path: Path):
     out = tmp_path / "out"
     spoil(out, "scene-00000", "hang writing")
     program = start(out, workers=2)
-    wait_for(lambda: list(out.glob("scene-00000.h5.part-*")) and len(made(out)) == 7)
+    wait_for(lambda: list(out.glob("scene-00000.h5.tacgen-part-*")) and len(made(out)) == 7)
     workers = [int(p) for p in Path(f"/proc/{program.pid}/task/{program.pid}/children").read_text().split()]
     assert workers
     program.send_signal(signal.SIGINT)

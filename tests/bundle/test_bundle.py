@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 
 from tacgen import atomic_file
 from tacgen.bundle import schema
-from tacgen.bundle.bundle import Unfinished, Writer, is_complete, read
+from tacgen.bundle.bundle import Unfinished, Writer, complete, read
 from tacgen.bundle.check import check
 from tacgen.bundle.hdf5_file import Damaged
 from tacgen.bundle.rounding import rounded
@@ -83,8 +83,8 @@ def test_what_is_written_is_read(tmp_path: Path, content: tuple, text: str, seed
         assert found.frames == written
         name = min(framed)
         np.testing.assert_array_equal(found.frame(name, written - 1), arrays[name][-1])
-    assert is_complete(path, KEY)
-    assert not is_complete(path, "another key")
+    assert complete(path, KEY)
+    assert not complete(path, "another key")
     assert os.listdir(tmp_path) == ["x.h5"]
 
 
@@ -202,9 +202,9 @@ def test_a_killed_writer_leaves_nothing_that_looks_whole(tmp_path: Path) -> None
         (left,) = folder.iterdir()
         assert atomic_file.is_part(left)
         assert [f.level for f in check(folder)] == ["incomplete"]
-        assert not is_complete(folder / "x.h5", KEY)
+        assert not complete(folder / "x.h5", KEY)
         renamed = left.rename(folder / "y.h5")  # as a person might
-        assert not is_complete(renamed, KEY) or renamed.read_bytes() == whole
+        assert not complete(renamed, KEY) or renamed.read_bytes() == whole
         renamed.rename(left)
         with Writer(folder / "z.h5", attributes(), 1):  # the next writer sweeps
             assert not left.exists()
@@ -214,7 +214,7 @@ def test_a_killed_writer_leaves_nothing_that_looks_whole(tmp_path: Path) -> None
 def test_a_living_writer_is_not_swept_and_not_joined(tmp_path: Path) -> None:
     with Writer(tmp_path / "x.h5", attributes(), 1) as first:
         write(tmp_path / "y.h5")
-        assert sorted(os.listdir(tmp_path)) == [f"x.h5.part-{os.getpid()}", "y.h5"]
+        assert sorted(os.listdir(tmp_path)) == [f"x.h5.tacgen-part-{os.getpid()}", "y.h5"]
         with pytest.raises(UserError, match="another writer"), Writer(tmp_path / "x.h5", attributes(), 1):
             pass
         first.append({"/frames/force": [1, 2, 3]})
@@ -316,7 +316,7 @@ def test_a_flipped_bit_in_an_image_is_seen_by_whoever_reads_it(tmp_path: Path) -
     found.frame("/frames/rgb", 4)
     with pytest.raises(UserError, match=r"x\.h5: damaged or cut short"):
         found.frame("/frames/rgb", 5)
-    assert not is_complete(path, KEY)
+    assert not complete(path, KEY)
 
 
 def change(path: Path, **attrs: object) -> None:

@@ -218,11 +218,11 @@ def test_a_folder_is_checked_file_by_file(tmp_path: Path) -> None:
     write(tmp_path / "good.h5")
     write(tmp_path / "deep" / "rejected.h5", stop=2)
     (tmp_path / "junk.h5").write_bytes(b"junk")
-    (tmp_path / "scene.h5.part-123").write_bytes(b"")
+    (tmp_path / "scene.h5.tacgen-part-123").write_bytes(b"")
     (tmp_path / "scene.timing.json").write_text("{}")
     found = {f.path.name: f.level for f in check(tmp_path)}
-    assert found == {"rejected.h5": "rejected", "junk.h5": "error", "scene.h5.part-123": "incomplete"}
-    assert [f.level for f in check(tmp_path / "scene.h5.part-123")] == ["incomplete"]
+    assert found == {"rejected.h5": "rejected", "junk.h5": "error", "scene.h5.tacgen-part-123": "incomplete"}
+    assert [f.level for f in check(tmp_path / "scene.h5.tacgen-part-123")] == ["incomplete"]
 
 
 def test_nothing_to_check(tmp_path: Path) -> None:

@@ -130,16 +130,16 @@ def test_what_cannot_be_packed_is_reported(loose: Path, tmp_path: Path):
         pack.pack(dataset.scenes(loose), loose)
     write(loose / "more" / "scene-00001.h5")
     with pytest.raises(UserError, match="have the same name"):
-        pack.pack(dataset.scenes(loose), tmp_path / "out")
+        pack.pack(dataset.scenes(loose, merge=True), tmp_path / "out")
     with pytest.raises(UserError, match="no finished scene to pack"):
-        pack.pack([b for b in dataset.scenes(loose) if b.attrs["status"] != "ok"], tmp_path / "out")
+        pack.pack([b for b in dataset.scenes(loose, merge=True) if b.attrs["status"] != "ok"], tmp_path / "out")
     shard = packed_shard(loose, tmp_path)
     with pytest.raises(UserError, match="no tacgen bundle: it holds packed scenes; give the folder it is in"):
         dataset.scenes(shard)
 
 
 def packed_shard(loose: Path, tmp_path: Path) -> Path:
-    bundles = [b for b in dataset.scenes(loose) if b.path.parent == loose]
+    bundles = [b for b in dataset.scenes(loose, merge=True) if b.path.parent == loose]
     return pack.pack(bundles, tmp_path / "another").shards[0]
 
 
@@ -182,4 +182,4 @@ def test_a_folder_that_holds_its_own_pack_is_two_datasets(loose: Path):
 
 def test_no_scene_is_made_among_packed_ones(loose: Path):
     with pytest.raises(UserError, match="holds packed scenes; choose another folder"):
-        resume.refuse_foreign([], packed(loose))
+        resume.existing([], packed(loose))

@@ -77,6 +77,7 @@ def _make(row: plan.Row, path: Path, on_event: Any) -> resume.SceneResult:
             _suffer(words, fault)
 
     known = {"input_key": row.key, "seed": row.seed, "scene_index": row.index, "values": row.values}
+    known |= {"recipe": row.document(), "sensor_document": row.sensor_document()}
     write(path, outputs=frozenset({"force"}), edit=edit, **known)
     with (path.parent / "made.log").open("a") as log:
         log.write(f"{row.name}\n")

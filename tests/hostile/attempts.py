@@ -9,6 +9,7 @@ import sys
 import tempfile
 import time
 import traceback
+import warnings
 from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass
@@ -24,7 +25,7 @@ from tacgen.bundle import dataset, pack
 from tacgen.bundle.check import check
 from tacgen.bundle.journal import Journal, write_plan
 from tacgen.cli_common import writing
-from tacgen.errors import UserError
+from tacgen.errors import LeftOut, UserError
 from tacgen.report import dataset_card
 
 SECONDS = 20  # of processor time that a reader may take
@@ -187,7 +188,9 @@ class Content:
     @classmethod
     def of(cls, folder: Path) -> "Content":
         """Raises UserError."""
-        found = dataset.scenes(folder)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", LeftOut)
+            found = dataset.scenes(folder)
         for bundle in found:
             bundle.verify()
         return cls([bundle.attrs["digest"] for bundle in found], [finding.message for finding in check(folder)])
@@ -248,6 +251,7 @@ def _child(work: Callable[[], str], note: Path) -> int:
     used = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
     resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY, used + MEMORY))
     resource.setrlimit(resource.RLIMIT_CPU, (SECONDS, SECONDS + 1))
+    warnings.simplefilter("ignore", LeftOut)
     try:
         with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
             return CODES[work()]

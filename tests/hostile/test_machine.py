@@ -23,7 +23,7 @@ REFUSED = {
     "8 file descriptors, solving": ("ulimit -n 8; {tacgen} run {recipe} -o {out}/run", "Too many open files"),
     "200 MB of memory, solving": ("ulimit -v 200000; {tacgen} run {recipe} -o {out}/run", "workers end before"),
     "an output that is full": ("{tacgen} check {data} > /dev/full", "No space left on device"),
-    "a report on a full disk": ("{tacgen} report {data} -o /dev/full", "/dev/full: cannot be written"),
+    "a page into a device": ("{tacgen} report {data} -o /dev/full", "/dev/full: is a pipe, socket or device"),
 }
 
 

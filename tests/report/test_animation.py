@@ -66,12 +66,12 @@ def test_a_panel_shows_its_own_frame(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 def test_what_cannot_be_made_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = write(tmp_path / "x.h5")
-    with pytest.raises(UserError, match=r"film\.avi: unknown kind of film, use one of \.webp, \.gif, \.mp4"):
+    with pytest.raises(UserError, match=r"^\.avi: unknown kind of film, use one of \.webp, \.gif, \.mp4"):
         animation.write(path, tmp_path / "film.avi")
     with pytest.raises(UserError, match="has no frames"):
         animation.write(write(tmp_path / "y.h5", stop=0), tmp_path / "film.gif")
     monkeypatch.setenv("PATH", "")
-    with pytest.raises(UserError, match=r"film\.mp4: mp4 needs ffmpeg on the PATH"):
+    with pytest.raises(UserError, match=r"^\.mp4: needs ffmpeg on the PATH"):
         animation.write(path, tmp_path / "film.mp4")
     done = CliRunner().invoke(app, ["show", str(path), "--animate", "x.gif", "--field", "slip"])
     assert done.exit_code == 2

@@ -150,7 +150,7 @@ def test_a_rejected_scene_says_so(tmp_path: Path, stop: int) -> None:
 def test_no_picture_without_a_bundle_or_of_an_unknown_kind(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="no such file"):
         bundle_figure.picture(tmp_path / "x.h5", tmp_path / "x.png")
-    with pytest.raises(UserError, match=r"x\.doc: unknown kind of picture, use one of .*\.png"):
+    with pytest.raises(UserError, match=r"^\.doc: unknown kind of picture, use one of .*\.png"):
         bundle_figure.picture(write(tmp_path / "x.h5"), tmp_path / "x.doc")
 
 

@@ -50,11 +50,22 @@ def test_a_line_a_frame_where_there_is_one_scene():
     with Progress(1, 4, stream) as progress:
         progress(frame("scene-00000", 1))
         progress(frame("scene-00000", 3))
-        progress(end("scene-00000"))
+        progress(end("scene-00000", solve=1.0))
     first, third = stream.getvalue().splitlines()[:2]
     assert first == "scene-00000: frame 1 of 4"
     assert third.startswith("scene-00000: frame 3 of 4 (about ")
     assert stream.getvalue().endswith("scene-00000: ok\n")
+
+
+def test_scenes_of_an_earlier_run_are_said_to_be_kept():
+    stream = io.StringIO()
+    with Progress(3, 12, stream) as progress:
+        progress(end("scene-00000"))
+        progress(end("scene-00001", "rejected", "stalled"))
+        progress(end("scene-00002", "failed", "its worker was killed"))
+    lines = [line.partition(" (about")[0] for line in stream.getvalue().splitlines()]
+    assert lines[:2] == ["scene-00000: kept", "scene-00001: kept, rejected: stalled"]
+    assert lines[2] == "scene-00002: failed: its worker was killed"
 
 
 def test_what_was_there_already_and_what_comes_once_say_nothing_about_the_time_left(monkeypatch: pytest.MonkeyPatch):

@@ -1,0 +1,121 @@
+"""What a command writes with -o never replaces an input, a file of somebody's, a pipe or a device."""
+
+import os
+from pathlib import Path
+
+import pytest
+from helpers.synthetic import write
+from typer.testing import CliRunner
+
+from tacgen import output_file
+from tacgen.cli import app
+from tacgen.errors import UserError
+
+
+def command(*args: object) -> tuple[int, str]:
+    """Exit code and stderr."""
+    done = CliRunner().invoke(app, [str(arg) for arg in args])
+    assert done.exception is None or isinstance(done.exception, SystemExit), done.exception
+    return done.exit_code, done.stderr
+
+
+@pytest.fixture
+def data(tmp_path: Path) -> Path:
+    folder = tmp_path / "data"
+    for number in range(2):
+        write(folder / f"scene-{number:05d}.h5", scene_index=number)
+    return folder
+
+
+@pytest.mark.parametrize("more", [(), ("--overwrite",)])
+@pytest.mark.parametrize(
+    "words",
+    [
+        "view SCENE -o SCENE",
+        "show SCENE -o SCENE",
+        "show SCENE --animate SCENE",
+        "show SCENE -o LINK",
+        "report DATA -o SCENE",
+        "view SCENE -o FIFO",
+        "report DATA -o FIFO",
+        "export vtkhdf SCENE -o FIFO",
+        "calibrate material --sensor gelsight_mini --recipe quickstart --data FORCES -o FORCES",
+        "calibrate material --sensor gelsight_mini --recipe quickstart --data FORCES --plot FORCES",
+        "calibrate optics --sensor SENSOR --images DATA -o SENSOR",
+        "init FIFO",
+    ],
+)
+def test_inputs_and_pipes_are_refused_whatever_is_asked(data: Path, words: str, more: tuple[str, ...]) -> None:
+    scene = data / "scene-00000.h5"
+    (forces := data.parent / "f.csv").write_text("depth_mm,force_n\n0.1,0.1\n0.5,1.0\n")
+    (sensor := data.parent / "mine.yaml").write_text("tacgen_sensor: 1\n")
+    (link := data.parent / "picture.h5").symlink_to(scene)
+    os.mkfifo(fifo := data.parent / "fifo.vtkhdf")
+    before = {path: path.read_bytes() for path in (scene, forces, sensor)}
+    places = {"SCENE": scene, "DATA": data, "FORCES": forces, "SENSOR": sensor, "LINK": link, "FIFO": fifo}
+    code, said = command(*(places.get(word, word) for word in words.split()), *more)
+    assert code == 2
+    assert any(text in said for text in ("is an input", "belongs to the data set", "is a pipe")), said
+    assert len(said.splitlines()) == 1
+    assert {path: path.read_bytes() for path in before} == before
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "view SCENE -o out.html",
+        "show SCENE -o out.png",
+        "show SCENE --field pressure -o out.png",
+        "show SCENE --animate out.gif",
+        "report DATA -o out.html",
+        "export vtkhdf SCENE -o out.vtkhdf",
+        "init out.yaml",
+    ],
+)
+def test_a_file_of_somebody_s_is_replaced_on_request_only(
+    data: Path, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    args = [{"SCENE": data / "scene-00000.h5", "DATA": data}.get(word, word) for word in words.split()]
+    (target := Path(words.split()[-1])).write_text("mine")
+    code, said = command(*args)
+    assert (code, target.read_text()) == (2, "mine")
+    assert said.endswith(f"{target}: is there already; --overwrite replaces it\n")
+    assert command(*args, "--overwrite") == (0, "")
+    assert target.read_bytes() != b"mine"
+    assert [path.name for path in tmp_path.iterdir() if path.name.startswith(".")] == []
+
+
+def test_pages_of_tacgen_are_replaced_until_somebody_changes_them(data: Path) -> None:
+    page = data / "report.html"
+    assert command("report", data) == (0, "")
+    first = page.read_bytes()
+    assert command("report", data) == (0, "")
+    assert page.read_bytes() == first
+    page.write_bytes(first.replace(b"<h1>", b"<h1>My ", 1))
+    assert command("report", data)[0] == 2
+    assert b"<h1>My " in page.read_bytes()
+
+
+def test_what_fails_leaves_nothing_and_keeps_what_was_there(tmp_path: Path) -> None:
+    (target := tmp_path / "x.txt").write_text("old")
+    with pytest.raises(RuntimeError), output_file.written(target, overwrite=True) as path:
+        path.write_text("half")
+        raise RuntimeError
+    assert target.read_text() == "old"
+    assert os.listdir(tmp_path) == ["x.txt"]
+    with pytest.raises(OSError, match=r"x\.txt'$"), output_file.written(target, overwrite=True) as path:
+        raise OSError(28, "No space left on device", str(path))
+
+
+def test_a_link_stays_one(tmp_path: Path) -> None:
+    (there := tmp_path / "there.txt").write_text("old")
+    (link := tmp_path / "link.txt").symlink_to(there)
+    with output_file.written(link, overwrite=True) as path:
+        path.write_text("new")
+    assert (link.is_symlink(), there.read_text()) == (True, "new")
+
+
+def test_a_folder_is_no_file(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="is a folder"):
+        output_file.refuse(tmp_path)
