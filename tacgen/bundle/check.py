@@ -28,8 +28,11 @@ Seen = dict[tuple[Path, str], str]
 
 @dataclass(frozen=True)
 class Finding:
-    """A line about a file: `rejected` is a scene whose status says so, `error` is a file not to be trusted, `stray` is a
-    bundle that is not of the plan in its folder, and which readers leave out."""
+    """A line about a file.
+
+    `rejected` is a scene whose status says so, `error` is a file not to be trusted, `stray` is a bundle that is not of
+    the plan in its folder, and which readers leave out.
+    """
 
     path: Path
     level: Literal["error", "incomplete", "rejected", "stray"]

@@ -191,4 +191,4 @@ def made_by(path: Path, version: str) -> None:
     attrs = {**found.attrs, "tacgen_version": version}
     with h5py.File(path, "r+") as file:
         file.attrs["tacgen_version"] = version
-        file.attrs["digest"] = bundle._digest({k: v for k, v in attrs.items()}, datasets)
+        file.attrs["digest"] = bundle._digest(attrs, datasets)

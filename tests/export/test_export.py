@@ -38,7 +38,7 @@ def vtkhdf(source: Path, tmp_path: Path) -> Path:
 
 
 def test_the_command_writes_a_file_a_scene(source: Path, tmp_path: Path) -> None:
-    done = CliRunner().invoke(cli.app, ["export", "vtkhdf", str(source), "-o", str(tmp_path / "out")])
+    done = CliRunner().invoke(cli.app, ["export", "vtkhdf", str(source), "-o", str(tmp_path / "out"), "--merge"])
     assert done.exit_code == 0, done.output
     made = [tmp_path / "out" / f"{name}-scene.vtkhdf" for name in ("one", "two")]
     assert done.stdout.split() == [str(path) for path in made]
