@@ -14,6 +14,7 @@ PACKAGE = ROOT / "tacgen"
 LAYERS = [
     "errors",
     "regular_file",
+    "csv_table",
     "atomic_file",
     "output_file",
     "terminal",

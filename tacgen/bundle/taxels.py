@@ -6,18 +6,15 @@
 A taxel's cell is the part of the untouched face that is nearest to its centre (Voronoi).
 """
 
-import csv
-import io
 from pathlib import Path
 
 import numpy as np
 
-from tacgen import regular_file
+from tacgen import csv_table
 from tacgen.bundle.bundle import Bundle
-from tacgen.errors import UserError, why
+from tacgen.errors import UserError
 
 Array = np.ndarray
-LARGEST = 2**24  # bytes of a layout's file
 
 
 def grid(rows: int, columns: int, pitch_mm: float, center_mm: tuple[float, float] = (0.0, 0.0)) -> Array:
@@ -28,15 +25,14 @@ def grid(rows: int, columns: int, pitch_mm: float, center_mm: tuple[float, float
 
 def read(path: Path) -> Array:
     """Centres (n, 2) [mm] of a CSV file with columns x_mm and y_mm. Raises UserError: not readable as such a table."""
-    try:
-        rows = list(csv.DictReader(io.StringIO(regular_file.read_bytes(path, LARGEST).decode("utf-8-sig"))))
-        layout = np.array([[float(row["x_mm"]), float(row["y_mm"])] for row in rows])
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read: {why(error)}") from None
-    except (ValueError, KeyError, TypeError, csv.Error):
-        raise UserError(f"{path}: must be CSV with numbers under x_mm and y_mm") from None
-    if not len(layout) or not np.isfinite(layout).all():
-        raise UserError(f"{path}: must hold a finite x_mm and y_mm of at least one taxel")
+    wrong: list[str] = []
+    rows = csv_table.rows(path, ("x_mm", "y_mm"), (), wrong)
+    layout = np.array([[csv_table.number(row[name]) for name in ("x_mm", "y_mm")] for _, row in rows]).reshape(-1, 2)
+    wrong += [f"{path}:{rows[k][0]}: x_mm and y_mm must be numbers" for k in np.flatnonzero(np.isnan(layout).any(1))]
+    if not rows and not wrong:
+        wrong.append(f"{path}: must hold x_mm and y_mm of at least one taxel")
+    if wrong:
+        raise UserError(wrong)
     return layout
 
 

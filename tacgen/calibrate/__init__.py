@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from tacgen.calibrate.result import digits, write_sensor
+from tacgen.errors import UserError
 from tacgen.recipe import assets, loading, yaml_source
 from tacgen.recipe.sensor import LIGHTS, LitSensor, Sensor
 from tacgen.recipe.validation_messages import Problem, report
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 
 BY = "by tacgen calibrate optics"
 EVERY = 3  # every third press is held out
+MOST_MM, MOST_DEG = 10.0, 90.0  # largest tolerances; farther off, the file is of another sensor
 
 
 @dataclass(frozen=True)
@@ -52,7 +54,7 @@ class Calibrated:
         if found.held_out is not None:
             names = ", ".join(self.held_out)
             yield f"change under {names}, held out: off by {found.held_out:.1f} counts rms"
-            for when, like in zip(("before", "after"), self.likeness, strict=True):
+            for when, like in zip(("before", "after"), self.likeness, strict=False):  # none if only depths are known
                 yield f"  {when}: {like}"
         if found.deeper != 1:
             yield f"all depths appear to be {found.deeper:g} times the given ones"
@@ -84,6 +86,9 @@ def optics(name: str, folder: Path, asked: Asked | None = None) -> Calibrated:
     from tacgen.calibrate import photos as reading
 
     asked, path = asked or Asked(), assets.sensor_path(name)
+    for unit, value, most in (("mm", asked.mm, MOST_MM), ("deg", asked.deg, MOST_DEG)):
+        if not 0 <= value <= most:  # nor nan
+            raise UserError(f"--tolerance-{unit}: must be from 0 to {most:g} (got {value:g})")
     sensor, tree = loading.read_sensor(path)
     if not sensor.lit:
         missing = next(part for part in LIGHTS if getattr(sensor, part) is None)

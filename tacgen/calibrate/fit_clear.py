@@ -18,6 +18,7 @@ from tacgen.calibrate import contact_circle, press_faces
 from tacgen.calibrate.likeness import Comparison, Likeness
 from tacgen.calibrate.photos import Photos, Press
 from tacgen.calibrate.result import Fitted, rgb, rms
+from tacgen.errors import UserError
 from tacgen.optics import camera_response, coating, strip_light
 from tacgen.optics.camera_view import Samples, View
 from tacgen.optics.direct_light import heights
@@ -86,6 +87,7 @@ def fit(
 ) -> tuple[Fitted, tuple[Likeness, ...]]:
     """Fit the radiance and, with presses, the other parameters; also the likeness of held-out presses before and
     after. `held_out` counts presses from 1."""
+    press_faces.check(sensor, photos)
     tolerance = Tolerance(asked.mm, float(np.radians(asked.deg)) if asked.mm else 0.0)
     if sensor.gel.dome is None:  # on a dome the rim is hidden by the change of shadows
         refined = tuple(contact_circle.refined(press, photos.untouched) for press in photos.presses)
@@ -137,6 +139,10 @@ class Fit:
                 rest = self._look(number, (0.0, 0.0)).at.rest
                 dots = coating.paint(sensor.markers, rest, 3 * self.sensor.camera.mm_per_px)
                 np.logical_and(picture.counts, np.nan_to_num(dots, nan=1.0) == 0, out=picture.counts)
+        empty = [picture.name for picture in self.pictures if not picture.counts.any()]
+        if empty:
+            why = "no pixel can be compared: all are bright, under markers or outside the picture"
+            raise UserError(f"{photos.folder}: {name}: {why}" for name in empty)
         self._least, self._most, self._start = self._ranges()
 
     def _picture(self, name: str, picture: Array, counts: Array, face: Surface) -> Picture:

@@ -26,6 +26,8 @@ USUAL = 0.1  # this ratio if there are too few rows to estimate it
 ROUNDS = 3  # reweighted fits, each with the forces of the one before
 PIECES = 8  # intervals between two rows; in each the elastic force changes at a constant rate
 MOST_RELAXED = 0.95  # largest sum of g over all terms
+SEEN = 1e-5  # smallest change of the forces over a range, in their errors, that is no rounding of differences
+UNSEEN = 0.1  # share of a number in a direction that the forces do not show, from which it is not determined
 MOST_FACTOR = 1e3  # largest factor on the moduli, and its inverse the smallest
 
 
@@ -38,6 +40,7 @@ class Estimate:
     low: float
     high: float
     bound: bool = False  # at the end of its range, without an interval
+    open: bool = False  # not determined: the interval is as wide as the range
 
 
 @dataclass(frozen=True)
@@ -117,16 +120,19 @@ def fit(
     choices = EVEN if spare > len(EVEN) else (USUAL,)
     tried = [_weighted(force, measured.force, (start, low, high), even) for even in choices]
     best = min(tried, key=lambda one: one.unlikely)
-    free = best.covariance.diagonal() > 0
+    free = best.free
     covariance = _averaged(best, tried)[np.ix_(free, free)]
-    half = np.zeros(len(unknowns))
-    half[free] = student.ppf((1 + LEVEL) / 2, spare - (len(choices) > 1)) * np.sqrt(np.diag(covariance))
+    half, spread = np.zeros(len(unknowns)), np.sqrt(np.diag(covariance))
+    half[free] = student.ppf((1 + LEVEL) / 2, spare - (len(choices) > 1)) * spread
+    unclear = best.unseen | ((best.at - half <= low) & (best.at + half >= high))
+    shown = np.column_stack([low - (high - low), high + (high - low)])  # exp overflows far beyond
     estimates = tuple(
-        Estimate(u.name, float(u.shown(x)), float(u.shown(x - h)), float(u.shown(x + h)), not inside)
-        for u, x, h, inside in zip(unknowns, best.at, half, free, strict=True)
+        Estimate(u.name, *(float(u.shown(v)) for v in np.clip([x, x - h, x + h], *far)), not inside, bool(unseen))
+        for u, x, h, far, inside, unseen in zip(unknowns, best.at, half, shown, free, unclear, strict=True)
     )
     correlation = np.eye(len(unknowns))  # unknown for parameters at the end of their range
-    correlation[np.ix_(free, free)] = covariance / np.sqrt(np.outer(np.diag(covariance), np.diag(covariance)))
+    correlation[np.ix_(free, free)] = covariance / np.maximum(np.outer(spread, spread), 1e-300)
+    np.fill_diagonal(correlation, 1.0)  # also where the fit is exact and the spread 0
     return MaterialFit(estimates, correlation, force(best.at), measured)
 
 
@@ -157,10 +163,13 @@ def relaxing(
 
 @dataclass(frozen=True)
 class _Weighted:
-    """A fit for one ratio of EVEN: unknowns (k,), covariance (k, k), 0 for those at their bounds, and minus the
-    logarithm of the restricted likelihood (Patterson & Thompson 1971)."""
+    """A fit for one ratio of EVEN: unknowns (k,), which of them are `free` inside their bounds and which of these are
+    `unseen` in the forces, covariance (k, k), 0 for those at their bounds, and minus the logarithm of the restricted
+    likelihood (Patterson & Thompson 1971)."""
 
     at: Array
+    free: Array
+    unseen: Array
     covariance: Array
     unlikely: float
 
@@ -175,11 +184,17 @@ def _weighted(
         found = least_squares(partial(_residual, force, wanted, error), start, bounds=(low, high), xtol=1e-12)
         start, at = np.clip(found.x, low + 1e-9, high - 1e-9), force(found.x)
     free = found.active_mask == 0
-    inverse, spare = np.linalg.pinv(found.jac[:, free].T @ found.jac[:, free]), len(wanted) - len(start)
+    span, spare = (high - low)[free], len(wanted) - len(start)
+    _, size, axes = np.linalg.svd(found.jac[:, free] * span, full_matrices=False)
+    unseen = np.zeros(len(start), bool)
+    unseen[free] = (np.abs(axes[size < SEEN]) > UNSEEN).any(axis=0)
+    size = np.maximum(size, SEEN)
+    spread = axes.T / size * span[:, None]
     covariance = np.zeros((len(start),) * 2)
-    covariance[np.ix_(free, free)] = inverse * 2 * found.cost / spare
-    unlikely = spare * np.log(found.cost + 1e-300) / 2 + np.log(error).sum() - np.linalg.slogdet(inverse)[1] / 2
-    return _Weighted(found.x, covariance, float(unlikely))
+    covariance[np.ix_(free, free)] = spread @ spread.T * 2 * found.cost / spare
+    volume = np.log(span).sum() - np.log(size).sum()  # half the log determinant of the inverse
+    unlikely = spare * np.log(found.cost + 1e-300) / 2 + np.log(error).sum() - volume
+    return _Weighted(found.x, free, unseen, covariance, float(unlikely))
 
 
 def _averaged(best: _Weighted, tried: list[_Weighted]) -> Array:
@@ -195,5 +210,5 @@ def _residual(force: Callable[[Array], Array], wanted: Array, error: Array, v: A
 
 def _factor(model: Array, wanted: Array) -> float:
     """The best modulus with all other unknowns fixed, within its range."""
-    best = float(model @ wanted) / float(model @ model)
+    best = float(model @ wanted) / max(float(model @ model), 1e-300)
     return float(np.clip(best, 2 / MOST_FACTOR, MOST_FACTOR / 2))

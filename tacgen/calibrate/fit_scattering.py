@@ -70,6 +70,7 @@ def fit(
         raise UserError(
             f"{photos.folder / name}: needs depth_mm: through a gel that scatters no edge shows" for name in shallow
         )
+    press_faces.check(sensor, photos, FACTORS[-1])
     light = images.Renderer(sensor, SPP, 0, False).light
     assert isinstance(light, images.Cloudy)
     maps = light.maps

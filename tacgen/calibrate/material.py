@@ -19,6 +19,14 @@ if TYPE_CHECKING:
 CORRELATED = 0.5  # smallest correlation that is reported
 ROWS = 12  # rows of the table that are printed
 VALUES = 5  # values of the second parameter for which curves are solved
+MEASURE = {
+    "modulus": "measure the force at more depths, also at deeper ones",
+    "zero": "measure small depths as well as large ones, or give --no-zero",
+    "second": "measure what depends on it, such as larger depths, or leave --second out",
+    "g": "record faster presses and the force while the depth is held, or ask for fewer terms by --prony",
+    "tau": "record the force more often and longer while the depth is held, or ask for fewer terms by --prony",
+}
+LARGEST = 1e6  # of the ends of the second parameter's range
 BY = "by tacgen calibrate material"
 
 
@@ -132,7 +140,7 @@ def material(sensor: str, recipe: str, table: Path, asked: Asked | None = None) 
     """
     import numpy as np
 
-    from tacgen.calibrate import fit_material, press_forces
+    from tacgen.calibrate import fit_material, press_depths, press_forces
 
     asked, measured, path = asked or Asked(), press_forces.read(table), assets.sensor_path(sensor)
     sets = (f"sensor={path.resolve()}",)
@@ -143,7 +151,10 @@ def material(sensor: str, recipe: str, table: Path, asked: Asked | None = None) 
         raise UserError(f"{recipe}: sensor_overrides: would be lost in the sensor file: make one with them first")
     if asked.terms and measured.time is None:
         raise UserError(f"{table}: has no column time_s, without which nothing relaxes")
-    depths = press_forces.depths_for(float(measured.depth.max()))
+    deepest, start = float(measured.depth.max()), rows[0].recipe.start
+    if said := press_depths.problem(rows[0].sensor.gel, deepest, (start.x_mm, start.y_mm), 1 + press_forces.MARGIN):
+        raise UserError(f"{table}: depth_mm: the largest {said}")
+    depths = press_forces.depths_for(deepest)
     if asked.second:
         name, values, now = _range(asked.second, rows[0])
         varied = [plan.load(assets.recipe_path(recipe), (*sets, f"{name}={value!r}")).rows[0] for value in values]
@@ -155,6 +166,8 @@ def material(sensor: str, recipe: str, table: Path, asked: Asked | None = None) 
     simpler = {}
     try:
         fitted = fit_material.fit(curves, measured, zero=asked.zero, terms=asked.terms)
+        if wrong := [f"{table}: {said}" for said in _undetermined(fitted, name)]:
+            raise UserError(wrong)
         if asked.zero and (name or asked.terms):
             simpler["modulus and zero"] = fit_material.fit(curves, measured, value=now)
         if name and (asked.zero or asked.terms):
@@ -166,6 +179,20 @@ def material(sensor: str, recipe: str, table: Path, asked: Asked | None = None) 
     return Material(rows[0], path, asked, fitted, simpler)
 
 
+def _undetermined(fitted: "MaterialFit", second: str) -> Iterator[str]:
+    """What the forces leave open, and what to measure."""
+    from tacgen.calibrate.fit_material import MOST_FACTOR
+
+    if not 2 / MOST_FACTOR < fitted["modulus"] < MOST_FACTOR / 2:
+        yield f"forces are as of a modulus {fitted['modulus']:.3g} times the file's: are they in N, and depths in mm?"
+        return
+    for e in fitted.estimates:
+        if e.open:
+            kind = e.name.rstrip("0123456789")
+            shown = second if e.name == "second" else e.name
+            yield f"{shown}: is not determined: these forces allow its whole range: {MEASURE[kind]}"
+
+
 def _range(text: str, row: plan.Row) -> tuple[str, list[float], float]:
     """`PATH=LOW:HIGH` -> the path, values over the range, and what the files have there."""
     name, equals, ends = text.partition("=")
@@ -173,7 +200,7 @@ def _range(text: str, row: plan.Row) -> tuple[str, list[float], float]:
     try:
         path = parse_path(name.strip())
         first, last = float(low), float(high)
-        if not (equals and colon and first < last):
+        if not (equals and colon and -LARGEST < first < last < LARGEST):  # nor nan
             raise ValueError
     except ValueError:
         raise UserError(

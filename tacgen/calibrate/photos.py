@@ -1,12 +1,11 @@
 """A folder of photographs of a unit: untouched, and with balls pressed into it, each a row of presses.csv."""
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from tacgen.calibrate import csv_table
+from tacgen import csv_table
 from tacgen.errors import UserError
 from tacgen.recipe import background_photo
 from tacgen.recipe.sensor import Camera
@@ -18,6 +17,8 @@ NEEDED = ("file", "ball_radius_mm", "x_px", "y_px")
 EITHER = ("contact_radius_px", "depth_mm")
 SATURATED, DARK = 254, 5  # 8-bit counts
 MOST_SATURATED = 0.01  # largest share of saturated pixels
+UNCHANGED = 0.5  # counts: standard deviation of the change over a picture, below which it shows no press
+RANGES = {"ball_radius_mm": (0.1, 100.0), "contact_radius_px": (3.0, np.inf), "depth_mm": (1e-3, np.inf)}
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,9 @@ def read(folder: Path, camera: Camera) -> Photos:
     for line, row in csv_table.rows(table, NEEDED, EITHER, wrong) if table.is_file() else ():
         press = _press(folder, line, row, camera, wrong)
         presses += [press] if press else []
+    for press in presses if not wrong else ():
+        if (press.picture.astype(float) - untouched).std(axis=(0, 1)).max() < UNCHANGED:
+            wrong.append(f"{folder / press.name}: shows no press: it is like the untouched picture")
     if wrong:
         raise UserError(wrong)
     return Photos(folder, untouched, tuple(presses))
@@ -84,19 +88,21 @@ def _picture(path: Path, camera: Camera, wrong: list[str]) -> Array:
 def _press(folder: Path, line: int, row: dict[str, str], camera: Camera, wrong: list[str]) -> Press | None:
     """Read a row of the table; problems are added to `wrong`."""
     said = f"{folder / TABLE}:{line}"
-    name = (row["file"] or "").strip()
+    name = row["file"]
     if not name:
         wrong.append(f"{said}: file: is missing")
         return None
     before = len(wrong)
     number: dict[str, float] = {}
     for column in (*NEEDED[1:], *EITHER):
-        text = (row.get(column) or "").strip()
+        text = row.get(column, "")
         if not text and column in EITHER:
             continue
         number[column] = csv_table.number(text)
-        if math.isnan(number[column]) or (number[column] <= 0 and column not in ("x_px", "y_px")):
-            wrong.append(f"{said}: {column}: must be a number{_positive(column)} (got {text!r})")
+        low, high = RANGES.get(column, (-np.inf, np.inf))
+        if not low <= number[column] <= high:
+            reach = f" of at least {low:g}" * np.isfinite(low) + f" and at most {high:g}" * np.isfinite(high)
+            wrong.append(f"{said}: {column}: must be a number{reach} (got {text!r})")
     if not any(column in number for column in EITHER):
         wrong.append(f"{said}: must hold {' or '.join(EITHER)}, or both")
     picture = _picture(folder / name, camera, wrong)
@@ -111,7 +117,3 @@ def _press(folder: Path, line: int, row: dict[str, str], camera: Camera, wrong: 
     if len(wrong) > before:
         return None
     return Press(name, picture, number["ball_radius_mm"], (x, y), contact, number.get("depth_mm"))
-
-
-def _positive(column: str) -> str:
-    return "" if column in ("x_px", "y_px") else " greater than 0"

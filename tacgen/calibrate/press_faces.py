@@ -7,7 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from tacgen import solve
-from tacgen.calibrate.photos import Press
+from tacgen.calibrate import press_depths
+from tacgen.calibrate.photos import Photos, Press
+from tacgen.errors import UserError
 from tacgen.labels import gel_surface
 from tacgen.optics.camera import Camera
 from tacgen.optics.hertz_dent import BallDent
@@ -18,6 +20,19 @@ from tacgen.recipe.sensor import LitSensor
 from tacgen.recipe.yaml_source import KeyPath
 from tacgen.scene import mesh, scene
 from tacgen.solve import presolve
+
+
+def check(sensor: LitSensor, photos: Photos, deeper: float = 1.0) -> None:
+    """Raises UserError: presses whose depth, or up to `deeper` times that, cannot be solved, a line each."""
+    wrong = []
+    for press in photos.presses:
+        if press.depth is None:
+            continue
+        at = place(sensor, press.center, 0.0)
+        if said := press_depths.problem(sensor.gel, press.depth, at, deeper):
+            wrong.append(f"{photos.folder / press.name}: depth_mm: {said}")
+    if wrong:
+        raise UserError(wrong)
 
 
 def face(sensor: LitSensor, press: Press, folders: dict[KeyPath, Path]) -> Surface:
@@ -35,15 +50,21 @@ def face(sensor: LitSensor, press: Press, folders: dict[KeyPath, Path]) -> Surfa
 def solved(
     sensor: LitSensor, press: Press, depths: Sequence[float], folders: dict[KeyPath, Path], quality: str = "default"
 ) -> Sequence[Surface]:
-    """Solved faces at increasing depths [mm], at the position of the ball in the photograph."""
+    """Solved faces at increasing depths [mm], at the position of the ball in the photograph.
+
+    Raises UserError: the solver fails.
+    """
     x, y = place(sensor, press.center, float(np.mean(depths)))
     recipe = {
         "tacgen": 1, "name": "press", "sensor": sensor.name, "outputs": ["force"], "start": {"x_mm": x, "y_mm": y},
         "indenter": {"shape": "sphere", "radius_mm": press.ball}, "quality": quality,
         "trajectory": [{"press": {"depth_mm": float(depth), "frames": 1}} for depth in depths],
     }  # fmt: skip
-    (row,) = plan.expand(Recipe.model_validate(recipe), sensor).rows
-    return list(faces(replace(row, folders={**row.folders, **folders})))[1:]
+    try:
+        (row,) = plan.expand(Recipe.model_validate(recipe), sensor).rows
+        return list(faces(replace(row, folders={**row.folders, **folders})))[1:]
+    except (UserError, solve.NotConverged) as error:
+        raise UserError(f"{press.name}: cannot be solved: {line}" for line in str(error).splitlines()) from None
 
 
 def faces(row: plan.Row) -> Iterator[gel_surface.Surface]:

@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
-from tacgen import solve
-from tacgen.calibrate import csv_table
+from tacgen import csv_table, solve
 from tacgen.errors import UserError
 from tacgen.recipe.plan import Row
 from tacgen.recipe.trajectory import Press, Segment
@@ -18,6 +17,7 @@ Array = np.ndarray
 LEAST = 3  # rows of a table at least
 NODES = 12  # depths at which a curve is solved
 MARGIN = 0.1  # of the largest depth: range of the unknown depth of first touch
+LARGEST = 1e6  # of any number: no press has 1 MN, or lasts for 11 days
 POWER = 2 / 3  # F^(2/3) is nearly linear in the depth (Hertz)
 
 
@@ -41,8 +41,8 @@ def read(table: Path) -> Measured:
     for line, row in csv_table.rows(table, ("depth_mm", "force_n"), (), wrong):
         for name in found if "time_s" in row else ("depth_mm", "force_n"):
             value = csv_table.number(row[name])
-            if np.isnan(value):
-                wrong.append(f"{table}:{line}: {name}: must be a number (got {row[name]!r})")
+            if not abs(value) < LARGEST:
+                wrong.append(f"{table}:{line}: {name}: must be a number below {LARGEST:g} (got {row[name]!r})")
             elif name == "time_s" and found[name] and not value > found[name][-1]:
                 wrong.append(f"{table}:{line}: time_s: must rise (got {value:g} after {found[name][-1]:g})")
             elif name == "time_s" and value < 0:

@@ -56,9 +56,16 @@ def test_layouts_are_read_and_what_is_none_is_reported(tmp_path: Path) -> None:
     path = tmp_path / "layout.csv"
     path.write_text("name,y_mm,x_mm\na,1,2\nb,-1,0.5\n")
     assert taxels.read(path).tolist() == [[2, 1], [0.5, -1]]
-    for text in ("x_mm,y_mm\n", "x,y\n1,2\n", "x_mm,y_mm\n1,nan\n", "x_mm,y_mm\n1,a\n", "x_mm,y_mm\n1\n"):
+    for text, says in (
+        ("x_mm,y_mm\n", "csv: must hold"),
+        ("x,y\n1,2\n", "has no column x_mm, y_mm"),
+        ("x_mm,y_mm\n1,nan\n", "csv:2: x_mm and y_mm must be numbers"),
+        ("x_mm,y_mm\n1,2\n1,a\n", "csv:3: x_mm and y_mm must be numbers"),
+        ("x_mm,y_mm\n1\n", "csv:2: has 1 cells, and the header 2"),
+        ("x_mm,y_mm\n0,5,1\n", "csv:2: has 3 cells, and the header 2"),
+    ):
         path.write_text(text)
-        with pytest.raises(UserError, match=": must"):
+        with pytest.raises(UserError, match=says):
             taxels.read(path)
     with pytest.raises(UserError, match="cannot be read"):
         taxels.read(tmp_path / "none.csv")

@@ -177,10 +177,13 @@ def test_the_response_to_thickness_is_found_by_solved_presses(tmp_path: Path, mo
             "presses.csv: has no column ball_radius_mm (its header: file,",
         ),
         (lambda p: _swap(p, "contact_radius_px", "c"), "presses.csv: has no column contact_radius_px or depth_mm"),
-        (lambda p: _swap(p, "3.0,52", "-3.0,52"), "presses.csv:3: ball_radius_mm: must be a number greater than 0"),
+        (
+            lambda p: _swap(p, "3.0,52", "-3.0,52"),
+            "presses.csv:3: ball_radius_mm: must be a number of at least 0.1 and",
+        ),
         (
             lambda p: _swap(p, "3.0,52", "x,52"),
-            "presses.csv:3: ball_radius_mm: must be a number greater than 0 (got 'x')",
+            "presses.csv:3: ball_radius_mm: must be a number of at least 0.1 and at most 100 (got 'x')",
         ),
         (lambda p: _swap(p, "3.0,52", "3.0,152"), "presses.csv:3: (152, 40) lies outside the picture"),
         (lambda p: _swap(p, "40,14.0", "40,"), "presses.csv:3: must hold contact_radius_px or depth_mm, or both"),

@@ -109,14 +109,14 @@ def test_the_command_writes_a_sensor_file_with_its_source(curves: Curves, tmp_pa
         ("depth,force_n\n1,2\n", (), "has no column depth_mm (its header: depth,force_n)"),
         ("", ("--data", "nothing.csv"), "nothing.csv: cannot be read: No such file"),
         ("depth_mm,force_n\n1,2\n2,3\n", (), "has 2 rows, and a fit takes 3 at least"),
-        ("depth_mm,force_n\n1,2\n2,x\n3,4\n", (), ":3: force_n: must be a number (got 'x')"),
+        ("depth_mm,force_n\n1,2\n2,x\n3,4\n", (), ":3: force_n: must be a number below 1e+06 (got 'x')"),
         ("depth_mm,force_n\n1,-2\n2,-3\n3,-4\n", (), "holds no press"),
         ("depth_mm,force_n,time_s\n1,2,1\n2,3,1\n3,4,2\n", (), ":3: time_s: must rise (got 1 after 1)"),
         ("depth_mm,force_n,time_s\n1,2,-1\n2,3,1\n3,4,2\n", (), ":2: time_s: must be at least 0, first touch"),
         ("depth_mm,force_n\n1,2\n2,3\n3,4\n", ("--prony", "1"), "has no column time_s, without which nothing relaxes"),
-        ("depth_mm,force_n\n1,2\n2,3\n3,4\n", ("--second", "friction=0.5"), "must be PATH=LOW:HIGH, such as"),
-        ("depth_mm,force_n\n1,2\n2,3\n3,4\n", ("--second", "name=0:1"), "name is no number of the recipe or"),
-        ("depth_mm,force_n\n1,2\n2,3\n3,4\n", ("--second", f"sensor.{MODULUS}=1:2"), "is 0.432, which the range must"),
+        ("depth_mm,force_n\n.5,2\n1,3\n2,4\n", ("--second", "friction=0.5"), "must be PATH=LOW:HIGH, such as"),
+        ("depth_mm,force_n\n.5,2\n1,3\n2,4\n", ("--second", "name=0:1"), "name is no number of the recipe or"),
+        ("depth_mm,force_n\n.5,2\n1,3\n2,4\n", ("--second", f"sensor.{MODULUS}=1:2"), "is 0.432, which the range must"),
     ],
 )
 def test_an_unusable_table_is_reported_in_one_line(
@@ -136,3 +136,54 @@ def test_more_numbers_than_rows_are_refused(curves: Curves) -> None:
     measured = Measured("", depth, curves.force(depth), np.array([1.0, 2.0, 3.0]))
     with pytest.raises(ValueError, match="3 rows are too few to find 4 numbers"):
         fit_material.fit(curves, measured, terms=1)
+
+
+@pytest.mark.parametrize(
+    ("table", "more", "says"),
+    [
+        ("0.5,1,2\n1,2\n1.5,3", (), ":2: has 3 cells, and the header 2: is a comma a decimal point?"),
+        ("0.5\n1,2\n1.5,3", (), ":2: has 1 cells, and the header 2"),
+        (
+            "0.0005,1\n0.001,3\n0.0015,5\n",
+            (),
+            "the largest must be from 0.02 to 2.18 mm in a gel of 4 mm there (got 0.00",
+        ),
+        ("0.5,1\n1,3\n3.9,5\n", (), "the largest must be from 0.02 to 2.18 mm in a gel of 4 mm there (got 3.9)"),
+        ("0.5,1\n1,3\n1.5,1e308\n", (), ":4: force_n: must be a number below 1e+06 (got '1e308')"),
+        ("-1e308,1\n1,3\n1.5,4\n", (), ":2: depth_mm: must be a number below 1e+06"),
+        ("0.5,1\n1,3\n1.5,4\n", ("--second", "contact.friction=0:inf"), "must be PATH=LOW:HIGH"),
+        ("0.5,1\n1,3\n1.5,4\n", ("--second", "contact.friction=nan:1"), "must be PATH=LOW:HIGH"),
+        ("0.5,1\n1,3\n1.5,4\n", ("--second", "contact.friction=0:1e308"), "must be PATH=LOW:HIGH"),
+    ],
+)
+def test_numbers_that_no_press_has_are_refused_by_line(
+    tmp_path: Path, table: str, more: tuple[str, ...], says: str
+) -> None:
+    test_an_unusable_table_is_reported_in_one_line(tmp_path, f"depth_mm,force_n\n{table}", more, says)
+
+
+@pytest.mark.parametrize(
+    ("depth", "factor", "more", "says"),
+    [
+        ([0.5] * 5, 1.0, (), ["zero: is not determined: these forces allow its whole range: measure small depths"]),
+        ([-0.4, -0.2, -0.1, 0.5], 1.0, (), ["zero: is not determined"]),
+        ([0.2, 0.5, 0.8, 1.0], 1e5, (), ["forces are as of a modulus 1e+03 times the file's: are they in N"]),
+        ([0.2, 0.5, 0.8, 0.8, 0.8], 1.0, ("--prony", "1", "--no-zero"), ["tau1: is not determined"]),
+    ],
+)
+def test_what_forces_leave_open_is_said_and_nothing_written(
+    curves: Curves, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, depth: list[float], factor: float,
+    more: tuple[str, ...], says: list[str],
+) -> None:  # fmt: skip
+    """Depths that are all alike, forces of 0, forces in another unit, and a gel that does not relax."""
+    row(tmp_path)
+    monkeypatch.setattr(press_forces, "solved", lambda row, depths: curves.force(depths))
+    force = factor * curves.force(np.array(depth))
+    rows = [f"{d},{f:.6f},{k}" for k, (d, f) in enumerate(zip(depth, force, strict=True))]
+    (tmp_path / "t.csv").write_text("\n".join(["depth_mm,force_n,time_s", *rows]))
+    asked = ["--sensor", "gelsight_mini", "--recipe", str(tmp_path / "press.yaml"), "--data", str(tmp_path / "t.csv")]
+    done = CliRunner().invoke(cli.app, ["calibrate", "material", *asked, *more, "-o", str(tmp_path / "mine.yaml")])
+    assert done.exit_code == 2, done.output
+    assert not (tmp_path / "mine.yaml").exists()
+    for said in says:
+        assert said in done.stderr
