@@ -39,8 +39,10 @@ def refined(press: Press, untouched: Array) -> Press:
 
     first = start * [1, 1, min(TRIED, key=lambda share: loss(start * [1, 1, share]))]
     reach = given * np.array([[-AWAY, AWAY], [-AWAY, AWAY], [LEAST - 1, MOST - 1]])
-    how = {"initial_simplex": first + np.vstack([np.zeros(3), width * np.eye(3)]), "xatol": 0.02, "fatol": 1e-3}
-    x, y, contact = minimize(loss, first, method="Nelder-Mead", bounds=start[:, None] + reach, options=how).x
+    bounds = start[:, None] + reach
+    simplex = np.clip(first + np.vstack([np.zeros(3), width * np.eye(3)]), *bounds.T)
+    how = {"initial_simplex": simplex, "xatol": 0.02, "fatol": 1e-3}
+    x, y, contact = minimize(loss, first, method="Nelder-Mead", bounds=bounds, options=how).x
     return replace(press, center=(float(x), float(y)), contact=float(contact))
 
 

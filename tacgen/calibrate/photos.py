@@ -101,7 +101,8 @@ def _press(folder: Path, line: int, row: dict[str, str], camera: Camera, wrong: 
         number[column] = csv_table.number(text)
         low, high = RANGES.get(column, (-np.inf, np.inf))
         if not low <= number[column] <= high:
-            reach = f" of at least {low:g}" * np.isfinite(low) + f" and at most {high:g}" * np.isfinite(high)
+            reach = f" of at least {low:g}" if low > -np.inf else ""
+            reach += f" and at most {high:g}" if high < np.inf else ""
             wrong.append(f"{said}: {column}: must be a number{reach} (got {text!r})")
     if not any(column in number for column in EITHER):
         wrong.append(f"{said}: must hold {' or '.join(EITHER)}, or both")

@@ -236,3 +236,99 @@ def test_a_press_of_known_depth_is_solved_also_where_its_contact_is_known():
     face = press_faces.face(sensor, replace(press, depth=0.5), {})
     under = np.array([press_faces.place(sensor, press.center, 0.5)])
     assert face.at(under)[0, 2] == pytest.approx(-0.5, abs=0.03)
+
+
+DOME = {"dome": {"radius_x_mm": 40.0, "radius_y_mm": 30.0, "source": "test"}}
+
+
+@pytest.mark.parametrize(
+    ("gel", "given"), [({}, "depth"), ({}, "contact"), ({}, "both"), ({}, "mixed"), (DOME, "depth"), (DOME, "mixed")]
+)
+def test_presses_may_give_depth_or_contact_or_both(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, gel: dict[str, Any], given: str
+) -> None:
+    """Faces by formula stand for solved ones."""
+    unit = sensor(gel=gel, camera=FINE, markers=None)
+    path, folder = written(unit, tmp_path / "unit.yaml"), photographed(unit, tmp_path / "unit", PRESSES[:3])
+    contacts = {center: contact for _, center, contact in PRESSES}
+
+    def solved(sensor: Any, press: photos.Press, depths: Any, folders: Any) -> Any:
+        assert depths == [0.5]
+        return [BallDent.seen(Camera.from_sensor(sensor), press.ball, press.center, contacts[press.center])]
+
+    monkeypatch.setattr(press_faces, "solved", solved)
+    monkeypatch.setattr("tacgen.calibrate.contact_circle.refined", lambda press, untouched: press)
+    monkeypatch.setattr("tacgen.calibrate.likeness.DENTS", 4)
+    monkeypatch.setattr("tacgen.calibrate.normal_net.MOST", 500)
+    rows = ["file,ball_radius_mm,x_px,y_px,contact_radius_px,depth_mm"]
+    for k, (ball, (x, y), contact) in enumerate(PRESSES[:3]):
+        deep = given in ("depth", "both") or (given == "mixed" and k == 2)
+        wide = given in ("contact", "both") or (given == "mixed" and k < 2)
+        rows.append(f"press_{k}.png,{ball},{x},{y},{contact if wide else ''},{0.5 if deep else ''}")
+    (folder / "presses.csv").write_text("\n".join(rows))
+    found = calibrate.optics(str(path), folder, calibrate.Asked(0, 0))
+    report = list(found.lines())
+    assert any(line.startswith("change under press_2.png, held out: off by") for line in report)
+    judged = given in ("contact", "both")  # by normals within a contact circle
+    assert [line.startswith("  after: contrast") for line in report].count(True) == judged
+    assert found.fitted.held_out < 6  # the formula's dents in photographs are those of a flat face
+    json.dumps(found.plain(), allow_nan=False)
+
+
+@pytest.mark.slow
+def test_presses_of_known_depth_are_solved_on_a_dome(tmp_path: Path) -> None:
+    unit = sensor(gel=DOME, camera=FINE, markers=None)
+    path, folder = written(unit, tmp_path / "unit.yaml"), photographed(unit, tmp_path / "unit", ())
+    made, rows = images.Renderer(unit, 16, 0, False, mitsuba_variants.SCALAR), []
+    for k, (ball, center, _) in enumerate(PRESSES[:3]):
+        press = photos.Press("", np.zeros(0), ball, center, None, 0.4)
+        Image.fromarray(made.develop(made.image(press_faces.face(unit, press, {})))).save(folder / f"{k}.png")
+        rows.append(f"{k}.png,{ball},{center[0]},{center[1]},0.4")
+    (folder / "presses.csv").write_text("\n".join(["file,ball_radius_mm,x_px,y_px,depth_mm", *rows]))
+    found = calibrate.optics(str(path), folder, calibrate.Asked(0, 0))
+    assert found.fitted.held_out < 2
+    assert [sum(led.radiance) for led in found.fitted.sensor.leds] == pytest.approx([9.0] * 3, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (",,1.99", "press_1.png: depth_mm: must be from 0.015 to 1.8 mm in a gel of 3 mm there (got 1.99)"),
+        (",,0.004", "press_1.png: depth_mm: must be from 0.015 to 1.8 mm"),
+        (",,1e308", "press_1.png: depth_mm: must be from 0.015 to 1.8 mm"),
+        (",1e-9,", "presses.csv:3: contact_radius_px: must be a number of at least 3 (got '1e-9')"),
+        (",14,0,5", "presses.csv:3: has 7 cells, and the header 6: is a comma a decimal point?"),
+        (",nan,", "presses.csv:3: contact_radius_px: must be a number"),
+    ],
+)
+def test_presses_that_no_gel_bears_are_refused_before_any_is_solved(
+    nominal: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, change: str, says: str
+) -> None:
+    monkeypatch.setattr(press_faces, "solved", lambda *_: pytest.fail("is solved"))
+    for k, grey in enumerate((90, 110)):
+        picture = np.full((64, 80, 3), 90, np.uint8)
+        picture[20:40, 30:60] = grey
+        Image.fromarray(picture).save(tmp_path / ("background.png" if k == 0 else "press_1.png"))
+    head = "file,ball_radius_mm,x_px,y_px,contact_radius_px,depth_mm"
+    (tmp_path / "presses.csv").write_text(f"{head}\npress_1.png,4,30,28,,0.5\npress_1.png,3,52,40{change}")
+    with pytest.raises(UserError) as told:
+        calibrate.optics(str(nominal), tmp_path)
+    (line,) = told.value.lines
+    assert says in line
+
+
+@pytest.mark.parametrize(("option", "value"), [("mm", "inf"), ("mm", "nan"), ("mm", "1e9"), ("deg", "nan")])
+def test_tolerances_are_finite(nominal: Path, tmp_path: Path, option: str, value: str) -> None:
+    Image.new("RGB", (80, 64), (90, 90, 90)).save(tmp_path / "background.png")
+    asked = ["--sensor", str(nominal), "--images", str(tmp_path), f"--tolerance-{option}", value]
+    done = CliRunner().invoke(cli.app, ["calibrate", "optics", *asked])
+    assert done.exit_code == 2, done.output
+    assert f"--tolerance-{option}: must be from 0 to" in done.stderr
+
+
+def test_a_press_that_shows_none_is_refused(nominal: Path, tmp_path: Path) -> None:
+    Image.new("RGB", (80, 64), (90, 90, 90)).save(tmp_path / "background.png")
+    Image.new("RGB", (80, 64), (95, 95, 95)).save(tmp_path / "press.png")
+    (tmp_path / "presses.csv").write_text("file,ball_radius_mm,x_px,y_px,contact_radius_px\npress.png,4,30,28,15")
+    with pytest.raises(UserError, match="press.png: shows no press: it is like the untouched picture"):
+        calibrate.optics(str(nominal), tmp_path)
