@@ -17,7 +17,7 @@ from tacgen.calibrate.photos import Press
 Array = np.ndarray
 WIDTH = 0.08  # contact radii: standard deviation of the Gaussian whose second derivative measures the bend
 STEPS = np.linspace(-3, 3, 17)  # WIDTHs inward and outward
-TRIED = np.arange(0.76, 1.12, 0.04)  # start values of the radius, over the given one
+TRIED = np.arange(0.76, 1.1, 0.04)  # start values of the radius, over the given one
 AWAY, LEAST, MOST = 0.15, 0.75, 1.1  # largest shift of the centre and range of the radius, over the given radius
 ANGLES = 72  # points on the circle
 BEYOND = 1.2  # over the given radius: points whose ray leaves the picture before this are skipped

@@ -126,14 +126,14 @@ def fit(
     half[free] = student.ppf((1 + LEVEL) / 2, spare - (len(choices) > 1)) * spread
     unclear = best.unseen | ((best.at - half <= low) & (best.at + half >= high))
     shown = np.column_stack([low - (high - low), high + (high - low)])  # exp overflows far beyond
-    estimates = tuple(
-        Estimate(u.name, *(float(u.shown(v)) for v in np.clip([x, x - h, x + h], *far)), not inside, bool(unseen))
-        for u, x, h, far, inside, unseen in zip(unknowns, best.at, half, shown, free, unclear, strict=True)
-    )
+    estimates = []
+    for k, u in enumerate(unknowns):
+        x, down, up = (float(u.shown(v)) for v in np.clip(best.at[k] + half[k] * np.array([0, -1, 1]), *shown[k]))
+        estimates.append(Estimate(u.name, x, down, up, not free[k], bool(unclear[k])))
     correlation = np.eye(len(unknowns))  # unknown for parameters at the end of their range
     correlation[np.ix_(free, free)] = covariance / np.maximum(np.outer(spread, spread), 1e-300)
     np.fill_diagonal(correlation, 1.0)  # also where the fit is exact and the spread 0
-    return MaterialFit(estimates, correlation, force(best.at), measured)
+    return MaterialFit(tuple(estimates), correlation, force(best.at), measured)
 
 
 def relaxing(

@@ -330,5 +330,5 @@ def test_a_press_that_shows_none_is_refused(nominal: Path, tmp_path: Path) -> No
     Image.new("RGB", (80, 64), (90, 90, 90)).save(tmp_path / "background.png")
     Image.new("RGB", (80, 64), (95, 95, 95)).save(tmp_path / "press.png")
     (tmp_path / "presses.csv").write_text("file,ball_radius_mm,x_px,y_px,contact_radius_px\npress.png,4,30,28,15")
-    with pytest.raises(UserError, match="press.png: shows no press: it is like the untouched picture"):
+    with pytest.raises(UserError, match=r"press\.png: shows no press: it is like the untouched picture"):
         calibrate.optics(str(nominal), tmp_path)
