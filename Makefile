@@ -58,7 +58,7 @@ smoke: sync
 
 # datasets, recipes, meshes and tables spoilt in many ways, and processes killed
 torture: sync
-	PYTHONPATH=tests $(BIN)/python -W ignore -m hostile.torture -o docs $(TORTURE_FLAGS)
+	PYTHONPATH=tests $(BIN)/python -W ignore -m benchmarks.torture -o docs $(TORTURE_FLAGS)
 
 bench: sync
 	$(BIN)/tacgen bench -o docs $(BENCH_FLAGS)

@@ -190,7 +190,8 @@ def test_a_journal_that_is_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_torture_writes_its_table(tmp_path: Path) -> None:
-    command = [sys.executable, "-W", "ignore", "-m", "hostile.torture", "--inputs", "5", "--kills", "2", "-o", tmp_path]
+    flags = ("--inputs", "5", "--kills", "2", "-o", tmp_path)
+    command = [sys.executable, "-W", "ignore", "-m", "benchmarks.torture", *flags]
     here = {**os.environ, "PYTHONPATH": f"{TESTS}{os.pathsep}{TESTS.parent}"}
     subprocess.run(command, env=here, check=True, timeout=300, stdout=subprocess.DEVNULL)
     (table,) = json.loads((tmp_path / "results" / "torture.json").read_text())["tables"]

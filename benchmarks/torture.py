@@ -1,6 +1,8 @@
 """`make torture`: many hostile inputs and kills, and a table of what became of them.
 
-python -m hostile.torture --inputs 10000 --kills 1000 -o docs
+    PYTHONPATH=tests python -m benchmarks.torture --inputs 10000 --kills 1000 -o docs
+
+The attempts themselves are in tests/hostile, where some of them are part of the tests.
 """
 
 import argparse
@@ -12,10 +14,11 @@ from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 
-import benchmarks
-from benchmarks import results_page
 from hostile import attempts, kills
 from hostile.mutations import MUTATIONS
+
+import benchmarks
+from benchmarks import results_page
 from tacgen.batch import worker_process
 
 ABOUT = (
