@@ -36,7 +36,9 @@ class Maps:
     pressure [MPa] along the indenter's normal, positive in compression; traction (h, w, 2) [MPa]: friction on the gel
     in the face's tangent plane, along the face's own x and y (see `tangents`); contact: at least 40 % of the points
     around touch; sliding: share of the pressure that slides, 0 to 1; area [mm^2] of the face behind each pixel; force
-    (h, w, 3) [N] on the gel in the sensor frame, whose sum is the force within view.
+    (h, w, 3) [N] on the gel in the sensor frame, also on gel that is hidden by other gel: its sum is the force within
+    the picture; unseen: share of the normal forces on gel that is hidden or outside the picture, which pressure and
+    traction do not show [-].
     """
 
     pressure: Array
@@ -45,6 +47,7 @@ class Maps:
     sliding: Array
     area: Array
     force: Array
+    unseen: float = 0.0
 
     @property
     def slip(self) -> Array:
@@ -86,7 +89,8 @@ def maps(problem: Problem, surface: Surface, state: State, camera: "Camera") -> 
 def spread(view: "Shares", state: State) -> Maps:
     """The same for a `view` of the face that was computed in this state or in a nearby one."""
     found = {name: view.picture(values) for name, values in densities(view, state).items()}
-    return Maps(**found, contact=view.picture(view.contact), area=view.area)
+    view.add_hidden(state.traction_force, found["force"])
+    return Maps(**found, contact=view.picture(view.contact), area=view.area, unseen=view.unseen(state.normal_force))
 
 
 def densities(view: "Shares", state: State) -> dict[str, Array]:
@@ -166,6 +170,11 @@ class Shares:
         areas = areas @ facet_shares(facet_points(kind)[0], areas)
         whole, visible = np.bincount(self._facets.ravel(), areas.ravel()), self._weighted_area()
         self._visible = np.where(visible > VISIBLE_SHARE * whole, 1.0, visible / np.maximum(whole, 1e-300))
+        outside = ((screen < 0) | (screen >= camera.shape[::-1])).any(1)
+        cut = np.zeros(len(surface.now), bool)
+        cut[facets[outside[facets].any(1)]] = True  # what these nodes lack is outside the picture
+        self._hidden = np.where(cut, 0.0, 1 - self._visible)
+        self._points = contact.at(state.x), camera
         touching, around = (self.at(self.nodal(contact.areas * part)) for part in (on, 1.0))
         self.contact = (touching / around)[:, 0] >= RIM_SHARE
 
@@ -186,6 +195,19 @@ class Shares:
         force, weighted = self.nodal(per_point), self._weighted_area()
         scale = np.divide(self._visible, weighted, out=np.zeros(len(weighted)), where=weighted > 0)
         return self.at(force * scale[:, None]) * self.weight[:, None]
+
+    def unseen(self, normal_force: Array) -> float:
+        """Share of the forces at the points (f, q) that is on invisible parts of the face [-]; 0 without forces."""
+        per_node = self.nodal(normal_force)[:, 0]
+        return float((1 - self._visible) @ per_node / per_node.sum()) if per_node.any() else 0.0
+
+    def add_hidden(self, per_point: Array, image: Array) -> None:
+        """Add forces (f, q, 3) on gel that other gel hides to the pixels of `image` (h, w, 3) behind which they act."""
+        share = np.einsum("fqk,fk->fq", self._hats, self._hidden[self._facets])
+        here, (points, camera) = share != 0, self._points
+        if here.any():
+            (h, w), at = image.shape[:2], camera.project(points[here]).astype(int)
+            np.add.at(image, tuple(np.clip(at, 0, (w - 1, h - 1)).T[::-1]), share[here, None] * per_point[here])
 
     def picture(self, values: Array) -> Array:
         """Values (p, ...) as an image (h, w, ...), 0 at other pixels."""

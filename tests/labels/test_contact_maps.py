@@ -26,7 +26,11 @@ def hertz(at: Array) -> Array:
 
 
 def pressed(
-    points: Array, faces: Faces, camera: Camera = CAMERA, uneven: Array | float = 1.0
+    points: Array,
+    faces: Faces,
+    camera: Camera = CAMERA,
+    uneven: Array | float = 1.0,
+    surface: Surface | None = None,
 ) -> tuple[contact_maps.Maps, State]:
     """A level face under a ball that slides along (.6, .8), and its maps; `uneven` (q,) is times the pressure."""
     force = hertz(faces.at(points)) * faces.areas * uneven
@@ -34,7 +38,7 @@ def pressed(
     down = np.broadcast_to([0.0, 0.0, -1.0], rub.shape)
     state = State(0, np.eye(4), points, force, down, rub, force > 0, 1, 1, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0)
     problem: Problem = SimpleNamespace(contact=SimpleNamespace(faces=faces), friction=FRICTION)  # type: ignore[assignment]
-    return contact_maps.maps(problem, Surface(points, faces.conn), state, camera), state
+    return contact_maps.maps(problem, surface or Surface(points, faces.conn), state, camera), state
 
 
 def error(found: contact_maps.Maps) -> float:
@@ -98,6 +102,25 @@ def test_what_is_out_of_view_is_not_in_the_map() -> None:
     found, _ = pressed(points, faces, half)
     assert (found.pressure * found.area).sum() == pytest.approx(state.normal_force.sum() / 2, rel=0.03)
     assert found.pressure[:, :60] == pytest.approx(whole.pressure[:, 60:], abs=0.02 * whole.pressure.max())
+
+
+@KINDS
+def test_gel_that_is_hidden_has_its_force_in_the_force_map_where_it_is_and_not_in_the_pressure(kind: int) -> None:
+    """The face folds like an S along x: between two edges of the fold it lies three times behind the picture."""
+    points, faces, _ = patch(16, 5.0, kind)
+    x, fold = points.copy(), 2 * points[:, 0]
+    x[:, 0] -= 0.8 * np.sin(fold) * (np.abs(fold) < np.pi)
+    x[:, 2] += 0.4 * (1 + np.cos(fold)) * (np.abs(fold) < np.pi)
+    found, state = pressed(x, faces, surface=Surface(points, faces.conn).moved(x))
+    total, at = state.traction_force.sum((0, 1)), faces.at(x)
+    assert found.force.sum((0, 1)) == pytest.approx(total, rel=1e-12)
+    seen = (found.pressure * found.area).sum() / state.normal_force.sum()
+    assert 0.3 < seen < 0.8
+    assert found.unseen == pytest.approx(1 - seen, rel=1e-9)
+    columns = np.arange(120) + 0.5
+    middle = found.force[..., 2].sum(0) @ columns / total[2]
+    pixels = CAMERA.project(at.reshape(-1, 3))
+    assert middle == pytest.approx(pixels[:, 0] @ state.normal_force.ravel() / state.normal_force.sum(), abs=1.0)
 
 
 @KINDS
