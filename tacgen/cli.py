@@ -168,6 +168,7 @@ def status(
 def validate(file: RecipeFile, sets: Sets = None) -> None:
     """Check a recipe with its sensor and all its scenes, or a sensor file."""
     from tacgen.recipe import assets, checks, loading, yaml_source
+    from tacgen.scene import approach
 
     path = assets.recipe_path(file)
     data = yaml_source.load(path).data
@@ -181,7 +182,7 @@ def validate(file: RecipeFile, sets: Sets = None) -> None:
     names = plan.sensors
     on = f"{'sensors' if len(names) > 1 else 'sensor'} {', '.join(names)}"
     typer.echo(f"{path}: a valid recipe, {plan.name}: {counted(len(plan.rows), 'scene')}, {on}")
-    for note in checks.notes(row.recipe, row.sensor):
+    for note in [*checks.notes(row.recipe, row.sensor), *filter(None, [approach.note(plan.rows)])]:
         typer.echo(f"note: {note}")
 
 
@@ -261,14 +262,15 @@ def check(
     path: Annotated[Path, typer.Argument(help="A bundle, or a folder of bundles.")],
     as_json: AsJson = False,
 ) -> None:
-    """Check that bundles are complete and unchanged, values finite and forces balanced; findings give exit code 1."""
+    """Check that bundles are complete and unchanged, values finite and forces balanced; findings but notes give exit code 1."""
     from tacgen.bundle.check import check as find
 
     findings = find(path)
+    wrong = any(finding.level != "note" for finding in findings)
     plain = [{"path": str(f.path), "level": f.level, "message": f.message} for f in findings]
-    lines = [str(finding) for finding in findings] or [f"{path}: nothing found wrong"]
+    lines = [str(finding) for finding in findings] + ([] if wrong else [f"{path}: nothing found wrong"])
     show_result(plain, "\n".join(lines), as_json)
-    raise typer.Exit(1 if findings else 0)
+    raise typer.Exit(1 if wrong else 0)
 
 
 @app.command()

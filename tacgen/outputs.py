@@ -227,9 +227,26 @@ def of_grasp(held: "Held", side: int) -> Datasets:
 
 
 def _traction(frame: FrameData) -> Datasets:
+    from tacgen.labels.contact_maps import resultant_errors
+
     out = {f"/frames/{name}": getattr(frame.maps, name) for name in ("pressure", "traction", "contact")}
+    errors = resultant_errors(frame.shares, frame.touched, frame.state, frame.maps)
+    out |= {f"/frames/quality/{name}_resultant": value for name, value in errors.items()}
+    out["/frames/quality/unseen_force"] = frame.maps.unseen
     slid = {f"/frames/{name}": getattr(frame.maps, name) for name in ("slip", "sliding")}
     return out if frame.state.sliding is None else out | slid
+
+
+def _force_map(frame: FrameData) -> Datasets:
+    from tacgen.labels.contact_maps import over_force
+
+    missing = frame.maps.force.sum((0, 1)) - frame.state.traction_force.sum((0, 1))
+    return {
+        "/frames/force_map": frame.maps.force,
+        "/frames/area": frame.maps.area,
+        "/frames/quality/force_map_resultant": over_force(missing, frame.state),
+        "/frames/quality/unseen_force": frame.maps.unseen,
+    }
 
 
 def _events(frame: FrameData) -> Datasets:
@@ -311,7 +328,7 @@ OUTPUTS = {
     "force": Output(_force),  # in every bundle
     "traction": Output(_traction),
     "events": Output(_events),
-    "force_map": Output(lambda f: {"/frames/force_map": f.maps.force, "/frames/area": f.maps.area}),
+    "force_map": Output(_force_map),
     "height": Output(lambda f: {"/frames/height": f.outer.height()}, lambda s: {"/reference/height": s.outer.height()}),
     "normals": Output(
         lambda f: {"/frames/normals": f.outer.normals()}, lambda s: {"/reference/normals": s.outer.normals()}

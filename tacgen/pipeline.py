@@ -12,19 +12,19 @@ import numpy as np
 
 from tacgen import array_cache, atomic_file, compiled, solve
 from tacgen.bundle import bundle, resume
+from tacgen.bundle.check import NO_CONTACT
 from tacgen.bundle.resume import SceneResult
 from tacgen.geometry import gel as geometry
 from tacgen.outputs import OUTPUTS, Datasets, FrameData, SceneData, of_grasp
 from tacgen.recipe.checks import notes
 from tacgen.recipe.model import IMAGES
 from tacgen.recipe.plan import Row
-from tacgen.scene import mesh, scene
+from tacgen.scene import approach, mesh, scene
 from tacgen.solve import presolve
 
 MIN_EDGES = 3  # an indenter's smallest radius should be at least so many edges of the mesh
 DENT = 0.05  # [mm] deep, of the face whose picture is rendered only to compile what renders it
 MATCHED = 2e-3  # of a force that is asked for on several sensors: within this part of it in every frame [-]
-NO_CONTACT = "the indenter touches the gel in no frame: check its start or poses, and their unit"
 TRACED = ("untouched", "table")  # entries of the cache that take long, and that come first of a sensor's images
 OnEvent = Callable[[dict[str, Any]], None]
 Data = TypeVar("Data", SceneData, FrameData)
@@ -219,7 +219,10 @@ class Recorder:
 
     def finish(self, reason: str) -> None:
         """Close the bundle; it is rejected if there is a reason."""
-        late = [] if reason or self.touched else [NO_CONTACT]
+        late = []
+        if not (reason or self.touched):
+            gap = approach.closest(self.scene.shape, self.scene.gel, self.scene.poses)
+            late = [f"{NO_CONTACT}, closest approach {gap:.3g} mm: check its start or poses, and their unit"]
         self._tell(late)
         self.writer.finish("rejected" if reason else "ok", reason, late)
 

@@ -401,6 +401,10 @@ def test_check_prints_findings_and_exits_with_1(tmp_path: Path, monkeypatch: pyt
     monkeypatch.setattr(check, "check", lambda path: [])
     done = tacgen_("check", str(tmp_path))
     assert (done.exit_code, done.stdout) == (0, f"{tmp_path}: nothing found wrong\n")
+    monkeypatch.setattr(check, "check", lambda path: [check.Finding(tmp_path / "a.h5", "note", "touches in no frame")])
+    done = tacgen_("check", str(tmp_path))
+    said = f"{tmp_path}/a.h5: note: touches in no frame\n{tmp_path}: nothing found wrong\n"
+    assert (done.exit_code, done.stdout) == (0, said), "a note is not wrong"
 
 
 def test_benches_are_reported_to_need_a_checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

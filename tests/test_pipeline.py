@@ -314,9 +314,10 @@ def test_a_scene_without_contact_is_reported(recipe: Path, tmp_path: Path) -> No
     sets = ("start.clearance_mm=3", "trajectory=[{slide: {x_mm: 1, frames: 1}}]", "quality.edge_mm=1.2")
     (done,) = pipeline.run(plan.load(recipe, sets).rows, tmp_path / "out", on_event=events.append)
     (note,) = (event["note"] for event in events if event["event"] == "note")
-    assert "touches the gel in no frame" in note
+    assert "touches the gel in no frame, closest approach 3 mm" in note
     assert json.loads(bundle.read(done.path).attrs["notes"]) == [note]
-    assert not check(done.path)
+    (found,) = check(done.path)
+    assert (found.level, found.message) == ("note", note)
 
 
 @pytest.mark.slow

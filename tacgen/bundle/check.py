@@ -1,5 +1,6 @@
 """Checks of finished bundles: complete, in the right layout, finite, in range, and physically possible."""
 
+import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
@@ -21,6 +22,15 @@ COULOMB_EXCESS = 2e-3  # over friction x peak pressure [-]: with ipctk, friction
 FLOAT32_ERROR = 1e-6  # rounding error of maps, over the frame's peak [-]
 VISIBLE_CHANGE = {"/frames/height": 0.02, "/frames/marker_flow": 0.5}  # changes that a camera image must show [mm, px]
 VISIBLE_FORCE_CHANGE = 0.05  # the same of the force, over the largest [-]
+MAX_MISFIT = 0.05  # largest difference of a map's resultant from the force, over the force, and unseen share [-]
+MISFITS = {  # rows under /frames/quality, and what they mean
+    "pressure_resultant": "/frames/pressure does not add up to the force, by {} of it",
+    "traction_resultant": "/frames/traction does not add up to the force, by {} of it",
+    "force_map_resultant": "/frames/force_map does not add up to the force, by {} of it",
+    "unseen_force": "pressure and traction do not show gel that is hidden or outside the picture: {} of the normal"
+    " forces",
+}
+NO_CONTACT = "the indenter touches the gel in no frame"  # beginning of a bundle's note
 MAX_FLAT_RANGE = 2.0  # range of values of an image that counts as a single flat colour [counts of 255]
 # (folder, digest) -> name of the scene. The digest covers the number and seed of a scene, not its name.
 Seen = dict[tuple[Path, str], str]
@@ -31,11 +41,11 @@ class Finding:
     """A line about a file.
 
     `rejected` is a scene whose status says so, `error` is a file not to be trusted, `stray` is a bundle that is not of
-    the plan in its folder, and which readers leave out.
+    the plan in its folder, and which readers leave out; `note` is nothing wrong, but what a reader should know.
     """
 
     path: Path
-    level: Literal["error", "incomplete", "rejected", "stray"]
+    level: Literal["error", "incomplete", "rejected", "stray", "note"]
     message: str
 
     def __str__(self) -> str:
@@ -109,6 +119,8 @@ def _file(path: Path, seen: Seen, group: str = "/") -> list[Finding]:
         found = [Finding(path, "error", message) for rule in RULES for message in rule(bundle)]
     if bundle.attrs["status"] != "ok":
         found.append(Finding(path, "rejected", bundle.attrs["reason"]))
+    if all(finding.level == "rejected" for finding in found):
+        found += [Finding(path, "note", message) for rule in NOTES for message in rule(bundle)]
     return found
 
 
@@ -222,8 +234,31 @@ def _markers(bundle: Bundle) -> Iterator[str]:
         yield from _say_frames(error > 1e-3, "/frames/marker_flow is not markers less reference, off by", error, "px")
 
 
+def misfits(bundle: Bundle) -> dict[str, np.ndarray]:
+    """Rows of MISFITS that a bundle has, each (N,), scaled down in light contact."""
+    rows = {name: path for name in MISFITS if (path := f"/frames/quality/{name}") in bundle}
+    if not rows or "/frames/force" not in bundle:
+        return {}
+    force = np.linalg.norm(bundle["/frames/force"], axis=1)
+    scale = force / np.maximum(np.maximum(force, LIGHT_CONTACT * force.max(initial=0.0)), np.finfo(float).tiny)
+    return {name: scale * bundle[path] for name, path in rows.items()}
+
+
+def _maps(bundle: Bundle) -> Iterator[str]:
+    """Whether maps add up to the force."""
+    for name, value in misfits(bundle).items():
+        bad = value > MAX_MISFIT
+        yield from _say_frames(bad, MISFITS[name].format(f"{value.max(initial=0.0):.2g}"))
+
+
+def _contact(bundle: Bundle) -> Iterator[str]:
+    """Whether the scene touches at all, as its run has found."""
+    yield from (note for note in json.loads(bundle.attrs.get("notes", "[]")) if note.startswith(NO_CONTACT))
+
+
 Rule = Callable[[Bundle], Iterator[str]]
 RULES: tuple[Rule, ...] = (_finite, _pose, _images, _pressure, _friction, _quality, _repeats, _markers)
+NOTES: tuple[Rule, ...] = (_maps, _contact)
 
 
 def _changed(values: np.ndarray, threshold: float = 0.0) -> np.ndarray:

@@ -119,6 +119,21 @@ LAYOUT: dict[str, Entry] = {
         "<f8", "N", "1", "sum of recovered sigma n da less force, over force", "frame"
     ),
     "/frames/quality/traction_error": Entry("<f8", "N", "1", "L2 norm of sigma n less traction, over that", "frame"),
+    "/frames/quality/pressure_resultant": Entry(
+        "<f8", "N", "1", "integral of -pressure n da less the normal contact forces, over force", "frame"
+    ),
+    "/frames/quality/traction_resultant": Entry(
+        "<f8", "N", "1", "integral of traction da less friction, over force", "frame"
+    ),
+    "/frames/quality/force_map_resultant": Entry("<f8", "N", "1", "sum of force_map less force, over force", "frame"),
+    "/frames/quality/unseen_force": Entry(
+        "<f8",
+        "N",
+        "1",
+        "share of the normal forces that pressure and traction do not show: on gel hidden by other gel, or outside the"
+        " picture",
+        "frame",
+    ),
     "/frames/quality/pressure_oscillation": Entry("<f8", "N", "1", "rms of element less smooth pressure", "frame"),
     "/frames/grasp/object": Entry(
         "<f8", "N 4 4", "mm", "pose of the object in the world frame of a grasp", "frame row column"

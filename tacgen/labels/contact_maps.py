@@ -17,6 +17,7 @@ from tacgen.fem.elements import (
 from tacgen.fem.elements import triangles as pieces
 from tacgen.labels.gel_surface import Surface
 from tacgen.optics.rasterize import hits
+from tacgen.optics.surface_grid import unit
 from tacgen.solve import Problem, State
 
 if TYPE_CHECKING:
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 Array = np.ndarray
 RIM_SHARE = 0.4  # share of points in contact at the rim of the contact map [-]: below .5, as the rim is outside them
 VISIBLE_SHARE = 0.9  # share of a node's area [-]; a node of which the camera sees less is partly out of view
+LEAST_FORCE = 1e-3  # of the sum of normal forces [-]: the least that resultants are divided by, if these cancel
 COULOMB, ROUNDING = 1e-3, 1e-9  # relative tolerances of Coulomb's law, and of shares between 0 and 1 [-]
 SHARPENING_STEPS = {4: 2, 3: 2, 6: 0}  # Richardson-Lucy steps by nodes of a facet (see `maps`); more amplify noise
 
@@ -91,6 +93,29 @@ def spread(view: "Shares", state: State) -> Maps:
     found = {name: view.picture(values) for name, values in densities(view, state).items()}
     view.add_hidden(state.traction_force, found["force"])
     return Maps(**found, contact=view.picture(view.contact), area=view.area, unseen=view.unseen(state.normal_force))
+
+
+def resultant_errors(view: "Shares", surface: Surface, state: State, maps: Maps) -> dict[str, float]:
+    """Of pressure and traction: |integral of the map over the deformed face - sum of the contact forces| / |force| [-].
+
+    Pressure acts along -n and traction along the face's own x and y, with n the normals of the smooth face. The contact
+    forces act along and across the normals of the indenter, so that the difference is large where the mesh does not
+    resolve the indenter; it includes the force that the maps do not show. 0 without contact.
+    """
+    normal, area = view.normals(surface), view.seen_area[:, None]
+    pressure, traction = (values[view.seen] for values in (maps.pressure, maps.traction))
+    x, y = tangents(normal)
+    found = -pressure[:, None] * normal, traction[:, :1] * x + traction[:, 1:] * y
+    push, force = (state.normal_force[..., None] * state.normal).sum((0, 1)), state.traction_force.sum((0, 1))
+    pressed, dragged = ((area * values).sum(0) for values in found)
+    return {"pressure": over_force(pressed - push, state), "traction": over_force(dragged - (force - push), state)}
+
+
+def over_force(difference: Array, state: State) -> float:
+    """Norm of a force (3,) [N] over that of the contact force [-]; 0 without contact."""
+    size = float(np.linalg.norm(state.traction_force.sum((0, 1))))
+    size = max(size, LEAST_FORCE * float(state.normal_force.sum()))
+    return float(np.linalg.norm(difference)) / size if size > 0 else 0.0
 
 
 def densities(view: "Shares", state: State) -> dict[str, Array]:
@@ -188,6 +213,10 @@ class Shares:
     def at(self, nodal: Array) -> Array:
         """Values (s, c) at the nodes, behind each of the pixels (p, c)."""
         return np.asarray(self._shape @ nodal)
+
+    def normals(self, surface: Surface) -> Array:
+        """Unit normals (p, 3) of the smooth face behind each of the pixels."""
+        return unit(self.at(surface.normals))
 
     def shared(self, per_point: Array) -> Array:
         """Forces at the points per area of the face (p, c), in proportion to the weights; of a node that is partly out

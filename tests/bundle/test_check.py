@@ -134,6 +134,43 @@ def repeating(*names: str, at: int):
     return edit
 
 
+ROWS = ("pressure_resultant", "traction_resultant", "force_map_resultant", "unseen_force")
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "messages"),
+    [
+        ("pressure_resultant", 0.051, ["/frames/pressure does not add up to the force, by 0.051 of it (frame 11)"]),
+        ("traction_resultant", 0.2, ["/frames/traction does not add up to the force, by 0.2 of it (frame 11)"]),
+        ("force_map_resultant", 1.6, ["/frames/force_map does not add up to the force, by 1.6 of it (frame 11)"]),
+        (
+            "unseen_force",
+            0.3,
+            ["pressure and traction do not show gel that is hidden or outside the picture: 0.3 of the normal forces"],
+        ),
+        ("pressure_resultant", 0.049, []),
+    ],
+)
+def test_maps_that_do_not_add_up_to_the_force_are_noted(
+    tmp_path: Path, name: str, value: float, messages: list[str]
+) -> None:
+    """And not in frames of light contact, whose forces are a thousandth of the scene's."""
+
+    def edit(index: int, arrays: dict[str, Any]) -> None:
+        arrays["/frames/force"] *= 1e-3 if index == 0 else 1
+        arrays |= {f"/frames/quality/{row}": value if row == name and index in (0, 11) else 0.0 for row in ROWS}
+
+    found = check(write(tmp_path / "x.h5", edit=edit))
+    assert [f.level for f in found] == ["note"] * len(messages)
+    assert all(f.message.startswith(text) for f, text in zip(found, messages, strict=True)), found
+
+
+def test_a_scene_without_contact_is_noted_as_its_run_did(tmp_path: Path) -> None:
+    said = "the indenter touches the gel in no frame, closest approach 3 mm: check its start"
+    (found,) = check(write(tmp_path / "x.h5", notes=["another", said]))
+    assert str(found) == f"{tmp_path / 'x.h5'}: note: {said}"
+
+
 def test_repeated_frames(tmp_path: Path) -> None:
     both = ("/frames/pose", "/frames/force")
     assert lines(write(tmp_path / "a.h5", edit=repeating(*both, at=2))) == [

@@ -124,6 +124,31 @@ def test_gel_that_is_hidden_has_its_force_in_the_force_map_where_it_is_and_not_i
 
 
 @KINDS
+@pytest.mark.parametrize("scale", [1.0, 1e-30])
+def test_resultants_of_maps_are_compared_with_the_forces(kind: int, scale: float) -> None:
+    """Of a level face under an indenter whose normals lean by 60 deg to either side, as of a tip that the mesh does not
+    resolve: the normal forces cancel but for half of them, and the map has all of them along z."""
+    points, faces, _ = patch(12, 5.0, kind)
+    _, level = pressed(points, faces)
+    level = replace(level, normal_force=scale * level.normal_force, friction=scale * level.friction)
+    side = np.sign(faces.at(points)[..., :1])
+    lean = replace(level, normal=side * [np.sqrt(0.75), 0, 0] + [0, 0, -0.5], friction=0 * level.friction)
+    problem: Problem = SimpleNamespace(contact=SimpleNamespace(faces=faces), friction=FRICTION)  # type: ignore[assignment]
+    surface = Surface(points, faces.conn)
+
+    def errors(state: State, camera: Camera = CAMERA) -> list[float]:
+        view = contact_maps.Shares(problem, surface, state, camera)
+        return list(contact_maps.resultant_errors(view, surface, state, contact_maps.spread(view, state)).values())
+
+    assert errors(level) == pytest.approx([0, 0], abs=1e-9)
+    assert errors(lean) == pytest.approx([1, 0], abs=1e-9)
+    assert errors(replace(level, normal_force=0 * level.normal_force, friction=0 * level.friction)) == [0, 0]
+    beside = replace(CAMERA, center=(CAMERA.mm_per_px * 60, 0.0))
+    half = [0.5 / np.hypot(1, FRICTION), 0.5 * FRICTION / np.hypot(1, FRICTION)]
+    assert errors(level, beside) == pytest.approx(half, rel=0.03)
+
+
+@KINDS
 @pytest.mark.parametrize("stuck", [0.2, 1.0])
 def test_friction_in_any_direction_of_points_that_slide_or_stick_obeys_coulombs_law(kind: int, stuck: float) -> None:
     points, faces, _ = patch(6, 5.0, kind)
