@@ -14,6 +14,7 @@ from tacgen import array_cache, atomic_file, compiled, solve
 from tacgen.bundle import bundle, resume
 from tacgen.bundle.check import NO_CONTACT
 from tacgen.bundle.resume import SceneResult
+from tacgen.bundle.schema import finite_problem
 from tacgen.geometry import gel as geometry
 from tacgen.outputs import OUTPUTS, Datasets, FrameData, SceneData, of_grasp
 from tacgen.recipe.checks import notes
@@ -28,6 +29,10 @@ MATCHED = 2e-3  # of a force that is asked for on several sensors: within this p
 TRACED = ("untouched", "table")  # entries of the cache that take long, and that come first of a sensor's images
 OnEvent = Callable[[dict[str, Any]], None]
 Data = TypeVar("Data", SceneData, FrameData)
+
+
+class Rejected(ArithmeticError):
+    """A frame that is solved, and has a label that cannot be kept; the message says which."""
 
 
 class Clock:
@@ -56,6 +61,13 @@ def _datasets(made: dict[str, Callable[[Data], Datasets]], data: Data, clock: Cl
     for name, datasets in made.items():
         with clock.stage("render" if name in IMAGES else "fields"):
             found |= datasets(data)
+    return found
+
+
+def _finite(found: Datasets) -> Datasets:
+    """The datasets unchanged. Raises Rejected: one of them is not finite."""
+    if wrong := next(filter(None, (finite_problem(path, values) for path, values in found.items())), None):
+        raise Rejected(wrong)
     return found
 
 
@@ -196,7 +208,7 @@ class Recorder:
             with clock.stage("render"), compiled.once(_camera(gel.row)):
                 _ = self.shared.pictures
         made = {k: output.reference for k, output in OUTPUTS.items() if k in asked}
-        self.reference = _datasets(made, self.shared, clock)
+        self.reference = _finite(_datasets(made, self.shared, clock))
         self.of_frame = {k: output.frame for k, output in OUTPUTS.items() if k in asked}
         attributes = _attributes(gel.scene.gel, self.shared, clock)
         self.name, self.on_event, self.touched = gel.row.name, on_event, False
@@ -226,13 +238,17 @@ class Recorder:
         self._tell(late)
         self.writer.finish("rejected" if reason else "ok", reason, late)
 
-    def frame(self, state: solve.State, more: Datasets) -> None:
-        """Record a frame."""
-        frame = _datasets(self.of_frame, FrameData(self.shared, state, self.before), self.clock) | more
+    def labelled(self, state: solve.State, more: Datasets) -> Datasets:
+        """The datasets of a frame. Raises Rejected: a label is not finite."""
+        frame = _finite(_datasets(self.of_frame, FrameData(self.shared, state, self.before), self.clock) | more)
         self.before, self.touched = state, self.touched or bool(frame["/frames/force"].any())
         frame["/frames/segment"] = self.scene.segment[state.index]
         if self.scene.duration is not None:
             frame["/frames/time"] = self.scene.duration[: state.index + 1].sum()
+        return frame
+
+    def append(self, frame: Datasets) -> None:
+        """Record a frame."""
         with self.clock.stage("bundle"):
             self.writer.append(frame)
 
@@ -252,9 +268,10 @@ def _made(row: Row, path: Path, on_event: OnEvent | None, clock: Clock) -> Scene
                     found = next(frames, None)
                 if found is None:
                     break
-                for recorder, (state, more) in zip(recorders, found, strict=True):
-                    recorder.frame(state, more)
-            except solve.NotConverged as error:
+                labelled = [recorder.labelled(*each) for recorder, each in zip(recorders, found, strict=True)]
+                for recorder, frame in zip(recorders, labelled, strict=True):
+                    recorder.append(frame)
+            except (solve.NotConverged, Rejected) as error:
                 reason = f"frame {done + 1} of {row.frames}: {error}"
                 break
             done += 1

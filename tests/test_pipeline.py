@@ -270,6 +270,25 @@ def test_a_frame_that_does_not_converge_is_recorded_and_not_shipped(
     assert [f.level for f in check(found.path)] == ["rejected"]
 
 
+@pytest.mark.parametrize("path", ["/frames/uncertainty/force", "/frames/height"])
+def test_a_frame_with_a_label_that_is_not_finite_is_rejected(
+    recipe: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, path: str
+) -> None:
+    """Here one that a float32 cannot hold, or nan where only a height may be nan."""
+    usual, value = outputs.OUTPUTS["force"], np.array([1e300, np.nan, 0])
+
+    def with_more(frame: outputs.FrameData) -> outputs.Datasets:
+        bad = value if frame.state.index == 1 else np.zeros(3)
+        return usual.frame(frame) | {path: np.full((2, 3), bad) if path.endswith("height") else bad}
+
+    monkeypatch.setitem(outputs.OUTPUTS, "force", usual._replace(frame=with_more))
+    found = pipeline.run_scene(plan.load(recipe, ["outputs=[force]"]).rows[0], tmp_path / "out")
+    where = "(0, 0)" if path.endswith("height") else "(1,)"
+    assert (found.status, found.reason) == ("rejected", f"frame 2 of 3: {path} is not finite at {where}")
+    assert bundle.read(found.path).frames == 1
+    assert [f.level for f in check(found.path)] == ["rejected"]
+
+
 def test_forces_agree_with_the_maps_and_the_base(recipe: Path, tmp_path: Path) -> None:
     row = plan.load(recipe, ["outputs=[traction]"]).rows[0]
     kept = bundle.read(pipeline.run_scene(row, tmp_path / "out").path)

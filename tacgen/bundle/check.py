@@ -12,7 +12,7 @@ import numpy as np
 from tacgen import atomic_file
 from tacgen.bundle import dataset
 from tacgen.bundle.bundle import Bundle, Dataset, Unfinished, read
-from tacgen.bundle.schema import attributes, entry
+from tacgen.bundle.schema import attributes, finite_problem
 from tacgen.errors import UserError
 
 MAX_IMBALANCE = 1e-3  # largest force imbalance over the contact force [-]
@@ -136,14 +136,7 @@ def _layout(bundle: Bundle, datasets: dict[str, Dataset]) -> Iterator[str]:
 
 
 def _finite(bundle: Bundle) -> Iterator[str]:
-    for path in bundle.shapes:
-        values = bundle[path]
-        if values.dtype.kind != "f":
-            continue
-        bad = np.isinf(values) if entry(path).nan else ~np.isfinite(values)
-        if bad.any():
-            where = np.argwhere(bad)[0]
-            yield f"{path} is not finite at {tuple(where.tolist())}"
+    yield from filter(None, (finite_problem(path, bundle[path]) for path in bundle.shapes))
 
 
 def _pose(bundle: Bundle) -> Iterator[str]:

@@ -14,6 +14,7 @@ from tacgen.bundle.bundle import Bundle
 from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import elements
 from tacgen.fem.stress_recovery import FULL, Recovery
+from tacgen.labels.contact_maps import tangents
 
 Array = np.ndarray
 FREE, EDGE, STICK, SLIP = range(4)  # of `contact_state`
@@ -29,6 +30,22 @@ def wrench(bundle: Bundle, pose: Array | None = None) -> Array:
     pose = np.eye(4) if pose is None else np.asarray(pose)
     about = torque - np.cross(pose[..., :3, 3], force)
     return np.hstack([np.einsum("...ji,...j", pose[..., :3, :3], v) for v in (force, about)])
+
+
+def map_force(bundle: Bundle, frame: int) -> Array:
+    """Force (3,) [N] on the gel by its maps: the integral of traction - pressure n over the deformed face.
+
+    Its error is about that in /frames/quality/pressure_resultant and traction_resultant. The sum of pressure x area is
+    larger than the force: on faces that slope to different sides, vectors cancel and pressures do not.
+
+    Raises:
+        Missing: the scene lacks one of the outputs traction, force_map (for the area) and normals.
+    """
+    names = ("pressure", "traction", "area", "normals")
+    pressure, traction, area, n = (bundle.frame(f"/frames/{name}", frame).astype(float) for name in names)
+    x, y = tangents(n := np.nan_to_num(n))
+    per_area = traction[..., :1] * x + traction[..., 1:] * y - pressure[..., None] * n
+    return np.asarray((per_area * area[..., None]).sum((0, 1)))
 
 
 def tensor(stress: Array) -> Array:

@@ -4,6 +4,7 @@ and check.py compares finished files with them."""
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 from pydantic import Field
 
 from tacgen.bundle.stored_json import Stored, Value
@@ -264,6 +265,17 @@ def attributes(path: str) -> dict[str, str]:
     if path in STEPS:
         return known | {"rounding": f"multiples of 2^{STEPS[path]}"}
     return known | ({"rounding": f"{BITS[path]} bits"} if path in BITS else {})
+
+
+def finite_problem(path: str, values: np.ndarray) -> str | None:
+    """Where values are inf, or nan that the layout does not allow, in the type in which they are stored; or None."""
+    row = entry(path)
+    if np.dtype(row.dtype).kind != "f":
+        return None
+    with np.errstate(over="ignore"):
+        values = np.asarray(values).astype(row.dtype, copy=False)
+    bad = np.isinf(values) if row.nan else ~np.isfinite(values)
+    return f"{path} is not finite at {tuple(np.argwhere(bad)[0].tolist())}" if bad.any() else None
 
 
 def shape_problem(path: str, shape: tuple[int, ...], sizes: dict[str, int]) -> str | None:

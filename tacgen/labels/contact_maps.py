@@ -195,7 +195,7 @@ class Shares:
         areas = areas @ facet_shares(facet_points(kind)[0], areas)
         whole, visible = np.bincount(self._facets.ravel(), areas.ravel()), self._weighted_area()
         self._visible = np.where(visible > VISIBLE_SHARE * whole, 1.0, visible / np.maximum(whole, 1e-300))
-        outside = ((screen < 0) | (screen >= camera.shape[::-1])).any(1)
+        outside = np.any((screen < 0) | (screen >= camera.shape[::-1]), axis=1)
         cut = np.zeros(len(surface.now), bool)
         cut[facets[outside[facets].any(1)]] = True  # what these nodes lack is outside the picture
         self._hidden = np.where(cut, 0.0, 1 - self._visible)

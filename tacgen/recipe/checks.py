@@ -58,6 +58,11 @@ def recipe_problems(recipe: Recipe, sensor: Sensor, folders: Folders | None = No
             "needs quasi-static frames and contact by distance: leave it out, or grasp, dynamics, viscosity and ipctk"
         )
         wrong.append(Problem(("uncertainty",), text))
+    if recipe.uncertainty is not None and (depth := recipe.uncertainty.pose.depth_mm) > (
+        most := thickness_mm(sensor.gel)
+    ):
+        text = f"must be at most the gel's thickness, {most:g} mm (got {depth:g})"
+        wrong.append(Problem(("uncertainty", "pose", "depth_mm"), text))
     wrong += [
         *_too_thin(recipe),
         *_ipc_toolkit(recipe),

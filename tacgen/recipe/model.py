@@ -103,11 +103,14 @@ class MarkerMotion(Part):
 
 
 class MaterialDeviation(Part):
-    """Standard deviations of the gel's constants: `modulus` is relative and for all layers, the others absolute."""
+    """Standard deviations of the gel's constants: `modulus` is relative and for all layers, the others absolute.
 
-    modulus: NotNegative = 0.0
-    poissons_ratio: NotNegative = 0.0
-    friction: NotNegative = 0.0
+    They are propagated to first order, which says nothing of larger ones.
+    """
+
+    modulus: Annotated[float, Field(ge=0, le=1)] = 0.0
+    poissons_ratio: Annotated[float, Field(ge=0, le=0.5)] = 0.0
+    friction: Annotated[float, Field(ge=0, le=1)] = 0.0
 
 
 class PoseDeviation(Part):

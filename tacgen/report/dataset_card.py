@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from tacgen import atomic_file, output_file
+from tacgen.bundle.check import NO_CONTACT
 from tacgen.errors import UserError, printable
 from tacgen.report import dataset_summary
 from tacgen.report.dataset_summary import Overview
@@ -89,8 +90,10 @@ def _splits(seen: Overview) -> str:
 
 
 def _limits(seen: Overview) -> str:
-    notes = Counter(note for bundle in seen.bundles for note in json.loads(bundle.attrs.get("notes", "[]")))
-    rows = [(str(n), note) for note, n in notes.most_common(MAX_REASONS)]
+    said = (note for bundle in seen.bundles for note in json.loads(bundle.attrs.get("notes", "[]")))
+    notes = Counter(NO_CONTACT if note.startswith(NO_CONTACT) else note for note in said)  # each has its own distance
+    rows = [(str(n), note) for n, note in seen.misfits]
+    rows += [(str(n), note) for note, n in notes.most_common(MAX_REASONS)]
     about = "Simulated data; `docs/LIMITS.md` of tacgen lists the known errors."
     return f"## Known limits\n\n{about}" + ("\n\n" + _table(("scenes", "note"), rows) if rows else "")
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from tacgen.bundle import dataset, run_status
+from tacgen.bundle import check, dataset, run_status
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.caption import shape_text
 from tacgen.errors import UserError
@@ -91,6 +91,15 @@ class Overview(run_status.Survey):
         """Varied path -> its value in each planned scene."""
         paths = dict.fromkeys(path for scene in self.scenes for path in scene.values)
         return {path: [scene.values.get(path) for scene in self.scenes] for path in paths}
+
+    @property
+    def misfits(self) -> list[tuple[int, str]]:
+        """Number of scenes with a map that misses the force by more than MAX_MISFIT, and a line about the worst."""
+        each = [{name: v.max(initial=0.0) for name, v in check.misfits(bundle).items()} for bundle in self.bundles]
+        out = {
+            name: [found[name] for found in each if found.get(name, 0.0) > check.MAX_MISFIT] for name in check.MISFITS
+        }
+        return [(len(v), check.MISFITS[name].format(f"up to {max(v):.2g}")) for name, v in out.items() if v]
 
     @property
     def objects(self) -> dict[str, str]:

@@ -43,6 +43,30 @@ def test_invariants(stress: list[float], mises: float, principal: list[float], p
     )
 
 
+@pytest.mark.parametrize(
+    ("indenter", "least", "most"),
+    [("{shape: sphere, radius_mm: 4.0}", 0, 0.05), ("{shape: cone, half_angle_deg: 20, tip_radius_mm: 0.2}", 0.2, 2)],
+)
+def test_forces_by_maps_miss_the_force_as_quality_says(
+    tmp_path: Path, indenter: str, least: float, most: float
+) -> None:
+    """By little where the mesh resolves the indenter; cells of 0.8 mm resolve no tip of 0.2 mm."""
+    path = tmp_path / "small.yaml"
+    path.write_text(
+        f"{{tacgen: 1, name: small, sensor: gelsight_mini, indenter: {indenter}, contact: {{friction: 0.6}},"
+        " trajectory: [press: {depth_mm: 0.8, frames: 1}, slide: {x_mm: 0.3, frames: 1}],"
+        " outputs: [traction, force_map, normals], quality: {edge_mm: 0.8, dhat_mm: 0.05}}"
+    )
+    scene = bundle.read(pipeline.run_scene(plan.load(path).rows[0], tmp_path).path)
+    for frame, force in enumerate(scene["/frames/force"]):
+        by = [scene.frame(f"/frames/quality/{name}_resultant", frame) for name in ("pressure", "traction")]
+        missing = np.linalg.norm(postprocess.map_force(scene, frame) - force) / np.linalg.norm(force)
+        assert least <= max(by) < most
+        assert missing <= sum(by) + 0.4 * max(by) + 1e-3, (missing, by)
+    assert scene["/frames/quality/force_map_resultant"].max() < 1e-9
+    assert scene["/frames/quality/unseen_force"].max() == 0
+
+
 def test_contact_states(tmp_path: Path) -> None:
     def edit(index: int, arrays: dict[str, np.ndarray]) -> None:
         pressure = arrays["/frames/pressure"]

@@ -3,6 +3,7 @@
 import re
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import pytest
 from batch.test_local import TASK, spoil
@@ -53,6 +54,18 @@ class Links(HTMLParser):
 
     def handle_endtag(self, tag: str) -> None:
         assert self.open.pop() == tag
+
+
+def test_the_card_tells_of_maps_that_do_not_add_up_to_the_force(tmp_path: Path) -> None:
+    for number, worst in enumerate((0.01, 0.3, 0.46)):
+
+        def edit(index: int, arrays: dict[str, Any], worst: float = worst) -> None:
+            arrays["/frames/quality/pressure_resultant"] = worst if index == 5 else 0.0
+
+        write(tmp_path / f"{number}.h5", edit=edit, scene_index=number)
+    limits = dataset_card.text(dataset_summary.look(tmp_path)).partition("## Known limits")[2]
+    assert "| 2 | /frames/pressure does not add up to the force, by up to 0.46 of it |" in limits
+    assert "traction does not" not in limits
 
 
 def test_the_report_is_one_page_that_needs_nothing_else(folder: Path, tmp_path: Path):
@@ -131,6 +144,11 @@ def test_the_card_counts_what_scenes_say_of_themselves(tmp_path: Path):
         write(tmp_path / f"scene-{i:05d}.h5", outputs=frozenset({"force"}), notes=["a | sharp edge"] if i else [])
     text = dataset_card.text(dataset_summary.look(tmp_path))
     assert "| 2 | a \\| sharp edge |" in text
+    for i in range(3):
+        far = f"the indenter touches the gel in no frame, closest approach {i + 1} mm: check its start"
+        write(tmp_path / f"scene-{i:05d}.h5", outputs=frozenset({"force"}), notes=[far])
+    text = dataset_card.text(dataset_summary.look(tmp_path))
+    assert "| 3 | the indenter touches the gel in no frame |" in text
 
 
 def test_an_object_brings_its_licence(tmp_path: Path):

@@ -21,9 +21,7 @@ def poses(*places: tuple[float, float, float]) -> np.ndarray:
 
 
 def gel_in(folder: Path, sensor: str = "gelsight_mini"):
-    (folder / "r.yaml").write_text(
-        HEAD.replace("gelsight_mini", sensor) + "  - press: {depth_mm: 0.3, frames: 1}\n"
-    )
+    (folder / "r.yaml").write_text(HEAD.replace("gelsight_mini", sensor) + "  - press: {depth_mm: 0.3, frames: 1}\n")
     row = plan.load(folder / "r.yaml").rows[0]
     return gel_of(row.sensor, None)
 
