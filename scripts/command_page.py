@@ -19,7 +19,7 @@ Results go to stdout, progress and errors to stderr. Every command takes `-h` an
 | exit code | meaning |
 |---|---|
 | 0 | done |
-| 1 | findings of `check`, or scenes that were rejected or failed |
+| 1 | findings of `check` (not its notes), or scenes that were rejected or failed |
 | 2 | an error in the recipe or in the arguments |
 | 130 | interrupted; finished scenes are kept, and the same command resumes |
 """

@@ -12,7 +12,6 @@ import numpy as np
 from tacgen.contact.barrier import Pose
 from tacgen.geometry.analytic_sdf import Shape
 from tacgen.geometry.clough_tocher import CloughTocher
-from tacgen.optics.surface_grid import unit
 from tacgen.solve import Problem, State
 
 if TYPE_CHECKING:
@@ -82,7 +81,8 @@ class Surface:
     def normals(self) -> Array:
         """Unit normals (s, 3) of the smooth face at its nodes, out of the gel."""
         slopes = self._nodal[len(self.rest) :].reshape(-1, 2, 3) + np.eye(2, 3)
-        return unit(np.cross(slopes[:, 0], slopes[:, 1]))
+        normal = np.cross(slopes[:, 0], slopes[:, 1])
+        return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
 
     def at(self, xy: Array) -> Array:
         """Positions (n, 3) [mm] now of the points that rest at xy (n, 2) [mm]; nan outside the face."""
