@@ -262,7 +262,7 @@ def check(
     path: Annotated[Path, typer.Argument(help="A bundle, or a folder of bundles.")],
     as_json: AsJson = False,
 ) -> None:
-    """Check that bundles are complete and unchanged, values finite and forces balanced; all but notes give exit code 1."""
+    """Check that bundles are complete and unchanged, values finite, forces balanced; all but notes give exit code 1."""
     from tacgen.bundle.check import check as find
 
     findings = find(path)
