@@ -15,7 +15,7 @@ from multiprocessing import get_context
 from pathlib import Path
 
 from hostile import attempts, kills
-from hostile.mutations import MUTATIONS
+from hostile.resealed import MUTATIONS
 
 import benchmarks
 from benchmarks import results_page

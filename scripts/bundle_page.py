@@ -69,7 +69,7 @@ def page() -> str:
         "|---|---|---|---|---|---|",
     ]
     for path, row in LAYOUT.items():
-        shape = ", ".join(str(d).replace("*", "\\*") for d in row.dims)
+        shape = ", ".join(str(d).replace("*", "\\*").replace("|", " or ") for d in row.dims)
         kind = ", ".join(filter(None, [np.dtype(row.dtype).name, attributes(path).get("rounding")]))
         lines.append(f"| `{path}` | ({shape}) | {kind} | {row.units} | {row.long_name} | {row.axes} |")
     lines += ["", "## Attributes of the file", "", "| name | type | what |", "|---|---|---|"]

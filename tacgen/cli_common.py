@@ -1,6 +1,7 @@
 """Shared by all commands: the app, error messages and exit codes, results as text or JSON."""
 
 import errno
+import math
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -23,6 +24,7 @@ DISK_ERRORS = tuple(
         *("EBUSY", "ENXIO"),
     )
 )
+MAX_DIGITS = 7  # of a number of scenes, which are a million at most
 SCARCE = (errno.EMFILE, errno.ENFILE, errno.ENOMEM)
 
 
@@ -34,6 +36,12 @@ class Commands(TyperGroup):
         open_standard_streams()
         return super().main(*args, **more)
 
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Refuse what no file name can hold; only programs that call commands in their own process can give it."""
+        if any("\0" in arg for arg in args):
+            raise click.UsageError("an argument holds a NUL character")
+        return super().parse_args(ctx, args)
+
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command."""
         try:
@@ -43,22 +51,20 @@ class Commands(TyperGroup):
             for line in error.lines:
                 say(line, err=True)
             raise typer.Exit(2) from None
-        except (MemoryError, ImportError) as error:
-            if isinstance(error, ImportError) and "failed to map segment" not in str(error):
-                raise
-            say("out of memory: close other programs, or raise the limit (ulimit -v)", err=True)
-            raise typer.Exit(2) from None
         except OSError as error:
             if error.errno not in (*DISK_ERRORS, *SCARCE):
                 raise
             place = f"{error.filename}: " if error.filename else ""
             say(printable(f"{place}{error.strerror}"), err=True)
             raise typer.Exit(2) from None
-        except (KeyboardInterrupt, SystemError) as error:
-            if not _interrupted(error):
+        except (KeyboardInterrupt, SystemError, MemoryError, ImportError) as error:
+            if (cause := _cause(error)) is None:
                 raise
-            say("interrupted; finished scenes are kept, run again to go on", err=True)
-            raise typer.Exit(130) from None
+            if isinstance(cause, KeyboardInterrupt) and _threads_start():
+                say("interrupted; finished scenes are kept, run again to go on", err=True)
+                raise typer.Exit(130) from None
+            say("out of memory: close other programs, or raise the limit (ulimit -v)", err=True)
+            raise typer.Exit(2) from None
 
 
 @contextmanager
@@ -80,11 +86,27 @@ def _left_out_told() -> Iterator[None]:
         yield
 
 
-def _interrupted(error: BaseException | None) -> bool:
-    """Whether an error is Ctrl-C, or a SystemError that it caused in compiled code."""
-    while error is not None and not isinstance(error, KeyboardInterrupt):
+def _cause(error: BaseException | None) -> BaseException | None:
+    """Ctrl-C or lack of memory, which a SystemError of compiled code may hide; None for another error."""
+    while error is not None:
+        if isinstance(error, KeyboardInterrupt | MemoryError) or "failed to map segment" in str(error):
+            return error
         error = error.__cause__ or error.__context__
-    return error is not None
+    return None
+
+
+def _threads_start() -> bool:
+    """Whether a thread can be started. Where not, the signal of Ctrl-C may be OpenBLAS's, which raises it on failing to
+    start its own."""
+    import threading
+
+    thread = threading.Thread(target=int)
+    try:
+        thread.start()
+    except RuntimeError:
+        return False
+    thread.join()
+    return True
 
 
 app = typer.Typer(
@@ -163,10 +185,15 @@ def warn(texts: Iterable[str]) -> None:
 
 def shard_of(text: str) -> tuple[int, int]:
     """`1/4` as numbers."""
-    index, slash, count = text.partition("/")
-    if not (slash and index.isdecimal() and count.isdecimal() and int(index) < int(count)):
+    index, _, count = text.partition("/")
+    if not _whole(index) < _whole(count):
         raise UserError(f"--shard {text}: must be I/N with I from 0 to N - 1, such as 0/4, 1/4, 2/4 and 3/4")
     return int(index), int(count)
+
+
+def _whole(text: str) -> float:
+    """A number of scenes or workers; nan for what is none, and for more digits than one can have."""
+    return int(text) if text.isdecimal() and len(text) <= MAX_DIGITS else math.nan
 
 
 def workers_of(text: str) -> int:
@@ -175,7 +202,7 @@ def workers_of(text: str) -> int:
         from tacgen.batch.worker_process import usual_workers
 
         return usual_workers()
-    if not text.isdecimal() or int(text) < 1:
+    if not _whole(text) >= 1:
         raise UserError(f"--workers {text}: must be a number from 1, or auto")
     return int(text)
 

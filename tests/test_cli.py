@@ -164,6 +164,12 @@ def test_a_plan_s_cost(timed: None):
         (("run", "quickstart", "-o", "x", "--ovrwrite"), "No such option"),
         (("runn",), "No such command"),
         (("run", "quickstart", "-o", "x", "--shard", "4/4"), "--shard 4/4: must be I/N with I from 0 to N - 1"),
+        (("run", "quickstart", "-o", "x", "--shard", "0/99999999999999999999"), "must be I/N with I from 0 to N - 1"),
+        (("run", "quickstart", "-o", "x", "--shard", f"0/{5000 * '9'}"), "must be I/N with I from 0 to N - 1"),
+        (("run", "quickstart", "-o", "x", "--workers", 5000 * "9"), "must be a number from 1, or auto"),
+        (("validate", "~nosuchuser/x.yaml"), "~nosuchuser/x.yaml: no such recipe file"),
+        (("check", "a\0b"), "an argument holds a NUL character"),
+        (("run", "quickstart", "-o", "a\0b"), "an argument holds a NUL character"),
         (("status", "no/such"), "no/such: no such folder"),
         (("status", "recipes"), "recipes: holds no plan.json"),
     ],
@@ -228,12 +234,35 @@ def interrupted() -> None:
     raise KeyboardInterrupt
 
 
+def out_of_memory_in_compiled_code() -> None:
+    try:
+        raise MemoryError
+    except MemoryError as scarce:
+        raise SystemError("returned a result with an exception set") from scarce
+
+
 @pytest.mark.parametrize("stop", [interrupted, interrupted_in_compiled_code])
 def test_an_interrupt_is_exit_code_130(tmp_path: Path, batch: Any, stop: Callable[[], None]):
     batch(lambda *args, **kwargs: stop())
     done = tacgen_("run", "quickstart", "-o", str(tmp_path))
     assert done.exit_code == 130
     assert done.stderr.splitlines()[-1].startswith("interrupted; ")
+
+
+@pytest.mark.parametrize("stop", [interrupted, interrupted_in_compiled_code, out_of_memory_in_compiled_code])
+def test_where_no_thread_can_be_started_memory_is_out(
+    tmp_path: Path, batch: Any, stop: Callable[[], None], monkeypatch: pytest.MonkeyPatch
+):
+    """OpenBLAS raises the signal of Ctrl-C when it cannot start its threads."""
+
+    def start(thread: Any) -> None:
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr("threading.Thread.start", start)
+    batch(lambda *args, **kwargs: stop())
+    done = tacgen_("run", "quickstart", "-o", str(tmp_path))
+    assert done.exit_code == 2
+    assert done.stderr.splitlines()[-1].startswith("out of memory")
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ to `<name>.timing.json` beside the bundle.
 
 import hashlib
 import json
+import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
@@ -218,7 +219,17 @@ class Bundle:
             raise Missing(f"{self.path}: has no {path}" + f", did you mean /{path}?" * (f"/{path}" in self.shapes))
         with opened(self.path, self.group) as file:
             data = Frames(file[path[1:]])
-            return data.whole() if index is None else data[index]
+            values = data.whole() if index is None else data[index]
+        row = entry(path)
+        low, high = (0, self._size(row.below) - 1) if row.below else (-row.most, row.most)
+        if math.isfinite(high) and values.size and not low <= values.min() <= values.max() <= high:  # nor if nan
+            raise Damaged(f"{self.path}: damaged: {path} has values beyond {low:g} to {high:g}")
+        return values
+
+    def _size(self, axis: str) -> int:
+        """The size of an axis that the layout names by a letter."""
+        places = ((shape, entry(path).shape.split()) for path, shape in self.shapes.items())
+        return next((shape[dims.index(axis)] for shape, dims in places if axis in dims), 0)
 
 
 def read(path: Path, group: str = "/", *, part: bool = False) -> Bundle:
@@ -249,7 +260,10 @@ def read(path: Path, group: str = "/", *, part: bool = False) -> Bundle:
         attrs = _checked(attrs, finished=True)
         if wrong:
             raise ValueError(wrong)
-        return Bundle(path, attrs, shapes, group)
+        bundle, planned = Bundle(path, attrs, shapes, group), attrs["frames_planned"]
+        if attrs["status"] == "ok" and not 0 < bundle.frames == planned:
+            raise ValueError(f"{bundle.frames} frames, {planned} planned, but status is ok")
+        return bundle
     except ValueError as error:
         raise Damaged(f"{path}: damaged: {error}") from error
 

@@ -107,16 +107,16 @@ def _file(path: Path, seen: Seen, group: str = "/") -> list[Finding]:
     try:
         bundle = read(path, group)
         datasets = bundle.verify()
+        name = path.name if group == "/" else group[1:]
+        first = seen.setdefault((path.parent, bundle.attrs["digest"]), name)
+        if first != name:
+            return [Finding(path, "error", f"{name} is a copy of {first}: one of them was replaced")]
+        found = [Finding(path, "error", message) for message in _layout(bundle, datasets)]
+        if not found:  # the checks below rely on the layout
+            found = [Finding(path, "error", message) for rule in RULES for message in rule(bundle)]
     except UserError as error:
         level: Literal["error", "incomplete"] = "incomplete" if isinstance(error, Unfinished) else "error"
         return [Finding(path, level, line.removeprefix(f"{path}: ")) for line in error.lines]
-    name = path.name if group == "/" else group[1:]
-    first = seen.setdefault((path.parent, bundle.attrs["digest"]), name)
-    if first != name:
-        return [Finding(path, "error", f"{name} is a copy of {first}: one of them was replaced")]
-    found = [Finding(path, "error", message) for message in _layout(bundle, datasets)]
-    if not found:  # the checks below rely on the layout
-        found = [Finding(path, "error", message) for rule in RULES for message in rule(bundle)]
     if bundle.attrs["status"] != "ok":
         found.append(Finding(path, "rejected", bundle.attrs["reason"]))
     if all(finding.level == "rejected" for finding in found):
@@ -130,9 +130,6 @@ def _layout(bundle: Bundle, datasets: dict[str, Dataset]) -> Iterator[str]:
         for name, wanted in attributes(path).items():
             if data.attrs.get(name) != wanted and (name != "rounding" or name in data.attrs):  # earlier ones have none
                 yield f"{path} has {name} {data.attrs.get(name)!r}, expected {wanted!r}"
-    status, planned = bundle.attrs["status"], bundle.attrs["frames_planned"]
-    if status == "ok" and bundle.frames != planned:
-        yield f"{bundle.frames} frames, {planned} planned, but status is ok"
 
 
 def _finite(bundle: Bundle) -> Iterator[str]:

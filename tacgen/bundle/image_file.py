@@ -18,6 +18,6 @@ def encoded(pixels: np.ndarray, kind: str, width: int | None = None, **options: 
 
     image, file = Image.fromarray(pixels), io.BytesIO()
     if width is not None:
-        image = image.resize((width, round(width * image.height / image.width)), Image.Resampling.BILINEAR)
+        image = image.resize((width, max(1, round(width * image.height / image.width))), Image.Resampling.BILINEAR)
     image.save(file, kind, **options)
     return file.getvalue()

@@ -1,11 +1,12 @@
 """The layout of a bundle: tables of its datasets and attributes. scripts/bundle_page.py makes docs/BUNDLE.md from them,
 and check.py compares finished files with them."""
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from pydantic import Field
+from pydantic import ConfigDict, Field
 
 from tacgen.bundle.stored_json import Stored, Value
 
@@ -15,7 +16,8 @@ UNITS = "mm N MPa s rad"
 
 @dataclass(frozen=True)
 class Entry:
-    """One dataset. A letter in `shape` is a size shared by every dataset that names it; "*" is any size."""
+    """One dataset. A letter in `shape` is a size shared by every dataset that names it; "*" is any size, and 4|8 one
+    of two."""
 
     dtype: str
     shape: str  # sizes of the axes, such as "N h w 2"; N: the number of frames
@@ -23,6 +25,8 @@ class Entry:
     long_name: str
     axes: str  # one word an axis
     nan: bool = False  # may hold nan: where a pixel shows no gel, or not the point in question
+    below: str = ""  # the size of which all values are indices, from 0 on
+    most: float = math.inf  # largest magnitude: what is computed from larger values, or nan, fails
 
     @property
     def dims(self) -> tuple[str | int, ...]:
@@ -36,9 +40,12 @@ class Entry:
 
 
 MAP = "frame row column"
+FAR = 1e6  # [mm] limit of poses and nodes
 
 LAYOUT: dict[str, Entry] = {
-    "/frames/pose": Entry("<f8", "N 4 4", "mm", "pose of the indenter in the sensor frame", "frame row column"),
+    "/frames/pose": Entry(
+        "<f8", "N 4 4", "mm", "pose of the indenter in the sensor frame", "frame row column", most=FAR
+    ),
     "/frames/segment": Entry("<i4", "N", "1", "index of the trajectory segment the frame belongs to", "frame"),
     "/frames/time": Entry("<f8", "N", "s", "time since the start of the path, where time counts", "frame"),
     "/frames/force": Entry("<f8", "N 3", "N", "force on the gel", "frame xyz"),
@@ -137,10 +144,10 @@ LAYOUT: dict[str, Entry] = {
     ),
     "/frames/quality/pressure_oscillation": Entry("<f8", "N", "1", "rms of element less smooth pressure", "frame"),
     "/frames/grasp/object": Entry(
-        "<f8", "N 4 4", "mm", "pose of the object in the world frame of a grasp", "frame row column"
+        "<f8", "N 4 4", "mm", "pose of the object in the world frame of a grasp", "frame row column", most=FAR
     ),
     "/frames/grasp/sensor": Entry(
-        "<f8", "N 4 4", "mm", "pose of this finger's sensor frame in the world", "frame row column"
+        "<f8", "N 4 4", "mm", "pose of this finger's sensor frame in the world", "frame row column", most=FAR
     ),
     "/frames/grasp/width_mm": Entry("<f8", "N", "mm", "distance of the fingers' untouched faces", "frame"),
     "/frames/grasp/mode": Entry(
@@ -156,13 +163,15 @@ LAYOUT: dict[str, Entry] = {
     "/reference/markers": Entry("<f4", "M 2", "px", "marker centres on the untouched sensor", "marker xy"),
     "/reference/height": Entry("<f4", "h w", "mm", "z of the untouched coated face", "row column", nan=True),
     "/reference/normals": Entry("<f4", "h w 3", "1", "unit normal of the untouched face", "row column xyz", nan=True),
-    "/mesh/points": Entry("<f8", "n 3", "mm", "nodes of the rest mesh", "node xyz"),
-    "/mesh/cells": Entry("<i4", "m *", "1", "nodes of each cell", "cell corner"),
-    "/mesh/layer": Entry("<i4", "m", "1", "gel layer of each cell, 0 at the base", "cell"),
-    "/mesh/facets/*": Entry("<i4", "* *", "1", "nodes of each facet of a named patch", "facet corner"),
-    "/mesh/surface/points": Entry("<f8", "k 3", "mm", "nodes of the coated face at rest", "node xyz"),
-    "/mesh/surface/facets": Entry("<i4", "* *", "1", "nodes of each facet, numbered as in points", "facet corner"),
-    "/fields/displacement": Entry("<f4", "N n 3", "mm", "nodal displacement", "frame node xyz"),
+    "/mesh/points": Entry("<f8", "n 3", "mm", "nodes of the rest mesh", "node xyz", most=FAR),
+    "/mesh/cells": Entry("<i4", "m 4|8|10", "1", "nodes of each cell", "cell corner", below="n"),
+    "/mesh/layer": Entry("<i4", "m", "1", "gel layer of each cell, 0 at the base", "cell", below="m"),
+    "/mesh/facets/*": Entry("<i4", "* 3|4|6", "1", "nodes of each facet of a named patch", "facet corner", below="n"),
+    "/mesh/surface/points": Entry("<f8", "k 3", "mm", "nodes of the coated face at rest", "node xyz", most=FAR),
+    "/mesh/surface/facets": Entry(
+        "<i4", "* 3|4|6", "1", "nodes of each facet, numbered as in points", "facet corner", below="k"
+    ),
+    "/fields/displacement": Entry("<f4", "N n 3", "mm", "nodal displacement", "frame node xyz", most=FAR),
     "/fields/cauchy_stress": Entry("<f4", "N m 6", "MPa", "stress, xx yy zz yz xz xy", "frame cell component"),
     "/fields/nodal_stress": Entry("<f4", "N n 6", "MPa", "stress, xx yy zz yz xz xy", "frame node component"),
     "/fields/surface_displacement": Entry("<f4", "N k 3", "mm", "displacement of the coated face", "frame node xyz"),
@@ -221,11 +230,20 @@ class StoredContact(Stored):
     friction: float = 0.0
 
 
+class StoredIndenter(Stored):
+    """The fields of an indenter that readers use; the other ones, by any name, differ from shape to shape."""
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, Value] = Field(init=False)
+    shape: str = ""
+    file: str = ""
+
+
 class StoredRecipe(Stored):
     """The fields of a resolved recipe, of this or an earlier version, that readers use."""
 
     name: str = ""
-    indenter: dict[str, Value] = Field(default_factory=dict)
+    indenter: StoredIndenter = StoredIndenter()
     trajectory: list[dict[str, Value]] = Field(default_factory=list)
     contact: StoredContact = StoredContact()
 
@@ -280,8 +298,13 @@ def finite_problem(path: str, values: np.ndarray) -> str | None:
 
 def shape_problem(path: str, shape: tuple[int, ...], sizes: dict[str, int]) -> str | None:
     """Why `shape` is not what the layout gives `path`, or None. Sizes met for the first time join `sizes`."""
-    wanted = [sizes.get(d, d) if isinstance(d, str) else d for d in entry(path).dims]
-    if len(wanted) != len(shape) or any(isinstance(w, int) and w != n for n, w in zip(shape, wanted, strict=True)):
-        return f"{path} has shape {shape}, expected ({', '.join(str(w) for w in wanted)})"
-    sizes.update({w: n for n, w in zip(shape, wanted, strict=True) if isinstance(w, str) and w != "*"})
+    wanted = [str(sizes.get(dim, dim)) for dim in entry(path).shape.split()]
+    if len(wanted) != len(shape) or not all(map(_fits, shape, wanted)):
+        return f"{path} has shape {shape}, expected ({', '.join(wanted)})"
+    sizes.update({w: n for n, w in zip(shape, wanted, strict=True) if w.isalpha()})
     return None
+
+
+def _fits(n: int, wanted: str) -> bool:
+    """Whether a size is one of those given as 4|8, or any: 0 of frames or facets alone."""
+    return str(n) in wanted.split("|") if wanted[0].isdigit() else n > 0 or wanted in ("N", "*")

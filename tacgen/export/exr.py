@@ -4,6 +4,7 @@ R, G, B (`radiance`), Z (`height` [mm], z out of the gel), N.X, N.Y, N.Z (`norma
 those that the bundle holds in the size of the images.
 """
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -19,7 +20,7 @@ CHANNELS = {"radiance": "R G B", "height": "Z", "normals": "N.X N.Y N.Z", "mater
 def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
     """`out/<scene>_<frame>.exr`. Raises UserError: OpenEXR is not installed, or a bundle has no radiance."""
     try:
-        import OpenEXR
+        import OpenEXR  # noqa: F401
     except ImportError:
         raise UserError("export exr needs OpenEXR: pip install 'tacgen[exr]'") from None
     for bundle in bundles:
@@ -28,10 +29,22 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
     for name, bundle in zip(names(bundles), bundles, strict=True):
         for k in range(bundle.frames):
             made.append(out / f"{name}_{k:05d}.exr")
-            header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-            with OpenEXR.File(header, channels(bundle, k)) as picture:
-                picture.write(str(made[-1]))
+            made[-1].write_bytes(encoded(channels(bundle, k)))
     return made
+
+
+def encoded(layers: dict[str, np.ndarray]) -> bytes:
+    """Channels (H, W) by name as the bytes of a file.
+
+    OpenEXR writes into memory: where a disk is full, it says nothing as it closes a small file, and gives no errno for
+    a larger one.
+    """
+    import OpenEXR
+
+    header, memory = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}, os.memfd_create("exr")
+    with os.fdopen(memory, "rb") as file, OpenEXR.File(header, layers) as picture:
+        picture.write(f"/proc/self/fd/{memory}")
+        return file.read()
 
 
 def channels(bundle: Bundle, frame: int) -> dict[str, np.ndarray]:

@@ -2,6 +2,8 @@
 
 import difflib
 import hashlib
+import os
+from contextlib import suppress
 from pathlib import Path
 
 from tacgen import regular_file
@@ -45,8 +47,10 @@ def recipe_path(name_or_path: str, base: Path | None = None) -> Path:
 
 
 def beside(path: str, folder: Path | None) -> Path:
-    """The file of a path that is absolute, or relative to `folder`."""
-    return (folder or Path()) / Path(path).expanduser()
+    """The file of a path that is absolute, or relative to `folder`; ~ stays as it is if there is no such user."""
+    with suppress(ValueError):  # a name that no user can have
+        path = os.path.expanduser(path)
+    return (folder or Path()) / path
 
 
 def object_path(name_or_path: str, base: Path | None = None) -> Path:

@@ -1,11 +1,13 @@
 """Markers of a sensor file: where dots are printed on its coating, and the constants of their analytic motion."""
 
 import math
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Discriminator, Field, Tag
+from pydantic import Discriminator, Field, Tag, model_validator
 
 from tacgen.recipe.base_model import NOWHERE, Fraction, Part, Positive, Vec2
+
+MOST = 10_000  # dots of a sensor
 
 
 class Motion(Part):
@@ -25,6 +27,17 @@ class MarkersBase(Part):
     motion: Motion | None = None
     source: str = NOWHERE
 
+    @property
+    def count(self) -> int:
+        """Number of dots."""
+        raise NotImplementedError
+
+    @model_validator(mode="after")
+    def _few(self) -> Self:
+        if self.count > MOST:
+            raise ValueError(f"must be at most {MOST} dots (got {self.count})")
+        return self
+
 
 class GridMarkers(MarkersBase):
     """Dots in a rectangular grid; the default layout."""
@@ -33,6 +46,10 @@ class GridMarkers(MarkersBase):
     columns: Annotated[int, Field(ge=1)]  # along x
     rows: Annotated[int, Field(ge=1)]  # along y
     pitch_mm: tuple[Positive, Positive]
+
+    @property
+    def count(self) -> int:
+        return self.columns * self.rows
 
     @property
     def row_counts(self) -> tuple[int, ...]:
@@ -57,6 +74,10 @@ class HexagonalMarkers(MarkersBase):
     layout: Literal["hexagonal"]
     rings: Annotated[int, Field(ge=1)]
     pitch_mm: Positive  # between nearest dots, six of which surround each inner one; two of them along x
+
+    @property
+    def count(self) -> int:
+        return 1 + 3 * self.rings * (self.rings + 1)
 
     @property
     def row_counts(self) -> tuple[int, ...]:

@@ -58,8 +58,8 @@ class Grasp(Part):
     @field_validator("gravity")
     @classmethod
     def _somewhere(cls, value: Vector) -> Vector:
-        if not any(value):
-            raise ValueError("must be a direction, such as 0, 0, -1 (got 0, 0, 0)")
+        if not 1e-100 < max(map(abs, value)) < 1e100:  # the squares of others are 0 or inf
+            raise ValueError(f"must be a direction, such as 0, 0, -1 (got {', '.join(f'{part:g}' for part in value)})")
         return value
 
 

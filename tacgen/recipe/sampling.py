@@ -16,27 +16,26 @@ CORRELATED = 0.3  # correlation of two varied values above which a warning is gi
 
 def scene_count(vary: Vary) -> int:
     """The number of scenes of a `vary`."""
-    crossed = math.prod(len(_points(spread)) for spread in vary.grid.values())
+    crossed = math.prod(map(_count, vary.grid.values()))
     if vary.method != "grid":
         return crossed * (vary.samples or 0)
-    return crossed * math.prod(len(_points(spread)) for spread in vary.over.values())
+    return crossed * math.prod(map(_count, vary.over.values()))
 
 
 def draw(vary: Vary, indices: Sequence[int]) -> Callable[[int], dict[str, Any]]:
     """The varied values of the k-th of these scenes, the same as in the whole plan. The grid varies fastest."""
     on_grid = {**vary.over, **vary.grid} if vary.method == "grid" else vary.grid
     over = {} if vary.method == "grid" else vary.over
-    columns = [_points(spread) for spread in on_grid.values()]
-    points = math.prod(map(len, columns))
+    points = math.prod(map(_count, on_grid.values()))
     unit = _unit_points(vary, len(over), [index // points for index in indices]) if over else None
 
     def values(k: int) -> dict[str, Any]:
         drawn = zip(over.items(), [] if unit is None else unit[k].tolist(), strict=True)
         found, rest = {path: _value(spread, u) for (path, spread), u in drawn}, indices[k] % points
         place: dict[str, Any] = {}
-        for path, column in reversed([*zip(on_grid, columns, strict=True)]):
-            rest, i = divmod(rest, len(column))
-            place[path] = column[i]
+        for path, spread in reversed(on_grid.items()):
+            rest, i = divmod(rest, _count(spread))
+            place[path] = _point(spread, i)
         return found | {path: place[path] for path in on_grid}
 
     return values
@@ -86,13 +85,19 @@ def _value(spread: Distribution, u: float) -> Any:
     if spread.integers:
         first, last = spread.integers
         return min(first + int(u * (last - first + 1)), last)
-    points = _points(spread)
-    return points[min(int(u * len(points)), len(points) - 1)]
+    count = _count(spread)
+    return _point(spread, min(int(u * count), count - 1))
 
 
-def _points(spread: Distribution) -> Sequence[Any]:
-    """The values of a choice or linspace."""
+def _count(spread: Distribution) -> int:
+    """How many values a choice or linspace has."""
+    return len(spread.choice) if spread.choice is not None else spread.linspace[2] if spread.linspace else 0
+
+
+def _point(spread: Distribution, i: int) -> Any:
+    """The i-th value of a choice or linspace."""
     if spread.choice is not None:
-        return spread.choice
-    first, last, n = spread.linspace or (0.0, 0.0, 0)
-    return [first + (last - first) * i / max(n - 1, 1) for i in range(n)]
+        return spread.choice[i]
+    assert spread.linspace is not None
+    first, last, n = spread.linspace
+    return first + (last - first) * i / max(n - 1, 1)

@@ -35,6 +35,7 @@ Index = Annotated[float, Field(ge=1, le=4)]
 Poisson = Annotated[float, Field(ge=0, lt=0.5)]
 Item = TypeVar("Item")
 Three = tuple[Item, Item, Item]
+Pixels = Annotated[int, Field(ge=8, le=4096)]
 Angle = Annotated[float, Field(ge=-20, le=20)]
 
 
@@ -308,8 +309,8 @@ class Camera(Part):
     roll_deg: Angle = 0.0  # rotation about the optical axis, from x to y
     crop_mm: Vec2 = (0.0, 0.0)  # offset of the picture's centre from the optical axis, measured on the coating
     mm_per_px: Positive  # size of a pixel on the untouched coating, at the optical axis
-    width_px: Annotated[int, Field(ge=8)]
-    height_px: Annotated[int, Field(ge=8)]
+    width_px: Pixels
+    height_px: Pixels
     blur_mm: NotNegative = 0.0  # defocus: standard deviation of the point spread function, measured on the coating
     exposure: Positive = 1.0  # linear radiance to sensor full scale
     ambient: Rgb = (0.0, 0.0, 0.0)  # what even stray light adds to a bare coat on the axis, fraction of full scale

@@ -2,8 +2,9 @@
 
 import difflib
 import json
+import math
 import types
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
@@ -11,11 +12,12 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from tacgen.errors import UserError
-from tacgen.recipe.yaml_source import KeyPath, Mark, Tree, at, describe, format_path
+from tacgen.recipe.yaml_source import TAGS, KeyPath, Mark, Tree, at, describe, format_path
 
 Model = TypeVar("Model", bound=BaseModel)
 
 MISSING = "is missing"
+LARGEST = 1e12  # magnitude of a number: what is computed from larger ones overflows; seeds have a limit of their own
 NOUNS = {
     kind: noun
     for noun, kinds in {
@@ -63,12 +65,22 @@ class Problem:
 
 def validate(model: type[Model], data: Any) -> tuple[Model | None, list[Problem]]:
     """Validate plain data strictly (neither text nor true is a number): the model, or all problems."""
+    if huge := [Problem(path, f"must be within {LARGEST:g} (got {number:g})") for path, number in _huge(data, ())]:
+        return None, huge
     try:
         return model.model_validate_json(json.dumps(data), strict=True), []
     except ValidationError as error:
         found = [_problem(model, data, e) for e in error.errors(include_url=False) if not _repeats_another(data, e)]
         misspelt = {(*p.path[:-1], p.meant) for p in found if p.meant}
         return None, _together([p for p in found if p.path not in misspelt])  # misspelt, not missing
+
+
+def _huge(data: Any, path: KeyPath) -> Iterator[tuple[KeyPath, float]]:
+    """The numbers beyond LARGEST, and their paths."""
+    for step, value in data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ():
+        if isinstance(value, int | float) and LARGEST < abs(value) < math.inf and step != "seed":
+            yield (*path, step), value
+        yield from _huge(value, (*path, step))
 
 
 def _together(found: list[Problem]) -> list[Problem]:
@@ -164,6 +176,8 @@ def _path_in_data(data: Any, loc: KeyPath, *, missing: bool) -> KeyPath:
         last = i == len(loc) - 1
         if (isinstance(here, dict) and step in here) or (isinstance(here, list) and isinstance(step, int)):
             path = (*path, step)
+        elif last and isinstance(here, dict) and step in (here.get(tag, usual) for tag, usual in TAGS.items()):
+            continue  # of the whole mapping, of this kind
         elif last and isinstance(here, dict) and (missing or str(step).isidentifier()):
             path = (*path, step)  # a key that was not written: missing, or a default that does not fit
     return path

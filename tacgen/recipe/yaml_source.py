@@ -17,6 +17,7 @@ KeyPath = tuple[str | int, ...]
 LARGEST = 10_000_000  # largest file [bytes]
 MAX_BITS = 1024  # of an integer; a larger one does not fit into a float
 MAX_VALUES = 100_000  # in a file; aliases can expand a small file without bound
+TAGS = {"shape": None, "law": "neo_hooke", "layout": "grid"}  # keys that choose a mapping's other keys; their defaults
 
 
 @dataclass(frozen=True)
@@ -84,13 +85,11 @@ class Tree:
     def merged(self, other: "Tree", path: KeyPath = ()) -> "Tree":
         """A copy with `other` laid over `path`: mappings merge key by key, anything else is replaced.
 
-        Two mappings are replaced as a whole: an indenter of another shape, and the distribution of a varied path.
+        Two mappings are replaced as a whole: one with another value of TAGS, and the distribution of a varied path.
         """
         mine = at(self.data, path)
         choice = len(path) == 3 and path[:2] in (("vary", "over"), ("vary", "grid"))
-        if isinstance(mine, dict) and isinstance(other.data, dict) and "shape" in mine:
-            choice = other.data.get("shape", mine["shape"]) != mine["shape"]
-        if choice or not isinstance(mine, dict) or not isinstance(other.data, dict):
+        if choice or _other_kind(mine, other.data) or not isinstance(mine, dict) or not isinstance(other.data, dict):
             return self.replaced(path, other)
         result = self
         for key in other.data:
@@ -106,6 +105,13 @@ class Tree:
         """A copy without one top-level key."""
         data = {k: v for k, v in self.data.items() if k != key}
         return Tree(data, {p: s for p, s in self.spots.items() if p[:1] != (key,)})
+
+
+def _other_kind(mine: Any, other: Any) -> bool:
+    """Whether two mappings differ in one of TAGS that `other` gives."""
+    if not isinstance(mine, dict) or not isinstance(other, dict):
+        return False
+    return any(tag in other and other[tag] != mine.get(tag, usual) for tag, usual in TAGS.items())
 
 
 def at(data: Any, path: KeyPath) -> Any:

@@ -170,7 +170,7 @@ Window = tuple[float, float, float, float]
 
 def window_of(bundle: Bundle) -> Window:
     """(x0, x1, y0, y1) as fractions of the image: the region touched in any frame, with a margin."""
-    if "/frames/pressure" not in bundle:
+    if "/frames/pressure" not in bundle or not bundle.frames:
         return 0.0, 1.0, 0.0, 1.0
     pressure = bundle["/frames/pressure"].max(axis=0)
     touched = np.argwhere(pressure > 0.01 * max(pressure.max(), 1e-9))

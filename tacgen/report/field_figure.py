@@ -1,5 +1,6 @@
 """A figure of one field of a bundle over its frames: pressure, traction, slip, or stress in a section of the gel."""
 
+import json
 import textwrap
 from collections.abc import Callable
 from functools import partial
@@ -10,6 +11,7 @@ import numpy as np
 
 from tacgen.bundle import postprocess
 from tacgen.bundle.bundle import Bundle
+from tacgen.bundle.stored_json import parsed
 from tacgen.errors import UserError
 from tacgen.geometry import mesh_import, surface_nets
 from tacgen.geometry.analytic_sdf import Triangles
@@ -72,6 +74,8 @@ def figure(bundle: Bundle, field: str) -> "Figure":
     needed, output, rows, draw, note = FIELDS[field]
     if missing := [path for path in needed if path not in bundle]:
         raise UserError(f"{bundle.path}: has no {missing[0]}: the recipe's outputs need {output}")
+    if not bundle.frames:
+        raise UserError(f"{bundle.path}: has no frames to show")
     shown = np.unique(np.linspace(0, bundle.frames - 1, COLUMNS).round().astype(int))
     image = image_size(bundle)
     tall = PANEL * (FLAT if rows > 1 else image[0] / image[1])
@@ -126,6 +130,8 @@ def draw_stress(
     points, cells, layer = bundle["/mesh/points"], bundle["/mesh/cells"], bundle["/mesh/layer"]
     half = WIDE / 2 * float(np.ptp(points[:, 2]))
     found = [section(bundle, int(k), points, cells, layer) for k in shown]
+    if missed := [int(k) for k, (corners, _, _) in zip(shown, found, strict=True) if not len(corners)]:
+        raise UserError(f"{bundle.path}: has no section to draw: in frame {missed[0]} the indenter is beside the gel")
     indenter = indenter_surface(bundle, 2 * half)
     bars: list[Bar] = []
     for row, (name, what, colours, signed) in zip(grid, sections, strict=True):
@@ -156,29 +162,36 @@ def draw_stress(
 def section(bundle: Bundle, k: int, points: Array, cells: Array, layer: Array) -> tuple[Array, Array, Array]:
     """Section through the indenter at frame k: triangles (t, 3, 2), stress (t, 3, 6), layer outlines (l, 2, 2)."""
     nodes, layers, stress = postprocess.stress_by_layer(bundle, k)
-    row = np.zeros((layers.max() + 1, len(points)), int)
-    row[layers, nodes] = np.arange(len(nodes))
     now = (points + bundle.frame("/fields/displacement", k))[nodes]
     y = float(bundle.frame("/frames/pose", k)[1, 3]) + OFF
     found = []
-    for number in range(layers.max() + 1):
-        corners, values = cut(now, row[number][cells[layer == number]], stress, y)
+    for number in np.unique(layers):
+        row, here = np.zeros(len(points), int), np.flatnonzero(layers == number)
+        row[nodes[here]] = here
+        corners, values = cut(now, row[cells[layer == number]], stress, y)
         found.append((corners, values, outline(corners)))
     corners, values, rim = (np.concatenate(parts) for parts in zip(*found, strict=True))
     return corners, values, rim
 
 
 def indenter_surface(bundle: Bundle, size: float) -> "Triangles | None":
-    """The indenter's triangles in its own frame, up to `size` [mm]; None if the file of a mesh is not found."""
-    from pydantic import TypeAdapter
+    """The indenter's triangles in its own frame, up to `size` [mm].
 
-    indenter: Indenter = TypeAdapter(Indenter).validate_python(bundle.recipe["indenter"])
+    None if the file of a mesh is not found or has changed, or if this version of tacgen does not know the shape.
+    """
+    try:
+        indenter: Indenter = parsed(Indenter, json.dumps(bundle.recipe.get("indenter")))  # type: ignore[arg-type]
+    except ValueError:
+        return None
     shape = analytic(indenter)
     if shape is not None:
         return surface_nets.of_shape(shape, half=size, height=size, tolerance=0.02)
     assert indenter.shape == "mesh"
     try:
-        solid = mesh_import.read(assets.mesh_path(indenter.file))
+        path = assets.mesh_path(indenter.file)
+        if assets.sha256(path) != indenter.sha256:
+            return None
+        solid = mesh_import.read(path)
     except UserError:
         return None
     solid = mesh_import.placed(solid, up=indenter.up, scale=indenter.scale, size=indenter.size_mm)

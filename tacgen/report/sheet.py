@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+LEAST = 0.01  # [inch]
+
 
 def round_ticks(low: float, high: float, most: int = 6) -> list[float]:
     """At most so many round numbers from low to high, evenly spaced."""
@@ -24,7 +26,8 @@ class Sheet:
         self.figure = Figure(figsize=(width, height))
 
     def axes(self, x: float, y: float, w: float, h: float) -> "Axes":
-        """New axes of size (w, h) whose upper left corner is at (x, y) [inch]."""
+        """New axes of size (w, h) whose upper left corner is at (x, y) [inch]; of a thin image at least LEAST high."""
+        h = max(h, LEAST)
         place = (x / self.width, 1 - (y + h) / self.height, w / self.width, h / self.height)
         return self.figure.add_axes(place)
 

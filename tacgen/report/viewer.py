@@ -200,8 +200,6 @@ class _Solid(NamedTuple):
 
 def _solid(bundle: Bundle) -> _Solid:
     points, cells, layer = bundle["/mesh/points"], bundle["/mesh/cells"], bundle["/mesh/layer"]
-    if cells.min(initial=0) < 0 or cells.max(initial=0) >= len(points):
-        raise UserError(f"{bundle.path}: its mesh cannot be drawn: it has cells with nodes that are not there")
     nodes, facets = np.unique(boundary(cells), return_inverse=True)
     rims = np.stack([facets, np.roll(facets, -1, axis=1)], axis=-1).reshape(-1, 2)
     rims = np.unique(np.sort(rims, axis=1), axis=0)

@@ -1,9 +1,11 @@
 """Pictures in linear light: what the bundle holds comes back from OpenEXR's own reader, to the bit."""
 
+import errno
 from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers import whole_bundle
 from helpers.small_recipe import PICTURE
 
 from tacgen import pipeline
@@ -11,6 +13,7 @@ from tacgen.bundle import bundle
 from tacgen.bundle.check import check
 from tacgen.errors import UserError
 from tacgen.export import export
+from tacgen.export.exr import write
 from tacgen.optics import camera_response
 from tacgen.recipe import plan
 
@@ -46,3 +49,11 @@ def test_a_bundle_without_radiance_is_refused(tmp_path: Path) -> None:
     row = plan.load(tmp_path / "light.yaml", ["outputs=[force]", "render.noise=true"]).rows[0]
     with pytest.raises(UserError, match="outputs need radiance"):
         export("exr", pipeline.run_scene(row, tmp_path / "out").path, tmp_path / "exr")
+
+
+def test_a_full_disk_is_an_error_of_the_disk(tmp_path: Path) -> None:
+    """OpenEXR itself says nothing of a disk that is full as it closes a small file."""
+    (tmp_path / "scene-00000_00000.exr").symlink_to("/dev/full")
+    with pytest.raises(OSError, match="No space left") as caught:
+        write([bundle.read(whole_bundle.write(tmp_path / "scene-00000.h5", frames=1))], tmp_path)
+    assert caught.value.errno == errno.ENOSPC

@@ -17,16 +17,19 @@ from functools import cache
 from pathlib import Path
 from random import Random
 
+from helpers import whole_bundle
 from helpers.scenes import make_plan
 from helpers.synthetic import OUTPUTS, write
 
-from hostile.mutations import MUTATIONS
+from hostile.resealed import MUTATIONS
 from tacgen.bundle import dataset, pack
 from tacgen.bundle.check import check
 from tacgen.bundle.journal import Journal, write_plan
 from tacgen.cli_common import writing
 from tacgen.errors import LeftOut, UserError
+from tacgen.export import EXPORTERS
 from tacgen.report import dataset_card
+from tacgen.report.field_figure import FIELDS
 
 SECONDS = 20  # of processor time that a reader may take
 WAIT_S = 120.0  # that pass until one that waits for something is given up; other work may keep it from the processor
@@ -51,7 +54,8 @@ class Attempt:
 
 
 def base(folder: Path) -> Path:
-    """`loose` and `packed`: three small scenes with plan, journal and times, and the same in shards."""
+    """`loose` and `packed`: three small scenes with plan, journal and times, and the same in shards; `whole`: one with
+    every dataset."""
     loose = folder / "loose"
     plan = make_plan(folder, 3)
     for row in plan.rows:
@@ -65,6 +69,8 @@ def base(folder: Path) -> Path:
             journal.write({"event": "scene", "scene": row.name, "status": "failed", "reason": "a reason"})
     dataset_card.write(loose)
     pack.pack(dataset.scenes(loose), folder / "packed", 0.04)
+    sensor = make_plan(folder, 1).rows[0].sensor_document()
+    whole_bundle.write(folder / "whole" / "scene-00000.h5", sensor_document=sensor, values={"a": 1.0}, notes=["a note"])
     return folder
 
 
@@ -148,20 +154,30 @@ def exported(kind: str) -> Callable[[Path], None]:
     return lambda folder: command("export", kind, str(folder), "-o", str(folder.parent / f"exported-{kind}"))
 
 
+def first(folder: Path) -> str:
+    """The first bundle of a folder, or a packed folder itself."""
+    return str(next(iter(sorted(folder.glob("scene*.h5"))), folder))
+
+
+def drawn(*how: str) -> Callable[[Path], None]:
+    return lambda folder: command("show", first(folder), *how[:-1], str(folder.parent / how[-1]))
+
+
 READERS: dict[str, Callable[[Path], None]] = {
     "check": lambda folder: command("check", str(folder)),
     "status": lambda folder: command("status", str(folder)),
     "show": lambda folder: command("show", str(folder)),
-    "show one": lambda folder: command("show", str(next(iter(sorted(folder.glob("scene*.h5"))), folder))),
-    "view one": lambda folder: command(
-        "view", str(next(iter(sorted(folder.glob("scene*.h5"))), folder)), "-o", str(folder.parent / "view.html")
-    ),
+    "show one": lambda folder: command("show", first(folder)),
+    "view one": lambda folder: command("view", first(folder), "-o", str(folder.parent / "view.html")),
     "report": lambda folder: command("report", str(folder), "-o", str(folder.parent / "report.html")),
     "pack": lambda folder: command("pack", str(folder), "-o", str(folder.parent / "again")),
     "card": lambda folder: _card(folder),
     "torch": load,
     "resume": resume,
-    **{f"export {kind}": exported(kind) for kind in ("webdataset", "lerobot", "univtac", "vtkhdf")},
+    "show picture": drawn("-o", "picture.png"),
+    "show film": drawn("--animate", "film.gif"),
+    **{f"show {field}": drawn("--field", field, "-o", "field.png") for field in FIELDS},
+    **{f"export {kind}": exported(kind) for kind in EXPORTERS},
 }
 
 
@@ -174,8 +190,8 @@ def warm(source: Path) -> None:
     """Every reader once in this process, so that no child has to import what it reads with."""
     for reader in READERS:
         with tempfile.TemporaryDirectory() as scratch, redirect_stdout(io.StringIO()), suppress(UserError):
-            shutil.copytree(source / "loose", Path(scratch) / "loose")
-            READERS[reader](Path(scratch) / "loose")
+            shutil.copytree(source / "whole", Path(scratch) / "whole")
+            READERS[reader](Path(scratch) / "whole")
 
 
 @dataclass(frozen=True)
@@ -203,8 +219,10 @@ def attempt(kind: str, seed: int, source: Path) -> Attempt:
     """Spoil a copy of `source` (made by `base`) by a mutation of this kind, and have a reader read it."""
     rng = Random(f"{kind} {seed}")
     which, reader = rng.choice(("loose", "packed")), rng.choice(sorted(READERS))
-    if kind == "inputs":
-        which = reader = kind
+    if kind == "resealed":
+        which = "whole"
+    if kind in ("inputs", "numbers"):
+        which = reader = "inputs"
     with tempfile.TemporaryDirectory() as scratch:
         folder, note = Path(scratch) / which, Path(scratch) / "note"
         shutil.copytree(source / which, folder)

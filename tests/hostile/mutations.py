@@ -124,7 +124,7 @@ def crafted_hdf5(rng: Random, folder: Path) -> str:
         group = file if "tacgen_format" in file.attrs else file[rng.choice(sorted(file))]
         said = rng.choice((_attribute, _attribute, _json_attribute, _dataset, _dataset))(rng, group, path)
     if rng.random() < 0.5:
-        said += _resealed(path, group.name if group else "/")
+        said += reseal(path, group.name if group else "/")
     return f"{path.name}: {said}"
 
 
@@ -132,7 +132,7 @@ def _attribute(rng: Random, group: Any, path: Path) -> str:
     name = rng.choice(sorted(group.attrs))
     where = group
     if rng.random() < 0.2:
-        where = group[rng.choice(_datasets(group))]
+        where = group[rng.choice(datasets(group))]
         name = rng.choice(sorted(where.attrs))
     kind = rng.choice(("drop", "value", "bytes", "array", "reference", "empty", "struct", "new"))
     if kind == "drop":
@@ -165,7 +165,7 @@ def _json_attribute(rng: Random, group: Any, path: Path) -> str:
 
 
 def _dataset(rng: Random, group: Any, path: Path) -> str:
-    name = rng.choice(_datasets(group))
+    name = rng.choice(datasets(group))
     old = group[name]
     shape, values, attrs = old.shape, old[...], dict(old.attrs)
     kinds = ("drop", "external link", "soft link", "loop", "dangling", "objects", "huge", "virtual", "storage", "type")
@@ -217,13 +217,13 @@ def _dataset(rng: Random, group: Any, path: Path) -> str:
     return f"{name} {kind}"
 
 
-def _datasets(group: Any) -> list[str]:
+def datasets(group: Any) -> list[str]:
     found: list[str] = []
     group.visititems(lambda name, item: found.append(name) if isinstance(item, h5py.Dataset) else None)
     return sorted(found)
 
 
-def _resealed(path: Path, group: str) -> str:
+def reseal(path: Path, group: str) -> str:
     """Give the file the digest of what it now holds, as somebody would who knows how."""
     from tacgen.bundle import bundle
 
@@ -263,8 +263,21 @@ WORDS = (
     *("&a", "*a", "!!int", "!!python/object:os.system", "<<", "{", "]", "\t", "\r", "\x0b", "\u2028", "#", "|", "%TAG"),
     *("../../etc/passwd", "/dev/zero", "\N{RIGHT-TO-LEFT OVERRIDE}", "x" * 100_000, "[" * 3000, "mtllib /dev/zero\n"),
 )
+
+
+def odd_numbers(rng: Random, folder: Path) -> str:
+    """A number of the recipe or its sensor exchanged for one that nobody measures."""
+    path = folder / rng.choice(("recipe.yaml", "sensor.yaml"))
+    text = path.read_text()
+    found = rng.choice(list(re.finditer(r"(?<=[:\[,] )-?\d+(\.\d+)?(?=[\s,}\]])", text)))
+    number = rng.choice(("1e300", "-1e300", "1e-300", "1e-320", "1e11", "1e-9", "1000000", "100000000000", "0", "-1"))
+    path.write_text(text[: found.start()] + number + text[found.end() :])
+    return f"{number} in {path.name} at {found.start()}"
+
+
 MUTATIONS: dict[str, Mutation] = {
     "inputs": damaged_input,
+    "numbers": odd_numbers,
     "bytes": damaged_bytes,
     "special": special,
     "json": crafted_json,

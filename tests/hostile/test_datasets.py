@@ -11,8 +11,9 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -20,14 +21,16 @@ import pytest
 from helpers.synthetic import attributes, write
 
 from hostile import attempts, kills
-from hostile.mutations import MUTATIONS
+from hostile.mutations import reseal
+from hostile.resealed import MUTATIONS
 from tacgen.bundle import dataset
 from tacgen.bundle.bundle import read
 from tacgen.bundle.check import check
 from tacgen.bundle.journal import Journal
 from tacgen.bundle.run_status import survey
 from tacgen.errors import UserError
-from tacgen.report import dataset_card, dataset_summary, html_report
+from tacgen.recipe import assets
+from tacgen.report import dataset_card, dataset_summary, field_figure, html_report
 
 INPUTS = 12  # of each kind
 TESTS = Path(__file__).parents[1]
@@ -40,11 +43,73 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made
 
 
-@pytest.mark.parametrize("kind", sorted(MUTATIONS.keys() - {"inputs"}))
+@pytest.mark.parametrize("kind", sorted(MUTATIONS.keys() - {"inputs", "numbers"}))
 def test_a_few_of_each_kind(source: Path, kind: str) -> None:
     found = [attempts.attempt(kind, seed, source) for seed in range(INPUTS)]
     assert [str(a) for a in found if a.outcome not in attempts.GOOD] == []
     assert {a.outcome for a in found} == {"accepted", "refused"}
+
+
+CRAFTED: dict[str, Callable[[Any], Any]] = {
+    "a shape that is no text": lambda file: _recipe(file, indenter={"shape": 5}),
+    "a file that is no text": lambda file: _recipe(file, indenter={"shape": "mesh", "file": {"a": 1}}),
+    "cells of 7 nodes": lambda file: _put(file, "mesh/cells", np.zeros((1, 7), "<i4")),
+    "cells without nodes": lambda file: _put(file, "mesh/cells", np.zeros((1, 0), "<i4")),
+    "nodes that are not there": lambda file: _put(file, "mesh/cells", file["mesh/cells"][()] + 1),
+    "facets below zero": lambda file: _put(file, "mesh/facets/coated", file["mesh/facets/coated"][()] - 2),
+    "layers without cells": lambda file: _put(file, "mesh/layer", np.array([2**31 - 1], "<i4")),
+    "poses that are not numbers": lambda file: _put(file, "frames/pose", np.nan * file["frames/pose"][()]),
+    "nodes far away": lambda file: _put(file, "mesh/points", 1e300 * file["mesh/points"][()]),
+    "maps without samples": lambda file: _put(file, "reference/height", file["reference/height"][:0]),
+    "fewer frames than planned": lambda file: file.attrs.update(frames_planned=9),
+}
+
+
+def _recipe(file: Any, **changes: Any) -> None:
+    file.attrs["recipe"] = json.dumps(json.loads(file.attrs["recipe"]) | changes)
+
+
+def _put(file: Any, name: str, values: np.ndarray) -> None:
+    attrs = dict(file[name].attrs)
+    del file[name]
+    file.create_dataset(name, data=values).attrs.update(attrs)
+
+
+def all_of(path: Path) -> list[np.ndarray]:
+    bundle = read(path)
+    return [bundle[name] for name in bundle.shapes]
+
+
+@pytest.mark.parametrize("name", CRAFTED)
+def test_a_crafted_bundle_is_refused_where_it_is_read(source: Path, tmp_path: Path, name: str) -> None:
+    """Not by each of its readers: opening it or reading the dataset says so, and `check` finds it."""
+    path = tmp_path / "scene-00000.h5"
+    shutil.copy(source / "whole" / path.name, path)
+    with h5py.File(path, "a") as file:
+        CRAFTED[name](file)
+    reseal(path, "/")
+    with pytest.raises(UserError, match="damaged: "):
+        all_of(path)
+    assert any("damaged: " in finding.message for finding in check(path))
+
+
+@pytest.mark.parametrize("indenter", [{"shape": "spheroid"}, {"shape": "sphere", "radius_mm": -1}, {}])
+def test_an_indenter_of_a_later_version_is_not_drawn(source: Path, tmp_path: Path, indenter: dict[str, Any]) -> None:
+    path = tmp_path / "scene-00000.h5"
+    shutil.copy(source / "whole" / path.name, path)
+    with h5py.File(path, "a") as file:
+        _recipe(file, indenter=indenter)
+    attempts.command("view", str(path), "-o", str(tmp_path / "view.html"))
+    assert (tmp_path / "view.html").stat().st_size
+
+
+def test_a_mesh_that_a_bundle_names_is_drawn_only_if_it_is_the_one_of_its_recipe(tmp_path: Path) -> None:
+    """A crafted bundle cannot put another file of the reader's into a page."""
+    ball = attempts.inputs(tmp_path) / "inputs" / "ball.stl"
+    for sha256, there in (("0" * 64, False), (None, False), (assets.sha256(ball), True)):
+        recipe = attributes()["recipe"] | {"indenter": {"shape": "mesh", "file": str(ball), "sha256": sha256}}
+        scene = read(write(tmp_path / "scene.h5", outputs=frozenset({"force"}), recipe=recipe))
+        assert (field_figure.indenter_surface(scene, 5.0) is not None) == there
 
 
 def test_a_few_kills(source: Path) -> None:
@@ -190,7 +255,7 @@ def test_a_journal_that_is_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_torture_writes_its_table(tmp_path: Path) -> None:
-    flags = ("--inputs", "5", "--kills", "2", "-o", tmp_path)
+    flags = ("--inputs", str(len(MUTATIONS)), "--kills", "2", "-o", tmp_path)
     command = [sys.executable, "-W", "ignore", "-m", "benchmarks.torture", *flags]
     here = {**os.environ, "PYTHONPATH": f"{TESTS}{os.pathsep}{TESTS.parent}"}
     subprocess.run(command, env=here, check=True, timeout=300, stdout=subprocess.DEVNULL)

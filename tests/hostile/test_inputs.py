@@ -12,8 +12,7 @@ from PIL import Image
 
 from hostile import attempts
 from tacgen.geometry import mesh_import
-from tacgen.recipe import background_photo, plan, pose_table, yaml_source
-from tacgen.recipe.assets import sha256
+from tacgen.recipe import assets, background_photo, plan, pose_table, yaml_source
 
 READERS: dict[str, Callable[[Path], object]] = {
     "recipe.yaml": yaml_source.load,
@@ -22,7 +21,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "ball.ply": mesh_import.read,
     "poses.csv": pose_table.read,
     "photo.png": background_photo.read,
-    "any": sha256,
+    "any": assets.sha256,
 }
 
 
@@ -103,9 +102,33 @@ def test_endless_numbers_are_refused(tmp_path: Path, number: str) -> None:
     assert outcome(lambda: plan.load(tmp_path / "a.yaml"), tmp_path) == "refused"
 
 
-def test_damaged_inputs(tmp_path: Path) -> None:
+BEYOND = (
+    *("start.yaw_deg=1e300", "trajectory[2].twist.angle_deg=-1e300", "sensor.markers.columns=100000000"),
+    "sensor.markers={layout: hexagonal, rings: 100000, pitch_mm: 1.0e-4, diameter_mm: 1.0e-5, albedo: 0.1}",
+    *("sensor.camera.width_px=1000000000", "sensor.gel.width_mm=1e300", "trajectory[0].press.frames=1000000000"),
+    "vary={method: grid, over: {" + ", ".join(f"a{i}: {{linspace: [0, 1, 1000000]}}" for i in range(200)) + "}}",
+    *("indenter={shape: mesh, file: ~nosuchuser/x.stl}", 'indenter={shape: mesh, file: "~a\\0b/x.stl"}'),
+    *("trajectory=[{replay: {file: ~nosuchuser/x.csv}}]", "sensor=~nosuchuser/x.yaml"),
+    'render={background: "~a\\0b.png"}',
+)
+
+
+@pytest.mark.parametrize("override", BEYOND, ids=lambda text: text[:40])
+def test_numbers_and_names_beyond_use_are_refused(tmp_path: Path, override: str) -> None:
+    sets = [override, "outputs=[rgb]"]
+    assert outcome(lambda: plan.load(assets.recipe_path("quickstart"), sets), tmp_path) == "refused"
+
+
+@pytest.mark.parametrize("gravity", ["[1e300, 0, 0]", "[0, 0, -1e-320]", "[0, 0, 0]"])
+def test_gravity_is_a_direction(tmp_path: Path, gravity: str) -> None:
+    sets = [f"grasp.gravity={gravity}"]
+    assert outcome(lambda: plan.load(assets.recipe_path("grasp"), sets), tmp_path) == "refused"
+
+
+@pytest.mark.parametrize("kind", ["inputs", "numbers"])
+def test_damaged_inputs(tmp_path: Path, kind: str) -> None:
     source = attempts.inputs(tmp_path)
-    found = [attempts.attempt("inputs", seed, source) for seed in range(30)]
+    found = [attempts.attempt(kind, seed, source) for seed in range(15)]
     assert [str(a) for a in found if a.outcome not in attempts.GOOD] == []
     assert {a.outcome for a in found} == {"accepted", "refused"}
 

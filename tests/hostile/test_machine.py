@@ -22,6 +22,10 @@ ODD = {
 REFUSED = {
     "8 file descriptors, solving": ("ulimit -n 8; {tacgen} run {recipe} -o {out}/run", "Too many open files"),
     "200 MB of memory, solving": ("ulimit -v 200000; {tacgen} run {recipe} -o {out}/run", "workers end before"),
+    "no room for threads": (
+        "ulimit -s 2000000; ulimit -v 1500000; env -u OMP_NUM_THREADS OPENBLAS_NUM_THREADS=2 {tacgen} check {data}",
+        "out of memory",
+    ),
     "an output that is full": ("{tacgen} check {data} > /dev/full", "No space left on device"),
     "a page into a device": ("{tacgen} report {data} -o /dev/full", "/dev/full: is a pipe, socket or device"),
 }

@@ -2,11 +2,13 @@
 
 import io
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args, get_origin
 
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from pydantic import BaseModel
+from pydantic_core import PydanticUndefined
 from ruamel.yaml import YAML
 
 from tacgen.errors import UserError
@@ -14,9 +16,9 @@ from tacgen.recipe import assets, loading, yaml_source
 from tacgen.recipe.indenters import SHAPES
 from tacgen.recipe.loading import read
 from tacgen.recipe.model import OUTPUTS, QUALITIES, Recipe
-from tacgen.recipe.sensor import LIGHTS
+from tacgen.recipe.sensor import LIGHTS, Sensor
 from tacgen.recipe.validation_messages import validate
-from tacgen.recipe.yaml_source import Source, format_path, parse, parse_path, put
+from tacgen.recipe.yaml_source import TAGS, Source, format_path, parse, parse_path, put
 
 GOOD = """\
 tacgen: 1
@@ -265,6 +267,50 @@ def test_overrides_in_the_recipe_reach_the_sensor_and_point_back(tmp_path: Path)
     assert told == "recipe.yaml:12:31: gel.layers[0].thickness_mm: must be greater than 0 (got -3)"
     (told,) = lines_of(tmp_path, GOOD + "sensor_overrides: {'gel.layers[7].thickness_mm': 3.0}\n")
     assert told.startswith("recipe.yaml:11:20: ")
+
+
+@pytest.mark.parametrize(
+    ("override", "line"),
+    [
+        ("markers: {layout: hexagonal, rings: 3, pitch_mm: 1.5, diameter_mm: 0.4, albedo: 0.1}", ""),
+        ("markers: {layout: hexagonal, rings: 3, pitch_mm: 1.5}", "markers: lacks diameter_mm, albedo"),
+        ("gel.layers[0]: {law: yeoh, name: a, thickness_mm: 4, c10_mpa: 0.1, bulk_modulus_mpa: 5}", ""),
+        ("markers: {layout: grid, rows: 3}", ""),
+        ("gel.layers[0]: {law: neo_hooke, youngs_modulus_mpa: 0.2}", ""),
+    ],
+)
+def test_another_kind_of_part_replaces_it(tmp_path: Path, override: str, line: str):
+    (tmp_path / "recipe.yaml").write_text(f"{GOOD}sensor_overrides:\n  {override}\n")
+    if not line:
+        read(tmp_path / "recipe.yaml")
+    else:
+        (told,) = lines_of(tmp_path, f"{GOOD}sensor_overrides:\n  {override}\n")
+        assert told.endswith(line)
+
+
+def test_tags_are_the_keys_that_choose_a_kind_of_part():
+    found = dict[str, set[Any]]()
+
+    def walk(model: type[BaseModel], seen: set[type[BaseModel]]) -> None:
+        for name, field in model.model_fields.items():
+            if get_origin(field.annotation) is Literal and name not in ("tacgen", "tacgen_sensor", "response"):
+                found.setdefault(name, set()).add(field.get_default())
+            for kind in _models(field.annotation):
+                if kind not in seen:
+                    walk(kind, seen | {kind})
+
+    walk(Recipe, set())
+    walk(Sensor, set())
+    kinds = {name: defaults - {PydanticUndefined} for name, defaults in found.items()}
+    one_of_a_kind = {"formulation", "method", "units", "end", "up"}  # of one model only: they choose no other keys
+    assert kinds.keys() - one_of_a_kind == TAGS.keys()
+    assert {name: next(iter(kinds[name]), None) for name in TAGS} == TAGS
+
+
+def _models(annotation: Any) -> list[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [model for each in get_args(annotation) for model in _models(each)]
 
 
 def test_extends_lays_one_recipe_over_another(tmp_path: Path):
