@@ -32,25 +32,29 @@ KEY = attributes()["input_key"]
 QUICK = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
-def random_array(rng: np.random.Generator, path: str, shape: tuple[int, ...]) -> np.ndarray:
+def random_array(rng: np.random.Generator, path: str, shape: tuple[int, ...], most: int) -> np.ndarray:
     kind = np.dtype(LAYOUT[path].dtype)
     if kind.kind == "f":
         return rounded(path, rng.normal(size=shape).astype(kind))
-    return rng.integers(0, 2 if kind.kind == "b" else 100, shape).astype(kind)
+    return rng.integers(0, 2 if kind.kind == "b" else most, shape).astype(kind)
 
 
 @st.composite
 def contents(draw: st.DrawFn) -> tuple[int, int, dict[str, np.ndarray]]:
-    """(frames planned, frames written, arrays by path), any part of the layout at any size, no markers included."""
+    """(frames planned, frames written, arrays by path), any part of the layout with a force, at any size."""
     planned = draw(st.integers(1, 4))
     written = draw(st.integers(0, planned))
     rng = np.random.default_rng(draw(st.integers(0, 2**32)))
-    sizes = {name: draw(st.integers(1 if name in "HWhw" else 0, 5)) for name in "HWhwMnmk*"} | {"N": written}
-    paths = draw(st.sets(st.sampled_from(sorted(LAYOUT))))
+    sizes = {name: draw(st.integers(0 if name == "*" else 1, 5)) for name in "HWhwMnmk*"} | {"N": written}
+    sizes |= {"4|8|10": draw(st.sampled_from([4, 8, 10])), "3|4|6": draw(st.sampled_from([3, 4, 6]))}
+    paths = draw(st.sets(st.sampled_from(sorted(LAYOUT)))) | {"/frames/force"}
+    paths |= {"/mesh/points", "/mesh/surface/points"} if any(LAYOUT[path].below for path in paths) else set()
     arrays = {}
     for path in paths:
         shape = tuple(sizes[d] if isinstance(d, str) else d for d in LAYOUT[path].dims)
-        arrays[path.replace("*", draw(st.sampled_from(["coated", "bonded"])))] = random_array(rng, path, shape)
+        arrays[path.replace("*", draw(st.sampled_from(["coated", "bonded"])))] = random_array(
+            rng, path, shape, sizes.get(LAYOUT[path].below, 100)
+        )
     return planned, written, arrays
 
 
