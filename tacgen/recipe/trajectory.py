@@ -93,7 +93,8 @@ class Twist(Timed):
 
 
 class Tilt(Timed):
-    """Rotate about a horizontal axis through the indenter's lowest point; the axis is `axis_deg` from x towards y."""
+    """Rotate about a horizontal axis through the point of the indenter that is lowest at the start; the axis is
+    `axis_deg` from x towards y."""
 
     angle_deg: Annotated[float, Field(gt=-90, lt=90)]
     axis_deg: float = 0.0

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -54,12 +55,14 @@ class Walk:
 
     support: the indenter's support function of a unit vector (3,) in its own frame [mm]; contact: height of its origin
     at first touch of the untouched face, for the rotation and place of a pose (4, 4) [mm]; thickness of the gel [mm];
-    home: height to which a release returns [mm]; carry: see Forced in scene.path.
+    start: pose before the first movement; home: height to which a release returns [mm]; carry: see Forced in
+    scene.path.
     """
 
     support: Callable[[Array], float]
     contact: Callable[[Array], float]
     thickness: float
+    start: Array
     pose: Array
     home: float
     carry: float = 0.0
@@ -81,7 +84,7 @@ class Walk:
         if rows:
             pose = rows[0].pose.copy()
             pose[2, 3] = max(pose[2, 3], contact(pose))
-            return cls(support, contact, thickness, pose, float(pose[2, 3]))
+            return cls(support, contact, thickness, pose, pose, float(pose[2, 3]))
         pose = np.eye(4)
         tilt = about(_level(start.tilt_axis_deg), float(np.radians(start.tilt_deg)))
         pose[:3, :3] = tilt @ about(Z, float(np.radians(start.yaw_deg)))
@@ -89,7 +92,7 @@ class Walk:
         if math.isinf(support(-pose[2, :3])):
             raise TrajectoryError(("start", "tilt_deg"), FLANK)
         pose[2, 3] = start.clearance_mm + contact(pose)
-        return cls(support, contact, thickness, pose, float(pose[2, 3]))
+        return cls(support, contact, thickness, pose, pose, float(pose[2, 3]))
 
     def frames(
         self, segment: Segment, rows: Sequence[Pose], where: KeyPath, *, checking: bool = False
@@ -112,7 +115,7 @@ class Walk:
             axis = first[:3, 2] if isinstance(move, Twist) else _level(move.axis_deg)
             turn = axis * angle / move.frames
             if isinstance(move, Tilt):
-                pivot = lowest(self.support, first[:3, :3])
+                pivot = first[:3, :3] @ self.pivot
         force = getattr(move, "force_n", None)
         contact = self.contact(first) if isinstance(move, Press) or force else np.nan
         floor = contact - FORCE_DEPTH * self.thickness
@@ -150,6 +153,16 @@ class Walk:
                 raise TrajectoryError(where, f"{name}: line {row.line}: {wrong}")
             yield Frame(row.pose)
         self.home = max(self.home, self.contact(self.pose))
+
+    @cached_property
+    def pivot(self) -> Array:
+        """The point (3,) of the indenter, in its own frame, that is lowest at the start [mm].
+
+        Tilts turn about it wherever it has moved since: about the point that is lowest before each of them, a tilt and
+        its inverse would be turns about two points, and would not return.
+        """
+        rotation = self.start[:3, :3]
+        return np.asarray(rotation.T @ lowest(self.support, rotation))
 
     @property
     def low(self) -> float:

@@ -1,23 +1,29 @@
-"""Trajectories: a force is reached and its depth kept, tilts turn about the lowest point."""
+"""Trajectories: a force is reached and its depth kept, closed paths of movements return."""
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 from helpers.small_recipe import HEAD
 
 from tacgen import pipeline, solve
 from tacgen.bundle import bundle
 from tacgen.contact.barrier import Pose
 from tacgen.errors import UserError
+from tacgen.geometry.analytic_sdf import Box, Cone, Shape, Sphere
 from tacgen.recipe import plan, trajectory_poses
+from tacgen.recipe.trajectory import Press, Segment, Start
 from tacgen.scene import mesh, scene
 from tacgen.solve import frames, presolve
 from tacgen.solve.force_control import OutOfReach, meet
 
 BOX = "indenter={shape: box, size_x_mm: 4, size_y_mm: 3, fillet_mm: 0.3}"
 ROUGH = "contact.friction=0.5"
+SHAPES: tuple[Shape, ...] = (Sphere(4.0), Box(3.0, 2.0, 0.3), Cone(float(np.radians(30)), 0.5))
 
 
 def row(folder: Path, segments: str, *sets: str) -> plan.Row:
@@ -173,15 +179,54 @@ def test_the_footprint_holds_what_a_force_may_need(tmp_path: Path) -> None:
     assert seen[1] - seen[0] < 0.8 * (sure[1] - sure[0])
 
 
-def test_a_tilt_turns_about_the_lowest_point(tmp_path: Path) -> None:
+def test_a_tilt_turns_about_the_point_that_is_lowest_at_the_start(tmp_path: Path) -> None:
     segments = "press: {depth_mm: 0.5, frames: 1}\ntilt: {angle_deg: 8, axis_deg: 90, frames: 2}"
     poses = scene.build(row(tmp_path, segments)).poses
     for pose, angle in zip(poses[1:], np.radians([4, 8]), strict=True):
         assert pose[:3, 3] == pytest.approx([0, 0, -0.5], abs=1e-9)
         assert pose[:3, 2] == pytest.approx([np.sin(angle), 0, np.cos(angle)], abs=1e-12)
-    twice = scene.build(row(tmp_path, f"{segments}\ntilt: {{angle_deg: -16, axis_deg: 90, frames: 1}}")).poses
-    low = np.array([4 * np.sin(np.radians(8)), 0, -0.5 + 4 * np.cos(np.radians(8)) - 4])  # of the ball at 8 degrees
-    assert (twice[-1] @ np.linalg.inv(twice[-2]) @ [*low, 1])[:3] == pytest.approx(low, abs=1e-6)
+    lean = "start={tilt_deg: 8, tilt_axis_deg: 90}"
+    leaning = scene.build(row(tmp_path, f"{segments}\nslide: {{x_mm: 1, frames: 1}}\n{segments}", lean)).poses
+    tip = [4 * np.sin(np.radians(8)), 0, 4 - 4 * np.cos(np.radians(8)), 1]  # of the ball, in its own frame
+    assert (leaning[2] @ tip)[:3] == pytest.approx((leaning[0] @ tip)[:3], abs=1e-6)
+    assert (leaning[-1] @ tip)[:3] == pytest.approx((leaning[-3] @ tip)[:3], abs=1e-6)
+
+
+angles = st.floats(-12, 12)
+there = st.one_of(
+    st.tuples(st.just("tilt"), angles, st.floats(0, 360)),
+    st.tuples(st.just("twist"), st.floats(-90, 90)),
+    st.tuples(st.just("slide"), st.floats(-1, 1), st.floats(-1, 1)),
+)
+KEYS = {"tilt": ("angle_deg", "axis_deg"), "twist": ("angle_deg",), "slide": ("x_mm", "y_mm")}
+
+
+def back(move: tuple[Any, ...]) -> tuple[Any, ...]:
+    kind, *numbers = move
+    return kind, -numbers[0], *(numbers[1:] if kind == "tilt" else [-y for y in numbers[1:]])
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.sampled_from(SHAPES), st.floats(0, 10), st.floats(-180, 180), st.lists(there, min_size=1, max_size=4))
+@example(Box(3.0, 3.0, 0.3), 0.0, 0.0, [("tilt", 10.0, 0.0)])
+def test_a_closed_path_of_movements_returns_to_its_pose(
+    shape: Shape, lean: float, yaw: float, moves: list[tuple[Any, ...]]
+) -> None:
+    def contact(pose: np.ndarray) -> float:
+        return shape.support(-pose[2, :3])
+
+    start = Start(tilt_deg=lean, tilt_axis_deg=30, yaw_deg=yaw, x_mm=0.3)
+    walk = trajectory_poses.Walk.at_start(start, (), shape.support, contact, 50.0)
+
+    def go(kind: str, *numbers: float) -> None:
+        step = Segment.model_validate({kind: dict(zip(KEYS[kind], numbers, strict=True)) | {"frames": 2}})
+        list(walk.frames(step, (), ("trajectory",)))
+
+    list(walk.frames(Segment(press=Press(depth_mm=1, frames=1)), (), ("trajectory",)))
+    before = walk.pose
+    for move in (*moves, *map(back, reversed(moves))):
+        go(*move)
+    assert walk.pose == pytest.approx(before, abs=1e-9)
 
 
 def test_a_tilted_box_turns_about_the_middle_of_its_face_and_must_not_reach_the_base(tmp_path: Path) -> None:
