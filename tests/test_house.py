@@ -67,7 +67,7 @@ HOMES = {
     "trimesh": {"geometry.mesh_import"},
     "igl": {"geometry.mesh_import"},
     "pymeshlab": {"geometry.mesh_import"},
-    "pytetwild": {"scene.tet_mesh"},
+    "pytetwild": {"scene.ftetwild"},
     "ipctk": {"contact.ipctk"},
     "platformdirs": {"array_cache"},
     "threadpoolctl": {"pipeline"},

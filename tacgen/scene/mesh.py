@@ -63,7 +63,7 @@ def of(scene: Scene) -> Mesh:
 
 
 def quality(gel: Gel, mesh: Mesh) -> dict[str, float | int | str]:
-    """The quality of a gel's mesh, and its hash, since fTetWild never gives the same mesh twice."""
+    """The quality of a gel's mesh, and its hash."""
     vertices, triangles, _ = gel.surface(*tet_mesh.FINE)
     found = measure(mesh.points, mesh.cells, enclosed(vertices, triangles))
     parts = (mesh.points, mesh.cells, mesh.layer, *(a for item in sorted(mesh.facets.items()) for a in item))

@@ -1,13 +1,10 @@
 """Tetrahedral meshes of gels by fTetWild (Hu et al. 2020), fine under the contact.
 
-fTetWild never gives the same mesh twice, not even on one thread. Meshes are therefore cached by a hash of the input,
-which makes a scene repeatable on one machine, and each bundle stores the hash of its mesh.
+The same input gives the same mesh (see ftetwild). Meshes are cached by a hash of the input, and each bundle stores the
+hash of its mesh.
 """
 
-import importlib.util
-from importlib.metadata import distribution, version
-from pathlib import Path
-from typing import Any
+from importlib.metadata import version
 
 import numpy as np
 
@@ -17,9 +14,10 @@ from tacgen.fem.elements import TET_EDGES, boxes, quadratic
 from tacgen.fem.mesh_quality import nodal_volume
 from tacgen.geometry import mesh_import
 from tacgen.geometry.gel import Gel
+from tacgen.scene import ftetwild
 
 Array = np.ndarray
-CACHE_VERSION = 1  # of the meshes in the cache
+CACHE_VERSION = 2  # of the meshes in the cache
 EDGE_GROWTH = 0.4  # growth of the edge per distance from the touched region [-]
 COARSEST = 7.4  # edge far from the contact over the edge under it [-]
 ENVELOPE = 1e-3  # largest distance of fTetWild's mesh from the surface, over the box's diagonal [-]; projected later
@@ -90,11 +88,14 @@ def _tetrahedralise(
     energy: float,
 ) -> tuple[Array, Array]:
     """fTetWild on one thread: vertices (n, 3) and tets (e, 4) inside the closed triangles, no tet across `between`."""
-    found = _ftetwild().tetrahedralize_mesh(
-        vertices, np.concatenate([triangles, between]).astype(np.uint32), True, False, 0.05, coarsest, envelope, energy,
-        False, 1, 80, 6, True, False, True, sizing_points, tets, edges,
-    )  # fmt: skip
-    points, cells = np.asarray(found[0], float), np.asarray(found[1], np.int64)
+    try:
+        points, cells = ftetwild.tetrahedralised(
+            vertices, np.concatenate([triangles, between]).astype(np.uint32), True, False, 0.05, coarsest, envelope,
+            energy, False, 1, 80, 6, True, False, True, sizing_points, tets, edges,
+        )  # fmt: skip
+    except ftetwild.Unseeded as unseeded:
+        text = "cannot be given a seed as 0.4.2 can: its meshes would differ from run to run; install that version"
+        raise UserError(f"pytetwild {unseeded}: {text}") from None
     # fTetWild's own inside test would count the open triangles `between` too
     cells = cells[mesh_import.inside(vertices, triangles, points[cells].mean(1))]
     used, compact = np.unique(cells, return_inverse=True)
@@ -102,17 +103,6 @@ def _tetrahedralise(
     turned = np.linalg.det(points[cells[:, 1:]] - points[cells[:, :1]]) < 0
     cells[turned] = cells[turned][:, [0, 2, 1, 3]]
     return points, cells
-
-
-def _ftetwild() -> Any:
-    """pytetwild's compiled module; importing the package would also import PyVista and VTK (0.6 GB)."""
-    folder = Path(str(distribution("pytetwild").locate_file("pytetwild")))
-    spec = importlib.util.spec_from_file_location("PyfTetWildWrapper", next(folder.glob("PyfTetWildWrapper*.so")))
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def _facets(gel: Gel, points: Array, tets: Array, layer: Array, reach: float) -> tuple[dict[str, Array], list[Array]]:

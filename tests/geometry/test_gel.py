@@ -166,7 +166,7 @@ def test_a_half_ball_is_pressed_as_hertz_says_and_its_markers_move_apart(tmp_pat
     flow = found["/frames/marker_flow"][0].reshape(5, 5, 2)
     outward = np.stack(np.meshgrid(np.arange(-2, 3), np.arange(-2, 3)), -1)
     assert (flow * outward).sum(-1)[np.abs(outward).sum(-1) > 0].min() > 0.2
-    lopsided = flow + flow[::-1, ::-1]  # no two meshings are alike, and none is symmetric
+    lopsided = flow + flow[::-1, ::-1]  # no mesh is symmetric
     assert np.sqrt((lopsided**2).mean()) < 0.08 * np.sqrt((flow**2).mean())
 
 

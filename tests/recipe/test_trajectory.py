@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.small_recipe import HEAD
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from helpers.small_recipe import HEAD
 
 from tacgen import pipeline, solve
 from tacgen.bundle import bundle

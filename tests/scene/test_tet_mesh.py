@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from helpers.presses import gel, poses, run, scene
 
-from tacgen import pipeline
+from tacgen import array_cache, pipeline
+from tacgen.array_cache import cache_folder
 from tacgen.bundle import bundle
 from tacgen.contact.barrier import Pose
 from tacgen.errors import UserError
@@ -107,9 +108,45 @@ def test_a_mesh_is_kept_and_another_scene_gets_another(domed: mesh.Mesh, monkeyp
         mesh.of(pressed(DOMED, edge=0.55))
 
 
-def test_two_processes_that_mesh_at_once_use_the_first_mesh(monkeypatch: pytest.MonkeyPatch) -> None:
-    from tacgen import array_cache
+def test_the_same_mesh_is_made_again() -> None:
+    """Of processes that draw from the random device, no two made the same; not optimised, which takes seconds."""
+    vertices, triangles, _ = Gel(4.0, 4.0, 0.0, -1, layers=(Layer(2.0, LAW, 0.15),)).surface(*tet_mesh.COARSE)
+    ungraded = np.zeros((0, 3)), np.zeros((0, 4), np.int32), np.zeros(0)
+    asked = (
+        vertices,
+        triangles.astype(np.uint32),
+        False,
+        False,
+        0.2,
+        0.0,
+        0.01,
+        10.0,
+        False,
+        1,
+        80,
+        6,
+        True,
+        False,
+        True,
+    )
+    (points, tets), (again, tets_again) = (tet_mesh.ftetwild.tetrahedralised(*asked, *ungraded) for _ in range(2))
+    assert len(tets) > 100
+    assert points.tolist() == again.tolist()
+    assert tets.tolist() == tets_again.tolist()
 
+
+def test_a_mesher_that_takes_no_seed_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert not tet_mesh.ftetwild._seeded(Path("/usr/bin/libother.so"))
+
+    def unseeded(*_: object) -> None:
+        raise tet_mesh.ftetwild.Unseeded("0.4.9")
+
+    monkeypatch.setattr(tet_mesh.ftetwild, "tetrahedralised", unseeded)
+    with pytest.raises(UserError, match=r"pytetwild 0.4.9: cannot be given a seed .*: .*; install that version"):
+        mesh.of(pressed(DOMED, edge=0.7))
+
+
+def test_two_processes_that_mesh_at_once_use_the_first_mesh(monkeypatch: pytest.MonkeyPatch) -> None:
     def second() -> tuple[Array, ...]:
         array_cache.kept("meshes", "race", lambda: (np.zeros(3),))  # the other process is done while this one meshes
         return (np.ones(3),)
@@ -118,9 +155,6 @@ def test_two_processes_that_mesh_at_once_use_the_first_mesh(monkeypatch: pytest.
 
 
 def test_damaged_caches_are_made_again() -> None:
-    from tacgen import array_cache
-    from tacgen.array_cache import cache_folder
-
     array_cache.kept("meshes", "torn", lambda: (np.zeros(3),))
     file = cache_folder() / "meshes" / "torn.entry"
     file.write_bytes(file.read_bytes()[:-20])
