@@ -1,10 +1,11 @@
 """One scene down the line. What its outputs do not need is neither imported nor computed."""
 
 import json
+import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -15,7 +16,6 @@ from tacgen.bundle import bundle, resume
 from tacgen.bundle.check import NO_CONTACT
 from tacgen.bundle.resume import SceneResult
 from tacgen.bundle.schema import finite_problem
-from tacgen.geometry import gel as geometry
 from tacgen.outputs import OUTPUTS, Datasets, FrameData, SceneData, of_grasp
 from tacgen.recipe.checks import notes
 from tacgen.recipe.model import IMAGES
@@ -24,6 +24,11 @@ from tacgen.scene import approach, mesh, scene
 from tacgen.solve import presolve
 
 MIN_EDGES = 3  # an indenter's smallest radius should be at least so many edges of the mesh
+# largest error of a force over edge/thickness [-]: of indenters and, above it, of tips narrower than an edge
+COARSE_ERROR, TIP_ERROR = 1.1, 2.2
+MANY_UNKNOWNS = 3000  # of contact; from here on a frame takes seconds
+LOOKS = 40  # frames at which the area in contact is looked at
+COST_S = 1.0  # of a frame with 1000 unknowns of contact [s]; one press of 0.3 mm with 2240 and 4740: 15 and 99 s
 DENT = 0.05  # [mm] deep, of the face whose picture is rendered only to compile what renders it
 MATCHED = 2e-3  # of a force that is asked for on several sensors: within this part of it in every frame [-]
 TRACED = ("untouched", "table")  # entries of the cache that take long, and that come first of a sensor's images
@@ -71,7 +76,7 @@ def _finite(found: Datasets) -> Datasets:
     return found
 
 
-def _attributes(gel: geometry.Gel, shared: SceneData, clock: Clock) -> dict[str, Any]:
+def _attributes(built: scene.Scene, shared: SceneData, clock: Clock) -> dict[str, Any]:
     from importlib.metadata import version
 
     row, problem = shared.row, shared.problem
@@ -85,7 +90,7 @@ def _attributes(gel: geometry.Gel, shared: SceneData, clock: Clock) -> dict[str,
         "input_key": row.key,
         "solver": ", ".join([problem.linear.name, *(f"{p} {version(p)}" for p in ("numpy", "scipy", "numba"))]),
         "values": row.values,
-        "mesh": mesh.quality(gel, problem.mesh),
+        "mesh": mesh.quality(built.gel, problem.mesh),
     }
     if row.finger is not None:
         found["finger"] = row.finger
@@ -94,26 +99,50 @@ def _attributes(gel: geometry.Gel, shared: SceneData, clock: Clock) -> dict[str,
     if row.recipe.outputs & IMAGES:
         with clock.stage("render"):
             found["renderer"] = shared.pictures.renderer.name
-    coarse = _resolution_note(problem.contact.shape.smallest_radius, problem.edge, formulation)
+    radius, edge = problem.contact.shape.smallest_radius, problem.edge
+    coarse = _resolution_note(radius, edge, built.gel.thickness, formulation)
+    cost = _cost_note(built) if problem.condensed else ""
     if row.pair is not None:
         found["pair"] = row.pair
-    if said := [note for note in (coarse, *notes(row.recipe, row.sensor)) if note]:
+    if said := [note for note in (coarse, cost, *notes(row.recipe, row.sensor)) if note]:
         found["notes"] = said
     return found
 
 
-def _resolution_note(radius: float, edge: float, formulation: str) -> str:
-    """A note where the mesh does not resolve the indenter, or ""; `tacgen bench mechanics` measures what that costs."""
+def _resolution_note(radius: float, edge: float, thickness: float, formulation: str) -> str:
+    """A note where the mesh does not resolve the indenter, or ""; scripts/coarse_meshes.py measures what that costs."""
     if radius >= MIN_EDGES * edge:
         return ""
-    small = f"the indenter's smallest radius, {radius:g} mm, is below"
-    if radius >= edge:
-        where = "where such bends carry the load, forces are 1 to 6 % off"
-        return f"{small} {MIN_EDGES} edges of the mesh, {edge:g} mm: {where}"
-    off = "up to 50 % too high" if formulation == "ipctk" else "up to 20 % off, of tips 40 %"
+    off, tips = (100 * bound * edge / thickness for bound in (COARSE_ERROR, TIP_ERROR))
+    off = max(off, 50.0) if formulation == "ipctk" else off
+    limit = f"{MIN_EDGES} edges of the mesh" if radius >= edge else "the mesh's edge"
+    of_tips = "" if radius >= edge else f", of tips {max(off, tips):.0f} %"
     return (
-        f"{small} the mesh's edge, {edge:g} mm: finer details are not resolved; where they carry the"
-        f" load, forces are {off}"
+        f"the indenter's smallest radius, {radius:g} mm, is below {limit}, {edge:g} mm: forces are up to {off:.0f} %"
+        f" off{of_tips}, and more if it is pressed less than a tenth of the gel's thickness"
+    )
+
+
+def _cost_note(built: scene.Scene) -> str:
+    """A note where much of the face is in contact at once, or ""; the contact's unknowns are solved for as one dense
+    system. At most LOOKS of the frames are looked at."""
+
+    def area(at: scene.Scene) -> float:
+        return len(mesh.touched(at)) * (at.edge / mesh.FACE_STEPS) ** 2
+
+    most = MANY_UNKNOWNS * built.edge**2 / 3
+    if area(built) < most:  # of all frames together
+        return ""
+    some = built.poses[:: math.ceil(len(built.poses) / LOOKS)]
+    largest = max(area(replace(built, start=pose, poses=pose[None], forced=None)) for pose in some)
+    if largest < most:
+        return ""
+    unknowns = 3 * largest / built.edge**2
+    seconds = COST_S * (unknowns / 1000) ** 2.5
+    return (
+        f"contact has about {round(unknowns, -2):.0f} unknowns, since {largest:.3g} mm^2 of the face are touched at"
+        f" once, with edges of {built.edge:g} mm: a frame takes about {round(seconds, -1):.0f} s, and several times that"
+        " if it is long or the gel folds; a larger quality.edge_mm or a smaller indenter takes less"
     )
 
 
@@ -210,7 +239,7 @@ class Recorder:
         made = {k: output.reference for k, output in OUTPUTS.items() if k in asked}
         self.reference = _finite(_datasets(made, self.shared, clock))
         self.of_frame = {k: output.frame for k, output in OUTPUTS.items() if k in asked}
-        attributes = _attributes(gel.scene.gel, self.shared, clock)
+        attributes = _attributes(gel.scene, self.shared, clock)
         self.name, self.on_event, self.touched = gel.row.name, on_event, False
         self._tell(attributes.get("notes", ()))
         self.writer = bundle.Writer(path, attributes, gel.row.frames)

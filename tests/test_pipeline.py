@@ -3,6 +3,7 @@
 import gc
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -24,6 +25,7 @@ from tacgen.outputs import OUTPUTS as TABLE
 from tacgen.recipe import assets, plan
 from tacgen.recipe.model import OUTPUTS
 from tacgen.render.images import Renderer
+from tacgen.scene import mesh, scene
 from tacgen.solve import load_stepping
 from tacgen.solve.condensation import Condensation
 
@@ -41,6 +43,12 @@ outputs: [force]
 quality: {edge_mm: 1.0, dhat_mm: 0.1, spp: 4}
 """
 SMALL_CAMERA = ("sensor.camera.width_px=64", "sensor.camera.height_px=48", "sensor.camera.mm_per_px=0.317")
+COARSE = [("{shape: sphere, radius_mm: 2}", 2.0, 0.5), ("{shape: sphere, radius_mm: 1}", 1.2, 0.4)]  # edge, depth [mm]
+FLAT = (
+    "indenter={shape: box, size_x_mm: 60, size_y_mm: 60}",
+    "trajectory=[{press: {depth_mm: 0.3, frames: 1}}]",
+    "quality=draft",
+)
 EVERYTHING = f"outputs=[{', '.join(OUTPUTS)}]"
 
 
@@ -314,7 +322,9 @@ def test_path_and_transport_show_the_same_scene(recipe: Path) -> None:
     assert np.abs(path - transport).mean() > 0.005  # it was not transport again
 
 
-@pytest.mark.parametrize(("radius", "said"), [(3.8, ""), (2.0, "1 to 6 % off"), (1.1, "up to 20 % off, of tips 40 %")])
+@pytest.mark.parametrize(
+    ("radius", "said"), [(3.8, ""), (2.0, "up to 33 % off, and"), (1.1, "up to 33 % off, of tips 66 %")]
+)
 def test_an_indenter_that_the_mesh_does_not_resolve_is_reported(
     recipe: Path, tmp_path: Path, radius: float, said: str
 ) -> None:
@@ -325,6 +335,32 @@ def test_an_indenter_that_the_mesh_does_not_resolve_is_reported(
     notes = [event["note"] for event in events if event["event"] == "note"]
     assert [said in note for note in notes] == ([True] if said else [])
     assert notes == json.loads(bundle.read(done.path).attrs.get("notes", "[]"))
+
+
+@pytest.mark.parametrize(("indenter", "edge", "depth"), COARSE)
+def test_forces_on_coarse_meshes_are_within_the_notes_bounds(
+    recipe: Path, tmp_path: Path, indenter: str, edge: float, depth: float
+) -> None:
+    """The worst of scripts/coarse_meshes.py; a bound of half the size would not hold."""
+    path = f"[{{press: {{depth_mm: {depth}, frames: 1}}}}, {{slide: {{x_mm: 0.3, frames: 1}}}}]"
+    sets = (f"indenter={indenter}", f"trajectory={path}", "contact.friction=0.6", "outputs=[force]", "vary=null")
+    rows = [plan.load(recipe, [*sets, f"quality={{edge_mm: {e}}}"]).rows[0] for e in (edge, 0.4)]
+    coarse, fine = (bundle.read(pipeline.run_scene(row, tmp_path / row.key).path) for row in rows)
+    (note,) = json.loads(coarse.attrs["notes"])
+    error = np.abs(coarse["/frames/force"] / fine["/frames/force"] - 1)[[0, 1], [2, 0]].max()
+    bound = max(float(percent) for percent in re.findall(r"(\d+) %", note)) / 100
+    assert bound / 2 < error < bound
+
+
+def test_a_contact_of_thousands_of_unknowns_is_told_before_it_is_solved() -> None:
+    flat = scene.build(plan.load(assets.recipe_path("quickstart"), FLAT).rows[0])
+    said = r"contact has about 4500 unknowns, since 538 mm\^2 of the face .* 0.6 mm: a frame takes about \d\d s"
+    assert re.match(said, pipeline._cost_note(flat))
+    way = "trajectory=[{press: {depth_mm: 1, frames: 1}}, {slide: {x_mm: 7, frames: 9}}]"
+    sets = [way, "start.x_mm=-4", "quality={edge_mm: 0.2}"]
+    ball = scene.build(plan.load(assets.recipe_path("quickstart"), sets).rows[0])
+    assert 3 * len(mesh.touched(ball)) / mesh.FACE_STEPS**2 > pipeline.MANY_UNKNOWNS  # but not at once
+    assert not pipeline._cost_note(ball)
 
 
 def test_a_scene_without_contact_is_reported(recipe: Path, tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """Checks that need the recipe and the sensor together: what this sensor cannot do."""
 
 import importlib.util
+import math
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, cast
@@ -17,6 +18,8 @@ from tacgen.recipe.yaml_source import KeyPath
 
 MIN_HALF_THICKNESS = 0.8  # of an indenter, over the element edge [-]; thinner ones pass between contact points
 SOLID_SIZE_ERROR = 0.01  # largest difference between a solid's sides and those in its sensor file, relative [-]
+MAX_EDGE = 0.5  # of the mesh, over the gel's thickness [-]; on longer ones forces are off by half and more
+MAX_SIZE = 100.0  # of an indenter, over the pad's diagonal [-]; larger balls are flat to a thousandth of the pad
 MIN_PIXELS = 8  # smallest number of the image's pixels along the gel's shorter side
 MIN_RIM = 0.1  # thickness of a domed gel at its corner over that at the crown [-]; below, cells are too flat
 
@@ -64,6 +67,8 @@ def recipe_problems(recipe: Recipe, sensor: Sensor, folders: Folders | None = No
         text = f"must be at most the gel's thickness, {most:g} mm (got {depth:g})"
         wrong.append(Problem(("uncertainty", "pose", "depth_mm"), text))
     wrong += [
+        *_too_coarse(recipe, sensor.gel),
+        *_too_large(recipe.indenter, sensor.gel),
         *_too_thin(recipe),
         *_ipc_toolkit(recipe),
         *_mitsuba(recipe, sensor),
@@ -258,6 +263,32 @@ def _on_gel(sensor: Sensor) -> bool:
     middle = (len(dots.row_counts) - 1) / 2
     ends = [((n - 1) / 2 * across, (row - middle) * down) for row, n in enumerate(dots.row_counts)]
     return all(trajectory_checks.on_pad(sensor.gel, side * x, y) for x, y in ends for side in (-1, 1))
+
+
+def _too_coarse(recipe: Recipe, gel: Gel) -> list[Problem]:
+    edge, longest = recipe.resolved().edge_mm, MAX_EDGE * thickness_mm(gel)
+    if edge <= longest * (1 + 1e-9):
+        return []
+    text = (
+        f"gives edges of {edge:g} mm, longer than half the gel's thickness, {longest:g} mm: forces would be off by half"
+        f" and more; ask for quality: {{edge_mm: {longest / 2:.2g}}} or finer"
+    )
+    where: KeyPath = ("quality",) if isinstance(recipe.quality, str) else ("quality", "edge_mm")
+    return [Problem(where, text)]
+
+
+def _too_large(indenter: Indenter, gel: Gel) -> list[Problem]:
+    """Sizes far beyond the pad are a wrong unit or mean a plate, and rounding errors of their distances grow."""
+    most = MAX_SIZE * math.hypot(gel.width_mm, gel.height_mm)
+    text = (
+        f"must be at most {most:.4g}, {MAX_SIZE:g} times the pad's diagonal (got {{:g}}): a wrong unit? A flat plate is"
+        f" {{{{shape: box, size_x_mm: {1.5 * gel.width_mm:.3g}, size_y_mm: {1.5 * gel.height_mm:.3g}}}}}"
+    )
+    return [
+        Problem(("indenter", name), text.format(value))
+        for name, value in indenter
+        if name.endswith("_mm") and isinstance(value, float) and value > most
+    ]
 
 
 def _too_thin(recipe: Recipe) -> list[Problem]:

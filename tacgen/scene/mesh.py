@@ -24,6 +24,7 @@ TETS = {"tet": (10, 1.125), "linear_tet": (4, 0.8)}
 MIN_ANGLE_DEG = 2.0  # smallest dihedral angle of a tet [deg]
 MIN_SCALED_JACOBIAN = 0.01  # smallest scaled Jacobian of a tet [-]
 COARSEST = 11.1  # edge far from the contact over the edge under it [-]
+FACE_STEPS = 3  # points of the face an edge at which the path is looked at
 MAX_NODES = 500_000  # a larger stiffness matrix cannot be factorised in the memory of common machines
 
 
@@ -174,7 +175,7 @@ def touched(scene: Scene) -> Array:
     Between frames the path is looked at in steps of half the indenter's thickness: a thin plate is wholly below the
     untouched face where it has been pressed deeper than it is thick.
     """
-    gel, step = scene.gel, scene.edge / 3
+    gel, step = scene.gel, scene.edge / FACE_STEPS
     _refuse_above(60 * MAX_NODES, gel.width * gel.height / step**2, scene.edge, "points of the face to look at")
     x, y = (np.linspace(-size / 2, size / 2, math.ceil(size / step) + 1) for size in (gel.width, gel.height))
     grid = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)

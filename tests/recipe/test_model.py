@@ -230,7 +230,7 @@ def test_a_broken_sensor_file_does_not_hide_the_recipe(tmp_path: Path):
         ("indenter.radius_mm", "needs the form path=value, such as indenter.radius_mm=3"),
         ("in denter=3", "'in denter' is not a path such as trajectory[0].press.depth_mm"),
         ("outputs=[force", "expected ',' or ']', but got '<stream end>'"),
-        ("sensor.gel.layers[0].thickness_mm=0.5", None),
+        ("sensor.gel.layers[0].thickness_mm=0.8", None),
         ("sensor.gel.layers[3].thickness_mm=0.5", "[3] is past the end: there are 1 entries, counted from 0"),
         ("sensor.gel.layers[0].poissons_ratio=0.6", "gel.layers[0].poissons_ratio: must be less than 0.5 (got 0.6)"),
     ],
@@ -239,7 +239,7 @@ def test_a_mistake_on_the_command_line_is_reported_there(tmp_path: Path, overrid
     (told,) = lines_of(tmp_path, GOOD, (override,))
     if line is None:  # the press is too deep for the thinner gel: that stands in the recipe
         assert told.startswith(
-            "recipe.yaml:8:23: trajectory[0].press.depth_mm: must be less than the gel is thick, 0.5"
+            "recipe.yaml:8:23: trajectory[0].press.depth_mm: must be less than the gel is thick, 0.8"
         )
     else:
         assert told.startswith(f"--set {override}: ")

@@ -307,7 +307,7 @@ def test_a_grid_takes_no_uniform_and_has_an_end(tmp_path: Path):
 
 def test_a_fixed_value_that_a_varied_one_breaks_is_reported_where_it_stands(tmp_path: Path):
     text = BATCH.replace("METHOD", "sobol").replace(
-        "youngs_modulus_mpa: {loguniform: [0.05", "thickness_mm: {uniform: [0.1"
+        "youngs_modulus_mpa: {loguniform: [0.05, 0.5]", "thickness_mm: {uniform: [0.75, 0.9]"
     )
     (told,) = failure(tmp_path, f"outputs: [force]\n{text}")  # for images, the LEDs would be left behind as well
     assert "quickstart.yaml:15:" in told
