@@ -141,8 +141,8 @@ def _cost_note(built: scene.Scene) -> str:
     seconds = COST_S * (unknowns / 1000) ** 2.5
     return (
         f"contact has about {round(unknowns, -2):.0f} unknowns, since {largest:.3g} mm^2 of the face are touched at"
-        f" once, with edges of {built.edge:g} mm: a frame takes about {round(seconds, -1):.0f} s, and several times that"
-        " if it is long or the gel folds; a larger quality.edge_mm or a smaller indenter takes less"
+        f" once with edges of {built.edge:g} mm: a frame takes about {round(seconds, -1):.0f} s, several times that if"
+        " it is long or the gel folds; a larger quality.edge_mm or a smaller indenter takes less"
     )
 
 
