@@ -21,7 +21,7 @@ from tacgen.errors import UserError
 from tacgen.fem.elements import HEX_EDGES, boxes
 from tacgen.fem.materials import NeoHooke
 from tacgen.geometry.gel import Gel
-from tacgen.scene import mesh
+from tacgen.mechanics import mesh
 
 Array = np.ndarray
 PROGRAM = "ccx"

@@ -28,17 +28,18 @@ def bench(level: Level, say: Say) -> Result:
 
 def solved(sets: list[str]) -> dict[str, Any]:
     """Solve the quickstart with these changes in one frame: seconds, iterations, nodes, and memory [MB]."""
-    from tacgen import solve
-    from tacgen.recipe import assets, plan
-    from tacgen.scene import mesh, scene
-    from tacgen.solve import presolve
+    from tacgen import mechanics
+    from tacgen.mechanics import mesh, presolve
+    from tacgen.recipe import assets, plan, scene_of_row
 
-    rough = scene.build(plan.load(assets.recipe_path("quickstart"), (*BALL, PRESS, "quality={edge_mm: 1.5}")).rows[0])
-    next(solve.states(rough, solve.Problem.of(rough, mesh.of(rough))))  # compile
-    made = presolve.presolved(scene.build(plan.load(assets.recipe_path("quickstart"), (*BALL, *sets)).rows[0]))
-    problem = solve.Problem.of(made, mesh.of(made))
+    rough = scene_of_row.build(
+        plan.load(assets.recipe_path("quickstart"), (*BALL, PRESS, "quality={edge_mm: 1.5}")).rows[0]
+    )
+    next(mechanics.states(rough, mechanics.Problem.of(rough, mesh.of(rough))))  # compile
+    made = presolve.presolved(scene_of_row.build(plan.load(assets.recipe_path("quickstart"), (*BALL, *sets)).rows[0]))
+    problem = mechanics.Problem.of(made, mesh.of(made))
     start = time.process_time()
-    (state,) = solve.states(made, problem)
+    (state,) = mechanics.states(made, problem)
     seconds, nodes = time.process_time() - start, len(problem.mesh.points)
     return {"nodes": nodes, "seconds": seconds, "iterations": state.iterations, "memory": peak_memory()}
 

@@ -112,7 +112,7 @@ def loaded() -> dict[str, list[str]]:
 
 def used(outputs: str, sets: list[str]) -> dict[str, list[str]]:
     """Imports of one scene, and the functions of tacgen that ran, as "module:function", without compiling."""
-    from tacgen import pipeline, solve
+    from tacgen import mechanics, pipeline
 
     here = str(Path(pipeline.__file__).parent)
     ran: set[str] = set()
@@ -123,7 +123,7 @@ def used(outputs: str, sets: list[str]) -> dict[str, list[str]]:
             ran.add(f"{frame.f_globals['__name__']}:{code.co_qualname}")
 
     rows = rows_of(outputs, sets)
-    solve.warm()
+    mechanics.warm()
     with TemporaryDirectory() as folder:
         sys.setprofile(watch)
         try:
@@ -161,25 +161,25 @@ def labels(sensor: str) -> dict[str, list[float]]:
     """Seconds a frame of solve, stress and maps, and the inconsistencies of the worst frame."""
     import numpy as np
 
-    from tacgen import solve
+    from tacgen import mechanics
     from tacgen.labels import gel_surface
     from tacgen.labels.contact_maps import maps
     from tacgen.labels.stress import Stresses
+    from tacgen.mechanics import mesh
     from tacgen.optics.camera import Camera
-    from tacgen.recipe import assets, plan
-    from tacgen.scene import mesh, scene
+    from tacgen.recipe import assets, plan, scene_of_row
 
     slide, twist = "{slide: {x_mm: 1, y_mm: 0.3, frames: 2}}", "{twist: {angle_deg: 12, frames: 2}}"
     moves = f"trajectory=[{{press: {{depth_mm: 0.8, frames: 2}}}}, {slide}, {twist}]"
     outputs = f"sensor={sensor}", "outputs=[stress, traction]"
     sets = (*outputs, "indenter={shape: sphere, radius_mm: 4}", moves, "contact.friction=0.6")
     row = plan.load(assets.recipe_path("quickstart"), sets).rows[0]
-    made = scene.build(row)
-    problem = solve.Problem.of(made, mesh.of(made))
+    made = scene_of_row.build(row)
+    problem = mechanics.Problem.of(made, mesh.of(made))
     camera, stresses = Camera.from_sensor(row.sensor), Stresses(problem)
     rest = gel_surface.Surface(problem.mesh.points, problem.mesh.facets["coated"])
     seconds, worst = np.zeros(3), np.zeros(5)
-    states, count = solve.states(made, problem), 0
+    states, count = mechanics.states(made, problem), 0
     while True:
         clock = [time.process_time()]
         state = next(states, None)

@@ -17,17 +17,17 @@ from typing import NamedTuple, cast
 
 import numpy as np
 
-from tacgen import array_cache, solve
+from tacgen import array_cache, mechanics
 from tacgen.labels import gel_surface
+from tacgen.mechanics import mesh
 from tacgen.optics import camera_response
 from tacgen.optics.camera_view import Samples
 from tacgen.optics.surface_grid import Sheet, Surface, Untouched
-from tacgen.recipe import assets, plan
+from tacgen.recipe import assets, plan, scene_of_row
 from tacgen.recipe.model import QUALITIES
 from tacgen.recipe.sensor import Camera, LitSensor
 from tacgen.render import images, mitsuba_variants, traced_maps
 from tacgen.render.mitsuba_path import PathTracer, Window
-from tacgen.scene import mesh, scene
 
 Array = np.ndarray
 BALL = "indenter={shape: sphere, radius_mm: 4}"
@@ -150,9 +150,9 @@ def solved(sensor: str, face: str, shrink: int) -> tuple[LitSensor, Surface, boo
     lit = traced_maps.zoomed(lit, lit.camera.width_px // shrink) if shrink > 1 else lit
     if not path:
         return lit, Untouched.of(lit.gel), dots
-    made = scene.build(row)
-    problem = solve.Problem.of(made, mesh.of(made))
-    *_, last = solve.states(made, problem)
+    made = scene_of_row.build(row)
+    problem = mechanics.Problem.of(made, mesh.of(made))
+    *_, last = mechanics.states(made, problem)
     return lit, gel_surface.seen(problem.mesh, len(lit.gel.clear_layers)).pressed(problem, last), dots
 
 

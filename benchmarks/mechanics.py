@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmarks.reference_runs import DEPTHS, Answer, Error, answer, kept, row_of, sliding
 from benchmarks.results_page import Cell, Level, Plot, Result, Say, Series, Table, columns, cores, front
-from tacgen.solve import DEFAULT, NotConverged, SolverOptions, plain, short_steps
+from tacgen.mechanics import DEFAULT, NotConverged, SolverOptions, plain, short_steps
 
 ABOUT = (
     "A ball of 4 mm is pressed 1 mm (0.8 mm on DIGIT and 9DTact) in one frame and slid by 0.6 mm in two, with"

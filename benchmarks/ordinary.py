@@ -11,10 +11,11 @@ from benchmarks.draws import BALL, Draw, drawn
 from benchmarks.reference_runs import row_of, solve_frames
 from benchmarks.results_page import Cell, Level, Result, Say, Table, columns, cores
 from benchmarks.step_size_error import FINER, finer
-from tacgen import solve
+from tacgen import mechanics
 from tacgen.errors import UserError
-from tacgen.scene import mesh, scene
-from tacgen.solve import SolverOptions, presolve
+from tacgen.mechanics import SolverOptions, mesh, presolve
+from tacgen.mechanics.scene import Scene
+from tacgen.recipe import scene_of_row
 
 Array = np.ndarray
 LIMIT_S = 150.0  # longest processor time of a scene [s]
@@ -81,13 +82,13 @@ class Outcome:
 
 
 def measure(
-    draw: Draw, quality: str, compared: bool, limit: float = LIMIT_S, options: SolverOptions = solve.DEFAULT
+    draw: Draw, quality: str, compared: bool, limit: float = LIMIT_S, options: SolverOptions = mechanics.DEFAULT
 ) -> Outcome:
     """Solve a scene in at most `limit` processor seconds; if `compared` and ok, also in short frames."""
     try:
         made = _scene((f"sensor={draw.sensor}", *draw.sets, f"quality={quality}"))
         grid = mesh.of(made)
-        problem = solve.Problem.of(made, grid, options)
+        problem = mechanics.Problem.of(made, grid, options)
     except UserError as error:
         return Outcome(draw, quality, "refused", error.lines[0])
     solved = solve_frames(made, problem, limit)
@@ -98,7 +99,7 @@ def measure(
     off: list[float | None] = [None, None]
     if compared and status == "ok":
         short = finer(made, FINER)
-        between = solve_frames(short, solve.Problem.of(short, grid), limit).forces
+        between = solve_frames(short, mechanics.Problem.of(short, grid), limit).forces
         off = [_force_error(solved.forces[:count], between) for count in (n, stable)]
     return Outcome(
         draw,
@@ -118,8 +119,8 @@ def measure(
     )
 
 
-def _scene(sets: Sequence[str]) -> scene.Scene:
-    return presolve.presolved(scene.build(row_of(("outputs=[force]", *sets))))
+def _scene(sets: Sequence[str]) -> Scene:
+    return presolve.presolved(scene_of_row.build(row_of(("outputs=[force]", *sets))))
 
 
 def _force_error(long: Array, short: Array) -> float | None:
@@ -135,7 +136,7 @@ def _warm() -> None:
     """Load compiled code, once in each process, before anything is timed."""
     moves = "trajectory=[{press: {depth_mm: 0.5, frames: 1}}, {slide: {x_mm: 0.2, frames: 1}}]"
     made = _scene(("sensor=ninedtact", "indenter={shape: mesh, file: ring}", moves, f"quality={SMOKE}"))
-    solve_frames(made, solve.Problem.of(made, mesh.of(made)))
+    solve_frames(made, mechanics.Problem.of(made, mesh.of(made)))
 
 
 def _job(job: tuple[Draw, str, bool, SolverOptions]) -> Outcome:
@@ -151,7 +152,7 @@ def bench(level: Level, say: Say) -> Result:
     """The ball, ordinary scenes at draft and, at level full, some at default."""
     draws = [drawn(i) for i in range(SCENES[level])]
     quality = SMOKE if level == "smoke" else "draft"
-    plain = solve.DEFAULT
+    plain = mechanics.DEFAULT
     jobs = [
         (BALL, quality, True, plain),
         *((draw, quality, i % COMPARED == 0, plain) for i, draw in enumerate(draws)),

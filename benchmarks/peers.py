@@ -11,11 +11,13 @@ from benchmarks import calculix
 from benchmarks.calculix import Pressed
 from benchmarks.reference_runs import BALL, answer, kept, row_of
 from benchmarks.results_page import Cell, Level, Plot, Result, Say, Series, Table, columns, cores
-from tacgen import array_cache, solve
+from tacgen import array_cache, mechanics
 from tacgen.fem.materials import NeoHooke
 from tacgen.geometry.analytic_sdf import Sphere
 from tacgen.geometry.gel import Gel, Layer
-from tacgen.scene import mesh, scene
+from tacgen.mechanics import mesh
+from tacgen.mechanics.scene import Scene
+from tacgen.recipe import scene_of_row
 
 ABOUT = (
     "One press on the Mini's pad (ball of 4 mm, 1 mm deep, no friction, E 0.15 MPa, nu 0.48), by tacgen's hexes, by"
@@ -102,7 +104,8 @@ def _fine(name: str, quality: str | None) -> float:
     """Force [N] by tacgen at this quality; if None by CalculiX, whose version is part of `name`."""
     if quality is not None:
         return -float(kept((*PRESS, f"quality={quality}")).force[-1, 2])
-    gel, key = scene.build(row_of(PRESS)).gel, array_cache.digest([name, *PRESS, Path(calculix.__file__).read_bytes()])
+    gel = scene_of_row.build(row_of(PRESS)).gel
+    key = array_cache.digest([name, *PRESS, Path(calculix.__file__).read_bytes()])
     return float(array_cache.kept_one("bench", key, lambda: np.array(calculix.press(gel, 4.0, 1.0, FINEST).force)))
 
 
@@ -129,7 +132,7 @@ def _tacgen(*sets: str) -> Callable[[float], Pressed]:
 
 
 def _calculix(edges: tuple[float, ...], quarter: bool, say: Say) -> Runs:
-    gel = scene.build(row_of(PRESS)).gel
+    gel = scene_of_row.build(row_of(PRESS)).gel
     name = f"{calculix.version()}, C3D20R, {'a quarter' if quarter else 'the whole pad'}"
     return _runs(name, lambda edge: calculix.press(gel, 4.0, 1.0, edge, quarter=quarter), edges, say)
 
@@ -193,9 +196,9 @@ def pressed(nu: float, chi: float, fine: int) -> float:
     pad = Gel(80 * a, 80 * a, layers=(Layer(a / chi, law, E),))
     path = np.eye(4)[None].copy()
     path[0, 2, 3] = -DEPTH
-    made = scene.Scene(pad, Sphere(R), path, np.eye(4), np.zeros(1, int), 0.0, a / fine, 0.05)
+    made = Scene(pad, Sphere(R), path, np.eye(4), np.zeros(1, int), 0.0, a / fine, 0.05)
     built = mesh.build(pad, (-1.4 * a, 1.4 * a, -1.4 * a, 1.4 * a), made.edge, growth=1.5, coarsest=16 * a)
-    *_, state = solve.states(made, solve.Problem.of(made, built))
+    *_, state = mechanics.states(made, mechanics.Problem.of(made, built))
     return -float(state.traction_force[..., 2].sum())
 
 

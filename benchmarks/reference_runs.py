@@ -9,19 +9,20 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tacgen import array_cache, solve
+from tacgen import array_cache, mechanics
+from tacgen.geometry.gel import Gel
 from tacgen.labels import contact_maps, gel_surface
 from tacgen.labels.stress import Stresses
+from tacgen.mechanics import mesh, presolve
+from tacgen.mechanics.scene import Scene
 from tacgen.optics.camera import Camera
 from tacgen.optics.coating import centers
-from tacgen.recipe import assets, plan
+from tacgen.recipe import assets, plan, scene_of_row
 from tacgen.recipe.markers import GridMarkers
-from tacgen.scene import mesh, scene
-from tacgen.solve import presolve
 
 Array = np.ndarray
-PACKAGE = Path(solve.__file__).parents[1]
-USED = ("fem", "optics", "geometry", "contact", "scene", "solve", "labels")  # packages that an answer depends on
+PACKAGE = Path(mechanics.__file__).parents[1]
+USED = ("fem", "optics", "geometry", "mechanics", "recipe", "labels")  # packages that an answer depends on
 BALL = ("outputs=[force]", "indenter={shape: sphere, radius_mm: 4}")
 DEPTHS = {"gelsight_mini": 1.0, "digit": 0.8, "ninedtact": 0.8}  # of the ball [mm]
 MOVES = "trajectory=[{{press: {{depth_mm: {depth}, frames: 1}}}}, {{slide: {{x_mm: 0.6, frames: 2}}}}]"
@@ -88,7 +89,7 @@ class Frames(NamedTuple):
     """Frames solved one after the other, in how many processor seconds, and how that ended: `status` is ok, rejected or
     out of time, `reason` says why."""
 
-    states: list[solve.State]
+    states: list[mechanics.State]
     seconds: float
     status: str
     reason: str
@@ -99,17 +100,17 @@ class Frames(NamedTuple):
         return np.reshape([state.traction_force.sum((0, 1)) for state in self.states], (-1, 3))
 
 
-def solve_frames(made: scene.Scene, problem: solve.Problem, limit: float = math.inf) -> Frames:
+def solve_frames(made: Scene, problem: mechanics.Problem, limit: float = math.inf) -> Frames:
     """The frames of a scene, as many as are solved in about `limit` processor seconds."""
-    states, count, start = list[solve.State](), len(made.poses), time.process_time()
+    states, count, start = list[mechanics.State](), len(made.poses), time.process_time()
     status, reason = "ok", ""
     try:
-        for state in solve.states(made, problem):
+        for state in mechanics.states(made, problem):
             states.append(state)
             if time.process_time() - start > limit and len(states) < count:
                 status, reason = "out of time", f"after frame {len(states)} of {count}"
                 break
-    except solve.NotConverged as error:
+    except mechanics.NotConverged as error:
         status, reason = "rejected", f"frame {len(states) + 1} of {count}: {error}"
     return Frames(states, time.process_time() - start, status, reason)
 
@@ -117,12 +118,12 @@ def solve_frames(made: scene.Scene, problem: solve.Problem, limit: float = math.
 def answer(
     sets: tuple[str, ...],
     shift: tuple[float, float] = (0.0, 0.0),
-    options: solve.SolverOptions = solve.DEFAULT,
+    options: mechanics.SolverOptions = mechanics.DEFAULT,
 ) -> Answer:
     """Solve the quickstart with changes and take its labels; `shift` moves a mesh of hexes under the indenter, in parts
     of an edge."""
     row = row_of(sets)
-    made = presolve.presolved(scene.build(row))
+    made = presolve.presolved(scene_of_row.build(row))
     if any(shift):
         dx, dy = (made.edge * s for s in shift)
         x0, x1, y0, y1 = mesh.footprint(made)
@@ -130,9 +131,9 @@ def answer(
     else:
         built = mesh.of(made)
     started = time.process_time()
-    problem = solve.Problem.of(made, built, options)
+    problem = mechanics.Problem.of(made, built, options)
     ready = time.process_time()
-    states = list(solve.states(made, problem))
+    states = list(mechanics.states(made, problem))
     seconds = time.process_time() - ready
     last, camera = states[-1], Camera.from_sensor(row.sensor)
     coated = gel_surface.Surface(problem.mesh.points, problem.mesh.facets["coated"])
@@ -152,7 +153,7 @@ def answer(
     )
 
 
-def _probed(gel: scene.Gel, problem: solve.Problem, state: solve.State) -> Array:
+def _probed(gel: Gel, problem: mechanics.Problem, state: mechanics.State) -> Array:
     """Nodal stress (p, 6) [MPa], interpolated at points of the gel under the contact."""
     from scipy.interpolate import LinearNDInterpolator
 

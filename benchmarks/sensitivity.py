@@ -8,12 +8,13 @@ import numpy as np
 from benchmarks.cases import CASES, PLAIN, Sets
 from benchmarks.reference_runs import row_of
 from benchmarks.results_page import Cell, Level, Say, Table, columns, cores
-from tacgen import solve
-from tacgen.contact.barrier import Pose
+from tacgen import mechanics
 from tacgen.fem.materials import NeoHooke
 from tacgen.fem.potential import Projection, Total
-from tacgen.scene import mesh, scene
-from tacgen.solve.linear_solvers import NotPositiveDefinite, SuperLU
+from tacgen.geometry.pose import Pose
+from tacgen.mechanics import mesh
+from tacgen.mechanics.linear_solvers import NotPositiveDefinite, SuperLU
+from tacgen.recipe import scene_of_row
 
 Array = np.ndarray
 CASE_NAMES = ("", "nu 0.4999", "1 kPa", "100 MPa", "friction 2", "half deep", "skin stiffer 1000:1")
@@ -27,9 +28,9 @@ def table(level: Level, say: Say) -> Table:
         return _table(names, every(nudged, names), say)
 
 
-def _solved(sets: Sets, nudge: str = "") -> tuple[solve.Problem, solve.State]:
+def _solved(sets: Sets, nudge: str = "") -> tuple[mechanics.Problem, mechanics.State]:
     """The last frame of the case, with one input slightly larger."""
-    made = scene.build(row_of((*PLAIN, *sets)))
+    made = scene_of_row.build(row_of((*PLAIN, *sets)))
     if nudge == "depth":
         poses = made.poses.copy()
         poses[:, 2, 3] *= 1 + RELATIVE_NUDGE
@@ -40,8 +41,8 @@ def _solved(sets: Sets, nudge: str = "") -> tuple[solve.Problem, solve.State]:
         laws = [(layer, layer.law) for layer in made.gel.layers if isinstance(layer.law, NeoHooke)]
         layers = [replace(layer, law=replace(law, mu=law.mu * (1 + RELATIVE_NUDGE))) for layer, law in laws]
         made = replace(made, gel=replace(made.gel, layers=tuple(layers)))
-    problem = solve.Problem.of(made, mesh.of(made))
-    *_, state = solve.states(made, problem)
+    problem = mechanics.Problem.of(made, mesh.of(made))
+    *_, state = mechanics.states(made, problem)
     return problem, state
 
 
@@ -70,7 +71,7 @@ def _table(names: tuple[str, ...], found: Iterator[tuple[float, list[float]]], s
     return Table("Condition, and what a nudge does", heads, rows, note)
 
 
-def condition(problem: solve.Problem, state: solve.State) -> float:
+def condition(problem: mechanics.Problem, state: mechanics.State) -> float:
     """Condition number of the stiffness at a state."""
     import scipy.sparse as sp
     from scipy.sparse.linalg import LinearOperator, eigsh

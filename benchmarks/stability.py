@@ -11,11 +11,12 @@ import numpy as np
 from benchmarks.cases import CASES, PLAIN, RANDOM, random
 from benchmarks.reference_runs import row_of, solve_frames
 from benchmarks.results_page import Cell, Level, Result, Say, Table, columns, cores
-from tacgen import solve
-from tacgen.contact.barrier import Pose
+from tacgen import mechanics
 from tacgen.errors import UserError
 from tacgen.fem.elements import HEX_CORNERS
-from tacgen.scene import mesh, scene
+from tacgen.geometry.pose import Pose
+from tacgen.mechanics import mesh
+from tacgen.recipe import scene_of_row
 
 Array = np.ndarray
 ABOUT = (
@@ -74,8 +75,8 @@ def measure(name: str, sets: Sequence[str]) -> Outcome:
             if any("{folder}" in text for text in sets):
                 _write_meshes(Path(folder))
             filled = [text.replace("{folder}", folder) for text in (*PLAIN, *sets)]
-            made = scene.build(row_of(tuple(filled)))
-        problem = solve.Problem.of(made, mesh.of(made))
+            made = scene_of_row.build(row_of(tuple(filled)))
+        problem = mechanics.Problem.of(made, mesh.of(made))
     except UserError as error:
         return Outcome(name, "refused", error.lines[0], seconds=time.process_time() - started)
     solved = solve_frames(made, problem)
@@ -107,7 +108,7 @@ def _write_meshes(folder: Path) -> None:
     creation.box((0.4, 8.0, 4.0)).export(folder / "blade.obj")
 
 
-def overlap(problem: solve.Problem, state: solve.State, fine: int = 5) -> float:
+def overlap(problem: mechanics.Problem, state: mechanics.State, fine: int = 5) -> float:
     """Largest penetration of the gel into the shrunk indenter [mm], at fine^3 points of each hex around it.
 
     Contact acts at points of the face; thin features could pass between them unnoticed.

@@ -9,9 +9,11 @@ import numpy as np
 from benchmarks.cases import CASES, PLAIN, RANDOM, Sets, random
 from benchmarks.reference_runs import row_of, solve_frames
 from benchmarks.results_page import Cell, Level, Say, Table, columns, cores
-from tacgen import solve
+from tacgen import mechanics
 from tacgen.geometry.pose import along, shortest_turn
-from tacgen.scene import mesh, scene
+from tacgen.mechanics import mesh
+from tacgen.mechanics.scene import Scene
+from tacgen.recipe import scene_of_row
 
 Array = np.ndarray
 FINER = 4  # frames of the compared path for each frame
@@ -40,7 +42,7 @@ def table(level: Level, say: Say) -> Table:
         return _table(list(ways), every(error, ways.values()), say)
 
 
-def finer(made: scene.Scene, times: int) -> scene.Scene:
+def finer(made: Scene, times: int) -> Scene:
     """The same path with `times` frames for each; every `times`-th is the same pose."""
     ways = list(pairwise([made.start, *made.poses]))
     turns = [shortest_turn(a, b) for a, b in ways] if made.turns is None else made.turns
@@ -51,9 +53,9 @@ def finer(made: scene.Scene, times: int) -> scene.Scene:
 
 def error(sets: Sets) -> tuple[Array, Array, float, float]:
     """Forces of the frames (n, 3), those of short frames at the same poses (m, 3), and processor seconds of both."""
-    made = scene.build(row_of((*PLAIN, *sets)))
+    made = scene_of_row.build(row_of((*PLAIN, *sets)))
     both = (made, finer(made, FINER))
-    long, short = (solve_frames(way, solve.Problem.of(way, mesh.of(way))) for way in both)
+    long, short = (solve_frames(way, mechanics.Problem.of(way, mesh.of(way))) for way in both)
     return long.forces, short.forces[FINER - 1 :: FINER], long.seconds, short.seconds
 
 

@@ -16,15 +16,14 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUM
 import numpy as np
 from scipy.optimize import least_squares
 
-from tacgen import solve
+from tacgen import mechanics
 from tacgen.labels import fots_markers
 from tacgen.labels.gel_surface import seen
+from tacgen.mechanics import mesh, presolve
 from tacgen.optics.camera import Camera
 from tacgen.optics.coating import centers
-from tacgen.recipe import assets, plan
+from tacgen.recipe import assets, plan, scene_of_row
 from tacgen.recipe.markers import Motion
-from tacgen.scene import mesh, scene
-from tacgen.solve import presolve
 
 MOVES = "[{press: {depth_mm: 0.8, frames: 3}}, {slide: {x_mm: 1.2, y_mm: 0.4, frames: 4}}, {release: {frames: 1}}, "
 MOVES += "{press: {depth_mm: 0.8, frames: 1}}, {twist: {angle_deg: 30, frames: 4}}]"
@@ -40,11 +39,11 @@ class Shown:
         sets = (f"sensor={sensor}", f"indenter={indenter}", f"trajectory={MOVES}", "outputs=[markers]")
         row = plan.load(assets.recipe_path("quickstart"), (*sets, f"quality={quality}")).rows[0]
         assert row.sensor.markers is not None
-        built = presolve.presolved(scene.build(row))
-        problem = solve.Problem.of(built, mesh.of(built))
+        built = presolve.presolved(scene_of_row.build(row))
+        problem = mechanics.Problem.of(built, mesh.of(built))
         face, self.rest = seen(problem.mesh, len(row.sensor.gel.clear_layers)), centers(row.sensor.markers)
         self.gel, self.shape, self.camera = row.sensor.gel, problem.contact.shape, Camera.from_sensor(row.sensor)
-        states = list(solve.states(built, problem))
+        states = list(mechanics.states(built, problem))
         self.poses = [state.pose for state in states]
         still = self.camera.project(face.at(self.rest))
         self.moved = np.array([self.camera.project(face.moved(state.x).at(self.rest)) - still for state in states])

@@ -19,12 +19,14 @@ import numpy as np
 
 from benchmarks.draws import drawn
 from benchmarks.reference_runs import row_of
-from tacgen import solve
+from tacgen import mechanics
 from tacgen.fem.materials import Law
 from tacgen.labels.uncertainty import Sensitivities
+from tacgen.mechanics import mesh
+from tacgen.mechanics.scene import Scene
+from tacgen.recipe import scene_of_row
 from tacgen.recipe.model import Uncertainty
 from tacgen.recipe.plan import Row
-from tacgen.scene import mesh, scene
 
 Array = np.ndarray
 GOAL = 0.01
@@ -32,7 +34,7 @@ LEAST = 1e-4  # change of a force by one standard deviation, over the force, bel
 DEVIATIONS = {"modulus": 0.1, "poissons_ratio": 0.003, "friction": 0.1, "depth": 0.02}
 ALL = {"material": {"modulus": 0.1, "poissons_ratio": 0.003, "friction": 0.1}, "pose": {"depth_mm": 0.02}}
 # at 1e-4 and 1e-7 differences by Poisson's ratio were up to 35 % off, where it is 0.4995
-EXACT = replace(solve.DEFAULT, step_tol=1e-6, residual_tol=1e-10)
+EXACT = replace(mechanics.DEFAULT, step_tol=1e-6, residual_tol=1e-10)
 STEPS = {"modulus": 1e-3, "poissons_ratio": 5e-5, "friction": 1e-3, "depth": 5e-4}  # depth [mm], others [-]
 
 
@@ -41,17 +43,17 @@ class Case:
     """A scene and its mesh, and the recipe's row that it was made from."""
 
     row: Row
-    built: scene.Scene
+    built: Scene
     on: mesh.Mesh
 
     @classmethod
     def of(cls, index: int) -> "Case":
         draw = drawn(index)
         row = row_of(("outputs=[force]", f"sensor={draw.sensor}", *draw.sets, "quality=draft"))
-        built = scene.build(row)
+        built = scene_of_row.build(row)
         return cls(row, built, mesh.of(built))
 
-    def changed(self, name: str, by: float) -> scene.Scene:
+    def changed(self, name: str, by: float) -> Scene:
         """The scene with another input; modulus: relative."""
         if name == "friction":
             return replace(self.built, friction=self.built.friction + by)
@@ -64,13 +66,13 @@ class Case:
             layers = tuple(replace(one, youngs_modulus=(1 + by) * one.youngs_modulus) for one in layers)
         return replace(self.built, gel=replace(self.built.gel, layers=layers))
 
-    def forces(self, built: scene.Scene) -> tuple[Array, list[int]]:
+    def forces(self, built: Scene) -> tuple[Array, list[int]]:
         """Of all frames (n, 3), with tight tolerances, and the load steps of each frame."""
-        problem = solve.Problem.of(built, self.on, EXACT)
+        problem = mechanics.Problem.of(built, self.on, EXACT)
         problem.tangent.followed = (
             True  # new points are predicted by the same tangent as where derivatives are asked for
         )
-        states = list(solve.states(built, problem))
+        states = list(mechanics.states(built, problem))
         return np.array([s.traction_force.sum((0, 1)) for s in states]), [s.substeps for s in states]
 
 
@@ -81,18 +83,20 @@ def _law(layer: object, name: str, by: float) -> Law:
         new = {key: (1 + by) * getattr(layer, key) for key in moduli if getattr(layer, key) is not None}
     else:
         new = {name: getattr(layer, name) + by}
-    return scene.law_of(layer.model_copy(update=new))
+    return scene_of_row.law_of(layer.model_copy(update=new))
 
 
-def labels(case: Case, options: solve.SolverOptions = solve.DEFAULT) -> tuple[dict[str, Array], float, float, int]:
+def labels(
+    case: Case, options: mechanics.SolverOptions = mechanics.DEFAULT
+) -> tuple[dict[str, Array], float, float, int]:
     """Derivatives (n, 3) by input, processor seconds without and with them, and damped Newton steps."""
-    problem, found = solve.Problem.of(case.built, case.on, options), dict[str, list[Array]]()
+    problem, found = mechanics.Problem.of(case.built, case.on, options), dict[str, list[Array]]()
     begun = time.process_time()
-    damped = sum(state.damped for state in solve.states(case.built, problem))
-    plain, problem = time.process_time() - begun, solve.Problem.of(case.built, case.on, options)
+    damped = sum(state.damped for state in mechanics.states(case.built, problem))
+    plain, problem = time.process_time() - begun, mechanics.Problem.of(case.built, case.on, options)
     follow = Sensitivities(problem, Uncertainty.model_validate(ALL), case.row.sensor.gel)
     begun = time.process_time()
-    for state in solve.states(case.built, problem):
+    for state in mechanics.states(case.built, problem):
         for one in follow.at(state):
             found.setdefault(one.name, []).append(one.force)
     whole = time.process_time() - begun
@@ -124,7 +128,12 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--tight", action="store_true")
     asked = parser.parse_args()
-    options, every, ratios, index = EXACT if asked.tight else solve.DEFAULT, dict[str, list[Array]](), [], asked.first
+    options, every, ratios, index = (
+        EXACT if asked.tight else mechanics.DEFAULT,
+        dict[str, list[Array]](),
+        [],
+        asked.first,
+    )
     labels(Case.of(8))  # compile
     while len(ratios) < asked.scenes:
         case, index = Case.of(index), index + 1

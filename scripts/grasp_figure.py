@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from tacgen.bundle.bundle import Bundle, read
-from tacgen.contact.barrier import Pose
+from tacgen.geometry.pose import Pose
 from tacgen.recipe.indenters import analytic
 from tacgen.recipe.model import Recipe
 

@@ -167,8 +167,7 @@ def status(
 @app.command()
 def validate(file: RecipeFile, sets: Sets = None) -> None:
     """Check a recipe with its sensor and all its scenes, or a sensor file."""
-    from tacgen.recipe import assets, checks, loading, yaml_source
-    from tacgen.scene import approach
+    from tacgen.recipe import approach, assets, checks, loading, yaml_source
 
     path = assets.recipe_path(file)
     data = yaml_source.load(path).data

@@ -30,7 +30,7 @@ from numba.core.serialize import dumps
 
 from tacgen import array_cache, atomic_file
 
-PACKAGES = ("fem", "optics", "geometry", "contact")  # with compiled functions; they use no other package's constants
+PACKAGES = ("fem", "optics", "geometry", "mechanics")  # with compiled functions; they use no other package's constants
 WAIT_S = 0.1  # interval at which a waiting process checks whether another has finished [s]
 F = TypeVar("F", bound=Callable[..., Any])
 pickled: Callable[[Any], bytes] = dumps

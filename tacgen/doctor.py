@@ -60,7 +60,7 @@ def _packages() -> Iterator[Finding]:
 
 
 def _solvers() -> Iterator[Finding]:
-    from tacgen.solve import linear_solvers as linear
+    from tacgen.mechanics import linear_solvers as linear
 
     names = linear.available()
     yield Finding("linear solvers", bool(names), ", ".join(names) or "none can be imported")

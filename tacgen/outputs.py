@@ -13,23 +13,24 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from tacgen.contact.barrier import Contact, Pose
-from tacgen.contact.tunnelling import overlap
 from tacgen.errors import UserError
+from tacgen.geometry.pose import Pose
 from tacgen.labels import gel_surface
+from tacgen.mechanics import Problem, State
+from tacgen.mechanics.barrier import Contact
+from tacgen.mechanics.tunnelling import overlap
 from tacgen.recipe.plan import Row
-from tacgen.solve import Problem, State
 
 if TYPE_CHECKING:
     from tacgen.labels.camera_maps import View
     from tacgen.labels.contact_maps import Maps, Shares
     from tacgen.labels.stress import Stress, Stresses
     from tacgen.labels.uncertainty import Sensitivities
+    from tacgen.mechanics.grasp_balance import Held
     from tacgen.optics.camera import Camera
     from tacgen.optics.material_flow import Flow
     from tacgen.optics.surface_grid import Sheet
     from tacgen.render.pictures import Pictures
-    from tacgen.solve.grasp import Held
 
 Array = np.ndarray
 Datasets = dict[str, Any]  # by their paths in the bundle

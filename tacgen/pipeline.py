@@ -11,17 +11,18 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from tacgen import array_cache, atomic_file, compiled, solve
+from tacgen import array_cache, atomic_file, compiled, mechanics
 from tacgen.bundle import bundle, resume
 from tacgen.bundle.check import NO_CONTACT
 from tacgen.bundle.resume import SceneResult
 from tacgen.bundle.schema import finite_problem
+from tacgen.mechanics import mesh, presolve
+from tacgen.mechanics.scene import Scene
 from tacgen.outputs import OUTPUTS, Datasets, FrameData, SceneData, of_grasp
+from tacgen.recipe import approach, scene_of_row
 from tacgen.recipe.checks import notes
 from tacgen.recipe.model import IMAGES
 from tacgen.recipe.plan import Row
-from tacgen.scene import approach, mesh, scene
-from tacgen.solve import presolve
 
 MIN_EDGES = 3  # an indenter's smallest radius should be at least so many edges of the mesh
 # largest error of a force over edge/thickness [-]: of indenters and, above it, of tips narrower than an edge
@@ -76,7 +77,7 @@ def _finite(found: Datasets) -> Datasets:
     return found
 
 
-def _attributes(built: scene.Scene, shared: SceneData, clock: Clock) -> dict[str, Any]:
+def _attributes(built: Scene, shared: SceneData, clock: Clock) -> dict[str, Any]:
     from importlib.metadata import version
 
     row, problem = shared.row, shared.problem
@@ -123,11 +124,11 @@ def _resolution_note(radius: float, edge: float, thickness: float, formulation: 
     )
 
 
-def _cost_note(built: scene.Scene) -> str:
+def _cost_note(built: Scene) -> str:
     """A note where much of the face is in contact at once, or ""; the contact's unknowns are solved for as one dense
     system. At most LOOKS of the frames are looked at."""
 
-    def area(at: scene.Scene) -> float:
+    def area(at: Scene) -> float:
         return len(mesh.touched(at)) * (at.edge / mesh.FACE_STEPS) ** 2
 
     most = MANY_UNKNOWNS * built.edge**2 / 3
@@ -173,7 +174,7 @@ def _make(row: Row, path: Path, on_event: OnEvent | None) -> SceneResult:
     clock = Clock()
     with compiled.telling(tell), array_cache.telling(tell_tracing):
         with clock.stage("start"), compiled.once("solve"):
-            solve.warm()  # every BLAS is loaded by now: a limit does not reach those that come later
+            mechanics.warm()  # every BLAS is loaded by now: a limit does not reach those that come later
         with threadpool_limits(1, user_api="blas"):
             return _made(row, path, on_event, clock)
 
@@ -183,11 +184,11 @@ class Gel:
     """One gel of a scene, of which a bundle is made: the only one, or a finger's of a grasp."""
 
     row: Row
-    scene: scene.Scene
-    problem: solve.Problem
+    scene: Scene
+    problem: mechanics.Problem
 
 
-Found = tuple[tuple[solve.State, Datasets], ...]  # of a frame: each gel's state, and what else its bundle says
+Found = tuple[tuple[mechanics.State, Datasets], ...]  # of a frame: each gel's state, and what else its bundle says
 
 
 def _gels(row: Row, clock: Clock) -> tuple[tuple[Gel, ...], Iterator[Found]]:
@@ -195,20 +196,20 @@ def _gels(row: Row, clock: Clock) -> tuple[tuple[Gel, ...], Iterator[Found]]:
     if row.other is not None:
         return _grasped(row, clock)
     with clock.stage("mesh"):
-        built = scene.build(row)
+        built = scene_of_row.build(row)
     if built.forced is not None:
         with clock.stage("presolve"):
             built = presolve.presolved(built)
     with clock.stage("mesh"):
-        gel = Gel(row, built, solve.Problem.of(built, mesh.of(built)))
-    states = solve.states(built, gel.problem, tol=None if row.pair is None else MATCHED)
+        gel = Gel(row, built, mechanics.Problem.of(built, mesh.of(built)))
+    states = mechanics.states(built, gel.problem, tol=None if row.pair is None else MATCHED)
     return (gel,), (((state, {}),) for state in states)
 
 
 def _grasped(row: Row, clock: Clock) -> tuple[tuple[Gel, ...], Iterator[Found]]:
     """The same of a grasp."""
-    from tacgen.scene import grasp as two_fingers
-    from tacgen.solve import grasp as holding
+    from tacgen.mechanics import grasp_balance as holding
+    from tacgen.recipe import grasp_of_row as two_fingers
 
     with clock.stage("mesh"):
         grasp = two_fingers.build(row)
@@ -231,7 +232,7 @@ class Recorder:
         asked: set[str] = {"force", *gel.row.recipe.outputs} | (
             {"uncertainty"} if gel.row.recipe.uncertainty else set()
         )
-        self.before: solve.State | None = None
+        self.before: mechanics.State | None = None
         self.shared = SceneData(gel.row, gel.problem)
         if asked & IMAGES:
             with clock.stage("render"), compiled.once(_camera(gel.row)):
@@ -267,7 +268,7 @@ class Recorder:
         self._tell(late)
         self.writer.finish("rejected" if reason else "ok", reason, late)
 
-    def labelled(self, state: solve.State, more: Datasets) -> Datasets:
+    def labelled(self, state: mechanics.State, more: Datasets) -> Datasets:
         """The datasets of a frame. Raises Rejected: a label is not finite."""
         frame = _finite(_datasets(self.of_frame, FrameData(self.shared, state, self.before), self.clock) | more)
         self.before, self.touched = state, self.touched or bool(frame["/frames/force"].any())
@@ -300,7 +301,7 @@ def _made(row: Row, path: Path, on_event: OnEvent | None, clock: Clock) -> Scene
                 labelled = [recorder.labelled(*each) for recorder, each in zip(recorders, found, strict=True)]
                 for recorder, frame in zip(recorders, labelled, strict=True):
                     recorder.append(frame)
-            except (solve.NotConverged, Rejected) as error:
+            except (mechanics.NotConverged, Rejected) as error:
                 reason = f"frame {done + 1} of {row.frames}: {error}"
                 break
             done += 1
@@ -325,8 +326,8 @@ def compile_pictures(row: Row, folder: Path, **_: Any) -> None:
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(1, user_api="blas"), compiled.once(_camera(row)):
-        built = scene.build(row)
-        shared = SceneData(row, solve.Problem.of(built, mesh.of(built)))
+        built = scene_of_row.build(row)
+        shared = SceneData(row, mechanics.Problem.of(built, mesh.of(built)))
         dented = shared.problem.mesh.points.copy()
         dented[:, 2] -= DENT * np.exp(-np.square(dented).sum(1))
         shared.pictures.radiance(shared.printed.moved(dented))

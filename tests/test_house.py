@@ -14,19 +14,17 @@ PACKAGE = ROOT / "tacgen"
 LAYERS = [
     "errors",
     "regular_file",
-    "csv_table",
     "atomic_file",
     "output_file",
     "terminal",
+    "csv_table",
     "array_cache",
     "compiled",
     "fem",
     "optics",
     "geometry",
-    "contact",
+    "mechanics",
     "recipe",
-    "scene",
-    "solve",
     "labels",
     "render",
     "outputs",
@@ -61,14 +59,14 @@ HOMES = {
     },
     "mpl_toolkits": {"report.bundle_figure"},
     "h5py": {"bundle.bundle", "bundle.hdf5_file", "doctor", "export.vtkhdf", "export.univtac", "bundle.pack", "torch"},
-    "cvxopt": {"solve.linear_solvers"},
-    "pymetis": {"solve.linear_solvers"},
+    "cvxopt": {"mechanics.linear_solvers"},
+    "pymetis": {"mechanics.linear_solvers"},
     "ruamel": {"recipe.yaml_source"},
     "trimesh": {"geometry.mesh_import"},
     "igl": {"geometry.mesh_import"},
     "pymeshlab": {"geometry.mesh_import"},
-    "pytetwild": {"scene.ftetwild"},
-    "ipctk": {"contact.ipctk"},
+    "pytetwild": {"mechanics.ftetwild"},
+    "ipctk": {"mechanics.ipctk"},
     "platformdirs": {"array_cache"},
     "threadpoolctl": {"pipeline"},
     "rich": {"report.progress"},
@@ -227,16 +225,16 @@ def test_reading_recipes_imports_no_numerics(args: tuple[str, ...]):
 
 
 def test_a_scene_without_mesh_contact_does_not_import_ipctk():
-    assert "ipctk" not in loaded_by("import tacgen.pipeline, tacgen.contact.ipctk")
+    assert "ipctk" not in loaded_by("import tacgen.pipeline, tacgen.mechanics.ipctk")
 
 
 def test_the_check_sees_a_bad_import(tmp_path: Path):
     bad = tmp_path / "bad.py"
     bad.write_text("import mitsuba\ndef f():\n    from tacgen import cli\n    import h5py\n")
     assert imports(bad) == [("mitsuba", True), ("tacgen.cli", False), ("h5py", False)]
-    bad.write_text("from tacgen.solve import State, states, presolve\nfrom tacgen import __version__\n")
-    assert imports(bad) == [("tacgen.solve", True), ("tacgen.solve.presolve", True), ("tacgen", True)]
-    assert [layer(module) for module, _ in imports(bad)] == ["solve", "solve", ""]
+    bad.write_text("from tacgen.mechanics import State, states, presolve\nfrom tacgen import __version__\n")
+    assert imports(bad) == [("tacgen.mechanics", True), ("tacgen.mechanics.presolve", True), ("tacgen", True)]
+    assert [layer(module) for module, _ in imports(bad)] == ["mechanics", "mechanics", ""]
 
 
 def test_every_layer_is_there() -> None:

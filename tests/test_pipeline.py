@@ -17,17 +17,16 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from tacgen import outputs, pipeline, solve
+from tacgen import mechanics, outputs, pipeline
 from tacgen.bundle import bundle
 from tacgen.bundle.check import check
 from tacgen.errors import UserError
+from tacgen.mechanics import load_stepping, mesh
+from tacgen.mechanics.condensation import Condensation
 from tacgen.outputs import OUTPUTS as TABLE
-from tacgen.recipe import assets, plan
+from tacgen.recipe import assets, plan, scene_of_row
 from tacgen.recipe.model import OUTPUTS
 from tacgen.render.images import Renderer
-from tacgen.scene import mesh, scene
-from tacgen.solve import load_stepping
-from tacgen.solve.condensation import Condensation
 
 ROOT = Path(__file__).parent.parent
 RECIPE = """
@@ -197,7 +196,7 @@ def test_a_scene_leaves_nothing_behind(recipe: Path, tmp_path: Path, monkeypatch
 
         monkeypatch.setattr(kind, method, of if method == "__init__" else staticmethod(of))
 
-    remembered(solve.Problem, "of")
+    remembered(mechanics.Problem, "of")
     for kind in (outputs.SceneData, Condensation, Renderer):
         remembered(kind, "__init__")
     gc.collect()
@@ -266,7 +265,7 @@ def test_a_frame_that_does_not_converge_is_recorded_and_not_shipped(
 
     def fail_late(problem, history, matrix, index, duration):  # type: ignore[no-untyped-def]
         if index == 2:
-            raise solve.NotConverged("made to fail")
+            raise mechanics.NotConverged("made to fail")
         return usual(problem, history, matrix, index, duration)
 
     monkeypatch.setattr(load_stepping, "equilibrium", fail_late)
@@ -353,12 +352,12 @@ def test_forces_on_coarse_meshes_are_within_the_notes_bounds(
 
 
 def test_a_contact_of_thousands_of_unknowns_is_told_before_it_is_solved() -> None:
-    flat = scene.build(plan.load(assets.recipe_path("quickstart"), FLAT).rows[0])
+    flat = scene_of_row.build(plan.load(assets.recipe_path("quickstart"), FLAT).rows[0])
     said = r"contact has about 4500 unknowns, since 538 mm\^2 of the face .* 0.6 mm: a frame takes about \d\d s"
     assert re.match(said, pipeline._cost_note(flat))
     way = "trajectory=[{press: {depth_mm: 1, frames: 1}}, {slide: {x_mm: 7, frames: 9}}]"
     sets = [way, "start.x_mm=-4", "quality={edge_mm: 0.2}"]
-    ball = scene.build(plan.load(assets.recipe_path("quickstart"), sets).rows[0])
+    ball = scene_of_row.build(plan.load(assets.recipe_path("quickstart"), sets).rows[0])
     assert 3 * len(mesh.touched(ball)) / mesh.FACE_STEPS**2 > pipeline.MANY_UNKNOWNS  # but not at once
     assert not pipeline._cost_note(ball)
 

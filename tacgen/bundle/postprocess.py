@@ -107,7 +107,7 @@ def strain_energy(bundle: Bundle, frame: int) -> Array:
     Raises:
         UserError: the bundle does not hold its sensor.
     """
-    from tacgen.scene.scene import law_of
+    from tacgen.recipe.scene_of_row import law_of
 
     sensor = bundle.sensor
     points, cells, layer = bundle["/mesh/points"], bundle["/mesh/cells"], bundle["/mesh/layer"]

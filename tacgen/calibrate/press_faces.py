@@ -6,20 +6,19 @@ from pathlib import Path
 
 import numpy as np
 
-from tacgen import solve
+from tacgen import mechanics
 from tacgen.calibrate import press_depths
 from tacgen.calibrate.photos import Photos, Press
 from tacgen.errors import UserError
 from tacgen.labels import gel_surface
+from tacgen.mechanics import mesh, presolve
 from tacgen.optics.camera import Camera
 from tacgen.optics.hertz_dent import BallDent
 from tacgen.optics.surface_grid import Surface, Untouched
-from tacgen.recipe import plan
+from tacgen.recipe import plan, scene_of_row
 from tacgen.recipe.model import Recipe
 from tacgen.recipe.sensor import LitSensor
 from tacgen.recipe.yaml_source import KeyPath
-from tacgen.scene import mesh, scene
-from tacgen.solve import presolve
 
 
 def check(sensor: LitSensor, photos: Photos, deeper: float = 1.0) -> None:
@@ -63,17 +62,17 @@ def solved(
     try:
         (row,) = plan.expand(Recipe.model_validate(recipe), sensor).rows
         return list(faces(replace(row, folders={**row.folders, **folders})))[1:]
-    except (UserError, solve.NotConverged) as error:
+    except (UserError, mechanics.NotConverged) as error:
         raise UserError(f"{press.name}: cannot be solved: {line}" for line in str(error).splitlines()) from None
 
 
 def faces(row: plan.Row) -> Iterator[gel_surface.Surface]:
     """The face seen by the camera: untouched, then in each frame of a scene. No bundle is written."""
-    built = presolve.presolved(scene.build(row))
-    problem = solve.Problem.of(built, mesh.of(built))
+    built = presolve.presolved(scene_of_row.build(row))
+    problem = mechanics.Problem.of(built, mesh.of(built))
     untouched = gel_surface.seen(problem.mesh, len(row.sensor.gel.clear_layers))
     yield untouched
-    for state in solve.states(built, problem):
+    for state in mechanics.states(built, problem):
         yield untouched.pressed(problem, state)
 
 

@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
-from tacgen import csv_table, solve
+from tacgen import csv_table, mechanics
 from tacgen.errors import UserError
+from tacgen.mechanics import mesh, presolve
+from tacgen.recipe import scene_of_row
 from tacgen.recipe.plan import Row
 from tacgen.recipe.trajectory import Press, Segment
-from tacgen.scene import mesh, scene
-from tacgen.solve import presolve
 
 Array = np.ndarray
 LEAST = 3  # rows of a table at least
@@ -65,12 +65,12 @@ def solved(row: Row, depths: Array) -> Array:
     """
     presses = tuple(Segment(press=Press(depth_mm=float(depth), frames=1)) for depth in depths)
     recipe = row.recipe.model_copy(update={"trajectory": presses, "dynamics": None})
-    built = presolve.presolved(scene.build(replace(row, recipe=recipe)))
-    problem = solve.Problem.of(built, mesh.of(built))
+    built = presolve.presolved(scene_of_row.build(replace(row, recipe=recipe)))
+    problem = mechanics.Problem.of(built, mesh.of(built))
     forces: list[float] = []
     try:
-        forces.extend(solve.normal_force(state) for state in solve.states(built, problem))
-    except solve.NotConverged as error:
+        forces.extend(mechanics.normal_force(state) for state in mechanics.states(built, problem))
+    except mechanics.NotConverged as error:
         raise UserError(f"{row.recipe.name}: at a depth of {depths[len(forces)]:.3g} mm: {error}") from None
     return np.array(forces)
 

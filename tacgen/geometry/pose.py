@@ -1,6 +1,7 @@
 """Poses as matrices: rotations about an axis, and interpolation between poses."""
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -46,3 +47,33 @@ def between(a: Array, b: Array, turn: Array, part: float) -> Array:
 def along(a: Array, b: Array, turn: Array, n: int) -> list[Array]:
     """The n poses (4, 4) after each of n equal steps from a to b; the last is b itself."""
     return [between(a, b, turn, k / n) for k in range(1, n + 1)]
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Pose of the indenter: x = rotation @ X + position maps its own frame to the sensor frame.
+
+    Not scipy's RigidTransform, whose `apply` takes six times as long: 980 instead of 150 us for 20 000 points, in
+    every Newton iteration.
+    """
+
+    rotation: Array
+    position: Array
+
+    @classmethod
+    def of(cls, matrix: Array) -> "Pose":
+        """From a homogeneous (4, 4) matrix."""
+        return cls(matrix[:3, :3], matrix[:3, 3])
+
+    def local(self, x: Array) -> Array:
+        """Points (..., 3) in the indenter's frame."""
+        return np.asarray((x - self.position) @ self.rotation)
+
+    def world(self, X: Array) -> Array:
+        """Points (..., 3) of the indenter's frame in the sensor's."""
+        return np.asarray(X @ self.rotation.T + self.position)
+
+    def toward(self, other: "Pose", part: float) -> "Pose":
+        """The pose at a part of the way to another one: linear in position, constant rate of rotation."""
+        turned = about(shortest_turn(self.rotation, other.rotation), part)
+        return Pose(turned @ self.rotation, (1 - part) * self.position + part * other.position)

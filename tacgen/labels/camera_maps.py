@@ -4,8 +4,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tacgen.contact.barrier import Pose
 from tacgen.geometry.analytic_sdf import Shape
+from tacgen.geometry.pose import Pose
 from tacgen.labels.gel_surface import Surface
 from tacgen.optics.drawn_face import DrawnFace
 from tacgen.optics.surface_grid import unit

@@ -16,9 +16,9 @@ from tacgen.fem.elements import (
 )
 from tacgen.fem.elements import triangles as pieces
 from tacgen.labels.gel_surface import Surface
+from tacgen.mechanics import Problem, State
 from tacgen.optics.rasterize import hits
 from tacgen.optics.surface_grid import unit
-from tacgen.solve import Problem, State
 
 if TYPE_CHECKING:
     from tacgen.optics.camera import Camera

@@ -19,7 +19,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from tacgen.labels.contact_maps import Maps
-    from tacgen.solve import Problem, State
+    from tacgen.mechanics import Problem, State
 
 Array = np.ndarray
 MODES = ("apart", "touching", "sticking", "partly slipping", "sliding", "turning", "releasing")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tacgen.contact.barrier import Pose
+from tacgen.geometry.pose import Pose
 from tacgen.optics.surface_grid import Sheet, Untouched
 
 if TYPE_CHECKING:

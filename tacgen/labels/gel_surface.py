@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tacgen.contact.barrier import Pose
 from tacgen.geometry.analytic_sdf import Shape
 from tacgen.geometry.clough_tocher import CloughTocher
-from tacgen.solve import Problem, State
+from tacgen.geometry.pose import Pose
+from tacgen.mechanics import Problem, State
 
 if TYPE_CHECKING:
-    from tacgen.scene.mesh import Mesh
+    from tacgen.mechanics.mesh import Mesh
 
 Array = np.ndarray
 MIN_EDGES = 3  # indenter's smallest radius over the element edge, from which the face follows the indenter [-]

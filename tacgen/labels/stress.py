@@ -10,12 +10,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tacgen.contact.barrier import Faces
 from tacgen.fem import assembly
 from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import facet_areas, facet_points
 from tacgen.fem.stress_recovery import FULL, Recovery
-from tacgen.solve import Problem, State
+from tacgen.mechanics import Problem, State
+from tacgen.mechanics.barrier import Faces
 
 Array = np.ndarray
 VOIGT = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))  # xx yy zz yz xz xy

@@ -7,14 +7,15 @@ import numpy as np
 from scipy.ndimage import uniform_filter
 
 from tacgen.fem.materials import Law
+from tacgen.mechanics import NotConverged, Problem, State, mesh, states
+from tacgen.mechanics.presolve import presolved
+from tacgen.mechanics.scene import Scene
+from tacgen.mechanics.sensitivity import Parameter, Sensitivity
+from tacgen.recipe import scene_of_row
 from tacgen.recipe.model import Uncertainty
 from tacgen.recipe.plan import Row
+from tacgen.recipe.scene_of_row import law_of
 from tacgen.recipe.sensor import Gel
-from tacgen.scene import mesh, scene
-from tacgen.scene.scene import law_of
-from tacgen.solve import NotConverged, Problem, State, states
-from tacgen.solve.presolve import presolved
-from tacgen.solve.sensitivity import Parameter, Sensitivity
 
 Array = np.ndarray
 COARSER, ORDER = 1.5, 1.5  # edge ratio of the second mesh [-]; order of convergence, 1 to 2 for forces and maps
@@ -29,13 +30,13 @@ def on_coarser_mesh(row: Row) -> tuple[Problem, Iterator[State]]:
     Raises:
         NotConverged: a frame has no solution on that mesh.
     """
-    built = presolved(scene.build(row))
+    built = presolved(scene_of_row.build(row))
     built = replace(built, edge=COARSER * built.edge, dhat=COARSER * built.dhat)
     problem = Problem.of(built, mesh.of(built))
     return problem, _solved(built, problem)
 
 
-def _solved(built: scene.Scene, problem: Problem) -> Iterator[State]:
+def _solved(built: Scene, problem: Problem) -> Iterator[State]:
     try:
         yield from states(built, problem)
     except NotConverged as error:

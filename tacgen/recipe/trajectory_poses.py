@@ -10,12 +10,12 @@ import numpy as np
 
 from tacgen.geometry.analytic_sdf import lowest
 from tacgen.geometry.pose import about
+from tacgen.mechanics.scene import FORCE_DEPTH
 from tacgen.recipe.pose_table import Pose
 from tacgen.recipe.trajectory import Press, Release, Replay, Segment, Slide, Start, Tilt, Twist
 from tacgen.recipe.yaml_source import KeyPath
 
 Array = np.ndarray
-FORCE_DEPTH = 0.8  # largest depth in the search for a force, over the gel's thickness [-]
 GUESSED_DEPTH = 0.1  # first guess of the depth in the search for a force, over the gel's thickness [-]
 FLANK = "the indenter's flank would meet the gel before its tip"
 BASE = "the indenter's lowest point, at z = {:.4g} mm, would be at the base of the gel, or below"

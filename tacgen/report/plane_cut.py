@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tacgen.scene.tet_mesh import TET_FACES
+from tacgen.mechanics.tet_mesh import TET_FACES
 
 Array = np.ndarray
 # six tetrahedra of a hex, around its diagonal 0-6; of a quadratic tetrahedron, its corners

@@ -29,12 +29,11 @@ from benchmarks import (
     summary,
 )
 from benchmarks.cases import PLAIN
-from tacgen import solve
 from tacgen.cli import app
 from tacgen.geometry.analytic_sdf import Sphere
+from tacgen.mechanics import equilibrium
 from tacgen.optics import camera_response
-from tacgen.scene import scene
-from tacgen.solve import equilibrium
+from tacgen.recipe import scene_of_row
 
 ROOT = Path(__file__).parents[2]
 runner = CliRunner()
@@ -132,7 +131,7 @@ def test_a_kept_answer_depends_on_the_code_of_scene_solver_and_labels() -> None:
     """Each package has files there: a pattern that matches none would keep answers of an older solver."""
     names = [path.parent.name for path in reference_runs.source_files()]
     assert set(names) == {"benchmarks", *reference_runs.USED}
-    assert {Path(solve.__file__).parent.name, "fem", "contact"} <= set(names)
+    assert {Path(equilibrium.__file__).parent.name, "fem"} <= set(names)
     assert Path(equilibrium.__file__) in reference_runs.source_files()
 
 
@@ -150,7 +149,7 @@ def test_matter_inside_the_indenter_is_seen_between_nodes() -> None:
 
 
 def test_shorter_frames_come_by_where_the_long_ones_end() -> None:
-    made = scene.build(reference_runs.row_of((*PLAIN, *step_size_error.PATHS["rod twisted by 30 deg at once"])))
+    made = scene_of_row.build(reference_runs.row_of((*PLAIN, *step_size_error.PATHS["rod twisted by 30 deg at once"])))
     short = step_size_error.finer(made, 4)
     assert (short.poses[3::4] == made.poses).all()
     assert (short.segment[3::4] == made.segment).all()
@@ -262,9 +261,9 @@ def test_calculix_presses_as_it_did() -> None:
     """1.000 N by finer meshes of CalculiX 2.20."""
     from benchmarks.peers import PRESS
     from benchmarks.reference_runs import row_of
-    from tacgen.scene import scene
+    from tacgen.recipe import scene_of_row
 
-    found = calculix.press(scene.build(row_of(PRESS)).gel, 4.0, 1.0, 0.9)
+    found = calculix.press(scene_of_row.build(row_of(PRESS)).gel, 4.0, 1.0, 0.9)
     assert found.force == pytest.approx(1.0, rel=0.01)
 
 
@@ -287,7 +286,8 @@ UNASKED = {  # modules and packages that only this brings
     "rgb": {"tacgen.render.images", "tacgen.render.mitsuba_path", "tacgen.optics.strip_light", "mitsuba", "drjit"},
 }
 EVER = set().union(
-    *UNASKED.values(), {"tacgen.contact.ipctk", "ipctk", "tacgen.fem.inertia", "PyfTetWildWrapper", "PIL", "matplotlib"}
+    *UNASKED.values(),
+    {"tacgen.mechanics.ipctk", "ipctk", "tacgen.fem.inertia", "PyfTetWildWrapper", "PIL", "matplotlib"},
 )
 SMALL = ["trajectory=[{press: {depth_mm: 0.5, frames: 1}}]", "quality={edge_mm: 1.2, dhat_mm: 0.08}"]
 
@@ -313,12 +313,18 @@ def test_outputs_that_are_not_asked_for_are_not_imported(output: str) -> None:
 def test_outputs_that_are_not_asked_for_are_not_computed() -> None:
     """Modules that are loaded anyway do nothing: without friction no anchor is dragged, and no mesh is one of tets."""
     without, rubbing = (set(used("force", friction)["ran"]) for friction in (0, 0.5))
-    slips = {"tacgen.contact.friction:dragged", "tacgen.contact.friction:slip"}
+    slips = {"tacgen.mechanics.friction:dragged", "tacgen.mechanics.friction:slip"}
     assert slips <= rubbing - without
     modules = {name.partition(":")[0] for name in without}
-    assert {"tacgen.labels.gel_surface", "tacgen.solve.frames"} <= modules  # the wrench alone
-    unasked = ("geometry.sdf_grid", "labels.contact_maps", "labels.stress", "geometry.mesh_import", "scene.tet_mesh")
-    unasked += ("solve.force_control", "solve.full_newton", "solve.lagging", "solve.mesh_contact", "solve.newton")
+    assert {"tacgen.labels.gel_surface", "tacgen.mechanics.frames"} <= modules  # the wrench alone
+    unasked = (
+        "geometry.sdf_grid",
+        "labels.contact_maps",
+        "labels.stress",
+        "geometry.mesh_import",
+        "mechanics.tet_mesh",
+    )
+    unasked += tuple(f"mechanics.{n}" for n in ("force_control", "full_newton", "lagging", "mesh_contact", "newton"))
     assert modules.isdisjoint(f"tacgen.{name}" for name in unasked)
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from benchmarks import draws, ordinary, results_page, summary
 from benchmarks.reference_runs import row_of
-from tacgen import solve
+from tacgen import mechanics
 from tacgen.recipe import assets
 
 pytestmark = pytest.mark.usefixtures("own_cache")
@@ -116,13 +116,13 @@ def test_a_scene_that_takes_too_long_is_stopped_after_a_frame() -> None:
 
 
 def test_a_frame_without_a_solution_rejects_the_scene(monkeypatch: pytest.MonkeyPatch) -> None:
-    states = solve.states
+    states = mechanics.states
 
-    def ends(*args: Any) -> Iterator[solve.State]:
+    def ends(*args: Any) -> Iterator[mechanics.State]:
         yield next(states(*args))
-        raise solve.NotConverged("no solution")
+        raise mechanics.NotConverged("no solution")
 
-    monkeypatch.setattr(solve, "states", ends)
+    monkeypatch.setattr(mechanics, "states", ends)
     ended = measured()
     assert (ended.status, ended.reason, ended.frames) == ("rejected", "frame 2 of 8: no solution", 1)
 

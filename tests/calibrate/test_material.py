@@ -7,11 +7,11 @@ import pytest
 from helpers.small_recipe import HEAD
 from typer.testing import CliRunner
 
-from tacgen import cli, solve
+from tacgen import cli, mechanics
 from tacgen.calibrate import fit_material, press_forces
 from tacgen.calibrate.press_forces import Curves, Measured
-from tacgen.recipe import assets, loading, plan
-from tacgen.scene import mesh, scene
+from tacgen.mechanics import mesh
+from tacgen.recipe import assets, loading, plan, scene_of_row
 
 MODULUS = "gel.layers[0].youngs_modulus_mpa"
 DEEPEST = 1.0  # [mm]
@@ -73,8 +73,8 @@ def test_a_second_parameter_is_found_or_said_to_be_at_its_end(curves: Curves) ->
 def test_relaxation_of_a_solved_viscoelastic_gel_is_found(curves: Curves, tmp_path: Path) -> None:
     steps = "- press: {depth_mm: 0.8, frames: 6, duration_s: 0.3}\n  - hold: {frames: 10, duration_s: 2}"
     made = row(tmp_path, steps, ("sensor.gel.layers[0].prony=[{g: 0.25, tau_s: 0.5}]",))
-    built = scene.build(made)
-    forces = [solve.normal_force(s) for s in solve.states(built, solve.Problem.of(built, mesh.of(built)))]
+    built = scene_of_row.build(made)
+    forces = [mechanics.normal_force(s) for s in mechanics.states(built, mechanics.Problem.of(built, mesh.of(built)))]
     depth = np.minimum(np.arange(1, 17) * 0.8 / 6, 0.8)
     found = fit_material.fit(curves, Measured("", depth, np.array(forces), np.cumsum(built.duration)), terms=1)
     assert (found["g1"], found["tau1"]) == (pytest.approx(0.25, rel=0.03), pytest.approx(0.5, rel=0.05))

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from helpers.small import dense, patch, slope
 
-from tacgen.contact.barrier import Contact, Pose
 from tacgen.fem.elements import facet_areas, facet_corners, facet_hats, facet_points, facet_shares, triangles
 from tacgen.geometry.analytic_sdf import Sphere
+from tacgen.geometry.pose import Pose
+from tacgen.mechanics.barrier import Contact
 
 KINDS = pytest.mark.parametrize("nodes", [4, 3, 6])
 

@@ -10,8 +10,8 @@ from tacgen.fem.elements import Elements, hexes, tets
 from tacgen.fem.inertia import Body
 from tacgen.fem.materials import NeoHooke
 from tacgen.fem.potential import Total
-from tacgen.solve.linear_solvers import Cholmod
-from tacgen.solve.newton import minimise
+from tacgen.mechanics.linear_solvers import Cholmod
+from tacgen.mechanics.newton import minimise
 
 Array = np.ndarray
 LAW = NeoHooke(0.05, 0.4)

@@ -10,8 +10,8 @@ from tacgen.fem.elements import elements
 from tacgen.fem.materials import EXAMPLES, Law, NeoHooke, Stiffened
 from tacgen.fem.potential import Projection
 from tacgen.fem.viscoelasticity import Viscoelastic
-from tacgen.solve.linear_solvers import Cholmod
-from tacgen.solve.newton import minimise
+from tacgen.mechanics.linear_solvers import Cholmod
+from tacgen.mechanics.newton import minimise
 
 Array = np.ndarray
 PRONY = ((0.3, 0.1), (0.2, 2.0))

@@ -11,10 +11,10 @@ import trimesh
 
 from tacgen import pipeline
 from tacgen.bundle import bundle
-from tacgen.contact.barrier import Pose
 from tacgen.errors import UserError
-from tacgen.recipe import loading, plan
-from tacgen.scene import mesh, scene
+from tacgen.geometry.pose import Pose
+from tacgen.mechanics import mesh
+from tacgen.recipe import loading, plan, scene_of_row
 
 Array = np.ndarray
 ROOT = Path(__file__).parents[2]
@@ -86,7 +86,7 @@ pytestmark = pytest.mark.usefixtures("own_cache")
 @pytest.mark.parametrize("text", [ONE_LAYER, pytest.param(SENSOR, marks=pytest.mark.slow)], ids=["one layer", "two"])
 def test_from_a_sensor_file_to_a_bundle(text: str, tmp_path: Path) -> None:
     row = plan.load(folder(tmp_path, sensor=text)).rows[0]
-    made = scene.build(row)
+    made = scene_of_row.build(row)
     gel = made.gel
     r = np.array([0.0, 1.0, 2.9, 3.5, 5.0])
     flat, rim = 0.0, -1 + np.sqrt(1 - 0.25)
@@ -215,7 +215,7 @@ def test_slivers_in_the_file_are_not_in_the_mesh(tmp_path: Path) -> None:
     n = len(solid.vertices) + np.arange(len(solid.faces))
     faces = np.concatenate([np.stack(corners, 1) for corners in ((a, b, n), (b, c, n), (c, a, n))])
     trimesh.Trimesh(points, faces, process=False).export(tmp_path / "sensors" / "knob.stl")
-    made = scene.build(plan.load(recipe).rows[0])
+    made = scene_of_row.build(plan.load(recipe).rows[0])
     assert len(made.gel.solid.triangles) > 2.5 * len(solid.faces)
     grid = mesh.of(made)
     said = mesh.quality(made.gel, grid)
@@ -236,7 +236,7 @@ def test_a_varied_depth_and_a_sensor_override(tmp_path: Path) -> None:
     recipe = folder(tmp_path)
     vary = "vary={method: grid, over: {'sensor.gel.solid.coated_deg': {choice: [30, 60]}}}"
     rows = plan.load(recipe, (vary,)).rows
-    assert [scene.build(row).gel.contains(np.array([3.7]), np.array([0.0]))[0] for row in rows] == [False, True]
+    assert [scene_of_row.build(row).gel.contains(np.array([3.7]), np.array([0.0]))[0] for row in rows] == [False, True]
     assert rows[0].key != rows[1].key
 
 
@@ -280,17 +280,19 @@ def test_what_cannot_be_pressed(
 ) -> None:
     recipe = folder(tmp_path, profile)
     if says is None:  # a ledge under an overhang is no part of the face; a cone in steps is one
-        assert scene.build(plan.load(recipe, sets).rows[0]).gel.top(np.zeros(1), np.zeros(1)) == pytest.approx(0.0)
+        assert scene_of_row.build(plan.load(recipe, sets).rows[0]).gel.top(np.zeros(1), np.zeros(1)) == pytest.approx(
+            0.0
+        )
         return
     with pytest.raises(UserError) as caught:
-        scene.build(plan.load(recipe, sets).rows[0])
+        scene_of_row.build(plan.load(recipe, sets).rows[0])
     assert any(says in line for line in caught.value.lines), caught.value.lines
 
 
 def test_a_face_that_lies_over_itself_is_refused(tmp_path: Path) -> None:
     """A wave that breaks: the triangles that face up are joined by a corner and lie over each other."""
     recipe = folder(tmp_path)
-    gel = scene.build(plan.load(recipe).rows[0]).gel
+    gel = scene_of_row.build(plan.load(recipe).rows[0]).gel
     v, t = gel.solid.vertices, gel.solid.triangles
     highest, n = int(v[:, 2].argmax()), len(v)
     under = v[highest] * [0.3, 0.3, 1.0] - [[0, 0, 1.0]]
@@ -313,7 +315,7 @@ def test_digits_gel_from_its_own_file(tmp_path: Path) -> None:
     sensor = sensor.replace("width_mm: 8.0", "width_mm: 18.4").replace("height_mm: 8.0", "height_mm: 25.0")
     recipe = folder(tmp_path, sensor=sensor)
     row = plan.load(recipe, ("quality=default", "indenter.radius_mm=4", "trajectory[0].press.depth_mm=0.8")).rows[0]
-    made = scene.build(row)
+    made = scene_of_row.build(row)
     assert made.gel.thickness == pytest.approx(3.0)
     grid = mesh.of(made)
     assert len(grid.points) < 12_000

@@ -10,8 +10,7 @@ import trimesh
 from tacgen.errors import UserError
 from tacgen.geometry import mesh_import
 from tacgen.geometry.mesh_import import Solid
-from tacgen.recipe import assets, plan
-from tacgen.scene import scene
+from tacgen.recipe import assets, plan, scene_of_row
 
 Array = np.ndarray
 
@@ -295,7 +294,7 @@ def written(folder: Path, text: str = RECIPE) -> Path:
 
 def test_a_mesh_beside_the_recipe(tmp_path: Path):
     (row,) = plan.load(written(tmp_path / "a")).rows
-    shape = scene.build(row).shape
+    shape = scene_of_row.build(row).shape
     d, _, _ = shape.distance(np.array([[0, 0, -0.1], [0, 0, 3.0]]))
     assert d[0] == pytest.approx(0.1, abs=0.01)
     assert row.document()["indenter"]["file"] == "ball.stl"

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 
 from helpers.presses import Run
-from tacgen import solve
+from tacgen import mechanics
 from tacgen.fem.elements import boxes
-from tacgen.scene.mesh import Mesh, graded
-from tacgen.scene.scene import Scene
+from tacgen.mechanics.mesh import Mesh, graded
+from tacgen.mechanics.scene import Scene
 
 Array = np.ndarray
 
@@ -36,8 +36,8 @@ def run(made: Scene, grid: Mesh, mirrors: tuple[int, ...] = ()) -> Run:
     held[np.unique(grid.facets["bonded"])] = True
     for axis in mirrors:
         held[grid.points[:, axis] < 1e-9, axis] = True
-    problem = solve.Problem.of(made, grid, held=held)
-    return Run(made, problem, list(solve.states(made, problem)))
+    problem = mechanics.Problem.of(made, grid, held=held)
+    return Run(made, problem, list(mechanics.states(made, problem)))
 
 
 def rounded(grid: Mesh, radius: float) -> Mesh:

@@ -5,12 +5,13 @@ from functools import cached_property
 
 import numpy as np
 
-from tacgen import solve
+from tacgen import mechanics
 from tacgen.fem.materials import NeoHooke
 from tacgen.geometry.analytic_sdf import Shape
+from tacgen.geometry.gel import Gel, Layer
 from tacgen.labels import gel_surface
-from tacgen.scene import mesh
-from tacgen.scene.scene import Gel, Layer, Scene
+from tacgen.mechanics import mesh
+from tacgen.mechanics.scene import Scene
 
 Array = np.ndarray
 Footprint = tuple[float, float, float, float]
@@ -35,8 +36,8 @@ class Run:
     """A scene, its mesh made ready, and the states at its frames."""
 
     scene: Scene
-    problem: solve.Problem
-    states: list[solve.State]
+    problem: mechanics.Problem
+    states: list[mechanics.State]
 
     @cached_property
     def forces(self) -> Array:
@@ -54,5 +55,5 @@ def scene(shape: Shape, path: Array, *, pad: Gel | None = None, friction: float 
 def run(made: Scene, footprint: Footprint | None = None, grid: mesh.Mesh | None = None) -> Run:
     """Solve all frames, on a mesh of hexes that is fine over `footprint` or on the one given."""
     grid = grid or mesh.build(made.gel, footprint or mesh.footprint(made), made.edge)
-    problem = solve.Problem.of(made, grid)
-    return Run(made, problem, list(solve.states(made, problem)))
+    problem = mechanics.Problem.of(made, grid)
+    return Run(made, problem, list(mechanics.states(made, problem)))

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tacgen.contact.barrier import Faces
 from tacgen.fem.assembly import Pattern, pattern
 from tacgen.fem.elements import HEX_CORNERS, boxes, quadratic
 from tacgen.fem.potential import Potential, Projection
+from tacgen.mechanics.barrier import Faces
 
 Array = np.ndarray
 

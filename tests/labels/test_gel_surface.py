@@ -7,23 +7,23 @@ import pytest
 from helpers.presses import Run, gel, poses, run, scene
 from helpers.small import patch
 
-from tacgen import solve
-from tacgen.contact.barrier import Pose
-from tacgen.contact.ipctk import lattice
+from tacgen import mechanics
 from tacgen.fem.elements import facet_areas
 from tacgen.fem.materials import NeoHooke
 from tacgen.fem.stress_recovery import FULL
 from tacgen.geometry.analytic_sdf import Sphere
+from tacgen.geometry.gel import Gel, Layer
+from tacgen.geometry.pose import Pose
 from tacgen.labels import camera_maps, gel_surface
 from tacgen.labels.contact_maps import Maps, tangents
 from tacgen.labels.contact_maps import maps as maps_of
 from tacgen.labels.stress import Stresses, _Face, agreeing
+from tacgen.mechanics import mesh
+from tacgen.mechanics.ipctk import lattice
 from tacgen.optics.camera import Camera
 from tacgen.optics.surface_grid import Sheet
 from tacgen.recipe import assets, loading
 from tacgen.recipe.sensor import Sensor
-from tacgen.scene import mesh
-from tacgen.scene.scene import Gel, Layer
 
 Array = np.ndarray
 COEFFICIENT = 0.4
@@ -209,7 +209,7 @@ def test_the_stress_of_a_uniform_state_is_exact() -> None:
     pad = Gel(4.0, 4.0, layers=tuple(Layer(t, law, 0.15) for t, law in zip((1.5, 0.7), laws, strict=True)))
     made = scene(Sphere(1.0), poses([(0, 0, -0.1)]), pad=pad, edge=0.8)
     grid = mesh.build(pad, (-1, 1, -1, 1), 0.8)
-    problem = solve.Problem.of(made, grid)
+    problem = mechanics.Problem.of(made, grid)
     F = np.array([[1.2, 0.1, 0.05], [0.0, 0.9, -0.1], [0.1, 0.0, 1.05]])
     found = Stresses(problem).at(grid.points @ F.T)
     J, b = np.linalg.det(F), F @ F.T

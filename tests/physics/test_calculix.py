@@ -10,14 +10,13 @@ import numpy as np
 import pytest
 from helpers.presses import Run
 
-from tacgen import solve
+from tacgen import mechanics
 from tacgen.labels import gel_surface
 from tacgen.labels.contact_maps import Maps
 from tacgen.labels.contact_maps import maps as maps_of
+from tacgen.mechanics import mesh
 from tacgen.optics.camera import Camera
-from tacgen.recipe import loading, plan
-from tacgen.scene import mesh
-from tacgen.scene import scene as stage
+from tacgen.recipe import loading, plan, scene_of_row
 
 Array = np.ndarray
 RECIPE = """\
@@ -46,11 +45,11 @@ def resolved(folder: Path, sets: tuple[str, ...] = ()) -> plan.Row:
 
 def solved(row: plan.Row, shift: tuple[float, float] = (0.0, 0.0)) -> Run:
     """The row's frames; `shift` moves the mesh under the indenter, in parts of an edge."""
-    made = stage.build(row)
+    made = scene_of_row.build(row)
     dx, dy = (made.edge * s for s in shift)
     x0, x1, y0, y1 = mesh.footprint(made)
-    problem = solve.Problem.of(made, mesh.build(made.gel, (x0 + dx, x1 + dx, y0 + dy, y1 + dy), made.edge))
-    return Run(made, problem, list(solve.states(made, problem)))
+    problem = mechanics.Problem.of(made, mesh.build(made.gel, (x0 + dx, x1 + dx, y0 + dy, y1 + dy), made.edge))
+    return Run(made, problem, list(mechanics.states(made, problem)))
 
 
 @pytest.fixture(scope="module")

@@ -10,15 +10,14 @@ from helpers import presses
 from helpers.presses import Run, gel, poses
 from helpers.small_recipe import HEAD
 
-from tacgen import pipeline, solve
+from tacgen import mechanics, pipeline
 from tacgen.bundle import bundle
 from tacgen.bundle.check import check
 from tacgen.errors import UserError
 from tacgen.geometry.analytic_sdf import Sphere
-from tacgen.recipe import plan
-from tacgen.scene import scene
-from tacgen.scene.scene import Dynamics
-from tacgen.solve import load_stepping
+from tacgen.mechanics import load_stepping
+from tacgen.mechanics.scene import Dynamics
+from tacgen.recipe import plan, scene_of_row
 
 Array = np.ndarray
 DOWN = [(0.0, 0.0, -0.1 * k) for k in range(1, 5)]
@@ -84,7 +83,7 @@ def test_halved_steps_halve_the_time(monkeypatch: pytest.MonkeyPatch) -> None:
 
     def careful(problem, history, matrix, index, duration, near=None):  # type: ignore[no-untyped-def]
         if np.linalg.norm(matrix[:3, 3] - history.pose.position) > 0.06:
-            raise solve.NotConverged("too far")
+            raise mechanics.NotConverged("too far")
         taken.append(duration)
         return usual(problem, history, matrix, index, duration, near)
 
@@ -114,7 +113,7 @@ def recipe(folder: Path, text: str = RECIPE) -> Path:
 
 def test_a_recipe_asks_for_it_and_the_bundle_tells_the_time(tmp_path: Path) -> None:
     row = plan.load(recipe(tmp_path)).rows[0]
-    made = scene.build(row).dynamics
+    made = scene_of_row.build(row).dynamics
     assert made is not None
     assert (made.density, made.alpha, made.beta, made.longest) == (pytest.approx(1.05e-9), 5, 1e-4, 1e-3)
     found = pipeline.run_scene(row, tmp_path / "out")
@@ -132,7 +131,7 @@ def test_a_replay_keeps_its_own_time(tmp_path: Path) -> None:
     )
     moves = "  - replay: {file: poses.csv, units: mm}\n  - hold: {frames: 2, duration_s: 1}\n"
     text = RECIPE.split("  - press")[0] + moves
-    made = scene.build(plan.load(recipe(tmp_path, text)).rows[0]).duration
+    made = scene_of_row.build(plan.load(recipe(tmp_path, text)).rows[0]).duration
     assert made is not None
     assert made == pytest.approx([0.1, 0.1, 0.3, 0.5, 0.5])
 

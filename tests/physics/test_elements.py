@@ -10,8 +10,8 @@ from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import elements
 from tacgen.fem.materials import EXAMPLES, Law, NeoHooke
 from tacgen.fem.potential import Potential, Total
-from tacgen.solve.linear_solvers import Cholmod
-from tacgen.solve.newton import Solution, Status, minimise
+from tacgen.mechanics.linear_solvers import Cholmod
+from tacgen.mechanics.newton import Solution, Status, minimise
 
 Array = np.ndarray
 LAW = NeoHooke(0.05, 0.6)

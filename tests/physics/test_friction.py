@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from helpers.presses import Run, poses, run, scene
 
-from tacgen import solve
-from tacgen.contact.barrier import Pose
+from tacgen import mechanics
 from tacgen.geometry.analytic_sdf import Sphere
+from tacgen.geometry.pose import Pose
 
 Array = np.ndarray
 COEFFICIENT = 0.4
@@ -27,7 +27,7 @@ def slide() -> Run:
     return run(scene(Sphere(3.0), poses(PATH), friction=COEFFICIENT), (-3.0, 3.4, -2.4, 2.4))
 
 
-def tangential(state: solve.State) -> Array:
+def tangential(state: mechanics.State) -> Array:
     assert state.friction is not None
     return np.asarray(np.linalg.norm(state.friction, axis=-1))
 

@@ -11,9 +11,9 @@ from tacgen.bundle.check import check
 from tacgen.bundle.run_status import survey
 from tacgen.errors import UserError
 from tacgen.geometry.pose import about
+from tacgen.mechanics.grasp_balance import Held, Mode, held, problem_of
+from tacgen.recipe import grasp_of_row as two_fingers
 from tacgen.recipe import plan
-from tacgen.scene import grasp as two_fingers
-from tacgen.solve.grasp import Held, Mode, held, problem_of
 
 Array = np.ndarray
 MASS, FRICTION = 0.05, 0.6
@@ -184,7 +184,7 @@ def test_a_grasp_that_cannot_be_reached_says_so_in_both_bundles(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     row, out = planned(tmp_path, BALL, "close: {force_n: 1, frames: 2}"), tmp_path / "out"
-    monkeypatch.setattr("tacgen.solve.grasp.TRIALS", 1)
+    monkeypatch.setattr("tacgen.mechanics.grasp_balance.TRIALS", 1)
     assert pipeline.run_scene(row, out).status == "rejected"
     assert all("not found in 1 trials" in b.attrs["reason"] for b in bundles(out))
 

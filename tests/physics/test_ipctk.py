@@ -8,17 +8,16 @@ import numpy as np
 import pytest
 from helpers.presses import Run, gel, poses, scene
 
-from tacgen import pipeline, solve
+from tacgen import mechanics, pipeline
 from tacgen.bundle import bundle
-from tacgen.contact.barrier import Pose
 from tacgen.errors import UserError
 from tacgen.geometry import surface_nets
 from tacgen.geometry.analytic_sdf import Box, Shape, Sphere, Torus
+from tacgen.geometry.gel import Gel
+from tacgen.geometry.pose import Pose
 from tacgen.labels.stress import Stresses
-from tacgen.recipe import plan
-from tacgen.scene import mesh
-from tacgen.scene import scene as stage
-from tacgen.scene.scene import Gel
+from tacgen.mechanics import mesh
+from tacgen.recipe import plan, scene_of_row
 
 ipctk = pytest.importorskip("ipctk")
 Array = np.ndarray
@@ -33,8 +32,8 @@ def run(
     made = replace(scene(shape, poses(path), pad=pad, friction=friction, edge=edge), dhat=dhat)
     if formulation == "ipctk":
         made = replace(made, surface=surface_nets.of_shape(shape, half=9, height=4, tolerance=dhat / 10))
-    problem = solve.Problem.of(made, mesh.build(made.gel, (-half, half, -half, half), edge))
-    return Run(made, problem, list(solve.states(made, problem)))
+    problem = mechanics.Problem.of(made, mesh.build(made.gel, (-half, half, -half, half), edge))
+    return Run(made, problem, list(mechanics.states(made, problem)))
 
 
 def both(shape: Shape, path: Path3, **how: object) -> tuple[Run, Run]:
@@ -120,9 +119,9 @@ quality: {edge_mm: 0.8, dhat_mm: 0.05}
 @pytest.mark.parametrize("name", ["letters", "key", "gear"])
 def test_sharp_meshes_press_without_penetration(name: str, tmp_path: Path) -> None:
     (tmp_path / "r.yaml").write_text(RECIPE)
-    made = stage.build(plan.load(tmp_path / "r.yaml", (f"indenter.file={name}",)).rows[0])
-    problem = solve.Problem.of(made, mesh.build(made.gel, mesh.footprint(made), made.edge))
-    for state in solve.states(made, problem):
+    made = scene_of_row.build(plan.load(tmp_path / "r.yaml", (f"indenter.file={name}",)).rows[0])
+    problem = mechanics.Problem.of(made, mesh.build(made.gel, mesh.footprint(made), made.edge))
+    for state in mechanics.states(made, problem):
         contact = problem.contact.moved(Pose.of(state.pose), state.offset)
         assert not ipctk.has_intersections(contact.pair.collision, contact._vertices(state.x), ipctk.LBVH())
         assert state.min_gap > 0

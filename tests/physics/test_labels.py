@@ -8,17 +8,17 @@ import pytest
 from helpers.presses import Run, gel, poses, run, scene
 from scipy.spatial import cKDTree
 
-from tacgen import solve
+from tacgen import mechanics
 from tacgen.fem.materials import NeoHooke
 from tacgen.geometry.analytic_sdf import Sphere
+from tacgen.geometry.gel import Gel, Layer
 from tacgen.labels import gel_surface
 from tacgen.labels.contact_maps import maps
 from tacgen.labels.stress import Stresses
+from tacgen.mechanics import mesh
+from tacgen.mechanics.scene import Scene
 from tacgen.optics.camera import Camera, Stack
-from tacgen.recipe import plan
-from tacgen.scene import mesh
-from tacgen.scene import scene as stage
-from tacgen.scene.scene import Gel, Layer, Scene
+from tacgen.recipe import plan, scene_of_row
 
 Array = np.ndarray
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
@@ -43,12 +43,12 @@ def test_forces_stress_and_maps_agree_on_every_sensor(sensor: str, depth: float,
     """At default quality: the map sums to the force, sigma n is within 3 % of it, and Coulomb's law holds per pixel."""
     (tmp_path / "r.yaml").write_text(THREE_MOVES.format(sensor=sensor, depth=depth))
     row = plan.load(tmp_path / "r.yaml").rows[0]
-    made = stage.build(row)
-    problem = solve.Problem.of(made, mesh.build(made.gel, mesh.footprint(made), made.edge))
+    made = scene_of_row.build(row)
+    problem = mechanics.Problem.of(made, mesh.build(made.gel, mesh.footprint(made), made.edge))
     camera, stresses = Camera.from_sensor(row.sensor), Stresses(problem)
     rest = gel_surface.Surface(problem.mesh.points, problem.mesh.facets["coated"])
     slid = []
-    for state in solve.states(made, problem):
+    for state in mechanics.states(made, problem):
         force, _ = gel_surface.wrench(problem, state)
         found = maps(problem, rest.moved(state.x), state, camera)
         assert np.linalg.norm(found.force.sum((0, 1)) - force) < 1e-6 * np.linalg.norm(force)
@@ -68,7 +68,7 @@ def test_forces_stress_and_maps_agree_on_every_sensor(sensor: str, depth: float,
     assert slid[0] < 0.4 < 0.6 < slid[3]
 
 
-def quarter_solved(made: Scene, half: float) -> tuple[solve.Problem, Array, float]:
+def quarter_solved(made: Scene, half: float) -> tuple[mechanics.Problem, Array, float]:
     """A press that is even about x = 0 and y = 0, solved on a quarter: the whole mesh, positions on it, and Fz."""
     whole = mesh.build(made.gel, (-half, half, -half, half), made.edge)
     points = whole.points
@@ -81,11 +81,11 @@ def quarter_solved(made: Scene, half: float) -> tuple[solve.Problem, Array, floa
     held = np.abs(part.points) <= 1e-9
     held[:, 2] = False
     held[np.unique(facets["bonded"])] = True
-    state = list(solve.states(made, solve.Problem.of(made, part, held=held)))[-1]
+    state = list(mechanics.states(made, mechanics.Problem.of(made, part, held=held)))[-1]
     _, near = cKDTree(part.points).query(np.abs(points) * [1, 1, -1])
     x = points + (state.x - part.points)[near] * np.where(points < 0, -1, 1) * [1, 1, 0]
     x[:, 2] = state.x[near, 2]
-    return solve.Problem.of(made, whole), x, 4 * float(state.traction_force[..., 2].sum())
+    return mechanics.Problem.of(made, whole), x, 4 * float(state.traction_force[..., 2].sum())
 
 
 @pytest.mark.parametrize("nu", [0.3, 0.48])
@@ -174,8 +174,8 @@ def test_the_stick_disc_shrinks_as_cattaneo_and_mindlin_say() -> None:
     )  # fmt: skip
     made = replace(made, dhat=0.08)
     grid = mesh.build(made.gel, (-9.6, 10.8, -9.6, 9.6), made.edge, coarsest=16.0)
-    problem = solve.Problem.of(made, grid)
-    found = Run(made, problem, list(solve.states(made, problem)))
+    problem = mechanics.Problem.of(made, grid)
+    found = Run(made, problem, list(mechanics.states(made, problem)))
     stack = Stack((800.0, 64.0), (1.0, 1.41))
     camera = Camera(stack, (0.0, 0.0), stack.effective_depth / 0.2, (120, 120))
     surface = gel_surface.Surface(grid.points, grid.facets["coated"])

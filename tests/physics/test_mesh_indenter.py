@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from tacgen import solve
+from tacgen import mechanics
 from tacgen.errors import UserError
-from tacgen.recipe import plan
-from tacgen.scene import mesh, scene
+from tacgen.mechanics import mesh
+from tacgen.recipe import plan, scene_of_row
 
 RECIPE = """tacgen: 1
 name: press
@@ -22,11 +22,11 @@ quality: {edge_mm: 0.8, dhat_mm: 0.05}
 """
 
 
-def pressed(folder: Path, *sets: str) -> list[solve.State]:
+def pressed(folder: Path, *sets: str) -> list[mechanics.State]:
     (folder / "r.yaml").write_text(RECIPE)
-    built = scene.build(plan.load(folder / "r.yaml", sets).rows[0])
-    ready = solve.Problem.of(built, mesh.build(built.gel, mesh.footprint(built), built.edge))
-    return list(solve.states(built, ready))
+    built = scene_of_row.build(plan.load(folder / "r.yaml", sets).rows[0])
+    ready = mechanics.Problem.of(built, mesh.build(built.gel, mesh.footprint(built), built.edge))
+    return list(mechanics.states(built, ready))
 
 
 @pytest.fixture(autouse=True)

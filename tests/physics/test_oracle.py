@@ -8,14 +8,14 @@ import pytest
 from helpers.presses import poses, run, scene
 
 from benchmarks.reference_runs import row_of
-from tacgen import solve
-from tacgen.contact.barrier import Pose
+from tacgen import mechanics
 from tacgen.geometry.analytic_sdf import Sphere
-from tacgen.scene import mesh
-from tacgen.scene import scene as stage
-from tacgen.scene.mesh import Mesh
-from tacgen.scene.scene import Scene
-from tacgen.solve.equilibrium import LoadStep, equilibrium
+from tacgen.geometry.pose import Pose
+from tacgen.mechanics import mesh
+from tacgen.mechanics.equilibrium import LoadStep, equilibrium
+from tacgen.mechanics.mesh import Mesh
+from tacgen.mechanics.scene import Scene
+from tacgen.recipe import scene_of_row
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 Array = np.ndarray
@@ -81,7 +81,7 @@ def built(name: str) -> tuple[Scene, Mesh]:
     for kind, *numbers, frames in (move.split() for move in path.split(", ")):
         values = ", ".join(f"{field}: {number}" for field, number in zip(FIELDS[kind], numbers, strict=True))
         moves.append(f"{{{kind}: {{{values}{', ' if values else ''}frames: {frames}}}}}")
-    made = stage.build(
+    made = scene_of_row.build(
         row_of(
             (
                 f"sensor={sensor}",
@@ -96,11 +96,11 @@ def built(name: str) -> tuple[Scene, Mesh]:
     return made, mesh.of(made)
 
 
-def solved(made: Scene, grid: Mesh, options: solve.SolverOptions = solve.DEFAULT) -> list[solve.State]:
-    return list(solve.states(made, solve.Problem.of(made, grid, options)))
+def solved(made: Scene, grid: Mesh, options: mechanics.SolverOptions = mechanics.DEFAULT) -> list[mechanics.State]:
+    return list(mechanics.states(made, mechanics.Problem.of(made, grid, options)))
 
 
-def total(states: list[solve.State]) -> Array:
+def total(states: list[mechanics.State]) -> Array:
     """Force on the gel (n, 3) [N]."""
     return np.array([state.traction_force.sum((0, 1)) for state in states])
 
@@ -109,7 +109,7 @@ def total(states: list[solve.State]) -> Array:
 def test_each_load_step_ends_where_newtons_method_on_everything_does(name: str) -> None:
     """From the same gel, the same anchors and the same start. Forces are at most 2e-4 apart, pressures .1 %."""
     made, grid = built(name)
-    fast, plain = solve.Problem.of(made, grid), solve.Problem.of(made, grid, solve.plain())
+    fast, plain = mechanics.Problem.of(made, grid), mechanics.Problem.of(made, grid, mechanics.plain())
     history, largest = fast.rest(Pose.of(made.start)), 0.0
     for index, matrix in enumerate(made.poses):
         one, other = (LoadStep(problem, history, Pose.of(matrix), 0.0) for problem in (fast, plain))
@@ -127,7 +127,7 @@ def test_each_load_step_ends_where_newtons_method_on_everything_does(name: str) 
 def test_a_path_ends_where_the_plain_solvers_does(name: str) -> None:
     """Where new points touch as if the gel stayed, as the plain solver has it."""
     made, grid = built(name)
-    found, true = (solved(made, grid, o) for o in (replace(solve.DEFAULT, predict=False), solve.plain()))
+    found, true = (solved(made, grid, o) for o in (replace(mechanics.DEFAULT, predict=False), mechanics.plain()))
     forces = total(true)
     assert np.linalg.norm(total(found) - forces, axis=1).max() < FORCE * np.linalg.norm(forces, axis=1).max()
     for a, b in zip(found, true, strict=True):
@@ -174,9 +174,9 @@ def test_a_recipe_says_which_way_round(angle: int) -> None:
         "contact.friction=0.5",
         "quality={edge_mm: 1.0, dhat_mm: .05}",
     )
-    made = stage.build(row_of(sets))
-    problem = solve.Problem.of(made, mesh.of(made))
-    *_, state = solve.states(made, problem)
+    made = scene_of_row.build(row_of(sets))
+    problem = mechanics.Problem.of(made, mesh.of(made))
+    *_, state = mechanics.states(made, problem)
     at = problem.contact.faces.at(state.x) - state.pose[:3, 3]
     torque = np.cross(at, state.traction_force)[..., 2].sum()
     assert torque > 0.9 * 0.5 * (state.normal_force * np.hypot(at[..., 0], at[..., 1])).sum()

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from benchmarks.reference_runs import row_of
-from tacgen.scene import mesh
-from tacgen.scene import scene as stage
-from tacgen.solve import NotConverged, Problem, State, states
+from tacgen.mechanics import NotConverged, Problem, State, mesh, states
+from tacgen.recipe import scene_of_row
 
 COMMON = ("outputs=[force]", "quality=draft")
 KEY = (
@@ -67,7 +66,7 @@ CYLINDER = (  # Newton's steps went in circles in frame 9, none of them with its
 
 
 def solved(sets: tuple[str, ...]) -> tuple[Problem, list[State]]:
-    made = stage.build(row_of((*COMMON, *sets)))
+    made = scene_of_row.build(row_of((*COMMON, *sets)))
     problem = Problem.of(made, mesh.of(made))
     return problem, list(states(made, problem))
 

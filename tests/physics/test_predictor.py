@@ -8,16 +8,14 @@ from helpers.presses import Run, poses, run, scene
 
 from benchmarks.cases import PLAIN
 from benchmarks.reference_runs import row_of
-from tacgen.contact.barrier import Pose
 from tacgen.geometry.analytic_sdf import Capsule
-from tacgen.geometry.pose import shortest_turn
-from tacgen.scene import mesh
-from tacgen.scene import scene as stage
-from tacgen.solve import DEFAULT, Problem, SolverOptions, states
-from tacgen.solve.equilibrium import LoadStep
-from tacgen.solve.load_stepping import advance
-from tacgen.solve.predictor import Prediction
-from tacgen.solve.state import History
+from tacgen.geometry.pose import Pose, shortest_turn
+from tacgen.mechanics import DEFAULT, Problem, SolverOptions, mesh, states
+from tacgen.mechanics.equilibrium import LoadStep
+from tacgen.mechanics.load_stepping import advance
+from tacgen.mechanics.predictor import Prediction
+from tacgen.mechanics.state import History
+from tacgen.recipe import scene_of_row
 
 Array = np.ndarray
 SQUARE = (-2.5, 2.5, -2.5, 2.5)
@@ -37,7 +35,7 @@ def capsule(parts: int, options: SolverOptions = DEFAULT) -> tuple[Array, int]:
         "sensor.gel.layers[0].youngs_modulus_mpa=1.291",
         "sensor.gel.layers[0].poissons_ratio=0.0055",
     )
-    made = stage.build(row_of((*PLAIN, *sets)))
+    made = scene_of_row.build(row_of((*PLAIN, *sets)))
     found = list(states(made, Problem.of(made, mesh.of(made), options)))
     return found[-1].traction_force.sum((0, 1)), sum(state.iterations for state in found)
 

@@ -12,7 +12,7 @@ from helpers.presses import Run, gel, poses, run, scene
 
 from tacgen.geometry import mesh_import, surface_nets
 from tacgen.geometry.analytic_sdf import Shape, Sphere
-from tacgen.scene import scene as stage
+from tacgen.recipe import scene_of_row
 
 Array = np.ndarray
 PATH = [(0.0, 0.0, -0.3), (0.0, 0.0, -0.6), (0.3, 0.1, -0.6)]
@@ -46,7 +46,7 @@ def test_a_mesh_indenter() -> None:
 
     def ball(by: float) -> Shape:
         found = trimesh.creation.icosphere(subdivisions=3, radius=2.5 * by)
-        cell = stage.SDF_CELL * 0.6 * by
+        cell = scene_of_row.SDF_CELL * 0.6 * by
         raw = mesh_import.Solid("ball", found.vertices, found.faces, np.zeros(len(found.faces), int))
         return mesh_import.field(mesh_import.placed(raw), cell=cell, height=1.0 * by, half=8.0 * by)
 

@@ -3,10 +3,9 @@
 import pytest
 from helpers.presses import Run
 
-from tacgen import solve
-from tacgen.recipe import assets, plan
-from tacgen.scene import mesh
-from tacgen.scene import scene as stage
+from tacgen import mechanics
+from tacgen.mechanics import mesh
+from tacgen.recipe import assets, plan, scene_of_row
 
 CALCULIX = (
     "sensor=gelsight_mini",
@@ -22,9 +21,9 @@ def press(*sets: str) -> Run:
     """A ball of 4 mm, 1 mm deep, without friction."""
     path = "trajectory=[{press: {depth_mm: 1.0, frames: 1}}]"
     row = plan.load(assets.recipe_path("quickstart"), ("outputs=[force]", "contact.friction=0", path, *sets)).rows[0]
-    made = stage.build(row)
-    problem = solve.Problem.of(made, mesh.of(made))
-    return Run(made, problem, list(solve.states(made, problem)))
+    made = scene_of_row.build(row)
+    problem = mechanics.Problem.of(made, mesh.of(made))
+    return Run(made, problem, list(mechanics.states(made, problem)))
 
 
 @pytest.mark.slow

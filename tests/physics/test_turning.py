@@ -10,18 +10,17 @@ from helpers.presses import Run, poses, run, scene
 from benchmarks import step_size_error
 from benchmarks.cases import CASES, PLAIN
 from benchmarks.reference_runs import row_of
-from tacgen import solve
+from tacgen import mechanics
 from tacgen.fem.assembly import pattern
 from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import hexes
 from tacgen.fem.materials import NeoHooke
 from tacgen.geometry.analytic_sdf import Box, Shape, Sphere
-from tacgen.scene import mesh
-from tacgen.scene import scene as stage
-from tacgen.scene.scene import Scene
-from tacgen.solve import DEFAULT, SolverOptions
-from tacgen.solve.linear_solvers import best
-from tacgen.solve.newton import Status, minimise
+from tacgen.mechanics import DEFAULT, SolverOptions, mesh
+from tacgen.mechanics.linear_solvers import best
+from tacgen.mechanics.newton import Status, minimise
+from tacgen.mechanics.scene import Scene
+from tacgen.recipe import scene_of_row
 
 Array = np.ndarray
 SQUARE = (-3.0, 3.0, -3.0, 3.0)
@@ -32,8 +31,8 @@ PATH = [(0.4 + 0.1 * k, -0.3, -0.3 - 0.025 * k) for k in range(5)]
 
 def slid(path: list[tuple[float, float, float]], shape: Shape, options: SolverOptions = DEFAULT) -> Run:
     made = scene(shape, poses(path), friction=0.5, edge=EDGE)
-    problem = solve.Problem.of(made, mesh.build(made.gel, SQUARE, made.edge), options)
-    return Run(made, problem, list(solve.states(made, problem)))
+    problem = mechanics.Problem.of(made, mesh.build(made.gel, SQUARE, made.edge), options)
+    return Run(made, problem, list(mechanics.states(made, problem)))
 
 
 def about_z(angle: float) -> Array:
@@ -55,7 +54,7 @@ def test_a_long_frame_goes_in_load_steps_that_friction_can_follow(shape: Shape, 
     def off(found: Run) -> float:
         return float(np.linalg.norm(found.forces[-1] - true) / np.linalg.norm(true))
 
-    long, short = (slid([start, end], shape, options) for options in (DEFAULT, solve.short_steps(DEFAULT, 4)))
+    long, short = (slid([start, end], shape, options) for options in (DEFAULT, mechanics.short_steps(DEFAULT, 4)))
     assert [state.substeps for state in long.states] == [1, np.ceil(0.9 / (getattr(DEFAULT, longest) * EDGE))]
     assert off(long) < tol
     assert off(short) < tol / 2
@@ -68,10 +67,10 @@ def test_a_long_frame_goes_in_load_steps_that_friction_can_follow(shape: Shape, 
 def test_a_sharp_edge_in_long_frames_is_right() -> None:
     """A wedge of .1 mm on cells of .8 mm: .1 % of its force off frames a quarter as long, whether frames are load steps
     or several; 46 % with lagged friction."""
-    made = stage.build(row_of((*PLAIN, *CASES["sharp wedge"])))
+    made = scene_of_row.build(row_of((*PLAIN, *CASES["sharp wedge"])))
 
     def forces(made: Scene, options: SolverOptions = DEFAULT) -> Array:
-        found = solve.states(made, solve.Problem.of(made, mesh.of(made), options))
+        found = mechanics.states(made, mechanics.Problem.of(made, mesh.of(made), options))
         return np.array([state.traction_force.sum((0, 1)) for state in found])
 
     true = forces(step_size_error.finer(made, 4))[3::4]
@@ -91,8 +90,8 @@ def test_a_scene_turned_as_a_whole_gives_the_turned_force(angle: float, tol: flo
     H[:3, :3] = R
     made = replace(one.scene, poses=H @ one.scene.poses, start=H @ one.scene.start)
     grid = replace(one.problem.mesh, points=one.problem.mesh.points @ R.T)
-    problem = solve.Problem.of(made, grid)
-    two = Run(made, problem, list(solve.states(made, problem)))
+    problem = mechanics.Problem.of(made, grid)
+    two = Run(made, problem, list(mechanics.states(made, problem)))
     assert one.forces[-1, 0] > 0.1 * np.abs(one.forces).max()  # the slide is seen
     assert two.forces == pytest.approx(one.forces @ R.T, abs=tol * np.abs(one.forces).max())
 

@@ -11,7 +11,7 @@ from helpers.small_recipe import HEAD
 from scipy.interpolate import PchipInterpolator
 from typer.testing import CliRunner
 
-from tacgen import pipeline, solve
+from tacgen import mechanics, pipeline
 from tacgen.bundle import bundle
 from tacgen.bundle.check import check
 from tacgen.cli import app
@@ -21,9 +21,9 @@ from tacgen.geometry import surface_nets
 from tacgen.geometry.analytic_sdf import Sphere
 from tacgen.geometry.gel import Gel
 from tacgen.labels.stress import Stresses
-from tacgen.recipe import plan
-from tacgen.scene import mesh, scene
-from tacgen.scene.scene import Dynamics
+from tacgen.mechanics import mesh
+from tacgen.mechanics.scene import Dynamics
+from tacgen.recipe import plan, scene_of_row
 
 Array = np.ndarray
 ROOT = Path(__file__).parents[2]
@@ -43,14 +43,14 @@ def pressed(
     seconds: list[float] | None,
     made: Gel | None = None,
     friction: float = 0.0,
-    options: solve.SolverOptions = solve.DEFAULT,
+    options: mechanics.SolverOptions = mechanics.DEFAULT,
     **more: object,
 ) -> Run:
     """To these heights [mm], on a coarse mesh; `seconds` of each frame."""
     path = presses.scene(Sphere(2.5), poses([(0, 0, h) for h in z]), pad=made or pad(), edge=0.7, friction=friction)
     path = replace(path, duration=None if seconds is None else np.array(seconds), **more)
-    problem = solve.Problem.of(path, mesh.build(path.gel, (-1.6, 1.6, -1.6, 1.6), 0.7), options)
-    return Run(path, problem, list(solve.states(path, problem)))
+    problem = mechanics.Problem.of(path, mesh.build(path.gel, (-1.6, 1.6, -1.6, 1.6), 0.7), options)
+    return Run(path, problem, list(mechanics.states(path, problem)))
 
 
 def test_fast_and_slow_presses_are_elastic() -> None:
@@ -85,7 +85,7 @@ def test_a_release_gives_back_less_than_the_press_took() -> None:
 
 
 def test_halved_frames_converge_at_second_order() -> None:
-    sharp = replace(solve.DEFAULT, residual_tol=2e-5, step_tol=1e-3)
+    sharp = replace(mechanics.DEFAULT, residual_tol=2e-5, step_tol=1e-3)
     ends = [pressed([-0.5 * (k + 1) / n for k in range(n)], [0.5 / n] * n, options=sharp) for n in (1, 2, 4, 8)]
     change = np.diff([found.forces[-1, 2] for found in ends])
     assert 1.5 < np.log2(change[0] / change[2]) / 2 < 2.5, change
@@ -93,7 +93,7 @@ def test_halved_frames_converge_at_second_order() -> None:
 
 
 def test_the_oracle_agrees() -> None:
-    fast, true = (pressed(DOWN, [0.1] * 4, None, 0.4, options) for options in (solve.DEFAULT, solve.plain()))
+    fast, true = (pressed(DOWN, [0.1] * 4, None, 0.4, options) for options in (mechanics.DEFAULT, mechanics.plain()))
     assert fast.forces[:, 2] == pytest.approx(true.forces[:, 2], rel=5e-3)
 
 
@@ -167,11 +167,11 @@ def test_a_speed_is_a_duration_over_the_way(tmp_path: Path) -> None:
   - release: {frames: 2, speed_mm_s: 0.1}
 """
     text = HEAD.replace("trajectory:", "start: {clearance_mm: 0.1}\ntrajectory:") + moves + OVERRIDE
-    found = scene.build(plan.load(recipe(tmp_path, text)).rows[0]).duration
+    found = scene_of_row.build(plan.load(recipe(tmp_path, text)).rows[0]).duration
     assert found == pytest.approx([0.06, 0.06, 5, 2, 0.1, 1.5, 1.5])
     still = recipe(tmp_path, text.replace("x_mm: 0.3, y_mm: -0.4", "x_mm: 0"))
     with pytest.raises(UserError, match=r"trajectory\[1\].slide.speed_mm_s: takes no time, since nothing moves"):
-        scene.build(plan.load(still).rows[0])
+        scene_of_row.build(plan.load(still).rows[0])
 
 
 def test_the_shipped_recipe_relaxes_and_loses_what_it_says(tmp_path: Path) -> None:
@@ -204,7 +204,7 @@ def test_a_replay_keeps_its_own_time(tmp_path: Path) -> None:
         "time,x,y,z,qw,qx,qy,qz\n" + "".join(f"{t},0,0,{-0.1 * t},1,0,0,0\n" for t in (5, 5.1, 5.4))
     )
     text = HEAD + "  - replay: {file: poses.csv, units: mm}\n" + OVERRIDE
-    assert scene.build(plan.load(recipe(tmp_path, text)).rows[0]).duration == pytest.approx([0.1, 0.1, 0.3])
+    assert scene_of_row.build(plan.load(recipe(tmp_path, text)).rows[0]).duration == pytest.approx([0.1, 0.1, 0.3])
 
 
 @pytest.mark.parametrize(

@@ -14,11 +14,11 @@ from tacgen.bundle import bundle
 from tacgen.bundle.check import check
 from tacgen.errors import UserError
 from tacgen.geometry.pose import about
-from tacgen.recipe import plan, pose_table, trajectory_checks
+from tacgen.mechanics.scene import Scene
+from tacgen.recipe import plan, pose_table, scene_of_row, trajectory_checks
 from tacgen.recipe.model import Recipe
 from tacgen.recipe.trajectory import unit
 from tacgen.recipe.validation_messages import validate
-from tacgen.scene import scene
 
 Array = np.ndarray
 TITLES = "time_s,x_mm,y_mm,z_mm,qw,qx,qy,qz"
@@ -35,8 +35,8 @@ def load(folder: Path, text: str, *sets: str, replay: str = "{file: poses.csv}",
     return plan.load(folder / "recipe.yaml", sets)
 
 
-def built(folder: Path, text: str, *sets: str, replay: str = "{file: poses.csv}", more: str = "") -> scene.Scene:
-    return scene.build(load(folder, text, *sets, replay=replay, more=more).rows[0])
+def built(folder: Path, text: str, *sets: str, replay: str = "{file: poses.csv}", more: str = "") -> Scene:
+    return scene_of_row.build(load(folder, text, *sets, replay=replay, more=more).rows[0])
 
 
 def matrix(position: Array, q: Array) -> Array:
@@ -271,7 +271,7 @@ def test_a_replay_after_a_force_is_not_shifted_by_the_depth_found(tmp_path: Path
     text = f"{HEAD}  - press: {{force_n: 1, frames: 1}}\n  - replay: {{file: poses.csv}}\n"
     (tmp_path / "poses.csv").write_text(table(ROWS))
     (tmp_path / "recipe.yaml").write_text(text)
-    made = scene.build(plan.load(tmp_path / "recipe.yaml").rows[0])
+    made = scene_of_row.build(plan.load(tmp_path / "recipe.yaml").rows[0])
     assert made.forced is not None
     assert made.forced.carry.tolist() == [1, 0, 0, 0]
 
@@ -285,7 +285,7 @@ def test_a_row_knows_its_frames_and_its_file(tmp_path: Path) -> None:
     assert load(tmp_path, table(ROWS)).rows[0].key == row.key
     (tmp_path / "poses.csv").write_text(table(ROWS).replace("0.7", "0.6"))
     with pytest.raises(UserError, match=r"poses.csv: is another file now"):
-        scene.build(row)
+        scene_of_row.build(row)
     assert plan.load(tmp_path / "recipe.yaml").rows[0].key != row.key
     recipe, _ = validate(Recipe, row.document())
     assert recipe == row.recipe
@@ -311,8 +311,8 @@ def test_a_replay_gives_what_the_movements_gave(tmp_path: Path) -> None:
     moves += "  - twist: {angle_deg: 20, frames: 1}\n"
     (tmp_path / "moves.yaml").write_text(f"{HEAD}{moves}contact: {{friction: 0.5}}\n")
     row = plan.load(tmp_path / "moves.yaml").rows[0]
-    q = Rotation.from_matrix(scene.build(row).poses[:, :3, :3]).as_quat(scalar_first=True)
-    rows = [(k, *p[:3, 3], *turn) for k, (p, turn) in enumerate(zip(scene.build(row).poses, q, strict=True))]
+    q = Rotation.from_matrix(scene_of_row.build(row).poses[:, :3, :3]).as_quat(scalar_first=True)
+    rows = [(k, *p[:3, 3], *turn) for k, (p, turn) in enumerate(zip(scene_of_row.build(row).poses, q, strict=True))]
     again = load(tmp_path, table(rows), "contact.friction=0.5").rows[0]
     one = pipeline.run_scene(row, tmp_path / "one")
     two = pipeline.run_scene(again, tmp_path / "two")

@@ -10,16 +10,15 @@ from helpers.small_recipe import HEAD
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from tacgen import pipeline, solve
+from tacgen import mechanics, pipeline
 from tacgen.bundle import bundle
-from tacgen.contact.barrier import Pose
 from tacgen.errors import UserError
 from tacgen.geometry.analytic_sdf import Box, Cone, Shape, Sphere
-from tacgen.recipe import plan, trajectory_poses
+from tacgen.geometry.pose import Pose
+from tacgen.mechanics import frames, mesh, presolve
+from tacgen.mechanics.force_control import OutOfReach, meet
+from tacgen.recipe import plan, scene_of_row, trajectory_poses
 from tacgen.recipe.trajectory import Press, Segment, Start
-from tacgen.scene import mesh, scene
-from tacgen.solve import frames, presolve
-from tacgen.solve.force_control import OutOfReach, meet
 
 BOX = "indenter={shape: box, size_x_mm: 4, size_y_mm: 3, fillet_mm: 0.3}"
 ROUGH = "contact.friction=0.5"
@@ -32,17 +31,17 @@ def row(folder: Path, segments: str, *sets: str) -> plan.Row:
     return plan.load(path, sets).rows[0]
 
 
-def solved(made: plan.Row) -> list[solve.State]:
-    built = presolve.presolved(scene.build(made))
+def solved(made: plan.Row) -> list[mechanics.State]:
+    built = presolve.presolved(scene_of_row.build(made))
     grid = mesh.build(built.gel, mesh.footprint(built), built.edge)
-    return list(solve.states(built, solve.Problem.of(built, grid)))
+    return list(mechanics.states(built, mechanics.Problem.of(built, grid)))
 
 
 @pytest.mark.parametrize("sets", [(), (ROUGH,), (BOX,), (BOX, ROUGH)])
 def test_a_force_is_reached_in_equal_steps_and_its_depth_kept(tmp_path: Path, sets: tuple[str, ...]) -> None:
     segments = "press: {force_n: 2.0, frames: 2}\nslide: {x_mm: 0.2, frames: 1}\nrelease: {frames: 2}"
     found = solved(row(tmp_path, segments, *sets))
-    force = [solve.normal_force(state) for state in found]
+    force = [mechanics.normal_force(state) for state in found]
     assert force[0] == pytest.approx(1.0, rel=0.0101)
     assert force[1] == pytest.approx(2.0, rel=0.005)
     z = [state.pose[2, 3] for state in found]
@@ -58,7 +57,7 @@ def test_a_slide_and_a_twist_hold_a_force(tmp_path: Path) -> None:
     slide: {x_mm: 1, force_n: 1, frames: 2}
     twist: {angle_deg: 20, force_n: 1.4, frames: 2}"""
     found = solved(row(tmp_path, moves, "contact.friction=0.8"))
-    force = [solve.normal_force(state) for state in found]
+    force = [mechanics.normal_force(state) for state in found]
     assert force == pytest.approx([1, 1, 1, 1.2, 1.4], rel=0.0101)
     assert force[2] == pytest.approx(1, rel=3e-3)
     assert force[4] == pytest.approx(1.4, rel=3e-3)
@@ -69,17 +68,17 @@ def test_a_slide_and_a_twist_hold_a_force(tmp_path: Path) -> None:
 
 def test_the_depth_found_gives_the_force_again(tmp_path: Path) -> None:
     """With friction as well: the trials left nothing behind."""
-    built = presolve.presolved(scene.build(row(tmp_path, "press: {force_n: 1.5, frames: 1}", ROUGH)))
-    problem = solve.Problem.of(built, mesh.build(built.gel, mesh.footprint(built), built.edge))
-    found = next(solve.states(built, problem))
-    again = next(solve.states(replace(built, poses=found.pose[None], forced=None), problem))
-    assert solve.normal_force(again) == pytest.approx(solve.normal_force(found), rel=5e-3)
+    built = presolve.presolved(scene_of_row.build(row(tmp_path, "press: {force_n: 1.5, frames: 1}", ROUGH)))
+    problem = mechanics.Problem.of(built, mesh.build(built.gel, mesh.footprint(built), built.edge))
+    found = next(mechanics.states(built, problem))
+    again = next(mechanics.states(replace(built, poses=found.pose[None], forced=None), problem))
+    assert mechanics.normal_force(again) == pytest.approx(mechanics.normal_force(found), rel=5e-3)
 
 
 def test_a_second_force_may_be_smaller_and_a_depth_may_follow(tmp_path: Path) -> None:
     segments = "press: {force_n: 2, frames: 1}\npress: {force_n: 1, frames: 1}\npress: {depth_mm: 0.3, frames: 2}"
     found = solved(row(tmp_path, segments))
-    assert [solve.normal_force(state) for state in found[:2]] == pytest.approx([2, 1], rel=0.005)
+    assert [mechanics.normal_force(state) for state in found[:2]] == pytest.approx([2, 1], rel=0.005)
     z = [state.pose[2, 3] for state in found]
     assert z[0] < z[1] < 0
     assert z[2:] == pytest.approx([(z[1] - 0.3) / 2, -0.3], abs=1e-12)
@@ -141,7 +140,7 @@ def test_a_press_after_a_tilt_on_a_dome_counts_from_the_turned_indenters_first_t
     """Of a box, whose edge leads when it leans: raised by the depth, it touches DIGIT's face at one place."""
     sets = ("sensor=digit", "start.y_mm=3", BOX)
     segments = f"tilt: {{angle_deg: 15, axis_deg: {axis}, frames: 1}}\npress: {{depth_mm: 0.4, frames: 1}}"
-    made = scene.build(row(tmp_path, segments, *sets))
+    made = scene_of_row.build(row(tmp_path, segments, *sets))
     x, y = np.meshgrid(np.linspace(-6, 6, 241), np.linspace(-3, 9, 241))
     face = np.stack([x, y, made.gel.top(x, y)], -1).reshape(-1, 3)
     raised = made.poses[1].copy()
@@ -173,7 +172,7 @@ def test_of_a_mesh_that_tilts_only_its_file_knows_the_lowest_point(tmp_path: Pat
 
 
 def test_the_footprint_holds_what_a_force_may_need(tmp_path: Path) -> None:
-    made = scene.build(row(tmp_path, "press: {force_n: 1, frames: 1}"))
+    made = scene_of_row.build(row(tmp_path, "press: {force_n: 1, frames: 1}"))
     sure, seen = mesh.footprint(made), mesh.footprint(presolve.presolved(made))
     assert sure[0] < seen[0] < -1
     assert seen[1] - seen[0] < 0.8 * (sure[1] - sure[0])
@@ -181,12 +180,12 @@ def test_the_footprint_holds_what_a_force_may_need(tmp_path: Path) -> None:
 
 def test_a_tilt_turns_about_the_point_that_is_lowest_at_the_start(tmp_path: Path) -> None:
     segments = "press: {depth_mm: 0.5, frames: 1}\ntilt: {angle_deg: 8, axis_deg: 90, frames: 2}"
-    poses = scene.build(row(tmp_path, segments)).poses
+    poses = scene_of_row.build(row(tmp_path, segments)).poses
     for pose, angle in zip(poses[1:], np.radians([4, 8]), strict=True):
         assert pose[:3, 3] == pytest.approx([0, 0, -0.5], abs=1e-9)
         assert pose[:3, 2] == pytest.approx([np.sin(angle), 0, np.cos(angle)], abs=1e-12)
     lean = "start={tilt_deg: 8, tilt_axis_deg: 90}"
-    leaning = scene.build(row(tmp_path, f"{segments}\nslide: {{x_mm: 1, frames: 1}}\n{segments}", lean)).poses
+    leaning = scene_of_row.build(row(tmp_path, f"{segments}\nslide: {{x_mm: 1, frames: 1}}\n{segments}", lean)).poses
     tip = [4 * np.sin(np.radians(8)), 0, 4 - 4 * np.cos(np.radians(8)), 1]  # of the ball, in its own frame
     assert (leaning[2] @ tip)[:3] == pytest.approx((leaning[0] @ tip)[:3], abs=1e-6)
     assert (leaning[-1] @ tip)[:3] == pytest.approx((leaning[-3] @ tip)[:3], abs=1e-6)
@@ -231,14 +230,14 @@ def test_a_closed_path_of_movements_returns_to_its_pose(
 
 def test_a_tilted_box_turns_about_the_middle_of_its_face_and_must_not_reach_the_base(tmp_path: Path) -> None:
     press = "press: {depth_mm: 1.0, frames: 1}\n"
-    poses = scene.build(row(tmp_path, press + "tilt: {angle_deg: 10, frames: 1}", BOX)).poses
+    poses = scene_of_row.build(row(tmp_path, press + "tilt: {angle_deg: 10, frames: 1}", BOX)).poses
     assert poses[-1][:3, 3] == pytest.approx([0, 0, -1.0], abs=1e-9)
     wide = "indenter={shape: box, size_x_mm: 16, size_y_mm: 16, fillet_mm: 0.3}"
     with pytest.raises(UserError, match=r"trajectory\[1\].tilt.angle_deg: would turn the indenter's edge to the base"):
-        scene.build(row(tmp_path, press + "tilt: {angle_deg: 40, frames: 1}", wide))
+        scene_of_row.build(row(tmp_path, press + "tilt: {angle_deg: 40, frames: 1}", wide))
     cone = "indenter={shape: cone, half_angle_deg: 60, tip_radius_mm: 0.5}"
     with pytest.raises(UserError, match=r"tilt.angle_deg: the indenter's flank would meet the gel before its tip"):
-        scene.build(row(tmp_path, press + "tilt: {angle_deg: 40, frames: 1}", cone))
+        scene_of_row.build(row(tmp_path, press + "tilt: {angle_deg: 40, frames: 1}", cone))
 
 
 @pytest.mark.parametrize("power", [0.5, 1.0, 1.5, 4.0])

@@ -7,18 +7,17 @@ import numpy as np
 import pytest
 from helpers.presses import Run
 
-from tacgen import solve
-from tacgen.contact.barrier import Pose
+from tacgen import mechanics
 from tacgen.errors import UserError
 from tacgen.fem.elements import facet_areas, hexes
+from tacgen.geometry.pose import Pose
 from tacgen.labels import camera_maps, gel_surface
 from tacgen.labels.contact_maps import maps as maps_of
+from tacgen.mechanics import mesh
 from tacgen.optics.camera import Camera
 from tacgen.optics.surface_grid import Sheet
-from tacgen.recipe import assets, loading, plan, trajectory_checks
+from tacgen.recipe import assets, loading, plan, scene_of_row, trajectory_checks
 from tacgen.recipe.sensor import Sensor
-from tacgen.scene import mesh
-from tacgen.scene import scene as stage
 
 Array = np.ndarray
 ROOT = Path(__file__).parents[2]
@@ -43,9 +42,9 @@ def row_of(folder: Path, sets: tuple[str, ...] = ()) -> plan.Row:
 
 
 def solved(row: plan.Row) -> Run:
-    made = stage.build(row)
-    problem = solve.Problem.of(made, mesh.build(made.gel, mesh.footprint(made), made.edge))
-    return Run(made, problem, list(solve.states(made, problem)))
+    made = scene_of_row.build(row)
+    problem = mechanics.Problem.of(made, mesh.build(made.gel, mesh.footprint(made), made.edge))
+    return Run(made, problem, list(mechanics.states(made, problem)))
 
 
 def scaled_jacobian(points: Array, cells: Array) -> Array:
@@ -81,7 +80,7 @@ def test_the_dome_is_the_probed_one(digit: Sensor) -> None:
 
 
 def test_the_outline_has_one_round_end(digit: Sensor) -> None:
-    gel = stage.gel_of(digit)
+    gel = scene_of_row.gel_of(digit)
     r, half = 18.35 / 2, 25.05 / 2
     assert gel.contains(np.array([0.0, 9.1, 9.1, 6.5]), np.array([-12.5, 12.5, -3.4, -9.8])).all()
     assert not gel.contains(np.array([0.0, 9.1, 9.1, 6.6, 0]), np.array([-12.6, 12.6, -6, -9.9, 12.6])).any()
@@ -106,8 +105,8 @@ def test_columns_are_squeezed_under_the_dome_and_no_cell_is_bad(pressed: Run) ->
 
 
 def test_layers_share_the_squeeze() -> None:
-    flat = stage.gel_of(loading.read_sensor(assets.sensor_path("ninedtact"))[0])
-    gel = stage.Gel(flat.width, flat.height, layers=flat.layers, radii=(40.0, 90.0))
+    flat = scene_of_row.gel_of(loading.read_sensor(assets.sensor_path("ninedtact"))[0])
+    gel = scene_of_row.Gel(flat.width, flat.height, layers=flat.layers, radii=(40.0, 90.0))
     grid = mesh.build(gel, (-2, 2, -2, 2), 0.6)
     shared = np.intersect1d(grid.cells[grid.layer == 0], grid.cells[grid.layer == 1])
     top = gel.top(*grid.points[shared, :2].T)
@@ -137,7 +136,7 @@ def test_force_of_a_press_at_default_quality(sets: tuple[str, ...], pressed: Run
 )
 def test_depth_counts_from_where_the_dome_is_met(sets: tuple[str, ...], z: float, tmp_path: Path) -> None:
     row = row_of(tmp_path, sets)
-    made = stage.build(row)
+    made = scene_of_row.build(row)
     clearance = row.recipe.start.clearance_mm
     assert made.start[2, 3] == pytest.approx(z, abs=1e-3)
     assert made.poses[-1][2, 3] == pytest.approx(made.start[2, 3] - clearance - 1.0)

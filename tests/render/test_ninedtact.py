@@ -8,16 +8,15 @@ import pytest
 from helpers.presses import Run
 from ruamel.yaml import YAML
 
-from tacgen import solve
+from tacgen import mechanics
 from tacgen.errors import UserError
 from tacgen.fem.stress_recovery import FULL
 from tacgen.labels import gel_surface
 from tacgen.labels.contact_maps import maps as maps_of
 from tacgen.labels.stress import Stresses
+from tacgen.mechanics import mesh
 from tacgen.optics.camera import Camera
-from tacgen.recipe import assets, loading, plan
-from tacgen.scene import mesh
-from tacgen.scene import scene as stage
+from tacgen.recipe import assets, loading, plan, scene_of_row
 
 LIT = ("coating", "walls", "leds")
 RECIPE = """\
@@ -45,9 +44,9 @@ def row(tmp_path_factory: pytest.TempPathFactory) -> plan.Row:
 
 @pytest.fixture(scope="module")
 def press(row: plan.Row) -> Run:
-    made = stage.build(row)
-    problem = solve.Problem.of(made, mesh.build(made.gel, mesh.footprint(made), made.edge))
-    return Run(made, problem, list(solve.states(made, problem)))
+    made = scene_of_row.build(row)
+    problem = mechanics.Problem.of(made, mesh.build(made.gel, mesh.footprint(made), made.edge))
+    return Run(made, problem, list(mechanics.states(made, problem)))
 
 
 def test_force_of_a_press_at_default_quality(press: Run) -> None:

@@ -1,1 +1,0 @@
-"""Contact of the gel's face with an indenter: barrier, friction, and detection of tunnelling."""

@@ -1,0 +1,50 @@
+"""Mechanics of a gel under an indenter: mesh, contact and the states along a path, from plain objects.
+
+It knows no recipe. A Scene (gel, indenter, poses, friction, tolerances) is meshed by `mesh.of`, discretised by
+`Problem.of`, and `states` gives the gel at every frame:
+
+    problem = Problem.of(scene, mesh.of(scene))
+    for state in states(scene, problem):
+        state.traction_force.sum((0, 1))  # force of the indenter on the gel (3,) [N]
+
+docs/MECHANICS.md has the algorithm by module. Contact by distance is solved by bulk_newton (on the gel) with
+contact_newton (on its Schur complement), or without CHOLMOD by full_newton (on all unknowns); contact between meshes by
+newton (on an energy) and lagging. The names are imported when they are first used: a recipe's path needs no solver.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from tacgen.mechanics.frames import TooMuch, normal_force, states
+    from tacgen.mechanics.options import DEFAULT, SolverOptions, plain, short_steps
+    from tacgen.mechanics.problem import Problem
+    from tacgen.mechanics.scene import Scene
+    from tacgen.mechanics.state import NotConverged, State
+    from tacgen.mechanics.warm_up import warm
+
+MODULES = {  # of each public name
+    "DEFAULT": "options",
+    "NotConverged": "state",
+    "Problem": "problem",
+    "Scene": "scene",
+    "SolverOptions": "options",
+    "State": "state",
+    "TooMuch": "frames",
+    "normal_force": "frames",
+    "plain": "options",
+    "short_steps": "options",
+    "states": "frames",
+    "warm": "warm_up",
+}
+
+__all__ = [
+    "DEFAULT", "NotConverged", "Problem", "Scene", "SolverOptions", "State", "TooMuch", "normal_force", "plain",
+    "short_steps", "states", "warm",
+]  # fmt: skip
+
+
+def __getattr__(name: str) -> Any:
+    if name not in MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{MODULES[name]}"), name)

@@ -1,0 +1,266 @@
+"""The bulk's tangent, factorised with the nodes near the contact eliminated last. Contact is solved on the remaining
+Schur complement (static condensation, Guyan 1965), which is small and dense.
+
+With K = L L^T and the contact's dofs c last, the Schur complement is S = L_cc L_cc^T, and a load on all other dofs
+reaches c through one forward substitution.
+
+Levenberg-Marquardt damping adds a multiple of the Schur complement at rest, S_0: like a viscosity of the gel it resists
+strain, and so the short waves of a fold, far more than a motion of the whole contact.
+"""
+
+import weakref
+from collections.abc import Callable
+from copy import copy
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve, lu_solve, solve_triangular
+from scipy.linalg.lapack import dgetrf, dlauum
+
+from tacgen.fem.assembly import Pattern, add_dense_blocks
+from tacgen.mechanics.linear_solvers import Cholmod, dissection
+
+Array = np.ndarray
+LEAST_DAMPING = 0.02  # smallest Levenberg-Marquardt damping that is worth trying, over the stiffness at rest [-]
+DAMPING_FACTOR = 4.0  # by which damping is increased where it does not suffice [-]
+# Diagonal shift of the condensed dofs over the largest diagonal entry [-]: added before the factorisation and
+# subtracted from S, so that only the part of the gel away from the contact must be stable by itself
+SHIFT = 10.0
+
+
+class Condensation:
+    """A factorised tangent condensed to the nodes of some facets; `at_rest` computes the entries of that at rest."""
+
+    def __init__(self, whole: Pattern, at_rest: Callable[[], Array]) -> None:
+        self.whole, self._order, self._at_rest = whole, dissection(whole), at_rest
+        self._free = np.zeros((whole.nodes, 3), bool)
+        self._free.ravel()[whole.free] = True
+        self.nodes, self.local = np.zeros(0, np.int64), np.full(whole.nodes, -1)  # condensed nodes; their numbers
+        self._factored = 0  # number of factorisations, but for those in _rest
+        self._rest: _AtRest | None = None
+        self._kept: list[tuple[weakref.ref[Condensation], Cholmod]] = []  # frozen copies, and their factors
+        self.usable = False
+
+    def cover(self, facets: Array) -> None:
+        """Condense to the nodes of these facets (f, a) from now on."""
+        self.nodes = np.unique(facets)
+        self.local = np.full(self.whole.nodes, -1)
+        self.local[self.nodes] = np.arange(len(self.nodes))
+        free = self._free[self.nodes]
+        self.dofs = np.full(free.shape, -1)  # (k, 3) number among the condensed unknowns, -1 where held
+        self.dofs[free] = np.arange(free.sum())
+        self.size = int(free.sum())
+        last = (self.local >= 0)[self.whole.free // 3][self._order]
+        condensed = np.isin(self.whole.free // 3, self.nodes)
+        ordered = partial(Cholmod, self.whole, np.concatenate([self._order[~last], self._order[last]]))
+        self._factor = ordered()
+        if not condensed[self._factor.order[-self.size :]].all():  # as where the gel is one cell thick
+            ordered = partial(ordered, postorder=False)
+            self._factor = ordered()
+        self._diagonal = self.whole.indptr[:-1][condensed]  # entries, each the first of its row
+        self._rows = np.argsort(self._factor.order[-self.size :])  # the factor has an order of its own
+        self._factored = self.factored
+        self._rest = _AtRest(ordered, self._at_rest, self._diagonal, self._rows)
+        self._kept, self.usable = [], False
+
+    def covers(self, facets: Array) -> bool:
+        """Whether it is condensed to all nodes of these facets (f, a)."""
+        return bool((self.local[facets] >= 0).all())
+
+    def factor(self, data: Array) -> None:
+        """Raises NotPositiveDefinite."""
+        self.usable = False
+        self._factor = self._unused()
+        self._factored += 1
+        self._L, S = _condensed(self._factor, data, self._diagonal, self._rows)
+        assert self._rest is not None
+        self.schur = Schur(S, self._rest.schur)
+        self.usable = True
+
+    @property
+    def factored(self) -> int:
+        """Number of factorisations so far."""
+        return self._factored + (self._rest.factored if self._rest else 0)
+
+    def frozen(self) -> "Condensation":
+        """A copy that keeps the present factor."""
+        kept = copy(self)
+        kept._kept = []
+        self._kept.append((weakref.ref(kept), self._factor))
+        return kept
+
+    def _unused(self) -> Cholmod:
+        """A factor that no frozen copy uses; those of copies that are gone serve again, as analysing takes time."""
+        used = [one for kept, one in self._kept if kept() is not None]
+        free = [one for _, one in self._kept if one not in used]
+        self._kept = [pair for pair in self._kept if pair[1] in used]
+        if self._factor not in used:
+            return self._factor
+        return free[0] if free else self._factor.another()
+
+    def forward(self, g: Array) -> Array:
+        """L^-1 of a gradient (n, 3)."""
+        return self._factor.forward(g.ravel()[self.whole.free])
+
+    def load(self, y: Array) -> Array:
+        """The condensed gradient (k,)."""
+        return np.asarray(self._L @ y[-self.size :])
+
+    def solve(self, b: Array, contact: Callable[[Array], Array]) -> Array:
+        """x (m, k) of K x = b on the free dofs, where `contact` solves for what is condensed."""
+        y = self._factor.forward(b)
+        y[-self.size :] = self._L.T @ contact(self._L @ y[-self.size :])
+        return self._factor.backward(y)
+
+    def expand(self, u: Array, y: Array) -> Array:
+        """The step (n, 3) of all nodes for the condensed step u (k,) and the gradient L y."""
+        q = np.concatenate([-y[: -self.size], u @ self._L])
+        p = np.zeros(self._free.shape)
+        p.ravel()[self.whole.free] = self._factor.backward(q)
+        return p
+
+
+def _lu(K: Array) -> Callable[[Array], Array]:
+    """K^-1. Raises LinAlgError: singular."""
+    if not len(K):
+        return lambda b: b
+    lu, pivots, info = dgetrf(K)
+    if info > 0:
+        raise np.linalg.LinAlgError("singular")
+    return partial(lu_solve, (lu, pivots), check_finite=False)
+
+
+def _cholesky(K: Array) -> Callable[[Array], Array]:
+    """K^-1. Raises LinAlgError: not positive definite."""
+    return partial(cho_solve, cho_factor(K, lower=True, overwrite_a=True, check_finite=False), check_finite=False)
+
+
+def _condensed(factor: Cholmod, data: Array, diagonal: Array, rows: Array) -> tuple[Array, Array]:
+    """Factorises a matrix of entries `data`, shifted at those of the condensed `diagonal`: the condensed rows of the
+    factor, which are its last ones at `rows`, and the Schur complement."""
+    size, data = len(rows), data.copy()
+    shift = SHIFT * float(np.abs(data[diagonal]).max())
+    data[diagonal] += shift
+    factor.factor(data)
+    L = factor.trailing(size)
+    # L L^T, a third of the work of a product: LAPACK has U U^T of triangles, and L backwards is upper triangular
+    upper = dlauum(np.asfortranarray(L[::-1, ::-1]), overwrite_c=1)[0]
+    backwards = size - 1 - rows
+    S = (upper + upper.T).take(backwards, 0).take(backwards, 1)
+    own = np.diag_indices(size)
+    S[own] = S[own] / 2 - shift
+    return L[rows], S
+
+
+class _AtRest:
+    """The Schur complement at rest, computed when first needed, with a factor of its own as the other stays in use.
+
+    It knows no Condensation: whose Schur complements refer to it, and a cycle would keep them after the scene.
+    """
+
+    def __init__(
+        self, new_factor: Callable[[], Cholmod], entries: Callable[[], Array], diagonal: Array, rows: Array
+    ) -> None:
+        self._parts = new_factor, entries, diagonal, rows
+        self._S: Array | None = None
+
+    def schur(self) -> Array:
+        """S_0 (k, k)."""
+        if self._S is None:
+            new_factor, entries, diagonal, rows = self._parts
+            self._S = _condensed(new_factor(), entries(), diagonal, rows)[1]
+        return self._S
+
+    @property
+    def factored(self) -> int:
+        """Number of factorisations so far."""
+        return int(self._S is not None)
+
+
+@dataclass(frozen=True)
+class Tied:
+    """A tangent with what `contact` solves for added on its condensed unknowns, such as springs that tie points of the
+    gel to the indenter."""
+
+    tangent: Condensation
+    contact: Callable[[Array], Array]
+
+    def solve(self, b: Array) -> Array:
+        """x (m, k) for loads b on the free dofs."""
+        return self.tangent.solve(b, self.contact)
+
+
+class Schur:
+    """The Schur complement S (k, k), a dense symmetric stiffness, with `damping` times that at rest added.
+
+    Contact acts on few of its unknowns. The others are eliminated once; the set of `active` ones, on which contact has
+    acted, only grows. The eliminated part must be positive definite: damping is increased until it is.
+    """
+
+    def __init__(self, S: Array, at_rest: Callable[[], Array], damping: float = 0.0) -> None:
+        self.undamped, self._at_rest, self.damping = S, at_rest, damping
+        self.S = S + damping * at_rest() if damping else S
+        self.active = np.zeros(len(S), bool)
+        self._reduced: tuple[Array, Array, Array] | None = None
+
+    def damped(self, damping: float) -> "Schur":
+        """The same with another damping."""
+        return self if damping == self.damping else Schur(self.undamped, self._at_rest, damping)
+
+    def more_damped(self) -> "Schur":
+        """The same with the next larger damping."""
+        return self.damped(max(DAMPING_FACTOR * self.damping, LEAST_DAMPING))
+
+    def activate(self, which: Array) -> None:
+        """Make these unknowns (k,) bool active too."""
+        if self._reduced is not None and not (which & ~self.active).any():
+            return
+        self.active = self.active | which
+        o, a = ~self.active, self.active
+        while True:
+            try:
+                L = np.linalg.cholesky(self.S[np.ix_(o, o)])
+                break
+            except np.linalg.LinAlgError:
+                more = self.more_damped()
+                self.damping, self.S = more.damping, more.S
+        W = solve_triangular(L, self.S[np.ix_(o, a)], lower=True, check_finite=False)
+        self._reduced = L, W, self.S[np.ix_(a, a)] - W.T @ W
+
+    def stiffness(self, D: Array, N: Array, dofs: Array) -> Array:
+        """Stiffness (a, a) on the active unknowns by tangents D (f, q, 3, 3) [N/mm] at the points of facets; the
+        unknowns of these facets become active.
+
+        N (q, a): shape functions; dofs (f, a, 3): numbers of the condensed unknowns, -1 where held.
+        """
+        which = np.zeros(len(self.S), bool)
+        which[dofs[dofs >= 0]] = True
+        self.activate(which)
+        place = np.append(np.where(self.active, np.cumsum(self.active) - 1, -1), -1)
+        added = np.zeros((int(self.active.sum()),) * 2)
+        add_dense_blocks(D, N, place[dofs], added)
+        return added
+
+    def solve(self, added: Array, b: Array, symmetric: bool) -> Array:
+        """x (k,) of (S + added) x = b, with `added` (a, a) on the active unknowns, not symmetric unless said so.
+
+        Raises LinAlgError: singular or, if symmetric, not positive definite.
+        """
+        return self.factored(added, symmetric)(b)
+
+    def factored(self, added: Array, symmetric: bool = False) -> Callable[[Array], Array]:
+        """The same for right-hand sides (k,) or (k, m) to come."""
+        assert self._reduced is not None
+        L, W, rest = self._reduced
+        a, K = self.active.copy(), rest + added
+        inner = _cholesky(K) if symmetric and a.any() else _lu(K)
+
+        def solve(b: Array) -> Array:
+            x = np.empty_like(b)
+            y = solve_triangular(L, b[~a], lower=True, check_finite=False)
+            x[a] = inner(b[a] - W.T @ y)
+            x[~a] = solve_triangular(L, y - W @ x[a], lower=True, trans=1, check_finite=False)
+            return x
+
+        return solve

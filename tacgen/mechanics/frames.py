@@ -1,0 +1,145 @@
+"""The states of all frames along the path.
+
+Each frame is at exactly the given pose, or at the height of the prescribed force. If a frame has no solution the
+scene is rejected.
+"""
+
+import math
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+
+from tacgen.geometry.pose import Pose, shortest_turn
+from tacgen.mechanics.equilibrium import equilibrium
+from tacgen.mechanics.force_control import POWER, OutOfReach, meet
+from tacgen.mechanics.load_stepping import advance
+from tacgen.mechanics.options import DEFAULT, tighter
+from tacgen.mechanics.problem import Problem
+from tacgen.mechanics.scene import FORCE_DEPTH, Scene
+from tacgen.mechanics.state import History, NotConverged, OutOfEffort, State
+
+Array = np.ndarray
+RISE = np.outer(np.eye(4)[2], np.eye(4)[3])  # added to a pose: 1 mm along z
+
+
+class TooMuch(NotConverged):
+    """The force is larger than the gel gives at any depth; `most` is the largest [N]."""
+
+    def __init__(self, message: str, index: int, asked: float, most: float) -> None:
+        super().__init__(message)
+        self.index, self.asked, self.most = index, asked, most
+
+
+def _reach_force(
+    problem: Problem,
+    history: History,
+    last: Array,
+    guess: Array,
+    index: int,
+    duration: float,
+    target: float,
+    before: float,
+    floor: float,
+    tol: float,
+) -> tuple[History, State]:
+    """From pose `last` with the normal force `before` to the height with `target` [N], else at pose `guess`.
+
+    Every trial starts from the same history, so that rejected trials do not influence friction.
+    """
+    problem.effort.steps = 0  # all trials share them
+    low = -max(last[2, 3], guess[2, 3], floor + problem.thickness)
+    found: list[tuple[History, State]] = []
+    refused: list[NotConverged] = []
+
+    def force_at(u: float) -> float:
+        pose = guess.copy()
+        pose[2, 3] = -u
+        try:
+            found.append(trial(problem, history, last, pose, index, duration, found[-1][1] if found else None))
+        except OutOfEffort:
+            raise
+        except NotConverged as error:
+            refused.append(error)
+            return float("nan")
+        return normal_force(found[-1][1])
+
+    try:
+        known, at = (-float(last[2, 3]), before), -float(guess[2, 3])
+        face, elsewhere = floor + FORCE_DEPTH * problem.thickness, not np.allclose((guess - last) * (1 - RISE), 0)
+        if before > 0 and (elsewhere or (at <= known[0]) == (target > before)):  # or it contradicts `known`
+            at = -face + (known[0] + face) * (target / before) ** POWER
+        if elsewhere:
+            known = -face, 0.0
+        meet(force_at, target, known=known, guess=at, low=low, high=-floor, tol=tol)
+    except OutOfReach as error:
+        text = f"{target:g} N asked for, and {FORCE_DEPTH:.0%} of the gel's thickness gives {error.most:.3g} N"
+        raise TooMuch(text, index, target, error.most) from None
+    except OutOfEffort as error:
+        most = max((normal_force(state) for _, state in found), default=before)
+        raise NotConverged(f"{target:g} N asked for: {error}, of which the best gives {most:.3g} N") from None
+    except ArithmeticError as error:
+        if not refused and problem.options.step_tol >= DEFAULT.step_tol:  # tolerances are large beside light forces
+            finer = replace(problem, options=tighter(problem.options))
+            return _reach_force(finer, history, last, guess, index, duration, target, before, floor, tol)
+        most = max((normal_force(state) for _, state in found), default=before)
+        why = refused[-1] if refused else error
+        raise NotConverged(
+            f"{target:g} N asked for, and as far as the gel could be solved it gives {most:.3g} N: {why}"
+        ) from None
+    carried, state = found[-1]
+    return carried, replace(state, iterations=sum(trial.iterations for _, trial in found))
+
+
+def trial(
+    problem: Problem, history: History, last: Array, pose: Array, index: int, duration: float, near: State | None
+) -> tuple[History, State]:
+    if near is not None and near.substeps == 1:
+        with suppress(NotConverged):  # OutOfEffort is raised again at once
+            return equilibrium(problem, history, pose, index, duration, near)
+    return advance(problem, history, last, pose, shortest_turn(last, pose), index, duration, trial=True)
+
+
+def normal_force(state: State) -> float:
+    """Force along z, positive when the gel is pressed down [N]."""
+    return -float(state.traction_force[..., 2].sum())
+
+
+def states(scene: Scene, problem: Problem, *, tol: float | None = None) -> Iterator[State]:
+    """The gel at every frame of the path, in order.
+
+    Forces have the relative tolerance `tol` in every frame; without `tol`, the options' `force_tol` at the end of a
+    movement and 1e-2 in the frames before.
+
+    Raises:
+        NotConverged: a frame has no solution; it and all later frames are missing, since each depends on the last.
+    """
+    history, last = problem.rest(Pose.of(scene.start)), scene.start
+    end_tol, way_tol = (problem.options.force_tol, 1e-2) if tol is None else (tol, tol)
+    forced, shift, before, start_force = scene.forced, 0.0, 0.0, 0.0
+    for index, pose in enumerate(scene.poses):
+        duration = math.inf if scene.duration is None else float(scene.duration[index])
+        if forced is not None and forced.hopeless is not None and forced.hopeless[0] == index:
+            raise NotConverged(forced.hopeless[1])
+        if forced is not None and (index == 0 or scene.segment[index] != scene.segment[index - 1]):
+            start_force = before
+        if forced is not None and np.isfinite(asked := forced.asked[index]):
+            target = start_force + forced.part[index] * (asked - start_force)
+            part_tol = end_tol if forced.part[index] == 1 else way_tol
+            floor = forced.floor[index]
+            history, state = _reach_force(
+                problem, history, last, pose, index, duration, target, before, floor, part_tol
+            )
+            shift = state.pose[2, 3] - pose[2, 3]
+            if -shift > forced.below[index] + 1e-9:
+                raise NotConverged(f"{target:g} N are {-shift:.3g} mm deeper than the mesh was made for")
+        else:
+            if forced is not None and shift:
+                pose = pose + forced.carry[index] * shift * RISE
+            turn = shortest_turn(last, pose) if scene.turns is None else scene.turns[index]
+            history, state = advance(problem, history, last, pose, turn, index, duration)
+        if forced is not None:
+            before = normal_force(state)
+        yield state
+        last = state.pose

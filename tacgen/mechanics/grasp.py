@@ -1,0 +1,70 @@
+"""A grasp as the numerics need it: two gels, one rigid object, the gripper's path, and the object's weight.
+
+Frames: the gripper's x is the closing axis, from the left finger to the right one, its origin midway between their
+faces; both fingers point along its -z. The left sensor looks along +x and the right one along -x, the top of their
+images (the sensor's -y) at the fingertip. At the start the gripper's frame is the world's.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tacgen.mechanics.scene import Scene
+
+Array = np.ndarray
+# Sensor frame to gripper frame, left and right: columns are the sensor's x, y, z.
+LOOKS = np.array([[[0, 0, 1], [1, 0, 0], [0, 1, 0]], [[0, 0, -1], [-1, 0, 0], [0, 1, 0]]], dtype=float)
+SIDES = np.array([-1.0, 1.0])  # side of the left and the right finger along the gripper's x
+MARGIN = 1.25  # depth that the final mesh allows for, over the depth of the coarse first solve [-]
+
+
+@dataclass(frozen=True)
+class Grasp:
+    """All that the numerics need of one grasp, without the recipe.
+
+    fingers: the left and the right gel, whose shape is the object and whose poses are guesses; start (4, 4): the object
+    in the gripper's frame at first touch, `opening` [mm] being the distance of the faces then; weight (3,) in the world
+    [N], acting at `centre` (3,) of the object's frame [mm]; gripper (N, 4, 4): its pose in the world at each frame;
+    width (N,) [mm] and force (N,) [N] that a segment asks for, nan where it does not (with neither the width stays);
+    part (N,): of the change since the segment before that a frame makes [-]; segment (N,); fall: how far the object
+    sinks in a frame once friction does not bear it [mm].
+    """
+
+    fingers: tuple[Scene, Scene]
+    start: Array
+    opening: float
+    weight: Array
+    centre: Array
+    gripper: Array
+    width: Array
+    force: Array
+    part: Array
+    segment: Array
+    fall: float
+
+
+def finger(side: int, width: float) -> Array:
+    """Pose (4, 4) of a sensor in the gripper's frame, the faces `width` [mm] apart; side 0 is left, 1 right."""
+    out = np.eye(4)
+    out[:3, :3] = LOOKS[side]
+    out[0, 3] = SIDES[side] * width / 2
+    return out
+
+
+def seen_from(side: int, width: float, pose: Array) -> Array:
+    """A pose (4, 4) given in the gripper's frame, in a sensor's frame."""
+    mount = finger(side, width)
+    out = np.eye(4)
+    out[:3, :3] = mount[:3, :3].T @ pose[:3, :3]
+    out[:3, 3] = mount[:3, :3].T @ (pose[:3, 3] - mount[:3, 3])
+    return out
+
+
+def refined(grasp: Grasp, poses: tuple[list[Array], list[Array]]) -> Grasp:
+    """The grasp with finger meshes that are fine where `poses` (4, 4) of the object in each sensor's frame touch."""
+    fingers = []
+    for scene, found in zip(grasp.fingers, poses, strict=True):
+        deeper = np.array(found)
+        deeper[:, 2, 3] -= (MARGIN - 1) * np.maximum(scene.start[2, 3] - deeper[:, 2, 3], 0.0) + scene.edge / 4
+        fingers.append(replace(scene, poses=deeper))
+    return replace(grasp, fingers=(fingers[0], fingers[1]))

@@ -1,0 +1,138 @@
+"""Newton's method on a potential, for contact between meshes: tangents far from the solution are projected."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from tacgen.fem.assembly import Pattern
+from tacgen.fem.potential import Potential, Projection
+from tacgen.mechanics.linear_solvers import NotPositiveDefinite, Solver
+
+Array = np.ndarray
+ARMIJO = 1e-4  # smallest decrease of the energy over that predicted by its slope (Armijo's rule) [-]
+NEGLIGIBLE = 1e-6  # length of a step over xtol, below which it is rounding [-]
+ROUNDING = 1e-13  # relative increase of the energy that is attributed to rounding [-]
+SHORTEST = 1e-10  # fraction of a step at which a line search has stalled [-]
+
+
+class Status(StrEnum):
+    converged = "converged"
+    out_of_steps = "out of steps"
+    stalled = "stalled"
+    nonfinite = "not finite"
+
+
+@dataclass(frozen=True)
+class Step:
+    """What one iteration did: energy before it [N mm], longest nodal move proposed [mm], fraction taken, projected."""
+
+    energy: float
+    length: float
+    fraction: float
+    projected: bool
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Positions x (n, 3), how it ended and what each iteration did."""
+
+    x: Array
+    status: Status
+    steps: tuple[Step, ...]
+
+
+def direction(
+    potential: Potential, x: Array, g: Array, pattern: Pattern, solver: Solver, exact: bool
+) -> tuple[Array, bool]:
+    """Newton direction (n, 3) and whether the stiffness was projected: it is where the exact one is not definite."""
+    for projection in (Projection.NONE if exact else Projection.STRAINED, Projection.FULL):
+        data = np.zeros(len(pattern.indices))
+        potential.add_hessian(x, data, projection)
+        p = np.zeros(x.size)
+        try:
+            solver.factor(data)
+            p[pattern.free] = solver.solve(-g.ravel()[pattern.free])
+        except NotPositiveDefinite:
+            if projection is Projection.FULL:
+                raise
+            continue
+        if g.ravel() @ p < 0:
+            break
+    return p.reshape(x.shape), projection > Projection.NONE
+
+
+def backtrack(
+    value: Callable[[Array], float], x: Array, p: Array, energy: float, slope: float, fraction: float
+) -> tuple[float, Array, float]:
+    """Fraction of p by Armijo's rule, the positions and the energy there; 0 if none down to SHORTEST lowers it."""
+    noise = ROUNDING * abs(energy)
+    while fraction > SHORTEST:
+        there = x + fraction * p
+        new = value(there)
+        if new <= energy + ARMIJO * fraction * slope + noise:
+            return fraction, there, new
+        fraction /= 2
+    return 0.0, x, energy
+
+
+def minimise(
+    potential: Potential,
+    x: Array,
+    pattern: Pattern,
+    solver: Solver,
+    *,
+    xtol: float,
+    refresh: Callable[[Array], Potential | None] = lambda x: None,
+    negligible: Callable[[Array], bool] = lambda g: False,
+    near: float = np.inf,
+    max_steps: int = 80,
+) -> Solution:
+    """Lower `potential` over the pattern's free dofs until a full step moves no node by xtol [mm].
+
+    Args:
+        x: start (n, 3) [mm], of finite energy.
+        refresh: called after each full step shorter than `near`: the potential with new lagged quantities, or None if
+            they may stay as they are, without which the iteration does not end.
+        negligible: whether a gradient (n, 3) is below the tolerance; after a full step of at most 10 xtol this ends the
+            iteration too, since the next step would be shorter still.
+        near: steps longer than this [mm] use the projected stiffness.
+    """
+    steps: list[Step] = []
+    length = np.inf
+    energy = potential.value(x)
+    settled = False  # the last step was short and changed nothing that is lagged
+    while len(steps) < max_steps:
+        g = potential.gradient(x)
+        if settled and negligible(g):
+            return Solution(x, Status.converged, tuple(steps))
+        try:
+            p, projected = direction(potential, x, g, pattern, solver, exact=length <= near)
+        except NotPositiveDefinite:
+            return Solution(x, Status.nonfinite, tuple(steps))
+        length = float(np.abs(p).max())
+        if not np.isfinite(length):
+            return Solution(x, Status.nonfinite, tuple(steps))
+        if length <= NEGLIGIBLE * xtol:  # rounding: no line search could tell whether that lowers the energy
+            if (fresh := refresh(x)) is None:
+                return Solution(x, Status.converged, tuple(steps))
+            steps.append(Step(energy, length, 0.0, projected))
+            potential, energy = fresh, fresh.value(x)
+            continue
+        limit = potential.max_step(x, p)
+        before = energy
+        fraction, x, energy = backtrack(potential.value, x, p, energy, float((g * p).sum()), limit)
+        if fraction == 0.0:
+            # at rounding level a step may fail to lower the energy though it is as short as asked for
+            return Solution(x, Status.converged if length <= xtol else Status.stalled, tuple(steps))
+        steps.append(Step(before, length, fraction, projected))
+        settled = False
+        if length <= near and fraction == 1.0:
+            fresh = refresh(x)
+            if fresh is None and length <= xtol:
+                return Solution(x, Status.converged, tuple(steps))
+            if fresh is not None:
+                potential, energy = fresh, fresh.value(x)
+            settled = fresh is None and length <= 10 * xtol
+    return Solution(x, Status.out_of_steps, tuple(steps))

@@ -1,0 +1,48 @@
+"""Depths of frames with a prescribed force, by a solve on a coarse mesh: the final mesh is made fine there."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from tacgen import mechanics
+from tacgen.mechanics import mesh
+from tacgen.mechanics.scene import FORCE_DEPTH, Scene
+
+HOPELESS = 2  # force over the largest on the coarse mesh, above which the scene is refused at once [-]
+COARSE = 5  # edges of the coarse mesh through the gel's thickness
+
+
+def presolved(scene: Scene) -> Scene:
+    """The scene with guessed heights at frames with a force; a scene without such frames is returned unchanged.
+
+    The mesh must be fine where the indenter will be, which is not known for a force. Formulas for the stiffness would
+    be needed for every shape, law and layer; a coarse solve takes a few seconds. Its depth has an error of some
+    percent: `below` allows for a quarter of the depth plus a quarter of the edge. If the coarse solve fails, the mesh
+    is fine for all depths, and the true solve reports the reason; a force far above what the gel can bear is refused.
+    """
+    forced = scene.forced
+    if forced is None:
+        return scene
+    end = int(np.flatnonzero(np.isfinite(forced.asked))[-1]) + 1
+    edge = max(scene.edge, scene.gel.thickness / COARSE)
+    rough = replace(scene, edge=edge, dhat=max(scene.dhat, 0.05), surface=None)
+    problem = mechanics.Problem.of(rough, mesh.of(rough))
+    poses, below, shift = scene.poses.copy(), forced.below.copy(), 0.0
+    try:
+        found = [
+            state.pose[2, 3] for _, state in zip(range(end), mechanics.states(rough, problem, tol=0.05), strict=False)
+        ]
+    except mechanics.TooMuch as error:
+        if error.asked < HOPELESS * error.most:
+            return scene
+        hopeless = error.index, f"{error}, as a coarse mesh has it"
+        return replace(scene, forced=replace(forced, below=np.zeros_like(below), hopeless=hopeless))
+    except mechanics.NotConverged:
+        return scene
+    for i in range(len(poses)):
+        if np.isfinite(forced.asked[i]):
+            shift = found[i] - poses[i, 2, 3]
+            depth = forced.floor[i] + FORCE_DEPTH * scene.gel.thickness - found[i]
+            below[i] = min(0.25 * depth + edge / 4, found[i] - forced.floor[i])
+        poses[i, 2, 3] += forced.carry[i] * shift
+    return replace(scene, poses=poses, forced=replace(forced, below=below))

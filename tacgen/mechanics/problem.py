@@ -1,0 +1,154 @@
+"""The discretised problem of a scene: elasticity, contact and linear solver of a mesh."""
+
+import math
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+
+from tacgen.fem.assembly import Pattern, pattern
+from tacgen.fem.elasticity import Elastic
+from tacgen.fem.elements import elements
+from tacgen.fem.folding_barrier import FoldingBarrier
+from tacgen.fem.viscoelasticity import Viscoelastic
+from tacgen.geometry.pose import Pose
+from tacgen.mechanics import linear_solvers
+from tacgen.mechanics.barrier import Contact, Faces
+from tacgen.mechanics.bulk import Bulk, Tangent
+from tacgen.mechanics.mesh import Mesh
+from tacgen.mechanics.options import DEFAULT, SolverOptions, tighter
+from tacgen.mechanics.scene import Scene
+from tacgen.mechanics.state import Effort, History
+
+if TYPE_CHECKING:
+    from tacgen.fem.inertia import Body
+    from tacgen.mechanics.ipctk import MeshContact
+
+Array = np.ndarray
+USUAL_GAP = 0.75  # mean gap of a light press over dhat, the first offset of the indenter [-]
+FORCE_FLOOR = 1e-3  # smallest force scale over kappa dhat^2: forces that occur within the tolerances [-]
+# Contact points along a facet's side, under an indenter thinner than that side: it would pass between two where
+# friction stretches the gel to twice its length. Elsewhere two: three stiffen a coarse mesh (by 1 % for a ball).
+POINTS_IF_THIN = 3
+AnyContact: TypeAlias = "Contact | MeshContact"
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Elasticity, contact and linear solver of a mesh; mass, if the scene has dynamics; and the viscoelastic layers, if
+    it has durations.
+
+    `longest` is the longest step in time [s].
+    """
+
+    mesh: Mesh
+    elastic: tuple[Elastic, ...]
+    folding: tuple[FoldingBarrier, ...]
+    contact: AnyContact
+    pattern: Pattern
+    friction: float
+    edge: float  # [mm]
+    body: "Body | None" = None
+    longest: float = math.inf
+    viscous: dict[int, Viscoelastic] = field(default_factory=dict)  # by the layer's number
+    options: SolverOptions = DEFAULT
+
+    @classmethod
+    def of(cls, scene: Scene, mesh: Mesh, options: SolverOptions = DEFAULT, held: Array | None = None) -> "Problem":
+        """`held` (n, 3) bool: dofs that do not move; those of the bonded nodes unless given."""
+        if held is None:
+            held = np.zeros((len(mesh.points), 3), bool)
+            held[np.unique(mesh.facets["bonded"])] = True
+        pat = pattern([mesh.cells], ~held)
+        elastic, folding, viscous = [], [], {}
+        for number, layer in enumerate(scene.gel.layers):
+            some = elements(mesh.points, mesh.cells[mesh.layer == number])
+            elastic.append(Elastic.on(pat, some, layer.law))
+            folding.append(FoldingBarrier.on(pat, mesh.points, some, layer.law.mu))
+            if layer.prony and scene.duration is not None:
+                viscous[number] = Viscoelastic.of(elastic[number], layer.prony)
+        if scene.dynamics is not None or viscous:  # velocity is a difference of x over a short time
+            options = tighter(options)
+        contact, parts = _contact(scene, mesh, pat), (tuple(elastic), tuple(folding))
+        ready = cls(mesh, *parts, contact, pat, scene.friction, scene.edge, viscous=viscous, options=options)
+        if (d := scene.dynamics) is None:
+            return ready
+        from tacgen.fem.inertia import Body
+
+        return replace(ready, body=Body.of(pat, ready.elastic, d.density, d.alpha, d.beta), longest=d.longest)
+
+    @cached_property
+    def linear(self) -> linear_solvers.Solver:
+        """The fastest solver that is installed, for all free dofs at once."""
+        return linear_solvers.best(self.pattern)
+
+    @cached_property
+    def tangent(self) -> Tangent:
+        """The factorised tangent of the bulk, kept from step to step."""
+        at_rest, points, pattern = Bulk(self.elastic, self.folding, ()), self.mesh.points, self.pattern  # not self: a
+        return Tangent(pattern, lambda: at_rest.at(points).stiffness(pattern))  # cycle would outlive the scene
+
+    @cached_property
+    def effort(self) -> Effort:
+        """What the present load step, or the force asked for, has taken so far."""
+        return Effort(self.options.max_effort)
+
+    @property
+    def condensed(self) -> bool:
+        """Whether contact is solved on the Schur complement: between meshes it is not."""
+        return self.options.condense and isinstance(self.contact, Contact) and linear_solvers.readable()
+
+    @property
+    def factored(self) -> int:
+        """Number of factorisations so far."""
+        return self.linear.factored if not self.condensed else self.tangent.condensation.factored
+
+    @property
+    def thickness(self) -> float:
+        """Of the gel [mm]."""
+        return float(np.ptp(self.mesh.points[:, 2]))
+
+    def rest(self, pose: Pose) -> History:
+        """The untouched gel below an indenter at `pose`."""
+        x = self.mesh.points
+        pose = self.contact.clear(pose, x)
+        offset = USUAL_GAP * self.contact.dhat if isinstance(self.contact, Contact) else 0.0
+        force, normal, gap = self.contact.moved(pose, offset).pressure(x)
+        at, kappa = pose.local(self.contact.faces.at(x)), self.contact.kappa
+        still = None if self.body is None else np.zeros_like(x)
+        least = FORCE_FLOOR * kappa * self.contact.dhat**2
+        internal = {number: layer.rest() for number, layer in self.viscous.items()}
+        none, normal = np.zeros_like(force), normal @ pose.rotation
+        return History(pose, x, offset, none, normal, at, gap, kappa, least, still, x, internal)
+
+    def during(self, history: History, h: float) -> tuple[Elastic, ...]:
+        """The layers' potentials in a load step of h [s]."""
+        steps = {k: layer.step(history.internal[k], history.x, h) for k, layer in self.viscous.items()}
+        return tuple(steps.get(k, part) for k, part in enumerate(self.elastic))
+
+    def internal(self, history: History, x: Array, h: float) -> dict[int, Array]:
+        """History.internal at x (n, 3), where that load step ends."""
+        return {k: layer.after(history.internal[k], history.x, x, h) for k, layer in self.viscous.items()}
+
+    def stressed(self, internal: dict[int, Array]) -> tuple[Elastic, ...]:
+        """The layers' potentials whose stress includes these internal variables."""
+        now = {k: layer.relaxing(internal[k]) for k, layer in self.viscous.items()}
+        return tuple(now.get(k, part) for k, part in enumerate(self.elastic))
+
+    def steps(self, duration: float) -> int:
+        """How many steps a movement of so many seconds takes."""
+        return 1 if self.body is None else max(1, math.ceil(duration / self.longest - 1e-9))
+
+
+def _contact(scene: Scene, mesh: Mesh, pat: Pattern) -> AnyContact:
+    """The contact; the barrier's stiffness kappa is twice Young's modulus of the outermost layer."""
+    facets, pose = mesh.facets["coated"], Pose.of(scene.start)
+    kappa = 2 * scene.gel.layers[-1].youngs_modulus
+    if scene.surface is None:
+        along = POINTS_IF_THIN if 2 * scene.shape.reach < scene.edge else 2
+        return Contact(Faces.on(pat, mesh.points, facets, along), scene.shape, pose, scene.dhat, kappa)
+    from tacgen.mechanics.ipctk import MeshContact, Pair
+
+    pair = Pair.of(pat, mesh.points, facets, scene.surface)
+    return MeshContact(pair, Contact(pair.faces, scene.shape, pose, scene.dhat, kappa), pose, scene.dhat, kappa)

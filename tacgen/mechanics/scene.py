@@ -1,0 +1,77 @@
+"""A scene as the numerics need it: gel, indenter, path and tolerances as arrays and numbers, without a recipe."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from tacgen.geometry.analytic_sdf import Shape, Triangles
+    from tacgen.geometry.gel import Gel
+
+Array = np.ndarray
+Element = Literal["hex", "tet", "linear_tet"]
+FORCE_DEPTH = 0.8  # largest depth in the search for a force, over the gel's thickness [-]
+
+
+@dataclass(frozen=True)
+class Forced:
+    """Frames (N,) whose height is found from a normal force; their `poses` hold first guesses.
+
+    asked: force at the end of the segment [N], nan where the height is given; part: fraction of the segment's change of
+    force that is reached at a frame [-]; carry: fraction of the difference between the last found height and its guess
+    that is added to a later pose [-]; floor: lowest height of the indenter's origin in the search [mm]; below: largest
+    depth of a frame below its guess [mm], which the fine part of the mesh allows for; hopeless: a frame whose force the
+    gel cannot bear, and the message.
+    """
+
+    asked: Array
+    part: Array
+    carry: Array
+    floor: Array
+    below: Array
+    hopeless: tuple[int, str] | None = None
+
+    @property
+    def allowance(self) -> Array:
+        """Largest depth (N,) of each frame below its guess, including frames that follow a found height [mm]."""
+        below, out = 0.0, np.zeros(len(self.asked))
+        for i, asked in enumerate(self.asked):
+            below = self.below[i] if np.isfinite(asked) else below
+            out[i] = self.carry[i] * below
+        return out
+
+
+@dataclass(frozen=True)
+class Dynamics:
+    """Mass and Rayleigh damping of the gel."""
+
+    density: float  # [t/mm^3]
+    alpha: float  # factor of the mass in Rayleigh damping [1/s]
+    beta: float  # factor of the stiffness in Rayleigh damping [s]
+    longest: float  # longest time step [s]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """All that the numerics need of one scene, without the recipe.
+
+    poses (N, 4, 4): indenter frame to sensor frame at each frame; with `forced` some heights are guesses;
+    segment (N,): number of the trajectory segment;
+    start (4, 4): the pose before the first frame, clear of the gel.
+    """
+
+    gel: "Gel"
+    shape: "Shape"
+    poses: Array
+    start: Array
+    segment: Array
+    friction: float
+    edge: float  # element edge under the contact [mm]
+    dhat: float  # [mm]
+    forced: Forced | None = None
+    dynamics: Dynamics | None = None
+    duration: Array | None = None  # (N,) of each frame [s]; None: quasi-static
+    element: Element = "hex"
+    surface: "Triangles | None" = None  # of the indenter, for contact between meshes
+    turns: Array | None = None  # (N, 3) rotation vector from each pose to the next [rad]; None: the shortest

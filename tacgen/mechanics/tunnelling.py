@@ -1,0 +1,73 @@
+"""Tunnelling: whether the indenter passes through the gel in a step, or between the contact's quadrature points."""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from tacgen.fem.elasticity import Elastic
+from tacgen.fem.elements import QUAD_CORNERS, barycentric
+from tacgen.geometry.pose import Pose
+from tacgen.mechanics.barrier import Contact
+
+Array = np.ndarray
+DEEPEST = 0.75  # depth over the indenter's reach [-] beyond which a point has tunnelled, anywhere in its step
+BETWEEN = 6  # intervals along a facet's side: the overlap is sampled at their ends
+TURN = 0.25  # -cos of the angle between the outward normals at entry and later [-]: beyond it a point has tunnelled
+
+
+def blocked(contact: Contact, was: Pose, before: Array, gap: Array, x: Array) -> bool:
+    """Whether a straight step carries a point of the face through the indenter.
+
+    The motion is taken in the indenter's frame, from pose `was` with nodes `before` (n, 3) and gaps (f, q) [mm] to the
+    contact's pose with nodes x. A point beyond the indenter's middle would be pushed out on the far side. There the
+    outward normal has turned by more than a right angle since the point entered, or the depth is large.
+    """
+    a, b = was.local(contact.faces.at(before)), contact.pose.local(contact.faces.at(x))
+    way = np.linalg.norm(b - a, axis=-1)
+    near = way > np.maximum(gap, 0.0)  # the others move less than their gap
+    if not near.any():
+        return False
+    start, step, reach = a[near], (b - a)[near], contact.shape.reach
+    parts = max(2, int(np.ceil(4 * way[near].max() / reach)))
+    entered, entry = np.zeros(len(start), bool), np.zeros_like(start)
+    for k in range(parts + 1):
+        d, n, _ = contact.shape.distance(start + k / parts * step)
+        inside = d + contact.offset < 0
+        entry[inside & ~entered] = n[inside & ~entered]
+        entered |= inside
+        if d.min() < -DEEPEST * reach or (entered & ((entry * n).sum(1) < -TURN)).any():
+            return True
+        entered &= inside
+    return False
+
+
+def depth_inside(contact: Contact, elastic: Iterable[Elastic], x: Array) -> float:
+    """Largest penetration of the gel into the shrunk indenter [mm], at the integration points."""
+    least = 0.0
+    for part in elastic:
+        at = np.einsum("qa,eai->eqi", part.elements.shape, x[part.elements.conn]).reshape(-1, 3)
+        least = min(least, float(contact.shape.distance(contact.pose.local(at))[0].min()) + contact.offset)
+    return -least
+
+
+def overlap(contact: Contact, x: Array) -> float:
+    """Largest penetration of the gel's face into the shrunk indenter [mm], between the contact points.
+
+    A few micrometres if the mesh resolves the indenter; more at edges sharper than the mesh.
+    """
+    conn, gap = contact.faces.conn, contact.gaps(x)[0].min(1)
+    near = gap < contact.dhat + np.sqrt(contact.faces.areas.sum(1))
+    if not near.any():
+        return 0.0
+    at = np.einsum("qa,fai->fqi", _grid(conn.shape[1]), x[conn[near]]).reshape(-1, 3)
+    deepest = float(contact.shape.distance(contact.pose.local(at))[0].min()) + contact.offset
+    return max(0.0, -deepest)
+
+
+def _grid(nodes: int) -> Array:
+    """Shape functions (p, a) on a grid over a facet."""
+    u, v = np.stack(np.meshgrid(*[np.linspace(0, 1, BETWEEN + 1)] * 2), -1).reshape(-1, 2).T
+    if nodes == 4:
+        return np.stack([(1 + a * (2 * u - 1)) * (1 + b * (2 * v - 1)) / 4 for a, b in QUAD_CORNERS], -1)
+    inside = u + v < 1 + 1e-9
+    return barycentric(np.stack([1 - u - v, u, v], -1)[inside], nodes)[0]

@@ -1,0 +1,155 @@
+"""The scene of one row of a plan: gel, laws, indenter, path and tolerances as arrays and numbers."""
+
+import math
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from tacgen.errors import UserError
+from tacgen.fem.materials import Law, MooneyRivlin, NeoHooke, StableNeoHooke, Yeoh
+from tacgen.geometry import mesh_import, surface_nets
+from tacgen.geometry.analytic_sdf import Shape, Triangles
+from tacgen.geometry.gel import Gel, Layer, SolidGel
+from tacgen.mechanics.scene import Dynamics, Scene
+from tacgen.recipe import indenters, trajectory
+from tacgen.recipe import sensor as sensors
+from tacgen.recipe.checks import timed
+from tacgen.recipe.model import Recipe
+from tacgen.recipe.path import Path as IndenterPath
+from tacgen.recipe.path import indenter_path
+from tacgen.recipe.plan import Row
+from tacgen.recipe.sensor import MooneyRivlinLayer, NeoHookeLayer, Sensor, StableNeoHookeLayer, YeohLayer
+
+Array = np.ndarray
+TONNES_PER_MM3 = 1e-12  # 1 kg/m^3 in t/mm^3
+SDF_CELL = 0.25  # cell of a mesh's signed distance over the element edge [-]; edges are rounded by about two cells
+
+
+def _reach_of_gel(row: Row) -> tuple[float, float]:
+    """Region of the indenter that the gel can reach: distance from its z axis, height above its lowest point [mm]."""
+    gel = row.sensor.gel
+    steps = row.recipe.trajectory
+    replays = (row.replayed(number) for number, step in enumerate(steps) if step.replay)
+    leans = any(np.hypot(*p.pose[2, :2]) > 2e-9 or p.pose[2, 2] < 0 for poses in replays for p in poses)
+    tilted = leans or row.recipe.start.tilt_deg > 0 or any(step.tilt for step in steps) or row.recipe.grasp is not None
+    rise = sum(layer.thickness_mm for layer in gel.layers) + 1.0  # [mm] largest depth, and gel bulging beside it
+    return float(np.hypot(gel.width_mm, gel.height_mm)) + 1.0, np.inf if tilted else rise
+
+
+def _solid(i: indenters.Mesh, row: Row) -> mesh_import.Solid:
+    return mesh_import.placed(mesh_import.read(row.mesh_path), up=i.up, scale=i.scale, size=i.size_mm)
+
+
+def shape_of(row: Row) -> Shape:
+    """The signed distance of the indenter; of a mesh on a grid that covers what the gel can reach."""
+    indenter = row.recipe.indenter
+    if (shape := indenters.analytic(indenter)) is not None:
+        return shape
+    assert indenter.shape == "mesh"
+    (half, height), quality = _reach_of_gel(row), row.recipe.resolved()
+    edge, dhat = quality.edge_mm, quality.dhat_mm
+    solid = _solid(indenter, row)
+    found = mesh_import.field(solid, cell=SDF_CELL * edge, height=height, half=half)
+    if row.recipe.contact.formulation == "distance":
+        mesh_import.refuse_thin_walls(solid, found.cell, height, edge)
+        if found.reach < dhat:  # contact shrinks the indenter by most of dhat: nothing would be left to press
+            text = f"has no point deeper inside than {found.reach:.2g} mm, too thin for contact over {dhat:g} mm"
+            raise UserError(f"{solid.name}: {text}: ask for quality: {{dhat_mm: {found.reach / 3:.1g}}}")
+    return found
+
+
+def _surface(row: Row, shape: Shape) -> Triangles | None:
+    """The indenter's triangles for mesh-to-mesh contact: a mesh's own, or those of an analytic shape with an error much
+    smaller than the barrier's gap."""
+    indenter, quality = row.recipe.indenter, row.recipe.resolved()
+    if row.recipe.contact.formulation != "ipctk":
+        return None
+    half, height = _reach_of_gel(row)
+    if indenter.shape == "mesh":
+        solid = _solid(indenter, row)
+        return surface_nets.of_mesh(solid.vertices, solid.triangles, height=height, spacing=quality.edge_mm / 4)
+    height = min(height, 2 * half)  # a tilted shape without end
+    return surface_nets.of_shape(shape, half=half, height=height, tolerance=quality.dhat_mm / 10)
+
+
+def law_of(layer: sensors.Layer) -> Law:
+    """The law of a layer; E and nu of the sensor file are converted to shear and bulk modulus."""
+    match layer:
+        case NeoHookeLayer() | StableNeoHookeLayer():
+            mu = layer.youngs_modulus_mpa / (2 * (1 + layer.poissons_ratio))
+            kappa = bulk(mu, layer.poissons_ratio)
+            return NeoHooke(mu, kappa) if layer.law == "neo_hooke" else StableNeoHooke(mu, kappa + mu / 3)
+        case MooneyRivlinLayer():
+            mu = 2 * (layer.c10_mpa + layer.c01_mpa)
+            return MooneyRivlin(layer.c10_mpa, layer.c01_mpa, layer.bulk_modulus_mpa or bulk(mu, layer.poissons_ratio))
+        case YeohLayer():
+            kappa = layer.bulk_modulus_mpa or bulk(2 * layer.c10_mpa, layer.poissons_ratio)
+            return Yeoh(layer.c10_mpa, layer.c20_mpa, layer.c30_mpa, kappa)
+
+
+def bulk(mu: float, nu: float | None) -> float:
+    """Bulk modulus [MPa] from the shear modulus and Poisson's ratio."""
+    assert nu is not None, "the sensor model has checked that one of the two is given"
+    return 2 * mu * (1 + nu) / (3 * (1 - 2 * nu))
+
+
+def gel_of(sensor: Sensor, solid_path: Path | None = None) -> Gel:
+    """The gel with its laws; a solid is read from the file at `solid_path`."""
+    layers = []
+    for layer in sensor.gel.layers:
+        law = law_of(layer)
+        modulus = 9 * law.kappa * law.mu / (3 * law.kappa + law.mu)
+        layers.append(Layer(layer.thickness_mm, law, modulus, layer.terms))
+    g = sensor.gel
+    if g.solid is not None and solid_path is not None:
+        solid = mesh_import.placed(mesh_import.read(solid_path), up=g.solid.up, scale=g.solid.scale)
+        held = g.solid.bonded_mm, float(np.radians(g.solid.coated_deg))
+        return SolidGel(**vars(g.pad), layers=tuple(layers), solid=solid, bonded=held[0], coated=held[1])
+    return Gel(**vars(g.pad), layers=tuple(layers))
+
+
+def build(row: Row) -> Scene:
+    """The scene of one row of a plan."""
+    recipe, quality = row.recipe, row.recipe.resolved()
+    gel = gel_of(row.sensor, row.solid_path if row.sensor.gel.solid else None)
+    shape = shape_of(row)
+    path = indenter_path(recipe, shape, gel, row.replayed)
+    friction, edge, dhat = recipe.contact.friction, quality.edge_mm, quality.dhat_mm
+    element = recipe.mesh or ("hex" if row.sensor.gel.solid is None else "tet")
+    positions = np.concatenate([path.start[None], path.poses])[:, :2, 3]
+    off_face = positions[~gel.contains(*positions.T)] if isinstance(gel, SolidGel) else positions[:0]
+    if len(off_face):
+        x, y = off_face[0]
+        raise UserError(f"trajectory: would carry the indenter's axis off the gel's coated face, to ({x:g}, {y:g})")
+    more = (path.forced, _dynamics(recipe), _durations(row, path), element, _surface(row, shape), path.turns)
+    return Scene(gel, shape, path.poses, path.start, path.segment, friction, edge, dhat, *more)
+
+
+def _dynamics(recipe: Recipe) -> Dynamics | None:
+    asked = recipe.dynamics
+    if asked is None:
+        return None
+    damping, density = asked.rayleigh, asked.density_kg_m3 * TONNES_PER_MM3
+    return Dynamics(density, damping.alpha_per_s, damping.beta_s, asked.step_s or math.inf)
+
+
+def _durations(row: Row, path: IndenterPath) -> Array | None:
+    """Duration (N,) of each frame [s]. For a replay, the time between its rows; its first frame takes as long as the
+    second. None if time does not matter."""
+    if not timed(row.recipe, row.sensor):
+        return None
+    usual = 0.0 if row.recipe.dynamics is None else row.recipe.dynamics.frame_s or 0.0
+    origins = np.concatenate([path.start[None], path.poses])[:, :3, 3]
+    duration: list[float] = []  # recipe/checks.py has checked that each movement has one
+    for number, step in enumerate(row.recipe.trajectory):
+        if isinstance(step.move, trajectory.Replay):
+            apart = [b.time - a.time for a, b in pairwise(row.replayed(number))] or [usual]
+            duration += [apart[0], *apart][: step.frames]
+        else:
+            moved = origins[len(duration) + step.frames] - origins[len(duration)]
+            seconds = step.move.seconds(float(np.linalg.norm(moved)))
+            if seconds == 0:
+                raise UserError(f"trajectory[{number}].{step.kind}.speed_mm_s: takes no time, since nothing moves")
+            duration += [usual if seconds is None else seconds / step.frames] * step.frames
+    return np.array(duration)

@@ -1,1 +1,0 @@
-"""A resolved scene as numbers: the path of the indenter and the mesh of the gel."""

@@ -1,0 +1,68 @@
+"""How close an indenter comes to the gel that it does not touch, by closed forms."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.small_recipe import HEAD
+from typer.testing import CliRunner
+
+from tacgen.cli import app
+from tacgen.geometry.analytic_sdf import Box, Cone, Sphere
+from tacgen.recipe import approach, plan
+from tacgen.recipe.scene_of_row import gel_of
+
+
+def poses(*places: tuple[float, float, float]) -> np.ndarray:
+    found = np.tile(np.eye(4), (len(places), 1, 1))
+    found[:, :3, 3] = places
+    return found
+
+
+def gel_in(folder: Path, sensor: str = "gelsight_mini"):
+    (folder / "r.yaml").write_text(HEAD.replace("gelsight_mini", sensor) + "  - press: {depth_mm: 0.3, frames: 1}\n")
+    row = plan.load(folder / "r.yaml").rows[0]
+    return gel_of(row.sensor, None)
+
+
+@pytest.mark.parametrize("shape", [Sphere(4.0), Cone(0.4, 0.1), Box(6.0, 4.0, 0.2)], ids=lambda s: type(s).__name__)
+def test_over_a_level_face_it_is_the_height_of_the_lowest_point(tmp_path: Path, shape) -> None:
+    gel = gel_in(tmp_path)
+    assert approach.closest(shape, gel, poses((0.1, 0.2, 5), (3.123, -1.017, 1.5))) == pytest.approx(1.5, abs=1e-3)
+    assert approach.closest(shape, gel, poses((0.0, 0.0, 5), (0.313, 0.117, -0.01))) <= 0
+
+
+def test_beside_the_pad_and_over_a_dome(tmp_path: Path) -> None:
+    gel, ball = gel_in(tmp_path), Sphere(4.0)
+    beside = approach.closest(ball, gel, poses((gel.width / 2 + 3, 0, -1)))
+    assert beside == pytest.approx(np.hypot(3, 3) - 4, abs=1e-3)
+    dome = gel_in(tmp_path, "digit")
+    assert approach.closest(ball, dome, poses((0, 0, 0.5))) == pytest.approx(0.5, abs=1e-3)
+    assert approach.closest(ball, dome, poses((6.0, 0, 0.0))) > 0.05, "the face falls away from its crown"
+
+
+@pytest.mark.parametrize(
+    ("moves", "start", "said"),
+    [
+        ("slide: {x_mm: 1, frames: 2}", "clearance_mm: 2.5", "closest approach 2.5 mm"),
+        ("press: {depth_mm: 0.005, frames: 2}", "x_mm: 1.03", ""),
+        ("press: {force_n: 1, frames: 2}", "clearance_mm: 2.5", ""),
+    ],
+)
+def test_validate_says_so_before_the_run(tmp_path: Path, moves: str, start: str, said: str) -> None:
+    path = tmp_path / "r.yaml"
+    path.write_text(f"{HEAD}  - {moves}\nstart: {{{start}}}\n")
+    done = CliRunner().invoke(app, ["validate", str(path)])
+    note = f"note: scene-00000 touches the gel in no frame: {said}\n" if said else ""
+    assert (done.exit_code, done.stdout.partition("\n")[2]) == (0, note)
+
+
+def test_scenes_without_contact_are_one_note(tmp_path: Path) -> None:
+    path = tmp_path / "r.yaml"
+    path.write_text(
+        f"{HEAD}  - slide: {{x_mm: 1, frames: 2}}\n"
+        "vary: {samples: 60, seed: 1, over: {start.clearance_mm: {uniform: [0.5, 1.5]}}}\n"
+    )
+    note = approach.note(plan.load(path).rows)
+    assert note.startswith("scene-00000 touches the gel in no frame: closest approach ")
+    assert note.endswith("; nor do 49 more of the first 50 scenes")

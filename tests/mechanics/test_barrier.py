@@ -1,0 +1,185 @@
+"""Barrier, contact and anchors on a small bent patch below a turned indenter."""
+
+import numpy as np
+import pytest
+from helpers.small import dense, patch, slope, turn
+
+from tacgen.fem.potential import Projection
+from tacgen.geometry.analytic_sdf import Cone, Cylinder, Shape, Sphere, Torus
+from tacgen.geometry.pose import Pose
+from tacgen.mechanics.barrier import SOFT, Contact, barrier
+from tacgen.mechanics.friction import dragged, onset, smooth
+
+Array = np.ndarray
+DHAT = 0.3
+POINTS, FACES, PATTERN = patch(2, 1.2)
+TILTED = Pose(turn(4), np.array([0.1, -0.05, 0.02]))
+
+
+def bent(seed: int = 0) -> Array:
+    """The patch bent and shifted, x (n, 3)."""
+    return POINTS + np.random.default_rng(seed).uniform(-0.08, 0.08, POINTS.shape)
+
+
+def against(shape: Shape, offset: float = 0.04) -> Contact:
+    """Contact whose turned indenter overlaps some of the patch, is near other parts and out of reach of some."""
+    lowest = np.array([0.0, 0.0, 0.0]) if not isinstance(shape, Torus) else np.array([shape.radius, 0.0, 0.0])
+    pose = Pose(TILTED.rotation, np.zeros(3))
+    down = pose.rotation.T @ np.array([0.0, 0.0, -1.0])
+    if isinstance(shape, Sphere):
+        lowest = np.array([0.0, 0.0, shape.radius]) + shape.radius * down
+    return Contact(FACES, shape, Pose(pose.rotation, -pose.rotation @ lowest - [0, 0, 0.06]), DHAT, 0.7, offset)
+
+
+CONTACTS = {
+    "sphere": against(Sphere(0.8)),
+    "torus": against(Torus(0.9, 0.5)),
+    "cone": against(Cone(np.radians(50), 0.4)),
+    "punch": against(Cylinder(0.6, 0.3)),
+}
+
+
+def test_barrier_derivatives() -> None:
+    d = DHAT * np.array([-0.7, 0.1, 0.45, 0.55, 0.8, 0.95, 0.999, 1.2])
+    h = 1e-7
+    b, db, ddb = barrier(d, DHAT)
+    assert db == pytest.approx((barrier(d + h, DHAT)[0] - barrier(d - h, DHAT)[0]) / (2 * h), abs=1e-8)
+    assert ddb == pytest.approx((barrier(d + h, DHAT)[1] - barrier(d - h, DHAT)[1]) / (2 * h), rel=1e-6, abs=1e-8)
+    assert (b[:-1] > 0).all()
+    assert (db[:-1] < 0).all()  # it pushes apart
+    assert (ddb[:-1] > 0).all()
+    assert b[-1] == db[-1] == ddb[-1] == 0
+    inner = DHAT * np.array([0.6, 0.8])
+    assert barrier(inner, DHAT)[0] == pytest.approx(-DHAT * (inner / DHAT - 1) ** 2 * np.log(inner / DHAT), rel=1e-12)
+
+
+@pytest.mark.parametrize("where", [1.0, SOFT])
+def test_barrier_is_c2_where_its_pieces_meet(where: float) -> None:
+    below, above = (barrier(np.array(DHAT * where * (1 + s * 1e-9)), DHAT) for s in (-1, 1))
+    for left, right, size in zip(below, above, (DHAT, 1.0, 1 / DHAT), strict=True):
+        assert left == pytest.approx(right, abs=1e-7 * size)
+
+
+def test_barrier_scales_with_its_range() -> None:
+    """b is a length: twice the range at twice the gap is twice the energy and the same pressure."""
+    d = np.array([0.05, 0.16, 0.25])
+    one, two = barrier(d, DHAT), barrier(2 * d, 2 * DHAT)
+    assert two[0] == pytest.approx(2 * one[0])
+    assert two[1] == pytest.approx(one[1])
+    assert two[2] == pytest.approx(one[2] / 2)
+
+
+def test_pose_goes_there_and_back() -> None:
+    x = bent()
+    assert TILTED.world(TILTED.local(x)) == pytest.approx(x, abs=1e-14)
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = TILTED.rotation, TILTED.position
+    assert Pose.of(matrix).world(np.array([1.0, 2, 3])) == pytest.approx((matrix @ [1, 2, 3, 1])[:3])
+
+
+def test_quadrature_has_the_area_and_scatters_everything() -> None:
+    assert FACES.areas.sum() == pytest.approx(1.44)
+    forces = np.random.default_rng(2).normal(size=(*FACES.areas.shape, 3))
+    nodal = FACES.scatter(forces, len(POINTS))
+    assert nodal.sum(0) == pytest.approx(forces.sum((0, 1)))
+    x = bent()
+    assert np.cross(x, nodal).sum(0) == pytest.approx(np.cross(FACES.at(x), forces).sum((0, 1)))
+
+
+@pytest.mark.parametrize("name", CONTACTS)
+def test_contact_gradient_is_the_slope_of_its_energy(name: str) -> None:
+    contact, x = CONTACTS[name], bent()
+    gaps = contact.gaps(x)[0]
+    assert gaps.min() < SOFT * DHAT  # all pieces of the barrier are looked at
+    assert ((gaps > SOFT * DHAT) & (gaps < DHAT)).any()
+    g = contact.gradient(x)
+    assert np.abs(g).max() > 1e-3
+    assert g.ravel() == pytest.approx(slope(contact.value, x, 1e-6), abs=1e-7 * np.abs(g).max())
+
+
+@pytest.mark.parametrize("name", CONTACTS)
+def test_contact_hessian_is_the_slope_of_its_gradient(name: str) -> None:
+    contact, x = CONTACTS[name], bent()
+    stiffness = dense(contact, x, PATTERN)
+    size = np.abs(stiffness).max()
+    assert size > 1e-3
+    by_differences = slope(lambda y: contact.gradient(y).ravel(), x, 1e-7)
+    assert stiffness == pytest.approx(by_differences, abs=1e-5 * size)
+    turned_away = contact.moved(Pose(contact.pose.rotation, np.array([0, 0, 50.0])), 0.0)
+    assert np.abs(dense(turned_away, x, PATTERN)).max() == 0
+
+
+@pytest.mark.parametrize("projection", [Projection.STRAINED, Projection.FULL])
+@pytest.mark.parametrize("name", CONTACTS)
+def test_projected_contact_is_positive(name: str, projection: Projection) -> None:
+    values = np.linalg.eigvalsh(dense(CONTACTS[name], bent(), PATTERN, projection))
+    assert values.max() > 1e-2
+    assert values.min() > -1e-12 * values.max()
+    assert np.linalg.eigvalsh(dense(CONTACTS["sphere"], bent(), PATTERN)).min() < -1e-4
+
+
+def test_contact_forces_push_the_gel_off_and_are_the_gradient() -> None:
+    contact, x = CONTACTS["sphere"], bent()
+    force, normal, gap = contact.pressure(x)
+    assert (force >= 0).all()
+    assert ((force > 0) == (gap < DHAT)).all()
+    assert np.linalg.norm(normal, axis=-1) == pytest.approx(np.ones(gap.shape), abs=1e-12)
+    assert (force[..., None] * normal).sum((0, 1)) == pytest.approx(-contact.gradient(x).sum(0))
+    out = contact.faces.at(x) + 1e-6 * normal
+    assert contact.shape.distance(contact.pose.local(out).reshape(-1, 3))[0] + 0.04 == pytest.approx(gap.ravel() + 1e-6)
+
+
+def test_shrinking_the_indenter_opens_every_gap_by_as_much() -> None:
+    contact, x = CONTACTS["cone"], bent()
+    assert contact.moved(contact.pose, 0.14).gaps(x)[0] - contact.gaps(x)[0] == pytest.approx(0.1)
+
+
+def test_no_step_passes_through_the_indenter() -> None:
+    """Straight through a ball's middle: stopped before its far half."""
+    contact = Contact(FACES, Sphere(1.0), Pose(np.eye(3), np.array([0, 0, 0.3])), DHAT, 0.7)
+    p = np.zeros_like(POINTS)
+    p[:, 2] = 50.0
+    part = contact.max_step(POINTS, p)
+    assert 0 < part < 1
+    after = contact.faces.at(POINTS + part * p)
+    near = contact.gaps(POINTS)[0] < 0.5
+    assert (after[near][:, 2] < 1.3).all()
+    assert contact.max_step(POINTS, 1e-3 * p) == 1.0
+    assert contact.max_step(POINTS, 0 * p) == 1.0
+
+
+def test_smoothed_coulomb_law() -> None:
+    eps, h = 0.02, 1e-8
+    u = np.array([0.001, 0.01, 0.0199, 0.0201, 0.5])
+    _, over_u, bend = smooth(u, eps)
+    d1 = (smooth(u + h, eps)[0] - smooth(u - h, eps)[0]) / (2 * h)
+    d2 = (smooth(u + h, eps)[1] * (u + h) - smooth(u - h, eps)[1] * (u - h)) / (2 * h)
+    assert over_u * u == pytest.approx(d1, rel=1e-5)
+    assert bend * u**2 + over_u == pytest.approx(d2, rel=1e-4, abs=1e-5)
+    assert (over_u * u <= 1 + 1e-12).all()
+    assert over_u[3:] * u[3:] == pytest.approx([1, 1])
+    zero = smooth(np.zeros(1), eps)
+    assert zero[0][0] == pytest.approx(0, abs=1e-12)
+    assert zero[1][0] == pytest.approx(2 / eps)
+    left, right = smooth(np.array([eps * (1 - 1e-9)]), eps), smooth(np.array([eps * (1 + 1e-9)]), eps)
+    assert left[0] == pytest.approx(right[0], rel=1e-8)
+    assert left[1] == pytest.approx(right[1], rel=1e-8)
+
+
+def test_a_point_touches_where_its_way_meets_the_surface() -> None:
+    before, ahead = np.array([[[0.0, 0, -1]] * 4]), np.array([[[2.0, 0, 1]] * 4])
+    gap = np.array([[1.0, 3.0, 1.0, 0.0]])
+    gap_ahead = np.array([[-1.0, -1.0, 0.5, -2.0]])
+    at = onset(before, ahead, gap, gap_ahead)
+    assert at[0] == pytest.approx(np.array([[1.0, 0, 0], [1.5, 0, 0.5], [2, 0, 1], [0, 0, -1]]))
+
+
+def test_anchors_are_dragged_along_only_by_what_exceeds_eps() -> None:
+    normal = np.broadcast_to([0.0, 0, 1], (1, 3, 3))
+    anchor = np.zeros((1, 3, 3))
+    x = np.array([[[0.05, 0, 0.3], [3.0, 4.0, 0.3], [3.0, 4.0, 0.3]]])
+    force = np.array([[1.0, 1.0, 0.0]])
+    new = TILTED.world(dragged(anchor, x, normal, force, 0.1, TILTED))
+    assert (x - new)[0, 0, :2] == pytest.approx([0.05, 0])  # sticks: its anchor stays
+    assert (x - new)[0, 1, :2] == pytest.approx([0.06, 0.08])  # slips: eps behind, in the direction of the slip
+    assert new[0, 2] == pytest.approx(x[0, 2])  # free: carries its own

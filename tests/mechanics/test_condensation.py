@@ -1,0 +1,308 @@
+"""The bulk condensed to the contact says what the whole says, wherever the whole is stable with the contact."""
+
+import numpy as np
+import pytest
+from helpers.small import block, full
+
+from tacgen.fem.assembly import pattern
+from tacgen.fem.elasticity import Elastic
+from tacgen.fem.elements import boxes, hexes
+from tacgen.fem.materials import NeoHooke
+from tacgen.fem.potential import Projection
+from tacgen.mechanics.condensation import DAMPING_FACTOR, Condensation, Schur, Tied
+from tacgen.mechanics.linear_solvers import Cholmod, NotPositiveDefinite
+
+Array = np.ndarray
+
+
+class Bulk:
+    """A bonded block condensed to some of its upper face, two of whose nodes are held in part, and its matrix."""
+
+    def __init__(self) -> None:
+        points, cells = block(4, 0.1)
+        free = np.ones((len(points), 3), bool)
+        free[points[:, 2] == 0] = False
+        self.top = cells[:, 4:][(points[cells[:, 4:], 2] == 1).all(1)]
+        free[self.top[5, 0], 1] = free[self.top[6, 1]] = False
+        self.free, self.pattern = free, pattern([cells], free)
+        self.data = np.zeros(len(self.pattern.indices))
+        elastic = Elastic.on(self.pattern, hexes(points, cells), NeoHooke(0.05, 1.0))
+        elastic.add_hessian(points, self.data, Projection.NONE)
+        self.rest = self.data.copy()
+        self.condensed = Condensation(self.pattern, lambda: self.rest)
+        self.condensed.cover(self.top[[5, 6, 9]])
+        self.near = np.isin(self.pattern.free // 3, self.top[[5, 6, 9]])  # among the free dofs
+
+    @property
+    def K(self) -> Array:
+        return full(self.pattern, self.data)
+
+    def shift(self, which: Array, by: float) -> None:
+        """Add to the diagonal of some free dofs (m,) bool."""
+        self.data[self.pattern.indptr[:-1][which]] += by
+
+    def schur(self) -> Array:
+        """By dense matrices."""
+        K, c, f = self.K, self.near, ~self.near
+        return np.asarray(K[np.ix_(c, c)] - K[np.ix_(c, f)] @ np.linalg.solve(K[np.ix_(f, f)], K[np.ix_(f, c)]))
+
+
+@pytest.fixture
+def bulk() -> Bulk:
+    return Bulk()
+
+
+def test_what_it_condenses_to_are_the_free_dofs_of_those_nodes(bulk: Bulk) -> None:
+    found = bulk.condensed
+    assert (found.nodes == np.unique(bulk.top[[5, 6, 9]])).all()
+    assert found.size == bulk.near.sum() == 3 * len(found.nodes) - 4
+    assert (found.nodes[found.local[found.nodes]] == found.nodes).all()
+    assert (found.local >= 0).sum() == len(found.nodes)
+    assert ((found.dofs >= 0) == bulk.free[found.nodes]).all()
+    assert (np.sort(found.dofs[found.dofs >= 0]) == np.arange(found.size)).all()
+    number = (3 * found.nodes[:, None] + np.arange(3))[found.dofs >= 0]
+    assert (number == bulk.pattern.free[bulk.near]).all()  # in their order
+
+
+def test_it_is_the_schur_complement_where_some_condensed_nodes_have_no_others_beside_them() -> None:
+    """A plate one cell thick, bonded below; condensed to the middle and, beyond nodes that are not, to a corner."""
+    n = 8
+    ticks = np.arange(n + 1.0)
+    points = np.stack(np.meshgrid(ticks, ticks, [0.0, 1.0], indexing="ij"), -1).reshape(-1, 3)
+    cells = boxes(np.arange(len(points)).reshape(n + 1, n + 1, 2)).reshape(-1, 8)
+    free = np.ones((len(points), 3), bool)
+    free[points[:, 2] == 0] = False
+    pat = pattern([cells], free)
+    data = np.zeros(len(pat.indices))
+    Elastic.on(pat, hexes(points, cells), NeoHooke(0.05, 1.0)).add_hessian(points, data, Projection.NONE)
+    K = full(pat, data)
+    for where in (slice(2, 7), slice(0, 5), slice(4, 9)):
+        on = np.arange(len(points)).reshape(n + 1, n + 1, 2)[where, where, 1]
+        condensed = Condensation(pat, lambda: data)
+        condensed.cover(on.ravel()[None])
+        condensed.factor(data)
+        c = np.isin(pat.free // 3, on)
+        exact = K[np.ix_(c, c)] - K[np.ix_(c, ~c)] @ np.linalg.solve(K[np.ix_(~c, ~c)], K[np.ix_(~c, c)])
+        assert condensed.schur.undamped == pytest.approx(exact, abs=1e-12)
+
+
+@pytest.mark.parametrize(("softer", "every"), [(0.0, 1), (0.02, 1), (0.05, 1), (0.3, 3)])
+def test_it_is_the_schur_complement_even_of_what_contact_alone_keeps_stable(
+    bulk: Bulk, softer: float, every: int
+) -> None:
+    """Of a matrix with less on the diagonal of some condensed dofs, from a little to far below 0."""
+    assert 0.06 < np.diag(bulk.K)[bulk.near].min() < 0.09
+    bulk.shift(bulk.near & (np.arange(len(bulk.near)) % every == 0), -softer)
+    stable = np.linalg.eigvalsh(bulk.K)[0] > 0
+    assert stable == (softer == 0)
+    kept = bulk.data.copy()
+    assert not bulk.condensed.usable
+    bulk.condensed.factor(bulk.data)
+    assert bulk.condensed.usable
+    assert bulk.condensed.factored == 1
+    assert (bulk.data == kept).all()
+    S = bulk.condensed.schur.S
+    expected = bulk.schur()
+    assert pytest.approx(expected, abs=1e-11 * np.abs(expected).max()) == S
+    assert (np.linalg.eigvalsh(S)[0] > 0) == stable
+    assert (bulk.condensed.schur.undamped == S).all()
+
+
+def test_what_is_unstable_away_from_the_contact_is_reported(bulk: Bulk) -> None:
+    bulk.condensed.factor(bulk.data)
+    bulk.shift(~bulk.near, -0.05)
+    bulk.shift(bulk.near, 100.0)
+    with pytest.raises(NotPositiveDefinite):
+        bulk.condensed.factor(bulk.data)
+    assert not bulk.condensed.usable
+    bulk.shift(~bulk.near, 0.05)
+    bulk.shift(bulk.near, -100.0)
+    bulk.condensed.factor(bulk.data)
+    assert bulk.condensed.usable
+    assert pytest.approx(bulk.schur(), abs=1e-10) == bulk.condensed.schur.S
+
+
+@pytest.mark.parametrize("softer", [0.0, 0.05])
+def test_a_push_at_the_contact_moves_everything_as_the_whole_equations_do(bulk: Bulk, softer: float) -> None:
+    """K p = -g + push, also where K is not positive."""
+    rng = np.random.default_rng(1)
+    bulk.shift(bulk.near, -softer)
+    bulk.condensed.factor(bulk.data)
+    g = rng.normal(size=bulk.free.shape)  # of held dofs too, where it says nothing
+    push = rng.normal(size=bulk.condensed.size)
+    y = bulk.condensed.forward(g)
+    u = np.linalg.solve(bulk.condensed.schur.S, push - bulk.condensed.load(y))
+    p = bulk.condensed.expand(u, y)
+    assert p.shape == bulk.free.shape
+    assert not p[~bulk.free].any()
+    expected = -g.ravel()[bulk.pattern.free]
+    expected[bulk.near] += push
+    found = p.ravel()[bulk.pattern.free]
+    assert bulk.K @ found == pytest.approx(expected, abs=1e-9 * np.abs(found).max())
+    assert found[bulk.near] == pytest.approx(u)
+    # what is left of a gradient there is what holds those dofs still
+    still = bulk.condensed.expand(0 * u, y).ravel()[bulk.pattern.free]
+    assert not still[bulk.near].any()
+    missing = bulk.K @ still + g.ravel()[bulk.pattern.free]
+    assert missing[~bulk.near] == pytest.approx(np.zeros((~bulk.near).sum()), abs=1e-9)
+    assert missing[bulk.near] == pytest.approx(bulk.condensed.load(y))
+
+
+def test_to_cover_others_is_to_begin_anew(bulk: Bulk) -> None:
+    bulk.condensed.factor(bulk.data)
+    bulk.condensed.cover(bulk.top[[0, 15]])
+    assert not bulk.condensed.usable
+    bulk.near = np.isin(bulk.pattern.free // 3, bulk.top[[0, 15]])
+    assert bulk.condensed.size == bulk.near.sum() == bulk.free[np.unique(bulk.top[[0, 15]])].sum()
+    bulk.condensed.factor(bulk.data)
+    assert bulk.condensed.factored == 2
+    assert pytest.approx(bulk.schur(), abs=1e-11) == bulk.condensed.schur.S
+
+
+def test_a_frozen_copy_keeps_its_factor(bulk: Bulk) -> None:
+    b, before = np.arange(bulk.pattern.size, dtype=float), bulk.K
+    bulk.condensed.factor(bulk.data)
+    kept = frozen(bulk)
+    bulk.shift(bulk.near, 0.01)
+    bulk.condensed.factor(bulk.data)
+    assert np.allclose(before @ kept.solve(b), b)
+    assert np.allclose(bulk.K @ frozen(bulk).solve(b), b)
+
+
+def test_factors_of_frozen_copies_that_are_gone_serve_again(bulk: Bulk, monkeypatch: pytest.MonkeyPatch) -> None:
+    made, another = [], Cholmod.another
+    monkeypatch.setattr(Cholmod, "another", lambda self: made.append(another(self)) or made[-1])
+    last: list[Tied] = []  # as a load step keeps that of the one before
+    for _ in range(6):
+        bulk.condensed.factor(bulk.data)
+        last = [*last[-1:], frozen(bulk)]
+    assert len(made) == 2
+
+
+def frozen(bulk: Bulk) -> Tied:
+    """The present tangent, with nothing in contact."""
+    bulk.condensed.schur.activate(np.zeros(bulk.condensed.size, bool))
+    return Tied(bulk.condensed.frozen(), bulk.condensed.schur.factored(np.zeros((0, 0))))
+
+
+def stiffness(size: int = 12, seed: int = 0) -> Array:
+    """A positive definite matrix, eigenvalues from 1 to 5."""
+    q, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(size, size)))
+    return np.asarray(q @ np.diag(np.linspace(1, 5, size)) @ q.T)
+
+
+REST = stiffness(seed=5)
+
+
+def at_rest() -> Array:
+    """What damping multiplies."""
+    return REST
+
+
+@pytest.mark.parametrize("symmetric", [False, True])
+def test_while_contact_acts_on_more_and_more_the_answer_is_the_dense_one(symmetric: bool) -> None:
+    rng = np.random.default_rng(0)
+    S = stiffness()
+    schur, b = Schur(S.copy(), at_rest), rng.normal(size=12)
+    acted = np.zeros(12, bool)
+    for which in ([3], [3, 8], [8], [1, 2, 11], range(12)):
+        now = np.isin(np.arange(12), list(which))
+        schur.activate(now)
+        acted |= now
+        assert (schur.active == acted).all()
+        added = rng.normal(size=(acted.sum(), acted.sum()))
+        added = added @ added.T if symmetric else 0.3 * added
+        whole = S.copy()
+        whole[np.ix_(acted, acted)] += added
+        kept = added.copy()
+        assert schur.solve(added, b, symmetric) == pytest.approx(np.linalg.solve(whole, b), abs=1e-10)
+        assert (added == kept).all()
+    assert (schur.S == S).all()
+    assert schur.damping == 0
+
+
+@pytest.mark.parametrize("symmetric", [False, True])
+def test_where_contact_acts_on_nothing_the_bulk_alone_answers(symmetric: bool) -> None:
+    S, b = stiffness(), np.ones(12)
+    schur = Schur(S, at_rest)
+    schur.activate(np.zeros(12, bool))
+    assert schur.solve(np.zeros((0, 0)), b, symmetric) == pytest.approx(np.linalg.solve(S, b))
+
+
+def test_an_indefinite_symmetric_sum_is_reported_and_solved_as_it_is_otherwise() -> None:
+    S, b = stiffness(), np.random.default_rng(3).normal(size=12)
+    schur = Schur(S, at_rest)
+    schur.activate(np.arange(12) < 5)
+    added = -4 * np.eye(5)
+    whole = S.copy()
+    whole[:5, :5] += added
+    assert np.linalg.eigvalsh(whole)[0] < -0.1
+    assert schur.solve(added, b, False) == pytest.approx(np.linalg.solve(whole, b), abs=1e-10)
+    with pytest.raises(np.linalg.LinAlgError):
+        schur.solve(added, b, True)
+
+
+def test_what_is_singular_is_reported() -> None:
+    schur = Schur(np.eye(4), lambda: np.eye(4))
+    schur.activate(np.ones(4, bool))
+    with pytest.raises(np.linalg.LinAlgError):
+        schur.solve(-np.eye(4), np.ones(4), False)
+
+
+def test_damping_adds_to_the_stiffness_at_rest_and_shortens_the_step() -> None:
+    S, b = stiffness(), np.ones(12)
+    lengths = []
+    for damping in (0.0, 1.0, 100.0):
+        schur = Schur(S, at_rest).damped(damping)
+        assert schur.damping == damping
+        assert (schur.undamped == S).all()
+        schur.activate(np.arange(12) < 3)
+        assert pytest.approx(S + damping * REST) == schur.S
+        x = schur.solve(np.zeros((3, 3)), b, True)
+        assert x == pytest.approx(np.linalg.solve(S + damping * REST, b))
+        lengths.append(float(np.linalg.norm(x)))
+    assert lengths[0] > 1.2 * lengths[1] > 10 * lengths[2]
+    more = Schur(S, at_rest).more_damped()
+    assert 0 < more.damping < more.more_damped().damping == more.damped(more.damping).more_damped().damping
+
+
+def test_the_schur_complement_at_rest_is_computed_once_and_disturbs_nothing(bulk: Bulk) -> None:
+    rest = bulk.schur()
+    bulk.shift(bulk.near, 0.3)
+    bulk.condensed.factor(bulk.data)
+    y = bulk.condensed.forward(np.ones(bulk.free.shape))
+    exact = bulk.schur()
+    for damping in (0.5, 2.0):
+        assert pytest.approx(exact + damping * rest, abs=1e-10) == bulk.condensed.schur.damped(damping).S
+    assert bulk.condensed.factored == 2
+    assert (bulk.condensed.forward(np.ones(bulk.free.shape)) == y).all()
+    bulk.condensed.cover(bulk.top[[0, 15]])
+    bulk.near = np.isin(bulk.pattern.free // 3, bulk.top[[0, 15]])
+    bulk.condensed.factor(bulk.data)
+    exact = bulk.schur()
+    bulk.data = bulk.rest
+    assert pytest.approx(exact + 3 * bulk.schur(), abs=1e-10) == bulk.condensed.schur.damped(3.0).S
+
+
+def test_what_is_eliminated_is_damped_until_it_is_stable_by_itself() -> None:
+    """Those that contact acts on need not be: it may keep them."""
+    S = stiffness()
+    S[:3, :3] -= 9 * np.eye(3)  # the first ones are unstable
+    b = np.random.default_rng(2).normal(size=12)
+    kept = Schur(S, at_rest)
+    kept.activate(np.arange(12) < 3)
+    assert kept.damping == 0
+    added = 20 * np.eye(3)
+    whole = S.copy()
+    whole[:3, :3] += added
+    assert kept.solve(added, b, True) == pytest.approx(np.linalg.solve(whole, b), abs=1e-10)
+    damped = Schur(S, at_rest)
+    damped.activate(np.arange(12) >= 9)
+    part = np.ix_(range(9), range(9))
+    before = S + damped.damping / DAMPING_FACTOR * REST
+    assert np.linalg.eigvalsh(before[part])[0] < 0 < np.linalg.eigvalsh(damped.S[part])[0]
+    assert pytest.approx(S + damped.damping * REST) == damped.S
+    assert (damped.undamped == S).all()
+    whole = damped.S.copy()
+    whole[9:, 9:] += 20 * np.eye(3)
+    assert damped.solve(20 * np.eye(3), b, True) == pytest.approx(np.linalg.solve(whole, b), abs=1e-10)

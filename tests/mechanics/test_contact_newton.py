@@ -1,0 +1,145 @@
+"""Contact and friction on a bulk that is known in full: balance, Coulomb's law, and where the search must end."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers.small import patch
+
+from tacgen.geometry.analytic_sdf import Box, Cylinder, Shape, Sphere
+from tacgen.geometry.pose import Pose
+from tacgen.mechanics.barrier import Contact
+from tacgen.mechanics.condensation import Schur
+from tacgen.mechanics.contact_newton import ContactSolution, Quadratic, solve_contact
+from tacgen.mechanics.coupled import CoupledContact
+from tacgen.mechanics.friction import slip
+
+Array = np.ndarray
+DHAT, EPS, FRICTION, XTOL = 0.05, 0.05 / 8, 0.5, 1e-5
+POINTS, FACES, _ = patch(6, 2.4)
+RIM = np.abs(POINTS[:, :2]).max(1) > 1.19
+
+
+def bulk(force: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Quadratic:
+    """A sheet on a bed of springs, its rim held; `force` on each node."""
+    near = np.linalg.norm(POINTS[:, None] - POINTS[None], axis=-1)
+    sheet = 0.05 * np.exp(-((near / 0.4) ** 2))
+    dofs = np.full(POINTS.shape, -1)
+    dofs[~RIM] = np.arange(3 * (~RIM).sum()).reshape(-1, 3)
+    S = np.kron(sheet[np.ix_(~RIM, ~RIM)], np.eye(3)) + 0.02 * np.eye(3 * (~RIM).sum())
+    return Quadratic(POINTS, dofs, Schur(S, lambda: np.eye(len(S))), np.tile(force, (~RIM).sum()))
+
+
+def against(
+    shape: Shape, depth: float, anchor: tuple[float, float, float] = (0.0, 0.0, 0.0), friction: float = FRICTION
+) -> CoupledContact:
+    """Pressed in by `depth`, every point sticking to where it was, moved by `anchor`."""
+    contact = Contact(FACES, shape, Pose(np.eye(3), np.array([0.02, 0.01, -depth])), DHAT, 0.3)
+    return CoupledContact(contact, friction, FACES.at(POINTS) + np.array(anchor), EPS)
+
+
+def solved(to: Quadratic, contact: CoupledContact, **how: float) -> ContactSolution:
+    return solve_contact(to, contact, to.start, **{"xtol": XTOL, "max_steps": 40, **how})  # type: ignore[arg-type]
+
+
+CASES = {
+    "ball": against(Sphere(1.5), 0.2),
+    "ball that slides": against(Sphere(1.5), 0.2, (0.3, 0.1, 0)),
+    "punch": against(Cylinder(0.7, 0.1), 0.2, (0.0, 0.02, 0)),
+    "box that slides": against(Box(1.2, 0.8, 0.15), 0.15, (-0.2, 0.1, 0)),
+    "without friction": against(Sphere(1.5), 0.2, (0.3, 0.1, 0), 0.0),
+    "a touch": against(Sphere(1.5), 0.005),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_it_ends_in_balance_with_the_indenter_shrunk_by_the_mean_gap(name: str) -> None:
+    to, contact = bulk(), CASES[name]
+    found = solved(to, contact)
+    assert found.converged
+    assert not found.unstable
+    assert found.steps <= 25
+    forces = found.contact.evaluate(found.x)
+    assert (forces.force == found.forces.force).all()
+    assert forces.N.sum() > 1e-4
+    unbalanced = (to.gradient(found.x) - FACES.scatter(forces.force, len(POINTS)))[~RIM]
+    assert np.linalg.norm(unbalanced) < 1e-3 * forces.N.sum()
+    assert found.contact.contact.offset == pytest.approx(forces.mean_gap, abs=2 * XTOL)
+    assert (found.x[RIM] == POINTS[RIM]).all()
+    rub = np.linalg.norm(forces.force - forces.N[..., None] * forces.normal, axis=-1)
+    assert (rub <= contact.friction * forces.N * (1 + 1e-9) + 1e-15).all()
+    if "slides" in name:
+        slipped = slip(forces.at, found.contact.anchor, forces.normal)
+        length = np.linalg.norm(slipped, axis=-1)[forces.N > 0]
+        assert (length > EPS).mean() > 0.5
+        assert np.sign(forces.force.sum((0, 1))[0]) == np.sign((contact.anchor - FACES.at(POINTS))[0, 0, 0])
+
+
+def test_near_the_answer_it_takes_a_few_steps() -> None:
+    """With a consistent tangent each doubles the digits."""
+    to, contact = bulk(), CASES["ball that slides"]
+    first = solved(to, contact)
+    again = solve_contact(to, first.contact, first.x, xtol=XTOL, max_steps=40)
+    assert again.converged
+    assert again.steps <= 3
+    assert again.x == pytest.approx(first.x, abs=3 * XTOL)
+    off = first.x + np.where(RIM[:, None], 0.0, 2e-4 * np.sin(7 * POINTS[:, :1]))
+    near = solve_contact(to, first.contact, off, xtol=1e-9, max_steps=40)
+    assert near.converged
+    assert near.steps <= 8
+
+
+def test_it_ends_where_a_node_has_come_to_the_radius() -> None:
+    to, contact = bulk((0.0, 0.0, 0.004)), CASES["ball"]
+    free = solved(to, contact)
+    gone = np.abs(free.x - POINTS).max()
+    assert free.converged
+    assert gone > 0.1
+    for radius in (0.02, 0.5 * gone):
+        found = solved(to, contact, radius=radius)
+        assert found.unstable
+        assert not found.converged
+        assert np.abs(found.x - POINTS).max() == pytest.approx(radius)
+        assert (found.forces.force == found.contact.evaluate(found.x).force).all()
+    assert solved(to, contact, radius=2 * gone).converged
+
+
+def test_it_ends_where_the_bulk_is_unstable() -> None:
+    """Springs that push the sheet away, harder than the contact holds it."""
+    to, contact = bulk(), CASES["ball that slides"]
+    unit = np.eye(len(to.force))
+    pushing = replace(to, schur=Schur(to.schur.S - 2.0 * unit, lambda: unit))
+    found = solved(pushing, contact)
+    assert found.unstable
+    assert not found.converged
+    damped = replace(to, schur=pushing.schur.damped(2.0))
+    assert solved(damped, contact).converged
+
+
+def test_it_says_that_it_ran_out_of_steps() -> None:
+    found = solved(bulk(), CASES["box that slides"], max_steps=2)
+    assert not found.converged
+    assert found.steps == 2
+
+
+def test_nothing_that_it_was_given_is_changed() -> None:
+    to, contact = bulk(), CASES["ball"]
+    kept = to.schur.S.copy(), to.force.copy(), to.start.copy(), contact.anchor.copy()
+    first = solved(to, contact)
+    assert all((a == b).all() for a, b in zip(kept, (to.schur.S, to.force, to.start, contact.anchor), strict=True))
+    assert contact.contact.offset == 0
+    other = bulk()
+    second = solved(other, replace(contact))
+    assert (first.x == second.x).all()
+
+
+def test_the_quadratic_has_the_slopes_it_says() -> None:
+    to = bulk((0.001, 0.0, -0.002))
+    x = POINTS + np.where(RIM[:, None], 0.0, np.random.default_rng(0).normal(0, 0.1, POINTS.shape))
+    g = to.gradient(x)
+    assert not g[RIM].any()
+    assert to.value(POINTS) == 0
+    for node, axis in ((16, 0), (24, 1), (17, 2)):
+        step = np.zeros_like(x)
+        step[node, axis] = 1e-4
+        assert g[node, axis] == pytest.approx((to.value(x + step) - to.value(x - step)) / 2e-4)

@@ -1,0 +1,178 @@
+"""Contact solved on the condensed bulk leads to the answer of Newton's method on everything, at less cost."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.presses import gel, poses, scene
+
+from tacgen.geometry.analytic_sdf import Cylinder, Shape, Sphere
+from tacgen.geometry.pose import Pose
+from tacgen.mechanics import Problem, SolverOptions, State, mesh, plain, states
+from tacgen.mechanics.barrier import Contact
+from tacgen.mechanics.bulk_newton import BulkNewton
+from tacgen.mechanics.condensation import Condensation, Schur
+from tacgen.mechanics.equilibrium import LoadStep
+from tacgen.mechanics.frames import RISE
+from tacgen.mechanics.predictor import predict
+
+Array = np.ndarray
+PATH = [(0.0, 0.0, -0.2), (0.0, 0.0, -0.4), (0.2, 0.0, -0.4), (0.4, 0.1, -0.3)]
+USUAL = SolverOptions()
+TIGHT = replace(USUAL, step_tol=3e-4, residual_tol=1e-6)
+
+
+def solved(
+    shape: Shape, path: list[tuple[float, float, float]], options: SolverOptions = USUAL, friction: float = 0.6
+) -> tuple[list[State], Problem]:
+    made = scene(shape, poses(path), pad=gel(8, 8, 2.0), friction=friction, edge=0.5)
+    problem = Problem.of(made, mesh.build(made.gel, (-2, 2, -2, 2), made.edge), options)
+    return list(states(made, problem)), problem
+
+
+def total(state: State) -> Array:
+    """The indenter's force (3,)."""
+    return np.asarray(state.traction_force.sum((0, 1)))
+
+
+def alike(one: list[State], two: list[State], tol: float) -> None:
+    """Forces and, point by point, what presses and rubs, within a part of the force."""
+    for a, b in zip(one, two, strict=True):
+        size = np.linalg.norm(total(a))
+        assert np.abs(total(a) - total(b)).max() < tol * size
+        assert np.linalg.norm(a.normal_force - b.normal_force) < 5 * tol * np.linalg.norm(a.normal_force)
+        assert b.x == pytest.approx(a.x, abs=tol)
+        if a.friction is not None and b.friction is not None:
+            assert np.linalg.norm(a.friction - b.friction) < 20 * tol * np.linalg.norm(a.friction)
+
+
+@pytest.mark.parametrize("shape", [Sphere(2.5), Cylinder(1.2, 0.4)], ids=lambda shape: type(shape).__name__)
+def test_the_answer_is_that_of_the_oracle_in_fewer_factorisations(shape: Shape) -> None:
+    """Steps begin from the gel left behind in both: what is predicted says where new points first touch."""
+    oracle = replace(plain(), step_tol=3e-4, residual_tol=1e-7)
+    (one, first), (two, second) = (solved(shape, PATH, o) for o in (oracle, replace(TIGHT, predict=False)))
+    assert not first.condensed
+    assert second.condensed
+    assert second.linear.factored == 0
+    assert 0 < second.factored == second.tangent.condensation.factored
+    assert sum(state.iterations for state in two) < 0.6 * sum(state.iterations for state in one)
+    assert second.factored <= 4 * sum(state.substeps for state in two)
+    alike(one, two, 2e-4)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"keep_tangent": False}, {"mixed_pressure": False}, {"patience": 20.0}, {"max_newton": 200}],
+    ids=lambda change: next(iter(change)),
+)
+def test_how_it_is_found_does_not_show_in_the_answer(change: dict[str, float]) -> None:
+    """Nothing predicted: a prediction depends on where the tangent was taken, and says where new points first touch."""
+    still = replace(TIGHT, predict=False)
+    usual, _ = solved(Sphere(2.5), PATH, still)
+    other, _ = solved(Sphere(2.5), PATH, replace(still, **change))  # type: ignore[arg-type]
+    alike(usual, other, 1e-4)
+
+
+def test_without_friction_what_is_predicted_does_not_show_either() -> None:
+    usual, one = solved(Sphere(2.5), PATH, TIGHT, 0.0)
+    other, two = solved(Sphere(2.5), PATH, replace(TIGHT, predict=False), 0.0)
+    alike(usual, other, 1e-4)
+    assert one.factored <= two.factored
+
+
+def test_a_kept_tangent_saves_factorisations() -> None:
+    usual, kept = solved(Sphere(2.5), PATH)
+    _, fresh = solved(Sphere(2.5), PATH, replace(USUAL, keep_tangent=False))
+    assert kept.factored < fresh.factored
+    assert max(state.residual for state in usual) < 1e-3
+
+
+def test_contact_that_leaves_the_condensed_nodes_is_followed(monkeypatch: pytest.MonkeyPatch) -> None:
+    covered: list[int] = []
+    true = Condensation.cover
+
+    def counted(self: Condensation, facets: Array) -> None:
+        true(self, facets)
+        covered.append(self.size)
+
+    monkeypatch.setattr(Condensation, "cover", counted)
+    there, problem = solved(Sphere(1.0), [(-1.2, 0.0, -0.2), (1.2, 0.0, -0.2)])
+    assert len(covered) >= 3
+    assert max(covered) < problem.pattern.size / 3
+    conn, local = problem.contact.faces.conn, problem.tangent.condensation.local
+    first, last = (conn[(state.normal_force > 0).any(1)] for state in there)
+    assert (local[last] >= 0).all()
+    assert (local[first] < 0).any()
+    assert max(state.residual for state in there) < 1e-3  # of all nodes
+
+
+def test_without_factors_that_can_be_read_newtons_method_does_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    usual, _ = solved(Sphere(2.5), PATH[:3])
+    monkeypatch.setattr("tacgen.mechanics.linear_solvers.readable", lambda: False)
+    found, problem = solved(Sphere(2.5), PATH[:3])
+    assert not problem.condensed
+    assert problem.factored == problem.linear.factored
+    for a, b in zip(usual, found, strict=True):
+        assert b.residual < 1e-3
+        assert total(b) == pytest.approx(total(a), abs=5e-3 * np.linalg.norm(total(a)))
+
+
+def test_coulombs_law_holds_at_every_point_of_every_frame() -> None:
+    for state in solved(Cylinder(1.2, 0.4), PATH)[0]:
+        assert state.friction is not None
+        assert state.sliding is not None
+        size = np.linalg.norm(state.friction, axis=-1)
+        assert (size <= 0.6 * state.normal_force * (1 + 1e-9) + 1e-12).all()
+        assert size[state.sliding] == pytest.approx(0.6 * state.normal_force[state.sliding])
+        assert (state.friction * state.normal).sum(-1) == pytest.approx(np.zeros(size.shape), abs=1e-12)
+    assert state.sliding.any()
+
+
+def test_nothing_is_predicted_where_the_tied_gel_is_unstable() -> None:
+    made = scene(Sphere(2.5), poses(PATH), pad=gel(8, 8, 2.0), friction=0.6, edge=1.0)
+    problem = Problem.of(made, mesh.build(made.gel, (-2, 2, -2, 2), made.edge), USUAL)
+    *_, last = states(made, problem)
+    assert last.after is not None
+    contact = problem.contact
+    assert isinstance(contact, Contact)
+    further = Pose.of(last.pose + 0.1 * RISE)
+    assert predict(contact, problem.tangent, last.after, further) is not None
+    condensed = problem.tangent.condensation
+    touched = np.zeros(condensed.size, bool)
+    facets = contact.faces.conn[(last.normal_force > 0).any(1)]
+    touched[condensed.dofs[condensed.local[facets]]] = True
+    S = condensed.schur.undamped - 1e3 * np.diag(touched)
+    condensed.schur = Schur(S, lambda: S)
+    assert predict(contact, problem.tangent, last.after, further) is None
+
+
+def test_a_step_too_long_away_from_the_contact_is_halved_and_not_damped(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A node in the corner of the pad is pushed almost through its element: Newton's step throws it out on the other
+    side. Damping acts on the nodes at the contact and would not help."""
+    made = scene(Sphere(2.5), poses(PATH), pad=gel(8, 8, 2.0), friction=0.6, edge=0.5)
+    problem = Problem.of(made, mesh.build(made.gel, (-2, 2, -2, 2), made.edge), TIGHT)
+    *_, last = states(made, problem)
+    assert last.after is not None
+    step = LoadStep(problem, last.after, Pose.of(last.pose - 0.05 * RISE), np.inf)
+    x = step.start(None)
+    usual, _, _ = BulkNewton(problem, step.bulk, last.after).solve(x, step.contact)
+    far = np.flatnonzero(problem.mesh.points[:, 2] == problem.mesh.points[:, 2].max())
+    far = far[problem.mesh.points[far, :2].sum(1).argmax()]
+    pushed = x.copy()
+    pushed[far, 2] -= 0.4
+    parts: list[float] = []
+    along = BulkNewton._along
+
+    def seen(self: BulkNewton, *args: Any) -> Any:
+        found = along(self, *args)
+        parts.append(found.part)
+        assert found.gain < 0 or found.there.energy < args[0].energy + 1e-3
+        return found
+
+    monkeypatch.setattr(BulkNewton, "_along", seen)
+    newton = BulkNewton(problem, step.bulk, last.after)
+    answer, _, _ = newton.solve(pushed, step.contact)
+    assert min(parts) < 1
+    assert newton.damped == 0
+    assert answer == pytest.approx(usual, abs=1e-4)

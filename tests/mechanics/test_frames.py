@@ -1,0 +1,273 @@
+"""Stepping frames: how a frame that cannot be had ends, substeps, the footprint, and what each frame records."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers.presses import gel, poses, run, scene
+
+from tacgen.fem.elasticity import Elastic
+from tacgen.fem.jacobian import least_jacobian
+from tacgen.geometry.analytic_sdf import Box, Cylinder, Shape, Sphere
+from tacgen.geometry.pose import Pose
+from tacgen.mechanics import NotConverged, Problem, SolverOptions, equilibrium, load_stepping, mesh, short_steps, states
+from tacgen.mechanics.scene import Forced, Scene
+from tacgen.mechanics.state import History, TooFar
+
+Array = np.ndarray
+USUAL = SolverOptions()
+SMALL = (-1.8, 1.8, -1.8, 1.8)
+PATH = [(0.0, 0.0, -0.2), (0.0, 0.0, -0.4), (0.3, 0.0, -0.4)]
+
+
+def made(friction: float = 0.0, options: SolverOptions = USUAL) -> tuple[Scene, Problem]:
+    s = scene(Sphere(2.5), poses(PATH), pad=gel(8, 8, 2.0), friction=friction, edge=0.6)
+    return s, Problem.of(s, mesh.build(s.gel, SMALL, s.edge), options)
+
+
+def test_frames_come_in_order_at_the_poses_asked_for() -> None:
+    s, problem = made(0.3)
+    found = list(states(s, problem))
+    assert [state.index for state in found] == [0, 1, 2]
+    for state, pose in zip(found, s.poses, strict=True):
+        assert (state.pose == pose).all()
+        assert state.substeps == 1
+        assert 1 <= state.iterations < 20
+        assert state.residual < 1e-3
+        assert state.balance < 1e-3
+        assert 0 < state.min_gap <= state.mean_gap < s.dhat
+        assert state.mean_gap == pytest.approx(state.offset, abs=1e-3)
+        held = np.unique(problem.mesh.facets["bonded"])
+        assert (state.x[held] == problem.mesh.points[held]).all()
+        inside = s.shape.distance(Pose.of(pose).local(problem.contact.faces.at(state.x)).reshape(-1, 3))[0]
+        assert inside.min() > -state.offset
+    assert -found[1].traction_force.sum((0, 1))[2] > -2 * found[0].traction_force.sum((0, 1))[2]  # stiffens
+    assert found[2].traction_force.sum((0, 1))[0] > 0
+
+
+@pytest.mark.parametrize("asked", [0.02, 0.05, 0.2])
+def test_a_punch_reaches_forces_that_are_light_beside_the_solvers_tolerances(asked: float) -> None:
+    one = np.ones(1)
+    s = scene(Cylinder(3.0, 0.4), poses([(0, 0, -0.05)]), pad=gel(8, 8, 2.0, nu=0.4995), friction=1.0, edge=1.0)
+    s = replace(s, dhat=0.1, forced=Forced(asked * one, one, one, -1.6 * one, 1.5 * one))
+    (state,) = states(s, Problem.of(s, mesh.build(s.gel, (-3.5, 3.5, -3.5, 3.5), s.edge)))
+    assert -state.traction_force[..., 2].sum() == pytest.approx(asked, rel=USUAL.force_tol)
+
+
+def test_solving_again_gives_the_same_numbers() -> None:
+    one, two = (list(states(*made(0.3))) for _ in range(2))
+    assert all((a.x == b.x).all() and (a.normal_force == b.normal_force).all() for a, b in zip(one, two, strict=True))
+
+
+def test_a_frame_that_newton_cannot_reach_is_refused_with_its_reason() -> None:
+    with pytest.raises(NotConverged, match="Newton did not converge in 1 steps; try less depth, less friction or a"):
+        next(states(*made(options=SolverOptions(max_newton=1, halvings=0))))
+
+
+def test_a_frame_without_an_answer_says_how_far_the_gel_is_squeezed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of the last elements that were looked at: here as if they were flat."""
+    usual = Elastic.evaluate
+    monkeypatch.setattr(Elastic, "evaluate", lambda *args: replace(at := usual(*args), J=0.03 * at.J))
+    options = SolverOptions(max_newton=1, halvings=0, mixed_pressure=False)
+    with pytest.raises(NotConverged, match=r"in 1 steps, the gel squeezed to [23]\.\d% of its volume; try less depth"):
+        next(states(*made(options=options)))
+
+
+def test_a_frame_out_of_balance_is_refused_with_the_figures() -> None:
+    options = SolverOptions(residual_max=1e-300, residual_tol=1e-4, halvings=0)
+    with pytest.raises(NotConverged, match=r"^residual \d\.\de-\d+ and balance \d\.\de-\d+ of the contact force, sm"):
+        next(states(*made(options=options)))
+
+
+def test_a_gel_that_folds_between_its_points_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(equilibrium, "least_jacobian", lambda *_: -0.2)
+    with pytest.raises(NotConverged, match=r"an element is turned inside out, to -0\.2 of its volume; try less depth"):
+        next(states(*made(options=SolverOptions(halvings=0))))
+
+
+def test_how_little_an_element_is_left_of_is_recorded() -> None:
+    s, problem = made()
+    for state in states(s, problem):
+        assert state.least_J == least_jacobian(problem.mesh.points, state.x, problem.mesh.cells)
+        assert 0.3 < state.least_J < 0.99
+
+
+def test_a_point_inside_the_indenter_stiffens_the_barrier_or_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A gel far stiffer than its contact was made for is overrun by the indenter."""
+    s, problem = made(options=SolverOptions(halvings=0))
+    usual = next(states(s, problem)).traction_force.sum((0, 1))[2]
+    soft = replace(problem, contact=replace(problem.contact, kappa=1e-3 * problem.contact.kappa))
+    mended = next(states(s, soft))
+    assert mended.min_gap > 0
+    assert mended.traction_force.sum((0, 1))[2] == pytest.approx(usual, rel=0.05)
+    monkeypatch.setattr(equilibrium, "STIFFER", 1.0)
+    with pytest.raises(NotConverged, match="smallest gap -"):
+        next(states(s, soft))
+
+
+def watched(monkeypatch: pytest.MonkeyPatch, refuse: Callable[[History, Array], Exception | None]) -> list[Array]:
+    """Equilibria are refused where `refuse` says so, from its history and pose; the poses (4, 4) that are not."""
+    usual, done = load_stepping.equilibrium, list[Array]()
+
+    def asked(problem: Problem, history: History, matrix: Array, *rest: object) -> object:
+        if error := refuse(history, matrix):
+            raise error
+        done.append(matrix)
+        return usual(problem, history, matrix, *rest)
+
+    monkeypatch.setattr(load_stepping, "equilibrium", asked)
+    return done
+
+
+def longer(history: History, matrix: Array, than: float) -> bool:
+    return bool(np.linalg.norm(matrix[:3, 3] - history.pose.position) > than)
+
+
+@pytest.mark.parametrize(("kind", "halvings"), [(NotConverged, 2), (TooFar, 0)])
+def test_a_step_that_fails_is_halved_and_its_parts_counted(
+    kind: type[NotConverged], halvings: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Any of more than .09 mm is made to: .2 mm need four, and .3 mm too. Going too far does not use up halvings."""
+    s, problem = made(options=SolverOptions(halvings=halvings))
+    direct = list(states(s, problem))
+    done = watched(monkeypatch, lambda history, matrix: kind("so far") if longer(history, matrix, 0.09) else None)
+    found = list(states(s, problem))
+    assert [state.substeps for state in found] == [4, 4, 4]
+    assert [pose[2, 3] for pose in done] == pytest.approx([*(-0.05 * k for k in range(1, 9)), *[-0.4] * 4])
+    assert [pose[0, 3] for pose in done[-4:]] == pytest.approx([0.075, 0.15, 0.225, 0.3])
+    assert [state.index for state in found] == [0, 1, 2]
+    assert all((state.pose == pose).all() for state, pose in zip(found, s.poses, strict=True))
+    for a, b in zip(direct, found, strict=True):
+        assert b.iterations > a.iterations
+        assert b.traction_force.sum((0, 1)) == pytest.approx(a.traction_force.sum((0, 1)), abs=2e-3)
+
+
+@pytest.mark.parametrize(("kind", "times"), [(NotConverged, 3), (TooFar, load_stepping.TOO_FAR)])
+def test_halving_ends(kind: type[NotConverged], times: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    tried = []
+
+    def never(history: History, matrix: Array) -> Exception:
+        tried.append(matrix[2, 3])
+        return kind("never")
+
+    watched(monkeypatch, never)
+    with pytest.raises(NotConverged, match="never"):
+        next(states(*made(options=SolverOptions(halvings=3))))
+    assert tried == pytest.approx([-0.2 / 2**k for k in range(times + 1)])
+
+
+def test_a_frames_effort_is_bounded_and_the_next_has_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Shorter load steps would only take more."""
+    s, problem = made(0.3)
+    most = max(state.iterations for state in states(s, problem))
+    options = SolverOptions(max_effort=most)
+    assert sum(state.iterations for state in states(*made(0.3, options))) > most
+    tried = []
+    watched(monkeypatch, lambda history, matrix: tried.append(matrix[2, 3]))
+    with pytest.raises(NotConverged, match="did not converge in 2 steps"):
+        list(states(*made(0.3, SolverOptions(max_effort=2, residual_tol=1e-9, step_tol=1e-6))))
+    assert tried == [-0.2]
+
+
+def test_a_step_that_failed_leaves_nothing_behind() -> None:
+    """What it did to the kept tangent is not in the next answer, which is the same to the last bit."""
+    s, problem = made(0.3)
+    rest = problem.rest(Pose.of(s.start))
+    _, usual = equilibrium.equilibrium(problem, rest, s.poses[0], 0)
+    s, problem = made(0.3)
+    hasty = replace(
+        problem, options=replace(problem.options, max_newton=2, keep_tangent=False, residual_tol=1e-14, step_tol=1e-9)
+    )
+    hasty.__dict__["tangent"] = problem.tangent  # the same one
+    with pytest.raises(NotConverged):
+        equilibrium.equilibrium(hasty, rest, s.poses[0], 0)
+    assert problem.factored > 0
+    _, again = equilibrium.equilibrium(problem, rest, s.poses[0], 0)
+    assert (again.x == usual.x).all()
+
+
+def test_the_footprint_covers_all_that_is_touched_and_little_more() -> None:
+    path = poses([(-2, -1, -0.5), (2, 0.5, -0.5), (2, 0.5, 0.3)])
+    s = scene(Sphere(3.0), path, pad=gel(20, 20, 3))
+    x0, x1, y0, y1 = mesh.footprint(s)
+    rim = np.sqrt(3.0**2 - 2.5**2)
+    margin = np.array([-2 - rim - x0, x1 - 2 - rim, -1 - rim - y0, y1 - 0.5 - rim])
+    assert margin.min() > 0
+    assert margin.max() < 1.5 * s.edge
+
+
+def test_what_is_touched_lies_within_the_footprint() -> None:
+    s = scene(Box(2.0, 1.0, 0.2), poses([(0.5, 0, -0.4), (0.5, 1.0, -0.4)], yaw=0.5), pad=gel(10, 10, 2), friction=0.4)
+    found = run(s)
+    x0, x1, y0, y1 = mesh.footprint(s)
+    rest = found.problem.contact.faces.at(found.problem.mesh.points)
+    for state in found.states:
+        where = rest[state.normal_force > 0]
+        assert len(where) > 10
+        assert (where[:, 0] > x0).all()
+        assert (where[:, 0] < x1).all()
+        assert (where[:, 1] > y0).all()
+        assert (where[:, 1] < y1).all()
+
+
+def test_an_indenter_that_never_touches_has_a_footprint_and_no_force() -> None:
+    s = scene(Sphere(2.0), poses([(1.0, 0, 0.5), (1.0, 0, 0.2)]), pad=gel(8, 8, 2), friction=0.5)
+    x0, x1, y0, y1 = mesh.footprint(s)
+    assert x0 < 1.0 < x1
+    assert y0 < 0.0 < y1
+    assert max(x1 - x0, y1 - y0) < 2.5 * s.edge
+    found = run(s)
+    assert np.abs(found.forces).max() == 0
+    for state in found.states:
+        assert state.x == pytest.approx(found.problem.mesh.points, abs=1e-12)
+    assert max(state.balance for state in found.states) < 1e-7
+
+
+def test_where_nothing_touches_one_iteration_is_enough() -> None:
+    s = scene(Sphere(2.0), poses([(1.0, 0, 0.5), (1.0, 0, 0.2)]), pad=gel(8, 8, 2), friction=0.5)
+    assert max(state.iterations for state in run(s).states) <= 1
+
+
+def test_a_deep_press_at_once_goes_in_load_steps_to_the_same_force() -> None:
+    """Without friction the way there does not matter: half the tangents, the same answer."""
+    made = scene(Sphere(4.0), poses([(0, 0, -1.0)]), pad=gel(12, 12, 4.0), edge=0.6)
+    grid = mesh.build(made.gel, (-3.0, 3.0, -3.0, 3.0), made.edge)
+    problems = [Problem.of(made, grid, options) for options in (SolverOptions(), SolverOptions(sink=np.inf))]
+    (split,), (whole,) = (list(states(made, problem)) for problem in problems)
+    assert (split.substeps, whole.substeps) == (2, 1)
+    assert split.traction_force.sum((0, 1))[2] == pytest.approx(whole.traction_force.sum((0, 1))[2], rel=1e-3)
+    assert problems[0].factored < 0.8 * problems[1].factored
+
+
+def test_friction_taken_round_a_sharp_edge_in_one_step_is_recorded() -> None:
+    """A box with edges of a quarter of a cell, slid by a cell at once and in sixty steps; a ball has none."""
+    path = [(0.0, 0.0, -0.4), (0.6, 0.1, -0.4)]
+
+    def slid(shape: Shape, friction: float, times: int) -> float:
+        made = scene(shape, poses(path), pad=gel(8, 8, 2.0), friction=friction, edge=0.6)
+        options = short_steps(SolverOptions(sink=9.0, slide=9.0, slide_sharp=9.0), times)
+        found = list(states(made, Problem.of(made, mesh.build(made.gel, SMALL, made.edge), options)))
+        assert found[1].substeps == (1 if times == 1 or not friction else 7)
+        return found[1].rounded
+
+    box = Box(1.6, 1.6, 0.15)
+    whole = slid(box, 0.6, 1)
+    assert whole > 0.05
+    assert slid(box, 0.6, 60) < 0.5 * whole
+    assert slid(box, 0.0, 1) == slid(Sphere(2.5), 0.6, 1) == 0
+
+
+def test_friction_round_an_edge_is_that_of_the_points_whose_normal_turns() -> None:
+    made = scene(Box(1.0, 1.0, 0.05), poses(PATH), pad=gel(8, 8, 2.0), friction=0.6, edge=0.6)
+    problem = Problem.of(made, mesh.build(made.gel, SMALL, made.edge))
+    after, _ = equilibrium.equilibrium(problem, problem.rest(Pose.of(made.start)), made.poses[0], 0)
+    one = np.unravel_index(after.normal_force.argmax(), after.normal_force.shape)
+    share = after.normal_force[one] / after.normal_force.sum()
+    for angle, part in ((0.25, 0.0), (0.4, 0.6 * share)):
+        normal = after.normal.copy()
+        normal[one] = [np.sin(angle), 0, -np.cos(angle)]
+        assert after.normal[one] == pytest.approx([0, 0, -1])
+        assert load_stepping.rounded(problem, replace(after, normal=normal), after) == pytest.approx(part)
+    released = replace(after, normal=-after.normal, normal_force=np.zeros_like(after.normal_force))
+    assert load_stepping.rounded(problem, after, released) == pytest.approx(0.6)
