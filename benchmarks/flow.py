@@ -16,8 +16,8 @@ from tacgen.optics.material_flow import Flow, Points
 from tacgen.optics.surface_grid import Sheet, Surface
 from tacgen.recipe import assets, loading, plan
 from tacgen.recipe.model import Recipe
-from tacgen.recipe.sensor import LitSensor, Sensor
 from tacgen.render import mitsuba_path
+from tacgen.sensor.model import LitSensor, Sensor
 
 Array = np.ndarray
 SHEAR = 0.5  # [mm]

@@ -25,9 +25,9 @@ from tacgen.optics.camera_view import Samples
 from tacgen.optics.surface_grid import Sheet, Surface, Untouched
 from tacgen.recipe import assets, plan, scene_of_row
 from tacgen.recipe.model import QUALITIES
-from tacgen.recipe.sensor import Camera, LitSensor
 from tacgen.render import images, mitsuba_variants, traced_maps
 from tacgen.render.mitsuba_path import PathTracer, Window
+from tacgen.sensor.model import Camera, LitSensor
 
 Array = np.ndarray
 BALL = "indenter={shape: sphere, radius_mm: 4}"

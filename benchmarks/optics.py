@@ -8,8 +8,8 @@ from benchmarks import flow, image_error
 from benchmarks.image_error import Truth
 from benchmarks.results_page import Cell, Level, Plot, Result, Say, Series, Table, columns, cores
 from tacgen.recipe import assets, loading
-from tacgen.recipe.sensor import LitSensor
 from tacgen.render import mitsuba_variants
+from tacgen.sensor.model import LitSensor
 
 ABOUT = (
     "Images of solved faces against Mitsuba's `path`: PSNR on developed images before rounding and without the camera's"

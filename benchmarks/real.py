@@ -14,8 +14,8 @@ from tacgen.calibrate.likeness import AROUND, Comparison, near
 from tacgen.optics.camera_view import View
 from tacgen.optics.surface_grid import Surface
 from tacgen.recipe import assets, loading
-from tacgen.recipe.sensor import LitSensor
 from tacgen.render.images import Renderer
+from tacgen.sensor.model import LitSensor
 
 Array = np.ndarray
 ABOUT = (

@@ -7,8 +7,8 @@ from benchmarks.photographs import Unit
 from benchmarks.results_page import Cell, Say, Table, columns
 from tacgen.calibrate import press_faces
 from tacgen.calibrate.photos import Press
-from tacgen.recipe.sensor import LitSensor
 from tacgen.render.images import Renderer
+from tacgen.sensor.model import LitSensor
 
 Array = np.ndarray
 RADII = np.array([0.5, 0.9, 1.0, 1.1, 1.25, 1.5, 1.75, 2.0])  # contact radii whose change is compared

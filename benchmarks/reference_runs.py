@@ -18,7 +18,7 @@ from tacgen.mechanics.scene import Scene
 from tacgen.optics.camera import Camera
 from tacgen.optics.coating import centers
 from tacgen.recipe import assets, plan, scene_of_row
-from tacgen.recipe.markers import GridMarkers
+from tacgen.sensor.markers import GridMarkers
 
 Array = np.ndarray
 PACKAGE = Path(mechanics.__file__).parents[1]

@@ -23,7 +23,7 @@ from tacgen.mechanics import mesh, presolve
 from tacgen.optics.camera import Camera
 from tacgen.optics.coating import centers
 from tacgen.recipe import assets, plan, scene_of_row
-from tacgen.recipe.markers import Motion
+from tacgen.sensor.markers import Motion
 
 MOVES = "[{press: {depth_mm: 0.8, frames: 3}}, {slide: {x_mm: 1.2, y_mm: 0.4, frames: 4}}, {release: {frames: 1}}, "
 MOVES += "{press: {depth_mm: 0.8, frames: 1}}, {twist: {angle_deg: 30, frames: 4}}]"

@@ -19,8 +19,8 @@ sys.path.insert(0, str(ROOT))
 from benchmarks import photographs  # noqa: E402
 from tacgen.calibrate import press_faces  # noqa: E402
 from tacgen.recipe import assets, loading  # noqa: E402
-from tacgen.recipe.sensor import LitSensor  # noqa: E402
 from tacgen.render.images import Renderer  # noqa: E402
+from tacgen.sensor.model import LitSensor  # noqa: E402
 
 
 def grey(change: np.ndarray) -> np.ndarray:

@@ -167,7 +167,8 @@ def status(
 @app.command()
 def validate(file: RecipeFile, sets: Sets = None) -> None:
     """Check a recipe with its sensor and all its scenes, or a sensor file."""
-    from tacgen.recipe import approach, assets, checks, loading, yaml_source
+    from tacgen.recipe import approach, assets, checks, loading
+    from tacgen.sensor import yaml_source
 
     path = assets.recipe_path(file)
     data = yaml_source.load(path).data

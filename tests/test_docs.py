@@ -24,12 +24,14 @@ from typer.testing import CliRunner
 from tacgen import export, outputs, pipeline
 from tacgen.bundle import bundle, schema
 from tacgen.cli import app
-from tacgen.recipe import assets, loading, markers, model, plan, sensor
-from tacgen.recipe.base_model import Part
+from tacgen.recipe import assets, loading, model, plan
 from tacgen.recipe.grasp_checks import OF_GRASP
 from tacgen.recipe.indenters import SHAPES
 from tacgen.recipe.trajectory import Segment
-from tacgen.recipe.yaml_source import load
+from tacgen.sensor import markers
+from tacgen.sensor import model as sensor
+from tacgen.sensor.base_model import Part
+from tacgen.sensor.yaml_source import load
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"

@@ -26,7 +26,7 @@ from tacgen.bundle.stored_json import parsed
 from tacgen.errors import UserError
 
 if TYPE_CHECKING:
-    from tacgen.recipe.sensor import Sensor
+    from tacgen.sensor.model import Sensor
 
 NOT_IN_DIGEST = ("digest", "complete")  # attributes that are written after the digest is known
 PACKED_HINT = ": it holds packed scenes; give the folder it is in"
@@ -191,7 +191,7 @@ class Bundle:
     @property
     def sensor(self) -> "Sensor":
         """The sensor of the scene. Raises UserError: the bundle does not hold it, or this version cannot read it."""
-        from tacgen.recipe.sensor import Sensor
+        from tacgen.sensor.model import Sensor
 
         if "sensor_document" not in self.attrs:
             raise UserError(f"{self.path}: does not hold its sensor")

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Any, cast
 
 from tacgen.calibrate.result import digits, write_sensor
 from tacgen.errors import UserError
-from tacgen.recipe import assets, loading, yaml_source
-from tacgen.recipe.sensor import LIGHTS, LitSensor, Sensor
-from tacgen.recipe.validation_messages import Problem, report
-from tacgen.recipe.yaml_source import KeyPath
+from tacgen.recipe import assets, loading
+from tacgen.sensor import yaml_source
+from tacgen.sensor.model import LIGHTS, LitSensor, Sensor
+from tacgen.sensor.validation_messages import Problem, report
+from tacgen.sensor.yaml_source import KeyPath
 
 if TYPE_CHECKING:
     from tacgen.calibrate.likeness import ChangeLikeness, Likeness

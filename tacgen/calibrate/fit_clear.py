@@ -26,10 +26,11 @@ from tacgen.optics.interreflection import Glow, Radiosity
 from tacgen.optics.mitsuba_dicts import bottom_depth, frame
 from tacgen.optics.shadows import Terrain
 from tacgen.optics.surface_grid import Sheet, Surface, Untouched
-from tacgen.recipe import background_photo, optics_checks
-from tacgen.recipe.sensor import Camera, Led, LitSensor
-from tacgen.recipe.yaml_source import KeyPath
+from tacgen.recipe import background_photo
 from tacgen.render import traced_maps
+from tacgen.sensor import optics_checks
+from tacgen.sensor.model import Camera, Led, LitSensor
+from tacgen.sensor.yaml_source import KeyPath
 
 if TYPE_CHECKING:
     from tacgen.calibrate import Asked

@@ -21,10 +21,10 @@ from tacgen.optics.camera import Camera
 from tacgen.optics.camera_view import View
 from tacgen.optics.surface_grid import Surface
 from tacgen.recipe import background_photo
-from tacgen.recipe.sensor import Camera as Eye
-from tacgen.recipe.sensor import LitSensor, ThicknessResponse
-from tacgen.recipe.yaml_source import KeyPath
 from tacgen.render import images, traced_maps
+from tacgen.sensor.model import Camera as Eye
+from tacgen.sensor.model import LitSensor, ThicknessResponse
+from tacgen.sensor.yaml_source import KeyPath
 
 Array = np.ndarray
 CHANGES = (-2.1, -1.6, -1.2, -0.8, -0.4, -0.15, 0.0, 0.08, 0.16, 0.24, 0.32, 0.45)  # of thickness, for the gain [mm]

@@ -14,8 +14,8 @@ from tacgen.optics.camera import Camera
 from tacgen.optics.camera_view import View
 from tacgen.optics.hertz_dent import BallDent
 from tacgen.optics.surface_grid import Surface
-from tacgen.recipe.sensor import LitSensor
 from tacgen.render.images import Renderer
+from tacgen.sensor.model import LitSensor
 
 Array = np.ndarray
 WITHIN = 0.95  # contact radii within which the slopes are the ball's

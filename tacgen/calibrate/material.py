@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 from tacgen.calibrate.result import digits, write_sensor
 from tacgen.errors import UserError
 from tacgen.recipe import assets, plan
-from tacgen.recipe.sensor import IsochoricLayer
-from tacgen.recipe.yaml_source import KeyPath, at, format_path, parse_path
 from tacgen.report.wording import counted
+from tacgen.sensor.model import IsochoricLayer
+from tacgen.sensor.yaml_source import KeyPath, at, format_path, parse_path
 
 if TYPE_CHECKING:
     from tacgen.calibrate.fit_material import MaterialFit

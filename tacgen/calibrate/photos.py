@@ -8,7 +8,7 @@ import numpy as np
 from tacgen import csv_table
 from tacgen.errors import UserError
 from tacgen.recipe import background_photo
-from tacgen.recipe.sensor import Camera
+from tacgen.sensor.model import Camera
 
 Array = np.ndarray
 UNTOUCHED = ("background.png", "background.jpg", "background.jpeg", "background.bmp")

@@ -1,7 +1,7 @@
 """Depths of presses that can be solved in a gel."""
 
 from tacgen.recipe import checks
-from tacgen.recipe.sensor import Gel
+from tacgen.sensor.model import Gel
 
 # Over the thickness of the gel [-]. Below, the contact is smaller than the mesh's cells (depths in metres are, in any
 # gel); above, the elements between indenter and base are crushed, and solves fail or take minutes.

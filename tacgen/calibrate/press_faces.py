@@ -17,8 +17,8 @@ from tacgen.optics.hertz_dent import BallDent
 from tacgen.optics.surface_grid import Surface, Untouched
 from tacgen.recipe import plan, scene_of_row
 from tacgen.recipe.model import Recipe
-from tacgen.recipe.sensor import LitSensor
-from tacgen.recipe.yaml_source import KeyPath
+from tacgen.sensor.model import LitSensor
+from tacgen.sensor.yaml_source import KeyPath
 
 
 def check(sensor: LitSensor, photos: Photos, deeper: float = 1.0) -> None:

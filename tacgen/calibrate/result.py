@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from tacgen.recipe import assets, loading, yaml_source
-from tacgen.recipe.sensor import LitSensor, Sensor
-from tacgen.recipe.yaml_source import KeyPath
+from tacgen.recipe import assets, loading
+from tacgen.sensor import yaml_source
+from tacgen.sensor.model import LitSensor, Sensor
+from tacgen.sensor.yaml_source import KeyPath
 
 Array = np.ndarray
 

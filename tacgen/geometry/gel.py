@@ -9,7 +9,7 @@ from tacgen.errors import UserError
 from tacgen.fem.materials import Law
 from tacgen.geometry import mesh_import
 from tacgen.geometry.outline import Pad
-from tacgen.optics.rasterize import draw
+from tacgen.geometry.rasterize import draw
 
 Array = np.ndarray
 SHEET_STEP = 0.024  # grid spacing of the interfaces between a solid's layers, over the longer side [-]

@@ -15,9 +15,9 @@ from tacgen.fem.elements import (
     linear_pressure,
 )
 from tacgen.fem.elements import triangles as pieces
+from tacgen.geometry.rasterize import hits
 from tacgen.labels.gel_surface import Surface
 from tacgen.mechanics import Problem, State
-from tacgen.optics.rasterize import hits
 from tacgen.optics.surface_grid import unit
 
 if TYPE_CHECKING:

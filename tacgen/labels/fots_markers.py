@@ -17,8 +17,8 @@ from tacgen.optics.surface_grid import Sheet, Untouched
 if TYPE_CHECKING:
     from tacgen.geometry.analytic_sdf import Shape
     from tacgen.optics.camera import Camera
-    from tacgen.recipe.markers import Motion
-    from tacgen.recipe.sensor import Gel
+    from tacgen.sensor.markers import Motion
+    from tacgen.sensor.model import Gel
 
 Array = np.ndarray
 FACE_SPACING = 0.3  # spacing of the points of the face at which the depth is evaluated [mm]

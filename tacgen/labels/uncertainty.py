@@ -15,7 +15,7 @@ from tacgen.recipe import scene_of_row
 from tacgen.recipe.model import Uncertainty
 from tacgen.recipe.plan import Row
 from tacgen.recipe.scene_of_row import law_of
-from tacgen.recipe.sensor import Gel
+from tacgen.sensor.model import Gel
 
 Array = np.ndarray
 COARSER, ORDER = 1.5, 1.5  # edge ratio of the second mesh [-]; order of convergence, 1 to 2 for forces and maps

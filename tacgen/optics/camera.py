@@ -13,7 +13,7 @@ from tacgen.compiled import njit
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from tacgen.optics.description import Sensor
+    from tacgen.sensor.model import Sensor
 
     Floats = NDArray[np.float64]
 

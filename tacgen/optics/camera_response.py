@@ -11,14 +11,14 @@ from tacgen.optics.noise import noisy
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from tacgen.optics.description import Eye
+    from tacgen.sensor.model import Camera
 
     Floats = NDArray[np.float64]
 
 CELLS = 4096  # of the light from 0 to 1, in each of which the search for a pixel's count starts
 
 
-def vignette(camera: "Eye") -> "Floats":
+def vignette(camera: "Camera") -> "Floats":
     """Fall-off (H, W, 3) toward the corners, 1 on the axis: 1 / (1 + (r/r0)^2)^2 with r at the scale on the untouched
     coating."""
     size = camera.width_px, camera.height_px, camera.mm_per_px
@@ -34,12 +34,12 @@ def _fall_off(w: int, h: int, scale: float, right: float, down: float, radii: tu
     return fall
 
 
-def colours(camera: "Eye") -> "Floats":
+def colours(camera: "Camera") -> "Floats":
     """Matrix (3, 3) from the sensor's own red, green and blue to those of its counts."""
     return np.eye(3) if camera.colour_matrix is None else np.array(camera.colour_matrix)
 
 
-def blurred(radiance: "Floats", camera: "Eye") -> "Floats":
+def blurred(radiance: "Floats", camera: "Camera") -> "Floats":
     """A radiance picture (H, W, 3) out of focus: the image of a point is a Gaussian of standard deviation blur_mm."""
     if not camera.blur_mm:
         return radiance
@@ -49,7 +49,7 @@ def blurred(radiance: "Floats", camera: "Eye") -> "Floats":
     return np.asarray(gaussian_filter(radiance, (sd, sd, 0), mode="nearest"))
 
 
-def encoded(light: "Floats", camera: "Eye") -> "Floats":
+def encoded(light: "Floats", camera: "Camera") -> "Floats":
     """Pixel values over full scale for light clipped to [0, 1], by the sRGB curve (IEC 61966-2-1) or linear."""
     return _curve(light, camera.response)
 
@@ -59,40 +59,40 @@ def _curve(light: "Floats", response: str) -> "Floats":
     return x if response == "linear" else np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055)
 
 
-def linear(counts: "Floats", camera: "Eye") -> "Floats":
+def linear(counts: "Floats", camera: "Camera") -> "Floats":
     """The inverse of `encoded`."""
     if camera.response == "linear":
         return np.asarray(counts, dtype=float)
     return np.where(counts <= 0.04045, counts / 12.92, ((counts + 0.055) / 1.055) ** 2.4)
 
 
-def slope(light: "Floats", camera: "Eye") -> "Floats":
+def slope(light: "Floats", camera: "Camera") -> "Floats":
     """d encoded / d light."""
     if camera.response == "linear":
         return np.ones_like(light)
     return np.where(light <= 0.0031308, 12.92, 1.055 / 2.4 * np.maximum(light, 1e-4) ** (1 / 2.4 - 1))
 
 
-def stray(camera: "Eye") -> "Floats":
+def stray(camera: "Camera") -> "Floats":
     """Radiance (H, W, 3) of a coating without dots in the stray light alone: `ambient` after colours and exposure."""
     even = np.linalg.solve(colours(camera), camera.ambient) / camera.exposure
     return np.broadcast_to(even, (camera.height_px, camera.width_px, 3))
 
 
-def expose(radiance: "Floats", camera: "Eye") -> "Floats":
+def expose(radiance: "Floats", camera: "Camera") -> "Floats":
     """Linear signal over full scale (H, W, 3) of a radiance image (H, W, 3)."""
     mixed = radiance if camera.colour_matrix is None else radiance @ colours(camera).T
     return np.asarray(mixed * (camera.exposure * vignette(camera)))
 
 
-def unexposed(light: "Floats", camera: "Eye") -> "Floats":
+def unexposed(light: "Floats", camera: "Camera") -> "Floats":
     """The inverse of `expose`."""
     even = light / (camera.exposure * vignette(camera))
     return even if camera.colour_matrix is None else np.asarray(even @ np.linalg.inv(colours(camera)).T)
 
 
 def develop(
-    radiance: "NDArray[np.floating]", camera: "Eye", random: np.random.Generator | None = None
+    radiance: "NDArray[np.floating]", camera: "Camera", random: np.random.Generator | None = None
 ) -> "NDArray[np.uint8]":
     """The 8-bit picture (H, W, 3) of a radiance picture (H, W, 3), with noise if `random` is given."""
     normal, shot, read, strength = np.empty((0, 0, 0)), (0.0,) * 3, (0.0,) * 3, 0.0

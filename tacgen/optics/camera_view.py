@@ -15,7 +15,7 @@ from tacgen.optics.surface_grid import Sheet, Surface, unit
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from tacgen.optics.description import LitSensor
+    from tacgen.sensor.model import LitSensor
 
     Floats = NDArray[np.float64]
 

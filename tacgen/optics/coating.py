@@ -10,7 +10,8 @@ from tacgen.optics.mitsuba_dicts import diffuse
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from tacgen.optics.description import Coating, Markers
+    from tacgen.sensor.markers import Markers
+    from tacgen.sensor.model import Coating
 
     Floats = NDArray[np.float64]
 

@@ -4,9 +4,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tacgen.geometry.rasterize import draw
 from tacgen.optics import adaptive_sampling, coating
 from tacgen.optics.camera_view import Samples, View
-from tacgen.optics.rasterize import draw
 from tacgen.optics.shadows import Terrain
 from tacgen.optics.strip_light_table import Columns, toward_camera
 from tacgen.optics.surface_grid import Sheet, Surface
@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from tacgen.optics.description import LitSensor
     from tacgen.optics.interreflection import Glow
+    from tacgen.sensor.model import LitSensor
 
     Floats = NDArray[np.float64]
     Light = Callable[[NDArray[np.int64]], Floats]

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tacgen.optics.rasterize import blend, hits
+from tacgen.geometry.rasterize import blend, hits
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from tacgen.optics.camera_view import View
-    from tacgen.optics.description import LitSensor
     from tacgen.optics.surface_grid import Surface
+    from tacgen.sensor.model import LitSensor
 
     Floats = NDArray[np.float64]
 

@@ -4,8 +4,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tacgen.geometry.rasterize import hidden
 from tacgen.optics.drawn_face import DrawnFace
-from tacgen.optics.hidden import hidden
 
 if TYPE_CHECKING:
     from tacgen.optics.camera import Camera

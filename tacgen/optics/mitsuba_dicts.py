@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from tacgen.optics.description import Led, LitSensor, Scattering
+    from tacgen.sensor.model import Led, LitSensor, Scattering
 
     Floats = NDArray[np.float64]
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from tacgen.optics.description import Gel, ThicknessResponse
+    from tacgen.sensor.model import Gel, ThicknessResponse
 
     Floats = NDArray[np.float64]
 

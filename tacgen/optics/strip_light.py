@@ -16,7 +16,7 @@ from tacgen.optics.shadows import SUMS, Terrain, horizon
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from tacgen.optics.description import Led, LitSensor
+    from tacgen.sensor.model import Led, LitSensor
 
 from numpy.typing import NDArray
 

@@ -17,7 +17,7 @@ from tacgen.optics.shadows import SUMS, Terrain, horizon
 from tacgen.optics.strip_light import Panels, Points, Slab, arrive, ggx, points, shaded
 
 if TYPE_CHECKING:
-    from tacgen.optics.description import LitSensor
+    from tacgen.sensor.model import LitSensor
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]

@@ -11,7 +11,8 @@ from tacgen.compiled import njit
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from tacgen.optics.description import Gel, Pad
+    from tacgen.geometry.outline import Pad
+    from tacgen.sensor.model import Gel
 
     Floats = NDArray[np.float64]
 

@@ -20,8 +20,8 @@ from tacgen.optics.hertz_dent import BallDent
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from tacgen.optics.description import LitSensor
     from tacgen.optics.surface_grid import Surface
+    from tacgen.sensor.model import LitSensor
 
     Floats = NDArray[np.float64]
 

@@ -8,9 +8,9 @@ from tacgen import regular_file
 from tacgen.errors import UserError, why
 from tacgen.recipe import assets
 from tacgen.recipe.model import IMAGES, Recipe
-from tacgen.recipe.sensor import Camera, Sensor
-from tacgen.recipe.validation_messages import Problem
-from tacgen.recipe.yaml_source import KeyPath
+from tacgen.sensor.model import Camera, Sensor
+from tacgen.sensor.validation_messages import Problem
+from tacgen.sensor.yaml_source import KeyPath
 
 if TYPE_CHECKING:
     import numpy as np

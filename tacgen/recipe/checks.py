@@ -7,14 +7,15 @@ from pathlib import Path
 from typing import Any, cast
 
 from tacgen.errors import UserError
-from tacgen.recipe import assets, background_photo, grasp_checks, optics_checks, trajectory_checks
+from tacgen.recipe import assets, background_photo, grasp_checks, trajectory_checks
 from tacgen.recipe.indenters import Indenter
 from tacgen.recipe.model import IMAGES, Recipe
-from tacgen.recipe.sensor import LIGHTS, Gel, LitSensor, Sensor
 from tacgen.recipe.trajectory import Paced, Replay, Slide, Timed
 from tacgen.recipe.trajectory_checks import Folders
-from tacgen.recipe.validation_messages import Problem, needs
-from tacgen.recipe.yaml_source import KeyPath
+from tacgen.sensor import optics_checks
+from tacgen.sensor.model import LIGHTS, Gel, LitSensor, Sensor
+from tacgen.sensor.validation_messages import Problem, needs
+from tacgen.sensor.yaml_source import KeyPath
 
 MIN_HALF_THICKNESS = 0.8  # of an indenter, over the element edge [-]; thinner ones pass between contact points
 SOLID_SIZE_ERROR = 0.01  # largest difference between a solid's sides and those in its sensor file, relative [-]

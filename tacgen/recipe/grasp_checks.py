@@ -7,9 +7,9 @@ from tacgen.errors import UserError
 from tacgen.recipe import trajectory_checks
 from tacgen.recipe.indenters import analytic
 from tacgen.recipe.model import Grasp, Recipe
-from tacgen.recipe.sensor import Sensor
 from tacgen.recipe.trajectory import Start, Timed
-from tacgen.recipe.validation_messages import Problem
+from tacgen.sensor.model import Sensor
+from tacgen.sensor.validation_messages import Problem
 
 OF_GRASP = ("close", "lift")  # movements of a gripper alone
 MOVES = (*OF_GRASP, "tilt", "hold", "replay")  # all movements of a gripper

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 from pydantic import Field, ValidationInfo, field_validator
 
-from tacgen.recipe.base_model import Axis, FilePath, Part, Positive, Sha256
+from tacgen.sensor.base_model import Axis, FilePath, Part, Positive, Sha256
 
 if TYPE_CHECKING:
     from tacgen.geometry.analytic_sdf import Shape

@@ -8,10 +8,10 @@ from typing import Any
 from tacgen.errors import UserError
 from tacgen.recipe import assets, checks
 from tacgen.recipe.model import IMAGES, Recipe
-from tacgen.recipe.sensor import Sensor
-from tacgen.recipe.usual_values import unusual
-from tacgen.recipe.validation_messages import Problem, report, suggest, validate
-from tacgen.recipe.yaml_source import KeyPath, Mark, Source, Spot, Tree, at, describe, load, parse, parse_path
+from tacgen.sensor.model import Sensor
+from tacgen.sensor.usual_values import unusual
+from tacgen.sensor.validation_messages import Problem, report, suggest, validate
+from tacgen.sensor.yaml_source import KeyPath, Mark, Source, Spot, Tree, at, describe, load, parse, parse_path
 
 SOLID: KeyPath = ("gel", "solid", "file")
 

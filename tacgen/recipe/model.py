@@ -4,10 +4,10 @@ from typing import Annotated, Any, Literal, NamedTuple, get_args
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, ValidationInfo, field_validator, model_validator
 
-from tacgen.recipe.base_model import ONE_KEY, FilePath, NotNegative, Part, Positive, Sha256, exactly_one
 from tacgen.recipe.indenters import Indenter
 from tacgen.recipe.trajectory import Segment, Start, Vector
-from tacgen.recipe.yaml_source import KeyPath
+from tacgen.sensor.base_model import ONE_KEY, FilePath, NotNegative, Part, Positive, Sha256, exactly_one
+from tacgen.sensor.yaml_source import KeyPath
 
 OutputName = Literal[
     "force",

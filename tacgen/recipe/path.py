@@ -14,7 +14,7 @@ from tacgen.mechanics.scene import Forced
 from tacgen.recipe import pose_table
 from tacgen.recipe.model import Recipe
 from tacgen.recipe.trajectory_poses import Frame, TrajectoryError, Walk
-from tacgen.recipe.yaml_source import format_path
+from tacgen.sensor.yaml_source import format_path
 
 if TYPE_CHECKING:
     from tacgen.geometry.gel import Gel

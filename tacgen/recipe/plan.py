@@ -28,11 +28,11 @@ from tacgen.recipe.loading import (
 from tacgen.recipe.model import IMAGES, Recipe, Vary
 from tacgen.recipe.pose_table import Pose
 from tacgen.recipe.sampling import correlated, draw, scene_count
-from tacgen.recipe.sensor import Sensor
 from tacgen.recipe.trajectory_checks import replayed, resolved
-from tacgen.recipe.usual_values import unusual
-from tacgen.recipe.validation_messages import Problem, report, validate
-from tacgen.recipe.yaml_source import KeyPath, Tree, format_path, parse_path, put
+from tacgen.sensor.model import Sensor
+from tacgen.sensor.usual_values import unusual
+from tacgen.sensor.validation_messages import Problem, report, validate
+from tacgen.sensor.yaml_source import KeyPath, Tree, format_path, parse_path, put
 
 FORMAT = 1  # of the bundles that keys stand for
 NOISE = 2  # purpose of these random numbers; a new purpose gets a new number, and sampling has 1

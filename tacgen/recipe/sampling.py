@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from tacgen.recipe.model import FEW, Distribution, Vary
-from tacgen.recipe.validation_messages import Problem
+from tacgen.sensor.validation_messages import Problem
 
 if TYPE_CHECKING:
     import numpy as np

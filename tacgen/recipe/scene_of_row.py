@@ -13,13 +13,13 @@ from tacgen.geometry.analytic_sdf import Shape, Triangles
 from tacgen.geometry.gel import Gel, Layer, SolidGel
 from tacgen.mechanics.scene import Dynamics, Scene
 from tacgen.recipe import indenters, trajectory
-from tacgen.recipe import sensor as sensors
 from tacgen.recipe.checks import timed
 from tacgen.recipe.model import Recipe
 from tacgen.recipe.path import Path as IndenterPath
 from tacgen.recipe.path import indenter_path
 from tacgen.recipe.plan import Row
-from tacgen.recipe.sensor import MooneyRivlinLayer, NeoHookeLayer, Sensor, StableNeoHookeLayer, YeohLayer
+from tacgen.sensor import model as sensors
+from tacgen.sensor.model import MooneyRivlinLayer, NeoHookeLayer, Sensor, StableNeoHookeLayer, YeohLayer
 
 Array = np.ndarray
 TONNES_PER_MM3 = 1e-12  # 1 kg/m^3 in t/mm^3

@@ -8,7 +8,7 @@ from typing import Any
 from tacgen import output_file, regular_file
 from tacgen.recipe import assets
 from tacgen.recipe.model import Recipe
-from tacgen.recipe.sensor import Sensor
+from tacgen.sensor.model import Sensor
 
 SCHEMA_FILE, SENSOR_SCHEMA_FILE = "tacgen.schema.json", "tacgen-sensor.schema.json"
 LARGEST_SCHEMA = 2**24  # [bytes]

@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from tacgen.recipe.base_model import ONE_KEY, FilePath, Part, Positive, Sha256, exactly_one
+from tacgen.sensor.base_model import ONE_KEY, FilePath, Part, Positive, Sha256, exactly_one
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]  # w, x, y, z

@@ -10,10 +10,10 @@ from tacgen.recipe import assets, pose_table
 from tacgen.recipe.indenters import analytic
 from tacgen.recipe.model import Recipe
 from tacgen.recipe.pose_table import Pose
-from tacgen.recipe.sensor import Gel
 from tacgen.recipe.trajectory import Press, Replay, Slide, Start
-from tacgen.recipe.validation_messages import Problem
-from tacgen.recipe.yaml_source import KeyPath
+from tacgen.sensor.model import Gel
+from tacgen.sensor.validation_messages import Problem
+from tacgen.sensor.yaml_source import KeyPath
 
 if TYPE_CHECKING:
     from numpy import ndarray as Array

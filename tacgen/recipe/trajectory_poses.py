@@ -13,7 +13,7 @@ from tacgen.geometry.pose import about
 from tacgen.mechanics.scene import FORCE_DEPTH
 from tacgen.recipe.pose_table import Pose
 from tacgen.recipe.trajectory import Press, Release, Replay, Segment, Slide, Start, Tilt, Twist
-from tacgen.recipe.yaml_source import KeyPath
+from tacgen.sensor.yaml_source import KeyPath
 
 Array = np.ndarray
 GUESSED_DEPTH = 0.1  # first guess of the depth in the search for a force, over the gel's thickness [-]

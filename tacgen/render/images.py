@@ -27,7 +27,7 @@ from tacgen.render.traced_maps import SPACING
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from tacgen.recipe.sensor import LitSensor
+    from tacgen.sensor.model import LitSensor
 
     Floats = NDArray[np.float64]
 

@@ -16,7 +16,7 @@ from tacgen.render import mitsuba_variants as probing
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from tacgen.recipe.sensor import LitSensor
+    from tacgen.sensor.model import LitSensor
 
     Floats = NDArray[np.float64]
 

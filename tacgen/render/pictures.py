@@ -7,8 +7,8 @@ import numpy as np
 from tacgen.optics.surface_grid import Surface
 from tacgen.recipe.background_photo import Backdrop
 from tacgen.recipe.plan import NOISE, Row
-from tacgen.recipe.sensor import LitSensor
 from tacgen.render.images import Renderer
+from tacgen.sensor.model import LitSensor
 
 Array = np.ndarray
 

@@ -18,7 +18,7 @@ from tacgen.render.mitsuba_path import MAX_DEPTH, MAX_DEPTH_SCATTERING, PathTrac
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from tacgen.recipe.sensor import LitSensor
+    from tacgen.sensor.model import LitSensor
 
     Floats = NDArray[np.float64]
 
@@ -162,7 +162,7 @@ def key(sensor: "LitSensor", variant: str | None, *more: object) -> str:
     parts_seen = {"plate", "coating", "walls", "leds", "camera", "gel"}
     linear: Any = {"leds": {"__all__": {"radiance", "power"}}, "camera": LINEAR}
     seen = sensor.model_dump(mode="json", exclude_none=True, include=parts_seen, exclude=linear)
-    from tacgen.recipe.sensor import LayerBase
+    from tacgen.sensor.model import LayerBase
 
     optical = LayerBase.model_fields  # the law's own fields are not among them
     seen["gel"]["layers"] = [{k: v for k, v in layer.items() if k in optical} for layer in seen["gel"]["layers"]]

@@ -6,7 +6,7 @@ from pathlib import Path
 from tacgen.export import EXPORTERS
 from tacgen.recipe import assets
 from tacgen.recipe.indenters import SHAPES
-from tacgen.recipe.yaml_source import at, load
+from tacgen.sensor.yaml_source import at, load
 
 Entries = dict[str, str]  # name -> description in one line
 

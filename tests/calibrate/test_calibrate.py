@@ -20,8 +20,8 @@ from tacgen.optics.camera import Camera
 from tacgen.optics.hertz_dent import BallDent
 from tacgen.optics.scattering import gain as response_of
 from tacgen.recipe import assets, loading
-from tacgen.recipe.sensor import Sensor
 from tacgen.render import images, mitsuba_variants
+from tacgen.sensor.model import Sensor
 
 FINE = {"mm_per_px": 0.1, "width_px": 80, "height_px": 64}
 PRESSES = ((4.0, (30, 28), 15.0), (3.0, (52, 40), 14.0), (4.0, (45, 20), 15.0), (5.0, (25, 45), 16.0))  # ball, px, px

@@ -10,8 +10,8 @@ from scipy.optimize import brentq
 from tacgen.fem.materials import EXAMPLES, Law, MooneyRivlin, NeoHooke, StableNeoHooke, Yeoh
 from tacgen.recipe.loading import read_sensor
 from tacgen.recipe.scene_of_row import gel_of, law_of
-from tacgen.recipe.sensor import Gel, Layer, Sensor
-from tacgen.recipe.validation_messages import validate
+from tacgen.sensor.model import Gel, Layer, Sensor
+from tacgen.sensor.validation_messages import validate
 
 SENSOR = Path(__file__).parents[2] / "sensors" / "gelsight_mini.yaml"
 Array = np.ndarray

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from tacgen.recipe.sensor import Sensor
+from tacgen.sensor.model import Sensor
 
 PLAIN: dict[str, Any] = {
     "tacgen_sensor": 1,

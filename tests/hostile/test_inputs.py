@@ -12,7 +12,8 @@ from PIL import Image
 
 from hostile import attempts
 from tacgen.geometry import mesh_import
-from tacgen.recipe import assets, background_photo, plan, pose_table, yaml_source
+from tacgen.recipe import assets, background_photo, plan, pose_table
+from tacgen.sensor import yaml_source
 
 READERS: dict[str, Callable[[Path], object]] = {
     "recipe.yaml": yaml_source.load,

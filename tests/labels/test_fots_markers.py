@@ -13,7 +13,7 @@ from tacgen.optics.camera import Camera
 from tacgen.optics.coating import centers
 from tacgen.pipeline import run
 from tacgen.recipe import plan
-from tacgen.recipe.markers import Motion
+from tacgen.sensor.markers import Motion
 
 MOTION = Motion(press=(0.02, 0.05), shear=(0.5, 0.1), twist=(20.0, 0.1), source="test")
 TINY = sensor()

@@ -23,7 +23,7 @@ from tacgen.mechanics.ipctk import lattice
 from tacgen.optics.camera import Camera
 from tacgen.optics.surface_grid import Sheet
 from tacgen.recipe import assets, loading
-from tacgen.recipe.sensor import Sensor
+from tacgen.sensor.model import Sensor
 
 Array = np.ndarray
 COEFFICIENT = 0.4

@@ -7,7 +7,7 @@ from helpers.tiny import sensor
 from tacgen.optics import camera_response, coating, mitsuba_dicts
 from tacgen.optics.camera_view import View
 from tacgen.optics.surface_grid import Sheet, Untouched
-from tacgen.recipe.markers import HexagonalMarkers
+from tacgen.sensor.markers import HexagonalMarkers
 
 MIXED = ((1.0, -0.2, -0.3), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 

@@ -6,7 +6,7 @@ from helpers.tiny import sensor
 
 from tacgen.optics import interreflection, strip_light
 from tacgen.optics.interreflection import TERMS, Glow, Radiosity
-from tacgen.recipe.sensor import Solid
+from tacgen.sensor.model import Solid
 
 
 @pytest.mark.parametrize("turn", [(0.3, -0.3), (-0.5, 0.2), (0.0, 0.0)])

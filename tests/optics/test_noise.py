@@ -7,7 +7,7 @@ from helpers.tiny import sensor
 from tacgen.optics import camera_response
 from tacgen.optics.noise import noisy
 from tacgen.recipe import assets, loading
-from tacgen.recipe.sensor import Camera, Noise
+from tacgen.sensor.model import Camera, Noise
 
 GRAIN = Noise(shot=(1e-4, 2e-4, 4e-4), read=(0.001, 0.002, 0.003), source="test")
 

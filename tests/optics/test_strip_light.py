@@ -6,7 +6,7 @@ import pytest
 from tacgen.optics import strip_light
 from tacgen.optics.camera import Camera, Stack
 from tacgen.optics.shadows import Terrain
-from tacgen.recipe.sensor import Led
+from tacgen.sensor.model import Led
 
 LEVEL = Terrain.of(np.zeros((5, 5)), (20.0, 20.0))
 NOTHING = strip_light.Panels.of([])  # in the way

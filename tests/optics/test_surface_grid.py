@@ -5,10 +5,10 @@ import pytest
 from helpers.tiny import sensor
 
 from tacgen.geometry.outline import Pad
+from tacgen.geometry.rasterize import draw
 from tacgen.optics import adaptive_sampling
 from tacgen.optics.camera import Camera
 from tacgen.optics.hertz_dent import BallDent
-from tacgen.optics.rasterize import draw
 from tacgen.optics.surface_grid import Sheet, Untouched
 
 SHEET = Sheet(Pad(12.0, 10.0, 1.0), (21, 25))

@@ -12,13 +12,14 @@ from pydantic_core import PydanticUndefined
 from ruamel.yaml import YAML
 
 from tacgen.errors import UserError
-from tacgen.recipe import assets, loading, yaml_source
+from tacgen.recipe import assets, loading
 from tacgen.recipe.indenters import SHAPES
 from tacgen.recipe.loading import read
 from tacgen.recipe.model import OUTPUTS, QUALITIES, Recipe
-from tacgen.recipe.sensor import LIGHTS, Sensor
-from tacgen.recipe.validation_messages import validate
-from tacgen.recipe.yaml_source import TAGS, Source, format_path, parse, parse_path, put
+from tacgen.sensor import yaml_source
+from tacgen.sensor.model import LIGHTS, Sensor
+from tacgen.sensor.validation_messages import validate
+from tacgen.sensor.yaml_source import TAGS, Source, format_path, parse, parse_path, put
 
 GOOD = """\
 tacgen: 1

@@ -9,9 +9,9 @@ from helpers.tiny import PLAIN, cloudy, sensor
 
 from tacgen.errors import UserError
 from tacgen.recipe import assets, loading, plan
-from tacgen.recipe.optics_checks import problems
-from tacgen.recipe.sensor import Sensor
-from tacgen.recipe.yaml_source import format_path, parse_path, put
+from tacgen.sensor.model import Sensor
+from tacgen.sensor.optics_checks import problems
+from tacgen.sensor.yaml_source import format_path, parse_path, put
 
 Data = dict[str, Any]
 

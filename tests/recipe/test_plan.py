@@ -14,7 +14,7 @@ from tacgen.errors import UserError
 from tacgen.recipe import assets, plan, plan_table
 from tacgen.recipe.loading import Loaded, read
 from tacgen.recipe.model import Recipe, Vary
-from tacgen.recipe.validation_messages import validate
+from tacgen.sensor.validation_messages import validate
 
 BATCH = f"""\
 extends: {assets.recipe_path("quickstart")}

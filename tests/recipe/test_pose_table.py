@@ -18,7 +18,7 @@ from tacgen.mechanics.scene import Scene
 from tacgen.recipe import plan, pose_table, scene_of_row, trajectory_checks
 from tacgen.recipe.model import Recipe
 from tacgen.recipe.trajectory import unit
-from tacgen.recipe.validation_messages import validate
+from tacgen.sensor.validation_messages import validate
 
 Array = np.ndarray
 TITLES = "time_s,x_mm,y_mm,z_mm,qw,qx,qy,qz"

@@ -6,7 +6,7 @@ import pytest
 
 from tacgen.errors import UserError
 from tacgen.recipe import assets, loading, plan
-from tacgen.recipe.yaml_source import load, parse_path, put
+from tacgen.sensor.yaml_source import load, parse_path, put
 
 QUICKSTART, GRASP = assets.recipe_path("quickstart"), assets.recipe_path("grasp")
 RECIPES = {

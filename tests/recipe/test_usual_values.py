@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from tacgen.recipe import assets, loading, plan
-from tacgen.recipe.sensor import Sensor
-from tacgen.recipe.usual_values import unusual
+from tacgen.sensor.model import Sensor
+from tacgen.sensor.usual_values import unusual
 
 KEY = "sensor.gel.layers[0].youngs_modulus_mpa"
 QUICKSTART = assets.recipe_path("quickstart")

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tacgen.errors import UserError
-from tacgen.recipe.yaml_source import Mark, Source, Tree, edited, format_path, load, parse, parse_path
+from tacgen.sensor.yaml_source import Mark, Source, Tree, edited, format_path, load, parse, parse_path
 
 TEXT = """\
 a: 1

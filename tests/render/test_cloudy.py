@@ -9,9 +9,9 @@ from tacgen.optics import scattering
 from tacgen.optics.hertz_dent import BallDent
 from tacgen.optics.surface_grid import Untouched
 from tacgen.recipe import assets, loading
-from tacgen.recipe.sensor import Sensor
 from tacgen.render import images, mitsuba_variants, traced_maps
 from tacgen.render.mitsuba_path import PathTracer
+from tacgen.sensor.model import Sensor
 
 FACE = Untouched.of(sensor().gel)
 DENT = BallDent(2.5, 1.6, (0.5, -0.4), FACE)

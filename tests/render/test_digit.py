@@ -17,7 +17,7 @@ from tacgen.mechanics import mesh
 from tacgen.optics.camera import Camera
 from tacgen.optics.surface_grid import Sheet
 from tacgen.recipe import assets, loading, plan, scene_of_row, trajectory_checks
-from tacgen.recipe.sensor import Sensor
+from tacgen.sensor.model import Sensor
 
 Array = np.ndarray
 ROOT = Path(__file__).parents[2]

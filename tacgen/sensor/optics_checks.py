@@ -5,9 +5,9 @@ from collections.abc import Iterator
 from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
-from tacgen.recipe.base_model import Vec3
-from tacgen.recipe.sensor import Led, LitSensor
-from tacgen.recipe.validation_messages import Problem
+from tacgen.sensor.base_model import Vec3
+from tacgen.sensor.model import Led, LitSensor
+from tacgen.sensor.validation_messages import Problem
 
 if TYPE_CHECKING:
     from tacgen.geometry.outline import Pad

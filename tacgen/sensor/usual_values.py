@@ -2,8 +2,8 @@
 
 from collections.abc import Iterator
 
-from tacgen.recipe.sensor import Gel, Layer, MooneyRivlinLayer, YeohLayer
-from tacgen.recipe.validation_messages import Problem
+from tacgen.sensor.model import Gel, Layer, MooneyRivlinLayer, YeohLayer
+from tacgen.sensor.validation_messages import Problem
 
 MODULUS_MPA = (0.005, 5.0)  # Young's modulus of gels and skins, from the softest silicone gels to hard rubber [MPa]
 SIDE_MM = (2.0, 200.0)  # width and height of a gel, from a fingertip's to a palm's [mm]

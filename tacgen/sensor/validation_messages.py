@@ -12,7 +12,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from tacgen.errors import UserError
-from tacgen.recipe.yaml_source import TAGS, KeyPath, Mark, Tree, at, describe, format_path
+from tacgen.sensor.yaml_source import TAGS, KeyPath, Mark, Tree, at, describe, format_path
 
 Model = TypeVar("Model", bound=BaseModel)
 

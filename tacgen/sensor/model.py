@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from tacgen.recipe.base_model import (
+from tacgen.sensor.base_model import (
     NOWHERE,
     Axis,
     FilePath,
@@ -25,8 +25,8 @@ from tacgen.recipe.base_model import (
     Vec3,
     exactly_one,
 )
-from tacgen.recipe.markers import Markers
-from tacgen.recipe.yaml_source import KeyPath, format_path
+from tacgen.sensor.markers import Markers
+from tacgen.sensor.yaml_source import KeyPath, format_path
 
 if TYPE_CHECKING:
     from tacgen.geometry.outline import Pad

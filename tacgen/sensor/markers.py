@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from tacgen.recipe.base_model import NOWHERE, Fraction, Part, Positive, Vec2
+from tacgen.sensor.base_model import NOWHERE, Fraction, Part, Positive, Vec2
 
 MOST = 10_000  # dots of a sensor
 
