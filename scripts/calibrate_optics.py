@@ -12,8 +12,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from tacgen import calibrate
-from tacgen.calibrate import press_faces
+from tacgen.calibrate import led_fit, press_faces
 from tacgen.calibrate.likeness import Comparison
 from tacgen.calibrate.photos import Press
 from tacgen.recipe import loading
@@ -64,11 +63,11 @@ def main() -> None:
     unit = photographs.unit(asked.sensor, asked.photos)
     if unit is None:
         sys.exit(f"no photographs in {asked.photos or photographs.reference()}")
-    how = calibrate.Asked(asked.tolerance_mm, asked.tolerance_deg, bare=True, steps=asked.steps)
+    how = led_fit.Asked(asked.tolerance_mm, asked.tolerance_deg, bare=True, steps=asked.steps)
     with tempfile.TemporaryDirectory() as scratch:
         into = Path(scratch) / "reference"
         lay_out(unit, photographs.UNTOUCHED[asked.sensor], into, asked.but)
-        found = calibrate.optics(asked.start or asked.sensor, into, how)
+        found = led_fit.optics(asked.start or asked.sensor, into, how)
         print("\n".join(found.lines()))
         out = asked.out or into / "fitted.yaml"
         found.write(out)

@@ -31,7 +31,7 @@ def optics(
     as_json: AsJson = False,
 ) -> None:
     """Fit a sensor file to photographs of your own unit: LED radiances and positions, stray light, gloss, crop."""
-    from tacgen import calibrate as fitting
+    from tacgen.calibrate import led_fit as fitting
 
     inputs = [Path(sensor), images]
     allowed(out, inputs, overwrite)

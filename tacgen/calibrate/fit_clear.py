@@ -33,7 +33,7 @@ from tacgen.sensor.model import Camera, Led, LitSensor
 from tacgen.sensor.yaml_source import KeyPath
 
 if TYPE_CHECKING:
-    from tacgen.calibrate import Asked
+    from tacgen.calibrate.led_fit import Asked
 
 Array = np.ndarray
 SHRINK = 4  # pixels of the photograph per pixel of the fit

@@ -13,8 +13,8 @@ from PIL import Image
 from ruamel.yaml import YAML
 from typer.testing import CliRunner
 
-from tacgen import calibrate, cli
-from tacgen.calibrate import photos, press_faces
+from tacgen import cli
+from tacgen.calibrate import led_fit, photos, press_faces
 from tacgen.errors import UserError
 from tacgen.optics.camera import Camera
 from tacgen.optics.hertz_dent import BallDent
@@ -88,7 +88,7 @@ def test_lights_that_sit_elsewhere_are_found_by_the_presses(nominal: Path, tmp_p
     ]
     unit = sensor(leds=moved, camera={**FINE, "noise": {"shot": 1e-4, "read": 0.002, "source": "t"}}, markers=None)
     folder = photographed(unit, tmp_path / "unit")
-    still, free = (calibrate.optics(str(nominal), folder, calibrate.Asked(mm, 5.0, steps=3)).fitted for mm in (0, 0.5))
+    still, free = (led_fit.optics(str(nominal), folder, led_fit.Asked(mm, 5.0, steps=3)).fitted for mm in (0, 0.5))
     assert free.untouched < 0.5 * still.untouched
     assert free.held_out < 0.8 * still.held_out
     assert free.untouched < 1.0
@@ -100,7 +100,7 @@ def test_a_background_alone_gives_powers(nominal: Path, tmp_path: Path) -> None:
     unit = sensor(leds=[{**led, "power": 1.2} for led in PLAIN["leds"]], camera=FINE, markers=None)
     folder = photographed(unit, tmp_path / "unit", ())
     (folder / "presses.csv").unlink()
-    found = calibrate.optics(str(nominal), folder)
+    found = led_fit.optics(str(nominal), folder)
     assert [sum(led.radiance) for led in found.fitted.sensor.leds] == pytest.approx([10.8] * 3, rel=0.03)
     assert found.fitted.presses is found.fitted.held_out is None
     assert ("leds", 0, "center_mm") not in found.changes
@@ -112,9 +112,9 @@ def test_dots_are_left_out(tmp_path: Path) -> None:
     unit = sensor(leds=[{**led, "power": 0.8} for led in PLAIN["leds"]], camera=FINE)
     made = images.Renderer(unit, 64, 0, True, mitsuba_variants.SCALAR)
     Image.fromarray(made.develop(made.flat())).save(tmp_path / "background.png")
-    found = calibrate.optics(str(path), tmp_path).fitted
+    found = led_fit.optics(str(path), tmp_path).fitted
     assert [sum(led.radiance) for led in found.sensor.leds] == pytest.approx([7.2] * 3, rel=0.04)
-    blind = calibrate.optics(str(path), tmp_path, calibrate.Asked(bare=True))
+    blind = led_fit.optics(str(path), tmp_path, led_fit.Asked(bare=True))
     assert blind.fitted.untouched > 4 * found.untouched
     assert blind.changes["markers",] is None
 
@@ -130,7 +130,7 @@ def test_a_gel_that_scatters(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     made = images.Renderer(unit, 6, 0, False)
     (tmp_path / "unit").mkdir()
     Image.fromarray(made.develop(made.flat())).save(tmp_path / "unit" / "background.png")
-    found = calibrate.optics(str(path), tmp_path / "unit").fitted
+    found = led_fit.optics(str(path), tmp_path / "unit").fitted
     assert np.array([led.radiance for led in found.sensor.leds]) == pytest.approx(
         np.array([[2.4, 2, 2], [1.4, 1.4, 1.4]]), rel=0.03
     )
@@ -152,7 +152,7 @@ def test_the_response_to_thickness_is_found_by_solved_presses(tmp_path: Path, mo
     (face,) = press_faces.solved(unit, press, [0.832], {})
     Image.fromarray(made.develop(made.image(face))).save(folder / "press.png")
     (folder / "presses.csv").write_text("file,ball_radius_mm,x_px,y_px,depth_mm\npress.png,3.0,42,30,0.8\n")
-    found = calibrate.optics(str(path), folder).fitted
+    found = led_fit.optics(str(path), folder).fitted
     assert found.deeper == 1.04
     assert found.presses < 1.5
     gain = found.sensor.thickness_response
@@ -202,7 +202,7 @@ def test_what_cannot_be_used_is_reported_in_one_line(nominal: Path, tmp_path: Pa
     (tmp_path / "presses.csv").write_text("\n".join(["file,ball_radius_mm,x_px,y_px,contact_radius_px", *rows]))
     spoil(tmp_path)
     with pytest.raises(UserError) as told:
-        calibrate.optics(str(nominal), tmp_path)
+        led_fit.optics(str(nominal), tmp_path)
     (line,) = told.value.lines
     assert says in line
 
@@ -220,7 +220,7 @@ def test_a_folder_or_lights_that_are_not_there(nominal: Path, tmp_path: Path) ->
     with (tmp_path / "dark.yaml").open("w") as file:
         YAML().dump(dark, file)
     with pytest.raises(UserError, match="plate: is missing: a fit starts from a file with all its lights"):
-        calibrate.optics(str(tmp_path / "dark.yaml"), tmp_path)
+        led_fit.optics(str(tmp_path / "dark.yaml"), tmp_path)
 
 
 def _swap(folder: Path, old: str, new: str) -> None:
@@ -266,7 +266,7 @@ def test_presses_may_give_depth_or_contact_or_both(
         wide = given in ("contact", "both") or (given == "mixed" and k < 2)
         rows.append(f"press_{k}.png,{ball},{x},{y},{contact if wide else ''},{0.5 if deep else ''}")
     (folder / "presses.csv").write_text("\n".join(rows))
-    found = calibrate.optics(str(path), folder, calibrate.Asked(0, 0))
+    found = led_fit.optics(str(path), folder, led_fit.Asked(0, 0))
     report = list(found.lines())
     assert any(line.startswith("change under press_2.png, held out: off by") for line in report)
     judged = given in ("contact", "both")  # by normals within a contact circle
@@ -285,7 +285,7 @@ def test_presses_of_known_depth_are_solved_on_a_dome(tmp_path: Path) -> None:
         Image.fromarray(made.develop(made.image(press_faces.face(unit, press, {})))).save(folder / f"{k}.png")
         rows.append(f"{k}.png,{ball},{center[0]},{center[1]},0.4")
     (folder / "presses.csv").write_text("\n".join(["file,ball_radius_mm,x_px,y_px,depth_mm", *rows]))
-    found = calibrate.optics(str(path), folder, calibrate.Asked(0, 0))
+    found = led_fit.optics(str(path), folder, led_fit.Asked(0, 0))
     assert found.fitted.held_out < 2
     assert [sum(led.radiance) for led in found.fitted.sensor.leds] == pytest.approx([9.0] * 3, rel=0.05)
 
@@ -312,7 +312,7 @@ def test_presses_that_no_gel_bears_are_refused_before_any_is_solved(
     head = "file,ball_radius_mm,x_px,y_px,contact_radius_px,depth_mm"
     (tmp_path / "presses.csv").write_text(f"{head}\npress_1.png,4,30,28,,0.5\npress_1.png,3,52,40{change}")
     with pytest.raises(UserError) as told:
-        calibrate.optics(str(nominal), tmp_path)
+        led_fit.optics(str(nominal), tmp_path)
     (line,) = told.value.lines
     assert says in line
 
@@ -331,4 +331,4 @@ def test_a_press_that_shows_none_is_refused(nominal: Path, tmp_path: Path) -> No
     Image.new("RGB", (80, 64), (95, 95, 95)).save(tmp_path / "press.png")
     (tmp_path / "presses.csv").write_text("file,ball_radius_mm,x_px,y_px,contact_radius_px\npress.png,4,30,28,15")
     with pytest.raises(UserError, match=r"press\.png: shows no press: it is like the untouched picture"):
-        calibrate.optics(str(nominal), tmp_path)
+        led_fit.optics(str(nominal), tmp_path)

@@ -1,0 +1,153 @@
+"""Calibration of a sensor file's LEDs to photographs of a unit, by least squares on the light transport."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+from tacgen.calibrate.result import digits, write_sensor
+from tacgen.errors import UserError
+from tacgen.recipe import assets, loading
+from tacgen.sensor import yaml_source
+from tacgen.sensor.model import LIGHTS, LitSensor, Sensor
+from tacgen.sensor.validation_messages import Problem, report
+from tacgen.sensor.yaml_source import KeyPath
+
+if TYPE_CHECKING:
+    from tacgen.calibrate.likeness import ChangeLikeness, Likeness
+    from tacgen.calibrate.photos import Photos
+    from tacgen.calibrate.result import Fitted
+
+BY = "by tacgen calibrate optics"
+EVERY = 3  # every third press is held out
+MOST_MM, MOST_DEG = 10.0, 90.0  # largest tolerances; farther off, the file is of another sensor
+
+
+@dataclass(frozen=True)
+class Asked:
+    """Limits of a fit."""
+
+    mm: float = 0.5  # tolerance of the LEDs' positions and of the crop [mm]
+    deg: float = 5.0  # tolerance of the LEDs' directions [deg]
+    bare: bool = False  # the photographed gel has no markers, whatever the sensor file says
+    steps: int = 10  # Jacobians at most
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    """A fit, and the values of the sensor file that it changes."""
+
+    path: Path
+    sensor: Sensor  # before the fit
+    photographs: str
+    fitted: "Fitted"
+    held_out: tuple[str, ...]  # file names
+    likeness: "tuple[Likeness | ChangeLikeness, ...]"  # of held-out presses, before and after; may be empty
+    changes: dict[KeyPath, Any]
+
+    def lines(self) -> Iterator[str]:
+        """Report in text."""
+        yield f"{self.sensor.name}: fitted to {self.photographs}"
+        found = self.fitted
+        yield f"untouched: off by {found.untouched:.1f} counts rms (before the fit: {found.before:.1f})"
+        if found.presses is not None:
+            yield f"change under the presses: off by {found.presses:.1f} counts rms"
+        if found.held_out is not None:
+            names = ", ".join(self.held_out)
+            yield f"change under {names}, held out: off by {found.held_out:.1f} counts rms"
+            for when, like in zip(("before", "after"), self.likeness, strict=False):  # none if only depths are known
+                yield f"  {when}: {like}"
+        if found.deeper != 1:
+            yield f"all depths appear to be {found.deeper:g} times the given ones"
+        for led, now in zip(self.sensor.leds or (), found.sensor.leds, strict=True):
+            before = sum(led.light)
+            times = f"{sum(now.light) / before:.2f} times as strong" if before else "lit"
+            moved = sum((a - b) ** 2 for a, b in zip(led.center_mm, now.center_mm, strict=True)) ** 0.5
+            yield f"  {led.name}: {times}, moved {moved:.2f} mm, radiance {digits(now.radiance)}"
+
+    def plain(self) -> dict[str, Any]:
+        """Report as JSON values."""
+        found = self.fitted
+        errors = {name: getattr(found, name) for name in ("untouched", "before", "presses", "held_out", "deeper")}
+        changes = {yaml_source.format_path(path): value for path, value in self.changes.items()}
+        return {"sensor": self.sensor.name, **errors, "held_out_files": list(self.held_out),
+                "likeness": [like.plain() for like in self.likeness], "changes": changes}  # fmt: skip
+
+    def write(self, out: Path) -> None:
+        """Write the changed sensor file; comments are kept."""
+        write_sensor(self.path, self.sensor, self.changes, out)
+
+
+def optics(name: str, folder: Path, asked: Asked | None = None) -> Calibrated:
+    """Fit the LEDs of a sensor file, given by name or path, to the photographs in a folder.
+
+    Raises:
+        UserError: photographs that are missing or cannot be used, a line each.
+    """
+    from tacgen.calibrate import photos as reading
+
+    asked, path = asked or Asked(), assets.sensor_path(name)
+    for unit, value, most in (("mm", asked.mm, MOST_MM), ("deg", asked.deg, MOST_DEG)):
+        if not 0 <= value <= most:  # nor nan
+            raise UserError(f"--tolerance-{unit}: must be from 0 to {most:g} (got {value:g})")
+    sensor, tree = loading.read_sensor(path)
+    if not sensor.lit:
+        missing = next(part for part in LIGHTS if getattr(sensor, part) is None)
+        problem = Problem((missing,), "is missing: a fit starts from a file with all its lights, roughly placed")
+        raise report([(problem, tree)])
+    lit, photos = cast(LitSensor, sensor), reading.read(folder, sensor.camera)
+    folders = {("sensor", *loading.SOLID): loading.solid_folder(tree)} if sensor.gel.solid else {}
+    held_out = [k for k in range(1, len(photos.presses) + 1) if k % EVERY == 0]
+    if any(layer.scattering for layer in sensor.gel.clear_layers):
+        from tacgen.calibrate import fit_scattering
+
+        found, alike = fit_scattering.fit(lit, photos, held_out, folders)
+        likeness: tuple[Likeness | ChangeLikeness, ...] = alike
+    else:
+        from tacgen.calibrate import fit_clear
+
+        found, likeness = fit_clear.fit(lit, photos, held_out, folders, asked)
+    said = _said(photos)
+    changes = _changes(lit, found, said, bare=asked.bare)
+    names = tuple(photos.presses[k - 1].name for k in held_out)
+    return Calibrated(path, sensor, said, found, names, likeness, changes)
+
+
+def _said(photos: "Photos") -> str:
+    count = len(photos.presses)
+    presses = f" and {count} press{'es' * (count > 1)}" if count else ""
+    return f"an untouched picture{presses} of one unit ({photos.folder.resolve().name})"
+
+
+def _changes(sensor: LitSensor, found: "Fitted", said: str, *, bare: bool) -> dict[KeyPath, Any]:
+    """Changed values of the sensor file by path; None for keys to remove."""
+    now, by = found.sensor, f"fitted to {said} {BY}"
+    out: dict[KeyPath, Any] = {}
+    for k, (led, new) in enumerate(zip(sensor.leds, now.leds, strict=True)):
+        out["leds", k, "radiance"] = digits(new.radiance)
+        out["leds", k, "power"] = None
+        if new.center_mm != led.center_mm:
+            out["leds", k, "center_mm"] = [round(v, 3) for v in new.center_mm]
+            out["leds", k, "normal"] = [round(v, 4) for v in new.normal]
+            out["leds", k, "size_mm"] = [round(v, 2) for v in new.size_mm]
+        out["leds", k, "source"] = by
+    for part, keys in (("coating", ("specular", "roughness")), ("camera", ("ambient", "vignette_mm", "crop_mm"))):
+        before, after = getattr(sensor, part), getattr(now, part)
+        new_keys = [key for key in keys if getattr(after, key) != getattr(before, key)]
+        out |= {(part, key): digits(getattr(after, key)) for key in new_keys}
+        if new_keys:
+            names = ", ".join(key.removesuffix("_mm") for key in new_keys)
+            own = (
+                before.source.split(f"; {new_keys[0].removesuffix('_mm')}")[0] if BY in before.source else before.source
+            )
+            out[part, "source"] = f"{own}; {names} {by}"
+    if now.thickness_response is not None and now.thickness_response != sensor.thickness_response:
+        table = now.thickness_response
+        out["thickness_response",] = {
+            "change_mm": digits(table.change_mm),
+            "gain": [digits(row) for row in table.gain],
+            "source": f"{by}: what the unit shows beyond light transport, of unknown cause",
+        }
+    if bare and sensor.markers is not None:
+        out["markers",] = None
+    return out
