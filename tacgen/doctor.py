@@ -64,6 +64,10 @@ def _solvers() -> Iterator[Finding]:
 
     names = linear.available()
     yield Finding("linear solvers", bool(names), ", ".join(names) or "none can be imported")
+    if "cholmod" in names:
+        from tacgen.mechanics import blas_kernels
+
+        yield Finding("CHOLMOD's BLAS", True, blas_kernels.report(), needed=False)
 
 
 def _rendering() -> Iterator[Finding]:

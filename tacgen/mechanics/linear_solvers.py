@@ -16,6 +16,7 @@ import scipy.sparse as sp
 
 from tacgen.fem import assembly
 from tacgen.fem.assembly import Pattern
+from tacgen.mechanics import blas_kernels
 
 Array = np.ndarray
 
@@ -59,9 +60,8 @@ class Cholmod:
 
     def __init__(self, pattern: Pattern, order: Array | None = None, postorder: bool = True) -> None:
         """With `postorder`, independent parts of `order` are eliminated in the order that makes larger supernodes."""
-        import cvxopt
-        from cvxopt import cholmod
-
+        cvxopt = blas_kernels.cvxopt()
+        cholmod = cvxopt.cholmod
         cholmod.options["supernodal"], cholmod.options["nmethods"] = 2, 1  # supernodal, in the given order alone
         n = pattern.size
         # the upper triangle by rows is the lower triangle by columns, which is what cvxopt keeps
@@ -176,9 +176,7 @@ COMMON = 1 << 16  # [bytes], more than CHOLMOD's settings take in any version
 @cache
 def _library() -> tuple[ctypes.CDLL, Any]:
     """CHOLMOD as cvxopt has loaded it, and settings of our own."""
-    from cvxopt import cholmod
-
-    library, common = ctypes.CDLL(cholmod.__file__), ctypes.create_string_buffer(COMMON)
+    library, common = ctypes.CDLL(blas_kernels.cvxopt().cholmod.__file__), ctypes.create_string_buffer(COMMON)
     library.cholmod_l_solve.restype = ctypes.POINTER(_Dense)
     library.cholmod_l_start(common)
     return library, common
