@@ -20,7 +20,7 @@ RECIPES = {
     "outputs=[force]|render.background=a.png": "add rgb to them, or leave background out",
     "sensors=[digit, digit]|sensor=null": "leave the repeated one out",
     "vary={method: grid, over: {name: {choice: [a, b]}}}": "write a recipe for each value",
-    "uncertainty={material: {modulus: 1.0e+9}}": "must be at most 1 (got 1e+09)",
+    "uncertainty={material: {modulus: 30}}": "must be at most 1 (got 30)",
     "uncertainty={material: {poissons_ratio: 0.6}}": "must be at most 0.5 (got 0.6)",
     "uncertainty={material: {friction: 1.1}}": "must be at most 1 (got 1.1)",
     "uncertainty={pose: {depth_mm: 5}}": "must be at most the gel's thickness, 4 mm (got 5)",
