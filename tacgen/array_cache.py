@@ -46,12 +46,12 @@ def kept(kind: str, key: str, make: Callable[[], tuple[Array, ...]]) -> tuple[Ar
 
 
 def kept_one(kind: str, key: str, make: Callable[[], Array]) -> Array:
-    """The same for a single array."""
+    """The array stored as `kind` under `key`; if there is none, that of `make`, which is then stored."""
     return kept(kind, key, lambda: (make(),))[0]
 
 
 def kept_bytes(kind: str, key: str, make: Callable[[], bytes]) -> bytes:
-    """The same for bytes; a damaged entry, or one of another key, is made again."""
+    """The bytes stored as `kind` under `key`; a damaged entry, or one of another key, is made again by `make`."""
     file = cache_folder() / kind / f"{key}.entry"
     found = read(file, key)
     if found is not None:

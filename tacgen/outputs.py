@@ -1,4 +1,4 @@
-"""What a recipe can ask for, by name: the datasets of the untouched sensor and those of each frame.
+"""Outputs that a recipe can ask for, by name: the datasets of the untouched sensor and those of each frame.
 
 A new output is an entry in OUTPUTS, its datasets' rows in bundle/schema.py and its name in recipe/model.py. What
 several outputs need is a property of SceneData or FrameData: computed, and its modules imported, when the first of them
@@ -48,12 +48,12 @@ class _Faces(ABC):
 
     @cached_property
     def outer(self) -> "View":
-        """What is touched, behind each pixel."""
+        """The touched face, behind each pixel."""
         return self.drawn(self.touched)
 
     @cached_property
     def seen(self) -> "View":
-        """What is printed on, behind each pixel."""
+        """The face that is printed on, behind each pixel."""
         return self.outer if self.printed is self.touched else self.drawn(self.printed)
 
     @abstractmethod
@@ -62,7 +62,7 @@ class _Faces(ABC):
 
 
 class SceneData(_Faces):
-    """What outputs need of the untouched gel and its camera, the same for all frames of a scene."""
+    """The untouched gel and its camera as outputs need them, the same for all frames of a scene."""
 
     def __init__(self, row: Row, problem: Problem) -> None:
         self.row, self.problem = row, problem
@@ -142,7 +142,7 @@ class SceneData(_Faces):
 
     @cached_property
     def coarser(self) -> "Iterator[FrameData]":
-        """The same frames on a coarser mesh."""
+        """The frames of the scene on a coarser mesh."""
         from tacgen.labels.uncertainty import on_coarser_mesh
 
         problem, states = on_coarser_mesh(self.row)
@@ -158,7 +158,7 @@ class SceneData(_Faces):
 
 
 class FrameData(_Faces):
-    """What outputs need of one solved state, and of the one before."""
+    """One solved state as outputs need it, and the one before."""
 
     def __init__(self, scene: SceneData, state: State, before: State | None) -> None:
         self.scene, self.state, self.before = scene, state, before
@@ -216,7 +216,7 @@ def _force(frame: FrameData) -> Datasets:
 
 
 def of_grasp(held: "Held", side: int) -> Datasets:
-    """What each finger's bundle says of the whole grasp; side 0 is left, 1 right."""
+    """Datasets of the whole grasp in a finger's bundle; side 0 is left, 1 right."""
     return {
         "/frames/grasp/object": held.pose,
         "/frames/grasp/sensor": held.sensors[side],

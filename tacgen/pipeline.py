@@ -62,7 +62,7 @@ class Clock:
 
 
 def _datasets(made: dict[str, Callable[[Data], Datasets]], data: Data, clock: Clock) -> Datasets:
-    """What outputs make of a scene or a frame; images count as another stage than labels."""
+    """Datasets that outputs make of a scene or a frame; images count as another stage than labels."""
     found: Datasets = {}
     for name, datasets in made.items():
         with clock.stage("render" if name in IMAGES else "fields"):
@@ -207,7 +207,7 @@ def _gels(row: Row, clock: Clock) -> tuple[tuple[Gel, ...], Iterator[Found]]:
 
 
 def _grasped(row: Row, clock: Clock) -> tuple[tuple[Gel, ...], Iterator[Found]]:
-    """The same of a grasp."""
+    """The two gels of a grasp, meshed, and the states of both at each frame."""
     from tacgen.mechanics import grasp_balance as holding
     from tacgen.recipe import grasp_of_row as two_fingers
 

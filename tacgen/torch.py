@@ -147,8 +147,9 @@ class TactileDataset:
 
 
 class TactilePairs:
-    """The same contact on several sensors: `pairs[i]` is a dictionary from the sensors' names to one frame of each; or
-    the two fingers of a grasp, named `left` and `right`.
+    """Frames of one contact on several sensors, or of the two fingers of a grasp.
+
+    `pairs[i]` is a dictionary from the sensors' names, or `left` and `right`, to one frame of each.
 
     The frames are those of TactileDataset, which has the same arguments. Contacts that do not exist on all of `sensors`
     are left out.

@@ -316,7 +316,7 @@ def _plain(value: Any) -> Any:
 
 
 def _shared(value: Any) -> Any:
-    """The same with interned strings: thousands of scenes share a sensor document of 4 kB."""
+    """An attribute as `_plain` gives it, with interned strings: thousands of scenes share a sensor document of 4 kB."""
     value = _plain(value)
     return sys.intern(value) if type(value) is str else value
 

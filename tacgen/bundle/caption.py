@@ -55,7 +55,7 @@ def indenter_text(bundle: Bundle) -> str:
 
 
 def shape_text(indenter: dict[str, Any]) -> str:
-    """The same for the indenter of a recipe."""
+    """The indenter of a recipe in words, such as `sphere, radius 4 mm`."""
     fields = dict(indenter)
     shape = fields.pop("shape", "indenter")
     words = [fields.pop("file", shape)]

@@ -139,7 +139,7 @@ def contacts(bundles: Sequence[Bundle]) -> list[list[int]]:
 
 
 def role(bundle: Bundle) -> str:
-    """What tells a bundle from the others of its contact: `left` or `right` of a grasp, otherwise the sensor."""
+    """The name of a bundle among those of its contact: `left` or `right` of a grasp, otherwise the sensor's."""
     return str(bundle.attrs.get("finger", bundle.attrs["sensor"]))
 
 
@@ -177,7 +177,7 @@ def is_packed(folder: Path) -> bool:
 
 
 def _is_pack(folder: Path) -> bool:
-    """The same for a folder that was not named by the user: index.json may belong to another program."""
+    """Whether a folder that the user did not name is packed: its index.json may belong to another program."""
     return is_packed(folder) and os.path.exists(folder / SHARD.format(0))
 
 

@@ -75,7 +75,7 @@ class Likeness:
 
 @dataclass(frozen=True)
 class ChangeLikeness:
-    """The same for a gel that scatters, whose colours follow its thickness: rendered over real change, correlation."""
+    """Likeness on a gel that scatters, whose colours follow its thickness: rendered over real change, correlation."""
 
     contrast: Array
     correlation: Array
@@ -114,7 +114,7 @@ class Comparison:
         return self._seen(press.picture, untouched, face, press.center, press.contact or 0.0)
 
     def rendered(self, press: Press, face: Surface, random: np.random.Generator | None = None) -> Seen:
-        """The same press as rendered, with the camera's noise if `random` is given."""
+        """A rendered picture of a press, with the camera's noise if `random` is given."""
         made = self._renderer.develop(self._renderer.image(face), random)
         return self._seen(made, self._flat, face, press.center, press.contact or 0.0)
 

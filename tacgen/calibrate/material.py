@@ -180,7 +180,7 @@ def material(sensor: str, recipe: str, table: Path, asked: Asked | None = None) 
 
 
 def _undetermined(fitted: "MaterialFit", second: str) -> Iterator[str]:
-    """What the forces leave open, and what to measure."""
+    """A message on the numbers that the forces do not determine, and what to measure."""
     from tacgen.calibrate.fit_material import MOST_FACTOR
 
     if not 2 / MOST_FACTOR < fitted["modulus"] < MOST_FACTOR / 2:

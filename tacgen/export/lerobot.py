@@ -120,7 +120,7 @@ def columns(episode: Episode, features: Each) -> dict[str, np.ndarray]:
 
 
 def _columns(bundle: Bundle, features: dict[str, Any]) -> dict[str, np.ndarray]:
-    """The same for one sensor, with the names of a single sensor."""
+    """Values of each feature of one sensor over the frames, with the names of a single sensor."""
     state = poses(bundle["/frames/pose"])
     found = {IMAGE: bundle["/frames/rgb"], "observation.state": state, "action": np.vstack([state[1:], state[-1:]])}
     for name in VECTORS:

@@ -131,7 +131,7 @@ def grid_points(nodes: int) -> tuple[Array, Array]:
 
 
 def dense_points(points: Array, elements: Elements) -> Elements:
-    """The same elements with `grid_points` as integration points, all of equal weight."""
+    """Elements whose integration points are `grid_points`, all of equal weight."""
     N, dN = grid_points(elements.conn.shape[1])
     gradients, _ = _mapped(points, elements.conn, dN)
     weights = np.repeat(elements.weights.sum(1)[:, None] / len(dN), len(dN), 1)

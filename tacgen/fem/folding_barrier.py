@@ -90,7 +90,7 @@ class FoldingBarrier:
         return cls(dense, slots, STIFFNESS * mu, np.ascontiguousarray(dN.transpose(1, 2, 0)), rest)
 
     def stiffened(self, times: float) -> "FoldingBarrier":
-        """The same with `times` its stiffness."""
+        """This barrier with `times` its stiffness."""
         return replace(self, mu=times * self.mu)
 
     def evaluate(self, x: Array) -> FoldingPoint:

@@ -89,14 +89,14 @@ def maps(problem: Problem, surface: Surface, state: State, camera: "Camera") -> 
 
 
 def spread(view: "Shares", state: State) -> Maps:
-    """The same for a `view` of the face that was computed in this state or in a nearby one."""
+    """Maps of a state on a `view` of the face that was computed in this state or in a nearby one."""
     found = {name: view.picture(values) for name, values in densities(view, state).items()}
     view.add_hidden(state.traction_force, found["force"])
     return Maps(**found, contact=view.picture(view.contact), area=view.area, unseen=view.unseen(state.normal_force))
 
 
 def resultant_errors(view: "Shares", surface: Surface, state: State, maps: Maps) -> dict[str, float]:
-    """Of pressure and traction: |integral of the map over the deformed face - sum of the contact forces| / |force| [-].
+    """Errors of the maps of pressure and traction: |integral over the deformed face - contact forces| / |force| [-].
 
     Pressure acts along -n and traction along the face's own x and y, with n the normals of the smooth face. The contact
     forces act along and across the normals of the indenter, so that the difference is large where the mesh does not

@@ -43,14 +43,14 @@ class Surface:
         return self
 
     def moved(self, x: Array) -> "Surface":
-        """The same face of the mesh at nodal positions x (n, 3)."""
+        """The face at nodal positions x (n, 3) of the mesh."""
         new = object.__new__(Surface)
         new.nodes, new.facets, new.rest, new._between = self.nodes, self.facets, self.rest, self._between
         new.now = x[self.nodes]
         return new
 
     def pressed(self, problem: Problem, state: State) -> "Surface":
-        """The same face in a solved state; in contact it follows the indenter's surface between the nodes.
+        """The face in a solved state; in contact it follows the indenter's surface between the nodes.
 
         Otherwise the cells would be visible as facets within a contact and as ripples around it. The mesh must resolve
         the indenter's curvature.

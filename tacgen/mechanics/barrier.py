@@ -110,7 +110,7 @@ class Contact:
         return self.gaps_at(self.faces.at(x))
 
     def gaps_at(self, at: Array) -> tuple[Array, Array, Array]:
-        """The same of points (f, q, 3)."""
+        """Gap [mm], normal and Hessian, as of `gaps`, at points (f, q, 3)."""
         R = self.pose.rotation
         d, n, H = self.shape.distance(self.pose.local(at).reshape(-1, 3))
         fq = at.shape[:2]
@@ -156,6 +156,6 @@ class Contact:
         return self.max_step_from(self.gaps(x)[0], p)
 
     def max_step_from(self, gap: Array, p: Array) -> float:
-        """The same with known gaps (f, q) [mm]."""
+        """`max_step` for gaps (f, q) [mm] that are known."""
         allowed = np.maximum(gap, 0.0) + self.shape.reach / 2
         return float(min(1.0, (allowed / np.maximum(np.linalg.norm(self.faces.at(p), axis=2), 1e-300)).min()))

@@ -33,7 +33,7 @@ class BulkPoint:
         return elastic + folding + self.other.value(self.x)
 
     def other_forces(self) -> Array:
-        """Of all but elasticity (n, 3) [N]."""
+        """Nodal forces (n, 3) [N] of all but elasticity."""
         out = self.other.gradient(self.x)
         for folding in self.folding:
             folding.add_forces(out)

@@ -205,11 +205,11 @@ class Schur:
         self._reduced: tuple[Array, Array, Array] | None = None
 
     def damped(self, damping: float) -> "Schur":
-        """The same with another damping."""
+        """This Schur complement with another damping."""
         return self if damping == self.damping else Schur(self.undamped, self._at_rest, damping)
 
     def more_damped(self) -> "Schur":
-        """The same with the next larger damping."""
+        """This Schur complement with the next larger damping."""
         return self.damped(max(DAMPING_FACTOR * self.damping, LEAST_DAMPING))
 
     def activate(self, which: Array) -> None:
@@ -250,7 +250,7 @@ class Schur:
         return self.factored(added, symmetric)(b)
 
     def factored(self, added: Array, symmetric: bool = False) -> Callable[[Array], Array]:
-        """The same for right-hand sides (k,) or (k, m) to come."""
+        """The factorised solver of (S + added) x = b for right-hand sides b (k,) or (k, m); arguments as of `solve`."""
         assert self._reduced is not None
         L, W, rest = self._reduced
         a, K = self.active.copy(), rest + added

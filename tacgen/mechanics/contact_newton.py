@@ -24,7 +24,7 @@ MIN_COUPLED = 0.1  # smallest fraction of a coupled step; below, the symmetric s
 
 
 class Bulk(Protocol):
-    """What resists the contact, as a function of the positions x (n, 3) of some nodes."""
+    """The body that resists the contact, as a function of the positions x (n, 3) of some nodes."""
 
     def value(self, x: Array) -> float: ...
 

@@ -29,7 +29,7 @@ Array = np.ndarray
 
 
 class Mode(IntEnum):
-    """What the object does."""
+    """The state of the object in a grasp."""
 
     standing = 0  # on the table
     held = 1
@@ -164,7 +164,7 @@ class Frame:
         return out
 
     def _height(self, pose: Array) -> float:
-        """Of the centre of mass over where it was on the table, along the weight [mm]."""
+        """Height of the centre of mass over its place on the table, along the weight [mm]."""
         centre, start = (self._centre(p) for p in (self.gripper @ pose, self.grasp.start))
         return float((start - centre) @ (self.gripper[:3, :3] @ self.down))
 

@@ -26,7 +26,7 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class LaggedContact:
-    """What a frame records of the contact; stands in for CoupledContact."""
+    """The contact as a frame records it, with the interface of CoupledContact."""
 
     contact: "MeshContact"
     friction: float
@@ -94,7 +94,7 @@ class MeshLoadStep:
         return x
 
     def _renew(self, x: Array) -> Total | None:
-        """What is lagged, from x, if it is off by more than the tolerances."""
+        """Renew the lagged quantities from x, if they are off by more than the tolerances."""
         force = self.contact.pressure(x)[0]
         gap = self.contact.mean_gap(x)
         self.force = float(force.sum())

@@ -26,7 +26,7 @@ class Status(StrEnum):
 
 @dataclass(frozen=True)
 class Step:
-    """What one iteration did: energy before it [N mm], longest nodal move proposed [mm], fraction taken, projected."""
+    """One iteration: energy before it [N mm], longest nodal move proposed [mm], fraction taken, projected."""
 
     energy: float
     length: float

@@ -46,11 +46,11 @@ def plain() -> SolverOptions:
 
 
 def tighter(options: SolverOptions) -> SolverOptions:
-    """The same with a tenth of the tolerances."""
+    """Options with a tenth of the tolerances."""
     return replace(options, step_tol=options.step_tol / 10, residual_tol=options.residual_tol / 10)
 
 
 def short_steps(options: SolverOptions, times: int) -> SolverOptions:
-    """The same with load steps `times` as short."""
+    """Options with load steps `times` as short."""
     shorter = {name: getattr(options, name) / times for name in ("sink", "slide", "slide_sharp")}
     return replace(options, **shorter)

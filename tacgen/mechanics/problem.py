@@ -91,7 +91,7 @@ class Problem:
 
     @cached_property
     def effort(self) -> Effort:
-        """What the present load step, or the force asked for, has taken so far."""
+        """Newton steps of the present load step, or of the search for a force, so far."""
         return Effort(self.options.max_effort)
 
     @property
@@ -106,7 +106,7 @@ class Problem:
 
     @property
     def thickness(self) -> float:
-        """Of the gel [mm]."""
+        """Thickness of the gel [mm]."""
         return float(np.ptp(self.mesh.points[:, 2]))
 
     def rest(self, pose: Pose) -> History:

@@ -72,7 +72,7 @@ class Sensitivity:
         self._slopes = self._without_contact(self._before)
 
     def frame(self, state: State) -> Slopes:
-        """Those of the next frame, called right after its solve, whose factor it uses.
+        """Derivatives at the next frame; called right after its solve, whose factor it uses.
 
         Raises NotConverged: the tangent is singular, as where the gel snaps.
         """
@@ -139,7 +139,7 @@ class Sensitivity:
         return Slopes(normal_force, normal, force, anchor, x, x - first_order)
 
     def _predictor_slopes(self, after: History, tied: Tied) -> Array:
-        """Of the step that the predictor takes along its tangent (k, n, 3)."""
+        """Derivatives (k, n, 3) of the step that the predictor takes along its tangent."""
         before, was = self._before, self._slopes
         on = np.flatnonzero((before.normal_force > 0).any(1))
         faces, ties = self._contact.faces.only(on), TIE / self._contact.dhat

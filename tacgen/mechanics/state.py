@@ -41,7 +41,7 @@ class Effort:
 
 @dataclass(frozen=True)
 class History:
-    """What a load step inherits from the one before; anchors and normals are in the indenter's frame."""
+    """The state that a load step inherits from the one before; anchors and normals are in the indenter's frame."""
 
     pose: Pose
     x: Array  # (n, 3) [mm]

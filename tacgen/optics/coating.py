@@ -67,7 +67,7 @@ def paint(markers: "Markers", xy: "Floats", edge: float) -> "Floats":
 def painted(
     xy: "Floats", counts: "NDArray[np.int64]", across: float, down: float, radius: float, edge: float
 ) -> "Floats":
-    """The same at (n, 2), of rows of `counts` dots of this radius; across, down: spacing in and between rows [mm].
+    """Share of paint at xy (n, 2) [mm], of rows of `counts` dots; across, down: spacing in and between rows [mm].
 
     Only the rows above and below a point are searched: a dot of another row is at least `down` away.
     """

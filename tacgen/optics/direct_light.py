@@ -44,7 +44,7 @@ class Direct:
         self._toward, self._seen = self.view.toward_camera(), self.view.transmission()
 
     def light(self, at: Samples) -> "Floats":
-        """What the camera sees per unit radiance of each LED, 0 off the pad: (samples, strips, 2) of a white Lambertian
+        """Light at the camera per unit radiance of each LED, 0 off the pad: (samples, strips, 2) of a white Lambertian
         coat and of a rough mirror, the latter only if the coat is specular."""
         gather = self._gatherer(at, np.eye(len(self.sensor.leds)))
         return self._everywhere(lambda index: gather(index).reshape(len(index), -1), at).reshape(

@@ -61,7 +61,7 @@ class Brightness:
 
     @cached_property
     def tabulated(self) -> "Tabulated":
-        """The same, for whole pictures."""
+        """The brightness as a table, which whole pictures are read from faster."""
         return Tabulated.of(self.at, self.shares[0], self.shares[-1])
 
     def at(self, share: "Floats") -> "Floats":
@@ -132,7 +132,7 @@ class Tabulated:
 
     @classmethod
     def of(cls, curve: "Callable[[Floats], Floats]", first: float, last: float) -> "Tabulated":
-        """Of `curve` (n,) -> (n, 3) between two ends, beyond which it is constant."""
+        """The table of `curve` (n,) -> (n, 3) between two ends, beyond which it is constant."""
         return cls(first, (last - first) / (ROWS - 1), curve(np.linspace(first, last, ROWS)))
 
     def at(self, x: "Floats") -> "Floats":

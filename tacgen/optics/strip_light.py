@@ -65,7 +65,7 @@ class Panels(NamedTuple):
 
     @classmethod
     def of(cls, leds: "Sequence[Led]") -> "Panels":
-        """Those of a sensor's LEDs."""
+        """The panels of a sensor's LEDs."""
         axes = np.array([frame(led.normal, led.up) for led in leds]).reshape(-1, 3, 3)
         half = np.array([(0.0, 0.0) if led.see_through else led.size_mm for led in leds]).reshape(-1, 2, 1) / 2
         middle = np.array([led.center_mm for led in leds], dtype=float).reshape(-1, 3)

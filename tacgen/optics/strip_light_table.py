@@ -73,7 +73,7 @@ class Columns(NamedTuple):
 
 
 def seen(sensor: "LitSensor") -> Floats:
-    """What the camera sees of the gel, (2, 2): least and greatest x and y [mm], on the pad."""
+    """The part of the gel that the camera sees, (2, 2): least and greatest x and y [mm], on the pad."""
     camera, half = Camera.from_sensor(sensor), np.array([sensor.gel.width_mm, sensor.gel.height_mm]) / 2
     (h, w) = camera.shape
     near, way = camera.rays([[0, 0], [w, 0], [0, h], [w, h]])

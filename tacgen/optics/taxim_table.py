@@ -100,14 +100,14 @@ class Table:
         return cls(numbers[:size].reshape(BINS, BINS, 6, 3), numbers[size:].reshape(-1, 3))
 
     def added(self, face: Face, lamps: "Floats", mm_per_px: float) -> "Floats":
-        """What the face adds to the untouched picture's linear radiance, (h, w, 3); see `fitted` for the arguments."""
+        """Linear radiance (h, w, 3) that the face adds to the untouched picture; see `fitted` for the arguments."""
         some = np.ascontiguousarray(face.height[COARSE // 2 :: COARSE, COARSE // 2 :: COARSE])
         dark = shadows(some, lamps, COARSE * mm_per_px) @ self.shade
         return _look_up(self.terms, face.slope, quadratic_basis(face.height.shape), dark)
 
 
 def dents(sensor: "LitSensor", untouched: "Surface") -> Iterator[BallDent]:
-    """What a table is calibrated on: balls of four sizes, pressed lightly and deeply, all over the picture."""
+    """Dents on which a table is calibrated: balls of four sizes, pressed lightly and deeply, all over the picture."""
     gel, camera = sensor.gel, sensor.camera
     field = np.array([camera.width_px, camera.height_px]) * camera.mm_per_px / 2
     reach = np.minimum(field, np.array([gel.width_mm, gel.height_mm]) / 2)

@@ -1,1 +1,1 @@
-"""What a person writes, read and checked: recipes, sensor files, moves, pose tables."""
+"""Recipes as a person writes them, read, checked and resolved to scenes: movements, pose tables, plans."""

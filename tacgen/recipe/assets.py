@@ -85,7 +85,7 @@ def sha256(path: Path) -> str:
 
 
 def changed(found: str) -> str:
-    """What is wrong with a file whose SHA-256 is not the one that is asked for."""
+    """A message on a file whose SHA-256 is not the one that is asked for."""
     return f"is another file now ({found[:12]}...): leave its sha256 out to take it"
 
 

@@ -38,7 +38,7 @@ def sensor_problems(sensor: Sensor, folder: Path | None = None, images: bool = T
 
 
 def recipe_problems(recipe: Recipe, sensor: Sensor, folders: Folders | None = None) -> list[Problem]:
-    """What this recipe asks for and this sensor cannot do; paths start at the recipe's root.
+    """Problems of a recipe that asks for what this sensor cannot do; paths start at the recipe's root.
 
     `folders`: the folder to which the path of each of its files is relative, by default the working directory.
     """
@@ -224,7 +224,7 @@ def _times(recipe: Recipe, sensor: Sensor, folders: Folders) -> list[Problem]:
 
 
 def output_problems(recipe: Recipe, sensor: Sensor) -> list[Problem]:
-    """What the outputs need and the sensor does not have."""
+    """Problems of outputs that need what the sensor does not have."""
     wrong = []
     if "markers" in recipe.outputs and sensor.markers is None:
         wrong.append(

@@ -16,7 +16,7 @@ MOVES = (*OF_GRASP, "tilt", "hold", "replay")  # all movements of a gripper
 
 
 def problems(recipe: Recipe, sensor: Sensor, folders: trajectory_checks.Folders) -> list[Problem]:
-    """What is impossible in a grasp; without a grasp, movements that need one."""
+    """Problems of a grasp; without a grasp, of movements that need one."""
     grasp = recipe.grasp
     if grasp is None:
         return [

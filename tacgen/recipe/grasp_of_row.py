@@ -66,7 +66,7 @@ def _first_touch(shape: Shape, gels: tuple[Gel, Gel], height: float, y: float, y
 
 
 def _path(row: Row, down: Array) -> tuple[Array, Array, Array, Array]:
-    """Of each frame: the gripper's pose (N, 4, 4); width, force and the fraction of its change reached (N,)."""
+    """The gripper's pose (N, 4, 4), width, force and the fraction of its change reached (N,), at each frame."""
     pose, frames = np.eye(4), []
     for number, step in enumerate(row.recipe.trajectory):
         first, rows = pose, row.replayed(number) if step.replay else ()

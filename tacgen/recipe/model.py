@@ -220,7 +220,7 @@ Outputs = Annotated[frozenset[OutputName], AfterValidator(_not_empty), Field(jso
 
 
 class Recipe(Part):
-    """What a person wrote: one scene, or with `vary` a batch of them."""
+    """A recipe as a person wrote it: one scene, or with `vary` a batch of them."""
 
     tacgen: Literal[1]
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=100)]

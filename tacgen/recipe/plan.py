@@ -66,7 +66,7 @@ class Row:
 
     @property
     def bundles(self) -> "tuple[Row, ...]":
-        """What each bundle of the scene is of: a row for each finger of a grasp, otherwise the scene itself."""
+        """A row for each bundle of the scene: for each finger of a grasp, otherwise the scene itself."""
         if self.other is None:
             return (self,)
         left = replace(self, name=f"{self.name}-L", finger="left")

@@ -145,12 +145,12 @@ class PathTracer:
         return self.render(self.sheet.at(surface), spp, seed)
 
     def render(self, nodes: "Floats", spp: int, seed: int) -> "Floats":
-        """The same of the sheet's nodes (nodes, 3) [mm]."""
+        """Linear radiance (H, W, 3) of a face given by the sheet's nodes (nodes, 3) [mm]."""
         self._move(nodes)
         return self._traced(spp, seed)
 
     def windows(self, nodes: "Floats", windows: Sequence[Window], spp: int, seed: int) -> "Floats":
-        """The same of some windows alone, nan elsewhere; each draws random numbers of its own."""
+        """Linear radiance in some windows alone, nan elsewhere; each draws random numbers of its own."""
         self._move(nodes)
         width, height = self._params[f"{FILM}.size"]
         picture = np.full((height, width, 3), np.nan)

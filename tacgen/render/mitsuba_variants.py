@@ -42,7 +42,7 @@ sys.exit(0 if np.isfinite(picture).all() and picture.max() > 0 else 3)
 
 
 class Probed(NamedTuple):
-    """What became of one try."""
+    """The outcome of one try."""
 
     variant: str
     library: str  # the LLVM library given to drjit, "" if none
@@ -129,7 +129,7 @@ def _llvm() -> Probed:
 
 
 def key(variant: str, library: str) -> str:
-    """What an answer depends on: versions, and the library's path and time stamp."""
+    """The key of an answer: versions, and the library's path and time stamp."""
     stamp = Path(library).stat().st_mtime_ns if library and Path(library).is_file() else 0
     return f"{variant} drjit-{version('drjit')} mitsuba-{version('mitsuba')} {library} {stamp}"
 

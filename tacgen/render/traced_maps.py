@@ -1,4 +1,4 @@
-"""What is traced once for a sensor and cached: how light travels in a gel that scatters."""
+"""Maps that are traced once for a sensor and cached: how light travels in a gel that scatters."""
 
 import hashlib
 import json
@@ -155,7 +155,7 @@ def spread(coarse: "Floats", shape: tuple[int, int]) -> "Floats":
 
 
 def key(sensor: "LitSensor", variant: str | None, *more: object) -> str:
-    """What maps depend on, hashed: the sensor's optics and, where they are traced, Mitsuba's variant and version.
+    """The hash of what maps depend on: the sensor's optics and, where they are traced, Mitsuba's variant and version.
 
     Not the gel's mechanics, nor what acts on light linearly: the LEDs' power and colour, and the camera's response.
     """

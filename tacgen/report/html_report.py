@@ -129,7 +129,7 @@ def _pictures(seen: Overview) -> str:
 
 
 def _finger(bundle: Bundle) -> str:
-    """Of a grasp, ` left finger` or ` right finger`."""
+    """` left finger` or ` right finger` of a grasp, otherwise nothing."""
     return f" {escape(bundle.attrs['finger'])} finger" if "finger" in bundle.attrs else ""
 
 

@@ -124,7 +124,7 @@ def wrong_led(sensor: LitSensor, led: Led) -> tuple[str, str] | None:
 
 @lru_cache
 def _wrong_led(room: _Room, led: Led) -> tuple[str, str] | None:
-    """The same, cached: scenes that vary other parts of the sensor check each LED once."""
+    """`wrong_led`, cached: scenes that vary other parts of the sensor check each LED once."""
     import numpy as np
 
     normal, along = np.array(led.normal), np.cross(led.up, led.normal)

@@ -30,7 +30,7 @@ def unusual(gel: Gel) -> Iterator[Problem]:
 
 
 def _asked(value: float, usual: tuple[float, float], kind: Kind) -> str:
-    """What is usual, and what the value would be in the first unit in which it is; "" if it is usual as it stands."""
+    """The usual range, and the value in the first unit in which it is usual; "" if it is usual as it stands."""
     (least, most), (quantity, unit, mistaken) = usual, kind
     if least <= value <= most:
         return ""
