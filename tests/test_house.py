@@ -247,3 +247,13 @@ def test_the_check_sees_a_bad_import(tmp_path: Path):
 def test_every_layer_is_there() -> None:
     assert sorted(LAYERS) == sorted({name.split(".")[0] for name in files()} - {"__init__"})
     assert set().union(*HOMES.values()) | NOT_NUMPY <= {name.removesuffix(".__init__") for name in files()}
+
+
+@pytest.mark.parametrize("name", files())
+def test_a_docstring_stands_alone(name: str):
+    """It says what the thing is: no reader has read the one above."""
+    kinds = (ast.Module, ast.ClassDef, ast.FunctionDef)
+    nodes = [node for node in ast.walk(ast.parse(files()[name].read_text(encoding="utf-8"))) if isinstance(node, kinds)]
+    begun = [text for node in nodes if (text := ast.get_docstring(node) or "")]
+    wrong = [text.splitlines()[0] for text in begun if text.startswith(("The same", "Those", "What ", "Of "))]
+    assert wrong == []
