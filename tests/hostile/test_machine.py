@@ -21,7 +21,7 @@ ODD = {
 }
 REFUSED = {
     "8 file descriptors, solving": ("ulimit -n 8; {tacgen} run {recipe} -o {out}/run", "Too many open files"),
-    "200 MB of memory, solving": ("ulimit -v 200000; {tacgen} run {recipe} -o {out}/run", "workers end before"),
+    "200 MB of memory, solving": ("ulimit -v 200000; {tacgen} run {recipe} -o {out}/run", "out of memory"),
     "no room for threads": (
         "ulimit -s 2000000; ulimit -v 1500000; env -u OMP_NUM_THREADS OPENBLAS_NUM_THREADS=2 {tacgen} check {data}",
         "out of memory",
