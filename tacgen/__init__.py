@@ -74,7 +74,7 @@ _HOMES = {
     ),
     "tacgen.recipe.model": ("Uncertainty", "MaterialDeviation", "PoseDeviation", "Dynamics", "Rayleigh", "Render"),
 }
-__all__ = [name for names in _HOMES.values() for name in names]  # noqa: PLE0604
+__all__ = [name for names in _HOMES.values() for name in names]
 
 
 def __getattr__(name: str) -> Any:

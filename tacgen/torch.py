@@ -14,7 +14,7 @@ import hashlib
 import math
 import os
 from collections import OrderedDict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -68,8 +68,8 @@ class TactileDataset:
     ) -> None:
         good = [scene for scene in dataset.scenes(Path(path), merge=merge) if scene.attrs["status"] == "ok"]
         self.scenes = divide(good, split, fractions, seed)
-        held = [(scene.path, scene.shapes) for scene in self.scenes] or [(Path(path), LAYOUT)]
-        for place, paths in held:
+        held: list[tuple[Path, Collection[str]]] = [(scene.path, scene.shapes) for scene in self.scenes]
+        for place, paths in held or [(Path(path), LAYOUT)]:
             stored = field_names.short(paths).values()
             try:
                 self.fields = {name: field_names.path_of(name, stored) for name in fields}

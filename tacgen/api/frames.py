@@ -35,9 +35,14 @@ class Folder:
 class Frames:
     """The frames of one contact: forces, maps, stress and images, as NumPy arrays that cannot be written to.
 
-        frames.force          # all frames
-        frames.pressure[-1]   # the map of the last one
-        frames["uncertainty/force"], frames["/mesh/points"]  # anything in the bundle, by its name or path
+        >>> import tacgen
+        >>> frames = tacgen.simulate("digit", tacgen.Sphere(radius_mm=3), tacgen.Press(depth_mm=0.3, frames=2))
+        >>> frames
+        Frames(scene-00000.h5: 2 frames, sphere, radius 3 mm, on digit)
+        >>> frames.force.shape, frames.pressure[-1].shape  # of all frames, and of the last one
+        ((2, 3), (320, 240))
+        >>> frames["/mesh/points"].shape == frames.displacement[-1].shape  # any dataset of a bundle, by its path
+        True
 
     N is the number of frames, h x w the size of the maps, H x W that of the image, n the number of nodes, M that of the
     markers. Everything acts on the gel; x is right and y down in the image, z out of the gel. What the outputs did not
@@ -72,11 +77,15 @@ class Frames:
         """N, the number of frames."""
         return self.bundle.frames
 
+    __iter__ = None  # frames are taken by name: without this Python would try frames[0]
+
     def __repr__(self) -> str:
         return f"Frames({line(self.bundle)})"
 
     def __getitem__(self, name: str) -> Array:
         """A dataset by its name below /frames or /fields, or by its path. Raises UserError: it is not there."""
+        if not isinstance(name, str):
+            raise TypeError(f"frames[{name!r}]: a name is needed; frames.force[{name!r}] is the force of one frame")
         path = field_names.path_of(ALIASES.get(name, name), self.bundle.shapes)
         if path not in self._read:
             self._read[path] = self.bundle[path]
@@ -215,6 +224,7 @@ def read_all(path: str | Path) -> list[Frames]:
     found = dataset.scenes(Path(path))
     good = [Frames(each) for each in found if each.attrs["status"] == "ok"]
     if len(good) < len(found):
-        warnings.warn(f"{path}: left out {len(found) - len(good)} rejected of {len(found)} scenes", LeftOut, stacklevel=2)
+        warnings.warn(
+            f"{path}: left out {len(found) - len(good)} rejected of {len(found)} scenes", LeftOut, stacklevel=2
+        )
     return good
-

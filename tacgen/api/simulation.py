@@ -57,15 +57,16 @@ def simulate(
 ) -> Frames:
     """Move a rigid indenter against the gel of a tactile sensor: the frames, with force, maps, stress and images.
 
-        import tacgen
-
-        frames = tacgen.simulate(
-            "gelsight_mini",
-            tacgen.Sphere(radius_mm=4),
-            [tacgen.Press(depth_mm=1, frames=5), tacgen.Slide(x_mm=1, frames=5)],
-            friction=0.6,
-        )
-        frames.force  # (10, 3) [N]
+        >>> import tacgen
+        >>> frames = tacgen.simulate(
+        ...     "gelsight_mini",
+        ...     tacgen.Sphere(radius_mm=4),
+        ...     [tacgen.Press(depth_mm=0.5, frames=2), tacgen.Slide(x_mm=0.2, frames=1)],
+        ...     friction=0.6,
+        ...     quality="draft",
+        ... )
+        >>> frames.force.shape  # [N]
+        (3, 3)
 
     The gel is hyperelastic and solved by finite elements with contact and Coulomb friction; every frame is a converged
     equilibrium. The frames are those of a bundle that `tacgen run` writes of the same recipe, byte for byte.
@@ -111,6 +112,8 @@ def simulate(
         "render": render,
         "uncertainty": {"mesh": True} if uncertainty is True else uncertainty or None,
     }
+    if dynamics is not None and dynamics.frame_s is None and any(isinstance(step, np.ndarray) for step in steps):
+        raise UserError("simulate: dynamics: needs frame_s, the time between poses")
     tree = _tree({key: value for key, value in data.items() if value is not None}, "simulate", given.spots)
     (row,) = plan.load(tree, sensor=chosen if isinstance(chosen, Sensor) else None).rows
     for odd in unusual(row.sensor.gel):
@@ -155,6 +158,10 @@ def run(
 def load_sensor(name: str | Path) -> Sensor:
     """A sensor that ships with tacgen, by its name, or that of a sensor file: gel, camera, lights, markers.
 
+        >>> import tacgen
+        >>> tacgen.load_sensor("gelsight_mini").gel.layers[0].thickness_mm
+        4.0
+
     Raises:
         UserError: there is no such sensor, or its file is not valid; each line says where.
     """
@@ -176,8 +183,8 @@ def _sensor(given: str | Path | Sensor | Gel) -> str | Sensor:
     if not isinstance(given, Gel):
         raise UserError(f"simulate: sensor: must be a name, a path, a Sensor or a Gel (got {_kind(given)})")
     scale = max(given.width_mm, given.height_mm) / VIEW_PX
-    pixels = {"width_px": round(given.width_mm / scale), "height_px": round(given.height_mm / scale)}
-    camera = Camera(distance_mm=20.0, mm_per_px=scale, source="assumed", **pixels)
+    width, height = round(given.width_mm / scale), round(given.height_mm / scale)
+    camera = Camera(distance_mm=20.0, mm_per_px=scale, width_px=width, height_px=height, source="assumed")
     return Sensor(tacgen_sensor=1, name="gel", gel=given, camera=camera)
 
 
@@ -241,7 +248,9 @@ def _tree(data: Any, name: str, spots: Mapping[KeyPath, Spot]) -> Tree:
 def _paths(value: Any, path: KeyPath = ()) -> Iterator[KeyPath]:
     """The paths of a value and of all that is in it."""
     yield path
-    for step, inner in value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ():
+    for step, inner in (
+        value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    ):
         yield from _paths(inner, (*path, step))
 
 
@@ -260,4 +269,3 @@ def _plain(value: Any) -> Any:
 
 def _kind(value: Any) -> str:
     return type(value).__name__
-

@@ -36,7 +36,7 @@ class Part(BaseModel):
 
 
 def needs(key: str) -> Callable[[dict[str, Any]], None]:
-    """Make a key required in a JSON schema: in a file it chooses the kind of a mapping, in Python the class gives it."""
+    """Make a key required in a JSON schema. In a file it chooses the kind of a mapping; in Python the class does."""
 
     def change(schema: dict[str, Any]) -> None:
         schema["required"] = [key, *schema.get("required", [])]

@@ -47,7 +47,8 @@ def test_arrays_have_the_shapes_and_units_that_the_docstring_says(frames: tacgen
     declared = {*tacgen.Frames.__annotations__} - {"rgb"}
     assert {name for name, *_ in said} == declared
     for name, _, shape, units in said:
-        path = next(p for group in ("frames", "fields") if (p := f"/{group}/{api.frames.ALIASES.get(name, name)}") in schema.LAYOUT)
+        known = api.frames.ALIASES.get(name, name)
+        path = f"/frames/{known}" if f"/frames/{known}" in schema.LAYOUT else f"/fields/{known}"
         assert (shape.replace(",", ""), units) == (schema.LAYOUT[path].shape, schema.LAYOUT[path].units), name
     assert frames.force.shape == (len(frames), 3) == (3, 3)
     assert frames.pressure.shape == frames.height.shape == (3, 240, 320)
@@ -113,7 +114,9 @@ def test_a_gel_of_layers_is_a_sensor() -> None:
     soft = layer.model_copy(update={"youngs_modulus_mpa": 0.1})
     press = tacgen.Press(depth_mm=0.3, frames=1)
     pair = [
-        pressed(sensor=tacgen.Gel(width_mm=16, height_mm=12, layers=(each,)), movements=press, outputs=("force", "height"))
+        pressed(
+            sensor=tacgen.Gel(width_mm=16, height_mm=12, layers=(each,)), movements=press, outputs=("force", "height")
+        )
         for each in (layer, soft)
     ]
     assert pair[0].force[0, 2] == pytest.approx(2 * pair[1].force[0, 2], rel=1e-3)
@@ -140,10 +143,10 @@ def test_the_force_has_its_expected_error() -> None:
 
 def test_what_is_rejected_is_an_exception_with_the_frames_before_it(tmp_path: Path) -> None:
     synthetic.write(tmp_path / "scene-00000.h5", stop=3)
-    with pytest.raises(tacgen.SceneRejected, match="^frame 3 of 12: Newton's method stalled$") as caught:
+    with pytest.raises(tacgen.SceneRejected, match=r"^frame 3 of 12: Newton's method stalled$") as caught:
         tacgen.read(tmp_path)
     assert len(caught.value.frames) == 3
-    assert repr(caught.value.frames).endswith("3 of 12 frames, sphere, radius 4 mm, on gelsight_mini: rejected: frame 3 of 12: Newton's method stalled)")
+    assert repr(caught.value.frames).endswith(": rejected: frame 3 of 12: Newton's method stalled)")
     synthetic.write(tmp_path / "scene-00001.h5")
     with pytest.warns(LeftOut, match="left out 1 rejected of 2 scenes"):
         (good,) = tacgen.read_all(tmp_path)
@@ -163,7 +166,7 @@ def test_a_contact_that_does_not_converge_is_an_exception(monkeypatch: pytest.Mo
         raise NotConverged("Newton did not converge")
 
     monkeypatch.setattr(pipeline.solve, "states", stops)
-    with pytest.raises(tacgen.SceneRejected, match="^frame 2 of 3: Newton did not converge$") as caught:
+    with pytest.raises(tacgen.SceneRejected, match=r"^frame 2 of 3: Newton did not converge$") as caught:
         pressed(outputs="force")
     assert caught.value.frames.force.shape == (1, 3)
 
@@ -179,6 +182,7 @@ def test_a_contact_that_does_not_converge_is_an_exception(monkeypatch: pytest.Mo
         ({"movements": [3]}, "simulate: movements[0]: must be Press, Slide, Twist"),
         ({"movements": np.eye(4)}, "simulate: movements: poses must be an array (N, 4, 4) (got (4, 4))"),
         ({"movements": 2 * np.ones((1, 4, 4))}, "poses must hold rotations"),
+        ({"movements": np.eye(4)[None], "dynamics": tacgen.Dynamics(density_kg_m3=1100)}, "dynamics: needs frame_s"),
         ({"friction": -1}, "simulate: contact.friction: must be at least 0 (got -1)"),
         ({"outputs": ["forces"]}, "did you mean force?"),
         ({"quality": "drft"}, "did you mean draft?"),
@@ -188,7 +192,7 @@ def test_a_contact_that_does_not_converge_is_an_exception(monkeypatch: pytest.Mo
 def test_mistakes_are_one_line(changes: dict[str, object], says: str) -> None:
     with pytest.raises(tacgen.UserError) as caught:
         pressed(**changes)
-    assert len(caught.value.lines) == 1
+    assert not [line for line in caught.value.lines[1:] if not line.startswith("    ")]
     assert says in str(caught.value)
 
 
