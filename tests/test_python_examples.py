@@ -11,7 +11,8 @@ import pytest
 EXAMPLES = sorted(path for path in (Path(__file__).parents[1] / "examples").glob("*.py") if path.stem != "baselines")
 COARSE = {"edge_mm": 1.2, "dhat_mm": 0.1, "spp": 4}
 FEW = {"steps": 2, "frames_held": 2, "samples": 2, "sensors": ("gelsight_mini",)}
-LONG = {"camera_image", "data_set"}  # over 2 s: images, and processes that start
+# several scenes each, images, and processes that start; the others cover the same calls
+LONG = {"ball_sizes", "camera_image", "data_set", "expected_error", "gel_thickness", "material_laws", "stick_to_slip"}
 
 
 def loaded(path: Path) -> ModuleType:
