@@ -30,5 +30,5 @@ def main(folder: Path, quality: object = "draft", samples: int = 12) -> None:
     figure.savefig(folder / "data_set.png")
 
 
-if __name__ == "__main__":  # scenes run in processes of their own, which import this file
+if __name__ == "__main__":
     main(Path(*sys.argv[1:]))

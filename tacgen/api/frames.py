@@ -12,6 +12,7 @@ import numpy as np
 
 from tacgen.bundle import dataset, field_names
 from tacgen.bundle.bundle import Bundle
+from tacgen.bundle.bundle import read as read_bundle
 from tacgen.bundle.caption import caption, line
 from tacgen.errors import LeftOut, UserError
 
@@ -72,6 +73,12 @@ class Frames:
         self.bundle = source
         self._folder = folder  # removed with the frames, unless they are saved
         self._read: dict[str, Array] = {}
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickled, as another process returns it, with the file, which is removed with the frames of that process."""
+        if self._folder is None:
+            return Frames, (self.bundle,)
+        return _unpickled, (self.bundle.path.name, self.bundle.path.read_bytes())
 
     def __len__(self) -> int:
         """N, the number of frames."""
@@ -177,6 +184,12 @@ class Frames:
         with written(Path(path), [self.bundle.path], overwrite=overwrite) as new:
             shutil.copyfile(self.bundle.path, new)
         return Path(path)
+
+
+def _unpickled(name: str, content: bytes) -> Frames:
+    folder = Folder()
+    (folder.path / name).write_bytes(content)
+    return Frames(read_bundle(folder.path / name), folder)
 
 
 class SceneRejected(UserError):

@@ -133,8 +133,7 @@ def run(
 ) -> list[SceneResult]:
     """Make the bundles of a recipe, all scenes of a batch; called again it resumes, as `tacgen run` does.
 
-    Scenes run in processes of their own, which import the program that calls this: in a file, call it below
-    `if __name__ == "__main__":`. `tacgen.read_all(folder)` gives the frames.
+    Scenes run in processes of their own; `tacgen.read_all(folder)` gives the frames.
 
     Args:
         recipe: the name of a shipped recipe, the path of a recipe file, or its contents as a dictionary.

@@ -355,6 +355,13 @@ class Sensor(Part):
     markers: Markers | None = None
     thickness_response: ThicknessResponse | None = None
 
+    def __repr__(self) -> str:
+        gel, picture, thickness = self.gel, self.camera, sum(layer.thickness_mm for layer in self.gel.layers)
+        size = f"{gel.width_mm:g} x {gel.height_mm:g} x {thickness:g} mm"
+        return f"Sensor({self.name}: gel {size}, picture {picture.width_px} x {picture.height_px} px)"
+
+    __str__ = __repr__
+
     @property
     def unsourced(self) -> list[str]:
         """Paths of the parts without a `source`."""

@@ -1,5 +1,6 @@
 """The public names: a contact in ten lines, the same as from a recipe; arguments that are wrong; what is rejected."""
 
+import pickle
 import re
 from pathlib import Path
 
@@ -90,6 +91,13 @@ def test_frames_outlive_those_that_made_them_and_leave_no_folder() -> None:
     assert not any(folder.exists() for folder in folders)
 
 
+def test_frames_are_pickled_with_their_file() -> None:
+    made = pressed(movements=tacgen.Press(depth_mm=0.2, frames=1), outputs="force")
+    force, copy = made.force, pickle.loads(pickle.dumps(made))
+    del made
+    assert copy.force.tolist() == force.tolist()
+
+
 def test_a_trimesh_is_the_file_it_was_read_from(tmp_path: Path) -> None:
     shape = trimesh.creation.icosphere(subdivisions=2, radius=3.0)
     shape.export(tmp_path / "ball.stl")
@@ -132,6 +140,7 @@ def test_overrides_and_sensors_are_the_same_change() -> None:
     by_object = pressed(sensor=sensor, movements=press, outputs="force", sensor_overrides=changed)
     assert by_name.force.tolist() == by_object.force.tolist()
     assert by_name.sensor.gel.layers[0].youngs_modulus_mpa == 0.25  # type: ignore[union-attr]
+    assert repr(sensor) == str(sensor) == "Sensor(gelsight_mini: gel 25.25 x 20.75 x 4 mm, picture 320 x 240 px)"
     assert Path(tacgen.load_sensor("tactip").gel.solid.file).is_file()  # type: ignore[union-attr]
 
 
