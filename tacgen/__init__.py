@@ -40,15 +40,6 @@ if TYPE_CHECKING:
     from tacgen.recipe.model import Rayleigh as Rayleigh
     from tacgen.recipe.model import Render as Render
     from tacgen.recipe.model import Uncertainty as Uncertainty
-    from tacgen.recipe.sensor import Camera as Camera
-    from tacgen.recipe.sensor import Dome as Dome
-    from tacgen.recipe.sensor import Gel as Gel
-    from tacgen.recipe.sensor import MooneyRivlinLayer as MooneyRivlinLayer
-    from tacgen.recipe.sensor import NeoHookeLayer as NeoHookeLayer
-    from tacgen.recipe.sensor import PronyTerm as PronyTerm
-    from tacgen.recipe.sensor import Sensor as Sensor
-    from tacgen.recipe.sensor import StableNeoHookeLayer as StableNeoHookeLayer
-    from tacgen.recipe.sensor import YeohLayer as YeohLayer
     from tacgen.recipe.trajectory import Hold as Hold
     from tacgen.recipe.trajectory import Press as Press
     from tacgen.recipe.trajectory import Release as Release
@@ -57,6 +48,15 @@ if TYPE_CHECKING:
     from tacgen.recipe.trajectory import Start as Start
     from tacgen.recipe.trajectory import Tilt as Tilt
     from tacgen.recipe.trajectory import Twist as Twist
+    from tacgen.sensor.model import Camera as Camera
+    from tacgen.sensor.model import Dome as Dome
+    from tacgen.sensor.model import Gel as Gel
+    from tacgen.sensor.model import MooneyRivlinLayer as MooneyRivlinLayer
+    from tacgen.sensor.model import NeoHookeLayer as NeoHookeLayer
+    from tacgen.sensor.model import PronyTerm as PronyTerm
+    from tacgen.sensor.model import Sensor as Sensor
+    from tacgen.sensor.model import StableNeoHookeLayer as StableNeoHookeLayer
+    from tacgen.sensor.model import YeohLayer as YeohLayer
 
 __version__ = "0.1.0"
 
@@ -68,7 +68,7 @@ _HOMES = {
     "tacgen.errors": ("UserError",),
     "tacgen.recipe.indenters": ("Sphere", "Cylinder", "Cone", "Box", "Wedge", "Capsule", "Torus", "Mesh"),
     "tacgen.recipe.trajectory": ("Start", "Press", "Slide", "Twist", "Tilt", "Hold", "Release", "Replay"),
-    "tacgen.recipe.sensor": (
+    "tacgen.sensor.model": (
         *("Sensor", "Gel", "Dome", "Camera"),
         *("NeoHookeLayer", "StableNeoHookeLayer", "MooneyRivlinLayer", "YeohLayer", "PronyTerm"),
     ),

@@ -19,7 +19,7 @@ from tacgen.errors import LeftOut, UserError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from tacgen.recipe.sensor import Sensor
+    from tacgen.sensor.model import Sensor
 
 Array = np.ndarray
 ALIASES = {"stress": "nodal_stress", "image": "rgb", "force_std": "uncertainty/force"}

@@ -13,13 +13,13 @@ from tacgen.bundle.bundle import read
 from tacgen.bundle.resume import SceneResult
 from tacgen.errors import UserError
 from tacgen.recipe import assets, indenters, plan
-from tacgen.recipe.base_model import Part
 from tacgen.recipe.loading import read_sensor
 from tacgen.recipe.model import Dynamics, Render, Uncertainty
-from tacgen.recipe.sensor import Camera, Gel, Sensor
 from tacgen.recipe.trajectory import Hold, Press, Release, Replay, Slide, Start, Tilt, Twist
-from tacgen.recipe.usual_values import unusual
-from tacgen.recipe.yaml_source import KeyPath, Mark, Source, Spot, Tree, format_path
+from tacgen.sensor.base_model import Part
+from tacgen.sensor.model import Camera, Gel, Sensor
+from tacgen.sensor.usual_values import unusual
+from tacgen.sensor.yaml_source import KeyPath, Mark, Source, Spot, Tree, format_path
 
 if TYPE_CHECKING:
     from tacgen.recipe.indenters import Box, Capsule, Cone, Cylinder, Mesh, Sphere, Torus, Wedge

@@ -27,7 +27,7 @@ def path_of(name: str, paths: Collection[str]) -> str:
     if name in (everywhere := short(LAYOUT)) or name in LAYOUT:
         said = f"{name!r}: not among the outputs of this scene"
     else:
-        from tacgen.recipe.validation_messages import suggest
+        from tacgen.sensor.validation_messages import suggest
 
         said = f"{name!r}: no such field" + (suggest(name, known) or suggest(name, everywhere))
     plain = [each for each in known if "/" not in each]

@@ -28,7 +28,7 @@ class Part(BaseModel):
             try:
                 super().__init__(**data)
             except ValidationError as error:
-                from tacgen.recipe.validation_messages import explained
+                from tacgen.sensor.validation_messages import explained
 
                 raise explained(type(self), data, error) from None
 

@@ -165,16 +165,16 @@ def test_what_is_rejected_is_an_exception_with_the_frames_before_it(tmp_path: Pa
 
 
 def test_a_contact_that_does_not_converge_is_an_exception(monkeypatch: pytest.MonkeyPatch) -> None:
-    from tacgen.solve import NotConverged
+    from tacgen.mechanics import NotConverged
 
-    solved = pipeline.solve.states
+    solved = pipeline.mechanics.states
 
     def stops(*args: object, **options: object) -> object:
         states = solved(*args, **options)  # type: ignore[arg-type]
         yield next(states)
         raise NotConverged("Newton did not converge")
 
-    monkeypatch.setattr(pipeline.solve, "states", stops)
+    monkeypatch.setattr(pipeline.mechanics, "states", stops)
     with pytest.raises(tacgen.SceneRejected, match=r"^frame 2 of 3: Newton did not converge$") as caught:
         pressed(outputs="force")
     assert caught.value.frames.force.shape == (1, 3)
