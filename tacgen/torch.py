@@ -14,13 +14,13 @@ import hashlib
 import math
 import os
 from collections import OrderedDict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
-from tacgen.bundle import dataset
+from tacgen.bundle import dataset, field_names
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.chunks import Frames
 from tacgen.bundle.schema import LAYOUT
@@ -68,16 +68,22 @@ class TactileDataset:
     ) -> None:
         good = [scene for scene in dataset.scenes(Path(path), merge=merge) if scene.attrs["status"] == "ok"]
         self.scenes = divide(good, split, fractions, seed)
-        self.fields = {name: _path(name) for name in fields}
-        for scene in self.scenes:
-            if missing := [name for name, inside in self.fields.items() if inside not in scene]:
-                raise UserError(f"{scene.path}: has no {missing[0]}; its recipe's outputs did not ask for it")
+        held: list[tuple[Path, Collection[str]]] = [(scene.path, scene.shapes) for scene in self.scenes]
+        for place, paths in held or [(Path(path), LAYOUT)]:
+            stored = field_names.short(paths).values()
+            try:
+                self.fields = {name: field_names.path_of(name, stored) for name in fields}
+            except UserError as error:
+                raise UserError(f"{place}: {error}") from None
         self.subtract_reference, self.transform = subtract_reference, transform
         self._starts = np.concatenate([[0], np.cumsum([scene.frames for scene in self.scenes])]).astype(int)
         self._forget()
 
     def __len__(self) -> int:
         return int(self._starts[-1])
+
+    def __repr__(self) -> str:
+        return f"TactileDataset({len(self)} frames of {len(self.scenes)} scenes: {', '.join(self.fields)})"
 
     def __getitem__(self, index: int) -> Any:
         """One frame. Raises IndexError, or UserError if the file is damaged there."""
@@ -234,12 +240,3 @@ def divide(
     if not chosen:
         raise UserError(f"split {split!r}: holds none of {len(scenes)} scenes")
     return tuple(scenes[i] for i in chosen)
-
-
-def _path(name: str) -> str:
-    """rgb -> /frames/rgb; displacement -> /fields/displacement."""
-    for path in (f"/frames/{name}", f"/fields/{name}"):
-        if path in LAYOUT:
-            return path
-    known = [path.split("/", 2)[2] for path in LAYOUT if path.startswith(("/frames/", "/fields/"))]
-    raise UserError(f"field {name!r}: must be one of {', '.join(known)}")

@@ -36,6 +36,7 @@ LAYERS = [
     "doctor",
     "pipeline",
     "batch",
+    "api",
     "calibrate",
     "cli_common",
     "cli_calibrate",

@@ -87,6 +87,14 @@ def test_it_pickles_without_its_open_files_and_forgets_those_of_a_parent(folder:
     assert "stale" not in dataset._files
 
 
+def test_scenes_and_datasets_are_one_line_each(folder: Path) -> None:
+    dataset = TactileDataset(folder)
+    assert repr(dataset) == f"TactileDataset({len(dataset)} frames of {COUNT} scenes: rgb, force)"
+    shown = repr(dataset.scenes[0])
+    assert shown == "Bundle(scene-00000.h5: 12 frames, sphere, radius 4 mm, on gelsight_mini)"
+    assert len(str(dataset.scenes)) < 120 * COUNT
+
+
 def test_few_files_are_open_at_a_time(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(reading, "OPEN_FILES", 2)
     dataset = TactileDataset(folder)
@@ -112,8 +120,9 @@ def test_a_damaged_frame_is_one_line(folder: Path, tmp_path: Path, spoil: str) -
 def test_mistakes_are_one_line(folder: Path, tmp_path: Path) -> None:
     write(tmp_path / "scene-00000.h5", outputs=frozenset({"force"}))
     for options, says in (
-        ({"path": folder, "fields": ["rbg"]}, "field 'rbg': must be one of "),
-        ({"path": tmp_path}, "scene-00000.h5: has no rgb; its recipe's outputs"),
+        ({"path": folder, "fields": ["rbg"]}, "'rbg': no such field, did you mean rgb; there are: force, "),
+        ({"path": folder, "fields": ["forces"]}, "'forces': no such field, did you mean force; there are: force, "),
+        ({"path": tmp_path}, "scene-00000.h5: 'rgb': not among the outputs of this scene; there are: force, "),
         ({"path": tmp_path / "no"}, "no such file or folder"),
         ({"path": folder, "split": "tset"}, "split 'tset': must be all, train, val, test"),
         ({"path": folder, "split": "val", "fractions": (1.0, 0.0, 0.0)}, "split 'val': holds none of 6 scenes"),

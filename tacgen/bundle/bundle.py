@@ -146,7 +146,7 @@ class Writer:
         self._columns[path].append(values)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Bundle:
     """A finished bundle. Arrays are read on access; no file stays open, so it can be pickled and needs no closing."""
 
@@ -154,6 +154,11 @@ class Bundle:
     attrs: dict[str, Any]
     shapes: dict[str, tuple[int, ...]]
     group: str = "/"  # in the file; a shard holds a scene in each group
+
+    def __repr__(self) -> str:
+        from tacgen.bundle.caption import line
+
+        return f"Bundle({line(self)})"
 
     def __contains__(self, path: str) -> bool:
         return path in self.shapes

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tacgen.bundle.bundle import Bundle
+from tacgen.errors import printable
 from tacgen.labels.events import MODES
 
 MODE = "/frames/events/mode"
@@ -33,6 +34,15 @@ def caption(bundle: Bundle) -> str:
         force = np.linalg.norm(bundle["/frames/force"], axis=1)
         said.append(f"The largest force is {force.max():.3g} N, in frame {force.argmax()}")
     return ". ".join(said) + "."
+
+
+def line(bundle: Bundle) -> str:
+    """One line: `scene-00000.h5: 10 frames, sphere, radius 4 mm, on gelsight_mini`, and why it is rejected if it is."""
+    name = bundle.path.name + bundle.group.rstrip("/")
+    planned, status = bundle.attrs["frames_planned"], bundle.attrs["status"]
+    count = f"{bundle.frames} frames" if status == "ok" else f"{bundle.frames} of {planned} frames"
+    why = "" if status == "ok" else f": {status}: {bundle.attrs['reason']}"
+    return printable(f"{name}: {count}, {indenter_text(bundle)}, on {sensor_text(bundle)}{why}")
 
 
 def modes(bundle: Bundle) -> list[str]:

@@ -118,7 +118,7 @@ def _piola(F: Array, C: Array, I1: float, w1: float, w2: float, w3: float, P: Ar
 
 @njit(cache=True)
 def add_forces(
-    F: Array, conn: Array, B: Array, weights: Array, I1: Array, first: Array, memory: Array, out: Array
+    F: Array, conn: Array, B: Array, weights: Array, I1: Array, first: Array, memory: Array | None, out: Array
 ) -> None:
     """Add dE/dx to out (n, 3); first (e, q, 3) holds dW/dI1, dW/dI2, dW/dJ. memory: see elasticity.Point."""
     ne, nq, na, _ = B.shape
@@ -127,7 +127,7 @@ def add_forces(
         for q in range(nq):
             cofactor(F[e, q], C)
             _piola(F[e, q], C, I1[e, q], first[e, q, 0], first[e, q, 1], first[e, q, 2], P)
-            if len(memory):
+            if memory is not None:
                 for i in range(3):
                     for j in range(3):
                         for k in range(3):
@@ -140,14 +140,14 @@ def add_forces(
 
 
 @njit(cache=True)
-def cauchy(F: Array, I1: Array, J: Array, first: Array, memory: Array) -> Array:
+def cauchy(F: Array, I1: Array, J: Array, first: Array, memory: Array | None) -> Array:
     """sigma = P F^T / J (e, q, 3, 3); first and memory as in add_forces."""
     out, C, P = np.empty(F.shape), np.empty((3, 3)), np.empty((3, 3))
     for e in range(F.shape[0]):
         for q in range(F.shape[1]):
             cofactor(F[e, q], C)
             _piola(F[e, q], C, I1[e, q], first[e, q, 0], first[e, q, 1], first[e, q, 2], P)
-            if len(memory):
+            if memory is not None:
                 for i in range(3):
                     for j in range(3):
                         for k in range(3):

@@ -19,7 +19,6 @@ from tacgen.fem.potential import Projection
 
 Array = np.ndarray
 SMALLEST_J = 1e-9  # J below which the energy is infinite, so that divisions by J do not overflow [-]
-NO_MEMORY = np.zeros((0, 0, 3, 3))
 PREDICTED = 2.0  # largest ratio of the predicted J to the true one, and of the true one to the predicted [-]
 
 
@@ -34,7 +33,7 @@ class Point:
     first: Array  # (e, q, 3), U' included
     second: Array  # (e, q, 6), U'' included except the part that acts on the mean dilatation
     dilatation: Array  # (e,) U''(mean J)/volume, 0 without mean dilatation
-    memory: Array  # (e, q, 3, 3) J^-2/3 M, or (0, 0, 3, 3)
+    memory: Array | None  # (e, q, 3, 3) J^-2/3 M; None: elastic
 
 
 @dataclass(frozen=True)
@@ -82,7 +81,7 @@ class Elastic:
             energy += local * float((w * U).sum())
             first[..., 2] += local * dU
             second[..., 2] += local * ddU
-        memory = NO_MEMORY
+        memory = None
         if self.memory is not None:
             memory = J[..., None, None] ** (-2 / 3) * self.memory
             stretch = np.einsum("eqik,eqkl,eqil->eq", F, memory, F)

@@ -204,7 +204,7 @@ def add_tangent(
     first: Array,
     second: Array,
     dilatation: Array,
-    memory: Array,
+    memory: Array | None,
     project: int,
     slots: Array,
     data: Array,
@@ -212,7 +212,8 @@ def add_tangent(
     """Add d2E/dx2 of all elements to `data` at `slots` (e, 3a*3a).
 
     `slots`: -1 where an entry is not stored. dilatation (e,): U''(mean J)/volume of elements with mean dilatation, a
-    rank-one term; 0 for others. memory: see elasticity.Point. project: see potential.Projection.
+    rank-one term; 0 for others. memory: see elasticity.Point; without it, its code is not compiled. project: see
+    potential.Projection.
     """
     ne, nq, na, _ = B.shape
     nd = 3 * na
@@ -227,7 +228,7 @@ def add_tangent(
             w = weights[e, q]
             cofactor(F[e, q], C)
             clamped = project == 2 or (project == 1 and _strained(F[e, q]))
-            if len(memory):
+            if memory is not None:
                 _exact(F[e, q], C, first[e, q], second[e, q], G, D)
                 _add_memory(F[e, q], C, memory[e, q], G, D)
                 if clamped:

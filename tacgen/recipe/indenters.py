@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 from pydantic import Field, ValidationInfo, field_validator
 
-from tacgen.sensor.base_model import Axis, FilePath, Part, Positive, Sha256
+from tacgen.sensor.base_model import Axis, FilePath, Part, Positive, Sha256, needs
 
 if TYPE_CHECKING:
     from tacgen.geometry.analytic_sdf import Shape
@@ -20,17 +20,17 @@ def _smaller(value: float, limit: float | None, what: str, *, equal: bool = True
     return value
 
 
-class Sphere(Part):
+class Sphere(Part, json_schema_extra=needs("shape")):
     """A ball."""
 
-    shape: Literal["sphere"]
+    shape: Literal["sphere"] = "sphere"
     radius_mm: Positive
 
 
-class Cylinder(Part):
+class Cylinder(Part, json_schema_extra=needs("shape")):
     """A flat punch: a round rod whose axis is z, its lower edge rounded."""
 
-    shape: Literal["cylinder"]
+    shape: Literal["cylinder"] = "cylinder"
     radius_mm: Positive
     fillet_mm: Annotated[float, Field(gt=0, validate_default=True)] = 0.2
 
@@ -40,18 +40,18 @@ class Cylinder(Part):
         return _smaller(value, info.data.get("radius_mm"), "radius_mm")
 
 
-class Cone(Part):
+class Cone(Part, json_schema_extra=needs("shape")):
     """A cone pointing down with a spherical tip; the half angle is measured from its axis."""
 
-    shape: Literal["cone"]
+    shape: Literal["cone"] = "cone"
     half_angle_deg: Acute
     tip_radius_mm: Positive
 
 
-class Box(Part):
+class Box(Part, json_schema_extra=needs("shape")):
     """A block with rounded edges, flat side down."""
 
-    shape: Literal["box"]
+    shape: Literal["box"] = "box"
     size_x_mm: Positive
     size_y_mm: Positive
     fillet_mm: Annotated[float, Field(gt=0, validate_default=True)] = 0.2
@@ -63,10 +63,10 @@ class Box(Part):
         return _smaller(value, min(sides) / 2 if sides else None, "half the shorter side")
 
 
-class Wedge(Part):
+class Wedge(Part, json_schema_extra=needs("shape")):
     """A wedge pointing down whose rounded edge is along y; half angle from z, total length along y."""
 
-    shape: Literal["wedge"]
+    shape: Literal["wedge"] = "wedge"
     half_angle_deg: Acute
     tip_radius_mm: Positive
     length_mm: Positive
@@ -80,18 +80,18 @@ class Wedge(Part):
         return value
 
 
-class Capsule(Part):
+class Capsule(Part, json_schema_extra=needs("shape")):
     """A rod with hemispherical ends along x; the length is between the centres of the hemispheres."""
 
-    shape: Literal["capsule"]
+    shape: Literal["capsule"] = "capsule"
     radius_mm: Positive
     length_mm: Positive
 
 
-class Torus(Part):
+class Torus(Part, json_schema_extra=needs("shape")):
     """A ring lying flat: `radius_mm` from its axis to the centre of the tube."""
 
-    shape: Literal["torus"]
+    shape: Literal["torus"] = "torus"
     radius_mm: Positive
     tube_radius_mm: Positive
 
@@ -101,10 +101,10 @@ class Torus(Part):
         return _smaller(value, info.data.get("radius_mm"), "radius_mm", equal=False)
 
 
-class Mesh(Part):
+class Mesh(Part, json_schema_extra=needs("shape")):
     """A closed triangle mesh (STL, OBJ, PLY), lowest point at z = 0, bounding box centred on the z axis."""
 
-    shape: Literal["mesh"]
+    shape: Literal["mesh"] = "mesh"
     file: FilePath  # a path, or the name of a shipped object
     up: Axis = "+z"  # which axis of the file points away from the gel
     scale: Positive = 1.0  # mm per unit of the file

@@ -26,21 +26,27 @@ class Loaded:
     sensor_tree: Tree  # of the sensor, overrides merged in
 
 
-def read(path: Path, sets: Iterable[str] = ()) -> Loaded:
+def read(source: Path | Tree, sets: Iterable[str] = (), sensor: Sensor | None = None) -> Loaded:
     """Read a recipe and its sensor. Raises UserError with every problem of both files at once.
 
     Args:
-        path: the recipe file.
+        source: the recipe file, or the tree of a recipe that is in no file.
         sets: overrides as on the command line, `indenter.radius_mm=3`; `sensor.` reaches into the sensor.
+        sensor: instead of the sensor that the recipe names.
     """
-    tree = _extended(path, ())
+    tree = _extended(source, ())
     for text in sets:
         tree = _set(tree, text)
     tree = _crossed(tree)
     recipe, wrong = validate(Recipe, tree.data)
     problems = [(problem, tree) for problem in wrong]
+    images = recipe is not None and bool(recipe.outputs & IMAGES)
     try:
-        sensor, sensor_tree, more = named_sensor(tree, recipe is not None and bool(recipe.outputs & IMAGES))
+        if sensor is None:
+            sensor, sensor_tree, more = named_sensor(tree, images)
+        else:
+            plain = Tree(sensor.model_dump(mode="json", exclude_none=True))
+            sensor, sensor_tree, more = _overridden_sensor(plain, tree, images)
     except UserError as error:  # the sensor file is not YAML: report it with the problems of the recipe
         raise UserError([*report(problems).lines, *error.lines]) from None
     problems += more
@@ -124,22 +130,25 @@ def solid_folder(sensor_tree: Tree) -> Path:
     return (sensor_tree.spot(SOLID).value.source.folder or Path()).resolve()
 
 
-def _extended(path: Path, chain: tuple[Path, ...]) -> Tree:
-    """The tree of a file merged over the one it extends. `chain` holds the files that extend it."""
-    tree = load(path)
+def _extended(source: Path | Tree, chain: tuple[Path, ...]) -> Tree:
+    """The tree of a recipe merged over the one it extends. `chain` holds the files that extend it."""
+    tree = source if isinstance(source, Tree) else load(source)
+    path = None if isinstance(source, Tree) else source
     if not isinstance(tree.data, dict):
         raise report([(Problem((), f"a recipe must be a mapping (got {describe(tree.data)})"), tree)])
     if "tacgen_sensor" in tree.data:
-        text = f"is a sensor file, not a recipe: a recipe names it, as in sensor: {path.name}"
+        name = "my_sensor.yaml" if path is None else path.name
+        text = f"is a sensor file, not a recipe: a recipe names it, as in sensor: {name}"
         raise report([(Problem((), text), tree)])
     if "extends" not in tree.data:
         return tree
-    name, here, place = tree.data["extends"], (*chain, path.resolve()), ("extends",)
+    name, place = tree.data["extends"], ("extends",)
+    here = chain if path is None else (*chain, path.resolve())
     if not isinstance(name, str) or not name:
         text = f"must be the path of a recipe, or the name of a shipped one (got {describe(name)})"
         raise report([(Problem(place, text), tree)])
     try:
-        other = assets.recipe_path(name, path.parent)
+        other = assets.recipe_path(name, None if path is None else path.parent)
     except UserError as error:
         raise report([(Problem(place, error.lines[0]), tree)]) from None
     if other.resolve() in here:
@@ -176,10 +185,16 @@ def named_sensor(tree: Tree, images: bool) -> tuple[Sensor | None, Tree, list[tu
         sensor_path = assets.sensor_path(name, tree.spot(("sensor",)).value.source.folder)
     except UserError as error:
         return None, nothing, [(Problem(("sensor",), error.lines[0]), tree)]
-    sensor_tree = load(sensor_path)
+    return _overridden_sensor(load(sensor_path), tree, images)
+
+
+def _overridden_sensor(
+    sensor_tree: Tree, tree: Tree, images: bool
+) -> tuple[Sensor | None, Tree, list[tuple[Problem, Tree]]]:
+    """A sensor with the recipe's overrides laid over it; each problem comes with the tree it belongs to."""
     if not isinstance(sensor_tree.data, dict):
         wrong = Problem((), f"a sensor must be a mapping (got {describe(sensor_tree.data)})")
-        return None, nothing, [(wrong, sensor_tree)]
+        return None, Tree(None), [(wrong, sensor_tree)]
     sensor_tree, lost = _overridden(sensor_tree, tree)
     sensor, found = check_sensor(sensor_tree.data, solid_folder(sensor_tree), images)
     return sensor, sensor_tree, [(p, tree) for p in lost] + [(p, sensor_tree) for p in found]

@@ -158,12 +158,16 @@ class Plan:
     sensors: tuple[str, ...] = ()  # names of those that its scenes are made on, in the order of the recipe
 
 
-def load(path: Path, sets: Iterable[str] = (), shard: tuple[int, int] = (0, 1)) -> Plan:
-    """Read a recipe file and expand it, or shard i of N: the scenes whose index leaves i when divided by N.
+def load(
+    source: Path | Tree, sets: Iterable[str] = (), shard: tuple[int, int] = (0, 1), sensor: Sensor | None = None
+) -> Plan:
+    """Read a recipe and expand it, or shard i of N: the scenes whose index leaves i when divided by N.
+
+    `source`, `sets` and `sensor` are those of loading.read.
 
     Raises UserError: every problem of recipe, sensor and varied scenes.
     """
-    loaded = read(path, sets)
+    loaded = read(source, sets, sensor)
     count = scene_count(loaded.recipe.vary) if loaded.recipe.vary else 1
     return expand(loaded.recipe, loaded.sensor, range(shard[0], count, shard[1]), loaded=loaded)
 

@@ -1,8 +1,9 @@
 """Base class and shared types of the models of recipe and sensor files."""
 
-from typing import Annotated, Any, Literal
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
@@ -20,6 +21,27 @@ class Part(BaseModel):
     """A frozen part of a recipe or sensor file. Unknown keys, nan and inf are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    if not TYPE_CHECKING:  # type checkers see the fields as arguments
+
+        def __init__(self, /, **data: Any) -> None:
+            try:
+                super().__init__(**data)
+            except ValidationError as error:
+                from tacgen.sensor.validation_messages import explained
+
+                raise explained(type(self), data, error) from None
+
+        __init__.__pydantic_base_init__ = True  # pydantic itself makes parts without calling it, as it does by default
+
+
+def needs(key: str) -> Callable[[dict[str, Any]], None]:
+    """Make a key required in a JSON schema. In a file it chooses the kind of a mapping; in Python the class does."""
+
+    def change(schema: dict[str, Any]) -> None:
+        schema["required"] = [key, *schema.get("required", [])]
+
+    return change
 
 
 def exactly_one(part: Part, what: str = "one", names: tuple[str, ...] = ()) -> None:

@@ -24,6 +24,7 @@ from tacgen.sensor.base_model import (
     Vec2,
     Vec3,
     exactly_one,
+    needs,
 )
 from tacgen.sensor.markers import Markers
 from tacgen.sensor.yaml_source import KeyPath, format_path
@@ -116,10 +117,10 @@ class NeoHookeLayer(IsochoricLayer):
     poissons_ratio: Poisson
 
 
-class StableNeoHookeLayer(LayerBase):
+class StableNeoHookeLayer(LayerBase, json_schema_extra=needs("law")):
     """The stable neo-Hookean law of Smith et al. (2018), as in UIPC."""
 
-    law: Literal["stable_neo_hooke"]
+    law: Literal["stable_neo_hooke"] = "stable_neo_hooke"
     youngs_modulus_mpa: Positive
     poissons_ratio: Poisson
 
@@ -136,18 +137,18 @@ class NearlyIncompressible(IsochoricLayer):
         return self
 
 
-class MooneyRivlinLayer(NearlyIncompressible):
+class MooneyRivlinLayer(NearlyIncompressible, json_schema_extra=needs("law")):
     """Mooney-Rivlin: the shear modulus at rest is 2 (c10 + c01)."""
 
-    law: Literal["mooney_rivlin"]
+    law: Literal["mooney_rivlin"] = "mooney_rivlin"
     c10_mpa: Positive
     c01_mpa: NotNegative
 
 
-class YeohLayer(NearlyIncompressible):
+class YeohLayer(NearlyIncompressible, json_schema_extra=needs("law")):
     """Yeoh, of third order: the shear modulus at rest is 2 c10."""
 
-    law: Literal["yeoh"]
+    law: Literal["yeoh"] = "yeoh"
     c10_mpa: Positive
     c20_mpa: float = 0.0
     c30_mpa: NotNegative = 0.0
@@ -353,6 +354,13 @@ class Sensor(Part):
     camera: Camera
     markers: Markers | None = None
     thickness_response: ThicknessResponse | None = None
+
+    def __repr__(self) -> str:
+        gel, picture, thickness = self.gel, self.camera, sum(layer.thickness_mm for layer in self.gel.layers)
+        size = f"{gel.width_mm:g} x {gel.height_mm:g} x {thickness:g} mm"
+        return f"Sensor({self.name}: gel {size}, picture {picture.width_px} x {picture.height_px} px)"
+
+    __str__ = __repr__
 
     @property
     def unsourced(self) -> list[str]:

@@ -75,6 +75,14 @@ def validate(model: type[Model], data: Any) -> tuple[Model | None, list[Problem]
         return None, _together([p for p in found if p.path not in misspelt])  # misspelt, not missing
 
 
+def explained(model: type[BaseModel], data: Any, error: ValidationError) -> UserError:
+    """The error of a model that was made in Python, one line a problem."""
+    found = [_problem(model, data, e) for e in error.errors(include_url=False)]
+    misspelt = {(*p.path[:-1], p.meant) for p in found if p.meant}
+    lines = [": ".join(filter(None, [format_path(p.path), p.message])) for p in found if p.path not in misspelt]
+    return UserError(f"{model.__name__}: {line}" for line in lines)
+
+
 def _huge(data: Any, path: KeyPath) -> Iterator[tuple[KeyPath, float]]:
     """The numbers beyond LARGEST, and their paths."""
     for step, value in data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ():
@@ -164,7 +172,8 @@ def one_of(given: Any, names: list[str]) -> str:
 
 def suggest(word: str, known: Iterable[str]) -> str:
     """`, did you mean X?` when something known is close to `word`, else nothing."""
-    close = difflib.get_close_matches(word, sorted(known), n=1, cutoff=0.6)
+    close = difflib.get_close_matches(word, ordered := sorted(known), n=1, cutoff=0.6)
+    close = close or [name for name in ordered if name.startswith(f"{word}_")]  # x_mm of x
     return f", did you mean {close[0]}?" if close else ""
 
 
@@ -191,10 +200,15 @@ def needs(model: type[BaseModel], loc: KeyPath) -> str:
     kind = next((kind for kind in here if _is_model(kind) and kind is not model), None)
     if kind is None:
         return ""
-    names = ", ".join(name for name, field in kind.model_fields.items() if field.is_required())
+    names = ", ".join(name for name, field in kind.model_fields.items() if field.is_required() or _is_tag(name))
     if lists:
         return f" (a list, each with {names})" if names else " (a list)"
     return f" ({names})"
+
+
+def _is_tag(name: str) -> bool:
+    """Whether a file must give this key, though in Python the class gives it."""
+    return name in TAGS and TAGS[name] is None
 
 
 def _of_another_kind(model: type[BaseModel], loc: KeyPath) -> str:

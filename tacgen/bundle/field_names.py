@@ -1,0 +1,34 @@
+"""Short names of a bundle's datasets: `force` is /frames/force, `displacement` is /fields/displacement."""
+
+from collections.abc import Collection
+
+from tacgen.bundle.schema import LAYOUT
+from tacgen.errors import UserError
+
+PER_FRAME = ("/frames/", "/fields/")  # groups whose datasets have short names
+SHOWN = "force", "torque", "pressure", "traction", "height", "normals", "nodal_stress", "displacement", "markers", "rgb"
+
+
+def short(paths: Collection[str]) -> dict[str, str]:
+    """Dataset path by short name, those that are read most often first."""
+    found = {path.split("/", 2)[2]: path for path in paths if path.startswith(PER_FRAME)}
+    return {name: found.pop(name) for name in SHOWN if name in found} | found
+
+
+def path_of(name: str, paths: Collection[str]) -> str:
+    """The path of a dataset, given its short name or its path, among `paths`.
+
+    Raises:
+        UserError: it is none of them; the message names what was probably meant, and what there is.
+    """
+    known = short(paths)
+    if name in paths or name in known:
+        return known.get(name, name)
+    if name in (everywhere := short(LAYOUT)) or name in LAYOUT:
+        said = f"{name!r}: not among the outputs of this scene"
+    else:
+        from tacgen.sensor.validation_messages import suggest
+
+        said = f"{name!r}: no such field" + (suggest(name, known) or suggest(name, everywhere))
+    plain = [each for each in known if "/" not in each]
+    raise UserError(f"{said.rstrip('?')}; there are: {', '.join(plain) or 'none'}")
