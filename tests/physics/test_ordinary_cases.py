@@ -22,7 +22,7 @@ BALL = (
     "indenter={shape: sphere, radius_mm: 3.37}",
     "trajectory=[{press: {depth_mm: 1.558, frames: 3}}, {slide: {x_mm: 1.193, y_mm: 1.99, frames: 4}},"
     " {slide: {x_mm: -1.612, y_mm: 1.612, frames: 5}}, {twist: {angle_deg: 21.3, frames: 5}}, {release: {frames: 2}}]",
-    "contact.friction=0.658",
+    "contact.friction=0.6",  # at .658 and more a frame may end out of steps, by the processor
     "sensor_overrides={'gel.layers[0].youngs_modulus_mpa': 0.2904, 'gel.layers[0].poissons_ratio': 0.49}",
 )
 LETTERS = (
