@@ -148,7 +148,7 @@ class Frames:
 
     @property
     def notes(self) -> list[str]:
-        """What one should know of this scene, such as a mesh that does not resolve the indenter."""
+        """Notes on this scene, such as a mesh that does not resolve the indenter."""
         found: list[str] = json.loads(self.bundle.attrs.get("notes", "[]"))
         return found
 
