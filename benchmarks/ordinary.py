@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from benchmarks.draws import BALL, Draw, drawn
+from benchmarks.draws import BALL, OBJECTS, Draw, drawn
 from benchmarks.reference_runs import row_of, solve_frames
 from benchmarks.results_page import Cell, Level, Result, Say, Table, columns, cores
 from benchmarks.step_size_error import FINER, finer
@@ -21,7 +21,7 @@ Array = np.ndarray
 LIMIT_S = 150.0  # longest processor time of a scene [s]
 COMPARED = 6  # every sixth draft scene is also solved in short frames
 SCENES = {"smoke": 2, "normal": 30, "full": 150}  # at draft
-DEFAULT_SCENES = 30  # at quality `default`, at level full
+DEFAULT_SCENES = 60  # at quality `default`, at level full
 ABLATIONS: dict[str, dict[str, bool]] = {  # name: options that are switched off
     "nothing": {},
     "kept tangents": {"keep_tangent": False},
@@ -31,7 +31,7 @@ ABLATIONS: dict[str, dict[str, bool]] = {  # name: options that are switched off
 ABLATED_SCENES = {"smoke": 0, "normal": 4, "full": 30}  # solved with each of ABLATIONS
 SMOKE = "{edge_mm: 1.2, dhat_mm: 0.08}"  # the quality of a smoke test
 STATUSES = ("ok", "refused", "rejected", "out of time", "crashed")
-MEASURES = {"seconds": ("s a frame", ".2f"), "iterations": ("iterations", ".1f"), "factored": ("factorisations", ".1f")}
+MEASURES = {"rate": ("s a frame", ".2f"), "iterations": ("iterations", ".1f"), "factored": ("factorisations", ".1f")}
 QUANTILES = (50, 90, 99)  # [%]
 ABOUT = (
     "Scenes as in a data set: three sensors with their own materials; seven shapes of 1 to 5 mm and the five shipped"
@@ -40,8 +40,9 @@ ABOUT = (
     " friction 0.2 to 1, within 3 mm of the pad's centre. Only the mechanics are computed. Seconds are processor"
     " seconds of the solve, without mesh and setup; each scene runs on one core while others run on the other cores."
     f" Refused: before it is solved; rejected: a frame did not converge; out of time: {LIMIT_S:.0f} s had passed"
-    " before the last frame; crashed: a bug. A scene's seconds, Newton iterations and factorisations are means over"
-    " its frames; p50, p90 and p99 are quantiles over the scenes that are ok."
+    " before the last frame; crashed: a bug. The mean of seconds a frame is the time of all scenes that are ok over"
+    " their frames: what a data set costs; a million frames take its core-hours. A scene's seconds, iterations and"
+    " factorisations are means over its frames; p50, p90 and p99 are quantiles over the scenes that are ok."
 )
 
 
@@ -49,11 +50,11 @@ ABOUT = (
 class Outcome:
     """The outcome of a scene: `status` is one of STATUSES, with a `reason`; the rest is of the solved frames.
 
-    force: on the gel in the last frame [N]; seconds, iterations, factored: processor seconds, Newton iterations and
-    factorisations, means over the frames; substeps: largest number of a frame; least_J: certified lower bound of the
-    Jacobian in all elements and frames; stable: frames before the first in which a Newton step needed damping; error:
-    of the force against short frames, in the worst frame, over the largest force, None if not measured; stable_error:
-    the same in the stable frames.
+    force: on the gel in the last frame [N]; seconds: processor seconds of all frames; iterations, factored: Newton
+    iterations and factorisations, means over the frames; substeps: largest number of a frame; least_J: certified lower
+    bound of the Jacobian in all elements and frames; stable: frames before the first in which a Newton step needed
+    damping, and stable_seconds theirs; error: of the force against short frames, in the worst frame, over the largest
+    force, None if not measured; stable_error: the same in the stable frames.
     """
 
     draw: Draw
@@ -69,15 +70,21 @@ class Outcome:
     factored: float = 0.0
     least_J: float = math.inf
     stable: int = 0
+    stable_seconds: float = 0.0
     error: float | None = None
     stable_error: float | None = None
+
+    @property
+    def rate(self) -> float:
+        """Processor seconds a frame."""
+        return self.seconds / max(1, self.frames)
 
     def cells(self) -> list[Cell]:
         """A row of the table of all scenes."""
         named: list[Cell] = [self.draw.index, self.quality, self.draw.sensor, self.draw.shape, self.status]
         if not self.frames:
             return [*named, *[None] * 9]
-        work = (self.seconds, self.iterations, self.substeps, self.factored)
+        work = (self.rate, self.iterations, self.substeps, self.factored)
         return [*named, self.frames, self.nodes, self.force, *work, self.least_J, self.error]
 
 
@@ -109,12 +116,13 @@ def measure(
         n,
         len(grid.points),
         float(np.linalg.norm(solved.forces[-1])),
-        solved.seconds / n,
+        solved.seconds,
         sum(state.iterations for state in states) / n,
         max(state.substeps for state in states),
         problem.factored / n,
         min(state.least_J for state in states),
         stable,
+        ([0.0, *solved.ends])[stable],
         *off,
     )
 
@@ -166,13 +174,16 @@ def bench(level: Level, say: Say) -> Result:
             found.append(one)
             name = "ball" if one.draw.index is None else f"{one.draw.index}"
             what = f"{one.quality} {one.draw.sensor} {one.draw.shape}: {one.status}"
-            say(f"{name} {what}, {one.seconds:.2f} s a frame {one.reason}")
+            say(f"{name} {what}, {one.rate:.2f} s a frame {one.reason}")
     ball, rough, fine = found[:1], found[1 : len(draws) + 1], found[len(draws) + 1 : whole]
-    together = [_summary("ordinary", rough), *([_summary("ordinary", fine)] if fine else []), _summary("ball", ball)]
+    groups = [(name, some) for every in (rough, fine) for name, some in _kinds(every) if some]
+    together = [_summary(name, some) for name, some in [*groups, ("ball", ball)]]
     heads = columns("scenes of", "quality", "scenes: d", *(f"{status}: d" for status in STATUSES))
+    heads |= columns("s a frame, mean: .3f", "core-hours a million: .0f")
+    heads |= columns("stable frames: .0%", "s a stable frame, mean: .3f")
     heads |= columns(*(f"{head}, p{q}: {form}" for head, form in MEASURES.values() for q in QUANTILES))
     heads |= columns("least J: .3f", "J <= 0: d", "compared: d", "force error, worst: .2%", "force error, median: .2%")
-    heads |= columns("stable frames: .0%", "force error in these, worst: .2%")
+    heads |= columns("force error in stable frames, worst: .2%")
     note = (
         "Least J: certified lower bound of the Jacobian, 1 at rest, over all elements and frames; J <= 0: scenes with"
         f" an inverted element. Force error: against the same path with {FINER} frames for each, in the worst frame"
@@ -199,8 +210,22 @@ def _quantile(group: Sequence[Outcome], name: str, percent: float) -> float | No
     return float(np.percentile(values, percent)) if values else None
 
 
+def _kinds(group: Sequence[Outcome]) -> list[tuple[str, list[Outcome]]]:
+    """All scenes, those of analytic shapes and those of objects."""
+    objects = [one for one in group if one.draw.shape in OBJECTS]
+    return [("ordinary", list(group)), ("shapes", [one for one in group if one not in objects]), ("objects", objects)]
+
+
+def _mean(seconds: Sequence[float], frames: Sequence[int]) -> float | None:
+    return sum(seconds) / sum(frames) if sum(frames) else None
+
+
 def _summary(what: str, group: Sequence[Outcome]) -> list[Cell]:
     counts = [sum(one.status == status for one in group) for status in STATUSES]
+    ended = [one for one in group if one.status == "ok"]
+    mean = _mean([one.seconds for one in ended], [one.frames for one in ended])
+    calm = _mean([one.stable_seconds for one in ended], [one.stable for one in ended])
+    hours = None if mean is None else mean * 1e6 / 3600
     work = [_quantile(group, name, q) for name in MEASURES for q in QUANTILES]
     least = [one.least_J for one in group if one.frames]
     folded = sum(not J > 0 for J in least)
@@ -209,17 +234,26 @@ def _summary(what: str, group: Sequence[Outcome]) -> list[Cell]:
     frames = sum(one.frames for one in group)
     stable = sum(one.stable for one in group) / frames if frames else None
     before = max((one.stable_error for one in group if one.stable_error is not None), default=None)
-    found = [min(least, default=None), folded, len(errors), *off, stable, before]
-    return [what, group[0].quality, len(group), *counts, *work, *found]
+    found = [min(least, default=None), folded, len(errors), *off, before]
+    return [what, group[0].quality, len(group), *counts, mean, hours, stable, calm, *work, *found]
 
 
 def _groups(title: str, head: str, found: Sequence[Outcome], of: Callable[[Outcome], str]) -> Table:
     rows: list[list[Cell]] = []
     for name in sorted({of(one) for one in found}):
         group = [one for one in found if of(one) == name]
-        work = [_quantile(group, *which) for which in (("seconds", 50), ("seconds", 90), ("iterations", 50))]
-        rows.append([name, len(group), sum(one.status == "ok" for one in group), *work])
-    heads = ("scenes: d", "ok: d", "s a frame, p50: .2f", "s a frame, p90: .2f", "iterations, p50: .1f")
+        ended = [one for one in group if one.status == "ok"]
+        mean = _mean([one.seconds for one in ended], [one.frames for one in ended])
+        work = [_quantile(group, *which) for which in (("rate", 50), ("rate", 90), ("iterations", 50))]
+        rows.append([name, len(group), len(ended), mean, *work])
+    heads = (
+        "scenes: d",
+        "ok: d",
+        "s a frame, mean: .3f",
+        "s a frame, p50: .2f",
+        "s a frame, p90: .2f",
+        "iterations, p50: .1f",
+    )
     return Table(title, columns(head, *heads), rows)
 
 

@@ -86,10 +86,11 @@ def row_of(sets: tuple[str, ...]) -> plan.Row:
 
 
 class Frames(NamedTuple):
-    """Frames solved one after the other, in how many processor seconds, and how that ended: `status` is ok, rejected or
-    out of time, `reason` says why."""
+    """Frames solved one after the other, the processor seconds at the end of each and of the last try, and how that
+    ended: `status` is ok, rejected or out of time, `reason` says why."""
 
     states: list[mechanics.State]
+    ends: list[float]
     seconds: float
     status: str
     reason: str
@@ -102,17 +103,18 @@ class Frames(NamedTuple):
 
 def solve_frames(made: Scene, problem: mechanics.Problem, limit: float = math.inf) -> Frames:
     """The frames of a scene, as many as are solved in about `limit` processor seconds."""
-    states, count, start = list[mechanics.State](), len(made.poses), time.process_time()
+    states, ends, count, start = list[mechanics.State](), list[float](), len(made.poses), time.process_time()
     status, reason = "ok", ""
     try:
         for state in mechanics.states(made, problem):
             states.append(state)
-            if time.process_time() - start > limit and len(states) < count:
+            ends.append(time.process_time() - start)
+            if ends[-1] > limit and len(states) < count:
                 status, reason = "out of time", f"after frame {len(states)} of {count}"
                 break
     except mechanics.NotConverged as error:
         status, reason = "rejected", f"frame {len(states) + 1} of {count}: {error}"
-    return Frames(states, time.process_time() - start, status, reason)
+    return Frames(states, ends, time.process_time() - start, status, reason)
 
 
 def answer(

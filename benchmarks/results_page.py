@@ -98,6 +98,7 @@ def made() -> dict[str, Any]:
         "processor": _processor(),
         "cores": worker_process.cores(),
         "gflops": round(in_own_process(f"{__name__}:gflops"), 1),
+        "cholmod_blas": in_own_process(f"{__name__}:cholmod_blas"),
         "memory_gb": round(memory),
         "system": f"{platform.system()} {platform.machine()}",
         "python": platform.python_version(),
@@ -114,6 +115,13 @@ def gflops(n: int = 1000) -> float:
         a @ a
         seconds.append(time.perf_counter() - start)
     return 2e-9 * n**3 / float(np.median(seconds))
+
+
+def cholmod_blas() -> str:
+    """The kernels of CHOLMOD's BLAS and their speed, which differ from NumPy's; empty without CHOLMOD."""
+    from tacgen.mechanics import blas_kernels, linear_solvers
+
+    return blas_kernels.report() if "cholmod" in linear_solvers.available() else ""
 
 
 def _processor() -> str:
@@ -272,6 +280,7 @@ def _section(found: dict[str, Any], folder: Path, home: Path) -> list[str]:
     m = found["made"]
     packages = ", ".join(f"{name} {number}" for name, number in m["packages"].items())
     speed = f" ({m['gflops']} Gflop/s on one when it ended)" if "gflops" in m else ""
+    speed += f" (CHOLMOD: {m['cholmod_blas']})" if m.get("cholmod_blas") else ""
     machine = f"{m['processor']}, {m['cores']} cores{speed}, {m['memory_gb']} GB, {m['system']}"
     parts = [
         f"## {found['bench'].capitalize()}",

@@ -47,13 +47,20 @@ def _ordinary(tables: Tables) -> Told:
         ends = ("ok", "refused", "rejected", "out of time", "crashed")
         parts = [f"{row[status]} {status}" for status in ends if row[status]]
         parts += [f"{row['J <= 0']} with an element inside out"] if row["J <= 0"] else []
-        ended, half, most = ", ".join(parts), row["s a frame, p50"], row["s a frame, p90"]
-        seconds = f"; seconds a frame: median {half:.2f}, 90 % quantile {most:.2f}" if row["ok"] else ""
+        ended, each = ", ".join(parts), [row[f"s a frame, {what}"] for what in ("mean", "p50", "p90")]
+        seconds = (
+            "; seconds a frame: mean {:.2f}, median {:.2f}, 90 % quantile {:.2f}".format(*each) if row["ok"] else ""
+        )
         yield f"{row['scenes']} ordinary scenes at `{row['quality']}`, one core", ended + seconds
+        if row["ok"]:
+            yield (
+                f"a million ordinary frames at `{row['quality']}`, solve: core-hours",
+                f"{row['core-hours a million']:.0f}",
+            )
         if row["compared"]:
             median, worst = row["force error, median"], row["force error, worst"]
             what = f"force error of long frames, {row['compared']} ordinary scenes"
-            calm = row.get("force error in these, worst")
+            calm = row.get("force error in stable frames, worst")
             told = "" if calm is None else f"; {calm:.1%} before the gel's first instability"
             yield what, f"median {median:.1%}, worst {worst:.1%}{told}"
 

@@ -77,10 +77,14 @@ def test_sensors_and_objects_are_those_that_are_shipped() -> None:
 
 
 def test_a_smoke_run_fills_every_table(found: results_page.Result) -> None:
-    drawn, ball = rows(found, "Together")
+    together = rows(found, "Together")
+    drawn, *kinds, ball = together
     assert (drawn["scenes of"], drawn["scenes"], ball["scenes"]) == ("ordinary", 2, 1)
-    for row in (drawn, ball):
+    assert sum(kind["scenes"] for kind in kinds) == 2
+    for row in together:
         assert row["ok"] == row["scenes"]
+        assert 0 < row["s a frame, mean"] == pytest.approx(3.6e-3 * row["core-hours a million"])
+    for row in (drawn, ball):
         assert 0 < row["s a frame, p50"] <= row["s a frame, p90"] <= row["s a frame, p99"]
         assert 1 < row["iterations, p50"] < 30
         assert 0 < row["least J"] < 1
@@ -98,8 +102,8 @@ def test_a_smoke_run_fills_every_table(found: results_page.Result) -> None:
 def test_the_summary_says_seconds_of_ordinary_scenes(found: results_page.Result, tmp_path: Path) -> None:
     results_page.write(tmp_path, "ordinary", found, 1.0)
     told = summary.short(tmp_path)
-    assert f"| 2 ordinary scenes at `{ordinary.SMOKE}`, one core | 2 ok; seconds a frame: median " in told
-    assert re.search(r"median \d\.\d\d, 90 % quantile \d\.\d\d \| ordinary \|", told)
+    assert f"| 2 ordinary scenes at `{ordinary.SMOKE}`, one core | 2 ok; seconds a frame: mean " in told
+    assert re.search(r"mean \d\.\d\d, median \d\.\d\d, 90 % quantile \d\.\d\d \| ordinary \|", told)
 
 
 def test_an_impossible_scene_is_refused() -> None:
@@ -146,7 +150,22 @@ def test_a_bug_in_one_scene_leaves_the_others(monkeypatch: pytest.MonkeyPatch) -
 
 def test_an_inverted_element_is_listed_though_the_scene_is_ok() -> None:
     folded = ordinary.Outcome(draws.BALL, "draft", "ok", frames=3, least_J=-0.1)
-    assert ordinary._summary("ball", [folded])[-7:-4] == [-0.1, 1, 0]
+    assert ordinary._summary("ball", [folded])[-6:-3] == [-0.1, 1, 0]
+
+
+def test_the_mean_is_what_a_set_costs_and_objects_stand_apart() -> None:
+    long = ordinary.Outcome(draws.BALL, "draft", "ok", frames=9, seconds=0.9, stable=9, stable_seconds=0.9)
+    short = replace(long, draw=replace(draws.BALL, shape="key"), frames=1, seconds=2.1, stable=0, stable_seconds=0.0)
+    late = replace(short, status="out of time", seconds=150.0)
+    assert ordinary._mean([long.seconds, short.seconds], [long.frames, short.frames]) == pytest.approx(0.3)
+    named = dict(ordinary._kinds([long, short, late]))
+    assert (named["shapes"], named["objects"]) == ([long], [short, late])
+    summary_of_all = ordinary._summary("ordinary", [long, short, late])
+    assert 0.3 in [pytest.approx(cell) for cell in summary_of_all if isinstance(cell, float)]
+
+
+def test_an_inverted_element_fails() -> None:
+    folded = ordinary.Outcome(draws.BALL, "draft", "ok", frames=3, least_J=-0.1)
     (failed,) = ordinary._failed([folded, replace(folded, least_J=0.2)]).rows
     assert failed[-2:] == ["ok", "least certified J -0.100"]
 
