@@ -75,8 +75,9 @@ def test_a_misspelt_name_says_what_was_meant() -> None:
 
 
 def test_the_ten_lines_are_the_same_everywhere_and_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    first, second = (PYTHON.findall(text)[0] for text in ((ROOT / "docs/python.md").read_text(), PAGE))
-    assert first == second
+    texts = ((ROOT / "docs/python.md").read_text(), (ROOT / "README.md").read_text(), PAGE)
+    first, second, third = (PYTHON.findall(text)[0] for text in texts)
+    assert first == second == third
     assert len(first.splitlines()) <= 10
     monkeypatch.chdir(tmp_path)
     coarse = "friction=0.6, quality={'edge_mm': 1.2, 'dhat_mm': 0.1},"
