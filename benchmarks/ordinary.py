@@ -53,8 +53,9 @@ class Outcome:
     force: on the gel in the last frame [N]; seconds: processor seconds of all frames; iterations, factored: Newton
     iterations and factorisations, means over the frames; substeps: largest number of a frame; least_J: certified lower
     bound of the Jacobian in all elements and frames; stable: frames before the first in which a Newton step needed
-    damping, and stable_seconds theirs; error: of the force against short frames, in the worst frame, over the largest
-    force, None if not measured; stable_error: the same in the stable frames.
+    damping, and stable_seconds theirs; slips, stable_slips: frames in which most of the contact slides; error: of the
+    force against short frames, in the worst frame, over the largest force, None if not measured; stable_error: the
+    same in the stable frames.
     """
 
     draw: Draw
@@ -71,6 +72,8 @@ class Outcome:
     least_J: float = math.inf
     stable: int = 0
     stable_seconds: float = 0.0
+    slips: int = 0
+    stable_slips: int = 0
     error: float | None = None
     stable_error: float | None = None
 
@@ -103,6 +106,7 @@ def measure(
     if not n:
         return Outcome(draw, quality, status, solved.reason)
     stable = next((k for k, state in enumerate(states) if state.damped), n)
+    slips = [_slips(state) for state in states]
     off: list[float | None] = [None, None]
     if compared and status == "ok":
         short = finer(made, FINER)
@@ -123,8 +127,16 @@ def measure(
         min(state.least_J for state in states),
         stable,
         ([0.0, *solved.ends])[stable],
+        sum(slips),
+        sum(slips[:stable]),
         *off,
     )
+
+
+def _slips(state: mechanics.State) -> bool:
+    """Whether more than half of the normal force is at points that slide."""
+    force = state.normal_force
+    return state.sliding is not None and 2 * float(force[state.sliding].sum()) > float(force.sum())
 
 
 def _scene(sets: Sequence[str]) -> Scene:
@@ -180,7 +192,7 @@ def bench(level: Level, say: Say) -> Result:
     together = [_summary(name, some) for name, some in [*groups, ("ball", ball)]]
     heads = columns("scenes of", "quality", "scenes: d", *(f"{status}: d" for status in STATUSES))
     heads |= columns("s a frame, mean: .3f", "core-hours a million: .0f")
-    heads |= columns("stable frames: .0%", "s a stable frame, mean: .3f")
+    heads |= columns("stable frames: .0%", "of slipping ones: .0%", "s a stable frame, mean: .3f")
     heads |= columns(*(f"{head}, p{q}: {form}" for head, form in MEASURES.values() for q in QUANTILES))
     heads |= columns("least J: .3f", "J <= 0: d", "compared: d", "force error, worst: .2%", "force error, median: .2%")
     heads |= columns("force error in stable frames, worst: .2%")
@@ -225,6 +237,8 @@ def _summary(what: str, group: Sequence[Outcome]) -> list[Cell]:
     ended = [one for one in group if one.status == "ok"]
     mean = _mean([one.seconds for one in ended], [one.frames for one in ended])
     calm = _mean([one.stable_seconds for one in ended], [one.stable for one in ended])
+    slips = sum(one.slips for one in ended)
+    kept = sum(one.stable_slips for one in ended) / slips if slips else None
     hours = None if mean is None else mean * 1e6 / 3600
     work = [_quantile(group, name, q) for name in MEASURES for q in QUANTILES]
     least = [one.least_J for one in group if one.frames]
@@ -235,7 +249,7 @@ def _summary(what: str, group: Sequence[Outcome]) -> list[Cell]:
     stable = sum(one.stable for one in group) / frames if frames else None
     before = max((one.stable_error for one in group if one.stable_error is not None), default=None)
     found = [min(least, default=None), folded, len(errors), *off, before]
-    return [what, group[0].quality, len(group), *counts, mean, hours, stable, calm, *work, *found]
+    return [what, group[0].quality, len(group), *counts, mean, hours, stable, kept, calm, *work, *found]
 
 
 def _groups(title: str, head: str, found: Sequence[Outcome], of: Callable[[Outcome], str]) -> Table:
