@@ -2,7 +2,8 @@
 
 from collections.abc import Iterator
 
-from tacgen.sensor.model import Gel, Layer, MooneyRivlinLayer, YeohLayer
+from tacgen.sensor.layers import Layer, MooneyRivlinLayer, YeohLayer
+from tacgen.sensor.model import Gel
 from tacgen.sensor.validation_messages import Problem
 
 MODULUS_MPA = (0.005, 5.0)  # Young's modulus of gels and skins, from the softest silicone gels to hard rubber [MPa]
