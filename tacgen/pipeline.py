@@ -186,7 +186,7 @@ def _make(row: Row, path: Path, on_event: OnEvent | None) -> SceneResult:
 
 
 def _shared(row: Row, scene: Scene, problem: mechanics.Problem) -> SceneData:
-    """What outputs need of a scene, as its recipe asks for it."""
+    """A scene as its outputs need it, with the choices of its recipe."""
 
     def pictures(untouched: "Surface") -> "Pictures":
         from tacgen.render.pictures import Pictures

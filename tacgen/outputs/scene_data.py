@@ -175,7 +175,7 @@ class FrameData(_Faces):
     def __init__(
         self, scene: SceneData, state: State, before: State | None, held: "tuple[Held, int] | None" = None
     ) -> None:
-        """Of a grasp, `held` is the whole of it and this finger's side: 0 left, 1 right."""
+        """`held` is the grasp and the side of this finger, 0 left and 1 right, if there is one."""
         self.scene, self.state, self.before, self.held = scene, state, before, held
         self.touched = scene.touched.pressed(scene.problem, state)
         self.printed = self.touched if scene.printed is scene.touched else scene.printed.moved(state.x)

@@ -10,6 +10,8 @@ if TYPE_CHECKING:
     from tacgen.fem.materials import Law
 
 Poisson = Annotated[float, Field(ge=0, lt=0.5)]
+# The key that sets a layer's stiffness, and Young's modulus at rest [MPa]; 3 G where no Poisson's ratio is asked for.
+Stiffness = tuple[str, float]
 
 
 class Scattering(Part):
@@ -76,6 +78,10 @@ class NeoHookeLayer(IsochoricLayer):
     youngs_modulus_mpa: Positive
     poissons_ratio: Poisson
 
+    @property
+    def stiffness(self) -> Stiffness:
+        return "youngs_modulus_mpa", self.youngs_modulus_mpa
+
     def material(self) -> "Law":
         """The law with shear and bulk modulus from E and nu."""
         from tacgen.fem.materials import NeoHooke
@@ -90,6 +96,10 @@ class StableNeoHookeLayer(LayerBase, json_schema_extra=needs("law")):
     law: Literal["stable_neo_hooke"] = "stable_neo_hooke"
     youngs_modulus_mpa: Positive
     poissons_ratio: Poisson
+
+    @property
+    def stiffness(self) -> Stiffness:
+        return "youngs_modulus_mpa", self.youngs_modulus_mpa
 
     def material(self) -> "Law":
         """The law with shear and bulk modulus from E and nu."""
@@ -122,6 +132,10 @@ class MooneyRivlinLayer(NearlyIncompressible, json_schema_extra=needs("law")):
     c10_mpa: Positive
     c01_mpa: NotNegative
 
+    @property
+    def stiffness(self) -> Stiffness:
+        return "c10_mpa", 6 * (self.c10_mpa + self.c01_mpa)
+
     def material(self) -> "Law":
         """The law of these constants."""
         from tacgen.fem.materials import MooneyRivlin
@@ -145,6 +159,10 @@ class YeohLayer(NearlyIncompressible, json_schema_extra=needs("law")):
                 f"c20_mpa must be at least -sqrt(3 c10 c30), {least:g} (got {self.c20_mpa:g}): softens to nothing"
             )
         return self
+
+    @property
+    def stiffness(self) -> Stiffness:
+        return "c10_mpa", 6 * self.c10_mpa
 
     def material(self) -> "Law":
         """The law of these constants."""
