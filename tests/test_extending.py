@@ -51,7 +51,7 @@ from tacgen.outputs.base import Entry, Output
 
 OUTPUT = Output(
     "z of the lowest node",
-    {"/frames/lowest": Entry("<f8", "N", "mm", "z of the lowest node", "frame")},
+    {"/frames/lowest": Entry("<f8", "N", "mm", "z of the lowest node")},
     lambda frame: {"/frames/lowest": frame.state.x[:, 2].min()},
 )
 '''

@@ -7,10 +7,14 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 if TYPE_CHECKING:
-    from tacgen.outputs.scene_data import FrameData, SceneData
+    from tacgen.outputs.scene_data import FrameData as FrameData
+    from tacgen.outputs.scene_data import SceneData as SceneData
+else:
+    FrameData = SceneData = Any  # numerics, which a description is read without
 
 Datasets = dict[str, Any]  # by their paths in the bundle
-MAP = "frame row column"
+AXES = {"N": "frame", "h": "row", "w": "column", "H": "row", "W": "column", "M": "marker", "m": "cell"}
+AXES |= {"n": "node", "k": "node", "2": "xy", "3": "xyz", "6": "component"}
 FAR = 1e6  # [mm] limit of poses and nodes
 
 
@@ -29,12 +33,15 @@ class Entry:
     shape: str  # sizes of the axes, such as "N h w 2"; N: the number of frames
     units: str  # "1" is dimensionless
     long_name: str
-    axes: str  # one word an axis
+    axes: str = ""  # one word an axis; empty: those of AXES
     nan: bool = False  # may hold nan: where a pixel shows no gel, or not the point in question
     below: str = ""  # the size of which all values are indices, from 0 on
     most: float = math.inf  # largest magnitude: what is computed from larger values, or nan, fails
     power: int | None = None  # rounded to multiples of 2 to this power, in the dataset's unit
     bits: int | None = None  # rounded to so many significant bits
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "axes", self.axes or " ".join(AXES[size] for size in self.shape.split()))
 
     @property
     def dims(self) -> tuple[str | int, ...]:
@@ -66,7 +73,7 @@ class Output(NamedTuple):
 
     text: str  # for the documentation, in Markdown
     rows: dict[str, Entry]  # its datasets by their paths; a name that is free is *
-    frame: "Callable[[FrameData], Datasets]"  # of one frame, under /frames and /fields
-    reference: "Callable[[SceneData], Datasets]" = lambda scene: {}  # once a scene, under /reference and /mesh
+    frame: Callable[[FrameData], Datasets]  # of one frame, under /frames and /fields
+    reference: Callable[[SceneData], Datasets] = lambda scene: {}  # once a scene, under /reference and /mesh
     needs: Literal["", "markers", "light"] = ""  # what the sensor must have
     maps: Mapping[str, DrawnMap] = MappingProxyType({})  # maps by their names in figures and in the viewer

@@ -1,14 +1,9 @@
 """Centres of the printed markers in the image."""
 
-from typing import TYPE_CHECKING
-
-from tacgen.outputs.base import Datasets, Entry, Output
-
-if TYPE_CHECKING:
-    from tacgen.outputs.scene_data import FrameData
+from tacgen.outputs.base import Datasets, Entry, FrameData, Output
 
 
-def _frame(frame: "FrameData") -> Datasets:
+def _frame(frame: FrameData) -> Datasets:
     undisturbed, at = frame.scene.markers
     pixels, shown = at(frame)
     return {"/frames/markers": pixels, "/frames/marker_flow": pixels - undisturbed, "/frames/marker_visible": shown}
@@ -17,10 +12,10 @@ def _frame(frame: "FrameData") -> Datasets:
 OUTPUT = Output(
     "pixels of the dots, and their motion",
     {
-        "/frames/markers": Entry("<f4", "N M 2", "px", "marker centres through the optics", "frame marker xy"),
-        "/frames/marker_flow": Entry("<f4", "N M 2", "px", "markers less their reference", "frame marker xy"),
-        "/frames/marker_visible": Entry("|b1", "N M", "1", "in the picture, no gel before it", "frame marker"),
-        "/reference/markers": Entry("<f4", "M 2", "px", "marker centres on the untouched sensor", "marker xy"),
+        "/frames/markers": Entry("<f4", "N M 2", "px", "marker centres through the optics"),
+        "/frames/marker_flow": Entry("<f4", "N M 2", "px", "markers less their reference"),
+        "/frames/marker_visible": Entry("|b1", "N M", "1", "in the picture, no gel before it"),
+        "/reference/markers": Entry("<f4", "M 2", "px", "marker centres on the untouched sensor"),
     },
     _frame,
     lambda scene: {"/reference/markers": scene.markers[0]},

@@ -1,14 +1,9 @@
 """Displacement and Cauchy stress of the whole gel, with its mesh."""
 
-from typing import TYPE_CHECKING
-
-from tacgen.outputs.base import FAR, Datasets, Entry, Output
-
-if TYPE_CHECKING:
-    from tacgen.outputs.scene_data import FrameData, SceneData
+from tacgen.outputs.base import FAR, Datasets, Entry, FrameData, Output, SceneData
 
 
-def _frame(frame: "FrameData") -> Datasets:
+def _frame(frame: FrameData) -> Datasets:
     state, stress = frame.state, frame.stress
     return {
         "/fields/displacement": state.x - frame.scene.problem.mesh.points,
@@ -18,7 +13,7 @@ def _frame(frame: "FrameData") -> Datasets:
     }
 
 
-def _mesh(scene: "SceneData") -> Datasets:
+def _mesh(scene: SceneData) -> Datasets:
     mesh = scene.problem.mesh
     patches = {f"/mesh/facets/{name}": facets for name, facets in mesh.facets.items()}
     return {"/mesh/points": mesh.points, "/mesh/cells": mesh.cells, "/mesh/layer": mesh.layer, **patches}
@@ -27,22 +22,18 @@ def _mesh(scene: "SceneData") -> Datasets:
 OUTPUT = Output(
     "mesh, displacement, Cauchy stress of cells and nodes",
     {
-        "/fields/displacement": Entry("<f4", "N n 3", "mm", "nodal displacement", "frame node xyz", most=FAR),
-        "/fields/cauchy_stress": Entry("<f4", "N m 6", "MPa", "stress, xx yy zz yz xz xy", "frame cell component"),
-        "/fields/nodal_stress": Entry("<f4", "N n 6", "MPa", "stress, xx yy zz yz xz xy", "frame node component"),
-        "/mesh/points": Entry("<f8", "n 3", "mm", "nodes of the rest mesh", "node xyz", most=FAR),
-        "/mesh/cells": Entry("<i4", "m 4|8|10", "1", "nodes of each cell", "cell corner", below="n"),
-        "/mesh/layer": Entry("<i4", "m", "1", "gel layer of each cell, 0 at the base", "cell", below="m"),
+        "/fields/displacement": Entry("<f4", "N n 3", "mm", "nodal displacement", most=FAR),
+        "/fields/cauchy_stress": Entry("<f4", "N m 6", "MPa", "stress, xx yy zz yz xz xy"),
+        "/fields/nodal_stress": Entry("<f4", "N n 6", "MPa", "stress, xx yy zz yz xz xy"),
+        "/mesh/points": Entry("<f8", "n 3", "mm", "nodes of the rest mesh", most=FAR),
+        "/mesh/cells": Entry("<i4", "m 4|8|10", "1", "nodes of each cell", axes="cell corner", below="n"),
+        "/mesh/layer": Entry("<i4", "m", "1", "gel layer of each cell, 0 at the base", below="m"),
         "/mesh/facets/*": Entry(
-            "<i4", "* 3|4|6", "1", "nodes of each facet of a named patch", "facet corner", below="n"
+            "<i4", "* 3|4|6", "1", "nodes of each facet of a named patch", axes="facet corner", below="n"
         ),
-        "/frames/quality/force_error": Entry(
-            "<f8", "N", "1", "sum of recovered sigma n da less force, over force", "frame"
-        ),
-        "/frames/quality/traction_error": Entry(
-            "<f8", "N", "1", "L2 norm of sigma n less traction, over that", "frame"
-        ),
-        "/frames/quality/pressure_oscillation": Entry("<f8", "N", "1", "rms of element less smooth pressure", "frame"),
+        "/frames/quality/force_error": Entry("<f8", "N", "1", "sum of recovered sigma n da less force, over force"),
+        "/frames/quality/traction_error": Entry("<f8", "N", "1", "L2 norm of sigma n less traction, over that"),
+        "/frames/quality/pressure_oscillation": Entry("<f8", "N", "1", "rms of element less smooth pressure"),
     },
     _frame,
     _mesh,

@@ -1,14 +1,9 @@
 """Displacement and Cauchy stress of the coated face alone."""
 
-from typing import TYPE_CHECKING
-
-from tacgen.outputs.base import FAR, Datasets, Entry, Output
-
-if TYPE_CHECKING:
-    from tacgen.outputs.scene_data import FrameData, SceneData
+from tacgen.outputs.base import FAR, Datasets, Entry, FrameData, Output, SceneData
 
 
-def _frame(frame: "FrameData") -> Datasets:
+def _frame(frame: FrameData) -> Datasets:
     nodes = frame.scene.stresses.face.nodes
     return {
         "/fields/surface_displacement": (frame.state.x - frame.scene.problem.mesh.points)[nodes],
@@ -16,7 +11,7 @@ def _frame(frame: "FrameData") -> Datasets:
     }
 
 
-def _face(scene: "SceneData") -> Datasets:
+def _face(scene: SceneData) -> Datasets:
     import numpy as np
 
     nodes = scene.stresses.face.nodes
@@ -27,15 +22,11 @@ def _face(scene: "SceneData") -> Datasets:
 OUTPUT = Output(
     "displacement and Cauchy stress of the coated face alone",
     {
-        "/fields/surface_displacement": Entry(
-            "<f4", "N k 3", "mm", "displacement of the coated face", "frame node xyz"
-        ),
-        "/fields/surface_stress": Entry(
-            "<f4", "N k 6", "MPa", "stress of the coated face, xx yy zz yz xz xy", "frame node component"
-        ),
-        "/mesh/surface/points": Entry("<f8", "k 3", "mm", "nodes of the coated face at rest", "node xyz", most=FAR),
+        "/fields/surface_displacement": Entry("<f4", "N k 3", "mm", "displacement of the coated face"),
+        "/fields/surface_stress": Entry("<f4", "N k 6", "MPa", "stress of the coated face, xx yy zz yz xz xy"),
+        "/mesh/surface/points": Entry("<f8", "k 3", "mm", "nodes of the coated face at rest", most=FAR),
         "/mesh/surface/facets": Entry(
-            "<i4", "* 3|4|6", "1", "nodes of each facet, numbered as in points", "facet corner", below="k"
+            "<i4", "* 3|4|6", "1", "nodes of each facet, numbered as in points", axes="facet corner", below="k"
         ),
     },
     _frame,

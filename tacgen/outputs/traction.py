@@ -1,14 +1,9 @@
 """Maps of pressure, friction and contact on the deformed coated face."""
 
-from typing import TYPE_CHECKING
-
-from tacgen.outputs.base import MAP, Datasets, DrawnMap, Entry, Output
-
-if TYPE_CHECKING:
-    from tacgen.outputs.scene_data import FrameData
+from tacgen.outputs.base import Datasets, DrawnMap, Entry, FrameData, Output
 
 
-def _frame(frame: "FrameData") -> Datasets:
+def _frame(frame: FrameData) -> Datasets:
     from tacgen.outputs.contact_maps import resultant_errors
 
     out = {f"/frames/{name}": getattr(frame.maps, name) for name in ("pressure", "traction", "contact")}
@@ -22,18 +17,16 @@ def _frame(frame: "FrameData") -> Datasets:
 OUTPUT = Output(
     "maps of pressure, traction, contact, and with friction slip and the share that slides",
     {
-        "/frames/pressure": Entry("<f4", "N h w", "MPa", "pressure normal to the deformed coated face", MAP, bits=13),
-        "/frames/traction": Entry(
-            "<f4", "N h w 2", "MPa", "friction on the gel, in the tangent plane", MAP + " xy", bits=13
-        ),
-        "/frames/contact": Entry("|b1", "N h w", "1", "in contact", MAP),
-        "/frames/slip": Entry("|b1", "N h w", "1", "in contact, and half or more of the pressure slides", MAP),
-        "/frames/sliding": Entry("<f4", "N h w", "1", "share of the pressure that slides, 0 to 1", MAP, power=-10),
+        "/frames/pressure": Entry("<f4", "N h w", "MPa", "pressure normal to the deformed coated face", bits=13),
+        "/frames/traction": Entry("<f4", "N h w 2", "MPa", "friction on the gel, in the tangent plane", bits=13),
+        "/frames/contact": Entry("|b1", "N h w", "1", "in contact"),
+        "/frames/slip": Entry("|b1", "N h w", "1", "in contact, and half or more of the pressure slides"),
+        "/frames/sliding": Entry("<f4", "N h w", "1", "share of the pressure that slides, 0 to 1", power=-10),
         "/frames/quality/pressure_resultant": Entry(
-            "<f8", "N", "1", "integral of -pressure n da less the normal contact forces, over force", "frame"
+            "<f8", "N", "1", "integral of -pressure n da less the normal contact forces, over force"
         ),
         "/frames/quality/traction_resultant": Entry(
-            "<f8", "N", "1", "integral of traction da less friction, over force", "frame"
+            "<f8", "N", "1", "integral of traction da less friction, over force"
         ),
         "/frames/quality/unseen_force": Entry(
             "<f8",
@@ -41,7 +34,6 @@ OUTPUT = Output(
             "1",
             "share of the normal forces that pressure and traction do not show: on gel hidden by other gel, or outside"
             " the picture",
-            "frame",
         ),
     },
     _frame,

@@ -1,16 +1,11 @@
 """Standard deviations of force and maps to first order, for independent errors of the inputs."""
 
-from typing import TYPE_CHECKING
+from typing import Any
 
-from tacgen.outputs.base import MAP, Datasets, Entry, Output
-
-if TYPE_CHECKING:
-    from typing import Any
-
-    from tacgen.outputs.scene_data import FrameData
+from tacgen.outputs.base import Datasets, Entry, FrameData, Output
 
 
-def _frame(frame: "FrameData") -> Datasets:
+def _frame(frame: FrameData) -> Datasets:
     import numpy as np
 
     from tacgen.outputs.contact_maps import densities
@@ -40,19 +35,13 @@ OUTPUT = Output(
     "with the block `uncertainty`: standard deviations of the force and of the maps of `traction`, change of the"
     " force by each input",
     {
-        "/frames/sensitivity/modulus": Entry(
-            "<f8", "N 3", "N", "change of force by all moduli, over them", "frame xyz"
-        ),
-        "/frames/sensitivity/poissons_ratio": Entry(
-            "<f8", "N 3", "N", "change of force by Poisson's ratio", "frame xyz"
-        ),
-        "/frames/sensitivity/friction": Entry("<f8", "N 3", "N", "change of force by friction", "frame xyz"),
-        "/frames/sensitivity/depth": Entry("<f8", "N 3", "N/mm", "change of force by depth", "frame xyz"),
-        "/frames/uncertainty/force": Entry("<f8", "N 3", "N", "standard deviation of the force", "frame xyz"),
-        "/frames/uncertainty/pressure": Entry("<f4", "N h w", "MPa", "standard deviation of the pressure", MAP),
-        "/frames/uncertainty/traction": Entry(
-            "<f4", "N h w 2", "MPa", "standard deviation of the traction", MAP + " xy"
-        ),
+        "/frames/sensitivity/modulus": Entry("<f8", "N 3", "N", "change of force by all moduli, over them"),
+        "/frames/sensitivity/poissons_ratio": Entry("<f8", "N 3", "N", "change of force by Poisson's ratio"),
+        "/frames/sensitivity/friction": Entry("<f8", "N 3", "N", "change of force by friction"),
+        "/frames/sensitivity/depth": Entry("<f8", "N 3", "N/mm", "change of force by depth"),
+        "/frames/uncertainty/force": Entry("<f8", "N 3", "N", "standard deviation of the force"),
+        "/frames/uncertainty/pressure": Entry("<f4", "N h w", "MPa", "standard deviation of the pressure"),
+        "/frames/uncertainty/traction": Entry("<f4", "N h w 2", "MPa", "standard deviation of the traction"),
     },
     _frame,
 )
