@@ -10,6 +10,7 @@ from typing import Any
 
 from benchmarks.results_page import Cell, Level, Result, Say, Table, columns, in_own_processes, peak_memory
 from tacgen.errors import UserError
+from tacgen.outputs import NAMES
 
 ABOUT = (
     "A ball pressed and slid on the Mini at `draft`. Each line is a separate process on one core, while others run on"
@@ -26,27 +27,16 @@ BASE, SKIN = (
 )
 TWO_LAYERS = f"sensor.gel.layers=[{{{BASE}, {LAYER}}}, {{{SKIN}, {LAYER}}}]"
 ASKED: dict[str, tuple[str, tuple[str, ...]]] = {  # name: (outputs, changes)
-    "force": ("force", ()),
+    **{name: (name, ()) for name in NAMES},
     "force, no friction": ("force", ("contact.friction=0",)),
     "force, two layers": ("force", (TWO_LAYERS,)),
     "force, dynamics": ("force", ("dynamics={density_kg_m3: 1000, frame_s: 0.05}",)),
     "force, tetrahedra": ("force", ("mesh=tet",)),
     "force, ipctk": ("force", ("contact.formulation=ipctk",)),
-    "traction": ("traction", ()),
-    "events": ("events", ()),
-    "force_map": ("force_map", ()),
-    "height, normals, gap": ("height, normals, gap", ()),
-    "stress": ("stress", ()),
-    "markers": ("markers", ()),
-    "flow": ("flow", ()),
-    "rgb": ("rgb", ()),
     "rgb by path": ("rgb", ("render={method: path}",)),
     "rgb by table": ("rgb", ("render={method: table}",)),
     "markers, analytic": ("markers", ("markers={method: analytic}",)),
-    "everything": (
-        "force, traction, events, force_map, height, normals, gap, stress, markers, flow, material, radiance, rgb",
-        (),
-    ),
+    "everything": (", ".join(NAMES), ()),
 }
 # large packages, which a scene should load only if it needs them
 LARGE = ("numpy", "scipy", "numba", "h5py", "cvxopt", "pymetis", "mitsuba", "drjit", "matplotlib", "ipctk", "pytetwild",
@@ -162,11 +152,11 @@ def labels(sensor: str) -> dict[str, list[float]]:
     import numpy as np
 
     from tacgen import mechanics
-    from tacgen.labels import gel_surface
-    from tacgen.labels.contact_maps import maps
-    from tacgen.labels.stress import Stresses
     from tacgen.mechanics import mesh
     from tacgen.optics.camera import Camera
+    from tacgen.outputs import gel_surface
+    from tacgen.outputs.cauchy_stress import Stresses
+    from tacgen.outputs.contact_maps import maps
     from tacgen.recipe import assets, plan, scene_of_row
 
     slide, twist = "{slide: {x_mm: 1, y_mm: 0.3, frames: 2}}", "{twist: {angle_deg: 12, frames: 2}}"

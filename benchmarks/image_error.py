@@ -18,11 +18,11 @@ from typing import NamedTuple, cast
 import numpy as np
 
 from tacgen import array_cache, mechanics
-from tacgen.labels import gel_surface
 from tacgen.mechanics import mesh
 from tacgen.optics import camera_response
 from tacgen.optics.camera_view import Samples
 from tacgen.optics.surface_grid import Sheet, Surface, Untouched
+from tacgen.outputs import gel_surface
 from tacgen.recipe import assets, plan, scene_of_row
 from tacgen.recipe.model import QUALITIES
 from tacgen.render import images, mitsuba_variants, traced_maps

@@ -74,10 +74,10 @@ def bench(level: Level, say: Say) -> Result:
 
 def row(sensor: str, quality: str, asked: str, frames: tuple[int, int, int]) -> Any:
     """The scene with these outputs, `EVERYTHING` or a list of names."""
+    from tacgen.outputs import NAMES
     from tacgen.recipe import assets, plan
-    from tacgen.recipe.model import OUTPUTS
 
-    names = ", ".join(n for n in OUTPUTS if n != "markers" or sensor in MARKED) if asked == EVERYTHING else asked
+    names = ", ".join(n for n in NAMES if n != "markers" or sensor in MARKED) if asked == EVERYTHING else asked
     moves = MOVES.format(depth=DEPTHS[sensor], n=frames)
     sets = (f"sensor={sensor}", *BALL, moves, f"quality={quality}", f"outputs=[{names}]")
     return plan.load(assets.recipe_path("quickstart"), sets).rows[0]
@@ -93,7 +93,7 @@ def made(sensor: str, quality: str, asked: str, frames: tuple[int, int, int]) ->
 
     from tacgen import pipeline
     from tacgen.bundle import bundle
-    from tacgen.outputs import OUTPUTS, Output
+    from tacgen.outputs import OUTPUTS
 
     spent = defaultdict[str, float](float)
 
@@ -109,7 +109,7 @@ def made(sensor: str, quality: str, asked: str, frames: tuple[int, int, int]) ->
 
     pipeline.Clock.now = staticmethod(time.process_time)
     for name, one in OUTPUTS.items():
-        OUTPUTS[name] = Output(timed(name, one.frame), timed(name, one.reference))
+        OUTPUTS[name] = one._replace(frame=timed(name, one.frame), reference=timed(name, one.reference))
     with tempfile.TemporaryDirectory() as folder:
         pipeline.run_scene(row(sensor, quality, asked, FEW), Path(folder) / "warm")
         spent.clear()

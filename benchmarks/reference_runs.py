@@ -11,12 +11,12 @@ import numpy as np
 
 from tacgen import array_cache, mechanics
 from tacgen.geometry.gel import Gel
-from tacgen.labels import contact_maps, gel_surface
-from tacgen.labels.stress import Stresses
 from tacgen.mechanics import mesh, presolve
 from tacgen.mechanics.scene import Scene
 from tacgen.optics.camera import Camera
 from tacgen.optics.coating import centers
+from tacgen.outputs import contact_maps, gel_surface
+from tacgen.outputs.cauchy_stress import Stresses
 from tacgen.recipe import assets, plan, scene_of_row
 from tacgen.sensor.markers import GridMarkers
 

@@ -35,7 +35,7 @@ from torch import nn
 from torch.nn import functional as F
 
 from tacgen.bundle.bundle import Bundle
-from tacgen.labels.events import MODES
+from tacgen.outputs.events import MODES
 from tacgen.torch import TactileDataset, divide
 
 FIELDS = ("rgb", "force", "events/mode", "height", "normals")

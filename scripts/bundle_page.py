@@ -1,8 +1,16 @@
-"""Print docs/BUNDLE.md, generated from tacgen/bundle/schema.py: python scripts/bundle_page.py > docs/BUNDLE.md"""
+"""Print docs/BUNDLE.md, generated from tacgen/outputs: python scripts/bundle_page.py > docs/BUNDLE.md"""
 
 import numpy as np
 
-from tacgen.bundle.schema import ATTRS, FORMAT, LAYOUT, OPTIONAL, UNITS, attributes
+from tacgen.bundle.schema import ATTRS, FORMAT, OPTIONAL, UNITS
+from tacgen.outputs import OUTPUTS
+from tacgen.outputs.base import Entry
+
+
+def _line(path: str, row: Entry) -> str:
+    shape = ", ".join(str(d).replace("*", "\\*").replace("|", " or ") for d in row.dims)
+    kind = ", ".join(filter(None, [np.dtype(row.dtype).name, row.rounding]))
+    return f"| `{path}` | ({shape}) | {kind} | {row.units} | {row.long_name} | {row.axes} |"
 
 
 def page() -> str:
@@ -10,7 +18,7 @@ def page() -> str:
     lines = [
         f"# The bundle, format {FORMAT}",
         "",
-        "Generated from `tacgen/bundle/schema.py` by `python scripts/bundle_page.py > docs/BUNDLE.md`; do not edit.",
+        "Generated from `tacgen/outputs` by `python scripts/bundle_page.py > docs/BUNDLE.md`; do not edit.",
         "",
         "A bundle is one HDF5 file for one scene. Sensor frame: x right and y down in the image, z out of the gel",
         "towards the object; the origin is the centre of the untouched coated face (a dome's crown). Units:",
@@ -60,18 +68,17 @@ def page() -> str:
         "error is at most a hundredth of the map's discretisation error (rms of a ball pressed and slid at",
         "`default`, against `reference`). Images, forces, poses, markers, meshes and `/fields` are not rounded.",
         "",
-        "## Datasets",
+        "## Outputs",
         "",
         "`N` frames, `H` x `W` image, `h` x `w` map, `M` markers, `n` nodes, `m` cells, `*` any size. Each dataset has",
         "the attributes `units`, `long_name` and `axes`.",
-        "",
-        "| path | shape | type | unit | what | axes |",
-        "|---|---|---|---|---|---|",
     ]
-    for path, row in LAYOUT.items():
-        shape = ", ".join(str(d).replace("*", "\\*").replace("|", " or ") for d in row.dims)
-        kind = ", ".join(filter(None, [np.dtype(row.dtype).name, attributes(path).get("rounding")]))
-        lines.append(f"| `{path}` | ({shape}) | {kind} | {row.units} | {row.long_name} | {row.axes} |")
+    told: set[str] = set()
+    for name, output in OUTPUTS.items():
+        lines += ["", f"### `{name}`", "", f"{output.text[0].upper()}{output.text[1:]}.", ""]
+        lines += ["| path | shape | type | unit | what | axes |", "|---|---|---|---|---|---|"]
+        lines += [_line(path, row) for path, row in output.rows.items() if path not in told]
+        told |= output.rows.keys()
     lines += ["", "## Attributes of the file", "", "| name | type | what |", "|---|---|---|"]
     lines += [f"| `{name}` | {kind.__name__} | {text} |" for name, (kind, text) in ATTRS.items()]
     lines += [f"| `{name}` (optional) | {kind.__name__} | {text} |" for name, (kind, text) in OPTIONAL.items()]

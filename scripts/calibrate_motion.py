@@ -1,4 +1,4 @@
-"""Fit a sensor's `markers.motion` (tacgen/labels/fots_markers.py) to the marker motion of the solved gel.
+"""Fit a sensor's `markers.motion` (tacgen/outputs/fots_markers.py) to the marker motion of the solved gel.
 
     python scripts/calibrate_motion.py [--sensor gelsight_mini] [--quality default]
 
@@ -17,11 +17,11 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from tacgen import mechanics
-from tacgen.labels import fots_markers
-from tacgen.labels.gel_surface import seen
 from tacgen.mechanics import mesh, presolve
 from tacgen.optics.camera import Camera
 from tacgen.optics.coating import centers
+from tacgen.outputs import fots_markers
+from tacgen.outputs.gel_surface import seen
 from tacgen.recipe import assets, plan, scene_of_row
 from tacgen.sensor.markers import Motion
 

@@ -21,9 +21,9 @@ from benchmarks.draws import drawn
 from benchmarks.reference_runs import row_of
 from tacgen import mechanics
 from tacgen.fem.materials import Law
-from tacgen.labels.uncertainty import Sensitivities
 from tacgen.mechanics import mesh
 from tacgen.mechanics.scene import Scene
+from tacgen.outputs.sensitivities import Sensitivities
 from tacgen.recipe import scene_of_row
 from tacgen.recipe.model import Uncertainty
 from tacgen.recipe.plan import Row
@@ -83,7 +83,7 @@ def _law(layer: object, name: str, by: float) -> Law:
         new = {key: (1 + by) * getattr(layer, key) for key in moduli if getattr(layer, key) is not None}
     else:
         new = {name: getattr(layer, name) + by}
-    return scene_of_row.law_of(layer.model_copy(update=new))
+    return layer.model_copy(update=new).material()
 
 
 def labels(
@@ -94,7 +94,7 @@ def labels(
     begun = time.process_time()
     damped = sum(state.damped for state in mechanics.states(case.built, problem))
     plain, problem = time.process_time() - begun, mechanics.Problem.of(case.built, case.on, options)
-    follow = Sensitivities(problem, Uncertainty.model_validate(ALL), case.row.sensor.gel)
+    follow = Sensitivities(problem, Uncertainty.model_validate(ALL).deviations, case.row.sensor.gel)
     begun = time.process_time()
     for state in mechanics.states(case.built, problem):
         for one in follow.at(state):

@@ -48,15 +48,15 @@ if TYPE_CHECKING:
     from tacgen.recipe.trajectory import Start as Start
     from tacgen.recipe.trajectory import Tilt as Tilt
     from tacgen.recipe.trajectory import Twist as Twist
+    from tacgen.sensor.layers import MooneyRivlinLayer as MooneyRivlinLayer
+    from tacgen.sensor.layers import NeoHookeLayer as NeoHookeLayer
+    from tacgen.sensor.layers import PronyTerm as PronyTerm
+    from tacgen.sensor.layers import StableNeoHookeLayer as StableNeoHookeLayer
+    from tacgen.sensor.layers import YeohLayer as YeohLayer
     from tacgen.sensor.model import Camera as Camera
     from tacgen.sensor.model import Dome as Dome
     from tacgen.sensor.model import Gel as Gel
-    from tacgen.sensor.model import MooneyRivlinLayer as MooneyRivlinLayer
-    from tacgen.sensor.model import NeoHookeLayer as NeoHookeLayer
-    from tacgen.sensor.model import PronyTerm as PronyTerm
     from tacgen.sensor.model import Sensor as Sensor
-    from tacgen.sensor.model import StableNeoHookeLayer as StableNeoHookeLayer
-    from tacgen.sensor.model import YeohLayer as YeohLayer
 
 __version__ = "0.1.0"
 
@@ -68,10 +68,8 @@ _HOMES = {
     "tacgen.errors": ("UserError",),
     "tacgen.recipe.indenters": ("Sphere", "Cylinder", "Cone", "Box", "Wedge", "Capsule", "Torus", "Mesh"),
     "tacgen.recipe.trajectory": ("Start", "Press", "Slide", "Twist", "Tilt", "Hold", "Release", "Replay"),
-    "tacgen.sensor.model": (
-        *("Sensor", "Gel", "Dome", "Camera"),
-        *("NeoHookeLayer", "StableNeoHookeLayer", "MooneyRivlinLayer", "YeohLayer", "PronyTerm"),
-    ),
+    "tacgen.sensor.model": ("Sensor", "Gel", "Dome", "Camera"),
+    "tacgen.sensor.layers": ("NeoHookeLayer", "StableNeoHookeLayer", "MooneyRivlinLayer", "YeohLayer", "PronyTerm"),
     "tacgen.recipe.model": ("Uncertainty", "MaterialDeviation", "PoseDeviation", "Dynamics", "Rayleigh", "Render"),
 }
 __all__ = [name for names in _HOMES.values() for name in names]

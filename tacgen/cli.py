@@ -240,10 +240,12 @@ def init(
 
 @app.command("list")
 def show_list(
-    kind: Annotated[str, typer.Argument(help="sensors, recipes, objects, shapes or formats; default: all.")] = "",
+    kind: Annotated[
+        str, typer.Argument(help="sensors, recipes, objects, shapes, outputs or formats; default: all.")
+    ] = "",
     as_json: AsJson = False,
 ) -> None:
-    """List the available sensors, recipes, objects, indenter shapes and export formats."""
+    """List the available sensors, recipes, objects, indenter shapes, outputs and export formats."""
     from tacgen.report.catalogue import KINDS
 
     if kind and kind not in KINDS:

@@ -5,9 +5,9 @@ import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -18,11 +18,17 @@ from tacgen.bundle.resume import SceneResult
 from tacgen.bundle.schema import finite_problem
 from tacgen.mechanics import mesh, presolve
 from tacgen.mechanics.scene import Scene
-from tacgen.outputs import OUTPUTS, Datasets, FrameData, SceneData, of_grasp
+from tacgen.outputs import BLOCKS, IMAGES, OUTPUTS
+from tacgen.outputs.base import Datasets
+from tacgen.outputs.scene_data import FrameData, SceneData
 from tacgen.recipe import approach, scene_of_row
 from tacgen.recipe.checks import notes
-from tacgen.recipe.model import IMAGES
 from tacgen.recipe.plan import Row
+
+if TYPE_CHECKING:
+    from tacgen.mechanics.grasp_balance import Held
+    from tacgen.outputs.gel_surface import Surface
+    from tacgen.render.pictures import Pictures
 
 MIN_EDGES = 3  # an indenter's smallest radius should be at least so many edges of the mesh
 # largest error of a force over edge/thickness [-]: of indenters and, above it, of tips narrower than an edge
@@ -77,10 +83,10 @@ def _finite(found: Datasets) -> Datasets:
     return found
 
 
-def _attributes(built: Scene, shared: SceneData, clock: Clock) -> dict[str, Any]:
+def _attributes(row: Row, built: Scene, shared: SceneData, clock: Clock) -> dict[str, Any]:
     from importlib.metadata import version
 
-    row, problem = shared.row, shared.problem
+    problem = shared.problem
     found: dict[str, Any] = {
         "recipe": row.document(),
         "scene_index": row.index,
@@ -179,19 +185,33 @@ def _make(row: Row, path: Path, on_event: OnEvent | None) -> SceneResult:
             return _made(row, path, on_event, clock)
 
 
-@dataclass(frozen=True)
-class Gel:
-    """One gel of a scene, of which a bundle is made: the only one, or a finger's of a grasp."""
+def _shared(row: Row, scene: Scene, problem: mechanics.Problem) -> SceneData:
+    """A scene as its outputs need it, with the choices of its recipe."""
 
-    row: Row
-    scene: Scene
-    problem: mechanics.Problem
+    def pictures(untouched: "Surface") -> "Pictures":
+        from tacgen.render.pictures import Pictures
+
+        return Pictures(row, untouched)
+
+    recipe, unsure = row.recipe, row.recipe.uncertainty
+    return SceneData(
+        row.sensor,
+        problem,
+        pictures,
+        asked=recipe.outputs,
+        analytic=recipe.markers.method == "analytic",
+        deviations=None if unsure is None else unsure.deviations,
+        again=scene if unsure and unsure.mesh else None,
+    )
 
 
-Found = tuple[tuple[mechanics.State, Datasets], ...]  # of a frame: each gel's state, and what else its bundle says
+Solvable = tuple[Row, Scene, mechanics.Problem]  # of each bundle: one, or of a grasp the left and the right finger's
+Found = tuple[
+    tuple[mechanics.State, "tuple[Held, int] | None"], ...
+]  # of a frame: each state, and what holds the object
 
 
-def _gels(row: Row, clock: Clock) -> tuple[tuple[Gel, ...], Iterator[Found]]:
+def _gels(row: Row, clock: Clock) -> tuple[tuple[Solvable, ...], Iterator[Found]]:
     """The gels of a row of the plan, meshed, and what will be found at each frame."""
     if row.other is not None:
         return _grasped(row, clock)
@@ -201,12 +221,12 @@ def _gels(row: Row, clock: Clock) -> tuple[tuple[Gel, ...], Iterator[Found]]:
         with clock.stage("presolve"):
             built = presolve.presolved(built)
     with clock.stage("mesh"):
-        gel = Gel(row, built, mechanics.Problem.of(built, mesh.of(built)))
-    states = mechanics.states(built, gel.problem, tol=None if row.pair is None else MATCHED)
-    return (gel,), (((state, {}),) for state in states)
+        problem = mechanics.Problem.of(built, mesh.of(built))
+    states = mechanics.states(built, problem, tol=None if row.pair is None else MATCHED)
+    return ((row, built, problem),), (((state, None),) for state in states)
 
 
-def _grasped(row: Row, clock: Clock) -> tuple[tuple[Gel, ...], Iterator[Found]]:
+def _grasped(row: Row, clock: Clock) -> tuple[tuple[Solvable, ...], Iterator[Found]]:
     """The two gels of a grasp, meshed, and the states of both at each frame."""
     from tacgen.mechanics import grasp_balance as holding
     from tacgen.recipe import grasp_of_row as two_fingers
@@ -217,37 +237,33 @@ def _grasped(row: Row, clock: Clock) -> tuple[tuple[Gel, ...], Iterator[Found]]:
         grasp = holding.presolved(grasp)
     with clock.stage("mesh"):
         each = zip(row.bundles, grasp.fingers, strict=True)
-        left, right = (Gel(finger, built, holding.problem_of(built)) for finger, built in each)
-    frames = holding.held(grasp, (left.problem, right.problem))
-    return (left, right), (
-        tuple((state, of_grasp(held, side)) for side, state in enumerate(held.states)) for held in frames
-    )
+        left, right = ((finger, built, holding.problem_of(built)) for finger, built in each)
+    frames = holding.held(grasp, (left[2], right[2]))
+    return (left, right), (tuple((state, (held, side)) for side, state in enumerate(held.states)) for held in frames)
 
 
 class Recorder:
     """Labels, renders and writes one gel's bundle."""
 
-    def __init__(self, gel: Gel, path: Path, clock: Clock, on_event: OnEvent | None) -> None:
-        self.scene, self.clock = gel.scene, clock
-        asked: set[str] = {"force", *gel.row.recipe.outputs} | (
-            {"uncertainty"} if gel.row.recipe.uncertainty else set()
-        )
+    def __init__(self, solvable: Solvable, path: Path, clock: Clock, on_event: OnEvent | None) -> None:
+        (row, self.scene, problem), self.clock = solvable, clock
+        asked = {"force", *row.recipe.outputs} | {name for name in BLOCKS if getattr(row.recipe, name) is not None}
         self.before: mechanics.State | None = None
-        self.shared = SceneData(gel.row, gel.problem)
+        self.shared = _shared(row, self.scene, problem)
         if asked & IMAGES:
-            with clock.stage("render"), compiled.once(_camera(gel.row)):
+            with clock.stage("render"), compiled.once(_camera(row)):
                 _ = self.shared.pictures
         made = {k: output.reference for k, output in OUTPUTS.items() if k in asked}
         self.reference = _finite(_datasets(made, self.shared, clock))
         self.of_frame = {k: output.frame for k, output in OUTPUTS.items() if k in asked}
-        attributes = _attributes(gel.scene, self.shared, clock)
-        self.name, self.on_event, self.touched = gel.row.name, on_event, False
+        attributes = _attributes(row, self.scene, self.shared, clock)
+        self.name, self.on_event, self.touched = row.name, on_event, False
         self._tell(attributes.get("notes", ()))
-        self.writer = bundle.Writer(path, attributes, gel.row.frames)
+        self.writer = bundle.Writer(path, attributes, row.frames)
 
     def __enter__(self) -> "Recorder":
         self.writer.__enter__()
-        for name, array in self.reference.items():
+        for name, array in sorted(self.reference.items(), key=lambda item: item[0].startswith("/mesh")):
             self.writer.put(name, array)
         return self
 
@@ -268,9 +284,9 @@ class Recorder:
         self._tell(late)
         self.writer.finish("rejected" if reason else "ok", reason, late)
 
-    def labelled(self, state: mechanics.State, more: Datasets) -> Datasets:
+    def labelled(self, state: mechanics.State, held: "tuple[Held, int] | None") -> Datasets:
         """The datasets of a frame. Raises Rejected: a label is not finite."""
-        frame = _finite(_datasets(self.of_frame, FrameData(self.shared, state, self.before), self.clock) | more)
+        frame = _finite(_datasets(self.of_frame, FrameData(self.shared, state, self.before, held), self.clock))
         self.before, self.touched = state, self.touched or bool(frame["/frames/force"].any())
         frame["/frames/segment"] = self.scene.segment[state.index]
         if self.scene.duration is not None:
@@ -288,7 +304,7 @@ def _made(row: Row, path: Path, on_event: OnEvent | None, clock: Clock) -> Scene
     gels, frames = _gels(row, clock)
     reason, done = "", 0
     with ExitStack() as stack:
-        places = [path.with_name(f"{gel.row.name}.h5") for gel in gels]
+        places = [path.with_name(f"{each.name}.h5") for each, _, _ in gels]
         recorders = [
             stack.enter_context(Recorder(gel, place, clock, on_event)) for gel, place in zip(gels, places, strict=True)
         ]
@@ -327,7 +343,7 @@ def compile_pictures(row: Row, folder: Path, **_: Any) -> None:
 
     with threadpool_limits(1, user_api="blas"), compiled.once(_camera(row)):
         built = scene_of_row.build(row)
-        shared = SceneData(row, mechanics.Problem.of(built, mesh.of(built)))
+        shared = _shared(row, built, mechanics.Problem.of(built, mesh.of(built)))
         dented = shared.problem.mesh.points.copy()
         dented[:, 2] -= DENT * np.exp(-np.square(dented).sum(1))
         shared.pictures.radiance(shared.printed.moved(dented))

@@ -23,8 +23,8 @@ import numpy as np
 from tacgen.bundle import dataset, field_names
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.chunks import Frames
-from tacgen.bundle.schema import LAYOUT
 from tacgen.errors import UserError
+from tacgen.outputs import LAYOUT
 
 Item = dict[str, Any]
 SPLITS = ("train", "val", "test")

@@ -8,7 +8,6 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
-from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,12 +16,11 @@ from typing import NamedTuple
 import click
 import pytest
 import typer
-from helpers.small_recipe import HEAD
 from helpers.synthetic import attributes, write
 from typer.testing import CliRunner
 
-from tacgen import export, outputs, pipeline
-from tacgen.bundle import bundle, schema
+from tacgen import export
+from tacgen.bundle import bundle
 from tacgen.cli import app
 from tacgen.recipe import assets, loading, model, plan
 from tacgen.recipe.grasp_checks import OF_GRASP
@@ -223,9 +221,9 @@ def test_the_command_page_is_the_command_line() -> None:
     assert (DOCS / "COMMANDS.md").read_text() == made.stdout, "run scripts/command_page.py > docs/COMMANDS.md"
 
 
-def test_the_recipe_page_names_every_key_movement_output_and_quality() -> None:
+def test_the_recipe_page_names_every_key_movement_and_quality() -> None:
     text = (DOCS / "RECIPE.md").read_text()
-    keys = {*model.Recipe.model_fields, *Segment.model_fields, *model.OUTPUTS} - {"tacgen"}
+    keys = {*model.Recipe.model_fields, *Segment.model_fields} - {"tacgen"}
     assert not [key for key in keys if f"`{key}`" not in text]
     for preset, numbers in model.QUALITIES.items():
         assert f"| `{preset}` | {' | '.join(f'{number:g}' for number in numbers)} |" in text
@@ -276,19 +274,6 @@ def test_what_extending_names_is_there(file: str, what: str) -> None:
     text = place.read_text()
     for word in re.findall(r"`(\w+)`", what):
         assert re.search(rf"\b{word}\b", text), word
-
-
-def test_an_output_is_an_entry_a_name_and_a_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    entry = outputs.Output(lambda frame: {"/frames/lowest": frame.state.x[:, 2].min()})
-    monkeypatch.setitem(outputs.OUTPUTS, "lowest", entry)
-    monkeypatch.setitem(schema.LAYOUT, "/frames/lowest", schema.Entry("<f8", "N", "mm", "lowest node", "frame"))
-    (tmp_path / "small.yaml").write_text(f"{HEAD}  - press: {{depth_mm: 0.3, frames: 2}}\n")
-    row = plan.load(tmp_path / "small.yaml").rows[0]
-    asked = row.recipe.model_copy(update={"outputs": frozenset({"force", "lowest"})})  # past the list of names
-    made = pipeline.run([replace(row, recipe=asked)], tmp_path / "out")[0]
-    found = bundle.read(made.path)
-    assert found["/frames/lowest"].shape == (2,)
-    assert found.verify()["/frames/lowest"].attrs["units"] == "mm"
 
 
 def test_a_format_is_a_module_and_a_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from tacgen.outputs import OUTPUTS
+
 ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "tacgen"
 
@@ -25,10 +27,9 @@ LAYERS = [
     "sensor",
     "optics",
     "mechanics",
-    "recipe",
-    "labels",
-    "render",
     "outputs",
+    "recipe",
+    "render",
     "bundle",
     "export",
     "report",
@@ -89,6 +90,7 @@ NOT_NUMPY = {
     "errors",
     "sensor.base_model",
     "recipe.model",
+    "sensor.layers",
     "sensor.model",
     "recipe.assets",
     "recipe.plan",
@@ -104,6 +106,9 @@ NOT_NUMPY = {
     "recipe.indenters",
     "recipe.pose_table",
     "recipe.trajectory_checks",
+    "outputs",
+    "outputs.base",
+    *(f"outputs.{name}" for name in OUTPUTS),
 }
 
 

@@ -12,7 +12,7 @@ from tacgen.batch.scene_order import WINDOW, SceneOrder
 from tacgen.batch.worker_process import Job, Limits, Worker, cores, machine_memory
 from tacgen.bundle.resume import SceneResult
 from tacgen.errors import UserError
-from tacgen.recipe.model import IMAGES
+from tacgen.outputs import IMAGES
 from tacgen.recipe.plan import Row
 
 TASK = "tacgen.pipeline:run_scene"

@@ -10,7 +10,7 @@ import numpy as np
 
 from tacgen.bundle.bundle import Bundle
 from tacgen.errors import printable
-from tacgen.labels.events import MODES
+from tacgen.outputs.events import MODES
 
 MODE = "/frames/events/mode"
 
@@ -46,7 +46,7 @@ def line(bundle: Bundle) -> str:
 
 
 def modes(bundle: Bundle) -> list[str]:
-    """The contact mode of each frame, as in tacgen.labels.events. Raises Missing: `events` is not in the bundle."""
+    """The contact mode of each frame, as in tacgen.outputs.events. Raises Missing: `events` is not in the bundle."""
     return [MODES[k] if 0 <= k < len(MODES) else "unknown" for k in bundle[MODE]]
 
 

@@ -2,8 +2,8 @@
 
 from collections.abc import Collection
 
-from tacgen.bundle.schema import LAYOUT
 from tacgen.errors import UserError
+from tacgen.outputs import LAYOUT
 
 PER_FRAME = ("/frames/", "/fields/")  # groups whose datasets have short names
 SHOWN = "force", "torque", "pressure", "traction", "height", "normals", "nodal_stress", "displacement", "markers", "rgb"

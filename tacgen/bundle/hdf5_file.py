@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from tacgen import regular_file
-from tacgen.bundle.schema import FORMAT, LAYOUT, entry, shape_problem
+from tacgen.bundle.schema import FORMAT, entry, shape_problem
 from tacgen.errors import UserError
+from tacgen.outputs import LAYOUT
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 LARGEST = 2**40  # largest file [bytes]

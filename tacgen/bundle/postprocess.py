@@ -14,7 +14,7 @@ from tacgen.bundle.bundle import Bundle
 from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import elements
 from tacgen.fem.stress_recovery import FULL, Recovery
-from tacgen.labels.contact_maps import tangents
+from tacgen.outputs.contact_maps import tangents
 
 Array = np.ndarray
 FREE, EDGE, STICK, SLIP = range(4)  # of `contact_state`
@@ -107,13 +107,11 @@ def strain_energy(bundle: Bundle, frame: int) -> Array:
     Raises:
         UserError: the bundle does not hold its sensor.
     """
-    from tacgen.recipe.scene_of_row import law_of
-
     sensor = bundle.sensor
     points, cells, layer = bundle["/mesh/points"], bundle["/mesh/cells"], bundle["/mesh/layer"]
     x = points + bundle.frame("/fields/displacement", frame)
     out = np.zeros(len(cells))
     for number, made_of in enumerate(sensor.gel.layers):
         here = layer == number
-        out[here] = Elastic(elements(points, cells[here]), law_of(made_of)).energies(x)
+        out[here] = Elastic(elements(points, cells[here]), made_of.material()).energies(x)
     return out

@@ -2,14 +2,15 @@
 
 import numpy as np
 
-from tacgen.bundle.schema import BITS, STEPS
+from tacgen.bundle.schema import entry
 
 
 def rounded(path: str, values: np.ndarray) -> np.ndarray:
     """The values of a dataset as they are stored."""
-    if path in STEPS:
-        return to_multiples(values, 2.0 ** STEPS[path])
-    return to_bits(values, BITS[path]) if path in BITS else values
+    row = entry(path)
+    if row.power is not None:
+        return to_multiples(values, 2.0**row.power)
+    return values if row.bits is None else to_bits(values, row.bits)
 
 
 def to_multiples(values: np.ndarray, step: float) -> np.ndarray:

@@ -10,7 +10,7 @@ from tacgen.calibrate.result import digits, write_sensor
 from tacgen.errors import UserError
 from tacgen.recipe import assets, plan
 from tacgen.report.wording import counted
-from tacgen.sensor.model import IsochoricLayer
+from tacgen.sensor.layers import IsochoricLayer
 from tacgen.sensor.yaml_source import KeyPath, at, format_path, parse_path
 
 if TYPE_CHECKING:

@@ -10,11 +10,11 @@ from tacgen import mechanics
 from tacgen.calibrate import press_depths
 from tacgen.calibrate.photos import Photos, Press
 from tacgen.errors import UserError
-from tacgen.labels import gel_surface
 from tacgen.mechanics import mesh, presolve
 from tacgen.optics.camera import Camera
 from tacgen.optics.hertz_dent import BallDent
 from tacgen.optics.surface_grid import Surface, Untouched
+from tacgen.outputs import gel_surface
 from tacgen.recipe import plan, scene_of_row
 from tacgen.recipe.model import Recipe
 from tacgen.sensor.model import LitSensor

@@ -4,7 +4,7 @@
 
 `observation.images.tactile` is the camera's image, `observation.state` the indenter's pose (x y z [mm], quaternion
 w x y z) and `action` the pose of the next frame. If the scenes have them: `observation.force` [N], `.torque`
-[N mm], `.markers` and `.marker_flow` [px] (x and y in turn), `.contact_mode` (a number, see tacgen.labels.events),
+[N mm], `.markers` and `.marker_flow` [px] (x and y in turn), `.contact_mode` (a number, see tacgen.outputs.events),
 `.contact`, and `observation.images.tactile_depth`, the indentation in 16 bits [um]. The task is the scene's caption.
 Quasi-static scenes have no time; their frames get a nominal rate of FPS.
 

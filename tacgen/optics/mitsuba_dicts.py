@@ -12,7 +12,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from tacgen.sensor.model import Led, LitSensor, Scattering
+    from tacgen.sensor.layers import Scattering
+    from tacgen.sensor.model import Led, LitSensor
 
     Floats = NDArray[np.float64]
 

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING
 
 from tacgen import regular_file
 from tacgen.errors import UserError, why
+from tacgen.outputs import IMAGES
 from tacgen.recipe import assets
-from tacgen.recipe.model import IMAGES, Recipe
+from tacgen.recipe.model import Recipe
 from tacgen.sensor.model import Camera, Sensor
 from tacgen.sensor.validation_messages import Problem
 from tacgen.sensor.yaml_source import KeyPath

@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Any, cast
 
 from tacgen.errors import UserError
+from tacgen.outputs import IMAGES, NAMES, OUTPUTS
 from tacgen.recipe import assets, background_photo, grasp_checks, trajectory_checks
 from tacgen.recipe.indenters import Indenter
-from tacgen.recipe.model import IMAGES, Recipe
+from tacgen.recipe.model import Recipe
 from tacgen.recipe.trajectory import Paced, Replay, Slide, Timed
 from tacgen.recipe.trajectory_checks import Folders
 from tacgen.sensor import optics_checks
@@ -226,15 +227,12 @@ def _times(recipe: Recipe, sensor: Sensor, folders: Folders) -> list[Problem]:
 def output_problems(recipe: Recipe, sensor: Sensor) -> list[Problem]:
     """Problems of outputs that need what the sensor does not have."""
     wrong = []
-    if "markers" in recipe.outputs and sensor.markers is None:
-        wrong.append(
-            Problem(
-                ("outputs",),
-                f"asks for markers, and the sensor {sensor.name} has none: leave them out, or add markers to its file",
-            )
-        )
-    if "markers" in recipe.outputs and not _on_gel(sensor):
-        text = f"asks for markers, and some of the sensor {sensor.name} would lie beside its gel: fewer, or closer ones"
+    named = " and ".join(n for n in NAMES if n in recipe.outputs and OUTPUTS[n].needs == "markers")
+    if named and sensor.markers is None:
+        text = f"asks for {named}, and the sensor {sensor.name} has none: leave them out, or add markers to its file"
+        wrong.append(Problem(("outputs",), text))
+    if named and not _on_gel(sensor):
+        text = f"asks for {named}, and some of the sensor {sensor.name} would lie beside its gel: fewer, or closer ones"
         wrong.append(Problem(("outputs",), text))
     if (images := recipe.outputs & IMAGES) and not sensor.lit:
         asked = " and ".join(sorted(images))
@@ -297,15 +295,7 @@ def _too_thin(recipe: Recipe) -> list[Problem]:
     indenter, edge = recipe.indenter, recipe.resolved().edge_mm
     if recipe.contact.formulation != "distance":
         return []
-    match indenter.shape:
-        case "sphere" | "capsule" | "cylinder":
-            half = {"radius_mm": indenter.radius_mm}
-        case "torus":
-            half = {"tube_radius_mm": indenter.tube_radius_mm}
-        case "box":
-            half = {"size_x_mm": indenter.size_x_mm / 2, "size_y_mm": indenter.size_y_mm / 2}
-        case _:
-            return []
+    half = {key: factor * getattr(indenter, key) for key, factor in indenter.thin.items()}
     return [
         Problem(
             ("indenter", key),

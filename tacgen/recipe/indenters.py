@@ -1,7 +1,7 @@
 """The models of indenters by shape; the origin is the lowest point. Lengths in mm, angles in degrees."""
 
 import math
-from typing import TYPE_CHECKING, Annotated, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, get_args
 
 from pydantic import Field, ValidationInfo, field_validator
 
@@ -20,16 +20,26 @@ def _smaller(value: float, limit: float | None, what: str, *, equal: bool = True
     return value
 
 
-class Sphere(Part, json_schema_extra=needs("shape")):
+class AnyIndenter(Part):
+    """An indenter of any shape."""
+
+    thin: ClassVar[
+        dict[str, float]
+    ] = {}  # fields that could let it pass between contact points: factor to half of that
+
+
+class Sphere(AnyIndenter, json_schema_extra=needs("shape")):
     """A ball."""
 
+    thin: ClassVar[dict[str, float]] = {"radius_mm": 1}
     shape: Literal["sphere"] = "sphere"
     radius_mm: Positive
 
 
-class Cylinder(Part, json_schema_extra=needs("shape")):
+class Cylinder(AnyIndenter, json_schema_extra=needs("shape")):
     """A flat punch: a round rod whose axis is z, its lower edge rounded."""
 
+    thin: ClassVar[dict[str, float]] = {"radius_mm": 1}
     shape: Literal["cylinder"] = "cylinder"
     radius_mm: Positive
     fillet_mm: Annotated[float, Field(gt=0, validate_default=True)] = 0.2
@@ -40,7 +50,7 @@ class Cylinder(Part, json_schema_extra=needs("shape")):
         return _smaller(value, info.data.get("radius_mm"), "radius_mm")
 
 
-class Cone(Part, json_schema_extra=needs("shape")):
+class Cone(AnyIndenter, json_schema_extra=needs("shape")):
     """A cone pointing down with a spherical tip; the half angle is measured from its axis."""
 
     shape: Literal["cone"] = "cone"
@@ -48,9 +58,10 @@ class Cone(Part, json_schema_extra=needs("shape")):
     tip_radius_mm: Positive
 
 
-class Box(Part, json_schema_extra=needs("shape")):
+class Box(AnyIndenter, json_schema_extra=needs("shape")):
     """A block with rounded edges, flat side down."""
 
+    thin: ClassVar[dict[str, float]] = {"size_x_mm": 0.5, "size_y_mm": 0.5}
     shape: Literal["box"] = "box"
     size_x_mm: Positive
     size_y_mm: Positive
@@ -63,7 +74,7 @@ class Box(Part, json_schema_extra=needs("shape")):
         return _smaller(value, min(sides) / 2 if sides else None, "half the shorter side")
 
 
-class Wedge(Part, json_schema_extra=needs("shape")):
+class Wedge(AnyIndenter, json_schema_extra=needs("shape")):
     """A wedge pointing down whose rounded edge is along y; half angle from z, total length along y."""
 
     shape: Literal["wedge"] = "wedge"
@@ -80,17 +91,19 @@ class Wedge(Part, json_schema_extra=needs("shape")):
         return value
 
 
-class Capsule(Part, json_schema_extra=needs("shape")):
+class Capsule(AnyIndenter, json_schema_extra=needs("shape")):
     """A rod with hemispherical ends along x; the length is between the centres of the hemispheres."""
 
+    thin: ClassVar[dict[str, float]] = {"radius_mm": 1}
     shape: Literal["capsule"] = "capsule"
     radius_mm: Positive
     length_mm: Positive
 
 
-class Torus(Part, json_schema_extra=needs("shape")):
+class Torus(AnyIndenter, json_schema_extra=needs("shape")):
     """A ring lying flat: `radius_mm` from its axis to the centre of the tube."""
 
+    thin: ClassVar[dict[str, float]] = {"tube_radius_mm": 1}
     shape: Literal["torus"] = "torus"
     radius_mm: Positive
     tube_radius_mm: Positive
@@ -101,7 +114,7 @@ class Torus(Part, json_schema_extra=needs("shape")):
         return _smaller(value, info.data.get("radius_mm"), "radius_mm", equal=False)
 
 
-class Mesh(Part, json_schema_extra=needs("shape")):
+class Mesh(AnyIndenter, json_schema_extra=needs("shape")):
     """A closed triangle mesh (STL, OBJ, PLY), lowest point at z = 0, bounding box centred on the z axis."""
 
     shape: Literal["mesh"] = "mesh"

@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from tacgen.errors import UserError
+from tacgen.outputs import IMAGES
 from tacgen.recipe import assets, checks
-from tacgen.recipe.model import IMAGES, Recipe
+from tacgen.recipe.model import Recipe
 from tacgen.sensor.model import Sensor
 from tacgen.sensor.usual_values import unusual
 from tacgen.sensor.validation_messages import Problem, report, suggest, validate

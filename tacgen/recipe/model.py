@@ -1,33 +1,20 @@
 """The model of a recipe file: its keys, their types and their ranges. Lengths in mm, angles in degrees."""
 
-from typing import Annotated, Any, Literal, NamedTuple, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, ValidationInfo, field_validator, model_validator
 
+from tacgen.outputs import NAMES
 from tacgen.recipe.indenters import Indenter
 from tacgen.recipe.trajectory import Segment, Start, Vector
 from tacgen.sensor.base_model import ONE_KEY, FilePath, NotNegative, Part, Positive, Sha256, exactly_one
 from tacgen.sensor.yaml_source import KeyPath
 
-OutputName = Literal[
-    "force",
-    "traction",
-    "events",
-    "force_map",
-    "height",
-    "normals",
-    "gap",
-    "stress",
-    "surface_stress",
-    "markers",
-    "flow",
-    "material",
-    "radiance",
-    "rgb",
-]
+if TYPE_CHECKING:
+    OutputName = str
+else:
+    OutputName = Literal[NAMES]
 Element = Literal["hex", "tet", "linear_tet"]  # linear tets lock in a nearly incompressible gel: for comparison only
-OUTPUTS: tuple[str, ...] = get_args(OutputName)
-IMAGES = frozenset({"radiance", "rgb"})  # outputs that need light
 
 
 class Contact(Part):
@@ -126,6 +113,11 @@ class Uncertainty(Part):
     pose: PoseDeviation = PoseDeviation()
     mesh: bool = False  # include the discretisation error, estimated by a second solve on a coarser mesh
 
+    @property
+    def deviations(self) -> dict[str, float]:
+        """Standard deviations by the names of the inputs; of the depth [mm]."""
+        return {**self.material.model_dump(), "depth": self.pose.depth_mm}
+
 
 class Quality(NamedTuple):
     """Numerical parameters that trade run time for accuracy."""
@@ -211,7 +203,7 @@ class Vary(Part):
 
 def _not_empty(value: frozenset[str]) -> frozenset[str]:
     if not value:
-        raise ValueError(f"must name at least one of {', '.join(OUTPUTS)}")
+        raise ValueError(f"must name at least one of {', '.join(NAMES)}")
     return value
 
 
@@ -280,5 +272,5 @@ class Recipe(Part):
     def document(self) -> dict[str, Any]:
         """Plain values that YAML and JSON can hold and that read back as the same recipe."""
         plain: dict[str, Any] = self.model_dump(mode="json", exclude_none=True)
-        plain["outputs"] = [name for name in OUTPUTS if name in self.outputs]
+        plain["outputs"] = [name for name in NAMES if name in self.outputs]
         return plain

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, Literal, overload
 
 from tacgen.errors import UserError
+from tacgen.outputs import IMAGES
 from tacgen.recipe import assets, background_photo, checks, grasp_checks
 from tacgen.recipe.loading import (
     SOLID,
@@ -25,7 +26,7 @@ from tacgen.recipe.loading import (
     sensor_warnings,
     solid_folder,
 )
-from tacgen.recipe.model import IMAGES, Recipe, Vary
+from tacgen.recipe.model import Recipe, Vary
 from tacgen.recipe.pose_table import Pose
 from tacgen.recipe.sampling import correlated, draw, scene_count
 from tacgen.recipe.trajectory_checks import replayed, resolved

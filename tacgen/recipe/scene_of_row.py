@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 
 from tacgen.errors import UserError
-from tacgen.fem.materials import Law, MooneyRivlin, NeoHooke, StableNeoHooke, Yeoh
 from tacgen.geometry import mesh_import, surface_nets
 from tacgen.geometry.analytic_sdf import Shape, Triangles
 from tacgen.geometry.gel import Gel, Layer, SolidGel
@@ -18,8 +17,7 @@ from tacgen.recipe.model import Recipe
 from tacgen.recipe.path import Path as IndenterPath
 from tacgen.recipe.path import indenter_path
 from tacgen.recipe.plan import Row
-from tacgen.sensor import model as sensors
-from tacgen.sensor.model import MooneyRivlinLayer, NeoHookeLayer, Sensor, StableNeoHookeLayer, YeohLayer
+from tacgen.sensor.model import Sensor
 
 Array = np.ndarray
 TONNES_PER_MM3 = 1e-12  # 1 kg/m^3 in t/mm^3
@@ -73,32 +71,11 @@ def _surface(row: Row, shape: Shape) -> Triangles | None:
     return surface_nets.of_shape(shape, half=half, height=height, tolerance=quality.dhat_mm / 10)
 
 
-def law_of(layer: sensors.Layer) -> Law:
-    """The law of a layer; E and nu of the sensor file are converted to shear and bulk modulus."""
-    match layer:
-        case NeoHookeLayer() | StableNeoHookeLayer():
-            mu = layer.youngs_modulus_mpa / (2 * (1 + layer.poissons_ratio))
-            kappa = bulk(mu, layer.poissons_ratio)
-            return NeoHooke(mu, kappa) if layer.law == "neo_hooke" else StableNeoHooke(mu, kappa + mu / 3)
-        case MooneyRivlinLayer():
-            mu = 2 * (layer.c10_mpa + layer.c01_mpa)
-            return MooneyRivlin(layer.c10_mpa, layer.c01_mpa, layer.bulk_modulus_mpa or bulk(mu, layer.poissons_ratio))
-        case YeohLayer():
-            kappa = layer.bulk_modulus_mpa or bulk(2 * layer.c10_mpa, layer.poissons_ratio)
-            return Yeoh(layer.c10_mpa, layer.c20_mpa, layer.c30_mpa, kappa)
-
-
-def bulk(mu: float, nu: float | None) -> float:
-    """Bulk modulus [MPa] from the shear modulus and Poisson's ratio."""
-    assert nu is not None, "the sensor model has checked that one of the two is given"
-    return 2 * mu * (1 + nu) / (3 * (1 - 2 * nu))
-
-
 def gel_of(sensor: Sensor, solid_path: Path | None = None) -> Gel:
     """The gel with its laws; a solid is read from the file at `solid_path`."""
     layers = []
     for layer in sensor.gel.layers:
-        law = law_of(layer)
+        law = layer.material()
         modulus = 9 * law.kappa * law.mu / (3 * law.kappa + law.mu)
         layers.append(Layer(layer.thickness_mm, law, modulus, layer.terms))
     g = sensor.gel

@@ -162,7 +162,7 @@ def key(sensor: "LitSensor", variant: str | None, *more: object) -> str:
     parts_seen = {"plate", "coating", "walls", "leds", "camera", "gel"}
     linear: Any = {"leds": {"__all__": {"radiance", "power"}}, "camera": LINEAR}
     seen = sensor.model_dump(mode="json", exclude_none=True, include=parts_seen, exclude=linear)
-    from tacgen.sensor.model import LayerBase
+    from tacgen.sensor.layers import LayerBase
 
     optical = LayerBase.model_fields  # the law's own fields are not among them
     seen["gel"]["layers"] = [{k: v for k, v in layer.items() if k in optical} for layer in seen["gel"]["layers"]]

@@ -12,7 +12,8 @@ from tacgen.bundle import dataset
 from tacgen.bundle.bundle import Bundle, read
 from tacgen.bundle.caption import caption, indenter_text, sensor_text
 from tacgen.errors import UserError
-from tacgen.report.layers import LAYERS, limits
+from tacgen.outputs import DRAWN_MAPS
+from tacgen.report.layers import has_arrows, limits, map_of
 from tacgen.report.sheet import Sheet, round_ticks
 
 if TYPE_CHECKING:
@@ -221,19 +222,21 @@ def draw_camera(
 def draw_map(
     bundle: Bundle, panels: list["Axes"], shown: np.ndarray, image: tuple[int, int], window: Window, name: str
 ) -> tuple[Any, str]:
-    """Draw one of LAYERS in image pixels, nan in grey, all frames on one scale.
+    """Draw one of DRAWN_MAPS in image pixels, nan in grey, all frames on one scale.
 
     Vectors are drawn as arrows on a coarse grid over the window. Returns the mappable and the label of a colour bar.
     """
-    layer = LAYERS[name]
-    values = layer.values(bundle)
-    low, high = limits(values)
+    layer = DRAWN_MAPS[name]
+    drawn = map_of(layer, bundle)
+    low, high = limits(drawn)
     extent = (0, image[1], image[0], 0)
     for panel, k in zip(panels, shown, strict=True):
-        drawn = panel.imshow(values[k], cmap=layer.colours, vmin=low, vmax=high, extent=extent, interpolation="nearest")
+        image_of = panel.imshow(
+            drawn[k], cmap=layer.colours, vmin=low, vmax=high, extent=extent, interpolation="nearest"
+        )
         panel.set(facecolor="#b0b0b0")
-    if layer.vectors:
-        h, w = values.shape[1:]
+    if has_arrows(layer, bundle):
+        h, w = drawn.shape[1:]
         step = max(1, round((window[1] - window[0]) * w / 14))
         rows, columns = (np.arange(n) for n in (h, w))
         rows = rows[(rows >= window[2] * h) & (rows < window[3] * h)][step // 2 :: step]
@@ -241,10 +244,10 @@ def draw_map(
         at = np.stack(np.meshgrid((columns + 0.5) * image[1] / w, (rows + 0.5) * image[0] / h), axis=-1).reshape(-1, 2)
         span = (window[1] - window[0]) * image[1]
         for panel, k in zip(panels, shown, strict=True):
-            arrows = bundle.frame(layer.vectors, int(k))[np.ix_(rows, columns)].reshape(-1, 2)
+            arrows = bundle.frame(layer.path, int(k))[np.ix_(rows, columns)].reshape(-1, 2)
             _arrows(panel, at, arrows / max(high, 1e-12) * span / 9, span)
     zoom(bundle, panels, image, window, name)
-    return drawn, layer.label
+    return image_of, layer.label
 
 
 def zoom(bundle: Bundle, panels: list["Axes"], image: tuple[int, int], window: Window, label: str) -> None:
@@ -259,7 +262,7 @@ def zoom(bundle: Bundle, panels: list["Axes"], image: tuple[int, int], window: W
 
 ROWS: tuple[tuple[tuple[str, ...], Any], ...] = (
     (("/frames/rgb", "/frames/marker_flow"), draw_camera),
-    *((LAYERS[name].needs[:1], partial(draw_map, name=name)) for name in ("pressure", "traction", "height")),
+    *(((DRAWN_MAPS[name].path,), partial(draw_map, name=name)) for name in ("pressure", "traction", "height")),
 )
 
 

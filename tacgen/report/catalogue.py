@@ -1,9 +1,10 @@
-"""The available sensors, recipes, objects, shapes and formats, one line each: for `tacgen list`."""
+"""The available sensors, recipes, objects, shapes, outputs and formats, one line each: for `tacgen list`."""
 
 from collections.abc import Callable
 from pathlib import Path
 
 from tacgen.export import EXPORTERS
+from tacgen.outputs import NAMES, OUTPUTS
 from tacgen.recipe import assets
 from tacgen.recipe.indenters import SHAPES
 from tacgen.sensor.yaml_source import at, load
@@ -60,5 +61,6 @@ KINDS: dict[str, Callable[[], Entries]] = {
     "recipes": recipes,
     "objects": objects,
     "shapes": shapes,
+    "outputs": lambda: {name: OUTPUTS[name].text for name in NAMES},
     "formats": lambda: EXPORTERS,
 }

@@ -1,48 +1,28 @@
-"""How each map of a bundle is drawn in figures and in the viewer: datasets, values, label and colours."""
-
-from collections.abc import Callable
-from typing import NamedTuple
+"""The values and the scale of a map in figures and in the viewer; outputs say which maps there are."""
 
 import numpy as np
 
 from tacgen.bundle.bundle import Bundle
+from tacgen.outputs.base import DrawnMap
 
 Array = np.ndarray
 
 
-class Layer(NamedTuple):
-    """A map over the frames, with a perceptually uniform colour map of matplotlib."""
-
-    needs: tuple[str, ...]
-    values: Callable[[Bundle], Array]  # (N, h, w), nan outside the coating
-    label: str
-    colours: str
-    vectors: str = ""  # the dataset (N, h, w, 2) whose arrows are drawn on it
+def datasets_of(layer: DrawnMap) -> tuple[str, ...]:
+    """The datasets from which a map is drawn."""
+    return (layer.path, layer.less) if layer.less else (layer.path,)
 
 
-LAYERS = {
-    "pressure": Layer(("/frames/pressure",), lambda bundle: bundle["/frames/pressure"], "pressure [MPa]", "viridis"),
-    "traction": Layer(
-        ("/frames/traction",),
-        lambda bundle: np.linalg.norm(bundle["/frames/traction"], axis=-1),
-        "traction [MPa]",
-        "magma",
-        "/frames/traction",
-    ),
-    "height": Layer(  # minus the reference: on a dome its height would hide the change
-        ("/frames/height", "/reference/height"),
-        lambda bundle: bundle["/frames/height"] - bundle["/reference/height"],
-        "change of z [mm]",
-        "cividis",
-    ),
-    "flow": Layer(
-        ("/frames/flow",),
-        lambda bundle: np.linalg.norm(bundle["/frames/flow"], axis=-1),
-        "flow [px]",
-        "viridis",
-        "/frames/flow",
-    ),
-}
+def map_of(layer: DrawnMap, bundle: Bundle) -> Array:
+    """A map over the frames (N, h, w); nan outside the coating."""
+    found = np.asarray(bundle[layer.path])
+    found = np.linalg.norm(found, axis=-1) if found.ndim == 4 else found
+    return found - bundle[layer.less] if layer.less else found
+
+
+def has_arrows(layer: DrawnMap, bundle: Bundle) -> bool:
+    """Whether the map is of vectors, drawn as arrows too."""
+    return len(bundle.shapes[layer.path]) == 4
 
 
 def limits(values: Array) -> tuple[float, float]:

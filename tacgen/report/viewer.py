@@ -21,9 +21,10 @@ from tacgen.bundle.caption import indenter_text, sensor_text
 from tacgen.bundle.image_file import encoded
 from tacgen.errors import UserError
 from tacgen.fem.elements import triangles
+from tacgen.outputs import DRAWN_MAPS
 from tacgen.report.bundle_figure import LINES, image_size, magnification, only, scale_of
 from tacgen.report.field_figure import FIELDS, SECTIONS, WIDE, indenter_surface, section
-from tacgen.report.layers import LAYERS, limits
+from tacgen.report.layers import datasets_of, has_arrows, limits, map_of
 from tacgen.report.plane_cut import boundary
 
 if TYPE_CHECKING:
@@ -33,7 +34,7 @@ Array = np.ndarray
 NEEDS = {
     "camera": ("/frames/rgb",),
     "markers": ("/reference/markers", "/frames/marker_flow"),  # arrows on the camera images
-    **{name: layer.needs for name, layer in LAYERS.items()},
+    **{name: datasets_of(layer) for name, layer in DRAWN_MAPS.items()},
     "stress": ("/mesh/points", "/frames/pose", *FIELDS["stress"][0]),
 }
 FRAMES = 60  # most frames of a page, evenly spread over a longer scene; a frame with all layers takes about 0.2 MB
@@ -71,7 +72,7 @@ def block(bundles: Sequence[Bundle], *, in_3d: bool = True) -> str:
     """
     wanted = {name: needs for name, needs in NEEDS.items() if in_3d or name != "stress"}
     names = [name for name, needs in wanted.items() if any(_all_in(bundle, needs) for bundle in bundles)]
-    scales = {name: _scale(name, bundles) for name in names if name in LAYERS}
+    scales = {name: _scale(name, bundles) for name in names if name in DRAWN_MAPS}
     solids = [_solid(bundle) if in_3d and _all_in(bundle, NEEDS["stress"]) else None for bundle in bundles]
     parts = []
     for i, (label, _, colours, signed) in enumerate(SECTIONS if any(solids) else ()):
@@ -110,8 +111,8 @@ def _all_in(bundle: Bundle, needs: Sequence[str]) -> bool:
 
 
 def _scale(name: str, bundles: Sequence[Bundle]) -> dict[str, Any]:
-    layer = LAYERS[name]
-    ends = [limits(layer.values(bundle)) for bundle in bundles if _all_in(bundle, layer.needs)]
+    layer = DRAWN_MAPS[name]
+    ends = [limits(map_of(layer, bundle)) for bundle in bundles if _all_in(bundle, datasets_of(layer))]
     low, high = min(low for low, _ in ends), max(high for _, high in ends)
     return {"low": low, "high": high, "label": layer.label, "colours": layer.colours}
 
@@ -144,17 +145,17 @@ def _layers(bundle: Bundle, scales: dict[str, Any], times: int) -> dict[str, Any
         at, by = bundle["/reference/markers"] / (width, height), times * bundle["/frames/marker_flow"][frames] / width
         found["markers"] = {"arrows": {"at": _numbers(at), "by": _numbers(by)}}
     for name, scale in scales.items():
-        layer = LAYERS[name]
-        if not _all_in(bundle, layer.needs):
+        layer = DRAWN_MAPS[name]
+        if not _all_in(bundle, datasets_of(layer)):
             continue
-        values = layer.values(bundle)[frames]
-        found[name] = {"kind": "png", "pictures": [_picture(grey, "PNG") for grey in _levels(values, scale)]}
-        if layer.vectors:
-            h, w = values.shape[1:]
+        drawn = map_of(layer, bundle)[frames]
+        found[name] = {"kind": "png", "pictures": [_picture(grey, "PNG") for grey in _levels(drawn, scale)]}
+        if has_arrows(layer, bundle):
+            h, w = drawn.shape[1:]
             step = max(1, round(w / ARROWS))
             rows, columns = np.arange(step // 2, h, step), np.arange(step // 2, w, step)
             at = np.stack(np.meshgrid((columns + 0.5) / w, (rows + 0.5) / h), -1).reshape(-1, 2)
-            by = bundle[layer.vectors][frames][:, rows[:, None], columns].reshape(len(frames), -1, 2)
+            by = bundle[layer.path][frames][:, rows[:, None], columns].reshape(len(frames), -1, 2)
             by = by / scale["high"] * 1.3 / ARROWS
             found[name]["arrows"] = {"at": _numbers(at), "by": _numbers(by)}
     return found

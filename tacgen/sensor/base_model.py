@@ -1,20 +1,40 @@
 """Base class and shared types of the models of recipe and sensor files."""
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Vec2 = tuple[float, float]
 Vec3 = tuple[float, float, float]
+Index = Annotated[float, Field(ge=1, le=4)]  # of refraction
+Item = TypeVar("Item")
+Three = tuple[Item, Item, Item]
 FilePath = Annotated[str, Field(min_length=1)]  # relative to the folder of the file in which it is written
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]  # hash that the named file must have; stored in bundles
 Axis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 NOWHERE = "not stated"  # the default `source` of a part: nobody has said where its numbers come from
 ONE_KEY: dict[str, Any] = {"minProperties": 1, "maxProperties": 1}  # in a JSON schema
+
+
+def as_tuple(value: Any) -> Any:
+    """A list as a tuple: the strict mode in which values from Python are checked accepts no list."""
+    return tuple(value) if isinstance(value, list) else value
+
+
+def _as_rgb(value: Any) -> Any:
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return (value,) * 3
+    return as_tuple(value)
+
+
+# Red, green, blue. A single number stands for three equal ones, so that `vary` can change all three together.
+Rgb = Annotated[Three[NotNegative], BeforeValidator(_as_rgb, json_schema_input_type=NotNegative | Three[NotNegative])]
+Radii = Annotated[Three[Positive], BeforeValidator(_as_rgb, json_schema_input_type=Positive | Three[Positive])]
+Shares = Annotated[Three[Fraction], BeforeValidator(_as_rgb, json_schema_input_type=Fraction | Three[Fraction])]
 
 
 class Part(BaseModel):

@@ -11,7 +11,7 @@ MOST = 10_000  # dots of a sensor
 
 
 class Motion(Part):
-    """Constants of the analytic marker motion, `markers: {method: analytic}`; see labels/fots_markers."""
+    """Constants of the analytic marker motion, `markers: {method: analytic}`; see outputs/fots_markers."""
 
     press: tuple[float, Positive]  # gain [1/mm^3] and decay [1/mm^2]
     shear: tuple[Positive, Positive]  # largest drag of the contact's centre [mm], and decay [1/mm^2]

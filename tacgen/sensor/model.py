@@ -8,171 +8,35 @@ below that.
 import math
 from collections.abc import Iterator
 from itertools import pairwise
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar
+from typing import TYPE_CHECKING, Annotated, Literal, Self
 
-from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+from pydantic import Field, model_validator
 
 from tacgen.sensor.base_model import (
     NOWHERE,
     Axis,
     FilePath,
     Fraction,
+    Index,
     NotNegative,
     Part,
     Positive,
+    Radii,
+    Rgb,
     Sha256,
+    Shares,
     Vec2,
     Vec3,
-    exactly_one,
-    needs,
 )
+from tacgen.sensor.layers import Layer
 from tacgen.sensor.markers import Markers
 from tacgen.sensor.yaml_source import KeyPath, format_path
 
 if TYPE_CHECKING:
     from tacgen.geometry.outline import Pad
 
-Index = Annotated[float, Field(ge=1, le=4)]
-Poisson = Annotated[float, Field(ge=0, lt=0.5)]
-Item = TypeVar("Item")
-Three = tuple[Item, Item, Item]
 Pixels = Annotated[int, Field(ge=8, le=4096)]
 Angle = Annotated[float, Field(ge=-20, le=20)]
-
-
-def _tuple(value: Any) -> Any:
-    """A list as a tuple: the strict mode in which values from Python are checked accepts no list."""
-    return tuple(value) if isinstance(value, list) else value
-
-
-def _as_rgb(value: Any) -> Any:
-    if isinstance(value, int | float) and not isinstance(value, bool):
-        return (value,) * 3
-    return _tuple(value)
-
-
-# Red, green, blue. A single number stands for three equal ones, so that `vary` can change all three together.
-Rgb = Annotated[Three[NotNegative], BeforeValidator(_as_rgb, json_schema_input_type=NotNegative | Three[NotNegative])]
-Radii = Annotated[Three[Positive], BeforeValidator(_as_rgb, json_schema_input_type=Positive | Three[Positive])]
-Shares = Annotated[Three[Fraction], BeforeValidator(_as_rgb, json_schema_input_type=Fraction | Three[Fraction])]
-
-
-class Scattering(Part):
-    """Homogeneous scattering in a layer, with the phase function of Henyey and Greenstein."""
-
-    extinction_per_mm: Positive  # extinction coefficient: scattering plus absorption
-    albedo: Shares  # single-scattering albedo: scattering over extinction
-    forward: Annotated[float, Field(gt=-1, lt=1)] = 0.0  # mean cosine g of the scattering angle
-    source: str = NOWHERE
-
-
-class LayerBase(Part):
-    """The fields that every layer of gel has, whatever its material law."""
-
-    name: str
-    thickness_mm: Positive
-    refractive_index: Index = 1.41
-    scattering: Scattering | None = None  # clear if absent
-    opaque: bool = False  # if true, the coating is on the inner side of this layer
-    source: str = NOWHERE
-
-    @property
-    def terms(self) -> tuple[tuple[float, float], ...]:
-        """g and tau [s] of each term of the Prony series; empty if the layer is elastic."""
-        return ()
-
-
-class PronyTerm(Part):
-    """One term of a Prony series: a share g of the instantaneous shear modulus that relaxes with time constant tau."""
-
-    g: Annotated[float, Field(gt=0, lt=1)]
-    tau_s: Positive
-
-
-def _some_left(value: tuple[PronyTerm, ...]) -> tuple[PronyTerm, ...]:
-    if (total := sum(term.g for term in value)) >= 1:
-        raise ValueError(f"must have g that add up to less than 1 (got {total:g}): nothing is left at rest; lower them")
-    return value
-
-
-Prony = Annotated[tuple[PronyTerm, ...], Field(min_length=1), BeforeValidator(_tuple), AfterValidator(_some_left)]
-
-
-class IsochoricLayer(LayerBase):
-    """A law whose isochoric part is separate, so that it may be viscoelastic. The law's constants are the long-term
-    ones; the instantaneous stiffness is larger by 1/(1 - sum of g)."""
-
-    prony: Prony | None = None  # elastic if absent
-
-    @property
-    def terms(self) -> tuple[tuple[float, float], ...]:
-        return tuple((term.g, term.tau_s) for term in self.prony or ())
-
-
-class NeoHookeLayer(IsochoricLayer):
-    """Isochoric neo-Hookean; the default law."""
-
-    law: Literal["neo_hooke"] = "neo_hooke"
-    youngs_modulus_mpa: Positive
-    poissons_ratio: Poisson
-
-
-class StableNeoHookeLayer(LayerBase, json_schema_extra=needs("law")):
-    """The stable neo-Hookean law of Smith et al. (2018), as in UIPC."""
-
-    law: Literal["stable_neo_hooke"] = "stable_neo_hooke"
-    youngs_modulus_mpa: Positive
-    poissons_ratio: Poisson
-
-
-class NearlyIncompressible(IsochoricLayer):
-    """Compressibility, given by one of two numbers."""
-
-    poissons_ratio: Poisson | None = None
-    bulk_modulus_mpa: Positive | None = None
-
-    @model_validator(mode="after")
-    def _one(self) -> Self:
-        exactly_one(self, names=("poissons_ratio", "bulk_modulus_mpa"))
-        return self
-
-
-class MooneyRivlinLayer(NearlyIncompressible, json_schema_extra=needs("law")):
-    """Mooney-Rivlin: the shear modulus at rest is 2 (c10 + c01)."""
-
-    law: Literal["mooney_rivlin"] = "mooney_rivlin"
-    c10_mpa: Positive
-    c01_mpa: NotNegative
-
-
-class YeohLayer(NearlyIncompressible, json_schema_extra=needs("law")):
-    """Yeoh, of third order: the shear modulus at rest is 2 c10."""
-
-    law: Literal["yeoh"] = "yeoh"
-    c10_mpa: Positive
-    c20_mpa: float = 0.0
-    c30_mpa: NotNegative = 0.0
-
-    @model_validator(mode="after")
-    def _stiff(self) -> Self:
-        least = -((3 * self.c10_mpa * self.c30_mpa) ** 0.5)
-        if self.c20_mpa < least:  # c10 + 2 c20 y + 3 c30 y^2 falls below zero at some stretch
-            raise ValueError(
-                f"c20_mpa must be at least -sqrt(3 c10 c30), {least:g} (got {self.c20_mpa:g}): softens to nothing"
-            )
-        return self
-
-
-def _with_law(value: Any) -> Any:
-    return {"law": "neo_hooke", **value} if isinstance(value, dict) else value
-
-
-# Layers are listed from the bonded base outward to the coated face.
-Layer = Annotated[
-    NeoHookeLayer | StableNeoHookeLayer | MooneyRivlinLayer | YeohLayer,
-    Field(discriminator="law"),
-    BeforeValidator(_with_law),
-]
 
 
 class StadiumEnd(Part):

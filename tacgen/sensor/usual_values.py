@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from tacgen.sensor.model import Gel, Layer, MooneyRivlinLayer, YeohLayer
+from tacgen.sensor.model import Gel
 from tacgen.sensor.validation_messages import Problem
 
 MODULUS_MPA = (0.005, 5.0)  # Young's modulus of gels and skins, from the softest silicone gels to hard rubber [MPa]
@@ -24,7 +24,7 @@ def unusual(gel: Gel) -> Iterator[Problem]:
     if asked := _asked(thickness, THICKNESS_MM, LENGTHS):
         yield Problem(("gel", "layers", 0, "thickness_mm"), f"a gel {thickness:g} mm thick; gels have {asked}")
     for i, layer in enumerate(gel.layers):
-        key, modulus = _modulus(layer)
+        key, modulus = layer.stiffness
         if asked := _asked(modulus, MODULUS_MPA, MODULI):
             yield Problem(("gel", "layers", i, key), f"a Young's modulus of {modulus:g} MPa; that of gels is {asked}")
 
@@ -37,14 +37,3 @@ def _asked(value: float, usual: tuple[float, float], kind: Kind) -> str:
     in_unit = {name: value * size for name, size in mistaken.items()}
     meant = [f": {v:g} {unit} if it is in {name}?" for name, v in in_unit.items() if least <= v <= most]
     return f"{least:g} to {most:g}, and {quantity} are in {unit}{''.join(meant[:1])}"
-
-
-def _modulus(layer: Layer) -> tuple[str, float]:
-    """The key that sets the stiffness, and Young's modulus at rest [MPa]; 3 G where no Poisson's ratio is asked for."""
-    match layer:
-        case MooneyRivlinLayer():
-            return "c10_mpa", 6 * (layer.c10_mpa + layer.c01_mpa)
-        case YeohLayer():
-            return "c10_mpa", 6 * layer.c10_mpa
-        case _:
-            return "youngs_modulus_mpa", layer.youngs_modulus_mpa

@@ -12,8 +12,9 @@ from helpers.small_recipe import HEAD
 
 import tacgen
 from tacgen import api, pipeline
-from tacgen.bundle import bundle, schema
+from tacgen.bundle import bundle
 from tacgen.errors import LeftOut
+from tacgen.outputs import LAYOUT
 from tacgen.recipe import plan
 
 COARSE = {"edge_mm": 1.0, "dhat_mm": 0.1}
@@ -49,8 +50,8 @@ def test_arrays_have_the_shapes_and_units_that_the_docstring_says(frames: tacgen
     assert {name for name, *_ in said} == declared
     for name, _, shape, units in said:
         known = api.frames.ALIASES.get(name, name)
-        path = f"/frames/{known}" if f"/frames/{known}" in schema.LAYOUT else f"/fields/{known}"
-        assert (shape.replace(",", ""), units) == (schema.LAYOUT[path].shape, schema.LAYOUT[path].units), name
+        path = f"/frames/{known}" if f"/frames/{known}" in LAYOUT else f"/fields/{known}"
+        assert (shape.replace(",", ""), units) == (LAYOUT[path].shape, LAYOUT[path].units), name
     assert frames.force.shape == (len(frames), 3) == (3, 3)
     assert frames.pressure.shape == frames.height.shape == (3, 240, 320)
     assert frames.stress.shape == (3, frames.displacement.shape[1], 6)

@@ -279,9 +279,9 @@ def test_a_method_is_as_fast_as_its_coarsest_mesh_from_which_on_all_are_right() 
 
 ALWAYS = {"numpy", "scipy", "numba", "h5py", "cvxopt", "pymetis"}
 UNASKED = {  # modules and packages that only this brings
-    "traction": {"tacgen.labels.contact_maps"},
+    "traction": {"tacgen.outputs.contact_maps"},
     "height": {"tacgen.optics.surface_grid"},
-    "stress": {"tacgen.labels.stress", "tacgen.fem.stress_recovery"},
+    "stress": {"tacgen.outputs.cauchy_stress", "tacgen.fem.stress_recovery"},
     "markers": {"tacgen.optics.material_flow", "tacgen.optics.surface_grid"},
     "rgb": {"tacgen.render.images", "tacgen.render.mitsuba_path", "tacgen.optics.strip_light", "mitsuba", "drjit"},
 }
@@ -316,11 +316,11 @@ def test_outputs_that_are_not_asked_for_are_not_computed() -> None:
     slips = {"tacgen.mechanics.friction:dragged", "tacgen.mechanics.friction:slip"}
     assert slips <= rubbing - without
     modules = {name.partition(":")[0] for name in without}
-    assert {"tacgen.labels.gel_surface", "tacgen.mechanics.frames"} <= modules  # the wrench alone
+    assert {"tacgen.outputs.gel_surface", "tacgen.mechanics.frames"} <= modules  # the wrench alone
     unasked = (
         "geometry.sdf_grid",
-        "labels.contact_maps",
-        "labels.stress",
+        "outputs.contact_maps",
+        "outputs.cauchy_stress",
         "geometry.mesh_import",
         "mechanics.tet_mesh",
     )

@@ -24,8 +24,8 @@ from tacgen.bundle.bundle import Unfinished, Writer, complete, read
 from tacgen.bundle.check import check
 from tacgen.bundle.hdf5_file import Damaged
 from tacgen.bundle.rounding import rounded
-from tacgen.bundle.schema import LAYOUT
 from tacgen.errors import UserError
+from tacgen.outputs import LAYOUT
 
 MAPS = ("/frames/normals", "/frames/radiance")
 KEY = attributes()["input_key"]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tacgen.bundle.rounding import rounded, to_bits, to_multiples
-from tacgen.bundle.schema import BITS, LAYOUT, STEPS
+from tacgen.outputs import LAYOUT
 
 RNG = np.random.default_rng(2)
 
@@ -15,7 +15,7 @@ def values() -> np.ndarray:
     return np.append(some, [0.0, np.nan]).astype("f4")
 
 
-@pytest.mark.parametrize("power", sorted(set(STEPS.values())))
+@pytest.mark.parametrize("power", sorted({row.power for row in LAYOUT.values() if row.power is not None}))
 def test_multiples_are_the_nearest(power: int) -> None:
     x, step = values(), 2.0**power
     out = to_multiples(x, step)
@@ -48,8 +48,8 @@ def test_a_value_beyond_the_steps_keeps_its_own_digits() -> None:
 
 
 def test_what_is_rounded_is_float32_of_the_layout() -> None:
-    assert not set(STEPS) & set(BITS)
-    assert {LAYOUT[path].dtype for path in (*STEPS, *BITS)} == {"<f4"}
+    assert not [path for path, row in LAYOUT.items() if row.power and row.bits]
+    assert {row.dtype for row in LAYOUT.values() if row.rounding} == {"<f4"}
     x = values()
     assert rounded("/fields/displacement", x) is x
     assert (rounded("/frames/height", x)[:-1] == to_multiples(x, 2**-16)[:-1]).all()

@@ -9,8 +9,9 @@ from scipy.optimize import brentq
 
 from tacgen.fem.materials import EXAMPLES, Law, MooneyRivlin, NeoHooke, StableNeoHooke, Yeoh
 from tacgen.recipe.loading import read_sensor
-from tacgen.recipe.scene_of_row import gel_of, law_of
-from tacgen.sensor.model import Gel, Layer, Sensor
+from tacgen.recipe.scene_of_row import gel_of
+from tacgen.sensor.layers import Layer
+from tacgen.sensor.model import Gel, Sensor
 from tacgen.sensor.validation_messages import validate
 
 SENSOR = Path(__file__).parents[2] / "sensors" / "gelsight_mini.yaml"
@@ -57,12 +58,12 @@ def uniaxial(law: Law, stretch: float) -> tuple[float, float]:
 def test_every_law_can_be_written():
     assert set(WRITTEN) == set(EXAMPLES)
     for name, law in EXAMPLES.items():
-        assert type(law_of(layer(name))) is type(law)
+        assert type(layer(name).material()) is type(law)
 
 
 @pytest.mark.parametrize("name", WRITTEN)
 def test_a_bar_pulled_a_little_has_the_modulus_and_the_ratio_asked_for(name: str):
-    law, e = law_of(layer(name)), 1e-5
+    law, e = layer(name).material(), 1e-5
     up, down = uniaxial(law, 1 + e), uniaxial(law, 1 - e)
     assert (up[0] - down[0]) / (2 * e) == pytest.approx(E, rel=1e-6)
     assert -(up[1] - down[1]) / (2 * e) == pytest.approx(NU, rel=1e-6)

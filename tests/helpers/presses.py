@@ -9,9 +9,9 @@ from tacgen import mechanics
 from tacgen.fem.materials import NeoHooke
 from tacgen.geometry.analytic_sdf import Shape
 from tacgen.geometry.gel import Gel, Layer
-from tacgen.labels import gel_surface
 from tacgen.mechanics import mesh
 from tacgen.mechanics.scene import Scene
+from tacgen.outputs import gel_surface
 
 Array = np.ndarray
 Footprint = tuple[float, float, float, float]

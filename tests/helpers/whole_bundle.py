@@ -8,7 +8,7 @@ import numpy as np
 from helpers.synthetic import attributes, image, marker_grid, states
 from helpers.synthetic import frame as synthetic_frame
 from tacgen.bundle.bundle import Writer
-from tacgen.bundle.schema import LAYOUT
+from tacgen.outputs import LAYOUT
 
 IMAGE, MAP = (240, 320), (60, 80)  # FEATS takes images of this size only
 SIZES = {"H": IMAGE[0], "W": IMAGE[1], "h": MAP[0], "w": MAP[1], "M": 63, "n": 8, "m": 1, "k": 4}

@@ -11,9 +11,9 @@ from tacgen import mechanics, pipeline
 from tacgen.bundle.bundle import read
 from tacgen.errors import UserError
 from tacgen.fem.materials import NeoHooke
-from tacgen.labels.uncertainty import Sensitivities
 from tacgen.mechanics import mesh
 from tacgen.mechanics.scene import Scene
+from tacgen.outputs.sensitivities import Sensitivities
 from tacgen.recipe import plan, scene_of_row
 from tacgen.recipe.model import Uncertainty
 
@@ -34,7 +34,7 @@ def force(state: mechanics.State) -> np.ndarray:
 def slopes(row: plan.Row, options: mechanics.SolverOptions = EXACT) -> tuple[Scene, mesh.Mesh, dict[str, np.ndarray]]:
     built = scene_of_row.build(row)
     problem = mechanics.Problem.of(built, mesh.of(built), options)
-    follow = Sensitivities(problem, Uncertainty.model_validate(ALL), row.sensor.gel)
+    follow = Sensitivities(problem, Uncertainty.model_validate(ALL).deviations, row.sensor.gel)
     for state in mechanics.states(built, problem):
         found = {unsure.name: unsure.force for unsure in follow.at(state)}
     return built, problem.mesh, found

@@ -11,11 +11,11 @@ import pytest
 from helpers.presses import Run
 
 from tacgen import mechanics
-from tacgen.labels import gel_surface
-from tacgen.labels.contact_maps import Maps
-from tacgen.labels.contact_maps import maps as maps_of
 from tacgen.mechanics import mesh
 from tacgen.optics.camera import Camera
+from tacgen.outputs import gel_surface
+from tacgen.outputs.contact_maps import Maps
+from tacgen.outputs.contact_maps import maps as maps_of
 from tacgen.recipe import loading, plan, scene_of_row
 
 Array = np.ndarray

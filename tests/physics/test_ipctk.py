@@ -15,8 +15,8 @@ from tacgen.geometry import surface_nets
 from tacgen.geometry.analytic_sdf import Box, Shape, Sphere, Torus
 from tacgen.geometry.gel import Gel
 from tacgen.geometry.pose import Pose
-from tacgen.labels.stress import Stresses
 from tacgen.mechanics import mesh
+from tacgen.outputs.cauchy_stress import Stresses
 from tacgen.recipe import plan, scene_of_row
 
 ipctk = pytest.importorskip("ipctk")

@@ -12,12 +12,12 @@ from tacgen import mechanics
 from tacgen.fem.materials import NeoHooke
 from tacgen.geometry.analytic_sdf import Sphere
 from tacgen.geometry.gel import Gel, Layer
-from tacgen.labels import gel_surface
-from tacgen.labels.contact_maps import maps
-from tacgen.labels.stress import Stresses
 from tacgen.mechanics import mesh
 from tacgen.mechanics.scene import Scene
 from tacgen.optics.camera import Camera, Stack
+from tacgen.outputs import gel_surface
+from tacgen.outputs.cauchy_stress import Stresses
+from tacgen.outputs.contact_maps import maps
 from tacgen.recipe import plan, scene_of_row
 
 Array = np.ndarray

@@ -10,7 +10,7 @@ from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import elements
 from tacgen.fem.potential import Total
 from tacgen.fem.stress_recovery import Recovery
-from tacgen.labels.stress import VOIGT, _means
+from tacgen.outputs.cauchy_stress import VOIGT, _means
 
 Array = np.ndarray
 

@@ -20,9 +20,9 @@ from tacgen.fem.materials import NeoHooke
 from tacgen.geometry import surface_nets
 from tacgen.geometry.analytic_sdf import Sphere
 from tacgen.geometry.gel import Gel
-from tacgen.labels.stress import Stresses
 from tacgen.mechanics import mesh
 from tacgen.mechanics.scene import Dynamics
+from tacgen.outputs.cauchy_stress import Stresses
 from tacgen.recipe import plan, scene_of_row
 
 Array = np.ndarray

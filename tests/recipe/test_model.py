@@ -12,10 +12,11 @@ from pydantic_core import PydanticUndefined
 from ruamel.yaml import YAML
 
 from tacgen.errors import UserError
+from tacgen.outputs import NAMES
 from tacgen.recipe import assets, loading
 from tacgen.recipe.indenters import SHAPES
 from tacgen.recipe.loading import read
-from tacgen.recipe.model import OUTPUTS, QUALITIES, Recipe
+from tacgen.recipe.model import QUALITIES, Recipe
 from tacgen.sensor import yaml_source
 from tacgen.sensor.model import LIGHTS, Sensor
 from tacgen.sensor.validation_messages import validate
@@ -452,7 +453,7 @@ recipes = st.fixed_dictionaries(
         "sensor": st.just("gelsight_mini"),
         "indenter": indenters(),
         "trajectory": st.lists(segments, min_size=1, max_size=5),
-        "outputs": st.lists(st.sampled_from(OUTPUTS), min_size=1, unique=True),
+        "outputs": st.lists(st.sampled_from(NAMES), min_size=1, unique=True),
     },
     optional={
         "start": st.fixed_dictionaries({"x_mm": angles, "yaw_deg": angles, "tilt_deg": st.floats(0, 89)}),

@@ -11,11 +11,11 @@ from tacgen import mechanics
 from tacgen.errors import UserError
 from tacgen.fem.elements import facet_areas, hexes
 from tacgen.geometry.pose import Pose
-from tacgen.labels import camera_maps, gel_surface
-from tacgen.labels.contact_maps import maps as maps_of
 from tacgen.mechanics import mesh
 from tacgen.optics.camera import Camera
 from tacgen.optics.surface_grid import Sheet
+from tacgen.outputs import camera_maps, gel_surface
+from tacgen.outputs.contact_maps import maps as maps_of
 from tacgen.recipe import assets, loading, plan, scene_of_row, trajectory_checks
 from tacgen.sensor.model import Sensor
 

@@ -11,11 +11,11 @@ from ruamel.yaml import YAML
 from tacgen import mechanics
 from tacgen.errors import UserError
 from tacgen.fem.stress_recovery import FULL
-from tacgen.labels import gel_surface
-from tacgen.labels.contact_maps import maps as maps_of
-from tacgen.labels.stress import Stresses
 from tacgen.mechanics import mesh
 from tacgen.optics.camera import Camera
+from tacgen.outputs import gel_surface
+from tacgen.outputs.cauchy_stress import Stresses
+from tacgen.outputs.contact_maps import maps as maps_of
 from tacgen.recipe import assets, loading, plan, scene_of_row
 
 LIT = ("coating", "walls", "leds")

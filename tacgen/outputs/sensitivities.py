@@ -1,6 +1,6 @@
 """Uncertain inputs of a scene, and the change of its frames with each of them."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,13 +8,8 @@ from scipy.ndimage import uniform_filter
 
 from tacgen.fem.materials import Law
 from tacgen.mechanics import NotConverged, Problem, State, mesh, states
-from tacgen.mechanics.presolve import presolved
 from tacgen.mechanics.scene import Scene
 from tacgen.mechanics.sensitivity import Parameter, Sensitivity
-from tacgen.recipe import scene_of_row
-from tacgen.recipe.model import Uncertainty
-from tacgen.recipe.plan import Row
-from tacgen.recipe.scene_of_row import law_of
 from tacgen.sensor.model import Gel
 
 Array = np.ndarray
@@ -24,13 +19,12 @@ LEAST = 0.05  # smallest difference of a force's component over that of the whol
 SMALL = 1e-3  # relative change of the contact force in difference quotients of maps [-]
 
 
-def on_coarser_mesh(row: Row) -> tuple[Problem, Iterator[State]]:
+def on_coarser_mesh(built: Scene) -> tuple[Problem, Iterator[State]]:
     """A scene's frames with element edges and contact range COARSER times as long.
 
     Raises:
         NotConverged: a frame has no solution on that mesh.
     """
-    built = presolved(scene_of_row.build(row))
     built = replace(built, edge=COARSER * built.edge, dhat=COARSER * built.dhat)
     problem = Problem.of(built, mesh.of(built))
     return problem, _solved(built, problem)
@@ -70,23 +64,25 @@ class Input:
 class Sensitivities:
     """Sensitivities of the frames of one scene, in order: friction's anchors depend on all frames before."""
 
-    def __init__(self, problem: Problem, asked: Uncertainty, gel: Gel) -> None:
-        """Inputs with a standard deviation of 0 are left out."""
+    def __init__(self, problem: Problem, deviations: Mapping[str, float], gel: Gel) -> None:
+        """`deviations` of modulus (relative), poissons_ratio, friction and depth [mm]; those of 0 are left out."""
 
         def poisson(by: float) -> tuple[Law, ...]:
             number = "poissons_ratio"
             old = [(layer, getattr(layer, number)) for layer in gel.layers]
-            return tuple(law_of(layer if v is None else layer.model_copy(update={number: v + by})) for layer, v in old)
+            return tuple(
+                (layer if v is None else layer.model_copy(update={number: v + by})).material() for layer, v in old
+            )
 
-        material, room = asked.material, min(0.5 - (getattr(la, "poissons_ratio", 0) or 0) for la in gel.layers)
+        room = min(0.5 - (getattr(layer, "poissons_ratio", 0) or 0) for layer in gel.layers)
         inputs = {
-            "poissons_ratio": (Parameter(room, poisson), material.poissons_ratio),
-            "friction": (Parameter(1.0, friction=1.0), material.friction if problem.friction else 0.0),
-            "depth": (Parameter(problem.contact.dhat, depth=1.0), asked.pose.depth_mm),
+            "poissons_ratio": (Parameter(room, poisson), deviations.get("poissons_ratio", 0.0)),
+            "friction": (Parameter(1.0, friction=1.0), deviations.get("friction", 0.0) if problem.friction else 0.0),
+            "depth": (Parameter(problem.contact.dhat, depth=1.0), deviations.get("depth", 0.0)),
         }
         inputs = {name: pair for name, pair in inputs.items() if pair[1] > 0}
         self._deviations = {name: deviation for name, (_, deviation) in inputs.items()}
-        self.asked, self._modulus = asked, material.modulus
+        self._modulus = deviations.get("modulus", 0.0)
         self._path = Sensitivity(problem, [parameter for parameter, _ in inputs.values()]) if inputs else None
 
     def at(self, state: State) -> Iterator[Input]:

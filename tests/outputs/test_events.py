@@ -9,8 +9,8 @@ from helpers.synthetic import attributes, write
 from tacgen import pipeline
 from tacgen.bundle.bundle import Bundle, read
 from tacgen.bundle.caption import Change, caption, changes, modes
-from tacgen.labels.events import friction_used
 from tacgen.optics.camera import Camera
+from tacgen.outputs.contact_events import friction_used
 from tacgen.recipe import plan
 from tacgen.report import viewer
 from tacgen.report.bundle_figure import figure, summary

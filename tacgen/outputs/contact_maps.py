@@ -16,9 +16,9 @@ from tacgen.fem.elements import (
 )
 from tacgen.fem.elements import triangles as pieces
 from tacgen.geometry.rasterize import hits
-from tacgen.labels.gel_surface import Surface
 from tacgen.mechanics import Problem, State
 from tacgen.optics.surface_grid import unit
+from tacgen.outputs.gel_surface import Surface
 
 if TYPE_CHECKING:
     from tacgen.optics.camera import Camera

@@ -6,9 +6,9 @@ import numpy as np
 
 from tacgen.geometry.analytic_sdf import Shape
 from tacgen.geometry.pose import Pose
-from tacgen.labels.gel_surface import Surface
 from tacgen.optics.drawn_face import DrawnFace
 from tacgen.optics.surface_grid import unit
+from tacgen.outputs.gel_surface import Surface
 
 if TYPE_CHECKING:
     from tacgen.optics.camera import Camera

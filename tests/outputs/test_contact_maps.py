@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from helpers.small import patch
 
-from tacgen.labels import contact_maps
-from tacgen.labels.gel_surface import Surface
 from tacgen.mechanics import Problem, State
 from tacgen.mechanics.barrier import Faces
 from tacgen.mechanics.ipctk import lattice
 from tacgen.optics.camera import Camera, Stack
+from tacgen.outputs import contact_maps
+from tacgen.outputs.gel_surface import Surface
 
 Array = np.ndarray
 RADIUS, FRICTION = 1.9, 0.4

@@ -17,12 +17,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tacgen.outputs.events import MODES
+
 if TYPE_CHECKING:
-    from tacgen.labels.contact_maps import Maps
     from tacgen.mechanics import Problem, State
+    from tacgen.outputs.contact_maps import Maps
 
 Array = np.ndarray
-MODES = ("apart", "touching", "sticking", "partly slipping", "sliding", "turning", "releasing")
 APART, TOUCHING, STICKING, SLIPPING, SLIDING, TURNING, RELEASING = range(len(MODES))
 FAINT = 3e-3  # mean pressure over the shear modulus [-]; below, the barrier acts before the gel is indented
 UNLOADED = 0.1  # friction used [-]; below, there is hardly any tangential load

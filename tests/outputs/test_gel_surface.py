@@ -14,14 +14,14 @@ from tacgen.fem.stress_recovery import FULL
 from tacgen.geometry.analytic_sdf import Sphere
 from tacgen.geometry.gel import Gel, Layer
 from tacgen.geometry.pose import Pose
-from tacgen.labels import camera_maps, gel_surface
-from tacgen.labels.contact_maps import Maps, tangents
-from tacgen.labels.contact_maps import maps as maps_of
-from tacgen.labels.stress import Stresses, _Face, agreeing
 from tacgen.mechanics import mesh
 from tacgen.mechanics.ipctk import lattice
 from tacgen.optics.camera import Camera
 from tacgen.optics.surface_grid import Sheet
+from tacgen.outputs import camera_maps, gel_surface
+from tacgen.outputs.cauchy_stress import Stresses, _Face, agreeing
+from tacgen.outputs.contact_maps import Maps, tangents
+from tacgen.outputs.contact_maps import maps as maps_of
 from tacgen.recipe import assets, loading
 from tacgen.sensor.model import Sensor
 

@@ -8,9 +8,9 @@ from helpers.tiny import sensor
 from tacgen.bundle import bundle
 from tacgen.errors import UserError
 from tacgen.geometry.analytic_sdf import Sphere
-from tacgen.labels.fots_markers import FotsMarkers
 from tacgen.optics.camera import Camera
 from tacgen.optics.coating import centers
+from tacgen.outputs.fots_markers import FotsMarkers
 from tacgen.pipeline import run
 from tacgen.recipe import plan
 from tacgen.sensor.markers import Motion

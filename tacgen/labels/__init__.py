@@ -1,1 +1,0 @@
-"""Labels from the solved gel: maps, stress, events, marker motion."""

@@ -1,0 +1,30 @@
+"""The outputs that a recipe can ask for, by name; each is a module here that holds its description as OUTPUT.
+
+Only what is asked for is computed, and imports numerics. What several outputs need is in scene_data.
+"""
+
+from importlib import import_module
+
+from tacgen.outputs.base import DrawnMap, Entry, Output
+
+NAMES = (  # in the order in which recipes are stored
+    "force",
+    "traction",
+    "events",
+    "force_map",
+    "height",
+    "normals",
+    "gap",
+    "stress",
+    "surface_stress",
+    "markers",
+    "flow",
+    "material",
+    "radiance",
+    "rgb",
+)
+BLOCKS = ("uncertainty", "grasp")  # not asked for by name, but by the block of that name in the recipe
+OUTPUTS: dict[str, Output] = {name: import_module(f"tacgen.outputs.{name}").OUTPUT for name in (*NAMES, *BLOCKS)}
+IMAGES = frozenset(name for name, output in OUTPUTS.items() if output.needs == "light")
+LAYOUT: dict[str, Entry] = {path: row for output in OUTPUTS.values() for path, row in output.rows.items()}
+DRAWN_MAPS: dict[str, DrawnMap] = {name: layer for output in OUTPUTS.values() for name, layer in output.maps.items()}

@@ -1,0 +1,30 @@
+"""The state of the contact as a whole, one mode and five numbers a frame."""
+
+from tacgen.outputs.base import Datasets, Entry, FrameData, Output
+
+MODES = ("apart", "touching", "sticking", "partly slipping", "sliding", "turning", "releasing")
+
+
+def _frame(frame: FrameData) -> Datasets:
+    from tacgen.outputs.contact_events import events
+
+    found = events(frame.scene.problem, frame.state, frame.before, frame.maps)
+    return {f"/frames/events/{name}": value for name, value in vars(found).items()}
+
+
+OUTPUT = Output(
+    "the contact as a whole: mode, stick ratio, friction used, centre of pressure, area, patches",
+    {
+        "/frames/events/mode": Entry(
+            "<i4", "N", "1", ", ".join(f"{number} {mode}" for number, mode in enumerate(MODES))
+        ),
+        "/frames/events/stick_ratio": Entry("<f8", "N", "1", "share of the normal force that does not slide"),
+        "/frames/events/friction_used": Entry(
+            "<f8", "N", "1", "load along the face over what friction can bear; 1 where all of it slides"
+        ),
+        "/frames/events/center_of_pressure": Entry("<f8", "N 3", "mm", "centre of pressure in the sensor frame"),
+        "/frames/events/contact_area": Entry("<f8", "N", "mm^2", "area of the deformed face in contact"),
+        "/frames/events/patches": Entry("<i4", "N", "1", "pieces that the contact consists of"),
+    },
+    _frame,
+)

@@ -1,0 +1,69 @@
+"""Pose of the indenter, force and torque on the gel, and how well the frame is solved: in every bundle."""
+
+from tacgen.outputs.base import FAR, Datasets, Entry, FrameData, Output
+
+
+def _frame(frame: FrameData) -> Datasets:
+    """Every dataset but segment and time, which the pipeline knows."""
+    from tacgen.geometry.pose import Pose
+    from tacgen.mechanics.barrier import Contact
+    from tacgen.mechanics.tunnelling import overlap
+    from tacgen.outputs.gel_surface import wrench
+
+    problem, state = frame.scene.problem, frame.state
+    force, torque = wrench(problem, state)
+    contact = problem.contact.moved(Pose.of(state.pose), state.offset)
+    return {
+        "/frames/pose": state.pose,
+        "/frames/force": force,
+        "/frames/torque": torque,
+        "/frames/quality/newton_iterations": state.iterations,
+        "/frames/quality/damped_steps": state.damped,
+        "/frames/quality/substeps": state.substeps,
+        "/frames/quality/min_gap_mm": state.min_gap,
+        "/frames/quality/mean_gap_mm": state.mean_gap,
+        "/frames/quality/overlap_mm": overlap(contact if isinstance(contact, Contact) else contact.distance, state.x),
+        "/frames/quality/rounded": state.rounded,
+        "/frames/quality/force_balance": state.balance,
+        "/frames/quality/residual": state.residual,
+        "/frames/quality/least_jacobian": state.least_J,
+    }
+
+
+OUTPUT = Output(
+    "pose, force and torque; these are in every bundle",
+    {
+        "/frames/pose": Entry(
+            "<f8", "N 4 4", "mm", "pose of the indenter in the sensor frame", axes="frame row column", most=FAR
+        ),
+        "/frames/segment": Entry("<i4", "N", "1", "index of the trajectory segment the frame belongs to"),
+        "/frames/time": Entry("<f8", "N", "s", "time since the start of the path, where time counts"),
+        "/frames/force": Entry("<f8", "N 3", "N", "force on the gel"),
+        "/frames/torque": Entry("<f8", "N 3", "N mm", "torque on the gel about the sensor origin"),
+        "/frames/quality/newton_iterations": Entry("<i4", "N", "1", "Newton iterations spent on the frame"),
+        "/frames/quality/damped_steps": Entry(
+            "<i4",
+            "N",
+            "1",
+            "of these, steps that needed damping: the gel folds, wrinkles or slips suddenly, and from then on"
+            " forces may depend on the step size",
+        ),
+        "/frames/quality/substeps": Entry("<i4", "N", "1", "steps the frame was split into"),
+        "/frames/quality/min_gap_mm": Entry("<f8", "N", "mm", "smallest gap between gel and indenter"),
+        "/frames/quality/mean_gap_mm": Entry("<f8", "N", "mm", "pressure-weighted mean gap"),
+        "/frames/quality/overlap_mm": Entry(
+            "<f8", "N", "mm", "how deep the face is in the indenter between contact points"
+        ),
+        "/frames/quality/rounded": Entry(
+            "<f8",
+            "N",
+            "1",
+            "share of friction at points that crossed a sharp edge in one step; above .05 forces depend on the"
+            " step size",
+        ),
+        "/frames/quality/force_balance": Entry("<f8", "N", "1", "norm of force + base reaction, over force"),
+        "/frames/quality/residual": Entry("<f8", "N", "1", "2-norm of the free nodes' forces, over force"),
+        "/frames/quality/least_jacobian": Entry("<f8", "N", "1", "certified lower bound of det F over all of the gel"),
+    },
+    _frame,
+)

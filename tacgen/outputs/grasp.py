@@ -1,0 +1,40 @@
+"""The object and the fingers of a grasp, in each finger's bundle."""
+
+from tacgen.outputs.base import FAR, Datasets, Entry, FrameData, Output
+
+
+def _frame(frame: FrameData) -> Datasets:
+    assert frame.held is not None
+    held, side = frame.held
+    return {
+        "/frames/grasp/object": held.pose,
+        "/frames/grasp/sensor": held.sensors[side],
+        "/frames/grasp/width_mm": held.width,
+        "/frames/grasp/mode": held.mode,
+        "/frames/grasp/unborne": held.unborne,
+        "/frames/grasp/balance": held.balance,
+    }
+
+
+OUTPUT = Output(
+    "with the block `grasp`: poses of object and sensor, opening, weight that is not held",
+    {
+        "/frames/grasp/object": Entry(
+            "<f8", "N 4 4", "mm", "pose of the object in the world frame of a grasp", axes="frame row column", most=FAR
+        ),
+        "/frames/grasp/sensor": Entry(
+            "<f8", "N 4 4", "mm", "pose of this finger's sensor frame in the world", axes="frame row column", most=FAR
+        ),
+        "/frames/grasp/width_mm": Entry("<f8", "N", "mm", "distance of the fingers' untouched faces"),
+        "/frames/grasp/mode": Entry(
+            "<i4", "N", "1", "the object: 0 stands on the table, 1 is held, 2 falls: friction does not bear it"
+        ),
+        "/frames/grasp/unborne": Entry(
+            "<f8", "N", "N", "part of the weight that the fingers do not bear: the table does, or nothing"
+        ),
+        "/frames/grasp/balance": Entry(
+            "<f8", "N", "1", "norm of what acts on the object in the directions in which it is free, over grip"
+        ),
+    },
+    _frame,
+)

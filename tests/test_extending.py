@@ -1,0 +1,189 @@
+"""The counts of docs/EXTENDING.md: how many files of tacgen/ an output, a shape, a law and a sensor touch.
+
+Each is really added to a copy of the package, by the edits that the page describes, and used there.
+"""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from filecmp import cmp
+from pathlib import Path
+from typing import NamedTuple
+
+import h5py
+import pytest
+
+ROOT = Path(__file__).parents[1]
+RECIPE = """tacgen: 1
+name: toy
+sensor: gelsight_mini
+indenter: {shape: sphere, radius_mm: 4}
+trajectory: [press: {depth_mm: 0.3, frames: 1}]
+outputs: [force]
+quality: {edge_mm: 2, dhat_mm: 0.2}
+"""
+TOY_SHAPE = "indenter={shape: pearl, radius_mm: 4}"
+TOY_LAW = "sensor_overrides={gel.layers: [{law: toy, name: a, thickness_mm: 4, shear_mpa: 0.1, bulk_mpa: 4}]}"
+
+
+class Edit(NamedTuple):
+    """`new` at the place of `old` in a file of the repository; "" stands for the file's end, or a new file."""
+
+    file: str
+    old: str
+    new: str
+
+
+class Toy(NamedTuple):
+    """A new thing: its edits, the files of tacgen/ that they may touch, and a change of the recipe that uses it."""
+
+    edits: tuple[Edit, ...]
+    files: int
+    use: str
+    listed: tuple[str, str] | None = None  # a kind of `tacgen list`, and what must be in it
+
+
+OUTPUT = '''"""The lowest node of the gel, for a test."""
+
+from tacgen.outputs.base import Entry, Output
+
+OUTPUT = Output(
+    "z of the lowest node",
+    {"/frames/lowest": Entry("<f8", "N", "mm", "z of the lowest node")},
+    lambda frame: {"/frames/lowest": frame.state.x[:, 2].min()},
+)
+'''
+SHAPE = '''
+
+@dataclass(frozen=True)
+class Pearl(Sphere):
+    """A ball of another name."""
+'''
+INDENTER = '''class Pearl(AnyIndenter, json_schema_extra=needs("shape")):
+    """A ball of another name."""
+
+    thin: ClassVar[dict[str, float]] = {"radius_mm": 1}
+    shape: Literal["pearl"] = "pearl"
+    radius_mm: Positive
+
+
+Indenter = Annotated['''
+LAW = '''
+
+@dataclass(frozen=True)
+class Toy(NeoHooke):
+    """A neo-Hookean law of another name."""
+'''
+LAYER = '''class ToyLayer(IsochoricLayer, json_schema_extra=needs("law")):
+    """A neo-Hookean law by shear and bulk modulus."""
+
+    law: Literal["toy"] = "toy"
+    shear_mpa: Positive
+    bulk_mpa: Positive
+
+    @property
+    def stiffness(self) -> Stiffness:
+        return "shear_mpa", 3 * self.shear_mpa
+
+    def material(self) -> "Law":
+        from tacgen.fem.materials import Toy
+
+        return Toy(self.shear_mpa, self.bulk_mpa)
+
+
+def _with_law('''
+MINI = (ROOT / "sensors/gelsight_mini.yaml").read_text()
+TOYS = {
+    "output": Toy(
+        (
+            Edit("tacgen/outputs/lowest.py", "", OUTPUT),
+            Edit("tacgen/outputs/__init__.py", '    "rgb",\n)', '    "rgb",\n    "lowest",\n)'),
+        ),
+        2,
+        "outputs=[force, lowest]",
+        ("outputs", "z of the lowest node"),
+    ),
+    "shape": Toy(
+        (
+            Edit("tacgen/geometry/analytic_sdf.py", "", SHAPE),
+            Edit("tacgen/recipe/indenters.py", "Indenter = Annotated[", INDENTER),
+            Edit("tacgen/recipe/indenters.py", "| Mesh,", "| Pearl | Mesh,"),
+        ),
+        2,
+        TOY_SHAPE,
+        ("shapes", "A ball of another name"),
+    ),
+    "law": Toy(
+        (
+            Edit("tacgen/fem/materials.py", "", LAW),
+            Edit("tacgen/sensor/layers.py", "def _with_law(", LAYER),
+            Edit("tacgen/sensor/layers.py", "| YeohLayer,", "| YeohLayer | ToyLayer,"),
+        ),
+        2,
+        TOY_LAW,
+    ),
+    "sensor": Toy(
+        (Edit("sensors/toy.yaml", "", re.sub("(?m)^(name|description): .*", r"\1: toy", MINI)),),
+        0,
+        "sensor=toy",
+        ("sensors", "toy"),
+    ),
+}
+
+
+def extended(folder: Path, *names: str) -> int:
+    """A copy of what tacgen needs with these things added; how many files of tacgen/ differ."""
+    for kind in ("tacgen", "sensors"):
+        shutil.copytree(ROOT / kind, folder / kind, ignore=shutil.ignore_patterns("__pycache__"))
+    for kind in ("recipes", "objects"):
+        (folder / kind).symlink_to(ROOT / kind)
+    for name in names:
+        for file, old, new in TOYS[name].edits:
+            place = folder / file
+            text = place.read_text() if place.exists() else ""
+            assert not old or text.count(old) == 1, f"{file}: {old}"
+            place.write_text(text.replace(old, new) if old else text + new)
+    ours, theirs = ({p.relative_to(f) for p in (f / "tacgen").rglob("*.py")} for f in (ROOT, folder))
+    return len(ours ^ theirs) + sum(not cmp(ROOT / p, folder / p, shallow=False) for p in ours & theirs)
+
+
+def tacgen(folder: Path, *args: str) -> str:
+    """The output of the copy's command."""
+    (folder / "toy.yaml").write_text(RECIPE)
+    known = os.environ | {"PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1"}
+    done = subprocess.run(
+        [sys.executable, "-m", "tacgen", *args], cwd=folder, env=known, capture_output=True, text=True, timeout=500
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+@pytest.mark.parametrize("name", TOYS)
+def test_a_new_thing_touches_as_few_files_as_the_page_says(tmp_path: Path, name: str) -> None:
+    toy = TOYS[name]
+    assert extended(tmp_path, name) == toy.files
+    page = (ROOT / "docs/EXTENDING.md").read_text().split("\n## ")
+    (part,) = (
+        p for p in page if p.startswith(("An output", "A shape", "A material law", "A sensor")) and name in p[:20]
+    )
+    told = set(re.findall(r"(?m)^\| `(tacgen/[^`]+)`", part))
+    files = {re.sub("lowest", "<name>", edit.file) for edit in toy.edits if edit.file.startswith("tacgen/")}
+    assert told == files
+    tacgen(tmp_path, "validate", "toy.yaml", "--set", toy.use)
+    if toy.listed is not None:
+        kind, text = toy.listed
+        assert text in tacgen(tmp_path, "list", kind)
+
+
+@pytest.mark.slow
+def test_new_things_work_together(tmp_path: Path) -> None:
+    """Slow, since the copy compiles its own code for the new law."""
+    extended(tmp_path, *TOYS)
+    sets = [word for toy in TOYS.values() for word in ("--set", toy.use)]
+    tacgen(tmp_path, "run", "toy.yaml", "-o", "out", *sets)
+    with h5py.File(tmp_path / "out" / "scene-00000.h5") as made:
+        assert made["/frames/lowest"].attrs["units"] == "mm"
+        assert made["/frames/lowest"].shape == (1,)
+    assert "nothing found wrong" in tacgen(tmp_path, "check", "out")
