@@ -27,10 +27,10 @@ from benchmarks.reference_runs import row_of, solve_frames
 from tacgen import mechanics
 from tacgen.errors import UserError
 from tacgen.geometry.pose import Pose
-from tacgen.labels import contact_maps, gel_surface
 from tacgen.mechanics import mesh, presolve
 from tacgen.mechanics.scene import Scene
 from tacgen.optics.camera import Camera
+from tacgen.outputs import contact_maps, gel_surface
 from tacgen.recipe import scene_of_row
 
 Array = np.ndarray
