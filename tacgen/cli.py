@@ -28,7 +28,7 @@ from tacgen.cli_common import (
 )
 from tacgen.cli_look import report, show, view
 from tacgen.errors import UserError
-from tacgen.report.wording import counted
+from tacgen.report.sheet import counted
 from tacgen.terminal import say
 
 __all__ = ["app"]

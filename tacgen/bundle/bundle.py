@@ -18,9 +18,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tacgen import __version__, atomic_file
-from tacgen.bundle.chunks import Column, Frames
+from tacgen.bundle.chunks import Column, Frames, rounded
 from tacgen.bundle.hdf5_file import Damaged, datasets, opened
-from tacgen.bundle.rounding import rounded
 from tacgen.bundle.schema import ATTRS, FORMAT, OPTIONAL, STORED, UNITS, attributes, entry, shape_problem
 from tacgen.bundle.stored_json import parsed
 from tacgen.errors import UserError

@@ -22,8 +22,8 @@ from tacgen.errors import UserError
 from tacgen.optics import camera_response, coating, strip_light
 from tacgen.optics.camera_view import Samples, View
 from tacgen.optics.direct_light import heights
+from tacgen.optics.housing import bottom_depth, frame
 from tacgen.optics.interreflection import Glow, Radiosity
-from tacgen.optics.mitsuba_dicts import bottom_depth, frame
 from tacgen.optics.shadows import Terrain
 from tacgen.optics.surface_grid import Sheet, Surface, Untouched
 from tacgen.recipe import background_photo

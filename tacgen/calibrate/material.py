@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from tacgen.calibrate.result import digits, write_sensor
 from tacgen.errors import UserError
 from tacgen.recipe import assets, plan
-from tacgen.report.wording import counted
+from tacgen.report.sheet import counted
 from tacgen.sensor.model import IsochoricLayer
 from tacgen.sensor.yaml_source import KeyPath, at, format_path, parse_path
 
@@ -140,7 +140,7 @@ def material(sensor: str, recipe: str, table: Path, asked: Asked | None = None) 
     """
     import numpy as np
 
-    from tacgen.calibrate import fit_material, press_depths, press_forces
+    from tacgen.calibrate import fit_material, press_forces
 
     asked, measured, path = asked or Asked(), press_forces.read(table), assets.sensor_path(sensor)
     sets = (f"sensor={path.resolve()}",)
@@ -152,7 +152,9 @@ def material(sensor: str, recipe: str, table: Path, asked: Asked | None = None) 
     if asked.terms and measured.time is None:
         raise UserError(f"{table}: has no column time_s, without which nothing relaxes")
     deepest, start = float(measured.depth.max()), rows[0].recipe.start
-    if said := press_depths.problem(rows[0].sensor.gel, deepest, (start.x_mm, start.y_mm), 1 + press_forces.MARGIN):
+    if said := press_forces.depth_problem(
+        rows[0].sensor.gel, deepest, (start.x_mm, start.y_mm), 1 + press_forces.MARGIN
+    ):
         raise UserError(f"{table}: depth_mm: the largest {said}")
     depths = press_forces.depths_for(deepest)
     if asked.second:

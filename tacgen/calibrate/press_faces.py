@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from tacgen import mechanics
-from tacgen.calibrate import press_depths
+from tacgen.calibrate import press_forces
 from tacgen.calibrate.photos import Photos, Press
 from tacgen.errors import UserError
 from tacgen.labels import gel_surface
@@ -28,7 +28,7 @@ def check(sensor: LitSensor, photos: Photos, deeper: float = 1.0) -> None:
         if press.depth is None:
             continue
         at = place(sensor, press.center, 0.0)
-        if said := press_depths.problem(sensor.gel, press.depth, at, deeper):
+        if said := press_forces.depth_problem(sensor.gel, press.depth, at, deeper):
             wrong.append(f"{photos.folder / press.name}: depth_mm: {said}")
     if wrong:
         raise UserError(wrong)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tacgen.optics import coating, mitsuba_dicts, strip_light
+from tacgen.optics import coating, housing, strip_light
 from tacgen.optics.shadows import Terrain
 from tacgen.optics.surface_grid import Sheet, Untouched
 
@@ -57,7 +57,7 @@ class Radiosity:
         self._coat = len(nodes)
         facing, (rows, columns) = self.sheet.normals(nodes), self.sheet.shape
         share = np.outer(*(np.where(np.isin(np.arange(n), (0, n - 1)), 0.5, 1.0) for n in (rows, columns)))
-        top = mitsuba_dicts.WALL_RISE if sensor.walls.margin_mm else float(level.min())  # the coating hides the rest
+        top = housing.WALL_RISE if sensor.walls.margin_mm else float(level.min())  # the coating hides the rest
         walls, inward, pieces = self._walls(sensor, top)
         self._at, self._normals = np.concatenate([nodes, walls]), np.concatenate([facing, inward])
         area = np.concatenate([share.ravel() * self.sheet.areas(nodes), pieces])
@@ -117,7 +117,7 @@ class Radiosity:
 
     def _walls(self, sensor: "LitSensor", top: float) -> tuple["Floats", "Floats", "Floats"]:
         """Middles (n, 3) [mm], inward normals (n, 3) and areas (n,) [mm^2] of the walls' patches up to height `top`."""
-        corners, bottom = mitsuba_dicts.outline(sensor), -mitsuba_dicts.bottom_depth(sensor)
+        corners, bottom = housing.outline(sensor), -housing.bottom_depth(sensor)
         at, normals, area = [], [], []
         tall = max(1, round((top - bottom) / WALL_SPACING))
         for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):

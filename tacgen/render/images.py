@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol
 import numpy as np
 
 from tacgen import array_cache
-from tacgen.optics import adaptive_sampling, camera_response, mitsuba_dicts, scattering, strip_light, taxim_table
+from tacgen.optics import adaptive_sampling, camera_response, housing, scattering, strip_light, taxim_table
 from tacgen.optics.camera import Camera
 from tacgen.optics.camera_view import Samples, View
 from tacgen.optics.direct_light import Direct
@@ -104,7 +104,7 @@ class Tabled:
     def __init__(self, sensor: "LitSensor", sheet: Sheet, markers: bool, spp: int, untouched: Surface) -> None:
         """`sensor` must be one without a layer that scatters."""
         self._view, self._mm = View(sensor, sheet, markers), sensor.camera.mm_per_px
-        self._lamps, light = mitsuba_dicts.strips(sensor), np.array([led.light for led in sensor.leds])
+        self._lamps, light = housing.strips(sensor), np.array([led.light for led in sensor.leds])
         level = self._view.look(untouched)
         self._normals = level.normal.reshape(*self._view.shape, 3)
         fine = Sheet.over(sensor.gel, SPACING)  # of the dents, whatever the pictures'

@@ -15,7 +15,7 @@ from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.caption import shape_text
 from tacgen.errors import UserError
 from tacgen.recipe import assets
-from tacgen.report.wording import counted
+from tacgen.report.sheet import counted
 
 MAX_VALUES = 12  # named of a varied quantity that is no number
 

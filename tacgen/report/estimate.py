@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from tacgen.bundle.run_status import Survey
-from tacgen.report.wording import counted, duration
+from tacgen.report.sheet import counted, duration
 
 ONCE = ("start", "compile")  # stages that occur once per process or machine, not in each scene
 SURE = 0.95  # probability for each end of a range, so that 90 % lie within

@@ -16,8 +16,7 @@ from tacgen.bundle.image_file import encoded
 from tacgen.errors import UserError
 from tacgen.report import dataset_summary, viewer
 from tacgen.report.dataset_summary import Overview, Scene
-from tacgen.report.sheet import round_ticks
-from tacgen.report.wording import counted, short
+from tacgen.report.sheet import counted, round_ticks, short
 
 MAX_PICTURES = 48
 PICTURE_WIDTH = 160  # [px]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tacgen.bundle.rounding import rounded, to_bits, to_multiples
+from tacgen.bundle.chunks import rounded, to_bits, to_multiples
 from tacgen.bundle.schema import BITS, LAYOUT, STEPS
 
 RNG = np.random.default_rng(2)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from helpers.tiny import sensor
 
-from tacgen.optics import camera_response, coating, mitsuba_dicts
+from tacgen.optics import camera_response, coating, housing, mitsuba_dicts
 from tacgen.optics.camera_view import View
 from tacgen.optics.surface_grid import Sheet, Untouched
 from tacgen.sensor.markers import HexagonalMarkers
@@ -66,7 +66,7 @@ def test_a_rectangle_keeps_size_place_and_front():
     assert matrix[:3, 2] == pytest.approx([0, 0, -1])
     assert np.linalg.det(matrix[:3, :3]) > 0
     with pytest.raises(ValueError, match="parallel"):
-        mitsuba_dicts.frame((0, 0, 1), (0, 0, -1))
+        housing.frame((0, 0, 1), (0, 0, -1))
 
 
 def test_equal_indices_leave_no_interface():
