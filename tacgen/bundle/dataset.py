@@ -10,6 +10,7 @@ import os
 import warnings
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from pydantic import NonNegativeInt
@@ -101,25 +102,38 @@ def _planned(source: Path, merge: bool) -> tuple[list[Bundle], list[Path]]:
         raise UserError(f"{source}: holds {len(folders)} data sets: {names}: name one of them, or merge them (--merge)")
     for path in paths:
         keys = folders[path.parent]
-        if keys is None:
-            found.append(read(path))
-        elif path.stem in keys and (bundle := read(path)).attrs["input_key"] == keys[path.stem]:
+        if keys.names(path) and keys.hold(bundle := read(path)):
             found.append(bundle)
         else:
             others.append(path)
     return found, others
 
 
-def planned_keys(folder: Path) -> dict[str, str] | None:
-    """Input key of each planned bundle by its name; None if the folder has no plan."""
+@dataclass(frozen=True)
+class PlannedKeys:
+    """Input key of each bundle by its name, from the plan in a folder; without a plan every bundle belongs there."""
+
+    by_name: dict[str, str] | None
+
+    def names(self, path: Path) -> bool:
+        """Whether the plan names a file."""
+        return self.by_name is None or path.stem in self.by_name
+
+    def hold(self, bundle: Bundle) -> bool:
+        """Whether a bundle was made from the inputs of the plan."""
+        return self.by_name is None or self.by_name.get(bundle.path.stem) == bundle.attrs["input_key"]
+
+
+def planned_keys(folder: Path) -> PlannedKeys:
+    """The keys in the plan of a folder. Raises UserError: it is damaged."""
     plan = read_plan(folder)
-    return None if plan is None else {row.scene: row.key for row in plan.scenes}
+    return PlannedKeys(None if plan is None else {row.scene: row.key for row in plan.scenes})
 
 
 def unplanned(folder: Path) -> list[Path]:
     """Bundles in a folder of a run that its plan does not name, by their names alone."""
     keys = planned_keys(folder)
-    return [] if keys is None else [p for p in files(folder) if p.parent == folder and p.stem not in keys]
+    return [path for path in files(folder) if path.parent == folder and not keys.names(path)]
 
 
 def some(names: Sequence[str]) -> str:

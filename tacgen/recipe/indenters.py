@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 from pydantic import Field, ValidationInfo, field_validator
 
-from tacgen.sensor.base_model import Axis, FilePath, Part, Positive, Sha256, needs
+from tacgen.sensor.base_model import Axis, FilePath, Part, Positive, Sha256
 
 if TYPE_CHECKING:
     from tacgen.geometry.analytic_sdf import Shape
@@ -20,14 +20,14 @@ def _smaller(value: float, limit: float | None, what: str, *, equal: bool = True
     return value
 
 
-class Sphere(Part, json_schema_extra=needs("shape")):
+class Sphere(Part):
     """A ball."""
 
     shape: Literal["sphere"] = "sphere"
     radius_mm: Positive
 
 
-class Cylinder(Part, json_schema_extra=needs("shape")):
+class Cylinder(Part):
     """A flat punch: a round rod whose axis is z, its lower edge rounded."""
 
     shape: Literal["cylinder"] = "cylinder"
@@ -40,7 +40,7 @@ class Cylinder(Part, json_schema_extra=needs("shape")):
         return _smaller(value, info.data.get("radius_mm"), "radius_mm")
 
 
-class Cone(Part, json_schema_extra=needs("shape")):
+class Cone(Part):
     """A cone pointing down with a spherical tip; the half angle is measured from its axis."""
 
     shape: Literal["cone"] = "cone"
@@ -48,7 +48,7 @@ class Cone(Part, json_schema_extra=needs("shape")):
     tip_radius_mm: Positive
 
 
-class Box(Part, json_schema_extra=needs("shape")):
+class Box(Part):
     """A block with rounded edges, flat side down."""
 
     shape: Literal["box"] = "box"
@@ -63,7 +63,7 @@ class Box(Part, json_schema_extra=needs("shape")):
         return _smaller(value, min(sides) / 2 if sides else None, "half the shorter side")
 
 
-class Wedge(Part, json_schema_extra=needs("shape")):
+class Wedge(Part):
     """A wedge pointing down whose rounded edge is along y; half angle from z, total length along y."""
 
     shape: Literal["wedge"] = "wedge"
@@ -80,7 +80,7 @@ class Wedge(Part, json_schema_extra=needs("shape")):
         return value
 
 
-class Capsule(Part, json_schema_extra=needs("shape")):
+class Capsule(Part):
     """A rod with hemispherical ends along x; the length is between the centres of the hemispheres."""
 
     shape: Literal["capsule"] = "capsule"
@@ -88,7 +88,7 @@ class Capsule(Part, json_schema_extra=needs("shape")):
     length_mm: Positive
 
 
-class Torus(Part, json_schema_extra=needs("shape")):
+class Torus(Part):
     """A ring lying flat: `radius_mm` from its axis to the centre of the tube."""
 
     shape: Literal["torus"] = "torus"
@@ -101,7 +101,7 @@ class Torus(Part, json_schema_extra=needs("shape")):
         return _smaller(value, info.data.get("radius_mm"), "radius_mm", equal=False)
 
 
-class Mesh(Part, json_schema_extra=needs("shape")):
+class Mesh(Part):
     """A closed triangle mesh (STL, OBJ, PLY), lowest point at z = 0, bounding box centred on the z axis."""
 
     shape: Literal["mesh"] = "mesh"

@@ -24,7 +24,6 @@ from tacgen.sensor.base_model import (
     Vec2,
     Vec3,
     exactly_one,
-    needs,
 )
 from tacgen.sensor.markers import Markers
 from tacgen.sensor.yaml_source import KeyPath, format_path
@@ -117,7 +116,7 @@ class NeoHookeLayer(IsochoricLayer):
     poissons_ratio: Poisson
 
 
-class StableNeoHookeLayer(LayerBase, json_schema_extra=needs("law")):
+class StableNeoHookeLayer(LayerBase):
     """The stable neo-Hookean law of Smith et al. (2018), as in UIPC."""
 
     law: Literal["stable_neo_hooke"] = "stable_neo_hooke"
@@ -137,7 +136,7 @@ class NearlyIncompressible(IsochoricLayer):
         return self
 
 
-class MooneyRivlinLayer(NearlyIncompressible, json_schema_extra=needs("law")):
+class MooneyRivlinLayer(NearlyIncompressible):
     """Mooney-Rivlin: the shear modulus at rest is 2 (c10 + c01)."""
 
     law: Literal["mooney_rivlin"] = "mooney_rivlin"
@@ -145,7 +144,7 @@ class MooneyRivlinLayer(NearlyIncompressible, json_schema_extra=needs("law")):
     c01_mpa: NotNegative
 
 
-class YeohLayer(NearlyIncompressible, json_schema_extra=needs("law")):
+class YeohLayer(NearlyIncompressible):
     """Yeoh, of third order: the shear modulus at rest is 2 c10."""
 
     law: Literal["yeoh"] = "yeoh"

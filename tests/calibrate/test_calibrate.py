@@ -192,7 +192,7 @@ def test_the_response_to_thickness_is_found_by_solved_presses(tmp_path: Path, mo
             "presses.csv:3: contact_radius_px: is 3.1 mm, and the ball's radius 3.0",
         ),
         (lambda p: _swap(p, "press_1.png", ""), "presses.csv:3: file: is missing"),
-        (lambda p: (p / "presses.csv").write_bytes(b"\xff\xfe\x00"), "presses.csv: is no table"),
+        (lambda p: (p / "presses.csv").write_bytes(b"\xff\xfe\x00"), "presses.csv: is not a text file"),
     ],
 )
 def test_what_cannot_be_used_is_reported_in_one_line(nominal: Path, tmp_path: Path, spoil: Any, says: str) -> None:
