@@ -43,7 +43,7 @@ def sheared(name: str, quality: str = "draft") -> tuple[Sensor, Surface, Surface
         "contact": {"friction": 2.0}, "outputs": ["force"], "quality": quality,
         "trajectory": [{"press": {"depth_mm": DEPTHS[name], "frames": 1}}, {"slide": {"x_mm": SHEAR, "frames": 1}}],
     }  # fmt: skip
-    untouched, _, moved = press_faces.faces(plan.expand(Recipe.model_validate(recipe), sensor).rows[0])
+    untouched, _, moved = press_faces.faces(plan.expand(loading.checked(Recipe.model_validate(recipe), sensor)).rows[0])
     return sensor, untouched, moved
 
 

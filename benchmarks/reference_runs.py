@@ -18,6 +18,7 @@ from tacgen.mechanics.scene import Scene
 from tacgen.optics.camera import Camera
 from tacgen.optics.coating import centers
 from tacgen.recipe import assets, plan, scene_of_row
+from tacgen.recipe.row import Row
 from tacgen.sensor.markers import GridMarkers
 
 Array = np.ndarray
@@ -80,7 +81,7 @@ def _norm(values: Array) -> float:
     return float(np.linalg.norm(np.nan_to_num(values)))
 
 
-def row_of(sets: tuple[str, ...]) -> plan.Row:
+def row_of(sets: tuple[str, ...]) -> Row:
     """The quickstart's scene with these changes."""
     return plan.load(assets.recipe_path("quickstart"), sets).rows[0]
 

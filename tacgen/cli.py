@@ -167,14 +167,14 @@ def status(
 @app.command()
 def validate(file: RecipeFile, sets: Sets = None) -> None:
     """Check a recipe with its sensor and all its scenes, or a sensor file."""
-    from tacgen.recipe import approach, assets, checks, loading
-    from tacgen.sensor import yaml_source
+    from tacgen.recipe import approach, assets, loading
+    from tacgen.sensor import usual_values, yaml_source
 
     path = assets.recipe_path(file)
     data = yaml_source.load(path).data
     if isinstance(data, dict) and ("tacgen_sensor" in data or "gel" in data):
         sensor, tree = loading.read_sensor(path)
-        warn(loading.sensor_warnings(sensor, tree))
+        warn(usual_values.warnings(sensor, tree))
         typer.echo(f"{path}: a valid sensor, {sensor.name}")
         return
     plan = plan_of(file, sets)
@@ -182,7 +182,7 @@ def validate(file: RecipeFile, sets: Sets = None) -> None:
     names = plan.sensors
     on = f"{'sensors' if len(names) > 1 else 'sensor'} {', '.join(names)}"
     typer.echo(f"{path}: a valid recipe, {plan.name}: {counted(len(plan.rows), 'scene')}, {on}")
-    for note in [*checks.notes(row.recipe, row.sensor), *filter(None, [approach.note(plan.rows)])]:
+    for note in [*row.notes, *filter(None, [approach.note(plan.rows)])]:
         typer.echo(f"note: {note}")
 
 

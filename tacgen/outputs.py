@@ -19,7 +19,7 @@ from tacgen.labels import gel_surface
 from tacgen.mechanics import Problem, State
 from tacgen.mechanics.barrier import Contact
 from tacgen.mechanics.tunnelling import overlap
-from tacgen.recipe.plan import Row
+from tacgen.recipe.row import Row
 
 if TYPE_CHECKING:
     from tacgen.labels.camera_maps import View

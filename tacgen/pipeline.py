@@ -20,9 +20,8 @@ from tacgen.mechanics import mesh, presolve
 from tacgen.mechanics.scene import Scene
 from tacgen.outputs import OUTPUTS, Datasets, FrameData, SceneData, of_grasp
 from tacgen.recipe import approach, scene_of_row
-from tacgen.recipe.checks import notes
 from tacgen.recipe.model import IMAGES
-from tacgen.recipe.plan import Row
+from tacgen.recipe.row import Row
 
 MIN_EDGES = 3  # an indenter's smallest radius should be at least so many edges of the mesh
 # largest error of a force over edge/thickness [-]: of indenters and, above it, of tips narrower than an edge
@@ -105,7 +104,7 @@ def _attributes(built: Scene, shared: SceneData, clock: Clock) -> dict[str, Any]
     cost = _cost_note(built) if problem.condensed else ""
     if row.pair is not None:
         found["pair"] = row.pair
-    if said := [note for note in (coarse, cost, *notes(row.recipe, row.sensor)) if note]:
+    if said := [note for note in (coarse, cost, *row.notes) if note]:
         found["notes"] = said
     return found
 

@@ -13,7 +13,7 @@ from tacgen.batch.worker_process import Job, Limits, Worker, cores, machine_memo
 from tacgen.bundle.resume import SceneResult
 from tacgen.errors import UserError
 from tacgen.recipe.model import IMAGES
-from tacgen.recipe.plan import Row
+from tacgen.recipe.row import Row
 
 TASK = "tacgen.pipeline:run_scene"
 COMPILE = "tacgen.pipeline:compile_pictures"  # in a second process, if there is a second core

@@ -11,7 +11,7 @@ from tacgen import __version__, atomic_file
 from tacgen.bundle import bundle, dataset
 from tacgen.bundle.hdf5_file import Damaged
 from tacgen.errors import UserError
-from tacgen.recipe.plan import Row
+from tacgen.recipe.row import Row
 
 SHOWN = 3  # differing inputs that a message names
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from tacgen.calibrate.result import digits, write_sensor
 from tacgen.errors import UserError
 from tacgen.recipe import assets, plan
+from tacgen.recipe.row import Row
 from tacgen.report.sheet import counted
 from tacgen.sensor.model import IsochoricLayer
 from tacgen.sensor.yaml_source import KeyPath, at, format_path, parse_path
@@ -43,7 +44,7 @@ class Asked:
 class Material:
     """A fit, simpler fits for comparison, and the values of the sensor file that it changes."""
 
-    row: plan.Row
+    row: Row
     path: Path  # of the sensor file
     asked: Asked
     fitted: "MaterialFit"
@@ -195,7 +196,7 @@ def _undetermined(fitted: "MaterialFit", second: str) -> Iterator[str]:
             yield f"{shown}: is not determined: these forces allow its whole range: {MEASURE[kind]}"
 
 
-def _range(text: str, row: plan.Row) -> tuple[str, list[float], float]:
+def _range(text: str, row: Row) -> tuple[str, list[float], float]:
     """`PATH=LOW:HIGH` -> the path, values over the range, and what the files have there."""
     name, equals, ends = text.partition("=")
     low, colon, high = ends.partition(":")

@@ -15,8 +15,9 @@ from tacgen.mechanics import mesh, presolve
 from tacgen.optics.camera import Camera
 from tacgen.optics.hertz_dent import BallDent
 from tacgen.optics.surface_grid import Surface, Untouched
-from tacgen.recipe import plan, scene_of_row
+from tacgen.recipe import loading, plan, scene_of_row
 from tacgen.recipe.model import Recipe
+from tacgen.recipe.row import Row
 from tacgen.sensor.model import LitSensor
 from tacgen.sensor.yaml_source import KeyPath
 
@@ -36,7 +37,7 @@ def check(sensor: LitSensor, photos: Photos, deeper: float = 1.0) -> None:
 
 def face(sensor: LitSensor, press: Press, folders: dict[KeyPath, Path]) -> Surface:
     """The face of a press: solved at its depth if that is known, else by a formula from its contact radius; `folders`:
-    see plan.Row."""
+    see Row."""
     if press.depth is not None:
         return solved(sensor, press, [press.depth], folders)[0]
     assert press.contact is not None
@@ -60,13 +61,13 @@ def solved(
         "trajectory": [{"press": {"depth_mm": float(depth), "frames": 1}} for depth in depths],
     }  # fmt: skip
     try:
-        (row,) = plan.expand(Recipe.model_validate(recipe), sensor).rows
+        (row,) = plan.expand(loading.checked(Recipe.model_validate(recipe), sensor)).rows
         return list(faces(replace(row, folders={**row.folders, **folders})))[1:]
     except (UserError, mechanics.NotConverged) as error:
         raise UserError(f"{press.name}: cannot be solved: {line}" for line in str(error).splitlines()) from None
 
 
-def faces(row: plan.Row) -> Iterator[gel_surface.Surface]:
+def faces(row: Row) -> Iterator[gel_surface.Surface]:
     """The face seen by the camera: untouched, then in each frame of a scene. No bundle is written."""
     built = presolve.presolved(scene_of_row.build(row))
     problem = mechanics.Problem.of(built, mesh.of(built))

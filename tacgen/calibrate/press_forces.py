@@ -10,8 +10,7 @@ from tacgen import csv_table, mechanics
 from tacgen.errors import UserError
 from tacgen.mechanics import mesh, presolve
 from tacgen.recipe import scene_of_row
-from tacgen.recipe.checks import thickness_mm
-from tacgen.recipe.plan import Row
+from tacgen.recipe.row import Row
 from tacgen.recipe.trajectory import Press, Segment
 from tacgen.sensor.model import Gel
 
@@ -85,7 +84,7 @@ def depth_problem(gel: Gel, depth: float, at: tuple[float, float], deeper: float
     half_width, half_height = gel.width_mm / 2, gel.height_mm / 2
     if not (abs(at[0]) <= half_width and abs(at[1]) <= half_height):
         return f"lies beside the gel, at ({at[0]:.3g}, {at[1]:.3g}) mm: see x_px, y_px"
-    thick = thickness_mm(gel) - gel.drop_mm(*at)
+    thick = gel.thickness_mm - gel.drop_mm(*at)
     low, high = SHALLOWEST * thick, DEEPEST * thick / deeper
     if low <= depth <= high:
         return ""

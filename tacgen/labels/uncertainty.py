@@ -13,7 +13,7 @@ from tacgen.mechanics.scene import Scene
 from tacgen.mechanics.sensitivity import Parameter, Sensitivity
 from tacgen.recipe import scene_of_row
 from tacgen.recipe.model import Uncertainty
-from tacgen.recipe.plan import Row
+from tacgen.recipe.row import Row
 from tacgen.recipe.scene_of_row import law_of
 from tacgen.sensor.model import Gel
 

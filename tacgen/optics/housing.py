@@ -50,3 +50,20 @@ def outline(sensor: "LitSensor") -> Floats:
 def bottom_depth(sensor: "LitSensor") -> float:
     """Depth of the plate's air face below the untouched coated face [mm]."""
     return sensor.plate.thickness_mm + sum(layer.thickness_mm for layer in sensor.gel.layers)
+
+
+def wall_patches(sensor: "LitSensor", top: float, spacing: float) -> tuple[Floats, Floats, Floats]:
+    """Middles (n, 3) [mm], inward normals (n, 3) and areas (n,) [mm^2] of the walls' patches up to height `top`,
+    about `spacing` apart [mm]."""
+    corners, bottom = outline(sensor), -bottom_depth(sensor)
+    at, normals, area = [], [], []
+    tall = max(1, round((top - bottom) / spacing))
+    for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        length = float(np.linalg.norm(b - a))
+        wide = max(1, round(length / spacing))
+        for i in range(wide):
+            for j in range(tall):
+                at.append([*(a + (b - a) * (i + 0.5) / wide), bottom + (top - bottom) * (j + 0.5) / tall])
+                normals.append([(a[1] - b[1]) / length, (b[0] - a[0]) / length, 0.0])
+                area.append(length / wide * (top - bottom) / tall)
+    return np.array(at), np.array(normals), np.array(area)

@@ -48,9 +48,9 @@ class Columns(NamedTuple):
         """Each strip in so many `pieces`, for faces anywhere in the outermost layer before the camera."""
         from scipy.ndimage import map_coordinates
 
-        slab, lights = Slab.of(sensor), points(sensor.leds, ALONG, UP, pieces)
+        field, slab, lights = seen(sensor), Slab.of(sensor), points(sensor.leds, ALONG, UP, pieces)
         heights, level = np.unique(lights.at[:, 2].round(6), return_inverse=True)
-        home, field = np.searchsorted(slab.tops[:-1], heights, side="right"), seen(sensor)
+        home = np.searchsorted(slab.tops[:-1], heights, side="right")
         z = np.linspace(slab.bottoms[-1] + 0.1 * HEIGHT_STEP, RISE, round((RISE - slab.bottoms[-1]) / HEIGHT_STEP) + 1)
         reach = np.linalg.norm(np.abs(lights.at[:, :2]).max(axis=0) + np.abs(field).max(axis=0))
         aside = np.arange(0.0, reach + 2 * LATERAL_STEP, LATERAL_STEP)

@@ -11,7 +11,7 @@ from tacgen.errors import UserError
 if TYPE_CHECKING:
     from tacgen.geometry.analytic_sdf import Shape
     from tacgen.geometry.gel import Gel
-    from tacgen.recipe.plan import Row
+    from tacgen.recipe.row import Row
 
 Array = np.ndarray
 SPACING, FINER, LEVELS = 0.5, 20, 3  # of the first grid [mm]; times as fine is each next one, around the nearest point

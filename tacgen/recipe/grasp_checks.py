@@ -88,7 +88,7 @@ def _object(recipe: Recipe, grasp: Grasp, sensor: Sensor) -> list[Problem]:
     if (grasp.height_mm or 0.0) > top:
         return [Problem(("grasp", "height_mm"), f"must be at most the object's height, {top:g}")]
     wide += shape.support(np.array([-c, s, 0.0]))
-    least = wide - 2 * sum(layer.thickness_mm for layer in sensor.gel.layers)
+    least = wide - 2 * sensor.gel.thickness_mm
     return [
         Problem(("trajectory", i, "close", "width_mm"), f"must be above {least:.4g}: the object is {wide:.4g} mm wide")
         for i, step in enumerate(recipe.trajectory)

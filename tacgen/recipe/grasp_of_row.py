@@ -12,7 +12,7 @@ from tacgen.geometry.pose import about
 from tacgen.mechanics.grasp import LOOKS, Grasp, seen_from
 from tacgen.mechanics.scene import Scene
 from tacgen.recipe.path import contact_height
-from tacgen.recipe.plan import Row
+from tacgen.recipe.row import Row
 from tacgen.recipe.scene_of_row import gel_of, shape_of
 from tacgen.recipe.trajectory import Close, Lift, Replay, Tilt
 

@@ -17,7 +17,7 @@ from tacgen.recipe.checks import timed
 from tacgen.recipe.model import Recipe
 from tacgen.recipe.path import Path as IndenterPath
 from tacgen.recipe.path import indenter_path
-from tacgen.recipe.plan import Row
+from tacgen.recipe.row import Row
 from tacgen.sensor import model as sensors
 from tacgen.sensor.model import MooneyRivlinLayer, NeoHookeLayer, Sensor, StableNeoHookeLayer, YeohLayer
 
@@ -33,7 +33,7 @@ def _reach_of_gel(row: Row) -> tuple[float, float]:
     replays = (row.replayed(number) for number, step in enumerate(steps) if step.replay)
     leans = any(np.hypot(*p.pose[2, :2]) > 2e-9 or p.pose[2, 2] < 0 for poses in replays for p in poses)
     tilted = leans or row.recipe.start.tilt_deg > 0 or any(step.tilt for step in steps) or row.recipe.grasp is not None
-    rise = sum(layer.thickness_mm for layer in gel.layers) + 1.0  # [mm] largest depth, and gel bulging beside it
+    rise = gel.thickness_mm + 1.0  # [mm] largest depth, and gel bulging beside it
     return float(np.hypot(gel.width_mm, gel.height_mm)) + 1.0, np.inf if tilted else rise
 
 

@@ -50,19 +50,6 @@ def replayed(move: Replay, folder: Path | None) -> tuple[Pose, ...]:
     return tuple(row._replace(pose=pose) for row, pose in zip(rows, poses, strict=True))
 
 
-def resolved(recipe: Recipe, folders: Folders) -> Recipe:
-    """The recipe with the hashes and the numbers of frames of its pose tables filled in."""
-    steps = []
-    for i, step in enumerate(recipe.trajectory):
-        if step.replay:
-            folder = folders.get(("trajectory", i, "replay", "file"))
-            sha256 = assets.sha256(assets.beside(step.replay.file, folder))
-            known = {"frames": len(replayed(step.replay, folder)), "sha256": sha256}
-            step = step.model_copy(update={"replay": step.replay.model_copy(update=known)})
-        steps.append(step)
-    return recipe.model_copy(update={"trajectory": tuple(steps)})
-
-
 def on_pad(gel: Gel, x_mm: float, y_mm: float) -> bool:
     """Whether a point of the plane lies inside the pad's outline, or on it."""
     return bool(gel.pad.contains(x_mm, y_mm, slack=1e-9 * gel.width_mm))
@@ -107,7 +94,7 @@ def _walk(recipe: Recipe, gel: Gel, folders: Folders) -> None:
         return math.isfinite(x) and not on_pad(gel, x, y)
 
     pad = f"the pad of {gel.width_mm:g} x {gel.height_mm:g} mm"
-    start, shape, thickness = recipe.start, analytic(recipe.indenter), sum(layer.thickness_mm for layer in gel.layers)
+    start, shape, thickness = recipe.start, analytic(recipe.indenter), gel.thickness_mm
     if not on_pad(gel, start.x_mm, start.y_mm):
         path: KeyPath = ("start", "x_mm" if abs(start.x_mm) > gel.width_mm / 2 else "y_mm")
         if abs(start.x_mm) <= gel.width_mm / 2 and abs(start.y_mm) <= gel.height_mm / 2:

@@ -5,7 +5,7 @@ from typing import cast
 import numpy as np
 
 from tacgen.optics.surface_grid import Surface
-from tacgen.recipe.plan import NOISE, Row
+from tacgen.recipe.row import NOISE, Row
 from tacgen.render.backdrop import Backdrop
 from tacgen.render.images import Renderer
 from tacgen.sensor.model import LitSensor

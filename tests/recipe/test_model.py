@@ -12,7 +12,7 @@ from pydantic_core import PydanticUndefined
 from ruamel.yaml import YAML
 
 from tacgen.errors import UserError
-from tacgen.recipe import assets, loading
+from tacgen.recipe import assets, sensor_checks
 from tacgen.recipe.indenters import SHAPES
 from tacgen.recipe.loading import read
 from tacgen.recipe.model import OUTPUTS, QUALITIES, Recipe
@@ -209,7 +209,7 @@ def test_layers_in_the_wrong_order_are_reported_without_lights_too():
     data = yaml_source.load(assets.sensor_path("gelsight_mini")).data
     unlit = {key: value for key, value in data.items() if key not in LIGHTS}
     unlit["gel"]["layers"][0]["opaque"] = True
-    _, (wrong,) = loading.check_sensor(unlit)
+    _, (wrong,) = sensor_checks.check(unlit)
     assert wrong.message.startswith("hides the coating: layers are from the bonded base outward")
 
 

@@ -18,6 +18,7 @@ from tacgen.geometry.pose import Pose
 from tacgen.mechanics import frames, mesh, presolve
 from tacgen.mechanics.force_control import OutOfReach, meet
 from tacgen.recipe import plan, scene_of_row, trajectory_poses
+from tacgen.recipe.row import Row
 from tacgen.recipe.trajectory import Press, Segment, Start
 
 BOX = "indenter={shape: box, size_x_mm: 4, size_y_mm: 3, fillet_mm: 0.3}"
@@ -25,13 +26,13 @@ ROUGH = "contact.friction=0.5"
 SHAPES: tuple[Shape, ...] = (Sphere(4.0), Box(3.0, 2.0, 0.3), Cone(float(np.radians(30)), 0.5))
 
 
-def row(folder: Path, segments: str, *sets: str) -> plan.Row:
+def row(folder: Path, segments: str, *sets: str) -> Row:
     path = folder / "recipe.yaml"
     path.write_text(HEAD + "".join(f"  - {line.strip()}\n" for line in segments.strip().splitlines()))
     return plan.load(path, sets).rows[0]
 
 
-def solved(made: plan.Row) -> list[mechanics.State]:
+def solved(made: Row) -> list[mechanics.State]:
     built = presolve.presolved(scene_of_row.build(made))
     grid = mesh.build(built.gel, mesh.footprint(built), built.edge)
     return list(mechanics.states(built, mechanics.Problem.of(built, grid)))

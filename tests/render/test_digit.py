@@ -17,6 +17,7 @@ from tacgen.mechanics import mesh
 from tacgen.optics.camera import Camera
 from tacgen.optics.surface_grid import Sheet
 from tacgen.recipe import assets, loading, plan, scene_of_row, trajectory_checks
+from tacgen.recipe.row import Row
 from tacgen.sensor.model import Sensor
 
 Array = np.ndarray
@@ -34,14 +35,14 @@ OFF = ("start={x_mm: 4, y_mm: 0}",)
 FINE = {(): 2.6046, OFF: 2.6799}  # [N] on meshes of 0.2 mm edge (about 18 000 nodes), dhat 0.02 mm
 
 
-def row_of(folder: Path, sets: tuple[str, ...] = ()) -> plan.Row:
+def row_of(folder: Path, sets: tuple[str, ...] = ()) -> Row:
     path = folder / "digit.yaml"
     path.write_text(RECIPE)
     found = loading.read(path, sets)
-    return plan.expand(found.recipe, found.sensor, loaded=found).rows[0]
+    return plan.expand(found).rows[0]
 
 
-def solved(row: plan.Row) -> Run:
+def solved(row: Row) -> Run:
     made = scene_of_row.build(row)
     problem = mechanics.Problem.of(made, mesh.build(made.gel, mesh.footprint(made), made.edge))
     return Run(made, problem, list(mechanics.states(made, problem)))
