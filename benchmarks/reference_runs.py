@@ -10,12 +10,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tacgen import array_cache, mechanics
-from tacgen.geometry.gel import Gel
+from tacgen.geometry.gel import GelBody
 from tacgen.labels import contact_maps, gel_surface
 from tacgen.labels.stress import Stresses
 from tacgen.mechanics import mesh, presolve
 from tacgen.mechanics.scene import Scene
-from tacgen.optics.camera import Camera
+from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.coating import centers
 from tacgen.recipe import assets, plan, scene_of_row
 from tacgen.recipe.row import Row
@@ -136,7 +136,7 @@ def answer(
     ready = time.process_time()
     states = list(mechanics.states(made, problem))
     seconds = time.process_time() - ready
-    last, camera = states[-1], Camera.from_sensor(row.sensor)
+    last, camera = states[-1], PinholeCamera.from_sensor(row.sensor)
     coated = gel_surface.Surface(problem.mesh.points, problem.mesh.facets["coated"])
     seen = gel_surface.seen(problem.mesh, len(row.sensor.gel.clear_layers))
     found = contact_maps.maps(problem, coated.moved(last.x), last, camera)
@@ -154,7 +154,7 @@ def answer(
     )
 
 
-def _probed(gel: Gel, problem: mechanics.Problem, state: mechanics.State) -> Array:
+def _probed(gel: GelBody, problem: mechanics.Problem, state: mechanics.State) -> Array:
     """Nodal stress (p, 6) [MPa], interpolated at points of the gel under the contact."""
     from scipy.interpolate import LinearNDInterpolator
 

@@ -35,7 +35,7 @@ def optics(
 
     inputs = [Path(sensor), images]
     allowed(out, inputs, overwrite)
-    found = fitting.optics(sensor, images, fitting.Asked(tolerance_mm, tolerance_deg, no_markers, steps))
+    found = fitting.optics(sensor, images, fitting.FitLimits(tolerance_mm, tolerance_deg, no_markers, steps))
     lines = list(found.lines())
     if out is not None:
         with written(out, inputs, overwrite) as path:
@@ -69,7 +69,7 @@ def material(
     inputs = [Path(sensor), Path(recipe), data]
     for path in (out, plot):
         allowed(path, inputs, overwrite)
-    found = fitting.material(sensor, recipe, data, fitting.Asked(not no_zero, second, prony))
+    found = fitting.material(sensor, recipe, data, fitting.Unknowns(not no_zero, second, prony))
     lines = list(found.lines())
     if plot is not None:
         with written(plot, inputs, overwrite) as path:

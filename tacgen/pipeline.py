@@ -179,7 +179,7 @@ def _make(row: Row, path: Path, on_event: OnEvent | None) -> SceneResult:
 
 
 @dataclass(frozen=True)
-class Gel:
+class BundledGel:
     """One gel of a scene, of which a bundle is made: the only one, or a finger's of a grasp."""
 
     row: Row
@@ -190,7 +190,7 @@ class Gel:
 Found = tuple[tuple[mechanics.State, Datasets], ...]  # of a frame: each gel's state, and what else its bundle says
 
 
-def _gels(row: Row, clock: Clock) -> tuple[tuple[Gel, ...], Iterator[Found]]:
+def _gels(row: Row, clock: Clock) -> tuple[tuple[BundledGel, ...], Iterator[Found]]:
     """The gels of a row of the plan, meshed, and what will be found at each frame."""
     if row.other is not None:
         return _grasped(row, clock)
@@ -200,12 +200,12 @@ def _gels(row: Row, clock: Clock) -> tuple[tuple[Gel, ...], Iterator[Found]]:
         with clock.stage("presolve"):
             built = presolve.presolved(built)
     with clock.stage("mesh"):
-        gel = Gel(row, built, mechanics.Problem.of(built, mesh.of(built)))
+        gel = BundledGel(row, built, mechanics.Problem.of(built, mesh.of(built)))
     states = mechanics.states(built, gel.problem, tol=None if row.pair is None else MATCHED)
     return (gel,), (((state, {}),) for state in states)
 
 
-def _grasped(row: Row, clock: Clock) -> tuple[tuple[Gel, ...], Iterator[Found]]:
+def _grasped(row: Row, clock: Clock) -> tuple[tuple[BundledGel, ...], Iterator[Found]]:
     """The two gels of a grasp, meshed, and the states of both at each frame."""
     from tacgen.mechanics import grasp_balance as holding
     from tacgen.recipe import grasp_of_row as two_fingers
@@ -216,7 +216,7 @@ def _grasped(row: Row, clock: Clock) -> tuple[tuple[Gel, ...], Iterator[Found]]:
         grasp = holding.presolved(grasp)
     with clock.stage("mesh"):
         each = zip(row.bundles, grasp.fingers, strict=True)
-        left, right = (Gel(finger, built, holding.problem_of(built)) for finger, built in each)
+        left, right = (BundledGel(finger, built, holding.problem_of(built)) for finger, built in each)
     frames = holding.held(grasp, (left.problem, right.problem))
     return (left, right), (
         tuple((state, of_grasp(held, side)) for side, state in enumerate(held.states)) for held in frames
@@ -226,7 +226,7 @@ def _grasped(row: Row, clock: Clock) -> tuple[tuple[Gel, ...], Iterator[Found]]:
 class Recorder:
     """Labels, renders and writes one gel's bundle."""
 
-    def __init__(self, gel: Gel, path: Path, clock: Clock, on_event: OnEvent | None) -> None:
+    def __init__(self, gel: BundledGel, path: Path, clock: Clock, on_event: OnEvent | None) -> None:
         self.scene, self.clock = gel.scene, clock
         asked: set[str] = {"force", *gel.row.recipe.outputs} | (
             {"uncertainty"} if gel.row.recipe.uncertainty else set()

@@ -19,7 +19,7 @@ from typer.testing import CliRunner, Result
 import tacgen.batch
 from tacgen import cli
 from tacgen.batch.local import outcome
-from tacgen.batch.probe import Probed
+from tacgen.batch.probe import PlanCost
 from tacgen.bundle.resume import SceneResult
 from tacgen.errors import UserError
 from tacgen.recipe import assets, loading, plan, schema
@@ -123,10 +123,10 @@ def test_what_is_asked_for_reaches_the_engine(tmp_path: Path, batch: Any):
 def timed(monkeypatch: pytest.MonkeyPatch) -> None:
     """A probe that takes no time."""
 
-    def probe(plan: Any, workers: int) -> Probed:
+    def probe(plan: Any, workers: int) -> PlanCost:
         found = cost(plan.frames, [Made(6, 3.0, 0.01), Made(6, 5.0, 0.01)])
         assert found is not None
-        return Probed(found, 0.4)
+        return PlanCost(found, 0.4)
 
     monkeypatch.setattr("tacgen.batch.probe.probe", probe)
 

@@ -15,14 +15,14 @@ SCENES = 8  # timed scenes at most
 ENOUGH_S = 60.0  # after this time no further scenes are timed [s]
 
 
-class Probed(NamedTuple):
+class PlanCost(NamedTuple):
     """Estimated cost of a plan, and the peak memory of a worker [GB]."""
 
     cost: Cost
     memory_gb: float
 
 
-def probe(plan: Plan, workers: int, task: str = TASK) -> Probed:
+def probe(plan: Plan, workers: int, task: str = TASK) -> PlanCost:
     """Time some scenes, evenly spread over the plan, on the same number of workers as the run.
 
     Raises:
@@ -47,4 +47,4 @@ def probe(plan: Plan, workers: int, task: str = TASK) -> Probed:
     found = cost(plan.frames, made)
     if found is None:
         raise UserError(f"no scene could be made to judge by: {reason}")
-    return Probed(found, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1e6)
+    return PlanCost(found, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1e6)

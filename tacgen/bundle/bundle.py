@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tacgen import __version__, atomic_file
-from tacgen.bundle.chunks import Column, Frames, rounded
+from tacgen.bundle.chunks import Column, FrameReader, rounded
 from tacgen.bundle.hdf5_file import Damaged, datasets, opened
 from tacgen.bundle.schema import ATTRS, FORMAT, OPTIONAL, STORED, UNITS, attributes, entry, shape_problem
 from tacgen.bundle.stored_json import parsed
@@ -213,7 +213,7 @@ class Bundle:
         with opened(self.path, self.group) as file:
             for path in self.shapes:
                 data = file[path[1:]]
-                found[path] = Dataset.of(data, content(path, data) if content else Frames(data).sha256())
+                found[path] = Dataset.of(data, content(path, data) if content else FrameReader(data).sha256())
         if _digest(self.attrs, found) != self.attrs["digest"]:
             raise Damaged(f"{self.path}: damaged: its contents do not match its digest")
         return found
@@ -222,7 +222,7 @@ class Bundle:
         if path not in self.shapes:
             raise Missing(f"{self.path}: has no {path}" + f", did you mean /{path}?" * (f"/{path}" in self.shapes))
         with opened(self.path, self.group) as file:
-            data = Frames(file[path[1:]])
+            data = FrameReader(file[path[1:]])
             values = data.whole() if index is None else data[index]
         row = entry(path)
         low, high = (0, self._size(row.below) - 1) if row.below else (-row.most, row.most)

@@ -91,7 +91,7 @@ class Column:
             self._sums[tuple(begin)] = isal_zlib.crc32(stream)
 
 
-class Frames:
+class FrameReader:
     """Reads a dataset of an open file frame by frame; HDF5 decompresses chunks that are not laid out as above."""
 
     def __init__(self, data: Any) -> None:

@@ -34,7 +34,7 @@ class Shard(Stored):
     bytes: NonNegativeInt
 
 
-class Packed(Stored):
+class PackedScene(Stored):
     """A scene in a shard."""
 
     scene: Name
@@ -50,7 +50,7 @@ class Index(Stored):
     tacgen_pack: int
     name: str
     shards: list[Shard]
-    scenes: list[Packed]
+    scenes: list[PackedScene]
 
 
 class _Format(Stored):

@@ -27,7 +27,7 @@ class Damaged(UserError):
     """The bundle is not what was written: writing it again mends it."""
 
 
-class Source(io.FileIO):
+class BundleFile(io.FileIO):
     """The file object that HDF5 reads from.
 
     HDF5 1.14 never returns from a global heap that holds a free object of size 0, as zeroed disk sectors leave it. So
@@ -68,7 +68,7 @@ def opened(path: Path, group: str = "/") -> Iterator[Any]:
     import h5py
 
     try:
-        raw = Source(regular_file.descriptor(path, LARGEST))
+        raw = BundleFile(regular_file.descriptor(path, LARGEST))
     except OSError as error:
         raise UserError(f"{path}: {error.strerror}") from error
     with raw:

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 from scipy.optimize import minimize
 
-from tacgen.calibrate.photos import Press
+from tacgen.calibrate.photos import PhotographedPress
 
 Array = np.ndarray
 WIDTH = 0.08  # contact radii: standard deviation of the Gaussian whose second derivative measures the bend
@@ -23,7 +23,7 @@ ANGLES = 72  # points on the circle
 BEYOND = 1.2  # over the given radius: points whose ray leaves the picture before this are skipped
 
 
-def refined(press: Press, untouched: Array) -> Press:
+def refined(press: PhotographedPress, untouched: Array) -> PhotographedPress:
     """The press with a refined circle, on which the change against the untouched picture (H, W, 3) bends most."""
     if press.contact is None:
         return press

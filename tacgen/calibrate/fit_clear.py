@@ -16,11 +16,11 @@ from scipy.optimize import least_squares, nnls
 
 from tacgen.calibrate import contact_circle, press_faces
 from tacgen.calibrate.likeness import Comparison, Likeness
-from tacgen.calibrate.photos import Photos, Press
+from tacgen.calibrate.photos import PhotographedPress, Photos
 from tacgen.calibrate.result import Fitted, rgb, rms
 from tacgen.errors import UserError
 from tacgen.optics import camera_response, coating, strip_light
-from tacgen.optics.camera_view import Samples, View
+from tacgen.optics.camera_view import CameraView, Samples
 from tacgen.optics.direct_light import heights
 from tacgen.optics.housing import bottom_depth, frame
 from tacgen.optics.interreflection import Glow, Radiosity
@@ -33,7 +33,7 @@ from tacgen.sensor.model import Camera, Led, LitSensor
 from tacgen.sensor.yaml_source import KeyPath
 
 if TYPE_CHECKING:
-    from tacgen.calibrate.led_fit import Asked
+    from tacgen.calibrate.led_fit import FitLimits
 
 Array = np.ndarray
 SHRINK = 4  # pixels of the photograph per pixel of the fit
@@ -76,7 +76,7 @@ class Picture:
 class Looked:
     """Where the camera's rays meet the face of a picture."""
 
-    view: View
+    view: CameraView
     at: Samples
     toward: Array  # unit directions in the gel to the camera, (pixels, 3)
     passed: Array  # transmission from the gel to the camera, (pixels,)
@@ -84,7 +84,7 @@ class Looked:
 
 
 def fit(
-    sensor: LitSensor, photos: Photos, held_out: list[int], folders: dict[KeyPath, Path], asked: "Asked"
+    sensor: LitSensor, photos: Photos, held_out: list[int], folders: dict[KeyPath, Path], asked: "FitLimits"
 ) -> tuple[Fitted, tuple[Likeness, ...]]:
     """Fit the radiance and, with presses, the other parameters; also the likeness of held-out presses before and
     after. `held_out` counts presses from 1."""
@@ -106,7 +106,7 @@ def fit(
     return found, tuple(Comparison(one).likeness(presses, seen, photos.untouched) for one in (sensor, judged))
 
 
-def _points(one: tuple[Led, ...]) -> strip_light.Points:
+def _points(one: tuple[Led, ...]) -> strip_light.StripPoints:
     """The points that stand for a single LED."""
     (wide, tall), least = one[0].size_mm, (6, 2)
     along, across = (max(n, int(np.ceil(size / by)))
@@ -153,7 +153,7 @@ class Fit:
         counts = counts & (light < BRIGHT).all(axis=1)
         return Picture(name, light, np.minimum(255 * camera_response.slope(light, eye), STEEPEST), counts, face)
 
-    def _near(self, press: Press) -> Array:
+    def _near(self, press: PhotographedPress) -> Array:
         eye = self.sensor.camera
         shrink = press.picture.shape[1] / eye.width_px
         y, x = np.mgrid[: eye.height_px, : eye.width_px] + 0.5
@@ -197,7 +197,7 @@ class Fit:
         eye = self.sensor.camera
         moved = eye.model_copy(update={"crop_mm": tuple(np.add(eye.crop_mm, crop))})
         sensor = self.sensor.model_copy(update={"camera": moved})
-        view = View(sensor, self.sheet, False)
+        view = CameraView(sensor, self.sheet, False)
         at = view.look(self.pictures[picture].face)
         terrain = Terrain.of(heights(self.sheet, at.nodes), self.sheet.size)
         return Looked(view, at, view.toward_camera(), view.transmission(), terrain)

@@ -24,7 +24,7 @@ MOST_MM, MOST_DEG = 10.0, 90.0  # largest tolerances; farther off, the file is o
 
 
 @dataclass(frozen=True)
-class Asked:
+class FitLimits:
     """Limits of a fit."""
 
     mm: float = 0.5  # tolerance of the LEDs' positions and of the crop [mm]
@@ -78,7 +78,7 @@ class Calibrated:
         write_sensor(self.path, self.sensor, self.changes, out)
 
 
-def optics(name: str, folder: Path, asked: Asked | None = None) -> Calibrated:
+def optics(name: str, folder: Path, asked: FitLimits | None = None) -> Calibrated:
     """Fit the LEDs of a sensor file, given by name or path, to the photographs in a folder.
 
     Raises:
@@ -86,7 +86,7 @@ def optics(name: str, folder: Path, asked: Asked | None = None) -> Calibrated:
     """
     from tacgen.calibrate import photos as reading
 
-    asked, path = asked or Asked(), assets.sensor_path(name)
+    asked, path = asked or FitLimits(), assets.sensor_path(name)
     for unit, value, most in (("mm", asked.mm, MOST_MM), ("deg", asked.deg, MOST_DEG)):
         if not 0 <= value <= most:  # nor nan
             raise UserError(f"--tolerance-{unit}: must be from 0 to {most:g} (got {value:g})")

@@ -32,7 +32,7 @@ BY = "by tacgen calibrate material"
 
 
 @dataclass(frozen=True)
-class Asked:
+class Unknowns:
     """Unknowns of the fit besides the modulus."""
 
     zero: bool = True  # the depth of first touch
@@ -46,7 +46,7 @@ class Material:
 
     row: Row
     path: Path  # of the sensor file
-    asked: Asked
+    asked: Unknowns
     fitted: "MaterialFit"
     simpler: "dict[str, MaterialFit]"
 
@@ -133,7 +133,7 @@ class Material:
         return plain.get(name) or ((self.second, "") if name == "second" else (name, " s" if name[0] == "t" else ""))
 
 
-def material(sensor: str, recipe: str, table: Path, asked: Asked | None = None) -> Material:
+def material(sensor: str, recipe: str, table: Path, asked: Unknowns | None = None) -> Material:
     """Fit the moduli of a sensor file to the forces in a table, with indenter, friction and mesh of a recipe.
 
     Raises:
@@ -143,7 +143,7 @@ def material(sensor: str, recipe: str, table: Path, asked: Asked | None = None) 
 
     from tacgen.calibrate import fit_material, press_forces
 
-    asked, measured, path = asked or Asked(), press_forces.read(table), assets.sensor_path(sensor)
+    asked, measured, path = asked or Unknowns(), press_forces.read(table), assets.sensor_path(sensor)
     sets = (f"sensor={path.resolve()}",)
     rows = plan.load(assets.recipe_path(recipe), sets).rows
     if len(rows) != 1:

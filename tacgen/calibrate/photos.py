@@ -22,7 +22,7 @@ RANGES = {"ball_radius_mm": (0.1, 100.0), "contact_radius_px": (3.0, np.inf), "d
 
 
 @dataclass(frozen=True)
-class Press:
+class PhotographedPress:
     """A photographed press: its ball, and the radius of its contact, its depth or both."""
 
     name: str
@@ -39,7 +39,7 @@ class Photos:
 
     folder: Path
     untouched: Array  # (H, W, 3), 8 bit
-    presses: tuple[Press, ...]
+    presses: tuple[PhotographedPress, ...]
 
 
 def read(folder: Path, camera: Camera) -> Photos:
@@ -85,7 +85,7 @@ def _picture(path: Path, camera: Camera, wrong: list[str]) -> Array:
     return picture
 
 
-def _press(folder: Path, line: int, row: dict[str, str], camera: Camera, wrong: list[str]) -> Press | None:
+def _press(folder: Path, line: int, row: dict[str, str], camera: Camera, wrong: list[str]) -> PhotographedPress | None:
     """Read a row of the table; problems are added to `wrong`."""
     said = f"{folder / TABLE}:{line}"
     name = row["file"]
@@ -117,4 +117,4 @@ def _press(folder: Path, line: int, row: dict[str, str], camera: Camera, wrong: 
         wrong.append(f"{said}: contact_radius_px: is {size:.3g} mm, and the ball's radius {row['ball_radius_mm']}")
     if len(wrong) > before:
         return None
-    return Press(name, picture, number["ball_radius_mm"], (x, y), contact, number.get("depth_mm"))
+    return PhotographedPress(name, picture, number["ball_radius_mm"], (x, y), contact, number.get("depth_mm"))

@@ -8,11 +8,11 @@ import numpy as np
 
 from tacgen import mechanics
 from tacgen.calibrate import press_forces
-from tacgen.calibrate.photos import Photos, Press
+from tacgen.calibrate.photos import PhotographedPress, Photos
 from tacgen.errors import UserError
 from tacgen.labels import gel_surface
 from tacgen.mechanics import mesh, presolve
-from tacgen.optics.camera import Camera
+from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.hertz_dent import BallDent
 from tacgen.optics.surface_grid import Surface, Untouched
 from tacgen.recipe import loading, plan, scene_of_row
@@ -35,7 +35,7 @@ def check(sensor: LitSensor, photos: Photos, deeper: float = 1.0) -> None:
         raise UserError(wrong)
 
 
-def face(sensor: LitSensor, press: Press, folders: dict[KeyPath, Path]) -> Surface:
+def face(sensor: LitSensor, press: PhotographedPress, folders: dict[KeyPath, Path]) -> Surface:
     """The face of a press: solved at its depth if that is known, else by a formula from its contact radius; `folders`:
     see Row."""
     if press.depth is not None:
@@ -43,12 +43,16 @@ def face(sensor: LitSensor, press: Press, folders: dict[KeyPath, Path]) -> Surfa
     assert press.contact is not None
     dome = sensor.gel.dome
     bend = 0.0 if dome is None else (1 / dome.radius_x_mm + 1 / dome.radius_y_mm) / 2
-    untouched, camera = Untouched.of(sensor.gel), Camera.from_sensor(sensor)
+    untouched, camera = Untouched.of(sensor.gel), PinholeCamera.from_sensor(sensor)
     return BallDent.seen(camera, press.ball, press.center, press.contact, untouched, bend)
 
 
 def solved(
-    sensor: LitSensor, press: Press, depths: Sequence[float], folders: dict[KeyPath, Path], quality: str = "default"
+    sensor: LitSensor,
+    press: PhotographedPress,
+    depths: Sequence[float],
+    folders: dict[KeyPath, Path],
+    quality: str = "default",
 ) -> Sequence[Surface]:
     """Solved faces at increasing depths [mm], at the position of the ball in the photograph.
 
@@ -79,7 +83,7 @@ def faces(row: Row) -> Iterator[gel_surface.Surface]:
 
 def place(sensor: LitSensor, pixel: tuple[float, float], depth: float) -> tuple[float, float]:
     """Position (x, y) [mm] of the point at `pixel` on the face pressed by `depth` [mm]."""
-    camera, untouched, at = Camera.from_sensor(sensor), Untouched.of(sensor.gel), np.zeros((1, 2))
+    camera, untouched, at = PinholeCamera.from_sensor(sensor), Untouched.of(sensor.gel), np.zeros((1, 2))
     origin, ray = camera.rays(np.array([pixel]))
     for _ in range(5):
         z = untouched.at(at)[:, 2] - depth

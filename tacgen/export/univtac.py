@@ -81,6 +81,6 @@ def streams(images: np.ndarray) -> np.ndarray:
 
 def _pinhole_mm(bundle: Bundle) -> float:
     """Height of the camera's pinhole in the sensor frame [mm]."""
-    from tacgen.optics.camera import Camera
+    from tacgen.optics.camera import PinholeCamera
 
-    return float(Camera.from_sensor(bundle.sensor).pinhole[2])
+    return float(PinholeCamera.from_sensor(bundle.sensor).pinhole[2])

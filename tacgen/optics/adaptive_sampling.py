@@ -13,7 +13,7 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 
-class Tolerance(NamedTuple):
+class SamplingTolerance(NamedTuple):
     """When a cell is interpolated."""
 
     stride: int = 4  # samples between points of the coarsest lattice
@@ -25,7 +25,7 @@ def evaluate(
     light: Callable[[Integers], Floats],
     normals: Floats,
     shape: tuple[int, int],
-    tolerance: Tolerance,
+    tolerance: SamplingTolerance,
 ) -> Floats:
     """`light(indices) -> (n, c)` for every sample of an (h, w) picture, computed for some and interpolated for others.
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from tacgen.geometry.rasterize import draw
 from tacgen.optics import adaptive_sampling, coating
-from tacgen.optics.camera_view import Samples, View
+from tacgen.optics.camera_view import CameraView, Samples
 from tacgen.optics.shadows import Terrain
 from tacgen.optics.strip_light_table import Columns, toward_camera
 from tacgen.optics.surface_grid import Sheet, Surface
@@ -34,11 +34,11 @@ class Direct:
         untouched: Surface,
         pieces: int = 8,
         samples: int = 1,
-        tolerance: adaptive_sampling.Tolerance = adaptive_sampling.Tolerance(),  # noqa: B008
+        tolerance: adaptive_sampling.SamplingTolerance = adaptive_sampling.SamplingTolerance(),  # noqa: B008
     ) -> None:
         """Each strip in so many `pieces`; `samples` x `samples` rays a pixel."""
         self.sensor, self.sheet, self._tolerance = sensor, sheet, tolerance
-        self.view = View(sensor, sheet, markers, samples)
+        self.view = CameraView(sensor, sheet, markers, samples)
         self._untouched = heights(sheet, sheet.at(untouched))
         self._columns = Columns.of(sensor, pieces, Terrain.of(self._untouched, sheet.size))
         self._toward, self._seen = self.view.toward_camera(), self.view.transmission()

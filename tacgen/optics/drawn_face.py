@@ -10,7 +10,7 @@ from tacgen.geometry.rasterize import blend, hits
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from tacgen.optics.camera import Camera
+    from tacgen.optics.camera import PinholeCamera
     from tacgen.optics.surface_grid import Sheet, Surface
 
     Floats = NDArray[np.float64]
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 class DrawnFace:
     """One face on the nodes (n,) of a sheet, seen by a camera with `samples` x `samples` samples a pixel."""
 
-    def __init__(self, sheet: "Sheet", surface: "Surface", camera: "Camera", samples: int = 1) -> None:
+    def __init__(self, sheet: "Sheet", surface: "Surface", camera: "PinholeCamera", samples: int = 1) -> None:
         self.sheet, self.surface, self.camera, self.samples = sheet, surface, camera, samples
 
     @cached_property

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from tacgen.optics.camera_view import View
+    from tacgen.optics.camera_view import CameraView
     from tacgen.optics.surface_grid import Surface
     from tacgen.sensor.model import Led, LitSensor
 
@@ -64,7 +64,7 @@ class Radiosity:
         self._at, self._normals = np.concatenate([nodes, walls]), np.concatenate([facing, inward])
         area = np.concatenate([share.ravel() * self.sheet.areas(nodes), pieces])
         every = np.arange(len(area))
-        self._patches = strip_light.Points(self._at, self._normals, area, np.sqrt(area) / 2, every, 0 * every)
+        self._patches = strip_light.StripPoints(self._at, self._normals, area, np.sqrt(area) / 2, every, 0 * every)
         self._slab = strip_light.Slab.of(sensor)
         self._form_factors = self._gather(self._patches, len(area))
         turned = []
@@ -80,7 +80,7 @@ class Radiosity:
             + [(a + b - 2 * level) / (2 * TILT**2) for a, b in ((right, left), (down, up))]
         )  # (TERMS, coat patches, patches)
 
-    def added(self, sensor: "LitSensor", points: strip_light.Points) -> "Floats":
+    def added(self, sensor: "LitSensor", points: strip_light.StripPoints) -> "Floats":
         """Interreflected radiance (coating patches, leds, TERMS, 3) in the gel, per unit radiance of each LED."""
         coat, first, out = sensor.coating, self._gather(points, len(sensor.leds), sensor.leds), []
         for albedo in coat.albedo:
@@ -90,7 +90,7 @@ class Radiosity:
             out.append(rho[0] * np.moveaxis(self._form_factor_terms @ total, 0, -1))
         return np.stack(out, axis=-1)
 
-    def glow(self, values: "Floats", view: "View") -> Glow:
+    def glow(self, values: "Floats", view: "CameraView") -> Glow:
         """Values (coat patches, TERMS, 3) as the camera sees them; off the pad its edge."""
         from scipy.ndimage import map_coordinates
 
@@ -105,7 +105,11 @@ class Radiosity:
         return Glow(terms.reshape(len(terms), TERMS, 3), normal)
 
     def _gather(
-        self, points: strip_light.Points, strips: int, shading: "Sequence[Led]" = (), normals: "Floats | None" = None
+        self,
+        points: strip_light.StripPoints,
+        strips: int,
+        shading: "Sequence[Led]" = (),
+        normals: "Floats | None" = None,
     ) -> "Floats":
         """Radiance (patches, strips) of a white matt patch per unit radiance of each strip, LEDs `shading` it; with
         normals of the coat's patches that are not their own, (coat patches, strips)."""

@@ -25,7 +25,7 @@ Floats = NDArray[np.float64]
 CLEAR = 0.01  # distance of a ray's end from a strip's plane, below which the strip does not block it [mm]
 
 
-class Points(NamedTuple):
+class StripPoints(NamedTuple):
     """Quadrature points of the strips."""
 
     at: Floats  # positions [mm], (p, 3)
@@ -36,7 +36,7 @@ class Points(NamedTuple):
     lobe: NDArray[np.int64]  # power of the cosine by which radiance falls off the normal, (p,)
 
 
-def points(leds: "Sequence[Led]", along: int, up: int, pieces: int = 1) -> Points:
+def points(leds: "Sequence[Led]", along: int, up: int, pieces: int = 1) -> StripPoints:
     """`along` x `up` Gauss-Legendre points on each of the `pieces` of equal length of every strip, with their areas:
     strip by strip, piece by piece, position by position along it, and from bottom to top."""
     at, normal, area, half, strip, lobe = [], [], [], [], [], []
@@ -52,7 +52,7 @@ def points(leds: "Sequence[Led]", along: int, up: int, pieces: int = 1) -> Point
                 half.append(h * share_b[j] / 4)
                 strip.append(k)
                 lobe.append(led.lobe)
-    return Points(np.array(at), np.array(normal), np.array(area), np.array(half), np.array(strip), np.array(lobe))
+    return StripPoints(np.array(at), np.array(normal), np.array(area), np.array(half), np.array(strip), np.array(lobe))
 
 
 class Panels(NamedTuple):
@@ -254,7 +254,7 @@ def gather(
     p: Floats,
     n: Floats,
     view: Floats,
-    points: Points,
+    points: StripPoints,
     strips: int,
     slab: Slab,
     panels: Panels,

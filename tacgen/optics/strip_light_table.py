@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.compiled import njit
-from tacgen.optics.camera import Camera
+from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.shadows import SUMS, Terrain, horizon
-from tacgen.optics.strip_light import Panels, Points, Slab, arrive, ggx, points, shaded
+from tacgen.optics.strip_light import Panels, Slab, StripPoints, arrive, ggx, points, shaded
 
 if TYPE_CHECKING:
     from tacgen.sensor.model import LitSensor
@@ -74,7 +74,7 @@ class Columns(NamedTuple):
 
 def seen(sensor: "LitSensor") -> Floats:
     """The part of the gel that the camera sees, (2, 2): least and greatest x and y [mm], on the pad."""
-    camera, half = Camera.from_sensor(sensor), np.array([sensor.gel.width_mm, sensor.gel.height_mm]) / 2
+    camera, half = PinholeCamera.from_sensor(sensor), np.array([sensor.gel.width_mm, sensor.gel.height_mm]) / 2
     (h, w) = camera.shape
     near, way = camera.rays([[0, 0], [w, 0], [0, h], [w, h]])
     ends = np.concatenate([near, near + way * ((RISE - near[:, 2:]) / way[:, 2:])])[:, :2]
@@ -99,7 +99,7 @@ def tabulate(z: Floats, aside: Floats, sources: Floats, home: NDArray[np.int64],
 def column_light(
     places: Floats,
     z: Floats,
-    points: Points,
+    points: StripPoints,
     middle: Floats,
     level: NDArray[np.int64],
     home: NDArray[np.int64],

@@ -126,7 +126,7 @@ SHAPES: dict[str, type[Part]] = {
 
 
 def analytic(i: Indenter) -> "Shape | None":
-    """The signed distance of an indenter: the class of the same name in analytic_sdf, with the same fields without
+    """The signed distance of an indenter: the class of its name and Sdf in analytic_sdf, with the same fields without
     units. None for a mesh, whose file is not read here."""
     if i.shape == "mesh":
         return None
@@ -135,5 +135,5 @@ def analytic(i: Indenter) -> "Shape | None":
     fields = {name.removesuffix("_mm"): value for name, value in i if name != "shape"}
     if "half_angle_deg" in fields:
         fields["half_angle"] = math.radians(fields.pop("half_angle_deg"))
-    shape: Shape = getattr(analytic_sdf, type(i).__name__)(**fields)
+    shape: Shape = getattr(analytic_sdf, f"{type(i).__name__}Sdf")(**fields)
     return shape

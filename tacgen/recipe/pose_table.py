@@ -29,7 +29,7 @@ MAX_FILE = 200_000_000  # [bytes]
 Row = tuple[int, float, Vector, Quaternion]  # line, time as in the file, position [mm] and rotation
 
 
-class Pose(NamedTuple):
+class TimedPose(NamedTuple):
     """One row: the pose of a body in the table's frame, lengths in mm."""
 
     line: int  # of the file, from 1
@@ -38,14 +38,14 @@ class Pose(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Table:
+class PoseTable:
     """The poses of a file in order."""
 
     sha256: str
-    poses: tuple[Pose, ...]
+    poses: tuple[TimedPose, ...]
 
 
-def read(path: Path, units: str | None = None, columns: Mapping[Column, str] | None = None) -> Table:
+def read(path: Path, units: str | None = None, columns: Mapping[Column, str] | None = None) -> PoseTable:
     """Read a table. `units`: of x, y and z if the header does not say; `columns`: titles that are not in COLUMNS.
 
     Raises:
@@ -73,7 +73,7 @@ def matrices(positions: list[Vector], quaternions: list[Quaternion]) -> "ndarray
 
 
 @functools.lru_cache(maxsize=8)
-def _parsed(raw: bytes, units: str | None, columns: tuple[tuple[str, str], ...]) -> Table:
+def _parsed(raw: bytes, units: str | None, columns: tuple[tuple[str, str], ...]) -> PoseTable:
     """The table in the bytes of a file; cached, so that the scenes of a batch parse it once."""
     try:
         read, wrong = csv_table.records(raw, comments=("#",))
@@ -94,8 +94,8 @@ def _parsed(raw: bytes, units: str | None, columns: tuple[tuple[str, str], ...])
     if not rows:
         raise UserError("holds no pose below its header: a row for each is needed")
     numbers, times, positions, quaternions = (list(column) for column in zip(*rows, strict=True))
-    poses = map(Pose, numbers, [second * time for time in times], matrices(positions, quaternions))
-    return Table(hashlib.sha256(raw).hexdigest(), tuple(poses))
+    poses = map(TimedPose, numbers, [second * time for time in times], matrices(positions, quaternions))
+    return PoseTable(hashlib.sha256(raw).hexdigest(), tuple(poses))
 
 
 def _columns(header: list[str], units: str | None, columns: Mapping[str, str]) -> tuple[dict[str, int], float, float]:

@@ -11,7 +11,7 @@ from tacgen.recipe import assets, background_photo
 from tacgen.recipe.checks import timed
 from tacgen.recipe.loading import SOLID
 from tacgen.recipe.model import Recipe
-from tacgen.recipe.pose_table import Pose
+from tacgen.recipe.pose_table import TimedPose
 from tacgen.recipe.trajectory_checks import Folders, replayed
 from tacgen.sensor.model import Sensor
 from tacgen.sensor.yaml_source import KeyPath
@@ -88,7 +88,7 @@ class Row:
         assert self.recipe.indenter.shape == "mesh"
         return assets.mesh_path(self.recipe.indenter.file, self.folders.get(("indenter", "file")))
 
-    def replayed(self, segment: int) -> tuple[Pose, ...]:
+    def replayed(self, segment: int) -> tuple[TimedPose, ...]:
         """The poses of a segment that is a replay, one a frame, in the sensor's frame."""
         move = self.recipe.trajectory[segment].replay
         assert move is not None

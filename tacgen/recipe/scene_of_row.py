@@ -10,7 +10,7 @@ from tacgen.errors import UserError
 from tacgen.fem.materials import Law, MooneyRivlin, NeoHooke, StableNeoHooke, Yeoh
 from tacgen.geometry import mesh_import, surface_nets
 from tacgen.geometry.analytic_sdf import Shape, Triangles
-from tacgen.geometry.gel import Gel, Layer, SolidGel
+from tacgen.geometry.gel import GelBody, GelLayer, SolidGel
 from tacgen.mechanics.scene import Dynamics, Scene
 from tacgen.recipe import indenters, trajectory
 from tacgen.recipe.checks import timed
@@ -37,7 +37,7 @@ def _reach_of_gel(row: Row) -> tuple[float, float]:
     return float(np.hypot(gel.width_mm, gel.height_mm)) + 1.0, np.inf if tilted else rise
 
 
-def _solid(i: indenters.Mesh, row: Row) -> mesh_import.Solid:
+def _solid(i: indenters.Mesh, row: Row) -> mesh_import.SolidMesh:
     return mesh_import.placed(mesh_import.read(row.mesh_path), up=i.up, scale=i.scale, size=i.size_mm)
 
 
@@ -94,19 +94,19 @@ def bulk(mu: float, nu: float | None) -> float:
     return 2 * mu * (1 + nu) / (3 * (1 - 2 * nu))
 
 
-def gel_of(sensor: Sensor, solid_path: Path | None = None) -> Gel:
+def gel_of(sensor: Sensor, solid_path: Path | None = None) -> GelBody:
     """The gel with its laws; a solid is read from the file at `solid_path`."""
     layers = []
     for layer in sensor.gel.layers:
         law = law_of(layer)
         modulus = 9 * law.kappa * law.mu / (3 * law.kappa + law.mu)
-        layers.append(Layer(layer.thickness_mm, law, modulus, layer.terms))
+        layers.append(GelLayer(layer.thickness_mm, law, modulus, layer.terms))
     g = sensor.gel
     if g.solid is not None and solid_path is not None:
         solid = mesh_import.placed(mesh_import.read(solid_path), up=g.solid.up, scale=g.solid.scale)
         held = g.solid.bonded_mm, float(np.radians(g.solid.coated_deg))
         return SolidGel(**vars(g.pad), layers=tuple(layers), solid=solid, bonded=held[0], coated=held[1])
-    return Gel(**vars(g.pad), layers=tuple(layers))
+    return GelBody(**vars(g.pad), layers=tuple(layers))
 
 
 def build(row: Row) -> Scene:

@@ -9,7 +9,7 @@ from tacgen.errors import UserError
 from tacgen.recipe import assets, pose_table
 from tacgen.recipe.indenters import analytic
 from tacgen.recipe.model import Recipe
-from tacgen.recipe.pose_table import Pose
+from tacgen.recipe.pose_table import TimedPose
 from tacgen.recipe.trajectory import Press, Replay, Slide, Start
 from tacgen.sensor.model import Gel
 from tacgen.sensor.validation_messages import Problem
@@ -22,7 +22,7 @@ MAX_FRAMES = 10_000  # of a segment
 Folders = Mapping[KeyPath, Path]  # place in the recipe that names a file -> folder to which its path is relative
 
 
-def replayed(move: Replay, folder: Path | None) -> tuple[Pose, ...]:
+def replayed(move: Replay, folder: Path | None) -> tuple[TimedPose, ...]:
     """The poses of a replay, one a frame: the indenter in the sensor's frame.
 
     Raises:
@@ -79,7 +79,7 @@ def _walk(recipe: Recipe, gel: Gel, folders: Folders) -> None:
     """Follow the trajectory over a flat face. Raises TrajectoryError."""
     from tacgen.recipe.trajectory_poses import TrajectoryError, Walk
 
-    def rows(i: int) -> tuple[Pose, ...]:
+    def rows(i: int) -> tuple[TimedPose, ...]:
         replay = recipe.trajectory[i].replay
         if replay is None:
             return ()

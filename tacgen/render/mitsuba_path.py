@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from tacgen.optics import coating, mitsuba_dicts
-from tacgen.optics.camera import Camera
+from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.surface_grid import Sheet, Surface, Untouched
 from tacgen.render import mitsuba_variants as probing
 
@@ -67,7 +67,7 @@ def _lobed(mi: Any) -> Any:
 
 def description(sensor: "LitSensor", sheet: Sheet, markers: bool) -> tuple[dict[str, Any], dict[str, Any]]:
     """The sensor without its coated face, and the coated face's BSDF, as plain dictionaries."""
-    eye, camera = sensor.camera, Camera.from_sensor(sensor)
+    eye, camera = sensor.camera, PinholeCamera.from_sensor(sensor)
     pinhole = np.array(camera.pinhole)
     to_world = np.eye(4)
     to_world[:3, :3] = camera.turn * [-1, -1, 1]  # Mitsuba's camera has x to the left and y up

@@ -41,7 +41,7 @@ sys.exit(0 if np.isfinite(picture).all() and picture.max() > 0 else 3)
 """
 
 
-class Probed(NamedTuple):
+class VariantProbe(NamedTuple):
     """The outcome of one try."""
 
     variant: str
@@ -71,7 +71,7 @@ def libraries() -> list[str]:
     return list(dict.fromkeys(found))
 
 
-def probe(variant: str, library: str = "") -> Probed:
+def probe(variant: str, library: str = "") -> VariantProbe:
     """Render a tiny scene in a child process; whatever kills that child costs this process nothing."""
     try:
         ran = subprocess.run(
@@ -84,20 +84,20 @@ def probe(variant: str, library: str = "") -> Probed:
             timeout=SECONDS,
         )
     except (subprocess.TimeoutExpired, OSError) as error:
-        return Probed(variant, library, False, f"{type(error).__name__}")
+        return VariantProbe(variant, library, False, f"{type(error).__name__}")
     if ran.returncode == 0:
-        return Probed(variant, library, True, "renders")
+        return VariantProbe(variant, library, True, "renders")
     said = [line.strip() for line in ran.stderr.splitlines() if line.strip()]
     ended = f"killed by signal {-ran.returncode}" if ran.returncode < 0 else f"exit code {ran.returncode}"
-    return Probed(variant, library, False, f"{ended}{': ' + said[-1][:160] if said else ''}")
+    return VariantProbe(variant, library, False, f"{ended}{': ' + said[-1][:160] if said else ''}")
 
 
-def variants() -> list[Probed]:
+def variants() -> list[VariantProbe]:
     """Every variant of interest, best first, with the LLVM library it takes; answers are kept between runs."""
     return [_cuda(), _llvm(), _remembered(SCALAR, "")]
 
 
-def best() -> Probed:
+def best() -> VariantProbe:
     """The first variant that works: CUDA, then LLVM, then scalar (which is taken on trust).
 
     Raises:
@@ -109,23 +109,23 @@ def best() -> Probed:
         found = attempt()
         if found.works:
             return found
-    return Probed(SCALAR, "", True, "always there")
+    return VariantProbe(SCALAR, "", True, "always there")
 
 
-def _cuda() -> Probed:
+def _cuda() -> VariantProbe:
     if not any(Path(p).exists() for p in ("/dev/nvidiactl", "/dev/nvidia0", "/dev/dxg")):
-        return Probed(CUDA, "", False, "no NVIDIA device")
+        return VariantProbe(CUDA, "", False, "no NVIDIA device")
     return _remembered(CUDA, "")
 
 
-def _llvm() -> Probed:
+def _llvm() -> VariantProbe:
     tries = [_remembered(LLVM, library) for library in libraries()]
     works = [t for t in tries if t.works]
     if works:
         return works[0]
     if tries:
         return tries[0]
-    return Probed(LLVM, "", False, "no LLVM 17 or newer found (Debian, Ubuntu: apt install libllvm19)")
+    return VariantProbe(LLVM, "", False, "no LLVM 17 or newer found (Debian, Ubuntu: apt install libllvm19)")
 
 
 def key(variant: str, library: str) -> str:
@@ -135,14 +135,14 @@ def key(variant: str, library: str) -> str:
 
 
 @cache
-def _asked(question: str, variant: str, library: str, folder: str) -> Probed:
+def _asked(question: str, variant: str, library: str, folder: str) -> VariantProbe:
     """`folder` is the cache's: another one, another answer."""
 
     def asked() -> bytes:
         return json.dumps(probe(variant, library)).encode()
 
-    return Probed(*json.loads(array_cache.kept_bytes("variants", array_cache.digest([question]), asked)))
+    return VariantProbe(*json.loads(array_cache.kept_bytes("variants", array_cache.digest([question]), asked)))
 
 
-def _remembered(variant: str, library: str) -> Probed:
+def _remembered(variant: str, library: str) -> VariantProbe:
     return _asked(key(variant, library), variant, library, str(array_cache.cache_folder()))

@@ -13,7 +13,7 @@ from tacgen.bundle.bundle import Bundle, read
 from tacgen.bundle.caption import caption, indenter_text, sensor_text
 from tacgen.errors import UserError
 from tacgen.report.layers import LAYERS, limits
-from tacgen.report.sheet import Sheet, round_ticks
+from tacgen.report.sheet import Page, round_ticks
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -67,7 +67,7 @@ def figure(bundle: Bundle) -> "Figure":
     tall = PANEL * image[0] / image[1]
     wide = max(len(shown) * (PANEL + GAP), 5.0)
     height = (TOP if rows else 0.2) + len(rows) * (tall + GAP) + ABOVE_FORCES + FORCES + BELOW
-    sheet = Sheet(LEFT + wide + RIGHT, height)
+    sheet = Page(LEFT + wide + RIGHT, height)
     for r, draw in enumerate(rows):
         y = TOP + r * (tall + GAP)
         panels = [sheet.axes(LEFT + c * (PANEL + GAP), y, PANEL, tall) for c in range(len(shown))]
@@ -122,7 +122,7 @@ def _mesh(found: dict[str, Any]) -> str:
     return ", ".join([*words, f"volume {100 * found['volume_error']:+.2f} %"])
 
 
-def heading(sheet: Sheet, bundle: Bundle) -> None:
+def heading(sheet: Page, bundle: Bundle) -> None:
     """The bundle's name, indenter and sensor at the top of a sheet, and in red why it was rejected."""
     text = f"{bundle.recipe.get('name', bundle.path.stem)}: {indenter_text(bundle)}, on {sensor_text(bundle)}"
     sheet.figure.text(0.5, 1 - 0.12 / sheet.height, text, ha="center", va="top", fontsize=11)

@@ -21,7 +21,7 @@ MAX_VALUES = 12  # named of a varied quantity that is no number
 
 
 @dataclass(frozen=True)
-class Scene(run_status.Scene):
+class SceneOverview(run_status.SceneStatus):
     """One scene; `bundle` is None if it cannot be read or does not exist yet."""
 
     bundle: Bundle | None = field(default=None, repr=False)
@@ -39,7 +39,7 @@ class Scene(run_status.Scene):
 class Overview(run_status.Survey):
     """All scenes of a folder, in order, and properties of the whole dataset."""
 
-    scenes: tuple[Scene, ...]
+    scenes: tuple[SceneOverview, ...]
     bytes: int
 
     @property
@@ -123,7 +123,7 @@ def look(folder: Path) -> Overview:
     scenes = []
     for scene in planned.scenes:
         bundle = dataset.scenes(scene.path)[0] if scene.state in ("ok", "rejected") else None
-        scenes.append(Scene(**vars(scene), bundle=bundle))
+        scenes.append(SceneOverview(**vars(scene), bundle=bundle))
     size = sum(scene.path.stat().st_size for scene in planned.scenes if scene.path.exists())
     return Overview(planned.name, folder, tuple(scenes), size)
 
@@ -177,7 +177,7 @@ def _plain(folder: Path, name: str) -> Overview:
         attrs, named = bundle.attrs, bundle.group[1:] or bundle.path.stem
         values = json.loads(attrs.get("values", "{}"))
         facts = (named, attrs["status"], attrs["reason"], bundle.frames, bundle.path, values)
-        scenes.append(Scene(*facts, bundle=bundle))
+        scenes.append(SceneOverview(*facts, bundle=bundle))
     size = sum(path.stat().st_size for path in {bundle.path for bundle in bundles})
     return Overview(name or str(bundles[0].recipe.get("name", "")), folder, tuple(scenes), size)
 

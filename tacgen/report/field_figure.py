@@ -30,7 +30,7 @@ from tacgen.report.bundle_figure import (
     zoom,
 )
 from tacgen.report.plane_cut import crossed, cut, outline
-from tacgen.report.sheet import Sheet
+from tacgen.report.sheet import Page
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -79,7 +79,7 @@ def figure(bundle: Bundle, field: str) -> "Figure":
     shown = np.unique(np.linspace(0, bundle.frames - 1, COLUMNS).round().astype(int))
     image = image_size(bundle)
     tall = PANEL * (FLAT if rows > 1 else image[0] / image[1])
-    sheet = Sheet(0.9 + len(shown) * (PANEL + GAP) + 1.0, 0.85 + rows * (tall + GAP) + 0.9)
+    sheet = Page(0.9 + len(shown) * (PANEL + GAP) + 1.0, 0.85 + rows * (tall + GAP) + 0.9)
     grid = [
         [sheet.axes(0.9 + c * (PANEL + GAP), 0.85 + r * (tall + GAP), PANEL, tall) for c in range(len(shown))]
         for r in range(rows)

@@ -15,7 +15,7 @@ from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.image_file import encoded
 from tacgen.errors import UserError
 from tacgen.report import dataset_summary, viewer
-from tacgen.report.dataset_summary import Overview, Scene
+from tacgen.report.dataset_summary import Overview, SceneOverview
 from tacgen.report.sheet import counted, round_ticks, short
 
 MAX_PICTURES = 48
@@ -54,7 +54,7 @@ def page(seen: Overview) -> str:
     return f"<!doctype html><html lang=en><head>{head}</head><body><h1>{title}</h1>{body}</body></html>\n"
 
 
-def causes(scenes: Iterable[Scene]) -> dict[tuple[str, str], list[str]]:
+def causes(scenes: Iterable[SceneOverview]) -> dict[tuple[str, str], list[str]]:
     """(state, reason with numbers replaced by #) -> names of scenes, most frequent first."""
     found: dict[tuple[str, str], list[str]] = {}
     for scene in scenes:
@@ -72,7 +72,7 @@ def _states(seen: Overview) -> str:
     return _table(("", ""), [row for row in rows if row[1]])
 
 
-def _causes(scenes: Sequence[Scene]) -> str:
+def _causes(scenes: Sequence[SceneOverview]) -> str:
     rows = []
     for (state, reason), names in causes(scenes).items():
         shown = ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
@@ -95,7 +95,7 @@ def _coverage(seen: Overview) -> str:
     return shown if rows else ""
 
 
-def _forces(scenes: Sequence[Scene]) -> str:
+def _forces(scenes: Sequence[SceneOverview]) -> str:
     peaks = [scene.peak_n for scene in scenes if scene.peak_n is not None]
     return _histogram("force [N]", np.array(peaks)) if peaks else ""
 
@@ -132,7 +132,7 @@ def _finger(bundle: Bundle) -> str:
     return f" {escape(bundle.attrs['finger'])} finger" if "finger" in bundle.attrs else ""
 
 
-def _frames(scenes: Sequence[Scene]) -> str:
+def _frames(scenes: Sequence[SceneOverview]) -> str:
     """The first scene that is ok, in the viewer, without the 3D view of `tacgen view`."""
     bundle = next((s.bundle for s in scenes if s.state == "ok" and s.bundle is not None and s.bundle.frames), None)
     try:

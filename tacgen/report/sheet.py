@@ -17,7 +17,7 @@ def round_ticks(low: float, high: float, most: int = 6) -> list[float]:
     return [float(value) + 0.0 for value in values if low <= value <= high]
 
 
-class Sheet:
+class Page:
     """A matplotlib figure of this size [inch], whose plots are placed from its left and upper edges."""
 
     def __init__(self, width: float, height: float) -> None:

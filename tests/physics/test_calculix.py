@@ -15,7 +15,7 @@ from tacgen.labels import gel_surface
 from tacgen.labels.contact_maps import Maps
 from tacgen.labels.contact_maps import maps as maps_of
 from tacgen.mechanics import mesh
-from tacgen.optics.camera import Camera
+from tacgen.optics.camera import PinholeCamera
 from tacgen.recipe import loading, plan, scene_of_row
 from tacgen.recipe.row import Row
 
@@ -67,7 +67,7 @@ def press(row: Row) -> Run:
 def maps(row: Row, press: Run) -> Maps:
     surface = gel_surface.Surface(press.problem.mesh.points, press.problem.mesh.facets["coated"])
     state = press.states[-1]
-    return maps_of(press.problem, surface.moved(state.x), state, Camera.from_sensor(row.sensor))
+    return maps_of(press.problem, surface.moved(state.x), state, PinholeCamera.from_sensor(row.sensor))
 
 
 def test_force_wherever_the_sphere_sits_in_a_cell(row: Row, press: Run) -> None:
@@ -91,7 +91,7 @@ def test_force_of_a_smaller_sphere_on_a_softer_gel(tmp_path: Path) -> None:
 
 def test_contact_radius(row: Row, maps: Maps) -> None:
     """In plan, as CalculiX's is: the rim lies 0.26 mm below the face's rest."""
-    ends = Camera.from_sensor(row.sensor).project(np.array([[-1.0, 0.0, -0.26], [1.0, 0.0, -0.26]]))
+    ends = PinholeCamera.from_sensor(row.sensor).project(np.array([[-1.0, 0.0, -0.26], [1.0, 0.0, -0.26]]))
     pixel = 2.0 / np.linalg.norm(ends[1] - ends[0])
     assert pixel * np.sqrt(maps.contact.sum() / np.pi) == pytest.approx(2.32, rel=0.03)
 

@@ -15,7 +15,7 @@ from tacgen.labels import gel_surface
 from tacgen.labels.contact_maps import maps as maps_of
 from tacgen.labels.stress import Stresses
 from tacgen.mechanics import mesh
-from tacgen.optics.camera import Camera
+from tacgen.optics.camera import PinholeCamera
 from tacgen.recipe import assets, loading, plan, scene_of_row, sensor_checks
 from tacgen.recipe.row import Row
 
@@ -58,7 +58,7 @@ def test_force_of_a_press_at_default_quality(press: Run) -> None:
 
 def test_the_maps_see_the_press(press: Run, row: Row) -> None:
     """0.0509 mm/px at the middle of the skin's outer side, and the force is in view."""
-    camera = Camera.from_sensor(row.sensor)
+    camera = PinholeCamera.from_sensor(row.sensor)
     assert camera.shape == (345, 460)
     step = camera.project([[0.1, 0.0, 0.0]])[0] - camera.project([[0.0, 0.0, 0.0]])[0]
     assert 0.1 / step[0] == pytest.approx(0.0509, rel=1e-3)
