@@ -102,7 +102,7 @@ def fresnel_transmission(k: float, n1: float, n2: float) -> float:
 
 @njit(cache=False)
 def connect(rho: float, lengths: Floats, indices: Floats) -> tuple[float, float]:
-    """k of the ray that travels sideways by rho [mm] through layers of given lengths, and d rho/dk [mm]; see Stack."""
+    """k of the ray that travels sideways by rho [mm] through layers of given lengths, and d rho/dk [mm]: docs/OPTICS.md."""
     low = np.inf
     paraxial = 0.0
     for i in range(len(lengths)):
@@ -134,8 +134,20 @@ def connect(rho: float, lengths: Floats, indices: Floats) -> tuple[float, float]
     return k, derivative
 
 
+class Arrival(NamedTuple):
+    """Light of a point source where it arrives in the outermost layer; docs/OPTICS.md has the formulas."""
+
+    aside: float  # lateral component of the unit vector toward the light
+    up: float  # z component of the unit vector toward the light
+    leaving: float  # z component of the unit vector along which the light leaves the source
+    weight: float  # radiance carried over times solid angle, per area [1/mm^2] normal to the leaving direction
+
+
+ASIDE, TOWARD, LEAVING, WEIGHT = range(4)  # places of these fields in a table
+
+
 @njit(cache=False)
-def arrive(rho: float, z: float, source: float, home: int, image: int, slab: Slab) -> tuple[float, float, float, float]:
+def arrive(rho: float, z: float, source: float, home: int, image: int, slab: Slab) -> Arrival:
     """Path of light from a point at lateral distance `rho` [mm] and height `source` to height z: direct (image 0), or
     reflected (1).
 
@@ -144,10 +156,6 @@ def arrive(rho: float, z: float, source: float, home: int, image: int, slab: Sla
         home: the layer of the source.
         image: 1 for light that is first reflected at the slab's bottom.
         slab: light mirrors at its first bottom, against air.
-
-    Returns:
-        lateral and z component of the unit vector from z toward the light; z component of the unit vector along which
-        the light leaves; and radiance carried over times solid angle, per area [1/mm^2] normal to that direction.
     """
     bottoms, tops, indices = slab
     last = len(indices) - 1
@@ -174,7 +182,7 @@ def arrive(rho: float, z: float, source: float, home: int, image: int, slab: Sla
         passed *= 1.0 - fresnel_transmission(k, indices[0], 1.0)
     # solid angle in the gel per area of strip, and radiance carried over as L/n^2
     weight = sg / (ng * cg * derivative * rho) / cl * (ng / nl) ** 2 * passed
-    return sg, sign * cg, -sign * cl if image == 0 else sign * cl, weight
+    return Arrival(sg, sign * cg, -sign * cl if image == 0 else sign * cl, weight)
 
 
 @njit(cache=False)

@@ -114,7 +114,7 @@ def test_a_strip_stands_in_the_way_where_a_fine_walk_meets_it(normal, image):
         if met is not None:
             seen.add(met)
             k = (
-                strip_light.arrive(np.hypot(*(source - p)[:2]), p[2], source[2], home, image, slab)[0]
+                strip_light.arrive(np.hypot(*(source - p)[:2]), p[2], source[2], home, image, slab).aside
                 * slab.indices[-1]
             )
             assert strip_light.shaded(panels, p, source, home, image, k, slab) == met
@@ -125,7 +125,7 @@ def walked(panels, p, source, image, slab):
     """The same by points every 0.002 mm of height; None where the way only just misses or meets the rectangle."""
     rho = np.hypot(*(source - p)[:2])
     home = strip_light.layer(source[2], slab.tops)
-    k = strip_light.arrive(rho, p[2], source[2], home, image, slab)[0] * slab.indices[-1]
+    k = strip_light.arrive(rho, p[2], source[2], home, image, slab).aside * slab.indices[-1]
     z = np.arange(p[2], slab.bottoms[0] if image else source[2], -0.002)
     z = np.append(z, np.arange(slab.bottoms[0], source[2], 0.002)) if image else z
     n = np.where(z < slab.bottoms[1], *slab.indices)
