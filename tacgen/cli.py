@@ -147,20 +147,20 @@ def status(
     from tacgen.bundle.run_status import survey
     from tacgen.report import estimate
 
-    found = survey(folder)
-    count, total = found.count(), len(found.scenes)
-    said = [scene for scene in found.scenes if scene.reason]
-    plain = [{"scene": scene.name, "state": scene.state, "reason": scene.reason} for scene in found.scenes]
+    surveyed = survey(folder)
+    count, total = surveyed.count(), len(surveyed.scenes)
+    said = [scene for scene in surveyed.scenes if scene.reason]
+    plain = [{"scene": scene.name, "state": scene.state, "reason": scene.reason} for scene in surveyed.scenes]
     lines = [f"{scene.name}: {scene.state}: {scene.reason}" for scene in said]
     lines.append(
-        f"{folder}: {found.name}, {counted(total, 'scene')}: {', '.join(f'{n} {s}' for s, n in count.items())}"
+        f"{folder}: {surveyed.name}, {counted(total, 'scene')}: {', '.join(f'{n} {s}' for s, n in count.items())}"
     )
     if left_out := dataset.unplanned(folder):
         lines.append(f"not of the plan, left out: {dataset.some([path.name for path in left_out])}")
-    if cost := estimate.left(found):
+    if cost := estimate.left(surveyed):
         lines.append(f"left: {cost.text(1)}")
     plain_cost = cost and cost.plain()
-    show_result({"name": found.name, "count": count, "left": plain_cost, "scenes": plain}, "\n".join(lines), as_json)
+    show_result({"name": surveyed.name, "count": count, "left": plain_cost, "scenes": plain}, "\n".join(lines), as_json)
     raise typer.Exit(0 if count.get("ok", 0) == total else 1)
 
 
@@ -248,13 +248,13 @@ def show_list(
 
     if kind and kind not in KINDS:
         raise UserError(f"{kind}: must be one of {', '.join(KINDS)}")
-    found = {name: KINDS[name]() for name in ([kind] if kind else KINDS)}
+    listed = {name: KINDS[name]() for name in ([kind] if kind else KINDS)}
     lines: list[str] = []
-    for name, entries in found.items():
+    for name, entries in listed.items():
         width = max(map(len, entries), default=0)
         lines.append(f"{name}:")
         lines += [f"  {entry:<{width}}  {about}" for entry, about in entries.items()] or ["  none"]
-    show_result(found, "\n".join(lines), as_json)
+    show_result(listed, "\n".join(lines), as_json)
 
 
 @app.command()
@@ -329,7 +329,7 @@ def doctor(
     if warm:
         from tacgen.batch import warm as preparing
 
-        findings += [checkup.Diagnosis(*found) for found in preparing.warm()]
+        findings += [checkup.Diagnosis(*sensor) for sensor in preparing.warm()]
     lines = [f"{'ok ' if f.ok else 'BAD' if f.needed else '-- '} {f.name:<20} {f.note}" for f in findings]
     show_result([f._asdict() for f in findings], "\n".join(lines), as_json)
     raise typer.Exit(1 if any(f.needed and not f.ok for f in findings) else 0)

@@ -32,10 +32,10 @@ class Diagnosis(NamedTuple):
 
 def examine() -> list[Diagnosis]:
     """Run all tests; one that fails is a finding, never an exception."""
-    found: list[Diagnosis] = []
+    diagnoses: list[Diagnosis] = []
     for trial in (_python, _packages, _solvers, _rendering, _hdf5, _threads, _disk):
-        found += _tried(trial)
-    return found
+        diagnoses += _tried(trial)
+    return diagnoses
 
 
 def _tried(trial: Callable[[], Iterator[Diagnosis]]) -> list[Diagnosis]:

@@ -44,7 +44,7 @@ def probe(plan: Plan, workers: int, task: str = TASK) -> PlanCost:
                     made.append(Made(result.frames, work(result.seconds), result.path.stat().st_size / 1e9))
             if time.monotonic() - begun > ENOUGH_S:
                 break
-    found = cost(plan.frames, made)
-    if found is None:
+    estimated = cost(plan.frames, made)
+    if estimated is None:
         raise UserError(f"no scene could be made to judge by: {reason}")
-    return PlanCost(found, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1e6)
+    return PlanCost(estimated, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1e6)

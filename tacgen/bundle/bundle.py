@@ -114,12 +114,12 @@ class Writer:
         if notes:
             late["notes"] = json.dumps([*json.loads(self._attrs.get("notes", "[]")), *notes])
         self._attrs.update(late)
-        found = {}
+        checksums = {}
         with self._sink.guard():
             for path, column in self._columns.items():
                 column.finish()
-                found[path] = Dataset.of(column.data, column.hash.hexdigest())
-            self._file.attrs.update({**late, "digest": _digest(self._attrs, found), "complete": True})
+                checksums[path] = Dataset.of(column.data, column.hash.hexdigest())
+            self._file.attrs.update({**late, "digest": _digest(self._attrs, checksums), "complete": True})
             self._file.close()
         try:
             read(self._sink.path, part=True).verify(lambda path, data: self._columns[path].stored(data))
@@ -209,14 +209,14 @@ class Bundle:
 
         `content` gives the SHA-256 of an open dataset by its path, for a writer that knows its chunks' contents.
         """
-        found = {}
+        datasets = {}
         with opened(self.path, self.group) as file:
             for path in self.shapes:
                 data = file[path[1:]]
-                found[path] = Dataset.of(data, content(path, data) if content else FrameReader(data).sha256())
-        if _digest(self.attrs, found) != self.attrs["digest"]:
+                datasets[path] = Dataset.of(data, content(path, data) if content else FrameReader(data).sha256())
+        if _digest(self.attrs, datasets) != self.attrs["digest"]:
             raise Damaged(f"{self.path}: damaged: its contents do not match its digest")
-        return found
+        return datasets
 
     def _read(self, path: str, index: int | None) -> np.ndarray:
         if path not in self.shapes:
@@ -303,10 +303,10 @@ class Dataset:
         return cls(data.dtype.str, data.shape, attrs, sha256)
 
 
-def _digest(attrs: Mapping[str, Any], found: Mapping[str, Dataset]) -> str:
+def _digest(attrs: Mapping[str, Any], datasets: Mapping[str, Dataset]) -> str:
     """Digest of the content, not of the file: paths, types, shapes, bytes and attributes, sorted."""
     root = {name: value for name, value in attrs.items() if name not in NOT_IN_DIGEST}
-    rows = [[path, d.dtype, list(d.shape), d.attrs, d.sha256] for path, d in sorted(found.items())]
+    rows = [[path, d.dtype, list(d.shape), d.attrs, d.sha256] for path, d in sorted(datasets.items())]
     return hashlib.sha256(json.dumps([root, rows], sort_keys=True, default=repr).encode()).hexdigest()
 
 

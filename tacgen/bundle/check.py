@@ -72,10 +72,10 @@ def check(path: Path) -> list[Finding]:
         raise UserError(f"{path}: no bundles (*.h5) in this folder")
     seen: Seen = {}
     keys = {folder: dataset.planned_keys(folder) for folder in {file.parent for file in files}}
-    found = []
+    findings = []
     for file in sorted([*files, *parts]):
-        found += _leftover(file) if atomic_file.is_part(file) else _file(file, seen, keys[file.parent])
-    return found + [f for folder in packs for f in _packed(folder)]
+        findings += _leftover(file) if atomic_file.is_part(file) else _file(file, seen, keys[file.parent])
+    return findings + [f for folder in packs for f in _packed(folder)]
 
 
 def _leftover(path: Path) -> list[Finding]:
@@ -103,19 +103,19 @@ def _file(path: Path, seen: Seen, keys: dataset.PlannedKeys, group: str = "/") -
         first = seen.setdefault((path.parent, bundle.attrs["digest"]), name)
         if first != name:
             return [Finding(path, "error", f"{name} is a copy of {first}: one of them was replaced")]
-        found = [Finding(path, "error", message) for message in _layout(bundle, datasets)]
-        if not found:  # the checks below rely on the layout
-            found = [Finding(path, "error", message) for rule in RULES for message in rule(bundle)]
+        findings = [Finding(path, "error", message) for message in _layout(bundle, datasets)]
+        if not findings:  # the checks below rely on the layout
+            findings = [Finding(path, "error", message) for rule in RULES for message in rule(bundle)]
     except UserError as error:
         level: Literal["error", "incomplete"] = "incomplete" if isinstance(error, Unfinished) else "error"
         return [Finding(path, level, line.removeprefix(f"{path}: ")) for line in error.lines]
-    if not found and not keys.hold(bundle):
+    if not findings and not keys.hold(bundle):
         return [Finding(path, "stray", "was made from other inputs than those of the plan: readers leave it out")]
     if bundle.attrs["status"] != "ok":
-        found.append(Finding(path, "rejected", bundle.attrs["reason"]))
-    if all(finding.level == "rejected" for finding in found):
-        found += [Finding(path, "note", message) for rule in NOTES for message in rule(bundle)]
-    return found
+        findings.append(Finding(path, "rejected", bundle.attrs["reason"]))
+    if all(finding.level == "rejected" for finding in findings):
+        findings += [Finding(path, "note", message) for rule in NOTES for message in rule(bundle)]
+    return findings
 
 
 def _layout(bundle: Bundle, datasets: dict[str, Dataset]) -> Iterator[str]:

@@ -125,11 +125,11 @@ class FrameReader:
 
     def sha256(self) -> str:
         """SHA-256 of the whole content, chunk by chunk."""
-        found = hashlib.sha256()
+        digest = hashlib.sha256()
         rows = self.data.chunks[0] if self.data.chunks else 1
         for start in range(0, self.data.shape[0] if self.data.shape else 0, rows):
-            found.update(np.asarray(self[start] if self.ours else self.data[start : start + rows]).data)
-        return found.hexdigest()
+            digest.update(np.asarray(self[start] if self.ours else self.data[start : start + rows]).data)
+        return digest.hexdigest()
 
 
 def _packed(block: Array, parts: int) -> list[bytes]:

@@ -82,18 +82,18 @@ def scenes(source: Path, *, merge: bool = False) -> list[Bundle]:
         return [read(source)]
     if is_packed(source):
         return [read(path, group) for path, group in packed(source)]
-    found, others = _planned(source, merge)
+    bundles, others = _planned(source, merge)
     if others:
         left = some([path.name for path in others])
         warnings.warn(f"{others[0].parent}: left out {left}: not of the plan there", LeftOut, stacklevel=2)
-    if not found:
+    if not bundles:
         raise UserError(f"{source}: no bundles (*.h5) in this folder" + _hint(packs(source)))
-    return found
+    return bundles
 
 
 def _planned(source: Path, merge: bool) -> tuple[list[Bundle], list[Path]]:
     """The bundles of the plans in and below a folder, all bundles where there is no plan, and the files left out."""
-    found: list[Bundle] = []
+    bundles: list[Bundle] = []
     others: list[Path] = []
     paths = files(source)
     folders = {folder: planned_keys(folder) for folder in dict.fromkeys(path.parent for path in paths)}
@@ -103,10 +103,10 @@ def _planned(source: Path, merge: bool) -> tuple[list[Bundle], list[Path]]:
     for path in paths:
         keys = folders[path.parent]
         if keys.names(path) and keys.hold(bundle := read(path)):
-            found.append(bundle)
+            bundles.append(bundle)
         else:
             others.append(path)
-    return found, others
+    return bundles, others
 
 
 @dataclass(frozen=True)
@@ -144,12 +144,12 @@ def some(names: Sequence[str]) -> str:
 def contacts(bundles: Sequence[Bundle]) -> list[list[int]]:
     """Groups of indices of bundles that belong together: the same contact on different sensors, or the two fingers of a
     grasp. Any other bundle is alone."""
-    found: dict[object, list[int]] = {}
+    groups: dict[object, list[int]] = {}
     for place, bundle in enumerate(bundles):
         number = bundle.attrs.get("scene_index" if "finger" in bundle.attrs else "pair")
         key = place if number is None else (bundle.path.parent, bundle.recipe.get("name"), number)
-        found.setdefault(key, []).append(place)
-    return list(found.values())
+        groups.setdefault(key, []).append(place)
+    return list(groups.values())
 
 
 def role(bundle: Bundle) -> str:
@@ -159,8 +159,8 @@ def role(bundle: Bundle) -> str:
 
 def files(folder: Path) -> list[Path]:
     """Bundles in and below a folder, in the order of their scenes, without part files."""
-    found = [path for place, names in _folders(folder) for name in names if (path := place / name).suffix == ".h5"]
-    return sorted(found, key=lambda path: (path.parent, len(path.name), path.name))
+    paths = [path for place, names in _folders(folder) for name in names if (path := place / name).suffix == ".h5"]
+    return sorted(paths, key=lambda path: (path.parent, len(path.name), path.name))
 
 
 def packs(folder: Path) -> list[Path]:
@@ -181,8 +181,8 @@ def _refuse(error: OSError) -> None:
     raise UserError(f"{error.filename}: cannot be read: {error.strerror}") from None
 
 
-def _hint(found: list[Path]) -> str:
-    return f"; packed scenes are in {found[0]}" if found else ""
+def _hint(folders: list[Path]) -> str:
+    return f"; packed scenes are in {folders[0]}" if folders else ""
 
 
 def is_packed(folder: Path) -> bool:

@@ -93,7 +93,7 @@ def datasets(root: Any) -> dict[str, tuple[int, ...]]:
     """
     from h5py import h5d, h5g, h5l, h5o
 
-    found: dict[str, tuple[int, ...]] = {}
+    shapes: dict[str, tuple[int, ...]] = {}
     sizes: dict[str, int] = {}
 
     def walk(group: Any, above: str) -> None:
@@ -103,14 +103,14 @@ def datasets(root: Any) -> dict[str, tuple[int, ...]]:
                 raise ValueError(f"{path} is a link")
             item = h5o.open(group, name)
             if isinstance(item, h5d.DatasetID):
-                found[path] = _checked_shape(path, item, sizes)
+                shapes[path] = _checked_shape(path, item, sizes)
             elif path in GROUPS and isinstance(item, h5g.GroupID):
                 walk(item, path)
             else:
                 raise ValueError(f"format {FORMAT} has no group {path}")
 
     walk(root.id, "")
-    return dict(sorted(found.items()))
+    return dict(sorted(shapes.items()))
 
 
 def _checked_shape(path: str, data: Any, sizes: dict[str, int]) -> tuple[int, ...]:

@@ -40,8 +40,8 @@ class Survey:
 
     def count(self) -> dict[str, int]:
         """Scenes by state; states that no scene is in are left out."""
-        found = Counter(scene.state for scene in self.scenes)
-        return {state: found[state] for state in STATES if found[state]}
+        states = Counter(scene.state for scene in self.scenes)
+        return {state: states[state] for state in STATES if states[state]}
 
 
 def survey(folder: Path) -> Survey:

@@ -53,5 +53,5 @@ def bend(change: Array, circle: Array, width: float, angles: Array) -> float:
     at = [circle[1] + radii * np.sin(angles) - 0.5, circle[0] + radii * np.cos(angles) - 0.5]
     seen = np.stack([map_coordinates(change[..., c], at, order=1, mode="nearest") for c in range(3)], axis=2)
     weight = (STEPS**2 - 1) * np.exp(-(STEPS**2) / 2)
-    found = np.einsum("r,rac->ac", weight - weight.mean(), seen)
-    return float(np.linalg.norm(found, axis=1).mean())
+    curvature = np.einsum("r,rac->ac", weight - weight.mean(), seen)
+    return float(np.linalg.norm(curvature, axis=1).mean())

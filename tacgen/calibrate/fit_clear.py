@@ -94,16 +94,16 @@ def fit(
         refined = tuple(contact_circle.refined(press, photos.untouched) for press in photos.presses)
         photos = replace(photos, presses=refined)
     faces = [press_faces.face(sensor, press, folders) for press in photos.presses]
-    found = Fit(sensor, photos, faces, tolerance, asked.bare).run(asked.steps, held_out)
+    fitted = Fit(sensor, photos, faces, tolerance, asked.bare).run(asked.steps, held_out)
     judges = [k - 1 for k in held_out if photos.presses[k - 1].contact is not None]
-    if not judges or found.judged is None:
-        return found, ()
-    now = found.judged
+    if not judges or fitted.judged is None:
+        return fitted, ()
+    now = fitted.judged
     light = {key: getattr(now.camera, key) for key in ("ambient", "vignette_mm", "crop_mm")}
     eye = sensor.camera.model_copy(update=light)
     judged = sensor.model_copy(update={"leds": now.leds, "coating": now.coating, "camera": eye})
     presses, seen = [photos.presses[k] for k in judges], [faces[k] for k in judges]
-    return found, tuple(Comparison(one).likeness(presses, seen, photos.untouched) for one in (sensor, judged))
+    return fitted, tuple(Comparison(one).likeness(presses, seen, photos.untouched) for one in (sensor, judged))
 
 
 def _points(one: tuple[Led, ...]) -> strip_light.StripPoints:
@@ -301,10 +301,10 @@ class Fit:
             return v
 
         def left(u: Array) -> Array:
-            found, _ = self.misfit(self.all_columns(numbers(u), seen), seen)
+            residual, _ = self.misfit(self.all_columns(numbers(u), seen), seen)
             weights = [WEIGHT if k else 1.0 for k in seen]
             held = HOLD * 2 * (numbers(u) - self._start)[free] / span[free]
-            return np.concatenate([*(w * m.ravel() for w, m in zip(weights, found, strict=True)), held])
+            return np.concatenate([*(w * m.ravel() for w, m in zip(weights, residual, strict=True)), held])
 
         start = np.clip(1 + 2 * (begin - self._least)[free] / span[free], 1.02, 2.98)  # from 1 to 3 over the range
         how: Any = {"bounds": (1, 3), "diff_step": 0.02, "max_nfev": steps, "loss": "soft_l1", "f_scale": SOFT}

@@ -94,20 +94,20 @@ def fit(
         here = [seen[k][i] for k in chosen]
         table = gains(np.concatenate([s.change for s in here]), np.concatenate([s.wanted / s.own for s in here]))
         off = rms([s.off(table, linear, sensor.camera) for s in here])
-        best = min(best, (off, table, i), key=lambda found: found[0])
+        best = min(best, (off, table, i), key=lambda tried: tried[0])
     off, table, i = best
     rest = [seen[k - 1][i].off(table, linear, sensor.camera) for k in held_out]
     response_ = ThicknessResponse(change_mm=CHANGES, gain=tuple(rgb(row) for row in table), source="fit")
     whole = made.model_copy(update={"thickness_response": response_})
-    found = Fitted(whole, now, before, off, rms(rest) if rest else None, FACTORS[i])
+    fitted = Fitted(whole, now, before, off, rms(rest) if rest else None, FACTORS[i])
     if not held_out:
-        return found, ()
+        return fitted, ()
     alike = []
     for response, k in ((sensor.thickness_response, FACTORS.index(1.0)), (response_, i)):
         judges = [seen[j - 1][k] for j in held_out]
         pairs = [judge.changes(response, linear, sensor.camera) for judge in judges]
         alike.append(ChangeLikeness.of(*(np.concatenate(part) for part in zip(*pairs, strict=True))))
-    return found, tuple(alike)
+    return fitted, tuple(alike)
 
 
 def powers(sensor: LitSensor, maps: Array, untouched: Array) -> Array:

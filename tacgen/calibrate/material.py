@@ -109,8 +109,8 @@ class Material:
             out[parse_path(self.second)[1:]] = digits(self.fitted["second"])
         factor = next(e for e in self.fitted.estimates if e.name == "modulus")
         count = sum(e.name.startswith("tau") for e in self.fitted.estimates)
-        found = [(digits(self.fitted[f"g{i}"]), digits(self.fitted[f"tau{i}"])) for i in range(1, count + 1)]
-        series = [{"g": g, "tau_s": tau} for g, tau in found]
+        terms = [(digits(self.fitted[f"g{i}"]), digits(self.fitted[f"tau{i}"])) for i in range(1, count + 1)]
+        series = [{"g": g, "tau_s": tau} for g, tau in terms]
         shape = self.row.recipe.indenter.shape
         for k, layer in enumerate(self.row.sensor.gel.layers):
             here: KeyPath = ("gel", "layers", k)

@@ -44,13 +44,13 @@ class Photos:
 
 def read(folder: Path, camera: Camera) -> Photos:
     """The photographs in a folder. Raises UserError: all that are missing or cannot be used, a line each."""
-    found = next((folder / name for name in UNTOUCHED if (folder / name).is_file()), None)
+    picture = next((folder / name for name in UNTOUCHED if (folder / name).is_file()), None)
     wrong: list[str] = []
     if not folder.is_dir():
         raise UserError(f"{folder}: no such folder")
-    if found is None:
+    if picture is None:
         wrong.append(f"{folder}: holds no background.png, the photograph of the untouched sensor")
-    untouched = np.zeros(0) if found is None else _picture(found, camera, wrong)
+    untouched = np.zeros(0) if picture is None else _picture(picture, camera, wrong)
     presses = []
     table = folder / TABLE
     for line, row in csv_table.rows(table, NEEDED, EITHER, wrong) if table.is_file() else ():

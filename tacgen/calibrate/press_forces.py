@@ -41,25 +41,25 @@ def read(table: Path) -> Measured:
     Raises UserError: all problems, a line each.
     """
     wrong: list[str] = []
-    found: dict[str, list[float]] = {"depth_mm": [], "force_n": [], "time_s": []}
+    columns: dict[str, list[float]] = {"depth_mm": [], "force_n": [], "time_s": []}
     for line, row in csv_table.rows(table, ("depth_mm", "force_n"), (), wrong):
-        for name in found if "time_s" in row else ("depth_mm", "force_n"):
+        for name in columns if "time_s" in row else ("depth_mm", "force_n"):
             value = csv_table.number(row[name])
             if not abs(value) < LARGEST:
                 wrong.append(f"{table}:{line}: {name}: must be a number below {LARGEST:g} (got {row[name]!r})")
-            elif name == "time_s" and found[name] and not value > found[name][-1]:
-                wrong.append(f"{table}:{line}: time_s: must rise (got {value:g} after {found[name][-1]:g})")
+            elif name == "time_s" and columns[name] and not value > columns[name][-1]:
+                wrong.append(f"{table}:{line}: time_s: must rise (got {value:g} after {columns[name][-1]:g})")
             elif name == "time_s" and value < 0:
                 wrong.append(f"{table}:{line}: time_s: must be at least 0, first touch (got {value:g})")
-            found[name].append(value)
-    depth, force = np.array(found["depth_mm"]), np.array(found["force_n"])
+            columns[name].append(value)
+    depth, force = np.array(columns["depth_mm"]), np.array(columns["force_n"])
     if not wrong and len(depth) < LEAST:
         wrong.append(f"{table}: has {len(depth)} rows, and a fit takes {LEAST} at least")
     elif not wrong and not (depth.max() > 0 and force.max() > 0):
         wrong.append(f"{table}: holds no press: depths and forces count positive into the gel")
     if wrong:
         raise UserError(wrong)
-    return Measured(table.name, depth, force, np.array(found["time_s"]) if found["time_s"] else None)
+    return Measured(table.name, depth, force, np.array(columns["time_s"]) if columns["time_s"] else None)
 
 
 def solved(row: Row, depths: Array) -> Array:

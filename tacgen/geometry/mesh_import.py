@@ -102,8 +102,8 @@ def _loaded(path: Path) -> "trimesh.Trimesh":
     try:
         # from memory, so that no other file that an OBJ file names is opened
         kind = path.suffix[1:].lower()
-        found: Any = trimesh.load_mesh(io.BytesIO(content), file_type=kind, process=False, skip_materials=True)
-        return found if isinstance(found, trimesh.Trimesh) else found.to_mesh()
+        mesh: Any = trimesh.load_mesh(io.BytesIO(content), file_type=kind, process=False, skip_materials=True)
+        return mesh if isinstance(mesh, trimesh.Trimesh) else mesh.to_mesh()
     except Exception as error:  # trimesh's readers raise many types of errors for a damaged file
         raise UserError(
             f"{path}: is not a mesh that can be read ({type(error).__name__}: {error})".split("\n")[0]
@@ -149,8 +149,8 @@ def _repaired(mesh: "trimesh.Trimesh") -> "trimesh.Trimesh":
         work.meshing_close_holes(maxholesize=MAX_HOLE, selfintersection=False)
     except pymeshlab.PyMeshLabException:
         return mesh
-    found = work.current_mesh()
-    repaired = _close(_clean(trimesh.Trimesh(found.vertex_matrix(), found.face_matrix(), process=False)))
+    mended = work.current_mesh()
+    repaired = _close(_clean(trimesh.Trimesh(mended.vertex_matrix(), mended.face_matrix(), process=False)))
     return repaired if abs(repaired.area - mesh.area) <= MAX_NEW_AREA * mesh.area else mesh
 
 
@@ -171,12 +171,12 @@ def _welded(mesh: "trimesh.Trimesh") -> Array:
 
 def _edges_not_shared_by_two(mesh: "trimesh.Trimesh") -> str:
     _, shared = np.unique(mesh.edges_sorted, axis=0, return_counts=True)
-    found = []
+    counts = []
     if (shared == 1).any():
-        found.append(f"{int((shared == 1).sum())} open edges")
+        counts.append(f"{int((shared == 1).sum())} open edges")
     if (shared > 2).any():
-        found.append(f"{int((shared > 2).sum())} edges between more than two triangles")
-    return ", ".join(found)
+        counts.append(f"{int((shared > 2).sum())} edges between more than two triangles")
+    return ", ".join(counts)
 
 
 def _joined(name: str, parts: list[tuple[Array, Array]]) -> SolidMesh:

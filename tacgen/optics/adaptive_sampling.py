@@ -50,9 +50,9 @@ def evaluate(
             for column in cells[:, 2:].T:
                 wanted[row * w + column] = True
         points = np.flatnonzero(wanted & ~known)
-        found = light(points)
-        out = out if out.size else np.zeros((h * w, found.shape[1]))
-        out[points], known[points] = found, True
+        values = light(points)
+        out = out if out.size else np.zeros((h * w, values.shape[1]))
+        out[points], known[points] = values, True
         cells = fill(out.reshape(h, w, -1), known.reshape(h, w), normals.reshape(h, w, 3), cells, *tolerance[1:])
     return out
 

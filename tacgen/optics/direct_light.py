@@ -67,10 +67,10 @@ class Direct:
                 seen += coat.specular * coating.METAL * light[..., 1]
             return np.column_stack([seen, matt + bounced / white]) if dots else seen
 
-        found = self._everywhere(bare, at)
+        radiance = self._everywhere(bare, at)
         if markers is None or not dots:
-            return self.view.dimmed(at, found)
-        return self.view.picture(found[:, :3] + at.paint * (markers.albedo * found[:, 3:] - found[:, :3]))
+            return self.view.dimmed(at, radiance)
+        return self.view.picture(radiance[:, :3] + at.paint * (markers.albedo * radiance[:, 3:] - radiance[:, :3]))
 
     def _gatherer(self, at: Samples, radiance: "Floats") -> "Light":
         """A function of sample indices: radiance toward the camera by LEDs of radiance (strips, c), (n, c, 1 or 2)."""

@@ -45,9 +45,9 @@ class DrawnFace:
     def behind(self, values: "Floats", outermost: bool = False) -> "Floats":
         """Values (n, c) at the nodes, behind each sample (H, W, c), nan where there is no gel; where the face is folded
         of what is nearest to the camera, or of what is outermost."""
-        found, place, _ = self._outermost if outermost and self.folded else self._nearest
+        triangle, place, _ = self._outermost if outermost and self.folded else self._nearest
         values = np.ascontiguousarray(values)  # `blend` would be compiled again for another memory layout
-        return np.asarray(blend(self.sheet.faces, found, place, values))
+        return np.asarray(blend(self.sheet.faces, triangle, place, values))
 
     @cached_property
     def _nearest(self) -> "tuple[NDArray[np.int32], Floats, bool]":

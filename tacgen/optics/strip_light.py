@@ -102,7 +102,7 @@ def fresnel_transmission(k: float, n1: float, n2: float) -> float:
 
 @njit(cache=False)
 def connect(rho: float, lengths: Floats, indices: Floats) -> tuple[float, float]:
-    """k of the ray that travels sideways by rho [mm] through layers of given lengths, and d rho/dk [mm]: docs/OPTICS.md."""
+    """k of the ray that travels sideways by rho [mm] through layers of given lengths, and d rho/dk: docs/OPTICS.md."""
     low = np.inf
     paraxial = 0.0
     for i in range(len(lengths)):

@@ -36,12 +36,12 @@ def problems(recipe: Recipe, sensor: Sensor, folder: Path | None) -> list[Proble
         ]
     path = assets.beside(name, folder)
     try:
-        found = assets.sha256(path)
+        sha256 = assets.sha256(path)
         height, width = read(path).shape[:2]
     except UserError as error:
         return [Problem(WHERE, error.lines[0])]
-    if expected not in (None, found):
-        return [Problem(("render", "background_sha256"), f"{name} {assets.changed(found)}")]
+    if expected not in (None, sha256):
+        return [Problem(("render", "background_sha256"), f"{name} {assets.changed(sha256)}")]
     if (width, height) != (camera.width_px, camera.height_px):
         pictures = f"{camera.width_px} x {camera.height_px}"
         return [Problem(WHERE, f"is {width} x {height}, and the camera's pictures are {pictures}: crop and resize it")]

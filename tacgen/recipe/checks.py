@@ -226,8 +226,8 @@ def _mesh_file(indenter: Indenter, edge: float, folder: Path | None) -> list[Pro
     except UserError as error:
         return [Problem(("indenter", "file"), error.lines[0])]
     wrong, longest = [], indenter.size_mm or max(sides)
-    if indenter.sha256 not in (None, found := assets.sha256(path)):
-        wrong.append(Problem(("indenter", "sha256"), f"{indenter.file} {assets.changed(found)}"))
+    if indenter.sha256 not in (None, sha256 := assets.sha256(path)):
+        wrong.append(Problem(("indenter", "sha256"), f"{indenter.file} {assets.changed(sha256)}"))
     if longest < 2 * MIN_HALF_THICKNESS * edge:
         text = f"is {longest:.3g} mm long, too small for a mesh of edge {edge:g} mm: a file in metres needs scale: 1000"
         wrong.append(Problem(("indenter", "file"), text))

@@ -115,11 +115,11 @@ def folders(tree: Tree, recipe: Recipe, varied: Mapping[str, KeyPath] | None = N
 
     `varied`: the paths of `vary`, one of which may name the file instead, and their places in the recipe.
     """
-    found: dict[KeyPath, Path] = {}
+    starts: dict[KeyPath, Path] = {}
     for path in recipe.files:
         spots = [where for name, where in (varied or {}).items() if path[: len(p := parse_path(name))] == p]
-        found[path] = (tree.spot([*spots, path][0]).value.source.folder or Path()).resolve()
-    return found
+        starts[path] = (tree.spot([*spots, path][0]).value.source.folder or Path()).resolve()
+    return starts
 
 
 def solid_folder(sensor_tree: Tree) -> Path:
@@ -216,8 +216,8 @@ def _overridden_sensor(
         wrong = Problem((), f"a sensor must be a mapping (got {describe(sensor_tree.data)})")
         return None, Tree(None), [(wrong, sensor_tree)]
     sensor_tree, lost = _overridden(sensor_tree, tree)
-    sensor, found = sensor_checks.check(sensor_tree.data, solid_folder(sensor_tree), images)
-    return sensor, sensor_tree, [(p, tree) for p in lost] + [(p, sensor_tree) for p in found]
+    sensor, of_sensor = sensor_checks.check(sensor_tree.data, solid_folder(sensor_tree), images)
+    return sensor, sensor_tree, [(p, tree) for p in lost] + [(p, sensor_tree) for p in of_sensor]
 
 
 def _overridden(sensor: Tree, recipe: Tree) -> tuple[Tree, list[Problem]]:

@@ -169,7 +169,7 @@ def _named(
 
     Raises UserError: every problem of all of them.
     """
-    found, problems = {}, []
+    sensors, problems = {}, []
     told: tuple[str, ...] = ()
     if where := vary.paths.get("sensor"):
         for name in getattr(vary, str(where[1]))["sensor"].choice:
@@ -177,11 +177,11 @@ def _named(
             sensor, sensor_tree, wrong = loading.named_sensor(chosen, images)
             problems += wrong
             if sensor is not None:
-                found[name] = sensor, loading.solid_start(sensor, sensor_tree)
+                sensors[name] = sensor, loading.solid_start(sensor, sensor_tree)
                 told += usual_values.warnings(sensor, sensor_tree)
     if problems:
         raise report(problems)
-    return found, told
+    return sensors, told
 
 
 def _resolve(
@@ -230,8 +230,8 @@ def _resolve(
     wrong += [problem for problem, _ in lacking]
     if wrong:
         return None, wrong
-    found = resolved(recipe, starts)
-    return Row(index, f"scene-{index:05d}", seed, found, sensor, values, starts, other, pair=pair), []
+    complete = resolved(recipe, starts)
+    return Row(index, f"scene-{index:05d}", seed, complete, sensor, values, starts, other, pair=pair), []
 
 
 def _message(group: list[tuple[str, Problem]], tree: Tree, vary: Vary) -> str:

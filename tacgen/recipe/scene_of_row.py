@@ -50,13 +50,13 @@ def shape_of(row: Row) -> Shape:
     (half, height), quality = _reach_of_gel(row), row.recipe.resolved()
     edge, dhat = quality.edge_mm, quality.dhat_mm
     solid = _solid(indenter, row)
-    found = mesh_import.field(solid, cell=SDF_CELL * edge, height=height, half=half)
+    grid = mesh_import.field(solid, cell=SDF_CELL * edge, height=height, half=half)
     if row.recipe.contact.formulation == "distance":
-        mesh_import.refuse_thin_walls(solid, found.cell, height, edge)
-        if found.reach < dhat:  # contact shrinks the indenter by most of dhat: nothing would be left to press
-            text = f"has no point deeper inside than {found.reach:.2g} mm, too thin for contact over {dhat:g} mm"
-            raise UserError(f"{solid.name}: {text}: ask for quality: {{dhat_mm: {found.reach / 3:.1g}}}")
-    return found
+        mesh_import.refuse_thin_walls(solid, grid.cell, height, edge)
+        if grid.reach < dhat:  # contact shrinks the indenter by most of dhat: nothing would be left to press
+            text = f"has no point deeper inside than {grid.reach:.2g} mm, too thin for contact over {dhat:g} mm"
+            raise UserError(f"{solid.name}: {text}: ask for quality: {{dhat_mm: {grid.reach / 3:.1g}}}")
+    return grid
 
 
 def _surface(row: Row, shape: Shape) -> Triangles | None:

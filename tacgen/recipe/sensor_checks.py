@@ -100,8 +100,8 @@ def _solid(gel: Gel, folder: Path | None) -> list[Problem]:
         sizes = mesh_import.sizes(path, gel.solid.up, gel.solid.scale)
     except UserError as error:
         return [Problem(("gel", "solid", "file"), error.lines[0])]
-    if gel.solid.sha256 not in (None, found := assets.sha256(path)):
-        return [Problem(("gel", "solid", "sha256"), f"{gel.solid.file} {assets.changed(found)}")]
+    if gel.solid.sha256 not in (None, sha256 := assets.sha256(path)):
+        return [Problem(("gel", "solid", "sha256"), f"{gel.solid.file} {assets.changed(sha256)}")]
     said = {"width_mm": gel.width_mm, "height_mm": gel.height_mm, "layers": gel.thickness_mm}
     return [
         Problem(("gel", key), f"the solid measures {size:.4g} mm along {axis} (got {value:g}): is scale or up wrong?")

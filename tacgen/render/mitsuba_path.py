@@ -55,9 +55,9 @@ def _lobed(mi: Any) -> Any:
 
         def sample_direction(self, it: Any, sample: Any, active: Any = True) -> Any:
             scalar = mi.variant() == probing.SCALAR
-            found = mi.DirectionSample3f() if scalar else dr.zeros(mi.DirectionSample3f, dr.width(sample))
-            found.p, found.d, found.dist, found.pdf = it.p, mi.Vector3f(0.0, 0.0, 1.0), 1.0, 0.0
-            return found, mi.Color3f(0.0)
+            direction = mi.DirectionSample3f() if scalar else dr.zeros(mi.DirectionSample3f, dr.width(sample))
+            direction.p, direction.d, direction.dist, direction.pdf = it.p, mi.Vector3f(0.0, 0.0, 1.0), 1.0, 0.0
+            return direction, mi.Color3f(0.0)
 
         def pdf_direction(self, it: Any, ds: Any, active: Any = True) -> Any:
             return mi.Float(0.0)

@@ -62,13 +62,13 @@ def environment(library: str = "") -> dict[str, str]:
 
 def libraries() -> list[str]:
     """LLVM libraries worth a try: DRJIT_LIBLLVM_PATH first, then the newest found on the system."""
-    found = [os.environ["DRJIT_LIBLLVM_PATH"]] if os.environ.get("DRJIT_LIBLLVM_PATH") else []
+    paths = [os.environ["DRJIT_LIBLLVM_PATH"]] if os.environ.get("DRJIT_LIBLLVM_PATH") else []
     for number in LLVM_VERSIONS:
         folders = (*LIBRARY_FOLDERS, f"/usr/lib/llvm-{number}/lib")
         names = (f"libLLVM-{number}.so", f"libLLVM.so.{number}.1", f"libLLVM.so.{number}.0")
         here = [str(Path(f, n)) for f in folders for n in names if Path(f, n).is_file()]
-        found += here[:1]
-    return list(dict.fromkeys(found))
+        paths += here[:1]
+    return list(dict.fromkeys(paths))
 
 
 def probe(variant: str, library: str = "") -> VariantProbe:
@@ -106,9 +106,9 @@ def best() -> VariantProbe:
     if not importlib.util.find_spec("mitsuba"):
         raise UserError("these images need Mitsuba, which is not installed: pip install 'tacgen[mitsuba]'")
     for attempt in (_cuda, _llvm):
-        found = attempt()
-        if found.works:
-            return found
+        fastest = attempt()
+        if fastest.works:
+            return fastest
     return VariantProbe(SCALAR, "", True, "always there")
 
 

@@ -39,12 +39,12 @@ def picture(path: Path, out: Path) -> None:
 
 def only(path: Path) -> Bundle:
     """The bundle at a path, or the only one of a folder. UserError if the folder holds several."""
-    found = dataset.scenes(path)
-    if len(found) > 1:
+    bundles = dataset.scenes(path)
+    if len(bundles) > 1:
         raise UserError(
-            f"{path}: holds {len(found)} bundles; draw one, such as {found[0].path}, or all: tacgen report {path}"
+            f"{path}: holds {len(bundles)} bundles; draw one, such as {bundles[0].path}, or all: tacgen report {path}"
         )
-    return found[0]
+    return bundles[0]
 
 
 def save(drawn: "Figure", out: Path) -> None:
@@ -113,13 +113,13 @@ def summary(path: Path) -> str:
     return "\n".join(lines)
 
 
-def _mesh(found: dict[str, Any]) -> str:
+def _mesh(quality: dict[str, Any]) -> str:
     """`5431 nodes, 3388 cells, smallest angle 20 deg, scaled Jacobian 0.22, volume -0.03 %`"""
-    words = [f"{found['nodes']} nodes", f"{found['cells']} cells"]
-    if "smallest_dihedral_deg" in found:
-        words.append(f"smallest angle {found['smallest_dihedral_deg']:.0f} deg")
-    words.append(f"scaled Jacobian {found['smallest_scaled_jacobian']:.2f}")
-    return ", ".join([*words, f"volume {100 * found['volume_error']:+.2f} %"])
+    words = [f"{quality['nodes']} nodes", f"{quality['cells']} cells"]
+    if "smallest_dihedral_deg" in quality:
+        words.append(f"smallest angle {quality['smallest_dihedral_deg']:.0f} deg")
+    words.append(f"scaled Jacobian {quality['smallest_scaled_jacobian']:.2f}")
+    return ", ".join([*words, f"volume {100 * quality['volume_error']:+.2f} %"])
 
 
 def heading(sheet: Page, bundle: Bundle) -> None:

@@ -74,8 +74,8 @@ class Overview(run_status.Survey):
     @property
     def indenters(self) -> list[str]:
         """The different indenters: their shapes, or the files of meshes."""
-        found = (b.recipe.get("indenter", {}) for b in self.bundles)
-        return list(dict.fromkeys(str(i.get("file", i.get("shape", "?"))) for i in found))
+        described = (b.recipe.get("indenter", {}) for b in self.bundles)
+        return list(dict.fromkeys(str(i.get("file", i.get("shape", "?"))) for i in described))
 
     @property
     def datasets(self) -> dict[str, str]:
@@ -84,7 +84,7 @@ class Overview(run_status.Survey):
         for bundle in self.bundles:
             for path, shape in bundle.shapes.items():
                 shapes.setdefault(path, []).append(shape)
-        return {path: _common(found) for path, found in sorted(shapes.items())}
+        return {path: _common(kinds) for path, kinds in sorted(shapes.items())}
 
     @property
     def varied(self) -> dict[str, list[Any]]:
@@ -97,7 +97,8 @@ class Overview(run_status.Survey):
         """Number of scenes with a map that misses the force by more than MAX_MISFIT, and a line about the worst."""
         each = [{name: v.max(initial=0.0) for name, v in check.misfits(bundle).items()} for bundle in self.bundles]
         out = {
-            name: [found[name] for found in each if found.get(name, 0.0) > check.MAX_MISFIT] for name in check.MISFITS
+            name: [largest[name] for largest in each if largest.get(name, 0.0) > check.MAX_MISFIT]
+            for name in check.MISFITS
         }
         return [(len(v), check.MISFITS[name].format(f"up to {max(v):.2g}")) for name, v in out.items() if v]
 

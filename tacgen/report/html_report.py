@@ -56,12 +56,12 @@ def page(seen: Overview) -> str:
 
 def causes(scenes: Iterable[SceneOverview]) -> dict[tuple[str, str], list[str]]:
     """(state, reason with numbers replaced by #) -> names of scenes, most frequent first."""
-    found: dict[tuple[str, str], list[str]] = {}
+    affected: dict[tuple[str, str], list[str]] = {}
     for scene in scenes:
         if scene.state != "ok":
             reason = re.sub(r"-?\d[\d.e+-]*", "#", scene.reason)
-            found.setdefault((scene.state, reason), []).append(scene.name)
-    return dict(sorted(found.items(), key=lambda item: -len(item[1])))
+            affected.setdefault((scene.state, reason), []).append(scene.name)
+    return dict(sorted(affected.items(), key=lambda item: -len(item[1])))
 
 
 def _states(seen: Overview) -> str:

@@ -33,9 +33,9 @@ def problems(sensor: LitSensor) -> Iterator[Problem]:
     yield from _dots(sensor)
     room = _Room.of(sensor)
     for i, led in enumerate(sensor.leds):
-        found = _wrong_led(room, led)
-        if found:
-            yield Problem(("leds", i, found[0]), f"{led.name}: {found[1]}")
+        problem = _wrong_led(room, led)
+        if problem:
+            yield Problem(("leds", i, problem[0]), f"{led.name}: {problem[1]}")
 
 
 def _singular(matrix: tuple[Vec3, Vec3, Vec3]) -> bool:
