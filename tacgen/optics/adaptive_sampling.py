@@ -22,10 +22,7 @@ class SamplingTolerance(NamedTuple):
 
 
 def evaluate(
-    light: Callable[[Integers], Floats],
-    normals: Floats,
-    shape: tuple[int, int],
-    tolerance: SamplingTolerance,
+    light: Callable[[Integers], Floats], normals: Floats, shape: tuple[int, int], tolerance: SamplingTolerance
 ) -> Floats:
     """`light(indices) -> (n, c)` for every sample of an (h, w) picture, computed for some and interpolated for others.
 

@@ -30,12 +30,7 @@ SHARED = ((1.0, 1.0), (4.0, 1e-3), (16.0, 1e-6))  # widths [bins] and weights by
 RIDGE = 0.05  # ridge penalty of the position-dependent terms, over the number of a bin's samples [-]
 ALONG = (-0.6, -0.2, 0.2, 0.6)
 PLACES = [(x, y) for y in ALONG for x in ALONG]  # centres of dents from the picture's middle, over half its size [-]
-BALLS = [
-    (1.2, 0.6),
-    (0.6, 0.9),
-    (1.5, 0.35),
-    (0.8, 0.75),
-]  # radius over the gel's thickness, sine of the largest slope
+BALLS = [(1.2, 0.6), (0.6, 0.9), (1.5, 0.35), (0.8, 0.75)]  # radius over the gel's thickness, sine of the largest slope
 COARSE = 4  # spacing of pixels whose shadows are computed, and of the points tested on the line to a lamp [px]
 
 

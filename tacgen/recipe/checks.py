@@ -122,10 +122,7 @@ def output_problems(recipe: Recipe, sensor: Sensor) -> list[Problem]:
         asked = " and ".join(sorted(images))
         lacking = ", ".join(name for name in LIGHTS if getattr(sensor, name) is None)
         wrong.append(
-            Problem(
-                ("outputs",),
-                f"asks for {asked}: the sensor {sensor.name} has no {lacking}: add them to its file",
-            )
+            Problem(("outputs",), f"asks for {asked}: the sensor {sensor.name} has no {lacking}: add them to its file")
         )
     if images and recipe.render.method == "table" and any(layer.scattering for layer in sensor.gel.clear_layers):
         text = (

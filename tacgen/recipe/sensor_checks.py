@@ -38,11 +38,7 @@ def _lights(data: Any) -> list[Problem]:
         return []
     missing = [name for name in LIGHTS if name not in there]
     return [
-        Problem(
-            (name,),
-            f"is missing, and {there[-1]} is there{needs(Sensor, (name,))}",
-            at_key=True,
-        )
+        Problem((name,), f"is missing, and {there[-1]} is there{needs(Sensor, (name,))}", at_key=True)
         for name in missing
     ]
 

@@ -59,8 +59,7 @@ def _layers(sensor: LitSensor) -> Iterator[Problem]:
         yield Problem(("gel", "layers", scattering[0], "scattering"), text)
     elif gel.dome and len(clear) > 1:
         yield Problem(
-            ("gel", "dome"),
-            "light is followed through one clear layer under a dome, not several: leave dome out",
+            ("gel", "dome"), "light is followed through one clear layer under a dome, not several: leave dome out"
         )
     if scattering and sensor.markers:
         yield Problem(

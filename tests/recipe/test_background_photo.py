@@ -13,7 +13,7 @@ from tacgen.bundle import bundle
 from tacgen.errors import UserError
 from tacgen.optics import camera_response
 from tacgen.recipe import assets, background_photo, loading, plan
-from tacgen.render.backdrop import Backdrop
+from tacgen.render.pictures import Backdrop
 
 RECIPE = f"{PICTURE.replace('noise: false', 'noise: false, background: mine.png')}outputs: [rgb]\n"
 
