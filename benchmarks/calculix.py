@@ -20,7 +20,7 @@ from benchmarks.results_page import one_thread
 from tacgen.errors import UserError
 from tacgen.fem.elements import HEX_EDGES, boxes
 from tacgen.fem.materials import NeoHooke
-from tacgen.geometry.gel import Gel
+from tacgen.geometry.gel import GelBody
 from tacgen.mechanics import mesh
 
 Array = np.ndarray
@@ -50,7 +50,7 @@ def version() -> str:
     return "CalculiX " + (re.search(r"[\d.]+", said) or [""])[0]
 
 
-def press(gel: Gel, radius: float, depth: float, edge: float, *, quarter: bool = True) -> Pressed:
+def press(gel: GelBody, radius: float, depth: float, edge: float, *, quarter: bool = True) -> Pressed:
     """Press a ball without friction into a flat pad of one neo-Hookean layer, with element edge `edge` [mm] below it:
     the whole pad as tacgen solves it, or a quarter by symmetry."""
     deck, nodes = _deck(gel, radius, depth, edge, quarter)
@@ -70,7 +70,7 @@ def press(gel: Gel, radius: float, depth: float, edge: float, *, quarter: bool =
     return Pressed((4 if quarter else 1) * abs(float(forces[-1][2])), nodes, seconds)
 
 
-def _deck(gel: Gel, radius: float, depth: float, edge: float, quarter: bool) -> tuple[str, int]:
+def _deck(gel: GelBody, radius: float, depth: float, edge: float, quarter: bool) -> tuple[str, int]:
     """The input file, and the number of nodes of the gel."""
     law = gel.layers[0].law
     assert isinstance(law, NeoHooke)
@@ -105,7 +105,7 @@ def _deck(gel: Gel, radius: float, depth: float, edge: float, quarter: bool) -> 
     return "\n".join(lines), len(points)
 
 
-def _pad(gel: Gel, low: float, reach: float, edge: float) -> tuple[Array, Array, Array]:
+def _pad(gel: GelBody, low: float, reach: float, edge: float) -> tuple[Array, Array, Array]:
     """Points, cells of 20 nodes and indices of the top cells; x and y start at `low` times the pad's half size."""
     size, fine = (gel.width / 2, gel.height / 2), (low * reach, reach)
     xs, ys = (mesh.graded(low * half, half, fine, edge, 1.7, 4.0) for half in size)

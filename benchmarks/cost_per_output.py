@@ -153,7 +153,7 @@ def labels(sensor: str) -> dict[str, list[float]]:
 
     from tacgen import mechanics
     from tacgen.mechanics import mesh
-    from tacgen.optics.camera import Camera
+    from tacgen.optics.camera import PinholeCamera
     from tacgen.outputs import gel_surface
     from tacgen.outputs.cauchy_stress import Stresses
     from tacgen.outputs.contact_maps import maps
@@ -166,7 +166,7 @@ def labels(sensor: str) -> dict[str, list[float]]:
     row = plan.load(assets.recipe_path("quickstart"), sets).rows[0]
     made = scene_of_row.build(row)
     problem = mechanics.Problem.of(made, mesh.of(made))
-    camera, stresses = Camera.from_sensor(row.sensor), Stresses(problem)
+    camera, stresses = PinholeCamera.from_sensor(row.sensor), Stresses(problem)
     rest = gel_surface.Surface(problem.mesh.points, problem.mesh.facets["coated"])
     seconds, worst = np.zeros(3), np.zeros(5)
     states, count = mechanics.states(made, problem), 0

@@ -10,9 +10,9 @@ import numpy as np
 
 from tacgen.calibrate import press_faces
 from tacgen.optics import coating
-from tacgen.optics.camera import Camera
+from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.drawn_face import DrawnFace
-from tacgen.optics.material_flow import Flow, Points
+from tacgen.optics.material_flow import Flow, MaterialPoints
 from tacgen.optics.surface_grid import Sheet, Surface
 from tacgen.recipe import assets, loading, plan
 from tacgen.recipe.model import Recipe
@@ -43,20 +43,20 @@ def sheared(name: str, quality: str = "draft") -> tuple[Sensor, Surface, Surface
         "contact": {"friction": 2.0}, "outputs": ["force"], "quality": quality,
         "trajectory": [{"press": {"depth_mm": DEPTHS[name], "frames": 1}}, {"slide": {"x_mm": SHEAR, "frames": 1}}],
     }  # fmt: skip
-    untouched, _, moved = press_faces.faces(plan.expand(Recipe.model_validate(recipe), sensor).rows[0])
+    untouched, _, moved = press_faces.faces(plan.expand(loading.checked(Recipe.model_validate(recipe), sensor)).rows[0])
     return sensor, untouched, moved
 
 
 def measure(sensor: LitSensor, untouched: Surface, moved: Surface, variant: str, spp: int = 256) -> Error:
     """Errors of marker positions and of dense flow; a sensor without markers gets a grid of 1 mm."""
-    camera, fine, own = Camera.from_sensor(sensor), *(Sheet.over(sensor.gel, d) for d in (SPACING, SHEET))
+    camera, fine, own = PinholeCamera.from_sensor(sensor), *(Sheet.over(sensor.gel, d) for d in (SPACING, SHEET))
     before, after = (mitsuba_path.rest(sensor, fine, face, spp, variant) for face in (untouched, moved))
     if sensor.markers is not None:
         dots = coating.centers(sensor.markers)
     else:
         dots = np.stack(np.meshgrid(np.arange(-7.0, 8.0), np.arange(-6.0, 7.0)), -1).reshape(-1, 2)
     face = DrawnFace(own, moved, camera)
-    pixels, seen = Points(dots, untouched, camera).at(face)
+    pixels, seen = MaterialPoints(dots, untouched, camera).at(face)
     flow = Flow(DrawnFace(own, untouched, camera)).at(face)
     h, w = camera.shape
     at = np.stack(np.meshgrid(np.arange(w) + 0.5, np.arange(h) + 0.5), -1)

@@ -13,8 +13,8 @@ from benchmarks.reference_runs import BALL, answer, kept, row_of
 from benchmarks.results_page import Cell, Level, Plot, Result, Say, Series, Table, columns, cores
 from tacgen import array_cache, mechanics
 from tacgen.fem.materials import NeoHooke
-from tacgen.geometry.analytic_sdf import Sphere
-from tacgen.geometry.gel import Gel, Layer
+from tacgen.geometry.analytic_sdf import SphereSdf
+from tacgen.geometry.gel import GelBody, GelLayer
 from tacgen.mechanics import mesh
 from tacgen.mechanics.scene import Scene
 from tacgen.recipe import scene_of_row
@@ -193,10 +193,10 @@ def pressed(nu: float, chi: float, fine: int) -> float:
     radius a."""
     a = math.sqrt(R * DEPTH)
     law = NeoHooke(E / (2 * (1 + nu)), E / (3 * (1 - 2 * nu)))
-    pad = Gel(80 * a, 80 * a, layers=(Layer(a / chi, law, E),))
+    pad = GelBody(80 * a, 80 * a, layers=(GelLayer(a / chi, law, E),))
     path = np.eye(4)[None].copy()
     path[0, 2, 3] = -DEPTH
-    made = Scene(pad, Sphere(R), path, np.eye(4), np.zeros(1, int), 0.0, a / fine, 0.05)
+    made = Scene(pad, SphereSdf(R), path, np.eye(4), np.zeros(1, int), 0.0, a / fine, 0.05)
     built = mesh.build(pad, (-1.4 * a, 1.4 * a, -1.4 * a, 1.4 * a), made.edge, growth=1.5, coarsest=16 * a)
     *_, state = mechanics.states(made, mechanics.Problem.of(made, built))
     return -float(state.traction_force[..., 2].sum())

@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.results_page import ROOT
 from tacgen.calibrate import contact_circle
-from tacgen.calibrate.photos import Press
+from tacgen.calibrate.photos import PhotographedPress
 from tacgen.recipe.background_photo import read
 
 Array = np.ndarray
@@ -38,7 +38,7 @@ class Unit:
 
     folder: Path
     untouched: Array
-    presses: tuple[Press, ...]
+    presses: tuple[PhotographedPress, ...]
 
 
 def reference() -> Path:
@@ -65,17 +65,20 @@ def radial_profile(change: Array, middle: tuple[float, float], mm_per_px: float)
     return np.asarray(sums / count)
 
 
-def _presses(name: str, folder: Path) -> list[Press]:
+def _presses(name: str, folder: Path) -> list[PhotographedPress]:
     if name == "ninedtact":
         file, ball, center, depth = NINE
-        return [Press(file, read(folder / file), ball, center, None, depth)]
+        return [PhotographedPress(file, read(folder / file), ball, center, None, depth)]
     if name == "digit":
-        return [Press(file, read(folder / file), DIGIT_BALL, (x, y), r, d) for file, (x, y, r, d) in DIGIT.items()]
+        return [
+            PhotographedPress(file, read(folder / file), DIGIT_BALL, (x, y), r, d)
+            for file, (x, y, r, d) in DIGIT.items()
+        ]
     rows = csv.DictReader((folder / "circles.csv").read_text().splitlines())
     keys = ("cx_px", "cy_px", "contact_radius_px")
     presses = []
     for row in rows:
         x, y, radius = MINI.get(row["image"], [float(row[key]) for key in keys])
         ball = float(row["ball_diameter_mm"]) / 2
-        presses.append(Press(row["image"], read(folder / row["image"]), ball, (x, y), radius, None))
+        presses.append(PhotographedPress(row["image"], read(folder / row["image"]), ball, (x, y), radius, None))
     return presses

@@ -11,7 +11,7 @@ from benchmarks.photographs import Unit
 from benchmarks.results_page import Absent, Cell, Level, Result, Say, Table, columns
 from tacgen.calibrate import likeness, press_faces
 from tacgen.calibrate.likeness import AROUND, Comparison, near
-from tacgen.optics.camera_view import View
+from tacgen.optics.camera_view import CameraView
 from tacgen.optics.surface_grid import Surface
 from tacgen.recipe import assets, loading
 from tacgen.render.images import Renderer
@@ -79,7 +79,7 @@ def bench(level: Level, say: Say) -> Result:
     return Result(ABOUT, tables)
 
 
-def _left_out(real: list[likeness.Seen]) -> Iterator[float]:
+def _left_out(real: list[likeness.PictureOfPress]) -> Iterator[float]:
     """Error [deg] for each press of a network trained on all others."""
     for k, one in enumerate(real):
         yield one.off(likeness.learned(real[:k] + real[k + 1 :]).normals(one.features))
@@ -111,7 +111,7 @@ def _depth(unit: Unit, say: Say) -> Table:
     unit's own table (gray_to_depth.csv)."""
     sensor = cast(LitSensor, loading.read_sensor(assets.sensor_path("ninedtact"))[0])
     renderer, (press,) = Renderer(sensor, SPP, 0, markers=False), unit.presses
-    view, level = View(sensor, renderer.sheet, markers=False), renderer.develop(renderer.flat()).astype(float)
+    view, level = CameraView(sensor, renderer.sheet, markers=False), renderer.develop(renderer.flat()).astype(float)
 
     def deep(face: Surface) -> Array:
         at = view.look(face).position

@@ -6,7 +6,7 @@ from scipy.ndimage import map_coordinates
 from benchmarks.photographs import Unit
 from benchmarks.results_page import Cell, Say, Table, columns
 from tacgen.calibrate import press_faces
-from tacgen.calibrate.photos import Press
+from tacgen.calibrate.photos import PhotographedPress
 from tacgen.render.images import Renderer
 from tacgen.sensor.model import LitSensor
 
@@ -59,7 +59,7 @@ def tables(sensor: LitSensor, unit: Unit, say: Say) -> list[Table]:
     ]  # fmt: skip
 
 
-def rings(change: Array, press: Press, radii: Array) -> Array:
+def rings(change: Array, press: PhotographedPress, radii: Array) -> Array:
     """A change (H, W, 3) [counts] on circles around a contact, as waves (radii, waves, 3) over the angle."""
     r = radii[:, None] * (press.contact or 0.0)
     at = [press.center[1] + r * np.sin(ANGLES) - 0.5, press.center[0] + r * np.cos(ANGLES) - 0.5]
@@ -67,12 +67,12 @@ def rings(change: Array, press: Press, radii: Array) -> Array:
     return np.asarray(2 * np.fft.rfft(seen, axis=1) / len(ANGLES))
 
 
-def once_around(change: Array, press: Press) -> Array:
+def once_around(change: Array, press: PhotographedPress) -> Array:
     """What varies once around (radii, 6) [counts]: in first order by how steep the face is."""
     first = rings(change, press, RADII)[:, 1]
     return np.concatenate([first.real, first.imag], axis=1)
 
 
-def ripple(change: Array, press: Press) -> float:
+def ripple(change: Array, press: PhotographedPress) -> float:
     """What varies as WAVES say, root mean square over radii and colours [counts]."""
     return float(np.sqrt((np.abs(rings(change, press, RIM)[:, WAVES]) ** 2).sum(axis=1).mean() / 2))

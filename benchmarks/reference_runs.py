@@ -10,14 +10,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tacgen import array_cache, mechanics
-from tacgen.geometry.gel import Gel
+from tacgen.geometry.gel import GelBody
 from tacgen.mechanics import mesh, presolve
 from tacgen.mechanics.scene import Scene
-from tacgen.optics.camera import Camera
+from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.coating import centers
 from tacgen.outputs import contact_maps, gel_surface
 from tacgen.outputs.cauchy_stress import Stresses
 from tacgen.recipe import assets, plan, scene_of_row
+from tacgen.recipe.row import Row
 from tacgen.sensor.markers import GridMarkers
 
 Array = np.ndarray
@@ -80,7 +81,7 @@ def _norm(values: Array) -> float:
     return float(np.linalg.norm(np.nan_to_num(values)))
 
 
-def row_of(sets: tuple[str, ...]) -> plan.Row:
+def row_of(sets: tuple[str, ...]) -> Row:
     """The quickstart's scene with these changes."""
     return plan.load(assets.recipe_path("quickstart"), sets).rows[0]
 
@@ -137,7 +138,7 @@ def answer(
     ready = time.process_time()
     states = list(mechanics.states(made, problem))
     seconds = time.process_time() - ready
-    last, camera = states[-1], Camera.from_sensor(row.sensor)
+    last, camera = states[-1], PinholeCamera.from_sensor(row.sensor)
     coated = gel_surface.Surface(problem.mesh.points, problem.mesh.facets["coated"])
     seen = gel_surface.seen(problem.mesh, len(row.sensor.gel.clear_layers))
     found = contact_maps.maps(problem, coated.moved(last.x), last, camera)
@@ -155,7 +156,7 @@ def answer(
     )
 
 
-def _probed(gel: Gel, problem: mechanics.Problem, state: mechanics.State) -> Array:
+def _probed(gel: GelBody, problem: mechanics.Problem, state: mechanics.State) -> Array:
     """Nodal stress (p, 6) [MPa], interpolated at points of the gel under the contact."""
     from scipy.interpolate import LinearNDInterpolator
 

@@ -17,6 +17,7 @@ from tacgen.batch.worker_process import memory
 from tacgen.bundle.bundle import Writer
 from tacgen.bundle.resume import SceneResult, once
 from tacgen.recipe import assets, plan
+from tacgen.recipe.row import Row
 
 ABOUT = "Many scenes by `tacgen run`, in wall-clock seconds, which other work on the machine increases."
 PRESS = "trajectory=[{{press: {{depth_mm: 0.4, frames: {frames}}}}}]"
@@ -36,7 +37,7 @@ def bench(level: Level, say: Say) -> Result:
         return Result(ABOUT, tables)
 
 
-def nothing(row: plan.Row, folder: Path, *, overwrite: bool = False, on_event: Any = None) -> SceneResult:
+def nothing(row: Row, folder: Path, *, overwrite: bool = False, on_event: Any = None) -> SceneResult:
     """A scene without computation: claimed, written, read back."""
 
     def make(path: Path) -> SceneResult:

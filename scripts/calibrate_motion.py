@@ -18,7 +18,7 @@ from scipy.optimize import least_squares
 
 from tacgen import mechanics
 from tacgen.mechanics import mesh, presolve
-from tacgen.optics.camera import Camera
+from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.coating import centers
 from tacgen.outputs import fots_markers
 from tacgen.outputs.gel_surface import seen
@@ -42,7 +42,7 @@ class Shown:
         built = presolve.presolved(scene_of_row.build(row))
         problem = mechanics.Problem.of(built, mesh.of(built))
         face, self.rest = seen(problem.mesh, len(row.sensor.gel.clear_layers)), centers(row.sensor.markers)
-        self.gel, self.shape, self.camera = row.sensor.gel, problem.contact.shape, Camera.from_sensor(row.sensor)
+        self.gel, self.shape, self.camera = row.sensor.gel, problem.contact.shape, PinholeCamera.from_sensor(row.sensor)
         states = list(mechanics.states(built, problem))
         self.poses = [state.pose for state in states]
         still = self.camera.project(face.at(self.rest))

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from tacgen.calibrate import led_fit, press_faces
 from tacgen.calibrate.likeness import Comparison
-from tacgen.calibrate.photos import Press
+from tacgen.calibrate.photos import PhotographedPress
 from tacgen.recipe import loading
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -22,7 +22,7 @@ sys.path.insert(0, str(ROOT))
 from benchmarks import photographs  # noqa: E402
 
 
-def left_out(press: Press, but: list[str]) -> bool:
+def left_out(press: PhotographedPress, but: list[str]) -> bool:
     """Whether a press has one of these texts in its name."""
     return any(part in press.name for part in but)
 
@@ -63,7 +63,7 @@ def main() -> None:
     unit = photographs.unit(asked.sensor, asked.photos)
     if unit is None:
         sys.exit(f"no photographs in {asked.photos or photographs.reference()}")
-    how = led_fit.Asked(asked.tolerance_mm, asked.tolerance_deg, bare=True, steps=asked.steps)
+    how = led_fit.FitLimits(asked.tolerance_mm, asked.tolerance_deg, bare=True, steps=asked.steps)
     with tempfile.TemporaryDirectory() as scratch:
         into = Path(scratch) / "reference"
         lay_out(unit, photographs.UNTOUCHED[asked.sensor], into, asked.but)

@@ -26,7 +26,7 @@ from tacgen.mechanics.scene import Scene
 from tacgen.outputs.sensitivities import Sensitivities
 from tacgen.recipe import scene_of_row
 from tacgen.recipe.model import Uncertainty
-from tacgen.recipe.plan import Row
+from tacgen.recipe.row import Row
 
 Array = np.ndarray
 GOAL = 0.01

@@ -29,7 +29,7 @@ from tacgen.errors import UserError
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics import mesh, presolve
 from tacgen.mechanics.scene import Scene
-from tacgen.optics.camera import Camera
+from tacgen.optics.camera import PinholeCamera
 from tacgen.outputs import contact_maps, gel_surface
 from tacgen.recipe import scene_of_row
 
@@ -78,7 +78,7 @@ def solved(sets: tuple[str, ...], edge: float, dhat: float, limit: float) -> tup
     problem = mechanics.Problem.of(made, mesh.of(made))
     found = solve_frames(made, problem, limit)
     coated = gel_surface.Surface(problem.mesh.points, problem.mesh.facets["coated"])
-    camera = Camera.from_sensor(row.sensor)
+    camera = PinholeCamera.from_sensor(row.sensor)
     maps = [contact_maps.maps(problem, coated.moved(s.x), s, camera).pressure[::2, ::2] for s in found.states]
     n, damped = max(1, len(found.states)), sum(state.damped > 0 for state in found.states)
     answer = Solved(

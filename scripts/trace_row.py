@@ -17,7 +17,7 @@ from tacgen import pipeline
 from tacgen.recipe import assets, plan
 
 PACKAGE = Path(pipeline.__file__).parent
-HANDED_ON = {"Recipe", "Row", "Sensor", "LitSensor", "Plan"}  # classes
+HANDED_ON = {"Loaded", "Recipe", "Row", "Sensor", "LitSensor", "Plan"}  # classes
 
 
 def stays(recipe: str, sets: list[str], *, every: bool) -> list[str]:

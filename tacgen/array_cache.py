@@ -53,9 +53,9 @@ def kept_one(kind: str, key: str, make: Callable[[], Array]) -> Array:
 def kept_bytes(kind: str, key: str, make: Callable[[], bytes]) -> bytes:
     """The bytes stored as `kind` under `key`; a damaged entry, or one of another key, is made again by `make`."""
     file = cache_folder() / kind / f"{key}.entry"
-    found = read(file, key)
-    if found is not None:
-        return found
+    content = read(file, key)
+    if content is not None:
+        return content
     for tell in _tell:
         tell(kind)
     return store(file, key, make())
@@ -86,8 +86,8 @@ def store(file: Path, key: str, made: bytes) -> bytes:
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         atomic_file.sweep(file.parent)
-        if (found := read(file, key)) is not None:
-            return found
+        if (content := read(file, key)) is not None:
+            return content
         atomic_file.write(file, _seal(key, made) + made)
     except (OSError, atomic_file.Busy):
         pass  # without a writable cache the next run only takes longer
@@ -109,7 +109,7 @@ def _packed(arrays: tuple[Array, ...]) -> bytes:
 
 
 def _unpacked(content: bytes) -> tuple[Array, ...]:
-    file, found = io.BytesIO(content), []
+    file, arrays = io.BytesIO(content), []
     while file.tell() < len(content):
-        found.append(np.load(file, allow_pickle=False))
-    return tuple(found)
+        arrays.append(np.load(file, allow_pickle=False))
+    return tuple(arrays)

@@ -28,7 +28,7 @@ from tacgen.cli_common import (
 )
 from tacgen.cli_look import report, show, view
 from tacgen.errors import UserError
-from tacgen.report.wording import counted
+from tacgen.report.sheet import counted
 from tacgen.terminal import say
 
 __all__ = ["app"]
@@ -147,34 +147,34 @@ def status(
     from tacgen.bundle.run_status import survey
     from tacgen.report import estimate
 
-    found = survey(folder)
-    count, total = found.count(), len(found.scenes)
-    said = [scene for scene in found.scenes if scene.reason]
-    plain = [{"scene": scene.name, "state": scene.state, "reason": scene.reason} for scene in found.scenes]
+    surveyed = survey(folder)
+    count, total = surveyed.count(), len(surveyed.scenes)
+    said = [scene for scene in surveyed.scenes if scene.reason]
+    plain = [{"scene": scene.name, "state": scene.state, "reason": scene.reason} for scene in surveyed.scenes]
     lines = [f"{scene.name}: {scene.state}: {scene.reason}" for scene in said]
     lines.append(
-        f"{folder}: {found.name}, {counted(total, 'scene')}: {', '.join(f'{n} {s}' for s, n in count.items())}"
+        f"{folder}: {surveyed.name}, {counted(total, 'scene')}: {', '.join(f'{n} {s}' for s, n in count.items())}"
     )
     if left_out := dataset.unplanned(folder):
         lines.append(f"not of the plan, left out: {dataset.some([path.name for path in left_out])}")
-    if cost := estimate.left(found):
+    if cost := estimate.left(surveyed):
         lines.append(f"left: {cost.text(1)}")
     plain_cost = cost and cost.plain()
-    show_result({"name": found.name, "count": count, "left": plain_cost, "scenes": plain}, "\n".join(lines), as_json)
+    show_result({"name": surveyed.name, "count": count, "left": plain_cost, "scenes": plain}, "\n".join(lines), as_json)
     raise typer.Exit(0 if count.get("ok", 0) == total else 1)
 
 
 @app.command()
 def validate(file: RecipeFile, sets: Sets = None) -> None:
     """Check a recipe with its sensor and all its scenes, or a sensor file."""
-    from tacgen.recipe import approach, assets, checks, loading
-    from tacgen.sensor import yaml_source
+    from tacgen.recipe import approach, assets, loading
+    from tacgen.sensor import usual_values, yaml_source
 
     path = assets.recipe_path(file)
     data = yaml_source.load(path).data
     if isinstance(data, dict) and ("tacgen_sensor" in data or "gel" in data):
         sensor, tree = loading.read_sensor(path)
-        warn(loading.sensor_warnings(sensor, tree))
+        warn(usual_values.warnings(sensor, tree))
         typer.echo(f"{path}: a valid sensor, {sensor.name}")
         return
     plan = plan_of(file, sets)
@@ -182,7 +182,7 @@ def validate(file: RecipeFile, sets: Sets = None) -> None:
     names = plan.sensors
     on = f"{'sensors' if len(names) > 1 else 'sensor'} {', '.join(names)}"
     typer.echo(f"{path}: a valid recipe, {plan.name}: {counted(len(plan.rows), 'scene')}, {on}")
-    for note in [*checks.notes(row.recipe, row.sensor), *filter(None, [approach.note(plan.rows)])]:
+    for note in [*row.notes, *filter(None, [approach.note(plan.rows)])]:
         typer.echo(f"note: {note}")
 
 
@@ -250,13 +250,13 @@ def show_list(
 
     if kind and kind not in KINDS:
         raise UserError(f"{kind}: must be one of {', '.join(KINDS)}")
-    found = {name: KINDS[name]() for name in ([kind] if kind else KINDS)}
+    listed = {name: KINDS[name]() for name in ([kind] if kind else KINDS)}
     lines: list[str] = []
-    for name, entries in found.items():
+    for name, entries in listed.items():
         width = max(map(len, entries), default=0)
         lines.append(f"{name}:")
         lines += [f"  {entry:<{width}}  {about}" for entry, about in entries.items()] or ["  none"]
-    show_result(found, "\n".join(lines), as_json)
+    show_result(listed, "\n".join(lines), as_json)
 
 
 @app.command()
@@ -331,7 +331,7 @@ def doctor(
     if warm:
         from tacgen.batch import warm as preparing
 
-        findings += [checkup.Finding(*found) for found in preparing.warm()]
+        findings += [checkup.Diagnosis(*sensor) for sensor in preparing.warm()]
     lines = [f"{'ok ' if f.ok else 'BAD' if f.needed else '-- '} {f.name:<20} {f.note}" for f in findings]
     show_result([f._asdict() for f in findings], "\n".join(lines), as_json)
     raise typer.Exit(1 if any(f.needed and not f.ok for f in findings) else 0)

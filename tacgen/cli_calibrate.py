@@ -35,13 +35,13 @@ def optics(
 
     inputs = [Path(sensor), images]
     allowed(out, inputs, overwrite)
-    found = fitting.optics(sensor, images, fitting.Asked(tolerance_mm, tolerance_deg, no_markers, steps))
-    lines = list(found.lines())
+    fitted = fitting.optics(sensor, images, fitting.FitLimits(tolerance_mm, tolerance_deg, no_markers, steps))
+    lines = list(fitted.lines())
     if out is not None:
         with written(out, inputs, overwrite) as path:
-            found.write(path)
+            fitted.write(path)
         lines.append(f"{out}: the sensor file of this unit")
-    show_result(found.plain(), "\n".join(lines), as_json)
+    show_result(fitted.plain(), "\n".join(lines), as_json)
 
 
 @calibrations.command()
@@ -69,14 +69,14 @@ def material(
     inputs = [Path(sensor), Path(recipe), data]
     for path in (out, plot):
         allowed(path, inputs, overwrite)
-    found = fitting.material(sensor, recipe, data, fitting.Asked(not no_zero, second, prony))
-    lines = list(found.lines())
+    fitted = fitting.material(sensor, recipe, data, fitting.Unknowns(not no_zero, second, prony))
+    lines = list(fitted.lines())
     if plot is not None:
         with written(plot, inputs, overwrite) as path:
-            found.draw(path)
+            fitted.draw(path)
         lines.append(f"{plot}: forces, and what the fit is off by")
     if out is not None:
         with written(out, inputs, overwrite) as path:
-            found.write(path)
+            fitted.write(path)
         lines.append(f"{out}: the sensor file of this gel")
-    show_result(found.plain(), "\n".join(lines), as_json)
+    show_result(fitted.plain(), "\n".join(lines), as_json)

@@ -172,9 +172,9 @@ def plan_of(recipe: str, sets: list[str] | None, shard: tuple[int, int] = (0, 1)
     """The plan of a recipe given by path or name, or a shard of it."""
     from tacgen.recipe import assets, plan
 
-    found = plan.load(assets.recipe_path(recipe), sets or (), shard)
-    warn(found.warnings)
-    return found
+    planned = plan.load(assets.recipe_path(recipe), sets or (), shard)
+    warn(planned.warnings)
+    return planned
 
 
 def warn(texts: Iterable[str]) -> None:

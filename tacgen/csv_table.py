@@ -1,4 +1,4 @@
-"""Reading of small CSV tables with a header; problems are reported by line."""
+"""Reading of CSV tables with a header; problems are reported by line."""
 
 import csv
 import math
@@ -9,26 +9,57 @@ from tacgen.errors import why
 
 LARGEST = 10_000_000  # [bytes]
 MOST_MESSAGES = 5  # reported for one table
+Record = tuple[int, list[str]]  # number of a line from 1, and its cells without spaces around them
 Rows = list[tuple[int, dict[str, str]]]
 
 
+def records(content: bytes, comments: tuple[str, ...] = ()) -> tuple[list[Record], list[tuple[int, str]]]:
+    """Header and rows of a table, and what is wrong with other lines: a number and a message each.
+
+    Empty lines and those that begin with one of `comments` are skipped.
+
+    Raises:
+        ValueError: it is not a text file, or its header cannot be read.
+    """
+    try:
+        lines = content.decode("utf-8-sig").splitlines()
+    except UnicodeDecodeError:
+        raise ValueError("is not a text file (UTF-8)") from None
+    read: list[Record] = []
+    wrong: list[tuple[int, str]] = []
+    for number, line in enumerate(lines, 1):
+        if not line.strip() or line.startswith(comments):
+            continue
+        try:
+            cells = [cell.strip() for cell in next(csv.reader([line], strict=True))]
+        except csv.Error as error:
+            if not read:
+                raise ValueError(f"line {number}: is no line of CSV: {error}") from None
+            wrong.append((number, f"is no line of CSV: {error}"))
+            continue
+        width = len(read[0][1]) if read else len(cells)
+        if len(cells) != width:
+            wrong.append((number, f"has {len(cells)} cells, and the header {width}: is a comma a decimal point?"))
+        else:
+            read.append((number, cells))
+    return read, wrong
+
+
 def rows(table: Path, needed: tuple[str, ...], either: tuple[str, ...], wrong: list[str]) -> Rows:
-    """Rows with their line numbers, each with one cell for every column; names and cells without spaces around them.
+    """Rows with their line numbers, each with one cell for every column.
 
     There are none, and problems are added to `wrong`, without all columns `needed` and one of `either`, with two
     columns of one name, or with a row of another length than the header: its cells may be in wrong columns.
     """
     try:
-        text = regular_file.read_bytes(table, LARGEST).decode("utf-8-sig")
-        reader = csv.reader(text.splitlines(), strict=True)
-        found = [(reader.line_num, [cell.strip() for cell in cells]) for cells in reader if cells]
+        read, uneven = records(regular_file.read_bytes(table, LARGEST))
     except OSError as error:
         wrong.append(f"{table}: cannot be read: {why(error)}")
         return []
-    except (ValueError, csv.Error) as error:
-        wrong.append(f"{table}: is no table of comma-separated values: {error}")
+    except ValueError as error:
+        wrong.append(f"{table}: {error}")
         return []
-    header = found[0][1] if found else []
+    header = read[0][1] if read else []
     shown = f"(its header: {','.join(header)})"
     missing = [name for name in needed if name not in header]
     if either and not any(name in header for name in either):
@@ -39,10 +70,14 @@ def rows(table: Path, needed: tuple[str, ...], either: tuple[str, ...], wrong: l
     if twice := [name for name in (*needed, *either) if header.count(name) > 1]:
         wrong.append(f"{table}: has more than one column {', '.join(twice)} {shown}")
         return []
-    uneven = [(line, len(cells)) for line, cells in found if len(cells) != len(header)]
-    for line, count in uneven[:MOST_MESSAGES]:
-        wrong.append(f"{table}:{line}: has {count} cells, and the header {len(header)}: is a comma a decimal point?")
-    return [] if uneven else [(line, dict(zip(header, cells, strict=True))) for line, cells in found[1:]]
+    wrong += few([f"{table}:{line}: {said}" for line, said in uneven])
+    return [] if uneven else [(line, dict(zip(header, cells, strict=True))) for line, cells in read[1:]]
+
+
+def few(messages: list[str]) -> list[str]:
+    """The first messages about a table's lines, and how many more there are."""
+    more = len(messages) - MOST_MESSAGES
+    return [*messages[:MOST_MESSAGES], f"and {more} more lines"] if more > 0 else messages
 
 
 def number(text: str) -> float:

@@ -21,7 +21,7 @@ TRACING = ("mitsuba", "drjit")  # installed by the extra `mitsuba`
 FREE_GB = 1.0  # free disk below which a warning is given [GB]
 
 
-class Finding(NamedTuple):
+class Diagnosis(NamedTuple):
     """The result of one test."""
 
     name: str
@@ -30,61 +30,61 @@ class Finding(NamedTuple):
     needed: bool = True  # tacgen does not work without it
 
 
-def examine() -> list[Finding]:
+def examine() -> list[Diagnosis]:
     """Run all tests; one that fails is a finding, never an exception."""
-    found: list[Finding] = []
+    diagnoses: list[Diagnosis] = []
     for trial in (_python, _packages, _solvers, _rendering, _hdf5, _threads, _disk):
-        found += _tried(trial)
-    return found
+        diagnoses += _tried(trial)
+    return diagnoses
 
 
-def _tried(trial: Callable[[], Iterator[Finding]]) -> list[Finding]:
+def _tried(trial: Callable[[], Iterator[Diagnosis]]) -> list[Diagnosis]:
     try:
         return list(trial())
     except Exception as error:  # any error is a diagnosis
-        return [Finding(trial.__name__.strip("_"), False, f"{type(error).__name__}: {error}".split("\n")[0])]
+        return [Diagnosis(trial.__name__.strip("_"), False, f"{type(error).__name__}: {error}".split("\n")[0])]
 
 
-def _python() -> Iterator[Finding]:
+def _python() -> Iterator[Diagnosis]:
     fits = (3, 11) <= sys.version_info[:2] < (3, 14)
-    yield Finding("python", fits, f"{platform.python_version()} ({sys.executable}); 3.11 to 3.13 are supported")
+    yield Diagnosis("python", fits, f"{platform.python_version()} ({sys.executable}); 3.11 to 3.13 are supported")
 
 
-def _packages() -> Iterator[Finding]:
+def _packages() -> Iterator[Diagnosis]:
     for name in (*PACKAGES, *REPLACEABLE, *TRACING):
         needed = name in PACKAGES
         try:
-            yield Finding(name, True, version(name), needed)
+            yield Diagnosis(name, True, version(name), needed)
         except PackageNotFoundError:
-            yield Finding(name, False, "is not installed", needed)
+            yield Diagnosis(name, False, "is not installed", needed)
 
 
-def _solvers() -> Iterator[Finding]:
+def _solvers() -> Iterator[Diagnosis]:
     from tacgen.mechanics import linear_solvers as linear
 
     names = linear.available()
-    yield Finding("linear solvers", bool(names), ", ".join(names) or "none can be imported")
+    yield Diagnosis("linear solvers", bool(names), ", ".join(names) or "none can be imported")
     if "cholmod" in names:
         from tacgen.mechanics import blas_kernels
 
-        yield Finding("CHOLMOD's BLAS", True, blas_kernels.report(), needed=False)
+        yield Diagnosis("CHOLMOD's BLAS", True, blas_kernels.report(), needed=False)
 
 
-def _rendering() -> Iterator[Finding]:
+def _rendering() -> Iterator[Diagnosis]:
     from tacgen.render import images
 
     if not importlib.util.find_spec("mitsuba"):
         text = "clear gels, by transport and table; for gels that scatter, and path: pip install 'tacgen[mitsuba]'"
-        yield Finding("rendering", True, text)
+        yield Diagnosis("rendering", True, text)
         return
     tried = images.variants()
     for one in tried:
-        yield Finding(one.variant, one.works, f"{one.note} {one.library}".strip(), needed=False)
+        yield Diagnosis(one.variant, one.works, f"{one.note} {one.library}".strip(), needed=False)
     working = [one.variant for one in tried if one.works]
-    yield Finding("rendering", bool(working), f"uses {working[0]}" if working else "no Mitsuba variant renders")
+    yield Diagnosis("rendering", bool(working), f"uses {working[0]}" if working else "no Mitsuba variant renders")
 
 
-def _hdf5() -> Iterator[Finding]:
+def _hdf5() -> Iterator[Diagnosis]:
     import h5py
     import numpy as np
 
@@ -95,17 +95,17 @@ def _hdf5() -> Iterator[Finding]:
             file.create_dataset("data", data=data, compression="gzip", shuffle=True, fletcher32=True)
         with h5py.File(path) as file:
             same = bool(np.array_equal(file["data"][()], data))
-    yield Finding("HDF5", same, f"round trip with HDF5 {h5py.version.hdf5_version}")
+    yield Diagnosis("HDF5", same, f"round trip with HDF5 {h5py.version.hdf5_version}")
 
 
-def _threads() -> Iterator[Finding]:
+def _threads() -> Iterator[Diagnosis]:
     cores = len(os.sched_getaffinity(0))
     pinned = {name: os.environ[name] for name in ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS") if name in os.environ}
     note = ", ".join(f"{name}={value}" for name, value in pinned.items()) or "workers pin numba to 1"
-    yield Finding("threads", True, f"{cores} cores; {note}; BLAS has 1 in every scene")
+    yield Diagnosis("threads", True, f"{cores} cores; {note}; BLAS has 1 in every scene")
 
 
-def _disk() -> Iterator[Finding]:
+def _disk() -> Iterator[Diagnosis]:
     for name, folder in (("disk here", Path.cwd()), ("disk for scratch", Path(tempfile.gettempdir()))):
         free = shutil.disk_usage(folder).free / 1e9
-        yield Finding(name, free > FREE_GB, f"{free:.1f} GB free", needed=False)
+        yield Diagnosis(name, free > FREE_GB, f"{free:.1f} GB free", needed=False)

@@ -52,19 +52,19 @@ def written(target: Path, inputs: Iterable[Path] = (), *, overwrite: bool = Fals
 def refuse(target: Path, inputs: Iterable[Path] = (), *, overwrite: bool = False) -> None:
     """UserError if `target` must not be written; arguments as of `written`. To be called before long work, too."""
     try:
-        found = os.stat(target)
+        status = os.stat(target)
     except FileNotFoundError:
         return
-    if not (stat.S_ISREG(found.st_mode) or stat.S_ISDIR(found.st_mode)):
+    if not (stat.S_ISREG(status.st_mode) or stat.S_ISDIR(status.st_mode)):
         raise UserError(f"{target}: is a pipe, socket or device: name a file")
-    if stat.S_ISDIR(found.st_mode):
+    if stat.S_ISDIR(status.st_mode):
         raise UserError(f"{target}: is a folder: name a file")
     if is_unchanged_page(target):
         return
     for path in inputs:
         if path.is_dir() and target.resolve().is_relative_to(path.resolve()) and target.suffix in (".h5", ".json"):
             raise UserError(f"{target}: belongs to the data set that is read: choose another name")
-        if path.exists() and os.path.samestat(os.stat(path), found):
+        if path.exists() and os.path.samestat(os.stat(path), status):
             raise UserError(f"{target}: is an input of this command: choose another name")
     if not overwrite:
         raise UserError(f"{target}: is there already; --overwrite replaces it")

@@ -22,8 +22,7 @@ from tacgen.outputs import BLOCKS, IMAGES, OUTPUTS
 from tacgen.outputs.base import Datasets
 from tacgen.outputs.scene_data import FrameData, SceneData
 from tacgen.recipe import approach, scene_of_row
-from tacgen.recipe.checks import notes
-from tacgen.recipe.plan import Row
+from tacgen.recipe.row import Row
 
 if TYPE_CHECKING:
     from tacgen.mechanics.grasp_balance import Held
@@ -111,7 +110,7 @@ def _attributes(row: Row, built: Scene, shared: SceneData, clock: Clock) -> dict
     cost = _cost_note(built) if problem.condensed else ""
     if row.pair is not None:
         found["pair"] = row.pair
-    if said := [note for note in (coarse, cost, *notes(row.recipe, row.sensor)) if note]:
+    if said := [note for note in (coarse, cost, *row.notes) if note]:
         found["notes"] = said
     return found
 

@@ -18,13 +18,13 @@ def descriptor(path: Path, most: int) -> int:
     """
     handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # a pipe without a writer would block
     try:
-        found = os.fstat(handle)
-        if stat.S_ISDIR(found.st_mode):
+        status = os.fstat(handle)
+        if stat.S_ISDIR(status.st_mode):
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
-        if not stat.S_ISREG(found.st_mode):
+        if not stat.S_ISREG(status.st_mode):
             raise OSError(errno.EINVAL, "a pipe, socket or device, not a regular file", str(path))
-        if found.st_size > most:
-            size = f"{found.st_size / 1e6:.0f} MB, at most {most / 1e6:.0f} can be read"
+        if status.st_size > most:
+            size = f"{status.st_size / 1e6:.0f} MB, at most {most / 1e6:.0f} can be read"
             raise OSError(errno.EFBIG, size, str(path))
     except BaseException:
         os.close(handle)

@@ -22,7 +22,7 @@ import numpy as np
 
 from tacgen.bundle import dataset, field_names
 from tacgen.bundle.bundle import Bundle
-from tacgen.bundle.chunks import Frames
+from tacgen.bundle.chunks import FrameReader
 from tacgen.errors import UserError
 from tacgen.outputs import LAYOUT
 
@@ -110,7 +110,7 @@ class TactileDataset:
 
     def _forget(self) -> None:
         self._process = os.getpid()
-        self._files: OrderedDict[Path, tuple[Any, dict[str, Frames]]] = OrderedDict()
+        self._files: OrderedDict[Path, tuple[Any, dict[str, FrameReader]]] = OrderedDict()
         self._kept: dict[tuple[int, str], np.ndarray] = {}  # small datasets and references
 
     def _values(self, number: int, name: str, path: str, frame: int) -> np.ndarray:
@@ -137,7 +137,7 @@ class TactileDataset:
         except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
             raise UserError(f"{scene.path}: damaged: {str(error).partition(chr(10))[0]}") from error
 
-    def _stored(self, path: Path, inside: str) -> Frames:
+    def _stored(self, path: Path, inside: str) -> FrameReader:
         """A dataset of an open file; if too many files are open, the least recently used one is closed."""
         import h5py
 
@@ -148,7 +148,7 @@ class TactileDataset:
         self._files.move_to_end(path)
         file, known = self._files[path]
         if inside not in known:
-            known[inside] = Frames(file[inside])
+            known[inside] = FrameReader(file[inside])
         return known[inside]
 
 

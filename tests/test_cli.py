@@ -19,12 +19,13 @@ from typer.testing import CliRunner, Result
 import tacgen.batch
 from tacgen import cli
 from tacgen.batch.local import outcome
-from tacgen.batch.probe import Probed
+from tacgen.batch.probe import PlanCost
 from tacgen.bundle.resume import SceneResult
 from tacgen.errors import UserError
 from tacgen.recipe import assets, loading, plan, schema
 from tacgen.report import dataset_card
 from tacgen.report.estimate import Made, cost
+from tacgen.sensor.usual_values import unsourced
 
 ROOT = Path(__file__).parent.parent
 
@@ -122,10 +123,10 @@ def test_what_is_asked_for_reaches_the_engine(tmp_path: Path, batch: Any):
 def timed(monkeypatch: pytest.MonkeyPatch) -> None:
     """A probe that takes no time."""
 
-    def probe(plan: Any, workers: int) -> Probed:
+    def probe(plan: Any, workers: int) -> PlanCost:
         found = cost(plan.frames, [Made(6, 3.0, 0.01), Made(6, 5.0, 0.01)])
         assert found is not None
-        return Probed(found, 0.4)
+        return PlanCost(found, 0.4)
 
     monkeypatch.setattr("tacgen.batch.probe.probe", probe)
 
@@ -360,7 +361,7 @@ def test_init_writes_a_sensor_that_validates_and_renders_where_it_is_lit(tmp_pat
 def test_missing_sources_give_one_warning(tmp_path: Path) -> None:
     """Of a sensor file alone and of a recipe's; those that ship say where theirs are from."""
     for name in assets.list_sensors():
-        assert loading.read_sensor(assets.sensor_path(name))[0].unsourced == []
+        assert unsourced(loading.read_sensor(assets.sensor_path(name))[0]) == []
     bare = re.sub(r"\n *source: .*", "", Path(schema.__file__).with_name("starter_sensor.yaml").read_text(), count=2)
     (tmp_path / "mine.yaml").write_text(bare)
     text = f"warning: {tmp_path}/mine.yaml: gel.layers[0], gel: no source; say where the numbers come from"

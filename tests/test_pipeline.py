@@ -26,6 +26,7 @@ from tacgen.mechanics.condensation import Condensation
 from tacgen.outputs import NAMES
 from tacgen.outputs.scene_data import FrameData, SceneData
 from tacgen.recipe import assets, plan, scene_of_row
+from tacgen.recipe.row import NOISE
 from tacgen.render.images import Renderer
 
 ROOT = Path(__file__).parent.parent
@@ -174,7 +175,7 @@ def test_noise_is_the_frames_own_and_can_be_left_out(recipe: Path, tmp_path: Pat
     assert (grain.std(axis=(1, 2)) < 4).all()
     assert abs(np.corrcoef(grain[0].ravel(), grain[1].ravel())[0, 1]) < 0.05  # each frame has its own
     assert np.array_equal(pictures["with"]["/reference/rgb"], pictures["without"]["/reference/rgb"])
-    first = np.random.default_rng(np.random.SeedSequence((row.seed, 0, plan.NOISE))).standard_normal(grain[0].shape)
+    first = np.random.default_rng(np.random.SeedSequence((row.seed, 0, NOISE))).standard_normal(grain[0].shape)
     assert np.corrcoef(grain[0].ravel(), first.ravel())[0, 1] > 0.8  # by seed and frame, not by order of work
 
 

@@ -10,7 +10,7 @@ from tacgen.batch.local import OnEvent, Pool, failed, outcome
 from tacgen.batch.worker_process import Limits
 from tacgen.bundle.resume import SceneResult
 from tacgen.errors import UserError
-from tacgen.recipe.plan import Row
+from tacgen.recipe.row import Row
 
 CONNECT_S = 30  # longest wait for a scheduler
 _thread = threading.local()  # on a Dask worker: the pool of this thread

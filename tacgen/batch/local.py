@@ -13,7 +13,7 @@ from tacgen.batch.worker_process import Job, Limits, Worker, cores, machine_memo
 from tacgen.bundle.resume import SceneResult
 from tacgen.errors import UserError
 from tacgen.outputs import IMAGES
-from tacgen.recipe.plan import Row
+from tacgen.recipe.row import Row
 
 TASK = "tacgen.pipeline:run_scene"
 COMPILE = "tacgen.pipeline:compile_pictures"  # in a second process, if there is a second core
@@ -95,15 +95,15 @@ class Pool:
     def _messages(self) -> list[tuple[Worker, str, Any]]:
         """Messages received within POLL_S: worker, kind, content. Workers that exceed a limit are stopped: `lost`."""
         readable = connection.wait([worker.link for worker in self.workers], timeout=POLL_S)
-        found = [(w, kind, what) for w in self.workers if w.link in readable for kind, what in w.listen()]
+        messages = [(w, kind, what) for w in self.workers if w.link in readable for kind, what in w.listen()]
         if time.monotonic() - self.last_check > POLL_S:
             self.last_check = time.monotonic()
             for worker in self.workers:
                 if worker.link not in readable and (excess := worker.excess(self.limits, self.memory_gb)):
                     worker.process.kill()
                     worker.stop()
-                    found.append((worker, "lost", f"its worker was stopped: {excess}"))
-        return found
+                    messages.append((worker, "lost", f"its worker was stopped: {excess}"))
+        return messages
 
     def _release(self, worker: Worker, kind: str, what: Any) -> None:
         """Remove a worker that is lost or has made its maximum of scenes."""

@@ -15,14 +15,14 @@ SCENES = 8  # timed scenes at most
 ENOUGH_S = 60.0  # after this time no further scenes are timed [s]
 
 
-class Probed(NamedTuple):
+class PlanCost(NamedTuple):
     """Estimated cost of a plan, and the peak memory of a worker [GB]."""
 
     cost: Cost
     memory_gb: float
 
 
-def probe(plan: Plan, workers: int, task: str = TASK) -> Probed:
+def probe(plan: Plan, workers: int, task: str = TASK) -> PlanCost:
     """Time some scenes, evenly spread over the plan, on the same number of workers as the run.
 
     Raises:
@@ -44,7 +44,7 @@ def probe(plan: Plan, workers: int, task: str = TASK) -> Probed:
                     made.append(Made(result.frames, work(result.seconds), result.path.stat().st_size / 1e9))
             if time.monotonic() - begun > ENOUGH_S:
                 break
-    found = cost(plan.frames, made)
-    if found is None:
+    estimated = cost(plan.frames, made)
+    if estimated is None:
         raise UserError(f"no scene could be made to judge by: {reason}")
-    return Probed(found, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1e6)
+    return PlanCost(estimated, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1e6)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from tacgen.recipe.plan import Row
+from tacgen.recipe.row import Row
 from tacgen.report.estimate import work
 
 Array = np.ndarray

@@ -8,7 +8,7 @@ from tacgen.batch.local import Pool
 from tacgen.batch.worker_process import cores
 from tacgen.errors import UserError
 from tacgen.recipe import assets, plan
-from tacgen.recipe.plan import Row
+from tacgen.recipe.row import Row
 
 TOUCH = "trajectory=[{press: {depth_mm: 0.2, frames: 1}}]"
 PLAIN = "force, traction, force_map, height, normals, gap, flow, material, rgb, stress"

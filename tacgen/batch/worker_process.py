@@ -13,7 +13,7 @@ from multiprocessing import connection
 from pathlib import Path
 from typing import Any
 
-from tacgen.recipe.plan import Row
+from tacgen.recipe.row import Row
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 WORKER_GB = 1.0  # assumed memory of a worker for `--workers auto`; most scenes at `default` need half of it

@@ -18,9 +18,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tacgen import __version__, atomic_file
-from tacgen.bundle.chunks import Column, Frames
+from tacgen.bundle.chunks import Column, FrameReader, rounded
 from tacgen.bundle.hdf5_file import Damaged, datasets, opened
-from tacgen.bundle.rounding import rounded
 from tacgen.bundle.schema import ATTRS, FORMAT, OPTIONAL, STORED, UNITS, attributes, entry, shape_problem
 from tacgen.bundle.stored_json import parsed
 from tacgen.errors import UserError
@@ -115,12 +114,12 @@ class Writer:
         if notes:
             late["notes"] = json.dumps([*json.loads(self._attrs.get("notes", "[]")), *notes])
         self._attrs.update(late)
-        found = {}
+        checksums = {}
         with self._sink.guard():
             for path, column in self._columns.items():
                 column.finish()
-                found[path] = Dataset.of(column.data, column.hash.hexdigest())
-            self._file.attrs.update({**late, "digest": _digest(self._attrs, found), "complete": True})
+                checksums[path] = Dataset.of(column.data, column.hash.hexdigest())
+            self._file.attrs.update({**late, "digest": _digest(self._attrs, checksums), "complete": True})
             self._file.close()
         try:
             read(self._sink.path, part=True).verify(lambda path, data: self._columns[path].stored(data))
@@ -210,20 +209,20 @@ class Bundle:
 
         `content` gives the SHA-256 of an open dataset by its path, for a writer that knows its chunks' contents.
         """
-        found = {}
+        datasets = {}
         with opened(self.path, self.group) as file:
             for path in self.shapes:
                 data = file[path[1:]]
-                found[path] = Dataset.of(data, content(path, data) if content else Frames(data).sha256())
-        if _digest(self.attrs, found) != self.attrs["digest"]:
+                datasets[path] = Dataset.of(data, content(path, data) if content else FrameReader(data).sha256())
+        if _digest(self.attrs, datasets) != self.attrs["digest"]:
             raise Damaged(f"{self.path}: damaged: its contents do not match its digest")
-        return found
+        return datasets
 
     def _read(self, path: str, index: int | None) -> np.ndarray:
         if path not in self.shapes:
             raise Missing(f"{self.path}: has no {path}" + f", did you mean /{path}?" * (f"/{path}" in self.shapes))
         with opened(self.path, self.group) as file:
-            data = Frames(file[path[1:]])
+            data = FrameReader(file[path[1:]])
             values = data.whole() if index is None else data[index]
         row = entry(path)
         low, high = (0, self._size(row.below) - 1) if row.below else (-row.most, row.most)
@@ -304,10 +303,10 @@ class Dataset:
         return cls(data.dtype.str, data.shape, attrs, sha256)
 
 
-def _digest(attrs: Mapping[str, Any], found: Mapping[str, Dataset]) -> str:
+def _digest(attrs: Mapping[str, Any], datasets: Mapping[str, Dataset]) -> str:
     """Digest of the content, not of the file: paths, types, shapes, bytes and attributes, sorted."""
     root = {name: value for name, value in attrs.items() if name not in NOT_IN_DIGEST}
-    rows = [[path, d.dtype, list(d.shape), d.attrs, d.sha256] for path, d in sorted(found.items())]
+    rows = [[path, d.dtype, list(d.shape), d.attrs, d.sha256] for path, d in sorted(datasets.items())]
     return hashlib.sha256(json.dumps([root, rows], sort_keys=True, default=repr).encode()).hexdigest()
 
 

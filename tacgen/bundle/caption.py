@@ -27,8 +27,8 @@ def caption(bundle: Bundle) -> str:
     """The scene in a few sentences, with its contact events if they are among the outputs."""
     moves = ", ".join(filter(None, map(_move, bundle.recipe.get("trajectory", ()))))
     said = [f"{_article(text := indenter_text(bundle))} {text}, on {sensor_text(bundle)}" + f": {moves}" * bool(moves)]
-    if found := changes(bundle):
-        text = ", ".join(f"{change.mode} from frame {change.frame}{_at(change.time)}" for change in found)
+    if events := changes(bundle):
+        text = ", ".join(f"{change.mode} from frame {change.frame}{_at(change.time)}" for change in events)
         said.append(text[0].upper() + text[1:])
     if bundle.frames:
         force = np.linalg.norm(bundle["/frames/force"], axis=1)

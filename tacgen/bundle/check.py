@@ -34,6 +34,7 @@ NO_CONTACT = "the indenter touches the gel in no frame"  # beginning of a bundle
 MAX_FLAT_RANGE = 2.0  # range of values of an image that counts as a single flat colour [counts of 255]
 # (folder, digest) -> name of the scene. The digest covers the number and seed of a scene, not its name.
 Seen = dict[tuple[Path, str], str]
+ANY = dataset.PlannedKeys(None)  # of a bundle that is in no folder with a plan
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,7 @@ def check(path: Path) -> list[Finding]:
     if not path.is_dir():
         if not path.exists():
             raise UserError(f"{path}: no such file or folder")
-        return _leftover(path) if atomic_file.is_part(path) else _file(path, {})
+        return _leftover(path) if atomic_file.is_part(path) else _file(path, {}, ANY)
     if dataset.is_packed(path):
         return _packed(path)
     files, packs = dataset.files(path), dataset.packs(path)
@@ -71,22 +72,10 @@ def check(path: Path) -> list[Finding]:
         raise UserError(f"{path}: no bundles (*.h5) in this folder")
     seen: Seen = {}
     keys = {folder: dataset.planned_keys(folder) for folder in {file.parent for file in files}}
-    found = []
+    findings = []
     for file in sorted([*files, *parts]):
-        found += _leftover(file) if atomic_file.is_part(file) else _planned(file, seen, keys[file.parent])
-    return found + [f for folder in packs for f in _packed(folder)]
-
-
-def _planned(path: Path, seen: Seen, keys: dict[str, str] | None) -> list[Finding]:
-    """Findings about a bundle in a folder with a plan, given the planned input keys by name."""
-    if keys is not None and path.stem not in keys:
-        return [Finding(path, "stray", "is not of the plan in its folder: readers leave it out")]
-    found = _file(path, seen)
-    if keys is not None and not any(finding.level in ("error", "incomplete") for finding in found):
-        made = read(path)
-        if made.attrs["input_key"] != keys[path.stem]:
-            return [Finding(path, "stray", "was made from other inputs than those of the plan: readers leave it out")]
-    return found
+        findings += _leftover(file) if atomic_file.is_part(file) else _file(file, seen, keys[file.parent])
+    return findings + [f for folder in packs for f in _packed(folder)]
 
 
 def _leftover(path: Path) -> list[Finding]:
@@ -100,10 +89,13 @@ def _packed(folder: Path) -> list[Finding]:
     except UserError as error:
         return [Finding(folder, "error", line.removeprefix(f"{folder}: ")) for line in error.lines]
     seen: Seen = {}
-    return [f for path, group in scenes for f in _file(path, seen, group)]
+    return [f for path, group in scenes for f in _file(path, seen, ANY, group)]
 
 
-def _file(path: Path, seen: Seen, group: str = "/") -> list[Finding]:
+def _file(path: Path, seen: Seen, keys: dataset.PlannedKeys, group: str = "/") -> list[Finding]:
+    """Findings about a bundle in a folder with these planned keys."""
+    if not keys.names(path):
+        return [Finding(path, "stray", "is not of the plan in its folder: readers leave it out")]
     try:
         bundle = read(path, group)
         datasets = bundle.verify()
@@ -111,17 +103,19 @@ def _file(path: Path, seen: Seen, group: str = "/") -> list[Finding]:
         first = seen.setdefault((path.parent, bundle.attrs["digest"]), name)
         if first != name:
             return [Finding(path, "error", f"{name} is a copy of {first}: one of them was replaced")]
-        found = [Finding(path, "error", message) for message in _layout(bundle, datasets)]
-        if not found:  # the checks below rely on the layout
-            found = [Finding(path, "error", message) for rule in RULES for message in rule(bundle)]
+        findings = [Finding(path, "error", message) for message in _layout(bundle, datasets)]
+        if not findings:  # the checks below rely on the layout
+            findings = [Finding(path, "error", message) for rule in RULES for message in rule(bundle)]
     except UserError as error:
         level: Literal["error", "incomplete"] = "incomplete" if isinstance(error, Unfinished) else "error"
         return [Finding(path, level, line.removeprefix(f"{path}: ")) for line in error.lines]
+    if not findings and not keys.hold(bundle):
+        return [Finding(path, "stray", "was made from other inputs than those of the plan: readers leave it out")]
     if bundle.attrs["status"] != "ok":
-        found.append(Finding(path, "rejected", bundle.attrs["reason"]))
-    if all(finding.level == "rejected" for finding in found):
-        found += [Finding(path, "note", message) for rule in NOTES for message in rule(bundle)]
-    return found
+        findings.append(Finding(path, "rejected", bundle.attrs["reason"]))
+    if all(finding.level == "rejected" for finding in findings):
+        findings += [Finding(path, "note", message) for rule in NOTES for message in rule(bundle)]
+    return findings
 
 
 def _layout(bundle: Bundle, datasets: dict[str, Dataset]) -> Iterator[str]:

@@ -7,6 +7,7 @@ deterministic.
 Any HDF5 reads the result; its own zlib would take ten times as long to write it. Each stream ends with a checksum of
 its content (Adler-32), which is verified on reading. Each component of a map has its own chunk, which compresses
 better; images are one chunk: with three they would be a tenth smaller but take half as long again to read.
+Maps are rounded before, to the digits that their error allows, since random bits cannot be compressed.
 """
 
 import hashlib
@@ -16,6 +17,8 @@ from typing import Any
 
 import numpy as np
 from isal import igzip_lib, isal_zlib
+
+from tacgen.bundle.schema import entry
 
 Array = np.ndarray
 LEVEL = 1  # ISA-L's compression level, 0 to 3: higher ones save 1 % of bytes
@@ -88,7 +91,7 @@ class Column:
             self._sums[tuple(begin)] = isal_zlib.crc32(stream)
 
 
-class Frames:
+class FrameReader:
     """Reads a dataset of an open file frame by frame; HDF5 decompresses chunks that are not laid out as above."""
 
     def __init__(self, data: Any) -> None:
@@ -122,11 +125,11 @@ class Frames:
 
     def sha256(self) -> str:
         """SHA-256 of the whole content, chunk by chunk."""
-        found = hashlib.sha256()
+        digest = hashlib.sha256()
         rows = self.data.chunks[0] if self.data.chunks else 1
         for start in range(0, self.data.shape[0] if self.data.shape else 0, rows):
-            found.update(np.asarray(self[start] if self.ours else self.data[start : start + rows]).data)
-        return found.hexdigest()
+            digest.update(np.asarray(self[start] if self.ours else self.data[start : start + rows]).data)
+        return digest.hexdigest()
 
 
 def _packed(block: Array, parts: int) -> list[bytes]:
@@ -149,3 +152,29 @@ def _unpacked(streams: list[bytes], dtype: np.dtype, shape: tuple[int, ...]) -> 
             raise ValueError("a chunk is not as long as it should be")
     planes = np.frombuffer(b"".join(plain), np.uint8).reshape(len(streams) * dtype.itemsize, -1)
     return planes.T.flatten().view(dtype).reshape(shape)
+
+
+def rounded(path: str, values: Array) -> Array:
+    """The values of a dataset as they are stored."""
+    row = entry(path)
+    if row.power is not None:
+        return to_multiples(values, 2.0**row.power)
+    return values if row.bits is None else to_bits(values, row.bits)
+
+
+def to_multiples(values: Array, step: float) -> Array:
+    """Float32 values to the nearest multiple of `step`, a power of two; nan stays.
+
+    Adding 1.5 * 2^23 steps leaves no bit below a step. Values of 2^22 steps or more are rounded to their own last bits.
+    """
+    shift = np.float32(1.5 * 2**23 * step)
+    out = np.asarray(values + shift)
+    out -= shift
+    return out
+
+
+def to_bits(values: Array, bits: int) -> Array:
+    """Float32 values rounded to `bits` significant bits: the upper half of Dekker's (1971) split."""
+    out = np.asarray(values * np.float32(2 ** (24 - bits) + 1))
+    out -= out - values
+    return out

@@ -10,6 +10,7 @@ import os
 import warnings
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from pydantic import NonNegativeInt
@@ -33,7 +34,7 @@ class Shard(Stored):
     bytes: NonNegativeInt
 
 
-class Packed(Stored):
+class PackedScene(Stored):
     """A scene in a shard."""
 
     scene: Name
@@ -49,7 +50,7 @@ class Index(Stored):
     tacgen_pack: int
     name: str
     shards: list[Shard]
-    scenes: list[Packed]
+    scenes: list[PackedScene]
 
 
 class _Format(Stored):
@@ -81,18 +82,18 @@ def scenes(source: Path, *, merge: bool = False) -> list[Bundle]:
         return [read(source)]
     if is_packed(source):
         return [read(path, group) for path, group in packed(source)]
-    found, others = _planned(source, merge)
+    bundles, others = _planned(source, merge)
     if others:
         left = some([path.name for path in others])
         warnings.warn(f"{others[0].parent}: left out {left}: not of the plan there", LeftOut, stacklevel=2)
-    if not found:
+    if not bundles:
         raise UserError(f"{source}: no bundles (*.h5) in this folder" + _hint(packs(source)))
-    return found
+    return bundles
 
 
 def _planned(source: Path, merge: bool) -> tuple[list[Bundle], list[Path]]:
     """The bundles of the plans in and below a folder, all bundles where there is no plan, and the files left out."""
-    found: list[Bundle] = []
+    bundles: list[Bundle] = []
     others: list[Path] = []
     paths = files(source)
     folders = {folder: planned_keys(folder) for folder in dict.fromkeys(path.parent for path in paths)}
@@ -101,25 +102,38 @@ def _planned(source: Path, merge: bool) -> tuple[list[Bundle], list[Path]]:
         raise UserError(f"{source}: holds {len(folders)} data sets: {names}: name one of them, or merge them (--merge)")
     for path in paths:
         keys = folders[path.parent]
-        if keys is None:
-            found.append(read(path))
-        elif path.stem in keys and (bundle := read(path)).attrs["input_key"] == keys[path.stem]:
-            found.append(bundle)
+        if keys.names(path) and keys.hold(bundle := read(path)):
+            bundles.append(bundle)
         else:
             others.append(path)
-    return found, others
+    return bundles, others
 
 
-def planned_keys(folder: Path) -> dict[str, str] | None:
-    """Input key of each planned bundle by its name; None if the folder has no plan."""
+@dataclass(frozen=True)
+class PlannedKeys:
+    """Input key of each bundle by its name, from the plan in a folder; without a plan every bundle belongs there."""
+
+    by_name: dict[str, str] | None
+
+    def names(self, path: Path) -> bool:
+        """Whether the plan names a file."""
+        return self.by_name is None or path.stem in self.by_name
+
+    def hold(self, bundle: Bundle) -> bool:
+        """Whether a bundle was made from the inputs of the plan."""
+        return self.by_name is None or self.by_name.get(bundle.path.stem) == bundle.attrs["input_key"]
+
+
+def planned_keys(folder: Path) -> PlannedKeys:
+    """The keys in the plan of a folder. Raises UserError: it is damaged."""
     plan = read_plan(folder)
-    return None if plan is None else {row.scene: row.key for row in plan.scenes}
+    return PlannedKeys(None if plan is None else {row.scene: row.key for row in plan.scenes})
 
 
 def unplanned(folder: Path) -> list[Path]:
     """Bundles in a folder of a run that its plan does not name, by their names alone."""
     keys = planned_keys(folder)
-    return [] if keys is None else [p for p in files(folder) if p.parent == folder and p.stem not in keys]
+    return [path for path in files(folder) if path.parent == folder and not keys.names(path)]
 
 
 def some(names: Sequence[str]) -> str:
@@ -130,12 +144,12 @@ def some(names: Sequence[str]) -> str:
 def contacts(bundles: Sequence[Bundle]) -> list[list[int]]:
     """Groups of indices of bundles that belong together: the same contact on different sensors, or the two fingers of a
     grasp. Any other bundle is alone."""
-    found: dict[object, list[int]] = {}
+    groups: dict[object, list[int]] = {}
     for place, bundle in enumerate(bundles):
         number = bundle.attrs.get("scene_index" if "finger" in bundle.attrs else "pair")
         key = place if number is None else (bundle.path.parent, bundle.recipe.get("name"), number)
-        found.setdefault(key, []).append(place)
-    return list(found.values())
+        groups.setdefault(key, []).append(place)
+    return list(groups.values())
 
 
 def role(bundle: Bundle) -> str:
@@ -145,8 +159,8 @@ def role(bundle: Bundle) -> str:
 
 def files(folder: Path) -> list[Path]:
     """Bundles in and below a folder, in the order of their scenes, without part files."""
-    found = [path for place, names in _folders(folder) for name in names if (path := place / name).suffix == ".h5"]
-    return sorted(found, key=lambda path: (path.parent, len(path.name), path.name))
+    paths = [path for place, names in _folders(folder) for name in names if (path := place / name).suffix == ".h5"]
+    return sorted(paths, key=lambda path: (path.parent, len(path.name), path.name))
 
 
 def packs(folder: Path) -> list[Path]:
@@ -167,8 +181,8 @@ def _refuse(error: OSError) -> None:
     raise UserError(f"{error.filename}: cannot be read: {error.strerror}") from None
 
 
-def _hint(found: list[Path]) -> str:
-    return f"; packed scenes are in {found[0]}" if found else ""
+def _hint(folders: list[Path]) -> str:
+    return f"; packed scenes are in {folders[0]}" if folders else ""
 
 
 def is_packed(folder: Path) -> bool:

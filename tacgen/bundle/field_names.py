@@ -11,8 +11,8 @@ SHOWN = "force", "torque", "pressure", "traction", "height", "normals", "nodal_s
 
 def short(paths: Collection[str]) -> dict[str, str]:
     """Dataset path by short name, those that are read most often first."""
-    found = {path.split("/", 2)[2]: path for path in paths if path.startswith(PER_FRAME)}
-    return {name: found.pop(name) for name in SHOWN if name in found} | found
+    named = {path.split("/", 2)[2]: path for path in paths if path.startswith(PER_FRAME)}
+    return {name: named.pop(name) for name in SHOWN if name in named} | named
 
 
 def path_of(name: str, paths: Collection[str]) -> str:

@@ -28,7 +28,7 @@ class Damaged(UserError):
     """The bundle is not what was written: writing it again mends it."""
 
 
-class Source(io.FileIO):
+class BundleFile(io.FileIO):
     """The file object that HDF5 reads from.
 
     HDF5 1.14 never returns from a global heap that holds a free object of size 0, as zeroed disk sectors leave it. So
@@ -69,7 +69,7 @@ def opened(path: Path, group: str = "/") -> Iterator[Any]:
     import h5py
 
     try:
-        raw = Source(regular_file.descriptor(path, LARGEST))
+        raw = BundleFile(regular_file.descriptor(path, LARGEST))
     except OSError as error:
         raise UserError(f"{path}: {error.strerror}") from error
     with raw:
@@ -94,7 +94,7 @@ def datasets(root: Any) -> dict[str, tuple[int, ...]]:
     """
     from h5py import h5d, h5g, h5l, h5o
 
-    found: dict[str, tuple[int, ...]] = {}
+    shapes: dict[str, tuple[int, ...]] = {}
     sizes: dict[str, int] = {}
 
     def walk(group: Any, above: str) -> None:
@@ -104,14 +104,14 @@ def datasets(root: Any) -> dict[str, tuple[int, ...]]:
                 raise ValueError(f"{path} is a link")
             item = h5o.open(group, name)
             if isinstance(item, h5d.DatasetID):
-                found[path] = _checked_shape(path, item, sizes)
+                shapes[path] = _checked_shape(path, item, sizes)
             elif path in GROUPS and isinstance(item, h5g.GroupID):
                 walk(item, path)
             else:
                 raise ValueError(f"format {FORMAT} has no group {path}")
 
     walk(root.id, "")
-    return dict(sorted(found.items()))
+    return dict(sorted(shapes.items()))
 
 
 def _checked_shape(path: str, data: Any, sizes: dict[str, int]) -> tuple[int, ...]:

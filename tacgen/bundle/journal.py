@@ -56,12 +56,12 @@ def refuse_foreign(folder: Path, shard: Shard | None) -> None:
 
 def _files(folder: Path, kind: str) -> list[tuple[Path, str | None]]:
     """The plans or journals that runs wrote in a folder, sorted, each with the number of shards that its name gives."""
-    found = []
+    ours = []
     for name in sorted(os.listdir(folder)):
         match = NAME.fullmatch(name)
         if match and match[1] == kind and _is_ours(folder / name, kind):
-            found.append((folder / name, match[2]))
-    return found
+            ours.append((folder / name, match[2]))
+    return ours
 
 
 def _is_ours(path: Path, kind: str) -> bool:

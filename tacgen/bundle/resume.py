@@ -11,7 +11,7 @@ from tacgen import __version__, atomic_file
 from tacgen.bundle import bundle, dataset
 from tacgen.bundle.hdf5_file import Damaged
 from tacgen.errors import UserError
-from tacgen.recipe.plan import Row
+from tacgen.recipe.row import Row
 
 SHOWN = 3  # differing inputs that a message names
 
@@ -62,9 +62,9 @@ def existing(rows: Iterable[Row], folder: Path) -> dict[str, str]:
     """
     if dataset.is_packed(folder):
         raise UserError(f"{folder}: holds packed scenes; choose another folder")
-    found: dict[str, str] = {}
+    versions: dict[str, str] = {}
     if not any(folder.glob("*.h5")):
-        return found
+        return versions
     for row in (each for scene in rows for each in scene.bundles):
         path = folder / f"{row.name}.h5"
         if path.exists():
@@ -77,8 +77,8 @@ def existing(rows: Iterable[Row], folder: Path) -> dict[str, str]:
                 continue
             if attrs["input_key"] != row.key:
                 _refuse(path, row)
-            found[row.name] = attrs["tacgen_version"]
-    return found
+            versions[row.name] = attrs["tacgen_version"]
+    return versions
 
 
 def _refuse(path: Path, row: Row) -> None:

@@ -18,7 +18,7 @@ STATES = ("ok", "rejected", "failed", "damaged", "at work", "waiting")
 
 
 @dataclass(frozen=True)
-class Scene:
+class SceneStatus:
     """One planned scene. If `damaged`, `run` makes it again."""
 
     name: str
@@ -36,12 +36,12 @@ class Survey:
 
     name: str
     folder: Path
-    scenes: tuple[Scene, ...]
+    scenes: tuple[SceneStatus, ...]
 
     def count(self) -> dict[str, int]:
         """Scenes by state; states that no scene is in are left out."""
-        found = Counter(scene.state for scene in self.scenes)
-        return {state: found[state] for state in STATES if found[state]}
+        states = Counter(scene.state for scene in self.scenes)
+        return {state: states[state] for state in STATES if states[state]}
 
 
 def survey(folder: Path) -> Survey:
@@ -71,11 +71,11 @@ class Timing(Stored):
     seconds: dict[str, NonNegativeFloat]
 
 
-def _scene(folder: Path, row: PlannedScene, failure: str) -> Scene:
+def _scene(folder: Path, row: PlannedScene, failure: str) -> SceneStatus:
     path = folder / f"{row.scene}.h5"
 
-    def found(state: str, reason: str = "", frames: int = row.frames) -> Scene:
-        return Scene(row.scene, state, reason, frames, path, row.values, _seconds(path))
+    def found(state: str, reason: str = "", frames: int = row.frames) -> SceneStatus:
+        return SceneStatus(row.scene, state, reason, frames, path, row.values, _seconds(path))
 
     if atomic_file.is_claimed(path):
         return found("at work")

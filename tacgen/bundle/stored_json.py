@@ -60,8 +60,8 @@ def _adapter(kind: Any) -> TypeAdapter[Any]:
 def parsed(kind: type[T], content: str | bytes) -> T:
     """The contents of a text. Raises ValueError, in one line: not JSON, or not of this type."""
     try:
-        found: T = _adapter(kind).validate_json(content)  # type: ignore[arg-type]
-        return found
+        value: T = _adapter(kind).validate_json(content)  # type: ignore[arg-type]
+        return value
     except ValidationError as error:
         first = error.errors(include_url=False, include_context=False, include_input=False)[0]
         where = ".".join(str(step) for step in first["loc"])

@@ -91,9 +91,9 @@ def _refuse(folder: Path, kind: str) -> None:
 
 def _files(folder: Path) -> dict[str, int | None]:
     """Path below the folder -> size [bytes] of a regular file; None for anything else, including empty folders."""
-    found: dict[str, int | None] = {}
+    sizes: dict[str, int | None] = {}
     for path in folder.rglob("*"):
         plain = path.is_file() and not path.is_symlink()
         if plain or path.is_symlink() or not path.is_dir() or not any(path.iterdir()):
-            found[path.relative_to(folder).as_posix()] = path.stat().st_size if plain else None
-    return found
+            sizes[path.relative_to(folder).as_posix()] = path.stat().st_size if plain else None
+    return sizes

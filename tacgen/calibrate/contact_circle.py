@@ -12,7 +12,7 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 from scipy.optimize import minimize
 
-from tacgen.calibrate.photos import Press
+from tacgen.calibrate.photos import PhotographedPress
 
 Array = np.ndarray
 WIDTH = 0.08  # contact radii: standard deviation of the Gaussian whose second derivative measures the bend
@@ -23,7 +23,7 @@ ANGLES = 72  # points on the circle
 BEYOND = 1.2  # over the given radius: points whose ray leaves the picture before this are skipped
 
 
-def refined(press: Press, untouched: Array) -> Press:
+def refined(press: PhotographedPress, untouched: Array) -> PhotographedPress:
     """The press with a refined circle, on which the change against the untouched picture (H, W, 3) bends most."""
     if press.contact is None:
         return press
@@ -53,5 +53,5 @@ def bend(change: Array, circle: Array, width: float, angles: Array) -> float:
     at = [circle[1] + radii * np.sin(angles) - 0.5, circle[0] + radii * np.cos(angles) - 0.5]
     seen = np.stack([map_coordinates(change[..., c], at, order=1, mode="nearest") for c in range(3)], axis=2)
     weight = (STEPS**2 - 1) * np.exp(-(STEPS**2) / 2)
-    found = np.einsum("r,rac->ac", weight - weight.mean(), seen)
-    return float(np.linalg.norm(found, axis=1).mean())
+    curvature = np.einsum("r,rac->ac", weight - weight.mean(), seen)
+    return float(np.linalg.norm(curvature, axis=1).mean())

@@ -16,14 +16,14 @@ from scipy.optimize import least_squares, nnls
 
 from tacgen.calibrate import contact_circle, press_faces
 from tacgen.calibrate.likeness import Comparison, Likeness
-from tacgen.calibrate.photos import Photos, Press
+from tacgen.calibrate.photos import PhotographedPress, Photos
 from tacgen.calibrate.result import Fitted, rgb, rms
 from tacgen.errors import UserError
 from tacgen.optics import camera_response, coating, strip_light
-from tacgen.optics.camera_view import Samples, View
+from tacgen.optics.camera_view import CameraView, Samples
 from tacgen.optics.direct_light import heights
+from tacgen.optics.housing import bottom_depth, frame
 from tacgen.optics.interreflection import Glow, Radiosity
-from tacgen.optics.mitsuba_dicts import bottom_depth, frame
 from tacgen.optics.shadows import Terrain
 from tacgen.optics.surface_grid import Sheet, Surface, Untouched
 from tacgen.recipe import background_photo
@@ -33,7 +33,7 @@ from tacgen.sensor.model import Camera, Led, LitSensor
 from tacgen.sensor.yaml_source import KeyPath
 
 if TYPE_CHECKING:
-    from tacgen.calibrate.led_fit import Asked
+    from tacgen.calibrate.led_fit import FitLimits
 
 Array = np.ndarray
 SHRINK = 4  # pixels of the photograph per pixel of the fit
@@ -76,7 +76,7 @@ class Picture:
 class Looked:
     """Where the camera's rays meet the face of a picture."""
 
-    view: View
+    view: CameraView
     at: Samples
     toward: Array  # unit directions in the gel to the camera, (pixels, 3)
     passed: Array  # transmission from the gel to the camera, (pixels,)
@@ -84,7 +84,7 @@ class Looked:
 
 
 def fit(
-    sensor: LitSensor, photos: Photos, held_out: list[int], folders: dict[KeyPath, Path], asked: "Asked"
+    sensor: LitSensor, photos: Photos, held_out: list[int], folders: dict[KeyPath, Path], asked: "FitLimits"
 ) -> tuple[Fitted, tuple[Likeness, ...]]:
     """Fit the radiance and, with presses, the other parameters; also the likeness of held-out presses before and
     after. `held_out` counts presses from 1."""
@@ -94,19 +94,19 @@ def fit(
         refined = tuple(contact_circle.refined(press, photos.untouched) for press in photos.presses)
         photos = replace(photos, presses=refined)
     faces = [press_faces.face(sensor, press, folders) for press in photos.presses]
-    found = Fit(sensor, photos, faces, tolerance, asked.bare).run(asked.steps, held_out)
+    fitted = Fit(sensor, photos, faces, tolerance, asked.bare).run(asked.steps, held_out)
     judges = [k - 1 for k in held_out if photos.presses[k - 1].contact is not None]
-    if not judges or found.judged is None:
-        return found, ()
-    now = found.judged
+    if not judges or fitted.judged is None:
+        return fitted, ()
+    now = fitted.judged
     light = {key: getattr(now.camera, key) for key in ("ambient", "vignette_mm", "crop_mm")}
     eye = sensor.camera.model_copy(update=light)
     judged = sensor.model_copy(update={"leds": now.leds, "coating": now.coating, "camera": eye})
     presses, seen = [photos.presses[k] for k in judges], [faces[k] for k in judges]
-    return found, tuple(Comparison(one).likeness(presses, seen, photos.untouched) for one in (sensor, judged))
+    return fitted, tuple(Comparison(one).likeness(presses, seen, photos.untouched) for one in (sensor, judged))
 
 
-def _points(one: tuple[Led, ...]) -> strip_light.Points:
+def _points(one: tuple[Led, ...]) -> strip_light.StripPoints:
     """The points that stand for a single LED."""
     (wide, tall), least = one[0].size_mm, (6, 2)
     along, across = (max(n, int(np.ceil(size / by)))
@@ -153,7 +153,7 @@ class Fit:
         counts = counts & (light < BRIGHT).all(axis=1)
         return Picture(name, light, np.minimum(255 * camera_response.slope(light, eye), STEEPEST), counts, face)
 
-    def _near(self, press: Press) -> Array:
+    def _near(self, press: PhotographedPress) -> Array:
         eye = self.sensor.camera
         shrink = press.picture.shape[1] / eye.width_px
         y, x = np.mgrid[: eye.height_px, : eye.width_px] + 0.5
@@ -197,7 +197,7 @@ class Fit:
         eye = self.sensor.camera
         moved = eye.model_copy(update={"crop_mm": tuple(np.add(eye.crop_mm, crop))})
         sensor = self.sensor.model_copy(update={"camera": moved})
-        view = View(sensor, self.sheet, False)
+        view = CameraView(sensor, self.sheet, False)
         at = view.look(self.pictures[picture].face)
         terrain = Terrain.of(heights(self.sheet, at.nodes), self.sheet.size)
         return Looked(view, at, view.toward_camera(), view.transmission(), terrain)
@@ -301,10 +301,10 @@ class Fit:
             return v
 
         def left(u: Array) -> Array:
-            found, _ = self.misfit(self.all_columns(numbers(u), seen), seen)
+            residual, _ = self.misfit(self.all_columns(numbers(u), seen), seen)
             weights = [WEIGHT if k else 1.0 for k in seen]
             held = HOLD * 2 * (numbers(u) - self._start)[free] / span[free]
-            return np.concatenate([*(w * m.ravel() for w, m in zip(weights, found, strict=True)), held])
+            return np.concatenate([*(w * m.ravel() for w, m in zip(weights, residual, strict=True)), held])
 
         start = np.clip(1 + 2 * (begin - self._least)[free] / span[free], 1.02, 2.98)  # from 1 to 3 over the range
         how: Any = {"bounds": (1, 3), "diff_step": 0.02, "max_nfev": steps, "loss": "soft_l1", "f_scale": SOFT}

@@ -181,20 +181,20 @@ def _weighted(
     (start, low, high), at = ranges, wanted
     for _ in range(ROUNDS):
         error = np.hypot(even * wanted.max(), at)
-        found = least_squares(partial(_residual, force, wanted, error), start, bounds=(low, high), xtol=1e-12)
-        start, at = np.clip(found.x, low + 1e-9, high - 1e-9), force(found.x)
-    free = found.active_mask == 0
+        solution = least_squares(partial(_residual, force, wanted, error), start, bounds=(low, high), xtol=1e-12)
+        start, at = np.clip(solution.x, low + 1e-9, high - 1e-9), force(solution.x)
+    free = solution.active_mask == 0
     span, spare = (high - low)[free], len(wanted) - len(start)
-    _, size, axes = np.linalg.svd(found.jac[:, free] * span, full_matrices=False)
+    _, size, axes = np.linalg.svd(solution.jac[:, free] * span, full_matrices=False)
     unseen = np.zeros(len(start), bool)
     unseen[free] = (np.abs(axes[size < SEEN]) > UNSEEN).any(axis=0)
     size = np.maximum(size, SEEN)
     spread = axes.T / size * span[:, None]
     covariance = np.zeros((len(start),) * 2)
-    covariance[np.ix_(free, free)] = spread @ spread.T * 2 * found.cost / spare
+    covariance[np.ix_(free, free)] = spread @ spread.T * 2 * solution.cost / spare
     volume = np.log(span).sum() - np.log(size).sum()  # half the log determinant of the inverse
-    unlikely = spare * np.log(found.cost + 1e-300) / 2 + np.log(error).sum() - volume
-    return _Weighted(found.x, free, unseen, covariance, float(unlikely))
+    unlikely = spare * np.log(solution.cost + 1e-300) / 2 + np.log(error).sum() - volume
+    return _Weighted(solution.x, free, unseen, covariance, float(unlikely))
 
 
 def _averaged(best: _Weighted, tried: list[_Weighted]) -> Array:

@@ -13,12 +13,12 @@ from scipy.optimize import nnls
 
 from tacgen.calibrate import press_faces
 from tacgen.calibrate.likeness import ChangeLikeness
-from tacgen.calibrate.photos import Photos, Press
+from tacgen.calibrate.photos import PhotographedPress, Photos
 from tacgen.calibrate.result import Fitted, rgb, rms
 from tacgen.errors import UserError
 from tacgen.optics import camera_response, scattering
-from tacgen.optics.camera import Camera
-from tacgen.optics.camera_view import View
+from tacgen.optics.camera import PinholeCamera
+from tacgen.optics.camera_view import CameraView
 from tacgen.optics.surface_grid import Surface
 from tacgen.recipe import background_photo
 from tacgen.render import images, traced_maps
@@ -35,7 +35,7 @@ FIXED = 1e5  # weight of gain 1 at no change of thickness, over that of a pixel
 
 
 @dataclass(frozen=True)
-class Seen:
+class RenderedPress:
     """A press rendered at one depth, over the whole picture (pixels, 3), and which pixels are `near` (pixels,)."""
 
     change: Array  # change of thickness (pixels,) [mm]
@@ -94,20 +94,20 @@ def fit(
         here = [seen[k][i] for k in chosen]
         table = gains(np.concatenate([s.change for s in here]), np.concatenate([s.wanted / s.own for s in here]))
         off = rms([s.off(table, linear, sensor.camera) for s in here])
-        best = min(best, (off, table, i), key=lambda found: found[0])
+        best = min(best, (off, table, i), key=lambda tried: tried[0])
     off, table, i = best
     rest = [seen[k - 1][i].off(table, linear, sensor.camera) for k in held_out]
     response_ = ThicknessResponse(change_mm=CHANGES, gain=tuple(rgb(row) for row in table), source="fit")
     whole = made.model_copy(update={"thickness_response": response_})
-    found = Fitted(whole, now, before, off, rms(rest) if rest else None, FACTORS[i])
+    fitted = Fitted(whole, now, before, off, rms(rest) if rest else None, FACTORS[i])
     if not held_out:
-        return found, ()
+        return fitted, ()
     alike = []
     for response, k in ((sensor.thickness_response, FACTORS.index(1.0)), (response_, i)):
         judges = [seen[j - 1][k] for j in held_out]
         pairs = [judge.changes(response, linear, sensor.camera) for judge in judges]
         alike.append(ChangeLikeness.of(*(np.concatenate(part) for part in zip(*pairs, strict=True))))
-    return found, tuple(alike)
+    return fitted, tuple(alike)
 
 
 def powers(sensor: LitSensor, maps: Array, untouched: Array) -> Array:
@@ -135,22 +135,26 @@ def gains(change: Array, wanted: Array) -> Array:
 
 
 def _seen(
-    sensor: LitSensor, renderer: images.Renderer, photos: Photos, press: Press, folders: dict[KeyPath, Path]
-) -> list[Seen]:
+    sensor: LitSensor, renderer: images.Renderer, photos: Photos, press: PhotographedPress, folders: dict[KeyPath, Path]
+) -> list[RenderedPress]:
     """A press rendered at each of FACTORS times its depth."""
     assert press.depth is not None
-    view, camera, flat = View(sensor, renderer.sheet, False), Camera.from_sensor(sensor), renderer.flat().astype(float)
+    view, camera, flat = (
+        CameraView(sensor, renderer.sheet, False),
+        PinholeCamera.from_sensor(sensor),
+        renderer.flat().astype(float),
+    )
     before, after = (
         camera_response.linear(np.maximum(p, 1) / 255.0, sensor.camera).reshape(-1, 3)
         for p in (photos.untouched, press.picture)
     )
 
-    def at(face: Surface) -> Seen:
+    def at(face: Surface) -> RenderedPress:
         seen = view.look(face)
         change = seen.position[:, 2] - renderer.untouched.at(seen.position[:, :2])[:, 2]
         own = (renderer.image(face).astype(float) / np.maximum(flat, 1e-12)).reshape(-1, 3)
         away = np.hypot(*(camera.project(seen.position) - press.center).T) * camera.mm_per_px
-        return Seen(change, own, after / before, away < REACH)
+        return RenderedPress(change, own, after / before, away < REACH)
 
     depths = [factor * press.depth for factor in FACTORS]
     return [at(face) for face in press_faces.solved(sensor, press, depths, folders)]

@@ -24,7 +24,7 @@ MOST_MM, MOST_DEG = 10.0, 90.0  # largest tolerances; farther off, the file is o
 
 
 @dataclass(frozen=True)
-class Asked:
+class FitLimits:
     """Limits of a fit."""
 
     mm: float = 0.5  # tolerance of the LEDs' positions and of the crop [mm]
@@ -48,18 +48,18 @@ class Calibrated:
     def lines(self) -> Iterator[str]:
         """Report in text."""
         yield f"{self.sensor.name}: fitted to {self.photographs}"
-        found = self.fitted
-        yield f"untouched: off by {found.untouched:.1f} counts rms (before the fit: {found.before:.1f})"
-        if found.presses is not None:
-            yield f"change under the presses: off by {found.presses:.1f} counts rms"
-        if found.held_out is not None:
+        fitted = self.fitted
+        yield f"untouched: off by {fitted.untouched:.1f} counts rms (before the fit: {fitted.before:.1f})"
+        if fitted.presses is not None:
+            yield f"change under the presses: off by {fitted.presses:.1f} counts rms"
+        if fitted.held_out is not None:
             names = ", ".join(self.held_out)
-            yield f"change under {names}, held out: off by {found.held_out:.1f} counts rms"
+            yield f"change under {names}, held out: off by {fitted.held_out:.1f} counts rms"
             for when, like in zip(("before", "after"), self.likeness, strict=False):  # none if only depths are known
                 yield f"  {when}: {like}"
-        if found.deeper != 1:
-            yield f"all depths appear to be {found.deeper:g} times the given ones"
-        for led, now in zip(self.sensor.leds or (), found.sensor.leds, strict=True):
+        if fitted.deeper != 1:
+            yield f"all depths appear to be {fitted.deeper:g} times the given ones"
+        for led, now in zip(self.sensor.leds or (), fitted.sensor.leds, strict=True):
             before = sum(led.light)
             times = f"{sum(now.light) / before:.2f} times as strong" if before else "lit"
             moved = sum((a - b) ** 2 for a, b in zip(led.center_mm, now.center_mm, strict=True)) ** 0.5
@@ -67,8 +67,8 @@ class Calibrated:
 
     def plain(self) -> dict[str, Any]:
         """Report as JSON values."""
-        found = self.fitted
-        errors = {name: getattr(found, name) for name in ("untouched", "before", "presses", "held_out", "deeper")}
+        fitted = self.fitted
+        errors = {name: getattr(fitted, name) for name in ("untouched", "before", "presses", "held_out", "deeper")}
         changes = {yaml_source.format_path(path): value for path, value in self.changes.items()}
         return {"sensor": self.sensor.name, **errors, "held_out_files": list(self.held_out),
                 "likeness": [like.plain() for like in self.likeness], "changes": changes}  # fmt: skip
@@ -78,7 +78,7 @@ class Calibrated:
         write_sensor(self.path, self.sensor, self.changes, out)
 
 
-def optics(name: str, folder: Path, asked: Asked | None = None) -> Calibrated:
+def optics(name: str, folder: Path, asked: FitLimits | None = None) -> Calibrated:
     """Fit the LEDs of a sensor file, given by name or path, to the photographs in a folder.
 
     Raises:
@@ -86,7 +86,7 @@ def optics(name: str, folder: Path, asked: Asked | None = None) -> Calibrated:
     """
     from tacgen.calibrate import photos as reading
 
-    asked, path = asked or Asked(), assets.sensor_path(name)
+    asked, path = asked or FitLimits(), assets.sensor_path(name)
     for unit, value, most in (("mm", asked.mm, MOST_MM), ("deg", asked.deg, MOST_DEG)):
         if not 0 <= value <= most:  # nor nan
             raise UserError(f"--tolerance-{unit}: must be from 0 to {most:g} (got {value:g})")
@@ -101,16 +101,16 @@ def optics(name: str, folder: Path, asked: Asked | None = None) -> Calibrated:
     if any(layer.scattering for layer in sensor.gel.clear_layers):
         from tacgen.calibrate import fit_scattering
 
-        found, alike = fit_scattering.fit(lit, photos, held_out, folders)
+        fitted, alike = fit_scattering.fit(lit, photos, held_out, folders)
         likeness: tuple[Likeness | ChangeLikeness, ...] = alike
     else:
         from tacgen.calibrate import fit_clear
 
-        found, likeness = fit_clear.fit(lit, photos, held_out, folders, asked)
+        fitted, likeness = fit_clear.fit(lit, photos, held_out, folders, asked)
     said = _said(photos)
-    changes = _changes(lit, found, said, bare=asked.bare)
+    changes = _changes(lit, fitted, said, bare=asked.bare)
     names = tuple(photos.presses[k - 1].name for k in held_out)
-    return Calibrated(path, sensor, said, found, names, likeness, changes)
+    return Calibrated(path, sensor, said, fitted, names, likeness, changes)
 
 
 def _said(photos: "Photos") -> str:
@@ -119,9 +119,9 @@ def _said(photos: "Photos") -> str:
     return f"an untouched picture{presses} of one unit ({photos.folder.resolve().name})"
 
 
-def _changes(sensor: LitSensor, found: "Fitted", said: str, *, bare: bool) -> dict[KeyPath, Any]:
+def _changes(sensor: LitSensor, fitted: "Fitted", said: str, *, bare: bool) -> dict[KeyPath, Any]:
     """Changed values of the sensor file by path; None for keys to remove."""
-    now, by = found.sensor, f"fitted to {said} {BY}"
+    now, by = fitted.sensor, f"fitted to {said} {BY}"
     out: dict[KeyPath, Any] = {}
     for k, (led, new) in enumerate(zip(sensor.leds, now.leds, strict=True)):
         out["leds", k, "radiance"] = digits(new.radiance)

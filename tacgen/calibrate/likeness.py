@@ -9,9 +9,9 @@ import numpy as np
 
 from tacgen.calibrate import normal_net
 from tacgen.calibrate.normal_net import NormalNet
-from tacgen.calibrate.photos import Press
-from tacgen.optics.camera import Camera
-from tacgen.optics.camera_view import View
+from tacgen.calibrate.photos import PhotographedPress
+from tacgen.optics.camera import PinholeCamera
+from tacgen.optics.camera_view import CameraView
 from tacgen.optics.hertz_dent import BallDent
 from tacgen.optics.surface_grid import Surface
 from tacgen.render.images import Renderer
@@ -28,7 +28,7 @@ SPP = 16  # samples a pixel
 
 
 @dataclass(frozen=True)
-class Seen:
+class PictureOfPress:
     """One press in a picture."""
 
     change: Array  # against the untouched picture (H, W, 3) [counts]
@@ -105,15 +105,17 @@ class Comparison:
 
     def __init__(self, sensor: LitSensor) -> None:
         self.sensor, self._renderer = sensor, Renderer(sensor, SPP, 0, markers=False)
-        self._view = View(sensor, self._renderer.sheet, markers=False)
+        self._view = CameraView(sensor, self._renderer.sheet, markers=False)
         self._flat = self._renderer.develop(self._renderer.flat())
         self._level = self._slopes(self._renderer.untouched)
 
-    def photographed(self, press: Press, face: Surface, untouched: Array) -> Seen:
+    def photographed(self, press: PhotographedPress, face: Surface, untouched: Array) -> PictureOfPress:
         """A photographed press against the photograph of the untouched unit."""
         return self._seen(press.picture, untouched, face, press.center, press.contact or 0.0)
 
-    def rendered(self, press: Press, face: Surface, random: np.random.Generator | None = None) -> Seen:
+    def rendered(
+        self, press: PhotographedPress, face: Surface, random: np.random.Generator | None = None
+    ) -> PictureOfPress:
         """A rendered picture of a press, with the camera's noise if `random` is given."""
         made = self._renderer.develop(self._renderer.image(face), random)
         return self._seen(made, self._flat, face, press.center, press.contact or 0.0)
@@ -123,7 +125,7 @@ class Comparison:
         they reach at least."""
         return learned(list(self._dents(max(SHARE[1], deepest))))
 
-    def likeness(self, presses: Sequence[Press], faces: Sequence[Surface], untouched: Array) -> Likeness:
+    def likeness(self, presses: Sequence[PhotographedPress], faces: Sequence[Surface], untouched: Array) -> Likeness:
         """Likeness over presses with known contact circles."""
         pairs = [
             (self.photographed(press, face, untouched), self.rendered(press, face), near(press, AROUND))
@@ -148,9 +150,9 @@ class Comparison:
             float(np.mean([real.off(real.flat) for real, _, _ in pairs])),
         )  # fmt: skip
 
-    def _dents(self, deepest: float) -> Iterator[Seen]:
+    def _dents(self, deepest: float) -> Iterator[PictureOfPress]:
         random, renderer = np.random.default_rng(0), self._renderer
-        camera, gel = Camera.from_sensor(self.sensor), self.sensor.gel
+        camera, gel = PinholeCamera.from_sensor(self.sensor), self.sensor.gel
         for _ in range(DENTS):
             ball = float(np.exp(random.uniform(*np.log(BALLS))))
             contact = min(ball * random.uniform(SHARE[0], deepest), WIDEST) / camera.mm_per_px
@@ -162,17 +164,17 @@ class Comparison:
 
     def _seen(
         self, picture: Array, untouched: Array, face: Surface, center: tuple[float, float], contact: float
-    ) -> Seen:
+    ) -> PictureOfPress:
         slopes = self._slopes(face)
         where = circle(untouched.shape[:2], center, WITHIN * contact) & np.isfinite(slopes + self._level).all(axis=2)
-        return Seen(picture.astype(float) - untouched, where, slopes[where], self._level[where])
+        return PictureOfPress(picture.astype(float) - untouched, where, slopes[where], self._level[where])
 
     def _slopes(self, face: Surface) -> Array:
         """Slopes of the face behind each pixel: x and y of its unit normals (H, W, 2)."""
         return self._view.look(face).normal[:, :2].reshape(*self._view.shape, 2)
 
 
-def learned(seen: Sequence[Seen]) -> NormalNet:
+def learned(seen: Sequence[PictureOfPress]) -> NormalNet:
     """A network trained inside the contact circles of presses, with the same number of pixels of each."""
     random = np.random.default_rng(0)
     some = [random.permutation(len(one.slopes))[: max(PIXELS, normal_net.MOST // len(seen))] for one in seen]
@@ -186,6 +188,6 @@ def circle(shape: tuple[int, ...], center: tuple[float, float], radius: float) -
     return np.asarray(np.hypot(x - center[0], y - center[1]) < radius)
 
 
-def near(press: Press, reach: float) -> Array:
+def near(press: PhotographedPress, reach: float) -> Array:
     """Pixels within `reach` contact radii of a press's middle, (H, W) bool."""
     return circle(press.picture.shape, press.center, reach * (press.contact or 0.0))

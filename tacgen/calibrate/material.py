@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 from tacgen.calibrate.result import digits, write_sensor
 from tacgen.errors import UserError
 from tacgen.recipe import assets, plan
-from tacgen.report.wording import counted
+from tacgen.recipe.row import Row
+from tacgen.report.sheet import counted
 from tacgen.sensor.layers import IsochoricLayer
 from tacgen.sensor.yaml_source import KeyPath, at, format_path, parse_path
 
@@ -31,7 +32,7 @@ BY = "by tacgen calibrate material"
 
 
 @dataclass(frozen=True)
-class Asked:
+class Unknowns:
     """Unknowns of the fit besides the modulus."""
 
     zero: bool = True  # the depth of first touch
@@ -43,9 +44,9 @@ class Asked:
 class Material:
     """A fit, simpler fits for comparison, and the values of the sensor file that it changes."""
 
-    row: plan.Row
+    row: Row
     path: Path  # of the sensor file
-    asked: Asked
+    asked: Unknowns
     fitted: "MaterialFit"
     simpler: "dict[str, MaterialFit]"
 
@@ -108,8 +109,8 @@ class Material:
             out[parse_path(self.second)[1:]] = digits(self.fitted["second"])
         factor = next(e for e in self.fitted.estimates if e.name == "modulus")
         count = sum(e.name.startswith("tau") for e in self.fitted.estimates)
-        found = [(digits(self.fitted[f"g{i}"]), digits(self.fitted[f"tau{i}"])) for i in range(1, count + 1)]
-        series = [{"g": g, "tau_s": tau} for g, tau in found]
+        terms = [(digits(self.fitted[f"g{i}"]), digits(self.fitted[f"tau{i}"])) for i in range(1, count + 1)]
+        series = [{"g": g, "tau_s": tau} for g, tau in terms]
         shape = self.row.recipe.indenter.shape
         for k, layer in enumerate(self.row.sensor.gel.layers):
             here: KeyPath = ("gel", "layers", k)
@@ -132,7 +133,7 @@ class Material:
         return plain.get(name) or ((self.second, "") if name == "second" else (name, " s" if name[0] == "t" else ""))
 
 
-def material(sensor: str, recipe: str, table: Path, asked: Asked | None = None) -> Material:
+def material(sensor: str, recipe: str, table: Path, asked: Unknowns | None = None) -> Material:
     """Fit the moduli of a sensor file to the forces in a table, with indenter, friction and mesh of a recipe.
 
     Raises:
@@ -140,9 +141,9 @@ def material(sensor: str, recipe: str, table: Path, asked: Asked | None = None) 
     """
     import numpy as np
 
-    from tacgen.calibrate import fit_material, press_depths, press_forces
+    from tacgen.calibrate import fit_material, press_forces
 
-    asked, measured, path = asked or Asked(), press_forces.read(table), assets.sensor_path(sensor)
+    asked, measured, path = asked or Unknowns(), press_forces.read(table), assets.sensor_path(sensor)
     sets = (f"sensor={path.resolve()}",)
     rows = plan.load(assets.recipe_path(recipe), sets).rows
     if len(rows) != 1:
@@ -152,7 +153,9 @@ def material(sensor: str, recipe: str, table: Path, asked: Asked | None = None) 
     if asked.terms and measured.time is None:
         raise UserError(f"{table}: has no column time_s, without which nothing relaxes")
     deepest, start = float(measured.depth.max()), rows[0].recipe.start
-    if said := press_depths.problem(rows[0].sensor.gel, deepest, (start.x_mm, start.y_mm), 1 + press_forces.MARGIN):
+    if said := press_forces.depth_problem(
+        rows[0].sensor.gel, deepest, (start.x_mm, start.y_mm), 1 + press_forces.MARGIN
+    ):
         raise UserError(f"{table}: depth_mm: the largest {said}")
     depths = press_forces.depths_for(deepest)
     if asked.second:
@@ -193,7 +196,7 @@ def _undetermined(fitted: "MaterialFit", second: str) -> Iterator[str]:
             yield f"{shown}: is not determined: these forces allow its whole range: {MEASURE[kind]}"
 
 
-def _range(text: str, row: plan.Row) -> tuple[str, list[float], float]:
+def _range(text: str, row: Row) -> tuple[str, list[float], float]:
     """`PATH=LOW:HIGH` -> the path, values over the range, and what the files have there."""
     name, equals, ends = text.partition("=")
     low, colon, high = ends.partition(":")

@@ -22,7 +22,7 @@ RANGES = {"ball_radius_mm": (0.1, 100.0), "contact_radius_px": (3.0, np.inf), "d
 
 
 @dataclass(frozen=True)
-class Press:
+class PhotographedPress:
     """A photographed press: its ball, and the radius of its contact, its depth or both."""
 
     name: str
@@ -39,18 +39,18 @@ class Photos:
 
     folder: Path
     untouched: Array  # (H, W, 3), 8 bit
-    presses: tuple[Press, ...]
+    presses: tuple[PhotographedPress, ...]
 
 
 def read(folder: Path, camera: Camera) -> Photos:
     """The photographs in a folder. Raises UserError: all that are missing or cannot be used, a line each."""
-    found = next((folder / name for name in UNTOUCHED if (folder / name).is_file()), None)
+    picture = next((folder / name for name in UNTOUCHED if (folder / name).is_file()), None)
     wrong: list[str] = []
     if not folder.is_dir():
         raise UserError(f"{folder}: no such folder")
-    if found is None:
+    if picture is None:
         wrong.append(f"{folder}: holds no background.png, the photograph of the untouched sensor")
-    untouched = np.zeros(0) if found is None else _picture(found, camera, wrong)
+    untouched = np.zeros(0) if picture is None else _picture(picture, camera, wrong)
     presses = []
     table = folder / TABLE
     for line, row in csv_table.rows(table, NEEDED, EITHER, wrong) if table.is_file() else ():
@@ -85,7 +85,7 @@ def _picture(path: Path, camera: Camera, wrong: list[str]) -> Array:
     return picture
 
 
-def _press(folder: Path, line: int, row: dict[str, str], camera: Camera, wrong: list[str]) -> Press | None:
+def _press(folder: Path, line: int, row: dict[str, str], camera: Camera, wrong: list[str]) -> PhotographedPress | None:
     """Read a row of the table; problems are added to `wrong`."""
     said = f"{folder / TABLE}:{line}"
     name = row["file"]
@@ -117,4 +117,4 @@ def _press(folder: Path, line: int, row: dict[str, str], camera: Camera, wrong: 
         wrong.append(f"{said}: contact_radius_px: is {size:.3g} mm, and the ball's radius {row['ball_radius_mm']}")
     if len(wrong) > before:
         return None
-    return Press(name, picture, number["ball_radius_mm"], (x, y), contact, number.get("depth_mm"))
+    return PhotographedPress(name, picture, number["ball_radius_mm"], (x, y), contact, number.get("depth_mm"))

@@ -7,16 +7,17 @@ from pathlib import Path
 import numpy as np
 
 from tacgen import mechanics
-from tacgen.calibrate import press_depths
-from tacgen.calibrate.photos import Photos, Press
+from tacgen.calibrate import press_forces
+from tacgen.calibrate.photos import PhotographedPress, Photos
 from tacgen.errors import UserError
 from tacgen.mechanics import mesh, presolve
-from tacgen.optics.camera import Camera
+from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.hertz_dent import BallDent
 from tacgen.optics.surface_grid import Surface, Untouched
 from tacgen.outputs import gel_surface
-from tacgen.recipe import plan, scene_of_row
+from tacgen.recipe import loading, plan, scene_of_row
 from tacgen.recipe.model import Recipe
+from tacgen.recipe.row import Row
 from tacgen.sensor.model import LitSensor
 from tacgen.sensor.yaml_source import KeyPath
 
@@ -28,26 +29,30 @@ def check(sensor: LitSensor, photos: Photos, deeper: float = 1.0) -> None:
         if press.depth is None:
             continue
         at = place(sensor, press.center, 0.0)
-        if said := press_depths.problem(sensor.gel, press.depth, at, deeper):
+        if said := press_forces.depth_problem(sensor.gel, press.depth, at, deeper):
             wrong.append(f"{photos.folder / press.name}: depth_mm: {said}")
     if wrong:
         raise UserError(wrong)
 
 
-def face(sensor: LitSensor, press: Press, folders: dict[KeyPath, Path]) -> Surface:
+def face(sensor: LitSensor, press: PhotographedPress, folders: dict[KeyPath, Path]) -> Surface:
     """The face of a press: solved at its depth if that is known, else by a formula from its contact radius; `folders`:
-    see plan.Row."""
+    see Row."""
     if press.depth is not None:
         return solved(sensor, press, [press.depth], folders)[0]
     assert press.contact is not None
     dome = sensor.gel.dome
     bend = 0.0 if dome is None else (1 / dome.radius_x_mm + 1 / dome.radius_y_mm) / 2
-    untouched, camera = Untouched.of(sensor.gel), Camera.from_sensor(sensor)
+    untouched, camera = Untouched.of(sensor.gel), PinholeCamera.from_sensor(sensor)
     return BallDent.seen(camera, press.ball, press.center, press.contact, untouched, bend)
 
 
 def solved(
-    sensor: LitSensor, press: Press, depths: Sequence[float], folders: dict[KeyPath, Path], quality: str = "default"
+    sensor: LitSensor,
+    press: PhotographedPress,
+    depths: Sequence[float],
+    folders: dict[KeyPath, Path],
+    quality: str = "default",
 ) -> Sequence[Surface]:
     """Solved faces at increasing depths [mm], at the position of the ball in the photograph.
 
@@ -60,13 +65,13 @@ def solved(
         "trajectory": [{"press": {"depth_mm": float(depth), "frames": 1}} for depth in depths],
     }  # fmt: skip
     try:
-        (row,) = plan.expand(Recipe.model_validate(recipe), sensor).rows
+        (row,) = plan.expand(loading.checked(Recipe.model_validate(recipe), sensor)).rows
         return list(faces(replace(row, folders={**row.folders, **folders})))[1:]
     except (UserError, mechanics.NotConverged) as error:
         raise UserError(f"{press.name}: cannot be solved: {line}" for line in str(error).splitlines()) from None
 
 
-def faces(row: plan.Row) -> Iterator[gel_surface.Surface]:
+def faces(row: Row) -> Iterator[gel_surface.Surface]:
     """The face seen by the camera: untouched, then in each frame of a scene. No bundle is written."""
     built = presolve.presolved(scene_of_row.build(row))
     problem = mechanics.Problem.of(built, mesh.of(built))
@@ -78,7 +83,7 @@ def faces(row: plan.Row) -> Iterator[gel_surface.Surface]:
 
 def place(sensor: LitSensor, pixel: tuple[float, float], depth: float) -> tuple[float, float]:
     """Position (x, y) [mm] of the point at `pixel` on the face pressed by `depth` [mm]."""
-    camera, untouched, at = Camera.from_sensor(sensor), Untouched.of(sensor.gel), np.zeros((1, 2))
+    camera, untouched, at = PinholeCamera.from_sensor(sensor), Untouched.of(sensor.gel), np.zeros((1, 2))
     origin, ray = camera.rays(np.array([pixel]))
     for _ in range(5):
         z = untouched.at(at)[:, 2] - depth

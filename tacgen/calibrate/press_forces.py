@@ -10,8 +10,9 @@ from tacgen import csv_table, mechanics
 from tacgen.errors import UserError
 from tacgen.mechanics import mesh, presolve
 from tacgen.recipe import scene_of_row
-from tacgen.recipe.plan import Row
+from tacgen.recipe.row import Row
 from tacgen.recipe.trajectory import Press, Segment
+from tacgen.sensor.model import Gel
 
 Array = np.ndarray
 LEAST = 3  # rows of a table at least
@@ -19,6 +20,9 @@ NODES = 12  # depths at which a curve is solved
 MARGIN = 0.1  # of the largest depth: range of the unknown depth of first touch
 LARGEST = 1e6  # of any number: no press has 1 MN, or lasts for 11 days
 POWER = 2 / 3  # F^(2/3) is nearly linear in the depth (Hertz)
+# Over the thickness of the gel [-]. Below, the contact is smaller than the mesh's cells (depths in metres are, in any
+# gel); above, the elements between indenter and base are crushed, and solves fail or take minutes.
+SHALLOWEST, DEEPEST = 0.005, 0.6
 
 
 @dataclass(frozen=True)
@@ -37,25 +41,25 @@ def read(table: Path) -> Measured:
     Raises UserError: all problems, a line each.
     """
     wrong: list[str] = []
-    found: dict[str, list[float]] = {"depth_mm": [], "force_n": [], "time_s": []}
+    columns: dict[str, list[float]] = {"depth_mm": [], "force_n": [], "time_s": []}
     for line, row in csv_table.rows(table, ("depth_mm", "force_n"), (), wrong):
-        for name in found if "time_s" in row else ("depth_mm", "force_n"):
+        for name in columns if "time_s" in row else ("depth_mm", "force_n"):
             value = csv_table.number(row[name])
             if not abs(value) < LARGEST:
                 wrong.append(f"{table}:{line}: {name}: must be a number below {LARGEST:g} (got {row[name]!r})")
-            elif name == "time_s" and found[name] and not value > found[name][-1]:
-                wrong.append(f"{table}:{line}: time_s: must rise (got {value:g} after {found[name][-1]:g})")
+            elif name == "time_s" and columns[name] and not value > columns[name][-1]:
+                wrong.append(f"{table}:{line}: time_s: must rise (got {value:g} after {columns[name][-1]:g})")
             elif name == "time_s" and value < 0:
                 wrong.append(f"{table}:{line}: time_s: must be at least 0, first touch (got {value:g})")
-            found[name].append(value)
-    depth, force = np.array(found["depth_mm"]), np.array(found["force_n"])
+            columns[name].append(value)
+    depth, force = np.array(columns["depth_mm"]), np.array(columns["force_n"])
     if not wrong and len(depth) < LEAST:
         wrong.append(f"{table}: has {len(depth)} rows, and a fit takes {LEAST} at least")
     elif not wrong and not (depth.max() > 0 and force.max() > 0):
         wrong.append(f"{table}: holds no press: depths and forces count positive into the gel")
     if wrong:
         raise UserError(wrong)
-    return Measured(table.name, depth, force, np.array(found["time_s"]) if found["time_s"] else None)
+    return Measured(table.name, depth, force, np.array(columns["time_s"]) if columns["time_s"] else None)
 
 
 def solved(row: Row, depths: Array) -> Array:
@@ -73,6 +77,18 @@ def solved(row: Row, depths: Array) -> Array:
     except mechanics.NotConverged as error:
         raise UserError(f"{row.recipe.name}: at a depth of {depths[len(forces)]:.3g} mm: {error}") from None
     return np.array(forces)
+
+
+def depth_problem(gel: Gel, depth: float, at: tuple[float, float], deeper: float) -> str:
+    """Why a press to a depth [mm] at (x, y) [mm], and to `deeper` times that, cannot be solved; empty if it can."""
+    half_width, half_height = gel.width_mm / 2, gel.height_mm / 2
+    if not (abs(at[0]) <= half_width and abs(at[1]) <= half_height):
+        return f"lies beside the gel, at ({at[0]:.3g}, {at[1]:.3g}) mm: see x_px, y_px"
+    thick = gel.thickness_mm - gel.drop_mm(*at)
+    low, high = SHALLOWEST * thick, DEEPEST * thick / deeper
+    if low <= depth <= high:
+        return ""
+    return f"must be from {low:.3g} to {high:.3g} mm in a gel of {thick:.3g} mm there (got {depth:.3g}): is it in mm?"
 
 
 def depths_for(largest: float) -> Array:

@@ -40,10 +40,10 @@ def bundles(source: Path, *, merge: bool = False) -> "list[Bundle]":
     """
     from tacgen.bundle.dataset import scenes
 
-    found = [bundle for bundle in scenes(source, merge=merge) if bundle.attrs["status"] == "ok"]
-    if not found:
+    good = [bundle for bundle in scenes(source, merge=merge) if bundle.attrs["status"] == "ok"]
+    if not good:
         raise UserError(f"{source}: no finished scene to export")
-    return found
+    return good
 
 
 def export(kind: str, source: Path, out: Path, *, merge: bool = False, overwrite: bool = False) -> list[Path]:
@@ -61,16 +61,16 @@ def export(kind: str, source: Path, out: Path, *, merge: bool = False, overwrite
     """
     if kind not in EXPORTERS:
         raise UserError(f"{kind}: unknown format, use one of {', '.join(EXPORTERS)}")
-    found = bundles(source, merge=merge)
-    for bundle in found:
+    sources = bundles(source, merge=merge)
+    for bundle in sources:
         bundle.verify()
     module = import_module(f"tacgen.export.{kind}")
-    if len(found) == 1 and out.suffix == getattr(module, "SUFFIX", None):
+    if len(sources) == 1 and out.suffix == getattr(module, "SUFFIX", None):
         with output_file.written(out, [source], overwrite=overwrite) as path:
-            module.write(found, path)
+            module.write(sources, path)
         return [out]
     with whole_folder.written(out, kind) as folder:
-        made = [path.relative_to(folder) for path in module.write(found, folder)]
+        made = [path.relative_to(folder) for path in module.write(sources, folder)]
     return [out / path for path in made]
 
 
@@ -86,10 +86,10 @@ def names(bundles: "Sequence[Bundle]") -> list[str]:
     parts = [(*p.relative_to(p.anchor).parts, *b.group.split("/")[1:]) for p, b in zip(paths, bundles, strict=True)]
     parts = [tuple(filter(None, part)) for part in parts]
     for depth in range(1, max(map(len, parts)) + 1):
-        found = ["-".join(part[-depth:]) for part in parts]
-        if len(set(found)) == len(found):
+        unique = ["-".join(part[-depth:]) for part in parts]
+        if len(set(unique)) == len(unique):
             break
-    return found
+    return unique
 
 
 def poses(matrices: "np.ndarray") -> "np.ndarray":

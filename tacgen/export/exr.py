@@ -49,10 +49,10 @@ def encoded(layers: dict[str, np.ndarray]) -> bytes:
 
 def channels(bundle: Bundle, frame: int) -> dict[str, np.ndarray]:
     """The channels (H, W) of a frame by name."""
-    found: dict[str, np.ndarray] = {}
+    channel: dict[str, np.ndarray] = {}
     for field, called in CHANNELS.items():
         if bundle.shapes.get(path := f"/frames/{field}", ())[:3] == bundle.shapes["/frames/radiance"][:3]:
             values = bundle.frame(path, frame)
             layers = np.atleast_3d(values).astype(np.float32)
-            found |= {c: np.ascontiguousarray(layers[..., i]) for i, c in enumerate(called.split())}
-    return found
+            channel |= {c: np.ascontiguousarray(layers[..., i]) for i, c in enumerate(called.split())}
+    return channel

@@ -99,13 +99,13 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
 def episodes(bundles: Sequence[Bundle]) -> list[Episode]:
     """One episode per scene, or per contact if contacts are on several sensors or fingers; those without all are left
     out."""
-    found: list[Episode] = []
+    made: list[Episode] = []
     for together in contacts(bundles):
-        found.append({role_of(bundles[i]): bundles[i] for i in together})
-    most = max(found, key=len)
+        made.append({role_of(bundles[i]): bundles[i] for i in together})
+    most = max(made, key=len)
     if len(most) == 1:
         return [{ALONE: bundle} for bundle in bundles]
-    return [episode for episode in found if episode.keys() == most.keys()]
+    return [episode for episode in made if episode.keys() == most.keys()]
 
 
 def task(episode: Episode) -> str:
@@ -122,22 +122,22 @@ def columns(episode: Episode, features: Each) -> dict[str, np.ndarray]:
 def _columns(bundle: Bundle, features: dict[str, Any]) -> dict[str, np.ndarray]:
     """Values of each feature of one sensor over the frames, with the names of a single sensor."""
     state = poses(bundle["/frames/pose"])
-    found = {IMAGE: bundle["/frames/rgb"], "observation.state": state, "action": np.vstack([state[1:], state[-1:]])}
+    columns = {IMAGE: bundle["/frames/rgb"], "observation.state": state, "action": np.vstack([state[1:], state[-1:]])}
     for name in VECTORS:
         if f"observation.{name}" in features:
-            found[f"observation.{name}"] = bundle[f"/frames/{name}"].reshape(bundle.frames, -1)
+            columns[f"observation.{name}"] = bundle[f"/frames/{name}"].reshape(bundle.frames, -1)
     if "observation.contact" in features:
-        found["observation.contact"] = np.column_stack([bundle[f"/frames/events/{name}"] for name in CONTACT])
-        found["observation.contact_mode"] = bundle[MODE][:, None]
+        columns["observation.contact"] = np.column_stack([bundle[f"/frames/events/{name}"] for name in CONTACT])
+        columns["observation.contact_mode"] = bundle[MODE][:, None]
     if DEPTH in features:
         depth = (bundle["/reference/height"] - bundle["/frames/height"]) * COUNTS_PER_MM
-        found[DEPTH] = np.clip(np.rint(np.nan_to_num(depth)), 0, MOST_COUNTS).astype(np.uint16)
-    return {n: v if v.ndim > 2 else v.astype(features[n]["dtype"]) for n, v in found.items()}
+        columns[DEPTH] = np.clip(np.rint(np.nan_to_num(depth)), 0, MOST_COUNTS).astype(np.uint16)
+    return {n: v if v.ndim > 2 else v.astype(features[n]["dtype"]) for n, v in columns.items()}
 
 
 def statistics(episodes: Sequence[dict[str, np.ndarray]]) -> dict[str, dict[str, list]]:
     """By feature: extremes, mean, deviation and quantiles of each component; of images per colour, in [0, 1]."""
-    found = {}
+    statistic = {}
     for name, first in episodes[0].items():
         if first.ndim > 2:  # every eighth pixel is enough
             colours, full = (3, 255.0) if first.ndim == 4 else (1, 1.0)
@@ -147,9 +147,9 @@ def statistics(episodes: Sequence[dict[str, np.ndarray]]) -> dict[str, dict[str,
         shape = (-1, 1, 1) if first.ndim > 2 else (-1,)
         kinds = {"min": values.min(0), "max": values.max(0), "mean": values.mean(0), "std": values.std(0)}
         kinds |= {f"q{round(100 * q):02d}": np.quantile(values, q, axis=0) for q in QUANTILES}
-        found[name] = {kind: value.reshape(shape).tolist() for kind, value in kinds.items()}
-        found[name]["count"] = [sum(len(e[name]) for e in episodes)]
-    return found
+        statistic[name] = {kind: value.reshape(shape).tolist() for kind, value in kinds.items()}
+        statistic[name]["count"] = [sum(len(e[name]) for e in episodes)]
+    return statistic
 
 
 def _vector(kind: str, size: int, names: list[str] | None = None) -> dict[str, Any]:
@@ -157,8 +157,8 @@ def _vector(kind: str, size: int, names: list[str] | None = None) -> dict[str, A
 
 
 def _picture(shape: Sequence[int], **info: Any) -> dict[str, Any]:
-    found = {"dtype": "image", "shape": list(shape), "names": ["height", "width", "channels"]}
-    return found | ({"info": info} if info else {})
+    feature = {"dtype": "image", "shape": list(shape), "names": ["height", "width", "channels"]}
+    return feature | ({"info": info} if info else {})
 
 
 def _features(bundles: Sequence[Bundle]) -> dict[str, Any]:
@@ -167,32 +167,34 @@ def _features(bundles: Sequence[Bundle]) -> dict[str, Any]:
     if len(sizes) > 1:
         raise UserError(f"{bundles[0].path.parent}: LeRobot needs images of one size, these have {sorted(sizes)}")
     pose = _vector("float32", 7, POSE)
-    found = {IMAGE: _picture(sizes.pop()), "observation.state": pose, "action": pose}
+    features = {IMAGE: _picture(sizes.pop()), "observation.state": pose, "action": pose}
     for name, units in VECTORS.items():
         shapes = {bundle.shapes.get(f"/frames/{name}", (0, 0))[1:] for bundle in bundles}
         if len(shapes) == 1 and (count := int(np.prod(shapes.pop()))):
             names = [f"{axis}_{units}" for axis in "xyz"] if count == 3 else None
-            found[f"observation.{name}"] = _vector("float32", count, names)
+            features[f"observation.{name}"] = _vector("float32", count, names)
     if all(MODE in bundle for bundle in bundles):
         names = [name for parts in CONTACT.values() for name in parts]
-        found["observation.contact"] = _vector("float32", len(names), names)
-        found["observation.contact_mode"] = _vector("int64", 1)
+        features["observation.contact"] = _vector("float32", len(names), names)
+        features["observation.contact_mode"] = _vector("int64", 1)
     maps = {bundle.shapes.get("/frames/height", ())[1:] for bundle in bundles}
     if len(maps) == 1 and (shape := maps.pop()):
-        found[DEPTH] = _picture((*shape, 1), is_depth_map=True, depth_unit="um")
-    return found
+        features[DEPTH] = _picture((*shape, 1), is_depth_map=True, depth_unit="um")
+    return features
 
 
 def _together(parts: dict[str, dict[str, Any]], join: Callable[[dict[str, Any]], Any]) -> dict[str, Any]:
     """The columns of all sensors as those of one episode: state and action joined, others renamed by sensor."""
     if list(parts) == [ALONE]:
         return parts[ALONE]
-    found = {name: join({role: part[name] for role, part in parts.items()}) for name in ("observation.state", "action")}
+    joined = {
+        name: join({role: part[name] for role, part in parts.items()}) for name in ("observation.state", "action")
+    }
     for role, part in parts.items():
         for name, value in part.items():
-            if name not in found:
-                found[name.replace(ALONE, role) if ALONE in name else f"{name}.{role}"] = value
-    return found
+            if name not in joined:
+                joined[name.replace(ALONE, role) if ALONE in name else f"{name}.{role}"] = value
+    return joined
 
 
 def _joined(parts: dict[str, Any]) -> dict[str, Any]:

@@ -75,12 +75,12 @@ def episode(bundle: Bundle) -> dict[str, np.ndarray]:
 
 def streams(images: np.ndarray) -> np.ndarray:
     """JPEG files as byte strings (N,), red and blue swapped as by UniVTAC: OpenCV takes its RGB for BGR."""
-    found = [encoded(np.ascontiguousarray(image[..., ::-1]), "JPEG", quality=JPEG_QUALITY) for image in images]
-    return np.array(found, dtype=f"S{max(map(len, found))}")
+    pictures = [encoded(np.ascontiguousarray(image[..., ::-1]), "JPEG", quality=JPEG_QUALITY) for image in images]
+    return np.array(pictures, dtype=f"S{max(map(len, pictures))}")
 
 
 def _pinhole_mm(bundle: Bundle) -> float:
     """Height of the camera's pinhole in the sensor frame [mm]."""
-    from tacgen.optics.camera import Camera
+    from tacgen.optics.camera import PinholeCamera
 
-    return float(Camera.from_sensor(bundle.sensor).pinhole[2])
+    return float(PinholeCamera.from_sensor(bundle.sensor).pinhole[2])

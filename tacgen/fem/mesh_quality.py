@@ -14,7 +14,7 @@ OPPOSITE = np.array([(2, 3), (0, 3), (1, 3), (1, 2), (2, 0), (0, 1)])  # the two
 
 
 @dataclass(frozen=True)
-class Quality:
+class MeshQuality:
     """Smallest dihedral angle of tets [deg] (None for hexes); smallest scaled Jacobian (1: a cube or a regular tet,
     0: a flat cell) [-]; relative error of the volume [-]."""
 
@@ -60,12 +60,12 @@ def nodal_volume(points: Array, tets: Array) -> Array:
     return np.asarray(np.linalg.det(np.einsum("qaj,eai->eqij", dN, points[tets])))
 
 
-def measure(points: Array, cells: Array, volume: float) -> Quality:
+def measure(points: Array, cells: Array, volume: float) -> MeshQuality:
     """The quality of a mesh whose volume should be `volume` [mm^3]."""
     angle = None if cells.shape[1] == 8 else float(np.degrees(dihedral(points, cells).min()))
     found = float(elements(points, cells).weights.sum())
     least = float(scaled_jacobian(points, cells).min())
-    return Quality(len(points), len(cells), angle, least, found / volume - 1)
+    return MeshQuality(len(points), len(cells), angle, least, found / volume - 1)
 
 
 def enclosed(vertices: Array, triangles: Array) -> float:

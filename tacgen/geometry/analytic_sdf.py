@@ -118,7 +118,7 @@ def _inside_box(inside_by: Array, normals: Array) -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True)
-class Sphere:
+class SphereSdf:
     """A ball."""
 
     radius: float  # [mm]
@@ -140,7 +140,7 @@ class Sphere:
 
 
 @dataclass(frozen=True)
-class Capsule:
+class CapsuleSdf:
     """A capsule along x; `length` is between the centres of its two hemispheres."""
 
     radius: float  # [mm]
@@ -167,7 +167,7 @@ class Capsule:
 
 
 @dataclass(frozen=True)
-class Torus:
+class TorusSdf:
     """A flat ring; `radius` is that of its centre line."""
 
     radius: float  # [mm]
@@ -193,7 +193,7 @@ class Torus:
 
 
 @dataclass(frozen=True)
-class Cylinder:
+class CylinderSdf:
     """A flat cylindrical punch along z; its lower edge has the radius `fillet`."""
 
     radius: float  # [mm]
@@ -227,7 +227,7 @@ class Cylinder:
 
 
 @dataclass(frozen=True)
-class Box:
+class BoxSdf:
     """A rectangular punch with sides along x and y; all edges have the radius `fillet`."""
 
     size_x: float  # [mm]
@@ -262,7 +262,7 @@ class Box:
 
 
 @dataclass(frozen=True)
-class Cone:
+class ConeSdf:
     """Tip down, rounded by `tip_radius`; `half_angle` [rad] is from the axis."""
 
     half_angle: float
@@ -298,7 +298,7 @@ class Cone:
 
 
 @dataclass(frozen=True)
-class Wedge:
+class WedgeSdf:
     """An edge along y, rounded by `tip_radius`; `half_angle` [rad] is from the z axis; `length` includes the ends."""
 
     half_angle: float

@@ -17,7 +17,7 @@ FACE_PIXEL = 0.004  # grid spacing on which overhangs of a solid's face are dete
 
 
 @dataclass(frozen=True)
-class Layer:
+class GelLayer:
     """A layer of one material; thickness [mm]."""
 
     thickness: float
@@ -27,10 +27,10 @@ class Layer:
 
 
 @dataclass(frozen=True)
-class Gel(Pad):
+class GelBody(Pad):
     """A pad that is bonded at its base; layers from base to face."""
 
-    layers: tuple[Layer, ...] = field(kw_only=True)
+    layers: tuple[GelLayer, ...] = field(kw_only=True)
 
     @property
     def thickness(self) -> float:
@@ -92,14 +92,14 @@ class Gel(Pad):
 
 
 @dataclass(frozen=True, eq=False)
-class SolidGel(Gel):
+class SolidGel(GelBody):
     """A gel of any shape with its highest point at z = 0.
 
     Bonded up to the height `bonded` [mm] above its lowest point. Coated where the normal is within the angle `coated`
     [rad] of z; this face must have no overhang, as seen by the camera below.
     """
 
-    solid: mesh_import.Solid | None = None
+    solid: mesh_import.SolidMesh | None = None
     bonded: float = 0.0
     coated: float = 0.0
 

@@ -41,7 +41,7 @@ SHARP_ANGLE = np.radians(30)  # angle of triangles at a sharp edge; smaller angl
 
 
 @dataclass(frozen=True, eq=False)
-class Solid:
+class SolidMesh:
     """A closed triangle mesh: vertices (n, 3) [mm], triangles (m, 3) wound outward; body (m,) numbers its pieces."""
 
     name: str  # of the file, for messages
@@ -50,7 +50,7 @@ class Solid:
     body: Array
 
 
-def read(path: Path) -> Solid:
+def read(path: Path) -> SolidMesh:
     """The mesh in an STL, OBJ or PLY file, repaired where the repair is unambiguous.
 
     Raises:
@@ -102,8 +102,8 @@ def _loaded(path: Path) -> "trimesh.Trimesh":
     try:
         # from memory, so that no other file that an OBJ file names is opened
         kind = path.suffix[1:].lower()
-        found: Any = trimesh.load_mesh(io.BytesIO(content), file_type=kind, process=False, skip_materials=True)
-        return found if isinstance(found, trimesh.Trimesh) else found.to_mesh()
+        mesh: Any = trimesh.load_mesh(io.BytesIO(content), file_type=kind, process=False, skip_materials=True)
+        return mesh if isinstance(mesh, trimesh.Trimesh) else mesh.to_mesh()
     except Exception as error:  # trimesh's readers raise many types of errors for a damaged file
         raise UserError(
             f"{path}: is not a mesh that can be read ({type(error).__name__}: {error})".split("\n")[0]
@@ -149,8 +149,8 @@ def _repaired(mesh: "trimesh.Trimesh") -> "trimesh.Trimesh":
         work.meshing_close_holes(maxholesize=MAX_HOLE, selfintersection=False)
     except pymeshlab.PyMeshLabException:
         return mesh
-    found = work.current_mesh()
-    repaired = _close(_clean(trimesh.Trimesh(found.vertex_matrix(), found.face_matrix(), process=False)))
+    mended = work.current_mesh()
+    repaired = _close(_clean(trimesh.Trimesh(mended.vertex_matrix(), mended.face_matrix(), process=False)))
     return repaired if abs(repaired.area - mesh.area) <= MAX_NEW_AREA * mesh.area else mesh
 
 
@@ -171,22 +171,22 @@ def _welded(mesh: "trimesh.Trimesh") -> Array:
 
 def _edges_not_shared_by_two(mesh: "trimesh.Trimesh") -> str:
     _, shared = np.unique(mesh.edges_sorted, axis=0, return_counts=True)
-    found = []
+    counts = []
     if (shared == 1).any():
-        found.append(f"{int((shared == 1).sum())} open edges")
+        counts.append(f"{int((shared == 1).sum())} open edges")
     if (shared > 2).any():
-        found.append(f"{int((shared > 2).sum())} edges between more than two triangles")
-    return ", ".join(found)
+        counts.append(f"{int((shared > 2).sum())} edges between more than two triangles")
+    return ", ".join(counts)
 
 
-def _joined(name: str, parts: list[tuple[Array, Array]]) -> Solid:
+def _joined(name: str, parts: list[tuple[Array, Array]]) -> SolidMesh:
     offset = np.cumsum([0, *(len(v) for v, _ in parts)])
     triangles = [t + o for (_, t), o in zip(parts, offset, strict=False)]
     body = np.repeat(np.arange(len(parts)), [len(t) for _, t in parts])
-    return Solid(name, np.concatenate([v for v, _ in parts]), np.concatenate(triangles), body)
+    return SolidMesh(name, np.concatenate([v for v, _ in parts]), np.concatenate(triangles), body)
 
 
-def placed(solid: Solid, *, up: str = "+z", scale: float = 1.0, size: float | None = None) -> Solid:
+def placed(solid: SolidMesh, *, up: str = "+z", scale: float = 1.0, size: float | None = None) -> SolidMesh:
     """The solid as an indenter: the file's axis `up` along z, lowest point at z = 0, box centred on the z axis.
 
     Args:
@@ -197,7 +197,7 @@ def placed(solid: Solid, *, up: str = "+z", scale: float = 1.0, size: float | No
     v = solid.vertices[:, after] * [1, sign, sign]
     low, high = v.min(0), v.max(0)
     v = (v - [*((low + high) / 2)[:2], low[2]]) * (size / (high - low).max() if size else scale)
-    return Solid(solid.name, v, solid.triangles, solid.body)
+    return SolidMesh(solid.name, v, solid.triangles, solid.body)
 
 
 def sizes(path: Path, up: str, scale: float) -> tuple[float, float, float]:
@@ -212,7 +212,7 @@ def _sizes(path: Path, up: str, scale: float, *_: int) -> tuple[float, float, fl
     return float(x), float(y), float(z)
 
 
-def field(solid: Solid, *, cell: float, height: float, half: float) -> Field:
+def field(solid: SolidMesh, *, cell: float, height: float, half: float) -> Field:
     """Signed distance of a placed solid as a spline.
 
     Args:
@@ -240,7 +240,7 @@ def field(solid: Solid, *, cell: float, height: float, half: float) -> Field:
     return Field.through(distances, origin, cell, smallest_radius=radius, corners=corners, blunt=True)
 
 
-def refuse_thin_walls(solid: Solid, cell: float, height: float, edge: float) -> None:
+def refuse_thin_walls(solid: SolidMesh, cell: float, height: float, edge: float) -> None:
     """Raise UserError if a grid with this cell [mm], of a gel with this `edge` [mm], would lose walls of the solid
     below `height` [mm]: where MIN_WALL cells inward of the surface is outside again."""
 
@@ -258,7 +258,7 @@ def refuse_thin_walls(solid: Solid, cell: float, height: float, edge: float) -> 
     raise UserError(f"{solid.name}: {text}")
 
 
-def _thin_share(solid: Solid, thickness: float, height: float) -> float:
+def _thin_share(solid: SolidMesh, thickness: float, height: float) -> float:
     """Share of the surface below `height` [mm] from which `thickness` [mm] inward is outside again; from 10 000
     triangles at most."""
     a, b, c = (solid.vertices[solid.triangles[:, k]] for k in range(3))
@@ -271,7 +271,7 @@ def _thin_share(solid: Solid, thickness: float, height: float) -> float:
     return float(thin / area[some].sum()) if len(some) else 0.0
 
 
-def smallest_radius(solid: Solid, height: float) -> float:
+def smallest_radius(solid: SolidMesh, height: float) -> float:
     """The 1 % quantile of the radii of curvature [mm] at convex edges below `height`; 0 for sharp edges.
 
     Exact for the strips of triangles of CAD fillets, up to 1.5 times too large for equilateral triangles.
@@ -288,7 +288,7 @@ def smallest_radius(solid: Solid, height: float) -> float:
     return round(float(np.quantile(np.where(angle[convex] > SHARP_ANGLE, 0.0, across / angle[convex]), 0.01)), 4)
 
 
-def _distances(solid: Solid, origin: Array, cell: float, nodes: tuple[int, ...]) -> Array:
+def _distances(solid: SolidMesh, origin: Array, cell: float, nodes: tuple[int, ...]) -> Array:
     """Signed distance (i, j, k) [mm] in single precision, slab by slab; of several bodies the smallest.
 
     Raises:

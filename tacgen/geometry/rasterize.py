@@ -26,7 +26,7 @@ def hits(
         whether both sides of triangles show. Only then may triangles that share their edges lie over one another.
     """
     height, width = shape
-    found, place = np.full((height, width), -1, np.int32), np.empty((height, width, 2))
+    triangle, place = np.full((height, width), -1, np.int32), np.empty((height, width, 2))
     depth, least, most = np.full((height, width), np.inf), 0.0, 0.0
     for t in range(len(faces)):
         a, b, c = faces[t, 0], faces[t, 1], faces[t, 2]  # `= faces[t]` would count references, at twice the time
@@ -51,20 +51,20 @@ def hits(
                     continue
                 z = u * near[a] + v * near[b] + w * near[c]
                 if z < depth[j, i]:
-                    depth[j, i], found[j, i] = z, t
+                    depth[j, i], triangle[j, i] = z, t
                     place[j, i, 0], place[j, i, 1] = v, w
-    return found, place, least < 0.0 < most
+    return triangle, place, least < 0.0 < most
 
 
 @njit(cache=True)
-def blend(faces: NDArray[np.uint32], found: NDArray[np.int32], place: Floats, values: Floats) -> Floats:
+def blend(faces: NDArray[np.uint32], triangle: NDArray[np.int32], place: Floats, values: Floats) -> Floats:
     """Values (nodes, c) behind each sample (H, W, c) of `hits`, linear on triangles; nan where none lies."""
-    height, width = found.shape
+    height, width = triangle.shape
     out = np.full((height, width, values.shape[1]), np.nan)
     for j in range(height):
         for i in range(width):
-            if found[j, i] >= 0:
-                t, v, w = found[j, i], place[j, i, 0], place[j, i, 1]
+            if triangle[j, i] >= 0:
+                t, v, w = triangle[j, i], place[j, i, 0], place[j, i, 1]
                 a, b, c = faces[t, 0], faces[t, 1], faces[t, 2]
                 for k in range(values.shape[1]):
                     out[j, i, k] = (1.0 - v - w) * values[a, k] + v * values[b, k] + w * values[c, k]
@@ -73,8 +73,8 @@ def blend(faces: NDArray[np.uint32], found: NDArray[np.int32], place: Floats, va
 
 def draw(faces: NDArray[np.uint32], screen: Floats, near: Floats, values: Floats, shape: tuple[int, int]) -> Floats:
     """Both in one: values (nodes, c) behind each sample (H, W, c), nan where no triangle lies."""
-    found, place, _ = hits(faces, screen, near, shape)
-    return np.asarray(blend(faces, found, place, values))
+    triangle, place, _ = hits(faces, screen, near, shape)
+    return np.asarray(blend(faces, triangle, place, values))
 
 
 @njit(cache=True)

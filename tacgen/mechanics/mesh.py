@@ -11,7 +11,7 @@ from tacgen import array_cache
 from tacgen.errors import UserError
 from tacgen.fem.elements import boxes
 from tacgen.fem.mesh_quality import dihedral, enclosed, measure, scaled_jacobian
-from tacgen.geometry.gel import Gel
+from tacgen.geometry.gel import GelBody
 from tacgen.geometry.pose import Pose, along, shortest_turn
 from tacgen.mechanics import tet_mesh
 from tacgen.mechanics.scene import Scene
@@ -62,7 +62,7 @@ def of(scene: Scene) -> Mesh:
     return made
 
 
-def quality(gel: Gel, mesh: Mesh) -> dict[str, float | int | str]:
+def quality(gel: GelBody, mesh: Mesh) -> dict[str, float | int | str]:
     """The quality of a gel's mesh, and its hash."""
     vertices, triangles, _ = gel.surface(*tet_mesh.FINE)
     found = measure(mesh.points, mesh.cells, enclosed(vertices, triangles))
@@ -90,7 +90,7 @@ def graded(start: float, end: float, fine: tuple[float, float], edge: float, gro
     return np.concatenate([below, middle, above])
 
 
-def heights(gel: Gel, edge: float, growth: float, coarsest: float) -> tuple[Array, Array]:
+def heights(gel: GelBody, edge: float, growth: float, coarsest: float) -> tuple[Array, Array]:
     """Grid heights z from base to face, and the layer of each interval: fine at the face, coarser towards the base;
     each interface is a grid height."""
     z = [0.0]
@@ -115,7 +115,12 @@ def _growing(first: float, length: float, growth: float, longest: float) -> list
 
 
 def build(
-    gel: Gel, footprint: tuple[float, float, float, float], edge: float, *, growth: float = 1.7, coarsest: float = 0.0
+    gel: GelBody,
+    footprint: tuple[float, float, float, float],
+    edge: float,
+    *,
+    growth: float = 1.7,
+    coarsest: float = 0.0,
 ) -> Mesh:
     """Graded hexes for a gel with a flat base; each column of the grid is scaled to the local height of the face.
 

@@ -7,7 +7,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from tacgen.geometry.analytic_sdf import Shape, Triangles
-    from tacgen.geometry.gel import Gel
+    from tacgen.geometry.gel import GelBody
 
 Array = np.ndarray
 Element = Literal["hex", "tet", "linear_tet"]
@@ -61,7 +61,7 @@ class Scene:
     start (4, 4): the pose before the first frame, clear of the gel.
     """
 
-    gel: "Gel"
+    gel: "GelBody"
     shape: "Shape"
     poses: Array
     start: Array

@@ -13,7 +13,7 @@ from tacgen.errors import UserError
 from tacgen.fem.elements import TET_EDGES, boxes, quadratic
 from tacgen.fem.mesh_quality import nodal_volume
 from tacgen.geometry import mesh_import
-from tacgen.geometry.gel import Gel
+from tacgen.geometry.gel import GelBody
 from tacgen.mechanics import ftetwild
 
 Array = np.ndarray
@@ -29,7 +29,7 @@ MIN_NODAL_VOLUME = 0.1  # at a tet's nodes and of its corners, over that before 
 TET_FACES = np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)])  # seen from outside
 
 
-def build(gel: Gel, touched: Array, edge: float, nodes: int) -> tuple[Array, Array, Array, dict[str, Array]]:
+def build(gel: GelBody, touched: Array, edge: float, nodes: int) -> tuple[Array, Array, Array, dict[str, Array]]:
     """Points, tets of 4 or 10 nodes, their layers, and the named facets of a gel.
 
     Args:
@@ -105,7 +105,9 @@ def _tetrahedralise(
     return points, cells
 
 
-def _facets(gel: Gel, points: Array, tets: Array, layer: Array, reach: float) -> tuple[dict[str, Array], list[Array]]:
+def _facets(
+    gel: GelBody, points: Array, tets: Array, layer: Array, reach: float
+) -> tuple[dict[str, Array], list[Array]]:
     """The boundary's triangles by name, where "sides" is the rest; and the triangles between neighbouring layers."""
     faces = tets[:, TET_FACES].reshape(-1, 3)
     owner = np.repeat(np.arange(len(tets)), 4)
@@ -123,7 +125,7 @@ def _facets(gel: Gel, points: Array, tets: Array, layer: Array, reach: float) ->
     return found, between
 
 
-def _patches(gel: Gel, points: Array, triangles: Array, reach: float) -> dict[str, Array]:
+def _patches(gel: GelBody, points: Array, triangles: Array, reach: float) -> dict[str, Array]:
     """Which of a surface's triangles (f, 3) are bonded, coated or, the rest, sides (f,)."""
     x = points[triangles]
     normal = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
@@ -132,7 +134,7 @@ def _patches(gel: Gel, points: Array, triangles: Array, reach: float) -> dict[st
     return {**found, "sides": ~np.any(list(found.values()), axis=0)}
 
 
-def _on_true_surface(gel: Gel, points: Array, tets: Array, facets: dict[str, Array], between: list[Array]) -> Array:
+def _on_true_surface(gel: GelBody, points: Array, tets: Array, facets: dict[str, Array], between: list[Array]) -> Array:
     """Points with the nodes of boundary and interfaces projected onto the true surfaces, except where a tet inverts."""
     new = points.copy()
     vertices, triangles, _ = gel.surface(*FINE)

@@ -13,7 +13,7 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 
-class Tolerance(NamedTuple):
+class SamplingTolerance(NamedTuple):
     """When a cell is interpolated."""
 
     stride: int = 4  # samples between points of the coarsest lattice
@@ -22,10 +22,7 @@ class Tolerance(NamedTuple):
 
 
 def evaluate(
-    light: Callable[[Integers], Floats],
-    normals: Floats,
-    shape: tuple[int, int],
-    tolerance: Tolerance,
+    light: Callable[[Integers], Floats], normals: Floats, shape: tuple[int, int], tolerance: SamplingTolerance
 ) -> Floats:
     """`light(indices) -> (n, c)` for every sample of an (h, w) picture, computed for some and interpolated for others.
 
@@ -50,9 +47,9 @@ def evaluate(
             for column in cells[:, 2:].T:
                 wanted[row * w + column] = True
         points = np.flatnonzero(wanted & ~known)
-        found = light(points)
-        out = out if out.size else np.zeros((h * w, found.shape[1]))
-        out[points], known[points] = found, True
+        values = light(points)
+        out = out if out.size else np.zeros((h * w, values.shape[1]))
+        out[points], known[points] = values, True
         cells = fill(out.reshape(h, w, -1), known.reshape(h, w), normals.reshape(h, w, 3), cells, *tolerance[1:])
     return out
 

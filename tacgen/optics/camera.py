@@ -44,7 +44,7 @@ class Stack:
 
 
 @dataclass(frozen=True)
-class Camera:
+class PinholeCamera:
     """A pinhole camera that looks along +z, or nearly so, through a stack to the coating above it at `center`."""
 
     stack: Stack
@@ -56,7 +56,7 @@ class Camera:
     roll: float = 0.0  # about it, from x to y [rad]
 
     @classmethod
-    def from_sensor(cls, sensor: "Sensor") -> "Camera":
+    def from_sensor(cls, sensor: "Sensor") -> "PinholeCamera":
         """The camera of a sensor file; mm_per_px holds at the image centre on the untouched face.
 
         A file without a plate has none. Points in or behind an opaque layer are projected as if the last clear layer

@@ -1,12 +1,12 @@
-"""From linear radiance to the camera's 8-bit image: focus, colours, vignetting, exposure, response, stray light."""
+"""From linear radiance to the camera's 8-bit image: focus, colours, vignetting, exposure, noise, response."""
 
+import math
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tacgen.compiled import njit
-from tacgen.optics.noise import noisy
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -115,6 +115,17 @@ def _steps(response: str) -> "tuple[Floats, NDArray[np.int64]]":
         above = np.round(255.0 * _curve(middle, response)) >= count
         low, most = np.where(above, low, middle), np.where(above, middle, most)
     return np.append(most, np.inf), np.searchsorted(most[1:], np.arange(CELLS) / CELLS, side="right")
+
+
+@njit(cache=False)
+def noisy(light: float, shot: float, read: float, strength: float, normal: float) -> float:
+    """A linear signal over full scale with white noise of variance (shot x signal + read^2) strength^2.
+
+    The normal distribution, of which `normal` is a sample, approximates Poisson's well, since a full pixel has
+    thousands of electrons.
+    """
+    variance = shot * min(max(light, 0.0), 1.0) + read**2
+    return light + strength * math.sqrt(variance) * normal
 
 
 @njit(cache=True)

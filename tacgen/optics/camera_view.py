@@ -8,7 +8,7 @@ import numpy as np
 
 from tacgen.compiled import njit
 from tacgen.optics import coating, strip_light
-from tacgen.optics.camera import Camera
+from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.drawn_face import DrawnFace
 from tacgen.optics.surface_grid import Sheet, Surface, unit
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 class Samples(DrawnFace):
     """Where rays meet the coated face, nan where they miss the pad; each property is computed once, if at all."""
 
-    def __init__(self, view: "View", surface: Surface) -> None:
+    def __init__(self, view: "CameraView", surface: Surface) -> None:
         super().__init__(view.sheet, surface, view.camera, view.samples)
         self._view = view
 
@@ -51,14 +51,14 @@ class Samples(DrawnFace):
         return self.behind(values).reshape(-1, values.shape[1])
 
 
-class View:
+class CameraView:
     """Camera and coating of a sensor, for any deformed face."""
 
     def __init__(self, sensor: "LitSensor", sheet: Sheet, markers: bool, samples: int = 1) -> None:
         """`samples` x `samples` rays a pixel."""
         self.sensor, self.sheet, self.samples = sensor, sheet, samples
         self.markers = sensor.markers if markers else None
-        self.camera = Camera.from_sensor(sensor)
+        self.camera = PinholeCamera.from_sensor(sensor)
         h, w = self.shape
         self._pixels = np.stack(np.meshgrid(np.arange(w) + 0.5, np.arange(h) + 0.5), axis=-1).reshape(-1, 2) / samples
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from tacgen.geometry.rasterize import draw
 from tacgen.optics import adaptive_sampling, coating
-from tacgen.optics.camera_view import Samples, View
+from tacgen.optics.camera_view import CameraView, Samples
 from tacgen.optics.shadows import Terrain
 from tacgen.optics.strip_light_table import Columns, toward_camera
 from tacgen.optics.surface_grid import Sheet, Surface
@@ -34,11 +34,11 @@ class Direct:
         untouched: Surface,
         pieces: int = 8,
         samples: int = 1,
-        tolerance: adaptive_sampling.Tolerance = adaptive_sampling.Tolerance(),  # noqa: B008
+        tolerance: adaptive_sampling.SamplingTolerance = adaptive_sampling.SamplingTolerance(),  # noqa: B008
     ) -> None:
         """Each strip in so many `pieces`; `samples` x `samples` rays a pixel."""
         self.sensor, self.sheet, self._tolerance = sensor, sheet, tolerance
-        self.view = View(sensor, sheet, markers, samples)
+        self.view = CameraView(sensor, sheet, markers, samples)
         self._untouched = heights(sheet, sheet.at(untouched))
         self._columns = Columns.of(sensor, pieces, Terrain.of(self._untouched, sheet.size))
         self._toward, self._seen = self.view.toward_camera(), self.view.transmission()
@@ -67,10 +67,10 @@ class Direct:
                 seen += coat.specular * coating.METAL * light[..., 1]
             return np.column_stack([seen, matt + bounced / white]) if dots else seen
 
-        found = self._everywhere(bare, at)
+        radiance = self._everywhere(bare, at)
         if markers is None or not dots:
-            return self.view.dimmed(at, found)
-        return self.view.picture(found[:, :3] + at.paint * (markers.albedo * found[:, 3:] - found[:, :3]))
+            return self.view.dimmed(at, radiance)
+        return self.view.picture(radiance[:, :3] + at.paint * (markers.albedo * radiance[:, 3:] - radiance[:, :3]))
 
     def _gatherer(self, at: Samples, radiance: "Floats") -> "Light":
         """A function of sample indices: radiance toward the camera by LEDs of radiance (strips, c), (n, c, 1 or 2)."""

@@ -10,7 +10,7 @@ from tacgen.geometry.rasterize import blend, hits
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from tacgen.optics.camera import Camera
+    from tacgen.optics.camera import PinholeCamera
     from tacgen.optics.surface_grid import Sheet, Surface
 
     Floats = NDArray[np.float64]
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 class DrawnFace:
     """One face on the nodes (n,) of a sheet, seen by a camera with `samples` x `samples` samples a pixel."""
 
-    def __init__(self, sheet: "Sheet", surface: "Surface", camera: "Camera", samples: int = 1) -> None:
+    def __init__(self, sheet: "Sheet", surface: "Surface", camera: "PinholeCamera", samples: int = 1) -> None:
         self.sheet, self.surface, self.camera, self.samples = sheet, surface, camera, samples
 
     @cached_property
@@ -45,9 +45,9 @@ class DrawnFace:
     def behind(self, values: "Floats", outermost: bool = False) -> "Floats":
         """Values (n, c) at the nodes, behind each sample (H, W, c), nan where there is no gel; where the face is folded
         of what is nearest to the camera, or of what is outermost."""
-        found, place, _ = self._outermost if outermost and self.folded else self._nearest
+        triangle, place, _ = self._outermost if outermost and self.folded else self._nearest
         values = np.ascontiguousarray(values)  # `blend` would be compiled again for another memory layout
-        return np.asarray(blend(self.sheet.faces, found, place, values))
+        return np.asarray(blend(self.sheet.faces, triangle, place, values))
 
     @cached_property
     def _nearest(self) -> "tuple[NDArray[np.int32], Floats, bool]":

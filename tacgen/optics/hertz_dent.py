@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tacgen.optics.camera import Camera
+from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.surface_grid import Surface, Untouched
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ class BallDent:
     @classmethod
     def seen(
         cls,
-        camera: Camera,
+        camera: PinholeCamera,
         radius: float,
         center_px: tuple[float, float],
         contact_px: float,

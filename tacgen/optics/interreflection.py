@@ -10,16 +10,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tacgen.optics import coating, mitsuba_dicts, strip_light
+from tacgen.optics import coating, housing, strip_light
 from tacgen.optics.shadows import Terrain
 from tacgen.optics.surface_grid import Sheet, Untouched
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
-    from tacgen.optics.camera_view import View
+    from tacgen.optics.camera_view import CameraView
     from tacgen.optics.surface_grid import Surface
-    from tacgen.sensor.model import LitSensor
+    from tacgen.sensor.model import Led, LitSensor
 
     Floats = NDArray[np.float64]
 
@@ -57,19 +59,20 @@ class Radiosity:
         self._coat = len(nodes)
         facing, (rows, columns) = self.sheet.normals(nodes), self.sheet.shape
         share = np.outer(*(np.where(np.isin(np.arange(n), (0, n - 1)), 0.5, 1.0) for n in (rows, columns)))
-        top = mitsuba_dicts.WALL_RISE if sensor.walls.margin_mm else float(level.min())  # the coating hides the rest
-        walls, inward, pieces = self._walls(sensor, top)
+        top = housing.WALL_RISE if sensor.walls.margin_mm else float(level.min())  # the coating hides the rest
+        walls, inward, pieces = housing.wall_patches(sensor, top, WALL_SPACING)
         self._at, self._normals = np.concatenate([nodes, walls]), np.concatenate([facing, inward])
         area = np.concatenate([share.ravel() * self.sheet.areas(nodes), pieces])
         every = np.arange(len(area))
-        self._patches = strip_light.Points(self._at, self._normals, area, np.sqrt(area) / 2, every, 0 * every)
-        self._form_factors = self._gather(sensor, self._patches, len(area))
+        self._patches = strip_light.StripPoints(self._at, self._normals, area, np.sqrt(area) / 2, every, 0 * every)
+        self._slab = strip_light.Slab.of(sensor)
+        self._form_factors = self._gather(self._patches, len(area))
         turned = []
         for by in ((TILT, 0.0), (-TILT, 0.0), (0.0, TILT), (0.0, -TILT)):
             side = facing[:, :2] + by
             side *= np.minimum(1.0, 0.95 / np.linalg.norm(side, axis=1, keepdims=True))
             normals = np.column_stack([side, -np.sqrt(1 - (side**2).sum(axis=1))])
-            turned.append(self._gather(sensor, self._patches, len(area), np.ascontiguousarray(normals)))
+            turned.append(self._gather(self._patches, len(area), normals=np.ascontiguousarray(normals)))
         level = self._form_factors[: self._coat]
         right, left, down, up = turned
         self._form_factor_terms = np.array(
@@ -77,9 +80,9 @@ class Radiosity:
             + [(a + b - 2 * level) / (2 * TILT**2) for a, b in ((right, left), (down, up))]
         )  # (TERMS, coat patches, patches)
 
-    def added(self, sensor: "LitSensor", points: strip_light.Points) -> "Floats":
+    def added(self, sensor: "LitSensor", points: strip_light.StripPoints) -> "Floats":
         """Interreflected radiance (coating patches, leds, TERMS, 3) in the gel, per unit radiance of each LED."""
-        coat, first, out = sensor.coating, self._gather(sensor, points, len(sensor.leds)), []
+        coat, first, out = sensor.coating, self._gather(points, len(sensor.leds), sensor.leds), []
         for albedo in coat.albedo:
             rho = np.full((len(first), 1), sensor.walls.albedo)
             rho[: self._coat] = (1 - coat.specular) * albedo + coat.specular * coating.METAL
@@ -87,7 +90,7 @@ class Radiosity:
             out.append(rho[0] * np.moveaxis(self._form_factor_terms @ total, 0, -1))
         return np.stack(out, axis=-1)
 
-    def glow(self, values: "Floats", view: "View") -> Glow:
+    def glow(self, values: "Floats", view: "CameraView") -> Glow:
         """Values (coat patches, TERMS, 3) as the camera sees them; off the pad its edge."""
         from scipy.ndimage import map_coordinates
 
@@ -102,33 +105,21 @@ class Radiosity:
         return Glow(terms.reshape(len(terms), TERMS, 3), normal)
 
     def _gather(
-        self, sensor: "LitSensor", points: strip_light.Points, strips: int, normals: "Floats | None" = None
+        self,
+        points: strip_light.StripPoints,
+        strips: int,
+        shading: "Sequence[Led]" = (),
+        normals: "Floats | None" = None,
     ) -> "Floats":
-        """Radiance (patches, strips) of a white matt patch per unit radiance of each strip; with normals of the coat's
-        patches that are not their own, (coat patches, strips)."""
-        shading = sensor.leds if points is not self._patches else []  # interreflected light comes from all directions
-        slab, panels = strip_light.Slab.of(sensor), strip_light.Panels.of(shading)
+        """Radiance (patches, strips) of a white matt patch per unit radiance of each strip, LEDs `shading` it; with
+        normals of the coat's patches that are not their own, (coat patches, strips)."""
+        panels = strip_light.Panels.of(shading)
         normals = self._normals if normals is None else normals
         at = self._at[: len(normals)]
-        lit = strip_light.gather(at, normals, normals, points, strips, slab, panels, 1.0, self._terrain)[..., 0]
+        lit = strip_light.gather(at, normals, normals, points, strips, self._slab, panels, 1.0, self._terrain)[..., 0]
         if points is self._patches:  # patches closer than their size would give form factors with a sum above 1
             lit /= np.maximum(lit.sum(axis=1, keepdims=True), 1.0)
         return lit
-
-    def _walls(self, sensor: "LitSensor", top: float) -> tuple["Floats", "Floats", "Floats"]:
-        """Middles (n, 3) [mm], inward normals (n, 3) and areas (n,) [mm^2] of the walls' patches up to height `top`."""
-        corners, bottom = mitsuba_dicts.outline(sensor), -mitsuba_dicts.bottom_depth(sensor)
-        at, normals, area = [], [], []
-        tall = max(1, round((top - bottom) / WALL_SPACING))
-        for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-            length = float(np.linalg.norm(b - a))
-            wide = max(1, round(length / WALL_SPACING))
-            for i in range(wide):
-                for j in range(tall):
-                    at.append([*(a + (b - a) * (i + 0.5) / wide), bottom + (top - bottom) * (j + 0.5) / tall])
-                    normals.append([(a[1] - b[1]) / length, (b[0] - a[0]) / length, 0.0])
-                    area.append(length / wide * (top - bottom) / tall)
-        return np.array(at), np.array(normals), np.array(area)
 
 
 def finer(coarse: "Floats") -> "Floats":

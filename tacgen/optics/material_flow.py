@@ -8,17 +8,17 @@ from tacgen.geometry.rasterize import hidden
 from tacgen.optics.drawn_face import DrawnFace
 
 if TYPE_CHECKING:
-    from tacgen.optics.camera import Camera
+    from tacgen.optics.camera import PinholeCamera
     from tacgen.optics.surface_grid import Surface
 
 Array = np.ndarray
 SLACK = 0.05  # distance in front of a point at which another part of the face hides it: the sheet's accuracy [mm]
 
 
-class Points:
+class MaterialPoints:
     """Material points of the coating with rest positions (n, 2) [mm], seen through the refracting layers."""
 
-    def __init__(self, rest: Array, surface: "Surface", camera: "Camera") -> None:
+    def __init__(self, rest: Array, surface: "Surface", camera: "PinholeCamera") -> None:
         """`surface` is the untouched face."""
         self.rest, self.camera = np.array(rest), camera
         self.rest.flags.writeable = False
@@ -66,7 +66,7 @@ class Flow:
         return flow
 
 
-def within(pixels: Array, camera: "Camera") -> Array:
+def within(pixels: Array, camera: "PinholeCamera") -> Array:
     """Whether pixels (..., 2) are in the picture (...)."""
     h, w = camera.shape
     x, y = pixels[..., 0], pixels[..., 1]

@@ -7,55 +7,25 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tacgen.optics.housing import WALL_RISE, Floats, bottom_depth, frame, outline
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-    from numpy.typing import NDArray
 
     from tacgen.sensor.layers import Scattering
     from tacgen.sensor.model import Led, LitSensor
 
-    Floats = NDArray[np.float64]
-
-ARC = 16  # number of walls around a semicircle
 LOBED = "lobed_area"  # emitter whose radiance falls as a power of the cosine
-WALL_RISE = 3.0  # height of the walls above the coated face, so that no light leaks past a bulging gel [mm]
-
-
-def frame(normal: "Sequence[float]", up: "Sequence[float]") -> "Floats":
-    """Columns (along, up, normal) of a right-handed orthonormal frame, (3, 3); `up` need not be orthogonal to `normal`.
-
-    Raises:
-        ValueError: normal is zero or parallel to up.
-    """
-    n, u = np.array(normal, dtype=float), np.array(up, dtype=float)
-    along = np.cross(u, n)
-    if np.linalg.norm(along) < 1e-9 * (1 + np.linalg.norm(n)):
-        raise ValueError(f"a rectangle's normal {tuple(normal)} is zero or parallel to its up {tuple(up)}")
-    n, along = n / np.linalg.norm(n), along / np.linalg.norm(along)
-    return np.column_stack([along, np.cross(n, along), n])
 
 
 def rectangle(
     center: "Sequence[float]", normal: "Sequence[float]", up: "Sequence[float]", size: tuple[float, float]
-) -> "Floats":
+) -> Floats:
     """Matrix (4, 4) that takes the unit square to a rectangle of `size` (along, up) [mm] facing `normal`."""
     matrix = np.eye(4)
     matrix[:3, :3] = frame(normal, up) * [size[0] / 2, size[1] / 2, 1.0]
     matrix[:3, 3] = center
     return matrix
-
-
-def strips(sensor: "LitSensor") -> "Floats":
-    """Ends of each LED's longer middle line and half its other side [mm], (leds, 7), from the picture's middle."""
-    out, origin = [], np.add(sensor.camera.center_mm, sensor.camera.crop_mm)
-    for light in sensor.leds:
-        axes, size = frame(light.normal, light.up), np.array(light.size_mm)
-        long = int(size[1] > size[0])
-        half = axes[:, long] * size[long] / 2
-        middle = np.array(light.center_mm) - [*origin, 0.0]
-        out.append(np.concatenate([middle - half, middle + half, [size[1 - long] / 2]]))
-    return np.array(out)
 
 
 def diffuse(albedo: "float | Sequence[float]") -> dict[str, Any]:
@@ -98,11 +68,6 @@ def housing(sensor: "LitSensor") -> dict[str, dict[str, Any]]:
     return walls
 
 
-def outline(sensor: "LitSensor") -> "Floats":
-    """Corners (n, 2) [mm] of the housing around the pad, from +x to +y; a semicircle in ARC pieces."""
-    return np.asarray(sensor.gel.pad.housing(sensor.walls.margin_mm).walls(ARC))
-
-
 def interfaces(sensor: "LitSensor") -> dict[str, dict[str, Any]]:
     """Interfaces from the air inward; none between equal media."""
     w, h = (size + 2 * sensor.walls.margin_mm for size in (sensor.gel.width_mm, sensor.gel.height_mm))
@@ -133,8 +98,3 @@ def medium(scattering: "Scattering") -> dict[str, Any]:
         "albedo": {"type": "rgb", "value": list(scattering.albedo)},
         "phase": {"type": "hg", "g": scattering.forward},
     }
-
-
-def bottom_depth(sensor: "LitSensor") -> float:
-    """Depth of the plate's air face below the untouched coated face [mm]."""
-    return sensor.plate.thickness_mm + sum(layer.thickness_mm for layer in sensor.gel.layers)

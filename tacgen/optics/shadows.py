@@ -85,9 +85,9 @@ def horizon(
     first, r = 1.5 * step, reach
     first = max(first, ((1 - right) * (columns - 1) - u0) * across, ((1 - under) * (rows - 1) - v0) * down) + 1e-6
     r = min(r, (right * (columns - 1) - u0) * across, (under * (rows - 1) - v0) * down) - 1e-6
-    found = limit = above[1]
+    passed = limit = above[1]
     if lowest == np.inf:
-        return float(found)
+        return float(passed)
     if limit < 0.0:  # farther away the ray is below the whole face
         r = min(r, (lowest - z) / limit)
     while r > first:  # from far to near: beyond a dome's rim this decides soonest
@@ -110,14 +110,14 @@ def horizon(
             rise = (1 - b) * ((1 - a) * heights[j, i] + a * heights[j, i + 1]) - z
             rise += b * ((1 - a) * heights[j + 1, i] + a * heights[j + 1, i + 1])
             if rise < limit * r:
-                found = limit = rise / r
-                if found <= below[0]:
-                    return float(found)
-                if found <= above[0]:
-                    limit = min(found, below[1])
+                passed = limit = rise / r
+                if passed <= below[0]:
+                    return float(passed)
+                if passed <= above[0]:
+                    limit = min(passed, below[1])
             r -= step + 0.04 * r
             if r <= enter:
                 break
             u, v = u0 + r * du, v0 + r * dv
             i, j = int(u), int(v)
-    return float(found)
+    return float(passed)

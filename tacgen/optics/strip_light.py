@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from tacgen.compiled import njit, vectorize
-from tacgen.optics.mitsuba_dicts import bottom_depth, frame
+from tacgen.optics.housing import bottom_depth, frame
 from tacgen.optics.shadows import SUMS, Terrain, horizon
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ Floats = NDArray[np.float64]
 CLEAR = 0.01  # distance of a ray's end from a strip's plane, below which the strip does not block it [mm]
 
 
-class Points(NamedTuple):
+class StripPoints(NamedTuple):
     """Quadrature points of the strips."""
 
     at: Floats  # positions [mm], (p, 3)
@@ -36,7 +36,7 @@ class Points(NamedTuple):
     lobe: NDArray[np.int64]  # power of the cosine by which radiance falls off the normal, (p,)
 
 
-def points(leds: "Sequence[Led]", along: int, up: int, pieces: int = 1) -> Points:
+def points(leds: "Sequence[Led]", along: int, up: int, pieces: int = 1) -> StripPoints:
     """`along` x `up` Gauss-Legendre points on each of the `pieces` of equal length of every strip, with their areas:
     strip by strip, piece by piece, position by position along it, and from bottom to top."""
     at, normal, area, half, strip, lobe = [], [], [], [], [], []
@@ -52,7 +52,7 @@ def points(leds: "Sequence[Led]", along: int, up: int, pieces: int = 1) -> Point
                 half.append(h * share_b[j] / 4)
                 strip.append(k)
                 lobe.append(led.lobe)
-    return Points(np.array(at), np.array(normal), np.array(area), np.array(half), np.array(strip), np.array(lobe))
+    return StripPoints(np.array(at), np.array(normal), np.array(area), np.array(half), np.array(strip), np.array(lobe))
 
 
 class Panels(NamedTuple):
@@ -102,7 +102,7 @@ def fresnel_transmission(k: float, n1: float, n2: float) -> float:
 
 @njit(cache=False)
 def connect(rho: float, lengths: Floats, indices: Floats) -> tuple[float, float]:
-    """k of the ray that travels sideways by rho [mm] through layers of given lengths, and d rho/dk [mm]; see Stack."""
+    """k of the ray that travels sideways by rho [mm] through layers of given lengths, and d rho/dk: docs/OPTICS.md."""
     low = np.inf
     paraxial = 0.0
     for i in range(len(lengths)):
@@ -134,8 +134,20 @@ def connect(rho: float, lengths: Floats, indices: Floats) -> tuple[float, float]
     return k, derivative
 
 
+class Arrival(NamedTuple):
+    """Light of a point source where it arrives in the outermost layer; docs/OPTICS.md has the formulas."""
+
+    aside: float  # lateral component of the unit vector toward the light
+    up: float  # z component of the unit vector toward the light
+    leaving: float  # z component of the unit vector along which the light leaves the source
+    weight: float  # radiance carried over times solid angle, per area [1/mm^2] normal to the leaving direction
+
+
+ASIDE, TOWARD, LEAVING, WEIGHT = range(4)  # places of these fields in a table
+
+
 @njit(cache=False)
-def arrive(rho: float, z: float, source: float, home: int, image: int, slab: Slab) -> tuple[float, float, float, float]:
+def arrive(rho: float, z: float, source: float, home: int, image: int, slab: Slab) -> Arrival:
     """Path of light from a point at lateral distance `rho` [mm] and height `source` to height z: direct (image 0), or
     reflected (1).
 
@@ -144,10 +156,6 @@ def arrive(rho: float, z: float, source: float, home: int, image: int, slab: Sla
         home: the layer of the source.
         image: 1 for light that is first reflected at the slab's bottom.
         slab: light mirrors at its first bottom, against air.
-
-    Returns:
-        lateral and z component of the unit vector from z toward the light; z component of the unit vector along which
-        the light leaves; and radiance carried over times solid angle, per area [1/mm^2] normal to that direction.
     """
     bottoms, tops, indices = slab
     last = len(indices) - 1
@@ -174,7 +182,7 @@ def arrive(rho: float, z: float, source: float, home: int, image: int, slab: Sla
         passed *= 1.0 - fresnel_transmission(k, indices[0], 1.0)
     # solid angle in the gel per area of strip, and radiance carried over as L/n^2
     weight = sg / (ng * cg * derivative * rho) / cl * (ng / nl) ** 2 * passed
-    return sg, sign * cg, -sign * cl if image == 0 else sign * cl, weight
+    return Arrival(sg, sign * cg, -sign * cl if image == 0 else sign * cl, weight)
 
 
 @njit(cache=False)
@@ -254,7 +262,7 @@ def gather(
     p: Floats,
     n: Floats,
     view: Floats,
-    points: Points,
+    points: StripPoints,
     strips: int,
     slab: Slab,
     panels: Panels,

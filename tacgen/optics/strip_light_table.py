@@ -12,9 +12,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.compiled import njit
-from tacgen.optics.camera import Camera
+from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.shadows import SUMS, Terrain, horizon
-from tacgen.optics.strip_light import Panels, Points, Slab, arrive, ggx, points, shaded
+from tacgen.optics.strip_light import (
+    ASIDE,
+    LEAVING,
+    TOWARD,
+    WEIGHT,
+    Panels,
+    Slab,
+    StripPoints,
+    arrive,
+    ggx,
+    points,
+    shaded,
+)
 
 if TYPE_CHECKING:
     from tacgen.sensor.model import LitSensor
@@ -31,6 +43,10 @@ SLOPES = (-9.0, 9.0)  # range that contains all slopes [-]
 STEEP = -1e-3  # largest z component of a normal [-]
 
 
+# Fields of a column's light: its irradiance vector times distance^2 [mm^2], and half its range of slopes [-].
+X, Y, Z, HALF = range(FIELDS := 4)
+
+
 class Columns(NamedTuple):
     """Columns of a sensor's strips, and the table of their light."""
 
@@ -38,9 +54,9 @@ class Columns(NamedTuple):
     strip: NDArray[np.int64]  # which LED, (columns,)
     lowest: Floats  # corner of the table [mm], (3,): x, y, z
     step: Floats  # between its entries [mm], (3,)
-    # of each column per unit radiance, direct and reflected: irradiance vector times distance^2 [mm^2] and half the
-    # range of slopes; then of each column the slope up to which the untouched face lets light pass
-    light: Singles  # (heights, rows, columns of places, 8 x columns + columns)
+    # Of each column per unit radiance X, Y, Z and HALF of its direct light, and FIELDS later those of the reflected;
+    # then of each column the slope up to which the untouched face lets light pass.
+    light: Singles  # (heights, rows, columns of places, (2 FIELDS + 1) x columns)
     mirror: float  # height of the plate's air face [mm]
 
     @classmethod
@@ -48,9 +64,9 @@ class Columns(NamedTuple):
         """Each strip in so many `pieces`, for faces anywhere in the outermost layer before the camera."""
         from scipy.ndimage import map_coordinates
 
-        slab, lights = Slab.of(sensor), points(sensor.leds, ALONG, UP, pieces)
+        field, slab, lights = seen(sensor), Slab.of(sensor), points(sensor.leds, ALONG, UP, pieces)
         heights, level = np.unique(lights.at[:, 2].round(6), return_inverse=True)
-        home, field = np.searchsorted(slab.tops[:-1], heights, side="right"), seen(sensor)
+        home = np.searchsorted(slab.tops[:-1], heights, side="right")
         z = np.linspace(slab.bottoms[-1] + 0.1 * HEIGHT_STEP, RISE, round((RISE - slab.bottoms[-1]) / HEIGHT_STEP) + 1)
         reach = np.linalg.norm(np.abs(lights.at[:, :2]).max(axis=0) + np.abs(field).max(axis=0))
         aside = np.arange(0.0, reach + 2 * LATERAL_STEP, LATERAL_STEP)
@@ -72,9 +88,18 @@ class Columns(NamedTuple):
         return cls(middle, lights.strip[:: ALONG * UP].copy(), lowest, step, light, float(slab.bottoms[0]))
 
 
+class Incident(NamedTuple):
+    """Light of a column on a point of the face, in the vertical plane of its irradiance vector."""
+
+    side: float  # lateral part of the irradiance vector times distance^2 [mm^2]
+    slope: float  # mean slope of the light: rise over sideways way [-]
+    half: float  # half the range of its slopes
+    turn: float  # slope of the face in this plane: steeper light comes from behind it
+
+
 def seen(sensor: "LitSensor") -> Floats:
     """The part of the gel that the camera sees, (2, 2): least and greatest x and y [mm], on the pad."""
-    camera, half = Camera.from_sensor(sensor), np.array([sensor.gel.width_mm, sensor.gel.height_mm]) / 2
+    camera, half = PinholeCamera.from_sensor(sensor), np.array([sensor.gel.width_mm, sensor.gel.height_mm]) / 2
     (h, w) = camera.shape
     near, way = camera.rays([[0, 0], [w, 0], [0, h], [w, h]])
     ends = np.concatenate([near, near + way * ((RISE - near[:, 2:]) / way[:, 2:])])[:, :2]
@@ -99,7 +124,7 @@ def tabulate(z: Floats, aside: Floats, sources: Floats, home: NDArray[np.int64],
 def column_light(
     places: Floats,
     z: Floats,
-    points: Points,
+    points: StripPoints,
     middle: Floats,
     level: NDArray[np.int64],
     home: NDArray[np.int64],
@@ -107,7 +132,7 @@ def column_light(
     panels: Panels,
     slab: Slab,
 ) -> Singles:
-    """Columns.light at heights z (m,) over places (n, 3) of the untouched face: (m, n, columns, 8).
+    """Columns.light at heights z (m,) over places (n, 3) of the untouched face: (m, n, columns, 2 FIELDS).
 
     Light that strips block at a place of the untouched face counts as blocked at all heights there.
 
@@ -116,12 +141,12 @@ def column_light(
         level, home: index (p,) of each point's height in the table, and the layer of each height.
         table: see tabulate.
     """
-    out = np.zeros((len(z), len(places), len(middle), 8), np.float32)
+    out = np.zeros((len(z), len(places), len(middle), 2 * FIELDS), np.float32)
     none, one = np.float32(0.0), np.float32(1.0)
     each, opaque = len(points.at) // len(middle), np.abs(panels.along).sum() > 0.0
     half = np.float32(0.5 * UP / each)
     light, least, most = (
-        np.empty((2, 4, len(z)), np.float32),
+        np.empty((2, FIELDS, len(z)), np.float32),
         np.empty((2, len(z)), np.float32),
         np.empty((2, len(z)), np.float32),
     )
@@ -147,37 +172,38 @@ def column_light(
                 for image in range(2):
                     low, high = table[level[q], r, image], table[level[q], r + 1, image]
                     if opaque:
-                        k = (1 - share) * (near * low[0, below] + far * high[0, below])
-                        k += share * (near * low[0, below + 1] + far * high[0, below + 1])
+                        k = (1 - share) * (near * low[ASIDE, below] + far * high[ASIDE, below])
+                        k += share * (near * low[ASIDE, below + 1] + far * high[ASIDE, below + 1])
                         k *= slab.indices[-1]
                         if shaded(panels, p, points.at[q], home[level[q]], image, k, slab):
                             continue
                     for i in range(len(z)):
-                        sine = near * low[0, i] + far * high[0, i]
-                        facing[i] = (near * low[2, i] + far * high[2, i]) * up - sine * aside
+                        sine = near * low[ASIDE, i] + far * high[ASIDE, i]
+                        facing[i] = (near * low[LEAVING, i] + far * high[LEAVING, i]) * up - sine * aside
                         facing[i] = max(facing[i], np.float32(0.0))
-                        weight[i] = area * facing[i] * (near * low[3, i] + far * high[3, i])
+                        weight[i] = area * facing[i] * (near * low[WEIGHT, i] + far * high[WEIGHT, i])
                     for _ in range(points.lobe[q]):
                         for i in range(len(z)):
                             weight[i] *= facing[i]
                     for i in range(len(z)):
-                        sine, rise = near * low[0, i] + far * high[0, i], near * low[1, i] + far * high[1, i]
-                        light[image, 0, i] += weight[i] * sine * x
-                        light[image, 1, i] += weight[i] * sine * y
-                        light[image, 2, i] += weight[i] * rise
+                        sine = near * low[ASIDE, i] + far * high[ASIDE, i]
+                        rise = near * low[TOWARD, i] + far * high[TOWARD, i]
+                        light[image, X, i] += weight[i] * sine * x
+                        light[image, Y, i] += weight[i] * sine * y
+                        light[image, Z, i] += weight[i] * rise
                         least[image, i] = min(least[image, i], rise / sine - soft)
                         most[image, i] = max(most[image, i], rise / sine + soft)
                 if (q + 1) % UP == 0:
                     for image in range(2):
                         for i in range(len(z)):
-                            light[image, 3, i] += max(most[image, i] - least[image, i], none) * half
+                            light[image, HALF, i] += max(most[image, i] - least[image, i], none) * half
             away2 = (middle[c, 0] - p[0]) ** 2 + (middle[c, 1] - p[1]) ** 2
             for image in range(2):
                 for i in range(len(z)):
                     height = (2 * slab.bottoms[0] if image == 1 else 2 * z[i]) - middle[c, 2] - z[i]
-                    for m in range(3):
-                        out[i, s, c, 4 * image + m] = light[image, m, i] * (away2 + height * height)
-                    out[i, s, c, 4 * image + 3] = light[image, 3, i]
+                    for m in (X, Y, Z):
+                        out[i, s, c, FIELDS * image + m] = light[image, m, i] * (away2 + height * height)
+                    out[i, s, c, FIELDS * image + HALF] = light[image, HALF, i]
     return out
 
 
@@ -223,23 +249,22 @@ def toward_camera(
         for c in range(len(middle)):
             dx, dy = middle[c, 0] - x, middle[c, 1] - y
             rho = max(np.sqrt(dx * dx + dy * dy), 1e-9)
-            # of each image: irradiance sideways, its mean slope, half their range, where the face turns away
-            side0, slope0, half0, turn0 = irradiance_slopes(got, 8 * c, nx, ny, nz)
-            side1, slope1, half1, turn1 = irradiance_slopes(got, 8 * c + 4, nx, ny, nz)
-            free = np.float64(got[8 * len(middle) + c])
-            above = slope0 - half0, min(slope0 + half0, turn0, free)
-            below = slope1 - half1, min(slope1 + half1, turn1, free)
-            lit0, lit1 = side0 > 0.0 and above[0] < above[1], side1 > 0.0 and below[0] < below[1]
-            if not (lit0 or lit1):
+            direct = incident(got, 2 * FIELDS * c, nx, ny, nz)
+            reflected = incident(got, 2 * FIELDS * c + FIELDS, nx, ny, nz)
+            free = np.float64(got[2 * FIELDS * len(middle) + c])
+            above = direct.slope - direct.half, min(direct.slope + direct.half, direct.turn, free)
+            below = reflected.slope - reflected.half, min(reflected.slope + reflected.half, reflected.turn, free)
+            lit = direct.side > 0.0 and above[0] < above[1], reflected.side > 0.0 and below[0] < below[1]
+            if not (lit[0] or lit[1]):
                 continue
-            above = above if lit0 else below
-            below = below if lit1 else above
+            above = above if lit[0] else below
+            below = below if lit[1] else above
             edge = min(horizon(terrain, x, y, z, dx / rho, dy / rho, rho, above, below), free)
             matt, gloss = 0.0, 0.0
             for image in range(2):
-                if not (lit1 if image else lit0):
+                if not lit[image]:
                     continue
-                side, slope, half, turn = (side1, slope1, half1, turn1) if image else (side0, slope0, half0, turn0)
+                side, slope, half, turn = reflected if image else direct
                 rise = 2 * mirror - middle[c, 2] - z if image else middle[c, 2] - z
                 side /= rho * rho + rise * rise
                 top = min(edge, turn, slope + half)
@@ -283,11 +308,11 @@ def trilinear(table: Singles, u: float, v: float, w: float) -> Singles:
 
 
 @njit(cache=False, error_model="numpy", fastmath=SUMS)
-def irradiance_slopes(got: Singles, at: int, nx: float, ny: float, nz: float) -> tuple[float, float, float, float]:
-    """From an irradiance vector and half a range of slopes at `got[at]`, and a normal: the vector's lateral part and
-    its slope, that half, and the slope of the face along it."""
-    ex, ey, ez, half = np.float64(got[at]), np.float64(got[at + 1]), np.float64(got[at + 2]), np.float64(got[at + 3])
+def incident(got: Singles, at: int, nx: float, ny: float, nz: float) -> Incident:
+    """The light whose fields begin at `got[at]`, on a face with this normal."""
+    ex, ey, ez = np.float64(got[at + X]), np.float64(got[at + Y]), np.float64(got[at + Z])
+    half = np.float64(got[at + HALF])
     side = np.sqrt(ex * ex + ey * ey)
     if side <= 0.0:
-        return 0.0, 0.0, half, 0.0
-    return side, ez / side, half, (nx * ex + ny * ey) / (side * -min(nz, STEEP))
+        return Incident(0.0, 0.0, half, 0.0)
+    return Incident(side, ez / side, half, (nx * ex + ny * ey) / (side * -min(nz, STEEP)))

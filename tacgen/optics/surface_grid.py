@@ -88,9 +88,9 @@ class Sheet:
     @cached_property
     def inside(self) -> "Floats":
         """Rest positions (nodes, 2) [mm], nodes in a cut-off corner moved to the pad's nearest point; read-only."""
-        found = np.array(self.pad.drawn_in(self.rest))
-        found.flags.writeable = False
-        return found
+        here = np.array(self.pad.drawn_in(self.rest))
+        here.flags.writeable = False
+        return here
 
     @property
     def uv(self) -> "Floats":

@@ -30,12 +30,7 @@ SHARED = ((1.0, 1.0), (4.0, 1e-3), (16.0, 1e-6))  # widths [bins] and weights by
 RIDGE = 0.05  # ridge penalty of the position-dependent terms, over the number of a bin's samples [-]
 ALONG = (-0.6, -0.2, 0.2, 0.6)
 PLACES = [(x, y) for y in ALONG for x in ALONG]  # centres of dents from the picture's middle, over half its size [-]
-BALLS = [
-    (1.2, 0.6),
-    (0.6, 0.9),
-    (1.5, 0.35),
-    (0.8, 0.75),
-]  # radius over the gel's thickness, sine of the largest slope
+BALLS = [(1.2, 0.6), (0.6, 0.9), (1.5, 0.35), (0.8, 0.75)]  # radius over the gel's thickness, sine of the largest slope
 COARSE = 4  # spacing of pixels whose shadows are computed, and of the points tested on the line to a lamp [px]
 
 
@@ -53,14 +48,14 @@ class Face:
 
 
 @dataclass(frozen=True)
-class Table:
+class TaximTable:
     """Added light for each slope and position, and the light that is missing in the shadow of each lamp."""
 
     terms: "Floats"  # (BINS, BINS, 6, 3): of 1, x, y, x^2, x y, y^2 with x, y from -1 to 1 over the picture
     shade: "Floats"  # (lamps, 3): light that is missing where a lamp is wholly hidden
 
     @classmethod
-    def fitted(cls, faces: list[Face], added: list["Floats"], lamps: "Floats", mm_per_px: float) -> "Table":
+    def fitted(cls, faces: list[Face], added: list["Floats"], lamps: "Floats", mm_per_px: float) -> "TaximTable":
         """By least squares, from pictures (h, w, 3) of what dents add to the untouched picture.
 
         Args:
@@ -82,7 +77,7 @@ class Table:
         return cls(table.terms, np.maximum(shade, 0.0))
 
     @classmethod
-    def mixed(cls, tables: list["Table"], light: "Floats") -> "Table":
+    def mixed(cls, tables: list["TaximTable"], light: "Floats") -> "TaximTable":
         """That of all lamps together, from tables (lamps) of each alone and their radiance (lamps, 3)."""
         lit = list(zip(tables, light, strict=True))
         terms, shade = sum(table.terms * rgb for table, rgb in lit), [table.shade[0] * rgb for table, rgb in lit]
@@ -94,7 +89,7 @@ class Table:
         return np.concatenate([self.terms.ravel(), self.shade.ravel()])
 
     @classmethod
-    def unpacked(cls, numbers: "Floats") -> "Table":
+    def unpacked(cls, numbers: "Floats") -> "TaximTable":
         """From `packed`."""
         size = BINS * BINS * 18
         return cls(numbers[:size].reshape(BINS, BINS, 6, 3), numbers[size:].reshape(-1, 3))

@@ -11,12 +11,12 @@ from tacgen.optics.surface_grid import unit
 from tacgen.outputs.gel_surface import Surface
 
 if TYPE_CHECKING:
-    from tacgen.optics.camera import Camera
+    from tacgen.optics.camera import PinholeCamera
 
 Array = np.ndarray
 
 
-def in_view(surface: Surface, camera: "Camera") -> Array:
+def in_view(surface: Surface, camera: "PinholeCamera") -> Array:
     """x0, x1, y0, y1 [mm] at rest of the part of a face that the camera may see.
 
     The part behind the picture at the height of the face's highest point, extended by the largest sideways motion.

@@ -21,7 +21,7 @@ from tacgen.optics.surface_grid import unit
 from tacgen.outputs.gel_surface import Surface
 
 if TYPE_CHECKING:
-    from tacgen.optics.camera import Camera
+    from tacgen.optics.camera import PinholeCamera
 
 Array = np.ndarray
 RIM_SHARE = 0.4  # share of points in contact at the rim of the contact map [-]: below .5, as the rim is outside them
@@ -68,7 +68,7 @@ def tangents(normal: Array) -> tuple[Array, Array]:
     return x, np.cross(normal, x)
 
 
-def maps(problem: Problem, surface: Surface, state: State, camera: "Camera") -> Maps:
+def maps(problem: Problem, surface: Surface, state: State, camera: "PinholeCamera") -> Maps:
     """Pressure and traction behind each pixel, through the camera's refraction.
 
     The force at each contact point is distributed to the nodes of its facet, and the sum of each node to the pixels
@@ -158,7 +158,7 @@ class Shares:
     weight (p,) in the distribution of forces.
     """
 
-    def __init__(self, problem: Problem, surface: Surface, state: State, camera: "Camera") -> None:
+    def __init__(self, problem: Problem, surface: Surface, state: State, camera: "PinholeCamera") -> None:
         from scipy.sparse import csr_array
 
         contact, on = problem.contact.faces, np.asarray(state.normal_force > 0)

@@ -16,7 +16,7 @@ from tacgen.optics.surface_grid import Sheet, Untouched
 
 if TYPE_CHECKING:
     from tacgen.geometry.analytic_sdf import Shape
-    from tacgen.optics.camera import Camera
+    from tacgen.optics.camera import PinholeCamera
     from tacgen.sensor.markers import Motion
     from tacgen.sensor.model import Gel
 
@@ -27,7 +27,7 @@ FACE_SPACING = 0.3  # spacing of the points of the face at which the depth is ev
 class FotsMarkers:
     """Markers with given rest positions, moved by one indenter along its path."""
 
-    def __init__(self, motion: "Motion", rest: Array, gel: "Gel", shape: "Shape", camera: "Camera") -> None:
+    def __init__(self, motion: "Motion", rest: Array, gel: "Gel", shape: "Shape", camera: "PinholeCamera") -> None:
         """`rest` (n, 2) [mm]."""
         untouched, sheet = Untouched.of(gel), Sheet.over(gel, FACE_SPACING)
         self.motion, self.shape, self.camera = motion, shape, camera

@@ -19,7 +19,7 @@ from tacgen.sensor.model import Sensor
 if TYPE_CHECKING:
     from tacgen.mechanics.grasp_balance import Held
     from tacgen.mechanics.scene import Scene
-    from tacgen.optics.camera import Camera
+    from tacgen.optics.camera import PinholeCamera
     from tacgen.optics.material_flow import Flow
     from tacgen.optics.surface_grid import Sheet
     from tacgen.outputs.camera_maps import View
@@ -92,11 +92,11 @@ class SceneData(_Faces):
         return View(self.sheet(in_view(surface, self.camera)), surface, self.camera)
 
     @cached_property
-    def camera(self) -> "Camera":
+    def camera(self) -> "PinholeCamera":
         """The sensor's pinhole behind its refracting layers."""
-        from tacgen.optics.camera import Camera
+        from tacgen.optics.camera import PinholeCamera
 
-        return Camera.from_sensor(self.sensor)
+        return PinholeCamera.from_sensor(self.sensor)
 
     def sheet(self, box: Array) -> "Sheet":
         """A grid over rest coordinates on which a face is drawn, at least over a box x0, x1, y0, y1 [mm].
@@ -124,9 +124,9 @@ class SceneData(_Faces):
 
             fots = FotsMarkers(motion, rest, sensor.gel, self.problem.contact.shape, self.camera)
             return fots.undisturbed, lambda frame: fots.at(frame.state.pose)
-        from tacgen.optics.material_flow import Points
+        from tacgen.optics.material_flow import MaterialPoints
 
-        points = Points(rest, self.printed, self.camera)
+        points = MaterialPoints(rest, self.printed, self.camera)
         if np.isnan(points.undisturbed).any():
             raise UserError(f"outputs: some markers of {sensor.name} lie beside the gel's face: fewer, or closer ones")
         return points.undisturbed, lambda frame: points.at(frame.seen)

@@ -10,15 +10,15 @@ from tacgen.errors import UserError
 
 if TYPE_CHECKING:
     from tacgen.geometry.analytic_sdf import Shape
-    from tacgen.geometry.gel import Gel
-    from tacgen.recipe.plan import Row
+    from tacgen.geometry.gel import GelBody
+    from tacgen.recipe.row import Row
 
 Array = np.ndarray
 SPACING, FINER, LEVELS = 0.5, 20, 3  # of the first grid [mm]; times as fine is each next one, around the nearest point
 LOOKED_AT = 50  # scenes of a plan whose paths are followed: some hundredths of a second each
 
 
-def closest(shape: "Shape", gel: "Gel", poses: Array) -> float:
+def closest(shape: "Shape", gel: "GelBody", poses: Array) -> float:
     """Smallest distance [mm] of an indenter at the poses (N, 4, 4) from the untouched face; 0 or less if it touches."""
     from tacgen.geometry.pose import Pose
 

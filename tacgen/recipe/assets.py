@@ -64,15 +64,15 @@ def object_path(name_or_path: str, base: Path | None = None) -> Path:
 
 def mesh_path(name_or_path: str, base: Path | None = None) -> Path:
     """The mesh file of a shipped object, or of a path relative to `base`, the recipe's folder."""
-    found = object_path(name_or_path, base)
-    if found.is_dir():
-        meshes = sorted(p for p in found.iterdir() if p.suffix.lower() in MESHES)
+    shipped = object_path(name_or_path, base)
+    if shipped.is_dir():
+        meshes = sorted(p for p in shipped.iterdir() if p.suffix.lower() in MESHES)
         if not meshes:
-            raise UserError(f"{found}: holds no mesh ({', '.join(MESHES)}): name its file instead")
+            raise UserError(f"{shipped}: holds no mesh ({', '.join(MESHES)}): name its file instead")
         return meshes[0]
-    if found.suffix.lower() not in MESHES:
-        raise UserError(f"{found}: must be a mesh file ({', '.join(MESHES)})")
-    return found
+    if shipped.suffix.lower() not in MESHES:
+        raise UserError(f"{shipped}: must be a mesh file ({', '.join(MESHES)})")
+    return shipped
 
 
 def sha256(path: Path) -> str:
@@ -84,9 +84,9 @@ def sha256(path: Path) -> str:
         raise UserError(f"{path}: cannot be read: {why(error)}") from None
 
 
-def changed(found: str) -> str:
+def changed(sha256: str) -> str:
     """A message on a file whose SHA-256 is not the one that is asked for."""
-    return f"is another file now ({found[:12]}...): leave its sha256 out to take it"
+    return f"is another file now ({sha256[:12]}...): leave its sha256 out to take it"
 
 
 def _names(kind: str) -> list[str]:

@@ -9,7 +9,7 @@ from tacgen.errors import UserError, why
 from tacgen.outputs import IMAGES
 from tacgen.recipe import assets
 from tacgen.recipe.model import Recipe
-from tacgen.sensor.model import Camera, Sensor
+from tacgen.sensor.model import Sensor
 from tacgen.sensor.validation_messages import Problem
 from tacgen.sensor.yaml_source import KeyPath
 
@@ -37,12 +37,12 @@ def problems(recipe: Recipe, sensor: Sensor, folder: Path | None) -> list[Proble
         ]
     path = assets.beside(name, folder)
     try:
-        found = assets.sha256(path)
+        sha256 = assets.sha256(path)
         height, width = read(path).shape[:2]
     except UserError as error:
         return [Problem(WHERE, error.lines[0])]
-    if expected not in (None, found):
-        return [Problem(("render", "background_sha256"), f"{name} {assets.changed(found)}")]
+    if expected not in (None, sha256):
+        return [Problem(("render", "background_sha256"), f"{name} {assets.changed(sha256)}")]
     if (width, height) != (camera.width_px, camera.height_px):
         pictures = f"{camera.width_px} x {camera.height_px}"
         return [Problem(WHERE, f"is {width} x {height}, and the camera's pictures are {pictures}: crop and resize it")]
@@ -85,30 +85,3 @@ def shrunk(light: "np.ndarray", width: int, height: int) -> "np.ndarray":
 
     channels = [Image.fromarray(c) for c in np.moveaxis(light.astype(np.float32), -1, 0)]
     return np.stack([np.asarray(c.resize((width, height), Image.Resampling.BOX), dtype=float) for c in channels], -1)
-
-
-class Backdrop:
-    """A photograph of the untouched sensor as the background of rendered radiance.
-
-    The image is photograph x (deformed render / untouched render) in linear light; beside the gel, where nothing is
-    rendered, it is the photograph alone.
-    """
-
-    def __init__(self, path: Path, flat: "np.ndarray", camera: Camera) -> None:
-        """`flat` (H, W, 3) is the radiance rendered untouched."""
-        import numpy as np
-
-        from tacgen.optics import camera_response
-
-        light, rendered = camera_response.linear(read(path) / 255.0, camera), camera_response.expose(flat, camera)
-        lit = rendered > 0
-        self._camera = camera
-        self._gain = np.where(lit, light / np.where(lit, rendered, 1.0), 0.0)
-        self._alone = np.where(lit, 0.0, light)
-
-    def under(self, radiance: "np.ndarray") -> "np.ndarray":
-        """Radiance (H, W, 3) as photographed."""
-        from tacgen.optics import camera_response
-
-        light = camera_response.expose(radiance, self._camera) * self._gain + self._alone
-        return camera_response.unexposed(light, self._camera).astype(radiance.dtype)

@@ -4,7 +4,6 @@ import importlib.util
 import math
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, cast
 
 from tacgen.errors import UserError
 from tacgen.outputs import IMAGES, NAMES, OUTPUTS
@@ -13,29 +12,13 @@ from tacgen.recipe.indenters import Indenter
 from tacgen.recipe.model import Recipe
 from tacgen.recipe.trajectory import Paced, Replay, Slide, Timed
 from tacgen.recipe.trajectory_checks import Folders
-from tacgen.sensor import optics_checks
-from tacgen.sensor.model import LIGHTS, Gel, LitSensor, Sensor
-from tacgen.sensor.validation_messages import Problem, needs
+from tacgen.sensor.model import LIGHTS, Gel, Sensor
+from tacgen.sensor.validation_messages import Problem
 from tacgen.sensor.yaml_source import KeyPath
 
 MIN_HALF_THICKNESS = 0.8  # of an indenter, over the element edge [-]; thinner ones pass between contact points
-SOLID_SIZE_ERROR = 0.01  # largest difference between a solid's sides and those in its sensor file, relative [-]
 MAX_EDGE = 0.5  # of the mesh, over the gel's thickness [-]; on longer ones forces are off by half and more
 MAX_SIZE = 100.0  # of an indenter, over the pad's diagonal [-]; larger balls are flat to a thousandth of the pad
-MIN_PIXELS = 8  # smallest number of the image's pixels along the gel's shorter side
-MIN_RIM = 0.1  # thickness of a domed gel at its corner over that at the crown [-]; below, cells are too flat
-
-
-def sensor_problems(sensor: Sensor, folder: Path | None = None, images: bool = True) -> list[Problem]:
-    """Contradictions in a sensor file; paths start at the sensor's root.
-
-    The path of the gel's solid is relative to `folder`, by default the working directory. Without `images` the lights
-    are not checked: a recipe that makes the gel thinner may leave them outside.
-    """
-    optics: list[Problem] = []
-    if sensor.lit and images:
-        optics += optics_checks.problems(cast(LitSensor, sensor))
-    return [*_outline(sensor.gel), *_solid(sensor.gel, folder), *_seen(sensor), *optics]
 
 
 def recipe_problems(recipe: Recipe, sensor: Sensor, folders: Folders | None = None) -> list[Problem]:
@@ -44,12 +27,9 @@ def recipe_problems(recipe: Recipe, sensor: Sensor, folders: Folders | None = No
     `folders`: the folder to which the path of each of its files is relative, by default the working directory.
     """
     folders = folders or {}
-    wrong = grasp_checks.problems(recipe, sensor, folders)
+    wrong = output_problems(recipe, sensor)
     if recipe.grasp is None:
-        wrong += [*_depths(recipe, sensor), *trajectory_checks.problems(recipe, sensor.gel, folders)]
-    wrong += output_problems(recipe, sensor)
-    if recipe.grasp is None:
-        wrong += _times(recipe, sensor, folders)
+        wrong += [*_depths(recipe, sensor), *_times(recipe, sensor, folders)]
     if recipe.mesh == "hex" and sensor.gel.solid is not None:
         wrong.append(
             Problem(
@@ -64,112 +44,25 @@ def recipe_problems(recipe: Recipe, sensor: Sensor, folders: Folders | None = No
         )
         wrong.append(Problem(("uncertainty",), text))
     if recipe.uncertainty is not None and (depth := recipe.uncertainty.pose.depth_mm) > (
-        most := thickness_mm(sensor.gel)
+        most := sensor.gel.thickness_mm
     ):
         text = f"must be at most the gel's thickness, {most:g} mm (got {depth:g})"
         wrong.append(Problem(("uncertainty", "pose", "depth_mm"), text))
-    wrong += [
-        *_too_coarse(recipe, sensor.gel),
-        *_too_large(recipe.indenter, sensor.gel),
-        *_too_thin(recipe),
-        *_ipc_toolkit(recipe),
-        *_mitsuba(recipe, sensor),
-        *background_photo.problems(recipe, sensor, folders.get(background_photo.WHERE)),
-    ]
-    return [*wrong, *_mesh_file(recipe.indenter, recipe.resolved().edge_mm, folders.get(("indenter", "file")))]
-
-
-def thickness_mm(gel: Gel) -> float:
-    """From the bonded base to the coated face [mm]."""
-    return sum(layer.thickness_mm for layer in gel.layers)
-
-
-def _outline(gel: Gel) -> list[Problem]:
-    half, wrong = min(gel.width_mm, gel.height_mm) / 2, []
-    if gel.corner_radius_mm > half:
-        text = f"must be at most half the pad's shorter side, {half:g} (got {gel.corner_radius_mm:g})"
-        wrong.append(Problem(("gel", "corner_radius_mm"), text))
-    if gel.tip and gel.corner_radius_mm:
-        wrong.append(Problem(("gel", "corner_radius_mm"), "must be 0 beside an outline with a semicircular end"))
-    if gel.tip and gel.width_mm / 2 > gel.height_mm:
-        text = (
-            f"a semicircle over {gel.width_mm:g} mm does not fit into a height of {gel.height_mm:g}: leave outline out"
-        )
-        wrong.append(Problem(("gel", "outline"), text))
-    rim = thickness_mm(gel) - gel.drop_mm(gel.width_mm / 2, gel.height_mm / 2)
-    if rim < MIN_RIM * thickness_mm(gel):
-        text = f"leaves {rim:.3g} mm of gel at the pad's corner, less than a tenth of what the crown has: larger radii"
-        wrong.append(Problem(("gel", "dome"), text))
-    return wrong
-
-
-def _seen(sensor: Sensor) -> list[Problem]:
-    """The camera must see the coating; a wrong unit leaves the gel a few pixels, or dots on top of each other."""
-    dots, scale, wrong = sensor.markers, sensor.camera.mm_per_px, []
-    side = min(sensor.gel.width_mm, sensor.gel.height_mm)
-    if sensor.gel.layers[0].opaque:
-        text = "hides the coating: layers are from the bonded base outward, and the first must be clear"
-        wrong.append(Problem(("gel", "layers", 0, "opaque"), text))
-    if side < MIN_PIXELS * scale:
-        text = f"leaves {side / scale:.2g} pixels for the gel, {side:g} mm: a wrong unit?"
-        wrong.append(Problem(("camera", "mm_per_px"), text))
-    if dots and dots.diameter_mm >= dots.nearest_mm:
-        text = f"dots of {dots.diameter_mm:g} mm touch at a pitch of {dots.nearest_mm:g} mm: smaller or farther ones"
-        wrong.append(Problem(("markers", "diameter_mm"), text))
-    return wrong
-
-
-def _solid(gel: Gel, folder: Path | None) -> list[Problem]:
-    """The file must exist, have the right hash, be closed, and have the size that the sensor file says."""
-    if gel.solid is None:
-        return []
-    excluded = [name for name in ("outline", "dome") if getattr(gel, name) is not None]
-    excluded += ["corner_radius_mm"] if gel.corner_radius_mm else []
-    if excluded:
-        return [
-            Problem(("gel", name), "cannot be given beside solid, which is the whole shape: leave it out", at_key=True)
-            for name in excluded
-        ]
-    from tacgen.geometry import mesh_import
-
-    try:
-        path = assets.mesh_path(gel.solid.file, folder)
-        sizes = mesh_import.sizes(path, gel.solid.up, gel.solid.scale)
-    except UserError as error:
-        return [Problem(("gel", "solid", "file"), error.lines[0])]
-    if gel.solid.sha256 not in (None, found := assets.sha256(path)):
-        return [Problem(("gel", "solid", "sha256"), f"{gel.solid.file} {assets.changed(found)}")]
-    said = {"width_mm": gel.width_mm, "height_mm": gel.height_mm, "layers": thickness_mm(gel)}
-    return [
-        Problem(("gel", key), f"the solid measures {size:.4g} mm along {axis} (got {value:g}): is scale or up wrong?")
-        for (key, value), size, axis in zip(said.items(), sizes, "xyz", strict=True)
-        if abs(size - value) > SOLID_SIZE_ERROR * value
-    ]
-
-
-def light_problems(data: Any) -> list[Problem]:
-    """The parts that images need and that are missing from a sensor file, given as plain data.
-
-    A plate may be given alone; coating, walls and LEDs need each other and the plate.
-    """
-    there = [name for name in LIGHTS if isinstance(data, dict) and data.get(name) is not None]
-    if there in ([], ["plate"]):
-        return []
-    missing = [name for name in LIGHTS if name not in there]
-    return [
-        Problem(
-            (name,),
-            f"is missing, and {there[-1]} is there{needs(Sensor, (name,))}",
-            at_key=True,
-        )
-        for name in missing
-    ]
+    wrong += [*_too_large(recipe.indenter, sensor.gel), *_ipc_toolkit(recipe), *_mitsuba(recipe, sensor)]
+    wrong += _too_coarse(recipe, sensor.gel)
+    edge = recipe.resolved().edge_mm
+    if recipe.contact.formulation == "distance":
+        wrong += _too_thin(recipe.indenter, edge)
+    wrong += _mesh_file(recipe.indenter, edge, folders.get(("indenter", "file")))
+    wrong += grasp_checks.problems(recipe, sensor, folders)
+    wrong += [] if recipe.grasp else trajectory_checks.problems(recipe, sensor.gel, folders)
+    return wrong + background_photo.problems(recipe, sensor, folders.get(background_photo.WHERE))
 
 
 def _depths(recipe: Recipe, sensor: Sensor) -> list[Problem]:
     """A press must be less deep than the gel is thick under the start."""
     gel, start = sensor.gel, recipe.start
-    thick = thickness_mm(gel) - gel.drop_mm(start.x_mm, start.y_mm)
+    thick = gel.thickness_mm - gel.drop_mm(start.x_mm, start.y_mm)
     return [
         Problem(
             ("trajectory", i, "press", "depth_mm"),
@@ -180,23 +73,12 @@ def _depths(recipe: Recipe, sensor: Sensor) -> list[Problem]:
     ]
 
 
-def _viscous(sensor: Sensor) -> bool:
-    return any(layer.terms for layer in sensor.gel.layers)
-
-
 def timed(recipe: Recipe, sensor: Sensor) -> bool:
     """Whether time matters: with dynamics, or on a viscoelastic gel if any movement has a duration."""
     moves = (step.move for step in recipe.trajectory)
     return recipe.dynamics is not None or (
-        _viscous(sensor) and any(not isinstance(move, Timed) or move.seconds(1.0) is not None for move in moves)
+        sensor.gel.viscous and any(not isinstance(move, Timed) or move.seconds(1.0) is not None for move in moves)
     )
-
-
-def notes(recipe: Recipe, sensor: Sensor) -> list[str]:
-    """Notes on what has no effect, perhaps by mistake."""
-    if not _viscous(sensor) or timed(recipe, sensor):
-        return []
-    return ["no movement says how long it takes: every frame is an equilibrium, and the gel's prony has no effect"]
 
 
 def _times(recipe: Recipe, sensor: Sensor, folders: Folders) -> list[Problem]:
@@ -238,10 +120,7 @@ def output_problems(recipe: Recipe, sensor: Sensor) -> list[Problem]:
         asked = " and ".join(sorted(images))
         lacking = ", ".join(name for name in LIGHTS if getattr(sensor, name) is None)
         wrong.append(
-            Problem(
-                ("outputs",),
-                f"asks for {asked}: the sensor {sensor.name} has no {lacking}: add them to its file",
-            )
+            Problem(("outputs",), f"asks for {asked}: the sensor {sensor.name} has no {lacking}: add them to its file")
         )
     if images and recipe.render.method == "table" and any(layer.scattering for layer in sensor.gel.clear_layers):
         text = (
@@ -265,7 +144,7 @@ def _on_gel(sensor: Sensor) -> bool:
 
 
 def _too_coarse(recipe: Recipe, gel: Gel) -> list[Problem]:
-    edge, longest = recipe.resolved().edge_mm, MAX_EDGE * thickness_mm(gel)
+    edge, longest = recipe.resolved().edge_mm, MAX_EDGE * gel.thickness_mm
     if edge <= longest * (1 + 1e-9):
         return []
     text = (
@@ -290,11 +169,8 @@ def _too_large(indenter: Indenter, gel: Gel) -> list[Problem]:
     ]
 
 
-def _too_thin(recipe: Recipe) -> list[Problem]:
+def _too_thin(indenter: Indenter, edge: float) -> list[Problem]:
     """A thin body must be thicker than the distance between contact points, or it passes between them."""
-    indenter, edge = recipe.indenter, recipe.resolved().edge_mm
-    if recipe.contact.formulation != "distance":
-        return []
     half = {key: factor * getattr(indenter, key) for key, factor in indenter.thin.items()}
     return [
         Problem(
@@ -337,8 +213,8 @@ def _mesh_file(indenter: Indenter, edge: float, folder: Path | None) -> list[Pro
     except UserError as error:
         return [Problem(("indenter", "file"), error.lines[0])]
     wrong, longest = [], indenter.size_mm or max(sides)
-    if indenter.sha256 not in (None, found := assets.sha256(path)):
-        wrong.append(Problem(("indenter", "sha256"), f"{indenter.file} {assets.changed(found)}"))
+    if indenter.sha256 not in (None, sha256 := assets.sha256(path)):
+        wrong.append(Problem(("indenter", "sha256"), f"{indenter.file} {assets.changed(sha256)}"))
     if longest < 2 * MIN_HALF_THICKNESS * edge:
         text = f"is {longest:.3g} mm long, too small for a mesh of edge {edge:g} mm: a file in metres needs scale: 1000"
         wrong.append(Problem(("indenter", "file"), text))

@@ -25,12 +25,12 @@ def problems(recipe: Recipe, sensor: Sensor, folders: trajectory_checks.Folders)
             if step.kind in OF_GRASP
         ]
     wrong = [
-        Problem(("trajectory", i, step.kind), f"is none of a gripper's: {', '.join(MOVES)}", at_key=True)
+        Problem(("trajectory", i, step.kind), f"is no movement of a grasp, which has {', '.join(MOVES)}", at_key=True)
         for i, step in enumerate(recipe.trajectory)
         if step.kind not in MOVES
     ]
     if recipe.trajectory[0].kind != "close" and not wrong:
-        wrong.append(Problem(("trajectory", 0), "must be close: until then nothing is held"))
+        wrong.append(Problem(("trajectory", 0), "must be close: a grasp begins with closed fingers"))
     wrong += [
         Problem(
             ("trajectory", i, step.kind, "duration_s"), "has no effect in a grasp, which is quasi-static: leave it out"
@@ -88,7 +88,7 @@ def _object(recipe: Recipe, grasp: Grasp, sensor: Sensor) -> list[Problem]:
     if (grasp.height_mm or 0.0) > top:
         return [Problem(("grasp", "height_mm"), f"must be at most the object's height, {top:g}")]
     wide += shape.support(np.array([-c, s, 0.0]))
-    least = wide - 2 * sum(layer.thickness_mm for layer in sensor.gel.layers)
+    least = wide - 2 * sensor.gel.thickness_mm
     return [
         Problem(("trajectory", i, "close", "width_mm"), f"must be above {least:.4g}: the object is {wide:.4g} mm wide")
         for i, step in enumerate(recipe.trajectory)

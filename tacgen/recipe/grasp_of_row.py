@@ -7,12 +7,12 @@ import numpy as np
 
 from tacgen.errors import UserError
 from tacgen.geometry.analytic_sdf import Shape
-from tacgen.geometry.gel import Gel
+from tacgen.geometry.gel import GelBody
 from tacgen.geometry.pose import about
 from tacgen.mechanics.grasp import LOOKS, Grasp, seen_from
 from tacgen.mechanics.scene import Scene
 from tacgen.recipe.path import contact_height
-from tacgen.recipe.plan import Row
+from tacgen.recipe.row import Row
 from tacgen.recipe.scene_of_row import gel_of, shape_of
 from tacgen.recipe.trajectory import Close, Lift, Replay, Tilt
 
@@ -55,7 +55,9 @@ def build(row: Row) -> Grasp:
     return Grasp((fingers[0], fingers[1]), start, opening, weight, centre, *path, asked.fall_mm)
 
 
-def _first_touch(shape: Shape, gels: tuple[Gel, Gel], height: float, y: float, yaw: float) -> tuple[Array, float]:
+def _first_touch(
+    shape: Shape, gels: tuple[GelBody, GelBody], height: float, y: float, yaw: float
+) -> tuple[Array, float]:
     """The object's pose (4, 4) in the gripper's frame and the width [mm] at which both gels just touch it."""
     pose = np.eye(4)
     pose[:3, :3] = about(np.array([0.0, 0.0, 1.0]), yaw)

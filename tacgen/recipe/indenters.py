@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, get_args
 
 from pydantic import Field, ValidationInfo, field_validator
 
-from tacgen.sensor.base_model import Axis, FilePath, Part, Positive, Sha256, needs
+from tacgen.sensor.base_model import Axis, FilePath, Part, Positive, Sha256
 
 if TYPE_CHECKING:
     from tacgen.geometry.analytic_sdf import Shape
@@ -28,7 +28,7 @@ class AnyIndenter(Part):
     ] = {}  # fields that could let it pass between contact points: factor to half of that
 
 
-class Sphere(AnyIndenter, json_schema_extra=needs("shape")):
+class Sphere(AnyIndenter):
     """A ball."""
 
     thin: ClassVar[dict[str, float]] = {"radius_mm": 1}
@@ -36,7 +36,7 @@ class Sphere(AnyIndenter, json_schema_extra=needs("shape")):
     radius_mm: Positive
 
 
-class Cylinder(AnyIndenter, json_schema_extra=needs("shape")):
+class Cylinder(AnyIndenter):
     """A flat punch: a round rod whose axis is z, its lower edge rounded."""
 
     thin: ClassVar[dict[str, float]] = {"radius_mm": 1}
@@ -50,7 +50,7 @@ class Cylinder(AnyIndenter, json_schema_extra=needs("shape")):
         return _smaller(value, info.data.get("radius_mm"), "radius_mm")
 
 
-class Cone(AnyIndenter, json_schema_extra=needs("shape")):
+class Cone(AnyIndenter):
     """A cone pointing down with a spherical tip; the half angle is measured from its axis."""
 
     shape: Literal["cone"] = "cone"
@@ -58,7 +58,7 @@ class Cone(AnyIndenter, json_schema_extra=needs("shape")):
     tip_radius_mm: Positive
 
 
-class Box(AnyIndenter, json_schema_extra=needs("shape")):
+class Box(AnyIndenter):
     """A block with rounded edges, flat side down."""
 
     thin: ClassVar[dict[str, float]] = {"size_x_mm": 0.5, "size_y_mm": 0.5}
@@ -74,7 +74,7 @@ class Box(AnyIndenter, json_schema_extra=needs("shape")):
         return _smaller(value, min(sides) / 2 if sides else None, "half the shorter side")
 
 
-class Wedge(AnyIndenter, json_schema_extra=needs("shape")):
+class Wedge(AnyIndenter):
     """A wedge pointing down whose rounded edge is along y; half angle from z, total length along y."""
 
     shape: Literal["wedge"] = "wedge"
@@ -91,7 +91,7 @@ class Wedge(AnyIndenter, json_schema_extra=needs("shape")):
         return value
 
 
-class Capsule(AnyIndenter, json_schema_extra=needs("shape")):
+class Capsule(AnyIndenter):
     """A rod with hemispherical ends along x; the length is between the centres of the hemispheres."""
 
     thin: ClassVar[dict[str, float]] = {"radius_mm": 1}
@@ -100,7 +100,7 @@ class Capsule(AnyIndenter, json_schema_extra=needs("shape")):
     length_mm: Positive
 
 
-class Torus(AnyIndenter, json_schema_extra=needs("shape")):
+class Torus(AnyIndenter):
     """A ring lying flat: `radius_mm` from its axis to the centre of the tube."""
 
     thin: ClassVar[dict[str, float]] = {"tube_radius_mm": 1}
@@ -114,7 +114,7 @@ class Torus(AnyIndenter, json_schema_extra=needs("shape")):
         return _smaller(value, info.data.get("radius_mm"), "radius_mm", equal=False)
 
 
-class Mesh(AnyIndenter, json_schema_extra=needs("shape")):
+class Mesh(AnyIndenter):
     """A closed triangle mesh (STL, OBJ, PLY), lowest point at z = 0, bounding box centred on the z axis."""
 
     shape: Literal["mesh"] = "mesh"
@@ -139,7 +139,7 @@ SHAPES: dict[str, type[Part]] = {
 
 
 def analytic(i: Indenter) -> "Shape | None":
-    """The signed distance of an indenter: the class of the same name in analytic_sdf, with the same fields without
+    """The signed distance of an indenter: the class of its name and Sdf in analytic_sdf, with the same fields without
     units. None for a mesh, whose file is not read here."""
     if i.shape == "mesh":
         return None
@@ -148,5 +148,5 @@ def analytic(i: Indenter) -> "Shape | None":
     fields = {name.removesuffix("_mm"): value for name, value in i if name != "shape"}
     if "half_angle_deg" in fields:
         fields["half_angle"] = math.radians(fields.pop("half_angle_deg"))
-    shape: Shape = getattr(analytic_sdf, type(i).__name__)(**fields)
+    shape: Shape = getattr(analytic_sdf, f"{type(i).__name__}Sdf")(**fields)
     return shape

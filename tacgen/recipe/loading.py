@@ -1,16 +1,14 @@
 """Read a recipe file with the recipe it extends, `--set` and its sensor file; give a checked Recipe and Sensor."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from tacgen.errors import UserError
 from tacgen.outputs import IMAGES
-from tacgen.recipe import assets, checks
+from tacgen.recipe import assets, checks, grasp_checks, sensor_checks
 from tacgen.recipe.model import Recipe
 from tacgen.sensor.model import Sensor
-from tacgen.sensor.usual_values import unusual
 from tacgen.sensor.validation_messages import Problem, report, suggest, validate
 from tacgen.sensor.yaml_source import KeyPath, Mark, Source, Spot, Tree, at, describe, load, parse, parse_path
 
@@ -24,7 +22,9 @@ class Loaded:
     recipe: Recipe
     sensor: Sensor
     tree: Tree  # of the recipe, `extends` and `--set` merged in
-    sensor_tree: Tree  # of the sensor, overrides merged in
+    sensor_tree: Tree | None  # of the sensor, overrides merged in; None: it is in no file
+    starts: dict[KeyPath, Path]  # where the paths of their files start
+    other: Sensor | None  # of a grasp the right finger's
 
 
 def read(source: Path | Tree, sets: Iterable[str] = (), sensor: Sensor | None = None) -> Loaded:
@@ -51,11 +51,26 @@ def read(source: Path | Tree, sets: Iterable[str] = (), sensor: Sensor | None = 
     except UserError as error:  # the sensor file is not YAML: report it with the problems of the recipe
         raise UserError([*report(problems).lines, *error.lines]) from None
     problems += more
-    if recipe and sensor:
-        problems += [(problem, tree) for problem in checks.recipe_problems(recipe, sensor, folders(tree, recipe))]
-    if problems or recipe is None or sensor is None:
+    if recipe is None or sensor is None:
         raise report(problems)
-    return Loaded(recipe, sensor, tree, sensor_tree)
+    return _checked(recipe, sensor, tree, sensor_tree, problems)
+
+
+def checked(recipe: Recipe, sensor: Sensor) -> Loaded:
+    """A recipe and a sensor that were made in Python. Raises UserError: the recipe asks for what the sensor cannot."""
+    return _checked(recipe, sensor, Tree(recipe.document()), None, [])
+
+
+def _checked(
+    recipe: Recipe, sensor: Sensor, tree: Tree, sensor_tree: Tree | None, problems: list[tuple[Problem, Tree]]
+) -> Loaded:
+    """Both, checked together. Raises UserError: there are `problems`, or more are found."""
+    other, more = right_sensor(recipe, sensor, tree)
+    starts = solid_start(sensor, sensor_tree) | folders(tree, recipe)
+    more += [(problem, tree) for problem in checks.recipe_problems(recipe, sensor, starts)]
+    if problems or more:
+        raise report([*problems, *more])
+    return Loaded(recipe, sensor, tree, sensor_tree, starts, other)
 
 
 def _crossed(tree: Tree) -> Tree:
@@ -90,28 +105,10 @@ def _crossed(tree: Tree) -> Tree:
 def read_sensor(path: Path) -> tuple[Sensor, Tree]:
     """Read and check a sensor file alone. Raises UserError with all problems."""
     tree = load(path)
-    sensor, wrong = check_sensor(tree.data, solid_folder(tree))
+    sensor, wrong = sensor_checks.check(tree.data, solid_folder(tree))
     if wrong or sensor is None:
         raise report((problem, tree) for problem in wrong)
     return sensor, tree
-
-
-def check_sensor(data: Any, folder: Path | None = None, images: bool = True) -> tuple[Sensor | None, list[Problem]]:
-    """A sensor from plain data, or all that is wrong with it; for `folder` and `images` see checks.sensor_problems."""
-    sensor, wrong = validate(Sensor, data)
-    wrong += checks.light_problems(data)
-    if sensor is not None:
-        wrong += checks.sensor_problems(sensor, folder, images)
-    return (None if wrong else sensor), wrong
-
-
-def sensor_warnings(sensor: Sensor, tree: Tree) -> tuple[str, ...]:
-    """Warnings about numbers that are unusual, and one if parts of a sensor file name no source of theirs."""
-    told = tuple(problem.place(tree) for problem in unusual(sensor.gel))
-    if not (parts := sensor.unsourced):
-        return told
-    text = f"{', '.join(parts)}: no source; say where the numbers come from, as in source: assumed"
-    return (*told, f"{tree.spot(()).value.source.name}: {text}")
 
 
 def folders(tree: Tree, recipe: Recipe, varied: Mapping[str, KeyPath] | None = None) -> dict[KeyPath, Path]:
@@ -119,16 +116,39 @@ def folders(tree: Tree, recipe: Recipe, varied: Mapping[str, KeyPath] | None = N
 
     `varied`: the paths of `vary`, one of which may name the file instead, and their places in the recipe.
     """
-    found: dict[KeyPath, Path] = {}
+    starts: dict[KeyPath, Path] = {}
     for path in recipe.files:
         spots = [where for name, where in (varied or {}).items() if path[: len(p := parse_path(name))] == p]
-        found[path] = (tree.spot([*spots, path][0]).value.source.folder or Path()).resolve()
-    return found
+        starts[path] = (tree.spot([*spots, path][0]).value.source.folder or Path()).resolve()
+    return starts
 
 
 def solid_folder(sensor_tree: Tree) -> Path:
     """The folder to which the path of a gel's solid is relative: that of the file in which it is written."""
     return (sensor_tree.spot(SOLID).value.source.folder or Path()).resolve()
+
+
+def right_sensor(recipe: Recipe, sensor: Sensor, tree: Tree) -> tuple[Sensor | None, list[tuple[Problem, Tree]]]:
+    """The sensor of a grasp's right finger, the recipe's overrides laid over it, or what is wrong with it; None where
+    there is no grasp."""
+    if recipe.grasp is None:
+        return None, []
+    if recipe.grasp.right is None:
+        return sensor, []
+    chosen = Tree(recipe.grasp.right, {(): tree.spot(("grasp", "right"))})
+    other, _, wrong = named_sensor(tree.replaced(("sensor",), chosen), bool(recipe.outputs & IMAGES))
+    named = [problem for problem, _ in wrong if problem.path == ("sensor",)]  # it is not there
+    wrong = [(problem, where) for problem, where in wrong if problem not in named]
+    if other is not None:
+        named += [*grasp_checks.solid(other), *checks.output_problems(recipe, other)]
+    return other, wrong + [(replace(problem, path=("grasp", "right")), tree) for problem in named]
+
+
+def solid_start(sensor: Sensor, sensor_tree: Tree | None) -> dict[KeyPath, Path]:
+    """Where the path of a gel's solid starts, if it has one."""
+    if sensor.gel.solid is None or sensor_tree is None:
+        return {}
+    return {("sensor", *SOLID): solid_folder(sensor_tree)}
 
 
 def _extended(source: Path | Tree, chain: tuple[Path, ...]) -> Tree:
@@ -197,8 +217,8 @@ def _overridden_sensor(
         wrong = Problem((), f"a sensor must be a mapping (got {describe(sensor_tree.data)})")
         return None, Tree(None), [(wrong, sensor_tree)]
     sensor_tree, lost = _overridden(sensor_tree, tree)
-    sensor, found = check_sensor(sensor_tree.data, solid_folder(sensor_tree), images)
-    return sensor, sensor_tree, [(p, tree) for p in lost] + [(p, sensor_tree) for p in found]
+    sensor, of_sensor = sensor_checks.check(sensor_tree.data, solid_folder(sensor_tree), images)
+    return sensor, sensor_tree, [(p, tree) for p in lost] + [(p, sensor_tree) for p in of_sensor]
 
 
 def _overridden(sensor: Tree, recipe: Tree) -> tuple[Tree, list[Problem]]:

@@ -13,11 +13,11 @@ from tacgen.geometry.pose import Pose, shortest_turn
 from tacgen.mechanics.scene import Forced
 from tacgen.recipe import pose_table
 from tacgen.recipe.model import Recipe
-from tacgen.recipe.trajectory_poses import Frame, TrajectoryError, Walk
+from tacgen.recipe.trajectory_poses import PathFrame, TrajectoryError, Walk
 from tacgen.sensor.yaml_source import format_path
 
 if TYPE_CHECKING:
-    from tacgen.geometry.gel import Gel
+    from tacgen.geometry.gel import GelBody
 
 Array = np.ndarray
 
@@ -34,7 +34,7 @@ class Path:
     forced: Forced | None
 
 
-def _sink_depth(shape: Shape, pose: Array, gel: "Gel") -> float:
+def _sink_depth(shape: Shape, pose: Array, gel: "GelBody") -> float:
     """Distance along z from a shape that stands on z = 0 to first touch of the untouched face [mm].
 
     Each iteration lowers it by its distance from the face, which cannot overshoot; the search is repeated around the
@@ -61,7 +61,7 @@ def _sink_depth(shape: Shape, pose: Array, gel: "Gel") -> float:
     return min(float(sunk), most)
 
 
-def contact_height(shape: Shape, gel: "Gel", pose: Array) -> float:
+def contact_height(shape: Shape, gel: "GelBody", pose: Array) -> float:
     """Height of the indenter's origin at first touch of the untouched face, for this rotation and position [mm]."""
     standing = pose.copy()
     standing[2, 3] = drop = shape.support(-pose[2, :3])  # extent below its own origin
@@ -69,7 +69,7 @@ def contact_height(shape: Shape, gel: "Gel", pose: Array) -> float:
 
 
 def indenter_path(
-    recipe: Recipe, shape: Shape, gel: "Gel", replayed: Callable[[int], tuple[pose_table.Pose, ...]]
+    recipe: Recipe, shape: Shape, gel: "GelBody", replayed: Callable[[int], tuple[pose_table.TimedPose, ...]]
 ) -> Path:
     """The path of an indenter over a gel; `replayed` gives the rows of a segment's table.
 
@@ -77,7 +77,7 @@ def indenter_path(
         UserError: a tilted mesh, or an indenter on a dome, would reach the base of the gel.
     """
     rows = [replayed(number) if segment.replay else () for number, segment in enumerate(recipe.trajectory)]
-    frames: list[Frame] = []
+    frames: list[PathFrame] = []
     segments: list[int] = []
     try:
         contact = partial(contact_height, shape, gel)

@@ -4,127 +4,28 @@ Numbers come from SeedSequence((seed, scene, purpose)), never from the order of 
 row i of the whole plan.
 """
 
-import hashlib
-import json
 import re
 from array import array
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, overload
+from typing import Any, overload
 
 from tacgen.errors import UserError
 from tacgen.outputs import IMAGES
-from tacgen.recipe import assets, background_photo, checks, grasp_checks
-from tacgen.recipe.loading import (
-    SOLID,
-    Loaded,
-    check_sensor,
-    folders,
-    named_sensor,
-    read,
-    sensor_warnings,
-    solid_folder,
-)
+from tacgen.recipe import checks, loading, sensor_checks
+from tacgen.recipe.loading import SOLID, Loaded, folders
 from tacgen.recipe.model import Recipe, Vary
-from tacgen.recipe.pose_table import Pose
+from tacgen.recipe.row import Row, resolved, scene_seed
 from tacgen.recipe.sampling import correlated, draw, scene_count
-from tacgen.recipe.trajectory_checks import replayed, resolved
+from tacgen.sensor import usual_values
 from tacgen.sensor.model import Sensor
 from tacgen.sensor.usual_values import unusual
 from tacgen.sensor.validation_messages import Problem, report, validate
 from tacgen.sensor.yaml_source import KeyPath, Tree, format_path, parse_path, put
 
-FORMAT = 1  # of the bundles that keys stand for
-NOISE = 2  # purpose of these random numbers; a new purpose gets a new number, and sampling has 1
 NOT_VARIABLE = ("tacgen", "name", "sensor_overrides", "extends", "vary")  # cannot be varied
 MAX_SCENES = 1_000_000
-
-
-@dataclass(frozen=True)
-class Row:
-    """One scene, resolved: nothing is left to draw or to look up."""
-
-    index: int
-    name: str  # scene-00000
-    seed: int  # of this scene's noise
-    recipe: Recipe  # without vary; varied values are in it
-    sensor: Sensor  # overrides are in it; of a grasp the left finger's
-    values: dict[str, Any] = field(default_factory=dict)  # varied path -> this scene's value
-    folders: Mapping[KeyPath, Path] = field(default_factory=dict)  # where the paths of its files start
-    other: Sensor | None = None  # of a grasp the other finger's
-    finger: Literal["left", "right"] | None = None  # of one bundle of a grasp
-    pair: int | None = None  # number of the contact, where a recipe has each on several sensors
-
-    @property
-    def key(self) -> str:
-        """SHA-256 over everything the bundle depends on: another key, another bundle."""
-        inputs = [FORMAT, self.index, self.seed, self.document(), self.sensor_document()]
-        if self.other is not None:
-            inputs += [self.other.model_dump(mode="json", exclude_none=True), self.finger]
-        inputs += [] if self.pair is None else [self.pair]
-        return _sha256(inputs)
-
-    @property
-    def bundles(self) -> "tuple[Row, ...]":
-        """A row for each bundle of the scene: for each finger of a grasp, otherwise the scene itself."""
-        if self.other is None:
-            return (self,)
-        left = replace(self, name=f"{self.name}-L", finger="left")
-        seed = scene_seed(self.seed, self.index)  # another noise than the left one's
-        right = replace(self, name=f"{self.name}-R", finger="right", seed=seed, sensor=self.other, other=self.sensor)
-        return left, right
-
-    @property
-    def frames(self) -> int:
-        """How many frames the scene has."""
-        return self.recipe.frames
-
-    def document(self) -> dict[str, Any]:
-        """The resolved recipe as JSON values; read back, it gives this scene again. Files are named with their
-        hashes."""
-        plain = self.recipe.document()
-        if self.recipe.indenter.shape == "mesh":
-            plain["indenter"]["sha256"] = assets.sha256(self.mesh_path)
-        if (picture := self.photo_path) is not None:
-            plain["render"]["background_sha256"] = assets.sha256(picture)
-        return plain
-
-    @property
-    def photo_path(self) -> Path | None:
-        """The photograph behind the pictures, if there is one."""
-        name = self.recipe.render.background
-        return None if name is None else assets.beside(name, self.folders.get(background_photo.WHERE))
-
-    @property
-    def mesh_path(self) -> Path:
-        """The file of an indenter that is a mesh."""
-        assert self.recipe.indenter.shape == "mesh"
-        return assets.mesh_path(self.recipe.indenter.file, self.folders.get(("indenter", "file")))
-
-    def replayed(self, segment: int) -> tuple[Pose, ...]:
-        """The poses of a segment that is a replay, one a frame, in the sensor's frame."""
-        move = self.recipe.trajectory[segment].replay
-        assert move is not None
-        return replayed(move, self.folders.get(("trajectory", segment, "replay", "file")))
-
-    @property
-    def solid_path(self) -> Path:
-        """The file of a gel that is a solid."""
-        assert self.sensor.gel.solid is not None
-        return assets.mesh_path(self.sensor.gel.solid.file, self.folders.get(("sensor", *SOLID)))
-
-    def sensor_document(self) -> dict[str, Any]:
-        """The resolved sensor as JSON values; a solid is named with its hash."""
-        plain: dict[str, Any] = self.sensor.model_dump(mode="json", exclude_none=True)
-        if self.sensor.gel.solid is not None:
-            plain["gel"]["solid"]["sha256"] = assets.sha256(self.solid_path)
-        return plain
-
-    @property
-    def sensor_sha256(self) -> str:
-        """SHA-256 of the resolved sensor."""
-        return _sha256(self.sensor_document())
 
 
 class Rows(Sequence[Row]):
@@ -168,36 +69,21 @@ def load(
 
     Raises UserError: every problem of recipe, sensor and varied scenes.
     """
-    loaded = read(source, sets, sensor)
+    loaded = loading.read(source, sets, sensor)
     count = scene_count(loaded.recipe.vary) if loaded.recipe.vary else 1
-    return expand(loaded.recipe, loaded.sensor, range(shard[0], count, shard[1]), loaded=loaded)
+    return expand(loaded, range(shard[0], count, shard[1]))
 
 
-def expand(
-    recipe: Recipe, sensor: Sensor, indices: Sequence[int] | None = None, *, loaded: Loaded | None = None
-) -> Plan:
-    """The scenes of a recipe.
-
-    Args:
-        recipe: what a person wrote.
-        sensor: its sensor, the recipe's overrides laid over it.
-        indices: only these rows (each as in the whole plan), or None for all.
-        loaded: where things were written, for errors that point there.
+def expand(loaded: Loaded, indices: Sequence[int] | None = None) -> Plan:
+    """The scenes of a recipe: all, or those of some indices, each as in the whole plan.
 
     Raises:
         UserError: a varied value makes a scene invalid; the lines name scene and path.
     """
-    tree = loaded.tree if loaded else Tree(recipe.document())
-    told = sensor_warnings(sensor, loaded.sensor_tree) if loaded else ()
-    vary = recipe.vary
+    recipe, sensor, tree, vary = loaded.recipe, loaded.sensor, loaded.tree, loaded.recipe.vary
+    told = usual_values.warnings(sensor, loaded.sensor_tree) if loaded.sensor_tree else ()
     if vary is None:
-        starts = {**folders(tree, recipe), **_solid_folder(sensor, loaded.sensor_tree if loaded else None)}
-        wrong = checks.recipe_problems(recipe, sensor, starts)
-        if wrong:
-            raise UserError(problem.point(tree) for problem in wrong)
-        other, lacking = _right_sensor(recipe, sensor, tree)
-        if lacking:
-            raise report(lacking)
+        other, starts = loaded.other, loaded.starts
         if other is not None and other is not sensor:
             told += tuple(f"{other.name}: {format_path(odd.path)}: {odd.message}" for odd in unusual(other.gel))
         seed = scene_seed(0, 0)
@@ -210,7 +96,7 @@ def expand(
     wanted = range(count) if indices is None else indices
     base = recipe.model_copy(update={"vary": None, "sensors": None}).document()
     named, more = _named(vary, tree, bool(recipe.outputs & IMAGES))
-    known = sensor, _solid_folder(sensor, loaded.sensor_tree if loaded else None)
+    known = sensor, loading.solid_start(sensor, loaded.sensor_tree)
     drawn = draw(vary, wanted)
 
     def attempt(k: int, *, checking: bool) -> tuple[Row | None, list[Problem]]:
@@ -245,13 +131,6 @@ def expand(
     told = tuple(dict.fromkeys((*told, *more))) + tuple(problem.point(tree) for problem in correlated(vary))
     varied = Rows(resolve, range(len(wanted)))
     return Plan(recipe.name, varied, frames, tuple(vary.paths), told, names)
-
-
-def scene_seed(seed: int, index: int) -> int:
-    """The seed of one scene's noise."""
-    from numpy.random import SeedSequence
-
-    return int(SeedSequence((seed, index, NOISE)).generate_state(1)[0])
 
 
 def _check(vary: Vary, tree: Tree) -> None:
@@ -291,42 +170,19 @@ def _named(
 
     Raises UserError: every problem of all of them.
     """
-    found, problems = {}, []
+    sensors, problems = {}, []
     told: tuple[str, ...] = ()
     if where := vary.paths.get("sensor"):
         for name in getattr(vary, str(where[1]))["sensor"].choice:
             chosen = tree.replaced(("sensor",), Tree(name, {(): tree.spot(where)}))
-            sensor, sensor_tree, wrong = named_sensor(chosen, images)
+            sensor, sensor_tree, wrong = loading.named_sensor(chosen, images)
             problems += wrong
             if sensor is not None:
-                found[name] = sensor, _solid_folder(sensor, sensor_tree)
-                told += sensor_warnings(sensor, sensor_tree)
+                sensors[name] = sensor, loading.solid_start(sensor, sensor_tree)
+                told += usual_values.warnings(sensor, sensor_tree)
     if problems:
         raise report(problems)
-    return found, told
-
-
-def _right_sensor(recipe: Recipe, sensor: Sensor, tree: Tree) -> tuple[Sensor | None, list[tuple[Problem, Tree]]]:
-    """The sensor of a grasp's right finger, the recipe's overrides laid over it, or what is wrong with it; None where
-    there is no grasp."""
-    if recipe.grasp is None:
-        return None, []
-    if recipe.grasp.right is None:
-        return sensor, []
-    named = Tree(recipe.grasp.right, {(): tree.spot(("grasp", "right"))})
-    other, _, wrong = named_sensor(tree.replaced(("sensor",), named), bool(recipe.outputs & IMAGES))
-    found = [problem for problem, _ in wrong if problem.path == ("sensor",)]  # it is not there
-    wrong = [(problem, where) for problem, where in wrong if problem not in found]
-    if other is not None:
-        found += [*grasp_checks.solid(other), *checks.output_problems(recipe, other)]
-    return other, wrong + [(replace(problem, path=("grasp", "right")), tree) for problem in found]
-
-
-def _solid_folder(sensor: Sensor, sensor_tree: Tree | None) -> dict[KeyPath, Path]:
-    """Where the path of a gel's solid starts, if it has one."""
-    if sensor.gel.solid is None or sensor_tree is None:
-        return {}
-    return {("sensor", *SOLID): solid_folder(sensor_tree)}
+    return sensors, told
 
 
 def _resolve(
@@ -362,7 +218,7 @@ def _resolve(
             solid = {("sensor", *SOLID): (tree.spot(vary.paths[name]).value.source.folder or Path()).resolve()}
         images = recipe is not None and bool(recipe.outputs & IMAGES)
         folder = solid.get(("sensor", *SOLID))
-        varied, more = check_sensor(plain_sensor, folder, images) if checking else validate(Sensor, plain_sensor)
+        varied, more = sensor_checks.check(plain_sensor, folder, images) if checking else validate(Sensor, plain_sensor)
         wrong += [Problem(("sensor", *problem.path), problem.message, problem.at_key) for problem in more]
         if varied is None:
             return None, wrong
@@ -371,12 +227,12 @@ def _resolve(
         return None, wrong
     starts = {**folders(tree, recipe, vary.paths), **solid}
     wrong += checks.recipe_problems(recipe, sensor, starts) if checking else []
-    other, lacking = _right_sensor(recipe, sensor, tree)
+    other, lacking = loading.right_sensor(recipe, sensor, tree)
     wrong += [problem for problem, _ in lacking]
     if wrong:
         return None, wrong
-    found = resolved(recipe, starts)
-    return Row(index, f"scene-{index:05d}", seed, found, sensor, values, starts, other, pair=pair), []
+    complete = resolved(recipe, starts)
+    return Row(index, f"scene-{index:05d}", seed, complete, sensor, values, starts, other, pair=pair), []
 
 
 def _message(group: list[tuple[str, Problem]], tree: Tree, vary: Vary) -> str:
@@ -390,7 +246,3 @@ def _message(group: list[tuple[str, Problem]], tree: Tree, vary: Vary) -> str:
             blame = where
     text = f"{scene}: {format_path(problem.path)}: {problem.message}{more}"
     return Problem(blame, text, at_key=True).mark(tree).point(text)
-
-
-def _sha256(value: Any) -> str:
-    return hashlib.sha256(json.dumps(value, sort_keys=True, separators=(",", ":")).encode()).hexdigest()

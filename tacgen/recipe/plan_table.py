@@ -6,7 +6,8 @@ import json
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from tacgen.recipe.plan import Plan, Row
+from tacgen.recipe.plan import Plan
+from tacgen.recipe.row import Row
 
 MAX_ROWS = 40  # of the aligned text
 

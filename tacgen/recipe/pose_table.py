@@ -1,6 +1,5 @@
 """Pose tables: CSV with a header and one pose a row. Errors name the line."""
 
-import csv
 import functools
 import hashlib
 import math
@@ -10,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from tacgen import regular_file
+from tacgen import csv_table, regular_file
 from tacgen.errors import UserError, why
 from tacgen.recipe.trajectory import Column, Quaternion, Vector, unit
 
@@ -27,11 +26,10 @@ COLUMNS = {
 MM = {"mm": 1.0, "m": 1000.0}
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 MAX_FILE = 200_000_000  # [bytes]
-MAX_MESSAGES = 5  # reported for one file
 Row = tuple[int, float, Vector, Quaternion]  # line, time as in the file, position [mm] and rotation
 
 
-class Pose(NamedTuple):
+class TimedPose(NamedTuple):
     """One row: the pose of a body in the table's frame, lengths in mm."""
 
     line: int  # of the file, from 1
@@ -40,14 +38,14 @@ class Pose(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Table:
+class PoseTable:
     """The poses of a file in order."""
 
     sha256: str
-    poses: tuple[Pose, ...]
+    poses: tuple[TimedPose, ...]
 
 
-def read(path: Path, units: str | None = None, columns: Mapping[Column, str] | None = None) -> Table:
+def read(path: Path, units: str | None = None, columns: Mapping[Column, str] | None = None) -> PoseTable:
     """Read a table. `units`: of x, y and z if the header does not say; `columns`: titles that are not in COLUMNS.
 
     Raises:
@@ -75,60 +73,46 @@ def matrices(positions: list[Vector], quaternions: list[Quaternion]) -> "ndarray
 
 
 @functools.lru_cache(maxsize=8)
-def _parsed(raw: bytes, units: str | None, columns: tuple[tuple[str, str], ...]) -> Table:
+def _parsed(raw: bytes, units: str | None, columns: tuple[tuple[str, str], ...]) -> PoseTable:
     """The table in the bytes of a file; cached, so that the scenes of a batch parse it once."""
     try:
-        text = raw.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise UserError("is not a text file (UTF-8)") from None
-    rows = [(n, line) for n, line in enumerate(text.splitlines(), 1) if line.strip() and not line.startswith("#")]
-    if not rows:
-        raise UserError("is empty: it must start with a header such as time_s,x_mm,y_mm,z_mm,qw,qx,qy,qz")
-    try:
-        header = _cells(rows[0][1])
+        read, wrong = csv_table.records(raw, comments=("#",))
     except ValueError as error:
-        raise UserError(f"line {rows[0][0]}: {error}") from None
+        raise UserError(str(error)) from None
+    if not read:
+        raise UserError("is empty: it must start with a header such as time_s,x_mm,y_mm,z_mm,qw,qx,qy,qz")
+    (_, header), *lines = read
     where, scale, second = _columns(header, units, dict(columns))
-    rows_read: list[Row] = []
-    wrong: list[str] = []
-    for line, content in rows[1:]:
+    rows: list[Row] = []
+    for line, cells in lines:
         try:
-            last = rows_read[-1] if rows_read else None
-            rows_read.append(_row(line, _cells(content), where, scale, len(header), last))
+            rows.append(_row(line, cells, where, scale, rows[-1] if rows else None))
         except ValueError as error:
-            wrong.append(f"line {line}: {error}")
+            wrong.append((line, str(error)))
     if wrong:
-        more = [f"and {len(wrong) - MAX_MESSAGES} more lines"] if len(wrong) > MAX_MESSAGES else []
-        raise UserError([*wrong[:MAX_MESSAGES], *more])
-    if not rows_read:
+        raise UserError(csv_table.few([f"line {line}: {said}" for line, said in sorted(wrong)]))
+    if not rows:
         raise UserError("holds no pose below its header: a row for each is needed")
-    lines, times, positions, quaternions = (list(column) for column in zip(*rows_read, strict=True))
-    poses = map(Pose, lines, [second * time for time in times], matrices(positions, quaternions))
-    return Table(hashlib.sha256(raw).hexdigest(), tuple(poses))
-
-
-def _cells(line: str) -> list[str]:
-    try:
-        return next(csv.reader([line]))
-    except csv.Error as error:
-        raise ValueError(f"is no line of CSV: {error}") from None
+    numbers, times, positions, quaternions = (list(column) for column in zip(*rows, strict=True))
+    poses = map(TimedPose, numbers, [second * time for time in times], matrices(positions, quaternions))
+    return PoseTable(hashlib.sha256(raw).hexdigest(), tuple(poses))
 
 
 def _columns(header: list[str], units: str | None, columns: Mapping[str, str]) -> tuple[dict[str, int], float, float]:
     """The index of each column, and the factors from the file's units to mm and s."""
     where: dict[str, int] = {}
     said: dict[str, str] = {}  # column -> unit in its name
-    titles = {title.strip(): column for column, title in columns.items()}
+    titles = {title: column for column, title in columns.items()}
     shown = f"(its header: {','.join(header)})"
     if len(header) == 1:
         raise UserError(f"has one column: commas must separate its cells {shown}")
     for i, title in enumerate(header):
-        name = ".".join(re.split(r"[./]", title.strip().lower())[-2:])
+        name = ".".join(re.split(r"[./]", title.lower())[-2:])
         stem, _, suffix = name.rpartition("_")
         for column, names in COLUMNS.items():
             known = SECONDS if column == "time" else MM if column in "xyz" else {}
             bare, unit_said = (stem, suffix) if stem and suffix in known else (name, "")
-            if titles.get(title.strip()) == column or (column not in columns and bare in names):
+            if titles.get(title) == column or (column not in columns and bare in names):
                 if column in where:
                     raise UserError(
                         f"the columns {header[where[column]]} and {title} are both {column}: name one under columns"
@@ -152,18 +136,12 @@ def _columns(header: list[str], units: str | None, columns: Mapping[str, str]) -
     return where, MM[lengths.pop()], SECONDS[said["time"] or "s"]
 
 
-def _row(line: int, cells: list[str], where: dict[str, int], scale: float, width: int, before: Row | None) -> Row:
+def _row(line: int, cells: list[str], where: dict[str, int], scale: float, before: Row | None) -> Row:
     """The numbers of one row. Raises ValueError with a message for people."""
-    if len(cells) != width:
-        raise ValueError(f"has {len(cells)} cells, and the header {width}")
-    value: dict[str, float] = {}
-    for column, i in where.items():
-        try:
-            value[column] = float(cells[i])
-        except ValueError:
-            value[column] = math.nan
-        if not math.isfinite(value[column]):
-            raise ValueError(f"{column} must be a number (got {cells[i].strip()!r})")
+    value = {column: csv_table.number(cells[i]) for column, i in where.items()}
+    for column, number in value.items():
+        if math.isnan(number):
+            raise ValueError(f"{column} must be a number (got {cells[where[column]]!r})")
     if before is not None and value["time"] <= before[1]:
         raise ValueError(f"time must increase (got {value['time']:g} after {before[1]:g}): sort the rows")
     turn = unit((value["qw"], value["qx"], value["qy"], value["qz"]))

@@ -31,12 +31,12 @@ def draw(vary: Vary, indices: Sequence[int]) -> Callable[[int], dict[str, Any]]:
 
     def values(k: int) -> dict[str, Any]:
         drawn = zip(over.items(), [] if unit is None else unit[k].tolist(), strict=True)
-        found, rest = {path: _value(spread, u) for (path, spread), u in drawn}, indices[k] % points
+        drawn_values, rest = {path: _value(spread, u) for (path, spread), u in drawn}, indices[k] % points
         place: dict[str, Any] = {}
         for path, spread in reversed(on_grid.items()):
             rest, i = divmod(rest, _count(spread))
             place[path] = _point(spread, i)
-        return found | {path: place[path] for path in on_grid}
+        return drawn_values | {path: place[path] for path in on_grid}
 
     return values
 

@@ -9,14 +9,14 @@ import numpy as np
 from tacgen.errors import UserError
 from tacgen.geometry import mesh_import, surface_nets
 from tacgen.geometry.analytic_sdf import Shape, Triangles
-from tacgen.geometry.gel import Gel, Layer, SolidGel
+from tacgen.geometry.gel import GelBody, GelLayer, SolidGel
 from tacgen.mechanics.scene import Dynamics, Scene
 from tacgen.recipe import indenters, trajectory
 from tacgen.recipe.checks import timed
 from tacgen.recipe.model import Recipe
 from tacgen.recipe.path import Path as IndenterPath
 from tacgen.recipe.path import indenter_path
-from tacgen.recipe.plan import Row
+from tacgen.recipe.row import Row
 from tacgen.sensor.model import Sensor
 
 Array = np.ndarray
@@ -31,11 +31,11 @@ def _reach_of_gel(row: Row) -> tuple[float, float]:
     replays = (row.replayed(number) for number, step in enumerate(steps) if step.replay)
     leans = any(np.hypot(*p.pose[2, :2]) > 2e-9 or p.pose[2, 2] < 0 for poses in replays for p in poses)
     tilted = leans or row.recipe.start.tilt_deg > 0 or any(step.tilt for step in steps) or row.recipe.grasp is not None
-    rise = sum(layer.thickness_mm for layer in gel.layers) + 1.0  # [mm] largest depth, and gel bulging beside it
+    rise = gel.thickness_mm + 1.0  # [mm] largest depth, and gel bulging beside it
     return float(np.hypot(gel.width_mm, gel.height_mm)) + 1.0, np.inf if tilted else rise
 
 
-def _solid(i: indenters.Mesh, row: Row) -> mesh_import.Solid:
+def _solid(i: indenters.Mesh, row: Row) -> mesh_import.SolidMesh:
     return mesh_import.placed(mesh_import.read(row.mesh_path), up=i.up, scale=i.scale, size=i.size_mm)
 
 
@@ -48,13 +48,13 @@ def shape_of(row: Row) -> Shape:
     (half, height), quality = _reach_of_gel(row), row.recipe.resolved()
     edge, dhat = quality.edge_mm, quality.dhat_mm
     solid = _solid(indenter, row)
-    found = mesh_import.field(solid, cell=SDF_CELL * edge, height=height, half=half)
+    grid = mesh_import.field(solid, cell=SDF_CELL * edge, height=height, half=half)
     if row.recipe.contact.formulation == "distance":
-        mesh_import.refuse_thin_walls(solid, found.cell, height, edge)
-        if found.reach < dhat:  # contact shrinks the indenter by most of dhat: nothing would be left to press
-            text = f"has no point deeper inside than {found.reach:.2g} mm, too thin for contact over {dhat:g} mm"
-            raise UserError(f"{solid.name}: {text}: ask for quality: {{dhat_mm: {found.reach / 3:.1g}}}")
-    return found
+        mesh_import.refuse_thin_walls(solid, grid.cell, height, edge)
+        if grid.reach < dhat:  # contact shrinks the indenter by most of dhat: nothing would be left to press
+            text = f"has no point deeper inside than {grid.reach:.2g} mm, too thin for contact over {dhat:g} mm"
+            raise UserError(f"{solid.name}: {text}: ask for quality: {{dhat_mm: {grid.reach / 3:.1g}}}")
+    return grid
 
 
 def _surface(row: Row, shape: Shape) -> Triangles | None:
@@ -71,19 +71,19 @@ def _surface(row: Row, shape: Shape) -> Triangles | None:
     return surface_nets.of_shape(shape, half=half, height=height, tolerance=quality.dhat_mm / 10)
 
 
-def gel_of(sensor: Sensor, solid_path: Path | None = None) -> Gel:
+def gel_of(sensor: Sensor, solid_path: Path | None = None) -> GelBody:
     """The gel with its laws; a solid is read from the file at `solid_path`."""
     layers = []
     for layer in sensor.gel.layers:
         law = layer.material()
         modulus = 9 * law.kappa * law.mu / (3 * law.kappa + law.mu)
-        layers.append(Layer(layer.thickness_mm, law, modulus, layer.terms))
+        layers.append(GelLayer(layer.thickness_mm, law, modulus, layer.terms))
     g = sensor.gel
     if g.solid is not None and solid_path is not None:
         solid = mesh_import.placed(mesh_import.read(solid_path), up=g.solid.up, scale=g.solid.scale)
         held = g.solid.bonded_mm, float(np.radians(g.solid.coated_deg))
         return SolidGel(**vars(g.pad), layers=tuple(layers), solid=solid, bonded=held[0], coated=held[1])
-    return Gel(**vars(g.pad), layers=tuple(layers))
+    return GelBody(**vars(g.pad), layers=tuple(layers))
 
 
 def build(row: Row) -> Scene:

@@ -196,8 +196,8 @@ class Segment(Part, json_schema_extra=ONE_KEY):
     @property
     def move(self) -> Move:
         """The movement that is given."""
-        found: Move = getattr(self, self.kind)
-        return found
+        movement: Move = getattr(self, self.kind)
+        return movement
 
     @property
     def frames(self) -> int:

@@ -9,7 +9,7 @@ from tacgen.errors import UserError
 from tacgen.recipe import assets, pose_table
 from tacgen.recipe.indenters import analytic
 from tacgen.recipe.model import Recipe
-from tacgen.recipe.pose_table import Pose
+from tacgen.recipe.pose_table import TimedPose
 from tacgen.recipe.trajectory import Press, Replay, Slide, Start
 from tacgen.sensor.model import Gel
 from tacgen.sensor.validation_messages import Problem
@@ -22,7 +22,7 @@ MAX_FRAMES = 10_000  # of a segment
 Folders = Mapping[KeyPath, Path]  # place in the recipe that names a file -> folder to which its path is relative
 
 
-def replayed(move: Replay, folder: Path | None) -> tuple[Pose, ...]:
+def replayed(move: Replay, folder: Path | None) -> tuple[TimedPose, ...]:
     """The poses of a replay, one a frame: the indenter in the sensor's frame.
 
     Raises:
@@ -48,19 +48,6 @@ def replayed(move: Replay, folder: Path | None) -> tuple[Pose, ...]:
     sensor, inner = pose_table.matrices([p.position_mm for p in frames], [p.quaternion for p in frames])
     poses = np.linalg.inv(sensor) @ np.array([row.pose for row in rows]) @ inner
     return tuple(row._replace(pose=pose) for row, pose in zip(rows, poses, strict=True))
-
-
-def resolved(recipe: Recipe, folders: Folders) -> Recipe:
-    """The recipe with the hashes and the numbers of frames of its pose tables filled in."""
-    steps = []
-    for i, step in enumerate(recipe.trajectory):
-        if step.replay:
-            folder = folders.get(("trajectory", i, "replay", "file"))
-            sha256 = assets.sha256(assets.beside(step.replay.file, folder))
-            known = {"frames": len(replayed(step.replay, folder)), "sha256": sha256}
-            step = step.model_copy(update={"replay": step.replay.model_copy(update=known)})
-        steps.append(step)
-    return recipe.model_copy(update={"trajectory": tuple(steps)})
 
 
 def on_pad(gel: Gel, x_mm: float, y_mm: float) -> bool:
@@ -92,7 +79,7 @@ def _walk(recipe: Recipe, gel: Gel, folders: Folders) -> None:
     """Follow the trajectory over a flat face. Raises TrajectoryError."""
     from tacgen.recipe.trajectory_poses import TrajectoryError, Walk
 
-    def rows(i: int) -> tuple[Pose, ...]:
+    def rows(i: int) -> tuple[TimedPose, ...]:
         replay = recipe.trajectory[i].replay
         if replay is None:
             return ()
@@ -107,7 +94,7 @@ def _walk(recipe: Recipe, gel: Gel, folders: Folders) -> None:
         return math.isfinite(x) and not on_pad(gel, x, y)
 
     pad = f"the pad of {gel.width_mm:g} x {gel.height_mm:g} mm"
-    start, shape, thickness = recipe.start, analytic(recipe.indenter), sum(layer.thickness_mm for layer in gel.layers)
+    start, shape, thickness = recipe.start, analytic(recipe.indenter), gel.thickness_mm
     if not on_pad(gel, start.x_mm, start.y_mm):
         path: KeyPath = ("start", "x_mm" if abs(start.x_mm) > gel.width_mm / 2 else "y_mm")
         if abs(start.x_mm) <= gel.width_mm / 2 and abs(start.y_mm) <= gel.height_mm / 2:

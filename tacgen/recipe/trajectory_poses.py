@@ -11,7 +11,7 @@ import numpy as np
 from tacgen.geometry.analytic_sdf import lowest
 from tacgen.geometry.pose import about
 from tacgen.mechanics.scene import FORCE_DEPTH
-from tacgen.recipe.pose_table import Pose
+from tacgen.recipe.pose_table import TimedPose
 from tacgen.recipe.trajectory import Press, Release, Replay, Segment, Slide, Start, Tilt, Twist
 from tacgen.sensor.yaml_source import KeyPath
 
@@ -31,7 +31,7 @@ class TrajectoryError(Exception):
         self.where, self.lines = where, lines
 
 
-class Frame(NamedTuple):
+class PathFrame(NamedTuple):
     """One frame: its pose (4, 4); the rotation vector (3,) [rad] from the pose before it, None for the shortest
     rotation; and how its height follows from a force, see Forced in scene.path."""
 
@@ -71,7 +71,7 @@ class Walk:
     def at_start(
         cls,
         start: Start,
-        rows: Sequence[Pose],
+        rows: Sequence[TimedPose],
         support: Callable[[Array], float],
         contact: Callable[[Array], float],
         thickness: float,
@@ -95,8 +95,8 @@ class Walk:
         return cls(support, contact, thickness, pose, pose, float(pose[2, 3]))
 
     def frames(
-        self, segment: Segment, rows: Sequence[Pose], where: KeyPath, *, checking: bool = False
-    ) -> Iterator[Frame]:
+        self, segment: Segment, rows: Sequence[TimedPose], where: KeyPath, *, checking: bool = False
+    ) -> Iterator[PathFrame]:
         """The frames of one segment, which stands at `where` in the recipe; `rows` are those of a replay.
 
         With `checking`, a straight movement gives its last frame alone: if that is possible, all before it are.
@@ -142,16 +142,16 @@ class Walk:
             self.pose = new
             if isinstance(move, Twist | Tilt) and (wrong := self._why_impossible(EDGE)):
                 raise TrajectoryError((*where, "angle_deg"), wrong)
-            yield Frame(new, turn, asked, part, self.carry, floor, below)
+            yield PathFrame(new, turn, asked, part, self.carry, floor, below)
 
-    def _replayed(self, rows: Sequence[Pose], where: KeyPath, name: str) -> Iterator[Frame]:
+    def _replayed(self, rows: Sequence[TimedPose], where: KeyPath, name: str) -> Iterator[PathFrame]:
         """Frames at the rows of a table; heights that were found from a force before do not change them."""
         self.carry = 0.0
         for row in rows:
             self.pose = row.pose
             if wrong := self._why_impossible(BASE):
                 raise TrajectoryError(where, f"{name}: line {row.line}: {wrong}")
-            yield Frame(row.pose)
+            yield PathFrame(row.pose)
         self.home = max(self.home, self.contact(self.pose))
 
     @cached_property

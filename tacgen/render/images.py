@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol
 import numpy as np
 
 from tacgen import array_cache
-from tacgen.optics import adaptive_sampling, camera_response, mitsuba_dicts, scattering, strip_light, taxim_table
-from tacgen.optics.camera import Camera
-from tacgen.optics.camera_view import Samples, View
+from tacgen.optics import adaptive_sampling, camera_response, housing, scattering, strip_light, taxim_table
+from tacgen.optics.camera import PinholeCamera
+from tacgen.optics.camera_view import CameraView, Samples
 from tacgen.optics.direct_light import Direct
 from tacgen.optics.interreflection import Radiosity
 from tacgen.optics.surface_grid import Sheet, Surface, Untouched
@@ -62,7 +62,7 @@ class Clear:
     """Direct light with its reflection in the plate, and the interreflection of the untouched face."""
 
     def __init__(self, sensor: "LitSensor", sheet: Sheet, markers: bool, spp: int, untouched: Surface) -> None:
-        effort = Effort.of(spp)
+        effort = TransportEffort.of(spp)
         self._direct = Direct(sensor, sheet, markers, untouched, effort.pieces, effort.samples, effort.sparse)
         radiosity = Radiosity(sensor, untouched)
         added = radiosity.added(sensor, strip_light.points(sensor.leds, *BOUNCE_POINTS))
@@ -84,11 +84,11 @@ class Cloudy:
     """The untouched image, and brightness as a function of the averaged thickness, as traced by `traced_maps`."""
 
     def __init__(self, sensor: "LitSensor", sheet: Sheet, markers: bool, spp: int, variant: str) -> None:
-        samples = Effort.of(spp).samples
-        self._view, self._gel = View(sensor, sheet, markers, samples), sensor.gel
+        samples = TransportEffort.of(spp).samples
+        self._view, self._gel = CameraView(sensor, sheet, markers, samples), sensor.gel
         self.maps, self._bright, reach = traced_maps.scattered(sensor, spp, variant)
         map_ = np.einsum("khwc,kc->hwc", self.maps, [led.light for led in sensor.leds])
-        self.scattered = traced_maps.spread(map_, Camera.from_sensor(sensor).shape)
+        self.scattered = traced_maps.spread(map_, PinholeCamera.from_sensor(sensor).shape)
         self._reach = reach / sensor.camera.mm_per_px * samples
 
     def seen(self, at: Samples) -> "Floats":
@@ -103,15 +103,15 @@ class Tabled:
 
     def __init__(self, sensor: "LitSensor", sheet: Sheet, markers: bool, spp: int, untouched: Surface) -> None:
         """`sensor` must be one without a layer that scatters."""
-        self._view, self._mm = View(sensor, sheet, markers), sensor.camera.mm_per_px
-        self._lamps, light = mitsuba_dicts.strips(sensor), np.array([led.light for led in sensor.leds])
+        self._view, self._mm = CameraView(sensor, sheet, markers), sensor.camera.mm_per_px
+        self._lamps, light = housing.strips(sensor), np.array([led.light for led in sensor.leds])
         level = self._view.look(untouched)
         self._normals = level.normal.reshape(*self._view.shape, 3)
         fine = Sheet.over(sensor.gel, SPACING)  # of the dents, whatever the pictures'
 
         def calibrate() -> "Floats":
             coarse = traced_maps.zoomed(sensor, TABLE_COLUMNS)
-            view = View(coarse, fine, False)
+            view = CameraView(coarse, fine, False)
             dented: list[Surface] = [untouched, *taxim_table.dents(sensor, untouched)]
             flat, *seen = (view.look(face) for face in dented)
             faces = [self._face(at, flat.normal.reshape(*view.shape, 3)) for at in seen]
@@ -120,13 +120,13 @@ class Tabled:
                 alone = Clear(traced_maps.lit_by(coarse, {k}), fine, False, TABLE_EFFORT, untouched)
                 bare = alone.seen(flat)
                 added = [alone.seen(at) - bare for at in seen]
-                made.append(taxim_table.Table.fitted(faces, added, lamp[None], coarse.camera.mm_per_px).packed)
+                made.append(taxim_table.TaximTable.fitted(faces, added, lamp[None], coarse.camera.mm_per_px).packed)
             return np.array(made)
 
         face = None if sensor.gel.solid is None else np.round(fine.at(untouched), 3).tolist()  # its file may be another
         how = TABLE_VERSION, TABLE_COLUMNS, TABLE_EFFORT, taxim_table.PLACES, taxim_table.BALLS
         kept = array_cache.kept_one("table", traced_maps.key(sensor, None, *how, face), calibrate)
-        self._table = taxim_table.Table.mixed([taxim_table.Table.unpacked(one) for one in kept], light)
+        self._table = taxim_table.TaximTable.mixed([taxim_table.TaximTable.unpacked(one) for one in kept], light)
         self._flat = Clear(sensor, sheet, False, min(spp, TABLE_EFFORT), untouched).seen(level)
 
     def seen(self, at: Samples) -> "Floats":
@@ -164,9 +164,9 @@ class Renderer:
         if spp < 1:
             raise ValueError(f"spp must be at least 1, not {spp}")
         self.sensor = sensor
-        effort, self.untouched = Effort.of(spp), untouched or Untouched.of(sensor.gel)
+        effort, self.untouched = TransportEffort.of(spp), untouched or Untouched.of(sensor.gel)
         self.sheet = Sheet.over(sensor.gel, SPACING if method == "path" else effort.spacing)
-        self._view = View(sensor, self.sheet, markers, effort.samples)
+        self._view = CameraView(sensor, self.sheet, markers, effort.samples)
         self._stray = (
             self._view.samples_of(camera_response.stray(sensor.camera)) if any(sensor.camera.ambient) else None
         )
@@ -212,24 +212,24 @@ class Renderer:
         return camera_response.develop(radiance, self.sensor.camera, random)
 
 
-class Effort(NamedTuple):
+class TransportEffort(NamedTuple):
     """Parameters of `transport` that trade time for accuracy."""
 
     pieces: int  # along each strip
     samples: int  # rays along a pixel's side
     spacing: float  # [mm] between the sheet's nodes
-    sparse: adaptive_sampling.Tolerance
+    sparse: adaptive_sampling.SamplingTolerance
 
     @classmethod
-    def of(cls, spp: int) -> "Effort":
+    def of(cls, spp: int) -> "TransportEffort":
         """The parameters for `spp`, that of draft, default or reference."""
         if spp < 32:
-            return cls(5, 1, 2 * SPACING, adaptive_sampling.Tolerance(8, 1e-2, 0.6))
+            return cls(5, 1, 2 * SPACING, adaptive_sampling.SamplingTolerance(8, 1e-2, 0.6))
         if spp <= 256:
-            return cls(6, 1, SPACING, adaptive_sampling.Tolerance())
-        return cls(16, 2, SPACING, adaptive_sampling.Tolerance(4, 3e-3, 0.12))
+            return cls(6, 1, SPACING, adaptive_sampling.SamplingTolerance())
+        return cls(16, 2, SPACING, adaptive_sampling.SamplingTolerance(4, 3e-3, 0.12))
 
 
-def variants() -> list[probing.Probed]:
+def variants() -> list[probing.VariantProbe]:
     """Every variant of interest and whether it really renders here."""
     return probing.variants()

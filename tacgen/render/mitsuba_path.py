@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from tacgen.optics import coating, mitsuba_dicts
-from tacgen.optics.camera import Camera
+from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.surface_grid import Sheet, Surface, Untouched
 from tacgen.render import mitsuba_variants as probing
 
@@ -55,9 +55,9 @@ def _lobed(mi: Any) -> Any:
 
         def sample_direction(self, it: Any, sample: Any, active: Any = True) -> Any:
             scalar = mi.variant() == probing.SCALAR
-            found = mi.DirectionSample3f() if scalar else dr.zeros(mi.DirectionSample3f, dr.width(sample))
-            found.p, found.d, found.dist, found.pdf = it.p, mi.Vector3f(0.0, 0.0, 1.0), 1.0, 0.0
-            return found, mi.Color3f(0.0)
+            direction = mi.DirectionSample3f() if scalar else dr.zeros(mi.DirectionSample3f, dr.width(sample))
+            direction.p, direction.d, direction.dist, direction.pdf = it.p, mi.Vector3f(0.0, 0.0, 1.0), 1.0, 0.0
+            return direction, mi.Color3f(0.0)
 
         def pdf_direction(self, it: Any, ds: Any, active: Any = True) -> Any:
             return mi.Float(0.0)
@@ -67,7 +67,7 @@ def _lobed(mi: Any) -> Any:
 
 def description(sensor: "LitSensor", sheet: Sheet, markers: bool) -> tuple[dict[str, Any], dict[str, Any]]:
     """The sensor without its coated face, and the coated face's BSDF, as plain dictionaries."""
-    eye, camera = sensor.camera, Camera.from_sensor(sensor)
+    eye, camera = sensor.camera, PinholeCamera.from_sensor(sensor)
     pinhole = np.array(camera.pinhole)
     to_world = np.eye(4)
     to_world[:3, :3] = camera.turn * [-1, -1, 1]  # Mitsuba's camera has x to the left and y up

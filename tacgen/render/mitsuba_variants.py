@@ -41,7 +41,7 @@ sys.exit(0 if np.isfinite(picture).all() and picture.max() > 0 else 3)
 """
 
 
-class Probed(NamedTuple):
+class VariantProbe(NamedTuple):
     """The outcome of one try."""
 
     variant: str
@@ -62,16 +62,16 @@ def environment(library: str = "") -> dict[str, str]:
 
 def libraries() -> list[str]:
     """LLVM libraries worth a try: DRJIT_LIBLLVM_PATH first, then the newest found on the system."""
-    found = [os.environ["DRJIT_LIBLLVM_PATH"]] if os.environ.get("DRJIT_LIBLLVM_PATH") else []
+    paths = [os.environ["DRJIT_LIBLLVM_PATH"]] if os.environ.get("DRJIT_LIBLLVM_PATH") else []
     for number in LLVM_VERSIONS:
         folders = (*LIBRARY_FOLDERS, f"/usr/lib/llvm-{number}/lib")
         names = (f"libLLVM-{number}.so", f"libLLVM.so.{number}.1", f"libLLVM.so.{number}.0")
         here = [str(Path(f, n)) for f in folders for n in names if Path(f, n).is_file()]
-        found += here[:1]
-    return list(dict.fromkeys(found))
+        paths += here[:1]
+    return list(dict.fromkeys(paths))
 
 
-def probe(variant: str, library: str = "") -> Probed:
+def probe(variant: str, library: str = "") -> VariantProbe:
     """Render a tiny scene in a child process; whatever kills that child costs this process nothing."""
     try:
         ran = subprocess.run(
@@ -84,20 +84,20 @@ def probe(variant: str, library: str = "") -> Probed:
             timeout=SECONDS,
         )
     except (subprocess.TimeoutExpired, OSError) as error:
-        return Probed(variant, library, False, f"{type(error).__name__}")
+        return VariantProbe(variant, library, False, f"{type(error).__name__}")
     if ran.returncode == 0:
-        return Probed(variant, library, True, "renders")
+        return VariantProbe(variant, library, True, "renders")
     said = [line.strip() for line in ran.stderr.splitlines() if line.strip()]
     ended = f"killed by signal {-ran.returncode}" if ran.returncode < 0 else f"exit code {ran.returncode}"
-    return Probed(variant, library, False, f"{ended}{': ' + said[-1][:160] if said else ''}")
+    return VariantProbe(variant, library, False, f"{ended}{': ' + said[-1][:160] if said else ''}")
 
 
-def variants() -> list[Probed]:
+def variants() -> list[VariantProbe]:
     """Every variant of interest, best first, with the LLVM library it takes; answers are kept between runs."""
     return [_cuda(), _llvm(), _remembered(SCALAR, "")]
 
 
-def best() -> Probed:
+def best() -> VariantProbe:
     """The first variant that works: CUDA, then LLVM, then scalar (which is taken on trust).
 
     Raises:
@@ -106,26 +106,26 @@ def best() -> Probed:
     if not importlib.util.find_spec("mitsuba"):
         raise UserError("these images need Mitsuba, which is not installed: pip install 'tacgen[mitsuba]'")
     for attempt in (_cuda, _llvm):
-        found = attempt()
-        if found.works:
-            return found
-    return Probed(SCALAR, "", True, "always there")
+        fastest = attempt()
+        if fastest.works:
+            return fastest
+    return VariantProbe(SCALAR, "", True, "always there")
 
 
-def _cuda() -> Probed:
+def _cuda() -> VariantProbe:
     if not any(Path(p).exists() for p in ("/dev/nvidiactl", "/dev/nvidia0", "/dev/dxg")):
-        return Probed(CUDA, "", False, "no NVIDIA device")
+        return VariantProbe(CUDA, "", False, "no NVIDIA device")
     return _remembered(CUDA, "")
 
 
-def _llvm() -> Probed:
+def _llvm() -> VariantProbe:
     tries = [_remembered(LLVM, library) for library in libraries()]
     works = [t for t in tries if t.works]
     if works:
         return works[0]
     if tries:
         return tries[0]
-    return Probed(LLVM, "", False, "no LLVM 17 or newer found (Debian, Ubuntu: apt install libllvm19)")
+    return VariantProbe(LLVM, "", False, "no LLVM 17 or newer found (Debian, Ubuntu: apt install libllvm19)")
 
 
 def key(variant: str, library: str) -> str:
@@ -135,14 +135,14 @@ def key(variant: str, library: str) -> str:
 
 
 @cache
-def _asked(question: str, variant: str, library: str, folder: str) -> Probed:
+def _asked(question: str, variant: str, library: str, folder: str) -> VariantProbe:
     """`folder` is the cache's: another one, another answer."""
 
     def asked() -> bytes:
         return json.dumps(probe(variant, library)).encode()
 
-    return Probed(*json.loads(array_cache.kept_bytes("variants", array_cache.digest([question]), asked)))
+    return VariantProbe(*json.loads(array_cache.kept_bytes("variants", array_cache.digest([question]), asked)))
 
 
-def _remembered(variant: str, library: str) -> Probed:
+def _remembered(variant: str, library: str) -> VariantProbe:
     return _asked(key(variant, library), variant, library, str(array_cache.cache_folder()))

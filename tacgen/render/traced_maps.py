@@ -10,7 +10,7 @@ import numpy as np
 
 from tacgen import array_cache
 from tacgen.optics import scattering
-from tacgen.optics.camera_view import View
+from tacgen.optics.camera_view import CameraView
 from tacgen.optics.hertz_dent import BallDent
 from tacgen.optics.surface_grid import Sheet, Untouched
 from tacgen.render.mitsuba_path import MAX_DEPTH, MAX_DEPTH_SCATTERING, PathTracer, Window
@@ -79,7 +79,7 @@ def scattered(sensor: "LitSensor", spp: int, variant: str) -> Scattered:
         middle = np.add(sensor.camera.center_mm, sensor.camera.crop_mm)
         size, contact = (share * clear for share in scattering.DENT)
         dent = BallDent(size, contact, (middle[0], middle[1]), untouched, clear)
-        at = View(coarse, sheet, False).look(dent)
+        at = CameraView(coarse, sheet, False).look(dent)
         share = scattering.thickness(sensor.gel, at.position).reshape(alone.shape[1:3])
         window = around(np.abs(share - 1) > CHANGED, round(clear / coarse.camera.mm_per_px))
         evenly = lit_by(coarse, set(leds))

@@ -18,7 +18,7 @@ from tacgen.report.bundle_figure import (
     scale_of,
     window_of,
 )
-from tacgen.report.sheet import Sheet
+from tacgen.report.sheet import Page
 
 KINDS = {".webp": "pillow", ".gif": "pillow", ".mp4": "ffmpeg"}  # matplotlib's writers
 PER_SECOND = 5  # frames; the shipped trajectories have 4 to 15
@@ -52,7 +52,7 @@ def film(bundle: Bundle, writer: object, out: Path) -> None:
     tall = WIDE * image[0] / image[1]
     bars = [BAR * (draw is not draw_camera) for draw in rows]  # beside each panel
     across = LEFT + max(len(rows), 2) * (WIDE + BETWEEN) - BETWEEN + max(sum(bars), BAR) + 0.2
-    sheet = Sheet(across, (TOP + tall if rows else 0.2) + ABOVE_FORCES + FORCES + BELOW)
+    sheet = Page(across, (TOP + tall if rows else 0.2) + ABOVE_FORCES + FORCES + BELOW)
     stacks = []
     for c, draw in enumerate(rows):
         x = LEFT + c * (WIDE + BETWEEN) + sum(bars[:c])

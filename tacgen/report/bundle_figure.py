@@ -14,7 +14,7 @@ from tacgen.bundle.caption import caption, indenter_text, sensor_text
 from tacgen.errors import UserError
 from tacgen.outputs import DRAWN_MAPS
 from tacgen.report.layers import has_arrows, limits, map_of
-from tacgen.report.sheet import Sheet, round_ticks
+from tacgen.report.sheet import Page, round_ticks
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -40,12 +40,12 @@ def picture(path: Path, out: Path) -> None:
 
 def only(path: Path) -> Bundle:
     """The bundle at a path, or the only one of a folder. UserError if the folder holds several."""
-    found = dataset.scenes(path)
-    if len(found) > 1:
+    bundles = dataset.scenes(path)
+    if len(bundles) > 1:
         raise UserError(
-            f"{path}: holds {len(found)} bundles; draw one, such as {found[0].path}, or all: tacgen report {path}"
+            f"{path}: holds {len(bundles)} bundles; draw one, such as {bundles[0].path}, or all: tacgen report {path}"
         )
-    return found[0]
+    return bundles[0]
 
 
 def save(drawn: "Figure", out: Path) -> None:
@@ -68,7 +68,7 @@ def figure(bundle: Bundle) -> "Figure":
     tall = PANEL * image[0] / image[1]
     wide = max(len(shown) * (PANEL + GAP), 5.0)
     height = (TOP if rows else 0.2) + len(rows) * (tall + GAP) + ABOVE_FORCES + FORCES + BELOW
-    sheet = Sheet(LEFT + wide + RIGHT, height)
+    sheet = Page(LEFT + wide + RIGHT, height)
     for r, draw in enumerate(rows):
         y = TOP + r * (tall + GAP)
         panels = [sheet.axes(LEFT + c * (PANEL + GAP), y, PANEL, tall) for c in range(len(shown))]
@@ -114,16 +114,16 @@ def summary(path: Path) -> str:
     return "\n".join(lines)
 
 
-def _mesh(found: dict[str, Any]) -> str:
+def _mesh(quality: dict[str, Any]) -> str:
     """`5431 nodes, 3388 cells, smallest angle 20 deg, scaled Jacobian 0.22, volume -0.03 %`"""
-    words = [f"{found['nodes']} nodes", f"{found['cells']} cells"]
-    if "smallest_dihedral_deg" in found:
-        words.append(f"smallest angle {found['smallest_dihedral_deg']:.0f} deg")
-    words.append(f"scaled Jacobian {found['smallest_scaled_jacobian']:.2f}")
-    return ", ".join([*words, f"volume {100 * found['volume_error']:+.2f} %"])
+    words = [f"{quality['nodes']} nodes", f"{quality['cells']} cells"]
+    if "smallest_dihedral_deg" in quality:
+        words.append(f"smallest angle {quality['smallest_dihedral_deg']:.0f} deg")
+    words.append(f"scaled Jacobian {quality['smallest_scaled_jacobian']:.2f}")
+    return ", ".join([*words, f"volume {100 * quality['volume_error']:+.2f} %"])
 
 
-def heading(sheet: Sheet, bundle: Bundle) -> None:
+def heading(sheet: Page, bundle: Bundle) -> None:
     """The bundle's name, indenter and sensor at the top of a sheet, and in red why it was rejected."""
     text = f"{bundle.recipe.get('name', bundle.path.stem)}: {indenter_text(bundle)}, on {sensor_text(bundle)}"
     sheet.figure.text(0.5, 1 - 0.12 / sheet.height, text, ha="center", va="top", fontsize=11)

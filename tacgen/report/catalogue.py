@@ -21,12 +21,12 @@ def sensors() -> Entries:
 
 def recipes() -> Entries:
     """Shipped recipes, described by the first comment of their files."""
-    found = {}
+    described = {}
     for name in assets.list_recipes():
         path = assets.recipe_path(name)
         load(path)  # raises UserError if it is not valid YAML
-        found[name] = path.read_text(encoding="utf-8").split("\n", 1)[0].lstrip("# ")
-    return found
+        described[name] = path.read_text(encoding="utf-8").split("\n", 1)[0].lstrip("# ")
+    return described
 
 
 def objects() -> Entries:

@@ -15,13 +15,13 @@ from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.caption import shape_text
 from tacgen.errors import UserError
 from tacgen.recipe import assets
-from tacgen.report.wording import counted
+from tacgen.report.sheet import counted
 
 MAX_VALUES = 12  # named of a varied quantity that is no number
 
 
 @dataclass(frozen=True)
-class Scene(run_status.Scene):
+class SceneOverview(run_status.SceneStatus):
     """One scene; `bundle` is None if it cannot be read or does not exist yet."""
 
     bundle: Bundle | None = field(default=None, repr=False)
@@ -39,7 +39,7 @@ class Scene(run_status.Scene):
 class Overview(run_status.Survey):
     """All scenes of a folder, in order, and properties of the whole dataset."""
 
-    scenes: tuple[Scene, ...]
+    scenes: tuple[SceneOverview, ...]
     bytes: int
 
     @property
@@ -74,8 +74,8 @@ class Overview(run_status.Survey):
     @property
     def indenters(self) -> list[str]:
         """The different indenters: their shapes, or the files of meshes."""
-        found = (b.recipe.get("indenter", {}) for b in self.bundles)
-        return list(dict.fromkeys(str(i.get("file", i.get("shape", "?"))) for i in found))
+        described = (b.recipe.get("indenter", {}) for b in self.bundles)
+        return list(dict.fromkeys(str(i.get("file", i.get("shape", "?"))) for i in described))
 
     @property
     def datasets(self) -> dict[str, str]:
@@ -84,7 +84,7 @@ class Overview(run_status.Survey):
         for bundle in self.bundles:
             for path, shape in bundle.shapes.items():
                 shapes.setdefault(path, []).append(shape)
-        return {path: _common(found) for path, found in sorted(shapes.items())}
+        return {path: _common(kinds) for path, kinds in sorted(shapes.items())}
 
     @property
     def varied(self) -> dict[str, list[Any]]:
@@ -97,7 +97,8 @@ class Overview(run_status.Survey):
         """Number of scenes with a map that misses the force by more than MAX_MISFIT, and a line about the worst."""
         each = [{name: v.max(initial=0.0) for name, v in check.misfits(bundle).items()} for bundle in self.bundles]
         out = {
-            name: [found[name] for found in each if found.get(name, 0.0) > check.MAX_MISFIT] for name in check.MISFITS
+            name: [largest[name] for largest in each if largest.get(name, 0.0) > check.MAX_MISFIT]
+            for name in check.MISFITS
         }
         return [(len(v), check.MISFITS[name].format(f"up to {max(v):.2g}")) for name, v in out.items() if v]
 
@@ -123,7 +124,7 @@ def look(folder: Path) -> Overview:
     scenes = []
     for scene in planned.scenes:
         bundle = dataset.scenes(scene.path)[0] if scene.state in ("ok", "rejected") else None
-        scenes.append(Scene(**vars(scene), bundle=bundle))
+        scenes.append(SceneOverview(**vars(scene), bundle=bundle))
     size = sum(scene.path.stat().st_size for scene in planned.scenes if scene.path.exists())
     return Overview(planned.name, folder, tuple(scenes), size)
 
@@ -177,7 +178,7 @@ def _plain(folder: Path, name: str) -> Overview:
         attrs, named = bundle.attrs, bundle.group[1:] or bundle.path.stem
         values = json.loads(attrs.get("values", "{}"))
         facts = (named, attrs["status"], attrs["reason"], bundle.frames, bundle.path, values)
-        scenes.append(Scene(*facts, bundle=bundle))
+        scenes.append(SceneOverview(*facts, bundle=bundle))
     size = sum(path.stat().st_size for path in {bundle.path for bundle in bundles})
     return Overview(name or str(bundles[0].recipe.get("name", "")), folder, tuple(scenes), size)
 

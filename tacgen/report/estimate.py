@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from tacgen.bundle.run_status import Survey
-from tacgen.report.wording import counted, duration
+from tacgen.report.sheet import counted, duration
 
 ONCE = ("start", "compile")  # stages that occur once per process or machine, not in each scene
 SURE = 0.95  # probability for each end of a range, so that 90 % lie within
@@ -78,9 +78,9 @@ def _sum(frames: Sequence[int], known: Sequence[int], costs: Sequence[float]) ->
     return Range(expected, max(0.0, expected - off), expected + off)
 
 
-def left(found: Survey) -> Cost | None:
+def left(survey: Survey) -> Cost | None:
     """Estimated cost of the unfinished scenes of a folder; None if there are none, or nothing to estimate from."""
-    done = [scene for scene in found.scenes if scene.seconds and scene.state in ("ok", "rejected")]
+    done = [scene for scene in survey.scenes if scene.seconds and scene.state in ("ok", "rejected")]
     made = [Made(scene.frames, work(scene.seconds), scene.path.stat().st_size / 1e9) for scene in done]
-    frames = [scene.frames for scene in found.scenes if scene.state in ("waiting", "at work", "damaged")]
+    frames = [scene.frames for scene in survey.scenes if scene.state in ("waiting", "at work", "damaged")]
     return cost(frames, made) if frames else None

@@ -30,7 +30,7 @@ from tacgen.report.bundle_figure import (
     zoom,
 )
 from tacgen.report.plane_cut import crossed, cut, outline
-from tacgen.report.sheet import Sheet
+from tacgen.report.sheet import Page
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -79,7 +79,7 @@ def figure(bundle: Bundle, field: str) -> "Figure":
     shown = np.unique(np.linspace(0, bundle.frames - 1, COLUMNS).round().astype(int))
     image = image_size(bundle)
     tall = PANEL * (FLAT if rows > 1 else image[0] / image[1])
-    sheet = Sheet(0.9 + len(shown) * (PANEL + GAP) + 1.0, 0.85 + rows * (tall + GAP) + 0.9)
+    sheet = Page(0.9 + len(shown) * (PANEL + GAP) + 1.0, 0.85 + rows * (tall + GAP) + 0.9)
     grid = [
         [sheet.axes(0.9 + c * (PANEL + GAP), 0.85 + r * (tall + GAP), PANEL, tall) for c in range(len(shown))]
         for r in range(rows)
@@ -129,15 +129,15 @@ def draw_stress(
 
     points, cells, layer = bundle["/mesh/points"], bundle["/mesh/cells"], bundle["/mesh/layer"]
     half = WIDE / 2 * float(np.ptp(points[:, 2]))
-    found = [section(bundle, int(k), points, cells, layer) for k in shown]
-    if missed := [int(k) for k, (corners, _, _) in zip(shown, found, strict=True) if not len(corners)]:
+    cuts = [section(bundle, int(k), points, cells, layer) for k in shown]
+    if missed := [int(k) for k, (corners, _, _) in zip(shown, cuts, strict=True) if not len(corners)]:
         raise UserError(f"{bundle.path}: has no section to draw: in frame {missed[0]} the indenter is beside the gel")
     indenter = indenter_surface(bundle, 2 * half)
     bars: list[Bar] = []
     for row, (name, what, colours, signed) in zip(grid, sections, strict=True):
-        values = [what(stress.reshape(-1, 6)) for _, stress, _ in found]
+        values = [what(stress.reshape(-1, 6)) for _, stress, _ in cuts]
         top = max(LEAST_STRESS, *(float(np.quantile(np.abs(v), 0.999)) for v in values))
-        for panel, (corners, _, rim), value, k in zip(row, found, values, shown, strict=True):
+        for panel, (corners, _, rim), value, k in zip(row, cuts, values, shown, strict=True):
             x, z = corners.reshape(-1, 2).T
             own = np.arange(len(x)).reshape(-1, 3)
             drawn = panel.tripcolor(x, z, value, triangles=own, shading="gouraud", cmap=colours)
@@ -164,13 +164,13 @@ def section(bundle: Bundle, k: int, points: Array, cells: Array, layer: Array) -
     nodes, layers, stress = postprocess.stress_by_layer(bundle, k)
     now = (points + bundle.frame("/fields/displacement", k))[nodes]
     y = float(bundle.frame("/frames/pose", k)[1, 3]) + OFF
-    found = []
+    pieces = []
     for number in np.unique(layers):
         row, here = np.zeros(len(points), int), np.flatnonzero(layers == number)
         row[nodes[here]] = here
         corners, values = cut(now, row[cells[layer == number]], stress, y)
-        found.append((corners, values, outline(corners)))
-    corners, values, rim = (np.concatenate(parts) for parts in zip(*found, strict=True))
+        pieces.append((corners, values, outline(corners)))
+    corners, values, rim = (np.concatenate(parts) for parts in zip(*pieces, strict=True))
     return corners, values, rim
 
 

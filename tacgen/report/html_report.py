@@ -15,9 +15,8 @@ from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.image_file import encoded
 from tacgen.errors import UserError
 from tacgen.report import dataset_summary, viewer
-from tacgen.report.dataset_summary import Overview, Scene
-from tacgen.report.sheet import round_ticks
-from tacgen.report.wording import counted, short
+from tacgen.report.dataset_summary import Overview, SceneOverview
+from tacgen.report.sheet import counted, round_ticks, short
 
 MAX_PICTURES = 48
 PICTURE_WIDTH = 160  # [px]
@@ -55,14 +54,14 @@ def page(seen: Overview) -> str:
     return f"<!doctype html><html lang=en><head>{head}</head><body><h1>{title}</h1>{body}</body></html>\n"
 
 
-def causes(scenes: Iterable[Scene]) -> dict[tuple[str, str], list[str]]:
+def causes(scenes: Iterable[SceneOverview]) -> dict[tuple[str, str], list[str]]:
     """(state, reason with numbers replaced by #) -> names of scenes, most frequent first."""
-    found: dict[tuple[str, str], list[str]] = {}
+    affected: dict[tuple[str, str], list[str]] = {}
     for scene in scenes:
         if scene.state != "ok":
             reason = re.sub(r"-?\d[\d.e+-]*", "#", scene.reason)
-            found.setdefault((scene.state, reason), []).append(scene.name)
-    return dict(sorted(found.items(), key=lambda item: -len(item[1])))
+            affected.setdefault((scene.state, reason), []).append(scene.name)
+    return dict(sorted(affected.items(), key=lambda item: -len(item[1])))
 
 
 def _states(seen: Overview) -> str:
@@ -73,7 +72,7 @@ def _states(seen: Overview) -> str:
     return _table(("", ""), [row for row in rows if row[1]])
 
 
-def _causes(scenes: Sequence[Scene]) -> str:
+def _causes(scenes: Sequence[SceneOverview]) -> str:
     rows = []
     for (state, reason), names in causes(scenes).items():
         shown = ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
@@ -96,7 +95,7 @@ def _coverage(seen: Overview) -> str:
     return shown if rows else ""
 
 
-def _forces(scenes: Sequence[Scene]) -> str:
+def _forces(scenes: Sequence[SceneOverview]) -> str:
     peaks = [scene.peak_n for scene in scenes if scene.peak_n is not None]
     return _histogram("force [N]", np.array(peaks)) if peaks else ""
 
@@ -133,7 +132,7 @@ def _finger(bundle: Bundle) -> str:
     return f" {escape(bundle.attrs['finger'])} finger" if "finger" in bundle.attrs else ""
 
 
-def _frames(scenes: Sequence[Scene]) -> str:
+def _frames(scenes: Sequence[SceneOverview]) -> str:
     """The first scene that is ok, in the viewer, without the 3D view of `tacgen view`."""
     bundle = next((s.bundle for s in scenes if s.state == "ok" and s.bundle is not None and s.bundle.frames), None)
     try:

@@ -37,14 +37,14 @@ def cut(points: Array, cells: Array, values: Array, y: float) -> tuple[Array, Ar
     order = np.argsort(side[count == 2], axis=1)  # two corners on each side: a quadrilateral
     a, b, c, d = np.take_along_axis(tets[count == 2], order, 1).T
     pieces += [[(a, c), (a, d), (b, d)], [(a, c), (b, d), (b, c)]]
-    flat, found = [], []
+    flat, carried = [], []
     for triangle in pieces:
         for low, high in triangle:
             s = points[low, 1] - y
             part = (s / (s - (points[high, 1] - y)))[:, None]
             flat.append((points[low] + part * (points[high] - points[low]))[:, [0, 2]])
-            found.append(values[low] + part * (values[high] - values[low]))
-    within, values_there = _stacked(flat), _stacked(found)
+            carried.append(values[low] + part * (values[high] - values[low]))
+    within, values_there = _stacked(flat), _stacked(carried)
     order = np.abs(np.linalg.det(within[:, 1:] - within[:, :1])).argsort()
     return within[order], values_there[order]
 

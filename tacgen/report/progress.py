@@ -5,7 +5,7 @@ import sys
 import time
 from typing import Any, TextIO
 
-from tacgen.report.wording import duration
+from tacgen.report.sheet import duration
 from tacgen.terminal import dropping
 
 

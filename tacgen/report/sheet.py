@@ -1,5 +1,6 @@
-"""A page of plots that are placed in inches from its left and upper edges."""
+"""Parts of reports: pages of plots, counts and durations as text, short names of paths."""
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -16,8 +17,8 @@ def round_ticks(low: float, high: float, most: int = 6) -> list[float]:
     return [float(value) + 0.0 for value in values if low <= value <= high]
 
 
-class Sheet:
-    """A matplotlib figure of this size [inch]."""
+class Page:
+    """A matplotlib figure of this size [inch], whose plots are placed from its left and upper edges."""
 
     def __init__(self, width: float, height: float) -> None:
         from matplotlib.figure import Figure
@@ -37,3 +38,28 @@ class Sheet:
         self.figure.colorbar(drawn, cax=bar).set_label(label, fontsize=8)
         bar.tick_params(labelsize=7, length=2)
         return bar
+
+
+def counted(n: int, noun: str) -> str:
+    """`1 scene`, `2 scenes`."""
+    return f"{n} {noun}" + ("" if n == 1 else "s")
+
+
+def duration(seconds: float) -> str:
+    """`40 s`, `12 min`, `3.1 h`."""
+    if seconds < 120:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
+
+
+def short(paths: Iterable[str]) -> dict[str, str]:
+    """Path -> its shortest end that no other path has: `leds[0].power` and `leds[1].power`."""
+    steps = {path: path.split(".") for path in paths}
+
+    def alone(path: str, n: int) -> bool:
+        return sum(other[-n:] == steps[path][-n:] for other in steps.values()) == 1
+
+    return {
+        path: ".".join(own[-next((n for n in range(1, len(own)) if alone(path, n)), len(own)) :])
+        for path, own in steps.items()
+    }

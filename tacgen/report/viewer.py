@@ -136,20 +136,20 @@ def _about(bundle: Bundle) -> dict[str, Any]:
 
 def _layers(bundle: Bundle, scales: dict[str, Any], times: int) -> dict[str, Any]:
     """Images and arrows of every layer except the 3D view."""
-    found: dict[str, Any] = {}
+    maps: dict[str, Any] = {}
     frames, (height, width) = shown(bundle), image_size(bundle)
     if _all_in(bundle, NEEDS["camera"]):
         pictures = [_picture(bundle.frame("/frames/rgb", int(k)), "WEBP") for k in frames]
-        found["camera"] = {"kind": "webp", "pictures": pictures}
+        maps["camera"] = {"kind": "webp", "pictures": pictures}
     if _all_in(bundle, NEEDS["markers"]):
         at, by = bundle["/reference/markers"] / (width, height), times * bundle["/frames/marker_flow"][frames] / width
-        found["markers"] = {"arrows": {"at": _numbers(at), "by": _numbers(by)}}
+        maps["markers"] = {"arrows": {"at": _numbers(at), "by": _numbers(by)}}
     for name, scale in scales.items():
         layer = DRAWN_MAPS[name]
         if not _all_in(bundle, datasets_of(layer)):
             continue
         drawn = map_of(layer, bundle)[frames]
-        found[name] = {"kind": "png", "pictures": [_picture(grey, "PNG") for grey in _levels(drawn, scale)]}
+        maps[name] = {"kind": "png", "pictures": [_picture(grey, "PNG") for grey in _levels(drawn, scale)]}
         if has_arrows(layer, bundle):
             h, w = drawn.shape[1:]
             step = max(1, round(w / ARROWS))
@@ -157,8 +157,8 @@ def _layers(bundle: Bundle, scales: dict[str, Any], times: int) -> dict[str, Any
             at = np.stack(np.meshgrid((columns + 0.5) / w, (rows + 0.5) / h), -1).reshape(-1, 2)
             by = bundle[layer.path][frames][:, rows[:, None], columns].reshape(len(frames), -1, 2)
             by = by / scale["high"] * 1.3 / ARROWS
-            found[name]["arrows"] = {"at": _numbers(at), "by": _numbers(by)}
-    return found
+            maps[name]["arrows"] = {"at": _numbers(at), "by": _numbers(by)}
+    return maps
 
 
 class _Solid(NamedTuple):

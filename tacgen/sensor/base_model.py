@@ -1,9 +1,11 @@
 """Base class and shared types of the models of recipe and sensor files."""
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic_core import PydanticUndefined
+
+from tacgen.sensor.yaml_source import TAGS
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
@@ -37,10 +39,17 @@ Radii = Annotated[Three[Positive], BeforeValidator(_as_rgb, json_schema_input_ty
 Shares = Annotated[Three[Fraction], BeforeValidator(_as_rgb, json_schema_input_type=Fraction | Three[Fraction])]
 
 
+def _with_tag(schema: dict[str, Any], kind: type[BaseModel]) -> None:
+    """Make the key that chooses a mapping's kind required in a JSON schema: Python needs none, the class gives it."""
+    for tag, usual in TAGS.items():
+        if tag in kind.model_fields and kind.model_fields[tag].get_default() not in (usual, PydanticUndefined):
+            schema["required"] = [tag, *schema.get("required", [])]
+
+
 class Part(BaseModel):
     """A frozen part of a recipe or sensor file. Unknown keys, nan and inf are errors."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, json_schema_extra=_with_tag)
 
     if not TYPE_CHECKING:  # type checkers see the fields as arguments
 
@@ -53,15 +62,6 @@ class Part(BaseModel):
                 raise explained(type(self), data, error) from None
 
         __init__.__pydantic_base_init__ = True  # pydantic itself makes parts without calling it, as it does by default
-
-
-def needs(key: str) -> Callable[[dict[str, Any]], None]:
-    """Make a key required in a JSON schema. In a file it chooses the kind of a mapping; in Python the class does."""
-
-    def change(schema: dict[str, Any]) -> None:
-        schema["required"] = [key, *schema.get("required", [])]
-
-    return change
 
 
 def exactly_one(part: Part, what: str = "one", names: tuple[str, ...] = ()) -> None:

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from tacgen.sensor.base_model import NOWHERE, Index, NotNegative, Part, Positive, Shares, as_tuple, exactly_one, needs
+from tacgen.sensor.base_model import NOWHERE, Index, NotNegative, Part, Positive, Shares, as_tuple, exactly_one
 
 if TYPE_CHECKING:
     from tacgen.fem.materials import Law
@@ -90,7 +90,7 @@ class NeoHookeLayer(IsochoricLayer):
         return NeoHooke(mu, bulk_modulus(mu, self.poissons_ratio))
 
 
-class StableNeoHookeLayer(LayerBase, json_schema_extra=needs("law")):
+class StableNeoHookeLayer(LayerBase):
     """The stable neo-Hookean law of Smith et al. (2018), as in UIPC."""
 
     law: Literal["stable_neo_hooke"] = "stable_neo_hooke"
@@ -125,7 +125,7 @@ class NearlyIncompressible(IsochoricLayer):
         return self.bulk_modulus_mpa or bulk_modulus(mu, self.poissons_ratio or 0.0)
 
 
-class MooneyRivlinLayer(NearlyIncompressible, json_schema_extra=needs("law")):
+class MooneyRivlinLayer(NearlyIncompressible):
     """Mooney-Rivlin: the shear modulus at rest is 2 (c10 + c01)."""
 
     law: Literal["mooney_rivlin"] = "mooney_rivlin"
@@ -143,7 +143,7 @@ class MooneyRivlinLayer(NearlyIncompressible, json_schema_extra=needs("law")):
         return MooneyRivlin(self.c10_mpa, self.c01_mpa, self.kappa(2 * (self.c10_mpa + self.c01_mpa)))
 
 
-class YeohLayer(NearlyIncompressible, json_schema_extra=needs("law")):
+class YeohLayer(NearlyIncompressible):
     """Yeoh, of third order: the shear modulus at rest is 2 c10."""
 
     law: Literal["yeoh"] = "yeoh"

@@ -6,7 +6,6 @@ below that.
 """
 
 import math
-from collections.abc import Iterator
 from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Literal, Self
 
@@ -30,7 +29,6 @@ from tacgen.sensor.base_model import (
 )
 from tacgen.sensor.layers import Layer
 from tacgen.sensor.markers import Markers
-from tacgen.sensor.yaml_source import KeyPath, format_path
 
 if TYPE_CHECKING:
     from tacgen.geometry.outline import Pad
@@ -90,6 +88,16 @@ class Gel(Part):
         """The layers that light passes: from the base outward, up to the first opaque one."""
         opaque = [layer.opaque for layer in self.layers]
         return self.layers[: opaque.index(True)] if any(opaque) else self.layers
+
+    @property
+    def thickness_mm(self) -> float:
+        """From the bonded base to the coated face, at its highest point [mm]."""
+        return sum(layer.thickness_mm for layer in self.layers)
+
+    @property
+    def viscous(self) -> bool:
+        """Whether any layer relaxes with time."""
+        return any(layer.terms for layer in self.layers)
 
     @property
     def tip(self) -> int:
@@ -220,28 +228,11 @@ class Sensor(Part):
     thickness_response: ThicknessResponse | None = None
 
     def __repr__(self) -> str:
-        gel, picture, thickness = self.gel, self.camera, sum(layer.thickness_mm for layer in self.gel.layers)
-        size = f"{gel.width_mm:g} x {gel.height_mm:g} x {thickness:g} mm"
+        gel, picture = self.gel, self.camera
+        size = f"{gel.width_mm:g} x {gel.height_mm:g} x {gel.thickness_mm:g} mm"
         return f"Sensor({self.name}: gel {size}, picture {picture.width_px} x {picture.height_px} px)"
 
     __str__ = __repr__
-
-    @property
-    def unsourced(self) -> list[str]:
-        """Paths of the parts without a `source`."""
-
-        def walk(part: Part, path: KeyPath) -> Iterator[str]:
-            for name in type(part).model_fields:
-                value = getattr(part, name)
-                if name == "source" and value == NOWHERE:
-                    yield format_path(path)
-                rows = enumerate(value) if isinstance(value, tuple) else ()
-                inner = [((*path, name), value), *(((*path, name, i), row) for i, row in rows)]
-                for where, held in inner:
-                    if isinstance(held, Part):
-                        yield from walk(held, where)
-
-        return list(walk(self, ()))
 
     @property
     def lit(self) -> bool:

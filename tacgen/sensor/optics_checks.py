@@ -33,9 +33,9 @@ def problems(sensor: LitSensor) -> Iterator[Problem]:
     yield from _dots(sensor)
     room = _Room.of(sensor)
     for i, led in enumerate(sensor.leds):
-        found = _wrong_led(room, led)
-        if found:
-            yield Problem(("leds", i, found[0]), f"{led.name}: {found[1]}")
+        problem = _wrong_led(room, led)
+        if problem:
+            yield Problem(("leds", i, problem[0]), f"{led.name}: {problem[1]}")
 
 
 def _singular(matrix: tuple[Vec3, Vec3, Vec3]) -> bool:
@@ -59,8 +59,7 @@ def _layers(sensor: LitSensor) -> Iterator[Problem]:
         yield Problem(("gel", "layers", scattering[0], "scattering"), text)
     elif gel.dome and len(clear) > 1:
         yield Problem(
-            ("gel", "dome"),
-            "light is followed through one clear layer under a dome, not several: leave dome out",
+            ("gel", "dome"), "light is followed through one clear layer under a dome, not several: leave dome out"
         )
     if scattering and sensor.markers:
         yield Problem(

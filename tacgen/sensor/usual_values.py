@@ -1,9 +1,12 @@
-"""Numbers of a sensor file that are possible but so far from those of known gels that a unit is probably wrong."""
+"""Warnings about a sensor file: numbers so far from those of known gels that a unit is probably wrong, and numbers
+without a source."""
 
 from collections.abc import Iterator
 
-from tacgen.sensor.model import Gel
+from tacgen.sensor.base_model import NOWHERE, Part
+from tacgen.sensor.model import Gel, Sensor
 from tacgen.sensor.validation_messages import Problem
+from tacgen.sensor.yaml_source import KeyPath, Tree, format_path
 
 MODULUS_MPA = (0.005, 5.0)  # Young's modulus of gels and skins, from the softest silicone gels to hard rubber [MPa]
 SIDE_MM = (2.0, 200.0)  # width and height of a gel, from a fingertip's to a palm's [mm]
@@ -13,6 +16,27 @@ MODULI: Kind = "moduli", "MPa", {"kPa": 1e-3, "Pa": 1e-6}
 LENGTHS: Kind = "lengths", "mm", {"m": 1e3, "cm": 10.0}
 
 
+def warnings(sensor: Sensor, tree: Tree) -> tuple[str, ...]:
+    """Warnings about numbers that are unusual, and one if parts of a sensor file name no source of theirs."""
+    told = tuple(problem.place(tree) for problem in unusual(sensor.gel))
+    if not (parts := unsourced(sensor)):
+        return told
+    text = f"{', '.join(parts)}: no source; say where the numbers come from, as in source: assumed"
+    return (*told, f"{tree.spot(()).value.source.name}: {text}")
+
+
+def unsourced(part: Part, path: KeyPath = ()) -> list[str]:
+    """Paths of the parts of a sensor without a `source`."""
+    paths = []
+    for name, value in part:
+        if name == "source" and value == NOWHERE:
+            paths.append(format_path(path))
+        items = enumerate(value) if isinstance(value, tuple) else ()
+        for where, held in [((*path, name), value), *(((*path, name, i), item) for i, item in items)]:
+            paths += unsourced(held, where) if isinstance(held, Part) else []
+    return paths
+
+
 def unusual(gel: Gel) -> Iterator[Problem]:
     """A problem for each layer whose Young's modulus at rest, and for each size of the gel, that is not that of a gel;
     paths start at the sensor's root."""
@@ -20,9 +44,8 @@ def unusual(gel: Gel) -> Iterator[Problem]:
         size = getattr(gel, name)
         if asked := _asked(size, SIDE_MM, LENGTHS):
             yield Problem(("gel", name), f"a gel of {size:g} mm; gels have {asked}")
-    thickness = sum(layer.thickness_mm for layer in gel.layers)
-    if asked := _asked(thickness, THICKNESS_MM, LENGTHS):
-        yield Problem(("gel", "layers", 0, "thickness_mm"), f"a gel {thickness:g} mm thick; gels have {asked}")
+    if asked := _asked(gel.thickness_mm, THICKNESS_MM, LENGTHS):
+        yield Problem(("gel", "layers", 0, "thickness_mm"), f"a gel {gel.thickness_mm:g} mm thick; gels have {asked}")
     for i, layer in enumerate(gel.layers):
         key, modulus = layer.stiffness
         if asked := _asked(modulus, MODULUS_MPA, MODULI):

@@ -70,16 +70,16 @@ def validate(model: type[Model], data: Any) -> tuple[Model | None, list[Problem]
     try:
         return model.model_validate_json(json.dumps(data), strict=True), []
     except ValidationError as error:
-        found = [_problem(model, data, e) for e in error.errors(include_url=False) if not _repeats_another(data, e)]
-        misspelt = {(*p.path[:-1], p.meant) for p in found if p.meant}
-        return None, _together([p for p in found if p.path not in misspelt])  # misspelt, not missing
+        problems = [_problem(model, data, e) for e in error.errors(include_url=False) if not _repeats_another(data, e)]
+        misspelt = {(*p.path[:-1], p.meant) for p in problems if p.meant}
+        return None, _together([p for p in problems if p.path not in misspelt])  # misspelt, not missing
 
 
 def explained(model: type[BaseModel], data: Any, error: ValidationError) -> UserError:
     """The error of a model that was made in Python, one line a problem."""
-    found = [_problem(model, data, e) for e in error.errors(include_url=False)]
-    misspelt = {(*p.path[:-1], p.meant) for p in found if p.meant}
-    lines = [": ".join(filter(None, [format_path(p.path), p.message])) for p in found if p.path not in misspelt]
+    problems = [_problem(model, data, e) for e in error.errors(include_url=False)]
+    misspelt = {(*p.path[:-1], p.meant) for p in problems if p.meant}
+    lines = [": ".join(filter(None, [format_path(p.path), p.message])) for p in problems if p.path not in misspelt]
     return UserError(f"{model.__name__}: {line}" for line in lines)
 
 
@@ -91,14 +91,14 @@ def _huge(data: Any, path: KeyPath) -> Iterator[tuple[KeyPath, float]]:
         yield from _huge(value, (*path, step))
 
 
-def _together(found: list[Problem]) -> list[Problem]:
+def _together(problems: list[Problem]) -> list[Problem]:
     """Merge the missing keys of one mapping into one problem, at the place of the first."""
     lacking: dict[KeyPath, list[Problem]] = {}
-    for problem in found:
+    for problem in problems:
         if problem.message.startswith(MISSING):
             lacking.setdefault(problem.path[:-1], []).append(problem)
     out = []
-    for problem in found:
+    for problem in problems:
         group = lacking.get(problem.path[:-1], []) if problem.message.startswith(MISSING) else []
         if len(group) > 1 and problem is group[0]:
             names = [f"{p.path[-1]}{p.message.removeprefix(MISSING)}" for p in group]
@@ -108,9 +108,9 @@ def _together(found: list[Problem]) -> list[Problem]:
     return out
 
 
-def report(found: Iterable[tuple[Problem, Tree]]) -> UserError:
+def report(problems: Iterable[tuple[Problem, Tree]]) -> UserError:
     """One error with all problems, in the order of their places in the files."""
-    placed = [(problem.mark(tree), problem.point(tree)) for problem, tree in found]
+    placed = [(problem.mark(tree), problem.point(tree)) for problem, tree in problems]
     placed.sort(key=lambda pair: (pair[0].source.name, pair[0].line, pair[0].column))
     return UserError(dict.fromkeys(text for _, text in placed))
 
@@ -130,7 +130,7 @@ def _problem(model: type[BaseModel], data: Any, error: ErrorDetails) -> Problem:
     if kind == "extra_forbidden":
         here = [each for each in _kinds(model, loc[:-1]) if _is_model(each)]
         if other := _of_another_kind(model, loc):
-            return Problem(path, f"unknown key in {other}", at_key=True)
+            return Problem(path, other, at_key=True)
         hint = suggest(str(loc[-1]), {name for each in here for name in each.model_fields})
         meant = hint.removeprefix(", did you mean ").rstrip("?")
         return Problem(path, f"unknown key{hint}", at_key=True, meant=meant)
@@ -212,7 +212,7 @@ def _is_tag(name: str) -> bool:
 
 
 def _of_another_kind(model: type[BaseModel], loc: KeyPath) -> str:
-    """`layout: grid, known in hexagonal`: of a key that other members of its union have; else nothing."""
+    """`is a key of layout: hexagonal, and layout is grid here: ...`, if another kind of mapping has the key; or ""."""
     tags = {
         tag: (name, kind)
         for kind in _kinds(model, loc[:-2])
@@ -226,7 +226,9 @@ def _of_another_kind(model: type[BaseModel], loc: KeyPath) -> str:
         return ""
     by = tags[here][0]
     others = [str(tag) for tag, (name, kind) in tags.items() if name == by and key in kind.model_fields]
-    return f"{by}: {here}, known in {', '.join(others)}" if others else ""
+    if not others:
+        return ""
+    return f"is a key of {by}: {' and '.join(others)}, and {by} is {here} here: leave it out, or change {by}"
 
 
 def _kinds(model: type[BaseModel], loc: KeyPath) -> list[Any]:

@@ -9,6 +9,7 @@ from helpers.scenes import TASK, make, make_plan
 
 from tacgen import batch, export
 from tacgen.bundle import bundle, dataset
+from tacgen.bundle import check as checks
 from tacgen.bundle.check import check
 from tacgen.bundle.run_status import survey
 from tacgen.errors import LeftOut, UserError
@@ -119,6 +120,14 @@ def test_bundles_that_are_not_of_the_plan_are_in_no_reader_and_told_by_all(tmp_p
     notes = run(out, 3, overwrite=True)
     assert notes == ["left out, not in the plan: scene-00007; readers pass over them"]  # no run here made it
     assert (out / "scene-00007.h5").read_bytes() == foreign
+
+
+def test_a_check_opens_each_bundle_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run(tmp_path / "out", 3)
+    opened: list[str] = []
+    monkeypatch.setattr(checks, "read", lambda path, group="/": opened.append(path.name) or bundle.read(path, group))
+    assert check(tmp_path / "out") == []
+    assert opened == [f"scene-0000{k}.h5" for k in range(3)]
 
 
 def test_a_smaller_plan_leaves_scenes_out_and_overwriting_removes_them_later(tmp_path: Path) -> None:

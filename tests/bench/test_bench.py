@@ -30,7 +30,7 @@ from benchmarks import (
 )
 from benchmarks.cases import PLAIN
 from tacgen.cli import app
-from tacgen.geometry.analytic_sdf import Sphere
+from tacgen.geometry.analytic_sdf import SphereSdf
 from tacgen.mechanics import equilibrium
 from tacgen.optics import camera_response
 from tacgen.recipe import scene_of_row
@@ -140,9 +140,9 @@ def test_matter_inside_the_indenter_is_seen_between_nodes() -> None:
     grid = block(side, side, np.linspace(-2, 0, 3))
     pose = np.eye(4)
     pose[:3, 3] = 0.5, 0.5, -0.3  # the lowest point of a small ball under the middle of a cell's face
-    problem = SimpleNamespace(mesh=grid, contact=SimpleNamespace(shape=Sphere(0.2)))
+    problem = SimpleNamespace(mesh=grid, contact=SimpleNamespace(shape=SphereSdf(0.2)))
     state = SimpleNamespace(x=grid.points, pose=pose, offset=0.0)
-    assert Sphere(0.2).distance(grid.points - pose[:3, 3])[0].min() > 0.3  # no node
+    assert SphereSdf(0.2).distance(grid.points - pose[:3, 3])[0].min() > 0.3  # no node
     assert stability.overlap(problem, state) == pytest.approx(0.15, abs=0.051)
     state.offset = 0.3
     assert stability.overlap(problem, state) == 0

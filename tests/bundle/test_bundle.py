@@ -22,8 +22,8 @@ from tacgen import atomic_file
 from tacgen.bundle import schema
 from tacgen.bundle.bundle import Unfinished, Writer, complete, read
 from tacgen.bundle.check import check
+from tacgen.bundle.chunks import rounded
 from tacgen.bundle.hdf5_file import Damaged
-from tacgen.bundle.rounding import rounded
 from tacgen.errors import UserError
 from tacgen.outputs import LAYOUT
 

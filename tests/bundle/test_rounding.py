@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tacgen.bundle.rounding import rounded, to_bits, to_multiples
+from tacgen.bundle.chunks import rounded, to_bits, to_multiples
 from tacgen.outputs import LAYOUT
 
 RNG = np.random.default_rng(2)

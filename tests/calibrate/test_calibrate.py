@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from tacgen import cli
 from tacgen.calibrate import led_fit, photos, press_faces
 from tacgen.errors import UserError
-from tacgen.optics.camera import Camera
+from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.hertz_dent import BallDent
 from tacgen.optics.scattering import gain as response_of
 from tacgen.recipe import assets, loading
@@ -29,7 +29,7 @@ PRESSES = ((4.0, (30, 28), 15.0), (3.0, (52, 40), 14.0), (4.0, (45, 20), 15.0), 
 
 def photographed(unit: Sensor, folder: Path, presses: Any = PRESSES) -> Path:
     """A folder of photographs of a unit, with its noise if it has any."""
-    made, camera = images.Renderer(unit, 64, 0, False, mitsuba_variants.SCALAR), Camera.from_sensor(unit)
+    made, camera = images.Renderer(unit, 64, 0, False, mitsuba_variants.SCALAR), PinholeCamera.from_sensor(unit)
     folder.mkdir(exist_ok=True)
     Image.fromarray(made.develop(made.flat())).save(folder / "background.png")
     with (folder / "presses.csv").open("w", newline="") as file:
@@ -88,7 +88,7 @@ def test_lights_that_sit_elsewhere_are_found_by_the_presses(nominal: Path, tmp_p
     ]
     unit = sensor(leds=moved, camera={**FINE, "noise": {"shot": 1e-4, "read": 0.002, "source": "t"}}, markers=None)
     folder = photographed(unit, tmp_path / "unit")
-    still, free = (led_fit.optics(str(nominal), folder, led_fit.Asked(mm, 5.0, steps=3)).fitted for mm in (0, 0.5))
+    still, free = (led_fit.optics(str(nominal), folder, led_fit.FitLimits(mm, 5.0, steps=3)).fitted for mm in (0, 0.5))
     assert free.untouched < 0.5 * still.untouched
     assert free.held_out < 0.8 * still.held_out
     assert free.untouched < 1.0
@@ -114,7 +114,7 @@ def test_dots_are_left_out(tmp_path: Path) -> None:
     Image.fromarray(made.develop(made.flat())).save(tmp_path / "background.png")
     found = led_fit.optics(str(path), tmp_path).fitted
     assert [sum(led.radiance) for led in found.sensor.leds] == pytest.approx([7.2] * 3, rel=0.04)
-    blind = led_fit.optics(str(path), tmp_path, led_fit.Asked(bare=True))
+    blind = led_fit.optics(str(path), tmp_path, led_fit.FitLimits(bare=True))
     assert blind.fitted.untouched > 4 * found.untouched
     assert blind.changes["markers",] is None
 
@@ -147,7 +147,7 @@ def test_the_response_to_thickness_is_found_by_solved_presses(tmp_path: Path, mo
     path = written(cloudy(camera=camera), tmp_path / "cloudy.yaml")
     unit = Sensor.model_validate(cloudy(camera=camera).model_dump() | {"thickness_response": table})
     folder = photographed(unit, tmp_path / "unit", ())
-    press = photos.Press("press.png", np.zeros(0), 3.0, (42.0, 30.0), None, 0.8)
+    press = photos.PhotographedPress("press.png", np.zeros(0), 3.0, (42.0, 30.0), None, 0.8)
     made = images.Renderer(unit, 6, 0, False)
     (face,) = press_faces.solved(unit, press, [0.832], {})
     Image.fromarray(made.develop(made.image(face))).save(folder / "press.png")
@@ -192,7 +192,7 @@ def test_the_response_to_thickness_is_found_by_solved_presses(tmp_path: Path, mo
             "presses.csv:3: contact_radius_px: is 3.1 mm, and the ball's radius 3.0",
         ),
         (lambda p: _swap(p, "press_1.png", ""), "presses.csv:3: file: is missing"),
-        (lambda p: (p / "presses.csv").write_bytes(b"\xff\xfe\x00"), "presses.csv: is no table"),
+        (lambda p: (p / "presses.csv").write_bytes(b"\xff\xfe\x00"), "presses.csv: is not a text file"),
     ],
 )
 def test_what_cannot_be_used_is_reported_in_one_line(nominal: Path, tmp_path: Path, spoil: Any, says: str) -> None:
@@ -231,7 +231,7 @@ def _swap(folder: Path, old: str, new: str) -> None:
 
 def test_a_press_of_known_depth_is_solved_also_where_its_contact_is_known():
     sensor, _ = loading.read_sensor(assets.sensor_path("gelsight_mini"))
-    press = photos.Press("p.png", np.zeros((240, 320, 3), np.uint8), 3.0, (160.0, 120.0), 25.0, None)
+    press = photos.PhotographedPress("p.png", np.zeros((240, 320, 3), np.uint8), 3.0, (160.0, 120.0), 25.0, None)
     assert isinstance(press_faces.face(sensor, press, {}), BallDent)
     face = press_faces.face(sensor, replace(press, depth=0.5), {})
     under = np.array([press_faces.place(sensor, press.center, 0.5)])
@@ -252,9 +252,9 @@ def test_presses_may_give_depth_or_contact_or_both(
     path, folder = written(unit, tmp_path / "unit.yaml"), photographed(unit, tmp_path / "unit", PRESSES[:3])
     contacts = {center: contact for _, center, contact in PRESSES}
 
-    def solved(sensor: Any, press: photos.Press, depths: Any, folders: Any) -> Any:
+    def solved(sensor: Any, press: photos.PhotographedPress, depths: Any, folders: Any) -> Any:
         assert depths == [0.5]
-        return [BallDent.seen(Camera.from_sensor(sensor), press.ball, press.center, contacts[press.center])]
+        return [BallDent.seen(PinholeCamera.from_sensor(sensor), press.ball, press.center, contacts[press.center])]
 
     monkeypatch.setattr(press_faces, "solved", solved)
     monkeypatch.setattr("tacgen.calibrate.contact_circle.refined", lambda press, untouched: press)
@@ -266,7 +266,7 @@ def test_presses_may_give_depth_or_contact_or_both(
         wide = given in ("contact", "both") or (given == "mixed" and k < 2)
         rows.append(f"press_{k}.png,{ball},{x},{y},{contact if wide else ''},{0.5 if deep else ''}")
     (folder / "presses.csv").write_text("\n".join(rows))
-    found = led_fit.optics(str(path), folder, led_fit.Asked(0, 0))
+    found = led_fit.optics(str(path), folder, led_fit.FitLimits(0, 0))
     report = list(found.lines())
     assert any(line.startswith("change under press_2.png, held out: off by") for line in report)
     judged = given in ("contact", "both")  # by normals within a contact circle
@@ -281,11 +281,11 @@ def test_presses_of_known_depth_are_solved_on_a_dome(tmp_path: Path) -> None:
     path, folder = written(unit, tmp_path / "unit.yaml"), photographed(unit, tmp_path / "unit", ())
     made, rows = images.Renderer(unit, 16, 0, False, mitsuba_variants.SCALAR), []
     for k, (ball, center, _) in enumerate(PRESSES[:3]):
-        press = photos.Press("", np.zeros(0), ball, center, None, 0.4)
+        press = photos.PhotographedPress("", np.zeros(0), ball, center, None, 0.4)
         Image.fromarray(made.develop(made.image(press_faces.face(unit, press, {})))).save(folder / f"{k}.png")
         rows.append(f"{k}.png,{ball},{center[0]},{center[1]},0.4")
     (folder / "presses.csv").write_text("\n".join(["file,ball_radius_mm,x_px,y_px,depth_mm", *rows]))
-    found = led_fit.optics(str(path), folder, led_fit.Asked(0, 0))
+    found = led_fit.optics(str(path), folder, led_fit.FitLimits(0, 0))
     assert found.fitted.held_out < 2
     assert [sum(led.radiance) for led in found.fitted.sensor.leds] == pytest.approx([9.0] * 3, rel=0.05)
 

@@ -5,8 +5,8 @@ import pytest
 from helpers.tiny import sensor
 
 from tacgen.calibrate import contact_circle
-from tacgen.calibrate.photos import Press
-from tacgen.optics.camera import Camera
+from tacgen.calibrate.photos import PhotographedPress
+from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.hertz_dent import BallDent
 from tacgen.render.images import Renderer
 
@@ -16,7 +16,7 @@ def pictures():
     """Untouched, and a ball's press with a known contact circle, with noise."""
     made = sensor(camera={"mm_per_px": 0.05, "width_px": 160, "height_px": 128}, markers=None)
     renderer, random = Renderer(made, 16, 0, markers=False), np.random.default_rng(0)
-    face = BallDent.seen(Camera.from_sensor(made), 2.5, (70.0, 66.0), 26.0)
+    face = BallDent.seen(PinholeCamera.from_sensor(made), 2.5, (70.0, 66.0), 26.0)
     noise = [random.normal(0, 2, (128, 160, 3)) for _ in range(2)]
     return [renderer.develop(p) + n for p, n in zip((renderer.flat(), renderer.image(face)), noise, strict=True)]
 
@@ -24,14 +24,14 @@ def pictures():
 @pytest.mark.parametrize("given", [(70.0, 66.0, 26.0), (72.0, 64.5, 30.0), (68.5, 67.0, 24.5)])
 def test_the_circle_is_found_from_one_that_is_drawn_badly(pictures, given):
     untouched, pressed = pictures
-    found = contact_circle.refined(Press("p", pressed, 2.5, given[:2], given[2], None), untouched)
+    found = contact_circle.refined(PhotographedPress("p", pressed, 2.5, given[:2], given[2], None), untouched)
     assert found.center == pytest.approx((70.0, 66.0), abs=0.8)
     assert found.contact == pytest.approx(26.0, rel=0.04)
 
 
 def test_what_shows_no_circle_keeps_its_own(pictures):
     untouched, pressed = pictures
-    solved = Press("p", pressed, 2.5, (70.0, 66.0), None, 0.4)
+    solved = PhotographedPress("p", pressed, 2.5, (70.0, 66.0), None, 0.4)
     assert contact_circle.refined(solved, untouched) is solved
-    cut = Press("p", pressed, 2.5, (1.0, 2.0), 26.0, None)  # three quarters of it lie outside the picture
+    cut = PhotographedPress("p", pressed, 2.5, (1.0, 2.0), 26.0, None)  # three quarters of it lie outside the picture
     assert contact_circle.refined(cut, untouched) is cut

@@ -7,8 +7,8 @@ import pytest
 from helpers.tiny import sensor
 
 from tacgen.calibrate import likeness, normal_net
-from tacgen.calibrate.photos import Press
-from tacgen.optics.camera import Camera
+from tacgen.calibrate.photos import PhotographedPress
+from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.hertz_dent import BallDent
 
 FINE = {"mm_per_px": 0.1, "width_px": 80, "height_px": 64}
@@ -23,11 +23,11 @@ def compared():
 @pytest.fixture(scope="module")
 def unit(compared):
     """Photographs of the sensor itself: untouched, presses and their faces."""
-    renderer, camera = compared._renderer, Camera.from_sensor(compared.sensor)
+    renderer, camera = compared._renderer, PinholeCamera.from_sensor(compared.sensor)
     faces = [BallDent.seen(camera, *circle) for circle in CIRCLES]
     pictures = [renderer.develop(renderer.image(face)) for face in faces]
     rows = zip(CIRCLES, pictures, strict=True)
-    presses = [Press(f"{k}", p, c[0], c[1], c[2], None) for k, (c, p) in enumerate(rows)]
+    presses = [PhotographedPress(f"{k}", p, c[0], c[1], c[2], None) for k, (c, p) in enumerate(rows)]
     return renderer.develop(renderer.flat()), presses, faces
 
 

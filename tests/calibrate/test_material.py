@@ -12,12 +12,13 @@ from tacgen.calibrate import fit_material, press_forces
 from tacgen.calibrate.press_forces import Curves, Measured
 from tacgen.mechanics import mesh
 from tacgen.recipe import assets, loading, plan, scene_of_row
+from tacgen.recipe.row import Row
 
 MODULUS = "gel.layers[0].youngs_modulus_mpa"
 DEEPEST = 1.0  # [mm]
 
 
-def row(folder: Path, steps: str = "- press: {depth_mm: 1, frames: 1}", sets: tuple[str, ...] = ()) -> plan.Row:
+def row(folder: Path, steps: str = "- press: {depth_mm: 1, frames: 1}", sets: tuple[str, ...] = ()) -> Row:
     path = folder / "press.yaml"
     path.write_text(f"{HEAD}  {steps}\n")
     return plan.load(path, sets).rows[0]

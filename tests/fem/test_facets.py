@@ -5,7 +5,7 @@ import pytest
 from helpers.small import dense, patch, slope
 
 from tacgen.fem.elements import facet_areas, facet_corners, facet_hats, facet_points, facet_shares, triangles
-from tacgen.geometry.analytic_sdf import Sphere
+from tacgen.geometry.analytic_sdf import SphereSdf
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics.barrier import Contact
 
@@ -73,7 +73,7 @@ def test_hats_are_one_at_their_node_and_straight_on_the_pieces(nodes: int) -> No
 def test_contact_derivatives(nodes: int) -> None:
     points, faces, pat = patch(2, 1.2, nodes)
     x = points + np.random.default_rng(3).uniform(-0.05, 0.05, points.shape)
-    contact = Contact(faces, Sphere(0.8), Pose(np.eye(3), np.array([0.1, 0.0, -0.06])), 0.3, 0.7, 0.04)
+    contact = Contact(faces, SphereSdf(0.8), Pose(np.eye(3), np.array([0.1, 0.0, -0.06])), 0.3, 0.7, 0.04)
     g = contact.gradient(x)
     assert np.abs(g).max() > 1e-3
     assert g.ravel() == pytest.approx(slope(contact.value, x, 1e-6), abs=1e-7)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
-from tacgen.geometry.analytic_sdf import Box, Capsule, Cone, Cylinder, Shape, Sphere, Torus, Wedge
+from tacgen.geometry.analytic_sdf import BoxSdf, CapsuleSdf, ConeSdf, CylinderSdf, Shape, SphereSdf, TorusSdf, WedgeSdf
 
 Array = np.ndarray
 
@@ -16,22 +16,23 @@ def between(low: float, high: float) -> st.SearchStrategy[float]:
 
 ANGLE = between(np.radians(10), np.radians(80))
 KINDS: dict[str, st.SearchStrategy[Shape]] = {
-    "sphere": st.builds(Sphere, between(0.2, 8)),
-    "capsule": st.builds(Capsule, between(0.2, 4), between(0.1, 8)),
-    "torus": st.builds(lambda tube, hole: Torus(tube + hole, tube), between(0.2, 2), between(0.1, 4)),
-    "cylinder": st.builds(lambda fillet, flat: Cylinder(fillet + flat, fillet), between(0.05, 1), between(0.1, 4)),
+    "sphere": st.builds(SphereSdf, between(0.2, 8)),
+    "capsule": st.builds(CapsuleSdf, between(0.2, 4), between(0.1, 8)),
+    "torus": st.builds(lambda tube, hole: TorusSdf(tube + hole, tube), between(0.2, 2), between(0.1, 4)),
+    "cylinder": st.builds(lambda fillet, flat: CylinderSdf(fillet + flat, fillet), between(0.05, 1), between(0.1, 4)),
     "box": st.builds(
-        lambda fillet, x, y: Box(2 * fillet + x, 2 * fillet + y, fillet),
+        lambda fillet, x, y: BoxSdf(2 * fillet + x, 2 * fillet + y, fillet),
         between(0.05, 1), between(0.1, 6), between(0.1, 6),
     ),
-    "cone": st.builds(Cone, ANGLE, between(0.05, 2)),
-    "wedge": st.builds(lambda a, tip, flat: Wedge(a, tip, 2 * tip + flat), ANGLE, between(0.05, 1), between(0.1, 6)),
+    "cone": st.builds(ConeSdf, ANGLE, between(0.05, 2)),
+    "wedge": st.builds(lambda a, tip, flat: WedgeSdf(a, tip, 2 * tip + flat), ANGLE, between(0.05, 1), between(0.1, 6)),
 }  # fmt: skip
 SHAPES = st.one_of(*KINDS.values())
-SPHERE = Sphere(4.0)
+SPHERE = SphereSdf(4.0)
 EACH: dict[Shape, float] = {  # and its smallest radius
-    SPHERE: 4.0, Capsule(1.5, 4.0): 1.5, Torus(3.0, 0.8): 0.8, Cylinder(2.0, 0.2): 0.2, Box(3.0, 5.0, 0.3): 0.3,
-    Cone(np.radians(40), 0.3): 0.3, Wedge(np.radians(30), 0.2, 4.0): 0.2,
+    SPHERE: 4.0, CapsuleSdf(1.5, 4.0): 1.5, TorusSdf(3.0, 0.8): 0.8, CylinderSdf(2.0, 0.2): 0.2,
+    BoxSdf(3.0, 5.0, 0.3): 0.3,
+    ConeSdf(np.radians(40), 0.3): 0.3, WedgeSdf(np.radians(30), 0.2, 4.0): 0.2,
 }  # fmt: skip
 SEED = st.integers(0, 2**32 - 1)
 
@@ -89,7 +90,7 @@ def test_distance_is_1_lipschitz(shape: Shape, seed: int, reach: float) -> None:
 @settings(max_examples=40, deadline=None)
 @given(shape=SHAPES, seed=SEED)
 def test_its_lowest_point_is_on_the_plane(shape: Shape, seed: int) -> None:
-    contact = [0.0, 0.0, 0.0] if not isinstance(shape, Torus) else [shape.radius, 0.0, 0.0]
+    contact = [0.0, 0.0, 0.0] if not isinstance(shape, TorusSdf) else [shape.radius, 0.0, 0.0]
     d, n, _ = shape.distance(np.array([contact]))
     assert d[0] == pytest.approx(0, abs=1e-12)
     assert n[0] == pytest.approx([0, 0, -1], abs=1e-9)
@@ -149,23 +150,23 @@ def test_its_centre_is_inside_and_has_a_distance(shape: Shape) -> None:
     assert np.isfinite(d).all()
     assert np.isfinite(H).all()
     assert np.linalg.norm(n, axis=1) == pytest.approx(np.ones(4), abs=1e-12)
-    if not isinstance(shape, Torus):
+    if not isinstance(shape, TorusSdf):
         assert (d < 0).all()
 
 
 def test_known_distances() -> None:
     p = np.array([[3.0, 4.0, 1.0]])
-    assert Sphere(1.0).distance(p)[0][0] == pytest.approx(4.0)
-    assert Capsule(1.0, 4.0).distance(p)[0][0] == pytest.approx(np.hypot(1, 4) - 1)
-    assert Torus(2.0, 1.0).distance(p)[0][0] == pytest.approx(3 - 1)
-    assert Cylinder(2.0, 0.5).distance(p)[0][0] == pytest.approx(3.0)
-    assert Box(2.0, 2.0, 0.5).distance(p)[0][0] == pytest.approx(np.hypot(2.5, 3.5) - 0.5)
+    assert SphereSdf(1.0).distance(p)[0][0] == pytest.approx(4.0)
+    assert CapsuleSdf(1.0, 4.0).distance(p)[0][0] == pytest.approx(np.hypot(1, 4) - 1)
+    assert TorusSdf(2.0, 1.0).distance(p)[0][0] == pytest.approx(3 - 1)
+    assert CylinderSdf(2.0, 0.5).distance(p)[0][0] == pytest.approx(3.0)
+    assert BoxSdf(2.0, 2.0, 0.5).distance(p)[0][0] == pytest.approx(np.hypot(2.5, 3.5) - 0.5)
     side = np.array([[5.0, 0.0, 5.0]])
     tip = 0.2 * (np.sqrt(2) - 1)  # by which the tip of the sharp one of 45 deg would be below z = 0
-    assert Cone(np.pi / 4, 0.2).distance(side)[0][0] == pytest.approx(-tip / np.sqrt(2), rel=1e-9)
-    assert Wedge(np.pi / 4, 0.2, 4.0).distance(side)[0][0] == pytest.approx(-tip / np.sqrt(2), rel=1e-9)
+    assert ConeSdf(np.pi / 4, 0.2).distance(side)[0][0] == pytest.approx(-tip / np.sqrt(2), rel=1e-9)
+    assert WedgeSdf(np.pi / 4, 0.2, 4.0).distance(side)[0][0] == pytest.approx(-tip / np.sqrt(2), rel=1e-9)
     end = np.array([[0.0, 5.0, 3.0]])
-    assert Wedge(np.pi / 4, 0.2, 4.0).distance(end)[0][0] == pytest.approx(3.0)
+    assert WedgeSdf(np.pi / 4, 0.2, 4.0).distance(end)[0][0] == pytest.approx(3.0)
 
 
 def test_shape_sizes_that_the_solver_relies_on() -> None:

@@ -9,7 +9,7 @@ import trimesh
 
 from tacgen.errors import UserError
 from tacgen.geometry import mesh_import
-from tacgen.geometry.mesh_import import Solid
+from tacgen.geometry.mesh_import import SolidMesh
 from tacgen.recipe import assets, plan, scene_of_row
 
 Array = np.ndarray
@@ -25,8 +25,8 @@ def saved(mesh: Any, path: Path) -> Path:
     return path
 
 
-def solid_of(mesh: trimesh.Trimesh) -> Solid:
-    return Solid("test", np.asarray(mesh.vertices), np.asarray(mesh.faces), np.zeros(len(mesh.faces), int))
+def solid_of(mesh: trimesh.Trimesh) -> SolidMesh:
+    return SolidMesh("test", np.asarray(mesh.vertices), np.asarray(mesh.faces), np.zeros(len(mesh.faces), int))
 
 
 def ball(subdivisions: int = 5) -> trimesh.Trimesh:
@@ -243,7 +243,7 @@ def test_placing(up: str, extents: list[float], above: str):
     mesh.apply_translation([7, 8, 9])
     mark = 3 * np.eye(3)["xyz".index(above[-1])] * (-1 if above[0] == "-" else 1) + [7, 8, 9]
     solid = solid_of(mesh)
-    with_mark = Solid("test", np.vstack([solid.vertices, [mark] * 2]), solid.triangles, solid.body)
+    with_mark = SolidMesh("test", np.vstack([solid.vertices, [mark] * 2]), solid.triangles, solid.body)
     placed = mesh_import.placed(with_mark, up=up)
     assert placed.vertices[-1, 2] == placed.vertices[:, 2].max()  # the marked side ends on top
     plain = mesh_import.placed(solid, up=up).vertices

@@ -5,11 +5,22 @@ import pytest
 import trimesh
 
 from tacgen.geometry import surface_nets
-from tacgen.geometry.analytic_sdf import Box, Capsule, Cone, Cylinder, Shape, Sphere, Torus, Triangles, Wedge
+from tacgen.geometry.analytic_sdf import (
+    BoxSdf,
+    CapsuleSdf,
+    ConeSdf,
+    CylinderSdf,
+    Shape,
+    SphereSdf,
+    TorusSdf,
+    Triangles,
+    WedgeSdf,
+)
 
 SHAPES: list[Shape] = [
-    Sphere(4.0), Sphere(0.3), Cylinder(3.0, 0.2), Box(4.0, 3.0, 0.2), Cone(0.5, 0.1), Wedge(0.5, 0.2, 8.0),
-    Capsule(0.5, 5.0), Torus(4.0, 0.6),
+    SphereSdf(4.0), SphereSdf(0.3), CylinderSdf(3.0, 0.2), BoxSdf(4.0, 3.0, 0.2), ConeSdf(0.5, 0.1),
+    WedgeSdf(0.5, 0.2, 8.0),
+    CapsuleSdf(0.5, 5.0), TorusSdf(4.0, 0.6),
 ]  # fmt: skip
 
 
@@ -36,7 +47,7 @@ def test_triangles_lie_on_the_shape(shape: Shape) -> None:
 
 
 def test_finer_where_it_is_rounder() -> None:
-    found = surface_nets.of_shape(Box(8.0, 8.0, 0.2), half=12, height=3, tolerance=0.003)
+    found = surface_nets.of_shape(BoxSdf(8.0, 8.0, 0.2), half=12, height=3, tolerance=0.003)
     area = solid(found).area_faces
     flat = (found.vertices[found.triangles][:, :, 2] < 1e-9).all(1)
     assert area[flat].max() > 30 * np.median(area)

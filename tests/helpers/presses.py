@@ -8,7 +8,7 @@ import numpy as np
 from tacgen import mechanics
 from tacgen.fem.materials import NeoHooke
 from tacgen.geometry.analytic_sdf import Shape
-from tacgen.geometry.gel import Gel, Layer
+from tacgen.geometry.gel import GelBody, GelLayer
 from tacgen.mechanics import mesh
 from tacgen.mechanics.scene import Scene
 from tacgen.outputs import gel_surface
@@ -17,10 +17,12 @@ Array = np.ndarray
 Footprint = tuple[float, float, float, float]
 
 
-def gel(width: float = 12.0, height: float = 12.0, thickness: float = 3.0, E: float = 0.15, nu: float = 0.48) -> Gel:
+def gel(
+    width: float = 12.0, height: float = 12.0, thickness: float = 3.0, E: float = 0.15, nu: float = 0.48
+) -> GelBody:
     """A pad of one layer, sharp corners; E [MPa]."""
     law = NeoHooke(E / (2 * (1 + nu)), E / (3 * (1 - 2 * nu)))
-    return Gel(width, height, layers=(Layer(thickness, law, E),))
+    return GelBody(width, height, layers=(GelLayer(thickness, law, E),))
 
 
 def poses(positions: list[tuple[float, float, float]], yaw: float = 0.0) -> Array:
@@ -45,7 +47,7 @@ class Run:
         return np.array([gel_surface.wrench(self.problem, state)[0] for state in self.states])
 
 
-def scene(shape: Shape, path: Array, *, pad: Gel | None = None, friction: float = 0.0, edge: float = 0.6) -> Scene:
+def scene(shape: Shape, path: Array, *, pad: GelBody | None = None, friction: float = 0.0, edge: float = 0.6) -> Scene:
     """Draft-like unless said otherwise: edge .6 mm, dhat .05 mm."""
     start = path[0].copy()
     start[2, 3] = 0.0

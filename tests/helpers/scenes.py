@@ -14,6 +14,7 @@ from helpers.synthetic import write
 from tacgen.bundle import resume
 from tacgen.errors import UserError
 from tacgen.recipe import plan
+from tacgen.recipe.row import Row
 
 TASK = "helpers.scenes:make"
 RECIPE = """
@@ -45,12 +46,12 @@ def made(folder: Path) -> list[str]:
     return log.read_text().split() if log.exists() else []
 
 
-def make(row: plan.Row, folder: Path, *, overwrite: bool = False, on_event: Any = None) -> resume.SceneResult:
+def make(row: Row, folder: Path, *, overwrite: bool = False, on_event: Any = None) -> resume.SceneResult:
     """In the place of pipeline.run_scene."""
     return resume.once(row, folder, lambda path: _make(row, path, on_event), overwrite=overwrite)
 
 
-def compiling(row: plan.Row, folder: Path, *, overwrite: bool = False, on_event: Any = None) -> resume.SceneResult:
+def compiling(row: Row, folder: Path, *, overwrite: bool = False, on_event: Any = None) -> resume.SceneResult:
     """A scene that compiles first, and goes on when its help has done its part."""
     on_event({"event": "compiling", "scene": row.name})
     while not (folder / "helped").exists():
@@ -58,12 +59,12 @@ def compiling(row: plan.Row, folder: Path, *, overwrite: bool = False, on_event:
     return make(row, folder, overwrite=overwrite, on_event=on_event)
 
 
-def help_compiling(row: plan.Row, folder: Path, *, overwrite: bool = False, on_event: Any = None) -> None:
+def help_compiling(row: Row, folder: Path, *, overwrite: bool = False, on_event: Any = None) -> None:
     """In the place of pipeline.compile_pictures."""
     (folder / "helped").write_text(row.name)
 
 
-def _make(row: plan.Row, path: Path, on_event: Any) -> resume.SceneResult:
+def _make(row: Row, path: Path, on_event: Any) -> resume.SceneResult:
     fault = path.parent / "faults" / row.name
     words = fault.read_text().split() if fault.exists() else []
     if "writing" not in words:

@@ -8,7 +8,7 @@ from helpers.small_recipe import HEAD
 from typer.testing import CliRunner
 
 from tacgen.cli import app
-from tacgen.geometry.analytic_sdf import Box, Cone, Sphere
+from tacgen.geometry.analytic_sdf import BoxSdf, ConeSdf, SphereSdf
 from tacgen.recipe import approach, plan
 from tacgen.recipe.scene_of_row import gel_of
 
@@ -25,7 +25,9 @@ def gel_in(folder: Path, sensor: str = "gelsight_mini"):
     return gel_of(row.sensor, None)
 
 
-@pytest.mark.parametrize("shape", [Sphere(4.0), Cone(0.4, 0.1), Box(6.0, 4.0, 0.2)], ids=lambda s: type(s).__name__)
+@pytest.mark.parametrize(
+    "shape", [SphereSdf(4.0), ConeSdf(0.4, 0.1), BoxSdf(6.0, 4.0, 0.2)], ids=lambda s: type(s).__name__
+)
 def test_over_a_level_face_it_is_the_height_of_the_lowest_point(tmp_path: Path, shape) -> None:
     gel = gel_in(tmp_path)
     assert approach.closest(shape, gel, poses((0.1, 0.2, 5), (3.123, -1.017, 1.5))) == pytest.approx(1.5, abs=1e-3)
@@ -33,7 +35,7 @@ def test_over_a_level_face_it_is_the_height_of_the_lowest_point(tmp_path: Path, 
 
 
 def test_beside_the_pad_and_over_a_dome(tmp_path: Path) -> None:
-    gel, ball = gel_in(tmp_path), Sphere(4.0)
+    gel, ball = gel_in(tmp_path), SphereSdf(4.0)
     beside = approach.closest(ball, gel, poses((gel.width / 2 + 3, 0, -1)))
     assert beside == pytest.approx(np.hypot(3, 3) - 4, abs=1e-3)
     dome = gel_in(tmp_path, "digit")

@@ -5,7 +5,7 @@ import pytest
 from helpers.small import dense, patch, slope, turn
 
 from tacgen.fem.potential import Projection
-from tacgen.geometry.analytic_sdf import Cone, Cylinder, Shape, Sphere, Torus
+from tacgen.geometry.analytic_sdf import ConeSdf, CylinderSdf, Shape, SphereSdf, TorusSdf
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics.barrier import SOFT, Contact, barrier
 from tacgen.mechanics.friction import dragged, onset, smooth
@@ -23,19 +23,19 @@ def bent(seed: int = 0) -> Array:
 
 def against(shape: Shape, offset: float = 0.04) -> Contact:
     """Contact whose turned indenter overlaps some of the patch, is near other parts and out of reach of some."""
-    lowest = np.array([0.0, 0.0, 0.0]) if not isinstance(shape, Torus) else np.array([shape.radius, 0.0, 0.0])
+    lowest = np.array([0.0, 0.0, 0.0]) if not isinstance(shape, TorusSdf) else np.array([shape.radius, 0.0, 0.0])
     pose = Pose(TILTED.rotation, np.zeros(3))
     down = pose.rotation.T @ np.array([0.0, 0.0, -1.0])
-    if isinstance(shape, Sphere):
+    if isinstance(shape, SphereSdf):
         lowest = np.array([0.0, 0.0, shape.radius]) + shape.radius * down
     return Contact(FACES, shape, Pose(pose.rotation, -pose.rotation @ lowest - [0, 0, 0.06]), DHAT, 0.7, offset)
 
 
 CONTACTS = {
-    "sphere": against(Sphere(0.8)),
-    "torus": against(Torus(0.9, 0.5)),
-    "cone": against(Cone(np.radians(50), 0.4)),
-    "punch": against(Cylinder(0.6, 0.3)),
+    "sphere": against(SphereSdf(0.8)),
+    "torus": against(TorusSdf(0.9, 0.5)),
+    "cone": against(ConeSdf(np.radians(50), 0.4)),
+    "punch": against(CylinderSdf(0.6, 0.3)),
 }
 
 
@@ -136,7 +136,7 @@ def test_shrinking_the_indenter_opens_every_gap_by_as_much() -> None:
 
 def test_no_step_passes_through_the_indenter() -> None:
     """Straight through a ball's middle: stopped before its far half."""
-    contact = Contact(FACES, Sphere(1.0), Pose(np.eye(3), np.array([0, 0, 0.3])), DHAT, 0.7)
+    contact = Contact(FACES, SphereSdf(1.0), Pose(np.eye(3), np.array([0, 0, 0.3])), DHAT, 0.7)
     p = np.zeros_like(POINTS)
     p[:, 2] = 50.0
     part = contact.max_step(POINTS, p)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from helpers.small import patch
 
-from tacgen.geometry.analytic_sdf import Box, Cylinder, Shape, Sphere
+from tacgen.geometry.analytic_sdf import BoxSdf, CylinderSdf, Shape, SphereSdf
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics.barrier import Contact
 from tacgen.mechanics.condensation import Schur
@@ -43,12 +43,12 @@ def solved(to: Quadratic, contact: CoupledContact, **how: float) -> ContactSolut
 
 
 CASES = {
-    "ball": against(Sphere(1.5), 0.2),
-    "ball that slides": against(Sphere(1.5), 0.2, (0.3, 0.1, 0)),
-    "punch": against(Cylinder(0.7, 0.1), 0.2, (0.0, 0.02, 0)),
-    "box that slides": against(Box(1.2, 0.8, 0.15), 0.15, (-0.2, 0.1, 0)),
-    "without friction": against(Sphere(1.5), 0.2, (0.3, 0.1, 0), 0.0),
-    "a touch": against(Sphere(1.5), 0.005),
+    "ball": against(SphereSdf(1.5), 0.2),
+    "ball that slides": against(SphereSdf(1.5), 0.2, (0.3, 0.1, 0)),
+    "punch": against(CylinderSdf(0.7, 0.1), 0.2, (0.0, 0.02, 0)),
+    "box that slides": against(BoxSdf(1.2, 0.8, 0.15), 0.15, (-0.2, 0.1, 0)),
+    "without friction": against(SphereSdf(1.5), 0.2, (0.3, 0.1, 0), 0.0),
+    "a touch": against(SphereSdf(1.5), 0.005),
 }
 
 

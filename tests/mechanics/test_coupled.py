@@ -7,7 +7,7 @@ import pytest
 from helpers.small import dense, full, patch, slope, turn
 
 from tacgen.fem.assembly import add_dense_blocks
-from tacgen.geometry.analytic_sdf import Box, Shape, Sphere, Torus
+from tacgen.geometry.analytic_sdf import BoxSdf, Shape, SphereSdf, TorusSdf
 from tacgen.geometry.pose import Pose
 from tacgen.geometry.sdf_grid import Field
 from tacgen.mechanics.barrier import SOFT, Contact, barrier
@@ -33,9 +33,9 @@ def spline() -> Field:
 
 
 SHAPES: dict[str, Shape] = {
-    "sphere": Sphere(0.8),
-    "box": Box(1.4, 1.2, 0.3),
-    "torus": Torus(0.6, 0.35),
+    "sphere": SphereSdf(0.8),
+    "box": BoxSdf(1.4, 1.2, 0.3),
+    "torus": TorusSdf(0.6, 0.35),
     "spline": spline(),
 }
 ALL = pytest.mark.parametrize("name", SHAPES)
@@ -129,7 +129,7 @@ def test_where_points_overlap_the_tangent_is_that_of_a_plane(name: str) -> None:
 def test_at_the_nodes_too_it_is_the_slope_and_not_its_transpose(nodes: int) -> None:
     points, faces, _ = patch(2, 1.8, nodes)
     x = points + np.random.default_rng(1).uniform(-0.05, 0.05, points.shape)
-    contact = Contact(faces, Sphere(0.8), Pose(np.eye(3), np.array([0.03, 0.01, 0.02])), DHAT, KAPPA)
+    contact = Contact(faces, SphereSdf(0.8), Pose(np.eye(3), np.array([0.03, 0.01, 0.02])), DHAT, KAPPA)
     coupled = CoupledContact(contact, FRICTION, faces.at(x) - [0.06, -0.03, 0.04], EPS)
 
     def nodal(y: Array) -> Array:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from helpers.presses import gel, poses, scene
 
-from tacgen.geometry.analytic_sdf import Cylinder, Shape, Sphere
+from tacgen.geometry.analytic_sdf import CylinderSdf, Shape, SphereSdf
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics import Problem, SolverOptions, State, mesh, plain, states
 from tacgen.mechanics.barrier import Contact
@@ -47,7 +47,7 @@ def alike(one: list[State], two: list[State], tol: float) -> None:
             assert np.linalg.norm(a.friction - b.friction) < 20 * tol * np.linalg.norm(a.friction)
 
 
-@pytest.mark.parametrize("shape", [Sphere(2.5), Cylinder(1.2, 0.4)], ids=lambda shape: type(shape).__name__)
+@pytest.mark.parametrize("shape", [SphereSdf(2.5), CylinderSdf(1.2, 0.4)], ids=lambda shape: type(shape).__name__)
 def test_the_answer_is_that_of_the_oracle_in_fewer_factorisations(shape: Shape) -> None:
     """Steps begin from the gel left behind in both: what is predicted says where new points first touch."""
     oracle = replace(plain(), step_tol=3e-4, residual_tol=1e-7)
@@ -69,21 +69,21 @@ def test_the_answer_is_that_of_the_oracle_in_fewer_factorisations(shape: Shape) 
 def test_how_it_is_found_does_not_show_in_the_answer(change: dict[str, float]) -> None:
     """Nothing predicted: a prediction depends on where the tangent was taken, and says where new points first touch."""
     still = replace(TIGHT, predict=False)
-    usual, _ = solved(Sphere(2.5), PATH, still)
-    other, _ = solved(Sphere(2.5), PATH, replace(still, **change))  # type: ignore[arg-type]
+    usual, _ = solved(SphereSdf(2.5), PATH, still)
+    other, _ = solved(SphereSdf(2.5), PATH, replace(still, **change))  # type: ignore[arg-type]
     alike(usual, other, 1e-4)
 
 
 def test_without_friction_what_is_predicted_does_not_show_either() -> None:
-    usual, one = solved(Sphere(2.5), PATH, TIGHT, 0.0)
-    other, two = solved(Sphere(2.5), PATH, replace(TIGHT, predict=False), 0.0)
+    usual, one = solved(SphereSdf(2.5), PATH, TIGHT, 0.0)
+    other, two = solved(SphereSdf(2.5), PATH, replace(TIGHT, predict=False), 0.0)
     alike(usual, other, 1e-4)
     assert one.factored <= two.factored
 
 
 def test_a_kept_tangent_saves_factorisations() -> None:
-    usual, kept = solved(Sphere(2.5), PATH)
-    _, fresh = solved(Sphere(2.5), PATH, replace(USUAL, keep_tangent=False))
+    usual, kept = solved(SphereSdf(2.5), PATH)
+    _, fresh = solved(SphereSdf(2.5), PATH, replace(USUAL, keep_tangent=False))
     assert kept.factored < fresh.factored
     assert max(state.residual for state in usual) < 1e-3
 
@@ -97,7 +97,7 @@ def test_contact_that_leaves_the_condensed_nodes_is_followed(monkeypatch: pytest
         covered.append(self.size)
 
     monkeypatch.setattr(Condensation, "cover", counted)
-    there, problem = solved(Sphere(1.0), [(-1.2, 0.0, -0.2), (1.2, 0.0, -0.2)])
+    there, problem = solved(SphereSdf(1.0), [(-1.2, 0.0, -0.2), (1.2, 0.0, -0.2)])
     assert len(covered) >= 3
     assert max(covered) < problem.pattern.size / 3
     conn, local = problem.contact.faces.conn, problem.tangent.condensation.local
@@ -108,9 +108,9 @@ def test_contact_that_leaves_the_condensed_nodes_is_followed(monkeypatch: pytest
 
 
 def test_without_factors_that_can_be_read_newtons_method_does_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    usual, _ = solved(Sphere(2.5), PATH[:3])
+    usual, _ = solved(SphereSdf(2.5), PATH[:3])
     monkeypatch.setattr("tacgen.mechanics.linear_solvers.readable", lambda: False)
-    found, problem = solved(Sphere(2.5), PATH[:3])
+    found, problem = solved(SphereSdf(2.5), PATH[:3])
     assert not problem.condensed
     assert problem.factored == problem.linear.factored
     for a, b in zip(usual, found, strict=True):
@@ -119,7 +119,7 @@ def test_without_factors_that_can_be_read_newtons_method_does_it(monkeypatch: py
 
 
 def test_coulombs_law_holds_at_every_point_of_every_frame() -> None:
-    for state in solved(Cylinder(1.2, 0.4), PATH)[0]:
+    for state in solved(CylinderSdf(1.2, 0.4), PATH)[0]:
         assert state.friction is not None
         assert state.sliding is not None
         size = np.linalg.norm(state.friction, axis=-1)
@@ -130,7 +130,7 @@ def test_coulombs_law_holds_at_every_point_of_every_frame() -> None:
 
 
 def test_nothing_is_predicted_where_the_tied_gel_is_unstable() -> None:
-    made = scene(Sphere(2.5), poses(PATH), pad=gel(8, 8, 2.0), friction=0.6, edge=1.0)
+    made = scene(SphereSdf(2.5), poses(PATH), pad=gel(8, 8, 2.0), friction=0.6, edge=1.0)
     problem = Problem.of(made, mesh.build(made.gel, (-2, 2, -2, 2), made.edge), USUAL)
     *_, last = states(made, problem)
     assert last.after is not None
@@ -150,7 +150,7 @@ def test_nothing_is_predicted_where_the_tied_gel_is_unstable() -> None:
 def test_a_step_too_long_away_from_the_contact_is_halved_and_not_damped(monkeypatch: pytest.MonkeyPatch) -> None:
     """A node in the corner of the pad is pushed almost through its element: Newton's step throws it out on the other
     side. Damping acts on the nodes at the contact and would not help."""
-    made = scene(Sphere(2.5), poses(PATH), pad=gel(8, 8, 2.0), friction=0.6, edge=0.5)
+    made = scene(SphereSdf(2.5), poses(PATH), pad=gel(8, 8, 2.0), friction=0.6, edge=0.5)
     problem = Problem.of(made, mesh.build(made.gel, (-2, 2, -2, 2), made.edge), TIGHT)
     *_, last = states(made, problem)
     assert last.after is not None

@@ -9,7 +9,7 @@ from helpers.presses import gel, poses, run, scene
 
 from tacgen.fem.elasticity import Elastic
 from tacgen.fem.jacobian import least_jacobian
-from tacgen.geometry.analytic_sdf import Box, Cylinder, Shape, Sphere
+from tacgen.geometry.analytic_sdf import BoxSdf, CylinderSdf, Shape, SphereSdf
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics import NotConverged, Problem, SolverOptions, equilibrium, load_stepping, mesh, short_steps, states
 from tacgen.mechanics.scene import Forced, Scene
@@ -22,7 +22,7 @@ PATH = [(0.0, 0.0, -0.2), (0.0, 0.0, -0.4), (0.3, 0.0, -0.4)]
 
 
 def made(friction: float = 0.0, options: SolverOptions = USUAL) -> tuple[Scene, Problem]:
-    s = scene(Sphere(2.5), poses(PATH), pad=gel(8, 8, 2.0), friction=friction, edge=0.6)
+    s = scene(SphereSdf(2.5), poses(PATH), pad=gel(8, 8, 2.0), friction=friction, edge=0.6)
     return s, Problem.of(s, mesh.build(s.gel, SMALL, s.edge), options)
 
 
@@ -49,7 +49,7 @@ def test_frames_come_in_order_at_the_poses_asked_for() -> None:
 @pytest.mark.parametrize("asked", [0.02, 0.05, 0.2])
 def test_a_punch_reaches_forces_that_are_light_beside_the_solvers_tolerances(asked: float) -> None:
     one = np.ones(1)
-    s = scene(Cylinder(3.0, 0.4), poses([(0, 0, -0.05)]), pad=gel(8, 8, 2.0, nu=0.4995), friction=1.0, edge=1.0)
+    s = scene(CylinderSdf(3.0, 0.4), poses([(0, 0, -0.05)]), pad=gel(8, 8, 2.0, nu=0.4995), friction=1.0, edge=1.0)
     s = replace(s, dhat=0.1, forced=Forced(asked * one, one, one, -1.6 * one, 1.5 * one))
     (state,) = states(s, Problem.of(s, mesh.build(s.gel, (-3.5, 3.5, -3.5, 3.5), s.edge)))
     assert -state.traction_force[..., 2].sum() == pytest.approx(asked, rel=USUAL.force_tol)
@@ -189,7 +189,7 @@ def test_a_step_that_failed_leaves_nothing_behind() -> None:
 
 def test_the_footprint_covers_all_that_is_touched_and_little_more() -> None:
     path = poses([(-2, -1, -0.5), (2, 0.5, -0.5), (2, 0.5, 0.3)])
-    s = scene(Sphere(3.0), path, pad=gel(20, 20, 3))
+    s = scene(SphereSdf(3.0), path, pad=gel(20, 20, 3))
     x0, x1, y0, y1 = mesh.footprint(s)
     rim = np.sqrt(3.0**2 - 2.5**2)
     margin = np.array([-2 - rim - x0, x1 - 2 - rim, -1 - rim - y0, y1 - 0.5 - rim])
@@ -198,7 +198,9 @@ def test_the_footprint_covers_all_that_is_touched_and_little_more() -> None:
 
 
 def test_what_is_touched_lies_within_the_footprint() -> None:
-    s = scene(Box(2.0, 1.0, 0.2), poses([(0.5, 0, -0.4), (0.5, 1.0, -0.4)], yaw=0.5), pad=gel(10, 10, 2), friction=0.4)
+    s = scene(
+        BoxSdf(2.0, 1.0, 0.2), poses([(0.5, 0, -0.4), (0.5, 1.0, -0.4)], yaw=0.5), pad=gel(10, 10, 2), friction=0.4
+    )
     found = run(s)
     x0, x1, y0, y1 = mesh.footprint(s)
     rest = found.problem.contact.faces.at(found.problem.mesh.points)
@@ -212,7 +214,7 @@ def test_what_is_touched_lies_within_the_footprint() -> None:
 
 
 def test_an_indenter_that_never_touches_has_a_footprint_and_no_force() -> None:
-    s = scene(Sphere(2.0), poses([(1.0, 0, 0.5), (1.0, 0, 0.2)]), pad=gel(8, 8, 2), friction=0.5)
+    s = scene(SphereSdf(2.0), poses([(1.0, 0, 0.5), (1.0, 0, 0.2)]), pad=gel(8, 8, 2), friction=0.5)
     x0, x1, y0, y1 = mesh.footprint(s)
     assert x0 < 1.0 < x1
     assert y0 < 0.0 < y1
@@ -225,13 +227,13 @@ def test_an_indenter_that_never_touches_has_a_footprint_and_no_force() -> None:
 
 
 def test_where_nothing_touches_one_iteration_is_enough() -> None:
-    s = scene(Sphere(2.0), poses([(1.0, 0, 0.5), (1.0, 0, 0.2)]), pad=gel(8, 8, 2), friction=0.5)
+    s = scene(SphereSdf(2.0), poses([(1.0, 0, 0.5), (1.0, 0, 0.2)]), pad=gel(8, 8, 2), friction=0.5)
     assert max(state.iterations for state in run(s).states) <= 1
 
 
 def test_a_deep_press_at_once_goes_in_load_steps_to_the_same_force() -> None:
     """Without friction the way there does not matter: half the tangents, the same answer."""
-    made = scene(Sphere(4.0), poses([(0, 0, -1.0)]), pad=gel(12, 12, 4.0), edge=0.6)
+    made = scene(SphereSdf(4.0), poses([(0, 0, -1.0)]), pad=gel(12, 12, 4.0), edge=0.6)
     grid = mesh.build(made.gel, (-3.0, 3.0, -3.0, 3.0), made.edge)
     problems = [Problem.of(made, grid, options) for options in (SolverOptions(), SolverOptions(sink=np.inf))]
     (split,), (whole,) = (list(states(made, problem)) for problem in problems)
@@ -251,15 +253,15 @@ def test_friction_taken_round_a_sharp_edge_in_one_step_is_recorded() -> None:
         assert found[1].substeps == (1 if times == 1 or not friction else 7)
         return found[1].rounded
 
-    box = Box(1.6, 1.6, 0.15)
+    box = BoxSdf(1.6, 1.6, 0.15)
     whole = slid(box, 0.6, 1)
     assert whole > 0.05
     assert slid(box, 0.6, 60) < 0.5 * whole
-    assert slid(box, 0.0, 1) == slid(Sphere(2.5), 0.6, 1) == 0
+    assert slid(box, 0.0, 1) == slid(SphereSdf(2.5), 0.6, 1) == 0
 
 
 def test_friction_round_an_edge_is_that_of_the_points_whose_normal_turns() -> None:
-    made = scene(Box(1.0, 1.0, 0.05), poses(PATH), pad=gel(8, 8, 2.0), friction=0.6, edge=0.6)
+    made = scene(BoxSdf(1.0, 1.0, 0.05), poses(PATH), pad=gel(8, 8, 2.0), friction=0.6, edge=0.6)
     problem = Problem.of(made, mesh.build(made.gel, SMALL, made.edge))
     after, _ = equilibrium.equilibrium(problem, problem.rest(Pose.of(made.start)), made.poses[0], 0)
     one = np.unravel_index(after.normal_force.argmax(), after.normal_force.shape)

@@ -9,7 +9,7 @@ from helpers.small import dense, patch, slope, turn
 from tacgen.fem.elements import facet_corners
 from tacgen.fem.potential import Projection
 from tacgen.geometry import surface_nets
-from tacgen.geometry.analytic_sdf import Box, Shape, Sphere, Triangles
+from tacgen.geometry.analytic_sdf import BoxSdf, Shape, SphereSdf, Triangles
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics.barrier import Contact
 from tacgen.mechanics.ipctk import NODES, MeshContact, MeshFriction, Pair, lattice
@@ -46,8 +46,8 @@ def turned_ball(crossings: bool = False) -> MeshContact:
     """A turned ball's triangles, some way into the barrier's range."""
     rotation = turn(4)
     position = np.array([0.1, -0.05, 0.9]) - rotation @ [0, 0, 0.8]
-    surface = surface_nets.of_shape(Sphere(0.8), half=3, height=2, tolerance=0.01)
-    return against(Sphere(0.8), surface, Pose(rotation, position), crossings=crossings)
+    surface = surface_nets.of_shape(SphereSdf(0.8), half=3, height=2, tolerance=0.01)
+    return against(SphereSdf(0.8), surface, Pose(rotation, position), crossings=crossings)
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +55,7 @@ def plate() -> MeshContact:
     """Two big triangles, a little out of level."""
     lean = np.array([[1, 0, 0.03], [0, 1, -0.05], [-0.03, 0.05, 1.0]])
     q, r = np.linalg.qr(lean)
-    return against(Box(18, 18, 0.1), FLAT, Pose(q * np.sign(np.diag(r)), np.array([0.3, 0.4, 0.14])))
+    return against(BoxSdf(18, 18, 0.1), FLAT, Pose(q * np.sign(np.diag(r)), np.array([0.3, 0.4, 0.14])))
 
 
 def rubbing(contact: MeshContact, x: Array) -> MeshFriction:
@@ -168,7 +168,7 @@ def test_flat_contact_pushes_straight_across_whatever_the_triangles() -> None:
     down = np.tile([0.0, 0, -1], (len(flat), 1))
     surface = Triangles(np.column_stack([flat, np.zeros(len(flat))]), triangles, down)
     above = Pose(np.eye(3), np.array([0.0, 0.0, 0.015]))
-    contact = replace(against(Box(6, 6, 0.1), surface, above, 0.0, crossings=True), dhat=0.03)
+    contact = replace(against(BoxSdf(6, 6, 0.1), surface, above, 0.0, crossings=True), dhat=0.03)
     g = contact.gradient(POINTS)
     assert np.abs(g[:, :2]).max() < 5e-3 * np.abs(g[:, 2]).max()
     assert np.abs(g.sum(0)[:2]).max() < 1e-3 * abs(g.sum(0)[2])

@@ -13,16 +13,16 @@ from scipy.spatial import cKDTree
 from tacgen.errors import UserError
 from tacgen.fem.elements import facet_areas, hexes
 from tacgen.fem.materials import NeoHooke
-from tacgen.geometry.analytic_sdf import Sphere, Torus
-from tacgen.geometry.gel import Gel, Layer
+from tacgen.geometry.analytic_sdf import SphereSdf, TorusSdf
+from tacgen.geometry.gel import GelBody, GelLayer
 from tacgen.mechanics import mesh
 
 LAW = NeoHooke(0.05, 0.4)
 
 
-def gel(*thicknesses: float, corner: float = 0.0) -> Gel:
+def gel(*thicknesses: float, corner: float = 0.0) -> GelBody:
     """12 x 10 mm, layers from the base up."""
-    return Gel(12.0, 10.0, corner, layers=tuple(Layer(t, LAW, 0.15) for t in thicknesses))
+    return GelBody(12.0, 10.0, corner, layers=tuple(GelLayer(t, LAW, 0.15) for t in thicknesses))
 
 
 @settings(max_examples=200, deadline=None)
@@ -113,7 +113,7 @@ def test_cells_under_the_footprint_are_fine() -> None:
 
 def test_a_press_in_the_middle_has_a_mesh_that_mirrors_in_x_and_y() -> None:
     """On a pad of the Mini's sides, of which an edge is no part: what is not even in the mesh is not in the maps."""
-    made = scene(Sphere(4.0), poses([(0.0, 0.0, -1.0)]), pad=presses.gel(25.25, 20.75, 4.0), edge=0.36)
+    made = scene(SphereSdf(4.0), poses([(0.0, 0.0, -1.0)]), pad=presses.gel(25.25, 20.75, 4.0), edge=0.36)
     x0, x1, y0, y1 = mesh.footprint(made)
     assert (x0, y0) == pytest.approx((-x1, -y1), abs=1e-12)
     points = mesh.of(made).points
@@ -123,14 +123,14 @@ def test_a_press_in_the_middle_has_a_mesh_that_mirrors_in_x_and_y() -> None:
 
 def test_what_a_thin_indenter_leaves_below_the_face_is_fine_too() -> None:
     """A ring of 1 mm, pressed by 2 mm in one frame, is nowhere in the untouched face at the end."""
-    made = scene(Torus(3.0, 0.5), poses([(0.0, 0.0, -2.0)]), edge=0.4)
+    made = scene(TorusSdf(3.0, 0.5), poses([(0.0, 0.0, -2.0)]), edge=0.4)
     x0, x1, y0, y1 = mesh.footprint(made)
     assert min(-x0, x1, -y0, y1) >= 3.0
 
 
 def test_cells_lie_alike_around_the_start_of_a_slide() -> None:
     path = poses([(0.0, 0.0, -1.0), (1.0, 0.0, -1.0)])
-    made = scene(Sphere(4.0), path, pad=presses.gel(25.25, 20.75, 4.0), edge=0.36)
+    made = scene(SphereSdf(4.0), path, pad=presses.gel(25.25, 20.75, 4.0), edge=0.36)
     points = mesh.of(made).points
     near = points[(np.abs(points[:, :2]) < 3.0).all(1)]
     assert len(near) > 1000
@@ -165,7 +165,7 @@ def test_a_mesh_that_no_machine_could_solve_is_refused() -> None:
 
 
 def test_a_pad_ten_times_as_large_has_as_many_nodes() -> None:
-    small, large = gel(3.0), Gel(120.0, 100.0, layers=(Layer(30.0, LAW, 0.15),))
+    small, large = gel(3.0), GelBody(120.0, 100.0, layers=(GelLayer(30.0, LAW, 0.15),))
     one = mesh.build(small, (-2.0, 2.0, -2.0, 2.0), 0.8)
     ten = mesh.build(large, (-20.0, 20.0, -20.0, 20.0), 8.0)
     assert len(ten.points) == len(one.points)

@@ -10,7 +10,7 @@ from helpers.presses import gel, poses, scene
 from helpers.small_recipe import HEAD
 from scipy.spatial.transform import Rotation
 
-from tacgen.geometry.analytic_sdf import Box, Shape, Sphere
+from tacgen.geometry.analytic_sdf import BoxSdf, Shape, SphereSdf
 from tacgen.geometry.pose import Pose, along, between, shortest_turn
 from tacgen.mechanics import NotConverged, Problem, SolverOptions, State, load_stepping, mesh, states
 from tacgen.mechanics.load_stepping import advance, steps_needed
@@ -121,7 +121,7 @@ def rotated(pose: Array, turn: Array) -> Array:
 
 def test_the_steps_a_turn_needs_grow_with_its_angle_and_its_arm() -> None:
     """So many that no point in contact is carried on by more than the options say; 720 deg end where they began."""
-    made, problem = small(Sphere(2.5))
+    made, problem = small(SphereSdf(2.5))
     history, a = pressed(made, problem), made.poses[0]
 
     def steps(degrees: float, move: tuple[float, float, float] = (0, 0, 0)) -> int:
@@ -144,10 +144,10 @@ def test_the_steps_a_turn_needs_grow_with_its_angle_and_its_arm() -> None:
 
 def test_a_turn_needs_short_steps_only_where_it_rubs_and_sharp_edges_shorter_ones() -> None:
     turn = np.array([0, 0, np.radians(720)])
-    made, smooth = small(Sphere(2.5), friction=0.0)
+    made, smooth = small(SphereSdf(2.5), friction=0.0)
     a = made.poses[0]
     assert steps_needed(smooth, pressed(made, smooth), a, a, turn) == 1
-    made, problem = small(Box(1.6, 1.6, 0.5), options=SolverOptions(slide=0.6, slide_sharp=0.6))
+    made, problem = small(BoxSdf(1.6, 1.6, 0.5), options=SolverOptions(slide=0.6, slide_sharp=0.6))
     assert steps_needed(problem, problem.rest(Pose.of(made.start)), a, a, turn) == 1
     history = pressed(made, problem)
     usual = steps_needed(problem, history, a, a, turn)
@@ -172,7 +172,7 @@ def recorded(monkeypatch: pytest.MonkeyPatch, most: float = np.inf) -> list[floa
 
 @pytest.mark.parametrize("angle", [190.0, -190.0])
 def test_a_turn_that_fails_is_halved_on_its_own_way(angle: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    made, problem = small(Sphere(2.5), friction=0.0)
+    made, problem = small(SphereSdf(2.5), friction=0.0)
     history, a = pressed(made, problem), made.poses[0]
     turn = np.array([0, 0, np.radians(angle)])
     done = recorded(monkeypatch, most=60)

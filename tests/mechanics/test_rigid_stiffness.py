@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from helpers.presses import gel, poses, scene
 
-from tacgen.geometry.analytic_sdf import Sphere
+from tacgen.geometry.analytic_sdf import SphereSdf
 from tacgen.geometry.pose import Pose, about, shortest_turn
 from tacgen.mechanics import Problem, mesh
 from tacgen.mechanics.equilibrium import equilibrium
@@ -26,7 +26,7 @@ def wrench(problem: Problem, state: State, centre: Array) -> Array:
 @pytest.mark.parametrize(("slid", "tol"), [(0.0, 0.03), (0.1, 0.03), (0.5, 0.2)])
 def test_tangent_is_the_derivative_of_the_wrench(slid: float, tol: float) -> None:
     """Sticking, slipping at the rim, and sliding as a whole, where the anchors of the path blur the direction."""
-    s = scene(Sphere(4.0), poses([(0.0, 0.0, -0.3), (slid, 0.0, -0.31)]), pad=gel(10, 10), friction=0.6)
+    s = scene(SphereSdf(4.0), poses([(0.0, 0.0, -0.3), (slid, 0.0, -0.31)]), pad=gel(10, 10), friction=0.6)
     problem = Problem.of(s, mesh.of(s))
     before, _ = advance(problem, problem.rest(Pose.of(s.start)), s.start, s.poses[0], np.zeros(3), 0, math.inf)
     turn = shortest_turn(s.poses[0], s.poses[1])
@@ -49,7 +49,7 @@ def test_tangent_is_the_derivative_of_the_wrench(slid: float, tol: float) -> Non
 
 
 def test_nothing_touched_resists_nothing() -> None:
-    s = scene(Sphere(4.0), poses([(0.0, 0.0, 1.0)]), pad=gel(10, 10), friction=0.6)
+    s = scene(SphereSdf(4.0), poses([(0.0, 0.0, 1.0)]), pad=gel(10, 10), friction=0.6)
     problem = Problem.of(s, mesh.of(s))
     rest = problem.rest(Pose.of(s.poses[0]))
     assert not stiffness(problem, rest, rest, 1, np.zeros(3)).any()

@@ -16,13 +16,14 @@ from tacgen.mechanics.scene import Scene
 from tacgen.outputs.sensitivities import Sensitivities
 from tacgen.recipe import plan, scene_of_row
 from tacgen.recipe.model import Uncertainty
+from tacgen.recipe.row import Row
 
 PRESS = "  - press: {depth_mm: 0.8, frames: 2}\n"
 ALL = {"material": {"modulus": 0.1, "poissons_ratio": 0.002, "friction": 0.1}, "pose": {"depth_mm": 0.02}}
 EXACT = replace(mechanics.DEFAULT, step_tol=1e-4, residual_tol=1e-7)
 
 
-def made(folder: Path, text: str, *sets: str) -> plan.Row:
+def made(folder: Path, text: str, *sets: str) -> Row:
     (folder / "r.yaml").write_text(text)
     return plan.load(folder / "r.yaml", sets).rows[0]
 
@@ -31,7 +32,7 @@ def force(state: mechanics.State) -> np.ndarray:
     return state.traction_force.sum((0, 1))
 
 
-def slopes(row: plan.Row, options: mechanics.SolverOptions = EXACT) -> tuple[Scene, mesh.Mesh, dict[str, np.ndarray]]:
+def slopes(row: Row, options: mechanics.SolverOptions = EXACT) -> tuple[Scene, mesh.Mesh, dict[str, np.ndarray]]:
     built = scene_of_row.build(row)
     problem = mechanics.Problem.of(built, mesh.of(built), options)
     follow = Sensitivities(problem, Uncertainty.model_validate(ALL).deviations, row.sensor.gel)

@@ -15,8 +15,8 @@ from tacgen.errors import UserError
 from tacgen.fem.elements import TET_EDGES, elements, facet_areas
 from tacgen.fem.materials import NeoHooke
 from tacgen.fem.mesh_quality import dihedral, nodal_volume, scaled_jacobian
-from tacgen.geometry.analytic_sdf import Sphere
-from tacgen.geometry.gel import Gel, Layer
+from tacgen.geometry.analytic_sdf import SphereSdf
+from tacgen.geometry.gel import GelBody, GelLayer
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics import mesh, tet_mesh
 from tacgen.mechanics.scene import Scene
@@ -24,15 +24,15 @@ from tacgen.recipe import plan
 
 Array = np.ndarray
 LAW = NeoHooke(0.05, 0.4)
-DOMED = Gel(9.0, 11.0, 0.0, -1, (30.0, 40.0), layers=(Layer(1.4, LAW, 0.15), Layer(0.6, LAW, 0.15)))
+DOMED = GelBody(9.0, 11.0, 0.0, -1, (30.0, 40.0), layers=(GelLayer(1.4, LAW, 0.15), GelLayer(0.6, LAW, 0.15)))
 
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 
 
-def pressed(pad: Gel, element: str = "tet", edge: float = 0.6) -> Scene:
+def pressed(pad: GelBody, element: str = "tet", edge: float = 0.6) -> Scene:
     path = poses([(0.5, 0.5, -0.3)])
-    return replace(scene(Sphere(2.5), path, pad=pad, edge=edge), element=element)
+    return replace(scene(SphereSdf(2.5), path, pad=pad, edge=edge), element=element)
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +85,7 @@ def test_cells_are_sound(domed: mesh.Mesh) -> None:
 def test_cells_are_fine_where_it_is_touched_alone() -> None:
     """Of eight meshes, no two alike: 1.7 to 2.3 edges, elsewhere 2.5 to 3.6 times that. On 12 mm of gel cells have no
     room to grow: 1.6 to 2.0 times; ungraded ones had 4.6 and 0.9 there."""
-    pad, found = Gel(20.0, 20.0, 0.0, -1, (120.0, 120.0), layers=(Layer(3.0, LAW, 0.15),)), []
+    pad, found = GelBody(20.0, 20.0, 0.0, -1, (120.0, 120.0), layers=(GelLayer(3.0, LAW, 0.15),)), []
     for edge in (0.398, 0.4, 0.402):  # a mesh of the same edge would come from the cache
         made = mesh.of(pressed(pad, edge=edge))
         face = made.points[made.facets["coated"][:, :3]]
@@ -110,7 +110,7 @@ def test_a_mesh_is_kept_and_another_scene_gets_another(domed: mesh.Mesh, monkeyp
 
 def test_the_same_mesh_is_made_again() -> None:
     """Of processes that draw from the random device, no two made the same; not optimised, which takes seconds."""
-    vertices, triangles, _ = Gel(4.0, 4.0, 0.0, -1, layers=(Layer(2.0, LAW, 0.15),)).surface(*tet_mesh.COARSE)
+    vertices, triangles, _ = GelBody(4.0, 4.0, 0.0, -1, layers=(GelLayer(2.0, LAW, 0.15),)).surface(*tet_mesh.COARSE)
     ungraded = np.zeros((0, 3)), np.zeros((0, 4), np.int32), np.zeros(0)
     asked = (
         vertices,

@@ -8,7 +8,7 @@ from tacgen.fem.assembly import pattern
 from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import hexes
 from tacgen.fem.materials import NeoHooke
-from tacgen.geometry.analytic_sdf import Capsule, Cylinder, Shape, Sphere, Wedge
+from tacgen.geometry.analytic_sdf import CapsuleSdf, CylinderSdf, Shape, SphereSdf, WedgeSdf
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics.barrier import Contact, Faces
 from tacgen.mechanics.tunnelling import blocked, depth_inside, overlap
@@ -34,15 +34,15 @@ def goes(shape: Shape, start: Pose, end: Pose) -> bool:
 @pytest.mark.parametrize(
     ("shape", "start", "end", "expected"),
     [
-        (Sphere(1.5), at(0, 0), at(0, -1.0), True),
-        (Sphere(1.5), at(0, 0), at(0, -1.4), False),  # past the middle, almost
-        (Capsule(0.3, 2.0), at(0, 0), at(0, -0.2), True),
-        (Capsule(0.3, 2.0), at(0, 0), at(0, -0.9), False),  # clean through
-        (Capsule(0.3, 2.0), at(0, 5), at(1, 4), True),  # far above
-        (Capsule(0.3, 2.0), at(0, 2), at(0, -2.9), False),
-        (Cylinder(1.0, 0.2), at(0, 0), at(0, -0.6), True),
-        (Cylinder(1.0, 0.2), at(0, 0), at(0, -0.9), False),  # the middle would leave through the wall
-        (Cylinder(0.5, 0.2), at(-1.5, -0.3), at(1.5, -0.3), False),  # swept across
+        (SphereSdf(1.5), at(0, 0), at(0, -1.0), True),
+        (SphereSdf(1.5), at(0, 0), at(0, -1.4), False),  # past the middle, almost
+        (CapsuleSdf(0.3, 2.0), at(0, 0), at(0, -0.2), True),
+        (CapsuleSdf(0.3, 2.0), at(0, 0), at(0, -0.9), False),  # clean through
+        (CapsuleSdf(0.3, 2.0), at(0, 5), at(1, 4), True),  # far above
+        (CapsuleSdf(0.3, 2.0), at(0, 2), at(0, -2.9), False),
+        (CylinderSdf(1.0, 0.2), at(0, 0), at(0, -0.6), True),
+        (CylinderSdf(1.0, 0.2), at(0, 0), at(0, -0.9), False),  # the middle would leave through the wall
+        (CylinderSdf(0.5, 0.2), at(-1.5, -0.3), at(1.5, -0.3), False),  # swept across
     ],
 )
 def test_a_step_that_goes_too_far_is_reported(shape: Shape, start: Pose, end: Pose, expected: bool) -> None:
@@ -52,7 +52,7 @@ def test_a_step_that_goes_too_far_is_reported(shape: Shape, start: Pose, end: Po
 def test_what_lies_inside_the_gel_is_found() -> None:
     elastic = [Elastic.on(pattern([CELLS], np.ones((len(POINTS), 3), bool)), hexes(POINTS, CELLS), NeoHooke(0.05, 0.5))]
     faces = Faces.on(PATTERN, POINTS, QUADS)
-    deep = Contact(faces, Capsule(0.3, 2.0), at(0, -0.8), 0.03, 0.3)
+    deep = Contact(faces, CapsuleSdf(0.3, 2.0), at(0, -0.8), 0.03, 0.3)
     assert deep.gaps(POINTS)[0].min() > 0  # contact sees nothing of it
     assert 0.15 < depth_inside(deep, elastic, POINTS) <= 0.3
     assert depth_inside(deep.moved(at(0, 0.001), 0.0), elastic, POINTS) == 0
@@ -62,7 +62,7 @@ def test_what_lies_inside_the_gel_is_found() -> None:
 def test_what_cuts_in_between_the_points_of_contact_is_reported(nodes: int) -> None:
     """A blunt wedge over the seam of two rows of cells, clear of all points of contact; and a ball, by its sagitta."""
     points, faces, _ = patch(4, 2.0, nodes)
-    wedge = Wedge(np.radians(60), 0.05, 1.0)
+    wedge = WedgeSdf(np.radians(60), 0.05, 1.0)
     contact = Contact(faces, wedge, Pose(np.eye(3), np.array([0.0, 0.0, -0.04])), 0.03, 0.3)
     if nodes == 4:
         assert contact.gaps(points)[0].min() > 0
@@ -70,7 +70,7 @@ def test_what_cuts_in_between_the_points_of_contact_is_reported(nodes: int) -> N
     assert overlap(contact.moved(contact.pose, 0.01), points) == pytest.approx(0.03, abs=1e-9)
     bowl = points.copy()
     bowl[:, 2] = 4.0 - np.sqrt(16 - (points[:, :2] ** 2).sum(1))  # nodes on the ball, the middles of cells inside
-    found = overlap(Contact(faces, Sphere(4.0), Pose(np.eye(3), np.zeros(3)), 0.03, 0.3), bowl)
+    found = overlap(Contact(faces, SphereSdf(4.0), Pose(np.eye(3), np.zeros(3)), 0.03, 0.3), bowl)
     sagitta = 2 * 0.25**2 / 8  # two sides of a cell of .5 mm
     assert 0.01 * sagitta < found < 0.05 * sagitta if nodes == 6 else found == pytest.approx(sagitta, rel=0.1)
     assert overlap(contact.moved(Pose(np.eye(3), np.array([0.0, 0.0, 1.0])), 0.0), points) == 0

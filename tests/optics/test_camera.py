@@ -5,13 +5,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tacgen.optics.camera import Camera, Stack
+from tacgen.optics.camera import PinholeCamera, Stack
 
 MINI = Stack((17.0, 5.0, 4.0), (1.0, 1.49, 1.41))
 
 
-def camera(stack: Stack = MINI, mm_per_px: float = 0.0634) -> Camera:
-    return Camera(stack, (0.3, -0.2), stack.effective_depth / mm_per_px, (240, 320))
+def camera(stack: Stack = MINI, mm_per_px: float = 0.0634) -> PinholeCamera:
+    return PinholeCamera(stack, (0.3, -0.2), stack.effective_depth / mm_per_px, (240, 320))
 
 
 def march(stack: Stack, slope: np.ndarray, z: float) -> np.ndarray:
@@ -64,7 +64,7 @@ index = st.floats(1.0, 2.4)
 def test_rays_then_project_returns_the_pixel_for_any_stack(layers, distance, px, py, way, turn):
     stack = Stack((distance, *(t for t, _ in layers)), (1.0, *(n for _, n in layers)))
     px, py = (px, py) if turn == (0, 0, 0) else (px / 10, py / 10)  # a turned one must not look along the plate
-    eye = Camera(stack, (1.0, 2.0), 300.0, (240, 320), (20.0, -30.0), turn[:2], turn[2])
+    eye = PinholeCamera(stack, (1.0, 2.0), 300.0, (240, 320), (20.0, -30.0), turn[:2], turn[2])
     origin, direction = eye.rays([[px, py]])
     point = origin + way * direction * layers[-1][0] / direction[:, 2:]
     assert eye.project(point)[0] == pytest.approx([px, py], abs=1e-6)

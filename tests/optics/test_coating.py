@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from helpers.tiny import sensor
 
-from tacgen.optics import camera_response, coating, mitsuba_dicts
-from tacgen.optics.camera_view import View
+from tacgen.optics import camera_response, coating, housing, mitsuba_dicts
+from tacgen.optics.camera_view import CameraView
 from tacgen.optics.surface_grid import Sheet, Untouched
 from tacgen.sensor.markers import HexagonalMarkers
 
@@ -66,7 +66,7 @@ def test_a_rectangle_keeps_size_place_and_front():
     assert matrix[:3, 2] == pytest.approx([0, 0, -1])
     assert np.linalg.det(matrix[:3, :3]) > 0
     with pytest.raises(ValueError, match="parallel"):
-        mitsuba_dicts.frame((0, 0, 1), (0, 0, -1))
+        housing.frame((0, 0, 1), (0, 0, -1))
 
 
 def test_equal_indices_leave_no_interface():
@@ -101,7 +101,7 @@ def test_stray_light_is_even_but_for_the_vignette_and_dots_stay_dark_in_it():
         [0.1, 0.2, 0.3] * camera_response.vignette(model.camera)
     )
     dark = model.model_copy(update={"leds": tuple(x.model_copy(update={"radiance": (0, 0, 0)}) for x in model.leds)})
-    view = View(dark, Sheet.over(dark.gel, 0.2), True)
+    view = CameraView(dark, Sheet.over(dark.gel, 0.2), True)
     seen = view.dimmed(view.look(Untouched()), view.samples_of(camera_response.stray(model.camera)))
     share = seen[16, 20] / camera_response.stray(model.camera)[16, 20]
     coat = 0.8 * np.array(model.coating.albedo) + 0.2 * coating.METAL

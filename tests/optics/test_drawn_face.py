@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from helpers.tiny import sensor
 
-from tacgen.optics.camera import Camera
+from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.drawn_face import DrawnFace
 from tacgen.optics.surface_grid import Sheet, Untouched
 
 TINY = sensor()
-CAMERA, SHEET = Camera.from_sensor(TINY), Sheet.over(TINY.gel, 0.2)
+CAMERA, SHEET = PinholeCamera.from_sensor(TINY), Sheet.over(TINY.gel, 0.2)
 
 
 class Wave:

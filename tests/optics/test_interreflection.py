@@ -17,8 +17,8 @@ def test_a_turned_face_gets_what_it_would_gather(turn):
     level = bounce._normals[: bounce._coat]
     side = level[:, :2] + turn
     turned = np.ascontiguousarray(np.column_stack([side, -np.sqrt(1 - (side**2).sum(axis=1))]))
-    exact = bounce._gather(made, bounce._patches, len(lit), turned) @ lit
-    flat = bounce._gather(made, bounce._patches, len(lit), np.ascontiguousarray(level)) @ lit
+    exact = bounce._gather(bounce._patches, len(lit), normals=turned) @ lit
+    flat = bounce._gather(bounce._patches, len(lit), normals=np.ascontiguousarray(level)) @ lit
     terms = np.repeat((bounce._form_factor_terms @ lit).T[:, :, None], 3, axis=2)
     found = Glow(terms, level[:, :2]).at(turned)
     assert terms.shape[1:] == (TERMS, 3)

@@ -6,14 +6,14 @@ import numpy as np
 from helpers.tiny import sensor
 from scipy.interpolate import RegularGridInterpolator
 
-from tacgen.optics.camera import Camera
+from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.drawn_face import DrawnFace
-from tacgen.optics.material_flow import Flow, Points
+from tacgen.optics.material_flow import Flow, MaterialPoints
 from tacgen.optics.surface_grid import Sheet
 
 Array = np.ndarray
 FINE = sensor(camera={"mm_per_px": 0.05, "width_px": 160, "height_px": 128})
-CAMERA = Camera.from_sensor(FINE)
+CAMERA = PinholeCamera.from_sensor(FINE)
 
 
 class Face:
@@ -67,7 +67,7 @@ def test_what_leaves_the_picture_is_nan() -> None:
     assert np.isnan(flow[:, 150:]).all()
     assert np.isfinite(flow[:, :149]).all()
     rest = np.array([[0.0, 0.0], [3.9, 0.0], [20.0, 0.0]])
-    pixels, seen = Points(rest, FLAT, CAMERA).at(drawn(moved))
+    pixels, seen = MaterialPoints(rest, FLAT, CAMERA).at(drawn(moved))
     assert seen.tolist() == [True, False, False]
     assert pixels[1, 0] > 160  # its place is told all the same
 
@@ -80,7 +80,7 @@ def test_what_stands_behind_a_steep_dent_is_hidden() -> None:
 
     face = Face(pit)
     rest = np.stack(np.meshgrid(np.linspace(2.2, 3.8, 81), np.linspace(-0.8, 0.8, 81)), -1).reshape(-1, 2)
-    pixels, seen = Points(rest, FLAT, CAMERA).at(drawn(face, Sheet.over(FINE.gel, 0.02)))
+    pixels, seen = MaterialPoints(rest, FLAT, CAMERA).at(drawn(face, Sheet.over(FINE.gel, 0.02)))
     origin, ray = CAMERA.rays(pixels)
     reach = (face.at(rest)[:, 2] - origin[:, 2]) / ray[:, 2]
     clearance = np.full(len(rest), np.inf)  # of the ray to the point, on its way, below the face

@@ -5,7 +5,7 @@ import pytest
 from helpers.tiny import sensor
 
 from tacgen.optics import camera_response
-from tacgen.optics.noise import noisy
+from tacgen.optics.camera_response import noisy
 from tacgen.recipe import assets, loading
 from tacgen.sensor.model import Camera, Noise
 

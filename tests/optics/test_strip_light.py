@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tacgen.optics import strip_light
-from tacgen.optics.camera import Camera, Stack
+from tacgen.optics.camera import PinholeCamera, Stack
 from tacgen.optics.shadows import Terrain
 from tacgen.sensor.model import Led
 
@@ -15,7 +15,7 @@ NOTHING = strip_light.Panels.of([])  # in the way
 def one(at, normal, area, half, lobe=0):
     """A single point that shines, and that it is one strip."""
     values = [np.array([value]) for value in (at, normal, area, half, 0, lobe)]
-    return strip_light.Points(*values), 1
+    return strip_light.StripPoints(*values), 1
 
 
 def test_a_small_strip_obeys_the_inverse_square_law():
@@ -69,7 +69,7 @@ def test_a_connection_travels_as_far_as_asked(rho):
 
 def test_camera_and_light_bend_alike():
     stack = Stack((12.0, 5.0, 4.0), (1.0, 1.49, 1.41))
-    x = Camera(stack, (0.0, 0.0), 1.0, (0, 0)).project([[6.0, 0.0, 0.0]])[0, 0]
+    x = PinholeCamera(stack, (0.0, 0.0), 1.0, (0, 0)).project([[6.0, 0.0, 0.0]])[0, 0]
     k, _ = strip_light.connect(6.0, np.array(stack.thicknesses), np.array(stack.indices))
     assert k == pytest.approx(x / np.sqrt(1 + x * x), rel=1e-7)
 
@@ -114,7 +114,7 @@ def test_a_strip_stands_in_the_way_where_a_fine_walk_meets_it(normal, image):
         if met is not None:
             seen.add(met)
             k = (
-                strip_light.arrive(np.hypot(*(source - p)[:2]), p[2], source[2], home, image, slab)[0]
+                strip_light.arrive(np.hypot(*(source - p)[:2]), p[2], source[2], home, image, slab).aside
                 * slab.indices[-1]
             )
             assert strip_light.shaded(panels, p, source, home, image, k, slab) == met
@@ -125,7 +125,7 @@ def walked(panels, p, source, image, slab):
     """The same by points every 0.002 mm of height; None where the way only just misses or meets the rectangle."""
     rho = np.hypot(*(source - p)[:2])
     home = strip_light.layer(source[2], slab.tops)
-    k = strip_light.arrive(rho, p[2], source[2], home, image, slab)[0] * slab.indices[-1]
+    k = strip_light.arrive(rho, p[2], source[2], home, image, slab).aside * slab.indices[-1]
     z = np.arange(p[2], slab.bottoms[0] if image else source[2], -0.002)
     z = np.append(z, np.arange(slab.bottoms[0], source[2], 0.002)) if image else z
     n = np.where(z < slab.bottoms[1], *slab.indices)

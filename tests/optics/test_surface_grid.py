@@ -7,7 +7,7 @@ from helpers.tiny import sensor
 from tacgen.geometry.outline import Pad
 from tacgen.geometry.rasterize import draw
 from tacgen.optics import adaptive_sampling
-from tacgen.optics.camera import Camera
+from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.hertz_dent import BallDent
 from tacgen.optics.surface_grid import Sheet, Untouched
 
@@ -61,7 +61,7 @@ def test_sparse_light_is_exact_where_it_bends_and_close_elsewhere():
         asked.append(index)
         return full[index]
 
-    out = adaptive_sampling.evaluate(light, normals, (h, w), adaptive_sampling.Tolerance(4, 1.5e-3, 0.12))
+    out = adaptive_sampling.evaluate(light, normals, (h, w), adaptive_sampling.SamplingTolerance(4, 1.5e-3, 0.12))
     assert out == pytest.approx(full, rel=2e-3)
     assert len(np.concatenate(asked)) < 0.75 * h * w
     assert len(np.unique(np.concatenate(asked))) == len(np.concatenate(asked))
@@ -72,7 +72,7 @@ def test_a_dent_is_smooth_at_its_contact_circle_and_found_again_from_its_picture
     r = 1.5 + np.array([-2e-4, -1e-4, 0.0, 1e-4, 2e-4])
     z = dent.at(np.column_stack([1.0 + r, np.full(5, -0.5)]))[:, 2]
     assert np.ptp(z) < 1e-3
-    camera = Camera.from_sensor(sensor())
+    camera = PinholeCamera.from_sensor(sensor())
     rim = dent.at(np.array([1.0, -0.5]) + 1.5 * np.array([[1, 0], [-1, 0], [0, 1], [0, -1.0]]))
     pixels = camera.project(rim)
     middle = (pixels.max(axis=0) + pixels.min(axis=0)) / 2

@@ -21,7 +21,7 @@ def light(one: taxim_table.Face) -> np.ndarray:
 
 def test_it_learns_light_that_follows_slope_and_place():
     faces = [face(seed) for seed in range(6)]
-    made = taxim_table.Table.fitted(faces, [light(one) for one in faces], LAMP, 0.1)
+    made = taxim_table.TaximTable.fitted(faces, [light(one) for one in faces], LAMP, 0.1)
     other = face(99)
     expected = light(other)
     off = np.sqrt(np.mean((made.added(other, LAMP, 0.1) - expected) ** 2))
@@ -30,7 +30,7 @@ def test_it_learns_light_that_follows_slope_and_place():
 
 def test_slopes_never_seen_are_filled_from_the_nearest_ones():
     faces = [face(seed) for seed in range(6)]
-    made = taxim_table.Table.fitted(faces, [light(one) for one in faces], LAMP, 0.1)
+    made = taxim_table.TaximTable.fitted(faces, [light(one) for one in faces], LAMP, 0.1)
     steep = taxim_table.Face(np.zeros((4, 4)), np.full((4, 4, 2), 0.95))
     assert np.isfinite(made.added(steep, LAMP, 0.1)).all()
 
@@ -47,12 +47,12 @@ def test_a_wall_hides_the_lamp_behind_it_and_nothing_else():
 def test_lamps_are_mixed_by_their_light():
     rng = np.random.default_rng(1)
     alone = [
-        taxim_table.Table(rng.normal(size=(taxim_table.BINS, taxim_table.BINS, 6, 3)), rng.uniform(size=(1, 3)))
+        taxim_table.TaximTable(rng.normal(size=(taxim_table.BINS, taxim_table.BINS, 6, 3)), rng.uniform(size=(1, 3)))
         for _ in range(2)
     ]
-    kept = [taxim_table.Table.unpacked(one.packed) for one in alone]
+    kept = [taxim_table.TaximTable.unpacked(one.packed) for one in alone]
     rgb = np.array([[1.0, 0.0, 2.0], [0.0, 3.0, 1.0]])
-    both = taxim_table.Table.mixed(kept, rgb)
+    both = taxim_table.TaximTable.mixed(kept, rgb)
     assert both.terms == pytest.approx(sum(one.terms * part for one, part in zip(alone, rgb, strict=True)))
     assert both.shade == pytest.approx(np.array([one.shade[0] * part for one, part in zip(alone, rgb, strict=True)]))
 
@@ -60,7 +60,7 @@ def test_lamps_are_mixed_by_their_light():
 def test_what_a_lamp_is_hidden_from_is_darker():
     height = np.zeros((40, 80))
     height[:, 50:53] = -2.0
-    shade = taxim_table.Table(np.zeros((taxim_table.BINS, taxim_table.BINS, 6, 3)), np.array([[0.5, 0.2, 0.0]]))
+    shade = taxim_table.TaximTable(np.zeros((taxim_table.BINS, taxim_table.BINS, 6, 3)), np.array([[0.5, 0.2, 0.0]]))
     found = shade.added(taxim_table.Face(height, np.zeros((40, 80, 2))), LAMP, 0.1)
     assert found[20, 46] == pytest.approx([-0.5, -0.2, 0.0])
     assert (found[:, 60:] == 0).all()

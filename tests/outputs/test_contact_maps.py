@@ -10,13 +10,13 @@ from helpers.small import patch
 from tacgen.mechanics import Problem, State
 from tacgen.mechanics.barrier import Faces
 from tacgen.mechanics.ipctk import lattice
-from tacgen.optics.camera import Camera, Stack
+from tacgen.optics.camera import PinholeCamera, Stack
 from tacgen.outputs import contact_maps
 from tacgen.outputs.gel_surface import Surface
 
 Array = np.ndarray
 RADIUS, FRICTION = 1.9, 0.4
-CAMERA = Camera(Stack((30.0, 4.0), (1.0, 1.41)), (0.0, 0.0), 600.0, (120, 120))  # .055 mm a pixel
+CAMERA = PinholeCamera(Stack((30.0, 4.0), (1.0, 1.41)), (0.0, 0.0), 600.0, (120, 120))  # .055 mm a pixel
 KINDS = pytest.mark.parametrize("kind", [4, 3, 6])
 
 
@@ -28,7 +28,7 @@ def hertz(at: Array) -> Array:
 def pressed(
     points: Array,
     faces: Faces,
-    camera: Camera = CAMERA,
+    camera: PinholeCamera = CAMERA,
     uneven: Array | float = 1.0,
     surface: Surface | None = None,
 ) -> tuple[contact_maps.Maps, State]:
@@ -136,7 +136,7 @@ def test_resultants_of_maps_are_compared_with_the_forces(kind: int, scale: float
     problem: Problem = SimpleNamespace(contact=SimpleNamespace(faces=faces), friction=FRICTION)  # type: ignore[assignment]
     surface = Surface(points, faces.conn)
 
-    def errors(state: State, camera: Camera = CAMERA) -> list[float]:
+    def errors(state: State, camera: PinholeCamera = CAMERA) -> list[float]:
         view = contact_maps.Shares(problem, surface, state, camera)
         return list(contact_maps.resultant_errors(view, surface, state, contact_maps.spread(view, state)).values())
 

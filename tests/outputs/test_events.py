@@ -9,7 +9,7 @@ from helpers.synthetic import attributes, write
 from tacgen import pipeline
 from tacgen.bundle.bundle import Bundle, read
 from tacgen.bundle.caption import Change, caption, changes, modes
-from tacgen.optics.camera import Camera
+from tacgen.optics.camera import PinholeCamera
 from tacgen.outputs.contact_events import friction_used
 from tacgen.recipe import plan
 from tacgen.report import viewer
@@ -90,7 +90,7 @@ def test_share_area_and_center_agree_with_the_maps(tmp_path: Path) -> None:
     assert bundle["/frames/events/patches"].tolist() == [1, 1, 1, 1]
     center = bundle["/frames/events/center_of_pressure"]
     assert np.abs(center[:2, :2]).max() < 0.01
-    camera = Camera.from_sensor(bundle.sensor)
+    camera = PinholeCamera.from_sensor(bundle.sensor)
     column = (force[3] * (np.arange(force.shape[2]) + 0.5)).sum() / force[3].sum() * camera.shape[1] / force.shape[2]
     assert camera.project(center[3:])[0, 0] == pytest.approx(column, abs=1)
 

@@ -7,8 +7,8 @@ from helpers.tiny import sensor
 
 from tacgen.bundle import bundle
 from tacgen.errors import UserError
-from tacgen.geometry.analytic_sdf import Sphere
-from tacgen.optics.camera import Camera
+from tacgen.geometry.analytic_sdf import SphereSdf
+from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.coating import centers
 from tacgen.outputs.fots_markers import FotsMarkers
 from tacgen.pipeline import run
@@ -29,7 +29,7 @@ def pose(z: float, x: float = 0.0, turn_deg: float = 0.0) -> np.ndarray:
 
 @pytest.fixture
 def drift():
-    return FotsMarkers(MOTION, centers(TINY.markers), TINY.gel, Sphere(3.0), Camera.from_sensor(TINY))
+    return FotsMarkers(MOTION, centers(TINY.markers), TINY.gel, SphereSdf(3.0), PinholeCamera.from_sensor(TINY))
 
 
 def flow(drift: FotsMarkers, *poses: np.ndarray) -> np.ndarray:

@@ -11,12 +11,12 @@ from tacgen import mechanics
 from tacgen.fem.elements import facet_areas
 from tacgen.fem.materials import NeoHooke
 from tacgen.fem.stress_recovery import FULL
-from tacgen.geometry.analytic_sdf import Sphere
-from tacgen.geometry.gel import Gel, Layer
+from tacgen.geometry.analytic_sdf import SphereSdf
+from tacgen.geometry.gel import GelBody, GelLayer
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics import mesh
 from tacgen.mechanics.ipctk import lattice
-from tacgen.optics.camera import Camera
+from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.surface_grid import Sheet
 from tacgen.outputs import camera_maps, gel_surface
 from tacgen.outputs.cauchy_stress import Stresses, _Face, agreeing
@@ -40,14 +40,16 @@ def mini() -> Sensor:
 
 
 @pytest.fixture(scope="module")
-def camera(mini: Sensor) -> Camera:
-    return Camera.from_sensor(mini)
+def camera(mini: Sensor) -> PinholeCamera:
+    return PinholeCamera.from_sensor(mini)
 
 
 @pytest.fixture(scope="module")
 def pressed() -> Run:
     """A ball off the middle of a pad of the Mini's size: pressed, then slid along +x."""
-    return run(scene(Sphere(4.0), poses(PATH), pad=gel(25.25, 20.75, 4.0), friction=COEFFICIENT, edge=0.75), FOOTPRINT)
+    return run(
+        scene(SphereSdf(4.0), poses(PATH), pad=gel(25.25, 20.75, 4.0), friction=COEFFICIENT, edge=0.75), FOOTPRINT
+    )
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +59,7 @@ def surface(pressed: Run) -> gel_surface.Surface:
 
 
 @pytest.fixture(scope="module")
-def maps(pressed: Run, surface: gel_surface.Surface, camera: Camera) -> list[Maps]:
+def maps(pressed: Run, surface: gel_surface.Surface, camera: PinholeCamera) -> list[Maps]:
     return [maps_of(pressed.problem, surface.moved(s.x), s, camera) for s in pressed.states]
 
 
@@ -94,7 +96,7 @@ def test_maps_keep_the_resultants(pressed: Run, maps: list[Maps]) -> None:
     )  # the sizes are kept, and so the sum on this coarse mesh is not
 
 
-def test_maps_are_where_the_ball_is(pressed: Run, maps: list[Maps], camera: Camera) -> None:
+def test_maps_are_where_the_ball_is(pressed: Run, maps: list[Maps], camera: PinholeCamera) -> None:
     """x to the right, y down in the image."""
     rows, columns = np.indices(camera.shape) + 0.5
     for path, found in zip(PATH, maps, strict=True):
@@ -126,7 +128,7 @@ def test_no_pixel_shows_more_friction_than_coulomb_allows(maps: list[Maps]) -> N
         assert (size <= COEFFICIENT * (found.pressure + 1e-3 * found.pressure.max())).all()
 
 
-def test_area_is_that_of_the_face_behind_a_pixel(maps: list[Maps], camera: Camera) -> None:
+def test_area_is_that_of_the_face_behind_a_pixel(maps: list[Maps], camera: PinholeCamera) -> None:
     """Against rays through the corners of the pixels, met with the plane of the face."""
     h, w = camera.shape
     columns, rows = np.meshgrid(np.arange(w + 1.0), np.arange(h + 1.0))
@@ -145,7 +147,7 @@ def test_area_is_that_of_the_face_behind_a_pixel(maps: list[Maps], camera: Camer
 
 def test_torque_is_about_the_origin() -> None:
     """Without friction every force on a ball passes through its middle, so the torque is that of the force there."""
-    found = run(scene(Sphere(2.5), poses([(1.0, -0.6, -0.4)]), pad=gel(10, 10, 2)))
+    found = run(scene(SphereSdf(2.5), poses([(1.0, -0.6, -0.4)]), pad=gel(10, 10, 2)))
     force, torque = gel_surface.wrench(found.problem, found.states[-1])
     assert torque == pytest.approx(np.cross([1.0, -0.6, 2.5 - 0.4], force), abs=1e-9)
     assert torque[0] == pytest.approx(-0.6 * force[2], abs=0.05 * -force[2])
@@ -153,14 +155,16 @@ def test_torque_is_about_the_origin() -> None:
     assert abs(torque[1]) > 0.05
 
 
-def test_the_height_of_an_untouched_face_is_zero(surface: gel_surface.Surface, mini: Sensor, camera: Camera) -> None:
+def test_the_height_of_an_untouched_face_is_zero(
+    surface: gel_surface.Surface, mini: Sensor, camera: PinholeCamera
+) -> None:
     z = camera_maps.View(Sheet.over(mini.gel, 0.2), surface, camera).height()
     assert z.shape == camera.shape
     assert z == pytest.approx(np.zeros(camera.shape), abs=1e-12)
 
 
 def test_the_height_of_a_dent_follows_the_ball(
-    pressed: Run, surface: gel_surface.Surface, maps: list[Maps], mini: Sensor, camera: Camera
+    pressed: Run, surface: gel_surface.Surface, maps: list[Maps], mini: Sensor, camera: PinholeCamera
 ) -> None:
     z = camera_maps.View(Sheet.over(mini.gel, 0.1), surface.moved(pressed.states[PRESSED].x), camera).height()
     assert z.min() == pytest.approx(-0.8, abs=0.03)
@@ -206,8 +210,8 @@ def test_a_surface_is_smooth_across_its_cells(surface: gel_surface.Surface, pres
 def test_the_stress_of_a_uniform_state_is_exact() -> None:
     """Two layers, each uniformly strained: every node has its outermost layer's stress, no average of the two."""
     laws = NeoHooke(0.05, 0.6), NeoHooke(0.5, 3.0)
-    pad = Gel(4.0, 4.0, layers=tuple(Layer(t, law, 0.15) for t, law in zip((1.5, 0.7), laws, strict=True)))
-    made = scene(Sphere(1.0), poses([(0, 0, -0.1)]), pad=pad, edge=0.8)
+    pad = GelBody(4.0, 4.0, layers=tuple(GelLayer(t, law, 0.15) for t, law in zip((1.5, 0.7), laws, strict=True)))
+    made = scene(SphereSdf(1.0), poses([(0, 0, -0.1)]), pad=pad, edge=0.8)
     grid = mesh.build(pad, (-1, 1, -1, 1), 0.8)
     problem = mechanics.Problem.of(made, grid)
     F = np.array([[1.2, 0.1, 0.05], [0.0, 0.9, -0.1], [0.1, 0.0, 1.05]])
@@ -280,7 +284,7 @@ def test_gap_and_normals_of_the_dent(
 ) -> None:
     """Under the ball the gap is about none and the normals are the ball's own; elsewhere they are those of a ball over
     a nearly level face."""
-    camera, state = Camera.from_sensor(mini), pressed.states[PRESSED]
+    camera, state = PinholeCamera.from_sensor(mini), pressed.states[PRESSED]
     view = camera_maps.View(Sheet.over(mini.gel, 0.1), surface.moved(state.x), camera)
     gap, normals, z = view.gap(pressed.scene.shape, state.pose), view.normals(), view.height()
     assert np.linalg.norm(normals, axis=-1) == pytest.approx(np.ones(camera.shape))

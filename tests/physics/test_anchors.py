@@ -10,7 +10,7 @@ from helpers import blocks
 from helpers.presses import Run, gel, poses, scene
 
 from benchmarks.peers import dimitriadis
-from tacgen.geometry.analytic_sdf import Cylinder, Sphere
+from tacgen.geometry.analytic_sdf import CylinderSdf, SphereSdf
 
 Array = np.ndarray
 E = 0.15
@@ -26,7 +26,7 @@ def pressed(nu: float, thickness: float, edge: float) -> Run:
     x = blocks.ticks(1.4 * A, 60 * A, edge)
     grid = blocks.block(x, x, -blocks.ticks(A, thickness, edge)[::-1])
     pad = gel(120 * A, 120 * A, thickness, E, nu)
-    return blocks.run(scene(Sphere(R), poses([(0, 0, -DEPTH)]), pad=pad, edge=edge), grid, (0, 1))
+    return blocks.run(scene(SphereSdf(R), poses([(0, 0, -DEPTH)]), pad=pad, edge=edge), grid, (0, 1))
 
 
 @pytest.mark.slow
@@ -63,7 +63,7 @@ def dragged() -> Run:
     grid = blocks.block(x, blocks.ticks(1.5 * A, 60 * A, A / 6), -blocks.ticks(A, 60 * A, A / 6)[::-1])
     pad = gel(120 * A, 120 * A, 60 * A, E, 0.4999)
     path = poses([(0, 0, -DEPTH), (DRAG / 2, 0, -DEPTH), (DRAG, 0, -DEPTH)])
-    return blocks.run(scene(Sphere(R), path, pad=pad, friction=FRICTION, edge=A / 6), grid, (1,))
+    return blocks.run(scene(SphereSdf(R), path, pad=pad, friction=FRICTION, edge=A / 6), grid, (1,))
 
 
 @pytest.mark.slow
@@ -102,7 +102,7 @@ def test_a_stuck_punch_is_turned() -> None:
     grid = blocks.rounded(blocks.block(x, x, -LEVELS[::-1]), A)
     path = np.concatenate([poses([(0, 0, -PUNCH)], yaw=turn) for turn in (0, angle)])
     pad = gel(16 * A, 16 * A, 4 * A, E, 0.48)
-    found = blocks.run(scene(Cylinder(A, 0.1), path, pad=pad, friction=5.0, edge=A / 8), grid)
+    found = blocks.run(scene(CylinderSdf(A, 0.1), path, pad=pad, friction=5.0, edge=A / 8), grid)
     faces, state = found.problem.contact.faces, found.states[-1]
     torque = np.cross(faces.at(state.x), state.traction_force).sum((0, 1))[2]
     assert torque == pytest.approx(16 / 3 * mu * A**3 * angle * (1 + 0.0957 / 4**3), rel=0.03)

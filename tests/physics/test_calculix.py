@@ -12,11 +12,12 @@ from helpers.presses import Run
 
 from tacgen import mechanics
 from tacgen.mechanics import mesh
-from tacgen.optics.camera import Camera
+from tacgen.optics.camera import PinholeCamera
 from tacgen.outputs import gel_surface
 from tacgen.outputs.contact_maps import Maps
 from tacgen.outputs.contact_maps import maps as maps_of
 from tacgen.recipe import loading, plan, scene_of_row
+from tacgen.recipe.row import Row
 
 Array = np.ndarray
 RECIPE = """\
@@ -36,14 +37,14 @@ SMALLER = (
 )
 
 
-def resolved(folder: Path, sets: tuple[str, ...] = ()) -> plan.Row:
+def resolved(folder: Path, sets: tuple[str, ...] = ()) -> Row:
     path = folder / "calculix.yaml"
     path.write_text(RECIPE)
     found = loading.read(path, sets)
-    return plan.expand(found.recipe, found.sensor, loaded=found).rows[0]
+    return plan.expand(found).rows[0]
 
 
-def solved(row: plan.Row, shift: tuple[float, float] = (0.0, 0.0)) -> Run:
+def solved(row: Row, shift: tuple[float, float] = (0.0, 0.0)) -> Run:
     """The row's frames; `shift` moves the mesh under the indenter, in parts of an edge."""
     made = scene_of_row.build(row)
     dx, dy = (made.edge * s for s in shift)
@@ -53,23 +54,23 @@ def solved(row: plan.Row, shift: tuple[float, float] = (0.0, 0.0)) -> Run:
 
 
 @pytest.fixture(scope="module")
-def row(tmp_path_factory: pytest.TempPathFactory) -> plan.Row:
+def row(tmp_path_factory: pytest.TempPathFactory) -> Row:
     return resolved(tmp_path_factory.mktemp("calculix"))
 
 
 @pytest.fixture(scope="module")
-def press(row: plan.Row) -> Run:
+def press(row: Row) -> Run:
     return solved(row)
 
 
 @pytest.fixture(scope="module")
-def maps(row: plan.Row, press: Run) -> Maps:
+def maps(row: Row, press: Run) -> Maps:
     surface = gel_surface.Surface(press.problem.mesh.points, press.problem.mesh.facets["coated"])
     state = press.states[-1]
-    return maps_of(press.problem, surface.moved(state.x), state, Camera.from_sensor(row.sensor))
+    return maps_of(press.problem, surface.moved(state.x), state, PinholeCamera.from_sensor(row.sensor))
 
 
-def test_force_wherever_the_sphere_sits_in_a_cell(row: plan.Row, press: Run) -> None:
+def test_force_wherever_the_sphere_sits_in_a_cell(row: Row, press: Run) -> None:
     found = [-press.forces[-1, 2]] + [-solved(row, shift).forces[-1, 2] for shift in ((0.5, 0.0), (0.3, 0.5))]
     assert found == pytest.approx([1.0] * 3, abs=0.015)
     assert np.ptp(found) < 0.005
@@ -88,9 +89,9 @@ def test_force_of_a_smaller_sphere_on_a_softer_gel(tmp_path: Path) -> None:
     assert -solved(resolved(tmp_path, SMALLER)).forces[-1, 2] == pytest.approx(0.3465, rel=0.015)
 
 
-def test_contact_radius(row: plan.Row, maps: Maps) -> None:
+def test_contact_radius(row: Row, maps: Maps) -> None:
     """In plan, as CalculiX's is: the rim lies 0.26 mm below the face's rest."""
-    ends = Camera.from_sensor(row.sensor).project(np.array([[-1.0, 0.0, -0.26], [1.0, 0.0, -0.26]]))
+    ends = PinholeCamera.from_sensor(row.sensor).project(np.array([[-1.0, 0.0, -0.26], [1.0, 0.0, -0.26]]))
     pixel = 2.0 / np.linalg.norm(ends[1] - ends[0])
     assert pixel * np.sqrt(maps.contact.sum() / np.pi) == pytest.approx(2.32, rel=0.03)
 

@@ -14,7 +14,7 @@ from tacgen import mechanics, pipeline
 from tacgen.bundle import bundle
 from tacgen.bundle.check import check
 from tacgen.errors import UserError
-from tacgen.geometry.analytic_sdf import Sphere
+from tacgen.geometry.analytic_sdf import SphereSdf
 from tacgen.mechanics import load_stepping
 from tacgen.mechanics.scene import Dynamics
 from tacgen.recipe import plan, scene_of_row
@@ -26,7 +26,7 @@ DOWN = [(0.0, 0.0, -0.1 * k) for k in range(1, 5)]
 def tap(path: list[tuple[float, float, float]], seconds: float, longest: float = np.inf, friction: float = 0.0,
         alpha: float = 0.0, beta: float = 0.0, density: float = 1e-9) -> Run:  # fmt: skip
     """Small and coarse; `seconds` for all of the path, none for quasi-static."""
-    made = presses.scene(Sphere(2.5), poses(path), pad=gel(8, 8, 2.0), edge=0.7, friction=friction)
+    made = presses.scene(SphereSdf(2.5), poses(path), pad=gel(8, 8, 2.0), edge=0.7, friction=friction)
     if seconds:
         each = np.full(len(path), seconds / len(path))
         made = replace(made, dynamics=Dynamics(density, alpha, beta, longest), duration=each)

@@ -5,7 +5,7 @@ import pytest
 from helpers.presses import Run, poses, run, scene
 
 from tacgen import mechanics
-from tacgen.geometry.analytic_sdf import Sphere
+from tacgen.geometry.analytic_sdf import SphereSdf
 from tacgen.geometry.pose import Pose
 
 Array = np.ndarray
@@ -24,7 +24,7 @@ PRESSED, SLID, HELD, LIFTED = 2, 10, 13, 16
 
 @pytest.fixture(scope="module")
 def slide() -> Run:
-    return run(scene(Sphere(3.0), poses(PATH), friction=COEFFICIENT), (-3.0, 3.4, -2.4, 2.4))
+    return run(scene(SphereSdf(3.0), poses(PATH), friction=COEFFICIENT), (-3.0, 3.4, -2.4, 2.4))
 
 
 def tangential(state: mechanics.State) -> Array:
@@ -106,7 +106,7 @@ def test_a_release_leaves_nothing(slide: Run) -> None:
 
 
 def test_without_friction_nothing_drags() -> None:
-    smooth = run(scene(Sphere(3.0), poses([(-0.5, 0, -0.5), (0.5, 0, -0.5)])), (-2.6, 2.6, -2.0, 2.0))
+    smooth = run(scene(SphereSdf(3.0), poses([(-0.5, 0, -0.5), (0.5, 0, -0.5)])), (-2.6, 2.6, -2.0, 2.0))
     assert smooth.states[-1].friction is None
     assert smooth.states[-1].sliding is None
     assert np.abs(smooth.forces[-1, :2]).max() < 5e-3 * abs(smooth.forces[-1, 2])
@@ -117,7 +117,7 @@ def test_frames_hardly_matter() -> None:
 
     def ratio(frames: int) -> float:
         path = [(0.0, 0.0, -0.5), *[(1.2 * k / frames, 0.0, -0.5) for k in range(1, frames + 1)]]
-        F = run(scene(Sphere(3.0), poses(path), friction=0.4), (-2.4, 3.4, -2.4, 2.4)).forces[-1]
+        F = run(scene(SphereSdf(3.0), poses(path), friction=0.4), (-2.4, 3.4, -2.4, 2.4)).forces[-1]
         return float(F[0] / -F[2])
 
     assert ratio(3) == pytest.approx(ratio(9), rel=0.02)
@@ -126,7 +126,7 @@ def test_frames_hardly_matter() -> None:
 def test_a_twist_turns_the_gel_along_until_all_slips() -> None:
     """Turned about +z the ball drags the gel the same way round; in the end its moment is that of full slip."""
     path = np.concatenate([poses([(0, 0, -0.5)], yaw=np.radians(a)) for a in (0, 2, 8, 20, 40)])
-    found = run(scene(Sphere(3.0), path, friction=COEFFICIENT), (-2.4, 2.4, -2.4, 2.4))
+    found = run(scene(SphereSdf(3.0), path, friction=COEFFICIENT), (-2.4, 2.4, -2.4, 2.4))
     moment, full = [], []
     for state, force in zip(found.states, found.forces, strict=True):
         at = found.problem.contact.faces.at(state.x)
@@ -143,8 +143,8 @@ def test_a_twist_turns_the_gel_along_until_all_slips() -> None:
 def test_a_second_touch_knows_nothing_of_the_first() -> None:
     """After a slide and a lift, a ball set down again drags the gel nowhere: it came straight from above."""
     slid = [(0.0, 0.0, -DEPTH), (0.5, 0.0, -DEPTH), (0.5, 0.0, -0.3), (0.5, 0.0, 0.3)]
-    found = run(scene(Sphere(3.0), poses([*slid, (0.5, 0.0, -0.1), (0.5, 0.0, -DEPTH)]), friction=COEFFICIENT))
+    found = run(scene(SphereSdf(3.0), poses([*slid, (0.5, 0.0, -0.1), (0.5, 0.0, -DEPTH)]), friction=COEFFICIENT))
     assert found.forces[1, 0] > 0.2 * -found.forces[1, 2]
     assert np.abs(found.forces[4:, :2]).max() < 0.01 * -found.forces[5, 2]
-    fresh = run(scene(Sphere(3.0), poses([(0.5, 0.0, -0.1), (0.5, 0.0, -DEPTH)]), friction=COEFFICIENT))
+    fresh = run(scene(SphereSdf(3.0), poses([(0.5, 0.0, -0.1), (0.5, 0.0, -DEPTH)]), friction=COEFFICIENT))
     assert found.forces[5, 2] == pytest.approx(fresh.forces[1, 2], rel=0.02)

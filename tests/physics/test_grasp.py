@@ -14,6 +14,7 @@ from tacgen.geometry.pose import about
 from tacgen.mechanics.grasp_balance import Held, Mode, held, problem_of
 from tacgen.recipe import grasp_of_row as two_fingers
 from tacgen.recipe import plan
+from tacgen.recipe.row import Row
 
 Array = np.ndarray
 MASS, FRICTION = 0.05, 0.6
@@ -35,7 +36,7 @@ grasp: {{mass_kg: {MASS}}}
 """
 
 
-def planned(folder: Path, text: str, *moves: str) -> plan.Row:
+def planned(folder: Path, text: str, *moves: str) -> Row:
     path = folder / "grasp.yaml"
     path.write_text(text + "trajectory:\n" + "".join(f"  - {move}\n" for move in moves))
     return plan.load(path).rows[0]

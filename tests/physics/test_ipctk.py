@@ -12,8 +12,8 @@ from tacgen import mechanics, pipeline
 from tacgen.bundle import bundle
 from tacgen.errors import UserError
 from tacgen.geometry import surface_nets
-from tacgen.geometry.analytic_sdf import Box, Shape, Sphere, Torus
-from tacgen.geometry.gel import Gel
+from tacgen.geometry.analytic_sdf import BoxSdf, Shape, SphereSdf, TorusSdf
+from tacgen.geometry.gel import GelBody
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics import mesh
 from tacgen.outputs.cauchy_stress import Stresses
@@ -25,8 +25,8 @@ Path3 = list[tuple[float, float, float]]
 
 
 def run(
-    shape: Shape, path: Path3, formulation: str, *, pad: Gel | None = None, friction: float = 0.0, edge: float = 0.6,
-    dhat: float = 0.05, half: float = 4.0,
+    shape: Shape, path: Path3, formulation: str, *, pad: GelBody | None = None, friction: float = 0.0,
+    edge: float = 0.6, dhat: float = 0.05, half: float = 4.0,
 ) -> Run:  # fmt: skip
     """All frames, on a mesh fine within `half` of the middle."""
     made = replace(scene(shape, poses(path), pad=pad, friction=friction, edge=edge), dhat=dhat)
@@ -47,7 +47,7 @@ def both(shape: Shape, path: Path3, **how: object) -> tuple[Run, Run]:
 
 def test_a_pressed_and_slid_ball_gives_the_same_force() -> None:
     path = [(-0.4, 0.0, -0.6), (-0.2, 0.0, -0.6), (0.0, 0.0, -0.6), (0.0, 0.0, -0.6), (0.0, 0.0, 0.3)]
-    one, other = both(Sphere(3.0), path, friction=0.4, half=2.4, edge=0.48, dhat=0.04)
+    one, other = both(SphereSdf(3.0), path, friction=0.4, half=2.4, edge=0.48, dhat=0.04)
     size = np.linalg.norm(one.forces, axis=1)[:, None]
     assert (np.abs(other.forces - one.forces) < 0.01 * size + 1e-12).all()
     assert one.forces[2, 0] > 0.3 * -one.forces[2, 2]
@@ -65,7 +65,7 @@ def test_a_pressed_and_slid_ball_gives_the_same_force() -> None:
 
 @pytest.mark.slow
 def test_a_ball_on_a_finer_mesh_gives_the_same_force() -> None:
-    one, other = both(Sphere(4.0), [(0.1, 0.05, -0.5), (0.1, 0.05, -1.0)], edge=0.4, dhat=0.03)
+    one, other = both(SphereSdf(4.0), [(0.1, 0.05, -0.5), (0.1, 0.05, -1.0)], edge=0.4, dhat=0.03)
     assert other.forces[:, 2] == pytest.approx(one.forces[:, 2], rel=0.01)
 
 
@@ -73,7 +73,7 @@ def test_a_ball_on_a_finer_mesh_gives_the_same_force() -> None:
 def test_a_round_edged_box_gives_the_same_force() -> None:
     """Where the mesh resolves its edges: at .4 mm the two are 1.7 % apart, and at .3 mm each is 1 % off that itself."""
     path = [(0.0, 0.0, -0.4), (0.3, 0.0, -0.4)]
-    one, other = both(Box(4.0, 4.0, 1.2), path, friction=0.3, edge=0.3, dhat=0.02, half=2.6, pad=gel(9, 9, 2.0))
+    one, other = both(BoxSdf(4.0, 4.0, 1.2), path, friction=0.3, edge=0.3, dhat=0.02, half=2.6, pad=gel(9, 9, 2.0))
     size = np.linalg.norm(one.forces, axis=1)[:, None]
     assert (np.abs(other.forces - one.forces) < 0.01 * size).all()
 
@@ -82,7 +82,7 @@ def test_a_round_edged_box_gives_the_same_force() -> None:
 def test_a_flat_slide_without_friction_drags_nothing(formulation: str) -> None:
     """A plate wider than the pad, slid by odd amounts."""
     path = [(0.0, 0.0, -0.1), (0.137, 0.061, -0.1), (0.31, -0.05, -0.1)]
-    slid = run(Box(16.0, 16.0, 0.3), path, formulation, pad=gel(7, 7, 2.0), half=2.0)
+    slid = run(BoxSdf(16.0, 16.0, 0.3), path, formulation, pad=gel(7, 7, 2.0), half=2.0)
     assert (slid.forces[:, 2] < -0.3).all()
     assert np.abs(slid.forces[:, :2]).max() < 1e-3 * np.abs(slid.forces[:, 2]).min()
 
@@ -90,7 +90,7 @@ def test_a_flat_slide_without_friction_drags_nothing(formulation: str) -> None:
 @pytest.mark.slow
 def test_a_thin_ring_does_not_tunnel() -> None:
     """At once from above to where all of it is below the untouched face, and then across."""
-    ring = Torus(2.0, 0.3)
+    ring = TorusSdf(2.0, 0.3)
     jumped = run(ring, [(0.0, 0.0, -0.9), (1.5, 0.0, -0.9)], "ipctk", pad=gel(10, 10, 3.0), half=4.0)
     for state in jumped.states:
         assert state.min_gap > 0

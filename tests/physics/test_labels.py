@@ -10,11 +10,11 @@ from scipy.spatial import cKDTree
 
 from tacgen import mechanics
 from tacgen.fem.materials import NeoHooke
-from tacgen.geometry.analytic_sdf import Sphere
-from tacgen.geometry.gel import Gel, Layer
+from tacgen.geometry.analytic_sdf import SphereSdf
+from tacgen.geometry.gel import GelBody, GelLayer
 from tacgen.mechanics import mesh
 from tacgen.mechanics.scene import Scene
-from tacgen.optics.camera import Camera, Stack
+from tacgen.optics.camera import PinholeCamera, Stack
 from tacgen.outputs import gel_surface
 from tacgen.outputs.cauchy_stress import Stresses
 from tacgen.outputs.contact_maps import maps
@@ -45,7 +45,7 @@ def test_forces_stress_and_maps_agree_on_every_sensor(sensor: str, depth: float,
     row = plan.load(tmp_path / "r.yaml").rows[0]
     made = scene_of_row.build(row)
     problem = mechanics.Problem.of(made, mesh.build(made.gel, mesh.footprint(made), made.edge))
-    camera, stresses = Camera.from_sensor(row.sensor), Stresses(problem)
+    camera, stresses = PinholeCamera.from_sensor(row.sensor), Stresses(problem)
     rest = gel_surface.Surface(problem.mesh.points, problem.mesh.facets["coated"])
     slid = []
     for state in mechanics.states(made, problem):
@@ -97,7 +97,7 @@ def test_stress_under_a_ball_is_that_of_hertz(nu: float) -> None:
     """
     radius, depth, E = 64.0, 0.16, 0.15  # a/R = .05: strains, and what is not linear in them, go with it
     pad = gel(64.0, 64.0, 32.0, E=E, nu=nu)
-    made = replace(scene(Sphere(radius), poses([(0.0, 0.0, -depth)]), pad=pad, edge=0.26), dhat=0.01)
+    made = replace(scene(SphereSdf(radius), poses([(0.0, 0.0, -depth)]), pad=pad, edge=0.26), dhat=0.01)
     problem, x, force = quarter_solved(made, 3.84)
     plane = E / (1 - nu**2)
     a = (3 * -force * radius / (4 * plane)) ** (1 / 3)
@@ -127,18 +127,18 @@ def _top(x: Array, y: Array) -> float:
     return float((high[0] + high[-1]) / 2)
 
 
-def layered(thicknesses: tuple[float, ...], moduli: tuple[float, ...], nu: float = 0.48) -> Gel:
+def layered(thicknesses: tuple[float, ...], moduli: tuple[float, ...], nu: float = 0.48) -> GelBody:
     laws = [NeoHooke(E / (2 * (1 + nu)), E / (3 * (1 - 2 * nu))) for E in moduli]
-    layers = tuple(Layer(t, law, E) for t, law, E in zip(thicknesses, laws, moduli, strict=True))
-    return Gel(9.0, 9.0, layers=layers)
+    layers = tuple(GelLayer(t, law, E) for t, law, E in zip(thicknesses, laws, moduli, strict=True))
+    return GelBody(9.0, 9.0, layers=layers)
 
 
 @pytest.mark.parametrize("pad", [layered((1.0,), (0.15,)), layered((1.0, 0.4), (0.1, 0.3))], ids=["thin", "two layers"])
-def test_stress_in_layers_is_that_of_a_finer_mesh(pad: Gel) -> None:
+def test_stress_in_layers_is_that_of_a_finer_mesh(pad: GelBody) -> None:
     """Below the contact, at half the edge: all components along columns of nodes that both meshes have."""
     found = []
     for edge, dhat in ((0.2, 0.015), (0.1, 0.01)):
-        made = replace(scene(Sphere(4.0), poses([(0.0, 0.0, -0.25)]), pad=pad, edge=edge), dhat=dhat)
+        made = replace(scene(SphereSdf(4.0), poses([(0.0, 0.0, -0.25)]), pad=pad, edge=edge), dhat=dhat)
         found.append(run(made, (-1.6, 1.6, -1.6, 1.6)))
     coarse, fine = found
     assert coarse.forces[-1, 2] == pytest.approx(fine.forces[-1, 2], rel=0.02)
@@ -169,7 +169,7 @@ def test_the_stick_disc_shrinks_as_cattaneo_and_mindlin_say() -> None:
     A point slides when it is 10 um from its anchor (options.slip of dhat): little beside a pull of .3 mm and more.
     """
     made = scene(
-        Sphere(64.0), poses([(x, 0.0, -1.0) for x in (0.0, 0.32, 0.56, 1.2)]),
+        SphereSdf(64.0), poses([(x, 0.0, -1.0) for x in (0.0, 0.32, 0.56, 1.2)]),
         pad=gel(128.0, 128.0, 64.0, nu=0.49), friction=0.5, edge=1.2,
     )  # fmt: skip
     made = replace(made, dhat=0.08)
@@ -177,7 +177,7 @@ def test_the_stick_disc_shrinks_as_cattaneo_and_mindlin_say() -> None:
     problem = mechanics.Problem.of(made, grid)
     found = Run(made, problem, list(mechanics.states(made, problem)))
     stack = Stack((800.0, 64.0), (1.0, 1.41))
-    camera = Camera(stack, (0.0, 0.0), stack.effective_depth / 0.2, (120, 120))
+    camera = PinholeCamera(stack, (0.0, 0.0), stack.effective_depth / 0.2, (120, 120))
     surface = gel_surface.Surface(grid.points, grid.facets["coated"])
     discs = []
     for state, force in zip(found.states[1:], found.forces[1:], strict=True):

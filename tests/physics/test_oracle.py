@@ -9,7 +9,7 @@ from helpers.presses import poses, run, scene
 
 from benchmarks.reference_runs import row_of
 from tacgen import mechanics
-from tacgen.geometry.analytic_sdf import Sphere
+from tacgen.geometry.analytic_sdf import SphereSdf
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics import mesh
 from tacgen.mechanics.equilibrium import LoadStep, equilibrium
@@ -152,7 +152,7 @@ def test_a_ball_turned_in_one_frame_has_one_torque_however_far() -> None:
     torques, full = [], []
     for angle in TURNS:
         path = np.concatenate([poses([(0, 0, -0.5)], yaw=np.radians(a)) for a in (0, angle)])
-        made = scene(Sphere(3.0), path, friction=0.4)
+        made = scene(SphereSdf(3.0), path, friction=0.4)
         turns = np.zeros((2, 3))
         turns[1, 2] = np.radians(angle)
         found = run(replace(made, turns=turns), (-2.4, 2.4, -2.4, 2.4))

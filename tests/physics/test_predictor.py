@@ -8,7 +8,7 @@ from helpers.presses import Run, poses, run, scene
 
 from benchmarks.cases import PLAIN
 from benchmarks.reference_runs import row_of
-from tacgen.geometry.analytic_sdf import Capsule
+from tacgen.geometry.analytic_sdf import CapsuleSdf
 from tacgen.geometry.pose import Pose, shortest_turn
 from tacgen.mechanics import DEFAULT, Problem, SolverOptions, mesh, states
 from tacgen.mechanics.equilibrium import LoadStep
@@ -51,7 +51,7 @@ def test_a_long_slide_in_one_load_step_ends_where_short_frames_do() -> None:
 
 @pytest.fixture(scope="module")
 def pressed() -> tuple[Problem, History, Run]:
-    made = scene(Capsule(1.3, 2.6), poses(CORNERS), friction=0.6, edge=0.6)
+    made = scene(CapsuleSdf(1.3, 2.6), poses(CORNERS), friction=0.6, edge=0.6)
     whole = run(made, SQUARE)
     first = Problem.of(made, whole.problem.mesh)
     start, end = made.start, made.poses[0]

@@ -11,7 +11,7 @@ import trimesh
 from helpers.presses import Run, gel, poses, run, scene
 
 from tacgen.geometry import mesh_import, surface_nets
-from tacgen.geometry.analytic_sdf import Shape, Sphere
+from tacgen.geometry.analytic_sdf import Shape, SphereSdf
 from tacgen.recipe import scene_of_row
 
 Array = np.ndarray
@@ -37,7 +37,7 @@ def assert_alike(one: Run, other: Run, by: float, tol: float = 1e-9) -> None:
 
 @pytest.mark.parametrize("by", [1 / 128, 128])
 def test_a_pad(by: float) -> None:
-    assert_alike(pressed(1, Sphere(2.5)), pressed(by, Sphere(2.5 * by)), by)
+    assert_alike(pressed(1, SphereSdf(2.5)), pressed(by, SphereSdf(2.5 * by)), by)
 
 
 def test_a_mesh_indenter() -> None:
@@ -47,7 +47,7 @@ def test_a_mesh_indenter() -> None:
     def ball(by: float) -> Shape:
         found = trimesh.creation.icosphere(subdivisions=3, radius=2.5 * by)
         cell = scene_of_row.SDF_CELL * 0.6 * by
-        raw = mesh_import.Solid("ball", found.vertices, found.faces, np.zeros(len(found.faces), int))
+        raw = mesh_import.SolidMesh("ball", found.vertices, found.faces, np.zeros(len(found.faces), int))
         return mesh_import.field(mesh_import.placed(raw), cell=cell, height=1.0 * by, half=8.0 * by)
 
     assert_alike(pressed(1, ball(1)), pressed(by, ball(by)), by, 1e-6)
@@ -57,4 +57,4 @@ def test_a_mesh_indenter() -> None:
 def test_contact_between_meshes() -> None:
     pytest.importorskip("ipctk")
     by = 1 / 128
-    assert_alike(pressed(1, Sphere(2.5), toolkit=True), pressed(by, Sphere(2.5 * by), toolkit=True), by, 1e-6)
+    assert_alike(pressed(1, SphereSdf(2.5), toolkit=True), pressed(by, SphereSdf(2.5 * by), toolkit=True), by, 1e-6)

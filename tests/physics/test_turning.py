@@ -15,7 +15,7 @@ from tacgen.fem.assembly import pattern
 from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import hexes
 from tacgen.fem.materials import NeoHooke
-from tacgen.geometry.analytic_sdf import Box, Shape, Sphere
+from tacgen.geometry.analytic_sdf import BoxSdf, Shape, SphereSdf
 from tacgen.mechanics import DEFAULT, SolverOptions, mesh
 from tacgen.mechanics.linear_solvers import best
 from tacgen.mechanics.newton import Status, minimise
@@ -41,7 +41,7 @@ def about_z(angle: float) -> Array:
 
 
 @pytest.mark.parametrize(
-    ("shape", "longest", "tol"), [(Box(3.0, 1.6, 0.3), "slide_sharp", 1e-2), (Sphere(4.0), "slide", 2e-3)]
+    ("shape", "longest", "tol"), [(BoxSdf(3.0, 1.6, 0.3), "slide_sharp", 1e-2), (SphereSdf(4.0), "slide", 2e-3)]
 )
 def test_a_long_frame_goes_in_load_steps_that_friction_can_follow(shape: Shape, longest: str, tol: float) -> None:
     """Slid by more than a cell at once, against frames of .06 of a cell. A box in steps of at most half a cell is .6 %
@@ -85,7 +85,7 @@ def test_a_scene_turned_as_a_whole_gives_the_turned_force(angle: float, tol: flo
     of sums, which a frame stopped at its tolerance carries on to 3e-6 of the force; by 30 deg rounding leads to
     another last iteration, which shows by 4e-5."""
     R = about_z(np.radians(angle))
-    one = slid(PATH, Box(3.0, 1.6, 0.3))
+    one = slid(PATH, BoxSdf(3.0, 1.6, 0.3))
     H = np.eye(4)
     H[:3, :3] = R
     made = replace(one.scene, poses=H @ one.scene.poses, start=H @ one.scene.start)
@@ -100,7 +100,7 @@ def test_a_scene_turned_as_a_whole_gives_the_turned_force(angle: float, tol: flo
 def test_an_indenter_turned_over_its_grid_feels_little_of_it() -> None:
     def force(yaw: float) -> float:
         path = poses([(0, 0, -0.125 * k) for k in range(1, 5)], yaw=np.radians(yaw))
-        made = scene(Box(3.0, 3.0, 0.6), path, edge=0.3)
+        made = scene(BoxSdf(3.0, 3.0, 0.6), path, edge=0.3)
         return float(-run(made, SQUARE).forces[-1, 2])
 
     assert force(30) == pytest.approx(force(0), rel=0.01)

@@ -18,8 +18,8 @@ from tacgen.cli import app
 from tacgen.errors import UserError
 from tacgen.fem.materials import NeoHooke
 from tacgen.geometry import surface_nets
-from tacgen.geometry.analytic_sdf import Sphere
-from tacgen.geometry.gel import Gel
+from tacgen.geometry.analytic_sdf import SphereSdf
+from tacgen.geometry.gel import GelBody
 from tacgen.mechanics import mesh
 from tacgen.mechanics.scene import Dynamics
 from tacgen.outputs.cauchy_stress import Stresses
@@ -32,7 +32,7 @@ BETA, TAU = np.array([0.125, 0.125]), np.array([0.1, 1.0])
 DOWN = [-0.1, -0.2, -0.3, -0.4]
 
 
-def pad(prony: tuple[tuple[float, float], ...] = PRONY, stiffer: float = 1.0, nu: float = 0.49) -> Gel:
+def pad(prony: tuple[tuple[float, float], ...] = PRONY, stiffer: float = 1.0, nu: float = 0.49) -> GelBody:
     made = gel(8, 8, 2.0, nu=nu)
     law = made.layers[0].law
     return replace(made, layers=(replace(made.layers[0], law=NeoHooke(stiffer * law.mu, law.kappa), prony=prony),))
@@ -41,13 +41,13 @@ def pad(prony: tuple[tuple[float, float], ...] = PRONY, stiffer: float = 1.0, nu
 def pressed(
     z: list[float],
     seconds: list[float] | None,
-    made: Gel | None = None,
+    made: GelBody | None = None,
     friction: float = 0.0,
     options: mechanics.SolverOptions = mechanics.DEFAULT,
     **more: object,
 ) -> Run:
     """To these heights [mm], on a coarse mesh; `seconds` of each frame."""
-    path = presses.scene(Sphere(2.5), poses([(0, 0, h) for h in z]), pad=made or pad(), edge=0.7, friction=friction)
+    path = presses.scene(SphereSdf(2.5), poses([(0, 0, h) for h in z]), pad=made or pad(), edge=0.7, friction=friction)
     path = replace(path, duration=None if seconds is None else np.array(seconds), **more)
     problem = mechanics.Problem.of(path, mesh.build(path.gel, (-1.6, 1.6, -1.6, 1.6), 0.7), options)
     return Run(path, problem, list(mechanics.states(path, problem)))
@@ -99,7 +99,7 @@ def test_the_oracle_agrees() -> None:
 
 def test_meshes_in_contact_relax_alike() -> None:
     pytest.importorskip("ipctk")
-    ball = surface_nets.of_shape(Sphere(2.5), half=8.0, height=3.0, tolerance=5e-3)
+    ball = surface_nets.of_shape(SphereSdf(2.5), half=8.0, height=3.0, tolerance=5e-3)
     one, other = (pressed([-0.2, -0.4, -0.4], [0.01, 0.01, 0.5], surface=surface) for surface in (None, ball))
     fall = [run.forces[2, 2] / run.forces[1, 2] for run in (one, other)]
     assert fall[1] == pytest.approx(fall[0], rel=5e-3)

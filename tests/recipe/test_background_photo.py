@@ -13,6 +13,7 @@ from tacgen.bundle import bundle
 from tacgen.errors import UserError
 from tacgen.optics import camera_response
 from tacgen.recipe import assets, background_photo, loading, plan
+from tacgen.render.pictures import Backdrop
 
 RECIPE = f"{PICTURE.replace('noise: false', 'noise: false, background: mine.png')}outputs: [rgb]\n"
 
@@ -89,7 +90,7 @@ def test_beside_the_gel_the_photograph_stands_alone(tmp_path: Path) -> None:
     light[:, :5] = 0.0
     mine = np.random.default_rng(2).integers(20, 200, (32, 40, 3)).astype(np.uint8)
     Image.fromarray(mine).save(tmp_path / "mine.png")
-    behind = background_photo.Backdrop(tmp_path / "mine.png", light, camera)
+    behind = Backdrop(tmp_path / "mine.png", light, camera)
     assert np.array_equal(camera_response.develop(behind.under(light), camera), mine)
     assert np.array_equal(camera_response.develop(behind.under(2 * light), camera)[:, :5], mine[:, :5])
 

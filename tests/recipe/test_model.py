@@ -13,7 +13,7 @@ from ruamel.yaml import YAML
 
 from tacgen.errors import UserError
 from tacgen.outputs import NAMES
-from tacgen.recipe import assets, loading
+from tacgen.recipe import assets, sensor_checks
 from tacgen.recipe.indenters import SHAPES
 from tacgen.recipe.loading import read
 from tacgen.recipe.model import QUALITIES, Recipe
@@ -189,8 +189,12 @@ def sensor_text() -> str:
         ),
         ("mm_per_px: 0.0634", "mm_per_px: 60", "camera.mm_per_px: leaves 0.35 pixels for the gel, 20.75 mm"),
         ("diameter_mm: 0.74", "diameter_mm: 7.4", "markers.diameter_mm: dots of 7.4 mm touch at a pitch of 2.0625 mm"),
-        ("columns: 9", "rings: 3", "markers.rings: unknown key in layout: grid, known in hexagonal"),
-        ("law: neo_hooke", "c10_mpa: 1", "c10_mpa: unknown key in law: neo_hooke, known in mooney_rivlin, yeoh"),
+        (
+            "columns: 9",
+            "rings: 3",
+            "markers.rings: is a key of layout: hexagonal, and layout is grid here: leave it out",
+        ),
+        ("law: neo_hooke", "c10_mpa: 1", "c10_mpa: is a key of law: mooney_rivlin and yeoh, and law is neo_hooke here"),
         ("youngs_modulus_mpa", "young_modulus_mpa", "unknown key, did you mean youngs_modulus_mpa?"),
         ("law: neo_hooke", "law: neo_hook", "(got 'neo_hook'), did you mean neo_hooke?"),
         ("  width_mm: 25.25", "  width_mm: 25.25\n  width_mm: 25.25", "width_mm: this key is there twice"),
@@ -210,7 +214,7 @@ def test_layers_in_the_wrong_order_are_reported_without_lights_too():
     data = yaml_source.load(assets.sensor_path("gelsight_mini")).data
     unlit = {key: value for key, value in data.items() if key not in LIGHTS}
     unlit["gel"]["layers"][0]["opaque"] = True
-    _, (wrong,) = loading.check_sensor(unlit)
+    _, (wrong,) = sensor_checks.check(unlit)
     assert wrong.message.startswith("hides the coating: layers are from the bonded base outward")
 
 

@@ -8,7 +8,7 @@ import pytest
 from helpers.tiny import PLAIN, cloudy, sensor
 
 from tacgen.errors import UserError
-from tacgen.recipe import assets, loading, plan
+from tacgen.recipe import assets, loading, plan, sensor_checks
 from tacgen.sensor.model import Sensor
 from tacgen.sensor.optics_checks import problems
 from tacgen.sensor.yaml_source import format_path, parse_path, put
@@ -125,7 +125,7 @@ def test_markers_under_a_scattering_layer_are_refused():
 )
 def test_unphysical_material_numbers_are_refused(part: str, value: Any):
     data = {**PLAIN, part: {**PLAIN[part], **value} if isinstance(value, dict) else value}
-    found, wrong = loading.check_sensor(data)
+    found, wrong = sensor_checks.check(data)
     assert found is None
     assert len(wrong) == 1
     assert "\n" not in wrong[0].message
@@ -163,7 +163,7 @@ def test_unphysical_material_numbers_are_refused(part: str, value: Any):
 )
 def test_bad_optics_of_the_shipped_sensors_are_one_line(name: str, path: str, value: Any, key: str):
     data = put(loading.read_sensor(assets.sensor_path(name))[1].data, parse_path(path), value)
-    found, wrong = loading.check_sensor(data)
+    found, wrong = sensor_checks.check(data)
     assert found is None
     assert len({(p.path, p.message) for p in wrong}) == 1
     assert format_path(wrong[0].path) == key

@@ -11,9 +11,10 @@ import pytest
 
 from tacgen.bundle import schema
 from tacgen.errors import UserError
-from tacgen.recipe import assets, plan, plan_table
-from tacgen.recipe.loading import Loaded, read
+from tacgen.recipe import assets, checks, plan, plan_table
+from tacgen.recipe.loading import Loaded, checked, read
 from tacgen.recipe.model import Recipe, Vary
+from tacgen.recipe.row import FORMAT, Row, scene_seed
 from tacgen.sensor.validation_messages import validate
 
 BATCH = f"""\
@@ -39,7 +40,7 @@ def loaded(tmp_path: Path, text: str, sets: tuple[str, ...] = ()) -> Loaded:
 
 
 def expanded(found: Loaded, indices: list[int] | None = None) -> plan.Plan:
-    return plan.expand(found.recipe, found.sensor, indices, loaded=found)
+    return plan.expand(found, indices)
 
 
 def failure(tmp_path: Path, text: str) -> list[str]:
@@ -82,7 +83,7 @@ def test_a_plan_holds_the_numbers_of_its_scenes_alone(tmp_path: Path):
     """Resolved scenes take 28 kB each, which a plan of a million could not hold."""
 
     def rows() -> int:
-        return sum(type(one) is plan.Row for one in gc.get_objects())
+        return sum(type(one) is Row for one in gc.get_objects())
 
     before, whole = rows(), expanded(loaded(tmp_path, BATCH.replace("METHOD", "sobol"), ("vary.samples=32",)))
     assert list(whole.frames) == [row.frames for row in whole.rows]
@@ -314,11 +315,11 @@ def test_a_fixed_value_that_a_varied_one_breaks_is_reported_where_it_stands(tmp_
     assert "trajectory[0].press.depth_mm: must be less than the gel is thick" in told
 
 
-def row_with(**changes: Any) -> plan.Row:
+def row_with(**changes: Any) -> Row:
     base = read(assets.recipe_path("quickstart"))
     recipe, wrong = validate(Recipe, base.recipe.document() | changes)
     assert recipe is not None, wrong
-    return plan.expand(recipe, base.sensor).rows[0]
+    return plan.expand(checked(recipe, base.sensor)).rows[0]
 
 
 def test_a_key_changes_with_any_input_and_with_nothing_else():
@@ -330,9 +331,9 @@ def test_a_key_changes_with_any_input_and_with_nothing_else():
         row_with(outputs=["force"]),
         row_with(quality="draft"),
         plan.load(assets.recipe_path("quickstart"), ["sensor.camera.exposure=9.5"]).rows[0],
-        plan.Row(1, row.name, row.seed, row.recipe, row.sensor),
-        plan.Row(row.index, row.name, row.seed, row.recipe, row.sensor.model_copy(update={"name": "edited file"})),
-        plan.Row(row.index, row.name, row.seed + 1, row.recipe, row.sensor),
+        Row(1, row.name, row.seed, row.recipe, row.sensor),
+        Row(row.index, row.name, row.seed, row.recipe, row.sensor.model_copy(update={"name": "edited file"})),
+        Row(row.index, row.name, row.seed + 1, row.recipe, row.sensor),
     ]
     assert len({row.key, *(other.key for other in others)}) == len(others) + 1
 
@@ -356,12 +357,24 @@ def test_tables_hold_every_scene(tmp_path: Path):
     assert plan_table.as_text(long).splitlines()[-1] == "... 10 more (--csv prints all)"
 
 
+def test_a_recipe_is_checked_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[str] = []
+
+    def problems(recipe: Recipe, *_: object) -> list[Any]:
+        seen.append(recipe.name)
+        return []
+
+    monkeypatch.setattr(checks, "recipe_problems", problems)
+    plan.load(assets.recipe_path("quickstart"))
+    assert seen == ["quickstart"]
+
+
 def test_the_format_in_keys_is_that_of_the_bundles():
-    assert plan.FORMAT == schema.FORMAT
+    assert FORMAT == schema.FORMAT
 
 
 def test_scene_seeds_do_not_repeat():
-    seeds = {plan.scene_seed(seed, index) for seed in range(20) for index in range(200)}
+    seeds = {scene_seed(seed, index) for seed in range(20) for index in range(200)}
     assert len(seeds) > 3990
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from tacgen.errors import UserError
-from tacgen.recipe import assets, loading, plan
+from tacgen.recipe import assets, plan, sensor_checks
 from tacgen.sensor.yaml_source import load, parse_path, put
 
 QUICKSTART, GRASP = assets.recipe_path("quickstart"), assets.recipe_path("grasp")
@@ -71,5 +71,5 @@ def test_a_sensor_file_that_is_refused_can_be_mended(changes: str, remedy: str, 
         path, _, value = change.partition("=")
         (tmp_path / "value.yaml").write_text(f"v: {value}\n")
         data = put(data, parse_path(path), load(tmp_path / "value.yaml").data["v"])
-    _, wrong = loading.check_sensor(data)
+    _, wrong = sensor_checks.check(data)
     ends(remedy, tuple(problem.message for problem in wrong))

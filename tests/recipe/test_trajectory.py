@@ -13,25 +13,26 @@ from hypothesis import strategies as st
 from tacgen import mechanics, pipeline
 from tacgen.bundle import bundle
 from tacgen.errors import UserError
-from tacgen.geometry.analytic_sdf import Box, Cone, Shape, Sphere
+from tacgen.geometry.analytic_sdf import BoxSdf, ConeSdf, Shape, SphereSdf
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics import frames, mesh, presolve
 from tacgen.mechanics.force_control import OutOfReach, meet
 from tacgen.recipe import plan, scene_of_row, trajectory_poses
+from tacgen.recipe.row import Row
 from tacgen.recipe.trajectory import Press, Segment, Start
 
 BOX = "indenter={shape: box, size_x_mm: 4, size_y_mm: 3, fillet_mm: 0.3}"
 ROUGH = "contact.friction=0.5"
-SHAPES: tuple[Shape, ...] = (Sphere(4.0), Box(3.0, 2.0, 0.3), Cone(float(np.radians(30)), 0.5))
+SHAPES: tuple[Shape, ...] = (SphereSdf(4.0), BoxSdf(3.0, 2.0, 0.3), ConeSdf(float(np.radians(30)), 0.5))
 
 
-def row(folder: Path, segments: str, *sets: str) -> plan.Row:
+def row(folder: Path, segments: str, *sets: str) -> Row:
     path = folder / "recipe.yaml"
     path.write_text(HEAD + "".join(f"  - {line.strip()}\n" for line in segments.strip().splitlines()))
     return plan.load(path, sets).rows[0]
 
 
-def solved(made: plan.Row) -> list[mechanics.State]:
+def solved(made: Row) -> list[mechanics.State]:
     built = presolve.presolved(scene_of_row.build(made))
     grid = mesh.build(built.gel, mesh.footprint(built), built.edge)
     return list(mechanics.states(built, mechanics.Problem.of(built, grid)))
@@ -207,7 +208,7 @@ def back(move: tuple[Any, ...]) -> tuple[Any, ...]:
 
 @settings(max_examples=40, deadline=None)
 @given(st.sampled_from(SHAPES), st.floats(0, 10), st.floats(-180, 180), st.lists(there, min_size=1, max_size=4))
-@example(Box(3.0, 3.0, 0.3), 0.0, 0.0, [("tilt", 10.0, 0.0)])
+@example(BoxSdf(3.0, 3.0, 0.3), 0.0, 0.0, [("tilt", 10.0, 0.0)])
 def test_a_closed_path_of_movements_returns_to_its_pose(
     shape: Shape, lean: float, yaw: float, moves: list[tuple[Any, ...]]
 ) -> None:

@@ -12,11 +12,12 @@ from tacgen.errors import UserError
 from tacgen.fem.elements import facet_areas, hexes
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics import mesh
-from tacgen.optics.camera import Camera
+from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.surface_grid import Sheet
 from tacgen.outputs import camera_maps, gel_surface
 from tacgen.outputs.contact_maps import maps as maps_of
 from tacgen.recipe import assets, loading, plan, scene_of_row, trajectory_checks
+from tacgen.recipe.row import Row
 from tacgen.sensor.model import Sensor
 
 Array = np.ndarray
@@ -34,14 +35,14 @@ OFF = ("start={x_mm: 4, y_mm: 0}",)
 FINE = {(): 2.6046, OFF: 2.6799}  # [N] on meshes of 0.2 mm edge (about 18 000 nodes), dhat 0.02 mm
 
 
-def row_of(folder: Path, sets: tuple[str, ...] = ()) -> plan.Row:
+def row_of(folder: Path, sets: tuple[str, ...] = ()) -> Row:
     path = folder / "digit.yaml"
     path.write_text(RECIPE)
     found = loading.read(path, sets)
-    return plan.expand(found.recipe, found.sensor, loaded=found).rows[0]
+    return plan.expand(found).rows[0]
 
 
-def solved(row: plan.Row) -> Run:
+def solved(row: Row) -> Run:
     made = scene_of_row.build(row)
     problem = mechanics.Problem.of(made, mesh.build(made.gel, mesh.footprint(made), made.edge))
     return Run(made, problem, list(mechanics.states(made, problem)))
@@ -148,7 +149,7 @@ def test_depth_counts_from_where_the_dome_is_met(sets: tuple[str, ...], z: float
 
 def test_the_face_and_its_picture_follow_the_dome(pressed: Run, digit: Sensor) -> None:
     grid, gel, state = pressed.problem.mesh, pressed.scene.gel, pressed.states[-1]
-    surface, camera = gel_surface.Surface(grid.points, grid.facets["coated"]), Camera.from_sensor(digit)
+    surface, camera = gel_surface.Surface(grid.points, grid.facets["coated"]), PinholeCamera.from_sensor(digit)
     xy = np.random.default_rng(1).uniform([-6, -8], [6, 8], (300, 2))
     assert surface.at(xy)[:, :2] == pytest.approx(xy)
     assert surface.at(xy)[:, 2] == pytest.approx(gel.top(*xy.T), abs=0.02)

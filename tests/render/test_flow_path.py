@@ -5,7 +5,7 @@ import pytest
 from helpers.tiny import sensor
 
 from benchmarks import flow
-from tacgen.optics.camera import Camera
+from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.drawn_face import DrawnFace
 from tacgen.optics.surface_grid import Sheet, Untouched
 from tacgen.render import mitsuba_path, mitsuba_variants
@@ -43,12 +43,12 @@ def test_a_camera_that_is_not_straight_sees_what_path_sees(camera: dict) -> None
     model = sensor(camera=camera, gel={"corner_radius_mm": 0.0})
     sheet, dent = Sheet.over(model.gel, 0.1), Sheared()
     own, traced = (
-        DrawnFace(sheet, dent, Camera.from_sensor(model)).behind(sheet.rest),
+        DrawnFace(sheet, dent, PinholeCamera.from_sensor(model)).behind(sheet.rest),
         mitsuba_path.rest(model, sheet, dent, 64, mitsuba_variants.SCALAR),
     )
     off = (own - traced) / model.camera.mm_per_px
     assert np.sqrt(np.nanmean(off**2)) < 0.02
-    straight = DrawnFace(sheet, dent, Camera.from_sensor(sensor())).behind(sheet.rest)
+    straight = DrawnFace(sheet, dent, PinholeCamera.from_sensor(sensor())).behind(sheet.rest)
     assert np.nanmax(np.abs(straight - own)) > 0.25  # so it does say something
 
 

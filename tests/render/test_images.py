@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from helpers.tiny import PLAIN, sensor
 
-from tacgen.optics.camera import Camera
+from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.camera_response import encoded
 from tacgen.optics.hertz_dent import BallDent
 from tacgen.optics.surface_grid import Sheet, Untouched
@@ -103,7 +103,7 @@ def test_markers_appear_where_the_camera_projects_them():
     y, x = np.mgrid[:32, :40] + 0.5
     dark = (1 - share) * ((np.abs(x - 20) < 6) & (np.abs(y - 16) < 5))
     middle = [(dark * x).sum() / dark.sum(), (dark * y).sum() / dark.sum()]
-    assert middle == pytest.approx(Camera.from_sensor(sensor()).project([[0, 0, 0]])[0], abs=0.1)
+    assert middle == pytest.approx(PinholeCamera.from_sensor(sensor()).project([[0, 0, 0]])[0], abs=0.1)
     assert share.min() == pytest.approx(0.08, abs=0.08)
 
 
@@ -124,7 +124,7 @@ def test_path_sees_the_same_axes_as_the_projection():
     y, x = np.mgrid[:32, :40] + 0.5
     weight = np.where(change > 0.3 * change.max(), change, 0)
     found = [(weight * x).sum() / weight.sum(), (weight * y).sum() / weight.sum()]
-    assert found == pytest.approx(Camera.from_sensor(model).project([[1.5, 1.0, -0.3]])[0], abs=2.0)
+    assert found == pytest.approx(PinholeCamera.from_sensor(model).project([[1.5, 1.0, -0.3]])[0], abs=2.0)
 
 
 def test_a_scene_built_again_draws_the_same_numbers(tracer):

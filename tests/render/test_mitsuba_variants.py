@@ -50,7 +50,7 @@ def test_an_answer_is_kept_until_the_library_changes(tmp_path, monkeypatch):
 
     def probe(variant, found=""):
         asked.append(found)
-        return mitsuba_variants.Probed(variant, found, True, "renders")
+        return mitsuba_variants.VariantProbe(variant, found, True, "renders")
 
     monkeypatch.setattr(mitsuba_variants, "probe", probe)
     assert mitsuba_variants._llvm().library == str(library)
@@ -63,7 +63,7 @@ def test_an_answer_is_kept_until_the_library_changes(tmp_path, monkeypatch):
 
 
 def test_a_damaged_answer_is_asked_again(tmp_path, monkeypatch):
-    monkeypatch.setattr(mitsuba_variants, "probe", lambda v, x="": mitsuba_variants.Probed(v, x, True, "renders"))
+    monkeypatch.setattr(mitsuba_variants, "probe", lambda v, x="": mitsuba_variants.VariantProbe(v, x, True, "renders"))
     mitsuba_variants._remembered(mitsuba_variants.SCALAR, "")
     (kept,) = Path(tmp_path, "cache", "variants").iterdir()
     kept.write_text("{broken")
@@ -74,10 +74,10 @@ def test_a_damaged_answer_is_asked_again(tmp_path, monkeypatch):
 
 def test_without_llvm_and_gpu_the_scalar_variant_is_taken(monkeypatch):
     monkeypatch.setattr(
-        mitsuba_variants, "_cuda", lambda: mitsuba_variants.Probed(mitsuba_variants.CUDA, "", False, "no")
+        mitsuba_variants, "_cuda", lambda: mitsuba_variants.VariantProbe(mitsuba_variants.CUDA, "", False, "no")
     )
     monkeypatch.setattr(
-        mitsuba_variants, "_llvm", lambda: mitsuba_variants.Probed(mitsuba_variants.LLVM, "", False, "no")
+        mitsuba_variants, "_llvm", lambda: mitsuba_variants.VariantProbe(mitsuba_variants.LLVM, "", False, "no")
     )
     assert mitsuba_variants.best().variant == mitsuba_variants.SCALAR
 

@@ -12,11 +12,12 @@ from tacgen import mechanics
 from tacgen.errors import UserError
 from tacgen.fem.stress_recovery import FULL
 from tacgen.mechanics import mesh
-from tacgen.optics.camera import Camera
+from tacgen.optics.camera import PinholeCamera
 from tacgen.outputs import gel_surface
 from tacgen.outputs.cauchy_stress import Stresses
 from tacgen.outputs.contact_maps import maps as maps_of
-from tacgen.recipe import assets, loading, plan, scene_of_row
+from tacgen.recipe import assets, loading, plan, scene_of_row, sensor_checks
+from tacgen.recipe.row import Row
 
 LIT = ("coating", "walls", "leds")
 RECIPE = """\
@@ -30,20 +31,20 @@ outputs: [force, traction, height, stress]
 FINE = 1.1674  # [N] on meshes of 0.25 and 0.2 mm edge (16 800 and 21 800 nodes), dhat 0.03 mm
 
 
-def row_of(folder: Path, sets: tuple[str, ...] = ()) -> plan.Row:
+def row_of(folder: Path, sets: tuple[str, ...] = ()) -> Row:
     path = folder / "nine.yaml"
     path.write_text(RECIPE)
     found = loading.read(path, sets)
-    return plan.expand(found.recipe, found.sensor, loaded=found).rows[0]
+    return plan.expand(found).rows[0]
 
 
 @pytest.fixture(scope="module")
-def row(tmp_path_factory: pytest.TempPathFactory) -> plan.Row:
+def row(tmp_path_factory: pytest.TempPathFactory) -> Row:
     return row_of(tmp_path_factory.mktemp("nine"))
 
 
 @pytest.fixture(scope="module")
-def press(row: plan.Row) -> Run:
+def press(row: Row) -> Run:
     made = scene_of_row.build(row)
     problem = mechanics.Problem.of(made, mesh.build(made.gel, mesh.footprint(made), made.edge))
     return Run(made, problem, list(mechanics.states(made, problem)))
@@ -55,9 +56,9 @@ def test_force_of_a_press_at_default_quality(press: Run) -> None:
     assert press.states[-1].substeps == 1
 
 
-def test_the_maps_see_the_press(press: Run, row: plan.Row) -> None:
+def test_the_maps_see_the_press(press: Run, row: Row) -> None:
     """0.0509 mm/px at the middle of the skin's outer side, and the force is in view."""
-    camera = Camera.from_sensor(row.sensor)
+    camera = PinholeCamera.from_sensor(row.sensor)
     assert camera.shape == (345, 460)
     step = camera.project([[0.1, 0.0, 0.0]])[0] - camera.project([[0.0, 0.0, 0.0]])[0]
     assert 0.1 / step[0] == pytest.approx(0.0509, rel=1e-3)
@@ -93,7 +94,7 @@ def test_traction_is_continuous_across_the_interface_and_stress_in_its_plane_is_
     assert (tension[0] > tension[1]).mean() > 0.9
 
 
-def test_the_camera_sees_the_skin_from_inside(press: Run, row: plan.Row) -> None:
+def test_the_camera_sees_the_skin_from_inside(press: Run, row: Row) -> None:
     seen = gel_surface.seen(press.problem.mesh, len(row.sensor.gel.clear_layers))
     assert seen.rest[:, 2] == pytest.approx(-0.3)
     now = seen.moved(press.states[-1].x)
@@ -117,11 +118,11 @@ def test_images_are_refused_where_no_lights_are_described(tmp_path: Path) -> Non
 def test_lights_come_all_together_or_a_plate_alone() -> None:
     plain = loading.read_sensor(assets.sensor_path("gelsight_mini"))[1].data
     without = {k: v for k, v in plain.items() if k not in ("coating", "walls", "leds")}
-    sensor, wrong = loading.check_sensor(without)
+    sensor, wrong = sensor_checks.check(without)
     assert sensor is not None
     assert not sensor.lit
     assert wrong == []
-    sensor, wrong = loading.check_sensor({k: v for k, v in plain.items() if k not in ("plate", "walls")})
+    sensor, wrong = sensor_checks.check({k: v for k, v in plain.items() if k not in ("plate", "walls")})
     assert sensor is None
     assert [(p.path, p.message) for p in wrong] == [
         (("plate",), "is missing, and leds is there (thickness_mm, refractive_index)"),

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from tacgen import cli
 from tacgen.bundle.bundle import read
 from tacgen.errors import UserError
-from tacgen.optics.camera import Camera
+from tacgen.optics.camera import PinholeCamera
 from tacgen.recipe import assets, loading
 from tacgen.report import bundle_figure
 
@@ -112,7 +112,7 @@ def test_axes_are_in_mm_of_the_untouched_face(tmp_path: Path) -> None:
     panel = bundle_figure.figure(bundle).axes[0]
     assert panel.get_ylabel().endswith("y [mm]")
     assert panel.get_xlabel() == "x [mm]"
-    camera = Camera.from_sensor(sensor)
+    camera = PinholeCamera.from_sensor(sensor)
     for axis, (ticks, texts) in enumerate(
         ((panel.get_xticks(), panel.get_xticklabels()), (panel.get_yticks(), panel.get_yticklabels()))
     ):

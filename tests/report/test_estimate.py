@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tacgen.bundle.run_status import Scene, Survey
+from tacgen.bundle.run_status import SceneStatus, Survey
 from tacgen.report import estimate
 from tacgen.report.estimate import Made
 
@@ -43,8 +43,8 @@ def test_what_comes_once_is_no_scene_s_cost():
 def test_what_is_left_of_a_folder_is_judged_by_what_is_there(tmp_path: Path):
     size = tmp_path / "scene-00000.h5"
     size.write_bytes(bytes(3000))
-    made = [Scene(f"scene-{i}", "ok", "", 4, size, {}, {"start": 9.0, "solve": 2.0}) for i in range(2)]
-    waiting = [Scene(f"scene-{i}", "waiting", "", 6, tmp_path / "none.h5") for i in range(2, 5)]
+    made = [SceneStatus(f"scene-{i}", "ok", "", 4, size, {}, {"start": 9.0, "solve": 2.0}) for i in range(2)]
+    waiting = [SceneStatus(f"scene-{i}", "waiting", "", 6, tmp_path / "none.h5") for i in range(2, 5)]
     found = estimate.left(Survey("many", tmp_path, (*made, *waiting)))
     assert found is not None
     assert found.seconds.expected == pytest.approx(9.0)

@@ -16,7 +16,7 @@ from tacgen.bundle import dataset, pack
 from tacgen.cli import app
 from tacgen.errors import UserError
 from tacgen.report import dataset_card, dataset_summary, html_report
-from tacgen.report.wording import short
+from tacgen.report.sheet import short
 
 
 @pytest.fixture(scope="module")
