@@ -22,6 +22,7 @@ from tacgen.mechanics.bulk import Bulk, BulkPoint
 from tacgen.mechanics.condensation import DAMPING_FACTOR, LEAST_DAMPING
 from tacgen.mechanics.contact_newton import ContactSolution, Quadratic, solve_contact
 from tacgen.mechanics.coupled import CoupledContact
+from tacgen.mechanics.line_search import backtrack
 from tacgen.mechanics.linear_solvers import NotPositiveDefinite
 from tacgen.mechanics.problem import Problem
 from tacgen.mechanics.state import History, NotConverged
@@ -148,20 +149,23 @@ class BulkNewton:
         """
         condensed, here, schur = self.tangent.condensation, quadratic.start, quadratic.schur
         u = (inner.x - here)[condensed.dofs >= 0]
-        p, part, contact = condensed.expand(u, y), 1.0, inner.contact
+        p, contact = condensed.expand(u, y), inner.contact
         before = contact.merit(here, inner.forces)
         contact_change = contact.merit(inner.x, inner.forces) - before
         # of the bulk g.p + p.Kp/2 = (g.p + p.(g + Kp))/2; g + Kp is 0 but for the condensed unknowns
         model = float((g * p).sum() + u @ (schur.S @ u + quadratic.force)) / 2 + contact_change
         rounding = self.floor + ROUNDING * abs(at.energy)
-        while True:
-            there = self.bulk.at(at.x + part * p)
-            change = there.energy - at.energy + contact_change
+
+        def trial(part: float) -> tuple[bool, tuple[BulkPoint, float, float]]:
+            there, touch = self.bulk.at(at.x + part * p), here + part * p[condensed.nodes]
+            of_contact = contact_change if part == 1 else contact.merit(touch, inner.forces) - before
+            change = there.energy - at.energy + of_contact
             gain = 1.0 if abs(change) <= rounding else change / min(part * model, -rounding)
-            if gain >= MIN_GAIN or part <= SHORTEST:
-                break
-            part /= 2
-            contact_change = contact.merit(here + part * p[condensed.nodes], inner.forces) - before
+            return gain >= MIN_GAIN, (there, gain, part)
+
+        _, last = backtrack(trial, SHORTEST)
+        assert last is not None
+        there, gain, part = last
         if part < 1:
             x = there.x[condensed.nodes]
             inner = replace(inner, x=x, forces=contact.evaluate(x), converged=False)

@@ -18,6 +18,7 @@ from tacgen.geometry.pose import Pose, about
 from tacgen.mechanics import mesh
 from tacgen.mechanics.frames import normal_force, trial
 from tacgen.mechanics.grasp import LOOKS, SIDES, Grasp, finger, refined, seen_from
+from tacgen.mechanics.line_search import backtrack
 from tacgen.mechanics.options import DEFAULT, tighter
 from tacgen.mechanics.presolve import COARSE
 from tacgen.mechanics.problem import Problem
@@ -263,19 +264,22 @@ class Frame:
 
     def _line_search(self, at: Trial, r: Array, free: Array, step: Array) -> tuple[Trial, Array]:
         """The first fraction of a Newton step that lowers the residual, or the shortest one."""
-        part = 1.0
-        while True:
+
+        def attempt(part: float) -> tuple[bool, tuple[Trial, Array]]:
+            pose, width = self._moved(at.pose, part * free @ step[:-1]), at.width + part * step[-1]
             try:
-                pose, width = self._moved(at.pose, part * free @ step[:-1]), at.width + part * step[-1]
                 found = self._trial(pose, width, at)
-                there = self._residual(found, free)
-                less = np.linalg.norm(there) < np.linalg.norm(r) and (found.grip > 0 or at.grip == 0)
-                if less or part <= SHORTEST:
-                    return found, there
             except NotConverged:
                 if part <= SHORTEST or self.trials > TRIALS:
                     raise
-            part /= 2
+                return False, (at, r)
+            there = self._residual(found, free)
+            less = np.linalg.norm(there) < np.linalg.norm(r) and (found.grip > 0 or at.grip == 0)
+            return bool(less), (found, there)
+
+        _, last = backtrack(attempt, SHORTEST)
+        assert last is not None
+        return last
 
     def _moved(self, pose: Array, step: Array) -> Array:
         """Shifted and turned about the centre of mass, by a scaled step (6,)."""
