@@ -16,21 +16,22 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from tacgen.mechanics.frames import TooMuch, normal_force, states
+    from tacgen.mechanics.failures import Failure, NotConverged
+    from tacgen.mechanics.frames import normal_force, states
     from tacgen.mechanics.options import DEFAULT, SolverOptions, plain, short_steps
     from tacgen.mechanics.problem import Problem
     from tacgen.mechanics.scene import Scene
-    from tacgen.mechanics.state import NotConverged, State
+    from tacgen.mechanics.state import State
     from tacgen.mechanics.warm_up import warm
 
 MODULES = {  # of each public name
     "DEFAULT": "options",
-    "NotConverged": "state",
+    "Failure": "failures",
+    "NotConverged": "failures",
     "Problem": "problem",
     "Scene": "scene",
     "SolverOptions": "options",
     "State": "state",
-    "TooMuch": "frames",
     "normal_force": "frames",
     "plain": "options",
     "short_steps": "options",
@@ -39,7 +40,7 @@ MODULES = {  # of each public name
 }
 
 __all__ = [
-    "DEFAULT", "NotConverged", "Problem", "Scene", "SolverOptions", "State", "TooMuch", "normal_force", "plain",
+    "DEFAULT", "Failure", "NotConverged", "Problem", "Scene", "SolverOptions", "State", "normal_force", "plain",
     "short_steps", "states", "warm",
 ]  # fmt: skip
 

@@ -22,10 +22,11 @@ from tacgen.mechanics.bulk import Bulk, BulkPoint
 from tacgen.mechanics.condensation import DAMPING_FACTOR, LEAST_DAMPING
 from tacgen.mechanics.contact_newton import ContactSolution, Quadratic, solve_contact
 from tacgen.mechanics.coupled import CoupledContact
+from tacgen.mechanics.failures import Failure, NotConverged
 from tacgen.mechanics.line_search import backtrack
 from tacgen.mechanics.linear_solvers import NotPositiveDefinite
 from tacgen.mechanics.problem import Problem
-from tacgen.mechanics.state import History, NotConverged
+from tacgen.mechanics.state import History
 
 Array = np.ndarray
 MIN_GAIN = 1e-3  # decrease of the energy over the predicted one, below which a step is halved [-]
@@ -65,7 +66,7 @@ class BulkNewton:
         try:
             return self._solve(x, contact)
         except NotPositiveDefinite:
-            raise NotConverged(failure_message(self.bulk, x, 0)) from None
+            raise failed(self.bulk, x, 0) from None
 
     def _solve(self, x: Array, contact: CoupledContact) -> tuple[Array, CoupledContact, int]:
         options, tangent, conn = self.options, self.tangent, contact.contact.faces.conn
@@ -101,7 +102,7 @@ class BulkNewton:
                 rate = (2 if new else 1) * residual / before
             damping = self._next_damping(found, residual < before)
             new = not options.keep_tangent or found.part < 1 or self._slow(residual, rate)
-        raise NotConverged(failure_message(self.bulk, at.x, step))
+        raise failed(self.bulk, at.x, step)
 
     def _ended(self, found: Step, moved: float, residual: float) -> bool:
         options = self.options
@@ -207,8 +208,7 @@ def with_neighbours(conn: Array, which: Array) -> Array:
     return np.asarray(conn[np.isin(conn, conn[which]).any(1)])
 
 
-def failure_message(bulk: Bulk, x: Array, steps: int) -> str:
-    """The message for a failure to find an equilibrium."""
+def failed(bulk: Bulk, x: Array, steps: int) -> NotConverged:
+    """The failure to find an equilibrium in so many steps, which ended at x (n, 3)."""
     least = min(float(J.min()) for J in bulk.at(x).J)
-    squeezed = f", the gel squeezed to {least:.1%} of its volume" if least < SQUEEZED else ""
-    return f"Newton did not converge in {steps} steps{squeezed}; try less depth, less friction or a finer mesh"
+    return NotConverged(Failure.squeezed if least < SQUEEZED else Failure.newton, steps=steps, least_J=least)

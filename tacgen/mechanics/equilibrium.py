@@ -12,13 +12,14 @@ from tacgen.mechanics import friction as fr
 from tacgen.mechanics import full_newton
 from tacgen.mechanics.barrier import Contact
 from tacgen.mechanics.bulk import Bulk
-from tacgen.mechanics.bulk_newton import BulkNewton, failure_message, with_neighbours
+from tacgen.mechanics.bulk_newton import BulkNewton, failed, with_neighbours
 from tacgen.mechanics.coupled import ContactForces, CoupledContact
+from tacgen.mechanics.failures import Failure, NotConverged
 from tacgen.mechanics.linear_solvers import NotPositiveDefinite
 from tacgen.mechanics.mesh_contact import LaggedContact, MeshLoadStep
 from tacgen.mechanics.predictor import Prediction, predict
 from tacgen.mechanics.problem import Problem
-from tacgen.mechanics.state import History, NotConverged, State, TooFar
+from tacgen.mechanics.state import History, State
 from tacgen.mechanics.tunnelling import blocked, depth_inside
 
 Array = np.ndarray
@@ -99,14 +100,14 @@ class LoadStep:
 
     def start(self, near: Array | None) -> Array:
         """Start of Newton's method: the first of a nearby solution, the prediction, the positions by inertia, and the
-        last positions in which nothing tunnels and no element is inverted. Raises TooFar: there is none."""
+        last positions in which nothing tunnels and no element is inverted. Raises NotConverged: too far."""
         history, contact = self.history, self.contact.contact
         for x in (near, None if self.prediction is None else self.prediction.x, self.ahead, history.x):
             if x is None or blocked(contact, history.pose, history.x, history.gap, x):
                 continue
             if np.isfinite(self.bulk.at(x).energy):
                 return x
-        raise TooFar("the gel cannot follow the indenter that far at once")
+        raise NotConverged(Failure.too_far)
 
     def solve(self, x: Array) -> Found:
         """Raises NotConverged."""
@@ -115,7 +116,7 @@ class LoadStep:
             return Found.coupled(*newton.solve(x, self.contact), newton.damped)
         found = full_newton.solve(self.problem, self.bulk, self.contact, x)
         if not found.converged:
-            raise NotConverged(failure_message(self.bulk, found.x, found.steps))
+            raise failed(self.bulk, found.x, found.steps)
         return Found.coupled(found.x, found.contact, found.steps)
 
 
@@ -155,7 +156,7 @@ def equilibrium(
     which is used only as the start of Newton's method.
 
     Raises:
-        NotConverged: no equilibrium within the tolerances was found. TooFar: the step must be shorter.
+        NotConverged: no equilibrium within the tolerances was found, or (too_far) the step must be shorter.
     """
     coupled = isinstance(problem.contact, Contact)
     step = (LoadStep if coupled else MeshLoadStep)(problem, history, Pose.of(matrix), duration)
@@ -163,15 +164,9 @@ def equilibrium(
         found, least_J = _until_admissible(step, step.start(None if near is None else near.x))
         residual, balance = _imbalance(step, found)
         if residual > problem.options.residual_max or balance > problem.options.residual_max or found.least_gap <= 0:
-            raise NotConverged(
-                f"residual {residual:.1e} and balance {balance:.1e} of the contact force, smallest gap"
-                f" {found.least_gap:.1e} mm"
-            )
+            raise NotConverged(Failure.unbalanced, residual=residual, balance=balance, least_gap=found.least_gap)
         if least_J <= 0:
-            raise NotConverged(
-                f"an element is turned inside out, to {least_J:.2g} of its volume; try less depth, less friction or a"
-                " finer mesh"
-            )
+            raise NotConverged(Failure.inverted, least_J=least_J)
         if coupled:
             _check_inside(problem, found)
     except NotConverged:
@@ -208,10 +203,7 @@ def _check_inside(problem: Problem, found: Found) -> None:
     assert isinstance(contact, Contact)
     reach = contact.shape.reach
     if (deep := depth_inside(contact, problem.elastic, found.x)) > INSIDE * reach:
-        raise NotConverged(
-            f"the indenter, {2 * reach:.3g} mm thin, penetrates the gel by {deep:.3g} mm between contact points of a"
-            f" mesh of edge {problem.edge:g} mm: a finer one or less depth is needed"
-        )
+        raise NotConverged(Failure.inside, width=2 * reach, depth=deep, edge=problem.edge)
 
 
 def _record(

@@ -11,13 +11,12 @@ import numpy as np
 from tacgen.mechanics.barrier import Faces
 from tacgen.mechanics.bulk import Bulk
 from tacgen.mechanics.condensation import Condensation
+from tacgen.mechanics.failures import Failure, NotConverged
 from tacgen.mechanics.full_newton import exact_factor
 from tacgen.mechanics.problem import Problem
-from tacgen.mechanics.state import NotConverged
 
 Array = np.ndarray
 Solve = Callable[[Array], Array]
-SINGULAR = "no sensitivity: the tangent is singular"
 
 
 def free_columns(problem: Problem, V: Array) -> Array:
@@ -48,7 +47,7 @@ def solver(problem: Problem, x: Array, D: Array, on: Array, at_x: Condensation |
     try:
         contact = at_x.schur.factored(added)
     except np.linalg.LinAlgError:
-        raise NotConverged(SINGULAR) from None
+        raise NotConverged(Failure.singular) from None
     return lambda B: everywhere(problem, at_x.solve(free_columns(problem, B), contact))
 
 
@@ -57,5 +56,5 @@ def _direct(problem: Problem, x: Array, D: Array, faces: Faces) -> Solve:
     try:
         lu = exact_factor(problem.pattern, data, faces, D)
     except RuntimeError:
-        raise NotConverged(SINGULAR) from None
+        raise NotConverged(Failure.singular) from None
     return lambda B: everywhere(problem, lu.solve(free_columns(problem, B)))

@@ -16,6 +16,7 @@ import numpy as np
 
 from tacgen.geometry.pose import Pose, about
 from tacgen.mechanics import mesh
+from tacgen.mechanics.failures import Failure, NotConverged
 from tacgen.mechanics.frames import normal_force, trial
 from tacgen.mechanics.grasp import LOOKS, SIDES, Grasp, finger, refined, seen_from
 from tacgen.mechanics.line_search import backtrack
@@ -24,7 +25,7 @@ from tacgen.mechanics.presolve import COARSE
 from tacgen.mechanics.problem import Problem
 from tacgen.mechanics.rigid_stiffness import stiffness
 from tacgen.mechanics.scene import Scene
-from tacgen.mechanics.state import History, NotConverged, State
+from tacgen.mechanics.state import History, State
 
 Array = np.ndarray
 
@@ -38,7 +39,6 @@ class Mode(IntEnum):
 
 
 BALANCE = 5e-4  # tolerance of forces, and of moments over the arm, over the grip force [-]; the check allows 1e-3
-REMEDY = "try more frames for this movement, more grip force or a finer mesh"
 TRIALS = 40  # most equilibria of both gels in a frame; ordinary frames take 3 to 6
 SLIGHT = 1e-3  # smallest force scale, over the weight [-]
 UNRESISTED = 1e-6  # singular value over the largest, below which a motion has no stiffness [-]
@@ -195,7 +195,7 @@ class Frame:
         """Both gels with the object there, from the last frame's history. Raises NotConverged."""
         self.trials += 1
         if self.trials > TRIALS:
-            raise NotConverged(f"the object's balance was not found in {TRIALS} trials; {REMEDY}")
+            raise NotConverged(Failure.grasp, trials=TRIALS)
         gels, wrench, normal, centre = [], np.zeros(6), 0.0, self._centre(pose)
         for side, problem in enumerate(self.problems):
             problem.effort.steps = 0

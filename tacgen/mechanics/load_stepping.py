@@ -9,8 +9,9 @@ import numpy as np
 from tacgen.geometry.pose import Pose, along, between
 from tacgen.mechanics.barrier import Contact
 from tacgen.mechanics.equilibrium import equilibrium
+from tacgen.mechanics.failures import Failure, NotConverged
 from tacgen.mechanics.problem import Problem
-from tacgen.mechanics.state import History, NotConverged, OutOfEffort, State, TooFar
+from tacgen.mechanics.state import History, State
 
 Array = np.ndarray
 TOO_FAR = 12  # most halvings of a load step in which the indenter might tunnel through the gel
@@ -70,16 +71,12 @@ def _reach(
     try:
         after, state = equilibrium(problem, history, b, index, duration)
         return after, replace(state, rounded=rounded(problem, history, after))
-    except OutOfEffort:
-        raise
-    except TooFar:
-        if far == TOO_FAR:
+    except NotConverged as error:
+        farther = error.failure == Failure.too_far
+        spent = far == TOO_FAR if farther else halved == problem.options.halvings
+        if spent or error.failure == Failure.effort:
             raise
-        far += 1
-    except NotConverged:
-        if halved == problem.options.halvings:
-            raise
-        halved += 1
+        halved, far = halved + (not farther), far + farther
     middle = between(a, b, turn, 0.5)
     there, first = _reach(problem, history, a, middle, turn / 2, index, duration / 2, halved, far)
     there, second = _reach(problem, there, middle, b, turn / 2, index, duration / 2, halved, far)

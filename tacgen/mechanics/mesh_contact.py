@@ -13,10 +13,11 @@ from tacgen.fem.potential import Potential, Total
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics import friction as fr
 from tacgen.mechanics.coupled import ContactForces
+from tacgen.mechanics.failures import Failure, NotConverged
 from tacgen.mechanics.lagging import Lag
 from tacgen.mechanics.newton import Status, minimise
 from tacgen.mechanics.problem import Problem
-from tacgen.mechanics.state import History, NotConverged, TooFar
+from tacgen.mechanics.state import History
 
 if TYPE_CHECKING:
     from tacgen.mechanics.ipctk import MeshContact, MeshFriction
@@ -84,13 +85,13 @@ class MeshLoadStep:
         return Total((*self.bulk, self.contact, *friction))
 
     def start(self, near: Array | None) -> Array:
-        """The start of lower energy. Raises TooFar: the gel cannot follow that far."""
+        """The start of lower energy. Raises NotConverged: too far."""
         starts = [*self.starts]
         if near is not None:
             starts.append(self.contact.starts(self.history.x, near, self.history.pose)[1])
         x = min(starts, key=self.total.value)
         if not np.isfinite(self.total.value(x)):
-            raise TooFar("the gel cannot follow the indenter that far at once")
+            raise NotConverged(Failure.too_far)
         return x
 
     def _renew(self, x: Array) -> Total | None:
@@ -126,7 +127,5 @@ class MeshLoadStep:
         )  # fmt: skip
         steps = len(found.steps)
         if found.status != Status.converged:
-            raise NotConverged(
-                f"Newton {found.status} after {steps} steps; try less depth, less friction or a finer mesh"
-            )
+            raise NotConverged(Failure.minimiser, status=found.status, steps=steps)
         return found.x, LaggedContact(self.contact, problem.friction, self.anchor, self.eps, self.friction), steps
