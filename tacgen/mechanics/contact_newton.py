@@ -106,7 +106,7 @@ def solve_contact(
         steps += 1
         p = bulk.solve(x, contact, forces.tangent, g, False)
         full = None
-        if p is not None and contact.contact.max_step_from(forces.gap, p) == 1.0:
+        if p is not None and contact.contact.max_step(forces.gap, p) == 1.0:
             there = contact.evaluate(x + p)
             ahead = residual(there, x + p)
             if np.linalg.norm(ahead) <= FULL_STEP * np.linalg.norm(g):
@@ -152,7 +152,7 @@ def _downhill(
             merit = bulk.value(there) + contact.merit(there, forces)
             return armijo(merit, here, fraction * slope, ROUNDING), None
 
-        return backtrack(trial, least, contact.contact.max_step_from(forces.gap, p))[0]
+        return backtrack(trial, least, contact.contact.max_step(forces.gap, p))[0]
 
     if coupled is not None and (fraction := decreasing(coupled, MIN_COUPLED)) > 0:
         return fraction, coupled

@@ -7,7 +7,6 @@ from itertools import pairwise
 import numpy as np
 
 from tacgen.geometry.pose import Pose, along, between
-from tacgen.mechanics.barrier import Contact
 from tacgen.mechanics.equilibrium import equilibrium
 from tacgen.mechanics.failures import Failure, NotConverged
 from tacgen.mechanics.problem import Problem
@@ -40,8 +39,8 @@ def _sharp(problem: Problem) -> bool:
 def steps_needed(problem: Problem, history: History, a: Array, b: Array, turn: Array) -> int:
     """Number of load steps from pose a to pose b, within the options `sink`, `slide` and `slide_sharp`."""
     deep = 0.0
-    if isinstance(problem.contact, Contact):
-        deep = -float(problem.contact.moved(Pose.of(b), history.offset).gaps(history.x)[0].min())
+    if problem.contact.overlaps:
+        deep = -float(problem.contact.distance.moved(Pose.of(b), history.offset).gaps(history.x)[0].min())
     pressing = math.ceil(deep / (problem.options.sink * problem.edge) - 1e-9)
     return max(1, pressing, _steps_to_slide(problem, history, a, b, turn))
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tacgen.fem.materials import Law
-from tacgen.mechanics.barrier import Contact, Faces
+from tacgen.mechanics.barrier import Faces
 from tacgen.mechanics.bulk import Bulk
 from tacgen.mechanics.condensation import Condensation, Tied
 from tacgen.mechanics.contact_slopes import ContactSlopes, dot
@@ -64,8 +64,7 @@ class Sensitivity:
     """Derivatives at the frames of one scene, in order."""
 
     def __init__(self, problem: Problem, parameters: Sequence[Parameter]) -> None:
-        assert isinstance(problem.contact, Contact)
-        self._problem, self._contact, self._parameters = problem, problem.contact, tuple(parameters)
+        self._problem, self._contact, self._parameters = problem, problem.contact.distance, tuple(parameters)
         self._lower = -np.array([p.depth for p in parameters])[:, None] * np.eye(3)[2]  # of the pose (k, 3)
         problem.tangent.followed = True
         self._before = problem.rest(problem.contact.pose)

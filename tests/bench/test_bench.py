@@ -324,7 +324,7 @@ def test_outputs_that_are_not_asked_for_are_not_computed() -> None:
         "geometry.mesh_import",
         "mechanics.tet_mesh",
     )
-    unasked += tuple(f"mechanics.{n}" for n in ("force_control", "full_newton", "lagging", "mesh_contact", "newton"))
+    unasked += tuple(f"mechanics.{n}" for n in ("force_control", "full_newton", "mesh_contact", "newton"))
     assert modules.isdisjoint(f"tacgen.{name}" for name in unasked)
 
 

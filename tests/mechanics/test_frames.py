@@ -17,6 +17,7 @@ from tacgen.mechanics import (
     Problem,
     SolverOptions,
     equilibrium,
+    load_step,
     load_stepping,
     mesh,
     short_steps,
@@ -111,7 +112,7 @@ def test_a_point_inside_the_indenter_stiffens_the_barrier_or_is_refused(monkeypa
     mended = next(states(s, soft))
     assert mended.min_gap > 0
     assert mended.traction_force.sum((0, 1))[2] == pytest.approx(usual, rel=0.05)
-    monkeypatch.setattr(equilibrium, "STIFFER", 1.0)
+    monkeypatch.setattr(load_step, "STIFFER", 1.0)
     with pytest.raises(NotConverged, match="smallest gap -"):
         next(states(s, soft))
 
