@@ -9,7 +9,8 @@ It knows no recipe. A Scene (gel, indenter, poses, friction, tolerances) is mesh
 
 docs/MECHANICS.md has the algorithm by module. Contact by distance is solved by bulk_newton (on the gel) with
 contact_newton (on its Schur complement), or without CHOLMOD by full_newton (on all unknowns); contact between meshes by
-newton (on an energy) and lagging. The names are imported when they are first used: a recipe's path needs no solver.
+mesh_contact with newton (on an energy). The names are imported when they are first used: a recipe's path needs no
+solver.
 """
 
 from importlib import import_module

@@ -103,7 +103,6 @@ def _record(
         internal,
         None if step.prediction is None else step.prediction.error(found.x),
         None if step.prediction is None else step.prediction.x,
-        None if step.prediction is None else step.prediction.tied,
     )
     mean = contact.mean_gap(found.x)
     residual, balance, least_J = quality

@@ -71,13 +71,6 @@ class Cholmod:
         self._A = cvxopt.spmatrix(1.0, *as_list, (n, n))
         self._pattern, self._order, self._postorder = pattern, order, postorder
 
-    def another(self) -> "Cholmod":
-        """One for the same pattern, with a factor of its own."""
-        other = copy(self)
-        for name in ("_F", "order"):
-            other.__dict__.pop(name, None)
-        return other
-
     @cached_property
     def _F(self) -> Any:
         """The factor, at first symbolic only; made when it is needed, as the analysis takes as long as a solve."""

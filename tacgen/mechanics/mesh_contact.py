@@ -50,8 +50,8 @@ class Lag:
     """Fixed-point iteration of lagged normal forces, with Anderson acceleration.
 
     If two updates in a row cancel each other, the mixture with the smallest error is used: Anderson (1965),
-    "Iterative procedures for nonlinear integral equations", with a memory of one. Keeps the last positions x (n, 3), the forces
-    there, and their difference from the lagged ones.
+    "Iterative procedures for nonlinear integral equations", with a memory of one. Keeps the last positions
+    x (n, 3), the forces there, and their difference from the lagged ones.
     """
 
     def __init__(self) -> None:

@@ -84,6 +84,10 @@ class Problem:
     @cached_property
     def tangent(self) -> Tangent:
         """The factorised tangent of the bulk, kept from step to step."""
+        return self.new_tangent()
+
+    def new_tangent(self) -> Tangent:
+        """A tangent of the bulk, not yet factorised."""
         at_rest, points, pattern = Bulk(self.elastic, self.folding, ()), self.mesh.points, self.pattern  # not self: a
         return Tangent(pattern, lambda: at_rest.at(points).stiffness(pattern))  # cycle would outlive the scene
 

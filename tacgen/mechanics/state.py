@@ -5,7 +5,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tacgen.geometry.pose import Pose
-from tacgen.mechanics.condensation import Tied
 from tacgen.mechanics.failures import Failure, NotConverged
 
 Array = np.ndarray
@@ -43,7 +42,6 @@ class History:
     internal: dict[int, Array]  # of viscoelastic layers, by their numbers: H (k, e, q, 3, 3) [MPa]
     predictor_error: tuple[Array, Array] | None = None  # of first order, and the motion it belongs to (see predictor)
     predicted: Array | None = None  # x (n, 3) by this load step's predictor
-    tied: Tied | None = None  # that prediction's equations, where its derivatives are asked for
 
 
 @dataclass(frozen=True)
