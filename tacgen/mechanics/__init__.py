@@ -18,12 +18,11 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from tacgen.mechanics.failures import Failure, NotConverged
-    from tacgen.mechanics.frames import normal_force, states
+    from tacgen.mechanics.frames import normal_force, states, warm
     from tacgen.mechanics.options import DEFAULT, SolverOptions, plain, short_steps
     from tacgen.mechanics.problem import Problem
     from tacgen.mechanics.scene import Scene
     from tacgen.mechanics.state import State
-    from tacgen.mechanics.warm_up import warm
 
 MODULES = {  # of each public name
     "DEFAULT": "options",
@@ -37,7 +36,7 @@ MODULES = {  # of each public name
     "plain": "options",
     "short_steps": "options",
     "states": "frames",
-    "warm": "warm_up",
+    "warm": "frames",
 }
 
 __all__ = [

@@ -8,7 +8,7 @@ import numpy as np
 
 from tacgen.fem.jacobian import least_jacobian
 from tacgen.geometry.pose import Pose
-from tacgen.mechanics import friction as fr
+from tacgen.mechanics.coupled import dragged, slip
 from tacgen.mechanics.failures import Failure, NotConverged
 from tacgen.mechanics.load_step import Found, LoadStep, imbalance
 from tacgen.mechanics.problem import Problem
@@ -85,8 +85,8 @@ def _record(
         friction = forces.force - forces.N[..., None] * forces.normal
         # the anchor of a sliding point lags by eps; the slip of one that has stopped is still eps, within the tolerance
         least = coupled.eps + step.problem.options.step_tol * contact.dhat
-        sliding = (np.linalg.norm(fr.slip(forces.at, coupled.anchor, forces.normal), axis=-1) > least) & (forces.N > 0)
-        anchor = fr.dragged(coupled.anchor, forces.at, forces.normal, forces.N, coupled.eps, contact.pose)
+        sliding = (np.linalg.norm(slip(forces.at, coupled.anchor, forces.normal), axis=-1) > least) & (forces.N > 0)
+        anchor = dragged(coupled.anchor, forces.at, forces.normal, forces.N, coupled.eps, contact.pose)
     internal = step.problem.internal(history, found.x, step.duration)
     after = History(
         contact.pose,

@@ -8,6 +8,7 @@ import math
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
@@ -133,3 +134,20 @@ def states(scene: Scene, problem: Problem, *, tol: float | None = None) -> Itera
             before = normal_force(state)
         yield state
         last = state.pose
+
+
+@cache
+def warm() -> None:
+    """Load the compiled loops, once a process, by a ball that rubs a gel of a few cells: as long as several frames."""
+    from tacgen.fem.materials import NeoHooke
+    from tacgen.geometry.analytic_sdf import Sphere
+    from tacgen.geometry.gel import Gel, Layer
+    from tacgen.mechanics import mesh
+
+    gel = Gel(3.0, 3.0, layers=(Layer(1.0, NeoHooke(0.05, 1.0), 0.15),))
+    poses = np.tile(np.eye(4), (2, 1, 1))
+    poses[:, :3, 3] = [(0.0, 0.0, -0.1), (0.05, 0.0, -0.1)]
+    start = np.eye(4)
+    scene = Scene(gel, Sphere(1.5), poses, start, np.zeros(2, int), 0.5, 0.7, 0.05)
+    for _ in states(scene, Problem.of(scene, mesh.build(gel, (-0.7, 0.7, -0.7, 0.7), 0.7))):
+        pass

@@ -7,7 +7,6 @@ once, `factor` then takes new numbers. `best()` picks the fastest one installed;
 import ctypes
 import importlib.util
 from collections.abc import Callable
-from copy import copy
 from functools import cache, cached_property
 from typing import Any, Protocol
 

@@ -8,12 +8,11 @@ import numpy as np
 from tacgen.fem.folding_barrier import FoldingBarrier
 from tacgen.fem.potential import Potential, Total
 from tacgen.geometry.pose import Pose
-from tacgen.mechanics import friction as fr
 from tacgen.mechanics import full_newton
 from tacgen.mechanics.barrier import Contact
 from tacgen.mechanics.bulk import Bulk
 from tacgen.mechanics.bulk_newton import BulkNewton, failed, with_neighbours
-from tacgen.mechanics.coupled import ContactForces, CoupledContact
+from tacgen.mechanics.coupled import ContactForces, CoupledContact, onset
 from tacgen.mechanics.failures import Failure, NotConverged
 from tacgen.mechanics.linear_solvers import NotPositiveDefinite
 from tacgen.mechanics.predictor import Prediction, predict
@@ -97,7 +96,7 @@ class LoadStep:
         history = self.history
         x = history.x if self.prediction is None else self.prediction.x
         ahead, gap_ahead = contact.pose.local(contact.faces.at(x)), contact.gaps(x)[0]
-        touch = fr.onset(history.anchor, ahead, history.gap - contact.offset, gap_ahead - contact.offset)
+        touch = onset(history.anchor, ahead, history.gap - contact.offset, gap_ahead - contact.offset)
         return contact.pose.world(np.where(history.normal_force[..., None] > 0, history.anchor, touch))
 
     def start(self, near: Array | None) -> Array:

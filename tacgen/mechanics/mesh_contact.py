@@ -11,8 +11,7 @@ import numpy as np
 
 from tacgen.fem.potential import Potential, Total
 from tacgen.geometry.pose import Pose
-from tacgen.mechanics import friction as fr
-from tacgen.mechanics.coupled import ContactForces
+from tacgen.mechanics.coupled import ContactForces, onset
 from tacgen.mechanics.failures import Failure, NotConverged
 from tacgen.mechanics.load_step import STIFFER, Found, imbalance
 from tacgen.mechanics.newton import Status, minimise
@@ -105,7 +104,7 @@ class MeshLoadStep:
         """Anchors in the indenter's frame; that of a new point is where it first touches if the gel stays."""
         history, contact = self.history, self.contact
         ahead, gap_ahead = contact.pose.local(contact.faces.at(history.x)), contact.gaps(history.x)[0]
-        touch = fr.onset(history.anchor, ahead, history.gap - contact.offset, gap_ahead - contact.offset)
+        touch = onset(history.anchor, ahead, history.gap - contact.offset, gap_ahead - contact.offset)
         return np.where(history.normal_force[..., None] > 0, history.anchor, touch)
 
     @property

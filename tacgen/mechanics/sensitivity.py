@@ -19,9 +19,8 @@ from tacgen.mechanics.barrier import Faces
 from tacgen.mechanics.bulk import Bulk
 from tacgen.mechanics.bulk_newton import with_neighbours
 from tacgen.mechanics.contact_slopes import ContactSlopes, dot
-from tacgen.mechanics.coupled import CoupledContact
+from tacgen.mechanics.coupled import CoupledContact, onset
 from tacgen.mechanics.exact_tangent import everywhere, free_columns, solver
-from tacgen.mechanics.friction import onset
 from tacgen.mechanics.linear_solvers import NotPositiveDefinite
 from tacgen.mechanics.predictor import TIE, tied
 from tacgen.mechanics.problem import Problem
@@ -185,7 +184,7 @@ class Sensitivity:
 
     def _trial_anchors(self, after: History, on: Array, predicted: Array) -> tuple[Array, Array]:
         """Anchors that the step's friction started from (f, q, 3) [mm], and their slopes (k, f, q, 3), relative to the
-        indenter; of new points as friction.onset has them, where the predicted x has slopes `predicted` (k, n, 3)."""
+        indenter; of new points as coupled.onset has them, where the predicted x has slopes `predicted` (k, n, 3)."""
         before, was, faces = self._before, self._slopes.anchor[:, on], self._contact.faces.only(on)
         start, held = before.anchor[on], (before.normal_force[on] > 0)[..., None]
         ahead = after.pose.local(faces.at(before.x if after.predicted is None else after.predicted))

@@ -7,7 +7,7 @@ from helpers.small import patch, turn
 from tacgen.geometry.analytic_sdf import Cone, Shape, Sphere
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics.barrier import SOFT, Contact, barrier
-from tacgen.mechanics.friction import dragged, onset, smooth
+from tacgen.mechanics.coupled import dragged, onset, smooth
 
 Array = np.ndarray
 DHAT = 0.3

@@ -11,8 +11,7 @@ from tacgen.geometry.analytic_sdf import Box, Shape, Sphere, Torus
 from tacgen.geometry.pose import Pose
 from tacgen.geometry.sdf_grid import Field
 from tacgen.mechanics.barrier import SOFT, Contact, barrier
-from tacgen.mechanics.coupled import ContactForces, CoupledContact
-from tacgen.mechanics.friction import slip
+from tacgen.mechanics.coupled import ContactForces, CoupledContact, slip
 
 Array = np.ndarray
 DHAT, EPS, KAPPA, FRICTION = 0.3, 0.1, 0.7, 0.6
