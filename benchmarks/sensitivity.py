@@ -13,6 +13,7 @@ from tacgen.fem.materials import NeoHooke
 from tacgen.fem.potential import Projection, Total
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics import mesh
+from tacgen.mechanics.coupled import CoupledContact
 from tacgen.mechanics.linear_solvers import NotPositiveDefinite, SuperLU
 from tacgen.recipe import scene_of_row
 
@@ -76,9 +77,11 @@ def condition(problem: mechanics.Problem, state: mechanics.State) -> float:
     import scipy.sparse as sp
     from scipy.sparse.linalg import LinearOperator, eigsh
 
-    contact = problem.contact.moved(Pose.of(state.pose), state.offset)
+    contact = problem.contact.distance.moved(Pose.of(state.pose), state.offset)
     data, pat = np.zeros(len(problem.pattern.indices)), problem.pattern
-    Total((*problem.elastic, *problem.folding, contact)).add_hessian(state.x, data, Projection.NONE)
+    Total((*problem.elastic, *problem.folding)).add_hessian(state.x, data, Projection.NONE)
+    D = CoupledContact(contact, 0.0, contact.faces.at(state.x), 1.0).evaluate(state.x).tangent
+    contact.faces.add_blocks(np.arange(len(D)), D, data)
     upper = sp.csr_matrix((data, pat.indices, pat.indptr), shape=(pat.size, pat.size))
     whole = upper + sp.triu(upper, 1).T
     direct = SuperLU(pat)

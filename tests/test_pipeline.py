@@ -262,12 +262,12 @@ def test_a_frame_that_does_not_converge_is_recorded_and_not_shipped(
 
     def fail_late(problem, history, matrix, index, duration):  # type: ignore[no-untyped-def]
         if index == 2:
-            raise mechanics.NotConverged("made to fail")
+            raise mechanics.NotConverged(mechanics.Failure.singular)
         return usual(problem, history, matrix, index, duration)
 
     monkeypatch.setattr(load_stepping, "equilibrium", fail_late)
     found = pipeline.run_scene(plan.load(recipe).rows[0], tmp_path / "out")
-    assert (found.status, found.reason) == ("rejected", "frame 3 of 3: made to fail")
+    assert (found.status, found.reason) == ("rejected", f"frame 3 of 3: {mechanics.Failure.singular}")
     kept = bundle.read(found.path)
     assert kept.frames == 2
     assert kept.attrs["status"] == "rejected"

@@ -9,37 +9,38 @@ It knows no recipe. A Scene (gel, indenter, poses, friction, tolerances) is mesh
 
 docs/MECHANICS.md has the algorithm by module. Contact by distance is solved by bulk_newton (on the gel) with
 contact_newton (on its Schur complement), or without CHOLMOD by full_newton (on all unknowns); contact between meshes by
-newton (on an energy) and lagging. The names are imported when they are first used: a recipe's path needs no solver.
+mesh_contact with newton (on an energy). The names are imported when they are first used: a recipe's path needs no
+solver.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from tacgen.mechanics.frames import TooMuch, normal_force, states
+    from tacgen.mechanics.failures import Failure, NotConverged
+    from tacgen.mechanics.frames import normal_force, states, warm
     from tacgen.mechanics.options import DEFAULT, SolverOptions, plain, short_steps
     from tacgen.mechanics.problem import Problem
     from tacgen.mechanics.scene import Scene
-    from tacgen.mechanics.state import NotConverged, State
-    from tacgen.mechanics.warm_up import warm
+    from tacgen.mechanics.state import State
 
 MODULES = {  # of each public name
     "DEFAULT": "options",
-    "NotConverged": "state",
+    "Failure": "failures",
+    "NotConverged": "failures",
     "Problem": "problem",
     "Scene": "scene",
     "SolverOptions": "options",
     "State": "state",
-    "TooMuch": "frames",
     "normal_force": "frames",
     "plain": "options",
     "short_steps": "options",
     "states": "frames",
-    "warm": "warm_up",
+    "warm": "frames",
 }
 
 __all__ = [
-    "DEFAULT", "NotConverged", "Problem", "Scene", "SolverOptions", "State", "TooMuch", "normal_force", "plain",
+    "DEFAULT", "Failure", "NotConverged", "Problem", "Scene", "SolverOptions", "State", "normal_force", "plain",
     "short_steps", "states", "warm",
 ]  # fmt: skip
 

@@ -5,13 +5,13 @@ Li et al. (2020), "Incremental Potential Contact", clamped barrier; scaled to a 
 """
 
 from dataclasses import dataclass, replace
+from typing import ClassVar, Protocol
 
 import numpy as np
 
 from tacgen.fem import assembly
 from tacgen.fem.assembly import Pattern
 from tacgen.fem.elements import facet_areas, facet_points, facet_shares
-from tacgen.fem.potential import Projection
 from tacgen.geometry.analytic_sdf import Shape
 from tacgen.geometry.pose import Pose
 
@@ -83,6 +83,35 @@ class Faces:
         assembly.add_point_blocks(D, self.N, self.slots[which], data)
 
 
+class AnyContact(Protocol):
+    """Contact of the coated face with the indenter at `pose`, shrunk by `offset` [mm]: Contact, or ipctk.MeshContact.
+
+    overlaps: whether the solve may start with the gel inside the indenter; distance: contact by signed distance with
+    the same faces, pose and offset. For the methods see Contact.
+    """
+
+    overlaps: ClassVar[bool]
+
+    @property
+    def faces(self) -> Faces: ...
+    @property
+    def shape(self) -> Shape: ...
+    @property
+    def pose(self) -> Pose: ...
+    @property
+    def dhat(self) -> float: ...
+    @property
+    def kappa(self) -> float: ...
+    @property
+    def offset(self) -> float: ...
+    @property
+    def distance(self) -> "Contact": ...
+    def moved(self, pose: Pose, offset: float) -> "AnyContact": ...
+    def clear(self, pose: Pose, x: Array) -> Pose: ...
+    def pressure(self, x: Array) -> tuple[Array, Array, Array]: ...
+    def mean_gap(self, x: Array) -> float: ...
+
+
 @dataclass(frozen=True)
 class Contact:
     """The barrier between the coated face and an indenter shrunk by `offset`.
@@ -97,6 +126,11 @@ class Contact:
     dhat: float  # [mm]
     kappa: float  # [MPa]
     offset: float = 0.0  # [mm]
+    overlaps: ClassVar[bool] = True
+
+    @property
+    def distance(self) -> "Contact":
+        return self
 
     def moved(self, pose: Pose, offset: float) -> "Contact":
         return replace(self, pose=pose, offset=offset)
@@ -132,30 +166,9 @@ class Contact:
         """Smallest gap to the shrunk indenter [mm]."""
         return float(self.gaps(x)[0].min())
 
-    def value(self, x: Array) -> float:
-        d, _, _ = self.gaps(x)
-        return float(self.kappa * (self.faces.areas * barrier(d, self.dhat)[0]).sum())
-
-    def gradient(self, x: Array) -> Array:
-        force, n, _ = self.pressure(x)
-        return self.faces.scatter(-force[..., None] * n, len(x))
-
-    def add_hessian(self, x: Array, data: Array, projection: Projection) -> None:
-        d, n, H = self.gaps(x)
-        which = np.flatnonzero((d < self.dhat).any(1))
-        _, db, ddb = barrier(d[which], self.dhat)
-        w = (self.kappa * self.faces.areas[which])[..., None, None]
-        D = w * ddb[..., None, None] * n[which][..., :, None] * n[which][..., None, :]
-        if projection == Projection.NONE:  # negative semidefinite for a convex indenter
-            D += w * db[..., None, None] * H[which]
-        self.faces.add_blocks(which, D, data)
-
-    def max_step(self, x: Array, p: Array) -> float:
-        """Largest part of step p without tunnelling. Distance is 1-Lipschitz: a point that moves less than its gap
-        cannot enter, and with half the indenter's reach in addition it cannot leave on the far side."""
-        return self.max_step_from(self.gaps(x)[0], p)
-
-    def max_step_from(self, gap: Array, p: Array) -> float:
-        """`max_step` for gaps (f, q) [mm] that are known."""
+    def max_step(self, gap: Array, p: Array) -> float:
+        """Largest part of step p (n, 3) without tunnelling, from gaps (f, q) [mm]. Distance is 1-Lipschitz: a point
+        that moves less than its gap cannot enter, and with half the indenter's reach in addition it cannot leave on the
+        far side."""
         allowed = np.maximum(gap, 0.0) + self.shape.reach / 2
         return float(min(1.0, (allowed / np.maximum(np.linalg.norm(self.faces.at(p), axis=2), 1e-300)).min()))

@@ -22,9 +22,11 @@ from tacgen.mechanics.bulk import Bulk, BulkPoint
 from tacgen.mechanics.condensation import DAMPING_FACTOR, LEAST_DAMPING
 from tacgen.mechanics.contact_newton import ContactSolution, Quadratic, solve_contact
 from tacgen.mechanics.coupled import CoupledContact
+from tacgen.mechanics.failures import Failure, NotConverged
+from tacgen.mechanics.line_search import backtrack
 from tacgen.mechanics.linear_solvers import NotPositiveDefinite
 from tacgen.mechanics.problem import Problem
-from tacgen.mechanics.state import History, NotConverged
+from tacgen.mechanics.state import History
 
 Array = np.ndarray
 MIN_GAIN = 1e-3  # decrease of the energy over the predicted one, below which a step is halved [-]
@@ -64,7 +66,7 @@ class BulkNewton:
         try:
             return self._solve(x, contact)
         except NotPositiveDefinite:
-            raise NotConverged(failure_message(self.bulk, x, 0)) from None
+            raise failed(self.bulk, x, 0) from None
 
     def _solve(self, x: Array, contact: CoupledContact) -> tuple[Array, CoupledContact, int]:
         options, tangent, conn = self.options, self.tangent, contact.contact.faces.conn
@@ -100,7 +102,7 @@ class BulkNewton:
                 rate = (2 if new else 1) * residual / before
             damping = self._next_damping(found, residual < before)
             new = not options.keep_tangent or found.part < 1 or self._slow(residual, rate)
-        raise NotConverged(failure_message(self.bulk, at.x, step))
+        raise failed(self.bulk, at.x, step)
 
     def _ended(self, found: Step, moved: float, residual: float) -> bool:
         options = self.options
@@ -148,20 +150,23 @@ class BulkNewton:
         """
         condensed, here, schur = self.tangent.condensation, quadratic.start, quadratic.schur
         u = (inner.x - here)[condensed.dofs >= 0]
-        p, part, contact = condensed.expand(u, y), 1.0, inner.contact
+        p, contact = condensed.expand(u, y), inner.contact
         before = contact.merit(here, inner.forces)
         contact_change = contact.merit(inner.x, inner.forces) - before
         # of the bulk g.p + p.Kp/2 = (g.p + p.(g + Kp))/2; g + Kp is 0 but for the condensed unknowns
         model = float((g * p).sum() + u @ (schur.S @ u + quadratic.force)) / 2 + contact_change
         rounding = self.floor + ROUNDING * abs(at.energy)
-        while True:
-            there = self.bulk.at(at.x + part * p)
-            change = there.energy - at.energy + contact_change
+
+        def trial(part: float) -> tuple[bool, tuple[BulkPoint, float, float]]:
+            there, touch = self.bulk.at(at.x + part * p), here + part * p[condensed.nodes]
+            of_contact = contact_change if part == 1 else contact.merit(touch, inner.forces) - before
+            change = there.energy - at.energy + of_contact
             gain = 1.0 if abs(change) <= rounding else change / min(part * model, -rounding)
-            if gain >= MIN_GAIN or part <= SHORTEST:
-                break
-            part /= 2
-            contact_change = contact.merit(here + part * p[condensed.nodes], inner.forces) - before
+            return gain >= MIN_GAIN, (there, gain, part)
+
+        _, last = backtrack(trial, SHORTEST)
+        assert last is not None
+        there, gain, part = last
         if part < 1:
             x = there.x[condensed.nodes]
             inner = replace(inner, x=x, forces=contact.evaluate(x), converged=False)
@@ -203,8 +208,7 @@ def with_neighbours(conn: Array, which: Array) -> Array:
     return np.asarray(conn[np.isin(conn, conn[which]).any(1)])
 
 
-def failure_message(bulk: Bulk, x: Array, steps: int) -> str:
-    """The message for a failure to find an equilibrium."""
+def failed(bulk: Bulk, x: Array, steps: int) -> NotConverged:
+    """The failure to find an equilibrium in so many steps, which ended at x (n, 3)."""
     least = min(float(J.min()) for J in bulk.at(x).J)
-    squeezed = f", the gel squeezed to {least:.1%} of its volume" if least < SQUEEZED else ""
-    return f"Newton did not converge in {steps} steps{squeezed}; try less depth, less friction or a finer mesh"
+    return NotConverged(Failure.squeezed if least < SQUEEZED else Failure.newton, steps=steps, least_J=least)

@@ -8,10 +8,7 @@ Levenberg-Marquardt damping adds a multiple of the Schur complement at rest, S_0
 strain, and so the short waves of a fold, far more than a motion of the whole contact.
 """
 
-import weakref
 from collections.abc import Callable
-from copy import copy
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -39,7 +36,6 @@ class Condensation:
         self.nodes, self.local = np.zeros(0, np.int64), np.full(whole.nodes, -1)  # condensed nodes; their numbers
         self._factored = 0  # number of factorisations, but for those in _rest
         self._rest: _AtRest | None = None
-        self._kept: list[tuple[weakref.ref[Condensation], Cholmod]] = []  # frozen copies, and their factors
         self.usable = False
 
     def cover(self, facets: Array) -> None:
@@ -62,7 +58,7 @@ class Condensation:
         self._rows = np.argsort(self._factor.order[-self.size :])  # the factor has an order of its own
         self._factored = self.factored
         self._rest = _AtRest(ordered, self._at_rest, self._diagonal, self._rows)
-        self._kept, self.usable = [], False
+        self.usable = False
 
     def covers(self, facets: Array) -> bool:
         """Whether it is condensed to all nodes of these facets (f, a)."""
@@ -71,7 +67,6 @@ class Condensation:
     def factor(self, data: Array) -> None:
         """Raises NotPositiveDefinite."""
         self.usable = False
-        self._factor = self._unused()
         self._factored += 1
         self._L, S = _condensed(self._factor, data, self._diagonal, self._rows)
         assert self._rest is not None
@@ -82,22 +77,6 @@ class Condensation:
     def factored(self) -> int:
         """Number of factorisations so far."""
         return self._factored + (self._rest.factored if self._rest else 0)
-
-    def frozen(self) -> "Condensation":
-        """A copy that keeps the present factor."""
-        kept = copy(self)
-        kept._kept = []
-        self._kept.append((weakref.ref(kept), self._factor))
-        return kept
-
-    def _unused(self) -> Cholmod:
-        """A factor that no frozen copy uses; those of copies that are gone serve again, as analysing takes time."""
-        used = [one for kept, one in self._kept if kept() is not None]
-        free = [one for _, one in self._kept if one not in used]
-        self._kept = [pair for pair in self._kept if pair[1] in used]
-        if self._factor not in used:
-            return self._factor
-        return free[0] if free else self._factor.another()
 
     def forward(self, g: Array) -> Array:
         """L^-1 of a gradient (n, 3)."""
@@ -176,19 +155,6 @@ class _AtRest:
     def factored(self) -> int:
         """Number of factorisations so far."""
         return int(self._S is not None)
-
-
-@dataclass(frozen=True)
-class Tied:
-    """A tangent with what `contact` solves for added on its condensed unknowns, such as springs that tie points of the
-    gel to the indenter."""
-
-    tangent: Condensation
-    contact: Callable[[Array], Array]
-
-    def solve(self, b: Array) -> Array:
-        """x (m, k) for loads b on the free dofs."""
-        return self.tangent.solve(b, self.contact)
 
 
 class Schur:

@@ -14,9 +14,9 @@ import numpy as np
 
 from tacgen.mechanics.condensation import Schur
 from tacgen.mechanics.coupled import ContactForces, CoupledContact
+from tacgen.mechanics.line_search import armijo, backtrack
 
 Array = np.ndarray
-ARMIJO = 1e-4  # smallest decrease of the merit function over that predicted by its slope (Armijo's rule) [-]
 ROUNDING = 1e-12  # relative increase of the merit function that is attributed to rounding [-]
 FULL_STEP = 0.5  # residual over the one before, up to which a coupled step is taken in full [-]
 SHORTEST = 1e-8  # fraction of a step at which a line search has stalled [-]
@@ -106,7 +106,7 @@ def solve_contact(
         steps += 1
         p = bulk.solve(x, contact, forces.tangent, g, False)
         full = None
-        if p is not None and contact.contact.max_step_from(forces.gap, p) == 1.0:
+        if p is not None and contact.contact.max_step(forces.gap, p) == 1.0:
             there = contact.evaluate(x + p)
             ahead = residual(there, x + p)
             if np.linalg.norm(ahead) <= FULL_STEP * np.linalg.norm(g):
@@ -146,15 +146,13 @@ def _downhill(
         slope = float((g * p).sum())
         if slope > 0:
             return 0.0
-        fraction = contact.contact.max_step_from(forces.gap, p)
-        while fraction >= least:
+
+        def trial(fraction: float) -> tuple[bool, None]:
             there = x + fraction * p
-            if bulk.value(there) + contact.merit(there, forces) <= here + ARMIJO * fraction * slope + ROUNDING * abs(
-                here
-            ):
-                return fraction
-            fraction /= 2
-        return 0.0
+            merit = bulk.value(there) + contact.merit(there, forces)
+            return armijo(merit, here, fraction * slope, ROUNDING), None
+
+        return backtrack(trial, least, contact.contact.max_step(forces.gap, p))[0]
 
     if coupled is not None and (fraction := decreasing(coupled, MIN_COUPLED)) > 0:
         return fraction, coupled

@@ -9,8 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from tacgen.mechanics.barrier import barrier
-from tacgen.mechanics.coupled import CoupledContact
-from tacgen.mechanics.friction import slip, smooth
+from tacgen.mechanics.coupled import CoupledContact, slip, smooth
 
 Array = np.ndarray
 
@@ -70,7 +69,7 @@ class ContactSlopes:
         return np.asarray((self.normal_force(motion, offset) * gap + N * dot(self._gradient, motion)).sum((1, 2)))
 
     def dragged(self, motion: Array, anchors: Array) -> Array:
-        """Change of the anchors after the step; `anchors` is that before it (see friction.dragged)."""
+        """Change of the anchors after the step; `anchors` is that before it (see coupled.dragged)."""
         n, length, u = self.forces.normal, np.maximum(self._length, 1e-300), self._slip
         turn, away = self.normal(motion), motion - anchors
         slip = times(self._across, away) - self._lever[..., None] * turn

@@ -9,15 +9,13 @@ from collections.abc import Callable
 import numpy as np
 
 from tacgen.mechanics.barrier import Faces
-from tacgen.mechanics.bulk import Bulk
-from tacgen.mechanics.condensation import Condensation
+from tacgen.mechanics.bulk import Bulk, Tangent
+from tacgen.mechanics.failures import Failure, NotConverged
 from tacgen.mechanics.full_newton import exact_factor
 from tacgen.mechanics.problem import Problem
-from tacgen.mechanics.state import NotConverged
 
 Array = np.ndarray
 Solve = Callable[[Array], Array]
-SINGULAR = "no sensitivity: the tangent is singular"
 
 
 def free_columns(problem: Problem, V: Array) -> Array:
@@ -32,23 +30,22 @@ def everywhere(problem: Problem, v: Array) -> Array:
     return out.reshape(len(out), -1, 3)
 
 
-def solver(problem: Problem, x: Array, D: Array, on: Array, at_x: Condensation | None = None) -> Solve:
+def solver(problem: Problem, tangent: Tangent, x: Array, D: Array, on: Array) -> Solve:
     """V of (K + D) V = B (k, n, 3), with K at x (n, 3) and stiffnesses D (f, q, 3, 3) at the points of facets `on`.
 
-    `at_x`: K factorised there; without it the problem's tangent is used if it is that, or else K is factorised.
+    `tangent` is used if it is the exact one at x; otherwise K is factorised.
 
     Raises NotConverged: singular.
     """
-    faces, tangent = problem.contact.faces.only(on), problem.tangent
-    if at_x is None and tangent.usable and tangent.exact_at is x:
-        at_x = tangent.condensation
-    if at_x is None or at_x.schur.damping or not at_x.covers(faces.conn):
+    faces, at_x = problem.contact.faces.only(on), tangent.condensation
+    exact = tangent.usable and tangent.exact_at is x
+    if not exact or at_x.schur.damping or not at_x.covers(faces.conn):
         return _direct(problem, x, D, faces)
     added = at_x.schur.stiffness(D, faces.N, at_x.dofs[at_x.local[faces.conn]])
     try:
         contact = at_x.schur.factored(added)
     except np.linalg.LinAlgError:
-        raise NotConverged(SINGULAR) from None
+        raise NotConverged(Failure.singular) from None
     return lambda B: everywhere(problem, at_x.solve(free_columns(problem, B), contact))
 
 
@@ -57,5 +54,5 @@ def _direct(problem: Problem, x: Array, D: Array, faces: Faces) -> Solve:
     try:
         lu = exact_factor(problem.pattern, data, faces, D)
     except RuntimeError:
-        raise NotConverged(SINGULAR) from None
+        raise NotConverged(Failure.singular) from None
     return lambda B: everywhere(problem, lu.solve(free_columns(problem, B)))

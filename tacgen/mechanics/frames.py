@@ -8,28 +8,22 @@ import math
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
 from tacgen.geometry.pose import Pose, shortest_turn
 from tacgen.mechanics.equilibrium import equilibrium
+from tacgen.mechanics.failures import Failure, NotConverged
 from tacgen.mechanics.force_control import POWER, OutOfReach, meet
 from tacgen.mechanics.load_stepping import advance
 from tacgen.mechanics.options import DEFAULT, tighter
 from tacgen.mechanics.problem import Problem
 from tacgen.mechanics.scene import FORCE_DEPTH, Scene
-from tacgen.mechanics.state import History, NotConverged, OutOfEffort, State
+from tacgen.mechanics.state import History, State
 
 Array = np.ndarray
 RISE = np.outer(np.eye(4)[2], np.eye(4)[3])  # added to a pose: 1 mm along z
-
-
-class TooMuch(NotConverged):
-    """The force is larger than the gel gives at any depth; `most` is the largest [N]."""
-
-    def __init__(self, message: str, index: int, asked: float, most: float) -> None:
-        super().__init__(message)
-        self.index, self.asked, self.most = index, asked, most
 
 
 def _reach_force(
@@ -58,9 +52,9 @@ def _reach_force(
         pose[2, 3] = -u
         try:
             found.append(trial(problem, history, last, pose, index, duration, found[-1][1] if found else None))
-        except OutOfEffort:
-            raise
         except NotConverged as error:
+            if error.failure == Failure.effort:
+                raise
             refused.append(error)
             return float("nan")
         return normal_force(found[-1][1])
@@ -74,20 +68,17 @@ def _reach_force(
             known = -face, 0.0
         meet(force_at, target, known=known, guess=at, low=low, high=-floor, tol=tol)
     except OutOfReach as error:
-        text = f"{target:g} N asked for, and {FORCE_DEPTH:.0%} of the gel's thickness gives {error.most:.3g} N"
-        raise TooMuch(text, index, target, error.most) from None
-    except OutOfEffort as error:
-        most = max((normal_force(state) for _, state in found), default=before)
-        raise NotConverged(f"{target:g} N asked for: {error}, of which the best gives {most:.3g} N") from None
+        most, part = error.most, FORCE_DEPTH
+        raise NotConverged(Failure.too_much, asked=target, part=part, most=most, index=index) from None
     except ArithmeticError as error:
+        most = max((normal_force(state) for _, state in found), default=before)
+        if isinstance(error, NotConverged):  # of effort
+            raise NotConverged(Failure.force_effort, asked=target, why=error, most=most) from None
         if not refused and problem.options.step_tol >= DEFAULT.step_tol:  # tolerances are large beside light forces
             finer = replace(problem, options=tighter(problem.options))
             return _reach_force(finer, history, last, guess, index, duration, target, before, floor, tol)
-        most = max((normal_force(state) for _, state in found), default=before)
         why = refused[-1] if refused else error
-        raise NotConverged(
-            f"{target:g} N asked for, and as far as the gel could be solved it gives {most:.3g} N: {why}"
-        ) from None
+        raise NotConverged(Failure.force, asked=target, most=most, why=why) from None
     carried, state = found[-1]
     return carried, replace(state, iterations=sum(trial.iterations for _, trial in found))
 
@@ -96,7 +87,7 @@ def trial(
     problem: Problem, history: History, last: Array, pose: Array, index: int, duration: float, near: State | None
 ) -> tuple[History, State]:
     if near is not None and near.substeps == 1:
-        with suppress(NotConverged):  # OutOfEffort is raised again at once
+        with suppress(NotConverged):  # one of effort is raised again at once
             return equilibrium(problem, history, pose, index, duration, near)
     return advance(problem, history, last, pose, shortest_turn(last, pose), index, duration, trial=True)
 
@@ -121,7 +112,7 @@ def states(scene: Scene, problem: Problem, *, tol: float | None = None) -> Itera
     for index, pose in enumerate(scene.poses):
         duration = math.inf if scene.duration is None else float(scene.duration[index])
         if forced is not None and forced.hopeless is not None and forced.hopeless[0] == index:
-            raise NotConverged(forced.hopeless[1])
+            raise forced.hopeless[1]
         if forced is not None and (index == 0 or scene.segment[index] != scene.segment[index - 1]):
             start_force = before
         if forced is not None and np.isfinite(asked := forced.asked[index]):
@@ -133,7 +124,7 @@ def states(scene: Scene, problem: Problem, *, tol: float | None = None) -> Itera
             )
             shift = state.pose[2, 3] - pose[2, 3]
             if -shift > forced.below[index] + 1e-9:
-                raise NotConverged(f"{target:g} N are {-shift:.3g} mm deeper than the mesh was made for")
+                raise NotConverged(Failure.deeper, asked=target, depth=-shift)
         else:
             if forced is not None and shift:
                 pose = pose + forced.carry[index] * shift * RISE
@@ -143,3 +134,20 @@ def states(scene: Scene, problem: Problem, *, tol: float | None = None) -> Itera
             before = normal_force(state)
         yield state
         last = state.pose
+
+
+@cache
+def warm() -> None:
+    """Load the compiled loops, once a process, by a ball that rubs a gel of a few cells: as long as several frames."""
+    from tacgen.fem.materials import NeoHooke
+    from tacgen.geometry.analytic_sdf import SphereSdf
+    from tacgen.geometry.gel import GelBody, GelLayer
+    from tacgen.mechanics import mesh
+
+    gel = GelBody(3.0, 3.0, layers=(GelLayer(1.0, NeoHooke(0.05, 1.0), 0.15),))
+    poses = np.tile(np.eye(4), (2, 1, 1))
+    poses[:, :3, 3] = [(0.0, 0.0, -0.1), (0.05, 0.0, -0.1)]
+    start = np.eye(4)
+    scene = Scene(gel, SphereSdf(1.5), poses, start, np.zeros(2, int), 0.5, 0.7, 0.05)
+    for _ in states(scene, Problem.of(scene, mesh.build(gel, (-0.7, 0.7, -0.7, 0.7), 0.7))):
+        pass

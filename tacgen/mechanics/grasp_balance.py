@@ -16,14 +16,16 @@ import numpy as np
 
 from tacgen.geometry.pose import Pose, about
 from tacgen.mechanics import mesh
+from tacgen.mechanics.failures import Failure, NotConverged
 from tacgen.mechanics.frames import normal_force, trial
 from tacgen.mechanics.grasp import LOOKS, SIDES, Grasp, finger, refined, seen_from
+from tacgen.mechanics.line_search import backtrack
 from tacgen.mechanics.options import DEFAULT, tighter
 from tacgen.mechanics.presolve import COARSE
 from tacgen.mechanics.problem import Problem
 from tacgen.mechanics.rigid_stiffness import stiffness
 from tacgen.mechanics.scene import Scene
-from tacgen.mechanics.state import History, NotConverged, State
+from tacgen.mechanics.state import History, State
 
 Array = np.ndarray
 
@@ -37,7 +39,6 @@ class Mode(IntEnum):
 
 
 BALANCE = 5e-4  # tolerance of forces, and of moments over the arm, over the grip force [-]; the check allows 1e-3
-REMEDY = "try more frames for this movement, more grip force or a finer mesh"
 TRIALS = 40  # most equilibria of both gels in a frame; ordinary frames take 3 to 6
 SLIGHT = 1e-3  # smallest force scale, over the weight [-]
 UNRESISTED = 1e-6  # singular value over the largest, below which a motion has no stiffness [-]
@@ -194,7 +195,7 @@ class Frame:
         """Both gels with the object there, from the last frame's history. Raises NotConverged."""
         self.trials += 1
         if self.trials > TRIALS:
-            raise NotConverged(f"the object's balance was not found in {TRIALS} trials; {REMEDY}")
+            raise NotConverged(Failure.grasp, trials=TRIALS)
         gels, wrench, normal, centre = [], np.zeros(6), 0.0, self._centre(pose)
         for side, problem in enumerate(self.problems):
             problem.effort.steps = 0
@@ -263,19 +264,22 @@ class Frame:
 
     def _line_search(self, at: Trial, r: Array, free: Array, step: Array) -> tuple[Trial, Array]:
         """The first fraction of a Newton step that lowers the residual, or the shortest one."""
-        part = 1.0
-        while True:
+
+        def attempt(part: float) -> tuple[bool, tuple[Trial, Array]]:
+            pose, width = self._moved(at.pose, part * free @ step[:-1]), at.width + part * step[-1]
             try:
-                pose, width = self._moved(at.pose, part * free @ step[:-1]), at.width + part * step[-1]
                 found = self._trial(pose, width, at)
-                there = self._residual(found, free)
-                less = np.linalg.norm(there) < np.linalg.norm(r) and (found.grip > 0 or at.grip == 0)
-                if less or part <= SHORTEST:
-                    return found, there
             except NotConverged:
                 if part <= SHORTEST or self.trials > TRIALS:
                     raise
-            part /= 2
+                return False, (at, r)
+            there = self._residual(found, free)
+            less = np.linalg.norm(there) < np.linalg.norm(r) and (found.grip > 0 or at.grip == 0)
+            return bool(less), (found, there)
+
+        _, last = backtrack(attempt, SHORTEST)
+        assert last is not None
+        return last
 
     def _moved(self, pose: Array, step: Array) -> Array:
         """Shifted and turned about the centre of mass, by a scaled step (6,)."""

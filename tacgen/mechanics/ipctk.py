@@ -12,7 +12,7 @@ contact 5 to 65 times too stiff, and cause tangential forces of up to a fifth of
 import math
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy import sparse
@@ -198,6 +198,7 @@ class MeshContact:
     dhat: float  # [mm]
     kappa: float  # [MPa]
     offset: float = 0.0  # [mm]
+    overlaps: ClassVar[bool] = False
     _found: list[tuple[Array, Any]] = field(default_factory=list, init=False, compare=False, repr=False)
 
     @property

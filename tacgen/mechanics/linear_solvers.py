@@ -7,7 +7,6 @@ once, `factor` then takes new numbers. `best()` picks the fastest one installed;
 import ctypes
 import importlib.util
 from collections.abc import Callable
-from copy import copy
 from functools import cache, cached_property
 from typing import Any, Protocol
 
@@ -70,13 +69,6 @@ class Cholmod:
         self._cvxopt, self._cholmod = cvxopt, cholmod
         self._A = cvxopt.spmatrix(1.0, *as_list, (n, n))
         self._pattern, self._order, self._postorder = pattern, order, postorder
-
-    def another(self) -> "Cholmod":
-        """One for the same pattern, with a factor of its own."""
-        other = copy(self)
-        for name in ("_F", "order"):
-            other.__dict__.pop(name, None)
-        return other
 
     @cached_property
     def _F(self) -> Any:

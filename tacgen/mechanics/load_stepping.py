@@ -7,10 +7,10 @@ from itertools import pairwise
 import numpy as np
 
 from tacgen.geometry.pose import Pose, along, between
-from tacgen.mechanics.barrier import Contact
 from tacgen.mechanics.equilibrium import equilibrium
+from tacgen.mechanics.failures import Failure, NotConverged
 from tacgen.mechanics.problem import Problem
-from tacgen.mechanics.state import History, NotConverged, OutOfEffort, State, TooFar
+from tacgen.mechanics.state import History, State
 
 Array = np.ndarray
 TOO_FAR = 12  # most halvings of a load step in which the indenter might tunnel through the gel
@@ -39,8 +39,8 @@ def _sharp(problem: Problem) -> bool:
 def steps_needed(problem: Problem, history: History, a: Array, b: Array, turn: Array) -> int:
     """Number of load steps from pose a to pose b, within the options `sink`, `slide` and `slide_sharp`."""
     deep = 0.0
-    if isinstance(problem.contact, Contact):
-        deep = -float(problem.contact.moved(Pose.of(b), history.offset).gaps(history.x)[0].min())
+    if problem.contact.overlaps:
+        deep = -float(problem.contact.distance.moved(Pose.of(b), history.offset).gaps(history.x)[0].min())
     pressing = math.ceil(deep / (problem.options.sink * problem.edge) - 1e-9)
     return max(1, pressing, _steps_to_slide(problem, history, a, b, turn))
 
@@ -70,16 +70,12 @@ def _reach(
     try:
         after, state = equilibrium(problem, history, b, index, duration)
         return after, replace(state, rounded=rounded(problem, history, after))
-    except OutOfEffort:
-        raise
-    except TooFar:
-        if far == TOO_FAR:
+    except NotConverged as error:
+        farther = error.failure == Failure.too_far
+        spent = far == TOO_FAR if farther else halved == problem.options.halvings
+        if spent or error.failure == Failure.effort:
             raise
-        far += 1
-    except NotConverged:
-        if halved == problem.options.halvings:
-            raise
-        halved += 1
+        halved, far = halved + (not farther), far + farther
     middle = between(a, b, turn, 0.5)
     there, first = _reach(problem, history, a, middle, turn / 2, index, duration / 2, halved, far)
     there, second = _reach(problem, there, middle, b, turn / 2, index, duration / 2, halved, far)

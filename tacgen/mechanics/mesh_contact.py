@@ -11,17 +11,19 @@ import numpy as np
 
 from tacgen.fem.potential import Potential, Total
 from tacgen.geometry.pose import Pose
-from tacgen.mechanics import friction as fr
-from tacgen.mechanics.coupled import ContactForces
-from tacgen.mechanics.lagging import Lag
+from tacgen.mechanics.coupled import ContactForces, onset
+from tacgen.mechanics.failures import Failure, NotConverged
+from tacgen.mechanics.load_step import STIFFER, Found, imbalance
 from tacgen.mechanics.newton import Status, minimise
 from tacgen.mechanics.problem import Problem
-from tacgen.mechanics.state import History, NotConverged, TooFar
+from tacgen.mechanics.state import History
 
 if TYPE_CHECKING:
     from tacgen.mechanics.ipctk import MeshContact, MeshFriction
 
 Array = np.ndarray
+OPPOSED = 0.8  # minus the cosine between two errors of lagged forces, above which the updates cancel each other [-]
+TRIES = 4  # most solves, each with smaller tolerances
 
 
 @dataclass(frozen=True)
@@ -43,11 +45,38 @@ class LaggedContact:
         return ContactForces(gap, self.contact.faces.at(x), normal, N, force, none, none)
 
 
+class Lag:
+    """Fixed-point iteration of lagged normal forces, with Anderson acceleration.
+
+    If two updates in a row cancel each other, the mixture with the smallest error is used: Anderson (1965),
+    "Iterative procedures for nonlinear integral equations", with a memory of one. Keeps the last positions
+    x (n, 3), the forces there, and their difference from the lagged ones.
+    """
+
+    def __init__(self) -> None:
+        self._last: tuple[Array, Array, Array] | None = None
+
+    def next(self, x: Array, force: Array, lagged: Array) -> tuple[Array, Array]:
+        """The next positions and forces to lag, if `lagged` led to x and `force`."""
+        error, last = force - lagged, self._last
+        self._last = x, force, error
+        if last is None:
+            return x, force
+        before = last[2]
+        size = float(np.linalg.norm(error) * np.linalg.norm(before))
+        if float((error * before).sum()) >= -OPPOSED * size:
+            return x, force
+        change = error - before
+        part = float(np.clip(-(before * change).sum() / (change * change).sum(), 0.0, 1.0))
+        return last[0] + part * (x - last[0]), np.maximum(last[1] + part * (force - last[1]), 0.0)
+
+
 class MeshLoadStep:
     """The contact and the bulk at one pose; what is lagged is the mean gap and, with friction, the normal forces."""
 
     def __init__(self, problem: Problem, history: History, pose: Pose, duration: float) -> None:
         self.problem, self.history, self.duration, self.prediction = problem, history, duration, None
+        self.folding = problem.folding
         options, dhat = problem.options, problem.contact.dhat
         self.xtol, self.eps = options.step_tol * dhat, options.slip * dhat
         contact = cast("MeshContact", problem.contact)
@@ -60,7 +89,7 @@ class MeshLoadStep:
             inert, ahead, self.gap_tol = (inertia,), inertia.coasting, self.xtol / 10
         self.inert = Total(inert)
         self.elastic = problem.during(history, duration)
-        self.bulk: tuple[Potential, ...] = (*self.elastic, *problem.folding, *inert)
+        self.bulk: tuple[Potential, ...] = (*self.elastic, *self.folding, *inert)
         self.lag = Lag()
         self.friction: MeshFriction | None = None
         self.anchor = pose.world(self._anchors())
@@ -75,7 +104,7 @@ class MeshLoadStep:
         """Anchors in the indenter's frame; that of a new point is where it first touches if the gel stays."""
         history, contact = self.history, self.contact
         ahead, gap_ahead = contact.pose.local(contact.faces.at(history.x)), contact.gaps(history.x)[0]
-        touch = fr.onset(history.anchor, ahead, history.gap - contact.offset, gap_ahead - contact.offset)
+        touch = onset(history.anchor, ahead, history.gap - contact.offset, gap_ahead - contact.offset)
         return np.where(history.normal_force[..., None] > 0, history.anchor, touch)
 
     @property
@@ -84,13 +113,13 @@ class MeshLoadStep:
         return Total((*self.bulk, self.contact, *friction))
 
     def start(self, near: Array | None) -> Array:
-        """The start of lower energy. Raises TooFar: the gel cannot follow that far."""
+        """The start of lower energy. Raises NotConverged: too far."""
         starts = [*self.starts]
         if near is not None:
             starts.append(self.contact.starts(self.history.x, near, self.history.pose)[1])
         x = min(starts, key=self.total.value)
         if not np.isfinite(self.total.value(x)):
-            raise TooFar("the gel cannot follow the indenter that far at once")
+            raise NotConverged(Failure.too_far)
         return x
 
     def _renew(self, x: Array) -> Total | None:
@@ -111,8 +140,30 @@ class MeshLoadStep:
         self.contact = self.contact.grown(gap, x)
         return self.total
 
-    def solve(self, x: Array) -> tuple[Array, LaggedContact, int]:
-        """Positions, contact and Newton steps. Raises NotConverged."""
+    def solve(self, x: Array) -> Found:
+        """Solves with decreasing tolerances until forces balance: steps that are cut by collisions look converged.
+
+        Raises NotConverged.
+        """
+        steps, most = 0, self.problem.options.residual_max
+        for _ in range(TRIES):
+            x, contact, more = self._solve(x)
+            found = Found(x, contact, contact.forces(x), contact.contact.least(x), steps := steps + more)
+            if max(imbalance(self, found)) <= most:
+                break
+            self.xtol /= 30
+        return found
+
+    def stiffen(self, found: Found, contact: bool, folding: bool) -> bool:
+        """See LoadStep; against folding there is nothing stiffer."""
+        if not folding:
+            self.contact = replace(self.contact, kappa=STIFFER * self.contact.kappa)
+        return not folding
+
+    def check(self, found: Found) -> None:
+        """Nothing to do: the gel cannot be inside the indenter."""
+
+    def _solve(self, x: Array) -> tuple[Array, LaggedContact, int]:
         problem, dhat, steps = self.problem, self.problem.contact.dhat, 0
         self.force = 0.0
 
@@ -126,7 +177,5 @@ class MeshLoadStep:
         )  # fmt: skip
         steps = len(found.steps)
         if found.status != Status.converged:
-            raise NotConverged(
-                f"Newton {found.status} after {steps} steps; try less depth, less friction or a finer mesh"
-            )
+            raise NotConverged(Failure.minimiser, status=found.status, steps=steps)
         return found.x, LaggedContact(self.contact, problem.friction, self.anchor, self.eps, self.friction), steps

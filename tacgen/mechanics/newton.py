@@ -8,10 +8,11 @@ import numpy as np
 
 from tacgen.fem.assembly import Pattern
 from tacgen.fem.potential import Potential, Projection
+from tacgen.mechanics.line_search import armijo, backtrack
 from tacgen.mechanics.linear_solvers import NotPositiveDefinite, Solver
 
 Array = np.ndarray
-ARMIJO = 1e-4  # smallest decrease of the energy over that predicted by its slope (Armijo's rule) [-]
+Lower = tuple[Array, float]
 NEGLIGIBLE = 1e-6  # length of a step over xtol, below which it is rounding [-]
 ROUNDING = 1e-13  # relative increase of the energy that is attributed to rounding [-]
 SHORTEST = 1e-10  # fraction of a step at which a line search has stalled [-]
@@ -63,18 +64,16 @@ def direction(
     return p.reshape(x.shape), projection > Projection.NONE
 
 
-def backtrack(
-    value: Callable[[Array], float], x: Array, p: Array, energy: float, slope: float, fraction: float
-) -> tuple[float, Array, float]:
-    """Fraction of p by Armijo's rule, the positions and the energy there; 0 if none down to SHORTEST lowers it."""
-    noise = ROUNDING * abs(energy)
-    while fraction > SHORTEST:
+def _downhill(potential: Potential, x: Array, p: Array, energy: float, slope: float) -> tuple[float, Lower | None]:
+    """Fraction of the step p that lowers the energy, and positions and energy there; 0 and None if none does."""
+
+    def trial(fraction: float) -> tuple[bool, Lower]:
         there = x + fraction * p
-        new = value(there)
-        if new <= energy + ARMIJO * fraction * slope + noise:
-            return fraction, there, new
-        fraction /= 2
-    return 0.0, x, energy
+        new = potential.value(there)
+        return armijo(new, energy, fraction * slope, ROUNDING), (there, new)
+
+    fraction, lower = backtrack(trial, SHORTEST, potential.max_step(x, p))
+    return fraction, lower if fraction else None
 
 
 def minimise(
@@ -120,13 +119,12 @@ def minimise(
             steps.append(Step(energy, length, 0.0, projected))
             potential, energy = fresh, fresh.value(x)
             continue
-        limit = potential.max_step(x, p)
-        before = energy
-        fraction, x, energy = backtrack(potential.value, x, p, energy, float((g * p).sum()), limit)
-        if fraction == 0.0:
+        fraction, lower = _downhill(potential, x, p, energy, float((g * p).sum()))
+        if lower is None:
             # at rounding level a step may fail to lower the energy though it is as short as asked for
             return Solution(x, Status.converged if length <= xtol else Status.stalled, tuple(steps))
-        steps.append(Step(before, length, fraction, projected))
+        steps.append(Step(energy, length, fraction, projected))
+        x, energy = lower
         settled = False
         if length <= near and fraction == 1.0:
             fresh = refresh(x)

@@ -6,14 +6,15 @@ wrong after a change of direction, the force of a capsule that is pressed in and
 46 % from that of the same path in sixteen frames; with this predictor by .6 %.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from tacgen.geometry.pose import Pose
-from tacgen.mechanics.barrier import Contact
+from tacgen.mechanics.barrier import Contact, Faces
 from tacgen.mechanics.bulk import Tangent
-from tacgen.mechanics.condensation import Tied
+from tacgen.mechanics.condensation import Condensation
 from tacgen.mechanics.state import History
 
 Array = np.ndarray
@@ -24,12 +25,11 @@ PARALLEL = 0.9  # cosine between the motions of two steps, above which the secon
 @dataclass(frozen=True)
 class Prediction:
     """Predicted nodes x (n, 3), and to first order, by the tangent alone; `motion` (f, q, 3): that of the points in
-    contact, with the indenter; `tied`, if the tangent is followed: see History."""
+    contact, with the indenter."""
 
     x: Array
     first_order: Array
     motion: Array
-    tied: Tied | None = None
 
     def error(self, x: Array) -> tuple[Array, Array]:
         """Error of the first order against the solution x (n, 3), and the motion it belongs to."""
@@ -42,20 +42,44 @@ def predict(contact: Contact, tangent: Tangent, history: History, pose: Pose) ->
     touching = history.normal_force > 0
     at = contact.faces.at(history.x)
     motion = np.where(touching[..., None], pose.world(history.pose.local(at)) - at, 0.0)
-    if (found := _tied(contact, tangent, history, motion)) is None:
+    if (springs := tied(contact, tangent, history)) is None:
         return None
-    first_order, tied = found
+    first_order = history.x + springs.moved(motion)
     if history.predictor_error is None:
-        return Prediction(first_order, first_order, motion, tied)
+        return Prediction(first_order, first_order, motion)
     error, before = history.predictor_error
     both = touching & before.any(-1)
     along, now, then = (float((a * b)[both].sum()) for a, b in ((motion, before), (motion, motion), (before, before)))
     part = min(along / then, 1.0) if along > PARALLEL * np.sqrt(now * then) else 0.0
-    return Prediction(first_order + part**2 * error, first_order, motion, tied)
+    return Prediction(first_order + part**2 * error, first_order, motion)
 
 
-def _tied(contact: Contact, tangent: Tangent, history: History, motion: Array) -> tuple[Array, Tied | None] | None:
-    condensed, faces, x = tangent.condensation, contact.faces, history.x
+@dataclass(frozen=True)
+class Tied:
+    """A tangent with springs of stiffness `ties` (k, q, 1) [N/mm] that tie the points of facets `part` to the indenter;
+    `inner` solves for the condensed unknowns."""
+
+    tangent: Condensation
+    part: Faces
+    ties: Array
+    which: Array
+    inner: Callable[[Array], Array]
+
+    def moved(self, motion: Array) -> Array:
+        """Displacements (n, 3) where the points tied move by `motion` (f, q, 3)."""
+        condensed = self.tangent
+        pull = self.part.scatter(self.ties * motion[self.which], len(condensed.local))
+        u = self.inner(pull[condensed.nodes][condensed.dofs >= 0])
+        return condensed.expand(u, np.zeros(len(condensed.whole.free)))
+
+    def solve(self, b: Array) -> Array:
+        """x (m, k) for loads b on the free dofs."""
+        return self.tangent.solve(b, self.inner)
+
+
+def tied(contact: Contact, tangent: Tangent, history: History) -> Tied | None:
+    """The tangent with the points that touch tied; None if none of their facets is condensed, or if it is unstable."""
+    condensed, faces = tangent.condensation, contact.faces
     inside = (condensed.local[faces.conn] >= 0).all(1)
     which = np.flatnonzero((history.normal_force > 0).any(1) & inside)
     if not which.size:
@@ -63,13 +87,8 @@ def _tied(contact: Contact, tangent: Tangent, history: History, motion: Array) -
     ties = TIE * history.normal_force[which, :, None] / contact.dhat
     dofs = condensed.dofs[condensed.local[faces.conn[which]]]
     springs = condensed.schur.stiffness(ties[..., None] * np.eye(3), faces.N, dofs)
-    part = faces.only(which)
-    pull = part.scatter(ties * motion[which], len(x))[condensed.nodes][condensed.dofs >= 0]
     try:
         inner = condensed.schur.factored(springs, symmetric=True)
     except np.linalg.LinAlgError:
         return None
-    there = x + condensed.expand(inner(pull), np.zeros(len(condensed.whole.free)))
-    if not tangent.followed:
-        return there, None
-    return there, Tied(condensed.frozen(), inner)
+    return Tied(condensed, faces.only(which), ties, which, inner)

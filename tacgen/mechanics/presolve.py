@@ -6,6 +6,7 @@ import numpy as np
 
 from tacgen import mechanics
 from tacgen.mechanics import mesh
+from tacgen.mechanics.failures import Failure, NotConverged
 from tacgen.mechanics.scene import FORCE_DEPTH, Scene
 
 HOPELESS = 2  # force over the largest on the coarse mesh, above which the scene is refused at once [-]
@@ -32,13 +33,11 @@ def presolved(scene: Scene) -> Scene:
         found = [
             state.pose[2, 3] for _, state in zip(range(end), mechanics.states(rough, problem, tol=0.05), strict=False)
         ]
-    except mechanics.TooMuch as error:
-        if error.asked < HOPELESS * error.most:
+    except NotConverged as error:
+        if error.failure != Failure.too_much or error.data["asked"] < HOPELESS * error.data["most"]:
             return scene
-        hopeless = error.index, f"{error}, as a coarse mesh has it"
+        hopeless = error.data["index"], NotConverged(Failure.hopeless, why=error)
         return replace(scene, forced=replace(forced, below=np.zeros_like(below), hopeless=hopeless))
-    except mechanics.NotConverged:
-        return scene
     for i in range(len(poses)):
         if np.isfinite(forced.asked[i]):
             shift = found[i] - poses[i, 2, 3]

@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from tacgen.fem.folding_barrier import FoldingBarrier
 from tacgen.fem.viscoelasticity import Viscoelastic
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics import linear_solvers
-from tacgen.mechanics.barrier import Contact, Faces
+from tacgen.mechanics.barrier import AnyContact, Contact, Faces
 from tacgen.mechanics.bulk import Bulk, Tangent
 from tacgen.mechanics.mesh import Mesh
 from tacgen.mechanics.options import DEFAULT, SolverOptions, tighter
@@ -23,7 +23,6 @@ from tacgen.mechanics.state import Effort, History
 
 if TYPE_CHECKING:
     from tacgen.fem.inertia import Body
-    from tacgen.mechanics.ipctk import MeshContact
 
 Array = np.ndarray
 USUAL_GAP = 0.75  # mean gap of a light press over dhat, the first offset of the indenter [-]
@@ -31,7 +30,6 @@ FORCE_FLOOR = 1e-3  # smallest force scale over kappa dhat^2: forces that occur 
 # Contact points along a facet's side, under an indenter thinner than that side: it would pass between two where
 # friction stretches the gel to twice its length. Elsewhere two: three stiffen a coarse mesh (by 1 % for a ball).
 POINTS_IF_THIN = 3
-AnyContact: TypeAlias = "Contact | MeshContact"
 
 
 @dataclass(frozen=True)
@@ -86,6 +84,10 @@ class Problem:
     @cached_property
     def tangent(self) -> Tangent:
         """The factorised tangent of the bulk, kept from step to step."""
+        return self.new_tangent()
+
+    def new_tangent(self) -> Tangent:
+        """A tangent of the bulk, not yet factorised."""
         at_rest, points, pattern = Bulk(self.elastic, self.folding, ()), self.mesh.points, self.pattern  # not self: a
         return Tangent(pattern, lambda: at_rest.at(points).stiffness(pattern))  # cycle would outlive the scene
 
@@ -97,7 +99,7 @@ class Problem:
     @property
     def condensed(self) -> bool:
         """Whether contact is solved on the Schur complement: between meshes it is not."""
-        return self.options.condense and isinstance(self.contact, Contact) and linear_solvers.readable()
+        return self.options.condense and self.contact.overlaps and linear_solvers.readable()
 
     @property
     def factored(self) -> int:
@@ -113,7 +115,7 @@ class Problem:
         """The untouched gel below an indenter at `pose`."""
         x = self.mesh.points
         pose = self.contact.clear(pose, x)
-        offset = USUAL_GAP * self.contact.dhat if isinstance(self.contact, Contact) else 0.0
+        offset = USUAL_GAP * self.contact.dhat if self.contact.overlaps else 0.0
         force, normal, gap = self.contact.moved(pose, offset).pressure(x)
         at, kappa = pose.local(self.contact.faces.at(x)), self.contact.kappa
         still = None if self.body is None else np.zeros_like(x)

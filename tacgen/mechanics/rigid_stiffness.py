@@ -9,7 +9,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from tacgen.mechanics.barrier import Contact
 from tacgen.mechanics.coupled import ContactForces, CoupledContact
 from tacgen.mechanics.problem import Problem
 from tacgen.mechanics.state import History
@@ -19,8 +18,7 @@ Array = np.ndarray
 
 def _forces(problem: Problem, before: History, at: History, substeps: int) -> ContactForces:
     """Contact forces with the anchors set back by the drag of one load step, so that sliding points keep sliding."""
-    assert isinstance(problem.contact, Contact)
-    contact = replace(problem.contact.moved(at.pose, at.offset), kappa=at.kappa)
+    contact = replace(problem.contact.distance.moved(at.pose, at.offset), kappa=at.kappa)
     dragged = np.where(before.normal_force[..., None] > 0, at.anchor - before.anchor, 0.0)
     anchor, slip = at.pose.world(at.anchor - dragged / substeps), problem.options.slip * contact.dhat
     return CoupledContact(contact, problem.friction, anchor, slip).evaluate(at.x)

@@ -8,6 +8,7 @@ import numpy as np
 if TYPE_CHECKING:
     from tacgen.geometry.analytic_sdf import Shape, Triangles
     from tacgen.geometry.gel import GelBody
+    from tacgen.mechanics.failures import NotConverged
 
 Array = np.ndarray
 Element = Literal["hex", "tet", "linear_tet"]
@@ -22,7 +23,7 @@ class Forced:
     force that is reached at a frame [-]; carry: fraction of the difference between the last found height and its guess
     that is added to a later pose [-]; floor: lowest height of the indenter's origin in the search [mm]; below: largest
     depth of a frame below its guess [mm], which the fine part of the mesh allows for; hopeless: a frame whose force the
-    gel cannot bear, and the message.
+    gel cannot bear, and the failure.
     """
 
     asked: Array
@@ -30,7 +31,7 @@ class Forced:
     carry: Array
     floor: Array
     below: Array
-    hopeless: tuple[int, str] | None = None
+    hopeless: "tuple[int, NotConverged] | None" = None
 
     @property
     def allowance(self) -> Array:

@@ -15,15 +15,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tacgen.fem.materials import Law
-from tacgen.mechanics.barrier import Contact, Faces
+from tacgen.mechanics.barrier import Faces
 from tacgen.mechanics.bulk import Bulk
-from tacgen.mechanics.condensation import Condensation, Tied
+from tacgen.mechanics.bulk_newton import with_neighbours
 from tacgen.mechanics.contact_slopes import ContactSlopes, dot
-from tacgen.mechanics.coupled import CoupledContact
+from tacgen.mechanics.coupled import CoupledContact, onset
 from tacgen.mechanics.exact_tangent import everywhere, free_columns, solver
-from tacgen.mechanics.friction import onset
 from tacgen.mechanics.linear_solvers import NotPositiveDefinite
-from tacgen.mechanics.predictor import TIE
+from tacgen.mechanics.predictor import TIE, tied
 from tacgen.mechanics.problem import Problem
 from tacgen.mechanics.state import History, State
 
@@ -64,35 +63,34 @@ class Sensitivity:
     """Derivatives at the frames of one scene, in order."""
 
     def __init__(self, problem: Problem, parameters: Sequence[Parameter]) -> None:
-        assert isinstance(problem.contact, Contact)
-        self._problem, self._contact, self._parameters = problem, problem.contact, tuple(parameters)
+        self._problem, self._contact, self._parameters = problem, problem.contact.distance, tuple(parameters)
         self._lower = -np.array([p.depth for p in parameters])[:, None] * np.eye(3)[2]  # of the pose (k, 3)
         problem.tangent.followed = True
+        self._tangent = problem.new_tangent()
         self._before = problem.rest(problem.contact.pose)
         self._slopes = self._without_contact(self._before)
 
     def frame(self, state: State) -> Slopes:
-        """Derivatives at the next frame; called right after its solve, whose factor it uses.
+        """Derivatives at the next frame; called in their order.
 
         Raises NotConverged: the tangent is singular, as where the gel snaps.
         """
         assert state.after is not None
-        steps = (*state.passed, state.after)
-        for after, following in zip(steps, (*steps[1:], None), strict=True):
+        for after in (*state.passed, state.after):
             on = np.flatnonzero((after.normal_force > 0).any(1))
-            if following is None and on.size:
-                self._take(after)
-            at_x = None if following is None or following.tied is None else following.tied.tangent
-            self._slopes = self._in_contact(after, on, at_x) if on.size else self._without_contact(after)
+            self._slopes = self._in_contact(after, on) if on.size else self._without_contact(after)
             self._before = after
         return self._slopes
 
-    def _take(self, at: History) -> None:
-        """Factorise the exact tangent at the last equilibrium, from which the next step will be predicted."""
-        tangent = self._problem.tangent
-        if self._problem.condensed and tangent.usable:
-            with suppress(NotPositiveDefinite):
-                tangent.take(Bulk(self._problem.elastic, self._problem.folding, ()).at(at.x), None)
+    def _take(self, at: History, on: Array) -> None:
+        """Factorise the exact tangent at an equilibrium with the facets `on` in contact."""
+        tangent, conn = self._tangent, self._contact.faces.conn
+        if not self._problem.condensed:
+            return
+        if not tangent.condensation.covers(conn[on]):
+            tangent.condensation.cover(with_neighbours(conn, np.asarray((at.normal_force > 0).any(1))))
+        with suppress(NotPositiveDefinite):
+            tangent.take(Bulk(self._problem.elastic, self._problem.folding, ()).at(at.x), None)
 
     def _without_contact(self, at: History) -> Slopes:
         k = len(self._parameters)
@@ -106,12 +104,13 @@ class Sensitivity:
     def _local(self, motion: Array, at: History) -> Array:
         return np.asarray(self._relative(motion) @ at.pose.rotation)
 
-    def _in_contact(self, after: History, on: Array, at_x: Condensation | None) -> Slopes:
-        """With facets `on` in contact; `at_x`: see solver."""
+    def _in_contact(self, after: History, on: Array) -> Slopes:
+        """With facets `on` in contact."""
         was, faces, nodes = self._slopes, self._contact.faces.only(on), len(after.x)
         first_order = was.x
-        if after.tied is not None and self._problem.friction:
-            first_order = was.x + self._predictor_slopes(after, after.tied)
+        if after.predicted is not None and self._problem.friction:
+            first_order = was.x + self._predictor_slopes(after)
+        self._take(after, on)
         trial, anchors = self._trial_anchors(after, on, first_order + self._extrapolated(after) * was.predictor_error)
         contact = replace(self._contact.moved(after.pose, after.offset), kappa=after.kappa, faces=faces)
         eps = self._problem.options.slip * contact.dhat
@@ -122,7 +121,7 @@ class Sensitivity:
         stronger = np.array([p.friction for p in self._parameters]) / max(self._problem.friction, 1e-300)
         rub = stronger[:, None, None, None] * here.friction
         load = _scatter(faces, here.force(self._relative(np.zeros_like(anchors)), anchors) + rub, nodes) - by_law
-        solve = solver(self._problem, after.x, here.forces.tangent, on, at_x)
+        solve = solver(self._problem, self._tangent, after.x, here.forces.tangent, on)
         *found, x_by_offset = solve(np.concatenate([load, _scatter(faces, here.by_offset[None], nodes)]))
         x, fixed = np.stack(found), np.zeros(len(found))
         excess = here.gap_excess(self._relative(_at(faces, x)), fixed)
@@ -138,9 +137,11 @@ class Sensitivity:
         normal_force, normal, force = (_placed(part, on, wide) for part in parts)
         return Slopes(normal_force, normal, force, anchor, x, x - first_order)
 
-    def _predictor_slopes(self, after: History, tied: Tied) -> Array:
+    def _predictor_slopes(self, after: History) -> Array:
         """Derivatives (k, n, 3) of the step that the predictor takes along its tangent."""
         before, was = self._before, self._slopes
+        if not self._tangent.usable or (springs := tied(self._contact, self._tangent, before)) is None:
+            return np.zeros_like(was.x)
         on = np.flatnonzero((before.normal_force > 0).any(1))
         faces, ties = self._contact.faces.only(on), TIE / self._contact.dhat
         assert after.predictor_error is not None
@@ -151,7 +152,7 @@ class Sensitivity:
         pull = was.normal_force[:, on, :, None] * lag
         pull += before.normal_force[on, :, None] * (self._relative(_at(faces, was.x)) @ turn.T)
         b = _scatter(faces, ties * pull, len(after.x)) - self._stiffer(step)
-        return everywhere(self._problem, tied.solve(free_columns(self._problem, b)))
+        return everywhere(self._problem, springs.solve(free_columns(self._problem, b)))
 
     def _stiffer(self, u: Array) -> Array:
         """How the tangent before the step, times u (n, 3), changes with the parameters (k, n, 3) [N]: a mixed second
@@ -183,7 +184,7 @@ class Sensitivity:
 
     def _trial_anchors(self, after: History, on: Array, predicted: Array) -> tuple[Array, Array]:
         """Anchors that the step's friction started from (f, q, 3) [mm], and their slopes (k, f, q, 3), relative to the
-        indenter; of new points as friction.onset has them, where the predicted x has slopes `predicted` (k, n, 3)."""
+        indenter; of new points as coupled.onset has them, where the predicted x has slopes `predicted` (k, n, 3)."""
         before, was, faces = self._before, self._slopes.anchor[:, on], self._contact.faces.only(on)
         start, held = before.anchor[on], (before.normal_force[on] > 0)[..., None]
         ahead = after.pose.local(faces.at(before.x if after.predicted is None else after.predicted))

@@ -5,21 +5,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tacgen.geometry.pose import Pose
-from tacgen.mechanics.condensation import Tied
+from tacgen.mechanics.failures import Failure, NotConverged
 
 Array = np.ndarray
-
-
-class NotConverged(ArithmeticError):
-    """A frame has no solution that meets the tolerances; the message says why."""
-
-
-class TooFar(NotConverged):
-    """A load step in which the indenter might tunnel through the gel."""
-
-
-class OutOfEffort(NotConverged):
-    """The budget of Newton steps is spent; shorter load steps would take more."""
 
 
 @dataclass
@@ -30,13 +18,10 @@ class Effort:
     steps: int = 0
 
     def count(self) -> None:
-        """One more. Raises OutOfEffort."""
+        """One more. Raises NotConverged: the budget is spent."""
         self.steps += 1
         if self.steps > self.most:
-            raise OutOfEffort(
-                f"Newton did not converge in {self.most} steps, shorter load steps included; try less depth, less"
-                " friction or a finer mesh"
-            )
+            raise NotConverged(Failure.effort, steps=self.most)
 
 
 @dataclass(frozen=True)
@@ -57,7 +42,6 @@ class History:
     internal: dict[int, Array]  # of viscoelastic layers, by their numbers: H (k, e, q, 3, 3) [MPa]
     predictor_error: tuple[Array, Array] | None = None  # of first order, and the motion it belongs to (see predictor)
     predicted: Array | None = None  # x (n, 3) by this load step's predictor
-    tied: Tied | None = None  # that prediction's equations, where its derivatives are asked for
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,6 @@ from tacgen.outputs.base import FAR, Datasets, Entry, FrameData, Output
 def _frame(frame: FrameData) -> Datasets:
     """Every dataset but segment and time, which the pipeline knows."""
     from tacgen.geometry.pose import Pose
-    from tacgen.mechanics.barrier import Contact
     from tacgen.mechanics.tunnelling import overlap
     from tacgen.outputs.gel_surface import wrench
 
@@ -22,7 +21,7 @@ def _frame(frame: FrameData) -> Datasets:
         "/frames/quality/substeps": state.substeps,
         "/frames/quality/min_gap_mm": state.min_gap,
         "/frames/quality/mean_gap_mm": state.mean_gap,
-        "/frames/quality/overlap_mm": overlap(contact if isinstance(contact, Contact) else contact.distance, state.x),
+        "/frames/quality/overlap_mm": overlap(contact.distance, state.x),
         "/frames/quality/rounded": state.rounded,
         "/frames/quality/force_balance": state.balance,
         "/frames/quality/residual": state.residual,

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter
 
 from tacgen.fem.materials import Law
-from tacgen.mechanics import NotConverged, Problem, State, mesh, states
+from tacgen.mechanics import Failure, NotConverged, Problem, State, mesh, states
 from tacgen.mechanics.scene import Scene
 from tacgen.mechanics.sensitivity import Parameter, Sensitivity
 from tacgen.sensor.model import Gel
@@ -34,7 +34,7 @@ def _solved(built: Scene, problem: Problem) -> Iterator[State]:
     try:
         yield from states(built, problem)
     except NotConverged as error:
-        raise NotConverged(f"on the coarser mesh that uncertainty asks for: {error}") from None
+        raise NotConverged(Failure.coarser_mesh, why=error) from None
 
 
 def mesh_variance(here: Array, coarse: Array, window: int) -> Array:

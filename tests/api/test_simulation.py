@@ -166,17 +166,17 @@ def test_what_is_rejected_is_an_exception_with_the_frames_before_it(tmp_path: Pa
 
 
 def test_a_contact_that_does_not_converge_is_an_exception(monkeypatch: pytest.MonkeyPatch) -> None:
-    from tacgen.mechanics import NotConverged
+    from tacgen.mechanics import Failure, NotConverged
 
     solved = pipeline.mechanics.states
 
     def stops(*args: object, **options: object) -> object:
         states = solved(*args, **options)  # type: ignore[arg-type]
         yield next(states)
-        raise NotConverged("Newton did not converge")
+        raise NotConverged(Failure.too_far)
 
     monkeypatch.setattr(pipeline.mechanics, "states", stops)
-    with pytest.raises(tacgen.SceneRejected, match=r"^frame 2 of 3: Newton did not converge$") as caught:
+    with pytest.raises(tacgen.SceneRejected, match=f"^frame 2 of 3: {Failure.too_far}$") as caught:
         pressed(outputs="force")
     assert caught.value.frames.force.shape == (1, 3)
 

@@ -313,7 +313,7 @@ def test_outputs_that_are_not_asked_for_are_not_imported(output: str) -> None:
 def test_outputs_that_are_not_asked_for_are_not_computed() -> None:
     """Modules that are loaded anyway do nothing: without friction no anchor is dragged, and no mesh is one of tets."""
     without, rubbing = (set(used("force", friction)["ran"]) for friction in (0, 0.5))
-    slips = {"tacgen.mechanics.friction:dragged", "tacgen.mechanics.friction:slip"}
+    slips = {"tacgen.mechanics.coupled:dragged", "tacgen.mechanics.coupled:slip"}
     assert slips <= rubbing - without
     modules = {name.partition(":")[0] for name in without}
     assert {"tacgen.outputs.gel_surface", "tacgen.mechanics.frames"} <= modules  # the wrench alone
@@ -324,7 +324,7 @@ def test_outputs_that_are_not_asked_for_are_not_computed() -> None:
         "geometry.mesh_import",
         "mechanics.tet_mesh",
     )
-    unasked += tuple(f"mechanics.{n}" for n in ("force_control", "full_newton", "lagging", "mesh_contact", "newton"))
+    unasked += tuple(f"mechanics.{n}" for n in ("force_control", "full_newton", "mesh_contact", "newton"))
     assert modules.isdisjoint(f"tacgen.{name}" for name in unasked)
 
 

@@ -124,11 +124,11 @@ def test_a_frame_without_a_solution_rejects_the_scene(monkeypatch: pytest.Monkey
 
     def ends(*args: Any) -> Iterator[mechanics.State]:
         yield next(states(*args))
-        raise mechanics.NotConverged("no solution")
+        raise mechanics.NotConverged(mechanics.Failure.singular)
 
     monkeypatch.setattr(mechanics, "states", ends)
     ended = measured()
-    assert (ended.status, ended.reason, ended.frames) == ("rejected", "frame 2 of 8: no solution", 1)
+    assert (ended.status, ended.reason, ended.frames) == ("rejected", f"frame 2 of 8: {mechanics.Failure.singular}", 1)
 
 
 def test_a_bug_in_one_scene_leaves_the_others(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
-from helpers.small import dense, patch, slope
+from helpers.small import full, patch, slope
 
 from tacgen.fem.elements import facet_areas, facet_corners, facet_hats, facet_points, facet_shares, triangles
-from tacgen.geometry.analytic_sdf import SphereSdf
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics.barrier import Contact
+from tacgen.mechanics.coupled import CoupledContact
 
+Array = np.ndarray
 KINDS = pytest.mark.parametrize("nodes", [4, 3, 6])
 
 
@@ -73,12 +74,18 @@ def test_hats_are_one_at_their_node_and_straight_on_the_pieces(nodes: int) -> No
 def test_contact_derivatives(nodes: int) -> None:
     points, faces, pat = patch(2, 1.2, nodes)
     x = points + np.random.default_rng(3).uniform(-0.05, 0.05, points.shape)
-    contact = Contact(faces, SphereSdf(0.8), Pose(np.eye(3), np.array([0.1, 0.0, -0.06])), 0.3, 0.7, 0.04)
-    g = contact.gradient(x)
+    contact = Contact(faces, SphereSdf(0.8), Pose(np.eye(3), np.array([0.1, 0.0, 0.02])), 0.3, 0.7, 0.04)
+    coupled = CoupledContact(contact, 0.0, faces.at(x), 0.1)
+    found = coupled.evaluate(x)
+    assert found.gap.min() > 0
+
+    def gradient(y: Array) -> Array:
+        return -faces.scatter(coupled.evaluate(y).force, len(y)).ravel()
+
+    g = gradient(x)
     assert np.abs(g).max() > 1e-3
-    assert g.ravel() == pytest.approx(slope(contact.value, x, 1e-6), abs=1e-7)
-    H = slope(lambda y: contact.gradient(y).ravel(), x, 1e-6)
-    assert dense(contact, x, pat) == pytest.approx(H, abs=1e-5)
-    assert contact.gradient(x).sum(0) == pytest.approx(
-        faces.shared(-contact.pressure(x)[0][..., None] * contact.pressure(x)[1], len(x)).sum(0)
-    )
+    assert g == pytest.approx(slope(lambda y: coupled.merit(y, found), x, 1e-6), abs=1e-7)
+    data = np.zeros(len(pat.indices))
+    faces.add_blocks(np.arange(len(found.tangent)), found.tangent, data)
+    assert full(pat, data) == pytest.approx(slope(gradient, x, 1e-6), abs=1e-5)
+    assert g.reshape(x.shape).sum(0) == pytest.approx(faces.shared(-found.force, len(x)).sum(0))

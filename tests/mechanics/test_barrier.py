@@ -2,17 +2,16 @@
 
 import numpy as np
 import pytest
-from helpers.small import dense, patch, slope, turn
+from helpers.small import patch, turn
 
-from tacgen.fem.potential import Projection
-from tacgen.geometry.analytic_sdf import ConeSdf, CylinderSdf, Shape, SphereSdf, TorusSdf
+from tacgen.geometry.analytic_sdf import ConeSdf, Shape, SphereSdf
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics.barrier import SOFT, Contact, barrier
-from tacgen.mechanics.friction import dragged, onset, smooth
+from tacgen.mechanics.coupled import dragged, onset, smooth
 
 Array = np.ndarray
 DHAT = 0.3
-POINTS, FACES, PATTERN = patch(2, 1.2)
+POINTS, FACES, _ = patch(2, 1.2)
 TILTED = Pose(turn(4), np.array([0.1, -0.05, 0.02]))
 
 
@@ -23,7 +22,7 @@ def bent(seed: int = 0) -> Array:
 
 def against(shape: Shape, offset: float = 0.04) -> Contact:
     """Contact whose turned indenter overlaps some of the patch, is near other parts and out of reach of some."""
-    lowest = np.array([0.0, 0.0, 0.0]) if not isinstance(shape, TorusSdf) else np.array([shape.radius, 0.0, 0.0])
+    lowest = np.zeros(3)
     pose = Pose(TILTED.rotation, np.zeros(3))
     down = pose.rotation.T @ np.array([0.0, 0.0, -1.0])
     if isinstance(shape, SphereSdf):
@@ -33,9 +32,7 @@ def against(shape: Shape, offset: float = 0.04) -> Contact:
 
 CONTACTS = {
     "sphere": against(SphereSdf(0.8)),
-    "torus": against(TorusSdf(0.9, 0.5)),
     "cone": against(ConeSdf(np.radians(50), 0.4)),
-    "punch": against(CylinderSdf(0.6, 0.3)),
 }
 
 
@@ -86,45 +83,12 @@ def test_quadrature_has_the_area_and_scatters_everything() -> None:
     assert np.cross(x, nodal).sum(0) == pytest.approx(np.cross(FACES.at(x), forces).sum((0, 1)))
 
 
-@pytest.mark.parametrize("name", CONTACTS)
-def test_contact_gradient_is_the_slope_of_its_energy(name: str) -> None:
-    contact, x = CONTACTS[name], bent()
-    gaps = contact.gaps(x)[0]
-    assert gaps.min() < SOFT * DHAT  # all pieces of the barrier are looked at
-    assert ((gaps > SOFT * DHAT) & (gaps < DHAT)).any()
-    g = contact.gradient(x)
-    assert np.abs(g).max() > 1e-3
-    assert g.ravel() == pytest.approx(slope(contact.value, x, 1e-6), abs=1e-7 * np.abs(g).max())
-
-
-@pytest.mark.parametrize("name", CONTACTS)
-def test_contact_hessian_is_the_slope_of_its_gradient(name: str) -> None:
-    contact, x = CONTACTS[name], bent()
-    stiffness = dense(contact, x, PATTERN)
-    size = np.abs(stiffness).max()
-    assert size > 1e-3
-    by_differences = slope(lambda y: contact.gradient(y).ravel(), x, 1e-7)
-    assert stiffness == pytest.approx(by_differences, abs=1e-5 * size)
-    turned_away = contact.moved(Pose(contact.pose.rotation, np.array([0, 0, 50.0])), 0.0)
-    assert np.abs(dense(turned_away, x, PATTERN)).max() == 0
-
-
-@pytest.mark.parametrize("projection", [Projection.STRAINED, Projection.FULL])
-@pytest.mark.parametrize("name", CONTACTS)
-def test_projected_contact_is_positive(name: str, projection: Projection) -> None:
-    values = np.linalg.eigvalsh(dense(CONTACTS[name], bent(), PATTERN, projection))
-    assert values.max() > 1e-2
-    assert values.min() > -1e-12 * values.max()
-    assert np.linalg.eigvalsh(dense(CONTACTS["sphere"], bent(), PATTERN)).min() < -1e-4
-
-
-def test_contact_forces_push_the_gel_off_and_are_the_gradient() -> None:
+def test_contact_forces_push_the_gel_off() -> None:
     contact, x = CONTACTS["sphere"], bent()
     force, normal, gap = contact.pressure(x)
     assert (force >= 0).all()
     assert ((force > 0) == (gap < DHAT)).all()
     assert np.linalg.norm(normal, axis=-1) == pytest.approx(np.ones(gap.shape), abs=1e-12)
-    assert (force[..., None] * normal).sum((0, 1)) == pytest.approx(-contact.gradient(x).sum(0))
     out = contact.faces.at(x) + 1e-6 * normal
     assert contact.shape.distance(contact.pose.local(out).reshape(-1, 3))[0] + 0.04 == pytest.approx(gap.ravel() + 1e-6)
 
@@ -139,13 +103,14 @@ def test_no_step_passes_through_the_indenter() -> None:
     contact = Contact(FACES, SphereSdf(1.0), Pose(np.eye(3), np.array([0, 0, 0.3])), DHAT, 0.7)
     p = np.zeros_like(POINTS)
     p[:, 2] = 50.0
-    part = contact.max_step(POINTS, p)
+    gap = contact.gaps(POINTS)[0]
+    part = contact.max_step(gap, p)
     assert 0 < part < 1
     after = contact.faces.at(POINTS + part * p)
-    near = contact.gaps(POINTS)[0] < 0.5
+    near = gap < 0.5
     assert (after[near][:, 2] < 1.3).all()
-    assert contact.max_step(POINTS, 1e-3 * p) == 1.0
-    assert contact.max_step(POINTS, 0 * p) == 1.0
+    assert contact.max_step(gap, 1e-3 * p) == 1.0
+    assert contact.max_step(gap, 0 * p) == 1.0
 
 
 def test_smoothed_coulomb_law() -> None:

@@ -9,8 +9,8 @@ from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import boxes, hexes
 from tacgen.fem.materials import NeoHooke
 from tacgen.fem.potential import Projection
-from tacgen.mechanics.condensation import DAMPING_FACTOR, Condensation, Schur, Tied
-from tacgen.mechanics.linear_solvers import Cholmod, NotPositiveDefinite
+from tacgen.mechanics.condensation import DAMPING_FACTOR, Condensation, Schur
+from tacgen.mechanics.linear_solvers import NotPositiveDefinite
 
 Array = np.ndarray
 
@@ -157,32 +157,6 @@ def test_to_cover_others_is_to_begin_anew(bulk: Bulk) -> None:
     bulk.condensed.factor(bulk.data)
     assert bulk.condensed.factored == 2
     assert pytest.approx(bulk.schur(), abs=1e-11) == bulk.condensed.schur.S
-
-
-def test_a_frozen_copy_keeps_its_factor(bulk: Bulk) -> None:
-    b, before = np.arange(bulk.pattern.size, dtype=float), bulk.K
-    bulk.condensed.factor(bulk.data)
-    kept = frozen(bulk)
-    bulk.shift(bulk.near, 0.01)
-    bulk.condensed.factor(bulk.data)
-    assert np.allclose(before @ kept.solve(b), b)
-    assert np.allclose(bulk.K @ frozen(bulk).solve(b), b)
-
-
-def test_factors_of_frozen_copies_that_are_gone_serve_again(bulk: Bulk, monkeypatch: pytest.MonkeyPatch) -> None:
-    made, another = [], Cholmod.another
-    monkeypatch.setattr(Cholmod, "another", lambda self: made.append(another(self)) or made[-1])
-    last: list[Tied] = []  # as a load step keeps that of the one before
-    for _ in range(6):
-        bulk.condensed.factor(bulk.data)
-        last = [*last[-1:], frozen(bulk)]
-    assert len(made) == 2
-
-
-def frozen(bulk: Bulk) -> Tied:
-    """The present tangent, with nothing in contact."""
-    bulk.condensed.schur.activate(np.zeros(bulk.condensed.size, bool))
-    return Tied(bulk.condensed.frozen(), bulk.condensed.schur.factored(np.zeros((0, 0))))
 
 
 def stiffness(size: int = 12, seed: int = 0) -> Array:

@@ -11,8 +11,7 @@ from tacgen.geometry.pose import Pose
 from tacgen.mechanics.barrier import Contact
 from tacgen.mechanics.condensation import Schur
 from tacgen.mechanics.contact_newton import ContactSolution, Quadratic, solve_contact
-from tacgen.mechanics.coupled import CoupledContact
-from tacgen.mechanics.friction import slip
+from tacgen.mechanics.coupled import CoupledContact, slip
 
 Array = np.ndarray
 DHAT, EPS, FRICTION, XTOL = 0.05, 0.05 / 8, 0.5, 1e-5

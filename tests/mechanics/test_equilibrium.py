@@ -13,8 +13,8 @@ from tacgen.mechanics import Problem, SolverOptions, State, mesh, plain, states
 from tacgen.mechanics.barrier import Contact
 from tacgen.mechanics.bulk_newton import BulkNewton
 from tacgen.mechanics.condensation import Condensation, Schur
-from tacgen.mechanics.equilibrium import LoadStep
 from tacgen.mechanics.frames import RISE
+from tacgen.mechanics.load_step import LoadStep
 from tacgen.mechanics.predictor import predict
 
 Array = np.ndarray

@@ -11,9 +11,20 @@ from tacgen.fem.elasticity import Elastic
 from tacgen.fem.jacobian import least_jacobian
 from tacgen.geometry.analytic_sdf import BoxSdf, CylinderSdf, Shape, SphereSdf
 from tacgen.geometry.pose import Pose
-from tacgen.mechanics import NotConverged, Problem, SolverOptions, equilibrium, load_stepping, mesh, short_steps, states
+from tacgen.mechanics import (
+    Failure,
+    NotConverged,
+    Problem,
+    SolverOptions,
+    equilibrium,
+    load_step,
+    load_stepping,
+    mesh,
+    short_steps,
+    states,
+)
 from tacgen.mechanics.scene import Forced, Scene
-from tacgen.mechanics.state import History, TooFar
+from tacgen.mechanics.state import History
 
 Array = np.ndarray
 USUAL = SolverOptions()
@@ -101,7 +112,7 @@ def test_a_point_inside_the_indenter_stiffens_the_barrier_or_is_refused(monkeypa
     mended = next(states(s, soft))
     assert mended.min_gap > 0
     assert mended.traction_force.sum((0, 1))[2] == pytest.approx(usual, rel=0.05)
-    monkeypatch.setattr(equilibrium, "STIFFER", 1.0)
+    monkeypatch.setattr(load_step, "STIFFER", 1.0)
     with pytest.raises(NotConverged, match="smallest gap -"):
         next(states(s, soft))
 
@@ -124,14 +135,14 @@ def longer(history: History, matrix: Array, than: float) -> bool:
     return bool(np.linalg.norm(matrix[:3, 3] - history.pose.position) > than)
 
 
-@pytest.mark.parametrize(("kind", "halvings"), [(NotConverged, 2), (TooFar, 0)])
+@pytest.mark.parametrize(("kind", "halvings"), [(Failure.singular, 2), (Failure.too_far, 0)])
 def test_a_step_that_fails_is_halved_and_its_parts_counted(
-    kind: type[NotConverged], halvings: int, monkeypatch: pytest.MonkeyPatch
+    kind: Failure, halvings: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Any of more than .09 mm is made to: .2 mm need four, and .3 mm too. Going too far does not use up halvings."""
     s, problem = made(options=SolverOptions(halvings=halvings))
     direct = list(states(s, problem))
-    done = watched(monkeypatch, lambda history, matrix: kind("so far") if longer(history, matrix, 0.09) else None)
+    done = watched(monkeypatch, lambda history, matrix: NotConverged(kind) if longer(history, matrix, 0.09) else None)
     found = list(states(s, problem))
     assert [state.substeps for state in found] == [4, 4, 4]
     assert [pose[2, 3] for pose in done] == pytest.approx([*(-0.05 * k for k in range(1, 9)), *[-0.4] * 4])
@@ -143,16 +154,16 @@ def test_a_step_that_fails_is_halved_and_its_parts_counted(
         assert b.traction_force.sum((0, 1)) == pytest.approx(a.traction_force.sum((0, 1)), abs=2e-3)
 
 
-@pytest.mark.parametrize(("kind", "times"), [(NotConverged, 3), (TooFar, load_stepping.TOO_FAR)])
-def test_halving_ends(kind: type[NotConverged], times: int, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("kind", "times"), [(Failure.singular, 3), (Failure.too_far, load_stepping.TOO_FAR)])
+def test_halving_ends(kind: Failure, times: int, monkeypatch: pytest.MonkeyPatch) -> None:
     tried = []
 
     def never(history: History, matrix: Array) -> Exception:
         tried.append(matrix[2, 3])
-        return kind("never")
+        return NotConverged(kind)
 
     watched(monkeypatch, never)
-    with pytest.raises(NotConverged, match="never"):
+    with pytest.raises(NotConverged, match=kind):
         next(states(*made(options=SolverOptions(halvings=3))))
     assert tried == pytest.approx([-0.2 / 2**k for k in range(times + 1)])
 

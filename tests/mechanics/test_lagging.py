@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tacgen.mechanics.lagging import Lag
+from tacgen.mechanics.mesh_contact import Lag
 
 Array = np.ndarray
 WANTED = np.array([[10.0, 11.0], [12.0, 9.0]])

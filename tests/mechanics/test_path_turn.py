@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from tacgen.geometry.analytic_sdf import BoxSdf, Shape, SphereSdf
 from tacgen.geometry.pose import Pose, along, between, shortest_turn
-from tacgen.mechanics import NotConverged, Problem, SolverOptions, State, load_stepping, mesh, states
+from tacgen.mechanics import Failure, NotConverged, Problem, SolverOptions, State, load_stepping, mesh, states
 from tacgen.mechanics.load_stepping import advance, steps_needed
 from tacgen.mechanics.scene import Scene
 from tacgen.mechanics.state import History
@@ -162,7 +162,7 @@ def recorded(monkeypatch: pytest.MonkeyPatch, most: float = np.inf) -> list[floa
     def watched(problem: Problem, history: History, matrix: Array, *rest: object) -> tuple[History, State]:
         way = Rotation.from_matrix(matrix[:3, :3] @ history.pose.rotation.T).magnitude()
         if np.degrees(way) > most:
-            raise NotConverged("too far a turn")
+            raise NotConverged(Failure.newton, steps=1)
         done.append(turned(matrix))
         return usual(problem, history, matrix, *rest)
 

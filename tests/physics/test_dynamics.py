@@ -83,7 +83,7 @@ def test_halved_steps_halve_the_time(monkeypatch: pytest.MonkeyPatch) -> None:
 
     def careful(problem, history, matrix, index, duration, near=None):  # type: ignore[no-untyped-def]
         if np.linalg.norm(matrix[:3, 3] - history.pose.position) > 0.06:
-            raise mechanics.NotConverged("too far")
+            raise mechanics.NotConverged(mechanics.Failure.newton, steps=1)
         taken.append(duration)
         return usual(problem, history, matrix, index, duration, near)
 

@@ -12,7 +12,8 @@ from tacgen import mechanics
 from tacgen.geometry.analytic_sdf import SphereSdf
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics import mesh
-from tacgen.mechanics.equilibrium import LoadStep, equilibrium
+from tacgen.mechanics.equilibrium import equilibrium
+from tacgen.mechanics.load_step import LoadStep
 from tacgen.mechanics.mesh import Mesh
 from tacgen.mechanics.scene import Scene
 from tacgen.recipe import scene_of_row

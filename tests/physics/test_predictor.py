@@ -11,7 +11,7 @@ from benchmarks.reference_runs import row_of
 from tacgen.geometry.analytic_sdf import CapsuleSdf
 from tacgen.geometry.pose import Pose, shortest_turn
 from tacgen.mechanics import DEFAULT, Problem, SolverOptions, mesh, states
-from tacgen.mechanics.equilibrium import LoadStep
+from tacgen.mechanics.load_step import LoadStep
 from tacgen.mechanics.load_stepping import advance
 from tacgen.mechanics.predictor import Prediction
 from tacgen.mechanics.state import History
