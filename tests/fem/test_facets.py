@@ -5,6 +5,7 @@ import pytest
 from helpers.small import full, patch, slope
 
 from tacgen.fem.elements import facet_areas, facet_corners, facet_hats, facet_points, facet_shares, triangles
+from tacgen.geometry.analytic_sdf import SphereSdf
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics.barrier import Contact
 from tacgen.mechanics.coupled import CoupledContact
