@@ -58,10 +58,10 @@ OUTPUT = Output(
 SHAPE = '''
 
 @dataclass(frozen=True)
-class Pearl(Sphere):
+class PearlSdf(SphereSdf):
     """A ball of another name."""
 '''
-INDENTER = '''class Pearl(AnyIndenter, json_schema_extra=needs("shape")):
+INDENTER = '''class Pearl(AnyIndenter):
     """A ball of another name."""
 
     thin: ClassVar[dict[str, float]] = {"radius_mm": 1}
@@ -76,7 +76,7 @@ LAW = '''
 class Toy(NeoHooke):
     """A neo-Hookean law of another name."""
 '''
-LAYER = '''class ToyLayer(IsochoricLayer, json_schema_extra=needs("law")):
+LAYER = '''class ToyLayer(IsochoricLayer):
     """A neo-Hookean law by shear and bulk modulus."""
 
     law: Literal["toy"] = "toy"

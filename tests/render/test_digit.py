@@ -10,6 +10,7 @@ from helpers.presses import Run
 from tacgen import mechanics
 from tacgen.errors import UserError
 from tacgen.fem.elements import facet_areas, hexes
+from tacgen.geometry.gel import GelBody
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics import mesh
 from tacgen.optics.camera import PinholeCamera
@@ -107,7 +108,7 @@ def test_columns_are_squeezed_under_the_dome_and_no_cell_is_bad(pressed: Run) ->
 
 def test_layers_share_the_squeeze() -> None:
     flat = scene_of_row.gel_of(loading.read_sensor(assets.sensor_path("ninedtact"))[0])
-    gel = scene_of_row.Gel(flat.width, flat.height, layers=flat.layers, radii=(40.0, 90.0))
+    gel = GelBody(flat.width, flat.height, layers=flat.layers, radii=(40.0, 90.0))
     grid = mesh.build(gel, (-2, 2, -2, 2), 0.6)
     shared = np.intersect1d(grid.cells[grid.layer == 0], grid.cells[grid.layer == 1])
     top = gel.top(*grid.points[shared, :2].T)
