@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
 
@@ -220,7 +220,9 @@ def _gels(row: Row, clock: Clock) -> tuple[tuple[Solvable, ...], Iterator[Found]
         with clock.stage("presolve"):
             built = presolve.presolved(built)
     with clock.stage("mesh"):
-        problem = mechanics.Problem.of(built, mesh.of(built))
+        # a trial of a prescribed force may fold where its solution does not: such a scene is stopped by its frames
+        through = row.recipe.folds == "keep" or built.forced is not None
+        problem = mechanics.Problem.of(built, mesh.of(built), replace(mechanics.DEFAULT, through_folds=through))
     states = mechanics.states(built, problem, tol=None if row.pair is None else MATCHED)
     return ((row, built, problem),), (((state, None),) for state in states)
 
@@ -274,14 +276,14 @@ class Recorder:
             if self.on_event:
                 self.on_event({"event": "note", "scene": self.name, "note": note})
 
-    def finish(self, reason: str) -> None:
-        """Close the bundle; it is rejected if there is a reason."""
+    def finish(self, status: Literal["ok", "rejected"], reason: str) -> None:
+        """Close the bundle; `reason` says why it has not all frames."""
         late = []
         if not (reason or self.touched):
             gap = approach.closest(self.scene.shape, self.scene.gel, self.scene.poses)
             late = [f"{NO_CONTACT}, closest approach {gap:.3g} mm: check its start or poses, and their unit"]
         self._tell(late)
-        self.writer.finish("rejected" if reason else "ok", reason, late)
+        self.writer.finish(status, reason, late)
 
     def labelled(self, state: mechanics.State, held: "tuple[Held, int] | None") -> Datasets:
         """The datasets of a frame. Raises Rejected: a label is not finite."""
@@ -301,6 +303,7 @@ class Recorder:
 def _made(row: Row, path: Path, on_event: OnEvent | None, clock: Clock) -> SceneResult:
     """Everything between a row of the plan and its bundles, the first of which is `path`."""
     gels, frames = _gels(row, clock)
+    status: Literal["ok", "rejected"] = "ok"
     reason, done = "", 0
     with ExitStack() as stack:
         places = [path.with_name(f"{each.name}.h5") for each, _, _ in gels]
@@ -313,22 +316,27 @@ def _made(row: Row, path: Path, on_event: OnEvent | None, clock: Clock) -> Scene
                     found = next(frames, None)
                 if found is None:
                     break
+                if row.recipe.folds == "end" and any(state.damped for state, _ in found):
+                    raise mechanics.NotConverged(mechanics.Failure.folds)
                 labelled = [recorder.labelled(*each) for recorder, each in zip(recorders, found, strict=True)]
                 for recorder, frame in zip(recorders, labelled, strict=True):
                     recorder.append(frame)
             except (mechanics.NotConverged, Rejected) as error:
                 reason = f"frame {done + 1} of {row.frames}: {error}"
+                folded = isinstance(error, mechanics.NotConverged) and error.failure is mechanics.Failure.folds
+                status = "ok" if folded and done else "rejected"
+                reason = f"ends before {reason}" if status == "ok" else reason
                 break
             done += 1
             if on_event:
                 on_event({"event": "frame", "scene": row.name, "frame": done, "frames": row.frames})
         with clock.stage("bundle"):
             for recorder in recorders:
-                recorder.finish(reason)
+                recorder.finish(status, reason)
     seconds = {name: round(value, 4) for name, value in clock.seconds.items()}
     timing = json.dumps({"frames": row.frames, "seconds": seconds}, indent=1) + "\n"
     atomic_file.write(path.with_suffix(".timing.json"), timing.encode())
-    return SceneResult(row.name, path, "rejected" if reason else "ok", reason, row.frames, seconds)
+    return SceneResult(row.name, path, status, reason, done, seconds)
 
 
 def _camera(row: Row) -> str:

@@ -22,6 +22,7 @@ import numpy as np
 
 from tacgen.bundle import dataset, field_names
 from tacgen.bundle.bundle import Bundle
+from tacgen.bundle.check import UNIQUE
 from tacgen.bundle.chunks import FrameReader
 from tacgen.errors import UserError
 from tacgen.outputs import LAYOUT
@@ -44,6 +45,7 @@ class TactileDataset:
         merge: `path` may hold several data sets in folders of their own, which are taken as one.
         split: the part of the scenes, chosen by `seed`; no scene is in two parts. `all`: every scene.
         fractions: shares of scenes for train, val and test.
+        unique: leave out frames from a fold of the gel on, whose forces may depend on the step size.
         subtract_reference: subtract the untouched sensor from rgb (then int16), height and markers (float32).
         transform: a function that is applied to each item.
 
@@ -63,6 +65,7 @@ class TactileDataset:
         split: Literal["all", "train", "val", "test"] = "all",
         fractions: tuple[float, float, float] = (0.8, 0.1, 0.1),
         seed: int = 0,
+        unique: bool = False,
         subtract_reference: bool = False,
         transform: Callable[[Item], Any] | None = None,
     ) -> None:
@@ -76,7 +79,9 @@ class TactileDataset:
             except UserError as error:
                 raise UserError(f"{place}: {error}") from None
         self.subtract_reference, self.transform = subtract_reference, transform
-        self._starts = np.concatenate([[0], np.cumsum([scene.frames for scene in self.scenes])]).astype(int)
+        each = [np.flatnonzero(scene[UNIQUE]) if unique else np.arange(scene.frames) for scene in self.scenes]
+        self._frame = np.concatenate([*each, np.zeros(0, np.int64)])
+        self._starts = np.concatenate([[0], np.cumsum([len(frames) for frames in each])]).astype(int)
         self._forget()
 
     def __len__(self) -> int:
@@ -91,7 +96,7 @@ class TactileDataset:
             raise IndexError(f"frame {index} of {len(self)}")
         index %= len(self)
         number = int(np.searchsorted(self._starts, index, side="right")) - 1
-        frame = index - int(self._starts[number])
+        frame = int(self._frame[index])
         if self._process != os.getpid():  # a file that is inherited by a fork must not be read by two processes
             self._forget()
         item: Item = {"scene": number, "frame": frame}
@@ -201,7 +206,7 @@ class TactilePairs:
         self._places = [
             [int(starts[contact[name]]) + k for name in several]
             for contact in whole
-            for k in range(scenes[contact[several[0]]].frames)
+            for k in range(min(scenes[contact[name]].frames for name in several))  # one may end before a fold
         ]
 
     def __len__(self) -> int:

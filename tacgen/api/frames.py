@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from tacgen.sensor.model import Sensor
 
 Array = np.ndarray
-ALIASES = {"stress": "nodal_stress", "image": "rgb", "force_std": "uncertainty/force"}
+ALIASES = {"stress": "nodal_stress", "image": "rgb", "force_std": "uncertainty/force", "unique": "quality/unique"}
 
 
 class Folder:
@@ -66,6 +66,8 @@ class Frames:
         stress: Cauchy stress at the nodes, xx yy zz yz xz xy, (N, n, 6) [MPa].
         markers: marker centres in the image, (N, M, 2) [px].
         marker_flow: markers less their reference, (N, M, 2) [px].
+        unique: no step needed damping since the gel was last untouched, (N,) [1]; where false, it has folded, wrinkled
+            or slipped suddenly, and forces may depend on the step size.
         image: camera image, sRGB, (N, H, W, 3) [1], uint8; also called rgb.
     """
 

@@ -107,8 +107,12 @@ class Writer:
         self.appended += 1
 
     def finish(self, status: str = "ok", reason: str = "", notes: Sequence[str] = ()) -> None:
-        """Close the file, read everything back, and rename it; `status` is ok or rejected, `notes` those of the end."""
-        if (status, bool(reason)) != (("ok", False) if self.appended == self.frames else ("rejected", True)):
+        """Close the file, read everything back, and rename it; `status` is ok or rejected, `notes` those of the end.
+
+        A scene that ends early has a reason, whether it is ok or rejected.
+        """
+        whole = self.appended == self.frames
+        if status not in ("ok", "rejected") or bool(reason) == whole or (status == "ok" and not self.appended):
             raise ValueError(f"{status!r} ({reason!r}) with {self.appended} of {self.frames} frames")
         late = {"status": status, "reason": reason}
         if notes:
@@ -265,7 +269,8 @@ def read(path: Path, group: str = "/", *, part: bool = False) -> Bundle:
         if wrong:
             raise ValueError(wrong)
         bundle, planned = Bundle(path, attrs, shapes, group), attrs["frames_planned"]
-        if attrs["status"] == "ok" and not 0 < bundle.frames == planned:
+        early = bundle.frames < planned and bool(attrs["reason"])
+        if attrs["status"] == "ok" and not (bundle.frames and (early or bundle.frames == planned)):
             raise ValueError(f"{bundle.frames} frames, {planned} planned, but status is ok")
         return bundle
     except ValueError as error:

@@ -40,8 +40,8 @@ def line(bundle: Bundle) -> str:
     """One line: `scene-00000.h5: 10 frames, sphere, radius 4 mm, on gelsight_mini`, and why it is rejected if it is."""
     name = bundle.path.name + bundle.group.rstrip("/")
     planned, status = bundle.attrs["frames_planned"], bundle.attrs["status"]
-    count = f"{bundle.frames} frames" if status == "ok" else f"{bundle.frames} of {planned} frames"
-    why = "" if status == "ok" else f": {status}: {bundle.attrs['reason']}"
+    count = f"{bundle.frames} frames" if bundle.frames == planned else f"{bundle.frames} of {planned} frames"
+    why = f": {status}: {bundle.attrs['reason']}" if bundle.attrs["reason"] else ""
     return printable(f"{name}: {count}, {indenter_text(bundle)}, on {sensor_text(bundle)}{why}")
 
 

@@ -30,6 +30,8 @@ MISFITS = {  # rows under /frames/quality, and what they mean
     "unseen_force": "pressure and traction do not show gel that is hidden or outside the picture: {} of the normal"
     " forces",
 }
+UNIQUE = "/frames/quality/unique"
+FOLDED = "forces may depend on the step size: the gel has folded, wrinkled or slipped suddenly"
 NO_CONTACT = "the indenter touches the gel in no frame"  # beginning of a bundle's note
 MAX_FLAT_RANGE = 2.0  # range of values of an image that counts as a single flat colour [counts of 255]
 # (folder, digest) -> name of the scene. The digest covers the number and seed of a scene, not its name.
@@ -240,9 +242,15 @@ def _contact(bundle: Bundle) -> Iterator[str]:
     yield from (note for note in json.loads(bundle.attrs.get("notes", "[]")) if note.startswith(NO_CONTACT))
 
 
+def _folds(bundle: Bundle) -> Iterator[str]:
+    """Frames whose forces may depend on the step size."""
+    if UNIQUE in bundle:
+        yield from _say_frames(~bundle[UNIQUE], FOLDED)
+
+
 Rule = Callable[[Bundle], Iterator[str]]
 RULES: tuple[Rule, ...] = (_finite, _pose, _images, _pressure, _friction, _quality, _repeats, _markers)
-NOTES: tuple[Rule, ...] = (_maps, _contact)
+NOTES: tuple[Rule, ...] = (_maps, _contact, _folds)
 
 
 def _changed(values: np.ndarray, threshold: float = 0.0) -> np.ndarray:

@@ -47,7 +47,7 @@ def once(row: Row, folder: Path, make: Callable[[Path], SceneResult], *, overwri
             kept = [one if one and one.attrs["tacgen_version"] == __version__ else None for one in kept]
         if kept[0] and all(kept):
             attrs = kept[0].attrs
-            return SceneResult(row.name, paths[0], attrs["status"], attrs["reason"], row.frames)
+            return SceneResult(row.name, paths[0], attrs["status"], attrs["reason"], kept[0].frames)
         for path, each, one in zip(paths, row.bundles, kept, strict=True):
             if path.exists() and not (one or overwrite):
                 _refuse(path, each)

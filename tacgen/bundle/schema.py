@@ -27,7 +27,7 @@ ATTRS: dict[str, tuple[type, str]] = {
     "input_key": (str, "sha256 of all resolved inputs: equal keys, equal bundles"),
     "frames_planned": (int, "frames the trajectory asks for; `status` tells whether all are here"),
     "status": (str, "`ok`, or `rejected`: the solver gave up and only the frames before that are here"),
-    "reason": (str, "why it was rejected; empty if ok"),
+    "reason": (str, "why it was rejected, or ended before a fold; empty if all frames are here"),
     "digest": (str, "sha256 over every dataset's path, type, shape, bytes and attributes, and these attributes"),
     "complete": (bool, "true, written last"),
 }

@@ -87,6 +87,8 @@ class BulkNewton:
                     break
                 new = True
                 continue
+            if found.damping > 0 and not options.through_folds:
+                raise NotConverged(Failure.folds)
             self.damped += found.damping > 0
             moved = float(np.abs(found.there.x - at.x).max())
             contact = contact.shrunk(found.inner.contact.contact.offset)

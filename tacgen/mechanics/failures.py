@@ -29,7 +29,8 @@ class Failure(StrEnum):
     hopeless = "{why}, as a coarse mesh has it"
     force_effort = "{asked:g} N asked for: {why}, of which the best gives {most:.3g} N"
     force = "{asked:g} N asked for, and as far as the gel could be solved it gives {most:.3g} N: {why}"
-    deeper = "{asked:g} N are {depth:.3g} mm deeper than the mesh was made for"
+    deeper = "{asked:g} N asked for: the indenter sinks {depth:.3g} mm below the fine part of the mesh"
+    folds = "the gel folds, wrinkles or slips suddenly, and forces would depend on the step size"
     singular = "no sensitivity: the tangent is singular"
     grasp = (
         "the object's balance was not found in {trials} trials; try more frames for this movement, more grip force or"

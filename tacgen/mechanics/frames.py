@@ -109,6 +109,7 @@ def states(scene: Scene, problem: Problem, *, tol: float | None = None) -> Itera
     history, last = problem.rest(Pose.of(scene.start)), scene.start
     end_tol, way_tol = (problem.options.force_tol, 1e-2) if tol is None else (tol, tol)
     forced, shift, before, start_force = scene.forced, 0.0, 0.0, 0.0
+    previous: State | None = None
     for index, pose in enumerate(scene.poses):
         duration = math.inf if scene.duration is None else float(scene.duration[index])
         if forced is not None and forced.hopeless is not None and forced.hopeless[0] == index:
@@ -132,7 +133,8 @@ def states(scene: Scene, problem: Problem, *, tol: float | None = None) -> Itera
             history, state = advance(problem, history, last, pose, turn, index, duration)
         if forced is not None:
             before = normal_force(state)
-        yield state
+        previous = state.following(previous)
+        yield previous
         last = state.pose
 
 

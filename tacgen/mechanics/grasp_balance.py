@@ -89,13 +89,15 @@ def held(grasp: Grasp, problems: tuple[Problem, Problem], *, tol: float | None =
     """
     mode, start = Mode.standing, [Pose.of(seen_from(side, grasp.opening, grasp.start)) for side in (0, 1)]
     rest = tuple((problem.rest(pose), None) for problem, pose in zip(problems, start, strict=True))
+    states: tuple[State, ...] = ()
     last = begun = Trial(grasp.start, grasp.opening, rest, np.zeros(6), 0.0)  # type: ignore[arg-type]
     for index in range(len(grasp.gripper)):
         if index and grasp.segment[index] != grasp.segment[index - 1]:
             begun = last  # before the segment
         frame = Frame(grasp, problems, last, index, begun, problems[0].options.force_tol if tol is None else tol)
         last, mode = frame.find(mode)
-        gripper, states = grasp.gripper[index], tuple(state for _, state in last.gels)
+        gripper = grasp.gripper[index]
+        states = tuple(gel[1].following(was) for gel, was in zip(last.gels, states or (None, None), strict=True))
         fingers = tuple(gripper @ finger(side, last.width) for side in (0, 1))
         pose, left = gripper @ last.pose, frame.unborne(last)
         yield Held(states, pose, fingers, last.width, mode, left, frame.balance(last, mode))  # type: ignore[arg-type]

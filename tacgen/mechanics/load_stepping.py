@@ -13,6 +13,7 @@ from tacgen.mechanics.problem import Problem
 from tacgen.mechanics.state import History, State
 
 Array = np.ndarray
+FOLD_HALVINGS = 2  # most halvings of a load step until a damped step counts as a fold
 TOO_FAR = 12  # most halvings of a load step in which the indenter might tunnel through the gel
 SHARP = 1.5  # indenter's smallest radius over the element edge, below which its edges count as sharp [-]
 TURNED = 0.3  # change of the indenter's normal at a point that counts as crossing an edge in one step [rad]
@@ -72,7 +73,8 @@ def _reach(
         return after, replace(state, rounded=rounded(problem, history, after))
     except NotConverged as error:
         farther = error.failure == Failure.too_far
-        spent = far == TOO_FAR if farther else halved == problem.options.halvings
+        most = FOLD_HALVINGS if error.failure == Failure.folds else problem.options.halvings
+        spent = far == TOO_FAR if farther else halved >= most
         if spent or error.failure == Failure.effort:
             raise
         halved, far = halved + (not farther), far + farther

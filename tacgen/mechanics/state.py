@@ -1,6 +1,6 @@
 """The solved state of a frame, and the history that the next load step needs."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -68,10 +68,16 @@ class State:
     balance: float  # |indenter force + base reaction| / indenter force
     least_J: float  # certified lower bound of J over all of the gel [-]
     damped: int = 0  # of the iterations, those that needed damping: the gel was unstable
+    unique: bool = True  # no damped step since the gel was last untouched
     rounded: float = 0.0  # friction at points that crossed a sharp edge in one step, over the contact force
     internal: dict[int, Array] = field(default_factory=dict)  # see History
     after: History | None = None  # at its end
     passed: tuple[History, ...] = ()  # at the ends of its load steps but the last
+
+    def following(self, before: "State | None") -> "State":
+        """This state as the frame after another one: whether it is unique."""
+        stable = before is None or before.unique or not before.normal_force.any()
+        return replace(self, unique=stable and not self.damped)
 
     @property
     def traction_force(self) -> Array:

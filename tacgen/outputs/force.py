@@ -18,6 +18,7 @@ def _frame(frame: FrameData) -> Datasets:
         "/frames/torque": torque,
         "/frames/quality/newton_iterations": state.iterations,
         "/frames/quality/damped_steps": state.damped,
+        "/frames/quality/unique": state.unique,
         "/frames/quality/substeps": state.substeps,
         "/frames/quality/min_gap_mm": state.min_gap,
         "/frames/quality/mean_gap_mm": state.mean_gap,
@@ -44,8 +45,13 @@ OUTPUT = Output(
             "<i4",
             "N",
             "1",
-            "of these, steps that needed damping: the gel folds, wrinkles or slips suddenly, and from then on"
-            " forces may depend on the step size",
+            "of these, steps that needed damping: the gel folds, wrinkles or slips suddenly",
+        ),
+        "/frames/quality/unique": Entry(
+            "|b1",
+            "N",
+            "1",
+            "no step needed damping since the gel was last untouched: where false, forces may depend on the step size",
         ),
         "/frames/quality/substeps": Entry("<i4", "N", "1", "steps the frame was split into"),
         "/frames/quality/min_gap_mm": Entry("<f8", "N", "mm", "smallest gap between gel and indenter"),

@@ -229,6 +229,7 @@ class Recipe(Part):
     render: Render = Render()
     markers: MarkerMotion = MarkerMotion()
     uncertainty: Uncertainty | None = None
+    folds: Literal["keep", "end"] = "keep"  # at the first fold, wrinkle or snap: go on, or end the scene before it
     outputs: Outputs
     quality: Annotated[
         Annotated[Literal["draft", "default", "reference"], Tag("preset")] | Annotated[QualityNumbers, Tag("numbers")],

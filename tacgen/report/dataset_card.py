@@ -92,7 +92,7 @@ def _splits(seen: Overview) -> str:
 def _limits(seen: Overview) -> str:
     said = (note for bundle in seen.bundles for note in json.loads(bundle.attrs.get("notes", "[]")))
     notes = Counter(NO_CONTACT if note.startswith(NO_CONTACT) else note for note in said)  # each has its own distance
-    rows = [(str(n), note) for n, note in seen.misfits]
+    rows = [(str(n), note) for n, note in [*seen.folds, *seen.misfits]]
     rows += [(str(n), note) for note, n in notes.most_common(MAX_REASONS)]
     about = "Simulated data; `docs/LIMITS.md` of tacgen lists the known errors."
     return f"## Known limits\n\n{about}" + ("\n\n" + _table(("scenes", "note"), rows) if rows else "")

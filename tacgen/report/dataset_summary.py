@@ -103,6 +103,17 @@ class Overview(run_status.Survey):
         return [(len(v), check.MISFITS[name].format(f"up to {max(v):.2g}")) for name, v in out.items() if v]
 
     @property
+    def folds(self) -> list[tuple[int, str]]:
+        """Number of scenes with frames that are not unique, and a line that counts these; the same of scenes that end
+        before such frames."""
+        marks = [bundle[check.UNIQUE] for bundle in self.bundles if check.UNIQUE in bundle]
+        folded = [int((~mark).sum()) for mark in marks if not mark.all()]
+        short = [b for b in self.bundles if b.attrs["status"] == "ok" and b.frames < b.attrs["frames_planned"]]
+        kept = f"{check.FOLDED} in {sum(folded)} of {sum(map(len, marks))} frames (`/frames/quality/unique`)"
+        ended = f"ended before the gel folds: {sum(b.frames for b in short)} frames are here"
+        return [(len(each), text) for each, text in ((folded, kept), (short, ended)) if each]
+
+    @property
     def objects(self) -> dict[str, str]:
         """Shipped objects that were used -> the line on their licence."""
         known = set(assets.list_objects())

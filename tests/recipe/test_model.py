@@ -300,7 +300,7 @@ def test_tags_are_the_keys_that_choose_a_kind_of_part():
     def walk(model: type[BaseModel], seen: set[type[BaseModel]]) -> None:
         needed = model.model_json_schema().get("required", ())  # in a file; in Python a class has its own tag
         for name, field in model.model_fields.items():
-            if get_origin(field.annotation) is Literal and name not in ("tacgen", "tacgen_sensor", "response"):
+            if get_origin(field.annotation) is Literal and name not in ("tacgen", "tacgen_sensor", "response", "folds"):
                 found.setdefault(name, set()).add(PydanticUndefined if name in needed else field.get_default())
             for kind in _models(field.annotation):
                 if kind not in seen:

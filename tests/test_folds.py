@@ -1,0 +1,106 @@
+"""Folds of the gel: frames from them on are marked, or `folds: end` ends a scene before them, in every reader."""
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.small_recipe import BALL, HEAD
+
+import tacgen
+from tacgen import mechanics, pipeline
+from tacgen.bundle import bundle
+from tacgen.bundle.check import FOLDED, check
+from tacgen.errors import UserError
+from tacgen.recipe import plan
+from tacgen.report import dataset_card, dataset_summary
+
+ROUGH = f"""{BALL}outputs: [force]
+quality: {{edge_mm: 1.2, dhat_mm: 0.15}}
+contact: {{friction: 1.0}}
+"""
+
+
+def made(folder: Path, text: str, *sets: str) -> tacgen.Frames:
+    (folder / "recipe.yaml").write_text(text)
+    row = plan.load(folder / "recipe.yaml", sets).rows[0]
+    return tacgen.read(pipeline.run_scene(row, folder / "-".join(["out", *sets])).path)
+
+
+@pytest.fixture
+def folding(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A solver whose second frame needs a damped step; without leave to take it, it fails there."""
+    states = mechanics.states
+
+    def some(scene: Any, problem: mechanics.Problem, **more: Any) -> Iterator[mechanics.State]:
+        last = None
+        for state in states(scene, problem, **more):
+            if state.index == 1 and not problem.options.through_folds:
+                raise mechanics.NotConverged(mechanics.Failure.folds)
+            last = replace(state, damped=int(state.index == 1)).following(last)
+            yield last
+
+    monkeypatch.setattr(mechanics, "states", some)
+
+
+PRESS = f"{HEAD}  - press: {{depth_mm: 0.3, frames: 3}}\n"
+
+
+@pytest.mark.usefixtures("folding")
+def test_a_scene_ends_before_a_fold_and_every_reader_says_so(tmp_path: Path) -> None:
+    frames = made(tmp_path, PRESS, "folds=end")
+    file, attrs = frames.bundle.path, frames.bundle.attrs
+    assert (len(frames), attrs["frames_planned"], attrs["status"]) == (1, 3, "ok")
+    assert attrs["reason"].startswith("ends before frame 2 of 3: the gel folds")
+    assert "1 of 3 frames" in repr(frames)
+    assert not [finding for finding in check(file) if finding.level == "error"]
+    bundle.read(file).verify()
+
+
+@pytest.mark.usefixtures("folding")
+def test_kept_frames_are_marked_from_the_fold_on(tmp_path: Path) -> None:
+    frames = made(tmp_path, f"{PRESS}  - release: {{frames: 1}}\n  - press: {{depth_mm: 0.3, frames: 1}}\n")
+    assert frames.unique.tolist() == [True, False, False, False, True], "untouched, the gel is as it was"
+    (note,) = [finding.message for finding in check(frames.bundle.path) if FOLDED in finding.message]
+    assert "frames 1, 2, 3" in note
+
+
+@pytest.mark.usefixtures("folding")
+def test_the_card_counts_folds(tmp_path: Path) -> None:
+    (tmp_path / "recipe.yaml").write_text(PRESS)
+    for folds, told in (("keep", "in 2 of 3 frames"), ("end", "ended before the gel folds: 1 frames are here")):
+        out = tmp_path / folds
+        pipeline.run(plan.load(tmp_path / "recipe.yaml", (f"folds={folds}",)).rows, out)
+        assert told in dataset_card.text(dataset_summary.look(out))
+
+
+def test_folds_is_keep_or_end(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="folds: must be one of keep, end"):
+        made(tmp_path, f"{PRESS}folds: stop\n")
+
+
+@pytest.mark.parametrize(("status", "reason"), [("ok", ""), ("rejected", "")])
+def test_a_bundle_without_all_frames_needs_a_reason(tmp_path: Path, status: str, reason: str) -> None:
+    from helpers.synthetic import attributes
+
+    with bundle.Writer(tmp_path / "a.h5", attributes(), 2) as writer, pytest.raises(ValueError, match="0 of 2 frames"):
+        writer.finish(status, reason)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("depth", "reached", "same"), [(1.2, 6, 5), (1.6, 7, 7)])
+def test_shorter_load_steps_go_where_damping_is_not_needed(
+    tmp_path: Path, depth: float, reached: int, same: int
+) -> None:
+    """A rough ball slid by 4 mm: the last frame at 1.2 mm of depth is a fold; at 1.6 mm, steps were only too long."""
+    moves = f"trajectory: [press: {{depth_mm: {depth}, frames: 1}}, slide: {{x_mm: 4, frames: 6}}]\n"
+    text = ROUGH.replace("radius_mm: 4.0", "radius_mm: 3.0") + moves
+    kept, ended = (made(tmp_path, text, f"folds={folds}") for folds in ("keep", "end"))
+    assert not kept.unique.all()
+    assert ended.unique.all()
+    assert (len(kept), len(ended)) == (7, reached)
+    assert np.abs(kept.force[:same] - ended.force[:same]).max() < 0.006 * np.abs(kept.force).max()
+    assert json.loads(ended.bundle.attrs["recipe"])["folds"] == "end"
