@@ -18,7 +18,7 @@ from tacgen.bundle.resume import SceneResult
 from tacgen.bundle.schema import finite_problem
 from tacgen.mechanics import mesh, presolve
 from tacgen.mechanics.scene import Scene
-from tacgen.outputs import BLOCKS, IMAGES, OUTPUTS
+from tacgen.outputs import BLOCKS, IMAGES, NAMES, OUTPUTS
 from tacgen.outputs.base import Datasets
 from tacgen.outputs.scene_data import FrameData, SceneData
 from tacgen.recipe import approach, scene_of_row
@@ -249,12 +249,14 @@ class Recorder:
         asked = {"force", *row.recipe.outputs} | {name for name in BLOCKS if getattr(row.recipe, name) is not None}
         self.before: mechanics.State | None = None
         self.shared = _shared(row, self.scene, problem)
-        if asked & IMAGES:
+        made = {k: output.reference for k, output in OUTPUTS.items() if k in asked}
+        images = {k: made.pop(k) for k in NAMES if k in IMAGES & made.keys()}
+        with compiled.once(_maps(row)):  # before pictures, whose code the second process compiles first
+            found = _datasets(made, self.shared, clock)
+        if images:
             with clock.stage("render"), compiled.once(_camera(row)):
                 _ = self.shared.pictures
-        made = {k: output.reference for k, output in OUTPUTS.items() if k in asked}
-        with compiled.once(_maps(row)):
-            self.reference = _finite(_datasets(made, self.shared, clock))
+        self.reference = _finite(found | _datasets(images, self.shared, clock))
         self.of_frame = {k: output.frame for k, output in OUTPUTS.items() if k in asked}
         attributes = _attributes(row, self.scene, self.shared, clock)
         self.name, self.on_event, self.touched = row.name, on_event, False
