@@ -18,7 +18,7 @@ from tacgen.bundle.resume import SceneResult
 from tacgen.bundle.schema import finite_problem
 from tacgen.mechanics import mesh, presolve
 from tacgen.mechanics.scene import Scene
-from tacgen.outputs import BLOCKS, IMAGES, OUTPUTS
+from tacgen.outputs import BLOCKS, IMAGES, NAMES, OUTPUTS
 from tacgen.outputs.base import Datasets
 from tacgen.outputs.scene_data import FrameData, SceneData
 from tacgen.recipe import approach, scene_of_row
@@ -251,11 +251,14 @@ class Recorder:
         asked = {"force", *row.recipe.outputs} | {name for name in BLOCKS if getattr(row.recipe, name) is not None}
         self.before: mechanics.State | None = None
         self.shared = _shared(row, self.scene, problem)
-        if asked & IMAGES:
+        made = {k: output.reference for k, output in OUTPUTS.items() if k in asked}
+        images = {k: made.pop(k) for k in NAMES if k in IMAGES & made.keys()}
+        with compiled.once(_maps(row)):  # before pictures, whose code the second process compiles first
+            found = _datasets(made, self.shared, clock)
+        if images:
             with clock.stage("render"), compiled.once(_camera(row)):
                 _ = self.shared.pictures
-        made = {k: output.reference for k, output in OUTPUTS.items() if k in asked}
-        self.reference = _finite(_datasets(made, self.shared, clock))
+        self.reference = _finite(found | _datasets(images, self.shared, clock))
         self.of_frame = {k: output.frame for k, output in OUTPUTS.items() if k in asked}
         attributes = _attributes(row, self.scene, self.shared, clock)
         self.name, self.on_event, self.touched = row.name, on_event, False
@@ -344,16 +347,28 @@ def _camera(row: Row) -> str:
     return f"pictures by {row.recipe.render.method}"
 
 
-def compile_pictures(row: Row, folder: Path, **_: Any) -> None:
-    """Compile what a scene's pictures need, while another process compiles the solver; nothing is written."""
+def _maps(row: Row) -> str:
+    """Name of the code that a scene's other labels need."""
+    return f"maps of {' '.join(sorted(row.recipe.outputs))}"
+
+
+def compile_labels(row: Row, folder: Path, **_: Any) -> None:
+    """Compile what a scene's pictures and maps need, while another process compiles the solver; nothing is written."""
     from threadpoolctl import threadpool_limits
 
-    with threadpool_limits(1, user_api="blas"), compiled.once(_camera(row)):
+    with threadpool_limits(1, user_api="blas"):
         built = scene_of_row.build(row)
         shared = _shared(row, built, mechanics.Problem.of(built, mesh.of(built)))
         dented = shared.problem.mesh.points.copy()
         dented[:, 2] -= DENT * np.exp(-np.square(dented).sum(1))
-        shared.pictures.radiance(shared.printed.moved(dented))
+        moved = shared.printed.moved(dented)
+        if row.recipe.outputs & IMAGES:
+            with compiled.once(_camera(row)):
+                shared.pictures.radiance(moved)
+        with compiled.once(_maps(row)):
+            shared.drawn(moved).normals()
+            if row.recipe.outputs & {"stress", "surface_stress"}:
+                shared.stresses.at(dented, shared.problem.elastic)
 
 
 def run(

@@ -431,3 +431,35 @@ def test_hexagonal_markers_are_where_the_image_shows_dots_and_move_with_the_flow
     moved = [map_coordinates(flow[..., c], (scale * rest - 0.5).T[::-1], order=1) for c in (0, 1)]
     assert np.stack(moved, -1) == pytest.approx(dotted["/frames/marker_flow"][-1], abs=0.05)
     assert np.linalg.norm(dotted["/frames/marker_flow"][-1], axis=1).max() > 1
+
+
+COMPILED = """
+import sys
+from pathlib import Path
+from numba.core import event
+from tacgen import pipeline
+from tacgen.recipe import plan
+
+class Listener(event.Listener):
+    def on_start(self, event): print(event.data["dispatcher"].py_func.__module__)
+    def on_end(self, event): pass
+
+listener = Listener()
+event.register("numba:compile", listener)
+(row,) = plan.load(Path(sys.argv[1])).rows
+getattr(pipeline, sys.argv[2])(row, Path(sys.argv[3]))
+"""
+
+
+@pytest.mark.slow
+def test_a_second_process_compiles_all_that_maps_need(recipe: Path, tmp_path: Path) -> None:
+    recipe.write_text(RECIPE.replace("[force]", "[force, traction, height, stress]"))
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "code"), "PYTHONPATH": str(ROOT)}
+    found = []
+    for task in ("compile_labels", "run_scene", "run_scene"):
+        command = [sys.executable, "-c", COMPILED, recipe, task, tmp_path / f"out-{len(found)}"]
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+        found.append({line for line in done.stdout.splitlines() if line.startswith("tacgen.")})
+    assert {name.split(".")[1] for name in found[0]} == {"fem", "optics", "geometry"}
+    assert {name.split(".")[1] for name in found[1]} == {"fem", "mechanics"}
+    assert found[2] == set()

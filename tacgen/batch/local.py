@@ -12,11 +12,10 @@ from tacgen.batch.scene_order import WINDOW, SceneOrder
 from tacgen.batch.worker_process import Job, Limits, Worker, cores, machine_memory
 from tacgen.bundle.resume import SceneResult
 from tacgen.errors import UserError
-from tacgen.outputs import IMAGES
 from tacgen.recipe.row import Row
 
 TASK = "tacgen.pipeline:run_scene"
-COMPILE = "tacgen.pipeline:compile_pictures"  # in a second process, if there is a second core
+COMPILE = "tacgen.pipeline:compile_labels"  # in a second process, if there is a second core
 MAX_TRIES = 2  # a scene whose worker died this often is recorded as failed
 POLL_S = 0.2  # longest wait for messages, and interval of checks of the limits [s]
 BUSY_RETRY_S = 0.5  # delay before a scene that another run is making is tried again [s]
@@ -65,8 +64,8 @@ class Pool:
             self._assign_jobs(batch, overwrite)
             for worker, kind, what in self._messages():
                 if kind == "event":
-                    if what["event"] == "compiling" and worker.job is not None:
-                        self._compile(worker.job, folder)
+                    if what["event"] == "compiling" and worker.job is not None and self.compiler is None:
+                        self.compiler = compiler_of(worker.job.row, folder)
                     on_event(what)
                 elif kind == "ready":
                     worker.ready, self.failed_starts = True, 0
@@ -85,12 +84,6 @@ class Pool:
         for worker in self.workers:
             if worker.ready and worker.job is None and (job := batch.next()):
                 worker.give(job, batch.folder, overwrite)
-
-    def _compile(self, job: Job, folder: Path) -> None:
-        """Compile the code for images in a second process, while the scene's worker compiles the solver."""
-        if self.compiler is None and job.row.recipe.outputs & IMAGES and cores() > 1:
-            self.compiler = Worker(COMPILE)
-            self.compiler.give(Job([job.row], 0), folder, overwrite=False)
 
     def _messages(self) -> list[tuple[Worker, str, Any]]:
         """Messages received within POLL_S: worker, kind, content. Workers that exceed a limit are stopped: `lost`."""
@@ -116,6 +109,16 @@ class Pool:
         elif worker.scenes_made >= self.limits.scenes:
             self.workers.remove(worker)
             worker.stop(patience=5.0)
+
+
+def compiler_of(row: Row, folder: Path) -> Worker | None:
+    """A second process that compiles the code of a scene's labels, while the scene's own compiles that of the solver;
+    None if there is no second core, or nothing to compile."""
+    if cores() < 2 or row.recipe.outputs == {"force"}:
+        return None
+    worker = Worker(COMPILE)
+    worker.give(Job([row], 0), folder, overwrite=False)
+    return worker
 
 
 class _Batch:

@@ -194,12 +194,14 @@ def add_pressures(F: Array, conn: Array, B: Array, weighted: Array, out: Array) 
 @njit(cache=True)
 def at_points(x: Array, conn: Array, N: Array) -> Array:
     """Positions (f, q, 3) of the quadrature points of facets conn (f, a); N (q, a)."""
-    out = np.zeros((len(conn), len(N), 3))
+    out = np.empty((len(conn), len(N), 3))
     for f in range(len(conn)):
         for q in range(len(N)):
-            for a in range(conn.shape[1]):
-                for i in range(3):
-                    out[f, q, i] += N[q, a] * x[conn[f, a], i]
+            for i in range(3):
+                along = 0.0
+                for a in range(conn.shape[1]):
+                    along += N[q, a] * x[conn[f, a], i]
+                out[f, q, i] = along
     return out
 
 

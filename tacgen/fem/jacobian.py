@@ -87,8 +87,8 @@ TABLES = {8: _hexes(), 10: _tets(), 4: _linear()}  # by the number of nodes
 def coefficients(points: Array, cells: Array, columns: Array, monomial: Array, share: Array) -> Array:
     """Bernstein coefficients (e, k) [mm^3] of the determinant of the map from the reference element; see Bernstein."""
     p, nodes = columns.shape[1], columns.shape[2]
-    out = np.zeros((len(cells), len(share)))
-    g = np.empty((3, p, 3))
+    out, g = np.empty((len(cells), len(share))), np.empty((3, p, 3))
+    out[:] = 0.0  # an array of zeros takes longer to compile
     for e in range(len(cells)):
         g[:] = 0.0
         for k in range(3):

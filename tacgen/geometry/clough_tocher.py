@@ -96,7 +96,8 @@ def _weights(
         xy: points (n, 2). number: triangle of each point (n,); -1 outside, where the weights are nan.
         points, simplices, neighbors, transform: the triangulation, as in SciPy's Delaunay.
     """
-    out, columns = np.full((len(xy), 9), np.nan), np.zeros((len(xy), 9), np.int32)
+    out, columns = np.empty((len(xy), 9)), np.empty((len(xy), 9), np.int32)
+    out[:], columns[:] = np.nan, 0
     at, b, turn, corners = np.empty(3), np.empty(3), np.empty(3), np.empty((3, 2))
     value, inner, across, toward = np.empty(3), np.empty(3), np.empty(3), np.empty((3, 3))  # Bezier ordinates
     for p in range(len(xy)):

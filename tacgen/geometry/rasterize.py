@@ -26,8 +26,9 @@ def hits(
         whether both sides of triangles show. Only then may triangles that share their edges lie over one another.
     """
     height, width = shape
-    triangle, place = np.full((height, width), -1, np.int32), np.empty((height, width, 2))
-    depth, least, most = np.full((height, width), np.inf), 0.0, 0.0
+    triangle, place = np.empty((height, width), np.int32), np.empty((height, width, 2))
+    depth, least, most = np.empty((height, width)), 0.0, 0.0
+    triangle[:], depth[:] = -1, np.inf
     for t in range(len(faces)):
         a, b, c = faces[t, 0], faces[t, 1], faces[t, 2]  # `= faces[t]` would count references, at twice the time
         ax, ay = screen[a, 0], screen[a, 1]
@@ -60,7 +61,8 @@ def hits(
 def blend(faces: NDArray[np.uint32], triangle: NDArray[np.int32], place: Floats, values: Floats) -> Floats:
     """Values (nodes, c) behind each sample (H, W, c) of `hits`, linear on triangles; nan where none lies."""
     height, width = triangle.shape
-    out = np.full((height, width, values.shape[1]), np.nan)
+    out = np.empty((height, width, values.shape[1]))
+    out[:] = np.nan  # np.full takes longer to compile
     for j in range(height):
         for i in range(width):
             if triangle[j, i] >= 0:

@@ -162,7 +162,9 @@ def _slopes(rho: "Floats", z: "Floats", thicknesses: "Floats", indices: "Floats"
     as the paraxial slope, it converges monotonically without a safeguard. Loops over points are the inner ones, which
     the compiler turns into vector instructions. `work` (layers + 3, LANES) is overwritten.
     """
-    n, last, whole = len(z), len(thicknesses) - 1, thicknesses.sum()
+    n, last, whole = len(z), len(thicknesses) - 1, 0.0
+    for thickness in thicknesses:
+        whole += thickness
     length, (travel, rate, moving) = work[: last + 1], (work[last + 1], work[last + 2], work[last + 3])
     for j in range(n):
         left, depth = z[j] + whole, 0.0

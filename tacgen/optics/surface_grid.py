@@ -135,7 +135,7 @@ class Sheet:
 @njit(cache=True)
 def unit(vectors: "Floats") -> "Floats":
     """Vectors (n, 3) scaled to length 1."""
-    out = np.empty_like(vectors)
+    out = np.empty(vectors.shape)
     for i in range(len(vectors)):
         x, y, z = vectors[i, 0], vectors[i, 1], vectors[i, 2]
         scale = 1.0 / np.sqrt(x * x + y * y + z * z)

@@ -16,7 +16,7 @@ from helpers.scenes import TASK, made, make, make_plan, spoil
 
 from tacgen import batch
 from tacgen.batch import Limits
-from tacgen.batch.local import Pool
+from tacgen.batch.local import Pool, compiler_of
 from tacgen.batch.worker_main import _return_memory
 from tacgen.bundle.check import check
 from tacgen.bundle.journal import read_journal
@@ -158,10 +158,12 @@ def test_an_interrupt_is_the_parent_s_alone_from_the_first_moment():
     assert heard[-1][0] == "ready"
 
 
-def test_a_scene_with_pictures_gets_help_with_compiling(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_scene_with_maps_or_pictures_gets_help_with_compiling(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("tacgen.batch.local.COMPILE", "helpers.scenes:help_compiling")
     monkeypatch.setattr("tacgen.batch.local.cores", lambda: 2)
-    (row,) = make_plan(tmp_path, 1, outputs="[rgb]").rows
+    (bare,) = make_plan(tmp_path, 1, outputs="[force]").rows
+    assert compiler_of(bare, tmp_path) is None
+    (row,) = make_plan(tmp_path, 1, outputs="[height]").rows
     with Pool(task="helpers.scenes:compiling") as pool:
         (result,) = pool.run([row], tmp_path)
         assert pool.compiler is not None

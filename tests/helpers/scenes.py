@@ -60,7 +60,7 @@ def compiling(row: Row, folder: Path, *, overwrite: bool = False, on_event: Any 
 
 
 def help_compiling(row: Row, folder: Path, *, overwrite: bool = False, on_event: Any = None) -> None:
-    """In the place of pipeline.compile_pictures."""
+    """In the place of pipeline.compile_labels."""
     (folder / "helped").write_text(row.name)
 
 
