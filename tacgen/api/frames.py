@@ -130,6 +130,7 @@ class Frames:
     stress: Array
     markers: Array
     marker_flow: Array
+    unique: Array
     image: Array
     rgb: Array
 
