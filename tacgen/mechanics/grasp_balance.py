@@ -3,7 +3,7 @@
 Each gel is an ordinary problem with an indenter whose pose follows from that of the object. Newton's method finds the
 object's pose, and the width for a given force, from the tangents of both gels (see rigid_stiffness). The object stands
 on a table until the fingers carry its weight. If friction cannot carry it there is no quasi-static solution: the object
-then sinks by `Grasp.fall` a frame, all other components balance, and the frame records the remaining weight.
+then sinks by `GraspScene.fall` a frame, all other components balance, and the frame records the remaining weight.
 """
 
 import math
@@ -18,7 +18,7 @@ from tacgen.geometry.pose import Pose, about
 from tacgen.mechanics import mesh
 from tacgen.mechanics.failures import Failure, NotConverged
 from tacgen.mechanics.frames import normal_force, trial
-from tacgen.mechanics.grasp import LOOKS, SIDES, Grasp, finger, refined, seen_from
+from tacgen.mechanics.grasp import LOOKS, SIDES, GraspScene, finger, refined, seen_from
 from tacgen.mechanics.line_search import backtrack
 from tacgen.mechanics.options import DEFAULT, tighter
 from tacgen.mechanics.presolve import COARSE
@@ -81,7 +81,7 @@ def problem_of(finger: Scene) -> Problem:
     return Problem.of(finger, mesh.of(finger), OPTIONS)
 
 
-def held(grasp: Grasp, problems: tuple[Problem, Problem], *, tol: float | None = None) -> Iterator[Held]:
+def held(grasp: GraspScene, problems: tuple[Problem, Problem], *, tol: float | None = None) -> Iterator[Held]:
     """The grasp at every frame, in order; `tol`: relative tolerance of a prescribed force.
 
     Raises:
@@ -106,7 +106,7 @@ class Frame:
     `arm`, so that all are forces [N] and lengths [mm]."""
 
     def __init__(
-        self, grasp: Grasp, problems: tuple[Problem, Problem], last: Trial, index: int, begun: Trial, tol: float
+        self, grasp: GraspScene, problems: tuple[Problem, Problem], last: Trial, index: int, begun: Trial, tol: float
     ) -> None:
         self.grasp, self.problems, self.last, self.index = grasp, problems, last, index
         self.gripper, part = grasp.gripper[index], grasp.part[index]
@@ -289,7 +289,7 @@ class Frame:
         return out
 
 
-def presolved(grasp: Grasp) -> Grasp:
+def presolved(grasp: GraspScene) -> GraspScene:
     """The grasp with meshes that are fine where a solve on coarse ones has the object (see presolve); if that fails, at
     the poses found so far and at those of the recipe's movements."""
     rough = tuple(

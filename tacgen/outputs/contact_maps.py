@@ -18,7 +18,7 @@ from tacgen.fem.elements import triangles as pieces
 from tacgen.geometry.rasterize import hits
 from tacgen.mechanics import Problem, State
 from tacgen.optics.surface_grid import unit
-from tacgen.outputs.gel_surface import Surface
+from tacgen.outputs.gel_surface import GelSurface
 
 if TYPE_CHECKING:
     from tacgen.optics.camera import PinholeCamera
@@ -68,7 +68,7 @@ def tangents(normal: Array) -> tuple[Array, Array]:
     return x, np.cross(normal, x)
 
 
-def maps(problem: Problem, surface: Surface, state: State, camera: "PinholeCamera") -> Maps:
+def maps(problem: Problem, surface: GelSurface, state: State, camera: "PinholeCamera") -> Maps:
     """Pressure and traction behind each pixel, through the camera's refraction.
 
     The force at each contact point is distributed to the nodes of its facet, and the sum of each node to the pixels
@@ -95,7 +95,7 @@ def spread(view: "Shares", state: State) -> Maps:
     return Maps(**found, contact=view.picture(view.contact), area=view.area, unseen=view.unseen(state.normal_force))
 
 
-def resultant_errors(view: "Shares", surface: Surface, state: State, maps: Maps) -> dict[str, float]:
+def resultant_errors(view: "Shares", surface: GelSurface, state: State, maps: Maps) -> dict[str, float]:
     """Errors of the maps of pressure and traction: |integral over the deformed face - contact forces| / |force| [-].
 
     Pressure acts along -n and traction along the face's own x and y, with n the normals of the smooth face. The contact
@@ -158,7 +158,7 @@ class Shares:
     weight (p,) in the distribution of forces.
     """
 
-    def __init__(self, problem: Problem, surface: Surface, state: State, camera: "PinholeCamera") -> None:
+    def __init__(self, problem: Problem, surface: GelSurface, state: State, camera: "PinholeCamera") -> None:
         from scipy.sparse import csr_array
 
         contact, on = problem.contact.faces, np.asarray(state.normal_force > 0)
@@ -214,7 +214,7 @@ class Shares:
         """Values (s, c) at the nodes, behind each of the pixels (p, c)."""
         return np.asarray(self._shape @ nodal)
 
-    def normals(self, surface: Surface) -> Array:
+    def normals(self, surface: GelSurface) -> Array:
         """Unit normals (p, 3) of the smooth face behind each of the pixels."""
         return unit(self.at(surface.normals))
 

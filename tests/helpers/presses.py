@@ -54,7 +54,7 @@ def scene(shape: Shape, path: Array, *, pad: GelBody | None = None, friction: fl
     return Scene(pad or gel(), shape, path, start, np.zeros(len(path), int), friction, edge, 0.05)
 
 
-def run(made: Scene, footprint: Footprint | None = None, grid: mesh.Mesh | None = None) -> Run:
+def run(made: Scene, footprint: Footprint | None = None, grid: mesh.GelMesh | None = None) -> Run:
     """Solve all frames, on a mesh of hexes that is fine over `footprint` or on the one given."""
     grid = grid or mesh.build(made.gel, footprint or mesh.footprint(made), made.edge)
     problem = mechanics.Problem.of(made, grid)

@@ -32,7 +32,7 @@ def force(state: mechanics.State) -> np.ndarray:
     return state.traction_force.sum((0, 1))
 
 
-def slopes(row: Row, options: mechanics.SolverOptions = EXACT) -> tuple[Scene, mesh.Mesh, dict[str, np.ndarray]]:
+def slopes(row: Row, options: mechanics.SolverOptions = EXACT) -> tuple[Scene, mesh.GelMesh, dict[str, np.ndarray]]:
     built = scene_of_row.build(row)
     problem = mechanics.Problem.of(built, mesh.of(built), options)
     follow = Sensitivities(problem, Uncertainty.model_validate(ALL).deviations, row.sensor.gel)
@@ -41,7 +41,7 @@ def slopes(row: Row, options: mechanics.SolverOptions = EXACT) -> tuple[Scene, m
     return built, problem.mesh, found
 
 
-def differences(built: Scene, on: mesh.Mesh, options: mechanics.SolverOptions = EXACT) -> dict[str, np.ndarray]:
+def differences(built: Scene, on: mesh.GelMesh, options: mechanics.SolverOptions = EXACT) -> dict[str, np.ndarray]:
     """By solving the whole path again with inputs a little larger and smaller, on the same mesh."""
 
     def solved(**new: object) -> np.ndarray:

@@ -65,7 +65,7 @@ def press(row: Row) -> Run:
 
 @pytest.fixture(scope="module")
 def maps(row: Row, press: Run) -> Maps:
-    surface = gel_surface.Surface(press.problem.mesh.points, press.problem.mesh.facets["coated"])
+    surface = gel_surface.GelSurface(press.problem.mesh.points, press.problem.mesh.facets["coated"])
     state = press.states[-1]
     return maps_of(press.problem, surface.moved(state.x), state, PinholeCamera.from_sensor(row.sensor))
 
@@ -102,7 +102,7 @@ def test_peak_pressure(maps: Maps) -> None:
 
 def test_the_dimple(press: Run) -> None:
     """u_z of the coated face over the distance at rest from the axis, along both axes."""
-    surface = gel_surface.Surface(press.problem.mesh.points, press.problem.mesh.facets["coated"]).moved(
+    surface = gel_surface.GelSurface(press.problem.mesh.points, press.problem.mesh.facets["coated"]).moved(
         press.states[-1].x
     )
     expected = [-0.9995, -0.8459, -0.4074, -0.0529, 0.0217, 0.0345, 0.0291]

@@ -46,7 +46,7 @@ def test_forces_stress_and_maps_agree_on_every_sensor(sensor: str, depth: float,
     made = scene_of_row.build(row)
     problem = mechanics.Problem.of(made, mesh.build(made.gel, mesh.footprint(made), made.edge))
     camera, stresses = PinholeCamera.from_sensor(row.sensor), Stresses(problem)
-    rest = gel_surface.Surface(problem.mesh.points, problem.mesh.facets["coated"])
+    rest = gel_surface.GelSurface(problem.mesh.points, problem.mesh.facets["coated"])
     slid = []
     for state in mechanics.states(made, problem):
         force, _ = gel_surface.wrench(problem, state)
@@ -77,7 +77,7 @@ def quarter_solved(made: Scene, half: float) -> tuple[mechanics.Problem, Array, 
     number = np.full(len(points), -1)
     number[used] = np.arange(len(used))
     facets = {name: number[f][(number[f] >= 0).all(1)] for name, f in whole.facets.items()}
-    part = mesh.Mesh(points[used], cells.reshape(-1, 8), whole.layer[inside], facets)
+    part = mesh.GelMesh(points[used], cells.reshape(-1, 8), whole.layer[inside], facets)
     held = np.abs(part.points) <= 1e-9
     held[:, 2] = False
     held[np.unique(facets["bonded"])] = True
@@ -178,7 +178,7 @@ def test_the_stick_disc_shrinks_as_cattaneo_and_mindlin_say() -> None:
     found = Run(made, problem, list(mechanics.states(made, problem)))
     stack = Stack((800.0, 64.0), (1.0, 1.41))
     camera = PinholeCamera(stack, (0.0, 0.0), stack.effective_depth / 0.2, (120, 120))
-    surface = gel_surface.Surface(grid.points, grid.facets["coated"])
+    surface = gel_surface.GelSurface(grid.points, grid.facets["coated"])
     discs = []
     for state, force in zip(found.states[1:], found.forces[1:], strict=True):
         seen = maps(found.problem, surface.moved(state.x), state, camera)

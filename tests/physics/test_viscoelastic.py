@@ -21,7 +21,7 @@ from tacgen.geometry import surface_nets
 from tacgen.geometry.analytic_sdf import SphereSdf
 from tacgen.geometry.gel import GelBody
 from tacgen.mechanics import mesh
-from tacgen.mechanics.scene import Dynamics
+from tacgen.mechanics.scene import GelDynamics
 from tacgen.outputs.cauchy_stress import Stresses
 from tacgen.recipe import plan, scene_of_row
 
@@ -107,7 +107,7 @@ def test_meshes_in_contact_relax_alike() -> None:
 
 
 def test_a_slow_press_of_a_gel_with_mass_is_the_same() -> None:
-    light = Dynamics(1e-12, 0.0, 0.0, np.inf)
+    light = GelDynamics(1e-12, 0.0, 0.0, np.inf)
     one, other = pressed(DOWN, [0.1] * 4), pressed(DOWN, [0.1] * 4, dynamics=light)
     assert other.forces == pytest.approx(one.forces, rel=2e-3, abs=1e-6)
 

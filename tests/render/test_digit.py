@@ -149,7 +149,7 @@ def test_depth_counts_from_where_the_dome_is_met(sets: tuple[str, ...], z: float
 
 def test_the_face_and_its_picture_follow_the_dome(pressed: Run, digit: Sensor) -> None:
     grid, gel, state = pressed.problem.mesh, pressed.scene.gel, pressed.states[-1]
-    surface, camera = gel_surface.Surface(grid.points, grid.facets["coated"]), PinholeCamera.from_sensor(digit)
+    surface, camera = gel_surface.GelSurface(grid.points, grid.facets["coated"]), PinholeCamera.from_sensor(digit)
     xy = np.random.default_rng(1).uniform([-6, -8], [6, 8], (300, 2))
     assert surface.at(xy)[:, :2] == pytest.approx(xy)
     assert surface.at(xy)[:, 2] == pytest.approx(gel.top(*xy.T), abs=0.02)

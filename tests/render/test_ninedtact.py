@@ -63,7 +63,7 @@ def test_the_maps_see_the_press(press: Run, row: Row) -> None:
     step = camera.project([[0.1, 0.0, 0.0]])[0] - camera.project([[0.0, 0.0, 0.0]])[0]
     assert 0.1 / step[0] == pytest.approx(0.0509, rel=1e-3)
     grid, state = press.problem.mesh, press.states[-1]
-    surface = gel_surface.Surface(grid.points, grid.facets["coated"])
+    surface = gel_surface.GelSurface(grid.points, grid.facets["coated"])
     maps = maps_of(press.problem, surface.moved(state.x), state, camera)
     assert maps.force[..., 2].sum() == pytest.approx(press.forces[-1, 2], rel=1e-6)
 
