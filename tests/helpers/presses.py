@@ -42,6 +42,11 @@ class Run:
     states: list[mechanics.State]
 
     @cached_property
+    def face(self) -> gel_surface.GelSurface:
+        """The coated face at rest."""
+        return gel_surface.GelSurface(self.problem.mesh.points, self.problem.mesh.facets["coated"])
+
+    @cached_property
     def forces(self) -> Array:
         """On the gel at every frame (N, 3) [N]."""
         return np.array([gel_surface.wrench(self.problem, state)[0] for state in self.states])

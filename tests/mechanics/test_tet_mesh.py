@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers import small_recipe
 from helpers.presses import gel, poses, run, scene
 
 from tacgen import array_cache, pipeline
@@ -20,7 +21,6 @@ from tacgen.geometry.gel import GelBody, GelLayer
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics import mesh, tet_mesh
 from tacgen.mechanics.scene import Scene
-from tacgen.recipe import plan
 
 Array = np.ndarray
 LAW = NeoHooke(0.05, 0.4)
@@ -189,22 +189,9 @@ def test_a_press_on_tets_and_on_hexes(element: str) -> None:
         assert 1.1 < force["linear_tet"] / force["hex"] < 3
 
 
-RECIPE = """\
-tacgen: 1
-name: tets
-sensor: gelsight_mini
-mesh: tet
-quality: {edge_mm: 0.9, dhat_mm: 0.05}
-indenter: {shape: sphere, radius_mm: 4.0}
-trajectory: [{press: {depth_mm: 0.6, frames: 1}}]
-contact: {friction: 0.4}
-outputs: [force, traction, height, stress]
-"""
-
-
 def test_a_bundle_on_tets(tmp_path: Path) -> None:
-    (tmp_path / "r.yaml").write_text(RECIPE)
-    row = plan.load(tmp_path / "r.yaml").rows[0]
+    sets = "mesh=tet", "quality={edge_mm: 0.9, dhat_mm: 0.05}", "outputs=[force, traction, height, stress]"
+    row = small_recipe.row("press: {depth_mm: 0.6, frames: 1}", "contact.friction=0.4", *sets)
     assert row.document()["mesh"] == "tet"
     result = pipeline.run_scene(row, tmp_path)
     assert result.status == "ok", result.reason

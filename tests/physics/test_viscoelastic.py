@@ -213,10 +213,8 @@ def test_a_replay_keeps_its_own_time(tmp_path: Path) -> None:
         (", duration_s: 1}", "}", "trajectory[1].hold: must say how long it takes: duration_s, as others do"),
         (OVERRIDE, "", "trajectory[0].press.duration_s: has no effect without dynamics or a viscoelastic gel"),
         ("0.2}", "0.2, speed_mm_s: 1}", "trajectory[0].press: must hold at most one of duration_s, speed_mm_s"),
-        (
-            "depth_mm: 0.5, frames: 2, duration_s: 0.2", "force_n: 1, frames: 2, speed_mm_s: 1",
-            "trajectory[0].press.speed_mm_s: needs a way that is known, which force_n leaves open: say duration_s",
-        ),
+        ("depth_mm: 0.5, frames: 2, duration_s: 0.2", "force_n: 1, frames: 2, speed_mm_s: 1",
+         "trajectory[0].press.speed_mm_s: needs a way that is known, which force_n leaves open: say duration_s"),
         ("g: 0.1", "g: 1.0", "gel.layers[0].prony[0].g: must be less than 1 (got 1)"),
         ("[{g", "[{g: 0.9, tau_s: 1}, {g", "gel.layers[0].prony: must have g that add up to less than 1 (got 1)"),
         ("0.3}]", "0.3}]\n  gel.layers[0].law: stable_neo_hooke", "gel.layers[0].prony: unknown key"),
