@@ -63,8 +63,8 @@ def seen_from(side: int, width: float, pose: Array) -> Array:
 def refined(grasp: GraspScene, poses: tuple[list[Array], list[Array]]) -> GraspScene:
     """The grasp with finger meshes that are fine where `poses` (4, 4) of the object in each sensor's frame touch."""
     fingers = []
-    for scene, found in zip(grasp.fingers, poses, strict=True):
-        deeper = np.array(found)
+    for scene, path in zip(grasp.fingers, poses, strict=True):
+        deeper = np.array(path)
         deeper[:, 2, 3] -= (MARGIN - 1) * np.maximum(scene.start[2, 3] - deeper[:, 2, 3], 0.0) + scene.edge / 4
         fingers.append(replace(scene, poses=deeper))
     return replace(grasp, fingers=(fingers[0], fingers[1]))

@@ -130,17 +130,17 @@ class Frame:
         table, carried, width = self._height(self.last.pose), self.last.pose, self._first_width()
         lowest = table if mode == Mode.standing else min(table, self.grasp.fall)
         if mode == Mode.held or (mode == Mode.standing and lowest > 0):
-            found = self._newton(self._trial(carried, width), Mode.held, lowest)
-            if found is not None:
-                return found, Mode.held
+            trial = self._newton(self._trial(carried, width), Mode.held, lowest)
+            if trial is not None:
+                return trial, Mode.held
         mode = Mode.standing if lowest == table else Mode.falling
-        found = self._newton(self._trial(self._lowered(carried, lowest, mode), width), mode)
-        assert found is not None
-        if self.unborne(found) >= -self.balanced * self._least(found):
-            return found, mode
-        found = self._newton(self._trial(carried, found.width), Mode.held, lowest, bounded=True)
-        assert found is not None
-        return found, Mode.held
+        trial = self._newton(self._trial(self._lowered(carried, lowest, mode), width), mode)
+        assert trial is not None
+        if self.unborne(trial) >= -self.balanced * self._least(trial):
+            return trial, mode
+        trial = self._newton(self._trial(carried, trial.width), Mode.held, lowest, bounded=True)
+        assert trial is not None
+        return trial, Mode.held
 
     def unborne(self, at: Trial) -> float:
         """Part of the weight that the fingers do not bear [N]."""
@@ -268,14 +268,14 @@ class Frame:
         def attempt(part: float) -> tuple[bool, tuple[Trial, Array]]:
             pose, width = self._moved(at.pose, part * free @ step[:-1]), at.width + part * step[-1]
             try:
-                found = self._trial(pose, width, at)
+                trial = self._trial(pose, width, at)
             except NotConverged:
                 if part <= SHORTEST or self.trials > TRIALS:
                     raise
                 return False, (at, r)
-            there = self._residual(found, free)
-            less = np.linalg.norm(there) < np.linalg.norm(r) and (found.grip > 0 or at.grip == 0)
-            return bool(less), (found, there)
+            there = self._residual(trial, free)
+            less = np.linalg.norm(there) < np.linalg.norm(r) and (trial.grip > 0 or at.grip == 0)
+            return bool(less), (trial, there)
 
         _, last = backtrack(attempt, SHORTEST)
         assert last is not None
@@ -300,9 +300,9 @@ def presolved(grasp: GraspScene) -> GraspScene:
     poses: tuple[list[Array], list[Array]] = ([], [])
     try:
         for frame in held(grasp, problems, tol=0.05):  # type: ignore[arg-type]
-            for found, state in zip(poses, frame.states, strict=True):
-                found.append(state.pose)
+            for path, state in zip(poses, frame.states, strict=True):
+                path.append(state.pose)
     except NotConverged:
-        for found, scene in zip(poses, grasp.fingers, strict=True):
-            found.extend(scene.poses)
+        for path, scene in zip(poses, grasp.fingers, strict=True):
+            path.extend(scene.poses)
     return refined(grasp, poses)

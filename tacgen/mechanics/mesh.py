@@ -65,9 +65,9 @@ def of(scene: Scene) -> GelMesh:
 def quality(gel: GelBody, mesh: GelMesh) -> dict[str, float | int | str]:
     """The quality of a gel's mesh, and its hash."""
     vertices, triangles, _ = gel.surface(*tet_mesh.FINE)
-    found = measure(mesh.points, mesh.cells, enclosed(vertices, triangles))
+    measured = measure(mesh.points, mesh.cells, enclosed(vertices, triangles))
     parts = (mesh.points, mesh.cells, mesh.layer, *(a for item in sorted(mesh.facets.items()) for a in item))
-    return {**found.document(), "sha256": array_cache.digest(parts)}
+    return {**measured.document(), "sha256": array_cache.digest(parts)}
 
 
 def graded(start: float, end: float, fine: tuple[float, float], edge: float, growth: float, coarsest: float) -> Array:
