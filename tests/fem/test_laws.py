@@ -116,7 +116,7 @@ def test_contact_stiffness_takes_youngs_modulus_at_rest():
         ("mooney_rivlin", {"c10_mpa": 0.1, "c01_mpa": 0.0}, "exactly one of poissons_ratio, bulk_modulus_mpa"),
         ("mooney_rivlin", {"c10_mpa": 0.1, "c01_mpa": 0, "poissons_ratio": 0.4, "bulk_modulus_mpa": 1},
          "exactly one of poissons_ratio, bulk_modulus_mpa"),
-        (None, {"c10_mpa": 0.1, "poissons_ratio": 0.4, "youngs_modulus_mpa": 1}, "layers.0.c10_mpa: is a key of law: mooney"),
+        (None, {"c10_mpa": 0.1, "poissons_ratio": 0.4, "youngs_modulus_mpa": 1}, "layers.0.c10_mpa: is a key of law: "),
         ("stable_neo_hooke", {"youngs_modulus_mpa": 1, "poisons_ratio": 0.4}, "did you mean poissons_ratio?"),
     ],
 )  # fmt: skip
