@@ -31,21 +31,16 @@ def recipe_problems(recipe: Recipe, sensor: Sensor, folders: Folders | None = No
     if recipe.grasp is None:
         wrong += [*_depths(recipe, sensor), *_times(recipe, sensor, folders)]
     if recipe.mesh == "hex" and sensor.gel.solid is not None:
-        wrong.append(
-            Issue(
-                ("mesh",),
-                f"cannot be hex: the gel of {sensor.name} is a solid, which is meshed by tets: leave mesh out",
-            )
-        )
+        text = f"cannot be hex: the gel of {sensor.name} is a solid, which is meshed by tets: leave mesh out"
+        wrong.append(Issue(("mesh",), text))
     elsewhere = recipe.grasp is not None or recipe.contact.formulation == "ipctk"
     if recipe.uncertainty is not None and (elsewhere or timed(recipe, sensor)):
         text = (
             "needs quasi-static frames and contact by distance: leave it out, or grasp, dynamics, viscosity and ipctk"
         )
         wrong.append(Issue(("uncertainty",), text))
-    if recipe.uncertainty is not None and (depth := recipe.uncertainty.pose.depth_mm) > (
-        most := sensor.gel.thickness_mm
-    ):
+    most = sensor.gel.thickness_mm
+    if recipe.uncertainty is not None and (depth := recipe.uncertainty.pose.depth_mm) > most:
         text = f"must be at most the gel's thickness, {most:g} mm (got {depth:g})"
         wrong.append(Issue(("uncertainty", "pose", "depth_mm"), text))
     wrong += [*_too_large(recipe.indenter, sensor.gel), *_ipc_toolkit(recipe), *_mitsuba(recipe, sensor)]
@@ -119,9 +114,8 @@ def output_problems(recipe: Recipe, sensor: Sensor) -> list[Issue]:
     if (images := recipe.outputs & IMAGES) and not sensor.lit:
         asked = " and ".join(sorted(images))
         lacking = ", ".join(name for name in LIGHTS if getattr(sensor, name) is None)
-        wrong.append(
-            Issue(("outputs",), f"asks for {asked}: the sensor {sensor.name} has no {lacking}: add them to its file")
-        )
+        text = f"asks for {asked}: the sensor {sensor.name} has no {lacking}: add them to its file"
+        wrong.append(Issue(("outputs",), text))
     if images and recipe.render.method == "table" and any(layer.scattering for layer in sensor.gel.clear_layers):
         text = (
             f"cannot be table, whose light follows the face's slope: the gel of {sensor.name} scatters; take transport"

@@ -31,10 +31,9 @@ def problems(recipe: Recipe, sensor: Sensor, folders: trajectory_checks.Folders)
     ]
     if recipe.trajectory[0].kind != "close" and not wrong:
         wrong.append(Issue(("trajectory", 0), "must be close: a grasp begins with closed fingers"))
+    still = "has no effect in a grasp, which is quasi-static: leave it out"
     wrong += [
-        Issue(
-            ("trajectory", i, step.kind, "duration_s"), "has no effect in a grasp, which is quasi-static: leave it out"
-        )
+        Issue(("trajectory", i, step.kind, "duration_s"), still)
         for i, step in enumerate(recipe.trajectory)
         if isinstance(step.move, Timed) and step.move.duration_s is not None
     ]
@@ -63,11 +62,8 @@ def _tables(recipe: Recipe, folders: trajectory_checks.Folders) -> list[Issue]:
 
 def solid(sensor: Sensor) -> list[Issue]:
     """A finger's gel must be a pad."""
-    return (
-        [Issue(("sensor",), f"has a solid gel, {sensor.name}: a grasp needs pads: take another sensor")]
-        if sensor.gel.solid
-        else []
-    )
+    text = f"has a solid gel, {sensor.name}: a grasp needs pads: take another sensor"
+    return [Issue(("sensor",), text)] if sensor.gel.solid else []
 
 
 def _object(recipe: Recipe, grasp: Grasp, sensor: Sensor) -> list[Issue]:
@@ -79,9 +75,8 @@ def _object(recipe: Recipe, grasp: Grasp, sensor: Sensor) -> list[Issue]:
 
     wide, top = shape.support(np.array([c, -s, 0.0])), shape.support(np.array([0.0, 0.0, 1.0]))
     if math.isinf(wide):
-        return [
-            Issue(("indenter",), "has no upright sides that fingers could close on: turn it, or take another shape")
-        ]
+        text = "has no upright sides that fingers could close on: turn it, or take another shape"
+        return [Issue(("indenter",), text)]
     if grasp.height_mm is None and math.isinf(top):
         text = "must say at which height over its lowest point an object without a top is held: height_mm"
         return [Issue(("grasp",), text)]

@@ -152,12 +152,8 @@ def _check(vary: Vary, tree: Tree) -> None:
         if "grid" in (vary.method, here[1]) and spread.choice is None and spread.linspace is None:
             problems.append(Issue(here, "a grid takes choice or linspace only"))
     if not problems and scene_count(vary) > MAX_SCENES:
-        problems.append(
-            Issue(
-                ("vary", "over"),
-                f"gives {scene_count(vary)} scenes; at most {MAX_SCENES} can be: fewer samples or choices",
-            )
-        )
+        text = f"gives {scene_count(vary)} scenes; at most {MAX_SCENES} can be: fewer samples or choices"
+        problems.append(Issue(("vary", "over"), text))
     if problems:
         raise UserError(problem.point(tree) for problem in problems)
 

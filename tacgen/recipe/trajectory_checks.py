@@ -63,11 +63,8 @@ def problems(recipe: Recipe, gel: Gel, folders: Folders) -> list[Issue]:
     from tacgen.recipe.trajectory_poses import TrajectoryError
 
     if recipe.trajectory[0].replay and recipe.start != Start():
-        return [
-            Issue(
-                ("start",), "has no effect before a replay, which begins over its first row: leave it out", at_key=True
-            )
-        ]
+        text = "has no effect before a replay, which begins over its first row: leave it out"
+        return [Issue(("start",), text, at_key=True)]
     try:
         _walk(recipe, gel, folders)
     except TrajectoryError as refused:

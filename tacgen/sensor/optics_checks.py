@@ -56,13 +56,11 @@ def _layers(sensor: LitSensor) -> Iterator[Issue]:
         )
         yield Issue(("gel", "layers", scattering[0], "scattering"), text)
     elif gel.dome and len(clear) > 1:
-        yield Issue(
-            ("gel", "dome"), "light is followed through one clear layer under a dome, not several: leave dome out"
-        )
+        text = "light is followed through one clear layer under a dome, not several: leave dome out"
+        yield Issue(("gel", "dome"), text)
     if scattering and sensor.markers:
-        yield Issue(
-            ("markers",), "cannot be seen through a layer that scatters: leave them out, or scattering", at_key=True
-        )
+        text = "cannot be seen through a layer that scatters: leave them out, or scattering"
+        yield Issue(("markers",), text, at_key=True)
 
 
 def _steepest(sensor: LitSensor) -> float:
@@ -141,10 +139,8 @@ def _wrong_led(room: _Room, led: Led) -> tuple[str, str] | None:
     if any(below) and not all(below):
         return "center_mm", f"pokes out of the plate, whose air face is at z = {bottom:g}: higher, or smaller"
     if all(below) and not room.scattering:
-        return (
-            "center_mm",
-            f"lies in the air under the plate (z < {bottom:g}): only a gel that scatters is lit from there: raise it",
-        )
+        text = f"lies in the air under the plate (z < {bottom:g}): only a gel that scatters is lit from there: raise it"
+        return "center_mm", text
     if all(below) and led.center_mm[2] < room.camera:
         return "center_mm", f"lies behind the camera, which is at z = {room.camera:g}: raise it"
     return None

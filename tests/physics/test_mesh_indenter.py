@@ -12,17 +12,13 @@ from tacgen import mechanics
 from tacgen.errors import UserError
 from tacgen.recipe import scene_of_row
 
+pytestmark = pytest.mark.usefixtures("own_cache")
 MOVES = "press: {depth_mm: 0.8, frames: 1}, slide: {x_mm: 0.4, frames: 2}"
 SETS = "contact.friction=0.5", "quality={edge_mm: 0.8, dhat_mm: 0.05}"
 
 
 def pressed(*sets: str) -> list[mechanics.State]:
     return run(scene_of_row.build(small_recipe.row(MOVES, *SETS, *sets))).states
-
-
-@pytest.fixture(autouse=True)
-def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("TACGEN_CACHE_DIR", str(tmp_path / "cache"))
 
 
 def test_a_ball_of_triangles_presses_as_a_ball(tmp_path: Path):
