@@ -23,7 +23,7 @@ from tacgen.sensor.markers import GridMarkers
 
 Array = np.ndarray
 PACKAGE = Path(mechanics.__file__).parents[1]
-USED = ("fem", "optics", "geometry", "mechanics", "recipe", "labels")  # packages that an answer depends on
+USED = ("fem", "optics", "geometry", "mechanics", "recipe", "outputs")  # packages that an answer depends on
 BALL = ("outputs=[force]", "indenter={shape: sphere, radius_mm: 4}")
 DEPTHS = {"gelsight_mini": 1.0, "digit": 0.8, "ninedtact": 0.8}  # of the ball [mm]
 MOVES = "trajectory=[{{press: {{depth_mm: {depth}, frames: 1}}}}, {{slide: {{x_mm: 0.6, frames: 2}}}}]"

@@ -351,11 +351,11 @@ def test_a_summary_leaves_out_what_is_not_there(tmp_path: Path) -> None:
 def test_the_summary_of_a_frame_names_every_stage(tmp_path: Path) -> None:
     stages = {stage: 10.0 * k for k, stage in enumerate(pipeline.STAGES, 1)}
     one = {"stages": {k: v / 1000 for k, v in stages.items()}, "total": 0.2, "size": 3e6, "memory": 500.0}
-    found = {("digit", "draft", "force, rgb"): one}
+    found = {("digit", "draft", asked): one for asked in ("everything", "force, rgb")}
     results_page.write(tmp_path, "pipeline", results_page.Result("", [pipeline._stages(found)]), 1.0)
     told = summary.short(tmp_path)
     assert "(solve / labels / images / writing) | DIGIT 0.20 (0.02 / 0.03 / 0.04 / 0.05) |" in told
-    assert "a million frames of `draft`, force, rgb: core-hours / GB | DIGIT 56 / 3000 |" in told
+    assert "GB of a million frames, force, rgb | DIGIT 3000 |" in told
 
 
 def test_a_frame_is_timed_by_stage_and_output_and_weighed_by_dataset() -> None:
