@@ -167,7 +167,7 @@ def labels(sensor: str) -> dict[str, list[float]]:
     made = scene_of_row.build(row)
     problem = mechanics.Problem.of(made, mesh.of(made))
     camera, stresses = PinholeCamera.from_sensor(row.sensor), Stresses(problem)
-    rest = gel_surface.Surface(problem.mesh.points, problem.mesh.facets["coated"])
+    rest = gel_surface.GelSurface(problem.mesh.points, problem.mesh.facets["coated"])
     seconds, worst = np.zeros(3), np.zeros(5)
     states, count = mechanics.states(made, problem), 0
     while True:

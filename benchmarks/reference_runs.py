@@ -139,7 +139,7 @@ def answer(
     states = list(mechanics.states(made, problem))
     seconds = time.process_time() - ready
     last, camera = states[-1], PinholeCamera.from_sensor(row.sensor)
-    coated = gel_surface.Surface(problem.mesh.points, problem.mesh.facets["coated"])
+    coated = gel_surface.GelSurface(problem.mesh.points, problem.mesh.facets["coated"])
     seen = gel_surface.seen(problem.mesh, len(row.sensor.gel.clear_layers))
     found = contact_maps.maps(problem, coated.moved(last.x), last, camera)
     dots = camera.project(seen.moved(last.x).at(centers(DOTS)))

@@ -44,7 +44,7 @@ class Case:
 
     row: Row
     built: Scene
-    on: mesh.Mesh
+    on: mesh.GelMesh
 
     @classmethod
     def of(cls, index: int) -> "Case":

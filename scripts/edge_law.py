@@ -77,7 +77,7 @@ def solved(sets: tuple[str, ...], edge: float, dhat: float, limit: float) -> tup
     made = presolve.presolved(scene_of_row.build(row))
     problem = mechanics.Problem.of(made, mesh.of(made))
     found = solve_frames(made, problem, limit)
-    coated = gel_surface.Surface(problem.mesh.points, problem.mesh.facets["coated"])
+    coated = gel_surface.GelSurface(problem.mesh.points, problem.mesh.facets["coated"])
     camera = PinholeCamera.from_sensor(row.sensor)
     maps = [contact_maps.maps(problem, coated.moved(s.x), s, camera).pressure[::2, ::2] for s in found.states]
     n, damped = max(1, len(found.states)), sum(state.damped > 0 for state in found.states)

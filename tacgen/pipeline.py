@@ -26,7 +26,7 @@ from tacgen.recipe.row import Row
 
 if TYPE_CHECKING:
     from tacgen.mechanics.grasp_balance import Held
-    from tacgen.outputs.gel_surface import Surface
+    from tacgen.outputs.gel_surface import GelSurface
     from tacgen.render.pictures import Pictures
 
 MIN_EDGES = 3  # an indenter's smallest radius should be at least so many edges of the mesh
@@ -187,7 +187,7 @@ def _make(row: Row, path: Path, on_event: OnEvent | None) -> SceneResult:
 def _shared(row: Row, scene: Scene, problem: mechanics.Problem) -> SceneData:
     """A scene as its outputs need it, with the choices of its recipe."""
 
-    def pictures(untouched: "Surface") -> "Pictures":
+    def pictures(untouched: "GelSurface") -> "Pictures":
         from tacgen.render.pictures import Pictures
 
         return Pictures(row, untouched)

@@ -48,6 +48,13 @@ def batch(monkeypatch: pytest.MonkeyPatch) -> Callable[[Batch], None]:
     return stand_in
 
 
+def raising(error: BaseException) -> Callable[..., Any]:
+    def run(*args: Any, **kwargs: Any) -> Any:
+        raise error
+
+    return run
+
+
 def all_ok(plan: Any, folder: Path, *, on_event: Callable[[dict[str, Any]], None], **_: Any) -> list[SceneResult]:
     results = []
     for row in plan.rows:
@@ -192,10 +199,7 @@ def test_binary_junk_is_one_line(tmp_path: Path):
 
 @pytest.mark.parametrize("out", ["file", "file/below", "/proc/nowhere/out"])
 def test_an_output_folder_that_cannot_be_written_is_one_line(tmp_path: Path, batch: Any, out: str):
-    def run(*args: Any, **kwargs: Any) -> list[SceneResult]:
-        raise AssertionError("found out only after solving")
-
-    batch(run)
+    batch(raising(AssertionError("found out only after solving")))
     (tmp_path / "file").write_text("")
     done = tacgen_("run", "quickstart", "-o", str(tmp_path / out))
     assert done.exit_code == 2
@@ -205,62 +209,45 @@ def test_an_output_folder_that_cannot_be_written_is_one_line(tmp_path: Path, bat
 
 @pytest.mark.parametrize("code", [errno.ENOSPC, errno.EROFS, errno.EACCES])
 def test_a_disk_that_fills_up_on_the_way_is_one_line(tmp_path: Path, batch: Any, code: int):
-    def run(*args: Any, **kwargs: Any) -> list[SceneResult]:
-        raise OSError(code, os.strerror(code))
-
-    batch(run)
+    batch(raising(OSError(code, os.strerror(code))))
     done = tacgen_("run", "quickstart", "-o", str(tmp_path))
     assert done.exit_code == 2
     assert done.stderr == f"{tmp_path}: cannot be written: {os.strerror(code)}\n"
 
 
 def test_what_the_pipeline_refuses_is_exit_code_2(tmp_path: Path, batch: Any):
-    def run(*args: Any, **kwargs: Any) -> list[SceneResult]:
-        raise UserError(["scene-00000.h5: was made from other inputs; --overwrite replaces it", "    second line"])
-
-    batch(run)
+    lines = ["scene-00000.h5: was made from other inputs; --overwrite replaces it", "    second line"]
+    batch(raising(UserError(lines)))
     done = tacgen_("run", "quickstart", "-o", str(tmp_path))
     assert done.exit_code == 2
     assert done.stderr.splitlines()[0].endswith("--overwrite replaces it")
 
 
-def interrupted_in_compiled_code() -> None:
-    try:
-        raise KeyboardInterrupt
-    except KeyboardInterrupt as stop:
-        raise SystemError("returned a result with an exception set") from stop
+def in_compiled_code(cause: BaseException) -> SystemError:
+    """What Numba makes of an error in Python code that it calls."""
+    error = SystemError("returned a result with an exception set")
+    error.__cause__ = cause
+    return error
 
 
-def interrupted() -> None:
-    raise KeyboardInterrupt
+INTERRUPTS = [KeyboardInterrupt(), in_compiled_code(KeyboardInterrupt())]
 
 
-def out_of_memory_in_compiled_code() -> None:
-    try:
-        raise MemoryError
-    except MemoryError as scarce:
-        raise SystemError("returned a result with an exception set") from scarce
-
-
-@pytest.mark.parametrize("stop", [interrupted, interrupted_in_compiled_code])
-def test_an_interrupt_is_exit_code_130(tmp_path: Path, batch: Any, stop: Callable[[], None]):
-    batch(lambda *args, **kwargs: stop())
+@pytest.mark.parametrize("stop", INTERRUPTS)
+def test_an_interrupt_is_exit_code_130(tmp_path: Path, batch: Any, stop: BaseException):
+    batch(raising(stop))
     done = tacgen_("run", "quickstart", "-o", str(tmp_path))
     assert done.exit_code == 130
     assert done.stderr.splitlines()[-1].startswith("interrupted; ")
 
 
-@pytest.mark.parametrize("stop", [interrupted, interrupted_in_compiled_code, out_of_memory_in_compiled_code])
+@pytest.mark.parametrize("stop", [*INTERRUPTS, in_compiled_code(MemoryError())])
 def test_where_no_thread_can_be_started_memory_is_out(
-    tmp_path: Path, batch: Any, stop: Callable[[], None], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, batch: Any, stop: BaseException, monkeypatch: pytest.MonkeyPatch
 ):
     """OpenBLAS raises the signal of Ctrl-C when it cannot start its threads."""
-
-    def start(thread: Any) -> None:
-        raise RuntimeError("can't start new thread")
-
-    monkeypatch.setattr("threading.Thread.start", start)
-    batch(lambda *args, **kwargs: stop())
+    monkeypatch.setattr("threading.Thread.start", raising(RuntimeError("can't start new thread")))
+    batch(raising(stop))
     done = tacgen_("run", "quickstart", "-o", str(tmp_path))
     assert done.exit_code == 2
     assert done.stderr.splitlines()[-1].startswith("out of memory")
@@ -276,10 +263,7 @@ def test_where_no_thread_can_be_started_memory_is_out(
     ],
 )
 def test_what_the_machine_lacks_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, scarce: Any, says: str):
-    def check(path: Path) -> list[Any]:
-        raise scarce
-
-    monkeypatch.setattr("tacgen.bundle.check.check", check)
+    monkeypatch.setattr("tacgen.bundle.check.check", raising(scarce))
     done = tacgen_("check", str(tmp_path))
     assert (done.exit_code, len(done.stderr.splitlines())) == (2, 1)
     assert done.stderr.startswith(says)
@@ -287,10 +271,7 @@ def test_what_the_machine_lacks_is_one_line(tmp_path: Path, monkeypatch: pytest.
 
 @pytest.mark.parametrize("bug", [ZeroDivisionError("bug"), OSError(errno.EBADF, "bug"), SystemError("bug")])
 def test_a_bug_keeps_its_traceback(tmp_path: Path, batch: Any, bug: Exception):
-    def run(*args: Any, **kwargs: Any) -> list[SceneResult]:
-        raise bug
-
-    batch(run)
+    batch(raising(bug))
     assert tacgen_("run", "quickstart", "-o", str(tmp_path)).exception is bug
 
 

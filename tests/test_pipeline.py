@@ -246,15 +246,6 @@ def test_a_finished_bundle_is_kept_and_one_of_other_inputs_is_not_overwritten(re
     assert first.path.read_bytes() != before
 
 
-def test_a_damaged_bundle_is_redone(recipe: Path, tmp_path: Path) -> None:
-    rows = plan.load(recipe).rows
-    path = pipeline.run(rows, tmp_path / "out")[0].path
-    good = path.read_bytes()
-    path.write_bytes(good[: len(good) // 2])
-    pipeline.run(rows, tmp_path / "out")
-    assert path.read_bytes() == good
-
-
 def test_a_frame_that_does_not_converge_is_recorded_and_not_shipped(
     recipe: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -152,8 +152,8 @@ class Frames:
     @property
     def notes(self) -> list[str]:
         """Notes on this scene, such as a mesh that does not resolve the indenter."""
-        found: list[str] = json.loads(self.bundle.attrs.get("notes", "[]"))
-        return found
+        notes: list[str] = json.loads(self.bundle.attrs.get("notes", "[]"))
+        return notes
 
     @property
     def recipe(self) -> dict[str, Any]:
@@ -223,10 +223,10 @@ def read(path: str | Path) -> Frames:
         UserError: the file is missing, unfinished, damaged or no bundle, or the folder holds several.
     """
     path = Path(path)
-    found = dataset.scenes(path)
-    if len(found) > 1:
-        raise UserError(f"{path}: holds {len(found)} bundles: name one, such as {found[0].path}, or use read_all")
-    return accepted(found[0])
+    bundles = dataset.scenes(path)
+    if len(bundles) > 1:
+        raise UserError(f"{path}: holds {len(bundles)} bundles: name one, such as {bundles[0].path}, or use read_all")
+    return accepted(bundles[0])
 
 
 def read_all(path: str | Path) -> list[Frames]:
@@ -237,10 +237,10 @@ def read_all(path: str | Path) -> list[Frames]:
     Raises:
         UserError: there is no scene, or a file is damaged, no bundle or of a newer format.
     """
-    found = dataset.scenes(Path(path))
-    good = [Frames(each) for each in found if each.attrs["status"] == "ok"]
-    if len(good) < len(found):
+    bundles = dataset.scenes(Path(path))
+    good = [Frames(each) for each in bundles if each.attrs["status"] == "ok"]
+    if len(good) < len(bundles):
         warnings.warn(
-            f"{path}: left out {len(found) - len(good)} rejected of {len(found)} scenes", LeftOut, stacklevel=2
+            f"{path}: left out {len(bundles) - len(good)} rejected of {len(bundles)} scenes", LeftOut, stacklevel=2
         )
     return good

@@ -10,7 +10,7 @@ from tacgen.errors import UserError
 from tacgen.recipe import assets, loading
 from tacgen.sensor import yaml_source
 from tacgen.sensor.model import LIGHTS, LitSensor, Sensor
-from tacgen.sensor.validation_messages import Problem, report
+from tacgen.sensor.validation_messages import Issue, report
 from tacgen.sensor.yaml_source import KeyPath
 
 if TYPE_CHECKING:
@@ -93,7 +93,7 @@ def optics(name: str, folder: Path, asked: FitLimits | None = None) -> Calibrate
     sensor, tree = loading.read_sensor(path)
     if not sensor.lit:
         missing = next(part for part in LIGHTS if getattr(sensor, part) is None)
-        problem = Problem((missing,), "is missing: a fit starts from a file with all its lights, roughly placed")
+        problem = Issue((missing,), "is missing: a fit starts from a file with all its lights, roughly placed")
         raise report([(problem, tree)])
     lit, photos = cast(LitSensor, sensor), reading.read(folder, sensor.camera)
     folders = {("sensor", *loading.SOLID): loading.solid_folder(tree)} if sensor.gel.solid else {}

@@ -71,7 +71,7 @@ def solved(
         raise UserError(f"{press.name}: cannot be solved: {line}" for line in str(error).splitlines()) from None
 
 
-def faces(row: Row) -> Iterator[gel_surface.Surface]:
+def faces(row: Row) -> Iterator[gel_surface.GelSurface]:
     """The face seen by the camera: untouched, then in each frame of a scene. No bundle is written."""
     built = presolve.presolved(scene_of_row.build(row))
     problem = mechanics.Problem.of(built, mesh.of(built))

@@ -266,8 +266,8 @@ class Pattern:
         """Slots (e, 3a*3a) of the element blocks of conn (e, a), rows and columns in the order 3a+i."""
         e, a = conn.shape
         keys = conn[:, :, None].astype(np.int64) * self.nodes + conn[:, None, :]
-        found = np.searchsorted(self.pairs, keys.ravel()).reshape(e, a, a)
-        return np.ascontiguousarray(self.blocks[found].transpose(0, 1, 3, 2, 4).reshape(e, -1))
+        slots = np.searchsorted(self.pairs, keys.ravel()).reshape(e, a, a)
+        return np.ascontiguousarray(self.blocks[slots].transpose(0, 1, 3, 2, 4).reshape(e, -1))
 
     @property
     def size(self) -> int:

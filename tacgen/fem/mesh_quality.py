@@ -63,9 +63,9 @@ def nodal_volume(points: Array, tets: Array) -> Array:
 def measure(points: Array, cells: Array, volume: float) -> MeshQuality:
     """The quality of a mesh whose volume should be `volume` [mm^3]."""
     angle = None if cells.shape[1] == 8 else float(np.degrees(dihedral(points, cells).min()))
-    found = float(elements(points, cells).weights.sum())
+    meshed = float(elements(points, cells).weights.sum())
     least = float(scaled_jacobian(points, cells).min())
-    return MeshQuality(len(points), len(cells), angle, least, found / volume - 1)
+    return MeshQuality(len(points), len(cells), angle, least, meshed / volume - 1)
 
 
 def enclosed(vertices: Array, triangles: Array) -> float:

@@ -47,13 +47,13 @@ class Recovery:
         materials, blocks, rows, count = [], [], np.zeros((e, v), int), 0
         for number in np.unique(material):
             here = np.flatnonzero(material == number)
-            found, local = np.unique(cells[here], return_inverse=True)
+            layer_nodes, local = np.unique(cells[here], return_inverse=True)
             local = local.reshape(len(here), -1)
             pick = csr_array((np.ones(len(here)), (np.arange(len(here)), here)), shape=(len(here), e))
-            blocks.append(_weights(points[found], local, centres[here]) @ pick)
-            rows[here], count = count + local[:, :v], count + len(found)
-            nodes.append(found)
-            materials.append(np.full(len(found), number))
+            blocks.append(_weights(points[layer_nodes], local, centres[here]) @ pick)
+            rows[here], count = count + local[:, :v], count + len(layer_nodes)
+            nodes.append(layer_nodes)
+            materials.append(np.full(len(layer_nodes), number))
         node = np.concatenate(nodes)
         mean = csr_array((np.full(e * v, 1 / v), (np.repeat(np.arange(e), v), rows.ravel())), shape=(e, len(node)))
         return cls(node, np.concatenate(materials), csr_array(vstack(blocks)), mean)
@@ -134,5 +134,5 @@ def _patches_used(cells: Array, n: int, ranks: Array) -> tuple[Array, Array]:
             rows = csr_array((reached.astype(float), (np.arange(n), np.arange(n))), shape=(n, n))
             used = used + rows @ beside @ used
         known = known | reached
-    found = used.tocoo()
-    return found.row, found.col
+    entries = used.tocoo()
+    return entries.row, entries.col

@@ -34,8 +34,8 @@ def _processor() -> tuple[str, set[str]]:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:
         return "", set()
-    found = {key.strip(): value for key, _, value in (line.partition(":") for line in reversed(lines))}
-    return found.get("vendor_id", "").strip(), set(found.get("flags", "").split())
+    fields = {key.strip(): value for key, _, value in (line.partition(":") for line in reversed(lines))}
+    return fields.get("vendor_id", "").strip(), set(fields.get("flags", "").split())
 
 
 @contextmanager

@@ -23,7 +23,7 @@ SHORTEST = 1e-8  # fraction of a step at which a line search has stalled [-]
 MIN_COUPLED = 0.1  # smallest fraction of a coupled step; below, the symmetric step is tried [-]
 
 
-class Bulk(Protocol):
+class BulkModel(Protocol):
     """The body that resists the contact, as a function of the positions x (n, 3) of some nodes."""
 
     def value(self, x: Array) -> float: ...
@@ -81,7 +81,7 @@ class ContactSolution:
 
 
 def solve_contact(
-    bulk: Bulk, contact: CoupledContact, x: Array, *, xtol: float, max_steps: int, radius: float = np.inf
+    bulk: BulkModel, contact: CoupledContact, x: Array, *, xtol: float, max_steps: int, radius: float = np.inf
 ) -> ContactSolution:
     """Equilibrium of bulk, barrier and friction, with the indenter shrunk by the resulting mean gap.
 
@@ -136,7 +136,7 @@ def _to_radius(gone: Array, step: Array, radius: float) -> float:
 
 
 def _downhill(
-    bulk: Bulk, contact: CoupledContact, forces: ContactForces, x: Array, g: Array, coupled: Array | None
+    bulk: BulkModel, contact: CoupledContact, forces: ContactForces, x: Array, g: Array, coupled: Array | None
 ) -> tuple[float, Array | None]:
     """Fraction and step that lower the merit function: the coupled step or, if less than MIN_COUPLED of it does, the
     symmetric one; None if neither does."""

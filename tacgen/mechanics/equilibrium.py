@@ -35,18 +35,18 @@ def equilibrium(
     """
     step = _load_step(problem, history, Pose.of(matrix), duration)
     try:
-        found, least_J = _until_admissible(step, step.start(None if near is None else near.x))
-        residual, balance = imbalance(step, found)
-        if residual > problem.options.residual_max or balance > problem.options.residual_max or found.least_gap <= 0:
-            raise NotConverged(Failure.unbalanced, residual=residual, balance=balance, least_gap=found.least_gap)
+        solution, least_J = _until_admissible(step, step.start(None if near is None else near.x))
+        residual, balance = imbalance(step, solution)
+        if residual > problem.options.residual_max or balance > problem.options.residual_max or solution.least_gap <= 0:
+            raise NotConverged(Failure.unbalanced, residual=residual, balance=balance, least_gap=solution.least_gap)
         if least_J <= 0:
             raise NotConverged(Failure.inverted, least_J=least_J)
-        step.check(found)
+        step.check(solution)
     except NotConverged:
         if problem.condensed:
             problem.tangent.condensation.usable = False
         raise
-    return _record(step, found, index, matrix, (residual, balance, least_J))
+    return _record(step, solution, index, matrix, (residual, balance, least_J))
 
 
 def _load_step(problem: Problem, history: History, pose: Pose, duration: float) -> "LoadStep | MeshLoadStep":
@@ -62,23 +62,23 @@ def _until_admissible(step: "LoadStep | MeshLoadStep", x: Array) -> tuple[Found,
     inverted, and the Newton steps of all solves; and the certified lower bound of J."""
     steps, damped, mesh = 0, 0, step.problem.mesh
     for _ in range(STIFFENINGS):
-        found = step.solve(x)
-        x, steps, damped = found.x, steps + found.steps, damped + found.damped
+        solution = step.solve(x)
+        x, steps, damped = solution.x, steps + solution.steps, damped + solution.damped
         least_J = least_jacobian(mesh.points, x, mesh.cells)
-        touching, inverted = not found.least_gap > 0, not least_J > 0
-        if not (touching or inverted) or not step.stiffen(found, touching, inverted):
+        touching, inverted = not solution.least_gap > 0, not least_J > 0
+        if not (touching or inverted) or not step.stiffen(solution, touching, inverted):
             break
-    return replace(found, steps=steps, damped=damped), least_J
+    return replace(solution, steps=steps, damped=damped), least_J
 
 
 def _record(
     step: "LoadStep | MeshLoadStep",
-    found: Found,
+    solution: Found,
     index: int,
     matrix: Array,
     quality: tuple[float, float, float],
 ) -> tuple[History, State]:
-    coupled, contact, forces, history = found.contact, found.contact.contact, found.forces, step.history
+    coupled, contact, forces, history = solution.contact, solution.contact.contact, solution.forces, step.history
     friction = sliding = None
     anchor = history.anchor
     if coupled.friction > 0:
@@ -87,10 +87,10 @@ def _record(
         least = coupled.eps + step.problem.options.step_tol * contact.dhat
         sliding = (np.linalg.norm(slip(forces.at, coupled.anchor, forces.normal), axis=-1) > least) & (forces.N > 0)
         anchor = dragged(coupled.anchor, forces.at, forces.normal, forces.N, coupled.eps, contact.pose)
-    internal = step.problem.internal(history, found.x, step.duration)
+    internal = step.problem.internal(history, solution.x, step.duration)
     after = History(
         contact.pose,
-        found.x,
+        solution.x,
         contact.offset,
         forces.N,
         forces.normal @ contact.pose.rotation,
@@ -98,15 +98,15 @@ def _record(
         forces.gap,
         contact.kappa,
         max(history.least_force, NEGLIGIBLE * float(forces.N.sum())),
-        None if history.velocity is None else (found.x - history.x) / step.duration,
+        None if history.velocity is None else (solution.x - history.x) / step.duration,
         history.x,
         internal,
-        None if step.prediction is None else step.prediction.error(found.x),
+        None if step.prediction is None else step.prediction.error(solution.x),
         None if step.prediction is None else step.prediction.x,
     )
-    mean = contact.mean_gap(found.x)
+    mean = contact.mean_gap(solution.x)
     residual, balance, least_J = quality
     return after, State(
-        index, matrix, found.x, forces.N, forces.normal, friction, sliding, found.steps, 1, contact.offset, mean,
-        found.least_gap, residual, balance, least_J, found.damped, internal=internal, after=after,
+        index, matrix, solution.x, forces.N, forces.normal, friction, sliding, solution.steps, 1, contact.offset, mean,
+        solution.least_gap, residual, balance, least_J, solution.damped, internal=internal, after=after,
     )  # fmt: skip

@@ -47,15 +47,15 @@ def tetrahedralised(*arguments: Any) -> tuple[Array, Array]:
             raise Unseeded(version("pytetwild"))
         if done.returncode:
             raise RuntimeError(f"fTetWild ended with exit code {done.returncode}: {done.stderr[-2000:]}")
-        with np.load(made) as found:
-            return found["arr_0"].astype(float), found["arr_1"].astype(np.int64)
+        with np.load(made) as stored:
+            return stored["arr_0"].astype(float), stored["arr_1"].astype(np.int64)
 
 
 def main(asked: Path, made: Path) -> int:
     """The new process: the mesh of the arguments in `asked`, written to `made`."""
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-    with np.load(asked) as found:
-        arguments = [found[name] for name in found.files]  # in the order of savez
+    with np.load(asked) as stored:
+        arguments = [stored[name] for name in stored.files]  # in the order of savez
     folder = Path(str(distribution("pytetwild").locate_file("pytetwild")))
     library = next(folder.glob("PyfTetWildWrapper*.so"))
     ftetwild = _loaded(library)

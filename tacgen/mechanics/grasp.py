@@ -19,7 +19,7 @@ MARGIN = 1.25  # depth that the final mesh allows for, over the depth of the coa
 
 
 @dataclass(frozen=True)
-class Grasp:
+class GraspScene:
     """All that the numerics need of one grasp, without the recipe.
 
     fingers: the left and the right gel, whose shape is the object and whose poses are guesses; start (4, 4): the object
@@ -60,11 +60,11 @@ def seen_from(side: int, width: float, pose: Array) -> Array:
     return out
 
 
-def refined(grasp: Grasp, poses: tuple[list[Array], list[Array]]) -> Grasp:
+def refined(grasp: GraspScene, poses: tuple[list[Array], list[Array]]) -> GraspScene:
     """The grasp with finger meshes that are fine where `poses` (4, 4) of the object in each sensor's frame touch."""
     fingers = []
-    for scene, found in zip(grasp.fingers, poses, strict=True):
-        deeper = np.array(found)
+    for scene, path in zip(grasp.fingers, poses, strict=True):
+        deeper = np.array(path)
         deeper[:, 2, 3] -= (MARGIN - 1) * np.maximum(scene.start[2, 3] - deeper[:, 2, 3], 0.0) + scene.edge / 4
         fingers.append(replace(scene, poses=deeper))
     return replace(grasp, fingers=(fingers[0], fingers[1]))

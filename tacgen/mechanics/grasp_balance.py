@@ -3,7 +3,7 @@
 Each gel is an ordinary problem with an indenter whose pose follows from that of the object. Newton's method finds the
 object's pose, and the width for a given force, from the tangents of both gels (see rigid_stiffness). The object stands
 on a table until the fingers carry its weight. If friction cannot carry it there is no quasi-static solution: the object
-then sinks by `Grasp.fall` a frame, all other components balance, and the frame records the remaining weight.
+then sinks by `GraspScene.fall` a frame, all other components balance, and the frame records the remaining weight.
 """
 
 import math
@@ -18,7 +18,7 @@ from tacgen.geometry.pose import Pose, about
 from tacgen.mechanics import mesh
 from tacgen.mechanics.failures import Failure, NotConverged
 from tacgen.mechanics.frames import normal_force, trial
-from tacgen.mechanics.grasp import LOOKS, SIDES, Grasp, finger, refined, seen_from
+from tacgen.mechanics.grasp import LOOKS, SIDES, GraspScene, finger, refined, seen_from
 from tacgen.mechanics.line_search import backtrack
 from tacgen.mechanics.options import DEFAULT, tighter
 from tacgen.mechanics.presolve import COARSE
@@ -81,7 +81,7 @@ def problem_of(finger: Scene) -> Problem:
     return Problem.of(finger, mesh.of(finger), OPTIONS)
 
 
-def held(grasp: Grasp, problems: tuple[Problem, Problem], *, tol: float | None = None) -> Iterator[Held]:
+def held(grasp: GraspScene, problems: tuple[Problem, Problem], *, tol: float | None = None) -> Iterator[Held]:
     """The grasp at every frame, in order; `tol`: relative tolerance of a prescribed force.
 
     Raises:
@@ -108,7 +108,7 @@ class Frame:
     `arm`, so that all are forces [N] and lengths [mm]."""
 
     def __init__(
-        self, grasp: Grasp, problems: tuple[Problem, Problem], last: Trial, index: int, begun: Trial, tol: float
+        self, grasp: GraspScene, problems: tuple[Problem, Problem], last: Trial, index: int, begun: Trial, tol: float
     ) -> None:
         self.grasp, self.problems, self.last, self.index = grasp, problems, last, index
         self.gripper, part = grasp.gripper[index], grasp.part[index]
@@ -132,17 +132,17 @@ class Frame:
         table, carried, width = self._height(self.last.pose), self.last.pose, self._first_width()
         lowest = table if mode == Mode.standing else min(table, self.grasp.fall)
         if mode == Mode.held or (mode == Mode.standing and lowest > 0):
-            found = self._newton(self._trial(carried, width), Mode.held, lowest)
-            if found is not None:
-                return found, Mode.held
+            trial = self._newton(self._trial(carried, width), Mode.held, lowest)
+            if trial is not None:
+                return trial, Mode.held
         mode = Mode.standing if lowest == table else Mode.falling
-        found = self._newton(self._trial(self._lowered(carried, lowest, mode), width), mode)
-        assert found is not None
-        if self.unborne(found) >= -self.balanced * self._least(found):
-            return found, mode
-        found = self._newton(self._trial(carried, found.width), Mode.held, lowest, bounded=True)
-        assert found is not None
-        return found, Mode.held
+        trial = self._newton(self._trial(self._lowered(carried, lowest, mode), width), mode)
+        assert trial is not None
+        if self.unborne(trial) >= -self.balanced * self._least(trial):
+            return trial, mode
+        trial = self._newton(self._trial(carried, trial.width), Mode.held, lowest, bounded=True)
+        assert trial is not None
+        return trial, Mode.held
 
     def unborne(self, at: Trial) -> float:
         """Part of the weight that the fingers do not bear [N]."""
@@ -270,14 +270,14 @@ class Frame:
         def attempt(part: float) -> tuple[bool, tuple[Trial, Array]]:
             pose, width = self._moved(at.pose, part * free @ step[:-1]), at.width + part * step[-1]
             try:
-                found = self._trial(pose, width, at)
+                trial = self._trial(pose, width, at)
             except NotConverged:
                 if part <= SHORTEST or self.trials > TRIALS:
                     raise
                 return False, (at, r)
-            there = self._residual(found, free)
-            less = np.linalg.norm(there) < np.linalg.norm(r) and (found.grip > 0 or at.grip == 0)
-            return bool(less), (found, there)
+            there = self._residual(trial, free)
+            less = np.linalg.norm(there) < np.linalg.norm(r) and (trial.grip > 0 or at.grip == 0)
+            return bool(less), (trial, there)
 
         _, last = backtrack(attempt, SHORTEST)
         assert last is not None
@@ -291,7 +291,7 @@ class Frame:
         return out
 
 
-def presolved(grasp: Grasp) -> Grasp:
+def presolved(grasp: GraspScene) -> GraspScene:
     """The grasp with meshes that are fine where a solve on coarse ones has the object (see presolve); if that fails, at
     the poses found so far and at those of the recipe's movements."""
     rough = tuple(
@@ -302,9 +302,9 @@ def presolved(grasp: Grasp) -> Grasp:
     poses: tuple[list[Array], list[Array]] = ([], [])
     try:
         for frame in held(grasp, problems, tol=0.05):  # type: ignore[arg-type]
-            for found, state in zip(poses, frame.states, strict=True):
-                found.append(state.pose)
+            for path, state in zip(poses, frame.states, strict=True):
+                path.append(state.pose)
     except NotConverged:
-        for found, scene in zip(poses, grasp.fingers, strict=True):
-            found.extend(scene.poses)
+        for path, scene in zip(poses, grasp.fingers, strict=True):
+            path.extend(scene.poses)
     return refined(grasp, poses)

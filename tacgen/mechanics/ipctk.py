@@ -254,8 +254,8 @@ class MeshContact:
         """
         if not self._found or self._found[0][0] is not x:
             self._found[:] = [(x, self._find(x))]
-        found: tuple[Array, Any, Array] = self._found[0][1]
-        return found
+        nearby: tuple[Array, Any, Array] = self._found[0][1]
+        return nearby
 
     def _find(self, x: Array) -> tuple[Array, Any, Array]:
         ipctk, _ = _toolkit()

@@ -16,10 +16,10 @@ def armijo(new: float, old: float, predicted: float, rounding: float) -> bool:
 def backtrack(trial: Callable[[float], tuple[bool, T]], shortest: float, first: float = 1.0) -> tuple[float, T | None]:
     """The first of the fractions first, first/2, first/4... >= shortest of a step that a trial accepts, or 0.0; and the
     result of the last trial, or None if there was none."""
-    fraction, found = first, None
+    fraction, result = first, None
     while fraction >= shortest:
-        accepted, found = trial(fraction)
+        accepted, result = trial(fraction)
         if accepted:
-            return fraction, found
+            return fraction, result
         fraction /= 2
-    return 0.0, found
+    return 0.0, result

@@ -115,31 +115,31 @@ class LoadStep:
         if self.problem.condensed:
             newton = BulkNewton(self.problem, self.bulk, self.history)
             return Found.coupled(*newton.solve(x, self.contact), newton.damped)
-        found = full_newton.solve(self.problem, self.bulk, self.contact, x)
-        if not found.converged:
-            raise failed(self.bulk, found.x, found.steps)
-        return Found.coupled(found.x, found.contact, found.steps)
+        solution = full_newton.solve(self.problem, self.bulk, self.contact, x)
+        if not solution.converged:
+            raise failed(self.bulk, solution.x, solution.steps)
+        return Found.coupled(solution.x, solution.contact, solution.steps)
 
-    def stiffen(self, found: Found, contact: bool, folding: bool) -> bool:
-        """Make the barriers of the contact or against folding stiffer, from what was found; whether that may help."""
-        assert isinstance(found.contact, CoupledContact)
-        self.contact = found.contact.stiffened(STIFFER) if contact else found.contact
+    def stiffen(self, solution: Found, contact: bool, folding: bool) -> bool:
+        """Make the barriers of the contact or against folding stiffer after a solution; whether that may help."""
+        assert isinstance(solution.contact, CoupledContact)
+        self.contact = solution.contact.stiffened(STIFFER) if contact else solution.contact
         if folding:
             self.bulk = replace(self.bulk, folding=tuple(b.stiffened(STIFFER) for b in self.bulk.folding))
         return True
 
-    def check(self, found: Found) -> None:
+    def check(self, solution: Found) -> None:
         """Raises NotConverged: the gel is far inside the indenter."""
-        contact, problem = found.contact.contact.distance, self.problem
+        contact, problem = solution.contact.contact.distance, self.problem
         reach = contact.shape.reach
-        if (deep := depth_inside(contact, problem.elastic, found.x)) > INSIDE * reach:
+        if (deep := depth_inside(contact, problem.elastic, solution.x)) > INSIDE * reach:
             raise NotConverged(Failure.inside, width=2 * reach, depth=deep, edge=problem.edge)
 
 
-def imbalance(step: "LoadStep | MeshLoadStep", found: Found) -> tuple[float, float]:
+def imbalance(step: "LoadStep | MeshLoadStep", solution: Found) -> tuple[float, float]:
     """Residual on the free dofs and |indenter + inertia + base|, both over the contact force [-]."""
-    x, free = found.x, step.problem.pattern.free
-    outer = found.contact.contact.faces.scatter(-found.forces.force, len(x))
+    x, free = solution.x, step.problem.pattern.free
+    outer = solution.contact.contact.faces.scatter(-solution.forces.force, len(x))
     inertia = step.inert.gradient(x)
     inner = Total((*step.elastic, *step.folding)).gradient(x)
     held = np.ones(x.size, bool)

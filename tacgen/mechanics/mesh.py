@@ -28,7 +28,7 @@ MAX_NODES = 500_000  # a larger stiffness matrix cannot be factorised in the mem
 
 
 @dataclass(frozen=True)
-class Mesh:
+class GelMesh:
     """Arrays with named patches.
 
     points (n, 3) [mm]; cells (e, a): hexes of 8 nodes, tets of 10 or 4, as VTK numbers them; layer (e,) number of the
@@ -42,7 +42,7 @@ class Mesh:
     facets: dict[str, Array]
 
 
-def of(scene: Scene) -> Mesh:
+def of(scene: Scene) -> GelMesh:
     """The gel's mesh, fine wherever the scene touches the gel.
 
     Raises:
@@ -51,7 +51,7 @@ def of(scene: Scene) -> Mesh:
     if scene.element == "hex":
         return build(scene.gel, footprint(scene), scene.edge)
     nodes, edge = TETS[scene.element]
-    made = Mesh(*tet_mesh.build(scene.gel, touched(scene), edge * scene.edge, nodes))
+    made = GelMesh(*tet_mesh.build(scene.gel, touched(scene), edge * scene.edge, nodes))
     angle = float(np.degrees(dihedral(made.points, made.cells).min()))
     least = float(scaled_jacobian(made.points, made.cells).min())
     if angle < MIN_ANGLE_DEG or least < MIN_SCALED_JACOBIAN:
@@ -62,12 +62,12 @@ def of(scene: Scene) -> Mesh:
     return made
 
 
-def quality(gel: GelBody, mesh: Mesh) -> dict[str, float | int | str]:
+def quality(gel: GelBody, mesh: GelMesh) -> dict[str, float | int | str]:
     """The quality of a gel's mesh, and its hash."""
     vertices, triangles, _ = gel.surface(*tet_mesh.FINE)
-    found = measure(mesh.points, mesh.cells, enclosed(vertices, triangles))
+    measured = measure(mesh.points, mesh.cells, enclosed(vertices, triangles))
     parts = (mesh.points, mesh.cells, mesh.layer, *(a for item in sorted(mesh.facets.items()) for a in item))
-    return {**found.document(), "sha256": array_cache.digest(parts)}
+    return {**measured.document(), "sha256": array_cache.digest(parts)}
 
 
 def graded(start: float, end: float, fine: tuple[float, float], edge: float, growth: float, coarsest: float) -> Array:
@@ -121,7 +121,7 @@ def build(
     *,
     growth: float = 1.7,
     coarsest: float = 0.0,
-) -> Mesh:
+) -> GelMesh:
     """Graded hexes for a gel with a flat base; each column of the grid is scaled to the local height of the face.
 
     Args:
@@ -151,7 +151,7 @@ def build(
     used, compact = np.unique(cells, return_inverse=True)
     rename = np.full(len(points), -1)
     rename[used] = np.arange(len(used))
-    return Mesh(points[used], compact.reshape(-1, 8), layers, {"bonded": rename[bonded], "coated": rename[coated]})
+    return GelMesh(points[used], compact.reshape(-1, 8), layers, {"bonded": rename[bonded], "coated": rename[coated]})
 
 
 def _refuse_above(most: float, count: float, edge: float, what: str) -> None:

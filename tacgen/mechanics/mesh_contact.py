@@ -148,19 +148,19 @@ class MeshLoadStep:
         steps, most = 0, self.problem.options.residual_max
         for _ in range(TRIES):
             x, contact, more = self._solve(x)
-            found = Found(x, contact, contact.forces(x), contact.contact.least(x), steps := steps + more)
-            if max(imbalance(self, found)) <= most:
+            solution = Found(x, contact, contact.forces(x), contact.contact.least(x), steps := steps + more)
+            if max(imbalance(self, solution)) <= most:
                 break
             self.xtol /= 30
-        return found
+        return solution
 
-    def stiffen(self, found: Found, contact: bool, folding: bool) -> bool:
+    def stiffen(self, solution: Found, contact: bool, folding: bool) -> bool:
         """See LoadStep; against folding there is nothing stiffer."""
         if not folding:
             self.contact = replace(self.contact, kappa=STIFFER * self.contact.kappa)
         return not folding
 
-    def check(self, found: Found) -> None:
+    def check(self, solution: Found) -> None:
         """Nothing to do: the gel cannot be inside the indenter."""
 
     def _solve(self, x: Array) -> tuple[Array, LaggedContact, int]:
@@ -171,11 +171,11 @@ class MeshLoadStep:
             force = max(self.force, self.history.least_force)
             return float(np.linalg.norm(g.ravel()[problem.pattern.free])) <= problem.options.residual_tol / 2 * force
 
-        found = minimise(
+        minimum = minimise(
             self.total, x, problem.pattern, problem.linear, xtol=self.xtol, near=dhat, refresh=self._renew,
             negligible=negligible,
         )  # fmt: skip
-        steps = len(found.steps)
-        if found.status != Status.converged:
-            raise NotConverged(Failure.minimiser, status=found.status, steps=steps)
-        return found.x, LaggedContact(self.contact, problem.friction, self.anchor, self.eps, self.friction), steps
+        steps = len(minimum.steps)
+        if minimum.status != Status.converged:
+            raise NotConverged(Failure.minimiser, status=minimum.status, steps=steps)
+        return minimum.x, LaggedContact(self.contact, problem.friction, self.anchor, self.eps, self.friction), steps

@@ -26,7 +26,7 @@ class Status(StrEnum):
 
 
 @dataclass(frozen=True)
-class Step:
+class NewtonStep:
     """One iteration: energy before it [N mm], longest nodal move proposed [mm], fraction taken, projected."""
 
     energy: float
@@ -41,7 +41,7 @@ class Solution:
 
     x: Array
     status: Status
-    steps: tuple[Step, ...]
+    steps: tuple[NewtonStep, ...]
 
 
 def direction(
@@ -98,7 +98,7 @@ def minimise(
             iteration too, since the next step would be shorter still.
         near: steps longer than this [mm] use the projected stiffness.
     """
-    steps: list[Step] = []
+    steps: list[NewtonStep] = []
     length = np.inf
     energy = potential.value(x)
     settled = False  # the last step was short and changed nothing that is lagged
@@ -116,14 +116,14 @@ def minimise(
         if length <= NEGLIGIBLE * xtol:  # rounding: no line search could tell whether that lowers the energy
             if (fresh := refresh(x)) is None:
                 return Solution(x, Status.converged, tuple(steps))
-            steps.append(Step(energy, length, 0.0, projected))
+            steps.append(NewtonStep(energy, length, 0.0, projected))
             potential, energy = fresh, fresh.value(x)
             continue
         fraction, lower = _downhill(potential, x, p, energy, float((g * p).sum()))
         if lower is None:
             # at rounding level a step may fail to lower the energy though it is as short as asked for
             return Solution(x, Status.converged if length <= xtol else Status.stalled, tuple(steps))
-        steps.append(Step(energy, length, fraction, projected))
+        steps.append(NewtonStep(energy, length, fraction, projected))
         x, energy = lower
         settled = False
         if length <= near and fraction == 1.0:

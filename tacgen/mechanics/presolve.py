@@ -30,7 +30,7 @@ def presolved(scene: Scene) -> Scene:
     problem = mechanics.Problem.of(rough, mesh.of(rough))
     poses, below, shift = scene.poses.copy(), forced.below.copy(), 0.0
     try:
-        found = [
+        heights = [
             state.pose[2, 3] for _, state in zip(range(end), mechanics.states(rough, problem, tol=0.05), strict=False)
         ]
     except NotConverged as error:
@@ -40,8 +40,8 @@ def presolved(scene: Scene) -> Scene:
         return replace(scene, forced=replace(forced, below=np.zeros_like(below), hopeless=hopeless))
     for i in range(len(poses)):
         if np.isfinite(forced.asked[i]):
-            shift = found[i] - poses[i, 2, 3]
-            depth = forced.floor[i] + FORCE_DEPTH * scene.gel.thickness - found[i]
-            below[i] = min(0.25 * depth + edge / 4, found[i] - forced.floor[i])
+            shift = heights[i] - poses[i, 2, 3]
+            depth = forced.floor[i] + FORCE_DEPTH * scene.gel.thickness - heights[i]
+            below[i] = min(0.25 * depth + edge / 4, heights[i] - forced.floor[i])
         poses[i, 2, 3] += forced.carry[i] * shift
     return replace(scene, poses=poses, forced=replace(forced, below=below))

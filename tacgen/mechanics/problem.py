@@ -16,7 +16,7 @@ from tacgen.geometry.pose import Pose
 from tacgen.mechanics import linear_solvers
 from tacgen.mechanics.barrier import AnyContact, Contact, Faces
 from tacgen.mechanics.bulk import Bulk, Tangent
-from tacgen.mechanics.mesh import Mesh
+from tacgen.mechanics.mesh import GelMesh
 from tacgen.mechanics.options import DEFAULT, SolverOptions, tighter
 from tacgen.mechanics.scene import Scene
 from tacgen.mechanics.state import Effort, History
@@ -40,7 +40,7 @@ class Problem:
     `longest` is the longest step in time [s].
     """
 
-    mesh: Mesh
+    mesh: GelMesh
     elastic: tuple[Elastic, ...]
     folding: tuple[FoldingBarrier, ...]
     contact: AnyContact
@@ -53,7 +53,7 @@ class Problem:
     options: SolverOptions = DEFAULT
 
     @classmethod
-    def of(cls, scene: Scene, mesh: Mesh, options: SolverOptions = DEFAULT, held: Array | None = None) -> "Problem":
+    def of(cls, scene: Scene, mesh: GelMesh, options: SolverOptions = DEFAULT, held: Array | None = None) -> "Problem":
         """`held` (n, 3) bool: dofs that do not move; those of the bonded nodes unless given."""
         if held is None:
             held = np.zeros((len(mesh.points), 3), bool)
@@ -143,7 +143,7 @@ class Problem:
         return 1 if self.body is None else max(1, math.ceil(duration / self.longest - 1e-9))
 
 
-def _contact(scene: Scene, mesh: Mesh, pat: Pattern) -> AnyContact:
+def _contact(scene: Scene, mesh: GelMesh, pat: Pattern) -> AnyContact:
     """The contact; the barrier's stiffness kappa is twice Young's modulus of the outermost layer."""
     facets, pose = mesh.facets["coated"], Pose.of(scene.start)
     kappa = 2 * scene.gel.layers[-1].youngs_modulus

@@ -44,7 +44,7 @@ class Forced:
 
 
 @dataclass(frozen=True)
-class Dynamics:
+class GelDynamics:
     """Mass and Rayleigh damping of the gel."""
 
     density: float  # [t/mm^3]
@@ -71,7 +71,7 @@ class Scene:
     edge: float  # element edge under the contact [mm]
     dhat: float  # [mm]
     forced: Forced | None = None
-    dynamics: Dynamics | None = None
+    dynamics: GelDynamics | None = None
     duration: Array | None = None  # (N,) of each frame [s]; None: quasi-static
     element: Element = "hex"
     surface: "Triangles | None" = None  # of the indenter, for contact between meshes

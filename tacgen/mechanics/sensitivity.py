@@ -122,8 +122,8 @@ class Sensitivity:
         rub = stronger[:, None, None, None] * here.friction
         load = _scatter(faces, here.force(self._relative(np.zeros_like(anchors)), anchors) + rub, nodes) - by_law
         solve = solver(self._problem, self._tangent, after.x, here.forces.tangent, on)
-        *found, x_by_offset = solve(np.concatenate([load, _scatter(faces, here.by_offset[None], nodes)]))
-        x, fixed = np.stack(found), np.zeros(len(found))
+        *columns, x_by_offset = solve(np.concatenate([load, _scatter(faces, here.by_offset[None], nodes)]))
+        x, fixed = np.stack(columns), np.zeros(len(columns))
         excess = here.gap_excess(self._relative(_at(faces, x)), fixed)
         offset = -excess / here.gap_excess(faces.at(x_by_offset)[None], np.ones(1))
         x = x + offset[:, None, None] * x_by_offset
@@ -157,7 +157,7 @@ class Sensitivity:
     def _stiffer(self, u: Array) -> Array:
         """How the tangent before the step, times u (n, 3), changes with the parameters (k, n, 3) [N]: a mixed second
         difference of the bulk's forces."""
-        problem, x, found = self._problem, self._before.x, []
+        problem, x, slopes = self._problem, self._before.x, []
         far = TINY * problem.edge / max(float(np.abs(u).max()), 1e-300)
         folds = any(barrier.evaluate(x).point is not None for barrier in problem.folding)
 
@@ -171,8 +171,8 @@ class Sensitivity:
         for parameter, slope in zip(self._parameters, self._slopes.x, strict=True):
             small = SMALL / 10 * parameter.scale
             changed = laws if parameter.laws is None else parameter.laws(small)
-            found.append((times(changed, x + small * slope) - here) / small)
-        return np.stack(found)
+            slopes.append((times(changed, x + small * slope) - here) / small)
+        return np.stack(slopes)
 
     def _extrapolated(self, after: History) -> float:
         """The fraction of its last first-order error that the predictor added in this step."""

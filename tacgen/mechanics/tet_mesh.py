@@ -115,14 +115,14 @@ def _facets(
     keys = (order[:, 0] * len(points) + order[:, 1]) * len(points) + order[:, 2]
     _, first, count = np.unique(keys, return_index=True, return_counts=True)
     outer = faces[first[count == 1]]
-    found = {name: outer[mask] for name, mask in _patches(gel, points, outer, reach).items()}
+    patches = {name: outer[mask] for name, mask in _patches(gel, points, outer, reach).items()}
     rank = np.argsort(keys, kind="stable")
     pairs = np.flatnonzero(keys[rank][1:] == keys[rank][:-1])
     one, two = rank[pairs], rank[pairs + 1]
     low = np.minimum(layer[owner[one]], layer[owner[two]])
     apart = layer[owner[one]] != layer[owner[two]]
     between = [faces[one[apart & (low == number)]] for number in range(len(gel.layers) - 1)]
-    return found, between
+    return patches, between
 
 
 def _patches(gel: GelBody, points: Array, triangles: Array, reach: float) -> dict[str, Array]:
@@ -130,8 +130,8 @@ def _patches(gel: GelBody, points: Array, triangles: Array, reach: float) -> dic
     x = points[triangles]
     normal = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
-    found = gel.patches(x, normal, reach)
-    return {**found, "sides": ~np.any(list(found.values()), axis=0)}
+    patches = gel.patches(x, normal, reach)
+    return {**patches, "sides": ~np.any(list(patches.values()), axis=0)}
 
 
 def _on_true_surface(gel: GelBody, points: Array, tets: Array, facets: dict[str, Array], between: list[Array]) -> Array:

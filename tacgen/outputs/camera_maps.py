@@ -8,7 +8,7 @@ from tacgen.geometry.analytic_sdf import Shape
 from tacgen.geometry.pose import Pose
 from tacgen.optics.drawn_face import DrawnFace
 from tacgen.optics.surface_grid import unit
-from tacgen.outputs.gel_surface import Surface
+from tacgen.outputs.gel_surface import GelSurface
 
 if TYPE_CHECKING:
     from tacgen.optics.camera import PinholeCamera
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 Array = np.ndarray
 
 
-def in_view(surface: Surface, camera: "PinholeCamera") -> Array:
+def in_view(surface: GelSurface, camera: "PinholeCamera") -> Array:
     """x0, x1, y0, y1 [mm] at rest of the part of a face that the camera may see.
 
     The part behind the picture at the height of the face's highest point, extended by the largest sideways motion.
@@ -45,9 +45,9 @@ class View(DrawnFace):
     def gap(self, shape: Shape, pose: Array) -> Array:
         """Distance (h, w) [mm] between the face and the indenter at a pose (4, 4).
 
-        In contact it is within micrometres of zero where the face is drawn on the indenter (Surface.pressed), otherwise
-        within a few hundredths of a millimetre of either sign: the barrier keeps the surfaces apart, the indenter is
-        shrunk by the mean gap, and the face is smoothed. For a mesh it is a lower bound outside the grid of its
-        distance (see geometry/sdf_grid).
+        In contact it is within micrometres of zero where the face is drawn on the indenter (GelSurface.pressed);
+        otherwise within a few hundredths of a millimetre of either sign: the barrier keeps the surfaces apart, the
+        indenter is shrunk by the mean gap, and the face is smoothed. For a mesh it is a lower bound outside the grid
+        of its distance (see geometry/sdf_grid).
         """
         return self.behind(shape.distance(Pose.of(pose).local(self.nodes))[0][:, None], outermost=True)[..., 0]

@@ -74,17 +74,17 @@ class Stresses:
         pull = np.einsum("nij,nj->ni", stress.node[self.face.nodes][:, FULL], area)
         push = self.problem.contact.faces.shared(state.traction_force, len(state.x))[self.face.nodes]
         size = np.linalg.norm(area, axis=1, keepdims=True)
-        found = {"force_error": 0.0, "traction_error": 0.0}
+        measures = {"force_error": 0.0, "traction_error": 0.0}
         if np.any(push):
-            found["force_error"] = float(np.linalg.norm((pull - push).sum(0)) / np.linalg.norm(push.sum(0)))
-            found["traction_error"] = float(
+            measures["force_error"] = float(np.linalg.norm((pull - push).sum(0)) / np.linalg.norm(push.sum(0)))
+            measures["traction_error"] = float(
                 np.linalg.norm((pull - push) / np.sqrt(size)) / np.linalg.norm(push / np.sqrt(size))
             )
         pressure = -stress.element[:, :3].mean(1)
         smooth, weight = self.recovery.mean @ -stress.rows[:, :3].mean(1), self._volume
         rms = float(np.sqrt(weight @ smooth**2))
-        found["pressure_oscillation"] = float(np.sqrt(weight @ (pressure - smooth) ** 2)) / rms if rms > 0 else 0.0
-        return found
+        measures["pressure_oscillation"] = float(np.sqrt(weight @ (pressure - smooth) ** 2)) / rms if rms > 0 else 0.0
+        return measures
 
 
 def _means(elastic: Elastic, x: Array) -> tuple[Array, Array]:

@@ -18,7 +18,7 @@ from tacgen.fem.elements import triangles as pieces
 from tacgen.geometry.rasterize import hits
 from tacgen.mechanics import Problem, State
 from tacgen.optics.surface_grid import unit
-from tacgen.outputs.gel_surface import Surface
+from tacgen.outputs.gel_surface import GelSurface
 
 if TYPE_CHECKING:
     from tacgen.optics.camera import PinholeCamera
@@ -68,7 +68,7 @@ def tangents(normal: Array) -> tuple[Array, Array]:
     return x, np.cross(normal, x)
 
 
-def maps(problem: Problem, surface: Surface, state: State, camera: "PinholeCamera") -> Maps:
+def maps(problem: Problem, surface: GelSurface, state: State, camera: "PinholeCamera") -> Maps:
     """Pressure and traction behind each pixel, through the camera's refraction.
 
     The force at each contact point is distributed to the nodes of its facet, and the sum of each node to the pixels
@@ -90,12 +90,12 @@ def maps(problem: Problem, surface: Surface, state: State, camera: "PinholeCamer
 
 def spread(view: "Shares", state: State) -> Maps:
     """Maps of a state on a `view` of the face that was computed in this state or in a nearby one."""
-    found = {name: view.picture(values) for name, values in densities(view, state).items()}
-    view.add_hidden(state.traction_force, found["force"])
-    return Maps(**found, contact=view.picture(view.contact), area=view.area, unseen=view.unseen(state.normal_force))
+    pictures = {name: view.picture(values) for name, values in densities(view, state).items()}
+    view.add_hidden(state.traction_force, pictures["force"])
+    return Maps(**pictures, contact=view.picture(view.contact), area=view.area, unseen=view.unseen(state.normal_force))
 
 
-def resultant_errors(view: "Shares", surface: Surface, state: State, maps: Maps) -> dict[str, float]:
+def resultant_errors(view: "Shares", surface: GelSurface, state: State, maps: Maps) -> dict[str, float]:
     """Errors of the maps of pressure and traction: |integral over the deformed face - contact forces| / |force| [-].
 
     Pressure acts along -n and traction along the face's own x and y, with n the normals of the smooth face. The contact
@@ -105,9 +105,9 @@ def resultant_errors(view: "Shares", surface: Surface, state: State, maps: Maps)
     normal, area = view.normals(surface), view.seen_area[:, None]
     pressure, traction = (values[view.seen] for values in (maps.pressure, maps.traction))
     x, y = tangents(normal)
-    found = -pressure[:, None] * normal, traction[:, :1] * x + traction[:, 1:] * y
+    per_area = -pressure[:, None] * normal, traction[:, :1] * x + traction[:, 1:] * y
     push, force = (state.normal_force[..., None] * state.normal).sum((0, 1)), state.traction_force.sum((0, 1))
-    pressed, dragged = ((area * values).sum(0) for values in found)
+    pressed, dragged = ((area * values).sum(0) for values in per_area)
     return {"pressure": over_force(pressed - push, state), "traction": over_force(dragged - (force - push), state)}
 
 
@@ -128,11 +128,11 @@ def densities(view: "Shares", state: State) -> dict[str, Array]:
         parts += [(state.friction * axis).sum(-1, keepdims=True) for axis in tangents(-state.normal)]
         parts += [np.linalg.norm(state.friction, axis=-1, keepdims=True)]
         parts += [(state.normal_force * state.sliding)[..., None]]
-    found = view.shared(np.concatenate(parts, -1))
-    pressure, force = found[:, 0], found[:, 1:4] * view.seen_area[:, None]
-    traction, sliding = np.zeros((len(found), 2)), np.zeros(len(found))
-    if found.shape[1] > 4:
-        mean, size, slid = found[:, 4:6], found[:, 6], found[:, 7]
+    means = view.shared(np.concatenate(parts, -1))
+    pressure, force = means[:, 0], means[:, 1:4] * view.seen_area[:, None]
+    traction, sliding = np.zeros((len(means), 2)), np.zeros(len(means))
+    if means.shape[1] > 4:
+        mean, size, slid = means[:, 4:6], means[:, 6], means[:, 7]
         sliding = np.divide(slid, pressure, out=sliding, where=pressure > 0)
         length = np.linalg.norm(mean, axis=1)
         longer = np.divide(size, length, out=np.ones(len(mean)), where=length > 1e-9 * size)
@@ -158,7 +158,7 @@ class Shares:
     weight (p,) in the distribution of forces.
     """
 
-    def __init__(self, problem: Problem, surface: Surface, state: State, camera: "PinholeCamera") -> None:
+    def __init__(self, problem: Problem, surface: GelSurface, state: State, camera: "PinholeCamera") -> None:
         from scipy.sparse import csr_array
 
         contact, on = problem.contact.faces, np.asarray(state.normal_force > 0)
@@ -166,12 +166,12 @@ class Shares:
         facets, kind = surface.facets, surface.facets.shape[1]
         triangles = pieces(facets).astype(np.uint32, order="C")  # as in a Sheet: `hits` is compiled for it
         screen, corner = camera.project(surface.now), surface.now[triangles]  # (t, 3, 3)
-        found, place, _ = hits(triangles, screen, -surface.now[:, 2], camera.shape)
-        gel = np.asarray(found >= 0)
+        hit, place, _ = hits(triangles, screen, -surface.now[:, 2], camera.shape)
+        gel = np.asarray(hit >= 0)
         face_area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1) / 2
         drawn = screen[triangles]
         pixels = np.abs(np.linalg.det(drawn[:, 1:] - drawn[:, :1])) / 2
-        self.area = np.where(gel, (face_area / np.maximum(pixels, 1e-300))[found], 0.0)
+        self.area = np.where(gel, (face_area / np.maximum(pixels, 1e-300))[hit], 0.0)
 
         self._facets, hats = facets, facet_shares(contact.N, contact.areas)
         self._hats = np.tile(hats, (len(on), 1, 1))  # (f, q, k)
@@ -180,10 +180,10 @@ class Shares:
             self._hats[on.all(1) & _obeys_coulomb(level, state, problem.friction)] = level.T @ hats
         beside = np.zeros(len(surface.now), bool)
         beside[self._facets[touched]] = True
-        self.seen = gel & np.tile(beside[facets].any(1), len(triangles) // len(facets))[found]
+        self.seen = gel & np.tile(beside[facets].any(1), len(triangles) // len(facets))[hit]
         self._pixels = np.flatnonzero(self.seen)
         self.seen_area = self.area.ravel()[self._pixels]
-        piece, number = np.divmod(found.ravel()[self._pixels], len(facets))
+        piece, number = np.divmod(hit.ravel()[self._pixels], len(facets))
         ends = facet_corners(kind)[np.array(PIECES[kind])][piece]  # corners of its triangle, (p, 3, 2)
         v, w = place.reshape(-1, 2)[self._pixels].T[..., None]
         hats = facet_hats(kind, (1 - v - w) * ends[:, 0] + v * ends[:, 1] + w * ends[:, 2])
@@ -214,7 +214,7 @@ class Shares:
         """Values (s, c) at the nodes, behind each of the pixels (p, c)."""
         return np.asarray(self._shape @ nodal)
 
-    def normals(self, surface: Surface) -> Array:
+    def normals(self, surface: GelSurface) -> Array:
         """Unit normals (p, 3) of the smooth face behind each of the pixels."""
         return unit(self.at(surface.normals))
 

@@ -8,8 +8,8 @@ MODES = ("apart", "touching", "sticking", "partly slipping", "sliding", "turning
 def _frame(frame: FrameData) -> Datasets:
     from tacgen.outputs.contact_events import events
 
-    found = events(frame.scene.problem, frame.state, frame.before, frame.maps)
-    return {f"/frames/events/{name}": value for name, value in vars(found).items()}
+    values = events(frame.scene.problem, frame.state, frame.before, frame.maps)
+    return {f"/frames/events/{name}": value for name, value in vars(values).items()}
 
 
 OUTPUT = Output(

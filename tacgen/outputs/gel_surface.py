@@ -15,14 +15,14 @@ from tacgen.geometry.pose import Pose
 from tacgen.mechanics import Problem, State
 
 if TYPE_CHECKING:
-    from tacgen.mechanics.mesh import Mesh
+    from tacgen.mechanics.mesh import GelMesh
 
 Array = np.ndarray
 MIN_EDGES = 3  # indenter's smallest radius over the element edge, from which the face follows the indenter [-]
 STEEPEST = 0.2  # z component of an indenter's normal below which the face is not made tangent to it [-]
 
 
-class Surface:
+class GelSurface:
     """The coated face of a mesh at rest and now, smooth between its nodes (C1, Clough & Tocher).
 
     rest, now (s, 3) [mm]; facets (f, a) numbers among them; nodes (s,) their numbers in the mesh.
@@ -36,20 +36,20 @@ class Surface:
         self.rest = self.now = points[self.nodes]
         self._between = CloughTocher(self.rest[:, :2])
 
-    def sharing(self, other: "Surface") -> "Surface":
+    def sharing(self, other: "GelSurface") -> "GelSurface":
         """This face; it shares the interpolation of another one whose nodes are at the same x and y."""
         if np.array_equal(self.rest[:, :2], other.rest[:, :2]):
             self._between = other._between
         return self
 
-    def moved(self, x: Array) -> "Surface":
+    def moved(self, x: Array) -> "GelSurface":
         """The face at nodal positions x (n, 3) of the mesh."""
-        new = object.__new__(Surface)
+        new = object.__new__(GelSurface)
         new.nodes, new.facets, new.rest, new._between = self.nodes, self.facets, self.rest, self._between
         new.now = x[self.nodes]
         return new
 
-    def pressed(self, problem: Problem, state: State) -> "Surface":
+    def pressed(self, problem: Problem, state: State) -> "GelSurface":
         """The face in a solved state; in contact it follows the indenter's surface between the nodes.
 
         Otherwise the cells would be visible as facets within a contact and as ripples around it. The mesh must resolve
@@ -91,12 +91,12 @@ class Surface:
         return moved
 
 
-def seen(mesh: "Mesh", clear: int) -> Surface:
+def seen(mesh: "GelMesh", clear: int) -> GelSurface:
     """The face that the camera sees: the coated one, or the interface above the first `clear` layers."""
     if clear > mesh.layer.max():
-        return Surface(mesh.points, mesh.facets["coated"])
+        return GelSurface(mesh.points, mesh.facets["coated"])
     shared = np.intersect1d(mesh.cells[mesh.layer < clear], mesh.cells[mesh.layer >= clear])
-    return Surface(mesh.points, shared[:, None])
+    return GelSurface(mesh.points, shared[:, None])
 
 
 def wrench(problem: Problem, state: State) -> tuple[Array, Array]:

@@ -38,8 +38,8 @@ SHEET_NODES = 3  # an edge of the mesh: with more of them labels are no nearer t
 class _Faces(ABC):
     """A gel's faces as the camera sees them; each is drawn once, when it is first asked for."""
 
-    touched: gel_surface.Surface  # the outer face of the coating, that indenters touch
-    printed: gel_surface.Surface  # the one seen through the clear layers, with the markers on it; it may be the same
+    touched: gel_surface.GelSurface  # the outer face of the coating, that indenters touch
+    printed: gel_surface.GelSurface  # the one seen through the clear layers, with the markers on it; it may be the same
 
     @cached_property
     def outer(self) -> "View":
@@ -52,7 +52,7 @@ class _Faces(ABC):
         return self.outer if self.printed is self.touched else self.drawn(self.printed)
 
     @abstractmethod
-    def drawn(self, surface: gel_surface.Surface) -> "View":
+    def drawn(self, surface: gel_surface.GelSurface) -> "View":
         """A face behind each pixel."""
 
 
@@ -63,7 +63,7 @@ class SceneData(_Faces):
         self,
         sensor: Sensor,
         problem: Problem,
-        pictures: "Callable[[gel_surface.Surface], Pictures]",
+        pictures: "Callable[[gel_surface.GelSurface], Pictures]",
         *,
         asked: frozenset[str] = frozenset(),
         analytic: bool = False,
@@ -81,11 +81,11 @@ class SceneData(_Faces):
         self._pictures, self._analytic, self._deviations, self._again = pictures, analytic, deviations or {}, again
         self._sheet: Sheet | None = None
         mesh, gel = problem.mesh, sensor.gel
-        self.touched = gel_surface.Surface(mesh.points, mesh.facets["coated"])
+        self.touched = gel_surface.GelSurface(mesh.points, mesh.facets["coated"])
         opaque = len(gel.clear_layers) < len(gel.layers)
         self.printed = gel_surface.seen(mesh, len(gel.clear_layers)).sharing(self.touched) if opaque else self.touched
 
-    def drawn(self, surface: gel_surface.Surface) -> "View":
+    def drawn(self, surface: gel_surface.GelSurface) -> "View":
         """A face behind each pixel."""
         from tacgen.outputs.camera_maps import View, in_view
 
@@ -180,7 +180,7 @@ class FrameData(_Faces):
         self.touched = scene.touched.pressed(scene.problem, state)
         self.printed = self.touched if scene.printed is scene.touched else scene.printed.moved(state.x)
 
-    def drawn(self, surface: gel_surface.Surface) -> "View":
+    def drawn(self, surface: gel_surface.GelSurface) -> "View":
         """A face behind each pixel."""
         return self.scene.drawn(surface)
 

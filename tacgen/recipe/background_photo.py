@@ -10,7 +10,7 @@ from tacgen.outputs import IMAGES
 from tacgen.recipe import assets
 from tacgen.recipe.model import Recipe
 from tacgen.sensor.model import Sensor
-from tacgen.sensor.validation_messages import Problem
+from tacgen.sensor.validation_messages import Issue
 from tacgen.sensor.yaml_source import KeyPath
 
 if TYPE_CHECKING:
@@ -22,14 +22,14 @@ FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP")  # some of Pillow's other reade
 WHERE: KeyPath = ("render", "background")
 
 
-def problems(recipe: Recipe, sensor: Sensor, folder: Path | None) -> list[Problem]:
+def problems(recipe: Recipe, sensor: Sensor, folder: Path | None) -> list[Issue]:
     """Why the recipe's photograph cannot be the background of this sensor's images."""
     name, expected, camera = recipe.render.background, recipe.render.background_sha256, sensor.camera
     if name is None:
         return []
     if not recipe.outputs & IMAGES:
         return [
-            Problem(
+            Issue(
                 WHERE,
                 "has no effect: outputs do not ask for rgb or radiance: add rgb to them, or leave background out",
                 at_key=True,
@@ -40,12 +40,12 @@ def problems(recipe: Recipe, sensor: Sensor, folder: Path | None) -> list[Proble
         sha256 = assets.sha256(path)
         height, width = read(path).shape[:2]
     except UserError as error:
-        return [Problem(WHERE, error.lines[0])]
+        return [Issue(WHERE, error.lines[0])]
     if expected not in (None, sha256):
-        return [Problem(("render", "background_sha256"), f"{name} {assets.changed(sha256)}")]
+        return [Issue(("render", "background_sha256"), f"{name} {assets.changed(sha256)}")]
     if (width, height) != (camera.width_px, camera.height_px):
         pictures = f"{camera.width_px} x {camera.height_px}"
-        return [Problem(WHERE, f"is {width} x {height}, and the camera's pictures are {pictures}: crop and resize it")]
+        return [Issue(WHERE, f"is {width} x {height}, and the camera's pictures are {pictures}: crop and resize it")]
     return []
 
 

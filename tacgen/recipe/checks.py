@@ -13,7 +13,7 @@ from tacgen.recipe.model import Recipe
 from tacgen.recipe.trajectory import Paced, Replay, Slide, Timed
 from tacgen.recipe.trajectory_checks import Folders
 from tacgen.sensor.model import LIGHTS, Gel, Sensor
-from tacgen.sensor.validation_messages import Problem
+from tacgen.sensor.validation_messages import Issue
 from tacgen.sensor.yaml_source import KeyPath
 
 MIN_HALF_THICKNESS = 0.8  # of an indenter, over the element edge [-]; thinner ones pass between contact points
@@ -21,7 +21,7 @@ MAX_EDGE = 0.5  # of the mesh, over the gel's thickness [-]; on longer ones forc
 MAX_SIZE = 100.0  # of an indenter, over the pad's diagonal [-]; larger balls are flat to a thousandth of the pad
 
 
-def recipe_problems(recipe: Recipe, sensor: Sensor, folders: Folders | None = None) -> list[Problem]:
+def recipe_problems(recipe: Recipe, sensor: Sensor, folders: Folders | None = None) -> list[Issue]:
     """Problems of a recipe that asks for what this sensor cannot do; paths start at the recipe's root.
 
     `folders`: the folder to which the path of each of its files is relative, by default the working directory.
@@ -31,23 +31,18 @@ def recipe_problems(recipe: Recipe, sensor: Sensor, folders: Folders | None = No
     if recipe.grasp is None:
         wrong += [*_depths(recipe, sensor), *_times(recipe, sensor, folders)]
     if recipe.mesh == "hex" and sensor.gel.solid is not None:
-        wrong.append(
-            Problem(
-                ("mesh",),
-                f"cannot be hex: the gel of {sensor.name} is a solid, which is meshed by tets: leave mesh out",
-            )
-        )
+        text = f"cannot be hex: the gel of {sensor.name} is a solid, which is meshed by tets: leave mesh out"
+        wrong.append(Issue(("mesh",), text))
     elsewhere = recipe.grasp is not None or recipe.contact.formulation == "ipctk"
     if recipe.uncertainty is not None and (elsewhere or timed(recipe, sensor)):
         text = (
             "needs quasi-static frames and contact by distance: leave it out, or grasp, dynamics, viscosity and ipctk"
         )
-        wrong.append(Problem(("uncertainty",), text))
-    if recipe.uncertainty is not None and (depth := recipe.uncertainty.pose.depth_mm) > (
-        most := sensor.gel.thickness_mm
-    ):
+        wrong.append(Issue(("uncertainty",), text))
+    most = sensor.gel.thickness_mm
+    if recipe.uncertainty is not None and (depth := recipe.uncertainty.pose.depth_mm) > most:
         text = f"must be at most the gel's thickness, {most:g} mm (got {depth:g})"
-        wrong.append(Problem(("uncertainty", "pose", "depth_mm"), text))
+        wrong.append(Issue(("uncertainty", "pose", "depth_mm"), text))
     wrong += [*_too_large(recipe.indenter, sensor.gel), *_ipc_toolkit(recipe), *_mitsuba(recipe, sensor)]
     wrong += _too_coarse(recipe, sensor.gel)
     edge = recipe.resolved().edge_mm
@@ -59,12 +54,12 @@ def recipe_problems(recipe: Recipe, sensor: Sensor, folders: Folders | None = No
     return wrong + background_photo.problems(recipe, sensor, folders.get(background_photo.WHERE))
 
 
-def _depths(recipe: Recipe, sensor: Sensor) -> list[Problem]:
+def _depths(recipe: Recipe, sensor: Sensor) -> list[Issue]:
     """A press must be less deep than the gel is thick under the start."""
     gel, start = sensor.gel, recipe.start
     thick = gel.thickness_mm - gel.drop_mm(start.x_mm, start.y_mm)
     return [
-        Problem(
+        Issue(
             ("trajectory", i, "press", "depth_mm"),
             f"must be less than the gel is thick, {thick:g} mm (got {segment.press.depth_mm:g})",
         )
@@ -81,7 +76,7 @@ def timed(recipe: Recipe, sensor: Sensor) -> bool:
     )
 
 
-def _times(recipe: Recipe, sensor: Sensor, folders: Folders) -> list[Problem]:
+def _times(recipe: Recipe, sensor: Sensor, folders: Folders) -> list[Issue]:
     """If time matters, every movement needs a duration; if not, none may have one."""
     count, dynamics, forced, wrong = timed(recipe, sensor), recipe.dynamics, False, []
     for i, step in enumerate(recipe.trajectory):
@@ -92,44 +87,43 @@ def _times(recipe: Recipe, sensor: Sensor, folders: Folders) -> list[Problem]:
         if not count:
             if isinstance(step.move, Timed) and known:
                 text = "has no effect without dynamics or a viscoelastic gel: leave it out, or add one of them"
-                wrong.append(Problem((*where, "speed_mm_s" if paced else "duration_s"), text, at_key=True))
+                wrong.append(Issue((*where, "speed_mm_s" if paced else "duration_s"), text, at_key=True))
         elif forced and paced and not isinstance(step.move, Slide):
             text = "needs a way that is known, which force_n leaves open: say duration_s"
-            wrong.append(Problem((*where, "speed_mm_s"), text, at_key=True))
+            wrong.append(Issue((*where, "speed_mm_s"), text, at_key=True))
         elif dynamics is None or dynamics.frame_s is None:
             if isinstance(step.move, Replay):
                 with suppress(UserError):  # told already
                     known = len(trajectory_checks.replayed(step.move, folders.get((*where, "file")))) > 1
             if not known:
                 more = "as others do" if dynamics is None else "or frame_s under dynamics"
-                wrong.append(Problem(where, f"must say how long it takes: duration_s, {more}"))
+                wrong.append(Issue(where, f"must say how long it takes: duration_s, {more}"))
     return wrong
 
 
-def output_problems(recipe: Recipe, sensor: Sensor) -> list[Problem]:
+def output_problems(recipe: Recipe, sensor: Sensor) -> list[Issue]:
     """Problems of outputs that need what the sensor does not have."""
     wrong = []
     named = " and ".join(n for n in NAMES if n in recipe.outputs and OUTPUTS[n].needs == "markers")
     if named and sensor.markers is None:
         text = f"asks for {named}, and the sensor {sensor.name} has none: leave them out, or add markers to its file"
-        wrong.append(Problem(("outputs",), text))
+        wrong.append(Issue(("outputs",), text))
     if named and not _on_gel(sensor):
         text = f"asks for {named}, and some of the sensor {sensor.name} would lie beside its gel: fewer, or closer ones"
-        wrong.append(Problem(("outputs",), text))
+        wrong.append(Issue(("outputs",), text))
     if (images := recipe.outputs & IMAGES) and not sensor.lit:
         asked = " and ".join(sorted(images))
         lacking = ", ".join(name for name in LIGHTS if getattr(sensor, name) is None)
-        wrong.append(
-            Problem(("outputs",), f"asks for {asked}: the sensor {sensor.name} has no {lacking}: add them to its file")
-        )
+        text = f"asks for {asked}: the sensor {sensor.name} has no {lacking}: add them to its file"
+        wrong.append(Issue(("outputs",), text))
     if images and recipe.render.method == "table" and any(layer.scattering for layer in sensor.gel.clear_layers):
         text = (
             f"cannot be table, whose light follows the face's slope: the gel of {sensor.name} scatters; take transport"
         )
-        wrong.append(Problem(("render", "method"), text))
+        wrong.append(Issue(("render", "method"), text))
     if recipe.markers.method == "analytic" and (sensor.markers is None or sensor.markers.motion is None):
         text = f"cannot be analytic: the sensor file {sensor.name} holds no markers.motion: take fem"
-        wrong.append(Problem(("markers", "method"), text))
+        wrong.append(Issue(("markers", "method"), text))
     return wrong
 
 
@@ -143,7 +137,7 @@ def _on_gel(sensor: Sensor) -> bool:
     return all(trajectory_checks.on_pad(sensor.gel, side * x, y) for x, y in ends for side in (-1, 1))
 
 
-def _too_coarse(recipe: Recipe, gel: Gel) -> list[Problem]:
+def _too_coarse(recipe: Recipe, gel: Gel) -> list[Issue]:
     edge, longest = recipe.resolved().edge_mm, MAX_EDGE * gel.thickness_mm
     if edge <= longest * (1 + 1e-9):
         return []
@@ -152,10 +146,10 @@ def _too_coarse(recipe: Recipe, gel: Gel) -> list[Problem]:
         f" and more; ask for quality: {{edge_mm: {longest / 2:.2g}}} or finer"
     )
     where: KeyPath = ("quality",) if isinstance(recipe.quality, str) else ("quality", "edge_mm")
-    return [Problem(where, text)]
+    return [Issue(where, text)]
 
 
-def _too_large(indenter: Indenter, gel: Gel) -> list[Problem]:
+def _too_large(indenter: Indenter, gel: Gel) -> list[Issue]:
     """Sizes far beyond the pad are a wrong unit or mean a plate, and rounding errors of their distances grow."""
     most = MAX_SIZE * math.hypot(gel.width_mm, gel.height_mm)
     text = (
@@ -163,17 +157,17 @@ def _too_large(indenter: Indenter, gel: Gel) -> list[Problem]:
         f" {{{{shape: box, size_x_mm: {1.5 * gel.width_mm:.3g}, size_y_mm: {1.5 * gel.height_mm:.3g}}}}}"
     )
     return [
-        Problem(("indenter", name), text.format(value))
+        Issue(("indenter", name), text.format(value))
         for name, value in indenter
         if name.endswith("_mm") and isinstance(value, float) and value > most
     ]
 
 
-def _too_thin(indenter: Indenter, edge: float) -> list[Problem]:
+def _too_thin(indenter: Indenter, edge: float) -> list[Issue]:
     """A thin body must be thicker than the distance between contact points, or it passes between them."""
     half = {key: factor * getattr(indenter, key) for key, factor in indenter.thin.items()}
     return [
-        Problem(
+        Issue(
             ("indenter", key),
             f"is too thin for a mesh of edge {edge:g} mm: it would slip between the points where contact acts;"
             f" ask for quality: {{edge_mm: {value / MIN_HALF_THICKNESS:.2g}}} or finer",
@@ -183,14 +177,14 @@ def _too_thin(indenter: Indenter, edge: float) -> list[Problem]:
     ]
 
 
-def _ipc_toolkit(recipe: Recipe) -> list[Problem]:
+def _ipc_toolkit(recipe: Recipe) -> list[Issue]:
     if recipe.contact.formulation != "ipctk" or importlib.util.find_spec("ipctk"):
         return []
     text = "needs the IPC Toolkit, which is not installed: pip install 'tacgen[ipc]'"
-    return [Problem(("contact", "formulation"), text)]
+    return [Issue(("contact", "formulation"), text)]
 
 
-def _mitsuba(recipe: Recipe, sensor: Sensor) -> list[Problem]:
+def _mitsuba(recipe: Recipe, sensor: Sensor) -> list[Issue]:
     """Whether Mitsuba is needed and missing; a clear gel needs it with method `path` alone."""
     scatters = any(layer.scattering for layer in sensor.gel.clear_layers)
     traced = recipe.outputs & IMAGES and (scatters or recipe.render.method == "path")
@@ -198,10 +192,10 @@ def _mitsuba(recipe: Recipe, sensor: Sensor) -> list[Problem]:
         return []
     why = f"the gel of {sensor.name} scatters light" if scatters else "render.method is path"
     text = f"asks for images, and {why}: that needs Mitsuba, which is not installed: pip install 'tacgen[mitsuba]'"
-    return [Problem(("outputs",), text)]
+    return [Issue(("outputs",), text)]
 
 
-def _mesh_file(indenter: Indenter, edge: float, folder: Path | None) -> list[Problem]:
+def _mesh_file(indenter: Indenter, edge: float, folder: Path | None) -> list[Issue]:
     """The file must be a closed mesh, have the right hash, and not be too small to touch a contact point."""
     if indenter.shape != "mesh":
         return []
@@ -211,11 +205,11 @@ def _mesh_file(indenter: Indenter, edge: float, folder: Path | None) -> list[Pro
         path = assets.mesh_path(indenter.file, folder)
         sides = mesh_import.sizes(path, indenter.up, indenter.scale)
     except UserError as error:
-        return [Problem(("indenter", "file"), error.lines[0])]
+        return [Issue(("indenter", "file"), error.lines[0])]
     wrong, longest = [], indenter.size_mm or max(sides)
     if indenter.sha256 not in (None, sha256 := assets.sha256(path)):
-        wrong.append(Problem(("indenter", "sha256"), f"{indenter.file} {assets.changed(sha256)}"))
+        wrong.append(Issue(("indenter", "sha256"), f"{indenter.file} {assets.changed(sha256)}"))
     if longest < 2 * MIN_HALF_THICKNESS * edge:
         text = f"is {longest:.3g} mm long, too small for a mesh of edge {edge:g} mm: a file in metres needs scale: 1000"
-        wrong.append(Problem(("indenter", "file"), text))
+        wrong.append(Issue(("indenter", "file"), text))
     return wrong

@@ -9,46 +9,45 @@ from tacgen.recipe.indenters import analytic
 from tacgen.recipe.model import Grasp, Recipe
 from tacgen.recipe.trajectory import Start, Timed
 from tacgen.sensor.model import Sensor
-from tacgen.sensor.validation_messages import Problem
+from tacgen.sensor.validation_messages import Issue
 
 OF_GRASP = ("close", "lift")  # movements of a gripper alone
 MOVES = (*OF_GRASP, "tilt", "hold", "replay")  # all movements of a gripper
 
 
-def problems(recipe: Recipe, sensor: Sensor, folders: trajectory_checks.Folders) -> list[Problem]:
+def problems(recipe: Recipe, sensor: Sensor, folders: trajectory_checks.Folders) -> list[Issue]:
     """Problems of a grasp; without a grasp, of movements that need one."""
     grasp = recipe.grasp
     if grasp is None:
         return [
-            Problem(("trajectory", i, step.kind), "needs a grasp: add one, or leave this movement out", at_key=True)
+            Issue(("trajectory", i, step.kind), "needs a grasp: add one, or leave this movement out", at_key=True)
             for i, step in enumerate(recipe.trajectory)
             if step.kind in OF_GRASP
         ]
     wrong = [
-        Problem(("trajectory", i, step.kind), f"is no movement of a grasp, which has {', '.join(MOVES)}", at_key=True)
+        Issue(("trajectory", i, step.kind), f"is no movement of a grasp, which has {', '.join(MOVES)}", at_key=True)
         for i, step in enumerate(recipe.trajectory)
         if step.kind not in MOVES
     ]
     if recipe.trajectory[0].kind != "close" and not wrong:
-        wrong.append(Problem(("trajectory", 0), "must be close: a grasp begins with closed fingers"))
+        wrong.append(Issue(("trajectory", 0), "must be close: a grasp begins with closed fingers"))
+    still = "has no effect in a grasp, which is quasi-static: leave it out"
     wrong += [
-        Problem(
-            ("trajectory", i, step.kind, "duration_s"), "has no effect in a grasp, which is quasi-static: leave it out"
-        )
+        Issue(("trajectory", i, step.kind, "duration_s"), still)
         for i, step in enumerate(recipe.trajectory)
         if isinstance(step.move, Timed) and step.move.duration_s is not None
     ]
     for key, usual in (("start", Start()), ("dynamics", None)):
         if getattr(recipe, key) != usual:
-            wrong.append(Problem((key,), "has no effect in a grasp: leave it out", at_key=True))
+            wrong.append(Issue((key,), "has no effect in a grasp: leave it out", at_key=True))
     if recipe.contact.formulation != "distance":
-        wrong.append(Problem(("contact", "formulation"), "must be distance in a grasp"))
+        wrong.append(Issue(("contact", "formulation"), "must be distance in a grasp"))
     if importlib.util.find_spec("cvxopt") is None:
-        wrong.append(Problem(("grasp",), "needs CVXOPT, which is not installed: pip install cvxopt", at_key=True))
+        wrong.append(Issue(("grasp",), "needs CVXOPT, which is not installed: pip install cvxopt", at_key=True))
     return [*wrong, *_tables(recipe, folders), *solid(sensor), *_object(recipe, grasp, sensor)]
 
 
-def _tables(recipe: Recipe, folders: trajectory_checks.Folders) -> list[Problem]:
+def _tables(recipe: Recipe, folders: trajectory_checks.Folders) -> list[Issue]:
     """Pose tables of the gripper that cannot be used."""
     wrong = []
     for i, step in enumerate(recipe.trajectory):
@@ -57,20 +56,17 @@ def _tables(recipe: Recipe, folders: trajectory_checks.Folders) -> list[Problem]
             if step.replay is not None:
                 trajectory_checks.replayed(step.replay, folders.get(where))
         except UserError as error:
-            wrong += [Problem(where, line) for line in error.lines]
+            wrong += [Issue(where, line) for line in error.lines]
     return wrong
 
 
-def solid(sensor: Sensor) -> list[Problem]:
+def solid(sensor: Sensor) -> list[Issue]:
     """A finger's gel must be a pad."""
-    return (
-        [Problem(("sensor",), f"has a solid gel, {sensor.name}: a grasp needs pads: take another sensor")]
-        if sensor.gel.solid
-        else []
-    )
+    text = f"has a solid gel, {sensor.name}: a grasp needs pads: take another sensor"
+    return [Issue(("sensor",), text)] if sensor.gel.solid else []
 
 
-def _object(recipe: Recipe, grasp: Grasp, sensor: Sensor) -> list[Problem]:
+def _object(recipe: Recipe, grasp: Grasp, sensor: Sensor) -> list[Issue]:
     """The object needs two sides to close on and a height; the fingers may close by the gels' thickness at most."""
     if (shape := analytic(recipe.indenter)) is None:
         return []
@@ -79,18 +75,17 @@ def _object(recipe: Recipe, grasp: Grasp, sensor: Sensor) -> list[Problem]:
 
     wide, top = shape.support(np.array([c, -s, 0.0])), shape.support(np.array([0.0, 0.0, 1.0]))
     if math.isinf(wide):
-        return [
-            Problem(("indenter",), "has no upright sides that fingers could close on: turn it, or take another shape")
-        ]
+        text = "has no upright sides that fingers could close on: turn it, or take another shape"
+        return [Issue(("indenter",), text)]
     if grasp.height_mm is None and math.isinf(top):
         text = "must say at which height over its lowest point an object without a top is held: height_mm"
-        return [Problem(("grasp",), text)]
+        return [Issue(("grasp",), text)]
     if (grasp.height_mm or 0.0) > top:
-        return [Problem(("grasp", "height_mm"), f"must be at most the object's height, {top:g}")]
+        return [Issue(("grasp", "height_mm"), f"must be at most the object's height, {top:g}")]
     wide += shape.support(np.array([-c, s, 0.0]))
     least = wide - 2 * sensor.gel.thickness_mm
     return [
-        Problem(("trajectory", i, "close", "width_mm"), f"must be above {least:.4g}: the object is {wide:.4g} mm wide")
+        Issue(("trajectory", i, "close", "width_mm"), f"must be above {least:.4g}: the object is {wide:.4g} mm wide")
         for i, step in enumerate(recipe.trajectory)
         if step.close is not None and step.close.width_mm is not None and step.close.width_mm <= least
     ]

@@ -9,7 +9,7 @@ from tacgen.errors import UserError
 from tacgen.geometry.analytic_sdf import Shape
 from tacgen.geometry.gel import GelBody
 from tacgen.geometry.pose import about
-from tacgen.mechanics.grasp import LOOKS, Grasp, seen_from
+from tacgen.mechanics.grasp import LOOKS, GraspScene, seen_from
 from tacgen.mechanics.scene import Scene
 from tacgen.recipe.path import contact_height
 from tacgen.recipe.row import Row
@@ -21,7 +21,7 @@ GRAVITY = 9.80665  # [m/s^2], standard
 DEEP = 0.5  # depth that the mesh of the coarse first solve allows for, over the gel's thickness [-]
 
 
-def build(row: Row) -> Grasp:
+def build(row: Row) -> GraspScene:
     """The grasp of one row of a plan.
 
     Raises:
@@ -52,7 +52,7 @@ def build(row: Row) -> Grasp:
         fingers.append(Scene(gel, shape, poses, standing, segment, *known, element=recipe.mesh or "hex"))
     weight, centre = asked.mass_kg * GRAVITY * down, np.array(asked.centre_mm or (0.0, 0.0, height))
     path = (gripper, width, force, part, segment)
-    return Grasp((fingers[0], fingers[1]), start, opening, weight, centre, *path, asked.fall_mm)
+    return GraspScene((fingers[0], fingers[1]), start, opening, weight, centre, *path, asked.fall_mm)
 
 
 def _first_touch(

@@ -9,7 +9,7 @@ from tacgen.outputs import IMAGES
 from tacgen.recipe import assets, checks, grasp_checks, sensor_checks
 from tacgen.recipe.model import Recipe
 from tacgen.sensor.model import Sensor
-from tacgen.sensor.validation_messages import Problem, report, suggest, validate
+from tacgen.sensor.validation_messages import Issue, report, suggest, validate
 from tacgen.sensor.yaml_source import KeyPath, Mark, Source, Spot, Tree, at, describe, load, parse, parse_path
 
 SOLID: KeyPath = ("gel", "solid", "file")
@@ -62,7 +62,7 @@ def checked(recipe: Recipe, sensor: Sensor) -> Loaded:
 
 
 def _checked(
-    recipe: Recipe, sensor: Sensor, tree: Tree, sensor_tree: Tree | None, problems: list[tuple[Problem, Tree]]
+    recipe: Recipe, sensor: Sensor, tree: Tree, sensor_tree: Tree | None, problems: list[tuple[Issue, Tree]]
 ) -> Loaded:
     """Both, checked together. Raises UserError: there are `problems`, or more are found."""
     other, more = right_sensor(recipe, sensor, tree)
@@ -90,7 +90,7 @@ def _crossed(tree: Tree) -> Tree:
         raise report(
             [
                 (
-                    Problem(
+                    Issue(
                         ("vary", key, "sensor"),
                         "cannot be given beside sensors, which are varied already: leave it out",
                         at_key=True,
@@ -128,7 +128,7 @@ def solid_folder(sensor_tree: Tree) -> Path:
     return (sensor_tree.spot(SOLID).value.source.folder or Path()).resolve()
 
 
-def right_sensor(recipe: Recipe, sensor: Sensor, tree: Tree) -> tuple[Sensor | None, list[tuple[Problem, Tree]]]:
+def right_sensor(recipe: Recipe, sensor: Sensor, tree: Tree) -> tuple[Sensor | None, list[tuple[Issue, Tree]]]:
     """The sensor of a grasp's right finger, the recipe's overrides laid over it, or what is wrong with it; None where
     there is no grasp."""
     if recipe.grasp is None:
@@ -156,24 +156,24 @@ def _extended(source: Path | Tree, chain: tuple[Path, ...]) -> Tree:
     tree = source if isinstance(source, Tree) else load(source)
     path = None if isinstance(source, Tree) else source
     if not isinstance(tree.data, dict):
-        raise report([(Problem((), f"a recipe must be a mapping (got {describe(tree.data)})"), tree)])
+        raise report([(Issue((), f"a recipe must be a mapping (got {describe(tree.data)})"), tree)])
     if "tacgen_sensor" in tree.data:
         name = "my_sensor.yaml" if path is None else path.name
         text = f"is a sensor file, not a recipe: a recipe names it, as in sensor: {name}"
-        raise report([(Problem((), text), tree)])
+        raise report([(Issue((), text), tree)])
     if "extends" not in tree.data:
         return tree
     name, place = tree.data["extends"], ("extends",)
     here = chain if path is None else (*chain, path.resolve())
     if not isinstance(name, str) or not name:
         text = f"must be the path of a recipe, or the name of a shipped one (got {describe(name)})"
-        raise report([(Problem(place, text), tree)])
+        raise report([(Issue(place, text), tree)])
     try:
         other = assets.recipe_path(name, None if path is None else path.parent)
     except UserError as error:
-        raise report([(Problem(place, error.lines[0]), tree)]) from None
+        raise report([(Issue(place, error.lines[0]), tree)]) from None
     if other.resolve() in here:
-        raise report([(Problem(place, f"{name} is extended by this very recipe: extend another"), tree)])
+        raise report([(Issue(place, f"{name} is extended by this very recipe: extend another"), tree)])
     return _extended(other, here).merged(tree.without("extends"))
 
 
@@ -197,7 +197,7 @@ def _set(tree: Tree, text: str) -> Tree:
         raise UserError(f"--set {text}: {error}") from None
 
 
-def named_sensor(tree: Tree, images: bool) -> tuple[Sensor | None, Tree, list[tuple[Problem, Tree]]]:
+def named_sensor(tree: Tree, images: bool) -> tuple[Sensor | None, Tree, list[tuple[Issue, Tree]]]:
     """The sensor that a recipe names, with its overrides; each problem comes with the tree it belongs to."""
     name, nothing = tree.data.get("sensor"), Tree(None)
     if not isinstance(name, str) or not name:
@@ -205,31 +205,31 @@ def named_sensor(tree: Tree, images: bool) -> tuple[Sensor | None, Tree, list[tu
     try:
         sensor_path = assets.sensor_path(name, tree.spot(("sensor",)).value.source.folder)
     except UserError as error:
-        return None, nothing, [(Problem(("sensor",), error.lines[0]), tree)]
+        return None, nothing, [(Issue(("sensor",), error.lines[0]), tree)]
     return _overridden_sensor(load(sensor_path), tree, images)
 
 
 def _overridden_sensor(
     sensor_tree: Tree, tree: Tree, images: bool
-) -> tuple[Sensor | None, Tree, list[tuple[Problem, Tree]]]:
+) -> tuple[Sensor | None, Tree, list[tuple[Issue, Tree]]]:
     """A sensor with the recipe's overrides laid over it; each problem comes with the tree it belongs to."""
     if not isinstance(sensor_tree.data, dict):
-        wrong = Problem((), f"a sensor must be a mapping (got {describe(sensor_tree.data)})")
+        wrong = Issue((), f"a sensor must be a mapping (got {describe(sensor_tree.data)})")
         return None, Tree(None), [(wrong, sensor_tree)]
     sensor_tree, lost = _overridden(sensor_tree, tree)
     sensor, of_sensor = sensor_checks.check(sensor_tree.data, solid_folder(sensor_tree), images)
     return sensor, sensor_tree, [(p, tree) for p in lost] + [(p, sensor_tree) for p in of_sensor]
 
 
-def _overridden(sensor: Tree, recipe: Tree) -> tuple[Tree, list[Problem]]:
+def _overridden(sensor: Tree, recipe: Tree) -> tuple[Tree, list[Issue]]:
     """Apply `sensor_overrides` to a sensor's tree: keys are paths, mappings are merged."""
     overrides = recipe.data.get("sensor_overrides")
-    problems: list[Problem] = []
+    problems: list[Issue] = []
     for key in overrides if isinstance(overrides, dict) else ():
         here: KeyPath = ("sensor_overrides", key)
         try:
             sensor = sensor.merged(recipe.under(here), parse_path(key))
         except (ValueError, LookupError) as error:
             hint = suggest(key, sensor.data) if "." not in key else ""
-            problems.append(Problem(here, f"{error}{hint}", at_key=True))
+            problems.append(Issue(here, f"{error}{hint}", at_key=True))
     return sensor, problems

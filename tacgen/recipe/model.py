@@ -17,7 +17,7 @@ else:
 Element = Literal["hex", "tet", "linear_tet"]  # linear tets lock in a nearly incompressible gel: for comparison only
 
 
-class Contact(Part):
+class ContactSettings(Part):
     """How indenter and gel touch.
 
     `distance` uses the signed distance to the indenter's shape; `ipctk` is mesh-to-mesh contact by the IPC Toolkit.
@@ -223,7 +223,7 @@ class Recipe(Part):
     start: Start = Start()
     trajectory: Annotated[tuple[Segment, ...], Field(min_length=1)]
     grasp: Grasp | None = None
-    contact: Contact = Contact()
+    contact: ContactSettings = ContactSettings()
     dynamics: Dynamics | None = None
     mesh: Element | None = None  # None: hex for a pad, tet for a gel that is read from a file
     render: Render = Render()

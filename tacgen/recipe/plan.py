@@ -21,7 +21,7 @@ from tacgen.recipe.sampling import correlated, draw, scene_count
 from tacgen.sensor import usual_values
 from tacgen.sensor.model import Sensor
 from tacgen.sensor.usual_values import unusual
-from tacgen.sensor.validation_messages import Problem, report, validate
+from tacgen.sensor.validation_messages import Issue, report, validate
 from tacgen.sensor.yaml_source import KeyPath, Tree, format_path, parse_path, put
 
 NOT_VARIABLE = ("tacgen", "name", "sensor_overrides", "extends", "vary")  # cannot be varied
@@ -99,7 +99,7 @@ def expand(loaded: Loaded, indices: Sequence[int] | None = None) -> Plan:
     known = sensor, loading.solid_start(sensor, loaded.sensor_tree)
     drawn = draw(vary, wanted)
 
-    def attempt(k: int, *, checking: bool) -> tuple[Row | None, list[Problem]]:
+    def attempt(k: int, *, checking: bool) -> tuple[Row | None, list[Issue]]:
         index, values = wanted[k], drawn(k)
         chosen = named[values["sensor"]] if "sensor" in values else known
         pair = index // len(recipe.sensors) if recipe.sensors else None
@@ -112,8 +112,8 @@ def expand(loaded: Loaded, indices: Sequence[int] | None = None) -> Plan:
         return row
 
     frames = array("i")
-    problems: dict[tuple[KeyPath, str], list[tuple[str, Problem]]] = {}
-    odd: dict[KeyPath, list[tuple[str, Problem]]] = {}  # values of the sensor that are drawn, and unusual
+    problems: dict[tuple[KeyPath, str], list[tuple[str, Issue]]] = {}
+    odd: dict[KeyPath, list[tuple[str, Issue]]] = {}  # values of the sensor that are drawn, and unusual
     drawn_gel = any(name.startswith("sensor.gel") for name in vary.paths)
     for k, index in enumerate(wanted):
         row, wrong = attempt(k, checking=True)
@@ -135,29 +135,25 @@ def expand(loaded: Loaded, indices: Sequence[int] | None = None) -> Plan:
 
 def _check(vary: Vary, tree: Tree) -> None:
     """Raise UserError for what cannot be varied, or not by this method."""
-    problems: list[Problem] = []
+    problems: list[Issue] = []
     for name, here in vary.paths.items():
         spread = getattr(vary, str(here[1]))[name]
         try:
             path = parse_path(name)
         except ValueError as error:
-            problems.append(Problem(here, str(error), at_key=True))
+            problems.append(Issue(here, str(error), at_key=True))
             continue
         if path[0] in NOT_VARIABLE:
-            problems.append(Problem(here, f"{path[0]} cannot be varied: write a recipe for each value", at_key=True))
+            problems.append(Issue(here, f"{path[0]} cannot be varied: write a recipe for each value", at_key=True))
         if path == ("sensor",) and not all(isinstance(value, str) for value in spread.choice or (None,)):
-            problems.append(Problem(here, "must be a choice of sensors' names or files"))
+            problems.append(Issue(here, "must be a choice of sensors' names or files"))
         if here[1] == "grid" and name in vary.over:
-            problems.append(Problem(here, "is in over already: leave one of them out", at_key=True))
+            problems.append(Issue(here, "is in over already: leave one of them out", at_key=True))
         if "grid" in (vary.method, here[1]) and spread.choice is None and spread.linspace is None:
-            problems.append(Problem(here, "a grid takes choice or linspace only"))
+            problems.append(Issue(here, "a grid takes choice or linspace only"))
     if not problems and scene_count(vary) > MAX_SCENES:
-        problems.append(
-            Problem(
-                ("vary", "over"),
-                f"gives {scene_count(vary)} scenes; at most {MAX_SCENES} can be: fewer samples or choices",
-            )
-        )
+        text = f"gives {scene_count(vary)} scenes; at most {MAX_SCENES} can be: fewer samples or choices"
+        problems.append(Issue(("vary", "over"), text))
     if problems:
         raise UserError(problem.point(tree) for problem in problems)
 
@@ -197,7 +193,7 @@ def _resolve(
     vary: Vary,
     *,
     checking: bool,
-) -> tuple[Row | None, list[Problem]]:
+) -> tuple[Row | None, list[Issue]]:
     """One row, `checking` it as if a person had written it; or what is wrong with it."""
     data: Any = base
     inside = [name for name in values if name.startswith("sensor.")]
@@ -211,7 +207,7 @@ def _resolve(
             else:
                 data = put(data, path, value)
     except LookupError as error:
-        return None, [Problem(path, str(error))]
+        return None, [Issue(path, str(error))]
     recipe, wrong = validate(Recipe, data)
     if inside:
         if (name := f"sensor.{format_path(SOLID)}") in values:
@@ -219,7 +215,7 @@ def _resolve(
         images = recipe is not None and bool(recipe.outputs & IMAGES)
         folder = solid.get(("sensor", *SOLID))
         varied, more = sensor_checks.check(plain_sensor, folder, images) if checking else validate(Sensor, plain_sensor)
-        wrong += [Problem(("sensor", *problem.path), problem.message, problem.at_key) for problem in more]
+        wrong += [Issue(("sensor", *problem.path), problem.message, problem.at_key) for problem in more]
         if varied is None:
             return None, wrong
         sensor = varied
@@ -235,7 +231,7 @@ def _resolve(
     return Row(index, f"scene-{index:05d}", seed, complete, sensor, values, starts, other, pair=pair), []
 
 
-def _message(group: list[tuple[str, Problem]], tree: Tree, vary: Vary) -> str:
+def _message(group: list[tuple[str, Issue]], tree: Tree, vary: Vary) -> str:
     """One line for all scenes that fail alike, pointing at the varied path to blame when there is one."""
     scene, problem = group[0]
     more = f" (and {len(group) - 1} more scenes)" if len(group) > 1 else ""
@@ -245,4 +241,4 @@ def _message(group: list[tuple[str, Problem]], tree: Tree, vary: Vary) -> str:
         if path == blame[: len(path)] or blame == path[: len(blame)]:
             blame = where
     text = f"{scene}: {format_path(problem.path)}: {problem.message}{more}"
-    return Problem(blame, text, at_key=True).mark(tree).point(text)
+    return Issue(blame, text, at_key=True).mark(tree).point(text)

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from tacgen.recipe.model import FEW, Distribution, Vary
-from tacgen.sensor.validation_messages import Problem
+from tacgen.sensor.validation_messages import Issue
 
 if TYPE_CHECKING:
     import numpy as np
@@ -59,7 +59,7 @@ def _unit_points(vary: Vary, d: int, indices: Sequence[int]) -> "np.ndarray":
     return np.asarray(engine.random(1 << max(indices, default=0).bit_length())[list(indices)])
 
 
-def correlated(vary: Vary) -> list[Problem]:
+def correlated(vary: Vary) -> list[Issue]:
     """A warning if the first few points of a quasi-random sequence correlate two varied values."""
     import numpy as np
 
@@ -71,7 +71,7 @@ def correlated(vary: Vary) -> list[Problem]:
     if abs(r[i, j]) < CORRELATED:
         return []
     text = f"{n} points of {vary.design} correlate {paths[i]} and {paths[j]} by {r[i, j]:.2f}"
-    return [Problem(("vary", "method"), f"{text}: leave method out, and so few are spread as a Latin hypercube")]
+    return [Issue(("vary", "method"), f"{text}: leave method out, and so few are spread as a Latin hypercube")]
 
 
 def _value(spread: Distribution, u: float) -> Any:

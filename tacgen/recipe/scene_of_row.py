@@ -10,7 +10,7 @@ from tacgen.errors import UserError
 from tacgen.geometry import mesh_import, surface_nets
 from tacgen.geometry.analytic_sdf import Shape, Triangles
 from tacgen.geometry.gel import GelBody, GelLayer, SolidGel
-from tacgen.mechanics.scene import Dynamics, Scene
+from tacgen.mechanics.scene import GelDynamics, Scene
 from tacgen.recipe import indenters, trajectory
 from tacgen.recipe.checks import timed
 from tacgen.recipe.model import Recipe
@@ -103,12 +103,12 @@ def build(row: Row) -> Scene:
     return Scene(gel, shape, path.poses, path.start, path.segment, friction, edge, dhat, *more)
 
 
-def _dynamics(recipe: Recipe) -> Dynamics | None:
+def _dynamics(recipe: Recipe) -> GelDynamics | None:
     asked = recipe.dynamics
     if asked is None:
         return None
     damping, density = asked.rayleigh, asked.density_kg_m3 * TONNES_PER_MM3
-    return Dynamics(density, damping.alpha_per_s, damping.beta_s, asked.step_s or math.inf)
+    return GelDynamics(density, damping.alpha_per_s, damping.beta_s, asked.step_s or math.inf)
 
 
 def _durations(row: Row, path: IndenterPath) -> Array | None:

@@ -7,14 +7,14 @@ from tacgen.errors import UserError
 from tacgen.recipe import assets
 from tacgen.sensor import optics_checks
 from tacgen.sensor.model import LIGHTS, Gel, LitSensor, Sensor
-from tacgen.sensor.validation_messages import Problem, needs, validate
+from tacgen.sensor.validation_messages import Issue, needs, validate
 
 SOLID_SIZE_ERROR = 0.01  # largest difference between a solid's sides and those in its sensor file, relative [-]
 MIN_PIXELS = 8  # smallest number of the image's pixels along the gel's shorter side
 MIN_RIM = 0.1  # thickness of a domed gel at its corner over that at the crown [-]; below, cells are too flat
 
 
-def check(data: Any, folder: Path | None = None, images: bool = True) -> tuple[Sensor | None, list[Problem]]:
+def check(data: Any, folder: Path | None = None, images: bool = True) -> tuple[Sensor | None, list[Issue]]:
     """A sensor from plain data, or all that is wrong with it; paths start at the sensor's root.
 
     The path of the gel's solid is relative to `folder`, by default the working directory. Without `images` the lights
@@ -28,7 +28,7 @@ def check(data: Any, folder: Path | None = None, images: bool = True) -> tuple[S
     return (None if wrong else sensor), wrong
 
 
-def _lights(data: Any) -> list[Problem]:
+def _lights(data: Any) -> list[Issue]:
     """The parts that images need and that are missing from a sensor file, given as plain data.
 
     A plate may be given alone; coating, walls and LEDs need each other and the plate.
@@ -38,47 +38,46 @@ def _lights(data: Any) -> list[Problem]:
         return []
     missing = [name for name in LIGHTS if name not in there]
     return [
-        Problem((name,), f"is missing, and {there[-1]} is there{needs(Sensor, (name,))}", at_key=True)
-        for name in missing
+        Issue((name,), f"is missing, and {there[-1]} is there{needs(Sensor, (name,))}", at_key=True) for name in missing
     ]
 
 
-def _outline(gel: Gel) -> list[Problem]:
+def _outline(gel: Gel) -> list[Issue]:
     half, wrong = min(gel.width_mm, gel.height_mm) / 2, []
     if gel.corner_radius_mm > half:
         text = f"must be at most half the pad's shorter side, {half:g} (got {gel.corner_radius_mm:g})"
-        wrong.append(Problem(("gel", "corner_radius_mm"), text))
+        wrong.append(Issue(("gel", "corner_radius_mm"), text))
     if gel.tip and gel.corner_radius_mm:
-        wrong.append(Problem(("gel", "corner_radius_mm"), "must be 0 beside an outline with a semicircular end"))
+        wrong.append(Issue(("gel", "corner_radius_mm"), "must be 0 beside an outline with a semicircular end"))
     if gel.tip and gel.width_mm / 2 > gel.height_mm:
         text = (
             f"a semicircle over {gel.width_mm:g} mm does not fit into a height of {gel.height_mm:g}: leave outline out"
         )
-        wrong.append(Problem(("gel", "outline"), text))
+        wrong.append(Issue(("gel", "outline"), text))
     rim = gel.thickness_mm - gel.drop_mm(gel.width_mm / 2, gel.height_mm / 2)
     if rim < MIN_RIM * gel.thickness_mm:
         text = f"leaves {rim:.3g} mm of gel at the pad's corner, less than a tenth of what the crown has: larger radii"
-        wrong.append(Problem(("gel", "dome"), text))
+        wrong.append(Issue(("gel", "dome"), text))
     return wrong
 
 
-def _seen(sensor: Sensor) -> list[Problem]:
+def _seen(sensor: Sensor) -> list[Issue]:
     """The camera must see the coating; a wrong unit leaves the gel a few pixels, or dots on top of each other."""
     dots, scale, wrong = sensor.markers, sensor.camera.mm_per_px, []
     side = min(sensor.gel.width_mm, sensor.gel.height_mm)
     if sensor.gel.layers[0].opaque:
         text = "hides the coating: layers are from the bonded base outward, and the first must be clear"
-        wrong.append(Problem(("gel", "layers", 0, "opaque"), text))
+        wrong.append(Issue(("gel", "layers", 0, "opaque"), text))
     if side < MIN_PIXELS * scale:
         text = f"leaves {side / scale:.2g} pixels for the gel, {side:g} mm: a wrong unit?"
-        wrong.append(Problem(("camera", "mm_per_px"), text))
+        wrong.append(Issue(("camera", "mm_per_px"), text))
     if dots and dots.diameter_mm >= dots.nearest_mm:
         text = f"dots of {dots.diameter_mm:g} mm touch at a pitch of {dots.nearest_mm:g} mm: smaller or farther ones"
-        wrong.append(Problem(("markers", "diameter_mm"), text))
+        wrong.append(Issue(("markers", "diameter_mm"), text))
     return wrong
 
 
-def _solid(gel: Gel, folder: Path | None) -> list[Problem]:
+def _solid(gel: Gel, folder: Path | None) -> list[Issue]:
     """The file must exist, have the right hash, be closed, and have the size that the sensor file says."""
     if gel.solid is None:
         return []
@@ -86,7 +85,7 @@ def _solid(gel: Gel, folder: Path | None) -> list[Problem]:
     excluded += ["corner_radius_mm"] if gel.corner_radius_mm else []
     if excluded:
         return [
-            Problem(("gel", name), "cannot be given beside solid, which is the whole shape: leave it out", at_key=True)
+            Issue(("gel", name), "cannot be given beside solid, which is the whole shape: leave it out", at_key=True)
             for name in excluded
         ]
     from tacgen.geometry import mesh_import
@@ -95,12 +94,12 @@ def _solid(gel: Gel, folder: Path | None) -> list[Problem]:
         path = assets.mesh_path(gel.solid.file, folder)
         sizes = mesh_import.sizes(path, gel.solid.up, gel.solid.scale)
     except UserError as error:
-        return [Problem(("gel", "solid", "file"), error.lines[0])]
+        return [Issue(("gel", "solid", "file"), error.lines[0])]
     if gel.solid.sha256 not in (None, sha256 := assets.sha256(path)):
-        return [Problem(("gel", "solid", "sha256"), f"{gel.solid.file} {assets.changed(sha256)}")]
+        return [Issue(("gel", "solid", "sha256"), f"{gel.solid.file} {assets.changed(sha256)}")]
     said = {"width_mm": gel.width_mm, "height_mm": gel.height_mm, "layers": gel.thickness_mm}
     return [
-        Problem(("gel", key), f"the solid measures {size:.4g} mm along {axis} (got {value:g}): is scale or up wrong?")
+        Issue(("gel", key), f"the solid measures {size:.4g} mm along {axis} (got {value:g}): is scale or up wrong?")
         for (key, value), size, axis in zip(said.items(), sizes, "xyz", strict=True)
         if abs(size - value) > SOLID_SIZE_ERROR * value
     ]

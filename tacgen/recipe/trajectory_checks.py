@@ -12,7 +12,7 @@ from tacgen.recipe.model import Recipe
 from tacgen.recipe.pose_table import TimedPose
 from tacgen.recipe.trajectory import Press, Replay, Slide, Start
 from tacgen.sensor.model import Gel
-from tacgen.sensor.validation_messages import Problem
+from tacgen.sensor.validation_messages import Issue
 from tacgen.sensor.yaml_source import KeyPath
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ def on_pad(gel: Gel, x_mm: float, y_mm: float) -> bool:
     return bool(gel.pad.contains(x_mm, y_mm, slack=1e-9 * gel.width_mm))
 
 
-def problems(recipe: Recipe, gel: Gel, folders: Folders) -> list[Problem]:
+def problems(recipe: Recipe, gel: Gel, folders: Folders) -> list[Issue]:
     """The first movement that is impossible on this gel.
 
     Heights that follow from a force, domed faces and tilted meshes are checked later, by scene.path.
@@ -63,15 +63,12 @@ def problems(recipe: Recipe, gel: Gel, folders: Folders) -> list[Problem]:
     from tacgen.recipe.trajectory_poses import TrajectoryError
 
     if recipe.trajectory[0].replay and recipe.start != Start():
-        return [
-            Problem(
-                ("start",), "has no effect before a replay, which begins over its first row: leave it out", at_key=True
-            )
-        ]
+        text = "has no effect before a replay, which begins over its first row: leave it out"
+        return [Issue(("start",), text, at_key=True)]
     try:
         _walk(recipe, gel, folders)
     except TrajectoryError as refused:
-        return [Problem(refused.where, line) for line in refused.lines]
+        return [Issue(refused.where, line) for line in refused.lines]
     return []
 
 

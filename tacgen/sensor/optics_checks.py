@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from tacgen.sensor.base_model import Vec3
 from tacgen.sensor.model import Led, LitSensor
-from tacgen.sensor.validation_messages import Problem
+from tacgen.sensor.validation_messages import Issue
 
 if TYPE_CHECKING:
     from tacgen.geometry.outline import Pad
@@ -16,26 +16,26 @@ TOLERANCE = 1e-6  # of distances [mm] and of the sine of the angle between two d
 MAX_RAY_ANGLE = 80.0  # between a camera's ray and the plate's normal [deg]
 
 
-def problems(sensor: LitSensor) -> Iterator[Problem]:
+def problems(sensor: LitSensor) -> Iterator[Issue]:
     """A problem for each part that is impossible; paths start at the sensor's root."""
     yield from _layers(sensor)
     eye = sensor.camera
     if not _in_housing(sensor.gel.pad, *eye.center_mm, 0.0):
         place = f"({eye.center_mm[0]:g}, {eye.center_mm[1]:g})"
         text = f"the camera's axis meets the coating outside the pad, at {place}: nearer to 0, 0"
-        yield Problem(("camera", "center_mm"), text)
+        yield Issue(("camera", "center_mm"), text)
     if _steepest(sensor) > MAX_RAY_ANGLE:
         text = f"turns the picture's corner {_steepest(sensor):.0f} degrees off the plate's normal"
         text += ": less tilt, more distance_mm or a smaller picture"
-        yield Problem(("camera", "tilt_deg"), text)
+        yield Issue(("camera", "tilt_deg"), text)
     if eye.colour_matrix and _singular(eye.colour_matrix):
-        yield Problem(("camera", "colour_matrix"), "mixes three colours to two: its determinant is 0; change a row")
+        yield Issue(("camera", "colour_matrix"), "mixes three colours to two: its determinant is 0; change a row")
     yield from _dots(sensor)
     room = _Room.of(sensor)
     for i, led in enumerate(sensor.leds):
         problem = _wrong_led(room, led)
         if problem:
-            yield Problem(("leds", i, problem[0]), f"{led.name}: {problem[1]}")
+            yield Issue(("leds", i, problem[0]), f"{led.name}: {problem[1]}")
 
 
 def _singular(matrix: tuple[Vec3, Vec3, Vec3]) -> bool:
@@ -44,27 +44,23 @@ def _singular(matrix: tuple[Vec3, Vec3, Vec3]) -> bool:
     return bool(abs(np.linalg.det(matrix)) < TOLERANCE)
 
 
-def _layers(sensor: LitSensor) -> Iterator[Problem]:
+def _layers(sensor: LitSensor) -> Iterator[Issue]:
     gel, clear = sensor.gel, sensor.gel.clear_layers
     for i, layer in enumerate(gel.layers):
         if i >= len(clear) and layer.scattering:
-            yield Problem(
-                ("gel", "layers", i, "scattering"), "no light comes here, behind an opaque layer: leave it out"
-            )
+            yield Issue(("gel", "layers", i, "scattering"), "no light comes here, behind an opaque layer: leave it out")
     scattering = [i for i, layer in enumerate(clear) if layer.scattering]
     if scattering and (len(clear) > 1 or gel.dome or gel.solid):
         text = (
             "a layer that scatters must be the only one that is not opaque, and under a flat face: leave scattering out"
         )
-        yield Problem(("gel", "layers", scattering[0], "scattering"), text)
+        yield Issue(("gel", "layers", scattering[0], "scattering"), text)
     elif gel.dome and len(clear) > 1:
-        yield Problem(
-            ("gel", "dome"), "light is followed through one clear layer under a dome, not several: leave dome out"
-        )
+        text = "light is followed through one clear layer under a dome, not several: leave dome out"
+        yield Issue(("gel", "dome"), text)
     if scattering and sensor.markers:
-        yield Problem(
-            ("markers",), "cannot be seen through a layer that scatters: leave them out, or scattering", at_key=True
-        )
+        text = "cannot be seen through a layer that scatters: leave them out, or scattering"
+        yield Issue(("markers",), text, at_key=True)
 
 
 def _steepest(sensor: LitSensor) -> float:
@@ -76,7 +72,7 @@ def _steepest(sensor: LitSensor) -> float:
     return math.degrees(math.atan2(corner, depth)) + math.hypot(*eye.tilt_deg)
 
 
-def _dots(sensor: LitSensor) -> Iterator[Problem]:
+def _dots(sensor: LitSensor) -> Iterator[Issue]:
     dots, gel = sensor.markers, sensor.gel
     if dots is None:
         return
@@ -86,7 +82,7 @@ def _dots(sensor: LitSensor) -> Iterator[Problem]:
     for key, count, spacing, side in zip(keys, counts, dots.spacing_mm, sides, strict=True):
         if (count - 1) * spacing > side:
             text = f"{count} dots, {spacing:g} mm apart, do not fit on {side:g} mm of gel: fewer, or closer ones"
-            yield Problem(("markers", key), text)
+            yield Issue(("markers", key), text)
 
 
 class _Room(NamedTuple):
@@ -143,10 +139,8 @@ def _wrong_led(room: _Room, led: Led) -> tuple[str, str] | None:
     if any(below) and not all(below):
         return "center_mm", f"pokes out of the plate, whose air face is at z = {bottom:g}: higher, or smaller"
     if all(below) and not room.scattering:
-        return (
-            "center_mm",
-            f"lies in the air under the plate (z < {bottom:g}): only a gel that scatters is lit from there: raise it",
-        )
+        text = f"lies in the air under the plate (z < {bottom:g}): only a gel that scatters is lit from there: raise it"
+        return "center_mm", text
     if all(below) and led.center_mm[2] < room.camera:
         return "center_mm", f"lies behind the camera, which is at z = {room.camera:g}: raise it"
     return None

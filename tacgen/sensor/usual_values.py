@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 from tacgen.sensor.base_model import NOWHERE, Part
 from tacgen.sensor.model import Gel, Sensor
-from tacgen.sensor.validation_messages import Problem
+from tacgen.sensor.validation_messages import Issue
 from tacgen.sensor.yaml_source import KeyPath, Tree, format_path
 
 MODULUS_MPA = (0.005, 5.0)  # Young's modulus of gels and skins, from the softest silicone gels to hard rubber [MPa]
@@ -37,19 +37,19 @@ def unsourced(part: Part, path: KeyPath = ()) -> list[str]:
     return paths
 
 
-def unusual(gel: Gel) -> Iterator[Problem]:
+def unusual(gel: Gel) -> Iterator[Issue]:
     """A problem for each layer whose Young's modulus at rest, and for each size of the gel, that is not that of a gel;
     paths start at the sensor's root."""
     for name in ("width_mm", "height_mm"):
         size = getattr(gel, name)
         if asked := _asked(size, SIDE_MM, LENGTHS):
-            yield Problem(("gel", name), f"a gel of {size:g} mm; gels have {asked}")
+            yield Issue(("gel", name), f"a gel of {size:g} mm; gels have {asked}")
     if asked := _asked(gel.thickness_mm, THICKNESS_MM, LENGTHS):
-        yield Problem(("gel", "layers", 0, "thickness_mm"), f"a gel {gel.thickness_mm:g} mm thick; gels have {asked}")
+        yield Issue(("gel", "layers", 0, "thickness_mm"), f"a gel {gel.thickness_mm:g} mm thick; gels have {asked}")
     for i, layer in enumerate(gel.layers):
         key, modulus = layer.stiffness
         if asked := _asked(modulus, MODULUS_MPA, MODULI):
-            yield Problem(("gel", "layers", i, key), f"a Young's modulus of {modulus:g} MPa; that of gels is {asked}")
+            yield Issue(("gel", "layers", i, key), f"a Young's modulus of {modulus:g} MPa; that of gels is {asked}")
 
 
 def _asked(value: float, usual: tuple[float, float], kind: Kind) -> str:

@@ -41,7 +41,7 @@ BOUNDS = {
 
 
 @dataclass(frozen=True)
-class Problem:
+class Issue:
     """One error of one value."""
 
     path: KeyPath
@@ -63,9 +63,9 @@ class Problem:
         return spot.key if self.at_key or self.path not in tree.spots else spot.value
 
 
-def validate(model: type[Model], data: Any) -> tuple[Model | None, list[Problem]]:
+def validate(model: type[Model], data: Any) -> tuple[Model | None, list[Issue]]:
     """Validate plain data strictly (neither text nor true is a number): the model, or all problems."""
-    if huge := [Problem(path, f"must be within {LARGEST:g} (got {number:g})") for path, number in _huge(data, ())]:
+    if huge := [Issue(path, f"must be within {LARGEST:g} (got {number:g})") for path, number in _huge(data, ())]:
         return None, huge
     try:
         return model.model_validate_json(json.dumps(data), strict=True), []
@@ -91,9 +91,9 @@ def _huge(data: Any, path: KeyPath) -> Iterator[tuple[KeyPath, float]]:
         yield from _huge(value, (*path, step))
 
 
-def _together(problems: list[Problem]) -> list[Problem]:
+def _together(problems: list[Issue]) -> list[Issue]:
     """Merge the missing keys of one mapping into one problem, at the place of the first."""
-    lacking: dict[KeyPath, list[Problem]] = {}
+    lacking: dict[KeyPath, list[Issue]] = {}
     for problem in problems:
         if problem.message.startswith(MISSING):
             lacking.setdefault(problem.path[:-1], []).append(problem)
@@ -102,13 +102,13 @@ def _together(problems: list[Problem]) -> list[Problem]:
         group = lacking.get(problem.path[:-1], []) if problem.message.startswith(MISSING) else []
         if len(group) > 1 and problem is group[0]:
             names = [f"{p.path[-1]}{p.message.removeprefix(MISSING)}" for p in group]
-            out.append(Problem(problem.path[:-1], f"lacks {', '.join(names)}", at_key=True))
+            out.append(Issue(problem.path[:-1], f"lacks {', '.join(names)}", at_key=True))
         elif len(group) < 2:
             out.append(problem)
     return out
 
 
-def report(problems: Iterable[tuple[Problem, Tree]]) -> UserError:
+def report(problems: Iterable[tuple[Issue, Tree]]) -> UserError:
     """One error with all problems, in the order of their places in the files."""
     placed = [(problem.mark(tree), problem.point(tree)) for problem, tree in problems]
     placed.sort(key=lambda pair: (pair[0].source.name, pair[0].line, pair[0].column))
@@ -121,8 +121,8 @@ def _repeats_another(data: Any, error: ErrorDetails) -> bool:
     return error["type"] == "too_short" and len(written or ()) >= error["ctx"]["min_length"]
 
 
-def _problem(model: type[BaseModel], data: Any, error: ErrorDetails) -> Problem:
-    """One entry of ValidationError.errors() as a Problem."""
+def _problem(model: type[BaseModel], data: Any, error: ErrorDetails) -> Issue:
+    """One entry of ValidationError.errors() as a Issue."""
     kind, ctx, given = error["type"], error.get("ctx", {}), error["input"]
     loc = tuple(error["loc"])
     path = _path_in_data(data, loc, missing=kind == "missing")
@@ -130,37 +130,37 @@ def _problem(model: type[BaseModel], data: Any, error: ErrorDetails) -> Problem:
     if kind == "extra_forbidden":
         here = [each for each in _kinds(model, loc[:-1]) if _is_model(each)]
         if other := _of_another_kind(model, loc):
-            return Problem(path, other, at_key=True)
+            return Issue(path, other, at_key=True)
         hint = suggest(str(loc[-1]), {name for each in here for name in each.model_fields})
         meant = hint.removeprefix(", did you mean ").rstrip("?")
-        return Problem(path, f"unknown key{hint}", at_key=True, meant=meant)
+        return Issue(path, f"unknown key{hint}", at_key=True, meant=meant)
     if kind == "missing":
-        return Problem(path, f"{MISSING}{needs(model, loc)}", at_key=True)
+        return Issue(path, f"{MISSING}{needs(model, loc)}", at_key=True)
     if kind in NOUNS:
-        return Problem(path, f"must be {NOUNS[kind]} {got}")
+        return Issue(path, f"must be {NOUNS[kind]} {got}")
     if kind in BOUNDS:
         word, bound = BOUNDS[kind]
-        return Problem(path, f"must be {word} {describe(ctx[bound])} {got}")
+        return Issue(path, f"must be {word} {describe(ctx[bound])} {got}")
     if kind in ("literal_error", "union_tag_invalid"):
         expected = ctx.get("expected") or ctx.get("expected_tags") or ""
         names = [name.strip().strip("'") for name in expected.replace(" or ", ", ").split(",")]
         if kind == "union_tag_invalid":
             key = str(ctx.get("discriminator", "")).strip("'()")  # a key, or a function of that name
             path, given = (*path, key), ctx.get("tag")
-        return Problem(path, one_of(given, names))
+        return Issue(path, one_of(given, names))
     if kind == "union_tag_not_found":
         key = str(ctx.get("discriminator", "")).strip("'")
         if isinstance(given, dict) and key.isidentifier():
-            return Problem((*path, key), MISSING, at_key=True)
-        return Problem(path, f"must be a mapping {got}")
+            return Issue((*path, key), MISSING, at_key=True)
+        return Issue(path, f"must be a mapping {got}")
     if kind == "string_pattern_mismatch":
-        return Problem(path, f"must be letters, digits, dots, dashes and underscores only {got}")
+        return Issue(path, f"must be letters, digits, dots, dashes and underscores only {got}")
     if kind.endswith(("too_short", "too_long")):
         count = f"at least {ctx['min_length']}" if "min_length" in ctx else f"at most {ctx['max_length']}"
         if kind.startswith("string"):
-            return Problem(path, f"must have {count} characters {got}")
-        return Problem(path, f"must hold {count} (got {ctx.get('actual_length')})")
-    return Problem(path, error["msg"].removeprefix("Value error, ").removeprefix("Assertion failed, "))
+            return Issue(path, f"must have {count} characters {got}")
+        return Issue(path, f"must hold {count} (got {ctx.get('actual_length')})")
+    return Issue(path, error["msg"].removeprefix("Value error, ").removeprefix("Assertion failed, "))
 
 
 def one_of(given: Any, names: list[str]) -> str:

@@ -37,11 +37,7 @@ from tacgen.recipe import scene_of_row
 
 ROOT = Path(__file__).parents[2]
 runner = CliRunner()
-
-
-@pytest.fixture(autouse=True)
-def _own_cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("TACGEN_CACHE_DIR", str(tmp_path_factory.getbasetemp() / "cache"))
+pytestmark = pytest.mark.usefixtures("own_cache")
 
 
 def result(seconds: float) -> results_page.Result:
@@ -270,9 +266,8 @@ def test_calculix_presses_as_it_did() -> None:
 def test_a_method_is_as_fast_as_its_coarsest_mesh_from_which_on_all_are_right() -> None:
     from benchmarks.peers import Runs
 
-    runs = Runs(
-        "by luck right at first", ["2", "1", ".5", ".2"], [1, 2, 3, 4], [0.1, 0.2, 0.4, 0.8], [1, 1.02, 1.005, 1]
-    )
+    meshes, seconds, forces = ["2", "1", ".5", ".2"], [0.1, 0.2, 0.4, 0.8], [1, 1.02, 1.005, 1]
+    runs = Runs("by luck right at first", meshes, [1, 2, 3, 4], seconds, forces)
     assert runs.cheapest(1.0) == 0.4
     assert runs.cheapest(1.1) is None
 
@@ -344,18 +339,10 @@ def test_the_readme_says_what_the_results_say() -> None:
 def test_a_summary_leaves_out_what_is_not_there(tmp_path: Path) -> None:
     row = ["gelsight_mini", "default", 5000, 10.0, 0.5, 0.0042, 0.041, 0.1, 0.02, 0.01]
     heads = results_page.columns("sensor", "quality", *mechanics.WORK, *mechanics.ERRORS, "area: +.1%")
-    results_page.write(
-        tmp_path,
-        "mechanics",
-        results_page.Result("", [results_page.Table("Presets on every sensor", heads, [row])]),
-        1.0,
-    )
-    results_page.write(
-        tmp_path,
-        "stability",
-        results_page.Result("", [results_page.Table("Together", results_page.columns("scenes: d"), [[3]])]),
-        1.0,
-    )
+    presets = results_page.Table("Presets on every sensor", heads, [row])
+    together = results_page.Table("Together", results_page.columns("scenes: d"), [[3]])
+    for name, table in (("mechanics", presets), ("stability", together)):
+        results_page.write(tmp_path, name, results_page.Result("", [table]), 1.0)
     told = summary.short(tmp_path)
     assert "| force error of `default` against `reference` | Mini 0.4% | mechanics |" in told
     assert "stability" not in told

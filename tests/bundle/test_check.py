@@ -143,14 +143,11 @@ ROWS = ("pressure_resultant", "traction_resultant", "force_map_resultant", "unse
         ("pressure_resultant", 0.051, ["/frames/pressure does not add up to the force, by 0.051 of it (frame 11)"]),
         ("traction_resultant", 0.2, ["/frames/traction does not add up to the force, by 0.2 of it (frame 11)"]),
         ("force_map_resultant", 1.6, ["/frames/force_map does not add up to the force, by 1.6 of it (frame 11)"]),
-        (
-            "unseen_force",
-            0.3,
-            ["pressure and traction do not show gel that is hidden or outside the picture: 0.3 of the normal forces"],
-        ),
+        ("unseen_force", 0.3,
+         ["pressure and traction do not show gel that is hidden or outside the picture: 0.3 of the normal forces"]),
         ("pressure_resultant", 0.049, []),
     ],
-)
+)  # fmt: skip
 def test_maps_that_do_not_add_up_to_the_force_are_noted(
     tmp_path: Path, name: str, value: float, messages: list[str]
 ) -> None:
@@ -237,15 +234,13 @@ def retype(file: h5py.File) -> None:
         (lambda file: file["frames/force"].attrs.update(units="lbf"), "/frames/force has units 'lbf', expected 'N'"),
         (lambda file: file["frames/force"].attrs.update(axes="frame"), "/frames/force has axes 'frame'"),
         (lambda file: file.create_dataset("frames/colour", data=[1.0]), "format 1 has no dataset /frames/colour"),
-        (
-            lambda file: file["frames/height"].resize(3, axis=0),
-            "/frames/height has shape (3, 12, 16), expected (12, 12, 16)",
-        ),
+        (lambda file: file["frames/height"].resize(3, axis=0),
+         "/frames/height has shape (3, 12, 16), expected (12, 12, 16)"),
         (lambda file: file.attrs.update(frames_planned=13), "12 frames, 13 planned, but status is ok"),
         (lambda file: file.attrs.update(status="fine"), "status is 'fine', expected 'ok' or 'rejected'"),
     ],
     ids=["type", "units", "axes", "path", "shape", "frames", "status"],
-)
+)  # fmt: skip
 def test_a_file_that_is_not_laid_out_as_the_table_says(tmp_path: Path, change: Any, message: str) -> None:
     found = lines(resealed(write(tmp_path / "x.h5"), change))
     assert any(message in line for line in found), found

@@ -4,23 +4,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers import small_recipe
 from helpers.synthetic import write
 
 from tacgen import pipeline
 from tacgen.bundle import bundle, postprocess
 from tacgen.errors import UserError
-from tacgen.recipe import plan
 
-RECIPE = """
-tacgen: 1
-name: small
-sensor: gelsight_mini
-indenter: {shape: cylinder, radius_mm: 3.0, fillet_mm: 0.8}
-trajectory:
-  - press: {depth_mm: 0.4, frames: 12}
-outputs: [stress]
-quality: {edge_mm: 1.2, dhat_mm: 0.05}
-"""
+PUNCH = "indenter={shape: cylinder, radius_mm: 3, fillet_mm: 0.8}", "quality={edge_mm: 1.2, dhat_mm: 0.05}"
+
+
+def pressed(folder: Path, output: str) -> bundle.Bundle:
+    """A punch on its way down in 12 frames."""
+    row = small_recipe.row("press: {depth_mm: 0.4, frames: 12}", *PUNCH, f"outputs=[{output}]")
+    return bundle.read(pipeline.run_scene(row, folder / output).path)
 
 
 @pytest.mark.parametrize(
@@ -51,13 +48,9 @@ def test_forces_by_maps_miss_the_force_as_quality_says(
     tmp_path: Path, indenter: str, least: float, most: float
 ) -> None:
     """By little where the mesh resolves the indenter; cells of 0.8 mm resolve no tip of 0.2 mm."""
-    path = tmp_path / "small.yaml"
-    path.write_text(
-        f"{{tacgen: 1, name: small, sensor: gelsight_mini, indenter: {indenter}, contact: {{friction: 0.6}},"
-        " trajectory: [press: {depth_mm: 0.8, frames: 1}, slide: {x_mm: 0.3, frames: 1}],"
-        " outputs: [traction, force_map, normals], quality: {edge_mm: 0.8, dhat_mm: 0.05}}"
-    )
-    scene = bundle.read(pipeline.run_scene(plan.load(path).rows[0], tmp_path).path)
+    sets = f"indenter={indenter}", "contact.friction=0.6", "quality={edge_mm: 0.8, dhat_mm: 0.05}"
+    moves, asked = "press: {depth_mm: 0.8, frames: 1}, slide: {x_mm: 0.3, frames: 1}", "[traction, force_map, normals]"
+    scene = bundle.read(pipeline.run_scene(small_recipe.row(moves, *sets, f"outputs={asked}"), tmp_path).path)
     for frame, force in enumerate(scene["/frames/force"]):
         by = [scene.frame(f"/frames/quality/{name}_resultant", frame) for name in ("pressure", "traction")]
         missing = np.linalg.norm(postprocess.map_force(scene, frame) - force) / np.linalg.norm(force)
@@ -80,9 +73,7 @@ def test_contact_states(tmp_path: Path) -> None:
 
 def test_energy_is_the_work_of_the_press(tmp_path: Path) -> None:
     """What a frictionless indenter does on its way down, by the trapezium rule, is stored in the gel."""
-    path = tmp_path / "small.yaml"
-    path.write_text(RECIPE)
-    found = bundle.read(pipeline.run_scene(plan.load(path).rows[0], tmp_path / "out").path)
+    found = pressed(tmp_path, "stress")
     depth, force = -found["/frames/pose"][:, 2, 3], -found["/frames/force"][:, 2]
     work = np.trapezoid([0.0, *force], [0.0, *depth])
     energy = postprocess.strain_energy(found, 11)
@@ -96,12 +87,7 @@ def test_energy_is_the_work_of_the_press(tmp_path: Path) -> None:
 
 def test_stress_of_the_face_alone(tmp_path: Path) -> None:
     """The same numbers as `stress` on the coated face, in much less space."""
-    path, found = tmp_path / "small.yaml", {}
-    path.write_text(RECIPE)
-    for asked in ("stress", "surface_stress"):
-        row = plan.load(path, [f"outputs=[{asked}]"]).rows[0]
-        found[asked] = bundle.read(pipeline.run_scene(row, tmp_path / asked).path)
-    whole, face = found["stress"], found["surface_stress"]
+    whole, face = (pressed(tmp_path, output) for output in ("stress", "surface_stress"))
     nodes = np.unique(whole["/mesh/facets/coated"])
     assert (face["/fields/surface_stress"] == whole["/fields/nodal_stress"][:, nodes]).all()
     assert (face["/fields/surface_displacement"] == whole["/fields/displacement"][:, nodes]).all()

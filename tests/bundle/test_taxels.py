@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.small_recipe import HEAD
+from helpers import small_recipe
 
 from tacgen import pipeline
 from tacgen.bundle import taxels
@@ -12,7 +12,6 @@ from tacgen.bundle.bundle import Bundle, read
 from tacgen.bundle.postprocess import wrench
 from tacgen.errors import UserError
 from tacgen.geometry.pose import about
-from tacgen.recipe import plan
 
 LAYOUTS = {
     "grid": taxels.grid(4, 4, 4.0),
@@ -24,13 +23,9 @@ LAYOUTS = {
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> Bundle:
     """A ball pressed beside the middle, and dragged."""
-    folder = tmp_path_factory.mktemp("taxels")
-    (folder / "recipe.yaml").write_text(
-        HEAD.replace("[force]", "[force, force_map]")
-        + "  - press: {depth_mm: 0.8, frames: 1}\n  - slide: {x_mm: 0.4, frames: 1}\n"
-        + "start: {x_mm: 4.1, y_mm: -2.0}\ncontact: {friction: 0.6}\n"
-    )
-    return read(pipeline.run_scene(plan.load(folder / "recipe.yaml").rows[0], folder).path)
+    sets = "outputs=[force, force_map]", "start={x_mm: 4.1, y_mm: -2.0}", "contact.friction=0.6"
+    row = small_recipe.row("press: {depth_mm: 0.8, frames: 1}, slide: {x_mm: 0.4, frames: 1}", *sets)
+    return read(pipeline.run_scene(row, tmp_path_factory.mktemp("taxels")).path)
 
 
 @pytest.mark.parametrize("name", LAYOUTS)

@@ -165,36 +165,26 @@ def test_the_response_to_thickness_is_found_by_solved_presses(tmp_path: Path, mo
     [
         (lambda p: (p / "background.png").unlink(), "holds no background.png"),
         (lambda p: Image.new("RGB", (64, 64), (90, 90, 90)).save(p / "background.png"), "is 64 x 64, and the camera's"),
-        (
-            lambda p: Image.new("RGB", (80, 64), (255, 90, 90)).save(p / "press_0.png"),
-            "press_0.png: 100 % of its pixels",
-        ),
+        (lambda p: Image.new("RGB", (80, 64), (255, 90, 90)).save(p / "press_0.png"),
+         "press_0.png: 100 % of its pixels"),
         (lambda p: Image.new("RGB", (80, 64), (2, 1, 1)).save(p / "press_0.png"), "press_0.png: is dark"),
         (lambda p: (p / "press_1.png").write_text("no"), "press_1.png: is no picture that can be read"),
         (lambda p: (p / "press_1.png").unlink(), "press_1.png: cannot be read: no such file"),
-        (
-            lambda p: _swap(p, "ball_radius_mm", "radius"),
-            "presses.csv: has no column ball_radius_mm (its header: file,",
-        ),
+        (lambda p: _swap(p, "ball_radius_mm", "radius"),
+         "presses.csv: has no column ball_radius_mm (its header: file,"),
         (lambda p: _swap(p, "contact_radius_px", "c"), "presses.csv: has no column contact_radius_px or depth_mm"),
-        (
-            lambda p: _swap(p, "3.0,52", "-3.0,52"),
-            "presses.csv:3: ball_radius_mm: must be a number of at least 0.1 and",
-        ),
-        (
-            lambda p: _swap(p, "3.0,52", "x,52"),
-            "presses.csv:3: ball_radius_mm: must be a number of at least 0.1 and at most 100 (got 'x')",
-        ),
+        (lambda p: _swap(p, "3.0,52", "-3.0,52"),
+         "presses.csv:3: ball_radius_mm: must be a number of at least 0.1 and"),
+        (lambda p: _swap(p, "3.0,52", "x,52"),
+         "presses.csv:3: ball_radius_mm: must be a number of at least 0.1 and at most 100 (got 'x')"),
         (lambda p: _swap(p, "3.0,52", "3.0,152"), "presses.csv:3: (152, 40) lies outside the picture"),
         (lambda p: _swap(p, "40,14.0", "40,"), "presses.csv:3: must hold contact_radius_px or depth_mm, or both"),
-        (
-            lambda p: _swap(p, "40,14.0", "40,31"),
-            "presses.csv:3: contact_radius_px: is 3.1 mm, and the ball's radius 3.0",
-        ),
+        (lambda p: _swap(p, "40,14.0", "40,31"),
+         "presses.csv:3: contact_radius_px: is 3.1 mm, and the ball's radius 3.0"),
         (lambda p: _swap(p, "press_1.png", ""), "presses.csv:3: file: is missing"),
         (lambda p: (p / "presses.csv").write_bytes(b"\xff\xfe\x00"), "presses.csv: is not a text file"),
     ],
-)
+)  # fmt: skip
 def test_what_cannot_be_used_is_reported_in_one_line(nominal: Path, tmp_path: Path, spoil: Any, says: str) -> None:
     for name in ("background.png", *(f"press_{k}.png" for k in range(4))):
         Image.new("RGB", (80, 64), (90, 90, 90)).save(tmp_path / name)

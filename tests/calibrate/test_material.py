@@ -144,11 +144,8 @@ def test_more_numbers_than_rows_are_refused(curves: Curves) -> None:
     [
         ("0.5,1,2\n1,2\n1.5,3", (), ":2: has 3 cells, and the header 2: is a comma a decimal point?"),
         ("0.5\n1,2\n1.5,3", (), ":2: has 1 cells, and the header 2"),
-        (
-            "0.0005,1\n0.001,3\n0.0015,5\n",
-            (),
-            "the largest must be from 0.02 to 2.18 mm in a gel of 4 mm there (got 0.00",
-        ),
+        ("0.0005,1\n0.001,3\n0.0015,5\n", (),
+         "the largest must be from 0.02 to 2.18 mm in a gel of 4 mm there (got 0.00"),
         ("0.5,1\n1,3\n3.9,5\n", (), "the largest must be from 0.02 to 2.18 mm in a gel of 4 mm there (got 3.9)"),
         ("0.5,1\n1,3\n1.5,1e308\n", (), ":4: force_n: must be a number below 1e+06 (got '1e308')"),
         ("-1e308,1\n1,3\n1.5,4\n", (), ":2: depth_mm: must be a number below 1e+06"),
@@ -156,7 +153,7 @@ def test_more_numbers_than_rows_are_refused(curves: Curves) -> None:
         ("0.5,1\n1,3\n1.5,4\n", ("--second", "contact.friction=nan:1"), "must be PATH=LOW:HIGH"),
         ("0.5,1\n1,3\n1.5,4\n", ("--second", "contact.friction=0:1e308"), "must be PATH=LOW:HIGH"),
     ],
-)
+)  # fmt: skip
 def test_numbers_that_no_press_has_are_refused_by_line(
     tmp_path: Path, table: str, more: tuple[str, ...], says: str
 ) -> None:

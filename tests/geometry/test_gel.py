@@ -248,12 +248,10 @@ def test_a_varied_depth_and_a_sensor_override(tmp_path: Path) -> None:
         (("thickness_mm: 1.0", "thickness_mm: 0.5"), "gel.layers: the solid measures 3 mm along z (got 2.5)"),
         (("knob.stl", "nob.stl"), "nob.stl: no such object file"),
         (("  width_mm: 8.0", "  corner_radius_mm: 1\n  width_mm: 8.0"), "gel.corner_radius_mm: cannot be given beside"),
-        (
-            ("source: made by a test}", f"sha256: '{'0' * 64}', source: x}}"),
-            "gel.solid.sha256: knob.stl is another file",
-        ),
+        (("source: made by a test}", f"sha256: '{'0' * 64}', source: x}}"),
+         "gel.solid.sha256: knob.stl is another file"),
     ],
-)
+)  # fmt: skip
 def test_what_is_wrong_with_a_sensor_file(change: tuple[str, str], says: str, tmp_path: Path) -> None:
     folder(tmp_path, sensor=SENSOR.replace(*change))
     with pytest.raises(UserError) as caught:
@@ -268,13 +266,10 @@ def test_what_is_wrong_with_a_sensor_file(change: tuple[str, str], says: str, tm
         (("mesh=hex",), KNOB, "mesh: cannot be hex: the gel of knob is a solid"),
         (("start={x_mm: 3.9}",), KNOB, "would carry the indenter's axis off the gel's coated face, to (3.9, 0)"),
         ((), [(4.0, 0.0), (3.9, 0.5), (1.0, 1.0), (3.0, 2.0), (2.9, 2.9), (1.0, 3.0)], None),
-        (
-            ("sensor.gel.solid.coated_deg=89.99",),
-            [(4.0, 0.0), (4.0, 0.5), (2.0, 0.9), (2.0 - 1e-4, 1.5), (1.9, 3.0)],
-            None,
-        ),
+        (("sensor.gel.solid.coated_deg=89.99",), [(4.0, 0.0), (4.0, 0.5), (2.0, 0.9), (2.0 - 1e-4, 1.5), (1.9, 3.0)],
+         None),
     ],
-)
+)  # fmt: skip
 def test_what_cannot_be_pressed(
     sets: tuple[str, ...], profile: list[tuple[float, float]], says: str | None, tmp_path: Path
 ) -> None:

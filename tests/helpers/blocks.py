@@ -7,13 +7,13 @@ import numpy as np
 from helpers.presses import Run
 from tacgen import mechanics
 from tacgen.fem.elements import boxes
-from tacgen.mechanics.mesh import Mesh, graded
+from tacgen.mechanics.mesh import GelMesh, graded
 from tacgen.mechanics.scene import Scene
 
 Array = np.ndarray
 
 
-def block(x: Array, y: Array, z: Array) -> Mesh:
+def block(x: Array, y: Array, z: Array) -> GelMesh:
     """Hexes on a tensor grid, z upwards and ending at 0."""
     points = np.stack(np.meshgrid(x, y, z, indexing="ij"), -1).reshape(-1, 3)
     hexes = boxes(np.arange(len(points)).reshape(len(x), len(y), len(z)))
@@ -22,7 +22,7 @@ def block(x: Array, y: Array, z: Array) -> Mesh:
         "coated": hexes[:, :, -1].reshape(-1, 8)[:, [4, 5, 6, 7]],
     }
     cells = hexes.reshape(-1, 8)
-    return Mesh(points, cells, np.zeros(len(cells), np.int32), facets)
+    return GelMesh(points, cells, np.zeros(len(cells), np.int32), facets)
 
 
 def ticks(fine: float, end: float, edge: float, both: bool = False, growth: float = 1.6) -> Array:
@@ -30,7 +30,7 @@ def ticks(fine: float, end: float, edge: float, both: bool = False, growth: floa
     return graded(-end if both else 0.0, end, (-fine if both else 0.0, fine), edge, growth, end)
 
 
-def run(made: Scene, grid: Mesh, mirrors: tuple[int, ...] = ()) -> Run:
+def run(made: Scene, grid: GelMesh, mirrors: tuple[int, ...] = ()) -> Run:
     """All frames, the normal displacement held at 0 on the plane x = 0 (0 in `mirrors`) and y = 0 (1)."""
     held = np.zeros(grid.points.shape, bool)
     held[np.unique(grid.facets["bonded"])] = True
@@ -40,7 +40,7 @@ def run(made: Scene, grid: Mesh, mirrors: tuple[int, ...] = ()) -> Run:
     return Run(made, problem, list(mechanics.states(made, problem)))
 
 
-def rounded(grid: Mesh, radius: float) -> Mesh:
+def rounded(grid: GelMesh, radius: float) -> GelMesh:
     """The grid with its square rings about z bent to circles, fully from `radius` on: a round rim lies on its lines."""
     points = grid.points.copy()
     square, round_ = np.abs(points[:, :2]).max(1), np.hypot(points[:, 0], points[:, 1])

@@ -42,6 +42,11 @@ class Run:
     states: list[mechanics.State]
 
     @cached_property
+    def face(self) -> gel_surface.GelSurface:
+        """The coated face at rest."""
+        return gel_surface.GelSurface(self.problem.mesh.points, self.problem.mesh.facets["coated"])
+
+    @cached_property
     def forces(self) -> Array:
         """On the gel at every frame (N, 3) [N]."""
         return np.array([gel_surface.wrench(self.problem, state)[0] for state in self.states])
@@ -54,7 +59,7 @@ def scene(shape: Shape, path: Array, *, pad: GelBody | None = None, friction: fl
     return Scene(pad or gel(), shape, path, start, np.zeros(len(path), int), friction, edge, 0.05)
 
 
-def run(made: Scene, footprint: Footprint | None = None, grid: mesh.Mesh | None = None) -> Run:
+def run(made: Scene, footprint: Footprint | None = None, grid: mesh.GelMesh | None = None) -> Run:
     """Solve all frames, on a mesh of hexes that is fine over `footprint` or on the one given."""
     grid = grid or mesh.build(made.gel, footprint or mesh.footprint(made), made.edge)
     problem = mechanics.Problem.of(made, grid)

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from tacgen.cli import app
 from tacgen.geometry.analytic_sdf import BoxSdf, ConeSdf, SphereSdf
-from tacgen.recipe import approach, plan
+from tacgen.recipe import approach, assets, loading, plan
 from tacgen.recipe.scene_of_row import gel_of
 
 
@@ -19,26 +19,24 @@ def poses(*places: tuple[float, float, float]) -> np.ndarray:
     return found
 
 
-def gel_in(folder: Path, sensor: str = "gelsight_mini"):
-    (folder / "r.yaml").write_text(HEAD.replace("gelsight_mini", sensor) + "  - press: {depth_mm: 0.3, frames: 1}\n")
-    row = plan.load(folder / "r.yaml").rows[0]
-    return gel_of(row.sensor, None)
+def gel_in(sensor: str = "gelsight_mini"):
+    return gel_of(loading.read_sensor(assets.sensor_path(sensor))[0])
 
 
 @pytest.mark.parametrize(
     "shape", [SphereSdf(4.0), ConeSdf(0.4, 0.1), BoxSdf(6.0, 4.0, 0.2)], ids=lambda s: type(s).__name__
 )
-def test_over_a_level_face_it_is_the_height_of_the_lowest_point(tmp_path: Path, shape) -> None:
-    gel = gel_in(tmp_path)
+def test_over_a_level_face_it_is_the_height_of_the_lowest_point(shape) -> None:
+    gel = gel_in()
     assert approach.closest(shape, gel, poses((0.1, 0.2, 5), (3.123, -1.017, 1.5))) == pytest.approx(1.5, abs=1e-3)
     assert approach.closest(shape, gel, poses((0.0, 0.0, 5), (0.313, 0.117, -0.01))) <= 0
 
 
-def test_beside_the_pad_and_over_a_dome(tmp_path: Path) -> None:
-    gel, ball = gel_in(tmp_path), SphereSdf(4.0)
+def test_beside_the_pad_and_over_a_dome() -> None:
+    gel, ball = gel_in(), SphereSdf(4.0)
     beside = approach.closest(ball, gel, poses((gel.width / 2 + 3, 0, -1)))
     assert beside == pytest.approx(np.hypot(3, 3) - 4, abs=1e-3)
-    dome = gel_in(tmp_path, "digit")
+    dome = gel_in("digit")
     assert approach.closest(ball, dome, poses((0, 0, 0.5))) == pytest.approx(0.5, abs=1e-3)
     assert approach.closest(ball, dome, poses((6.0, 0, 0.0))) > 0.05, "the face falls away from its crown"
 

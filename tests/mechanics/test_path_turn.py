@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers import small_recipe
 from helpers.presses import gel, poses, scene
-from helpers.small_recipe import HEAD
 from scipy.spatial.transform import Rotation
 
 from tacgen.geometry.analytic_sdf import BoxSdf, Shape, SphereSdf
@@ -16,7 +16,7 @@ from tacgen.mechanics import Failure, NotConverged, Problem, SolverOptions, Stat
 from tacgen.mechanics.load_stepping import advance, steps_needed
 from tacgen.mechanics.scene import Scene
 from tacgen.mechanics.state import History
-from tacgen.recipe import plan, scene_of_row
+from tacgen.recipe import scene_of_row
 
 Array = np.ndarray
 ANGLES = [30.0, 179.0, 181.0, 190.0, -190.0, 360.0, 720.0, -1000.0]
@@ -24,10 +24,8 @@ ROUGH = "contact.friction=0.6"
 PRESS = "press: {depth_mm: 0.4, frames: 1}"
 
 
-def built(folder: Path, *segments: str, sets: tuple[str, ...] = ()) -> Scene:
-    path = folder / "recipe.yaml"
-    path.write_text(HEAD + "".join(f"  - {segment}\n" for segment in segments))
-    return scene_of_row.build(plan.load(path, sets).rows[0])
+def built(*moves: str, sets: tuple[str, ...] = ()) -> Scene:
+    return scene_of_row.build(small_recipe.row(", ".join(moves), *sets))
 
 
 def about(axis: Array, degrees: float) -> Array:
@@ -46,8 +44,8 @@ def from_to(made: Scene, frame: int) -> tuple[Array, Array, Array]:
 
 
 @pytest.mark.parametrize("angle", ANGLES)
-def test_a_twist_goes_all_the_way_around_that_is_asked_for(tmp_path: Path, angle: float) -> None:
-    made = built(tmp_path, PRESS, f"twist: {{angle_deg: {angle}, frames: 1}}")
+def test_a_twist_goes_all_the_way_around_that_is_asked_for(angle: float) -> None:
+    made = built(PRESS, f"twist: {{angle_deg: {angle}, frames: 1}}")
     a, b, turn = from_to(made, 1)
     assert turn == pytest.approx([0, 0, np.radians(angle)])
     assert b[:3, :3] == pytest.approx(about([0, 0, 1], angle), abs=1e-12)
@@ -63,8 +61,8 @@ def test_a_twist_goes_all_the_way_around_that_is_asked_for(tmp_path: Path, angle
     assert sum(ways) == pytest.approx(abs(angle))
 
 
-def test_by_a_twist_shared_out_over_frames_each_turns_by_its_share(tmp_path: Path) -> None:
-    made = built(tmp_path, PRESS, "twist: {angle_deg: 570, frames: 3}", "slide: {x_mm: 0.5, frames: 1}")
+def test_by_a_twist_shared_out_over_frames_each_turns_by_its_share() -> None:
+    made = built(PRESS, "twist: {angle_deg: 570, frames: 3}", "slide: {x_mm: 0.5, frames: 1}")
     assert made.turns is not None
     assert np.degrees(made.turns) == pytest.approx(np.array([[0, 0, 0], *[[0, 0, 190]] * 3, [0, 0, 0]]))
     for frame in (1, 2, 3):
@@ -77,9 +75,9 @@ def test_by_a_twist_shared_out_over_frames_each_turns_by_its_share(tmp_path: Pat
     assert half[:3, 3] == pytest.approx([0.25, 0, -0.4])
 
 
-def test_a_leaning_indenter_is_twisted_about_its_own_axis_and_tilted_about_the_gels(tmp_path: Path) -> None:
+def test_a_leaning_indenter_is_twisted_about_its_own_axis_and_tilted_about_the_gels() -> None:
     tilt = "tilt: {angle_deg: 8, axis_deg: 90, frames: 2}"
-    made = built(tmp_path, PRESS, tilt, "twist: {angle_deg: 200, frames: 1}")
+    made = built(PRESS, tilt, "twist: {angle_deg: 200, frames: 1}")
     lean = about([0, 1, 0], 8)
     for frame in (1, 2):
         a, b, turn = from_to(made, frame)
@@ -96,7 +94,7 @@ def test_a_replay_turns_by_the_shorter_way(tmp_path: Path) -> None:
     rows = enumerate(np.radians([0.0, 100.0, 290.0]))
     lines = [f"{t},0,0,-0.3,{np.cos(a / 2)},0,0,{np.sin(a / 2)}" for t, a in rows]
     (tmp_path / "poses.csv").write_text("\n".join(["t,x,y,z,qw,qx,qy,qz", *lines]) + "\n")
-    made = built(tmp_path, "replay: {file: poses.csv, units: mm}")
+    made = built(f"replay: {{file: {tmp_path}/poses.csv, units: mm}}")
     assert made.turns is not None
     assert np.degrees(made.turns)[:, 2] == pytest.approx([0, 100, -170])
 
@@ -184,11 +182,9 @@ def test_a_turn_that_fails_is_halved_on_its_own_way(angle: float, monkeypatch: p
 
 
 @pytest.mark.parametrize("angle", [190.0, -170.0])
-def test_a_gel_is_dragged_along_on_the_way_that_is_asked_for(
-    tmp_path: Path, angle: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_gel_is_dragged_along_on_the_way_that_is_asked_for(angle: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """Both end at the same pose, and pull the gel around in opposite directions."""
-    made = built(tmp_path, PRESS, f"twist: {{angle_deg: {angle}, frames: 1}}", sets=(ROUGH,))
+    made = built(PRESS, f"twist: {{angle_deg: {angle}, frames: 1}}", sets=(ROUGH,))
     problem = Problem.of(made, mesh.of(made))
     done = recorded(monkeypatch)
     _, state = states(made, problem)

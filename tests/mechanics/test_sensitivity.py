@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.small_recipe import HEAD
+from helpers import small_recipe
 
 from tacgen import mechanics, pipeline
 from tacgen.bundle.bundle import read
@@ -14,25 +14,20 @@ from tacgen.fem.materials import NeoHooke
 from tacgen.mechanics import mesh
 from tacgen.mechanics.scene import Scene
 from tacgen.outputs.sensitivities import Sensitivities
-from tacgen.recipe import plan, scene_of_row
+from tacgen.recipe import scene_of_row
 from tacgen.recipe.model import Uncertainty
 from tacgen.recipe.row import Row
 
-PRESS = "  - press: {depth_mm: 0.8, frames: 2}\n"
+PRESS = "press: {depth_mm: 0.8, frames: 2}"
 ALL = {"material": {"modulus": 0.1, "poissons_ratio": 0.002, "friction": 0.1}, "pose": {"depth_mm": 0.02}}
 EXACT = replace(mechanics.DEFAULT, step_tol=1e-4, residual_tol=1e-7)
-
-
-def made(folder: Path, text: str, *sets: str) -> Row:
-    (folder / "r.yaml").write_text(text)
-    return plan.load(folder / "r.yaml", sets).rows[0]
 
 
 def force(state: mechanics.State) -> np.ndarray:
     return state.traction_force.sum((0, 1))
 
 
-def slopes(row: Row, options: mechanics.SolverOptions = EXACT) -> tuple[Scene, mesh.Mesh, dict[str, np.ndarray]]:
+def slopes(row: Row, options: mechanics.SolverOptions = EXACT) -> tuple[Scene, mesh.GelMesh, dict[str, np.ndarray]]:
     built = scene_of_row.build(row)
     problem = mechanics.Problem.of(built, mesh.of(built), options)
     follow = Sensitivities(problem, Uncertainty.model_validate(ALL).deviations, row.sensor.gel)
@@ -41,7 +36,7 @@ def slopes(row: Row, options: mechanics.SolverOptions = EXACT) -> tuple[Scene, m
     return built, problem.mesh, found
 
 
-def differences(built: Scene, on: mesh.Mesh, options: mechanics.SolverOptions = EXACT) -> dict[str, np.ndarray]:
+def differences(built: Scene, on: mesh.GelMesh, options: mechanics.SolverOptions = EXACT) -> dict[str, np.ndarray]:
     """By solving the whole path again with inputs a little larger and smaller, on the same mesh."""
 
     def solved(**new: object) -> np.ndarray:
@@ -71,44 +66,41 @@ def differences(built: Scene, on: mesh.Mesh, options: mechanics.SolverOptions = 
     }
 
 
-def test_without_friction_they_are_what_solving_again_gives(tmp_path: Path) -> None:
-    built, on, found = slopes(made(tmp_path, HEAD + PRESS))
+def test_without_friction_they_are_what_solving_again_gives() -> None:
+    built, on, found = slopes(small_recipe.row(PRESS))
     wanted = differences(built, on)
     for name, value in wanted.items():
         assert found[name][2] == pytest.approx(value[2], rel=0.01), name
 
 
 @pytest.mark.parametrize("substeps", [False, pytest.param(True, marks=pytest.mark.slow)])
-def test_with_friction_they_follow_the_path(tmp_path: Path, substeps: bool) -> None:
+def test_with_friction_they_follow_the_path(substeps: bool) -> None:
     """Partly slipping, after a press whose points stuck where they first touched."""
-    row = made(
-        tmp_path,
-        HEAD + "  - press: {depth_mm: 0.6, frames: 3}\n  - slide: {x_mm: 0.2, frames: 2}\n",
-        "contact.friction=0.6",
-    )
+    moves = "press: {depth_mm: 0.6, frames: 3}, slide: {x_mm: 0.2, frames: 2}"
+    row = small_recipe.row(moves, "contact.friction=0.6")
     options = replace(EXACT, slide=0.06) if substeps else EXACT
     built, on, found = slopes(row, options)
     for name, value in differences(built, on, options).items():
         assert np.linalg.norm(found[name] - value) < 0.01 * np.linalg.norm(value), name
 
 
-def test_they_follow_frames_that_press_deep_with_the_usual_tolerances(tmp_path: Path) -> None:
+def test_they_follow_frames_that_press_deep_with_the_usual_tolerances() -> None:
     """0.4 mm a frame: many points first touch within one, where the predictor says."""
-    row = made(tmp_path, HEAD + PRESS, "contact.friction=0.6")
+    row = small_recipe.row(PRESS, "contact.friction=0.6")
     built, on, found = slopes(row, mechanics.DEFAULT)
     for name, value in differences(built, on, replace(EXACT, step_tol=1e-6, residual_tol=1e-10)).items():
         assert np.linalg.norm(found[name] - value) < 0.01 * np.linalg.norm(value), name
 
 
-def test_without_cholmod_they_are_the_same(tmp_path: Path) -> None:
-    row = made(tmp_path, HEAD + PRESS, "contact.friction=0.5")
+def test_without_cholmod_they_are_the_same() -> None:
+    row = small_recipe.row(PRESS, "contact.friction=0.5")
     (_, _, one), (_, _, other) = (slopes(row, replace(EXACT, condense=way, predict=False)) for way in (True, False))
     for name, value in one.items():
         assert other[name] == pytest.approx(value, rel=2e-3, abs=1e-3 * np.linalg.norm(value)), name
 
 
 def test_a_bundle_says_how_sure_it_is(tmp_path: Path) -> None:
-    row = made(tmp_path, HEAD.replace("[force]", "[force, traction]") + PRESS, f"uncertainty={ALL}")
+    row = small_recipe.row(PRESS, "outputs=[force, traction]", f"uncertainty={ALL}")
     (done,) = pipeline.run([row], tmp_path / "out")
     bundle = read(done.path)
     frames = {name: bundle[f"/frames/{name}"][-1] for name in ("force", "pressure", "traction")}
@@ -124,9 +116,8 @@ def test_a_bundle_says_how_sure_it_is(tmp_path: Path) -> None:
 
 def test_the_meshs_error_is_reported_by_a_coarser_one(tmp_path: Path) -> None:
     """Nine of ten errors of the force, against a mesh half as coarse, are within 1.645 standard deviations."""
-    text = HEAD.replace("[force]", "[force, traction]") + "  - press: {depth_mm: 0.8, frames: 4}\n"
-    sets = "uncertainty={mesh: true}", "quality={edge_mm: 0.5, dhat_mm: 0.05}"
-    rows = [made(tmp_path, text, more) for more in sets]
+    press, sets = PRESS.replace("2", "4"), ("uncertainty={mesh: true}", "quality={edge_mm: 0.5, dhat_mm: 0.05}")
+    rows = [small_recipe.row(press, "outputs=[force, traction]", more) for more in sets]
     bundle, fine = (read(pipeline.run_scene(row, tmp_path / str(k)).path) for k, row in enumerate(rows))
     sure, error = bundle["/frames/uncertainty/force"], bundle["/frames/force"] - fine["/frames/force"]
     inside = np.abs(error)[:, 2] <= 1.645 * sure[:, 2]
@@ -137,7 +128,7 @@ def test_the_meshs_error_is_reported_by_a_coarser_one(tmp_path: Path) -> None:
     assert 0.7 < (off <= 1.645 * bundle["/frames/uncertainty/pressure"][pressed]).mean() < 0.99
 
 
-def test_what_has_no_sensitivities_is_refused(tmp_path: Path) -> None:
+def test_what_has_no_sensitivities_is_refused() -> None:
     for more in ("contact.formulation=ipctk", "dynamics={density_kg_m3: 1000, frame_s: 0.1}"):
         with pytest.raises(UserError, match="uncertainty: needs quasi-static frames and contact by distance"):
-            made(tmp_path, HEAD + PRESS, f"uncertainty={ALL}", more)
+            small_recipe.row(PRESS, f"uncertainty={ALL}", more)

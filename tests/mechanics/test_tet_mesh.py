@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers import small_recipe
 from helpers.presses import gel, poses, run, scene
 
 from tacgen import array_cache, pipeline
@@ -20,7 +21,6 @@ from tacgen.geometry.gel import GelBody, GelLayer
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics import mesh, tet_mesh
 from tacgen.mechanics.scene import Scene
-from tacgen.recipe import plan
 
 Array = np.ndarray
 LAW = NeoHooke(0.05, 0.4)
@@ -36,11 +36,11 @@ def pressed(pad: GelBody, element: str = "tet", edge: float = 0.6) -> Scene:
 
 
 @pytest.fixture(scope="module")
-def domed(own_cache: None) -> mesh.Mesh:
+def domed(own_cache: None) -> mesh.GelMesh:
     return mesh.of(pressed(DOMED))
 
 
-def test_the_boundary_is_the_gels(domed: mesh.Mesh) -> None:
+def test_the_boundary_is_the_gels(domed: mesh.GelMesh) -> None:
     """A round end, a dome and two layers: corners and the nodes in the middle of edges alike."""
     x = domed.points
     face, base = (np.unique(domed.facets[name]) for name in ("coated", "bonded"))
@@ -59,7 +59,7 @@ def test_the_boundary_is_the_gels(domed: mesh.Mesh) -> None:
     assert np.median(np.abs(np.hypot(end[:, 0], end[:, 1] + 1) - 4.5)) < 1e-3  # curved edges, not chords
 
 
-def test_layers_meet_at_the_interface(domed: mesh.Mesh) -> None:
+def test_layers_meet_at_the_interface(domed: mesh.GelMesh) -> None:
     x, corners = domed.points, domed.cells[:, :4]
     shared = np.intersect1d(domed.cells[domed.layer == 0], domed.cells[domed.layer == 1])
     assert len(shared) > 50
@@ -70,7 +70,7 @@ def test_layers_meet_at_the_interface(domed: mesh.Mesh) -> None:
     assert (DOMED.layer_of(x[corners].mean(1)) == domed.layer).all()
 
 
-def test_cells_are_sound(domed: mesh.Mesh) -> None:
+def test_cells_are_sound(domed: mesh.GelMesh) -> None:
     made = mesh.quality(DOMED, domed)
     assert made["nodes"] == len(domed.points) == len(np.unique(domed.cells))
     assert made["smallest_dihedral_deg"] > 8
@@ -97,7 +97,7 @@ def test_cells_are_fine_where_it_is_touched_alone() -> None:
     assert far > 1.7 * near
 
 
-def test_a_mesh_is_kept_and_another_scene_gets_another(domed: mesh.Mesh, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_mesh_is_kept_and_another_scene_gets_another(domed: mesh.GelMesh, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tet_mesh, "_tetrahedralise", lambda *a: pytest.fail("meshed again"))
     again = mesh.of(pressed(DOMED))
     assert all((a == b).all() for a, b in ((again.points, domed.points), (again.cells, domed.cells)))
@@ -189,22 +189,9 @@ def test_a_press_on_tets_and_on_hexes(element: str) -> None:
         assert 1.1 < force["linear_tet"] / force["hex"] < 3
 
 
-RECIPE = """\
-tacgen: 1
-name: tets
-sensor: gelsight_mini
-mesh: tet
-quality: {edge_mm: 0.9, dhat_mm: 0.05}
-indenter: {shape: sphere, radius_mm: 4.0}
-trajectory: [{press: {depth_mm: 0.6, frames: 1}}]
-contact: {friction: 0.4}
-outputs: [force, traction, height, stress]
-"""
-
-
 def test_a_bundle_on_tets(tmp_path: Path) -> None:
-    (tmp_path / "r.yaml").write_text(RECIPE)
-    row = plan.load(tmp_path / "r.yaml").rows[0]
+    sets = "mesh=tet", "quality={edge_mm: 0.9, dhat_mm: 0.05}", "outputs=[force, traction, height, stress]"
+    row = small_recipe.row("press: {depth_mm: 0.6, frames: 1}", "contact.friction=0.4", *sets)
     assert row.document()["mesh"] == "tet"
     result = pipeline.run_scene(row, tmp_path)
     assert result.status == "ok", result.reason

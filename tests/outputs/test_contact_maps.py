@@ -12,7 +12,7 @@ from tacgen.mechanics.barrier import Faces
 from tacgen.mechanics.ipctk import lattice
 from tacgen.optics.camera import PinholeCamera, Stack
 from tacgen.outputs import contact_maps
-from tacgen.outputs.gel_surface import Surface
+from tacgen.outputs.gel_surface import GelSurface
 
 Array = np.ndarray
 RADIUS, FRICTION = 1.9, 0.4
@@ -30,7 +30,7 @@ def pressed(
     faces: Faces,
     camera: PinholeCamera = CAMERA,
     uneven: Array | float = 1.0,
-    surface: Surface | None = None,
+    surface: GelSurface | None = None,
 ) -> tuple[contact_maps.Maps, State]:
     """A level face under a ball that slides along (.6, .8), and its maps; `uneven` (q,) is times the pressure."""
     force = hertz(faces.at(points)) * faces.areas * uneven
@@ -38,7 +38,7 @@ def pressed(
     down = np.broadcast_to([0.0, 0.0, -1.0], rub.shape)
     state = State(0, np.eye(4), points, force, down, rub, force > 0, 1, 1, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0)
     problem: Problem = SimpleNamespace(contact=SimpleNamespace(faces=faces), friction=FRICTION)  # type: ignore[assignment]
-    return contact_maps.maps(problem, surface or Surface(points, faces.conn), state, camera), state
+    return contact_maps.maps(problem, surface or GelSurface(points, faces.conn), state, camera), state
 
 
 def error(found: contact_maps.Maps) -> float:
@@ -111,7 +111,7 @@ def test_gel_that_is_hidden_has_its_force_in_the_force_map_where_it_is_and_not_i
     x, fold = points.copy(), 2 * points[:, 0]
     x[:, 0] -= 0.8 * np.sin(fold) * (np.abs(fold) < np.pi)
     x[:, 2] += 0.4 * (1 + np.cos(fold)) * (np.abs(fold) < np.pi)
-    found, state = pressed(x, faces, surface=Surface(points, faces.conn).moved(x))
+    found, state = pressed(x, faces, surface=GelSurface(points, faces.conn).moved(x))
     total, at = state.traction_force.sum((0, 1)), faces.at(x)
     assert found.force.sum((0, 1)) == pytest.approx(total, rel=1e-12)
     seen = (found.pressure * found.area).sum() / state.normal_force.sum()
@@ -134,7 +134,7 @@ def test_resultants_of_maps_are_compared_with_the_forces(kind: int, scale: float
     side = np.sign(faces.at(points)[..., :1])
     lean = replace(level, normal=side * [np.sqrt(0.75), 0, 0] + [0, 0, -0.5], friction=0 * level.friction)
     problem: Problem = SimpleNamespace(contact=SimpleNamespace(faces=faces), friction=FRICTION)  # type: ignore[assignment]
-    surface = Surface(points, faces.conn)
+    surface = GelSurface(points, faces.conn)
 
     def errors(state: State, camera: PinholeCamera = CAMERA) -> list[float]:
         view = contact_maps.Shares(problem, surface, state, camera)
@@ -159,7 +159,7 @@ def test_friction_in_any_direction_of_points_that_slide_or_stick_obeys_coulombs_
     rub = size[..., None] * np.stack([np.cos(angle), np.sin(angle), 0 * angle], -1)
     partly = replace(state, sliding=sliding, friction=rub)
     problem: Problem = SimpleNamespace(contact=SimpleNamespace(faces=faces), friction=FRICTION)  # type: ignore[assignment]
-    found = contact_maps.maps(problem, Surface(points, faces.conn), partly, CAMERA)
+    found = contact_maps.maps(problem, GelSurface(points, faces.conn), partly, CAMERA)
     assert found.pressure.min() >= 0
     assert found.sliding.min() >= 0
     assert found.sliding.max() <= 1 + 1e-12

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers import small_recipe
 from helpers.synthetic import attributes, write
 
 from tacgen import pipeline
@@ -11,7 +12,6 @@ from tacgen.bundle.bundle import Bundle, read
 from tacgen.bundle.caption import Change, caption, changes, modes
 from tacgen.optics.camera import PinholeCamera
 from tacgen.outputs.contact_events import friction_used
-from tacgen.recipe import plan
 from tacgen.report import viewer
 from tacgen.report.bundle_figure import figure, summary
 
@@ -35,15 +35,10 @@ SCENES = {  # indenter, friction, trajectory, modes
 
 
 def made(
-    folder: Path, indenter: str, friction: float, moves: list[str], more: str = "", outputs: str = "events"
+    folder: Path, indenter: str, friction: float, moves: list[str], more: tuple[str, ...] = (), outputs: str = "events"
 ) -> Bundle:
-    path = folder / "scene.yaml"
-    path.write_text(
-        f"{{tacgen: 1, name: events, sensor: gelsight_mini, indenter: {indenter}, start: {{clearance_mm: 0.4}},"
-        f" contact: {{friction: {friction}}}, outputs: [{outputs}], quality: draft, {more}"
-        f" trajectory: [{', '.join(moves)}]}}"
-    )
-    return read(pipeline.run_scene(plan.load(path).rows[0], folder).path)
+    sets = f"indenter={indenter}", f"contact.friction={friction}", f"outputs=[{outputs}]", "start.clearance_mm=0.4"
+    return read(pipeline.run_scene(small_recipe.row(", ".join(moves), "quality=draft", *sets, *more), folder).path)
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -55,7 +50,7 @@ def test_modes_are_those_of_a_scene_made_by_hand(name: str, tmp_path: Path) -> N
 
 def test_a_caption_tells_what_is_done_and_what_happens(tmp_path: Path) -> None:
     moves = ["press: {depth_mm: 0.6, frames: 1, duration_s: 1}", "slide: {x_mm: -2, frames: 2, duration_s: 1}"]
-    timed = 'sensor_overrides: {"gel.layers[0].prony": [{g: 0.05, tau_s: 0.3}]},'
+    timed = ("sensor.gel.layers[0].prony=[{g: 0.05, tau_s: 0.3}]",)
     bundle = made(tmp_path, BALL, 0.3, moves, timed)
     assert changes(bundle) == [Change(0, "touching", 1.0), Change(1, "sliding", 1.5)]
     force = np.linalg.norm(bundle["/frames/force"], axis=1)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from helpers.small_recipe import HEAD
+from helpers import small_recipe
 from helpers.tiny import sensor
 
 from tacgen.bundle import bundle
@@ -12,7 +12,6 @@ from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.coating import centers
 from tacgen.outputs.fots_markers import FotsMarkers
 from tacgen.pipeline import run
-from tacgen.recipe import plan
 from tacgen.sensor.markers import Motion
 
 MOTION = Motion(press=(0.02, 0.05), shear=(0.5, 0.1), twist=(20.0, 0.1), source="test")
@@ -69,12 +68,10 @@ def test_off_the_gel_all_is_still_and_forgotten(drift):
 
 
 def test_a_recipe_can_ask_for_it(tmp_path):
-    path = tmp_path / "small.yaml"
-    path.write_text(HEAD + "  - press: {depth_mm: 0.5, frames: 1}\n  - slide: {x_mm: 0.4, frames: 1}\n")
-    flows = {}
+    moves, flows = "press: {depth_mm: 0.5, frames: 1}, slide: {x_mm: 0.4, frames: 1}", {}
     for method in ("fem", "analytic"):
-        made = plan.load(path, ["outputs=[markers]", f"markers.method={method}", "contact.friction=0.6"])
-        (done,) = run(made.rows, tmp_path / method)
+        row = small_recipe.row(moves, "outputs=[markers]", f"markers.method={method}", "contact.friction=0.6")
+        (done,) = run([row], tmp_path / method)
         flows[method] = bundle.read(done.path)["/frames/marker_flow"][-1]
     off = np.linalg.norm(flows["fem"] - flows["analytic"]) / np.linalg.norm(flows["fem"])
     assert 0.05 < off < 0.8  # alike, and not the same
@@ -87,8 +84,6 @@ def test_a_recipe_can_ask_for_it(tmp_path):
         ("digit", ["outputs=[force]", "markers.method=analytic"], "markers.method: cannot be analytic"),
     ],
 )
-def test_what_a_sensor_cannot_do_is_reported(tmp_path, name, sets, said):
-    path = tmp_path / "small.yaml"
-    path.write_text(HEAD + "  - press: {depth_mm: 0.5, frames: 1}\n")
+def test_what_a_sensor_cannot_do_is_reported(name, sets, said):
     with pytest.raises(UserError, match=said):
-        plan.load(path, [f"sensor={name}", *sets])
+        small_recipe.row(small_recipe.PRESS, f"sensor={name}", *sets)

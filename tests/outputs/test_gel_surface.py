@@ -53,13 +53,13 @@ def pressed() -> Run:
 
 
 @pytest.fixture(scope="module")
-def surface(pressed: Run) -> gel_surface.Surface:
+def surface(pressed: Run) -> gel_surface.GelSurface:
     grid = pressed.problem.mesh
-    return gel_surface.Surface(grid.points, grid.facets["coated"])
+    return gel_surface.GelSurface(grid.points, grid.facets["coated"])
 
 
 @pytest.fixture(scope="module")
-def maps(pressed: Run, surface: gel_surface.Surface, camera: PinholeCamera) -> list[Maps]:
+def maps(pressed: Run, surface: gel_surface.GelSurface, camera: PinholeCamera) -> list[Maps]:
     return [maps_of(pressed.problem, surface.moved(s.x), s, camera) for s in pressed.states]
 
 
@@ -156,7 +156,7 @@ def test_torque_is_about_the_origin() -> None:
 
 
 def test_the_height_of_an_untouched_face_is_zero(
-    surface: gel_surface.Surface, mini: Sensor, camera: PinholeCamera
+    surface: gel_surface.GelSurface, mini: Sensor, camera: PinholeCamera
 ) -> None:
     z = camera_maps.View(Sheet.over(mini.gel, 0.2), surface, camera).height()
     assert z.shape == camera.shape
@@ -164,7 +164,7 @@ def test_the_height_of_an_untouched_face_is_zero(
 
 
 def test_the_height_of_a_dent_follows_the_ball(
-    pressed: Run, surface: gel_surface.Surface, maps: list[Maps], mini: Sensor, camera: PinholeCamera
+    pressed: Run, surface: gel_surface.GelSurface, maps: list[Maps], mini: Sensor, camera: PinholeCamera
 ) -> None:
     z = camera_maps.View(Sheet.over(mini.gel, 0.1), surface.moved(pressed.states[PRESSED].x), camera).height()
     assert z.min() == pytest.approx(-0.8, abs=0.03)
@@ -177,7 +177,7 @@ def test_the_height_of_a_dent_follows_the_ball(
     assert np.abs(gap).mean() < 0.025
 
 
-def test_a_surface_reproduces_its_nodes_and_linear_fields(surface: gel_surface.Surface, pressed: Run) -> None:
+def test_a_surface_reproduces_its_nodes_and_linear_fields(surface: gel_surface.GelSurface, pressed: Run) -> None:
     grid = pressed.problem.mesh
     rng = np.random.default_rng(0)
     inner = rng.uniform([-12, -10], [12, 10], (200, 2))
@@ -192,7 +192,7 @@ def test_a_surface_reproduces_its_nodes_and_linear_fields(surface: gel_surface.S
     assert np.isnan(surface.at(np.array([[40.0, 0.0]]))).any()
 
 
-def test_a_surface_is_smooth_across_its_cells(surface: gel_surface.Surface, pressed: Run) -> None:
+def test_a_surface_is_smooth_across_its_cells(surface: gel_surface.GelSurface, pressed: Run) -> None:
     """Slopes on either side of a cell's edge agree, unlike those of bilinear cells."""
     now = surface.moved(pressed.states[PRESSED].x)
     x = np.unique(now.rest[:, 0])
@@ -280,7 +280,7 @@ def test_traction_is_forced_on_stress_by_the_least_change() -> None:
 
 
 def test_gap_and_normals_of_the_dent(
-    pressed: Run, surface: gel_surface.Surface, maps: list[Maps], mini: Sensor
+    pressed: Run, surface: gel_surface.GelSurface, maps: list[Maps], mini: Sensor
 ) -> None:
     """Under the ball the gap is about none and the normals are the ball's own; elsewhere they are those of a ball over
     a nearly level face."""
@@ -306,13 +306,13 @@ def test_gap_and_normals_of_the_dent(
 
 
 def test_a_face_in_contact_is_the_balls_own(
-    pressed: Run, surface: gel_surface.Surface, monkeypatch: pytest.MonkeyPatch
+    pressed: Run, surface: gel_surface.GelSurface, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A ball's dent is alike to all sides: what its slope varies by around a circle is the mesh's ripple."""
     state, shape, angles = pressed.states[PRESSED], pressed.scene.shape, np.linspace(0, 2 * np.pi, 128, endpoint=False)
     out, middle, step = np.stack([np.cos(angles), np.sin(angles)], -1), np.array(PATH[PRESSED][:2]), 0.02
 
-    def ripple(face: gel_surface.Surface, radius: float) -> float:
+    def ripple(face: gel_surface.GelSurface, radius: float) -> float:
         """Of the slope outward [deg], by its spectrum over the angle."""
         rise = face.at(middle + (radius + step) * out) - face.at(middle + (radius - step) * out)
         slope = np.degrees(np.arctan2(rise[:, 2], (rise[:, :2] * out).sum(1)))

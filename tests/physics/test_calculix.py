@@ -4,44 +4,25 @@ Sphere of 4 mm, 1 mm deep, E = 0.15 MPa, nu = 0.48: 1.000 +- .003 N without fric
 Sphere of 3 mm, 0.8 mm deep, E = 0.1 MPa, nu = 0.49: 0.3465 N.
 """
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-from helpers.presses import Run
+from helpers import small_recipe
+from helpers.presses import Run, run
 
-from tacgen import mechanics
 from tacgen.mechanics import mesh
 from tacgen.optics.camera import PinholeCamera
-from tacgen.outputs import gel_surface
 from tacgen.outputs.contact_maps import Maps
 from tacgen.outputs.contact_maps import maps as maps_of
-from tacgen.recipe import loading, plan, scene_of_row
+from tacgen.recipe import scene_of_row
 from tacgen.recipe.row import Row
 
 Array = np.ndarray
-RECIPE = """\
-tacgen: 1
-name: calculix
-sensor: gelsight_mini
-sensor_overrides: {"gel.layers[0].youngs_modulus_mpa": 0.15, "gel.layers[0].poissons_ratio": 0.48}
-indenter: {shape: sphere, radius_mm: 4.0}
-trajectory: [{press: {depth_mm: 1.0, frames: 4}}]
-outputs: [force, traction]
-"""
-SMALLER = (
-    "indenter.radius_mm=3",
-    "trajectory[0].press.depth_mm=0.8",
-    "sensor.gel.layers[0].youngs_modulus_mpa=0.1",
-    "sensor.gel.layers[0].poissons_ratio=0.49",
-)
 
 
-def resolved(folder: Path, sets: tuple[str, ...] = ()) -> Row:
-    path = folder / "calculix.yaml"
-    path.write_text(RECIPE)
-    found = loading.read(path, sets)
-    return plan.expand(found).rows[0]
+def resolved(*sets: str, depth: float = 1.0, frames: int = 4, E: float = 0.15, nu: float = 0.48) -> Row:
+    press, layer = f"press: {{depth_mm: {depth}, frames: {frames}}}", "sensor.gel.layers[0]"
+    gel = f"{layer}.youngs_modulus_mpa={E}", f"{layer}.poissons_ratio={nu}"
+    return small_recipe.row(press, "quality=default", *gel, *sets)
 
 
 def solved(row: Row, shift: tuple[float, float] = (0.0, 0.0)) -> Run:
@@ -49,13 +30,12 @@ def solved(row: Row, shift: tuple[float, float] = (0.0, 0.0)) -> Run:
     made = scene_of_row.build(row)
     dx, dy = (made.edge * s for s in shift)
     x0, x1, y0, y1 = mesh.footprint(made)
-    problem = mechanics.Problem.of(made, mesh.build(made.gel, (x0 + dx, x1 + dx, y0 + dy, y1 + dy), made.edge))
-    return Run(made, problem, list(mechanics.states(made, problem)))
+    return run(made, (x0 + dx, x1 + dx, y0 + dy, y1 + dy))
 
 
 @pytest.fixture(scope="module")
-def row(tmp_path_factory: pytest.TempPathFactory) -> Row:
-    return resolved(tmp_path_factory.mktemp("calculix"))
+def row() -> Row:
+    return resolved()
 
 
 @pytest.fixture(scope="module")
@@ -65,9 +45,8 @@ def press(row: Row) -> Run:
 
 @pytest.fixture(scope="module")
 def maps(row: Row, press: Run) -> Maps:
-    surface = gel_surface.Surface(press.problem.mesh.points, press.problem.mesh.facets["coated"])
     state = press.states[-1]
-    return maps_of(press.problem, surface.moved(state.x), state, PinholeCamera.from_sensor(row.sensor))
+    return maps_of(press.problem, press.face.moved(state.x), state, PinholeCamera.from_sensor(row.sensor))
 
 
 def test_force_wherever_the_sphere_sits_in_a_cell(row: Row, press: Run) -> None:
@@ -76,17 +55,17 @@ def test_force_wherever_the_sphere_sits_in_a_cell(row: Row, press: Run) -> None:
     assert np.ptp(found) < 0.005
 
 
-def test_force_with_friction(tmp_path: Path) -> None:
+def test_force_with_friction() -> None:
     """CalculiX is 1.1 % sure of it; here it falls to 1.070 N on a mesh of .25 mm, and gains .3 % by 10 frames."""
-    row = resolved(tmp_path, ("trajectory[0].press.frames=10", "contact.friction=0.6"))
-    forces = solved(row).forces
+    forces = solved(resolved("contact.friction=0.6", frames=10)).forces
     assert -forces[-1, 2] == pytest.approx(1.087, rel=0.015)
     assert np.abs(forces[-1, :2]).max() < 2e-3
     assert (np.diff(-forces[:, 2], prepend=0) > 0).all()
 
 
-def test_force_of_a_smaller_sphere_on_a_softer_gel(tmp_path: Path) -> None:
-    assert -solved(resolved(tmp_path, SMALLER)).forces[-1, 2] == pytest.approx(0.3465, rel=0.015)
+def test_force_of_a_smaller_sphere_on_a_softer_gel() -> None:
+    row = resolved("indenter.radius_mm=3", depth=0.8, E=0.1, nu=0.49)
+    assert -solved(row).forces[-1, 2] == pytest.approx(0.3465, rel=0.015)
 
 
 def test_contact_radius(row: Row, maps: Maps) -> None:
@@ -102,9 +81,7 @@ def test_peak_pressure(maps: Maps) -> None:
 
 def test_the_dimple(press: Run) -> None:
     """u_z of the coated face over the distance at rest from the axis, along both axes."""
-    surface = gel_surface.Surface(press.problem.mesh.points, press.problem.mesh.facets["coated"]).moved(
-        press.states[-1].x
-    )
+    surface = press.face.moved(press.states[-1].x)
     expected = [-0.9995, -0.8459, -0.4074, -0.0529, 0.0217, 0.0345, 0.0291]
     for direction in ([1, 0], [-1, 0], [0, 1], [0, -1], [0.6, 0.8]):
         assert surface.at(np.outer(np.arange(7), direction))[:, 2] == pytest.approx(expected, abs=0.03)

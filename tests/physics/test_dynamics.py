@@ -16,7 +16,7 @@ from tacgen.bundle.check import check
 from tacgen.errors import UserError
 from tacgen.geometry.analytic_sdf import SphereSdf
 from tacgen.mechanics import load_stepping
-from tacgen.mechanics.scene import Dynamics
+from tacgen.mechanics.scene import GelDynamics
 from tacgen.recipe import plan, scene_of_row
 
 Array = np.ndarray
@@ -29,7 +29,7 @@ def tap(path: list[tuple[float, float, float]], seconds: float, longest: float =
     made = presses.scene(SphereSdf(2.5), poses(path), pad=gel(8, 8, 2.0), edge=0.7, friction=friction)
     if seconds:
         each = np.full(len(path), seconds / len(path))
-        made = replace(made, dynamics=Dynamics(density, alpha, beta, longest), duration=each)
+        made = replace(made, dynamics=GelDynamics(density, alpha, beta, longest), duration=each)
     return presses.run(made)
 
 

@@ -6,16 +6,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers import presses, small_recipe
 from helpers.presses import Run, gel, poses, scene
 
-from tacgen import mechanics, pipeline
+from tacgen import pipeline
 from tacgen.bundle import bundle
 from tacgen.errors import UserError
 from tacgen.geometry import surface_nets
 from tacgen.geometry.analytic_sdf import BoxSdf, Shape, SphereSdf, TorusSdf
 from tacgen.geometry.gel import GelBody
 from tacgen.geometry.pose import Pose
-from tacgen.mechanics import mesh
 from tacgen.outputs.cauchy_stress import Stresses
 from tacgen.recipe import plan, scene_of_row
 
@@ -32,8 +32,7 @@ def run(
     made = replace(scene(shape, poses(path), pad=pad, friction=friction, edge=edge), dhat=dhat)
     if formulation == "ipctk":
         made = replace(made, surface=surface_nets.of_shape(shape, half=9, height=4, tolerance=dhat / 10))
-    problem = mechanics.Problem.of(made, mesh.build(made.gel, (-half, half, -half, half), edge))
-    return Run(made, problem, list(mechanics.states(made, problem)))
+    return presses.run(made, (-half, half, -half, half))
 
 
 def both(shape: Shape, path: Path3, **how: object) -> tuple[Run, Run]:
@@ -103,26 +102,16 @@ def test_a_thin_ring_does_not_tunnel() -> None:
         assert state.traction_force.sum((0, 1))[2] < -0.1
 
 
-RECIPE = """\
-tacgen: 1
-name: sharp
-sensor: gelsight_mini
-indenter: {shape: mesh, file: letters}
-trajectory: [{press: {depth_mm: 0.4, frames: 2}}]
-contact: {friction: 0.5, formulation: ipctk}
-outputs: [force]
-quality: {edge_mm: 0.8, dhat_mm: 0.05}
-"""
+CONTACT = "contact={friction: 0.5, formulation: ipctk}"
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["letters", "key", "gear"])
-def test_sharp_meshes_press_without_penetration(name: str, tmp_path: Path) -> None:
-    (tmp_path / "r.yaml").write_text(RECIPE)
-    made = scene_of_row.build(plan.load(tmp_path / "r.yaml", (f"indenter.file={name}",)).rows[0])
-    problem = mechanics.Problem.of(made, mesh.build(made.gel, mesh.footprint(made), made.edge))
-    for state in mechanics.states(made, problem):
-        contact = problem.contact.moved(Pose.of(state.pose), state.offset)
+def test_sharp_meshes_press_without_penetration(name: str) -> None:
+    sets = f"indenter={{shape: mesh, file: {name}}}", "quality={edge_mm: 0.8, dhat_mm: 0.05}", CONTACT
+    pressed = presses.run(scene_of_row.build(small_recipe.row("press: {depth_mm: 0.4, frames: 2}", *sets)))
+    for state in pressed.states:
+        contact = pressed.problem.contact.moved(Pose.of(state.pose), state.offset)
         assert not ipctk.has_intersections(contact.pair.collision, contact._vertices(state.x), ipctk.LBVH())
         assert state.min_gap > 0
         assert state.balance < 1e-3
@@ -131,21 +120,19 @@ def test_sharp_meshes_press_without_penetration(name: str, tmp_path: Path) -> No
 
 
 def test_the_bundle_says_which_formulation(tmp_path: Path) -> None:
-    (tmp_path / "r.yaml").write_text(RECIPE)
-    ball = ("indenter={shape: sphere, radius_mm: 4}", "trajectory=[{press: {depth_mm: 0.3, frames: 1}}]")
     for sets, said in (((), f"ipctk {ipctk.__version__}"), (("contact.formulation=distance",), "distance")):
-        rows = plan.load(tmp_path / "r.yaml", (*ball, "quality.edge_mm=1.2", *sets)).rows
-        (done,) = pipeline.run(rows, tmp_path / said.split()[0])
+        row = small_recipe.row("press: {depth_mm: 0.3, frames: 1}", "quality.edge_mm=1.2", CONTACT, *sets)
+        done = pipeline.run_scene(row, tmp_path / said.split()[0])
         assert done.status == "ok"
         assert bundle.read(done.path).attrs["contact"] == said
 
 
 def test_without_the_toolkit_one_line_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "r.yaml").write_text(RECIPE)
+    (tmp_path / "r.yaml").write_text("extends: quickstart\ncontact:\n  formulation: ipctk\n")
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(UserError) as refused:
         plan.load(tmp_path / "r.yaml")
     assert refused.value.lines[0] == (
-        f"{tmp_path / 'r.yaml'}:6:39: contact.formulation: needs the IPC Toolkit, which is not installed:"
+        f"{tmp_path / 'r.yaml'}:3:16: contact.formulation: needs the IPC Toolkit, which is not installed:"
         " pip install 'tacgen[ipc]'"
     )

@@ -1,10 +1,10 @@
 """The labels against closed forms and against themselves: what a mechanician would ask of them."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers import small_recipe
 from helpers.presses import Run, gel, poses, run, scene
 from scipy.spatial import cKDTree
 
@@ -15,42 +15,27 @@ from tacgen.geometry.gel import GelBody, GelLayer
 from tacgen.mechanics import mesh
 from tacgen.mechanics.scene import Scene
 from tacgen.optics.camera import PinholeCamera, Stack
-from tacgen.outputs import gel_surface
 from tacgen.outputs.cauchy_stress import Stresses
 from tacgen.outputs.contact_maps import maps
-from tacgen.recipe import plan, scene_of_row
+from tacgen.recipe import scene_of_row
 
 Array = np.ndarray
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 
-THREE_MOVES = """
-tacgen: 1
-name: moves
-sensor: {sensor}
-indenter: {{shape: sphere, radius_mm: 4.0}}
-trajectory:
-  - press: {{depth_mm: {depth}, frames: 1}}
-  - slide: {{x_mm: 1.2, y_mm: 0.3, frames: 3}}
-  - twist: {{angle_deg: 12, frames: 1}}
-contact: {{friction: 0.6}}
-outputs: [stress, traction, force_map]
-"""
 FRICTION = 0.6
 
 
 @pytest.mark.parametrize(("sensor", "depth"), [("gelsight_mini", 1.0), ("digit", 0.8), ("ninedtact", 0.8)])
-def test_forces_stress_and_maps_agree_on_every_sensor(sensor: str, depth: float, tmp_path: Path) -> None:
+def test_forces_stress_and_maps_agree_on_every_sensor(sensor: str, depth: float) -> None:
     """At default quality: the map sums to the force, sigma n is within 3 % of it, and Coulomb's law holds per pixel."""
-    (tmp_path / "r.yaml").write_text(THREE_MOVES.format(sensor=sensor, depth=depth))
-    row = plan.load(tmp_path / "r.yaml").rows[0]
-    made = scene_of_row.build(row)
-    problem = mechanics.Problem.of(made, mesh.build(made.gel, mesh.footprint(made), made.edge))
-    camera, stresses = PinholeCamera.from_sensor(row.sensor), Stresses(problem)
-    rest = gel_surface.Surface(problem.mesh.points, problem.mesh.facets["coated"])
+    moves = f"press: {{depth_mm: {depth}, frames: 1}}, slide: {{x_mm: 1.2, y_mm: 0.3, frames: 3}}"
+    moves += ", twist: {angle_deg: 12, frames: 1}"
+    row = small_recipe.row(moves, f"sensor={sensor}", f"contact.friction={FRICTION}", "quality=default")
+    solved = run(scene_of_row.build(row))
+    camera, stresses = PinholeCamera.from_sensor(row.sensor), Stresses(solved.problem)
     slid = []
-    for state in mechanics.states(made, problem):
-        force, _ = gel_surface.wrench(problem, state)
-        found = maps(problem, rest.moved(state.x), state, camera)
+    for state, force in zip(solved.states, solved.forces, strict=True):
+        found = maps(solved.problem, solved.face.moved(state.x), state, camera)
         assert np.linalg.norm(found.force.sum((0, 1)) - force) < 1e-6 * np.linalg.norm(force)
         quality = stresses.quality(stresses.at(state.x), state)
         assert quality["force_error"] < 0.03
@@ -77,7 +62,7 @@ def quarter_solved(made: Scene, half: float) -> tuple[mechanics.Problem, Array, 
     number = np.full(len(points), -1)
     number[used] = np.arange(len(used))
     facets = {name: number[f][(number[f] >= 0).all(1)] for name, f in whole.facets.items()}
-    part = mesh.Mesh(points[used], cells.reshape(-1, 8), whole.layer[inside], facets)
+    part = mesh.GelMesh(points[used], cells.reshape(-1, 8), whole.layer[inside], facets)
     held = np.abs(part.points) <= 1e-9
     held[:, 2] = False
     held[np.unique(facets["bonded"])] = True
@@ -174,14 +159,12 @@ def test_the_stick_disc_shrinks_as_cattaneo_and_mindlin_say() -> None:
     )  # fmt: skip
     made = replace(made, dhat=0.08)
     grid = mesh.build(made.gel, (-9.6, 10.8, -9.6, 9.6), made.edge, coarsest=16.0)
-    problem = mechanics.Problem.of(made, grid)
-    found = Run(made, problem, list(mechanics.states(made, problem)))
+    found = run(made, grid=grid)
     stack = Stack((800.0, 64.0), (1.0, 1.41))
     camera = PinholeCamera(stack, (0.0, 0.0), stack.effective_depth / 0.2, (120, 120))
-    surface = gel_surface.Surface(grid.points, grid.facets["coated"])
     discs = []
     for state, force in zip(found.states[1:], found.forces[1:], strict=True):
-        seen = maps(found.problem, surface.moved(state.x), state, camera)
+        seen = maps(found.problem, found.face.moved(state.x), state, camera)
         a = np.sqrt((seen.area * seen.contact).sum() / np.pi)
         stuck = np.sqrt((seen.area * (seen.contact & ~seen.slip)).sum() / np.pi)
         discs.append((stuck / a, max(0.0, 1 + force[0] / (0.5 * force[2])) ** (1 / 3)))

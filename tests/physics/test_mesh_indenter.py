@@ -5,39 +5,26 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from helpers import small_recipe
+from helpers.presses import run
 
 from tacgen import mechanics
 from tacgen.errors import UserError
-from tacgen.mechanics import mesh
-from tacgen.recipe import plan, scene_of_row
+from tacgen.recipe import scene_of_row
 
-RECIPE = """tacgen: 1
-name: press
-sensor: gelsight_mini
-indenter: {shape: sphere, radius_mm: 4}
-trajectory: [{press: {depth_mm: 0.8, frames: 1}}, {slide: {x_mm: 0.4, frames: 2}}]
-contact: {friction: 0.5}
-outputs: [force]
-quality: {edge_mm: 0.8, dhat_mm: 0.05}
-"""
+pytestmark = pytest.mark.usefixtures("own_cache")
+MOVES = "press: {depth_mm: 0.8, frames: 1}, slide: {x_mm: 0.4, frames: 2}"
+SETS = "contact.friction=0.5", "quality={edge_mm: 0.8, dhat_mm: 0.05}"
 
 
-def pressed(folder: Path, *sets: str) -> list[mechanics.State]:
-    (folder / "r.yaml").write_text(RECIPE)
-    built = scene_of_row.build(plan.load(folder / "r.yaml", sets).rows[0])
-    ready = mechanics.Problem.of(built, mesh.build(built.gel, mesh.footprint(built), built.edge))
-    return list(mechanics.states(built, ready))
-
-
-@pytest.fixture(autouse=True)
-def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("TACGEN_CACHE_DIR", str(tmp_path / "cache"))
+def pressed(*sets: str) -> list[mechanics.State]:
+    return run(scene_of_row.build(small_recipe.row(MOVES, *SETS, *sets))).states
 
 
 def test_a_ball_of_triangles_presses_as_a_ball(tmp_path: Path):
     trimesh.creation.icosphere(subdivisions=5, radius=1.0).export(tmp_path / "ball.stl")
-    ball = pressed(tmp_path)
-    triangles = pressed(tmp_path, f"indenter={{shape: mesh, file: {tmp_path / 'ball.stl'}, scale: 4}}")
+    ball = pressed()
+    triangles = pressed(f"indenter={{shape: mesh, file: {tmp_path / 'ball.stl'}, scale: 4}}")
     for one, other in zip(ball, triangles, strict=True):
         force, same = (state.traction_force.sum((0, 1)) for state in (one, other))
         assert np.linalg.norm(same - force) < 0.005 * np.linalg.norm(force)
@@ -45,10 +32,10 @@ def test_a_ball_of_triangles_presses_as_a_ball(tmp_path: Path):
     assert np.linalg.norm(force) > 1
 
 
-def test_letters_are_reached_in_one_step(tmp_path: Path):
+def test_letters_are_reached_in_one_step():
     """Friction with normals that are not of length one stalled here."""
     press = "trajectory=[{press: {depth_mm: 0.4, frames: 2}}]"
-    for state in pressed(tmp_path, "indenter={shape: mesh, file: letters}", press):
+    for state in pressed("indenter={shape: mesh, file: letters}", press):
         assert state.substeps == 1
         assert state.iterations <= 8
         assert state.min_gap > 0
@@ -62,9 +49,9 @@ def test_a_plate_that_is_thinner_than_contact_reaches_is_refused(tmp_path: Path)
     plate = f"indenter={{shape: mesh, file: {tmp_path / 'plate.stl'}}}"
     press = plate, "trajectory=[{press: {depth_mm: 0.2, frames: 1}}]"
     with pytest.raises(UserError, match=r"plate\.stl: has no point deeper inside than 0\.0.*{dhat_mm: 0\.01}"):
-        pressed(tmp_path, *press)
-    (state,) = pressed(tmp_path, *press, "quality={edge_mm: 0.8, dhat_mm: 0.01}")
+        pressed(*press)
+    (state,) = pressed(*press, "quality={edge_mm: 0.8, dhat_mm: 0.01}")
     trimesh.creation.box([8, 8, 0.5]).export(tmp_path / "plate.stl")
-    (thick,) = pressed(tmp_path, *press, "quality={edge_mm: 0.8, dhat_mm: 0.01}")
+    (thick,) = pressed(*press, "quality={edge_mm: 0.8, dhat_mm: 0.01}")
     force, same = (s.traction_force.sum((0, 1))[2] for s in (state, thick))
     assert force == pytest.approx(same, rel=0.1)

@@ -14,7 +14,7 @@ from tacgen.geometry.pose import Pose
 from tacgen.mechanics import mesh
 from tacgen.mechanics.equilibrium import equilibrium
 from tacgen.mechanics.load_step import LoadStep
-from tacgen.mechanics.mesh import Mesh
+from tacgen.mechanics.mesh import GelMesh
 from tacgen.mechanics.scene import Scene
 from tacgen.recipe import scene_of_row
 
@@ -76,7 +76,7 @@ all_scenes = pytest.mark.parametrize("name", [*QUICK, *(pytest.param(name, marks
 
 
 @cache
-def built(name: str) -> tuple[Scene, Mesh]:
+def built(name: str) -> tuple[Scene, GelMesh]:
     sensor, edge, friction, indenter, path = EVERY[name]
     moves = []
     for kind, *numbers, frames in (move.split() for move in path.split(", ")):
@@ -97,7 +97,7 @@ def built(name: str) -> tuple[Scene, Mesh]:
     return made, mesh.of(made)
 
 
-def solved(made: Scene, grid: Mesh, options: mechanics.SolverOptions = mechanics.DEFAULT) -> list[mechanics.State]:
+def solved(made: Scene, grid: GelMesh, options: mechanics.SolverOptions = mechanics.DEFAULT) -> list[mechanics.State]:
     return list(mechanics.states(made, mechanics.Problem.of(made, grid, options)))
 
 

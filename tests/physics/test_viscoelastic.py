@@ -21,7 +21,7 @@ from tacgen.geometry import surface_nets
 from tacgen.geometry.analytic_sdf import SphereSdf
 from tacgen.geometry.gel import GelBody
 from tacgen.mechanics import mesh
-from tacgen.mechanics.scene import Dynamics
+from tacgen.mechanics.scene import GelDynamics
 from tacgen.outputs.cauchy_stress import Stresses
 from tacgen.recipe import plan, scene_of_row
 
@@ -107,7 +107,7 @@ def test_meshes_in_contact_relax_alike() -> None:
 
 
 def test_a_slow_press_of_a_gel_with_mass_is_the_same() -> None:
-    light = Dynamics(1e-12, 0.0, 0.0, np.inf)
+    light = GelDynamics(1e-12, 0.0, 0.0, np.inf)
     one, other = pressed(DOWN, [0.1] * 4), pressed(DOWN, [0.1] * 4, dynamics=light)
     assert other.forces == pytest.approx(one.forces, rel=2e-3, abs=1e-6)
 
@@ -213,10 +213,8 @@ def test_a_replay_keeps_its_own_time(tmp_path: Path) -> None:
         (", duration_s: 1}", "}", "trajectory[1].hold: must say how long it takes: duration_s, as others do"),
         (OVERRIDE, "", "trajectory[0].press.duration_s: has no effect without dynamics or a viscoelastic gel"),
         ("0.2}", "0.2, speed_mm_s: 1}", "trajectory[0].press: must hold at most one of duration_s, speed_mm_s"),
-        (
-            "depth_mm: 0.5, frames: 2, duration_s: 0.2", "force_n: 1, frames: 2, speed_mm_s: 1",
-            "trajectory[0].press.speed_mm_s: needs a way that is known, which force_n leaves open: say duration_s",
-        ),
+        ("depth_mm: 0.5, frames: 2, duration_s: 0.2", "force_n: 1, frames: 2, speed_mm_s: 1",
+         "trajectory[0].press.speed_mm_s: needs a way that is known, which force_n leaves open: say duration_s"),
         ("g: 0.1", "g: 1.0", "gel.layers[0].prony[0].g: must be less than 1 (got 1)"),
         ("[{g", "[{g: 0.9, tau_s: 1}, {g", "gel.layers[0].prony: must have g that add up to less than 1 (got 1)"),
         ("0.3}]", "0.3}]\n  gel.layers[0].law: stable_neo_hooke", "gel.layers[0].prony: is a key of law: neo"),

@@ -46,10 +46,8 @@ def test_an_ordinary_scene_is_its_own_bundle(tmp_path: Path) -> None:
     ("sets", "said"),
     [
         (["grasp=null"], "trajectory[0].close: needs a grasp"),
-        (
-            ["trajectory=[close: {force_n: 1, frames: 1}, twist: {angle_deg: 3, frames: 1}]"],
-            "is no movement of a grasp, which has close, lift, tilt, hold, replay",
-        ),
+        (["trajectory=[close: {force_n: 1, frames: 1}, twist: {angle_deg: 3, frames: 1}]"],
+         "is no movement of a grasp, which has close, lift, tilt, hold, replay"),
         (["trajectory=[hold: {frames: 1}]"], "trajectory[0]: must be close"),
         (["trajectory=[close: {frames: 1}]"], "exactly one aim of width_mm, force_n"),
         (["trajectory=[close: {force_n: 1, frames: 1, duration_s: 1}]"], "duration_s: has no effect in a grasp"),
@@ -64,7 +62,7 @@ def test_an_ordinary_scene_is_its_own_bundle(tmp_path: Path) -> None:
         (["grasp.right=nothing"], "grasp.right: "),
         (["grasp.right=ninedtact", "outputs=[markers]"], "grasp.right: asks for markers"),
     ],
-)
+)  # fmt: skip
 def test_the_impossible_is_reported_in_one_line(tmp_path: Path, sets: list[str], said: str) -> None:
     with pytest.raises(UserError) as refused:
         load(tmp_path, *sets)

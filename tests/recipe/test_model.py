@@ -54,33 +54,20 @@ def lines_of(tmp_path: Path, text: str, sets: tuple[str, ...] = ()) -> list[str]
         ("depth_mm: 1.0", "depth_mm: true", "8:23: trajectory[0].press.depth_mm: must be a number (got true)"),
         ("depth_mm: 1.0", 'depth_mm: "1"', "8:23: trajectory[0].press.depth_mm: must be a number (got '1')"),
         ("depth_mm: 1.0, ", "", "8:12: trajectory[0].press: must hold exactly one aim of depth_mm, force_n (got none)"),
-        (
-            "depth_mm: 1.0",
-            "depth_mm: 1.0, force_n: 2",
-            "8:12: trajectory[0].press: must hold exactly one aim of depth_mm, force_n (got depth_mm, force_n)",
-        ),
+        ("depth_mm: 1.0", "depth_mm: 1.0, force_n: 2",
+         "8:12: trajectory[0].press: must hold exactly one aim of depth_mm, force_n (got depth_mm, force_n)"),
         ("depth_mm: 1.0", "force_n: 0", "8:22: trajectory[0].press.force_n: must be greater than 0 (got 0)"),
         ("slide: {x_mm: 1.0", "tilt: {angle_deg: 90", "9:23: trajectory[1].tilt.angle_deg: must be less than 90"),
-        (
-            "frames: 5}\n  - slide",
-            "frames: 5.5}\n  - slide",
-            "8:36: trajectory[0].press.frames: must be a whole number",
-        ),
-        (
-            "frames: 5}\n  - slide",
-            "frames: 0}\n  - slide",
-            "8:36: trajectory[0].press.frames: must be at least 1 (got 0)",
-        ),
+        ("frames: 5}\n  - slide", "frames: 5.5}\n  - slide",
+         "8:36: trajectory[0].press.frames: must be a whole number"),
+        ("frames: 5}\n  - slide", "frames: 0}\n  - slide",
+         "8:36: trajectory[0].press.frames: must be at least 1 (got 0)"),
         ("press:", "perss:", "8:5: trajectory[0].perss: unknown key, did you mean press?"),
         ("radius_mm: 4.0", "raduis_mm: 4.0", "6:3: indenter.raduis_mm: unknown key, did you mean radius_mm?"),
         ("radius_mm: 4.0", "radius_mm:", "6:3: indenter.radius_mm: must be a number (got nothing)"),
         ("shape: sphere", "shape: sphre", f"5:10: indenter.shape: must be one of {', '.join(SHAPES)}"),
         ("  shape: sphere\n", "", "4:1: indenter.shape: is missing"),
-        (
-            "outputs: [force]",
-            "outputs: [forse]",
-            "10:11: outputs[0]: must be one of force, traction, events",
-        ),
+        ("outputs: [force]", "outputs: [forse]", "10:11: outputs[0]: must be one of force, traction, events"),
         ("outputs: [force]", "outputs: []", "10:10: outputs: must name at least one of force"),
         ("outputs: [force]", "outputs: force", "10:10: outputs: must be a list (got 'force')"),
         ("name: test", "name: a test", "2:7: name: must be letters, digits, dots, dashes and underscores only"),
@@ -88,37 +75,22 @@ def lines_of(tmp_path: Path, text: str, sets: tuple[str, ...] = ()) -> list[str]
         ("tacgen: 1\n", "", "1:1: tacgen: is missing"),
         ("sensor: gelsight_mini", "sensor: gelsight_mimi", "3:9: sensor: no sensor is called 'gelsight_mimi'; did you"),
         ("sensor: gelsight_mini", "sensor: ./mine.yaml", "3:9: sensor: "),
-        (
-            "outputs:",
-            "quality: darft\noutputs:",
-            "10:10: quality: must be one of draft, default, reference (got 'darft')",
-        ),
+        ("outputs:", "quality: darft\noutputs:",
+         "10:10: quality: must be one of draft, default, reference (got 'darft')"),
         ("outputs:", "quality: {spp: 0}\noutputs:", "10:16: quality.spp: must be at least 1 (got 0)"),
-        (
-            "outputs:",
-            "start: {clearance_mm: -1}\noutputs:",
-            "10:23: start.clearance_mm: must be at least 0 (got -1): the",
-        ),
+        ("outputs:", "start: {clearance_mm: -1}\noutputs:",
+         "10:23: start.clearance_mm: must be at least 0 (got -1): the"),
         ("outputs:", "contact: {frction: 1}\noutputs:", "10:11: contact.frction: unknown key, did you mean friction?"),
         # against the sensor
-        (
-            "depth_mm: 1.0",
-            "depth_mm: 4",
-            "8:23: trajectory[0].press.depth_mm: must be less than the gel is thick, 4 mm",
-        ),
-        (
-            "outputs:",
-            "start: {x_mm: 13}\noutputs:",
-            "10:15: start.x_mm: the indenter would start beside the pad of 25.25",
-        ),
-        (
-            "outputs:",
-            "start: {x_mm: 12.5, y_mm: 10.3}\noutputs:",
-            "10:8: start: the indenter would start beside the pad",
-        ),
+        ("depth_mm: 1.0", "depth_mm: 4",
+         "8:23: trajectory[0].press.depth_mm: must be less than the gel is thick, 4 mm"),
+        ("outputs:", "start: {x_mm: 13}\noutputs:",
+         "10:15: start.x_mm: the indenter would start beside the pad of 25.25"),
+        ("outputs:", "start: {x_mm: 12.5, y_mm: 10.3}\noutputs:",
+         "10:8: start: the indenter would start beside the pad"),
         ("x_mm: 1.0", "x_mm: 13", "9:12: trajectory[1].slide: would carry the indenter's axis off the pad"),
     ],
-)
+)  # fmt: skip
 def test_a_mistake_is_reported_where_it_stands(tmp_path: Path, old: str, new: str, line: str):
     assert old in GOOD
     (told,) = lines_of(tmp_path, GOOD.replace(old, new, 1))
@@ -134,14 +106,11 @@ def test_a_mistake_is_reported_where_it_stands(tmp_path: Path, old: str, new: st
         ("{shape: torus, radius_mm: 2, tube_radius_mm: 2}", "2}", "tube_radius_mm: must be less than radius_mm, 2"),
         ("{shape: cone, half_angle_deg: 90, tip_radius_mm: 1}", "90", "half_angle_deg: must be less than 90 (got 90)"),
         ("{shape: wedge, half_angle_deg: 40, tip_radius_mm: 0.5}", "indenter", "length_mm: is missing"),
-        (
-            "{shape: wedge, half_angle_deg: 40, tip_radius_mm: 0.5, length_mm: 0.9}",
-            "0.9",
-            "length_mm: must be at least twice",
-        ),
+        ("{shape: wedge, half_angle_deg: 40, tip_radius_mm: 0.5, length_mm: 0.9}", "0.9",
+         "length_mm: must be at least twice"),
         ("{shape: capsule, radius_mm: 1, length_mm: -2}", "-2", "length_mm: must be greater than 0 (got -2)"),
     ],
-)
+)  # fmt: skip
 def test_radii_must_be_possible(tmp_path: Path, indenter: str, at: str, says: str):
     line = f"indenter: {indenter}"
     (told,) = lines_of(tmp_path, GOOD.replace("indenter:\n  shape: sphere\n  radius_mm: 4.0", line))
@@ -176,31 +145,22 @@ def sensor_text() -> str:
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [
-        (
-            "poissons_ratio: 0.49",
-            "poissons_ratio: 0.5",
-            "gel.layers[0].poissons_ratio: must be less than 0.5 (got 0.5)",
-        ),
+        ("poissons_ratio: 0.49", "poissons_ratio: 0.5",
+         "gel.layers[0].poissons_ratio: must be less than 0.5 (got 0.5)"),
         ("thickness_mm: 4.0", "thickness_mm: -4.0", "gel.layers[0].thickness_mm: must be greater than 0 (got -4)"),
-        (
-            "corner_radius_mm: 1.5",
-            "corner_radius_mm: 15",
-            "gel.corner_radius_mm: must be at most half the pad's shorter",
-        ),
+        ("corner_radius_mm: 1.5", "corner_radius_mm: 15",
+         "gel.corner_radius_mm: must be at most half the pad's shorter"),
         ("mm_per_px: 0.0634", "mm_per_px: 60", "camera.mm_per_px: leaves 0.35 pixels for the gel, 20.75 mm"),
         ("diameter_mm: 0.74", "diameter_mm: 7.4", "markers.diameter_mm: dots of 7.4 mm touch at a pitch of 2.0625 mm"),
-        (
-            "columns: 9",
-            "rings: 3",
-            "markers.rings: is a key of layout: hexagonal, and layout is grid here: leave it out",
-        ),
+        ("columns: 9", "rings: 3",
+         "markers.rings: is a key of layout: hexagonal, and layout is grid here: leave it out"),
         ("law: neo_hooke", "c10_mpa: 1", "c10_mpa: is a key of law: mooney_rivlin and yeoh, and law is neo_hooke here"),
         ("youngs_modulus_mpa", "young_modulus_mpa", "unknown key, did you mean youngs_modulus_mpa?"),
         ("law: neo_hooke", "law: neo_hook", "(got 'neo_hook'), did you mean neo_hooke?"),
         ("  width_mm: 25.25", "  width_mm: 25.25\n  width_mm: 25.25", "width_mm: this key is there twice"),
         ("gel:\n", "gel: [\n", "mine.yaml:"),
     ],
-)
+)  # fmt: skip
 def test_a_mistake_in_the_sensor_file_is_reported_in_the_sensor_file(tmp_path: Path, old: str, new: str, says: str):
     assert old in sensor_text()
     (tmp_path / "mine.yaml").write_text(sensor_text().replace(old, new, 1))
@@ -384,12 +344,10 @@ def test_markers_lie_on_the_gel(tmp_path: Path, change: str):
         ("{samples: 3, over: {a: {loguniform: [0, 1]}}}", "vary.over.a.loguniform[0]: must be greater than 0 (got 0)"),
         ("{samples: 3, over: {a: {unifrm: [2, 1]}}}", "vary.over.a.unifrm: unknown key, did you mean uniform?"),
         ("{samples: 3, over: {a: {}}}", "vary.over.a: must hold exactly one distribution of uniform, loguniform"),
-        (
-            "{method: soboll, samples: 3, over: {a: {choice: [1]}}}",
-            "vary.method: must be one of grid, random, sobol, lhs",
-        ),
+        ("{method: soboll, samples: 3, over: {a: {choice: [1]}}}",
+         "vary.method: must be one of grid, random, sobol, lhs"),
     ],
-)
+)  # fmt: skip
 def test_a_batch_must_make_sense(tmp_path: Path, vary: str, line: str):
     (told,) = lines_of(tmp_path, f"{GOOD}vary: {vary}\n")
     assert told.startswith("recipe.yaml:11:")

@@ -80,12 +80,10 @@ def test_beside_a_round_end_is_outside():
     ("layers", "says"),
     [
         ([{}, {"scattering": {"extinction_per_mm": 1, "albedo": (1, 1, 1), "source": "t"}}], "must be the only one"),
-        (
-            [{}, {"opaque": True}, {"scattering": {"extinction_per_mm": 1, "albedo": (1, 1, 1), "source": "t"}}],
-            "no light comes here",
-        ),
+        ([{}, {"opaque": True}, {"scattering": {"extinction_per_mm": 1, "albedo": (1, 1, 1), "source": "t"}}],
+         "no light comes here"),
     ],
-)
+)  # fmt: skip
 def test_layers_that_hide_each_other(layers: list[Data], says: str):
     plain = PLAIN["gel"]["layers"][0] | {"thickness_mm": 1.0}
     found = list(problems(sensor(gel={"layers": [plain | layer for layer in layers]}, markers=None)))

@@ -241,47 +241,25 @@ def test_a_choice_may_be_a_whole_indenter(tmp_path: Path):
 @pytest.mark.parametrize(
     ("old", "new", "line"),
     [
-        (
-            "indenter.radius_mm: {uniform: [2, 6]}",
-            "indenter.radius_mm: {uniform: [-6, -2]}",
-            "batch.yaml:8:5: scene-00000: indenter.radius_mm: must be greater than 0 (got ",
-        ),
-        (
-            "indenter.radius_mm: {uniform",
-            "trajectory[0].press.depth_mm: {uniform",
-            "batch.yaml:8:5: scene-00001: trajectory[0].press.depth_mm: must be less than the gel is thick, 4 mm (got ",
-        ),
-        (
-            "contact.friction",
-            "contact.frction",
-            "batch.yaml:10:5: scene-00000: contact.frction: unknown key, did you mean",
-        ),
+        ("indenter.radius_mm: {uniform: [2, 6]}", "indenter.radius_mm: {uniform: [-6, -2]}",
+         "batch.yaml:8:5: scene-00000: indenter.radius_mm: must be greater than 0 (got "),
+        ("indenter.radius_mm: {uniform", "trajectory[0].press.depth_mm: {uniform",
+         "batch.yaml:8:5: scene-00001: trajectory[0].press.depth_mm: must be less than the gel is thick, 4 mm (got "),
+        ("contact.friction", "contact.frction",
+         "batch.yaml:10:5: scene-00000: contact.frction: unknown key, did you mean"),
         ("contact.friction", "name", "batch.yaml:10:5: vary.over.name: name cannot be varied"),
-        (
-            "contact.friction",
-            "sensor",
-            "batch.yaml:10:13: vary.over.sensor: must be a choice of sensors' names",
-        ),
+        ("contact.friction", "sensor", "batch.yaml:10:13: vary.over.sensor: must be a choice of sensors' names"),
         ("contact.friction", "a b", "batch.yaml:10:5: vary.over.a b: 'a b' is not a path"),
-        (
-            "trajectory[0]",
-            "trajectory[7]",
-            "batch.yaml:9:5: scene-00000: trajectory[7].press.frames: [7] is past the end",
-        ),
-        (
-            "{integers: [1, 3]}",
-            "{uniform: [1, 3]}",
-            "batch.yaml:9:5: scene-00000: trajectory[0].press.frames: must be a",
-        ),
+        ("trajectory[0]", "trajectory[7]",
+         "batch.yaml:9:5: scene-00000: trajectory[7].press.frames: [7] is past the end"),
+        ("{integers: [1, 3]}", "{uniform: [1, 3]}",
+         "batch.yaml:9:5: scene-00000: trajectory[0].press.frames: must be a"),
         ("youngs_modulus_mpa", "poissons_ratio", None),
         ("youngs_modulus_mpa: {loguniform: [0.05", "poissons_ratio: {loguniform: [0.49", "batch.yaml:11:5: scene-0000"),
-        (
-            "youngs_modulus_mpa",
-            "yongs_modulus_mpa",
-            "batch.yaml:11:5: scene-00000: sensor.gel.layers[0].yongs_modulus_mpa",
-        ),
+        ("youngs_modulus_mpa", "yongs_modulus_mpa",
+         "batch.yaml:11:5: scene-00000: sensor.gel.layers[0].yongs_modulus_mpa"),
     ],
-)
+)  # fmt: skip
 def test_a_bad_scene_is_named_with_its_path(tmp_path: Path, old: str, new: str, line: str | None):
     text = BATCH.replace("METHOD", "sobol").replace(old, new, 1).replace("0.49, 0.5]", "0.4999, 0.6]")
     if line is None:

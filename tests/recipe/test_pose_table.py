@@ -67,11 +67,8 @@ def test_rotations_equal_those_of_scipy() -> None:
         ("Time,X,Y,Z,qw,qx,qy,qz", "mm", 1),
         ("timestamp,tx,ty,tz,qw,qx,qy,qz", "m", 1000),
         ("t,x_m,y_m,z_m,qw,qx,qy,qz", None, 1000),
-        (
-            "time, position.x, position.y, position.z, orientation.w, orientation.x, orientation.y, orientation.z",
-            "mm",
-            1,
-        ),
+        ("time, position.x, position.y, position.z, orientation.w, orientation.x, orientation.y, orientation.z", "mm",
+         1),
         (
             "time,/arm/pose/position/x,/arm/pose/position/y,/arm/pose/position/z,"
             "/arm/pose/orientation/w,/arm/pose/orientation/x,/arm/pose/orientation/y,/arm/pose/orientation/z",
@@ -79,7 +76,7 @@ def test_rotations_equal_those_of_scipy() -> None:
             1000,
         ),
     ],
-)
+)  # fmt: skip
 def test_columns_go_by_many_names(tmp_path: Path, titles: str, units: str | None, scale: float) -> None:
     path = tmp_path / "t.csv"
     path.write_text("# recorded\n" + table(ROWS, titles), encoding="utf-8-sig")

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.presses import Run
+from helpers import small_recipe
+from helpers.presses import Run, run
 
-from tacgen import mechanics
 from tacgen.errors import UserError
 from tacgen.fem.elements import facet_areas, hexes
 from tacgen.geometry.gel import GelBody
@@ -15,38 +15,25 @@ from tacgen.geometry.pose import Pose
 from tacgen.mechanics import mesh
 from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.surface_grid import Sheet
-from tacgen.outputs import camera_maps, gel_surface
+from tacgen.outputs import camera_maps
 from tacgen.outputs.contact_maps import maps as maps_of
-from tacgen.recipe import assets, loading, plan, scene_of_row, trajectory_checks
+from tacgen.recipe import assets, loading, scene_of_row, trajectory_checks
 from tacgen.recipe.row import Row
 from tacgen.sensor.model import Sensor
 
 Array = np.ndarray
 ROOT = Path(__file__).parents[2]
 TABLE = Path(os.environ.get("TACGEN_REFERENCE", ROOT.parent / "shared" / "reference")) / "geometry"
-RECIPE = """\
-tacgen: 1
-name: digit
-sensor: digit
-indenter: {shape: sphere, radius_mm: 4.0}
-trajectory: [{press: {depth_mm: 1.0, frames: 4}}]
-outputs: [force, traction, height, stress]
-"""
 OFF = ("start={x_mm: 4, y_mm: 0}",)
 FINE = {(): 2.6046, OFF: 2.6799}  # [N] on meshes of 0.2 mm edge (about 18 000 nodes), dhat 0.02 mm
 
 
-def row_of(folder: Path, sets: tuple[str, ...] = ()) -> Row:
-    path = folder / "digit.yaml"
-    path.write_text(RECIPE)
-    found = loading.read(path, sets)
-    return plan.expand(found).rows[0]
+def row_of(sets: tuple[str, ...]) -> Row:
+    return small_recipe.row("press: {depth_mm: 1, frames: 4}", "sensor=digit", "quality=default", *sets)
 
 
-def solved(row: Row) -> Run:
-    made = scene_of_row.build(row)
-    problem = mechanics.Problem.of(made, mesh.build(made.gel, mesh.footprint(made), made.edge))
-    return Run(made, problem, list(mechanics.states(made, problem)))
+def solved(sets: tuple[str, ...]) -> Run:
+    return run(scene_of_row.build(row_of(sets)))
 
 
 def scaled_jacobian(points: Array, cells: Array) -> Array:
@@ -65,9 +52,9 @@ def digit() -> Sensor:
 
 
 @pytest.fixture(scope="module")
-def pressed(tmp_path_factory: pytest.TempPathFactory) -> Run:
+def pressed() -> Run:
     """Off the crown."""
-    return solved(row_of(tmp_path_factory.mktemp("digit"), OFF))
+    return solved(OFF)
 
 
 def test_the_dome_is_the_probed_one(digit: Sensor) -> None:
@@ -117,8 +104,8 @@ def test_layers_share_the_squeeze() -> None:
 
 
 @pytest.mark.parametrize("sets", FINE)
-def test_force_of_a_press_at_default_quality(sets: tuple[str, ...], pressed: Run, tmp_path: Path) -> None:
-    found = pressed if sets == OFF else solved(row_of(tmp_path, sets))
+def test_force_of_a_press_at_default_quality(sets: tuple[str, ...], pressed: Run) -> None:
+    found = pressed if sets == OFF else solved(sets)
     assert -found.forces[-1, 2] == pytest.approx(FINE[sets], rel=0.015)
     if sets == OFF:
         assert found.forces[-1, 0] < -0.02 * -found.forces[-1, 2]  # the slope there pushes the gel back to the middle
@@ -136,8 +123,8 @@ def test_force_of_a_press_at_default_quality(sets: tuple[str, ...], pressed: Run
         (("start={x_mm: 4}", "indenter={shape: cone, half_angle_deg: 30, tip_radius_mm: 0.05}"), -(4.0**2) / 64.2),
     ],
 )
-def test_depth_counts_from_where_the_dome_is_met(sets: tuple[str, ...], z: float, tmp_path: Path) -> None:
-    row = row_of(tmp_path, sets)
+def test_depth_counts_from_where_the_dome_is_met(sets: tuple[str, ...], z: float) -> None:
+    row = row_of(sets)
     made = scene_of_row.build(row)
     clearance = row.recipe.start.clearance_mm
     assert made.start[2, 3] == pytest.approx(z, abs=1e-3)
@@ -149,8 +136,8 @@ def test_depth_counts_from_where_the_dome_is_met(sets: tuple[str, ...], z: float
 
 
 def test_the_face_and_its_picture_follow_the_dome(pressed: Run, digit: Sensor) -> None:
-    grid, gel, state = pressed.problem.mesh, pressed.scene.gel, pressed.states[-1]
-    surface, camera = gel_surface.Surface(grid.points, grid.facets["coated"]), PinholeCamera.from_sensor(digit)
+    gel, state = pressed.scene.gel, pressed.states[-1]
+    surface, camera = pressed.face, PinholeCamera.from_sensor(digit)
     xy = np.random.default_rng(1).uniform([-6, -8], [6, 8], (300, 2))
     assert surface.at(xy)[:, :2] == pytest.approx(xy)
     assert surface.at(xy)[:, 2] == pytest.approx(gel.top(*xy.T), abs=0.02)
@@ -181,7 +168,7 @@ def test_the_face_and_its_picture_follow_the_dome(pressed: Run, digit: Sensor) -
         (("outputs=[rgb, markers]",), "outputs: asks for markers, and the sensor digit has none"),
     ],
 )
-def test_what_a_dome_forbids(sets: tuple[str, ...], says: str, tmp_path: Path) -> None:
+def test_what_a_dome_forbids(sets: tuple[str, ...], says: str) -> None:
     with pytest.raises(UserError) as caught:
-        row_of(tmp_path, sets)
+        row_of(sets)
     assert any(says in line for line in caught.value.lines), caught.value.lines

@@ -5,49 +5,31 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.presses import Run
+from helpers import small_recipe
+from helpers.presses import Run, run
 from ruamel.yaml import YAML
 
-from tacgen import mechanics
 from tacgen.errors import UserError
 from tacgen.fem.stress_recovery import FULL
-from tacgen.mechanics import mesh
 from tacgen.optics.camera import PinholeCamera
 from tacgen.outputs import gel_surface
 from tacgen.outputs.cauchy_stress import Stresses
 from tacgen.outputs.contact_maps import maps as maps_of
-from tacgen.recipe import assets, loading, plan, scene_of_row, sensor_checks
+from tacgen.recipe import assets, loading, scene_of_row, sensor_checks
 from tacgen.recipe.row import Row
 
 LIT = ("coating", "walls", "leds")
-RECIPE = """\
-tacgen: 1
-name: nine
-sensor: ninedtact
-indenter: {shape: sphere, radius_mm: 4.0}
-trajectory: [{press: {depth_mm: 1.0, frames: 4}}]
-outputs: [force, traction, height, stress]
-"""
 FINE = 1.1674  # [N] on meshes of 0.25 and 0.2 mm edge (16 800 and 21 800 nodes), dhat 0.03 mm
 
 
-def row_of(folder: Path, sets: tuple[str, ...] = ()) -> Row:
-    path = folder / "nine.yaml"
-    path.write_text(RECIPE)
-    found = loading.read(path, sets)
-    return plan.expand(found).rows[0]
-
-
 @pytest.fixture(scope="module")
-def row(tmp_path_factory: pytest.TempPathFactory) -> Row:
-    return row_of(tmp_path_factory.mktemp("nine"))
+def row() -> Row:
+    return small_recipe.row("press: {depth_mm: 1, frames: 4}", "sensor=ninedtact", "quality=default")
 
 
 @pytest.fixture(scope="module")
 def press(row: Row) -> Run:
-    made = scene_of_row.build(row)
-    problem = mechanics.Problem.of(made, mesh.build(made.gel, mesh.footprint(made), made.edge))
-    return Run(made, problem, list(mechanics.states(made, problem)))
+    return run(scene_of_row.build(row))
 
 
 def test_force_of_a_press_at_default_quality(press: Run) -> None:
@@ -62,9 +44,8 @@ def test_the_maps_see_the_press(press: Run, row: Row) -> None:
     assert camera.shape == (345, 460)
     step = camera.project([[0.1, 0.0, 0.0]])[0] - camera.project([[0.0, 0.0, 0.0]])[0]
     assert 0.1 / step[0] == pytest.approx(0.0509, rel=1e-3)
-    grid, state = press.problem.mesh, press.states[-1]
-    surface = gel_surface.Surface(grid.points, grid.facets["coated"])
-    maps = maps_of(press.problem, surface.moved(state.x), state, camera)
+    state = press.states[-1]
+    maps = maps_of(press.problem, press.face.moved(state.x), state, camera)
     assert maps.force[..., 2].sum() == pytest.approx(press.forces[-1, 2], rel=1e-6)
 
 
@@ -106,13 +87,12 @@ def test_the_camera_sees_the_skin_from_inside(press: Run, row: Row) -> None:
 def test_images_are_refused_where_no_lights_are_described(tmp_path: Path) -> None:
     dark = {k: v for k, v in loading.read_sensor(assets.sensor_path("ninedtact"))[1].data.items() if k not in LIT}
     YAML(typ="safe").dump({**dark, "name": "dark"}, tmp_path / "dark.yaml")
-    text = RECIPE.replace("force, traction, height, stress", "force, rgb").replace("ninedtact", "dark.yaml")
-    (tmp_path / "r.yaml").write_text(text)
+    (tmp_path / "r.yaml").write_text("extends: quickstart\nsensor: dark.yaml\noutputs: [force, rgb]\n")
     with pytest.raises(UserError) as caught:
         loading.read(tmp_path / "r.yaml")
     told = [line for line in caught.value.lines if not line.startswith(" ")]
     assert len(told) == 1
-    assert re.search(r"r\.yaml:6:10: outputs: asks for rgb: the sensor dark has no coating, walls, leds", told[0])
+    assert re.search(r"r\.yaml:3:10: outputs: asks for rgb: the sensor dark has no coating, walls, leds", told[0])
 
 
 def test_lights_come_all_together_or_a_plate_alone() -> None:

@@ -46,12 +46,9 @@ def test_the_picture_is_written_and_not_blank(tmp_path: Path) -> None:
         ({"markers"}, ["camera"]),
         ({"height"}, ["height", "change of z [mm]"]),
         ({"traction"}, ["pressure", "pressure [MPa]", "traction", "traction [MPa]"]),
-        (
-            OUTPUTS,
-            ["camera", "pressure", "pressure [MPa]", "traction", "traction [MPa]", "height", "change of z [mm]"],
-        ),
+        (OUTPUTS, ["camera", "pressure", "pressure [MPa]", "traction", "traction [MPa]", "height", "change of z [mm]"]),
     ],
-)
+)  # fmt: skip
 def test_only_what_is_there_is_drawn(tmp_path: Path, outputs: set[str], rows: list[str]) -> None:
     assert sorted(labels(write(tmp_path / "x.h5", outputs=frozenset(outputs)))) == sorted([*rows, "force on gel [N]"])
 
