@@ -101,18 +101,19 @@ class Condensation:
 
 
 def _lu(K: Array) -> Callable[[Array], Array]:
-    """K^-1. Raises LinAlgError: singular."""
+    """K^-1; overwrites K, whose rows are LAPACK's columns: it factorises the transpose. Raises LinAlgError: singular."""
     if not len(K):
         return lambda b: b
-    lu, pivots, info = dgetrf(K)
+    lu, pivots, info = dgetrf(K.T, overwrite_a=1)
     if info > 0:
         raise np.linalg.LinAlgError("singular")
-    return partial(lu_solve, (lu, pivots), check_finite=False)
+    return partial(lu_solve, (lu, pivots), trans=1, check_finite=False)
 
 
 def _cholesky(K: Array) -> Callable[[Array], Array]:
-    """K^-1. Raises LinAlgError: not positive definite."""
-    return partial(cho_solve, cho_factor(K, lower=True, overwrite_a=True, check_finite=False), check_finite=False)
+    """K^-1 of a symmetric K, of which it reads and overwrites the upper triangle. Raises LinAlgError: not positive
+    definite."""
+    return partial(cho_solve, cho_factor(K.T, lower=True, overwrite_a=True, check_finite=False), check_finite=False)
 
 
 def _condensed(factor: Cholmod, data: Array, diagonal: Array, rows: Array) -> tuple[Array, Array]:
