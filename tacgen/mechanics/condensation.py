@@ -13,6 +13,7 @@ from functools import partial
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, lu_solve, solve_triangular
+from scipy.linalg.blas import dsymv
 from scipy.linalg.lapack import dgetrf, dlauum
 
 from tacgen.fem.assembly import Pattern, add_dense_blocks
@@ -101,7 +102,10 @@ class Condensation:
 
 
 def _lu(K: Array) -> Callable[[Array], Array]:
-    """K^-1; overwrites K, whose rows are LAPACK's columns: it factorises the transpose. Raises LinAlgError: singular."""
+    """K^-1; overwrites K. LAPACK keeps columns where NumPy keeps rows: the transpose is factorised, without a copy.
+
+    Raises LinAlgError: singular.
+    """
     if not len(K):
         return lambda b: b
     lu, pivots, info = dgetrf(K.T, overwrite_a=1)
@@ -178,6 +182,10 @@ class Schur:
     def more_damped(self) -> "Schur":
         """This Schur complement with the next larger damping."""
         return self.damped(max(DAMPING_FACTOR * self.damping, LEAST_DAMPING))
+
+    def times(self, u: Array) -> Array:
+        """S u (k,); reads half of S."""
+        return np.asarray(dsymv(1.0, self.S.T, u, lower=1)) if len(u) else u
 
     def activate(self, which: Array) -> None:
         """Make these unknowns (k,) bool active too."""

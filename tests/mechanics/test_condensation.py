@@ -232,6 +232,7 @@ def test_damping_adds_to_the_stiffness_at_rest_and_shortens_the_step() -> None:
         assert (schur.undamped == S).all()
         schur.activate(np.arange(12) < 3)
         assert pytest.approx(S + damping * REST) == schur.S
+        assert schur.times(b) == pytest.approx(schur.S @ b)
         x = schur.solve(np.zeros((3, 3)), b, True)
         assert x == pytest.approx(np.linalg.solve(S + damping * REST, b))
         lengths.append(float(np.linalg.norm(x)))
