@@ -83,10 +83,10 @@ class Quadratic:
     def solve(self, here: QuadraticPoint, contact: CoupledContact, D: Array, g: Array, symmetric: bool) -> Array | None:
         faces = contact.contact.faces
         loaded = np.flatnonzero(D.any((1, 2, 3)))
-        added = self.schur.stiffness(D[loaded], faces.N, self.dofs[faces.conn[loaded]])
+        K = self.schur.stiffness(D[loaded], faces.N, self.dofs[faces.conn[loaded]])
         p = np.zeros(g.shape)
         try:
-            p[self.dofs >= 0] = self.schur.solve(added, -g[self.dofs >= 0], symmetric)
+            p[self.dofs >= 0] = self.schur.solver(K, symmetric)(-g[self.dofs >= 0])
         except np.linalg.LinAlgError:
             return None
         return p if np.isfinite(p).all() else None

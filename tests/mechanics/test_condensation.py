@@ -173,6 +173,11 @@ def at_rest() -> Array:
     return REST
 
 
+def solved(schur: Schur, added: Array, b: Array, symmetric: bool) -> Array:
+    """With `added` on the active unknowns."""
+    return schur.solver(schur.reduced + added, symmetric)(b)
+
+
 @pytest.mark.parametrize("symmetric", [False, True])
 def test_while_contact_acts_on_more_and_more_the_answer_is_the_dense_one(symmetric: bool) -> None:
     rng = np.random.default_rng(0)
@@ -188,9 +193,9 @@ def test_while_contact_acts_on_more_and_more_the_answer_is_the_dense_one(symmetr
         added = added @ added.T if symmetric else 0.3 * added
         whole = S.copy()
         whole[np.ix_(acted, acted)] += added
-        kept = added.copy()
-        assert schur.solve(added, b, symmetric) == pytest.approx(np.linalg.solve(whole, b), abs=1e-10)
-        assert (added == kept).all()
+        assert solved(schur, added, b, symmetric) == pytest.approx(np.linalg.solve(whole, b), abs=1e-10)
+        alone = np.linalg.inv(np.linalg.inv(S)[np.ix_(acted, acted)])
+        assert schur.reduced == pytest.approx(alone, abs=1e-10)
     assert (schur.S == S).all()
     assert schur.damping == 0
 
@@ -200,7 +205,7 @@ def test_where_contact_acts_on_nothing_the_bulk_alone_answers(symmetric: bool) -
     S, b = stiffness(), np.ones(12)
     schur = Schur(S, at_rest)
     schur.activate(np.zeros(12, bool))
-    assert schur.solve(np.zeros((0, 0)), b, symmetric) == pytest.approx(np.linalg.solve(S, b))
+    assert solved(schur, np.zeros((0, 0)), b, symmetric) == pytest.approx(np.linalg.solve(S, b))
 
 
 def test_an_indefinite_symmetric_sum_is_reported_and_solved_as_it_is_otherwise() -> None:
@@ -211,16 +216,16 @@ def test_an_indefinite_symmetric_sum_is_reported_and_solved_as_it_is_otherwise()
     whole = S.copy()
     whole[:5, :5] += added
     assert np.linalg.eigvalsh(whole)[0] < -0.1
-    assert schur.solve(added, b, False) == pytest.approx(np.linalg.solve(whole, b), abs=1e-10)
+    assert solved(schur, added, b, False) == pytest.approx(np.linalg.solve(whole, b), abs=1e-10)
     with pytest.raises(np.linalg.LinAlgError):
-        schur.solve(added, b, True)
+        solved(schur, added, b, True)
 
 
 def test_what_is_singular_is_reported() -> None:
     schur = Schur(np.eye(4), lambda: np.eye(4))
     schur.activate(np.ones(4, bool))
     with pytest.raises(np.linalg.LinAlgError):
-        schur.solve(-np.eye(4), np.ones(4), False)
+        solved(schur, -np.eye(4), np.ones(4), False)
 
 
 def test_damping_adds_to_the_stiffness_at_rest_and_shortens_the_step() -> None:
@@ -233,7 +238,7 @@ def test_damping_adds_to_the_stiffness_at_rest_and_shortens_the_step() -> None:
         schur.activate(np.arange(12) < 3)
         assert pytest.approx(S + damping * REST) == schur.S
         assert schur.times(b) == pytest.approx(schur.S @ b)
-        x = schur.solve(np.zeros((3, 3)), b, True)
+        x = solved(schur, np.zeros((3, 3)), b, True)
         assert x == pytest.approx(np.linalg.solve(S + damping * REST, b))
         lengths.append(float(np.linalg.norm(x)))
     assert lengths[0] > 1.2 * lengths[1] > 10 * lengths[2]
@@ -270,7 +275,7 @@ def test_what_is_eliminated_is_damped_until_it_is_stable_by_itself() -> None:
     added = 20 * np.eye(3)
     whole = S.copy()
     whole[:3, :3] += added
-    assert kept.solve(added, b, True) == pytest.approx(np.linalg.solve(whole, b), abs=1e-10)
+    assert solved(kept, added, b, True) == pytest.approx(np.linalg.solve(whole, b), abs=1e-10)
     damped = Schur(S, at_rest)
     damped.activate(np.arange(12) >= 9)
     part = np.ix_(range(9), range(9))
@@ -280,4 +285,22 @@ def test_what_is_eliminated_is_damped_until_it_is_stable_by_itself() -> None:
     assert (damped.undamped == S).all()
     whole = damped.S.copy()
     whole[9:, 9:] += 20 * np.eye(3)
-    assert damped.solve(20 * np.eye(3), b, True) == pytest.approx(np.linalg.solve(whole, b), abs=1e-10)
+    assert solved(damped, 20 * np.eye(3), b, True) == pytest.approx(np.linalg.solve(whole, b), abs=1e-10)
+
+
+def test_facets_add_their_stiffness_once_and_what_a_solver_uses_up_is_its_own() -> None:
+    """Two solvers in turn, of more unknowns than a block of the copied triangle has."""
+    rng, size = np.random.default_rng(4), 150
+    S, b = stiffness(size), rng.normal(size=size)
+    dofs = rng.permutation(size)[:120].reshape(10, 4, 3)
+    dofs[2, 1, 0] = -1  # held
+    N, D = np.full((1, 4), 0.25), rng.normal(size=(10, 1, 3, 3))
+    whole = np.zeros((size + 1,) * 2)
+    for own, tangent in zip(dofs, D[:, 0], strict=True):
+        whole[np.ix_(own.ravel(), own.ravel())] += np.tile(tangent / 16, (4, 4))
+    exact = np.linalg.solve(S + whole[:-1, :-1], b)
+    schur = Schur(S.copy(), at_rest)
+    for _ in range(2):
+        assert schur.solver(schur.stiffness(D, N, dofs))(b) == pytest.approx(exact, abs=1e-9)
+    assert (schur.S == S).all()
+    assert (schur.reduced == schur.reduced.T).all()
