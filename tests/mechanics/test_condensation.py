@@ -9,6 +9,7 @@ from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import boxes, hexes
 from tacgen.fem.materials import NeoHooke
 from tacgen.fem.potential import Projection
+from tacgen.mechanics import condensation
 from tacgen.mechanics.condensation import DAMPING_FACTOR, Condensation, Schur
 from tacgen.mechanics.linear_solvers import NotPositiveDefinite
 
@@ -304,3 +305,39 @@ def test_facets_add_their_stiffness_once_and_what_a_solver_uses_up_is_its_own() 
         assert schur.solver(schur.stiffness(D, N, dofs))(b) == pytest.approx(exact, abs=1e-9)
     assert (schur.S == S).all()
     assert (schur.reduced == schur.reduced.T).all()
+
+
+@pytest.mark.parametrize("columns", [(), (3,)])
+def test_large_ones_are_solved_to_double_precision(columns: tuple[int, ...], monkeypatch: pytest.MonkeyPatch) -> None:
+    """With eigenvalues of S from 1 to 5 and contact a thousand times stiffer; from single precision's factors alone the
+    error would be 1e-5."""
+    rng, size = np.random.default_rng(6), condensation.SINGLE + 20
+    S, b = stiffness(size), rng.normal(size=(size, *columns))
+    added = np.diag(np.exp(rng.uniform(0, np.log(5e3), size))) + rng.normal(size=(size, size)) / 40
+    exact = np.linalg.solve(S + added, b)
+
+    def error() -> float:
+        schur = Schur(S, at_rest)
+        schur.activate(np.ones(size, bool))
+        return float(np.linalg.norm(solved(schur, added, b, False) - exact) / np.linalg.norm(exact))
+
+    assert error() < 1e-12
+    monkeypatch.setattr(condensation, "REFINED", 1.0)
+    monkeypatch.setattr(condensation, "dgetrf", None)  # not needed
+    assert error() < 1e-10  # refined once
+
+
+def test_a_large_one_too_ill_conditioned_for_single_precision_is_solved_in_double() -> None:
+    rng, size = np.random.default_rng(7), condensation.SINGLE
+    S = stiffness(size)
+    q, _ = np.linalg.qr(rng.normal(size=(size, size)))
+    added = q @ np.diag(np.geomspace(1e-10, 1, size)) @ q.T - S
+    x = rng.normal(size=size)
+    schur = Schur(S, at_rest)
+    schur.activate(np.ones(size, bool))
+    K = S + added
+    b = K @ x
+    found = [solve(b) for solve in [schur.solver(K.copy())] for _ in range(2)]
+    assert (found[0] == found[1]).all()
+    assert K @ found[0] == pytest.approx(b, abs=1e-13)
+    assert found[0] == pytest.approx(np.linalg.solve(K, b), rel=1e-3)
