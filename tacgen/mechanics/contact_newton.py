@@ -24,7 +24,7 @@ SHORTEST = 1e-8  # fraction of a step at which a line search has stalled [-]
 MIN_COUPLED = 0.1  # smallest fraction of a coupled step; below, the symmetric step is tried [-]
 
 
-class Point(Protocol):
+class EnergyPoint(Protocol):
     """The bulk at given positions: its energy [N mm] and the gradient (n, 3) [N]."""
 
     @property
@@ -34,7 +34,7 @@ class Point(Protocol):
     def gradient(self) -> Array: ...
 
 
-P = TypeVar("P", bound=Point)
+P = TypeVar("P", bound=EnergyPoint)
 
 
 class Bulk(Protocol[P]):
