@@ -12,9 +12,11 @@ from collections.abc import Callable
 from functools import partial
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, lu_solve, solve_triangular
-from scipy.linalg.lapack import dgetrf, dlauum
+from scipy.linalg import cho_factor, cho_solve, cholesky, lu_solve, solve_triangular
+from scipy.linalg.blas import dsymv, dsyrk
+from scipy.linalg.lapack import dgetrf, dlauum, sgetrf, sgetrs
 
+from tacgen.compiled import njit
 from tacgen.fem.assembly import Pattern, add_dense_blocks
 from tacgen.mechanics.linear_solvers import Cholmod, dissection
 
@@ -24,6 +26,9 @@ DAMPING_FACTOR = 4.0  # by which damping is increased where it does not suffice 
 # Diagonal shift of the condensed dofs over the largest diagonal entry [-]: added before the factorisation and
 # subtracted from S, so that only the part of the gel away from the contact must be stable by itself
 SHIFT = 10.0
+SINGLE = 400  # unknowns from which LU in single precision, refined to double, is faster than in double
+REFINED = 1e-11  # error of a refined solution over its size [-]
+REFINEMENTS = 8  # most refinements; the contact's stiffness takes one or two
 
 
 class Condensation:
@@ -101,18 +106,57 @@ class Condensation:
 
 
 def _lu(K: Array) -> Callable[[Array], Array]:
-    """K^-1. Raises LinAlgError: singular."""
+    """K^-1, to whose solver K belongs from now on. Raises LinAlgError: singular."""
+    return _refined(K) if len(K) >= SINGLE else _double(K)
+
+
+def _double(K: Array) -> Callable[[Array], Array]:
+    """K^-1; overwrites K. LAPACK keeps columns where NumPy keeps rows: the transpose is factorised, without a copy.
+
+    Raises LinAlgError: singular.
+    """
     if not len(K):
         return lambda b: b
-    lu, pivots, info = dgetrf(K)
+    lu, pivots, info = dgetrf(K.T, overwrite_a=1)
     if info > 0:
         raise np.linalg.LinAlgError("singular")
-    return partial(lu_solve, (lu, pivots), check_finite=False)
+    return partial(lu_solve, (lu, pivots), trans=1, check_finite=False)
+
+
+def _refined(K: Array) -> Callable[[Array], Array]:
+    """K^-1 by LU in single precision, half the work of double, with iterative refinement to double precision: Langou et
+    al. (2006), "Exploiting the performance of 32 bit floating point arithmetic". In double where that does not
+    converge.
+
+    Raises LinAlgError: singular.
+    """
+    lu, pivots, info = sgetrf(K.astype(np.float32).T, overwrite_a=1)
+    if info > 0:
+        return _double(K)
+
+    def rough(b: Array) -> Array:
+        return np.asarray(sgetrs(lu, pivots, b.astype(np.float32), trans=1)[0], float).reshape(b.shape)
+
+    def solve(b: Array) -> Array:
+        x = rough(b)
+        size = float(np.linalg.norm(x))
+        for _ in range(REFINEMENTS):
+            step = rough(b - K @ x)
+            x += step
+            before, size = size, float(np.linalg.norm(step))
+            if size**2 <= REFINED * float(np.linalg.norm(x)) * before:  # steps shrink by the same factor each
+                return x
+            if not size < before:
+                break
+        return _double(K.copy())(b)
+
+    return solve
 
 
 def _cholesky(K: Array) -> Callable[[Array], Array]:
-    """K^-1. Raises LinAlgError: not positive definite."""
-    return partial(cho_solve, cho_factor(K, lower=True, overwrite_a=True, check_finite=False), check_finite=False)
+    """K^-1 of a symmetric K, of which it reads and overwrites the upper triangle. Raises LinAlgError: not positive
+    definite."""
+    return partial(cho_solve, cho_factor(K.T, lower=True, overwrite_a=True, check_finite=False), check_finite=False)
 
 
 def _condensed(factor: Cholmod, data: Array, diagonal: Array, rows: Array) -> tuple[Array, Array]:
@@ -125,11 +169,22 @@ def _condensed(factor: Cholmod, data: Array, diagonal: Array, rows: Array) -> tu
     L = factor.trailing(size)
     # L L^T, a third of the work of a product: LAPACK has U U^T of triangles, and L backwards is upper triangular
     upper = dlauum(np.asfortranarray(L[::-1, ::-1]), overwrite_c=1)[0]
+    _mirror(upper.T)
     backwards = size - 1 - rows
-    S = (upper + upper.T).take(backwards, 0).take(backwards, 1)
-    own = np.diag_indices(size)
-    S[own] = S[own] / 2 - shift
+    S = upper.T.take(backwards, 0).take(backwards, 1)
+    S[np.diag_indices(size)] -= shift
     return L[rows], S
+
+
+@njit(cache=True)
+def _mirror(A: Array) -> None:
+    """Copy the lower triangle of A (k, k) to the upper one, in blocks that fit into the processor's cache."""
+    n, size = len(A), 64
+    for row in range(0, n, size):
+        for column in range(0, row + 1, size):
+            for i in range(row, min(row + size, n)):
+                for j in range(column, min(column + size, i)):
+                    A[j, i] = A[i, j]
 
 
 class _AtRest:
@@ -178,25 +233,43 @@ class Schur:
         """This Schur complement with the next larger damping."""
         return self.damped(max(DAMPING_FACTOR * self.damping, LEAST_DAMPING))
 
+    def times(self, u: Array) -> Array:
+        """S u (k,); reads half of S."""
+        return np.asarray(dsymv(1.0, self.S.T, u, lower=1)) if len(u) else u
+
     def activate(self, which: Array) -> None:
         """Make these unknowns (k,) bool active too."""
         if self._reduced is not None and not (which & ~self.active).any():
             return
         self.active = self.active | which
-        o, a = ~self.active, self.active
+        o, a = np.flatnonzero(~self.active), np.flatnonzero(self.active)
         while True:
             try:
-                L = np.linalg.cholesky(self.S[np.ix_(o, o)])
+                L = cholesky(self._part(o, o), lower=True, overwrite_a=True, check_finite=False)
                 break
             except np.linalg.LinAlgError:
                 more = self.more_damped()
                 self.damping, self.S = more.damping, more.S
-        W = solve_triangular(L, self.S[np.ix_(o, a)], lower=True, check_finite=False)
-        self._reduced = L, W, self.S[np.ix_(a, a)] - W.T @ W
+        W = solve_triangular(L, self._part(o, a), lower=True, overwrite_b=True, check_finite=False)
+        K = self._part(a, a)
+        if W.size:
+            K = dsyrk(-1.0, W, beta=1.0, c=K, trans=1, overwrite_c=1)
+            _mirror(K.T)
+        self._reduced = L, W, K.T
+
+    def _part(self, rows: Array, columns: Array) -> Array:
+        """S[rows, columns], a copy column by column as LAPACK has it."""
+        return np.asarray(self.S[np.ix_(columns, rows)].T)
+
+    @property
+    def reduced(self) -> Array:
+        """The stiffness (a, a) of the bulk on the active unknowns."""
+        assert self._reduced is not None
+        return self._reduced[2]
 
     def stiffness(self, D: Array, N: Array, dofs: Array) -> Array:
-        """Stiffness (a, a) on the active unknowns by tangents D (f, q, 3, 3) [N/mm] at the points of facets; the
-        unknowns of these facets become active.
+        """Stiffness (a, a) on the active unknowns of the bulk and of tangents D (f, q, 3, 3) [N/mm] at the points of
+        facets; the unknowns of these facets become active.
 
         N (q, a): shape functions; dofs (f, a, 3): numbers of the condensed unknowns, -1 where held.
         """
@@ -204,29 +277,26 @@ class Schur:
         which[dofs[dofs >= 0]] = True
         self.activate(which)
         place = np.append(np.where(self.active, np.cumsum(self.active) - 1, -1), -1)
-        added = np.zeros((int(self.active.sum()),) * 2)
-        add_dense_blocks(D, N, place[dofs], added)
-        return added
+        K = self.reduced.copy()
+        add_dense_blocks(D, N, place[dofs], K)
+        return K
 
-    def solve(self, added: Array, b: Array, symmetric: bool) -> Array:
-        """x (k,) of (S + added) x = b, with `added` (a, a) on the active unknowns, not symmetric unless said so.
+    def solver(self, K: Array, symmetric: bool = False) -> Callable[[Array], Array]:
+        """x of (S + contact) x = b for right-hand sides b (k,) or (k, m), where K (a, a) is the stiffness of both on
+        the active unknowns, not symmetric unless said so. K belongs to the solver from now on.
 
         Raises LinAlgError: singular or, if symmetric, not positive definite.
         """
-        return self.factored(added, symmetric)(b)
-
-    def factored(self, added: Array, symmetric: bool = False) -> Callable[[Array], Array]:
-        """The factorised solver of (S + added) x = b for right-hand sides b (k,) or (k, m); arguments as of `solve`."""
         assert self._reduced is not None
-        L, W, rest = self._reduced
-        a, K = self.active.copy(), rest + added
-        inner = _cholesky(K) if symmetric and a.any() else _lu(K)
+        L, W, _ = self._reduced
+        a, o = np.flatnonzero(self.active), np.flatnonzero(~self.active)
+        inner = _cholesky(K) if symmetric and a.size else _lu(K)
 
         def solve(b: Array) -> Array:
             x = np.empty_like(b)
-            y = solve_triangular(L, b[~a], lower=True, check_finite=False)
+            y = solve_triangular(L, b[o], lower=True, check_finite=False)
             x[a] = inner(b[a] - W.T @ y)
-            x[~a] = solve_triangular(L, y - W @ x[a], lower=True, trans=1, check_finite=False)
+            x[o] = solve_triangular(L, y - W @ x[a], lower=True, trans=1, check_finite=False)
             return x
 
         return solve

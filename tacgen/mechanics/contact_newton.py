@@ -7,8 +7,9 @@ direction, Newton's step for the merit function is used. Where that function is 
 the search ends, and the bulk needs damping.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 
@@ -23,16 +24,38 @@ SHORTEST = 1e-8  # fraction of a step at which a line search has stalled [-]
 MIN_COUPLED = 0.1  # smallest fraction of a coupled step; below, the symmetric step is tried [-]
 
 
-class BulkModel(Protocol):
+class EnergyPoint(Protocol):
+    """The bulk at given positions: its energy [N mm] and the gradient (n, 3) [N]."""
+
+    @property
+    def energy(self) -> float: ...
+
+    @property
+    def gradient(self) -> Array: ...
+
+
+P = TypeVar("P", bound=EnergyPoint)
+
+
+class BulkModel(Protocol[P]):
     """The body that resists the contact, as a function of the positions x (n, 3) of some nodes."""
 
-    def value(self, x: Array) -> float: ...
+    def at(self, x: Array) -> P: ...
 
-    def gradient(self, x: Array) -> Array: ...
+    def along(self, here: P, x: Array, p: Array) -> Callable[[float], float]:
+        """The energy at x + fraction p; `here` is the bulk at x."""
 
-    def solve(self, x: Array, contact: CoupledContact, D: Array, g: Array, symmetric: bool) -> Array | None:
+    def solve(self, here: P, contact: CoupledContact, D: Array, g: Array, symmetric: bool) -> Array | None:
         """The step (n, 3) that balances the gradient g (n, 3), with the contact's tangent D (f, q, 3, 3); None where
         the tangent is singular or, if symmetric, not positive definite."""
+
+
+@dataclass(frozen=True)
+class QuadraticPoint:
+    """The condensed bulk at some positions."""
+
+    energy: float
+    gradient: Array
 
 
 @dataclass(frozen=True)
@@ -44,25 +67,26 @@ class Quadratic:
     schur: Schur
     force: Array  # (k,) [N]
 
-    def _u(self, x: Array) -> Array:
-        return np.asarray((x - self.start)[self.dofs >= 0])
+    def at(self, x: Array) -> QuadraticPoint:
+        free = self.dofs >= 0
+        u, gradient = (x - self.start)[free], np.zeros(x.shape)
+        g = self.schur.times(u) + self.force
+        gradient[free] = g
+        return QuadraticPoint(float(u @ (g + self.force)) / 2, gradient)
 
-    def value(self, x: Array) -> float:
-        u = self._u(x)
-        return float(u @ (self.schur.S @ u / 2 + self.force))
+    def along(self, here: QuadraticPoint, x: Array, p: Array) -> Callable[[float], float]:
+        """A parabola."""
+        v = p[self.dofs >= 0]
+        slope, curvature = float((here.gradient * p).sum()), float(v @ self.schur.times(v))
+        return lambda fraction: here.energy + fraction * slope + fraction**2 * curvature / 2
 
-    def gradient(self, x: Array) -> Array:
-        out = np.zeros(x.shape)
-        out[self.dofs >= 0] = self.schur.S @ self._u(x) + self.force
-        return out
-
-    def solve(self, x: Array, contact: CoupledContact, D: Array, g: Array, symmetric: bool) -> Array | None:
+    def solve(self, here: QuadraticPoint, contact: CoupledContact, D: Array, g: Array, symmetric: bool) -> Array | None:
         faces = contact.contact.faces
         loaded = np.flatnonzero(D.any((1, 2, 3)))
-        added = self.schur.stiffness(D[loaded], faces.N, self.dofs[faces.conn[loaded]])
-        p = np.zeros(x.shape)
+        K = self.schur.stiffness(D[loaded], faces.N, self.dofs[faces.conn[loaded]])
+        p = np.zeros(g.shape)
         try:
-            p[self.dofs >= 0] = self.schur.solve(added, -g[self.dofs >= 0], symmetric)
+            p[self.dofs >= 0] = self.schur.solver(K, symmetric)(-g[self.dofs >= 0])
         except np.linalg.LinAlgError:
             return None
         return p if np.isfinite(p).all() else None
@@ -81,7 +105,7 @@ class ContactSolution:
 
 
 def solve_contact(
-    bulk: BulkModel, contact: CoupledContact, x: Array, *, xtol: float, max_steps: int, radius: float = np.inf
+    bulk: BulkModel[P], contact: CoupledContact, x: Array, *, xtol: float, max_steps: int, radius: float = np.inf
 ) -> ContactSolution:
     """Equilibrium of bulk, barrier and friction, with the indenter shrunk by the resulting mean gap.
 
@@ -89,39 +113,41 @@ def solve_contact(
     `radius` [mm].
     """
 
-    def residual(forces: ContactForces, x: Array) -> Array:
-        return np.asarray(bulk.gradient(x) - contact.contact.faces.scatter(forces.force, len(x)))
+    def residual(at: P, forces: ContactForces) -> Array:
+        return np.asarray(at.gradient - contact.contact.faces.scatter(forces.force, len(x)))
 
     steps, length, drift, start = 0, np.inf, 0.0, x
-    forces = contact.evaluate(x)
-    g = residual(forces, x)
+    here, forces = bulk.at(x), contact.evaluate(x)
+    g = residual(here, forces)
     while True:
         if length <= contact.contact.dhat and forces.N.any():  # far from the solution the mean gap is meaningless
             drift = forces.mean_gap - contact.contact.offset
             contact = contact.shrunk(forces.mean_gap)
             forces = contact.evaluate(x)
-            g = residual(forces, x)
+            g = residual(here, forces)
         if steps == max_steps:
             return ContactSolution(x, contact, forces, False, steps)
         steps += 1
-        p = bulk.solve(x, contact, forces.tangent, g, False)
+        p = bulk.solve(here, contact, forces.tangent, g, False)
         full = None
         if p is not None and contact.contact.max_step(forces.gap, p) == 1.0:
-            there = contact.evaluate(x + p)
-            ahead = residual(there, x + p)
+            there, felt = bulk.at(x + p), contact.evaluate(x + p)
+            ahead = residual(there, felt)
             if np.linalg.norm(ahead) <= FULL_STEP * np.linalg.norm(g):
-                full = there, ahead
+                full = there, felt, ahead
         fraction = 1.0
         if full is None:
-            fraction, p = _downhill(bulk, contact, forces, x, g, p)
+            fraction, p = _downhill(bulk, here, contact, forces, x, g, p)
         if p is None:
             return ContactSolution(x, contact, forces, False, steps, True)
         before, x, length = x, x + fraction * p, float(np.abs(p).max())
         if np.abs(x - start).max() > radius:
             x = before + _to_radius(before - start, x - before, radius) * (x - before)
             return ContactSolution(x, contact, contact.evaluate(x), False, steps, True)
-        forces = contact.evaluate(x) if full is None else full[0]
-        g = residual(forces, x) if full is None else full[1]
+        if full is None:
+            here, forces = bulk.at(x), contact.evaluate(x)
+            full = here, forces, residual(here, forces)
+        here, forces, g = full
         off = forces.mean_gap - contact.contact.offset if forces.N.any() else 0.0
         if fraction == 1.0 and length <= xtol and max(abs(drift), abs(off)) <= xtol:
             return ContactSolution(x, contact, forces, True, steps)
@@ -136,27 +162,27 @@ def _to_radius(gone: Array, step: Array, radius: float) -> float:
 
 
 def _downhill(
-    bulk: BulkModel, contact: CoupledContact, forces: ContactForces, x: Array, g: Array, coupled: Array | None
+    bulk: BulkModel[P], at: P, contact: CoupledContact, forces: ContactForces, x: Array, g: Array, coupled: Array | None
 ) -> tuple[float, Array | None]:
     """Fraction and step that lower the merit function: the coupled step or, if less than MIN_COUPLED of it does, the
     symmetric one; None if neither does."""
-    here = bulk.value(x) + contact.merit(x, forces)
+    here = at.energy + contact.merit(x, forces)
 
     def decreasing(p: Array, least: float) -> float:
         slope = float((g * p).sum())
         if slope > 0:
             return 0.0
+        energy = bulk.along(at, x, p)
 
         def trial(fraction: float) -> tuple[bool, None]:
-            there = x + fraction * p
-            merit = bulk.value(there) + contact.merit(there, forces)
+            merit = energy(fraction) + contact.merit(x + fraction * p, forces)
             return armijo(merit, here, fraction * slope, ROUNDING), None
 
         return backtrack(trial, least, contact.contact.max_step(forces.gap, p))[0]
 
     if coupled is not None and (fraction := decreasing(coupled, MIN_COUPLED)) > 0:
         return fraction, coupled
-    p = bulk.solve(x, contact, forces.definite, g, True)
+    p = bulk.solve(at, contact, forces.definite, g, True)
     if p is not None and (fraction := decreasing(p, SHORTEST)) > 0:
         return fraction, p
     return 0.0, None

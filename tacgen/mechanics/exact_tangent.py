@@ -41,9 +41,9 @@ def solver(problem: Problem, tangent: Tangent, x: Array, D: Array, on: Array) ->
     exact = tangent.usable and tangent.exact_at is x
     if not exact or at_x.schur.damping or not at_x.covers(faces.conn):
         return _direct(problem, x, D, faces)
-    added = at_x.schur.stiffness(D, faces.N, at_x.dofs[at_x.local[faces.conn]])
+    K = at_x.schur.stiffness(D, faces.N, at_x.dofs[at_x.local[faces.conn]])
     try:
-        contact = at_x.schur.factored(added)
+        contact = at_x.schur.solver(K)
     except np.linalg.LinAlgError:
         raise NotConverged(Failure.singular) from None
     return lambda B: everywhere(problem, at_x.solve(free_columns(problem, B), contact))

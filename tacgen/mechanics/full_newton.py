@@ -4,7 +4,8 @@ The same equations, merit function and steps as in contact_newton, with the bulk
 a new exact tangent in each step, and one sparse LU factorisation of bulk and contact together.
 """
 
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
@@ -21,28 +22,22 @@ from tacgen.mechanics.problem import Problem
 Array = np.ndarray
 
 
-@dataclass
+@dataclass(frozen=True)
 class WholeBulk:
     """The bulk for contact_newton.solve_contact."""
 
     problem: Problem
     bulk: Bulk
-    _at: BulkPoint | None = field(default=None, repr=False)
 
     def at(self, x: Array) -> BulkPoint:
-        if self._at is None or self._at.x is not x:
-            self._at = self.bulk.at(x)
-        return self._at
+        return self.bulk.at(x)
 
-    def value(self, x: Array) -> float:
-        return self.at(x).energy
+    def along(self, here: BulkPoint, x: Array, p: Array) -> Callable[[float], float]:
+        return lambda fraction: self.bulk.at(x + fraction * p).energy
 
-    def gradient(self, x: Array) -> Array:
-        return self.at(x).gradient
-
-    def solve(self, x: Array, contact: CoupledContact, D: Array, g: Array, symmetric: bool) -> Array | None:
-        pattern, p = self.problem.pattern, np.zeros(x.size)
-        data = self.at(x).stiffness(pattern, Projection.FULL if symmetric else Projection.NONE)
+    def solve(self, here: BulkPoint, contact: CoupledContact, D: Array, g: Array, symmetric: bool) -> Array | None:
+        pattern, p = self.problem.pattern, np.zeros(g.size)
+        data = here.stiffness(pattern, Projection.FULL if symmetric else Projection.NONE)
         b = -g.ravel()[pattern.free]
         if symmetric:
             contact.contact.faces.add_blocks(np.arange(len(D)), D, data)
@@ -51,12 +46,12 @@ class WholeBulk:
             except NotPositiveDefinite:
                 return None
             p[pattern.free] = self.problem.linear.solve(b)
-            return p.reshape(x.shape)
+            return p.reshape(g.shape)
         try:
             p[pattern.free] = exact_factor(pattern, data, contact.contact.faces, D).solve(b)
         except RuntimeError:  # singular
             return None
-        return p.reshape(x.shape) if np.isfinite(p).all() else None
+        return p.reshape(g.shape) if np.isfinite(p).all() else None
 
 
 def exact_factor(pattern: Pattern, data: Array, faces: Faces, D: Array) -> "sp.linalg.SuperLU":

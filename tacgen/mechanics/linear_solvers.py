@@ -127,10 +127,12 @@ class Cholmod:
         for s in range(int(np.searchsorted(first, F.n - k, side="right")) - 1, F.nsuper):  # columns of equal pattern
             rows = numbers[start[s] : start[s + 1]] - (F.n - k)
             width, before = first[s + 1] - first[s], max(0, F.n - k - first[s])
-            block = values[at[s] : at[s] + width * len(rows)].reshape(
-                width, len(rows)
-            )  # L^T; entries left of it are undefined
-            transposed[rows[before] : rows[width - 1] + 1, rows[before:]] = np.triu(block)[before:, before:]
+            block = values[at[s] : at[s] + width * len(rows)].reshape(width, len(rows))[before:, before:]  # L^T
+            own, others = slice(rows[before], rows[width - 1] + 1), rows[width:]
+            transposed[own, own] = block[:, : width - before]
+            transposed[own, others] = block[:, width - before :]
+        for column in range(1, k):
+            transposed[column, :column] = 0  # undefined in the factor
         return transposed.T
 
 

@@ -86,9 +86,9 @@ def tied(contact: Contact, tangent: Tangent, history: History) -> Tied | None:
         return None
     ties = TIE * history.normal_force[which, :, None] / contact.dhat
     dofs = condensed.dofs[condensed.local[faces.conn[which]]]
-    springs = condensed.schur.stiffness(ties[..., None] * np.eye(3), faces.N, dofs)
+    K = condensed.schur.stiffness(ties[..., None] * np.eye(3), faces.N, dofs)
     try:
-        inner = condensed.schur.factored(springs, symmetric=True)
+        inner = condensed.schur.solver(K, symmetric=True)
     except np.linalg.LinAlgError:
         return None
     return Tied(condensed, faces.only(which), ties, which, inner)

@@ -38,7 +38,8 @@ def stiffness(problem: Problem, before: History, at: History, substeps: int, cen
     faces = problem.contact.faces.only(which)
     faces = replace(faces, conn=condensed.local[faces.conn])
     D, f, arm = forces.tangent[which], forces.force[which], forces.at[which] - centre
-    added = condensed.schur.stiffness(D, faces.N, condensed.dofs[faces.conn])
+    K = condensed.schur.stiffness(D, faces.N, condensed.dofs[faces.conn])
+    solve = condensed.schur.solver(K)
     out = np.zeros((6, 6))
     for k in range(6):
         turn = np.eye(6)[k, 3:]
@@ -47,7 +48,7 @@ def stiffness(problem: Problem, before: History, at: History, substeps: int, cen
         pull = np.einsum("fqij,fqj->fqi", D, motion) + turned
         load = faces.scatter(pull, len(condensed.nodes))[condensed.dofs >= 0]
         moved = np.zeros(condensed.dofs.shape)
-        moved[condensed.dofs >= 0] = condensed.schur.solve(added, load, symmetric=False)
+        moved[condensed.dofs >= 0] = solve(load)
         went = faces.at(moved)
         df = np.einsum("fqij,fqj->fqi", D, motion - went) + turned
         shift = np.eye(6)[k, :3]

@@ -61,7 +61,7 @@ def test_it_ends_in_balance_with_the_indenter_shrunk_by_the_mean_gap(name: str) 
     forces = found.contact.evaluate(found.x)
     assert (forces.force == found.forces.force).all()
     assert forces.N.sum() > 1e-4
-    unbalanced = (to.gradient(found.x) - FACES.scatter(forces.force, len(POINTS)))[~RIM]
+    unbalanced = (to.at(found.x).gradient - FACES.scatter(forces.force, len(POINTS)))[~RIM]
     assert np.linalg.norm(unbalanced) < 1e-3 * forces.N.sum()
     assert found.contact.contact.offset == pytest.approx(forces.mean_gap, abs=2 * XTOL)
     assert (found.x[RIM] == POINTS[RIM]).all()
@@ -135,10 +135,15 @@ def test_nothing_that_it_was_given_is_changed() -> None:
 def test_the_quadratic_has_the_slopes_it_says() -> None:
     to = bulk((0.001, 0.0, -0.002))
     x = POINTS + np.where(RIM[:, None], 0.0, np.random.default_rng(0).normal(0, 0.1, POINTS.shape))
-    g = to.gradient(x)
+    here = to.at(x)
+    g = here.gradient
     assert not g[RIM].any()
-    assert to.value(POINTS) == 0
+    assert to.at(POINTS).energy == 0
     for node, axis in ((16, 0), (24, 1), (17, 2)):
         step = np.zeros_like(x)
         step[node, axis] = 1e-4
-        assert g[node, axis] == pytest.approx((to.value(x + step) - to.value(x - step)) / 2e-4)
+        assert g[node, axis] == pytest.approx((to.at(x + step).energy - to.at(x - step).energy) / 2e-4)
+    p = np.where(RIM[:, None], 0.0, np.random.default_rng(1).normal(0, 0.1, POINTS.shape))
+    along = to.along(here, x, p)
+    for part in (0.0, 0.25, 1.0):
+        assert along(part) == pytest.approx(to.at(x + part * p).energy, rel=1e-12)
