@@ -47,16 +47,13 @@ def _ordinary(tables: Tables) -> Told:
         ends = ("ok", "refused", "rejected", "out of time", "crashed")
         parts = [f"{row[status]} {status}" for status in ends if row[status]]
         parts += [f"{row['J <= 0']} with an element inside out"] if row["J <= 0"] else []
-        ended, each = ", ".join(parts), [row[f"s a frame, {what}"] for what in ("mean", "p50", "p90")]
-        seconds = (
-            "; seconds a frame: mean {:.2f}, median {:.2f}, 90 % quantile {:.2f}".format(*each) if row["ok"] else ""
-        )
-        yield f"{row['scenes']} ordinary scenes at `{row['quality']}`, one core", ended + seconds
-        if row["ok"]:
-            yield (
-                f"a million ordinary frames at `{row['quality']}`, solve: core-hours",
-                f"{row['core-hours a million']:.0f}",
-            )
+        named = (("mean", "mean"), ("median", "p50"), ("90 % quantile", "p90"))
+        each = [(name, row.get(f"s a frame, {what}")) for name, what in named]  # earlier results have no mean
+        seconds = ", ".join(f"{name} {value:.2f}" for name, value in each if value is not None)
+        ended = ", ".join(parts) + (f"; seconds a frame: {seconds}" if row["ok"] else "")
+        yield f"{row['scenes']} ordinary scenes at `{row['quality']}`, one core", ended
+        if (hours := row.get("core-hours a million")) is not None:
+            yield f"a million ordinary frames at `{row['quality']}`, solve: core-hours", f"{hours:.0f}"
         if row["compared"]:
             median, worst = row["force error, median"], row["force error, worst"]
             what = f"force error of long frames, {row['compared']} ordinary scenes"
