@@ -57,7 +57,7 @@ def _ordinary(tables: Tables) -> Told:
         if row["compared"]:
             median, worst = row["force error, median"], row["force error, worst"]
             what = f"force error of long frames, {row['compared']} ordinary scenes"
-            calm = row.get("force error in stable frames, worst")
+            calm = row.get("force error in stable frames, worst", row.get("force error in these, worst"))
             told = "" if calm is None else f"; {calm:.1%} before the gel's first instability"
             yield what, f"median {median:.1%}, worst {worst:.1%}{told}"
 
@@ -109,12 +109,10 @@ def _optics(tables: Tables) -> Told:
         mine = [row for row in rows if row["method"] == method]
         each = {sensor: [row for row in mine if row["sensor"] == sensor] for sensor in SENSORS}
         worst = [min(group, key=lambda row: row["dB"]) for group in each.values() if group]
-        slowest = [max(group, key=lambda row: row["s a frame"]) for group in each.values() if group]
         yield (
             f"PSNR of images by `{method}` against `path` [dB]",
             _by_sensor(worst, lambda row: f"{row['dB']:.0f}" + (f" +- {row['+-']:.0f}" if row["+-"] >= 1 else "")),
         )
-        yield "seconds an image, one core", _by_sensor(slowest, lambda row: f"{row['s a frame']:.2f}")
 
 
 def _stability(tables: Tables) -> Told:
@@ -136,12 +134,6 @@ def _real(tables: Tables) -> Told:
         yield (
             "error of real normals [deg]: flat / trained on rendered / the same on rendered presses / trained on real",
             _by_sensor(rows, lambda row: " / ".join(f"{row[head]:.1f}" for head in heads if row[head] is not None)),
-        )
-    rows = tables.get("Change per slope, rendered over real", [])
-    if rows:
-        yield (
-            "colour change per slope, rendered over real (R / G / B)",
-            _by_sensor(rows, lambda row: " / ".join(f"{row[head]:.2f}" for head in ("contrast red", "green", "blue"))),
         )
 
 
