@@ -205,9 +205,8 @@ def _shared(row: Row, scene: Scene, problem: mechanics.Problem) -> SceneData:
 
 
 Solvable = tuple[Row, Scene, mechanics.Problem]  # of each bundle: one, or of a grasp the left and the right finger's
-Found = tuple[
-    tuple[mechanics.State, "tuple[Held, int] | None"], ...
-]  # of a frame: each state, and what holds the object
+# of a frame: each gel's state, and of a grasp what holds the object and the number of the finger
+Found = tuple[tuple[mechanics.State, "tuple[Held, int] | None"], ...]
 
 
 def _gels(row: Row, clock: Clock) -> tuple[tuple[Solvable, ...], Iterator[Found]]:
@@ -325,10 +324,9 @@ def _made(row: Row, path: Path, on_event: OnEvent | None, clock: Clock) -> Scene
                 for recorder, frame in zip(recorders, labelled, strict=True):
                     recorder.append(frame)
             except (mechanics.NotConverged, Rejected) as error:
-                reason = f"frame {done + 1} of {row.frames}: {error}"
                 folded = isinstance(error, mechanics.NotConverged) and error.failure is mechanics.Failure.folds
-                status = "ok" if folded and done else "rejected"
-                reason = f"ends before {reason}" if status == "ok" else reason
+                status, before = ("ok", "ends before ") if folded and done else ("rejected", "")
+                reason = f"{before}frame {done + 1} of {row.frames}: {error}"
                 break
             done += 1
             if on_event:

@@ -23,9 +23,8 @@ def _smaller(value: float, limit: float | None, what: str, *, equal: bool = True
 class AnyIndenter(Part):
     """An indenter of any shape."""
 
-    thin: ClassVar[
-        dict[str, float]
-    ] = {}  # fields that could let it pass between contact points: factor to half of that
+    # fields that could let it pass between contact points, and the factor that makes half the thickness of each
+    thin: ClassVar[dict[str, float]] = {}
 
 
 class Sphere(AnyIndenter):
