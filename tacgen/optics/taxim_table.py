@@ -97,7 +97,7 @@ class TaximTable:
     def added(self, face: Face, lamps: "Floats", mm_per_px: float) -> "Floats":
         """Linear radiance (h, w, 3) that the face adds to the untouched picture; see `fitted` for the arguments."""
         some = np.ascontiguousarray(face.height[COARSE // 2 :: COARSE, COARSE // 2 :: COARSE])
-        dark = shadows(some, lamps, COARSE * mm_per_px) @ self.shade
+        dark = np.pad(shadows(some, lamps, COARSE * mm_per_px) @ self.shade, ((0, 1), (0, 1), (0, 0)), "edge")
         return _look_up(self.terms, face.slope, quadratic_basis(face.height.shape), dark)
 
 
@@ -168,7 +168,7 @@ def _bent(height: "Floats", normal: "Floats", untouched: "Floats") -> tuple["Flo
 
 @njit(cache=True)
 def _look_up(terms: "Floats", slope: "Floats", basis: "Floats", dark: "Floats") -> "Floats":
-    """The table's light (h, w, 3), bilinear between bins, less what is `dark` at every COARSE-th pixel."""
+    """The table's light (h, w, 3), bilinear between bins, less what is `dark` at every COARSE-th pixel and beyond."""
     h, w, _ = slope.shape
     n, rows, columns = terms.shape[0] - 1, dark.shape[0] - 1, dark.shape[1] - 1
     out, numbers, here = np.empty((h, w, 3)), terms.ravel(), np.empty(18)

@@ -137,9 +137,11 @@ def test_workers_use_one_thread_and_respect_the_user(monkeypatch: pytest.MonkeyP
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("OMP_NUM_THREADS", "3")
     worker = Worker(TASK)
-    environment = Path(f"/proc/{worker.process.pid}/environ").read_bytes().decode().split("\0")
+    listed = Path(f"/proc/{worker.process.pid}/environ")
+    while not (environment := listed.read_bytes()):  # empty until the kernel has started the program
+        time.sleep(0.01)
     worker.stop(patience=10)
-    assert {f"{name}=1" for name in THREADS[1:]} | {"OMP_NUM_THREADS=3"} <= set(environment)
+    assert {f"{name}=1" for name in THREADS[1:]} | {"OMP_NUM_THREADS=3"} <= set(environment.decode().split("\0"))
     monkeypatch.setenv("NUMBA_NUM_THREADS", "0")  # with which numba does not start
     assert worker_process._threads()["NUMBA_NUM_THREADS"] == "1"
 

@@ -35,6 +35,17 @@ def test_slopes_never_seen_are_filled_from_the_nearest_ones():
     assert np.isfinite(made.added(steep, LAMP, 0.1)).all()
 
 
+@pytest.mark.parametrize("shape", [(4, 4), (3, 9), (9, 3), (8, 8)])
+def test_pictures_of_few_pixels_have_their_part_of_the_light(monkeypatch: pytest.MonkeyPatch, shape: tuple[int, int]):
+    """Uncompiled, where an index beyond the shadows' ends raises instead of reading other memory."""
+    monkeypatch.setattr(taxim_table, "_look_up", taxim_table._look_up.py_func)
+    flat = taxim_table.Face(np.zeros(shape), np.zeros((*shape, 2)))
+    terms = np.zeros((taxim_table.BINS, taxim_table.BINS, 6, 3))
+    terms[..., 0, :] = 0.25
+    table = taxim_table.TaximTable(terms, np.array([[1.0, 1.0, 1.0]]))
+    assert table.added(flat, LAMP, 0.1) == pytest.approx(0.25)
+
+
 def test_a_wall_hides_the_lamp_behind_it_and_nothing_else():
     height = np.zeros((40, 80))
     height[:, 50:53] = -2.0  # a furrow pressed 2 mm into the gel
