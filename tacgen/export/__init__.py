@@ -27,6 +27,10 @@ EXPORTERS = {
     "vtkhdf": "mesh, displacement and stress over the frames, for ParaView: one .vtkhdf file a scene",
     "feats": "image and force in each of 24 x 32 cells, for FEATS: one .npy file a frame",
     "lerobot": "image, pose, force and markers as a LeRobot dataset, format v3.0 (tacgen[lerobot])",
+    "sparsh": "image, force and slip of the DIGIT or GelSight, as Sparsh's pickles of these tasks",
+    "feelanyforce": "image, depth and wrench of the GelSight Mini as FeelAnyForce's tables, images and arrays",
+    "zarr": "every dataset of a frame as a replay buffer of diffusion policies (tacgen[zarr])",
+    "rerun": "image, maps, face and wrench over time for the Rerun viewer: one .rrd file a scene (tacgen[rerun])",
     "univtac": "image, markers and depth of a finger as UniVTAC's episodes; its training needs two, and joints",
     "webdataset": "every dataset of a frame as samples in tar files, for streaming (tacgen[webdataset])",
 }

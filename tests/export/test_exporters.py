@@ -10,6 +10,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
+from helpers.export_scenes import FRAMES, SHAPE, real
 from helpers.synthetic import OUTPUTS, write
 from PIL import Image
 from scipy.spatial.transform import Rotation
@@ -20,37 +21,6 @@ from tacgen.bundle.bundle import Bundle, read
 from tacgen.bundle.caption import caption
 from tacgen.errors import UserError
 from tacgen.export import feats, lerobot, univtac
-from tacgen.recipe import assets, loading
-
-SENSOR = loading.read_sensor(assets.sensor_path("gelsight_mini"))[0].model_dump(mode="json", exclude_none=True)
-SHAPE = (240, 320)
-FRAMES = 12
-
-
-def real(index: int, arrays: dict[str, Any]) -> None:
-    """The force spread over the pressure's samples, so that their sum is the force; a gel that bulges beside."""
-    arrays["/frames/height"][0] = 0.02
-    weights = arrays["/frames/pressure"] / arrays["/frames/pressure"].sum()
-    arrays["/frames/force_map"] = weights[..., None] * arrays["/frames/force"]
-    events = {"mode": 1 + (index > 3), "stick_ratio": 1 - index / 20, "friction_used": index / 20, "contact_area": 9.5,
-              "center_of_pressure": np.array([index / 10, 0, -0.5]), "patches": 1}  # fmt: skip
-    arrays |= {f"/frames/events/{name}": value for name, value in events.items()}
-    arrays["/frames/grasp/width_mm"], arrays["/frames/uncertainty/force"] = 9.5 - index, np.full(3, index / 9)
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("export") / "loose"
-    for i in range(2):
-        known = {"scene_index": i, "values": {"start.x_mm": i / 2}, "sensor_document": SENSOR}
-        write(out / f"scene-{i:05d}.h5", shape=SHAPE, outputs=OUTPUTS, edit=real, **known)
-    write(out / "scene-00009.h5", stop=3)
-    return out
-
-
-@pytest.fixture(scope="module")
-def scene(folder: Path) -> Bundle:
-    return read(folder / "scene-00001.h5")
 
 
 def test_feats_gets_forces_by_cell_that_sum_to_the_force(folder: Path, scene: Bundle, tmp_path: Path):
