@@ -35,8 +35,8 @@ from torch import nn
 from torch.nn import functional as F
 
 from tacgen.bundle.bundle import Bundle
-from tacgen.outputs.events import MODES
 from tacgen.bundle.splits import divide
+from tacgen.outputs.events import MODES
 from tacgen.torch import TactileDataset
 
 FIELDS = ("rgb", "force", "events/mode", "height", "normals")

@@ -81,6 +81,9 @@ HOMES = {
     "pyarrow": {"export.lerobot"},
     "OpenEXR": {"export.exr"},
     "webdataset": {"export.webdataset"},
+    "zarr": {"export.zarr"},
+    "numcodecs": {"export.zarr"},
+    "rerun": {"export.rerun"},
 }
 NOT_NUMPY = {
     "cli",

@@ -77,7 +77,7 @@ def depth(bundle: Bundle, k: int) -> np.ndarray:
     indentation = np.nan_to_num(bundle["/reference/height"] - bundle.frame("/frames/height", k))
     factors = [n / m for n, m in zip(IMAGE[:2], indentation.shape, strict=True)]
     finer = zoom(indentation, factors, order=1, mode="nearest", grid_mode=True)
-    return (finer / bundle.sensor.camera.mm_per_px).astype(np.float32)
+    return np.asarray(finer / bundle.sensor.camera.mm_per_px, np.float32)
 
 
 def _wrench(bundle: Bundle, k: int) -> str:

@@ -56,9 +56,7 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
         needs(bundle, ("/frames/rgb", "/reference/rgb", "/frames/events/mode"), "rgb and events")
         _sensor(bundle)
     if max(bundle.frames for bundle in bundles) <= LOOK_BACK:
-        raise UserError(
-            f"{bundles[0].path}: Sparsh takes scenes of more than {LOOK_BACK} frames, all of these are shorter"
-        )
+        raise UserError(f"{bundles[0].path}: Sparsh needs scenes of more than {LOOK_BACK} frames, all are shorter")
     made: list[Path] = []
     listed: dict[str, dict[str, list[str]]] = defaultdict(lambda: {name: [] for name in LISTS.values()})
     for (sensor, shape, split, _), scenes in _batches(bundles).items():
@@ -128,7 +126,7 @@ def _dump(content: Any, path: Path) -> Path:
     """Pickle it so that every NumPy can read the arrays: 2 and 1 name their own functions for that differently."""
     with path.open("wb") as file:
         pickler = pickle.Pickler(file, protocol=4)
-        pickler.dispatch_table = copyreg.dispatch_table | {np.ndarray: _plain}  # type: ignore[misc]
+        pickler.dispatch_table = copyreg.dispatch_table | {np.ndarray: _plain}
         pickler.dump(content)
     return path
 
