@@ -306,14 +306,18 @@ def export(
     source: Annotated[Path, typer.Argument(help="A bundle, or a folder of bundles.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Where to write.")],
     merge: Merge = False,
+    card: Annotated[bool, typer.Option("--card", help="Write README.md as a data hub's page needs it.")] = False,
+    licence: Annotated[str | None, typer.Option(help="Of the published data, for the card: cc-by-4.0, ...")] = None,
     overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
     """Write finished bundles in the format of another tool."""
     from tacgen import export as exporting
+    from tacgen.report import hub_card
 
+    page = hub_card.writer(kind, source, out, licence=licence, merge=merge) if card else None
     with writing(out):
-        made = exporting.export(kind, source, out, merge=merge, overwrite=overwrite)
+        made = exporting.export(kind, source, out, merge=merge, overwrite=overwrite, card=page)
     show_result([str(path) for path in made], "\n".join(map(str, made)), as_json)
 
 

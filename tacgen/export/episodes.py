@@ -54,10 +54,8 @@ def episodes(bundles: Sequence[Bundle]) -> list[Episode]:
     for group in groups:
         if len(most) == 1 or group.keys() == most.keys():
             first = next(iter(group.values()))
-            scenes, sources = (
-                {role: bundles[i] for role, i in group.items()},
-                {role: named[i] for role, i in group.items()},
-            )
+            scenes = {role: bundles[i] for role, i in group.items()}
+            sources = {role: named[i] for role, i in group.items()}
             made.append(Episode(named[first], parts[first], scenes, sources))
     return sorted(made, key=lambda episode: SPLITS.index(episode.split))
 

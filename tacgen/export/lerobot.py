@@ -12,7 +12,8 @@ y z in turn [N].
 
 The task tells the movements, none of the labels, and is the same for all episodes of these movements. Episodes are in
 the order of the splits of `meta/info.json`: train, val, test, the same ones as of tacgen.torch; `splits.json` names
-their scenes. Quasi-static scenes have no time; their frames get a nominal rate of FPS.
+their scenes, and a Parquet file holds frames of one split. Quasi-static scenes have no time; their frames get a
+nominal rate of FPS.
 
 The same contact on several sensors is one episode: `observation.images.digit`, `observation.force.digit`,
 `observation.tactile.digit.wrench` and so on, and state and action concatenate the poses on all of them. So are the
@@ -101,6 +102,17 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
         made.append(out / "meta" / f"{name}.json")
         made[-1].write_text(json.dumps(content, indent=4) + "\n", encoding="utf-8")
     return made
+
+
+def split_files(folder: Path) -> dict[str, list[str]]:
+    """The Parquet files of each split of an export, as paths below its folder."""
+    from pyarrow import parquet
+
+    ranges = json.loads((folder / "meta" / "info.json").read_text(encoding="utf-8"))["splits"]
+    rows = parquet.read_table(folder / EPISODES, columns=["data/chunk_index", "data/file_index"]).to_pylist()
+    paths = [DATA.format(row["data/chunk_index"], row["data/file_index"]) for row in rows]
+    ends = {name: map(int, at.split(":")) for name, at in ranges.items()}
+    return {name: list(dict.fromkeys(paths[slice(*of)])) for name, of in ends.items()}
 
 
 def columns(episode: Episode, features: Each) -> dict[str, np.ndarray]:
@@ -233,7 +245,8 @@ def _data(
         content = columns(episode, features)
         count = episode.frames
         table = pa.table(_arrays(episode, content, number, start, tasks))
-        if writer is None or made[-1].stat().st_size > FILE_BYTES:
+        begins = number == 0 or episode.split != all_episodes[number - 1].split
+        if writer is None or begins or made[-1].stat().st_size > FILE_BYTES:
             if writer is not None:
                 writer.close()
             made.append(out / DATA.format(*divmod(len(made), FILES)))
