@@ -101,9 +101,8 @@ def _limits(seen: Overview) -> str:
 
 
 def _licence(seen: Overview, licence: str) -> str:
-    owner = (
-        f"This data is published under {_plain(licence)}." if licence else "Whoever publishes it chooses its licence."
-    )
+    chosen = f"This data is published under {_plain(licence)}."
+    owner = chosen if licence else "Whoever publishes this data chooses its licence."
     lines = ["## Licence", f"tacgen's authors claim no rights in its output. {owner}"]
     lines += [f"- Object `{name}`: {_plain(about)}" for name, about in seen.objects.items()]
     return "\n\n".join(lines[:2]) + ("\n\n" + "\n".join(lines[2:]) if lines[2:] else "")
