@@ -103,7 +103,7 @@ def _image(pixels: np.ndarray) -> Any:
     return rr.EncodedImage(contents=encoded(pixels, "PNG"), media_type="image/png")
 
 
-class Face(NamedTuple):
+class FaceMesh(NamedTuple):
     """The coated face of a scene as triangles."""
 
     bundle: Bundle
@@ -121,14 +121,16 @@ class Face(NamedTuple):
         return np.asarray(self.rest + self.bundle.frame(self.displacement, k)[self.nodes])
 
 
-def face(bundle: Bundle) -> Face | None:
+def face(bundle: Bundle) -> FaceMesh | None:
     """The face from finite elements or, without them, from its height and the camera; None without either."""
     for points, facets, displacement in FACES:
         if all(path in bundle for path in (points, facets, displacement)):
             corners = bundle[facets]
             parts = [corners[:, [0, 1, 2]]] + ([corners[:, [0, 2, 3]]] if corners.shape[1] == 4 else [])
             nodes, triangles = np.unique(np.vstack(parts), return_inverse=True)
-            return Face(bundle, triangles.reshape(-1, 3), bundle[points][nodes], np.zeros((0, 3)), displacement, nodes)
+            return FaceMesh(
+                bundle, triangles.reshape(-1, 3), bundle[points][nodes], np.zeros((0, 3)), displacement, nodes
+            )
     if "/frames/height" not in bundle or "sensor_document" not in bundle.attrs:
         return None
     from tacgen.optics.camera import PinholeCamera
@@ -140,4 +142,4 @@ def face(bundle: Bundle) -> Face | None:
     number = np.arange(rows * columns).reshape(rows, columns)
     a, b, c, d = number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]
     triangles = np.vstack([np.stack(part, -1).reshape(-1, 3) for part in ((a, b, c), (a, c, d))])
-    return Face(bundle, triangles, origins, directions / directions[:, 2:], "", number.ravel())
+    return FaceMesh(bundle, triangles, origins, directions / directions[:, 2:], "", number.ravel())

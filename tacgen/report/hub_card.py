@@ -23,11 +23,13 @@ from tacgen.errors import printable
 from tacgen.export import EXPORTERS, lerobot
 from tacgen.export.episodes import episodes
 from tacgen.report import dataset_card, dataset_summary
+from tacgen.report.dataset_summary import Overview
 from tacgen.sensor.yaml_source import dumped
 
 SIZES = ((10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"), (10**6, "100K<n<1M"), (10**7, "1M<n<10M"))
 LARGEST = "10M<n<100M"
 JOINED = ("lerobot", "webdataset", "zarr")  # formats in which a contact on several sensors is one row
+KINDS = {**EXPORTERS, "pack": "bundles in HDF5 shards and their index, for `tacgen.torch.TactileDataset` or h5py"}
 FILES = {  # of each split, in the formats that the hub's library reads
     "feelanyforce": "TacForce_{}_set.csv",
     "webdataset": "{}-*.tar",
@@ -47,11 +49,32 @@ def writer(
 
     def page(bundles: Sequence[Bundle], folder: Path) -> str:
         seen = dataset_summary.of_bundles(bundles, source) if merge else dataset_summary.look(source)
-        head = dumped(header(kind, bundles, folder, command, licence or "unknown"))
-        body = dataset_card.text(seen, licence or "")
-        return f"---\n{head}---\n\n{body}\n{_export(kind, command)}\n{_recipe(bundles)}"
+        return text(kind, command, bundles, folder, seen, licence)
 
     return page
+
+
+def text(
+    kind: str,
+    command: str,
+    bundles: Sequence[Bundle],
+    folder: Path,
+    seen: Overview,
+    licence: str | None = None,
+    more: str = "",
+) -> str:
+    """The page of a folder that holds the bundles in a format of KINDS and was made by a command.
+
+    Args:
+        seen: the overview of the data set.
+        more: a further part of the text, in Markdown.
+    """
+    head = dumped(header(kind, bundles, folder, command, licence or "unknown"))
+    made = f"## Files\n\n`{kind}`: {KINDS[kind].partition(' (tacgen[')[0]}. Made by\n\n```sh\n{printable(command)}\n```"
+    recipe = json.dumps(bundles[0].recipe, indent=1).replace("`", "\\u0060")
+    parts = [dataset_card.text(seen, licence or "").rstrip("\n"), made, more.strip("\n")]
+    parts.append(f"## Recipe of the first scene\n\n```json\n{recipe}\n```")
+    return f"---\n{head}---\n\n" + "\n\n".join(filter(None, parts)) + "\n"
 
 
 def header(kind: str, bundles: Sequence[Bundle], folder: Path, command: str, licence: str) -> dict[str, Any]:
@@ -132,13 +155,3 @@ def _features(bundles: Sequence[Bundle]) -> list[dict[str, Any]]:
         }
         for path, kinds in sorted(shapes.items())
     ]
-
-
-def _export(kind: str, command: str) -> str:
-    what = EXPORTERS[kind].partition(" (tacgen[")[0]
-    return f"## This export\n\n`{kind}`: {what}. Made by\n\n```sh\n{printable(command)}\n```\n"
-
-
-def _recipe(bundles: Sequence[Bundle]) -> str:
-    text = json.dumps(bundles[0].recipe, indent=1).replace("`", "\\u0060")
-    return f"## Recipe of the first scene\n\n```json\n{text}\n```\n"
