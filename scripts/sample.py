@@ -3,9 +3,9 @@
     make sample                                            # WORKERS=2; the same command goes on with a run
     python scripts/sample.py -o out/sample --workers 2 --set vary.samples=9    # a tenth of it
 
-In `out/sample`: `sensors` (the recipe's sensors with pictures of about 96 x 72 pixels, which the maps share), `data` (the
-bundles), and `published`: README.md (a page for a data hub), shard-*.h5 and index.json (as `tacgen pack` writes them),
-splits.json (the scenes of each split) and baseline.json (the scores).
+In `out/sample`: `sensors` (the recipe's sensors with pictures of about 96 x 72 pixels, which the maps share),
+`data` (the bundles), and `published`: README.md (a page for a data hub), shard-*.h5 and index.json (as `tacgen
+pack` writes them), splits.json (the scenes of each split) and baseline.json (the scores).
 
 The baseline is linear: ridge regression from the image less the untouched one, in 12 x 16 cells, to the force and to
 the contact's mode (one number for each, of which the largest counts). It is trained for each sensor on `train`, its
