@@ -37,6 +37,7 @@ RecipeFile = Annotated[str, typer.Argument(metavar="RECIPE", help="A recipe file
 Sets = Annotated[
     list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="Override a value; can be given many times.")
 ]
+FORMATS = "lerobot, webdataset, zarr, sparsh, feats, feelanyforce, univtac, rerun, vtkhdf or exr"
 Merge = Annotated[bool, typer.Option("--merge", help="Take several data sets below the folder as one.")]
 Workers = Annotated[
     str,
@@ -302,7 +303,7 @@ for look in (report, show, view):
 
 @app.command()
 def export(
-    kind: Annotated[str, typer.Argument(metavar="FORMAT", help="One of `tacgen list formats`.")],
+    kind: Annotated[str, typer.Argument(metavar="FORMAT", help=f"{FORMATS}; `tacgen list formats` describes them.")],
     source: Annotated[Path, typer.Argument(help="A bundle, or a folder of bundles.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Where to write.")],
     merge: Merge = False,

@@ -80,3 +80,15 @@ def test_the_face_with_a_mesh_is_its_facets_moved(tmp_path: Path) -> None:
     assert surface.triangles.tolist() == [[0, 1, 2], [0, 2, 3]]
     rest = bundle["/mesh/surface/points"]
     assert surface.points(2) == pytest.approx(rest + bundle.frame("/fields/surface_displacement", 2))
+
+
+def test_its_reader_of_lerobot_data_sets_takes_our_export(folder: Path, scene: Bundle, tmp_path: Path) -> None:
+    readers = pytest.importorskip("rerun.experimental")
+    pytest.importorskip("pyarrow")
+    export("lerobot", folder, tmp_path / "out")
+    reader = readers.LeRobotReader(str(tmp_path / "out"))
+    assert list(reader.episodes()) == [0, 1]
+    found = {part.entity_path: part for part in reader.stream(1).to_chunks() if not part.is_static}
+    wrench = found["/observation.tactile.wrench"].to_record_batch().to_pydict()["Scalars:scalars"]
+    assert np.array(wrench) == pytest.approx(np.hstack([scene["/frames/force"], scene["/frames/torque"]]), rel=1e-6)
+    assert found["/observation.images.tactile"].num_rows == FRAMES
