@@ -1,6 +1,7 @@
 """Bundles as episodes of a robot's data set: one for each scene, or for each contact on several sensors or fingers."""
 
 import json
+import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -9,10 +10,11 @@ import numpy as np
 
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.caption import task
-from tacgen.bundle.dataset import contacts
+from tacgen.bundle.dataset import contacts, some
 from tacgen.bundle.dataset import role as role_of
 from tacgen.bundle.schema import entry
 from tacgen.bundle.splits import SPLITS, assigned
+from tacgen.errors import LeftOut
 from tacgen.export import names, poses
 
 ALONE = "tactile"  # stands for the sensor in names of episodes with a single sensor
@@ -43,20 +45,27 @@ class Episode(NamedTuple):
 
 
 def episodes(bundles: Sequence[Bundle]) -> list[Episode]:
-    """All contacts, those for training first, then those for validation and test; a contact that one of the sensors or
-    fingers lacks is left out."""
+    """All contacts, those for training first, then those for validation and test.
+
+    A contact that one of the sensors or fingers lacks is left out with a LeftOut warning.
+    """
     parts, named = assigned(bundles), names(bundles)
     groups = [{role_of(bundles[i]): i for i in together} for together in contacts(bundles)]
     most = max(groups, key=len)
     if len(most) == 1:
         groups = [{ALONE: i} for i in range(len(bundles))]
-    made = []
+    made, lacking = [], list[str]()
     for group in groups:
         if len(most) == 1 or group.keys() == most.keys():
             first = next(iter(group.values()))
             scenes = {role: bundles[i] for role, i in group.items()}
             sources = {role: named[i] for role, i in group.items()}
             made.append(Episode(named[first], parts[first], scenes, sources))
+        else:
+            lacking += [named[i] for i in group.values()]
+    if lacking:
+        where = bundles[0].path.parent
+        warnings.warn(f"{where}: left out {some(lacking)}: not on all of {', '.join(most)}", LeftOut, stacklevel=2)
     return sorted(made, key=lambda episode: SPLITS.index(episode.split))
 
 

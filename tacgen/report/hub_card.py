@@ -10,6 +10,7 @@ its first scene.
 
 import json
 import shlex
+import warnings
 from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -19,7 +20,7 @@ from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.dataset import contacts
 from tacgen.bundle.schema import entry
 from tacgen.bundle.splits import SPLITS, assigned
-from tacgen.errors import printable
+from tacgen.errors import LeftOut, printable
 from tacgen.export import EXPORTERS, lerobot
 from tacgen.export.episodes import episodes
 from tacgen.report import dataset_card, dataset_summary
@@ -116,7 +117,9 @@ def _frames(kind: str, bundles: Sequence[Bundle]) -> dict[str, int]:
     """Number of rows of each split that has any."""
     rows = [(split, bundle.frames) for split, bundle in zip(assigned(bundles), bundles, strict=True)]
     if kind in JOINED and len(contacts(bundles)) < len(bundles):
-        rows = [(episode.split, episode.frames) for episode in episodes(bundles)]
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", LeftOut)  # the export has told it
+            rows = [(episode.split, episode.frames) for episode in episodes(bundles)]
     counts = {name: sum(n for split, n in rows if split == name) for name in SPLITS}
     return {name: count for name, count in counts.items() if count}
 
