@@ -10,7 +10,7 @@ import pytest
 from helpers.synthetic import write
 from ruamel.yaml import YAML
 
-from tacgen.recipe import loading, plan
+from tacgen.recipe import assets, loading, plan
 from tacgen.report import dataset_card
 from tacgen.torch import TactileDataset
 
@@ -81,16 +81,15 @@ def test_the_linear_baseline_is_better_than_a_guess_and_its_errors_are_of_the_te
         assert methods["guess"]["force z [N]"] == pytest.approx(np.sqrt(np.mean(off**2)))
 
 
-def test_the_sensors_keep_their_view_in_smaller_pictures(sample: ModuleType, tmp_path: Path) -> None:
-    paths = sample.small_sensors(tmp_path)
-    sensors = json.dumps([str(path) for path in paths])
-    planned = plan.load(sample.RECIPE, [f"sensors={sensors}", "vary.samples=2"])
-    assert [row.sensor.name for row in planned.rows[:3]] == ["gelsight_mini", "digit", "ninedtact"]
-    for path in paths:
-        small, whole = (
-            loading.read_sensor(path)[0].camera,
-            loading.read_sensor(sample.assets.sensor_path(path.stem))[0].camera,
-        )
+def test_the_sensors_keep_their_view_in_smaller_pictures_and_the_bundles_do_not_tell_the_folder(
+    sample: ModuleType, tmp_path: Path
+) -> None:
+    plans = [plan.load(sample.small_recipe(tmp_path / name), ["vary.samples=1"]) for name in ("a", "b")]
+    rows = plans[0].rows
+    assert [row.sensor.name for row in rows] == ["gelsight_mini", "digit", "ninedtact"]
+    assert [row.key for row in rows] == [row.key for row in plans[1].rows]
+    for row in rows:
+        small, whole = row.sensor.camera, loading.read_sensor(assets.sensor_path(row.sensor.name))[0].camera
         assert small.width_px * small.mm_per_px == pytest.approx(whole.width_px * whole.mm_per_px)
         assert small.height_px * small.mm_per_px == pytest.approx(whole.height_px * whole.mm_per_px)
         assert small.width_px * small.height_px < 10_000
