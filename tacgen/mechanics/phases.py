@@ -1,0 +1,72 @@
+"""The method as a transition table: what a kernel may return in each phase of a solve, and which phase comes next.
+
+Nothing is computed here. `solver.solve` calls the kernel of the present phase and looks up what follows; MECHANICS.md
+prints the table. Where a cycle of phases closes, it passes one of COUNTED, whose kernel ends it after a fixed number of
+rounds: so every solve ends.
+"""
+
+from enum import StrEnum
+
+
+class Phase(StrEnum):
+    """What a scene in solution asks for next."""
+
+    begin = "begin"  # the next load step of the frame: contact at its pose, nodes to condense to
+    renew = "renew"  # factorise the tangent at the last equilibrium
+    predict = "predict"  # move the gel with the indenter by that tangent
+    start = "start"  # choose where Newton's method starts, and anchor new points
+    step = "step"  # begin a step of the bulk: count it, decide whether the tangent is kept
+    factor = "factor"  # assemble and factorise the tangent at the iterate
+    load = "load"  # unbalanced forces, condensed to the contact
+    contact = "contact"  # one Newton step of the contact on the Schur complement
+    damp = "damp"  # no step lowers the energy: more damping, or a new tangent
+    search = "search"  # line search along the step of all nodes
+    measure = "measure"  # residual, and whether the tangent still contracts
+    whole = "whole"  # where contact is not condensed: Newton's method on all unknowns, to its end
+    admit = "admit"  # nothing penetrates, inverts or is out of balance
+    halve = "halve"  # the load step failed: two halves
+    done = "done"  # the frame is solved
+    failed = "failed"  # it has no solution
+
+
+class Outcome(StrEnum):
+    """What a kernel found."""
+
+    ready = "ready"  # what it computes is there
+    missing = "missing"  # there is no tangent that serves
+    apart = "apart"  # nothing touches
+    indefinite = "indefinite"  # the tangent has no Cholesky factor
+    not_condensed = "not condensed"
+    more = "more"  # the iteration goes on
+    ended = "ended"  # it converged, or has had all its steps
+    unstable = "unstable"  # no step of the contact lowers the energy
+    higher = "higher"  # no part of the step of all nodes does
+    stiffer = "stiffer"  # again from here, with a stiffer barrier
+    failure = "failure"  # `Progress.failure` says which
+
+
+P, O = Phase, Outcome
+TRANSITIONS: dict[Phase, dict[Outcome, Phase]] = {
+    P.begin: {O.ready: P.predict, O.missing: P.renew, O.apart: P.start, O.not_condensed: P.start},
+    P.renew: {O.ready: P.predict, O.indefinite: P.start},
+    P.predict: {O.ready: P.start},
+    P.start: {O.ready: P.step, O.not_condensed: P.whole, O.failure: P.halve},
+    P.step: {O.ready: P.load, O.missing: P.factor, O.failure: P.halve},
+    P.factor: {O.ready: P.load, O.indefinite: P.halve},
+    P.load: {O.ready: P.contact},
+    P.contact: {O.more: P.contact, O.ended: P.search, O.unstable: P.damp},
+    P.search: {O.ready: P.measure, O.higher: P.damp},
+    P.damp: {O.ready: P.contact, O.missing: P.step, O.failure: P.halve},
+    P.measure: {O.more: P.step, O.ended: P.admit, O.failure: P.halve},
+    P.whole: {O.ended: P.admit, O.failure: P.halve},
+    P.admit: {O.more: P.begin, O.ended: P.done, O.stiffer: P.start, O.failure: P.halve},
+    P.halve: {O.more: P.begin, O.failure: P.failed},
+}  # fmt: skip
+FINAL = frozenset({P.done, P.failed})
+COUNTED = {  # phases whose kernel bounds how often it is passed, and by what
+    P.step: "SolverOptions.max_newton and max_effort",
+    P.contact: "SolverOptions.max_contact",
+    P.damp: "DAMPING_MAX",
+    P.admit: "STIFFENINGS, and the load steps that are left",
+    P.halve: "SolverOptions.halvings, FOLD_HALVINGS and TOO_FAR",
+}
