@@ -11,7 +11,7 @@ from tacgen.mechanics.coupled import dragged, slip
 from tacgen.mechanics.failures import Failure
 from tacgen.mechanics.phases import Outcome
 from tacgen.mechanics.problem import Problem
-from tacgen.mechanics.progress import Found, Progress
+from tacgen.mechanics.solve_state import Found, SolveState, known
 from tacgen.mechanics.state import History, State, joined
 
 if TYPE_CHECKING:
@@ -25,17 +25,17 @@ SHARP = 1.5  # indenter's smallest radius over the element edge, below which its
 TURNED = 0.3  # change of the indenter's normal at a point that counts as crossing an edge in one step [rad]
 
 
-def admit(problem: Problem, now: Progress) -> tuple[Outcome, Progress]:
+def admit(problem: Problem, now: SolveState) -> tuple[Outcome, SolveState]:
     """Whether no point is inside the shrunk indenter and no element is inverted, or barriers must be stiffer; whether
     forces balance. If so the load step is recorded."""
-    step, solution, most = now.step, now.found, problem.options.residual_max
-    assert step is not None and solution is not None
+    step, solution, most = now.step, known(now.found), problem.options.residual_max
+    assert step is not None
     least_J = least_jacobian(problem.mesh.points, solution.x, problem.mesh.cells)
     now = replace(now, solves=now.solves + 1, steps=now.steps + solution.steps, damped=now.damped + solution.damped)
     touching, inverted = not solution.least_gap > 0, not least_J > 0
-    if (touching or inverted) and now.solves < STIFFENINGS:
-        if (stiffer := step.stiffened(solution, touching, inverted)) is not None:
-            return Outcome.stiffer, replace(now, step=stiffer)
+    stiffer = step.stiffened(solution, touching, inverted) if touching or inverted else None
+    if stiffer is not None and now.solves < STIFFENINGS:
+        return Outcome.stiffer, replace(now, step=stiffer)
     residual, balance = imbalance(step, solution)
     if residual > most or balance > most or solution.least_gap <= 0:
         figures = {"residual": residual, "balance": balance, "least_gap": solution.least_gap}
@@ -65,7 +65,7 @@ def imbalance(step: "LoadStep | MeshLoadStep", solution: Found) -> tuple[float, 
 
 
 def _record(
-    step: "LoadStep | MeshLoadStep", solution: Found, now: Progress, quality: tuple[float, float, float]
+    step: "LoadStep | MeshLoadStep", solution: Found, now: SolveState, quality: tuple[float, float, float]
 ) -> tuple[History, State]:
     coupled, contact, forces, history = solution.contact, solution.contact.contact, solution.forces, step.history
     friction = sliding = None

@@ -8,7 +8,7 @@
         p <- the step of all nodes that goes with u
         x <- x + a p   with the first a = 1, 1/2, 1/4... that lowers the energy, normal forces frozen
 
-Each function is one kernel: it takes the problem and a solve's Progress, and returns what it found and the Progress
+Each function is one kernel: it takes the problem and a solve's SolveState, and returns what it found and the SolveState
 after it; phases.TRANSITIONS says which comes next.
 
 Folding of the gel's surface and wrinkling of its skin are instabilities: no quasi-static path continues, however short
@@ -23,7 +23,14 @@ import numpy as np
 from tacgen.mechanics.barrier import Contact
 from tacgen.mechanics.bulk import Bulk, BulkPoint
 from tacgen.mechanics.condensation import DAMPING_FACTOR, LEAST_DAMPING, Condensation
-from tacgen.mechanics.contact_newton import ContactStatus, Quadratic, contact_start, contact_step
+from tacgen.mechanics.contact_newton import (
+    ContactIterate,
+    ContactStatus,
+    Quadratic,
+    QuadraticPoint,
+    contact_start,
+    contact_step,
+)
 from tacgen.mechanics.coupled import CoupledContact
 from tacgen.mechanics.failures import Failure, no_equilibrium
 from tacgen.mechanics.line_search import backtrack
@@ -31,11 +38,11 @@ from tacgen.mechanics.linear_solvers import NotPositiveDefinite
 from tacgen.mechanics.options import SolverOptions
 from tacgen.mechanics.phases import Outcome
 from tacgen.mechanics.problem import Problem
-from tacgen.mechanics.progress import BulkIterate, Found, Linearised, Progress, Stepped
+from tacgen.mechanics.solve_state import BulkIterate, Found, Linearised, SolveState, Stepped, known
 from tacgen.mechanics.state import History
 
 Array = np.ndarray
-Result = tuple[Outcome, Progress]
+Result = tuple[Outcome, SolveState]
 MIN_GAIN = 1e-3  # decrease of the energy over the predicted one, below which a step is halved [-]
 SHORTEST = 1 / 16  # shortest part of a step; below, it is repeated with more damping [-]
 DAMPING_MAX = 2e3  # largest damping, over the stiffness at rest [-]
@@ -50,10 +57,9 @@ def begun(problem: Problem, bulk: Bulk, history: History, contact: CoupledContac
     return BulkIterate(x, at, J, contact, not options.keep_tangent)
 
 
-def begin_step(problem: Problem, now: Progress) -> Result:
+def begin_step(problem: Problem, now: SolveState) -> Result:
     """Counts a step of the bulk; the nodes to condense to follow the contact."""
-    newton, options, condensed = now.newton, problem.options, problem.tangent.condensation
-    assert newton is not None
+    newton, options, condensed = known(now.newton), problem.options, problem.tangent.condensation
     if newton.steps == options.max_newton:
         return Outcome.failure, failed(now, newton.at.x, newton.steps)
     now = replace(now, effort=now.effort + 1)
@@ -67,10 +73,9 @@ def begin_step(problem: Problem, now: Progress) -> Result:
     return Outcome.missing if newton.new else Outcome.ready, replace(now, newton=newton)
 
 
-def factor(problem: Problem, now: Progress) -> Result:
+def factor(problem: Problem, now: SolveState) -> Result:
     """The tangent at the iterate, with the pressures predicted."""
-    newton = now.newton
-    assert newton is not None
+    newton = known(now.newton)
     try:
         problem.tangent.take(newton.at, newton.J if problem.options.mixed_pressure else None)
     except NotPositiveDefinite:
@@ -78,59 +83,60 @@ def factor(problem: Problem, now: Progress) -> Result:
     return Outcome.ready, now
 
 
-def load(problem: Problem, now: Progress) -> Result:
+def load(problem: Problem, now: SolveState) -> Result:
     """The unbalanced forces, condensed, and the contact before its first step."""
-    newton, condensed = now.newton, problem.tangent.condensation
-    assert newton is not None
+    newton, condensed = known(now.newton), problem.tangent.condensation
     g = problem.tangent.unbalanced(newton.at, newton.J)
     y = condensed.forward(g)
     start, schur = newton.at.x[condensed.nodes], condensed.schur.damped(newton.damping)
-    linear = Linearised(g, y, Quadratic(start, condensed.dofs, schur, condensed.load(y)))
-    return Outcome.ready, replace(now, newton=_loaded(newton, condensed, linear))
+    quadratic = Quadratic(start, condensed.dofs, schur, condensed.load(y))
+    linear = Linearised(g, y, quadratic, _untouched(quadratic, condensed, newton.contact))
+    return Outcome.ready, replace(now, newton=replace(newton, linear=linear))
 
 
-def _loaded(newton: BulkIterate, condensed: Condensation, linear: Linearised) -> BulkIterate:
-    """A step with this linearised bulk, before its contact."""
-    quadratic = linear.quadratic
-    inner = contact_start(quadratic, on_condensed(condensed, newton.contact), quadratic.start)
-    return replace(newton, linear=linear, inner=inner, stepped=None)
+def _untouched(
+    quadratic: Quadratic, condensed: Condensation, contact: CoupledContact
+) -> ContactIterate[QuadraticPoint]:
+    """The contact before its first step."""
+    return contact_start(quadratic, on_condensed(condensed, contact), quadratic.start)
 
 
-def contact(problem: Problem, now: Progress) -> Result:
+def contact(problem: Problem, now: SolveState) -> Result:
     """One step of the contact."""
-    newton, most = now.newton, problem.options.max_contact
-    assert newton is not None and newton.linear is not None and newton.inner is not None
-    quadratic, xtol = newton.linear.quadratic, steps_end(problem)
-    inner = contact_step(quadratic, newton.inner, xtol=xtol, max_steps=most, radius=problem.edge)
+    newton, most = known(now.newton), problem.options.max_contact
+    linear, xtol = known(newton.linear), steps_end(problem)
+    inner = contact_step(linear.quadratic, linear.inner, xtol=xtol, max_steps=most, radius=problem.edge)
     ends = {ContactStatus.running: Outcome.more, ContactStatus.unstable: Outcome.unstable}
-    return ends.get(inner.status, Outcome.ended), replace(now, newton=replace(newton, inner=inner))
+    return ends.get(inner.status, Outcome.ended), replace(
+        now, newton=replace(newton, linear=replace(linear, inner=inner))
+    )
 
 
-def damp(problem: Problem, now: Progress) -> Result:
+def damp(problem: Problem, now: SolveState) -> Result:
     """No step lowers the energy: with a kept tangent, a new one; with a new one, more damping."""
-    newton = now.newton
-    assert newton is not None and newton.linear is not None
-    linear = newton.linear
+    newton = known(now.newton)
+    linear = known(newton.linear)
     if not newton.new:
-        newton = replace(newton, damping=linear.damping, new=True, linear=None, inner=None)
+        newton = replace(newton, damping=linear.damping, new=True, linear=None)
         return Outcome.missing, replace(now, newton=newton)
     if linear.damping > DAMPING_MAX:
         return Outcome.failure, failed(now, newton.at.x, newton.steps)
     quadratic = replace(linear.quadratic, schur=linear.quadratic.schur.more_damped())
-    newton = _loaded(newton, problem.tangent.condensation, replace(linear, quadratic=quadratic))
-    return Outcome.ready, replace(now, newton=newton)
+    inner = _untouched(quadratic, problem.tangent.condensation, newton.contact)
+    linear = replace(linear, quadratic=quadratic, inner=inner)
+    return Outcome.ready, replace(now, newton=replace(newton, linear=linear))
 
 
-def search(problem: Problem, now: Progress) -> Result:
+def search(problem: Problem, now: SolveState) -> Result:
     """Line search: the first of the whole step, a half, a quarter... that lowers the energy, normal forces frozen.
 
     A step of the bulk that is too long turns elements inside out, mostly away from the contact, where damping does
     not help.
     """
-    newton, condensed = now.newton, problem.tangent.condensation
-    assert newton is not None and newton.linear is not None and newton.inner is not None
-    at, linear, inner, bulk = newton.at, newton.linear, newton.inner, _bulk(now)
-    here, schur, contact = linear.quadratic.start, linear.quadratic.schur, inner.contact
+    newton, condensed = known(now.newton), problem.tangent.condensation
+    at, linear, bulk = newton.at, known(newton.linear), _bulk(now)
+    inner, here, schur = linear.inner, linear.quadratic.start, linear.quadratic.schur
+    contact = inner.contact
     u = (inner.x - here)[condensed.dofs >= 0]
     p = condensed.expand(u, linear.y)
     before = contact.merit(here, inner.forces)
@@ -157,11 +163,10 @@ def search(problem: Problem, now: Progress) -> Result:
     return Outcome.ready, replace(now, newton=replace(newton, stepped=Stepped(there, part, gain, inner)))
 
 
-def measure(problem: Problem, now: Progress) -> Result:
+def measure(problem: Problem, now: SolveState) -> Result:
     """The residual after a step: whether it is small enough, and else the damping and the tangent of the next one."""
-    newton, options = now.newton, problem.options
-    assert newton is not None and newton.linear is not None and newton.stepped is not None
-    step, damping, at = newton.stepped, newton.linear.damping, newton.at
+    newton, options = known(now.newton), problem.options
+    step, damping, at = known(newton.stepped), known(newton.linear).damping, newton.at
     if damping > 0 and not options.through_folds:
         return Outcome.failure, now.failed(Failure.folds)
     there, moved = step.there, float(np.abs(step.there.x - at.x).max())
@@ -173,7 +178,7 @@ def measure(problem: Problem, now: Progress) -> Result:
     )  # fmt: skip
     newton = replace(
         newton, at=there, J=J, contact=newton.contact.shrunk(step.inner.contact.contact.offset), residual=residual,
-        damped=newton.damped + (damping > 0), linear=None, inner=None, stepped=None,
+        damped=newton.damped + (damping > 0), linear=None, stepped=None,
     )  # fmt: skip
     small = moved <= steps_end(problem) and residual <= options.residual_max / 2 and damping == 0
     if step.inner.converged and (residual <= options.residual_tol or small) and _covered(problem, now.history, newton):
@@ -247,13 +252,13 @@ def with_neighbours(conn: Array, which: Array) -> Array:
     return np.asarray(conn[np.isin(conn, conn[which]).any(1)])
 
 
-def _bulk(now: Progress) -> Bulk:
+def _bulk(now: SolveState) -> Bulk:
     """The bulk of a load step whose contact is condensed."""
     assert now.step is not None
     assert isinstance(now.step.bulk, Bulk)
     return now.step.bulk
 
 
-def failed(now: Progress, x: Array, steps: int) -> Progress:
+def failed(now: SolveState, x: Array, steps: int) -> SolveState:
     """No equilibrium in so many steps, which ended at x (n, 3)."""
     return replace(now, failure=no_equilibrium(_bulk(now).at(x).J, steps))

@@ -16,8 +16,8 @@ from tacgen.mechanics.failures import Failure, NotConverged
 from tacgen.mechanics.force_control import POWER, End, meet
 from tacgen.mechanics.options import DEFAULT, tighter
 from tacgen.mechanics.problem import Problem
-from tacgen.mechanics.progress import Progress
 from tacgen.mechanics.scene import FORCE_DEPTH, Scene
+from tacgen.mechanics.solve_state import SolveState
 from tacgen.mechanics.solver import advance, equilibrium
 from tacgen.mechanics.state import History, State
 
@@ -27,8 +27,8 @@ RISE = np.outer(np.eye(4)[2], np.eye(4)[3])  # added to a pose: 1 mm along z
 
 @dataclass(frozen=True)
 class Aim:
-    """A prescribed force [N]: the `target` normal force of a frame within `tol` of it, from the force `before`; `floor`:
-    lowest height of the indenter's origin [mm]."""
+    """A prescribed force: the `target` of a frame [N] within `tol` of it, from the force `before` [N]; `floor`: lowest
+    height of the indenter's origin [mm]."""
 
     target: float
     before: float
@@ -38,14 +38,14 @@ class Aim:
 
 def _reach_force(
     problem: Problem, history: History, last: Array, guess: Array, index: int, duration: float, aim: Aim
-) -> Progress:
+) -> SolveState:
     """From pose `last` to the height with the force aimed at, else at pose `guess`.
 
     Every trial starts from the same history, so that rejected trials do not influence friction; all trials share one
     budget of Newton steps. Raises NotConverged: no height has that force.
     """
     target, before, floor = aim.target, aim.before, aim.floor
-    trials: list[Progress] = []
+    trials: list[SolveState] = []
 
     def force_at(u: float) -> float | None:
         pose = guess.copy()
@@ -85,8 +85,8 @@ def _reach_force(
 def trial(
     problem: Problem, history: History, last: Array, pose: Array, index: int, duration: float, near: State | None,
     effort: int = 0,
-) -> Progress:  # fmt: skip
-    """From pose `last` to `pose`, counting Newton steps from `effort`: at once from a solution nearby, else as usual."""
+) -> SolveState:  # fmt: skip
+    """From pose `last` to `pose`, counting Newton steps from `effort`; at once from a solution nearby if that does."""
     if near is not None and near.substeps == 1:
         now = equilibrium(problem, history, pose, index, duration, near=near, effort=effort)
         if now.failure is None or now.failure.failure is Failure.effort:

@@ -1,5 +1,7 @@
-"""One load step: contact and bulk at its pose, the prediction and the start of Newton's method. Each function that takes
-a Progress is one kernel of the method (see phases)."""
+"""One load step: contact and bulk at its pose, the prediction and the start of Newton's method.
+
+Each function that takes a SolveState is one kernel of the method (see phases).
+"""
 
 from dataclasses import dataclass, replace
 
@@ -19,12 +21,12 @@ from tacgen.mechanics.linear_solvers import NotPositiveDefinite
 from tacgen.mechanics.phases import Outcome
 from tacgen.mechanics.predictor import Prediction, predict
 from tacgen.mechanics.problem import Problem
-from tacgen.mechanics.progress import Found, Progress
+from tacgen.mechanics.solve_state import Found, SolveState, known
 from tacgen.mechanics.state import History
 from tacgen.mechanics.tunnelling import blocked, depth_inside
 
 Array = np.ndarray
-Result = tuple[Outcome, Progress]
+Result = tuple[Outcome, SolveState]
 INSIDE = 0.45  # largest depth of the gel inside the indenter, over its reach [-]; at 1 it may come out on the far side
 STIFFER = 4.0  # factor of a barrier that does not suffice [-]
 
@@ -94,8 +96,7 @@ class LoadStep:
 
     def solve(self, x: Array) -> Found | NotConverged:
         """By Newton's method on all unknowns from x (n, 3)."""
-        assert self.coupled is not None
-        solution = full_newton.solve(self.problem, self.bulk, self.coupled, x)
+        solution = full_newton.solve(self.problem, self.bulk, known(self.coupled), x)
         if not solution.converged:
             return no_equilibrium(self.bulk.at(solution.x).J, solution.steps)
         return Found.coupled(solution.x, solution.contact, solution.steps)
@@ -117,7 +118,7 @@ class LoadStep:
         return None
 
 
-def begin(problem: Problem, now: Progress) -> Result:
+def begin(problem: Problem, now: SolveState) -> Result:
     """Contact and bulk at the pose of the next load step, and whether the kept tangent serves its prediction."""
     leg = now.legs[0]
     pose, effort = Pose.of(leg.b), 0 if leg.budget else now.effort
@@ -142,7 +143,7 @@ def begin(problem: Problem, now: Progress) -> Result:
     return Outcome.ready if covered and exact else Outcome.missing, now
 
 
-def renew(problem: Problem, now: Progress) -> Result:
+def renew(problem: Problem, now: SolveState) -> Result:
     """The tangent at the last equilibrium, which also serves the first step: at a first guess the tangent is often
     indefinite, because of the guess's pressures."""
     assert isinstance(now.step, LoadStep)
@@ -153,7 +154,7 @@ def renew(problem: Problem, now: Progress) -> Result:
     return Outcome.ready, now
 
 
-def foresee(problem: Problem, now: Progress) -> Result:
+def foresee(problem: Problem, now: SolveState) -> Result:
     """The prediction, if the options ask for it."""
     assert isinstance(now.step, LoadStep)
     if not problem.options.predict:
@@ -161,7 +162,7 @@ def foresee(problem: Problem, now: Progress) -> Result:
     return Outcome.ready, replace(now, step=now.step.predicted(Pose.of(now.legs[0].b)))
 
 
-def start(problem: Problem, now: Progress) -> Result:
+def start(problem: Problem, now: SolveState) -> Result:
     """Newton's method at its start: what a softer barrier found, or see LoadStep.start."""
     step = now.step
     assert step is not None
@@ -173,14 +174,14 @@ def start(problem: Problem, now: Progress) -> Result:
     now = replace(now, step=step, begins=x)
     if not problem.condensed:
         return Outcome.not_condensed, now
-    assert isinstance(step, LoadStep) and step.coupled is not None
-    return Outcome.ready, replace(now, newton=begun(problem, step.bulk, now.history, step.coupled, x))
+    assert isinstance(step, LoadStep)
+    return Outcome.ready, replace(now, newton=begun(problem, step.bulk, now.history, known(step.coupled), x))
 
 
-def whole(problem: Problem, now: Progress) -> Result:
+def whole(problem: Problem, now: SolveState) -> Result:
     """Newton's method on all unknowns."""
-    assert now.step is not None and now.begins is not None
-    found = now.step.solve(now.begins)
+    assert now.step is not None
+    found = now.step.solve(known(now.begins))
     if isinstance(found, NotConverged):
         return Outcome.failure, replace(now, failure=found)
     return Outcome.ended, replace(now, found=found)

@@ -11,7 +11,7 @@ from tacgen.mechanics.admission import sharp
 from tacgen.mechanics.failures import Failure
 from tacgen.mechanics.phases import Outcome
 from tacgen.mechanics.problem import Problem
-from tacgen.mechanics.progress import Leg, Progress
+from tacgen.mechanics.solve_state import Leg, SolveState, known
 from tacgen.mechanics.state import History
 
 Array = np.ndarray
@@ -28,12 +28,12 @@ def divided(
     return tuple(Leg(start, end, turn / n, duration / n, budget=not shared) for start, end in poses)
 
 
-def halve(problem: Problem, now: Progress) -> tuple[Outcome, Progress]:
+def halve(problem: Problem, now: SolveState) -> tuple[Outcome, SolveState]:
     """The failed load step as two halves, unless it has been halved as often as its failure allows."""
     if problem.condensed:
         problem.tangent.condensation.usable = False
-    assert now.failure is not None
-    failure, leg, farther = now.failure.failure, now.legs[0], now.failure.failure == Failure.too_far
+    failure, leg = known(now.failure).failure, now.legs[0]
+    farther = failure == Failure.too_far
     most = FOLD_HALVINGS if failure == Failure.folds else problem.options.halvings
     spent = leg.far == TOO_FAR if farther else leg.halved >= most
     if spent or not now.may_halve or failure == Failure.effort:

@@ -11,9 +11,9 @@ import numpy as np
 
 from tacgen.fem.potential import Potential, Total
 from tacgen.geometry.pose import Pose
+from tacgen.mechanics.admission import imbalance
 from tacgen.mechanics.coupled import ContactForces, onset
 from tacgen.mechanics.failures import Failure, NotConverged
-from tacgen.mechanics.admission import imbalance
 from tacgen.mechanics.load_step import STIFFER
 from tacgen.mechanics.newton import Solution, Status, minimise
 from tacgen.mechanics.problem import Problem

@@ -42,25 +42,27 @@ class Outcome(StrEnum):
     unstable = "unstable"  # no step of the contact lowers the energy
     higher = "higher"  # no part of the step of all nodes does
     stiffer = "stiffer"  # again from here, with a stiffer barrier
-    failure = "failure"  # `Progress.failure` says which
+    failure = "failure"  # `SolveState.failure` says which
 
 
-P, O = Phase, Outcome
+P = Phase
 TRANSITIONS: dict[Phase, dict[Outcome, Phase]] = {
-    P.begin: {O.ready: P.predict, O.missing: P.renew, O.apart: P.start, O.not_condensed: P.start},
-    P.renew: {O.ready: P.predict, O.indefinite: P.start},
-    P.predict: {O.ready: P.start},
-    P.start: {O.ready: P.step, O.not_condensed: P.whole, O.failure: P.halve},
-    P.step: {O.ready: P.load, O.missing: P.factor, O.failure: P.halve},
-    P.factor: {O.ready: P.load, O.indefinite: P.halve},
-    P.load: {O.ready: P.contact},
-    P.contact: {O.more: P.contact, O.ended: P.search, O.unstable: P.damp},
-    P.search: {O.ready: P.measure, O.higher: P.damp},
-    P.damp: {O.ready: P.contact, O.missing: P.step, O.failure: P.halve},
-    P.measure: {O.more: P.step, O.ended: P.admit, O.failure: P.halve},
-    P.whole: {O.ended: P.admit, O.failure: P.halve},
-    P.admit: {O.more: P.begin, O.ended: P.done, O.stiffer: P.start, O.failure: P.halve},
-    P.halve: {O.more: P.begin, O.failure: P.failed},
+    P.begin: {
+        Outcome.ready: P.predict, Outcome.missing: P.renew, Outcome.apart: P.start, Outcome.not_condensed: P.start,
+    },
+    P.renew: {Outcome.ready: P.predict, Outcome.indefinite: P.start},
+    P.predict: {Outcome.ready: P.start},
+    P.start: {Outcome.ready: P.step, Outcome.not_condensed: P.whole, Outcome.failure: P.halve},
+    P.step: {Outcome.ready: P.load, Outcome.missing: P.factor, Outcome.failure: P.halve},
+    P.factor: {Outcome.ready: P.load, Outcome.indefinite: P.halve},
+    P.load: {Outcome.ready: P.contact},
+    P.contact: {Outcome.more: P.contact, Outcome.ended: P.search, Outcome.unstable: P.damp},
+    P.search: {Outcome.ready: P.measure, Outcome.higher: P.damp},
+    P.damp: {Outcome.ready: P.contact, Outcome.missing: P.step, Outcome.failure: P.halve},
+    P.measure: {Outcome.more: P.step, Outcome.ended: P.admit, Outcome.failure: P.halve},
+    P.whole: {Outcome.ended: P.admit, Outcome.failure: P.halve},
+    P.admit: {Outcome.more: P.begin, Outcome.ended: P.done, Outcome.stiffer: P.start, Outcome.failure: P.halve},
+    P.halve: {Outcome.more: P.begin, Outcome.failure: P.failed},
 }  # fmt: skip
 FINAL = frozenset({P.done, P.failed})
 COUNTED = {  # phases whose kernel bounds how often it is passed, and by what

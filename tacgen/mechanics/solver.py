@@ -10,11 +10,11 @@ import numpy as np
 from tacgen.mechanics import admission, bulk_newton, load_step, load_stepping
 from tacgen.mechanics.phases import FINAL, TRANSITIONS, Outcome, Phase
 from tacgen.mechanics.problem import Problem
-from tacgen.mechanics.progress import Leg, Progress
-from tacgen.mechanics.state import History, State
+from tacgen.mechanics.solve_state import Leg, SolveState
+from tacgen.mechanics.state import History
 
 Array = np.ndarray
-KERNELS: dict[Phase, Callable[[Problem, Progress], tuple[Outcome, Progress]]] = {
+KERNELS: dict[Phase, Callable[[Problem, SolveState], tuple[Outcome, SolveState]]] = {
     Phase.begin: load_step.begin,
     Phase.renew: load_step.renew,
     Phase.predict: load_step.foresee,
@@ -32,36 +32,38 @@ KERNELS: dict[Phase, Callable[[Problem, Progress], tuple[Outcome, Progress]]] = 
 }
 
 
-def following(now: Progress, outcome: Outcome) -> Progress:
-    """The Progress in the phase that follows from an outcome."""
+def following(now: SolveState, outcome: Outcome) -> SolveState:
+    """The SolveState in the phase that follows from an outcome."""
     return replace(now, phase=TRANSITIONS[now.phase][outcome])
 
 
-def solve(problem: Problem, now: Progress) -> Progress:
-    """Kernel after kernel until the frame is done or failed."""
+def solve(problem: Problem, now: SolveState, until: Phase | None = None) -> SolveState:
+    """Kernel after kernel until the frame is done or failed, or before the next kernel of the phase `until`."""
     while now.phase not in FINAL:
         outcome, now = KERNELS[now.phase](problem, now)
         now = following(now, outcome)
+        if now.phase is until:
+            return now
     return replace(now, step=None, begins=None, newton=None, found=None)  # its iterates are large
 
 
 def advance(
     problem: Problem, history: History, a: Array, b: Array, turn: Array, index: int, duration: float, **how: Any
-) -> Progress:
+) -> SolveState:
     """From pose a to pose b (4, 4) at constant speed, rotating by `turn` (3,) [rad], in `duration` [s].
 
-    how: other fields of Progress; with an `effort`, all load steps share the count of Newton steps that begins with it.
+    how: other fields of SolveState; with an `effort`, all load steps share the count of Newton steps that begins with it.
     """
     legs = load_stepping.divided(problem, history, a, b, turn, duration, shared="effort" in how)
-    return solve(problem, Progress(index, history, legs, **how))
+    return solve(problem, SolveState(index, history, legs, **how))
 
 
 def equilibrium(
     problem: Problem, history: History, b: Array, index: int, duration: float = math.inf, **how: Any
-) -> Progress:
+) -> SolveState:
     """The gel under the indenter at pose b (4, 4), one load step on from `history`, which is not halved.
 
-    duration: [s], with inertia or viscosity. how: other fields of Progress.
+    duration: [s], with inertia or viscosity. how: other fields of SolveState.
     """
     leg = Leg(b, b, np.zeros(3), duration, budget="effort" not in how)
-    return solve(problem, Progress(index, history, (leg,), may_halve=False, **how))
+    return solve(problem, SolveState(index, history, (leg,), may_halve=False, **how))

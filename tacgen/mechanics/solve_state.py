@@ -1,7 +1,7 @@
 """A frame in solution as one record: what is solved, what is left to do, and the iterates of the present load step."""
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -17,7 +17,14 @@ if TYPE_CHECKING:
     from tacgen.mechanics.mesh_contact import LaggedContact, MeshLoadStep
 
 Array = np.ndarray
+T = TypeVar("T")
 RATE_GUESS = 0.1  # assumed contraction of the residual by a kept tangent, before it is measured [-]
+
+
+def known(part: T | None) -> T:
+    """A part of a SolveState that the present phase is sure to have."""
+    assert part is not None
+    return part
 
 
 class Leg(NamedTuple):
@@ -35,12 +42,13 @@ class Leg(NamedTuple):
 
 @dataclass(frozen=True)
 class Linearised:
-    """A step of the bulk in the making: the unbalanced forces g (n, 3) [N], their forward substitution y, and the bulk
-    condensed to the contact."""
+    """A step of the bulk in the making: the unbalanced forces g (n, 3) [N], their forward substitution y, the bulk
+    condensed to the contact, and the contact's iterate."""
 
     g: Array
     y: Array
     quadratic: Quadratic
+    inner: ContactIterate[QuadraticPoint]
 
     @property
     def damping(self) -> float:
@@ -75,7 +83,6 @@ class BulkIterate:
     steps: int = 0
     damped: int = 0  # of the steps, those that needed damping
     linear: Linearised | None = None
-    inner: ContactIterate[QuadraticPoint] | None = None
     stepped: Stepped | None = None
 
 
@@ -98,13 +105,14 @@ class Found:
 
 
 @dataclass(frozen=True)
-class Progress:
+class SolveState:
     """All that a solve knows between two kernels, but for the factor of the problem's kept tangent.
 
     index: of the frame; history: the end of the last load step; legs: the load steps to do; near: a solution for the
-    same history nearby, only as a start; may_halve: whether a load step that fails is halved; effort: Newton steps of the
-    bulk so far. state: the frame so far, with the work of all its load steps. Of the present load step: contact and
-    bulk at its pose; Newton's iterate; what it found; solves so far, each with stiffer barriers; their steps.
+    same history nearby, only as a start; may_halve: whether a load step that fails is halved; effort: Newton steps of
+    the bulk so far. state: the frame so far, with the work of all its load steps. Of the present load step: contact and
+    bulk at its pose; where Newton's method begins (n, 3), its iterate and what it found; solves so far, each with
+    stiffer barriers; their steps.
     """
 
     index: int
@@ -116,7 +124,7 @@ class Progress:
     phase: Phase = Phase.begin
     state: State | None = None
     step: "LoadStep | MeshLoadStep | None" = None
-    begins: Array | None = None  # where Newton's method starts (n, 3)
+    begins: Array | None = None
     newton: BulkIterate | None = None
     found: Found | None = None
     solves: int = 0
@@ -124,7 +132,7 @@ class Progress:
     damped: int = 0
     failure: NotConverged | None = field(default=None, compare=False)
 
-    def failed(self, failure: Failure, **data: object) -> "Progress":
+    def failed(self, failure: Failure, **data: object) -> "SolveState":
         """With the reason why the load step has no solution."""
         return replace(self, failure=NotConverged(failure, **data))
 
@@ -135,8 +143,8 @@ class Progress:
         )
         if newton is not None:
             text += f"; residual {newton.residual:.1e}, damping {newton.damping:.1e}"
-        if newton is not None and newton.inner is not None:
-            text += f", {newton.inner.steps} contact steps"
+        if newton is not None and newton.linear is not None:
+            text += f", {newton.linear.inner.steps} contact steps"
         return text if self.failure is None else f"{text}: {self.failure}"
 
     def reached(self) -> tuple[History, State]:
