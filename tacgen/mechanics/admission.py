@@ -46,7 +46,7 @@ def admit(problem: Problem, now: SolveState) -> tuple[Outcome, SolveState]:
         return Outcome.failure, replace(now, failure=wrong)
     after, state = _record(step, solution, now, (residual, balance, least_J))
     total = state if now.state is None else joined(now.state, state)
-    now = replace(now, history=after, state=total, legs=now.legs[1:], near=None)
+    now = replace(now.between(), history=after, state=total, legs=now.legs[1:], near=None)
     return Outcome.more if now.legs else Outcome.ended, now
 
 

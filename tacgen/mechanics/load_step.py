@@ -122,7 +122,7 @@ def begin(problem: Problem, now: SolveState) -> Result:
     """Contact and bulk at the pose of the next load step, and whether the kept tangent serves its prediction."""
     leg = now.legs[0]
     pose, effort = Pose.of(leg.b), 0 if leg.budget else now.effort
-    now = replace(now, effort=effort, newton=None, found=None, solves=0, steps=0, damped=0, failure=None)
+    now = replace(now, effort=effort, failure=None)
     if not problem.contact.overlaps:
         from tacgen.mechanics.mesh_contact import MeshLoadStep
 

@@ -32,7 +32,7 @@ def halve(problem: Problem, now: SolveState) -> tuple[Outcome, SolveState]:
     """The failed load step as two halves, unless it has been halved as often as its failure allows."""
     if problem.condensed:
         problem.tangent.condensation.usable = False
-    failure, leg = known(now.failure).failure, now.legs[0]
+    now, failure, leg = now.between(), known(now.failure).failure, now.legs[0]
     farther = failure == Failure.too_far
     most = FOLD_HALVINGS if failure == Failure.folds else problem.options.halvings
     spent = leg.far == TOO_FAR if farther else leg.halved >= most

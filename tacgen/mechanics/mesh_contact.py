@@ -17,7 +17,7 @@ from tacgen.mechanics.failures import Failure, NotConverged
 from tacgen.mechanics.load_step import STIFFER
 from tacgen.mechanics.newton import Solution, Status, minimise
 from tacgen.mechanics.problem import Problem
-from tacgen.mechanics.progress import Found
+from tacgen.mechanics.solve_state import Found
 from tacgen.mechanics.state import History
 
 if TYPE_CHECKING:

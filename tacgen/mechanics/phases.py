@@ -72,3 +72,12 @@ COUNTED = {  # phases whose kernel bounds how often it is passed, and by what
     P.admit: "STIFFENINGS, and the load steps that are left",
     P.halve: "SolverOptions.halvings, FOLD_HALVINGS and TOO_FAR",
 }
+
+
+def table() -> str:
+    """TRANSITIONS for MECHANICS.md: a row for each phase, with what may come next."""
+    rows = ["| phase | what its kernel finds, and the phase that follows |", "|---|---|"]
+    for phase, row in TRANSITIONS.items():
+        then = "; ".join(f"{outcome} -> **{after}**" for outcome, after in row.items())
+        rows.append(f"| {phase}{' *' if phase in COUNTED else ''} | {then} |")
+    return "\n".join(rows)

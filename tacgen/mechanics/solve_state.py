@@ -132,6 +132,11 @@ class SolveState:
     damped: int = 0
     failure: NotConverged | None = field(default=None, compare=False)
 
+    def between(self) -> "SolveState":
+        """Without what belongs to one load step: plain arrays, which can be kept."""
+        nothing = {"step": None, "begins": None, "newton": None, "found": None}
+        return replace(self, **nothing, solves=0, steps=0, damped=0)  # type: ignore[arg-type]
+
     def failed(self, failure: Failure, **data: object) -> "SolveState":
         """With the reason why the load step has no solution."""
         return replace(self, failure=NotConverged(failure, **data))

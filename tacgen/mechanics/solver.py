@@ -44,7 +44,7 @@ def solve(problem: Problem, now: SolveState, until: Phase | None = None) -> Solv
         now = following(now, outcome)
         if now.phase is until:
             return now
-    return replace(now, step=None, begins=None, newton=None, found=None)  # its iterates are large
+    return now
 
 
 def advance(
@@ -52,7 +52,8 @@ def advance(
 ) -> SolveState:
     """From pose a to pose b (4, 4) at constant speed, rotating by `turn` (3,) [rad], in `duration` [s].
 
-    how: other fields of SolveState; with an `effort`, all load steps share the count of Newton steps that begins with it.
+    how: other fields of SolveState; with an `effort`, all load steps share the count of Newton steps, which begins
+    with it.
     """
     legs = load_stepping.divided(problem, history, a, b, turn, duration, shared="effort" in how)
     return solve(problem, SolveState(index, history, legs, **how))
