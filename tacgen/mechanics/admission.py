@@ -1,4 +1,4 @@
-"""What a load step must meet before it is recorded: nothing penetrates or inverts, and forces balance."""
+"""The checks that a load step must pass before it is recorded: nothing penetrates or inverts, and forces balance."""
 
 from dataclasses import replace
 from typing import TYPE_CHECKING

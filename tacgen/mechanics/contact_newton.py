@@ -191,7 +191,7 @@ def _evaluated(bulk: BulkModel[P], contact: CoupledContact, x: Array) -> tuple[P
 def _full(
     bulk: BulkModel[P], contact: CoupledContact, forces: ContactForces, x: Array, g: Array, p: Array
 ) -> tuple[P, ContactForces, Array] | None:
-    """What is found at the end of the coupled step p (n, 3), if it may be taken in full; else None."""
+    """The end of the coupled step p (n, 3), if it may be taken in full; else None."""
     if contact.contact.max_step(forces.gap, p) < 1.0:
         return None
     there = _evaluated(bulk, contact, x + p)

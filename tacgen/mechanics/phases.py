@@ -9,7 +9,7 @@ from enum import StrEnum
 
 
 class Phase(StrEnum):
-    """What a scene in solution asks for next."""
+    """The kernel that a frame in solution asks for next."""
 
     begin = "begin"  # the next load step of the frame: contact at its pose, nodes to condense to
     renew = "renew"  # factorise the tangent at the last equilibrium
@@ -30,7 +30,7 @@ class Phase(StrEnum):
 
 
 class Outcome(StrEnum):
-    """What a kernel found."""
+    """The answer of a kernel, on which the next phase depends."""
 
     ready = "ready"  # what it computes is there
     missing = "missing"  # there is no tangent that serves
