@@ -1,4 +1,4 @@
-"""Pose tables: CSV with a header and one pose a row, of a body alone or of a body and the sensor. Errors name the line."""
+"""Pose tables: CSV with a header and one pose a row, of a body or of a body and a sensor. Errors name the line."""
 
 import functools
 import hashlib
@@ -34,10 +34,11 @@ FORCE = ("force_x", "force_y", "force_z")  # not used by the movement `replay`
 LENGTHS = (*BODY[:3], *SENSOR[:3])
 MM = {"mm": 1.0, "m": 1000.0}
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+NEWTON = {"n": 1.0}
 SUFFIXES: dict[str, Mapping[str, float]] = {
     "time": SECONDS,
     **dict.fromkeys(LENGTHS, MM),
-    **dict.fromkeys(FORCE, {"n": 1.0}),
+    **dict.fromkeys(FORCE, NEWTON),
 }
 MAX_FILE = 200_000_000  # [bytes]
 Placed = tuple[Vector, Quaternion]  # position [mm] and rotation
