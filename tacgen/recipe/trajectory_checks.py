@@ -90,7 +90,7 @@ def _walk(recipe: Recipe, gel: Gel, folders: Folders) -> None:
         return math.isfinite(x) and not on_pad(gel, x, y)
 
     def lowest_point(pose: "Array") -> "Array":
-        """Of an indenter that a replay may have turned any way: a ball that rolls touches below its centre."""
+        """The lowest point of an indenter that may be turned any way: a ball that rolls touches below its centre."""
         return np.asarray(pose[:3, 3] + lowest(support, pose[:3, :3]))
 
     pad = f"the pad of {gel.width_mm:g} x {gel.height_mm:g} mm"

@@ -1,0 +1,125 @@
+"""The rows of a contact log that are worth solving: those near contact."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from tacgen.errors import UserError
+from tacgen.geometry import mesh_import
+from tacgen.geometry.gel import GelBody
+from tacgen.geometry.pose import Pose
+from tacgen.recipe import approach, assets, indenters, pose_table
+from tacgen.recipe.indenters import Indenter
+from tacgen.recipe.pose_table import TimedPose
+from tacgen.recipe.trajectory import Placement
+from tacgen.replay.contact_log import ContactLog
+
+Array = np.ndarray
+SPACING = 1.0  # of the points of the face at which distances are looked at [mm]
+BETWEEN = SPACING / np.sqrt(2)  # largest distance of a point of the face from these [mm]
+AT_ONCE = 100_000  # points for which distances are computed together
+AXES = ("+z", "-z", "+x", "-x", "+y", "-y")
+CENTRED = {"sphere": "radius_mm", "torus": "tube_radius_mm"}  # height of the centre, where a simulator has the origin
+
+
+@dataclass(frozen=True)
+class RecordedBody:
+    """An object as it was recorded: how its surface is placed in the recorded body's frame."""
+
+    indenter: Indenter
+    pose: Placement  # of the indenter in the recorded body
+    distance: Callable[[Array], Array]  # signed, from the surface, of points (n, 3) in the indenter's frame [mm]
+    lowest: Callable[[Array], float]  # z of the lowest point [mm] at a pose (4, 4)
+
+
+def relative(log: ContactLog, sensor_pose: Placement, indenter_pose: Placement) -> Array:
+    """Poses (n, 4, 4) of the indenter in the sensor's frame; arguments as of `pose_table.relative`."""
+    sensors = [None] * len(log) if log.sensor is None else list(log.sensor)
+    each = zip(log.row, log.time, log.body, sensors, strict=True)
+    return pose_table.relative([TimedPose(*row) for row in each], sensor_pose, indenter_pose)
+
+
+def body_of(indenter: Indenter, given: Placement | None, turns: Array) -> RecordedBody:
+    """The object of a log.
+
+    Args:
+        indenter: of the recipe; the file of a mesh is absolute.
+        given: pose of the indenter in the recorded body. None: the body's frame is that of the mesh's file, or the
+            centre of a ball or ring.
+        turns: rotations (n, 3, 3) of the recorded body in the sensor's frame, from which the axis of a mesh that points
+            away from the gel is chosen.
+
+    Raises:
+        UserError: the mesh cannot be read; nothing says where a shape is in the recorded body.
+    """
+    if indenter.shape == "mesh":
+        solid = mesh_import.read(assets.mesh_path(indenter.file))
+        scale, size = indenter.scale, indenter.size_mm
+        if given is None:
+            up = max(AXES, key=lambda axis: _height(axis, turns))
+            indenter = indenter.model_copy(update={"up": up})
+            given = placement(mesh_import.placement(solid, up=up, scale=scale, size=size))
+        placed = mesh_import.placed(solid, up=indenter.up, scale=scale, size=size)
+        corners = placed.vertices
+
+        def low(pose: Array) -> float:
+            return float((corners @ pose[2, :3]).min() + pose[2, 3])
+
+        return RecordedBody(indenter, given, lambda p: mesh_import.signed_distance(placed, p), low)
+    if given is None:
+        if indenter.shape not in CENTRED:
+            raise UserError(
+                f"indenter: where is the {indenter.shape} in the recorded body? Say it in the recipe, by"
+                " trajectory: [{replay: {file: log.csv, indenter_pose: {position_mm: [0, 0, 0]}}}], or use a mesh"
+            )
+        given = Placement(position_mm=(0.0, 0.0, -getattr(indenter, CENTRED[indenter.shape])))
+    shape = indenters.analytic(indenter)
+    assert shape is not None
+    return RecordedBody(
+        indenter, given, lambda p: shape.distance(p)[0], lambda pose: float(pose[2, 3] - shape.support(-pose[2, :3]))
+    )
+
+
+def placement(pose: Array) -> Placement:
+    """A pose (4, 4) [mm] as a recipe has it."""
+    from scipy.spatial.transform import Rotation
+
+    x, y, z = pose[:3, 3].tolist()
+    w, i, j, k = Rotation.from_matrix(pose[:3, :3]).as_quat(scalar_first=True).tolist()
+    return Placement(position_mm=(x, y, z), quaternion=(w, i, j, k))
+
+
+def near(body: RecordedBody, gel: GelBody, poses: Array, within: float) -> Array:
+    """Which poses (n, 4, 4) bring the object within so many mm of the untouched face: (n,) booleans; never too few."""
+    face = _face(gel)
+    which = np.array([body.lowest(pose) <= within for pose in poses])  # the face is nowhere above z = 0
+    candidates = np.flatnonzero(which)
+    step = max(1, AT_ONCE // len(face))
+    for some in (candidates[k : k + step] for k in range(0, len(candidates), step)):
+        points = np.concatenate([Pose.of(poses[k]).local(face) for k in some])
+        which[some] = body.distance(points).reshape(len(some), -1).min(1) <= within + BETWEEN
+    return which
+
+
+def closest(body: RecordedBody, gel: GelBody, poses: Array) -> tuple[float, int]:
+    """Smallest distance [mm] of the object from the untouched face and the pose at which it has it."""
+    face = _face(gel)
+    gaps = [float(body.distance(Pose.of(pose).local(face)).min()) for pose in poses]
+    nearest = int(np.argmin(gaps))
+    if gaps[nearest] > 0 and (shape := indenters.analytic(body.indenter)) is not None:
+        return approach.closest(shape, gel, poses[nearest : nearest + 1]), nearest
+    return gaps[nearest], nearest
+
+
+def _face(gel: GelBody) -> Array:
+    """Points (n, 3) of the untouched face [mm]."""
+    sides = [np.linspace(-s / 2, s / 2, 2 + int(s / SPACING)) for s in (gel.width, gel.height)]
+    x, y = np.meshgrid(*sides)
+    here = gel.contains(x, y)
+    return np.column_stack([x[here], y[here], gel.top(x[here], y[here])])
+
+
+def _height(axis: str, turns: Array) -> float:
+    """How much an axis of the body points away from the gel, over all rows."""
+    return float((1 if axis[0] == "+" else -1) * turns[:, 2, "xyz".index(axis[1])].mean())
