@@ -1,4 +1,4 @@
-"""Presses and slides of a soft pad against a ball and a bolt in MuJoCo, as logs. python examples/mujoco/presses.py FOLDER
+"""Presses and slides of a pad against a ball and a bolt in MuJoCo, as logs. python examples/mujoco/presses.py FOLDER
 
 Needs `pip install mujoco`. The pad is a tactile sensor on a robot: stiff servos move it, face down, and the object is
 fixed. docs/cookbook/mujoco.md replays the logs with tacgen.
@@ -8,7 +8,6 @@ import argparse
 from pathlib import Path
 
 import mujoco
-import numpy as np
 from recorder import Recorder
 
 BOLT = Path(__file__).parents[2] / "objects/hex_bolt/hex_bolt.stl"  # MuJoCo takes its convex hull

@@ -11,6 +11,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 
+from tacgen import regular_file
 from tacgen.errors import UserError, why
 from tacgen.recipe import pose_table
 from tacgen.recipe.trajectory import UNIT_TOLERANCE, Column
@@ -20,7 +21,7 @@ Array = np.ndarray
 TABLES, ARCHIVES, HDF5 = (".csv", ".txt"), (".npz",), (".h5", ".hdf5")
 ORDERS = {"wxyz": [0, 1, 2, 3], "xyzw": [3, 0, 1, 2]}  # columns of w x y z
 ON, FRAMES = ("sensor", "object"), ("world", "sensor")
-LARGEST = 2**31  # of one array [bytes]
+LARGEST = 2**33  # of a file, and of one array [bytes]
 
 
 @dataclass(frozen=True)
@@ -118,13 +119,14 @@ def _of_table(path: Path, how: Conventions) -> ContactLog:
 
 
 def _archive(path: Path) -> dict[str, Array]:
-    with np.load(path, allow_pickle=False) as file:
+    with regular_file.opened(path, LARGEST) as content, np.load(content, allow_pickle=False) as file:
         return {name: file[name] for name in file.files}
 
 
 def _hdf5(path: Path, group: str) -> dict[str, Array]:
     import h5py
 
+    regular_file.opened(path, LARGEST).close()  # not a pipe
     with h5py.File(path, "r") as file:
         if not isinstance(inner := file.get(group), h5py.Group):
             raise ValueError(f"it has no group {group}; there are: {', '.join(file) or 'none'}")
@@ -189,7 +191,8 @@ def _said(what: str, option: str, arrays: dict[str, Array], usual: str, known: t
     if own and option and own != option:
         raise ValueError(f"its {what} is {own}: leave --{what} {option} out")
     if not (found := option or own or usual):
-        raise ValueError(f"does not say its {what}: give --{what} {' or '.join(known)}")
+        missing = {"quaternion": "the order of its quaternions", "units": "the unit of its lengths"}[what]
+        raise ValueError(f"does not say {missing}: give --{what} {' or '.join(known)}")
     return found
 
 
