@@ -150,9 +150,7 @@ def test_several_logs_are_scenes(world: World, recipe: Path, tmp_path: Path) -> 
     assert [log.name for log in made.logs] == ["a", "b"]
     planned = plan.load(made.recipe)
     assert planned.frames.tolist() == [5, 5]
-    assert [row.values for row in planned.rows] == [
-        {"trajectory[0].replay.file": f"log-0000{k}.csv"} for k in range(2)
-    ]
+    assert [row.values for row in planned.rows] == [{"trajectory[0].replay.file": f"log-0000{k}.csv"} for k in range(2)]
     assert planned.rows[0].recipe.uncertainty is not None
 
 
@@ -168,7 +166,10 @@ def test_another_replay_in_the_folder_is_not_replaced(world: World, recipe: Path
 def test_recipes_that_no_log_fits(world: World, recipe: Path, tmp_path: Path) -> None:
     log = world.save(tmp_path / "log.npz")
     for sets, says in (
-        ("vary={method: random, samples: 2, over: {contact.friction: {uniform: [0, 1]}}}", "vary: a log is of one sensor"),
+        (
+            "vary={method: random, samples: 2, over: {contact.friction: {uniform: [0, 1]}}}",
+            "vary: a log is of one sensor",
+        ),
         ("indenter={shape: box, size_x_mm: 4, size_y_mm: 4}", "indenter: where is the box in the recorded body?"),
         ("trajectory[0].replay.sensor_pose.position_mm=[1]", "sensor_pose.position_mm"),
     ):
@@ -191,7 +192,9 @@ def test_a_mesh_is_where_its_file_was_recorded(tmp_path: Path) -> None:
         body = selection.body_of(shape, None, turns)
         assert body.indenter.up == name
         placed = mesh_import.placed(mesh_import.read(tmp_path / "thing.stl"), up=name, scale=1000.0).vertices
-        inner = matrices(np.array([body.pose.position_mm]), Rotation.from_quat([body.pose.quaternion], scalar_first=True))
+        inner = matrices(
+            np.array([body.pose.position_mm]), Rotation.from_quat([body.pose.quaternion], scalar_first=True)
+        )
         there = placed @ inner[0, :3, :3].T + inner[0, :3, 3]
         assert np.sort(there, 0) == pytest.approx(np.sort(mesh_import.read(tmp_path / "thing.stl").vertices * 1000, 0))
         assert body.distance(placed.mean(0)[None]) == pytest.approx(-3.0)
