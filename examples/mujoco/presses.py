@@ -1,7 +1,7 @@
 """Presses and slides of a pad against a ball and a bolt in MuJoCo, as logs. python examples/mujoco/presses.py FOLDER
 
 Needs `pip install mujoco`. The pad is a tactile sensor on a robot: stiff servos move it, face down, and the object is
-fixed. docs/cookbook/mujoco.md replays the logs with tacgen.
+fixed. docs/cookbook/other_simulators.md replays the logs with tacgen.
 """
 
 import argparse

@@ -146,11 +146,14 @@ def _against(part: dict[str, Any]) -> list[str]:
     ours, theirs, relative = part["ours_n"], part["theirs_n"], part["relative"]
     off = f"{100 * (theirs / ours - 1):+.1f} %" if ours > TOUCHED else "-"
     ratio = "-" if relative is None else f"{100 * relative:.1f} %"
-    return [f"{theirs:.4g}", off, f"{part['rms_error_n']:.3g}", ratio]
+    return [_with(theirs, None), off, _with(part["rms_error_n"], None), ratio]
 
 
 def _with(value: float, std: float | None) -> str:
-    return f"{value:.4g}" if std is None else f"{value:.4g} +- {std:.2g}"
+    """A force [N] with its standard deviation; one below TOUCHED is rounding or the mesh's."""
+    if value < TOUCHED:
+        return f"< {TOUCHED:g}"
+    return f"{value:.3g}" if std is None else f"{value:.3g} +- {std:.2g}"
 
 
 def _frames(one: Compared) -> list[str]:

@@ -213,6 +213,21 @@ def test_nearness_never_leaves_a_touching_row_out() -> None:
     assert (round(gap, 3), row) == (2.0, 0)
 
 
+def test_the_text_says_where_the_largest_force_is_and_how_far_off(world: World) -> None:
+    steps = np.arange(2)
+    log = ContactLog("press", steps, 0.1 * steps, world.ball[:2], world.sensor[:2], world.world_force[:2], True)
+    ours, std = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, -2.0]]), np.full((2, 3), 0.05)
+    found = replay.comparison.Compared(log, "scene-00000", "", ours, 0 * ours, std, 1.5 * ours)
+    lines = replay.comparison.text([found]).splitlines()
+    assert lines[2].split() == "press 2 2 2 +- 0.05 3 +50.0 % 0.791 50.0 %".split()
+    assert lines[5].split() == "press < 0.001 < 0.001 - < 0.001 -".split()
+    assert lines[-1].split() == "1 0.1 0.000 0.000 -2.000 0.050 0.050 0.050 0.000 0.000 -3.000 0.000 0.000 -1.000".split()
+    smooth = replay.comparison.Compared(
+        log.__class__(**(vars(log) | {"friction": False})), "scene-00000", "", ours, 0 * ours, std, 1.5 * ours
+    )
+    assert "theirs_n" not in smooth.summary()["tangential"]  # of normal forces alone
+
+
 def test_a_log_without_forces_has_tacgens_alone(world: World, tmp_path: Path) -> None:
     steps = np.arange(2)
     log = ContactLog("log", steps, 0.1 * steps, world.ball[:2], world.sensor[:2], None, True)
