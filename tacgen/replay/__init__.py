@@ -26,6 +26,7 @@ from tacgen.sensor.yaml_source import Tree, at
 
 Array = np.ndarray
 RECIPE = "recipe.yaml"
+LOOKED_AT = 2000  # rows of a log without contact, most of which are far away
 LARGEST = 2**28  # of the files that an earlier call wrote [bytes]
 TITLES = ("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
 
@@ -148,22 +149,27 @@ def _chosen(
     if not len(some):
         return f"{log.name}: has {len(log)} rows, and none of those that --rows names"
     poses = selection.relative(some, sensor_pose, body.pose)
-    which = np.flatnonzero(selection.near(body, gel, poses, choice.near_mm))
-    gap, nearest = selection.closest(body, gel, poses[which] if len(which) else poses)
-    if gap > 0:
-        at_row = int(some.row[which[nearest] if len(which) else nearest])
-        felt = 0.0 if some.force is None else float(np.linalg.norm(some.force, axis=1).max())
-        theirs = f", though its simulator has up to {felt:.3g} N" if felt else ""
-        return (
-            f"{log.name}: no contact{theirs}: closest approach {gap:.3g} mm, in row {at_row}: check units, sensor_pose"
-            " and indenter_pose"
-        )
-    solved = some.some(which[:: choice.every])
+    gaps = selection.gaps(body, gel, poses, choice.near_mm)
+    if selection.least(body, gel, gaps.min(), poses[gaps.argmin()]) > 0:
+        return _missed(some, body, gel, poses)
+    solved = some.some(np.flatnonzero(gaps <= choice.near_mm + selection.BETWEEN)[:: choice.every])
     if len(solved) > MAX_FRAMES:
         raise UserError(
             f"{log.name}: {len(solved)} rows are near contact, at most {MAX_FRAMES} can be: --every takes some"
         )
     return solved
+
+
+def _missed(log: ContactLog, body: selection.RecordedBody, gel: Any, poses: Array) -> str:
+    """A line about a log without contact: how close it comes, in one of LOOKED_AT of its rows."""
+    rows = np.arange(len(log))[:: -(-len(log) // LOOKED_AT)]
+    gaps = selection.gaps(body, gel, poses[rows], np.inf)
+    nearest = rows[gaps.argmin()]
+    gap = selection.least(body, gel, gaps.min(), poses[nearest])
+    felt = 0.0 if log.force is None else float(np.linalg.norm(log.force, axis=1).max())
+    theirs = f", though its simulator has up to {felt:.3g} N" if felt else ""
+    where = f"closest approach {gap:.3g} mm, in row {log.row[nearest]}"
+    return f"{log.name}: no contact{theirs}: {where}: check units, sensor_pose and indenter_pose"
 
 
 def _notes(logs: list[ContactLog]) -> list[str]:

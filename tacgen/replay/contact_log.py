@@ -145,6 +145,8 @@ def _of_arrays(path: Path, arrays: dict[str, Array], how: Conventions, environme
     scale = pose_table.MM[_said("units", how.units, arrays, layout.units, tuple(pose_table.MM))]
     if "time" not in arrays:
         raise ValueError(f"has no array time [s] (it has: {', '.join(arrays)})")
+    if arrays["time"].dtype.kind not in "fiu":
+        raise ValueError("time holds no numbers")
     time = np.asarray(arrays["time"], float).ravel()
     if len(time) < 1 or not (np.diff(time) > 0).all():
         raise ValueError("time must increase from row to row")
@@ -198,6 +200,8 @@ def _said(what: str, option: str, arrays: dict[str, Array], usual: str, known: t
 
 def _rows(name: str, array: Array, count: int, width: int, environment: int | None) -> Array:
     """An array (rows, width) of one environment out of (rows, environments, bodies, ..., width)."""
+    if array.dtype.kind not in "fiu":
+        raise ValueError(f"{name} holds no numbers")
     if array.ndim < 2 or len(array) != count or array.shape[-1] < width:
         raise ValueError(f"{name} has the shape {array.shape}: expected ({count}, ..., {width}), a row for each time")
     if array.ndim > 2:

@@ -90,26 +90,26 @@ def placement(pose: Array) -> Placement:
     return Placement(position_mm=(x, y, z), quaternion=(w, i, j, k))
 
 
-def near(body: RecordedBody, gel: GelBody, poses: Array, within: float) -> Array:
-    """Which poses (n, 4, 4) bring the object within so many mm of the untouched face: (n,) booleans; never too few."""
+def gaps(body: RecordedBody, gel: GelBody, poses: Array, within: float) -> Array:
+    """Distance (n,) [mm] of the object from points of the untouched face at poses (n, 4, 4); negative where it touches.
+
+    It is at most BETWEEN larger than that from the face. For an object higher than `within` [mm] it is the height of its
+    lowest point, which is not larger than its distance.
+    """
     face = _face(gel)
-    which = np.array([body.lowest(pose) <= within for pose in poses])  # the face is nowhere above z = 0
-    candidates = np.flatnonzero(which)
+    found = np.array([body.lowest(pose) for pose in poses])  # the face is nowhere above z = 0
+    low = np.flatnonzero(found <= within)
     step = max(1, AT_ONCE // len(face))
-    for some in (candidates[k : k + step] for k in range(0, len(candidates), step)):
+    for some in (low[k : k + step] for k in range(0, len(low), step)):
         points = np.concatenate([Pose.of(poses[k]).local(face) for k in some])
-        which[some] = body.distance(points).reshape(len(some), -1).min(1) <= within + BETWEEN
-    return which
+        found[some] = body.distance(points).reshape(len(some), -1).min(1)
+    return found
 
 
-def closest(body: RecordedBody, gel: GelBody, poses: Array) -> tuple[float, int]:
-    """Smallest distance [mm] of the object from the untouched face and the pose at which it has it."""
-    face = _face(gel)
-    gaps = [float(body.distance(Pose.of(pose).local(face)).min()) for pose in poses]
-    nearest = int(np.argmin(gaps))
-    if gaps[nearest] > 0 and (shape := indenters.analytic(body.indenter)) is not None:
-        return approach.closest(shape, gel, poses[nearest : nearest + 1]), nearest
-    return gaps[nearest], nearest
+def least(body: RecordedBody, gel: GelBody, gap: float, pose: Array) -> float:
+    """The distance [mm] of the object from the untouched face at a pose (4, 4), given the `gap` that `gaps` found."""
+    shape = indenters.analytic(body.indenter)
+    return gap if gap <= 0 or shape is None else approach.closest(shape, gel, pose[None])
 
 
 def _face(gel: GelBody) -> Array:

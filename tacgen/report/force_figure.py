@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
 Array = np.ndarray
 HALF_90 = 1.645  # half the 90 % interval of a normal distribution over its standard deviation [-]
+NAMED = 12  # most logs whose names have room
 OURS, THEIRS = "#0072b2", "#d55e00"
 
 
@@ -47,6 +48,9 @@ def draw(series: Sequence[Series], out: Path) -> None:
         if one.theirs is not None:
             error.fill_between(x, -HALF_90 * std[:, 2], HALF_90 * std[:, 2], color=OURS, alpha=0.3, linewidth=0)
             error.plot(x, one.ours[:, 2] - one.theirs[:, 2], ".-", color=THEIRS, markersize=3, linewidth=1)
+        if len(series) <= NAMED:
+            where = (start, 1.03)
+            normal.text(*where, one.name, transform=normal.get_xaxis_transform(), fontsize=7, rotation=15)
         start += len(one.ours)
         for axes in (normal, error, side) if start < count else ():
             axes.axvline(start - 0.5, color="#cccccc", linewidth=0.6)

@@ -180,6 +180,7 @@ def test_a_table_is_the_plain_format(tmp_path: Path) -> None:
         ({"object_quaternion": 2 * xyzw(TURN)}, r"object_quaternion: row 0: a pose needs .* length 1 \(got 2\)"),
         ({"object_position": POSITION[:-1]}, r"object_position has the shape \(3, 3\): expected \(4, ..., 3\)"),
         ({"force": np.full((N, 3), np.nan)}, "force must be numbers, and is not in row 0"),
+        ({"force": np.full((N, 3), "one")}, "force holds no numbers"),
         ({"quaternion": "zyxw"}, "its quaternion is 'zyxw', and must be one of wxyz, xyzw"),
         ({"object_position": None}, "has no array object_position and object_quaternion .it has: time"),
     ],

@@ -208,9 +208,10 @@ def test_nearness_never_leaves_a_touching_row_out() -> None:
     poses[:, :3, 3] = [[0.5, 0.5, -0.05], [0.5, 0.5, 2.0], [30.0, 0.0, -1.0]]  # in it, above it, beside it
     thin = Box(size_x_mm=0.1, size_y_mm=0.1, fillet_mm=0.05)
     body = selection.body_of(thin, Placement(), poses[:, :3, :3])
-    assert selection.near(body, gel, poses, 0.1).tolist() == [True, False, False]
-    gap, row = selection.closest(body, gel, poses[1:])
-    assert (round(gap, 3), row) == (2.0, 0)
+    gaps = selection.gaps(body, gel, poses, 0.1)
+    assert (gaps <= 0.1 + selection.BETWEEN).tolist() == [True, False, False]
+    assert selection.least(body, gel, gaps[0], poses[0]) == pytest.approx(-0.05, abs=0.01)
+    assert selection.least(body, gel, gaps[1], poses[1]) == pytest.approx(2.0)
 
 
 def test_the_text_says_where_the_largest_force_is_and_how_far_off(world: World) -> None:
@@ -219,9 +220,10 @@ def test_the_text_says_where_the_largest_force_is_and_how_far_off(world: World) 
     ours, std = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, -2.0]]), np.full((2, 3), 0.05)
     found = replay.comparison.Compared(log, "scene-00000", "", ours, 0 * ours, std, 1.5 * ours)
     lines = replay.comparison.text([found]).splitlines()
-    assert lines[2].split() == "press 2 2 2 +- 0.05 3 +50.0 % 0.791 50.0 %".split()
-    assert lines[5].split() == "press < 0.001 < 0.001 - < 0.001 -".split()
-    assert lines[-1].split() == "1 0.1 0.000 0.000 -2.000 0.050 0.050 0.050 0.000 0.000 -3.000 0.000 0.000 -1.000".split()
+    lines = [" ".join(line.split()) for line in lines]
+    assert lines[2] == "press 2 2 2 +- 0.05 3 +50.0 % 0.791 50.0 %"
+    assert lines[5] == "press < 0.001 < 0.001 - < 0.001 -"
+    assert lines[-1] == "1 0.1 0.000 0.000 -2.000 0.050 0.050 0.050 0.000 0.000 -3.000 0.000 0.000 -1.000"
     smooth = replay.comparison.Compared(
         log.__class__(**(vars(log) | {"friction": False})), "scene-00000", "", ours, 0 * ours, std, 1.5 * ours
     )
