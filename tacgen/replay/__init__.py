@@ -152,7 +152,7 @@ def _chosen(
     gaps = selection.gaps(body, gel, poses, choice.near_mm)
     if selection.least(body, gel, gaps.min(), poses[gaps.argmin()]) > 0:
         return _missed(some, body, gel, poses)
-    solved = some.some(np.flatnonzero(gaps <= choice.near_mm + selection.BETWEEN)[:: choice.every])
+    solved = some.some(selection.runs(gaps <= choice.near_mm + selection.BETWEEN, gaps <= 0, choice.every))
     if len(solved) > MAX_FRAMES:
         raise UserError(
             f"{log.name}: {len(solved)} rows are near contact, at most {MAX_FRAMES} can be: --every takes some"

@@ -93,8 +93,8 @@ def placement(pose: Array) -> Placement:
 def gaps(body: RecordedBody, gel: GelBody, poses: Array, within: float) -> Array:
     """Distance (n,) [mm] of the object from points of the untouched face at poses (n, 4, 4); negative where it touches.
 
-    It is at most BETWEEN larger than that from the face. For an object higher than `within` [mm] it is the height of its
-    lowest point, which is not larger than its distance.
+    It is at most BETWEEN larger than that from the face. For an object higher than `within` [mm] it is the height of
+    its lowest point, which is not larger than its distance.
     """
     face = _face(gel)
     found = np.array([body.lowest(pose) for pose in poses])  # the face is nowhere above z = 0
@@ -104,6 +104,19 @@ def gaps(body: RecordedBody, gel: GelBody, poses: Array, within: float) -> Array
         points = np.concatenate([Pose.of(poses[k]).local(face) for k in some])
         found[some] = body.distance(points).reshape(len(some), -1).min(1)
     return found
+
+
+def runs(near: Array, touching: Array, every: int) -> Array:
+    """The rows that are solved, of those that are `near` (n,) or `touching` (n,): of each run each n-th and the last.
+
+    A run begins and ends with a row that does not touch, if there is one: from its end the object goes to the next run.
+    """
+    wanted = near.copy()
+    wanted[:-1] |= near[1:] & touching[1:]
+    wanted[1:] |= near[:-1] & touching[:-1]
+    rows = np.flatnonzero(wanted)
+    each = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
+    return np.concatenate([np.union1d(run[::every], run[-1:]) for run in each])
 
 
 def least(body: RecordedBody, gel: GelBody, gap: float, pose: Array) -> float:

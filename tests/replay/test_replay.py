@@ -131,6 +131,16 @@ def test_rows_are_chosen(world: World, recipe: Path, tmp_path: Path) -> None:
         rows("five", first=9)
 
 
+def test_an_object_that_is_lifted_between_contacts_is_not_dragged_through_them() -> None:
+    """Thinned out, each contact still ends with the row that left it, also where the next row is far away."""
+    gaps = np.array([9, 0.5, -1, -2, -1, 0.4, 9, 9, 9, -1, -2, -1, 9, 9, 0.9, 9.0])
+    found = selection.runs(gaps <= 1, gaps <= 0, 1)
+    assert found.tolist() == [1, 2, 3, 4, 5, 8, 9, 10, 11, 12, 14]
+    assert selection.runs(gaps <= 1, gaps <= 0, 3).tolist() == [1, 4, 5, 8, 11, 12, 14]
+    assert selection.runs(gaps <= 1, gaps <= 0, 99).tolist() == [1, 5, 8, 12, 14]
+    assert selection.runs(np.full(3, True), np.full(3, True), 2).tolist() == [0, 2]
+
+
 def test_a_log_without_contact_is_told_in_a_line(world: World, recipe: Path, tmp_path: Path) -> None:
     log = world.save(tmp_path / "log.npz")
     done = run(log, recipe, tmp_path / "out", "--rows", ":1")
