@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from tacgen import atomic_file, regular_file
+from tacgen import atomic_file, output_file, regular_file
 from tacgen.bundle.bundle import read
 from tacgen.bundle.resume import SceneResult
 from tacgen.errors import UserError
@@ -109,7 +109,7 @@ def prepare(
     start = {"start": Start().model_dump()} if "start" in tree.data else {}
     left = tuple(text for text in sets if not text.strip().startswith("trajectory"))  # that is in the recipe now
     files[RECIPE] = _recipe(source, left, move, list(files), start | up | extra)
-    _write(files, out, overwrite)
+    _write(files, out, [base, *paths], overwrite)
     return Prepared(out / RECIPE, template.sensor_pose, tuple(touching), left, tuple(notes))
 
 
@@ -222,13 +222,16 @@ def _recipe(base: str, sets: Sequence[str], move: dict[str, Any], tables: list[s
     return "\n".join(lines) + "\n"
 
 
-def _write(files: dict[str, str], out: Path, overwrite: bool) -> None:
-    """Write text files into a folder; one that is there with other contents is in the way unless `overwrite`."""
+def _write(files: dict[str, str], out: Path, inputs: Sequence[Path], overwrite: bool) -> None:
+    """Write text files into a folder. One that is there with other contents, an input, or the results' name in a folder
+    of something else is in the way."""
+    if not (out / RECIPE).exists():
+        for name in comparison.FILES:
+            output_file.refuse(out / name, overwrite=overwrite)
     out.mkdir(parents=True, exist_ok=True)
     for name, text in files.items():
-        path = out / name
-        if path.exists() and not overwrite and regular_file.read_bytes(path, LARGEST) != text.encode():
-            raise UserError(f"{path}: is there already and is of another replay; --overwrite replaces it")
+        if not (out / name).is_file() or regular_file.read_bytes(out / name, LARGEST) != text.encode():
+            output_file.refuse(out / name, inputs, overwrite=overwrite)
     for name, text in files.items():
         atomic_file.write(out / name, text.encode())
 

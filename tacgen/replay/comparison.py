@@ -22,6 +22,7 @@ Array = np.ndarray
 STD = "/frames/uncertainty/force"
 TOUCHED = 1e-3  # smallest force that counts as contact [N]
 HALF_90 = 1.645  # half the 90 % interval of a normal distribution over its standard deviation [-]
+FILES = ("forces.csv", "forces.txt", "forces.png")
 ROWS = 12  # frames of a log that are printed
 AXES = "xyz"
 
@@ -176,14 +177,13 @@ def _aligned(rows: list[list[str]]) -> list[str]:
 
 
 def write(found: Sequence[Compared], folder: Path) -> list[Path]:
-    """Write forces.csv, forces.txt and forces.png into a folder; earlier ones are replaced. Returns their paths."""
+    """Write FILES into a folder; earlier ones are replaced. Returns their paths."""
     from tacgen import atomic_file
     from tacgen.report import force_figure
 
-    contents = (("forces.csv", table(found)), ("forces.txt", text(found) + "\n"))
-    for name, content in contents:
-        atomic_file.write(folder / name, content.encode())
+    lines, words, picture = (folder / name for name in FILES)
+    for path, content in ((lines, table(found)), (words, text(found) + "\n")):
+        atomic_file.write(path, content.encode())
     drawn = [force_figure.Series(one.log.name, one.ours, one.std, one.theirs, one.log.friction) for one in found]
-    picture = folder / "forces.png"
     force_figure.draw([one for one in drawn if len(one.ours)], picture)
-    return [folder / name for name, _ in contents] + [picture]
+    return [lines, words, picture]

@@ -141,6 +141,11 @@ def _hdf5(path: Path, group: str) -> dict[str, Array]:
 def _of_arrays(path: Path, arrays: dict[str, Array], how: Conventions, environment: int | None) -> ContactLog:
     """The log in the arrays of a file. Raises ValueError with a message for people."""
     layout = LAYOUTS[how.layout]
+    fitting = [name for name, other in LAYOUTS.items() if other.names_of_object(arrays)]
+    if how.layout not in fitting:
+        wanted = " and ".join(names[0] for names in (layout.position, layout.rotation) if names) or layout.pose[0]
+        hint = f"its arrays are those of --from {fitting[0]}" if fitting else f"--from {how.layout} reads these"
+        raise ValueError(f"has no array {wanted} (it has: {', '.join(arrays)}); {hint}")
     order = _said("quaternion", how.quaternion, arrays, layout.quaternion, tuple(ORDERS))
     scale = pose_table.MM[_said("units", how.units, arrays, layout.units, tuple(pose_table.MM))]
     if "time" not in arrays:
@@ -154,21 +159,17 @@ def _of_arrays(path: Path, arrays: dict[str, Array], how: Conventions, environme
     def rows(name: str, width: int) -> Array:
         return _rows(name, arrays[name], len(time), width, environment)
 
-    def poses(names: tuple[tuple[str, ...], ...], needed: bool) -> Array | None:
-        whole, position, rotation = (next((name for name in some if name in arrays), "") for some in names)
+    def poses(whole: str, position: str, rotation: str) -> Array:
         if whole:
             both = rows(whole, 7)
             return _poses(whole, both[:, :3] * scale, both[:, 3:7], order)
-        if position and rotation:
-            return _poses(rotation, rows(position, 3) * scale, rows(rotation, 4), order)
-        if needed or position or rotation:
-            wanted = " and ".join(some[0] for some in names[1:] if some) or names[0][0]
-            raise ValueError(f"has no array {wanted} (it has: {', '.join(arrays)}); --from {how.layout} reads these")
-        return None
+        return _poses(rotation, rows(position, 3) * scale, rows(rotation, 4), order)
 
-    body = poses((layout.pose, layout.position, layout.rotation), True)
-    sensor = poses((layout.sensor_pose, layout.sensor_position, layout.sensor_rotation), False)
-    assert body is not None
+    body = poses(*layout.names_of_object(arrays))
+    of_sensor = layout.names_of_sensor(arrays)
+    if not of_sensor and (half := [name for name in layout.half_of_sensor if name in arrays]):
+        raise ValueError(f"has {half[0]} without {' or '.join(n for n in layout.half_of_sensor if n != half[0])}")
+    sensor = poses(*of_sensor) if of_sensor else None
     known = next((force for force in layout.forces if force.name in arrays), None)
     force = None if known is None else rows(known.name, 3)
     added = known is not None and known.friction in arrays

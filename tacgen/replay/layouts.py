@@ -4,7 +4,15 @@ Every array has a first axis of rows. Forces act on the sensor and poses are in 
 of each simulator's own arrays; `contact_log.read` has options for files that differ.
 """
 
+from collections.abc import Container
 from typing import NamedTuple
+
+Names = tuple[str, str, str] | tuple[()]  # of a pose, or of position and rotation; () where they are not complete
+
+
+def _names(there: Container[str], *known: tuple[str, ...]) -> Names:
+    pose, position, rotation = (next((name for name in some if name in there), "") for some in known)
+    return (pose, position, rotation) if pose or (position and rotation) else ()
 
 
 class Force(NamedTuple):
@@ -27,6 +35,19 @@ class Layout(NamedTuple):
     forces: tuple[Force, ...]
     quaternion: str = ""  # wxyz or xyzw; empty: the file or the user says
     units: str = ""  # m or mm; empty: the file or the user says
+
+    def names_of_object(self, there: Container[str]) -> Names:
+        """The arrays `there` that give the object's pose."""
+        return _names(there, self.pose, self.position, self.rotation)
+
+    def names_of_sensor(self, there: Container[str]) -> Names:
+        """The arrays `there` that give the pose of the sensor's body."""
+        return _names(there, self.sensor_pose, self.sensor_position, self.sensor_rotation)
+
+    @property
+    def half_of_sensor(self) -> tuple[str, ...]:
+        """Names of arrays that give the sensor's pose only together with another."""
+        return (*self.sensor_position[:1], *self.sensor_rotation[:1])
 
 
 LAYOUTS = {

@@ -208,3 +208,16 @@ def test_files_and_options_that_are_none(tmp_path: Path) -> None:
                       ({"force_on": "gripper"}, "--force-on gripper: must be one of sensor, object")):  # fmt: skip
         with pytest.raises(UserError, match=says):
             Conventions(**how)
+
+
+def test_a_file_of_another_simulator_is_recognised(tmp_path: Path) -> None:
+    path = archive(tmp_path / "log.npz", xpos=POSITION, xquat=wxyz(TURN))
+    with pytest.raises(UserError, match=r"has no array body_q .it has: .*; its arrays are those of --from mujoco"):
+        alone(path, layout="newton")
+
+
+def test_half_a_pose_of_the_sensor_is_none(tmp_path: Path) -> None:
+    """It must not be taken as a sensor at rest."""
+    half = {k: v for k, v in plain(units="m", quaternion="xyzw").items() if k != "sensor_quaternion"}
+    with pytest.raises(UserError, match="has sensor_position without sensor_quaternion"):
+        alone(archive(tmp_path / "log.npz", **half))
