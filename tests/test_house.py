@@ -75,7 +75,7 @@ HOMES = {
         "export.univtac",
         "bundle.pack",
         "torch",
-        "replay.contact_log",
+        "replay.array_log",
     },
     "cvxopt": {"mechanics.blas_kernels"},
     "pymetis": {"mechanics.linear_solvers"},

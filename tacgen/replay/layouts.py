@@ -1,7 +1,7 @@
 """Names, units and signs of the arrays that simulators export: one Layout each.
 
 Every array has a first axis of rows. Forces act on the sensor and poses are in the world frame, which is the convention
-of each simulator's own arrays; `contact_log.read` has options for files that differ.
+of each simulator's own arrays; `log_file.read` has options for files that differ.
 """
 
 from collections.abc import Container

@@ -13,11 +13,13 @@ from tacgen.recipe import approach, assets, indenters, pose_table
 from tacgen.recipe.indenters import Indenter
 from tacgen.recipe.pose_table import TimedPose
 from tacgen.recipe.trajectory import Placement
+from tacgen.recipe.trajectory_checks import MAX_FRAMES
 from tacgen.replay.contact_log import ContactLog
 
 Array = np.ndarray
 SPACING = 1.0  # of the points of the face at which distances are looked at [mm]
 BETWEEN = SPACING / np.sqrt(2)  # largest distance of a point of the face from these [mm]
+LOOKED_AT = 2000  # rows of a log without contact, most of which are far away
 AT_ONCE = 100_000  # points for which distances are computed together
 AXES = ("+z", "-z", "+x", "-x", "+y", "-y")
 CENTRED = {"sphere": "radius_mm", "torus": "tube_radius_mm"}  # height of the centre, where a simulator has the origin
@@ -31,6 +33,20 @@ class RecordedBody:
     pose: Placement  # of the indenter in the recorded body
     distance: Callable[[Array], Array]  # signed, from the surface, of points (n, 3) in the indenter's frame [mm]
     lowest: Callable[[Array], float]  # z of the lowest point [mm] at a pose (4, 4)
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Which rows of a log are solved."""
+
+    near_mm: float = 1.0  # those that bring the object so near to the gel
+    every: int = 1  # of these, each n-th
+    first: int = 0  # row of the file
+    last: int | None = None  # row of the file; None: to its end
+
+    def __post_init__(self) -> None:
+        if not self.near_mm > 0:
+            raise UserError(f"--near-mm {self.near_mm:g}: must be more than 0")
 
 
 def relative(log: ContactLog, sensor_pose: Placement, indenter_pose: Placement) -> Array:
@@ -88,6 +104,37 @@ def placement(pose: Array) -> Placement:
     x, y, z = pose[:3, 3].tolist()
     w, i, j, k = Rotation.from_matrix(pose[:3, :3]).as_quat(scalar_first=True).tolist()
     return Placement(position_mm=(x, y, z), quaternion=(w, i, j, k))
+
+
+def chosen(
+    log: ContactLog, body: RecordedBody, gel: GelBody, sensor_pose: Placement, choice: Choice
+) -> ContactLog | str:
+    """The rows of a log that are solved, or a line that says that there are none."""
+    some = log.some(np.arange(len(log))[choice.first : None if choice.last is None else choice.last + 1])
+    if not len(some):
+        return f"{log.name}: has {len(log)} rows, and none of those that --rows names"
+    poses = relative(some, sensor_pose, body.pose)
+    gap = gaps(body, gel, poses, choice.near_mm)
+    if least(body, gel, gap.min(), poses[gap.argmin()]) > 0:
+        return _missed(some, body, gel, poses)
+    solved = some.some(runs(gap <= choice.near_mm + BETWEEN, gap <= 0, choice.every))
+    if len(solved) > MAX_FRAMES:
+        raise UserError(
+            f"{log.name}: {len(solved)} rows are near contact, at most {MAX_FRAMES} can be: --every takes some"
+        )
+    return solved
+
+
+def _missed(log: ContactLog, body: RecordedBody, gel: GelBody, poses: Array) -> str:
+    """A line about a log without contact: how close it comes, in one of LOOKED_AT of its rows."""
+    rows = np.arange(len(log))[:: -(-len(log) // LOOKED_AT)]
+    gap = gaps(body, gel, poses[rows], np.inf)
+    nearest = rows[gap.argmin()]
+    closest = least(body, gel, gap.min(), poses[nearest])
+    felt = 0.0 if log.force is None else float(np.linalg.norm(log.force, axis=1).max())
+    theirs = f", though its simulator has up to {felt:.3g} N" if felt else ""
+    where = f"closest approach {closest:.3g} mm, in row {log.row[nearest]}"
+    return f"{log.name}: no contact{theirs}: {where}: check units, sensor_pose and indenter_pose"
 
 
 def gaps(body: RecordedBody, gel: GelBody, poses: Array, within: float) -> Array:

@@ -9,7 +9,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tacgen.errors import UserError
-from tacgen.replay.contact_log import ContactLog, Conventions, read
+from tacgen.replay.contact_log import ContactLog, Conventions
+from tacgen.replay.log_file import read
 
 Array = np.ndarray
 N = 4

@@ -11,7 +11,7 @@ from test_python_examples import loaded
 
 from tacgen import replay
 from tacgen.recipe.trajectory import Placement
-from tacgen.replay import contact_log
+from tacgen.replay import log_file, selection
 from tacgen.replay.contact_log import Conventions
 
 mujoco = pytest.importorskip("mujoco")
@@ -51,14 +51,14 @@ def test_the_recorded_force_is_that_on_the_sensor(example: dict[str, ModuleType]
     log = example["recorder"].Recorder(model, "pad", "ball")
     log.add(data)
     log.save(tmp_path / "log.npz")
-    (read,) = contact_log.read(tmp_path / "log.npz", Conventions("mujoco"))
+    (read,) = log_file.read(tmp_path / "log.npz", Conventions("mujoco"))
     assert read.force is not None
     assert data.qfrc_constraint[2] < -0.01  # the ball pushes the pad down, along its own -z
     assert np.hypot(*data.qfrc_constraint[:2]) > 0.001
     assert read.force[0] == pytest.approx(TILT.apply(data.qfrc_constraint), rel=1e-6)
     assert read.sensor is not None
     assert read.sensor[0, :3, :3] == pytest.approx(TILT.as_matrix())
-    poses = replay.selection.relative(read, Placement(), Placement())
+    poses = selection.relative(read, Placement(), Placement())
     assert poses[0, :3, 3] == pytest.approx([0, 0, 3.8], abs=1e-9)  # the ball's centre, over the pad
 
 
@@ -68,7 +68,7 @@ def test_the_example_presses_as_deep_as_it_is_asked_to(example: dict[str, Module
     how, recipe = Conventions("mujoco"), str(EXAMPLE / "ball.yaml")
     made = replay.prepare([tmp_path / "log.npz"], recipe, tmp_path / "out", how, replay.Choice())
     (log,) = made.logs
-    centre = replay.selection.relative(log, made.sensor_pose, Placement())[:, :3, 3]
+    centre = selection.relative(log, made.sensor_pose, Placement())[:, :3, 3]
     assert 3.5 < centre[:, 2].min() < 3.7  # of a ball of 4 mm over the face
     assert log.sensor is not None
     mount = log.sensor[:, :3, :3]

@@ -16,10 +16,10 @@ from tacgen.bundle.bundle import read
 from tacgen.cli import app
 from tacgen.errors import UserError
 from tacgen.geometry import mesh_import
-from tacgen.recipe import plan
+from tacgen.recipe import plan, scene_of_row
 from tacgen.recipe.indenters import Box, Mesh
 from tacgen.recipe.trajectory import Placement
-from tacgen.replay import selection
+from tacgen.replay import comparison, selection
 from tacgen.replay.contact_log import ContactLog, Conventions
 
 Array = np.ndarray
@@ -219,7 +219,7 @@ def test_a_mesh_is_where_its_file_was_recorded(tmp_path: Path) -> None:
 
 def test_nearness_never_leaves_a_touching_row_out() -> None:
     """A point between those at which distances are looked at."""
-    gel = replay.scene_of_row.gel_of(plan.load(Path("recipes/quickstart.yaml")).rows[0].sensor)
+    gel = scene_of_row.gel_of(plan.load(Path("recipes/quickstart.yaml")).rows[0].sensor)
     poses = np.tile(np.eye(4), (3, 1, 1))
     poses[:, :3, 3] = [[0.5, 0.5, -0.05], [0.5, 0.5, 2.0], [30.0, 0.0, -1.0]]  # in it, above it, beside it
     thin = Box(size_x_mm=0.1, size_y_mm=0.1, fillet_mm=0.05)
@@ -234,13 +234,13 @@ def test_the_text_says_where_the_largest_force_is_and_how_far_off(world: World) 
     steps = np.arange(2)
     log = ContactLog("press", steps, 0.1 * steps, world.ball[:2], world.sensor[:2], world.world_force[:2], True)
     ours, std = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, -2.0]]), np.full((2, 3), 0.05)
-    found = replay.comparison.Compared(log, "scene-00000", "", ours, 0 * ours, std, 1.5 * ours)
-    lines = replay.comparison.text([found]).splitlines()
+    found = comparison.Compared(log, "scene-00000", "", ours, 0 * ours, std, 1.5 * ours)
+    lines = comparison.text([found]).splitlines()
     lines = [" ".join(line.split()) for line in lines]
     assert lines[2] == "press 2 2 2 +- 0.05 3 +50.0 % 0.791 50.0 %"
     assert lines[5] == "press < 0.001 < 0.001 - < 0.001 -"
     assert lines[-1] == "1 0.1 0.000 0.000 -2.000 0.050 0.050 0.050 0.000 0.000 -3.000 0.000 0.000 -1.000"
-    smooth = replay.comparison.Compared(
+    smooth = comparison.Compared(
         log.__class__(**(vars(log) | {"friction": False})), "scene-00000", "", ours, 0 * ours, std, 1.5 * ours
     )
     assert "theirs_n" not in smooth.summary()["tangential"]  # of normal forces alone
@@ -249,9 +249,9 @@ def test_the_text_says_where_the_largest_force_is_and_how_far_off(world: World) 
 def test_a_log_without_forces_has_tacgens_alone(world: World, tmp_path: Path) -> None:
     steps = np.arange(2)
     log = ContactLog("log", steps, 0.1 * steps, world.ball[:2], world.sensor[:2], None, True)
-    found = replay.comparison.Compared(log, "scene-00000", "", world.force[:2], 0 * world.force[:2], None, None)
+    found = comparison.Compared(log, "scene-00000", "", world.force[:2], 0 * world.force[:2], None, None)
     assert "theirs_n" not in found.summary()["normal"]
-    (first, *_) = csv.DictReader(replay.comparison.table([found]).splitlines())
+    (first, *_) = csv.DictReader(comparison.table([found]).splitlines())
     assert first["simulator_z_n"] == first["error_z_n"] == first["std_z_n"] == ""
     assert float(first["force_z_n"]) == pytest.approx(world.force[0, 2], rel=1e-5)
-    replay.comparison.write([found], tmp_path)
+    comparison.write([found], tmp_path)
