@@ -110,8 +110,8 @@ def _walk(recipe: Recipe, gel: Gel, folders: Folders) -> None:
         table = rows(i) if i else table
         for k, frame in enumerate(walk.frames(segment, table, where, checking=True)):
             # a mesh may be longer than the pad: its middle says nothing of where it touches
-            if isinstance(move, Replay) and shape and walk.low < 0 and beside(lowest_point(frame.pose)):
-                place = ", ".join(f"{c:.4g}" for c in frame.pose[:3, 3])
+            if isinstance(move, Replay) and shape and walk.low < 0 and beside(point := lowest_point(frame.pose)):
+                place = ", ".join(f"{c:.4g}" for c in point + 0.0)
                 text = f"at ({place}) the indenter would be beside {pad} and below its face: move it in, or up"
                 raise TrajectoryError((*where, "file"), f"{move.file}: line {table[k].line}: {text}")
         if isinstance(move, Slide) and beside(walk.pose[:, 3]):

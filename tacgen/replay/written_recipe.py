@@ -1,6 +1,7 @@
 """The files that replay logs: a table of poses for each, and a recipe that `tacgen run` takes."""
 
 import json
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -39,7 +40,7 @@ def table(log: ContactLog) -> str:
 
 def text(base: str, sets: Sequence[str], move: dict[str, Any], tables: list[str], more: dict[str, Any]) -> str:
     """The text of a recipe that replays tables, each in a scene of its own."""
-    overrides = "".join(f" --set {json.dumps(text)}" for text in sets)
+    overrides = "".join(f" --set {shlex.quote(' '.join(text.split()))}" for text in sets)
     vary = {"method": "grid", "over": {"trajectory[0].replay.file": {"choice": tables}}} if len(tables) > 1 else None
     keys = {"trajectory": [{"replay": {"file": tables[0], **move}}], **more}
     lines = [f"# tacgen run {RECIPE} -o OTHER_FOLDER{overrides}", f"extends: {json.dumps(base)}"]

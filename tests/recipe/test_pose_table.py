@@ -186,7 +186,7 @@ def test_a_ball_that_rolls_touches_below_its_centre(tmp_path: Path) -> None:
     centre = "{file: poses.csv, indenter_pose: {position_mm: [0, 0, -4]}}"
     half = math.sqrt(0.5)
     load(tmp_path, table([(0, 9, 0, 3.7, half, 0, -half, 0)]), replay=centre)
-    with pytest.raises(UserError, match="the indenter would be beside the pad"):
+    with pytest.raises(UserError, match=r"at \(13, 0, -0.3\) the indenter would be beside the pad"):
         load(tmp_path, table([(0, 13, 0, 3.7, half, 0, half, 0)]), replay=centre)
 
 
