@@ -222,3 +222,10 @@ def test_half_a_pose_of_the_sensor_is_none(tmp_path: Path) -> None:
     half = {k: v for k, v in plain(units="m", quaternion="xyzw").items() if k != "sensor_quaternion"}
     with pytest.raises(UserError, match="has sensor_position without sensor_quaternion"):
         alone(archive(tmp_path / "log.npz", **half))
+
+
+def test_the_page_has_the_recorder_of_the_example() -> None:
+    root = Path(__file__).parents[2]
+    recorder = (root / "examples/mujoco/recorder.py").read_text().partition("\n\n")[2]
+    assert recorder.startswith("import mujoco")
+    assert f"```python\n{recorder}```" in (root / "docs/cookbook/other_simulators.md").read_text()

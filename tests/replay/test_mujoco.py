@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from test_python_examples import loaded
 
 from tacgen import replay
+from tacgen.recipe import plan
 from tacgen.recipe.trajectory import Placement
 from tacgen.replay import log_file, selection
 from tacgen.replay.contact_log import Conventions
@@ -75,3 +76,17 @@ def test_the_example_presses_as_deep_as_it_is_asked_to(example: dict[str, Module
     force = np.einsum("nji,nj->ni", mount, log.force)
     assert force[-1, 2] < -0.5
     assert force[-1, 0] == pytest.approx(0.6 * force[-1, 2], rel=0.02)  # the sensor moves along +x: held back
+
+
+def test_a_bolt_that_stands_on_its_back_is_turned_toward_the_gel(
+    example: dict[str, ModuleType], tmp_path: Path
+) -> None:
+    """The sensor looks down, so the axis of the file that points away from its gel is -z."""
+    example["presses"].record("bolt", 0.3, 0.0, 'friction="0.6" solref="-2100 -90"', tmp_path / "log.npz", rows=4)
+    how, recipe = Conventions("mujoco"), str(EXAMPLE / "bolt.yaml")
+    made = replay.prepare([tmp_path / "log.npz"], recipe, tmp_path / "out", how, replay.Choice())
+    (row,) = plan.load(made.recipe).rows
+    assert row.recipe.indenter.up == "-z"
+    low = np.array([pose.pose for pose in row.replayed(0)])[:, :3, :]
+    assert low[:, 2, 2] == pytest.approx(1)  # upright
+    assert -0.3 < low[-1, 2, 3] < -0.1  # its lowest point is in the gel
