@@ -78,9 +78,7 @@ def test_the_example_presses_as_deep_as_it_is_asked_to(example: dict[str, Module
     assert force[-1, 0] == pytest.approx(0.6 * force[-1, 2], rel=0.02)  # the sensor moves along +x: held back
 
 
-def test_a_bolt_that_stands_on_its_back_is_turned_toward_the_gel(
-    example: dict[str, ModuleType], tmp_path: Path
-) -> None:
+def test_a_bolt_under_a_sensor_that_looks_down_is_turned(example: dict[str, ModuleType], tmp_path: Path) -> None:
     """The sensor looks down, so the axis of the file that points away from its gel is -z."""
     example["presses"].record("bolt", 0.3, 0.0, 'friction="0.6" solref="-2100 -90"', tmp_path / "log.npz", rows=4)
     how, recipe = Conventions("mujoco"), str(EXAMPLE / "bolt.yaml")
@@ -89,4 +87,4 @@ def test_a_bolt_that_stands_on_its_back_is_turned_toward_the_gel(
     assert row.recipe.indenter.up == "-z"
     low = np.array([pose.pose for pose in row.replayed(0)])[:, :3, :]
     assert low[:, 2, 2] == pytest.approx(1)  # upright
-    assert -0.3 < low[-1, 2, 3] < -0.1  # its lowest point is in the gel
+    assert -0.3 < low[-1, 2, 3] < -0.01  # its lowest point is in the gel
