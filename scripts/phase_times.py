@@ -83,10 +83,8 @@ def main(first: int, count: int, quality: str) -> None:
         ended, more = solved(index, quality)
         seconds = sum(sum(spent.values()) for _, spent, _ in more)
         shape = drawn(index).shape
-        print(
-            f"draw {index} {shape}: {'ok' if ended else 'rejected'}, {seconds / max(len(more), 1):.3f} s a frame",
-            flush=True,
-        )
+        status = "ok" if ended else "rejected"
+        print(f"draw {index} {shape}: {status}, {len(more)} frames, {seconds:.1f} s", flush=True)
         frames += more
     table("all frames", frames)
     table("damped frames", [frame for frame in frames if frame[0]])
