@@ -69,6 +69,15 @@ def test_without_a_licence_the_page_says_that_it_is_not_known(data: Path, tmp_pa
     assert "Whoever publishes this data chooses its licence" in text
 
 
+def test_both_fingers_count_as_one_example_where_they_are_one_sample(tmp_path: Path) -> None:
+    pytest.importorskip("webdataset")
+    for finger in ("left", "right"):
+        known = {"finger": finger, "sensor": "digit", "input_key": finger}
+        write(tmp_path / "in" / f"scene-00000-{finger[0].upper()}.h5", outputs=frozenset({"force", "rgb"}), **known)
+    head, _ = page("webdataset", tmp_path / "in", tmp_path / "out")
+    assert [split["num_examples"] for split in head["dataset_info"]["splits"]] == [12]
+
+
 def test_several_data_sets_have_one_page(data: Path, tmp_path: Path) -> None:
     pytest.importorskip("webdataset")
     for name in ("a", "b"):
