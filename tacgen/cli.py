@@ -27,6 +27,7 @@ from tacgen.cli_common import (
     writing,
 )
 from tacgen.cli_look import report, show, view
+from tacgen.cli_sensor import sensors
 from tacgen.errors import UserError
 from tacgen.report.sheet import counted
 from tacgen.terminal import say
@@ -44,6 +45,7 @@ Workers = Annotated[
 ]
 
 app.add_typer(calibrations, name="calibrate")
+app.add_typer(sensors, name="sensor")
 
 
 def _version(wanted: bool) -> None:
@@ -176,6 +178,8 @@ def validate(file: RecipeFile, sets: Sets = None) -> None:
         sensor, tree = loading.read_sensor(path)
         warn(usual_values.warnings(sensor, tree))
         typer.echo(f"{path}: a valid sensor, {sensor.name}")
+        for part in usual_values.assumed(sensor) if sensor.base else ():
+            typer.echo(f"note: {part}")
         return
     plan = plan_of(file, sets)
     row = plan.rows[0]
@@ -226,6 +230,9 @@ def show_plan(
 def init(
     path: Annotated[Path | None, typer.Argument(help="The file to write; default: recipe.yaml or sensor.yaml.")] = None,
     sensor: Annotated[bool, typer.Option("--sensor", help="Write a sensor file instead of a recipe.")] = False,
+    start: Annotated[
+        str, typer.Option("--from", metavar="NAME", help="Copy this shipped recipe or sensor, or file, as the start.")
+    ] = "",
     overwrite: Overwrite = False,
 ) -> None:
     """Write a commented recipe or sensor file as a start, and the JSON Schema for completion in an editor."""
@@ -234,7 +241,7 @@ def init(
     kind = "sensor" if sensor else "recipe"
     path = path or Path(f"{kind}.yaml")
     with writing(path.parent):
-        written, schema_file = write_starter(path, sensor=sensor, overwrite=overwrite)
+        written, schema_file = write_starter(path, sensor=sensor, start=start, overwrite=overwrite)
     typer.echo(f"{written}: a {kind} to start from ({schema_file} completes it in an editor)")
 
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from tacgen.bundle.bundle import Bundle
 
 EXPORTERS = {
-    "exr": "linear light, height, normals and material points as OpenEXR: one .exr file a frame (tacgen[exr])",
+    "exr": "linear light, height, normals and material points as OpenEXR: one .exr file a frame",
     "vtkhdf": "mesh, displacement and stress over the frames, for ParaView: one .vtkhdf file a scene",
     "feats": "image and force in each of 24 x 32 cells, for FEATS: one .npy file a frame",
     "lerobot": "image, pose, force and markers as a LeRobot dataset, format v3.0 (tacgen[lerobot])",
