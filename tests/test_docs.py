@@ -221,6 +221,14 @@ def test_the_command_page_is_the_command_line() -> None:
     assert (DOCS / "COMMANDS.md").read_text() == made.stdout, "run scripts/command_page.py > docs/COMMANDS.md"
 
 
+def test_the_sensor_page_is_the_models() -> None:
+    made = subprocess.run(
+        [sys.executable, ROOT / "scripts/sensor_page.py"], capture_output=True, text=True, check=True,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    assert (DOCS / "SENSOR.md").read_text() == made.stdout, "run scripts/sensor_page.py > docs/SENSOR.md"
+
+
 def test_the_recipe_page_names_every_key_movement_and_quality() -> None:
     text = (DOCS / "RECIPE.md").read_text()
     keys = {*model.Recipe.model_fields, *Segment.model_fields} - {"tacgen"}

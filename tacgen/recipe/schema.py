@@ -10,6 +10,7 @@ from tacgen import output_file, regular_file
 from tacgen.recipe import assets, loading
 from tacgen.recipe.model import Recipe
 from tacgen.sensor.model import Sensor
+from tacgen.sensor.yaml_source import at
 
 SCHEMA_FILE, SENSOR_SCHEMA_FILE = "tacgen.schema.json", "tacgen-sensor.schema.json"
 LARGEST_SCHEMA = 2**24  # [bytes]
@@ -41,8 +42,8 @@ def write_starter(path: Path, *, sensor: bool, start: str = "", overwrite: bool)
     Args:
         path: the file to write; a sensor gets its stem as name.
         sensor: write a sensor file instead of a recipe.
-        start: name or path of the file to copy; "": the one that ships for this purpose. The mesh of a gel that is a
-            solid is copied too.
+        start: name or path of the file to copy; "": the one that ships for this purpose. Meshes and tables beside
+            it that it names are copied too.
         overwrite: replace existing files.
 
     Returns:
@@ -66,24 +67,29 @@ def write_starter(path: Path, *, sensor: bool, start: str = "", overwrite: bool)
 def _copied(path: Path, sensor: bool, start: str) -> list[tuple[Path, bytes]]:
     """The files that make a start, and their contents."""
     name = start or ("" if sensor else "quickstart")
-    found = assets.sensor_path(name) if sensor and name else assets.recipe_path(name) if name else STARTER
+    found = STARTER if not name else assets.sensor_path(name) if sensor else assets.recipe_path(name)
     title, *lines = found.read_text(encoding="utf-8-sig").splitlines()
-    head = f"# yaml-language-server: $schema={SENSOR_SCHEMA_FILE if sensor else SCHEMA_FILE}"
     use = f"#   tacgen validate {path}" if sensor else f"#   tacgen run {path} -o out/first"
     lines = [use if line.startswith(("#   tacgen run", "#   tacgen validate")) else line for line in lines]
-    body = [*([title] if title.startswith("#") else ["#", title]), *lines]
-    body.insert(1, use) if use not in body else None
-    text = "\n".join([head, *body, ""])
+    lines = [title, *lines] if use in lines else [title, use, *lines] if title.startswith("#") else [use, title, *lines]
+    head = f"# yaml-language-server: $schema={SENSOR_SCHEMA_FILE if sensor else SCHEMA_FILE}"
+    text = "\n".join([head, *lines, ""])
+    files: list[Path] = []
     if not sensor:
-        return [(path, text.replace("name: quickstart", "name: first").encode())]
-    if not name:
-        return [(path, text.encode())]
-    read, _ = loading.read_sensor(found)
-    origin = read.base or (name if name in assets.list_sensors() else "")
-    lines = [f"name: {path.stem}", *([f"base: {origin}{BASE_NOTE}"] if origin and not read.base else [])]
-    text = re.sub(r"^name:.*$", lambda _: "\n".join(lines), text, count=1, flags=re.M)
-    copies = [(path, text.encode())]
-    if read.gel.solid is not None:
-        mesh = assets.mesh_path(read.gel.solid.file, found.parent)
-        copies.append((path.parent / read.gel.solid.file, mesh.read_bytes()))
-    return copies
+        text = text.replace("name: quickstart", "name: first")
+        text = re.sub(r"^extends: (\w+)\.yaml$", lambda m: f"extends: {_shipped(m[1])}", text, flags=re.M)
+        made = loading.read(found)
+        files = [Path(str(at(made.tree.data, where))) for where in made.recipe.files]
+    elif name:
+        read, _ = loading.read_sensor(found)
+        origin = name if name in assets.list_sensors() else ""
+        lines = [f"name: {path.stem}", *([f"base: {origin}{BASE_NOTE}"] if origin else [])]
+        text = re.sub(r"^name:.*$", lambda _: "\n".join(lines), text, count=1, flags=re.M)
+        files = [Path(read.gel.solid.file)] if read.gel.solid else []
+    beside = [file for file in files if (found.parent / file).is_file()]
+    return [(path, text.encode()), *((path.parent / file, (found.parent / file).read_bytes()) for file in beside)]
+
+
+def _shipped(recipe: str) -> str:
+    """The name of a shipped recipe; of another one its file."""
+    return recipe if recipe in assets.list_recipes() else f"{recipe}.yaml"

@@ -5,7 +5,7 @@ from functools import cache
 from tacgen.recipe import assets
 from tacgen.sensor.base_model import Part
 from tacgen.sensor.model import Sensor
-from tacgen.sensor.usual_values import ASSUMED
+from tacgen.sensor.usual_values import COPIED
 from tacgen.sensor.validation_messages import Issue, suggest, validate
 from tacgen.sensor.yaml_source import load
 
@@ -13,7 +13,7 @@ TEXTS = ("name", "source", "description", "base")  # keys that are no numbers
 
 
 def problems(sensor: Sensor) -> list[Issue]:
-    """What is wrong with `base`: it must be the name of a shipped sensor."""
+    """A problem of `base`, which must be the name of a shipped sensor."""
     known = assets.list_sensors()
     if sensor.base is None or sensor.base in known:
         return []
@@ -52,5 +52,5 @@ def _marked(part: Part, other: Part, base: str) -> Part:
         elif value != theirs and name not in TEXTS:
             differ.append(name)
     if differ and getattr(part, "source", "") == getattr(other, "source", None):
-        new["source"] = f"{ASSUMED}{', '.join(differ)}; the rest as in {base}"
+        new["source"] = f"assumed: {', '.join(differ)}{COPIED}{base}"
     return part.model_copy(update=new)

@@ -8,7 +8,7 @@ from tacgen.sensor.model import Sensor
 from tacgen.sensor.yaml_source import KeyPath, format_path
 
 # Ends of keys, longest first, and their units
-UNITS = {"_mm_per_px": "mm/px", "mm_per_px": "mm/px", "_per_mm": "1/mm", "_mpa": "MPa", "_deg": "deg", "_mm": "mm"}
+UNITS = {"mm_per_px": "mm/px", "_per_mm": "1/mm", "_mpa": "MPa", "_deg": "deg", "_mm": "mm"}
 UNITS |= {"_px": "px", "_s": "s"}
 
 

@@ -281,9 +281,9 @@ class Sensor(Part):
     plate: Plate | None = None
     """Clear plate under the gel; needed for images."""
     coating: Coating | None = None
-    """Needed for images."""
+    """Opaque coating of the face; needed for images."""
     walls: Walls | None = None
-    """Needed for images."""
+    """The housing; needed for images."""
     leds: Annotated[tuple[Led, ...], Field(min_length=1)] | None = None
     """A list of lights; needed for images."""
     camera: Camera
@@ -291,7 +291,7 @@ class Sensor(Part):
     markers: Markers | None = None
     """Dots on the coating; none if absent."""
     thickness_response: ThicknessResponse | None = None
-    """None if absent."""
+    """Gain of the light by change of thickness; none if absent."""
 
     def __repr__(self) -> str:
         gel, picture = self.gel, self.camera

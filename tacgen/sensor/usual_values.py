@@ -11,7 +11,7 @@ from tacgen.sensor.yaml_source import KeyPath, Tree, format_path
 MODULUS_MPA = (0.005, 5.0)  # Young's modulus of gels and skins, from the softest silicone gels to hard rubber [MPa]
 SIDE_MM = (2.0, 200.0)  # width and height of a gel, from a fingertip's to a palm's [mm]
 THICKNESS_MM = (0.2, 100.0)  # of all its layers, from a skin on a plate to a large half ball [mm]
-ASSUMED = "assumed: "  # how the source of a part begins that differs from the sensor it is a copy of
+COPIED = "; the rest as in "  # in the source of a part that differs from the sensor it is a copy of, before its name
 Kind = tuple[str, str, dict[str, float]]  # of quantity, its unit, and units in which it is written by mistake
 MODULI: Kind = "moduli", "MPa", {"kPa": 1e-3, "Pa": 1e-6}
 LENGTHS: Kind = "lengths", "mm", {"m": 1e3, "cm": 10.0}
@@ -48,7 +48,7 @@ def unsourced(sensor: Part) -> list[str]:
 def assumed(sensor: Part) -> list[str]:
     """A line for each part of a sensor some of whose numbers are not those of its `base`: path and source."""
     sources = [(path, getattr(part, "source", "")) for path, part in _parts(sensor)]
-    return [f"{format_path(path)}: {source}" for path, source in sources if source.startswith(ASSUMED)]
+    return [f"{format_path(path)}: {source}" for path, source in sources if COPIED in source]
 
 
 def _parts(part: Part, path: KeyPath = ()) -> Iterator[tuple[KeyPath, Part]]:
