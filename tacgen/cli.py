@@ -169,7 +169,7 @@ def status(
 @app.command()
 def validate(file: RecipeFile, sets: Sets = None) -> None:
     """Check a recipe with its sensor and all its scenes, or a sensor file."""
-    from tacgen.recipe import approach, assets, loading
+    from tacgen.recipe import approach, assets, force_error_note, loading
     from tacgen.sensor import usual_values, yaml_source
 
     path = assets.recipe_path(file)
@@ -186,7 +186,7 @@ def validate(file: RecipeFile, sets: Sets = None) -> None:
     names = plan.sensors
     on = f"{'sensors' if len(names) > 1 else 'sensor'} {', '.join(names)}"
     typer.echo(f"{path}: a valid recipe, {plan.name}: {counted(len(plan.rows), 'scene')}, {on}")
-    for note in [*row.notes, *filter(None, [approach.note(plan.rows)])]:
+    for note in [*row.notes, *filter(None, [approach.note(plan.rows), force_error_note.note(row)])]:
         typer.echo(f"note: {note}")
 
 

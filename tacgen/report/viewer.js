@@ -260,6 +260,7 @@ function drawForce(side, k) {
     pen.fillStyle = colour;
     pen.fillText(`F${"xyz"[axis]} ${fixed(force[k][axis], 3)} N`, right + 8, 30 + 18 * axis);
   });
+  if (side.bundle.error?.[k]) write(pen, side.bundle.error[k], right + 8, 84, "left");
   line(pen, "#222", 1, [forceAt(side, k), 14], [forceAt(side, k), FORCE[1] - 34]);
   for (const i of new Set(ticks(0, frames.length - 1 || 1, 8).filter((i) => Number.isInteger(i) && i < frames.length))) write(pen, frames[i], forceAt(side, i), FORCE[1] - 24);
   write(pen, force ? "frame" : "frame (no forces)", (PLOT.left + right) / 2, FORCE[1] - 8);

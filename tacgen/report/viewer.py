@@ -18,6 +18,7 @@ import numpy as np
 from tacgen import output_file
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.caption import indenter_text, sensor_text
+from tacgen.bundle.force_error import force_error
 from tacgen.bundle.image_file import encoded
 from tacgen.errors import UserError
 from tacgen.fem.elements import triangles
@@ -121,6 +122,7 @@ def _about(bundle: Bundle) -> dict[str, Any]:
     """Texts, forces and sizes of a bundle."""
     frames, segments = shown(bundle), bundle.segments
     scale, (height, width) = scale_of(bundle), image_size(bundle)
+    error = force_error(bundle)
     left, top = (scale.centre[k] - size / 2 * scale.per_px for k, size in enumerate((width, height)))
     return {
         "name": _name(bundle),
@@ -129,6 +131,8 @@ def _about(bundle: Bundle) -> dict[str, Any]:
         "frames": frames.tolist(),
         "segments": [segments[k] for k in frames],
         "force": _numbers(bundle["/frames/force"][frames]) if "/frames/force" in bundle else None,
+        "error": error and [error.text(k) for k in frames],
+        "errorKind": error.kind if error else "",
         "box": [left, top, left + width * scale.per_px, top + height * scale.per_px],
         "unit": scale.unit,
     }
