@@ -147,7 +147,7 @@ class Frames:
 
     @property
     def force_error(self) -> Array:
-        """Expected error of the force's magnitude, (N,) [N]: by the recipe's `uncertainty` where that is asked for, else
+        """Expected error of the force's magnitude, (N,) [N]: by the recipe's `uncertainty` where asked for, else
         by the mesh, within a factor of 2; nan where it is not known, as without contact."""
         known = force_error(self.bundle)
         return np.full(len(self), np.nan) if known is None else known.newton
