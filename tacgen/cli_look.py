@@ -28,7 +28,10 @@ def report(
 def show(
     path: Annotated[Path, typer.Argument(help="A bundle, or a folder of bundles for a summary.")],
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Draw a picture; default: print a summary.")] = None,
-    field: Annotated[str, typer.Option("--field", help="Draw one field: pressure, traction, slip or stress.")] = "",
+    field: Annotated[
+        str,
+        typer.Option("--field", help="Draw one: camera, markers, pressure, traction, slip, height, flow or stress."),
+    ] = "",
     animate: Annotated[
         Path | None, typer.Option("--animate", help="Write an animation: webp, gif, or mp4 if ffmpeg is installed.")
     ] = None,

@@ -37,9 +37,8 @@ def write(folder: Path, out: Path, target: Path | None = None) -> Path:
     Raises UserError if `folder` holds no scenes.
     """
     seen = dataset_summary.look(folder)
-    links = scene_pages.write_pages(
-        [bundle for s in pictured(seen) if (bundle := s.bundle)], target or out, in_3d=False
-    )
+    bundles = [scene.bundle for scene in pictured(seen) if scene.bundle is not None]
+    links = scene_pages.write_pages(bundles, target or out, in_3d=False)
     out.write_bytes(output_file.signed(page(seen, links)))
     return out
 

@@ -1,6 +1,5 @@
 """Pages of a data set's scenes: one page a scene, and a list of them with filters and jumps to telling frames."""
 
-import json
 from collections.abc import Iterable, Sequence
 from html import escape
 from pathlib import Path
@@ -16,20 +15,24 @@ from tacgen.report.dataset_summary import Overview, SceneOverview, spread
 from tacgen.report.sheet import counted, short
 
 MAX_PAGES = 200  # scenes with a page; of more, all that are rejected first, and others evenly spread
-STYLE = """*{box-sizing:border-box}body{font:13px/1.4 system-ui,sans-serif;margin:0;color:#222;display:flex;height:100vh}
+STYLE = """*{box-sizing:border-box}
+body{font:13px/1.4 system-ui,sans-serif;margin:0;color:#222;display:flex;height:100vh}
 nav{width:24em;overflow:auto;padding:.6em;border-right:1px solid #ccc;flex:none}iframe{flex:1;border:0}
 h1{font-size:1.1em;margin:.2em 0}label{display:block;margin:.2em 0}input,select{font:inherit;max-width:14em}
-ol{list-style:none;padding:0}li{padding:.4em .2em;border-top:1px solid #ddd}li.on{background:#eef4fa}a{margin-right:.8em}
+ol{list-style:none;padding:0}li{padding:.4em .2em;border-top:1px solid #ddd}
+li.on{background:#eef4fa}a{margin-right:.8em}
 .rejected b{color:#b00000}.why{color:#b00000}"""
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; frame-src file: http: https:"
 SCRIPT = """"use strict";
 const all = [...document.querySelectorAll("li")], by = (id) => document.getElementById(id);
 function filter() {
-  const words = by("words").value.toLowerCase().split(/\\s+/), state = by("state").value, least = +by("least").value || 0;
+  const words = by("words").value.toLowerCase().split(/\\s+/), state = by("state").value;
+  const least = +by("least").value || 0;
   let n = 0;
   for (const item of all) {
     const { words: said, state: its, peak } = item.dataset;
-    item.hidden = !((!state || its === state) && (!least || +peak >= least) && words.every((word) => said.includes(word)));
+    const fits = (!state || its === state) && (!least || +peak >= least);
+    item.hidden = !(fits && words.every((word) => said.includes(word)));
     n += !item.hidden;
   }
   by("count").textContent = `${n} of ${all.length}`;
@@ -117,8 +120,8 @@ def _page(seen: Overview, scenes: Sequence[SceneOverview], links: dict[str, str]
         '<label>words <input id=words type=search placeholder="sphere digit"></label>'
         f'<label>state <select id=state><option value="">all</option>{states}</select></label>'
         "<label>force at least <input id=least type=number min=0 step=0.1 style='width:5em'> N</label>"
-        "<label>order <select id=order><option value=plan>of the plan</option><option value=force>largest force</option>"
-        "</select></label><p id=count></p>"
+        "<label>order <select id=order><option value=plan>of the plan</option>"
+        "<option value=force>largest force</option></select></label><p id=count></p>"
     )
     head = f'<meta charset="utf-8"><meta http-equiv="Content-Security-Policy" content="{POLICY}"><title>{title}</title>'
     body = f"<nav><h1>{title}</h1>{filters}{more}<ol>{items}</ol></nav><iframe name=scene title=scene></iframe>"
@@ -141,7 +144,8 @@ def _item(index: int, scene: SceneOverview, links: dict[str, str], names: dict[s
     if error and (largest := viewer.marks(bundle).get(viewer.LARGEST)) is not None:
         peak = f"{peak} {error.text(largest)}"
     why = f"<div class=why>{escape(scene.reason)}</div>" if scene.reason else ""
-    words = json.dumps(f"{scene.name} {about} {values} {scene.reason}".lower())[1:-1]
-    data = f'data-index={index} data-state="{scene.state}" data-peak="{scene.peak_n or 0:.6g}" data-words="{escape(words)}"'
+    words = f"{scene.name} {about} {values} {scene.reason}".lower()
+    data = f'data-index={index} data-state="{scene.state}" data-peak="{scene.peak_n or 0:.6g}"'
     first = f'<a target=scene href="{link}"><b>{escape(scene.name)}</b></a>'
-    return f'<li class="{scene.state}" {data}>{first}{peak}<div>{escape(about)}</div><div>{escape(values)}</div>{why}{jumps}</li>'
+    text = f"{first}{peak}<div>{escape(about)}</div><div>{escape(values)}</div>{why}{jumps}"
+    return f'<li class="{scene.state}" {data} data-words="{escape(words)}">{text}</li>'

@@ -2,7 +2,7 @@
 "use strict";
 (() => {
 const data = JSON.parse(document.getElementById("viewed").textContent), root = document.querySelector(".viewer");
-const SIZE = [560, 370], FORCE = [560, 150], GAP = 16, LEAST = 420, BESIDE = 330, PLOT = { left: 52, top: 10, right: 92, bottom: 40 }, SHARP = 2;
+const SIZE = [560, 370], FORCE = [560, 150], GAP = 16, LEAST = 420, PLOT = { left: 52, top: 10, right: 92, bottom: 40 }, SHARP = 2;
 const state = { k: 0, layer: data.layers[0] ?? "picture", part: 0, cut: true, indenter: true, turn: [-0.5, 0.45], zoom: 1 };
 const most = Math.max(...data.bundles.map((b) => b.frames.length));
 const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
@@ -356,12 +356,14 @@ function nearest(frame) { // its place among those shown
   const frames = data.bundles.reduce((a, b) => (b.frames.length > a.frames.length ? b : a)).frames;
   return frames.reduce((best, n, i) => (Math.abs(n - frame) < Math.abs(frames[best] - frame) ? i : best), 0);
 }
-function fit() { // the sides fill the window, and all of a side is seen at once where there is room
-  const across = sides.length * LEAST + GAP < root.clientWidth ? sides.length : 1;
-  const width = Math.max(LEAST, Math.floor((root.clientWidth - GAP * (across - 1)) / across));
-  SIZE[0] = FORCE[0] = Math.min(width, Math.max(LEAST, Math.round(1.6 * (innerHeight - BESIDE))));
+function fit() { // the sides fill the window, with the force beside the map where a single one is wide enough
+  const whole = root.clientWidth, across = sides.length * LEAST + GAP < whole ? sides.length : 1, wide = sides.length === 1 && whole > 1000;
+  const width = wide ? 0.62 * whole : (whole - GAP * (across - 1)) / across, above = wide ? 200 : 370; // [px] of the window's height
+  SIZE[0] = Math.round(Math.max(LEAST, Math.min(width, 1.5 * (innerHeight - above))));
   SIZE[1] = Math.round(SIZE[0] * 0.66);
+  [FORCE[0], FORCE[1]] = wide ? [whole - SIZE[0] - GAP, Math.min(420, SIZE[1])] : [SIZE[0], 150];
   for (const { stage, force, solid } of sides) {
+    force.parentElement.classList.toggle("wide", wide);
     Object.assign(stage.style, { width: `${SIZE[0]}px`, height: `${SIZE[1]}px` });
     for (const canvas of stage.children) Object.assign(canvas.style, { width: `${SIZE[0]}px`, height: `${SIZE[1]}px` });
     Object.assign(force.style, { width: `${FORCE[0]}px`, height: `${FORCE[1]}px` });

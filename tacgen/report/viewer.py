@@ -46,7 +46,10 @@ POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-s
 STYLE = """.viewer{font:13px/1.4 system-ui,sans-serif;color:#222}.viewer .sides{display:flex;flex-wrap:wrap;gap:1em}
 .viewer .stage{position:relative;touch-action:none}.viewer canvas{display:block}
 .viewer .stage canvas{position:absolute;inset:0}.viewer .stage canvas.solid{cursor:grab}
-.viewer .force{cursor:pointer}.viewer button{margin-right:.6em}.viewer fieldset{border:0;padding:0;margin:.4em 0}
+.viewer .force{cursor:pointer}.viewer button{margin-right:.6em}
+.viewer .wide{display:grid;grid-template-columns:max-content 1fr;column-gap:16px;width:100%}
+.viewer .wide>*{grid-column:1}
+.viewer .wide>.force{grid-column:2;grid-row:4;align-self:start}.viewer fieldset{border:0;padding:0;margin:.4em 0}
 .viewer label{margin-right:1em}.viewer input[type=range]{width:26em;vertical-align:middle}.viewer p{margin:.2em 0}
 .viewer h3{margin:.3em 0;font-size:1em}.viewer .said{min-height:1.4em;font-variant-numeric:tabular-nums}"""
 
