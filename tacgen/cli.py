@@ -256,7 +256,9 @@ def show_list(
     from tacgen.report.catalogue import KINDS
 
     if kind and kind not in KINDS:
-        raise UserError(f"{kind}: must be one of {', '.join(KINDS)}")
+        from tacgen.sensor.validation_messages import suggest
+
+        raise UserError(f"{kind}: unknown kind{suggest(kind, KINDS)}; there are: {', '.join(KINDS)}")
     listed = {name: KINDS[name]() for name in ([kind] if kind else KINDS)}
     lines: list[str] = []
     for name, entries in listed.items():

@@ -336,6 +336,8 @@ def test_the_site_is_built_without_warnings_and_fetches_nothing(tmp_path: Path) 
     assert done.returncode == 0, done.stderr
     pages = sorted(tmp_path.rglob("*.html"))
     assert len(pages) > 15
+    assert "var __index = " in (tmp_path / "search" / "search_index.js").read_text()[:20], "search needs no server"
+    assert (tmp_path / "iframe-worker.js").is_file()
     remote = r"(?:<(?:script|img|iframe|source)\s[^>]*src|<link\s[^>]*rel=.(?:stylesheet|preconnect|icon)[^>]*href)"
     for page in pages:
         assert not re.findall(rf'{remote}=["\']?(?:https?:)?//', page.read_text()), page

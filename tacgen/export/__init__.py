@@ -60,7 +60,9 @@ def export(kind: str, source: Path, out: Path, *, merge: bool = False, overwrite
         OSError: `out` cannot be written.
     """
     if kind not in EXPORTERS:
-        raise UserError(f"{kind}: unknown format, use one of {', '.join(EXPORTERS)}")
+        from tacgen.sensor.validation_messages import suggest
+
+        raise UserError(f"{kind}: unknown format{suggest(kind, EXPORTERS)}; there are: {', '.join(EXPORTERS)}")
     sources = bundles(source, merge=merge)
     for bundle in sources:
         bundle.verify()

@@ -34,6 +34,7 @@ from tacgen.report.bundle_figure import (
 from tacgen.report.layers import datasets_of
 from tacgen.report.plane_cut import crossed, cut, outline
 from tacgen.report.sheet import Page
+from tacgen.sensor.validation_messages import suggest
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -68,7 +69,7 @@ def picture(path: Path, field: str, out: Path) -> None:
         OSError: `out` cannot be written.
     """
     if field not in FIELDS:
-        raise UserError(f"{field}: unknown field, use one of {', '.join(FIELDS)}")
+        raise UserError(f"{field}: unknown field{suggest(field, FIELDS)}; there are: {', '.join(FIELDS)}")
     save(figure(only(path), field), out)
 
 
