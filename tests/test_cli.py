@@ -130,7 +130,7 @@ def test_what_is_asked_for_reaches_the_engine(tmp_path: Path, batch: Any):
 def timed(monkeypatch: pytest.MonkeyPatch) -> None:
     """A probe that takes no time."""
 
-    def probe(plan: Any, workers: int) -> PlanCost:
+    def probe(plan: Any, workers: int, on_event: Any) -> PlanCost:
         found = cost(plan.frames, [Made(6, 3.0, 0.01), Made(6, 5.0, 0.01)])
         assert found is not None
         return PlanCost(found, 0.4)

@@ -322,7 +322,7 @@ def test_the_tutorial_runs(tmp_path: Path) -> None:
             assert done.returncode == 0, f"{' '.join(line)}\n{done.stdout}{done.stderr}"
             ran.append(line)
     assert len(ran) > 10
-    for made in ("quickstart.png", "traction.png", "many/report.html", "packed/index.json"):
+    for made in ("draft.png", "traction.png", "many/report.html", "packed/index.json"):
         assert (tmp_path / "out" / made).stat().st_size > 0
 
 
