@@ -165,7 +165,13 @@ def test_a_plan_s_cost(timed: None):
         (("validate", str(ROOT)), "is a folder, not a file"),
         (("validate", str(ROOT / "no.yaml")), "no such recipe file"),
         (("run", "quickstart", "-o", "x", "--workers", "0"), "--workers 0: must be a number from 1, or auto"),
-        (("list", "shape"), "shape: unknown kind, did you mean shapes?; there are: sensors, recipes, objects, shapes, outputs, formats"),
+        (
+            ("list", "shape"),
+            (
+                ("list", "shape"),
+                "shape: unknown kind, did you mean shapes?; there are: sensors, recipes, objects, shapes, outputs, formats",
+            ),
+        ),
         (("check", "no/such/folder"), "no/such/folder: no such file or folder"),
         (("show", "no.h5"), "no.h5: No such file"),
         (("run", "quickstart"), "Missing option"),

@@ -42,6 +42,12 @@ def test_scenes_that_take_long_are_judged_by_their_frames(tmp_path: Path, monkey
     assert not [event for event in events if event["event"] == "scene"]
 
 
+def test_cores_are_counted_where_there_is_no_affinity(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr(worker_process.os, "sched_getaffinity")
+    monkeypatch.setattr(worker_process.os, "cpu_count", lambda: 1)
+    assert worker_process.cores() == 1
+
+
 @pytest.mark.parametrize(("cores", "memory", "workers"), [(8, 64.0, 8), (64, 16.0, 16), (2, 0.5, 1)])
 def test_as_many_workers_as_cores_and_memory_allow(
     cores: int, memory: float, workers: int, monkeypatch: pytest.MonkeyPatch
