@@ -167,10 +167,7 @@ def test_a_plan_s_cost(timed: None):
         (("run", "quickstart", "-o", "x", "--workers", "0"), "--workers 0: must be a number from 1, or auto"),
         (
             ("list", "shape"),
-            (
-                ("list", "shape"),
-                "shape: unknown kind, did you mean shapes?; there are: sensors, recipes, objects, shapes, outputs, formats",
-            ),
+            "shape: unknown kind, did you mean shapes?; there are: sensors, recipes, objects, shapes, ",
         ),
         (("check", "no/such/folder"), "no/such/folder: no such file or folder"),
         (("show", "no.h5"), "no.h5: No such file"),

@@ -33,8 +33,8 @@ def chosen(plan: Plan) -> list[Row]:
 def probe(plan: Plan, workers: int, task: str = TASK, on_event: OnEvent = lambda event: None) -> PlanCost:
     """Time some scenes on the same number of workers as the run, for ENOUGH_S after their first frame.
 
-    What comes before it, as compiling, happens once. Where no scene is finished by then, the frames of those at work are
-    judged by.
+    What comes before it, as compiling, happens once. Where no scene is finished by then, the frames of those at work
+    are judged by.
 
     Raises:
         UserError: none of them could be made.
