@@ -45,7 +45,7 @@ def note(row: "Row") -> str:
     return (
         f"expected error of the force by the mesh: about {100 * expected_force_error(edge, max(widths)):.1g} %, within"
         f" a factor of 2 (edges of {edge:g} mm, a contact {2 * max(widths):.2g} mm wide); more where the contact is"
-        " narrower"
+        f" narrower{', and at edges and tips sharper than the mesh several times that' * (shape.smallest_radius < edge)}"
     )
 
 
