@@ -42,10 +42,11 @@ def note(row: "Row") -> str:
     widths = [width for pose in (*some, path.poses[-1]) if (width := face.width(shape, pose)) > 0]
     if not widths:
         return ""
+    sharp = ", and several times that at edges and tips sharper than the mesh" * (shape.smallest_radius < edge)
     return (
         f"expected error of the force by the mesh: about {100 * expected_force_error(edge, max(widths)):.1g} %, within"
         f" a factor of 2 (edges of {edge:g} mm, a contact {2 * max(widths):.2g} mm wide); more where the contact is"
-        f" narrower{', and at edges and tips sharper than the mesh several times that' * (shape.smallest_radius < edge)}"
+        f" narrower{sharp}"
     )
 
 
