@@ -27,6 +27,7 @@ from tacgen.cli_common import (
     writing,
 )
 from tacgen.cli_look import report, show, view
+from tacgen.cli_replay import replay
 from tacgen.cli_sensor import sensors
 from tacgen.errors import UserError
 from tacgen.report.sheet import counted
@@ -305,8 +306,8 @@ def pack(
     show_result({**plain, "shards": [str(path) for path in made.shards]}, text, as_json)
 
 
-for look in (report, show, view):
-    app.command()(look)
+for command in (replay, report, show, view):
+    app.command()(command)
 
 
 @app.command()

@@ -43,6 +43,7 @@ BROUGHT = {
     "parts/thing.stl": ROOT / "objects/ring/ring.stl",
     "rollout.csv": ROOT / "recipes/rollout.csv",
     "tool.csv": ROOT / "tests/helpers/tool.csv",
+    "log.csv": ROOT / "tests/helpers/contact_log.csv",
 }
 
 
