@@ -349,8 +349,9 @@ const sides = data.bundles.map((bundle, number) => {
   }, { passive: false });
   return side;
 });
-for (const [what, frame] of data.bundles.flatMap((b) => Object.entries(b.marks))) { // of both bundles
-  make("button", jumps, { type: "button", textContent: `${what} (${frame})` }).onclick = () => { state.k = nearest(frame); draw(); };
+const marked = new Map(data.bundles.flatMap((b) => Object.entries(b.marks)).map(([what, frame]) => [`${what} (${frame})`, frame]));
+for (const [text, frame] of marked) { // of both bundles
+  make("button", jumps, { type: "button", textContent: text }).onclick = () => { state.k = nearest(frame); draw(); };
 }
 function nearest(frame) { // its place among those shown
   const frames = data.bundles.reduce((a, b) => (b.frames.length > a.frames.length ? b : a)).frames;
