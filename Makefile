@@ -68,7 +68,7 @@ bench: sync
 docs: sync
 	@# not --quiet: with it --strict counts no warnings
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
-	@echo "the site: out/site/index.html; its search needs a server: $(BIN)/python -m http.server -d out/site"
+	@echo "the site: out/site/index.html"
 
 demo: sync
 	$(BIN)/tacgen run recipes/quickstart.yaml -o out/quickstart

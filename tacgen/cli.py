@@ -28,6 +28,7 @@ from tacgen.cli_common import (
 )
 from tacgen.cli_look import report, show, view
 from tacgen.cli_replay import replay
+from tacgen.cli_sensor import sensors
 from tacgen.errors import UserError
 from tacgen.report.sheet import counted
 from tacgen.terminal import say
@@ -46,6 +47,7 @@ Workers = Annotated[
 ]
 
 app.add_typer(calibrations, name="calibrate")
+app.add_typer(sensors, name="sensor")
 
 
 def _version(wanted: bool) -> None:
@@ -169,7 +171,7 @@ def status(
 @app.command()
 def validate(file: RecipeFile, sets: Sets = None) -> None:
     """Check a recipe with its sensor and all its scenes, or a sensor file."""
-    from tacgen.recipe import approach, assets, loading
+    from tacgen.recipe import approach, assets, force_error_note, loading
     from tacgen.sensor import usual_values, yaml_source
 
     path = assets.recipe_path(file)
@@ -178,13 +180,15 @@ def validate(file: RecipeFile, sets: Sets = None) -> None:
         sensor, tree = loading.read_sensor(path)
         warn(usual_values.warnings(sensor, tree))
         typer.echo(f"{path}: a valid sensor, {sensor.name}")
+        for part in usual_values.assumed(sensor) if sensor.base else ():
+            typer.echo(f"note: {part}")
         return
     plan = plan_of(file, sets)
     row = plan.rows[0]
     names = plan.sensors
     on = f"{'sensors' if len(names) > 1 else 'sensor'} {', '.join(names)}"
     typer.echo(f"{path}: a valid recipe, {plan.name}: {counted(len(plan.rows), 'scene')}, {on}")
-    for note in [*row.notes, *filter(None, [approach.note(plan.rows)])]:
+    for note in [*row.notes, *filter(None, [approach.note(plan.rows), force_error_note.note(row)])]:
         typer.echo(f"note: {note}")
 
 
@@ -228,6 +232,9 @@ def show_plan(
 def init(
     path: Annotated[Path | None, typer.Argument(help="The file to write; default: recipe.yaml or sensor.yaml.")] = None,
     sensor: Annotated[bool, typer.Option("--sensor", help="Write a sensor file instead of a recipe.")] = False,
+    start: Annotated[
+        str, typer.Option("--from", metavar="NAME", help="Copy this shipped recipe or sensor, or file, as the start.")
+    ] = "",
     overwrite: Overwrite = False,
 ) -> None:
     """Write a commented recipe or sensor file as a start, and the JSON Schema for completion in an editor."""
@@ -236,7 +243,7 @@ def init(
     kind = "sensor" if sensor else "recipe"
     path = path or Path(f"{kind}.yaml")
     with writing(path.parent):
-        written, schema_file = write_starter(path, sensor=sensor, overwrite=overwrite)
+        written, schema_file = write_starter(path, sensor=sensor, start=start, overwrite=overwrite)
     typer.echo(f"{written}: a {kind} to start from ({schema_file} completes it in an editor)")
 
 
@@ -251,7 +258,9 @@ def show_list(
     from tacgen.report.catalogue import KINDS
 
     if kind and kind not in KINDS:
-        raise UserError(f"{kind}: must be one of {', '.join(KINDS)}")
+        from tacgen.sensor.validation_messages import suggest
+
+        raise UserError(f"{kind}: unknown kind{suggest(kind, KINDS)}; there are: {', '.join(KINDS)}")
     listed = {name: KINDS[name]() for name in ([kind] if kind else KINDS)}
     lines: list[str] = []
     for name, entries in listed.items():

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from tacgen.bundle.bundle import Bundle
 
 EXPORTERS = {
-    "exr": "linear light, height, normals and material points as OpenEXR: one .exr file a frame (tacgen[exr])",
+    "exr": "linear light, height, normals and material points as OpenEXR: one .exr file a frame",
     "vtkhdf": "mesh, displacement and stress over the frames, for ParaView: one .vtkhdf file a scene",
     "feats": "image and force in each of 24 x 32 cells, for FEATS: one .npy file a frame",
     "lerobot": "image, pose, force and markers as a LeRobot dataset, format v3.0 (tacgen[lerobot])",
@@ -76,7 +76,9 @@ def export(
         OSError: `out` cannot be written.
     """
     if kind not in EXPORTERS:
-        raise UserError(f"{kind}: unknown format, use one of {', '.join(EXPORTERS)}")
+        from tacgen.sensor.validation_messages import suggest
+
+        raise UserError(f"{kind}: unknown format{suggest(kind, EXPORTERS)}; there are: {', '.join(EXPORTERS)}")
     sources = bundles(source, merge=merge)
     for bundle in sources:
         bundle.verify()

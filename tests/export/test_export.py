@@ -52,7 +52,7 @@ def test_the_help_names_every_format() -> None:
 
 def test_what_cannot_be_exported_is_reported_in_one_line(source: Path, tmp_path: Path) -> None:
     for args, words in (
-        (("excel", str(source)), f"excel: unknown format, use one of {', '.join(EXPORTERS)}"),
+        (("excel", str(source)), f"excel: unknown format; there are: {', '.join(EXPORTERS)}"),
         (("vtkhdf", str(tmp_path / "no")), "no such file or folder"),
         (("vtkhdf", str(source / "none")), "no finished scene to export"),
     ):
