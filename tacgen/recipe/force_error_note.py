@@ -44,10 +44,15 @@ def note(row: "Row") -> str:
         return ""
     sharp = ", and several times that at edges and tips sharper than the mesh" * (shape.smallest_radius < edge)
     return (
-        f"expected error of the force by the mesh: about {100 * expected_force_error(edge, max(widths)):.1g} %, within"
+        f"expected error of the force by the mesh: about {_rounded(100 * expected_force_error(edge, max(widths)))} %, within"
         f" a factor of 2 (edges of {edge:g} mm, a contact {2 * max(widths):.2g} mm wide); more where the contact is"
         f" narrower{sharp}"
     )
+
+
+def _rounded(percent: float) -> str:
+    """To one digit, without an exponent."""
+    return f"{float(f'{percent:.1g}'):g}"
 
 
 def _bodies(row: "Row") -> "tuple[GelBody, Shape]":

@@ -217,8 +217,8 @@ sound = cache(Content.of)  # of a folder that nobody spoils
 
 def attempt(kind: str, seed: int, source: Path) -> Attempt:
     """Spoil a copy of `source` (made by `base`) by a mutation of this kind, and have a reader read it."""
-    rng = Random(f"{kind} {seed}")
-    which, reader = rng.choice(("loose", "packed")), rng.choice(sorted(READERS))
+    rng, other = Random(f"{kind} {seed}"), Random(f"{kind} {seed}, reader")  # damage is the same with other readers
+    which, reader = other.choice(("loose", "packed")), other.choice(sorted(READERS))
     if kind == "resealed":
         which = "whole"
     if kind in ("inputs", "numbers"):
