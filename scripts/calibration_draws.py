@@ -1,6 +1,6 @@
 """Random draws of photographs: does `tacgen calibrate optics` harm the presses that it was not given?
 
-    python scripts/calibration_draws.py [3] [--unit gelsight_mini_unit2] [--given 5] [--photos ../shared/reference]
+    python scripts/calibration_draws.py [3] [--first 0] [--unit gelsight_mini_unit2] [--given 5] [--photos ../shared/reference]
 
 Each draw gives some presses of a real unit to the fit, which starts from the shipped file and judges itself by them
 alone, and compares file and fit on the other presses. Exit code 1: a fit that would be written is worse there.
@@ -39,8 +39,8 @@ def unit_of(name: str, folder: Path) -> photographs.Unit | None:
     with (folder / "presses.csv").open(newline="") as file:
         for row in csv.DictReader(file):
             center = (float(row["centre_x_px"]), float(row["centre_y_px"]))
-            press = PhotographedPress(row["image"], background_photo.read(folder / row["image"]),
-                                      float(row["ball_diameter_mm"]) / 2, center, float(row["contact_radius_px"]), None)  # fmt: skip
+            picture, ball = background_photo.read(folder / row["image"]), float(row["ball_diameter_mm"]) / 2
+            press = PhotographedPress(row["image"], picture, ball, center, float(row["contact_radius_px"]), None)
             presses.append(contact_circle.refined(press, untouched))
     return photographs.Unit(folder, untouched, tuple(presses))
 
@@ -74,6 +74,7 @@ def main() -> None:
     """Draw, fit and compare."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("draws", type=int, nargs="?", default=3)
+    parser.add_argument("--first", type=int, default=0, help="seed of the first draw")
     parser.add_argument("--unit", choices=SENSOR, default="gelsight_mini_unit2")
     parser.add_argument("--given", type=int, default=5, help="presses that a fit is given")
     parser.add_argument("--steps", type=int, default=4, help="iterations of a fit at most")
@@ -84,7 +85,8 @@ def main() -> None:
     unit = unit_of(asked.unit, asked.photos)
     if unit is None:
         sys.exit(f"no photographs of {asked.unit} in {asked.photos}")
-    harmed = [draw(unit, SENSOR[asked.unit], asked.given, seed, asked.steps) for seed in range(asked.draws)]
+    seeds = range(asked.first, asked.first + asked.draws)
+    harmed = [draw(unit, SENSOR[asked.unit], asked.given, seed, asked.steps) for seed in seeds]
     print(f"{asked.unit}: {sum(harmed)} of {len(harmed)} fits would be written and are worse on the other presses")
     sys.exit(int(any(harmed)))
 

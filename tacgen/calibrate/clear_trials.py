@@ -103,8 +103,8 @@ class Trials:
         sides = np.array([sensor.gel.width_mm, sensor.gel.height_mm]) / 2 + sensor.walls.margin_mm
         self._room = np.array([*sides, bottom_depth(sensor)]) - CLEAR  # half the housing's sides, and its depth [mm]
         self._look = lru_cache(64)(self._looked)
-        self._around = lru_cache(32 * len(sensor.leds))(self._bounced)
-        self._column = lru_cache(32 * len(sensor.leds) * (1 + len(faces)))(self._lit)
+        self._around = lru_cache(128 * len(sensor.leds))(self._bounced)
+        self._column = lru_cache(128 * len(sensor.leds) * (1 + len(faces)))(self._lit)
         everywhere = np.ones(self.sensor.camera.width_px * self.sensor.camera.height_px, bool)
         self.pictures = [self._picture("untouched", photos.untouched, everywhere, untouched)]
         for press, face in zip(photos.presses, faces, strict=True):
@@ -137,8 +137,7 @@ class Trials:
         shrink = press.picture.shape[1] / eye.width_px
         y, x = np.mgrid[: eye.height_px, : eye.width_px] + 0.5
         away = np.hypot(x * shrink - press.center[0], y * shrink - press.center[1])
-        solved = press.contact is None or press.depth is not None
-        reach = REACH / eye.mm_per_px * shrink if solved else NEAR * (press.contact or 0.0)
+        reach = REACH / eye.mm_per_px * shrink if press.solved else NEAR * (press.contact or 0.0)
         return np.asarray((away < reach).ravel())
 
     def _ranges(self) -> tuple[Array, Array, Array]:

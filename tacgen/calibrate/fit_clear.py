@@ -29,7 +29,7 @@ def fit(sensor: LitSensor, photos: Photos, folders: dict[KeyPath, Path], asked: 
     faces = [press_faces.face(sensor, press, folders) for press in photos.presses]
     trial = Trials(sensor, photos, faces, tolerance, asked.bare)
     if not (groups := folds(len(photos.presses))):
-        return trial.whole(RIDGES[0], asked.steps)
+        return trial.whole(RIDGES[-1], asked.steps)
     counts, made = trial.judged(groups, asked.steps)
     best = int(np.argmin(counts[1:].mean(axis=1)))
     held_out = [k - 1 for group in groups for k in group]

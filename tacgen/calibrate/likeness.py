@@ -67,11 +67,13 @@ class Likeness:
     def over(cls, parts: "Sequence[Likeness]") -> "Likeness":
         """Of several groups of presses together: medians of the ratios, means of the angles."""
         sizes = [len(one.each) for one in parts]
-        ratios = (np.nanmedian([getattr(one, k) for one in parts], axis=0) for k in ("contrast", "direction"))
-        angles = (float(np.average([getattr(one, k) for one in parts], weights=sizes)) for k in ("noisy", "flat"))
+        contrast, direction = (
+            np.nanmedian([getattr(one, k) for one in parts], axis=0) for k in ("contrast", "direction")
+        )
+        noisy, flat = (float(np.average([getattr(one, k) for one in parts], weights=sizes)) for k in ("noisy", "flat"))
         each = np.concatenate([one.each for one in parts])
         alike = np.median([one.correlation for one in parts], axis=0)
-        return cls(*ratios, alike, float(each.mean()), *angles, each)
+        return cls(contrast, direction, alike, float(each.mean()), noisy, flat, each)
 
     def __str__(self) -> str:
         normals = f"real normals off by {self.normals:.1f} deg (rendered ones: {self.noisy:.1f}, flat: {self.flat:.1f})"
