@@ -1,6 +1,6 @@
 """Random draws of photographs: does `tacgen calibrate optics` harm the presses that it was not given?
 
-    python scripts/calibration_draws.py [3] [--first 0] [--unit gelsight_mini_unit2] [--given 5] [--photos ../shared/reference]
+    python scripts/calibration_draws.py [3] [--first 0] [--unit gelsight_mini_unit2] [--given 5] [--photos DIR]
 
 Each draw gives some presses of a real unit to the fit, which starts from the shipped file and judges itself by them
 alone, and compares file and fit on the other presses. Exit code 1: a fit that would be written is worse there.
