@@ -1,6 +1,7 @@
 # The front door. Needs python3 (3.11 to 3.13), make and git; everything else goes into .venv.
 #   make demo    one press, slide and twist: a bundle and a picture of it in out/
 #   make data    every recipe's data set in data/, WORKERS scenes at a time; run again, it goes on
+#   make sample  a small data set to publish, with card, splits and scores, in out/sample, WORKERS scenes at a time
 #   make test    the tests
 #   make torture hostile files and kills, half an hour on two cores: what became of them, into docs/RESULTS.md
 #   make docs    the documentation site in out/site
@@ -20,10 +21,10 @@ export OPENBLAS_NUM_THREADS ?= 1
 export MKL_NUM_THREADS ?= 1
 export NUMBA_NUM_THREADS ?= 1
 
-.PHONY: help sync check test test-slow smoke torture bench docs gallery demo data clean
+.PHONY: help sync check test test-slow smoke torture bench docs gallery demo data sample clean
 
 help:
-	@echo "make demo | data | test | docs | gallery | check | test-slow | smoke | torture | bench | sync | clean"
+	@echo "make demo | data | sample | test | docs | gallery | check | test-slow | smoke | torture | bench | sync | clean"
 
 sync: .venv/synced
 
@@ -67,7 +68,7 @@ bench: sync
 docs: sync
 	@# not --quiet: with it --strict counts no warnings
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
-	@echo "the site: out/site/index.html; its search needs a server: $(BIN)/python -m http.server -d out/site"
+	@echo "the site: out/site/index.html"
 
 demo: sync
 	$(BIN)/tacgen run recipes/quickstart.yaml -o out/quickstart
@@ -93,6 +94,9 @@ data: sync
 	  $(BIN)/tacgen run $$recipe -o $(DATA)/$$name --workers $(WORKERS) $(DATA_FLAGS) || [ $$? -eq 1 ] || exit 1; \
 	  $(BIN)/tacgen report $(DATA)/$$name || exit 1; \
 	done
+
+sample: sync
+	$(BIN)/python scripts/sample.py -o out/sample --workers $(WORKERS) $(SAMPLE_FLAGS)
 
 clean:
 	rm -rf .venv build dist out .pytest_cache .mypy_cache .ruff_cache .hypothesis

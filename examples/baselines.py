@@ -35,8 +35,9 @@ from torch import nn
 from torch.nn import functional as F
 
 from tacgen.bundle.bundle import Bundle
+from tacgen.bundle.splits import divide
 from tacgen.outputs.events import MODES
-from tacgen.torch import TactileDataset, divide
+from tacgen.torch import TactileDataset
 
 FIELDS = ("rgb", "force", "events/mode", "height", "normals")
 BATCH, RATE = 32, 2e-3

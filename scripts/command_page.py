@@ -19,7 +19,8 @@ Results go to stdout, progress and errors to stderr. Every command takes `-h` an
 | exit code | meaning |
 |---|---|
 | 0 | done |
-| 1 | findings of `check` (not its notes), or scenes that were rejected or failed |
+| 1 | `run`: scenes were rejected or failed; `status`: not every scene is done; `check`: findings, notes apart |
+| 1 | `doctor`: something needed does not work; `bench`: a bench failed |
 | 2 | an error in the recipe or in the arguments |
 | 130 | interrupted; finished scenes are kept, and the same command resumes |
 """

@@ -26,8 +26,8 @@ from benchmarks.draws import THICKNESS, drawn
 from benchmarks.reference_runs import row_of, solve_frames
 from tacgen import mechanics
 from tacgen.errors import UserError
-from tacgen.geometry.pose import Pose
 from tacgen.mechanics import mesh, presolve
+from tacgen.mechanics.expected_error import FaceGrid
 from tacgen.mechanics.scene import Scene
 from tacgen.optics.camera import PinholeCamera
 from tacgen.outputs import contact_maps, gel_surface
@@ -58,17 +58,8 @@ class Solved:
 
 def overlap(scene: Scene) -> list[tuple[float, float]]:
     """Of each frame of the press, area [mm^2] and perimeter [mm] of the untouched face that the indenter overlaps."""
-    gel = scene.gel
-    x, y = (np.arange(-size / 2, size / 2, STEP) for size in (gel.width, gel.height))
-    at = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
-    face = np.column_stack([at, gel.top(*at.T)])
-    sizes = []
-    for matrix in scene.poses[:PRESS]:
-        inside = (scene.shape.distance(Pose.of(matrix).local(face))[0] < 0).reshape(len(x), len(y))
-        # Crofton's formula: crossings along two directions, times pi / 4
-        crossings = sum(int((inside[1:] != inside[:-1]).sum()) for inside in (inside, inside.T))
-        sizes.append((float(inside.sum()) * STEP**2, crossings * STEP * np.pi / 4))
-    return sizes
+    face = FaceGrid.of(scene.gel, STEP)
+    return [face.overlap(scene.shape, matrix) for matrix in scene.poses[:PRESS]]
 
 
 def solved(sets: tuple[str, ...], edge: float, dhat: float, limit: float) -> tuple[Scene, Solved]:

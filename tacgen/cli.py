@@ -27,6 +27,8 @@ from tacgen.cli_common import (
     writing,
 )
 from tacgen.cli_look import report, show, view
+from tacgen.cli_replay import replay
+from tacgen.cli_sensor import sensors
 from tacgen.errors import UserError
 from tacgen.report.sheet import counted
 from tacgen.terminal import say
@@ -37,6 +39,7 @@ RecipeFile = Annotated[str, typer.Argument(metavar="RECIPE", help="A recipe file
 Sets = Annotated[
     list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="Override a value; can be given many times.")
 ]
+FORMATS = "lerobot, webdataset, zarr, sparsh, feats, feelanyforce, univtac, rerun, vtkhdf or exr"
 Merge = Annotated[bool, typer.Option("--merge", help="Take several data sets below the folder as one.")]
 Workers = Annotated[
     str,
@@ -44,6 +47,7 @@ Workers = Annotated[
 ]
 
 app.add_typer(calibrations, name="calibrate")
+app.add_typer(sensors, name="sensor")
 
 
 def _version(wanted: bool) -> None:
@@ -167,7 +171,7 @@ def status(
 @app.command()
 def validate(file: RecipeFile, sets: Sets = None) -> None:
     """Check a recipe with its sensor and all its scenes, or a sensor file."""
-    from tacgen.recipe import approach, assets, loading
+    from tacgen.recipe import approach, assets, force_error_note, loading
     from tacgen.sensor import usual_values, yaml_source
 
     path = assets.recipe_path(file)
@@ -176,13 +180,15 @@ def validate(file: RecipeFile, sets: Sets = None) -> None:
         sensor, tree = loading.read_sensor(path)
         warn(usual_values.warnings(sensor, tree))
         typer.echo(f"{path}: a valid sensor, {sensor.name}")
+        for part in usual_values.assumed(sensor) if sensor.base else ():
+            typer.echo(f"note: {part}")
         return
     plan = plan_of(file, sets)
     row = plan.rows[0]
     names = plan.sensors
     on = f"{'sensors' if len(names) > 1 else 'sensor'} {', '.join(names)}"
     typer.echo(f"{path}: a valid recipe, {plan.name}: {counted(len(plan.rows), 'scene')}, {on}")
-    for note in [*row.notes, *filter(None, [approach.note(plan.rows)])]:
+    for note in [*row.notes, *filter(None, [approach.note(plan.rows), force_error_note.note(row)])]:
         typer.echo(f"note: {note}")
 
 
@@ -226,6 +232,9 @@ def show_plan(
 def init(
     path: Annotated[Path | None, typer.Argument(help="The file to write; default: recipe.yaml or sensor.yaml.")] = None,
     sensor: Annotated[bool, typer.Option("--sensor", help="Write a sensor file instead of a recipe.")] = False,
+    start: Annotated[
+        str, typer.Option("--from", metavar="NAME", help="Copy this shipped recipe or sensor, or file, as the start.")
+    ] = "",
     overwrite: Overwrite = False,
 ) -> None:
     """Write a commented recipe or sensor file as a start, and the JSON Schema for completion in an editor."""
@@ -234,7 +243,7 @@ def init(
     kind = "sensor" if sensor else "recipe"
     path = path or Path(f"{kind}.yaml")
     with writing(path.parent):
-        written, schema_file = write_starter(path, sensor=sensor, overwrite=overwrite)
+        written, schema_file = write_starter(path, sensor=sensor, start=start, overwrite=overwrite)
     typer.echo(f"{written}: a {kind} to start from ({schema_file} completes it in an editor)")
 
 
@@ -249,7 +258,9 @@ def show_list(
     from tacgen.report.catalogue import KINDS
 
     if kind and kind not in KINDS:
-        raise UserError(f"{kind}: must be one of {', '.join(KINDS)}")
+        from tacgen.sensor.validation_messages import suggest
+
+        raise UserError(f"{kind}: unknown kind{suggest(kind, KINDS)}; there are: {', '.join(KINDS)}")
     listed = {name: KINDS[name]() for name in ([kind] if kind else KINDS)}
     lines: list[str] = []
     for name, entries in listed.items():
@@ -296,24 +307,28 @@ def pack(
     show_result({**plain, "shards": [str(path) for path in made.shards]}, text, as_json)
 
 
-for look in (report, show, view):
-    app.command()(look)
+for command in (replay, report, show, view):
+    app.command()(command)
 
 
 @app.command()
 def export(
-    kind: Annotated[str, typer.Argument(metavar="FORMAT", help="One of `tacgen list formats`.")],
+    kind: Annotated[str, typer.Argument(metavar="FORMAT", help=f"{FORMATS}; `tacgen list formats` describes them.")],
     source: Annotated[Path, typer.Argument(help="A bundle, or a folder of bundles.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Where to write.")],
     merge: Merge = False,
+    card: Annotated[bool, typer.Option("--card", help="Write README.md as a data hub's page needs it.")] = False,
+    licence: Annotated[str | None, typer.Option(help="Of the published data, for the card: cc-by-4.0, ...")] = None,
     overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
     """Write finished bundles in the format of another tool."""
     from tacgen import export as exporting
+    from tacgen.report import hub_card
 
+    page = hub_card.writer(kind, source, out, licence=licence, merge=merge) if card else None
     with writing(out):
-        made = exporting.export(kind, source, out, merge=merge, overwrite=overwrite)
+        made = exporting.export(kind, source, out, merge=merge, overwrite=overwrite, card=page)
     show_result([str(path) for path in made], "\n".join(map(str, made)), as_json)
 
 

@@ -210,8 +210,11 @@ def workers_of(text: str) -> int:
 def priced(plan: Any, workers: int) -> dict[str, Any]:
     """Time some scenes of a plan; the estimated cost as JSON values, and as a sentence under `text`."""
     from tacgen.batch import probe
+    from tacgen.report.progress import Progress
 
-    say("timing a few scenes", err=True)
-    cost, memory = probe.probe(plan, workers)
+    rows = probe.chosen(plan)
+    say(f"timing {len(rows)} of {len(plan.rows)} scenes, for {probe.ENOUGH_S:g} s at most", err=True)
+    with Progress(len(rows), sum(row.frames for row in rows)) as progress:
+        cost, memory = probe.probe(plan, workers, on_event=progress)
     text = f"{cost.text(min(workers, len(plan.rows)))}; {memory:.2g} GB of memory a worker"
     return {**cost.plain(), "memory_gb": round(memory, 3), "workers": workers, "text": text}

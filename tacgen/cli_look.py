@@ -21,14 +21,17 @@ def report(
         raise UserError(f"{folder}: is a file, and a report is of a folder; tacgen show and view draw one bundle")
     out = out or folder / "report.html"
     with written(out, [folder], overwrite) as path:
-        reporting.write(folder, path)
+        reporting.write(folder, path, out)
     typer.echo(str(out))
 
 
 def show(
     path: Annotated[Path, typer.Argument(help="A bundle, or a folder of bundles for a summary.")],
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Draw a picture; default: print a summary.")] = None,
-    field: Annotated[str, typer.Option("--field", help="Draw one field: pressure, traction, slip or stress.")] = "",
+    field: Annotated[
+        str,
+        typer.Option("--field", help="Draw one: camera, markers, pressure, traction, slip, height, flow or stress."),
+    ] = "",
     animate: Annotated[
         Path | None, typer.Option("--animate", help="Write an animation: webp, gif, or mp4 if ffmpeg is installed.")
     ] = None,
@@ -62,16 +65,31 @@ def show(
     typer.echo(str(out))
 
 
+def several(path: Path) -> bool:
+    """Whether a folder holds more than one bundle."""
+    from tacgen.bundle import dataset
+
+    return path.is_dir() and len(dataset.scenes(path)) > 1
+
+
 def view(
-    path: Annotated[Path, typer.Argument(help="A bundle.")],
+    path: Annotated[Path, typer.Argument(help="A bundle, or a folder of bundles.")],
     other: Annotated[Path | None, typer.Argument(help="Another bundle, shown side by side.")] = None,
     out: Annotated[Path, typer.Option("--out", "-o", help="The page to write.")] = Path("view.html"),
     browse: Annotated[bool, typer.Option("--browse", help="Open it in the web browser.")] = False,
     overwrite: Overwrite = False,
 ) -> None:
-    """Write an interactive HTML page of a bundle: camera image, maps, and the gel with its stress in 3D."""
-    from tacgen.report import viewer
+    """Write an interactive HTML page of a bundle: camera image, maps, and the gel with its stress in 3D; of a folder of
+    several bundles a list of them with filters, and a page of each beside it."""
+    from tacgen.report import scene_pages, viewer
 
+    if other is None and several(path):
+        with written(out, [path], overwrite) as page:
+            left = scene_pages.write(path, page, out)
+        typer.echo(f"{out}" + (f": {left} scenes have no page" if left else ""))
+        if browse:
+            typer.launch(str(out))
+        return
     bundles = [path] if other is None else [path, other]
     with written(out, bundles, overwrite) as page:
         viewer.write(bundles, page)

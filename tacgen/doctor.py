@@ -1,6 +1,5 @@
 """Tests of what works on this machine."""
 
-import importlib.util
 import os
 import platform
 import shutil
@@ -14,10 +13,9 @@ from typing import NamedTuple
 PACKAGES = (
     *("numpy", "scipy", "numba", "h5py", "isal", "pydantic", "ruamel.yaml", "typer", "click"),
     *("rich", "platformdirs", "threadpoolctl", "matplotlib", "pillow", "trimesh", "networkx", "libigl"),
-    "pytetwild",
+    *("pytetwild", "mitsuba", "drjit", "OpenEXR"),
 )
 REPLACEABLE = ("cvxopt", "pymetis")  # optional: without them another linear solver is used
-TRACING = ("mitsuba", "drjit")  # installed by the extra `mitsuba`
 FREE_GB = 1.0  # free disk below which a warning is given [GB]
 
 
@@ -51,7 +49,7 @@ def _python() -> Iterator[Diagnosis]:
 
 
 def _packages() -> Iterator[Diagnosis]:
-    for name in (*PACKAGES, *REPLACEABLE, *TRACING):
+    for name in (*PACKAGES, *REPLACEABLE):
         needed = name in PACKAGES
         try:
             yield Diagnosis(name, True, version(name), needed)
@@ -73,10 +71,6 @@ def _solvers() -> Iterator[Diagnosis]:
 def _rendering() -> Iterator[Diagnosis]:
     from tacgen.render import images
 
-    if not importlib.util.find_spec("mitsuba"):
-        text = "clear gels, by transport and table; for gels that scatter, and path: pip install 'tacgen[mitsuba]'"
-        yield Diagnosis("rendering", True, text)
-        return
     tried = images.variants()
     for one in tried:
         yield Diagnosis(one.variant, one.works, f"{one.note} {one.library}".strip(), needed=False)
@@ -99,7 +93,7 @@ def _hdf5() -> Iterator[Diagnosis]:
 
 
 def _threads() -> Iterator[Diagnosis]:
-    cores = len(os.sched_getaffinity(0))
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1  # macOS has none
     pinned = {name: os.environ[name] for name in ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS") if name in os.environ}
     note = ", ".join(f"{name}={value}" for name, value in pinned.items()) or "workers pin numba to 1"
     yield Diagnosis("threads", True, f"{cores} cores; {note}; BLAS has 1 in every scene")

@@ -17,6 +17,7 @@ from tacgen.bundle.check import NO_CONTACT
 from tacgen.bundle.resume import SceneResult
 from tacgen.bundle.schema import finite_problem
 from tacgen.mechanics import mesh, presolve
+from tacgen.mechanics.expected_error import FaceGrid, expected_force_error
 from tacgen.mechanics.scene import Scene
 from tacgen.outputs import BLOCKS, IMAGES, NAMES, OUTPUTS
 from tacgen.outputs.base import Datasets
@@ -261,6 +262,8 @@ class Recorder:
         self.of_frame = {k: output.frame for k, output in OUTPUTS.items() if k in asked}
         attributes = _attributes(row, self.scene, self.shared, clock)
         self.name, self.on_event, self.touched = row.name, on_event, False
+        known = row.recipe.contact.formulation == "distance" and self.scene.element != "linear_tet"
+        self.face = FaceGrid.of(self.scene.gel) if known else None
         self._tell(attributes.get("notes", ()))
         self.writer = bundle.Writer(path, attributes, row.frames)
 
@@ -292,6 +295,8 @@ class Recorder:
         frame = _finite(_datasets(self.of_frame, FrameData(self.shared, state, self.before, held), self.clock))
         self.before, self.touched = state, self.touched or bool(frame["/frames/force"].any())
         frame["/frames/segment"] = self.scene.segment[state.index]
+        width = self.face.width(self.scene.shape, state.pose) if self.face else math.nan
+        frame["/frames/quality/expected_force_error"] = expected_force_error(self.scene.edge, width)
         if self.scene.duration is not None:
             frame["/frames/time"] = self.scene.duration[: state.index + 1].sum()
         return frame

@@ -10,7 +10,6 @@
 PyTorch is not imported here: DataLoader accepts any object with a length and items, and converts arrays to tensors.
 """
 
-import hashlib
 import math
 import os
 from collections import OrderedDict
@@ -21,14 +20,13 @@ from typing import Any, Literal
 import numpy as np
 
 from tacgen.bundle import dataset, field_names
-from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.check import UNIQUE
 from tacgen.bundle.chunks import FrameReader
+from tacgen.bundle.splits import FRACTIONS, divide
 from tacgen.errors import UserError
 from tacgen.outputs import LAYOUT
 
 Item = dict[str, Any]
-SPLITS = ("train", "val", "test")
 OPEN_FILES = 128  # most open files in each process
 SMALL = 1024  # bytes of a frame up to which a dataset is read for a whole scene at once and kept in memory
 
@@ -63,7 +61,7 @@ class TactileDataset:
         *,
         merge: bool = False,
         split: Literal["all", "train", "val", "test"] = "all",
-        fractions: tuple[float, float, float] = (0.8, 0.1, 0.1),
+        fractions: tuple[float, float, float] = FRACTIONS,
         seed: int = 0,
         unique: bool = False,
         subtract_reference: bool = False,
@@ -180,7 +178,7 @@ class TactilePairs:
         sensors: Sequence[str] | None = None,
         merge: bool = False,
         split: Literal["all", "train", "val", "test"] = "all",
-        fractions: tuple[float, float, float] = (0.8, 0.1, 0.1),
+        fractions: tuple[float, float, float] = FRACTIONS,
         seed: int = 0,
         subtract_reference: bool = False,
         transform: Callable[[Item], Any] | None = None,
@@ -215,33 +213,3 @@ class TactilePairs:
     def __getitem__(self, index: int) -> dict[str, Any]:
         """One frame on every sensor. Raises IndexError, or UserError if a file is damaged there."""
         return {name: self.dataset[i] for name, i in zip(self.sensors, self._places[index], strict=True)}
-
-
-def divide(
-    scenes: Sequence[Bundle], split: str, fractions: tuple[float, float, float], seed: int
-) -> tuple[Bundle, ...]:
-    """The scenes of one part, in their original order: all are sorted by a hash of inputs and seed, and divided.
-
-    Scenes of the same contact on several sensors, and the fingers of a grasp, stay together.
-
-    Raises:
-        UserError: an unknown part, fractions that do not add up to 1, or no scene in the part.
-    """
-    if split == "all":
-        return tuple(scenes)
-    if split not in SPLITS:
-        raise UserError(f"split {split!r}: must be all, {', '.join(SPLITS)}")
-    if min(fractions) < 0 or abs(sum(fractions) - 1) > 1e-6:
-        raise UserError(f"fractions {fractions}: must be at least 0 and add up to 1")
-
-    def place(together: list[int]) -> str:
-        i = together[0]
-        return hashlib.sha256(f"{seed} {scenes[i].attrs['input_key']} {i}".encode()).hexdigest()
-
-    order = sorted(dataset.contacts(scenes), key=place)
-    ends = [round(len(order) * sum(fractions[: k + 1])) for k in range(3)]
-    k = SPLITS.index(split)
-    chosen = sorted(i for together in order[ends[k - 1] if k else 0 : ends[k]] for i in together)
-    if not chosen:
-        raise UserError(f"split {split!r}: holds none of {len(scenes)} scenes")
-    return tuple(scenes[i] for i in chosen)

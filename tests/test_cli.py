@@ -130,7 +130,7 @@ def test_what_is_asked_for_reaches_the_engine(tmp_path: Path, batch: Any):
 def timed(monkeypatch: pytest.MonkeyPatch) -> None:
     """A probe that takes no time."""
 
-    def probe(plan: Any, workers: int) -> PlanCost:
+    def probe(plan: Any, workers: int, on_event: Any) -> PlanCost:
         found = cost(plan.frames, [Made(6, 3.0, 0.01), Made(6, 5.0, 0.01)])
         assert found is not None
         return PlanCost(found, 0.4)
@@ -165,7 +165,10 @@ def test_a_plan_s_cost(timed: None):
         (("validate", str(ROOT)), "is a folder, not a file"),
         (("validate", str(ROOT / "no.yaml")), "no such recipe file"),
         (("run", "quickstart", "-o", "x", "--workers", "0"), "--workers 0: must be a number from 1, or auto"),
-        (("list", "shape"), "shape: must be one of sensors, recipes, objects, shapes, outputs, formats"),
+        (
+            ("list", "shape"),
+            "shape: unknown kind, did you mean shapes?; there are: sensors, recipes, objects, shapes, ",
+        ),
         (("check", "no/such/folder"), "no/such/folder: no such file or folder"),
         (("show", "no.h5"), "no.h5: No such file"),
         (("run", "quickstart"), "Missing option"),

@@ -43,6 +43,7 @@ BROUGHT = {
     "parts/thing.stl": ROOT / "objects/ring/ring.stl",
     "rollout.csv": ROOT / "recipes/rollout.csv",
     "tool.csv": ROOT / "tests/helpers/tool.csv",
+    "log.csv": ROOT / "tests/helpers/contact_log.csv",
 }
 
 
@@ -221,6 +222,14 @@ def test_the_command_page_is_the_command_line() -> None:
     assert (DOCS / "COMMANDS.md").read_text() == made.stdout, "run scripts/command_page.py > docs/COMMANDS.md"
 
 
+def test_the_sensor_page_is_the_models() -> None:
+    made = subprocess.run(
+        [sys.executable, ROOT / "scripts/sensor_page.py"], capture_output=True, text=True, check=True,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    assert (DOCS / "SENSOR.md").read_text() == made.stdout, "run scripts/sensor_page.py > docs/SENSOR.md"
+
+
 def test_the_recipe_page_names_every_key_movement_and_quality() -> None:
     text = (DOCS / "RECIPE.md").read_text()
     keys = {*model.Recipe.model_fields, *Segment.model_fields} - {"tacgen"}
@@ -314,7 +323,7 @@ def test_the_tutorial_runs(tmp_path: Path) -> None:
             assert done.returncode == 0, f"{' '.join(line)}\n{done.stdout}{done.stderr}"
             ran.append(line)
     assert len(ran) > 10
-    for made in ("quickstart.png", "traction.png", "many/report.html", "packed/index.json"):
+    for made in ("draft.png", "traction.png", "many/report.html", "packed/index.json"):
         assert (tmp_path / "out" / made).stat().st_size > 0
 
 
@@ -328,6 +337,8 @@ def test_the_site_is_built_without_warnings_and_fetches_nothing(tmp_path: Path) 
     assert done.returncode == 0, done.stderr
     pages = sorted(tmp_path.rglob("*.html"))
     assert len(pages) > 15
+    assert "var __index = " in (tmp_path / "search" / "search_index.js").read_text()[:20], "search needs no server"
+    assert (tmp_path / "iframe-worker.js").is_file()
     remote = r"(?:<(?:script|img|iframe|source)\s[^>]*src|<link\s[^>]*rel=.(?:stylesheet|preconnect|icon)[^>]*href)"
     for page in pages:
         assert not re.findall(rf'{remote}=["\']?(?:https?:)?//', page.read_text()), page

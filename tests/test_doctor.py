@@ -10,8 +10,6 @@ import pytest
 from typer.testing import CliRunner
 
 from tacgen import cli, doctor
-from tacgen.errors import UserError
-from tacgen.render import mitsuba_variants
 
 
 @pytest.fixture(autouse=True)
@@ -39,17 +37,14 @@ def test_every_package_that_is_installed_with_tacgen_is_looked_for():
     project = tomllib.loads((Path(__file__).parent.parent / "pyproject.toml").read_text())["project"]
     asked = {re.split("[<>=]", name)[0] for name in project["dependencies"]}
     assert asked == {*doctor.PACKAGES, *doctor.REPLACEABLE}
-    extra = project["optional-dependencies"]["mitsuba"]
-    assert {re.split("[<>=]", name)[0] for name in extra} == {*doctor.TRACING}
 
 
-def test_without_mitsuba_clear_gels_are_still_rendered(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    (found,) = doctor._rendering()
-    assert found.ok
-    assert "tacgen[mitsuba]" in found.note
-    with pytest.raises(UserError, match=r"pip install 'tacgen\[mitsuba\]'"):
-        mitsuba_variants.best()
+def test_every_shipped_sensor_and_method_runs_on_what_is_installed_with_tacgen() -> None:
+    """Packages that make images and their files are no extras; those that are, have their reason in pyproject."""
+    project = tomllib.loads((Path(__file__).parent.parent / "pyproject.toml").read_text())["project"]
+    extra = {re.split("[<>=]", name)[0] for names in project["optional-dependencies"].values() for name in names}
+    assert not extra & {"mitsuba", "drjit", "OpenEXR"}
+    assert {"mitsuba", "drjit", "OpenEXR"} <= {*doctor.PACKAGES}
 
 
 def test_the_fast_solver_may_be_taken_out(monkeypatch: pytest.MonkeyPatch):

@@ -15,13 +15,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.load_steps import watched
 from scipy.ndimage import map_coordinates
 
 from tacgen import mechanics, outputs, pipeline
 from tacgen.bundle import bundle
 from tacgen.bundle.check import check
 from tacgen.errors import UserError
-from tacgen.mechanics import load_stepping, mesh
+from tacgen.mechanics import mesh
 from tacgen.mechanics.condensation import Condensation
 from tacgen.outputs import NAMES
 from tacgen.outputs.scene_data import FrameData, SceneData
@@ -249,14 +250,8 @@ def test_a_finished_bundle_is_kept_and_one_of_other_inputs_is_not_overwritten(re
 def test_a_frame_that_does_not_converge_is_recorded_and_not_shipped(
     recipe: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    usual = load_stepping.equilibrium
-
-    def fail_late(problem, history, matrix, index, duration):  # type: ignore[no-untyped-def]
-        if index == 2:
-            raise mechanics.NotConverged(mechanics.Failure.singular)
-        return usual(problem, history, matrix, index, duration)
-
-    monkeypatch.setattr(load_stepping, "equilibrium", fail_late)
+    failure = mechanics.NotConverged(mechanics.Failure.singular)
+    watched(monkeypatch, lambda now: failure if now.index == 2 else None)
     found = pipeline.run_scene(plan.load(recipe).rows[0], tmp_path / "out")
     assert (found.status, found.reason) == ("rejected", f"frame 3 of 3: {mechanics.Failure.singular}")
     kept = bundle.read(found.path)

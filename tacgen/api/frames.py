@@ -14,6 +14,7 @@ from tacgen.bundle import dataset, field_names
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.bundle import read as read_bundle
 from tacgen.bundle.caption import caption, line
+from tacgen.bundle.force_error import force_error
 from tacgen.errors import LeftOut, UserError
 
 if TYPE_CHECKING:
@@ -143,6 +144,13 @@ class Frames:
     def segments(self) -> tuple[str, ...]:
         """For each frame, the kind of its movement: press, slide, ..."""
         return self.bundle.segments
+
+    @property
+    def force_error(self) -> Array:
+        """Expected error of the force's magnitude, (N,) [N]: by the recipe's `uncertainty` where asked for, else
+        by the mesh, within a factor of 2; nan where it is not known, as without contact."""
+        known = force_error(self.bundle)
+        return np.full(len(self), np.nan) if known is None else known.newton
 
     @property
     def about(self) -> str:

@@ -49,9 +49,16 @@ class Pool:
         self.workers, self.compiler = [], None
 
     def run(
-        self, rows: Sequence[Row], folder: Path, *, overwrite: bool = False, on_event: OnEvent = lambda event: None
+        self,
+        rows: Sequence[Row],
+        folder: Path,
+        *,
+        overwrite: bool = False,
+        on_event: OnEvent = lambda event: None,
+        enough: Callable[[], bool] = lambda: False,
     ) -> list[SceneResult]:
-        """Make the scenes of all rows, with results in the same order. `on_event` is called as in `batch.run`.
+        """Make the scenes of all rows, with results in the same order. `on_event` is called as in `batch.run`. As soon
+        as `enough` is true it returns the results that there are; the others' workers end with the pool.
 
         A scene whose worker was lost is tried once more. After that, or if it cannot be made, its status is `failed`.
 
@@ -60,7 +67,7 @@ class Pool:
             UserError: workers do not start.
         """
         batch = _Batch(rows, folder, on_event, in_order=self.size == 1)
-        while len(batch.results) < len(rows):
+        while len(batch.results) < len(rows) and not enough():
             self._assign_jobs(batch, overwrite)
             for worker, kind, what in self._messages():
                 if kind == "event":
@@ -74,7 +81,7 @@ class Pool:
                     self._release(worker, kind, what)
                     if job is not None:
                         batch.settle(job, kind, what)
-        return [batch.results[place] for place in range(len(rows))]
+        return [result for _, result in sorted(batch.results.items())]
 
     def _assign_jobs(self, batch: "_Batch", overwrite: bool) -> None:
         """Start as many workers as there are jobs, up to the limit, and give each idle worker a job."""

@@ -141,7 +141,7 @@ def machine_memory() -> float:
 
 def cores() -> int:
     """Number of processor cores for this process, by its CPU affinity and the quota of its control group."""
-    count = len(os.sched_getaffinity(0))
+    count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1  # macOS has none
     with suppress(OSError, ValueError):  # "max": no quota
         quota, period = Path("/sys/fs/cgroup/cpu.max").read_text().split()
         count = min(count, max(1, int(quota) // int(period)))

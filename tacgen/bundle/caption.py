@@ -13,6 +13,15 @@ from tacgen.errors import printable
 from tacgen.outputs.events import MODES
 
 MODE = "/frames/events/mode"
+VERBS = {  # of an instruction, after the first contact
+    "hold": "hold",
+    "slide": "slide",
+    "twist": "twist",
+    "tilt": "tilt",
+    "lift": "lift",
+    "release": "release",
+    "replay": "move",
+}
 
 
 class Change(NamedTuple):
@@ -34,6 +43,18 @@ def caption(bundle: Bundle) -> str:
         force = np.linalg.norm(bundle["/frames/force"], axis=1)
         said.append(f"The largest force is {force.max():.3g} N, in frame {force.argmax()}")
     return ". ".join(said) + "."
+
+
+def task(bundle: Bundle) -> str:
+    """An instruction for the scene: its movements without amounts or the object, none of the labels: `Press the object
+    into the sensor, slide and lift it.`"""
+    kinds = [next((kind for kind, keys in move.items() if keys), "") for move in bundle.recipe.get("trajectory", ())]
+    verbs = [VERBS[kind] for kind in dict.fromkeys(kinds) if kind in VERBS]
+    first = "Close the fingers on the object" if "close" in kinds else "Press the object into the sensor"
+    if not verbs:
+        return f"{first}."
+    *others, last = verbs
+    return f"{first}, then {', '.join(others)}{' and ' * bool(others)}{last} it."
 
 
 def line(bundle: Bundle) -> str:

@@ -25,6 +25,7 @@ INDEX = "index.json"
 PACK_FORMAT = 1
 VIRTUAL = "frames.h5"  # all frames of a packed folder as virtual datasets
 SHARD = "shard-{:05d}.h5"
+CARDS = ("README.md", "DATASET_CARD.md")  # of a data set; the second one if the first is somebody's
 
 
 class Shard(Stored):

@@ -8,13 +8,14 @@ that writes into the new, empty folder `out` and returns the files it made. If a
 defines its SUFFIX, and `out` may then be the name of that file.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tacgen import output_file
 from tacgen.bundle import whole_folder
+from tacgen.bundle.dataset import CARDS
 from tacgen.errors import UserError
 
 if TYPE_CHECKING:
@@ -23,10 +24,14 @@ if TYPE_CHECKING:
     from tacgen.bundle.bundle import Bundle
 
 EXPORTERS = {
-    "exr": "linear light, height, normals and material points as OpenEXR: one .exr file a frame (tacgen[exr])",
+    "exr": "linear light, height, normals and material points as OpenEXR: one .exr file a frame",
     "vtkhdf": "mesh, displacement and stress over the frames, for ParaView: one .vtkhdf file a scene",
     "feats": "image and force in each of 24 x 32 cells, for FEATS: one .npy file a frame",
     "lerobot": "image, pose, force and markers as a LeRobot dataset, format v3.0 (tacgen[lerobot])",
+    "sparsh": "image, force and slip of the DIGIT or GelSight, as Sparsh's pickles of these tasks",
+    "feelanyforce": "image, depth and wrench of the GelSight Mini as FeelAnyForce's tables, images and arrays",
+    "zarr": "every dataset of a frame as a replay buffer of diffusion policies (tacgen[zarr])",
+    "rerun": "image, maps, face and wrench over time for the Rerun viewer: one .rrd file a scene (tacgen[rerun])",
     "univtac": "image, markers and depth of a finger as UniVTAC's episodes; its training needs two, and joints",
     "webdataset": "every dataset of a frame as samples in tar files, for streaming (tacgen[webdataset])",
 }
@@ -46,32 +51,57 @@ def bundles(source: Path, *, merge: bool = False) -> "list[Bundle]":
     return good
 
 
-def export(kind: str, source: Path, out: Path, *, merge: bool = False, overwrite: bool = False) -> list[Path]:
+def export(
+    kind: str,
+    source: Path,
+    out: Path,
+    *,
+    merge: bool = False,
+    overwrite: bool = False,
+    card: "Callable[[Sequence[Bundle], Path], str] | None" = None,
+) -> list[Path]:
     """Write the bundles at `source` in a format of EXPORTERS, and return the files made.
+
+    The card of the data set, if `source` is a folder that has one, goes with an export that is a folder.
 
     Args:
         merge: `source` may hold several data sets, which become one.
         overwrite: `out`, if it is a file, may exist.
+        card: makes the text of README.md in the place of that card, from the bundles and the folder that is written.
 
     Raises:
         UserError: an unknown format, nothing to export, a damaged bundle, or one without the datasets that the
             format needs; `out` is a file or input, or holds anything other than an export of this format, which would
-            be replaced.
+            be replaced; a card for a file.
         OSError: `out` cannot be written.
     """
     if kind not in EXPORTERS:
-        raise UserError(f"{kind}: unknown format, use one of {', '.join(EXPORTERS)}")
+        from tacgen.sensor.validation_messages import suggest
+
+        raise UserError(f"{kind}: unknown format{suggest(kind, EXPORTERS)}; there are: {', '.join(EXPORTERS)}")
     sources = bundles(source, merge=merge)
     for bundle in sources:
         bundle.verify()
     module = import_module(f"tacgen.export.{kind}")
     if len(sources) == 1 and out.suffix == getattr(module, "SUFFIX", None):
+        if card:
+            raise UserError(f"{out}: a card needs a folder to be in: name one")
         with output_file.written(out, [source], overwrite=overwrite) as path:
             module.write(sources, path)
         return [out]
     with whole_folder.written(out, kind) as folder:
         made = [path.relative_to(folder) for path in module.write(sources, folder)]
+        page = card(sources, folder).encode() if card else _card(source)
+        if page:
+            (folder / CARDS[0]).write_bytes(page)
+            made.append(Path(CARDS[0]))
     return [out / path for path in made]
+
+
+def _card(source: Path) -> bytes:
+    """The card that tacgen wrote for the data set in a folder; empty without one."""
+    cards = (source / name for name in CARDS) if source.is_dir() else ()
+    return next((path.read_bytes() for path in cards if output_file.is_unchanged_page(path)), b"")
 
 
 def needs(bundle: "Bundle", paths: Sequence[str], output: str) -> None:

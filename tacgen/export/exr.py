@@ -11,18 +11,13 @@ from pathlib import Path
 import numpy as np
 
 from tacgen.bundle.bundle import Bundle
-from tacgen.errors import UserError
 from tacgen.export import names, needs
 
 CHANNELS = {"radiance": "R G B", "height": "Z", "normals": "N.X N.Y N.Z", "material": "P.X P.Y"}
 
 
 def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
-    """`out/<scene>_<frame>.exr`. Raises UserError: OpenEXR is not installed, or a bundle has no radiance."""
-    try:
-        import OpenEXR  # noqa: F401
-    except ImportError:
-        raise UserError("export exr needs OpenEXR: pip install 'tacgen[exr]'") from None
+    """`out/<scene>_<frame>.exr`. Raises UserError: a bundle has no radiance."""
     for bundle in bundles:
         needs(bundle, ("/frames/radiance",), "radiance")
     made = []

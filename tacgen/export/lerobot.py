@@ -2,15 +2,22 @@
 
     https://github.com/huggingface/lerobot (src/lerobot/datasets)
 
-`observation.images.tactile` is the camera's image, `observation.state` the indenter's pose (x y z [mm], quaternion
-w x y z) and `action` the pose of the next frame. If the scenes have them: `observation.force` [N], `.torque`
-[N mm], `.markers` and `.marker_flow` [px] (x and y in turn), `.contact_mode` (a number, see tacgen.outputs.events),
-`.contact`, and `observation.images.tactile_depth`, the indentation in 16 bits [um]. The task is the scene's caption.
-Quasi-static scenes have no time; their frames get a nominal rate of FPS.
+`observation.images.tactile` is the camera's image, `observation.state` the indenter's pose (x y z [mm], quaternion w
+x y z) and `action` the pose of the next frame. If the scenes have them: `observation.force` [N], `.torque` [N mm],
+`.markers` and `.marker_flow` [px] (x and y in turn), `.contact_mode` (a number, see tacgen.outputs.events),
+`.contact`, and `observation.images.tactile_depth`, the indentation in 16 bits [um]. Beside these, with the prefix
+that LeRobot plans for touch, `observation.tactile.wrench` is force and torque together, and
+`observation.tactile.force` the force in each of 12 x 16 cells of the image (16 x 12 if it is upright), row by row, x
+y z in turn [N].
 
-The same contact on several sensors is one episode: `observation.images.digit`, `observation.force.digit` and so on, and
-state and action concatenate the poses on all of them. So are the two fingers of a grasp: `observation.images.left`,
-`observation.force.right`.
+The task tells the movements, none of the labels, and is the same for all episodes of these movements. Episodes are in
+the order of the splits of `meta/info.json`: train, val, test, the same ones as of tacgen.torch; `splits.json` names
+their scenes, and a Parquet file holds frames of one split. Quasi-static scenes have no time; their frames get a
+nominal rate of FPS.
+
+The same contact on several sensors is one episode: `observation.images.digit`, `observation.force.digit`,
+`observation.tactile.digit.wrench` and so on, and state and action concatenate the poses on all of them. So are the
+two fingers of a grasp: `observation.images.left`, `observation.force.right`.
 """
 
 import json
@@ -21,17 +28,17 @@ from typing import Any
 import numpy as np
 
 from tacgen.bundle.bundle import Bundle
-from tacgen.bundle.caption import MODE, caption
-from tacgen.bundle.dataset import contacts
-from tacgen.bundle.dataset import role as role_of
+from tacgen.bundle.caption import MODE
 from tacgen.bundle.image_file import encoded
 from tacgen.errors import UserError
-from tacgen.export import needs, poses
+from tacgen.export import needs
+from tacgen.export.episodes import ALONE, Episode, episodes, split_ranges, state_and_action, write_splits
+from tacgen.export.feats import shares
 
 FPS = 10
 FILE_BYTES = 100_000_000  # size of a Parquet file, as in LeRobot
 FILES = 1000  # files in a folder
-ALONE = "tactile"  # stands for the sensor in names of episodes with a single sensor
+TOUCH = "observation.tactile."  # LeRobot's prefix for touch; a sensor among several is named after it
 IMAGE, DEPTH = f"observation.images.{ALONE}", f"observation.images.{ALONE}_depth"
 POSE = [*(f"{axis}_mm" for axis in "xyz"), *(f"q{axis}" for axis in "wxyz")]
 CONTACT = {  # datasets of /frames/events, and the names of their components
@@ -44,8 +51,8 @@ CONTACT = {  # datasets of /frames/events, and the names of their components
 VECTORS = {"force": "n", "torque": "n_mm", "markers": "px", "marker_flow": "px"}  # and their units
 COUNTS_PER_MM = 1000  # of a depth image: 1 um per count
 MOST_COUNTS = 2**15 - 1  # LeRobot's reader gives 16 bits with a sign: up to 32 mm
-Episode = dict[str, Bundle]  # by the sensor's name or the finger, or ALONE
-Each = dict[str, dict[str, Any]]  # by the same key, the features of that sensor
+CELLS = (12, 16)  # of the image, in which forces are summed
+Each = dict[str, dict[str, Any]]  # features of each sensor of an episode
 INDICES = ("frame_index", "episode_index", "index", "task_index")
 QUANTILES = (0.01, 0.10, 0.50, 0.90, 0.99)
 DATA, EPISODES = "data/chunk-{:03d}/file-{:03d}.parquet", "meta/episodes/chunk-000/file-000.parquet"
@@ -64,31 +71,32 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
     for bundle in bundles:
         needs(bundle, ("/frames/rgb",), "rgb")
     all_episodes = episodes(bundles)
-    each = {role: _features([episode[role] for episode in all_episodes]) for role in all_episodes[0]}
+    each = {role: _features([episode.scenes[role] for episode in all_episodes]) for role in all_episodes[0].scenes}
     common = {"timestamp": _vector("float32", 1)} | {name: _vector("int64", 1) for name in INDICES}
     features, rates = _together(each, _joined) | common, {_fps(bundle) for bundle in bundles}
     if len(rates) > 1:
         raise UserError(
             f"{bundles[0].path.parent}: LeRobot needs one frame rate, these have {sorted(rates)} frames a second"
         )
-    tasks = list(dict.fromkeys(map(task, all_episodes)))
+    tasks = list(dict.fromkeys(episode.task for episode in all_episodes))
     made, rows = _data(all_episodes, tasks, each, out)
     info = {
         "codebase_version": "v3.0",
-        "robot_type": ", ".join(bundle.attrs["sensor"] for bundle in all_episodes[0].values()),
+        "robot_type": ", ".join(bundle.attrs["sensor"] for bundle in all_episodes[0].scenes.values()),
         "total_episodes": len(all_episodes),
-        "total_frames": sum(map(_length, all_episodes)),
+        "total_frames": sum(episode.frames for episode in all_episodes),
         "total_tasks": len(tasks),
         "chunks_size": FILES,
         "data_files_size_in_mb": FILE_BYTES // 10**6,
         "video_files_size_in_mb": 200,
         "fps": rates.pop(),
-        "splits": {"train": f"0:{len(all_episodes)}"},
+        "splits": {name: f"{start}:{end}" for name, (start, end) in split_ranges(all_episodes).items()},
         "data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
         "video_path": None,
         "features": features,
     }
     stats = statistics([columns(episode, each) for episode in all_episodes])
+    made.append(write_splits(all_episodes, out))
     made += [_table(out / "meta/tasks.parquet", *_tasks(tasks)), _table(out / EPISODES, rows)]
     for name, content in (("info", info), ("stats", stats)):
         made.append(out / "meta" / f"{name}.json")
@@ -96,43 +104,52 @@ def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
     return made
 
 
-def episodes(bundles: Sequence[Bundle]) -> list[Episode]:
-    """One episode per scene, or per contact if contacts are on several sensors or fingers; those without all are left
-    out."""
-    made: list[Episode] = []
-    for together in contacts(bundles):
-        made.append({role_of(bundles[i]): bundles[i] for i in together})
-    most = max(made, key=len)
-    if len(most) == 1:
-        return [{ALONE: bundle} for bundle in bundles]
-    return [episode for episode in made if episode.keys() == most.keys()]
+def split_files(folder: Path) -> dict[str, list[str]]:
+    """The Parquet files of each split of an export, as paths below its folder."""
+    from pyarrow import parquet
 
-
-def task(episode: Episode) -> str:
-    """The task of an episode: the captions of its bundles."""
-    return " ".join(map(caption, episode.values()))
+    ranges = json.loads((folder / "meta" / "info.json").read_text(encoding="utf-8"))["splits"]
+    rows = parquet.read_table(folder / EPISODES, columns=["data/chunk_index", "data/file_index"]).to_pylist()
+    paths = [DATA.format(row["data/chunk_index"], row["data/file_index"]) for row in rows]
+    ends = {name: map(int, at.split(":")) for name, at in ranges.items()}
+    return {name: list(dict.fromkeys(paths[slice(*of)])) for name, of in ends.items()}
 
 
 def columns(episode: Episode, features: Each) -> dict[str, np.ndarray]:
     """Values of each feature over the frames, without the indices; `features` are those of each sensor."""
-    parts = {role: _columns(bundle, features[role]) for role, bundle in episode.items()}
+    parts = {role: _columns(bundle, features[role], episode.frames) for role, bundle in episode.scenes.items()}
     return _together(parts, lambda values: np.hstack(list(values.values())))
 
 
-def _columns(bundle: Bundle, features: dict[str, Any]) -> dict[str, np.ndarray]:
+def _columns(bundle: Bundle, features: dict[str, Any], frames: int) -> dict[str, np.ndarray]:
     """Values of each feature of one sensor over the frames, with the names of a single sensor."""
-    state = poses(bundle["/frames/pose"])
-    columns = {IMAGE: bundle["/frames/rgb"], "observation.state": state, "action": np.vstack([state[1:], state[-1:]])}
+    state, action = state_and_action(bundle, frames)
+    columns = {IMAGE: bundle["/frames/rgb"], "observation.state": state, "action": action}
     for name in VECTORS:
         if f"observation.{name}" in features:
             columns[f"observation.{name}"] = bundle[f"/frames/{name}"].reshape(bundle.frames, -1)
+    if f"{TOUCH}wrench" in features:
+        columns[f"{TOUCH}wrench"] = np.hstack([bundle["/frames/force"], bundle["/frames/torque"]])
+    if f"{TOUCH}force" in features:
+        columns[f"{TOUCH}force"] = np.stack([_cell_forces(bundle, k).ravel() for k in range(frames)])
     if "observation.contact" in features:
         columns["observation.contact"] = np.column_stack([bundle[f"/frames/events/{name}"] for name in CONTACT])
         columns["observation.contact_mode"] = bundle[MODE][:, None]
     if DEPTH in features:
         depth = (bundle["/reference/height"] - bundle["/frames/height"]) * COUNTS_PER_MM
         columns[DEPTH] = np.clip(np.rint(np.nan_to_num(depth)), 0, MOST_COUNTS).astype(np.uint16)
-    return {n: v if v.ndim > 2 else v.astype(features[n]["dtype"]) for n, v in columns.items()}
+    return {n: v[:frames] if v.ndim > 2 else v[:frames].astype(features[n]["dtype"]) for n, v in columns.items()}
+
+
+def _cell_forces(bundle: Bundle, k: int) -> np.ndarray:
+    """Force on the gel in each of CELLS (12, 16, 3), or (16, 12, 3) of an upright image [N]."""
+    force = bundle.frame("/frames/force_map", k).astype(float)
+    rows, columns = (shares(n, cells) for n, cells in zip(force.shape, _cells(force.shape), strict=False))
+    return np.asarray(np.einsum("ri,ijx,cj->rcx", rows, force, columns))
+
+
+def _cells(shape: Sequence[int]) -> tuple[int, int]:
+    return CELLS if shape[0] <= shape[1] else CELLS[::-1]
 
 
 def statistics(episodes: Sequence[dict[str, np.ndarray]]) -> dict[str, dict[str, list]]:
@@ -173,6 +190,11 @@ def _features(bundles: Sequence[Bundle]) -> dict[str, Any]:
         if len(shapes) == 1 and (count := int(np.prod(shapes.pop()))):
             names = [f"{axis}_{units}" for axis in "xyz"] if count == 3 else None
             features[f"observation.{name}"] = _vector("float32", count, names)
+    if {"observation.force", "observation.torque"} <= features.keys():
+        wrench = [*features["observation.force"]["names"], *(f"torque_{axis}_n_mm" for axis in "xyz")]
+        features[f"{TOUCH}wrench"] = _vector("float32", 6, wrench)
+    if all("/frames/force_map" in bundle for bundle in bundles):
+        features[f"{TOUCH}force"] = _vector("float32", 3 * CELLS[0] * CELLS[1])
     if all(MODE in bundle for bundle in bundles):
         names = [name for parts in CONTACT.values() for name in parts]
         features["observation.contact"] = _vector("float32", len(names), names)
@@ -193,17 +215,20 @@ def _together(parts: dict[str, dict[str, Any]], join: Callable[[dict[str, Any]],
     for role, part in parts.items():
         for name, value in part.items():
             if name not in joined:
-                joined[name.replace(ALONE, role) if ALONE in name else f"{name}.{role}"] = value
+                joined[_named(name, role)] = value
     return joined
+
+
+def _named(name: str, role: str) -> str:
+    """The name of a single sensor's column for one sensor of several."""
+    if name.startswith(TOUCH):
+        return f"{TOUCH}{role}.{name.removeprefix(TOUCH)}"
+    return name.replace(ALONE, role) if ALONE in name else f"{name}.{role}"
 
 
 def _joined(parts: dict[str, Any]) -> dict[str, Any]:
     names = [f"{role}.{name}" for role, part in parts.items() for name in part["names"]]
     return _vector("float32", len(names), names)
-
-
-def _length(episode: Episode) -> int:
-    return next(iter(episode.values())).frames
 
 
 def _data(
@@ -218,9 +243,10 @@ def _data(
     start, writer = 0, None
     for number, episode in enumerate(all_episodes):
         content = columns(episode, features)
-        count = _length(episode)
+        count = episode.frames
         table = pa.table(_arrays(episode, content, number, start, tasks))
-        if writer is None or made[-1].stat().st_size > FILE_BYTES:
+        begins = number == 0 or episode.split != all_episodes[number - 1].split
+        if writer is None or begins or made[-1].stat().st_size > FILE_BYTES:
             if writer is not None:
                 writer.close()
             made.append(out / DATA.format(*divmod(len(made), FILES)))
@@ -232,7 +258,8 @@ def _data(
         rows.append(
             {
                 "episode_index": number,
-                "tasks": [task(episode)],
+                "tasks": [episode.task],
+                "scene": episode.name,
                 "length": count,
                 "data/chunk_index": chunk,
                 "data/file_index": file,
@@ -255,17 +282,17 @@ def _arrays(
     """Arrow arrays of an episode: images as PNG files, vectors as lists of fixed length."""
     import pyarrow as pa
 
-    bundle, out = next(iter(episode.values())), dict[str, Any]()
-    count, kind = bundle.frames, pa.struct([("bytes", pa.binary()), ("path", pa.string())])
+    bundle, out = episode.first, dict[str, Any]()
+    count, kind = episode.frames, pa.struct([("bytes", pa.binary()), ("path", pa.string())])
     for name, values in content.items():
         if values.ndim > 2:
             out[name] = pa.array([{"bytes": encoded(image, "PNG"), "path": None} for image in values], kind)
         else:
             flat = pa.array(values.ravel())
             out[name] = flat if values.shape[1] == 1 else pa.FixedSizeListArray.from_arrays(flat, values.shape[1])
-    times = bundle["/frames/time"] if "/frames/time" in bundle else np.arange(count) / FPS
+    times = bundle["/frames/time"][:count] if "/frames/time" in bundle else np.arange(count) / FPS
     out["timestamp"] = pa.array((times - times[0]).astype(np.float32))
-    task_index = tasks.index(task(episode))
+    task_index = tasks.index(episode.task)
     known = (np.arange(count), np.full(count, number), start + np.arange(count), np.full(count, task_index))
     return out | {name: pa.array(values) for name, values in zip(INDICES, known, strict=True)}
 

@@ -3,61 +3,85 @@
     https://github.com/webdataset/webdataset
 
 `<scene>-<frame>.rgb.png`, `.force.npy`, `.pose.npy`, `.grasp_object.npy`, ... : every dataset of /frames by its name,
-except quality, and `.json`: scene, sensor, caption, frame, segment, varied values, units, and if the bundle has them
-the contact events and the number of the contact on several sensors (`pair`) or the `finger` of a grasp. The image of
-the untouched sensor is stored once per scene, `reference/<scene>.png`: a copy in each sample would double the size.
+except quality, and `.json`: scene, sensor, task, split, frame, segment, varied values, units, and the contact events
+if the bundle has them. The task tells the movements, none of the labels. A contact on several sensors, or of the two
+fingers of a grasp, is one sample: `.left.rgb.png`, `.right.force.npy`, and `sensors` of the `.json` has those of
+each.
+
+The scenes of each split, the same ones as of tacgen.torch, are in tar files of their own: `train-000000.tar`,
+`val-000000.tar`, `test-000000.tar`; `splits.json` names them. The image of the untouched sensor is stored once per
+scene, `reference/<scene>.png`: a copy in each sample would double the size.
 """
 
-import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from tacgen.bundle.bundle import Bundle
-from tacgen.bundle.caption import caption, modes
+from tacgen.bundle.caption import MODE, modes
 from tacgen.bundle.image_file import encoded
 from tacgen.bundle.schema import UNITS
 from tacgen.errors import UserError
 from tacgen.export import names
+from tacgen.export.episodes import ALONE, Episode, episodes, split_ranges, values, write_splits
 
 SHARD_BYTES = 1_000_000_000
+EVENTS = "/frames/events/"
 
 
 def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
-    """`out/shard-000000.tar` and on, each of about a gigabyte."""
+    """`out/train-000000.tar` and on, each of about a gigabyte, those of the other splits, and the references."""
     try:
         from webdataset import ShardWriter
     except ImportError:
         raise UserError("export webdataset needs WebDataset: pip install 'tacgen[webdataset]'") from None
-    (out / "reference").mkdir()
-    made = []
+    every = episodes(bundles)
     # no time and no user in the headers, so that the same bundles give the same bytes
     plain = {"mtime": 0, "user": "tacgen", "group": "tacgen", "verbose": 0}
-    with ShardWriter(str(out / "shard-%06d.tar"), maxcount=10**9, maxsize=SHARD_BYTES, **plain) as writer:
-        for name, bundle in zip(names(bundles), bundles, strict=True):
-            for sample in samples(name, bundle):
-                writer.write(sample)
-            if "/reference/rgb" in bundle:
-                made.append(out / "reference" / f"{name}.png")
-                made[-1].write_bytes(encoded(bundle["/reference/rgb"], "PNG"))
-    return [*sorted(out.glob("shard-*.tar")), *made]
+    for split, (first, end) in split_ranges(every).items():
+        with ShardWriter(str(out / f"{split}-%06d.tar"), maxcount=10**9, maxsize=SHARD_BYTES, **plain) as writer:
+            for episode in every[first:end]:
+                for sample in samples(episode):
+                    writer.write(sample)
+    made = [*sorted(out.glob("*.tar")), write_splits(every, out)]
+    (out / "reference").mkdir()
+    for name, bundle in zip(names(bundles), bundles, strict=True):
+        if "/reference/rgb" in bundle:
+            made.append(out / "reference" / f"{name}.png")
+            made[-1].write_bytes(encoded(bundle["/reference/rgb"], "PNG"))
+    return made
 
 
-def samples(name: str, bundle: Bundle) -> Iterator[dict[str, Any]]:
-    """The samples of a bundle, frame by frame, as WebDataset's writer takes them."""
-    apart = ("/frames/quality/", "/frames/events/")
-    paths = [path for path in bundle.shapes if path.startswith("/frames/") and not path.startswith(apart)]
-    events = {path.rpartition("/")[2]: bundle[path] for path in bundle.shapes if path.startswith("/frames/events/")}
-    scene: dict[str, Any] = {"scene": name, "sensor": bundle.attrs["sensor"], "caption": caption(bundle)}
-    scene["values"] = json.loads(bundle.attrs.get("values", "{}"))
-    scene |= {name: bundle.attrs[name] for name in ("pair", "finger") if name in bundle.attrs}
-    for k in range(bundle.frames):
-        about = {**scene, "frame": k, "segment": bundle.segments[k], "units": UNITS}
-        if events:
-            contact = {name: values[k].tolist() for name, values in events.items()}
-            about["events"] = contact | {"mode": modes(bundle)[k]}
-        sample: dict[str, Any] = {"__key__": f"{name}-{k:05d}", "json": about}
-        for path in paths:
-            kind = "png" if path == "/frames/rgb" else "npy"
-            sample[f"{path.removeprefix('/frames/').replace('/', '_')}.{kind}"] = bundle.frame(path, k)
+def samples(episode: Episode) -> Iterator[dict[str, Any]]:
+    """The samples of an episode, frame by frame, as WebDataset's writer takes them."""
+    known = {"scene": episode.name, "task": episode.task, "split": episode.split, "values": values(episode.first)}
+    for k in range(episode.frames):
+        about = {**known, "frame": k, "segment": episode.first.segments[k], "units": UNITS}
+        each = {role: _labels(bundle, k) for role, bundle in episode.scenes.items()}
+        about |= each.get(ALONE, {"sensors": each})
+        sample: dict[str, Any] = {"__key__": f"{episode.name}-{k:05d}", "json": about}
+        for role, bundle in episode.scenes.items():
+            prefix = "" if role == ALONE else f"{role}."
+            sample |= {f"{prefix}{name}": array for name, array in _arrays(bundle, k).items()}
         yield sample
+
+
+def _labels(bundle: Bundle, k: int) -> dict[str, Any]:
+    """The sensor of a scene, and its contact events in a frame if they are in the bundle."""
+    about: dict[str, Any] = {"sensor": bundle.attrs["sensor"]}
+    if MODE in bundle:
+        paths = [path for path in bundle.shapes if path.startswith(EVENTS)]
+        events = {path.removeprefix(EVENTS): bundle.frame(path, k).tolist() for path in paths}
+        about["events"] = events | {"mode": modes(bundle)[k]}
+    return about
+
+
+def _arrays(bundle: Bundle, k: int) -> dict[str, Any]:
+    """Every dataset of a frame by its name and the kind of its file."""
+    apart = ("/frames/quality/", EVENTS)
+    made = {}
+    for path in bundle.shapes:
+        if path.startswith("/frames/") and not path.startswith(apart):
+            kind = "png" if path == "/frames/rgb" else "npy"
+            made[f"{path.removeprefix('/frames/').replace('/', '_')}.{kind}"] = bundle.frame(path, k)
+    return made

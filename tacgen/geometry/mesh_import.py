@@ -192,12 +192,44 @@ def placed(solid: SolidMesh, *, up: str = "+z", scale: float = 1.0, size: float 
     Args:
         scale: mm per unit of the file. size: length of the longest side [mm], instead of scale.
     """
-    axis, sign = "xyz".index(up[1]), 1 if up[0] == "+" else -1
-    after = [(axis + 1) % 3, (axis + 2) % 3, axis]  # the file's axes that become x, y, z: cyclic, so right-handed
-    v = solid.vertices[:, after] * [1, sign, sign]
+    v, origin, scale = _turned(solid, up, scale, size)
+    return SolidMesh(solid.name, (v - origin) * scale, solid.triangles, solid.body)
+
+
+def _turned(solid: SolidMesh, up: str, scale: float, size: float | None) -> tuple[Array, list[float], float]:
+    """Vertices (n, 3) with the axis `up` along z, in units of the file; the indenter's origin there; the scale."""
+    after, signs = _upright(up)
+    v = solid.vertices[:, after] * signs
     low, high = v.min(0), v.max(0)
-    v = (v - [*((low + high) / 2)[:2], low[2]]) * (size / (high - low).max() if size else scale)
-    return SolidMesh(solid.name, v, solid.triangles, solid.body)
+    return v, [*((low + high) / 2)[:2], low[2]], size / (high - low).max() if size else scale
+
+
+def _upright(up: str) -> tuple[list[int], list[int]]:
+    """The file's axes that become x, y and z, cyclic, so right-handed; and their signs."""
+    axis, sign = "xyz".index(up[1]), 1 if up[0] == "+" else -1
+    return [(axis + 1) % 3, (axis + 2) % 3, axis], [1, sign, sign]
+
+
+def placement(solid: SolidMesh, *, up: str = "+z", scale: float = 1.0, size: float | None = None) -> Array:
+    """Pose (4, 4) [mm] of the indenter that `placed` makes of a solid, in the file's frame scaled to mm."""
+    _, origin, scale = _turned(solid, up, scale, size)
+    (after, signs), pose = _upright(up), np.eye(4)
+    pose[:3, :3] = np.eye(3)[:, after] * signs
+    pose[:3, 3] = pose[:3, :3] @ origin * scale
+    return pose
+
+
+def signed_distance(solid: SolidMesh, points: Array) -> Array:
+    """Signed distance (n,) [mm] of points (n, 3) from a solid, negative inside; of several bodies the smallest."""
+    import igl
+
+    sign = igl.SIGNED_DISTANCE_TYPE_PSEUDONORMAL
+    out = np.full(len(points), np.inf)
+    for number in range(int(solid.body.max()) + 1):
+        used, renamed = np.unique(solid.triangles[solid.body == number], return_inverse=True)
+        vertices, faces = np.ascontiguousarray(solid.vertices[used]), renamed.reshape(-1, 3)
+        out = np.minimum(out, igl.signed_distance(np.ascontiguousarray(points), vertices, faces, sign_type=sign)[0])
+    return out
 
 
 def sizes(path: Path, up: str, scale: float) -> tuple[float, float, float]:

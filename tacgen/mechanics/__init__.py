@@ -7,10 +7,10 @@ It knows no recipe. A Scene (gel, indenter, poses, friction, tolerances) is mesh
     for state in states(scene, problem):
         state.traction_force.sum((0, 1))  # force of the indenter on the gel (3,) [N]
 
-docs/MECHANICS.md has the algorithm by module. Contact by distance is solved by bulk_newton (on the gel) with
-contact_newton (on its Schur complement), or without CHOLMOD by full_newton (on all unknowns); contact between meshes by
-mesh_contact with newton (on an energy). The names are imported when they are first used: a recipe's path needs no
-solver.
+docs/MECHANICS.md has the algorithm by module. `solver` drives it: kernels of load_step, bulk_newton (on the gel, with
+contact_newton on its Schur complement), admission and load_stepping, in the order of phases.TRANSITIONS. Without
+CHOLMOD full_newton solves on all unknowns; contact between meshes is solved by mesh_contact with newton (on an energy).
+The names are imported when they are first used: a recipe's path needs no solver.
 """
 
 from importlib import import_module

@@ -1,4 +1,4 @@
-"""Newton's method for contact with friction on a linearised bulk: the inner loop.
+"""Newton's method for contact with friction on a linearised bulk: the inner loop, one step at a time.
 
 The step uses the consistent, non-symmetric tangent. It is taken in full if it halves the residual, as it does near the
 solution, where convergence is quadratic. Otherwise Armijo's rule decreases the merit function: the energy of bulk and
@@ -8,8 +8,9 @@ the search ends, and the bulk needs damping.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Protocol, TypeVar
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
@@ -92,67 +93,109 @@ class Quadratic:
         return p if np.isfinite(p).all() else None
 
 
+class ContactStatus(StrEnum):
+    """Whether the iteration goes on, and how it ended."""
+
+    running = "running"
+    converged = "converged"
+    stopped = "stopped"  # out of steps, or stalled
+    unstable = "unstable"  # a node reached the radius, or no step decreases the merit function
+
+
 @dataclass(frozen=True)
-class ContactSolution:
-    """Positions x (n, 3), the contact with its offset there, its forces, and how the iteration ended."""
+class ContactIterate(Generic[P]):
+    """Positions x (n, 3), the contact with its offset there, its forces, the bulk there, and the residual g (n, 3) [N];
+    how many steps led there from `start`, the longest motion of a node [mm] in the last one, and by how much the mean
+    gap was off before it [mm]."""
 
     x: Array
     contact: CoupledContact
     forces: ContactForces
-    converged: bool
-    steps: int
-    unstable: bool = False  # a node reached the radius, or no step decreases the merit function
+    here: P
+    g: Array
+    start: Array
+    steps: int = 0
+    length: float = np.inf
+    drift: float = 0.0
+    status: ContactStatus = ContactStatus.running
+
+    @property
+    def converged(self) -> bool:
+        return self.status is ContactStatus.converged
+
+
+def contact_start(bulk: BulkModel[P], contact: CoupledContact, x: Array) -> ContactIterate[P]:
+    """The iterate before the first step."""
+    here, forces = bulk.at(x), contact.evaluate(x)
+    return ContactIterate(x, contact, forces, here, _residual(contact, here, forces), x)
+
+
+def contact_step(
+    bulk: BulkModel[P], now: ContactIterate[P], *, xtol: float, max_steps: int, radius: float = np.inf
+) -> ContactIterate[P]:
+    """One step towards the equilibrium of bulk, barrier and friction, with the indenter shrunk by the mean gap.
+
+    It has converged when a full step moves no node by more than xtol [mm] and the mean gap agrees, and is unstable when
+    a node has moved by `radius` [mm].
+    """
+    x, contact, forces, here, g, drift = now.x, now.contact, now.forces, now.here, now.g, now.drift
+    if now.length <= contact.contact.dhat and forces.N.any():  # far from the solution the mean gap is meaningless
+        drift = forces.mean_gap - contact.contact.offset
+        contact = contact.shrunk(forces.mean_gap)
+        forces = contact.evaluate(x)
+        g = _residual(contact, here, forces)
+    now = replace(now, contact=contact, forces=forces, g=g, drift=drift, status=ContactStatus.stopped)
+    if now.steps == max_steps:
+        return now
+    now = replace(now, steps=now.steps + 1)
+    p = bulk.solve(here, contact, forces.tangent, g, False)
+    full, fraction = None if p is None else _full(bulk, contact, forces, x, g, p), 1.0
+    if full is None:
+        fraction, p = _downhill(bulk, here, contact, forces, x, g, p)
+    if p is None:
+        return replace(now, status=ContactStatus.unstable)
+    there, length = x + fraction * p, float(np.abs(p).max())
+    if np.abs(there - now.start).max() > radius:
+        there = x + _to_radius(x - now.start, there - x, radius) * (there - x)
+        return replace(now, x=there, forces=contact.evaluate(there), status=ContactStatus.unstable)
+    here, forces, g = full or _evaluated(bulk, contact, there)
+    off = forces.mean_gap - contact.contact.offset if forces.N.any() else 0.0
+    status = ContactStatus.running
+    if fraction == 1.0 and length <= xtol and max(abs(drift), abs(off)) <= xtol:
+        status = ContactStatus.converged
+    elif fraction * length < SHORTEST * xtol:
+        status = ContactStatus.converged if length <= xtol else ContactStatus.stopped
+    return replace(now, x=there, forces=forces, here=here, g=g, length=length, status=status)
 
 
 def solve_contact(
     bulk: BulkModel[P], contact: CoupledContact, x: Array, *, xtol: float, max_steps: int, radius: float = np.inf
-) -> ContactSolution:
-    """Equilibrium of bulk, barrier and friction, with the indenter shrunk by the resulting mean gap.
+) -> ContactIterate[P]:
+    """Steps from x (n, 3) until the iteration ends; see contact_step."""
+    now = contact_start(bulk, contact, x)
+    while now.status is ContactStatus.running:
+        now = contact_step(bulk, now, xtol=xtol, max_steps=max_steps, radius=radius)
+    return now
 
-    Ends when a full step moves no node by more than xtol [mm] and the mean gap agrees, or when a node has moved by
-    `radius` [mm].
-    """
 
-    def residual(at: P, forces: ContactForces) -> Array:
-        return np.asarray(at.gradient - contact.contact.faces.scatter(forces.force, len(x)))
+def _residual(contact: CoupledContact, at: EnergyPoint, forces: ContactForces) -> Array:
+    return np.asarray(at.gradient - contact.contact.faces.scatter(forces.force, len(at.gradient)))
 
-    steps, length, drift, start = 0, np.inf, 0.0, x
-    here, forces = bulk.at(x), contact.evaluate(x)
-    g = residual(here, forces)
-    while True:
-        if length <= contact.contact.dhat and forces.N.any():  # far from the solution the mean gap is meaningless
-            drift = forces.mean_gap - contact.contact.offset
-            contact = contact.shrunk(forces.mean_gap)
-            forces = contact.evaluate(x)
-            g = residual(here, forces)
-        if steps == max_steps:
-            return ContactSolution(x, contact, forces, False, steps)
-        steps += 1
-        p = bulk.solve(here, contact, forces.tangent, g, False)
-        full = None
-        if p is not None and contact.contact.max_step(forces.gap, p) == 1.0:
-            there, felt = bulk.at(x + p), contact.evaluate(x + p)
-            ahead = residual(there, felt)
-            if np.linalg.norm(ahead) <= FULL_STEP * np.linalg.norm(g):
-                full = there, felt, ahead
-        fraction = 1.0
-        if full is None:
-            fraction, p = _downhill(bulk, here, contact, forces, x, g, p)
-        if p is None:
-            return ContactSolution(x, contact, forces, False, steps, True)
-        before, x, length = x, x + fraction * p, float(np.abs(p).max())
-        if np.abs(x - start).max() > radius:
-            x = before + _to_radius(before - start, x - before, radius) * (x - before)
-            return ContactSolution(x, contact, contact.evaluate(x), False, steps, True)
-        if full is None:
-            here, forces = bulk.at(x), contact.evaluate(x)
-            full = here, forces, residual(here, forces)
-        here, forces, g = full
-        off = forces.mean_gap - contact.contact.offset if forces.N.any() else 0.0
-        if fraction == 1.0 and length <= xtol and max(abs(drift), abs(off)) <= xtol:
-            return ContactSolution(x, contact, forces, True, steps)
-        if fraction * length < SHORTEST * xtol:
-            return ContactSolution(x, contact, forces, length <= xtol, steps)
+
+def _evaluated(bulk: BulkModel[P], contact: CoupledContact, x: Array) -> tuple[P, ContactForces, Array]:
+    """The bulk, the contact's forces and the residual at x (n, 3)."""
+    there, felt = bulk.at(x), contact.evaluate(x)
+    return there, felt, _residual(contact, there, felt)
+
+
+def _full(
+    bulk: BulkModel[P], contact: CoupledContact, forces: ContactForces, x: Array, g: Array, p: Array
+) -> tuple[P, ContactForces, Array] | None:
+    """The end of the coupled step p (n, 3), if it may be taken in full; else None."""
+    if contact.contact.max_step(forces.gap, p) < 1.0:
+        return None
+    there = _evaluated(bulk, contact, x + p)
+    return there if np.linalg.norm(there[2]) <= FULL_STEP * np.linalg.norm(g) else None
 
 
 def _to_radius(gone: Array, step: Array, radius: float) -> float:

@@ -1,8 +1,12 @@
 """How a solve fails: one enum, whose values are the sentences for users."""
 
+from collections.abc import Iterable
 from enum import StrEnum
 from typing import Any
 
+import numpy as np
+
+SQUEEZED = 0.2  # J below which the message of a failure reports it [-]
 LESS = "try less depth, less friction or a finer mesh"
 
 
@@ -45,3 +49,9 @@ class NotConverged(ArithmeticError):
     def __init__(self, failure: Failure, **data: Any) -> None:
         super().__init__(failure.format(**data))
         self.failure, self.data = failure, data
+
+
+def no_equilibrium(J: Iterable[np.ndarray], steps: int) -> NotConverged:
+    """The failure to find one in so many steps, which ended at these J."""
+    least = min(float(part.min()) for part in J)
+    return NotConverged(Failure.squeezed if least < SQUEEZED else Failure.newton, steps=steps, least_J=least)

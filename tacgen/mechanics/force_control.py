@@ -1,22 +1,24 @@
 """Root of an increasing function in few evaluations: a secant method that is kept inside the known bracket."""
 
 from collections.abc import Callable
+from enum import Enum
 
 POWER = 2 / 3  # exponent of the value that makes it linear in u for a ball pressed in by u (Hertz) [-]
-END = 1e-12  # distance of u from an end at which it counts as the end
+AT_END = 1e-12  # distance of u from an end at which it counts as the end
 TRIALS = 30  # most evaluations
 
 
-class OutOfReach(ArithmeticError):
-    """The function is below the target on the whole interval; `most` is the largest value that was found."""
+class End(Enum):
+    """How a search ended."""
 
-    def __init__(self, most: float) -> None:
-        super().__init__(f"at most {most:g}")
-        self.most = most
+    met = "met"
+    out_of_reach = "out of reach"  # the function is below the target on the whole interval, as its last value shows
+    not_found = "not found"  # within TRIALS evaluations
+    stopped = "stopped"  # by the function
 
 
 def meet(
-    f: Callable[[float], float],
+    f: Callable[[float], float | None],
     target: float,
     *,
     known: tuple[float, float],
@@ -24,15 +26,12 @@ def meet(
     low: float,
     high: float,
     tol: float,
-) -> None:
+) -> End:
     """Evaluate an increasing f until f(u) is `target` within the relative tolerance `tol`; the last u is the result.
 
     Args:
-        f: may return nan where it has no value, which counts as above the target.
+        f: may return nan where it has no value, which counts as above the target, or None to stop the search.
         known: (u, f(u)), not evaluated again. guess: first u. low, high: the interval; f(low) < target.
-
-    Raises:
-        OutOfReach: f(high) < target. ArithmeticError: not found within TRIALS evaluations.
     """
     bounded = known[1] >= target  # whether an evaluation is an upper bound
     below, above = ((low, 0.0), known) if bounded else (known, (high, float("nan")))
@@ -41,11 +40,12 @@ def meet(
         inside = below[0] < u < above[0] or (u == high and not bounded)
         if not inside or step % 6 == 5:  # bisection, if the secant approaches from one side only
             u = (below[0] + above[0]) / 2
-        v = f(u)
+        if (v := f(u)) is None:
+            return End.stopped
         if abs(v - target) <= tol * target:
-            return
-        if v < target and u >= high - END:
-            raise OutOfReach(v)
+            return End.met
+        if v < target and u >= high - AT_END:
+            return End.out_of_reach
         if v < target:
             below = (u, v)
         else:
@@ -53,7 +53,7 @@ def meet(
         u, last = _next(target, last, (u, v)), (u, v)
         if not bounded:
             u = min(u, high, last[0] + max(4 * (last[0] - known[0]), (high - last[0]) / 4))
-    raise ArithmeticError(f"{target:g} not met within {tol:g} of it in {TRIALS} trials, from {below} to {above}")
+    return End.not_found
 
 
 def _next(target: float, last: tuple[float, float], now: tuple[float, float]) -> float:

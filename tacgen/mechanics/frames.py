@@ -6,90 +6,93 @@ scene is rejected.
 
 import math
 from collections.abc import Iterator
-from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
 
 from tacgen.geometry.pose import Pose, shortest_turn
-from tacgen.mechanics.equilibrium import equilibrium
 from tacgen.mechanics.failures import Failure, NotConverged
-from tacgen.mechanics.force_control import POWER, OutOfReach, meet
-from tacgen.mechanics.load_stepping import advance
+from tacgen.mechanics.force_control import POWER, End, meet
 from tacgen.mechanics.options import DEFAULT, tighter
 from tacgen.mechanics.problem import Problem
 from tacgen.mechanics.scene import FORCE_DEPTH, Scene
+from tacgen.mechanics.solve_state import SolveState
+from tacgen.mechanics.solver import advance, equilibrium
 from tacgen.mechanics.state import History, State
 
 Array = np.ndarray
 RISE = np.outer(np.eye(4)[2], np.eye(4)[3])  # added to a pose: 1 mm along z
 
 
+@dataclass(frozen=True)
+class Aim:
+    """A prescribed force: the `target` of a frame [N] within `tol` of it, from the force `before` [N]; `floor`: lowest
+    height of the indenter's origin [mm]."""
+
+    target: float
+    before: float
+    floor: float
+    tol: float
+
+
 def _reach_force(
-    problem: Problem,
-    history: History,
-    last: Array,
-    guess: Array,
-    index: int,
-    duration: float,
-    target: float,
-    before: float,
-    floor: float,
-    tol: float,
-) -> tuple[History, State]:
-    """From pose `last` with the normal force `before` to the height with `target` [N], else at pose `guess`.
+    problem: Problem, history: History, last: Array, guess: Array, index: int, duration: float, aim: Aim
+) -> SolveState:
+    """From pose `last` to the height with the force aimed at, else at pose `guess`.
 
-    Every trial starts from the same history, so that rejected trials do not influence friction.
+    Every trial starts from the same history, so that rejected trials do not influence friction; all trials share one
+    budget of Newton steps. Raises NotConverged: no height has that force.
     """
-    problem.effort.steps = 0  # all trials share them
-    low = -max(last[2, 3], guess[2, 3], floor + problem.thickness)
-    found: list[tuple[History, State]] = []
-    refused: list[NotConverged] = []
+    target, before, floor = aim.target, aim.before, aim.floor
+    trials: list[SolveState] = []
 
-    def force_at(u: float) -> float:
+    def force_at(u: float) -> float | None:
         pose = guess.copy()
         pose[2, 3] = -u
-        try:
-            found.append(trial(problem, history, last, pose, index, duration, found[-1][1] if found else None))
-        except NotConverged as error:
-            if error.failure == Failure.effort:
-                raise
-            refused.append(error)
-            return float("nan")
-        return normal_force(found[-1][1])
+        near = next((t.state for t in reversed(trials) if t.failure is None), None)
+        trials.append(trial(problem, history, last, pose, index, duration, near, trials[-1].effort if trials else 0))
+        if (failure := trials[-1].failure) is not None:
+            return None if failure.failure is Failure.effort else math.nan
+        return normal_force(trials[-1].reached()[1])
 
-    try:
-        known, at = (-float(last[2, 3]), before), -float(guess[2, 3])
-        face, elsewhere = floor + FORCE_DEPTH * problem.thickness, not np.allclose((guess - last) * (1 - RISE), 0)
-        if before > 0 and (elsewhere or (at <= known[0]) == (target > before)):  # or it contradicts `known`
-            at = -face + (known[0] + face) * (target / before) ** POWER
-        if elsewhere:
-            known = -face, 0.0
-        meet(force_at, target, known=known, guess=at, low=low, high=-floor, tol=tol)
-    except OutOfReach as error:
-        most, part = error.most, FORCE_DEPTH
-        raise NotConverged(Failure.too_much, asked=target, part=part, most=most, index=index) from None
-    except ArithmeticError as error:
-        most = max((normal_force(state) for _, state in found), default=before)
-        if isinstance(error, NotConverged):  # of effort
-            raise NotConverged(Failure.force_effort, asked=target, why=error, most=most) from None
-        if not refused and problem.options.step_tol >= DEFAULT.step_tol:  # tolerances are large beside light forces
-            finer = replace(problem, options=tighter(problem.options))
-            return _reach_force(finer, history, last, guess, index, duration, target, before, floor, tol)
-        why = refused[-1] if refused else error
-        raise NotConverged(Failure.force, asked=target, most=most, why=why) from None
-    carried, state = found[-1]
-    return carried, replace(state, iterations=sum(trial.iterations for _, trial in found))
+    known, at = (-float(last[2, 3]), before), -float(guess[2, 3])
+    face, elsewhere = floor + FORCE_DEPTH * problem.thickness, not np.allclose((guess - last) * (1 - RISE), 0)
+    if before > 0 and (elsewhere or (at <= known[0]) == (target > before)):  # or it contradicts `known`
+        at = -face + (known[0] + face) * (target / before) ** POWER
+    if elsewhere:
+        known = -face, 0.0
+    low = -max(last[2, 3], guess[2, 3], floor + problem.thickness)
+    end = meet(force_at, target, known=known, guess=at, low=low, high=-floor, tol=aim.tol)
+    found = [t.reached()[1] for t in trials if t.failure is None]
+    if end is End.met:
+        history, state = trials[-1].reached()
+        return replace(trials[-1], state=replace(state, iterations=sum(one.iterations for one in found)))
+    most = max(map(normal_force, found), default=before)
+    if end is End.out_of_reach:
+        most = normal_force(found[-1])
+        raise NotConverged(Failure.too_much, asked=target, part=FORCE_DEPTH, most=most, index=index)
+    refused = [t.failure for t in trials if t.failure is not None]
+    if end is End.stopped:
+        raise NotConverged(Failure.force_effort, asked=target, why=refused[-1], most=most)
+    if not refused and problem.options.step_tol >= DEFAULT.step_tol:  # tolerances are large beside light forces
+        finer = replace(problem, options=tighter(problem.options))
+        return _reach_force(finer, history, last, guess, index, duration, aim)
+    why = refused[-1] if refused else f"not met within {aim.tol:g} of it in {len(trials)} trials"
+    raise NotConverged(Failure.force, asked=target, most=most, why=why)
 
 
 def trial(
-    problem: Problem, history: History, last: Array, pose: Array, index: int, duration: float, near: State | None
-) -> tuple[History, State]:
+    problem: Problem, history: History, last: Array, pose: Array, index: int, duration: float, near: State | None,
+    effort: int = 0,
+) -> SolveState:  # fmt: skip
+    """From pose `last` to `pose`, counting Newton steps from `effort`; at once from a solution nearby if that does."""
     if near is not None and near.substeps == 1:
-        with suppress(NotConverged):  # one of effort is raised again at once
-            return equilibrium(problem, history, pose, index, duration, near)
-    return advance(problem, history, last, pose, shortest_turn(last, pose), index, duration, trial=True)
+        now = equilibrium(problem, history, pose, index, duration, near=near, effort=effort)
+        if now.failure is None or now.failure.failure is Failure.effort:
+            return now
+        effort = now.effort
+    return advance(problem, history, last, pose, shortest_turn(last, pose), index, duration, effort=effort)
 
 
 def normal_force(state: State) -> float:
@@ -119,10 +122,8 @@ def states(scene: Scene, problem: Problem, *, tol: float | None = None) -> Itera
         if forced is not None and np.isfinite(asked := forced.asked[index]):
             target = start_force + forced.part[index] * (asked - start_force)
             part_tol = end_tol if forced.part[index] == 1 else way_tol
-            floor = forced.floor[index]
-            history, state = _reach_force(
-                problem, history, last, pose, index, duration, target, before, floor, part_tol
-            )
+            aim = Aim(target, before, forced.floor[index], part_tol)
+            history, state = _reach_force(problem, history, last, pose, index, duration, aim).reached()
             shift = state.pose[2, 3] - pose[2, 3]
             if -shift > forced.below[index] + 1e-9:
                 raise NotConverged(Failure.deeper, asked=target, depth=-shift)
@@ -130,7 +131,7 @@ def states(scene: Scene, problem: Problem, *, tol: float | None = None) -> Itera
             if forced is not None and shift:
                 pose = pose + forced.carry[index] * shift * RISE
             turn = shortest_turn(last, pose) if scene.turns is None else scene.turns[index]
-            history, state = advance(problem, history, last, pose, turn, index, duration)
+            history, state = advance(problem, history, last, pose, turn, index, duration).reached()
         if forced is not None:
             before = normal_force(state)
         previous = state.following(previous)

@@ -14,7 +14,7 @@ from tacgen.fem.assembly import Pattern
 from tacgen.fem.potential import Projection
 from tacgen.mechanics.barrier import Faces
 from tacgen.mechanics.bulk import Bulk, BulkPoint
-from tacgen.mechanics.contact_newton import ContactSolution, solve_contact
+from tacgen.mechanics.contact_newton import ContactIterate, solve_contact
 from tacgen.mechanics.coupled import CoupledContact
 from tacgen.mechanics.linear_solvers import NotPositiveDefinite
 from tacgen.mechanics.problem import Problem
@@ -76,7 +76,7 @@ def _sparse(pattern: Pattern, faces: Faces, D: Array) -> sp.csr_matrix:
     return whole[pattern.free][:, pattern.free]
 
 
-def solve(problem: Problem, bulk: Bulk, contact: CoupledContact, x: Array) -> ContactSolution:
+def solve(problem: Problem, bulk: Bulk, contact: CoupledContact, x: Array) -> ContactIterate[BulkPoint]:
     """Equilibrium of everything from x (n, 3)."""
     options = problem.options
     xtol = options.step_tol * contact.contact.dhat

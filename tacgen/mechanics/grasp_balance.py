@@ -200,10 +200,9 @@ class Frame:
             raise NotConverged(Failure.grasp, trials=TRIALS)
         gels, wrench, normal, centre = [], np.zeros(6), 0.0, self._centre(pose)
         for side, problem in enumerate(self.problems):
-            problem.effort.steps = 0
             there, before = seen_from(side, width, pose), seen_from(side, self.last.width, self.last.pose)
             close = None if near is None else near.gels[side][1]
-            gels.append(trial(problem, self.last.gels[side][0], before, there, self.index, math.inf, close))
+            gels.append(trial(problem, self.last.gels[side][0], before, there, self.index, math.inf, close).reached())
             state, look = gels[-1][1], LOOKS[side]
             force = state.traction_force @ look.T
             at = problem.contact.faces.at(state.x) @ look.T + finger(side, width)[:3, 3]

@@ -1,150 +1,187 @@
-"""The contact, the bulk and the prediction of one load step, and how its equilibrium is found."""
+"""One load step: contact and bulk at its pose, the prediction and the start of Newton's method.
+
+Each function that takes a SolveState is one kernel of the method (see phases).
+"""
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tacgen.fem.elasticity import Elastic
 from tacgen.fem.folding_barrier import FoldingBarrier
 from tacgen.fem.potential import Potential, Total
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics import full_newton
 from tacgen.mechanics.barrier import Contact
 from tacgen.mechanics.bulk import Bulk
-from tacgen.mechanics.bulk_newton import BulkNewton, failed, with_neighbours
-from tacgen.mechanics.coupled import ContactForces, CoupledContact, onset
-from tacgen.mechanics.failures import Failure, NotConverged
+from tacgen.mechanics.bulk_newton import begun, with_neighbours
+from tacgen.mechanics.coupled import CoupledContact, onset
+from tacgen.mechanics.failures import Failure, NotConverged, no_equilibrium
 from tacgen.mechanics.linear_solvers import NotPositiveDefinite
+from tacgen.mechanics.phases import Outcome
 from tacgen.mechanics.predictor import Prediction, predict
 from tacgen.mechanics.problem import Problem
+from tacgen.mechanics.solve_state import Found, SolveState, known
 from tacgen.mechanics.state import History
 from tacgen.mechanics.tunnelling import blocked, depth_inside
 
-if TYPE_CHECKING:
-    from tacgen.mechanics.mesh_contact import LaggedContact, MeshLoadStep
-
 Array = np.ndarray
+Result = tuple[Outcome, SolveState]
 INSIDE = 0.45  # largest depth of the gel inside the indenter, over its reach [-]; at 1 it may come out on the far side
 STIFFER = 4.0  # factor of a barrier that does not suffice [-]
 
 
 @dataclass(frozen=True)
-class Found:
-    """Result of a solve: positions, the contact there (with its offset) and its forces, smallest gap [mm], Newton
-    steps and how many of them needed damping."""
+class LoadStep:
+    """The contact and the bulk at one pose; `ahead` (n, 3): positions by inertia, None without; the prediction, None
+    before it is made and where there is none; the contact with its anchors, None before they are set."""
 
-    x: Array
-    contact: "CoupledContact | LaggedContact"
-    forces: ContactForces
-    least_gap: float
-    steps: int
-    damped: int = 0
+    problem: Problem
+    history: History
+    duration: float  # [s]
+    contact: Contact
+    bulk: Bulk
+    ahead: Array | None
+    prediction: Prediction | None = None
+    coupled: CoupledContact | None = None
 
     @classmethod
-    def coupled(cls, x: Array, contact: CoupledContact, steps: int, damped: int = 0) -> "Found":
-        forces = contact.evaluate(x)
-        return cls(x, contact, forces, float(forces.gap.min()), steps, damped)
-
-
-class LoadStep:
-    """The contact, the bulk and the prediction at one pose."""
-
-    def __init__(self, problem: Problem, history: History, pose: Pose, duration: float) -> None:
-        self.problem, self.history, self.duration = problem, history, duration
-        self.options = problem.options
-        contact = replace(problem.contact.distance.moved(pose, history.offset), kappa=history.kappa)
-        self.dhat, self.prediction = contact.dhat, None
-        inert: tuple[Potential, ...] = ()
-        self.ahead = None
+    def of(cls, problem: Problem, history: History, pose: Pose, duration: float) -> "LoadStep":
+        """Before its prediction."""
+        inert, ahead = list[Potential](), None
         if problem.body is not None:
             assert history.velocity is not None
             inertia = problem.body.step(history.x, history.velocity, duration)
-            inert, self.ahead = (inertia,), inertia.coasting
-        self.inert = Total(inert)
-        self.elastic = problem.during(history, duration)
-        self.bulk = Bulk(self.elastic, problem.folding, inert)
-        if problem.condensed:
-            self.prediction = self._predict(contact, pose)
-        self.contact = CoupledContact(contact, problem.friction, self._anchors(contact), self.options.slip * self.dhat)
+            inert, ahead = [inertia], inertia.coasting
+        contact = replace(problem.contact.distance.moved(pose, history.offset), kappa=history.kappa)
+        bulk = Bulk(problem.during(history, duration), problem.folding, tuple(inert))
+        return cls(problem, history, duration, contact, bulk, ahead)
+
+    @property
+    def inert(self) -> Total:
+        return Total(self.bulk.other)
+
+    @property
+    def elastic(self) -> tuple[Elastic, ...]:
+        return self.bulk.elastic
 
     @property
     def folding(self) -> tuple[FoldingBarrier, ...]:
         return self.bulk.folding
 
-    def _predict(self, contact: Contact, pose: Pose) -> Prediction | None:
-        """Prediction by the tangent at the last equilibrium, which also serves the first step.
+    def predicted(self, pose: Pose) -> "LoadStep":
+        """With the prediction by the problem's tangent."""
+        return replace(self, prediction=predict(self.contact, self.problem.tangent, self.history, pose))
 
-        At a first guess the tangent is often indefinite, because of the guess's pressures.
-        """
-        history, tangent, conn = self.history, self.problem.tangent, contact.faces.conn
-        near = contact.gaps(history.x)[0] < contact.dhat
-        touching = np.asarray((near | (history.normal_force > 0)).any(1))
-        if not touching.any():
-            return None
-        covered = tangent.usable and tangent.condensation.covers(conn[touching])
-        if not covered:
-            tangent.condensation.cover(with_neighbours(conn, touching))
-        if not covered or (tangent.followed and tangent.exact_at is not history.x):
-            try:
-                tangent.take(self.bulk.at(history.x), None)
-            except NotPositiveDefinite:
-                return None
-        return predict(contact, tangent, history, pose) if self.options.predict else None
-
-    def _anchors(self, contact: Contact) -> Array:
-        """Anchors in the sensor frame; that of a new point is at its predicted place of first touch."""
-        history = self.history
+    def anchored(self) -> "LoadStep":
+        """With anchors in the sensor frame; that of a new point is where it first touches on the predicted path."""
+        history, contact, problem = self.history, self.contact, self.problem
         x = history.x if self.prediction is None else self.prediction.x
         ahead, gap_ahead = contact.pose.local(contact.faces.at(x)), contact.gaps(x)[0]
         touch = onset(history.anchor, ahead, history.gap - contact.offset, gap_ahead - contact.offset)
-        return contact.pose.world(np.where(history.normal_force[..., None] > 0, history.anchor, touch))
+        anchor = contact.pose.world(np.where(history.normal_force[..., None] > 0, history.anchor, touch))
+        coupled = CoupledContact(contact, problem.friction, anchor, problem.options.slip * contact.dhat)
+        return replace(self, coupled=coupled)
 
-    def start(self, near: Array | None) -> Array:
+    def start(self, near: Array | None) -> Array | None:
         """Start of Newton's method: the first of a nearby solution, the prediction, the positions by inertia, and the
-        last positions in which nothing tunnels and no element is inverted. Raises NotConverged: too far."""
-        history, contact = self.history, self.contact.contact
+        last positions in which nothing tunnels and no element is inverted; None if there is none."""
+        history, contact = self.history, self.contact
         for x in (near, None if self.prediction is None else self.prediction.x, self.ahead, history.x):
             if x is None or blocked(contact, history.pose, history.x, history.gap, x):
                 continue
             if np.isfinite(self.bulk.at(x).energy):
                 return x
-        raise NotConverged(Failure.too_far)
+        return None
 
-    def solve(self, x: Array) -> Found:
-        """Raises NotConverged."""
-        if self.problem.condensed:
-            newton = BulkNewton(self.problem, self.bulk, self.history)
-            return Found.coupled(*newton.solve(x, self.contact), newton.damped)
-        solution = full_newton.solve(self.problem, self.bulk, self.contact, x)
+    def solve(self, x: Array) -> Found | NotConverged:
+        """By Newton's method on all unknowns from x (n, 3)."""
+        solution = full_newton.solve(self.problem, self.bulk, known(self.coupled), x)
         if not solution.converged:
-            raise failed(self.bulk, solution.x, solution.steps)
+            return no_equilibrium(self.bulk.at(solution.x).J, solution.steps)
         return Found.coupled(solution.x, solution.contact, solution.steps)
 
-    def stiffen(self, solution: Found, contact: bool, folding: bool) -> bool:
-        """Make the barriers of the contact or against folding stiffer after a solution; whether that may help."""
+    def stiffened(self, solution: Found, contact: bool, folding: bool) -> "LoadStep | None":
+        """With stiffer barriers of the contact or against folding after a solution; None where that cannot help."""
         assert isinstance(solution.contact, CoupledContact)
-        self.contact = solution.contact.stiffened(STIFFER) if contact else solution.contact
+        bulk = self.bulk
         if folding:
-            self.bulk = replace(self.bulk, folding=tuple(b.stiffened(STIFFER) for b in self.bulk.folding))
-        return True
+            bulk = replace(bulk, folding=tuple(b.stiffened(STIFFER) for b in bulk.folding))
+        return replace(self, coupled=solution.contact.stiffened(STIFFER) if contact else solution.contact, bulk=bulk)
 
-    def check(self, solution: Found) -> None:
-        """Raises NotConverged: the gel is far inside the indenter."""
+    def wrong(self, solution: Found) -> NotConverged | None:
+        """The failure where the gel is far inside the indenter."""
         contact, problem = solution.contact.contact.distance, self.problem
         reach = contact.shape.reach
         if (deep := depth_inside(contact, problem.elastic, solution.x)) > INSIDE * reach:
-            raise NotConverged(Failure.inside, width=2 * reach, depth=deep, edge=problem.edge)
+            return NotConverged(Failure.inside, width=2 * reach, depth=deep, edge=problem.edge)
+        return None
 
 
-def imbalance(step: "LoadStep | MeshLoadStep", solution: Found) -> tuple[float, float]:
-    """Residual on the free dofs and |indenter + inertia + base|, both over the contact force [-]."""
-    x, free = solution.x, step.problem.pattern.free
-    outer = solution.contact.contact.faces.scatter(-solution.forces.force, len(x))
-    inertia = step.inert.gradient(x)
-    inner = Total((*step.elastic, *step.folding)).gradient(x)
-    held = np.ones(x.size, bool)
-    held[free] = False
-    reaction = np.where(held.reshape(x.shape), inner, 0.0).sum(0)
-    residual = float(np.linalg.norm((inner + outer + inertia).ravel()[free]))
-    force = max(float(np.linalg.norm(outer.sum(0))), step.history.least_force)
-    return residual / force, float(np.linalg.norm((outer + inertia).sum(0) - reaction)) / force
+def begin(problem: Problem, now: SolveState) -> Result:
+    """Contact and bulk at the pose of the next load step, and whether the kept tangent serves its prediction."""
+    leg = now.legs[0]
+    pose, effort = Pose.of(leg.b), 0 if leg.budget else now.effort
+    now = replace(now, effort=effort, failure=None)
+    if not problem.contact.overlaps:
+        from tacgen.mechanics.mesh_contact import MeshLoadStep
+
+        return Outcome.not_condensed, replace(now, step=MeshLoadStep(problem, now.history, pose, leg.duration))
+    step = LoadStep.of(problem, now.history, pose, leg.duration)
+    now = replace(now, step=step)
+    if not problem.condensed:
+        return Outcome.not_condensed, now
+    history, tangent, contact = now.history, problem.tangent, step.contact
+    conn, near = contact.faces.conn, contact.gaps(history.x)[0] < contact.dhat
+    touching = np.asarray((near | (history.normal_force > 0)).any(1))
+    if not touching.any():
+        return Outcome.apart, now
+    covered = tangent.usable and tangent.condensation.covers(conn[touching])
+    if not covered:
+        tangent.condensation.cover(with_neighbours(conn, touching))
+    exact = not tangent.followed or tangent.exact_at is history.x
+    return Outcome.ready if covered and exact else Outcome.missing, now
+
+
+def renew(problem: Problem, now: SolveState) -> Result:
+    """The tangent at the last equilibrium, which also serves the first step: at a first guess the tangent is often
+    indefinite, because of the guess's pressures."""
+    assert isinstance(now.step, LoadStep)
+    try:
+        problem.tangent.take(now.step.bulk.at(now.history.x), None)
+    except NotPositiveDefinite:
+        return Outcome.indefinite, now
+    return Outcome.ready, now
+
+
+def foresee(problem: Problem, now: SolveState) -> Result:
+    """The prediction, if the options ask for it."""
+    assert isinstance(now.step, LoadStep)
+    if not problem.options.predict:
+        return Outcome.ready, now
+    return Outcome.ready, replace(now, step=now.step.predicted(Pose.of(now.legs[0].b)))
+
+
+def start(problem: Problem, now: SolveState) -> Result:
+    """Newton's method at its start: what a softer barrier found, or see LoadStep.start."""
+    step = now.step
+    assert step is not None
+    x = now.found.x if now.found else step.start(None if now.near is None else now.near.x)
+    if x is None:
+        return Outcome.failure, now.failed(Failure.too_far)
+    if isinstance(step, LoadStep) and step.coupled is None:
+        step = step.anchored()
+    now = replace(now, step=step, begins=x)
+    if not problem.condensed:
+        return Outcome.not_condensed, now
+    assert isinstance(step, LoadStep)
+    return Outcome.ready, replace(now, newton=begun(problem, step.bulk, now.history, known(step.coupled), x))
+
+
+def whole(problem: Problem, now: SolveState) -> Result:
+    """Newton's method on all unknowns."""
+    assert now.step is not None
+    found = now.step.solve(known(now.begins))
+    if isinstance(found, NotConverged):
+        return Outcome.failure, replace(now, failure=found)
+    return Outcome.ended, replace(now, found=found)

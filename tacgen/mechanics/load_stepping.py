@@ -7,34 +7,41 @@ from itertools import pairwise
 import numpy as np
 
 from tacgen.geometry.pose import Pose, along, between
-from tacgen.mechanics.equilibrium import equilibrium
-from tacgen.mechanics.failures import Failure, NotConverged
+from tacgen.mechanics.admission import sharp
+from tacgen.mechanics.failures import Failure
+from tacgen.mechanics.phases import Outcome
 from tacgen.mechanics.problem import Problem
-from tacgen.mechanics.state import History, State
+from tacgen.mechanics.solve_state import Leg, SolveState, known
+from tacgen.mechanics.state import History
 
 Array = np.ndarray
 FOLD_HALVINGS = 2  # most halvings of a load step until a damped step counts as a fold
 TOO_FAR = 12  # most halvings of a load step in which the indenter might tunnel through the gel
-SHARP = 1.5  # indenter's smallest radius over the element edge, below which its edges count as sharp [-]
-TURNED = 0.3  # change of the indenter's normal at a point that counts as crossing an edge in one step [rad]
 
 
-def rounded(problem: Problem, before: History, after: History) -> float:
-    """Friction at points that crossed a sharp edge in one step, over the larger contact force of both ends [-]; above
-    .05 the result depends on the step size.
-
-    Whether such a point is dragged or slips depends on its path round the edge.
-    """
-    if not problem.friction or not _sharp(problem):
-        return 0.0
-    turned = np.linalg.norm(after.normal - before.normal, axis=-1) > TURNED
-    force = np.maximum(after.normal_force, before.normal_force)[turned].sum()
-    whole = max(float(after.normal_force.sum()), float(before.normal_force.sum()), after.least_force)
-    return problem.friction * float(force) / whole
+def divided(
+    problem: Problem, history: History, a: Array, b: Array, turn: Array, duration: float, shared: bool = False
+) -> tuple[Leg, ...]:
+    """The load steps from pose a to pose b; `shared`: they share their count of Newton steps with what came before."""
+    n = max(problem.steps(duration), steps_needed(problem, history, a, b, turn))
+    poses = pairwise([a, *along(a, b, turn, n)])
+    return tuple(Leg(start, end, turn / n, duration / n, budget=not shared) for start, end in poses)
 
 
-def _sharp(problem: Problem) -> bool:
-    return problem.contact.shape.smallest_radius < SHARP * problem.edge
+def halve(problem: Problem, now: SolveState) -> tuple[Outcome, SolveState]:
+    """The failed load step as two halves, unless it has been halved as often as its failure allows."""
+    if problem.condensed:
+        problem.tangent.condensation.usable = False
+    now, failure, leg = now.between(), known(now.failure).failure, now.legs[0]
+    farther = failure == Failure.too_far
+    most = FOLD_HALVINGS if failure == Failure.folds else problem.options.halvings
+    spent = leg.far == TOO_FAR if farther else leg.halved >= most
+    if spent or not now.may_halve or failure == Failure.effort:
+        return Outcome.failure, now
+    turn, middle = leg.turn / 2, between(leg.a, leg.b, leg.turn, 0.5)
+    halved, far = leg.halved + (not farther), leg.far + farther
+    half = leg._replace(turn=turn, duration=leg.duration / 2, halved=halved, far=far, budget=False)
+    return Outcome.more, replace(now, legs=(half._replace(b=middle), half._replace(a=middle), *now.legs[1:]))
 
 
 def steps_needed(problem: Problem, history: History, a: Array, b: Array, turn: Array) -> int:
@@ -59,58 +66,5 @@ def _steps_to_slide(problem: Problem, history: History, a: Array, b: Array, turn
     mean = (weight[:, None] * normal).sum(0) / weight.sum()
     sliding = float(np.linalg.norm(move - (move @ mean) * mean)) + angle * float(arm)
     options = problem.options
-    farthest = (options.slide_sharp if _sharp(problem) else options.slide) * problem.edge
+    farthest = (options.slide_sharp if sharp(problem) else options.slide) * problem.edge
     return math.ceil(sliding / farthest - 1e-9)
-
-
-def _reach(
-    problem: Problem, history: History, a: Array, b: Array, turn: Array, index: int, duration: float, halved: int = 0,
-    far: int = 0,
-) -> tuple[History, State]:  # fmt: skip
-    """From pose a to pose b in one load step, or in two halves if it fails or is too long."""
-    try:
-        after, state = equilibrium(problem, history, b, index, duration)
-        return after, replace(state, rounded=rounded(problem, history, after))
-    except NotConverged as error:
-        farther = error.failure == Failure.too_far
-        most = FOLD_HALVINGS if error.failure == Failure.folds else problem.options.halvings
-        spent = far == TOO_FAR if farther else halved >= most
-        if spent or error.failure == Failure.effort:
-            raise
-        halved, far = halved + (not farther), far + farther
-    middle = between(a, b, turn, 0.5)
-    there, first = _reach(problem, history, a, middle, turn / 2, index, duration / 2, halved, far)
-    there, second = _reach(problem, there, middle, b, turn / 2, index, duration / 2, halved, far)
-    return there, _joined(first, second)
-
-
-def advance(
-    problem: Problem,
-    history: History,
-    a: Array,
-    b: Array,
-    turn: Array,
-    index: int,
-    duration: float,
-    trial: bool = False,
-) -> tuple[History, State]:
-    """From pose a to pose b at constant speed, rotating by `turn` (3,) [rad].
-
-    A `trial` shares its budget of Newton steps with other trials; otherwise each load step has its own.
-    """
-    n, total = max(problem.steps(duration), steps_needed(problem, history, a, b, turn)), None
-    for start, end in pairwise([a, *along(a, b, turn, n)]):
-        if not trial:
-            problem.effort.steps = 0
-        history, state = _reach(problem, history, start, end, turn / n, index, duration / n)
-        total = state if total is None else _joined(total, state)
-    assert total is not None
-    return history, total
-
-
-def _joined(first: State, second: State) -> State:
-    """The second state, with the iterations and substeps of both."""
-    both = {name: getattr(first, name) + getattr(second, name) for name in ("iterations", "damped", "substeps")}
-    assert first.after is not None
-    passed = (*first.passed, first.after, *second.passed)
-    return replace(second, **both, rounded=max(first.rounded, second.rounded), passed=passed)

@@ -11,11 +11,13 @@ import numpy as np
 
 from tacgen.fem.potential import Potential, Total
 from tacgen.geometry.pose import Pose
+from tacgen.mechanics.admission import imbalance
 from tacgen.mechanics.coupled import ContactForces, onset
 from tacgen.mechanics.failures import Failure, NotConverged
-from tacgen.mechanics.load_step import STIFFER, Found, imbalance
-from tacgen.mechanics.newton import Status, minimise
+from tacgen.mechanics.load_step import STIFFER
+from tacgen.mechanics.newton import Solution, Status, minimise
 from tacgen.mechanics.problem import Problem
+from tacgen.mechanics.solve_state import Found
 from tacgen.mechanics.state import History
 
 if TYPE_CHECKING:
@@ -112,15 +114,13 @@ class MeshLoadStep:
         friction: tuple[Potential, ...] = () if self.friction is None else (self.friction,)
         return Total((*self.bulk, self.contact, *friction))
 
-    def start(self, near: Array | None) -> Array:
-        """The start of lower energy. Raises NotConverged: too far."""
+    def start(self, near: Array | None) -> Array | None:
+        """The start of lower energy; None: too far."""
         starts = [*self.starts]
         if near is not None:
             starts.append(self.contact.starts(self.history.x, near, self.history.pose)[1])
         x = min(starts, key=self.total.value)
-        if not np.isfinite(self.total.value(x)):
-            raise NotConverged(Failure.too_far)
-        return x
+        return x if np.isfinite(self.total.value(x)) else None
 
     def _renew(self, x: Array) -> Total | None:
         """Renew the lagged quantities from x, if they are off by more than the tolerances."""
@@ -140,42 +140,41 @@ class MeshLoadStep:
         self.contact = self.contact.grown(gap, x)
         return self.total
 
-    def solve(self, x: Array) -> Found:
-        """Solves with decreasing tolerances until forces balance: steps that are cut by collisions look converged.
-
-        Raises NotConverged.
-        """
+    def solve(self, x: Array) -> Found | NotConverged:
+        """Solves with decreasing tolerances until forces balance: steps that are cut by collisions look converged."""
         steps, most = 0, self.problem.options.residual_max
         for _ in range(TRIES):
-            x, contact, more = self._solve(x)
+            minimum = self._minimum(x)
+            x, more = minimum.x, len(minimum.steps)
+            if minimum.status != Status.converged:
+                return NotConverged(Failure.minimiser, status=minimum.status, steps=more)
+            contact = LaggedContact(self.contact, self.problem.friction, self.anchor, self.eps, self.friction)
             solution = Found(x, contact, contact.forces(x), contact.contact.least(x), steps := steps + more)
             if max(imbalance(self, solution)) <= most:
                 break
             self.xtol /= 30
         return solution
 
-    def stiffen(self, solution: Found, contact: bool, folding: bool) -> bool:
+    def stiffened(self, solution: Found, contact: bool, folding: bool) -> "MeshLoadStep | None":
         """See LoadStep; against folding there is nothing stiffer."""
-        if not folding:
-            self.contact = replace(self.contact, kappa=STIFFER * self.contact.kappa)
-        return not folding
+        if folding:
+            return None
+        self.contact = replace(self.contact, kappa=STIFFER * self.contact.kappa)
+        return self
 
-    def check(self, solution: Found) -> None:
-        """Nothing to do: the gel cannot be inside the indenter."""
+    def wrong(self, solution: Found) -> NotConverged | None:
+        """None: the gel cannot be inside the indenter."""
+        return None
 
-    def _solve(self, x: Array) -> tuple[Array, LaggedContact, int]:
-        problem, dhat, steps = self.problem, self.problem.contact.dhat, 0
+    def _minimum(self, x: Array) -> Solution:
+        problem, dhat = self.problem, self.problem.contact.dhat
         self.force = 0.0
 
         def negligible(g: Array) -> bool:
             force = max(self.force, self.history.least_force)
             return float(np.linalg.norm(g.ravel()[problem.pattern.free])) <= problem.options.residual_tol / 2 * force
 
-        minimum = minimise(
+        return minimise(
             self.total, x, problem.pattern, problem.linear, xtol=self.xtol, near=dhat, refresh=self._renew,
             negligible=negligible,
         )  # fmt: skip
-        steps = len(minimum.steps)
-        if minimum.status != Status.converged:
-            raise NotConverged(Failure.minimiser, status=minimum.status, steps=steps)
-        return minimum.x, LaggedContact(self.contact, problem.friction, self.anchor, self.eps, self.friction), steps

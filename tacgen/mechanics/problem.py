@@ -19,7 +19,7 @@ from tacgen.mechanics.bulk import Bulk, Tangent
 from tacgen.mechanics.mesh import GelMesh
 from tacgen.mechanics.options import DEFAULT, SolverOptions, tighter
 from tacgen.mechanics.scene import Scene
-from tacgen.mechanics.state import Effort, History
+from tacgen.mechanics.state import History
 
 if TYPE_CHECKING:
     from tacgen.fem.inertia import Body
@@ -90,11 +90,6 @@ class Problem:
         """A tangent of the bulk, not yet factorised."""
         at_rest, points, pattern = Bulk(self.elastic, self.folding, ()), self.mesh.points, self.pattern  # not self: a
         return Tangent(pattern, lambda: at_rest.at(points).stiffness(pattern))  # cycle would outlive the scene
-
-    @cached_property
-    def effort(self) -> Effort:
-        """Newton steps of the present load step, or of the search for a force, so far."""
-        return Effort(self.options.max_effort)
 
     @property
     def condensed(self) -> bool:

@@ -5,23 +5,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from tacgen.geometry.pose import Pose
-from tacgen.mechanics.failures import Failure, NotConverged
 
 Array = np.ndarray
-
-
-@dataclass
-class Effort:
-    """Newton steps of the bulk in all trials of a load step, or of a prescribed force."""
-
-    most: int
-    steps: int = 0
-
-    def count(self) -> None:
-        """One more. Raises NotConverged: the budget is spent."""
-        self.steps += 1
-        if self.steps > self.most:
-            raise NotConverged(Failure.effort, steps=self.most)
 
 
 @dataclass(frozen=True)
@@ -84,3 +69,11 @@ class State:
         """Force of the indenter on each quadrature point of the gel (f, q, 3) [N]."""
         push = self.normal_force[..., None] * self.normal
         return np.asarray(push if self.friction is None else push + self.friction)
+
+
+def joined(first: State, second: State) -> State:
+    """The second of two load steps in a row, with the iterations and substeps of both."""
+    both = {name: getattr(first, name) + getattr(second, name) for name in ("iterations", "damped", "substeps")}
+    assert first.after is not None
+    passed = (*first.passed, first.after, *second.passed)
+    return replace(second, **both, rounded=max(first.rounded, second.rounded), passed=passed)

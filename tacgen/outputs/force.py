@@ -4,7 +4,7 @@ from tacgen.outputs.base import FAR, Datasets, Entry, FrameData, Output
 
 
 def _frame(frame: FrameData) -> Datasets:
-    """Every dataset but segment and time, which the pipeline knows."""
+    """Every dataset but segment, time and the expected error, which the pipeline knows."""
     from tacgen.geometry.pose import Pose
     from tacgen.mechanics.tunnelling import overlap
     from tacgen.outputs.gel_surface import wrench
@@ -68,6 +68,14 @@ OUTPUT = Output(
         ),
         "/frames/quality/force_balance": Entry("<f8", "N", "1", "norm of force + base reaction, over force"),
         "/frames/quality/residual": Entry("<f8", "N", "1", "2-norm of the free nodes' forces, over force"),
+        "/frames/quality/expected_force_error": Entry(
+            "<f8",
+            "N",
+            "1",
+            "expected error of the force by the mesh, over the force, within a factor of 2; nan without contact,"
+            " for linear tetrahedra and for the formulation ipctk",
+            nan=True,
+        ),
         "/frames/quality/least_jacobian": Entry("<f8", "N", "1", "certified lower bound of det F over all of the gel"),
     },
     _frame,

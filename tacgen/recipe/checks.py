@@ -7,7 +7,7 @@ from pathlib import Path
 
 from tacgen.errors import UserError
 from tacgen.outputs import IMAGES, NAMES, OUTPUTS
-from tacgen.recipe import assets, background_photo, grasp_checks, trajectory_checks
+from tacgen.recipe import assets, background_photo, grasp_checks, trajectory_checks, usual_sizes
 from tacgen.recipe.indenters import Indenter
 from tacgen.recipe.model import Recipe
 from tacgen.recipe.trajectory import Paced, Replay, Slide, Timed
@@ -43,7 +43,7 @@ def recipe_problems(recipe: Recipe, sensor: Sensor, folders: Folders | None = No
     if recipe.uncertainty is not None and (depth := recipe.uncertainty.pose.depth_mm) > most:
         text = f"must be at most the gel's thickness, {most:g} mm (got {depth:g})"
         wrong.append(Issue(("uncertainty", "pose", "depth_mm"), text))
-    wrong += [*_too_large(recipe.indenter, sensor.gel), *_ipc_toolkit(recipe), *_mitsuba(recipe, sensor)]
+    wrong += [*_too_large(recipe.indenter, sensor.gel), *_ipc_toolkit(recipe)]
     wrong += _too_coarse(recipe, sensor.gel)
     edge = recipe.resolved().edge_mm
     if recipe.contact.formulation == "distance":
@@ -169,8 +169,11 @@ def _too_thin(indenter: Indenter, edge: float) -> list[Issue]:
     return [
         Issue(
             ("indenter", key),
-            f"is too thin for a mesh of edge {edge:g} mm: it would slip between the points where contact acts;"
-            f" ask for quality: {{edge_mm: {value / MIN_HALF_THICKNESS:.2g}}} or finer",
+            f"is too thin for a mesh of edge {edge:g} mm: it would slip between the points where contact acts; "
+            + (
+                usual_sizes.in_metres(key, getattr(indenter, key))
+                or f"ask for quality: {{edge_mm: {value / MIN_HALF_THICKNESS:.2g}}} or finer"
+            ),
         )
         for key, value in half.items()
         if value < MIN_HALF_THICKNESS * edge * (1 - 1e-9)
@@ -182,17 +185,6 @@ def _ipc_toolkit(recipe: Recipe) -> list[Issue]:
         return []
     text = "needs the IPC Toolkit, which is not installed: pip install 'tacgen[ipc]'"
     return [Issue(("contact", "formulation"), text)]
-
-
-def _mitsuba(recipe: Recipe, sensor: Sensor) -> list[Issue]:
-    """Whether Mitsuba is needed and missing; a clear gel needs it with method `path` alone."""
-    scatters = any(layer.scattering for layer in sensor.gel.clear_layers)
-    traced = recipe.outputs & IMAGES and (scatters or recipe.render.method == "path")
-    if not traced or importlib.util.find_spec("mitsuba"):
-        return []
-    why = f"the gel of {sensor.name} scatters light" if scatters else "render.method is path"
-    text = f"asks for images, and {why}: that needs Mitsuba, which is not installed: pip install 'tacgen[mitsuba]'"
-    return [Issue(("outputs",), text)]
 
 
 def _mesh_file(indenter: Indenter, edge: float, folder: Path | None) -> list[Issue]:

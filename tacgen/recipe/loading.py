@@ -35,10 +35,7 @@ def read(source: Path | Tree, sets: Iterable[str] = (), sensor: Sensor | None = 
         sets: overrides as on the command line, `indenter.radius_mm=3`; `sensor.` reaches into the sensor.
         sensor: instead of the sensor that the recipe names.
     """
-    tree = _extended(source, ())
-    for text in sets:
-        tree = _set(tree, text)
-    tree = _crossed(tree)
+    tree = _crossed(merged(source, sets))
     recipe, wrong = validate(Recipe, tree.data)
     problems = [(problem, tree) for problem in wrong]
     images = recipe is not None and bool(recipe.outputs & IMAGES)
@@ -54,6 +51,14 @@ def read(source: Path | Tree, sets: Iterable[str] = (), sensor: Sensor | None = 
     if recipe is None or sensor is None:
         raise report(problems)
     return _checked(recipe, sensor, tree, sensor_tree, problems)
+
+
+def merged(source: Path | Tree, sets: Iterable[str] = ()) -> Tree:
+    """The tree of a recipe, merged over the one it extends and with its overrides; arguments as of `read`."""
+    tree = _extended(source, ())
+    for text in sets:
+        tree = _set(tree, text)
+    return tree
 
 
 def checked(recipe: Recipe, sensor: Sensor) -> Loaded:

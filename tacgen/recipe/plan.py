@@ -13,7 +13,7 @@ from typing import Any, overload
 
 from tacgen.errors import UserError
 from tacgen.outputs import IMAGES
-from tacgen.recipe import checks, loading, sensor_checks
+from tacgen.recipe import checks, loading, sensor_base, sensor_checks, usual_sizes
 from tacgen.recipe.loading import SOLID, Loaded, folders
 from tacgen.recipe.model import Recipe, Vary
 from tacgen.recipe.row import Row, resolved, scene_seed
@@ -83,6 +83,7 @@ def expand(loaded: Loaded, indices: Sequence[int] | None = None) -> Plan:
     recipe, sensor, tree, vary = loaded.recipe, loaded.sensor, loaded.tree, loaded.recipe.vary
     told = usual_values.warnings(sensor, loaded.sensor_tree) if loaded.sensor_tree else ()
     if vary is None:
+        told += tuple(odd.place(tree) for odd in usual_sizes.unusual(recipe))
         other, starts = loaded.other, loaded.starts
         if other is not None and other is not sensor:
             told += tuple(f"{other.name}: {format_path(odd.path)}: {odd.message}" for odd in unusual(other.gel))
@@ -113,14 +114,15 @@ def expand(loaded: Loaded, indices: Sequence[int] | None = None) -> Plan:
 
     frames = array("i")
     problems: dict[tuple[KeyPath, str], list[tuple[str, Issue]]] = {}
-    odd: dict[KeyPath, list[tuple[str, Issue]]] = {}  # values of the sensor that are drawn, and unusual
+    odd: dict[KeyPath, list[tuple[str, Issue]]] = {}  # unusual values of the recipe, and of a gel that is drawn
     drawn_gel = any(name.startswith("sensor.gel") for name in vary.paths)
     for k, index in enumerate(wanted):
         row, wrong = attempt(k, checking=True)
         frames.append(row.frames if row else 0)
-        for strange in unusual(row.sensor.gel) if row and drawn_gel else ():
-            path = ("sensor", *strange.path)
-            odd.setdefault(path, []).append((f"scene-{index:05d}", replace(strange, path=path)))
+        drawn_gels = unusual(row.sensor.gel) if row and drawn_gel else ()
+        of_gel = [replace(strange, path=("sensor", *strange.path)) for strange in drawn_gels]
+        for strange in (*of_gel, *(usual_sizes.unusual(row.recipe) if row else ())):
+            odd.setdefault(strange.path, []).append((f"scene-{index:05d}", strange))
         for problem in wrong:
             alike = re.sub(r"-?\d[\d.e+-]*", "#", problem.message)  # numbers differ from scene to scene
             problems.setdefault((problem.path, alike), []).append((f"scene-{index:05d}", problem))
@@ -218,7 +220,7 @@ def _resolve(
         wrong += [Issue(("sensor", *problem.path), problem.message, problem.at_key) for problem in more]
         if varied is None:
             return None, wrong
-        sensor = varied
+        sensor = sensor_base.marked(varied)
     if recipe is None:
         return None, wrong
     starts = {**folders(tree, recipe, vary.paths), **solid}

@@ -1,10 +1,10 @@
-"""Pose tables: CSV with a header and one pose a row. Errors name the line."""
+"""Pose tables: CSV with a header and one pose a row, of a body or of a body and a sensor. Errors name the line."""
 
 import functools
 import hashlib
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -16,25 +16,43 @@ from tacgen.recipe.trajectory import Column, Quaternion, Vector, unit
 if TYPE_CHECKING:
     from numpy import ndarray
 
+    from tacgen.recipe.trajectory import Placement
+
 # Accepted titles of each column. The prefix of ROS names (`field.pose.position.x`, from `rostopic echo -p`) is ignored;
-# x, y and z may end in _mm or _m, time in _s, _ms, _us or _ns; upper and lower case are the same.
+# x, y and z may end in _mm or _m, time in _s, _ms, _us or _ns, a force in _n; upper and lower case are the same.
 COLUMNS = {
     "time": ("time", "timestamp", "t", "%time"),
     **{axis: (axis, f"t{axis}", f"p{axis}", f"position_{axis}", f"position.{axis}") for axis in "xyz"},
     **{f"q{part}": (f"q{part}", f"orientation_{part}", f"orientation.{part}") for part in "wxyz"},
+    **{f"sensor_{axis}": (f"sensor_{axis}", f"sensor_position_{axis}") for axis in "xyz"},
+    **{f"sensor_q{part}": (f"sensor_q{part}", f"sensor_orientation_{part}") for part in "wxyz"},
+    **{f"force_{axis}": (f"force_{axis}", f"force.{axis}") for axis in "xyz"},
 }
+BODY = ("x", "y", "z", "qw", "qx", "qy", "qz")
+SENSOR = tuple(f"sensor_{name}" for name in BODY)  # all of them, or none
+FORCE = ("force_x", "force_y", "force_z")  # not used by the movement `replay`
+LENGTHS = (*BODY[:3], *SENSOR[:3])
 MM = {"mm": 1.0, "m": 1000.0}
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+NEWTON = {"n": 1.0}
+SUFFIXES: dict[str, Mapping[str, float]] = {
+    "time": SECONDS,
+    **dict.fromkeys(LENGTHS, MM),
+    **dict.fromkeys(FORCE, NEWTON),
+}
 MAX_FILE = 200_000_000  # [bytes]
-Row = tuple[int, float, Vector, Quaternion]  # line, time as in the file, position [mm] and rotation
+Placed = tuple[Vector, Quaternion]  # position [mm] and rotation
+Row = tuple[int, float, Placed, Placed | None, Vector | None]  # line, time as in the file, body, sensor, force [N]
 
 
 class TimedPose(NamedTuple):
-    """One row: the pose of a body in the table's frame, lengths in mm."""
+    """One row: the poses of a body and, if it is recorded, of the sensor in the table's frame, lengths in mm."""
 
     line: int  # of the file, from 1
     time: float  # [s]
     pose: "ndarray"  # (4, 4)
+    sensor: "ndarray | None" = None  # (4, 4)
+    force: Vector | None = None  # on the sensor, in the table's frame [N]; its components may be nan
 
 
 @dataclass(frozen=True)
@@ -72,6 +90,23 @@ def matrices(positions: list[Vector], quaternions: list[Quaternion]) -> "ndarray
     return poses
 
 
+def relative(rows: "Sequence[TimedPose]", sensor_pose: "Placement", indenter_pose: "Placement") -> "ndarray":
+    """Poses (n, 4, 4) of the indenter in the sensor's frame.
+
+    Args:
+        rows: of one table.
+        sensor_pose: of the sensor's frame in the recorded sensor body or, without that, in the table's frame.
+        indenter_pose: of the indenter's frame in the recorded body.
+    """
+    import numpy as np
+
+    frames = (sensor_pose, indenter_pose)
+    sensor, inner = matrices([p.position_mm for p in frames], [p.quaternion for p in frames])
+    bodies = [row.sensor for row in rows if row.sensor is not None]
+    mounted = np.array(bodies) @ sensor if bodies else sensor
+    return np.asarray(np.linalg.inv(mounted) @ np.array([row.pose for row in rows]) @ inner)
+
+
 @functools.lru_cache(maxsize=8)
 def _parsed(raw: bytes, units: str | None, columns: tuple[tuple[str, str], ...]) -> PoseTable:
     """The table in the bytes of a file; cached, so that the scenes of a batch parse it once."""
@@ -93,9 +128,11 @@ def _parsed(raw: bytes, units: str | None, columns: tuple[tuple[str, str], ...])
         raise UserError(csv_table.few([f"line {line}: {said}" for line, said in sorted(wrong)]))
     if not rows:
         raise UserError("holds no pose below its header: a row for each is needed")
-    numbers, times, positions, quaternions = (list(column) for column in zip(*rows, strict=True))
-    poses = map(TimedPose, numbers, [second * time for time in times], matrices(positions, quaternions))
-    return PoseTable(hashlib.sha256(raw).hexdigest(), tuple(poses))
+    numbers, times, bodies, sensors, forces = (list(column) for column in zip(*rows, strict=True))
+    poses = [matrices(*map(list, zip(*places, strict=True))) for places in (bodies, sensors) if places[0] is not None]
+    each = zip(numbers, times, poses[0], poses[1] if len(poses) > 1 else sensors, forces, strict=True)
+    found = tuple(TimedPose(number, second * time, *others) for number, time, *others in each)
+    return PoseTable(hashlib.sha256(raw).hexdigest(), found)
 
 
 def _columns(header: list[str], units: str | None, columns: Mapping[str, str]) -> tuple[dict[str, int], float, float]:
@@ -110,7 +147,7 @@ def _columns(header: list[str], units: str | None, columns: Mapping[str, str]) -
         name = ".".join(re.split(r"[./]", title.lower())[-2:])
         stem, _, suffix = name.rpartition("_")
         for column, names in COLUMNS.items():
-            known = SECONDS if column == "time" else MM if column in "xyz" else {}
+            known = SUFFIXES.get(column, {})
             bare, unit_said = (stem, suffix) if stem and suffix in known else (name, "")
             if titles.get(title) == column or (column not in columns and bare in names):
                 if column in where:
@@ -121,9 +158,10 @@ def _columns(header: list[str], units: str | None, columns: Mapping[str, str]) -
     wrong = []
     if lost := [title for title, column in titles.items() if column not in where]:
         wrong.append(f"has no column {', '.join(lost)}, which columns names {shown}")
-    if missing := [column for column in COLUMNS if column not in {*where, *columns}]:
+    needed = ("time", *BODY, *(SENSOR if {*where, *columns}.intersection(SENSOR) else ()))
+    if missing := [column for column in needed if column not in {*where, *columns}]:
         wrong.append(f"has no column {', '.join(missing)}: name it under columns {shown}")
-    lengths = {said.get(axis) or units or "" for axis in "xyz"}
+    lengths = {said.get(axis) or units or "" for axis in LENGTHS if axis in needed}
     if lengths == {""}:
         wrong.append(f"does not say whether x, y and z are in mm or m: add units: m, or units: mm {shown}")
     if wrong:
@@ -140,9 +178,15 @@ def _row(line: int, cells: list[str], where: dict[str, int], scale: float, befor
     """The numbers of one row. Raises ValueError with a message for people."""
     value = {column: csv_table.number(cells[i]) for column, i in where.items()}
     for column, number in value.items():
-        if math.isnan(number):
+        if math.isnan(number) and column not in FORCE:
             raise ValueError(f"{column} must be a number (got {cells[where[column]]!r})")
     if before is not None and value["time"] <= before[1]:
         raise ValueError(f"time must increase (got {value['time']:g} after {before[1]:g}): sort the rows")
-    turn = unit((value["qw"], value["qx"], value["qy"], value["qz"]))
-    return line, value["time"], (scale * value["x"], scale * value["y"], scale * value["z"]), turn
+    body, sensor, force = (tuple(value[c] for c in group if c in value) for group in (BODY, SENSOR, FORCE))
+
+    def placed(pose: tuple[float, ...]) -> Placed:
+        x, y, z, *turn = pose
+        return (scale * x, scale * y, scale * z), unit((turn[0], turn[1], turn[2], turn[3]))
+
+    pushed = (force[0], force[1], force[2]) if len(force) == len(FORCE) else None
+    return line, value["time"], placed(body), placed(sensor) if sensor else None, pushed

@@ -28,11 +28,13 @@ def _reach_of_gel(row: Row) -> tuple[float, float]:
     """Region of the indenter that the gel can reach: distance from its z axis, height above its lowest point [mm]."""
     gel = row.sensor.gel
     steps = row.recipe.trajectory
-    replays = (row.replayed(number) for number, step in enumerate(steps) if step.replay)
-    leans = any(np.hypot(*p.pose[2, :2]) > 2e-9 or p.pose[2, 2] < 0 for poses in replays for p in poses)
+    poses = [row_.pose for number, step in enumerate(steps) if step.replay for row_ in row.replayed(number)]
+    leans = any(np.hypot(*pose[2, :2]) > 2e-9 or pose[2, 2] < 0 for pose in poses)
     tilted = leans or row.recipe.start.tilt_deg > 0 or any(step.tilt for step in steps) or row.recipe.grasp is not None
     rise = gel.thickness_mm + 1.0  # [mm] largest depth, and gel bulging beside it
-    return float(np.hypot(gel.width_mm, gel.height_mm)) + 1.0, np.inf if tilted else rise
+    diagonal = float(np.hypot(gel.width_mm, gel.height_mm))
+    aside = max((float(np.hypot(*(pose[:3, :2].T @ pose[:3, 3]))) for pose in poses), default=0.0)  # pad's centre
+    return max(diagonal + 1.0, aside + diagonal / 2 + rise), np.inf if tilted else rise
 
 
 def _solid(i: indenters.Mesh, row: Row) -> mesh_import.SolidMesh:

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from tacgen.errors import UserError
-from tacgen.recipe import assets
+from tacgen.recipe import assets, sensor_base
 from tacgen.sensor import optics_checks
 from tacgen.sensor.model import LIGHTS, Gel, LitSensor, Sensor
 from tacgen.sensor.validation_messages import Issue, needs, validate
@@ -23,9 +23,9 @@ def check(data: Any, folder: Path | None = None, images: bool = True) -> tuple[S
     sensor, wrong = validate(Sensor, data)
     wrong += _lights(data)
     if sensor is not None:
-        wrong += [*_outline(sensor.gel), *_solid(sensor.gel, folder), *_seen(sensor)]
+        wrong += [*_outline(sensor.gel), *_solid(sensor.gel, folder), *_seen(sensor), *sensor_base.problems(sensor)]
         wrong += optics_checks.problems(cast(LitSensor, sensor)) if images and sensor.lit else []
-    return (None if wrong else sensor), wrong
+    return (None if wrong or sensor is None else sensor_base.marked(sensor)), wrong
 
 
 def _lights(data: Any) -> list[Issue]:

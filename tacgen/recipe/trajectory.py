@@ -12,7 +12,11 @@ Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]  # w, x, y, z
 UNIT_TOLERANCE = 1e-3  # largest error of a quaternion's length, which tables write with few digits [-]
 UNIT_EXACT = 1e-12  # error of the length up to which a quaternion is not normalised again [-]
-Column = Literal["time", "x", "y", "z", "qw", "qx", "qy", "qz"]
+Column = Literal[
+    "time", "x", "y", "z", "qw", "qx", "qy", "qz",
+    "sensor_x", "sensor_y", "sensor_z", "sensor_qw", "sensor_qx", "sensor_qy", "sensor_qz",
+    "force_x", "force_y", "force_z",
+]  # fmt: skip
 Frames = Annotated[int, Field(ge=1, le=10_000)]
 
 
@@ -128,12 +132,14 @@ class Replay(Part):
 
     The table is CSV with a header: time_s, x_mm, y_mm, z_mm (or x_m, ...), qw, qx, qy, qz. If the rows are in another
     frame than the sensor's, give `sensor_pose`; if they are poses of another body than the indenter, `indenter_pose`.
+    If the sensor moves, the table has its pose as well: sensor_x_mm, ..., sensor_qw, ...
     """
 
     file: FilePath
     units: Literal["mm", "m"] | None = None  # of x, y, z, where the header does not say
     columns: dict[Column, str] | None = None  # titles of the table's columns, where they are not the usual ones
-    sensor_pose: Placement = Placement()  # pose of the sensor in the frame of the rows
+    # pose of the sensor in the frame of the rows; where these have the pose of the sensor's body, in the body's frame
+    sensor_pose: Placement = Placement()
     indenter_pose: Placement = Placement()  # pose of the indenter in the frame of the body that was recorded
     every: Annotated[int, Field(ge=1)] = 1  # take every n-th row, from the first
     frames: Frames | None = None  # number of frames; None: up to the table's end

@@ -42,12 +42,8 @@ def replayed(move: Replay, folder: Path | None) -> tuple[TimedPose, ...]:
         raise UserError(
             f"{move.file}: gives {len(rows)} frames, and {move.frames} are asked for: leave frames out, or as many"
         )
-    import numpy as np
-
-    frames = (move.sensor_pose, move.indenter_pose)
-    sensor, inner = pose_table.matrices([p.position_mm for p in frames], [p.quaternion for p in frames])
-    poses = np.linalg.inv(sensor) @ np.array([row.pose for row in rows]) @ inner
-    return tuple(row._replace(pose=pose) for row, pose in zip(rows, poses, strict=True))
+    poses = pose_table.relative(rows, move.sensor_pose, move.indenter_pose)
+    return tuple(row._replace(pose=pose, sensor=None) for row, pose in zip(rows, poses, strict=True))
 
 
 def on_pad(gel: Gel, x_mm: float, y_mm: float) -> bool:
@@ -74,6 +70,9 @@ def problems(recipe: Recipe, gel: Gel, folders: Folders) -> list[Issue]:
 
 def _walk(recipe: Recipe, gel: Gel, folders: Folders) -> None:
     """Follow the trajectory over a flat face. Raises TrajectoryError."""
+    import numpy as np
+
+    from tacgen.geometry.analytic_sdf import lowest
     from tacgen.recipe.trajectory_poses import TrajectoryError, Walk
 
     def rows(i: int) -> tuple[TimedPose, ...]:
@@ -86,9 +85,13 @@ def _walk(recipe: Recipe, gel: Gel, folders: Folders) -> None:
         except UserError as error:
             raise TrajectoryError(where, *error.lines) from None
 
-    def beside(pose: "Array") -> bool:
-        x, y = pose[:2, 3].tolist()  # nan for a tilted mesh: its file is not read here
+    def beside(point: "Array") -> bool:
+        x, y = point[:2].tolist()  # nan for a tilted mesh: its file is not read here
         return math.isfinite(x) and not on_pad(gel, x, y)
+
+    def lowest_point(pose: "Array") -> "Array":
+        """The lowest point of an indenter that may be turned any way: a ball that rolls touches below its centre."""
+        return np.asarray(pose[:3, 3] + lowest(support, pose[:3, :3]))
 
     pad = f"the pad of {gel.width_mm:g} x {gel.height_mm:g} mm"
     start, shape, thickness = recipe.start, analytic(recipe.indenter), gel.thickness_mm
@@ -106,11 +109,12 @@ def _walk(recipe: Recipe, gel: Gel, folders: Folders) -> None:
             return  # recipe_problems says so
         table = rows(i) if i else table
         for k, frame in enumerate(walk.frames(segment, table, where, checking=True)):
-            if isinstance(move, Replay) and walk.low < 0 and beside(frame.pose):
-                place = ", ".join(f"{c:.4g}" for c in frame.pose[:3, 3])
+            # a mesh may be longer than the pad: its middle says nothing of where it touches
+            if isinstance(move, Replay) and shape and walk.low < 0 and beside(point := lowest_point(frame.pose)):
+                place = ", ".join(f"{c:.4g}" for c in point + 0.0)
                 text = f"at ({place}) the indenter would be beside {pad} and below its face: move it in, or up"
                 raise TrajectoryError((*where, "file"), f"{move.file}: line {table[k].line}: {text}")
-        if isinstance(move, Slide) and beside(walk.pose):
+        if isinstance(move, Slide) and beside(walk.pose[:, 3]):
             x, y = walk.pose[:2, 3]
             raise TrajectoryError(where, f"would carry the indenter's axis off {pad}, to ({x:g}, {y:g})")
 

@@ -4,7 +4,6 @@ Importing is no test: drjit 1.5 aborts the whole process when it compiles with L
 when $HOME is missing. So a child process renders a tiny scene, only exit code 0 counts, and the answer is remembered.
 """
 
-import importlib.util
 import json
 import os
 import subprocess
@@ -16,7 +15,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 from tacgen import array_cache
-from tacgen.errors import UserError
 
 CUDA, LLVM, SCALAR = "cuda_ad_rgb", "llvm_ad_rgb", "scalar_rgb"
 LLVM_VERSIONS = (22, 21, 20, 19, 18, 17)  # newest first; older ones abort drjit 1.5
@@ -98,13 +96,7 @@ def variants() -> list[VariantProbe]:
 
 
 def best() -> VariantProbe:
-    """The first variant that works: CUDA, then LLVM, then scalar (which is taken on trust).
-
-    Raises:
-        UserError: Mitsuba is not installed.
-    """
-    if not importlib.util.find_spec("mitsuba"):
-        raise UserError("these images need Mitsuba, which is not installed: pip install 'tacgen[mitsuba]'")
+    """The first variant that works: CUDA, then LLVM, then scalar (which is taken on trust)."""
     for attempt in (_cuda, _llvm):
         fastest = attempt()
         if fastest.works:

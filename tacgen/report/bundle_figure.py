@@ -11,6 +11,7 @@ import numpy as np
 from tacgen.bundle import dataset
 from tacgen.bundle.bundle import Bundle, read
 from tacgen.bundle.caption import caption, indenter_text, sensor_text
+from tacgen.bundle.force_error import force_error
 from tacgen.errors import UserError
 from tacgen.outputs import DRAWN_MAPS
 from tacgen.report.layers import has_arrows, limits, map_of
@@ -105,6 +106,8 @@ def summary(path: Path) -> str:
         k = int(np.linalg.norm(force, axis=1).argmax())
         text = ", ".join(f"{n} {v:.3f}" for n, v in zip(("Fx", "Fy", "Fz"), force[k], strict=True))
         lines.append(f"force     largest in frame {k}: {text} N on the gel")
+        if (error := force_error(bundle)) and error.text(k):
+            lines[-1] += f", {error.text(k)} ({error.kind})"
     if "/frames/pressure" in bundle and bundle.frames:
         peaks = bundle["/frames/pressure"].max(axis=(1, 2))
         lines.append(f"pressure  largest in frame {int(peaks.argmax())}: {peaks.max():.4f} MPa")
@@ -316,3 +319,7 @@ def draw_forces(panel: "Axes", bundle: Bundle, shown: np.ndarray) -> None:
         panel.plot(frames, values, color=colour, marker="o", markersize=2.5 if len(frames) < 80 else 0, label=name)
     panel.plot(shown, np.zeros(len(shown)), "k^", markersize=4, transform=panel.get_xaxis_transform(), clip_on=False)
     panel.legend(fontsize=8, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    largest = int(np.linalg.norm(bundle["/frames/force"], axis=1).argmax())
+    if (error := force_error(bundle)) and error.text(largest):
+        text = f"largest force {error.text(largest)}: {error.kind}"
+        panel.text(1.0, -0.42, text, transform=panel.transAxes, fontsize=7, ha="right", va="bottom")

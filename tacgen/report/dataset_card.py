@@ -8,12 +8,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from tacgen import atomic_file, output_file
+from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.check import NO_CONTACT
+from tacgen.bundle.dataset import CARDS
 from tacgen.errors import UserError, printable
 from tacgen.report import dataset_summary
 from tacgen.report.dataset_summary import Overview
 
-FILE_NAME, OTHER_NAME = "README.md", "DATASET_CARD.md"  # the latter if the former is somebody's
+FILE_NAME, OTHER_NAME = CARDS
 MAX_REASONS = 20  # most rows in the table of missing scenes
 
 
@@ -33,10 +35,10 @@ def write(folder: Path) -> Path:
     raise UserError(f"{folder}: no card written: {FILE_NAME} and {OTHER_NAME} are not as tacgen wrote them")
 
 
-def text(seen: Overview) -> str:
-    """The card in Markdown."""
+def text(seen: Overview, licence: str = "") -> str:
+    """The card in Markdown; `licence` is the identifier of the one under which the data are published."""
     parts = [_what(seen), _varied(seen), _cost(seen), _missing(seen), _contents(seen)]
-    parts += [_splits(seen), _limits(seen), _licence(seen), _again(seen)]
+    parts += [_splits(seen), _limits(seen), _licence(seen, licence), _again(seen)]
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
@@ -98,11 +100,10 @@ def _limits(seen: Overview) -> str:
     return f"## Known limits\n\n{about}" + ("\n\n" + _table(("scenes", "note"), rows) if rows else "")
 
 
-def _licence(seen: Overview) -> str:
-    lines = [
-        "## Licence",
-        "tacgen's authors claim no rights in its output: whoever publishes this data chooses its licence.",
-    ]
+def _licence(seen: Overview, licence: str) -> str:
+    chosen = f"This data is published under {_plain(licence)}."
+    owner = chosen if licence else "Whoever publishes this data chooses its licence."
+    lines = ["## Licence", f"tacgen's authors claim no rights in its output. {owner}"]
     lines += [f"- Object `{name}`: {_plain(about)}" for name, about in seen.objects.items()]
     return "\n\n".join(lines[:2]) + ("\n\n" + "\n".join(lines[2:]) if lines[2:] else "")
 
@@ -110,11 +111,15 @@ def _licence(seen: Overview) -> str:
 def _again(seen: Overview) -> str:
     if not seen.bundles:
         return ""
-    digests = "".join(str(bundle.attrs["digest"]) for bundle in seen.bundles)
     return (
         "## Reproducibility\n\nEach bundle holds its recipe, sensor and seed. Equal digests mean equal contents. "
-        f"The digest of all scenes in order is `{hashlib.sha256(digests.encode()).hexdigest()}`."
+        f"The digest of all scenes in order is `{digest(seen.bundles)}`."
     )
+
+
+def digest(bundles: Sequence[Bundle]) -> str:
+    """SHA-256 over the digests of all scenes in order."""
+    return hashlib.sha256("".join(str(bundle.attrs["digest"]) for bundle in bundles).encode()).hexdigest()
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

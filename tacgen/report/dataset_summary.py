@@ -183,7 +183,11 @@ def _named(value: Any) -> str:
 
 def _plain(folder: Path, name: str) -> Overview:
     """A folder without a plan, from its bundles alone."""
-    bundles = dataset.scenes(folder)
+    return of_bundles(dataset.scenes(folder), folder, name)
+
+
+def of_bundles(bundles: Sequence[Bundle], folder: Path, name: str = "") -> Overview:
+    """The overview of some bundles below a folder; its name is by default that of their recipe."""
     scenes = []
     for bundle in bundles:
         attrs, named = bundle.attrs, bundle.group[1:] or bundle.path.stem

@@ -15,9 +15,11 @@ from tacgen.bundle.stored_json import parsed
 from tacgen.errors import UserError
 from tacgen.geometry import mesh_import, surface_nets
 from tacgen.geometry.analytic_sdf import Triangles
+from tacgen.outputs import DRAWN_MAPS
 from tacgen.recipe import assets
 from tacgen.recipe.indenters import Indenter, analytic
 from tacgen.report.bundle_figure import (
+    draw_camera,
     draw_map,
     frame_axes,
     heading,
@@ -29,8 +31,10 @@ from tacgen.report.bundle_figure import (
     window_of,
     zoom,
 )
+from tacgen.report.layers import datasets_of
 from tacgen.report.plane_cut import crossed, cut, outline
 from tacgen.report.sheet import Page
+from tacgen.sensor.validation_messages import suggest
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -65,7 +69,7 @@ def picture(path: Path, field: str, out: Path) -> None:
         OSError: `out` cannot be written.
     """
     if field not in FIELDS:
-        raise UserError(f"{field}: unknown field, use one of {', '.join(FIELDS)}")
+        raise UserError(f"{field}: unknown field{suggest(field, FIELDS)}; there are: {', '.join(FIELDS)}")
     save(figure(only(path), field), out)
 
 
@@ -105,6 +109,11 @@ Grid = list[list["Axes"]]
 
 def _map(name: str, bundle: Bundle, grid: Grid, shown: Array, image: tuple[int, int]) -> list[Bar]:
     return [(*draw_map(bundle, grid[0], shown, image, window_of(bundle), name), {})]
+
+
+def _camera(bundle: Bundle, grid: Grid, shown: Array, image: tuple[int, int]) -> list[Bar]:
+    draw_camera(bundle, grid[0], shown, image, (0.0, 1.0, 0.0, 1.0))
+    return []
 
 
 def _slip(bundle: Bundle, grid: Grid, shown: Array, image: tuple[int, int]) -> list[Bar]:
@@ -199,7 +208,16 @@ def indenter_surface(bundle: Bundle, size: float) -> "Triangles | None":
 
 
 XY = "x to the right, y down in the image, z out of the gel toward the object"
+CAPTIONS = {
+    "height": f"height of the deformed coated face less that of the untouched one; {XY}",
+    "flow": f"motion of the coating's points in the image since the untouched one; {XY}",
+}
 FIELDS: dict[str, tuple[tuple[str, ...], str, int, Any, str]] = {  # datasets, output, rows, function, caption
+    "camera": (("/frames/rgb",), "rgb", 1, _camera, f"camera images; {XY}"),
+    "markers": (
+        ("/reference/markers", "/frames/marker_flow"), "markers", 1, _camera,
+        f"motion of the markers since the untouched image, magnified as said below; {XY}",
+    ),
     "pressure": (
         ("/frames/pressure",), "traction", 1, partial(_map, "pressure"),
         f"normal to the deformed coated face, per area of it, positive in compression; {XY}",
@@ -218,3 +236,8 @@ FIELDS: dict[str, tuple[tuple[str, ...], str, int, Any, str]] = {  # datasets, o
         "x right in the image, z out of the gel",
     ),
 }  # fmt: skip
+FIELDS |= {  # every other map that the viewer has
+    name: (datasets_of(layer), name, 1, partial(_map, name), CAPTIONS.get(name, f"{layer.label}; {XY}"))
+    for name, layer in DRAWN_MAPS.items()
+    if name not in FIELDS
+}

@@ -2,7 +2,7 @@
 
 import base64
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from itertools import combinations
 from pathlib import Path
@@ -12,9 +12,10 @@ import numpy as np
 
 from tacgen import output_file
 from tacgen.bundle.bundle import Bundle
+from tacgen.bundle.force_error import force_error
 from tacgen.bundle.image_file import encoded
 from tacgen.errors import UserError
-from tacgen.report import dataset_summary, viewer
+from tacgen.report import dataset_summary, scene_pages, viewer
 from tacgen.report.dataset_summary import Overview, SceneOverview
 from tacgen.report.sheet import counted, round_ticks, short
 
@@ -30,14 +31,20 @@ figure{display:inline-block;margin:0 .6em .8em 0;width:160px;font-size:11px}figu
 h2{margin-top:1.6em;font-size:1.15em}code{font-size:.95em}"""
 
 
-def write(folder: Path, out: Path) -> Path:
-    """Write the page, signed. Raises UserError if `folder` holds no scenes."""
-    out.write_bytes(output_file.signed(page(dataset_summary.look(folder))))
+def write(folder: Path, out: Path, target: Path | None = None) -> Path:
+    """Write the page, signed, and beside `target`, by default `out`, the pages to which its pictures lead.
+
+    Raises UserError if `folder` holds no scenes.
+    """
+    seen = dataset_summary.look(folder)
+    bundles = [scene.bundle for scene in pictured(seen) if scene.bundle is not None]
+    links = scene_pages.write_pages(bundles, target or out, in_3d=False)
+    out.write_bytes(output_file.signed(page(seen, links)))
     return out
 
 
-def page(seen: Overview) -> str:
-    """The page's HTML; it needs no other file and no network."""
+def page(seen: Overview, links: Mapping[str, str] | None = None) -> str:
+    """The page's HTML; it needs no network. `links`: scene -> the page to which its picture leads."""
     title = escape(f"{seen.name}: {counted(len(seen.scenes), 'scene')}, {seen.frames} frames")
     sections = [
         ("Scenes", _states(seen)),
@@ -45,7 +52,7 @@ def page(seen: Overview) -> str:
         ("Coverage", _coverage(seen)),
         ("Largest force in a scene", _forces(seen.scenes)),
         ("Wall-clock seconds by stage", _seconds(seen)),
-        ("Pictures", _pictures(seen)),
+        ("Pictures", _pictures(seen, links or {})),
         ("A scene frame by frame", _frames(seen.scenes)),
         ("Datasets", _table(("dataset", "shape"), seen.datasets.items())),
     ]
@@ -109,18 +116,28 @@ def _seconds(seen: Overview) -> str:
     return _table(("stage", "", "", ""), rows, raw=True) if rows else ""
 
 
-def _pictures(seen: Overview) -> str:
-    """Images of scenes evenly spread over the plan, each at the frame of its largest force."""
-    names = short(seen.varied)
+def pictured(seen: Overview) -> list[SceneOverview]:
+    """Scenes with frames, evenly spread over the plan."""
     good = [scene for scene in seen.scenes if scene.bundle is not None and scene.bundle.frames]
     step = max(1.0, len(good) / MAX_PICTURES)
+    return [good[int(i * step)] for i in range(min(len(good), MAX_PICTURES))]
+
+
+def _pictures(seen: Overview, links: Mapping[str, str]) -> str:
+    """Images of scenes, each at the frame of its largest force, and a link to that frame."""
+    names = short(seen.varied)
     shown = []
-    for scene in (good[int(i * step)] for i in range(min(len(good), MAX_PICTURES))):
+    for scene in pictured(seen):
         assert scene.bundle is not None
         picture = _picture(scene.bundle)
         if picture:
             values = "<br>".join(escape(f"{names[p]} {dataset_summary.spread([v])}") for p, v in scene.values.items())
             force = "" if scene.peak_n is None else f"{scene.peak_n:.3g} N"
+            marks, error = viewer.marks(scene.bundle), force_error(scene.bundle)
+            if error and viewer.LARGEST in marks:
+                force = f"{force} {error.text(marks[viewer.LARGEST])}"
+            if link := links.get(scene_pages.name_of(scene.bundle)):
+                picture = f'<a href="{link}#frame={marks.get(viewer.LARGEST, 0)}">{picture}</a>'
             shown.append(
                 f"<figure>{picture}<b>{escape(scene.name)}</b>{_finger(scene.bundle)} {force}<br>{values}</figure>"
             )

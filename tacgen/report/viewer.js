@@ -2,7 +2,7 @@
 "use strict";
 (() => {
 const data = JSON.parse(document.getElementById("viewed").textContent), root = document.querySelector(".viewer");
-const SIZE = [560, 370], FORCE = [560, 150], PLOT = { left: 52, top: 10, right: 92, bottom: 40 }, SHARP = 2;
+const SIZE = [560, 370], FORCE = [560, 150], GAP = 16, LEAST = 420, PLOT = { left: 52, top: 10, right: 92, bottom: 40 }, SHARP = 2;
 const state = { k: 0, layer: data.layers[0] ?? "picture", part: 0, cut: true, indenter: true, turn: [-0.5, 0.45], zoom: 1 };
 const most = Math.max(...data.bundles.map((b) => b.frames.length));
 const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
@@ -138,7 +138,7 @@ const UNIT = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1];
 class Solid {
   constructor(canvas, told) {
     [this.canvas, this.told] = [canvas, told];
-    [canvas.width, canvas.height] = SIZE.map((n) => SHARP * n);
+    this.resize();
     const gl = (this.gl = canvas.getContext("webgl2", { preserveDrawingBuffer: true }));
     if (!gl) return;
     this.program = gl.createProgram();
@@ -166,6 +166,8 @@ class Solid {
     }
     this.scale = 2.2 / Math.hypot(...this.ends.map(([a, b]) => b - a));
   }
+
+  resize() { [this.canvas.width, this.canvas.height] = SIZE.map((n) => SHARP * n); }
 
   uniform(kind, name, ...values) { this.gl[`uniform${kind}`](this.gl.getUniformLocation(this.program, name), ...values); }
 
@@ -229,7 +231,7 @@ function drawSolid(side, k) {
   solid.draw(k);
   pen.fillStyle = "#fffd"; // so that a solid that is zoomed in does not hide the bar's text
   pen.fillRect(SIZE[0] - PLOT.right, 0, PLOT.right, SIZE[1]);
-  bar(pen, data.parts[state.part], SIZE[0] - 84, 20, 300);
+  bar(pen, data.parts[state.part], SIZE[0] - 84, 20, SIZE[1] - 70);
   const [x, y] = [46, SIZE[1] - 60], unit = (solid.scale * state.zoom * SIZE[1]) / 2; // pixels a mm
   solid.axes().forEach(([u, v], i) => {
     line(pen, "#222", 1.5, [x, y], [x + 26 * u, y - 26 * v]);
@@ -260,6 +262,7 @@ function drawForce(side, k) {
     pen.fillStyle = colour;
     pen.fillText(`F${"xyz"[axis]} ${fixed(force[k][axis], 3)} N`, right + 8, 30 + 18 * axis);
   });
+  if (side.bundle.error?.[k]) write(pen, side.bundle.error[k], right + 8, 84, "left");
   line(pen, "#222", 1, [forceAt(side, k), 14], [forceAt(side, k), FORCE[1] - 34]);
   for (const i of new Set(ticks(0, frames.length - 1 || 1, 8).filter((i) => Number.isInteger(i) && i < frames.length))) write(pen, frames[i], forceAt(side, i), FORCE[1] - 24);
   write(pen, force ? "frame" : "frame (no forces)", (PLOT.left + right) / 2, FORCE[1] - 8);
@@ -290,7 +293,7 @@ function said(side, event) { // the value under the pointer
   side.said.textContent = `x ${fixed(x0 + x * (x1 - x0), 2)}, y ${fixed(y0 + y * (y1 - y0), 2)} ${bundle.unit}${value}`;
 }
 
-const bars = make("fieldset", root), chosen = make("fieldset", root), only = make("fieldset", root);
+const bars = make("fieldset", root), jumps = make("fieldset", root), chosen = make("fieldset", root), only = make("fieldset", root);
 const play = make("button", bars, { textContent: "play", type: "button" });
 const slider = make("input", bars, { type: "range", min: 0, max: most - 1, value: 0, title: "frame; arrow keys too" });
 slider.oninput = () => { state.k = +slider.value; draw(); };
@@ -346,8 +349,37 @@ const sides = data.bundles.map((bundle, number) => {
   }, { passive: false });
   return side;
 });
-const asked = new URLSearchParams(location.hash.slice(1)); // page.html#layer=stress&frame=3
-if (data.layers.includes(asked.get("layer"))) chosen.querySelector(`[value=${asked.get("layer")}]`).click();
-state.k = Math.min(most - 1, Math.max(0, +asked.get("frame") || 0));
-draw();
+const marked = new Map(data.bundles.flatMap((b) => Object.entries(b.marks)).map(([what, frame]) => [`${what} (${frame})`, frame]));
+for (const [text, frame] of marked) { // of both bundles
+  make("button", jumps, { type: "button", textContent: text }).onclick = () => { state.k = nearest(frame); draw(); };
+}
+function nearest(frame) { // its place among those shown
+  const frames = data.bundles.reduce((a, b) => (b.frames.length > a.frames.length ? b : a)).frames;
+  return frames.reduce((best, n, i) => (Math.abs(n - frame) < Math.abs(frames[best] - frame) ? i : best), 0);
+}
+function fit() { // the sides fill the window, with the force beside the map where a single one is wide enough
+  const whole = root.clientWidth, across = sides.length * LEAST + GAP < whole ? sides.length : 1, wide = sides.length === 1 && whole > 1000;
+  const width = wide ? 0.62 * whole : (whole - GAP * (across - 1)) / across, above = wide ? 200 : 370; // [px] of the window's height
+  SIZE[0] = Math.round(Math.max(LEAST, Math.min(width, 1.5 * (innerHeight - above))));
+  SIZE[1] = Math.round(SIZE[0] * 0.66);
+  [FORCE[0], FORCE[1]] = wide ? [whole - SIZE[0] - GAP, Math.min(420, SIZE[1])] : [SIZE[0], 150];
+  for (const { stage, force, solid } of sides) {
+    force.parentElement.classList.toggle("wide", wide);
+    Object.assign(stage.style, { width: `${SIZE[0]}px`, height: `${SIZE[1]}px` });
+    for (const canvas of stage.children) Object.assign(canvas.style, { width: `${SIZE[0]}px`, height: `${SIZE[1]}px` });
+    Object.assign(force.style, { width: `${FORCE[0]}px`, height: `${FORCE[1]}px` });
+    solid?.resize();
+  }
+  draw();
+}
+function follow() { // page.html#layer=stress&frame=3
+  const asked = new URLSearchParams(location.hash.slice(1));
+  if (data.layers.includes(asked.get("layer"))) chosen.querySelector(`[value=${asked.get("layer")}]`).click();
+  if (asked.has("frame")) state.k = nearest(+asked.get("frame") || 0);
+  draw();
+}
+addEventListener("resize", fit);
+addEventListener("hashchange", follow);
+fit();
+follow();
 })();

@@ -18,6 +18,8 @@ import numpy as np
 from tacgen import output_file
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.caption import indenter_text, sensor_text
+from tacgen.bundle.check import UNIQUE
+from tacgen.bundle.force_error import force_error
 from tacgen.bundle.image_file import encoded
 from tacgen.errors import UserError
 from tacgen.fem.elements import triangles
@@ -38,12 +40,16 @@ NEEDS = {
     "stress": ("/mesh/points", "/frames/pose", *FIELDS["stress"][0]),
 }
 FRAMES = 60  # most frames of a page, evenly spread over a longer scene; a frame with all layers takes about 0.2 MB
+LARGEST = "largest force"
 ARROWS = 24  # arrows across a map
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
 STYLE = """.viewer{font:13px/1.4 system-ui,sans-serif;color:#222}.viewer .sides{display:flex;flex-wrap:wrap;gap:1em}
-.viewer .stage{position:relative;width:560px;height:370px;touch-action:none}.viewer canvas{display:block}
-.viewer .stage canvas{position:absolute;inset:0;width:560px;height:370px}.viewer .stage canvas.solid{cursor:grab}
-.viewer .force{width:560px;height:150px;cursor:pointer}.viewer fieldset{border:0;padding:0;margin:.4em 0}
+.viewer .stage{position:relative;touch-action:none}.viewer canvas{display:block}
+.viewer .stage canvas{position:absolute;inset:0}.viewer .stage canvas.solid{cursor:grab}
+.viewer .force{cursor:pointer}.viewer button{margin-right:.6em}
+.viewer .wide{display:grid;grid-template-columns:max-content 1fr;column-gap:16px;width:100%}
+.viewer .wide>*{grid-column:1}
+.viewer .wide>.force{grid-column:2;grid-row:4;align-self:start}.viewer fieldset{border:0;padding:0;margin:.4em 0}
 .viewer label{margin-right:1em}.viewer input[type=range]{width:26em;vertical-align:middle}.viewer p{margin:.2em 0}
 .viewer h3{margin:.3em 0;font-size:1em}.viewer .said{min-height:1.4em;font-variant-numeric:tabular-nums}"""
 
@@ -59,10 +65,15 @@ def write(paths: Sequence[Path], out: Path) -> None:
     for bundle in bundles:
         if not bundle.frames:
             raise UserError(f"{bundle.path}: has no frames to show")
+    out.write_bytes(output_file.signed(page(bundles)))
+
+
+def page(bundles: Sequence[Bundle], *, in_3d: bool = True) -> str:
+    """The whole page of one or two bundles with frames, with or without the gel in 3D."""
     title = escape(" | ".join(_name(bundle) for bundle in bundles))
     head = f'<meta charset="utf-8"><meta http-equiv="Content-Security-Policy" content="{POLICY}"><title>{title}</title>'
-    page = f"<!doctype html><html lang=en><head>{head}<style>{STYLE}</style></head><body>{block(bundles)}</body></html>"
-    out.write_bytes(output_file.signed(page))
+    body = block(bundles, in_3d=in_3d)
+    return f"<!doctype html><html lang=en><head>{head}<style>{STYLE}</style></head><body>{body}</body></html>"
 
 
 def block(bundles: Sequence[Bundle], *, in_3d: bool = True) -> str:
@@ -98,8 +109,22 @@ def block(bundles: Sequence[Bundle], *, in_3d: bool = True) -> str:
 
 
 def shown(bundle: Bundle) -> Array:
-    """The numbers of the frames that the page shows."""
-    return np.unique(np.linspace(0, bundle.frames - 1, FRAMES).round().astype(int))
+    """The numbers of the frames that the page shows: evenly spread, and those of `marks`."""
+    spread = np.linspace(0, bundle.frames - 1, FRAMES).round().astype(int)
+    return np.unique([*spread, *marks(bundle).values()])
+
+
+def marks(bundle: Bundle) -> dict[str, int]:
+    """Telling frames of a bundle with frames by what they are: of the largest force, the first after a fold or snap of
+    the gel, and the last before the scene was rejected."""
+    found: dict[str, int] = {}
+    if "/frames/force" in bundle:
+        found[LARGEST] = int(np.linalg.norm(bundle["/frames/force"], axis=1).argmax())
+    if UNIQUE in bundle and not (unique := bundle[UNIQUE]).all():
+        found["first fold or snap"] = int((~unique).argmax())
+    if bundle.attrs["status"] != "ok":
+        found["last before rejection"] = bundle.frames - 1
+    return found
 
 
 def _name(bundle: Bundle) -> str:
@@ -121,14 +146,18 @@ def _about(bundle: Bundle) -> dict[str, Any]:
     """Texts, forces and sizes of a bundle."""
     frames, segments = shown(bundle), bundle.segments
     scale, (height, width) = scale_of(bundle), image_size(bundle)
+    error = force_error(bundle)
     left, top = (scale.centre[k] - size / 2 * scale.per_px for k, size in enumerate((width, height)))
     return {
         "name": _name(bundle),
         "about": f"{indenter_text(bundle)}, on {sensor_text(bundle)}",
         "rejected": "" if bundle.attrs["status"] == "ok" else f"{bundle.attrs['status']}: {bundle.attrs['reason']}",
         "frames": frames.tolist(),
+        "marks": marks(bundle),
         "segments": [segments[k] for k in frames],
         "force": _numbers(bundle["/frames/force"][frames]) if "/frames/force" in bundle else None,
+        "error": error and [error.text(k) for k in frames],
+        "errorKind": error.kind if error else "",
         "box": [left, top, left + width * scale.per_px, top + height * scale.per_px],
         "unit": scale.unit,
     }

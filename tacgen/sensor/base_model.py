@@ -47,9 +47,14 @@ def _with_tag(schema: dict[str, Any], kind: type[BaseModel]) -> None:
 
 
 class Part(BaseModel):
-    """A frozen part of a recipe or sensor file. Unknown keys, nan and inf are errors."""
+    """A frozen part of a recipe or sensor file. Unknown keys, nan and inf are errors.
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, json_schema_extra=_with_tag)
+    The text below a field is its description in the JSON schema, in docs/SENSOR.md and in `tacgen sensor show`.
+    """
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, allow_inf_nan=False, json_schema_extra=_with_tag, use_attribute_docstrings=True
+    )
 
     if not TYPE_CHECKING:  # type checkers see the fields as arguments
 

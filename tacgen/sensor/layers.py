@@ -17,9 +17,12 @@ Stiffness = tuple[str, float]
 class Scattering(Part):
     """Homogeneous scattering in a layer, with the phase function of Henyey and Greenstein."""
 
-    extinction_per_mm: Positive  # extinction coefficient: scattering plus absorption
-    albedo: Shares  # single-scattering albedo: scattering over extinction
-    forward: Annotated[float, Field(gt=-1, lt=1)] = 0.0  # mean cosine g of the scattering angle
+    extinction_per_mm: Positive
+    """Extinction coefficient: scattering plus absorption."""
+    albedo: Shares
+    """Single-scattering albedo: scattering over extinction."""
+    forward: Annotated[float, Field(gt=-1, lt=1)] = 0.0
+    """Mean cosine g of the scattering angle."""
     source: str = NOWHERE
 
 
@@ -27,10 +30,15 @@ class LayerBase(Part):
     """The fields that every layer of gel has, whatever its material law."""
 
     name: str
+    """Name of the layer."""
     thickness_mm: Positive
+    """Thickness at the gel's highest point."""
     refractive_index: Index = 1.41
-    scattering: Scattering | None = None  # clear if absent
-    opaque: bool = False  # if true, the coating is on the inner side of this layer
+    """Refractive index of the layer."""
+    scattering: Scattering | None = None
+    """Clear if absent."""
+    opaque: bool = False
+    """If true, the coating is on the inner side of this layer."""
     source: str = NOWHERE
 
     @property
@@ -48,7 +56,9 @@ class PronyTerm(Part):
     """One term of a Prony series: a share g of the instantaneous shear modulus that relaxes with time constant tau."""
 
     g: Annotated[float, Field(gt=0, lt=1)]
+    """Share of the instantaneous shear modulus that relaxes."""
     tau_s: Positive
+    """Time constant."""
 
 
 def _some_left(value: tuple[PronyTerm, ...]) -> tuple[PronyTerm, ...]:
@@ -64,7 +74,8 @@ class IsochoricLayer(LayerBase):
     """A law whose isochoric part is separate, so that it may be viscoelastic. The law's constants are the long-term
     ones; the instantaneous stiffness is larger by 1/(1 - sum of g)."""
 
-    prony: Prony | None = None  # elastic if absent
+    prony: Prony | None = None
+    """A list of terms; elastic if absent."""
 
     @property
     def terms(self) -> tuple[tuple[float, float], ...]:
@@ -75,8 +86,11 @@ class NeoHookeLayer(IsochoricLayer):
     """Isochoric neo-Hookean; the default law."""
 
     law: Literal["neo_hooke"] = "neo_hooke"
+    """The material law."""
     youngs_modulus_mpa: Positive
+    """Young's modulus at rest."""
     poissons_ratio: Poisson
+    """Poisson's ratio."""
 
     @property
     def stiffness(self) -> Stiffness:
@@ -94,8 +108,11 @@ class StableNeoHookeLayer(LayerBase):
     """The stable neo-Hookean law of Smith et al. (2018), as in UIPC."""
 
     law: Literal["stable_neo_hooke"] = "stable_neo_hooke"
+    """The material law."""
     youngs_modulus_mpa: Positive
+    """Young's modulus."""
     poissons_ratio: Poisson
+    """Poisson's ratio."""
 
     @property
     def stiffness(self) -> Stiffness:
@@ -113,7 +130,9 @@ class NearlyIncompressible(IsochoricLayer):
     """Compressibility, given by one of two numbers."""
 
     poissons_ratio: Poisson | None = None
+    """This or `bulk_modulus_mpa`."""
     bulk_modulus_mpa: Positive | None = None
+    """This or `poissons_ratio`."""
 
     @model_validator(mode="after")
     def _one(self) -> Self:
@@ -129,8 +148,11 @@ class MooneyRivlinLayer(NearlyIncompressible):
     """Mooney-Rivlin: the shear modulus at rest is 2 (c10 + c01)."""
 
     law: Literal["mooney_rivlin"] = "mooney_rivlin"
+    """The material law."""
     c10_mpa: Positive
+    """Constant of I1 - 3."""
     c01_mpa: NotNegative
+    """Constant of I2 - 3."""
 
     @property
     def stiffness(self) -> Stiffness:
@@ -147,9 +169,13 @@ class YeohLayer(NearlyIncompressible):
     """Yeoh, of third order: the shear modulus at rest is 2 c10."""
 
     law: Literal["yeoh"] = "yeoh"
+    """The material law."""
     c10_mpa: Positive
+    """Constant of I1 - 3."""
     c20_mpa: float = 0.0
+    """Constant of (I1 - 3)^2."""
     c30_mpa: NotNegative = 0.0
+    """Constant of (I1 - 3)^3."""
 
     @model_validator(mode="after")
     def _stiff(self) -> Self:

@@ -13,9 +13,12 @@ MOST = 10_000  # dots of a sensor
 class Motion(Part):
     """Constants of the analytic marker motion, `markers: {method: analytic}`; see outputs/fots_markers."""
 
-    press: tuple[float, Positive]  # gain [1/mm^3] and decay [1/mm^2]
-    shear: tuple[Positive, Positive]  # largest drag of the contact's centre [mm], and decay [1/mm^2]
-    twist: tuple[Positive, Positive]  # largest rotation [deg], and decay [1/mm^2]
+    press: tuple[float, Positive]
+    """Gain [1/mm^3] and decay [1/mm^2]."""
+    shear: tuple[Positive, Positive]
+    """Largest drag of the contact's centre [mm], and decay [1/mm^2]."""
+    twist: tuple[Positive, Positive]
+    """Largest rotation [deg], and decay [1/mm^2]."""
     source: str = NOWHERE
 
 
@@ -23,8 +26,11 @@ class MarkersBase(Part):
     """Markers: dots printed on the coating, in rows along x that are centred on the pad."""
 
     diameter_mm: Positive
+    """Diameter of a dot."""
     albedo: Fraction
+    """Diffuse reflectance of a dot."""
     motion: Motion | None = None
+    """Constants of the analytic motion; without them `markers: {method: analytic}` is refused."""
     source: str = NOWHERE
 
     @property
@@ -43,9 +49,13 @@ class GridMarkers(MarkersBase):
     """Dots in a rectangular grid; the default layout."""
 
     layout: Literal["grid"] = "grid"
-    columns: Annotated[int, Field(ge=1)]  # along x
-    rows: Annotated[int, Field(ge=1)]  # along y
+    """A rectangular grid."""
+    columns: Annotated[int, Field(ge=1)]
+    """Number of dots along x."""
+    rows: Annotated[int, Field(ge=1)]
+    """Number of dots along y."""
     pitch_mm: tuple[Positive, Positive]
+    """Distance between columns, and between rows."""
 
     @property
     def count(self) -> int:
@@ -72,8 +82,11 @@ class HexagonalMarkers(MarkersBase):
     """Dots in hexagonal rings around one in the middle: 6 dots in the first ring, and 6 more in each further one."""
 
     layout: Literal["hexagonal"]
+    """Hexagonal rings around a dot in the middle."""
     rings: Annotated[int, Field(ge=1)]
-    pitch_mm: Positive  # between nearest dots, six of which surround each inner one; two of them along x
+    """Number of rings."""
+    pitch_mm: Positive
+    """Distance between nearest dots, six of which surround each inner one; two of them along x."""
 
     @property
     def count(self) -> int:

@@ -41,7 +41,9 @@ class StadiumEnd(Part):
     """One end of the rectangle in y is a semicircle over the whole width; the other end stays straight."""
 
     shape: Literal["stadium_end"]
+    """The outline's kind."""
     end: Literal["-y", "+y"]
+    """Which end in y is round."""
     source: str = NOWHERE
 
 
@@ -52,7 +54,9 @@ class Dome(Part):
     """
 
     radius_x_mm: Positive
+    """Radius of curvature along x."""
     radius_y_mm: Positive
+    """Radius of curvature along y."""
     source: str = NOWHERE
 
 
@@ -60,11 +64,17 @@ class Solid(Part):
     """The gel's shape from a closed triangle mesh (STL, OBJ, PLY): bounding box centred on the z axis, top at z = 0."""
 
     file: FilePath
-    up: Axis = "+z"  # which axis of the file points out of the gel
-    scale: Positive = 1.0  # mm per unit of the file
-    bonded_mm: NotNegative = 0.02  # the surface up to this height above its lowest point is bonded
-    coated_deg: Annotated[float, Field(gt=0, lt=90)] = 60.0  # coated: normals within this angle of z
+    """The mesh, a path from the sensor file."""
+    up: Axis = "+z"
+    """Which axis of the file points out of the gel."""
+    scale: Positive = 1.0
+    """Millimetres per unit of the file."""
+    bonded_mm: NotNegative = 0.02
+    """The surface up to this height above its lowest point is bonded."""
+    coated_deg: Annotated[float, Field(gt=0, lt=90)] = 60.0
+    """Coated: normals within this angle of z."""
     sha256: Sha256 | None = None
+    """Hash that the file must have."""
     source: str = NOWHERE
 
 
@@ -74,13 +84,20 @@ class Gel(Part):
     Or a solid of any shape; then width, height and total thickness must be those of its bounding box.
     """
 
-    width_mm: Positive  # along x
-    height_mm: Positive  # along y
+    width_mm: Positive
+    """Size of the pad along x."""
+    height_mm: Positive
+    """Size of the pad along y."""
     corner_radius_mm: NotNegative = 0.0
-    outline: StadiumEnd | None = None  # a rectangle if absent
-    dome: Dome | None = None  # a flat face if absent
-    solid: Solid | None = None  # instead of corners, outline and dome
+    """Radius of the corners in plan."""
+    outline: StadiumEnd | None = None
+    """A rectangle if absent."""
+    dome: Dome | None = None
+    """A flat face if absent."""
+    solid: Solid | None = None
+    """A solid of any shape, instead of corners, outline and dome."""
     layers: Annotated[tuple[Layer, ...], Field(min_length=1)]
+    """A list, from the bonded base outward to the coated face."""
     source: str = NOWHERE
 
     @property
@@ -121,7 +138,9 @@ class Plate(Part):
     """The transparent plate to which the gel is bonded."""
 
     thickness_mm: Positive
+    """Thickness, from the gel to the air below."""
     refractive_index: Index
+    """Refractive index of the plate."""
     source: str = NOWHERE
 
 
@@ -129,8 +148,11 @@ class Coating(Part):
     """The opaque coating of the outer face, seen from inside: a diffuse part plus a rough conductor."""
 
     albedo: Shares
-    specular: Fraction  # weight of the rough conductor [-]
-    roughness: Annotated[float, Field(gt=0, le=1)]  # GGX alpha
+    """Diffuse reflectance of red, green, blue."""
+    specular: Fraction
+    """Weight of the rough conductor."""
+    roughness: Annotated[float, Field(gt=0, le=1)]
+    """GGX alpha of the conductor."""
     source: str = NOWHERE
 
 
@@ -138,7 +160,9 @@ class Walls(Part):
     """The housing around plate and gel."""
 
     albedo: Fraction
-    margin_mm: NotNegative = 0.0  # distance from the pad's outline; plate and gel fill the space between
+    """Diffuse reflectance."""
+    margin_mm: NotNegative = 0.0
+    """Distance from the pad's outline; plate and gel fill the space between."""
     source: str = NOWHERE
 
 
@@ -147,14 +171,23 @@ class Led(Part):
     up x normal, and along up."""
 
     name: str
+    """By which messages and pictures call it."""
     center_mm: Vec3
+    """Position of its centre."""
     normal: Vec3
+    """Direction in which it shines."""
     up: Vec3 = (0.0, 0.0, 1.0)
+    """Direction of the second side, at right angles to `normal`."""
     size_mm: tuple[Positive, Positive]
+    """Size along up x normal, and along up."""
     radiance: Rgb
-    power: NotNegative = 1.0  # factor on the radiance, to vary one LED
-    lobe: Annotated[int, Field(ge=0, le=32)] = 0  # radiance ~ cos^lobe(angle to the normal); 0: Lambertian
-    see_through: bool = False  # a source that blocks no light: it stands for light that enters there, not for a body
+    """Radiance of red, green, blue; the camera's `exposure` makes counts of it."""
+    power: NotNegative = 1.0
+    """Factor on the radiance, to vary one LED."""
+    lobe: Annotated[int, Field(ge=0, le=32)] = 0
+    """Radiance ~ cos^lobe(angle to the normal); 0: Lambertian."""
+    see_through: bool = False
+    """A source that blocks no light: it stands for light that enters there, not for a body."""
     source: str = NOWHERE
 
     @property
@@ -167,30 +200,48 @@ class Led(Part):
 class Noise(Part):
     """Noise of the camera's pixels per channel, added before the response curve: white, independent in each frame."""
 
-    shot: Rgb  # shot-noise variance over signal, both relative to full scale: 1 / full-well electrons
-    read: Rgb  # read noise: standard deviation in the dark, relative to full scale
-    strength: NotNegative = 1.0  # factor on the standard deviation of the total noise
+    shot: Rgb
+    """Shot-noise variance over signal, both relative to full scale: 1 / full-well electrons."""
+    read: Rgb
+    """Read noise: standard deviation in the dark, relative to full scale."""
+    strength: NotNegative = 1.0
+    """Factor on the standard deviation of the total noise."""
     source: str = NOWHERE
 
 
 class Camera(Part):
     """A pinhole camera in the air behind the plate, looking along +z or nearly so."""
 
-    distance_mm: Positive  # pinhole to the plate's air face, or to the gel's base if there is no plate
-    center_mm: Vec2 = (0.0, 0.0)  # the point of the coating above the pinhole
-    tilt_deg: tuple[Angle, Angle] = (0.0, 0.0)  # tilt of the optical axis towards +x and towards +y
-    roll_deg: Angle = 0.0  # rotation about the optical axis, from x to y
-    crop_mm: Vec2 = (0.0, 0.0)  # offset of the picture's centre from the optical axis, measured on the coating
-    mm_per_px: Positive  # size of a pixel on the untouched coating, at the optical axis
+    distance_mm: Positive
+    """Pinhole to the plate's air face, or to the gel's base if there is no plate."""
+    center_mm: Vec2 = (0.0, 0.0)
+    """The point of the coating above the pinhole."""
+    tilt_deg: tuple[Angle, Angle] = (0.0, 0.0)
+    """Tilt of the optical axis towards +x and towards +y."""
+    roll_deg: Angle = 0.0
+    """Rotation about the optical axis, from x to y."""
+    crop_mm: Vec2 = (0.0, 0.0)
+    """Offset of the picture's centre from the optical axis, measured on the coating."""
+    mm_per_px: Positive
+    """Size of a pixel on the untouched coating, at the optical axis."""
     width_px: Pixels
+    """Width of the picture."""
     height_px: Pixels
-    blur_mm: NotNegative = 0.0  # defocus: standard deviation of the point spread function, measured on the coating
-    exposure: Positive = 1.0  # linear radiance to sensor full scale
-    ambient: Rgb = (0.0, 0.0, 0.0)  # what even stray light adds to a bare coat on the axis, fraction of full scale
-    vignette_mm: Radii | None = None  # r0 of the vignetting factor 1/(1+(r/r0)^2)^2 on the coating, of each channel
-    colour_matrix: tuple[Vec3, Vec3, Vec3] | None = None  # counts = matrix x (R, G, B) of the camera's pixels
-    response: Literal["srgb", "linear"] = "srgb"  # response curve from light to pixel values
+    """Height of the picture."""
+    blur_mm: NotNegative = 0.0
+    """Defocus: standard deviation of the point spread function, measured on the coating."""
+    exposure: Positive = 1.0
+    """Linear radiance to sensor full scale."""
+    ambient: Rgb = (0.0, 0.0, 0.0)
+    """What even stray light adds to a bare coat on the axis, fraction of full scale."""
+    vignette_mm: Radii | None = None
+    """r0 of the vignetting factor 1/(1+(r/r0)^2)^2 on the coating, of each channel."""
+    colour_matrix: tuple[Vec3, Vec3, Vec3] | None = None
+    """counts = matrix x (R, G, B) of the camera's pixels."""
+    response: Literal["srgb", "linear"] = "srgb"
+    """Response curve from light to pixel values."""
     noise: Noise | None = None
+    """Noise of the pixels; none if absent."""
     source: str = NOWHERE
 
 
@@ -199,7 +250,9 @@ class ThicknessResponse(Part):
     optical model does not explain. Interpolated smoothly, constant beyond its ends."""
 
     change_mm: Annotated[tuple[float, ...], Field(min_length=2)]
+    """Changes of the gel's thickness, rising."""
     gain: tuple[Rgb, ...]
+    """Factor on red, green, blue at each change."""
     source: str = NOWHERE
 
     @model_validator(mode="after")
@@ -216,16 +269,29 @@ class Sensor(Part):
     """A sensor type. Without plate, coating, walls and LEDs it gives all outputs but images."""
 
     tacgen_sensor: Literal[1]
+    """Version of this format."""
     name: str
+    """Name of the sensor, stored in bundles."""
     description: str = ""
+    """One line, printed by `tacgen list sensors`."""
+    base: str | None = None
+    """The shipped sensor whose file this one is a copy of: the source of numbers that differ becomes `assumed`."""
     gel: Gel
+    """The pad."""
     plate: Plate | None = None
+    """Clear plate under the gel; needed for images."""
     coating: Coating | None = None
+    """Opaque coating of the face; needed for images."""
     walls: Walls | None = None
+    """The housing; needed for images."""
     leds: Annotated[tuple[Led, ...], Field(min_length=1)] | None = None
+    """A list of lights; needed for images."""
     camera: Camera
+    """Where the picture is taken from."""
     markers: Markers | None = None
+    """Dots on the coating; none if absent."""
     thickness_response: ThicknessResponse | None = None
+    """Gain of the light by change of thickness; none if absent."""
 
     def __repr__(self) -> str:
         gel, picture = self.gel, self.camera

@@ -11,6 +11,7 @@ from tacgen.sensor.yaml_source import KeyPath, Tree, format_path
 MODULUS_MPA = (0.005, 5.0)  # Young's modulus of gels and skins, from the softest silicone gels to hard rubber [MPa]
 SIDE_MM = (2.0, 200.0)  # width and height of a gel, from a fingertip's to a palm's [mm]
 THICKNESS_MM = (0.2, 100.0)  # of all its layers, from a skin on a plate to a large half ball [mm]
+COPIED = "; the rest as in "  # in the source of a part that differs from the sensor it is a copy of, before its name
 Kind = tuple[str, str, dict[str, float]]  # of quantity, its unit, and units in which it is written by mistake
 MODULI: Kind = "moduli", "MPa", {"kPa": 1e-3, "Pa": 1e-6}
 LENGTHS: Kind = "lengths", "mm", {"m": 1e3, "cm": 10.0}
@@ -18,23 +19,46 @@ LENGTHS: Kind = "lengths", "mm", {"m": 1e3, "cm": 10.0}
 
 def warnings(sensor: Sensor, tree: Tree) -> tuple[str, ...]:
     """Warnings about numbers that are unusual, and one if parts of a sensor file name no source of theirs."""
-    told = tuple(problem.place(tree) for problem in unusual(sensor.gel))
+    told = tuple(problem.place(tree) for problem in (*unusual(sensor.gel), *_beside(sensor)))
     if not (parts := unsourced(sensor)):
         return told
     text = f"{', '.join(parts)}: no source; say where the numbers come from, as in source: assumed"
     return (*told, f"{tree.spot(()).value.source.name}: {text}")
 
 
-def unsourced(part: Part, path: KeyPath = ()) -> list[str]:
+def _beside(sensor: Sensor) -> Iterator[Issue]:
+    """A problem where the camera's field of view ends beside the pad: mm_per_px may be wrong, or meant so."""
+    gel, camera = sensor.gel, sensor.camera
+    view = camera.width_px * camera.mm_per_px, camera.height_px * camera.mm_per_px
+    middle = (camera.center_mm[k] + camera.crop_mm[k] for k in (0, 1))
+    sides = gel.width_mm, gel.height_mm
+    if any(abs(m) + v / 2 > s / 2 + camera.mm_per_px for m, v, s in zip(middle, view, sides, strict=True)):
+        text = (
+            f"the picture shows {view[0]:.3g} x {view[1]:.3g} mm, which is not all on the pad of {sides[0]:g} x"
+            f" {sides[1]:g} mm: pixels beside it have no labels"
+        )
+        yield Issue(("camera", "mm_per_px"), text)
+
+
+def unsourced(sensor: Part) -> list[str]:
     """Paths of the parts of a sensor without a `source`."""
-    paths = []
+    return [format_path(path) for path, part in _parts(sensor) if getattr(part, "source", "") == NOWHERE]
+
+
+def assumed(sensor: Part) -> list[str]:
+    """A line for each part of a sensor some of whose numbers are not those of its `base`: path and source."""
+    sources = [(path, getattr(part, "source", "")) for path, part in _parts(sensor)]
+    return [f"{format_path(path)}: {source}" for path, source in sources if COPIED in source]
+
+
+def _parts(part: Part, path: KeyPath = ()) -> Iterator[tuple[KeyPath, Part]]:
+    """All parts of a sensor with their paths, each after the parts in it."""
     for name, value in part:
-        if name == "source" and value == NOWHERE:
-            paths.append(format_path(path))
         items = enumerate(value) if isinstance(value, tuple) else ()
         for where, held in [((*path, name), value), *(((*path, name, i), item) for i, item in items)]:
-            paths += unsourced(held, where) if isinstance(held, Part) else []
-    return paths
+            if isinstance(held, Part):
+                yield from _parts(held, where)
+    yield path, part
 
 
 def unusual(gel: Gel) -> Iterator[Issue]:

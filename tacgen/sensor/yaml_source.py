@@ -234,6 +234,26 @@ def edited(path: Path, changes: Mapping[KeyPath, Any]) -> str:
     return out.getvalue()
 
 
+def dumped(data: Any) -> str:
+    """Plain values as YAML in block style. Every text is quoted: readers of YAML 1.1 take a plain `no` for False."""
+    from io import StringIO
+
+    from ruamel.yaml import YAML
+    from ruamel.yaml.scalarstring import DoubleQuotedScalarString
+
+    def quoted(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: quoted(part) for key, part in value.items()}
+        if isinstance(value, list):
+            return [quoted(part) for part in value]
+        return DoubleQuotedScalarString(value) if isinstance(value, str) else value
+
+    yaml, out = YAML(typ="rt"), StringIO()
+    yaml.width = 2**16
+    yaml.dump(quoted(data), out)
+    return out.getvalue()
+
+
 def parse(text: str, source: Source) -> Tree:
     """Parse YAML text; marks refer to `source`. Raises UserError as `load` does."""
     from ruamel.yaml import YAML

@@ -1,5 +1,6 @@
 """Scenes timed before a run, and the number of workers that a machine is good for."""
 
+import time
 from pathlib import Path
 
 import pytest
@@ -28,6 +29,23 @@ def test_where_no_scene_can_be_made_that_is_reported(tmp_path: Path, monkeypatch
     monkeypatch.setattr(probe, "TemporaryDirectory", Spoilt)
     with pytest.raises(UserError, match="no scene could be made to judge by: scene-00000: this cannot be made"):
         probe.probe(make_plan(tmp_path, 1), 1, TASK)
+
+
+def test_scenes_that_take_long_are_judged_by_their_frames(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(probe, "ENOUGH_S", 0.2)
+    events: list[dict[str, object]] = []
+    begun = time.monotonic()
+    found = probe.probe(make_plan(tmp_path, 2), 1, "helpers.scenes:endless", on_event=events.append)
+    assert time.monotonic() - begun < 10
+    assert found.cost.judged_by == 1
+    assert found.cost.seconds.expected == pytest.approx(0.05 * 2 * make_plan(tmp_path, 2).frames[0], rel=0.5)
+    assert not [event for event in events if event["event"] == "scene"]
+
+
+def test_cores_are_counted_where_there_is_no_affinity(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr(worker_process.os, "sched_getaffinity")
+    monkeypatch.setattr(worker_process.os, "cpu_count", lambda: 1)
+    assert worker_process.cores() == 1
 
 
 @pytest.mark.parametrize(("cores", "memory", "workers"), [(8, 64.0, 8), (64, 16.0, 16), (2, 0.5, 1)])

@@ -31,7 +31,7 @@ from benchmarks import (
 from benchmarks.cases import PLAIN
 from tacgen.cli import app
 from tacgen.geometry.analytic_sdf import SphereSdf
-from tacgen.mechanics import equilibrium
+from tacgen.mechanics import solver
 from tacgen.optics import camera_response
 from tacgen.recipe import scene_of_row
 
@@ -127,8 +127,8 @@ def test_a_kept_answer_depends_on_the_code_of_scene_solver_and_labels() -> None:
     """Each package has files there: a pattern that matches none would keep answers of an older solver."""
     names = [path.parent.name for path in reference_runs.source_files()]
     assert set(names) == {"benchmarks", *reference_runs.USED}
-    assert {Path(equilibrium.__file__).parent.name, "fem"} <= set(names)
-    assert Path(equilibrium.__file__) in reference_runs.source_files()
+    assert {Path(solver.__file__).parent.name, "fem"} <= set(names)
+    assert Path(solver.__file__) in reference_runs.source_files()
 
 
 def test_matter_inside_the_indenter_is_seen_between_nodes() -> None:

@@ -45,9 +45,14 @@ def test_the_command_writes_a_file_a_scene(source: Path, tmp_path: Path) -> None
     assert sorted((tmp_path / "out").glob("[!.]*")) == made
 
 
+def test_the_help_names_every_format() -> None:
+    """From a text of its own: the formats' table imports what starts slowly."""
+    assert sorted(cli.FORMATS.replace(" or ", ", ").split(", ")) == sorted(EXPORTERS)
+
+
 def test_what_cannot_be_exported_is_reported_in_one_line(source: Path, tmp_path: Path) -> None:
     for args, words in (
-        (("excel", str(source)), f"excel: unknown format, use one of {', '.join(EXPORTERS)}"),
+        (("excel", str(source)), f"excel: unknown format; there are: {', '.join(EXPORTERS)}"),
         (("vtkhdf", str(tmp_path / "no")), "no such file or folder"),
         (("vtkhdf", str(source / "none")), "no finished scene to export"),
     ):

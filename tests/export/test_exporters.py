@@ -4,53 +4,25 @@ import io
 import json
 import tarfile
 import warnings
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 import pytest
-from helpers.synthetic import OUTPUTS, write
+from helpers.export_scenes import FRAMES, SHAPE, real
+from helpers.synthetic import OUTPUTS, attributes, frame, image, states, write
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from tacgen import export
 from tacgen.bundle import dataset, pack
-from tacgen.bundle.bundle import Bundle, read
-from tacgen.bundle.caption import caption
-from tacgen.errors import UserError
+from tacgen.bundle.bundle import Bundle, Writer, read
+from tacgen.bundle.caption import caption, task
+from tacgen.errors import LeftOut, UserError
 from tacgen.export import feats, lerobot, univtac
-from tacgen.recipe import assets, loading
-
-SENSOR = loading.read_sensor(assets.sensor_path("gelsight_mini"))[0].model_dump(mode="json", exclude_none=True)
-SHAPE = (240, 320)
-FRAMES = 12
-
-
-def real(index: int, arrays: dict[str, Any]) -> None:
-    """The force spread over the pressure's samples, so that their sum is the force; a gel that bulges beside."""
-    arrays["/frames/height"][0] = 0.02
-    weights = arrays["/frames/pressure"] / arrays["/frames/pressure"].sum()
-    arrays["/frames/force_map"] = weights[..., None] * arrays["/frames/force"]
-    events = {"mode": 1 + (index > 3), "stick_ratio": 1 - index / 20, "friction_used": index / 20, "contact_area": 9.5,
-              "center_of_pressure": np.array([index / 10, 0, -0.5]), "patches": 1}  # fmt: skip
-    arrays |= {f"/frames/events/{name}": value for name, value in events.items()}
-    arrays["/frames/grasp/width_mm"], arrays["/frames/uncertainty/force"] = 9.5 - index, np.full(3, index / 9)
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("export") / "loose"
-    for i in range(2):
-        known = {"scene_index": i, "values": {"start.x_mm": i / 2}, "sensor_document": SENSOR}
-        write(out / f"scene-{i:05d}.h5", shape=SHAPE, outputs=OUTPUTS, edit=real, **known)
-    write(out / "scene-00009.h5", stop=3)
-    return out
-
-
-@pytest.fixture(scope="module")
-def scene(folder: Path) -> Bundle:
-    return read(folder / "scene-00001.h5")
+from tacgen.torch import TactileDataset
 
 
 def test_feats_gets_forces_by_cell_that_sum_to_the_force(folder: Path, scene: Bundle, tmp_path: Path):
@@ -132,7 +104,7 @@ def test_opencv_sees_the_colours_it_was_given():
 def test_webdataset_streams_what_the_bundles_hold(folder: Path, scene: Bundle, tmp_path: Path):
     webdataset = pytest.importorskip("webdataset")
     made = export.export("webdataset", folder, tmp_path / "one")
-    assert made[0].name == "shard-000000.tar"
+    assert made[0].name == "train-000000.tar"
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of a single shard, and its own deprecations
         data = webdataset.WebDataset(str(made[0]), shardshuffle=False).decode("rgb8")
@@ -146,13 +118,13 @@ def test_webdataset_streams_what_the_bundles_hold(folder: Path, scene: Bundle, t
     assert not [name for name in sample if name.startswith(("quality", "events"))]
     assert sample["json"]["values"] == {"start.x_mm": 0.5}
     assert (sample["json"]["frame"], sample["json"]["segment"]) == (7, scene.segments[7])
-    assert sample["json"]["caption"] == caption(scene)
+    assert (sample["json"]["task"], sample["json"]["split"]) == (task(scene), "train")
     events = {name: scene.frame(f"/frames/events/{name}", 7).tolist() for name in sample["json"]["events"]}
     assert sample["json"]["events"] == events | {"mode": "sticking"}
     reference = np.asarray(Image.open(tmp_path / "one" / "reference" / "scene-00001.png"))
     assert np.array_equal(reference, scene["/reference/rgb"])
     again = export.export("webdataset", folder, tmp_path / "two")
-    assert [path.name for path in again if path.suffix == ".tar"] == ["shard-000000.tar"]
+    assert [path.name for path in again if path.suffix == ".tar"] == ["train-000000.tar"]
     assert made[0].read_bytes() == again[0].read_bytes()
     with tarfile.open(made[0]) as tar:
         assert {member.mtime for member in tar} == {0}
@@ -203,10 +175,109 @@ def test_lerobot_tables_agree_with_each_other_and_with_the_bundles(folder: Path,
     assert np.shape(stats["observation.images.tactile"]["std"]) == (3, 1, 1)
     assert last["stats/observation.force/count"] == [FRAMES]
     tasks = parquet.read_table(tmp_path / "meta" / "tasks.parquet")
-    said = "A sphere, radius 4 mm, on gelsight_mini: pressed 1 mm deep, slid 1 mm along x, held, turned by 10 degrees."
-    assert tasks.to_pylist() == [{"task_index": 0, "task": caption(scene)}]
-    assert caption(scene).startswith(f"{said} Touching from frame 0, sticking from frame 4. The largest force is")
+    assert tasks.to_pylist() == [{"task_index": 0, "task": task(scene)}]
     assert json.loads(tasks.schema.metadata[b"pandas"])["index_columns"] == ["task"]
+
+
+def test_the_task_tells_the_movements_and_none_of_the_labels(scene: Bundle) -> None:
+    said = "A sphere, radius 4 mm, on gelsight_mini: pressed 1 mm deep, slid 1 mm along x, held, turned by 10 degrees."
+    assert caption(scene).startswith(f"{said} Touching from frame 0, sticking from frame 4. The largest force is")
+    assert task(scene) == "Press the object into the sensor, then slide, hold and twist it."
+
+
+def test_lerobot_names_touch_as_planned_there_and_the_forces_of_cells_sum_to_the_force(
+    folder: Path, scene: Bundle, tmp_path: Path
+) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet")
+    export.export("lerobot", folder, tmp_path)
+    features = json.loads((tmp_path / "meta/info.json").read_text())["features"]
+    assert features["observation.tactile.wrench"]["names"][2:5] == ["z_n", "torque_x_n_mm", "torque_y_n_mm"]
+    row = parquet.read_table(tmp_path / "data/chunk-000/file-000.parquet").to_pylist()[FRAMES + 9]
+    force, torque = scene.frame("/frames/force", 9), scene.frame("/frames/torque", 9)
+    assert row["observation.tactile.wrench"] == pytest.approx([*force, *torque], rel=1e-6)
+    cells = np.reshape(row["observation.tactile.force"], (12, 16, 3))
+    assert cells.sum((0, 1)) == pytest.approx(force, rel=1e-4, abs=1e-6)
+    pressure = scene.frame("/frames/pressure", 9)
+    pressed = np.argwhere(cells[..., 2] < 0.5 * cells[..., 2].min()).mean(0) + 0.5
+    middle = np.argwhere(pressure > 0.5 * pressure.max()).mean(0) + 0.5
+    assert pressed / (12, 16) == pytest.approx(middle / pressure.shape, abs=0.05)
+
+
+@pytest.fixture(scope="module")
+def many(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Ten grasps of two fingers, of which one lacks the right one and another's right one ends early."""
+    out = tmp_path_factory.mktemp("many")
+    for i in range(10):
+        for finger in ("left", "right")[: 1 if i == 3 else 2]:
+            known = {"scene_index": i, "finger": finger, "sensor": "digit", "input_key": f"{i}{finger}"}
+            path = out / f"scene-{i:05d}-{finger[0].upper()}.h5"
+            write(path, shape=(16, 12), outputs=frozenset({"force", "rgb"}), **known)
+            if (i, finger) == (5, "right"):
+                path.unlink()
+                _early(path, **known)
+    return out
+
+
+def _early(path: Path, **known: Any) -> None:
+    """A finished scene of half the frames that were planned."""
+    rows = states()
+    with Writer(path, attributes(**known), frames=len(rows)) as writer:
+        writer.put("/reference/rgb", image((16, 12), 0.0, 0.0, 0.0))
+        for state in rows[: FRAMES // 2]:
+            writer.append(frame(state, (16, 12), frozenset({"force", "rgb"})))
+        writer.finish("ok", "ended before a fold")
+
+
+def splits_of(folder: Path) -> dict[str, list[int]]:
+    """Numbers of the grasps in each split of tacgen.torch, without the one that lacks a finger."""
+    parts = {split: TactileDataset(folder, ("force",), split=split).scenes for split in ("train", "val", "test")}
+    numbers = {split: sorted({scene.attrs["scene_index"] for scene in scenes} - {3}) for split, scenes in parts.items()}
+    assert sorted(chain(*numbers.values())) == [0, 1, 2, 4, 5, 6, 7, 8, 9]
+    return numbers
+
+
+def test_lerobot_has_the_splits_of_the_data_set_both_fingers_and_the_frames_that_both_have(
+    many: Path, tmp_path: Path
+) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet")
+    with pytest.warns(LeftOut, match="left out scene-00003-L: not on all of left, right"):
+        export.export("lerobot", many, tmp_path / "out")
+    info = json.loads((tmp_path / "out/meta/info.json").read_text())
+    episodes = parquet.read_table(tmp_path / "out/meta/episodes/chunk-000/file-000.parquet").to_pylist()
+    for split, numbers in splits_of(many).items():
+        first, end = map(int, info["splits"][split].split(":"))
+        assert sorted(int(episode["scene"][6:11]) for episode in episodes[first:end]) == numbers
+    assert sum(int(at.split(":")[1]) - int(at.split(":")[0]) for at in info["splits"].values()) == 9
+    assert {episode["scene"]: episode["length"] for episode in episodes}["scene-00005-L"] == FRAMES // 2
+    assert "observation.tactile.right.wrench" in info["features"]
+    listed = json.loads((tmp_path / "out/splits.json").read_text())
+    assert {name for scenes in listed.values() for name in scenes} == {episode["scene"] for episode in episodes}
+
+
+def test_webdataset_has_the_splits_of_the_data_set_and_both_fingers_in_a_sample(many: Path, tmp_path: Path) -> None:
+    pytest.importorskip("webdataset")
+    with pytest.warns(LeftOut, match="left out scene-00003-L"):
+        exported = export.export("webdataset", many, tmp_path / "out")
+    made = {path.name: path for path in exported if path.suffix == ".tar"}
+    for split, numbers in splits_of(many).items():
+        if not numbers:
+            continue
+        with tarfile.open(made.pop(f"{split}-000000.tar")) as tar:
+            content = {member.name: tar.extractfile(member).read() for member in tar}
+        assert sorted({int(name[6:11]) for name in content}) == numbers
+        key = f"scene-{numbers[0]:05d}-L-00004"
+        about = json.loads(content[f"{key}.json"])
+        assert {role: known["sensor"] for role, known in about["sensors"].items()} == {
+            "left": "digit",
+            "right": "digit",
+        }
+        for finger in ("left", "right"):
+            scene = read(many / f"scene-{numbers[0]:05d}-{finger[0].upper()}.h5")
+            found = np.asarray(Image.open(io.BytesIO(content[f"{key}.{finger}.rgb.png"])))
+            assert np.array_equal(found, scene.frame("/frames/rgb", 4))
+            force = np.load(io.BytesIO(content[f"{key}.{finger}.force.npy"]))
+            assert np.array_equal(force, scene.frame("/frames/force", 4))
+    assert not made
 
 
 def test_lerobot_has_an_episode_for_each_contact_on_several_sensors(tmp_path: Path) -> None:
@@ -216,14 +287,15 @@ def test_lerobot_has_an_episode_for_each_contact_on_several_sensors(tmp_path: Pa
         known = {"scene_index": i, "pair": i // 2, "sensor": ("digit", "mini")[i % 2]}
         write(tmp_path / "in" / f"scene-{i:05d}.h5", shape=((48, 64), (60, 40))[i % 2], **known,
               reference_height=np.zeros(((12, 16), (15, 10))[i % 2]))  # fmt: skip
-    export.export("lerobot", tmp_path / "in", tmp_path / "out")
+    with pytest.warns(LeftOut):
+        export.export("lerobot", tmp_path / "in", tmp_path / "out")
     info = json.loads((tmp_path / "out/meta/info.json").read_text())
     assert (info["robot_type"], info["total_episodes"], info["total_frames"]) == ("digit, mini", 2, 2 * FRAMES)
     features = info["features"]
     assert features["observation.images.digit"]["shape"] == [48, 64, 3]
     assert features["observation.images.mini"]["shape"] == [60, 40, 3]
     assert features["observation.state"]["names"][7:9] == ["mini.x_mm", "mini.y_mm"]
-    rows = parquet.read_table(tmp_path / "out/data/chunk-000/file-000.parquet").to_pylist()
+    rows = parquet.read_table(tmp_path / "out/data").to_pylist()  # in order, a file for each split
     for name, number in (("digit", 2), ("mini", 3)):
         scene, row = read(tmp_path / "in" / f"scene-{number:05d}.h5"), rows[FRAMES + 4]
         image = np.asarray(Image.open(io.BytesIO(row[f"observation.images.{name}"]["bytes"])))
@@ -241,20 +313,20 @@ def test_lerobot_has_an_episode_for_both_fingers_of_a_grasp(tmp_path: Path) -> N
         finger = {"scene_index": i // 2, "finger": ("left", "right")[i % 2], "sensor": "digit"}
         write(tmp_path / "in" / f"scene-{i // 2:05d}-{'LR'[i % 2]}.h5", shape=(48, 64), edit=real, **finger,
               reference_height=np.zeros((12, 16)))  # fmt: skip
-    export.export("lerobot", tmp_path / "in", tmp_path / "out")
+    with pytest.warns(LeftOut):
+        export.export("lerobot", tmp_path / "in", tmp_path / "out")
     info = json.loads((tmp_path / "out/meta/info.json").read_text())
     assert (info["robot_type"], info["total_episodes"], info["total_frames"]) == ("digit, digit", 2, 2 * FRAMES)
     names = info["features"]["observation.state"]["names"]
     assert (names[0], names[7]) == ("left.x_mm", "right.x_mm")
-    rows = parquet.read_table(tmp_path / "out/data/chunk-000/file-000.parquet").to_pylist()
+    rows = parquet.read_table(tmp_path / "out/data").to_pylist()  # in order, a file for each split
     for finger in ("left", "right"):
         scene, row = read(tmp_path / "in" / f"scene-00001-{finger[0].upper()}.h5"), rows[FRAMES + 4]
         image = np.asarray(Image.open(io.BytesIO(row[f"observation.images.{finger}"]["bytes"])))
         assert np.array_equal(image, scene.frame("/frames/rgb", 4))
         assert row[f"observation.force.{finger}"] == pytest.approx(scene.frame("/frames/force", 4))
     (task,) = parquet.read_table(tmp_path / "out/meta/tasks.parquet").column("task").to_pylist()
-    assert "on digit (left finger): " in task
-    assert "on digit (right finger): " in task
+    assert task == "Press the object into the sensor, then slide, hold and twist it."
 
 
 def test_lerobot_depth_is_16_bit_in_micrometres(folder: Path, scene: Bundle, tmp_path: Path) -> None:
@@ -326,10 +398,11 @@ def test_lerobot_depth_stays_within_the_15_bits_that_its_reader_gives(tmp_path: 
     assert picture[3, 4] == picture.max() == 2**15 - 1
 
 
-@pytest.mark.parametrize("kind", ["feats", "lerobot", "univtac", "webdataset"])
+@pytest.mark.parametrize("kind", ["feats", "lerobot", "univtac", "webdataset", "sparsh", "feelanyforce", "zarr"])
 def test_every_exporter_takes_packs_and_refuses_what_is_damaged_foreign_or_lacking(
     folder: Path, tmp_path: Path, kind: str, monkeypatch: pytest.MonkeyPatch
 ):
+    pytest.importorskip("zarr" if kind == "zarr" else "numpy")
     packed = pack.pack(dataset.scenes(folder), tmp_path / "packed").folder
     loose = [path.read_bytes() for path in export.export(kind, folder, tmp_path / "a")]
     assert [path.read_bytes() for path in export.export(kind, packed, tmp_path / "b")] == loose
@@ -350,7 +423,7 @@ def test_every_exporter_takes_packs_and_refuses_what_is_damaged_foreign_or_lacki
     assert ": damaged" in refused(bytes(good))
     assert refused(b"PK\x03\x04 a zip file") == ": not an HDF5 file"
     write(bad, outputs=frozenset({"force"}))
-    if kind != "webdataset":  # which takes whatever there is
+    if kind not in ("webdataset", "zarr"):  # which take whatever there is
         assert ": has no /frames/" in refused(bad.read_bytes())
     monkeypatch.setattr("tacgen.bundle.bundle.FORMAT", 99)
     write(bad, outputs=frozenset({"force"}))

@@ -103,3 +103,12 @@ def _suffer(words: list[str], fault: Path) -> None:
         raise ZeroDivisionError("made to fail")
     if "refuse" in words:
         raise UserError("this cannot be made")
+
+
+def endless(row: Row, folder: Path, *, overwrite: bool = False, on_event: Any = None) -> None:
+    """A scene that never ends, with a frame every 50 ms."""
+    frame = 0
+    while True:
+        frame += 1
+        on_event({"event": "frame", "scene": row.name, "frame": frame, "frames": row.frames})
+        time.sleep(0.05)

@@ -1,7 +1,6 @@
 """Contact solved on the condensed bulk leads to the answer of Newton's method on everything, at less cost."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -9,13 +8,14 @@ from helpers.presses import gel, poses, scene
 
 from tacgen.geometry.analytic_sdf import CylinderSdf, Shape, SphereSdf
 from tacgen.geometry.pose import Pose
-from tacgen.mechanics import Problem, SolverOptions, State, mesh, plain, states
+from tacgen.mechanics import Problem, SolverOptions, State, mesh, plain, solver, states
 from tacgen.mechanics.barrier import Contact
-from tacgen.mechanics.bulk_newton import BulkNewton
 from tacgen.mechanics.condensation import Condensation, Schur
 from tacgen.mechanics.frames import RISE
-from tacgen.mechanics.load_step import LoadStep
+from tacgen.mechanics.phases import Outcome, Phase
 from tacgen.mechanics.predictor import predict
+from tacgen.mechanics.solve_state import Leg, SolveState
+from tacgen.mechanics.solver import solve
 
 Array = np.ndarray
 PATH = [(0.0, 0.0, -0.2), (0.0, 0.0, -0.4), (0.2, 0.0, -0.4), (0.4, 0.1, -0.3)]
@@ -154,25 +154,29 @@ def test_a_step_too_long_away_from_the_contact_is_halved_and_not_damped(monkeypa
     problem = Problem.of(made, mesh.build(made.gel, (-2, 2, -2, 2), made.edge), TIGHT)
     *_, last = states(made, problem)
     assert last.after is not None
-    step = LoadStep(problem, last.after, Pose.of(last.pose - 0.05 * RISE), np.inf)
-    x = step.start(None)
-    usual, _, _ = BulkNewton(problem, step.bulk, last.after).solve(x, step.contact)
+    lower = last.pose - 0.05 * RISE
+    begun = solve(problem, SolveState(0, last.after, (Leg(lower, lower, np.zeros(3), np.inf),)), until=Phase.start)
+    usual, x = solve(problem, begun), solve(problem, begun, until=Phase.step).begins
+    assert x is not None
     far = np.flatnonzero(problem.mesh.points[:, 2] == problem.mesh.points[:, 2].max())
     far = far[problem.mesh.points[far, :2].sum(1).argmax()]
     pushed = x.copy()
     pushed[far, 2] -= 0.4
     parts: list[float] = []
-    along = BulkNewton._along
+    search = solver.KERNELS[Phase.search]
 
-    def seen(self: BulkNewton, *args: Any) -> Any:
-        found = along(self, *args)
-        parts.append(found.part)
-        assert found.gain < 0 or found.there.energy < args[0].energy + 1e-3
-        return found
+    def seen(problem: Problem, now: SolveState) -> tuple[Outcome, SolveState]:
+        outcome, after = search(problem, now)
+        assert now.newton is not None
+        assert after.newton is not None
+        if (step := after.newton.stepped) is not None:
+            parts.append(step.part)
+            assert step.there.energy < now.newton.at.energy + 1e-3
+        return outcome, after
 
-    monkeypatch.setattr(BulkNewton, "_along", seen)
-    newton = BulkNewton(problem, step.bulk, last.after)
-    answer, _, _ = newton.solve(pushed, step.contact)
+    monkeypatch.setitem(solver.KERNELS, Phase.search, seen)
+    answer = solve(problem, replace(begun, near=replace(last, x=pushed)))
     assert min(parts) < 1
-    assert newton.damped == 0
-    assert answer == pytest.approx(usual, abs=1e-4)
+    assert answer.state is not None
+    assert answer.state.damped == 0
+    assert answer.history.x == pytest.approx(usual.history.x, abs=1e-4)

@@ -1,10 +1,10 @@
 """Stepping frames: how a frame that cannot be had ends, substeps, the footprint, and what each frame records."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.load_steps import watched
 from helpers.presses import gel, poses, run, scene
 
 from tacgen.fem.elasticity import Elastic
@@ -16,7 +16,7 @@ from tacgen.mechanics import (
     NotConverged,
     Problem,
     SolverOptions,
-    equilibrium,
+    admission,
     load_step,
     load_stepping,
     mesh,
@@ -24,7 +24,8 @@ from tacgen.mechanics import (
     states,
 )
 from tacgen.mechanics.scene import Forced, Scene
-from tacgen.mechanics.state import History
+from tacgen.mechanics.solve_state import SolveState
+from tacgen.mechanics.solver import equilibrium
 
 Array = np.ndarray
 USUAL = SolverOptions()
@@ -92,7 +93,7 @@ def test_a_frame_out_of_balance_is_refused_with_the_figures() -> None:
 
 
 def test_a_gel_that_folds_between_its_points_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(equilibrium, "least_jacobian", lambda *_: -0.2)
+    monkeypatch.setattr(admission, "least_jacobian", lambda *_: -0.2)
     with pytest.raises(NotConverged, match=r"an element is turned inside out, to -0\.2 of its volume; try less depth"):
         next(states(*made(options=SolverOptions(halvings=0))))
 
@@ -117,22 +118,8 @@ def test_a_point_inside_the_indenter_stiffens_the_barrier_or_is_refused(monkeypa
         next(states(s, soft))
 
 
-def watched(monkeypatch: pytest.MonkeyPatch, refuse: Callable[[History, Array], Exception | None]) -> list[Array]:
-    """Equilibria are refused where `refuse` says so, from its history and pose; the poses (4, 4) that are not."""
-    usual, done = load_stepping.equilibrium, list[Array]()
-
-    def asked(problem: Problem, history: History, matrix: Array, *rest: object) -> object:
-        if error := refuse(history, matrix):
-            raise error
-        done.append(matrix)
-        return usual(problem, history, matrix, *rest)
-
-    monkeypatch.setattr(load_stepping, "equilibrium", asked)
-    return done
-
-
-def longer(history: History, matrix: Array, than: float) -> bool:
-    return bool(np.linalg.norm(matrix[:3, 3] - history.pose.position) > than)
+def longer(now: SolveState, than: float) -> bool:
+    return bool(np.linalg.norm(now.legs[0].b[:3, 3] - now.history.pose.position) > than)
 
 
 @pytest.mark.parametrize(("kind", "halvings"), [(Failure.singular, 2), (Failure.too_far, 0)])
@@ -142,11 +129,11 @@ def test_a_step_that_fails_is_halved_and_its_parts_counted(
     """Any of more than .09 mm is made to: .2 mm need four, and .3 mm too. Going too far does not use up halvings."""
     s, problem = made(options=SolverOptions(halvings=halvings))
     direct = list(states(s, problem))
-    done = watched(monkeypatch, lambda history, matrix: NotConverged(kind) if longer(history, matrix, 0.09) else None)
+    done = watched(monkeypatch, lambda now: NotConverged(kind) if longer(now, 0.09) else None)
     found = list(states(s, problem))
     assert [state.substeps for state in found] == [4, 4, 4]
-    assert [pose[2, 3] for pose in done] == pytest.approx([*(-0.05 * k for k in range(1, 9)), *[-0.4] * 4])
-    assert [pose[0, 3] for pose in done[-4:]] == pytest.approx([0.075, 0.15, 0.225, 0.3])
+    assert [leg.b[2, 3] for leg in done] == pytest.approx([*(-0.05 * k for k in range(1, 9)), *[-0.4] * 4])
+    assert [leg.b[0, 3] for leg in done[-4:]] == pytest.approx([0.075, 0.15, 0.225, 0.3])
     assert [state.index for state in found] == [0, 1, 2]
     assert all((state.pose == pose).all() for state, pose in zip(found, s.poses, strict=True))
     for a, b in zip(direct, found, strict=True):
@@ -158,8 +145,8 @@ def test_a_step_that_fails_is_halved_and_its_parts_counted(
 def test_halving_ends(kind: Failure, times: int, monkeypatch: pytest.MonkeyPatch) -> None:
     tried = []
 
-    def never(history: History, matrix: Array) -> Exception:
-        tried.append(matrix[2, 3])
+    def never(now: SolveState) -> NotConverged:
+        tried.append(now.legs[0].b[2, 3])
         return NotConverged(kind)
 
     watched(monkeypatch, never)
@@ -174,27 +161,26 @@ def test_a_frames_effort_is_bounded_and_the_next_has_its_own(monkeypatch: pytest
     most = max(state.iterations for state in states(s, problem))
     options = SolverOptions(max_effort=most)
     assert sum(state.iterations for state in states(*made(0.3, options))) > most
-    tried = []
-    watched(monkeypatch, lambda history, matrix: tried.append(matrix[2, 3]))
+    tried = watched(monkeypatch)
     with pytest.raises(NotConverged, match="did not converge in 2 steps"):
         list(states(*made(0.3, SolverOptions(max_effort=2, residual_tol=1e-9, step_tol=1e-6))))
-    assert tried == [-0.2]
+    assert [leg.b[2, 3] for leg in tried] == [-0.2]
 
 
 def test_a_step_that_failed_leaves_nothing_behind() -> None:
     """What it did to the kept tangent is not in the next answer, which is the same to the last bit."""
     s, problem = made(0.3)
     rest = problem.rest(Pose.of(s.start))
-    _, usual = equilibrium.equilibrium(problem, rest, s.poses[0], 0)
+    _, usual = equilibrium(problem, rest, s.poses[0], 0).reached()
     s, problem = made(0.3)
     hasty = replace(
         problem, options=replace(problem.options, max_newton=2, keep_tangent=False, residual_tol=1e-14, step_tol=1e-9)
     )
     hasty.__dict__["tangent"] = problem.tangent  # the same one
     with pytest.raises(NotConverged):
-        equilibrium.equilibrium(hasty, rest, s.poses[0], 0)
+        equilibrium(hasty, rest, s.poses[0], 0).reached()
     assert problem.factored > 0
-    _, again = equilibrium.equilibrium(problem, rest, s.poses[0], 0)
+    _, again = equilibrium(problem, rest, s.poses[0], 0).reached()
     assert (again.x == usual.x).all()
 
 
@@ -274,13 +260,13 @@ def test_friction_taken_round_a_sharp_edge_in_one_step_is_recorded() -> None:
 def test_friction_round_an_edge_is_that_of_the_points_whose_normal_turns() -> None:
     made = scene(BoxSdf(1.0, 1.0, 0.05), poses(PATH), pad=gel(8, 8, 2.0), friction=0.6, edge=0.6)
     problem = Problem.of(made, mesh.build(made.gel, SMALL, made.edge))
-    after, _ = equilibrium.equilibrium(problem, problem.rest(Pose.of(made.start)), made.poses[0], 0)
+    after, _ = equilibrium(problem, problem.rest(Pose.of(made.start)), made.poses[0], 0).reached()
     one = np.unravel_index(after.normal_force.argmax(), after.normal_force.shape)
     share = after.normal_force[one] / after.normal_force.sum()
     for angle, part in ((0.25, 0.0), (0.4, 0.6 * share)):
         normal = after.normal.copy()
         normal[one] = [np.sin(angle), 0, -np.cos(angle)]
         assert after.normal[one] == pytest.approx([0, 0, -1])
-        assert load_stepping.rounded(problem, replace(after, normal=normal), after) == pytest.approx(part)
+        assert admission.rounded(problem, replace(after, normal=normal), after) == pytest.approx(part)
     released = replace(after, normal=-after.normal, normal_force=np.zeros_like(after.normal_force))
-    assert load_stepping.rounded(problem, after, released) == pytest.approx(0.6)
+    assert admission.rounded(problem, after, released) == pytest.approx(0.6)

@@ -7,14 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers import small_recipe
+from helpers.load_steps import watched
 from helpers.presses import gel, poses, scene
 from scipy.spatial.transform import Rotation
 
 from tacgen.geometry.analytic_sdf import BoxSdf, Shape, SphereSdf
 from tacgen.geometry.pose import Pose, along, between, shortest_turn
-from tacgen.mechanics import Failure, NotConverged, Problem, SolverOptions, State, load_stepping, mesh, states
-from tacgen.mechanics.load_stepping import advance, steps_needed
+from tacgen.mechanics import Failure, NotConverged, Problem, SolverOptions, mesh, states
+from tacgen.mechanics.load_stepping import steps_needed
 from tacgen.mechanics.scene import Scene
+from tacgen.mechanics.solve_state import Leg, SolveState
+from tacgen.mechanics.solver import advance
 from tacgen.mechanics.state import History
 from tacgen.recipe import scene_of_row
 
@@ -108,7 +111,7 @@ def small(shape: Shape, friction: float = 0.6, options: SolverOptions | None = N
 
 def pressed(made: Scene, problem: Problem) -> History:
     rest = problem.rest(Pose.of(made.start))
-    return advance(problem, rest, made.start, made.poses[0], np.zeros(3), 0, 0.0)[0]
+    return advance(problem, rest, made.start, made.poses[0], np.zeros(3), 0, 0.0).history
 
 
 def rotated(pose: Array, turn: Array) -> Array:
@@ -153,19 +156,14 @@ def test_a_turn_needs_short_steps_only_where_it_rubs_and_sharp_edges_shorter_one
     assert steps_needed(finer, history, a, a, turn) == pytest.approx(3 * usual, abs=3)
 
 
-def recorded(monkeypatch: pytest.MonkeyPatch, most: float = np.inf) -> list[float]:
-    """Angles about z of the poses that are solved [deg]; turns of more than `most` [deg] at once are refused."""
-    usual, done = load_stepping.equilibrium, list[float]()
+def recorded(monkeypatch: pytest.MonkeyPatch, most: float = np.inf) -> list[Leg]:
+    """The load steps that are solved; turns of more than `most` [deg] at once are refused."""
 
-    def watched(problem: Problem, history: History, matrix: Array, *rest: object) -> tuple[History, State]:
-        way = Rotation.from_matrix(matrix[:3, :3] @ history.pose.rotation.T).magnitude()
-        if np.degrees(way) > most:
-            raise NotConverged(Failure.newton, steps=1)
-        done.append(turned(matrix))
-        return usual(problem, history, matrix, *rest)
+    def refuse(now: SolveState) -> NotConverged | None:
+        way = Rotation.from_matrix(now.legs[0].b[:3, :3] @ now.history.pose.rotation.T).magnitude()
+        return NotConverged(Failure.newton, steps=1) if np.degrees(way) > most else None
 
-    monkeypatch.setattr(load_stepping, "equilibrium", watched)
-    return done
+    return watched(monkeypatch, refuse)
 
 
 @pytest.mark.parametrize("angle", [190.0, -190.0])
@@ -174,9 +172,9 @@ def test_a_turn_that_fails_is_halved_on_its_own_way(angle: float, monkeypatch: p
     history, a = pressed(made, problem), made.poses[0]
     turn = np.array([0, 0, np.radians(angle)])
     done = recorded(monkeypatch, most=60)
-    after, state = advance(problem, history, a, rotated(a, turn), turn, 1, 0.0)
+    after, state = advance(problem, history, a, rotated(a, turn), turn, 1, 0.0).reached()
     sign = np.sign(angle)
-    assert np.array(done) == pytest.approx(sign * np.array([47.5, 95, 142.5, -170]))
+    assert np.array([turned(leg.b) for leg in done]) == pytest.approx(sign * np.array([47.5, 95, 142.5, -170]))
     assert state.substeps == 4
     assert after.pose.rotation == pytest.approx(about([0, 0, 1], angle), abs=1e-12)
 
@@ -188,7 +186,7 @@ def test_a_gel_is_dragged_along_on_the_way_that_is_asked_for(angle: float, monke
     problem = Problem.of(made, mesh.of(made))
     done = recorded(monkeypatch)
     _, state = states(made, problem)
-    steps = np.unwrap(done, period=360)[1:]
+    steps = np.unwrap([turned(leg.b) for leg in done], period=360)[1:]
     assert len(steps) == state.substeps >= 4
     assert steps == pytest.approx(angle * np.arange(1, len(steps) + 1) / len(steps))
     at = problem.contact.faces.at(state.x)

@@ -9,9 +9,8 @@ from helpers.presses import gel, poses, scene
 from tacgen.geometry.analytic_sdf import SphereSdf
 from tacgen.geometry.pose import Pose, about, shortest_turn
 from tacgen.mechanics import Problem, mesh
-from tacgen.mechanics.equilibrium import equilibrium
-from tacgen.mechanics.load_stepping import advance
 from tacgen.mechanics.rigid_stiffness import stiffness
+from tacgen.mechanics.solver import advance, equilibrium
 from tacgen.mechanics.state import State
 
 Array = np.ndarray
@@ -28,9 +27,10 @@ def test_tangent_is_the_derivative_of_the_wrench(slid: float, tol: float) -> Non
     """Sticking, slipping at the rim, and sliding as a whole, where the anchors of the path blur the direction."""
     s = scene(SphereSdf(4.0), poses([(0.0, 0.0, -0.3), (slid, 0.0, -0.31)]), pad=gel(10, 10), friction=0.6)
     problem = Problem.of(s, mesh.of(s))
-    before, _ = advance(problem, problem.rest(Pose.of(s.start)), s.start, s.poses[0], np.zeros(3), 0, math.inf)
+    rest = problem.rest(Pose.of(s.start))
+    before = advance(problem, rest, s.start, s.poses[0], np.zeros(3), 0, math.inf).history
     turn = shortest_turn(s.poses[0], s.poses[1])
-    after, state = advance(problem, before, s.poses[0], s.poses[1], turn, 1, math.inf)
+    after, state = advance(problem, before, s.poses[0], s.poses[1], turn, 1, math.inf).reached()
     assert state.substeps == 1
     centre = np.array([slid, 0.0, 3.7])
     scale = np.array([1.0, 1, 1, 3, 3, 3])
@@ -42,7 +42,7 @@ def test_tangent_is_the_derivative_of_the_wrench(slid: float, tol: float) -> Non
             motion, moved = step * np.eye(6)[k] / scale, s.poses[1].copy()
             moved[:3, :3] = about(motion[3:], 1.0) @ moved[:3, :3]
             moved[:3, 3] = about(motion[3:], 1.0) @ (s.poses[1][:3, 3] - centre) + centre + motion[:3]
-            there = equilibrium(problem, before, moved, 1, math.inf, state)[1]
+            there = equilibrium(problem, before, moved, 1, near=state).reached()[1]
             ends.append(wrench(problem, there, centre + motion[:3]))
         exact[:, k] = (ends[0] - ends[1]) / (2 * STEP) / scale
     assert np.linalg.norm(found - exact) < tol * np.linalg.norm(exact), (found, exact)

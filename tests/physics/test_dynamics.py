@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers import presses
+from helpers.load_steps import watched
 from helpers.presses import Run, gel, poses
 from helpers.small_recipe import HEAD
 
@@ -15,8 +16,8 @@ from tacgen.bundle import bundle
 from tacgen.bundle.check import check
 from tacgen.errors import UserError
 from tacgen.geometry.analytic_sdf import SphereSdf
-from tacgen.mechanics import load_stepping
 from tacgen.mechanics.scene import GelDynamics
+from tacgen.mechanics.solve_state import SolveState
 from tacgen.recipe import plan, scene_of_row
 
 Array = np.ndarray
@@ -79,19 +80,15 @@ def test_a_gel_let_go_springs_back_and_comes_to_rest() -> None:
 
 
 def test_halved_steps_halve_the_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    usual, taken = load_stepping.equilibrium, []
+    def careful(now: SolveState) -> mechanics.NotConverged | None:
+        far = np.linalg.norm(now.legs[0].b[:3, 3] - now.history.pose.position) > 0.06
+        return mechanics.NotConverged(mechanics.Failure.newton, steps=1) if far else None
 
-    def careful(problem, history, matrix, index, duration, near=None):  # type: ignore[no-untyped-def]
-        if np.linalg.norm(matrix[:3, 3] - history.pose.position) > 0.06:
-            raise mechanics.NotConverged(mechanics.Failure.newton, steps=1)
-        taken.append(duration)
-        return usual(problem, history, matrix, index, duration, near)
-
-    monkeypatch.setattr(load_stepping, "equilibrium", careful)
-    found = tap(DOWN[:2], 8e-4)
-    assert taken == pytest.approx([2e-4] * 4)
+    with monkeypatch.context() as patched:
+        taken = watched(patched, careful)
+        found = tap(DOWN[:2], 8e-4)
+    assert [leg.duration for leg in taken] == pytest.approx([2e-4] * 4)
     assert [state.substeps for state in found.states] == [2, 2]
-    monkeypatch.setattr(load_stepping, "equilibrium", usual)
     asked = tap(DOWN[:2], 8e-4, 2e-4)
     assert found.forces == pytest.approx(asked.forces, abs=1e-6)
 

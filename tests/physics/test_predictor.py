@@ -12,8 +12,10 @@ from tacgen.geometry.analytic_sdf import CapsuleSdf
 from tacgen.geometry.pose import Pose, shortest_turn
 from tacgen.mechanics import DEFAULT, Problem, SolverOptions, mesh, states
 from tacgen.mechanics.load_step import LoadStep
-from tacgen.mechanics.load_stepping import advance
+from tacgen.mechanics.phases import Phase
 from tacgen.mechanics.predictor import Prediction
+from tacgen.mechanics.solve_state import Leg, SolveState
+from tacgen.mechanics.solver import advance, solve
 from tacgen.mechanics.state import History
 from tacgen.recipe import scene_of_row
 
@@ -55,12 +57,16 @@ def pressed() -> tuple[Problem, History, Run]:
     whole = run(made, SQUARE)
     first = Problem.of(made, whole.problem.mesh)
     start, end = made.start, made.poses[0]
-    history, _ = advance(first, first.rest(Pose.of(start)), start, end, shortest_turn(start, end), 0, 0.0)
-    return first, history, whole
+    turn = shortest_turn(start, end)
+    return first, advance(first, first.rest(Pose.of(start)), start, end, turn, 0, 0.0).history, whole
 
 
 def predicted(problem: Problem, history: History, pose: Pose) -> Prediction | None:
-    return LoadStep(problem, history, pose, 0.0).prediction
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = pose.rotation, pose.position
+    now = solve(problem, SolveState(0, history, (Leg(matrix, matrix, np.zeros(3), 0.0),)), until=Phase.start)
+    assert isinstance(now.step, LoadStep)
+    return now.step.prediction
 
 
 def test_points_in_contact_go_along_and_all_else_follows(pressed: tuple[Problem, History, Run]) -> None:

@@ -1,6 +1,5 @@
 """Optics that cannot be are refused, each in one line that names the key."""
 
-import importlib.util
 from pathlib import Path
 from typing import Any
 
@@ -185,25 +184,3 @@ def test_a_varied_light_that_leaves_the_housing_is_reported_with_its_scene(tmp_p
     assert "sensor.leds[0].center_mm: red: pokes out of the housing, at (" in line
     assert "more scenes" in line
     assert plan.load(recipe, ["outputs=[force]"]).rows  # lights do not matter where none is asked for
-
-
-@pytest.mark.parametrize(
-    ("sensor_name", "method", "why"),
-    [
-        ("gelsight_mini", "transport", ""),
-        ("gelsight_mini", "path", "render.method is path"),
-        ("digit", "table", ""),
-        ("ninedtact", "transport", "the gel of ninedtact scatters light"),
-    ],
-)
-def test_images_that_need_mitsuba_are_refused_without_it(
-    sensor_name: str, method: str, why: str, monkeypatch: pytest.MonkeyPatch
-):
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    sets = [f"sensor={sensor_name}", f"render.method={method}"]
-    plan.load(assets.recipe_path("quickstart"), [*sets, "outputs=[force]"])
-    if not why:
-        plan.load(assets.recipe_path("quickstart"), [*sets, "outputs=[rgb]"])
-        return
-    with pytest.raises(UserError, match=f"asks for images, and {why}: that needs Mitsuba, which is not installed"):
-        plan.load(assets.recipe_path("quickstart"), [*sets, "outputs=[rgb]"])

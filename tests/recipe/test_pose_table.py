@@ -6,18 +6,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from helpers.small_recipe import HEAD
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from tacgen import pipeline
 from tacgen.bundle import bundle
 from tacgen.bundle.check import check
 from tacgen.errors import UserError
-from tacgen.geometry.pose import about
+from tacgen.geometry.pose import Pose, about
 from tacgen.mechanics.scene import Scene
 from tacgen.recipe import plan, pose_table, scene_of_row, trajectory_checks
 from tacgen.recipe.model import Recipe
-from tacgen.recipe.trajectory import unit
+from tacgen.recipe.pose_table import TimedPose
+from tacgen.recipe.trajectory import Placement, unit
 from tacgen.sensor.validation_messages import validate
 
 Array = np.ndarray
@@ -177,6 +181,24 @@ def test_a_pose_that_cannot_be_is_refused_by_line(tmp_path: Path, row: tuple[flo
     load(tmp_path, table([*ROWS, (0.4, 40, 0, 0.5, 1, 0, 0, 0)]))  # above the face it may be anywhere
 
 
+def test_a_ball_that_rolls_touches_below_its_centre(tmp_path: Path) -> None:
+    """Its frame's origin turns with it: to beside the pad, though the ball is over it."""
+    centre = "{file: poses.csv, indenter_pose: {position_mm: [0, 0, -4]}}"
+    half = math.sqrt(0.5)
+    load(tmp_path, table([(0, 9, 0, 3.7, half, 0, -half, 0)]), replay=centre)
+    with pytest.raises(UserError, match=r"at \(13, 0, -0.3\) the indenter would be beside the pad"):
+        load(tmp_path, table([(0, 13, 0, 3.7, half, 0, half, 0)]), replay=centre)
+
+
+def test_a_long_mesh_is_known_where_the_gel_touches_it(tmp_path: Path) -> None:
+    """A bar of 200 mm that lies on the pad with one end: its distance there, 90 mm from its middle."""
+    trimesh.creation.box((200, 10, 10)).export(tmp_path / "bar.stl")
+    bar = f"indenter={{shape: mesh, file: {tmp_path}/bar.stl}}"
+    made = built(tmp_path, table([(0, 90, 0, -0.3, 1, 0, 0, 0)]), bar)
+    points = Pose.of(made.poses[0]).local(np.array([[0, 0, 0], [-9.0, 0, 0], [-10.5, 0, 1.2], [-9.5, 0, 1.2]]))
+    assert made.shape.distance(points)[0] == pytest.approx([-0.3, -0.3, 0.5, -0.5], abs=0.02)
+
+
 def test_an_endless_indenter_may_not_tilt_too_far(tmp_path: Path) -> None:
     cone = 'indenter={"shape": "cone", "half_angle_deg": 50, "tip_radius_mm": 0.5}'
     load(tmp_path, table([(0, 0, 0, 0, math.cos(0.3), math.sin(0.3), 0, 0)]), cone)
@@ -242,6 +264,72 @@ def test_poses_of_another_body_in_another_frame(tmp_path: Path) -> None:
     replay = json.dumps({"file": "poses.csv", "units": "m", **given})
     made = built(tmp_path, table(rows, TITLES.replace("_mm", "")), replay=replay)
     assert made.poses == pytest.approx(wanted, abs=1e-9)
+
+
+SENSOR_TITLES = TITLES + "".join(f",sensor_{title}" for title in TITLES.split(",")[1:])
+places = st.tuples(*[st.floats(-500, 500)] * 3)
+turns = st.integers(0, 2**32 - 1).map(lambda seed: Rotation.random(rng=np.random.default_rng(seed)))
+
+
+@st.composite
+def frames(draw: st.DrawFn) -> Array:
+    """A pose (4, 4)."""
+    return matrix(np.array(draw(places)), draw(turns).as_quat(scalar_first=True))
+
+
+def placement(pose: Array) -> Placement:
+    x, y, z = pose[:3, 3].tolist()
+    w, i, j, k = Rotation.from_matrix(pose[:3, :3]).as_quat(scalar_first=True).tolist()
+    return Placement(position_mm=(x, y, z), quaternion=(w, i, j, k))
+
+
+@settings(max_examples=50, deadline=None)
+@given(frames(), frames(), frames(), frames(), frames())
+def test_a_rigid_motion_of_sensor_and_body_together_changes_nothing(
+    body: Array, sensor: Array, mount: Array, inner: Array, motion: Array
+) -> None:
+    def relative(moved: Array) -> Array:
+        row = TimedPose(2, 0.0, moved @ body, moved @ sensor)
+        return pose_table.relative([row], placement(mount), placement(inner))[0]
+
+    assert relative(motion) == pytest.approx(relative(np.eye(4)), abs=1e-9)
+    point = np.array([0.3, -0.2, 0.7, 1.0])  # of the indenter: seen from the sensor, and from the world by another way
+    assert sensor @ mount @ relative(motion) @ point == pytest.approx(body @ inner @ point, abs=1e-9)
+
+
+def test_a_moving_sensor_is_read_from_the_table(tmp_path: Path) -> None:
+    """A sensor in motion, its gel on a mount, toward which a body moves in the world."""
+    rng = np.random.default_rng(5)
+    mount = matrix(np.array([1.0, -2.0, 20.0]), Rotation.random(rng=rng).as_quat(scalar_first=True))
+    wanted = np.array([matrix(np.array(r[1:4]), np.array(r[4:])) for r in ROWS])
+    rows = []
+    for row, pose in zip(ROWS, wanted, strict=True):
+        sensor = matrix(rng.normal(size=3) * 300, Rotation.random(rng=rng).as_quat(scalar_first=True))
+        here: list[float] = [row[0]]
+        for frame in (sensor @ mount @ pose, sensor):
+            here += [*frame[:3, 3], *Rotation.from_matrix(frame[:3, :3]).as_quat(scalar_first=True)]
+        rows.append(tuple(here))
+    replay = json.dumps({"file": "poses.csv", "sensor_pose": placement(mount).model_dump(mode="json")})
+    assert built(tmp_path, table(rows, SENSOR_TITLES), replay=replay).poses == pytest.approx(wanted, abs=1e-9)
+
+
+def test_the_pose_of_the_sensor_is_complete_or_not_there(tmp_path: Path) -> None:
+    rows = [(*row, *row[1:6]) for row in ROWS]
+    with pytest.raises(UserError) as caught:
+        load(tmp_path, table(rows, ",".join(SENSOR_TITLES.split(",")[:13])))
+    assert "poses.csv: has no column sensor_qy, sensor_qz: name it under columns" in caught.value.lines[0]
+    mixed = SENSOR_TITLES.replace("sensor_z_mm", "sensor_z_m")
+    with pytest.raises(UserError, match="must be in one unit"):
+        load(tmp_path, table([(*row, *row[1:]) for row in ROWS], mixed))
+
+
+def test_forces_of_a_table_are_kept_and_not_needed(tmp_path: Path) -> None:
+    titles = f"{TITLES},force_x_n,force_y_n,force_z_n"
+    (tmp_path / "t.csv").write_text(table([(*row, 0.5, math.nan, -2) for row in ROWS], titles))
+    force = pose_table.read(tmp_path / "t.csv").poses[1].force
+    assert force == pytest.approx((0.5, math.nan, -2), nan_ok=True)
+    (tmp_path / "t.csv").write_text(table([(*row, 0.5) for row in ROWS], f"{TITLES},force_x_n"))
+    assert pose_table.read(tmp_path / "t.csv").poses[1].force is None
 
 
 def test_a_replay_that_begins_in_the_gel_is_approached_from_above(tmp_path: Path) -> None:

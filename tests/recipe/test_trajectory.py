@@ -16,7 +16,7 @@ from tacgen.errors import UserError
 from tacgen.geometry.analytic_sdf import BoxSdf, ConeSdf, Shape, SphereSdf
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics import frames, mesh, presolve
-from tacgen.mechanics.force_control import OutOfReach, meet
+from tacgen.mechanics.force_control import End, meet
 from tacgen.recipe import plan, scene_of_row, trajectory_poses
 from tacgen.recipe.row import Row
 from tacgen.recipe.trajectory import Press, Segment, Start
@@ -250,10 +250,11 @@ def test_a_rising_function_is_met_in_few_evaluations(power: float, guess: float)
         seen.append(u)
         return u**power if u < 2.5 else float("nan")
 
-    meet(f, 1.3, known=(0, 0), guess=guess, low=0, high=3, tol=1e-3)
+    assert meet(f, 1.3, known=(0, 0), guess=guess, low=0, high=3, tol=1e-3) is End.met
     assert seen[-1] ** power == pytest.approx(1.3, rel=1e-3)
     assert len(seen) < 16
-    meet(f, 0.2, known=(1, 1), guess=guess, low=0, high=3, tol=1e-3)
+    assert meet(f, 0.2, known=(1, 1), guess=guess, low=0, high=3, tol=1e-3) is End.met
     assert seen[-1] ** power == pytest.approx(0.2, rel=1e-3)
-    with pytest.raises(OutOfReach, match="at most 2"):
-        meet(lambda u: u, 5, known=(0, 0), guess=0.1, low=0, high=2, tol=1e-3)
+    assert meet(lambda u: u, 5, known=(0, 0), guess=0.1, low=0, high=2, tol=1e-3) is End.out_of_reach
+    assert meet(lambda u: None, 5, known=(0, 0), guess=0.1, low=0, high=2, tol=1e-3) is End.stopped
+    assert meet(lambda u: float(u > 1), 0.5, known=(0, 0), guess=0.1, low=0, high=2, tol=1e-3) is End.not_found

@@ -79,7 +79,10 @@ def test_a_triangle_mesh_crosses_a_plane_in_lines() -> None:
 def test_what_cannot_be_drawn_is_reported_in_one_line(tmp_path: Path) -> None:
     bare = write(tmp_path / "x.h5", outputs=frozenset({"force"}))
     for args, words in (
-        (("--field", "heat", "-o", "x.png"), "heat: unknown field, use one of pressure, traction, slip, stress"),
+        (
+            ("--field", "heat", "-o", "x.png"),
+            "heat: unknown field, did you mean height?; there are: camera, markers, pressure",
+        ),
         (("--field", "stress", "-o", "x.png"), "has no /fields/cauchy_stress: the recipe's outputs need stress"),
         (("--field", "slip", "-o", "x.png"), "the recipe's outputs need traction"),
         (("--field", "slip"), "--field: draws a picture, and needs --out"),

@@ -74,7 +74,7 @@ def test_the_report_is_one_page_that_needs_nothing_else(folder: Path, tmp_path: 
     parser.feed(page)
     assert parser.open == []
     assert parser.links
-    assert all(link.startswith("data:image/jpeg;base64,") for link in parser.links)
+    assert all(link.startswith(("data:image/jpeg;base64,", "r_scenes/scene-")) for link in parser.links)
     assert "<h1>many: 6 scenes, 48 frames</h1>" in page
     assert "this cannot be made" in page
     assert "frame # of #: Newton&#x27;s method stalled" in page

@@ -1,0 +1,33 @@
+"""The expected error of a bundle's forces, as it is printed beside them."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from tacgen.bundle.bundle import Bundle
+
+STD, RELATIVE = "/frames/uncertainty/force", "/frames/quality/expected_force_error"
+BY_INPUTS = "standard deviation by the recipe's uncertainty"
+BY_MESH = "by the mesh, within a factor of 2"
+
+
+class ForceError(NamedTuple):
+    """The expected error of the force's magnitude in each frame (N,) [N], nan where it is not known; and its kind."""
+
+    newton: np.ndarray
+    kind: str
+
+    def text(self, frame: int) -> str:
+        """`± about 0.03 N`; "" where it is not known."""
+        value = float(self.newton[frame])
+        return f"\N{PLUS-MINUS SIGN} about {value:.1g} N" if np.isfinite(value) else ""
+
+
+def force_error(bundle: Bundle) -> ForceError | None:
+    """The expected error of the force: that of the recipe's `uncertainty` where it was asked for, else the error by the
+    mesh that is expected at its quality; None if a bundle of an earlier version has neither."""
+    if STD in bundle:
+        return ForceError(np.linalg.norm(bundle[STD], axis=1), BY_INPUTS)
+    if RELATIVE in bundle and "/frames/force" in bundle:
+        return ForceError(bundle[RELATIVE] * np.linalg.norm(bundle["/frames/force"], axis=1), BY_MESH)
+    return None

@@ -1,0 +1,53 @@
+"""Division of the scenes of a data set into train, val and test: by whole contacts, the same on every machine."""
+
+import hashlib
+from collections.abc import Sequence
+
+from tacgen.bundle.bundle import Bundle
+from tacgen.bundle.dataset import contacts
+from tacgen.errors import UserError
+
+SPLITS = ("train", "val", "test")
+FRACTIONS = (0.8, 0.1, 0.1)  # shares of the contacts in each
+
+
+def divide(
+    scenes: Sequence[Bundle], split: str, fractions: tuple[float, float, float], seed: int
+) -> tuple[Bundle, ...]:
+    """The scenes of one part, in their original order: all are sorted by a hash of inputs and seed, and divided.
+
+    Scenes of the same contact on several sensors, and the fingers of a grasp, stay together.
+
+    Raises:
+        UserError: an unknown part, fractions that do not add up to 1, or no scene in the part.
+    """
+    if split == "all":
+        return tuple(scenes)
+    if split not in SPLITS:
+        raise UserError(f"split {split!r}: must be all, {', '.join(SPLITS)}")
+    chosen = [i for i, part in enumerate(assigned(scenes, fractions, seed)) if part == split]
+    if not chosen:
+        raise UserError(f"split {split!r}: holds none of {len(scenes)} scenes")
+    return tuple(scenes[i] for i in chosen)
+
+
+def assigned(scenes: Sequence[Bundle], fractions: tuple[float, float, float] = FRACTIONS, seed: int = 0) -> list[str]:
+    """The part of each scene, as `divide` chooses it: train, val or test. If there are few, a part may have none.
+
+    Raises:
+        UserError: fractions that do not add up to 1.
+    """
+    if min(fractions) < 0 or abs(sum(fractions) - 1) > 1e-6:
+        raise UserError(f"fractions {fractions}: must be at least 0 and add up to 1")
+
+    def place(together: list[int]) -> str:
+        i = together[0]
+        return hashlib.sha256(f"{seed} {scenes[i].attrs['input_key']} {i}".encode()).hexdigest()
+
+    order = sorted(contacts(scenes), key=place)
+    ends = [round(len(order) * sum(fractions[: k + 1])) for k in range(3)]
+    parts = [""] * len(scenes)
+    for k, together in enumerate(order):
+        for i in together:
+            parts[i] = SPLITS[sum(k >= end for end in ends[:2])]
+    return parts

@@ -1,0 +1,85 @@
+"""FeelAnyForce: tables of picture, depth and wrench, as read by its TacForceDataset for the GelSight Mini.
+
+    https://github.com/prgumd/FeelAnyForce (dataset.py, record_deForce.py, training_multi_head.py)
+
+`TacForce_train_set.csv`, `TacForce_val_set.csv` and `TacForce_test_set.csv` have the columns
+
+    tactile  `tactile/<scene>_<frame>.png`, RGB, 240 x 320; `tactile_nobg/` has it less the untouched sensor, plus 127
+    depth    `depth/<scene>_<frame>.npy`, float32 (240, 320): indentation in widths of a pixel
+    FT       force [N] and torque [N m] on the object in the sensor's frame, six numbers: Fz is positive in compression
+
+and `tactile/background.png` is the untouched sensor; other units of the sensor follow as background_1.png and on.
+FeelAnyForce joins its option --data_basedir and these paths as they are: give it with a slash at its end, and without
+the word tactile in it, which it replaces by tactile_nobg. It does not state on which body its FT acts, nor its axes.
+"""
+
+import csv
+import io
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from tacgen.bundle.bundle import Bundle
+from tacgen.bundle.image_file import encoded
+from tacgen.bundle.splits import SPLITS, assigned
+from tacgen.errors import UserError
+from tacgen.export import needs
+
+IMAGE = (240, 320, 3)
+MM_PER_M = 1e3
+
+
+def write(bundles: Sequence[Bundle], out: Path) -> list[Path]:
+    """Write the tables and their files. Raises UserError: a scene without rgb or height, or of another image size."""
+    for bundle in bundles:
+        needs(bundle, ("/frames/rgb", "/reference/rgb", "/frames/height", "/reference/height"), "rgb and height")
+        if bundle.shapes["/frames/rgb"][1:] != IMAGE:
+            size = " x ".join(map(str, bundle.shapes["/frames/rgb"][1:3]))
+            raise UserError(f"{bundle.path}: FeelAnyForce takes images of 240 x 320 pixels, these have {size}")
+    for folder in ("tactile", "tactile_nobg", "depth"):
+        (out / folder).mkdir()
+    made, backgrounds = list[Path](), list[bytes]()
+    tables: dict[str, list[tuple[str, str, str]]] = {split: [] for split in SPLITS}
+    for number, (bundle, split) in enumerate(zip(bundles, assigned(bundles), strict=True)):
+        background = encoded(bundle["/reference/rgb"], "PNG")
+        if background not in backgrounds:
+            made.append(out / "tactile" / f"background{f'_{len(backgrounds)}' if backgrounds else ''}.png")
+            made[-1].write_bytes(background)
+            backgrounds.append(background)
+        for k in range(bundle.frames):
+            name = f"{number:05d}_{k:05d}"  # a scene's own name may hold the word tactile
+            made += _frame(bundle, k, out, name)
+            tables[split].append((f"tactile/{name}.png", f"depth/{name}.npy", _wrench(bundle, k)))
+    for split, rows in tables.items():
+        text = io.StringIO()
+        csv.writer(text, lineterminator="\n").writerows([("tactile", "depth", "FT"), *rows])
+        made.append(out / f"TacForce_{split}_set.csv")
+        made[-1].write_text(text.getvalue(), encoding="utf-8")
+    return made
+
+
+def _frame(bundle: Bundle, k: int, out: Path, name: str) -> list[Path]:
+    """The three files of a frame."""
+    image = bundle.frame("/frames/rgb", k)
+    less = np.clip(image.astype(int) - bundle["/reference/rgb"] + 127, 0, 255).astype(np.uint8)
+    made = [out / "tactile" / f"{name}.png", out / "tactile_nobg" / f"{name}.png", out / "depth" / f"{name}.npy"]
+    made[0].write_bytes(encoded(image, "PNG"))
+    made[1].write_bytes(encoded(less, "PNG"))
+    np.save(made[2], depth(bundle, k))
+    return made
+
+
+def depth(bundle: Bundle, k: int) -> np.ndarray:
+    """Indentation behind each pixel (240, 320), positive into the gel, in widths of a pixel on the untouched face."""
+    from scipy.ndimage import zoom
+
+    indentation = np.nan_to_num(bundle["/reference/height"] - bundle.frame("/frames/height", k))
+    factors = [n / m for n, m in zip(IMAGE[:2], indentation.shape, strict=True)]
+    finer = zoom(indentation, factors, order=1, mode="nearest", grid_mode=True)
+    return np.asarray(finer / bundle.sensor.camera.mm_per_px, np.float32)
+
+
+def _wrench(bundle: Bundle, k: int) -> str:
+    force, torque = -bundle["/frames/force"][k], -bundle["/frames/torque"][k] / MM_PER_M
+    return " ".join(f"{value:.6f}" for value in (*force, *torque))

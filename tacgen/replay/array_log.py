@@ -1,0 +1,147 @@
+"""Logs in npz and HDF5 files: arrays with the names of a Layout. Messages of ValueErrors are for people."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from tacgen import regular_file
+from tacgen.recipe import pose_table
+from tacgen.recipe.trajectory import UNIT_TOLERANCE
+from tacgen.replay.contact_log import ORDERS, ContactLog, Conventions
+from tacgen.replay.layouts import LAYOUTS, Force
+
+Array = np.ndarray
+Arrays = dict[str, Array]
+LARGEST = 2**33  # of a file, and of one array [bytes]
+
+
+def archive(path: Path) -> Arrays:
+    """All arrays of an npz file."""
+    with regular_file.opened(path, LARGEST) as content, np.load(content, allow_pickle=False) as file:
+        return {name: file[name] for name in file.files}
+
+
+def hdf5(path: Path, group: str) -> Arrays:
+    """The datasets of one group of an HDF5 file. Raises ValueError: there is no such group."""
+    import h5py
+
+    regular_file.opened(path, LARGEST).close()  # not a pipe
+    with h5py.File(path, "r") as file:
+        if not isinstance(inner := file.get(group), h5py.Group):
+            raise ValueError(f"it has no group {group}; there are: {', '.join(file) or 'none'}")
+        sets = {name: data for name, data in inner.items() if isinstance(data, h5py.Dataset)}
+        if big := [name for name, data in sets.items() if data.nbytes > LARGEST]:
+            raise ValueError(f"{big[0]} is larger than {LARGEST >> 30} GB")
+        return {
+            name: np.asarray(data.asstr()[()] if data.dtype.kind == "O" else data[()]) for name, data in sets.items()
+        }
+
+
+def log_of(name: str, arrays: Arrays, how: Conventions, environment: int | None) -> ContactLog:
+    """The log in the arrays of a file, or that of one environment.
+
+    Raises:
+        ValueError: an array is missing, is of no numbers or of another shape; nothing says the unit of lengths or the
+            order of quaternions.
+    """
+    layout = LAYOUTS[how.layout]
+    fitting = [name for name, other in LAYOUTS.items() if other.names_of_object(arrays)]
+    if how.layout not in fitting:
+        wanted = " and ".join(names[0] for names in (layout.position, layout.rotation) if names) or layout.pose[0]
+        hint = f"its arrays are those of --from {fitting[0]}" if fitting else f"--from {how.layout} reads these"
+        raise ValueError(f"has no array {wanted} (it has: {', '.join(arrays)}); {hint}")
+    order = _said("quaternion", how.quaternion, arrays, layout.quaternion, tuple(ORDERS))
+    scale = pose_table.MM[_said("units", how.units, arrays, layout.units, tuple(pose_table.MM))]
+    if "time" not in arrays:
+        raise ValueError(f"has no array time [s] (it has: {', '.join(arrays)})")
+    if arrays["time"].dtype.kind not in "fiu":
+        raise ValueError("time holds no numbers")
+    time = np.asarray(arrays["time"], float).ravel()
+    if len(time) < 1 or not (np.diff(time) > 0).all():
+        raise ValueError("time must increase from row to row")
+
+    def rows(name: str, width: int) -> Array:
+        return _rows(name, arrays[name], len(time), width, environment)
+
+    def poses(whole: str, position: str, rotation: str) -> Array:
+        if whole:
+            both = rows(whole, 7)
+            return _poses(whole, both[:, :3] * scale, both[:, 3:7], order)
+        return _poses(rotation, rows(position, 3) * scale, rows(rotation, 4), order)
+
+    body = poses(*layout.names_of_object(arrays))
+    of_sensor = layout.names_of_sensor(arrays)
+    if not of_sensor and (half := [name for name in layout.half_of_sensor if name in arrays]):
+        raise ValueError(f"has {half[0]} without {' or '.join(n for n in layout.half_of_sensor if n != half[0])}")
+    sensor = poses(*of_sensor) if of_sensor else None
+    known = next((force for force in layout.forces if force.name in arrays), None)
+    force = None if known is None else _force(known, arrays, rows)
+    friction = known is None or known.total or known.friction in arrays
+    name = name if environment is None else f"{name}-env-{environment}"
+    return ContactLog(name, np.arange(len(time)), time, body, sensor, force, friction)
+
+
+def _force(known: Force, arrays: Arrays, rows: Callable[[str, int], Array]) -> Array:
+    """The force (n, 3) [N], with friction if that is an array of its own."""
+    force = rows(known.name, 3)
+    if known.friction in arrays:
+        if arrays[known.friction].shape != arrays[known.name].shape:
+            raise ValueError(f"{known.friction} has another shape than {known.name}: record both for the same body")
+        force = force + np.nan_to_num(rows(known.friction, 3))  # nan where nothing touches
+    if not np.isfinite(force).all():
+        raise ValueError(f"{known.name} must be numbers, and is not in row {_first(~np.isfinite(force))}")
+    return force
+
+
+def _said(what: str, option: str, arrays: Arrays, usual: str, known: tuple[str, ...]) -> str:
+    """A convention by the option, the file's own entry, or the layout."""
+    own = str(arrays[what].item()) if what in arrays and arrays[what].ndim == 0 else ""
+    if own and own not in known:
+        raise ValueError(f"its {what} is {own!r}, and must be one of {', '.join(known)}")
+    if own and option and own != option:
+        raise ValueError(f"its {what} is {own}: leave --{what} {option} out")
+    if not (found := option or own or usual):
+        missing = {"quaternion": "the order of its quaternions", "units": "the unit of its lengths"}[what]
+        raise ValueError(f"does not say {missing}: give --{what} {' or '.join(known)}")
+    return found
+
+
+def _rows(name: str, array: Array, count: int, width: int, environment: int | None) -> Array:
+    """An array (rows, width) of one environment out of (rows, environments, bodies, ..., width)."""
+    if array.dtype.kind not in "fiu":
+        raise ValueError(f"{name} holds no numbers")
+    if array.ndim < 2 or len(array) != count or array.shape[-1] < width:
+        raise ValueError(f"{name} has the shape {array.shape}: expected ({count}, ..., {width}), a row for each time")
+    if array.ndim > 2:
+        here = 0 if environment is None else environment
+        if environment is None and array.shape[1] > 1:
+            raise ValueError(f"{name} holds {array.shape[1]} environments: choose some with --env, from 0")
+        if here >= array.shape[1]:
+            raise ValueError(f"{name} holds {array.shape[1]} environments, and no --env {here}: count from 0")
+        array = array[:, here]
+    if any(size > 1 for size in array.shape[1:-1]):
+        raise ValueError(
+            f"{name} has the shape {array.shape} without environments: record one body and one counterpart"
+        )
+    return np.asarray(array.reshape(count, -1)[:, : array.shape[-1]], float)
+
+
+def _poses(name: str, position: Array, quaternion: Array, order: str) -> Array:
+    from scipy.spatial.transform import Rotation
+
+    length = np.linalg.norm(quaternion, axis=1)
+    wrong = ~(np.isfinite(position).all(1) & (np.abs(length - 1) <= UNIT_TOLERANCE))
+    if wrong.any():
+        row = _first(wrong)
+        raise ValueError(
+            f"{name}: row {row}: a pose needs numbers and a quaternion of length 1 (got {length[row]:.4g})"
+        )
+    poses = np.tile(np.eye(4), (len(position), 1, 1))
+    poses[:, :3, :3] = Rotation.from_quat(quaternion[:, ORDERS[order]], scalar_first=True).as_matrix()
+    poses[:, :3, 3] = position
+    return poses
+
+
+def _first(wrong: Array) -> int:
+    return int(np.flatnonzero(wrong.reshape(len(wrong), -1).any(1))[0])

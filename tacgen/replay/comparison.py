@@ -1,0 +1,189 @@
+"""Forces of another simulator beside tacgen's on the same frames: a table, a summary, a figure.
+
+All forces are on the gel, in the sensor's frame: x right and y down in the image, z out of the gel. The normal force is
+-z, positive in compression.
+"""
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tacgen.bundle.bundle import Bundle
+from tacgen.recipe import pose_table
+from tacgen.recipe.trajectory import Placement
+from tacgen.replay.contact_log import ContactLog
+
+Array = np.ndarray
+STD = "/frames/uncertainty/force"
+TOUCHED = 1e-3  # smallest force that counts as contact [N]
+HALF_90 = 1.645  # half the 90 % interval of a normal distribution over its standard deviation [-]
+FILES = ("forces.csv", "forces.txt", "forces.png")
+ROWS = 12  # frames of a log that are printed
+AXES = "xyz"
+
+
+@dataclass(frozen=True)
+class Compared:
+    """The n frames of a log that tacgen solved; forces (n, 3) [N]."""
+
+    log: ContactLog  # the rows of these frames
+    scene: str
+    reason: str  # why frames are missing, or ""
+    ours: Array
+    torque: Array  # (n, 3) on the gel about the sensor's origin, by tacgen [N mm]
+    std: Array | None  # standard deviation of `ours`
+    theirs: Array | None  # None: the log has no force
+
+    @property
+    def contact(self) -> Array:
+        """Whether either of the two has contact: (n,) booleans."""
+        size = np.linalg.norm(self.ours, axis=1)
+        other = size if self.theirs is None else np.linalg.norm(self.theirs, axis=1)
+        return np.asarray(np.maximum(size, other) > TOUCHED)
+
+    def summary(self) -> dict[str, Any]:
+        """Largest forces and errors as JSON values; errors are the simulator's force less tacgen's."""
+        found: dict[str, Any] = {
+            "log": self.log.name, "scene": self.scene, "frames": len(self.ours), "in_contact": int(self.contact.sum()),
+            "reason": self.reason,
+        }  # fmt: skip
+        if not len(self.ours):
+            return found
+        peak = int(np.argmin(self.ours[:, 2]))
+        std = None if self.std is None else self.std[peak]
+        found["normal"] = {"ours_n": -float(self.ours[peak, 2]), "std_n": None if std is None else float(std[2])}
+        side = int(np.argmax(shear := np.linalg.norm(self.ours[:, :2], axis=1)))
+        found["tangential"] = {"ours_n": float(shear[side])}
+        if self.theirs is not None:
+            found["normal"] |= {"theirs_n": -float(self.theirs[peak, 2]), **_errors(self.ours, self.theirs, [2])}
+            if self.log.friction:
+                theirs = float(np.linalg.norm(self.theirs[side, :2]))
+                found["tangential"] |= {"theirs_n": theirs, **_errors(self.ours, self.theirs, [0, 1])}
+            if self.std is not None:
+                off, sure = np.abs(self.theirs - self.ours)[:, 2], HALF_90 * self.std[:, 2]
+                found["inside_90"] = float((off <= sure)[self.contact].mean()) if self.contact.any() else None
+        return found
+
+
+def _errors(ours: Array, theirs: Array, axes: list[int]) -> dict[str, float | None]:
+    """Root mean square of the error over frames, and its ratio to that of our force."""
+    error = float(np.sqrt(((theirs - ours)[:, axes] ** 2).sum(1).mean()))
+    size = float(np.sqrt((ours[:, axes] ** 2).sum(1).mean()))
+    return {"rms_error_n": error, "relative": error / size if size > TOUCHED else None}
+
+
+def compare(log: ContactLog, bundle: Bundle, sensor_pose: Placement) -> Compared:
+    """The frames of a bundle beside the rows of the log that it replays, one for each."""
+    done = log.some(np.arange(bundle.frames))
+    theirs = None
+    if done.force is not None:
+        mount = pose_table.matrices([sensor_pose.position_mm], [sensor_pose.quaternion])
+        turned = (mount if done.sensor is None else done.sensor @ mount)[:, :3, :3]
+        theirs = np.einsum("nji,nj->ni", np.broadcast_to(turned, (len(done), 3, 3)), done.force)
+    force, torque = bundle["/frames/force"], bundle["/frames/torque"]
+    std = bundle[STD] if STD in bundle.shapes else None
+    return Compared(done, bundle.path.stem, str(bundle.attrs["reason"]), force, torque, std, theirs)
+
+
+def table(found: Sequence[Compared]) -> str:
+    """CSV: a line for each frame of all logs, forces in the sensor's frame."""
+    out = io.StringIO()
+    lines = csv.writer(out, lineterminator="\n")
+    groups = ("force", "std", "simulator", "error")
+    named = [f"{group}_{axis}_n" for group in groups for axis in AXES]
+    lines.writerow(["log", "scene", "frame", "row", "time_s", *named, *(f"torque_{axis}_nmm" for axis in AXES)])
+    for one in found:
+        nothing = np.full((len(one.ours), 3), np.nan)
+        std, theirs = (nothing if part is None else part for part in (one.std, one.theirs))
+        numbers = np.hstack([one.ours, std, theirs, theirs - one.ours, one.torque])
+        for k, values in enumerate(numbers.tolist()):
+            cells = ["" if value != value else f"{value:.6g}" for value in values]  # nan: not known
+            lines.writerow([one.log.name, one.scene, k, int(one.log.row[k]), f"{one.log.time[k]:.9g}", *cells])
+    return out.getvalue()
+
+
+def text(found: Sequence[Compared]) -> str:
+    """The summary of all logs, and of a single one its frames, for a terminal."""
+    lines = ["normal force [N]: where tacgen's is largest, and the root mean square of the error over the frames"]
+    rows = [["log", "frames", "contact", "tacgen", "simulator", "error", "rms error", "of tacgen's rms"]]
+    rows += [_normal(one.summary()) for one in found]
+    lines += _aligned(rows)
+    lines += ["tangential force [N]: the same, in the plane of the gel"]
+    rows = [
+        ["log", "tacgen", "simulator", "error", "rms error", "of tacgen's rms"],
+        *(_side(one.summary()) for one in found),
+    ]
+    lines += _aligned(rows)
+    lines += [f"{one.log.name}: {one.reason}" for one in found if one.reason]
+    if len(found) == 1 and len(found[0].ours):
+        lines += [
+            "frames: forces on the gel [N], x right and y down in the image, z out of the gel",
+            *_frames(found[0]),
+        ]
+    return "\n".join(lines)
+
+
+def _normal(found: dict[str, Any]) -> list[str]:
+    first = [found["log"], str(found["frames"]), str(found["in_contact"])]
+    if "normal" not in found:
+        return [*first, *["-"] * 5]
+    part = found["normal"]
+    return [*first, _with(part["ours_n"], part["std_n"]), *_against(part)]
+
+
+def _side(found: dict[str, Any]) -> list[str]:
+    part = found.get("tangential")
+    return [found["log"], *(["-"] * 5 if part is None else [_with(part["ours_n"], None), *_against(part)])]
+
+
+def _against(part: dict[str, Any]) -> list[str]:
+    if "theirs_n" not in part:
+        return ["-"] * 4
+    ours, theirs, relative = part["ours_n"], part["theirs_n"], part["relative"]
+    off = f"{100 * (theirs / ours - 1):+.1f} %" if ours > TOUCHED else "-"
+    ratio = "-" if relative is None else f"{100 * relative:.1f} %"
+    return [_with(theirs, None), off, _with(part["rms_error_n"], None), ratio]
+
+
+def _with(value: float, std: float | None) -> str:
+    """A force [N] with its standard deviation; one below TOUCHED is rounding or the mesh's."""
+    if value < TOUCHED:
+        return f"< {TOUCHED:g}"
+    return f"{value:.3g}" if std is None else f"{value:.3g} +- {std:.2g}"
+
+
+def _frames(one: Compared) -> list[str]:
+    rows = [["row", "time [s]", "tacgen", "+-", "simulator", "error"]]
+    for k in range(0, len(one.ours), -(-len(one.ours) // ROWS)):
+        theirs = None if one.theirs is None else one.theirs[k]
+        parts = (one.ours[k], None if one.std is None else one.std[k], theirs)
+        error = None if theirs is None else theirs - one.ours[k]
+        rows.append([str(one.log.row[k]), f"{one.log.time[k]:.6g}", *map(_vector, (*parts, error))])
+    return _aligned(rows)
+
+
+def _vector(values: Array | None) -> str:
+    return "-" if values is None else " ".join(f"{value:.3f}" for value in values + 0.0)
+
+
+def _aligned(rows: list[list[str]]) -> list[str]:
+    wide = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return ["  " + "  ".join(cell.rjust(w) for cell, w in zip(row, wide, strict=True)) for row in rows]
+
+
+def write(found: Sequence[Compared], folder: Path) -> list[Path]:
+    """Write FILES into a folder; earlier ones are replaced. Returns their paths."""
+    from tacgen import atomic_file
+    from tacgen.report import force_figure
+
+    lines, words, picture = (folder / name for name in FILES)
+    for path, content in ((lines, table(found)), (words, text(found) + "\n")):
+        atomic_file.write(path, content.encode())
+    drawn = [force_figure.Series(one.log.name, one.ours, one.std, one.theirs, one.log.friction) for one in found]
+    force_figure.draw([one for one in drawn if len(one.ours)], picture)
+    return [lines, words, picture]

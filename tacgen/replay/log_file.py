@@ -1,0 +1,79 @@
+"""Reading of contact logs.
+
+A CSV log is a pose table (see tacgen.recipe.pose_table) with columns of the force; an npz or HDF5 log has arrays with
+the names of a Layout. Both become a ContactLog: mm, s and N, poses in the world frame, the force on the sensor.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from zipfile import BadZipFile
+
+import numpy as np
+
+from tacgen.errors import UserError, why
+from tacgen.recipe import pose_table
+from tacgen.replay import array_log
+from tacgen.replay.contact_log import ContactLog, Conventions
+
+TABLES, ARCHIVES, HDF5 = (".csv", ".txt"), (".npz",), (".h5", ".hdf5")
+
+
+def read(path: Path, how: Conventions, environments: Sequence[int] = ()) -> list[ContactLog]:
+    """Read a log, or one for each of some environments of a simulator that runs many at once.
+
+    Raises:
+        UserError: the file cannot be read, lacks an array, or does not say its units or the order of its quaternions.
+    """
+    suffix = path.suffix.lower()
+    if suffix in TABLES:
+        if how.quaternion or environments:
+            raise UserError(
+                f"{path}: is a table, whose columns qw, qx, qy, qz are named: leave --quaternion and --env out"
+            )
+        return [_oriented(_of_table(path, how), how)]
+    if suffix not in (*ARCHIVES, *HDF5):
+        raise UserError(f"{path}: is no log: it must be {', '.join((*TABLES, *ARCHIVES, *HDF5))}")
+    try:
+        arrays = array_log.archive(path) if suffix in ARCHIVES else array_log.hdf5(path, how.group)
+    except (OSError, ValueError, KeyError, BadZipFile) as error:
+        raise UserError(f"{path}: cannot be read: {why(error)}") from None
+    many: Sequence[int | None] = environments or [None]
+    try:
+        return [_oriented(array_log.log_of(path.stem, arrays, how, each), how) for each in many]
+    except ValueError as error:
+        raise UserError(f"{path}: {error}") from None
+
+
+def _of_table(path: Path, how: Conventions) -> ContactLog:
+    try:
+        rows = pose_table.read(path, how.units or None, how.columns).poses
+    except UserError as error:
+        raise UserError(f"{path}: {line}" for line in error.lines) from None
+    sensors = [row.sensor for row in rows if row.sensor is not None]
+    forces = [row.force for row in rows if row.force is not None]
+    found = ContactLog(
+        path.stem,
+        np.arange(len(rows)),
+        np.array([row.time for row in rows]),
+        np.array([row.pose for row in rows]),
+        np.array(sensors) if sensors else None,
+        np.array(forces) if forces else None,
+        True,
+    )
+    if found.force is not None and not np.isfinite(found.force).all():
+        line = rows[int(np.flatnonzero(~np.isfinite(found.force).all(1))[0])].line
+        raise UserError(f"{path}: line {line}: the force must be numbers")
+    return found
+
+
+def _oriented(log: ContactLog, how: Conventions) -> ContactLog:
+    """A log with its force on the sensor, in the world frame."""
+    if log.force is None:
+        return log
+    force = -log.force if how.force_on == "object" else log.force
+    if how.force_frame == "sensor":
+        if log.sensor is None:
+            raise UserError(f"{log.name}: --force-frame sensor: the log has no pose of the sensor to turn forces by")
+        force = np.einsum("nij,nj->ni", log.sensor[:, :3, :3], force)
+    return replace(log, force=force)

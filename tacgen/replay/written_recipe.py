@@ -1,0 +1,66 @@
+"""The files that replay logs: a table of poses for each, and a recipe that `tacgen run` takes."""
+
+import json
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tacgen import atomic_file, output_file, regular_file
+from tacgen.replay import comparison
+from tacgen.replay.contact_log import ContactLog
+
+Array = np.ndarray
+RECIPE = "recipe.yaml"
+LARGEST = 2**28  # of the files that an earlier call wrote [bytes]
+TITLES = ("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
+
+
+def table(log: ContactLog) -> str:
+    """The rows of a log as a table of poses."""
+    from scipy.spatial.transform import Rotation
+
+    def columns(poses: Array) -> Array:
+        return np.hstack([poses[:, :3, 3], Rotation.from_matrix(poses[:, :3, :3]).as_quat(scalar_first=True)])
+
+    titles, parts = [*TITLES], [columns(log.body)]
+    if log.sensor is not None:
+        titles += [f"sensor_{title}" for title in TITLES]
+        parts.append(columns(log.sensor))
+    if log.force is not None:
+        titles += [f"force_{axis}_n" for axis in "xyz"]
+        parts.append(log.force)
+    lines = [f"# {log.name}: poses in the world frame, force on the sensor", ",".join(["row", "time_s", *titles])]
+    for row, time, values in zip(log.row.tolist(), log.time.tolist(), np.hstack(parts).tolist(), strict=True):
+        lines.append(",".join(map(repr, (row, time, *values))))
+    return "\n".join(lines) + "\n"
+
+
+def text(base: str, sets: Sequence[str], move: dict[str, Any], tables: list[str], more: dict[str, Any]) -> str:
+    """The text of a recipe that replays tables, each in a scene of its own."""
+    overrides = "".join(f" --set {shlex.quote(' '.join(text.split()))}" for text in sets)
+    vary = {"method": "grid", "over": {"trajectory[0].replay.file": {"choice": tables}}} if len(tables) > 1 else None
+    keys = {"trajectory": [{"replay": {"file": tables[0], **move}}], **more}
+    lines = [f"# tacgen run {RECIPE} -o OTHER_FOLDER{overrides}", f"extends: {json.dumps(base)}"]
+    lines += [f"{key}: {json.dumps(value)}" for key, value in {**keys, "vary": vary}.items()]
+    return "\n".join(lines) + "\n"
+
+
+def write(files: dict[str, str], out: Path, inputs: Sequence[Path], overwrite: bool) -> None:
+    """Write text files into a folder.
+
+    Raises:
+        UserError: one is there with other contents and no `overwrite`, or is one of `inputs`; in a folder of something
+            else, a file has the name of a result.
+    """
+    if not (out / RECIPE).exists():
+        for name in comparison.FILES:
+            output_file.refuse(out / name, overwrite=overwrite)
+    out.mkdir(parents=True, exist_ok=True)
+    for name, text in files.items():
+        if not (out / name).is_file() or regular_file.read_bytes(out / name, LARGEST) != text.encode():
+            output_file.refuse(out / name, inputs, overwrite=overwrite)
+    for name, text in files.items():
+        atomic_file.write(out / name, text.encode())

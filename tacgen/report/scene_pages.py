@@ -1,0 +1,151 @@
+"""Pages of a data set's scenes: one page a scene, and a list of them with filters and jumps to telling frames."""
+
+from collections.abc import Iterable, Sequence
+from html import escape
+from pathlib import Path
+from urllib.parse import quote
+
+from tacgen import output_file
+from tacgen.bundle.bundle import Bundle
+from tacgen.bundle.caption import indenter_text, sensor_text
+from tacgen.bundle.force_error import force_error
+from tacgen.errors import UserError
+from tacgen.report import dataset_summary, viewer
+from tacgen.report.dataset_summary import Overview, SceneOverview, spread
+from tacgen.report.sheet import counted, short
+
+MAX_PAGES = 200  # scenes with a page; of more, all that are rejected first, and others evenly spread
+STYLE = """*{box-sizing:border-box}
+body{font:13px/1.4 system-ui,sans-serif;margin:0;color:#222;display:flex;height:100vh}
+nav{width:24em;overflow:auto;padding:.6em;border-right:1px solid #ccc;flex:none}iframe{flex:1;border:0}
+h1{font-size:1.1em;margin:.2em 0}label{display:block;margin:.2em 0}input,select{font:inherit;max-width:14em}
+ol{list-style:none;padding:0}li{padding:.4em .2em;border-top:1px solid #ddd}
+li.on{background:#eef4fa}a{margin-right:.8em}
+.rejected b{color:#b00000}.why{color:#b00000}"""
+POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; frame-src file: http: https:"
+SCRIPT = """"use strict";
+const all = [...document.querySelectorAll("li")], by = (id) => document.getElementById(id);
+function filter() {
+  const words = by("words").value.toLowerCase().split(/\\s+/), state = by("state").value;
+  const least = +by("least").value || 0;
+  let n = 0;
+  for (const item of all) {
+    const { words: said, state: its, peak } = item.dataset;
+    const fits = (!state || its === state) && (!least || +peak >= least);
+    item.hidden = !(fits && words.every((word) => said.includes(word)));
+    n += !item.hidden;
+  }
+  by("count").textContent = `${n} of ${all.length}`;
+}
+function sort() {
+  const key = by("order").value, list = document.querySelector("ol");
+  const order = { plan: (a, b) => a.dataset.index - b.dataset.index, force: (a, b) => b.dataset.peak - a.dataset.peak };
+  list.append(...[...all].sort(order[key]));
+}
+for (const id of ["words", "state", "least"]) by(id).oninput = filter;
+by("order").oninput = sort;
+document.querySelector("ol").onclick = (event) => {
+  if (event.target.tagName !== "A") return;
+  for (const item of all) item.classList.toggle("on", item.contains(event.target));
+};
+filter();
+document.querySelector("li a")?.click();
+"""
+
+
+def write_pages(bundles: Iterable[Bundle], page: Path, *, in_3d: bool) -> dict[str, str]:
+    """Write a page of each bundle with frames into a folder beside `page`, named after it.
+
+    Returns:
+        scene -> link from `page` to its page.
+
+    Raises:
+        UserError: a file that tacgen did not write has the name of a page.
+        OSError: a page cannot be written.
+    """
+    folder = page.with_name(f"{page.stem}_scenes")
+    links = {}
+    for bundle in bundles:
+        if not bundle.frames:
+            continue
+        name = name_of(bundle)
+        with output_file.written(folder / f"{name}.html") as new:
+            new.write_bytes(output_file.signed(viewer.page([bundle], in_3d=in_3d)))
+        links[name] = f"{quote(folder.name)}/{quote(name)}.html"
+    return links
+
+
+def name_of(bundle: Bundle) -> str:
+    """The name of a bundle's scene, in a shard too."""
+    return bundle.path.stem if bundle.group == "/" else bundle.group.strip("/")
+
+
+def write(folder: Path, out: Path, real_out: Path) -> int:
+    """Write the list of a folder's scenes, which has the name `real_out` in the end, and their pages.
+
+    Returns:
+        the number of scenes without a page, because there are too many.
+
+    Raises:
+        UserError: no scene of the folder has frames.
+    """
+    seen = dataset_summary.look(folder)
+    chosen = _chosen([scene for scene in seen.scenes if scene.bundle is not None and scene.bundle.frames])
+    if not chosen:
+        raise UserError(f"{folder}: no scene has frames to show")
+    links = write_pages([scene.bundle for scene in chosen if scene.bundle], real_out, in_3d=True)
+    left = len(seen.scenes) - len(chosen)
+    out.write_bytes(output_file.signed(_page(seen, chosen, links, left)))
+    return left
+
+
+def _chosen(scenes: Sequence[SceneOverview]) -> list[SceneOverview]:
+    """At most MAX_PAGES scenes in their order: the rejected ones, then others evenly spread."""
+    odd = [scene for scene in scenes if scene.state != "ok"][:MAX_PAGES]
+    good = [scene for scene in scenes if scene.state == "ok"]
+    count = min(len(good), MAX_PAGES - len(odd))
+    kept = {id(scene) for scene in [*odd, *(good[i * len(good) // count] for i in range(count))]}
+    return [scene for scene in scenes if id(scene) in kept]
+
+
+def _page(seen: Overview, scenes: Sequence[SceneOverview], links: dict[str, str], left: int) -> str:
+    title = escape(f"{seen.name}: {counted(len(seen.scenes), 'scene')}")
+    names = short(seen.varied)
+    items = "".join(_item(i, scene, links, names) for i, scene in enumerate(scenes))
+    states = "".join(f"<option>{state}</option>" for state in dict.fromkeys(scene.state for scene in scenes))
+    more = (
+        f"<p>{counted(left, 'scene')} without frames, or left out: at most {MAX_PAGES} have pages.</p>" if left else ""
+    )
+    filters = (
+        '<label>words <input id=words type=search placeholder="sphere digit"></label>'
+        f'<label>state <select id=state><option value="">all</option>{states}</select></label>'
+        "<label>force at least <input id=least type=number min=0 step=0.1 style='width:5em'> N</label>"
+        "<label>order <select id=order><option value=plan>of the plan</option>"
+        "<option value=force>largest force</option></select></label><p id=count></p>"
+    )
+    head = f'<meta charset="utf-8"><meta http-equiv="Content-Security-Policy" content="{POLICY}"><title>{title}</title>'
+    body = f"<nav><h1>{title}</h1>{filters}{more}<ol>{items}</ol></nav><iframe name=scene title=scene></iframe>"
+    head += f"<style>{STYLE}</style>"
+    return f"<!doctype html><html lang=en><head>{head}</head><body>{body}<script>{SCRIPT}</script></body></html>"
+
+
+def _item(index: int, scene: SceneOverview, links: dict[str, str], names: dict[str, str]) -> str:
+    """One scene of the list: its name, what it is, and links to its telling frames."""
+    bundle = scene.bundle
+    assert bundle is not None
+    link, about = links[name_of(bundle)], f"{indenter_text(bundle)}, on {sensor_text(bundle)}"
+    values = ", ".join(f"{names[path]} {spread([value])}" for path, value in scene.values.items())
+    jumps = "".join(
+        f'<a target=scene href="{link}#frame={frame}">{escape(what)} ({frame})</a>'
+        for what, frame in viewer.marks(bundle).items()
+    )
+    error = force_error(bundle)
+    peak = "" if scene.peak_n is None else f"{scene.peak_n:.3g} N"
+    if error and (largest := viewer.marks(bundle).get(viewer.LARGEST)) is not None:
+        peak = f"{peak} {error.text(largest)}"
+    why = f"<div class=why>{escape(scene.reason)}</div>" if scene.reason else ""
+    words = f"{scene.name} {about} {values} {scene.reason}".lower()
+    data = f'data-index={index} data-state="{scene.state}" data-peak="{scene.peak_n or 0:.6g}"'
+    first = f'<a target=scene href="{link}"><b>{escape(scene.name)}</b></a>'
+    text = f"{first}{peak}<div>{escape(about)}</div><div>{escape(values)}</div>{why}{jumps}"
+    return f'<li class="{scene.state}" {data} data-words="{escape(words)}">{text}</li>'

@@ -1,0 +1,125 @@
+"""A sensor of one's own: copied from a shipped one, changed, looked at."""
+
+import json
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from tacgen import cli
+from tacgen.recipe import assets, loading, plan
+from tacgen.sensor.usual_values import assumed
+
+
+def tacgen_(*words: str):
+    return CliRunner().invoke(cli.app, list(words))
+
+
+@pytest.mark.parametrize("name", assets.list_sensors())
+def test_a_copy_of_every_shipped_sensor_is_that_sensor(name: str, tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    done = tacgen_("init", "--sensor", str(path), "--from", name)
+    assert done.exit_code == 0, done.stderr
+    mine, _ = loading.read_sensor(path)
+    theirs, _ = loading.read_sensor(assets.sensor_path(name))
+    assert (mine.name, mine.base, assumed(mine)) == ("mine", name, [])
+    assert mine.model_copy(update={"name": name, "base": None}) == theirs
+    assert "#" in path.read_text().split("\n", 3)[1], "comments are kept"
+
+
+def test_numbers_that_differ_from_the_copied_file_are_assumed(tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    tacgen_("init", "--sensor", str(path), "--from", "gelsight_mini")
+    text = path.read_text().replace("youngs_modulus_mpa: 0.432", "youngs_modulus_mpa: 0.2")
+    path.write_text(text.replace("diameter_mm: 0.74", "diameter_mm: 0.7").replace("7 x 9 grid,", "our print,"))
+    mine, _ = loading.read_sensor(path)
+    assert assumed(mine) == ["gel.layers[0]: assumed: youngs_modulus_mpa; the rest as in gelsight_mini"]
+    assert mine.markers is not None
+    assert mine.markers.source.startswith("our print"), "a source of one's own stays"
+    said = tacgen_("validate", str(path)).stdout
+    assert "note: gel.layers[0]: assumed: youngs_modulus_mpa; the rest as in gelsight_mini\n" in said
+    shown = tacgen_("sensor", "show", str(path)).stdout
+    assert "gel.layers[0]: assumed: youngs_modulus_mpa" in shown
+    assert "youngs_modulus_mpa  0.2 MPa\n" in shown
+    recipe = tmp_path / "r.yaml"
+    recipe.write_text("extends: quickstart\nsensor: mine.yaml\n")
+    (row,) = plan.load(recipe).rows
+    assert row.sensor_document()["gel"]["layers"][0]["source"].startswith("assumed: ")
+
+
+def test_a_base_that_is_no_shipped_sensor_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    tacgen_("init", "--sensor", str(path), "--from", "digit")
+    path.write_text(path.read_text().replace("base: digit", "base: digitt"))
+    done = tacgen_("validate", str(path))
+    assert done.exit_code == 2
+    assert "base: no shipped sensor is called 'digitt', did you mean digit?" in done.stderr
+
+
+@pytest.mark.parametrize("name", ["batch", "replay"])
+def test_a_copied_recipe_brings_what_it_names(name: str, tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    done = tacgen_("init", str(path), "--from", name)
+    assert done.exit_code == 0, done.stderr
+    assert len(plan.load(path).rows) == len(plan.load(assets.recipe_path(name)).rows)
+
+
+def test_show_has_every_number_with_its_unit_and_source() -> None:
+    found = json.loads(tacgen_("sensor", "show", "gelsight_mini", "--json").stdout)
+    rows = {row["path"]: row for row in found["values"]}
+    sensor, _ = loading.read_sensor(assets.sensor_path("gelsight_mini"))
+    assert rows["gel.width_mm"] == {
+        "path": "gel.width_mm", "value": 25.25, "unit": "mm", "source": sensor.gel.source, "default": False,
+    }  # fmt: skip
+    assert rows["camera.mm_per_px"]["unit"] == "mm/px"
+    assert rows["leds[1].radiance"]["value"] == list(sensor.leds[1].radiance if sensor.leds else ())
+    assert rows["leds[0].power"]["default"]
+    assert "camera.noise.read" in rows
+    assert not [path for path in rows if path.endswith("source")]
+
+
+def test_show_prints_the_file_itself() -> None:
+    assert tacgen_("sensor", "show", "digit", "--yaml").stdout == assets.sensor_path("digit").read_text()
+    assert tacgen_("sensor", "show", "digits").stderr == "no sensor is called 'digits'; did you mean digit?\n"
+
+
+def test_a_picture_that_is_larger_than_the_pad_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "mine.yaml"
+    tacgen_("init", "--sensor", str(path), "--from", "gelsight_mini")
+    assert tacgen_("validate", str(path)).stderr == ""
+    path.write_text(path.read_text().replace("width_px: 320", "width_px: 500"))
+    said = tacgen_("validate", str(path)).stderr
+    assert "camera.mm_per_px: the picture shows 31.7 x 15.2 mm, which is not all on the pad of 25.25 x 20.75 mm" in said
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "meant"),
+    [
+        ("trajectory[0].press.depth_mm", "0.001", "1 mm"),
+        ("trajectory[1].slide.x_mm", "0.0015", "1.5 mm"),
+        ("indenter", "{shape: cylinder, radius_mm: 3, fillet_mm: 0.0005}", "0.5 mm"),
+    ],
+)
+def test_lengths_in_metres_are_told(key: str, value: str, meant: str) -> None:
+    (line,) = plan.load(assets.recipe_path("quickstart"), [f"{key}={value}"]).warnings
+    assert line.endswith(f" mm is very small; lengths are in mm: {meant} if it is in m?")
+
+
+def test_a_radius_in_metres_is_told_in_the_error() -> None:
+    said = tacgen_("validate", "quickstart", "--set", "indenter.radius_mm=0.003").stderr
+    assert "lengths are in mm: 3 mm if it is in m?" in said
+    assert "edge_mm" not in said
+
+
+def test_drawn_depths_in_metres_are_told_once(tmp_path: Path) -> None:
+    over = "'trajectory[0].press.depth_mm': {uniform: [0.0005, 0.001]}"
+    (tmp_path / "r.yaml").write_text(f"extends: quickstart\nname: r\nvary: {{samples: 4, over: {{{over}}}}}\n")
+    (line,) = plan.load(tmp_path / "r.yaml").warnings
+    assert "scene-00000: trajectory[0].press.depth_mm: " in line
+    assert line.endswith("(and 3 more scenes)")
+
+
+def test_usual_recipes_have_no_such_warning() -> None:
+    for name in assets.list_recipes():
+        told = plan.load(assets.recipe_path(name), [], (0, 7)).warnings
+        assert not [line for line in told if "very small" in line], name

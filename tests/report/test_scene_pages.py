@@ -1,0 +1,80 @@
+"""A folder in the viewer: a list of its scenes with filters, a page of each, and links to telling frames."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.synthetic import write
+from typer.testing import CliRunner
+
+from tacgen import cli
+from tacgen.bundle.bundle import read
+from tacgen.report import scene_pages, viewer
+from tacgen.report.field_figure import FIELDS
+
+
+def tacgen_(*words: str):
+    return CliRunner().invoke(cli.app, list(words))
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "data").mkdir()
+    write(tmp_path / "data/scene-00000.h5")
+    write(tmp_path / "data/scene-00001.h5", stop=3)
+    return tmp_path / "data"
+
+
+def test_a_folder_is_a_list_with_a_page_of_each_scene(folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "list.html"
+    done = tacgen_("view", str(folder), "-o", str(out))
+    assert (done.exit_code, done.stdout) == (0, f"{out}\n"), done.stderr
+    page = out.read_text()
+    links = re.findall(r'<a target=scene href="([^"#]+)#frame=(\d+)">([^<]+) \(\d+\)</a>', page)
+    found = {(Path(link).stem, what): int(frame) for link, frame, what in links}
+    force = np.linalg.norm(read(folder / "scene-00000.h5")["/frames/force"], axis=1)
+    assert found["scene-00000", "largest force"] == int(force.argmax())
+    assert found["scene-00001", "last before rejection"] == 2
+    assert ("scene-00000", "last before rejection") not in found
+    for link, *_ in links:
+        assert "id=viewed" in (tmp_path / link).read_text()
+    assert 'data-state="rejected"' in page
+    assert tacgen_("view", str(folder), "-o", str(out)).exit_code == 0, "its own pages are replaced"
+
+
+def test_a_page_that_somebody_changed_is_kept(folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "list.html"
+    tacgen_("view", str(folder), "-o", str(out))
+    (tmp_path / "list_scenes/scene-00000.html").write_text("mine")
+    done = tacgen_("view", str(folder), "-o", str(out))
+    assert done.exit_code == 2
+    assert "is there already" in done.stderr
+
+
+def test_pictures_of_a_report_lead_to_the_frame_that_they_show(folder: Path) -> None:
+    assert tacgen_("report", str(folder)).exit_code == 0
+    links = re.findall(r'<a href="([^"#]+)#frame=(\d+)"><img', (folder / "report.html").read_text())
+    assert [Path(link).stem for link, _ in links] == ["scene-00000", "scene-00001"]
+    for link, frame in links:
+        assert int(frame) == viewer.marks(read(folder / f"{Path(link).stem}.h5"))[viewer.LARGEST]
+        assert (folder / link).is_file()
+
+
+def test_of_many_scenes_the_rejected_ones_have_pages_first(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scene_pages, "MAX_PAGES", 1)
+    out = folder.parent / "list.html"
+    done = tacgen_("view", str(folder), "-o", str(out))
+    assert done.stdout == f"{out}: 1 scenes have no page\n"
+    assert [page.name for page in (folder.parent / "list_scenes").iterdir()] == ["scene-00001.html"]
+
+
+def test_show_draws_every_layer_of_the_viewer() -> None:
+    assert {*viewer.NEEDS} <= {*FIELDS}
+
+
+@pytest.mark.parametrize("field", ["camera", "markers", "height"])
+def test_a_layer_is_drawn(field: str, folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "one.png"
+    assert tacgen_("show", str(folder / "scene-00000.h5"), "--field", field, "-o", str(out)).exit_code == 0
+    assert out.stat().st_size > 10_000
