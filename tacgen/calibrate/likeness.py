@@ -65,7 +65,7 @@ class Likeness:
 
     @classmethod
     def over(cls, parts: "Sequence[Likeness]") -> "Likeness":
-        """Of several groups of presses together: medians of the ratios, means of the angles."""
+        """Likeness of several groups of presses together: medians of the ratios, means of the angles."""
         sizes = [len(one.each) for one in parts]
         contrast, direction = (
             np.nanmedian([getattr(one, k) for one in parts], axis=0) for k in ("contrast", "direction")

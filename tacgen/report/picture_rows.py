@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
 
 Array = np.ndarray
 GREY, CONTRAST = 128.0, 2.0  # of the images of changes
@@ -13,6 +12,8 @@ GREY, CONTRAST = 128.0, 2.0  # of the images of changes
 def draw(rows: Sequence[Sequence[tuple[str, Array, Array]]], title: str, out: Path) -> None:
     """Write rows of (title, image, untouched image), (H, W, 3) of 8 bit, with the images at the left and the changes
     against the untouched ones, twice as strong, at the right."""
+    from matplotlib.figure import Figure
+
     count = len(rows[0])
     figure = Figure(figsize=(14, 1.0 + 2.0 * len(rows)), layout="constrained")
     axes = figure.subplots(len(rows), 2 * count, squeeze=False)
