@@ -5,13 +5,18 @@ from pathlib import Path
 
 import numpy as np
 
+from tacgen.report.bundle_figure import save
+
 Array = np.ndarray
 GREY, CONTRAST = 128.0, 2.0  # of the images of changes
 
 
 def draw(rows: Sequence[Sequence[tuple[str, Array, Array]]], title: str, out: Path) -> None:
     """Write rows of (title, image, untouched image), (H, W, 3) of 8 bit, with the images at the left and the changes
-    against the untouched ones, twice as strong, at the right."""
+    against the untouched ones, twice as strong, at the right.
+
+    Raises UserError: the suffix of `out` is not an image format.
+    """
     from matplotlib.figure import Figure
 
     count = len(rows[0])
@@ -27,4 +32,4 @@ def draw(rows: Sequence[Sequence[tuple[str, Array, Array]]], title: str, out: Pa
     for one in axes.ravel():
         one.set_axis_off()
     figure.suptitle(title)
-    figure.savefig(out, dpi=110, format=out.suffix.lstrip(".") or "png")
+    save(figure, out)
