@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from tacgen.cli_common import AsJson, Overwrite, allowed, show_result, written
+from tacgen.errors import UserError
 
 calibrations = typer.Typer(
     no_args_is_help=True, help="Fit a sensor file to your own unit: lights to photographs, gel to forces."
@@ -27,6 +28,12 @@ def optics(
     tolerance_deg: Annotated[float, typer.Option(min=0, max=90, help="Largest rotation of the LEDs [deg].")] = 5.0,
     no_markers: Annotated[bool, typer.Option("--no-markers", help="The photographed gel has no markers.")] = False,
     steps: Annotated[int, typer.Option(min=1, help="Largest number of iterations of the fit.")] = 10,
+    figure: Annotated[
+        Path | None, typer.Option("--figure", help="Draw unseen presses: photographed, and rendered before and after.")
+    ] = None,
+    anyway: Annotated[
+        bool, typer.Option("--anyway", help="Write the file though it is not better on unseen presses.")
+    ] = False,
     overwrite: Overwrite = False,
     as_json: AsJson = False,
 ) -> None:
@@ -34,14 +41,21 @@ def optics(
     from tacgen.calibrate import led_fit as fitting
 
     inputs = [Path(sensor), images]
-    allowed(out, inputs, overwrite)
+    for path in (out, figure):
+        allowed(path, inputs, overwrite)
     fitted = fitting.optics(sensor, images, fitting.FitLimits(tolerance_mm, tolerance_deg, no_markers, steps))
-    lines = list(fitted.lines())
-    if out is not None:
+    lines, problem = list(fitted.lines()), fitted.problem()
+    if figure is not None:
+        with written(figure, inputs, overwrite) as path:
+            fitted.draw(path)
+        lines.append(f"{figure}: unseen presses, photographed and rendered")
+    if out is not None and (anyway or not problem):
         with written(out, inputs, overwrite) as path:
             fitted.write(path)
         lines.append(f"{out}: the sensor file of this unit")
     show_result(fitted.plain(), "\n".join(lines), as_json)
+    if out is not None and problem and not anyway:
+        raise UserError(f"{out}: not written: {problem}; --anyway writes it")
 
 
 @calibrations.command()

@@ -63,7 +63,7 @@ def rows(table: Path, needed: tuple[str, ...], either: tuple[str, ...], wrong: l
     shown = f"(its header: {','.join(header)})"
     missing = [name for name in needed if name not in header]
     if either and not any(name in header for name in either):
-        missing.append(" or ".join(either))
+        missing.append(" or ".join([", ".join(either[:-1]), either[-1]]) if either[1:] else either[0])
     if missing:
         wrong.append(f"{table}: has no column {', '.join(missing)} {shown}")
         return []

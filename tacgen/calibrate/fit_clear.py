@@ -1,327 +1,54 @@
-"""Fit of a sensor with a clear gel: direct light, its reflection in the plate, and interreflection.
+"""Fit of a sensor with a clear gel, with the ridge that suits unseen presses best, and the judgement by those."""
 
-The picture is linear in the LEDs' radiance: for each trial of the other parameters, radiance and stray light follow
-from non-negative least squares. The other parameters vary within their tolerances, with a penalty on the distance from
-the sensor file. Presses are compared by their change against the untouched picture, so that marks on the coating and
-errors of the background do not affect them.
-"""
-
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.optimize import least_squares, nnls
 
 from tacgen.calibrate import contact_circle, press_faces
+from tacgen.calibrate.clear_trials import RIDGES, Tolerance, Trials
 from tacgen.calibrate.likeness import Comparison, Likeness
-from tacgen.calibrate.photos import PhotographedPress, Photos
-from tacgen.calibrate.result import Fitted, rgb, rms
-from tacgen.errors import UserError
-from tacgen.optics import camera_response, coating, strip_light
-from tacgen.optics.camera_view import CameraView, Samples
-from tacgen.optics.direct_light import heights
-from tacgen.optics.housing import bottom_depth, frame
-from tacgen.optics.interreflection import Glow, Radiosity
-from tacgen.optics.shadows import Terrain
-from tacgen.optics.surface_grid import Sheet, Surface, Untouched
-from tacgen.recipe import background_photo
-from tacgen.render import traced_maps
-from tacgen.sensor import optics_checks
-from tacgen.sensor.model import Camera, Led, LitSensor
+from tacgen.calibrate.photos import Photos
+from tacgen.calibrate.result import Fitted
+from tacgen.calibrate.unseen import Unseen, folds
+from tacgen.sensor.model import LitSensor
 from tacgen.sensor.yaml_source import KeyPath
 
 if TYPE_CHECKING:
     from tacgen.calibrate.led_fit import FitLimits
 
-Array = np.ndarray
-SHRINK = 4  # pixels of the photograph per pixel of the fit
-LEAST_WIDTH = 40  # width of the fit's pictures at least [px]
-SHEET = 0.2  # node spacing of the face [mm]
-ALONG, ACROSS = 3.0, 1.5  # largest distance of the points that stand for an LED, along and across it [mm]
-NEAR = 0.97  # contact radii within which a press is compared: there the face is the ball's surface
-REACH = 3.7  # the same for a press of known depth, whose face is solved and right beyond the contact too [mm]
-WEIGHT = 2.0  # weight of a press's pixel over one of the untouched picture
-SOFT = 15.0  # scale of the soft-l1 loss, for marks and dust [counts]
-HOLD = 3.0  # penalty of a parameter at the end of its tolerance [counts]
-BRIGHT = 0.95  # of full scale; brighter pixels are not compared
-STEEPEST = 1500.0  # largest slope of the response, which limits the weight of dark pixels [counts per unit of light]
-PARTS = 6  # parameters of an LED: position, tilt about its length, turn about its upright, log of its length
-CLEAR = 0.02  # smallest distance of LEDs from the housing and the untouched face [mm]
 
-
-@dataclass(frozen=True)
-class Tolerance:
-    """Tolerances of the parameters around the sensor file."""
-
-    mm: float
-    rad: float
-    specular: float = 0.1
-    factor: float = 1.5  # of an LED's length, roughness and vignette
-
-
-@dataclass(frozen=True)
-class Picture:
-    """A photograph at the fit's scale."""
-
-    name: str
-    light: Array  # (pixels, 3), linear, relative to full scale
-    slope: Array  # (pixels, 3) [counts] per unit of light
-    counts: Array  # (pixels,) bool: pixels that are compared
-    face: Surface
-
-
-@dataclass(frozen=True)
-class Looked:
-    """Where the camera's rays meet the face of a picture."""
-
-    view: CameraView
-    at: Samples
-    toward: Array  # unit directions in the gel to the camera, (pixels, 3)
-    passed: Array  # transmission from the gel to the camera, (pixels,)
-    terrain: Terrain
-
-
-def fit(
-    sensor: LitSensor, photos: Photos, held_out: list[int], folders: dict[KeyPath, Path], asked: "FitLimits"
-) -> tuple[Fitted, tuple[Likeness, ...]]:
-    """Fit the radiance and, with presses, the other parameters; also the likeness of held-out presses before and
-    after. `held_out` counts presses from 1."""
+def fit(sensor: LitSensor, photos: Photos, folders: dict[KeyPath, Path], asked: "FitLimits") -> Fitted:
+    """Fit the radiance and, with presses, the other parameters, with the ridge that suits unseen presses best."""
     press_faces.check(sensor, photos)
     tolerance = Tolerance(asked.mm, float(np.radians(asked.deg)) if asked.mm else 0.0)
     if sensor.gel.dome is None:  # on a dome the rim is hidden by the change of shadows
         refined = tuple(contact_circle.refined(press, photos.untouched) for press in photos.presses)
         photos = replace(photos, presses=refined)
     faces = [press_faces.face(sensor, press, folders) for press in photos.presses]
-    fitted = Fit(sensor, photos, faces, tolerance, asked.bare).run(asked.steps, held_out)
-    judges = [k - 1 for k in held_out if photos.presses[k - 1].contact is not None]
-    if not judges or fitted.judged is None:
-        return fitted, ()
-    now = fitted.judged
-    light = {key: getattr(now.camera, key) for key in ("ambient", "vignette_mm", "crop_mm")}
+    trial = Trials(sensor, photos, faces, tolerance, asked.bare)
+    if not (groups := folds(len(photos.presses))):
+        return trial.whole(RIDGES[-1], asked.steps)
+    counts, made = trial.judged(groups, asked.steps)
+    best = int(np.argmin(counts[1:].mean(axis=1)))
+    held_out = [k - 1 for group in groups for k in group]
+    presses, seen = [photos.presses[k] for k in held_out], [faces[k] for k in held_out]
+    fits = [_at_scale(sensor, one) for one in made[best]]
+    alike: tuple[Likeness, Likeness] | None = None
+    if all(press.contact is not None for press in presses):
+        after, done = [], 0
+        for group, one in zip(groups, fits, strict=True):
+            part = slice(done, done := done + len(group))
+            after.append(Comparison(one).likeness(presses[part], seen[part], photos.untouched))
+        alike = Comparison(sensor).likeness(presses, seen, photos.untouched), Likeness.over(after)
+    each = tuple(one for group, one in zip(groups, fits, strict=True) for _ in group)
+    unseen = Unseen(tuple(presses), tuple(seen), each, counts[[0, best + 1]], alike)
+    return replace(trial.whole(RIDGES[best], asked.steps), unseen=unseen)
+
+
+def _at_scale(sensor: LitSensor, fitted: LitSensor) -> LitSensor:
+    """A sensor with the lights, the coating and the camera's fitted values of one at the fit's scale."""
+    light = {key: getattr(fitted.camera, key) for key in ("ambient", "vignette_mm", "crop_mm")}
     eye = sensor.camera.model_copy(update=light)
-    judged = sensor.model_copy(update={"leds": now.leds, "coating": now.coating, "camera": eye})
-    presses, seen = [photos.presses[k] for k in judges], [faces[k] for k in judges]
-    return fitted, tuple(Comparison(one).likeness(presses, seen, photos.untouched) for one in (sensor, judged))
-
-
-def _points(one: tuple[Led, ...]) -> strip_light.StripPoints:
-    """The points that stand for a single LED."""
-    (wide, tall), least = one[0].size_mm, (6, 2)
-    along, across = (max(n, int(np.ceil(size / by)))
-                     for n, size, by in zip(least, (wide, tall), (ALONG, ACROSS), strict=True))  # fmt: skip
-    return strip_light.points(one, along, across)
-
-
-class Fit:
-    """Misfit between photographs and trial sensors."""
-
-    def __init__(
-        self, sensor: LitSensor, photos: Photos, faces: list[Surface], tolerance: Tolerance, bare: bool
-    ) -> None:
-        """`faces`: those of the presses; `bare`: the photographed gel has no markers, whatever the file says."""
-        self.tolerance = tolerance
-        columns = max(min(LEAST_WIDTH, sensor.camera.width_px), sensor.camera.width_px // SHRINK)
-        self.sensor = traced_maps.zoomed(sensor, columns)
-        self.sheet, untouched = Sheet.over(sensor.gel, SHEET), Untouched.of(sensor.gel)
-        self._bounce = Radiosity(self.sensor)
-        sides = np.array([sensor.gel.width_mm, sensor.gel.height_mm]) / 2 + sensor.walls.margin_mm
-        self._room = np.array([*sides, bottom_depth(sensor)]) - CLEAR  # half the housing's sides, and its depth [mm]
-        self._look = lru_cache(64)(self._looked)
-        self._around = lru_cache(4 * len(sensor.leds))(self._bounced)
-        self._column = lru_cache(4 * len(sensor.leds) * (1 + len(faces)))(self._lit)
-        everywhere = np.ones(self.sensor.camera.width_px * self.sensor.camera.height_px, bool)
-        self.pictures = [self._picture("untouched", photos.untouched, everywhere, untouched)]
-        for press, face in zip(photos.presses, faces, strict=True):
-            self.pictures.append(self._picture(press.name, press.picture, self._near(press), face))
-        if not bare and sensor.markers is not None:
-            for number, picture in enumerate(self.pictures):
-                rest = self._look(number, (0.0, 0.0)).at.rest
-                dots = coating.paint(sensor.markers, rest, 3 * self.sensor.camera.mm_per_px)
-                np.logical_and(picture.counts, np.nan_to_num(dots, nan=1.0) == 0, out=picture.counts)
-        empty = [picture.name for picture in self.pictures if not picture.counts.any()]
-        if empty:
-            why = "no pixel can be compared: all are bright, under markers or outside the picture"
-            raise UserError(f"{photos.folder}: {name}: {why}" for name in empty)
-        self._least, self._most, self._start = self._ranges()
-
-    def _picture(self, name: str, picture: Array, counts: Array, face: Surface) -> Picture:
-        eye = self.sensor.camera
-        light = camera_response.linear(picture / 255.0, eye)
-        light = background_photo.shrunk(light, eye.width_px, eye.height_px).reshape(-1, 3)
-        counts = counts & (light < BRIGHT).all(axis=1)
-        return Picture(name, light, np.minimum(255 * camera_response.slope(light, eye), STEEPEST), counts, face)
-
-    def _near(self, press: PhotographedPress) -> Array:
-        eye = self.sensor.camera
-        shrink = press.picture.shape[1] / eye.width_px
-        y, x = np.mgrid[: eye.height_px, : eye.width_px] + 0.5
-        away = np.hypot(x * shrink - press.center[0], y * shrink - press.center[1])
-        solved = press.contact is None or press.depth is not None
-        reach = REACH / eye.mm_per_px * shrink if solved else NEAR * (press.contact or 0.0)
-        return np.asarray((away < reach).ravel())
-
-    def _ranges(self) -> tuple[Array, Array, Array]:
-        """Bounds and start of every parameter: those of the LEDs, then specular weight, roughness, vignette, crop."""
-        t, coat, eye = self.tolerance, self.sensor.coating, self.sensor.camera
-        wide = t.mm > 0
-        longer = float(np.log(t.factor)) * wide
-        led = [*[(-t.mm, t.mm, 0.0)] * 3, *[(-t.rad, t.rad, 0.0)] * 2, (-longer, longer, 0.0)]
-        rest = [
-            (max(0.0, coat.specular - t.specular * wide), min(1.0, coat.specular + t.specular * wide), coat.specular),
-            (coat.roughness / t.factor**wide, min(1.0, coat.roughness * t.factor**wide), coat.roughness),
-            *((r / t.factor**wide, r * t.factor**wide, r) for r in eye.vignette_mm or (1.0, 1.0, 1.0)),
-            *[(-t.mm, t.mm, 0.0)] * 2,
-        ]
-        least, most, start = np.array([*led * len(self.sensor.leds), *rest], dtype=float).T
-        return least, most, start
-
-    def moved(self, led: Led, parts: tuple[float, ...]) -> Led:
-        """An LED changed by PARTS parameters, and moved back if it would leave the housing."""
-        axes = frame(led.normal, led.up)
-        for share in (1.0, 0.75, 0.5, 0.25):
-            *by, tilt, turn, longer = share * np.array(parts)
-            normal = axes[:, 2] * np.cos(tilt) * np.cos(turn) + axes[:, 1] * np.sin(tilt) + axes[:, 0] * np.sin(turn)
-            size = np.minimum([led.size_mm[0] * np.exp(longer), led.size_mm[1]], 2 * self._room[:2].max())
-            reach = np.abs(frame(normal, led.up)[:, :2] * size / 2).sum(axis=1)
-            place = np.clip(np.add(led.center_mm, by), [*(reach[:2] - self._room[:2]), reach[2] - self._room[2]],
-                            [*(self._room[:2] - reach[:2]), -reach[2] - CLEAR])  # fmt: skip
-            numbers = {"center_mm": place, "normal": normal / np.linalg.norm(normal), "size_mm": size}
-            tried = led.model_copy(update={key: tuple(float(c) for c in value) for key, value in numbers.items()})
-            if not optics_checks.wrong_led(self.sensor, tried):  # at a round end or a dome the box is too large
-                return tried
-        return led
-
-    def _looked(self, picture: int, crop: tuple[float, ...]) -> "Looked":
-        eye = self.sensor.camera
-        moved = eye.model_copy(update={"crop_mm": tuple(np.add(eye.crop_mm, crop))})
-        sensor = self.sensor.model_copy(update={"camera": moved})
-        view = CameraView(sensor, self.sheet, False)
-        at = view.look(self.pictures[picture].face)
-        terrain = Terrain.of(heights(self.sheet, at.nodes), self.sheet.size)
-        return Looked(view, at, view.toward_camera(), view.transmission(), terrain)
-
-    def _lit(self, picture: int, led: int, parts: tuple[float, ...], rough: float, crop: tuple[float, ...]) -> Array:
-        """Direct light of one LED of unit radiance on a diffuse white coating and on a specular one, and its
-        interreflection (RGB): (compared pixels, 5)."""
-        seen, here = self._look(picture, crop), self.pictures[picture].counts
-        one = (self.moved(self.sensor.leds[led], parts),)
-        at, normal, toward = (part[here] for part in (seen.at.position, seen.at.normal, seen.toward))
-        slab, panels = strip_light.Slab.of(self.sensor), strip_light.Panels.of(one)
-        lights = _points(one)
-        straight = strip_light.gather(at, normal, toward, lights, 1, slab, panels, rough, seen.terrain)[:, 0]
-        bounced = self._around(led, parts, crop).at(seen.at.normal)[here]
-        return np.column_stack([np.nan_to_num(straight * seen.passed[here, None]), bounced])
-
-    def _bounced(self, led: int, parts: tuple[float, ...], crop: tuple[float, ...]) -> Glow:
-        """Interreflection of one LED of unit radiance, with the coating of the file."""
-        one = self.sensor.model_copy(update={"leds": (self.moved(self.sensor.leds[led], parts),)})
-        added = self._bounce.added(one, _points(one.leds))[:, 0]
-        return self._bounce.glow(added, self._look(0, crop).view)
-
-    def columns(self, v: Array, picture: int) -> Array:
-        """Light in each channel per unit radiance of each LED and of uniform stray light, in red, then green, then
-        blue: (3, compared pixels, 3 (LEDs + 1))."""
-        leds, coat = len(self.sensor.leds), self.sensor.coating
-        parts = [tuple(p) for p in v[: PARTS * leds].reshape(leds, PARTS)]
-        gloss, rough = v[PARTS * leds : PARTS * leds + 2]
-        camera, crop = self._camera(v), tuple(v[-2:])
-        lights = np.array([self._column(picture, k, parts[k], rough, crop) for k in range(leds)])
-        made = [
-            (1 - gloss) * albedo * lights[..., 0] + gloss * coating.METAL * lights[..., 1] + lights[..., 2 + c]
-            for c, albedo in enumerate(coat.albedo)
-        ]
-        fall = camera_response.vignette(camera).reshape(-1, 3)[self.pictures[picture].counts]
-        lit = np.pad(camera.exposure * np.swapaxes(made, 1, 2), ((0, 0), (0, 0), (0, 1)), constant_values=1.0)
-        mixed = np.repeat(camera_response.colours(camera)[..., None], leds + 1, axis=2)
-        mixed[..., -1] = np.eye(3)  # stray light is not mixed by the colour matrix
-        return np.asarray(np.einsum("dnk,cdk,nc->cndk", lit, mixed, fall).reshape(3, len(fall), -1))
-
-    def _camera(self, v: Array) -> Camera:
-        eye, (right, down) = self.sensor.camera, (float(x) for x in v[-2:])
-        moved: dict[str, Any] = {"crop_mm": (eye.crop_mm[0] + right, eye.crop_mm[1] + down)}
-        return eye.model_copy(update=moved | ({"vignette_mm": rgb(v[-5:-2])} if eye.vignette_mm else {}))
-
-    def misfit(self, columns: list[Array], chosen: list[int], lights: Array | None = None) -> tuple[list[Array], Array]:
-        """Misfits [counts] of pictures (pixels, 3 each), the untouched one first, for the best radiances
-        (3, LEDs + 1) of all of them or for given ones; also the radiances."""
-        rows: list[list[Array]] = [[] for _ in range(3)]
-        for k in chosen:
-            picture, first = self.pictures[k], self.pictures[0]
-            here = picture.counts
-            change, wanted = columns[k], picture.light[here]
-            if k:
-                both = here & first.counts
-                own, base = both[here], both[first.counts]
-                change, wanted = columns[k][:, own] - columns[0][:, base], picture.light[both] - first.light[both]
-                here = both
-            for c in range(3):
-                slope = picture.slope[here, c] * (WEIGHT if k else 1.0)
-                rows[c].append(np.column_stack([change[c] * slope[:, None], wanted[:, c] * slope]))
-        if lights is None:
-            stacked = np.concatenate([row for channel in rows for row in channel])
-            lights = nnls(stacked[:, :-1], stacked[:, -1])[0].reshape(3, -1)
-        by = np.append(lights, -1.0)
-        return [
-            np.stack([rows[c][i] @ by for c in range(3)], 1) / (WEIGHT if k else 1.0) for i, k in enumerate(chosen)
-        ], lights
-
-    def all_columns(self, v: Array, chosen: list[int]) -> list[Array]:
-        """Columns of the chosen pictures; others are left empty."""
-        return [self.columns(v, k) if k in chosen else np.zeros(0) for k in range(len(self.pictures))]
-
-    def run(self, steps: int, held_out: list[int]) -> Fitted:
-        """Fit to all pictures but those held out, which judge that; then go on from there with all of them."""
-        every = list(range(len(self.pictures)))
-        seen = [k for k in every if k not in held_out]
-        best = self._search(self._start, seen, steps)
-        columns = self.all_columns(best, every)
-        misfits, lights = self.misfit(columns, seen)
-        rest, _ = self.misfit(columns, held_out, lights)
-        made = judged = self._sensor(best, lights)
-        if held_out:
-            best = self._search(best, every, steps // 2)
-            made = self._sensor(best, self.misfit(self.all_columns(best, every), every)[1])
-        return Fitted(
-            made, rms(misfits[:1]), self._before(), rms(misfits[1:]) if len(seen) > 1 else None,
-            rms(rest) if rest else None, judged=judged,
-        )  # fmt: skip
-
-    def _search(self, begin: Array, seen: list[int], steps: int) -> Array:
-        """The parameters with the smallest misfit of some pictures, with the best radiances for each trial."""
-        span = self._most - self._least
-        free = np.flatnonzero(span > 0) if len(seen) > 1 else np.zeros(0, int)  # a background determines only radiances
-        if not len(free):
-            return begin
-
-        def numbers(u: Array) -> Array:
-            v = self._start.copy()
-            v[free] = self._least[free] + (u - 1) / 2 * span[free]
-            return v
-
-        def left(u: Array) -> Array:
-            residual, _ = self.misfit(self.all_columns(numbers(u), seen), seen)
-            weights = [WEIGHT if k else 1.0 for k in seen]
-            held = HOLD * 2 * (numbers(u) - self._start)[free] / span[free]
-            return np.concatenate([*(w * m.ravel() for w, m in zip(weights, residual, strict=True)), held])
-
-        start = np.clip(1 + 2 * (begin - self._least)[free] / span[free], 1.02, 2.98)  # from 1 to 3 over the range
-        how: Any = {"bounds": (1, 3), "diff_step": 0.02, "max_nfev": steps, "loss": "soft_l1", "f_scale": SOFT}
-        return numbers(least_squares(left, start, **how).x)
-
-    def _before(self) -> float:
-        eye, leds = self.sensor.camera, self.sensor.leds
-        own = np.column_stack([np.array([led.light for led in leds]).T, eye.ambient])
-        return rms(self.misfit([self.columns(self._start, 0)], [0], own)[0])
-
-    def _sensor(self, v: Array, lights: Array) -> LitSensor:
-        """The sensor of a trial with its radiances, at the fit's scale."""
-        leds = []
-        for k, led in enumerate(self.sensor.leds):
-            moved = self.moved(led, tuple(v[PARTS * k : PARTS * (k + 1)]))
-            leds.append(moved.model_copy(update={"radiance": rgb(lights[:, k]), "power": 1.0}))
-        gloss, rough = (float(x) for x in v[PARTS * len(leds) :][:2])
-        eye = self._camera(v).model_copy(update={"ambient": rgb(lights[:, -1])})
-        coat = self.sensor.coating.model_copy(update={"specular": gloss, "roughness": rough})
-        return self.sensor.model_copy(update={"leds": tuple(leds), "camera": eye, "coating": coat})
+    return sensor.model_copy(update={"leds": fitted.leds, "coating": fitted.coating, "camera": eye})

@@ -2,9 +2,11 @@
 
 The untouched photograph gives the LEDs' light, by least squares on maps traced with one LED at a time. Presses give the
 gain by thickness: how the photographs change, over how transport says they should, on faces that are solved at depths
-that may all be off by one factor.
+that may all be off by one factor. The gain is held to the sensor file's by a ridge, whose weight suits unseen presses
+best.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,9 +14,11 @@ import numpy as np
 from scipy.optimize import nnls
 
 from tacgen.calibrate import press_faces
+from tacgen.calibrate import unseen as judging
 from tacgen.calibrate.likeness import ChangeLikeness
 from tacgen.calibrate.photos import PhotographedPress, Photos
 from tacgen.calibrate.result import Fitted, rgb, rms
+from tacgen.calibrate.unseen import Unseen, folds
 from tacgen.errors import UserError
 from tacgen.optics import camera_response, scattering
 from tacgen.optics.camera import PinholeCamera
@@ -27,10 +31,12 @@ from tacgen.sensor.model import LitSensor, ThicknessResponse
 from tacgen.sensor.yaml_source import KeyPath
 
 Array = np.ndarray
+Choice = tuple[ThicknessResponse | None, int]  # response to thickness, number of the factor on depths
 CHANGES = (-2.1, -1.6, -1.2, -0.8, -0.4, -0.15, 0.0, 0.08, 0.16, 0.24, 0.32, 0.45)  # of thickness, for the gain [mm]
 FACTORS = (0.92, 0.94, 0.96, 0.98, 1.0, 1.02, 1.04, 1.06, 1.08)  # tried factors on all depths
 REACH = 9.0  # distance from a press within which pixels are compared [mm]
 SPP = 64  # paths, as in render.Renderer
+RIDGES = (1.0, 0.1, 0.01)  # tried weights of the file's gain, over that of all pixels
 FIXED = 1e5  # weight of gain 1 at no change of thickness, over that of a pixel
 
 
@@ -42,6 +48,11 @@ class RenderedPress:
     own: Array  # rendered picture over the rendered untouched one
     wanted: Array  # photograph over the untouched photograph
     near: Array
+
+    @property
+    def gain(self) -> Array:
+        """Photographed change over the rendered one (pixels, 3)."""
+        return np.asarray(self.wanted / self.own)
 
     def off(self, table: Array, untouched: Array, camera: Eye) -> Array:
         """Misfit [counts] (k, 3) for a table of gains and an untouched picture of linear light (pixels, 3)."""
@@ -57,10 +68,8 @@ class RenderedPress:
         return wanted - before, made - before
 
 
-def fit(
-    sensor: LitSensor, photos: Photos, held_out: list[int], folders: dict[KeyPath, Path]
-) -> tuple[Fitted, tuple[ChangeLikeness, ...]]:
-    """Fit radiances and the response to thickness; also the likeness of held-out presses, which count from 1.
+def fit(sensor: LitSensor, photos: Photos, folders: dict[KeyPath, Path]) -> Fitted:
+    """Fit radiances and the response to thickness, with the ridge that suits unseen presses best.
 
     Raises:
         UserError: a press of unknown depth.
@@ -81,33 +90,81 @@ def fit(
     )
     now, before = (_off(s, maps, photos.untouched) for s in (made, sensor))
     if not photos.presses:
-        return Fitted(made, now, before), ()
-    bare = made.model_copy(update={"thickness_response": None})
-    renderer, linear = (
-        images.Renderer(bare, SPP, 0, False),
-        camera_response.linear(photos.untouched / 255.0, sensor.camera).reshape(-1, 3),
-    )
-    seen = [_seen(bare, renderer, photos, press, folders) for press in photos.presses]  # by press, then by factor
-    chosen = [k for k in range(len(seen)) if k + 1 not in held_out]
-    best: tuple[float, Array, int] = (np.inf, np.zeros(0), 0)
-    for i in range(len(FACTORS)):
-        here = [seen[k][i] for k in chosen]
-        table = gains(np.concatenate([s.change for s in here]), np.concatenate([s.wanted / s.own for s in here]))
-        off = rms([s.off(table, linear, sensor.camera) for s in here])
-        best = min(best, (off, table, i), key=lambda tried: tried[0])
-    off, table, i = best
-    rest = [seen[k - 1][i].off(table, linear, sensor.camera) for k in held_out]
-    response_ = ThicknessResponse(change_mm=CHANGES, gain=tuple(rgb(row) for row in table), source="fit")
-    whole = made.model_copy(update={"thickness_response": response_})
-    fitted = Fitted(whole, now, before, off, rms(rest) if rest else None, FACTORS[i])
-    if not held_out:
-        return fitted, ()
-    alike = []
-    for response, k in ((sensor.thickness_response, FACTORS.index(1.0)), (response_, i)):
-        judges = [seen[j - 1][k] for j in held_out]
-        pairs = [judge.changes(response, linear, sensor.camera) for judge in judges]
-        alike.append(ChangeLikeness.of(*(np.concatenate(part) for part in zip(*pairs, strict=True))))
-    return fitted, tuple(alike)
+        return Fitted(made, now, before)
+    renders = Renders(sensor, made, photos, folders)
+    every, groups = list(range(len(photos.presses))), folds(len(photos.presses))
+    if not groups:
+        off, response, i = renders.best(every, RIDGES[-1])
+        return Fitted(renders.sensor(response), now, before, off, FACTORS[i], ridge=RIDGES[-1])
+    held_out = [k - 1 for group in groups for k in group]
+    tried: list[list[Choice]] = []
+    for ridge in RIDGES:
+        fits: list[Choice] = [renders.best([k for k in every if k + 1 not in group], ridge)[1:] for group in groups]
+        tried.append([fit for group, fit in zip(groups, fits, strict=True) for _ in group])
+    start: list[Choice] = [(sensor.thickness_response, FACTORS.index(1.0))] * len(held_out)
+    counts = np.array([
+        [renders.off(k, *fit) for k, fit in zip(held_out, choices, strict=True)]
+        for choices in (start, *tried)
+    ])  # fmt: skip
+    number = int(np.argmin(counts[1:].mean(axis=1)))
+    alike = [renders.likeness(held_out, choices) for choices in (start, tried[number])]
+    unseen = Unseen(
+        tuple(photos.presses[k] for k in held_out),
+        tuple(renders.faces[k][i] for k, (_, i) in zip(held_out, tried[number], strict=True)),
+        tuple(renders.sensor(response) for response, _ in tried[number]), counts[[0, number + 1]], (alike[0], alike[1]),
+    )  # fmt: skip
+    off, response, i = renders.best(every, RIDGES[number])
+    return Fitted(renders.sensor(response), now, before, off, FACTORS[i], unseen, RIDGES[number],
+                  renders.determined(i, RIDGES[number]))  # fmt: skip
+
+
+class Renders:
+    """All presses rendered at each of FACTORS times their depths."""
+
+    def __init__(self, sensor: LitSensor, made: LitSensor, photos: Photos, folders: dict[KeyPath, Path]) -> None:
+        """`made`: the sensor with fitted radiances."""
+        self.made, self.camera = made.model_copy(update={"thickness_response": None}), sensor.camera
+        self.linear = camera_response.linear(photos.untouched / 255.0, sensor.camera).reshape(-1, 3)
+        file = sensor.thickness_response
+        self.file = np.ones((len(CHANGES), 3)) if file is None else scattering.gain(file, np.array(CHANGES))
+        depths = [[factor * (press.depth or 0.0) for factor in FACTORS] for press in photos.presses]
+        self.faces = [press_faces.solved(self.made, *one, folders) for one in zip(photos.presses, depths, strict=True)]
+        renderer = images.Renderer(self.made, SPP, 0, False)
+        pairs = zip(photos.presses, self.faces, strict=True)
+        self.seen = [_seen(self.made, renderer, photos, *pair) for pair in pairs]  # by press, then by factor
+
+    def sensor(self, response: ThicknessResponse | None) -> LitSensor:
+        """The sensor with fitted radiances and a response to thickness."""
+        return self.made.model_copy(update={"thickness_response": response})
+
+    def best(self, chosen: list[int], ridge: float) -> tuple[float, ThicknessResponse, int]:
+        """Misfit [counts], response, and number of the factor that suits the chosen presses best."""
+        tried = []
+        for i in range(len(FACTORS)):
+            here = [self.seen[k][i] for k in chosen]
+            change, wanted = (np.concatenate([getattr(s, key) for s in here]) for key in ("change", "gain"))
+            table = gains(change, wanted, self.file, ridge)
+            tried.append((rms([s.off(table, self.linear, self.camera) for s in here]), table, i))
+        off, table, i = min(tried, key=lambda one: one[0])
+        return off, ThicknessResponse(change_mm=CHANGES, gain=tuple(rgb(row) for row in table), source="fit"), i
+
+    def off(self, press: int, response: ThicknessResponse | None, factor: int) -> float:
+        """Misfit [counts] of a press."""
+        wanted, made = self.seen[press][factor].changes(response, self.linear, self.camera)
+        return rms([made - wanted])
+
+    def likeness(self, presses: list[int], fits: list[Choice]) -> ChangeLikeness:
+        """Likeness of presses, each with a response and the number of a factor."""
+        pairs = zip(presses, fits, strict=True)
+        shown = [self.seen[k][i].changes(response, self.linear, self.camera) for k, (response, i) in pairs]
+        return ChangeLikeness.of(*(np.concatenate(part) for part in zip(*shown, strict=True)))
+
+    def determined(self, factor: int, ridge: float) -> dict[str, float]:
+        """Share of the gain at each of CHANGES that the photographs determine."""
+        change = np.concatenate([press[factor].change for press in self.seen])
+        hat = _hats(change[np.isfinite(change)])
+        names = [f"gain at {change:+g} mm" for change in CHANGES]
+        return dict(zip(names, map(float, judging.determined(hat, np.sqrt(ridge * len(hat)))), strict=True))
 
 
 def powers(sensor: LitSensor, maps: Array, untouched: Array) -> Array:
@@ -120,25 +177,31 @@ def powers(sensor: LitSensor, maps: Array, untouched: Array) -> Array:
     )
 
 
-def gains(change: Array, wanted: Array) -> Array:
-    """Least-squares gain (changes, 3) at CHANGES, slightly smooth, through 1 at no change."""
+def gains(change: Array, wanted: Array, file: Array, ridge: float) -> Array:
+    """Least-squares gain (changes, 3) at CHANGES, slightly smooth, through 1 at no change, held to the file's."""
     known = np.array(CHANGES)
     there = np.isfinite(change) & np.isfinite(wanted).all(axis=1)
-    hat = np.array([np.interp(change[there], known, row) for row in np.eye(len(known))]).T
+    hat = _hats(change[there])
     bend = np.zeros((len(known) - 2, len(known)))
     for k in range(len(known) - 2):
         a, b = known[k + 1] - known[k], known[k + 2] - known[k + 1]
         bend[k, k : k + 3] = [1 / a, -1 / a - 1 / b, 1 / b]
-    rows = np.vstack([hat, bend, FIXED * np.eye(len(known))[known == 0]])
-    right = [np.concatenate([w, np.zeros(len(bend)), [FIXED]]) for w in wanted[there].T]
+    hold = np.sqrt(ridge * len(hat)) * np.eye(len(known))
+    rows = np.vstack([hat, bend, hold, FIXED * np.eye(len(known))[known == 0]])
+    pairs = zip(wanted[there].T, file.T, strict=True)
+    right = [np.concatenate([w, np.zeros(len(bend)), hold @ f, [FIXED]]) for w, f in pairs]
     return np.asarray(np.maximum(np.array([np.linalg.lstsq(rows, b, rcond=None)[0] for b in right]).T, 0.0))
 
 
+def _hats(change: Array) -> Array:
+    """Linear interpolation weights (n, changes) of changes of thickness (n,) [mm] at CHANGES."""
+    return np.array([np.interp(change, CHANGES, row) for row in np.eye(len(CHANGES))]).T
+
+
 def _seen(
-    sensor: LitSensor, renderer: images.Renderer, photos: Photos, press: PhotographedPress, folders: dict[KeyPath, Path]
+    sensor: LitSensor, renderer: images.Renderer, photos: Photos, press: PhotographedPress, faces: Sequence[Surface]
 ) -> list[RenderedPress]:
-    """A press rendered at each of FACTORS times its depth."""
-    assert press.depth is not None
+    """A press rendered with each of its faces."""
     view, camera, flat = (
         CameraView(sensor, renderer.sheet, False),
         PinholeCamera.from_sensor(sensor),
@@ -156,8 +219,7 @@ def _seen(
         away = np.hypot(*(camera.project(seen.position) - press.center).T) * camera.mm_per_px
         return RenderedPress(change, own, after / before, away < REACH)
 
-    depths = [factor * press.depth for factor in FACTORS]
-    return [at(face) for face in press_faces.solved(sensor, press, depths, folders)]
+    return [at(face) for face in faces]
 
 
 def _off(sensor: LitSensor, maps: Array, untouched: Array) -> float:

@@ -14,12 +14,11 @@ from tacgen.sensor.validation_messages import Issue, report
 from tacgen.sensor.yaml_source import KeyPath
 
 if TYPE_CHECKING:
-    from tacgen.calibrate.likeness import ChangeLikeness, Likeness
     from tacgen.calibrate.photos import Photos
     from tacgen.calibrate.result import Fitted
 
 BY = "by tacgen calibrate optics"
-EVERY = 3  # every third press is held out
+DETERMINED = 0.5  # share from which a parameter counts as determined by the photographs
 MOST_MM, MOST_DEG = 10.0, 90.0  # largest tolerances; farther off, the file is of another sensor
 
 
@@ -40,9 +39,8 @@ class Calibrated:
     path: Path
     sensor: Sensor  # before the fit
     photographs: str
+    untouched: Any  # photograph (H, W, 3), 8 bit
     fitted: "Fitted"
-    held_out: tuple[str, ...]  # file names
-    likeness: "tuple[Likeness | ChangeLikeness, ...]"  # of held-out presses, before and after; may be empty
     changes: dict[KeyPath, Any]
 
     def lines(self) -> Iterator[str]:
@@ -52,10 +50,13 @@ class Calibrated:
         yield f"untouched: off by {fitted.untouched:.1f} counts rms (before the fit: {fitted.before:.1f})"
         if fitted.presses is not None:
             yield f"change under the presses: off by {fitted.presses:.1f} counts rms"
-        if fitted.held_out is not None:
-            names = ", ".join(self.held_out)
-            yield f"change under {names}, held out: off by {fitted.held_out:.1f} counts rms"
-            for when, like in zip(("before", "after"), self.likeness, strict=False):  # none if only depths are known
+        if (unseen := fitted.unseen) is None:
+            yield "not judged: fewer than two presses, so none can be left out of a fit"
+        else:
+            yield f"presses not seen by the fit: {unseen}: {'better' if unseen.better else 'NOT BETTER'}"
+            for k, press in enumerate(unseen.presses):
+                yield f"  {press.name}: {unseen.score(0, k)} before, {unseen.score(1, k)} after"
+            for when, like in zip(("before", "after"), unseen.likeness or (), strict=False):
                 yield f"  {when}: {like}"
         if fitted.deeper != 1:
             yield f"all depths appear to be {fitted.deeper:g} times the given ones"
@@ -64,14 +65,37 @@ class Calibrated:
             times = f"{sum(now.light) / before:.2f} times as strong" if before else "lit"
             moved = sum((a - b) ** 2 for a, b in zip(led.center_mm, now.center_mm, strict=True)) ** 0.5
             yield f"  {led.name}: {times}, moved {moved:.2f} mm, radiance {digits(now.radiance)}"
+        sure = [name for name, share in fitted.determined.items() if share >= DETERMINED]
+        held = [name for name in fitted.determined if name not in sure]
+        yield f"determined by the photographs: {', '.join(sure) or 'nothing'}"
+        yield f"held at the file's values: {', '.join(held) or 'nothing'}"
 
     def plain(self) -> dict[str, Any]:
         """Report as JSON values."""
         fitted = self.fitted
-        errors = {name: getattr(fitted, name) for name in ("untouched", "before", "presses", "held_out", "deeper")}
+        errors = {name: getattr(fitted, name) for name in ("untouched", "before", "presses", "deeper", "ridge")}
         changes = {yaml_source.format_path(path): value for path, value in self.changes.items()}
-        return {"sensor": self.sensor.name, **errors, "held_out_files": list(self.held_out),
-                "likeness": [like.plain() for like in self.likeness], "changes": changes}  # fmt: skip
+        unseen = None if fitted.unseen is None else fitted.unseen.plain()
+        return {"sensor": self.sensor.name, **errors, "unseen": unseen, "determined": dict(fitted.determined),
+                "changes": changes}  # fmt: skip
+
+    def problem(self) -> str:
+        """Why the fit should not be used, in a line; empty where it is better on unseen presses."""
+        unseen = self.fitted.unseen
+        if unseen is None:
+            return "the fit is not judged: it takes two presses at least"
+        return "" if unseen.better else f"the fit is not better on presses that it has not seen: {unseen}"
+
+    def draw(self, out: Path) -> None:
+        """Write a figure of the unseen presses: photographed, rendered before and after the fit.
+
+        Raises UserError: no press is unseen.
+        """
+        from tacgen.calibrate import press_figure
+
+        if self.fitted.unseen is None:
+            raise UserError(f"--figure: {out}: {self.problem()}")
+        press_figure.draw(cast(LitSensor, self.sensor), self.fitted.unseen, self.untouched, out)
 
     def write(self, out: Path) -> None:
         """Write the changed sensor file; comments are kept."""
@@ -97,20 +121,16 @@ def optics(name: str, folder: Path, asked: FitLimits | None = None) -> Calibrate
         raise report([(problem, tree)])
     lit, photos = cast(LitSensor, sensor), reading.read(folder, sensor.camera)
     folders = {("sensor", *loading.SOLID): loading.solid_folder(tree)} if sensor.gel.solid else {}
-    held_out = [k for k in range(1, len(photos.presses) + 1) if k % EVERY == 0]
     if any(layer.scattering for layer in sensor.gel.clear_layers):
         from tacgen.calibrate import fit_scattering
 
-        fitted, alike = fit_scattering.fit(lit, photos, held_out, folders)
-        likeness: tuple[Likeness | ChangeLikeness, ...] = alike
+        fitted = fit_scattering.fit(lit, photos, folders)
     else:
         from tacgen.calibrate import fit_clear
 
-        fitted, likeness = fit_clear.fit(lit, photos, held_out, folders, asked)
+        fitted = fit_clear.fit(lit, photos, folders, asked)
     said = _said(photos)
-    changes = _changes(lit, fitted, said, bare=asked.bare)
-    names = tuple(photos.presses[k - 1].name for k in held_out)
-    return Calibrated(path, sensor, said, fitted, names, likeness, changes)
+    return Calibrated(path, sensor, said, photos.untouched, fitted, _changes(lit, fitted, said, bare=asked.bare))
 
 
 def _said(photos: "Photos") -> str:
@@ -122,6 +142,7 @@ def _said(photos: "Photos") -> str:
 def _changes(sensor: LitSensor, fitted: "Fitted", said: str, *, bare: bool) -> dict[KeyPath, Any]:
     """Changed values of the sensor file by path; None for keys to remove."""
     now, by = fitted.sensor, f"fitted to {said} {BY}"
+    by += f"; on unseen presses {fitted.unseen}" if fitted.unseen else "; not judged by unseen presses"
     out: dict[KeyPath, Any] = {}
     for k, (led, new) in enumerate(zip(sensor.leds, now.leds, strict=True)):
         out["leds", k, "radiance"] = digits(new.radiance)

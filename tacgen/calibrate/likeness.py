@@ -61,6 +61,19 @@ class Likeness:
     normals: float  # mean error of normals in photographs, by a network trained on rendered pictures
     noisy: float  # the same for the presses rendered with noise: what a perfect sensor file would reach
     flat: float  # the same for the untouched face
+    each: Array  # error of normals in each photograph, (presses,)
+
+    @classmethod
+    def over(cls, parts: "Sequence[Likeness]") -> "Likeness":
+        """Likeness of several groups of presses together: medians of the ratios, means of the angles."""
+        sizes = [len(one.each) for one in parts]
+        contrast, direction = (
+            np.nanmedian([getattr(one, k) for one in parts], axis=0) for k in ("contrast", "direction")
+        )
+        noisy, flat = (float(np.average([getattr(one, k) for one in parts], weights=sizes)) for k in ("noisy", "flat"))
+        each = np.concatenate([one.each for one in parts])
+        alike = np.median([one.correlation for one in parts], axis=0)
+        return cls(contrast, direction, alike, float(each.mean()), noisy, flat, each)
 
     def __str__(self) -> str:
         normals = f"real normals off by {self.normals:.1f} deg (rendered ones: {self.noisy:.1f}, flat: {self.flat:.1f})"
@@ -142,12 +155,13 @@ class Comparison:
         deepest = max((press.contact or 0.0) * self.sensor.camera.mm_per_px / press.ball for press in presses)
         net, random = self.net(deepest), np.random.default_rng(0)
         noisy = [self.rendered(press, face, random) for press, face in zip(presses, faces, strict=True)]
+        each = np.array([real.off(net.normals(real.features)) for real, _, _ in pairs])
         return Likeness(
             np.nanmedian(np.where(seen, size[:, 1] / size[:, 0], np.nan), axis=0),
             np.nanmedian(np.where(seen, turn, np.nan), axis=0), np.median(correlation, axis=0),
-            float(np.mean([real.off(net.normals(real.features)) for real, _, _ in pairs])),
+            float(each.mean()),
             float(np.mean([made.off(net.normals(made.features)) for made in noisy])),
-            float(np.mean([real.off(real.flat) for real, _, _ in pairs])),
+            float(np.mean([real.off(real.flat) for real, _, _ in pairs])), each,
         )  # fmt: skip
 
     def _dents(self, deepest: float) -> Iterator[PictureOfPress]:

@@ -14,16 +14,17 @@ Array = np.ndarray
 UNTOUCHED = ("background.png", "background.jpg", "background.jpeg", "background.bmp")
 TABLE = "presses.csv"
 NEEDED = ("file", "ball_radius_mm", "x_px", "y_px")
-EITHER = ("contact_radius_px", "depth_mm")
+EITHER = ("contact_radius_px", "depth_mm", "force_n")
 SATURATED, DARK = 254, 5  # 8-bit counts
 MOST_SATURATED = 0.01  # largest share of saturated pixels
 UNCHANGED = 0.5  # counts: standard deviation of the change over a picture, below which it shows no press
-RANGES = {"ball_radius_mm": (0.1, 100.0), "contact_radius_px": (3.0, np.inf), "depth_mm": (1e-3, np.inf)}
+RANGES = {"ball_radius_mm": (0.1, 100.0), "contact_radius_px": (3.0, np.inf), "depth_mm": (1e-3, np.inf),
+          "force_n": (1e-3, 1e6)}  # fmt: skip
 
 
 @dataclass(frozen=True)
 class PhotographedPress:
-    """A photographed press: its ball, and the radius of its contact, its depth or both."""
+    """A photographed press: its ball, and at least one of the radius of its contact, its depth and its force."""
 
     name: str
     picture: Array  # (H, W, 3), 8 bit
@@ -31,6 +32,12 @@ class PhotographedPress:
     center: tuple[float, float]  # of the contact [px]
     contact: float | None  # radius of the contact [px]
     depth: float | None  # [mm] from first touch
+    force: float | None = None  # normal force [N]; a depth, where there is one, goes first
+
+    @property
+    def solved(self) -> bool:
+        """Whether the face is computed by finite elements."""
+        return self.depth is not None or self.force is not None
 
 
 @dataclass(frozen=True)
@@ -105,7 +112,7 @@ def _press(folder: Path, line: int, row: dict[str, str], camera: Camera, wrong: 
             reach += f" and at most {high:g}" if high < np.inf else ""
             wrong.append(f"{said}: {column}: must be a number{reach} (got {text!r})")
     if not any(column in number for column in EITHER):
-        wrong.append(f"{said}: must hold {' or '.join(EITHER)}, or both")
+        wrong.append(f"{said}: must hold {', '.join(EITHER[:-1])} or {EITHER[-1]}")
     picture = _picture(folder / name, camera, wrong)
     if len(wrong) > before:
         return None
@@ -117,4 +124,6 @@ def _press(folder: Path, line: int, row: dict[str, str], camera: Camera, wrong: 
         wrong.append(f"{said}: contact_radius_px: is {size:.3g} mm, and the ball's radius {row['ball_radius_mm']}")
     if len(wrong) > before:
         return None
-    return PhotographedPress(name, picture, number["ball_radius_mm"], (x, y), contact, number.get("depth_mm"))
+    return PhotographedPress(
+        name, picture, number["ball_radius_mm"], (x, y), contact, number.get("depth_mm"), number.get("force_n")
+    )

@@ -23,23 +23,30 @@ from tacgen.sensor.yaml_source import KeyPath
 
 
 def check(sensor: LitSensor, photos: Photos, deeper: float = 1.0) -> None:
-    """Raises UserError: presses whose depth, or up to `deeper` times that, cannot be solved, a line each."""
+    """Raises UserError: presses whose depth, or up to `deeper` times that, cannot be solved, and presses of known force
+    that lie beside the gel, a line each."""
     wrong = []
     for press in photos.presses:
-        if press.depth is None:
+        if not press.solved:
             continue
         at = place(sensor, press.center, 0.0)
-        if said := press_forces.depth_problem(sensor.gel, press.depth, at, deeper):
-            wrong.append(f"{photos.folder / press.name}: depth_mm: {said}")
+        if press.depth is None:
+            column, said = "force_n", press_forces.place_problem(sensor.gel, at)
+        else:
+            column, said = "depth_mm", press_forces.depth_problem(sensor.gel, press.depth, at, deeper)
+        if said:
+            wrong.append(f"{photos.folder / press.name}: {column}: {said}")
     if wrong:
         raise UserError(wrong)
 
 
 def face(sensor: LitSensor, press: PhotographedPress, folders: dict[KeyPath, Path]) -> Surface:
-    """The face of a press: solved at its depth if that is known, else by a formula from its contact radius; `folders`:
-    see Row."""
+    """The face of a press: solved at its depth or else its force if known, else by a formula from its contact radius;
+    `folders`: see Row."""
     if press.depth is not None:
         return solved(sensor, press, [press.depth], folders)[0]
+    if press.force is not None:
+        return _solved(sensor, press, [{"force_n": press.force}], 0.0, folders, "default")[0]
     assert press.contact is not None
     dome = sensor.gel.dome
     bend = 0.0 if dome is None else (1 / dome.radius_x_mm + 1 / dome.radius_y_mm) / 2
@@ -58,11 +65,24 @@ def solved(
 
     Raises UserError: the solver fails.
     """
-    x, y = place(sensor, press.center, float(np.mean(depths)))
+    aims = [{"depth_mm": float(depth)} for depth in depths]
+    return _solved(sensor, press, aims, float(np.mean(depths)), folders, quality)
+
+
+def _solved(
+    sensor: LitSensor,
+    press: PhotographedPress,
+    aims: Sequence[dict[str, float]],
+    depth: float,
+    folders: dict[KeyPath, Path],
+    quality: str,
+) -> Sequence[Surface]:
+    """Solved faces at the aims of a recipe's presses; `depth` [mm]: of the face where the camera sees the ball."""
+    x, y = place(sensor, press.center, depth)
     recipe = {
         "tacgen": 1, "name": "press", "sensor": sensor.name, "outputs": ["force"], "start": {"x_mm": x, "y_mm": y},
         "indenter": {"shape": "sphere", "radius_mm": press.ball}, "quality": quality,
-        "trajectory": [{"press": {"depth_mm": float(depth), "frames": 1}} for depth in depths],
+        "trajectory": [{"press": {**aim, "frames": 1}} for aim in aims],
     }  # fmt: skip
     try:
         (row,) = plan.expand(loading.checked(Recipe.model_validate(recipe), sensor)).rows

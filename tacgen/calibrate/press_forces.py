@@ -79,11 +79,17 @@ def solved(row: Row, depths: Array) -> Array:
     return np.array(forces)
 
 
+def place_problem(gel: Gel, at: tuple[float, float]) -> str:
+    """Why nothing can be pressed at (x, y) [mm]; empty if it can."""
+    if abs(at[0]) <= gel.width_mm / 2 and abs(at[1]) <= gel.height_mm / 2:
+        return ""
+    return f"lies beside the gel, at ({at[0]:.3g}, {at[1]:.3g}) mm: see x_px, y_px"
+
+
 def depth_problem(gel: Gel, depth: float, at: tuple[float, float], deeper: float) -> str:
     """Why a press to a depth [mm] at (x, y) [mm], and to `deeper` times that, cannot be solved; empty if it can."""
-    half_width, half_height = gel.width_mm / 2, gel.height_mm / 2
-    if not (abs(at[0]) <= half_width and abs(at[1]) <= half_height):
-        return f"lies beside the gel, at ({at[0]:.3g}, {at[1]:.3g}) mm: see x_px, y_px"
+    if said := place_problem(gel, at):
+        return said
     thick = gel.thickness_mm - gel.drop_mm(*at)
     low, high = SHALLOWEST * thick, DEEPEST * thick / deeper
     if low <= depth <= high:

@@ -2,9 +2,9 @@
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,6 +12,9 @@ from tacgen.recipe import assets, loading
 from tacgen.sensor import yaml_source
 from tacgen.sensor.model import LitSensor, Sensor
 from tacgen.sensor.yaml_source import KeyPath
+
+if TYPE_CHECKING:
+    from tacgen.calibrate.unseen import Unseen
 
 Array = np.ndarray
 
@@ -23,10 +26,11 @@ class Fitted:
     sensor: LitSensor
     untouched: float
     before: float  # the same before the fit
-    presses: float | None = None  # of the change under the presses
-    held_out: float | None = None  # of held-out presses
+    presses: float | None = None  # of the change under the presses, all of them seen by this fit
     deeper: float = 1.0  # factor on all given depths
-    judged: LitSensor | None = None  # fitted without the held-out presses, to be judged by them
+    unseen: "Unseen | None" = None  # None: too few presses to hold any out
+    ridge: float | None = None  # weight of the sensor file's values that suits unseen presses best
+    determined: Mapping[str, float] = field(default_factory=dict)  # share of each parameter, see unseen.determined
 
 
 def rms(parts: list[Array]) -> float:

@@ -1,0 +1,364 @@
+"""Trial sensors with a clear gel against photographs: direct light, its reflection in the plate, and interreflection.
+
+The picture is linear in the LEDs' radiance: for each trial of the other parameters, radiance and stray light follow
+from non-negative least squares. The other parameters vary within their tolerances, with a penalty on the distance from
+the sensor file. Presses are compared by their change against the untouched picture, so that marks on the coating and
+errors of the background do not affect them.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from scipy.optimize import least_squares, nnls
+
+from tacgen.calibrate.photos import PhotographedPress, Photos
+from tacgen.calibrate.result import Fitted, rgb, rms
+from tacgen.calibrate.unseen import determined
+from tacgen.errors import UserError
+from tacgen.optics import camera_response, coating, strip_light
+from tacgen.optics.camera_view import CameraView, Samples
+from tacgen.optics.direct_light import heights
+from tacgen.optics.housing import bottom_depth, frame
+from tacgen.optics.interreflection import Glow, Radiosity
+from tacgen.optics.shadows import Terrain
+from tacgen.optics.surface_grid import Sheet, Surface, Untouched
+from tacgen.recipe import background_photo
+from tacgen.render import traced_maps
+from tacgen.sensor import optics_checks
+from tacgen.sensor.model import Camera, Led, LitSensor
+
+Array = np.ndarray
+SHRINK = 4  # pixels of the photograph per pixel of the fit
+LEAST_WIDTH = 40  # width of the fit's pictures at least [px]
+SHEET = 0.2  # node spacing of the face [mm]
+ALONG, ACROSS = 3.0, 1.5  # largest distance of the points that stand for an LED, along and across it [mm]
+NEAR = 0.97  # contact radii within which a press is compared: there the face is the ball's surface
+REACH = 3.7  # the same for a press of known depth, whose face is solved and right beyond the contact too [mm]
+WEIGHT = 2.0  # weight of a press's pixel over one of the untouched picture
+SOFT = 15.0  # scale of the soft-l1 loss, for marks and dust [counts]
+RIDGES = (300.0, 30.0, 3.0)  # tried penalties of a parameter at the end of its tolerance, over all pixels [counts]
+STRAY = 0.02  # change of stray light that costs the same [full scale]
+POWER = 0.5  # change of radiance that costs the same, over the LED's strongest channel
+FOLD_STEPS = 3  # Jacobians at most, for each ridge, of a fit that judges
+BRIGHT = 0.95  # of full scale; brighter pixels are not compared
+STEEPEST = 1500.0  # largest slope of the response, which limits the weight of dark pixels [counts per unit of light]
+PARTS = 6  # parameters of an LED: position, tilt about its length, turn about its upright, log of its length
+CLEAR = 0.02  # smallest distance of LEDs from the housing and the untouched face [mm]
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """Tolerances of the parameters around the sensor file."""
+
+    mm: float
+    rad: float
+    specular: float = 0.1
+    factor: float = 1.5  # of an LED's length, roughness and vignette
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A photograph at the fit's scale."""
+
+    name: str
+    light: Array  # (pixels, 3), linear, relative to full scale
+    slope: Array  # (pixels, 3) [counts] per unit of light
+    counts: Array  # (pixels,) bool: pixels that are compared
+    face: Surface
+
+
+@dataclass(frozen=True)
+class Looked:
+    """Where the camera's rays meet the face of a picture."""
+
+    view: CameraView
+    at: Samples
+    toward: Array  # unit directions in the gel to the camera, (pixels, 3)
+    passed: Array  # transmission from the gel to the camera, (pixels,)
+    terrain: Terrain
+
+
+def _points(one: tuple[Led, ...]) -> strip_light.StripPoints:
+    """The points that stand for a single LED."""
+    (wide, tall), least = one[0].size_mm, (6, 2)
+    along, across = (max(n, int(np.ceil(size / by)))
+                     for n, size, by in zip(least, (wide, tall), (ALONG, ACROSS), strict=True))  # fmt: skip
+    return strip_light.points(one, along, across)
+
+
+class Trials:
+    """Misfit between photographs and trial sensors."""
+
+    def __init__(
+        self, sensor: LitSensor, photos: Photos, faces: list[Surface], tolerance: Tolerance, bare: bool
+    ) -> None:
+        """`faces`: those of the presses; `bare`: the photographed gel has no markers, whatever the file says."""
+        self.tolerance = tolerance
+        columns = max(min(LEAST_WIDTH, sensor.camera.width_px), sensor.camera.width_px // SHRINK)
+        self.sensor = traced_maps.zoomed(sensor, columns)
+        self.sheet, untouched = Sheet.over(sensor.gel, SHEET), Untouched.of(sensor.gel)
+        self._bounce = Radiosity(self.sensor)
+        sides = np.array([sensor.gel.width_mm, sensor.gel.height_mm]) / 2 + sensor.walls.margin_mm
+        self._room = np.array([*sides, bottom_depth(sensor)]) - CLEAR  # half the housing's sides, and its depth [mm]
+        self._look = lru_cache(64)(self._looked)
+        self._around = lru_cache(128 * len(sensor.leds))(self._bounced)
+        self._column = lru_cache(128 * len(sensor.leds) * (1 + len(faces)))(self._lit)
+        everywhere = np.ones(self.sensor.camera.width_px * self.sensor.camera.height_px, bool)
+        self.pictures = [self._picture("untouched", photos.untouched, everywhere, untouched)]
+        for press, face in zip(photos.presses, faces, strict=True):
+            self.pictures.append(self._picture(press.name, press.picture, self._near(press), face))
+        if not bare and sensor.markers is not None:
+            for number, picture in enumerate(self.pictures):
+                rest = self._look(number, (0.0, 0.0)).at.rest
+                dots = coating.paint(sensor.markers, rest, 3 * self.sensor.camera.mm_per_px)
+                np.logical_and(picture.counts, np.nan_to_num(dots, nan=1.0) == 0, out=picture.counts)
+        empty = [picture.name for picture in self.pictures if not picture.counts.any()]
+        if empty:
+            why = "no pixel can be compared: all are bright, under markers or outside the picture"
+            raise UserError(f"{photos.folder}: {name}: {why}" for name in empty)
+        self._least, self._most, self._start = self._ranges()
+        leds = self.sensor.leds
+        self.own = np.column_stack([np.array([led.light for led in leds]).T, self.sensor.camera.ambient])
+        strongest = self.own[:, :-1].max(axis=0)
+        lit = np.where(strongest > 0, strongest, strongest.max() or 1.0)
+        self._power = np.tile(np.append(POWER * lit, STRAY), (3, 1))
+
+    def _picture(self, name: str, picture: Array, counts: Array, face: Surface) -> Picture:
+        eye = self.sensor.camera
+        light = camera_response.linear(picture / 255.0, eye)
+        light = background_photo.shrunk(light, eye.width_px, eye.height_px).reshape(-1, 3)
+        counts = counts & (light < BRIGHT).all(axis=1)
+        return Picture(name, light, np.minimum(255 * camera_response.slope(light, eye), STEEPEST), counts, face)
+
+    def _near(self, press: PhotographedPress) -> Array:
+        eye = self.sensor.camera
+        shrink = press.picture.shape[1] / eye.width_px
+        y, x = np.mgrid[: eye.height_px, : eye.width_px] + 0.5
+        away = np.hypot(x * shrink - press.center[0], y * shrink - press.center[1])
+        reach = REACH / eye.mm_per_px * shrink if press.solved else NEAR * (press.contact or 0.0)
+        return np.asarray((away < reach).ravel())
+
+    def _ranges(self) -> tuple[Array, Array, Array]:
+        """Bounds and start of every parameter: those of the LEDs, then specular weight, roughness, vignette, crop."""
+        t, coat, eye = self.tolerance, self.sensor.coating, self.sensor.camera
+        wide = t.mm > 0
+        longer = float(np.log(t.factor)) * wide
+        led = [*[(-t.mm, t.mm, 0.0)] * 3, *[(-t.rad, t.rad, 0.0)] * 2, (-longer, longer, 0.0)]
+        rest = [
+            (max(0.0, coat.specular - t.specular * wide), min(1.0, coat.specular + t.specular * wide), coat.specular),
+            (coat.roughness / t.factor**wide, min(1.0, coat.roughness * t.factor**wide), coat.roughness),
+            *((r / t.factor**wide, r * t.factor**wide, r) for r in eye.vignette_mm or (1.0, 1.0, 1.0)),
+            *[(-t.mm, t.mm, 0.0)] * 2,
+        ]
+        least, most, start = np.array([*led * len(self.sensor.leds), *rest], dtype=float).T
+        return least, most, start
+
+    def moved(self, led: Led, parts: tuple[float, ...]) -> Led:
+        """An LED changed by PARTS parameters, and moved back if it would leave the housing."""
+        axes = frame(led.normal, led.up)
+        for share in (1.0, 0.75, 0.5, 0.25):
+            *by, tilt, turn, longer = share * np.array(parts)
+            normal = axes[:, 2] * np.cos(tilt) * np.cos(turn) + axes[:, 1] * np.sin(tilt) + axes[:, 0] * np.sin(turn)
+            size = np.minimum([led.size_mm[0] * np.exp(longer), led.size_mm[1]], 2 * self._room[:2].max())
+            reach = np.abs(frame(normal, led.up)[:, :2] * size / 2).sum(axis=1)
+            place = np.clip(np.add(led.center_mm, by), [*(reach[:2] - self._room[:2]), reach[2] - self._room[2]],
+                            [*(self._room[:2] - reach[:2]), -reach[2] - CLEAR])  # fmt: skip
+            numbers = {"center_mm": place, "normal": normal / np.linalg.norm(normal), "size_mm": size}
+            tried = led.model_copy(update={key: tuple(float(c) for c in value) for key, value in numbers.items()})
+            if not optics_checks.wrong_led(self.sensor, tried):  # at a round end or a dome the box is too large
+                return tried
+        return led
+
+    def _looked(self, picture: int, crop: tuple[float, ...]) -> "Looked":
+        eye = self.sensor.camera
+        moved = eye.model_copy(update={"crop_mm": tuple(np.add(eye.crop_mm, crop))})
+        sensor = self.sensor.model_copy(update={"camera": moved})
+        view = CameraView(sensor, self.sheet, False)
+        at = view.look(self.pictures[picture].face)
+        terrain = Terrain.of(heights(self.sheet, at.nodes), self.sheet.size)
+        return Looked(view, at, view.toward_camera(), view.transmission(), terrain)
+
+    def _lit(self, picture: int, led: int, parts: tuple[float, ...], rough: float, crop: tuple[float, ...]) -> Array:
+        """Direct light of one LED of unit radiance on a diffuse white coating and on a specular one, and its
+        interreflection (RGB): (compared pixels, 5)."""
+        seen, here = self._look(picture, crop), self.pictures[picture].counts
+        one = (self.moved(self.sensor.leds[led], parts),)
+        at, normal, toward = (part[here] for part in (seen.at.position, seen.at.normal, seen.toward))
+        slab, panels = strip_light.Slab.of(self.sensor), strip_light.Panels.of(one)
+        lights = _points(one)
+        straight = strip_light.gather(at, normal, toward, lights, 1, slab, panels, rough, seen.terrain)[:, 0]
+        bounced = self._around(led, parts, crop).at(seen.at.normal)[here]
+        return np.column_stack([np.nan_to_num(straight * seen.passed[here, None]), bounced])
+
+    def _bounced(self, led: int, parts: tuple[float, ...], crop: tuple[float, ...]) -> Glow:
+        """Interreflection of one LED of unit radiance, with the coating of the file."""
+        one = self.sensor.model_copy(update={"leds": (self.moved(self.sensor.leds[led], parts),)})
+        added = self._bounce.added(one, _points(one.leds))[:, 0]
+        return self._bounce.glow(added, self._look(0, crop).view)
+
+    def columns(self, v: Array, picture: int) -> Array:
+        """Light in each channel per unit radiance of each LED and of uniform stray light, in red, then green, then
+        blue: (3, compared pixels, 3 (LEDs + 1))."""
+        leds, coat = len(self.sensor.leds), self.sensor.coating
+        parts = [tuple(p) for p in v[: PARTS * leds].reshape(leds, PARTS)]
+        gloss, rough = v[PARTS * leds : PARTS * leds + 2]
+        camera, crop = self._camera(v), tuple(v[-2:])
+        lights = np.array([self._column(picture, k, parts[k], rough, crop) for k in range(leds)])
+        made = [
+            (1 - gloss) * albedo * lights[..., 0] + gloss * coating.METAL * lights[..., 1] + lights[..., 2 + c]
+            for c, albedo in enumerate(coat.albedo)
+        ]
+        fall = camera_response.vignette(camera).reshape(-1, 3)[self.pictures[picture].counts]
+        lit = np.pad(camera.exposure * np.swapaxes(made, 1, 2), ((0, 0), (0, 0), (0, 1)), constant_values=1.0)
+        mixed = np.repeat(camera_response.colours(camera)[..., None], leds + 1, axis=2)
+        mixed[..., -1] = np.eye(3)  # stray light is not mixed by the colour matrix
+        return np.asarray(np.einsum("dnk,cdk,nc->cndk", lit, mixed, fall).reshape(3, len(fall), -1))
+
+    def _camera(self, v: Array) -> Camera:
+        eye, (right, down) = self.sensor.camera, (float(x) for x in v[-2:])
+        moved: dict[str, Any] = {"crop_mm": (eye.crop_mm[0] + right, eye.crop_mm[1] + down)}
+        return eye.model_copy(update=moved | ({"vignette_mm": rgb(v[-5:-2])} if eye.vignette_mm else {}))
+
+    def rows(self, columns: list[Array], chosen: list[int]) -> list[Array]:
+        """Equations of pictures for the radiances, in counts: by picture (3 pixels, 3 (LEDs + 1) + 1), red pixels
+        first; the last column is the photograph."""
+        out = []
+        for k in chosen:
+            picture, first = self.pictures[k], self.pictures[0]
+            here = picture.counts
+            change, wanted = columns[k], picture.light[here]
+            if k:
+                both = here & first.counts
+                own, base = both[here], both[first.counts]
+                change, wanted = columns[k][:, own] - columns[0][:, base], picture.light[both] - first.light[both]
+                here = both
+            slope = picture.slope[here]
+            channels = [np.column_stack([change[c] * slope[:, c, None], wanted[:, c] * slope[:, c]]) for c in range(3)]
+            out.append(np.concatenate(channels))
+        return out
+
+    def lights(self, rows: list[Array], chosen: list[int], ridge: float) -> Array:
+        """Best radiances (3, LEDs + 1), stray light last, held to the file's."""
+        weighed = [(WEIGHT if k else 1.0) * row for k, row in zip(chosen, rows, strict=True)]
+        hold = np.column_stack([np.diag(ridge / self._power.ravel()), (ridge * self.own / self._power).ravel()])
+        stacked = np.concatenate([*weighed, hold])
+        return np.asarray(nnls(stacked[:, :-1], stacked[:, -1])[0].reshape(3, -1))
+
+    def misfits(self, rows: list[Array], lights: Array) -> list[Array]:
+        """Misfits [counts] of pictures, (3 pixels,) each."""
+        return [row @ np.append(lights, -1.0) for row in rows]
+
+    def all_columns(self, v: Array, chosen: list[int]) -> list[Array]:
+        """Columns of the chosen pictures; others are left empty."""
+        return [self.columns(v, k) if k in chosen else np.zeros(0) for k in range(len(self.pictures))]
+
+    def whole(self, ridge: float, steps: int) -> Fitted:
+        """The fit to all pictures."""
+        every, begin = list(range(len(self.pictures))), self._start
+        for hold in RIDGES[: RIDGES.index(ridge) + 1]:
+            begin = self._search(begin, every, hold, steps if hold == ridge else FOLD_STEPS)
+        rows = self.rows(self.all_columns(begin, every), every)
+        lights = self.lights(rows, every, ridge)
+        misfits = self.misfits(rows, lights)
+        shown = self.misfits(self.rows([self.columns(self._start, 0)], [0]), self.own)
+        return Fitted(
+            self._sensor(begin, lights), rms(misfits[:1]), rms(shown), rms(misfits[1:]) if len(every) > 1 else None,
+            ridge=ridge, determined=self._determined(begin, lights, every, ridge),
+        )  # fmt: skip
+
+    def judged(self, groups: list[list[int]], steps: int) -> tuple[Array, list[list[LitSensor]]]:
+        """Misfit of presses that are not seen [counts], of the file and then of fits with each of RIDGES, (1 + RIDGES,
+        presses); and those fits by ridge, then by group."""
+        counts: list[list[float]] = [[] for _ in range(1 + len(RIDGES))]
+        made: list[list[LitSensor]] = [[] for _ in RIDGES]
+        for held_out in groups:
+            seen = [k for k in range(len(self.pictures)) if k not in held_out]
+            v, lights = self._start, self.own
+            for number in range(1 + len(RIDGES)):
+                if number:
+                    ridge = RIDGES[number - 1]
+                    v = self._search(v, seen, ridge, min(steps, FOLD_STEPS))
+                    lights = self.lights(self.rows(self.all_columns(v, seen), seen), seen, ridge)
+                    made[number - 1].append(self._sensor(v, lights))
+                left = self.misfits(self.rows(self.all_columns(v, [0, *held_out]), held_out), lights)
+                counts[number] += [rms([one]) for one in left]
+        return np.array(counts), made
+
+    def _free(self, seen: list[int]) -> Array:
+        """Numbers of the parameters that vary; a background and one press determine only radiances."""
+        return np.flatnonzero(self._most > self._least) if len(seen) > 2 else np.zeros(0, int)
+
+    def _search(self, begin: Array, seen: list[int], ridge: float, steps: int) -> Array:
+        """The parameters with the smallest misfit of some pictures, with the best radiances for each trial."""
+        free = self._free(seen)
+        if not len(free):
+            return begin
+        span = (self._most - self._least)[free]
+
+        def numbers(u: Array) -> Array:
+            v = self._start.copy()
+            v[free] = self._least[free] + (u - 1) / 2 * span
+            return v
+
+        def left(u: Array) -> Array:
+            rows = self.rows(self.all_columns(numbers(u), seen), seen)
+            lights = self.lights(rows, seen, ridge)
+            weighed = [(WEIGHT if k else 1.0) * m for k, m in zip(seen, self.misfits(rows, lights), strict=True)]
+            held = ridge * 2 * (numbers(u) - self._start)[free] / span
+            return np.concatenate([*weighed, held, ridge * ((lights - self.own) / self._power).ravel()])
+
+        def loss(z: Array) -> Array:
+            """Soft l1 for pixels; the ridge at the end is quadratic."""
+            root = np.sqrt(1 + z)
+            rho = np.array([2 * (root - 1), 1 / root, -0.5 / root**3])
+            ridged = slice(-len(free) - self.own.size, None)
+            rho[:, ridged] = z[ridged], np.ones_like(z[ridged]), np.zeros_like(z[ridged])
+            return rho
+
+        start = np.clip(1 + 2 * (begin - self._least)[free] / span, 1.02, 2.98)  # from 1 to 3 over the range
+        how: Any = {"bounds": (1, 3), "diff_step": 0.02, "max_nfev": steps, "loss": loss, "f_scale": SOFT}
+        return numbers(least_squares(left, start, **how).x)
+
+    def _determined(self, v: Array, lights: Array, seen: list[int], ridge: float) -> dict[str, float]:
+        """Share of each parameter that the pictures determine against the ridge, by name."""
+        weight = [WEIGHT if k else 1.0 for k in seen]
+
+        def rows(at: Array) -> Array:
+            parts = self.rows(self.all_columns(at, seen), seen)
+            return np.concatenate([w * row for w, row in zip(weight, parts, strict=True)])
+
+        here, by, slopes = rows(v), np.append(lights, -1.0), []
+        free = self._free(seen)
+        for k in free:
+            half = (self._most - self._least)[k] / 2
+            step = 0.02 * half * (-1 if v[k] + 0.02 * half > self._most[k] else 1)
+            moved = v.copy()
+            moved[k] += step
+            slopes.append((rows(moved) @ by - here @ by) * half / step)
+        table = np.column_stack([*slopes, here[:, :-1] * self._power.ravel()])
+        names = self._names()
+        chosen = [*(names[k] for k in free), *names[len(v) :]]
+        shares = dict(zip(chosen, map(float, determined(table, ridge)), strict=True))
+        absent = self.sensor.camera.vignette_mm is None
+        return {name: share for name, share in shares.items() if not (absent and name.startswith("vignette"))}
+
+    def _names(self) -> list[str]:
+        """Names of the parameters, and of the radiances and stray light of each channel."""
+        leds = [led.name for led in self.sensor.leds]
+        parts = [f"{led} {part}" for led in leds for part in ("x", "y", "z", "tilt", "turn", "length")]
+        rest = ["specular", "roughness", "vignette red", "vignette green", "vignette blue", "crop x", "crop y"]
+        lights = [f"{one} {c}" for c in ("red", "green", "blue") for one in (*leds, "stray light")]
+        return [*parts, *rest, *lights]
+
+    def _sensor(self, v: Array, lights: Array) -> LitSensor:
+        """The sensor of a trial with its radiances, at the fit's scale."""
+        leds = []
+        for k, led in enumerate(self.sensor.leds):
+            moved = self.moved(led, tuple(v[PARTS * k : PARTS * (k + 1)]))
+            leds.append(moved.model_copy(update={"radiance": rgb(lights[:, k]), "power": 1.0}))
+        gloss, rough = (float(x) for x in v[PARTS * len(leds) :][:2])
+        eye = self._camera(v).model_copy(update={"ambient": rgb(lights[:, -1])})
+        coat = self.sensor.coating.model_copy(update={"specular": gloss, "roughness": rough})
+        return self.sensor.model_copy(update={"leds": tuple(leds), "camera": eye, "coating": coat})

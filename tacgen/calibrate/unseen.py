@@ -1,0 +1,87 @@
+"""Judgement of a fit by presses that it has not seen, and how much of each parameter the photographs determine."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tacgen.calibrate.likeness import ChangeLikeness, Likeness
+from tacgen.calibrate.photos import PhotographedPress
+from tacgen.optics.surface_grid import Surface
+from tacgen.sensor.model import LitSensor
+
+Array = np.ndarray
+EACH = 5  # up to so many presses each is left out once
+EVERY = 3  # of more, every third is held out
+
+
+def folds(presses: int) -> list[list[int]]:
+    """Numbers, from 1, of the presses that are held out together, a list for each fit; none below two presses."""
+    if presses < 2:
+        return []
+    if presses <= EACH:
+        return [[k] for k in range(1, presses + 1)]
+    return [list(range(EVERY, presses + 1, EVERY))]
+
+
+@dataclass(frozen=True)
+class Unseen:
+    """Scores of a sensor file and of fits on presses that those fits have not seen."""
+
+    presses: tuple[PhotographedPress, ...]
+    faces: tuple[Surface, ...]
+    sensors: tuple[LitSensor, ...]  # the fit that has not seen the press, a press each
+    counts: Array  # misfit of the change of the picture, rms, before and after (2, presses) [counts]
+    likeness: tuple[Likeness, Likeness] | tuple[ChangeLikeness, ChangeLikeness] | None  # before, after
+
+    @property
+    def degrees(self) -> Array | None:
+        """Error of normals in the photographs, before and after (2, presses) [deg]; None without contact circles."""
+        if self.likeness is None or not isinstance(self.likeness[0], Likeness):
+            return None
+        return np.array([like.each for like in self.likeness if isinstance(like, Likeness)])
+
+    @property
+    def better(self) -> bool:
+        """Whether the fit helps: the mean gain exceeds its standard error, of normals where they are known, else of
+        counts, and the counts do not rise."""
+        judged = self.counts if self.degrees is None else self.degrees
+        gain = judged[0] - judged[1]
+        error = gain.std(ddof=1) / np.sqrt(len(gain))
+        before, after = self.counts.mean(axis=1)
+        return bool(gain.mean() > error and after <= before)
+
+    def __str__(self) -> str:
+        parts = [] if self.degrees is None else [_change(self.degrees, "deg error of normals")]
+        return ", ".join([*parts, _change(self.counts, "counts rms")])
+
+    def score(self, number: int, press: int) -> str:
+        """Scores of one press as text; `number`: 0 before the fit, 1 after."""
+        counts = f"{self.counts[number, press]:.1f} counts"
+        return counts if self.degrees is None else f"{self.degrees[number, press]:.1f} deg, {counts}"
+
+    def plain(self) -> dict[str, Any]:
+        """As JSON values."""
+        return {
+            "presses": [press.name for press in self.presses], "better": self.better, "counts": self.counts.tolist(),
+            "degrees": None if self.degrees is None else self.degrees.tolist(),
+            "likeness": [like.plain() for like in self.likeness or ()],
+        }  # fmt: skip
+
+
+def _change(scores: Array, unit: str) -> str:
+    before, after = scores.mean(axis=1)
+    return f"{before:.1f} before and {after:.1f} after the fit [{unit}]"
+
+
+def determined(slopes: Array, ridge: float) -> Array:
+    """Share (n,), from 0 to 1, of each parameter that data determine, the rest being held by a ridge.
+
+        1 - r^2 [(J^T J + r^2 I)^-1]_ii
+
+    Args:
+        slopes: J, derivatives of the residuals by parameters that are scaled as the ridge sees them, (residuals, n).
+        ridge: r, residual of a parameter that is off by 1; > 0.
+    """
+    within = slopes.T @ slopes + ridge**2 * np.eye(slopes.shape[1])
+    return np.asarray(np.clip(1 - ridge**2 * np.diag(np.linalg.inv(within)), 0, 1))

@@ -1,0 +1,140 @@
+"""A fit is judged by presses that it has not seen, and one that does not help is not written."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.tiny import sensor
+from PIL import Image
+from typer.testing import CliRunner
+
+from tacgen import cli
+from tacgen.calibrate import led_fit, photos, press_faces, unseen
+from tacgen.errors import UserError
+from tacgen.mechanics import NotConverged
+from tacgen.recipe import loading
+
+from .test_calibrate import FINE, PLAIN, PRESSES, photographed, written
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tacgen.calibrate.contact_circle.refined", lambda press, untouched: press)
+    monkeypatch.setattr("tacgen.calibrate.likeness.DENTS", 4)
+    monkeypatch.setattr("tacgen.calibrate.normal_net.MOST", 500)
+
+
+def calibrate(folder: Path, unit: Any, *options: str) -> Any:
+    """Run the command with radiances alone, from the plain sensor, on photographs of a unit."""
+    path = written(sensor(camera=FINE, markers=None), folder / "file.yaml")
+    images = photographed(unit, folder / "unit", PRESSES[:2])
+    asked = ["calibrate", "optics", "--sensor", str(path), "--images", str(images), "--tolerance-mm", "0", *options]
+    return CliRunner().invoke(cli.app, asked)
+
+
+def test_each_of_few_presses_is_left_out_once_and_a_third_of_more() -> None:
+    assert unseen.folds(0) == unseen.folds(1) == []
+    assert unseen.folds(5) == [[1], [2], [3], [4], [5]]
+    assert unseen.folds(7) == [[3, 6]]
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "better"),
+    [([5, 5, 5], [4, 4, 4.5], True), ([5, 5, 5], [6, 6, 6], False), ([5, 5, 5], [5, 5, 5], False),
+     ([5, 5, 5], [1, 6, 7.5], False)],  # the mean gain lies within its standard error
+)  # fmt: skip
+def test_a_gain_counts_beyond_its_standard_error(before: list[float], after: list[float], better: bool) -> None:
+    assert unseen.Unseen((), (), (), np.array([before, after]), None).better == better
+
+
+def test_worse_scores_are_told_before_and_after() -> None:
+    one = unseen.Unseen((), (), (), np.array([[4.0, 5.0], [6.0, 6.0]]), None)
+    assert str(one) == "4.5 before and 6.0 after the fit [counts rms]"
+
+
+def test_a_fit_that_does_not_help_is_not_written_unless_asked(tmp_path: Path) -> None:
+    """Photographs of the file's own sensor: no fit can be better."""
+    out, exact = tmp_path / "mine.yaml", sensor(camera=FINE, markers=None)
+    done = calibrate(tmp_path, exact, "-o", str(out))
+    assert done.exit_code == 2, done.output
+    (line,) = done.stderr.splitlines()
+    assert line.startswith(f"{out}: not written: the fit is not better on presses that it has not seen: ")
+    assert " before and " in line
+    assert not out.exists()
+    done = calibrate(tmp_path, exact, "-o", str(out), "--anyway")
+    assert (done.exit_code, out.is_file()) == (0, True)
+
+
+def test_a_fit_that_helps_is_written_with_its_scores_and_drawn(tmp_path: Path) -> None:
+    out, figure = tmp_path / "mine.yaml", tmp_path / "unseen.png"
+    unit = sensor(leds=[{**led, "power": 1.5} for led in PLAIN["leds"]], camera=FINE, markers=None)
+    done = calibrate(tmp_path, unit, "-o", str(out), "--figure", str(figure))
+    assert done.exit_code == 0, done.output
+    mine, _ = loading.read_sensor(out)
+    assert "; on unseen presses " in mine.leds[0].source
+    assert " before and " in mine.leds[0].source
+    assert np.asarray(Image.open(figure)).std() > 10
+    (sure,) = [line for line in done.stdout.splitlines() if line.startswith("determined by the photographs: ")]
+    for led, channel in zip(PLAIN["leds"], ("red", "green", "blue"), strict=True):
+        assert f"{led['name']} {channel}" in sure
+
+
+def test_without_presses_nothing_is_judged(tmp_path: Path) -> None:
+    unit, out = sensor(camera=FINE, markers=None), tmp_path / "mine.yaml"
+    path, folder = written(unit, tmp_path / "file.yaml"), photographed(unit, tmp_path / "unit", ())
+    asked = ["calibrate", "optics", "--sensor", str(path), "--images", str(folder)]
+    done = CliRunner().invoke(cli.app, [*asked, "-o", str(out)])
+    assert done.exit_code == 2
+    assert (
+        done.stderr == f"{out}: not written: the fit is not judged: it takes two presses at least; --anyway writes it\n"
+    )
+    done = CliRunner().invoke(cli.app, [*asked, "--figure", str(tmp_path / "f.png")])
+    assert done.exit_code == 2
+    assert "the fit is not judged" in done.stderr
+
+
+def test_what_data_determine_against_a_ridge() -> None:
+    slopes = np.zeros((4, 3))
+    slopes[0, 0], slopes[1, 1] = 30.0, 3.0  # strongly, as strongly as the ridge, not at all
+    assert unseen.determined(slopes, 3.0) == pytest.approx([900 / 909, 0.5, 0.0])
+
+
+def test_a_press_of_known_force_is_solved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    unit = sensor(camera=FINE, markers=None)
+    press = photos.PhotographedPress("p.png", np.zeros((64, 80, 3), np.uint8), 3.0, (40.0, 32.0), None, None, 0.3)
+    asked = {}
+
+    def faces(row: Any) -> Any:
+        asked["press"] = row.recipe.trajectory[0].press
+        raise NotConverged("so it is solved")
+
+    monkeypatch.setattr(press_faces, "faces", faces)
+    with pytest.raises(UserError, match=r"p\.png: cannot be solved"):
+        press_faces.face(unit, press, {})
+    assert (asked["press"].force_n, asked["press"].depth_mm) == (0.3, None)
+
+
+@pytest.mark.slow
+def test_a_force_and_the_depth_that_has_it_give_the_same_face() -> None:
+    unit = sensor(camera=FINE, markers=None)
+    deep = photos.PhotographedPress("p.png", np.zeros((64, 80, 3), np.uint8), 3.0, (40.0, 32.0), None, None, 0.3)
+    at = np.array([press_faces.place(unit, deep.center, 0.0)])
+    low = press_faces.face(unit, deep, {}).at(at)[0, 2]
+    (again,) = press_faces.solved(unit, deep, [-float(low)], {})
+    assert again.at(at)[0, 2] == pytest.approx(low, abs=0.02)
+
+
+def test_a_force_beside_the_gel_is_refused() -> None:
+    unit = sensor(camera=FINE, markers=None)
+    press = photos.PhotographedPress("p.png", np.zeros(0), 3.0, (-500.0, 32.0), None, None, 0.3)
+    with pytest.raises(UserError, match=r"p\.png: force_n: lies beside the gel"):
+        press_faces.check(unit, photos.Photos(Path("unit"), np.zeros(0), (press,)))
+
+
+def test_the_report_is_json(tmp_path: Path) -> None:
+    unit = sensor(camera=FINE, markers=None)
+    path, folder = written(unit, tmp_path / "file.yaml"), photographed(unit, tmp_path / "unit", PRESSES[:2])
+    found = led_fit.optics(str(path), folder, led_fit.FitLimits(0, 0)).plain()
+    assert found["unseen"]["presses"] == ["press_0.png", "press_1.png"]
+    assert np.shape(found["unseen"]["counts"]) == np.shape(found["unseen"]["degrees"]) == (2, 2)
