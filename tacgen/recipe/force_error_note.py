@@ -45,8 +45,8 @@ def note(row: "Row") -> str:
     sharp = ", and several times that at edges and tips sharper than the mesh" * (shape.smallest_radius < edge)
     error = _rounded(100 * expected_force_error(edge, max(widths)))
     return (
-        f"expected error of the force by the mesh: about {error} %, within a factor of 2 (edges of {edge:g} mm, a contact {2 * max(widths):.2g} mm wide); more where the contact is"
-        f" narrower{sharp}"
+        f"expected error of the force by the mesh: about {error} %, within a factor of 2 (edges of"
+        f" {edge:g} mm, a contact {2 * max(widths):.2g} mm wide); more where the contact is narrower{sharp}"
     )
 
 
