@@ -36,7 +36,7 @@ CHANGES = (-2.1, -1.6, -1.2, -0.8, -0.4, -0.15, 0.0, 0.08, 0.16, 0.24, 0.32, 0.4
 FACTORS = (0.92, 0.94, 0.96, 0.98, 1.0, 1.02, 1.04, 1.06, 1.08)  # tried factors on all depths
 REACH = 9.0  # distance from a press within which pixels are compared [mm]
 SPP = 64  # paths, as in render.Renderer
-RIDGES = (1.0, 0.1, 0.01)  # tried weights of the file's gain, over that of all pixels
+RIDGES = (1.0, 0.1, 0.01, 0.001)  # tried weights of the file's gain, over that of all pixels
 FIXED = 1e5  # weight of gain 1 at no change of thickness, over that of a pixel
 
 
