@@ -321,5 +321,4 @@ def draw_forces(panel: "Axes", bundle: Bundle, shown: np.ndarray) -> None:
     panel.legend(fontsize=8, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
     largest = int(np.linalg.norm(bundle["/frames/force"], axis=1).argmax())
     if (error := force_error(bundle)) and error.text(largest):
-        text = f"largest force {error.text(largest)}: {error.kind}"
-        panel.text(1.0, -0.42, text, transform=panel.transAxes, fontsize=7, ha="right", va="bottom")
+        panel.set_xlabel(f"{panel.get_xlabel()}; the largest force {error.text(largest)} ({error.kind})")

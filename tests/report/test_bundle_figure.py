@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 
 from tacgen import cli
 from tacgen.bundle.bundle import read
+from tacgen.bundle.force_error import BY_MESH, ForceError
 from tacgen.errors import UserError
 from tacgen.optics.camera import PinholeCamera
 from tacgen.recipe import assets, loading
@@ -51,6 +52,19 @@ def test_the_picture_is_written_and_not_blank(tmp_path: Path) -> None:
 )  # fmt: skip
 def test_only_what_is_there_is_drawn(tmp_path: Path, outputs: set[str], rows: list[str]) -> None:
     assert sorted(labels(write(tmp_path / "x.h5", outputs=frozenset(outputs)))) == sorted([*rows, "force on gel [N]"])
+
+
+def test_no_text_lies_over_another(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of those in the force's panel and below."""
+    monkeypatch.setattr(bundle_figure, "force_error", lambda bundle: ForceError(np.full(bundle.frames, 0.04), BY_MESH))
+    drawn = bundle_figure.figure(read(write(tmp_path / "x.h5")))
+    drawn.canvas.draw()
+    panel = next(axes for axes in drawn.axes if "force" in axes.get_ylabel())
+    texts = [*drawn.texts, *panel.texts, panel.xaxis.label, panel.yaxis.label]
+    assert any("largest force" in text.get_text() for text in texts)
+    boxes = [(text.get_text(), text.get_window_extent()) for text in texts]
+    over = [(a, b) for i, (a, one) in enumerate(boxes) for b, other in boxes[:i] if a != b and one.overlaps(other)]
+    assert over == []
 
 
 def test_images_and_arrows_keep_y_down(tmp_path: Path) -> None:
