@@ -147,7 +147,7 @@ class Comparison:
         per = np.array([[one.per_slope() for one in pair[:2]] for pair in pairs])
         size, angle = np.linalg.norm(per, axis=3), np.degrees(np.arctan2(per[..., 1], per[..., 0]))
         turn = np.abs((angle[:, 1] - angle[:, 0] + 180) % 360 - 180)
-        seen = (size[:, 0] >= WEAK) | (size[:, 0] == size[:, 0].max(axis=0))
+        seen = ((size[:, 0] >= WEAK) | (size[:, 0] == size[:, 0].max(axis=0))) & (size[:, 0] > 0)
         correlation = [
             [np.corrcoef(real.change[around][:, c], made.change[around][:, c])[0, 1] for c in range(3)]
             for real, made, around in pairs
@@ -157,8 +157,8 @@ class Comparison:
         noisy = [self.rendered(press, face, random) for press, face in zip(presses, faces, strict=True)]
         each = np.array([real.off(net.normals(real.features)) for real, _, _ in pairs])
         return Likeness(
-            np.nanmedian(np.where(seen, size[:, 1] / size[:, 0], np.nan), axis=0),
-            np.nanmedian(np.where(seen, turn, np.nan), axis=0), np.median(correlation, axis=0),
+            _median(size[:, 1] / np.where(seen, size[:, 0], 1.0), seen), _median(turn, seen),
+            np.median(correlation, axis=0),
             float(each.mean()),
             float(np.mean([made.off(net.normals(made.features)) for made in noisy])),
             float(np.mean([real.off(real.flat) for real, _, _ in pairs])), each,
@@ -205,3 +205,8 @@ def circle(shape: tuple[int, ...], center: tuple[float, float], radius: float) -
 def near(press: PhotographedPress, reach: float) -> Array:
     """Pixels within `reach` contact radii of a press's middle, (H, W) bool."""
     return circle(press.picture.shape, press.center, reach * (press.contact or 0.0))
+
+
+def _median(values: Array, where: Array) -> Array:
+    """Median of each column of values (n, 3) over the rows chosen (n, 3); nan where none is."""
+    return np.array([np.median(v[w]) if w.any() else np.nan for v, w in zip(values.T, where.T, strict=True)])
