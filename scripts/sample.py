@@ -1,12 +1,12 @@
 """The sample data set as it is published: recipes/sample.yaml with small pictures, packed with card, splits and scores.
 
     make sample WORKERS=2                                  # the same command goes on with a run that was stopped
-    python scripts/sample.py -o out/sample --workers 2 --set vary.samples=9    # a tenth of it
+    python scripts/sample.py -o out/sample --workers 2 --set vary.samples=9    # a part of it
 
 In `out/sample`: `sample.yaml` and `sensors` (the recipe, and its sensors with pictures of about 96 x 72 pixels,
 which the maps share), `data` (the bundles), and `published`: README.md (a page for a data hub), shard-*.h5 and
-index.json (as `tacgen pack` writes them), splits.json (the scenes of each split) and baseline.json (the scores). A
-tenth, 216 frames, took 270 s on two cores and has 35 MB: 2.0 s of a core and 0.16 MB a frame.
+index.json (as `tacgen pack` writes them), splits.json (the scenes of each split) and baseline.json (the scores).
+Nine contacts, 216 frames, took 270 s on two cores and has 35 MB: 2.0 s of a core and 0.16 MB a frame.
 
 The baseline is linear: ridge regression from the image less the untouched one, in 12 x 16 cells, to the force and to
 the contact's mode (one number for each, of which the largest counts). It is trained for each sensor on `train`, its
