@@ -1,6 +1,5 @@
 """The examples run, and say what they hold back; skipped where PyTorch is not installed."""
 
-import importlib.util
 import json
 import os
 import subprocess
@@ -10,6 +9,7 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from helpers.program import loaded
 from helpers.small_recipe import PICTURE
 
 from tacgen import pipeline
@@ -33,12 +33,7 @@ vary:
 
 @pytest.fixture(scope="module")
 def baselines() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("baselines", SCRIPT)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return loaded(SCRIPT)
 
 
 @pytest.fixture(scope="module")

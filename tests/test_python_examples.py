@@ -1,28 +1,16 @@
 """The examples run at toy size, each writes its picture, and each is short."""
 
-import importlib.util
 import struct
-import sys
 from pathlib import Path
-from types import ModuleType
 
 import pytest
+from helpers.program import loaded
 
 EXAMPLES = sorted(path for path in (Path(__file__).parents[1] / "examples").glob("*.py") if path.stem != "baselines")
 COARSE = {"edge_mm": 0.75, "dhat_mm": 0.1, "spp": 4}
 FEW = {"steps": 2, "frames_held": 2, "samples": 2, "sensors": ("gelsight_mini",)}
 # several scenes each, images, and processes that start; the others cover the same calls
 LONG = {"ball_sizes", "camera_image", "data_set", "expected_error", "gel_thickness", "material_laws", "stick_to_slip"}
-
-
-def loaded(path: Path) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(f"example_{path.stem}", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
 
 
 @pytest.mark.parametrize(

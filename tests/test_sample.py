@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.program import loaded
 from helpers.synthetic import write
 from ruamel.yaml import YAML
 
@@ -19,14 +20,7 @@ ROOT = Path(__file__).parents[1]
 
 @pytest.fixture(scope="module")
 def sample() -> ModuleType:
-    import importlib.util
-
-    spec = importlib.util.spec_from_file_location("sample", ROOT / "scripts" / "sample.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return loaded(ROOT / "scripts" / "sample.py")
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,6 @@
 """A frame in solution as one record: what is solved, what is left to do, and the iterates of the present load step."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
@@ -58,8 +58,8 @@ class Linearised:
 
 @dataclass(frozen=True)
 class Stepped:
-    """A step that lowers the energy: the bulk there, the part of the step that was taken, the longest motion of a node
-    [mm], and the contact's iterate there."""
+    """A step that lowers the energy: the bulk there, the part of the step that was taken, the decrease of the energy
+    over the predicted one, and the contact's iterate there."""
 
     there: BulkPoint
     part: float
@@ -130,12 +130,11 @@ class SolveState:
     solves: int = 0
     steps: int = 0
     damped: int = 0
-    failure: NotConverged | None = field(default=None, compare=False)
+    failure: NotConverged | None = None
 
     def between(self) -> "SolveState":
         """Without what belongs to one load step: plain arrays, which can be kept."""
-        nothing = {"step": None, "begins": None, "newton": None, "found": None}
-        return replace(self, **nothing, solves=0, steps=0, damped=0)  # type: ignore[arg-type]
+        return replace(self, step=None, begins=None, newton=None, found=None, solves=0, steps=0, damped=0)
 
     def failed(self, failure: Failure, **data: object) -> "SolveState":
         """With the reason why the load step has no solution."""

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
+from helpers.program import loaded
 
 from tacgen.errors import UserError
 from tacgen.geometry import mesh_import
@@ -353,14 +354,7 @@ def test_mistakes_in_a_recipe(old: str, new: str, says: str, tmp_path: Path):
 
 @pytest.mark.parametrize("name", assets.list_objects())
 def test_shipped_objects_are_what_the_script_makes(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    import importlib.util
-
-    root = Path(__file__).parents[2]
-    spec = importlib.util.spec_from_file_location("make_objects", root / "scripts" / "make_objects.py")
-    assert spec
-    assert spec.loader
-    script = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(script)
+    script = loaded(Path(__file__).parents[2] / "scripts" / "make_objects.py")
     monkeypatch.setattr(script, "ROOT", tmp_path)
     shipped = assets.mesh_path(name)
     made, kept = (trimesh.load_mesh(path).triangles for path in (script.write(name), shipped))
