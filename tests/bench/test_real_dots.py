@@ -20,7 +20,7 @@ def drawn(centers: Array) -> Array:
 
 def test_dots_are_found_where_they_are() -> None:
     before = np.array([[20.0, 25.0], [60.0, 25.0], [100.0, 60.0]])
-    after = before + [[3.0, -2.0], [0.5, 1.0], [0.0, 0.0]]
+    after = np.add(before, [[3.0, -2.0], [0.5, 1.0], [0.0, 0.0]])
     rest = real_dots.dots(drawn(before))
     found = real_dots.motion(rest, real_dots.dots(drawn(after)))
     np.testing.assert_allclose(found[rest[:, 0].argsort()], after - before, atol=0.25)
