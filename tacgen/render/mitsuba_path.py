@@ -35,34 +35,7 @@ def mitsuba(name: str) -> Any:
     import mitsuba as mi
 
     mi.set_variant(name)
-    mi.register_emitter(mitsuba_dicts.LOBED, _lobed(mi))
     return mi
-
-
-def _lobed(mi: Any) -> Any:
-    """The emitter LOBED. Only rays that meet it see it: the plate's interface hides it from sampled directions."""
-    import drjit as dr
-
-    class Lobed(mi.Emitter):  # type: ignore[misc]
-        def __init__(self, props: Any) -> None:
-            super().__init__(props)
-            self.lobe = int(props["lobe"])
-            self.light = mi.Color3f(*(props[name] for name in ("red", "green", "blue")))
-
-        def eval(self, si: Any, active: Any = True) -> Any:
-            cosine = mi.Frame3f.cos_theta(si.wi)
-            return self.light * dr.select(active & (cosine > 0), cosine**self.lobe, 0.0)
-
-        def sample_direction(self, it: Any, sample: Any, active: Any = True) -> Any:
-            scalar = mi.variant() == probing.SCALAR
-            direction = mi.DirectionSample3f() if scalar else dr.zeros(mi.DirectionSample3f, dr.width(sample))
-            direction.p, direction.d, direction.dist, direction.pdf = it.p, mi.Vector3f(0.0, 0.0, 1.0), 1.0, 0.0
-            return direction, mi.Color3f(0.0)
-
-        def pdf_direction(self, it: Any, ds: Any, active: Any = True) -> Any:
-            return mi.Float(0.0)
-
-    return Lobed
 
 
 def description(sensor: "LitSensor", sheet: Sheet, markers: bool) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -97,9 +70,8 @@ def description(sensor: "LitSensor", sheet: Sheet, markers: bool) -> tuple[dict[
         },
         **mitsuba_dicts.interfaces(sensor),
         **mitsuba_dicts.housing(sensor),
+        **mitsuba_dicts.lights(sensor.leds, sensor.walls.albedo),
     }
-    for i, light in enumerate(sensor.leds):
-        scene[f"led_{i}"] = mitsuba_dicts.led(light, sensor.walls.albedo)
     coat = coating.bsdf(sensor.coating)
     if markers and sensor.markers is not None:
         coat = coating.dotted(coat, sensor.markers, coating.mask(sensor.markers, sheet.size, MASK_PIXEL))
@@ -120,6 +92,8 @@ def realise(mi: Any, node: Any) -> Any:
     if isinstance(node, np.ndarray):
         if node.shape == (4, 4):
             return mi.ScalarTransform4f(node.tolist())
+        if node.ndim == 3:
+            return mi.Bitmap(np.ascontiguousarray(node, dtype=np.float32))
         flipped = np.ascontiguousarray(node[::-1, :, None], dtype=np.float32)  # v runs up in a bitmap
         return mi.Bitmap(flipped)
     return node
