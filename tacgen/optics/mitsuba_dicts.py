@@ -36,11 +36,17 @@ def diffuse(albedo: "float | Sequence[float]") -> dict[str, Any]:
     return {"type": "diffuse", "reflectance": {"type": "rgb", "value": rgb}}
 
 
-def lights(leds: "Sequence[Led]", wall_albedo: float) -> dict[str, dict[str, Any]]:
-    """The LED strips by name."""
-    made = {f"led_{i}": led(light, wall_albedo) for i, light in enumerate(leds)}
-    if any(light.lobe and any(light.light) for light in leds):
-        # one emitter must have a weight among the sampled ones; this one is dark and costs no shadow rays
+def lights(sensor: "LitSensor") -> dict[str, dict[str, Any]]:
+    """The LED strips by name.
+
+    A renderer that samples directions toward emitters finds none behind an interface that refracts; such LEDs, and
+    those with a lobe, have no weight among the sampled emitters. Rays that meet them see them all the same.
+    """
+    sampled = [not light.lobe and in_sight(sensor, light) for light in sensor.leds]
+    made = {f"led_{i}": led(light, sensor.walls.albedo, sampled[i]) for i, light in enumerate(sensor.leds)}
+    lit = [any(light.light) for light in sensor.leds]
+    if any(lit) and not np.any(np.logical_and(sampled, lit)):
+        # one emitter must have a weight; this one is dark and costs no shadow rays
         made["unlit"] = {
             "type": "rectangle",
             "to_world": rectangle(FAR, (0, 0, 1), (0, 1, 0), (1.0, 1.0)),
@@ -50,16 +56,23 @@ def lights(leds: "Sequence[Led]", wall_albedo: float) -> dict[str, dict[str, Any
     return made
 
 
-def led(light: "Led", wall_albedo: float) -> dict[str, Any]:
+def in_sight(sensor: "LitSensor", light: "Led") -> bool:
+    """Whether straight lines lead from the coated face to an LED's middle: all between has one refractive index."""
+    layers = [sensor.plate, *sensor.gel.clear_layers]
+    tops = np.cumsum([layer.thickness_mm for layer in layers]) - bottom_depth(sensor)
+    return len({layer.refractive_index for layer, z in zip(layers, tops, strict=True) if z > light.center_mm[2]}) < 2
+
+
+def led(light: "Led", wall_albedo: float, sampled: bool) -> dict[str, Any]:
     """One LED strip: it radiates from its front, and reflects as the walls do or, with `see_through`, is invisible."""
     radiance = [float(v) for v in light.light]
-    emitter = {"type": "area", "radiance": {"type": "rgb", "value": radiance}}
+    even = {"type": "area", "radiance": {"type": "rgb", "value": radiance}}
+    emitter = {**(lobed(radiance, light.lobe) if light.lobe else even), "sampling_weight": float(sampled)}
     return {
         "type": "rectangle",
         "to_world": rectangle(light.center_mm, light.normal, light.up, light.size_mm),
         "bsdf": {"type": "null"} if light.see_through else diffuse(wall_albedo),
-        # a dark one would only draw random numbers
-        **({"emitter": lobed(radiance, light.lobe) if light.lobe else emitter} if any(light.light) else {}),
+        **({"emitter": emitter} if any(light.light) else {}),  # a dark one would only draw random numbers
     }
 
 
@@ -67,8 +80,8 @@ def lobed(radiance: "Sequence[float]", lobe: int) -> dict[str, Any]:
     """Emitter of a rectangle whose radiance falls as cos^lobe of the angle to the normal.
 
     Mitsuba's area lights are Lambertian. Its environment map is a table of radiance by direction, which is looked up in
-    the shape's own frame if it hangs on a shape. Only rays that meet the shape may see it: directions sampled toward an
-    environment lead past the shape, so its weight among the sampled emitters is 0.
+    the shape's own frame if it hangs on a shape. Directions sampled toward an environment lead past the shape, so it must
+    not be sampled: see lights.
     """
     angles = np.pi * np.arange(LOBE_ROWS) / (LOBE_ROWS - 1)  # latitudes from the normal
     falloff = np.where(angles < np.pi / 2, np.cos(angles), 0.0) ** lobe
@@ -78,7 +91,6 @@ def lobed(radiance: "Sequence[float]", lobe: int) -> dict[str, Any]:
         "type": "envmap",
         "bitmap": np.repeat(falloff[:, None, None] * radiance, 2, axis=1),
         "to_world": to_map,
-        "sampling_weight": 0.0,
     }
 
 

@@ -1,6 +1,7 @@
 """Mitsuba's integrators `path` and `volpath` for a sensor: unbiased, with sampling noise. Mitsuba is imported here
 only, inside functions."""
 
+import math
 import os
 import tempfile
 from collections.abc import Sequence
@@ -25,6 +26,7 @@ MASK_PIXEL = 0.02  # pixel of the marker texture [mm]
 MAX_DEPTH = 12  # path vertices, interfaces included
 MAX_DEPTH_SCATTERING = 64  # the same in a scattering gel; with Russian roulette from MAX_DEPTH on
 BLOCK = 8  # side of the blocks that scalar variants render [px]
+LANES = 2**25  # paths that variants with compiled kernels trace at once; each takes some 100 bytes
 FILM = "sensor.film"
 
 
@@ -66,11 +68,11 @@ def description(sensor: "LitSensor", sheet: Sheet, markers: bool) -> tuple[dict[
                 "pixel_format": "rgb",
                 "component_format": "float32",
             },
-            "sampler": {"type": "independent"},
+            "sampler": {"type": "multijitter"},  # stratified: less noise for the same number of paths
         },
         **mitsuba_dicts.interfaces(sensor),
         **mitsuba_dicts.housing(sensor),
-        **mitsuba_dicts.lights(sensor.leds, sensor.walls.albedo),
+        **mitsuba_dicts.lights(sensor),
     }
     coat = coating.bsdf(sensor.coating)
     if markers and sensor.markers is not None:
@@ -83,6 +85,12 @@ def integrator(sensor: "LitSensor") -> dict[str, Any]:
     if any(layer.scattering for layer in sensor.gel.clear_layers):
         return {"type": "volpath", "max_depth": MAX_DEPTH_SCATTERING, "rr_depth": MAX_DEPTH}
     return {"type": "volpath" if any(led.see_through for led in sensor.leds) else "path", "max_depth": MAX_DEPTH}
+
+
+def stratified(spp: int) -> int:
+    """The least number of paths a pixel, at least `spp`, that Mitsuba's sampler divides into rows and columns."""
+    rows = math.isqrt(spp)
+    return rows * -(-spp // rows)
 
 
 def realise(mi: Any, node: Any) -> Any:
@@ -144,7 +152,11 @@ class PathTracer:
         self._params.update()
 
     def _traced(self, spp: int, seed: int) -> "Floats":
-        return np.array(self._mi.render(self._scene, spp=spp, seed=seed), dtype=np.float64)
+        most = spp if self.variant == probing.SCALAR else max(1, LANES // int(np.prod(self._params[f"{FILM}.crop_size"])))
+        count = -(-spp // most)
+        seeds = [seed] if count == 1 else np.random.SeedSequence(seed).generate_state(count).tolist()
+        paths = stratified(-(-spp // count))
+        return np.mean([np.array(self._mi.render(self._scene, spp=paths, seed=s), np.float64) for s in seeds], axis=0)
 
     def _mesh(self, bsdf: Any) -> Any:
         mi, sheet, faces = self._mi, self.sheet, self.sheet.faces
