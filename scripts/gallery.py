@@ -3,8 +3,8 @@
     python scripts/gallery.py out/gallery --paths out/traced_paths -o docs     # `make gallery` runs the recipes first
 
 Each has a folder of bundles for each sensor, as `tacgen run docs/gallery/gallery.yaml -o out/gallery/digit --set
-sensor=digit` writes it, and recipes/traced_paths.yaml. A column of a sheet is one indenter at one frame: camera, pressure,
-traction, stress; in the sheet of paths, one sensor: its pictures by both methods and their difference.
+sensor=digit` writes it, and recipes/traced_paths.yaml. A column of a sheet is one indenter at one frame: camera,
+pressure, traction, stress; in the sheet of paths, one sensor: its pictures by both methods and their difference.
 """
 
 import argparse
@@ -157,9 +157,9 @@ def paths_section() -> list[str]:
     return [
         "## Traced by Mitsuba",
         "",
-        "A gear pressed in, by `transport` and by Mitsuba's `path` ([recipe](RECIPE.md): `recipes/traced_paths.yaml`), without",
-        "the camera's noise; their difference is shown four times as strong. Its grain is the noise of the paths, which falls",
-        "with the root of their number.",
+        "A gear pressed in, by `transport` and by Mitsuba's `path` (`recipes/traced_paths.yaml`), without the camera's",
+        "noise; their difference is shown four times as strong. Its grain is the noise of the paths, which falls with the",
+        "root of their number.",
         "",
         "![Pictures by transport and by path](gallery/paths.webp){ loading=lazy }",
         "",

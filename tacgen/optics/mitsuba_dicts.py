@@ -80,8 +80,8 @@ def lobed(radiance: "Sequence[float]", lobe: int) -> dict[str, Any]:
     """Emitter of a rectangle whose radiance falls as cos^lobe of the angle to the normal.
 
     Mitsuba's area lights are Lambertian. Its environment map is a table of radiance by direction, which is looked up in
-    the shape's own frame if it hangs on a shape. Directions sampled toward an environment lead past the shape, so it must
-    not be sampled: see lights.
+    the shape's own frame if it hangs on a shape. Directions sampled toward an environment lead past the shape, so it
+    must not be sampled: see lights.
     """
     angles = np.pi * np.arange(LOBE_ROWS) / (LOBE_ROWS - 1)  # latitudes from the normal
     falloff = np.where(angles < np.pi / 2, np.cos(angles), 0.0) ** lobe

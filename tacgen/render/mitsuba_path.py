@@ -152,7 +152,9 @@ class PathTracer:
         self._params.update()
 
     def _traced(self, spp: int, seed: int) -> "Floats":
-        most = spp if self.variant == probing.SCALAR else max(1, LANES // int(np.prod(self._params[f"{FILM}.crop_size"])))
+        most = (
+            spp if self.variant == probing.SCALAR else max(1, LANES // int(np.prod(self._params[f"{FILM}.crop_size"])))
+        )
         count = -(-spp // most)
         seeds = [seed] if count == 1 else np.random.SeedSequence(seed).generate_state(count).tolist()
         paths = stratified(-(-spp // count))

@@ -97,7 +97,9 @@ def test_pictures_are_those_of_the_formula(name, monkeypatch):
     mi.register_emitter("formula", python_lobe(mi))
     formula = picture()
     assert native.mean((0, 1)) == pytest.approx(formula.mean((0, 1)), rel=1e-4)
-    shown = [camera_response.encoded(camera_response.expose(one, made.camera), made.camera) for one in (native, formula)]
+    shown = [
+        camera_response.encoded(camera_response.expose(one, made.camera), made.camera) for one in (native, formula)
+    ]
     assert -10 * np.log10(np.mean((shown[0] - shown[1]) ** 2)) > 80  # dB
 
 
