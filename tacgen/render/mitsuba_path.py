@@ -152,13 +152,13 @@ class PathTracer:
         self._params.update()
 
     def _traced(self, spp: int, seed: int) -> "Floats":
-        most = (
-            spp if self.variant == probing.SCALAR else max(1, LANES // int(np.prod(self._params[f"{FILM}.crop_size"])))
-        )
+        pixels = int(np.prod(self._params[f"{FILM}.crop_size"]))
+        most = spp if self.variant == probing.SCALAR else max(1, LANES // pixels)
         count = -(-spp // most)
         seeds = [seed] if count == 1 else np.random.SeedSequence(seed).generate_state(count).tolist()
         paths = stratified(-(-spp // count))
-        return np.mean([np.array(self._mi.render(self._scene, spp=paths, seed=s), np.float64) for s in seeds], axis=0)
+        made = [np.array(self._mi.render(self._scene, spp=paths, seed=s), dtype=np.float64) for s in seeds]
+        return np.asarray(np.mean(made, axis=0))
 
     def _mesh(self, bsdf: Any) -> Any:
         mi, sheet, faces = self._mi, self.sheet, self.sheet.faces
