@@ -86,7 +86,7 @@ gallery: sync
 	  $(BIN)/tacgen run docs/gallery/gallery.yaml -o out/gallery/$$name --set sensor=$$name --workers $(WORKERS) $(DATA_FLAGS) \
 	    || [ $$? -eq 1 ] || exit 1; \
 	done
-	@for chosen in gelsight_mini:4096 digit:4096 ninedtact:256; do \
+	@for chosen in gelsight_mini:4096 digit:1024 ninedtact:144; do \
 	  name=$${chosen%%:*}; \
 	  $(BIN)/tacgen run recipes/traced_paths.yaml -o out/traced_paths/$$name --set sensor=$$name \
 	    --set quality.spp=$${chosen##*:} --workers $(WORKERS) $(DATA_FLAGS) || exit 1; \

