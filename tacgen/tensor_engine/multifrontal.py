@@ -19,7 +19,7 @@ from torch import Tensor
 from tacgen.tensor_engine.dissection import Dissection, Level
 
 Array = np.ndarray
-BASE = 48  # rows up to which a diagonal block is factorised by LAPACK or its like; larger ones by halves
+BASE = 72  # rows up to which a diagonal block is factorised by LAPACK or its like; larger ones by halves
 STRIP = 192  # columns of an update that are computed at once, from the diagonal down: a multiple of 3
 
 
@@ -52,10 +52,13 @@ class Panel:
 class Multifrontal:
     """What all factors of one tree share: index tensors on a device.
 
-    dtype: of the factors; matrices and vectors are converted.
+    dtype: of the factors; matrices and vectors are converted. compiled: whether fronts are gathered by a compiled
+    kernel on a GPU, which reads and writes every number once.
     """
 
-    def __init__(self, tree: Dissection, device: str = "cpu", dtype: torch.dtype = torch.float32) -> None:
+    def __init__(
+        self, tree: Dissection, device: str = "cpu", dtype: torch.dtype = torch.float32, compiled: bool = True
+    ) -> None:
         self.tree, self.device, self.dtype = tree, torch.device(device), dtype
         self.nodes, self.patch = tree.pattern.size, self._index(tree.patch)
         entries = _Entries(tree)
@@ -66,8 +69,8 @@ class Multifrontal:
         root = Level(tree.patch[None], np.zeros((1, 0), int), 1)
         each = zip((*tree.levels, root), (None, *tree.levels), strict=True)
         *self.levels, self.root = (self._fronts(level, below, entries) for level, below in each)
-        gather = _gathered if self.device.type == "cpu" else torch.compile(_gathered, dynamic=True)
-        self._gather: Callable[..., Tensor] = gather
+        kernel = torch.compile(_gathered, dynamic=True) if compiled and self.device.type == "cuda" else _gathered
+        self._gather: Callable[..., Tensor] = kernel
 
     def _index(self, numbers: Array) -> Tensor:
         return torch.as_tensor(np.ascontiguousarray(numbers), device=self.device)
