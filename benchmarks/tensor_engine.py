@@ -2,11 +2,11 @@
 
     python -m benchmarks.tensor_engine [--draws 0 60] [--batch 1 64 256] [--patterns 1] [--seconds 120]
 
-Prints how many patterns the ordinary scenes of benchmarks/draws.py share, with the unknowns that sharing adds. Then, for
-the most common patterns of each sensor, how many a second of these it does with a batch: assemblies, factors with Schur
-complements on the patch, the same condensed to each scene's own nodes, substitutions there and back, systems of contact.
-Beside it CHOLMOD on one core with the scene's own mesh. The matrix is the gel's tangent at rest; residuals are those of
-a solution, and after each of two refinements, over the right-hand side.
+Prints how many patterns the ordinary scenes of benchmarks/draws.py share, with the unknowns that sharing adds. Then,
+for the most common patterns of each sensor, how many a second of these it does with a batch: assemblies, factors with
+Schur complements on the patch, the same condensed to each scene's own nodes, substitutions there and back, systems of
+contact. Beside it CHOLMOD on one core with the scene's own mesh. The matrix is the gel's tangent at rest; residuals are
+those of a solution, and after each of two refinements, over the right-hand side.
 """
 
 import argparse
@@ -29,7 +29,7 @@ from tacgen.mechanics.bulk import Bulk
 from tacgen.mechanics.condensation import Condensation
 from tacgen.mechanics.scene import Scene
 from tacgen.recipe import scene_of_row
-from tacgen.tensor_engine import grids, multifrontal
+from tacgen.tensor_engine import dissection, grids, multifrontal
 from tacgen.tensor_engine.condensed import Condensed
 from tacgen.tensor_engine.dissection import Dissection, dissected
 from tacgen.tensor_engine.multifrontal import Multifrontal, refined
@@ -45,15 +45,15 @@ def main() -> None:
     device = told.device or ("cuda" if torch.cuda.is_available() else "cpu")
     torch.set_num_threads(told.threads)
     multifrontal.BASE = told.base
-    say(
-        f"{torch.cuda.get_device_name() if device == 'cuda' else f'CPU, {told.threads} threads'}; torch {torch.__version__}"
-    )
+    name = torch.cuda.get_device_name() if device == "cuda" else f"CPU, {told.threads} threads"
+    say(f"{name}; PyTorch {torch.__version__}; {told.dtype}")
     for sensor, found in sorted(shared(range(told.draws[0], sum(told.draws))).items()):
         for pattern, scenes in found[: told.patterns]:
             say(f"\n{sensor}, pattern {pattern.cells}, of {len(scenes)} draws")
             matrix = Matrix.of(scenes[0])
             core(matrix, told.contact, end)
-            tree = tree_of(pattern, told.leaf, not told.halves)
+            tree = dissected(pattern, told.leaf, told.quartered, told.groups)
+            describe(tree)
             solver = Multifrontal(tree, device, getattr(torch, told.dtype), compiled=not told.eager)
             for batch in told.batch:
                 if time.perf_counter() > end:
@@ -76,8 +76,9 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--patterns", type=int, default=1, help="of each sensor, the most common first")
     parser.add_argument("--contact", type=int, default=100, help="nodes to condense to")
     parser.add_argument("--seconds", type=float, default=120.0, help="no measurement begins later")
-    parser.add_argument("--leaf", type=int, default=3, help="widest region that is not divided, in columns of nodes")
-    parser.add_argument("--halves", action="store_true", help="divide in two each time instead of in four")
+    parser.add_argument("--leaf", type=int, default=dissection.LEAF, help="see dissection.LEAF")
+    parser.add_argument("--quartered", type=int, default=dissection.QUARTERED, help="see dissection.QUARTERED")
+    parser.add_argument("--groups", type=int, default=dissection.MOST_GROUPS, help="batches of a level")
     parser.add_argument("--base", type=int, default=multifrontal.BASE, help="largest block factorised at once")
     parser.add_argument("--eager", action="store_true", help="without torch.compile on the GPU")
     parser.add_argument("--profile", action="store_true", help="which operations take the time of a factorisation")
@@ -162,17 +163,15 @@ def elements_of(grid: grids.Embedded, pattern: Pattern, data: Array) -> Array:
     return out.reshape(len(hexes), 8, 8, 3, 3).transpose(0, 1, 3, 2, 4).reshape(len(hexes), 24, 24)
 
 
-def tree_of(pattern: grids.GridPattern, leaf: int, quarters: bool) -> Dissection:
-    """The pattern's tree; prints its size."""
-    tree = dissected(pattern, leaf, quarters)
+def describe(tree: Dissection) -> None:
+    """Prints the size of a pattern's tree."""
     names = "flops", "entries", "filled"
-    flops, entries, filled = (sum(getattr(level, name) for level in tree.levels) for name in names)
-    fronts = ", ".join(f"{len(v.own)} of {3 * v.own.shape[1]} + {3 * v.bound.shape[1]}" for v in tree.levels)
+    flops, entries, filled = (sum(getattr(group, name) for group in tree.groups) for name in names)
+    fronts = ", ".join(f"{len(v.own)} of {3 * v.own.shape[1]} + {3 * v.bound.shape[1]}" for v in tree.groups)
     say(
-        f"  {3 * int(pattern.free.sum())} unknowns, {3 * len(tree.patch)} of the patch; {flops / 1e9:.2f} GFLOP,"
+        f"  {3 * int(tree.pattern.free.sum())} unknowns, {3 * len(tree.patch)} of the patch; {flops / 1e9:.2f} GFLOP,"
         f" {entries / 1e6:.1f} M numbers, {100 * filled / entries:.0f} % without padding; fronts: {fronts}"
     )
-    return tree
 
 
 def core(matrix: Matrix, count: int, end: float) -> None:
@@ -206,7 +205,7 @@ def batched(solver: Multifrontal, matrix: Matrix, batch: int, count: int, end: f
     nodes = torch.as_tensor(matrix.contact(count), device=device).expand(batch, -1)
     slots, kept = torch.arange(batch, device=device), Condensed(solver, batch)
     data = solver.assembled(elements)
-    flops = sum(level.flops for level in solver.tree.levels)
+    flops = sum(group.flops for group in solver.tree.groups)
     rates = Rates(batch, device.type, end)
     rates.of("assembled", lambda: solver.assembled(elements))
     seconds = rates.of("factor with S of the patch", lambda: solver.factor(data))

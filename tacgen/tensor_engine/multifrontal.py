@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from tacgen.tensor_engine.dissection import Dissection, Level
+from tacgen.tensor_engine.dissection import Dissection, Group, Level
 
 Array = np.ndarray
 BASE = 72  # rows up to which a diagonal block is factorised by LAPACK or its like; larger ones by halves
@@ -24,17 +24,32 @@ STRIP = 192  # columns of an update that are computed at once, from the diagonal
 
 
 @dataclass(frozen=True)
+class _Source:
+    """Children of some fronts (t, r rows) that lie in one group of the level below: its number; the first number of
+    each block (t, r + 1, r) in its flat updates, the last row of them zeros; the length of their rows; and places
+    (t, r) in its updates of vectors, -1 for none."""
+
+    group: int
+    first: Tensor
+    stride: int
+    rows: Tensor
+
+
+@dataclass(frozen=True)
 class _Fronts:
-    """Where a level's fronts (t, w own nodes, m others) take their blocks from: numbers of entries (t, w + m, w) of the
-    matrix; first numbers of blocks (t, w + m + 1, w + m) in the update of each child, the last row of them zeros; rows
-    (t, w + m) of a vector's update from each child, -1 for none; nodes own (t, w) and bound (t, m), the number of all
-    nodes where padded."""
+    """Where fronts (t, w own nodes, m others) take their blocks from: numbers of entries (t, w + m, w) of the matrix,
+    and children; nodes own (t, w) and bound (t, m), the number of all nodes where padded."""
 
     entry: Tensor
-    children: tuple[Tensor, ...]
-    rows: tuple[Tensor, ...]
+    sources: tuple[_Source, ...]
     own: Tensor
     bound: Tensor
+
+    @property
+    def sizes(self) -> tuple[int, int, int]:
+        """t, and the rows 3w and 3m of unknowns."""
+        (t, w), m = self.own.shape, self.bound.shape[1]
+        return t, 3 * w, 3 * m
 
 
 @dataclass(frozen=True)
@@ -66,30 +81,34 @@ class Multifrontal:
         self._rounds = [self._index(slots) for slots in entries.rounds]
         self._diagonal = self._index(entries.diagonal)
         self._neighbours = [tuple(self._index(a) for a in each) for each in entries.neighbours]
-        root = Level(tree.patch[None], np.zeros((1, 0), int), 1)
-        each = zip((*tree.levels, root), (None, *tree.levels), strict=True)
-        *self.levels, self.root = (self._fronts(level, below, entries) for level, below in each)
+        patch = Group(np.zeros(1, int), tree.patch[None], np.zeros((1, 0), int))
+        each = zip((*tree.levels, Level((patch,), 1)), (None, *tree.levels), strict=True)
+        *self.levels, (self.root,) = (
+            [self._fronts(group, level, below, entries) for group in level.groups] for level, below in each
+        )
         kernel = torch.compile(_gathered, dynamic=True) if compiled and self.device.type == "cuda" else _gathered
         self._gather: Callable[..., Tensor] = kernel
 
     def _index(self, numbers: Array) -> Tensor:
         return torch.as_tensor(np.ascontiguousarray(numbers), device=self.device)
 
-    def _fronts(self, level: Level, below: Level | None, entries: "_Entries") -> _Fronts:
-        rows = np.concatenate([level.own, level.bound], 1)
-        entry = entries.numbers(rows[:, :, None], level.own[:, None, :])
-        w = level.own.shape[1]
-        pad, eye = level.own < 0, np.eye(w, dtype=bool)
-        entry[:, :w][pad[:, :, None] & eye] = entries.unit
-        places = [] if below is None else [_places(rows, below.bound[c :: level.arity]) for c in range(level.arity)]
-        own, bound = (self._index(np.where(nodes < 0, self.nodes, nodes)) for nodes in (level.own, level.bound))
-        first, at = [], []
-        for c, place in enumerate(places):
-            m = below.bound.shape[1] if below else 0
-            child = level.arity * np.arange(len(place)) + c
-            first.append(self._index(_first(place, child, m).astype(np.int32)))
-            at.append(self._index(np.where(place < 0, -1, child[:, None] * m + place)))
-        return _Fronts(self._index(entry.astype(np.int32)), tuple(first), tuple(at), own, bound)
+    def _fronts(self, group: Group, level: Level, below: Level | None, entries: "_Entries") -> _Fronts:
+        rows, w = np.concatenate([group.own, group.bound], 1), group.own.shape[1]
+        entry = entries.numbers(rows[:, :, None], group.own[:, None, :])
+        entry[:, :w][(group.own < 0)[:, :, None] & np.eye(w, dtype=bool)] = entries.unit
+        sources = []
+        for c in range(level.arity):
+            for number, source in enumerate(below.groups if below else ()):
+                child, m = level.arity * group.fronts + c, source.bound.shape[1]
+                at = np.searchsorted(source.fronts, child).clip(max=len(source.fronts) - 1)
+                mine = source.fronts[at] == child
+                place = np.where(mine[:, None], _places(rows, source.bound[at]), -1)
+                if mine.any():
+                    first = self._index(_first(place, at, m).astype(np.int32))
+                    vector = self._index(np.where(place < 0, -1, at[:, None] * m + place))
+                    sources.append(_Source(number, first, 3 * m, vector))
+        own, bound = (self._index(np.where(nodes < 0, self.nodes, nodes)) for nodes in (group.own, group.bound))
+        return _Fronts(self._index(entry.astype(np.int32)), tuple(sources), own, bound)
 
     def assembled(self, elements: Tensor) -> Tensor:
         """The entries (B, pairs + 2, 9) of the matrices that are sums of the element tangents (B, e, 24, 24) of the
@@ -116,66 +135,83 @@ class Multifrontal:
 
     def factor(self, data: Tensor) -> "Factor":
         """The factors of the matrices whose entries `assembled` gives."""
-        batch = len(data)
-        data = data.to(self.dtype).reshape(batch, -1)
-        panels, update, bad = [], data[:, :0], torch.zeros(batch, dtype=torch.int32, device=self.device)
-        for fronts in self.levels:
-            (t, w), m = fronts.own.shape, fronts.bound.shape[1]
-            stride = _stride(update, fronts)
-            entry, children = fronts.entry, fronts.children
-            A = self._gather(data, entry[:, :w], update, [c[:, :w, :w] for c in children], stride)
-            below = self._gather(data, entry[:, w:], update, [c[:, w:-1, :w] for c in children], stride)
-            A, below = A.reshape(batch * t, 3 * w, 3 * w), below.reshape(batch * t, 3 * m, 3 * w)
-            failed = invert_factor(A)
-            bad = torch.maximum(bad, failed.reshape(batch, t).amax(1))
-            below = below @ A.mT
-            if children:
-                U = self._gather(None, None, update, [c[:, w:, w:] for c in children], stride)
-            else:
-                U = below.new_zeros((batch, t, 3 * m + 3, 3 * m))
-            _subtract_square(U.view(batch * t, 3 * m + 3, 3 * m), below)
-            update = U
-            panels.append(Panel(A.view(batch, t, 3 * w, 3 * w), below.view(batch, t, 3 * m, 3 * w)))
-        root = self.root
-        k = root.own.shape[1]
-        S = self._gather(data, root.entry, update, [c[:, :k, :k] for c in root.children], _stride(update, root))[:, 0]
+        data = data.to(self.dtype).reshape(len(data), -1)
+        panels, below, bad = (
+            list[Panel](),
+            list[Tensor](),
+            torch.zeros(len(data), dtype=torch.int32, device=self.device),
+        )
+        for level in self.levels:
+            updates = []
+            for fronts in level:
+                panel, update, info = self._eliminated(fronts, data, below)
+                panels.append(panel)
+                updates.append(update)
+                bad = torch.maximum(bad, info)
+            below = updates
+        k = len(self.patch)
+        S = self._gathered(self.root, data, below, slice(0, k), slice(0, k))[:, 0]
         return Factor(self, panels, torch.tril(S) + torch.tril(S, -1).mT, bad > 0)
+
+    def _eliminated(self, fronts: _Fronts, data: Tensor, below: list[Tensor]) -> tuple[Panel, Tensor, Tensor]:
+        """The factor of fronts, their updates (B, t, 3m + 3, 3m) and the leading minors (B,) that are not positive, of
+        entries `data` and the updates of the groups of the level below."""
+        batch, (t, w, m) = len(data), fronts.sizes
+        own, bound, all_others = slice(0, w // 3), slice(w // 3, (w + m) // 3), slice(w // 3, None)
+        inverse = self._gathered(fronts, data, below, own, own).view(batch * t, w, w)
+        info = invert_factor(inverse)
+        L = _times_transposed(self._gathered(fronts, data, below, bound, own).view(batch * t, m, w), inverse)
+        if fronts.sources:
+            U = self._gathered(fronts, None, below, all_others, all_others)
+        else:
+            U = data.new_zeros((batch, t, m + 3, m))
+        _subtract_square(U.view(batch * t, m + 3, m), L)
+        return Panel(inverse.view(batch, t, w, w), L.view(batch, t, m, w)), U, info.view(batch, t).amax(1)
+
+    def _gathered(self, fronts: _Fronts, data: Tensor | None, below: list[Tensor], r: slice, c: slice) -> Tensor:
+        """Some rows and columns, in nodes, of the fronts before elimination; without the entries if there are none."""
+        updates = [below[source.group].flatten(1) for source in fronts.sources]
+        first = [source.first[:, r, c] for source in fronts.sources]
+        entry = None if data is None else fronts.entry[:, r, c]
+        return self._gather(data, entry, updates, first, [source.stride for source in fronts.sources])
 
     def empty(self, batch: int) -> list[Panel]:
         """Room for the panels of so many factors."""
         out = []
-        for fronts in self.levels:
-            (t, w), m = fronts.own.shape, fronts.bound.shape[1]
-            shapes = (batch, t, 3 * w, 3 * w), (batch, t, 3 * m, 3 * w)
+        for fronts in itertools.chain(*self.levels):
+            t, w, m = fronts.sizes
+            shapes = (batch, t, w, w), (batch, t, m, w)
             out.append(Panel(*(torch.zeros(shape, dtype=self.dtype, device=self.device) for shape in shapes)))
         return out
 
     def forward(self, panels: list[Panel], g: Tensor, slots: Tensor | None = None) -> Tensor:
         """L^-1 g of vectors (B, n, 3), and on the patch g condensed to it; 0 at bonded nodes. Their factors are the
         batch of the panels or those at `slots` (B,) of it."""
-        b, batch = self._padded(g), len(g)
-        y, update = torch.zeros_like(b), b[:, :0]
-        for fronts, panel in zip(self.levels, panels, strict=True):
-            (t, w), m = fronts.own.shape, fronts.bound.shape[1]
-            inverse, below = panel.at(slots)
-            carried = _carried(update, fronts)
-            solved = inverse @ (b[:, fronts.own] + carried[:, :, :w]).view(batch, t, 3 * w, 1)
-            y[:, fronts.own.view(-1)] = solved.view(batch, t * w, 3)
-            update = carried[:, :, w:] - (below @ solved).view(batch, t, m, 3)
-        y[:, self.patch] = b[:, self.patch] + _carried(update, self.root)[:, 0]
+        b, each = self._padded(g), iter(panels)
+        y, below = torch.zeros_like(b), list[Tensor]()
+        for level in self.levels:
+            updates = []
+            for fronts in level:
+                inverse, low = next(each).at(slots)
+                t, w, m = fronts.sizes
+                carried = _carried(fronts, below, b)
+                solved = inverse @ (b[:, fronts.own] + carried[:, :, : w // 3]).view(-1, t, w, 1)
+                y[:, fronts.own.view(-1)] = solved.view(len(b), -1, 3)
+                updates.append(carried[:, :, w // 3 :] - (low @ solved).view(-1, t, m // 3, 3))
+            below = updates
+        y[:, self.patch] = b[:, self.patch] + _carried(self.root, below, b)[:, 0]
         return y[:, :-1]
 
     def backward(self, panels: list[Panel], y: Tensor, u: Tensor, slots: Tensor | None = None) -> Tensor:
         """x (B, n, 3) with L^T x = y away from the patch and x = u (B, k) on it; 0 at bonded nodes."""
-        y, batch = self._padded(y), len(y)
+        y = self._padded(y)
         x = torch.zeros_like(y)
-        x[:, self.patch] = u.to(self.dtype).view(batch, -1, 3)
-        for fronts, panel in zip(self.levels[::-1], panels[::-1], strict=True):
-            t, w = fronts.own.shape
-            inverse, below = panel.at(slots)
-            bound = x[:, fronts.bound].view(batch, t, -1, 1)
-            q = y[:, fronts.own].view(batch, t, 3 * w, 1) - below.mT @ bound
-            x[:, fronts.own.view(-1)] = (inverse.mT @ q).view(batch, t * w, 3)
+        x[:, self.patch] = u.to(self.dtype).view(len(y), -1, 3)
+        for fronts, panel in zip([*itertools.chain(*self.levels)][::-1], panels[::-1], strict=True):
+            inverse, low = panel.at(slots)
+            t, w, m = fronts.sizes
+            q = y[:, fronts.own].view(-1, t, w, 1) - low.mT @ x[:, fronts.bound].view(-1, t, m, 1)
+            x[:, fronts.own.view(-1)] = (inverse.mT @ q).view(len(y), -1, 3)
         return x[:, :-1]
 
     def _padded(self, x: Tensor) -> Tensor:
@@ -232,6 +268,18 @@ def invert_factor(A: Tensor) -> Tensor:
     return info
 
 
+def _times_transposed(A: Tensor, L: Tensor) -> Tensor:
+    """A L^T of A (b, m, w) and lower triangles L (b, w, w)."""
+    w = L.shape[-1]
+    if w <= STRIP:
+        return A @ L.mT
+    out = torch.empty_like(A)
+    for at in range(0, w, STRIP):
+        to = min(at + STRIP, w)
+        out[:, :, at:to].baddbmm_(A[:, :, :to], L[:, at:to, :to].mT, beta=0)
+    return out
+
+
 def _subtract_square(U: Tensor, L: Tensor) -> None:
     """U[:, :m] -= L L^T from the diagonal down, of L (b, m, w)."""
     m = L.shape[1]
@@ -240,15 +288,17 @@ def _subtract_square(U: Tensor, L: Tensor) -> None:
         U[:, at:m, at:to].baddbmm_(L[:, at:], L[:, at:to].mT, alpha=-1)
 
 
-def _gathered(data: Tensor | None, entry: Tensor | None, update: Tensor, children: list[Tensor], stride: int) -> Tensor:
-    """Matrices (B, t, 3r, 3c) of 3 x 3 blocks: those at `entry` (t, r, c) in the entries, and of each child those that
-    begin at (t, r, c) in its update, whose rows are `stride` numbers apart."""
-    some = children[0] if entry is None else entry
+def _gathered(
+    data: Tensor | None, entry: Tensor | None, updates: list[Tensor], first: list[Tensor], strides: list[int]
+) -> Tensor:
+    """Matrices (B, t, 3r, 3c) of 3 x 3 blocks: those at `entry` (t, r, c) in the entries, and those that begin at
+    `first` (t, r, c) in each of the updates, whose rows are `strides` numbers apart."""
+    some = first[0] if entry is None else entry
     t, r, c = some.shape
     i = torch.arange(3, dtype=torch.int32, device=some.device)[:, None, None]
     j = torch.arange(3, dtype=torch.int32, device=some.device)
-    flat = update.reshape(len(update), -1)
-    parts = [flat[:, first[:, :, None, :, None] + (stride * i + j)] for first in children]
+    each = zip(updates, first, strides, strict=True)
+    parts = [flat[:, at[:, :, None, :, None] + (stride * i + j)] for flat, at, stride in each]
     if data is not None and entry is not None:
         parts.append(data[:, 9 * entry[:, :, None, :, None] + (3 * i + j)])
     out = parts[0]
@@ -257,17 +307,15 @@ def _gathered(data: Tensor | None, entry: Tensor | None, update: Tensor, childre
     return out.reshape(len(out), t, 3 * r, 3 * c)
 
 
-def _stride(update: Tensor, fronts: _Fronts) -> int:
-    return update.shape[-1] if fronts.children else 0
-
-
-def _carried(update: Tensor, fronts: _Fronts) -> Tensor:
-    """What the children of each front add to a vector (B, t, w + m, 3), of their updates (B, children, m, 3)."""
-    batch, t, r = len(update), len(fronts.own), fronts.own.shape[1] + fronts.bound.shape[1]
-    if not fronts.rows:
-        return update.new_zeros((batch, t, r, 3))
-    padded = torch.cat([update.reshape(batch, -1, 3), update.new_zeros((batch, 1, 3))], 1)
-    return torch.stack([padded[:, rows] for rows in fronts.rows]).sum(0)
+def _carried(fronts: _Fronts, below: list[Tensor], b: Tensor) -> Tensor:
+    """What the children of fronts add to vectors (B, t, w + m, 3) like b, of the updates (B, children, m, 3) of each
+    group of the level below."""
+    t, w, m = fronts.sizes
+    out = b.new_zeros((len(b), t, (w + m) // 3, 3))
+    for source in fronts.sources:
+        update = below[source.group].flatten(1, 2)
+        out += torch.nn.functional.pad(update, (0, 0, 0, 1))[:, source.rows]
+    return out
 
 
 def _places(rows: Array, bound: Array) -> Array:

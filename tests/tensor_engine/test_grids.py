@@ -61,14 +61,25 @@ def test_a_contact_larger_than_all_patterns_has_none():
     assert grids.embedded(scene) is None
 
 
-@pytest.mark.parametrize("quarters", [True, False])
-def test_every_free_node_is_eliminated_once_and_acts_on_later_ones(quarters):
+@pytest.mark.parametrize(("quartered", "groups"), [(0, 1), (12, 2), (99, 3)])
+def test_every_free_node_is_eliminated_once_and_acts_on_later_ones(quartered, groups):
     pattern = GridPattern((18, 11, 3))
-    tree = dissected(pattern, quarters=quarters)
-    owns = np.concatenate([level.own[level.own >= 0] for level in tree.levels])
+    tree = dissected(pattern, quartered=quartered, most_groups=groups)
+    owns = np.concatenate([group.own[group.own >= 0] for group in tree.groups])
     assert sorted([*owns, *tree.patch]) == np.flatnonzero(pattern.free).tolist()
     for level in tree.levels:
-        for own, bound in zip(level.own, level.bound, strict=True):
+        fronts = np.concatenate([group.fronts for group in level.groups])
+        assert sorted(fronts) == list(range(len(fronts)))
+        assert len(level.groups) <= groups
+    for group in tree.groups:
+        for own, bound in zip(group.own, group.bound, strict=True):
             own, bound = own[own >= 0], bound[bound >= 0]
             assert (np.diff(tree.rank[bound]) > 0).all()
             assert not own.size or tree.rank[bound].min() > tree.rank[own].max()
+
+
+def test_two_batches_a_level_save_padding():
+    pattern = GridPattern((18, 18, 5))
+    one, two = (dissected(pattern, most_groups=most).groups for most in (1, 2))
+    assert sum(group.filled for group in two) == sum(group.filled for group in one)
+    assert sum(group.entries for group in two) < 0.8 * sum(group.entries for group in one)

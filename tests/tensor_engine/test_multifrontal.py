@@ -11,7 +11,7 @@ from benchmarks.tensor_engine import elements_of
 from tacgen.geometry.analytic_sdf import SphereSdf
 from tacgen.mechanics.bulk import Bulk
 from tacgen.mechanics.linear_solvers import best
-from tacgen.tensor_engine import grids
+from tacgen.tensor_engine import grids, multifrontal
 from tacgen.tensor_engine.dissection import dissected
 from tacgen.tensor_engine.grids import GridPattern
 from tacgen.tensor_engine.multifrontal import Multifrontal, refined
@@ -38,11 +38,16 @@ def matrices(pattern, batch=2, void=()):
     return whole, dense
 
 
-@pytest.mark.parametrize(("cells", "quarters"), [((10, 9, 3), True), ((10, 9, 3), False), ((7, 13, 2), True)])
-def test_solves_and_schur_complements_are_those_of_the_whole_matrix(cells, quarters):
+@pytest.mark.parametrize(
+    ("cells", "how"),
+    [((10, 9, 3), {}), ((10, 9, 3), {"quartered": 0, "most_groups": 1}), ((7, 13, 2), {"quartered": 99, "leaf": 2})],
+)
+def test_solves_and_schur_complements_are_those_of_the_whole_matrix(cells, how, monkeypatch):
+    monkeypatch.setattr(multifrontal, "BASE", 20)  # small fronts take every path
+    monkeypatch.setattr(multifrontal, "STRIP", 30)
     pattern = GridPattern(cells)
     elements, K = matrices(pattern, void=(0, 1, 2, 30, 31))
-    solver = Multifrontal(dissected(pattern, quarters=quarters), dtype=torch.float64)
+    solver = Multifrontal(dissected(pattern, **how), dtype=torch.float64)
     data = solver.assembled(elements)
     factor = solver.factor(data)
     free = torch.as_tensor(pattern.free).repeat_interleave(3)
