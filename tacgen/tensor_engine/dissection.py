@@ -18,8 +18,8 @@ Array = np.ndarray
 Region = tuple[int, int, int, int]  # first and last but one column of nodes along x, then along y
 LEAF = 3  # columns of nodes across a region that is not divided
 QUARTERED = 12  # across a region that is divided in four at once: fewer updates to move, more arithmetic
-# One GPU's time for a number that is written and read a few times, over that for a floating-point operation of a batched
-# product, from their usual bandwidths and rates [-]
+# A GPU's time for a number that is written and read a few times, over that for a floating-point operation of a batched
+# product, from usual bandwidths and rates [-]
 NUMBER = 150.0
 MOST_GROUPS = 2  # batches of a level: each more saves padding, and gathers from one source more
 
@@ -28,8 +28,8 @@ MOST_GROUPS = 2  # batches of a level: each more saves padding, and gathers from
 class Group:
     """Fronts of a level that are one batch.
 
-    fronts (t,): their numbers on the level; own (t, w): nodes eliminated in each; bound (t, m): nodes that they then act
-    on; both in the order of elimination and padded with -1.
+    fronts (t,): their numbers on the level; own (t, w): nodes eliminated in each; bound (t, m): nodes that they then
+    act on; both in the order of elimination and padded with -1.
     """
 
     fronts: Array
