@@ -53,7 +53,7 @@ class Forces:
     definite: Tensor
 
     def rows(self, which: Tensor) -> "Forces":
-        """Those of some scenes."""
+        """Only some scenes."""
         return Forces(*(part[which] for part in vars(self).values()))
 
     @property
@@ -68,7 +68,7 @@ class Forces:
 
 
 @dataclass(frozen=True)
-class Contact:
+class Contacts:
     """Barrier and friction between facets and the indenter of each scene.
 
     conn (s, f, 4) or (f, 4) node numbers; N (q, 4); areas (s, f, q), 0 where a facet does not exist; rotation
@@ -89,13 +89,13 @@ class Contact:
     eps: Tensor
     anchor: Tensor
 
-    def rows(self, which: Tensor) -> "Contact":
-        """Those of some scenes (r,)."""
+    def rows(self, which: Tensor) -> "Contacts":
+        """Only some scenes (r,)."""
         same = {"shapes": self.shapes.rows(which.tolist()), "N": self.N}
         parts = {k: v[which] for k, v in vars(self).items() if k not in same}
         return replace(self, **same, **parts)
 
-    def shrunk(self, offset: Tensor) -> "Contact":
+    def shrunk(self, offset: Tensor) -> "Contacts":
         """With indenters shrunk by other offsets (s,) [mm]."""
         return replace(self, offset=offset)
 

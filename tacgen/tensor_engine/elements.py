@@ -43,7 +43,7 @@ def _sign(i: int, j: int, k: int) -> int:
 
 @dataclass(frozen=True)
 class Topology:
-    """What all scenes of a batch share: conn (e, 8), the cells of each node (n, 8) as numbers 8 e + corner, padded with
+    """The numbering that the scenes of a batch share: conn (e, 8), the cells of each node (n, 8) as numbers 8 e + corner, padded with
     8 times the number of cells, and facets (f, 4) of the face; n nodes."""
 
     conn: Tensor
@@ -58,8 +58,8 @@ class Topology:
         place = np.arange(flat.size) - np.searchsorted(flat[order], flat[order])
         around = np.full((nodes, 8), flat.size)
         around[flat[order], place] = order
-        to = {"dtype": torch.long, "device": device}
-        return cls(*(torch.tensor(part, **to) for part in (cells, around, facets)), nodes)
+        conn, near, face = (torch.tensor(part, dtype=torch.long, device=device) for part in (cells, around, facets))
+        return cls(conn, near, face, nodes)
 
     def at_nodes(self, parts: Tensor) -> Tensor:
         """Sums (s, n, c) of what each cell's corners have, (s, e, 8, c)."""
@@ -69,7 +69,7 @@ class Topology:
 
 
 @dataclass(frozen=True)
-class Point:
+class HexPoints:
     """State at the integration points: F, I1 and J, the law's first derivatives in (I1, I2, J) with U' (3 of (s, e, q))
     and the second (6), U''/volume (s, e), and the energy (s,) [N mm], inf if an element is inverted."""
 
@@ -99,7 +99,7 @@ class Hexes:
         return cls(topology, B, volume * exists[..., None], laws)
 
     def rows(self, slots: Tensor) -> "Hexes":
-        """Those of some scenes (r,)."""
+        """Only some scenes (r,)."""
         return replace(self, B=self.B[slots], weights=self.weights[slots], laws=self.laws.rows(slots))
 
     def deformation(self, x: Tensor) -> Tensor:
@@ -108,7 +108,7 @@ class Hexes:
         F = x[:, self.topology.conn].mT @ self.B.movedim(3, 2).reshape(s, e, 8, 3 * q)
         return F.reshape(s, e, 3, q, 3).movedim(3, 2)
 
-    def evaluate(self, x: Tensor) -> Point:
+    def evaluate(self, x: Tensor) -> HexPoints:
         """Invariants, energy and derivatives; if J <= 0 anywhere the energy is inf and the rest is undefined."""
         F, w = self.deformation(x), self.weights
         C = cofactor(F)
@@ -121,14 +121,14 @@ class Hexes:
         energy = (w * value).sum((1, 2)) + (volume * U).sum(1)
         energy = torch.where(good.all(-1).all(-1), energy, torch.inf)
         dilatation = torch.where(volume > 0, ddU / volume.clamp(min=1e-300), 0.0)
-        return Point(F, I1, J, energy, [first[0], first[1], first[2] + dU[..., None]], second, dilatation)
+        return HexPoints(F, I1, J, energy, [first[0], first[1], first[2] + dU[..., None]], second, dilatation)
 
     def mean(self, J: Tensor) -> Tensor:
         """The mean J (s, e) of each cell; 1 in void ones."""
         volume = self.weights.sum(-1)
         return torch.where(volume > 0, (self.weights * J).sum(-1) / volume.clamp(min=1e-300), 1.0)
 
-    def forces(self, at: Point, first: list[Tensor] | None = None) -> Tensor:
+    def forces(self, at: HexPoints, first: list[Tensor] | None = None) -> Tensor:
         """dE/dx (s, n, 3) [N]; `first` instead of that of the point, if given."""
         w1, w2, w3 = at.first if first is None else first
         F, scale = at.F, (2 * (w1 + w2 * at.I1))[..., None, None]
@@ -145,19 +145,19 @@ class Hexes:
         """J (s, e, q) at F = `to`, to first order from J at F = `at`, linearised at F = `taken`."""
         return J + (cofactor(taken) * (to - at)).sum((-2, -1))
 
-    def with_pressure(self, at: Point, J: Tensor) -> list[Tensor]:
-        """Point.first with the pressure of another J (s, e, q)."""
+    def with_pressure(self, at: HexPoints, J: Tensor) -> list[Tensor]:
+        """HexPoints.first with the pressure of another J (s, e, q)."""
         J = torch.minimum(torch.maximum(J, at.J / PREDICTED), PREDICTED * at.J)
         change = self.laws.vol(self.mean(J))[1] - self.laws.vol(self.mean(at.J))[1]
         return [at.first[0], at.first[1], at.first[2] + change[..., None]]
 
-    def mixed_forces(self, at: Point, J: Tensor, taken: Tensor) -> Tensor:
+    def mixed_forces(self, at: HexPoints, J: Tensor, taken: Tensor) -> Tensor:
         """Right-hand side (s, n, 3) of a step whose tangent was computed at F = `taken`, with the predicted J; see
         fem.elasticity.Elastic.mixed_forces."""
         first = self.with_pressure(at, J)
         return self.forces(at, first) + self.spread((at.first[2] - first[2])[..., None, None] * cofactor(taken))
 
-    def tangents(self, at: Point, J: Tensor | None = None, projection: Projection = Projection.NONE) -> Tensor:
+    def tangents(self, at: HexPoints, J: Tensor | None = None, projection: Projection = Projection.NONE) -> Tensor:
         """d2E/dx2 of each cell (s, e, 24, 24), rows and columns 3 corner + direction; with the pressure at the
         predicted J if given."""
         first = at.first if J is None else self.with_pressure(at, J)

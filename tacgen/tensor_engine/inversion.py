@@ -56,7 +56,7 @@ class Folding:
 
 
 @dataclass(frozen=True)
-class FoldingBarrier:
+class FoldingBarriers:
     """The barrier on all cells: nodes at rest X (s, n, 3), det(dX/dxi) at rest (s, e, q), volumes (s, e) [mm^3], 0 for
     void cells, and shear moduli mu (s, e) [MPa]."""
 
@@ -67,11 +67,11 @@ class FoldingBarrier:
     mu: Tensor
 
     @classmethod
-    def on(cls, topology: Topology, X: Tensor, volume: Tensor, mu: Tensor) -> "FoldingBarrier":
+    def on(cls, topology: Topology, X: Tensor, volume: Tensor, mu: Tensor) -> "FoldingBarriers":
         return cls(topology, X, _determinants(X[:, topology.conn]), volume, mu)
 
-    def rows(self, slots: Tensor) -> "FoldingBarrier":
-        """Those of some scenes (r,)."""
+    def rows(self, slots: Tensor) -> "FoldingBarriers":
+        """Only some scenes (r,)."""
         X, rest, volume, mu = (part[slots] for part in (self.X, self.rest, self.volume, self.mu))
         return replace(self, X=X, rest=rest, volume=volume, mu=mu)
 

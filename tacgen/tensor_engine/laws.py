@@ -40,7 +40,7 @@ class Laws:
     values: Tensor
 
     def rows(self, slots: Tensor) -> "Laws":
-        """Those of some scenes (r,)."""
+        """Only some scenes (r,)."""
         return Laws(self.values[:, slots])
 
     @property

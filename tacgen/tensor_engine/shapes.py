@@ -216,7 +216,7 @@ class Shapes:
 
     @classmethod
     def of(cls, shapes: Sequence[Shape], dtype: torch.dtype, device: str) -> "Shapes":
-        """Of shapes that `known` accepts; scenes with one field share it."""
+        """An indenter for each scene, all `known`; scenes with one field share it."""
         fields = {id(shape): shape for shape in shapes if isinstance(shape, Field)}
         parts, starts, count = [torch.zeros(0, dtype=dtype)], dict[int, int](), 0
         for key, field in fields.items():
@@ -225,7 +225,7 @@ class Shapes:
         return cls(shapes, torch.cat(parts).to(device), [starts.get(id(shape), 0) for shape in shapes])
 
     def rows(self, slots: Sequence[int]) -> "Shapes":
-        """Those of some scenes."""
+        """Only some scenes."""
         return Shapes([self.shapes[k] for k in slots], self.values, [self.first[k] for k in slots])
 
     def distance(self, p: Tensor) -> Distances:

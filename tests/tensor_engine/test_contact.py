@@ -4,19 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
+from helpers.small import patch, turn
 
-torch = pytest.importorskip("torch")
-
-from helpers.small import patch, turn  # noqa: E402
-
-from tacgen.fem.elements import facet_areas  # noqa: E402
-from tacgen.geometry import analytic_sdf as sdf  # noqa: E402
-from tacgen.geometry.pose import Pose  # noqa: E402
-from tacgen.geometry.sdf_grid import Field  # noqa: E402
-from tacgen.mechanics.barrier import Contact as OneContact  # noqa: E402
-from tacgen.mechanics.coupled import CoupledContact  # noqa: E402
-from tacgen.tensor_engine.contact import Contact  # noqa: E402
-from tacgen.tensor_engine.shapes import FUNCTIONS, Shapes, known  # noqa: E402
+from tacgen.fem.elements import facet_areas
+from tacgen.geometry import analytic_sdf as sdf
+from tacgen.geometry.pose import Pose
+from tacgen.geometry.sdf_grid import Field
+from tacgen.mechanics.barrier import Contact as OneContact
+from tacgen.mechanics.coupled import CoupledContact
+from tacgen.tensor_engine.contact import Contacts
+from tacgen.tensor_engine.shapes import FUNCTIONS, Shapes, known
 
 torch.set_num_threads(1)
 Array = np.ndarray
@@ -95,7 +93,7 @@ class Case:
             return torch.tensor(np.array(parts), dtype=torch.float64)
 
         self.X = tensor(self.x)
-        self.many = Contact(
+        self.many = Contacts(
             Shapes.of(list(SHAPES.values()), torch.float64, "cpu"), torch.tensor(self.faces.conn),
             tensor(self.faces.N), tensor([one.faces.areas for one in c]), tensor([one.pose.rotation for one in c]),
             tensor([one.pose.position for one in c]), tensor([one.dhat for one in c]),

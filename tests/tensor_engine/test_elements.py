@@ -4,21 +4,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
+from helpers.small import block, full
 
-torch = pytest.importorskip("torch")
-
-from helpers.small import block, full  # noqa: E402
-
-from tacgen.fem.assembly import pattern  # noqa: E402
-from tacgen.fem.elasticity import Elastic  # noqa: E402
-from tacgen.fem.elements import hexes  # noqa: E402
-from tacgen.fem.folding_barrier import FoldingBarrier as OneFolding  # noqa: E402
-from tacgen.fem.jacobian import least_jacobian as one_least_jacobian  # noqa: E402
-from tacgen.fem.materials import EXAMPLES, Law, Stiffened  # noqa: E402
-from tacgen.fem.potential import Projection  # noqa: E402
-from tacgen.tensor_engine.elements import Hexes, Topology  # noqa: E402
-from tacgen.tensor_engine.inversion import FoldingBarrier, least_jacobian  # noqa: E402
-from tacgen.tensor_engine.laws import Laws, numbers  # noqa: E402
+from tacgen.fem.assembly import pattern
+from tacgen.fem.elasticity import Elastic
+from tacgen.fem.elements import hexes
+from tacgen.fem.folding_barrier import FoldingBarrier as OneFolding
+from tacgen.fem.jacobian import least_jacobian as one_least_jacobian
+from tacgen.fem.materials import EXAMPLES, Law, Stiffened
+from tacgen.fem.potential import Projection
+from tacgen.tensor_engine.elements import Hexes, Topology
+from tacgen.tensor_engine.inversion import FoldingBarriers, least_jacobian
+from tacgen.tensor_engine.laws import Laws, numbers
 
 torch.set_num_threads(1)
 LAWS: dict[str, Law] = {**EXAMPLES, "stiffened": Stiffened(EXAMPLES["mooney_rivlin"], 1.7)}
@@ -36,7 +34,9 @@ class Case:
         self.x = [p + r.uniform(-shake, shake, p.shape) for p in self.points]
         self.taken = [p + r.uniform(-shake, shake, p.shape) for p in self.points]
         self.pattern = pattern([cells], np.ones((n, 3), bool))
-        self.one = [Elastic.on(self.pattern, hexes(p, cells), law) for p, law in zip(self.points, LAWS.values())]
+        self.one = [
+            Elastic.on(self.pattern, hexes(p, cells), law) for p, law in zip(self.points, LAWS.values(), strict=True)
+        ]
         self.topology = Topology.of(cells, np.zeros((0, 4), int), n)
         self.exists = torch.ones(len(SCENES), len(cells), dtype=torch.bool)
         table = [[numbers(law)] * len(cells) for law in LAWS.values()]
@@ -144,7 +144,7 @@ def folded(case: Case) -> list[np.ndarray]:
 def test_the_barrier_against_inversion_is_that_of_one_scene(case: Case, projection: Projection) -> None:
     x, times = folded(case), torch.tensor([1.0, 4.0, 1.0, 16.0, 1.0], dtype=torch.float64)
     mu = torch.tensor([[law.mu] * len(case.cells[0]) for law in LAWS.values()], dtype=torch.float64)
-    barrier = FoldingBarrier.on(case.topology, case.X, case.many.weights.sum(-1), mu)
+    barrier = FoldingBarriers.on(case.topology, case.X, case.many.weights.sum(-1), mu)
     found = barrier.evaluate(case.tensor(x), times)
     assert set(found.scene.tolist()) == set(range(len(SCENES)))
     forces, K = torch.zeros_like(case.X), torch.zeros(len(SCENES), len(case.cells[0]), 24, 24, dtype=torch.float64)
