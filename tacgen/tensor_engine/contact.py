@@ -71,7 +71,7 @@ class Forces:
 class Contacts:
     """Barrier and friction between facets and the indenter of each scene.
 
-    conn (s, f, 4) or (f, 4) node numbers; N (q, 4); areas (s, f, q), 0 where a facet does not exist; rotation
+    conn (s, f, 4) node numbers; N (q, 4); areas (s, f, q), 0 where a facet does not exist; rotation
     (s, 3, 3) and position (s, 3) of the indenter; (s,): dhat and offset [mm], kappa [MPa], friction, slip length eps
     [mm]; anchor (s, f, q, 3) in the sensor's frame.
     """
@@ -98,6 +98,10 @@ class Contacts:
     def shrunk(self, offset: Tensor) -> "Contacts":
         """With indenters shrunk by other offsets (s,) [mm]."""
         return replace(self, offset=offset)
+
+    def only(self, conn: Tensor, areas: Tensor, anchor: Tensor) -> "Contacts":
+        """With other facets."""
+        return replace(self, conn=conn, areas=areas, anchor=anchor)
 
     def points(self, x: Tensor) -> Tensor:
         """The points (s, f, q, 3) of nodes x (s, n, 3)."""

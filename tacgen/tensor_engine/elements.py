@@ -43,8 +43,8 @@ def _sign(i: int, j: int, k: int) -> int:
 
 @dataclass(frozen=True)
 class Topology:
-    """The numbering that the scenes of a batch share: conn (e, 8), the cells of each node (n, 8) as numbers 8 e + corner, padded with
-    8 times the number of cells, and facets (f, 4) of the face; n nodes."""
+    """The numbering that the scenes of a batch share, n nodes: conn (e, 8); the cells of each node (n, 8) as numbers
+    8 e + corner, padded with 8 times the number of cells; and facets (f, 4) of the face."""
 
     conn: Tensor
     around: Tensor
