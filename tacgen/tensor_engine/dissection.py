@@ -21,9 +21,11 @@ Region = tuple[int, int, int, int]  # first and last but one column of nodes alo
 
 @dataclass(frozen=True)
 class Level:
-    """Fronts that can be eliminated at once. own (t, w): nodes eliminated in each; bound (t, m): nodes that they then
-    act on; both in the order of elimination and padded with -1. Front i has the children arity i ... arity i + arity - 1
-    on the level before."""
+    """Fronts that can be eliminated at once.
+
+    own (t, w): nodes eliminated in each; bound (t, m): nodes that they then act on; both in the order of elimination
+    and padded with -1. Front i has the children arity i ... arity i + arity - 1 on the level before.
+    """
 
     own: Array
     bound: Array
@@ -35,13 +37,13 @@ class Level:
         symmetric update."""
         (t, w), m = self.own.shape, self.bound.shape[1]
         w, m = 3 * w, 3 * m
-        return float(t) * (2 * w**3 / 3 + w * w * m + w * m * m)
+        return float(t * (2 * w**3 / 3 + w * w * m + w * m * m))
 
     @property
     def entries(self) -> int:
         """Numbers of a matrix that the level writes: the factor's and the update's."""
         (t, w), m = self.own.shape, self.bound.shape[1]
-        return 9 * t * ((w + m) * w + m * m)
+        return int(9 * t * ((w + m) * w + m * m))
 
     @property
     def filled(self) -> int:

@@ -6,7 +6,7 @@ one tree of fronts. Cells and nodes that a scene does not have stay void: the me
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -17,7 +17,8 @@ from tacgen.mechanics.scene import Scene
 
 Array = np.ndarray
 SIDE = 3  # cells of a pattern on each side of the patch; most graded meshes have 3 or 4
-# cells of the patch along x or y; the largest patches are rare, and each size more divides the scenes further
+# Cells of the patch along x or y. More sizes waste fewer unknowns and divide the scenes into more patterns; nodes of
+# nearly all (with those at the sides) divide into quarters of equal size, so that fronts need little padding
 SIZES = (8, 12, 16, 20, 24, 32)
 
 
@@ -100,7 +101,7 @@ def embedded(scene: Scene) -> Embedded | None:
     return in_pattern(mesh.axes(scene.gel, mesh.footprint(scene), scene.edge), scene)
 
 
-def in_pattern(axes: "mesh.Axes", scene: Scene) -> Embedded | None:
+def in_pattern(axes: mesh.Axes, scene: Scene) -> Embedded | None:
     """The mesh on these axes in the smallest pattern that holds it; None: none does."""
     along = [_least(len(at) - 1, fine) for at, fine in ((axes.x, axes.fine_x), (axes.y, axes.fine_y))]
     if along[0] is None or along[1] is None:
@@ -108,11 +109,9 @@ def in_pattern(axes: "mesh.Axes", scene: Scene) -> Embedded | None:
     (nx, ox), (ny, oy) = along[0], along[1]
     pattern = GridPattern((nx, ny, len(axes.z) - 1))
     x, y = _longer(axes.x, nx + 1, ox), _longer(axes.y, ny + 1, oy)
-    points = np.stack(np.meshgrid(x, y, axes.z, indexing="ij"), -1).reshape(-1, 3)
-    gel = scene.gel
-    points[:, 2] += gel.top(points[:, 0], points[:, 1]) * (points[:, 2] + gel.thickness) / gel.thickness
+    points = replace(axes, x=x, y=y).points(scene.gel)
     exists = np.zeros(pattern.cells, bool)
-    exists[ox : ox + len(axes.x) - 1, oy : oy + len(axes.y) - 1] = axes.inside(gel)[:, :, None]
+    exists[ox : ox + len(axes.x) - 1, oy : oy + len(axes.y) - 1] = axes.inside(scene.gel)[:, :, None]
     cells = np.flatnonzero(exists.ravel())
     layer = np.where(exists, axes.layer, 0).ravel()
     return Embedded(pattern, points, exists.ravel(), layer, np.unique(pattern.hexes[cells]), cells)

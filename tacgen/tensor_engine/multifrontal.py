@@ -19,7 +19,7 @@ from torch import Tensor
 from tacgen.tensor_engine.dissection import Dissection, Level
 
 Array = np.ndarray
-BASE = 48  # rows up to which a diagonal block is factorised by LAPACK or its like; larger ones by halves
+BASE = 72  # rows up to which a diagonal block is factorised by LAPACK or its like; larger ones by halves
 STRIP = 192  # columns of an update that are computed at once, from the diagonal down: a multiple of 3
 
 
@@ -38,32 +38,39 @@ class _Fronts:
 
 
 @dataclass(frozen=True)
-class _Panel:
-    """The factor of a level: the inverse of the diagonal blocks (B, t, 3w, 3w) and the blocks below (B, t, 3m, 3w)."""
+class Panel:
+    """The factors of a level: inverses of the diagonal blocks (B, t, 3w, 3w), and the blocks below (B, t, 3m, 3w)."""
 
     inverse: Tensor
     below: Tensor
+
+    def at(self, slots: Tensor | None) -> tuple[Tensor, Tensor]:
+        """Both, of some of the batch."""
+        return (self.inverse, self.below) if slots is None else (self.inverse[slots], self.below[slots])
 
 
 class Multifrontal:
     """What all factors of one tree share: index tensors on a device.
 
-    dtype: of the factors; matrices and vectors are converted.
+    dtype: of the factors; matrices and vectors are converted. compiled: whether fronts are gathered by a compiled
+    kernel on a GPU, which reads and writes every number once.
     """
 
-    def __init__(self, tree: Dissection, device: str = "cpu", dtype: torch.dtype = torch.float32) -> None:
+    def __init__(
+        self, tree: Dissection, device: str = "cpu", dtype: torch.dtype = torch.float32, compiled: bool = True
+    ) -> None:
         self.tree, self.device, self.dtype = tree, torch.device(device), dtype
         self.nodes, self.patch = tree.pattern.size, self._index(tree.patch)
         entries = _Entries(tree)
         self.pairs = len(entries.row)
         self._rounds = [self._index(slots) for slots in entries.rounds]
-        self._diagonal, self._diagonal_nodes = (self._index(a) for a in entries.diagonal)
+        self._diagonal = self._index(entries.diagonal)
         self._neighbours = [tuple(self._index(a) for a in each) for each in entries.neighbours]
         root = Level(tree.patch[None], np.zeros((1, 0), int), 1)
         each = zip((*tree.levels, root), (None, *tree.levels), strict=True)
         *self.levels, self.root = (self._fronts(level, below, entries) for level, below in each)
-        gather = _gathered if self.device.type == "cpu" else torch.compile(_gathered, dynamic=True)
-        self._gather: Callable[..., Tensor] = gather
+        kernel = torch.compile(_gathered, dynamic=True) if compiled and self.device.type == "cuda" else _gathered
+        self._gather: Callable[..., Tensor] = kernel
 
     def _index(self, numbers: Array) -> Tensor:
         return torch.as_tensor(np.ascontiguousarray(numbers), device=self.device)
@@ -84,17 +91,17 @@ class Multifrontal:
             at.append(self._index(np.where(place < 0, -1, child[:, None] * m + place)))
         return _Fronts(self._index(entry.astype(np.int32)), tuple(first), tuple(at), own, bound)
 
-    def assembled(self, blocks: Tensor, void: Tensor) -> Tensor:
-        """The entries (B, pairs + 2, 9) of the matrices that are sums of element blocks (B, e, 8, 8, 3, 3), those of
-        the nodes a and b of each of the pattern's hexes; void (B, n) bool: nodes without an element, which get the unit
-        matrix."""
-        batch = len(blocks)
-        flat = blocks.reshape(batch, -1, 9)
-        data = blocks.new_zeros((batch, self.pairs + 2, 9))
-        for slots in self._rounds:  # sums of up to 8 elements, in an order that never changes
-            data[:, : len(slots)] += flat[:, slots]
+    def assembled(self, elements: Tensor) -> Tensor:
+        """The entries (B, pairs + 2, 9) of the matrices that are sums of the element tangents (B, e, 24, 24) of the
+        pattern's hexes, rows and columns in the order 3a + i. Nodes without any stiffness get the unit matrix."""
+        batch = len(elements)
+        rows = elements.reshape(batch, -1, 3)
+        data = elements.new_zeros((batch, self.pairs + 2, 9))
+        for some in self._rounds:  # sums of up to 8 elements, in an order that never changes
+            data[:, : len(some)] += rows[:, some].flatten(2)
         unit = torch.eye(3, dtype=data.dtype, device=self.device).reshape(9)
-        data[:, self._diagonal] += void[:, self._diagonal_nodes, None] * unit
+        own = data[:, self._diagonal]
+        data[:, self._diagonal] = torch.where((own == 0).all(-1, keepdim=True), unit, own)
         data[:, -1] = unit
         return data
 
@@ -128,15 +135,52 @@ class Multifrontal:
                 U = below.new_zeros((batch, t, 3 * m + 3, 3 * m))
             _subtract_square(U.view(batch * t, 3 * m + 3, 3 * m), below)
             update = U
-            panels.append(_Panel(A.view(batch, t, 3 * w, 3 * w), below.view(batch, t, 3 * m, 3 * w)))
+            panels.append(Panel(A.view(batch, t, 3 * w, 3 * w), below.view(batch, t, 3 * m, 3 * w)))
         root = self.root
         k = root.own.shape[1]
         S = self._gather(data, root.entry, update, [c[:, :k, :k] for c in root.children], _stride(update, root))[:, 0]
         return Factor(self, panels, torch.tril(S) + torch.tril(S, -1).mT, bad > 0)
 
-    def local(self, x: Tensor) -> Tensor:
-        """Values (B, n + 1, 3) of x (B, n, 3) with a 0 for padded nodes."""
-        return torch.cat([x.to(self.dtype), x.new_zeros((len(x), 1, 3), dtype=self.dtype)], 1)
+    def empty(self, batch: int) -> list[Panel]:
+        """Room for the panels of so many factors."""
+        out = []
+        for fronts in self.levels:
+            (t, w), m = fronts.own.shape, fronts.bound.shape[1]
+            shapes = (batch, t, 3 * w, 3 * w), (batch, t, 3 * m, 3 * w)
+            out.append(Panel(*(torch.zeros(shape, dtype=self.dtype, device=self.device) for shape in shapes)))
+        return out
+
+    def forward(self, panels: list[Panel], g: Tensor, slots: Tensor | None = None) -> Tensor:
+        """L^-1 g of vectors (B, n, 3), and on the patch g condensed to it; 0 at bonded nodes. Their factors are the
+        batch of the panels or those at `slots` (B,) of it."""
+        b, batch = self._padded(g), len(g)
+        y, update = torch.zeros_like(b), b[:, :0]
+        for fronts, panel in zip(self.levels, panels, strict=True):
+            (t, w), m = fronts.own.shape, fronts.bound.shape[1]
+            inverse, below = panel.at(slots)
+            carried = _carried(update, fronts)
+            solved = inverse @ (b[:, fronts.own] + carried[:, :, :w]).view(batch, t, 3 * w, 1)
+            y[:, fronts.own.view(-1)] = solved.view(batch, t * w, 3)
+            update = carried[:, :, w:] - (below @ solved).view(batch, t, m, 3)
+        y[:, self.patch] = b[:, self.patch] + _carried(update, self.root)[:, 0]
+        return y[:, :-1]
+
+    def backward(self, panels: list[Panel], y: Tensor, u: Tensor, slots: Tensor | None = None) -> Tensor:
+        """x (B, n, 3) with L^T x = y away from the patch and x = u (B, k) on it; 0 at bonded nodes."""
+        y, batch = self._padded(y), len(y)
+        x = torch.zeros_like(y)
+        x[:, self.patch] = u.to(self.dtype).view(batch, -1, 3)
+        for fronts, panel in zip(self.levels[::-1], panels[::-1], strict=True):
+            t, w = fronts.own.shape
+            inverse, below = panel.at(slots)
+            bound = x[:, fronts.bound].view(batch, t, -1, 1)
+            q = y[:, fronts.own].view(batch, t, 3 * w, 1) - below.mT @ bound
+            x[:, fronts.own.view(-1)] = (inverse.mT @ q).view(batch, t * w, 3)
+        return x[:, :-1]
+
+    def _padded(self, x: Tensor) -> Tensor:
+        """x (B, n, 3) with a 0 for padded nodes (B, n + 1, 3)."""
+        return torch.nn.functional.pad(x.to(self.dtype), (0, 0, 0, 1))
 
 
 @dataclass(frozen=True)
@@ -147,50 +191,14 @@ class Factor:
     """
 
     of: Multifrontal
-    panels: list[_Panel]
+    panels: list[Panel]
     S: Tensor
     indefinite: Tensor
 
-    def forward(self, g: Tensor) -> Tensor:
-        """L^-1 g of a vector (B, n, 3), and on the patch g condensed to it."""
-        of, batch = self.of, len(g)
-        b = of.local(g)
-        y, update = torch.zeros_like(b), b[:, :0]
-        for fronts, panel in zip(of.levels, self.panels, strict=True):
-            (t, w), m = fronts.own.shape, fronts.bound.shape[1]
-            carried = _carried(update, fronts)
-            own = (b[:, fronts.own] + carried[:, :, :w]).view(batch, t, 3 * w, 1)
-            solved = panel.inverse @ own
-            y[:, fronts.own.view(-1)] = solved.view(batch, t * w, 3)
-            update = carried[:, :, w:] - (panel.below @ solved).view(batch, t, m, 3)
-        y[:, of.patch] = b[:, of.patch] + _carried(update, of.root)[:, 0]
-        return y[:, :-1]
-
-    def load(self, y: Tensor) -> Tensor:
-        """The vector condensed to the patch (B, k), of y from `forward`."""
-        return y[:, self.of.patch].reshape(len(y), -1)
-
-    def backward(self, y: Tensor, u: Tensor) -> Tensor:
-        """x (B, n, 3) with L^T x = y away from the patch and x = u (B, k) on it."""
-        of, batch = self.of, len(y)
-        y = of.local(y)
-        x = torch.zeros_like(y)
-        x[:, of.patch] = u.to(of.dtype).view(batch, -1, 3)
-        for fronts, panel in zip(of.levels[::-1], self.panels[::-1], strict=True):
-            t, w = fronts.own.shape
-            bound = x[:, fronts.bound].view(batch, t, -1, 1)
-            q = y[:, fronts.own].view(batch, t, 3 * w, 1) - panel.below.mT @ bound
-            x[:, fronts.own.view(-1)] = (panel.inverse.mT @ q).view(batch, t * w, 3)
-        return x[:, :-1]
-
-    def expand(self, u: Tensor, y: Tensor) -> Tensor:
-        """The step (B, n, 3) of all nodes for the step u (B, k) of the patch and the gradient whose `forward` is y."""
-        return self.backward(-y, u)
-
     def solve(self, b: Tensor, patch: Callable[[Tensor], Tensor]) -> Tensor:
-        """x (B, n, 3) of K x = b, where `patch` solves S u = load for (B, k)."""
-        y = self.forward(b)
-        return self.backward(y, patch(self.load(y)))
+        """x (B, n, 3) of K x = b, where `patch` solves S u = load for (B, k); 0 at bonded nodes."""
+        y = self.of.forward(self.panels, b)
+        return self.of.backward(self.panels, y, patch(y[:, self.of.patch].flatten(1)))
 
 
 def refined(solve: Callable[[Tensor], Tensor], product: Callable[[Tensor], Tensor], b: Tensor, rounds: int) -> Tensor:
@@ -277,17 +285,19 @@ def _first(place: Array, child: Array, m: int) -> Array:
     i, j = place[:, :, None], place[:, None, :]
     out = np.full((t, r + 1, r), 9 * m * m)
     lower = np.tri(r, dtype=bool)
-    out[:, :r] = np.where((i >= 0) & (j >= 0) & lower, ((3 * m + 3) * child[:, None, None] + 3 * i) * 3 * m + 3 * j, 9 * m * m)
+    out[:, :r] = np.where(
+        (i >= 0) & (j >= 0) & lower, ((3 * m + 3) * child[:, None, None] + 3 * i) * 3 * m + 3 * j, 9 * m * m
+    )
     return out
 
 
 class _Entries:
     """The lower triangle of a matrix by pairs of nodes: its rows are eliminated no earlier than its columns.
 
-    row, column (pairs,): nodes. zero, unit: numbers of two more blocks. rounds: of the pairs that have them, the first,
-    second... element block (e, a, b) that contributes, as one number; pairs with most come first. diagonal: pairs of a
-    node with itself, and that node. neighbours: for each of the 27 directions nodes, their neighbours, the pair, and
-    whether it is stored the other way.
+    row, column (pairs,): nodes. zero, unit: numbers of two more blocks. rounds: of the pairs that have one, the first,
+    second... element that contributes, as numbers (pairs, 3) of its tangent's rows of three (e, 24, 8); pairs with most
+    elements come first. diagonal: pairs of a node with itself. neighbours: for each of the 27 directions nodes, their
+    neighbours, the pair, and whether it is stored the other way.
     """
 
     def __init__(self, tree: Dissection) -> None:
@@ -302,9 +312,9 @@ class _Entries:
         self.zero, self.unit = len(keys), len(keys) + 1
         by_pair, most = slots[np.argsort(which, kind="stable")], count[order]
         starts = (np.cumsum(count) - count)[order]
-        self.rounds = [by_pair[starts[most > k] + k] for k in range(most.max())]
-        on = np.flatnonzero(self.row == self.column)
-        self.diagonal = on, self.row[on]
+        blocks = [by_pair[starts[most > k] + k] for k in range(most.max())]  # numbers of (e, 8, 8)
+        self.rounds = [(at // 8 * 24 + at % 8)[:, None] + 8 * np.arange(3) for at in blocks]
+        self.diagonal = np.flatnonzero(self.row == self.column)
         self.neighbours = [self._towards(pattern.number, *step) for step in itertools.product((-1, 0, 1), repeat=3)]
 
     def numbers(self, row: Array, column: Array) -> Array:
