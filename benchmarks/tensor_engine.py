@@ -33,7 +33,7 @@ from tacgen.tensor_engine import dissection, grids, multifrontal
 from tacgen.tensor_engine.condensed import Condensed
 from tacgen.tensor_engine.dissection import Dissection, dissected
 from tacgen.tensor_engine.multifrontal import Multifrontal, refined
-from tacgen.tensor_engine.schur import reduced
+from tacgen.tensor_engine.reduction import reduced
 
 Array = np.ndarray
 REPEATS = 5  # most repetitions of a measurement, of which the fastest counts
@@ -214,12 +214,12 @@ def batched(solver: Multifrontal, matrix: Matrix, batch: int, count: int, end: f
     y, load = kept.forward(slots, g)
     rates.of("forward", lambda: kept.forward(slots, g))
     rates.of("back", lambda: kept.expand(slots, load, y))
-    S, rest = kept.schur(elements, nodes)[1], torch.zeros(batch, device=device)
+    S = kept.schur(elements, nodes)[1]
     active = torch.arange(S.shape[1], device=device).expand(batch, -1) < S.shape[1] // 2
-    contact = reduced(S, S, rest, active)
-    rates.of("contact reduced to half", lambda: reduced(S, S, rest, active))
-    rates.of(f"LU of {contact.K.shape[-1]}", lambda: contact.solve(contact.K, load))
-    rates.of("Cholesky", lambda: contact.solve(contact.K, load, symmetric=True))
+    contact = reduced(S, active)[0]
+    rates.of("contact reduced to half", lambda: reduced(S, active))
+    rates.of(f"LU of {contact.K.shape[-1]}", lambda: contact.solve(contact.K, load, False))
+    rates.of("Cholesky", lambda: contact.solve(contact.K, load, True))
     memory = f", {torch.cuda.max_memory_allocated() / 1e9:.1f} GB" if device.type == "cuda" else ""
     said = ", ".join(f"{each:.0e}" for each in residuals(kept, S, data, slots, g, matrix))
     say(f"  batch {batch}: {rates}; {batch * flops / seconds / 1e12:.2f} TFLOP/s; residuals {said}{memory}")

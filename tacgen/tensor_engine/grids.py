@@ -55,6 +55,11 @@ class GridPattern:
         return boxes(self.number).reshape(-1, 8)
 
     @cached_property
+    def facets(self) -> Array:
+        """Nodes (f, 4) of the upper sides of the columns, seen from outside; y is fastest among columns."""
+        return self.hexes.reshape(-1, self.cells[2], 8)[:, -1, 4:]
+
+    @cached_property
     def patch(self) -> Array:
         """Numbers (p,) of the nodes on which contact can act."""
         s = self.side
@@ -77,6 +82,11 @@ class Embedded:
     layer: Array
     nodes: Array
     cells: Array
+
+    @property
+    def facets(self) -> Array:
+        """The pattern's numbers of the mesh's coated facets, in their order."""
+        return np.flatnonzero(self.exists.reshape(-1, self.pattern.cells[2])[:, -1])
 
     @property
     def used(self) -> Array:

@@ -24,6 +24,7 @@ def test_an_embedded_mesh_is_the_scenes_own(index):
     assert (renamed[found.pattern.hexes[found.cells]] == own.cells).all()
     assert (found.layer[found.cells] == own.layer).all()
     assert found.exists.sum() == len(own.cells)
+    assert (renamed[found.pattern.facets[found.facets]] == own.facets["coated"]).all()
 
 
 def test_contact_stays_on_the_patch():
