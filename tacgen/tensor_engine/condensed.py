@@ -85,7 +85,7 @@ class Condensed:
         """The step p (s, n, 3) of all nodes for u (s, 3m) of the condensed unknowns and the gradient g whose forward
         substitution is y: p_c = u, p_o = -K_oo^-1 (g_o + K_oc u); 0 at bonded and void nodes without a gradient."""
         width = u.shape[1]
-        solved, u = self._of_patch(y), u.to(self.solver.dtype)
+        solved, u = self._of_patch(y.to(self.solver.dtype)), u.to(self.solver.dtype)
         q = solved + (self._coupling[slots, :, :width] @ u[:, :, None]).squeeze(-1)
         inner = -(self._inverse[slots].mT @ q[:, :, None]).squeeze(-1)
         order = torch.where(self._first(slots) > 0, self._order[slots], self._k)
