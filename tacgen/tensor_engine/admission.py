@@ -74,7 +74,7 @@ def _imbalance(b: Batch, s: Tensor, x: Tensor, contact: Contacts, forces: Forces
 
 
 def _depth_inside(b: Batch, s: Tensor, x: Tensor, contact: Contacts) -> Tensor:
-    """Largest penetration (s,) of the gel into the shrunk indenter at the integration points [mm]; 0 if there is none."""
+    """Largest penetration (s,) of the gel into the shrunk indenter at the integration points [mm]; 0 without any."""
     at = (b.corners @ x[:, b.topology.conn]).flatten(1, 2)
     d = contact.shapes.distance(contact.local(at))[0].view(len(s), -1, len(b.corners)) + contact.offset[:, None, None]
     return -torch.where(b.exists[s][..., None], d, 0.0).flatten(1).amin(1).clamp(max=0.0)

@@ -26,6 +26,10 @@ from tacgen.tensor_engine.shapes import Shapes
 
 Array = np.ndarray
 FLOAT = torch.float64
+GROW = 48  # sizes of WIDE are multiples of it
+# rows as wide as the largest contact so far, of k unknowns: the Schur complements now and at rest, the load on them,
+# and their reduction to a unknowns (see reduction.Reduction)
+WIDE = {"S": "kk", "S_0": "kk", "load": "k", "active": "k", "G": "kk", "X": "ka", "K": "aa", "kept": "a", "place": "k"}
 
 
 class Factors(Protocol):
@@ -91,6 +95,7 @@ class Course:
     newton_damped: int = 0
     # of the step in the making
     inner_damping: float = 0.0
+    reduced: float = -1.0  # damping of the Schur complement whose reduction is kept; -1: none
     part: float = 1.0
     gain: float = 1.0
 
@@ -202,8 +207,8 @@ class Batch:
     def empty(self) -> Tensors:
         """The rows of all scenes: of the history (h_), the load step, Newton's method and the contact (c_)."""
         B, n, _ = self.X.shape
-        f, q, m = *self.areas.shape[1:], int(self.patch.sum())
-        F = self.hexes.weights.shape
+        _, f, q = self.areas.shape
+        m, F = int(self.patch.sum()), self.hexes.weights.shape
 
         def zeros(*shape: int, dtype: torch.dtype = FLOAT) -> Tensor:
             return torch.zeros((B, *shape), dtype=dtype, device=self.X.device)
@@ -213,24 +218,55 @@ class Batch:
 
         of_face = {"h_N": (f, q), "h_gap": (f, q), "h_normal": (f, q, 3), "h_anchor": (f, q, 3), "anchor": (f, q, 3)}
         of_face |= {"h_motion": (f, q, 3), "motion": (f, q, 3)}
-        of_nodes = ("h_x", "h_error", "ahead", "first_order", "begins", "x", "stepped", "g", "y")
-        alone = ("h_offset", "h_kappa", "h_least", "offset", "kappa", "folds", "energy", "stepped_energy")
-        alone += ("c_offset", "c_length", "c_drift")
+        of_nodes = ["h_x", "h_error", "ahead", "first_order", "begins", "x", "stepped", "g", "y"]
+        alone = ["h_offset", "h_kappa", "h_least", "offset", "kappa", "folds", "energy", "stepped_energy"]
+        alone += ["c_offset", "c_length", "c_drift"]
         return Tensors(
             **{name: zeros(*shape) for name, shape in of_face.items()}, **{name: zeros(n, 3) for name in of_nodes},
             **{name: zeros() for name in alone},
             h_rotation=zeros(3, 3), h_position=zeros(3), rotation=zeros(3, 3), position=zeros(3),
             J=zeros(*F[1:]), taken=zeros(*F[1:], 3, 3), c_steps=index(), c_status=index(),
-            nodes=index(m) - 1, local=index(n) - 1, faces=index(f) - 1, S=zeros(3 * m, 3 * m), S_0=zeros(3 * m, 3 * m),
-            rested=zeros(dtype=torch.bool), load=zeros(3 * m), c_x=zeros(m, 3),
+            nodes=index(m) - 1, local=index(n) - 1, faces=index(f) - 1, rested=zeros(dtype=torch.bool),
+            c_x=zeros(m, 3), **{name: self._blank(name, B, [0] * len(axes)) for name, axes in WIDE.items()},
         )  # fmt: skip
+
+    def _blank(self, name: str, count: int, sizes: Sequence[int]) -> Tensor:
+        """Rows of padding of one of WIDE."""
+        padding = {"active": False, "kept": -1, "place": -1}.get(name, 0.0)
+        types = {"active": torch.bool, "kept": torch.long, "place": torch.long}
+        out = torch.full((count, *sizes), padding, dtype=types.get(name, FLOAT), device=self.X.device)
+        if name in ("S", "S_0", "K"):
+            out.diagonal(dim1=1, dim2=2).fill_(1.0)
+        return out
+
+    def _widen(self, name: str, sizes: Sequence[int]) -> Tensor:
+        """The rows of one of WIDE, at least as wide as `sizes`."""
+        store = getattr(self.t, name)
+        if any(new > old for new, old in zip(sizes, store.shape[1:], strict=True)):
+            wider = [max(-(-new // GROW) * GROW, old) for new, old in zip(sizes, store.shape[1:], strict=True)]
+            old, store = store, self._blank(name, len(store), wider)
+            store[(slice(None), *map(slice, old.shape[1:]))] = old
+            setattr(self.t, name, store)
+        return store
+
+    def keep(self, s: Tensor, **parts: Tensor) -> None:
+        """Write rows of WIDE, which grow where they are too narrow and are padded where they are wider."""
+        for name, value in parts.items():
+            store = self._widen(name, value.shape[1:])
+            row = self._blank(name, len(s), store.shape[1:])
+            row[(slice(None), *map(slice, value.shape[1:]))] = value
+            store[s] = row
+
+    def read(self, name: str, s: Tensor, *sizes: int) -> Tensor:
+        """Rows of one of WIDE, as wide as `sizes`."""
+        return self._widen(name, sizes)[(s, *map(slice, sizes))]
 
     def slots(self, rows: Sequence[int]) -> Tensor:
         """Numbers of slots as an index."""
         return torch.tensor(rows, dtype=torch.long, device=self.X.device)
 
     def bulk(self, s: Tensor, x: Tensor) -> tuple[Hexes, HexPoints, Folding, Tensor]:
-        """The cells of scenes s, their state at x (s, n, 3), the barrier against inversion there, and the energy (s,)."""
+        """The cells of scenes s, and at x (s, n, 3) their state, the barrier against inversion and the energy (s,)."""
         hexes = self.hexes.rows(s)
         at = hexes.evaluate(x)
         folding = self.folding.rows(s).evaluate(x, self.t.folds[s])

@@ -4,6 +4,8 @@ Each kernel does for all scenes `s` of a batch what that of mechanics.bulk_newto
 for each. Quantities on which the next phase depends are read from the device once a call.
 """
 
+from functools import partial
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -15,9 +17,10 @@ from tacgen.mechanics.options import SolverOptions
 from tacgen.mechanics.phases import Outcome
 from tacgen.tensor_engine import contact_newton
 from tacgen.tensor_engine.batch import Batch, Course
+from tacgen.tensor_engine.condensation import condensed, more, reduced_to
 from tacgen.tensor_engine.contact import Contacts
-from tacgen.tensor_engine.contact_newton import CONVERGED, RUNNING, UNSTABLE, Iterates, Quadratics, at_nodes
-from tacgen.tensor_engine.load_step import cover, covers, damped, take
+from tacgen.tensor_engine.contact_newton import CONVERGED, RUNNING, UNSTABLE, Iterates, at_nodes
+from tacgen.tensor_engine.load_step import cover, covers, take
 
 
 def begin_step(b: Batch, s: Tensor) -> list[Outcome]:
@@ -71,9 +74,9 @@ def load(b: Batch, s: Tensor) -> list[Outcome]:
     hexes, at, folding, _ = b.bulk(s, t.x[s])
     g = hexes.mixed_forces(at, t.J[s], t.taken[s])
     folding.add_forces(g)
-    y, condensed = b.factors.forward(s, g)
-    wide = torch.nn.functional.pad(condensed.to(g.dtype), (0, t.load.shape[1] - condensed.shape[1]))
-    t.put(s, g=g, y=y.to(g.dtype), load=wide)
+    y, load = b.factors.forward(s, g)
+    b.keep(s, load=load.to(g.dtype))
+    t.put(s, g=g, y=y.to(g.dtype))
     _untouched(b, s)
     for row in s.tolist():
         b.courses[row].inner_damping = b.courses[row].damping
@@ -89,20 +92,13 @@ def _untouched(b: Batch, s: Tensor) -> None:
     t.put(s, c_x=x, c_offset=t.offset[s], c_length=zero + torch.inf, c_drift=zero, c_steps=zero.long())
 
 
-def condensed(b: Batch, s: Tensor) -> Quadratics:
-    """The condensed bulk of each scene."""
-    S = damped(b, s)
-    return Quadratics(b.at_condensed(s, b.t.x[s]), S, b.t.load[s][:, : S.shape[1]])
-
-
 def contact(b: Batch, s: Tensor) -> list[Outcome]:
     """One step of the contact."""
-    t, bulk = b.t, condensed(b, s)
-    m = bulk.start.shape[1]
-    now = Iterates(
-        t.c_x[s][:, :m], b.near(s, t.c_offset[s]), t.c_steps[s], t.c_length[s], t.c_drift[s], t.c_status[s]
+    t, m, near = b.t, b.width(s), b.near(s, b.t.c_offset[s])
+    now = Iterates(t.c_x[s, :m], near, t.c_steps[s], t.c_length[s], t.c_drift[s], t.c_status[s])
+    after = contact_newton.step(
+        partial(reduced_to, b, s, near.conn), now, b.reach[s], step_end(b, s), b.edge[s], b.options.max_contact
     )
-    after = contact_newton.step(bulk, now, b.reach[s], step_end(b, s), b.edge[s], b.options.max_contact)
     x = t.c_x[s]
     x[:, :m] = after.x
     t.put(
@@ -131,11 +127,6 @@ def damp(b: Batch, s: Tensor) -> list[Outcome]:
     if again:
         _untouched(b, b.slots(again))
     return outcomes
-
-
-def more(damping: float) -> float:
-    """The next larger damping."""
-    return max(DAMPING_FACTOR * damping, LEAST_DAMPING)
 
 
 def search(b: Batch, s: Tensor) -> list[Outcome]:
@@ -178,7 +169,9 @@ def search(b: Batch, s: Tensor) -> list[Outcome]:
 def _partly(b: Batch, s: Tensor, start: Tensor, inner: Tensor, part: Tensor) -> Tensor:
     """Condensed positions (s, most, 3) after a part of the step."""
     x = b.t.c_x[s]
-    x[:, : start.shape[1]] = torch.where((part < 1)[:, None, None], start + part[:, None, None] * (inner - start), inner)
+    x[:, : start.shape[1]] = torch.where(
+        (part < 1)[:, None, None], start + part[:, None, None] * (inner - start), inner
+    )
     return x
 
 
@@ -221,8 +214,14 @@ def _unbalanced(b: Batch, s: Tensor, gradient: Tensor, near: Contacts, force: Te
 
 
 def _measured(
-    options: SolverOptions, course: Course, residual: float, still: float, covered: float, converged: float, steps: float
-) -> Outcome:
+    options: SolverOptions,
+    course: Course,
+    residual: float,
+    still: float,
+    covered: float,
+    converged: float,
+    steps: float,
+) -> Outcome:  # fmt: skip
     """The outcome for one scene, and its next damping and tangent."""
     damping, before, ended = course.inner_damping, course.residual, bool(converged) and course.part == 1
     if damping > 0 and not options.through_folds:

@@ -5,7 +5,7 @@ else along it, or along the symmetric one, by Armijo's rule.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -13,6 +13,7 @@ from torch import Tensor
 from tacgen.mechanics.contact_newton import FULL_STEP, MIN_COUPLED, ROUNDING, SHORTEST
 from tacgen.mechanics.line_search import ARMIJO
 from tacgen.tensor_engine.contact import Contacts, Forces
+from tacgen.tensor_engine.reduction import Reduction, with_points
 
 RUNNING, CONVERGED, STOPPED, UNSTABLE = range(4)  # see mechanics.contact_newton.ContactStatus
 
@@ -20,15 +21,18 @@ RUNNING, CONVERGED, STOPPED, UNSTABLE = range(4)  # see mechanics.contact_newton
 @dataclass(frozen=True)
 class Quadratics:
     """The condensed bulk of each scene: u . load + u . S u / 2 of displacements u (s, k) from `start` (s, m, 3), with
-    S (s, k, k) [N/mm] and load (s, k) [N]; k = 3 m, padded with a unit matrix."""
+    S (s, k, k) [N/mm] and load (s, k) [N]; k = 3 m, padded with a unit matrix. reduction: of S to what contact acts on.
+    """
 
     start: Tensor
     S: Tensor
     load: Tensor
+    reduction: Reduction | None = None
 
     def rows(self, which: Tensor) -> "Quadratics":
         """Only some scenes."""
-        return Quadratics(self.start[which], self.S[which], self.load[which])
+        reduction = None if self.reduction is None else self.reduction.rows(which)
+        return Quadratics(self.start[which], self.S[which], self.load[which], reduction)
 
     def at(self, x: Tensor) -> tuple[Tensor, Tensor]:
         """Energy (s,) and gradient (s, m, 3) at positions x (s, m, 3)."""
@@ -42,17 +46,10 @@ class Quadratics:
 
     def solve(self, contact: Contacts, D: Tensor, g: Tensor, symmetric: bool) -> tuple[Tensor, Tensor]:
         """The steps (s, m, 3) that balance g with tangents D (s, f, q, 3, 3) of the contact, and which exist (s,)."""
-        K = with_points(self.S, contact, D)
-        b = -g.flatten(1)[..., None]
-        if symmetric:
-            L, info = torch.linalg.cholesky_ex(K)
-            p = torch.cholesky_solve(b, L)
-        else:
-            LU, pivots, info = torch.linalg.lu_factor_ex(K)
-            p = torch.linalg.lu_solve(LU, pivots, b)
-        p = p.view_as(g)
-        good = (info == 0) & torch.isfinite(p).all(-1).all(-1)
-        return torch.where(good[:, None, None], p, 0.0), good
+        assert self.reduction is not None
+        K = with_points(self.reduction.K, self.reduction.place, contact.conn, contact.N, D)
+        p, good = self.reduction.solve(K, -g.flatten(1), symmetric)
+        return p.view_as(g), good
 
 
 def _times(S: Tensor, u: Tensor) -> Tensor:
@@ -70,20 +67,6 @@ def at_nodes(contact: Contacts, forces: Tensor, nodes: int) -> Tensor:
     return out
 
 
-def with_points(S: Tensor, contact: Contacts, D: Tensor) -> Tensor:
-    """S (s, k, k) plus stiffnesses D (s, f, q, 3, 3) at the points of facets, conn (s, f, 4)."""
-    N, conn, s = contact.N, contact.conn, len(S)
-    K = S.clone().view(s, -1)
-    pairs = (N[:, :, None] * N[:, None, :]).flatten(1).T  # (a b, q)
-    blocks = (pairs @ D.flatten(-2)).view(s, -1, 4, 4, 3, 3)
-    three = torch.arange(3, device=S.device)
-    dofs = 3 * conn[..., None] + three  # (s, f, 4, 3)
-    for corner in range(4):
-        rows, columns = dofs[:, :, corner, None, :, None], dofs[:, :, :, None, :]
-        K.scatter_add_(1, (rows * S.shape[1] + columns).flatten(1), blocks[:, :, corner].flatten(1))
-    return K.view_as(S)
-
-
 @dataclass(frozen=True)
 class Iterates:
     """Positions x (s, m, 3), contacts with their offsets there, steps so far (s,), the longest motion of a node in the
@@ -97,9 +80,14 @@ class Iterates:
     status: Tensor
 
 
-def step(bulk: Quadratics, now: Iterates, reach: Tensor, xtol: Tensor, radius: Tensor, max_steps: int) -> Iterates:
-    """One step of each scene towards the equilibrium of bulk, barrier and friction, with the indenter shrunk by the mean
-    gap; see mechanics.contact_newton.contact_step. reach, xtol, radius (s,) [mm]."""
+def step(
+    reduced: Callable[[Tensor], Quadratics], now: Iterates, reach: Tensor, xtol: Tensor, radius: Tensor, max_steps: int
+) -> Iterates:
+    """One step of each scene towards the equilibrium of bulk, barrier and friction, with indenters shrunk by the mean
+    gap; see mechanics.contact_newton.contact_step.
+
+    reduced: gives the bulk reduced to what the facets marked in (s, f) bool act on; reach, xtol, radius (s,) [mm].
+    """
     x, contact, length = now.x, now.contact, now.length
     forces = contact.evaluate(x)
     near = (length <= contact.dhat) & (forces.total > 0)  # far from the solution the mean gap is meaningless
@@ -107,6 +95,7 @@ def step(bulk: Quadratics, now: Iterates, reach: Tensor, xtol: Tensor, radius: T
     if bool(near.any()):
         contact = contact.shrunk(torch.where(near, forces.mean_gap, contact.offset))
         forces = contact.evaluate(x)
+    bulk = reduced((forces.N > 0).any(-1))
     g = bulk.residual(contact, forces, x)
     going = now.steps < max_steps
     p, full = bulk.solve(contact, forces.tangent, g, False)

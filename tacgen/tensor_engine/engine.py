@@ -11,11 +11,10 @@ from tacgen.geometry.pose import shortest_turn
 from tacgen.mechanics.failures import NotConverged
 from tacgen.mechanics.load_stepping import divided
 from tacgen.mechanics.phases import FINAL, TRANSITIONS, Outcome, Phase
-from tacgen.mechanics.problem import Problem
 from tacgen.mechanics.scene import Scene
 from tacgen.mechanics.state import State
 from tacgen.tensor_engine import admission, bulk_newton, load_step
-from tacgen.tensor_engine.batch import Batch
+from tacgen.tensor_engine.batch import Batch, Course
 from tacgen.tensor_engine.laws import numbers
 from tacgen.tensor_engine.shapes import known
 
@@ -87,7 +86,8 @@ def advance(b: Batch, phase: Phase, rows: list[int]) -> None:
 
 def _frames(b: Batch, row: int, scene: Scene) -> Iterator[int]:
     """Puts frame after frame before the first kernel, each time the one before is solved; yields their numbers."""
-    course, last, previous = b.courses[row], scene.start, None
+    course, last = b.courses[row], scene.start
+    previous: State | None = None
     for index, pose in enumerate(scene.poses):
         turn = shortest_turn(last, pose) if scene.turns is None else scene.turns[index]
         duration = math.inf if scene.duration is None else float(scene.duration[index])
@@ -95,10 +95,16 @@ def _frames(b: Batch, row: int, scene: Scene) -> Iterator[int]:
         course.legs = divided(course.problem, course.history, last, pose, turn, duration)
         course.phase, course.index, course.effort, course.state = Phase.begin, index, 0, None
         yield index
-        if course.phase is Phase.failed:
-            course.why = "the contact leaves the fine part of the mesh" if course.left else course.failure
+        previous = _reached(course, previous)
+        if previous is None:
             return
-        assert course.state is not None
-        previous = course.state.following(previous)
-        course.states.append(previous)
         last = previous.pose
+
+
+def _reached(course: Course, previous: State | None) -> State | None:
+    """The state of the frame that is over, after that of the one before; None: it has no solution, and why is noted."""
+    if course.phase is Phase.failed or course.state is None:
+        course.why = "the contact leaves the fine part of the mesh" if course.left else course.failure
+        return None
+    course.states.append(course.state.following(previous))
+    return course.states[-1]

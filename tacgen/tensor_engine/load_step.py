@@ -15,7 +15,8 @@ from tacgen.mechanics.predictor import PARALLEL, TIE
 from tacgen.mechanics.solve_state import RATE_GUESS
 from tacgen.mechanics.tunnelling import DEEPEST, TURN
 from tacgen.tensor_engine.batch import Batch
-from tacgen.tensor_engine.contact_newton import at_nodes, with_points
+from tacgen.tensor_engine.contact_newton import at_nodes
+from tacgen.tensor_engine.reduction import with_points
 
 
 def begin(b: Batch, s: Tensor) -> list[Outcome]:
@@ -86,39 +87,17 @@ def take(b: Batch, s: Tensor, x: Tensor, J: Tensor | None, projection: Projectio
     K = hexes.tangents(at, J, projection)
     folding.add_tangents(K, projection)
     good, S = b.factors.factor(s, K, b.t.nodes[s][:, : b.width(s)])
-    b.t.put(s, S=_padded(b, S), taken=at.F)
-    out = good.tolist()
+    b.keep(s, S=S)
+    b.t.put(s, taken=at.F)
+    out: list[bool] = good.tolist()
     for row, fine in zip(s.tolist(), out, strict=True):
-        b.courses[row].usable = fine
+        b.courses[row].usable, b.courses[row].reduced = fine, -1.0
     if projection is not Projection.FULL and not all(out):
         bad = torch.nonzero(~good).squeeze(1)
         again = take(b, s[bad], x[bad], None if J is None else J[bad], Projection(projection + 1))
         for row, fine in zip(bad.tolist(), again, strict=True):
             out[row] = fine
     return out
-
-
-def _padded(b: Batch, S: Tensor) -> Tensor:
-    """S (s, k, k), padded with the unit matrix to the largest size."""
-    k = S.shape[1]
-    out = torch.eye(b.t.S.shape[1], dtype=b.t.S.dtype, device=S.device).repeat(len(S), 1, 1)
-    out[:, :k, :k] = S
-    return out
-
-
-def damped(b: Batch, s: Tensor) -> Tensor:
-    """Schur complements (s, k, k) with each scene's damping times that at rest."""
-    t, k = b.t, 3 * b.width(s)
-    S = t.S[s][:, :k, :k]
-    damping = torch.tensor([b.courses[row].inner_damping for row in s.tolist()], dtype=S.dtype, device=S.device)
-    needed = damping > 0
-    if not bool(needed.any()):
-        return S
-    if len(new := s[needed & ~t.rested[s]]):
-        hexes, at, _, _ = b.bulk(new, b.X[new])
-        rest = b.factors.schur(hexes.tangents(at), t.nodes[new][:, : b.width(new)])[1]
-        t.put(new, S_0=_padded(b, rest), rested=torch.ones_like(t.rested[new]))
-    return torch.where(needed[:, None, None], S + damping[:, None, None] * t.S_0[s][:, :k, :k], S)
 
 
 def renew(b: Batch, s: Tensor) -> list[Outcome]:
@@ -141,7 +120,9 @@ def foresee(b: Batch, s: Tensor) -> list[Outcome]:
     ties = torch.where(contact.areas > 0, TIE * t.h_N[s][row, faces] / contact.dhat[:, None, None], 0.0)[..., None]
     k = 3 * b.width(s)
     eye = torch.eye(3, dtype=x.dtype, device=x.device)
-    L, info = torch.linalg.cholesky_ex(with_points(t.S[s][:, :k, :k], contact, ties[..., None] * eye))
+    place = torch.arange(k, device=s.device).expand(len(s), -1)
+    K = with_points(b.read("S", s, k, k), place, contact.conn, contact.N, ties[..., None] * eye)
+    L, info = torch.linalg.cholesky_ex(K)
     pull = at_nodes(contact, ties * motion[row, faces], k // 3).flatten(1)
     u = torch.cholesky_solve(pull[..., None], L).squeeze(-1)
     good = (info == 0) & (ties > 0).flatten(1).any(1)

@@ -94,7 +94,8 @@ class Case:
 
         self.X = tensor(self.x)
         self.many = Contacts(
-            Shapes.of(list(SHAPES.values()), torch.float64, "cpu"), torch.tensor(self.faces.conn).expand(len(SHAPES), -1, -1),
+            Shapes.of(list(SHAPES.values()), torch.float64, "cpu"),
+            torch.tensor(self.faces.conn).expand(len(SHAPES), -1, -1),
             tensor(self.faces.N), tensor([one.faces.areas for one in c]), tensor([one.pose.rotation for one in c]),
             tensor([one.pose.position for one in c]), tensor([one.dhat for one in c]),
             tensor([one.kappa for one in c]), tensor([one.offset for one in c]),
