@@ -82,7 +82,7 @@ class Dissection:
 
 
 def _flops(w: int, m: int) -> float:
-    """Of the inverse of the own factor, its product with the other rows, and the symmetric update; in nodes."""
+    """Work of the inverse of the own factor, its product with the other rows, and the symmetric update; in nodes."""
     w, m = 3 * w, 3 * m
     return 2 * w**3 / 3 + w * w * m + w * m * m
 
