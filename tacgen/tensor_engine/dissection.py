@@ -77,7 +77,7 @@ class Dissection:
 
     @cached_property
     def groups(self) -> tuple[Group, ...]:
-        """Of all levels, from the leaves up."""
+        """The batches of all levels, from the leaves up."""
         return tuple(group for level in self.levels for group in level.groups)
 
 

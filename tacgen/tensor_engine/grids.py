@@ -6,6 +6,7 @@ one tree of fronts. Cells and nodes that a scene does not have stay void: the me
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -103,40 +104,78 @@ class Embedded:
         return out
 
 
-def embedded(scene: Scene) -> Embedded | None:
-    """The scene's mesh, as `mesh.of` makes it, in the smallest pattern that holds it; None: it has no tensor grid or is
-    larger than all patterns."""
+def embedded(scene: Scene, pattern: GridPattern | None = None) -> Embedded | None:
+    """The scene's mesh, as `mesh.of` makes it, in this pattern or in the smallest that holds it.
+
+    None: the mesh is no tensor grid, or larger than all patterns. Raises ValueError: it is larger than the one given.
+    """
     if scene.element != "hex":
         return None
-    return in_pattern(mesh.axes(scene.gel, mesh.footprint(scene), scene.edge), scene)
+    axes = mesh.axes(scene.gel, mesh.footprint(scene), scene.edge)
+    pattern = pattern or smallest(axes)
+    return None if pattern is None else placed(axes, scene, pattern)
 
 
-def in_pattern(axes: mesh.Axes, scene: Scene) -> Embedded | None:
-    """The mesh on these axes in the smallest pattern that holds it; None: none does."""
-    along = [_least(len(at) - 1, fine) for at, fine in ((axes.x, axes.fine_x), (axes.y, axes.fine_y))]
-    if along[0] is None or along[1] is None:
-        return None
-    (nx, ox), (ny, oy) = along[0], along[1]
-    pattern = GridPattern((nx, ny, len(axes.z) - 1))
-    x, y = _longer(axes.x, nx + 1, ox), _longer(axes.y, ny + 1, oy)
-    points = replace(axes, x=x, y=y).points(scene.gel)
+def smallest(axes: mesh.Axes) -> GridPattern | None:
+    """The smallest pattern that holds a grid; None: none does."""
+    x, y = _size(len(axes.x) - 1, axes.fine_x), _size(len(axes.y) - 1, axes.fine_y)
+    return None if x is None or y is None else GridPattern((x, y, len(axes.z) - 1))
+
+
+def placed(axes: mesh.Axes, scene: Scene, pattern: GridPattern) -> Embedded:
+    """The scene's mesh, on these axes, in a pattern. Raises ValueError: the pattern does not hold it."""
+    ox = _first(len(axes.x) - 1, axes.fine_x, pattern.cells[0])
+    oy = _first(len(axes.y) - 1, axes.fine_y, pattern.cells[1])
+    if ox is None or oy is None or len(axes.z) != pattern.nodes[2]:
+        raise ValueError(f"{pattern} is too small for the mesh")
+    x, y = _longer(axes.x, pattern.nodes[0], ox), _longer(axes.y, pattern.nodes[1], oy)
     exists = np.zeros(pattern.cells, bool)
     exists[ox : ox + len(axes.x) - 1, oy : oy + len(axes.y) - 1] = axes.inside(scene.gel)[:, :, None]
     cells = np.flatnonzero(exists.ravel())
-    layer = np.where(exists, axes.layer, 0).ravel()
+    layer, points = np.where(exists, axes.layer, 0).ravel(), replace(axes, x=x, y=y).points(scene.gel)
     return Embedded(pattern, points, exists.ravel(), layer, np.unique(pattern.hexes[cells]), cells)
 
 
-def _least(count: int, fine: tuple[int, int]) -> tuple[int, int] | None:
-    """Cells along one axis of the smallest pattern for a grid of `count` cells, fine between two of its nodes, and
-    where in it the grid begins."""
-    first, last = fine
-    for size in SIZES:
-        total = size + 2 * SIDE
-        low, high = max(0, SIDE - first), min(total - count, SIDE + size - last)
-        if low <= high:
-            return total, (low + high) // 2
-    return None
+def merged(wanted: Mapping[GridPattern, int], least: int) -> dict[GridPattern, GridPattern]:
+    """For the smallest patterns of some numbers of scenes, patterns that `least` scenes share where possible: larger
+    ones that hold several, as few unknowns more as possible."""
+    groups = {pattern: [pattern] for pattern in wanted}
+
+    def count(pattern: GridPattern) -> int:
+        return sum(wanted[part] for part in groups[pattern])
+
+    def more(a: GridPattern, b: GridPattern) -> int:
+        both = _both(a, b).size
+        return count(a) * (both - a.size) + count(b) * (both - b.size)
+
+    while True:
+        pairs = [(a, b) for a in groups if count(a) < least for b in groups if b != a and _alike(a, b)]
+        if not pairs:
+            return {part: pattern for pattern, parts in groups.items() for part in parts}
+        a, b = min(pairs, key=lambda pair: more(*pair))
+        parts = groups.pop(a) + groups.pop(b)
+        groups[_both(a, b)] = parts + groups.get(_both(a, b), [])
+
+
+def _alike(a: GridPattern, b: GridPattern) -> bool:
+    return (a.cells[2], a.side) == (b.cells[2], b.side)
+
+
+def _both(a: GridPattern, b: GridPattern) -> GridPattern:
+    """The smallest pattern that holds two."""
+    return GridPattern((max(a.cells[0], b.cells[0]), max(a.cells[1], b.cells[1]), a.cells[2]), a.side)
+
+
+def _size(count: int, fine: tuple[int, int]) -> int | None:
+    """Cells along one axis of the smallest pattern for a grid of `count` cells, fine between two of its nodes."""
+    totals = (size + 2 * SIDE for size in SIZES)
+    return next((total for total in totals if _first(count, fine, total) is not None), None)
+
+
+def _first(count: int, fine: tuple[int, int], total: int) -> int | None:
+    """Where in a pattern of `total` cells along one axis such a grid begins, in the middle of where it may."""
+    low, high = max(0, SIDE - fine[0]), min(total - count, total - SIDE - fine[1])
+    return (low + high) // 2 if low <= high else None
 
 
 def _longer(at: Array, count: int, first: int) -> Array:

@@ -65,7 +65,7 @@ class Panel:
 
 
 class Multifrontal:
-    """What all factors of one tree share: index tensors on a device.
+    """The solver of all matrices of one tree: index tensors on a device.
 
     dtype: of the factors; matrices and vectors are converted. compiled: whether fronts are gathered by a compiled
     kernel on a GPU, which reads and writes every number once.
@@ -308,8 +308,8 @@ def _gathered(
 
 
 def _carried(fronts: _Fronts, below: list[Tensor], b: Tensor) -> Tensor:
-    """What the children of fronts add to vectors (B, t, w + m, 3) like b, of the updates (B, children, m, 3) of each
-    group of the level below."""
+    """The sum (B, t, w + m, 3) that the children of fronts add to vectors like b, of the updates (B, children, m, 3) of
+    each group of the level below."""
     t, w, m = fronts.sizes
     out = b.new_zeros((len(b), t, (w + m) // 3, 3))
     for source in fronts.sources:

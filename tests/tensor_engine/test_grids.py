@@ -62,6 +62,24 @@ def test_a_contact_larger_than_all_patterns_has_none():
     assert grids.embedded(scene) is None
 
 
+def test_a_mesh_lies_in_larger_patterns_too():
+    scene = scene_of(drawn(0))
+    own, larger = mesh.of(scene), GridPattern((26, 30, 5))
+    found = grids.embedded(scene, larger)
+    assert found.pattern == larger
+    assert (found.points[found.nodes] == own.points).all()
+    with pytest.raises(ValueError, match="too small"):
+        grids.embedded(scene, GridPattern((14, 14, 5)))
+
+
+def test_few_scenes_share_a_larger_pattern():
+    a, b, c, d = (GridPattern(cells) for cells in ((14, 18, 5), (18, 14, 5), (30, 30, 5), (14, 18, 7)))
+    found = grids.merged({a: 3, b: 4, c: 9, d: 1}, 6)
+    assert found == {a: GridPattern((18, 18, 5)), b: GridPattern((18, 18, 5)), c: c, d: d}
+    assert grids.merged({a: 3, b: 4, c: 9, d: 1}, 1) == {a: a, b: b, c: c, d: d}
+    assert set(grids.merged({a: 3, b: 4, c: 9}, 99).values()) == {c}
+
+
 @pytest.mark.parametrize(("quartered", "groups"), [(0, 1), (12, 2), (99, 3)])
 def test_every_free_node_is_eliminated_once_and_acts_on_later_ones(quartered, groups):
     pattern = GridPattern((18, 11, 3))
