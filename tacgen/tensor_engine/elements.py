@@ -119,7 +119,7 @@ class Hexes:
         volume = w.sum(-1)
         U, dU, ddU = self.laws.vol(self.mean(J))
         energy = (w * value).sum((1, 2)) + (volume * U).sum(1)
-        energy = torch.where(good.all(-1).all(-1), energy, torch.inf)
+        energy = torch.where((good | (w == 0)).all(-1).all(-1), energy, torch.inf)
         dilatation = torch.where(volume > 0, ddU / volume.clamp(min=1e-300), 0.0)
         return HexPoints(F, I1, J, energy, [first[0], first[1], first[2] + dU[..., None]], second, dilatation)
 

@@ -121,6 +121,11 @@ def test_void_cells_have_no_energy_forces_or_stiffness(case: Case) -> None:
     assert float(at.energy[2]) == pytest.approx(point.energy, rel=1e-11)
     assert some.forces(at)[2].numpy() == pytest.approx(alone.forces(point, len(case.X[2])), abs=1e-11)
     assert not some.tangents(at)[2, 5:].any()
+    x = case.tensor(case.x)
+    x[2, case.cells[0][-1, 6]] -= 1.5  # a corner of a void cell alone
+    inverted = some.evaluate(x)
+    assert float(torch.linalg.det(inverted.F[2]).min()) < 0
+    assert float(inverted.energy[2]) == pytest.approx(point.energy, rel=1e-11)
 
 
 def test_single_precision_is_within_its_rounding(case: Case) -> None:
