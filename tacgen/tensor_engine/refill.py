@@ -22,6 +22,7 @@ def fill(b: Batch, slot: int, problem: Problem, place: Place, X: Array) -> None:
     one = Batch.of([problem], [place], b.topology, X[None], b.factors, patch, str(b.X.device))
     for name in ROWS:
         getattr(b, name)[slot] = getattr(one, name)[0]
+    b.free &= one.free  # bonded nodes that no scene before has had
     for mine, new in ((b.hexes, one.hexes), (b.folding, one.folding)):
         for name, part in vars(mine).items():
             if isinstance(part, torch.Tensor):
