@@ -63,7 +63,7 @@ def solve(b: Batch, scenes: Sequence[Scene]) -> list[Solved]:
     """The frames of all scenes, in each slot one. The kernel for which most scenes wait is called next."""
     s = b.slots(range(len(scenes)))
     admission.rest(b, s, np.array([scene.start for scene in scenes]))
-    paths = [_frames(b, row, scene) for row, scene in enumerate(scenes)]
+    paths = [frames(b, row, scene) for row, scene in enumerate(scenes)]
     going = {row for row, path in enumerate(paths) if next(path, None) is not None}
     while going:
         waiting: dict[Phase, list[int]] = {}
@@ -84,7 +84,7 @@ def advance(b: Batch, phase: Phase, rows: list[int]) -> None:
         course.phase = Phase.failed if course.left else TRANSITIONS[phase][outcome]
 
 
-def _frames(b: Batch, row: int, scene: Scene) -> Iterator[int]:
+def frames(b: Batch, row: int, scene: Scene) -> Iterator[int]:
     """Puts frame after frame before the first kernel, each time the one before is solved; yields their numbers."""
     course, last = b.courses[row], scene.start
     previous: State | None = None
