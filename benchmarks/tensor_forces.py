@@ -80,9 +80,7 @@ def scene_of(number: int, edge: float | None) -> Scene | None:
     draw, quality = drawn(number), "draft" if edge is None else f"{{edge_mm: {edge}, dhat_mm: {edge / 12:.4f}}}"
     sets = (f"sensor={draw.sensor}", *draw.sets, f"quality={quality}", "outputs=[force]")
     try:
-        return scene_of_row.build(
-            row_of(sets)
-        )
+        return scene_of_row.build(row_of(sets))
     except UserError as error:
         say(f"draw {number:3d}: refused: {error.lines[0]}")
         return None

@@ -52,12 +52,12 @@ def test_presses_of_different_depth_radius_and_modulus_at_once() -> None:
 
 
 def test_slide_twist_tilt_and_release_with_friction() -> None:
-    """Some points stick and some slide; frames have several load steps, and some are damped, which amplifies rounding."""
+    """Points stick and slide; frames have several load steps, and some are damped, which amplifies rounding."""
     moves = path(
         (0, 0, -0.3), (0.8, 0.2, -0.35), (0.8, 0.2, -0.35), (0.8, 0.2, -0.35), (0.8, 0.2, 0.5),
         turns=[(0, 0, 0), (0, 0, 0), (0, 0, 0.25), (0.06, 0, 0), (0, 0, 0)],
     )  # fmt: skip
-    shapes = (BALL, ConeSdf(0.9, 0.8))
+    shapes = (BALL, ConeSdf(0.7, 0.5))
     scenes = [small(shape, moves, friction=0.4 + 0.3 * k) for k, shape in enumerate(shapes)]
     found = solve(batch(scenes), scenes)
     all_same(scenes, found, 1e-6)
@@ -154,7 +154,7 @@ PRESS, RUB = path((0, 0, -0.3)), path((1.2, 0, -0.9))
 RUNS = {  # shape, path and options; what is replaced, and by what
     "two load steps": (BALL, PRESS, replace(DEFAULT, sink=0.2), None, "", None),
     "far away": (BALL, path((0, 0, 3.0)), DEFAULT, None, "", None),
-    "punch, pressed deep": (CylinderSdf(1.2, 0.2), path((0, 0, -1.2)), replace(DEFAULT, sink=np.inf), None, "", None),
+    "punch, pressed deep": (CylinderSdf(0.9, 0.1), path((0, 0, -1.2)), replace(DEFAULT, sink=np.inf), None, "", None),
     "folds end it": (BOX, RUB, replace(AT_ONCE, through_folds=False), None, "", None),
     "out of steps": (BALL, PRESS, replace(DEFAULT, max_newton=1, halvings=1), None, "", None),
     "out of effort": (BALL, PRESS, replace(DEFAULT, max_effort=1), None, "", None),
