@@ -273,7 +273,7 @@ class Batch:
         return hexes, at, folding, at.energy + folding.energy
 
     def gradient(self, s: Tensor, x: Tensor) -> Tensor:
-        """Of the energy (s, n, 3) [N]."""
+        """Gradient of the energy (s, n, 3) [N]."""
         hexes, at, folding, _ = self.bulk(s, x)
         out = hexes.forces(at)
         folding.add_forces(out)

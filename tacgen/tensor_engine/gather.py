@@ -5,8 +5,11 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
+from tacgen.fem.assembly import Pattern
+from tacgen.fem.elasticity import Elastic
+from tacgen.fem.elements import elements
 from tacgen.mechanics import mesh
-from tacgen.mechanics.problem import Problem
+from tacgen.mechanics.problem import Problem, by_distance
 from tacgen.mechanics.scene import Scene
 from tacgen.tensor_engine.batch import Batch, Factors, Place
 from tacgen.tensor_engine.condensed import Condensed
@@ -14,6 +17,8 @@ from tacgen.tensor_engine.dissection import dissected
 from tacgen.tensor_engine.elements import Topology
 from tacgen.tensor_engine.grids import Embedded, GridPattern, embedded
 from tacgen.tensor_engine.multifrontal import Multifrontal
+
+NONE = Pattern(*(np.zeros(0, np.int32),) * 3, 0, *(np.zeros(0, np.int32),) * 2)  # of no sparse matrix
 
 
 def gathered(
@@ -24,7 +29,7 @@ def gathered(
     Raises ValueError: their patterns or the points in their facets differ.
     """
     pattern = grids[0].pattern
-    problems = [Problem.of(scene, mesh.of(scene)) for scene in scenes]
+    problems = [unassembled(scene) for scene in scenes]
     points = {problem.contact.faces.areas.shape[1] for problem in problems}
     if len(points) > 1 or any(grid.pattern != pattern for grid in grids):
         raise ValueError("scenes of one batch have one pattern, and facets with equally many points")
@@ -34,6 +39,17 @@ def gathered(
     topology = Topology.of(pattern.hexes, facets, pattern.size, device)
     X = np.array([grid.points for grid in grids])
     return Batch.of(problems, places, topology, X, factors(pattern, len(scenes), device, dtype), pattern.patch, device)
+
+
+def unassembled(scene: Scene) -> Problem:
+    """The problem of a scene without the tables of the CPU's sparse stiffness, which take most of the time to make."""
+    grid = mesh.of(scene)
+    elastic = tuple(
+        Elastic(elements(grid.points, grid.cells[grid.layer == number]), layer.law)
+        for number, layer in enumerate(scene.gel.layers)
+    )
+    contact = by_distance(scene, grid, None)
+    return Problem(grid, elastic, (), contact, NONE, scene.friction, scene.edge)
 
 
 def factors(pattern: GridPattern, capacity: int, device: str, dtype: torch.dtype) -> Factors:
