@@ -12,7 +12,7 @@ from tacgen.mechanics import mesh
 from tacgen.mechanics.phases import FINAL, Phase
 from tacgen.mechanics.problem import Problem
 from tacgen.mechanics.scene import Scene
-from tacgen.tensor_engine import admission, engine, grids, refill, scheduler
+from tacgen.tensor_engine import admission, engine, gather, grids, refill, scheduler
 from tacgen.tensor_engine.batch import Batch, Place
 from tacgen.tensor_engine.condensed import Condensed
 from tacgen.tensor_engine.dissection import Dissection, dissected
@@ -68,7 +68,7 @@ class Prepared:
         """Raises ValueError: the pattern does not hold the scene's mesh."""
         assert plan.axes is not None
         assert plan.pattern is not None
-        problem = Problem.of(plan.scene, mesh.on(plan.axes, plan.scene.gel))
+        problem = gather.unassembled(plan.scene, mesh.on(plan.axes, plan.scene.gel))
         return cls(plan.number, plan.scene, problem, grids.placed(plan.axes, plan.scene, plan.pattern))
 
     @property
