@@ -183,7 +183,11 @@ def build(
     Raises:
         UserError: that would be a mesh of more than MAX_NODES nodes.
     """
-    grid = axes(gel, footprint, edge, growth=growth, coarsest=coarsest)
+    return on(axes(gel, footprint, edge, growth=growth, coarsest=coarsest), gel)
+
+
+def on(grid: Axes, gel: GelBody) -> GelMesh:
+    """The hexes of a grid, without the columns outside the gel."""
     points, inside = grid.points(gel), grid.inside(gel)
     hexes = boxes(np.arange(len(points)).reshape(grid.shape))
     bonded = hexes[inside][:, 0][:, [0, 3, 2, 1]]

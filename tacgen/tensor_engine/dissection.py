@@ -80,6 +80,18 @@ class Dissection:
         """The batches of all levels, from the leaves up."""
         return tuple(group for level in self.levels for group in level.groups)
 
+    @property
+    def kept(self) -> int:
+        """Numbers of a matrix's factor, without the patch."""
+        sizes = ((len(g.fronts), g.own.shape[1], g.bound.shape[1]) for g in self.groups)
+        return sum(9 * t * (w + m) * w for t, w, m in sizes)
+
+    @property
+    def work(self) -> int:
+        """Most numbers of a matrix that a factorisation moves at once: fronts of two levels."""
+        each = [sum(group.entries for group in level.groups) for level in self.levels]
+        return max(a + b for a, b in zip([0, *each], [*each, 9 * len(self.patch) ** 2], strict=True))
+
 
 def _flops(w: int, m: int) -> float:
     """Work of the inverse of the own factor, its product with the other rows, and the symmetric update; in nodes."""

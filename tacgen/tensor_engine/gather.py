@@ -29,7 +29,7 @@ def gathered(
     Raises ValueError: their patterns or the points in their facets differ.
     """
     pattern = grids[0].pattern
-    problems = [unassembled(scene) for scene in scenes]
+    problems = [unassembled(scene, mesh.of(scene)) for scene in scenes]
     points = {problem.contact.faces.areas.shape[1] for problem in problems}
     if len(points) > 1 or any(grid.pattern != pattern for grid in grids):
         raise ValueError("scenes of one batch have one pattern, and facets with equally many points")
@@ -41,9 +41,9 @@ def gathered(
     return Batch.of(problems, places, topology, X, factors(pattern, len(scenes), device, dtype), pattern.patch, device)
 
 
-def unassembled(scene: Scene) -> Problem:
-    """The problem of a scene without the tables of the CPU's sparse stiffness, which take most of the time to make."""
-    grid = mesh.of(scene)
+def unassembled(scene: Scene, grid: mesh.GelMesh) -> Problem:
+    """The problem of a scene on its mesh without the tables of the CPU's sparse stiffness, which take most of the time
+    to make."""
     elastic = tuple(
         Elastic(elements(grid.points, grid.cells[grid.layer == number]), layer.law)
         for number, layer in enumerate(scene.gel.layers)

@@ -111,9 +111,14 @@ def embedded(scene: Scene, pattern: GridPattern | None = None) -> Embedded | Non
     """
     if scene.element != "hex":
         return None
-    axes = mesh.axes(scene.gel, mesh.footprint(scene), scene.edge)
+    axes = axes_of(scene)
     pattern = pattern or smallest(axes)
     return None if pattern is None else placed(axes, scene, pattern)
+
+
+def axes_of(scene: Scene) -> mesh.Axes:
+    """The grid of the scene's mesh."""
+    return mesh.axes(scene.gel, mesh.footprint(scene), scene.edge)
 
 
 def smallest(axes: mesh.Axes) -> GridPattern | None:

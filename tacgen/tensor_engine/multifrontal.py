@@ -11,6 +11,7 @@ Indices count nodes: a 3 x 3 block has one index, which keeps index traffic a ni
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import torch
@@ -24,14 +25,13 @@ STRIP = 192  # columns of an update that are computed at once, from the diagonal
 
 
 @dataclass(frozen=True)
-class _Source:
-    """Children of some fronts (t, r rows) that lie in one group of the level below: its number; the first number of
-    each block (t, r + 1, r) in its flat updates, the last row of them zeros; the length of their rows; and places
-    (t, r) in its updates of vectors, -1 for none."""
+class _Children:
+    """One child of each of some fronts (t, r rows) in the flat updates of the level below, group after group: the first
+    number of each block (t, r + 1, r), the last row of them zeros; the length (t,) of the rows there; and places (t, r)
+    in the level's updates of vectors, the last place for none."""
 
-    group: int
     first: Tensor
-    stride: int
+    stride: Tensor
     rows: Tensor
 
 
@@ -41,7 +41,7 @@ class _Fronts:
     and children; nodes own (t, w) and bound (t, m), the number of all nodes where padded."""
 
     entry: Tensor
-    sources: tuple[_Source, ...]
+    children: tuple[_Children, ...]
     own: Tensor
     bound: Tensor
 
@@ -86,8 +86,7 @@ class Multifrontal:
         *self.levels, (self.root,) = (
             [self._fronts(group, level, below, entries) for group in level.groups] for level, below in each
         )
-        kernel = torch.compile(_gathered, dynamic=True) if compiled and self.device.type == "cuda" else _gathered
-        self._gather: Callable[..., Tensor] = kernel
+        self._gather = _compiled() if compiled and self.device.type == "cuda" else _gathered
 
     def _index(self, numbers: Array) -> Tensor:
         return torch.as_tensor(np.ascontiguousarray(numbers), device=self.device)
@@ -96,19 +95,25 @@ class Multifrontal:
         rows, w = np.concatenate([group.own, group.bound], 1), group.own.shape[1]
         entry = entries.numbers(rows[:, :, None], group.own[:, None, :])
         entry[:, :w][(group.own < 0)[:, :, None] & np.eye(w, dtype=bool)] = entries.unit
-        sources = []
-        for c in range(level.arity):
-            for number, source in enumerate(below.groups if below else ()):
-                child, m = level.arity * group.fronts + c, source.bound.shape[1]
-                at = np.searchsorted(source.fronts, child).clip(max=len(source.fronts) - 1)
-                mine = source.fronts[at] == child
-                place = np.where(mine[:, None], _places(rows, source.bound[at]), -1)
-                if mine.any():
-                    first = self._index(_first(place, at, m).astype(np.int32))
-                    vector = self._index(np.where(place < 0, -1, at[:, None] * m + place))
-                    sources.append(_Source(number, first, 3 * m, vector))
+        children = [self._children(rows, level.arity * group.fronts + c, below) for c in range(level.arity) if below]
         own, bound = (self._index(np.where(nodes < 0, self.nodes, nodes)) for nodes in (group.own, group.bound))
-        return _Fronts(self._index(entry.astype(np.int32)), tuple(sources), own, bound)
+        return _Fronts(self._index(entry.astype(np.int32)), tuple(children), own, bound)
+
+    def _children(self, rows: Array, child: Array, below: Level) -> _Children:
+        """Of fronts with these rows of nodes (t, r), the children of these numbers (t,) on the level below."""
+        t, r = rows.shape
+        first, stride, vector = np.zeros((t, r + 1, r), int), np.zeros(t, int), np.full((t, r), -1)
+        start = start_of_vectors = 0
+        for group in below.groups:
+            at = np.searchsorted(group.fronts, child).clip(max=len(group.fronts) - 1)
+            own, m = group.fronts[at] == child, group.bound.shape[1]
+            place = _places(rows[own], group.bound[at[own]])
+            first[own], stride[own] = start + _first(place, at[own], m), 3 * m
+            vector[own] = np.where(place < 0, -1, start_of_vectors + at[own][:, None] * m + place)
+            start += len(group.fronts) * (3 * m + 3) * 3 * m
+            start_of_vectors += len(group.fronts) * m
+        last = np.where(vector < 0, start_of_vectors, vector)
+        return _Children(self._index(first.astype(np.int32)), self._index(stride.astype(np.int32)), self._index(last))
 
     def assembled(self, elements: Tensor) -> Tensor:
         """The entries (B, pairs + 2, 9) of the matrices that are sums of the element tangents (B, e, 24, 24) of the
@@ -146,34 +151,33 @@ class Multifrontal:
             for fronts in level:
                 panel, update, info = self._eliminated(fronts, data, below)
                 panels.append(panel)
-                updates.append(update)
+                updates.append(update.flatten(1))
                 bad = torch.maximum(bad, info)
-            below = updates
+            below = _joined(updates)
         k = len(self.patch)
         S = self._gathered(self.root, data, below, slice(0, k), slice(0, k))[:, 0]
         return Factor(self, panels, torch.tril(S) + torch.tril(S, -1).mT, bad > 0)
 
-    def _eliminated(self, fronts: _Fronts, data: Tensor, below: list[Tensor]) -> tuple[Panel, Tensor, Tensor]:
+    def _eliminated(self, fronts: _Fronts, data: Tensor, below: Tensor) -> tuple[Panel, Tensor, Tensor]:
         """The factor of fronts, their updates (B, t, 3m + 3, 3m) and the leading minors (B,) that are not positive, of
-        entries `data` and the updates of the groups of the level below."""
+        entries `data` and the flat updates of the level below."""
         batch, (t, w, m) = len(data), fronts.sizes
         own, bound, all_others = slice(0, w // 3), slice(w // 3, (w + m) // 3), slice(w // 3, None)
         inverse = self._gathered(fronts, data, below, own, own).view(batch * t, w, w)
         info = invert_factor(inverse)
         L = _times_transposed(self._gathered(fronts, data, below, bound, own).view(batch * t, m, w), inverse)
-        if fronts.sources:
+        if fronts.children:
             U = self._gathered(fronts, None, below, all_others, all_others)
         else:
             U = data.new_zeros((batch, t, m + 3, m))
         _subtract_square(U.view(batch * t, m + 3, m), L)
         return Panel(inverse.view(batch, t, w, w), L.view(batch, t, m, w)), U, info.view(batch, t).amax(1)
 
-    def _gathered(self, fronts: _Fronts, data: Tensor | None, below: list[Tensor], r: slice, c: slice) -> Tensor:
+    def _gathered(self, fronts: _Fronts, data: Tensor | None, below: Tensor, r: slice, c: slice) -> Tensor:
         """Some rows and columns, in nodes, of the fronts before elimination; without the entries if there are none."""
-        updates = [below[source.group].flatten(1) for source in fronts.sources]
-        first = [source.first[:, r, c] for source in fronts.sources]
         entry = None if data is None else fronts.entry[:, r, c]
-        return self._gather(data, entry, updates, first, [source.stride for source in fronts.sources])
+        first = [child.first[:, r, c] for child in fronts.children]
+        return self._gather(data, entry, below, first, [child.stride for child in fronts.children])
 
     def empty(self, batch: int) -> list[Panel]:
         """Room for the panels of so many factors."""
@@ -188,7 +192,7 @@ class Multifrontal:
         """L^-1 g of vectors (B, n, 3), and on the patch g condensed to it; 0 at bonded nodes. Their factors are the
         batch of the panels or those at `slots` (B,) of it."""
         b, each = self._padded(g), iter(panels)
-        y, below = torch.zeros_like(b), list[Tensor]()
+        y, below = torch.zeros_like(b), b[:, :0]
         for level in self.levels:
             updates = []
             for fronts in level:
@@ -197,8 +201,8 @@ class Multifrontal:
                 carried = _carried(fronts, below, b)
                 solved = inverse @ (b[:, fronts.own] + carried[:, :, : w // 3]).view(-1, t, w, 1)
                 y[:, fronts.own.view(-1)] = solved.view(len(b), -1, 3)
-                updates.append(carried[:, :, w // 3 :] - (low @ solved).view(-1, t, m // 3, 3))
-            below = updates
+                updates.append((carried[:, :, w // 3 :] - (low @ solved).view(-1, t, m // 3, 3)).flatten(1, 2))
+            below = torch.nn.functional.pad(_joined(updates), (0, 0, 0, 1))
         y[:, self.patch] = b[:, self.patch] + _carried(self.root, below, b)[:, 0]
         return y[:, :-1]
 
@@ -288,17 +292,21 @@ def _subtract_square(U: Tensor, L: Tensor) -> None:
         U[:, at:m, at:to].baddbmm_(L[:, at:], L[:, at:to].mT, alpha=-1)
 
 
+def _joined(parts: list[Tensor]) -> Tensor:
+    return parts[0] if len(parts) == 1 else torch.cat(parts, 1)
+
+
 def _gathered(
-    data: Tensor | None, entry: Tensor | None, updates: list[Tensor], first: list[Tensor], strides: list[int]
+    data: Tensor | None, entry: Tensor | None, below: Tensor, first: list[Tensor], strides: list[Tensor]
 ) -> Tensor:
     """Matrices (B, t, 3r, 3c) of 3 x 3 blocks: those at `entry` (t, r, c) in the entries, and those that begin at
-    `first` (t, r, c) in each of the updates, whose rows are `strides` numbers apart."""
+    `first` (t, r, c) of each child in the flat updates, whose rows there are `strides` (t,) numbers apart."""
     some = first[0] if entry is None else entry
     t, r, c = some.shape
     i = torch.arange(3, dtype=torch.int32, device=some.device)[:, None, None]
     j = torch.arange(3, dtype=torch.int32, device=some.device)
-    each = zip(updates, first, strides, strict=True)
-    parts = [flat[:, at[:, :, None, :, None] + (stride * i + j)] for flat, at, stride in each]
+    each = zip(first, strides, strict=True)
+    parts = [below[:, at[:, :, None, :, None] + stride[:, None, None, None, None] * i + j] for at, stride in each]
     if data is not None and entry is not None:
         parts.append(data[:, 9 * entry[:, :, None, :, None] + (3 * i + j)])
     out = parts[0]
@@ -307,20 +315,27 @@ def _gathered(
     return out.reshape(len(out), t, 3 * r, 3 * c)
 
 
-def _carried(fronts: _Fronts, below: list[Tensor], b: Tensor) -> Tensor:
-    """The sum (B, t, w + m, 3) that the children of fronts add to vectors like b, of the updates (B, children, m, 3) of
-    each group of the level below."""
+@cache
+def _compiled() -> Callable[..., Tensor]:
+    """_gathered as one kernel, which reads and writes every number once."""
+    torch._dynamo.config.recompile_limit = 64  # one for each number of children, with entries or without
+    kernel: Callable[..., Tensor] = torch.compile(_gathered, dynamic=True)
+    return kernel
+
+
+def _carried(fronts: _Fronts, below: Tensor, b: Tensor) -> Tensor:
+    """The sum (B, t, w + m, 3) that the children of fronts add to vectors like b, of the updates (B, places, 3) of the
+    level below, of which the last is 0."""
     t, w, m = fronts.sizes
     out = b.new_zeros((len(b), t, (w + m) // 3, 3))
-    for source in fronts.sources:
-        update = below[source.group].flatten(1, 2)
-        out += torch.nn.functional.pad(update, (0, 0, 0, 1))[:, source.rows]
+    for child in fronts.children:
+        out += below[:, child.rows]
     return out
 
 
 def _places(rows: Array, bound: Array) -> Array:
     """Where each of the rows (t, r) of fronts stands among the nodes (t, m) that a child acts on; -1 if it does not."""
-    place = np.full((len(rows), max(rows.max(), bound.max(initial=0)) + 2), -1)
+    place = np.full((len(rows), max(rows.max(initial=0), bound.max(initial=0)) + 2), -1)
     np.put_along_axis(place, bound, np.arange(bound.shape[1])[None], 1)
     place[:, -1] = -1  # padded nodes are number -1
     return np.take_along_axis(place, rows, 1)

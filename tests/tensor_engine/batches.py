@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import torch
 from helpers.presses import gel, poses, scene
-from tensor_engine.dense import Dense
 
 from tacgen.geometry.analytic_sdf import Shape
 from tacgen.geometry.pose import about
@@ -14,6 +13,7 @@ from tacgen.mechanics import DEFAULT, Problem, SolverOptions, mesh, states
 from tacgen.mechanics.scene import Scene
 from tacgen.tensor_engine.batch import Batch, Place
 from tacgen.tensor_engine.elements import Topology
+from tensor_engine.dense import Dense
 
 Array = np.ndarray
 EDGE = 1.0
