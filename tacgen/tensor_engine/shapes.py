@@ -6,7 +6,9 @@ of the shapes (s, 1).
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import NamedTuple
+from weakref import WeakKeyDictionary
 
 import torch
 from torch import Tensor
@@ -227,11 +229,11 @@ class Shapes:
     def of(cls, shapes: Sequence[Shape], dtype: torch.dtype, device: str) -> "Shapes":
         """An indenter for each scene, all `known`; scenes with one field share it."""
         fields = {id(shape): shape for shape in shapes if isinstance(shape, Field)}
-        parts, starts, count = [torch.zeros(0, dtype=dtype)], dict[int, int](), 0
+        parts, starts, count = [torch.zeros(0, dtype=dtype, device=device)], dict[int, int](), 0
         for key, field in fields.items():
-            parts.append(torch.as_tensor(field.coefficients, dtype=dtype).flatten())
+            parts.append(_coefficients(field, dtype, device))
             starts[key], count = count, count + parts[-1].numel()
-        return cls(shapes, torch.cat(parts).to(device), [starts.get(id(shape), 0) for shape in shapes])
+        return cls(shapes, torch.cat(parts), [starts.get(id(shape), 0) for shape in shapes])
 
     def rows(self, slots: Sequence[int]) -> "Shapes":
         """Only some scenes."""
@@ -264,6 +266,20 @@ class Shapes:
         start, i, j, k = numbers.to(self.values.device).T[..., None]
         origin = self.values.new_tensor([f.origin.tolist() for f in some])[:, None]
         return _Grids(self.values, start, (i, j, k), origin, self.values.new_tensor([f.cell for f in some])[:, None])
+
+
+@cache
+def _kept(dtype: torch.dtype, device: str) -> WeakKeyDictionary[Field, Tensor]:
+    """Coefficients of the fields that are in use."""
+    return WeakKeyDictionary()
+
+
+def _coefficients(field: Field, dtype: torch.dtype, device: str) -> Tensor:
+    """The coefficients of a field on a device, copied there once while the field is in use."""
+    kept = _kept(dtype, device)
+    if field not in kept:
+        kept[field] = torch.as_tensor(field.coefficients, dtype=dtype).flatten().to(device)
+    return kept[field]
 
 
 def known(shape: Shape) -> bool:
