@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from tacgen.mechanics.barrier import SOFT
+from tacgen.tensor_engine.fused import fused, outer, product, times
 from tacgen.tensor_engine.shapes import Shapes
 
 NOWHERE = 1e9  # gap of facets that do not exist [mm]
@@ -120,51 +121,26 @@ class Contacts:
 
     def gaps(self, at: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Gap (s, f, q), gradient (s, f, q, 3) and Hessian (s, f, q, 3, 3) at points, in the sensor's frame."""
-        shape, R = at.shape, self.rotation[:, None]
+        shape = at.shape
         d, n, H = self.shapes.distance(self.local(at).flatten(1, 2))
-        d = d.view(shape[:3]) + self.offset[:, None, None]
-        d = torch.where(self.areas > 0, d, NOWHERE)
-        return d, (n @ self.rotation.mT).view(shape), (R @ H @ R.mT).view(*shape, 3)
+        d, n, H = d.view(shape[:3]), n.view(shape), H.view(*shape, 3)
+        return _in_sensor(d, n, H, self.rotation[:, None, None], self.offset[:, None, None], self.areas)
+
+    def _numbers(self) -> tuple[Tensor, ...]:
+        """Weights kappa A (s, f, q), and dhat, eps and friction (s, 1, 1)."""
+        dhat, eps, friction = (part[:, None, None] for part in (self.dhat, self.eps, self.friction))
+        return self.kappa[:, None, None] * self.areas, dhat, eps, friction
 
     def evaluate(self, x: Tensor) -> Forces:
         """Forces and tangents at nodes x (s, n, 3); where points overlap, without the rotation of the normal."""
         at = self.points(x)
-        d, g, H = self.gaps(at)
-        _, db, ddb = barrier(d, self.dhat[:, None, None])
-        H = torch.where((d < 0)[..., None, None], 0.0, H)
-        weight = self.kappa[:, None, None] * self.areas
-        size = torch.linalg.norm(g, dim=-1).clamp(min=1e-12)
-        n, N = g / size[..., None], -weight * db * size
-        touching = db != 0
-        ddb = torch.where(touching, ddb, 0.0)
-        S = (weight * ddb)[..., None, None] * _outer(g, g)
-        D = S + (weight * db)[..., None, None] * H
-        f = N[..., None] * n
-        if bool((self.friction > 0).any()):
-            mu = (self.friction[:, None, None] * torch.ones_like(N))[..., None, None]
-            u = at - self.anchor
-            un = (u * n).sum(-1, keepdim=True)
-            t = u - un * n
-            _, slope, bend = smooth(torch.linalg.norm(t, dim=-1), self.eps[:, None, None])
-            slope, bend, force = slope[..., None, None], bend[..., None, None], N[..., None, None]
-            across = torch.eye(3, dtype=x.dtype, device=x.device) - _outer(n, n)
-            S = S + mu * force * (slope * across + bend * _outer(t, t))
-            Hn, Ht = (n[..., None, :] @ H).squeeze(-2), (t[..., None, :] @ H).squeeze(-2) / size[..., None]
-            turned = un[..., None] * (H - _outer(n, Hn)) / size[..., None, None] + _outer(n, Ht)
-            P = across - turned
-            v = slope * P + bend * _outer(t, (t[..., None, :] @ P).squeeze(-2))
-            dN = -weight[..., None] * ((ddb * size)[..., None] * g + db[..., None] * Hn)
-            D = D + mu * (force * v + slope * _outer(t, dN))
-            f = f - mu[..., 0] * N[..., None] * slope[..., 0] * t
-            S, D = (torch.where(touching[..., None, None], part, 0.0) for part in (S, D))
-        return Forces(d, at, n, N, f, D, S)
+        gaps = self.gaps(at)
+        return Forces(gaps[0], at, *_forces(*gaps, at - self.anchor, *self._numbers()))
 
     def merit(self, x: Tensor, frozen: Forces) -> Tensor:
         """Energy (s,) [N mm] of the barrier and of friction with the normal forces and normals of `frozen`."""
-        at, dhat = self.points(x), self.dhat[:, None, None]
-        energy = (self.kappa[:, None, None] * self.areas * barrier(self.gaps(at)[0], dhat)[0]).sum((1, 2))
-        length = torch.linalg.norm(slip(at, self.anchor, frozen.normal), dim=-1)
-        return energy + self.friction * (frozen.N * smooth(length, self.eps[:, None, None])[0]).sum((1, 2))
+        at = self.points(x)
+        return _merit(self.gaps(at)[0], at - self.anchor, frozen.normal, frozen.N, *self._numbers())
 
     def max_step(self, gap: Tensor, p: Tensor, reach: Tensor) -> Tensor:
         """Largest parts (s,) of steps p (s, n, 3) without tunnelling; see mechanics.barrier.Contact.max_step."""
@@ -173,5 +149,49 @@ class Contacts:
         return (allowed / way.clamp(min=1e-300)).flatten(1).amin(1).clamp(max=1.0)
 
 
-def _outer(a: Tensor, b: Tensor) -> Tensor:
-    return a[..., :, None] * b[..., None, :]
+@fused
+def _in_sensor(
+    d: Tensor, n: Tensor, H: Tensor, R: Tensor, offset: Tensor, areas: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Gaps, gradients and Hessians in the sensor's frame, of distances in the indenter's."""
+    d = torch.where(areas > 0, d + offset, NOWHERE)
+    return d, times(R, n), product(product(R, H), R.mT)
+
+
+@fused
+def _forces(
+    d: Tensor, g: Tensor, H: Tensor, u: Tensor, weight: Tensor, dhat: Tensor, eps: Tensor, mu: Tensor
+) -> tuple[Tensor, ...]:
+    """normal, N, force, tangent and definite of Forces, from gaps, their gradients and Hessians, the way u from the
+    anchors, weights kappa A, and numbers of the contact; see mechanics.coupled."""
+    _, db, ddb = barrier(d, dhat)
+    touching = db != 0
+    H = torch.where((d < 0)[..., None, None], 0.0, H)
+    size = torch.linalg.vector_norm(g, dim=-1).clamp(min=1e-12)
+    n, N = g / size[..., None], -weight * db * size
+    normal = (weight * ddb)[..., None, None] * outer(g, g)
+    un = (u * n).sum(-1)[..., None]
+    t = u - un * n
+    _, slope, bend = smooth(torch.linalg.vector_norm(t, dim=-1), eps)
+    slope, bend, force = slope[..., None, None], bend[..., None, None], (mu * N)[..., None, None]
+    across = torch.eye(3, dtype=g.dtype, device=g.device) - outer(n, n)
+    definite = normal + force * (slope * across + bend * outer(t, t))
+    Hn, Ht = times(H, n), times(H, t) / size[..., None]
+    turned = un[..., None] * (H - outer(n, Hn)) / size[..., None, None] + outer(n, Ht)
+    P = across - turned
+    v = slope * P + bend * outer(t, times(P.mT, t))
+    dN = -weight[..., None] * ((ddb * size)[..., None] * g + db[..., None] * Hn)
+    tangent = normal + (weight * db)[..., None, None] * H + force * v + mu[..., None, None] * slope * outer(t, dN)
+    f = N[..., None] * n - (force * slope)[..., 0] * t
+    touched = touching[..., None, None]
+    return n, N, f, torch.where(touched, tangent, 0.0), torch.where(touched, definite, 0.0)
+
+
+@fused
+def _merit(
+    d: Tensor, u: Tensor, normal: Tensor, N: Tensor, weight: Tensor, dhat: Tensor, eps: Tensor, mu: Tensor
+) -> Tensor:
+    """Energy of the barrier and of friction with given normals and normal forces, summed over the points (s,)."""
+    t = u - (u * normal).sum(-1, keepdim=True) * normal
+    friction = mu * N * smooth(torch.linalg.vector_norm(t, dim=-1), eps)[0]
+    return (weight * barrier(d, dhat)[0] + friction).sum((1, 2))

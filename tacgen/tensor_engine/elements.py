@@ -5,7 +5,6 @@ positions x (s, n, 3), F (s, e, q, 3, 3). Sums over the cells of a node are in a
 """
 
 from dataclasses import dataclass, replace
-from functools import cache
 
 import numpy as np
 import torch
@@ -15,30 +14,29 @@ from tacgen.fem.elasticity import PREDICTED, SMALLEST_J
 from tacgen.fem.elements import GAUSS2, trilinear
 from tacgen.fem.kernels import MILD
 from tacgen.fem.potential import Projection
-from tacgen.tensor_engine.laws import Laws
+from tacgen.tensor_engine.fused import fused, outer, product
+from tacgen.tensor_engine.laws import Laws, isochoric, volumetric
 
 Array = np.ndarray
 
 
 def cofactor(F: Tensor) -> Tensor:
     """J F^-T of F (..., 3, 3)."""
-    a, b, c = F.unbind(-2)
-    return torch.stack([torch.linalg.cross(b, c), torch.linalg.cross(c, a), torch.linalg.cross(a, b)], -2)
+    (a, b, c), (d, e, f), (g, h, i) = (row.unbind(-1) for row in F.unbind(-2))
+    rows = e * i - f * h, f * g - d * i, d * h - e * g, c * h - b * i, a * i - c * g, b * g - a * h
+    return torch.stack([*rows, b * f - c * e, c * d - a * f, a * e - b * d], -1).unflatten(-1, (3, 3))
 
 
-@cache
-def _cofactor_slopes() -> Array:
-    """d cof(F)_iJ / d F_kL as (9, 81), linear in F: the row is the number of an entry of F."""
-    out = np.zeros((9, 9, 9))
-    for p, a in np.ndindex(9, 9):
-        for b in range(9):
-            (m, n), (i, j), (k, s) = divmod(p, 3), divmod(a, 3), divmod(b, 3)
-            out[p, a, b] = _sign(i, k, m) * _sign(j, s, n)
-    return out.reshape(9, 81)
-
-
-def _sign(i: int, j: int, k: int) -> int:
-    return (i - j) * (j - k) * (k - i) // 2
+def _cofactor_slopes(F: Tensor) -> Tensor:
+    """d cof(F)_iJ / d F_kL as (..., 9, 9), linear in F: blocks of the cross products with its rows."""
+    zero = torch.zeros_like(F[..., 0, 0])
+    x, y, z = (
+        torch.stack([zero, c, -b, -c, zero, a, b, -a, zero], -1).unflatten(-1, (3, 3))
+        for a, b, c in (row.unbind(-1) for row in F.unbind(-2))
+    )
+    none = torch.zeros_like(x)
+    blocks = [[none, z, -y], [-z, none, x], [y, -x, none]]
+    return torch.cat([torch.cat(row, -1) for row in blocks], -2)
 
 
 @dataclass(frozen=True)
@@ -110,32 +108,14 @@ class Hexes:
 
     def evaluate(self, x: Tensor) -> HexPoints:
         """Invariants, energy and derivatives; if J <= 0 anywhere the energy is inf and the rest is undefined."""
-        F, w = self.deformation(x), self.weights
-        C = cofactor(F)
-        I1, I2, J = (F * F).sum((-2, -1)), (C * C).sum((-2, -1)), (F[..., 0, :] * C[..., 0, :]).sum(-1)
-        good = J > SMALLEST_J
-        J = torch.where(good, J, 1.0)
-        value, first, second = self.laws.iso(I1, I2, J)
-        volume = w.sum(-1)
-        U, dU, ddU = self.laws.vol(self.mean(J))
-        energy = (w * value).sum((1, 2)) + (volume * U).sum(1)
-        energy = torch.where((good | (w == 0)).all(-1).all(-1), energy, torch.inf)
-        dilatation = torch.where(volume > 0, ddU / volume.clamp(min=1e-300), 0.0)
-        return HexPoints(F, I1, J, energy, [first[0], first[1], first[2] + dU[..., None]], second, dilatation)
-
-    def mean(self, J: Tensor) -> Tensor:
-        """The mean J (s, e) of each cell; 1 in void ones."""
-        volume = self.weights.sum(-1)
-        return torch.where(volume > 0, (self.weights * J).sum(-1) / volume.clamp(min=1e-300), 1.0)
+        F = self.deformation(x)
+        I1, J, energy, dilatation, *both = _state(F, self.weights, self.laws.values)
+        return HexPoints(F, I1, J, energy, both[:3], both[3:], dilatation)
 
     def forces(self, at: HexPoints, first: list[Tensor] | None = None) -> Tensor:
         """dE/dx (s, n, 3) [N]; `first` instead of that of the point, if given."""
         w1, w2, w3 = at.first if first is None else first
-        F, scale = at.F, (2 * (w1 + w2 * at.I1))[..., None, None]
-        P = scale * F + w3[..., None, None] * cofactor(F)
-        if self.laws.two_invariants:
-            P = P - 2 * w2[..., None, None] * (F @ (F.mT @ F))
-        return self.spread(P)
+        return self.spread(_piola(at.F, at.I1, w1, w2, w3, self.laws.two_invariants))
 
     def spread(self, P: Tensor) -> Tensor:
         """Nodal forces (s, n, 3) of stresses P (s, e, q, 3, 3)."""
@@ -143,19 +123,19 @@ class Hexes:
 
     def predicted(self, at: Tensor, J: Tensor, to: Tensor, taken: Tensor) -> Tensor:
         """J (s, e, q) at F = `to`, to first order from J at F = `at`, linearised at F = `taken`."""
-        return J + (cofactor(taken) * (to - at)).sum((-2, -1))
+        return _predicted(taken, at, J, to)
 
     def with_pressure(self, at: HexPoints, J: Tensor) -> list[Tensor]:
         """HexPoints.first with the pressure of another J (s, e, q)."""
-        J = torch.minimum(torch.maximum(J, at.J / PREDICTED), PREDICTED * at.J)
-        change = self.laws.vol(self.mean(J))[1] - self.laws.vol(self.mean(at.J))[1]
-        return [at.first[0], at.first[1], at.first[2] + change[..., None]]
+        return [*at.first[:2], _with_pressure(at.first[2], at.J, J, self.weights, self.laws.values)]
 
     def mixed_forces(self, at: HexPoints, J: Tensor, taken: Tensor) -> Tensor:
         """Right-hand side (s, n, 3) of a step whose tangent was computed at F = `taken`, with the predicted J; see
         fem.elasticity.Elastic.mixed_forces."""
         first = self.with_pressure(at, J)
-        return self.forces(at, first) + self.spread((at.first[2] - first[2])[..., None, None] * cofactor(taken))
+        w1, w2, w3 = first
+        P = _piola(at.F, at.I1, w1, w2, w3, self.laws.two_invariants)
+        return self.spread(_with_pressures(P, at.first[2] - first[2], taken))
 
     def tangents(self, at: HexPoints, J: Tensor | None = None, projection: Projection = Projection.NONE) -> Tensor:
         """d2E/dx2 of each cell (s, e, 24, 24), rows and columns 3 corner + direction; with the pressure at the
@@ -186,25 +166,69 @@ def stiffness(B: Tensor, weights: Tensor, D: Tensor) -> Tensor:
     return (left @ right.mT).reshape(*shape, 8, 3, 3, 8).mT.reshape(*shape, 24, 24)
 
 
+def mean(J: Tensor, weights: Tensor) -> Tensor:
+    """The mean J (s, e) of each cell; 1 in void ones."""
+    volume = weights.sum(-1)
+    return torch.where(volume > 0, (weights * J).sum(-1) / volume.clamp(min=1e-300), 1.0)
+
+
+@fused
+def _state(F: Tensor, w: Tensor, values: Tensor) -> tuple[Tensor, ...]:
+    """I1, J, energy, dilatation, first and second of HexPoints; w: weights, values: of the laws."""
+    C = cofactor(F)
+    I1, I2, J = (F * F).sum((-2, -1)), (C * C).sum((-2, -1)), (F[..., 0, :] * C[..., 0, :]).sum(-1)
+    good = J > SMALLEST_J
+    J = torch.where(good, J, 1.0)
+    value, first, second = isochoric(values, I1, I2, J)
+    volume = w.sum(-1)
+    U, dU, ddU = volumetric(values, mean(J, w))
+    energy = (w * value).sum((1, 2)) + (volume * U).sum(1)
+    energy = torch.where((good | (w == 0)).all(-1).all(-1), energy, torch.inf)
+    dilatation = torch.where(volume > 0, ddU / volume.clamp(min=1e-300), 0.0)
+    return I1, J, energy, dilatation, first[0], first[1], first[2] + dU[..., None], *second
+
+
+@fused
+def _piola(F: Tensor, I1: Tensor, w1: Tensor, w2: Tensor, w3: Tensor, two: bool) -> Tensor:
+    """P (..., 3, 3) = 2 w1 F + 2 w2 (I1 F - F F^T F) + w3 cof F; two: whether there is a w2."""
+    P = 2 * (w1 + w2 * I1)[..., None, None] * F + w3[..., None, None] * cofactor(F)
+    return P - 2 * w2[..., None, None] * product(F, product(F.mT, F)) if two else P
+
+
+@fused
+def _predicted(taken: Tensor, at: Tensor, J: Tensor, to: Tensor) -> Tensor:
+    return J + (cofactor(taken) * (to - at)).sum((-2, -1))
+
+
+@fused
+def _with_pressure(first: Tensor, true: Tensor, J: Tensor, weights: Tensor, values: Tensor) -> Tensor:
+    """dW/dJ with the pressure of another J (s, e, q) than the true one."""
+    J = torch.minimum(torch.maximum(J, true / PREDICTED), PREDICTED * true)
+    change = volumetric(values, mean(J, weights))[1] - volumetric(values, mean(true, weights))[1]
+    return first + change[..., None]
+
+
+@fused
+def _with_pressures(P: Tensor, pressure: Tensor, taken: Tensor) -> Tensor:
+    return P + pressure[..., None, None] * cofactor(taken)
+
+
+@fused
 def slopes(F: Tensor, I1: Tensor, first: list[Tensor], second: list[Tensor], two: bool) -> Tensor:
     """dP/dF (..., 9, 9), index 3 i + J, of F (..., 3, 3); `two`: whether the law depends on I2."""
-    (w1, w2, w3), (s11, s22, s33, s12, s13, s23) = first, second
-    flat, C = F.flatten(-2), cofactor(F).flatten(-2)
-    both = [2 * flat, C]
-    H = torch.stack([s11 + w2 if two else s11, s13, s13, s33], -1).unflatten(-1, (2, 2))
+    (w1, w2, w3), (s11, s22, s33, s12, s13, s23) = ([part[..., None] for part in each] for each in (first, second))
+    flat, C, eye = F.flatten(-2), cofactor(F).flatten(-2), torch.eye(9, dtype=F.dtype, device=F.device)
+    G = 2 * flat
+    D = outer(G, s11 * G + s13 * C) + outer(C, s13 * G + s33 * C) + w3[..., None] * _cofactor_slopes(F)
+    D = D + 2 * (w1 + w2 * I1[..., None])[..., None] * eye
     if two:
-        both.append(2 * (I1[..., None] * flat - (F @ (F.mT @ F)).flatten(-2)))
-        last = torch.stack([s12, s23], -1)
-        H = torch.cat([torch.cat([H, last[..., None]], -1), torch.cat([last, s22[..., None]], -1)[..., None, :]], -2)
-    G = torch.stack(both, -2)
-    constant = torch.as_tensor(_cofactor_slopes(), dtype=F.dtype, device=F.device)
-    D = G.mT @ (H @ G) + w3[..., None, None] * (flat @ constant).unflatten(-1, (9, 9))
-    D.diagonal(dim1=-2, dim2=-1).add_((2 * (w1 + w2 * I1))[..., None])
-    if two:
-        eye = torch.eye(3, dtype=F.dtype, device=F.device)
-        minus = torch.einsum("...kj,il->...ijlk", F.mT @ F, eye) + torch.einsum("...ik,jl->...ijkl", F @ F.mT, eye)
-        minus = minus + torch.einsum("...im,...kj->...ijkm", F, F)
-        D = D - (2 * w2)[..., None, None] * minus.flatten(-4, -3).flatten(-2)
+        T = 2 * (I1[..., None] * flat - product(F, product(F.mT, F)).flatten(-2))
+        D = D + outer(G, s12 * T + w2 * G) + outer(T, s12 * G + s22 * T + s23 * C) + outer(C, s23 * T)
+        right, left = product(F.mT, F), product(F, F.mT)
+        one = torch.eye(3, dtype=F.dtype, device=F.device)
+        minus = one[:, None, :, None] * right[..., None, :, None, :] + left[..., :, None, :, None] * one[:, None, :]
+        minus = minus + F[..., :, None, None, :] * F.mT[..., None, :, :, None]
+        D = D - 2 * w2[..., None] * minus.flatten(-4, -3).flatten(-2)
     return D
 
 

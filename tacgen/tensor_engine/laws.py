@@ -48,25 +48,27 @@ class Laws:
         """Whether any law depends on I2."""
         return bool((self.values[1] != 0).any())
 
-    def iso(self, I1: Tensor, I2: Tensor, J: Tensor) -> tuple[Tensor, list[Tensor], list[Tensor]]:
-        """w, its first derivatives in (I1, I2, J), and the second (11 22 33 12 13 23), each (s, e, q)."""
-        c10, c01, c20, c30, raw = self.values[:5]
-        a = J ** (-2 / 3)
-        b, y, zero = a * a, a * I1 - 3, torch.zeros_like(J)
-        y3, y13, y33 = -2 / 3 * a / J * I1, -2 / 3 * a / J, 10 / 9 * a / J**2 * I1
-        dw, ddw = (3 * c30 * y + 2 * c20) * y + c10, 6 * c30 * y + 2 * c20
-        value = ((c30 * y + c20) * y + c10) * y + c01 * (b * I2 - 3) + raw * (I1 - 3)
-        first = [dw * a + raw, c01 * b, dw * y3 - 4 / 3 * c01 * b * I2 / J]
-        bend = ddw * y3**2 + dw * y33 + 28 / 9 * c01 * b * I2 / J**2
-        second = [ddw * a**2, zero, bend, zero, ddw * a * y3 + dw * y13, -4 / 3 * c01 * b / J]
-        return value, first, second
 
-    def vol(self, J: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """U, U' and U'' at the mean J (s, e) of the cells."""
-        kappa, lam, slope = (v.squeeze(-1) for v in self.values[5:])
-        e = J - 1
-        U = kappa / 2 * (e + e**2 / 2 - torch.log1p(e)) + lam / 2 * e**2 - slope * e
-        return U, kappa / 2 * (J - 1 / J) + lam * e - slope, kappa / 2 * (1 + 1 / J**2) + lam
+def isochoric(values: Tensor, I1: Tensor, I2: Tensor, J: Tensor) -> tuple[Tensor, list[Tensor], list[Tensor]]:
+    """w and its derivatives in (I1, I2, J), 3 first and 6 second (11 22 33 12 13 23), each (s, e, q); values
+    (8, s, e, 1)."""
+    c10, c01, c20, c30, raw = values[:5]
+    a = J ** (-2 / 3)
+    b, y, zero = a * a, a * I1 - 3, torch.zeros_like(J)
+    y3, y13, y33 = -2 / 3 * a / J * I1, -2 / 3 * a / J, 10 / 9 * a / J**2 * I1
+    dw, ddw = (3 * c30 * y + 2 * c20) * y + c10, 6 * c30 * y + 2 * c20
+    value = ((c30 * y + c20) * y + c10) * y + c01 * (b * I2 - 3) + raw * (I1 - 3)
+    first = [dw * a + raw, c01 * b, dw * y3 - 4 / 3 * c01 * b * I2 / J]
+    bend = ddw * y3**2 + dw * y33 + 28 / 9 * c01 * b * I2 / J**2
+    return value, first, [ddw * a**2, zero, bend, zero, ddw * a * y3 + dw * y13, -4 / 3 * c01 * b / J]
+
+
+def volumetric(values: Tensor, J: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """U, U' and U'' at the mean J (s, e) of the cells; values (8, s, e, 1)."""
+    kappa, lam, slope = (v.squeeze(-1) for v in values[5:])
+    e = J - 1
+    U = kappa / 2 * (e + e**2 / 2 - torch.log1p(e)) + lam / 2 * e**2 - slope * e
+    return U, kappa / 2 * (J - 1 / J) + lam * e - slope, kappa / 2 * (1 + 1 / J**2) + lam
 
 
 def clamped_log(mu: Tensor, J: Tensor) -> tuple[Tensor, Tensor, Tensor]:

@@ -6,7 +6,9 @@ of the shapes (s, 1).
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import NamedTuple
+from weakref import WeakKeyDictionary
 
 import torch
 from torch import Tensor
@@ -14,6 +16,7 @@ from torch import Tensor
 from tacgen.geometry import analytic_sdf as sdf
 from tacgen.geometry.analytic_sdf import Shape
 from tacgen.geometry.sdf_grid import Field
+from tacgen.tensor_engine.fused import fused, outer
 
 Distances = tuple[Tensor, Tensor, Tensor]
 # the numbers of each analytic shape, in the order in which its function takes them
@@ -43,7 +46,7 @@ def _vector(x: Tensor | float, y: Tensor | float, z: Tensor | float, like: Tenso
 
 
 def _outer(a: Tensor) -> Tensor:
-    return a[..., :, None] * a[..., None, :]
+    return outer(a, a)
 
 
 def _down(like: Tensor) -> Tensor:
@@ -58,7 +61,7 @@ def _plain(closest: Tensor, jacobian: Tensor) -> _Core:
 def _grown(p: Tensor, core: _Core, radius: Tensor) -> Distances:
     """Distance, gradient and Hessian of a core offset by a radius (s, 1)."""
     v = p - core.closest
-    length = torch.linalg.norm(v, dim=-1)
+    length = torch.linalg.vector_norm(v, dim=-1)
     inside = (core.depth > 0) | (length < 1e-12)
     safe = torch.where(inside, 1.0, length)
     n = torch.where(inside[..., None], core.out, v / safe[..., None])
@@ -81,11 +84,13 @@ def _inside_box(inside_by: list[Tensor], normals: list[Tensor]) -> tuple[Tensor,
     return depth.clamp(min=0.0), out
 
 
+@fused
 def _sphere(p: Tensor, radius: Tensor) -> Distances:
     centre = _vector(0.0, 0.0, radius, p[..., 0])
     return _grown(p, _plain(centre, p.new_zeros(3, 3)), radius)
 
 
+@fused
 def _capsule(p: Tensor, radius: Tensor, length: Tensor) -> Distances:
     x, half = p[..., 0], length / 2
     jacobian = p.new_zeros(*x.shape, 3, 3)
@@ -93,6 +98,7 @@ def _capsule(p: Tensor, radius: Tensor, length: Tensor) -> Distances:
     return _grown(p, _plain(_vector(torch.clamp(x, -half, half), 0.0, radius, x), jacobian), radius)
 
 
+@fused
 def _torus(p: Tensor, radius: Tensor, tube: Tensor) -> Distances:
     rho, radial, azimuth = _polar(p)
     closest = radius[..., None] * radial + _vector(0.0, 0.0, tube, rho)
@@ -100,6 +106,7 @@ def _torus(p: Tensor, radius: Tensor, tube: Tensor) -> Distances:
     return _grown(p, _plain(closest, jacobian), tube)
 
 
+@fused
 def _cylinder(p: Tensor, radius: Tensor, fillet: Tensor) -> Distances:
     (rho, radial, azimuth), z, rim = _polar(p), p[..., 2], radius - fillet
     closest = torch.minimum(rho, rim)[..., None] * radial + _vector(0.0, 0.0, torch.maximum(z, fillet), rho)
@@ -109,6 +116,7 @@ def _cylinder(p: Tensor, radius: Tensor, fillet: Tensor) -> Distances:
     return _grown(p, _Core(closest, jacobian, *_inside_box([z - fillet, rim - rho], [_down(z), radial])), fillet)
 
 
+@fused
 def _box(p: Tensor, size_x: Tensor, size_y: Tensor, fillet: Tensor) -> Distances:
     (x, y, z), hx, hy = p.unbind(-1), size_x / 2 - fillet, size_y / 2 - fillet
     closest = _vector(torch.clamp(x, -hx, hx), torch.clamp(y, -hy, hy), torch.maximum(z, fillet), z)
@@ -122,6 +130,7 @@ def _sign(v: Tensor) -> Tensor:
     return torch.where(v >= 0, 1.0, -1.0).to(v.dtype)
 
 
+@fused
 def _cone(p: Tensor, half_angle: Tensor, tip: Tensor) -> Distances:
     (rho, radial, azimuth), s, c = _polar(p), torch.sin(half_angle), torch.cos(half_angle)
     z = p[..., 2] - tip
@@ -135,6 +144,7 @@ def _cone(p: Tensor, half_angle: Tensor, tip: Tensor) -> Distances:
     return _grown(p, _Core(closest, jacobian, torch.where(side & (outward < 0), -outward, 0.0), normal), tip)
 
 
+@fused
 def _wedge(p: Tensor, half_angle: Tensor, tip: Tensor, length: Tensor) -> Distances:
     x, y, z = p.unbind(-1)
     s, c, sign, up, half = torch.sin(half_angle), torch.cos(half_angle), _sign(x), z - tip, length / 2 - tip
@@ -179,6 +189,7 @@ def _weights(t: Tensor) -> Tensor:
     return torch.stack([torch.stack(row, -1) for row in (value, slope, bend)], -2)
 
 
+@fused
 def _spline(p: Tensor, grids: _Grids) -> Distances:
     at = (p - grids.origin) / grids.cell[..., None]
     shape = torch.stack(grids.shape, -1)
@@ -218,11 +229,11 @@ class Shapes:
     def of(cls, shapes: Sequence[Shape], dtype: torch.dtype, device: str) -> "Shapes":
         """An indenter for each scene, all `known`; scenes with one field share it."""
         fields = {id(shape): shape for shape in shapes if isinstance(shape, Field)}
-        parts, starts, count = [torch.zeros(0, dtype=dtype)], dict[int, int](), 0
+        parts, starts, count = [torch.zeros(0, dtype=dtype, device=device)], dict[int, int](), 0
         for key, field in fields.items():
-            parts.append(torch.as_tensor(field.coefficients, dtype=dtype).flatten())
+            parts.append(_coefficients(field, dtype, device))
             starts[key], count = count, count + parts[-1].numel()
-        return cls(shapes, torch.cat(parts).to(device), [starts.get(id(shape), 0) for shape in shapes])
+        return cls(shapes, torch.cat(parts), [starts.get(id(shape), 0) for shape in shapes])
 
     def rows(self, slots: Sequence[int]) -> "Shapes":
         """Only some scenes."""
@@ -247,13 +258,28 @@ class Shapes:
         if kind is Field:
             return _spline(p, self._grids([f for f in some if isinstance(f, Field)], [self.first[row] for row in rows]))
         table = [[getattr(shape, name) for name in NUMBERS[kind]] for shape in some]
-        return FUNCTIONS[kind](p, *p.new_tensor(table).T[..., None])
+        found: Distances = FUNCTIONS[kind](p, *p.new_tensor(table).T[..., None])
+        return found
 
     def _grids(self, some: Sequence[Field], first: Sequence[int]) -> _Grids:
         numbers = torch.tensor([[at, *f.coefficients.shape] for at, f in zip(first, some, strict=True)])
         start, i, j, k = numbers.to(self.values.device).T[..., None]
         origin = self.values.new_tensor([f.origin.tolist() for f in some])[:, None]
         return _Grids(self.values, start, (i, j, k), origin, self.values.new_tensor([f.cell for f in some])[:, None])
+
+
+@cache
+def _kept(dtype: torch.dtype, device: str) -> WeakKeyDictionary[Field, Tensor]:
+    """Coefficients of the fields that are in use."""
+    return WeakKeyDictionary()
+
+
+def _coefficients(field: Field, dtype: torch.dtype, device: str) -> Tensor:
+    """The coefficients of a field on a device, copied there once while the field is in use."""
+    kept = _kept(dtype, device)
+    if field not in kept:
+        kept[field] = torch.as_tensor(field.coefficients, dtype=dtype).flatten().to(device)
+    return kept[field]
 
 
 def known(shape: Shape) -> bool:
