@@ -29,7 +29,7 @@ from tacgen.mechanics.bulk import Bulk
 from tacgen.mechanics.condensation import Condensation
 from tacgen.mechanics.scene import Scene
 from tacgen.recipe import scene_of_row
-from tacgen.tensor_engine import dissection, grids, multifrontal
+from tacgen.tensor_engine import dissection, fused, grids, multifrontal
 from tacgen.tensor_engine.condensed import Condensed
 from tacgen.tensor_engine.dissection import Dissection, dissected
 from tacgen.tensor_engine.multifrontal import Multifrontal
@@ -44,7 +44,7 @@ def main() -> None:
     end = time.perf_counter() + told.seconds
     device = told.device or ("cuda" if torch.cuda.is_available() else "cpu")
     torch.set_num_threads(told.threads)
-    multifrontal.BASE = told.base
+    multifrontal.BASE, fused.on = told.base, not told.eager
     name = torch.cuda.get_device_name() if device == "cuda" else f"CPU, {told.threads} threads"
     say(f"{name}; PyTorch {torch.__version__}; {told.dtype}")
     for sensor, found in sorted(shared(range(told.draws[0], sum(told.draws))).items()):
@@ -54,7 +54,7 @@ def main() -> None:
             core(matrix, told.contact, end)
             tree = dissected(pattern, told.leaf, told.quartered, told.groups)
             describe(tree)
-            solver = Multifrontal(tree, device, getattr(torch, told.dtype), compiled=not told.eager)
+            solver = Multifrontal(tree, device, getattr(torch, told.dtype))
             for batch in told.batch:
                 if time.perf_counter() > end:
                     say("out of time")

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from tacgen.tensor_engine.multifrontal import Multifrontal, invert_factor
+from tacgen.tensor_engine.multifrontal import Multifrontal, invert_factor, slot_times, slot_transposed_times
 
 
 class _Patch(NamedTuple):
@@ -77,9 +77,9 @@ class Condensed:
         width = int(self._width[slots.cpu()].max())
         y = self.solver.forward(self._panels, slots, g)
         b, outer = self._of_patch(y), self._outer[slots, :width]
-        solved = self.solver.times(self._inverse, slots, b.gather(1, self._order[slots]) * self._first(slots))
+        solved = slot_times(self._inverse, slots, b.gather(1, self._order[slots]) * self._first(slots))
         load = torch.nn.functional.pad(b, (0, 1)).gather(1, outer)
-        load = load - self.solver.times_transposed(self._coupling, slots, solved)[:, :width]
+        load = load - slot_transposed_times(self._coupling, slots, solved)[:, :width]
         load = torch.where(outer < self._k, load, 0.0)
         y[:, self.solver.patch] = solved.view(len(y), -1, 3)
         return y, load
@@ -89,8 +89,8 @@ class Condensed:
         substitution is y: p_c = u, p_o = -K_oo^-1 (g_o + K_oc u); 0 at bonded and void nodes without a gradient."""
         solved, u = self._of_patch(y.to(self.solver.dtype)), u.to(self.solver.dtype)
         all_u = torch.nn.functional.pad(u, (0, self._coupling.shape[2] - u.shape[1]))
-        q = solved + self.solver.times(self._coupling, slots, all_u)
-        inner = -self.solver.times_transposed(self._inverse, slots, q)
+        q = solved + slot_times(self._coupling, slots, all_u)
+        inner = -slot_transposed_times(self._inverse, slots, q)
         order = torch.where(self._first(slots) > 0, self._order[slots], self._k)
         x = self._zeros(len(u), self._k + 1)
         x.scatter_(1, order, inner).scatter_(1, self._outer[slots, : u.shape[1]], u)

@@ -11,13 +11,13 @@ Indices count nodes: a 3 x 3 block has one index, which keeps index traffic a ni
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from tacgen.tensor_engine.dissection import Dissection, Group, Level
+from tacgen.tensor_engine.fused import fused
 
 Array = np.ndarray
 BASE = 72  # rows up to which a diagonal block is factorised by LAPACK or its like; larger ones by halves
@@ -63,13 +63,10 @@ class Panel:
 class Multifrontal:
     """The solver of all matrices of one tree: index tensors on a device.
 
-    dtype: of the factors; matrices and vectors are converted. compiled: whether fronts are gathered by a compiled
-    kernel on a GPU, which reads and writes every number once.
+    dtype: of the factors; matrices and vectors are converted.
     """
 
-    def __init__(
-        self, tree: Dissection, device: str = "cpu", dtype: torch.dtype = torch.float32, compiled: bool = True
-    ) -> None:
+    def __init__(self, tree: Dissection, device: str = "cpu", dtype: torch.dtype = torch.float32) -> None:
         self.tree, self.device, self.dtype = tree, torch.device(device), dtype
         self.nodes, self.patch = tree.pattern.size, self._index(tree.patch)
         entries = _Entries(tree)
@@ -81,8 +78,6 @@ class Multifrontal:
         *self.levels, (self.root,) = (
             [self._fronts(group, level, below, entries) for group in level.groups] for level, below in each
         )
-        fused = _compiled if compiled and self.device.type == "cuda" else _as_it_is
-        self._gather, self.times, self.times_transposed = fused(_gathered), fused(_times), fused(_transposed_times)
 
     def _index(self, numbers: Array) -> Tensor:
         return torch.as_tensor(np.ascontiguousarray(numbers), device=self.device)
@@ -161,7 +156,7 @@ class Multifrontal:
         """Some rows and columns, in nodes, of the fronts before elimination; without the entries if there are none."""
         entry = None if data is None else fronts.entry[:, r, c]
         first = [child.first[:, r, c] for child in fronts.children]
-        return self._gather(data, entry, below, first, [child.stride for child in fronts.children])
+        return _gathered(below, data, entry, first, [child.stride for child in fronts.children])
 
     def empty(self, batch: int) -> list[Panel]:
         """Room for the panels of so many factors."""
@@ -183,9 +178,9 @@ class Multifrontal:
                 panel, (t, w, m) = next(each), fronts.sizes
                 carried = _carried(fronts, below, b)
                 own = (b[:, fronts.own] + carried[:, :, : w // 3]).view(-1, t, w)
-                solved = self.times(panel.inverse, slots, own)
+                solved = slot_times(panel.inverse, slots, own)
                 y[:, fronts.own.view(-1)] = solved.view(len(b), -1, 3)
-                left = carried[:, :, w // 3 :] - self.times(panel.below, slots, solved).view(-1, t, m // 3, 3)
+                left = carried[:, :, w // 3 :] - slot_times(panel.below, slots, solved).view(-1, t, m // 3, 3)
                 updates.append(left.flatten(1, 2))
             below = torch.nn.functional.pad(_joined(updates), (0, 0, 0, 1))
         y[:, self.patch] = b[:, self.patch] + _carried(self.root, below, b)[:, 0]
@@ -199,8 +194,8 @@ class Multifrontal:
         for fronts, panel in zip([*itertools.chain(*self.levels)][::-1], panels[::-1], strict=True):
             t, w, m = fronts.sizes
             bound = x[:, fronts.bound].view(-1, t, m)
-            q = y[:, fronts.own].view(-1, t, w) - self.times_transposed(panel.below, slots, bound)
-            x[:, fronts.own.view(-1)] = self.times_transposed(panel.inverse, slots, q).view(len(y), -1, 3)
+            q = y[:, fronts.own].view(-1, t, w) - slot_transposed_times(panel.below, slots, bound)
+            x[:, fronts.own.view(-1)] = slot_transposed_times(panel.inverse, slots, q).view(len(y), -1, 3)
         return x[:, :-1]
 
     def _padded(self, x: Tensor) -> Tensor:
@@ -273,8 +268,9 @@ def _joined(parts: list[Tensor]) -> Tensor:
     return parts[0] if len(parts) == 1 else torch.cat(parts, 1)
 
 
+@fused
 def _gathered(
-    data: Tensor | None, entry: Tensor | None, below: Tensor, first: list[Tensor], strides: list[Tensor]
+    below: Tensor, data: Tensor | None, entry: Tensor | None, first: list[Tensor], strides: list[Tensor]
 ) -> Tensor:
     """Matrices (B, t, 3r, 3c) of 3 x 3 blocks: those at `entry` (t, r, c) in the entries, and those that begin at
     `first` (t, r, c) of each child in the flat updates, whose rows there are `strides` (t,) numbers apart."""
@@ -292,26 +288,16 @@ def _gathered(
     return out.reshape(len(out), t, 3 * r, 3 * c)
 
 
-def _times(A: Tensor, slots: Tensor, x: Tensor) -> Tensor:
+@fused
+def slot_times(A: Tensor, slots: Tensor, x: Tensor) -> Tensor:
     """The products (s, ..., r) of matrices A (capacity, ..., r, c) at slots (s,) and vectors x (s, ..., c)."""
     return (A[slots] * x[..., None, :]).sum(-1)
 
 
-def _transposed_times(A: Tensor, slots: Tensor, x: Tensor) -> Tensor:
+@fused
+def slot_transposed_times(A: Tensor, slots: Tensor, x: Tensor) -> Tensor:
     """The products (s, ..., c) of the transposed of A (capacity, ..., r, c) at slots (s,) and vectors x (s, ..., r)."""
     return (A[slots] * x[..., None]).sum(-2)
-
-
-def _as_it_is(function: Callable[..., Tensor]) -> Callable[..., Tensor]:
-    return function
-
-
-@cache
-def _compiled(function: Callable[..., Tensor]) -> Callable[..., Tensor]:
-    """A function as one kernel, which reads and writes every number once."""
-    torch._dynamo.config.recompile_limit = 64  # shapes differ in which sizes are 1, and fronts in numbers of children
-    kernel: Callable[..., Tensor] = torch.compile(function, dynamic=True)
-    return kernel
 
 
 def _carried(fronts: _Fronts, below: Tensor, b: Tensor) -> Tensor:
