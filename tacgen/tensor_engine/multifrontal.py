@@ -154,9 +154,13 @@ class Multifrontal:
 
     def _gathered(self, fronts: _Fronts, data: Tensor | None, below: Tensor, r: slice, c: slice) -> Tensor:
         """Some rows and columns, in nodes, of the fronts before elimination; without the entries if there are none."""
-        entry = None if data is None else fronts.entry[:, r, c]
-        first = [child.first[:, r, c] for child in fronts.children]
-        return _gathered(below, data, entry, first, [child.stride for child in fronts.children])
+        entry = None if data is None else fronts.entry[:, r, c].flatten(0, 1)
+        parts = [child.first[:, r, c] for child in fronts.children]
+        strides = [
+            child.stride.repeat_interleave(part.shape[1]) for child, part in zip(fronts.children, parts, strict=True)
+        ]
+        out = _gathered(below, data, entry, [part.flatten(0, 1) for part in parts], strides)
+        return out.view(len(below), len(fronts.own), -1, out.shape[-1])
 
     def empty(self, batch: int) -> list[Panel]:
         """Room for the panels of so many factors."""
@@ -272,20 +276,19 @@ def _joined(parts: list[Tensor]) -> Tensor:
 def _gathered(
     below: Tensor, data: Tensor | None, entry: Tensor | None, first: list[Tensor], strides: list[Tensor]
 ) -> Tensor:
-    """Matrices (B, t, 3r, 3c) of 3 x 3 blocks: those at `entry` (t, r, c) in the entries, and those that begin at
-    `first` (t, r, c) of each child in the flat updates, whose rows there are `strides` (t,) numbers apart."""
+    """Rows (B, 3r, 3c) of 3 x 3 blocks: those at `entry` (r, c) in the entries, and those that begin at `first` (r, c)
+    of each child in the flat updates, whose rows there are `strides` (r,) numbers apart."""
     some = first[0] if entry is None else entry
-    t, r, c = some.shape
     i = torch.arange(3, dtype=torch.int32, device=some.device)[:, None, None]
     j = torch.arange(3, dtype=torch.int32, device=some.device)
     each = zip(first, strides, strict=True)
-    parts = [below[:, at[:, :, None, :, None] + stride[:, None, None, None, None] * i + j] for at, stride in each]
+    parts = [below[:, at[:, None, :, None] + stride[:, None, None, None] * i + j] for at, stride in each]
     if data is not None and entry is not None:
-        parts.append(data[:, 9 * entry[:, :, None, :, None] + (3 * i + j)])
+        parts.append(data[:, 9 * entry[:, None, :, None] + (3 * i + j)])
     out = parts[0]
     for part in parts[1:]:
         out = out + part
-    return out.reshape(len(out), t, 3 * r, 3 * c)
+    return out.flatten(3, 4).flatten(1, 2)
 
 
 @fused
