@@ -27,6 +27,7 @@ LAYERS = [
     "sensor",
     "optics",
     "mechanics",
+    "tensor_engine",
     "outputs",
     "recipe",
     "render",
@@ -213,6 +214,15 @@ def test_heavy_packages_are_imported_in_their_modules_and_inside_functions(name:
             assert not top, f"{name} imports {module} at module level"
         if package in ("numpy", "scipy", "numba") and name in NOT_NUMPY:
             assert not top, f"{name} imports {module} at module level"
+
+
+@pytest.mark.parametrize("name", files())
+def test_only_the_tensor_engine_needs_pytorch_and_others_import_it_inside_functions(name: str):
+    inside = name.split(".")[0] == "tensor_engine"
+    for module, top in imports(files()[name]):
+        assert module.split(".")[0] != "torch" or (inside and name != "tensor_engine.__init__"), f"{name}: {module}"
+        if layer(module) == "tensor_engine" and module.startswith("tacgen"):
+            assert inside or not top, f"{name} imports {module} at module level"
 
 
 @pytest.mark.parametrize("name", files())

@@ -49,12 +49,12 @@ def hexes(points: Array, conn: Array) -> Elements:
     Raises:
         ValueError: an element is inverted.
     """
-    N, dN = _trilinear(np.array([[a, b, c] for c in GAUSS2 for b in GAUSS2 for a in GAUSS2]))
+    N, dN = trilinear(np.array([[a, b, c] for c in GAUSS2 for b in GAUSS2 for a in GAUSS2]))
     gradients, volume = _mapped(points, conn, dN)
     return Elements(conn.astype(np.int32), gradients, volume, 0.0, N)
 
 
-def _trilinear(at: Array) -> tuple[Array, Array]:
+def trilinear(at: Array) -> tuple[Array, Array]:
     """Shape functions N (q, 8) of a hex and dN (q, 8, 3) at points (q, 3) of the reference cube."""
     f = 1 + HEX_CORNERS[None] * at[:, None]  # (q, a, 3)
     return f.prod(2) / 8, np.stack([HEX_CORNERS[:, k] * np.delete(f, k, 2).prod(2) / 8 for k in range(3)], -1)
@@ -124,7 +124,7 @@ def grid_points(nodes: int) -> tuple[Array, Array]:
     3 x 3 x 3 points, which determine the Jacobian; for tets the nodes."""
     if nodes == 8:
         grid = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3, indexing="ij"), -1).reshape(-1, 3)
-        return _trilinear(grid)
+        return trilinear(grid)
     corners = np.eye(4)
     N, dL = barycentric(np.concatenate([corners, corners[TET_EDGES].mean(1)])[:nodes], nodes)
     return N, dL[..., 1:] - dL[..., :1]

@@ -51,11 +51,12 @@ class Faces:
     slots: Array
 
     @classmethod
-    def on(cls, pattern: Pattern, points: Array, facets: Array, along: int = 2) -> "Faces":
-        """With this number of points `along` each side of a quad."""
+    def on(cls, pattern: Pattern | None, points: Array, facets: Array, along: int = 2) -> "Faces":
+        """With this number of points `along` each side of a quad; without slots if there is no pattern."""
         N, _, _ = facet_points(facets.shape[1], along)
         facets = np.ascontiguousarray(facets)  # another memory layout would compile the loops again
-        return cls(facets, N, facet_areas(points, facets, along)[0], pattern.slots(facets))
+        slots = np.zeros((len(facets), 0), np.int32) if pattern is None else pattern.slots(facets)
+        return cls(facets, N, facet_areas(points, facets, along)[0], slots)
 
     def only(self, which: Array) -> "Faces":
         """The faces with indices `which` (k,)."""

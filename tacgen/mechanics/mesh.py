@@ -114,6 +114,57 @@ def _growing(first: float, length: float, growth: float, longest: float) -> list
     return steps
 
 
+@dataclass(frozen=True)
+class Axes:
+    """The coordinates [mm] of a tensor grid of hexes before its columns are scaled to the face: x, y, z, and the layer
+    of each interval of z; the first and the last node of the fine part along x and along y."""
+
+    x: Array
+    y: Array
+    z: Array
+    layer: Array
+    fine_x: tuple[int, int]
+    fine_y: tuple[int, int]
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Numbers of nodes."""
+        return len(self.x), len(self.y), len(self.z)
+
+    def points(self, gel: GelBody) -> Array:
+        """Nodes (n, 3) [mm], z fastest; each column is scaled to the local height of the face."""
+        points = np.stack(np.meshgrid(self.x, self.y, self.z, indexing="ij"), -1).reshape(-1, 3)
+        points[:, 2] += gel.top(points[:, 0], points[:, 1]) * (points[:, 2] + gel.thickness) / gel.thickness
+        return points
+
+    def inside(self, gel: GelBody) -> Array:
+        """Which columns of cells (x, y) exist: a column whose centre is outside the outline is left out."""
+        return gel.contains((self.x[1:] + self.x[:-1])[:, None] / 2, (self.y[1:] + self.y[:-1])[None] / 2)
+
+
+def axes(
+    gel: GelBody,
+    footprint: tuple[float, float, float, float],
+    edge: float,
+    *,
+    growth: float = 1.7,
+    coarsest: float = 0.0,
+) -> Axes:
+    """The grid of `build`, whose arguments these are. Raises UserError: it would have more than MAX_NODES nodes."""
+    coarsest = coarsest or COARSEST * edge
+    x0, x1, y0, y1 = footprint
+    xs = graded(-gel.width / 2, gel.width / 2, (x0, x1), edge, growth, coarsest)
+    ys = graded(-gel.height / 2, gel.height / 2, (y0, y1), edge, growth, coarsest)
+    zs, layer = heights(gel, 1.3 * edge, 1.1, coarsest / 2)  # maps depend on the width of cells, hardly on their height
+    _refuse_above(MAX_NODES, len(xs) * len(ys) * len(zs), edge, "nodes")
+    return Axes(xs, ys, zs, layer, _nearest(xs, x0, x1), _nearest(ys, y0, y1))
+
+
+def _nearest(at: Array, low: float, high: float) -> tuple[int, int]:
+    """The numbers of the coordinates nearest to two places."""
+    return int(np.abs(at - low).argmin()), int(np.abs(at - high).argmin())
+
+
 def build(
     gel: GelBody,
     footprint: tuple[float, float, float, float],
@@ -132,22 +183,17 @@ def build(
     Raises:
         UserError: that would be a mesh of more than MAX_NODES nodes.
     """
-    coarsest = coarsest or COARSEST * edge
-    x0, x1, y0, y1 = footprint
-    xs = graded(-gel.width / 2, gel.width / 2, (x0, x1), edge, growth, coarsest)
-    ys = graded(-gel.height / 2, gel.height / 2, (y0, y1), edge, growth, coarsest)
-    zs, layer = heights(gel, 1.3 * edge, 1.1, coarsest / 2)  # maps depend on the width of cells, hardly on their height
-    shape = len(xs), len(ys), len(zs)
-    _refuse_above(MAX_NODES, math.prod(shape), edge, "nodes")
-    points = np.stack(np.meshgrid(xs, ys, zs, indexing="ij"), -1).reshape(-1, 3)
-    points[:, 2] += gel.top(points[:, 0], points[:, 1]) * (points[:, 2] + gel.thickness) / gel.thickness
-    hexes = boxes(np.arange(len(points)).reshape(shape))
-    centre = (xs[1:] + xs[:-1])[:, None] / 2, (ys[1:] + ys[:-1])[None] / 2
-    inside = gel.contains(*centre)  # a column whose centre is outside the outline is left out
+    return on(axes(gel, footprint, edge, growth=growth, coarsest=coarsest), gel)
+
+
+def on(grid: Axes, gel: GelBody) -> GelMesh:
+    """The hexes of a grid, without the columns outside the gel."""
+    points, inside = grid.points(gel), grid.inside(gel)
+    hexes = boxes(np.arange(len(points)).reshape(grid.shape))
     bonded = hexes[inside][:, 0][:, [0, 3, 2, 1]]
     coated = hexes[inside][:, -1][:, [4, 5, 6, 7]]
     cells = hexes[inside].reshape(-1, 8)
-    layers = np.tile(layer, int(inside.sum()))
+    layers = np.tile(grid.layer, int(inside.sum()))
     used, compact = np.unique(cells, return_inverse=True)
     rename = np.full(len(points), -1)
     rename[used] = np.arange(len(used))

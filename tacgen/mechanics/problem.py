@@ -139,13 +139,23 @@ class Problem:
 
 
 def _contact(scene: Scene, mesh: GelMesh, pat: Pattern) -> AnyContact:
-    """The contact; the barrier's stiffness kappa is twice Young's modulus of the outermost layer."""
-    facets, pose = mesh.facets["coated"], Pose.of(scene.start)
-    kappa = 2 * scene.gel.layers[-1].youngs_modulus
+    """The contact, by distance or between meshes."""
     if scene.surface is None:
-        along = POINTS_IF_THIN if 2 * scene.shape.reach < scene.edge else 2
-        return Contact(Faces.on(pat, mesh.points, facets, along), scene.shape, pose, scene.dhat, kappa)
+        return by_distance(scene, mesh, pat)
     from tacgen.mechanics.ipctk import MeshContact, Pair
 
-    pair = Pair.of(pat, mesh.points, facets, scene.surface)
-    return MeshContact(pair, Contact(pair.faces, scene.shape, pose, scene.dhat, kappa), pose, scene.dhat, kappa)
+    pair = Pair.of(pat, mesh.points, mesh.facets["coated"], scene.surface)
+    one = Contact(pair.faces, scene.shape, Pose.of(scene.start), scene.dhat, _kappa(scene))
+    return MeshContact(pair, one, one.pose, scene.dhat, one.kappa)
+
+
+def by_distance(scene: Scene, mesh: GelMesh, pat: Pattern | None) -> Contact:
+    """Contact by signed distance; without a pattern, tangents of the contact cannot be added to a sparse matrix."""
+    along = POINTS_IF_THIN if 2 * scene.shape.reach < scene.edge else 2
+    faces = Faces.on(pat, mesh.points, mesh.facets["coated"], along)
+    return Contact(faces, scene.shape, Pose.of(scene.start), scene.dhat, _kappa(scene))
+
+
+def _kappa(scene: Scene) -> float:
+    """The barrier's stiffness, twice Young's modulus of the outermost layer [MPa]."""
+    return 2 * scene.gel.layers[-1].youngs_modulus

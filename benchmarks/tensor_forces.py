@@ -1,0 +1,128 @@
+"""Forces of the batch engine beside those of the CPU engine, on ordinary scenes and the same meshes.
+
+    python -m benchmarks.tensor_forces [--draws 0 16] [--edge 1.2] [--batch 64] [--seconds 300] [--device cuda]
+
+Scenes of benchmarks/draws.py are solved in batches of one pattern, then each by the CPU engine. A line a scene: frames,
+steps of the bulk by both, the largest difference of the force over the scene's largest one, in the frames before the
+first damped step and in all, and what the batch engine could not do. Stops after so many seconds.
+"""
+
+import argparse
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import takewhile
+
+import numpy as np
+import torch
+
+from benchmarks.draws import drawn
+from benchmarks.reference_runs import row_of
+from tacgen import mechanics
+from tacgen.errors import UserError
+from tacgen.mechanics import mesh
+from tacgen.mechanics.scene import Scene
+from tacgen.mechanics.state import State
+from tacgen.recipe import scene_of_row
+from tacgen.tensor_engine.engine import Solved, lacks, solve
+from tacgen.tensor_engine.gather import gathered, grouped
+
+Array = np.ndarray
+
+
+def main() -> None:
+    told = arguments()
+    end = time.perf_counter() + told.seconds
+    device = told.device or ("cuda" if torch.cuda.is_available() else "cpu")
+    torch.set_num_threads(told.threads)
+    numbers = range(told.draws[0], sum(told.draws))
+    made = {k: scene for k in numbers if (scene := scene_of(k, told.edge)) is not None}
+    scenes = {k: scene for k, scene in made.items() if not say_lack(k, lacks(scene))}
+    keys = list(scenes)
+    groups, grids = grouped(list(scenes.values()))
+    for pattern, members in groups.items():
+        for some in batches(members, told.batch, [scenes[keys[k]] for k in members]):
+            if time.perf_counter() > end:
+                say("out of time")
+                return
+            batch = gathered([scenes[keys[k]] for k in some], [grids[k] for k in some], device, told.dtype)
+            start = time.perf_counter()
+            solved = solve(batch, [scenes[keys[k]] for k in some])
+            seconds = time.perf_counter() - start
+            frames = sum(len(each.states) for each in solved)
+            say(f"pattern {pattern.cells}: {len(some)} scenes, {frames} frames, {frames / seconds:.1f} a second")
+            for k, each in zip(some, solved, strict=True):
+                say(compared(keys[k], scenes[keys[k]], each))
+    for k in sorted(set(range(len(keys))) - set(grids)):
+        say(f"draw {keys[k]:3d}: fits no pattern")
+
+
+def say(text: str) -> None:
+    sys.stdout.write(text + "\n")
+    sys.stdout.flush()
+
+
+def arguments() -> argparse.Namespace:
+    ask = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    ask.add_argument("--draws", type=int, nargs=2, default=(0, 16), metavar=("FIRST", "COUNT"))
+    ask.add_argument("--edge", type=float, help="element edge [mm], with dhat a twelfth of it; else quality draft")
+    ask.add_argument("--batch", type=int, default=64)
+    ask.add_argument("--seconds", type=float, default=300.0)
+    ask.add_argument("--device")
+    ask.add_argument("--dtype", type=lambda name: getattr(torch, name), default=torch.float32)
+    ask.add_argument("--threads", type=int, default=1)
+    return ask.parse_args()
+
+
+def scene_of(number: int, edge: float | None) -> Scene | None:
+    """The scene of a draw; None where it is refused."""
+    draw, quality = drawn(number), "draft" if edge is None else f"{{edge_mm: {edge}, dhat_mm: {edge / 12:.4f}}}"
+    sets = (f"sensor={draw.sensor}", *draw.sets, f"quality={quality}", "outputs=[force]")
+    try:
+        return scene_of_row.build(row_of(sets))
+    except UserError as error:
+        say(f"draw {number:3d}: refused: {error.lines[0]}")
+        return None
+
+
+def say_lack(number: int, lack: str | None) -> bool:
+    """Whether the batch engine lacks something for a scene, which is printed."""
+    if lack is not None:
+        say(f"draw {number:3d}: for the CPU engine, because of {lack}")
+    return lack is not None
+
+
+def batches(members: Sequence[int], size: int, scenes: Sequence[Scene]) -> Iterator[list[int]]:
+    """Scenes with equally many points in a facet, at most `size` at once."""
+    for thin in (False, True):
+        same = [k for k, scene in zip(members, scenes, strict=True) if (2 * scene.shape.reach < scene.edge) == thin]
+        yield from (same[k : k + size] for k in range(0, len(same), size))
+
+
+def compared(number: int, scene: Scene, solved: Solved) -> str:
+    """A line about a scene."""
+    one: list[State] = []
+    why, start = "", time.perf_counter()
+    try:
+        one += mechanics.states(replace(scene), mechanics.Problem.of(scene, mesh.of(scene)))
+    except mechanics.NotConverged as error:
+        why = f"; CPU engine: {error}"
+    seconds = time.perf_counter() - start
+    both = list(zip(solved.states, one, strict=False))
+    forces = np.array([[state.traction_force.sum((0, 1)) for state in pair] for pair in both]).reshape(-1, 2, 3)
+    off = np.linalg.norm(forces[:, 0] - forces[:, 1], axis=1)
+    off = off / max(float(np.linalg.norm(forces[:, 1], axis=1).max(initial=0.0)), 1e-12)
+    stable = len(list(takewhile(lambda pair: not pair[1].damped, both)))
+    steps = [sum(state.iterations for state in states) for states in (solved.states, one[: len(both)])]
+    kind, first, all_ = type(scene.shape).__name__, off[:stable].max(initial=0.0), off.max(initial=0.0)
+    told = "" if solved.why is None else f"; batch engine: {solved.why}"
+    return (
+        f"draw {number:3d} {kind:12s} {len(both):2d} of {len(scene.poses):2d} frames ({stable:2d} before damping),"
+        f" steps {steps[0]:3d} {steps[1]:3d}, force off {first:.1e}, in all frames {all_:.1e},"
+        f" CPU {seconds / max(1, len(both)):.2f} s a frame{told}{why}"
+    )
+
+
+if __name__ == "__main__":
+    main()

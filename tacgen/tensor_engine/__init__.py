@@ -1,0 +1,1 @@
+"""Many scenes at once in PyTorch: meshes of one pattern, factorised and solved as batches."""

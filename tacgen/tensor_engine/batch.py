@@ -1,0 +1,309 @@
+"""The scenes of a batch: what is fixed of each, the iterates of its solve as rows of tensors, and its course.
+
+A scene has one slot. Kernels take the slots of all scenes that wait for them, read their rows and write new ones; what
+mechanics.solve_state.SolveState holds of one scene is here a row of `Tensors` and a `Course`.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from tacgen.mechanics.failures import NotConverged
+from tacgen.mechanics.options import SolverOptions
+from tacgen.mechanics.phases import Phase
+from tacgen.mechanics.problem import Problem
+from tacgen.mechanics.solve_state import RATE_GUESS, Leg
+from tacgen.mechanics.state import History, State
+from tacgen.tensor_engine.contact import Contacts
+from tacgen.tensor_engine.elements import Hexes, HexPoints, Topology
+from tacgen.tensor_engine.inversion import Folding, FoldingBarriers
+from tacgen.tensor_engine.laws import Laws, numbers
+from tacgen.tensor_engine.shapes import Shapes
+
+Array = np.ndarray
+FLOAT = torch.float64
+GROW = 48  # sizes of WIDE are multiples of it
+# rows as wide as the largest contact so far, of k unknowns: the Schur complements now and at rest, the load on them,
+# and their reduction to a unknowns (see reduction.Reduction)
+WIDE = {"S": "kk", "S_0": "kk", "load": "k", "active": "k", "G": "kk", "X": "ka", "K": "aa", "kept": "a", "place": "k"}
+
+
+class Factors(Protocol):
+    """Factorised tangents of the scenes in their slots, condensed to nodes of each scene.
+
+    nodes (s, m): numbers of these nodes, padded with -1. Schur complements (s, 3m, 3m) are padded with the unit matrix.
+    """
+
+    def factor(self, slots: Tensor, K: Tensor, nodes: Tensor) -> tuple[Tensor, Tensor]:
+        """Keeps the factors of the cells' tangents K (s, e, 24, 24): which are positive definite away from the nodes
+        (s,), and the Schur complements."""
+
+    def schur(self, K: Tensor, nodes: Tensor) -> tuple[Tensor, Tensor]:
+        """As `factor`, and nothing is kept."""
+
+    def forward(self, slots: Tensor, g: Tensor) -> tuple[Tensor, Tensor]:
+        """A first half of the solution for a gradient g (s, n, 3), and g condensed (s, 3m)."""
+
+    def expand(self, slots: Tensor, u: Tensor, y: Tensor) -> Tensor:
+        """The step (s, n, 3) of all nodes for the condensed step u (s, 3m) and the gradient's first half y."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a scene's mesh is within the numbering of its batch: numbers of its nodes (m,), cells and facets."""
+
+    nodes: Array
+    cells: Array
+    facets: Array
+
+
+@dataclass
+class Course:
+    """How far a scene's solve is: as SolveState, BulkIterate and Linearised say it, but for arrays."""
+
+    problem: Problem
+    place: Place
+    phase: Phase = Phase.begin
+    index: int = 0
+    legs: tuple[Leg, ...] = ()
+    effort: int = 0
+    state: State | None = None
+    states: list[State] = field(default_factory=list)
+    why: NotConverged | str | None = None
+    history: History | None = None
+    failure: NotConverged | None = None
+    usable: bool = False  # whether the kept factor serves
+    left: bool = False  # whether its contact is where the factors cannot be condensed to
+    error: bool = False  # whether the last step's prediction has an error to learn from
+    # of the load step
+    predicted: bool = False
+    anchored: bool = False
+    found: bool = False
+    solves: int = 0
+    steps: int = 0
+    damped: int = 0
+    # of Newton's method on the bulk
+    new: bool = False
+    residual: float = np.inf
+    rate: float = RATE_GUESS
+    damping: float = 0.0
+    newton_steps: int = 0
+    newton_damped: int = 0
+    # of the step in the making
+    inner_damping: float = 0.0
+    reduced: float = -1.0  # damping of the Schur complement whose reduction is kept; -1: none
+    part: float = 1.0
+    gain: float = 1.0
+
+    def fresh(self) -> None:
+        """Forget all that belongs to one load step."""
+        self.predicted = self.anchored = self.found = False
+        self.solves = self.steps = self.damped = 0
+
+
+class Tensors:
+    """The rows of all scenes, by name: `tensors.x` is (B, n, 3). See `Batch.empty` for what there is."""
+
+    def __init__(self, **parts: Tensor) -> None:
+        vars(self).update(parts)
+
+    def __getattr__(self, name: str) -> Tensor:
+        raise AttributeError(name)
+
+    def put(self, slots: Tensor, **values: Tensor) -> None:
+        """Write rows."""
+        for name, value in values.items():
+            getattr(self, name)[slots] = value
+
+
+@dataclass
+class Batch:
+    """Scenes on one numbering of nodes, cells and facets.
+
+    X (B, n, 3) nodes at rest [mm]; exists (B, e); used (B, n) bool: nodes of cells that exist; free (n,) bool: nodes
+    above the bonded base; N (q, 4) shape functions at a facet's points, areas (B, f, q) [mm^2]; (B,): dhat, eps, edge
+    and reach [mm], friction; corners (q, 8): shape functions of a cell; patch (n,) bool: nodes to which `factors` can
+    condense.
+    """
+
+    topology: Topology
+    options: SolverOptions
+    factors: Factors
+    courses: list[Course]
+    X: Tensor
+    exists: Tensor
+    used: Tensor
+    free: Tensor
+    hexes: Hexes
+    folding: FoldingBarriers
+    shapes: Shapes
+    N: Tensor
+    corners: Tensor
+    areas: Tensor
+    dhat: Tensor
+    eps: Tensor
+    edge: Tensor
+    reach: Tensor
+    friction: Tensor
+    patch: Tensor
+    t: Tensors = field(init=False)
+
+    @classmethod
+    def of(
+        cls,
+        problems: Sequence[Problem],
+        places: Sequence[Place],
+        topology: Topology,
+        X: Array,
+        factors: Factors,
+        patch: Array,
+        device: str = "cpu",
+    ) -> "Batch":
+        """Scenes before their first load step; X (B, n, 3) [mm], of void nodes too; patch (k,): node numbers.
+
+        All have the same options and points in a facet; see `engine.lacks` for scenes that have no place in a batch.
+        """
+        B, e, f = len(problems), len(topology.conn), len(topology.facets)
+
+        def number(values: object) -> Tensor:
+            return torch.as_tensor(np.array(values), dtype=FLOAT, device=device)
+
+        contacts = [p.contact.distance for p in problems]
+        q = contacts[0].faces.areas.shape[1]
+        exists, areas = np.zeros((B, e), bool), np.zeros((B, f, q))
+        table, moduli = np.zeros((B, e, 8)), np.ones((B, e))
+        table[..., 0] = table[..., 5] = 1.0  # any law for void cells
+        for k, (problem, place) in enumerate(zip(problems, places, strict=True)):
+            exists[k, place.cells], areas[k, place.facets] = True, contacts[k].faces.areas
+            laws = [numbers(part.law) for part in problem.elastic]
+            table[k, place.cells] = np.array(laws)[problem.mesh.layer]
+            moduli[k, place.cells] = np.array([part.law.mu for part in problem.elastic])[problem.mesh.layer]
+        nodes = number(X)
+        there = torch.as_tensor(exists, device=device)
+        hexes = Hexes.on(topology, nodes, there, Laws(number(np.moveaxis(table, -1, 0)[..., None])))
+        folding = FoldingBarriers.on(topology, nodes, hexes.weights.sum(-1), number(moduli))
+        used, free = torch.zeros(nodes.shape[:2], dtype=torch.bool), torch.ones(topology.nodes, dtype=torch.bool)
+        for k, (problem, place) in enumerate(zip(problems, places, strict=True)):
+            used[k, place.nodes] = True
+            free[place.nodes[np.unique(problem.mesh.facets["bonded"])]] = False
+        can = torch.zeros(topology.nodes, dtype=torch.bool)
+        can[patch] = True
+        dhat = number([c.dhat for c in contacts])
+        batch = cls(
+            topology, problems[0].options, factors, [Course(*each) for each in zip(problems, places, strict=True)],
+            nodes, there, used.to(device), free.to(device), hexes, folding,
+            Shapes.of([c.shape for c in contacts], FLOAT, device), number(contacts[0].faces.N),
+            number(problems[0].elastic[0].elements.shape), number(areas), dhat,
+            problems[0].options.slip * dhat, number([p.edge for p in problems]),
+            number([c.shape.reach for c in contacts]), number([p.friction for p in problems]), can.to(device),
+        )  # fmt: skip
+        batch.t = batch.empty()
+        return batch
+
+    def empty(self) -> Tensors:
+        """The rows of all scenes: of the history (h_), the load step, Newton's method and the contact (c_)."""
+        B, n, _ = self.X.shape
+        _, f, q = self.areas.shape
+        m, F = int(self.patch.sum()), self.hexes.weights.shape
+
+        def zeros(*shape: int, dtype: torch.dtype = FLOAT) -> Tensor:
+            return torch.zeros((B, *shape), dtype=dtype, device=self.X.device)
+
+        def index(*shape: int) -> Tensor:
+            return zeros(*shape, dtype=torch.long)
+
+        of_face = {"h_N": (f, q), "h_gap": (f, q), "h_normal": (f, q, 3), "h_anchor": (f, q, 3), "anchor": (f, q, 3)}
+        of_face |= {"h_motion": (f, q, 3), "motion": (f, q, 3)}
+        of_nodes = ["h_x", "h_error", "ahead", "first_order", "begins", "x", "stepped", "g", "y"]
+        alone = ["h_offset", "h_kappa", "h_least", "offset", "kappa", "folds", "energy", "stepped_energy"]
+        alone += ["c_offset", "c_length", "c_drift"]
+        return Tensors(
+            **{name: zeros(*shape) for name, shape in of_face.items()}, **{name: zeros(n, 3) for name in of_nodes},
+            **{name: zeros() for name in alone},
+            h_rotation=zeros(3, 3), h_position=zeros(3), rotation=zeros(3, 3), position=zeros(3),
+            J=zeros(*F[1:]), taken=zeros(*F[1:], 3, 3), c_steps=index(), c_status=index(),
+            nodes=index(m) - 1, local=index(n) - 1, faces=index(f) - 1, rested=zeros(dtype=torch.bool),
+            c_x=zeros(m, 3), **{name: self._blank(name, B, [0] * len(axes)) for name, axes in WIDE.items()},
+        )  # fmt: skip
+
+    def _blank(self, name: str, count: int, sizes: Sequence[int]) -> Tensor:
+        """Rows of padding of one of WIDE."""
+        padding = {"active": False, "kept": -1, "place": -1}.get(name, 0.0)
+        types = {"active": torch.bool, "kept": torch.long, "place": torch.long}
+        out = torch.full((count, *sizes), padding, dtype=types.get(name, FLOAT), device=self.X.device)
+        if name in ("S", "S_0", "K"):
+            out.diagonal(dim1=1, dim2=2).fill_(1.0)
+        return out
+
+    def _widen(self, name: str, sizes: Sequence[int]) -> Tensor:
+        """The rows of one of WIDE, at least as wide as `sizes`."""
+        store = getattr(self.t, name)
+        if any(new > old for new, old in zip(sizes, store.shape[1:], strict=True)):
+            wider = [max(-(-new // GROW) * GROW, old) for new, old in zip(sizes, store.shape[1:], strict=True)]
+            old, store = store, self._blank(name, len(store), wider)
+            store[(slice(None), *map(slice, old.shape[1:]))] = old
+            setattr(self.t, name, store)
+        return store
+
+    def keep(self, s: Tensor, **parts: Tensor) -> None:
+        """Write rows of WIDE, which grow where they are too narrow and are padded where they are wider."""
+        for name, value in parts.items():
+            store = self._widen(name, value.shape[1:])
+            row = self._blank(name, len(s), store.shape[1:])
+            row[(slice(None), *map(slice, value.shape[1:]))] = value
+            store[s] = row
+
+    def read(self, name: str, s: Tensor, *sizes: int) -> Tensor:
+        """Rows of one of WIDE, as wide as `sizes`."""
+        return self._widen(name, sizes)[(s, *map(slice, sizes))]
+
+    def slots(self, rows: Sequence[int]) -> Tensor:
+        """Numbers of slots as an index."""
+        return torch.tensor(rows, dtype=torch.long, device=self.X.device)
+
+    def bulk(self, s: Tensor, x: Tensor) -> tuple[Hexes, HexPoints, Folding, Tensor]:
+        """The cells of scenes s, and at x (s, n, 3) their state, the barrier against inversion and the energy (s,)."""
+        hexes = self.hexes.rows(s)
+        at = hexes.evaluate(x)
+        folding = self.folding.rows(s).evaluate(x, self.t.folds[s])
+        return hexes, at, folding, at.energy + folding.energy
+
+    def gradient(self, s: Tensor, x: Tensor) -> Tensor:
+        """Gradient of the energy (s, n, 3) [N]."""
+        hexes, at, folding, _ = self.bulk(s, x)
+        out = hexes.forces(at)
+        folding.add_forces(out)
+        return out
+
+    def face(self, s: Tensor, offset: Tensor) -> Contacts:
+        """Contact of the whole face at the pose of the load step."""
+        t = self.t
+        conn = self.topology.facets.expand(len(s), -1, -1)
+        return Contacts(
+            self.shapes.rows(s.tolist()), conn, self.N, self.areas[s], t.rotation[s], t.position[s], self.dhat[s],
+            t.kappa[s], offset, self.friction[s], self.eps[s], t.anchor[s],
+        )  # fmt: skip
+
+    def near(self, s: Tensor, offset: Tensor) -> Contacts:
+        """Contact of the facets that are condensed, with the numbers of the condensed nodes."""
+        whole, t = self.face(s, offset), self.t
+        count = int((t.faces[s] >= 0).sum(1).max())
+        faces = t.faces[s][:, :count]
+        row, pad = torch.arange(len(s), device=s.device)[:, None], faces < 0
+        conn = t.local[s][row[..., None], self.topology.facets[faces]]
+        areas = torch.where(pad[..., None], 0.0, whole.areas[row, faces])
+        return whole.only(torch.where(pad[..., None], 0, conn), areas, whole.anchor[row, faces])
+
+    def width(self, s: Tensor) -> int:
+        """Most condensed nodes of these scenes."""
+        return int((self.t.nodes[s] >= 0).sum(1).max())
+
+    def at_condensed(self, s: Tensor, x: Tensor) -> Tensor:
+        """Rows (s, m, 3) of x (s, n, 3) at the condensed nodes; 0 where padded, in a call of any width."""
+        nodes = self.t.nodes[s][:, : self.width(s)]
+        rows = x[torch.arange(len(s), device=s.device)[:, None], nodes.clamp(min=0)]
+        return torch.where(nodes[..., None] >= 0, rows, 0.0)

@@ -1,0 +1,181 @@
+"""Newton's method for contact with friction on the condensed bulk of many scenes: one step of each at a time.
+
+Each scene takes the step that mechanics.contact_newton would take: the coupled step in full if it halves the residual;
+else along it, or along the symmetric one, by Armijo's rule.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from tacgen.mechanics.contact_newton import FULL_STEP, MIN_COUPLED, ROUNDING, SHORTEST
+from tacgen.mechanics.line_search import ARMIJO
+from tacgen.tensor_engine.contact import Contacts, Forces
+from tacgen.tensor_engine.reduction import Reduction, with_points
+
+RUNNING, CONVERGED, STOPPED, UNSTABLE = range(4)  # see mechanics.contact_newton.ContactStatus
+
+
+@dataclass(frozen=True)
+class Quadratics:
+    """The condensed bulk of each scene: u . load + u . S u / 2 of displacements u (s, k) from `start` (s, m, 3), with
+    S (s, k, k) [N/mm] and load (s, k) [N]; k = 3 m, padded with a unit matrix. reduction: of S to what contact acts on.
+    """
+
+    start: Tensor
+    S: Tensor
+    load: Tensor
+    reduction: Reduction | None = None
+
+    def rows(self, which: Tensor) -> "Quadratics":
+        """Only some scenes."""
+        reduction = None if self.reduction is None else self.reduction.rows(which)
+        return Quadratics(self.start[which], self.S[which], self.load[which], reduction)
+
+    def at(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        """Energy (s,) and gradient (s, m, 3) at positions x (s, m, 3)."""
+        u = (x - self.start).flatten(1)
+        g = _times(self.S, u) + self.load
+        return (u * (g + self.load)).sum(1) / 2, g.view_as(x)
+
+    def residual(self, contact: Contacts, forces: Forces, x: Tensor) -> Tensor:
+        """Unbalanced forces (s, m, 3) at x."""
+        return self.at(x)[1] - at_nodes(contact, forces.force, x.shape[1])
+
+    def solve(self, contact: Contacts, D: Tensor, g: Tensor, symmetric: bool) -> tuple[Tensor, Tensor]:
+        """The steps (s, m, 3) that balance g with tangents D (s, f, q, 3, 3) of the contact, and which exist (s,)."""
+        assert self.reduction is not None
+        K = with_points(self.reduction.K, self.reduction.place, contact.conn, contact.N, D)
+        p, good = self.reduction.solve(K, -g.flatten(1), symmetric)
+        return p.view_as(g), good
+
+
+def _times(S: Tensor, u: Tensor) -> Tensor:
+    return (S @ u[..., None]).squeeze(-1)
+
+
+def at_nodes(contact: Contacts, forces: Tensor, nodes: int) -> Tensor:
+    """Nodal forces (s, n, c) of forces (s, f, q, c) at points; corner by corner, since on a grid a node is a certain
+    corner of one facet only: so the order of summation is always the same."""
+    parts = contact.N.T @ forces
+    out = forces.new_zeros(len(forces), nodes, forces.shape[-1])
+    for corner in range(4):
+        at = contact.conn[..., corner, None].expand(parts.shape[:2] + parts.shape[3:])
+        out.scatter_add_(1, at, parts[:, :, corner])
+    return out
+
+
+@dataclass(frozen=True)
+class Iterates:
+    """Positions x (s, m, 3), contacts with their offsets there, steps so far (s,), the longest motion of a node in the
+    last step and by how much the mean gap was off before it [mm] (s,), and how it stands (s,)."""
+
+    x: Tensor
+    contact: Contacts
+    steps: Tensor
+    length: Tensor
+    drift: Tensor
+    status: Tensor
+
+
+def step(
+    reduced: Callable[[Tensor], Quadratics], now: Iterates, reach: Tensor, xtol: Tensor, radius: Tensor, max_steps: int
+) -> Iterates:
+    """One step of each scene towards the equilibrium of bulk, barrier and friction, with indenters shrunk by the mean
+    gap; see mechanics.contact_newton.contact_step.
+
+    reduced: gives the bulk reduced to what the facets marked in (s, f) bool act on; reach, xtol, radius (s,) [mm].
+    """
+    x, contact, length = now.x, now.contact, now.length
+    forces = contact.evaluate(x)
+    near = (length <= contact.dhat) & (forces.total > 0)  # far from the solution the mean gap is meaningless
+    drift = torch.where(near, forces.mean_gap - contact.offset, now.drift)
+    if bool(near.any()):
+        contact = contact.shrunk(torch.where(near, forces.mean_gap, contact.offset))
+        forces = contact.evaluate(x)
+    bulk = reduced((forces.N > 0).any(-1))
+    g = bulk.residual(contact, forces, x)
+    going = now.steps < max_steps
+    p, full = bulk.solve(contact, forces.tangent, g, False)
+    coupled = full
+    full = full & (contact.max_step(forces.gap, p, reach) >= 1)
+    there = x + p
+    felt = contact.evaluate(there)
+    full = full & (_norm(bulk.residual(contact, felt, there)) <= FULL_STEP * _norm(g))
+    fraction = torch.ones_like(length)
+    some = torch.nonzero(going & ~full).squeeze(1)
+    if len(some):
+        part = bulk.rows(some), contact.rows(some), forces.rows(some)
+        fraction[some], p[some] = _downhill(*part, x[some], g[some], p[some], coupled[some], reach[some])
+        there = x + fraction[:, None, None] * p
+        felt = contact.evaluate(there)
+    longest = p.abs().flatten(1).amax(1)
+    stuck = fraction == 0
+    gone = (there - bulk.start).abs().flatten(1).amax(1) > radius
+    there = torch.where(gone[:, None, None], x + _to_radius(x - bulk.start, there - x, radius) * (there - x), there)
+    off = torch.where(felt.total > 0, felt.mean_gap - contact.offset, 0.0)
+    small = longest <= xtol
+    done = (fraction == 1) & small & (torch.maximum(drift.abs(), off.abs()) <= xtol)
+    stalled = ~done & (fraction * longest < SHORTEST * xtol)
+    status = torch.where(done | (stalled & small), CONVERGED, torch.where(stalled, STOPPED, RUNNING))
+    status = torch.where(going, torch.where(stuck | gone, UNSTABLE, status), STOPPED)
+    moved = going & ~stuck
+    return Iterates(
+        torch.where(moved[:, None, None], there, x), contact, now.steps + going,
+        torch.where(moved & ~gone, longest, length), drift, status,
+    )  # fmt: skip
+
+
+def _norm(g: Tensor) -> Tensor:
+    return torch.linalg.norm(g.flatten(1), dim=1)
+
+
+def _to_radius(gone: Tensor, step: Tensor, radius: Tensor) -> Tensor:
+    """Fractions (s, 1, 1) of steps (s, m, 3) at which the first entry reaches the radius."""
+    far = radius[:, None, None] - torch.sign(step) * gone
+    away = torch.where(step != 0, far / step.abs().clamp(min=1e-300), torch.inf)
+    return away.flatten(1).amin(1).clamp(min=0.0)[:, None, None]
+
+
+def _downhill(
+    bulk: Quadratics, contact: Contacts, forces: Forces, x: Tensor, g: Tensor, p: Tensor, exists: Tensor, reach: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Fractions (s,) and steps that lower the merit function: the coupled step p or, if less than MIN_COUPLED of it
+    does, the symmetric one; 0 if neither does."""
+    energy, gradient = bulk.at(x)
+    here = energy + contact.merit(x, forces)
+
+    def decreasing(p: Tensor, least: float, allowed: Tensor) -> Tensor:
+        slope, v = (g * p).sum((1, 2)), p.flatten(1)
+        first, second = (gradient * p).sum((1, 2)), (v * _times(bulk.S, v)).sum(1)
+
+        def trial(fraction: Tensor) -> Tensor:
+            merit = energy + fraction * first + fraction**2 * second / 2
+            merit = merit + contact.merit(x + fraction[:, None, None] * p, forces)
+            return merit <= here + ARMIJO * fraction * slope + ROUNDING * here.abs()
+
+        return backtrack(trial, least, contact.max_step(forces.gap, p, reach), allowed & (slope <= 0))
+
+    fraction = decreasing(p, MIN_COUPLED, exists)
+    if bool((fraction > 0).all()):
+        return fraction, p
+    other, definite = bulk.solve(contact, forces.definite, g, True)
+    second = decreasing(other, SHORTEST, definite & (fraction == 0))
+    use = (fraction == 0)[:, None, None]
+    return torch.where(fraction > 0, fraction, second), torch.where(use, other, p)
+
+
+def backtrack(trial: Callable[[Tensor], Tensor], shortest: float, first: Tensor, allowed: Tensor) -> Tensor:
+    """For each scene that is allowed to (s,) bool, the first of the fractions first, first/2, ... >= shortest that its
+    trial accepts, or 0."""
+    fraction, found = first.clone(), torch.zeros_like(first)
+    open_ = allowed & (fraction >= shortest)
+    while bool(open_.any()):
+        accepted = open_ & trial(fraction)
+        found = torch.where(accepted, fraction, found)
+        open_ = open_ & ~accepted
+        fraction = torch.where(open_, fraction / 2, fraction)
+        open_ = open_ & (fraction >= shortest)
+    return found

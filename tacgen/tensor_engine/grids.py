@@ -1,0 +1,183 @@
+"""Patterns that meshes share: a scene's tensor grid of hexes is embedded in one of a few larger grids.
+
+A pattern is known by numbers of cells alone, so all scenes of a pattern have one sparsity, one order of elimination and
+one tree of fronts. Cells and nodes that a scene does not have stay void: the mesh, and so its forces, are those of
+`mechanics.mesh`. The cost is the void unknowns.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from tacgen.fem.elements import boxes
+from tacgen.mechanics import mesh
+from tacgen.mechanics.scene import Scene
+
+Array = np.ndarray
+SIDE = 3  # cells of a pattern on each side of the patch; most graded meshes have 3 or 4
+# Cells of the patch along x or y. More sizes waste fewer unknowns and divide the scenes into more patterns; nodes of
+# nearly all (with those at the sides) divide into quarters of equal size, so that fronts need little padding
+SIZES = (8, 12, 16, 20, 24, 32)
+
+
+@dataclass(frozen=True)
+class GridPattern:
+    """Numbers of cells (x, y, z) of a grid, of which `side` on each side in x and y can not be touched.
+
+    The patch, nodes of the face on and within the other cells, holds all nodes on which contact can act. Nodes are
+    numbered with z fastest and the bonded base at z = 0.
+    """
+
+    cells: tuple[int, int, int]
+    side: int = SIDE
+
+    @property
+    def nodes(self) -> tuple[int, int, int]:
+        """Numbers of nodes along x, y and z."""
+        x, y, z = self.cells
+        return x + 1, y + 1, z + 1
+
+    @property
+    def size(self) -> int:
+        """Number of nodes, the bonded base included."""
+        return math.prod(self.nodes)
+
+    @cached_property
+    def number(self) -> Array:
+        """Number of each node (x, y, z)."""
+        return np.arange(self.size).reshape(self.nodes)
+
+    @cached_property
+    def hexes(self) -> Array:
+        """Nodes (e, 8) of all cells, numbered as in VTK; z is fastest among cells."""
+        return boxes(self.number).reshape(-1, 8)
+
+    @cached_property
+    def facets(self) -> Array:
+        """Nodes (f, 4) of the upper sides of the columns, seen from outside; y is fastest among columns."""
+        return self.hexes.reshape(-1, self.cells[2], 8)[:, -1, 4:]
+
+    @cached_property
+    def patch(self) -> Array:
+        """Numbers (p,) of the nodes on which contact can act."""
+        s = self.side
+        return self.number[s : self.nodes[0] - s, s : self.nodes[1] - s, -1].ravel()
+
+    @cached_property
+    def free(self) -> Array:
+        """Whether each node (n,) is above the bonded base."""
+        return np.arange(self.size) % self.nodes[2] > 0
+
+
+@dataclass(frozen=True)
+class Embedded:
+    """A scene's mesh within a pattern: points (n, 3) [mm] of all nodes, void ones beside the gel; whether each cell
+    (e,) exists; its layer (e,), 0 if void; the pattern's number of each node of the mesh (m,) and of each cell."""
+
+    pattern: GridPattern
+    points: Array
+    exists: Array
+    layer: Array
+    nodes: Array
+    cells: Array
+
+    @property
+    def facets(self) -> Array:
+        """The pattern's numbers of the mesh's coated facets, in their order."""
+        return np.flatnonzero(self.exists.reshape(-1, self.pattern.cells[2])[:, -1])
+
+    @property
+    def used(self) -> Array:
+        """Whether each node (n,) of the pattern belongs to the mesh."""
+        out = np.zeros(self.pattern.size, bool)
+        out[self.nodes] = True
+        return out
+
+
+def embedded(scene: Scene, pattern: GridPattern | None = None) -> Embedded | None:
+    """The scene's mesh, as `mesh.of` makes it, in this pattern or in the smallest that holds it.
+
+    None: the mesh is no tensor grid, or larger than all patterns. Raises ValueError: it is larger than the one given.
+    """
+    if scene.element != "hex":
+        return None
+    axes = axes_of(scene)
+    pattern = pattern or smallest(axes)
+    return None if pattern is None else placed(axes, scene, pattern)
+
+
+def axes_of(scene: Scene) -> mesh.Axes:
+    """The grid of the scene's mesh."""
+    return mesh.axes(scene.gel, mesh.footprint(scene), scene.edge)
+
+
+def smallest(axes: mesh.Axes) -> GridPattern | None:
+    """The smallest pattern that holds a grid; None: none does."""
+    x, y = _size(len(axes.x) - 1, axes.fine_x), _size(len(axes.y) - 1, axes.fine_y)
+    return None if x is None or y is None else GridPattern((x, y, len(axes.z) - 1))
+
+
+def placed(axes: mesh.Axes, scene: Scene, pattern: GridPattern) -> Embedded:
+    """The scene's mesh, on these axes, in a pattern. Raises ValueError: the pattern does not hold it."""
+    ox = _first(len(axes.x) - 1, axes.fine_x, pattern.cells[0])
+    oy = _first(len(axes.y) - 1, axes.fine_y, pattern.cells[1])
+    if ox is None or oy is None or len(axes.z) != pattern.nodes[2]:
+        raise ValueError(f"{pattern} is too small for the mesh")
+    x, y = _longer(axes.x, pattern.nodes[0], ox), _longer(axes.y, pattern.nodes[1], oy)
+    exists = np.zeros(pattern.cells, bool)
+    exists[ox : ox + len(axes.x) - 1, oy : oy + len(axes.y) - 1] = axes.inside(scene.gel)[:, :, None]
+    cells = np.flatnonzero(exists.ravel())
+    layer, points = np.where(exists, axes.layer, 0).ravel(), replace(axes, x=x, y=y).points(scene.gel)
+    return Embedded(pattern, points, exists.ravel(), layer, np.unique(pattern.hexes[cells]), cells)
+
+
+def merged(wanted: Mapping[GridPattern, int], least: int) -> dict[GridPattern, GridPattern]:
+    """For the smallest patterns of some numbers of scenes, patterns that `least` scenes share where possible: larger
+    ones that hold several, as few unknowns more as possible."""
+    groups = {pattern: [pattern] for pattern in wanted}
+
+    def count(pattern: GridPattern) -> int:
+        return sum(wanted[part] for part in groups[pattern])
+
+    def more(a: GridPattern, b: GridPattern) -> int:
+        both = _both(a, b).size
+        return count(a) * (both - a.size) + count(b) * (both - b.size)
+
+    while True:
+        pairs = [(a, b) for a in groups if count(a) < least for b in groups if b != a and _alike(a, b)]
+        if not pairs:
+            return {part: pattern for pattern, parts in groups.items() for part in parts}
+        a, b = min(pairs, key=lambda pair: more(*pair))
+        parts = groups.pop(a) + groups.pop(b)
+        groups[_both(a, b)] = parts + groups.get(_both(a, b), [])
+
+
+def _alike(a: GridPattern, b: GridPattern) -> bool:
+    return (a.cells[2], a.side) == (b.cells[2], b.side)
+
+
+def _both(a: GridPattern, b: GridPattern) -> GridPattern:
+    """The smallest pattern that holds two."""
+    return GridPattern((max(a.cells[0], b.cells[0]), max(a.cells[1], b.cells[1]), a.cells[2]), a.side)
+
+
+def _size(count: int, fine: tuple[int, int]) -> int | None:
+    """Cells along one axis of the smallest pattern for a grid of `count` cells, fine between two of its nodes."""
+    totals = (size + 2 * SIDE for size in SIZES)
+    return next((total for total in totals if _first(count, fine, total) is not None), None)
+
+
+def _first(count: int, fine: tuple[int, int], total: int) -> int | None:
+    """Where in a pattern of `total` cells along one axis such a grid begins, in the middle of where it may."""
+    low, high = max(0, SIDE - fine[0]), min(total - count, total - SIDE - fine[1])
+    return (low + high) // 2 if low <= high else None
+
+
+def _longer(at: Array, count: int, first: int) -> Array:
+    """Coordinates (count,) with `at` from number `first` on, continued by equal intervals."""
+    before = at[0] + (at[1] - at[0]) * np.arange(-first, 0)
+    after = at[-1] + (at[-1] - at[-2]) * np.arange(1, count - len(at) - first + 1)
+    return np.concatenate([before, at, after])

@@ -1,0 +1,135 @@
+"""Inversion between integration points in many scenes: the barrier against it, and a certified bound of the Jacobian.
+
+See fem.folding_barrier and fem.jacobian.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from tacgen.fem.elasticity import SMALLEST_J
+from tacgen.fem.elements import grid_points
+from tacgen.fem.folding_barrier import J0, STIFFNESS
+from tacgen.fem.jacobian import DEPTH, MOST, TABLES
+from tacgen.fem.potential import Projection
+from tacgen.tensor_engine.elements import Topology, clamped, cofactor, mapped, slopes, stiffness
+from tacgen.tensor_engine.laws import clamped_log
+
+DENSE = grid_points(8)[1]  # dN (q, 8, 3) at the points where it is looked for
+TABLE = TABLES[8]
+
+
+@dataclass(frozen=True)
+class Folding:
+    """Cells with a point below J0, as pairs of `scene` and `cell` (k,), and their state: B (k, q, 8, 3), weights and J
+    (k, q), U' and U'' there; the energy of each scene (s,) [N mm], inf if a cell is inverted at a point."""
+
+    topology: Topology
+    scene: Tensor
+    cell: Tensor
+    B: Tensor
+    weights: Tensor
+    F: Tensor
+    slope: Tensor
+    bend: Tensor
+    energy: Tensor
+
+    def add_forces(self, out: Tensor) -> None:
+        """Add dE/dx to out (s, n, 3) [N]."""
+        if len(self.cell):
+            P = (self.weights * self.slope)[..., None, None] * cofactor(self.F)
+            at = self.scene[:, None] * out.shape[1] + self.topology.conn[self.cell]
+            out.view(-1, 3).index_put_((at.flatten(),), (self.B @ P.mT).sum(1).view(-1, 3), accumulate=True)
+
+    def add_tangents(self, out: Tensor, projection: Projection) -> None:
+        """Add d2E/dx2 to the cells' tangents out (s, e, 24, 24)."""
+        if not len(self.cell):
+            return
+        zero = torch.zeros_like(self.slope)
+        first, second = [zero, zero, self.slope], [zero, zero, self.bend, zero, zero, zero]
+        D = slopes(self.F, zero, first, second, False)
+        if projection is not Projection.NONE:
+            D = clamped(D, self.F, projection)
+        out[self.scene, self.cell] += stiffness(self.B, self.weights, D)
+
+
+@dataclass(frozen=True)
+class FoldingBarriers:
+    """The barrier on all cells: nodes at rest X (s, n, 3), det(dX/dxi) at rest (s, e, q), volumes (s, e) [mm^3], 0 for
+    void cells, and shear moduli mu (s, e) [MPa]."""
+
+    topology: Topology
+    X: Tensor
+    rest: Tensor
+    volume: Tensor
+    mu: Tensor
+
+    @classmethod
+    def on(cls, topology: Topology, X: Tensor, volume: Tensor, mu: Tensor) -> "FoldingBarriers":
+        return cls(topology, X, _determinants(X[:, topology.conn]), volume, mu)
+
+    def rows(self, slots: Tensor) -> "FoldingBarriers":
+        """Only some scenes (r,)."""
+        X, rest, volume, mu = (part[slots] for part in (self.X, self.rest, self.volume, self.mu))
+        return replace(self, X=X, rest=rest, volume=volume, mu=mu)
+
+    def evaluate(self, x: Tensor, times: Tensor) -> Folding:
+        """At positions x (s, n, 3), with the stiffness of each scene multiplied by `times` (s,)."""
+        corners = x[:, self.topology.conn]
+        low = (_determinants(corners) / self.rest).amin(-1)
+        scene, cell = torch.nonzero((low < J0) & (self.volume > 0), as_tuple=True)
+        B, _ = mapped(self.X[scene[:, None], self.topology.conn[cell]], DENSE)
+        q = len(DENSE)
+        weights = (self.volume[scene, cell] / q)[:, None].expand(-1, q)
+        F = torch.einsum("kai,kqaJ->kqiJ", corners[scene, cell], B)
+        J = torch.linalg.det(F)
+        good = J > SMALLEST_J
+        stiff = (STIFFNESS * times[scene] * self.mu[scene, cell])[:, None]
+        U, slope, bend = clamped_log(stiff, torch.where(good, J, 1.0))
+        energy = torch.where(good, weights * U, torch.inf).sum(1)
+        total = x.new_zeros(len(x)).index_put_((scene,), energy, accumulate=True)
+        return Folding(self.topology, scene, cell, B, weights, F, slope, bend, total)
+
+
+def _determinants(corners: Tensor) -> Tensor:
+    """det(dx/dxi) (s, e, q) at the dense points of hexes with corners (s, e, 8, 3)."""
+    local = torch.as_tensor(DENSE, dtype=corners.dtype, device=corners.device)
+    a, b, c = torch.einsum("qaj,seai->jseqi", local, corners).unbind(0)
+    return (a * torch.linalg.cross(b, c)).sum(-1)
+
+
+def coefficients(corners: Tensor) -> Tensor:
+    """Bernstein coefficients (..., 27) of the determinant of hexes with corners (..., 8, 3) [mm^3]."""
+    to = {"dtype": corners.dtype, "device": corners.device}
+    g = torch.einsum("kpa,...aj->...kpj", torch.as_tensor(TABLE.columns, **to), corners)
+    crossed = torch.linalg.cross(g[..., 0, :, None, :], g[..., 1, None, :, :])
+    triples = (crossed.flatten(-3, -2) @ g[..., 2, :, :].mT).flatten(-2)
+    one = np.eye(len(TABLE.share))[TABLE.monomial.ravel()] * TABLE.share
+    return triples @ torch.as_tensor(one, **to)
+
+
+def least_jacobian(X: Tensor, x: Tensor, topology: Topology, exists: Tensor, tol: float = 0.01) -> Tensor:
+    """Lower bounds (s,) of J at all points of all cells that exist (s, e); see fem.jacobian.least_jacobian."""
+    scene, cell = torch.nonzero(exists, as_tuple=True)
+    nodes = topology.conn[cell]
+    volume = coefficients(X[scene[:, None], nodes]).mean(1)
+    pieces = coefficients(x[scene[:, None], nodes]) / volume[:, None]
+    count, to = len(x), {"dtype": x.dtype, "device": x.device}
+    corners = torch.as_tensor(TABLE.share == 1, device=x.device)
+    parts = torch.as_tensor(TABLE.pieces.reshape(-1, len(TABLE.share)), **to)
+    finite = torch.isfinite(x).all(-1).all(-1)
+    bound, attained = torch.full((count,), torch.inf, **to), torch.full((count,), torch.inf, **to)
+    for depth in range(DEPTH + 1):
+        attained = attained.scatter_reduce(0, scene, pieces[:, corners].amin(1), "amin")
+        low = pieces.amin(1)
+        open_ = low < attained[scene] - tol
+        many = torch.zeros(count, device=x.device, dtype=torch.long).index_add_(0, scene, open_.long())
+        divide = open_ & (many <= MOST)[scene] if depth < DEPTH else torch.zeros_like(open_)
+        bound = bound.scatter_reduce(0, scene, torch.where(divide, torch.inf, low), "amin")
+        if not divide.any():
+            break
+        pieces = (pieces[divide] @ parts.T).reshape(-1, pieces.shape[1])
+        scene = scene[divide].repeat_interleave(len(TABLE.pieces))
+    return torch.where(finite, bound, -torch.inf)

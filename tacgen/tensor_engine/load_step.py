@@ -1,0 +1,217 @@
+"""A load step of many scenes: contact at its pose, the prediction, and where Newton's method begins.
+
+Each kernel does for all scenes `s` of a batch what that of mechanics.load_step does for one, and returns an outcome for
+each.
+"""
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from tacgen.fem.potential import Projection
+from tacgen.mechanics.failures import Failure, NotConverged
+from tacgen.mechanics.phases import Outcome
+from tacgen.mechanics.predictor import PARALLEL, TIE
+from tacgen.mechanics.solve_state import RATE_GUESS
+from tacgen.mechanics.tunnelling import DEEPEST, TURN
+from tacgen.tensor_engine.batch import Batch
+from tacgen.tensor_engine.contact_newton import at_nodes
+from tacgen.tensor_engine.reduction import with_points
+
+
+def begin(b: Batch, s: Tensor) -> list[Outcome]:
+    """Contact and bulk at the pose of the next load step, and whether the kept tangents serve its prediction."""
+    t, courses = b.t, [b.courses[k] for k in s.tolist()]
+    for course in courses:
+        course.fresh()
+        course.effort, course.failure = 0 if course.legs[0].budget else course.effort, None
+    poses = torch.as_tensor(np.array([course.legs[0].b for course in courses]), device=s.device)
+    t.put(
+        s, rotation=poses[:, :3, :3], position=poses[:, :3, 3], offset=t.h_offset[s], kappa=t.h_kappa[s],
+        folds=torch.ones_like(t.folds[s]),
+    )  # fmt: skip
+    contact = b.face(s, t.offset[s])
+    gap = contact.gaps(contact.points(t.h_x[s]))[0]
+    touching = ((gap < contact.dhat[:, None, None]) | (t.h_N[s] > 0)).any(-1)
+    apart = ~touching.any(-1)
+    usable = torch.tensor([course.usable for course in courses], device=s.device)
+    covered = usable & covers(b, s, touching)
+    cover(b, s, touching, ~apart & ~covered)
+    names = {0: Outcome.missing, 1: Outcome.ready, 2: Outcome.apart}
+    return [names[k] for k in torch.where(apart, 2, covered.long()).tolist()]
+
+
+def covers(b: Batch, s: Tensor, facets: Tensor) -> Tensor:
+    """Whether scenes s are condensed to all nodes of marked facets (s, f)."""
+    inside = (b.t.local[s][:, b.topology.facets] >= 0).all(-1)
+    return (inside | ~facets).all(-1)
+
+
+def cover(b: Batch, s: Tensor, facets: Tensor, which: Tensor) -> None:
+    """Condense the scenes marked in `which` (s,) to the nodes of marked facets (s, f) and of their neighbours; those
+    whose contact is not on nodes to which can be condensed have left the batch."""
+    if not bool(which.any()):
+        return
+    s, facets, table = s[which], facets[which], b.topology.facets
+    own = _nodes_of(b, facets)
+    real = b.areas[s].sum(-1) > 0
+    marked = _nodes_of(b, own[:, table].any(-1) & real) & b.patch
+    for row, inside in zip(s.tolist(), ((own & ~b.patch).sum(1) == 0).tolist(), strict=True):
+        b.courses[row].usable, b.courses[row].left = False, not inside
+    local = torch.where(marked, marked.long().cumsum(1) - 1, -1)
+    faces = (local[:, table] >= 0).all(-1) & real
+    t = b.t
+    t.put(s, local=local, nodes=_numbers(marked, t.nodes.shape[1]), faces=_numbers(faces, t.faces.shape[1]))
+    t.rested[s] = False
+
+
+def _nodes_of(b: Batch, facets: Tensor) -> Tensor:
+    """Nodes (s, n) bool of marked facets (s, f)."""
+    out = torch.zeros(len(facets), b.topology.nodes, dtype=torch.bool, device=facets.device)
+    row, facet = torch.nonzero(facets, as_tuple=True)
+    out[row[:, None], b.topology.facets[facet]] = True
+    return out
+
+
+def _numbers(marked: Tensor, most: int) -> Tensor:
+    """Numbers (s, most) of what is marked (s, n), in order, padded with -1."""
+    order = torch.argsort((~marked).to(torch.int8), dim=1, stable=True)[:, :most]
+    order = torch.nn.functional.pad(order, (0, most - order.shape[1]))
+    return torch.where(torch.arange(most, device=marked.device) < marked.sum(1, keepdim=True), order, -1)
+
+
+def take(b: Batch, s: Tensor, x: Tensor, J: Tensor | None, projection: Projection = Projection.NONE) -> list[bool]:
+    """Factorise the tangents at x (s, n, 3), with pressures at the predicted J if given; where one is not positive
+    definite, with projected tangents of the cells. Which have a factor."""
+    hexes, at, folding, _ = b.bulk(s, x)
+    K = hexes.tangents(at, J, projection)
+    folding.add_tangents(K, projection)
+    good, S = b.factors.factor(s, K, b.t.nodes[s][:, : b.width(s)])
+    b.keep(s, S=S)
+    b.t.put(s, taken=at.F)
+    out: list[bool] = good.tolist()
+    for row, fine in zip(s.tolist(), out, strict=True):
+        b.courses[row].usable, b.courses[row].reduced = fine, -1.0
+    if projection is not Projection.FULL and not all(out):
+        bad = torch.nonzero(~good).squeeze(1)
+        again = take(b, s[bad], x[bad], None if J is None else J[bad], Projection(projection + 1))
+        for row, fine in zip(bad.tolist(), again, strict=True):
+            out[row] = fine
+    return out
+
+
+def renew(b: Batch, s: Tensor) -> list[Outcome]:
+    """The tangents at the last equilibrium."""
+    return [Outcome.ready if fine else Outcome.indefinite for fine in take(b, s, b.t.h_x[s], None)]
+
+
+def foresee(b: Batch, s: Tensor) -> list[Outcome]:
+    """The prediction: points that touch move with the indenter, the rest of the gel by the tangent; see
+    mechanics.predictor."""
+    t, x = b.t, b.t.h_x[s]
+    if not b.options.predict:
+        return [Outcome.ready] * len(s)
+    contact, face = b.near(s, t.offset[s]), b.face(s, t.offset[s])
+    touching = t.h_N[s] > 0
+    at = face.points(x)
+    motion = torch.where(touching[..., None], face.world(_last_local(b, s, at)) - at, 0.0)
+    count = contact.conn.shape[1]
+    row, faces = torch.arange(len(s), device=s.device)[:, None], t.faces[s][:, :count].clamp(min=0)
+    ties = torch.where(contact.areas > 0, TIE * t.h_N[s][row, faces] / contact.dhat[:, None, None], 0.0)[..., None]
+    k = 3 * b.width(s)
+    eye = torch.eye(3, dtype=x.dtype, device=x.device)
+    place = torch.arange(k, device=s.device).expand(len(s), -1)
+    K = with_points(b.read("S", s, k, k), place, contact.conn, contact.N, ties[..., None] * eye)
+    L, info = torch.linalg.cholesky_ex(K)
+    pull = at_nodes(contact, ties * motion[row, faces], k // 3).flatten(1)
+    u = torch.cholesky_solve(pull[..., None], L).squeeze(-1)
+    good = (info == 0) & (ties > 0).flatten(1).any(1)
+    u = torch.where(good[:, None], u, 0.0)
+    first = x + b.factors.expand(s, u, torch.zeros_like(x)).to(x.dtype)
+    before = t.h_motion[s]
+    both = (touching & before.any(-1))[..., None]
+    pairs = ((motion, before), (motion, motion), (before, before))
+    along, now, then = ((p * q * both).flatten(1).sum(1) for p, q in pairs)
+    steady = along > PARALLEL * torch.sqrt(now * then)
+    steady = steady & torch.tensor([b.courses[r].error for r in s.tolist()], device=s.device)
+    part = torch.where(steady, (along / then.clamp(min=1e-300)).clamp(max=1.0), 0.0)
+    t.put(s, first_order=first, ahead=first + (part**2)[:, None, None] * t.h_error[s], motion=motion)
+    for r, fine in zip(s.tolist(), good.tolist(), strict=True):
+        b.courses[r].predicted = fine
+    return [Outcome.ready] * len(s)
+
+
+def _last_local(b: Batch, s: Tensor, at: Tensor) -> Tensor:
+    """Points (s, f, q, 3) in the indenter's frame at the end of the last load step."""
+    flat = at.flatten(1, -2)
+    return ((flat - b.t.h_position[s][:, None]) @ b.t.h_rotation[s]).view(at.shape)
+
+
+def start(b: Batch, s: Tensor) -> list[Outcome]:
+    """Newton's method at its start: what a softer barrier found, else the prediction or the last positions, the first
+    of them in which nothing tunnels and no cell is inverted; and anchors of new points where they first touch."""
+    t, courses = b.t, [b.courses[k] for k in s.tolist()]
+    outcomes = [Outcome.ready] * len(s)
+    if new := [k for k, course in enumerate(courses) if not course.found]:
+        some = s[new]
+        predicted = torch.tensor([courses[k].predicted for k in new], device=s.device)
+        last, ahead = t.h_x[some], t.ahead[some]
+        use = predicted & _clear(b, some, ahead)
+        x = torch.where(use[:, None, None], ahead, last)
+        good = use.clone()
+        if not bool(use.all()):
+            good = use | _clear(b, some, last)
+        t.put(some, x=x)
+        _anchor(b, some, torch.where(predicted[:, None, None], ahead, last))
+        for k, fine in zip(new, good.tolist(), strict=True):
+            if not fine:
+                courses[k].failure, outcomes[k] = NotConverged(Failure.too_far), Outcome.failure
+    t.put(s, begins=t.x[s], energy=b.bulk(s, t.x[s])[3], J=b.hexes.rows(s).evaluate(t.h_x[s]).J)
+    for course in courses:
+        course.new, course.residual, course.rate, course.damping = not b.options.keep_tangent, np.inf, RATE_GUESS, 0.0
+        course.newton_steps = course.newton_damped = 0
+    return outcomes
+
+
+def _anchor(b: Batch, s: Tensor, x: Tensor) -> None:
+    """Anchors in the sensor's frame at the start of a load step predicted to end at x; see mechanics.coupled.onset."""
+    t, contact = b.t, b.face(s, b.t.offset[s])
+    at, offset = contact.points(x), contact.offset[:, None, None]
+    before, ahead = t.h_anchor[s], contact.local(at)
+    gap_before, gap_ahead = t.h_gap[s] - offset, contact.gaps(at)[0] - offset
+    closing = (gap_before - gap_ahead).clamp(min=1e-12)
+    part = torch.where(gap_ahead < 0, (gap_before / closing).clamp(0.0, 1.0), 1.0)
+    touch = before + part[..., None] * (ahead - before)
+    t.put(s, anchor=contact.world(torch.where((t.h_N[s] > 0)[..., None], before, touch)))
+
+
+def _clear(b: Batch, s: Tensor, x: Tensor) -> Tensor:
+    """Whether a straight step to x (s, n, 3) tunnels nowhere and inverts no cell."""
+    return torch.isfinite(b.bulk(s, x)[3]) & ~blocked(b, s, x)
+
+
+def blocked(b: Batch, s: Tensor, x: Tensor) -> Tensor:
+    """Whether a straight step from the last positions to x (s, n, 3) carries a point of the face through the indenter;
+    see mechanics.tunnelling.blocked."""
+    t, contact = b.t, b.face(s, b.t.offset[s])
+    first = _last_local(b, s, contact.points(t.h_x[s]))
+    way = contact.local(contact.points(x)) - first
+    length = torch.linalg.norm(way, dim=-1)
+    near = (length > t.h_gap[s].clamp(min=0.0)) & (contact.areas > 0)
+    reach = b.reach[s]
+    longest = torch.where(near, length, 0.0).flatten(1).amax(1)
+    parts = torch.ceil(4 * longest / reach).clamp(min=2)
+    entered, entry = torch.zeros_like(near), torch.zeros_like(first)
+    out = torch.zeros(len(s), dtype=torch.bool, device=s.device)
+    for k in range(int(parts.max()) + 1 if bool(near.any()) else 0):
+        at = first + (k / parts)[:, None, None, None] * way
+        d, n, _ = contact.shapes.distance(at.flatten(1, 2))
+        d, n = d.view(near.shape), n.view(at.shape)
+        inside = (d + contact.offset[:, None, None] < 0) & near
+        entry = torch.where((inside & ~entered)[..., None], n, entry)
+        entered = entered | inside
+        deep = near & (d < (-DEEPEST * reach)[:, None, None])
+        turned = entered & ((entry * n).sum(-1) < -TURN)
+        out = out | ((deep | turned).flatten(1).any(1) & (k <= parts))
+        entered = entered & inside
+    return out

@@ -1,0 +1,365 @@
+"""Cholesky factors of many matrices of one pattern at once: the multifrontal method, level by level of its tree.
+
+A front is the dense matrix of the unknowns that it eliminates and of those on which they act (Duff & Reid 1983). Fronts
+of a level are padded to one size, so that a level is a few batched products whatever the number of scenes. The factor's
+diagonal blocks are kept as inverses: panels and solves are then products too, which a GPU does much faster than
+substitutions. Their rounding errors are larger, by the condition of a diagonal block; a refinement removes them.
+
+Indices count nodes: a 3 x 3 block has one index, which keeps index traffic a ninth of the data's.
+"""
+
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from tacgen.tensor_engine.dissection import Dissection, Group, Level
+from tacgen.tensor_engine.fused import fused
+
+Array = np.ndarray
+BASE = 72  # rows up to which a diagonal block is factorised by LAPACK or its like; larger ones by halves
+STRIP = 192  # columns of an update that are computed at once, from the diagonal down: a multiple of 3
+
+
+@dataclass(frozen=True)
+class _Children:
+    """One child of each of some fronts (t, r rows) in the flat updates of the level below, group after group: the first
+    number of each block (t, r + 1, r), the last row of them zeros; the length (t,) of the rows there; and places (t, r)
+    in the level's updates of vectors, the last place for none."""
+
+    first: Tensor
+    stride: Tensor
+    rows: Tensor
+
+
+@dataclass(frozen=True)
+class _Fronts:
+    """Where fronts (t, w own nodes, m others) take their blocks from: numbers of entries (t, w + m, w) of the matrix,
+    and children; nodes own (t, w) and bound (t, m), the number of all nodes where padded."""
+
+    entry: Tensor
+    children: tuple[_Children, ...]
+    own: Tensor
+    bound: Tensor
+
+    @property
+    def sizes(self) -> tuple[int, int, int]:
+        """t, and the rows 3w and 3m of unknowns."""
+        (t, w), m = self.own.shape, self.bound.shape[1]
+        return t, 3 * w, 3 * m
+
+
+@dataclass(frozen=True)
+class Panel:
+    """The factors of a level: inverses of the diagonal blocks (B, t, 3w, 3w), and the blocks below (B, t, 3m, 3w)."""
+
+    inverse: Tensor
+    below: Tensor
+
+
+class Multifrontal:
+    """The solver of all matrices of one tree: index tensors on a device.
+
+    dtype: of the factors; matrices and vectors are converted.
+    """
+
+    def __init__(self, tree: Dissection, device: str = "cpu", dtype: torch.dtype = torch.float32) -> None:
+        self.tree, self.device, self.dtype = tree, torch.device(device), dtype
+        self.nodes, self.patch = tree.pattern.size, self._index(tree.patch)
+        entries = _Entries(tree)
+        self.pairs = len(entries.row)
+        self._rounds = [self._index(slots) for slots in entries.rounds]
+        self._diagonal = self._index(entries.diagonal)
+        patch = Group(np.zeros(1, int), tree.patch[None], np.zeros((1, 0), int))
+        each = zip((*tree.levels, Level((patch,), 1)), (None, *tree.levels), strict=True)
+        *self.levels, (self.root,) = (
+            [self._fronts(group, level, below, entries) for group in level.groups] for level, below in each
+        )
+
+    def _index(self, numbers: Array) -> Tensor:
+        return torch.as_tensor(np.ascontiguousarray(numbers), device=self.device)
+
+    def _fronts(self, group: Group, level: Level, below: Level | None, entries: "_Entries") -> _Fronts:
+        rows, w = np.concatenate([group.own, group.bound], 1), group.own.shape[1]
+        entry = entries.numbers(rows[:, :, None], group.own[:, None, :])
+        entry[:, :w][(group.own < 0)[:, :, None] & np.eye(w, dtype=bool)] = entries.unit
+        children = [self._children(rows, level.arity * group.fronts + c, below) for c in range(level.arity) if below]
+        own, bound = (self._index(np.where(nodes < 0, self.nodes, nodes)) for nodes in (group.own, group.bound))
+        return _Fronts(self._index(entry.astype(np.int32)), tuple(children), own, bound)
+
+    def _children(self, rows: Array, child: Array, below: Level) -> _Children:
+        """Of fronts with these rows of nodes (t, r), the children of these numbers (t,) on the level below."""
+        t, r = rows.shape
+        first, stride, vector = np.zeros((t, r + 1, r), int), np.zeros(t, int), np.full((t, r), -1)
+        start = start_of_vectors = 0
+        for group in below.groups:
+            at = np.searchsorted(group.fronts, child).clip(max=len(group.fronts) - 1)
+            own, m = group.fronts[at] == child, group.bound.shape[1]
+            place = _places(rows[own], group.bound[at[own]])
+            first[own], stride[own] = start + _first(place, at[own], m), 3 * m
+            vector[own] = np.where(place < 0, -1, start_of_vectors + at[own][:, None] * m + place)
+            start += len(group.fronts) * (3 * m + 3) * 3 * m
+            start_of_vectors += len(group.fronts) * m
+        last = np.where(vector < 0, start_of_vectors, vector)
+        return _Children(self._index(first.astype(np.int32)), self._index(stride.astype(np.int32)), self._index(last))
+
+    def assembled(self, elements: Tensor) -> Tensor:
+        """The entries (B, pairs + 2, 9) of the matrices that are sums of the element tangents (B, e, 24, 24) of the
+        pattern's hexes, rows and columns in the order 3a + i. Nodes without any stiffness get the unit matrix."""
+        batch = len(elements)
+        rows = elements.reshape(batch, -1, 3)
+        data = elements.new_zeros((batch, self.pairs + 2, 9))
+        for some in self._rounds:  # sums of up to 8 elements, in an order that never changes
+            data[:, : len(some)] += rows[:, some].flatten(2)
+        unit = torch.eye(3, dtype=data.dtype, device=self.device).reshape(9)
+        own = data[:, self._diagonal]
+        data[:, self._diagonal] = torch.where((own == 0).all(-1, keepdim=True), unit, own)
+        data[:, -1] = unit
+        return data
+
+    def factor(self, data: Tensor) -> "Factor":
+        """The factors of the matrices whose entries `assembled` gives."""
+        data = data.to(self.dtype).reshape(len(data), -1)
+        bad = torch.zeros(len(data), dtype=torch.int32, device=self.device)
+        panels, below = list[Panel](), data[:, :0]
+        for level in self.levels:
+            updates = []
+            for fronts in level:
+                panel, update, info = self._eliminated(fronts, data, below)
+                panels.append(panel)
+                updates.append(update.flatten(1))
+                bad = torch.maximum(bad, info)
+            below = _joined(updates)
+        k = len(self.patch)
+        S = self._gathered(self.root, data, below, slice(0, k), slice(0, k))[:, 0]
+        return Factor(self, panels, torch.tril(S) + torch.tril(S, -1).mT, bad > 0)
+
+    def _eliminated(self, fronts: _Fronts, data: Tensor, below: Tensor) -> tuple[Panel, Tensor, Tensor]:
+        """The factor of fronts, their updates (B, t, 3m + 3, 3m) and the leading minors (B,) that are not positive, of
+        entries `data` and the flat updates of the level below."""
+        batch, (t, w, m) = len(data), fronts.sizes
+        own, bound, all_others = slice(0, w // 3), slice(w // 3, (w + m) // 3), slice(w // 3, None)
+        inverse = self._gathered(fronts, data, below, own, own).view(batch * t, w, w)
+        info = invert_factor(inverse)
+        L = _times_transposed(self._gathered(fronts, data, below, bound, own).view(batch * t, m, w), inverse)
+        if fronts.children:
+            U = self._gathered(fronts, None, below, all_others, all_others)
+        else:
+            U = data.new_zeros((batch, t, m + 3, m))
+        _subtract_square(U.view(batch * t, m + 3, m), L)
+        return Panel(inverse.view(batch, t, w, w), L.view(batch, t, m, w)), U, info.view(batch, t).amax(1)
+
+    def _gathered(self, fronts: _Fronts, data: Tensor | None, below: Tensor, r: slice, c: slice) -> Tensor:
+        """Some rows and columns, in nodes, of the fronts before elimination; without the entries if there are none."""
+        entry = None if data is None else fronts.entry[:, r, c].flatten(0, 1)
+        parts = [child.first[:, r, c] for child in fronts.children]
+        strides = [
+            child.stride.repeat_interleave(part.shape[1]) for child, part in zip(fronts.children, parts, strict=True)
+        ]
+        out = _gathered(below, data, entry, [part.flatten(0, 1) for part in parts], strides)
+        return out.view(len(below), len(fronts.own), -1, out.shape[-1])
+
+    def empty(self, batch: int) -> list[Panel]:
+        """Room for the panels of so many factors."""
+        out = []
+        for fronts in itertools.chain(*self.levels):
+            t, w, m = fronts.sizes
+            shapes = (batch, t, w, w), (batch, t, m, w)
+            out.append(Panel(*(torch.zeros(shape, dtype=self.dtype, device=self.device) for shape in shapes)))
+        return out
+
+    def forward(self, panels: list[Panel], slots: Tensor, g: Tensor) -> Tensor:
+        """L^-1 g of vectors (B, n, 3), and on the patch g condensed to it; 0 at bonded nodes. Their factors are those
+        at `slots` (B,) of the panels."""
+        b, each = self._padded(g), iter(panels)
+        y, below = torch.zeros_like(b), b[:, :0]
+        for level in self.levels:
+            updates = []
+            for fronts in level:
+                panel, (t, w, m) = next(each), fronts.sizes
+                carried = _carried(fronts, below, b)
+                own = (b[:, fronts.own] + carried[:, :, : w // 3]).view(-1, t, w)
+                solved = slot_times(panel.inverse, slots, own)
+                y[:, fronts.own.view(-1)] = solved.view(len(b), -1, 3)
+                left = carried[:, :, w // 3 :] - slot_times(panel.below, slots, solved).view(-1, t, m // 3, 3)
+                updates.append(left.flatten(1, 2))
+            below = torch.nn.functional.pad(_joined(updates), (0, 0, 0, 1))
+        y[:, self.patch] = b[:, self.patch] + _carried(self.root, below, b)[:, 0]
+        return y[:, :-1]
+
+    def backward(self, panels: list[Panel], slots: Tensor, y: Tensor, u: Tensor) -> Tensor:
+        """x (B, n, 3) with L^T x = y away from the patch and x = u (B, k) on it; 0 at bonded nodes."""
+        y = self._padded(y)
+        x = torch.zeros_like(y)
+        x[:, self.patch] = u.to(self.dtype).view(len(y), -1, 3)
+        for fronts, panel in zip([*itertools.chain(*self.levels)][::-1], panels[::-1], strict=True):
+            t, w, m = fronts.sizes
+            bound = x[:, fronts.bound].view(-1, t, m)
+            q = y[:, fronts.own].view(-1, t, w) - slot_transposed_times(panel.below, slots, bound)
+            x[:, fronts.own.view(-1)] = slot_transposed_times(panel.inverse, slots, q).view(len(y), -1, 3)
+        return x[:, :-1]
+
+    def _padded(self, x: Tensor) -> Tensor:
+        """x (B, n, 3) with a 0 for padded nodes (B, n + 1, 3)."""
+        return torch.nn.functional.pad(x.to(self.dtype), (0, 0, 0, 1))
+
+
+@dataclass(frozen=True)
+class Factor:
+    """Matrices eliminated up to the patch: S (B, k, k) is their Schur complement on its nodes, k = 3 p, symmetric.
+
+    indefinite (B,) bool: matrices that are not positive definite away from the patch; their numbers mean nothing.
+    """
+
+    of: Multifrontal
+    panels: list[Panel]
+    S: Tensor
+    indefinite: Tensor
+
+    def solve(self, b: Tensor, patch: Callable[[Tensor], Tensor]) -> Tensor:
+        """x (B, n, 3) of K x = b, where `patch` solves S u = load for (B, k); 0 at bonded nodes."""
+        slots = torch.arange(len(b), device=b.device)
+        y = self.of.forward(self.panels, slots, b)
+        return self.of.backward(self.panels, slots, y, patch(y[:, self.of.patch].flatten(1)))
+
+
+def invert_factor(A: Tensor) -> Tensor:
+    """Overwrite symmetric matrices A (b, n, n), of which the lower triangle is read, by L^-1, where A = L L^T.
+
+    Returns the leading minor (b,) that is not positive, 0 where the matrix is positive definite; where it is not,
+    numbers mean nothing.
+    """
+    n = A.shape[-1]
+    if n <= BASE:
+        L, info = torch.linalg.cholesky_ex(A)
+        A.copy_(torch.linalg.solve_triangular(L, torch.eye(n, dtype=A.dtype, device=A.device), upper=False))
+        return info
+    k = n // 2
+    first, corner, low, last = A[:, :k, :k], A[:, :k, k:], A[:, k:, :k], A[:, k:, k:]
+    info = invert_factor(first)
+    L = low @ first.mT
+    last.baddbmm_(L, L.mT, alpha=-1)
+    info = torch.maximum(info, invert_factor(last))
+    low.copy_((last @ L) @ first).neg_()
+    corner.zero_()
+    return info
+
+
+def _times_transposed(A: Tensor, L: Tensor) -> Tensor:
+    """A L^T of A (b, m, w) and lower triangles L (b, w, w)."""
+    w = L.shape[-1]
+    if w <= STRIP:
+        return A @ L.mT
+    out = torch.empty_like(A)
+    for at in range(0, w, STRIP):
+        to = min(at + STRIP, w)
+        out[:, :, at:to].baddbmm_(A[:, :, :to], L[:, at:to, :to].mT, beta=0)
+    return out
+
+
+def _subtract_square(U: Tensor, L: Tensor) -> None:
+    """U[:, :m] -= L L^T from the diagonal down, of L (b, m, w)."""
+    m = L.shape[1]
+    for at in range(0, m, STRIP):
+        to = min(at + STRIP, m)
+        U[:, at:m, at:to].baddbmm_(L[:, at:], L[:, at:to].mT, alpha=-1)
+
+
+def _joined(parts: list[Tensor]) -> Tensor:
+    return parts[0] if len(parts) == 1 else torch.cat(parts, 1)
+
+
+@fused
+def _gathered(
+    below: Tensor, data: Tensor | None, entry: Tensor | None, first: list[Tensor], strides: list[Tensor]
+) -> Tensor:
+    """Rows (B, 3r, 3c) of 3 x 3 blocks: those at `entry` (r, c) in the entries, and those that begin at `first` (r, c)
+    of each child in the flat updates, whose rows there are `strides` (r,) numbers apart."""
+    some = first[0] if entry is None else entry
+    i = torch.arange(3, dtype=torch.int32, device=some.device)[:, None, None]
+    j = torch.arange(3, dtype=torch.int32, device=some.device)
+    each = zip(first, strides, strict=True)
+    parts = [below[:, at[:, None, :, None] + stride[:, None, None, None] * i + j] for at, stride in each]
+    if data is not None and entry is not None:
+        parts.append(data[:, 9 * entry[:, None, :, None] + (3 * i + j)])
+    out = parts[0]
+    for part in parts[1:]:
+        out = out + part
+    return out.flatten(3, 4).flatten(1, 2)
+
+
+@fused
+def slot_times(A: Tensor, slots: Tensor, x: Tensor) -> Tensor:
+    """The products (s, ..., r) of matrices A (capacity, ..., r, c) at slots (s,) and vectors x (s, ..., c)."""
+    return (A[slots] * x[..., None, :]).sum(-1)
+
+
+@fused
+def slot_transposed_times(A: Tensor, slots: Tensor, x: Tensor) -> Tensor:
+    """The products (s, ..., c) of the transposed of A (capacity, ..., r, c) at slots (s,) and vectors x (s, ..., r)."""
+    return (A[slots] * x[..., None]).sum(-2)
+
+
+def _carried(fronts: _Fronts, below: Tensor, b: Tensor) -> Tensor:
+    """The sum (B, t, w + m, 3) that the children of fronts add to vectors like b, of the updates (B, places, 3) of the
+    level below, of which the last is 0."""
+    t, w, m = fronts.sizes
+    out = b.new_zeros((len(b), t, (w + m) // 3, 3))
+    for child in fronts.children:
+        out += below[:, child.rows]
+    return out
+
+
+def _places(rows: Array, bound: Array) -> Array:
+    """Where each of the rows (t, r) of fronts stands among the nodes (t, m) that a child acts on; -1 if it does not."""
+    place = np.full((len(rows), max(rows.max(initial=0), bound.max(initial=0)) + 2), -1)
+    np.put_along_axis(place, bound, np.arange(bound.shape[1])[None], 1)
+    place[:, -1] = -1  # padded nodes are number -1
+    return np.take_along_axis(place, rows, 1)
+
+
+def _first(place: Array, child: Array, m: int) -> Array:
+    """First number of each block (t, r + 1, r) in the flat updates (children, 3m + 3, 3m), for rows of fronts at these
+    places of a child; a block of zeros, below the first update, above the diagonal and where the child has none."""
+    t, r = place.shape
+    i, j = place[:, :, None], place[:, None, :]
+    out = np.full((t, r + 1, r), 9 * m * m)
+    lower = np.tri(r, dtype=bool)
+    out[:, :r] = np.where(
+        (i >= 0) & (j >= 0) & lower, ((3 * m + 3) * child[:, None, None] + 3 * i) * 3 * m + 3 * j, 9 * m * m
+    )
+    return out
+
+
+class _Entries:
+    """The lower triangle of a matrix by pairs of nodes: its rows are eliminated no earlier than its columns.
+
+    row, column (pairs,): nodes. zero, unit: numbers of two more blocks. rounds: of the pairs that have one, the first,
+    second... element that contributes, as numbers (pairs, 3) of its tangent's rows of three (e, 24, 8); pairs with most
+    elements come first. diagonal: pairs of a node with itself.
+    """
+
+    def __init__(self, tree: Dissection) -> None:
+        pattern, rank = tree.pattern, tree.rank
+        hexes, n = pattern.hexes, pattern.size
+        row, column = np.repeat(hexes, 8, axis=1).ravel(), np.tile(hexes, 8).ravel()
+        slots = np.flatnonzero((rank[column] >= 0) & (rank[row] >= rank[column]))
+        keys, which, count = np.unique(row[slots] * n + column[slots], return_inverse=True, return_counts=True)
+        order = np.argsort(-count, kind="stable")
+        self._n, self._rank, self._keys, self._number = n, rank, keys, np.argsort(order)
+        self.row, self.column = keys[order] // n, keys[order] % n
+        self.zero, self.unit = len(keys), len(keys) + 1
+        by_pair, most = slots[np.argsort(which, kind="stable")], count[order]
+        starts = (np.cumsum(count) - count)[order]
+        blocks = [by_pair[starts[most > k] + k] for k in range(most.max())]  # numbers of (e, 8, 8)
+        self.rounds = [(at // 8 * 24 + at % 8)[:, None] + 8 * np.arange(3) for at in blocks]
+        self.diagonal = np.flatnonzero(self.row == self.column)
+
+    def numbers(self, row: Array, column: Array) -> Array:
+        """Numbers of the pairs of these nodes, which broadcast; `zero` where there is none, or a node is -1."""
+        key = row * self._n + column
+        at = np.minimum(np.searchsorted(self._keys, key), len(self._keys) - 1)
+        return np.where((self._keys[at] == key) & (row >= 0) & (column >= 0), self._number[at], self.zero)

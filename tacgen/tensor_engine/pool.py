@@ -1,0 +1,163 @@
+"""Scenes of one pattern in the slots of one batch, refilled; and many scenes, pattern after pattern."""
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from itertools import chain
+
+import numpy as np
+import torch
+
+from tacgen.mechanics import mesh
+from tacgen.mechanics.phases import FINAL, Phase
+from tacgen.mechanics.problem import Problem
+from tacgen.mechanics.scene import Scene
+from tacgen.tensor_engine import admission, engine, gather, grids, refill, scheduler
+from tacgen.tensor_engine.batch import Batch, Place
+from tacgen.tensor_engine.condensed import Condensed
+from tacgen.tensor_engine.dissection import Dissection, dissected
+from tacgen.tensor_engine.elements import Topology
+from tacgen.tensor_engine.engine import Solved
+from tacgen.tensor_engine.grids import Embedded, GridPattern
+from tacgen.tensor_engine.multifrontal import Multifrontal
+
+MOST_SLOTS = 512  # more scenes at once are hardly faster
+LEAST_SHARED = 64  # scenes of a pattern below which it is merged with others: smaller batches do not fill a GPU
+CPU_MEMORY = 4e9  # [bytes] used where there is no GPU
+WIDE = 450  # unknowns condensed to in a large contact, for the estimate of memory
+CELL, UNKNOWN = 2500, 100  # bytes of tables, of a cell and of an unknown
+WORK, TANGENT = 40_000, 80_000  # bytes of a cell for the work of a kernel, and of one that makes tangents
+HEAVY = (Phase.start, Phase.load, Phase.search, Phase.measure, Phase.admit)  # kernels that evaluate all cells
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A scene, its number, the grid of its mesh and the pattern for it, if it has one; why: what prevents that."""
+
+    number: int
+    scene: Scene
+    axes: mesh.Axes | None = None
+    pattern: GridPattern | None = None
+    why: str = ""
+
+    @classmethod
+    def of(cls, numbered: tuple[int, Scene]) -> "Plan":
+        """With the smallest pattern."""
+        number, scene = numbered
+        if (why := engine.lacks(scene)) is not None:
+            return cls(number, scene, why=why)
+        axes = grids.axes_of(scene)
+        pattern = grids.smallest(axes)
+        return cls(number, scene, axes, pattern, "" if pattern else "a contact larger than all patterns")
+
+    @property
+    def thin(self) -> bool:
+        """Whether facets have more contact points; see problem.POINTS_IF_THIN."""
+        return 2 * self.scene.shape.reach < self.scene.edge
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A scene, its number, its discretised problem, and its mesh within the pattern of its batch."""
+
+    number: int
+    scene: Scene
+    problem: Problem
+    grid: Embedded
+
+    @classmethod
+    def of(cls, plan: "Plan") -> "Prepared":
+        """Raises ValueError: the pattern does not hold the scene's mesh."""
+        assert plan.axes is not None
+        assert plan.pattern is not None
+        problem = gather.unassembled(plan.scene, mesh.on(plan.axes, plan.scene.gel))
+        return cls(plan.number, plan.scene, problem, grids.placed(plan.axes, plan.scene, plan.pattern))
+
+    @property
+    def place(self) -> Place:
+        """Where the mesh is within the batch's numbering."""
+        return Place(self.grid.nodes, self.grid.cells, self.grid.facets)
+
+
+class Pool:
+    """Slots of scenes of one pattern, whose facets have equally many contact points; see scheduler.Slots."""
+
+    def __init__(self, first: Prepared, tree: Dissection, count: int, device: str, dtype: torch.dtype) -> None:
+        pattern, self.count = tree.pattern, count
+        topology = Topology.of(pattern.hexes, pattern.facets, pattern.size, device)
+        factors = Condensed(Multifrontal(tree, device, dtype), count)
+        X = np.broadcast_to(first.grid.points, (count, *first.grid.points.shape))
+        empty = [first.problem] * count, [first.place] * count
+        self.batch = Batch.of(*empty, topology, X, factors, pattern.patch, device)
+        self._frames: dict[int, Iterator[int]] = {}
+
+    def enter(self, slot: int, scene: Prepared) -> None:
+        """Put a scene into an empty slot, before its first frame."""
+        refill.fill(self.batch, slot, scene.problem, scene.place, scene.grid.points)
+        admission.rest(self.batch, self.batch.slots([slot]), scene.scene.start[None])
+        self._frames[slot] = engine.frames(self.batch, slot, scene.scene)
+        next(self._frames[slot], None)
+
+    def phase(self, slot: int) -> Phase | None:
+        """The kernel for which the scene in a slot waits; None: all its frames are solved, or one could not be."""
+        course = self.batch.courses[slot]
+        if course.phase in FINAL and next(self._frames[slot], None) is None:
+            return None
+        return course.phase
+
+    def advance(self, phase: Phase, slots: list[int]) -> None:
+        """Call a kernel for scenes that wait for it."""
+        engine.advance(self.batch, phase, slots)
+
+    def leave(self, slot: int) -> Solved:
+        """The states of the ended scene in a slot."""
+        del self._frames[slot]
+        course = self.batch.courses[slot]
+        return Solved(course.states, course.why)
+
+
+def solved(
+    scenes: Iterable[Scene],
+    device: str = "cpu",
+    *,
+    dtype: torch.dtype = torch.float32,
+    slots: int = MOST_SLOTS,
+    memory: float | None = None,
+    mapped: Callable[[Callable, Iterable], Iterable] = map,
+    use: scheduler.Use | None = None,
+) -> Iterator[tuple[int, Solved]]:
+    """Numbers of scenes and their solutions, in the order in which they end; those that the batch engine lacks
+    something for, which have no state, come first.
+
+    dtype: of the factors. memory: [bytes] to use, by default most of what the GPU has free. mapped: applies a function
+    to scenes, one by one or ahead in other processes, as `multiprocessing.Pool.imap`. use: where calls are counted.
+    """
+    plans = list(mapped(Plan.of, enumerate(scenes)))
+    yield from ((plan.number, Solved([], plan.why)) for plan in plans if plan.pattern is None)
+    shared = grids.merged(Counter(plan.pattern for plan in plans if plan.pattern), LEAST_SHARED)
+    groups: dict[tuple[GridPattern, bool], list[Plan]] = {}
+    for plan in plans:
+        if plan.pattern is not None:
+            pattern = shared[plan.pattern]
+            groups.setdefault((pattern, plan.thin), []).append(replace(plan, pattern=pattern))
+    for (pattern, _), group in groups.items():
+        tree, ready = dissected(pattern), iter(mapped(Prepared.of, group))
+        count, limits = room(tree, free_memory(device) if memory is None else memory)
+        first = next(ready)
+        pool = Pool(first, tree, min(count, slots, len(group)), device, dtype)
+        for scene, found in scheduler.run(pool, chain([first], ready), limits, use):
+            yield scene.number, found
+
+
+def room(tree: Dissection, memory: float) -> tuple[int, dict[Phase, int]]:
+    """How many scenes of a pattern have room in so many bytes, and how many a call of some kernels may have."""
+    cells, k = len(tree.pattern.hexes), 3 * len(tree.patch)
+    own = 4.0 * (tree.kept + k * k + k * WIDE) + CELL * cells + UNKNOWN * 3 * tree.pattern.size + 32.0 * WIDE**2
+    work = dict.fromkeys(HEAVY, float(WORK * cells))
+    work |= dict.fromkeys((Phase.factor, Phase.renew), 8.0 * tree.work + TANGENT * cells)
+    return max(1, int(0.5 * memory / own)), {phase: max(1, int(0.4 * memory / each)) for phase, each in work.items()}
+
+
+def free_memory(device: str) -> float:
+    """Bytes that a batch may use."""
+    return float(torch.cuda.mem_get_info(device)[0]) if device.startswith("cuda") else CPU_MEMORY

@@ -1,0 +1,85 @@
+"""Schur complements of many scenes, with the unknowns on which contact does not act eliminated once.
+
+As mechanics.condensation.Schur: the eliminated part must be positive definite. Each scene has unknowns of its own in
+contact; nothing is permuted, so that scenes with more and with fewer go together: what is eliminated keeps its place.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+MULTIPLE = 12  # sizes of reduced matrices are multiples of it, so that few sizes occur
+
+
+@dataclass(frozen=True)
+class Reduction:
+    """For Schur complements (s, k, k): numbers (s, a) of the unknowns that are kept, k where padded, and `place` (s, k)
+    of each among them, a if eliminated; the inverse G (s, k, k) of the eliminated part, 0 elsewhere; X = G S on the
+    kept columns (s, k, a); and K (s, a, a), the stiffness on the kept unknowns, the unit matrix where padded."""
+
+    kept: Tensor
+    place: Tensor
+    G: Tensor
+    X: Tensor
+    K: Tensor
+
+    def rows(self, which: Tensor) -> "Reduction":
+        """Only some scenes."""
+        return Reduction(*(part[which] for part in vars(self).values()))
+
+    def solve(self, K: Tensor, b: Tensor, symmetric: bool) -> tuple[Tensor, Tensor]:
+        """x (s, k) of (S + contact) x = b (s, k), with K (s, a, a) of both on the kept unknowns, and which exist (s,):
+        K is not singular or, if symmetric, is positive definite."""
+        right = _padded(b).gather(1, self.kept)[..., None] - self.X.mT @ b[..., None]
+        if symmetric:
+            L, info = torch.linalg.cholesky_ex(K)
+            x = torch.cholesky_solve(right, L)
+        else:
+            LU, pivots, info = torch.linalg.lu_factor_ex(K)
+            x = torch.linalg.lu_solve(LU, pivots, right)
+        out = _padded((self.G @ b[..., None] - self.X @ x).squeeze(-1))
+        out = out.scatter(1, self.kept, x.squeeze(-1))[:, :-1]
+        good = (info == 0) & torch.isfinite(out).all(1)
+        return torch.where(good[:, None], out, 0.0), good
+
+
+def _padded(b: Tensor) -> Tensor:
+    return torch.nn.functional.pad(b, (0, 1))
+
+
+def reduced(S: Tensor, active: Tensor) -> tuple[Reduction, Tensor]:
+    """S (s, k, k) reduced to the `active` unknowns (s, k) bool, and where what is eliminated is positive definite."""
+    k = active.shape[1]
+    count = active.sum(1)
+    a = min(-(-int(count.max()) // MULTIPLE) * MULTIPLE, k)
+    order = torch.argsort((~active).to(torch.int8), dim=1, stable=True)[:, :a]
+    kept = torch.where(torch.arange(a, device=S.device) < count[:, None], order, k)
+    place = torch.where(active, active.long().cumsum(1) - 1, a)
+    both = active[:, :, None] | active[:, None, :]
+    L, info = torch.linalg.cholesky_ex(torch.where(both, torch.eye(k, dtype=S.dtype, device=S.device), S))
+    G = torch.where(both, 0.0, torch.cholesky_inverse(L))
+    right = torch.nn.functional.pad(S, (0, 1)).gather(2, kept[:, None, :].expand(-1, k, -1))
+    X = G @ right
+    rows = kept[..., None].expand(-1, -1, a)
+    K = torch.nn.functional.pad(right - S @ X, (0, 0, 0, 1)).gather(1, rows)
+    pad = (kept == k).to(S.dtype)
+    return Reduction(kept, place, G, X, K + torch.diag_embed(pad)), info == 0
+
+
+def with_points(K: Tensor, place: Tensor, conn: Tensor, N: Tensor, D: Tensor) -> Tensor:
+    """K (s, a, a) plus stiffnesses D (s, f, q, 3, 3) at the points N (q, 4) of facets conn (s, f, 4); place (s, k): the
+    row in K of each unknown 3 node + direction, a where D does not act.
+
+    Corner by corner: on a grid a node is a certain corner of one facet only, so the order of summation never changes.
+    """
+    s, a, _ = K.shape
+    pairs = (N[:, :, None] * N[:, None, :]).flatten(1).T
+    blocks = (pairs @ D.flatten(-2)).view(s, -1, 4, 4, 3, 3)
+    unknowns = (3 * conn[..., None] + torch.arange(3, device=K.device)).flatten(1)
+    at = place.gather(1, unknowns).view(s, -1, 4, 3)
+    out = torch.nn.functional.pad(K, (0, 1, 0, 1)).flatten(1)
+    for corner in range(4):
+        index = at[:, :, corner, None, :, None] * (a + 1) + at[:, :, :, None, :]
+        out = out.scatter_add(1, index.flatten(1), blocks[:, :, corner].flatten(1))
+    return out.view(s, a + 1, a + 1)[:, :a, :a]

@@ -1,0 +1,88 @@
+"""Scenes in slots, queued by the kernel that each asks for next, and refilled.
+
+In lockstep most scenes of a batch would wait: they need different numbers of steps of each kind. Here every scene waits
+in the queue of its next phase, and the kernel with most scenes waiting is called for all of them. A scene that has
+ended makes room for the next at once, so that slots stay full until no scene is left.
+"""
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Protocol, TypeVar
+
+from tacgen.mechanics.phases import Phase
+
+Scene = TypeVar("Scene")
+Result = TypeVar("Result")
+S = TypeVar("S", contravariant=True)
+R = TypeVar("R", covariant=True)
+
+
+class Slots(Protocol[S, R]):
+    """A solver of scenes in numbered slots, of which there are `count`."""
+
+    count: int
+
+    def enter(self, slot: int, scene: S) -> None:
+        """Put a scene into an empty slot."""
+
+    def phase(self, slot: int) -> Phase | None:
+        """The kernel for which the scene in a slot waits; None: it has ended."""
+
+    def advance(self, phase: Phase, slots: list[int]) -> None:
+        """Call a kernel for scenes that wait for it."""
+
+    def leave(self, slot: int) -> R:
+        """The result of the ended scene in a slot, which is empty afterwards."""
+
+
+@dataclass
+class Use:
+    """How well slots are used: calls of each kernel, and scenes in these calls."""
+
+    calls: Counter[Phase] = field(default_factory=Counter)
+    scenes: Counter[Phase] = field(default_factory=Counter)
+
+    def add(self, phase: Phase, scenes: int) -> None:
+        """Count a call."""
+        self.calls[phase] += 1
+        self.scenes[phase] += scenes
+
+    @property
+    def mean(self) -> float:
+        """Scenes in a call, over all calls; 0 without any."""
+        return self.scenes.total() / max(self.calls.total(), 1)
+
+
+def run(
+    slots: Slots[Scene, Result],
+    scenes: Iterable[Scene],
+    most: Mapping[Phase, int] | None = None,
+    use: Use | None = None,
+) -> Iterator[tuple[Scene, Result]]:
+    """Scenes with their results, in the order in which they end. `scenes` is read only as slots become free.
+
+    most: largest number of scenes in a call of kernels whose work needs much memory. use: where calls are counted.
+    """
+    waiting, free, most = iter(scenes), list(range(slots.count))[::-1], most or {}
+    inside: dict[int, Scene] = {}
+    while True:
+        while free and (scene := next(waiting, None)) is not None:
+            inside[free[-1]] = scene
+            slots.enter(free.pop(), scene)
+        if not inside:
+            return
+        queues: dict[Phase | None, list[int]] = {}
+        for slot in inside:  # in the order in which they came in
+            queues.setdefault(slots.phase(slot), []).append(slot)
+        if ended := queues.pop(None, []):
+            for slot in ended:
+                yield inside.pop(slot), slots.leave(slot)
+                free.append(slot)
+            continue
+        phase, queue = max(queues.items(), key=lambda each: len(each[1]))
+        assert phase is not None
+        some = queue[: most.get(phase, len(queue))]
+        if use is not None:
+            use.add(phase, len(some))
+        slots.advance(phase, some)

@@ -1,0 +1,57 @@
+"""Batches of small scenes, and the CPU engine's answer to the same scenes."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from helpers.presses import gel, poses, scene
+
+from tacgen.geometry.analytic_sdf import Shape
+from tacgen.geometry.pose import about
+from tacgen.mechanics import DEFAULT, Problem, SolverOptions, mesh, states
+from tacgen.mechanics.scene import Scene
+from tacgen.tensor_engine.batch import Batch, Place
+from tacgen.tensor_engine.elements import Topology
+from tensor_engine.dense import Dense
+
+Array = np.ndarray
+EDGE = 1.0
+Change = Callable[[Any], Any]
+
+
+def small(shape: Shape, path: Array, friction: float = 0.0, E: float = 0.15) -> Scene:
+    """A pad of 6 x 6 x 2 mm; E [MPa]."""
+    return scene(shape, path, pad=gel(6, 6, 2.0, E=E), friction=friction, edge=EDGE)
+
+
+def path(*positions: tuple[float, float, float], turns: Sequence[tuple[float, float, float]] = ()) -> Array:
+    """Poses at positions [mm], each turned further by a rotation vector [rad]."""
+    out, R = poses(list(positions)), np.eye(3)
+    for k, turn in enumerate(turns):
+        R = about(np.array(turn), 1.0) @ R
+        out[k, :3, :3] = R
+    return out
+
+
+def problem(made: Scene, options: SolverOptions = DEFAULT) -> Problem:
+    """All have 6 x 6 cells, of which 3 x 3 or 4 x 4 are fine."""
+    return Problem.of(made, mesh.build(made.gel, (-1.5, 1.5, -1.5, 1.5), EDGE), options)
+
+
+def batch(scenes: Sequence[Scene], options: SolverOptions = DEFAULT) -> Batch:
+    """Scenes on equal grids, with dense factors."""
+    problems = [problem(made, options) for made in scenes]
+    grid = problems[0].mesh
+    n, facets = len(grid.points), grid.facets["coated"]
+    topology = Topology.of(grid.cells, facets, n)
+    free = torch.ones(n, dtype=torch.bool)
+    free[np.unique(grid.facets["bonded"])] = False
+    place = Place(np.arange(n), np.arange(len(grid.cells)), np.arange(len(facets)))
+    X = np.array([one.mesh.points for one in problems])
+    return Batch.of(problems, [place] * len(scenes), topology, X, Dense(topology.conn, free), np.unique(facets))
+
+
+def alone(made: Scene, options: SolverOptions = DEFAULT) -> list[Any]:
+    """The states of the CPU engine."""
+    return list(states(made, problem(made, options)))

@@ -1,0 +1,104 @@
+"""Patterns that meshes share: each scene's own mesh lies in one, unchanged."""
+
+import numpy as np
+import pytest
+from helpers import presses
+
+from benchmarks.draws import drawn
+from benchmarks.tensor_engine import scene_of
+from tacgen.geometry.analytic_sdf import SphereSdf
+from tacgen.mechanics import mesh
+from tacgen.tensor_engine import grids
+from tacgen.tensor_engine.dissection import dissected
+from tacgen.tensor_engine.grids import GridPattern
+
+
+@pytest.mark.parametrize("index", [0, 2, 5, 10])  # DIGIT's outline has an arc
+def test_an_embedded_mesh_is_the_scenes_own(index):
+    scene = scene_of(drawn(index))
+    own, found = mesh.of(scene), grids.embedded(scene)
+    assert found is not None
+    assert (found.points[found.nodes] == own.points).all()
+    renamed = np.full(found.pattern.size, -1)
+    renamed[found.nodes] = np.arange(len(found.nodes))
+    assert (renamed[found.pattern.hexes[found.cells]] == own.cells).all()
+    assert (found.layer[found.cells] == own.layer).all()
+    assert found.exists.sum() == len(own.cells)
+    assert (renamed[found.pattern.facets[found.facets]] == own.facets["coated"]).all()
+
+
+def test_contact_stays_on_the_patch():
+    scene = scene_of(drawn(10))
+    found, (x0, x1, y0, y1) = grids.embedded(scene), mesh.footprint(scene)
+    x, y, z = found.points[found.used].T
+    near = found.used.nonzero()[0][(x > x0 - 1e-9) & (x < x1 + 1e-9) & (y > y0 - 1e-9) & (y < y1 + 1e-9) & (z == 0)]
+    assert near.size
+    assert np.isin(near, found.pattern.patch).all()
+
+
+def test_void_cells_are_boxes_too():
+    found = grids.embedded(scene_of(drawn(0)))
+    corner, *others = found.points[found.pattern.hexes[:, [0, 1, 3, 4]]].transpose(1, 0, 2)
+    volume = np.linalg.det(np.stack([other - corner for other in others], 1))
+    assert (~found.exists).any()
+    assert (volume > 0).all()
+
+
+def test_scenes_of_unlike_sizes_share_a_pattern():
+    pad = presses.gel()
+    paths = [[(x, y, -0.4)] for x, y in ((0.0, 0.0), (0.9, -1.3), (-2.1, 0.4))]
+    scenes = [
+        presses.scene(SphereSdf(r), presses.poses(p), pad=pad) for r, p in zip((1.6, 2.0, 1.8), paths, strict=True)
+    ]
+    found = [grids.embedded(scene) for scene in scenes]
+    assert len({each.pattern for each in found}) == 1
+    assert len({int(each.exists.sum()) for each in found}) > 1
+
+
+def test_a_contact_larger_than_all_patterns_has_none():
+    scene = presses.scene(
+        SphereSdf(2.0), presses.poses([(-20.0, 0, -0.4), (20.0, 0, -0.4)]), pad=presses.gel(60.0, 12.0)
+    )
+    assert grids.embedded(scene) is None
+
+
+def test_a_mesh_lies_in_larger_patterns_too():
+    scene = scene_of(drawn(0))
+    own, larger = mesh.of(scene), GridPattern((26, 30, 5))
+    found = grids.embedded(scene, larger)
+    assert found.pattern == larger
+    assert (found.points[found.nodes] == own.points).all()
+    with pytest.raises(ValueError, match="too small"):
+        grids.embedded(scene, GridPattern((14, 14, 5)))
+
+
+def test_few_scenes_share_a_larger_pattern():
+    a, b, c, d = (GridPattern(cells) for cells in ((14, 18, 5), (18, 14, 5), (30, 30, 5), (14, 18, 7)))
+    found = grids.merged({a: 3, b: 4, c: 9, d: 1}, 6)
+    assert found == {a: GridPattern((18, 18, 5)), b: GridPattern((18, 18, 5)), c: c, d: d}
+    assert grids.merged({a: 3, b: 4, c: 9, d: 1}, 1) == {a: a, b: b, c: c, d: d}
+    assert set(grids.merged({a: 3, b: 4, c: 9}, 99).values()) == {c}
+
+
+@pytest.mark.parametrize(("quartered", "groups"), [(0, 1), (12, 2), (99, 3)])
+def test_every_free_node_is_eliminated_once_and_acts_on_later_ones(quartered, groups):
+    pattern = GridPattern((18, 11, 3))
+    tree = dissected(pattern, quartered=quartered, most_groups=groups)
+    owns = np.concatenate([group.own[group.own >= 0] for group in tree.groups])
+    assert sorted([*owns, *tree.patch]) == np.flatnonzero(pattern.free).tolist()
+    for level in tree.levels:
+        fronts = np.concatenate([group.fronts for group in level.groups])
+        assert sorted(fronts) == list(range(len(fronts)))
+        assert len(level.groups) <= groups
+    for group in tree.groups:
+        for own, bound in zip(group.own, group.bound, strict=True):
+            own, bound = own[own >= 0], bound[bound >= 0]
+            assert (np.diff(tree.rank[bound]) > 0).all()
+            assert not own.size or tree.rank[bound].min() > tree.rank[own].max()
+
+
+def test_two_batches_a_level_save_padding():
+    pattern = GridPattern((18, 18, 5))
+    one, two = (dissected(pattern, most_groups=most).groups for most in (1, 2))
+    assert sum(group.filled for group in two) == sum(group.filled for group in one)
+    assert sum(group.entries for group in two) < 0.8 * sum(group.entries for group in one)

@@ -1,0 +1,107 @@
+"""Factors of many matrices of one pattern: solves, Schur complements and refinement, on tangents of pressed gels."""
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from helpers import presses
+
+from benchmarks.tensor_engine import elements_of, product, refined
+from tacgen.geometry.analytic_sdf import SphereSdf
+from tacgen.mechanics.bulk import Bulk
+from tacgen.mechanics.linear_solvers import best
+from tacgen.tensor_engine import grids, multifrontal
+from tacgen.tensor_engine.dissection import dissected
+from tacgen.tensor_engine.grids import GridPattern
+from tacgen.tensor_engine.multifrontal import Multifrontal
+
+torch.set_num_threads(1)
+
+
+def matrices(pattern, batch=2, void=()):
+    """Element tangents of random symmetric positive definite matrices, and the whole matrices; void: cells without."""
+    generator = torch.Generator().manual_seed(3)
+    hexes = torch.as_tensor(pattern.hexes)
+    half = torch.randn((batch, len(hexes), 24, 24), generator=generator, dtype=torch.float64)
+    whole = half @ half.mT + 24 * torch.eye(24, dtype=torch.float64)
+    exists = torch.ones(len(hexes), dtype=torch.bool)
+    exists[list(void)] = False
+    whole = whole * exists[:, None, None]
+    used = torch.zeros(pattern.size, dtype=torch.bool)
+    used[hexes[exists].ravel()] = True
+    dofs = (3 * hexes[:, :, None] + torch.arange(3)).reshape(len(hexes), 24)
+    dense = torch.zeros((batch, 3 * pattern.size, 3 * pattern.size), dtype=torch.float64)
+    for e, at in enumerate(dofs):
+        dense[:, at[:, None], at] += whole[:, e]
+    dense[:, *torch.where(torch.diag((~used).repeat_interleave(3)))] = 1.0
+    return whole, dense
+
+
+@pytest.mark.parametrize(
+    ("cells", "how"),
+    [((10, 9, 3), {}), ((10, 9, 3), {"quartered": 0, "most_groups": 1}), ((7, 13, 2), {"quartered": 99, "leaf": 2})],
+)
+def test_solves_and_schur_complements_are_those_of_the_whole_matrix(cells, how, monkeypatch):
+    monkeypatch.setattr(multifrontal, "BASE", 20)  # small fronts take every path
+    monkeypatch.setattr(multifrontal, "STRIP", 30)
+    pattern = GridPattern(cells)
+    elements, K = matrices(pattern, void=(0, 1, 2, 30, 31))
+    solver = Multifrontal(dissected(pattern, **how), dtype=torch.float64)
+    data = solver.assembled(elements)
+    factor = solver.factor(data)
+    free = torch.as_tensor(pattern.free).repeat_interleave(3)
+    patch = (3 * torch.as_tensor(pattern.patch)[:, None] + torch.arange(3)).ravel()
+    inner = free.clone()
+    inner[patch] = False
+    assert not factor.indefinite.any()
+    A, B, C = K[:, inner][:, :, inner], K[:, inner][:, :, patch], K[:, patch][:, :, patch]
+    assert torch.allclose(factor.S, C - B.mT @ torch.linalg.solve(A, B), rtol=1e-9, atol=1e-9)
+    b = torch.randn((2, pattern.size, 3), dtype=torch.float64)
+    x = factor.solve(b, lambda load: torch.linalg.solve(factor.S, load))
+    assert torch.allclose((K @ x.reshape(2, -1, 1))[:, free, 0], b.reshape(2, -1)[:, free], rtol=1e-9, atol=1e-9)
+    assert (x[:, ~torch.as_tensor(pattern.free)] == 0).all()
+
+
+@pytest.fixture(scope="module")
+def pressed():
+    """The tangent of a nearly incompressible gel under a ball, from the engine on a core: entries and whole matrix."""
+    made = presses.scene(
+        SphereSdf(2.0), presses.poses([(0.3, 0.1, -0.6)]), pad=presses.gel(7.0, 6.0, 2.0, nu=0.499), edge=0.7
+    )
+    grid = grids.embedded(made)
+    found = presses.run(made)
+    problem, x = found.problem, found.states[-1].x
+    bulk = Bulk(problem.elastic, problem.folding, ())
+    data = bulk.at(x).stiffness(problem.pattern)
+    return grid, problem.pattern, data
+
+
+def test_single_precision_is_refined_to_double_on_the_tangent_of_a_pressed_gel(pressed):
+    grid, pattern, data = pressed
+    solver = Multifrontal(dissected(grid.pattern))
+    elements = torch.as_tensor(elements_of(grid, pattern, data))[None]
+    factor = solver.factor(solver.assembled(elements))
+    assert factor.S.dtype == torch.float32
+    assert not factor.indefinite.any()
+    L = torch.linalg.cholesky(factor.S)
+    b = np.random.default_rng(0).normal(size=len(pattern.free))
+    right = torch.zeros(3 * grid.pattern.size, dtype=torch.float64)
+    dofs = 3 * grid.nodes[pattern.free // 3] + pattern.free % 3
+    right[dofs] = torch.as_tensor(b)
+    right = right.view(1, -1, 3)
+
+    hexes, free = torch.as_tensor(grid.pattern.hexes), torch.as_tensor(grid.pattern.free & grid.used)[:, None]
+
+    def solve(r):
+        return factor.solve(r, lambda load: torch.cholesky_solve(load[:, :, None], L).squeeze(-1))
+
+    direct = best(pattern)
+    direct.factor(data)
+    answer = direct.solve(b)
+    errors = []
+    for rounds in range(5):
+        x = refined(solve, lambda x: product(elements, hexes, x) * free, right, rounds).ravel()[dofs].numpy()
+        errors.append(np.abs(x - answer).max() / np.abs(answer).max())
+    assert errors[0] > 1e-7
+    assert errors[-1] < 1e-12

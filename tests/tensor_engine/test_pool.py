@@ -1,0 +1,97 @@
+"""Many scenes in few slots: each has the CPU engine's frames, whichever was in its slot before."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from helpers.presses import gel, scene
+
+from tacgen.geometry.analytic_sdf import BoxSdf, SphereSdf
+from tacgen.mechanics import Problem, mesh, states
+from tacgen.mechanics.phases import Phase
+from tacgen.tensor_engine import grids, pool, refill, scheduler
+from tacgen.tensor_engine.dissection import dissected
+from tensor_engine.batches import path
+
+torch.set_num_threads(1)
+PAD = gel(9, 7, 2.0)
+
+
+def pressed(shape, *positions, friction=0.0):
+    return scene(shape, path(*positions), pad=PAD, friction=friction, edge=1.0)
+
+
+SCENES = [
+    pressed(SphereSdf(1.6), (0, 0, -0.3)),  # the smallest mesh first: later ones have nodes that it lacks
+    pressed(BoxSdf(1.4, 1.0, 0.3), (-2.0, 0, -0.2), (-1.5, 0.3, -0.2), friction=0.5),
+    pressed(SphereSdf(2.5), (2.0, -0.5, -0.3), (2.0, 0.5, 0.4)),
+    replace(pressed(SphereSdf(2.0), (0, 0, -0.2)), element="tet"),
+]
+
+
+@pytest.mark.parametrize("slots", [1, 2])
+def test_scenes_in_refilled_slots_have_the_cpu_engines_frames(slots):
+    use = scheduler.Use()
+    found = dict(pool.solved(SCENES, slots=slots, dtype=torch.float64, use=use))
+    assert sorted(found) == [0, 1, 2, 3]
+    assert found.pop(3) == pool.Solved([], "a mesh of tets")
+    assert (use.mean == 1.0) == (slots == 1)
+    for number, solved in found.items():
+        made = SCENES[number]
+        one = list(states(made, Problem.of(made, mesh.of(made))))
+        assert solved.why is None
+        assert len(solved.states) == len(one) == len(made.poses)
+        for a, b in zip(one, solved.states, strict=True):
+            force = max(float(a.normal_force.sum()), 1e-6)
+            assert b.normal_force == pytest.approx(a.normal_force, abs=1e-9 * force)
+            assert b.x == pytest.approx(a.x, abs=1e-9)
+
+
+def test_meshes_of_unlike_sizes_share_one_batch():
+    plans = [pool.Plan.of(each) for each in enumerate(SCENES[:3])]
+    assert len({int(pool.Prepared.of(plan).grid.exists.sum()) for plan in plans}) == 3
+    assert len(set(grids.merged(dict.fromkeys([plan.pattern for plan in plans], 1), 64).values())) == 1
+
+
+def test_a_scene_with_other_contact_points_is_refused():
+    thin = pressed(SphereSdf(0.4), (0, 0, -0.1))
+    plans = [pool.Plan.of(each) for each in enumerate([SCENES[0], thin])]
+    assert [plan.thin for plan in plans] == [False, True]
+    first, other = (pool.Prepared.of(plan) for plan in plans)
+    slots = pool.Pool(first, dissected(first.grid.pattern), 1, "cpu", torch.float64)
+    with pytest.raises(ValueError, match="contact points"):
+        refill.fill(slots.batch, 0, other.problem, other.place, other.grid.points)
+
+
+def test_less_memory_has_room_for_fewer_scenes():
+    tree = dissected(grids.GridPattern((18, 18, 5)))
+    (many, most), (few, least) = pool.room(tree, 1e10), pool.room(tree, 1e6)
+    assert few == 1
+    assert set(least.values()) == {1}
+    assert many > 50
+    assert 10 < most[Phase.factor] < most[Phase.load]
+    assert pool.room(tree, 2e10)[0] == pytest.approx(2 * many, abs=1)
+
+
+def test_factorisations_at_once_are_bounded_by_memory(monkeypatch):
+    calls, advance = [], pool.engine.advance
+
+    def watched(batch, phase, rows):
+        calls.append((phase, len(rows)))
+        advance(batch, phase, rows)
+
+    monkeypatch.setattr(pool, "room", lambda tree, memory: (8, {Phase.factor: 1}))
+    monkeypatch.setattr(pool.engine, "advance", watched)
+    assert len(list(pool.solved(SCENES[:3]))) == 3
+    assert {count for phase, count in calls if phase is Phase.factor} == {1}
+    assert max(count for _, count in calls) > 1
+
+
+def test_work_and_kept_numbers_count_padded_fronts():
+    tree = dissected(grids.GridPattern((14, 14, 2)))
+    panels = sum(np.prod(g.own.shape) * (g.own.shape[1] + g.bound.shape[1]) for g in tree.groups)
+    assert tree.kept == 9 * panels
+    assert tree.work >= max(group.entries for group in tree.groups)
