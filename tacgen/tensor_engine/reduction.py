@@ -9,6 +9,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from tacgen.tensor_engine.multifrontal import invert_factor
+
+REFINEMENTS = 2  # of solutions in single precision
+REFINED = 1e-10  # largest residual of one of them, over the largest entry of the right-hand side [-]
 MULTIPLE = 12  # sizes of reduced matrices are multiples of it, so that few sizes occur
 
 
@@ -36,12 +40,27 @@ class Reduction:
             L, info = torch.linalg.cholesky_ex(K)
             x = torch.cholesky_solve(right, L)
         else:
-            LU, pivots, info = torch.linalg.lu_factor_ex(K)
-            x = torch.linalg.lu_solve(LU, pivots, right)
+            x, info = lu_solved(K, right, torch.float32 if K.is_cuda else K.dtype)
         out = _padded((self.G @ b[..., None] - self.X @ x).squeeze(-1))
         out = out.scatter(1, self.kept, x.squeeze(-1))[:, :-1]
         good = (info == 0) & torch.isfinite(out).all(1)
         return torch.where(good[:, None], out, 0.0), good
+
+
+def lu_solved(K: Tensor, b: Tensor, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
+    """x (s, a, 1) of K x = b by LU, and where K is singular (s,), not 0. In single precision with iterative refinement,
+    which takes half the time (see condensation._refined); in the precision of K where that does not converge."""
+    LU, pivots, info = torch.linalg.lu_factor_ex(K.to(dtype))
+    x = torch.linalg.lu_solve(LU, pivots, b.to(dtype)).to(b.dtype)
+    if dtype == K.dtype:
+        return x, info
+    for _ in range(REFINEMENTS):
+        x = x + torch.linalg.lu_solve(LU, pivots, (b - K @ x).to(dtype)).to(b.dtype)
+    off = (b - K @ x).abs().amax((1, 2)) > REFINED * b.abs().amax((1, 2))
+    bad = torch.nonzero(off | (info > 0) | ~torch.isfinite(x).all(1).squeeze(1)).squeeze(1)
+    if len(bad):
+        x[bad], info[bad] = lu_solved(K[bad], b[bad], K.dtype)
+    return x, info
 
 
 def _padded(b: Tensor) -> Tensor:
@@ -57,8 +76,9 @@ def reduced(S: Tensor, active: Tensor) -> tuple[Reduction, Tensor]:
     kept = torch.where(torch.arange(a, device=S.device) < count[:, None], order, k)
     place = torch.where(active, active.long().cumsum(1) - 1, a)
     both = active[:, :, None] | active[:, None, :]
-    L, info = torch.linalg.cholesky_ex(torch.where(both, torch.eye(k, dtype=S.dtype, device=S.device), S))
-    G = torch.where(both, 0.0, torch.cholesky_inverse(L))
+    L = torch.where(both, torch.eye(k, dtype=S.dtype, device=S.device), S)
+    info = invert_factor(L)
+    G = torch.where(both, 0.0, L.mT @ L)
     right = torch.nn.functional.pad(S, (0, 1)).gather(2, kept[:, None, :].expand(-1, k, -1))
     X = G @ right
     rows = kept[..., None].expand(-1, -1, a)

@@ -4,10 +4,10 @@ from functools import partial
 
 import pytest
 import torch
-from tensor_engine import test_contact, test_elements
 
 from tacgen.fem.potential import Projection
 from tacgen.tensor_engine import fused
+from tensor_engine import test_contact, test_elements
 
 
 @pytest.fixture
