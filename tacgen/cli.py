@@ -81,7 +81,7 @@ def run(
             help="Replace bundles of other inputs or of another tacgen, and remove those that the plan no longer has.",
         ),
     ] = False,
-    engine: Annotated[str, typer.Option(help="local: this machine; dask: a Dask cluster.")] = "local",
+    engine: Annotated[str, typer.Option(help="local: this machine; dask: a Dask cluster; cuda: a GPU.")] = "local",
     scheduler: Annotated[str, typer.Option(help="Address of a Dask scheduler, such as tcp://host:8786.")] = "",
     silence_s: Annotated[float, typer.Option(min=0.1, help="Stop a scene without a new frame for so long.")] = 1800,
     memory_gb: Annotated[

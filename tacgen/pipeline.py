@@ -19,6 +19,7 @@ from tacgen.bundle.schema import finite_problem
 from tacgen.mechanics import mesh, presolve
 from tacgen.mechanics.expected_error import FaceGrid, expected_force_error
 from tacgen.mechanics.scene import Scene
+from tacgen.mechanics.solution import Solution
 from tacgen.outputs import BLOCKS, IMAGES, NAMES, OUTPUTS
 from tacgen.outputs.base import Datasets
 from tacgen.outputs.scene_data import FrameData, SceneData
@@ -83,7 +84,9 @@ def _finite(found: Datasets) -> Datasets:
     return found
 
 
-def _attributes(row: Row, built: Scene, shared: SceneData, clock: Clock) -> dict[str, Any]:
+def _attributes(
+    row: Row, built: Scene, shared: SceneData, clock: Clock, solution: Solution | None = None
+) -> dict[str, Any]:
     from importlib.metadata import version
 
     problem = shared.problem
@@ -111,7 +114,10 @@ def _attributes(row: Row, built: Scene, shared: SceneData, clock: Clock) -> dict
     cost = _cost_note(built) if problem.condensed else ""
     if row.pair is not None:
         found["pair"] = row.pair
-    if said := [note for note in (coarse, cost, *row.notes) if note]:
+    if solution is not None and solution.states:
+        found["solver"] = solution.engine
+    elsewhere = "" if solution is None else solution.why
+    if said := [note for note in (coarse, cost, elsewhere, *row.notes) if note]:
         found["notes"] = said
     return found
 
@@ -153,8 +159,17 @@ def _cost_note(built: Scene) -> str:
     )
 
 
-def run_scene(row: Row, folder: Path, *, overwrite: bool = False, on_event: OnEvent | None = None) -> SceneResult:
+def run_scene(
+    row: Row,
+    folder: Path,
+    *,
+    overwrite: bool = False,
+    on_event: OnEvent | None = None,
+    solution: Solution | None = None,
+) -> SceneResult:
     """Solve, label, render and write one scene; a finished bundle of the same inputs is kept unless `overwrite`.
+
+    A `solution` with states is taken instead of solving.
 
     `on_event` is called after each frame: `{"event": "frame", "scene": "scene-00000", "frame": 3, "frames": 15}`.
 
@@ -162,10 +177,10 @@ def run_scene(row: Row, folder: Path, *, overwrite: bool = False, on_event: OnEv
         UserError: the bundle's place is taken by a file made from other inputs.
         atomic_file.Busy: another process is making this very bundle.
     """
-    return resume.once(row, folder, lambda path: _make(row, path, on_event), overwrite=overwrite)
+    return resume.once(row, folder, lambda path: _make(row, path, on_event, solution), overwrite=overwrite)
 
 
-def _make(row: Row, path: Path, on_event: OnEvent | None) -> SceneResult:
+def _make(row: Row, path: Path, on_event: OnEvent | None, solution: Solution | None) -> SceneResult:
     """The work itself, with one BLAS thread: more would add up in another order, and change the bytes."""
     from threadpoolctl import threadpool_limits
 
@@ -182,7 +197,7 @@ def _make(row: Row, path: Path, on_event: OnEvent | None) -> SceneResult:
         with clock.stage("start"), compiled.once("solve"):
             mechanics.warm()  # every BLAS is loaded by now: a limit does not reach those that come later
         with threadpool_limits(1, user_api="blas"):
-            return _made(row, path, on_event, clock)
+            return _made(row, path, on_event, clock, solution)
 
 
 def _shared(row: Row, scene: Scene, problem: mechanics.Problem) -> SceneData:
@@ -210,7 +225,7 @@ Solvable = tuple[Row, Scene, mechanics.Problem]  # of each bundle: one, or of a 
 Found = tuple[tuple[mechanics.State, "tuple[Held, int] | None"], ...]
 
 
-def _gels(row: Row, clock: Clock) -> tuple[tuple[Solvable, ...], Iterator[Found]]:
+def _gels(row: Row, clock: Clock, solution: Solution | None = None) -> tuple[tuple[Solvable, ...], Iterator[Found]]:
     """The gels of a row of the plan, meshed, and what will be found at each frame."""
     if row.other is not None:
         return _grasped(row, clock)
@@ -223,7 +238,8 @@ def _gels(row: Row, clock: Clock) -> tuple[tuple[Solvable, ...], Iterator[Found]
         # a trial of a prescribed force may fold where its solution does not: such a scene is stopped by its frames
         through = row.recipe.folds == "keep" or built.forced is not None
         problem = mechanics.Problem.of(built, mesh.of(built), replace(mechanics.DEFAULT, through_folds=through))
-    states = mechanics.states(built, problem, tol=None if row.pair is None else MATCHED)
+    known = solution.states if solution else ()
+    states = iter(known) if known else mechanics.states(built, problem, tol=None if row.pair is None else MATCHED)
     return ((row, built, problem),), (((state, None),) for state in states)
 
 
@@ -246,7 +262,9 @@ def _grasped(row: Row, clock: Clock) -> tuple[tuple[Solvable, ...], Iterator[Fou
 class Recorder:
     """Labels, renders and writes one gel's bundle."""
 
-    def __init__(self, solvable: Solvable, path: Path, clock: Clock, on_event: OnEvent | None) -> None:
+    def __init__(
+        self, solvable: Solvable, path: Path, clock: Clock, on_event: OnEvent | None, solution: Solution | None = None
+    ) -> None:
         (row, self.scene, problem), self.clock = solvable, clock
         asked = {"force", *row.recipe.outputs} | {name for name in BLOCKS if getattr(row.recipe, name) is not None}
         self.before: mechanics.State | None = None
@@ -260,7 +278,7 @@ class Recorder:
                 _ = self.shared.pictures
         self.reference = _finite(found | _datasets(images, self.shared, clock))
         self.of_frame = {k: output.frame for k, output in OUTPUTS.items() if k in asked}
-        attributes = _attributes(row, self.scene, self.shared, clock)
+        attributes = _attributes(row, self.scene, self.shared, clock, solution)
         self.name, self.on_event, self.touched = row.name, on_event, False
         known = row.recipe.contact.formulation == "distance" and self.scene.element != "linear_tet"
         self.face = FaceGrid.of(self.scene.gel) if known else None
@@ -307,15 +325,18 @@ class Recorder:
             self.writer.append(frame)
 
 
-def _made(row: Row, path: Path, on_event: OnEvent | None, clock: Clock) -> SceneResult:
+def _made(
+    row: Row, path: Path, on_event: OnEvent | None, clock: Clock, solution: Solution | None = None
+) -> SceneResult:
     """Everything between a row of the plan and its bundles, the first of which is `path`."""
-    gels, frames = _gels(row, clock)
+    gels, frames = _gels(row, clock, solution)
     status: Literal["ok", "rejected"] = "ok"
     reason, done = "", 0
     with ExitStack() as stack:
         places = [path.with_name(f"{each.name}.h5") for each, _, _ in gels]
         recorders = [
-            stack.enter_context(Recorder(gel, place, clock, on_event)) for gel, place in zip(gels, places, strict=True)
+            stack.enter_context(Recorder(gel, place, clock, on_event, solution))
+            for gel, place in zip(gels, places, strict=True)
         ]
         while True:
             try:

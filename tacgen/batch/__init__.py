@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from tacgen import __version__, atomic_file
-from tacgen.batch import dask_engine
+from tacgen.batch import cuda_engine, dask_engine
 from tacgen.batch.local import TASK, OnEvent, Pool
 from tacgen.batch.worker_process import Limits
 from tacgen.bundle import dataset, journal
@@ -31,7 +31,7 @@ def _local(workers: int, limits: Limits, task: str, scheduler: str) -> Iterator[
         yield pool.run
 
 
-ENGINES = {"local": _local, "dask": dask_engine.engine}
+ENGINES = {"local": _local, "dask": dask_engine.engine, "cuda": cuda_engine.engine}
 
 
 def run(

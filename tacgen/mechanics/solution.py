@@ -1,0 +1,16 @@
+"""The frames of a scene as another engine than `mechanics.states` found them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from tacgen.mechanics.state import State
+
+
+@dataclass(frozen=True)
+class Solution:
+    """States of all frames, and the engine and its versions, as bundles name them; or no state, and `why` there is
+    none."""
+
+    engine: str
+    states: Sequence[State] = ()
+    why: str = ""

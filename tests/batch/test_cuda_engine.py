@@ -1,0 +1,93 @@
+"""Runs with the batch engine, here on PyTorch's CPU backend: bundles, what falls back, what is left behind."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.small_recipe import HEAD, PRESS
+
+from tacgen import batch
+from tacgen.batch import cuda_engine, solution_file
+from tacgen.bundle.bundle import read
+from tacgen.errors import UserError
+from tacgen.mechanics.solution import Solution
+from tacgen.recipe import plan
+from tacgen.recipe.plan import Plan
+
+TWO = """vary: {samples: 2, seed: 1, over: {indenter.radius_mm: {uniform: [2.5, 3.5]}}}
+contact: {friction: 0.4}
+"""
+
+
+def planned(folder: Path, moves: str = PRESS, more: str = "") -> Plan:
+    """Scenes of a ball on a coarse gel."""
+    path = folder / "few.yaml"
+    path.write_text(f"{HEAD}  [{moves}]\n{more}")
+    return plan.load(path)
+
+
+@pytest.fixture
+def on_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("torch")
+    monkeypatch.setattr(cuda_engine, "usable_device", lambda: "cpu")
+
+
+def test_bundles_are_those_of_the_local_engine_and_say_who_solved_them(on_cpu: None, tmp_path: Path) -> None:
+    made = planned(tmp_path, more=TWO)
+    for engine in ("cuda", "local"):
+        results = batch.run(made, tmp_path / engine, engine=engine)
+        assert [result.status for result in results] == ["ok", "ok"]
+    for name in ("scene-00000.h5", "scene-00001.h5"):
+        ours, theirs = (read(tmp_path / engine / name) for engine in ("cuda", "local"))
+        assert ours.attrs["solver"].startswith("batch engine on cpu, torch ")
+        assert ours.attrs["input_key"] == theirs.attrs["input_key"]
+        np.testing.assert_allclose(ours["/frames/force"][:], theirs["/frames/force"][:], rtol=1e-5, atol=1e-7)
+    assert sorted(path.name for path in (tmp_path / "cuda").iterdir()) == sorted(
+        path.name for path in (tmp_path / "local").iterdir()
+    )
+
+
+def test_what_the_batch_engine_lacks_is_solved_on_the_cpu_and_said(on_cpu: None, tmp_path: Path) -> None:
+    made = planned(tmp_path, "press: {force_n: 0.5, frames: 1}")
+    batch.run(made, tmp_path / "out", engine="cuda")
+    bundle = read(tmp_path / "out" / "scene-00000.h5")
+    assert not bundle.attrs["solver"].startswith("batch engine")
+    assert "solved by the CPU engine: a prescribed force" in bundle.attrs["notes"]
+
+
+def test_finished_scenes_are_not_solved_again(on_cpu: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = planned(tmp_path)
+    batch.run(made, tmp_path / "out", engine="local")
+    monkeypatch.setattr(cuda_engine, "scene_of", lambda row: pytest.fail("solved again"))
+    assert batch.run(made, tmp_path / "out", engine="cuda")[0].status == "ok"
+
+
+def test_a_gpu_without_memory_leaves_the_scenes_to_the_workers(
+    on_cpu: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from tacgen.tensor_engine import pool
+
+    def full(*args: Any, **how: Any) -> Any:
+        raise RuntimeError("CUDA out of memory")
+
+    monkeypatch.setattr(pool, "solved", full)
+    events: list[dict[str, Any]] = []
+    assert batch.run(planned(tmp_path), tmp_path / "out", engine="cuda", on_event=events.append)[0].status == "ok"
+    assert any("the batch engine stopped: CUDA out of memory" in str(event.get("note")) for event in events)
+    assert "it stopped before this scene" in read(tmp_path / "out" / "scene-00000.h5").attrs["notes"]
+
+
+def test_no_gpu_is_one_line(tmp_path: Path) -> None:
+    torch = pytest.importorskip("torch")
+    if torch.cuda.is_available():
+        pytest.skip("there is a GPU")
+    with pytest.raises(UserError, match="finds no GPU that it can use; --engine local needs none"):
+        batch.run(planned(tmp_path), tmp_path / "out", engine="cuda")
+
+
+def test_why_there_is_no_solution_survives_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "one.npz"
+    solution_file.write(path, Solution("an engine", why="it is so"))
+    assert solution_file.read(path) == Solution("an engine", [], "it is so")
+    assert solution_file.read(tmp_path / "none.npz") is None
