@@ -15,6 +15,7 @@ from tempfile import TemporaryDirectory
 from tacgen import pipeline
 from tacgen.bundle import bundle
 from tacgen.errors import UserError
+from tacgen.mechanics import cost_note
 from tacgen.recipe import plan
 from tacgen.recipe.indenters import analytic
 
@@ -63,7 +64,7 @@ def errors(name: str, edges: list[float], fine: float, folder: Path) -> dict[flo
         except UserError:
             continue  # the indenter is too thin for such a mesh
         sharp = name in TIPS and radius < edge
-        bound = (pipeline.TIP_ERROR if sharp else pipeline.COARSE_ERROR) * edge / THICKNESS
+        bound = (cost_note.TIP_ERROR if sharp else cost_note.COARSE_ERROR) * edge / THICKNESS
         found[edge] = n / normal - 1, t / tangential - 1, bound, radius / edge
     return found
 

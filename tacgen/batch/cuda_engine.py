@@ -72,12 +72,12 @@ def engine(workers: int, limits: Limits, task: str, scheduler: str) -> Iterator[
 def usable_device() -> str:
     """The device of PyTorch that solves. Raises UserError: none can."""
     try:
-        import torch
+        from tacgen.tensor_engine import device
     except ImportError:
         raise UserError("--engine cuda needs PyTorch: pip install 'tacgen[torch]'") from None
-    if not torch.cuda.is_available():
+    if (found := device.usable()) is None:
         raise UserError("--engine cuda: PyTorch finds no GPU that it can use; --engine local needs none")
-    return "cuda"
+    return found
 
 
 def run_scene(row: Row, folder: Path, *, overwrite: bool = False, on_event: OnEvent | None = None) -> SceneResult:
@@ -122,10 +122,12 @@ def _solve(rows: Sequence[Row], folder: Path, device: str, mapped: Mapped) -> li
     if not rows:
         return []
     from tacgen.tensor_engine import pool
+    from tacgen.tensor_engine.device import named
 
     found = list(mapped(scene_of, rows))
     scenes = {k: scene for k, scene in enumerate(found) if isinstance(scene, Scene)}
-    numbers, by = list(scenes), _engine(device)
+    versions = ", ".join(f"{package} {version(package)}" for package in ("numpy", "scipy", "numba"))
+    numbers, by = list(scenes), f"batch engine on {named(device)}, {versions}"
     why = {k: one for k, one in enumerate(found) if isinstance(one, str)}
     notes: list[str] = []
     try:
@@ -142,14 +144,6 @@ def _solve(rows: Sequence[Row], folder: Path, device: str, mapped: Mapped) -> li
         said = why.get(k, "it stopped before this scene")
         solution_file.write(_place(folder, rows[k]), Solution(by, why=f"solved by the CPU engine: {said}"))
     return notes
-
-
-def _engine(device: str) -> str:
-    """The batch engine, its device and versions, for bundles."""
-    import torch
-
-    name = torch.cuda.get_device_name() if device.startswith("cuda") else device
-    return f"batch engine on {name}, " + ", ".join(f"{p} {version(p)}" for p in ("torch", "numpy", "scipy", "numba"))
 
 
 def _place(folder: Path, row: Row) -> Path:
