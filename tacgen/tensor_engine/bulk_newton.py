@@ -189,8 +189,8 @@ def measure(b: Batch, s: Tensor) -> list[Outcome]:
     hexes, after, folding, _ = b.bulk(s, there)
     J = after.J
     if options.mixed_pressure:
-        at = hexes.evaluate(x)
-        J = hexes.predicted(at.F, at.J, after.F, t.taken[s])
+        F = hexes.deformation(x)
+        J = hexes.predicted(F, torch.linalg.det(F), after.F, t.taken[s])
     gradient = hexes.forces(after)
     folding.add_forces(gradient)
     near = b.near(s, t.c_offset[s])
