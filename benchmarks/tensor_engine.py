@@ -29,10 +29,10 @@ from tacgen.mechanics.bulk import Bulk
 from tacgen.mechanics.condensation import Condensation
 from tacgen.mechanics.scene import Scene
 from tacgen.recipe import scene_of_row
-from tacgen.tensor_engine import dissection, grids, multifrontal
+from tacgen.tensor_engine import dissection, fused, grids, multifrontal
 from tacgen.tensor_engine.condensed import Condensed
 from tacgen.tensor_engine.dissection import Dissection, dissected
-from tacgen.tensor_engine.multifrontal import Multifrontal, refined
+from tacgen.tensor_engine.multifrontal import Multifrontal
 from tacgen.tensor_engine.reduction import reduced
 
 Array = np.ndarray
@@ -44,7 +44,7 @@ def main() -> None:
     end = time.perf_counter() + told.seconds
     device = told.device or ("cuda" if torch.cuda.is_available() else "cpu")
     torch.set_num_threads(told.threads)
-    multifrontal.BASE = told.base
+    multifrontal.BASE, fused.on = told.base, not told.eager
     name = torch.cuda.get_device_name() if device == "cuda" else f"CPU, {told.threads} threads"
     say(f"{name}; PyTorch {torch.__version__}; {told.dtype}")
     for sensor, found in sorted(shared(range(told.draws[0], sum(told.draws))).items()):
@@ -54,7 +54,7 @@ def main() -> None:
             core(matrix, told.contact, end)
             tree = dissected(pattern, told.leaf, told.quartered, told.groups)
             describe(tree)
-            solver = Multifrontal(tree, device, getattr(torch, told.dtype), compiled=not told.eager)
+            solver = Multifrontal(tree, device, getattr(torch, told.dtype))
             for batch in told.batch:
                 if time.perf_counter() > end:
                     say("out of time")
@@ -221,22 +221,40 @@ def batched(solver: Multifrontal, matrix: Matrix, batch: int, count: int, end: f
     rates.of(f"LU of {contact.K.shape[-1]}", lambda: contact.solve(contact.K, load, False))
     rates.of("Cholesky", lambda: contact.solve(contact.K, load, True))
     memory = f", {torch.cuda.max_memory_allocated() / 1e9:.1f} GB" if device.type == "cuda" else ""
-    said = ", ".join(f"{each:.0e}" for each in residuals(kept, S, data, slots, g, matrix))
+    said = ", ".join(f"{each:.0e}" for each in residuals(kept, S, elements, slots, g, matrix))
     say(f"  batch {batch}: {rates}; {batch * flops / seconds / 1e12:.2f} TFLOP/s; residuals {said}{memory}")
 
 
-def residuals(kept: Condensed, S: Tensor, data: Tensor, slots: Tensor, g: Tensor, matrix: Matrix) -> Iterator[float]:
+def residuals(
+    kept: Condensed, S: Tensor, elements: Tensor, slots: Tensor, g: Tensor, matrix: Matrix
+) -> Iterator[float]:
     """Of K x = g, over |g|, and after each of two refinements."""
-    L, exact, right = torch.linalg.cholesky(S), data.double(), g.double()
+    L, right = torch.linalg.cholesky(S), g.double()
     free = torch.as_tensor(kept.solver.tree.pattern.free & matrix.grid.used, device=g.device)
+    times = partial(product, elements.double(), torch.as_tensor(matrix.grid.pattern.hexes, device=g.device))
 
     def solve(b: Tensor) -> Tensor:
         y, load = kept.forward(slots, b)
         return -kept.expand(slots, -torch.cholesky_solve(load[:, :, None], L).squeeze(-1), y)
 
     for rounds in range(3):
-        x = refined(solve, partial(kept.solver.product, exact), right, rounds)
-        yield float(((kept.solver.product(exact, x) - right)[:, free].norm() / right[:, free].norm()).cpu())
+        x = refined(solve, times, right, rounds)
+        yield float(((times(x) - right)[:, free].norm() / right[:, free].norm()).cpu())
+
+
+def product(elements: Tensor, hexes: Tensor, x: Tensor) -> Tensor:
+    """The sums of element tangents (B, e, 24, 24) of hexes (e, 8) times x (B, n, 3)."""
+    parts = elements @ x[:, hexes].flatten(2)[..., None]
+    return torch.zeros_like(x).index_add_(1, hexes.flatten(), parts.reshape(len(x), -1, 3))
+
+
+def refined(solve: Callable[[Tensor], Tensor], times: Callable[[Tensor], Tensor], b: Tensor, rounds: int) -> Tensor:
+    """x with K x = b by iterative refinement (Wilkinson 1963): `solve` is approximate, `times` gives K x in the
+    precision of b (B, n, 3), in which x is returned."""
+    x = solve(b).to(b.dtype)
+    for _ in range(rounds):
+        x = x + solve(b - times(x)).to(b.dtype)
+    return x
 
 
 def profiled(solver: Multifrontal, matrix: Matrix, batch: int) -> None:

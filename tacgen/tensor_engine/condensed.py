@@ -9,13 +9,16 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from tacgen.tensor_engine.multifrontal import Multifrontal, invert_factor
+from tacgen.tensor_engine.multifrontal import Multifrontal, invert_factor, slot_times, slot_transposed_times
 
 
 class _Patch(NamedTuple):
-    """The patch of each scene divided: unknowns `order` (s, k), of which the first `inner` (s,) are eliminated; the
-    condensed ones `outer` (s, 3m), k where padded; the inverse (s, o, o) of the factor of the eliminated part, 0 beyond
-    a scene's own; that times their coupling (s, o, 3m); the Schur complement S (s, 3m, 3m); what is definite (s,)."""
+    """The patch of each scene divided.
+
+    order (s, k): its unknowns, of which the first `inner` (s, 1) are eliminated; outer (s, 3m): the condensed ones, k
+    where padded; inverse (s, o, o) of the factor of the eliminated part, the unit matrix where padded; coupling
+    (s, o, 3m): that times theirs to the condensed ones; S (s, 3m, 3m); definite (s,): whether there is that factor.
+    """
 
     order: Tensor
     inner: Tensor
@@ -72,11 +75,11 @@ class Condensed:
         """Forward substitution of vectors g (s, n, 3), for `expand`, and g condensed (s, 3m), m being that of the slot
         with most nodes: g_c - K_co K_oo^-1 g_o."""
         width = int(self._width[slots.cpu()].max())
-        y = self.solver.forward(self._panels, g, slots)
+        y = self.solver.forward(self._panels, slots, g)
         b, outer = self._of_patch(y), self._outer[slots, :width]
-        solved = (self._inverse[slots] @ (b.gather(1, self._order[slots]) * self._first(slots))[:, :, None]).squeeze(-1)
+        solved = slot_times(self._inverse, slots, b.gather(1, self._order[slots]) * self._first(slots))
         load = torch.nn.functional.pad(b, (0, 1)).gather(1, outer)
-        load = load - (self._coupling[slots, :, :width].mT @ solved[:, :, None]).squeeze(-1)
+        load = load - slot_transposed_times(self._coupling, slots, solved)[:, :width]
         load = torch.where(outer < self._k, load, 0.0)
         y[:, self.solver.patch] = solved.view(len(y), -1, 3)
         return y, load
@@ -84,14 +87,14 @@ class Condensed:
     def expand(self, slots: Tensor, u: Tensor, y: Tensor) -> Tensor:
         """The step p (s, n, 3) of all nodes for u (s, 3m) of the condensed unknowns and the gradient g whose forward
         substitution is y: p_c = u, p_o = -K_oo^-1 (g_o + K_oc u); 0 at bonded and void nodes without a gradient."""
-        width = u.shape[1]
         solved, u = self._of_patch(y.to(self.solver.dtype)), u.to(self.solver.dtype)
-        q = solved + (self._coupling[slots, :, :width] @ u[:, :, None]).squeeze(-1)
-        inner = -(self._inverse[slots].mT @ q[:, :, None]).squeeze(-1)
+        all_u = torch.nn.functional.pad(u, (0, self._coupling.shape[2] - u.shape[1]))
+        q = solved + slot_times(self._coupling, slots, all_u)
+        inner = -slot_transposed_times(self._inverse, slots, q)
         order = torch.where(self._first(slots) > 0, self._order[slots], self._k)
         x = self._zeros(len(u), self._k + 1)
-        x.scatter_(1, order, inner).scatter_(1, self._outer[slots, :width], u)
-        return self.solver.backward(self._panels, -y, x[:, :-1], slots)
+        x.scatter_(1, order, inner).scatter_(1, self._outer[slots, : u.shape[1]], u)
+        return self.solver.backward(self._panels, slots, -y, x[:, :-1])
 
     def _of_patch(self, y: Tensor) -> Tensor:
         return y[:, self.solver.patch].flatten(1)
@@ -112,7 +115,6 @@ class Condensed:
         rows = torch.where(torch.arange(o, device=S.device) < inner[:, None], order[:, :o], k)
         inverse = _part(S, rows, rows, 1.0)
         info = invert_factor(inverse)
-        inverse = torch.where((rows < k)[:, :, None], inverse, 0.0)
         coupling = inverse @ _part(S, rows, outer, 0.0)
         left = _part(S, outer, outer, 1.0) - coupling.mT @ coupling
         return _Patch(order, inner[:, None], outer, inverse, coupling, left, info == 0)

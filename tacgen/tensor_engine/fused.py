@@ -27,6 +27,7 @@ def fused(function: F) -> F:
             return function(*args)
         if not compiled:
             torch._dynamo.config.recompile_limit = VERSIONS
+            torch.fx.experimental._config.use_duck_shape = False  # sizes that happen to be equal are still two
             compiled.append(torch.compile(function, dynamic=True, fullgraph=True))
         return compiled[0](*args)
 

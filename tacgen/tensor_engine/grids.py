@@ -96,13 +96,6 @@ class Embedded:
         out[self.nodes] = True
         return out
 
-    def spread(self, values: Array, void: Array | float = 0.0) -> Array:
-        """Values (m, ...) at the mesh's nodes as values (n, ...) at the pattern's, `void` elsewhere."""
-        out = np.empty((self.pattern.size, *values.shape[1:]), values.dtype)
-        out[:] = void
-        out[self.nodes] = values
-        return out
-
 
 def embedded(scene: Scene, pattern: GridPattern | None = None) -> Embedded | None:
     """The scene's mesh, as `mesh.of` makes it, in this pattern or in the smallest that holds it.

@@ -3,7 +3,7 @@
 A front is the dense matrix of the unknowns that it eliminates and of those on which they act (Duff & Reid 1983). Fronts
 of a level are padded to one size, so that a level is a few batched products whatever the number of scenes. The factor's
 diagonal blocks are kept as inverses: panels and solves are then products too, which a GPU does much faster than
-substitutions. Their rounding errors are larger, by the condition of a diagonal block; `refined` removes them.
+substitutions. Their rounding errors are larger, by the condition of a diagonal block; a refinement removes them.
 
 Indices count nodes: a 3 x 3 block has one index, which keeps index traffic a ninth of the data's.
 """
@@ -11,13 +11,13 @@ Indices count nodes: a 3 x 3 block has one index, which keeps index traffic a ni
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from tacgen.tensor_engine.dissection import Dissection, Group, Level
+from tacgen.tensor_engine.fused import fused
 
 Array = np.ndarray
 BASE = 72  # rows up to which a diagonal block is factorised by LAPACK or its like; larger ones by halves
@@ -59,34 +59,25 @@ class Panel:
     inverse: Tensor
     below: Tensor
 
-    def at(self, slots: Tensor | None) -> tuple[Tensor, Tensor]:
-        """Both, of some of the batch."""
-        return (self.inverse, self.below) if slots is None else (self.inverse[slots], self.below[slots])
-
 
 class Multifrontal:
     """The solver of all matrices of one tree: index tensors on a device.
 
-    dtype: of the factors; matrices and vectors are converted. compiled: whether fronts are gathered by a compiled
-    kernel on a GPU, which reads and writes every number once.
+    dtype: of the factors; matrices and vectors are converted.
     """
 
-    def __init__(
-        self, tree: Dissection, device: str = "cpu", dtype: torch.dtype = torch.float32, compiled: bool = True
-    ) -> None:
+    def __init__(self, tree: Dissection, device: str = "cpu", dtype: torch.dtype = torch.float32) -> None:
         self.tree, self.device, self.dtype = tree, torch.device(device), dtype
         self.nodes, self.patch = tree.pattern.size, self._index(tree.patch)
         entries = _Entries(tree)
         self.pairs = len(entries.row)
         self._rounds = [self._index(slots) for slots in entries.rounds]
         self._diagonal = self._index(entries.diagonal)
-        self._neighbours = [tuple(self._index(a) for a in each) for each in entries.neighbours]
         patch = Group(np.zeros(1, int), tree.patch[None], np.zeros((1, 0), int))
         each = zip((*tree.levels, Level((patch,), 1)), (None, *tree.levels), strict=True)
         *self.levels, (self.root,) = (
             [self._fronts(group, level, below, entries) for group in level.groups] for level, below in each
         )
-        self._gather = _compiled() if compiled and self.device.type == "cuda" else _gathered
 
     def _index(self, numbers: Array) -> Tensor:
         return torch.as_tensor(np.ascontiguousarray(numbers), device=self.device)
@@ -129,23 +120,11 @@ class Multifrontal:
         data[:, -1] = unit
         return data
 
-    def product(self, data: Tensor, x: Tensor) -> Tensor:
-        """The matrices times x (B, n, 3), in the precision of both; 0 at bonded nodes."""
-        blocks, out = data.reshape(len(data), -1, 3, 3), torch.zeros_like(x)
-        for at, near, entry, turned in self._neighbours:
-            block = blocks[:, entry]
-            block = torch.where(turned[:, None, None], block.mT, block)
-            out[:, at] += (block @ x[:, near, :, None]).squeeze(-1)
-        return out
-
     def factor(self, data: Tensor) -> "Factor":
         """The factors of the matrices whose entries `assembled` gives."""
         data = data.to(self.dtype).reshape(len(data), -1)
-        panels, below, bad = (
-            list[Panel](),
-            list[Tensor](),
-            torch.zeros(len(data), dtype=torch.int32, device=self.device),
-        )
+        bad = torch.zeros(len(data), dtype=torch.int32, device=self.device)
+        panels, below = list[Panel](), data[:, :0]
         for level in self.levels:
             updates = []
             for fronts in level:
@@ -175,9 +154,13 @@ class Multifrontal:
 
     def _gathered(self, fronts: _Fronts, data: Tensor | None, below: Tensor, r: slice, c: slice) -> Tensor:
         """Some rows and columns, in nodes, of the fronts before elimination; without the entries if there are none."""
-        entry = None if data is None else fronts.entry[:, r, c]
-        first = [child.first[:, r, c] for child in fronts.children]
-        return self._gather(data, entry, below, first, [child.stride for child in fronts.children])
+        entry = None if data is None else fronts.entry[:, r, c].flatten(0, 1)
+        parts = [child.first[:, r, c] for child in fronts.children]
+        strides = [
+            child.stride.repeat_interleave(part.shape[1]) for child, part in zip(fronts.children, parts, strict=True)
+        ]
+        out = _gathered(below, data, entry, [part.flatten(0, 1) for part in parts], strides)
+        return out.view(len(below), len(fronts.own), -1, out.shape[-1])
 
     def empty(self, batch: int) -> list[Panel]:
         """Room for the panels of so many factors."""
@@ -188,34 +171,35 @@ class Multifrontal:
             out.append(Panel(*(torch.zeros(shape, dtype=self.dtype, device=self.device) for shape in shapes)))
         return out
 
-    def forward(self, panels: list[Panel], g: Tensor, slots: Tensor | None = None) -> Tensor:
-        """L^-1 g of vectors (B, n, 3), and on the patch g condensed to it; 0 at bonded nodes. Their factors are the
-        batch of the panels or those at `slots` (B,) of it."""
+    def forward(self, panels: list[Panel], slots: Tensor, g: Tensor) -> Tensor:
+        """L^-1 g of vectors (B, n, 3), and on the patch g condensed to it; 0 at bonded nodes. Their factors are those
+        at `slots` (B,) of the panels."""
         b, each = self._padded(g), iter(panels)
         y, below = torch.zeros_like(b), b[:, :0]
         for level in self.levels:
             updates = []
             for fronts in level:
-                inverse, low = next(each).at(slots)
-                t, w, m = fronts.sizes
+                panel, (t, w, m) = next(each), fronts.sizes
                 carried = _carried(fronts, below, b)
-                solved = inverse @ (b[:, fronts.own] + carried[:, :, : w // 3]).view(-1, t, w, 1)
+                own = (b[:, fronts.own] + carried[:, :, : w // 3]).view(-1, t, w)
+                solved = slot_times(panel.inverse, slots, own)
                 y[:, fronts.own.view(-1)] = solved.view(len(b), -1, 3)
-                updates.append((carried[:, :, w // 3 :] - (low @ solved).view(-1, t, m // 3, 3)).flatten(1, 2))
+                left = carried[:, :, w // 3 :] - slot_times(panel.below, slots, solved).view(-1, t, m // 3, 3)
+                updates.append(left.flatten(1, 2))
             below = torch.nn.functional.pad(_joined(updates), (0, 0, 0, 1))
         y[:, self.patch] = b[:, self.patch] + _carried(self.root, below, b)[:, 0]
         return y[:, :-1]
 
-    def backward(self, panels: list[Panel], y: Tensor, u: Tensor, slots: Tensor | None = None) -> Tensor:
+    def backward(self, panels: list[Panel], slots: Tensor, y: Tensor, u: Tensor) -> Tensor:
         """x (B, n, 3) with L^T x = y away from the patch and x = u (B, k) on it; 0 at bonded nodes."""
         y = self._padded(y)
         x = torch.zeros_like(y)
         x[:, self.patch] = u.to(self.dtype).view(len(y), -1, 3)
         for fronts, panel in zip([*itertools.chain(*self.levels)][::-1], panels[::-1], strict=True):
-            inverse, low = panel.at(slots)
             t, w, m = fronts.sizes
-            q = y[:, fronts.own].view(-1, t, w, 1) - low.mT @ x[:, fronts.bound].view(-1, t, m, 1)
-            x[:, fronts.own.view(-1)] = (inverse.mT @ q).view(len(y), -1, 3)
+            bound = x[:, fronts.bound].view(-1, t, m)
+            q = y[:, fronts.own].view(-1, t, w) - slot_transposed_times(panel.below, slots, bound)
+            x[:, fronts.own.view(-1)] = slot_transposed_times(panel.inverse, slots, q).view(len(y), -1, 3)
         return x[:, :-1]
 
     def _padded(self, x: Tensor) -> Tensor:
@@ -237,17 +221,9 @@ class Factor:
 
     def solve(self, b: Tensor, patch: Callable[[Tensor], Tensor]) -> Tensor:
         """x (B, n, 3) of K x = b, where `patch` solves S u = load for (B, k); 0 at bonded nodes."""
-        y = self.of.forward(self.panels, b)
-        return self.of.backward(self.panels, y, patch(y[:, self.of.patch].flatten(1)))
-
-
-def refined(solve: Callable[[Tensor], Tensor], product: Callable[[Tensor], Tensor], b: Tensor, rounds: int) -> Tensor:
-    """x with K x = b by iterative refinement (Wilkinson 1963): `solve` is approximate, `product` gives K x in the
-    precision of b (B, n, 3), in which x is returned."""
-    x = solve(b).to(b.dtype)
-    for _ in range(rounds):
-        x = x + solve(b - product(x)).to(b.dtype)
-    return x
+        slots = torch.arange(len(b), device=b.device)
+        y = self.of.forward(self.panels, slots, b)
+        return self.of.backward(self.panels, slots, y, patch(y[:, self.of.patch].flatten(1)))
 
 
 def invert_factor(A: Tensor) -> Tensor:
@@ -296,31 +272,35 @@ def _joined(parts: list[Tensor]) -> Tensor:
     return parts[0] if len(parts) == 1 else torch.cat(parts, 1)
 
 
+@fused
 def _gathered(
-    data: Tensor | None, entry: Tensor | None, below: Tensor, first: list[Tensor], strides: list[Tensor]
+    below: Tensor, data: Tensor | None, entry: Tensor | None, first: list[Tensor], strides: list[Tensor]
 ) -> Tensor:
-    """Matrices (B, t, 3r, 3c) of 3 x 3 blocks: those at `entry` (t, r, c) in the entries, and those that begin at
-    `first` (t, r, c) of each child in the flat updates, whose rows there are `strides` (t,) numbers apart."""
+    """Rows (B, 3r, 3c) of 3 x 3 blocks: those at `entry` (r, c) in the entries, and those that begin at `first` (r, c)
+    of each child in the flat updates, whose rows there are `strides` (r,) numbers apart."""
     some = first[0] if entry is None else entry
-    t, r, c = some.shape
     i = torch.arange(3, dtype=torch.int32, device=some.device)[:, None, None]
     j = torch.arange(3, dtype=torch.int32, device=some.device)
     each = zip(first, strides, strict=True)
-    parts = [below[:, at[:, :, None, :, None] + stride[:, None, None, None, None] * i + j] for at, stride in each]
+    parts = [below[:, at[:, None, :, None] + stride[:, None, None, None] * i + j] for at, stride in each]
     if data is not None and entry is not None:
-        parts.append(data[:, 9 * entry[:, :, None, :, None] + (3 * i + j)])
+        parts.append(data[:, 9 * entry[:, None, :, None] + (3 * i + j)])
     out = parts[0]
     for part in parts[1:]:
         out = out + part
-    return out.reshape(len(out), t, 3 * r, 3 * c)
+    return out.flatten(3, 4).flatten(1, 2)
 
 
-@cache
-def _compiled() -> Callable[..., Tensor]:
-    """_gathered as one kernel, which reads and writes every number once."""
-    torch._dynamo.config.recompile_limit = 64  # one for each number of children, with entries or without
-    kernel: Callable[..., Tensor] = torch.compile(_gathered, dynamic=True)
-    return kernel
+@fused
+def slot_times(A: Tensor, slots: Tensor, x: Tensor) -> Tensor:
+    """The products (s, ..., r) of matrices A (capacity, ..., r, c) at slots (s,) and vectors x (s, ..., c)."""
+    return (A[slots] * x[..., None, :]).sum(-1)
+
+
+@fused
+def slot_transposed_times(A: Tensor, slots: Tensor, x: Tensor) -> Tensor:
+    """The products (s, ..., c) of the transposed of A (capacity, ..., r, c) at slots (s,) and vectors x (s, ..., r)."""
+    return (A[slots] * x[..., None]).sum(-2)
 
 
 def _carried(fronts: _Fronts, below: Tensor, b: Tensor) -> Tensor:
@@ -359,8 +339,7 @@ class _Entries:
 
     row, column (pairs,): nodes. zero, unit: numbers of two more blocks. rounds: of the pairs that have one, the first,
     second... element that contributes, as numbers (pairs, 3) of its tangent's rows of three (e, 24, 8); pairs with most
-    elements come first. diagonal: pairs of a node with itself. neighbours: for each of the 27 directions nodes, their
-    neighbours, the pair, and whether it is stored the other way.
+    elements come first. diagonal: pairs of a node with itself.
     """
 
     def __init__(self, tree: Dissection) -> None:
@@ -378,20 +357,9 @@ class _Entries:
         blocks = [by_pair[starts[most > k] + k] for k in range(most.max())]  # numbers of (e, 8, 8)
         self.rounds = [(at // 8 * 24 + at % 8)[:, None] + 8 * np.arange(3) for at in blocks]
         self.diagonal = np.flatnonzero(self.row == self.column)
-        self.neighbours = [self._towards(pattern.number, *step) for step in itertools.product((-1, 0, 1), repeat=3)]
 
     def numbers(self, row: Array, column: Array) -> Array:
         """Numbers of the pairs of these nodes, which broadcast; `zero` where there is none, or a node is -1."""
         key = row * self._n + column
         at = np.minimum(np.searchsorted(self._keys, key), len(self._keys) - 1)
         return np.where((self._keys[at] == key) & (row >= 0) & (column >= 0), self._number[at], self.zero)
-
-    def _towards(self, number: Array, *step: int) -> tuple[Array, Array, Array, Array]:
-        """Nodes that have a neighbour in this direction."""
-        own = tuple(slice(max(0, -s), size - max(0, s)) for s, size in zip(step, number.shape, strict=True))
-        other = tuple(slice(max(0, s), size - max(0, -s)) for s, size in zip(step, number.shape, strict=True))
-        at, near = number[own].ravel(), number[other].ravel()
-        free = (self._rank[at] >= 0) & (self._rank[near] >= 0)
-        at, near = at[free], near[free]
-        turned = self._rank[at] < self._rank[near]
-        return at, near, self.numbers(np.where(turned, near, at), np.where(turned, at, near)), turned

@@ -25,7 +25,9 @@ MOST_SLOTS = 512  # more scenes at once are hardly faster
 LEAST_SHARED = 64  # scenes of a pattern below which it is merged with others: smaller batches do not fill a GPU
 CPU_MEMORY = 4e9  # [bytes] used where there is no GPU
 WIDE = 450  # unknowns condensed to in a large contact, for the estimate of memory
-CELL, UNKNOWN, TANGENT = 2500, 100, 12_000  # bytes of tables: of a cell, of an unknown; and of a tangent of a cell
+CELL, UNKNOWN = 2500, 100  # bytes of tables, of a cell and of an unknown
+WORK, TANGENT = 40_000, 80_000  # bytes of a cell for the work of a kernel, and of one that makes tangents
+HEAVY = (Phase.start, Phase.load, Phase.search, Phase.measure, Phase.admit)  # kernels that evaluate all cells
 
 
 @dataclass(frozen=True)
@@ -140,19 +142,20 @@ def solved(
             groups.setdefault((pattern, plan.thin), []).append(replace(plan, pattern=pattern))
     for (pattern, _), group in groups.items():
         tree, ready = dissected(pattern), iter(mapped(Prepared.of, group))
-        count, most = room(tree, free_memory(device) if memory is None else memory)
+        count, limits = room(tree, free_memory(device) if memory is None else memory)
         first = next(ready)
         pool = Pool(first, tree, min(count, slots, len(group)), device, dtype)
-        for scene, found in scheduler.run(pool, chain([first], ready), {Phase.factor: most, Phase.renew: most}, use):
+        for scene, found in scheduler.run(pool, chain([first], ready), limits, use):
             yield scene.number, found
 
 
-def room(tree: Dissection, memory: float) -> tuple[int, int]:
-    """How many scenes of a pattern have room in so many bytes, and how many of them may be factorised at once."""
+def room(tree: Dissection, memory: float) -> tuple[int, dict[Phase, int]]:
+    """How many scenes of a pattern have room in so many bytes, and how many a call of some kernels may have."""
     cells, k = len(tree.pattern.hexes), 3 * len(tree.patch)
     own = 4.0 * (tree.kept + k * k + k * WIDE) + CELL * cells + UNKNOWN * 3 * tree.pattern.size + 32.0 * WIDE**2
-    work = 8.0 * tree.work + TANGENT * cells
-    return max(1, int(0.5 * memory / own)), max(1, int(0.4 * memory / work))
+    work = dict.fromkeys(HEAVY, float(WORK * cells))
+    work |= dict.fromkeys((Phase.factor, Phase.renew), 8.0 * tree.work + TANGENT * cells)
+    return max(1, int(0.5 * memory / own)), {phase: max(1, int(0.4 * memory / each)) for phase, each in work.items()}
 
 
 def free_memory(device: str) -> float:
