@@ -20,6 +20,7 @@ from tacgen.tensor_engine.batch import Batch, Course
 from tacgen.tensor_engine.condensation import condensed, more, reduced_to
 from tacgen.tensor_engine.contact import Contacts
 from tacgen.tensor_engine.contact_newton import CONVERGED, RUNNING, UNSTABLE, Iterates, at_nodes
+from tacgen.tensor_engine.elements import determinant
 from tacgen.tensor_engine.indices import listed
 from tacgen.tensor_engine.load_step import cover, covers, take
 
@@ -190,7 +191,7 @@ def measure(b: Batch, s: Tensor) -> list[Outcome]:
     J = after.J
     if options.mixed_pressure:
         F = hexes.deformation(x)
-        J = hexes.predicted(F, torch.linalg.det(F), after.F, t.taken[s])
+        J = hexes.predicted(F, determinant(F), after.F, t.taken[s])
     gradient = hexes.forces(after)
     folding.add_forces(gradient)
     near = b.near(s, t.c_offset[s])

@@ -27,6 +27,11 @@ def cofactor(F: Tensor) -> Tensor:
     return torch.linalg.cross(F.roll(-1, -2), F.roll(-2, -2))
 
 
+def determinant(F: Tensor) -> Tensor:
+    """J (...) of F (..., 3, 3)."""
+    return (F[..., 0, :] * torch.linalg.cross(F[..., 1, :], F[..., 2, :])).sum(-1)
+
+
 def _cofactor_slopes(F: Tensor) -> Tensor:
     """d cof(F)_iJ / d F_kL as (..., 9, 9), linear in F: blocks of the cross products with its rows."""
     zero = torch.zeros_like(F[..., 0, 0])
