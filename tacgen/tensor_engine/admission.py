@@ -16,6 +16,7 @@ from tacgen.mechanics.state import History, State, joined
 from tacgen.tensor_engine.batch import Batch
 from tacgen.tensor_engine.contact import Contacts, Forces, slip
 from tacgen.tensor_engine.contact_newton import at_nodes
+from tacgen.tensor_engine.indices import listed
 from tacgen.tensor_engine.inversion import least_jacobian
 
 Array = np.ndarray
@@ -33,7 +34,7 @@ def admit(b: Batch, s: Tensor) -> list[Outcome]:
     inside = _depth_inside(b, s, x, contact)
     figures = torch.stack([least_gap, least_J, residual, balance, inside, b.reach[s]], 1)
     outcomes, recorded = [], []
-    for k, (row, each) in enumerate(zip(s.tolist(), figures.tolist(), strict=True)):
+    for k, (row, each) in enumerate(zip(listed(s), figures.tolist(), strict=True)):
         course, (gap, J, off, unequal, deep, reach) = b.courses[row], each
         course.solves, course.steps = course.solves + 1, course.steps + course.newton_steps
         course.damped += course.newton_damped
@@ -101,7 +102,7 @@ def _record(b: Batch, s: Tensor, contact: Contacts, forces: Forces, figures: lis
     parts = (x, N, forces.normal, normal, friction, sliding, anchor, forces.gap, t.offset[s], t.kappa[s], t.h_least[s])
     arrays = [part.cpu().numpy() for part in parts]
     mean = torch.where(forces.total > 0, forces.mean_gap, t.offset[s]).tolist()
-    for k, row in enumerate(s.tolist()):
+    for k, row in enumerate(listed(s)):
         _recorded(b, row, [part[k] for part in arrays], mean[k], figures[k])
 
 
@@ -131,7 +132,7 @@ def _recorded(b: Batch, row: int, arrays: list[Array], mean: float, figures: lis
 def halve(b: Batch, s: Tensor) -> list[Outcome]:
     """Failed load steps as two halves each, unless one has been halved as often as its failure allows."""
     outcomes = []
-    for row in s.tolist():
+    for row in listed(s):
         course = b.courses[row]
         assert course.failure is not None
         course.usable, failure, leg = False, course.failure.failure, course.legs[0]
@@ -150,7 +151,7 @@ def halve(b: Batch, s: Tensor) -> list[Outcome]:
 def rest(b: Batch, s: Tensor, poses: Array) -> None:
     """The untouched gels below indenters at poses (s, 4, 4)."""
     t = b.t
-    for row, pose in zip(s.tolist(), poses, strict=True):
+    for row, pose in zip(listed(s), poses, strict=True):
         course = b.courses[row]
         history = course.problem.rest(Pose.of(pose))
         course.history = replace(history, internal={})
@@ -160,9 +161,9 @@ def rest(b: Batch, s: Tensor, poses: Array) -> None:
         for name, value in single.items():
             getattr(t, name)[row] = value
         face = {"h_N": history.normal_force, "h_gap": history.gap, "h_normal": history.normal}
-        for name, value in {**face, "h_anchor": history.anchor}.items():
+        for name, part in {**face, "h_anchor": history.anchor}.items():
             getattr(t, name)[row] = 0.0
-            getattr(t, name)[row, b.slots(place.facets.tolist())] = torch.as_tensor(value, device=s.device)
+            getattr(t, name)[row, b.slots(place.facets.tolist())] = torch.as_tensor(part, device=s.device)
         t.h_x[row] = b.X[row]
         t.h_rotation[row] = torch.as_tensor(history.pose.rotation.copy(), device=s.device)
         t.h_position[row] = torch.as_tensor(history.pose.position.copy(), device=s.device)

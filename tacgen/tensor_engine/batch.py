@@ -20,6 +20,7 @@ from tacgen.mechanics.solve_state import RATE_GUESS, Leg
 from tacgen.mechanics.state import History, State
 from tacgen.tensor_engine.contact import Contacts
 from tacgen.tensor_engine.elements import Hexes, HexPoints, Topology
+from tacgen.tensor_engine.indices import index_of, listed
 from tacgen.tensor_engine.inversion import Folding, FoldingBarriers
 from tacgen.tensor_engine.laws import Laws, numbers
 from tacgen.tensor_engine.shapes import Shapes
@@ -79,6 +80,8 @@ class Course:
     usable: bool = False  # whether the kept factor serves
     left: bool = False  # whether its contact is where the factors cannot be condensed to
     error: bool = False  # whether the last step's prediction has an error to learn from
+    nodes: int = 0  # condensed ones, and facets with them
+    facets: int = 0
     # of the load step
     predicted: bool = False
     anchored: bool = False
@@ -95,6 +98,7 @@ class Course:
     newton_damped: int = 0
     # of the step in the making
     inner_damping: float = 0.0
+    kept: int = 0  # unknowns to which the Schur complement is reduced
     reduced: float = -1.0  # damping of the Schur complement whose reduction is kept; -1: none
     part: float = 1.0
     gain: float = 1.0
@@ -220,7 +224,7 @@ class Batch:
         of_face |= {"h_motion": (f, q, 3), "motion": (f, q, 3)}
         of_nodes = ["h_x", "h_error", "ahead", "first_order", "begins", "x", "stepped", "g", "y"]
         alone = ["h_offset", "h_kappa", "h_least", "offset", "kappa", "folds", "energy", "stepped_energy"]
-        alone += ["c_offset", "c_length", "c_drift"]
+        alone += ["c_offset", "c_length", "c_drift", "c_gap"]
         return Tensors(
             **{name: zeros(*shape) for name, shape in of_face.items()}, **{name: zeros(n, 3) for name in of_nodes},
             **{name: zeros() for name in alone},
@@ -263,7 +267,7 @@ class Batch:
 
     def slots(self, rows: Sequence[int]) -> Tensor:
         """Numbers of slots as an index."""
-        return torch.tensor(rows, dtype=torch.long, device=self.X.device)
+        return index_of(rows, self.X.device)
 
     def bulk(self, s: Tensor, x: Tensor) -> tuple[Hexes, HexPoints, Folding, Tensor]:
         """The cells of scenes s, and at x (s, n, 3) their state, the barrier against inversion and the energy (s,)."""
@@ -284,15 +288,15 @@ class Batch:
         t = self.t
         conn = self.topology.facets.expand(len(s), -1, -1)
         return Contacts(
-            self.shapes.rows(s.tolist()), conn, self.N, self.areas[s], t.rotation[s], t.position[s], self.dhat[s],
+            self.shapes.rows(listed(s)), conn, self.N, self.areas[s], t.rotation[s], t.position[s], self.dhat[s],
             t.kappa[s], offset, self.friction[s], self.eps[s], t.anchor[s],
         )  # fmt: skip
 
     def near(self, s: Tensor, offset: Tensor) -> Contacts:
         """Contact of the facets that are condensed, with the numbers of the condensed nodes."""
         whole, t = self.face(s, offset), self.t
-        count = int((t.faces[s] >= 0).sum(1).max())
-        faces = t.faces[s][:, :count]
+        count = max(self.courses[row].facets for row in listed(s))
+        faces = t.faces[s, :count]
         row, pad = torch.arange(len(s), device=s.device)[:, None], faces < 0
         conn = t.local[s][row[..., None], self.topology.facets[faces]]
         areas = torch.where(pad[..., None], 0.0, whole.areas[row, faces])
@@ -300,10 +304,10 @@ class Batch:
 
     def width(self, s: Tensor) -> int:
         """Most condensed nodes of these scenes."""
-        return int((self.t.nodes[s] >= 0).sum(1).max())
+        return max(self.courses[row].nodes for row in listed(s))
 
     def at_condensed(self, s: Tensor, x: Tensor) -> Tensor:
         """Rows (s, m, 3) of x (s, n, 3) at the condensed nodes; 0 where padded, in a call of any width."""
-        nodes = self.t.nodes[s][:, : self.width(s)]
+        nodes = self.t.nodes[s, : self.width(s)]
         rows = x[torch.arange(len(s), device=s.device)[:, None], nodes.clamp(min=0)]
         return torch.where(nodes[..., None] >= 0, rows, 0.0)

@@ -20,13 +20,14 @@ from tacgen.tensor_engine.batch import Batch, Course
 from tacgen.tensor_engine.condensation import condensed, more, reduced_to
 from tacgen.tensor_engine.contact import Contacts
 from tacgen.tensor_engine.contact_newton import CONVERGED, RUNNING, UNSTABLE, Iterates, at_nodes
+from tacgen.tensor_engine.indices import listed
 from tacgen.tensor_engine.load_step import cover, covers, take
 
 
 def begin_step(b: Batch, s: Tensor) -> list[Outcome]:
     """Counts a step of the bulk; the nodes to condense to follow the contact."""
     outcomes, options, going = [], b.options, []
-    for k, row in enumerate(s.tolist()):
+    for k, row in enumerate(listed(s)):
         course = b.courses[row]
         if course.newton_steps == options.max_newton:
             fail(b, row, b.t.x[row], course.newton_steps)
@@ -40,7 +41,7 @@ def begin_step(b: Batch, s: Tensor) -> list[Outcome]:
         some = s[going]
         facets = touched(b, some)
         cover(b, some, facets, ~covers(b, some, facets))
-    for k, row in enumerate(s.tolist()):
+    for k, row in enumerate(listed(s)):
         course = b.courses[row]
         course.new = course.new or not course.usable
         ready = Outcome.missing if course.new else Outcome.ready
@@ -62,7 +63,7 @@ def touched(b: Batch, s: Tensor) -> Tensor:
 def factor(b: Batch, s: Tensor) -> list[Outcome]:
     """The tangents at the iterates, with the pressures predicted."""
     good = take(b, s, b.t.x[s], b.t.J[s] if b.options.mixed_pressure else None)
-    for row, fine in zip(s.tolist(), good, strict=True):
+    for row, fine in zip(listed(s), good, strict=True):
         if not fine:
             fail(b, row, b.t.begins[row], 0)
     return [Outcome.ready if fine else Outcome.indefinite for fine in good]
@@ -78,7 +79,7 @@ def load(b: Batch, s: Tensor) -> list[Outcome]:
     b.keep(s, load=load.to(g.dtype))
     t.put(s, g=g, y=y.to(g.dtype))
     _untouched(b, s)
-    for row in s.tolist():
+    for row in listed(s):
         b.courses[row].inner_damping = b.courses[row].damping
     return [Outcome.ready] * len(s)
 
@@ -89,13 +90,13 @@ def _untouched(b: Batch, s: Tensor) -> None:
     x = torch.zeros_like(t.c_x[s])
     x[:, : b.width(s)] = b.at_condensed(s, t.x[s])
     zero = torch.zeros_like(t.c_drift[s])
-    t.put(s, c_x=x, c_offset=t.offset[s], c_length=zero + torch.inf, c_drift=zero, c_steps=zero.long())
+    t.put(s, c_x=x, c_offset=t.offset[s], c_length=zero + torch.inf, c_drift=zero, c_gap=zero - 1, c_steps=zero.long())
 
 
 def contact(b: Batch, s: Tensor) -> list[Outcome]:
     """One step of the contact."""
     t, m, near = b.t, b.width(s), b.near(s, b.t.c_offset[s])
-    now = Iterates(t.c_x[s, :m], near, t.c_steps[s], t.c_length[s], t.c_drift[s], t.c_status[s])
+    now = Iterates(t.c_x[s, :m], near, t.c_steps[s], t.c_length[s], t.c_drift[s], t.c_gap[s], t.c_status[s])
     after = contact_newton.step(
         partial(reduced_to, b, s, near.conn), now, b.reach[s], step_end(b, s), b.edge[s], b.options.max_contact
     )
@@ -103,7 +104,7 @@ def contact(b: Batch, s: Tensor) -> list[Outcome]:
     x[:, :m] = after.x
     t.put(
         s, c_x=x, c_offset=after.contact.offset, c_steps=after.steps, c_length=after.length, c_drift=after.drift,
-        c_status=after.status,
+        c_gap=after.gap, c_status=after.status,
     )  # fmt: skip
     ends = {RUNNING: Outcome.more, UNSTABLE: Outcome.unstable}
     return [ends.get(status, Outcome.ended) for status in after.status.tolist()]
@@ -112,7 +113,7 @@ def contact(b: Batch, s: Tensor) -> list[Outcome]:
 def damp(b: Batch, s: Tensor) -> list[Outcome]:
     """No step lowers the energy: with kept tangents, new ones; with new ones, more damping."""
     outcomes, again = [], []
-    for row in s.tolist():
+    for row in listed(s):
         course = b.courses[row]
         if not course.new:
             course.damping, course.new = course.inner_damping, True
@@ -133,12 +134,12 @@ def search(b: Batch, s: Tensor) -> list[Outcome]:
     """Line search: the first of the whole step, a half, a quarter... that lowers the energy, normal forces frozen."""
     t, bulk, near = b.t, condensed(b, s), b.near(s, b.t.c_offset[s])
     m, x = bulk.start.shape[1], t.x[s]
-    inner = t.c_x[s][:, :m]
+    inner = t.c_x[s, :m]
     u = (inner - bulk.start).flatten(1)
     p = b.factors.expand(s, u, t.y[s]).to(x.dtype)
     forces = near.evaluate(inner)
     before = near.merit(bulk.start, forces)
-    change = near.merit(inner, forces) - before
+    change = near.merit_at(forces, forces) - before
     # of the bulk g.p + p.Kp/2 = (g.p + p.(g + Kp))/2; g + Kp is 0 but for the condensed unknowns
     condensed_gradient = (bulk.S @ u[..., None]).squeeze(-1) + bulk.load
     model = ((t.g[s] * p).sum((1, 2)) + (u * condensed_gradient).sum(1)) / 2 + change
@@ -161,7 +162,7 @@ def search(b: Batch, s: Tensor) -> list[Outcome]:
         part[done], gain[done], there[done] = fraction, share[good], value[good]
         open_, fraction = open_[~good], fraction / 2
     t.put(s, stepped=x + part[:, None, None] * p, stepped_energy=there, c_x=_partly(b, s, bulk.start, inner, part))
-    for row, taken, won in zip(s.tolist(), part.tolist(), gain.tolist(), strict=True):
+    for row, taken, won in zip(listed(s), part.tolist(), gain.tolist(), strict=True):
         b.courses[row].part, b.courses[row].gain = taken, won
     return [Outcome.ready if taken > 0 else Outcome.higher for taken in part.tolist()]
 
@@ -188,12 +189,12 @@ def measure(b: Batch, s: Tensor) -> list[Outcome]:
     hexes, after, folding, _ = b.bulk(s, there)
     J = after.J
     if options.mixed_pressure:
-        at = hexes.evaluate(x)
-        J = hexes.predicted(at.F, at.J, after.F, t.taken[s])
+        F = hexes.deformation(x)
+        J = hexes.predicted(F, torch.linalg.det(F), after.F, t.taken[s])
     gradient = hexes.forces(after)
     folding.add_forces(gradient)
     near = b.near(s, t.c_offset[s])
-    forces = near.evaluate(t.c_x[s][:, : b.width(s)])
+    forces = near.evaluate(t.c_x[s, : b.width(s)])
     residual = torch.linalg.norm(_unbalanced(b, s, gradient, near, forces.force).flatten(1), dim=1)
     residual = residual / torch.maximum(forces.total, t.h_least[s])
     t.put(s, x=there, energy=t.stepped_energy[s], J=J, offset=t.c_offset[s])
@@ -201,12 +202,12 @@ def measure(b: Batch, s: Tensor) -> list[Outcome]:
     still = moved <= step_end(b, s)
     columns = (residual, still, covered, t.c_status[s] == CONVERGED, t.c_steps[s])
     figures = torch.stack([part.to(residual.dtype) for part in columns], 1).tolist()
-    return [_measured(options, b.courses[row], *each) for row, each in zip(s.tolist(), figures, strict=True)]
+    return [_measured(options, b.courses[row], *each) for row, each in zip(listed(s), figures, strict=True)]
 
 
 def _unbalanced(b: Batch, s: Tensor, gradient: Tensor, near: Contacts, force: Tensor) -> Tensor:
     """Forces (s, n, 3) at the free nodes, gradient less what contact (near, at its points) exerts; 0 at the others."""
-    nodes = b.t.nodes[s][:, : b.width(s)]
+    nodes = b.t.nodes[s, : b.width(s)]
     push = at_nodes(near, force, nodes.shape[1])
     at = nodes.clamp(min=0)[..., None].expand_as(push)
     r = gradient.scatter_add(1, at, torch.where(nodes[..., None] >= 0, -push, 0.0))

@@ -7,6 +7,7 @@ from tacgen.mechanics.bulk_newton import DAMPING_MAX
 from tacgen.mechanics.condensation import DAMPING_FACTOR, LEAST_DAMPING
 from tacgen.tensor_engine.batch import Batch
 from tacgen.tensor_engine.contact_newton import Quadratics
+from tacgen.tensor_engine.indices import listed
 from tacgen.tensor_engine.reduction import Reduction, reduced
 
 
@@ -19,13 +20,13 @@ def damped(b: Batch, s: Tensor) -> Tensor:
     """Schur complements (s, k, k) with each scene's damping times that at rest."""
     t, k = b.t, 3 * b.width(s)
     S = b.read("S", s, k, k)
-    damping = torch.tensor([b.courses[row].inner_damping for row in s.tolist()], dtype=S.dtype, device=S.device)
+    damping = torch.tensor([b.courses[row].inner_damping for row in listed(s)], dtype=S.dtype, device=S.device)
     needed = damping > 0
     if not bool(needed.any()):
         return S
     if len(new := s[needed & ~t.rested[s]]):
         hexes, at, _, _ = b.bulk(new, b.X[new])
-        rest = b.factors.schur(hexes.tangents(at), t.nodes[new][:, : b.width(new)])[1]
+        rest = b.factors.schur(hexes.tangents(at), t.nodes[new, : b.width(new)])[1]
         b.keep(new, S_0=rest)
         t.rested[new] = True
     return torch.where(needed[:, None, None], S + damping[:, None, None] * b.read("S_0", s, k, k), S)
@@ -43,7 +44,7 @@ def reduced_to(b: Batch, s: Tensor, conn: Tensor, facets: Tensor) -> Quadratics:
 
     What is eliminated must be positive definite: a scene's damping is increased until it is.
     """
-    courses, k = [b.courses[row] for row in s.tolist()], 3 * b.width(s)
+    courses, k = [b.courses[row] for row in listed(s)], 3 * b.width(s)
     own = torch.zeros(len(s), k // 3 + 1, dtype=torch.bool, device=s.device)
     own.scatter_(1, torch.where(facets[..., None], conn, k // 3).flatten(1), True)
     new = own[:, :-1].repeat_interleave(3, 1)
@@ -60,7 +61,7 @@ def reduced_to(b: Batch, s: Tensor, conn: Tensor, facets: Tensor) -> Quadratics:
         b.keep(some, G=part.G, X=part.X, K=part.K, active=unknowns, **none)
         again = []
         for row, fine in zip(stale.tolist(), definite.tolist(), strict=True):
-            courses[row].reduced = courses[row].inner_damping
+            courses[row].reduced, courses[row].kept = courses[row].inner_damping, part.kept.shape[1]
             if not fine and courses[row].inner_damping <= DAMPING_MAX:
                 courses[row].inner_damping = more(courses[row].inner_damping)
                 again.append(row)
@@ -71,8 +72,7 @@ def reduced_to(b: Batch, s: Tensor, conn: Tensor, facets: Tensor) -> Quadratics:
 
 def _reduction(b: Batch, s: Tensor, k: int) -> Reduction:
     """The reductions that are kept, in the widths of these scenes."""
-    kept = b.t.kept[s]
-    a = int((kept >= 0).sum(1).max())
+    a = max(b.courses[row].kept for row in listed(s))
     kept, place = b.read("kept", s, a), b.read("place", s, k)
     parts = b.read("G", s, k, k), b.read("X", s, k, a), b.read("K", s, a, a)
     return Reduction(torch.where(kept < 0, k, kept), torch.where(place < 0, a, place), *parts)

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from tacgen.mechanics.barrier import SOFT
 from tacgen.tensor_engine.fused import fused, outer, product, times
+from tacgen.tensor_engine.indices import listed
 from tacgen.tensor_engine.shapes import Shapes
 
 NOWHERE = 1e9  # gap of facets that do not exist [mm]
@@ -92,7 +93,7 @@ class Contacts:
 
     def rows(self, which: Tensor) -> "Contacts":
         """Only some scenes (r,)."""
-        same = {"shapes": self.shapes.rows(which.tolist()), "N": self.N}
+        same = {"shapes": self.shapes.rows(listed(which)), "N": self.N}
         parts = {k: v[which] for k, v in vars(self).items() if k not in same}
         return replace(self, **same, **parts)
 
@@ -141,6 +142,10 @@ class Contacts:
         """Energy (s,) [N mm] of the barrier and of friction with the normal forces and normals of `frozen`."""
         at = self.points(x)
         return _merit(self.gaps(at)[0], at - self.anchor, frozen.normal, frozen.N, *self._numbers())
+
+    def merit_at(self, here: Forces, frozen: Forces) -> Tensor:
+        """`merit` (s,) [N mm] at positions whose forces are known."""
+        return _merit(here.gap, here.at - self.anchor, frozen.normal, frozen.N, *self._numbers())
 
     def max_step(self, gap: Tensor, p: Tensor, reach: Tensor) -> Tensor:
         """Largest parts (s,) of steps p (s, n, 3) without tunnelling; see mechanics.barrier.Contact.max_step."""

@@ -13,6 +13,7 @@ from torch import Tensor
 from tacgen.mechanics.contact_newton import FULL_STEP, MIN_COUPLED, ROUNDING, SHORTEST
 from tacgen.mechanics.line_search import ARMIJO
 from tacgen.tensor_engine.contact import Contacts, Forces
+from tacgen.tensor_engine.indices import index_of
 from tacgen.tensor_engine.reduction import Reduction, with_points
 
 RUNNING, CONVERGED, STOPPED, UNSTABLE = range(4)  # see mechanics.contact_newton.ContactStatus
@@ -70,13 +71,15 @@ def at_nodes(contact: Contacts, forces: Tensor, nodes: int) -> Tensor:
 @dataclass(frozen=True)
 class Iterates:
     """Positions x (s, m, 3), contacts with their offsets there, steps so far (s,), the longest motion of a node in the
-    last step and by how much the mean gap was off before it [mm] (s,), and how it stands (s,)."""
+    last step, by how much the mean gap was off before it and the mean gap after it, negative without contact [mm] (s,),
+    and how it stands (s,)."""
 
     x: Tensor
     contact: Contacts
     steps: Tensor
     length: Tensor
     drift: Tensor
+    gap: Tensor
     status: Tensor
 
 
@@ -89,12 +92,10 @@ def step(
     reduced: gives the bulk reduced to what the facets marked in (s, f) bool act on; reach, xtol, radius (s,) [mm].
     """
     x, contact, length = now.x, now.contact, now.length
+    near = (length <= contact.dhat) & (now.gap >= 0)  # far from the solution the mean gap is meaningless
+    drift = torch.where(near, now.gap - contact.offset, now.drift)
+    contact = contact.shrunk(torch.where(near, now.gap, contact.offset))
     forces = contact.evaluate(x)
-    near = (length <= contact.dhat) & (forces.total > 0)  # far from the solution the mean gap is meaningless
-    drift = torch.where(near, forces.mean_gap - contact.offset, now.drift)
-    if bool(near.any()):
-        contact = contact.shrunk(torch.where(near, forces.mean_gap, contact.offset))
-        forces = contact.evaluate(x)
     bulk = reduced((forces.N > 0).any(-1))
     g = bulk.residual(contact, forces, x)
     going = now.steps < max_steps
@@ -105,7 +106,7 @@ def step(
     felt = contact.evaluate(there)
     full = full & (_norm(bulk.residual(contact, felt, there)) <= FULL_STEP * _norm(g))
     fraction = torch.ones_like(length)
-    some = torch.nonzero(going & ~full).squeeze(1)
+    some = index_of(torch.nonzero(going & ~full).flatten().tolist(), x.device)
     if len(some):
         part = bulk.rows(some), contact.rows(some), forces.rows(some)
         fraction[some], p[some] = _downhill(*part, x[some], g[some], p[some], coupled[some], reach[some])
@@ -115,7 +116,8 @@ def step(
     stuck = fraction == 0
     gone = (there - bulk.start).abs().flatten(1).amax(1) > radius
     there = torch.where(gone[:, None, None], x + _to_radius(x - bulk.start, there - x, radius) * (there - x), there)
-    off = torch.where(felt.total > 0, felt.mean_gap - contact.offset, 0.0)
+    gap = torch.where(felt.total > 0, felt.mean_gap, -1.0)
+    off = torch.where(gap >= 0, gap - contact.offset, 0.0)
     small = longest <= xtol
     done = (fraction == 1) & small & (torch.maximum(drift.abs(), off.abs()) <= xtol)
     stalled = ~done & (fraction * longest < SHORTEST * xtol)
@@ -124,7 +126,7 @@ def step(
     moved = going & ~stuck
     return Iterates(
         torch.where(moved[:, None, None], there, x), contact, now.steps + going,
-        torch.where(moved & ~gone, longest, length), drift, status,
+        torch.where(moved & ~gone, longest, length), drift, gap, status,
     )  # fmt: skip
 
 
@@ -145,7 +147,7 @@ def _downhill(
     """Fractions (s,) and steps that lower the merit function: the coupled step p or, if less than MIN_COUPLED of it
     does, the symmetric one; 0 if neither does."""
     energy, gradient = bulk.at(x)
-    here = energy + contact.merit(x, forces)
+    here = energy + contact.merit_at(forces, forces)
 
     def decreasing(p: Tensor, least: float, allowed: Tensor) -> Tensor:
         slope, v = (g * p).sum((1, 2)), p.flatten(1)

@@ -22,9 +22,7 @@ Array = np.ndarray
 
 def cofactor(F: Tensor) -> Tensor:
     """J F^-T of F (..., 3, 3)."""
-    (a, b, c), (d, e, f), (g, h, i) = (row.unbind(-1) for row in F.unbind(-2))
-    rows = e * i - f * h, f * g - d * i, d * h - e * g, c * h - b * i, a * i - c * g, b * g - a * h
-    return torch.stack([*rows, b * f - c * e, c * d - a * f, a * e - b * d], -1).unflatten(-1, (3, 3))
+    return torch.linalg.cross(F.roll(-1, -2), F.roll(-2, -2))
 
 
 def _cofactor_slopes(F: Tensor) -> Tensor:

@@ -9,7 +9,7 @@ from torch import Tensor
 
 F = TypeVar("F", bound=Callable[..., Any])
 VERSIONS = 64  # most versions of a function, for sizes that are 1 or not, before it runs as it is written
-on = True  # whether anything is compiled
+on = False  # whether anything is compiled: it takes a minute, which long runs make up for
 
 
 def wanted(x: Tensor) -> bool:

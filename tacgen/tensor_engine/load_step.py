@@ -16,12 +16,13 @@ from tacgen.mechanics.solve_state import RATE_GUESS
 from tacgen.mechanics.tunnelling import DEEPEST, TURN
 from tacgen.tensor_engine.batch import Batch
 from tacgen.tensor_engine.contact_newton import at_nodes
+from tacgen.tensor_engine.indices import listed
 from tacgen.tensor_engine.reduction import with_points
 
 
 def begin(b: Batch, s: Tensor) -> list[Outcome]:
     """Contact and bulk at the pose of the next load step, and whether the kept tangents serve its prediction."""
-    t, courses = b.t, [b.courses[k] for k in s.tolist()]
+    t, courses = b.t, [b.courses[k] for k in listed(s)]
     for course in courses:
         course.fresh()
         course.effort, course.failure = 0 if course.legs[0].budget else course.effort, None
@@ -56,13 +57,15 @@ def cover(b: Batch, s: Tensor, facets: Tensor, which: Tensor) -> None:
     own = _nodes_of(b, facets)
     real = b.areas[s].sum(-1) > 0
     marked = _nodes_of(b, own[:, table].any(-1) & real) & b.patch
-    for row, inside in zip(s.tolist(), ((own & ~b.patch).sum(1) == 0).tolist(), strict=True):
-        b.courses[row].usable, b.courses[row].left = False, not inside
     local = torch.where(marked, marked.long().cumsum(1) - 1, -1)
     faces = (local[:, table] >= 0).all(-1) & real
     t = b.t
     t.put(s, local=local, nodes=_numbers(marked, t.nodes.shape[1]), faces=_numbers(faces, t.faces.shape[1]))
     t.rested[s] = False
+    counts = torch.stack([marked.sum(1), faces.sum(1), (own & ~b.patch).sum(1)], 1).tolist()
+    for row, (nodes, count, outside) in zip(listed(s), counts, strict=True):
+        course = b.courses[row]
+        course.usable, course.left, course.nodes, course.facets = False, outside > 0, nodes, count
 
 
 def _nodes_of(b: Batch, facets: Tensor) -> Tensor:
@@ -86,11 +89,11 @@ def take(b: Batch, s: Tensor, x: Tensor, J: Tensor | None, projection: Projectio
     hexes, at, folding, _ = b.bulk(s, x)
     K = hexes.tangents(at, J, projection)
     folding.add_tangents(K, projection)
-    good, S = b.factors.factor(s, K, b.t.nodes[s][:, : b.width(s)])
+    good, S = b.factors.factor(s, K, b.t.nodes[s, : b.width(s)])
     b.keep(s, S=S)
     b.t.put(s, taken=at.F)
     out: list[bool] = good.tolist()
-    for row, fine in zip(s.tolist(), out, strict=True):
+    for row, fine in zip(listed(s), out, strict=True):
         b.courses[row].usable, b.courses[row].reduced = fine, -1.0
     if projection is not Projection.FULL and not all(out):
         bad = torch.nonzero(~good).squeeze(1)
@@ -116,7 +119,7 @@ def foresee(b: Batch, s: Tensor) -> list[Outcome]:
     at = face.points(x)
     motion = torch.where(touching[..., None], face.world(_last_local(b, s, at)) - at, 0.0)
     count = contact.conn.shape[1]
-    row, faces = torch.arange(len(s), device=s.device)[:, None], t.faces[s][:, :count].clamp(min=0)
+    row, faces = torch.arange(len(s), device=s.device)[:, None], t.faces[s, :count].clamp(min=0)
     ties = torch.where(contact.areas > 0, TIE * t.h_N[s][row, faces] / contact.dhat[:, None, None], 0.0)[..., None]
     k = 3 * b.width(s)
     eye = torch.eye(3, dtype=x.dtype, device=x.device)
@@ -133,10 +136,10 @@ def foresee(b: Batch, s: Tensor) -> list[Outcome]:
     pairs = ((motion, before), (motion, motion), (before, before))
     along, now, then = ((p * q * both).flatten(1).sum(1) for p, q in pairs)
     steady = along > PARALLEL * torch.sqrt(now * then)
-    steady = steady & torch.tensor([b.courses[r].error for r in s.tolist()], device=s.device)
+    steady = steady & torch.tensor([b.courses[r].error for r in listed(s)], device=s.device)
     part = torch.where(steady, (along / then.clamp(min=1e-300)).clamp(max=1.0), 0.0)
     t.put(s, first_order=first, ahead=first + (part**2)[:, None, None] * t.h_error[s], motion=motion)
-    for r, fine in zip(s.tolist(), good.tolist(), strict=True):
+    for r, fine in zip(listed(s), good.tolist(), strict=True):
         b.courses[r].predicted = fine
     return [Outcome.ready] * len(s)
 
@@ -150,7 +153,7 @@ def _last_local(b: Batch, s: Tensor, at: Tensor) -> Tensor:
 def start(b: Batch, s: Tensor) -> list[Outcome]:
     """Newton's method at its start: what a softer barrier found, else the prediction or the last positions, the first
     of them in which nothing tunnels and no cell is inverted; and anchors of new points where they first touch."""
-    t, courses = b.t, [b.courses[k] for k in s.tolist()]
+    t, courses = b.t, [b.courses[k] for k in listed(s)]
     outcomes = [Outcome.ready] * len(s)
     if new := [k for k, course in enumerate(courses) if not course.found]:
         some = s[new]

@@ -9,6 +9,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from tacgen.tensor_engine.multifrontal import BASE, invert_factor
+
+REFINEMENTS = 2  # of solutions in single precision
+REFINED = 1e-10  # largest residual of one of them, over the largest entry of the right-hand side [-]
 MULTIPLE = 12  # sizes of reduced matrices are multiples of it, so that few sizes occur
 
 
@@ -36,12 +40,47 @@ class Reduction:
             L, info = torch.linalg.cholesky_ex(K)
             x = torch.cholesky_solve(right, L)
         else:
-            LU, pivots, info = torch.linalg.lu_factor_ex(K)
-            x = torch.linalg.lu_solve(LU, pivots, right)
+            x, info = solved(K, right, torch.float32 if K.is_cuda else K.dtype)
         out = _padded((self.G @ b[..., None] - self.X @ x).squeeze(-1))
         out = out.scatter(1, self.kept, x.squeeze(-1))[:, :-1]
         good = (info == 0) & torch.isfinite(out).all(1)
         return torch.where(good[:, None], out, 0.0), good
+
+
+def solved(K: Tensor, b: Tensor, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
+    """x (s, a, 1) of K x = b, and where K is singular (s,), not 0: by LU with pivots or, in another precision than that
+    of K, by the inverse with iterative refinement (see condensation._refined) where that converges."""
+    if dtype == K.dtype:
+        LU, pivots, info = torch.linalg.lu_factor_ex(K)
+        return torch.linalg.lu_solve(LU, pivots, b), info
+    inverse = K.to(dtype)
+    invert(inverse)
+    x = (inverse @ b.to(dtype)).to(b.dtype)
+    for _ in range(REFINEMENTS):
+        x = x + (inverse @ (b - K @ x).to(dtype)).to(b.dtype)
+    off = (b - K @ x).abs().amax((1, 2)) <= REFINED * b.abs().amax((1, 2))
+    info = torch.zeros(len(K), dtype=torch.int32, device=K.device)
+    if len(bad := torch.nonzero(~off).squeeze(1)):  # not a number is not small
+        x[bad], info[bad] = solved(K[bad], b[bad], K.dtype)
+    return x, info
+
+
+def invert(A: Tensor) -> None:
+    """Overwrite matrices A (s, n, n) by their inverses, in products of blocks without pivots, which a GPU does much
+    faster than LU; numbers mean nothing where a block is singular."""
+    n = A.shape[-1]
+    if n <= BASE:
+        A.copy_(torch.linalg.inv_ex(A)[0])
+        return
+    k = n // 2
+    P, Q, R, T = A[:, :k, :k], A[:, :k, k:], A[:, k:, :k], A[:, k:, k:]
+    invert(P)
+    below, beside = R @ P, P @ Q
+    T.baddbmm_(below, Q, alpha=-1)
+    invert(T)
+    R.copy_(-(T @ below))
+    P.baddbmm_(beside, R, alpha=-1)
+    Q.copy_(-(beside @ T))
 
 
 def _padded(b: Tensor) -> Tensor:
@@ -57,8 +96,9 @@ def reduced(S: Tensor, active: Tensor) -> tuple[Reduction, Tensor]:
     kept = torch.where(torch.arange(a, device=S.device) < count[:, None], order, k)
     place = torch.where(active, active.long().cumsum(1) - 1, a)
     both = active[:, :, None] | active[:, None, :]
-    L, info = torch.linalg.cholesky_ex(torch.where(both, torch.eye(k, dtype=S.dtype, device=S.device), S))
-    G = torch.where(both, 0.0, torch.cholesky_inverse(L))
+    L = torch.where(both, torch.eye(k, dtype=S.dtype, device=S.device), S)
+    info = invert_factor(L)
+    G = torch.where(both, 0.0, L.mT @ L)
     right = torch.nn.functional.pad(S, (0, 1)).gather(2, kept[:, None, :].expand(-1, k, -1))
     X = G @ right
     rows = kept[..., None].expand(-1, -1, a)

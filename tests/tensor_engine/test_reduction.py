@@ -1,0 +1,77 @@
+"""Schur complements reduced to what contact acts on: answers of the whole system, for scenes of unlike widths."""
+
+import numpy as np
+import pytest
+import torch
+
+from tacgen.tensor_engine.reduction import invert, reduced, solved, with_points
+
+Array = np.ndarray
+SIZES, WIDTH = (18, 24, 12), 24  # unknowns of each scene, and of the widest
+
+
+def systems() -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+    """S, active unknowns, facets, shape functions at two points of each, and tangents there which are not symmetric."""
+    r = np.random.default_rng(3)
+    S, active = np.tile(np.eye(WIDTH), (3, 1, 1)), np.zeros((3, WIDTH), bool)
+    conn = np.array([[[0, 1, 2, 3], [2, 3, 4, 5]], [[0, 1, 2, 3], [4, 5, 6, 7]], [[0, 1, 2, 3], [0, 0, 0, 0]]])
+    D = r.normal(size=(3, 2, 2, 3, 3)) + 3 * np.eye(3)
+    D[2, 1] = 0.0
+    for k, n in enumerate(SIZES):
+        A = r.normal(size=(n, n))
+        S[k, :n, :n] = A @ A.T + np.eye(n)
+        D[k, 1] *= k == 1
+        active[k, (3 * conn[k, : 1 + (k == 1)].ravel()[:, None] + np.arange(3)).ravel()] = True
+    N = r.uniform(0.1, 0.4, (2, 4))
+    return (*(torch.tensor(part) for part in (S, active, conn, N, D)),)
+
+
+def test_contact_on_the_reduced_system_has_the_answer_of_the_whole() -> None:
+    S, active, conn, N, D = systems()
+    part, definite = reduced(S, active)
+    assert definite.all()
+    K = with_points(part.K, part.place, conn, N, D)
+    b = torch.tensor(np.random.default_rng(0).normal(size=(3, WIDTH)))
+    for k, n in enumerate(SIZES):
+        b[k, n:] = 0.0
+    x, good = part.solve(K, b, False)
+    assert good.all()
+    everywhere = torch.arange(WIDTH).expand(3, -1)
+    whole = with_points(S, everywhere, conn, N, D)
+    assert (whole - whole.mT).abs().max() > 0.1
+    assert torch.linalg.solve(whole, b[..., None]).squeeze(-1).numpy() == pytest.approx(x.numpy(), abs=1e-10)
+    some = torch.tensor([2, 0])
+    again, _ = part.rows(some).solve(K[some], b[some], False)
+    assert again.numpy() == pytest.approx(x[some].numpy(), abs=1e-13)
+
+
+def test_what_is_eliminated_must_be_positive_definite_and_a_symmetric_system_too() -> None:
+    S, active, *_ = systems()
+    S[0, 17, 17] = -1.0  # eliminated
+    S[1, 0, 0] = -50.0  # kept
+    part, definite = reduced(S, active)
+    assert definite.tolist() == [False, True, True]
+    _, good = part.solve(part.K, torch.ones(3, WIDTH, dtype=S.dtype), True)
+    assert good.tolist()[1:] == [False, True]
+
+
+def test_systems_in_single_precision_are_refined_to_double_or_solved_in_double() -> None:
+    r = np.random.default_rng(1)
+    K = torch.tensor(r.normal(size=(4, 100, 100)) + 40 * np.eye(100))
+    K[1] = K[1] @ torch.diag(torch.logspace(0, 9, 100, dtype=K.dtype))  # too ill-conditioned for single precision
+    K[2, 5] = 0.0
+    K[3, :50, :50] = 0.0  # without pivots there is no inverse
+    b = torch.tensor(r.normal(size=(4, 100, 1)))
+    x, info = solved(K, b, torch.float32)
+    assert (info > 0).tolist() == [False, False, True, False]
+    for k in (0, 1, 3):
+        assert (K[k] @ x[k]).numpy() == pytest.approx(b[k].numpy(), abs=1e-9)
+
+
+@pytest.mark.parametrize("size", [1, 48, 97, 200])
+def test_the_inverse_by_blocks(size: int) -> None:
+    r = np.random.default_rng(size)
+    A = torch.tensor(r.normal(size=(3, size, size)) + 2 * np.sqrt(size) * np.eye(size))
+    inverse = A.clone()
+    invert(inverse)
+    assert inverse.numpy() == pytest.approx(np.linalg.inv(A.numpy()), abs=1e-12)
