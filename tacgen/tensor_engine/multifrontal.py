@@ -15,7 +15,6 @@ import torch
 from torch import Tensor
 
 from tacgen.tensor_engine.dissection import Dissection, Group, Level
-from tacgen.tensor_engine.fused import fused
 
 Array = np.ndarray
 BASE = 72  # rows up to which a diagonal block is factorised by LAPACK or its like; larger ones by halves
@@ -24,7 +23,7 @@ STRIP = 192  # columns of an update that are computed at once, from the diagonal
 
 @dataclass(frozen=True)
 class _Numbers:
-    """Numbers to be added to fronts: places (k,) `to` in the flat fronts, no two the same, and `at` in a flat source."""
+    """Numbers to be added to fronts: places (k,) `to` in the flat fronts, each once, and `at` in a flat source."""
 
     to: Tensor
     at: Tensor
@@ -283,16 +282,14 @@ def _subtract_square(U: Tensor, L: Tensor) -> None:
         U[:, at:m, at:to].baddbmm_(L[:, at:], L[:, at:to].mT, alpha=-1)
 
 
-@fused
 def slot_times(A: Tensor, slots: Tensor, x: Tensor) -> Tensor:
     """The products (s, ..., r) of matrices A (capacity, ..., r, c) at slots (s,) and vectors x (s, ..., c)."""
-    return (A[slots] * x[..., None, :]).sum(-1)
+    return (A[slots] @ x[..., None]).squeeze(-1)
 
 
-@fused
 def slot_transposed_times(A: Tensor, slots: Tensor, x: Tensor) -> Tensor:
     """The products (s, ..., c) of the transposed of A (capacity, ..., r, c) at slots (s,) and vectors x (s, ..., r)."""
-    return (A[slots] * x[..., None]).sum(-2)
+    return (A[slots].mT @ x[..., None]).squeeze(-1)
 
 
 def _carried(fronts: _Fronts, below: list[Tensor], b: Tensor) -> Tensor:
