@@ -61,6 +61,9 @@ def arguments() -> argparse.Namespace:
     ask.add_argument("--draws", type=int, nargs=2, default=(0, 256), metavar=("FIRST", "COUNT"))
     ask.add_argument("--sensors", nargs="*", help="only draws of these")
     ask.add_argument("--slots", type=int, default=pool.MOST_SLOTS)
+    ask.add_argument(
+        "--least", type=int, default=pool.LEAST_SHARED, help="scenes of a pattern; fewer share a larger one"
+    )
     ask.add_argument("--workers", type=int, default=multiprocessing.cpu_count(), help="processes, one a core")
     ask.add_argument("--compare", type=int, default=0, help="scenes to solve by the CPU engine too")
     ask.add_argument("--seconds", type=float, default=300.0, help="each part stops after so long")
@@ -106,7 +109,13 @@ def batched(
     keys, engine.advance = list(scenes), clock.watch(engine.advance)  # type: ignore[assignment]
     start = said = time.perf_counter()
     runs = pool.solved(
-        scenes.values(), device, dtype=getattr(torch, told.dtype), slots=told.slots, mapped=mapped, use=use
+        scenes.values(),
+        device,
+        dtype=getattr(torch, told.dtype),
+        slots=told.slots,
+        least=told.least,
+        mapped=mapped,
+        use=use,
     )
     for number, found in runs:
         forces[keys[number]] = forces_of(found.states)
