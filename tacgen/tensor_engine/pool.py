@@ -1,9 +1,9 @@
 """Scenes of one pattern in the slots of one batch, refilled; and many scenes, pattern after pattern."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
+from itertools import chain, islice
 
 import numpy as np
 import torch
@@ -82,18 +82,19 @@ class Prepared:
 class Pool:
     """Slots of scenes of one pattern, whose facets have equally many contact points; see scheduler.Slots."""
 
-    def __init__(self, first: Prepared, tree: Dissection, count: int, device: str, dtype: torch.dtype) -> None:
-        pattern, self.count = tree.pattern, count
+    def __init__(self, first: Sequence[Prepared], tree: Dissection, device: str, dtype: torch.dtype) -> None:
+        """As many slots as there are scenes, which come first into them, in this order."""
+        pattern, self.count, self._first = tree.pattern, len(first), dict(enumerate(first))
         topology = Topology.of(pattern.hexes, pattern.facets, pattern.size, device)
-        factors = Condensed(Multifrontal(tree, device, dtype), count)
-        X = np.broadcast_to(first.grid.points, (count, *first.grid.points.shape))
-        empty = [first.problem] * count, [first.place] * count
-        self.batch = Batch.of(*empty, topology, X, factors, pattern.patch, device)
+        factors, X = Condensed(Multifrontal(tree, device, dtype), self.count), np.array([s.grid.points for s in first])
+        problems, places = [scene.problem for scene in first], [scene.place for scene in first]
+        self.batch = Batch.of(problems, places, topology, X, factors, pattern.patch, device)
         self._frames: dict[int, Iterator[int]] = {}
 
     def enter(self, slot: int, scene: Prepared) -> None:
         """Put a scene into an empty slot, before its first frame."""
-        refill.fill(self.batch, slot, scene.problem, scene.place, scene.grid.points)
+        if self._first.pop(slot, None) is not scene:
+            refill.fill(self.batch, slot, scene.problem, scene.place, scene.grid.points)
         admission.rest(self.batch, self.batch.slots([slot]), scene.scene.start[None])
         self._frames[slot] = engine.frames(self.batch, slot, scene.scene)
         next(self._frames[slot], None)
@@ -122,6 +123,7 @@ def solved(
     *,
     dtype: torch.dtype = torch.float32,
     slots: int = MOST_SLOTS,
+    least: int = LEAST_SHARED,
     memory: float | None = None,
     mapped: Callable[[Callable, Iterable], Iterable] = map,
     use: scheduler.Use | None = None,
@@ -129,12 +131,13 @@ def solved(
     """Numbers of scenes and their solutions, in the order in which they end; those that the batch engine lacks
     something for, which have no state, come first.
 
-    dtype: of the factors. memory: [bytes] to use, by default most of what the GPU has free. mapped: applies a function
+    dtype: of the factors. slots: most scenes at once. least: scenes of a pattern below which it is merged with others.
+    memory: [bytes] to use, by default most of what the GPU has free. mapped: applies a function
     to scenes, one by one or ahead in other processes, as `multiprocessing.Pool.imap`. use: where calls are counted.
     """
     plans = list(mapped(Plan.of, enumerate(scenes)))
     yield from ((plan.number, Solved([], plan.why)) for plan in plans if plan.pattern is None)
-    shared = grids.merged(Counter(plan.pattern for plan in plans if plan.pattern), LEAST_SHARED)
+    shared = grids.merged(Counter(plan.pattern for plan in plans if plan.pattern), least)
     groups: dict[tuple[GridPattern, bool], list[Plan]] = {}
     for plan in plans:
         if plan.pattern is not None:
@@ -143,9 +146,9 @@ def solved(
     for (pattern, _), group in groups.items():
         tree, ready = dissected(pattern), iter(mapped(Prepared.of, group))
         count, limits = room(tree, free_memory(device) if memory is None else memory)
-        first = next(ready)
-        pool = Pool(first, tree, min(count, slots, len(group)), device, dtype)
-        for scene, found in scheduler.run(pool, chain([first], ready), limits, use):
+        first = list(islice(ready, min(count, slots)))
+        pool = Pool(first, tree, device, dtype)
+        for scene, found in scheduler.run(pool, chain(first, ready), limits, use):
             yield scene.number, found
 
 

@@ -61,7 +61,7 @@ def test_a_scene_with_other_contact_points_is_refused():
     plans = [pool.Plan.of(each) for each in enumerate([SCENES[0], thin])]
     assert [plan.thin for plan in plans] == [False, True]
     first, other = (pool.Prepared.of(plan) for plan in plans)
-    slots = pool.Pool(first, dissected(first.grid.pattern), 1, "cpu", torch.float64)
+    slots = pool.Pool([first], dissected(first.grid.pattern), "cpu", torch.float64)
     with pytest.raises(ValueError, match="contact points"):
         refill.fill(slots.batch, 0, other.problem, other.place, other.grid.points)
 
