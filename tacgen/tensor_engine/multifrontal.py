@@ -106,7 +106,7 @@ class Multifrontal:
         return _Fronts(self._blocks(to, 3 * rows.shape[1], at, 3), tuple(sources), own, bound)
 
     def _source(self, rows: Array, child: Array, number: int, group: Group) -> _Source:
-        """Of fronts with these rows of nodes (t, r), those children (t,) that are in a group of the level below."""
+        """The children (t,) of fronts with rows of nodes (t, r) that are in a group of the level below."""
         at = np.searchsorted(group.fronts, child).clip(max=len(group.fronts) - 1)
         place = np.where((group.fronts[at] == child)[:, None], _places(rows, group.bound[at]), -1)
         w, m = group.own.shape[1], group.bound.shape[1]
