@@ -29,7 +29,7 @@ from tacgen.mechanics.bulk import Bulk
 from tacgen.mechanics.condensation import Condensation
 from tacgen.mechanics.scene import Scene
 from tacgen.recipe import scene_of_row
-from tacgen.tensor_engine import dissection, fused, grids, multifrontal
+from tacgen.tensor_engine import dissection, grids, multifrontal
 from tacgen.tensor_engine.condensed import Condensed
 from tacgen.tensor_engine.dissection import Dissection, dissected
 from tacgen.tensor_engine.multifrontal import Multifrontal
@@ -44,7 +44,7 @@ def main() -> None:
     end = time.perf_counter() + told.seconds
     device = told.device or ("cuda" if torch.cuda.is_available() else "cpu")
     torch.set_num_threads(told.threads)
-    multifrontal.BASE, fused.on = told.base, not told.eager
+    multifrontal.BASE = told.base
     name = torch.cuda.get_device_name() if device == "cuda" else f"CPU, {told.threads} threads"
     say(f"{name}; PyTorch {torch.__version__}; {told.dtype}")
     for sensor, found in sorted(shared(range(told.draws[0], sum(told.draws))).items()):
@@ -80,7 +80,6 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--quartered", type=int, default=dissection.QUARTERED, help="see dissection.QUARTERED")
     parser.add_argument("--groups", type=int, default=dissection.MOST_GROUPS, help="batches of a level")
     parser.add_argument("--base", type=int, default=multifrontal.BASE, help="largest block factorised at once")
-    parser.add_argument("--eager", action="store_true", help="without torch.compile on the GPU")
     parser.add_argument("--profile", action="store_true", help="which operations take the time of a factorisation")
     parser.add_argument("--dtype", choices=("float32", "float64"), default="float32")
     parser.add_argument("--device", choices=("cpu", "cuda"), help="a GPU if there is one")

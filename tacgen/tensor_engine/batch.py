@@ -188,7 +188,7 @@ class Batch:
             moduli[k, place.cells] = np.array([part.law.mu for part in problem.elastic])[problem.mesh.layer]
         nodes = number(X)
         there = torch.as_tensor(exists, device=device)
-        hexes = Hexes.on(topology, nodes, there, Laws(number(np.moveaxis(table, -1, 0)[..., None])))
+        hexes = Hexes.on(topology, nodes, there, Laws.of(number(np.moveaxis(table, -1, 0)[..., None])))
         folding = FoldingBarriers.on(topology, nodes, hexes.weights.sum(-1), number(moduli))
         used, free = torch.zeros(nodes.shape[:2], dtype=torch.bool), torch.ones(topology.nodes, dtype=torch.bool)
         for k, (problem, place) in enumerate(zip(problems, places, strict=True)):
@@ -288,7 +288,7 @@ class Batch:
         t = self.t
         conn = self.topology.facets.expand(len(s), -1, -1)
         return Contacts(
-            self.shapes.rows(listed(s)), conn, self.N, self.areas[s], t.rotation[s], t.position[s], self.dhat[s],
+            self.shapes.rows(s), conn, self.N, self.areas[s], t.rotation[s], t.position[s], self.dhat[s],
             t.kappa[s], offset, self.friction[s], self.eps[s], t.anchor[s],
         )  # fmt: skip
 

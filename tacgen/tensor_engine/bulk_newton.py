@@ -20,6 +20,7 @@ from tacgen.tensor_engine.batch import Batch, Course
 from tacgen.tensor_engine.condensation import condensed, more, reduced_to
 from tacgen.tensor_engine.contact import Contacts
 from tacgen.tensor_engine.contact_newton import CONVERGED, RUNNING, UNSTABLE, Iterates, at_nodes
+from tacgen.tensor_engine.elements import determinant
 from tacgen.tensor_engine.indices import listed
 from tacgen.tensor_engine.load_step import cover, covers, take
 
@@ -189,8 +190,8 @@ def measure(b: Batch, s: Tensor) -> list[Outcome]:
     hexes, after, folding, _ = b.bulk(s, there)
     J = after.J
     if options.mixed_pressure:
-        at = hexes.evaluate(x)
-        J = hexes.predicted(at.F, at.J, after.F, t.taken[s])
+        F = hexes.deformation(x)
+        J = hexes.predicted(F, determinant(F), after.F, t.taken[s])
     gradient = hexes.forces(after)
     folding.add_forces(gradient)
     near = b.near(s, t.c_offset[s])

@@ -10,20 +10,31 @@ from torch import Tensor
 
 from tacgen.mechanics.barrier import SOFT
 from tacgen.tensor_engine.fused import fused, outer, product, times
-from tacgen.tensor_engine.indices import listed
 from tacgen.tensor_engine.shapes import Shapes
 
 NOWHERE = 1e9  # gap of facets that do not exist [mm]
 
 
-def barrier(d: Tensor, dhat: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Clamped log barrier b [mm] with db/dd and d2b/dd2 [1/mm] at gaps d [mm]; see mechanics.barrier.barrier."""
+def barrier(d: Tensor, dhat: Tensor) -> Tensor:
+    """Clamped log barrier [mm] at gaps d [mm]; see mechanics.barrier.barrier."""
+    t, r, ln, below = _clamped(d, dhat)
+    first, second = 2 * r * ln - r**2 / t, -2 * ln + 4 * r / t + (r / t) ** 2
+    return dhat * (first * below + second / 2 * below**2 - r**2 * ln)
+
+
+def barrier_slopes(d: Tensor, dhat: Tensor) -> tuple[Tensor, Tensor]:
+    """Its derivatives db/dd [-] and d2b/dd2 [1/mm]."""
+    t, r, ln, below = _clamped(d, dhat)
+    part = r / t
+    second = part * (4 + part) - 2 * ln
+    return r * (2 * ln - part) + second * below, second / dhat
+
+
+def _clamped(d: Tensor, dhat: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """The gap over dhat where the barrier is a logarithm, 1 less it, its logarithm, and what is below that range."""
     s = d / dhat
     t = s.clamp(SOFT, 1.0)
-    ln, r = torch.log(t), 1 - t
-    b, db, ddb = -(r**2) * ln, 2 * r * ln - r**2 / t, -2 * ln + 4 * r / t + (r / t) ** 2
-    below = (s - SOFT).clamp(max=0.0)
-    return dhat * (b + db * below + ddb / 2 * below**2), db + ddb * below, ddb / dhat
+    return t, 1 - t, torch.log(t), (s - SOFT).clamp(max=0.0)
 
 
 def slip(x: Tensor, anchor: Tensor, normal: Tensor) -> Tensor:
@@ -32,31 +43,33 @@ def slip(x: Tensor, anchor: Tensor, normal: Tensor) -> Tensor:
     return u - (u * normal).sum(-1, keepdim=True) * normal
 
 
-def smooth(u: Tensor, eps: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """f0, f0'/|u| and (f0'' - f0'/|u|)/|u|^2 at slip lengths u; see mechanics.coupled.smooth."""
-    stick, v = u < eps, torch.maximum(u, 1e-12 * eps)
-    value = torch.where(stick, u**2 / eps - u**3 / (3 * eps**2), u - eps / 3)
-    slope = torch.where(stick, 2 / eps - u / eps**2, 1 / v)
-    return value, slope, torch.where(stick, -1 / (eps**2 * v), -1 / v**3)
+def smooth(u: Tensor, eps: Tensor) -> Tensor:
+    """f0 at slip lengths u [mm]; see mechanics.coupled.smooth."""
+    return torch.where(u < eps, u**2 * (eps - u / 3) / eps**2, u - eps / 3)
+
+
+def smooth_slope(u: Tensor, eps: Tensor) -> Tensor:
+    """f0'/|u| at slip lengths u [mm]."""
+    return torch.where(u < eps, (2 - u / eps) / eps, 1 / torch.maximum(u, 1e-12 * eps))
 
 
 @dataclass(frozen=True)
 class Forces:
     """Contact at given positions: gap (s, f, q) [mm], `at` and normal (s, f, q, 3), normal force N (s, f, q) [N], force
-    on the gel (s, f, q, 3) [N], its negative derivative `tangent` (s, f, q, 3, 3), and `definite`; see
-    mechanics.coupled.ContactForces."""
+    on the gel (s, f, q, 3) [N]; and where they were asked for its negative derivative `tangent` (s, f, q, 3, 3), and
+    `definite`; see mechanics.coupled.ContactForces."""
 
     gap: Tensor
     at: Tensor
     normal: Tensor
     N: Tensor
     force: Tensor
-    tangent: Tensor
-    definite: Tensor
+    tangent: Tensor | None = None
+    definite: Tensor | None = None
 
     def rows(self, which: Tensor) -> "Forces":
         """Only some scenes."""
-        return Forces(*(part[which] for part in vars(self).values()))
+        return Forces(*(None if part is None else part[which] for part in vars(self).values()))
 
     @property
     def total(self) -> Tensor:
@@ -93,7 +106,7 @@ class Contacts:
 
     def rows(self, which: Tensor) -> "Contacts":
         """Only some scenes (r,)."""
-        same = {"shapes": self.shapes.rows(listed(which)), "N": self.N}
+        same = {"shapes": self.shapes.rows(which), "N": self.N}
         parts = {k: v[which] for k, v in vars(self).items() if k not in same}
         return replace(self, **same, **parts)
 
@@ -133,10 +146,17 @@ class Contacts:
         return self.kappa[:, None, None] * self.areas, dhat, eps, friction
 
     def evaluate(self, x: Tensor) -> Forces:
-        """Forces and tangents at nodes x (s, n, 3); where points overlap, without the rotation of the normal."""
+        """Forces at nodes x (s, n, 3)."""
         at = self.points(x)
-        gaps = self.gaps(at)
-        return Forces(gaps[0], at, *_forces(*gaps, at - self.anchor, *self._numbers()))
+        d, g, _ = self.gaps(at)
+        return Forces(d, at, *_forces(d, g, at - self.anchor, *self._numbers()))
+
+    def tangents(self, x: Tensor) -> Forces:
+        """Forces with tangents at nodes x (s, n, 3); where points overlap, without the rotation of the normal."""
+        at = self.points(x)
+        d, g, H = self.gaps(at)
+        u, numbers = at - self.anchor, self._numbers()
+        return Forces(d, at, *_forces(d, g, u, *numbers), *_tangents(d, g, H, u, *numbers))
 
     def merit(self, x: Tensor, frozen: Forces) -> Tensor:
         """Energy (s,) [N mm] of the barrier and of friction with the normal forces and normals of `frozen`."""
@@ -165,19 +185,33 @@ def _in_sensor(
 
 @fused
 def _forces(
+    d: Tensor, g: Tensor, u: Tensor, weight: Tensor, dhat: Tensor, eps: Tensor, mu: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Normals, normal forces and forces, from gaps and their gradients, the way u from the anchors, weights kappa A,
+    and numbers of the contact; see mechanics.coupled."""
+    size = torch.linalg.vector_norm(g, dim=-1).clamp(min=1e-12)
+    n, N = g / size[..., None], -weight * barrier_slopes(d, dhat)[0] * size
+    t = u - (u * n).sum(-1)[..., None] * n
+    slope = smooth_slope(torch.linalg.vector_norm(t, dim=-1), eps)
+    return n, N, N[..., None] * n - (mu * N * slope)[..., None] * t
+
+
+@fused
+def _tangents(
     d: Tensor, g: Tensor, H: Tensor, u: Tensor, weight: Tensor, dhat: Tensor, eps: Tensor, mu: Tensor
-) -> tuple[Tensor, ...]:
-    """normal, N, force, tangent and definite of Forces, from gaps, their gradients and Hessians, the way u from the
-    anchors, weights kappa A, and numbers of the contact; see mechanics.coupled."""
-    _, db, ddb = barrier(d, dhat)
-    touching = db != 0
+) -> tuple[Tensor, Tensor]:
+    """tangent and definite of Forces, with Hessians H of the gaps; the rest as in _forces."""
+    db, ddb = barrier_slopes(d, dhat)
+    touching = (db != 0)[..., None, None]
     H = torch.where((d < 0)[..., None, None], 0.0, H)
     size = torch.linalg.vector_norm(g, dim=-1).clamp(min=1e-12)
     n, N = g / size[..., None], -weight * db * size
     normal = (weight * ddb)[..., None, None] * outer(g, g)
     un = (u * n).sum(-1)[..., None]
     t = u - un * n
-    _, slope, bend = smooth(torch.linalg.vector_norm(t, dim=-1), eps)
+    length = torch.linalg.vector_norm(t, dim=-1)
+    slope, v = smooth_slope(length, eps), torch.maximum(length, 1e-12 * eps)
+    bend = torch.where(length < eps, -1 / (eps**2 * v), -1 / v**3)
     slope, bend, force = slope[..., None, None], bend[..., None, None], (mu * N)[..., None, None]
     across = torch.eye(3, dtype=g.dtype, device=g.device) - outer(n, n)
     definite = normal + force * (slope * across + bend * outer(t, t))
@@ -187,9 +221,7 @@ def _forces(
     v = slope * P + bend * outer(t, times(P.mT, t))
     dN = -weight[..., None] * ((ddb * size)[..., None] * g + db[..., None] * Hn)
     tangent = normal + (weight * db)[..., None, None] * H + force * v + mu[..., None, None] * slope * outer(t, dN)
-    f = N[..., None] * n - (force * slope)[..., 0] * t
-    touched = touching[..., None, None]
-    return n, N, f, torch.where(touched, tangent, 0.0), torch.where(touched, definite, 0.0)
+    return torch.where(touching, tangent, 0.0), torch.where(touching, definite, 0.0)
 
 
 @fused
@@ -198,5 +230,5 @@ def _merit(
 ) -> Tensor:
     """Energy of the barrier and of friction with given normals and normal forces, summed over the points (s,)."""
     t = u - (u * normal).sum(-1, keepdim=True) * normal
-    friction = mu * N * smooth(torch.linalg.vector_norm(t, dim=-1), eps)[0]
-    return (weight * barrier(d, dhat)[0] + friction).sum((1, 2))
+    friction = mu * N * smooth(torch.linalg.vector_norm(t, dim=-1), eps)
+    return (weight * barrier(d, dhat) + friction).sum((1, 2))

@@ -95,7 +95,8 @@ def step(
     near = (length <= contact.dhat) & (now.gap >= 0)  # far from the solution the mean gap is meaningless
     drift = torch.where(near, now.gap - contact.offset, now.drift)
     contact = contact.shrunk(torch.where(near, now.gap, contact.offset))
-    forces = contact.evaluate(x)
+    forces = contact.tangents(x)
+    assert forces.tangent is not None
     bulk = reduced((forces.N > 0).any(-1))
     g = bulk.residual(contact, forces, x)
     going = now.steps < max_steps
@@ -163,6 +164,7 @@ def _downhill(
     fraction = decreasing(p, MIN_COUPLED, exists)
     if bool((fraction > 0).all()):
         return fraction, p
+    assert forces.definite is not None
     other, definite = bulk.solve(contact, forces.definite, g, True)
     second = decreasing(other, SHORTEST, definite & (fraction == 0))
     use = (fraction == 0)[:, None, None]

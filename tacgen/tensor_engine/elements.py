@@ -15,16 +15,21 @@ from tacgen.fem.elements import GAUSS2, trilinear
 from tacgen.fem.kernels import MILD
 from tacgen.fem.potential import Projection
 from tacgen.tensor_engine.fused import fused, outer, product
+from tacgen.tensor_engine.indices import constant
 from tacgen.tensor_engine.laws import Laws, isochoric, volumetric
 
 Array = np.ndarray
+GAUSS = trilinear(np.array([[a, b, c] for c in GAUSS2 for b in GAUSS2 for a in GAUSS2]))[1]  # dN (q, 8, 3)
 
 
 def cofactor(F: Tensor) -> Tensor:
     """J F^-T of F (..., 3, 3)."""
-    (a, b, c), (d, e, f), (g, h, i) = (row.unbind(-1) for row in F.unbind(-2))
-    rows = e * i - f * h, f * g - d * i, d * h - e * g, c * h - b * i, a * i - c * g, b * g - a * h
-    return torch.stack([*rows, b * f - c * e, c * d - a * f, a * e - b * d], -1).unflatten(-1, (3, 3))
+    return torch.linalg.cross(F.roll(-1, -2), F.roll(-2, -2))
+
+
+def determinant(F: Tensor) -> Tensor:
+    """J (...) of F (..., 3, 3)."""
+    return (F[..., 0, :] * torch.linalg.cross(F[..., 1, :], F[..., 2, :])).sum(-1)
 
 
 def _cofactor_slopes(F: Tensor) -> Tensor:
@@ -92,8 +97,7 @@ class Hexes:
     @classmethod
     def on(cls, topology: Topology, X: Tensor, exists: Tensor, laws: Laws) -> "Hexes":
         """With nodes X (s, n, 3) at rest; exists (s, e) bool."""
-        _, dN = trilinear(np.array([[a, b, c] for c in GAUSS2 for b in GAUSS2 for a in GAUSS2]))
-        B, volume = mapped(X[:, topology.conn], dN)
+        B, volume = mapped(X[:, topology.conn], GAUSS)
         return cls(topology, B, volume * exists[..., None], laws)
 
     def rows(self, slots: Tensor) -> "Hexes":
@@ -150,8 +154,8 @@ class Hexes:
 
 
 def mapped(corners: Tensor, dN: Array) -> tuple[Tensor, Tensor]:
-    """dN/dX (..., q, 8, 3) and det(dX/dxi) (..., q) of hexes with corners (..., 8, 3); dN (q, 8, 3)."""
-    local = torch.as_tensor(dN, dtype=corners.dtype, device=corners.device)
+    """dN/dX (..., q, 8, 3) and det(dX/dxi) (..., q) of hexes with corners (..., 8, 3); dN (q, 8, 3), a constant."""
+    local = constant(dN, corners)
     jacobian = torch.einsum("qaj,...ai->...qij", local, corners)
     volume = torch.linalg.det(jacobian)
     return torch.einsum("qaj,...qjI->...qaI", local, torch.linalg.inv(jacobian)), volume

@@ -1,9 +1,20 @@
-"""Indices of slots that also know their numbers on the host: to read them from a GPU would wait for it."""
+"""Indices and constants on the host and on the device: to copy them again each time would wait for the device."""
 
 from collections.abc import Sequence
 
+import numpy as np
 import torch
 from torch import Tensor
+
+_HELD: dict[tuple[int, torch.dtype, torch.device], Tensor] = {}
+
+
+def constant(array: np.ndarray, like: Tensor) -> Tensor:
+    """An array that lives as long as its module, as a tensor of the type and on the device of another one."""
+    key = id(array), like.dtype, like.device
+    if key not in _HELD:
+        _HELD[key] = torch.as_tensor(array, dtype=like.dtype, device=like.device)
+    return _HELD[key]
 
 
 def index_of(rows: Sequence[int], device: torch.device) -> Tensor:

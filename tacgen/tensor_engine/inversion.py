@@ -15,10 +15,13 @@ from tacgen.fem.folding_barrier import J0, STIFFNESS
 from tacgen.fem.jacobian import DEPTH, MOST, TABLES
 from tacgen.fem.potential import Projection
 from tacgen.tensor_engine.elements import Topology, clamped, cofactor, mapped, slopes, stiffness
+from tacgen.tensor_engine.indices import constant
 from tacgen.tensor_engine.laws import clamped_log
 
 DENSE = grid_points(8)[1]  # dN (q, 8, 3) at the points where it is looked for
 TABLE = TABLES[8]
+ONE = np.eye(len(TABLE.share))[TABLE.monomial.ravel()] * TABLE.share  # coefficients (27,) of the triples (64, 27)
+PARTS = TABLE.pieces.reshape(-1, len(TABLE.share))
 
 
 @dataclass(frozen=True)
@@ -80,6 +83,9 @@ class FoldingBarriers:
         corners = x[:, self.topology.conn]
         low = (_determinants(corners) / self.rest).amin(-1)
         scene, cell = torch.nonzero((low < J0) & (self.volume > 0), as_tuple=True)
+        if not len(cell):
+            none = x.new_zeros(0)
+            return Folding(self.topology, scene, cell, none, none, none, none, none, x.new_zeros(len(x)))
         B, _ = mapped(self.X[scene[:, None], self.topology.conn[cell]], DENSE)
         q = len(DENSE)
         weights = (self.volume[scene, cell] / q)[:, None].expand(-1, q)
@@ -95,19 +101,16 @@ class FoldingBarriers:
 
 def _determinants(corners: Tensor) -> Tensor:
     """det(dx/dxi) (s, e, q) at the dense points of hexes with corners (s, e, 8, 3)."""
-    local = torch.as_tensor(DENSE, dtype=corners.dtype, device=corners.device)
-    a, b, c = torch.einsum("qaj,seai->jseqi", local, corners).unbind(0)
+    a, b, c = torch.einsum("qaj,seai->jseqi", constant(DENSE, corners), corners).unbind(0)
     return (a * torch.linalg.cross(b, c)).sum(-1)
 
 
 def coefficients(corners: Tensor) -> Tensor:
     """Bernstein coefficients (..., 27) of the determinant of hexes with corners (..., 8, 3) [mm^3]."""
-    to = {"dtype": corners.dtype, "device": corners.device}
-    g = torch.einsum("kpa,...aj->...kpj", torch.as_tensor(TABLE.columns, **to), corners)
+    g = torch.einsum("kpa,...aj->...kpj", constant(TABLE.columns, corners), corners)
     crossed = torch.linalg.cross(g[..., 0, :, None, :], g[..., 1, None, :, :])
     triples = (crossed.flatten(-3, -2) @ g[..., 2, :, :].mT).flatten(-2)
-    one = np.eye(len(TABLE.share))[TABLE.monomial.ravel()] * TABLE.share
-    return triples @ torch.as_tensor(one, **to)
+    return triples @ constant(ONE, corners)
 
 
 def least_jacobian(X: Tensor, x: Tensor, topology: Topology, exists: Tensor, tol: float = 0.01) -> Tensor:
@@ -118,7 +121,7 @@ def least_jacobian(X: Tensor, x: Tensor, topology: Topology, exists: Tensor, tol
     pieces = coefficients(x[scene[:, None], nodes]) / volume[:, None]
     count, to = len(x), {"dtype": x.dtype, "device": x.device}
     corners = torch.as_tensor(TABLE.share == 1, device=x.device)
-    parts = torch.as_tensor(TABLE.pieces.reshape(-1, len(TABLE.share)), **to)
+    parts = constant(PARTS, x)
     finite = torch.isfinite(x).all(-1).all(-1)
     bound, attained = torch.full((count,), torch.inf, **to), torch.full((count,), torch.inf, **to)
     for depth in range(DEPTH + 1):

@@ -6,7 +6,7 @@
 See fem.materials for the laws and their sources.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -35,18 +35,23 @@ def numbers(law: Law) -> list[float] | None:
 
 @dataclass(frozen=True)
 class Laws:
-    """A law for each cell of each scene; `values` (8, s, e, 1) [MPa]."""
+    """A law for each cell of each scene; `values` (8, s, e, 1) [MPa]; two_invariants: whether one depends on I2."""
 
     values: Tensor
+    two_invariants: bool
+
+    @classmethod
+    def of(cls, values: Tensor) -> "Laws":
+        return cls(values, bool((values[1] != 0).any()))
 
     def rows(self, slots: Tensor) -> "Laws":
         """Only some scenes (r,)."""
-        return Laws(self.values[:, slots])
+        return replace(self, values=self.values[:, slots])
 
-    @property
-    def two_invariants(self) -> bool:
-        """Whether any law depends on I2."""
-        return bool((self.values[1] != 0).any())
+    def replaced(self, slot: int, one: "Laws") -> "Laws":
+        """With the laws of a single scene in a slot."""
+        self.values[:, slot] = one.values[:, 0]
+        return replace(self, two_invariants=self.two_invariants or one.two_invariants)
 
 
 def isochoric(values: Tensor, I1: Tensor, I2: Tensor, J: Tensor) -> tuple[Tensor, list[Tensor], list[Tensor]]:

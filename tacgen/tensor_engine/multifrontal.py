@@ -4,8 +4,6 @@ A front is the dense matrix of the unknowns that it eliminates and of those on w
 of a level are padded to one size, so that a level is a few batched products whatever the number of scenes. The factor's
 diagonal blocks are kept as inverses: panels and solves are then products too, which a GPU does much faster than
 substitutions. Their rounding errors are larger, by the condition of a diagonal block; a refinement removes them.
-
-Indices count nodes: a 3 x 3 block has one index, which keeps index traffic a ninth of the data's.
 """
 
 import itertools
@@ -17,7 +15,6 @@ import torch
 from torch import Tensor
 
 from tacgen.tensor_engine.dissection import Dissection, Group, Level
-from tacgen.tensor_engine.fused import fused
 
 Array = np.ndarray
 BASE = 72  # rows up to which a diagonal block is factorised by LAPACK or its like; larger ones by halves
@@ -25,23 +22,34 @@ STRIP = 192  # columns of an update that are computed at once, from the diagonal
 
 
 @dataclass(frozen=True)
-class _Children:
-    """One child of each of some fronts (t, r rows) in the flat updates of the level below, group after group: the first
-    number of each block (t, r + 1, r), the last row of them zeros; the length (t,) of the rows there; and places (t, r)
-    in the level's updates of vectors, the last place for none."""
+class _Numbers:
+    """Numbers to be added to fronts: places (k,) `to` in the flat fronts, each once, and `at` in a flat source."""
 
-    first: Tensor
-    stride: Tensor
-    rows: Tensor
+    to: Tensor
+    at: Tensor
+
+    def add(self, front: Tensor, source: Tensor) -> None:
+        """Add numbers of sources (B, size, ...) to fronts (B, size, ...)."""
+        front[:, self.to] += source[:, self.at]
+
+
+@dataclass(frozen=True)
+class _Source:
+    """One child of each of some fronts, those in one group of the level below: its number, the updates in the flat
+    fronts, and those of vectors in the rows (t (w + m)) of fronts, from the group's rows (t m)."""
+
+    group: int
+    updates: _Numbers
+    vectors: _Numbers
 
 
 @dataclass(frozen=True)
 class _Fronts:
-    """Where fronts (t, w own nodes, m others) take their blocks from: numbers of entries (t, w + m, w) of the matrix,
-    and children; nodes own (t, w) and bound (t, m), the number of all nodes where padded."""
+    """Fronts (t, w own nodes, m others): the matrix's entries in them, and children; nodes own (t, w) and bound (t, m),
+    the number of all nodes where padded."""
 
-    entry: Tensor
-    children: tuple[_Children, ...]
+    entries: _Numbers
+    sources: tuple[_Source, ...]
     own: Tensor
     bound: Tensor
 
@@ -84,34 +92,45 @@ class Multifrontal:
 
     def _fronts(self, group: Group, level: Level, below: Level | None, entries: "_Entries") -> _Fronts:
         rows, w = np.concatenate([group.own, group.bound], 1), group.own.shape[1]
-        entry = entries.numbers(rows[:, :, None], group.own[:, None, :])
-        entry[:, :w][(group.own < 0)[:, :, None] & np.eye(w, dtype=bool)] = entries.unit
-        children = [self._children(rows, level.arity * group.fronts + c, below) for c in range(level.arity) if below]
+        number = entries.numbers(rows[:, :, None], group.own[:, None, :])
+        number[:, :w][(group.own < 0)[:, :, None] & np.eye(w, dtype=bool)] = entries.unit
+        front, row, column = np.nonzero(number >= 0)
         own, bound = (self._index(np.where(nodes < 0, self.nodes, nodes)) for nodes in (group.own, group.bound))
-        return _Fronts(self._index(entry.astype(np.int32)), tuple(children), own, bound)
+        sources = [
+            self._source(rows, level.arity * group.fronts + c, k, each)
+            for c in range(level.arity)
+            for k, each in enumerate(below.groups if below else ())
+            if np.isin(level.arity * group.fronts + c, each.fronts).any()
+        ]
+        to, at = _first(front, row, column, rows.shape[1]), 9 * number[front, row, column]
+        return _Fronts(self._blocks(to, 3 * rows.shape[1], at, 3), tuple(sources), own, bound)
 
-    def _children(self, rows: Array, child: Array, below: Level) -> _Children:
-        """Of fronts with these rows of nodes (t, r), the children of these numbers (t,) on the level below."""
-        t, r = rows.shape
-        first, stride, vector = np.zeros((t, r + 1, r), int), np.zeros(t, int), np.full((t, r), -1)
-        start = start_of_vectors = 0
-        for group in below.groups:
-            at = np.searchsorted(group.fronts, child).clip(max=len(group.fronts) - 1)
-            own, m = group.fronts[at] == child, group.bound.shape[1]
-            place = _places(rows[own], group.bound[at[own]])
-            first[own], stride[own] = start + _first(place, at[own], m), 3 * m
-            vector[own] = np.where(place < 0, -1, start_of_vectors + at[own][:, None] * m + place)
-            start += len(group.fronts) * (3 * m + 3) * 3 * m
-            start_of_vectors += len(group.fronts) * m
-        last = np.where(vector < 0, start_of_vectors, vector)
-        return _Children(self._index(first.astype(np.int32)), self._index(stride.astype(np.int32)), self._index(last))
+    def _source(self, rows: Array, child: Array, number: int, group: Group) -> _Source:
+        """The children (t,) of fronts with rows of nodes (t, r) that are in a group of the level below."""
+        at = np.searchsorted(group.fronts, child).clip(max=len(group.fronts) - 1)
+        place = np.where((group.fronts[at] == child)[:, None], _places(rows, group.bound[at]), -1)
+        w, m = group.own.shape[1], group.bound.shape[1]
+        front, row = np.nonzero(place >= 0)
+        vectors = front * rows.shape[1] + row, at[front] * m + place[front, row]
+        inside = place >= 0
+        front, row, column = np.nonzero(inside[:, :, None] & inside[:, None, :] & np.tri(rows.shape[1], dtype=bool))
+        to = _first(front, row, column, rows.shape[1])
+        source = _first(at[front], w + place[front, row], w + place[front, column], w + m)
+        updates = self._blocks(to, 3 * rows.shape[1], source, 3 * (w + m))
+        return _Source(number, updates, _Numbers(*map(self._index, vectors)))
+
+    def _blocks(self, to: Array, rows: int, at: Array, source_rows: int) -> _Numbers:
+        """The numbers of blocks that begin at `to` (k,) and `at`, where rows have so many numbers."""
+        i, j = np.repeat(np.arange(3), 3), np.tile(np.arange(3), 3)
+        each = (first[:, None] + length * i + j for first, length in ((to, rows), (at, source_rows)))
+        return _Numbers(*(self._index(numbers.ravel()) for numbers in each))
 
     def assembled(self, elements: Tensor) -> Tensor:
-        """The entries (B, pairs + 2, 9) of the matrices that are sums of the element tangents (B, e, 24, 24) of the
+        """The entries (B, pairs + 1, 9) of the matrices that are sums of the element tangents (B, e, 24, 24) of the
         pattern's hexes, rows and columns in the order 3a + i. Nodes without any stiffness get the unit matrix."""
         batch = len(elements)
         rows = elements.reshape(batch, -1, 3)
-        data = elements.new_zeros((batch, self.pairs + 2, 9))
+        data = elements.new_zeros((batch, self.pairs + 1, 9))
         for some in self._rounds:  # sums of up to 8 elements, in an order that never changes
             data[:, : len(some)] += rows[:, some].flatten(2)
         unit = torch.eye(3, dtype=data.dtype, device=self.device).reshape(9)
@@ -124,43 +143,38 @@ class Multifrontal:
         """The factors of the matrices whose entries `assembled` gives."""
         data = data.to(self.dtype).reshape(len(data), -1)
         bad = torch.zeros(len(data), dtype=torch.int32, device=self.device)
-        panels, below = list[Panel](), data[:, :0]
+        panels, below = list[Panel](), list[Tensor]()
         for level in self.levels:
             updates = []
             for fronts in level:
-                panel, update, info = self._eliminated(fronts, data, below)
+                panel, flat, info = self._eliminated(fronts, data, below)
                 panels.append(panel)
-                updates.append(update.flatten(1))
+                updates.append(flat)
                 bad = torch.maximum(bad, info)
-            below = _joined(updates)
-        k = len(self.patch)
-        S = self._gathered(self.root, data, below, slice(0, k), slice(0, k))[:, 0]
+            below = updates
+        S = self._assembled(self.root, data, below).view(len(data), 3 * len(self.patch), -1)
         return Factor(self, panels, torch.tril(S) + torch.tril(S, -1).mT, bad > 0)
 
-    def _eliminated(self, fronts: _Fronts, data: Tensor, below: Tensor) -> tuple[Panel, Tensor, Tensor]:
-        """The factor of fronts, their updates (B, t, 3m + 3, 3m) and the leading minors (B,) that are not positive, of
-        entries `data` and the flat updates of the level below."""
-        batch, (t, w, m) = len(data), fronts.sizes
-        own, bound, all_others = slice(0, w // 3), slice(w // 3, (w + m) // 3), slice(w // 3, None)
-        inverse = self._gathered(fronts, data, below, own, own).view(batch * t, w, w)
-        info = invert_factor(inverse)
-        L = _times_transposed(self._gathered(fronts, data, below, bound, own).view(batch * t, m, w), inverse)
-        if fronts.children:
-            U = self._gathered(fronts, None, below, all_others, all_others)
-        else:
-            U = data.new_zeros((batch, t, m + 3, m))
-        _subtract_square(U.view(batch * t, m + 3, m), L)
-        return Panel(inverse.view(batch, t, w, w), L.view(batch, t, m, w)), U, info.view(batch, t).amax(1)
+    def _assembled(self, fronts: _Fronts, data: Tensor, below: list[Tensor]) -> Tensor:
+        """The flat fronts before elimination, of the entries and the flat fronts of the level below; the lower triangle
+        alone, but for the blocks on the diagonal."""
+        t, w, m = fronts.sizes
+        out = data.new_zeros((len(data), t * (w + m) ** 2))
+        fronts.entries.add(out, data)
+        for source in fronts.sources:
+            source.updates.add(out, below[source.group])
+        return out
 
-    def _gathered(self, fronts: _Fronts, data: Tensor | None, below: Tensor, r: slice, c: slice) -> Tensor:
-        """Some rows and columns, in nodes, of the fronts before elimination; without the entries if there are none."""
-        entry = None if data is None else fronts.entry[:, r, c].flatten(0, 1)
-        parts = [child.first[:, r, c] for child in fronts.children]
-        strides = [
-            child.stride.repeat_interleave(part.shape[1]) for child, part in zip(fronts.children, parts, strict=True)
-        ]
-        out = _gathered(below, data, entry, [part.flatten(0, 1) for part in parts], strides)
-        return out.view(len(below), len(fronts.own), -1, out.shape[-1])
+    def _eliminated(self, fronts: _Fronts, data: Tensor, below: list[Tensor]) -> tuple[Panel, Tensor, Tensor]:
+        """The factor of fronts, the flat fronts with updates, and the leading minors (B,) that are not positive."""
+        batch, (t, w, m) = len(data), fronts.sizes
+        flat = self._assembled(fronts, data, below)
+        F = flat.view(batch * t, w + m, w + m)
+        inverse = F[:, :w, :w].contiguous()
+        info = invert_factor(inverse)
+        L = _times_transposed(F[:, w:, :w], inverse)
+        _subtract_square(F[:, w:, w:], L)
+        return Panel(inverse.view(batch, t, w, w), L.view(batch, t, m, w)), flat, info.view(batch, t).amax(1)
 
     def empty(self, batch: int) -> list[Panel]:
         """Room for the panels of so many factors."""
@@ -175,7 +189,7 @@ class Multifrontal:
         """L^-1 g of vectors (B, n, 3), and on the patch g condensed to it; 0 at bonded nodes. Their factors are those
         at `slots` (B,) of the panels."""
         b, each = self._padded(g), iter(panels)
-        y, below = torch.zeros_like(b), b[:, :0]
+        y, below = torch.zeros_like(b), list[Tensor]()
         for level in self.levels:
             updates = []
             for fronts in level:
@@ -186,7 +200,7 @@ class Multifrontal:
                 y[:, fronts.own.view(-1)] = solved.view(len(b), -1, 3)
                 left = carried[:, :, w // 3 :] - slot_times(panel.below, slots, solved).view(-1, t, m // 3, 3)
                 updates.append(left.flatten(1, 2))
-            below = torch.nn.functional.pad(_joined(updates), (0, 0, 0, 1))
+            below = updates
         y[:, self.patch] = b[:, self.patch] + _carried(self.root, below, b)[:, 0]
         return y[:, :-1]
 
@@ -268,49 +282,24 @@ def _subtract_square(U: Tensor, L: Tensor) -> None:
         U[:, at:m, at:to].baddbmm_(L[:, at:], L[:, at:to].mT, alpha=-1)
 
 
-def _joined(parts: list[Tensor]) -> Tensor:
-    return parts[0] if len(parts) == 1 else torch.cat(parts, 1)
-
-
-@fused
-def _gathered(
-    below: Tensor, data: Tensor | None, entry: Tensor | None, first: list[Tensor], strides: list[Tensor]
-) -> Tensor:
-    """Rows (B, 3r, 3c) of 3 x 3 blocks: those at `entry` (r, c) in the entries, and those that begin at `first` (r, c)
-    of each child in the flat updates, whose rows there are `strides` (r,) numbers apart."""
-    some = first[0] if entry is None else entry
-    i = torch.arange(3, dtype=torch.int32, device=some.device)[:, None, None]
-    j = torch.arange(3, dtype=torch.int32, device=some.device)
-    each = zip(first, strides, strict=True)
-    parts = [below[:, at[:, None, :, None] + stride[:, None, None, None] * i + j] for at, stride in each]
-    if data is not None and entry is not None:
-        parts.append(data[:, 9 * entry[:, None, :, None] + (3 * i + j)])
-    out = parts[0]
-    for part in parts[1:]:
-        out = out + part
-    return out.flatten(3, 4).flatten(1, 2)
-
-
-@fused
 def slot_times(A: Tensor, slots: Tensor, x: Tensor) -> Tensor:
     """The products (s, ..., r) of matrices A (capacity, ..., r, c) at slots (s,) and vectors x (s, ..., c)."""
-    return (A[slots] * x[..., None, :]).sum(-1)
+    return (A[slots] @ x[..., None]).squeeze(-1)
 
 
-@fused
 def slot_transposed_times(A: Tensor, slots: Tensor, x: Tensor) -> Tensor:
     """The products (s, ..., c) of the transposed of A (capacity, ..., r, c) at slots (s,) and vectors x (s, ..., r)."""
-    return (A[slots] * x[..., None]).sum(-2)
+    return (A[slots].mT @ x[..., None]).squeeze(-1)
 
 
-def _carried(fronts: _Fronts, below: Tensor, b: Tensor) -> Tensor:
-    """The sum (B, t, w + m, 3) that the children of fronts add to vectors like b, of the updates (B, places, 3) of the
-    level below, of which the last is 0."""
+def _carried(fronts: _Fronts, below: list[Tensor], b: Tensor) -> Tensor:
+    """The sum (B, t, w + m, 3) that the children of fronts add to vectors like b, of the updates (B, rows, 3) of each
+    group of the level below."""
     t, w, m = fronts.sizes
-    out = b.new_zeros((len(b), t, (w + m) // 3, 3))
-    for child in fronts.children:
-        out += below[:, child.rows]
-    return out
+    out = b.new_zeros((len(b), t * (w + m) // 3, 3))
+    for source in fronts.sources:
+        source.vectors.add(out, below[source.group])
+    return out.view(len(b), t, -1, 3)
 
 
 def _places(rows: Array, bound: Array) -> Array:
@@ -321,23 +310,15 @@ def _places(rows: Array, bound: Array) -> Array:
     return np.take_along_axis(place, rows, 1)
 
 
-def _first(place: Array, child: Array, m: int) -> Array:
-    """First number of each block (t, r + 1, r) in the flat updates (children, 3m + 3, 3m), for rows of fronts at these
-    places of a child; a block of zeros, below the first update, above the diagonal and where the child has none."""
-    t, r = place.shape
-    i, j = place[:, :, None], place[:, None, :]
-    out = np.full((t, r + 1, r), 9 * m * m)
-    lower = np.tri(r, dtype=bool)
-    out[:, :r] = np.where(
-        (i >= 0) & (j >= 0) & lower, ((3 * m + 3) * child[:, None, None] + 3 * i) * 3 * m + 3 * j, 9 * m * m
-    )
-    return out
+def _first(front: Array, row: Array, column: Array, size: int) -> Array:
+    """First numbers of blocks at rows and columns, in nodes, of flat fronts of `size` nodes."""
+    return np.asarray((front * 3 * size + 3 * row) * 3 * size + 3 * column)
 
 
 class _Entries:
     """The lower triangle of a matrix by pairs of nodes: its rows are eliminated no earlier than its columns.
 
-    row, column (pairs,): nodes. zero, unit: numbers of two more blocks. rounds: of the pairs that have one, the first,
+    row, column (pairs,): nodes. unit: number of one more block. rounds: of the pairs that have one, the first,
     second... element that contributes, as numbers (pairs, 3) of its tangent's rows of three (e, 24, 8); pairs with most
     elements come first. diagonal: pairs of a node with itself.
     """
@@ -351,7 +332,7 @@ class _Entries:
         order = np.argsort(-count, kind="stable")
         self._n, self._rank, self._keys, self._number = n, rank, keys, np.argsort(order)
         self.row, self.column = keys[order] // n, keys[order] % n
-        self.zero, self.unit = len(keys), len(keys) + 1
+        self.unit = len(keys)
         by_pair, most = slots[np.argsort(which, kind="stable")], count[order]
         starts = (np.cumsum(count) - count)[order]
         blocks = [by_pair[starts[most > k] + k] for k in range(most.max())]  # numbers of (e, 8, 8)
@@ -359,7 +340,7 @@ class _Entries:
         self.diagonal = np.flatnonzero(self.row == self.column)
 
     def numbers(self, row: Array, column: Array) -> Array:
-        """Numbers of the pairs of these nodes, which broadcast; `zero` where there is none, or a node is -1."""
+        """Numbers of the pairs of these nodes, which broadcast; -1 where there is none, or a node is -1."""
         key = row * self._n + column
         at = np.minimum(np.searchsorted(self._keys, key), len(self._keys) - 1)
-        return np.where((self._keys[at] == key) & (row >= 0) & (column >= 0), self._number[at], self.zero)
+        return np.where((self._keys[at] == key) & (row >= 0) & (column >= 0), self._number[at], -1)

@@ -1,9 +1,9 @@
 """Scenes of one pattern in the slots of one batch, refilled; and many scenes, pattern after pattern."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
+from itertools import chain, islice
 
 import numpy as np
 import torch
@@ -31,7 +31,7 @@ HEAVY = (Phase.start, Phase.load, Phase.search, Phase.measure, Phase.admit)  # k
 
 
 @dataclass(frozen=True)
-class Plan:
+class Planned:
     """A scene, its number, the grid of its mesh and the pattern for it, if it has one; why: what prevents that."""
 
     number: int
@@ -41,7 +41,7 @@ class Plan:
     why: str = ""
 
     @classmethod
-    def of(cls, numbered: tuple[int, Scene]) -> "Plan":
+    def of(cls, numbered: tuple[int, Scene]) -> "Planned":
         """With the smallest pattern."""
         number, scene = numbered
         if (why := engine.lacks(scene)) is not None:
@@ -57,7 +57,7 @@ class Plan:
 
 
 @dataclass(frozen=True)
-class Prepared:
+class PreparedScene:
     """A scene, its number, its discretised problem, and its mesh within the pattern of its batch."""
 
     number: int
@@ -66,7 +66,7 @@ class Prepared:
     grid: Embedded
 
     @classmethod
-    def of(cls, plan: "Plan") -> "Prepared":
+    def of(cls, plan: "Planned") -> "PreparedScene":
         """Raises ValueError: the pattern does not hold the scene's mesh."""
         assert plan.axes is not None
         assert plan.pattern is not None
@@ -79,21 +79,22 @@ class Prepared:
         return Place(self.grid.nodes, self.grid.cells, self.grid.facets)
 
 
-class Pool:
+class ScenePool:
     """Slots of scenes of one pattern, whose facets have equally many contact points; see scheduler.Slots."""
 
-    def __init__(self, first: Prepared, tree: Dissection, count: int, device: str, dtype: torch.dtype) -> None:
-        pattern, self.count = tree.pattern, count
+    def __init__(self, first: Sequence[PreparedScene], tree: Dissection, device: str, dtype: torch.dtype) -> None:
+        """As many slots as there are scenes, which come first into them, in this order."""
+        pattern, self.count, self._first = tree.pattern, len(first), dict(enumerate(first))
         topology = Topology.of(pattern.hexes, pattern.facets, pattern.size, device)
-        factors = Condensed(Multifrontal(tree, device, dtype), count)
-        X = np.broadcast_to(first.grid.points, (count, *first.grid.points.shape))
-        empty = [first.problem] * count, [first.place] * count
-        self.batch = Batch.of(*empty, topology, X, factors, pattern.patch, device)
+        factors, X = Condensed(Multifrontal(tree, device, dtype), self.count), np.array([s.grid.points for s in first])
+        problems, places = [scene.problem for scene in first], [scene.place for scene in first]
+        self.batch = Batch.of(problems, places, topology, X, factors, pattern.patch, device)
         self._frames: dict[int, Iterator[int]] = {}
 
-    def enter(self, slot: int, scene: Prepared) -> None:
+    def enter(self, slot: int, scene: PreparedScene) -> None:
         """Put a scene into an empty slot, before its first frame."""
-        refill.fill(self.batch, slot, scene.problem, scene.place, scene.grid.points)
+        if self._first.pop(slot, None) is not scene:
+            refill.fill(self.batch, slot, scene.problem, scene.place, scene.grid.points)
         admission.rest(self.batch, self.batch.slots([slot]), scene.scene.start[None])
         self._frames[slot] = engine.frames(self.batch, slot, scene.scene)
         next(self._frames[slot], None)
@@ -122,6 +123,7 @@ def solved(
     *,
     dtype: torch.dtype = torch.float32,
     slots: int = MOST_SLOTS,
+    least: int = LEAST_SHARED,
     memory: float | None = None,
     mapped: Callable[[Callable, Iterable], Iterable] = map,
     use: scheduler.Use | None = None,
@@ -129,23 +131,24 @@ def solved(
     """Numbers of scenes and their solutions, in the order in which they end; those that the batch engine lacks
     something for, which have no state, come first.
 
-    dtype: of the factors. memory: [bytes] to use, by default most of what the GPU has free. mapped: applies a function
+    dtype: of the factors. slots: most scenes at once. least: scenes of a pattern below which it is merged with others.
+    memory: [bytes] to use, by default most of what the GPU has free. mapped: applies a function
     to scenes, one by one or ahead in other processes, as `multiprocessing.Pool.imap`. use: where calls are counted.
     """
-    plans = list(mapped(Plan.of, enumerate(scenes)))
+    plans = list(mapped(Planned.of, enumerate(scenes)))
     yield from ((plan.number, Solved([], plan.why)) for plan in plans if plan.pattern is None)
-    shared = grids.merged(Counter(plan.pattern for plan in plans if plan.pattern), LEAST_SHARED)
-    groups: dict[tuple[GridPattern, bool], list[Plan]] = {}
+    shared = grids.merged(Counter(plan.pattern for plan in plans if plan.pattern), least)
+    groups: dict[tuple[GridPattern, bool], list[Planned]] = {}
     for plan in plans:
         if plan.pattern is not None:
             pattern = shared[plan.pattern]
             groups.setdefault((pattern, plan.thin), []).append(replace(plan, pattern=pattern))
     for (pattern, _), group in groups.items():
-        tree, ready = dissected(pattern), iter(mapped(Prepared.of, group))
+        tree, ready = dissected(pattern), iter(mapped(PreparedScene.of, group))
         count, limits = room(tree, free_memory(device) if memory is None else memory)
-        first = next(ready)
-        pool = Pool(first, tree, min(count, slots, len(group)), device, dtype)
-        for scene, found in scheduler.run(pool, chain([first], ready), limits, use):
+        first = list(islice(ready, min(count, slots)))
+        pool = ScenePool(first, tree, device, dtype)
+        for scene, found in scheduler.run(pool, chain(first, ready), limits, use):
             yield scene.number, found
 
 

@@ -6,7 +6,7 @@ of the shapes (s, 1).
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
@@ -17,6 +17,7 @@ from tacgen.geometry import analytic_sdf as sdf
 from tacgen.geometry.analytic_sdf import Shape
 from tacgen.geometry.sdf_grid import Field
 from tacgen.tensor_engine.fused import fused, outer
+from tacgen.tensor_engine.indices import index_of, listed
 
 Distances = tuple[Tensor, Tensor, Tensor]
 # the numbers of each analytic shape, in the order in which its function takes them
@@ -219,11 +220,12 @@ def _spline(p: Tensor, grids: _Grids) -> Distances:
 
 @dataclass(frozen=True)
 class Shapes:
-    """An indenter for each scene; the coefficients of all fields one after the other, and where each scene's begin."""
+    """An indenter for each scene; the coefficients of all fields one after the other; and a table (s, 8) of numbers: of
+    analytic shapes those of NUMBERS, of fields where its coefficients begin, its nodes, origin and cell."""
 
-    shapes: Sequence[Shape]
+    shapes: list[Shape]
     values: Tensor
-    first: Sequence[int]
+    table: Tensor
 
     @classmethod
     def of(cls, shapes: Sequence[Shape], dtype: torch.dtype, device: str) -> "Shapes":
@@ -233,39 +235,57 @@ class Shapes:
         for key, field in fields.items():
             parts.append(_coefficients(field, dtype, device))
             starts[key], count = count, count + parts[-1].numel()
-        return cls(shapes, torch.cat(parts), [starts.get(id(shape), 0) for shape in shapes])
+        rows = [_row(shape, starts.get(id(shape), 0)) for shape in shapes]
+        return cls(list(shapes), torch.cat(parts), torch.tensor(rows, dtype=dtype, device=device))
 
-    def rows(self, slots: Sequence[int]) -> "Shapes":
+    def rows(self, slots: Tensor) -> "Shapes":
         """Only some scenes."""
-        return Shapes([self.shapes[k] for k in slots], self.values, [self.first[k] for k in slots])
+        return Shapes([self.shapes[k] for k in listed(slots)], self.values, self.table[slots])
 
-    def distance(self, p: Tensor) -> Distances:
-        """Signed distance [mm] (s, k), its gradient (s, k, 3) and Hessian [1/mm] (s, k, 3, 3) at points p (s, k, 3)."""
+    def replaced(self, slot: int, shape: Shape) -> "Shapes":
+        """With another indenter of one scene; fields that no scene has any more are dropped."""
+        shapes = [*self.shapes[:slot], shape, *self.shapes[slot + 1 :]]
+        if isinstance(shape, Field) or isinstance(self.shapes[slot], Field):
+            return Shapes.of(shapes, self.values.dtype, str(self.values.device))
+        table = self.table.clone()
+        table[slot] = table.new_tensor(_row(shape, 0))
+        return Shapes(shapes, self.values, table)
+
+    @cached_property
+    def _kinds(self) -> dict[type, Tensor]:
+        """Which scenes have which kind of indenter."""
         kinds: dict[type, list[int]] = {}
         for row, shape in enumerate(self.shapes):
             kinds.setdefault(type(shape), []).append(row)
-        if len(kinds) == 1:
-            return self._of(next(iter(kinds)), p, range(len(p)))
+        return {kind: index_of(rows, self.values.device) for kind, rows in kinds.items()}
+
+    def distance(self, p: Tensor) -> Distances:
+        """Signed distance [mm] (s, k), its gradient (s, k, 3) and Hessian [1/mm] (s, k, 3, 3) at points p (s, k, 3)."""
+        if len(self._kinds) == 1:
+            return self._of(next(iter(self._kinds)), p, self.table)
         d, g, H = p.new_empty(p.shape[:2]), torch.empty_like(p), p.new_empty(*p.shape, 3)
-        for kind, rows in kinds.items():
-            which = torch.tensor(rows, device=p.device)
-            d[which], g[which], H[which] = self._of(kind, p[which], rows)
+        for kind, rows in self._kinds.items():
+            d[rows], g[rows], H[rows] = self._of(kind, p[rows], self.table[rows])
         return d, g, H
 
-    def _of(self, kind: type, p: Tensor, rows: Sequence[int]) -> Distances:
-        """Shapes of one kind, those of the scenes `rows`."""
-        some = [self.shapes[row] for row in rows]
+    def _of(self, kind: type, p: Tensor, table: Tensor) -> Distances:
+        """Indenters of one kind, with their rows of the table."""
+        columns = table.T[..., None]
         if kind is Field:
-            return _spline(p, self._grids([f for f in some if isinstance(f, Field)], [self.first[row] for row in rows]))
-        table = [[getattr(shape, name) for name in NUMBERS[kind]] for shape in some]
-        found: Distances = FUNCTIONS[kind](p, *p.new_tensor(table).T[..., None])
+            first, *shape = columns[:4].long()
+            return _spline(
+                p, _Grids(self.values, first, (shape[0], shape[1], shape[2]), table[:, None, 4:7], columns[7])
+            )
+        found: Distances = FUNCTIONS[kind](p, *columns[: len(NUMBERS[kind])])
         return found
 
-    def _grids(self, some: Sequence[Field], first: Sequence[int]) -> _Grids:
-        numbers = torch.tensor([[at, *f.coefficients.shape] for at, f in zip(first, some, strict=True)])
-        start, i, j, k = numbers.to(self.values.device).T[..., None]
-        origin = self.values.new_tensor([f.origin.tolist() for f in some])[:, None]
-        return _Grids(self.values, start, (i, j, k), origin, self.values.new_tensor([f.cell for f in some])[:, None])
+
+def _row(shape: Shape, first: int) -> list[float]:
+    """A row of Shapes.table; first: where a field's coefficients begin."""
+    if isinstance(shape, Field):
+        return [first, *shape.coefficients.shape, *(float(x) for x in shape.origin), shape.cell]
+    numbers = [getattr(shape, name) for name in NUMBERS[type(shape)]]
+    return numbers + [0.0] * (8 - len(numbers))
 
 
 @cache

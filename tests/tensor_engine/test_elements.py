@@ -40,7 +40,7 @@ class Case:
         self.topology = Topology.of(cells, np.zeros((0, 4), int), n)
         self.exists = torch.ones(len(SCENES), len(cells), dtype=torch.bool)
         table = [[numbers(law)] * len(cells) for law in LAWS.values()]
-        self.laws = Laws(torch.tensor(table, dtype=dtype).movedim(-1, 0)[..., None])
+        self.laws = Laws.of(torch.tensor(table, dtype=dtype).movedim(-1, 0)[..., None])
         self.X = torch.tensor(np.array(self.points), dtype=dtype)
         self.many = Hexes.on(self.topology, self.X, self.exists, self.laws)
 

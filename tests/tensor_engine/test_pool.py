@@ -51,17 +51,17 @@ def test_scenes_in_refilled_slots_have_the_cpu_engines_frames(slots):
 
 
 def test_meshes_of_unlike_sizes_share_one_batch():
-    plans = [pool.Plan.of(each) for each in enumerate(SCENES[:3])]
-    assert len({int(pool.Prepared.of(plan).grid.exists.sum()) for plan in plans}) == 3
+    plans = [pool.Planned.of(each) for each in enumerate(SCENES[:3])]
+    assert len({int(pool.PreparedScene.of(plan).grid.exists.sum()) for plan in plans}) == 3
     assert len(set(grids.merged(dict.fromkeys([plan.pattern for plan in plans], 1), 64).values())) == 1
 
 
 def test_a_scene_with_other_contact_points_is_refused():
     thin = pressed(SphereSdf(0.4), (0, 0, -0.1))
-    plans = [pool.Plan.of(each) for each in enumerate([SCENES[0], thin])]
+    plans = [pool.Planned.of(each) for each in enumerate([SCENES[0], thin])]
     assert [plan.thin for plan in plans] == [False, True]
-    first, other = (pool.Prepared.of(plan) for plan in plans)
-    slots = pool.Pool(first, dissected(first.grid.pattern), 1, "cpu", torch.float64)
+    first, other = (pool.PreparedScene.of(plan) for plan in plans)
+    slots = pool.ScenePool([first], dissected(first.grid.pattern), "cpu", torch.float64)
     with pytest.raises(ValueError, match="contact points"):
         refill.fill(slots.batch, 0, other.problem, other.place, other.grid.points)
 
