@@ -4,7 +4,7 @@
 
 Scenes of benchmarks/draws.py are solved in batches of one pattern, then each by the CPU engine. A line a scene: frames,
 steps of the bulk by both, the largest difference of the force over the scene's largest one, in the frames before the
-first damped step and in all, and what the batch engine could not do. Stops after so many seconds.
+first damped step of either engine and in all, and what the batch engine could not do. Stops after so many seconds.
 """
 
 import argparse
@@ -113,7 +113,7 @@ def compared(number: int, scene: Scene, solved: Solved) -> str:
     forces = np.array([[state.traction_force.sum((0, 1)) for state in pair] for pair in both]).reshape(-1, 2, 3)
     off = np.linalg.norm(forces[:, 0] - forces[:, 1], axis=1)
     off = off / max(float(np.linalg.norm(forces[:, 1], axis=1).max(initial=0.0)), 1e-12)
-    stable = len(list(takewhile(lambda pair: not pair[1].damped, both)))
+    stable = len(list(takewhile(lambda pair: not (pair[0].damped or pair[1].damped), both)))
     steps = [sum(state.iterations for state in states) for states in (solved.states, one[: len(both)])]
     kind, first, all_ = type(scene.shape).__name__, off[:stable].max(initial=0.0), off.max(initial=0.0)
     told = "" if solved.why is None else f"; batch engine: {solved.why}"
