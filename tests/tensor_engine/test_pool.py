@@ -15,6 +15,7 @@ from tacgen.mechanics.phases import Phase
 from tacgen.tensor_engine import grids, pool, refill, scheduler
 from tacgen.tensor_engine.dissection import dissected
 from tensor_engine.batches import path
+from tensor_engine.test_contact import field
 
 torch.set_num_threads(1)
 PAD = gel(9, 7, 2.0)
@@ -48,6 +49,20 @@ def test_scenes_in_refilled_slots_have_the_cpu_engines_frames(slots):
             force = max(float(a.normal_force.sum()), 1e-6)
             assert b.normal_force == pytest.approx(a.normal_force, abs=1e-9 * force)
             assert b.x == pytest.approx(a.x, abs=1e-9)
+
+
+def test_indenters_on_grids_follow_each_other_in_a_slot():
+    ball, small = SphereSdf(2.5), field(1.5, 0.4)
+    shapes = [ball, small, field(2.0, 0.5), ball, small]
+    plans = [pool.Planned.of((k, pressed(shape, (0, 0, -0.3)))) for k, shape in enumerate(shapes)]
+    first, *others = (pool.PreparedScene.of(plan) for plan in plans)
+    slots = pool.ScenePool([first], dissected(first.grid.pattern), "cpu", torch.float64)
+    at = torch.tensor([[[0.1, 0.2, -0.2], [0.4, 0.0, 0.3]]], dtype=torch.float64)
+    for each in [first, *others]:
+        slots.enter(0, each)
+        found = slots.batch.shapes.distance(at)[0][0]
+        assert found.numpy() == pytest.approx(each.scene.shape.distance(at[0].numpy())[0], abs=1e-12)
+    assert len(slots.batch.shapes.values) == small.coefficients.size
 
 
 def test_meshes_of_unlike_sizes_share_one_batch():
