@@ -81,6 +81,15 @@ def test_a_scene_with_other_contact_points_is_refused():
         refill.fill(slots.batch, 0, other.problem, other.place, other.grid.points)
 
 
+def test_a_scene_that_goes_on_for_long_is_left_to_the_cpu_engine(monkeypatch):
+    monkeypatch.setattr(pool, "MOST_CALLS", 30)
+    found = dict(pool.solved([SCENES[0], SCENES[1]], slots=1))
+    assert len(found[0].states) == 1
+    assert found[0].why is None
+    assert len(found[1].states) < 2
+    assert found[1].why == "more than 30 kernel calls a frame"
+
+
 def test_less_memory_has_room_for_fewer_scenes():
     tree = dissected(grids.GridPattern((18, 18, 5)))
     (many, most), (few, least) = pool.room(tree, 1e10), pool.room(tree, 1e6)
