@@ -1,5 +1,6 @@
 """Scenes of one pattern in the slots of one batch, refilled; and many scenes, pattern after pattern."""
 
+import gc
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -24,6 +25,9 @@ from tacgen.tensor_engine.multifrontal import Multifrontal
 MOST_SLOTS = 512  # more scenes at once are hardly faster
 LEAST_SHARED = 64  # scenes of a pattern below which it is merged with others: smaller batches do not fill a GPU
 CPU_MEMORY = 4e9  # [bytes] used where there is no GPU
+# Kernel calls of a scene for each of its frames, on average, after which it is left to the CPU engine: ordinary frames
+# take 40, and a few scenes that go on for long would keep a batch from ending
+MOST_CALLS = 150
 WIDE = 450  # unknowns condensed to in a large contact, for the estimate of memory
 CELL, UNKNOWN = 2500, 100  # bytes of tables, of a cell and of an unknown
 WORK, TANGENT = 40_000, 80_000  # bytes of a cell for the work of a kernel, and of one that makes tangents
@@ -90,6 +94,7 @@ class ScenePool:
         problems, places = [scene.problem for scene in first], [scene.place for scene in first]
         self.batch = Batch.of(problems, places, topology, X, factors, pattern.patch, device)
         self._frames: dict[int, Iterator[int]] = {}
+        self._calls: dict[int, int] = {}  # that a scene may still have
 
     def enter(self, slot: int, scene: PreparedScene) -> None:
         """Put a scene into an empty slot, before its first frame."""
@@ -97,11 +102,15 @@ class ScenePool:
             refill.fill(self.batch, slot, scene.problem, scene.place, scene.grid.points)
         admission.rest(self.batch, self.batch.slots([slot]), scene.scene.start[None])
         self._frames[slot] = engine.frames(self.batch, slot, scene.scene)
+        self._calls[slot] = MOST_CALLS * len(scene.scene.poses)
         next(self._frames[slot], None)
 
     def phase(self, slot: int) -> Phase | None:
         """The kernel for which the scene in a slot waits; None: all its frames are solved, or one could not be."""
         course = self.batch.courses[slot]
+        if self._calls[slot] <= 0 and course.phase not in FINAL:
+            course.why = f"more than {MOST_CALLS} kernel calls a frame"
+            return None
         if course.phase in FINAL and next(self._frames[slot], None) is None:
             return None
         return course.phase
@@ -109,6 +118,8 @@ class ScenePool:
     def advance(self, phase: Phase, slots: list[int]) -> None:
         """Call a kernel for scenes that wait for it."""
         engine.advance(self.batch, phase, slots)
+        for slot in slots:
+            self._calls[slot] -= 1
 
     def leave(self, slot: int) -> Solved:
         """The states of the ended scene in a slot."""
@@ -143,13 +154,26 @@ def solved(
         if plan.pattern is not None:
             pattern = shared[plan.pattern]
             groups.setdefault((pattern, plan.thin), []).append(replace(plan, pattern=pattern))
-    for (pattern, _), group in groups.items():
+    for (pattern, _), group in groups.items():  # each pool is gone before the next one is made
         tree, ready = dissected(pattern), iter(mapped(PreparedScene.of, group))
         count, limits = room(tree, free_memory(device) if memory is None else memory)
-        first = list(islice(ready, min(count, slots)))
-        pool = ScenePool(first, tree, device, dtype)
-        for scene, found in scheduler.run(pool, chain(first, ready), limits, use):
-            yield scene.number, found
+        yield from _solved(tree, ready, min(count, slots), limits, device, dtype, use)
+
+
+def _solved(
+    tree: Dissection,
+    ready: Iterator[PreparedScene],
+    count: int,
+    limits: dict[Phase, int],
+    device: str,
+    dtype: torch.dtype,
+    use: scheduler.Use | None,
+) -> Iterator[tuple[int, Solved]]:
+    """Numbers of scenes of one pattern and their solutions."""
+    first = list(islice(ready, count))
+    pool = ScenePool(first, tree, device, dtype)
+    for scene, found in scheduler.run(pool, chain(first, ready), limits, use):
+        yield scene.number, found
 
 
 def room(tree: Dissection, memory: float) -> tuple[int, dict[Phase, int]]:
@@ -158,9 +182,13 @@ def room(tree: Dissection, memory: float) -> tuple[int, dict[Phase, int]]:
     own = 4.0 * (tree.kept + k * k + k * WIDE) + CELL * cells + UNKNOWN * 3 * tree.pattern.size + 32.0 * WIDE**2
     work = dict.fromkeys(HEAVY, float(WORK * cells))
     work |= dict.fromkeys((Phase.factor, Phase.renew), 8.0 * tree.work + TANGENT * cells)
-    return max(1, int(0.5 * memory / own)), {phase: max(1, int(0.4 * memory / each)) for phase, each in work.items()}
+    return max(1, int(0.45 * memory / own)), {phase: max(1, int(0.3 * memory / each)) for phase, each in work.items()}
 
 
 def free_memory(device: str) -> float:
     """Bytes that a batch may use."""
-    return float(torch.cuda.mem_get_info(device)[0]) if device.startswith("cuda") else CPU_MEMORY
+    if not device.startswith("cuda"):
+        return CPU_MEMORY
+    gc.collect()
+    torch.cuda.empty_cache()  # of the pool before
+    return float(torch.cuda.mem_get_info(device)[0])
