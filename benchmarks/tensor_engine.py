@@ -44,7 +44,6 @@ def main() -> None:
     end = time.perf_counter() + told.seconds
     device = told.device or ("cuda" if torch.cuda.is_available() else "cpu")
     torch.set_num_threads(told.threads)
-    multifrontal.BASE = told.base
     name = torch.cuda.get_device_name() if device == "cuda" else f"CPU, {told.threads} threads"
     say(f"{name}; PyTorch {torch.__version__}; {told.dtype}")
     for sensor, found in sorted(shared(range(told.draws[0], sum(told.draws))).items()):
@@ -61,6 +60,9 @@ def main() -> None:
                     return
                 try:
                     batched(solver, matrix, batch, told.contact, end)
+                    for base in told.base:
+                        seconds = with_base(solver, matrix, batch, base, end)
+                        say(f"    with blocks of up to {base} rows factorised at once: factor {batch / seconds:.0f}/s")
                     if told.profile:
                         profiled(solver, matrix, batch)
                 except torch.cuda.OutOfMemoryError:
@@ -79,7 +81,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--leaf", type=int, default=dissection.LEAF, help="see dissection.LEAF")
     parser.add_argument("--quartered", type=int, default=dissection.QUARTERED, help="see dissection.QUARTERED")
     parser.add_argument("--groups", type=int, default=dissection.MOST_GROUPS, help="batches of a level")
-    parser.add_argument("--base", type=int, default=multifrontal.BASE, help="largest block factorised at once")
+    parser.add_argument("--base", type=int, nargs="*", default=(), help="values of multifrontal.BASE to compare")
     parser.add_argument("--profile", action="store_true", help="which operations take the time of a factorisation")
     parser.add_argument("--dtype", choices=("float32", "float64"), default="float32")
     parser.add_argument("--device", choices=("cpu", "cuda"), help="a GPU if there is one")
@@ -254,6 +256,17 @@ def refined(solve: Callable[[Tensor], Tensor], times: Callable[[Tensor], Tensor]
     for _ in range(rounds):
         x = x + solve(b - times(x)).to(b.dtype)
     return x
+
+
+def with_base(solver: Multifrontal, matrix: Matrix, batch: int, base: int, end: float) -> float:
+    """Seconds of a factorisation of a batch with another multifrontal.BASE."""
+    elements = torch.as_tensor(matrix.elements, dtype=solver.dtype, device=solver.device)
+    data, usual = solver.assembled(elements.expand(batch, -1, -1, -1)), multifrontal.BASE
+    multifrontal.BASE = base
+    try:
+        return fastest(lambda: solver.factor(data), solver.device.type, end)
+    finally:
+        multifrontal.BASE = usual
 
 
 def profiled(solver: Multifrontal, matrix: Matrix, batch: int) -> None:

@@ -24,6 +24,9 @@ from tacgen.tensor_engine.multifrontal import Multifrontal
 MOST_SLOTS = 512  # more scenes at once are hardly faster
 LEAST_SHARED = 64  # scenes of a pattern below which it is merged with others: smaller batches do not fill a GPU
 CPU_MEMORY = 4e9  # [bytes] used where there is no GPU
+# Kernel calls of a scene for each of its frames, on average, after which it is left to the CPU engine: ordinary frames
+# take 40, and a few scenes that go on for long would keep a batch from ending
+MOST_CALLS = 150
 WIDE = 450  # unknowns condensed to in a large contact, for the estimate of memory
 CELL, UNKNOWN = 2500, 100  # bytes of tables, of a cell and of an unknown
 WORK, TANGENT = 40_000, 80_000  # bytes of a cell for the work of a kernel, and of one that makes tangents
@@ -90,6 +93,7 @@ class ScenePool:
         problems, places = [scene.problem for scene in first], [scene.place for scene in first]
         self.batch = Batch.of(problems, places, topology, X, factors, pattern.patch, device)
         self._frames: dict[int, Iterator[int]] = {}
+        self._calls: dict[int, int] = {}  # that a scene may still have
 
     def enter(self, slot: int, scene: PreparedScene) -> None:
         """Put a scene into an empty slot, before its first frame."""
@@ -97,11 +101,15 @@ class ScenePool:
             refill.fill(self.batch, slot, scene.problem, scene.place, scene.grid.points)
         admission.rest(self.batch, self.batch.slots([slot]), scene.scene.start[None])
         self._frames[slot] = engine.frames(self.batch, slot, scene.scene)
+        self._calls[slot] = MOST_CALLS * len(scene.scene.poses)
         next(self._frames[slot], None)
 
     def phase(self, slot: int) -> Phase | None:
         """The kernel for which the scene in a slot waits; None: all its frames are solved, or one could not be."""
         course = self.batch.courses[slot]
+        if self._calls[slot] <= 0 and course.phase not in FINAL:
+            course.why = f"more than {MOST_CALLS} kernel calls a frame"
+            return None
         if course.phase in FINAL and next(self._frames[slot], None) is None:
             return None
         return course.phase
@@ -109,6 +117,8 @@ class ScenePool:
     def advance(self, phase: Phase, slots: list[int]) -> None:
         """Call a kernel for scenes that wait for it."""
         engine.advance(self.batch, phase, slots)
+        for slot in slots:
+            self._calls[slot] -= 1
 
     def leave(self, slot: int) -> Solved:
         """The states of the ended scene in a slot."""

@@ -15,6 +15,7 @@ from tacgen.mechanics.phases import Phase
 from tacgen.tensor_engine import grids, pool, refill, scheduler
 from tacgen.tensor_engine.dissection import dissected
 from tensor_engine.batches import path
+from tensor_engine.test_contact import field
 
 torch.set_num_threads(1)
 PAD = gel(9, 7, 2.0)
@@ -50,6 +51,20 @@ def test_scenes_in_refilled_slots_have_the_cpu_engines_frames(slots):
             assert b.x == pytest.approx(a.x, abs=1e-9)
 
 
+def test_indenters_on_grids_follow_each_other_in_a_slot():
+    ball, small = SphereSdf(2.5), field(1.5, 0.4)
+    shapes = [ball, small, field(2.0, 0.5), ball, small]
+    plans = [pool.Planned.of((k, pressed(shape, (0, 0, -0.3)))) for k, shape in enumerate(shapes)]
+    first, *others = (pool.PreparedScene.of(plan) for plan in plans)
+    slots = pool.ScenePool([first], dissected(first.grid.pattern), "cpu", torch.float64)
+    at = torch.tensor([[[0.1, 0.2, -0.2], [0.4, 0.0, 0.3]]], dtype=torch.float64)
+    for each in [first, *others]:
+        slots.enter(0, each)
+        found = slots.batch.shapes.distance(at)[0][0]
+        assert found.numpy() == pytest.approx(each.scene.shape.distance(at[0].numpy())[0], abs=1e-12)
+    assert len(slots.batch.shapes.values) == small.coefficients.size
+
+
 def test_meshes_of_unlike_sizes_share_one_batch():
     plans = [pool.Planned.of(each) for each in enumerate(SCENES[:3])]
     assert len({int(pool.PreparedScene.of(plan).grid.exists.sum()) for plan in plans}) == 3
@@ -64,6 +79,15 @@ def test_a_scene_with_other_contact_points_is_refused():
     slots = pool.ScenePool([first], dissected(first.grid.pattern), "cpu", torch.float64)
     with pytest.raises(ValueError, match="contact points"):
         refill.fill(slots.batch, 0, other.problem, other.place, other.grid.points)
+
+
+def test_a_scene_that_goes_on_for_long_is_left_to_the_cpu_engine(monkeypatch):
+    monkeypatch.setattr(pool, "MOST_CALLS", 30)
+    found = dict(pool.solved([SCENES[0], SCENES[1]], slots=1))
+    assert len(found[0].states) == 1
+    assert found[0].why is None
+    assert len(found[1].states) < 2
+    assert found[1].why == "more than 30 kernel calls a frame"
 
 
 def test_less_memory_has_room_for_fewer_scenes():
