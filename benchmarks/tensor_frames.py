@@ -44,6 +44,7 @@ def main() -> None:
     torch.set_num_threads(1)
     fused.on, begun = told.compile, time.perf_counter()
     os.environ.update(results_page.one_thread())  # of the other processes
+    os.environ.setdefault("PYTORCH_CUDA_ALLOC_CONF", "expandable_segments:True")  # calls have many sizes
     draws = [k for k in range(told.draws[0], sum(told.draws)) if drawn(k).sensor in (told.sensors or [drawn(k).sensor])]
     with multiprocessing.get_context("spawn").Pool(told.workers) as others:
         scenes = {k: made for k, made in zip(draws, others.imap(scene_of, draws), strict=True) if made is not None}

@@ -1,5 +1,6 @@
 """Scenes of one pattern in the slots of one batch, refilled; and many scenes, pattern after pattern."""
 
+import gc
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -153,13 +154,26 @@ def solved(
         if plan.pattern is not None:
             pattern = shared[plan.pattern]
             groups.setdefault((pattern, plan.thin), []).append(replace(plan, pattern=pattern))
-    for (pattern, _), group in groups.items():
+    for (pattern, _), group in groups.items():  # each pool is gone before the next one is made
         tree, ready = dissected(pattern), iter(mapped(PreparedScene.of, group))
         count, limits = room(tree, free_memory(device) if memory is None else memory)
-        first = list(islice(ready, min(count, slots)))
-        pool = ScenePool(first, tree, device, dtype)
-        for scene, found in scheduler.run(pool, chain(first, ready), limits, use):
-            yield scene.number, found
+        yield from _solved(tree, ready, min(count, slots), limits, device, dtype, use)
+
+
+def _solved(
+    tree: Dissection,
+    ready: Iterator[PreparedScene],
+    count: int,
+    limits: dict[Phase, int],
+    device: str,
+    dtype: torch.dtype,
+    use: scheduler.Use | None,
+) -> Iterator[tuple[int, Solved]]:
+    """Numbers of scenes of one pattern and their solutions."""
+    first = list(islice(ready, count))
+    pool = ScenePool(first, tree, device, dtype)
+    for scene, found in scheduler.run(pool, chain(first, ready), limits, use):
+        yield scene.number, found
 
 
 def room(tree: Dissection, memory: float) -> tuple[int, dict[Phase, int]]:
@@ -168,9 +182,13 @@ def room(tree: Dissection, memory: float) -> tuple[int, dict[Phase, int]]:
     own = 4.0 * (tree.kept + k * k + k * WIDE) + CELL * cells + UNKNOWN * 3 * tree.pattern.size + 32.0 * WIDE**2
     work = dict.fromkeys(HEAVY, float(WORK * cells))
     work |= dict.fromkeys((Phase.factor, Phase.renew), 8.0 * tree.work + TANGENT * cells)
-    return max(1, int(0.5 * memory / own)), {phase: max(1, int(0.4 * memory / each)) for phase, each in work.items()}
+    return max(1, int(0.45 * memory / own)), {phase: max(1, int(0.3 * memory / each)) for phase, each in work.items()}
 
 
 def free_memory(device: str) -> float:
     """Bytes that a batch may use."""
-    return float(torch.cuda.mem_get_info(device)[0]) if device.startswith("cuda") else CPU_MEMORY
+    if not device.startswith("cuda"):
+        return CPU_MEMORY
+    gc.collect()
+    torch.cuda.empty_cache()  # of the pool before
+    return float(torch.cuda.mem_get_info(device)[0])
