@@ -101,7 +101,6 @@ class Course:
     kept: int = 0  # unknowns to which the Schur complement is reduced
     reduced: float = -1.0  # damping of the Schur complement whose reduction is kept; -1: none
     part: float = 1.0
-    gain: float = 1.0
 
     def fresh(self) -> None:
         """Forget all that belongs to one load step."""

@@ -146,7 +146,7 @@ def search(b: Batch, s: Tensor) -> list[Outcome]:
     model = ((t.g[s] * p).sum((1, 2)) + (u * condensed_gradient).sum(1)) / 2 + change
     energy = t.energy[s]
     rounding = step_end(b, s) * t.h_least[s] + ROUNDING * energy.abs()
-    part, gain, there = torch.zeros_like(energy), torch.zeros_like(energy), energy.clone()
+    part, there = torch.zeros_like(energy), energy.clone()
     open_, fraction = torch.arange(len(s), device=s.device), 1.0
     while len(open_) and fraction >= SHORTEST:
         at = x[open_] + fraction * p[open_]
@@ -160,12 +160,13 @@ def search(b: Batch, s: Tensor) -> list[Outcome]:
         share = torch.where(total.abs() <= rounding[open_], 1.0, share)
         good = share >= MIN_GAIN
         done = open_[good]
-        part[done], gain[done], there[done] = fraction, share[good], value[good]
+        part[done], there[done] = fraction, value[good]
         open_, fraction = open_[~good], fraction / 2
     t.put(s, stepped=x + part[:, None, None] * p, stepped_energy=there, c_x=_partly(b, s, bulk.start, inner, part))
-    for row, taken, won in zip(listed(s), part.tolist(), gain.tolist(), strict=True):
-        b.courses[row].part, b.courses[row].gain = taken, won
-    return [Outcome.ready if taken > 0 else Outcome.higher for taken in part.tolist()]
+    taken = part.tolist()
+    for row, fraction in zip(listed(s), taken, strict=True):
+        b.courses[row].part = fraction
+    return [Outcome.ready if fraction > 0 else Outcome.higher for fraction in taken]
 
 
 def _partly(b: Batch, s: Tensor, start: Tensor, inner: Tensor, part: Tensor) -> Tensor:

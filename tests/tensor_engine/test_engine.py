@@ -80,6 +80,29 @@ def test_a_scene_that_fails_leaves_the_others_alone() -> None:
     assert "Newton did not converge in 4 steps" in str(found[1].why)
 
 
+def test_a_tangent_that_is_not_definite_is_projected_in_its_scene_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    scenes = [small(BALL, path((0, 0, -0.2))), small(SphereSdf(1.2), path((0, 0, -0.9)))]
+    b = batch(scenes)
+    solve(b, scenes)
+    factor, calls = b.factors.factor, []
+
+    def refusing(slots: torch.Tensor, K: torch.Tensor, nodes: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        calls.append((slots.tolist(), float(torch.linalg.eigvalsh(K).min())))
+        good, S = factor(slots, K, nodes)
+        return good & (slots == 0) if len(calls) < 3 else good, S
+
+    monkeypatch.setattr(b.factors, "factor", refusing)
+    s = b.slots([0, 1])
+    x = b.t.x[s]
+    x[1, :, 2] *= 0.8  # squeezed
+    assert load_step.take(b, s, x, None) == [True, True]
+    assert [slots for slots, _ in calls] == [[0, 1], [1], [1]]
+    least = [value for _, value in calls]
+    assert least[0] < -1e-3
+    assert least[2] > -1e-9
+    assert all(course.usable for course in b.courses)
+
+
 def test_layers_and_laws_may_differ_from_scene_to_scene() -> None:
     laws = list(EXAMPLES.values())
 
