@@ -121,7 +121,7 @@ def paths_sheet(found: dict[str, list[Bundle]]) -> Figure:
         column[0].set_title(sensor, fontsize=9)
         column[1].set_xlabel(f"{paths_of(found[sensor])} paths a pixel", fontsize=8)
         decibel, bias = 20 * np.log10(255 / np.sqrt(np.mean(off**2))), off.mean()
-        column[2].set_xlabel(f"{decibel:.1f} dB with its noise; mean {bias:+.2f} counts", fontsize=8)
+        column[2].set_xlabel(f"{decibel:.1f} dB with its noise,\nmean {bias:+.2f} counts", fontsize=8)
     for panel, label in zip(grid[:, 0], ("transport", "path", f"difference x {CONTRAST}"), strict=True):
         panel.set_ylabel(label, fontsize=9)
     return drawn

@@ -1,14 +1,15 @@
 """Fit of a sensor whose gel scatters light.
 
 The untouched photograph gives the LEDs' light, by least squares on maps traced with one LED at a time. Presses give the
-gain by thickness: how the photographs change, over how transport says they should, on faces that are solved at depths
-that may all be off by one factor. The gain is held to the sensor file's by a ridge, whose weight suits unseen presses
-best.
+gain by thickness and how far it spreads sideways: how the photographs change, over how transport says they should, on
+faces that are solved at depths that may all be off by one factor. The gain is held to the sensor file's by a ridge,
+whose weight suits unseen presses best.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import nnls
@@ -34,17 +35,26 @@ Array = np.ndarray
 Choice = tuple[ThicknessResponse | None, int]  # response to thickness, number of the factor on depths
 CHANGES = (-2.1, -1.6, -1.2, -0.8, -0.4, -0.15, 0.0, 0.08, 0.16, 0.24, 0.32, 0.45)  # of thickness, for the gain [mm]
 FACTORS = (0.92, 0.94, 0.96, 0.98, 1.0, 1.02, 1.04, 1.06, 1.08)  # tried factors on all depths
+SPREADS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5)  # tried spreads of the gain [mm]
 REACH = 9.0  # distance from a press within which pixels are compared [mm]
 SPP = 64  # paths, as in render.Renderer
 RIDGES = (1.0, 0.1, 0.01, 0.001)  # tried weights of the file's gain, over that of all pixels
-FIXED = 1e5  # weight of gain 1 at no change of thickness, over that of a pixel
+
+
+class Sums(NamedTuple):
+    """Normal equations of the gain at CHANGES, over pixels."""
+
+    left: Array  # (changes, changes)
+    right: Array  # (changes, 3)
+    pixels: int
 
 
 @dataclass(frozen=True)
 class RenderedPress:
     """A press rendered at one depth, over the whole picture (pixels, 3), and which pixels are `near` (pixels,)."""
 
-    change: Array  # change of thickness (pixels,) [mm]
+    change: Array  # change of thickness (h, w) [mm], nan off the pad
+    mm_per_px: float
     own: Array  # rendered picture over the rendered untouched one
     wanted: Array  # photograph over the untouched photograph
     near: Array
@@ -54,15 +64,26 @@ class RenderedPress:
         """Photographed change over the rendered one (pixels, 3)."""
         return np.asarray(self.wanted / self.own)
 
-    def off(self, table: Array, untouched: Array, camera: Eye) -> Array:
-        """Misfit [counts] (k, 3) for a table of gains and an untouched picture of linear light (pixels, 3)."""
-        response = ThicknessResponse(change_mm=CHANGES, gain=tuple(rgb(row) for row in table), source="fit")
-        wanted, made = self.changes(response, untouched, camera)
-        return np.asarray(made - wanted)
+    def weights(self, spread: float) -> Array:
+        """Weights (k, changes) of the gains at CHANGES where there is gel, spread sideways by `spread` [mm]."""
+        hats = _hats(np.nan_to_num(self.change).ravel()).reshape(*self.change.shape, -1)
+        spread_hats = scattering.spread(hats, spread / self.mm_per_px)
+        return np.asarray(spread_hats.reshape(self.change.size, -1)[self._there])
+
+    def sums(self, spread: float) -> Sums:
+        """The normal equations of its gains at CHANGES, spread by `spread` [mm]."""
+        hats = self.weights(spread)
+        return Sums(hats.T @ hats, hats.T @ self.gain[self._there], len(hats))
+
+    @property
+    def _there(self) -> Array:
+        return np.asarray(np.isfinite(self.change).ravel() & np.isfinite(self.gain).all(axis=1))
 
     def changes(self, response: ThicknessResponse | None, untouched: Array, camera: Eye) -> tuple[Array, Array]:
         """Change of counts (k, 3) as photographed, and as rendered with a gain, on an untouched picture (pixels, 3)."""
-        gain = 1.0 if response is None else scattering.gain(response, self.change)
+        gain: Array | float = 1.0
+        if response is not None:
+            gain = scattering.gains(response, self.change, self.mm_per_px).reshape(-1, 3)
         lights = (untouched, untouched * self.wanted, untouched * self.own * gain)
         before, wanted, made = (255 * camera_response.encoded(light, camera)[self.near] for light in lights)
         return wanted - before, made - before
@@ -132,21 +153,33 @@ class Renders:
         renderer = images.Renderer(self.made, SPP, 0, False)
         pairs = zip(photos.presses, self.faces, strict=True)
         self.seen = [_seen(self.made, renderer, photos, *pair) for pair in pairs]  # by press, then by factor
+        self.spread = 0.0 if file is None else file.spread_mm
+        self._kept: dict[tuple[int, int, float], Sums] = {}
 
     def sensor(self, response: ThicknessResponse | None) -> LitSensor:
         """The sensor with fitted radiances and a response to thickness."""
         return self.made.model_copy(update={"thickness_response": response})
 
     def best(self, chosen: list[int], ridge: float) -> tuple[float, ThicknessResponse, int]:
-        """Misfit [counts], response, and number of the factor that suits the chosen presses best."""
-        tried = []
-        for i in range(len(FACTORS)):
-            here = [self.seen[k][i] for k in chosen]
-            change, wanted = (np.concatenate([getattr(s, key) for s in here]) for key in ("change", "gain"))
-            table = gains(change, wanted, self.file, ridge)
-            tried.append((rms([s.off(table, self.linear, self.camera) for s in here]), table, i))
-        off, table, i = min(tried, key=lambda one: one[0])
-        return off, ThicknessResponse(change_mm=CHANGES, gain=tuple(rgb(row) for row in table), source="fit"), i
+        """Misfit [counts], response, and number of the factor that suits the chosen presses best.
+
+        The factor is chosen at the file's spread, and then the spread.
+        """
+        at = min(range(len(FACTORS)), key=lambda i: self._fitted(chosen, ridge, self.spread, i)[0])
+        return min((self._fitted(chosen, ridge, spread, at) for spread in SPREADS), key=lambda one: one[0])
+
+    def _fitted(self, chosen: list[int], ridge: float, spread: float, i: int) -> tuple[float, ThicknessResponse, int]:
+        parts = [self._sums(k, i, spread) for k in chosen]
+        table = gains(Sums(*(sum(part[1:], part[0]) for part in zip(*parts, strict=True))), self.file, ridge)
+        rows = tuple(rgb(row) for row in table)
+        response = ThicknessResponse(change_mm=CHANGES, gain=rows, spread_mm=spread, source="fit")
+        return rms([np.array([self.off(k, response, i)]) for k in chosen]), response, i
+
+    def _sums(self, press: int, factor: int, spread: float) -> Sums:
+        key = press, factor, spread
+        if key not in self._kept:
+            self._kept[key] = self.seen[press][factor].sums(spread)
+        return self._kept[key]
 
     def off(self, press: int, response: ThicknessResponse | None, factor: int) -> float:
         """Misfit [counts] of a press."""
@@ -161,8 +194,7 @@ class Renders:
 
     def determined(self, factor: int, ridge: float) -> dict[str, float]:
         """Share of the gain at each of CHANGES that the photographs determine."""
-        change = np.concatenate([press[factor].change for press in self.seen])
-        hat = _hats(change[np.isfinite(change)])
+        hat = np.concatenate([press[factor].weights(self.spread) for press in self.seen])
         names = [f"gain at {change:+g} mm" for change in CHANGES]
         return dict(zip(names, map(float, judging.determined(hat, np.sqrt(ridge * len(hat)))), strict=True))
 
@@ -177,20 +209,17 @@ def powers(sensor: LitSensor, maps: Array, untouched: Array) -> Array:
     )
 
 
-def gains(change: Array, wanted: Array, file: Array, ridge: float) -> Array:
+def gains(sums: Sums, file: Array, ridge: float) -> Array:
     """Least-squares gain (changes, 3) at CHANGES, slightly smooth, through 1 at no change, held to the file's."""
     known = np.array(CHANGES)
-    there = np.isfinite(change) & np.isfinite(wanted).all(axis=1)
-    hat = _hats(change[there])
     bend = np.zeros((len(known) - 2, len(known)))
     for k in range(len(known) - 2):
         a, b = known[k + 1] - known[k], known[k + 2] - known[k + 1]
         bend[k, k : k + 3] = [1 / a, -1 / a - 1 / b, 1 / b]
-    hold = np.sqrt(ridge * len(hat)) * np.eye(len(known))
-    rows = np.vstack([hat, bend, hold, FIXED * np.eye(len(known))[known == 0]])
-    pairs = zip(wanted[there].T, file.T, strict=True)
-    right = [np.concatenate([w, np.zeros(len(bend)), hold @ f, [FIXED]]) for w, f in pairs]
-    return np.asarray(np.maximum(np.array([np.linalg.lstsq(rows, b, rcond=None)[0] for b in right]).T, 0.0))
+    hold, table, free = ridge * sums.pixels, np.ones((len(known), 3)), known != 0
+    left, right = sums.left + bend.T @ bend + hold * np.eye(len(known)), sums.right + hold * file
+    table[free] = np.linalg.solve(left[free][:, free], right[free] - left[free][:, ~free] @ table[~free])
+    return np.maximum(table, 0.0)
 
 
 def _hats(change: Array) -> Array:
@@ -217,7 +246,7 @@ def _seen(
         change = seen.position[:, 2] - renderer.untouched.at(seen.position[:, :2])[:, 2]
         own = (renderer.image(face).astype(float) / np.maximum(flat, 1e-12)).reshape(-1, 3)
         away = np.hypot(*(camera.project(seen.position) - press.center).T) * camera.mm_per_px
-        return RenderedPress(change, own, after / before, away < REACH)
+        return RenderedPress(change.reshape(view.shape), sensor.camera.mm_per_px, own, after / before, away < REACH)
 
     return [at(face) for face in faces]
 

@@ -167,6 +167,7 @@ def _changes(sensor: LitSensor, fitted: "Fitted", said: str, *, bare: bool) -> d
         out["thickness_response",] = {
             "change_mm": digits(table.change_mm),
             "gain": [digits(row) for row in table.gain],
+            "spread_mm": table.spread_mm,
             "source": f"{by}: what the unit shows beyond light transport, of unknown cause",
         }
     if bare and sensor.markers is not None:

@@ -194,6 +194,20 @@ def _spread(coarse: "Floats", weights: "Floats", shape: tuple[int, int]) -> "Flo
     return out
 
 
+def gains(response: "ThicknessResponse", change: "Floats", mm_per_px: float) -> "Floats":
+    """The fitted response's gain (h, w, 3) in a picture whose gel is `change` (h, w) [mm] thicker than untouched."""
+    return spread(tabulated(response).at(change.ravel()).reshape(*change.shape, 3), response.spread_mm / mm_per_px)
+
+
+def spread(gain: "Floats", reach: float) -> "Floats":
+    """A picture of gains (h, w, k) averaged by a Gaussian of standard deviation `reach` [px]."""
+    if not reach:
+        return gain
+    from scipy.ndimage import gaussian_filter
+
+    return np.asarray(gaussian_filter(gain, (reach, reach, 0), mode="nearest", truncate=3.0))
+
+
 def gain(response: "ThicknessResponse", change: "Floats") -> "Floats":
     """The fitted response's gain (n, 3) where the gel is `change` (n,) [mm] thicker than untouched; 1 off the pad."""
     return np.nan_to_num(interpolated(change, np.array(response.change_mm), np.array(response.gain)), nan=1.0)

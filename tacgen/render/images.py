@@ -194,7 +194,9 @@ class Renderer:
             made = made + self._view.dimmed(at, self._stray)
         if self.sensor.thickness_response is not None:
             change = at.position[:, 2] - self._height(at.position[:, :2])
-            made *= self._view.picture(scattering.tabulated(self.sensor.thickness_response).at(change))
+            response, pixel = self.sensor.thickness_response, self.sensor.camera.mm_per_px
+            gain = self._view.picture(scattering.tabulated(response).at(change))
+            made *= scattering.spread(gain, response.spread_mm / pixel)
         return camera_response.blurred(made, self.sensor.camera).astype(np.float32)
 
     def _height(self, xy: "Floats") -> "Floats":

@@ -253,6 +253,8 @@ class ThicknessResponse(Part):
     """Changes of the gel's thickness, rising."""
     gain: tuple[Rgb, ...]
     """Factor on red, green, blue at each change."""
+    spread_mm: Annotated[float, Field(ge=0, le=5)] = 0.0
+    """How far this light wanders sideways in the gel: the gain is averaged by a Gaussian of this standard deviation."""
     source: str = NOWHERE
 
     @model_validator(mode="after")

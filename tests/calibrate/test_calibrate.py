@@ -149,6 +149,7 @@ def test_the_response_to_thickness_is_found_by_solved_presses(tmp_path: Path, mo
     press = photos.PhotographedPress("press.png", np.zeros(0), 3.0, (42.0, 30.0), None, 0.8)
     made = images.Renderer(unit, 6, 0, False)
     (face,) = press_faces.solved(unit, press, [0.832], {})
+    Image.fromarray(made.develop(made.flat())).save(folder / "background.png")  # of the same maps as the press
     Image.fromarray(made.develop(made.image(face))).save(folder / "press.png")
     (folder / "presses.csv").write_text("file,ball_radius_mm,x_px,y_px,depth_mm\npress.png,3.0,42,30,0.8\n")
     found = led_fit.optics(str(path), folder).fitted

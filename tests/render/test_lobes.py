@@ -174,3 +174,20 @@ def test_paths_a_pixel_are_a_product_so_that_mitsuba_need_not_warn(spp, paths, c
     made = sensor()
     PathTracer(made, Sheet.over(made.gel, 2.0), False, mitsuba_variants.SCALAR).radiance(Untouched(), min(spp, 64), 0)
     assert capfd.readouterr() == ("", "")
+
+
+def test_pictures_are_the_same_at_any_thread_count():
+    import drjit as dr
+
+    made = lit(3)
+    tracer = PathTracer(made, Sheet.over(made.gel, 0.5), False, mitsuba_variants.SCALAR)
+    before, pictures = dr.thread_count(), []
+    try:
+        for threads in (1, 2, 3):
+            dr.set_thread_count(threads)
+            pictures.append(tracer.radiance(Untouched(), 12, 5))
+    finally:
+        dr.set_thread_count(before)
+    assert pictures[0].max() > 0
+    assert np.array_equal(pictures[0], pictures[1])
+    assert np.array_equal(pictures[0], pictures[2])
