@@ -20,7 +20,7 @@ from tacgen.mechanics import mesh, presolve
 from tacgen.mechanics.cost_note import cost_note, resolution_note
 from tacgen.mechanics.expected_error import FaceGrid, expected_force_error
 from tacgen.mechanics.scene import Scene
-from tacgen.mechanics.solution import Solution
+from tacgen.mechanics.solved_scene import SolvedScene
 from tacgen.outputs import BLOCKS, IMAGES, NAMES, OUTPUTS
 from tacgen.outputs.base import Datasets
 from tacgen.outputs.scene_data import FrameData, SceneData
@@ -80,7 +80,7 @@ def _finite(found: Datasets) -> Datasets:
 
 
 def _attributes(
-    row: Row, built: Scene, shared: SceneData, clock: Clock, solution: Solution | None = None
+    row: Row, built: Scene, shared: SceneData, clock: Clock, solution: SolvedScene | None = None
 ) -> dict[str, Any]:
     from importlib.metadata import version
 
@@ -123,7 +123,7 @@ def run_scene(
     *,
     overwrite: bool = False,
     on_event: OnEvent | None = None,
-    solution: Solution | None = None,
+    solution: SolvedScene | None = None,
 ) -> SceneResult:
     """Solve, label, render and write one scene; a finished bundle of the same inputs is kept unless `overwrite`.
 
@@ -138,7 +138,7 @@ def run_scene(
     return resume.once(row, folder, lambda path: _make(row, path, on_event, solution), overwrite=overwrite)
 
 
-def _make(row: Row, path: Path, on_event: OnEvent | None, solution: Solution | None) -> SceneResult:
+def _make(row: Row, path: Path, on_event: OnEvent | None, solution: SolvedScene | None) -> SceneResult:
     """The work itself, with one BLAS thread: more would add up in another order, and change the bytes."""
     from threadpoolctl import threadpool_limits
 
@@ -183,7 +183,7 @@ Solvable = tuple[Row, Scene, mechanics.Problem]  # of each bundle: one, or of a 
 Found = tuple[tuple[mechanics.State, "tuple[Held, int] | None"], ...]
 
 
-def _gels(row: Row, clock: Clock, solution: Solution | None = None) -> tuple[tuple[Solvable, ...], Iterator[Found]]:
+def _gels(row: Row, clock: Clock, solution: SolvedScene | None = None) -> tuple[tuple[Solvable, ...], Iterator[Found]]:
     """The gels of a row of the plan, meshed, and what will be found at each frame."""
     if row.other is not None:
         return _grasped(row, clock)
@@ -221,7 +221,12 @@ class Recorder:
     """Labels, renders and writes one gel's bundle."""
 
     def __init__(
-        self, solvable: Solvable, path: Path, clock: Clock, on_event: OnEvent | None, solution: Solution | None = None
+        self,
+        solvable: Solvable,
+        path: Path,
+        clock: Clock,
+        on_event: OnEvent | None,
+        solution: SolvedScene | None = None,
     ) -> None:
         (row, self.scene, problem), self.clock = solvable, clock
         asked = {"force", *row.recipe.outputs} | {name for name in BLOCKS if getattr(row.recipe, name) is not None}
@@ -284,7 +289,7 @@ class Recorder:
 
 
 def _made(
-    row: Row, path: Path, on_event: OnEvent | None, clock: Clock, solution: Solution | None = None
+    row: Row, path: Path, on_event: OnEvent | None, clock: Clock, solution: SolvedScene | None = None
 ) -> SceneResult:
     """Everything between a row of the plan and its bundles, the first of which is `path`."""
     gels, frames = _gels(row, clock, solution)

@@ -20,7 +20,7 @@ from tacgen.bundle import resume
 from tacgen.bundle.resume import SceneResult
 from tacgen.errors import UserError
 from tacgen.mechanics.scene import Scene
-from tacgen.mechanics.solution import Solution
+from tacgen.mechanics.solved_scene import SolvedScene
 from tacgen.recipe.row import Row
 
 CHUNK = 1024  # scenes that are solved before the first of them is written: some 3 MB of solution each
@@ -134,7 +134,7 @@ def _solve(rows: Sequence[Row], folder: Path, device: str, mapped: Mapped) -> li
         for number, solved in pool.solved(scenes.values(), device, mapped=mapped):
             k = numbers[number]
             if solved.why is None:
-                solution_file.write(_place(folder, rows[k]), Solution(by, solved.states))
+                solution_file.write(_place(folder, rows[k]), SolvedScene(by, solved.states))
                 scenes.pop(k)
             else:
                 why[k] = str(solved.why)
@@ -142,7 +142,7 @@ def _solve(rows: Sequence[Row], folder: Path, device: str, mapped: Mapped) -> li
         notes = [f"the batch engine stopped: {str(error).splitlines()[0]}; the other scenes are solved on the CPU"]
     for k in scenes.keys() | why.keys():
         said = why.get(k, "it stopped before this scene")
-        solution_file.write(_place(folder, rows[k]), Solution(by, why=f"solved by the CPU engine: {said}"))
+        solution_file.write(_place(folder, rows[k]), SolvedScene(by, why=f"solved by the CPU engine: {said}"))
     return notes
 
 

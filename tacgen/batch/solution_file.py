@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 
 from tacgen import atomic_file
-from tacgen.mechanics.solution import Solution
+from tacgen.mechanics.solved_scene import SolvedScene
 from tacgen.mechanics.state import State
 
 LEFT_OUT = ("internal", "after", "passed")  # no label needs the history of a load step
 NAMES = [field.name for field in fields(State) if field.name not in LEFT_OUT]
 
 
-def write(path: Path, solution: Solution) -> None:
+def write(path: Path, solution: SolvedScene) -> None:
     """Write a solution, in whole or not at all. Without friction, what only friction has is left out."""
     found: dict[str, np.ndarray] = {"/engine": np.array(solution.engine), "/why": np.array(solution.why)}
     for name in NAMES if solution.states else ():
@@ -27,7 +27,7 @@ def write(path: Path, solution: Solution) -> None:
     atomic_file.write(path, written.getvalue())
 
 
-def read(path: Path) -> Solution | None:
+def read(path: Path) -> SolvedScene | None:
     """A solution; None if there is no such file."""
     if not path.is_file():
         return None
@@ -35,7 +35,7 @@ def read(path: Path) -> Solution | None:
         arrays = {name: found[name] for name in NAMES if name in found}
         frames = len(arrays["index"]) if arrays else 0
         states = [State(**{name: _at(arrays, name, k) for name in NAMES}) for k in range(frames)]
-        return Solution(str(found["/engine"]), states, str(found["/why"]))
+        return SolvedScene(str(found["/engine"]), states, str(found["/why"]))
 
 
 def _at(arrays: dict[str, np.ndarray], name: str, frame: int) -> Any:

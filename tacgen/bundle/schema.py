@@ -23,7 +23,7 @@ ATTRS: dict[str, tuple[type, str]] = {
     "sensor": (str, "name of the sensor"),
     "sensor_sha256": (str, "of the resolved sensor"),
     "units": (str, f"unit system, `{UNITS}`"),
-    "solver": (str, "linear solver and versions"),
+    "solver": (str, "linear solver, or batch engine and device, and versions"),
     "input_key": (str, "sha256 of all resolved inputs: equal keys, equal bundles"),
     "frames_planned": (int, "frames the trajectory asks for; `status` tells whether all are here"),
     "status": (str, "`ok`, or `rejected`: the solver gave up and only the frames before that are here"),

@@ -11,7 +11,7 @@ from tacgen import batch
 from tacgen.batch import cuda_engine, solution_file
 from tacgen.bundle.bundle import read
 from tacgen.errors import UserError
-from tacgen.mechanics.solution import Solution
+from tacgen.mechanics.solved_scene import SolvedScene
 from tacgen.recipe import plan
 from tacgen.recipe.plan import Plan
 
@@ -88,6 +88,6 @@ def test_no_gpu_is_one_line(tmp_path: Path) -> None:
 
 def test_why_there_is_no_solution_survives_the_file(tmp_path: Path) -> None:
     path = tmp_path / "one.npz"
-    solution_file.write(path, Solution("an engine", why="it is so"))
-    assert solution_file.read(path) == Solution("an engine", [], "it is so")
+    solution_file.write(path, SolvedScene("an engine", why="it is so"))
+    assert solution_file.read(path) == SolvedScene("an engine", [], "it is so")
     assert solution_file.read(tmp_path / "none.npz") is None

@@ -7,7 +7,7 @@ from tacgen.mechanics.state import State
 
 
 @dataclass(frozen=True)
-class Solution:
+class SolvedScene:
     """States of all frames, and the engine and its versions, as bundles name them; or no state, and `why` there is
     none."""
 
