@@ -1,0 +1,245 @@
+"""Thickness and modulus of a gel, zero and lag of a gauge from photographed presses of balls with forces.
+
+The shape of the face around the contact depends on the gel's thickness, and not on its modulus or on the forces: the
+pictures give thickness, depths and colours. The forces then give the modulus, the gauge's zero and, where the pictures
+have times, the lag of the gauge in each recording:
+
+    F(t) = zero + m C(d(t - lag))
+
+C is the force that the sensor file's gel gives at depth d. The errors of the thickness come from the jackknife over
+sectors of the pictures of each recording, and are carried over to the modulus.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.optimize import isotonic_regression
+from scipy.stats import t as student
+
+from tacgen.calibrate.ball_dents import POWER, Dents
+from tacgen.calibrate.fit_material import LEVEL, MOST_FACTOR, Estimate, Unknown, estimated
+from tacgen.calibrate.press_colours import Picture, Placed, View, located, placed
+
+Array = np.ndarray
+FACTORS = (0.5, 0.63, 0.8, 1.0, 1.26, 1.6, 2.0)  # thicknesses that are tried, over the file's
+FINE = 2000  # points between them at which the misfit is interpolated
+SPREAD = 0.03  # standard error of the thickness's logarithm that the method has by itself, from synthetic units
+ABRUPT = 0.03  # of the largest force: change between readings from which its error by the lag exceeds all others
+LATEST = 0.2  # [s]: largest lag of a gauge, either way
+
+
+@dataclass(frozen=True)
+class Gauge:
+    """Readings (n,) [N], the recording (n,) that each belongs to, and its time (n,) [s], nan where none is known."""
+
+    force: Array
+    recording: Array
+    time: Array
+
+    @property
+    def timed(self) -> list[int]:
+        """The recordings whose lag can be found."""
+        return [int(k) for k in np.unique(self.recording) if np.isfinite(self.time[self.recording == k]).sum() > 2]
+
+    @property
+    def doubt(self) -> Array:
+        """Factors (n,) on the errors of readings: a gauge whose lag varies errs most where the force changes fast."""
+        out = np.ones(len(self.force))
+        for k in self.timed:
+            here = np.flatnonzero(self.recording == k)
+            here = here[np.argsort(self.time[here])]
+            change = np.abs(np.gradient(self.force[here]))
+            out[here] = np.hypot(1.0, change / (ABRUPT * np.abs(self.force).max()))
+        return out
+
+    def part(self, where: Array) -> "Gauge":
+        """Some of the readings."""
+        return Gauge(self.force[where], self.recording[where], self.time[where])
+
+    def late(self, force: Array, lags: Mapping[int, float]) -> Array:
+        """Forces (n,) at the times of the pictures, as a gauge with these lags [s] reads them."""
+        out = force.astype(float).copy()
+        for k, lag in lags.items():
+            here = np.flatnonzero(self.recording == k)
+            here = here[np.argsort(self.time[here])]
+            out[here] = np.interp(self.time[here] - lag, self.time[here], force[here])
+        return out
+
+
+@dataclass(frozen=True)
+class Optics:
+    """Pictures placed at each tried thickness: where the misfit is least, and with what error."""
+
+    thickness: Array  # (t,) [mm]
+    placed: tuple[Placed, ...]
+    best: float  # logarithm of the thickness
+    spread: float  # its standard error
+    freedom: int  # degrees of freedom of that
+
+    @property
+    def explained(self) -> float:
+        """Share of the pictures' changes that the best thickness explains."""
+        left = CubicSpline(np.log(self.thickness), [one.misfit.sum() for one in self.placed])(self.best)
+        return float(1 - left / self.placed[0].change)
+
+    def between(self, at: float) -> tuple[int, float]:
+        """The tried thickness below exp(at), and the weight of the next one."""
+        logs = np.log(self.thickness)
+        k = int(np.clip(np.searchsorted(logs, at) - 1, 0, len(logs) - 2))
+        return k, float(np.clip((at - logs[k]) / (logs[k + 1] - logs[k]), 0.0, 1.0))
+
+
+def optics(view: View, pictures: Sequence[Picture], dents: Sequence[Mapping[float, Dents]]) -> Optics:
+    """The thickness that suits the pictures best; `dents`: for each tried thickness, in rising order, by ball."""
+    found = tuple(placed(view, pictures, each) for each in dents)
+    thickness = np.array([next(iter(each.values())).thickness for each in dents])
+    misfit = np.array([one.misfit for one in found])  # (t, n, SECTORS)
+    groups = np.array([one.recording for one in pictures])
+    parts = np.array([misfit[:, groups == g].sum(axis=1) for g in np.unique(groups)])  # (recordings, t, SECTORS)
+    parts = np.moveaxis(parts, 1, 0).reshape(len(thickness), -1)
+    whole, n = parts.sum(axis=1), parts.shape[1]
+    without = np.array([_lowest(thickness, whole - parts[:, k]) for k in range(n)])
+    spread = np.sqrt((n - 1) / n * ((without - without.mean()) ** 2).sum())
+    return Optics(thickness, found, _lowest(thickness, whole), float(np.hypot(spread, SPREAD)), n - 1)
+
+
+def _lowest(thickness: Array, misfit: Array) -> float:
+    """Logarithm of the thickness with the smallest misfit."""
+    logs = np.log(thickness)
+    fine = np.linspace(logs[0], logs[-1], FINE)
+    return float(fine[np.argmin(CubicSpline(logs, misfit)(fine))])
+
+
+@dataclass(frozen=True)
+class UnitFit:
+    """Estimates; the gauge's readings as fitted (n,) [N] and the depths of the presses (n,) [mm]."""
+
+    optics: Optics
+    thickness: Estimate  # [mm]
+    modulus: Estimate  # factor on the file's
+    zero: Estimate  # [N]
+    lags: dict[int, Estimate]  # [s] by recording
+    force: Array
+    depth: Array
+
+    @property
+    def open(self) -> list[str]:
+        """What the presses do not determine."""
+        return [one.name for one in (self.thickness, self.modulus, self.zero, *self.lags.values()) if one.open]
+
+
+def fit(optics: Optics, pictures: Sequence[Picture], dents: Sequence[Mapping[float, Dents]], gauge: Gauge) -> UnitFit:
+    """All numbers of a unit. Raises ValueError: fewer presses than numbers to find, and one more."""
+    half = float(student.ppf((1 + LEVEL) / 2, optics.freedom)) * optics.spread
+    low, high = np.log(optics.thickness[[0, -1]])
+    out = not low < optics.best < high or (optics.best - half <= low and optics.best + half >= high)
+    thickness = Estimate("thickness", *(float(np.exp(optics.best + k * half)) for k in (0, -1, 1)), open=out)
+    estimates, values, unit = _forces(optics, pictures, dents, gauge, optics.best)
+    moved = [np.log(_forces(optics, pictures, dents, gauge, float(np.clip(optics.best + k * optics.spread, low, high)))[
+        0][0].value) for k in (-1, 1)]  # fmt: skip
+    modulus = estimates[0]
+    share = half / optics.spread * (moved[1] - moved[0]) / 2  # by the thickness
+    ends = [np.exp(np.log(modulus.value) + side * np.hypot(np.log(end / modulus.value), share))
+            for side, end in ((-1, modulus.low), (1, modulus.high))]  # fmt: skip
+    unsure = not 2 / MOST_FACTOR < modulus.value < MOST_FACTOR / 2 or modulus.open
+    modulus = Estimate("modulus", modulus.value, float(ends[0]), float(ends[1]), modulus.bound, unsure)
+    lags = dict(zip(gauge.timed, estimates[2:], strict=True))
+    depth = _between(optics, [one.at[:, 0] for one in optics.placed], optics.best)
+    return UnitFit(optics, thickness, modulus, estimates[1], lags, values, depth)
+
+
+def _forces(
+    optics: Optics, pictures: Sequence[Picture], dents: Sequence[Mapping[float, Dents]], gauge: Gauge, at: float
+) -> tuple[tuple[Estimate, ...], Array, Array]:
+    """Estimates of modulus, zero and lags at one thickness, the fitted readings (n,) and the forces per modulus."""
+    unit = unit_forces(optics, optics.placed, pictures, dents, at)
+    most = float(np.abs(gauge.force).max())
+    unknowns = [Unknown("modulus", 0.0, -np.log(MOST_FACTOR), np.log(MOST_FACTOR), np.exp),
+                Unknown("zero", 0.0, -most, most)]  # fmt: skip
+    unknowns += [Unknown(f"lag {k}", 0.0, -LATEST, LATEST) for k in gauge.timed]
+    if len(gauge.force) <= len(unknowns):
+        raise ValueError(f"{len(gauge.force)} presses are too few to find {len(unknowns)} numbers and their bounds")
+    table = np.column_stack([np.ones_like(unit), unit])
+    zero, factor = np.linalg.lstsq(table, gauge.force, rcond=None)[0]
+    unknowns[0] = Unknown("modulus", float(np.log(np.clip(factor, 2 / MOST_FACTOR, MOST_FACTOR / 2))),
+                          *(side * np.log(MOST_FACTOR) for side in (-1, 1)), np.exp)  # fmt: skip
+    unknowns[1] = Unknown("zero", float(np.clip(zero, -most / 2, most / 2)), -most, most)
+
+    def force(v: Array) -> Array:
+        return v[1] + np.exp(v[0]) * gauge.late(unit, dict(zip(gauge.timed, v[2:], strict=True)))
+
+    estimates, _, best = estimated(force, gauge.force, unknowns, gauge.doubt)
+    return estimates, force(best), unit
+
+
+def unit_forces(
+    optics: Optics, seen: Sequence[Placed], pictures: Sequence[Picture], dents: Sequence[Mapping[float, Dents]], at: float
+) -> Array:
+    """Forces (n,) [N] at the file's moduli of presses placed at each thickness, at thickness exp(at) [mm]."""
+    forces = [
+        np.array([float(each[p.ball].force_at(d)) for p, d in zip(pictures, one.at[:, 0], strict=True)])
+        for one, each in zip(seen, dents, strict=True)
+    ]
+    return np.asarray(_between(optics, [f**POWER for f in forces], at) ** (1 / POWER))
+
+
+def _between(optics: Optics, values: Sequence[Array], at: float) -> Array:
+    """Values (n,) at thickness exp(at) from those at each tried one."""
+    k, w = optics.between(at)
+    return np.asarray((1 - w) * values[k] + w * values[k + 1])
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Readings (n,) [N] of presses that a fit has not seen, and what it says to them from the pictures alone."""
+
+    force: Array
+    predicted: Array  # with the gauge's lag of the judged recording, one number fitted to its readings, if it has times
+    unaligned: Array  # without any lag
+    floor: Array  # the mean of the forces that the fit has seen
+    ceiling: Array  # a rising curve over the predicted forces, fitted to the judged readings themselves
+
+    def mae(self, said: Array) -> float:
+        """Mean absolute error [N]."""
+        return float(np.abs(said - self.force).mean())
+
+
+def predict(
+    fitted: UnitFit, view: View, pictures: Sequence[Picture], dents: Sequence[Mapping[float, Dents]]
+) -> Array:
+    """Forces (n,) [N] of unseen pictures, without the gauge's zero."""
+    optics, start = fitted.optics, view.starts(pictures)
+    near = optics.between(optics.best)[0]
+    seen = [
+        located(view, pictures, each, start, one.blur, one.colours) if k in (near, near + 1) else one
+        for k, (one, each) in enumerate(zip(optics.placed, dents, strict=True))
+    ]
+    forces = [np.array([float(each[p.ball].force_at(d)) for p, d in zip(pictures, one.at[:, 0], strict=True)])
+              if k in (near, near + 1) else np.zeros(len(pictures))
+              for k, (one, each) in enumerate(zip(seen, dents, strict=True))]  # fmt: skip
+    return fitted.modulus.value * _between(optics, [f**POWER for f in forces], optics.best) ** (1 / POWER)
+
+
+def judge(
+    view: View, pictures: Sequence[Picture], dents: Sequence[Mapping[float, Dents]], gauge: Gauge, held: Array
+) -> tuple[UnitFit, Judged]:
+    """Fit the presses that are not `held` (n,) bool, and judge those."""
+    seen, unseen = ([pictures[k] for k in np.flatnonzero(w)] for w in (~held, held))
+    known, asked = gauge.part(~held), gauge.part(held)
+    fitted = fit(optics(view, seen, dents), seen, dents, known)
+    said = fitted.zero.value + predict(fitted, view, unseen, dents)
+    lags = {k: _lag(asked, said, k) for k in asked.timed}
+    late = asked.late(said, lags)
+    order = np.argsort(late, kind="stable")
+    rising = np.empty_like(late)
+    rising[order] = isotonic_regression(asked.force[order]).x
+    return fitted, Judged(asked.force, late, said, np.full(len(late), known.force.mean()), rising)
+
+
+def _lag(gauge: Gauge, said: Array, recording: int) -> float:
+    """The lag [s] of one recording with which said forces are nearest to its readings."""
+    tried = np.linspace(-LATEST, LATEST, 161)
+    off = [np.abs(gauge.late(said, {recording: lag}) - gauge.force).sum() for lag in tried]
+    return float(tried[int(np.argmin(off))])
