@@ -79,10 +79,15 @@ class Dents:
 
 
 def with_thickness(sensor: LitSensor, thickness: float) -> LitSensor:
-    """The sensor with a gel of this total thickness [mm]; all layers change in proportion."""
+    """The sensor with a gel of this total thickness [mm]: its layers change in proportion, and its lights stay where
+    they are beside the plate."""
     factor = thickness / sensor.gel.thickness_mm
     layers = tuple(one.model_copy(update={"thickness_mm": one.thickness_mm * factor}) for one in sensor.gel.layers)
-    return sensor.model_copy(update={"gel": sensor.gel.model_copy(update={"layers": layers})})
+    down = thickness - sensor.gel.thickness_mm
+    leds = tuple(
+        led.model_copy(update={"center_mm": (*led.center_mm[:2], led.center_mm[2] - down)}) for led in sensor.leds
+    )
+    return sensor.model_copy(update={"gel": sensor.gel.model_copy(update={"layers": layers}), "leds": leds})
 
 
 def solved(

@@ -12,6 +12,7 @@ sectors of the pictures of each recording, and are carried over to the modulus.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -20,12 +21,12 @@ from scipy.stats import t as student
 
 from tacgen.calibrate.ball_dents import POWER, Dents
 from tacgen.calibrate.fit_material import LEVEL, MOST_FACTOR, Estimate, Unknown, estimated
-from tacgen.calibrate.press_colours import Picture, Placed, View, located, placed
+from tacgen.calibrate.press_colours import Picture, Placed, View, located, placed, richness
 
 Array = np.ndarray
 FACTORS = (0.5, 0.63, 0.8, 1.0, 1.26, 1.6, 2.0)  # thicknesses that are tried, over the file's
 FINE = 2000  # points between them at which the misfit is interpolated
-SPREAD = 0.03  # standard error of the thickness's logarithm that the method has by itself, from synthetic units
+SPREAD = 0.05  # standard error of the thickness's logarithm that the method has by itself, from synthetic units
 ABRUPT = 0.03  # of the largest force: change between readings from which its error by the lag exceeds all others
 LATEST = 0.2  # [s]: largest lag of a gauge, either way
 
@@ -74,6 +75,7 @@ class Optics:
 
     thickness: Array  # (t,) [mm]
     placed: tuple[Placed, ...]
+    rich: bool  # whether colours vary over the picture
     best: float  # logarithm of the thickness
     spread: float  # its standard error
     freedom: int  # degrees of freedom of that
@@ -81,20 +83,33 @@ class Optics:
     @property
     def explained(self) -> float:
         """Share of the pictures' changes that the best thickness explains."""
-        left = CubicSpline(np.log(self.thickness), [one.misfit.sum() for one in self.placed])(self.best)
-        return float(1 - left / self.placed[0].change)
+        k, w = self.between(self.best)
+        left = [one.misfit.sum() for one in self.placed]
+        return float(1 - ((1 - w) * left[k] + w * left[min(k + 1, len(left) - 1)]) / self.placed[0].change)
 
     def between(self, at: float) -> tuple[int, float]:
         """The tried thickness below exp(at), and the weight of the next one."""
         logs = np.log(self.thickness)
+        if len(logs) == 1:
+            return 0, 0.0
         k = int(np.clip(np.searchsorted(logs, at) - 1, 0, len(logs) - 2))
         return k, float(np.clip((at - logs[k]) / (logs[k + 1] - logs[k]), 0.0, 1.0))
 
 
-def optics(view: View, pictures: Sequence[Picture], dents: Sequence[Mapping[float, Dents]]) -> Optics:
-    """The thickness that suits the pictures best; `dents`: for each tried thickness, in rising order, by ball."""
-    found = tuple(placed(view, pictures, each) for each in dents)
+def optics(
+    view: View, pictures: Sequence[Picture], dents: Sequence[Mapping[float, Dents]], *, rich: bool | None = None
+) -> Optics:
+    """The thickness that suits the pictures best.
+
+    Args:
+        dents: for each tried thickness, in rising order, by the ball's radius.
+        rich: whether colours vary over the picture; None: as suits unseen presses best.
+    """
+    rich = richness(view, pictures, dents[len(dents) // 2]) if rich is None else rich
+    found = tuple(placed(view, pictures, each, rich) for each in dents)
     thickness = np.array([next(iter(each.values())).thickness for each in dents])
+    if len(dents) == 1:
+        return Optics(thickness, found, rich, float(np.log(thickness[0])), 0.0, 1)
     misfit = np.array([one.misfit for one in found])  # (t, n, SECTORS)
     groups = np.array([one.recording for one in pictures])
     parts = np.array([misfit[:, groups == g].sum(axis=1) for g in np.unique(groups)])  # (recordings, t, SECTORS)
@@ -102,7 +117,7 @@ def optics(view: View, pictures: Sequence[Picture], dents: Sequence[Mapping[floa
     whole, n = parts.sum(axis=1), parts.shape[1]
     without = np.array([_lowest(thickness, whole - parts[:, k]) for k in range(n)])
     spread = np.sqrt((n - 1) / n * ((without - without.mean()) ** 2).sum())
-    return Optics(thickness, found, _lowest(thickness, whole), float(np.hypot(spread, SPREAD)), n - 1)
+    return Optics(thickness, found, rich, _lowest(thickness, whole), float(np.hypot(spread, SPREAD)), n - 1)
 
 
 def _lowest(thickness: Array, misfit: Array) -> float:
@@ -134,17 +149,18 @@ def fit(optics: Optics, pictures: Sequence[Picture], dents: Sequence[Mapping[flo
     """All numbers of a unit. Raises ValueError: fewer presses than numbers to find, and one more."""
     half = float(student.ppf((1 + LEVEL) / 2, optics.freedom)) * optics.spread
     low, high = np.log(optics.thickness[[0, -1]])
-    out = not low < optics.best < high or (optics.best - half <= low and optics.best + half >= high)
+    out = half > 0 and (not low < optics.best < high or (optics.best - half <= low and optics.best + half >= high))
     thickness = Estimate("thickness", *(float(np.exp(optics.best + k * half)) for k in (0, -1, 1)), open=out)
     estimates, values, unit = _forces(optics, pictures, dents, gauge, optics.best)
-    moved = [np.log(_forces(optics, pictures, dents, gauge, float(np.clip(optics.best + k * optics.spread, low, high)))[
-        0][0].value) for k in (-1, 1)]  # fmt: skip
-    modulus = estimates[0]
-    share = half / optics.spread * (moved[1] - moved[0]) / 2  # by the thickness
-    ends = [np.exp(np.log(modulus.value) + side * np.hypot(np.log(end / modulus.value), share))
+    modulus, share = estimates[0], 0.0
+    if half:  # the thickness's error is carried over
+        ends = np.clip(optics.best + np.array([-1, 1]) * optics.spread, low, high)
+        moved = [np.log(_forces(optics, pictures, dents, gauge, float(end))[0][0].value) for end in ends]
+        share = half * (moved[1] - moved[0]) / float(ends[1] - ends[0])
+    reach = [np.exp(np.log(modulus.value) + side * np.hypot(np.log(end / modulus.value), share))
             for side, end in ((-1, modulus.low), (1, modulus.high))]  # fmt: skip
     unsure = not 2 / MOST_FACTOR < modulus.value < MOST_FACTOR / 2 or modulus.open
-    modulus = Estimate("modulus", modulus.value, float(ends[0]), float(ends[1]), modulus.bound, unsure)
+    modulus = Estimate("modulus", modulus.value, float(reach[0]), float(reach[1]), modulus.bound, unsure)
     lags = dict(zip(gauge.timed, estimates[2:], strict=True))
     depth = _between(optics, [one.at[:, 0] for one in optics.placed], optics.best)
     return UnitFit(optics, thickness, modulus, estimates[1], lags, values, depth)
@@ -175,20 +191,21 @@ def _forces(
 
 
 def unit_forces(
-    optics: Optics, seen: Sequence[Placed], pictures: Sequence[Picture], dents: Sequence[Mapping[float, Dents]], at: float
-) -> Array:
-    """Forces (n,) [N] at the file's moduli of presses placed at each thickness, at thickness exp(at) [mm]."""
-    forces = [
-        np.array([float(each[p.ball].force_at(d)) for p, d in zip(pictures, one.at[:, 0], strict=True)])
-        for one, each in zip(seen, dents, strict=True)
-    ]
-    return np.asarray(_between(optics, [f**POWER for f in forces], at) ** (1 / POWER))
+    optics: Optics, seen: Sequence[Placed | None], pictures: Sequence[Picture], dents: Sequence[Mapping[float, Dents]],
+    at: float,
+) -> Array:  # fmt: skip
+    """Forces (n,) [N] at the file's moduli of presses placed at each thickness (next to `at` at least), at thickness
+    exp(at) [mm]."""
+    rooted = [np.zeros(len(pictures)) if one is None else np.array([
+        float(each[p.ball].force_at(d)) ** POWER for p, d in zip(pictures, one.at[:, 0], strict=True)])
+        for one, each in zip(seen, dents, strict=True)]  # fmt: skip
+    return np.asarray(_between(optics, rooted, at) ** (1 / POWER))
 
 
 def _between(optics: Optics, values: Sequence[Array], at: float) -> Array:
     """Values (n,) at thickness exp(at) from those at each tried one."""
     k, w = optics.between(at)
-    return np.asarray((1 - w) * values[k] + w * values[k + 1])
+    return np.asarray((1 - w) * values[k] + w * values[min(k + 1, len(values) - 1)])
 
 
 @dataclass(frozen=True)
@@ -200,6 +217,13 @@ class Judged:
     unaligned: Array  # without any lag
     floor: Array  # the mean of the forces that the fit has seen
     ceiling: Array  # a rising curve over the predicted forces, fitted to the judged readings themselves
+    name: str = ""  # of what is held out
+
+    def plain(self) -> dict[str, Any]:
+        """As JSON values."""
+        parts = {key: getattr(self, key) for key in ("predicted", "unaligned", "floor", "ceiling")}
+        return {"name": self.name, "force_n": self.force.tolist(), "predicted_n": self.predicted.tolist(),
+                "mae_n": {key: self.mae(part) for key, part in parts.items()}}  # fmt: skip
 
     def mae(self, said: Array) -> float:
         """Mean absolute error [N]."""
@@ -213,13 +237,10 @@ def predict(
     optics, start = fitted.optics, view.starts(pictures)
     near = optics.between(optics.best)[0]
     seen = [
-        located(view, pictures, each, start, one.blur, one.colours) if k in (near, near + 1) else one
+        located(view, pictures, each, start, one.blur, optics.rich, one.colours) if k in (near, near + 1) else None
         for k, (one, each) in enumerate(zip(optics.placed, dents, strict=True))
     ]
-    forces = [np.array([float(each[p.ball].force_at(d)) for p, d in zip(pictures, one.at[:, 0], strict=True)])
-              if k in (near, near + 1) else np.zeros(len(pictures))
-              for k, (one, each) in enumerate(zip(seen, dents, strict=True))]  # fmt: skip
-    return fitted.modulus.value * _between(optics, [f**POWER for f in forces], optics.best) ** (1 / POWER)
+    return fitted.modulus.value * unit_forces(optics, seen, pictures, dents, optics.best)
 
 
 def judge(
@@ -231,7 +252,7 @@ def judge(
     fitted = fit(optics(view, seen, dents), seen, dents, known)
     said = fitted.zero.value + predict(fitted, view, unseen, dents)
     lags = {k: _lag(asked, said, k) for k in asked.timed}
-    late = asked.late(said, lags)
+    late = asked.late(said, lags) if lags else said
     order = np.argsort(late, kind="stable")
     rising = np.empty_like(late)
     rising[order] = isotonic_regression(asked.force[order]).x
