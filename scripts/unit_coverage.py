@@ -26,7 +26,7 @@ from tacgen.recipe import assets, loading, plan, scene_of_row
 from tacgen.recipe.model import Recipe
 from tacgen.render.images import Renderer
 
-THICKNESS, MODULUS, POWER, ZERO = 0.35, 0.6, 0.25, 0.4  # half ranges of logarithms, and of the zero [N]
+THICKNESS, MODULUS, POWER, ZERO = 0.35, 0.6, 0.2, 0.4  # half ranges of logarithms, and of the zero [N]
 PART, EVEN = 0.02, 0.05  # error of forces: share of the force, and [N]
 PLACES = 0.12  # of the gel's sides: largest distance of a press from the middle
 DEPTH = (0.12, 0.38)  # range of depths over the gel's thickness; also at most the ball's radius times SHARE
@@ -49,7 +49,7 @@ def made(sensor, truth: Truth, random: np.random.Generator):
         layer.model_copy(update={"youngs_modulus_mpa": layer.youngs_modulus_mpa * truth.modulus})
         for layer in one.gel.layers
     )
-    leds = tuple(led.model_copy(update={"power": float(np.exp(random.uniform(-POWER, POWER)))}) for led in one.leds)
+    leds = tuple(led.model_copy(update={"power": float(np.exp(random.uniform(-2 * POWER, 0)))}) for led in one.leds)
     return one.model_copy(update={"gel": one.gel.model_copy(update={"layers": layers}), "leds": leds, "markers": None})
 
 

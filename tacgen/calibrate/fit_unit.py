@@ -106,10 +106,12 @@ def optics(
         rich: whether colours vary over the picture; None: as suits unseen presses best.
     """
     rich = richness(view, pictures, dents[len(dents) // 2]) if rich is None else rich
-    found = tuple(placed(view, pictures, each, rich) for each in dents)
+    found: list[Placed] = []
+    for each in dents:
+        found.append(placed(view, pictures, each, rich, found[-1] if found else None))
     thickness = np.array([next(iter(each.values())).thickness for each in dents])
     if len(dents) == 1:
-        return Optics(thickness, found, rich, float(np.log(thickness[0])), 0.0, 1)
+        return Optics(thickness, tuple(found), rich, float(np.log(thickness[0])), 0.0, 1)
     misfit = np.array([one.misfit for one in found])  # (t, n, SECTORS)
     groups = np.array([one.recording for one in pictures])
     parts = np.array([misfit[:, groups == g].sum(axis=1) for g in np.unique(groups)])  # (recordings, t, SECTORS)
@@ -117,7 +119,7 @@ def optics(
     whole, n = parts.sum(axis=1), parts.shape[1]
     without = np.array([_lowest(thickness, whole - parts[:, k]) for k in range(n)])
     spread = np.sqrt((n - 1) / n * ((without - without.mean()) ** 2).sum())
-    return Optics(thickness, found, rich, _lowest(thickness, whole), float(np.hypot(spread, SPREAD)), n - 1)
+    return Optics(thickness, tuple(found), rich, _lowest(thickness, whole), float(np.hypot(spread, SPREAD)), n - 1)
 
 
 def _lowest(thickness: Array, misfit: Array) -> float:
@@ -153,7 +155,7 @@ def fit(optics: Optics, pictures: Sequence[Picture], dents: Sequence[Mapping[flo
     thickness = Estimate("thickness", *(float(np.exp(optics.best + k * half)) for k in (0, -1, 1)), open=out)
     estimates, values, unit = _forces(optics, pictures, dents, gauge, optics.best)
     modulus, share = estimates[0], 0.0
-    if half:  # the thickness's error is carried over
+    if half and not out:  # the thickness's error is carried over
         ends = np.clip(optics.best + np.array([-1, 1]) * optics.spread, low, high)
         moved = [np.log(_forces(optics, pictures, dents, gauge, float(end))[0][0].value) for end in ends]
         share = half * (moved[1] - moved[0]) / float(ends[1] - ends[0])

@@ -22,9 +22,9 @@ from tacgen.optics.surface_grid import Untouched
 from tacgen.sensor.model import LitSensor
 
 Array = np.ndarray
-ROUNDS = 40  # of lights and positions in turn, at most
+ROUNDS, FEW = 20, 5  # of colours and positions in turn at most, at first and from values that nearly fit
 SETTLED = 2e-3  # [mm]: largest change of a depth in the last round
-COMPARED = 3000  # pixels of a smoothed picture that are compared, about
+COMPARED = 1500  # pixels of a smoothed picture that are compared, about
 SMOOTH = 0.5  # standard deviation of this smoothing, over the distance of these pixels
 RIM = 0.06  # of the picture's sides: left out along them, where lights and walls show
 STEP = 0.02  # [mm]: of differences by depth and centre
@@ -133,14 +133,25 @@ class View:
         return np.minimum((SECTORS * angle).astype(int), SECTORS - 1)
 
 
-def placed(view: View, pictures: Sequence[Picture], dents: Mapping[float, Dents], rich: bool) -> Placed:
-    """Depths and centres of presses with the colours and the blur that suit them best; `dents` by the balls' radii."""
+def placed(
+    view: View, pictures: Sequence[Picture], dents: Mapping[float, Dents], rich: bool, near: Placed | None = None
+) -> Placed:
+    """Depths and centres of presses with the colours and the blur that suit them best.
+
+    Args:
+        dents: by the balls' radii.
+        rich: whether colours vary over the picture.
+        near: the presses for a similar thickness, to start from.
+    """
     thick = next(iter(dents.values())).thickness
-    best = located(view, pictures, dents, view.starts(pictures), 0.0, rich)
+    if near is None:
+        best = located(view, pictures, dents, view.starts(pictures), USUAL_BLUR * thick, rich)
+    else:
+        best = located(view, pictures, dents, near.at, near.blur, rich, rounds=FEW)
 
     def misfit(blur: float) -> float:
         nonlocal best
-        tried = located(view, pictures, dents, best.at, blur, rich)
+        tried = located(view, pictures, dents, best.at, blur, rich, rounds=FEW)
         best = min(best, tried, key=lambda one: float(one.misfit.sum()))
         return float(tried.misfit.sum())
 
@@ -172,12 +183,12 @@ def richness(view: View, pictures: Sequence[Picture], dents: Mapping[float, Dent
 
 def located(
     view: View, pictures: Sequence[Picture], dents: Mapping[float, Dents], start: Array, blur: float, rich: bool,
-    colours: Array | None = None,
+    colours: Array | None = None, rounds: int = ROUNDS,
 ) -> Placed:  # fmt: skip
     """Depths and centres of presses with one blur [mm], from start values (n, 3), and colours unless they are given."""
     at, found, moving = start.copy(), colours, np.ones(len(pictures), bool)
     tables = [view.columns(dents[p.ball], a, blur, rich) for p, a in zip(pictures, at, strict=True)]
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         if colours is None:
             found = _colours(tables, pictures, rich)
         assert found is not None
