@@ -20,7 +20,8 @@ one indenter, each of the ten in turn. `guess` is the mean, or the most frequent
 Errors of the normal force are also printed by its range, with the force from which predictions no longer grow: beyond
 what was learned from, and where the picture no longer changes, no network can be right.
 
-In the folder: `results.json`, `table.md`, `force_ranges.md`, and of the first draw the weights `network.pt` and the plot `test.png`.
+In the folder: `results.json`, `table.md`, `force_ranges.md`, and of the first draw the weights `network.pt` and the
+plot `test.png`.
 """
 
 import argparse

@@ -13,6 +13,7 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import cast
 
 import numpy as np
 from PIL import Image
@@ -25,6 +26,7 @@ from tacgen.outputs import gel_surface
 from tacgen.recipe import assets, loading, plan, scene_of_row
 from tacgen.recipe.model import Recipe
 from tacgen.render.images import Renderer
+from tacgen.sensor.model import LitSensor
 
 THICKNESS, MODULUS, POWER, ZERO = 0.35, 0.6, 0.2, 0.4  # half ranges of logarithms, and of the zero [N]
 PART, EVEN = 0.02, 0.05  # error of forces: share of the force, and [N]
@@ -42,7 +44,7 @@ class Truth:
     zero: float  # [N]
 
 
-def made(sensor, truth: Truth, random: np.random.Generator):
+def made(sensor: LitSensor, truth: Truth, random: np.random.Generator) -> LitSensor:
     """The sensor of a unit."""
     one = ball_dents.with_thickness(sensor, truth.thickness)
     layers = tuple(
@@ -53,11 +55,13 @@ def made(sensor, truth: Truth, random: np.random.Generator):
     return one.model_copy(update={"gel": one.gel.model_copy(update={"layers": layers}), "leds": leds, "markers": None})
 
 
-def pressed(sensor, ball: float, depths: list[float], at: tuple[float, float], friction: float) -> list[tuple[Surface, float]]:
+def pressed(
+    sensor: LitSensor, ball: float, depths: list[float], at: tuple[float, float]
+) -> list[tuple[Surface, float]]:
     """Face and force [N] of a ball at increasing depths [mm]."""
     recipe = {
         "tacgen": 1, "name": "press", "sensor": sensor.name, "outputs": ["force"], "quality": "draft",
-        "start": {"x_mm": at[0], "y_mm": at[1]}, "contact": {"friction": friction},
+        "start": {"x_mm": at[0], "y_mm": at[1]}, "contact": {"friction": unit.Asked().friction},
         "indenter": {"shape": "sphere", "radius_mm": ball},
         "trajectory": [{"press": {"depth_mm": depth, "frames": 1}} for depth in depths],
     }  # fmt: skip
@@ -68,7 +72,9 @@ def pressed(sensor, ball: float, depths: list[float], at: tuple[float, float], f
     return [(untouched.pressed(problem, s), mechanics.normal_force(s)) for s in mechanics.states(built, problem)]
 
 
-def photograph(sensor, truth: Truth, balls: list[float], presses: int, random: np.random.Generator, folder: Path) -> None:
+def photograph(
+    sensor: LitSensor, truth: Truth, balls: list[float], presses: int, random: np.random.Generator, folder: Path
+) -> None:
     """A folder as `calibrate unit` takes it."""
     camera = Renderer(sensor, 16, 0, markers=False)
     Image.fromarray(camera.develop(camera.flat(), random)).save(folder / "background.png")
@@ -77,7 +83,7 @@ def photograph(sensor, truth: Truth, balls: list[float], presses: int, random: n
         for k in range(presses):
             depth = min(float(random.uniform(*DEPTH)) * gel.thickness_mm, SHARE * ball)
             at = tuple(float(random.uniform(-PLACES, PLACES)) * side for side in (gel.width_mm, gel.height_mm))
-            (face, force) = pressed(sensor, ball, [depth / 2, depth], (at[0], at[1]), 0.5)[-1]
+            (face, force) = pressed(sensor, ball, [depth / 2, depth], (at[0], at[1]))[-1]
             read = truth.zero + force + float(random.normal()) * float(np.hypot(PART * force, EVEN))
             name = f"ball_{ball:g}_{k}.png"
             Image.fromarray(camera.develop(camera.image(face), random)).save(folder / name)
@@ -85,15 +91,19 @@ def photograph(sensor, truth: Truth, balls: list[float], presses: int, random: n
     (folder / "presses.csv").write_text("\n".join(rows) + "\n")
 
 
-def draw(sensor_name: str, balls: list[float], presses: int, seed: int, keep: bool) -> dict[str, tuple[float, float, float, float]]:
+def draw(
+    sensor_name: str, balls: list[float], presses: int, seed: int, keep: bool
+) -> dict[str, tuple[float, float, float, float]]:
     """Truth, estimate and ends of the interval of each number of one unit."""
     random = np.random.default_rng(seed)
-    sensor = loading.read_sensor(assets.sensor_path(sensor_name))[0]
+    sensor = cast(LitSensor, loading.read_sensor(assets.sensor_path(sensor_name))[0])
     thick = sensor.gel.thickness_mm * float(np.exp(random.uniform(-THICKNESS, THICKNESS)))
     truth = Truth(thick, float(np.exp(random.uniform(-MODULUS, MODULUS))), float(random.uniform(-ZERO, ZERO)))
     with TemporaryDirectory() as scratch:
         photograph(made(sensor, truth, random), truth, balls, presses, random, Path(scratch))
-        work = unit_fitting.Work.of(sensor, unit_photos.read(Path(scratch), sensor.camera), unit.Asked(thickness=not keep))
+        work = unit_fitting.Work.of(
+            sensor, unit_photos.read(Path(scratch), sensor.camera), unit.Asked(thickness=not keep)
+        )
         raw = work.fitted()
         found = work.corrected(raw)
     out = {name: (getattr(truth, name), e.value, e.low, e.high) for name, e in
@@ -120,8 +130,9 @@ def main() -> None:
     for name in every[0]:
         true, value, low, high = np.array([one[name] for one in every]).T
         inside, off = (low <= true) & (true <= high), np.log(value / true) if name != "zero" else value - true
-        print(f"{name}: {inside.sum()} of {len(every)} intervals cover the truth; error {off.mean():+.3f} +- {off.std():.3f}"
-              f" ({'N' if name == 'zero' else 'of the logarithm'})")  # fmt: skip
+        unit_of = "N" if name == "zero" else "of the logarithm"
+        print(f"{name}: {inside.sum()} of {len(every)} intervals cover the truth;"
+              f" error {off.mean():+.3f} +- {off.std():.3f} ({unit_of})")  # fmt: skip
     if asked.out:
         asked.out.write_text(json.dumps(every))
 

@@ -121,14 +121,13 @@ def unit(
 ) -> None:
     """Fit gel thickness, moduli, zero of the gauge and lights to photographed ball presses with forces."""
     from tacgen.calibrate import unit as fitting
+    from tacgen.calibrate.led_fit import FitLimits
 
     inputs = [Path(sensor), images]
     for path in (out, plot):
         allowed(path, inputs, overwrite)
-    limits = fitting.FitLimits(tolerance_mm, tolerance_deg, no_markers)
-    fitted = fitting.unit(
-        sensor, images, fitting.Asked(friction, quality, not keep_thickness, not no_lights, limits)
-    )
+    limits = FitLimits(tolerance_mm, tolerance_deg, no_markers)
+    fitted = fitting.unit(sensor, images, fitting.Asked(friction, quality, not keep_thickness, not no_lights, limits))
     lines = list(fitted.lines())
     if plot is not None:
         with written(plot, inputs, overwrite) as path:

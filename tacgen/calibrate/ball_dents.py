@@ -128,9 +128,7 @@ def _solved(
     return depths[: len(found)], force, drop, slope, contact
 
 
-def _row(
-    sensor: LitSensor, ball: float, at: tuple[float, float], depths: Array, friction: float, quality: str
-) -> Row:
+def _row(sensor: LitSensor, ball: float, at: tuple[float, float], depths: Array, friction: float, quality: str) -> Row:
     """The scene of the presses. Raises UserError: the recipe is refused."""
     recipe = {
         "tacgen": 1, "name": "press", "sensor": sensor.name, "outputs": ["force"], "quality": quality,

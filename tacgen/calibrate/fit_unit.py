@@ -152,8 +152,9 @@ def fit(optics: Optics, pictures: Sequence[Picture], dents: Sequence[Mapping[flo
     half = float(student.ppf((1 + LEVEL) / 2, optics.freedom)) * optics.spread
     low, high = np.log(optics.thickness[[0, -1]])
     out = half > 0 and (not low < optics.best < high or (optics.best - half <= low and optics.best + half >= high))
-    thickness = Estimate("thickness", *(float(np.exp(optics.best + k * half)) for k in (0, -1, 1)), open=out)
-    estimates, values, unit = _forces(optics, pictures, dents, gauge, optics.best)
+    value, least, most = np.exp(optics.best + half * np.array([0, -1, 1])).tolist()
+    thickness = Estimate("thickness", value, least, most, open=bool(out))
+    estimates, values = _forces(optics, pictures, dents, gauge, optics.best)
     modulus, share = estimates[0], 0.0
     if half and not out:  # the thickness's error is carried over
         ends = np.clip(optics.best + np.array([-1, 1]) * optics.spread, low, high)
@@ -170,26 +171,24 @@ def fit(optics: Optics, pictures: Sequence[Picture], dents: Sequence[Mapping[flo
 
 def _forces(
     optics: Optics, pictures: Sequence[Picture], dents: Sequence[Mapping[float, Dents]], gauge: Gauge, at: float
-) -> tuple[tuple[Estimate, ...], Array, Array]:
-    """Estimates of modulus, zero and lags at one thickness, the fitted readings (n,) and the forces per modulus."""
+) -> tuple[tuple[Estimate, ...], Array]:
+    """Estimates of modulus, zero and lags at one thickness, and the fitted readings (n,) [N]."""
     unit = unit_forces(optics, optics.placed, pictures, dents, at)
     most = float(np.abs(gauge.force).max())
-    unknowns = [Unknown("modulus", 0.0, -np.log(MOST_FACTOR), np.log(MOST_FACTOR), np.exp),
-                Unknown("zero", 0.0, -most, most)]  # fmt: skip
-    unknowns += [Unknown(f"lag {k}", 0.0, -LATEST, LATEST) for k in gauge.timed]
-    if len(gauge.force) <= len(unknowns):
-        raise ValueError(f"{len(gauge.force)} presses are too few to find {len(unknowns)} numbers and their bounds")
-    table = np.column_stack([np.ones_like(unit), unit])
-    zero, factor = np.linalg.lstsq(table, gauge.force, rcond=None)[0]
-    unknowns[0] = Unknown("modulus", float(np.log(np.clip(factor, 2 / MOST_FACTOR, MOST_FACTOR / 2))),
-                          *(side * np.log(MOST_FACTOR) for side in (-1, 1)), np.exp)  # fmt: skip
-    unknowns[1] = Unknown("zero", float(np.clip(zero, -most / 2, most / 2)), -most, most)
+    names = ["modulus", "zero", *(f"lag {k}" for k in gauge.timed)]
+    if len(gauge.force) <= len(names):
+        raise ValueError(f"{len(gauge.force)} presses are too few to find {len(names)} numbers and their bounds")
+    zero, factor = np.linalg.lstsq(np.column_stack([np.ones_like(unit), unit]), gauge.force, rcond=None)[0]
+    begin, widest = float(np.log(np.clip(factor, 2 / MOST_FACTOR, MOST_FACTOR / 2))), float(np.log(MOST_FACTOR))
+    unknowns = [Unknown("modulus", begin, -widest, widest, np.exp),
+                Unknown("zero", float(np.clip(zero, -most / 2, most / 2)), -most, most),
+                *(Unknown(name, 0.0, -LATEST, LATEST) for name in names[2:])]  # fmt: skip
 
     def force(v: Array) -> Array:
-        return v[1] + np.exp(v[0]) * gauge.late(unit, dict(zip(gauge.timed, v[2:], strict=True)))
+        return np.asarray(v[1] + np.exp(v[0]) * gauge.late(unit, dict(zip(gauge.timed, v[2:], strict=True))))
 
     estimates, _, best = estimated(force, gauge.force, unknowns, gauge.doubt)
-    return estimates, force(best), unit
+    return estimates, force(best)
 
 
 def unit_forces(
@@ -232,9 +231,7 @@ class Judged:
         return float(np.abs(said - self.force).mean())
 
 
-def predict(
-    fitted: UnitFit, view: View, pictures: Sequence[Picture], dents: Sequence[Mapping[float, Dents]]
-) -> Array:
+def predict(fitted: UnitFit, view: View, pictures: Sequence[Picture], dents: Sequence[Mapping[float, Dents]]) -> Array:
     """Forces (n,) [N] of unseen pictures, without the gauge's zero."""
     optics, start = fitted.optics, view.starts(pictures)
     near = optics.between(optics.best)[0]
@@ -249,7 +246,7 @@ def judge(
     view: View, pictures: Sequence[Picture], dents: Sequence[Mapping[float, Dents]], gauge: Gauge, held: Array
 ) -> tuple[UnitFit, Judged]:
     """Fit the presses that are not `held` (n,) bool, and judge those."""
-    seen, unseen = ([pictures[k] for k in np.flatnonzero(w)] for w in (~held, held))
+    seen, unseen = ([p for p, chosen in zip(pictures, w, strict=True) if chosen] for w in (~held, held))
     known, asked = gauge.part(~held), gauge.part(held)
     fitted = fit(optics(view, seen, dents), seen, dents, known)
     said = fitted.zero.value + predict(fitted, view, unseen, dents)

@@ -130,7 +130,7 @@ class View:
     def sector(self, at: Array) -> Array:
         """The angle around a press's centre that each pixel belongs to (p,), from 0 to SECTORS - 1."""
         angle = np.arctan2(*(self.level - at[1:]).T[::-1]) / (2 * np.pi) % 1.0
-        return np.minimum((SECTORS * angle).astype(int), SECTORS - 1)
+        return np.asarray(np.minimum((SECTORS * angle).astype(int), SECTORS - 1))
 
 
 def placed(
@@ -174,7 +174,7 @@ def richness(view: View, pictures: Sequence[Picture], dents: Mapping[float, Dent
         tables = [view.columns(dents[p.ball], a, USUAL_BLUR * thick, rich) for p, a in zip(pictures, at, strict=True)]
         left = 0.0
         for group in np.unique(groups):
-            seen, unseen = np.flatnonzero(groups != group), np.flatnonzero(groups == group)
+            seen, unseen = (np.flatnonzero(where).tolist() for where in (groups != group, groups == group))
             colours = _colours([tables[k] for k in seen], [pictures[k] for k in seen], rich)
             left += sum(float(((tables[k] @ colours - pictures[k].change) ** 2).sum()) for k in unseen)
         off.append(left)
@@ -193,7 +193,7 @@ def located(
             found = _colours(tables, pictures, rich)
         assert found is not None
         largest = 0.0
-        for k in np.flatnonzero(moving):
+        for k in np.flatnonzero(moving).tolist():
             dent = dents[pictures[k].ball]
             step = _step(partial(view.columns, dent, blur=blur, rich=rich), pictures[k], at[k], tables[k], found, dent)
             at[k] += step

@@ -1,7 +1,7 @@
 """Calibration of a sensor file to one unit: gel thickness, modulus, zero of the gauge and lights from ball presses."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -9,7 +9,7 @@ from tacgen.calibrate.led_fit import FitLimits, changes_of
 from tacgen.calibrate.result import digits, moduli, write_sensor
 from tacgen.errors import UserError
 from tacgen.recipe import assets, loading
-from tacgen.sensor.model import LIGHTS, LitSensor, Sensor
+from tacgen.sensor.model import LIGHTS, LitSensor
 from tacgen.sensor.validation_messages import Issue, report
 from tacgen.sensor.yaml_source import KeyPath, format_path
 
@@ -39,7 +39,7 @@ class Asked:
     quality: str = "draft"  # of the solved presses
     thickness: bool = True  # find it; else the file's holds
     lights: bool = True  # fit them, too
-    limits: FitLimits = FitLimits()
+    limits: FitLimits = field(default_factory=FitLimits)
 
 
 @dataclass(frozen=True)
@@ -136,7 +136,9 @@ class Unit:
         """Plot fitted over measured forces, seen and unseen, into `out`."""
         from tacgen.report import unit_figure
 
-        seen = [(press.force, float(force)) for press, force in zip(self.photos.presses, self.fitted.force, strict=True)]
+        seen = [
+            (press.force, float(force)) for press, force in zip(self.photos.presses, self.fitted.force, strict=True)
+        ]
         unseen = [pair for one in self.judged for pair in zip(one.force, one.predicted, strict=True)]
         unit_figure.draw(seen, unseen, out)
 
@@ -153,6 +155,7 @@ def unit(name: str, folder: Path, asked: Asked | None = None) -> Unit:
         UserError: presses that are missing, cannot be used, or do not determine a number, a line each.
     """
     from tacgen.calibrate import unit_fitting, unit_photos
+    from tacgen.calibrate.photos import TABLE
 
     asked, path = asked or Asked(), assets.sensor_path(name)
     if not 0 <= asked.friction <= 10:  # nor nan
@@ -160,13 +163,15 @@ def unit(name: str, folder: Path, asked: Asked | None = None) -> Unit:
     sensor, tree = loading.read_sensor(path)
     if not sensor.lit:
         missing = next(part for part in LIGHTS if getattr(sensor, part) is None)
-        raise report([(Issue((missing,), "is missing: a fit starts from a file with all its lights, roughly placed"), tree)])
+        raise report(
+            [(Issue((missing,), "is missing: a fit starts from a file with all its lights, roughly placed"), tree)]
+        )
     if sensor.gel.solid is not None or any(layer.scattering for layer in sensor.gel.clear_layers):
         raise UserError(f"{path}: gel: must be a pad that is clear: the rim of a contact shows on such a gel alone")
     lit, photos = cast(LitSensor, sensor), unit_photos.read(folder, sensor.camera)
     work = unit_fitting.Work.of(lit, photos, asked)
     raw = work.fitted()
-    if wrong := list(_undetermined(raw, folder / unit_photos.TABLE)):
+    if wrong := list(_undetermined(raw, folder / TABLE)):
         raise UserError(wrong)
     fitted = work.corrected(raw)
     judged, lights = work.judged(), work.lights(fitted) if asked.lights else None
@@ -177,8 +182,8 @@ def unit(name: str, folder: Path, asked: Asked | None = None) -> Unit:
 def _undetermined(fitted: "UnitFit", table: Path) -> Iterator[str]:
     """A line on each number that the presses do not determine, and what to measure."""
     if (share := fitted.optics.explained) < EXPLAINED:
-        yield (f"{table}: dents of these balls explain {100 * share:.0f} % of the pictures' change: are radii, mm_per_px and"
-               " the untouched picture right?")  # fmt: skip
+        yield (f"{table}: dents of these balls explain {100 * share:.0f} % of the pictures' change: are"
+               " radii, mm_per_px and the untouched picture right?")  # fmt: skip
         return
     for name in fitted.open:
         yield f"{table}: {name}: is not determined: these presses allow its whole range: {MEASURE[name.split()[0]]}"
@@ -196,7 +201,9 @@ def _changes(made: Unit, now: LitSensor) -> dict[KeyPath, Any]:
         if made.asked.thickness:
             out[*here, "thickness_mm"] = digits(new.thickness_mm)
         out |= {(*here, key): digits(modulus.value * getattr(layer, key)) for key in moduli(layer)}
-        thick = f"the gel's thickness {thickness.value:.3g} mm ({thickness.low:.3g} to {thickness.high:.3g} with 95 %), "
+        thick = (
+            f"the gel's thickness {thickness.value:.3g} mm ({thickness.low:.3g} to {thickness.high:.3g} with 95 %), "
+        )
         out[*here, "source"] = (
             f"{layer.source}; {thick if made.asked.thickness else ''}moduli times {modulus.value:.4g}"
             f" ({modulus.low:.3g} to {modulus.high:.3g} with 95 %), fitted to {made.said} {BY}"

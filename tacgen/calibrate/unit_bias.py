@@ -1,4 +1,4 @@
-"""The error that the method makes on pictures whose numbers are known: rendered ones of the presses as they were fitted.
+"""The error that the method makes on pictures whose numbers are known: rendered ones of the presses as fitted.
 
 The polynomial of the colours is not the light's exact response, which shifts thickness and depths, alike in rendered
 and in photographed pictures. The presses are rendered with the sensor file and fitted once more, and the estimates are
@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tacgen.calibrate import fit_unit
-from tacgen.calibrate.ball_dents import Dents
+from tacgen.calibrate.ball_dents import POWER, Dents
 from tacgen.calibrate.fit_material import Estimate
 from tacgen.calibrate.fit_unit import Gauge, UnitFit
 from tacgen.calibrate.press_colours import Picture, View
-from tacgen.optics.surface_grid import Untouched
+from tacgen.optics.surface_grid import Surface
 from tacgen.render.images import Renderer
 from tacgen.sensor.model import LitSensor
 
@@ -29,7 +29,7 @@ LIGHTS = 1.5  # blur over that of rendered sharp rims, up to which it comes from
 class DentFace:
     """The face under a ball, from solved presses at two thicknesses."""
 
-    untouched: Untouched
+    untouched: Surface
     dents: tuple[Dents, Dents]
     weight: float  # of the second
     at_: tuple[float, float, float]  # depth, x, y [mm]
@@ -38,7 +38,7 @@ class DentFace:
     def at(self, xy: Array) -> Array:
         """Current positions (n, 3) [mm] of rest positions (n, 2) [mm]; points move along z alone."""
         depth, x, y = self.at_
-        now = self.untouched.at(xy)
+        now = np.array(self.untouched.at(xy))
         away = np.hypot(now[:, 0] - x, now[:, 1] - y)
         r = np.linspace(0.0, float(away.max()), 800)
         drop = np.zeros_like(r)
@@ -82,10 +82,10 @@ def _again(
     flat, made, forces = camera.develop(camera.flat(), random), [], []
     for picture, depth, place in zip(pictures, found.depth, found.optics.placed[k].at, strict=True):
         both = near[0][picture.ball], near[1][picture.ball]
-        face = DentFace(camera.untouched, both, w, (float(depth), *map(float, place[1:])), blur)
+        face = DentFace(camera.untouched, both, w, (float(depth), float(place[1]), float(place[2])), blur)
         made.append(view.picture(camera.develop(camera.image(face), random), flat, picture.ball, picture.recording))
-        rooted = [float(one.force_at(np.array(depth))) ** fit_unit.POWER for one in both]
-        forces.append(((1 - w) * rooted[0] + w * rooted[1]) ** (1 / fit_unit.POWER))
+        rooted = [float(one.force_at(np.array(depth))) ** POWER for one in both]
+        forces.append(((1 - w) * rooted[0] + w * rooted[1]) ** (1 / POWER))
     read = found.zero.value + found.modulus.value * np.array(forces)
     optics = fit_unit.optics(view, made, dents, rich=found.optics.rich)
     return fit_unit.fit(optics, made, dents, replace(gauge, force=read))

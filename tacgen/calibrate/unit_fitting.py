@@ -8,11 +8,11 @@ import numpy as np
 from tacgen.calibrate import ball_dents, fit_clear, fit_unit, unit_bias, unseen
 from tacgen.calibrate.ball_dents import Dents, with_thickness
 from tacgen.calibrate.fit_unit import Gauge, Judged, UnitFit
-from tacgen.calibrate.photos import PhotographedPress, Photos
+from tacgen.calibrate.photos import TABLE, PhotographedPress, Photos
 from tacgen.calibrate.press_colours import Picture, View
 from tacgen.calibrate.result import Fitted
 from tacgen.calibrate.unit import DEEP, Asked
-from tacgen.calibrate.unit_photos import TABLE, UnitPhotos
+from tacgen.calibrate.unit_photos import UnitPhotos
 from tacgen.errors import UserError
 from tacgen.optics.camera import PinholeCamera
 from tacgen.sensor.model import LitSensor
@@ -72,16 +72,14 @@ class Work:
         for press, picture, depth in zip(self.photos.presses, self.pictures, found.depth, strict=True):
             if depth > DEEP * (deepest := self.dents[k][picture.ball].depth[-1]):
                 raise UserError(
-                    f"{self.photos.folder / press.name}: is pressed deeper than {deepest:.3g} mm, the most that a gel of"
-                    f" {found.thickness.value:.3g} mm is solved for: leave it out"
+                    f"{self.photos.folder / press.name}: is pressed deeper than {deepest:.3g} mm, the most that a"
+                    f" gel of {found.thickness.value:.3g} mm is solved for: leave it out"
                 )
         return found
 
     def corrected(self, found: UnitFit) -> UnitFit:
         """The fit less the error that the method makes on rendered pictures of the same presses."""
-        return unit_bias.corrected(
-            found, self.at_thickness(found), self.view, self.pictures, self.dents, self.gauge
-        )
+        return unit_bias.corrected(found, self.at_thickness(found), self.view, self.pictures, self.dents, self.gauge)
 
     def judged(self) -> tuple[Judged, ...]:
         """Judgements by recordings that a fit has not seen, or by presses if there is one recording alone."""
@@ -90,7 +88,11 @@ class Work:
         out = []
         for held in unseen.folds(int(group.max()) + 1):
             where = np.isin(group + 1, held)
-            name = ", ".join(names[k - 1] for k in held) if len(held) == 1 and len(names) > 1 else f"{where.sum()} held out"
+            name = (
+                ", ".join(names[k - 1] for k in held)
+                if len(held) == 1 and len(names) > 1
+                else f"{where.sum()} held out"
+            )
             try:
                 _, found = fit_unit.judge(self.view, self.pictures, self.dents, self.gauge, where)
             except ValueError:
@@ -118,6 +120,7 @@ class Work:
             center = camera.project([[x, y, -depth]])[0]
             contact = self.dents[best][press.ball].contact_at(depth) / camera.mm_per_px
             shown = np.clip(first + (press.picture.astype(float) - press.untouched), 0, 255).astype(np.uint8)
-            out.append(PhotographedPress(press.name, shown, press.ball, (float(center[0]), float(center[1])), contact, depth))
+            out.append(
+                PhotographedPress(press.name, shown, press.ball, (float(center[0]), float(center[1])), contact, depth)
+            )
         return first, tuple(out)
-

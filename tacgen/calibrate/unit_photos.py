@@ -50,7 +50,7 @@ def read(folder: Path, camera: Camera) -> UnitPhotos:
     wrong: list[str] = []
     usual = next((name for name in UNTOUCHED if (folder / name).is_file()), "")
     pictures: dict[str, Array] = {}
-    presses = []
+    presses: list[UnitPress] = []
     for line, row in csv_table.rows(folder / TABLE, NEEDED, (), wrong):
         said, before = f"{folder / TABLE}:{line}", len(wrong)
         force, time = _number(row, "force_n", said, wrong), np.nan

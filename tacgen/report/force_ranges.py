@@ -1,6 +1,7 @@
 """Errors of predicted forces by range of the force, and where predictions no longer grow."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -27,12 +28,13 @@ def ranges(true: Array, said: Array, floor: float) -> list[dict[str, float]]:
     for last in range(1, len(EDGES)):
         here = (true >= EDGES[first]) & (true < EDGES[last])
         rest = int((true >= EDGES[last]).sum())
-        if here.sum() < LEAST and rest or 0 < rest < LEAST or not here.any():
+        if (here.sum() < LEAST and rest) or 0 < rest < LEAST or not here.any():
             continue
         off = said[here] - true[here]
         out.append({
             "low": EDGES[first], "high": float(min(EDGES[last], true[here].max())), "n": int(here.sum()),
-            "mae": float(np.abs(off).mean()), "bias": float(off.mean()), "guess": float(np.abs(floor - true[here]).mean()),
+            "mae": float(np.abs(off).mean()), "bias": float(off.mean()),
+            "guess": float(np.abs(floor - true[here]).mean()),
             "true": float(true[here].mean()), "said": float(said[here].mean()),
         })  # fmt: skip
         first = last
@@ -43,7 +45,7 @@ def saturation(found: Sequence[dict[str, float]]) -> float | None:
     """The mean force [N] of the range from which on predictions grow by less than GROWS of what forces do, up to the
     last one; None if they grow to the end."""
     saturated = None
-    for before, after in zip(found[:-1], found[1:], strict=True):
+    for before, after in pairwise(found):
         growth = (after["said"] - before["said"]) / (after["true"] - before["true"])
         if growth >= GROWS:
             saturated = None
@@ -64,7 +66,7 @@ def lines(true: Array, said: Array, learned: Array) -> list[str]:
     out.append(f"predictions stop growing at {where:.3g} N" if where is not None else
                f"predictions grow up to {most:.3g} N, the largest judged")  # fmt: skip
     if (beyond := float((true > learned.max()).mean())) > 0:
-        out.append(f"{100 * beyond:.0f} % of the judged forces are larger than any learned from: not a test of the method")
+        out.append(f"{100 * beyond:.0f} % of the judged forces are larger than any learned from")
     return out
 
 

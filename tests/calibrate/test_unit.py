@@ -46,7 +46,7 @@ def formula(one: LitSensor, ball: float, at: Any = None, widest: float = 0.0, *_
     for k, d in enumerate(depth):
         away = (SCALED - inside) * np.sqrt(ball * d) / thick
         beyond = inside * np.exp(-6 * away) - 1.5 * np.sqrt(ball * d) / thick * away * np.exp(-3 * away)
-        slope[k] = np.where(SCALED < inside, SCALED, beyond)
+        slope[k] = np.where(inside > SCALED, SCALED, beyond)
     steps = (slope[:, 1:] + slope[:, :-1]) / 2 * np.diff(SCALED)
     drop = -np.cumsum(np.pad(steps, ((0, 0), (0, 1)))[:, ::-1], axis=1)[:, ::-1]
     modulus = one.gel.layers[0].model_dump()["youngs_modulus_mpa"]
@@ -93,7 +93,7 @@ def test_thickness_modulus_and_zero_of_a_known_gel_are_within_their_intervals(un
     for one, true in ((found.thickness, thick), (found.modulus, MODULUS), (found.zero, ZERO)):
         assert one.low < true < one.high
         assert not one.open
-    assert found.depth == pytest.approx(DEPTHS, rel=0.04)
+    assert found.depth == pytest.approx(DEPTHS, abs=0.03)
     assert found.optics.explained > 0.9
 
 

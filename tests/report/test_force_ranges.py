@@ -20,7 +20,9 @@ def test_errors_stand_beside_those_of_the_mean_in_each_range() -> None:
 
 @pytest.mark.parametrize("stop", [12.0, 25.0])
 def test_the_force_where_predictions_stop_growing_is_found(stop: float) -> None:
-    assert force_ranges.saturation(force_ranges.ranges(TRUE, np.minimum(TRUE, stop), 10.0)) == pytest.approx(stop, abs=6)
+    assert force_ranges.saturation(force_ranges.ranges(TRUE, np.minimum(TRUE, stop), 10.0)) == pytest.approx(
+        stop, abs=6
+    )
     assert force_ranges.saturation(force_ranges.ranges(TRUE, TRUE, 10.0)) is None
 
 
