@@ -4,8 +4,6 @@ import csv
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from PIL import Image
-
 from benchmarks import photographs
 from benchmarks.results_page import ROOT, Cell, Say, Table, columns
 from tacgen.calibrate import unit
@@ -24,6 +22,8 @@ def here() -> bool:
 
 def lay_out(out: Path) -> None:
     """Write the photographs and their table as `calibrate unit` takes them into `out`."""
+    from PIL import Image
+
     folder = photographs.reference() / FOLDER
     lines = ["file,ball_radius_mm,force_n,recording,time_s,untouched"]
     for row in csv.DictReader((folder / TABLE).read_text(encoding="utf-8").splitlines()):
@@ -58,10 +58,10 @@ def tables(say: Say) -> list[Table]:
              "without alignment in time [N]: .2f", "rising curve through the judged [N]: .2f")  # fmt: skip
     return [
         Table("A GelSight Wedge by a golf ball", columns("", "found: .3g", "low: .3g", "high: .3g", "published: .3g"),
-              found, "With 95 % intervals, of both grips; published by those who built and used the unit, the modulus from"
-              " its hardness. The ball's dimples are not in the model."),
+              found, "With 95 % intervals, of both grips; published by those who used the unit, the modulus from its"
+              " hardness. The ball's dimples are not in the model."),
         Table("Forces on a GelSight Wedge", columns(*heads), errors,
-              "Mean absolute error of forces up to 25 N, each grip judged by the fit to the other. The gauge lags by up to"
-              " three pictures, differently in each grip: the lag of the judged grip is fitted to its own forces, one"
+              "Mean absolute error of forces up to 25 N, each grip judged by the fit to the other. The gauge lags by up"
+              " to three pictures, differently in each grip: the lag of the judged grip is fitted to its own forces, one"
               " number; beside it without alignment. The gauge's own scatter is 1 to 1.5 N."),
     ]  # fmt: skip

@@ -21,7 +21,7 @@ from scipy.stats import t as student
 
 from tacgen.calibrate.ball_dents import POWER, Dents
 from tacgen.calibrate.fit_material import LEVEL, MOST_FACTOR, Estimate, Unknown, estimated
-from tacgen.calibrate.press_colours import Picture, Placed, View, located, placed, richness
+from tacgen.calibrate.press_colours import PressPicture, Placed, PressView, located, placed, richness
 
 Array = np.ndarray
 FACTORS = (0.5, 0.63, 0.8, 1.0, 1.26, 1.6, 2.0)  # thicknesses that are tried, over the file's
@@ -97,7 +97,11 @@ class Optics:
 
 
 def optics(
-    view: View, pictures: Sequence[Picture], dents: Sequence[Mapping[float, Dents]], *, rich: bool | None = None
+    view: PressView,
+    pictures: Sequence[PressPicture],
+    dents: Sequence[Mapping[float, Dents]],
+    *,
+    rich: bool | None = None,
 ) -> Optics:
     """The thickness that suits the pictures best.
 
@@ -143,11 +147,13 @@ class UnitFit:
 
     @property
     def open(self) -> list[str]:
-        """What the presses do not determine."""
+        """Names of the numbers that the presses do not determine."""
         return [one.name for one in (self.thickness, self.modulus, self.zero, *self.lags.values()) if one.open]
 
 
-def fit(optics: Optics, pictures: Sequence[Picture], dents: Sequence[Mapping[float, Dents]], gauge: Gauge) -> UnitFit:
+def fit(
+    optics: Optics, pictures: Sequence[PressPicture], dents: Sequence[Mapping[float, Dents]], gauge: Gauge
+) -> UnitFit:
     """All numbers of a unit. Raises ValueError: fewer presses than numbers to find, and one more."""
     half = float(student.ppf((1 + LEVEL) / 2, optics.freedom)) * optics.spread
     low, high = np.log(optics.thickness[[0, -1]])
@@ -170,7 +176,7 @@ def fit(optics: Optics, pictures: Sequence[Picture], dents: Sequence[Mapping[flo
 
 
 def _forces(
-    optics: Optics, pictures: Sequence[Picture], dents: Sequence[Mapping[float, Dents]], gauge: Gauge, at: float
+    optics: Optics, pictures: Sequence[PressPicture], dents: Sequence[Mapping[float, Dents]], gauge: Gauge, at: float
 ) -> tuple[tuple[Estimate, ...], Array]:
     """Estimates of modulus, zero and lags at one thickness, and the fitted readings (n,) [N]."""
     unit = unit_forces(optics, optics.placed, pictures, dents, at)
@@ -192,7 +198,7 @@ def _forces(
 
 
 def unit_forces(
-    optics: Optics, seen: Sequence[Placed | None], pictures: Sequence[Picture], dents: Sequence[Mapping[float, Dents]],
+    optics: Optics, seen: Sequence[Placed | None], pictures: Sequence[PressPicture], dents: Sequence[Mapping[float, Dents]],
     at: float,
 ) -> Array:  # fmt: skip
     """Forces (n,) [N] at the file's moduli of presses placed at each thickness (next to `at` at least), at thickness
@@ -231,7 +237,9 @@ class Judged:
         return float(np.abs(said - self.force).mean())
 
 
-def predict(fitted: UnitFit, view: View, pictures: Sequence[Picture], dents: Sequence[Mapping[float, Dents]]) -> Array:
+def predict(
+    fitted: UnitFit, view: PressView, pictures: Sequence[PressPicture], dents: Sequence[Mapping[float, Dents]]
+) -> Array:
     """Forces (n,) [N] of unseen pictures, without the gauge's zero."""
     optics, start = fitted.optics, view.starts(pictures)
     near = optics.between(optics.best)[0]
@@ -243,7 +251,7 @@ def predict(fitted: UnitFit, view: View, pictures: Sequence[Picture], dents: Seq
 
 
 def judge(
-    view: View, pictures: Sequence[Picture], dents: Sequence[Mapping[float, Dents]], gauge: Gauge, held: Array
+    view: PressView, pictures: Sequence[PressPicture], dents: Sequence[Mapping[float, Dents]], gauge: Gauge, held: Array
 ) -> tuple[UnitFit, Judged]:
     """Fit the presses that are not `held` (n,) bool, and judge those."""
     seen, unseen = ([p for p, chosen in zip(pictures, w, strict=True) if chosen] for w in (~held, held))

@@ -41,7 +41,7 @@ BLUR, BLUR_STEP = 0.4, 0.04  # largest blur of the slopes over the gel's thickne
 
 
 @dataclass(frozen=True)
-class Picture:
+class PressPicture:
     """A press to be placed: change against the untouched picture (p, 3) [counts] at the compared pixels."""
 
     change: Array  # with mean 0
@@ -65,7 +65,7 @@ class Placed:
     change: float  # [counts^2]: sum of squares of the pictures' changes
 
 
-class View:
+class PressView:
     """The compared pixels of a sensor's pictures, and what presses do there."""
 
     def __init__(self, sensor: LitSensor) -> None:
@@ -84,14 +84,14 @@ class View:
         along = (z - self._origin[:, 2]) / self._ray[:, 2]
         return np.asarray((self._origin + self._ray * along[:, None])[:, :2])
 
-    def picture(self, picture: Array, untouched: Array, ball: float, recording: int) -> Picture:
+    def picture(self, picture: Array, untouched: Array, ball: float, recording: int) -> PressPicture:
         """A photograph (H, W, 3) against the untouched one, at the compared pixels."""
         width = SMOOTH * self._stride
         change = gaussian_filter(picture.astype(float) - untouched, (width, width, 0))
         change = change[np.ix_(*self._pixels)].reshape(-1, 3)
-        return Picture(change - change.mean(axis=0), ball, recording)
+        return PressPicture(change - change.mean(axis=0), ball, recording)
 
-    def starts(self, pictures: Sequence[Picture]) -> Array:
+    def starts(self, pictures: Sequence[PressPicture]) -> Array:
         """Rough depth, x and y (n, 3) [mm] of presses, from where their pictures change most."""
         at, loud = np.zeros((len(pictures), 3)), np.array([one.loud * one.ball for one in pictures])
         for k, one in enumerate(pictures):
@@ -108,7 +108,7 @@ class View:
         return at
 
     def columns(self, dents: Dents, at: Array, blur: float, rich: bool) -> Array:
-        """What the colours of a press at (depth, x, y) [mm] are linear in (p, columns), each with mean 0."""
+        """Terms (p, columns), each with mean 0, in which the colours of a press at (depth, x, y) [mm] are linear."""
         z = self._face.height(self.level)
         for _ in range(2):
             xy = self._hit(z)
@@ -134,7 +134,11 @@ class View:
 
 
 def placed(
-    view: View, pictures: Sequence[Picture], dents: Mapping[float, Dents], rich: bool, near: Placed | None = None
+    view: PressView,
+    pictures: Sequence[PressPicture],
+    dents: Mapping[float, Dents],
+    rich: bool,
+    near: Placed | None = None,
 ) -> Placed:
     """Depths and centres of presses with the colours and the blur that suit them best.
 
@@ -159,7 +163,7 @@ def placed(
     return best
 
 
-def richness(view: View, pictures: Sequence[Picture], dents: Mapping[float, Dents]) -> bool:
+def richness(view: PressView, pictures: Sequence[PressPicture], dents: Mapping[float, Dents]) -> bool:
     """Whether colours that vary over the picture suit unseen recordings better than those that hardly do.
 
     Recordings are left out in turn, at the depths and centres found with the simpler ones; with one recording, no.
@@ -182,7 +186,7 @@ def richness(view: View, pictures: Sequence[Picture], dents: Mapping[float, Dent
 
 
 def located(
-    view: View, pictures: Sequence[Picture], dents: Mapping[float, Dents], start: Array, blur: float, rich: bool,
+    view: PressView, pictures: Sequence[PressPicture], dents: Mapping[float, Dents], start: Array, blur: float, rich: bool,
     colours: Array | None = None, rounds: int = ROUNDS,
 ) -> Placed:  # fmt: skip
     """Depths and centres of presses with one blur [mm], from start values (n, 3), and colours unless they are given."""
@@ -212,7 +216,7 @@ def located(
     return Placed(at, found, blur, np.array(misfit), float(sum((p.change**2).sum() for p in pictures)))
 
 
-def _colours(tables: Sequence[Array], pictures: Sequence[Picture], rich: bool) -> Array:
+def _colours(tables: Sequence[Array], pictures: Sequence[PressPicture], rich: bool) -> Array:
     """The best colours (columns, 3) by least squares over all pictures."""
     normal = sum(t.T @ t for t in tables)
     right = sum(t.T @ p.change for t, p in zip(tables, pictures, strict=True))
@@ -223,7 +227,7 @@ def _colours(tables: Sequence[Array], pictures: Sequence[Picture], rich: bool) -
 
 
 def _step(
-    columns: Callable[[Array], Array], picture: Picture, at: Array, table: Array, colours: Array, dents: Dents
+    columns: Callable[[Array], Array], picture: PressPicture, at: Array, table: Array, colours: Array, dents: Dents
 ) -> Array:
     """Change of depth, x and y [mm] by Gauss and Newton, within the depths that are solved."""
     made = table @ colours

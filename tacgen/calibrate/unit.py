@@ -33,7 +33,7 @@ MEASURE = {
 
 @dataclass(frozen=True)
 class Asked:
-    """What is fitted, and what is assumed."""
+    """Choice of the numbers that are fitted, and assumed ones."""
 
     friction: float = 0.5  # of the balls on the gel
     quality: str = "draft"  # of the solved presses

@@ -14,7 +14,7 @@ from tacgen.calibrate import fit_unit
 from tacgen.calibrate.ball_dents import POWER, Dents
 from tacgen.calibrate.fit_material import Estimate
 from tacgen.calibrate.fit_unit import Gauge, UnitFit
-from tacgen.calibrate.press_colours import Picture, View
+from tacgen.calibrate.press_colours import PressPicture, PressView
 from tacgen.optics.surface_grid import Surface
 from tacgen.render.images import Renderer
 from tacgen.sensor.model import LitSensor
@@ -53,7 +53,7 @@ class DentFace:
 
 
 def corrected(
-    found: UnitFit, sensor: LitSensor, view: View, pictures: Sequence[Picture], dents: Sequence[Mapping[float, Dents]],
+    found: UnitFit, sensor: LitSensor, view: PressView, pictures: Sequence[PressPicture], dents: Sequence[Mapping[float, Dents]],
     gauge: Gauge,
 ) -> UnitFit:  # fmt: skip
     """The fit with thickness, modulus and zero corrected; `sensor` has the fitted thickness."""
@@ -72,7 +72,7 @@ def corrected(
 
 
 def _again(
-    found: UnitFit, sensor: LitSensor, view: View, pictures: Sequence[Picture], dents: Sequence[Mapping[float, Dents]],
+    found: UnitFit, sensor: LitSensor, view: PressView, pictures: Sequence[PressPicture], dents: Sequence[Mapping[float, Dents]],
     gauge: Gauge, blur: float,
 ) -> UnitFit:  # fmt: skip
     """The fit to rendered pictures of the presses as found, with forces as of the file's moduli times the found."""

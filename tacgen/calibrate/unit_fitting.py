@@ -9,7 +9,7 @@ from tacgen.calibrate import ball_dents, fit_clear, fit_unit, unit_bias, unseen
 from tacgen.calibrate.ball_dents import Dents, with_thickness
 from tacgen.calibrate.fit_unit import Gauge, Judged, UnitFit
 from tacgen.calibrate.photos import TABLE, PhotographedPress, Photos
-from tacgen.calibrate.press_colours import Picture, View
+from tacgen.calibrate.press_colours import PressPicture, PressView
 from tacgen.calibrate.result import Fitted
 from tacgen.calibrate.unit import DEEP, Asked
 from tacgen.calibrate.unit_photos import UnitPhotos
@@ -29,8 +29,8 @@ class Work:
     sensor: LitSensor
     photos: UnitPhotos
     asked: Asked
-    view: View
-    pictures: tuple[Picture, ...]
+    view: PressView
+    pictures: tuple[PressPicture, ...]
     gauge: Gauge
     dents: tuple[Mapping[float, Dents], ...]  # by tried thickness, then by the ball's radius
 
@@ -40,7 +40,7 @@ class Work:
 
         Raises UserError: presses that cannot be solved.
         """
-        view, number = View(sensor), {name: k for k, name in enumerate(photos.recordings)}
+        view, number = PressView(sensor), {name: k for k, name in enumerate(photos.recordings)}
         pictures = tuple(view.picture(p.picture, p.untouched, p.ball, number[p.recording]) for p in photos.presses)
         gauge = Gauge(*(np.array(part) for part in zip(
             *((p.force, number[p.recording], p.time) for p in photos.presses), strict=True)))  # fmt: skip

@@ -85,7 +85,7 @@ def _number(row: dict[str, str], column: str, said: str, wrong: list[str]) -> fl
 
 
 def _problems(folder: Path, presses: list[UnitPress]) -> list[str]:
-    """What is wrong with presses together, a line each."""
+    """Problems of all presses together, a line each."""
     table, wrong = folder / TABLE, []
     shown = sum((p.picture.astype(float) - p.untouched).std(axis=(0, 1)).max() >= UNCHANGED for p in presses)
     if shown < LEAST:

@@ -15,7 +15,7 @@ from tacgen import cli
 from tacgen.calibrate import ball_dents, fit_unit, press_colours
 from tacgen.calibrate.ball_dents import SCALED, Dents, with_thickness
 from tacgen.calibrate.fit_unit import Gauge
-from tacgen.calibrate.press_colours import Picture, View
+from tacgen.calibrate.press_colours import PressPicture, PressView
 from tacgen.recipe import loading
 from tacgen.sensor.model import LitSensor
 
@@ -59,7 +59,7 @@ def painted(one: LitSensor, thick: float, presses: list[tuple[float, float, floa
     with pytest.MonkeyPatch.context() as patch:  # all pixels
         patch.setattr(press_colours, "COMPARED", 1e9)
         patch.setattr(press_colours, "RIM", 0.0)
-        view = View(one)
+        view = PressView(one)
     colours = np.random.default_rng(1).uniform(-60, 60, (12, 3))
     colours[:2], colours[2:5], colours[-4:] = [[90, -20, 30], [10, 80, -70]], colours[2:5] / 4, 0.0
     dents = formula(with_thickness(one, thick), BALL)
@@ -73,10 +73,12 @@ def presses(depths: np.ndarray = DEPTHS) -> list[tuple[float, float, float]]:
 
 def fitted(one: LitSensor, thick: float, gauge: Gauge | None = None, depths: np.ndarray = DEPTHS, seed: int = 0):
     """The fit to pictures with noise of presses of a gel."""
-    random, view = np.random.default_rng(seed), View(one)
+    random, view = np.random.default_rng(seed), PressView(one)
     changes = [c + random.normal(0, 1.5, c.shape) for c in painted(one, thick, presses(depths))]
     groups = range(len(depths)) if gauge is None else gauge.recording
-    pictures: list[Picture] = [view.picture(c, 0.0 * c, BALL, int(g)) for c, g in zip(changes, groups, strict=True)]
+    pictures: list[PressPicture] = [
+        view.picture(c, 0.0 * c, BALL, int(g)) for c, g in zip(changes, groups, strict=True)
+    ]
     dents = [{BALL: formula(with_thickness(one, f * one.gel.thickness_mm), BALL)} for f in fit_unit.FACTORS]
     if gauge is None:
         true = ZERO + MODULUS * formula(with_thickness(one, thick), BALL).force_at(depths)
