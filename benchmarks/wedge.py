@@ -62,6 +62,6 @@ def tables(say: Say) -> list[Table]:
               " hardness. The ball's dimples are not in the model."),
         Table("Forces on a GelSight Wedge", columns(*heads), errors,
               "Mean absolute error of forces up to 25 N, each grip judged by the fit to the other. The gauge lags by up"
-              " to three pictures, differently in each grip: the lag of the judged grip is fitted to its own forces, one"
-              " number; beside it without alignment. The gauge's own scatter is 1 to 1.5 N."),
+              " to three pictures, differently in each grip: the lag of the judged grip is fitted to its own forces,"
+              " one number; beside it without alignment. The gauge's own scatter is 1 to 1.5 N."),
     ]  # fmt: skip

@@ -1,5 +1,6 @@
 """Print docs/SENSOR.md, generated from tacgen/sensor: python scripts/sensor_page.py > docs/SENSOR.md"""
 
+from pathlib import Path
 from typing import Any
 
 from tacgen.recipe.schema import sensor_schema
@@ -18,51 +19,7 @@ equal ones.
 
 `tacgen sensor show NAME` prints the values of a shipped sensor or of a file, `tacgen schema --sensor` the JSON Schema.
 """
-UNIT = """## A file for your own unit
-
-`tacgen calibrate unit` writes a copy of a sensor file with the gel thickness, moduli and lights of your unit, from
-photographs of ball presses with forces. Half an hour in a laboratory is enough: put the sensor on a scale or into a
-gripper, press one or two steel balls of known radius into it at several places, lightly and hard, and take a picture and
-the reading of each press.
-
-```sh
-tacgen calibrate unit --sensor gelsight_mini --images presses -o my_unit.yaml --plot forces.png
-```
-
-The folder holds `background.png`, the untouched sensor, and `presses.csv`:
-
-| column | what |
-|---|---|
-| `file`, `ball_radius_mm`, `force_n` | picture, radius of the ball, reading of the gauge; pressed into the gel is positive |
-| `recording`, optional | presses of one video or of one mount: they are held out together. Without it each press stands alone |
-| `time_s`, optional | time of the picture: the lag of the gauge is then fitted in each recording, from at least three pictures |
-| `untouched`, optional | an untouched picture of its own, instead of `background.png` |
-
-At least four presses must show; ten or more, with two radii, at places all over the gel, are better. The contact must be
-wider than the gel is thick in some of them: thickness shows in how the face bulges around the contact. With
-`--keep-thickness` the file's thickness holds. Depths need not be measured, and contact circles need not be marked.
-
-| number | comes from |
-|---|---|
-| depth and place of each press, contrast | the picture: the ball's radius is the slope inside the contact, and so the scale of the colours |
-| `thickness_mm` | the face around the contact, in solved presses of 0.5 to 2 times the file's thickness |
-| moduli, zero and lag of the gauge | the forces, as the solved presses have them at these depths |
-| lights | as by [`calibrate optics`](OPTICS.md), from some of the presses at their found depths; not with `--no-lights` |
-
-The same presses are then rendered with the file and fitted once more, and the estimates are corrected by what comes out
-wrong there. Friction (`--friction`) is assumed; where the contact is as wide as the gel is thick, a gel that sticks needs
-more force. All numbers stand with their 95 % intervals in comments at the head of the file, and in `source`. A press that
-no fit can use, and a number that the presses do not determine, are told in one line, with exit code 2, and nothing is
-written.
-
-The command judges itself: recordings (or every third press) are left out of a fit, their forces are found from the
-pictures alone, and the mean error in newtons is printed beside that of the mean of the other forces (the floor) and that of
-the best rising curve through the judged forces themselves (what the found depths could give at best). With times, the lag
-of a judged recording is one number fitted to its own forces; the error without that stands beside it. The error counts for
-balls on this unit. Solving takes minutes; it is kept in the cache.
-
-COVERAGE
-"""
+UNIT = Path(__file__).with_name("own_unit.md")  # the page's last part
 PLACES = {
     "Sensor": "the file",
     "Gel": "`gel`",
@@ -107,7 +64,7 @@ def page() -> str:
                 lines.append(row(key, info, key in part.get("required", ())))
         lines.append("")
     assert not parts, f"no place is known of {', '.join(parts)}"
-    return "\n".join([*lines, UNIT])
+    return "\n".join([*lines, UNIT.read_text(encoding="utf-8")])
 
 
 def row(key: str, info: dict[str, Any], required: bool) -> str:

@@ -21,9 +21,11 @@ from scipy.stats import t as student
 
 from tacgen.calibrate.ball_dents import POWER, Dents
 from tacgen.calibrate.fit_material import LEVEL, MOST_FACTOR, Estimate, Unknown, estimated
-from tacgen.calibrate.press_colours import PressPicture, Placed, PressView, located, placed, richness
+from tacgen.calibrate.press_colours import Placed, PressPicture, PressView, located, placed, richness
 
 Array = np.ndarray
+Pictures = Sequence[PressPicture]
+Tried = Sequence[Mapping[float, Dents]]  # for each thickness, in rising order, by the ball's radius [mm]
 FACTORS = (0.5, 0.63, 0.8, 1.0, 1.26, 1.6, 2.0)  # thicknesses that are tried, over the file's
 FINE = 2000  # points between them at which the misfit is interpolated
 SPREAD = 0.05  # standard error of the thickness's logarithm that the method has by itself, from synthetic units
@@ -98,8 +100,8 @@ class Optics:
 
 def optics(
     view: PressView,
-    pictures: Sequence[PressPicture],
-    dents: Sequence[Mapping[float, Dents]],
+    pictures: Pictures,
+    dents: Tried,
     *,
     rich: bool | None = None,
 ) -> Optics:
@@ -151,9 +153,7 @@ class UnitFit:
         return [one.name for one in (self.thickness, self.modulus, self.zero, *self.lags.values()) if one.open]
 
 
-def fit(
-    optics: Optics, pictures: Sequence[PressPicture], dents: Sequence[Mapping[float, Dents]], gauge: Gauge
-) -> UnitFit:
+def fit(optics: Optics, pictures: Pictures, dents: Tried, gauge: Gauge) -> UnitFit:
     """All numbers of a unit. Raises ValueError: fewer presses than numbers to find, and one more."""
     half = float(student.ppf((1 + LEVEL) / 2, optics.freedom)) * optics.spread
     low, high = np.log(optics.thickness[[0, -1]])
@@ -176,7 +176,7 @@ def fit(
 
 
 def _forces(
-    optics: Optics, pictures: Sequence[PressPicture], dents: Sequence[Mapping[float, Dents]], gauge: Gauge, at: float
+    optics: Optics, pictures: Pictures, dents: Tried, gauge: Gauge, at: float
 ) -> tuple[tuple[Estimate, ...], Array]:
     """Estimates of modulus, zero and lags at one thickness, and the fitted readings (n,) [N]."""
     unit = unit_forces(optics, optics.placed, pictures, dents, at)
@@ -198,7 +198,7 @@ def _forces(
 
 
 def unit_forces(
-    optics: Optics, seen: Sequence[Placed | None], pictures: Sequence[PressPicture], dents: Sequence[Mapping[float, Dents]],
+    optics: Optics, seen: Sequence[Placed | None], pictures: Pictures, dents: Tried,
     at: float,
 ) -> Array:  # fmt: skip
     """Forces (n,) [N] at the file's moduli of presses placed at each thickness (next to `at` at least), at thickness
@@ -237,9 +237,7 @@ class Judged:
         return float(np.abs(said - self.force).mean())
 
 
-def predict(
-    fitted: UnitFit, view: PressView, pictures: Sequence[PressPicture], dents: Sequence[Mapping[float, Dents]]
-) -> Array:
+def predict(fitted: UnitFit, view: PressView, pictures: Pictures, dents: Tried) -> Array:
     """Forces (n,) [N] of unseen pictures, without the gauge's zero."""
     optics, start = fitted.optics, view.starts(pictures)
     near = optics.between(optics.best)[0]
@@ -250,9 +248,7 @@ def predict(
     return fitted.modulus.value * unit_forces(optics, seen, pictures, dents, optics.best)
 
 
-def judge(
-    view: PressView, pictures: Sequence[PressPicture], dents: Sequence[Mapping[float, Dents]], gauge: Gauge, held: Array
-) -> tuple[UnitFit, Judged]:
+def judge(view: PressView, pictures: Pictures, dents: Tried, gauge: Gauge, held: Array) -> tuple[UnitFit, Judged]:
     """Fit the presses that are not `held` (n,) bool, and judge those."""
     seen, unseen = ([p for p, chosen in zip(pictures, w, strict=True) if chosen] for w in (~held, held))
     known, asked = gauge.part(~held), gauge.part(held)

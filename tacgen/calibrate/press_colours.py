@@ -186,8 +186,8 @@ def richness(view: PressView, pictures: Sequence[PressPicture], dents: Mapping[f
 
 
 def located(
-    view: PressView, pictures: Sequence[PressPicture], dents: Mapping[float, Dents], start: Array, blur: float, rich: bool,
-    colours: Array | None = None, rounds: int = ROUNDS,
+    view: PressView, pictures: Sequence[PressPicture], dents: Mapping[float, Dents], start: Array, blur: float,
+    rich: bool, colours: Array | None = None, rounds: int = ROUNDS,
 ) -> Placed:  # fmt: skip
     """Depths and centres of presses with one blur [mm], from start values (n, 3), and colours unless they are given."""
     at, found, moving = start.copy(), colours, np.ones(len(pictures), bool)

@@ -5,7 +5,6 @@ and in photographed pictures. The presses are rendered with the sensor file and 
 corrected by what comes out wrong.
 """
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,8 +12,8 @@ import numpy as np
 from tacgen.calibrate import fit_unit
 from tacgen.calibrate.ball_dents import POWER, Dents
 from tacgen.calibrate.fit_material import Estimate
-from tacgen.calibrate.fit_unit import Gauge, UnitFit
-from tacgen.calibrate.press_colours import PressPicture, PressView
+from tacgen.calibrate.fit_unit import Gauge, Pictures, Tried, UnitFit
+from tacgen.calibrate.press_colours import PressView
 from tacgen.optics.surface_grid import Surface
 from tacgen.render.images import Renderer
 from tacgen.sensor.model import LitSensor
@@ -53,7 +52,7 @@ class DentFace:
 
 
 def corrected(
-    found: UnitFit, sensor: LitSensor, view: PressView, pictures: Sequence[PressPicture], dents: Sequence[Mapping[float, Dents]],
+    found: UnitFit, sensor: LitSensor, view: PressView, pictures: Pictures, dents: Tried,
     gauge: Gauge,
 ) -> UnitFit:  # fmt: skip
     """The fit with thickness, modulus and zero corrected; `sensor` has the fitted thickness."""
@@ -72,7 +71,7 @@ def corrected(
 
 
 def _again(
-    found: UnitFit, sensor: LitSensor, view: PressView, pictures: Sequence[PressPicture], dents: Sequence[Mapping[float, Dents]],
+    found: UnitFit, sensor: LitSensor, view: PressView, pictures: Pictures, dents: Tried,
     gauge: Gauge, blur: float,
 ) -> UnitFit:  # fmt: skip
     """The fit to rendered pictures of the presses as found, with forces as of the file's moduli times the found."""

@@ -15,7 +15,7 @@ from tacgen import cli
 from tacgen.calibrate import ball_dents, fit_unit, press_colours
 from tacgen.calibrate.ball_dents import SCALED, Dents, with_thickness
 from tacgen.calibrate.fit_unit import Gauge
-from tacgen.calibrate.press_colours import PressPicture, PressView
+from tacgen.calibrate.press_colours import PressView
 from tacgen.recipe import loading
 from tacgen.sensor.model import LitSensor
 
@@ -76,7 +76,7 @@ def fitted(one: LitSensor, thick: float, gauge: Gauge | None = None, depths: np.
     random, view = np.random.default_rng(seed), PressView(one)
     changes = [c + random.normal(0, 1.5, c.shape) for c in painted(one, thick, presses(depths))]
     groups = range(len(depths)) if gauge is None else gauge.recording
-    pictures: list[PressPicture] = [
+    pictures = [
         view.picture(c, 0.0 * c, BALL, int(g)) for c, g in zip(changes, groups, strict=True)
     ]
     dents = [{BALL: formula(with_thickness(one, f * one.gel.thickness_mm), BALL)} for f in fit_unit.FACTORS]
