@@ -5,7 +5,7 @@
 #   make test    the tests
 #   make torture hostile files and kills, half an hour on two cores: what became of them, into docs/RESULTS.md
 #   make docs    the documentation site in out/site
-#   make gallery docs/gallery.md: every shape, movement and sensor, WORKERS scenes at a time, an hour on one core
+#   make gallery docs/gallery.md: every shape, movement and sensor, WORKERS scenes at a time, three hours on one core
 #   make bench   error against run time, stability, cost: docs/RESULTS.md, in some 20 minutes; BENCH_FLAGS=--full for more
 
 SUITABLE = import sys, venv, ensurepip; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))
@@ -86,7 +86,12 @@ gallery: sync
 	  $(BIN)/tacgen run docs/gallery/gallery.yaml -o out/gallery/$$name --set sensor=$$name --workers $(WORKERS) $(DATA_FLAGS) \
 	    || [ $$? -eq 1 ] || exit 1; \
 	done
-	$(BIN)/python scripts/gallery.py out/gallery -o docs
+	@for chosen in gelsight_mini:4096 digit:1024 ninedtact:144; do \
+	  name=$${chosen%%:*}; \
+	  $(BIN)/tacgen run recipes/traced_paths.yaml -o out/traced_paths/$$name --set sensor=$$name \
+	    --set quality.spp=$${chosen##*:} --workers $(WORKERS) $(DATA_FLAGS) || exit 1; \
+	done
+	$(BIN)/python scripts/gallery.py out/gallery --paths out/traced_paths -o docs
 
 data: sync
 	@for recipe in recipes/*.yaml; do \

@@ -6,7 +6,7 @@ from typing import cast
 
 import numpy as np
 
-from benchmarks import photographs, real_rim, wedge
+from benchmarks import photographs, real_dots, real_rim, wedge
 from benchmarks.photographs import Unit
 from benchmarks.results_page import Absent, Cell, Level, Result, Say, Table, columns
 from tacgen.calibrate import likeness, press_faces
@@ -70,6 +70,7 @@ def bench(level: Level, say: Say) -> Result:
     if "gelsight_mini" in units and level != "smoke":
         mini = cast(LitSensor, loading.read_sensor(assets.sensor_path("gelsight_mini"))[0])
         tables += real_rim.tables(mini, units["gelsight_mini"], say)
+        tables += filter(None, [real_dots.table(mini, level, say)])
     if "ninedtact" in units and level != "smoke":
         tables.append(_depth(units["ninedtact"], say))
     if level != "smoke" and wedge.here():

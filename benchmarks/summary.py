@@ -1,6 +1,7 @@
 """A table of the most important results, for the README and the head of the results page."""
 
 import json
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -12,16 +13,19 @@ SENSORS = {"gelsight_mini": "Mini", "digit": "DIGIT", "ninedtact": "9DTact"}
 
 
 def short(folder: Path) -> str:
-    """The table in Markdown, of the benches with results in `folder`."""
+    """The table in Markdown, of the benches with results in `folder`; those of an unusual machine name it."""
     lines = ["| figure | value | bench |", "|---|---|---|"]
-    for name, tell in TOLD.items():
-        if (file := folder / f"{name}.json").exists():
-            tables = {
-                table["title"]: [dict(zip(table["columns"], row, strict=True)) for row in table["rows"]]
-                for table in json.loads(file.read_text())["tables"]
-            }
-            with suppress(KeyError):  # results of another version have other columns
-                lines += [f"| {what} | {figure} | {name} |" for what, figure in tell(tables)]
+    every = {name: json.loads(file.read_text()) for name in TOLD if (file := folder / f"{name}.json").exists()}
+    machines = {name: f"{found['made']['processor']}, {found['made']['cores']} cores" for name, found in every.items()}
+    usual = Counter(machines.values()).most_common(1)[0][0] if machines else ""
+    for name, found in every.items():
+        tables = {
+            table["title"]: [dict(zip(table["columns"], row, strict=True)) for row in table["rows"]]
+            for table in found["tables"]
+        }
+        where = name if machines[name] == usual else f"{name}, on {machines[name]}"
+        with suppress(KeyError):  # results of another version have other columns
+            lines += [f"| {what} | {figure} | {where} |" for what, figure in TOLD[name](tables)]
     return "\n".join(lines)
 
 
@@ -51,9 +55,9 @@ def _ordinary(tables: Tables) -> Told:
         each = [(name, row.get(f"s a frame, {what}")) for name, what in named]  # earlier results have no mean
         seconds = ", ".join(f"{name} {value:.2f}" for name, value in each if value is not None)
         ended = ", ".join(parts) + (f"; seconds a frame: {seconds}" if row["ok"] else "")
-        yield f"{row['scenes']} ordinary scenes at `{row['quality']}`, one core", ended
         if (hours := row.get("core-hours a million")) is not None:
-            yield f"a million ordinary frames at `{row['quality']}`, solve: core-hours", f"{hours:.0f}"
+            ended += f"; a million frames {hours:.0f} core-hours"
+        yield f"{row['scenes']} ordinary scenes at `{row['quality']}`, a core each, solve alone", ended
         if row["compared"]:
             median, worst = row["force error, median"], row["force error, worst"]
             what = f"force error of long frames, {row['compared']} ordinary scenes"

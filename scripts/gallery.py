@@ -1,9 +1,10 @@
 """Draw the gallery: a sheet of pictures for each sensor and movement, and the page docs/gallery.md.
 
-    python scripts/gallery.py out/gallery -o docs     # `make gallery` runs docs/gallery/gallery.yaml first
+    python scripts/gallery.py out/gallery --paths out/traced_paths -o docs     # `make gallery` runs the recipes first
 
-A folder of bundles for each sensor, as `tacgen run docs/gallery/gallery.yaml -o out/gallery/digit --set sensor=digit`
-writes it. A column of a sheet is one indenter at one frame: camera, pressure, traction, stress.
+Each has a folder of bundles for each sensor, as `tacgen run docs/gallery/gallery.yaml -o out/gallery/digit --set
+sensor=digit` writes it, and recipes/traced_paths.yaml. A column of a sheet is one indenter at one frame: camera,
+pressure, traction, stress; in the sheet of paths, one sensor: its pictures by both methods and their difference.
 """
 
 import argparse
@@ -23,7 +24,9 @@ from tacgen.report import bundle_figure, catalogue, field_figure
 
 ACROSS = 6  # indenters in a row
 PANEL, GAP, LEFT, TITLE = 1.5, 0.05, 0.55, 0.3  # sizes of a panel, gap, left margin and title [inch]
+PATHS_HEIGHT = 2.4  # of a picture in the sheet of paths [inch]
 DPI, WEBP = 110, 70  # resolution [pixels an inch]; WebP quality [%]
+GREY, CONTRAST = 128, 4  # [counts]: of no difference; how much stronger differences are shown
 VON_MISES = field_figure.SECTIONS[-1:]
 Column = tuple[str, Bundle, int | None]  # indenter, its scene, the frame shown (None: not reached)
 
@@ -98,6 +101,37 @@ def draw(panels: list, column: Column, image: tuple[int, int]) -> None:
         panel.text(*place, f"{mapped.get_clim()[1]:.2g} MPa", transform=panel.transAxes, **style)
 
 
+def by_method(bundles: list[Bundle]) -> dict[str, np.ndarray]:
+    """The last picture of each method."""
+    return {b.recipe["render"]["method"]: b.frame("/frames/rgb", b.frames - 1) for b in bundles}
+
+
+def paths_sheet(found: dict[str, list[Bundle]]) -> Figure:
+    """A column for each sensor: pictures by `transport` and by `path`, and their difference."""
+    pictures = {sensor: by_method(bundles) for sensor, bundles in found.items()}
+    wide = [made["path"].shape[1] / made["path"].shape[0] for made in pictures.values()]
+    drawn = Figure(figsize=(PATHS_HEIGHT * sum(wide) + 0.5, 3 * PATHS_HEIGHT + 0.4), layout="constrained")
+    grid = drawn.subplots(3, len(pictures), squeeze=False, width_ratios=wide)
+    for column, (sensor, made) in zip(grid.T, pictures.items(), strict=True):
+        off = made["path"].astype(float) - made["transport"]
+        shown = made["transport"], made["path"], np.clip(GREY + CONTRAST * off, 0, 255).astype(np.uint8)
+        for panel, picture in zip(column, shown, strict=True):
+            panel.imshow(picture)
+            panel.set(xticks=[], yticks=[])
+        column[0].set_title(sensor, fontsize=9)
+        column[1].set_xlabel(f"{paths_of(found[sensor])} paths a pixel", fontsize=8)
+        decibel, bias = 20 * np.log10(255 / np.sqrt(np.mean(off**2))), off.mean()
+        column[2].set_xlabel(f"{decibel:.1f} dB with its noise; mean {bias:+.2f} counts", fontsize=8)
+    for panel, label in zip(grid[:, 0], ("transport", "path", f"difference x {CONTRAST}"), strict=True):
+        panel.set_ylabel(label, fontsize=9)
+    return drawn
+
+
+def paths_of(bundles: list[Bundle]) -> int:
+    """Paths a pixel of a recipe with numbers for its quality."""
+    return int(bundles[0].recipe["quality"]["spp"])
+
+
 def how_far(move: dict[str, object]) -> str:
     """`x_mm: 0.8, y_mm: 0`: the values of a movement that have a unit."""
     return ", ".join(f"{key}: {value:g}" for key, value in move.items() if key.endswith(("_mm", "_deg")))
@@ -118,7 +152,21 @@ def heading(sensor: str, bundles: list[Bundle]) -> list[str]:
     )
 
 
-def page(found: dict[str, list[Bundle]]) -> str:
+def paths_section() -> list[str]:
+    """The text about the sheet of paths."""
+    return [
+        "## Traced by Mitsuba",
+        "",
+        "A gear pressed in, by `transport` and by Mitsuba's `path` (`recipes/traced_paths.yaml`), without the camera's",
+        "noise; their difference is shown four times as strong. Its grain is the noise of the paths, which falls with",
+        "the root of their number.",
+        "",
+        "![Pictures by transport and by path](gallery/paths.webp){ loading=lazy }",
+        "",
+    ]
+
+
+def page(found: dict[str, list[Bundle]], paths: bool) -> str:
     """The text of docs/gallery.md."""
     sensor, first = next(iter(found.items()))
     objects = catalogue.objects()
@@ -128,7 +176,7 @@ def page(found: dict[str, list[Bundle]]) -> str:
         "",
         "All shapes and shipped objects, with all movements, on all shipped sensors:",
         f"{sum(map(len, found.values()))} scenes at quality `draft`. `make gallery` runs",
-        "[gallery.yaml](gallery/gallery.yaml) on each sensor and draws this page, in two hours on one core.",
+        "[gallery.yaml](gallery/gallery.yaml) on each sensor and draws this page, in three hours on one core.",
         "",
         "A column is one frame of one scene: camera image, pressure, magnitude and direction of the tangential",
         "traction on the gel, and von Mises stress in the plane through the indenter along x. The maps show the dotted",
@@ -157,6 +205,7 @@ def page(found: dict[str, list[Bundle]]) -> str:
         " [contact events](cookbook/contact_events.md), [uncertain labels](cookbook/uncertainty.md),"
         " [taxels](cookbook/taxels.md), [bundles in the browser](cookbook/looking.md).",
         "",
+        *(paths_section() if paths else []),
     ]
     for sensor, bundles in found.items():
         lines += heading(sensor, bundles)
@@ -166,13 +215,19 @@ def page(found: dict[str, list[Bundle]]) -> str:
     return "\n".join(lines).rstrip() + "\n"
 
 
+def by_sensor(folder: Path) -> dict[str, list[Bundle]]:
+    """The bundles in each of a folder's folders."""
+    folders = sorted(path for path in folder.iterdir() if path.is_dir())
+    return {path.name: [read(file) for file in sorted(path.glob("scene-*.h5"))] for path in folders}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("bundles", type=Path, help="a folder of bundles for each sensor")
     parser.add_argument("-o", "--out", type=Path, default=Path("docs"))
+    parser.add_argument("--paths", type=Path, help="the same of recipes/traced_paths.yaml")
     given = parser.parse_args()
-    folders = sorted(folder for folder in given.bundles.iterdir() if folder.is_dir())
-    found = {folder.name: [read(path) for path in sorted(folder.glob("scene-*.h5"))] for folder in folders}
+    found = by_sensor(given.bundles)
     (given.out / "gallery").mkdir(parents=True, exist_ok=True)
     for sensor, bundles in found.items():
         for kind in Segment.model_fields:
@@ -180,7 +235,11 @@ def main() -> None:
                 file = given.out / "gallery" / f"{sensor}-{kind}.webp"
                 sheet(scenes).savefig(file, dpi=DPI, pil_kwargs={"quality": WEBP})
                 print(file)
-    (given.out / "gallery.md").write_text(page(found))
+    if given.paths:
+        file = given.out / "gallery" / "paths.webp"
+        paths_sheet(by_sensor(given.paths)).savefig(file, dpi=DPI, pil_kwargs={"quality": WEBP})
+        print(file)
+    (given.out / "gallery.md").write_text(page(found, given.paths is not None))
 
 
 if __name__ == "__main__":

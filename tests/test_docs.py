@@ -11,11 +11,13 @@ from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import click
+import numpy as np
 import pytest
 import typer
+from helpers.program import loaded
 from helpers.synthetic import attributes, write
 from typer.testing import CliRunner
 
@@ -249,7 +251,7 @@ def test_the_gallery_has_every_shape_object_movement_and_sensor() -> None:
     assert not [name for name, kinds in moved.items() if kinds != single]
     page = (DOCS / "gallery.md").read_text()
     assert not [name for name in moved if f"| {name} |" not in page]
-    shown = {f"{sensor}-{kind}.webp" for sensor in assets.list_sensors() for kind in single}
+    shown = {"paths.webp", *(f"{sensor}-{kind}.webp" for sensor in assets.list_sensors() for kind in single)}
     assert not [file for file in shown if f"(gallery/{file})" not in page]
     assert {file.name for file in (DOCS / "gallery").glob("*.webp")} == shown
     assert sum(file.stat().st_size for file in (DOCS / "gallery").iterdir()) < 4e6
@@ -269,6 +271,34 @@ def test_the_gallery_is_drawn_from_bundles_and_names_what_was_rejected(tmp_path:
     for kind in ("press", "slide", "hold", "twist"):
         assert f"(gallery/digit-{kind}.webp)" in page
         assert (tmp_path / "gallery" / f"digit-{kind}.webp").stat().st_size > 5000
+
+
+def test_the_gallery_shows_pictures_by_both_methods_and_how_far_apart_they_are(tmp_path: Path) -> None:
+    def lighter(_: int, arrays: dict[str, Any]) -> None:
+        arrays["/frames/rgb"] = np.minimum(arrays["/frames/rgb"], 250) + 3
+
+    for folder in ("bundles/digit", "traced/digit"):
+        (tmp_path / folder).mkdir(parents=True)
+    write(tmp_path / "bundles/digit/scene-00000.h5")
+    for k, method in enumerate(("transport", "path")):
+        recipe = attributes()["recipe"] | {"render": {"method": method}, "quality": {"spp": 64}}
+        write(tmp_path / f"traced/digit/scene-0000{k}.h5", recipe=recipe, edit=lighter if k else None)
+    program = [sys.executable, ROOT / "scripts/gallery.py", tmp_path / "bundles", "--paths", tmp_path / "traced"]
+    done = subprocess.run(
+        [*program, "-o", tmp_path], capture_output=True, text=True, env=os.environ | {"PYTHONPATH": str(ROOT)}
+    )
+    assert done.returncode == 0, done.stderr
+    assert "(gallery/paths.webp)" in (tmp_path / "gallery.md").read_text()
+    assert (tmp_path / "gallery/paths.webp").stat().st_size > 3000
+    gallery = loaded(ROOT / "scripts/gallery.py")
+    sheet = gallery.paths_sheet(gallery.by_sensor(tmp_path / "traced"))
+    transport, path, off = (panel.images[0].get_array() for panel in sheet.axes)
+    assert (path == np.minimum(transport, 250) + 3).all()
+    assert (off[transport <= 250] == 128 + 4 * 3).all()
+    said = [panel.get_xlabel() for panel in sheet.axes]
+    assert said[1] == "64 paths a pixel"
+    assert said[2].startswith("38.6 dB")
+    assert said[2].endswith("mean +3.00 counts")
 
 
 EXTENDING = re.findall(r"^\| `([^`]+)` \| (.+) \|$", (DOCS / "EXTENDING.md").read_text(), re.M)

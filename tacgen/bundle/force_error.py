@@ -5,10 +5,11 @@ from typing import NamedTuple
 import numpy as np
 
 from tacgen.bundle.bundle import Bundle
+from tacgen.mechanics.expected_error import FACTOR
 
 STD, RELATIVE = "/frames/uncertainty/force", "/frames/quality/expected_force_error"
 BY_INPUTS = "standard deviation by the recipe's uncertainty"
-BY_MESH = "by the mesh, within a factor of 2"
+BY_MESH = f"by the mesh, within a factor of {FACTOR}"
 
 
 class ForceError(NamedTuple):

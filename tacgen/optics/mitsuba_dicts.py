@@ -1,6 +1,7 @@
 """LEDs, walls and clear interfaces as plain dictionaries: a renderer's rectangle is the square [-1, 1]^2, +z its front.
 
-`to_world` is a 4 x 4 array here; the renderer's own home turns it into the renderer's type.
+`to_world` is a 4 x 4 array here, and a bitmap one of (rows, columns, channels); the renderer's own home turns them into
+the renderer's types.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -15,7 +16,8 @@ if TYPE_CHECKING:
     from tacgen.sensor.layers import Scattering
     from tacgen.sensor.model import Led, LitSensor
 
-LOBED = "lobed_area"  # emitter whose radiance falls as a power of the cosine
+LOBE_ROWS = 4097  # latitudes at which a lobe is tabulated; interpolation is off by 3e-6 of the peak at most
+FAR = (0.0, 0.0, 1e3)  # a place outside every housing [mm]
 
 
 def rectangle(
@@ -34,20 +36,61 @@ def diffuse(albedo: "float | Sequence[float]") -> dict[str, Any]:
     return {"type": "diffuse", "reflectance": {"type": "rgb", "value": rgb}}
 
 
-def led(light: "Led", wall_albedo: float) -> dict[str, Any]:
-    """One LED strip: it radiates from its front, and reflects as the walls do or, with `see_through`, is invisible.
+def lights(sensor: "LitSensor") -> dict[str, dict[str, Any]]:
+    """The LED strips by name.
 
-    Mitsuba's area lights are Lambertian; others are LOBED emitters, which render/mitsuba_path registers.
+    A renderer that samples directions toward emitters finds none behind an interface that refracts; such LEDs, and
+    those with a lobe, have no weight among the sampled emitters. Rays that meet them see them all the same.
     """
+    sampled = [not light.lobe and in_sight(sensor, light) for light in sensor.leds]
+    made = {f"led_{i}": led(light, sensor.walls.albedo, sampled[i]) for i, light in enumerate(sensor.leds)}
+    lit = [any(light.light) for light in sensor.leds]
+    if any(lit) and not np.any(np.logical_and(sampled, lit)):
+        # one emitter must have a weight; this one is dark and costs no shadow rays
+        made["unlit"] = {
+            "type": "rectangle",
+            "to_world": rectangle(FAR, (0, 0, 1), (0, 1, 0), (1.0, 1.0)),
+            "bsdf": {"type": "null"},
+            "emitter": {"type": "directionalarea", "radiance": 0.0},
+        }
+    return made
+
+
+def in_sight(sensor: "LitSensor", light: "Led") -> bool:
+    """Whether straight lines lead from the coated face to an LED's middle: all between has one refractive index."""
+    layers = [sensor.plate, *sensor.gel.clear_layers]
+    tops = np.cumsum([layer.thickness_mm for layer in layers]) - bottom_depth(sensor)
+    return len({layer.refractive_index for layer, z in zip(layers, tops, strict=True) if z > light.center_mm[2]}) < 2
+
+
+def led(light: "Led", wall_albedo: float, sampled: bool) -> dict[str, Any]:
+    """One LED strip: it radiates from its front, and reflects as the walls do or, with `see_through`, is invisible."""
     radiance = [float(v) for v in light.light]
-    emitter: dict[str, Any] = {"type": "area", "radiance": {"type": "rgb", "value": radiance}}
-    if light.lobe:
-        emitter = {"type": LOBED, "lobe": light.lobe, **dict(zip(("red", "green", "blue"), radiance, strict=True))}
+    even = {"type": "area", "radiance": {"type": "rgb", "value": radiance}}
+    emitter = {**(lobed(radiance, light.lobe) if light.lobe else even), "sampling_weight": float(sampled)}
     return {
         "type": "rectangle",
         "to_world": rectangle(light.center_mm, light.normal, light.up, light.size_mm),
         "bsdf": {"type": "null"} if light.see_through else diffuse(wall_albedo),
         **({"emitter": emitter} if any(light.light) else {}),  # a dark one would only draw random numbers
+    }
+
+
+def lobed(radiance: "Sequence[float]", lobe: int) -> dict[str, Any]:
+    """Emitter of a rectangle whose radiance falls as cos^lobe of the angle to the normal.
+
+    Mitsuba's area lights are Lambertian. Its environment map is a table of radiance by direction, which is looked up in
+    the shape's own frame if it hangs on a shape. Directions sampled toward an environment lead past the shape, so it
+    must not be sampled: see lights.
+    """
+    angles = np.pi * np.arange(LOBE_ROWS) / (LOBE_ROWS - 1)  # latitudes from the normal
+    falloff = np.where(angles < np.pi / 2, np.cos(angles), 0.0) ** lobe
+    to_map = np.eye(4)
+    to_map[:3, :3] = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]  # its pole is +y, its directions run from the viewer
+    return {
+        "type": "envmap",
+        "bitmap": np.repeat(falloff[:, None, None] * radiance, 2, axis=1),
+        "to_world": to_map,
     }
 
 

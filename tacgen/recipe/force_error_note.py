@@ -27,7 +27,7 @@ def note(row: "Row") -> str:
     recipe = row.recipe
     if row.other is not None or recipe.contact.formulation != "distance" or recipe.mesh == "linear_tet":
         return ""
-    from tacgen.mechanics.expected_error import FaceGrid, expected_force_error
+    from tacgen.mechanics.expected_error import FACTOR, FaceGrid, expected_force_error
     from tacgen.recipe.path import indenter_path
 
     try:
@@ -45,7 +45,7 @@ def note(row: "Row") -> str:
     sharp = ", and several times that at edges and tips sharper than the mesh" * (shape.smallest_radius < edge)
     error = _rounded(100 * expected_force_error(edge, max(widths)))
     return (
-        f"expected error of the force by the mesh: about {error} %, within a factor of 2 (edges of"
+        f"expected error of the force by the mesh: about {error} %, within a factor of {FACTOR} (edges of"
         f" {edge:g} mm, a contact {2 * max(widths):.2g} mm wide); more where the contact is narrower{sharp}"
     )
 

@@ -1,6 +1,7 @@
 """Mitsuba's integrators `path` and `volpath` for a sensor: unbiased, with sampling noise. Mitsuba is imported here
 only, inside functions."""
 
+import math
 import os
 import tempfile
 from collections.abc import Sequence
@@ -25,6 +26,7 @@ MASK_PIXEL = 0.02  # pixel of the marker texture [mm]
 MAX_DEPTH = 12  # path vertices, interfaces included
 MAX_DEPTH_SCATTERING = 64  # the same in a scattering gel; with Russian roulette from MAX_DEPTH on
 BLOCK = 8  # side of the blocks that scalar variants render [px]
+LANES = 2**25  # paths that variants with compiled kernels trace at once; each takes some 100 bytes
 FILM = "sensor.film"
 
 
@@ -35,34 +37,7 @@ def mitsuba(name: str) -> Any:
     import mitsuba as mi
 
     mi.set_variant(name)
-    mi.register_emitter(mitsuba_dicts.LOBED, _lobed(mi))
     return mi
-
-
-def _lobed(mi: Any) -> Any:
-    """The emitter LOBED. Only rays that meet it see it: the plate's interface hides it from sampled directions."""
-    import drjit as dr
-
-    class Lobed(mi.Emitter):  # type: ignore[misc]
-        def __init__(self, props: Any) -> None:
-            super().__init__(props)
-            self.lobe = int(props["lobe"])
-            self.light = mi.Color3f(*(props[name] for name in ("red", "green", "blue")))
-
-        def eval(self, si: Any, active: Any = True) -> Any:
-            cosine = mi.Frame3f.cos_theta(si.wi)
-            return self.light * dr.select(active & (cosine > 0), cosine**self.lobe, 0.0)
-
-        def sample_direction(self, it: Any, sample: Any, active: Any = True) -> Any:
-            scalar = mi.variant() == probing.SCALAR
-            direction = mi.DirectionSample3f() if scalar else dr.zeros(mi.DirectionSample3f, dr.width(sample))
-            direction.p, direction.d, direction.dist, direction.pdf = it.p, mi.Vector3f(0.0, 0.0, 1.0), 1.0, 0.0
-            return direction, mi.Color3f(0.0)
-
-        def pdf_direction(self, it: Any, ds: Any, active: Any = True) -> Any:
-            return mi.Float(0.0)
-
-    return Lobed
 
 
 def description(sensor: "LitSensor", sheet: Sheet, markers: bool) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -93,13 +68,12 @@ def description(sensor: "LitSensor", sheet: Sheet, markers: bool) -> tuple[dict[
                 "pixel_format": "rgb",
                 "component_format": "float32",
             },
-            "sampler": {"type": "independent"},
+            "sampler": {"type": "multijitter"},  # stratified: less noise for the same number of paths
         },
         **mitsuba_dicts.interfaces(sensor),
         **mitsuba_dicts.housing(sensor),
+        **mitsuba_dicts.lights(sensor),
     }
-    for i, light in enumerate(sensor.leds):
-        scene[f"led_{i}"] = mitsuba_dicts.led(light, sensor.walls.albedo)
     coat = coating.bsdf(sensor.coating)
     if markers and sensor.markers is not None:
         coat = coating.dotted(coat, sensor.markers, coating.mask(sensor.markers, sheet.size, MASK_PIXEL))
@@ -113,6 +87,12 @@ def integrator(sensor: "LitSensor") -> dict[str, Any]:
     return {"type": "volpath" if any(led.see_through for led in sensor.leds) else "path", "max_depth": MAX_DEPTH}
 
 
+def stratified(spp: int) -> int:
+    """The least number of paths a pixel, at least `spp`, that Mitsuba's sampler divides into rows and columns."""
+    rows = math.isqrt(spp)
+    return rows * -(-spp // rows)
+
+
 def realise(mi: Any, node: Any) -> Any:
     """A plain dictionary with its arrays turned into Mitsuba's transforms and bitmaps."""
     if isinstance(node, dict):
@@ -120,6 +100,8 @@ def realise(mi: Any, node: Any) -> Any:
     if isinstance(node, np.ndarray):
         if node.shape == (4, 4):
             return mi.ScalarTransform4f(node.tolist())
+        if node.ndim == 3:
+            return mi.Bitmap(np.ascontiguousarray(node, dtype=np.float32))
         flipped = np.ascontiguousarray(node[::-1, :, None], dtype=np.float32)  # v runs up in a bitmap
         return mi.Bitmap(flipped)
     return node
@@ -170,7 +152,13 @@ class PathTracer:
         self._params.update()
 
     def _traced(self, spp: int, seed: int) -> "Floats":
-        return np.array(self._mi.render(self._scene, spp=spp, seed=seed), dtype=np.float64)
+        pixels = int(np.prod(self._params[f"{FILM}.crop_size"]))
+        most = spp if self.variant == probing.SCALAR else max(1, LANES // pixels)
+        count = -(-spp // most)
+        seeds = [seed] if count == 1 else np.random.SeedSequence(seed).generate_state(count).tolist()
+        paths = stratified(-(-spp // count))
+        made = [np.array(self._mi.render(self._scene, spp=paths, seed=s), dtype=np.float64) for s in seeds]
+        return np.asarray(np.mean(made, axis=0))
 
     def _mesh(self, bsdf: Any) -> Any:
         mi, sheet, faces = self._mi, self.sheet, self.sheet.faces

@@ -348,6 +348,20 @@ def test_a_summary_leaves_out_what_is_not_there(tmp_path: Path) -> None:
     assert "stability" not in told
 
 
+def test_figures_of_another_machine_name_it(tmp_path: Path) -> None:
+    every = results_page.Table("Smallest angle", results_page.columns("s"), [])
+    for name in ("mechanics", "pipeline", "ordinary"):
+        results_page.write(tmp_path, name, results_page.Result("", [every]), 1.0)
+    presets = {"title": "Together", "columns": ["scenes of", "quality", "scenes", "J <= 0", "ok", "compared"]}
+    statuses = ["refused", "rejected", "out of time", "crashed"]
+    presets["columns"] += statuses
+    other = json.loads((tmp_path / "ordinary.json").read_text())
+    other["made"] |= {"processor": "Other", "cores": 64}
+    other["tables"] = [presets | {"rows": [["ordinary", "draft", 3, 0, 3, 0, 0, 0, 0, 0]]}]
+    (tmp_path / "ordinary.json").write_text(json.dumps(other))
+    assert "| ordinary, on Other, 64 cores |" in summary.short(tmp_path)
+
+
 def test_the_summary_of_a_frame_names_every_stage(tmp_path: Path) -> None:
     stages = {stage: 10.0 * k for k, stage in enumerate(pipeline.STAGES, 1)}
     one = {"stages": {k: v / 1000 for k, v in stages.items()}, "total": 0.2, "size": 3e6, "memory": 500.0}

@@ -102,8 +102,10 @@ def test_a_smoke_run_fills_every_table(found: results_page.Result) -> None:
 def test_the_summary_says_seconds_of_ordinary_scenes(found: results_page.Result, tmp_path: Path) -> None:
     results_page.write(tmp_path, "ordinary", found, 1.0)
     told = summary.short(tmp_path)
-    assert f"| 2 ordinary scenes at `{ordinary.SMOKE}`, one core | 2 ok; seconds a frame: mean " in told
-    assert re.search(r"mean \d\.\d\d, median \d\.\d\d, 90 % quantile \d\.\d\d \| ordinary \|", told)
+    assert f"| 2 ordinary scenes at `{ordinary.SMOKE}`, a core each, solve alone | 2 ok; seconds a frame: mean " in told
+    assert re.search(
+        r"mean \d\.\d\d, median \d\.\d\d, 90 % quantile \d\.\d\d; a million frames \d+ core-hours \| ordinary \|", told
+    )
 
 
 def test_an_impossible_scene_is_refused() -> None:
