@@ -185,8 +185,10 @@ def _undetermined(fitted: "UnitFit", table: Path) -> Iterator[str]:
         yield (f"{table}: dents of these balls explain {100 * share:.0f} % of the pictures' change: are"
                " radii, mm_per_px and the untouched picture right?")  # fmt: skip
         return
+    tried = fitted.optics.thickness
     for name in fitted.open:
-        yield f"{table}: {name}: is not determined: these presses allow its whole range: {MEASURE[name.split()[0]]}"
+        reach = f" within {tried[0]:.3g} to {tried[-1]:.3g} mm" if name == "thickness" else ""
+        yield f"{table}: {name}: is not determined{reach} by these presses: {MEASURE[name.split()[0]]}"
 
 
 def _changes(made: Unit, now: LitSensor) -> dict[KeyPath, Any]:
