@@ -56,6 +56,11 @@ class Unit:
     changes: dict[KeyPath, Any]
 
     @property
+    def lit(self) -> bool:
+        """Whether the fitted lights are used: they are better on presses that their fit has not seen."""
+        return self.lights is not None and self.lights.unseen is not None and self.lights.unseen.better
+
+    @property
     def said(self) -> str:
         """The photographs in words."""
         count, balls = len(self.photos.presses), sorted({press.ball for press in self.photos.presses})
@@ -75,8 +80,9 @@ class Unit:
         yield from self.unseen()
         if self.lights is not None:
             yield f"untouched: off by {self.lights.untouched:.1f} counts rms (before the fit: {self.lights.before:.1f})"
-            if self.lights.unseen is not None:
-                yield f"pictures of presses not seen by the fit of the lights: {self.lights.unseen}"
+            told = self.lights.unseen or "too few presses to hold any out"
+            kept = "" if self.lit else ": NOT BETTER, the file's lights are kept (see tacgen calibrate optics)"
+            yield f"pictures of presses not seen by the fit of the lights: {told}{kept}"
         for key, value in self.changes.items():
             if key[-1] in ("thickness_mm", *(k for layer in self.sensor.gel.layers for k in moduli(layer))):
                 yield f"{format_path(key)}: {value}"
@@ -121,7 +127,7 @@ class Unit:
                         for press, force, depth in zip(self.photos.presses, fitted.force, fitted.depth, strict=True)],
             "unseen": [one.plain() for one in self.judged],
             "lights": None if self.lights is None else {"untouched": self.lights.untouched,
-                                                        "before": self.lights.before},
+                                                        "before": self.lights.before, "used": self.lit},
             "changes": {format_path(key): value for key, value in self.changes.items()},
         }  # fmt: skip
 
@@ -194,7 +200,7 @@ def _undetermined(fitted: "UnitFit", table: Path) -> Iterator[str]:
 def _changes(made: Unit, now: LitSensor) -> dict[KeyPath, Any]:
     """Changed values of the sensor file by path; `now` has the fitted thickness."""
     fitted, out = made.fitted, dict[KeyPath, Any]()
-    if made.lights is not None:
+    if made.lit and made.lights is not None:
         out |= changes_of(now, made.lights, f"presses of one unit ({made.photos.folder.resolve().name})",
                           bare=made.asked.limits.bare)  # fmt: skip
     thickness, modulus = fitted.thickness, fitted.modulus

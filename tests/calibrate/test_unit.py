@@ -13,8 +13,10 @@ from typer.testing import CliRunner
 
 from tacgen import cli
 from tacgen.calibrate import ball_dents, fit_unit, press_colours
+from tacgen.calibrate import unit as calibration
 from tacgen.calibrate.ball_dents import SCALED, Dents, with_thickness
 from tacgen.calibrate.fit_unit import Gauge
+from tacgen.calibrate.led_fit import FitLimits
 from tacgen.calibrate.press_colours import PressView
 from tacgen.recipe import loading
 from tacgen.sensor.model import LitSensor
@@ -201,3 +203,18 @@ def test_a_thickness_that_the_pictures_leave_open_is_said_and_nothing_written(
     assert done.exit_code == 2, done.output
     assert "thickness: is not determined within 2.1 to 4.32 mm by these presses: press until" in done.stderr
     assert not mine.exists()
+
+
+@pytest.mark.slow
+def test_lights_that_are_no_better_on_unseen_presses_are_not_written(
+    unit: LitSensor, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The colours of these pictures are a polynomial's, which no LED gives."""
+    monkeypatch.setattr(ball_dents, "solved", formula)
+    file, folder = photographed(unit, tmp_path / "images")
+    asked = calibration.Asked(limits=FitLimits(0.0, 0.0, bare=True, steps=1))
+    made = calibration.unit(str(file), folder, asked)
+    assert made.lights is not None
+    changed = {key[0] for key in made.changes if key[-1] == "radiance"}
+    assert changed == ({"leds"} if made.lit else set())
+    assert any("the file's lights are kept" in line for line in made.lines()) is not made.lit
