@@ -6,7 +6,7 @@ from typing import cast
 
 import numpy as np
 
-from benchmarks import photographs, real_dots, real_rim
+from benchmarks import photographs, real_dots, real_rim, wedge
 from benchmarks.photographs import Unit
 from benchmarks.results_page import Absent, Cell, Level, Result, Say, Table, columns
 from tacgen.calibrate import likeness, press_faces
@@ -73,6 +73,8 @@ def bench(level: Level, say: Say) -> Result:
         tables += filter(None, [real_dots.table(mini, level, say)])
     if "ninedtact" in units and level != "smoke":
         tables.append(_depth(units["ninedtact"], say))
+    if level != "smoke" and wedge.here():
+        tables += wedge.tables(say)
     if similar:
         heads = columns("sensor", "picture", "rendered: .3f", "floor: .3f", "ceiling: .3f")
         note = "Around the dent; floor: the untouched photograph, ceiling: the press itself with noise added."

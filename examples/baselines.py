@@ -3,6 +3,8 @@
     tacgen run baseline -o out/baseline --workers 2
     python examples/baselines.py out/baseline -o out/baselines --workers 2
 
+or forces up to 45 N on gels and lights that differ from scene to scene, from the recipe `baseline_force`.
+
 A convolutional network of 0.25 million weights sees a frame's image less the untouched one, and where each pixel is.
 It says
 
@@ -15,7 +17,11 @@ and is trained for all four at once, from scratch, for a fixed number of epochs.
 from and judged by: `scenes` holds back a fifth of the scenes, drawn three times; `indenter` holds back all scenes of
 one indenter, each of the ten in turn. `guess` is the mean, or the most frequent, of what was learned from.
 
-In the folder: `results.json`, `table.md`, and of the first draw the weights `network.pt` and the plot `test.png`.
+Errors of the normal force are also printed by its range, with the force from which predictions no longer grow: beyond
+what was learned from, and where the picture no longer changes, no network can be right.
+
+In the folder: `results.json`, `table.md`, `force_ranges.md`, and of the first draw the weights `network.pt` and the
+plot `test.png`.
 """
 
 import argparse
@@ -24,7 +30,7 @@ import multiprocessing
 import time
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -37,6 +43,7 @@ from torch.nn import functional as F
 from tacgen.bundle.bundle import Bundle
 from tacgen.bundle.splits import divide
 from tacgen.outputs.events import MODES
+from tacgen.report import force_ranges
 from tacgen.torch import TactileDataset
 
 FIELDS = ("rgb", "force", "events/mode", "height", "normals")
@@ -198,8 +205,9 @@ def folds(data: Data, seeds: int) -> list[Fold]:
     return found + [Fold("indenter", 0, names == name) for name in sorted(set(names))]
 
 
-def judged(folder: Path, fold: Fold, epochs: int, out: Path | None) -> dict[str, dict[str, float]]:
-    """The scores of a network and of a guess, and its seconds of processor; weights and plot into `out`."""
+def judged(folder: Path, fold: Fold, epochs: int, out: Path | None) -> dict[str, dict[str, Any]]:
+    """The scores of a network and of a guess, and its seconds of processor; weights and plot into `out`. `normal` has
+    the normal forces [N]: true, predicted and learned from."""
     torch.set_num_threads(1)
     data = read(folder)
     known, true, start = data.part(~fold.held_back), data.part(fold.held_back), time.process_time()
@@ -210,10 +218,23 @@ def judged(folder: Path, fold: Fold, epochs: int, out: Path | None) -> dict[str,
         scales = {"shapes": data.shapes, "counts": COUNTS, "length_mm": LENGTH}
         torch.save({"weights": network.state_dict(), "spread": spread, **scales}, out / "network.pt")
         plot(said, true, data.shapes, out / "test.png")
-    return {"network": scores(said, true), "guess": scores(guessed(known, true), true), "cost": {"processor_s": spent}}
+    every = {"true": true, "said": said, "learned": known}
+    normal = {name: (-frames["force"][:, 2]).tolist() for name, frames in every.items()}
+    score = {"network": scores(said, true), "guess": scores(guessed(known, true), true)}
+    return score | {"cost": {"processor_s": spent}, "normal": normal}
 
 
-def table(tests: list[str], found: list[dict[str, dict[str, float]]]) -> str:
+def by_range(found: list[dict[str, Any]]) -> str:
+    """Errors of the normal force by its range, each test's networks together."""
+    lines = []
+    for test in dict.fromkeys(one["test"] for one in found):
+        normal = [one["normal"] for one in found if one["test"] == test]
+        parts = [np.concatenate([one[name] for one in normal]) for name in ("true", "said", "learned")]
+        lines += [f"{test}: normal force by range", *force_ranges.lines(*parts), ""]
+    return "\n".join(lines)
+
+
+def table(tests: list[str], found: list[dict[str, Any]]) -> str:
     """Mean and standard deviation of each score over the networks of each test."""
     columns = [(test, who) for test in dict.fromkeys(tests) for who in ("network", "guess")]
     lines = ["| | " + " | ".join(f"{test}: {who}" for test, who in columns) + " |", "|---" * (len(columns) + 1) + "|"]
@@ -279,12 +300,13 @@ def main() -> None:
             pool.submit(judged, args.data, fold, args.epochs, None if k else args.out) for k, fold in enumerate(todo)
         ]
         for fold, one in zip(todo, (future.result() for future in made), strict=True):
-            print(f"{fold.test}, {fold.held_back.sum()} scenes held back: {one}", flush=True)
+            print(f"{fold.test}, {fold.held_back.sum()} scenes held back: {one['network']}", flush=True)
             found.append({"test": fold.test, "held_back": np.flatnonzero(fold.held_back).tolist()} | one)
             (args.out / "results.json").write_text(json.dumps(found, indent=1))
     shown = table([fold.test for fold in todo], found)
     (args.out / "table.md").write_text(shown + "\n", encoding="utf-8")
-    print(shown)
+    (args.out / "force_ranges.md").write_text(by_range(found), encoding="utf-8")
+    print(shown, by_range(found), sep="\n\n")
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
 """Print docs/SENSOR.md, generated from tacgen/sensor: python scripts/sensor_page.py > docs/SENSOR.md"""
 
+from pathlib import Path
 from typing import Any
 
 from tacgen.recipe.schema import sensor_schema
@@ -18,6 +19,7 @@ equal ones.
 
 `tacgen sensor show NAME` prints the values of a shipped sensor or of a file, `tacgen schema --sensor` the JSON Schema.
 """
+UNIT = Path(__file__).with_name("own_unit.md")  # the page's last part
 PLACES = {
     "Sensor": "the file",
     "Gel": "`gel`",
@@ -62,7 +64,7 @@ def page() -> str:
                 lines.append(row(key, info, key in part.get("required", ())))
         lines.append("")
     assert not parts, f"no place is known of {', '.join(parts)}"
-    return "\n".join(lines)
+    return "\n".join([*lines, UNIT.read_text(encoding="utf-8")])
 
 
 def row(key: str, info: dict[str, Any], required: bool) -> str:

@@ -94,3 +94,47 @@ def material(
             fitted.write(path)
         lines.append(f"{out}: the sensor file of this gel")
     show_result(fitted.plain(), "\n".join(lines), as_json)
+
+
+@calibrations.command()
+def unit(
+    sensor: SensorFile,
+    images: Annotated[
+        Path,
+        typer.Option("--images", help="A folder: background.png, and ball presses with forces listed in presses.csv."),
+    ],
+    out: Out = None,
+    friction: Annotated[float, typer.Option(min=0, help="Assumed friction of the balls on the gel.")] = 0.5,
+    quality: Annotated[str, typer.Option("--quality", help="Mesh of the solved presses: draft or default.")] = "draft",
+    keep_thickness: Annotated[
+        bool, typer.Option("--keep-thickness", help="The gel is as thick as the sensor file says.")
+    ] = False,
+    no_lights: Annotated[bool, typer.Option("--no-lights", help="Do not fit the lights.")] = False,
+    tolerance_mm: Annotated[
+        float, typer.Option(min=0, help="Largest shift of the LEDs from the file's positions; 0: fit radiances only.")
+    ] = 0.5,
+    tolerance_deg: Annotated[float, typer.Option(min=0, max=90, help="Largest rotation of the LEDs [deg].")] = 5.0,
+    no_markers: Annotated[bool, typer.Option("--no-markers", help="The photographed gel has no markers.")] = False,
+    plot: Annotated[Path | None, typer.Option("--plot", help="Draw forces from pictures over measured ones.")] = None,
+    overwrite: Overwrite = False,
+    as_json: AsJson = False,
+) -> None:
+    """Fit gel thickness, moduli, zero of the gauge and lights to photographed ball presses with forces."""
+    from tacgen.calibrate import unit as fitting
+    from tacgen.calibrate.led_fit import FitLimits
+
+    inputs = [Path(sensor), images]
+    for path in (out, plot):
+        allowed(path, inputs, overwrite)
+    limits = FitLimits(tolerance_mm, tolerance_deg, no_markers)
+    fitted = fitting.unit(sensor, images, fitting.Asked(friction, quality, not keep_thickness, not no_lights, limits))
+    lines = list(fitted.lines())
+    if plot is not None:
+        with written(plot, inputs, overwrite) as path:
+            fitted.draw(path)
+        lines.append(f"{plot}: forces from pictures over measured ones")
+    if out is not None:
+        with written(out, inputs, overwrite) as path:
+            fitted.write(path)
+        lines.append(f"{out}: the sensor file of this unit")
+    show_result(fitted.plain(), "\n".join(lines), as_json)

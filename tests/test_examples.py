@@ -57,6 +57,8 @@ def test_the_script_writes_weights_scores_plot_and_table(folder: Path, tmp_path:
     assert sorted(k for scenes in left_out for k in scenes) == list(range(9))
     assert {len(scenes) for scenes in left_out} == {3}
     assert all(np.isfinite(list(one["network"].values())).all() for one in found)
+    assert "scenes: normal force by range" in (tmp_path / "force_ranges.md").read_text()
+    assert all(set(one["normal"]) == {"true", "said", "learned"} for one in found)
     assert (tmp_path / "table.md").read_text().startswith("| | scenes: network | scenes: guess | indenter: network |")
     assert "force x [N]" in (tmp_path / "table.md").read_text()
     assert torch.load(tmp_path / "network.pt")["shapes"] == ["sphere", "torus"]

@@ -64,6 +64,7 @@ HOMES = {
         "report.bundle_figure",
         "report.field_figure",
         "report.fit_figure",
+        "report.unit_figure",
         "report.picture_rows",
         "report.force_figure",
         "report.sheet",

@@ -7,8 +7,8 @@ all layers together, so m needs no other solve. H_i is quasi-linear viscoelastic
 to grow as it would in the elastic gel.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -68,8 +68,8 @@ class MaterialFit:
 
 
 @dataclass(frozen=True)
-class _Unknown:
-    """An unknown of the fit, and its conversion for display."""
+class Unknown:
+    """An unknown of a fit with its start and range, and its conversion for display."""
 
     name: str
     start: float
@@ -91,19 +91,19 @@ def fit(
     Raises ValueError: fewer rows than numbers to find, and one more.
     """
     margin = MARGIN * float(measured.depth.max())
-    unknowns = [_Unknown("modulus", 0.0, -np.log(MOST_FACTOR), np.log(MOST_FACTOR), np.exp)]
+    unknowns = [Unknown("modulus", 0.0, -np.log(MOST_FACTOR), np.log(MOST_FACTOR), np.exp)]
     if zero:
-        unknowns.append(_Unknown("zero", 0.0, -margin, margin))
+        unknowns.append(Unknown("zero", 0.0, -margin, margin))
     if curves.values is not None and value is None:
         low, high = float(curves.values[0]), float(curves.values[-1])
-        unknowns.append(_Unknown("second", (low + high) / 2, low, high))
+        unknowns.append(Unknown("second", (low + high) / 2, low, high))
     if terms:
         assert measured.time is not None
         steps = np.diff(measured.time, prepend=0.0)
         shortest, longest = float(steps[steps > 0].min()), float(measured.time[-1])
         for i, tau in enumerate(np.geomspace(shortest, longest, terms + 2)[1:-1], 1):
-            unknowns.append(_Unknown(f"g{i}", 0.1 / terms, 0.0, MOST_RELAXED / terms))
-            unknowns.append(_Unknown(f"tau{i}", np.log(tau), np.log(shortest / 3), np.log(3 * longest), np.exp))
+            unknowns.append(Unknown(f"g{i}", 0.1 / terms, 0.0, MOST_RELAXED / terms))
+            unknowns.append(Unknown(f"tau{i}", np.log(tau), np.log(shortest / 3), np.log(3 * longest), np.exp))
     if len(measured.depth) <= len(unknowns):
         raise ValueError(f"{len(measured.depth)} rows are too few to find {len(unknowns)} numbers and their bounds")
     names = [unknown.name for unknown in unknowns]
@@ -115,10 +115,23 @@ def fit(
         return np.asarray(np.exp(at["modulus"]) * relaxing(curves, measured, at.get("zero", 0.0), second, series))
 
     start, low, high = np.array([[u.start, u.low, u.high] for u in unknowns]).T
-    start[0] = np.log(_factor(force(start), measured.force))
-    spare = len(measured.force) - len(unknowns)
+    unknowns[0] = replace(unknowns[0], start=float(np.log(_factor(force(start), measured.force))))
+    estimates, correlation, at = estimated(force, measured.force, unknowns)
+    return MaterialFit(estimates, correlation, force(at), measured)
+
+
+def estimated(
+    force: Callable[[Array], Array], wanted: Array, unknowns: Sequence[Unknown], doubt: Array | float = 1.0
+) -> tuple[tuple[Estimate, ...], Array, Array]:
+    """Weighted least squares of forces (n,) [N] over k < n unknowns: estimates, their correlation (k, k), values (k,).
+
+    The error of a force has a constant part and a part proportional to the force; their ratio is estimated. `doubt`
+    (n,): factors on the errors.
+    """
+    start, low, high = np.array([[u.start, u.low, u.high] for u in unknowns]).T
+    spare = len(wanted) - len(unknowns)
     choices = EVEN if spare > len(EVEN) else (USUAL,)
-    tried = [_weighted(force, measured.force, (start, low, high), even) for even in choices]
+    tried = [_weighted(force, wanted, (start, low, high), even, doubt) for even in choices]
     best = min(tried, key=lambda one: one.unlikely)
     free = best.free
     covariance = _averaged(best, tried)[np.ix_(free, free)]
@@ -133,7 +146,7 @@ def fit(
     correlation = np.eye(len(unknowns))  # unknown for parameters at the end of their range
     correlation[np.ix_(free, free)] = covariance / np.maximum(np.outer(spread, spread), 1e-300)
     np.fill_diagonal(correlation, 1.0)  # also where the fit is exact and the spread 0
-    return MaterialFit(tuple(estimates), correlation, force(best.at), measured)
+    return tuple(estimates), correlation, best.at
 
 
 def relaxing(
@@ -175,12 +188,13 @@ class _Weighted:
 
 
 def _weighted(
-    force: Callable[[Array], Array], wanted: Array, ranges: tuple[Array, Array, Array], even: float
-) -> _Weighted:
+    force: Callable[[Array], Array], wanted: Array, ranges: tuple[Array, Array, Array], even: float,
+    doubt: Array | float,
+) -> _Weighted:  # fmt: skip
     """The fit for one ratio of the errors. `ranges`: start, lower and upper bound of each unknown."""
     (start, low, high), at = ranges, wanted
     for _ in range(ROUNDS):
-        error = np.hypot(even * wanted.max(), at)
+        error = doubt * np.hypot(even * wanted.max(), at)
         solution = least_squares(partial(_residual, force, wanted, error), start, bounds=(low, high), xtol=1e-12)
         start, at = np.clip(solution.x, low + 1e-9, high - 1e-9), force(solution.x)
     free = solution.active_mask == 0

@@ -130,7 +130,7 @@ def optics(name: str, folder: Path, asked: FitLimits | None = None) -> Calibrate
 
         fitted = fit_clear.fit(lit, photos, folders, asked)
     said = _said(photos)
-    return Calibrated(path, sensor, said, photos.untouched, fitted, _changes(lit, fitted, said, bare=asked.bare))
+    return Calibrated(path, sensor, said, photos.untouched, fitted, changes_of(lit, fitted, said, bare=asked.bare))
 
 
 def _said(photos: "Photos") -> str:
@@ -139,7 +139,7 @@ def _said(photos: "Photos") -> str:
     return f"an untouched picture{presses} of one unit ({photos.folder.resolve().name})"
 
 
-def _changes(sensor: LitSensor, fitted: "Fitted", said: str, *, bare: bool) -> dict[KeyPath, Any]:
+def changes_of(sensor: LitSensor, fitted: "Fitted", said: str, *, bare: bool) -> dict[KeyPath, Any]:
     """Changed values of the sensor file by path; None for keys to remove."""
     now, by = fitted.sensor, f"fitted to {said} {BY}"
     by += f"; on unseen presses {fitted.unseen}" if fitted.unseen else "; not judged by unseen presses"

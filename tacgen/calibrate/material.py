@@ -6,7 +6,7 @@ from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tacgen.calibrate.result import digits, write_sensor
+from tacgen.calibrate.result import digits, moduli, write_sensor
 from tacgen.errors import UserError
 from tacgen.recipe import assets, plan
 from tacgen.recipe.row import Row
@@ -114,10 +114,8 @@ class Material:
         shape = self.row.recipe.indenter.shape
         for k, layer in enumerate(self.row.sensor.gel.layers):
             here: KeyPath = ("gel", "layers", k)
-            for key in type(layer).model_fields:
-                if key.endswith("_mpa") and getattr(layer, key) is not None:
-                    value = out.get((*here, key), getattr(layer, key))
-                    out[*here, key] = digits(factor.value * value)
+            for key in moduli(layer):
+                out[*here, key] = digits(factor.value * out.get((*here, key), getattr(layer, key)))
             if series and isinstance(layer, IsochoricLayer):
                 out[*here, "prony"] = series
             reach = f"{factor.low:.3g} to {factor.high:.3g} with 95 %"

@@ -57,7 +57,7 @@ def read(folder: Path, camera: Camera) -> Photos:
         raise UserError(f"{folder}: no such folder")
     if picture is None:
         wrong.append(f"{folder}: holds no background.png, the photograph of the untouched sensor")
-    untouched = np.zeros(0) if picture is None else _picture(picture, camera, wrong)
+    untouched = np.zeros(0) if picture is None else read_picture(picture, camera, wrong)
     presses = []
     table = folder / TABLE
     for line, row in csv_table.rows(table, NEEDED, EITHER, wrong) if table.is_file() else ():
@@ -71,8 +71,8 @@ def read(folder: Path, camera: Camera) -> Photos:
     return Photos(folder, untouched, tuple(presses))
 
 
-def _picture(path: Path, camera: Camera, wrong: list[str]) -> Array:
-    """Read a picture; problems are added to `wrong`."""
+def read_picture(path: Path, camera: Camera, wrong: list[str]) -> Array:
+    """A picture (H, W, 3) of the camera's size, 8 bit; problems are added to `wrong`."""
     try:
         picture = background_photo.read(path)
     except UserError as error:
@@ -113,7 +113,7 @@ def _press(folder: Path, line: int, row: dict[str, str], camera: Camera, wrong: 
             wrong.append(f"{said}: {column}: must be a number{reach} (got {text!r})")
     if not any(column in number for column in EITHER):
         wrong.append(f"{said}: must hold {', '.join(EITHER[:-1])} or {EITHER[-1]}")
-    picture = _picture(folder / name, camera, wrong)
+    picture = read_picture(folder / name, camera, wrong)
     if len(wrong) > before:
         return None
     x, y, contact = number["x_px"], number["y_px"], number.get("contact_radius_px")

@@ -1,7 +1,7 @@
 """The result of a fit to photographs, and writing of the changed sensor file."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,6 +10,7 @@ import numpy as np
 
 from tacgen.recipe import assets, loading
 from tacgen.sensor import yaml_source
+from tacgen.sensor.layers import Layer
 from tacgen.sensor.model import LitSensor, Sensor
 from tacgen.sensor.yaml_source import KeyPath
 
@@ -48,6 +49,13 @@ def digits(value: Any) -> Any:
     if isinstance(value, tuple):
         return [digits(v) for v in value]
     return float(f"{value:.4g}")
+
+
+def moduli(layer: Layer) -> Iterator[str]:
+    """The keys of a layer's moduli; forces are proportional to all of them together."""
+    for key in type(layer).model_fields:
+        if key.endswith("_mpa") and getattr(layer, key) is not None:
+            yield key
 
 
 def write_sensor(path: Path, sensor: Sensor, changes: Mapping[KeyPath, Any], out: Path) -> None:

@@ -1,0 +1,165 @@
+"""Solved presses of a ball into the gel of a sensor file, at several thicknesses: force and shape of the face by depth.
+
+Forces are proportional to the moduli, and the face does not depend on them: one table serves every modulus. Around the
+contact the face is taken as round: it is averaged over the angle.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+from scipy.ndimage import gaussian_filter1d
+
+from tacgen import array_cache, mechanics
+from tacgen.calibrate.press_forces import DEEPEST, SHALLOWEST
+from tacgen.errors import UserError
+from tacgen.mechanics import mesh, presolve
+from tacgen.optics.surface_grid import Untouched
+from tacgen.outputs import gel_surface
+from tacgen.recipe import loading, plan, scene_of_row
+from tacgen.recipe.model import Recipe
+from tacgen.recipe.row import Row
+from tacgen.sensor.model import LitSensor
+
+Array = np.ndarray
+VERSION = 1  # of this table, in the key of the cache
+NODES = 9  # depths at which each thickness is solved
+ANGLES = 16  # rays around the contact, along which the face is averaged
+SCALED = np.concatenate([np.linspace(0, 2, 81), np.geomspace(2, 12, 60)[1:]])  # radii over sqrt(ball radius x depth)
+POWER = 2 / 3  # F^(2/3) is nearly linear in the depth (Hertz)
+FINE, LEAST_BLUR = 1200, 0.3  # points of the radius on which slopes are smoothed, and the least width, in these points
+WIDE = 0.75  # deepest press times the ball's radius, over the square of the largest contact radius
+LARGEST_SHARE = 0.8  # of the ball's radius: deepest press
+
+
+@dataclass(frozen=True)
+class Dents:
+    """Presses of one ball into a gel of one thickness; depths (n,) [mm] rise from above 0.
+
+    force (n,) [N] at the file's moduli; drop and slope (n, len(SCALED)): change of z over the depth, and of the slope
+    over sqrt(depth / ball radius), at SCALED radii; contact (n,): contact radius [mm].
+    """
+
+    ball: float  # radius [mm]
+    thickness: float  # [mm]
+    depth: Array
+    force: Array
+    drop: Array
+    slope: Array
+    contact: Array
+
+    def force_at(self, depth: Array) -> Array:
+        """Force (k,) [N] at depths (k,) [mm], at the file's moduli; 0 above the gel."""
+        rooted = PchipInterpolator(np.append(0.0, self.depth), np.append(0.0, self.force**POWER), extrapolate=True)
+        return np.asarray(np.maximum(rooted(np.maximum(depth, 0.0)), 0.0) ** (1 / POWER))
+
+    def contact_at(self, depth: float) -> float:
+        """Contact radius [mm] at a depth [mm]."""
+        scaled = self.contact / np.sqrt(self.ball * self.depth)
+        return float(np.interp(depth, self.depth, scaled) * np.sqrt(self.ball * max(depth, 0.0)))
+
+    def face(self, depth: float, r: Array, blur: float = 0.0) -> tuple[Array, Array]:
+        """Change of z (k,) [mm] and of the radial slope (k,) at distances r (k,) [mm] from the centre of a press.
+
+        `blur`: standard deviation [mm] by which the slope is smoothed along the radius.
+        """
+        if depth <= 0:
+            return np.zeros_like(r), np.zeros_like(r)
+        k = int(np.clip(np.searchsorted(self.depth, depth) - 1, 0, len(self.depth) - 2))
+        w = float(np.clip((depth - self.depth[k]) / (self.depth[k + 1] - self.depth[k]), 0.0, 1.0))
+        drop, slope = ((1 - w) * table[k] + w * table[k + 1] for table in (self.drop, self.slope))
+        reach = np.sqrt(self.ball * depth)
+        fine = np.linspace(0, SCALED[-1], FINE)
+        radial = np.interp(fine, SCALED, slope)
+        if (width := blur / reach / fine[1]) > LEAST_BLUR:
+            both = np.concatenate([-radial[:0:-1], radial])  # odd in the radius
+            radial = gaussian_filter1d(both, width)[FINE - 1 :]
+        return (depth * np.interp(r / reach, SCALED, drop, right=0.0),
+                np.sqrt(depth / self.ball) * np.interp(r / reach, fine, radial, right=0.0))  # fmt: skip
+
+
+def with_thickness(sensor: LitSensor, thickness: float) -> LitSensor:
+    """The sensor with a gel of this total thickness [mm]: its layers change in proportion, and its lights stay where
+    they are beside the plate."""
+    factor = thickness / sensor.gel.thickness_mm
+    layers = tuple(one.model_copy(update={"thickness_mm": one.thickness_mm * factor}) for one in sensor.gel.layers)
+    down = thickness - sensor.gel.thickness_mm
+    leds = tuple(
+        led.model_copy(update={"center_mm": (*led.center_mm[:2], led.center_mm[2] - down)}) for led in sensor.leds
+    )
+    return sensor.model_copy(update={"gel": sensor.gel.model_copy(update={"layers": layers}), "leds": leds})
+
+
+def solved(
+    sensor: LitSensor, ball: float, at: tuple[float, float], widest: float, friction: float, quality: str
+) -> Dents:
+    """Presses of a ball of radius `ball` [mm] at (x, y) [mm], up to a contact radius of about `widest` [mm].
+
+    They are kept in the cache. Raises UserError: the solver fails before the last two depths.
+    """
+    thick = sensor.gel.thickness_mm - sensor.gel.drop_mm(*at)
+    largest = min(WIDE * widest**2 / ball, DEEPEST * thick, LARGEST_SHARE * ball)
+    depths = np.geomspace(max(0.02 * largest, SHALLOWEST * thick), largest, NODES)
+    key = array_cache.digest(
+        [VERSION, sensor.gel.model_dump_json(), ball, at, depths, friction, quality, NODES, SCALED]
+    )
+    found = array_cache.kept("dents", key, lambda: _solved(sensor, ball, at, depths, friction, quality))
+    return Dents(ball, sensor.gel.thickness_mm, *found)
+
+
+def _solved(
+    sensor: LitSensor, ball: float, at: tuple[float, float], depths: Array, friction: float, quality: str
+) -> tuple[Array, ...]:
+    """The arrays of Dents."""
+    built = presolve.presolved(scene_of_row.build(_row(sensor, ball, at, depths, friction, quality)))
+    problem = mechanics.Problem.of(built, mesh.of(built))
+    untouched, found = gel_surface.seen(problem.mesh, len(sensor.gel.clear_layers)), []
+    try:
+        for state, depth in zip(mechanics.states(built, problem), depths, strict=False):
+            around = _profile(untouched.pressed(problem, state), Untouched.of(sensor.gel), at, ball, float(depth))
+            found.append((mechanics.normal_force(state), *around, _contact(problem, state)))
+    except mechanics.NotConverged as error:
+        if len(found) < NODES - 2:
+            raise UserError(
+                f"a ball of {ball:g} mm pressed {depths[len(found)]:.3g} mm into a gel of"
+                f" {sensor.gel.thickness_mm:.3g} mm: cannot be solved: {error}"
+            ) from None
+    force, drop, slope, contact = (np.array(part) for part in zip(*found, strict=True))
+    return depths[: len(found)], force, drop, slope, contact
+
+
+def _row(sensor: LitSensor, ball: float, at: tuple[float, float], depths: Array, friction: float, quality: str) -> Row:
+    """The scene of the presses. Raises UserError: the recipe is refused."""
+    recipe = {
+        "tacgen": 1, "name": "press", "sensor": sensor.name, "outputs": ["force"], "quality": quality,
+        "start": {"x_mm": at[0], "y_mm": at[1]}, "contact": {"friction": friction},
+        "indenter": {"shape": "sphere", "radius_mm": ball},
+        "trajectory": [{"press": {"depth_mm": float(depth), "frames": 1}} for depth in depths],
+    }  # fmt: skip
+    (row,) = plan.expand(loading.checked(Recipe.model_validate(recipe), sensor)).rows
+    return row
+
+
+def _contact(problem: mechanics.Problem, state: mechanics.State) -> float:
+    """Radius [mm] of the circle that has the area of the contact."""
+    touched = state.normal_force > 0
+    return float(np.sqrt(problem.contact.faces.areas[touched].sum() / np.pi))
+
+
+def _profile(
+    face: gel_surface.GelSurface, untouched: Untouched, at: tuple[float, float], ball: float, depth: float
+) -> tuple[Array, Array]:
+    """Scaled change of z and of the slope at SCALED radii, averaged over the angle."""
+    reach, angle = np.sqrt(ball * depth), 2 * np.pi * (np.arange(ANGLES) + 0.5) / ANGLES
+    r = SCALED * reach
+    rest = np.array(at) + r[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    inside = (np.abs(rest) < face.rest[:, :2].max(axis=0)).all(axis=2)
+    now = face.at(np.clip(rest.reshape(-1, 2), face.rest[:, :2].min(0), face.rest[:, :2].max(0)))
+    now = now.reshape(*rest.shape[:2], 3)
+    z = now[..., 2] - untouched.at(now[..., :2].reshape(-1, 2))[:, 2].reshape(inside.shape)
+    away = np.hypot(*np.moveaxis(now[..., :2] - at, 2, 0))
+    lines = [np.interp(r, away[inside[:, k], k], z[inside[:, k], k], right=0.0) for k in range(ANGLES)]
+    seen = [r <= away[inside[:, k], k].max() for k in range(ANGLES)]
+    drop = np.sum(lines, axis=0) / np.maximum(np.sum(seen, axis=0), 1)
+    slope = np.gradient(drop, r)
+    return drop / depth, slope * np.sqrt(ball / depth)

@@ -1,0 +1,269 @@
+"""Thickness and modulus of a gel, zero and lag of a gauge from photographed presses of balls with forces.
+
+The shape of the face around the contact depends on the gel's thickness, and not on its modulus or on the forces: the
+pictures give thickness, depths and colours. The forces then give the modulus, the gauge's zero and, where the pictures
+have times, the lag of the gauge in each recording:
+
+    F(t) = zero + m C(d(t - lag))
+
+C is the force that the sensor file's gel gives at depth d. The errors of the thickness come from the jackknife over
+sectors of the pictures of each recording, and are carried over to the modulus.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.optimize import isotonic_regression
+from scipy.stats import t as student
+
+from tacgen.calibrate.ball_dents import POWER, Dents
+from tacgen.calibrate.fit_material import LEVEL, MOST_FACTOR, Estimate, Unknown, estimated
+from tacgen.calibrate.press_colours import Placed, PressPicture, PressView, located, placed, richness
+
+Array = np.ndarray
+Pictures = Sequence[PressPicture]
+Tried = Sequence[Mapping[float, Dents]]  # for each thickness, in rising order, by the ball's radius [mm]
+FACTORS = (0.5, 0.63, 0.8, 1.0, 1.26, 1.6, 2.0)  # thicknesses that are tried, over the file's
+FINE = 2000  # points between them at which the misfit is interpolated
+SPREAD = 0.05  # standard error of the thickness's logarithm that the method has by itself, from synthetic units
+ABRUPT = 0.03  # of the largest force: change between readings from which its error by the lag exceeds all others
+LATEST = 0.2  # [s]: largest lag of a gauge, either way
+
+
+@dataclass(frozen=True)
+class Gauge:
+    """Readings (n,) [N], the recording (n,) that each belongs to, and its time (n,) [s], nan where none is known."""
+
+    force: Array
+    recording: Array
+    time: Array
+
+    @property
+    def timed(self) -> list[int]:
+        """The recordings whose lag can be found."""
+        return [int(k) for k in np.unique(self.recording) if np.isfinite(self.time[self.recording == k]).sum() > 2]
+
+    @property
+    def doubt(self) -> Array:
+        """Factors (n,) on the errors of readings: a gauge whose lag varies errs most where the force changes fast."""
+        out = np.ones(len(self.force))
+        for k in self.timed:
+            here = np.flatnonzero(self.recording == k)
+            here = here[np.argsort(self.time[here])]
+            change = np.abs(np.gradient(self.force[here]))
+            out[here] = np.hypot(1.0, change / (ABRUPT * np.abs(self.force).max()))
+        return out
+
+    def part(self, where: Array) -> "Gauge":
+        """Some of the readings."""
+        return Gauge(self.force[where], self.recording[where], self.time[where])
+
+    def late(self, force: Array, lags: Mapping[int, float]) -> Array:
+        """Forces (n,) at the times of the pictures, as a gauge with these lags [s] reads them."""
+        out = force.astype(float).copy()
+        for k, lag in lags.items():
+            here = np.flatnonzero(self.recording == k)
+            here = here[np.argsort(self.time[here])]
+            out[here] = np.interp(self.time[here] - lag, self.time[here], force[here])
+        return out
+
+
+@dataclass(frozen=True)
+class Optics:
+    """Pictures placed at each tried thickness: where the misfit is least, and with what error."""
+
+    thickness: Array  # (t,) [mm]
+    placed: tuple[Placed, ...]
+    rich: bool  # whether colours vary over the picture
+    best: float  # logarithm of the thickness
+    spread: float  # its standard error
+    freedom: int  # degrees of freedom of that
+
+    @property
+    def explained(self) -> float:
+        """Share of the pictures' changes that the best thickness explains."""
+        k, w = self.between(self.best)
+        left = [one.misfit.sum() for one in self.placed]
+        return float(1 - ((1 - w) * left[k] + w * left[min(k + 1, len(left) - 1)]) / self.placed[0].change)
+
+    def between(self, at: float) -> tuple[int, float]:
+        """The tried thickness below exp(at), and the weight of the next one."""
+        logs = np.log(self.thickness)
+        if len(logs) == 1:
+            return 0, 0.0
+        k = int(np.clip(np.searchsorted(logs, at) - 1, 0, len(logs) - 2))
+        return k, float(np.clip((at - logs[k]) / (logs[k + 1] - logs[k]), 0.0, 1.0))
+
+
+def optics(
+    view: PressView,
+    pictures: Pictures,
+    dents: Tried,
+    *,
+    rich: bool | None = None,
+) -> Optics:
+    """The thickness that suits the pictures best.
+
+    Args:
+        dents: for each tried thickness, in rising order, by the ball's radius.
+        rich: whether colours vary over the picture; None: as suits unseen presses best.
+    """
+    rich = richness(view, pictures, dents[len(dents) // 2]) if rich is None else rich
+    found: list[Placed] = []
+    for each in dents:
+        found.append(placed(view, pictures, each, rich, found[-1] if found else None))
+    thickness = np.array([next(iter(each.values())).thickness for each in dents])
+    if len(dents) == 1:
+        return Optics(thickness, tuple(found), rich, float(np.log(thickness[0])), 0.0, 1)
+    misfit = np.array([one.misfit for one in found])  # (t, n, SECTORS)
+    groups = np.array([one.recording for one in pictures])
+    parts = np.array([misfit[:, groups == g].sum(axis=1) for g in np.unique(groups)])  # (recordings, t, SECTORS)
+    parts = np.moveaxis(parts, 1, 0).reshape(len(thickness), -1)
+    whole, n = parts.sum(axis=1), parts.shape[1]
+    without = np.array([_lowest(thickness, whole - parts[:, k]) for k in range(n)])
+    spread = np.sqrt((n - 1) / n * ((without - without.mean()) ** 2).sum())
+    return Optics(thickness, tuple(found), rich, _lowest(thickness, whole), float(np.hypot(spread, SPREAD)), n - 1)
+
+
+def _lowest(thickness: Array, misfit: Array) -> float:
+    """Logarithm of the thickness with the smallest misfit."""
+    logs = np.log(thickness)
+    fine = np.linspace(logs[0], logs[-1], FINE)
+    return float(fine[np.argmin(CubicSpline(logs, misfit)(fine))])
+
+
+@dataclass(frozen=True)
+class UnitFit:
+    """Estimates; the gauge's readings as fitted (n,) [N] and the depths of the presses (n,) [mm]."""
+
+    optics: Optics
+    thickness: Estimate  # [mm]
+    modulus: Estimate  # factor on the file's
+    zero: Estimate  # [N]
+    lags: dict[int, Estimate]  # [s] by recording
+    force: Array
+    depth: Array
+
+    @property
+    def open(self) -> list[str]:
+        """Names of the numbers that the presses do not determine."""
+        return [one.name for one in (self.thickness, self.modulus, self.zero, *self.lags.values()) if one.open]
+
+
+def fit(optics: Optics, pictures: Pictures, dents: Tried, gauge: Gauge) -> UnitFit:
+    """All numbers of a unit. Raises ValueError: fewer presses than numbers to find, and one more."""
+    half = float(student.ppf((1 + LEVEL) / 2, optics.freedom)) * optics.spread
+    low, high = np.log(optics.thickness[[0, -1]])
+    out = half > 0 and (not low < optics.best < high or (optics.best - half <= low and optics.best + half >= high))
+    value, least, most = np.exp(optics.best + half * np.array([0, -1, 1])).tolist()
+    thickness = Estimate("thickness", value, least, most, open=bool(out))
+    estimates, values = _forces(optics, pictures, dents, gauge, optics.best)
+    modulus, share = estimates[0], 0.0
+    if half and not out:  # the thickness's error is carried over
+        ends = np.clip(optics.best + np.array([-1, 1]) * optics.spread, low, high)
+        moved = [np.log(_forces(optics, pictures, dents, gauge, float(end))[0][0].value) for end in ends]
+        share = half * (moved[1] - moved[0]) / float(ends[1] - ends[0])
+    reach = [np.exp(np.log(modulus.value) + side * np.hypot(np.log(end / modulus.value), share))
+            for side, end in ((-1, modulus.low), (1, modulus.high))]  # fmt: skip
+    unsure = not 2 / MOST_FACTOR < modulus.value < MOST_FACTOR / 2 or modulus.open
+    modulus = Estimate("modulus", modulus.value, float(reach[0]), float(reach[1]), modulus.bound, unsure)
+    lags = dict(zip(gauge.timed, estimates[2:], strict=True))
+    depth = _between(optics, [one.at[:, 0] for one in optics.placed], optics.best)
+    return UnitFit(optics, thickness, modulus, estimates[1], lags, values, depth)
+
+
+def _forces(
+    optics: Optics, pictures: Pictures, dents: Tried, gauge: Gauge, at: float
+) -> tuple[tuple[Estimate, ...], Array]:
+    """Estimates of modulus, zero and lags at one thickness, and the fitted readings (n,) [N]."""
+    unit = unit_forces(optics, optics.placed, pictures, dents, at)
+    most = float(np.abs(gauge.force).max())
+    names = ["modulus", "zero", *(f"lag {k}" for k in gauge.timed)]
+    if len(gauge.force) <= len(names):
+        raise ValueError(f"{len(gauge.force)} presses are too few to find {len(names)} numbers and their bounds")
+    zero, factor = np.linalg.lstsq(np.column_stack([np.ones_like(unit), unit]), gauge.force, rcond=None)[0]
+    begin, widest = float(np.log(np.clip(factor, 2 / MOST_FACTOR, MOST_FACTOR / 2))), float(np.log(MOST_FACTOR))
+    unknowns = [Unknown("modulus", begin, -widest, widest, np.exp),
+                Unknown("zero", float(np.clip(zero, -most / 2, most / 2)), -most, most),
+                *(Unknown(name, 0.0, -LATEST, LATEST) for name in names[2:])]  # fmt: skip
+
+    def force(v: Array) -> Array:
+        return np.asarray(v[1] + np.exp(v[0]) * gauge.late(unit, dict(zip(gauge.timed, v[2:], strict=True))))
+
+    estimates, _, best = estimated(force, gauge.force, unknowns, gauge.doubt)
+    return estimates, force(best)
+
+
+def unit_forces(
+    optics: Optics, seen: Sequence[Placed | None], pictures: Pictures, dents: Tried,
+    at: float,
+) -> Array:  # fmt: skip
+    """Forces (n,) [N] at the file's moduli of presses placed at each thickness (next to `at` at least), at thickness
+    exp(at) [mm]."""
+    rooted = [np.zeros(len(pictures)) if one is None else np.array([
+        float(each[p.ball].force_at(d)) ** POWER for p, d in zip(pictures, one.at[:, 0], strict=True)])
+        for one, each in zip(seen, dents, strict=True)]  # fmt: skip
+    return np.asarray(_between(optics, rooted, at) ** (1 / POWER))
+
+
+def _between(optics: Optics, values: Sequence[Array], at: float) -> Array:
+    """Values (n,) at thickness exp(at) from those at each tried one."""
+    k, w = optics.between(at)
+    return np.asarray((1 - w) * values[k] + w * values[min(k + 1, len(values) - 1)])
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Readings (n,) [N] of presses that a fit has not seen, and what it says to them from the pictures alone."""
+
+    force: Array
+    predicted: Array  # with the gauge's lag of the judged recording, one number fitted to its readings, if it has times
+    unaligned: Array  # without any lag
+    floor: Array  # the mean of the forces that the fit has seen
+    ceiling: Array  # a rising curve over the predicted forces, fitted to the judged readings themselves
+    name: str = ""  # of what is held out
+
+    def plain(self) -> dict[str, Any]:
+        """As JSON values."""
+        parts = {key: getattr(self, key) for key in ("predicted", "unaligned", "floor", "ceiling")}
+        return {"name": self.name, "force_n": self.force.tolist(), "predicted_n": self.predicted.tolist(),
+                "mae_n": {key: self.mae(part) for key, part in parts.items()}}  # fmt: skip
+
+    def mae(self, said: Array) -> float:
+        """Mean absolute error [N]."""
+        return float(np.abs(said - self.force).mean())
+
+
+def predict(fitted: UnitFit, view: PressView, pictures: Pictures, dents: Tried) -> Array:
+    """Forces (n,) [N] of unseen pictures, without the gauge's zero."""
+    optics, start = fitted.optics, view.starts(pictures)
+    near = optics.between(optics.best)[0]
+    seen = [
+        located(view, pictures, each, start, one.blur, optics.rich, one.colours) if k in (near, near + 1) else None
+        for k, (one, each) in enumerate(zip(optics.placed, dents, strict=True))
+    ]
+    return fitted.modulus.value * unit_forces(optics, seen, pictures, dents, optics.best)
+
+
+def judge(view: PressView, pictures: Pictures, dents: Tried, gauge: Gauge, held: Array) -> tuple[UnitFit, Judged]:
+    """Fit the presses that are not `held` (n,) bool, and judge those."""
+    seen, unseen = ([p for p, chosen in zip(pictures, w, strict=True) if chosen] for w in (~held, held))
+    known, asked = gauge.part(~held), gauge.part(held)
+    fitted = fit(optics(view, seen, dents), seen, dents, known)
+    said = fitted.zero.value + predict(fitted, view, unseen, dents)
+    lags = {k: _lag(asked, said, k) for k in asked.timed}
+    late = asked.late(said, lags) if lags else said
+    order = np.argsort(late, kind="stable")
+    rising = np.empty_like(late)
+    rising[order] = isotonic_regression(asked.force[order]).x
+    return fitted, Judged(asked.force, late, said, np.full(len(late), known.force.mean()), rising)
+
+
+def _lag(gauge: Gauge, said: Array, recording: int) -> float:
+    """The lag [s] of one recording with which said forces are nearest to its readings."""
+    tried = np.linspace(-LATEST, LATEST, 161)
+    off = [np.abs(gauge.late(said, {recording: lag}) - gauge.force).sum() for lag in tried]
+    return float(tried[int(np.argmin(off))])

@@ -1,0 +1,241 @@
+"""Depth and centre of photographed ball presses, and the unit's colours by slope, for a gel of one thickness.
+
+The change of a picture is taken as a polynomial in the slopes of the face, plus a part in proportion to its drop, whose
+factors hardly vary over the picture, or vary strongly if that suits unseen presses better. (From dents at one place,
+factors that vary inside a dent cannot be told from the powers of the slopes, and do not hold elsewhere.)
+The ball's known radius sets the scale inside
+the contact, so that the factors (the contrast) and the depths are found together: the factors by linear least squares
+for all pictures, depth and centre of each picture by Gauss and Newton, in turn.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+from scipy.optimize import minimize_scalar
+
+from tacgen.calibrate.ball_dents import Dents
+from tacgen.optics.camera import PinholeCamera
+from tacgen.optics.surface_grid import Untouched
+from tacgen.sensor.model import LitSensor
+
+Array = np.ndarray
+ROUNDS, FEW = 20, 5  # of colours and positions in turn at most, at first and from values that nearly fit
+SETTLED = 2e-3  # [mm]: largest change of a depth in the last round
+COMPARED = 1500  # pixels of a smoothed picture that are compared, about
+SMOOTH = 0.5  # standard deviation of this smoothing, over the distance of these pixels
+RIM = 0.06  # of the picture's sides: left out along them, where lights and walls show
+STEP = 0.02  # [mm]: of differences by depth and centre
+LEAST = 1e-3  # [mm]: smallest depth
+RIDGE = 1e-5  # of the equations for the colours, over their diagonal
+PLACE, HELD = 4, 0.03  # columns that vary with the place, and their ridge over the squared slopes
+MOST = 0.5  # [mm]: largest change of a centre in a round
+LOUD = 0.3  # of the largest change: pixels that count as the dent for the start values
+FAINT = 0.3  # of the loudest picture's change: fainter dents start where the loudest of their recording lies
+LEAST_RECORDINGS = 6  # from which colours may vary over the picture
+USUAL_BLUR = 0.1  # over the gel's thickness: where the two kinds of colours are compared
+SECTORS = 6  # angles around the centre over which the misfit is kept apart
+BLUR, BLUR_STEP = 0.4, 0.04  # largest blur of the slopes over the gel's thickness, and its tolerance
+
+
+@dataclass(frozen=True)
+class PressPicture:
+    """A press to be placed: change against the untouched picture (p, 3) [counts] at the compared pixels."""
+
+    change: Array  # with mean 0
+    ball: float  # radius [mm]
+    recording: int
+
+    @property
+    def loud(self) -> float:
+        """Size of the change [counts]."""
+        return float(np.quantile(np.linalg.norm(self.change, axis=1), 0.995))
+
+
+@dataclass(frozen=True)
+class Placed:
+    """Where presses lie, for a gel of one thickness, and what is left of their pictures."""
+
+    at: Array  # (n, 3): depth, x, y [mm]
+    colours: Array  # (columns, 3) [counts]
+    blur: float  # standard deviation by which the rim is softer than the solved one [mm]
+    misfit: Array  # (n, SECTORS) [counts^2]: sum of squares by angle around the centre
+    change: float  # [counts^2]: sum of squares of the pictures' changes
+
+
+class PressView:
+    """The compared pixels of a sensor's pictures, and what presses do there."""
+
+    def __init__(self, sensor: LitSensor) -> None:
+        camera = PinholeCamera.from_sensor(sensor)
+        height, width = camera.shape
+        rim, self._stride = int(RIM * min(height, width)), max(1, round(np.sqrt(height * width / COMPARED)))
+        self._pixels = tuple(np.arange(rim + self._stride // 2, side - rim, self._stride) for side in (height, width))
+        y, x = (part.ravel() for part in np.meshgrid(*self._pixels, indexing="ij"))
+        self._origin, self._ray = camera.rays(np.column_stack([x, y]) + 0.5)
+        self._face = Untouched.of(sensor.gel)
+        self.level = self._hit(np.full(len(x), float(self._face.height(np.zeros((1, 2)))[0])))
+        self._half = np.abs(self.level).max(axis=0)
+
+    def _hit(self, z: Array) -> Array:
+        """x and y (p, 2) [mm] of the pixels' rays at heights z (p,) [mm]."""
+        along = (z - self._origin[:, 2]) / self._ray[:, 2]
+        return np.asarray((self._origin + self._ray * along[:, None])[:, :2])
+
+    def picture(self, picture: Array, untouched: Array, ball: float, recording: int) -> PressPicture:
+        """A photograph (H, W, 3) against the untouched one, at the compared pixels."""
+        width = SMOOTH * self._stride
+        change = gaussian_filter(picture.astype(float) - untouched, (width, width, 0))
+        change = change[np.ix_(*self._pixels)].reshape(-1, 3)
+        return PressPicture(change - change.mean(axis=0), ball, recording)
+
+    def starts(self, pictures: Sequence[PressPicture]) -> Array:
+        """Rough depth, x and y (n, 3) [mm] of presses, from where their pictures change most."""
+        at, loud = np.zeros((len(pictures), 3)), np.array([one.loud * one.ball for one in pictures])
+        for k, one in enumerate(pictures):
+            size = np.linalg.norm(one.change - np.median(one.change, axis=0), axis=1)
+            seen = size > LOUD * np.quantile(size, 0.995)
+            centre = np.average(self.level[seen], axis=0, weights=size[seen])
+            reach = 1.2 * np.linalg.norm(self.level - centre, axis=1)[seen].mean() * min(1, 2 * loud[k] / loud.max())
+            at[k] = reach**2 / (1.6 * one.ball), *centre
+        for k, one in enumerate(pictures):
+            same = [j for j, other in enumerate(pictures) if other.recording == one.recording]
+            best = max(same, key=lambda j: loud[j])
+            if loud[k] < FAINT * loud[best]:
+                at[k, 1:] = at[best, 1:]
+        return at
+
+    def columns(self, dents: Dents, at: Array, blur: float, rich: bool) -> Array:
+        """Terms (p, columns), each with mean 0, in which the colours of a press at (depth, x, y) [mm] are linear."""
+        z = self._face.height(self.level)
+        for _ in range(2):
+            xy = self._hit(z)
+            away = np.hypot(*(xy - at[1:]).T)
+            drop, slope = dents.face(float(at[0]), away, blur)
+            z = self._face.height(xy) + drop
+        s = (slope / np.maximum(away, 1e-9))[:, None] * (xy - at[1:])
+        square, drop = np.column_stack([s**2, s[:, 0] * s[:, 1]]), drop[:, None]
+        if rich:
+            (x, y), cube = (xy / self._half).T[..., None], np.column_stack([s**3, s**2 * s[:, ::-1]])
+            parts = [s, square, cube, drop, x * s, y * s, x**2 * s, x * y * s, y**2 * s, x * square, y * square,
+                     x * drop, y * drop]  # fmt: skip
+        else:
+            x, y = at[1:] / self._half
+            parts = [s, square, (s**2).sum(axis=1, keepdims=True) * s, drop, x * s, y * s]
+        table = np.column_stack(parts)
+        return np.asarray(table - table.mean(axis=0))
+
+    def sector(self, at: Array) -> Array:
+        """The angle around a press's centre that each pixel belongs to (p,), from 0 to SECTORS - 1."""
+        angle = np.arctan2(*(self.level - at[1:]).T[::-1]) / (2 * np.pi) % 1.0
+        return np.asarray(np.minimum((SECTORS * angle).astype(int), SECTORS - 1))
+
+
+def placed(
+    view: PressView,
+    pictures: Sequence[PressPicture],
+    dents: Mapping[float, Dents],
+    rich: bool,
+    near: Placed | None = None,
+) -> Placed:
+    """Depths and centres of presses with the colours and the blur that suit them best.
+
+    Args:
+        dents: by the balls' radii.
+        rich: whether colours vary over the picture.
+        near: the presses for a similar thickness, to start from.
+    """
+    thick = next(iter(dents.values())).thickness
+    if near is None:
+        best = located(view, pictures, dents, view.starts(pictures), USUAL_BLUR * thick, rich)
+    else:
+        best = located(view, pictures, dents, near.at, near.blur, rich, rounds=FEW)
+
+    def misfit(blur: float) -> float:
+        nonlocal best
+        tried = located(view, pictures, dents, best.at, blur, rich, rounds=FEW)
+        best = min(best, tried, key=lambda one: float(one.misfit.sum()))
+        return float(tried.misfit.sum())
+
+    minimize_scalar(misfit, bounds=(0.0, BLUR * thick), method="bounded", options={"xatol": BLUR_STEP * thick})
+    return best
+
+
+def richness(view: PressView, pictures: Sequence[PressPicture], dents: Mapping[float, Dents]) -> bool:
+    """Whether colours that vary over the picture suit unseen recordings better than those that hardly do.
+
+    Recordings are left out in turn, at the depths and centres found with the simpler ones; with one recording, no.
+    """
+    groups = np.array([one.recording for one in pictures])
+    if len(np.unique(groups)) < LEAST_RECORDINGS:
+        return False
+    thick = next(iter(dents.values())).thickness
+    at = located(view, pictures, dents, view.starts(pictures), USUAL_BLUR * thick, False).at
+    off = []
+    for rich in (False, True):
+        tables = [view.columns(dents[p.ball], a, USUAL_BLUR * thick, rich) for p, a in zip(pictures, at, strict=True)]
+        left = 0.0
+        for group in np.unique(groups):
+            seen, unseen = (np.flatnonzero(where).tolist() for where in (groups != group, groups == group))
+            colours = _colours([tables[k] for k in seen], [pictures[k] for k in seen], rich)
+            left += sum(float(((tables[k] @ colours - pictures[k].change) ** 2).sum()) for k in unseen)
+        off.append(left)
+    return off[1] < off[0]
+
+
+def located(
+    view: PressView, pictures: Sequence[PressPicture], dents: Mapping[float, Dents], start: Array, blur: float,
+    rich: bool, colours: Array | None = None, rounds: int = ROUNDS,
+) -> Placed:  # fmt: skip
+    """Depths and centres of presses with one blur [mm], from start values (n, 3), and colours unless they are given."""
+    at, found, moving = start.copy(), colours, np.ones(len(pictures), bool)
+    tables = [view.columns(dents[p.ball], a, blur, rich) for p, a in zip(pictures, at, strict=True)]
+    for _ in range(rounds):
+        if colours is None:
+            found = _colours(tables, pictures, rich)
+        assert found is not None
+        largest = 0.0
+        for k in np.flatnonzero(moving).tolist():
+            dent = dents[pictures[k].ball]
+            step = _step(partial(view.columns, dent, blur=blur, rich=rich), pictures[k], at[k], tables[k], found, dent)
+            at[k] += step
+            tables[k] = view.columns(dent, at[k], blur, rich)
+            moving[k] = colours is None or abs(step[0]) > SETTLED
+            largest = max(largest, abs(step[0]))
+        if largest < SETTLED:
+            break
+    if colours is None:
+        found = _colours(tables, pictures, rich)
+    assert found is not None
+    misfit = [
+        np.bincount(view.sector(a), ((t @ found - p.change) ** 2).sum(axis=1), SECTORS)
+        for t, p, a in zip(tables, pictures, at, strict=True)
+    ]
+    return Placed(at, found, blur, np.array(misfit), float(sum((p.change**2).sum() for p in pictures)))
+
+
+def _colours(tables: Sequence[Array], pictures: Sequence[PressPicture], rich: bool) -> Array:
+    """The best colours (columns, 3) by least squares over all pictures."""
+    normal = sum(t.T @ t for t in tables)
+    right = sum(t.T @ p.change for t, p in zip(tables, pictures, strict=True))
+    held = RIDGE * np.diag(normal) + 1e-12 * np.trace(normal)
+    if not rich:
+        held[-PLACE:] += HELD * np.diag(normal)[:2].mean()
+    return np.asarray(np.linalg.solve(normal + np.diag(held), right))
+
+
+def _step(
+    columns: Callable[[Array], Array], picture: PressPicture, at: Array, table: Array, colours: Array, dents: Dents
+) -> Array:
+    """Change of depth, x and y [mm] by Gauss and Newton, within the depths that are solved."""
+    made = table @ colours
+    slopes = [((columns(at + STEP * (np.arange(3) == k)) @ colours - made) / STEP).ravel() for k in range(3)]
+    jacobian = np.array(slopes)
+    normal = jacobian @ jacobian.T
+    held = normal + 1e-6 * max(float(np.trace(normal)), 1e-9) * np.eye(3)
+    step = np.clip(np.linalg.solve(held, jacobian @ (picture.change - made).ravel()), -MOST, MOST)
+    low, high = 0.7 * at[0] - 0.02, 1.5 * at[0] + 0.02  # no further in one round
+    step[0] = np.clip(np.clip(at[0] + step[0], low, high), LEAST, dents.depth[-1]) - at[0]
+    return np.asarray(step)

@@ -1,0 +1,26 @@
+"""The Wedge part of the bench `real` is left out where its photographs are not."""
+
+from pathlib import Path
+
+import pytest
+
+from benchmarks import wedge
+from tacgen.calibrate import unit_photos
+from tacgen.recipe import loading
+
+
+def test_it_is_left_out_without_photographs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TACGEN_REFERENCE", str(tmp_path))
+    assert not wedge.here()
+
+
+def test_its_sensor_file_and_table_are_what_the_calibration_takes(tmp_path: Path) -> None:
+    sensor, _ = loading.read_sensor(wedge.SENSOR)
+    assert (sensor.camera.width_px, sensor.camera.height_px) == wedge.SIZE
+    if not wedge.here():
+        pytest.skip(f"no photographs in {wedge.photographs.reference()}")
+    wedge.lay_out(tmp_path)
+    photos = unit_photos.read(tmp_path, sensor.camera)
+    assert len(photos.presses) == 43
+    assert photos.recordings == ["grip 0", "grip 1"]
+    assert max(press.force for press in photos.presses) == pytest.approx(25.35)

@@ -1,0 +1,220 @@
+"""Thickness, modulus, zero and lag from presses with forces: found where they are known, or said to be open."""
+
+import json
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from helpers.tiny import sensor
+from PIL import Image
+from ruamel.yaml import YAML
+from typer.testing import CliRunner
+
+from tacgen import cli
+from tacgen.calibrate import ball_dents, fit_unit, press_colours
+from tacgen.calibrate import unit as calibration
+from tacgen.calibrate.ball_dents import SCALED, Dents, with_thickness
+from tacgen.calibrate.fit_unit import Gauge
+from tacgen.calibrate.led_fit import FitLimits
+from tacgen.calibrate.press_colours import PressView
+from tacgen.recipe import loading
+from tacgen.sensor.model import LitSensor
+
+BALL, MODULUS, ZERO = 4.0, 1.4, 0.3  # [mm], times the file's, [N]
+FINE = {"mm_per_px": 0.1, "width_px": 96, "height_px": 80, "noise": None}
+DEPTHS = np.array([0.15, 0.3, 0.45, 0.6, 0.75, 0.9])
+PLACES = ((0.0, 0.0), (0.8, -0.5), (-0.7, 0.6), (0.4, 0.5), (-0.5, -0.4), (0.2, 0.0))
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Few pixels and few thicknesses."""
+    monkeypatch.setattr(press_colours, "COMPARED", 300)
+    monkeypatch.setattr(fit_unit, "FACTORS", (0.7, 0.85, 1.0, 1.2, 1.44))
+
+
+@pytest.fixture(scope="module")
+def unit() -> LitSensor:
+    """The file's; its gel is 3 mm thick."""
+    return cast(LitSensor, sensor(camera=FINE, markers=None))
+
+
+def formula(one: LitSensor, ball: float, at: Any = None, widest: float = 0.0, *_: Any) -> Dents:
+    """Presses by a formula whose face and force depend on the thickness as those of solved ones do: the face falls
+    steeper and bulges more around the contact of a thin gel."""
+    thick, depth = one.gel.thickness_mm, np.geomspace(0.02, 1.6, 9)
+    inside, slope = 1.2, np.zeros((9, len(SCALED)))
+    for k, d in enumerate(depth):
+        away = (SCALED - inside) * np.sqrt(ball * d) / thick
+        beyond = inside * np.exp(-6 * away) - 1.5 * np.sqrt(ball * d) / thick * away * np.exp(-3 * away)
+        slope[k] = np.where(inside > SCALED, SCALED, beyond)
+    steps = (slope[:, 1:] + slope[:, :-1]) / 2 * np.diff(SCALED)
+    drop = -np.cumsum(np.pad(steps, ((0, 0), (0, 1)))[:, ::-1], axis=1)[:, ::-1]
+    modulus = one.gel.layers[0].model_dump()["youngs_modulus_mpa"]
+    force = 20 * modulus * np.sqrt(ball) * depth**1.5 * (1 + 2 * ball * depth / thick**2)
+    return Dents(ball, thick, depth, force, drop, slope, inside * np.sqrt(ball * depth))
+
+
+def painted(one: LitSensor, thick: float, presses: list[tuple[float, float, float]]) -> list[np.ndarray]:
+    """Changes of pictures (H, W, 3) [counts] with colours that no press tells."""
+    with pytest.MonkeyPatch.context() as patch:  # all pixels
+        patch.setattr(press_colours, "COMPARED", 1e9)
+        patch.setattr(press_colours, "RIM", 0.0)
+        view = PressView(one)
+    colours = np.random.default_rng(1).uniform(-60, 60, (12, 3))
+    colours[:2], colours[2:5], colours[-4:] = [[90, -20, 30], [10, 80, -70]], colours[2:5] / 4, 0.0
+    dents = formula(with_thickness(one, thick), BALL)
+    shape = one.camera.height_px, one.camera.width_px, 3
+    return [(view.columns(dents, np.array(at), 0.0, False) @ colours).reshape(shape) for at in presses]
+
+
+def presses(depths: np.ndarray = DEPTHS) -> list[tuple[float, float, float]]:
+    return [(float(d), *PLACES[k % len(PLACES)]) for k, d in enumerate(depths)]
+
+
+def fitted(one: LitSensor, thick: float, gauge: Gauge | None = None, depths: np.ndarray = DEPTHS, seed: int = 0):
+    """The fit to pictures with noise of presses of a gel."""
+    random, view = np.random.default_rng(seed), PressView(one)
+    changes = [c + random.normal(0, 1.5, c.shape) for c in painted(one, thick, presses(depths))]
+    groups = range(len(depths)) if gauge is None else gauge.recording
+    pictures = [view.picture(c, 0.0 * c, BALL, int(g)) for c, g in zip(changes, groups, strict=True)]
+    dents = [{BALL: formula(with_thickness(one, f * one.gel.thickness_mm), BALL)} for f in fit_unit.FACTORS]
+    if gauge is None:
+        true = ZERO + MODULUS * formula(with_thickness(one, thick), BALL).force_at(depths)
+        read = true + random.normal(0, 0.01 * true.max(), len(true))
+        gauge = Gauge(read, np.arange(len(depths)), np.full(len(depths), np.nan))
+    return fit_unit.fit(fit_unit.optics(view, pictures, dents, rich=False), pictures, dents, gauge)
+
+
+@pytest.mark.parametrize("thick", [2.4, 3.7])
+def test_thickness_modulus_and_zero_of_a_known_gel_are_within_their_intervals(unit: LitSensor, thick: float) -> None:
+    found = fitted(unit, thick)
+    assert found.thickness.value == pytest.approx(thick, rel=0.08)
+    assert found.modulus.value == pytest.approx(MODULUS, rel=0.12)
+    for one, true in ((found.thickness, thick), (found.modulus, MODULUS), (found.zero, ZERO)):
+        assert one.low < true < one.high
+        assert not one.open
+    assert found.depth == pytest.approx(DEPTHS, abs=0.03)
+    assert found.optics.explained > 0.9
+
+
+def test_the_lag_of_a_gauge_is_found_and_does_not_shift_the_modulus(unit: LitSensor) -> None:
+    up = np.concatenate([np.linspace(0.1, 0.9, 7), [0.9] * 3, np.linspace(0.8, 0.1, 6)])
+    time, lag = np.arange(len(up)) / 30, 0.05
+    true = ZERO + MODULUS * formula(unit, BALL).force_at(up)
+    gauge = Gauge(np.interp(time - lag, time, true), np.zeros(len(up), int), time)
+    found = fitted(unit, 3.0, gauge, up)
+    assert found.lags[0].value == pytest.approx(lag, abs=0.01)
+    assert found.modulus.value == pytest.approx(MODULUS, rel=0.15)
+    early = np.abs(gauge.late(true, {}) - gauge.force).mean()
+    assert np.abs(gauge.late(true, {0: lag}) - gauge.force).mean() < 1e-9 < early
+
+
+def test_a_face_is_that_of_its_depth_and_blur_softens_its_rim_alone(unit: LitSensor) -> None:
+    dents, r = formula(unit, BALL), np.linspace(0, 4, 400)
+    drop, slope = dents.face(0.6, r)
+    assert drop[0] < drop[200] < 0.02
+    assert slope[50] == pytest.approx(r[50] / BALL, rel=0.01)
+    assert np.gradient(drop, r)[50:150:20] == pytest.approx(slope[50:150:20], abs=0.02)
+    soft = dents.face(0.6, r, 0.3)[1]
+    assert soft.max() < 0.95 * slope.max()
+    assert soft[40] == pytest.approx(slope[40], rel=0.05)
+    assert dents.face(0.0, r) == (pytest.approx(0.0), pytest.approx(0.0))
+
+
+def photographed(one: LitSensor, folder: Path, depths: np.ndarray = DEPTHS) -> tuple[Path, Path]:
+    """A sensor file, and a folder of pictures of a gel of 3.5 mm with forces."""
+    folder.mkdir(exist_ok=True)
+    file = folder.parent / "sensor.yaml"
+    with file.open("w") as out:
+        out.write("# a unit of ours\n")
+        YAML().dump(json.loads(one.model_dump_json(exclude_none=True)), out)
+    shape = one.camera.height_px, one.camera.width_px, 3
+    Image.fromarray(np.full(shape, 120, np.uint8)).save(folder / "background.png")
+    random, rows = np.random.default_rng(0), ["file,ball_radius_mm,force_n"]
+    forces = ZERO + MODULUS * formula(with_thickness(one, 3.5), BALL).force_at(depths)
+    for k, (change, force) in enumerate(zip(painted(one, 3.5, presses(depths)), forces, strict=True)):
+        seen = np.clip(120 + change + random.normal(0, 1.5, shape), 0, 255)
+        Image.fromarray(seen.round().astype(np.uint8)).save(folder / f"{k}.png")
+        rows.append(f"{k}.png,{BALL:g},{force + random.normal(0, 0.05):.3f}")
+    (folder / "presses.csv").write_text("\n".join(rows) + "\n")
+    return file, folder
+
+
+def called(file: Path, folder: Path, *more: str) -> Any:
+    asked = ["calibrate", "unit", "--sensor", str(file), "--images", str(folder), "--no-lights", *more]
+    return CliRunner().invoke(cli.app, asked)
+
+
+def test_the_command_writes_a_sensor_file_with_what_was_found_and_unseen_forces(
+    unit: LitSensor, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ball_dents, "solved", formula)
+    mine = tmp_path / "mine.yaml"
+    done = called(*photographed(unit, tmp_path / "images"), "-o", str(mine), "--plot", str(tmp_path / "fit.png"))
+    assert done.exit_code == 0, done.output
+    assert "presses not seen by the fit (2 held out): off by" in done.stdout
+    assert "mean of the seen forces:" in done.stdout
+    text, made = mine.read_text(), loading.read_sensor(mine)[0]
+    assert text.startswith("# Fitted by tacgen calibrate unit to 6 presses of balls of radius 4 mm")
+    assert "#   thickness: " in text
+    assert "# a unit of ours" in text
+    assert made.gel.thickness_mm == pytest.approx(3.5, rel=0.15)
+    assert made.gel.layers[0].model_dump()["youngs_modulus_mpa"] == pytest.approx(0.3 * MODULUS, rel=0.3)
+    assert "with 95 %), fitted to 6 presses" in made.gel.layers[0].source
+    assert (tmp_path / "fit.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda t: t.replace("force_n", "newtons"), "presses.csv: has no column force_n"),
+        (lambda t: t.replace("0.png,4,", "0.png,4000,"), ":2: ball_radius_mm: must be from 0.1 to 100 (got '4000')"),
+        (lambda t: t.replace("1.png,4,", "1.png,4,x"), ":3: force_n: must be a number below 1e+06"),
+        (lambda t: t.replace("2.png", "gone.png"), "gone.png: cannot be read"),
+        (lambda t: "\n".join(t.splitlines()[:4]), "3 of its pictures show a press, and a fit takes 4 at least"),
+        (lambda t: "\n".join(t.splitlines()[:1] + [line.rsplit(",", 1)[0] + ",2" for line in t.splitlines()[1:]]),
+         "force_n: all forces are alike: press lightly and hard"),
+        (lambda t: t.replace("4,", "7,", 1).replace("4,", "8,", 1).replace("4,", "9,", 1).replace("4,", "10,", 1)
+         .replace("4,", "11,", 1), "has 6 sizes, and 5 are the most"),
+    ],
+)  # fmt: skip
+def test_an_unusable_table_is_reported_in_one_line(unit: LitSensor, tmp_path: Path, change: Any, says: str) -> None:
+    file, folder = photographed(unit, tmp_path / "images")
+    table = folder / "presses.csv"
+    table.write_text(change(table.read_text()))
+    done = called(file, folder)
+    assert done.exit_code == 2, done.output
+    assert says in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+def test_a_thickness_that_the_pictures_leave_open_is_said_and_nothing_written(
+    unit: LitSensor, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each sector of the pictures tells another thickness."""
+    monkeypatch.setattr(ball_dents, "solved", formula)
+    monkeypatch.setattr(
+        fit_unit, "_lowest", lambda thickness, misfit: float(np.log(3.0) + 0.4 * np.sign(np.sin(1e6 * misfit.sum())))
+    )
+    mine = tmp_path / "mine.yaml"
+    done = called(*photographed(unit, tmp_path / "images"), "-o", str(mine))
+    assert done.exit_code == 2, done.output
+    assert "thickness: is not determined within 2.1 to 4.32 mm by these presses: press until" in done.stderr
+    assert not mine.exists()
+
+
+@pytest.mark.slow
+def test_lights_that_are_no_better_on_unseen_presses_are_not_written(
+    unit: LitSensor, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The colours of these pictures are a polynomial's, which no LED gives."""
+    monkeypatch.setattr(ball_dents, "solved", formula)
+    file, folder = photographed(unit, tmp_path / "images")
+    asked = calibration.Asked(limits=FitLimits(0.0, 0.0, bare=True, steps=1))
+    made = calibration.unit(str(file), folder, asked)
+    assert made.lights is not None
+    changed = {key[0] for key in made.changes if key[-1] == "radiance"}
+    assert changed == ({"leds"} if made.lit else set())
+    assert any("the file's lights are kept" in line for line in made.lines()) is not made.lit
