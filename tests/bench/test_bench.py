@@ -20,6 +20,7 @@ from benchmarks import (
     calculix,
     cost_per_output,
     mechanics,
+    ordinary,
     photographs,
     pipeline,
     reference_runs,
@@ -349,16 +350,12 @@ def test_a_summary_leaves_out_what_is_not_there(tmp_path: Path) -> None:
 
 
 def test_figures_of_another_machine_name_it(tmp_path: Path) -> None:
-    every = results_page.Table("Smallest angle", results_page.columns("s"), [])
-    for name in ("mechanics", "pipeline", "ordinary"):
-        results_page.write(tmp_path, name, results_page.Result("", [every]), 1.0)
-    presets = {"title": "Together", "columns": ["scenes of", "quality", "scenes", "J <= 0", "ok", "compared"]}
-    statuses = ["refused", "rejected", "out of time", "crashed"]
-    presets["columns"] += statuses
-    other = json.loads((tmp_path / "ordinary.json").read_text())
-    other["made"] |= {"processor": "Other", "cores": 64}
-    other["tables"] = [presets | {"rows": [["ordinary", "draft", 3, 0, 3, 0, 0, 0, 0, 0]]}]
-    (tmp_path / "ordinary.json").write_text(json.dumps(other))
+    usual = {"made": {"processor": "Usual", "cores": 2}, "tables": []}
+    heads = ["scenes of", "quality", "scenes", "J <= 0", "ok", "compared", *ordinary.STATUSES[1:]]
+    together = {"title": "Together", "columns": heads, "rows": [["ordinary", "draft", 3, 0, 3, 0, 0, 0, 0, 0]]}
+    other = {"made": {"processor": "Other", "cores": 64}, "tables": [together]}
+    for name, found in {"mechanics": usual, "pipeline": usual, "ordinary": other}.items():
+        (tmp_path / f"{name}.json").write_text(json.dumps(found))
     assert "| ordinary, on Other, 64 cores |" in summary.short(tmp_path)
 
 
