@@ -27,7 +27,6 @@ CHUNK = 1024  # scenes that are solved before the first of them is written: some
 FOLDER = ".solved"
 Mapped = Callable[[Callable, Iterable], Iterable]
 SOLVED = f"{__name__}:run_scene"
-NEEDS_HISTORY = {"sensitivities"}  # outputs that need more than a frame's state
 
 
 @contextmanager
@@ -94,7 +93,7 @@ def scene_of(row: Row) -> Scene | str:
 
     if row.other is not None:
         return "a grasp"
-    if row.recipe.uncertainty is not None or row.recipe.outputs & NEEDS_HISTORY:
+    if row.recipe.uncertainty is not None:  # its derivatives need the histories of load steps
         return "derivatives of labels"
     if row.recipe.contact.formulation != "distance":
         return f"contact by {row.recipe.contact.formulation}"

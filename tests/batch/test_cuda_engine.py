@@ -78,6 +78,11 @@ def test_a_gpu_without_memory_leaves_the_scenes_to_the_workers(
     assert "it stopped before this scene" in read(tmp_path / "out" / "scene-00000.h5").attrs["notes"]
 
 
+def test_derivatives_are_left_to_the_cpu_engine(tmp_path: Path) -> None:
+    (row,) = planned(tmp_path, more="uncertainty: {material: {modulus: 0.1}}\n").rows
+    assert cuda_engine.scene_of(row) == "derivatives of labels"
+
+
 def test_no_gpu_is_one_line(tmp_path: Path) -> None:
     torch = pytest.importorskip("torch")
     if torch.cuda.is_available():
