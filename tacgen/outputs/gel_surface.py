@@ -13,12 +13,14 @@ from tacgen.geometry.analytic_sdf import Shape
 from tacgen.geometry.clough_tocher import CloughTocher
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics import Problem, State
+from tacgen.outputs import contact_rim
 
 if TYPE_CHECKING:
     from tacgen.mechanics.mesh import GelMesh
 
 Array = np.ndarray
 MIN_EDGES = 3  # indenter's smallest radius over the element edge, from which the face follows the indenter [-]
+LEAST_WEIGHT = 1e-3  # of the gap beside a contact, below which the face is drawn by its nodes alone [-]
 STEEPEST = 0.2  # z component of an indenter's normal below which the face is not made tangent to it [-]
 
 
@@ -28,7 +30,8 @@ class GelSurface:
     rest, now (s, 3) [mm]; facets (f, a) numbers among them; nodes (s,) their numbers in the mesh.
     """
 
-    _contact: tuple[Shape, Pose, Array] | None = None  # the indenter, and touching points (f, q)
+    # the indenter, touching points (f, q), and the mesh's edge [mm]
+    _contact: tuple[Shape, Pose, Array, float] | None = None
 
     def __init__(self, points: Array, facets: Array) -> None:
         self.nodes = np.unique(facets)
@@ -50,14 +53,15 @@ class GelSurface:
         return new
 
     def pressed(self, problem: Problem, state: State) -> "GelSurface":
-        """The face in a solved state; in contact it follows the indenter's surface between the nodes.
+        """The face in a solved state; in contact it follows the indenter's surface between the nodes, and beside it the
+        gap opens as contact_rim says.
 
-        Otherwise the cells would be visible as facets within a contact and as ripples around it. The mesh must resolve
+        Otherwise the cells would be visible as facets within a contact and as scallops around it. The mesh must resolve
         the indenter's curvature.
         """
         new, shape = self.moved(state.x), problem.contact.shape
         if self.facets.shape[1] > 1 and shape.smallest_radius >= MIN_EDGES * problem.edge:
-            new._contact = shape, Pose.of(state.pose), state.normal_force > 0
+            new._contact = shape, Pose.of(state.pose), state.normal_force > 0, problem.edge
         return new
 
     @cached_property
@@ -65,17 +69,38 @@ class GelSurface:
         """Displacements in x and y, positions in z, and their slopes (see CloughTocher.nodal)."""
         if self._contact is None:
             return self._between.nodal(self.now - self.rest * (1.0, 1.0, 0.0))
-        (shape, pose, touched), s = self._contact, len(self.rest)
-        gap, normal, _ = shape.distance(pose.local(self.now))
-        normal = normal @ pose.rotation.T
-        most = np.repeat(touched.mean(1) - 0.5, self.facets.shape[1])  # over half of the points touch
-        lies = (np.bincount(self.facets.ravel(), most) >= 0) & (np.abs(normal[:, 2]) > STEEPEST)
+        (gap, normal, lies), s = self._touching, len(self.rest)
         placed = self.now - np.where(lies, gap, 0.0)[:, None] * normal
         nodal = self._between.nodal(placed - self.rest * (1.0, 1.0, 0.0))
         slopes, tangent = nodal[s:].reshape(s, 2, 3), normal[lies]
         stretch = slopes[lies, :, :2] + np.eye(2)
         slopes[lies, :, 2] = -np.einsum("sai,si->sa", stretch, tangent[:, :2]) / tangent[:, 2:]
         return nodal
+
+    @cached_property
+    def _touching(self) -> tuple[Array, Array, Array]:
+        """Gap (s,) [mm] of the nodes, unit normals (s, 3) of the indenter there, and the nodes that lie on it (s,)."""
+        assert self._contact is not None
+        gap, normal = self._to_indenter(self.now)
+        touched = self._contact[2]
+        most = np.repeat(touched.mean(1) - 0.5, self.facets.shape[1])  # over half of the points touch
+        return gap, normal, (np.bincount(self.facets.ravel(), most) >= 0) & (np.abs(normal[:, 2]) > STEEPEST)
+
+    @cached_property
+    def _opening(self) -> Array | None:
+        """Opening beside the contact and its weight, and their slopes (see CloughTocher.nodal)."""
+        if self._contact is None:
+            return None
+        gap, _, lies = self._touching
+        found = contact_rim.openings(self.rest[:, :2], gap, lies, self._contact[3])
+        return None if found is None else self._between.nodal(found)
+
+    def _to_indenter(self, points: Array) -> tuple[Array, Array]:
+        """Gap (n,) [mm] from points (n, 3) [mm] to the indenter, and its unit normals (n, 3) there."""
+        assert self._contact is not None
+        shape, pose = self._contact[:2]
+        gap, normal, _ = shape.distance(pose.local(points))
+        return gap, normal @ pose.rotation.T
 
     @property
     def normals(self) -> Array:
@@ -86,8 +111,17 @@ class GelSurface:
 
     def at(self, xy: Array) -> Array:
         """Positions (n, 3) [mm] now of the points that rest at xy (n, 2) [mm]; nan outside the face."""
-        moved = self._between.at(np.asarray(xy, dtype=float), self._nodal)
+        xy = np.asarray(xy, dtype=float)
+        if self._opening is None:
+            moved = self._between.at(xy, self._nodal)
+            moved[:, :2] += xy
+            return moved
+        moved, opening, weight = np.split(self._between.at(xy, np.hstack([self._nodal, self._opening])), [3, 4], axis=1)
         moved[:, :2] += xy
+        near = np.flatnonzero(weight[:, 0] > LEAST_WEIGHT)
+        gap, normal = self._to_indenter(moved[near])
+        by = np.minimum(weight[near, 0], 1.0) * (contact_rim.gaps(opening[near, 0]) - gap)
+        moved[near] += np.where(np.abs(normal[:, 2]) > STEEPEST, by, 0.0)[:, None] * normal
         return moved
 
 

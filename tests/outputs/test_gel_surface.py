@@ -320,7 +320,7 @@ def test_a_face_in_contact_is_the_balls_own(
 
     smooth, plain = surface.pressed(pressed.problem, state), surface.moved(state.x)
     assert ripple(smooth, 0.8) < 0.15 < 0.4 < ripple(plain, 0.8)
-    assert ripple(smooth, 1.9) < 1.1 * ripple(plain, 1.9)  # the rim itself is as sharp as the cells are wide
+    assert ripple(smooth, 1.9) < 0.8 * ripple(plain, 1.9)  # at the rim
     at = smooth.at(middle + np.random.default_rng(0).uniform(-0.8, 0.8, (200, 2)))
     assert np.abs(shape.distance(Pose.of(state.pose).local(at))[0]).max() < 2e-3
     assert (smooth.now == plain.now).all()

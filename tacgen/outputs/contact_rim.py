@@ -1,0 +1,59 @@
+"""The gap beside a contact, between the nodes of a mesh.
+
+Within a fraction s of the contact's size from its rim, the gap between smooth bodies is proportional to s^(3/2) (Johnson
+1985, Contact Mechanics, section 5.1). No polynomial between nodes follows that: drawn by one, the rim is scalloped. The
+gap to the power 2/3, here the opening, is smooth, and its zero is the rim.
+"""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+
+POWER = 2 / 3  # of the gap, that is linear beside a rim [-]
+WHOLE, REACH = 2.0, 3.0  # edges from the contact up to which the opening alone holds, and beyond which it does not [-]
+SMOOTHING = 0.3  # weight of bending over misfit, lengths in edges: nodal gaps beside the rim are off by a few 0.01 mm
+FEWEST = 6  # nodes beside the contact, from which the opening is known
+
+
+def openings(at: "Array", gap: "Array", closed: "NDArray[np.bool_]", edge: float) -> "Array | None":
+    """Opening of the gap and its weight at the nodes of a face.
+
+    Beside the contact the opening is a thin-plate spline through gap^POWER; it continues below 0 within the contact, so
+    that the rim lies between the nodes.
+
+    Args:
+        at: nodes at rest, (s, 2) [mm].
+        gap: their distance to the indenter, (s,) [mm].
+        closed: nodes in contact, (s,).
+        edge: edge of the mesh's elements [mm].
+
+    Returns:
+        Openings [mm^POWER] and weights from 0 to 1, (s, 2); None without a contact, or with no free nodes beside it.
+    """
+    from scipy.interpolate import RBFInterpolator
+    from scipy.spatial import cKDTree
+
+    if not closed.any():
+        return None
+    closed = closed | (gap <= gap[closed].max())  # under cells that touch the indenter with less than half of their points
+    away = cKDTree(at[closed]).query(at)[0] / edge
+    beside = ~closed & (away < REACH)
+    if beside.sum() < FEWEST:
+        return None
+    opening = np.maximum(gap, 0.0) ** POWER
+    spline = RBFInterpolator(at[beside] / edge, opening[beside], kernel="thin_plate_spline", smoothing=SMOOTHING)
+    near = beside | closed
+    opening[near] = spline(at[near] / edge)
+    opening[closed] = np.minimum(opening[closed], 0.0)
+    share = np.clip((REACH - away) / (REACH - WHOLE), 0.0, 1.0)
+    return np.column_stack([opening, share * share * (3 - 2 * share)])
+
+
+def gaps(opening: "Array") -> "Array":
+    """Gap (n,) [mm] of openings (n,); 0 within the contact."""
+    return np.asarray(np.maximum(opening, 0.0) ** (1 / POWER))
