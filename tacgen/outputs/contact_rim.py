@@ -1,8 +1,8 @@
 """The gap beside a contact, between the nodes of a mesh.
 
-Within a fraction s of the contact's size from its rim, the gap between smooth bodies is proportional to s^(3/2) (Johnson
-1985, Contact Mechanics, section 5.1). No polynomial between nodes follows that: drawn by one, the rim is scalloped. The
-gap to the power 2/3, here the opening, is smooth, and its zero is the rim.
+At a small distance s from its rim, the gap between smooth bodies is proportional to s^(3/2) (Johnson 1985, Contact
+Mechanics, section 5.1). No polynomial between nodes follows that: drawn by one, the rim is scalloped. The gap to the
+power 2/3, here the opening, is smooth, and its zero is the rim.
 """
 
 from typing import TYPE_CHECKING
@@ -40,7 +40,7 @@ def openings(at: "Array", gap: "Array", closed: "NDArray[np.bool_]", edge: float
 
     if not closed.any():
         return None
-    closed = closed | (gap <= gap[closed].max())  # under cells that touch the indenter with less than half of their points
+    closed = closed | (gap <= gap[closed].max())  # cells touch with less than half of their points there
     away = cKDTree(at[closed]).query(at)[0] / edge
     beside = ~closed & (away < REACH)
     if beside.sum() < FEWEST:

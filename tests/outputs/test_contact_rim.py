@@ -68,8 +68,9 @@ def test_without_a_rim_there_is_no_opening(closed: Array) -> None:
 def test_the_rim_of_a_coarse_mesh_is_that_of_a_finer_one() -> None:
     """Normals in a ring about the rim of a ball's dent, against those of the same nodes without the indenter."""
     line = np.linspace(-2, 2, 81)
-    at = np.stack(np.meshgrid(line, line), -1).reshape(-1, 2) + (0.2, 0.1)
-    ring = np.abs(np.hypot(*(at - (0.2, 0.1)).T) - 1.4) < 0.5
+    middle = np.array([0.2, 0.1])
+    at = np.stack(np.meshgrid(line, line), -1).reshape(-1, 2) + middle
+    ring = np.abs(np.hypot(*(at - middle).T) - 1.4) < 0.5
 
     def normals(edge: float, *, plain: bool = False) -> Array:
         pressed = run(scene(SphereSdf(4.0), poses([(0.2, 0.1, -0.4)]), pad=gel(6.5, 6.5, 2.5), edge=edge))
