@@ -78,3 +78,19 @@ def test_shadows_end_where_the_real_ones_do(changes):
             ends.append(away[np.argmax((dark > dark.min() / 2) & (away > away[dark.argmin()]))])
         assert ends[1] == pytest.approx(ends[0], abs=10), (channel, ends)
         assert dark[-1] > 0.1 * dark.min()
+
+
+def test_shadows_end_as_crisply_as_the_real_ones(changes):
+    """Way over which a shadow rises from 25 % to 85 %, mean of the three: it is longer under lamps that are taller."""
+    press, *both = changes
+    away = np.arange(55, 126, 2)
+    wide = []
+    for change in both:
+        ends = []
+        for channel, way in FANS:
+            dark = np.array([lost(press, change, way, distance)[channel] for distance in away])
+            share = 1 - dark / dark.min()
+            after = np.arange(len(away)) > dark.argmin()
+            ends.append(np.subtract(*(away[np.argmax(after & (share > level))] for level in (0.85, 0.25))))
+        wide.append(np.mean(ends))
+    assert wide[1] == pytest.approx(wide[0], abs=5), wide  # [px]
