@@ -26,7 +26,7 @@ def damped(b: Batch, s: Tensor) -> Tensor:
         return S
     if len(new := s[needed & ~t.rested[s]]):
         hexes, at, _, _ = b.bulk(new, b.X[new])
-        rest = b.factors.schur(hexes.tangents(at), t.nodes[new, : b.width(new)])[1]
+        rest = b.factors.schur(hexes.tangents(at, dtype=b.factors.dtype), t.nodes[new, : b.width(new)])[1]
         b.keep(new, S_0=rest)
         t.rested[new] = True
     return torch.where(needed[:, None, None], S + damping[:, None, None] * b.read("S_0", s, k, k), S)
@@ -55,7 +55,7 @@ def reduced_to(b: Batch, s: Tensor, conn: Tensor, facets: Tensor) -> Quadratics:
     while len(stale):
         some, unknowns = s[stale], wanted[stale]
         S = damped(b, some)
-        part, definite = reduced(S, unknowns[:, : S.shape[1]])
+        part, definite = reduced(S.to(b.factors.dtype), unknowns[:, : S.shape[1]])
         none = {"kept": torch.where(part.kept == S.shape[1], -1, part.kept)}
         none["place"] = torch.where(part.place == part.kept.shape[1], -1, part.place)
         b.keep(some, G=part.G, X=part.X, K=part.K, active=unknowns, **none)

@@ -31,6 +31,8 @@ MOST_CALLS = 150
 WIDE = 450  # unknowns condensed to in a large contact, for the estimate of memory
 CELL, UNKNOWN = 2500, 100  # bytes of tables, of a cell and of an unknown
 WORK, TANGENT = 40_000, 80_000  # bytes of a cell for the work of a kernel, and of one that makes tangents
+DENSE = (Phase.contact, Phase.predict)
+CLASSES = (48, 72, 108, 162, 243)  # nodes of contacts that are solved together
 HEAVY = (Phase.start, Phase.load, Phase.search, Phase.measure, Phase.admit)  # kernels that evaluate all cells
 
 
@@ -114,6 +116,11 @@ class ScenePool:
         if course.phase in FINAL and next(self._frames[slot], None) is None:
             return None
         return course.phase
+
+    def size(self, slot: int) -> int:
+        """For kernels of dense matrices of a contact's nodes, the smallest of CLASSES that holds them."""
+        course = self.batch.courses[slot]
+        return next((c for c in CLASSES if course.nodes <= c), 0) if course.phase in DENSE else 0
 
     def advance(self, phase: Phase, slots: list[int]) -> None:
         """Call a kernel for scenes that wait for it."""
