@@ -238,9 +238,8 @@ class Batch:
     def _blank(self, name: str, count: int, sizes: Sequence[int]) -> Tensor:
         """Rows of padding of one of WIDE."""
         padding = {"active": False, "kept": -1, "place": -1}.get(name, 0.0)
-        own = self.factors.dtype
-        types = {"active": torch.bool, "kept": torch.long, "place": torch.long, "G": own, "X": own, "K": own}
-        out = torch.full((count, *sizes), padding, dtype=types.get(name, FLOAT), device=self.X.device)
+        types = {"active": torch.bool, "kept": torch.long, "place": torch.long, "load": FLOAT}
+        out = torch.full((count, *sizes), padding, dtype=types.get(name, self.factors.dtype), device=self.X.device)
         if name in ("S", "S_0", "K"):
             out.diagonal(dim1=1, dim2=2).fill_(1.0)
         return out

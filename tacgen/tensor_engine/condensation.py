@@ -34,7 +34,7 @@ def damped(b: Batch, s: Tensor) -> Tensor:
 
 def condensed(b: Batch, s: Tensor) -> Quadratics:
     """The condensed bulk of each scene, not reduced."""
-    S = damped(b, s)
+    S = damped(b, s).to(b.t.x.dtype)
     return Quadratics(b.at_condensed(s, b.t.x[s]), S, b.read("load", s, S.shape[1]))
 
 
@@ -55,7 +55,7 @@ def reduced_to(b: Batch, s: Tensor, conn: Tensor, facets: Tensor) -> Quadratics:
     while len(stale):
         some, unknowns = s[stale], wanted[stale]
         S = damped(b, some)
-        part, definite = reduced(S.to(b.factors.dtype), unknowns[:, : S.shape[1]])
+        part, definite = reduced(S, unknowns[:, : S.shape[1]])
         none = {"kept": torch.where(part.kept == S.shape[1], -1, part.kept)}
         none["place"] = torch.where(part.place == part.kept.shape[1], -1, part.place)
         b.keep(some, G=part.G, X=part.X, K=part.K, active=unknowns, **none)

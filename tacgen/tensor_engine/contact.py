@@ -153,28 +153,40 @@ class Contacts:
 
     def evaluate(self, x: Tensor) -> Forces:
         """Forces at nodes x (s, n, 3)."""
+        if x.is_cuda:
+            return self._on_gpu(x)
         at = self.points(x)
         d, g, _ = self.gaps(at)
         return Forces(d, at, *_forces(d, g, at - self.anchor, *self._numbers()))
 
     def tangents(self, x: Tensor) -> Forces:
         """Forces with tangents at nodes x (s, n, 3); where points overlap, without the rotation of the normal."""
+        if x.is_cuda:
+            return self._on_gpu(x)
         at = self.points(x)
         d, g, H = self.gaps(at)
         u, numbers = at - self.anchor, self._numbers()
         return Forces(d, at, *_forces(d, g, u, *numbers), *_tangents(d, g, H, u, *numbers))
 
+    def _on_gpu(self, x: Tensor) -> Forces:
+        from tacgen.tensor_engine import gpu_contact
+
+        return Forces(*gpu_contact.forces(self, x))
+
     def merits(self, x: Tensor, p: Tensor, fractions: Tensor, frozen: Forces) -> Tensor:
         """Energy (s, t) [N mm] of the barrier and of friction after fractions (s, t) of steps p (s, n, 3) from x, with
         the normal forces and normals of `frozen`."""
+        if x.is_cuda:
+            from tacgen.tensor_engine import gpu_contact
+
+            return gpu_contact.merits(self, x, p, fractions, frozen)
         at = self.points(x)[:, None] + fractions[:, :, None, None, None] * self.points(p)[:, None]
         numbers = (part[:, None] for part in (frozen.normal, frozen.N, *self._numbers()))
         return _merit(self.gap(at), at - self.anchor[:, None], *numbers)
 
     def merit(self, x: Tensor, frozen: Forces) -> Tensor:
         """`merits` (s,) at x."""
-        at = self.points(x)
-        return _merit(self.gap(at), at - self.anchor, frozen.normal, frozen.N, *self._numbers())
+        return self.merits(x, x, x.new_zeros(len(x), 1), frozen).squeeze(1)
 
     def merit_at(self, here: Forces, frozen: Forces) -> Tensor:
         """`merit` (s,) [N mm] at positions whose forces are known."""

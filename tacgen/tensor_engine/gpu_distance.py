@@ -23,39 +23,19 @@ def _clamp(v, low, high):  # type: ignore[no-untyped-def]
 
 
 @triton.jit
-def _value(t, NODE: tl.constexpr):  # type: ignore[no-untyped-def]
-    s = 1 - t
-    if NODE == 0:
-        return s * s * s / 6
-    if NODE == 1:
-        return (4 - 6 * t * t + 3 * t * t * t) / 6
-    if NODE == 2:
-        return (4 - 6 * s * s + 3 * s * s * s) / 6
-    return t * t * t / 6
+def _node(number, a, b, c, d):  # type: ignore[no-untyped-def]
+    """The weight of one of four nodes."""
+    return tl.where(number == 0, a, tl.where(number == 1, b, tl.where(number == 2, c, d)))
 
 
 @triton.jit
-def _slope(t, NODE: tl.constexpr):  # type: ignore[no-untyped-def]
+def _weights(t):  # type: ignore[no-untyped-def]
+    """B-spline weights of the four nodes around points at t in their cells: values, slopes, curvatures."""
     s = 1 - t
-    if NODE == 0:
-        return -(s * s) / 2
-    if NODE == 1:
-        return -2 * t + 1.5 * t * t
-    if NODE == 2:
-        return 2 * s - 1.5 * s * s
-    return t * t / 2
-
-
-@triton.jit
-def _bend(t, NODE: tl.constexpr):  # type: ignore[no-untyped-def]
-    s = 1 - t
-    if NODE == 0:
-        return s
-    if NODE == 1:
-        return 3 * t - 2
-    if NODE == 2:
-        return 3 * s - 2
-    return t
+    a, d = s * s * s / 6, t * t * t / 6
+    b, c = (4 - 6 * t * t + 3 * t * t * t) / 6, (4 - 6 * s * s + 3 * s * s * s) / 6
+    slope_b, slope_c = -2 * t + 1.5 * t * t, 2 * s - 1.5 * s * s
+    return a, b, c, d, -(s * s) / 2, slope_b, slope_c, t * t / 2, s, 3 * t - 2, 3 * s - 2, t
 
 
 @triton.jit
@@ -67,52 +47,51 @@ def _along(at, count, origin, cell):  # type: ignore[no-untyped-def]
     return index - 1, inner - index, (place - inner) * cell
 
 
-@triton.jit(do_not_specialize=("count",))
-def _distances(P, KIND, TABLE, VALUES, D, G, H, count, SIZE: tl.constexpr):  # type: ignore[no-untyped-def]
-    scene = tl.program_id(0)
-    k = tl.program_id(1) * SIZE + tl.arange(0, SIZE)
-    inside = k < count
-    at = scene.to(tl.int64) * count + k
-    x = tl.load(P + 3 * at, mask=inside, other=0.0)
-    y = tl.load(P + 3 * at + 1, mask=inside, other=0.0)
-    z = tl.load(P + 3 * at + 2, mask=inside, other=1.0)
-    kind = tl.load(KIND + scene)
-    t0, t1, t2 = tl.load(TABLE + 8 * scene), tl.load(TABLE + 8 * scene + 1), tl.load(TABLE + 8 * scene + 2)
+@triton.jit
+def signed_distance(x, y, z, kind, table, VALUES):  # type: ignore[no-untyped-def]
+    """d, its gradient, and its second derivatives xx yy zz xy xz yz at points in the indenter's frame; kind: its number
+    in shapes.KINDS; table: its row."""
+    t0, t1, t2 = tl.load(table), tl.load(table + 1), tl.load(table + 2)
     zero = x * 0
     one = zero + 1
     d, gx, gy, gz, xx, yy, zz, xy, xz, yz = zero, zero, zero, zero, zero, zero, zero, zero, zero, zero
     if kind == 7:
-        t3, ox, oy = tl.load(TABLE + 8 * scene + 3), tl.load(TABLE + 8 * scene + 4), tl.load(TABLE + 8 * scene + 5)
-        oz, cell = tl.load(TABLE + 8 * scene + 6), tl.load(TABLE + 8 * scene + 7)
+        t3, ox, oy = tl.load(table + 3), tl.load(table + 4), tl.load(table + 5)
+        oz, cell = tl.load(table + 6), tl.load(table + 7)
         i, u, ax = _along(x, t1, ox, cell)
         j, v, ay = _along(y, t2, oy, cell)
         first, w, az = _along(z, t3, oz, cell)
         rows, planes = t3.to(tl.int64), (t2 * t3).to(tl.int64)
         first += VALUES + t0.to(tl.int64) + i * planes + j * rows
-        for a in tl.static_range(4):
+        va, vb, vc, vd, sa, sb, sc, sd, ba, bb, bc, bd = _weights(u)
+        wa, wb, wc, wd, ta, tb, tc, td, ca, cb, cc, cd = _weights(v)
+        xa, xb, xc, xd, ya, yb, yc, yd, za, zb, zc, zd = _weights(w)
+        for a in range(4):
             p00, p10, p01, p20, p02, p11 = zero, zero, zero, zero, zero, zero  # derivatives in y and z
-            for b in tl.static_range(4):
+            for b in range(4):
                 line = first + a * planes + b * rows
                 c0, c1, c2, c3 = tl.load(line), tl.load(line + 1), tl.load(line + 2), tl.load(line + 3)
-                q0 = _value(w, 0) * c0 + _value(w, 1) * c1 + _value(w, 2) * c2 + _value(w, 3) * c3
-                q1 = _slope(w, 0) * c0 + _slope(w, 1) * c1 + _slope(w, 2) * c2 + _slope(w, 3) * c3
-                q2 = _bend(w, 0) * c0 + _bend(w, 1) * c1 + _bend(w, 2) * c2 + _bend(w, 3) * c3
-                p00 += _value(v, b) * q0
-                p01 += _value(v, b) * q1
-                p02 += _value(v, b) * q2
-                p10 += _slope(v, b) * q0
-                p11 += _slope(v, b) * q1
-                p20 += _bend(v, b) * q0
-            d += _value(u, a) * p00
-            gx += _slope(u, a) * p00
-            gy += _value(u, a) * p10
-            gz += _value(u, a) * p01
-            xx += _bend(u, a) * p00
-            yy += _value(u, a) * p20
-            zz += _value(u, a) * p02
-            xy += _slope(u, a) * p10
-            xz += _slope(u, a) * p01
-            yz += _value(u, a) * p11
+                q0 = xa * c0 + xb * c1 + xc * c2 + xd * c3
+                q1 = ya * c0 + yb * c1 + yc * c2 + yd * c3
+                q2 = za * c0 + zb * c1 + zc * c2 + zd * c3
+                value, slope = _node(b, wa, wb, wc, wd), _node(b, ta, tb, tc, td)
+                p00 += value * q0
+                p01 += value * q1
+                p02 += value * q2
+                p10 += slope * q0
+                p11 += slope * q1
+                p20 += _node(b, ca, cb, cc, cd) * q0
+            value, slope, bend = _node(a, va, vb, vc, vd), _node(a, sa, sb, sc, sd), _node(a, ba, bb, bc, bd)
+            d += value * p00
+            gx += slope * p00
+            gy += value * p10
+            gz += value * p01
+            xx += bend * p00
+            yy += value * p20
+            zz += value * p02
+            xy += slope * p10
+            xz += slope * p01
+            yz += value * p11
         gx, gy, gz, square = gx / cell, gy / cell, gz / cell, cell * cell
         outside = ax * ax + ay * ay + az * az
         near = outside == 0  # elsewhere a lower bound; not a number stays so
@@ -219,19 +198,32 @@ def _distances(P, KIND, TABLE, VALUES, D, G, H, count, SIZE: tl.constexpr):  # t
         curved = tl.where(~core, one, zero) / safe
         xx, yy, zz = (1 - jxx - gx * gx) * curved, (1 - jyy - gy * gy) * curved, (1 - jzz - gz * gz) * curved
         xy, xz, yz = (-jxy - gx * gy) * curved, (-jxz - gx * gz) * curved, (-jyz - gy * gz) * curved
+    return d, gx, gy, gz, xx, yy, zz, xy, xz, yz
+
+
+@triton.jit(do_not_specialize=("count",))
+def _distances(P, KIND, TABLE, VALUES, D, G, H, count, SIZE: tl.constexpr):  # type: ignore[no-untyped-def]
+    scene = tl.program_id(0)
+    k = tl.program_id(1) * SIZE + tl.arange(0, SIZE)
+    inside = k < count
+    at = scene.to(tl.int64) * count + k
+    x = tl.load(P + 3 * at, mask=inside, other=0.0)
+    y = tl.load(P + 3 * at + 1, mask=inside, other=0.0)
+    z = tl.load(P + 3 * at + 2, mask=inside, other=1.0)
+    d, gx, gy, gz, xx, yy, zz, xy, xz, yz = signed_distance(x, y, z, tl.load(KIND + scene), TABLE + 8 * scene, VALUES)
     tl.store(D + at, d, mask=inside)
-    tl.store(G + 3 * at, gx, mask=inside)
-    tl.store(G + 3 * at + 1, gy, mask=inside)
-    tl.store(G + 3 * at + 2, gz, mask=inside)
-    tl.store(H + 9 * at, xx, mask=inside)
-    tl.store(H + 9 * at + 1, xy, mask=inside)
-    tl.store(H + 9 * at + 2, xz, mask=inside)
-    tl.store(H + 9 * at + 3, xy, mask=inside)
-    tl.store(H + 9 * at + 4, yy, mask=inside)
-    tl.store(H + 9 * at + 5, yz, mask=inside)
-    tl.store(H + 9 * at + 6, xz, mask=inside)
-    tl.store(H + 9 * at + 7, yz, mask=inside)
-    tl.store(H + 9 * at + 8, zz, mask=inside)
+    store_vector(G + 3 * at, gx, gy, gz, inside)
+    store_vector(H + 9 * at, xx, xy, xz, inside)
+    store_vector(H + 9 * at + 3, xy, yy, yz, inside)
+    store_vector(H + 9 * at + 6, xz, yz, zz, inside)
+
+
+@triton.jit
+def store_vector(at, x, y, z, inside):  # type: ignore[no-untyped-def]
+    """Store three numbers one after the other."""
+    tl.store(at, x, mask=inside)
+    tl.store(at + 1, y, mask=inside)
+    tl.store(at + 2, z, mask=inside)
 
 
 def distances(p: Tensor, kinds: Tensor, table: Tensor, values: Tensor) -> tuple[Tensor, Tensor, Tensor]:

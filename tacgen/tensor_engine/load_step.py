@@ -17,7 +17,7 @@ from tacgen.mechanics.tunnelling import DEEPEST, TURN
 from tacgen.tensor_engine.batch import Batch
 from tacgen.tensor_engine.contact_newton import at_nodes
 from tacgen.tensor_engine.indices import listed
-from tacgen.tensor_engine.reduction import with_points
+from tacgen.tensor_engine.reduction import solved_by_root, with_points
 
 
 def begin(b: Batch, s: Tensor) -> list[Outcome]:
@@ -124,12 +124,12 @@ def foresee(b: Batch, s: Tensor) -> list[Outcome]:
     k = 3 * b.width(s)
     eye = torch.eye(3, dtype=x.dtype, device=x.device)
     place = torch.arange(k, device=s.device).expand(len(s), -1)
-    K = with_points(b.read("S", s, k, k), place, contact.conn, contact.N, ties[..., None] * eye)
-    L, info = torch.linalg.cholesky_ex(K)
+    S = b.read("S", s, k, k)
+    K = with_points(S, place, contact.conn, contact.N.to(S.dtype), (ties[..., None] * eye).to(S.dtype))
     pull = at_nodes(contact, ties * motion[row, faces], k // 3).flatten(1)
-    u = torch.cholesky_solve(pull[..., None], L).squeeze(-1)
-    good = (info == 0) & (ties > 0).flatten(1).any(1)
-    u = torch.where(good[:, None], u, 0.0)
+    u, good = solved_by_root(K, pull[..., None].to(S.dtype))
+    good = good & (ties > 0).flatten(1).any(1)
+    u = torch.where(good[:, None], u.squeeze(-1).to(x.dtype), 0.0)
     first = x + b.factors.expand(s, u, torch.zeros_like(x)).to(x.dtype)
     before = t.h_motion[s]
     both = (touching & before.any(-1))[..., None]
