@@ -19,6 +19,7 @@ from tacgen.tensor_engine.laws import Laws, isochoric, volumetric
 from tacgen.tensor_engine.products import outer, product
 
 Array = np.ndarray
+MOST = 2**14  # matrices whose eigenvalues are found at once: cuSOLVER fails above 2^15
 GAUSS = trilinear(np.array([[a, b, c] for c in GAUSS2 for b in GAUSS2 for a in GAUSS2]))[1]  # dN (q, 8, 3)
 
 
@@ -152,7 +153,8 @@ class Hexes:
         predicted J if given. dtype: in which they are computed."""
         first = at.first if J is None else self.with_pressure(at, J)
         F, I1, weights, B, dilatation = (p.to(dtype) for p in (at.F, at.I1, self.weights, self.B, at.dilatation))
-        D = slopes(F, I1, *([p.to(dtype) for p in each] for each in (first, at.second)), self.laws.two_invariants)
+        first, second = ([p.to(dtype) for p in each] for each in (first, at.second))
+        D = slopes(F, I1, first, second, self.laws.two_invariants)
         if projection is not Projection.NONE:
             D = clamped(D, F, projection)
         K = stiffness(B.movedim(-3, -2), weights, D)
@@ -243,7 +245,13 @@ def clamped(D: Tensor, F: Tensor, projection: Projection) -> Tensor:
     where = torch.ones_like(F[..., 0, 0], dtype=torch.bool)
     if projection is Projection.STRAINED:
         where = (C * C).sum((-2, -1)) > MILD**2
-    values, vectors = torch.linalg.eigh(D[where])
     out = D.clone()
-    out[where] = (vectors * values.clamp(min=0.0)[..., None, :]) @ vectors.mT
+    out[where] = torch.cat([_nearest(part) for part in D[where].nan_to_num().split(MOST)])
     return out
+
+
+def _nearest(D: Tensor) -> Tensor:
+    """Symmetric D (k, 9, 9) without negative eigenvalues."""
+    values, vectors = torch.linalg.eigh(D)
+    nearest: Tensor = (vectors * values.clamp(min=0.0)[..., None, :]) @ vectors.mT
+    return nearest

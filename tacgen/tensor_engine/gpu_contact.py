@@ -24,7 +24,7 @@ COUNTS = ("count", "nodes", "q", "trials")  # no code of its own for each value 
 
 
 @triton.jit
-def _point(X, CONN, N, scene, k, nodes, facets, q, inside):  # type: ignore[no-untyped-def]
+def _point(X, CONN, N, scene, k, nodes, facets, q, inside):
     """The points number k (facet q + point) of nodes X."""
     x, y, z = 0.0, 0.0, 0.0
     for corner in tl.static_range(4):
@@ -38,7 +38,7 @@ def _point(X, CONN, N, scene, k, nodes, facets, q, inside):  # type: ignore[no-u
 
 
 @triton.jit
-def _gap(x, y, z, scene, area, offset, R, POSITION, KIND, TABLE, VALUES):  # type: ignore[no-untyped-def]
+def _gap(x, y, z, scene, area, offset, R, POSITION, KIND, TABLE, VALUES):
     """The gap at points in the sensor's frame, and its derivatives in the indenter's."""
     ux, uy, uz = (
         x - tl.load(POSITION + 3 * scene),
@@ -56,7 +56,7 @@ def _gap(x, y, z, scene, area, offset, R, POSITION, KIND, TABLE, VALUES):  # typ
 
 
 @triton.jit
-def _turned(r, x, y, z):  # type: ignore[no-untyped-def]
+def _turned(r, x, y, z):
     """A vector of the indenter's frame in the sensor's."""
     a = tl.load(r) * x + tl.load(r + 1) * y + tl.load(r + 2) * z
     b = tl.load(r + 3) * x + tl.load(r + 4) * y + tl.load(r + 5) * z
@@ -65,7 +65,7 @@ def _turned(r, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @triton.jit
-def _barrier_slopes(d, dhat):  # type: ignore[no-untyped-def]
+def _barrier_slopes(d, dhat):
     s = d / dhat
     t = tl.minimum(tl.maximum(s, SOFTEST), 1.0)
     r, ln, below = 1 - t, tl.log(t), tl.minimum(s - SOFTEST, 0.0)
@@ -75,12 +75,12 @@ def _barrier_slopes(d, dhat):  # type: ignore[no-untyped-def]
 
 
 @triton.jit
-def _dot(ax, ay, az, bx, by, bz):  # type: ignore[no-untyped-def]
+def _dot(ax, ay, az, bx, by, bz):
     return ax * bx + ay * by + az * bz
 
 
 @triton.jit
-def _row(n, ex, ey, ez, nx, ny, nz, hx, hy, hz, sx, sy, sz, w, xx, xy, xz):  # type: ignore[no-untyped-def]
+def _row(n, ex, ey, ez, nx, ny, nz, hx, hy, hz, sx, sy, sz, w, xx, xy, xz):
     """A row of what is across the normal, less how the normal turns; n its component, e that of the unit matrix."""
     x = ex - n * nx - w * (xx - n * hx) - n * sx
     y = ey - n * ny - w * (xy - n * hy) - n * sy
@@ -89,9 +89,7 @@ def _row(n, ex, ey, ez, nx, ny, nz, hx, hy, hz, sx, sy, sz, w, xx, xy, xz):  # t
 
 
 @triton.jit
-def _store_row(  # type: ignore[no-untyped-def]
-    at, stored, flat, g, gx, gy, gz, soft, hx, hy, hz, pull, px, py, pz, t, fx, fy, fz
-):
+def _store_row(at, stored, flat, g, gx, gy, gz, soft, hx, hy, hz, pull, px, py, pz, t, fx, fy, fz):
     """Store a row of a tangent; 0 where `flat`."""
     none = g * 0
     store_vector(at, none, none, none, flat)
@@ -100,7 +98,7 @@ def _store_row(  # type: ignore[no-untyped-def]
 
 
 @triton.jit(do_not_specialize=COUNTS)
-def _forces(  # type: ignore[no-untyped-def]
+def _forces(
     X, CONN, N, AREAS, R, POSITION, KIND, TABLE, VALUES, NUMBERS, ANCHOR,
     GAP, AT, NORMAL, FORCE, PUSH, TANGENT, DEFINITE, count, nodes, q, SIZE: tl.constexpr,
 ):  # fmt: skip
@@ -174,7 +172,7 @@ def _forces(  # type: ignore[no-untyped-def]
 
 
 @triton.jit(do_not_specialize=COUNTS)
-def _merits(  # type: ignore[no-untyped-def]
+def _merits(
     X, STEP, FRACTIONS, CONN, N, AREAS, R, POSITION, KIND, TABLE, VALUES, NUMBERS, ANCHOR, NORMAL, FORCE, OUT,
     count, nodes, q, trials, SIZE: tl.constexpr,
 ):  # fmt: skip
@@ -211,7 +209,7 @@ def _merits(  # type: ignore[no-untyped-def]
 
 
 def _parts(c: Contacts) -> tuple[Tensor, ...]:
-    """What all kernels take of a contact: facets, shape functions, areas, poses, shapes, numbers and anchors."""
+    """The parts of a contact that kernels take: facets, shape functions, areas, poses, shapes, numbers and anchors."""
     numbers = torch.stack([c.kappa, c.dhat, c.offset, c.friction, c.eps], 1)
     parts = (
         c.conn,

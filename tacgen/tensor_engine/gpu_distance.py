@@ -13,23 +13,23 @@ POINTS = 128  # of a program
 
 
 @triton.jit
-def _sign(v):  # type: ignore[no-untyped-def]
+def _sign(v):
     return tl.where(v >= 0, v * 0 + 1, v * 0 - 1)
 
 
 @triton.jit
-def _clamp(v, low, high):  # type: ignore[no-untyped-def]
+def _clamp(v, low, high):
     return tl.minimum(tl.maximum(v, low), high)
 
 
 @triton.jit
-def _node(number, a, b, c, d):  # type: ignore[no-untyped-def]
+def _node(number, a, b, c, d):
     """The weight of one of four nodes."""
     return tl.where(number == 0, a, tl.where(number == 1, b, tl.where(number == 2, c, d)))
 
 
 @triton.jit
-def _weights(t):  # type: ignore[no-untyped-def]
+def _weights(t):
     """B-spline weights of the four nodes around points at t in their cells: values, slopes, curvatures."""
     s = 1 - t
     a, d = s * s * s / 6, t * t * t / 6
@@ -39,8 +39,8 @@ def _weights(t):  # type: ignore[no-untyped-def]
 
 
 @triton.jit
-def _along(at, count, origin, cell):  # type: ignore[no-untyped-def]
-    """Of one coordinate: the first of its four nodes, the place between the middle ones, and how far outside it is."""
+def _along(at, count, origin, cell):
+    """Along one axis the first of four nodes, the place between the middle ones, and how far outside it is."""
     place = (at - origin) / cell
     inner = tl.minimum(tl.maximum(tl.where(place == place, place, 1.0), 1.0), count - 2)
     index = tl.minimum(inner.to(tl.int64), count.to(tl.int64) - 3)
@@ -48,7 +48,7 @@ def _along(at, count, origin, cell):  # type: ignore[no-untyped-def]
 
 
 @triton.jit
-def signed_distance(x, y, z, kind, table, VALUES):  # type: ignore[no-untyped-def]
+def signed_distance(x, y, z, kind, table, VALUES):
     """d, its gradient, and its second derivatives xx yy zz xy xz yz at points in the indenter's frame; kind: its number
     in shapes.KINDS; table: its row."""
     t0, t1, t2 = tl.load(table), tl.load(table + 1), tl.load(table + 2)
@@ -202,7 +202,7 @@ def signed_distance(x, y, z, kind, table, VALUES):  # type: ignore[no-untyped-de
 
 
 @triton.jit(do_not_specialize=("count",))
-def _distances(P, KIND, TABLE, VALUES, D, G, H, count, SIZE: tl.constexpr):  # type: ignore[no-untyped-def]
+def _distances(P, KIND, TABLE, VALUES, D, G, H, count, SIZE: tl.constexpr):
     scene = tl.program_id(0)
     k = tl.program_id(1) * SIZE + tl.arange(0, SIZE)
     inside = k < count
@@ -219,7 +219,7 @@ def _distances(P, KIND, TABLE, VALUES, D, G, H, count, SIZE: tl.constexpr):  # t
 
 
 @triton.jit
-def store_vector(at, x, y, z, inside):  # type: ignore[no-untyped-def]
+def store_vector(at, x, y, z, inside):
     """Store three numbers one after the other."""
     tl.store(at, x, mask=inside)
     tl.store(at + 1, y, mask=inside)

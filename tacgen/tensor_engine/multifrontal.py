@@ -248,9 +248,9 @@ def invert_factor(A: Tensor) -> Tensor:
     """
     n = A.shape[-1]
     if n <= BASE and A.is_cuda and A.dtype == torch.float32:
-        from tacgen.tensor_engine import small_blocks
+        from tacgen.tensor_engine import gpu_blocks
 
-        return small_blocks.lower_inverse(A)
+        return gpu_blocks.lower_inverse(A)
     if n <= BASE:
         L, info = torch.linalg.cholesky_ex(A)
         A.copy_(torch.linalg.solve_triangular(L, torch.eye(n, dtype=A.dtype, device=A.device), upper=False))

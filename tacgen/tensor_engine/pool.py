@@ -14,6 +14,7 @@ from tacgen.mechanics.phases import FINAL, Phase
 from tacgen.mechanics.problem import Problem
 from tacgen.mechanics.scene import Scene
 from tacgen.tensor_engine import admission, engine, gather, grids, refill, scheduler
+from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine.batch import Batch, Place
 from tacgen.tensor_engine.condensed import Condensed
 from tacgen.tensor_engine.dissection import Dissection, dissected
@@ -24,7 +25,6 @@ from tacgen.tensor_engine.multifrontal import Multifrontal
 
 MOST_SLOTS = 1024  # more scenes at once are hardly faster
 LEAST_SHARED = 64  # scenes of a pattern below which it is merged with others: smaller batches do not fill a GPU
-CPU_MEMORY = 4e9  # [bytes] used where there is no GPU
 # Kernel calls of a scene for each of its frames, on average, after which it is left to the CPU engine: ordinary frames
 # take 40, and a few scenes that go on for long would keep a batch from ending
 MOST_CALLS = 150
@@ -167,6 +167,18 @@ def solved(
         yield from _solved(tree, ready, min(count, slots), limits, device, dtype, use)
 
 
+def divided(patterns: Sequence[GridPattern | None], parts: int) -> list[list[int]]:
+    """Numbers of scenes in at most so many parts of about one size, for processes that share a GPU: scenes of one
+    pattern together, those of large ones first and those without one last."""
+
+    def key(number: int) -> tuple[bool, int, tuple[int, ...]]:
+        pattern = patterns[number]
+        return (True, 0, ()) if pattern is None else (False, -pattern.size, pattern.cells)
+
+    order = np.array(sorted(range(len(patterns)), key=key), int)
+    return [part.tolist() for part in np.array_split(order, parts) if len(part)]
+
+
 def _solved(
     tree: Dissection,
     ready: Iterator[PreparedScene],
@@ -195,7 +207,7 @@ def room(tree: Dissection, memory: float) -> tuple[int, dict[Phase, int]]:
 def free_memory(device: str) -> float:
     """Bytes that a batch may use."""
     if not device.startswith("cuda"):
-        return CPU_MEMORY
+        return devices.CPU_MEMORY
     gc.collect()
     torch.cuda.empty_cache()  # of the pool before
     return float(torch.cuda.mem_get_info(device)[0])

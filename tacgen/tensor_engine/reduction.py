@@ -61,6 +61,8 @@ def solved(K: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
 def solved_by_inverse(K: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
     """As `solved`, by the inverse without pivots where that is exact enough for a step of Newton's method: much faster
     on a GPU."""
+    if not K.shape[1]:  # nothing touches
+        return b, torch.ones(len(K), dtype=torch.bool, device=K.device)
     inverse = K.clone()
     invert(inverse)
     x = inverse @ b
@@ -76,9 +78,9 @@ def invert(A: Tensor) -> None:
     faster than LU; numbers mean nothing where a block is singular."""
     n = A.shape[-1]
     if n <= BASE and A.is_cuda and A.dtype == torch.float32:
-        from tacgen.tensor_engine import small_blocks
+        from tacgen.tensor_engine import gpu_blocks
 
-        return small_blocks.inverse(A)
+        return gpu_blocks.inverse(A)
     if n <= BASE:
         A.copy_(torch.linalg.inv_ex(A)[0])
         return None

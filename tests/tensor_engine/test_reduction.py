@@ -74,3 +74,9 @@ def test_the_inverse_by_blocks(size: int) -> None:
     inverse = A.clone()
     invert(inverse)
     assert inverse.numpy() == pytest.approx(np.linalg.inv(A.numpy()), abs=1e-12)
+
+
+def test_systems_without_unknowns_have_a_solution() -> None:
+    x, good = solved_by_inverse(torch.zeros(2, 0, 0), torch.zeros(2, 0, 1))
+    assert x.shape == (2, 0, 1)
+    assert good.all()

@@ -14,13 +14,13 @@ SIZES = ("n", "block", "row", "column")  # no code of its own for each value tha
 
 
 @triton.jit
-def _loaded(first, i, j, n, row, column):  # type: ignore[no-untyped-def]
+def _loaded(first, i, j, n, row, column):
     """A square of a matrix of n rows, of the unit matrix beyond it."""
     return tl.load(first + i * row + j * column, mask=(i < n) & (j < n), other=tl.where(i == j, 1.0, 0.0))
 
 
 @triton.jit
-def _eliminated(M, SIZE: tl.constexpr):  # type: ignore[no-untyped-def]
+def _eliminated(M, SIZE: tl.constexpr):
     """L^-1 of symmetric M = L L^T, and its first leading minor that is not positive, 0 if all are.
 
     Row operations that make M an upper triangle make the unit matrix L^-1, but for the scale.
@@ -41,7 +41,7 @@ def _eliminated(M, SIZE: tl.constexpr):  # type: ignore[no-untyped-def]
 
 
 @triton.jit(do_not_specialize=SIZES)
-def _lower_inverse(A, info, n, block, row, column, SIZE: tl.constexpr, HALVES: tl.constexpr):  # type: ignore[no-untyped-def]
+def _lower_inverse(A, info, n, block, row, column, SIZE: tl.constexpr, HALVES: tl.constexpr):
     i, j = tl.arange(0, SIZE)[:, None], tl.arange(0, SIZE)[None, :]
     first = A + tl.program_id(0).to(tl.int64) * block
     X, bad = _eliminated(_loaded(first, tl.maximum(i, j), tl.minimum(i, j), n, row, column), SIZE)
@@ -61,7 +61,7 @@ def _lower_inverse(A, info, n, block, row, column, SIZE: tl.constexpr, HALVES: t
 
 
 @triton.jit(do_not_specialize=SIZES)
-def _inverse(A, n, block, row, column, SIZE: tl.constexpr):  # type: ignore[no-untyped-def]
+def _inverse(A, n, block, row, column, SIZE: tl.constexpr):
     i, j = tl.arange(0, SIZE)[:, None], tl.arange(0, SIZE)[None, :]
     first = A + tl.program_id(0).to(tl.int64) * block
     M = _loaded(first, i, j, n, row, column)
