@@ -9,11 +9,14 @@ from itertools import chain, islice
 import numpy as np
 import torch
 
+from tacgen.fem.assembly import Pattern
+from tacgen.fem.elasticity import Elastic
+from tacgen.fem.elements import elements
 from tacgen.mechanics import mesh
 from tacgen.mechanics.phases import FINAL, Phase
-from tacgen.mechanics.problem import Problem
+from tacgen.mechanics.problem import Problem, by_distance
 from tacgen.mechanics.scene import Scene
-from tacgen.tensor_engine import admission, engine, gather, grids, refill, scheduler
+from tacgen.tensor_engine import admission, engine, grids, refill, scheduler
 from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine.batch import Batch, Place
 from tacgen.tensor_engine.condensed import Condensed
@@ -33,6 +36,7 @@ CELL, UNKNOWN = 2500, 100  # bytes of tables, of a cell and of an unknown
 WORK, TANGENT = 15_000, 30_000  # bytes of a cell for the work of a kernel, and of one that makes tangents
 DENSE = (Phase.contact, Phase.predict)
 CLASSES = (72, 162)  # nodes of contacts that are solved together
+NONE = Pattern(*(np.zeros(0, np.int32),) * 3, 0, *(np.zeros(0, np.int32),) * 2)  # of no sparse matrix
 HEAVY = (Phase.start, Phase.load, Phase.search, Phase.measure, Phase.admit)  # kernels that evaluate all cells
 
 
@@ -76,13 +80,24 @@ class PreparedScene:
         """Raises ValueError: the pattern does not hold the scene's mesh."""
         assert plan.axes is not None
         assert plan.pattern is not None
-        problem = gather.unassembled(plan.scene, mesh.on(plan.axes, plan.scene.gel))
+        problem = _unassembled(plan.scene, mesh.on(plan.axes, plan.scene.gel))
         return cls(plan.number, plan.scene, problem, grids.placed(plan.axes, plan.scene, plan.pattern))
 
     @property
     def place(self) -> Place:
         """Where the mesh is within the batch's numbering."""
         return Place(self.grid.nodes, self.grid.cells, self.grid.facets)
+
+
+def _unassembled(scene: Scene, grid: mesh.GelMesh) -> Problem:
+    """The problem of a scene on its mesh without the tables of the CPU's sparse stiffness, which take most of the time
+    to make."""
+    elastic = tuple(
+        Elastic(elements(grid.points, grid.cells[grid.layer == number]), layer.law)
+        for number, layer in enumerate(scene.gel.layers)
+    )
+    contact = by_distance(scene, grid, None)
+    return Problem(grid, elastic, (), contact, NONE, scene.friction, scene.edge)
 
 
 class ScenePool:

@@ -99,12 +99,14 @@ def test_why_there_is_no_solution_survives_the_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_several_processes_solve_side_by_side(on_cpu: None, tmp_path: Path) -> None:
+def test_several_processes_solve_side_by_side_and_again_the_same_bytes(on_cpu: None, tmp_path: Path) -> None:
     assert cuda_engine.solvers(4, 1) == 2
-    results = batch.run(planned(tmp_path, more=TWO), tmp_path / "out", engine="cuda", workers=4)
-    assert [result.status for result in results] == ["ok", "ok"]
+    for folder in ("out", "again"):
+        results = batch.run(planned(tmp_path, more=TWO), tmp_path / folder, engine="cuda", workers=4)
+        assert [result.status for result in results] == ["ok", "ok"]
     for name in ("scene-00000.h5", "scene-00001.h5"):
         assert read(tmp_path / "out" / name).attrs["solver"].startswith("batch engine on cpu, torch ")
+        assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "again" / name).read_bytes()
 
 
 @pytest.mark.parametrize(("workers", "devices", "count"), [(1, 1, 1), (16, 1, 8), (64, 1, 8), (64, 4, 32), (4, 4, 4)])
