@@ -63,9 +63,7 @@ def _grain(grain: "Grain", shape: tuple[int, ...], spacing: tuple[float, float],
     return np.asarray(irfft2(rfft2(white) * seen, s=periods)[: shape[0], : shape[1]])
 
 
-def _mark(
-    field: "Floats", marks: "Marks", x: "Floats", y: "Floats", size: tuple[float, float], pixel: float
-) -> None:
+def _mark(field: "Floats", marks: "Marks", x: "Floats", y: "Floats", size: tuple[float, float], pixel: float) -> None:
     """Multiply the field at (y, x) by the light that specks and scratches leave; their edges are a pixel wide."""
     kinds = (marks.specks, marks.speck_mm, 0.0), (marks.scratches, marks.scratch_width_mm, marks.scratch_mm)
     for kind, (count, width, length) in enumerate(kinds):

@@ -221,11 +221,15 @@ class Renderer:
         return self.image(self.untouched)
 
     def develop(
-        self, radiance: "NDArray[np.float32]", random: np.random.Generator | None = None
+        self,
+        radiance: "NDArray[np.float32]",
+        random: np.random.Generator | None = None,
+        gain: "Floats | None" = None,
     ) -> "NDArray[np.uint8]":
         """The camera's 8-bit picture (H, W, 3) of a radiance picture, with its noise if `random` is given, and as JPEG
-        leaves it if the camera compresses its pictures."""
-        picture, quality = camera_response.develop(radiance, self.sensor.camera, random), self.sensor.camera.jpeg_quality
+        leaves it if the camera compresses its pictures; `gain` (3,) is a factor on each colour."""
+        eye = self.sensor.camera
+        picture, quality = camera_response.develop(radiance, eye, random, gain), eye.jpeg_quality
         return picture if quality is None else jpeg.compressed(picture, quality)
 
 

@@ -1,4 +1,4 @@
-"""What JPEG compression leaves of a picture."""
+"""JPEG compression of pictures, as in cameras that stream MJPEG."""
 
 import io
 from typing import TYPE_CHECKING

@@ -1,5 +1,5 @@
-"""What differs between units of one sensor type beside their measures: grain, marks and wear of the coating, and the
-drift of a camera's colours. All are off unless a sensor file gives them."""
+"""Imperfections in which units of one sensor type differ: grain, marks and wear of the coating, drift of the camera's
+colours. All are off unless a sensor file gives them."""
 
 from typing import Annotated
 
@@ -7,7 +7,7 @@ from pydantic import Field
 
 from tacgen.sensor.base_model import NOWHERE, Fraction, Part, Positive, Vec2
 
-Seed = Annotated[int, Field(ge=0, lt=2**32)]
+Seed = Annotated[int, Field(ge=0, le=999_999)]
 Count = Annotated[int, Field(ge=0, le=1000)]
 Contrast = Annotated[float, Field(ge=0, le=0.3)]
 Width = Annotated[float, Field(ge=0.005, le=5)]
