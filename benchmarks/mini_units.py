@@ -14,7 +14,8 @@ from tacgen.recipe.background_photo import read
 
 Array = np.ndarray
 FOLDERS = ("gelsight_mini", "gelsight_mini_unit2", "gelsight_mini_dotted")
-DARK, WIDTH, RIM = 0.15, 21, 3  # a dot is darker than its surroundings by this share; a square larger than it [px]; [px]
+DARK = 0.15  # a dot is darker than its surroundings by this share
+WIDTH, RIM = 21, 3  # side of a square larger than a dot, and width of its rim [px]
 
 
 @dataclass(frozen=True)
@@ -52,9 +53,7 @@ def unit(name: str) -> MiniUnit:
         marked = []
         for row in rows:
             ball, x, y, radius = (float(row[key]) for key in numbers)
-            marked.append(
-                PhotographedPress(row["image"], read(folder / row["image"]), ball / 2, (x, y), radius, None)
-            )
+            marked.append(PhotographedPress(row["image"], read(folder / row["image"]), ball / 2, (x, y), radius, None))
         presses = tuple(contact_circle.refined(press, untouched) for press in marked)
     if name != FOLDERS[2]:
         return MiniUnit(name, untouched, presses, tuple(np.zeros(untouched.shape[:2], bool) for _ in presses))

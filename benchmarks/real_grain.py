@@ -82,8 +82,10 @@ def table(sensor: LitSensor, say: Say) -> Table:
         rows.append(["rendered with it", contrast, length * scale, *map(float, made)])
         say(f"{name}: grain of {contrast:.2f} %, {length * scale:.3f} mm")
     heads = columns("pictures", "contrast [%]: .2f", "length [mm]: .3f", *middle)
-    note = ("Power by frequency [% of the light squared times px^2]: what medians of two halves of a unit's presses, and two"
-            " colours, have in common. Contrast and length are fitted to the photographs.")  # fmt: skip
+    note = (
+        "Power by frequency [% of the light squared times px^2]: what medians of two halves of a unit's presses, and"
+        " two colours, have in common. Contrast and length are fitted to the photographs."
+    )
     return Table("Grain of the coating", heads, rows, note)
 
 
