@@ -16,6 +16,7 @@ Array = np.ndarray
 FOLDERS = ("gelsight_mini", "gelsight_mini_unit2", "gelsight_mini_dotted")
 DARK = 0.15  # a dot is darker than its surroundings by this share
 WIDTH, RIM = 21, 3  # side of a square larger than a dot, and width of its rim [px]
+FILL = 4.0  # standard deviation of the Gaussian by which hidden pixels are filled [px]
 
 
 @dataclass(frozen=True)
@@ -54,10 +55,23 @@ def unit(name: str) -> MiniUnit:
         for row in rows:
             ball, x, y, radius = (float(row[key]) for key in numbers)
             marked.append(PhotographedPress(row["image"], read(folder / row["image"]), ball / 2, (x, y), radius, None))
-        presses = tuple(contact_circle.refined(press, untouched) for press in marked)
-    if name != FOLDERS[2]:
-        return MiniUnit(name, untouched, presses, tuple(np.zeros(untouched.shape[:2], bool) for _ in presses))
-    return MiniUnit(name, untouched, presses, tuple(dark(untouched) | dark(press.picture) for press in presses))
+        presses = tuple(marked)
+    if name == FOLDERS[2]:
+        hidden = tuple(dark(untouched) | dark(press.picture) for press in presses)
+        presses = tuple(_refined(press, untouched, where) for press, where in zip(presses, hidden, strict=True))
+        return MiniUnit(name, untouched, presses, hidden)
+    if name != FOLDERS[0]:  # whose circles are refined already
+        presses = tuple(contact_circle.refined(press, untouched) for press in presses)
+    return MiniUnit(name, untouched, presses, tuple(np.zeros(untouched.shape[:2], bool) for _ in presses))
+
+
+def _refined(press: PhotographedPress, untouched: Array, hidden: Array) -> PhotographedPress:
+    """The press with its contact circle, found in a picture whose dots are filled from around them."""
+    change, seen = press.picture.astype(float) - untouched, (~hidden).astype(float)[..., None]
+    around = [ndimage.gaussian_filter(part, (FILL, FILL, 0)) for part in (change * seen, seen)]
+    filled = np.where(hidden[..., None], around[0] / np.maximum(around[1], 1e-9), change)
+    found = contact_circle.refined(replace(press, picture=untouched + filled), untouched)
+    return replace(found, picture=press.picture)
 
 
 def dark(picture: Array) -> Array:
