@@ -92,13 +92,9 @@ def left_out(presses: Sequence[Samples], soft: int) -> float:
     return float(np.mean(each))
 
 
-def table(say: Say, samples: int | None = None, dents: int = OWN) -> Table:
-    """Errors on each unit of networks trained without it, with it, and on it alone.
-
-    Args:
-        samples: drawn units that are used at most; all if None. dents: of a unit's own file.
-    """
-    rows = plan.load(assets.recipe_path(RECIPE)).rows[::EVERY][:samples]
+def table(say: Say) -> Table:
+    """Errors on each unit of networks trained without it, with it, and on it alone."""
+    rows = plan.load(assets.recipe_path(RECIPE)).rows[::EVERY]
     units: dict[str, list[Samples]] = {name: [] for name in FILES.values()}
     for row in rows:
         units[row.sensor.name] += drawn(cast(LitSensor, row.sensor), DENTS, row.index)
@@ -107,7 +103,7 @@ def table(say: Say, samples: int | None = None, dents: int = OWN) -> Table:
     found: list[list[Cell]] = []
     for name, file in FILES.items():
         presses, flat = photographed(name, shipped)
-        own = drawn(sensor_of(file), dents, 0)
+        own = drawn(sensor_of(file), OWN, 0)
         others = [one for unit, seen in units.items() if unit != file for one in seen]
         every = [one for seen in units.values() for one in seen]
         cells: list[Cell] = [name, len(presses), flat]
