@@ -31,7 +31,7 @@ from tacgen.mechanics.phases import Phase
 from tacgen.mechanics.scene import Scene
 from tacgen.mechanics.state import State
 from tacgen.recipe import scene_of_row
-from tacgen.tensor_engine import engine, fused, pool, scheduler
+from tacgen.tensor_engine import engine, pool, scheduler
 from tacgen.tensor_engine.batch import Batch
 
 Array = np.ndarray
@@ -42,7 +42,7 @@ def main() -> None:
     told = arguments()
     device = told.device or ("cuda" if torch.cuda.is_available() else "cpu")
     torch.set_num_threads(1)
-    fused.on, begun = told.compile, time.perf_counter()
+    begun = time.perf_counter()
     os.environ.update(results_page.one_thread())  # of the other processes
     os.environ.setdefault("PYTORCH_CUDA_ALLOC_CONF", "expandable_segments:True")  # calls have many sizes
     draws = [k for k in range(told.draws[0], sum(told.draws)) if drawn(k).sensor in (told.sensors or [drawn(k).sensor])]
@@ -69,7 +69,6 @@ def arguments() -> argparse.Namespace:
     ask.add_argument("--compare", type=int, default=0, help="scenes to solve by the CPU engine too")
     ask.add_argument("--seconds", type=float, default=300.0, help="each part stops after so long")
     ask.add_argument("--warm", type=int, default=3, help="scenes to solve before the time counts")
-    ask.add_argument("--compile", action="store_true", help="fuse kernels by torch.compile, which takes minutes")
     ask.add_argument("--dtype", choices=("float32", "float64"), default="float32", help="of the factors")
     ask.add_argument("--device", choices=("cpu", "cuda"), help="a GPU if there is one")
     return ask.parse_args()

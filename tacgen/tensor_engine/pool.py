@@ -22,15 +22,17 @@ from tacgen.tensor_engine.engine import Solved
 from tacgen.tensor_engine.grids import Embedded, GridPattern
 from tacgen.tensor_engine.multifrontal import Multifrontal
 
-MOST_SLOTS = 512  # more scenes at once are hardly faster
+MOST_SLOTS = 1024  # more scenes at once are hardly faster
 LEAST_SHARED = 64  # scenes of a pattern below which it is merged with others: smaller batches do not fill a GPU
 CPU_MEMORY = 4e9  # [bytes] used where there is no GPU
 # Kernel calls of a scene for each of its frames, on average, after which it is left to the CPU engine: ordinary frames
 # take 40, and a few scenes that go on for long would keep a batch from ending
 MOST_CALLS = 150
-WIDE = 450  # unknowns condensed to in a large contact, for the estimate of memory
+WIDE = 900  # unknowns condensed to in the largest contact, for the estimate of memory
 CELL, UNKNOWN = 2500, 100  # bytes of tables, of a cell and of an unknown
-WORK, TANGENT = 40_000, 80_000  # bytes of a cell for the work of a kernel, and of one that makes tangents
+WORK, TANGENT = 15_000, 30_000  # bytes of a cell for the work of a kernel, and of one that makes tangents
+DENSE = (Phase.contact, Phase.predict)
+CLASSES = (72, 162)  # nodes of contacts that are solved together
 HEAVY = (Phase.start, Phase.load, Phase.search, Phase.measure, Phase.admit)  # kernels that evaluate all cells
 
 
@@ -115,6 +117,11 @@ class ScenePool:
             return None
         return course.phase
 
+    def size(self, slot: int) -> int:
+        """For kernels of dense matrices of a contact's nodes, the smallest of CLASSES that holds them."""
+        course = self.batch.courses[slot]
+        return next((c for c in CLASSES if course.nodes <= c), 0) if course.phase in DENSE else 0
+
     def advance(self, phase: Phase, slots: list[int]) -> None:
         """Call a kernel for scenes that wait for it."""
         engine.advance(self.batch, phase, slots)
@@ -179,10 +186,10 @@ def _solved(
 def room(tree: Dissection, memory: float) -> tuple[int, dict[Phase, int]]:
     """How many scenes of a pattern have room in so many bytes, and how many a call of some kernels may have."""
     cells, k = len(tree.pattern.hexes), 3 * len(tree.patch)
-    own = 4.0 * (tree.kept + k * k + k * WIDE) + CELL * cells + UNKNOWN * 3 * tree.pattern.size + 32.0 * WIDE**2
+    own = 4.0 * (tree.kept + k * k + k * WIDE + 5 * WIDE**2) + CELL * cells + UNKNOWN * 3 * tree.pattern.size
     work = dict.fromkeys(HEAVY, float(WORK * cells))
     work |= dict.fromkeys((Phase.factor, Phase.renew), 8.0 * tree.work + TANGENT * cells)
-    return max(1, int(0.45 * memory / own)), {phase: max(1, int(0.3 * memory / each)) for phase, each in work.items()}
+    return max(1, int(0.6 * memory / own)), {phase: max(1, int(0.25 * memory / each)) for phase, each in work.items()}
 
 
 def free_memory(device: str) -> float:
