@@ -33,9 +33,8 @@ HEADS = ("other units' population", "whole population", "own file", "own photogr
 NOTE = (
     "Mean error of the normals inside the contact circles [deg], by a network trained on dents of the units that"
     f" {RECIPE} draws around the files of the two other units; around all three; of the file that was fitted to the"
-    " unit itself (its presses seen); and on the unit's own photographs, each third of them left out once. The files of"
-    " the second and third unit are fits that start from the first one's and are held to it, so what all three share,"
-    " such as the lobe and the colour matrix, was found on the first. Smoothed: all pictures by a Gaussian of 1 px,"
+    " unit itself (its presses seen); and on the unit's own photographs, each third of them left out once. Plate,"
+    " lobes and colour matrix of all files were found on the first unit. Smoothed: all pictures by a Gaussian of 1 px,"
     " which lowers the noise of pixels. Pixels that a dot hides are left out; the contact circles of the dotted unit"
     " were drawn by hand, up to 0.85 of the ball's radius."
 )

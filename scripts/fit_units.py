@@ -1,6 +1,6 @@
 """Fit the Mini's sensor file to photographs of each other unit, for the population of recipes/many_units.yaml.
 
-    python scripts/fit_units.py [--tolerance-mm 0.5] [--out recipes/units]
+    python scripts/fit_units.py [--tolerance-mm 1] [--out recipes/units]
 
 Each fit starts from the shipped file, which is of the first unit, and is held to it by a ridge. Lights, stray light,
 vignette, crop and gloss of a unit are written to a sensor file of its own, without dots, and their ratios to the
@@ -26,6 +26,10 @@ from tacgen.sensor.model import LitSensor  # noqa: E402
 
 SHIPPED = "gelsight_mini"
 NAMES = {"gelsight_mini_unit2": "gelsight_mini_second", "gelsight_mini_dotted": "gelsight_mini_third"}
+ORIGIN = {
+    "gelsight_mini_unit2": "skleff1994/gs_sdk",
+    "gelsight_mini_dotted": "yepengfei81-cpu/gelsight_gripper_controller",
+}
 RIDGE = RIDGES[1]  # the shipped file's own fit chose it by presses that it had not seen
 ROTATED = 5.0  # largest rotation of an LED [deg]
 
@@ -46,7 +50,7 @@ def main() -> None:
     """Fit and write each unit."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=ROOT / "recipes" / "units")
-    parser.add_argument("--tolerance-mm", type=float, default=0.5)
+    parser.add_argument("--tolerance-mm", type=float, default=1.0)
     parser.add_argument("--steps", type=int, default=8, help="iterations of a fit at most")
     asked = parser.parse_args()
     if not mini_units.here():
@@ -57,10 +61,14 @@ def main() -> None:
     for folder, name in NAMES.items():
         unit = mini_units.unit(folder)
         found = fit(sensor, unit, asked.tolerance_mm, asked.steps)
-        said = f"an untouched picture and {len(unit.presses)} presses of another unit"
+        said = f"an untouched picture and {len(unit.presses)} presses of another unit ({ORIGIN[folder]})"
         changes = led_fit.changes_of(sensor, found, said, bare=True)
+        told = {key: text.replace(led_fit.BY, "by scripts/fit_units.py") for key, text in changes.items()
+                if key[-1] == "source"}  # fmt: skip
         what = f"GelSight Mini, lights fitted to photographs of a {name.rpartition('_')[2]} unit, no markers"
-        write_sensor(path, sensor, changes | {("name",): name, ("description",): what}, asked.out / f"{name}.yaml")
+        write_sensor(
+            path, sensor, changes | told | {("name",): name, ("description",): what}, asked.out / f"{name}.yaml"
+        )
         print(f"{name}: off by {found.untouched:.1f} counts rms untouched, {found.presses:.1f} under presses")
         for led, now in zip(sensor.leds, found.sensor.leds, strict=True):
             moved = np.subtract(now.center_mm, led.center_mm).round(2).tolist()
