@@ -25,7 +25,7 @@ FILES = {  # folder of a unit's photographs: name of the sensor file that was fi
     "gelsight_mini_unit2": "gelsight_mini_second",
     "gelsight_mini_dotted": "gelsight_mini_third",
 }
-EVERY, DENTS = 2, 6  # every second drawn unit is used, with so many dents
+DENTS = 3  # of each drawn unit
 OWN = 96  # dents of a unit's own file
 PARTS = 3  # into which a unit's presses are divided, to train on the others
 SOFT = 0.0, 1.0  # standard deviations of the Gaussian by which the networks' pictures are smoothed [px]
@@ -93,7 +93,7 @@ def left_out(presses: Sequence[Samples], soft: int) -> float:
 
 def table(say: Say) -> Table:
     """Errors on each unit of networks trained without it, with it, and on it alone."""
-    rows = plan.load(assets.recipe_path(RECIPE)).rows[::EVERY]
+    rows = plan.load(assets.recipe_path(RECIPE)).rows
     units: dict[str, list[Samples]] = {name: [] for name in FILES.values()}
     for row in rows:
         units[row.sensor.name] += drawn(cast(LitSensor, row.sensor), DENTS, row.index)
