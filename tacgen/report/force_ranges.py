@@ -30,9 +30,9 @@ def ranges(true: Array, said: Array, floor: float) -> list[dict[str, float]]:
         rest = int((true >= EDGES[last]).sum())
         if (here.sum() < LEAST and rest) or 0 < rest < LEAST or not here.any():
             continue
-        off = said[here] - true[here]
+        off, high = said[here] - true[here], EDGES[last]
         out.append({
-            "low": EDGES[first], "high": float(min(EDGES[last], true[here].max())), "n": int(here.sum()),
+            "low": EDGES[first], "high": high if np.isfinite(high) else float(true[here].max()), "n": int(here.sum()),
             "mae": float(np.abs(off).mean()), "bias": float(off.mean()),
             "guess": float(np.abs(floor - true[here]).mean()),
             "true": float(true[here].mean()), "said": float(said[here].mean()),

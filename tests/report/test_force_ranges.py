@@ -11,6 +11,15 @@ TRUE = np.linspace(0.1, 40, 400)
 def test_errors_stand_beside_those_of_the_mean_in_each_range() -> None:
     found = force_ranges.ranges(TRUE, 1.1 * TRUE, 10.0)
     assert [one["low"] for one in found] == [0.0, 2.0, 5.0, 10.0, 14.0, 20.0, 30.0]
+    assert [one["high"] for one in found] == [
+        2.0,
+        5.0,
+        10.0,
+        14.0,
+        20.0,
+        30.0,
+        45.0,
+    ]  # not the largest force seen there
     assert sum(one["n"] for one in found) == 400
     for one in found:
         assert one["mae"] == pytest.approx(0.1 * one["true"])
