@@ -7,14 +7,16 @@ errors of the background do not affect them.
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
-from scipy.optimize import least_squares, nnls
+from scipy.optimize import nnls
 
+from tacgen.calibrate import robust_search
 from tacgen.calibrate.photos import PhotographedPress, Photos
 from tacgen.calibrate.result import Fitted, rgb, rms
+from tacgen.calibrate.robust_search import Ridge, Tables
 from tacgen.calibrate.unseen import determined
 from tacgen.errors import UserError
 from tacgen.optics import camera_response, coating, strip_light
@@ -41,7 +43,10 @@ SOFT = 15.0  # scale of the soft-l1 loss, for marks and dust [counts]
 RIDGES = (300.0, 30.0, 3.0)  # tried penalties of a parameter at the end of its tolerance, over all pixels [counts]
 STRAY = 0.02  # change of stray light that costs the same [full scale]
 POWER = 0.5  # change of radiance that costs the same, over the LED's strongest channel
-FOLD_STEPS = 3  # Jacobians at most, for each ridge, of a fit that judges
+FOLD_STEPS = 1  # tables of derivatives at most, for each ridge, of a fit that judges
+CLOSE, LITTLE = 0.02, 2e-3  # change of half a range, and gain of the loss, below which no further table is made
+DIFFERENCE = 0.02  # of half a range: step of the difference quotients
+EVEN = 1200  # pixels of the untouched picture that are compared, about, beside those of the presses
 BRIGHT = 0.95  # of full scale; brighter pixels are not compared
 STEEPEST = 1500.0  # largest slope of the response, which limits the weight of dark pixels [counts per unit of light]
 PARTS = 6  # parameters of an LED: position, tilt about its length, turn about its upright, log of its length
@@ -105,10 +110,12 @@ class Trials:
         self._look = lru_cache(64)(self._looked)
         self._around = lru_cache(128 * len(sensor.leds))(self._bounced)
         self._column = lru_cache(128 * len(sensor.leds) * (1 + len(faces)))(self._lit)
-        everywhere = np.ones(self.sensor.camera.width_px * self.sensor.camera.height_px, bool)
-        self.pictures = [self._picture("untouched", photos.untouched, everywhere, untouched)]
-        for press, face in zip(photos.presses, faces, strict=True):
-            self.pictures.append(self._picture(press.name, press.picture, self._near(press), face))
+        self._even = self._grid()
+        near = [self._near(press) for press in photos.presses]
+        needed = np.any([self._even, *near], axis=0)
+        self.pictures = [self._picture("untouched", photos.untouched, needed, untouched)]
+        for press, face, here in zip(photos.presses, faces, near, strict=True):
+            self.pictures.append(self._picture(press.name, press.picture, here, face))
         if not bare and sensor.markers is not None:
             for number, picture in enumerate(self.pictures):
                 rest = self._look(number, (0.0, 0.0)).at.rest
@@ -131,6 +138,14 @@ class Trials:
         light = background_photo.shrunk(light, eye.width_px, eye.height_px).reshape(-1, 3)
         counts = counts & (light < BRIGHT).all(axis=1)
         return Picture(name, light, np.minimum(255 * camera_response.slope(light, eye), STEEPEST), counts, face)
+
+    def _grid(self) -> Array:
+        """The pixels of the untouched picture that are compared, on an even grid (pixels,) bool; each stands for the
+        square of `_sparse`."""
+        eye = self.sensor.camera
+        self._sparse = max(1, round(np.sqrt(eye.width_px * eye.height_px / EVEN)))
+        y, x = np.mgrid[: eye.height_px, : eye.width_px]
+        return np.asarray(((x % self._sparse == self._sparse // 2) & (y % self._sparse == self._sparse // 2)).ravel())
 
     def _near(self, press: PhotographedPress) -> Array:
         eye = self.sensor.camera
@@ -227,23 +242,23 @@ class Trials:
         out = []
         for k in chosen:
             picture, first = self.pictures[k], self.pictures[0]
-            here = picture.counts
-            change, wanted = columns[k], picture.light[here]
+            here = picture.counts & (first.counts if k else self._even)
+            change, wanted = columns[k][:, here[picture.counts]], picture.light[here]
             if k:
-                both = here & first.counts
-                own, base = both[here], both[first.counts]
-                change, wanted = columns[k][:, own] - columns[0][:, base], picture.light[both] - first.light[both]
-                here = both
+                change, wanted = change - columns[0][:, here[first.counts]], wanted - first.light[here]
             slope = picture.slope[here]
             channels = [np.column_stack([change[c] * slope[:, c, None], wanted[:, c] * slope[:, c]]) for c in range(3)]
             out.append(np.concatenate(channels))
         return out
 
+    def weighed(self, rows: list[Array], chosen: list[int]) -> Array:
+        """Equations of the chosen pictures, one under the other, as the fit weighs them."""
+        return np.concatenate([(WEIGHT if k else self._sparse) * row for k, row in zip(chosen, rows, strict=True)])
+
     def lights(self, rows: list[Array], chosen: list[int], ridge: float) -> Array:
         """Best radiances (3, LEDs + 1), stray light last, held to the file's."""
-        weighed = [(WEIGHT if k else 1.0) * row for k, row in zip(chosen, rows, strict=True)]
         hold = np.column_stack([np.diag(ridge / self._power.ravel()), (ridge * self.own / self._power).ravel()])
-        stacked = np.concatenate([*weighed, hold])
+        stacked = np.concatenate([self.weighed(rows, chosen), hold])
         return np.asarray(nnls(stacked[:, :-1], stacked[:, -1])[0].reshape(3, -1))
 
     def misfits(self, rows: list[Array], lights: Array) -> list[Array]:
@@ -258,9 +273,8 @@ class Trials:
         """The fit to all pictures."""
         every, begin = list(range(len(self.pictures))), self._start
         for hold in RIDGES[: RIDGES.index(ridge) + 1]:
-            begin = self._search(begin, every, hold, steps if hold == ridge else FOLD_STEPS)
+            begin, lights = self._search(begin, every, hold, steps if hold == ridge else FOLD_STEPS)
         rows = self.rows(self.all_columns(begin, every), every)
-        lights = self.lights(rows, every, ridge)
         misfits = self.misfits(rows, lights)
         shown = self.misfits(self.rows([self.columns(self._start, 0)], [0]), self.own)
         return Fitted(
@@ -279,8 +293,7 @@ class Trials:
             for number in range(1 + len(RIDGES)):
                 if number:
                     ridge = RIDGES[number - 1]
-                    v = self._search(v, seen, ridge, min(steps, FOLD_STEPS))
-                    lights = self.lights(self.rows(self.all_columns(v, seen), seen), seen, ridge)
+                    v, lights = self._search(v, seen, ridge, min(steps, FOLD_STEPS))
                     made[number - 1].append(self._sensor(v, lights))
                 left = self.misfits(self.rows(self.all_columns(v, [0, *held_out]), held_out), lights)
                 counts[number] += [rms([one]) for one in left]
@@ -290,55 +303,78 @@ class Trials:
         """Numbers of the parameters that vary; a background and one press determine only radiances."""
         return np.flatnonzero(self._most > self._least) if len(seen) > 2 else np.zeros(0, int)
 
-    def _search(self, begin: Array, seen: list[int], ridge: float, steps: int) -> Array:
-        """The parameters with the smallest misfit of some pictures, with the best radiances for each trial."""
+    def _search(self, begin: Array, seen: list[int], ridge: float, steps: int) -> tuple[Array, Array]:
+        """The parameters and radiances with the smallest loss of some pictures, by equations that are made anew, with
+        their derivatives, at most `steps` times."""
         free = self._free(seen)
+        v, lights = begin, self.lights(self.rows(self.all_columns(begin, seen), seen), seen, ridge)
         if not len(free):
-            return begin
-        span = (self._most - self._least)[free]
+            return v, lights
+        half, hold = self._half(free), Ridge(ridge, self.own.ravel(), self._power.ravel())
+        bounds = (self._least - self._start)[free] / half, (self._most - self._start)[free] / half
 
-        def numbers(u: Array) -> Array:
-            v = self._start.copy()
-            v[free] = self._least[free] + (u - 1) / 2 * span
-            return v
+        def cost(v: Array, lights: Array) -> float:
+            off = self.weighed(self.rows(self.all_columns(v, seen), seen), seen) @ np.append(lights, -1.0)
+            return robust_search.loss(off, SOFT) + robust_search.held((v - self._start)[free] / half, lights, hold)
 
-        def left(u: Array) -> Array:
-            rows = self.rows(self.all_columns(numbers(u), seen), seen)
-            lights = self.lights(rows, seen, ridge)
-            weighed = [(WEIGHT if k else 1.0) * m for k, m in zip(seen, self.misfits(rows, lights), strict=True)]
-            held = ridge * 2 * (numbers(u) - self._start)[free] / span
-            return np.concatenate([*weighed, held, ridge * ((lights - self.own) / self._power).ravel()])
+        now = cost(v, lights.ravel())
+        for _ in range(steps):
+            near = self._tables(v, seen)
+            u, found = robust_search.search(near, lights.ravel(), bounds, hold, SOFT)
+            for share in robust_search.SHARES:  # of the way, if the equations are not as linear as taken
+                tried = v.copy()
+                tried[free] += share * half * (u - near.at)
+                some = lights.ravel() + share * (found - lights.ravel())
+                if (then := cost(tried, some)) < now:
+                    break
+            else:
+                break
+            v, lights, gained, now = tried, some.reshape(lights.shape), now - then, then
+            if share * np.abs(u - near.at).max() < CLOSE or gained < LITTLE * now:
+                break
+        return v, lights
 
-        def loss(z: Array) -> Array:
-            """Soft l1 for pixels; the ridge at the end is quadratic."""
-            root = np.sqrt(1 + z)
-            rho = np.array([2 * (root - 1), 1 / root, -0.5 / root**3])
-            ridged = slice(-len(free) - self.own.size, None)
-            rho[:, ridged] = z[ridged], np.ones_like(z[ridged]), np.zeros_like(z[ridged])
-            return rho
+    def _half(self, free: Array) -> Array:
+        """Half the ranges of parameters."""
+        return np.asarray((self._most - self._least)[free] / 2)
 
-        start = np.clip(1 + 2 * (begin - self._least)[free] / span, 1.02, 2.98)  # from 1 to 3 over the range
-        how: Any = {"bounds": (1, 3), "diff_step": 0.02, "max_nfev": steps, "loss": loss, "f_scale": SOFT}
-        return numbers(least_squares(left, start, **how).x)
+    def _tables(self, v: Array, seen: list[int]) -> Tables:
+        """The weighed equations of some pictures for the radiances, and their derivatives by the free parameters."""
+        free = self._free(seen)
+        rows, slopes = self._kept_start if np.array_equal(v, self._start) else self._derived(v, seen)
+        return Tables(
+            (v - self._start)[free] / self._half(free),
+            self.weighed([rows[k] for k in seen], seen),
+            np.stack([self.weighed([one[k] for k in seen], seen) for one in slopes]),
+        )
+
+    @cached_property
+    def _kept_start(self) -> tuple[dict[int, Array], list[dict[int, Array]]]:
+        """Equations and derivatives of all pictures at the file's parameters, which every fit begins with."""
+        return self._derived(self._start, list(range(len(self.pictures))))
+
+    def _derived(self, v: Array, seen: list[int]) -> tuple[dict[int, Array], list[dict[int, Array]]]:
+        """Equations by picture, and for each free parameter their change by half its range."""
+        free = self._free(seen)
+        here, slopes = self.rows(self.all_columns(v, seen), seen), []
+        for k, half in zip(free, self._half(free), strict=True):
+            step = DIFFERENCE * half * (-1 if v[k] + DIFFERENCE * half > self._most[k] else 1)
+            moved = v.copy()
+            moved[k] += step
+            there = self.rows(self.all_columns(moved, seen), seen)
+            slopes.append({p: (b - a) * (half / step) for p, a, b in zip(seen, here, there, strict=True)})
+        return dict(zip(seen, here, strict=True)), slopes
 
     def _determined(self, v: Array, lights: Array, seen: list[int], ridge: float) -> dict[str, float]:
         """Share of each parameter that the pictures determine against the ridge, by name."""
-        weight = [WEIGHT if k else 1.0 for k in seen]
-
-        def rows(at: Array) -> Array:
-            parts = self.rows(self.all_columns(at, seen), seen)
-            return np.concatenate([w * row for w, row in zip(weight, parts, strict=True)])
-
-        here, by, slopes = rows(v), np.append(lights, -1.0), []
-        free = self._free(seen)
-        for k in free:
-            half = (self._most - self._least)[k] / 2
-            step = 0.02 * half * (-1 if v[k] + 0.02 * half > self._most[k] else 1)
-            moved = v.copy()
-            moved[k] += step
-            slopes.append((rows(moved) @ by - here @ by) * half / step)
-        table = np.column_stack([*slopes, here[:, :-1] * self._power.ravel()])
-        names = self._names()
+        by, names = np.append(lights, -1.0), self._names()
+        if len(free := self._free(seen)):
+            near = self._tables(v, seen)
+            rows, slopes = near.rows, (near.slopes @ by).T
+        else:
+            rows, slopes = self.weighed(self.rows(self.all_columns(v, seen), seen), seen), None
+        scaled = rows[:, :-1] * self._power.ravel()
+        table = scaled if slopes is None else np.column_stack([slopes, scaled])
         chosen = [*(names[k] for k in free), *names[len(v) :]]
         shares = dict(zip(chosen, map(float, determined(table, ridge)), strict=True))
         absent = self.sensor.camera.vignette_mm is None
