@@ -46,6 +46,7 @@ POWER = 0.5  # change of radiance that costs the same, over the LED's strongest 
 FOLD_STEPS = 1  # tables of derivatives at most, for each ridge, of a fit that judges
 CLOSE, LITTLE = 0.02, 2e-3  # change of half a range, and gain of the loss, below which no further table is made
 DIFFERENCE = 0.02  # of half a range: step of the difference quotients
+KEPT = 4  # sets of parameters whose light is kept: those about which derivatives are taken, and trials of steps
 EVEN = 1200  # pixels of the untouched picture that are compared, about, beside those of the presses
 BRIGHT = 0.95  # of full scale; brighter pixels are not compared
 STEEPEST = 1500.0  # largest slope of the response, which limits the weight of dark pixels [counts per unit of light]
@@ -107,9 +108,9 @@ class Trials:
         self._bounce = Radiosity(self.sensor)
         sides = np.array([sensor.gel.width_mm, sensor.gel.height_mm]) / 2 + sensor.walls.margin_mm
         self._room = np.array([*sides, bottom_depth(sensor)]) - CLEAR  # half the housing's sides, and its depth [mm]
-        self._look = lru_cache(64)(self._looked)
-        self._around = lru_cache(128 * len(sensor.leds))(self._bounced)
-        self._column = lru_cache(128 * len(sensor.leds) * (1 + len(faces)))(self._lit)
+        self._look = lru_cache(KEPT * (1 + len(faces)))(self._looked)
+        self._around = lru_cache(KEPT * len(sensor.leds))(self._bounced)
+        self._column = lru_cache(KEPT * len(sensor.leds) * (1 + len(faces)))(self._lit)
         self._even = self._grid()
         near = [self._near(press) for press in photos.presses]
         needed = np.any([self._even, *near], axis=0)
