@@ -55,7 +55,8 @@ def tables(say: Say) -> list[Table]:
          one.mae(one.unaligned), one.mae(one.ceiling)] for one in made.judged
     ]  # fmt: skip
     heads = ("judged on", "pictures", "mean of the other grip's forces [N]: .2f", "from pictures [N]: .2f",
-             "with the other grip's colours [N]: .2f", "without alignment in time [N]: .2f", "rising curve through the judged [N]: .2f")  # fmt: skip
+             "with the other grip's colours [N]: .2f",
+             "without alignment in time [N]: .2f", "rising curve through the judged [N]: .2f")  # fmt: skip
     return [
         Table("A GelSight Wedge by a golf ball", columns("", "found: .3g", "low: .3g", "high: .3g", "published: .3g"),
               found, "With 95 % intervals, of both grips; published by those who used the unit, the modulus from its"

@@ -6,6 +6,7 @@ the sensor file. Presses are compared by their change against the untouched pict
 errors of the background do not affect them.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any
@@ -38,6 +39,7 @@ SHEET = 0.2  # node spacing of the face [mm]
 ALONG, ACROSS = 3.0, 1.5  # largest distance of the points that stand for an LED, along and across it [mm]
 NEAR = 0.97  # contact radii within which a press is compared: there the face is the ball's surface
 REACH = 3.7  # the same for a press of known depth, whose face is solved and right beyond the contact too [mm]
+AROUND = 1.4  # contact radii, at least, within which such a press is compared if its contact is known too
 WEIGHT = 2.0  # weight of a press's pixel over one of the untouched picture
 SOFT = 15.0  # scale of the soft-l1 loss, for marks and dust [counts]
 RIDGES = (300.0, 30.0, 3.0)  # tried penalties of a parameter at the end of its tolerance, over all pixels [counts]
@@ -98,29 +100,37 @@ class Trials:
     """Misfit between photographs and trial sensors."""
 
     def __init__(
-        self, sensor: LitSensor, photos: Photos, faces: list[Surface], tolerance: Tolerance, bare: bool
+        self,
+        sensor: LitSensor,
+        photos: Photos,
+        faces: Sequence[Surface],
+        tolerance: Tolerance,
+        bare: bool,
+        untouched: float = 1.0,
     ) -> None:
-        """`faces`: those of the presses; `bare`: the photographed gel has no markers, whatever the file says."""
+        """`faces`: those of the presses; `bare`: the photographed gel has no markers, whatever the file says;
+        `untouched`: weight of a pixel of that picture."""
         self.tolerance = tolerance
         columns = max(min(LEAST_WIDTH, sensor.camera.width_px), sensor.camera.width_px // SHRINK)
         self.sensor = traced_maps.zoomed(sensor, columns)
-        self.sheet, untouched = Sheet.over(sensor.gel, SHEET), Untouched.of(sensor.gel)
+        self.sheet, rest = Sheet.over(sensor.gel, SHEET), Untouched.of(sensor.gel)
         self._bounce = Radiosity(self.sensor)
         sides = np.array([sensor.gel.width_mm, sensor.gel.height_mm]) / 2 + sensor.walls.margin_mm
         self._room = np.array([*sides, bottom_depth(sensor)]) - CLEAR  # half the housing's sides, and its depth [mm]
         self._look = lru_cache(KEPT * (1 + len(faces)))(self._looked)
         self._around = lru_cache(KEPT * len(sensor.leds))(self._bounced)
         self._column = lru_cache(KEPT * len(sensor.leds) * (1 + len(faces)))(self._lit)
-        self._even = self._grid()
+        self._sparse = max(1, round(np.sqrt(self.sensor.camera.width_px * self.sensor.camera.height_px / EVEN)))
+        self._even, self._first_weight = self._grid(), untouched * self._sparse
         near = [self._near(press) for press in photos.presses]
         needed = np.any([self._even, *near], axis=0)
-        self.pictures = [self._picture("untouched", photos.untouched, needed, untouched)]
+        self.pictures = [self._picture("untouched", photos.untouched, needed, rest)]
         for press, face, here in zip(photos.presses, faces, near, strict=True):
             self.pictures.append(self._picture(press.name, press.picture, here, face))
         if not bare and sensor.markers is not None:
             for number, picture in enumerate(self.pictures):
-                rest = self._look(number, (0.0, 0.0)).at.rest
-                dots = coating.paint(sensor.markers, rest, 3 * self.sensor.camera.mm_per_px)
+                points = self._look(number, (0.0, 0.0)).at.rest
+                dots = coating.paint(sensor.markers, points, 3 * self.sensor.camera.mm_per_px)
                 np.logical_and(picture.counts, np.nan_to_num(dots, nan=1.0) == 0, out=picture.counts)
         empty = [picture.name for picture in self.pictures if not picture.counts.any()]
         if empty:
@@ -144,7 +154,6 @@ class Trials:
         """The pixels of the untouched picture that are compared, on an even grid (pixels,) bool; each stands for the
         square of `_sparse`."""
         eye = self.sensor.camera
-        self._sparse = max(1, round(np.sqrt(eye.width_px * eye.height_px / EVEN)))
         y, x = np.mgrid[: eye.height_px, : eye.width_px]
         return np.asarray(((x % self._sparse == self._sparse // 2) & (y % self._sparse == self._sparse // 2)).ravel())
 
@@ -153,7 +162,8 @@ class Trials:
         shrink = press.picture.shape[1] / eye.width_px
         y, x = np.mgrid[: eye.height_px, : eye.width_px] + 0.5
         away = np.hypot(x * shrink - press.center[0], y * shrink - press.center[1])
-        reach = REACH / eye.mm_per_px * shrink if press.solved else NEAR * (press.contact or 0.0)
+        contact = press.contact or 0.0
+        reach = max(REACH / eye.mm_per_px * shrink, AROUND * contact) if press.solved else NEAR * contact
         return np.asarray((away < reach).ravel())
 
     def _ranges(self) -> tuple[Array, Array, Array]:
@@ -254,7 +264,9 @@ class Trials:
 
     def weighed(self, rows: list[Array], chosen: list[int]) -> Array:
         """Equations of the chosen pictures, one under the other, as the fit weighs them."""
-        return np.concatenate([(WEIGHT if k else self._sparse) * row for k, row in zip(chosen, rows, strict=True)])
+        return np.concatenate(
+            [(WEIGHT if k else self._first_weight) * row for k, row in zip(chosen, rows, strict=True)]
+        )
 
     def lights(self, rows: list[Array], chosen: list[int], ridge: float) -> Array:
         """Best radiances (3, LEDs + 1), stray light last, held to the file's."""

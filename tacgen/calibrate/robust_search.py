@@ -29,8 +29,10 @@ class Tables:
 
 @dataclass(frozen=True)
 class Ridge:
-    """What holds parameters near 0 and radiances near the file's: `weight` is the residual [counts] of an unknown that is
-    off by 1 in u, or by `scale` (m,) from `own` (m,)."""
+    """What holds parameters near 0 and radiances near the file's.
+
+    `weight` is the residual [counts] of an unknown that is off by 1 in u, or by `scale` (m,) from `own` (m,).
+    """
 
     weight: float
     own: Array
@@ -77,7 +79,9 @@ def search(
     off = left(x, here)
     now = cost(off, x)
     for _ in range(ROUNDS):
-        slope = np.column_stack([(tables.slopes @ np.append(x[free:] * ridge.scale, -1.0)).T, here[:, :-1] * ridge.scale])
+        slope = np.column_stack(
+            [(tables.slopes @ np.append(x[free:] * ridge.scale, -1.0)).T, here[:, :-1] * ridge.scale]
+        )
         weighed = slope / np.sqrt(1 + (off / soft) ** 2)[:, None]
         square = weighed.T @ slope + ridge.weight**2 * np.eye(len(x))
         falls = weighed.T @ off + ridge.weight**2 * (x - aim)

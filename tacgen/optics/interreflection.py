@@ -92,7 +92,7 @@ class Radiosity:
         return np.stack([out[albedo] for albedo in coat.albedo], axis=-1)
 
     def _all_reflections(self, coat: float, walls: float) -> "Callable[[Floats], Floats]":
-        """The radiance (patches, n) after all reflections of a first radiance (patches, n), by a factor that is kept."""
+        """Radiance (patches, n) after all reflections, from the first (patches, n); the factor of the system is kept."""
         from scipy.linalg import lu_factor, lu_solve
 
         if (coat, walls) not in self._factors:
@@ -115,8 +115,8 @@ class Radiosity:
         terms, passed = np.empty((len(rest), count), np.float32), view.transmission()
         for c in range(count):
             terms[:, c] = passed * map_coordinates(grid[..., c], grid_at, order=1)
-        terms = terms.reshape(len(terms), TERMS, -1)
-        return Glow(np.repeat(terms, 3, axis=2) if alike else terms, normal)
+        shaped = terms.reshape(len(terms), TERMS, -1)
+        return Glow(np.repeat(shaped, 3, axis=2) if alike else shaped, normal)
 
     def _gather(
         self,
