@@ -92,7 +92,7 @@ class Radiosity:
         return np.stack([out[albedo] for albedo in coat.albedo], axis=-1)
 
     def _all_reflections(self, coat: float, walls: float) -> "Callable[[Floats], Floats]":
-        """Radiance (patches, n) after all reflections, from the first (patches, n); the factor of the system is kept."""
+        """Radiance (patches, n) after all reflections, from the first (patches, n); the system's factor is kept."""
         from scipy.linalg import lu_factor, lu_solve
 
         if (coat, walls) not in self._factors:
@@ -109,7 +109,7 @@ class Radiosity:
         at = view.look(self._face)
         rest, normal = at.rest, np.nan_to_num(at.normal[:, :2])
         alike = (values[..., :1] == values).all()  # the same in each colour
-        grid = finer(values[..., :1 if alike else None].reshape(*self.sheet.shape, -1))
+        grid = finer(values[..., : 1 if alike else None].reshape(*self.sheet.shape, -1))
         rows, columns, count = grid.shape
         grid_at = np.nan_to_num(((rest / self.sheet.size + 0.5) * [columns - 1, rows - 1]).T[::-1])
         terms, passed = np.empty((len(rest), count), np.float32), view.transmission()

@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 
 from tacgen import cli
 from tacgen.calibrate import led_fit, photos, press_faces
+from tacgen.calibrate.likeness import Likeness
 from tacgen.errors import UserError
 from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.hertz_dent import BallDent
@@ -55,7 +56,30 @@ def nominal(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return written(sensor(camera=FINE, markers=None), tmp_path_factory.mktemp("sensor") / "nominal.yaml")
 
 
+@pytest.fixture
+def few_dents(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For tests that look whether normals are judged, not at their error: the network learns from few."""
+    monkeypatch.setattr("tacgen.calibrate.likeness.DENTS", 4)
+    monkeypatch.setattr("tacgen.calibrate.normal_net.MOST", 500)
+    monkeypatch.setattr("tacgen.calibrate.normal_net.STEPS", 20)
+
+
+@pytest.fixture
+def no_normals(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For tests that do not look at the error of normals, whose rendered dents take most of the time."""
+
+    class Alike:
+        def __init__(self, sensor: Sensor) -> None: ...
+
+        def likeness(self, presses: Any, faces: Any, untouched: Any) -> Likeness:
+            one = np.ones(3)
+            return Likeness(one, one, one, 1.0, 1.0, 1.0, np.ones(len(presses)))
+
+    monkeypatch.setattr("tacgen.calibrate.fit_clear.Comparison", Alike)
+
+
 @pytest.mark.slow
+@pytest.mark.usefixtures("no_normals")
 def test_powers_colours_and_stray_light_of_a_known_unit_are_found(nominal: Path, tmp_path: Path) -> None:
     true = ([11.0, 0.5, 0.0], [0.0, 7.0, 1.0], [0.3, 0.0, 9.9])
     leds = [{**led, "radiance": light} for led, light in zip(PLAIN["leds"], true, strict=True)]
@@ -79,6 +103,7 @@ def test_powers_colours_and_stray_light_of_a_known_unit_are_found(nominal: Path,
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("no_normals")
 def test_lights_that_sit_elsewhere_are_found_by_the_presses(nominal: Path, tmp_path: Path) -> None:
     moved = [
         {**PLAIN["leds"][0], "center_mm": [0.3, -4.8, -2.35], "radiance": [10.8, 0, 0]},
@@ -232,6 +257,7 @@ def test_a_press_of_known_depth_is_solved_also_where_its_contact_is_known():
 DOME = {"dome": {"radius_x_mm": 40.0, "radius_y_mm": 30.0, "source": "test"}}
 
 
+@pytest.mark.usefixtures("few_dents")
 @pytest.mark.parametrize(
     ("gel", "given"), [({}, "depth"), ({}, "contact"), ({}, "both"), ({}, "mixed"), (DOME, "depth"), (DOME, "mixed")]
 )
@@ -249,8 +275,6 @@ def test_presses_may_give_depth_or_contact_or_both(
 
     monkeypatch.setattr(press_faces, "solved", solved)
     monkeypatch.setattr("tacgen.calibrate.contact_circle.refined", lambda press, untouched: press)
-    monkeypatch.setattr("tacgen.calibrate.likeness.DENTS", 4)
-    monkeypatch.setattr("tacgen.calibrate.normal_net.MOST", 500)
     rows = ["file,ball_radius_mm,x_px,y_px,contact_radius_px,depth_mm"]
     for k, (ball, (x, y), contact) in enumerate(PRESSES[:3]):
         deep = given in ("depth", "both") or (given == "mixed" and k == 2)
