@@ -292,18 +292,25 @@ def test_presses_may_give_depth_or_contact_or_both(
 
 
 @pytest.mark.slow
-def test_presses_of_known_depth_are_solved_on_a_dome(tmp_path: Path) -> None:
-    unit = sensor(gel=DOME, camera=FINE, markers=None)
-    path, folder = written(unit, tmp_path / "unit.yaml"), photographed(unit, tmp_path / "unit", ())
+@pytest.mark.parametrize(("column", "value"), [("depth_mm", 0.4), ("force_n", 0.3)])
+def test_a_brighter_unit_is_found_by_presses_of_known_depth_or_force_on_a_dome(
+    tmp_path: Path, column: str, value: float
+) -> None:
+    unit = sensor(gel=DOME, camera=FINE, markers=None, leds=[{**led, "power": 1.3} for led in PLAIN["leds"]])
+    path = written(sensor(gel=DOME, camera=FINE, markers=None), tmp_path / "file.yaml")
+    folder = photographed(unit, tmp_path / "unit", ())
     made, rows = images.Renderer(unit, 16, 0, False, mitsuba_variants.SCALAR), []
-    for k, (ball, center, _) in enumerate(PRESSES[:3]):
-        press = photos.PhotographedPress("", np.zeros(0), ball, center, None, 0.4)
+    for k, (ball, center, _) in enumerate(PRESSES[:2]):
+        known = {"depth": value, "force": None} if column == "depth_mm" else {"depth": None, "force": value}
+        press = photos.PhotographedPress("", np.zeros(0), ball, center, None, **known)
         Image.fromarray(made.develop(made.image(press_faces.face(unit, press, {})))).save(folder / f"{k}.png")
-        rows.append(f"{k}.png,{ball},{center[0]},{center[1]},0.4")
-    (folder / "presses.csv").write_text("\n".join(["file,ball_radius_mm,x_px,y_px,depth_mm", *rows]))
+        rows.append(f"{k}.png,{ball},{center[0]},{center[1]},{value}")
+    (folder / "presses.csv").write_text("\n".join([f"file,ball_radius_mm,x_px,y_px,{column}", *rows]))
     found = led_fit.optics(str(path), folder, led_fit.FitLimits(0, 0))
-    assert found.fitted.unseen.counts[1].max() < 2
-    assert [sum(led.radiance) for led in found.fitted.sensor.leds] == pytest.approx([9.0] * 3, rel=0.05)
+    before, after = found.fitted.unseen.counts
+    assert after.max() < 2 < before.min()
+    assert not found.problem()
+    assert [sum(led.light) for led in found.fitted.sensor.leds] == pytest.approx([11.7] * 3, rel=0.05)
 
 
 @pytest.mark.parametrize(
