@@ -11,9 +11,11 @@ is worse.
 
 import argparse
 import csv
+import math
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -33,6 +35,7 @@ from tacgen.recipe import assets, background_photo, loading  # noqa: E402
 from tacgen.sensor.yaml_source import KeyPath  # noqa: E402
 
 SENSOR = {"gelsight_mini": "gelsight_mini", "gelsight_mini_unit2": "gelsight_mini", "digit": "digit"}
+MOST_SEEDS = 20  # that are tried for each draw
 WRONG = "powers", "double", "swapped"
 POWERS, HIGHER = (0.72, 1.35, 0.75), 0.5  # factors on the LEDs' radiances, and their shift in height, up and down [mm]
 
@@ -99,11 +102,25 @@ def start(name: str, wrong: str, into: Path) -> Path:
     return into / f"{name}.yaml"
 
 
-def draw(unit: photographs.Unit, asked: argparse.Namespace, seed: int) -> Drawn:
+def draws(presses: int, given: int, first: int, count: int) -> Iterator[tuple[int, list[int]]]:
+    """Seeds from `first` on, and the presses that each gives to the fit; a choice that came before is left out.
+
+    Of six presses, five can be given in six ways only.
+    """
+    seen: set[tuple[int, ...]] = set()
+    for seed in range(first + min(count, math.comb(presses, given)) * MOST_SEEDS):
+        some = tuple(sorted(np.random.default_rng(seed).permutation(presses)[:given].tolist()))
+        if some not in seen and seed >= first and count:
+            yield seed, list(some)
+            count -= 1
+        seen.add(some)
+
+
+def draw(unit: photographs.Unit, asked: argparse.Namespace, seed: int, given: list[int]) -> Drawn:
     """Fit to some presses, and compare the start and the fit on the others."""
-    order, name = np.random.default_rng(seed).permutation(len(unit.presses)), SENSOR[asked.unit]
-    some, others = (replace(unit, presses=tuple(unit.presses[k] for k in sorted(part)))
-                    for part in (order[: asked.given], order[asked.given :]))  # fmt: skip
+    name = SENSOR[asked.unit]
+    some, others = (replace(unit, presses=tuple(p for k, p in enumerate(unit.presses) if (k in given) == chosen))
+                    for chosen in (True, False))  # fmt: skip
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         lay_out(some, "background.png", folder / "photos", [])
@@ -137,7 +154,8 @@ def main() -> None:
     unit = unit_of(asked.unit, asked.photos)
     if unit is None:
         sys.exit(f"no photographs of {asked.unit} in {asked.photos}")
-    every = [draw(unit, asked, seed) for seed in range(asked.first, asked.first + asked.draws)]
+    chosen = draws(len(unit.presses), asked.given, asked.first, asked.draws)
+    every = [draw(unit, asked, seed, given) for seed, given in chosen]
     written, worse = sum(one.written for one in every), sum(one.worse for one in every)
     before, after, shipped = (float(np.mean([getattr(one, k) for one in every]))
                               for k in ("before", "after", "shipped"))  # fmt: skip
