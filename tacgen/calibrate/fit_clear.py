@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tacgen.calibrate import contact_circle, press_faces
-from tacgen.calibrate.clear_trials import RIDGES, Tolerance, Trials
+from tacgen.calibrate.clear_fits import RIDGES, Fits
+from tacgen.calibrate.clear_trials import Tolerance
 from tacgen.calibrate.likeness import Comparison, Likeness
 from tacgen.calibrate.photos import Photos
 from tacgen.calibrate.result import Fitted
@@ -35,12 +36,12 @@ def fit(sensor: LitSensor, photos: Photos, folders: dict[KeyPath, Path], asked: 
 def fit_faces(
     sensor: LitSensor, photos: Photos, faces: Sequence[Surface], asked: "FitLimits", *, changes: bool = False
 ) -> Fitted:
-    """The same for presses whose faces are known.
+    """Fit a sensor with a clear gel to presses whose faces are known.
 
     `changes`: how presses change the picture is fitted and judged alone; the untouched picture counts LIGHTLY.
     """
     tolerance = Tolerance(asked.mm, float(np.radians(asked.deg)) if asked.mm else 0.0)
-    trial = Trials(sensor, photos, faces, tolerance, asked.bare, LIGHTLY if changes else 1.0)
+    trial = Fits(sensor, photos, faces, tolerance, asked.bare, LIGHTLY if changes else 1.0)
     if not (groups := folds(len(photos.presses))):
         return trial.whole(RIDGES[-1], asked.steps)
     counts, made = trial.judged(groups, asked.steps)

@@ -29,7 +29,7 @@ class Tables:
 
 @dataclass(frozen=True)
 class Ridge:
-    """What holds parameters near 0 and radiances near the file's.
+    """Penalty that holds parameters near 0 and radiances near the file's.
 
     `weight` is the residual [counts] of an unknown that is off by 1 in u, or by `scale` (m,) from `own` (m,).
     """
@@ -45,7 +45,7 @@ def loss(residual: Array, soft: float) -> float:
 
 
 def held(u: Array, lights: Array, ridge: Ridge) -> float:
-    """What the ridge adds to the loss."""
+    """The ridge's part of the loss."""
     return float(ridge.weight**2 * ((u**2).sum() + (((lights - ridge.own) / ridge.scale) ** 2).sum()))
 
 
