@@ -6,7 +6,7 @@ from typing import cast
 
 import numpy as np
 
-from benchmarks import photographs, real_dots, real_rim, wedge
+from benchmarks import mini_units, photographs, real_dots, real_grain, real_rim, real_units, wedge
 from benchmarks.photographs import Unit
 from benchmarks.results_page import Absent, Cell, Level, Result, Say, Table, columns
 from tacgen.calibrate import likeness, press_faces
@@ -71,6 +71,8 @@ def bench(level: Level, say: Say) -> Result:
         mini = cast(LitSensor, loading.read_sensor(assets.sensor_path("gelsight_mini"))[0])
         tables += real_rim.tables(mini, units["gelsight_mini"], say)
         tables += filter(None, [real_dots.table(mini, level, say)])
+        if mini_units.here():
+            tables += [real_units.table(say), real_grain.table(mini, say)]
     if "ninedtact" in units and level != "smoke":
         tables.append(_depth(units["ninedtact"], say))
     if level != "smoke" and wedge.here():

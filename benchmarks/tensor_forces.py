@@ -2,7 +2,7 @@
 
     python -m benchmarks.tensor_forces [--draws 0 16] [--edge 1.2] [--batch 64] [--seconds 300] [--device cuda]
 
-Scenes of benchmarks/draws.py are solved in batches of one pattern, then each by the CPU engine. A line a scene: frames,
+Scenes of benchmarks/draws.py are solved in batches of one pattern, and each by the CPU engine. A line a scene: frames,
 steps of the bulk by both, the largest difference of the force over the scene's largest one, in the frames before the
 first damped step of either engine and in all, and what the batch engine could not do. Stops after so many seconds.
 """
@@ -10,7 +10,6 @@ first damped step of either engine and in all, and what the batch engine could n
 import argparse
 import sys
 import time
-from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import takewhile
 
@@ -25,8 +24,8 @@ from tacgen.mechanics import mesh
 from tacgen.mechanics.scene import Scene
 from tacgen.mechanics.state import State
 from tacgen.recipe import scene_of_row
-from tacgen.tensor_engine.engine import Solved, lacks, solve
-from tacgen.tensor_engine.gather import gathered, grouped
+from tacgen.tensor_engine import pool
+from tacgen.tensor_engine.engine import Solved
 
 Array = np.ndarray
 
@@ -37,25 +36,13 @@ def main() -> None:
     device = told.device or ("cuda" if torch.cuda.is_available() else "cpu")
     torch.set_num_threads(told.threads)
     numbers = range(told.draws[0], sum(told.draws))
-    made = {k: scene for k in numbers if (scene := scene_of(k, told.edge)) is not None}
-    scenes = {k: scene for k, scene in made.items() if not say_lack(k, lacks(scene))}
+    scenes = {k: scene for k in numbers if (scene := scene_of(k, told.edge)) is not None}
     keys = list(scenes)
-    groups, grids = grouped(list(scenes.values()))
-    for pattern, members in groups.items():
-        for some in batches(members, told.batch, [scenes[keys[k]] for k in members]):
-            if time.perf_counter() > end:
-                say("out of time")
-                return
-            batch = gathered([scenes[keys[k]] for k in some], [grids[k] for k in some], device, told.dtype)
-            start = time.perf_counter()
-            solved = solve(batch, [scenes[keys[k]] for k in some])
-            seconds = time.perf_counter() - start
-            frames = sum(len(each.states) for each in solved)
-            say(f"pattern {pattern.cells}: {len(some)} scenes, {frames} frames, {frames / seconds:.1f} a second")
-            for k, each in zip(some, solved, strict=True):
-                say(compared(keys[k], scenes[keys[k]], each))
-    for k in sorted(set(range(len(keys))) - set(grids)):
-        say(f"draw {keys[k]:3d}: fits no pattern")
+    for number, found in pool.solved(scenes.values(), device, dtype=told.dtype, slots=told.batch, least=1):
+        say(compared(keys[number], scenes[keys[number]], found))
+        if time.perf_counter() > end:
+            say("out of time")
+            return
 
 
 def say(text: str) -> None:
@@ -67,7 +54,7 @@ def arguments() -> argparse.Namespace:
     ask = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     ask.add_argument("--draws", type=int, nargs=2, default=(0, 16), metavar=("FIRST", "COUNT"))
     ask.add_argument("--edge", type=float, help="element edge [mm], with dhat a twelfth of it; else quality draft")
-    ask.add_argument("--batch", type=int, default=64)
+    ask.add_argument("--batch", type=int, default=64, help="most scenes at once")
     ask.add_argument("--seconds", type=float, default=300.0)
     ask.add_argument("--device")
     ask.add_argument("--dtype", type=lambda name: getattr(torch, name), default=torch.float32)
@@ -84,20 +71,6 @@ def scene_of(number: int, edge: float | None) -> Scene | None:
     except UserError as error:
         say(f"draw {number:3d}: refused: {error.lines[0]}")
         return None
-
-
-def say_lack(number: int, lack: str | None) -> bool:
-    """Whether the batch engine lacks something for a scene, which is printed."""
-    if lack is not None:
-        say(f"draw {number:3d}: for the CPU engine, because of {lack}")
-    return lack is not None
-
-
-def batches(members: Sequence[int], size: int, scenes: Sequence[Scene]) -> Iterator[list[int]]:
-    """Scenes with equally many points in a facet, at most `size` at once."""
-    for thin in (False, True):
-        same = [k for k, scene in zip(members, scenes, strict=True) if (2 * scene.shape.reach < scene.edge) == thin]
-        yield from (same[k : k + size] for k in range(0, len(same), size))
 
 
 def compared(number: int, scene: Scene, solved: Solved) -> str:

@@ -2,9 +2,9 @@
 
     python -m benchmarks.tensor_frames [--draws 0 256] [--slots 512] [--workers 16] [--compare 32] [--seconds 300]
 
-Scenes of benchmarks/draws.py at draft are made ready in other processes and solved in refilled slots, pattern after
-pattern. Then some of them are solved by the CPU engine, a process a core. Prints frames a second of both, what each
-kernel takes, how many scenes share a call, how far forces differ, and peak memory.
+Scenes of benchmarks/draws.py at draft are solved in refilled slots, pattern after pattern, by one process or by several
+that share the GPU. Then some of them are solved by the CPU engine, a process a core. Prints frames a second of both,
+what each kernel takes, how many scenes share a call, how far forces differ, and peak memory.
 """
 
 import argparse
@@ -13,6 +13,7 @@ import os
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import takewhile
@@ -31,8 +32,9 @@ from tacgen.mechanics.phases import Phase
 from tacgen.mechanics.scene import Scene
 from tacgen.mechanics.state import State
 from tacgen.recipe import scene_of_row
-from tacgen.tensor_engine import engine, fused, pool, scheduler
+from tacgen.tensor_engine import device, engine, pool, scheduler
 from tacgen.tensor_engine.batch import Batch
+from tacgen.tensor_engine.grids import GridPattern
 
 Array = np.ndarray
 BEGUN: list[int] = []  # draws that the CPU engine has solved in this process
@@ -40,19 +42,19 @@ BEGUN: list[int] = []  # draws that the CPU engine has solved in this process
 
 def main() -> None:
     told = arguments()
-    device = told.device or ("cuda" if torch.cuda.is_available() else "cpu")
-    torch.set_num_threads(1)
-    fused.on, begun = told.compile, time.perf_counter()
-    os.environ.update(results_page.one_thread())  # of the other processes
+    os.environ.update(results_page.one_thread())  # of the other processes too
     os.environ.setdefault("PYTORCH_CUDA_ALLOC_CONF", "expandable_segments:True")  # calls have many sizes
     draws = [k for k in range(told.draws[0], sum(told.draws)) if drawn(k).sensor in (told.sensors or [drawn(k).sensor])]
     with multiprocessing.get_context("spawn").Pool(told.workers) as others:
-        scenes = {k: made for k, made in zip(draws, others.imap(scene_of, draws), strict=True) if made is not None}
+        made = {k: one for k, one in zip(draws, others.imap(planned, draws), strict=True) if one is not None}
+        scenes, patterns = {k: scene for k, (scene, _) in made.items()}, [pattern for _, pattern in made.values()]
         print(f"{len(scenes)} scenes, {len(draws) - len(scenes)} refused", flush=True)
-        for _ in pool.solved(list(scenes.values())[: told.warm], device, dtype=getattr(torch, told.dtype)):
-            pass  # loads libraries, and compiles
-        print(f"made warm in {time.perf_counter() - begun:.0f} s", flush=True)
-        forces = batched(scenes, told, device, others.imap)
+        parts = [
+            {k: scenes[k] for k in np.array(list(scenes))[part]} for part in pool.divided(patterns, told.processes)
+        ]
+        with ProcessPoolExecutor(len(parts), mp_context=multiprocessing.get_context("spawn")) as solving:
+            found = list(solving.map(batched, parts, [told] * len(parts)))
+        forces = merged(found)
         if told.compare:
             compare(list(scenes)[: told.compare], forces, told, others.imap_unordered)
 
@@ -65,14 +67,20 @@ def arguments() -> argparse.Namespace:
     ask.add_argument(
         "--least", type=int, default=pool.LEAST_SHARED, help="scenes of a pattern; fewer share a larger one"
     )
+    ask.add_argument("--processes", type=int, default=1, help="that share the GPU; start nvidia-cuda-mps-control first")
     ask.add_argument("--workers", type=int, default=multiprocessing.cpu_count(), help="processes, one a core")
     ask.add_argument("--compare", type=int, default=0, help="scenes to solve by the CPU engine too")
     ask.add_argument("--seconds", type=float, default=300.0, help="each part stops after so long")
     ask.add_argument("--warm", type=int, default=3, help="scenes to solve before the time counts")
-    ask.add_argument("--compile", action="store_true", help="fuse kernels by torch.compile, which takes minutes")
     ask.add_argument("--dtype", choices=("float32", "float64"), default="float32", help="of the factors")
     ask.add_argument("--device", choices=("cpu", "cuda"), help="a GPU if there is one")
     return ask.parse_args()
+
+
+def planned(index: int) -> tuple[Scene, GridPattern | None] | None:
+    """The scene of a draw, and its pattern; None where it is refused."""
+    scene = scene_of(index)
+    return None if scene is None else (scene, pool.Planned.of((index, scene)).pattern)
 
 
 def scene_of(index: int) -> Scene | None:
@@ -85,71 +93,83 @@ def scene_of(index: int) -> Scene | None:
 
 
 @dataclass
-class Clock:
-    """Seconds in each kernel."""
+class Report:
+    """What one process has solved: forces (frames, 3) [N] by draw, of ended scenes; frames, those of other scenes too;
+    seconds of each kernel, and its calls; seconds in all; why scenes did not end; the most memory used [bytes]."""
 
-    device: str
+    forces: dict[int, Array] = field(default_factory=dict)
+    frames: int = 0
     seconds: Counter[Phase] = field(default_factory=Counter)
+    use: scheduler.Use = field(default_factory=scheduler.Use)
+    elapsed: float = 0.0
+    why: Counter[str] = field(default_factory=Counter)
+    memory: float = 0.0
 
-    def watch(self, advance: Callable[[Batch, Phase, list[int]], None]) -> Callable[[Batch, Phase, list[int]], None]:
+    def watch(
+        self, advance: Callable[[Batch, Phase, list[int]], None], cuda: bool
+    ) -> Callable[[Batch, Phase, list[int]], None]:
         def watched(batch: Batch, phase: Phase, rows: list[int]) -> None:
             start = time.perf_counter()
             advance(batch, phase, rows)
-            if self.device == "cuda":
+            if cuda:
                 torch.cuda.synchronize()
             self.seconds[phase] += time.perf_counter() - start  # type: ignore[assignment]
+            self.frames += sum(batch.courses[row].phase is Phase.done for row in rows)
 
         return watched
 
 
-def batched(
-    scenes: dict[int, Scene], told: argparse.Namespace, device: str, mapped: Callable[[Callable, Iterable], Iterable]
-) -> dict[int, Array]:
-    """Solve scenes by the batch engine; prints as it goes. Forces (frames, 3) [N] of those that ended."""
-    use, clock, forces, why = scheduler.Use(), Clock(device), dict[int, Array](), Counter[str]()
-    keys, engine.advance = list(scenes), clock.watch(engine.advance)  # type: ignore[assignment]
+def batched(scenes: dict[int, Scene], told: argparse.Namespace) -> Report:
+    """Solve scenes by the batch engine; prints as it goes."""
+    usable = [told.device] if told.device else (device.usable() or ["cpu"])
+    memory, dtype, out = 0.9 * device.chosen(usable[0]) / told.processes, getattr(torch, told.dtype), Report()
+    torch.set_num_threads(1)
+    for _ in pool.solved(list(scenes.values())[: told.warm], usable[0], dtype=dtype, memory=memory):
+        pass  # loads libraries, and compiles
+    cuda, keys = usable[0].startswith("cuda"), list(scenes)
+    engine.advance = out.watch(engine.advance, cuda)  # type: ignore[assignment]
     start = said = time.perf_counter()
-    runs = pool.solved(
-        scenes.values(),
-        device,
-        dtype=getattr(torch, told.dtype),
-        slots=told.slots,
-        least=told.least,
-        mapped=mapped,
-        use=use,
-    )
-    for number, found in runs:
-        forces[keys[number]] = forces_of(found.states)
+    before, sizes = 0, {"slots": told.slots, "least": told.least, "memory": memory}
+    for number, found in pool.solved(scenes.values(), usable[0], dtype=dtype, use=out.use, **sizes):
+        out.forces[keys[number]] = forces_of(found.states)
         if found.why is not None:
-            why[str(found.why)[:70]] += 1
+            out.why[str(found.why)[:70]] += 1
         now = time.perf_counter()
         if now - said > 10:
-            said = now
-            print(f"  {now - start:.0f} s: {len(forces)} scenes, {frames(forces)} frames", flush=True)
+            rate = (out.frames - before) / (now - said)
+            print(
+                f"  {now - start:.0f} s: {len(out.forces)} scenes, {out.frames} frames, {rate:.1f} a second", flush=True
+            )
+            said, before = now, out.frames
         if now - start > told.seconds:
             print("  out of time")
             break
-    total = sum(clock.seconds.values())
-    memory = f", {torch.cuda.max_memory_allocated() / 1e9:.1f} GB" if device == "cuda" else ""
+    out.elapsed, out.memory = time.perf_counter() - start, torch.cuda.max_memory_allocated() if cuda else 0.0
+    return out
+
+
+def merged(found: list[Report]) -> dict[int, Array]:
+    """Print what all processes have solved together; returns the forces of all scenes."""
+    seconds, calls, scenes, why = Counter[Phase](), Counter[Phase](), Counter[Phase](), Counter[str]()
+    for report in found:
+        for mine, of_all in ((report.seconds, seconds), (report.use.calls, calls), (report.use.scenes, scenes)):
+            of_all.update(mine)
+        why.update(report.why)
+    forces, total = {k: v for report in found for k, v in report.forces.items()}, sum(seconds.values())
+    frames, elapsed = sum(report.frames for report in found), max(report.elapsed for report in found)
+    mean, memory = scenes.total() / max(calls.total(), 1), sum(report.memory for report in found) / 1e9
     print(
-        f"batch engine: {len(forces)} scenes, {sum(why.values())} of them not to their end, {frames(forces)} frames in"
-        f" {time.perf_counter() - start:.1f} s, {total:.1f} s of it in kernels: {frames(forces) / total:.1f} frames a"
-        f" second; {use.mean:.1f} scenes a call{memory}"
+        f"batch engine, {len(found)} processes: {len(forces)} scenes, {why.total()} of them not to their end, {frames}"
+        f" frames in {elapsed:.1f} s: {frames / elapsed:.1f} a second; {mean:.1f} scenes a call, {memory:.1f} GB"
     )
-    for phase, seconds in clock.seconds.most_common():
-        calls = use.calls[phase]
+    for phase, time_ in seconds.most_common():
         print(
-            f"  {phase:8s} {100 * seconds / total:3.0f} %, {calls} calls of {use.scenes[phase] / calls:.1f} scenes,"
-            f" {1000 * seconds / calls:.1f} ms a call"
+            f"  {phase:8s} {100 * time_ / total:3.0f} %, {calls[phase]} calls of {scenes[phase] / calls[phase]:.1f}"
+            f" scenes, {1000 * time_ / calls[phase]:.1f} ms a call"
         )
     for reason, count in why.most_common():
         print(f"  {count} for the CPU engine: {reason}")
     return forces
-
-
-def frames(forces: dict[int, Array]) -> int:
-    """Frames of all scenes."""
-    return sum(map(len, forces.values()))
 
 
 def forces_of(states: Iterable[State]) -> Array:

@@ -6,11 +6,13 @@ something, or which it does not solve, is solved by its worker as without a GPU,
 
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager, suppress
 from importlib.metadata import version
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 from tacgen import __version__
 from tacgen.batch import solution_file
@@ -24,6 +26,8 @@ from tacgen.mechanics.solved_scene import SolvedScene
 from tacgen.recipe.row import Row
 
 CHUNK = 1024  # scenes that are solved before the first of them is written: some 3 MB of solution each
+EACH = 8  # processes at most that solve on one GPU
+MEMORY = 0.9  # part of a GPU's memory that they share
 FOLDER = ".solved"
 Mapped = Callable[[Callable, Iterable], Iterable]
 SOLVED = f"{__name__}:run_scene"
@@ -31,35 +35,40 @@ SOLVED = f"{__name__}:run_scene"
 
 @contextmanager
 def engine(workers: int, limits: Limits, task: str, scheduler: str) -> Iterator[Callable[..., list[SceneResult]]]:
-    """Worker processes, and a thread that solves for them.
+    """Worker processes, and others that solve for them.
 
     Raises:
         UserError: there is no PyTorch, or no GPU that it can use.
     """
     if scheduler:
         raise UserError(f"--scheduler {scheduler}: needs --engine dask")
-    device = usable_device()
+    devices = usable_devices()
+    count = solvers(workers, len(devices))
     with ExitStack() as stack:
         mapped: Mapped = map
-        if workers > 1:  # scenes are made ready in processes too
+        if workers > 1:  # scenes are planned in processes too
             mapped = stack.enter_context(ProcessPoolExecutor(workers, mp_context=get_context("spawn"))).map
-        solver = stack.enter_context(ThreadPoolExecutor(1))
+        solving: Executor = ThreadPoolExecutor(1)
+        if count > 1:
+            solving = ProcessPoolExecutor(count, mp_context=get_context("spawn"))
+        solving, ahead = stack.enter_context(solving), stack.enter_context(ThreadPoolExecutor(1))
         pool = stack.enter_context(Pool(workers, limits, SOLVED if task == TASK else task))
 
         def run(
             rows: Sequence[Row], folder: Path, *, overwrite: bool = False, on_event: OnEvent = lambda event: None
         ) -> list[SceneResult]:
             def solve(k: int) -> list[str]:
-                return _solve(_unfinished(rows[k : k + CHUNK], folder, overwrite), folder, device, mapped)
+                wanted = _unfinished(rows[k : k + CHUNK], folder, overwrite)
+                return _solve_all(wanted, folder, devices, solving, count, mapped)
 
             (folder / FOLDER).mkdir(exist_ok=True)
             results: list[SceneResult] = []
             try:
-                ahead = solver.submit(solve, 0)
+                chunk = ahead.submit(solve, 0)
                 for k in range(0, len(rows), CHUNK):
-                    for note in ahead.result():
+                    for note in chunk.result():
                         on_event({"event": "note", "scene": "", "note": note})
-                    ahead = solver.submit(solve, k + CHUNK)
+                    chunk = ahead.submit(solve, k + CHUNK)
                     results += pool.run(rows[k : k + CHUNK], folder, overwrite=overwrite, on_event=on_event)
             finally:
                 _clear(folder, rows)
@@ -68,13 +77,18 @@ def engine(workers: int, limits: Limits, task: str, scheduler: str) -> Iterator[
         yield run
 
 
-def usable_device() -> str:
-    """The device of PyTorch that solves. Raises UserError: none can."""
+def solvers(workers: int, devices: int) -> int:
+    """Processes that solve: a GPU waits for the one that feeds it, so several share it, and half of the cores feed."""
+    return max(devices, min(EACH * devices, workers // 2))
+
+
+def usable_devices() -> list[str]:
+    """The devices of PyTorch that solve. Raises UserError: none can."""
     try:
         from tacgen.tensor_engine import device
     except ImportError:
         raise UserError("--engine cuda needs PyTorch: pip install 'tacgen[torch]'") from None
-    if (found := device.usable()) is None:
+    if not (found := device.usable()):
         raise UserError("--engine cuda: PyTorch finds no GPU that it can use; --engine local needs none")
     return found
 
@@ -116,33 +130,62 @@ def _unfinished(rows: Sequence[Row], folder: Path, overwrite: bool) -> list[Row]
     return [row for row in rows if not kept(row)]
 
 
-def _solve(rows: Sequence[Row], folder: Path, device: str, mapped: Mapped) -> list[str]:
+def _solve_all(
+    rows: Sequence[Row], folder: Path, devices: Sequence[str], solving: Executor, count: int, mapped: Mapped
+) -> list[str]:
     """Write a solution for each row, or why there is none; returns notes on the run."""
     if not rows:
         return []
-    from tacgen.tensor_engine import pool
-    from tacgen.tensor_engine.device import named
+    from tacgen.tensor_engine.pool import divided
 
-    found = list(mapped(scene_of, rows))
+    parts = divided(list(mapped(_pattern, rows)), count) if count > 1 else [list(range(len(rows)))]
+    share, notes = -(-count // len(devices)), list[str]()
+    try:
+        begun = [
+            solving.submit(_solve, [rows[k] for k in part], folder, devices[number % len(devices)], share)
+            for number, part in enumerate(parts)
+        ]
+        notes += [note for part in begun for note in part.result()]
+    except BrokenProcessPool:
+        notes.append("a process of the batch engine died; the scenes that it had are solved on the CPU")
+    for row in rows:
+        if not _place(folder, row).exists():
+            why = "solved by the CPU engine: the batch engine stopped before this scene"
+            solution_file.write(_place(folder, row), SolvedScene("", why=why))
+    return notes
+
+
+def _pattern(row: Row) -> Any:
+    """The pattern of a row's scene, if the batch engine solves it."""
+    from tacgen.tensor_engine.pool import Planned
+
+    return Planned.of((0, scene)).pattern if isinstance(scene := scene_of(row), Scene) else None
+
+
+def _solve(rows: Sequence[Row], folder: Path, device: str, share: int) -> list[str]:
+    """Write a solution for each of some rows, or why there is none; `share`: processes that share the device."""
+    from tacgen.tensor_engine import pool
+    from tacgen.tensor_engine.device import chosen, named
+
+    found = [scene_of(row) for row in rows]
     scenes = {k: scene for k, scene in enumerate(found) if isinstance(scene, Scene)}
     versions = ", ".join(f"{package} {version(package)}" for package in ("numpy", "scipy", "numba"))
     numbers, by = list(scenes), f"batch engine on {named(device)}, {versions}"
     why = {k: one for k, one in enumerate(found) if isinstance(one, str)}
-    notes: list[str] = []
     try:
-        for number, solved in pool.solved(scenes.values(), device, mapped=mapped):
+        memory = MEMORY / share * chosen(device)
+        for number, solved in pool.solved(scenes.values(), device, memory=memory):
             k = numbers[number]
             if solved.why is None:
                 solution_file.write(_place(folder, rows[k]), SolvedScene(by, solved.states))
-                scenes.pop(k)
             else:
                 why[k] = str(solved.why)
     except RuntimeError as error:  # PyTorch's, as when the GPU's memory is full: the workers solve what is left
-        notes = [f"the batch engine stopped: {str(error).splitlines()[0]}; the other scenes are solved on the CPU"]
-    for k in scenes.keys() | why.keys():
-        said = why.get(k, "it stopped before this scene")
-        solution_file.write(_place(folder, rows[k]), SolvedScene(by, why=f"solved by the CPU engine: {said}"))
-    return notes
+        return [f"the batch engine stopped: {str(error).splitlines()[0]}; the other scenes are solved on the CPU"]
+    finally:
+        for k, said in why.items():
+            solution_file.write(_place(folder, rows[k]), SolvedScene(by, why=f"solved by the CPU engine: {said}"))
+    return []
 
 
 def _place(folder: Path, row: Row) -> Path:

@@ -136,7 +136,7 @@ class Comparison:
     def net(self, deepest: float = 0.0) -> NormalNet:
         """A network trained on rendered dents with the camera's noise; `deepest`: contact radius over the ball's that
         they reach at least."""
-        return learned(list(self._dents(max(SHARE[1], deepest))))
+        return learned(list(self.dents(max(SHARE[1], deepest))))
 
     def likeness(self, presses: Sequence[PhotographedPress], faces: Sequence[Surface], untouched: Array) -> Likeness:
         """Likeness over presses with known contact circles."""
@@ -164,10 +164,12 @@ class Comparison:
             float(np.mean([real.off(real.flat) for real, _, _ in pairs])), each,
         )  # fmt: skip
 
-    def _dents(self, deepest: float) -> Iterator[PictureOfPress]:
-        random, renderer = np.random.default_rng(0), self._renderer
+    def dents(self, deepest: float, count: int = DENTS, seed: int = 0) -> Iterator[PictureOfPress]:
+        """Rendered dents of balls of random size and place with the camera's noise; `deepest`: largest contact radius
+        over the ball's."""
+        random, renderer = np.random.default_rng(seed), self._renderer
         camera, gel = PinholeCamera.from_sensor(self.sensor), self.sensor.gel
-        for _ in range(DENTS):
+        for _ in range(count):
             ball = float(np.exp(random.uniform(*np.log(BALLS))))
             contact = min(ball * random.uniform(SHARE[0], deepest), WIDEST) / camera.mm_per_px
             center = tuple(float(random.uniform(0, side)) for side in camera.shape[::-1])

@@ -92,17 +92,20 @@ def unexposed(light: "Floats", camera: "Camera") -> "Floats":
 
 
 def develop(
-    radiance: "NDArray[np.floating]", camera: "Camera", random: np.random.Generator | None = None
+    radiance: "NDArray[np.floating]",
+    camera: "Camera",
+    random: np.random.Generator | None = None,
+    gain: "Floats | None" = None,
 ) -> "NDArray[np.uint8]":
-    """The 8-bit picture (H, W, 3) of a radiance picture (H, W, 3), with noise if `random` is given."""
+    """The 8-bit picture (H, W, 3) of a radiance picture (H, W, 3), with noise if `random` is given; `gain` (3,) is a
+    factor on the light of each of the camera's colours."""
     normal, shot, read, strength = np.empty((0, 0, 0)), (0.0,) * 3, (0.0,) * 3, 0.0
     if random is not None and camera.noise is not None:
         normal = random.standard_normal(radiance.shape)
         shot, read, strength = camera.noise.shot, camera.noise.read, camera.noise.strength
     grain = np.array(shot), np.array(read), strength, normal
-    return np.asarray(
-        _counted(radiance, colours(camera), vignette(camera), camera.exposure, *grain, *_steps(camera.response))
-    )
+    mix = colours(camera) if gain is None else colours(camera) * gain[:, None]
+    return np.asarray(_counted(radiance, mix, vignette(camera), camera.exposure, *grain, *_steps(camera.response)))
 
 
 @lru_cache(maxsize=2)

@@ -18,6 +18,7 @@ from tacgen.sensor.yaml_source import KeyPath
 
 FORMAT = 1  # of the bundles that keys stand for
 NOISE = 2  # purpose of these random numbers; a new purpose gets a new number, and sampling has 1
+DRIFT = 3  # as NOISE
 
 
 @dataclass(frozen=True)

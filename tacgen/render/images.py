@@ -13,14 +13,22 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol
 import numpy as np
 
 from tacgen import array_cache
-from tacgen.optics import adaptive_sampling, camera_response, housing, scattering, strip_light, taxim_table
+from tacgen.optics import (
+    adaptive_sampling,
+    camera_response,
+    coat_texture,
+    housing,
+    scattering,
+    strip_light,
+    taxim_table,
+)
 from tacgen.optics.camera import PinholeCamera
 from tacgen.optics.camera_view import CameraView, Samples
 from tacgen.optics.direct_light import Direct
 from tacgen.optics.interreflection import Radiosity
 from tacgen.optics.surface_grid import Sheet, Surface, Untouched
+from tacgen.render import jpeg, traced_maps
 from tacgen.render import mitsuba_variants as probing
-from tacgen.render import traced_maps
 from tacgen.render.mitsuba_path import PathTracer
 from tacgen.render.traced_maps import SPACING
 
@@ -170,6 +178,8 @@ class Renderer:
         self._stray = (
             self._view.samples_of(camera_response.stray(sensor.camera)) if any(sensor.camera.ambient) else None
         )
+        pixel = sensor.camera.mm_per_px / effort.samples
+        self._texture = coat_texture.texture(sensor.coating, self.sheet.size, pixel)
         self.light: Light
         if method == "transport" and not any(layer.scattering for layer in sensor.gel.clear_layers):
             self.name = "transport"
@@ -192,6 +202,9 @@ class Renderer:
         made = self.light.seen(at)
         if self._stray is not None:
             made = made + self._view.dimmed(at, self._stray)
+        if self._texture is not None:
+            factor = coat_texture.sampled(self._texture, self.sheet.size, at.rest)
+            made = made * self._view.picture(factor[:, None])
         if self.sensor.thickness_response is not None:
             change = at.position[:, 2] - self._height(at.position[:, :2])
             response, pixel = self.sensor.thickness_response, self.sensor.camera.mm_per_px
@@ -208,10 +221,16 @@ class Renderer:
         return self.image(self.untouched)
 
     def develop(
-        self, radiance: "NDArray[np.float32]", random: np.random.Generator | None = None
+        self,
+        radiance: "NDArray[np.float32]",
+        random: np.random.Generator | None = None,
+        gain: "Floats | None" = None,
     ) -> "NDArray[np.uint8]":
-        """The camera's 8-bit picture (H, W, 3) of a radiance picture, with its noise if `random` is given."""
-        return camera_response.develop(radiance, self.sensor.camera, random)
+        """The camera's 8-bit picture (H, W, 3) of a radiance picture, with its noise if `random` is given, and as JPEG
+        leaves it if the camera compresses its pictures; `gain` (3,) is a factor on each colour."""
+        eye = self.sensor.camera
+        picture, quality = camera_response.develop(radiance, eye, random, gain), eye.jpeg_quality
+        return picture if quality is None else jpeg.compressed(picture, quality)
 
 
 class TransportEffort(NamedTuple):

@@ -8,11 +8,13 @@ import numpy as np
 from tacgen.optics import camera_response
 from tacgen.optics.surface_grid import Surface
 from tacgen.recipe import background_photo
-from tacgen.recipe.row import NOISE, Row
+from tacgen.recipe.row import DRIFT, NOISE, Row
 from tacgen.render.images import Renderer
+from tacgen.sensor.imperfections import Drift
 from tacgen.sensor.model import Camera, LitSensor
 
 Array = np.ndarray
+WAVES = 64  # of which a drift is the sum: its distribution is normal to within a few per cent
 
 
 class Backdrop:
@@ -57,14 +59,27 @@ class Pictures:
         return self._over_photo(self.renderer.image(face))
 
     def developed(self, radiance: Array, frame: int | None = None) -> Array:
-        """The 8-bit picture (H, W, 3) of a radiance; with the camera's noise in a frame, if the recipe has noise.
+        """The 8-bit picture (H, W, 3) of a radiance; in a frame with the camera's drift, and with its noise, if the
+        recipe has noise.
 
-        That noise depends on the scene's seed and the frame's number alone, whatever process renders it.
+        Both depend on the scene's seed and the frame's number alone, whatever process renders it.
         """
-        if frame is None or not self._row.recipe.render.noise:
+        if frame is None:
             return self.renderer.develop(radiance)
+        drift = self.renderer.sensor.camera.drift
+        gain = None if drift is None else drifted(drift, self._row.seed, frame)
+        if not self._row.recipe.render.noise:
+            return self.renderer.develop(radiance, gain=gain)
         seed = np.random.SeedSequence((self._row.seed, frame, NOISE))
-        return self.renderer.develop(radiance, np.random.default_rng(seed))
+        return self.renderer.develop(radiance, np.random.default_rng(seed), gain)
 
     def _over_photo(self, radiance: Array) -> Array:
         return radiance if self._photo is None else self._photo.under(radiance)
+
+
+def drifted(drift: Drift, seed: int, frame: int) -> Array:
+    """Gain of each colour (3,) in a frame: 1 plus a sum of waves over the frames, whose rates are drawn so that the
+    correlation of two frames falls as exp(-(difference / frames)^2 / 2)."""
+    random = np.random.default_rng(np.random.SeedSequence((seed, DRIFT)))
+    rate, phase = random.standard_normal((3, WAVES)) / drift.frames, random.uniform(0, 2 * np.pi, (3, WAVES))
+    return np.asarray(1 + drift.gain * np.sqrt(2 / WAVES) * np.cos(rate * frame + phase).sum(axis=1))

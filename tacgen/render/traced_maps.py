@@ -36,7 +36,10 @@ LINEAR = {
     "colour_matrix",
     "response",
     "noise",
+    "drift",
+    "jpeg_quality",
 }  # of the camera: what is laid over a picture's light
+PATTERN = {"grain", "marks", "wear"}  # of the coating: the same
 MAP_VERSION = 9  # of how the maps are made; part of their cache key
 SCATTERED_VERSION = 1  # of how `scattered` is made; part of its key in the cache
 CHANGED = 0.01  # share of the thickness by which a dent that is traced has changed a pixel, at least
@@ -160,7 +163,7 @@ def key(sensor: "LitSensor", variant: str | None, *more: object) -> str:
     Not the gel's mechanics, nor what acts on light linearly: the LEDs' power and colour, and the camera's response.
     """
     parts_seen = {"plate", "coating", "walls", "leds", "camera", "gel"}
-    linear: Any = {"leds": {"__all__": {"radiance", "power"}}, "camera": LINEAR}
+    linear: Any = {"leds": {"__all__": {"radiance", "power"}}, "camera": LINEAR, "coating": PATTERN}
     seen = sensor.model_dump(mode="json", exclude_none=True, include=parts_seen, exclude=linear)
     from tacgen.sensor.layers import LayerBase
 

@@ -27,6 +27,7 @@ from tacgen.sensor.base_model import (
     Vec2,
     Vec3,
 )
+from tacgen.sensor.imperfections import Drift, Grain, Marks, Wear
 from tacgen.sensor.layers import Layer
 from tacgen.sensor.markers import Markers
 
@@ -153,6 +154,12 @@ class Coating(Part):
     """Weight of the rough conductor."""
     roughness: Annotated[float, Field(gt=0, le=1)]
     """GGX alpha of the conductor."""
+    grain: Grain | None = None
+    """Fine random pattern of the reflectance; none if absent."""
+    marks: Marks | None = None
+    """Dust and scratches; none if absent."""
+    wear: Wear | None = None
+    """Wear in the middle; none if absent."""
     source: str = NOWHERE
 
 
@@ -242,6 +249,10 @@ class Camera(Part):
     """Response curve from light to pixel values."""
     noise: Noise | None = None
     """Noise of the pixels; none if absent."""
+    drift: Drift | None = None
+    """Slow change of the gain over a scene; none if absent."""
+    jpeg_quality: Annotated[int, Field(ge=1, le=100)] | None = None
+    """Pictures are compressed as JPEG of this quality, as in a camera that streams MJPEG; not if absent."""
     source: str = NOWHERE
 
 

@@ -58,6 +58,9 @@ def _layers(sensor: LitSensor) -> Iterator[Issue]:
     elif gel.dome and len(clear) > 1:
         text = "light is followed through one clear layer under a dome, not several: leave dome out"
         yield Issue(("gel", "dome"), text)
+    for key in ("grain", "marks", "wear") if scattering else ():
+        if getattr(sensor.coating, key) is not None:
+            yield Issue(("coating", key), "cannot be seen through a layer that scatters: leave it out", at_key=True)
     if scattering and sensor.markers:
         text = "cannot be seen through a layer that scatters: leave them out, or scattering"
         yield Issue(("markers",), text, at_key=True)

@@ -77,7 +77,7 @@ def _imbalance(b: Batch, s: Tensor, x: Tensor, contact: Contacts, forces: Forces
 def _depth_inside(b: Batch, s: Tensor, x: Tensor, contact: Contacts) -> Tensor:
     """Largest penetration (s,) of the gel into the shrunk indenter at the integration points [mm]; 0 without any."""
     at = (b.corners @ x[:, b.topology.conn]).flatten(1, 2)
-    d = contact.shapes.distance(contact.local(at))[0].view(len(s), -1, len(b.corners)) + contact.offset[:, None, None]
+    d = contact.shapes.values_at(contact.local(at)).view(len(s), -1, len(b.corners)) + contact.offset[:, None, None]
     return -torch.where(b.exists[s][..., None], d, 0.0).flatten(1).amin(1).clamp(max=0.0)
 
 
@@ -100,8 +100,9 @@ def _record(b: Batch, s: Tensor, contact: Contacts, forces: Forces, figures: lis
         h_least=torch.maximum(t.h_least[s], NEGLIGIBLE * forces.total),
     )  # fmt: skip
     parts = (x, N, forces.normal, normal, friction, sliding, anchor, forces.gap, t.offset[s], t.kappa[s], t.h_least[s])
-    arrays = [part.cpu().numpy() for part in parts]
-    mean = torch.where(forces.total > 0, forces.mean_gap, t.offset[s]).tolist()
+    parts = tuple(part.to("cpu", non_blocking=True) for part in parts)
+    mean = torch.where(forces.total > 0, forces.mean_gap, t.offset[s]).tolist()  # waits for the copies too
+    arrays = [part.numpy() for part in parts]
     for k, row in enumerate(listed(s)):
         _recorded(b, row, [part[k] for part in arrays], mean[k], figures[k])
 

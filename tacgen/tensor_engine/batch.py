@@ -39,6 +39,8 @@ class Factors(Protocol):
     nodes (s, m): numbers of these nodes, padded with -1. Schur complements (s, 3m, 3m) are padded with the unit matrix.
     """
 
+    dtype: torch.dtype
+
     def factor(self, slots: Tensor, K: Tensor, nodes: Tensor) -> tuple[Tensor, Tensor]:
         """Keeps the factors of the cells' tangents K (s, e, 24, 24): which are positive definite away from the nodes
         (s,), and the Schur complements."""
@@ -236,8 +238,8 @@ class Batch:
     def _blank(self, name: str, count: int, sizes: Sequence[int]) -> Tensor:
         """Rows of padding of one of WIDE."""
         padding = {"active": False, "kept": -1, "place": -1}.get(name, 0.0)
-        types = {"active": torch.bool, "kept": torch.long, "place": torch.long}
-        out = torch.full((count, *sizes), padding, dtype=types.get(name, FLOAT), device=self.X.device)
+        types = {"active": torch.bool, "kept": torch.long, "place": torch.long, "load": FLOAT}
+        out = torch.full((count, *sizes), padding, dtype=types.get(name, self.factors.dtype), device=self.X.device)
         if name in ("S", "S_0", "K"):
             out.diagonal(dim1=1, dim2=2).fill_(1.0)
         return out

@@ -54,7 +54,7 @@ def touched(b: Batch, s: Tensor) -> Tensor:
     """The facets (s, f) on which the indenter acts at the iterate; if none, those on which it acted last, or the
     nearest."""
     contact = b.face(s, b.t.offset[s])
-    gap = contact.gaps(contact.points(b.t.x[s]))[0]
+    gap = contact.gap(contact.points(b.t.x[s]))
     now, last = (gap < contact.dhat[:, None, None]).any(-1), (b.t.h_N[s] > 0).any(-1)
     nearest = gap.amin(-1) <= gap.flatten(1).amin(1, keepdim=True)
     out = torch.where(last.any(1, keepdim=True), last, nearest)

@@ -26,7 +26,7 @@ def damped(b: Batch, s: Tensor) -> Tensor:
         return S
     if len(new := s[needed & ~t.rested[s]]):
         hexes, at, _, _ = b.bulk(new, b.X[new])
-        rest = b.factors.schur(hexes.tangents(at), t.nodes[new, : b.width(new)])[1]
+        rest = b.factors.schur(hexes.tangents(at, dtype=b.factors.dtype), t.nodes[new, : b.width(new)])[1]
         b.keep(new, S_0=rest)
         t.rested[new] = True
     return torch.where(needed[:, None, None], S + damping[:, None, None] * b.read("S_0", s, k, k), S)
@@ -34,7 +34,7 @@ def damped(b: Batch, s: Tensor) -> Tensor:
 
 def condensed(b: Batch, s: Tensor) -> Quadratics:
     """The condensed bulk of each scene, not reduced."""
-    S = damped(b, s)
+    S = damped(b, s).to(b.t.x.dtype)
     return Quadratics(b.at_condensed(s, b.t.x[s]), S, b.read("load", s, S.shape[1]))
 
 

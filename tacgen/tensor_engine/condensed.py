@@ -38,7 +38,7 @@ class Condensed:
     """
 
     def __init__(self, solver: Multifrontal, capacity: int) -> None:
-        self.solver, self._panels = solver, solver.empty(capacity)
+        self.solver, self.dtype, self._panels = solver, solver.dtype, solver.empty(capacity)
         self._k = k = 3 * len(solver.patch)
         self._local = torch.full((solver.nodes + 1,), len(solver.patch), device=solver.device)
         self._local[solver.patch] = torch.arange(len(solver.patch), device=solver.device)

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from tacgen.mechanics.barrier import SOFT
-from tacgen.tensor_engine.fused import fused, outer, product, times
+from tacgen.tensor_engine.products import outer, product, times
 from tacgen.tensor_engine.shapes import Shapes
 
 NOWHERE = 1e9  # gap of facets that do not exist [mm]
@@ -133,6 +133,12 @@ class Contacts:
         flat = at.flatten(1, -2)
         return (flat @ self.rotation.mT + self.position[:, None]).view(at.shape)
 
+    def gap(self, at: Tensor) -> Tensor:
+        """Gap (s, ..., f, q) at points (s, ..., f, q, 3) of the facets."""
+        d = self.shapes.values_at(self.local(at).flatten(1, -2)).view(at.shape[:-1])
+        shape = (len(at), *(1,) * (at.dim() - 4), *self.areas.shape[1:])
+        return torch.where(self.areas.view(shape) > 0, d + self.offset.view(-1, *(1,) * (d.dim() - 1)), NOWHERE)
+
     def gaps(self, at: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Gap (s, f, q), gradient (s, f, q, 3) and Hessian (s, f, q, 3, 3) at points, in the sensor's frame."""
         shape = at.shape
@@ -147,21 +153,40 @@ class Contacts:
 
     def evaluate(self, x: Tensor) -> Forces:
         """Forces at nodes x (s, n, 3)."""
+        if x.is_cuda:
+            return self._on_gpu(x)
         at = self.points(x)
         d, g, _ = self.gaps(at)
         return Forces(d, at, *_forces(d, g, at - self.anchor, *self._numbers()))
 
     def tangents(self, x: Tensor) -> Forces:
         """Forces with tangents at nodes x (s, n, 3); where points overlap, without the rotation of the normal."""
+        if x.is_cuda:
+            return self._on_gpu(x)
         at = self.points(x)
         d, g, H = self.gaps(at)
         u, numbers = at - self.anchor, self._numbers()
         return Forces(d, at, *_forces(d, g, u, *numbers), *_tangents(d, g, H, u, *numbers))
 
+    def _on_gpu(self, x: Tensor) -> Forces:
+        from tacgen.tensor_engine import gpu_contact
+
+        return Forces(*gpu_contact.forces(self, x))
+
+    def merits(self, x: Tensor, p: Tensor, fractions: Tensor, frozen: Forces) -> Tensor:
+        """Energy (s, t) [N mm] of the barrier and of friction after fractions (s, t) of steps p (s, n, 3) from x, with
+        the normal forces and normals of `frozen`."""
+        if x.is_cuda:
+            from tacgen.tensor_engine import gpu_contact
+
+            return gpu_contact.merits(self, x, p, fractions, frozen)
+        at = self.points(x)[:, None] + fractions[:, :, None, None, None] * self.points(p)[:, None]
+        numbers = (part[:, None] for part in (frozen.normal, frozen.N, *self._numbers()))
+        return _merit(self.gap(at), at - self.anchor[:, None], *numbers)
+
     def merit(self, x: Tensor, frozen: Forces) -> Tensor:
-        """Energy (s,) [N mm] of the barrier and of friction with the normal forces and normals of `frozen`."""
-        at = self.points(x)
-        return _merit(self.gaps(at)[0], at - self.anchor, frozen.normal, frozen.N, *self._numbers())
+        """`merits` (s,) at x."""
+        return self.merits(x, x, x.new_zeros(len(x), 1), frozen).squeeze(1)
 
     def merit_at(self, here: Forces, frozen: Forces) -> Tensor:
         """`merit` (s,) [N mm] at positions whose forces are known."""
@@ -174,7 +199,6 @@ class Contacts:
         return (allowed / way.clamp(min=1e-300)).flatten(1).amin(1).clamp(max=1.0)
 
 
-@fused
 def _in_sensor(
     d: Tensor, n: Tensor, H: Tensor, R: Tensor, offset: Tensor, areas: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
@@ -183,7 +207,6 @@ def _in_sensor(
     return d, times(R, n), product(product(R, H), R.mT)
 
 
-@fused
 def _forces(
     d: Tensor, g: Tensor, u: Tensor, weight: Tensor, dhat: Tensor, eps: Tensor, mu: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
@@ -196,7 +219,6 @@ def _forces(
     return n, N, N[..., None] * n - (mu * N * slope)[..., None] * t
 
 
-@fused
 def _tangents(
     d: Tensor, g: Tensor, H: Tensor, u: Tensor, weight: Tensor, dhat: Tensor, eps: Tensor, mu: Tensor
 ) -> tuple[Tensor, Tensor]:
@@ -224,11 +246,10 @@ def _tangents(
     return torch.where(touching, tangent, 0.0), torch.where(touching, definite, 0.0)
 
 
-@fused
 def _merit(
     d: Tensor, u: Tensor, normal: Tensor, N: Tensor, weight: Tensor, dhat: Tensor, eps: Tensor, mu: Tensor
 ) -> Tensor:
-    """Energy of the barrier and of friction with given normals and normal forces, summed over the points (s,)."""
+    """Energy of the barrier and of friction with given normals and normal forces, summed over points (..., f, q)."""
     t = u - (u * normal).sum(-1, keepdim=True) * normal
     friction = mu * N * smooth(torch.linalg.vector_norm(t, dim=-1), eps)
-    return (weight * barrier(d, dhat) + friction).sum((1, 2))
+    return (weight * barrier(d, dhat) + friction).sum((-2, -1))

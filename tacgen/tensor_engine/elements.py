@@ -14,11 +14,12 @@ from tacgen.fem.elasticity import PREDICTED, SMALLEST_J
 from tacgen.fem.elements import GAUSS2, trilinear
 from tacgen.fem.kernels import MILD
 from tacgen.fem.potential import Projection
-from tacgen.tensor_engine.fused import fused, outer, product
 from tacgen.tensor_engine.indices import constant
 from tacgen.tensor_engine.laws import Laws, isochoric, volumetric
+from tacgen.tensor_engine.products import outer, product
 
 Array = np.ndarray
+MOST = 2**14  # matrices whose eigenvalues are found at once: cuSOLVER fails above 2^15
 GAUSS = trilinear(np.array([[a, b, c] for c in GAUSS2 for b in GAUSS2 for a in GAUSS2]))[1]  # dN (q, 8, 3)
 
 
@@ -87,7 +88,7 @@ class HexPoints:
 
 @dataclass(frozen=True)
 class Hexes:
-    """Cells of each scene: B (s, e, q, 8, 3) dN/dX [1/mm], weights (s, e, q) [mm^3], 0 for void cells, and laws."""
+    """Cells of each scene: B (s, e, 8, q, 3) dN/dX [1/mm], weights (s, e, q) [mm^3], 0 for void cells, and laws."""
 
     topology: Topology
     B: Tensor
@@ -98,7 +99,7 @@ class Hexes:
     def on(cls, topology: Topology, X: Tensor, exists: Tensor, laws: Laws) -> "Hexes":
         """With nodes X (s, n, 3) at rest; exists (s, e) bool."""
         B, volume = mapped(X[:, topology.conn], GAUSS)
-        return cls(topology, B, volume * exists[..., None], laws)
+        return cls(topology, B.movedim(-3, -2).contiguous(), volume * exists[..., None], laws)
 
     def rows(self, slots: Tensor) -> "Hexes":
         """Only some scenes (r,)."""
@@ -107,7 +108,7 @@ class Hexes:
     def deformation(self, x: Tensor) -> Tensor:
         """F (s, e, q, 3, 3) at positions x (s, n, 3)."""
         s, e, q = self.weights.shape
-        F = x[:, self.topology.conn].mT @ self.B.movedim(3, 2).reshape(s, e, 8, 3 * q)
+        F = x[:, self.topology.conn].mT @ self.B.flatten(-2)
         return F.reshape(s, e, 3, q, 3).movedim(3, 2)
 
     def evaluate(self, x: Tensor) -> HexPoints:
@@ -123,7 +124,7 @@ class Hexes:
 
     def spread(self, P: Tensor) -> Tensor:
         """Nodal forces (s, n, 3) of stresses P (s, e, q, 3, 3)."""
-        return self.topology.at_nodes((self.weights[..., None, None] * (self.B @ P.mT)).sum(2))
+        return self.topology.at_nodes(self.B.flatten(-2) @ (self.weights[..., None, None] * P).mT.flatten(2, 3))
 
     def predicted(self, at: Tensor, J: Tensor, to: Tensor, taken: Tensor) -> Tensor:
         """J (s, e, q) at F = `to`, to first order from J at F = `at`, linearised at F = `taken`."""
@@ -141,16 +142,24 @@ class Hexes:
         P = _piola(at.F, at.I1, w1, w2, w3, self.laws.two_invariants)
         return self.spread(_with_pressures(P, at.first[2] - first[2], taken))
 
-    def tangents(self, at: HexPoints, J: Tensor | None = None, projection: Projection = Projection.NONE) -> Tensor:
+    def tangents(
+        self,
+        at: HexPoints,
+        J: Tensor | None = None,
+        projection: Projection = Projection.NONE,
+        dtype: torch.dtype = torch.float64,
+    ) -> Tensor:
         """d2E/dx2 of each cell (s, e, 24, 24), rows and columns 3 corner + direction; with the pressure at the
-        predicted J if given."""
+        predicted J if given. dtype: in which they are computed."""
         first = at.first if J is None else self.with_pressure(at, J)
-        D = slopes(at.F, at.I1, first, at.second, self.laws.two_invariants)
+        F, I1, weights, B, dilatation = (p.to(dtype) for p in (at.F, at.I1, self.weights, self.B, at.dilatation))
+        first, second = ([p.to(dtype) for p in each] for each in (first, at.second))
+        D = slopes(F, I1, first, second, self.laws.two_invariants)
         if projection is not Projection.NONE:
-            D = clamped(D, at.F, projection)
-        K = stiffness(self.B, self.weights, D)
-        g = (self.weights[..., None, None] * (self.B @ cofactor(at.F).mT)).sum(2).flatten(-2)
-        return K + at.dilatation[..., None, None] * g[..., :, None] * g[..., None, :]
+            D = clamped(D, F, projection)
+        K = stiffness(B.movedim(-3, -2), weights, D)
+        g = (B.flatten(-2) @ (weights[..., None, None] * cofactor(F)).mT.flatten(2, 3)).flatten(-2)
+        return K.addcmul_(dilatation[..., None, None] * g[..., :, None], g[..., None, :])
 
 
 def mapped(corners: Tensor, dN: Array) -> tuple[Tensor, Tensor]:
@@ -176,7 +185,6 @@ def mean(J: Tensor, weights: Tensor) -> Tensor:
     return torch.where(volume > 0, (weights * J).sum(-1) / volume.clamp(min=1e-300), 1.0)
 
 
-@fused
 def _state(F: Tensor, w: Tensor, values: Tensor) -> tuple[Tensor, ...]:
     """I1, J, energy, dilatation, first and second of HexPoints; w: weights, values: of the laws."""
     C = cofactor(F)
@@ -192,19 +200,16 @@ def _state(F: Tensor, w: Tensor, values: Tensor) -> tuple[Tensor, ...]:
     return I1, J, energy, dilatation, first[0], first[1], first[2] + dU[..., None], *second
 
 
-@fused
 def _piola(F: Tensor, I1: Tensor, w1: Tensor, w2: Tensor, w3: Tensor, two: bool) -> Tensor:
     """P (..., 3, 3) = 2 w1 F + 2 w2 (I1 F - F F^T F) + w3 cof F; two: whether there is a w2."""
     P = 2 * (w1 + w2 * I1)[..., None, None] * F + w3[..., None, None] * cofactor(F)
     return P - 2 * w2[..., None, None] * product(F, product(F.mT, F)) if two else P
 
 
-@fused
 def _predicted(taken: Tensor, at: Tensor, J: Tensor, to: Tensor) -> Tensor:
     return J + (cofactor(taken) * (to - at)).sum((-2, -1))
 
 
-@fused
 def _with_pressure(first: Tensor, true: Tensor, J: Tensor, weights: Tensor, values: Tensor) -> Tensor:
     """dW/dJ with the pressure of another J (s, e, q) than the true one."""
     J = torch.minimum(torch.maximum(J, true / PREDICTED), PREDICTED * true)
@@ -212,12 +217,10 @@ def _with_pressure(first: Tensor, true: Tensor, J: Tensor, weights: Tensor, valu
     return first + change[..., None]
 
 
-@fused
 def _with_pressures(P: Tensor, pressure: Tensor, taken: Tensor) -> Tensor:
     return P + pressure[..., None, None] * cofactor(taken)
 
 
-@fused
 def slopes(F: Tensor, I1: Tensor, first: list[Tensor], second: list[Tensor], two: bool) -> Tensor:
     """dP/dF (..., 9, 9), index 3 i + J, of F (..., 3, 3); `two`: whether the law depends on I2."""
     (w1, w2, w3), (s11, s22, s33, s12, s13, s23) = ([part[..., None] for part in each] for each in (first, second))
@@ -242,7 +245,13 @@ def clamped(D: Tensor, F: Tensor, projection: Projection) -> Tensor:
     where = torch.ones_like(F[..., 0, 0], dtype=torch.bool)
     if projection is Projection.STRAINED:
         where = (C * C).sum((-2, -1)) > MILD**2
-    values, vectors = torch.linalg.eigh(D[where])
     out = D.clone()
-    out[where] = (vectors * values.clamp(min=0.0)[..., None, :]) @ vectors.mT
+    out[where] = torch.cat([_nearest(part) for part in D[where].nan_to_num().split(MOST)])
     return out
+
+
+def _nearest(D: Tensor) -> Tensor:
+    """Symmetric D (k, 9, 9) without negative eigenvalues."""
+    values, vectors = torch.linalg.eigh(D)
+    nearest: Tensor = (vectors * values.clamp(min=0.0)[..., None, :]) @ vectors.mT
+    return nearest

@@ -1,7 +1,7 @@
 """The batch engine: the method's table run for all scenes of a batch, kernel by kernel."""
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +10,7 @@ from torch import Tensor
 from tacgen.geometry.pose import shortest_turn
 from tacgen.mechanics.failures import NotConverged
 from tacgen.mechanics.load_stepping import divided
-from tacgen.mechanics.phases import FINAL, TRANSITIONS, Outcome, Phase
+from tacgen.mechanics.phases import TRANSITIONS, Outcome, Phase
 from tacgen.mechanics.scene import Scene
 from tacgen.mechanics.state import State
 from tacgen.tensor_engine import admission, bulk_newton, load_step
@@ -57,24 +57,6 @@ class Solved:
 
     states: list[State]
     why: NotConverged | str | None
-
-
-def solve(b: Batch, scenes: Sequence[Scene]) -> list[Solved]:
-    """The frames of all scenes, in each slot one. The kernel for which most scenes wait is called next."""
-    s = b.slots(range(len(scenes)))
-    admission.rest(b, s, np.array([scene.start for scene in scenes]))
-    paths = [frames(b, row, scene) for row, scene in enumerate(scenes)]
-    going = {row for row, path in enumerate(paths) if next(path, None) is not None}
-    while going:
-        waiting: dict[Phase, list[int]] = {}
-        for row in sorted(going):
-            waiting.setdefault(b.courses[row].phase, []).append(row)
-        phase, rows = max(waiting.items(), key=lambda each: len(each[1]))
-        advance(b, phase, rows)
-        for row in rows:
-            if b.courses[row].phase in FINAL and next(paths[row], None) is None:
-                going.discard(row)
-    return [Solved(course.states, course.why) for course in b.courses]
 
 
 def advance(b: Batch, phase: Phase, rows: list[int]) -> None:

@@ -55,7 +55,7 @@ class Folding:
         D = slopes(self.F, zero, first, second, False)
         if projection is not Projection.NONE:
             D = clamped(D, self.F, projection)
-        out[self.scene, self.cell] += stiffness(self.B, self.weights, D)
+        out[self.scene, self.cell] += stiffness(self.B, self.weights, D).to(out.dtype)
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from tacgen.mechanics.tunnelling import DEEPEST, TURN
 from tacgen.tensor_engine.batch import Batch
 from tacgen.tensor_engine.contact_newton import at_nodes
 from tacgen.tensor_engine.indices import listed
-from tacgen.tensor_engine.reduction import with_points
+from tacgen.tensor_engine.reduction import solved_by_root, with_points
 
 
 def begin(b: Batch, s: Tensor) -> list[Outcome]:
@@ -32,7 +32,7 @@ def begin(b: Batch, s: Tensor) -> list[Outcome]:
         folds=torch.ones_like(t.folds[s]),
     )  # fmt: skip
     contact = b.face(s, t.offset[s])
-    gap = contact.gaps(contact.points(t.h_x[s]))[0]
+    gap = contact.gap(contact.points(t.h_x[s]))
     touching = ((gap < contact.dhat[:, None, None]) | (t.h_N[s] > 0)).any(-1)
     apart = ~touching.any(-1)
     usable = torch.tensor([course.usable for course in courses], device=s.device)
@@ -87,7 +87,7 @@ def take(b: Batch, s: Tensor, x: Tensor, J: Tensor | None, projection: Projectio
     """Factorise the tangents at x (s, n, 3), with pressures at the predicted J if given; where one is not positive
     definite, with projected tangents of the cells. Which have a factor."""
     hexes, at, folding, _ = b.bulk(s, x)
-    K = hexes.tangents(at, J, projection)
+    K = hexes.tangents(at, J, projection, b.factors.dtype)
     folding.add_tangents(K, projection)
     good, S = b.factors.factor(s, K, b.t.nodes[s, : b.width(s)])
     b.keep(s, S=S)
@@ -124,12 +124,12 @@ def foresee(b: Batch, s: Tensor) -> list[Outcome]:
     k = 3 * b.width(s)
     eye = torch.eye(3, dtype=x.dtype, device=x.device)
     place = torch.arange(k, device=s.device).expand(len(s), -1)
-    K = with_points(b.read("S", s, k, k), place, contact.conn, contact.N, ties[..., None] * eye)
-    L, info = torch.linalg.cholesky_ex(K)
+    S = b.read("S", s, k, k)
+    K = with_points(S, place, contact.conn, contact.N.to(S.dtype), (ties[..., None] * eye).to(S.dtype))
     pull = at_nodes(contact, ties * motion[row, faces], k // 3).flatten(1)
-    u = torch.cholesky_solve(pull[..., None], L).squeeze(-1)
-    good = (info == 0) & (ties > 0).flatten(1).any(1)
-    u = torch.where(good[:, None], u, 0.0)
+    u, good = solved_by_root(K, pull[..., None].to(S.dtype))
+    good = good & (ties > 0).flatten(1).any(1)
+    u = torch.where(good[:, None], u.squeeze(-1).to(x.dtype), 0.0)
     first = x + b.factors.expand(s, u, torch.zeros_like(x)).to(x.dtype)
     before = t.h_motion[s]
     both = (touching & before.any(-1))[..., None]
@@ -181,7 +181,7 @@ def _anchor(b: Batch, s: Tensor, x: Tensor) -> None:
     t, contact = b.t, b.face(s, b.t.offset[s])
     at, offset = contact.points(x), contact.offset[:, None, None]
     before, ahead = t.h_anchor[s], contact.local(at)
-    gap_before, gap_ahead = t.h_gap[s] - offset, contact.gaps(at)[0] - offset
+    gap_before, gap_ahead = t.h_gap[s] - offset, contact.gap(at) - offset
     closing = (gap_before - gap_ahead).clamp(min=1e-12)
     part = torch.where(gap_ahead < 0, (gap_before / closing).clamp(0.0, 1.0), 1.0)
     touch = before + part[..., None] * (ahead - before)

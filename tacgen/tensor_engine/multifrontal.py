@@ -17,7 +17,7 @@ from torch import Tensor
 from tacgen.tensor_engine.dissection import Dissection, Group, Level
 
 Array = np.ndarray
-BASE = 72  # rows up to which a diagonal block is factorised by LAPACK or its like; larger ones by halves
+BASE = 64  # rows up to which a diagonal block is factorised by LAPACK or by one program; larger ones by halves
 STRIP = 192  # columns of an update that are computed at once, from the diagonal down: a multiple of 3
 
 
@@ -247,6 +247,10 @@ def invert_factor(A: Tensor) -> Tensor:
     numbers mean nothing.
     """
     n = A.shape[-1]
+    if n <= BASE and A.is_cuda and A.dtype == torch.float32:
+        from tacgen.tensor_engine import gpu_blocks
+
+        return gpu_blocks.lower_inverse(A)
     if n <= BASE:
         L, info = torch.linalg.cholesky_ex(A)
         A.copy_(torch.linalg.solve_triangular(L, torch.eye(n, dtype=A.dtype, device=A.device), upper=False))

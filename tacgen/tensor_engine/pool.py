@@ -9,11 +9,15 @@ from itertools import chain, islice
 import numpy as np
 import torch
 
+from tacgen.fem.assembly import Pattern
+from tacgen.fem.elasticity import Elastic
+from tacgen.fem.elements import elements
 from tacgen.mechanics import mesh
 from tacgen.mechanics.phases import FINAL, Phase
-from tacgen.mechanics.problem import Problem
+from tacgen.mechanics.problem import Problem, by_distance
 from tacgen.mechanics.scene import Scene
-from tacgen.tensor_engine import admission, engine, gather, grids, refill, scheduler
+from tacgen.tensor_engine import admission, engine, grids, refill, scheduler
+from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine.batch import Batch, Place
 from tacgen.tensor_engine.condensed import Condensed
 from tacgen.tensor_engine.dissection import Dissection, dissected
@@ -22,15 +26,17 @@ from tacgen.tensor_engine.engine import Solved
 from tacgen.tensor_engine.grids import Embedded, GridPattern
 from tacgen.tensor_engine.multifrontal import Multifrontal
 
-MOST_SLOTS = 512  # more scenes at once are hardly faster
+MOST_SLOTS = 1024  # more scenes at once are hardly faster
 LEAST_SHARED = 64  # scenes of a pattern below which it is merged with others: smaller batches do not fill a GPU
-CPU_MEMORY = 4e9  # [bytes] used where there is no GPU
 # Kernel calls of a scene for each of its frames, on average, after which it is left to the CPU engine: ordinary frames
 # take 40, and a few scenes that go on for long would keep a batch from ending
 MOST_CALLS = 150
-WIDE = 450  # unknowns condensed to in a large contact, for the estimate of memory
+WIDE = 900  # unknowns condensed to in the largest contact, for the estimate of memory
 CELL, UNKNOWN = 2500, 100  # bytes of tables, of a cell and of an unknown
-WORK, TANGENT = 40_000, 80_000  # bytes of a cell for the work of a kernel, and of one that makes tangents
+WORK, TANGENT = 15_000, 30_000  # bytes of a cell for the work of a kernel, and of one that makes tangents
+DENSE = (Phase.contact, Phase.predict)
+CLASSES = (72, 162)  # nodes of contacts that are solved together
+NONE = Pattern(*(np.zeros(0, np.int32),) * 3, 0, *(np.zeros(0, np.int32),) * 2)  # of no sparse matrix
 HEAVY = (Phase.start, Phase.load, Phase.search, Phase.measure, Phase.admit)  # kernels that evaluate all cells
 
 
@@ -74,13 +80,24 @@ class PreparedScene:
         """Raises ValueError: the pattern does not hold the scene's mesh."""
         assert plan.axes is not None
         assert plan.pattern is not None
-        problem = gather.unassembled(plan.scene, mesh.on(plan.axes, plan.scene.gel))
+        problem = _unassembled(plan.scene, mesh.on(plan.axes, plan.scene.gel))
         return cls(plan.number, plan.scene, problem, grids.placed(plan.axes, plan.scene, plan.pattern))
 
     @property
     def place(self) -> Place:
         """Where the mesh is within the batch's numbering."""
         return Place(self.grid.nodes, self.grid.cells, self.grid.facets)
+
+
+def _unassembled(scene: Scene, grid: mesh.GelMesh) -> Problem:
+    """The problem of a scene on its mesh without the tables of the CPU's sparse stiffness, which take most of the time
+    to make."""
+    elastic = tuple(
+        Elastic(elements(grid.points, grid.cells[grid.layer == number]), layer.law)
+        for number, layer in enumerate(scene.gel.layers)
+    )
+    contact = by_distance(scene, grid, None)
+    return Problem(grid, elastic, (), contact, NONE, scene.friction, scene.edge)
 
 
 class ScenePool:
@@ -114,6 +131,11 @@ class ScenePool:
         if course.phase in FINAL and next(self._frames[slot], None) is None:
             return None
         return course.phase
+
+    def size(self, slot: int) -> int:
+        """For kernels of dense matrices of a contact's nodes, the smallest of CLASSES that holds them."""
+        course = self.batch.courses[slot]
+        return next((c for c in CLASSES if course.nodes <= c), 0) if course.phase in DENSE else 0
 
     def advance(self, phase: Phase, slots: list[int]) -> None:
         """Call a kernel for scenes that wait for it."""
@@ -160,6 +182,18 @@ def solved(
         yield from _solved(tree, ready, min(count, slots), limits, device, dtype, use)
 
 
+def divided(patterns: Sequence[GridPattern | None], parts: int) -> list[list[int]]:
+    """Numbers of scenes in at most so many parts of about one size, for processes that share a GPU: scenes of one
+    pattern together, those of large ones first and those without one last."""
+
+    def key(number: int) -> tuple[bool, int, tuple[int, ...]]:
+        pattern = patterns[number]
+        return (True, 0, ()) if pattern is None else (False, -pattern.size, pattern.cells)
+
+    order = np.array(sorted(range(len(patterns)), key=key), int)
+    return [part.tolist() for part in np.array_split(order, parts) if len(part)]
+
+
 def _solved(
     tree: Dissection,
     ready: Iterator[PreparedScene],
@@ -179,16 +213,16 @@ def _solved(
 def room(tree: Dissection, memory: float) -> tuple[int, dict[Phase, int]]:
     """How many scenes of a pattern have room in so many bytes, and how many a call of some kernels may have."""
     cells, k = len(tree.pattern.hexes), 3 * len(tree.patch)
-    own = 4.0 * (tree.kept + k * k + k * WIDE) + CELL * cells + UNKNOWN * 3 * tree.pattern.size + 32.0 * WIDE**2
+    own = 4.0 * (tree.kept + k * k + k * WIDE + 5 * WIDE**2) + CELL * cells + UNKNOWN * 3 * tree.pattern.size
     work = dict.fromkeys(HEAVY, float(WORK * cells))
     work |= dict.fromkeys((Phase.factor, Phase.renew), 8.0 * tree.work + TANGENT * cells)
-    return max(1, int(0.45 * memory / own)), {phase: max(1, int(0.3 * memory / each)) for phase, each in work.items()}
+    return max(1, int(0.6 * memory / own)), {phase: max(1, int(0.25 * memory / each)) for phase, each in work.items()}
 
 
 def free_memory(device: str) -> float:
     """Bytes that a batch may use."""
     if not device.startswith("cuda"):
-        return CPU_MEMORY
+        return devices.CPU_MEMORY
     gc.collect()
     torch.cuda.empty_cache()  # of the pool before
     return float(torch.cuda.mem_get_info(device)[0])

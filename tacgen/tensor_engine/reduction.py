@@ -11,8 +11,7 @@ from torch import Tensor
 
 from tacgen.tensor_engine.multifrontal import BASE, invert_factor
 
-REFINEMENTS = 2  # of solutions in single precision
-REFINED = 1e-10  # largest residual of one of them, over the largest entry of the right-hand side [-]
+EXACT = 1e-3  # largest residual of a solution without pivots, over the largest entry of the right-hand side [-]
 MULTIPLE = 12  # sizes of reduced matrices are multiples of it, so that few sizes occur
 
 
@@ -35,43 +34,56 @@ class Reduction:
     def solve(self, K: Tensor, b: Tensor, symmetric: bool) -> tuple[Tensor, Tensor]:
         """x (s, k) of (S + contact) x = b (s, k), with K (s, a, a) of both on the kept unknowns, and which exist (s,):
         K is not singular or, if symmetric, is positive definite."""
+        to, b = b.dtype, b.to(K.dtype)
         right = _padded(b).gather(1, self.kept)[..., None] - self.X.mT @ b[..., None]
-        if symmetric:
-            L, info = torch.linalg.cholesky_ex(K)
-            x = torch.cholesky_solve(right, L)
-        else:
-            x, info = solved(K, right, torch.float32 if K.is_cuda else K.dtype)
+        x, good = (solved_by_root if symmetric else solved)(K, right)
         out = _padded((self.G @ b[..., None] - self.X @ x).squeeze(-1))
         out = out.scatter(1, self.kept, x.squeeze(-1))[:, :-1]
-        good = (info == 0) & torch.isfinite(out).all(1)
-        return torch.where(good[:, None], out, 0.0), good
+        good = good & torch.isfinite(out).all(1)
+        return torch.where(good[:, None], out, 0.0).to(to), good
 
 
-def solved(K: Tensor, b: Tensor, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
-    """x (s, a, 1) of K x = b, and where K is singular (s,), not 0: by LU with pivots or, in another precision than that
-    of K, by the inverse with iterative refinement (see condensation._refined) where that converges."""
-    if dtype == K.dtype:
-        LU, pivots, info = torch.linalg.lu_factor_ex(K)
-        return torch.linalg.lu_solve(LU, pivots, b), info
-    inverse = K.to(dtype)
+def solved_by_root(K: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
+    """x (s, a, 1) of K x = b, and which K (s, a, a) are positive definite."""
+    inverse = K.clone()
+    info = invert_factor(inverse)
+    return inverse.mT @ (inverse @ b), info == 0
+
+
+def solved(K: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
+    """x (s, a, 1) of K x = b, and which K (s, a, a) are regular: by LU with pivots, or on a GPU as below."""
+    if K.is_cuda and K.dtype == torch.float32:
+        return solved_by_inverse(K, b)
+    LU, pivots, info = torch.linalg.lu_factor_ex(K)
+    return torch.linalg.lu_solve(LU, pivots, b), info == 0
+
+
+def solved_by_inverse(K: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
+    """As `solved`, by the inverse without pivots where that is exact enough for a step of Newton's method: much faster
+    on a GPU."""
+    if not K.shape[1]:  # nothing touches
+        return b, torch.ones(len(K), dtype=torch.bool, device=K.device)
+    inverse = K.clone()
     invert(inverse)
-    x = (inverse @ b.to(dtype)).to(b.dtype)
-    for _ in range(REFINEMENTS):
-        x = x + (inverse @ (b - K @ x).to(dtype)).to(b.dtype)
-    off = (b - K @ x).abs().amax((1, 2)) <= REFINED * b.abs().amax((1, 2))
-    info = torch.zeros(len(K), dtype=torch.int32, device=K.device)
-    if len(bad := torch.nonzero(~off).squeeze(1)):  # not a number is not small
-        x[bad], info[bad] = solved(K[bad], b[bad], K.dtype)
-    return x, info
+    x = inverse @ b
+    good = (b - K @ x).abs().amax((1, 2)) <= EXACT * b.abs().amax((1, 2))
+    if len(bad := torch.nonzero(~good).squeeze(1)):  # not a number is not small
+        some, regular = solved(K[bad].double(), b[bad].double())
+        x[bad], good[bad] = some.to(x.dtype), regular
+    return x, good
 
 
 def invert(A: Tensor) -> None:
     """Overwrite matrices A (s, n, n) by their inverses, in products of blocks without pivots, which a GPU does much
     faster than LU; numbers mean nothing where a block is singular."""
     n = A.shape[-1]
+    if n <= BASE and A.is_cuda and A.dtype == torch.float32:
+        from tacgen.tensor_engine import gpu_blocks
+
+        return gpu_blocks.inverse(A)
     if n <= BASE:
         A.copy_(torch.linalg.inv_ex(A)[0])
-        return
+        return None
     k = n // 2
     P, Q, R, T = A[:, :k, :k], A[:, :k, k:], A[:, k:, :k], A[:, k:, k:]
     invert(P)
@@ -81,6 +93,7 @@ def invert(A: Tensor) -> None:
     R.copy_(-(T @ below))
     P.baddbmm_(beside, R, alpha=-1)
     Q.copy_(-(beside @ T))
+    return None
 
 
 def _padded(b: Tensor) -> Tensor:

@@ -31,4 +31,4 @@ def fill(b: Batch, slot: int, problem: Problem, place: Place, X: Array) -> None:
     b.courses[slot] = one.courses[0]
     for name, rows in vars(b.t).items():
         rows[slot] = b._blank(name, 1, rows.shape[1:])[0] if name in WIDE else getattr(one.t, name)[0]
-    b.shapes = b.shapes.replaced(slot, one.shapes.shapes[0])
+    b.shapes = b.shapes.replaced(slot, one.shapes.all[0])

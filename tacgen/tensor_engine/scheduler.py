@@ -29,6 +29,9 @@ class Slots(Protocol[S, R]):
     def phase(self, slot: int) -> Phase | None:
         """The kernel for which the scene in a slot waits; None: it has ended."""
 
+    def size(self, slot: int) -> int:
+        """A class of sizes for that kernel: calls have scenes of one, as arrays are padded to the largest."""
+
     def advance(self, phase: Phase, slots: list[int]) -> None:
         """Call a kernel for scenes that wait for it."""
 
@@ -72,16 +75,19 @@ def run(
             slots.enter(free.pop(), scene)
         if not inside:
             return
-        queues: dict[Phase | None, list[int]] = {}
+        queues: dict[tuple[Phase, int], list[int]] = {}
+        ended = []
         for slot in inside:  # in the order in which they came in
-            queues.setdefault(slots.phase(slot), []).append(slot)
-        if ended := queues.pop(None, []):
-            for slot in ended:
-                yield inside.pop(slot), slots.leave(slot)
-                free.append(slot)
+            if (phase := slots.phase(slot)) is None:
+                ended.append(slot)
+            else:
+                queues.setdefault((phase, slots.size(slot)), []).append(slot)
+        for slot in ended:
+            yield inside.pop(slot), slots.leave(slot)
+            free.append(slot)
+        if ended:
             continue
-        phase, queue = max(queues.items(), key=lambda each: len(each[1]))
-        assert phase is not None
+        (phase, _), queue = max(queues.items(), key=lambda each: len(each[1]))
         some = queue[: most.get(phase, len(queue))]
         if use is not None:
             use.add(phase, len(some))

@@ -6,7 +6,7 @@ of the shapes (s, 1).
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
@@ -16,8 +16,7 @@ from torch import Tensor
 from tacgen.geometry import analytic_sdf as sdf
 from tacgen.geometry.analytic_sdf import Shape
 from tacgen.geometry.sdf_grid import Field
-from tacgen.tensor_engine.fused import fused, outer
-from tacgen.tensor_engine.indices import index_of, listed
+from tacgen.tensor_engine.products import outer
 
 Distances = tuple[Tensor, Tensor, Tensor]
 # the numbers of each analytic shape, in the order in which its function takes them
@@ -42,7 +41,7 @@ class _Core(NamedTuple):
 def _vector(x: Tensor | float, y: Tensor | float, z: Tensor | float, like: Tensor) -> Tensor:
     """Vectors (s, k, 3) from components that are numbers or (s, k)."""
     return torch.stack(
-        [torch.as_tensor(v, dtype=like.dtype, device=like.device).expand_as(like) for v in (x, y, z)], -1
+        [v.expand_as(like) if isinstance(v, Tensor) else torch.full_like(like, v) for v in (x, y, z)], -1
     )
 
 
@@ -80,18 +79,18 @@ def _polar(p: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 def _inside_box(inside_by: list[Tensor], normals: list[Tensor]) -> tuple[Tensor, Tensor]:
     """Depth and direction out from distances inside each face and their normals."""
-    depth, face = torch.stack(inside_by, -1).min(-1)
-    out = torch.stack(normals, -2).gather(-2, face[..., None, None].expand(*face.shape, 1, 3)).squeeze(-2)
+    depth, out = inside_by[0], normals[0]
+    for other, normal in zip(inside_by[1:], normals[1:], strict=True):
+        nearer = other < depth
+        depth, out = torch.where(nearer, other, depth), torch.where(nearer[..., None], normal, out)
     return depth.clamp(min=0.0), out
 
 
-@fused
 def _sphere(p: Tensor, radius: Tensor) -> Distances:
     centre = _vector(0.0, 0.0, radius, p[..., 0])
     return _grown(p, _plain(centre, p.new_zeros(3, 3)), radius)
 
 
-@fused
 def _capsule(p: Tensor, radius: Tensor, length: Tensor) -> Distances:
     x, half = p[..., 0], length / 2
     jacobian = p.new_zeros(*x.shape, 3, 3)
@@ -99,7 +98,6 @@ def _capsule(p: Tensor, radius: Tensor, length: Tensor) -> Distances:
     return _grown(p, _plain(_vector(torch.clamp(x, -half, half), 0.0, radius, x), jacobian), radius)
 
 
-@fused
 def _torus(p: Tensor, radius: Tensor, tube: Tensor) -> Distances:
     rho, radial, azimuth = _polar(p)
     closest = radius[..., None] * radial + _vector(0.0, 0.0, tube, rho)
@@ -107,7 +105,6 @@ def _torus(p: Tensor, radius: Tensor, tube: Tensor) -> Distances:
     return _grown(p, _plain(closest, jacobian), tube)
 
 
-@fused
 def _cylinder(p: Tensor, radius: Tensor, fillet: Tensor) -> Distances:
     (rho, radial, azimuth), z, rim = _polar(p), p[..., 2], radius - fillet
     closest = torch.minimum(rho, rim)[..., None] * radial + _vector(0.0, 0.0, torch.maximum(z, fillet), rho)
@@ -117,7 +114,6 @@ def _cylinder(p: Tensor, radius: Tensor, fillet: Tensor) -> Distances:
     return _grown(p, _Core(closest, jacobian, *_inside_box([z - fillet, rim - rho], [_down(z), radial])), fillet)
 
 
-@fused
 def _box(p: Tensor, size_x: Tensor, size_y: Tensor, fillet: Tensor) -> Distances:
     (x, y, z), hx, hy = p.unbind(-1), size_x / 2 - fillet, size_y / 2 - fillet
     closest = _vector(torch.clamp(x, -hx, hx), torch.clamp(y, -hy, hy), torch.maximum(z, fillet), z)
@@ -131,7 +127,6 @@ def _sign(v: Tensor) -> Tensor:
     return torch.where(v >= 0, 1.0, -1.0).to(v.dtype)
 
 
-@fused
 def _cone(p: Tensor, half_angle: Tensor, tip: Tensor) -> Distances:
     (rho, radial, azimuth), s, c = _polar(p), torch.sin(half_angle), torch.cos(half_angle)
     z = p[..., 2] - tip
@@ -145,7 +140,6 @@ def _cone(p: Tensor, half_angle: Tensor, tip: Tensor) -> Distances:
     return _grown(p, _Core(closest, jacobian, torch.where(side & (outward < 0), -outward, 0.0), normal), tip)
 
 
-@fused
 def _wedge(p: Tensor, half_angle: Tensor, tip: Tensor, length: Tensor) -> Distances:
     x, y, z = p.unbind(-1)
     s, c, sign, up, half = torch.sin(half_angle), torch.cos(half_angle), _sign(x), z - tip, length / 2 - tip
@@ -190,7 +184,6 @@ def _weights(t: Tensor) -> Tensor:
     return torch.stack([torch.stack(row, -1) for row in (value, slope, bend)], -2)
 
 
-@fused
 def _spline(p: Tensor, grids: _Grids) -> Distances:
     at = (p - grids.origin) / grids.cell[..., None]
     shape = torch.stack(grids.shape, -1)
@@ -218,14 +211,38 @@ def _spline(p: Tensor, grids: _Grids) -> Distances:
     return d, g, torch.where(far[..., None, None], 0.0, H)
 
 
+KINDS = (*FUNCTIONS, Field)
+
+
+def _of(kind: int, p: Tensor, table: Tensor, values: Tensor) -> Distances:
+    """Indenters of one kind, with their rows of the table."""
+    columns = table.T[..., None]
+    if KINDS[kind] is Field:
+        first, nx, ny, nz = columns[:4].long()
+        return _spline(p, _Grids(values, first, (nx, ny, nz), table[:, None, 4:7], columns[7]))
+    found: Distances = FUNCTIONS[KINDS[kind]](p, *columns[: len(NUMBERS[KINDS[kind]])])
+    return found
+
+
+def _grouped(p: Tensor, kinds: Tensor, table: Tensor, values: Tensor) -> Distances:
+    """Signed distances, kind by kind."""
+    d, g, H = p.new_empty(p.shape[:2]), torch.empty_like(p), p.new_empty(*p.shape, 3)
+    for kind in kinds.unique().tolist():
+        rows = torch.nonzero(kinds == kind).squeeze(1)
+        d[rows], g[rows], H[rows] = _of(kind, p[rows], table[rows], values)
+    return d, g, H
+
+
 @dataclass(frozen=True)
 class Shapes:
-    """An indenter for each scene; the coefficients of all fields one after the other; and a table (s, 8) of numbers: of
-    analytic shapes those of NUMBERS, of fields where its coefficients begin, its nodes, origin and cell."""
+    """An indenter for each scene: its number (s,) in KINDS; a table (s, 8) of numbers: of analytic shapes
+    those of NUMBERS, of fields where its coefficients begin, its nodes, origin and cell; and the coefficients of all
+    fields one after the other. all: the shapes of a whole batch, empty for a part of one."""
 
-    shapes: list[Shape]
-    values: Tensor
+    kinds: Tensor
     table: Tensor
+    values: Tensor
+    all: tuple[Shape, ...] = ()
 
     @classmethod
     def of(cls, shapes: Sequence[Shape], dtype: torch.dtype, device: str) -> "Shapes":
@@ -236,48 +253,37 @@ class Shapes:
             parts.append(_coefficients(field, dtype, device))
             starts[key], count = count, count + parts[-1].numel()
         rows = [_row(shape, starts.get(id(shape), 0)) for shape in shapes]
-        return cls(list(shapes), torch.cat(parts), torch.tensor(rows, dtype=dtype, device=device))
+        kinds = torch.tensor([_kind(shape) for shape in shapes], device=device)
+        return cls(kinds, torch.tensor(rows, dtype=dtype, device=device), torch.cat(parts), tuple(shapes))
 
     def rows(self, slots: Tensor) -> "Shapes":
         """Only some scenes."""
-        return Shapes([self.shapes[k] for k in listed(slots)], self.values, self.table[slots])
+        return Shapes(self.kinds[slots], self.table[slots], self.values)
 
     def replaced(self, slot: int, shape: Shape) -> "Shapes":
-        """With another indenter of one scene; fields that no scene has any more are dropped."""
-        shapes = [*self.shapes[:slot], shape, *self.shapes[slot + 1 :]]
-        if isinstance(shape, Field) or isinstance(self.shapes[slot], Field):
+        """With another indenter of one scene of a whole batch; fields that no scene has any more are dropped."""
+        shapes = (*self.all[:slot], shape, *self.all[slot + 1 :])
+        if isinstance(shape, Field) or isinstance(self.all[slot], Field):
             return Shapes.of(shapes, self.values.dtype, str(self.values.device))
-        table = self.table.clone()
-        table[slot] = table.new_tensor(_row(shape, 0))
-        return Shapes(shapes, self.values, table)
+        kinds, table = self.kinds.clone(), self.table.clone()
+        kinds[slot], table[slot] = _kind(shape), table.new_tensor(_row(shape, 0))
+        return Shapes(kinds, table, self.values, shapes)
 
-    @cached_property
-    def _kinds(self) -> dict[type, Tensor]:
-        """Which scenes have which kind of indenter."""
-        kinds: dict[type, list[int]] = {}
-        for row, shape in enumerate(self.shapes):
-            kinds.setdefault(type(shape), []).append(row)
-        return {kind: index_of(rows, self.values.device) for kind, rows in kinds.items()}
+    def values_at(self, p: Tensor) -> Tensor:
+        """Signed distance [mm] (s, k) alone."""
+        return self.distance(p)[0]
 
     def distance(self, p: Tensor) -> Distances:
         """Signed distance [mm] (s, k), its gradient (s, k, 3) and Hessian [1/mm] (s, k, 3, 3) at points p (s, k, 3)."""
-        if len(self._kinds) == 1:
-            return self._of(next(iter(self._kinds)), p, self.table)
-        d, g, H = p.new_empty(p.shape[:2]), torch.empty_like(p), p.new_empty(*p.shape, 3)
-        for kind, rows in self._kinds.items():
-            d[rows], g[rows], H[rows] = self._of(kind, p[rows], self.table[rows])
-        return d, g, H
+        if not p.is_cuda:
+            return _grouped(p, self.kinds, self.table, self.values)
+        from tacgen.tensor_engine import gpu_distance
 
-    def _of(self, kind: type, p: Tensor, table: Tensor) -> Distances:
-        """Indenters of one kind, with their rows of the table."""
-        columns = table.T[..., None]
-        if kind is Field:
-            first, *shape = columns[:4].long()
-            return _spline(
-                p, _Grids(self.values, first, (shape[0], shape[1], shape[2]), table[:, None, 4:7], columns[7])
-            )
-        found: Distances = FUNCTIONS[kind](p, *columns[: len(NUMBERS[kind])])
-        return found
+        return gpu_distance.distances(p, self.kinds, self.table, self.values)
+
+
+def _kind(shape: Shape) -> int:
+    return KINDS.index(type(shape)) if type(shape) in FUNCTIONS else len(FUNCTIONS)
 
 
 def _row(shape: Shape, first: int) -> list[float]:

@@ -30,7 +30,7 @@ def planned(folder: Path, moves: str = PRESS, more: str = "") -> Plan:
 @pytest.fixture
 def on_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("torch")
-    monkeypatch.setattr(cuda_engine, "usable_device", lambda: "cpu")
+    monkeypatch.setattr(cuda_engine, "usable_devices", lambda: ["cpu"])
 
 
 def test_bundles_are_those_of_the_local_engine_and_say_who_solved_them(on_cpu: None, tmp_path: Path) -> None:
@@ -75,7 +75,7 @@ def test_a_gpu_without_memory_leaves_the_scenes_to_the_workers(
     events: list[dict[str, Any]] = []
     assert batch.run(planned(tmp_path), tmp_path / "out", engine="cuda", on_event=events.append)[0].status == "ok"
     assert any("the batch engine stopped: CUDA out of memory" in str(event.get("note")) for event in events)
-    assert "it stopped before this scene" in read(tmp_path / "out" / "scene-00000.h5").attrs["notes"]
+    assert "the batch engine stopped before this scene" in read(tmp_path / "out" / "scene-00000.h5").attrs["notes"]
 
 
 def test_derivatives_are_left_to_the_cpu_engine(tmp_path: Path) -> None:
@@ -96,3 +96,19 @@ def test_why_there_is_no_solution_survives_the_file(tmp_path: Path) -> None:
     solution_file.write(path, SolvedScene("an engine", why="it is so"))
     assert solution_file.read(path) == SolvedScene("an engine", [], "it is so")
     assert solution_file.read(tmp_path / "none.npz") is None
+
+
+@pytest.mark.slow
+def test_several_processes_solve_side_by_side_and_again_the_same_bytes(on_cpu: None, tmp_path: Path) -> None:
+    assert cuda_engine.solvers(4, 1) == 2
+    for folder in ("out", "again"):
+        results = batch.run(planned(tmp_path, more=TWO), tmp_path / folder, engine="cuda", workers=4)
+        assert [result.status for result in results] == ["ok", "ok"]
+    for name in ("scene-00000.h5", "scene-00001.h5"):
+        assert read(tmp_path / "out" / name).attrs["solver"].startswith("batch engine on cpu, torch ")
+        assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "again" / name).read_bytes()
+
+
+@pytest.mark.parametrize(("workers", "devices", "count"), [(1, 1, 1), (16, 1, 8), (64, 1, 8), (64, 4, 32), (4, 4, 4)])
+def test_processes_that_solve(workers: int, devices: int, count: int) -> None:
+    assert cuda_engine.solvers(workers, devices) == count

@@ -10,9 +10,12 @@ from helpers.presses import gel, poses, scene
 from tacgen.geometry.analytic_sdf import Shape
 from tacgen.geometry.pose import about
 from tacgen.mechanics import DEFAULT, Problem, SolverOptions, mesh, states
+from tacgen.mechanics.phases import FINAL, Phase
 from tacgen.mechanics.scene import Scene
+from tacgen.tensor_engine import admission, engine
 from tacgen.tensor_engine.batch import Batch, Place
 from tacgen.tensor_engine.elements import Topology
+from tacgen.tensor_engine.engine import Solved
 from tensor_engine.dense import Dense
 
 Array = np.ndarray
@@ -50,6 +53,23 @@ def batch(scenes: Sequence[Scene], options: SolverOptions = DEFAULT) -> Batch:
     place = Place(np.arange(n), np.arange(len(grid.cells)), np.arange(len(facets)))
     X = np.array([one.mesh.points for one in problems])
     return Batch.of(problems, [place] * len(scenes), topology, X, Dense(topology.conn, free), np.unique(facets))
+
+
+def solve(b: Batch, scenes: Sequence[Scene]) -> list[Solved]:
+    """The frames of all scenes, in each slot one. The kernel for which most scenes wait is called next."""
+    admission.rest(b, b.slots(range(len(scenes))), np.array([one.start for one in scenes]))
+    paths = [engine.frames(b, row, one) for row, one in enumerate(scenes)]
+    going = {row for row, frames in enumerate(paths) if next(frames, None) is not None}
+    while going:
+        waiting: dict[Phase, list[int]] = {}
+        for row in sorted(going):
+            waiting.setdefault(b.courses[row].phase, []).append(row)
+        phase, rows = max(waiting.items(), key=lambda each: len(each[1]))
+        engine.advance(b, phase, rows)
+        for row in rows:
+            if b.courses[row].phase in FINAL and next(paths[row], None) is None:
+                going.discard(row)
+    return [Solved(course.states, course.why) for course in b.courses]
 
 
 def alone(made: Scene, options: SolverOptions = DEFAULT) -> list[Any]:

@@ -7,6 +7,8 @@ from torch import Tensor
 class Dense:
     """One dense matrix a slot, ordered so that the condensed nodes come last; `free` (n,) bool nodes that can move."""
 
+    dtype = torch.float64
+
     def __init__(self, conn: Tensor, free: Tensor) -> None:
         self.dofs = (3 * conn[:, :, None] + torch.arange(3)).flatten(1)
         self.free, self.kept, self.factored = free, {}, 0

@@ -14,6 +14,7 @@ from tacgen.fem.folding_barrier import FoldingBarrier as OneFolding
 from tacgen.fem.jacobian import least_jacobian as one_least_jacobian
 from tacgen.fem.materials import EXAMPLES, Law, Stiffened
 from tacgen.fem.potential import Projection
+from tacgen.tensor_engine import elements
 from tacgen.tensor_engine.elements import Hexes, Topology
 from tacgen.tensor_engine.inversion import FoldingBarriers, least_jacobian
 from tacgen.tensor_engine.laws import Laws, numbers
@@ -132,7 +133,7 @@ def test_single_precision_is_within_its_rounding(case: Case) -> None:
     single = Case(dtype=torch.float32)
     at, exact = single.many.evaluate(single.tensor(case.x)), case.many.evaluate(case.tensor(case.x))
     for many, one in ((single.many.forces(at), case.many.forces(exact)),
-                      (single.many.tangents(at), case.many.tangents(exact))):  # fmt: skip
+                      (case.many.tangents(exact, dtype=torch.float32), case.many.tangents(exact))):  # fmt: skip
         assert many.dtype == torch.float32
         assert float((many - one).abs().max() / one.abs().max()) < 2e-6
 
@@ -185,3 +186,10 @@ def test_the_bound_is_of_the_cells_that_exist_and_of_finite_points(case: Case) -
     assert float(bound[0]) > 0
     assert float(bound[1]) == -np.inf
     assert float(least_jacobian(case.X, x, case.topology, case.exists)[0]) < 0
+
+
+def test_tangents_are_projected_part_by_part(case: Case, monkeypatch: pytest.MonkeyPatch) -> None:
+    at = case.many.evaluate(case.tensor(case.x))
+    whole = case.many.tangents(at, None, Projection.FULL)
+    monkeypatch.setattr(elements, "MOST", 7)
+    assert torch.allclose(case.many.tangents(at, None, Projection.FULL), whole, rtol=0, atol=1e-12)

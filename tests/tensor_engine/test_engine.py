@@ -13,9 +13,9 @@ from tacgen.geometry.gel import GelBody, GelLayer
 from tacgen.mechanics import DEFAULT, State, solver
 from tacgen.mechanics.phases import FINAL, TRANSITIONS, Outcome, Phase
 from tacgen.mechanics.scene import Forced, GelDynamics, Scene
-from tacgen.tensor_engine import bulk_newton, engine, gather, load_step
-from tacgen.tensor_engine.engine import KERNELS, Solved, lacks, solve
-from tensor_engine.batches import alone, batch, path, small
+from tacgen.tensor_engine import bulk_newton, engine, load_step, pool
+from tacgen.tensor_engine.engine import KERNELS, Solved, lacks
+from tensor_engine.batches import alone, batch, path, small, solve
 
 torch.set_num_threads(1)
 BALL = SphereSdf(2.5)
@@ -122,10 +122,9 @@ def test_meshes_embedded_in_one_pattern_with_multifrontal_factors(dtype: torch.d
         scene(SphereSdf(2 + k), poses([(0.1, 0, -0.3), (0.5, 0, -0.3)]), pad=gel(8, 9 + k, 2.0), friction=0.5, edge=1.0)
         for k in range(2)
     ]
-    groups, grids = gather.grouped(made)
-    assert [sorted(each) for each in groups.values()] == [[0, 1]]
-    solved = solve(gather.gathered(made, [grids[k] for k in range(2)], dtype=dtype), made)
-    for one, each in zip(made, solved, strict=True):
+    assert len({pool.Planned.of((0, one)).pattern for one in made}) == 1
+    solved = dict(pool.solved(made, dtype=dtype, least=1))
+    for one, each in zip(made, (solved[0], solved[1]), strict=True):
         assert each.why is None
         for state, expected in zip(each.states, whole(one), strict=True):
             force, right = state.traction_force.sum((0, 1)), expected.traction_force.sum((0, 1))
@@ -138,15 +137,6 @@ def whole(made: Scene) -> list[State]:
     from tacgen.mechanics import Problem, mesh, states
 
     return list(states(made, Problem.of(made, mesh.of(made))))
-
-
-def test_scenes_of_different_patterns_are_no_batch() -> None:
-    made = [small(BALL, path((0, 0, -0.2))), small(BALL, path((0, 0, -0.2)))]
-    made[1] = replace(made[1], gel=gel(6, 6, 4.0))
-    groups, grids = gather.grouped(made)
-    assert len(groups) == 2
-    with pytest.raises(ValueError, match="one pattern"):
-        gather.gathered(made, [grids[0], grids[1]])
 
 
 def test_what_the_engine_lacks_is_said() -> None:

@@ -14,6 +14,7 @@ from tacgen.mechanics import Problem, mesh, states
 from tacgen.mechanics.phases import Phase
 from tacgen.tensor_engine import grids, pool, refill, scheduler
 from tacgen.tensor_engine.dissection import dissected
+from tacgen.tensor_engine.grids import GridPattern
 from tensor_engine.batches import path
 from tensor_engine.test_contact import field
 
@@ -119,3 +120,10 @@ def test_work_and_kept_numbers_count_padded_fronts():
     panels = sum(np.prod(g.own.shape) * (g.own.shape[1] + g.bound.shape[1]) for g in tree.groups)
     assert tree.kept == 9 * panels
     assert tree.work >= max(group.entries for group in tree.groups)
+
+
+def test_parts_for_processes_have_scenes_of_few_patterns() -> None:
+    small, large = GridPattern((14, 14, 5)), GridPattern((18, 18, 5))
+    parts = pool.divided([small, None, large, small, large, small, small, large], 4)
+    assert parts == [[2, 4], [7, 0], [3, 5], [6, 1]]
+    assert pool.divided([small], 4) == [[0]]

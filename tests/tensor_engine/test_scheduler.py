@@ -14,7 +14,7 @@ class Toy:
     """Slots of scenes that are lists of phases; records calls, and how many slots were full at each."""
 
     def __init__(self, count):
-        self.count, self.left, self.had, self.calls, self.full = count, {}, {}, [], []
+        self.count, self.left, self.had, self.calls, self.full, self.sizes = count, {}, {}, [], [], {}
 
     def enter(self, slot, scene):
         assert slot not in self.left
@@ -22,6 +22,9 @@ class Toy:
 
     def phase(self, slot):
         return self.left[slot][0] if self.left[slot] else None
+
+    def size(self, slot):
+        return self.sizes.get(slot, 0)
 
     def advance(self, phase, slots):
         self.calls.append((phase, len(slots)))
@@ -68,6 +71,13 @@ def test_the_kernel_with_most_scenes_waiting_is_called():
     toy = Toy(3)
     assert len(list(run(toy, [[P.load], [P.factor, P.load], [P.factor, P.load]]))) == 3
     assert toy.calls == [(P.factor, 2), (P.load, 3)]
+
+
+def test_a_call_has_scenes_of_one_size() -> None:
+    toy = Toy(3)
+    toy.sizes = {0: 1, 1: 2, 2: 1}
+    assert len(list(run(toy, [[P.contact]] * 3))) == 3
+    assert toy.calls == [(P.contact, 2), (P.contact, 1)]
 
 
 def test_calls_are_no_larger_than_their_memory_allows():

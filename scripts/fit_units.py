@@ -1,0 +1,81 @@
+"""Fit the Mini's sensor file to photographs of each other unit, for the population of recipes/many_units.yaml.
+
+    python scripts/fit_units.py [--tolerance-mm 1] [--out recipes/units]
+
+Each fit starts from the shipped file, which is of the first unit, and is held to it by a ridge. Lights, stray light,
+vignette, crop and gloss of a unit are written to a sensor file of its own, without dots, and their ratios to the
+shipped file's are printed.
+"""
+
+import argparse
+import sys
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+from benchmarks import mini_units, photographs  # noqa: E402
+from tacgen.calibrate import led_fit, press_faces  # noqa: E402
+from tacgen.calibrate.clear_trials import RIDGES, Tolerance, Trials  # noqa: E402
+from tacgen.calibrate.photos import Photos  # noqa: E402
+from tacgen.calibrate.result import Fitted, digits, write_sensor  # noqa: E402
+from tacgen.recipe import assets, loading  # noqa: E402
+from tacgen.sensor.model import LitSensor  # noqa: E402
+
+SHIPPED = "gelsight_mini"
+NAMES = {"gelsight_mini_unit2": "gelsight_mini_second", "gelsight_mini_dotted": "gelsight_mini_third"}
+ORIGIN = {
+    "gelsight_mini_unit2": "skleff1994/gs_sdk",
+    "gelsight_mini_dotted": "yepengfei81-cpu/gelsight_gripper_controller",
+}
+RIDGE = RIDGES[1]  # the shipped file's own fit chose it by presses that it had not seen
+ROTATED = 5.0  # largest rotation of an LED [deg]
+
+
+def fit(sensor: LitSensor, unit: mini_units.MiniUnit, tolerance: float, steps: int) -> Fitted:
+    """Fit to all presses of a unit; pixels that a dot hides are not compared."""
+    photos = Photos(photographs.reference() / unit.name, unit.untouched, unit.presses)
+    faces = [press_faces.face(sensor, press, {}) for press in unit.presses]
+    trial = Trials(sensor, photos, faces, Tolerance(tolerance, float(np.radians(ROTATED))), bare=True)
+    eye = trial.sensor.camera
+    for picture, hidden in zip(trial.pictures, (np.any(unit.hidden, axis=0), *unit.hidden), strict=True):
+        cells = hidden.reshape(eye.height_px, hidden.shape[0] // eye.height_px, eye.width_px, -1)
+        picture.counts[:] &= ~cells.any(axis=(1, 3)).ravel()
+    return trial.whole(RIDGE, steps)
+
+
+def main() -> None:
+    """Fit and write each unit."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, default=ROOT / "recipes" / "units")
+    parser.add_argument("--tolerance-mm", type=float, default=1.0)
+    parser.add_argument("--steps", type=int, default=8, help="iterations of a fit at most")
+    asked = parser.parse_args()
+    if not mini_units.here():
+        sys.exit(f"no photographs of three Minis in {photographs.reference()}")
+    path = assets.sensor_path(SHIPPED)
+    sensor = cast(LitSensor, loading.read_sensor(path)[0])
+    asked.out.mkdir(parents=True, exist_ok=True)
+    for folder, name in NAMES.items():
+        unit = mini_units.unit(folder)
+        found = fit(sensor, unit, asked.tolerance_mm, asked.steps)
+        said = f"an untouched picture and {len(unit.presses)} presses of another unit ({ORIGIN[folder]})"
+        changes = led_fit.changes_of(sensor, found, said, bare=True)
+        told = {key: text.replace(led_fit.BY, "by scripts/fit_units.py") for key, text in changes.items()
+                if key[-1] == "source"}  # fmt: skip
+        what = f"GelSight Mini, lights fitted to photographs of a {name.rpartition('_')[2]} unit, no markers"
+        write_sensor(
+            path, sensor, changes | told | {("name",): name, ("description",): what}, asked.out / f"{name}.yaml"
+        )
+        print(f"{name}: off by {found.untouched:.1f} counts rms untouched, {found.presses:.1f} under presses")
+        for led, now in zip(sensor.leds, found.sensor.leds, strict=True):
+            moved = np.subtract(now.center_mm, led.center_mm).round(2).tolist()
+            print(f"  {led.name}: {sum(now.light) / sum(led.light):.2f} times, moved {moved}")
+        eye = found.sensor.camera
+        print(f"  stray light {digits(eye.ambient)}, crop {digits(eye.crop_mm)}, vignette {digits(eye.vignette_mm)}")
+
+
+if __name__ == "__main__":
+    main()

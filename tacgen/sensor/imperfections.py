@@ -1,0 +1,72 @@
+"""Imperfections in which units of one sensor type differ: grain, marks and wear of the coating, drift of the camera's
+colours. All are off unless a sensor file gives them."""
+
+from typing import Annotated
+
+from pydantic import Field
+
+from tacgen.sensor.base_model import NOWHERE, Fraction, Part, Positive, Vec2
+
+Seed = Annotated[int, Field(ge=0, le=999_999)]
+Count = Annotated[int, Field(ge=0, le=1000)]
+Contrast = Annotated[float, Field(ge=0, le=0.3)]
+Width = Annotated[float, Field(ge=0.005, le=5)]
+
+
+class Grain(Part):
+    """Grain of the coating: its reflectance differs from place to place, by the same factor in all colours. It is fixed
+    to the gel and moves with it; normals and height do not have it."""
+
+    contrast: Contrast
+    """Standard deviation of the reflectance over its mean."""
+    length_mm: Width
+    """Correlation length: the correlation of two places falls as exp(-distance / length)."""
+    seed: Seed = 0
+    """Number of the random pattern."""
+    source: str = NOWHERE
+
+
+class Marks(Part):
+    """Dust and scratches of the coating at random places of the pad, fixed to the gel. Each mark has a size and a depth
+    of its own, between a quarter of the given one and the given one."""
+
+    specks: Count = 0
+    """Number of round specks of dust."""
+    speck_mm: Width = 0.3
+    """Diameter of the largest speck."""
+    scratches: Count = 0
+    """Number of straight scratches."""
+    scratch_mm: Width = 1.5
+    """Length of the longest scratch."""
+    scratch_width_mm: Width = 0.12
+    """Width of a scratch."""
+    depth: Fraction = 0.2
+    """Share of the light that the darkest mark takes away."""
+    bright: Fraction = 0.0
+    """Share of the specks that add as much light as dark ones take away."""
+    seed: Seed = 0
+    """Number of the random places, sizes and depths."""
+    source: str = NOWHERE
+
+
+class Wear(Part):
+    """Wear of the coating where the pad is used most: less reflectance there, falling off as a Gaussian."""
+
+    loss: Fraction
+    """Share of the reflectance that is lost at the middle of the worn area."""
+    radius_mm: Positive
+    """Standard deviation of the Gaussian."""
+    center_mm: Vec2 = (0.0, 0.0)
+    """Middle of the worn area at rest."""
+    source: str = NOWHERE
+
+
+class Drift(Part):
+    """Slow change of the camera's gain, of each colour alone, over the frames of a scene. The untouched picture has
+    none."""
+
+    gain: Contrast
+    """Standard deviation of the relative change."""
+    frames: Positive
+    """Correlation length in frames: the correlation of two frames falls as exp(-(difference / frames)^2 / 2)."""
+    source: str = NOWHERE

@@ -1,0 +1,92 @@
+"""Inverses of small blocks on a GPU, one program each, by Triton: PyTorch's own take dozens of launches.
+
+In plain operations these are torch.linalg.cholesky_ex with solve_triangular, and torch.linalg.inv_ex. Imported only
+where there is a GPU; numbers are of single precision.
+"""
+
+import torch
+import triton
+import triton.language as tl
+from torch import Tensor
+
+LARGEST = 64  # rows of a block
+SIZES = ("n", "block", "row", "column")  # no code of its own for each value that they may have
+
+
+@triton.jit
+def _loaded(first, i, j, n, row, column):
+    """A square of a matrix of n rows, of the unit matrix beyond it."""
+    return tl.load(first + i * row + j * column, mask=(i < n) & (j < n), other=tl.where(i == j, 1.0, 0.0))
+
+
+@triton.jit
+def _eliminated(M, SIZE: tl.constexpr):
+    """L^-1 of symmetric M = L L^T, and its first leading minor that is not positive, 0 if all are.
+
+    Row operations that make M an upper triangle make the unit matrix L^-1, but for the scale.
+    """
+    i, j = tl.arange(0, SIZE)[:, None], tl.arange(0, SIZE)[None, :]
+    X = tl.where(i == j, 1.0, 0.0)
+    bad = 0
+    for k in range(SIZE):
+        along = tl.sum(tl.where(i == k, M, 0.0), 0)
+        before = tl.sum(tl.where(i == k, X, 0.0), 0)
+        down = tl.sum(tl.where(j == k, M, 0.0), 1)[:, None]
+        pivot = tl.sum(tl.where(tl.arange(0, SIZE) == k, along, 0.0), 0)
+        bad = tl.where((bad == 0) & ~(pivot > 0), k + 1, bad)
+        factor = tl.where(i > k, down / pivot, 0.0)
+        M = M - factor * along[None, :]
+        X = tl.where(i == k, X / tl.sqrt(pivot), X - factor * before[None, :])
+    return X, bad
+
+
+@triton.jit(do_not_specialize=SIZES)
+def _lower_inverse(A, info, n, block, row, column, SIZE: tl.constexpr, HALVES: tl.constexpr):
+    i, j = tl.arange(0, SIZE)[:, None], tl.arange(0, SIZE)[None, :]
+    first = A + tl.program_id(0).to(tl.int64) * block
+    X, bad = _eliminated(_loaded(first, tl.maximum(i, j), tl.minimum(i, j), n, row, column), SIZE)
+    tl.store(first + i * row + j * column, X, mask=(i < n) & (j < n))
+    if HALVES:
+        low = (i + SIZE) * row + j * column
+        L = tl.load(first + low, mask=i + SIZE < n, other=0.0)
+        L = tl.dot(L, tl.trans(X), input_precision="ieee")
+        M = _loaded(first, SIZE + tl.maximum(i, j), SIZE + tl.minimum(i, j), n, row, column)
+        Y, after = _eliminated(M - tl.dot(L, tl.trans(L), input_precision="ieee"), SIZE)
+        bad = tl.where((bad == 0) & (after > 0), after + SIZE, bad)
+        L = tl.dot(tl.dot(Y, L, input_precision="ieee"), X, input_precision="ieee")
+        tl.store(first + low, -L, mask=i + SIZE < n)
+        tl.store(first + i * row + (j + SIZE) * column, L * 0, mask=j + SIZE < n)
+        tl.store(first + (i + SIZE) * row + (j + SIZE) * column, Y, mask=(i + SIZE < n) & (j + SIZE < n))
+    tl.store(info + tl.program_id(0), bad)
+
+
+@triton.jit(do_not_specialize=SIZES)
+def _inverse(A, n, block, row, column, SIZE: tl.constexpr):
+    i, j = tl.arange(0, SIZE)[:, None], tl.arange(0, SIZE)[None, :]
+    first = A + tl.program_id(0).to(tl.int64) * block
+    M = _loaded(first, i, j, n, row, column)
+    for k in range(SIZE):  # Gauss-Jordan elimination in place
+        along = tl.sum(tl.where(i == k, M, 0.0), 0)[None, :]
+        down = tl.sum(tl.where(j == k, M, 0.0), 1)[:, None]
+        pivot = tl.sum(tl.where(j == k, along, 0.0), 1)[:, None]
+        along = tl.where(j == k, 1.0, along) / pivot
+        M = tl.where(i == k, along, tl.where(j == k, 0.0, M) - down * along)
+    tl.store(first + i * row + j * column, M, mask=(i < n) & (j < n))
+
+
+def lower_inverse(A: Tensor) -> Tensor:
+    """Overwrite symmetric blocks A (b, n, n), of which the lower triangle is read, by L^-1, where A = L L^T.
+
+    Returns the leading minors (b,) that are not positive, 0 where a block is positive definite.
+    """
+    n, info = A.shape[-1], torch.zeros(len(A), dtype=torch.int32, device=A.device)
+    size = 16 if n <= 16 else 32
+    _lower_inverse[(len(A),)](A, info, n, *A.stride(), SIZE=size, HALVES=n > size, num_warps=1 if n <= size else 4)
+    return info
+
+
+def inverse(A: Tensor) -> None:
+    """Overwrite blocks A (b, n, n) by their inverses, without pivots."""
+    n = A.shape[-1]
+    size = 16 if n <= 16 else 32 if n <= 32 else 64
+    _inverse[(len(A),)](A, n, *A.stride(), SIZE=size, num_warps=1 if size < 64 else 8)

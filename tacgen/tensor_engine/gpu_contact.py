@@ -1,0 +1,248 @@
+"""Contact and friction at the points of facets in one launch, by Triton; imported only where there is a GPU.
+
+The formulas, and the names in them, are those of contact.py. A program takes points of one scene.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import torch
+import triton
+import triton.language as tl
+from torch import Tensor
+
+from tacgen.mechanics.barrier import SOFT
+from tacgen.tensor_engine.gpu_distance import POINTS, signed_distance, store_vector
+
+if TYPE_CHECKING:
+    from tacgen.tensor_engine.contact import Contacts, Forces
+
+NOWHERE = tl.constexpr(1e9)  # gap of facets that do not exist [mm]
+SOFTEST = tl.constexpr(SOFT)
+COUNTS = ("count", "nodes", "q", "trials")  # no code of its own for each value that they may have
+
+
+@triton.jit
+def _point(X, CONN, N, scene, k, nodes, facets, q, inside):
+    """The points number k (facet q + point) of nodes X."""
+    x, y, z = 0.0, 0.0, 0.0
+    for corner in tl.static_range(4):
+        weight = tl.load(N + 4 * (k % q) + corner, mask=inside, other=0.0)
+        node = tl.load(CONN + (scene * facets + k // q) * 4 + corner, mask=inside, other=0)
+        at = X + 3 * (scene * nodes + node)
+        x += weight * tl.load(at, mask=inside, other=0.0)
+        y += weight * tl.load(at + 1, mask=inside, other=0.0)
+        z += weight * tl.load(at + 2, mask=inside, other=0.0)
+    return x, y, z
+
+
+@triton.jit
+def _gap(x, y, z, scene, area, offset, R, POSITION, KIND, TABLE, VALUES):
+    """The gap at points in the sensor's frame, and its derivatives in the indenter's."""
+    ux, uy, uz = (
+        x - tl.load(POSITION + 3 * scene),
+        y - tl.load(POSITION + 3 * scene + 1),
+        z - tl.load(POSITION + 3 * scene + 2),
+    )
+    r = R + 9 * scene
+    lx = ux * tl.load(r) + uy * tl.load(r + 3) + uz * tl.load(r + 6)
+    ly = ux * tl.load(r + 1) + uy * tl.load(r + 4) + uz * tl.load(r + 7)
+    lz = ux * tl.load(r + 2) + uy * tl.load(r + 5) + uz * tl.load(r + 8)
+    d, gx, gy, gz, xx, yy, zz, xy, xz, yz = signed_distance(
+        lx, ly, lz, tl.load(KIND + scene), TABLE + 8 * scene, VALUES
+    )
+    return tl.where(area > 0, d + offset, NOWHERE), gx, gy, gz, xx, yy, zz, xy, xz, yz
+
+
+@triton.jit
+def _turned(r, x, y, z):
+    """A vector of the indenter's frame in the sensor's."""
+    a = tl.load(r) * x + tl.load(r + 1) * y + tl.load(r + 2) * z
+    b = tl.load(r + 3) * x + tl.load(r + 4) * y + tl.load(r + 5) * z
+    c = tl.load(r + 6) * x + tl.load(r + 7) * y + tl.load(r + 8) * z
+    return a, b, c
+
+
+@triton.jit
+def _barrier_slopes(d, dhat):
+    s = d / dhat
+    t = tl.minimum(tl.maximum(s, SOFTEST), 1.0)
+    r, ln, below = 1 - t, tl.log(t), tl.minimum(s - SOFTEST, 0.0)
+    part = r / t
+    second = part * (4 + part) - 2 * ln
+    return r * (2 * ln - part) + second * below, second / dhat
+
+
+@triton.jit
+def _dot(ax, ay, az, bx, by, bz):
+    return ax * bx + ay * by + az * bz
+
+
+@triton.jit
+def _row(n, ex, ey, ez, nx, ny, nz, hx, hy, hz, sx, sy, sz, w, xx, xy, xz):
+    """A row of what is across the normal, less how the normal turns; n its component, e that of the unit matrix."""
+    x = ex - n * nx - w * (xx - n * hx) - n * sx
+    y = ey - n * ny - w * (xy - n * hy) - n * sy
+    z = ez - n * nz - w * (xz - n * hz) - n * sz
+    return x, y, z
+
+
+@triton.jit
+def _store_row(at, stored, flat, g, gx, gy, gz, soft, hx, hy, hz, pull, px, py, pz, t, fx, fy, fz):
+    """Store a row of a tangent; 0 where `flat`."""
+    none = g * 0
+    store_vector(at, none, none, none, flat)
+    x, y = g * gx + soft * hx + pull * px + t * fx, g * gy + soft * hy + pull * py + t * fy
+    store_vector(at, x, y, g * gz + soft * hz + pull * pz + t * fz, stored)
+
+
+@triton.jit(do_not_specialize=COUNTS)
+def _forces(
+    X, CONN, N, AREAS, R, POSITION, KIND, TABLE, VALUES, NUMBERS, ANCHOR,
+    GAP, AT, NORMAL, FORCE, PUSH, TANGENT, DEFINITE, count, nodes, q, SIZE: tl.constexpr,
+):  # fmt: skip
+    scene = tl.program_id(0).to(tl.int64)
+    k = tl.program_id(1) * SIZE + tl.arange(0, SIZE)
+    inside = k < count
+    number = scene * count + k
+    area = tl.load(AREAS + number, mask=inside, other=0.0)
+    own = NUMBERS + 5 * scene
+    weight, dhat, offset = tl.load(own) * area, tl.load(own + 1), tl.load(own + 2)
+    mu, eps = tl.load(own + 3), tl.load(own + 4)
+    x, y, z = _point(X, CONN, N, scene, k, nodes, count // q, q, inside)
+    d, gx, gy, gz, xx, yy, zz, xy, xz, yz = _gap(x, y, z, scene, area, offset, R, POSITION, KIND, TABLE, VALUES)
+    r = R + 9 * scene
+    gx, gy, gz = _turned(r, gx, gy, gz)
+    size = tl.maximum(tl.sqrt(_dot(gx, gy, gz, gx, gy, gz)), 1e-12)
+    nx, ny, nz = gx / size, gy / size, gz / size
+    db, ddb = _barrier_slopes(d, dhat)
+    force = -weight * db * size
+    ux = x - tl.load(ANCHOR + 3 * number, mask=inside, other=0.0)
+    uy = y - tl.load(ANCHOR + 3 * number + 1, mask=inside, other=0.0)
+    uz = z - tl.load(ANCHOR + 3 * number + 2, mask=inside, other=0.0)
+    un = _dot(ux, uy, uz, nx, ny, nz)
+    tx, ty, tz = ux - un * nx, uy - un * ny, uz - un * nz
+    length = tl.sqrt(_dot(tx, ty, tz, tx, ty, tz))
+    slope = tl.where(length < eps, (2 - length / eps) / eps, 1 / tl.maximum(length, 1e-12 * eps))
+    rub = mu * force
+    tl.store(GAP + number, d, mask=inside)
+    store_vector(AT + 3 * number, x, y, z, inside)
+    store_vector(NORMAL + 3 * number, nx, ny, nz, inside)
+    tl.store(FORCE + number, force, mask=inside)
+    pull = rub * slope
+    store_vector(PUSH + 3 * number, force * nx - pull * tx, force * ny - pull * ty, force * nz - pull * tz, inside)
+    touching = db != 0
+    curved = tl.where(d < 0, 0.0, 1.0)
+    ax, ay, az = _turned(r, xx * curved, xy * curved, xz * curved)  # columns of R H
+    bx, by, bz = _turned(r, xy * curved, yy * curved, yz * curved)
+    cx, cy, cz = _turned(r, xz * curved, yz * curved, zz * curved)
+    xx, xy, xz = _turned(r, ax, bx, cx)  # rows of R H R^T
+    xy, yy, yz = _turned(r, ay, by, cy)
+    xz, yz, zz = _turned(r, az, bz, cz)
+    v = tl.maximum(length, 1e-12 * eps)
+    bend = tl.where(length < eps, -1 / (eps * eps * v), -1 / (v * v * v))
+    stiff, soft = weight * ddb, weight * db
+    # across the normal, and how it turns
+    hx, hy, hz = _dot(xx, xy, xz, nx, ny, nz), _dot(xy, yy, yz, nx, ny, nz), _dot(xz, yz, zz, nx, ny, nz)
+    sx = _dot(xx, xy, xz, tx, ty, tz) / size
+    sy = _dot(xy, yy, yz, tx, ty, tz) / size
+    sz = _dot(xz, yz, zz, tx, ty, tz) / size
+    w = un / size
+    pxx, pxy, pxz = _row(nx, 1, 0, 0, nx, ny, nz, hx, hy, hz, sx, sy, sz, w, xx, xy, xz)
+    pyx, pyy, pyz = _row(ny, 0, 1, 0, nx, ny, nz, hx, hy, hz, sx, sy, sz, w, xy, yy, yz)
+    pzx, pzy, pzz = _row(nz, 0, 0, 1, nx, ny, nz, hx, hy, hz, sx, sy, sz, w, xz, yz, zz)
+    qx, qy, qz = _dot(pxx, pyx, pzx, tx, ty, tz), _dot(pxy, pyy, pzy, tx, ty, tz), _dot(pxz, pyz, pzz, tx, ty, tz)
+    # what multiplies t: rub bend P^T t + mu slope dN
+    fx = rub * bend * qx - mu * slope * (stiff * size * gx + soft * hx)
+    fy = rub * bend * qy - mu * slope * (stiff * size * gy + soft * hy)
+    fz = rub * bend * qz - mu * slope * (stiff * size * gz + soft * hz)
+    T, D, bent = TANGENT + 9 * number, DEFINITE + 9 * number, rub * bend
+    stored, flat = inside & touching, inside & ~touching
+    _store_row(T, stored, flat, stiff * gx, gx, gy, gz, soft, xx, xy, xz, pull, pxx, pxy, pxz, tx, fx, fy, fz)
+    _store_row(T + 3, stored, flat, stiff * gy, gx, gy, gz, soft, xy, yy, yz, pull, pyx, pyy, pyz, ty, fx, fy, fz)
+    _store_row(T + 6, stored, flat, stiff * gz, gx, gy, gz, soft, xz, yz, zz, pull, pzx, pzy, pzz, tz, fx, fy, fz)
+    bx, by, bz = bent * tx, bent * ty, bent * tz
+    ax, ay, az = 1 - nx * nx, -nx * ny, -nx * nz
+    _store_row(D, stored, flat, stiff * gx, gx, gy, gz, 0, ax, ay, az, pull, ax, ay, az, tx, bx, by, bz)
+    ax, ay, az = -ny * nx, 1 - ny * ny, -ny * nz
+    _store_row(D + 3, stored, flat, stiff * gy, gx, gy, gz, 0, ax, ay, az, pull, ax, ay, az, ty, bx, by, bz)
+    ax, ay, az = -nz * nx, -nz * ny, 1 - nz * nz
+    _store_row(D + 6, stored, flat, stiff * gz, gx, gy, gz, 0, ax, ay, az, pull, ax, ay, az, tz, bx, by, bz)
+
+
+@triton.jit(do_not_specialize=COUNTS)
+def _merits(
+    X, STEP, FRACTIONS, CONN, N, AREAS, R, POSITION, KIND, TABLE, VALUES, NUMBERS, ANCHOR, NORMAL, FORCE, OUT,
+    count, nodes, q, trials, SIZE: tl.constexpr,
+):  # fmt: skip
+    scene, trial = tl.program_id(0).to(tl.int64), tl.program_id(1)
+    own = NUMBERS + 5 * scene
+    kappa, dhat, offset = tl.load(own), tl.load(own + 1), tl.load(own + 2)
+    mu, eps, fraction = tl.load(own + 3), tl.load(own + 4), tl.load(FRACTIONS + scene * trials + trial)
+    k = tl.program_id(2) * SIZE + tl.arange(0, SIZE)
+    inside = k < count
+    number = scene * count + k
+    area = tl.load(AREAS + number, mask=inside, other=0.0)
+    x, y, z = _point(X, CONN, N, scene, k, nodes, count // q, q, inside)
+    px, py, pz = _point(STEP, CONN, N, scene, k, nodes, count // q, q, inside)
+    x, y, z = x + fraction * px, y + fraction * py, z + fraction * pz
+    d, _, _, _, _, _, _, _, _, _ = _gap(x, y, z, scene, area, offset, R, POSITION, KIND, TABLE, VALUES)
+    s = d / dhat
+    t = tl.minimum(tl.maximum(s, SOFTEST), 1.0)
+    r, ln, below = 1 - t, tl.log(t), tl.minimum(s - SOFTEST, 0.0)
+    slope, second = 2 * r * ln - r * r / t, -2 * ln + 4 * r / t + (r / t) * (r / t)
+    energy = kappa * area * dhat * (slope * below + second / 2 * below * below - r * r * ln)
+    ux = x - tl.load(ANCHOR + 3 * number, mask=inside, other=0.0)
+    uy = y - tl.load(ANCHOR + 3 * number + 1, mask=inside, other=0.0)
+    uz = z - tl.load(ANCHOR + 3 * number + 2, mask=inside, other=0.0)
+    nx = tl.load(NORMAL + 3 * number, mask=inside, other=0.0)
+    ny = tl.load(NORMAL + 3 * number + 1, mask=inside, other=0.0)
+    nz = tl.load(NORMAL + 3 * number + 2, mask=inside, other=0.0)
+    un = _dot(ux, uy, uz, nx, ny, nz)
+    ux, uy, uz = ux - un * nx, uy - un * ny, uz - un * nz
+    u = tl.sqrt(_dot(ux, uy, uz, ux, uy, uz))
+    slip = tl.where(u < eps, u * u * (eps - u / 3) / (eps * eps), u - eps / 3)
+    force = tl.load(FORCE + number, mask=inside, other=0.0)
+    total = tl.sum(tl.where(inside, energy + mu * force * slip, 0.0), 0)
+    tl.store(OUT + (scene * trials + trial) * tl.num_programs(2) + tl.program_id(2), total)
+
+
+def _parts(c: Contacts) -> tuple[Tensor, ...]:
+    """The parts of a contact that kernels take: facets, shape functions, areas, poses, shapes, numbers and anchors."""
+    numbers = torch.stack([c.kappa, c.dhat, c.offset, c.friction, c.eps], 1)
+    parts = (
+        c.conn,
+        c.N,
+        c.areas,
+        c.rotation,
+        c.position,
+        c.shapes.kinds,
+        c.shapes.table,
+        c.shapes.values,
+        numbers,
+        c.anchor,
+    )
+    return tuple(part.contiguous() for part in parts)
+
+
+def forces(c: Contacts, x: Tensor) -> tuple[Tensor, ...]:
+    """The parts of contact.Forces with tangents at nodes x (s, n, 3)."""
+    (s, f, q), x = c.areas.shape, x.contiguous()
+    shapes = ((), (3,), (3,), (), (3,), (3, 3), (3, 3))
+    out = tuple(x.new_empty(s, f, q, *shape) for shape in shapes)
+    if f * q:
+        counts = f * q, x.shape[1], q
+        _forces[(s, triton.cdiv(f * q, POINTS))](x, *_parts(c), *out, *counts, SIZE=POINTS)
+    return out
+
+
+def merits(c: Contacts, x: Tensor, p: Tensor, fractions: Tensor, frozen: Forces) -> Tensor:
+    """contact.Contacts.merits."""
+    (s, f, q), x, p, trials = c.areas.shape, x.contiguous(), p.contiguous(), fractions.shape[1]
+    blocks = triton.cdiv(f * q, POINTS)
+    out, given = x.new_empty(s, trials, blocks), (frozen.normal.contiguous(), frozen.N.contiguous())
+    if out.numel():
+        counts = f * q, x.shape[1], q, trials
+        _merits[(s, trials, blocks)](x, p, fractions.contiguous(), *_parts(c), *given, out, *counts, SIZE=POINTS)
+    return out.sum(-1)

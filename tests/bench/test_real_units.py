@@ -1,0 +1,94 @@
+"""The population is drawn around three units, and its networks are scored on presses that they have not seen."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from benchmarks import real_units
+from benchmarks.real_units import Samples
+from tacgen.calibrate import normal_net
+from tacgen.calibrate.likeness import Comparison
+from tacgen.recipe import assets, plan
+from tacgen.recipe.row import Row
+from tacgen.sensor.model import LitSensor
+
+Array = np.ndarray
+
+
+def pressed(seed: int, gain: float = 1.0) -> Samples:
+    """Pixels whose change of colour is proportional to the slope."""
+    random = np.random.default_rng(seed)
+    slopes = random.uniform(-0.5, 0.5, (400, 2))
+    change = gain * np.column_stack([slopes, slopes.sum(axis=1)])
+    features = np.column_stack([change, random.uniform(-1, 1, (400, 2))])
+    return Samples((features, 2 * features), slopes)
+
+
+@pytest.fixture(scope="module")
+def rows() -> list[Row]:
+    """The recipe's scenes."""
+    return list(plan.load(assets.recipe_path(real_units.RECIPE)).rows)
+
+
+def test_a_network_learns_one_unit_and_fails_on_one_of_another_contrast() -> None:
+    net = real_units.trained([pressed(k) for k in range(6)], 0)
+    assert real_units.off(net, [pressed(9)], 0) < 1.5
+    assert real_units.off(net, [pressed(9, gain=2.0)], 0) > 8
+    assert real_units.off(net, [pressed(9)], 1) > 8  # pictures smoothed otherwise
+
+
+def test_own_photographs_are_left_out_in_turn() -> None:
+    """The odd one of six is unlike all others: no network that has not seen it suits it."""
+    presses = [pressed(k) for k in range(5)]
+    even = real_units.left_out(presses, 0)
+    odd = real_units.left_out([*presses, pressed(5, gain=-1.0)], 0)
+    assert even < 2
+    assert odd > even + 4
+
+
+def test_the_recipe_draws_as_many_units_around_each_of_the_three_files(rows: list[Row]) -> None:
+    count = {name: sum(row.sensor.name == name for row in rows) for name in real_units.FILES.values()}
+    assert sum(count.values()) == len(rows) == 64
+    assert min(count.values()) >= 20
+    assert len({row.sensor.coating.grain.seed for row in rows}) == 64
+    assert all(row.sensor.markers is None for row in rows)
+    lights = [real_units.sensor_of(name).leds[1].radiance[1] for name in count]
+    assert max(lights) / min(lights) > 1.2
+
+
+def test_a_unit_is_scored_by_those_drawn_around_the_others(rows: list[Row], monkeypatch: pytest.MonkeyPatch) -> None:
+    """The last of three units has another contrast: only networks that have seen its file suit it."""
+    names = list(real_units.FILES)
+
+    def drawn(sensor: LitSensor, count: int, seed: int) -> list[Samples]:
+        return [pressed(seed, 3.0 if sensor.name == real_units.FILES[names[2]] else 1.0)]
+
+    def photographed(name: str, sensor: LitSensor) -> tuple[list[Samples], float]:
+        return [pressed(99 + k, 3.0 if name == names[2] else 1.0) for k in range(3)], 20.0
+
+    monkeypatch.setattr(real_units, "drawn", drawn)
+    monkeypatch.setattr(real_units, "photographed", photographed)
+    monkeypatch.setattr(real_units, "SOFT", (0.0,))
+    monkeypatch.setattr(real_units.plan, "load", lambda path: SimpleNamespace(rows=rows))
+    monkeypatch.setattr(normal_net, "MOST", 500)
+    monkeypatch.setattr(normal_net, "STEPS", 100)
+    table = real_units.table(lambda text: None)
+    assert [row[0] for row in table.rows] == names
+    assert all(len(row) == 3 + len(real_units.HEADS) for row in table.rows)
+    errors = {row[0]: row[3:] for row in table.rows}
+    others, _, own, left_out = errors[names[2]]
+    assert others > 8 > 3 > own
+    assert left_out < 3
+    assert errors[names[0]][0] < others
+
+
+def test_dents_of_a_seed_are_the_same_and_of_another_are_not() -> None:
+    compared = Comparison(real_units.sensor_of("gelsight_mini"))
+    one, again, other = (next(compared.dents(0.7, 1, seed)) for seed in (0, 0, 1))
+    assert np.array_equal(one.change, again.change)
+    assert one.slopes.shape != other.slopes.shape
+    made = Samples.of(one, 50)
+    assert made.slopes.shape == (50, 2)
+    assert made.features[1][:, :3].std() < made.features[0][:, :3].std()
+    assert made.features[0][:, 3:] == pytest.approx(made.features[1][:, 3:])

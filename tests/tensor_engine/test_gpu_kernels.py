@@ -1,0 +1,81 @@
+"""What a GPU computes in one launch is what plain PyTorch computes; without a GPU by Triton's interpreter."""
+
+import os
+
+import numpy as np
+import pytest
+import torch
+
+if not torch.cuda.is_available():
+    os.environ["TRITON_INTERPRET"] = "1"  # read when the kernels are defined
+pytest.importorskip("triton")
+
+from tacgen.tensor_engine import gpu_blocks, gpu_contact, gpu_distance
+from tacgen.tensor_engine.shapes import Shapes
+from tensor_engine.test_contact import SHAPES, Case
+
+pytestmark = pytest.mark.slow  # the interpreter takes seconds
+DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
+
+
+def close(found: torch.Tensor, wanted: torch.Tensor, relative: float = 1e-11) -> bool:
+    """Whether two are equal but for rounding, scene by scene."""
+    size = wanted.abs().flatten(1).amax(1).clamp(min=1e-3)
+    return bool(((found.cpu() - wanted).abs().flatten(1).amax(1) <= relative * size).all())
+
+
+def test_distances_of_all_shapes() -> None:
+    shapes = Shapes.of(list(SHAPES.values()), torch.float64, "cpu")
+    p = torch.tensor(np.random.default_rng(2).normal(size=(len(SHAPES), 140, 3))) * torch.tensor([0.5, 0.5, 0.3])
+    p[-1, 3] = torch.nan
+    parts = (part.to(DEVICE) for part in (p, shapes.kinds, shapes.table, shapes.values))
+    for found, wanted in zip(gpu_distance.distances(*parts), shapes.distance(p), strict=True):
+        assert torch.equal(found.isnan().cpu(), wanted.isnan())
+        assert close(found.nan_to_num(), wanted.nan_to_num(), 1e-10)
+
+
+@pytest.mark.skipif(DEVICE == "cuda", reason="the plain formulas run on a CPU alone")
+@pytest.mark.parametrize(("slide", "friction"), [(0.05, True), (0.002, True), (0.05, False)],
+                         ids=["sliding", "sticking", "frictionless"])  # fmt: skip
+def test_forces_tangents_and_merits(slide: float, friction: bool) -> None:
+    case = Case(slide, friction)
+    areas = case.many.areas.clone()
+    areas[:, 3] = 0.0  # a facet that does not exist
+    many, r = case.many.only(case.many.conn, areas, case.many.anchor), np.random.default_rng(3)
+    wanted = many.tangents(case.X)
+    names = ("gap", "at", "normal", "N", "force", "tangent", "definite")
+    for name, found in zip(names, gpu_contact.forces(many, case.X), strict=True):
+        assert close(found, getattr(wanted, name)), name
+    p, fractions = (
+        torch.tensor(r.normal(size=case.X.shape)) * 0.3,
+        0.5 ** torch.arange(3).double().expand(len(areas), -1),
+    )
+    merits = gpu_contact.merits(many, case.X, p, fractions, wanted)
+    assert close(merits, many.merits(case.X, p, fractions, wanted))
+    assert merits.shape == (len(areas), 3)
+
+
+@pytest.mark.parametrize("size", [3, 16, 29, 41, 64])
+def test_inverses_of_gpu_blocks(size: int) -> None:
+    r = np.random.default_rng(size)
+    A = torch.tensor(r.normal(size=(3, size, size)), dtype=torch.float32)
+    A = A @ A.mT + size * torch.eye(size)
+    B = A + 0.3 * torch.tensor(r.normal(size=A.shape), dtype=torch.float32)
+    around = torch.zeros(3, size + 5, size + 4)
+    block = around[:, 2 : size + 2, 1 : size + 1]
+    block.copy_(torch.tril(A) + 7 * torch.triu(torch.ones_like(A), 1))  # only the lower triangle is read
+    around = around.to(DEVICE)
+    block = around[:, 2 : size + 2, 1 : size + 1]
+    assert gpu_blocks.lower_inverse(block).tolist() == [0, 0, 0]
+    assert close(block, torch.linalg.inv(torch.linalg.cholesky(A)), 2e-6)
+    assert float(around[:, :2].abs().sum() + around[:, :, 0].abs().sum()) == 0.0
+    inverse = B.clone().to(DEVICE)
+    gpu_blocks.inverse(inverse)
+    assert close(inverse, torch.linalg.inv(B), 2e-5)
+
+
+@pytest.mark.filterwarnings("ignore:invalid value encountered")
+def test_the_first_minor_that_is_not_positive_is_told() -> None:
+    A = torch.eye(40).repeat(2, 1, 1)
+    A[0, 35, 35] = -1.0
+    assert gpu_blocks.lower_inverse(A.to(DEVICE)).tolist() == [36, 0]
