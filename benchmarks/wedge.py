@@ -51,10 +51,11 @@ def tables(say: Say) -> list[Table]:
         ["zero of the gauge [N]", *(getattr(fitted.zero, key) for key in ("value", "low", "high")), None],
     ]  # fmt: skip
     errors: list[list[Cell]] = [
-        [one.name, len(one.force), one.mae(one.floor), one.mae(one.predicted), one.mae(one.unaligned),
-         one.mae(one.ceiling)] for one in made.judged
+        [one.name, len(one.force), one.mae(one.floor), one.mae(one.predicted), one.mae(one.foreign),
+         one.mae(one.unaligned), one.mae(one.ceiling)] for one in made.judged
     ]  # fmt: skip
     heads = ("judged on", "pictures", "mean of the other grip's forces [N]: .2f", "from pictures [N]: .2f",
+             "with the other grip's colours [N]: .2f",
              "without alignment in time [N]: .2f", "rising curve through the judged [N]: .2f")  # fmt: skip
     return [
         Table("A GelSight Wedge by a golf ball", columns("", "found: .3g", "low: .3g", "high: .3g", "published: .3g"),
@@ -63,5 +64,7 @@ def tables(say: Say) -> list[Table]:
         Table("Forces on a GelSight Wedge", columns(*heads), errors,
               "Mean absolute error of forces up to 25 N, each grip judged by the fit to the other. The gauge lags by up"
               " to three pictures, differently in each grip: the lag of the judged grip is fitted to its own forces,"
-              " one number; beside it without alignment. The gauge's own scatter is 1 to 1.5 N."),
+              " one number; beside it without alignment. The judged pictures, without their forces, tell the contrast"
+              " where this grip pressed; beside it with the contrast of the other grip, 1.2 mm away. The gauge's own"
+              " scatter is 1 to 1.5 N."),
     ]  # fmt: skip

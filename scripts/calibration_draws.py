@@ -1,17 +1,24 @@
 """Random draws of photographs: does `tacgen calibrate optics` harm the presses that it was not given?
 
-    python scripts/calibration_draws.py [3] [--first 0] [--unit gelsight_mini_unit2] [--given 5] [--photos DIR]
+    python scripts/calibration_draws.py [3] [--first 0] [--unit gelsight_mini_unit2] [--given 5] [--wrong powers]
 
 Each draw gives some presses of a real unit to the fit, which starts from the shipped file and judges itself by them
-alone, and compares file and fit on the other presses. Exit code 1: a fit that would be written is worse there.
+alone, and compares file and fit on the other presses. `--wrong` starts from wrong lights instead: `powers` times .72,
+1.35 and .75 and LEDs .5 mm higher or lower, `double` the radiance, or each LED's radiance `swapped` for the next one's.
+The last line sums up; refused fits count with the file that they started from. Exit code 1: a fit that would be written
+is worse.
 """
 
 import argparse
 import csv
+import math
 import sys
 import tempfile
-from dataclasses import replace
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -23,9 +30,14 @@ from benchmarks import photographs  # noqa: E402
 from tacgen.calibrate import contact_circle, led_fit, press_faces  # noqa: E402
 from tacgen.calibrate.likeness import Comparison  # noqa: E402
 from tacgen.calibrate.photos import PhotographedPress  # noqa: E402
-from tacgen.recipe import background_photo, loading  # noqa: E402
+from tacgen.calibrate.result import write_sensor  # noqa: E402
+from tacgen.recipe import assets, background_photo, loading  # noqa: E402
+from tacgen.sensor.yaml_source import KeyPath  # noqa: E402
 
 SENSOR = {"gelsight_mini": "gelsight_mini", "gelsight_mini_unit2": "gelsight_mini", "digit": "digit"}
+MOST_SEEDS = 20  # that are tried for each draw
+WRONG = "powers", "double", "swapped"
+POWERS, HIGHER = (0.72, 1.35, 0.75), 0.5  # factors on the LEDs' radiances, and their shift in height, up and down [mm]
 
 
 def unit_of(name: str, folder: Path) -> photographs.Unit | None:
@@ -52,22 +64,78 @@ def normals(file: Path, unit: photographs.Unit) -> float:
     return Comparison(sensor).likeness(unit.presses, faces, unit.untouched).normals
 
 
-def draw(unit: photographs.Unit, sensor: str, given: int, seed: int, steps: int) -> bool:
-    """Fit to some presses; whether a fit that would be written is worse on the others."""
-    order = np.random.default_rng(seed).permutation(len(unit.presses))
-    some, others = (replace(unit, presses=tuple(unit.presses[k] for k in sorted(part)))
-                    for part in (order[:given], order[given:]))  # fmt: skip
+@dataclass(frozen=True)
+class Drawn:
+    """One fit, and the error of normals on presses that it was not given [deg]."""
+
+    written: bool
+    before: float
+    after: float  # of the file that the user ends with: the start where the fit is refused
+    shipped: float  # of the shipped file
+
+    @property
+    def worse(self) -> bool:
+        """Whether the fit was written and harms."""
+        return self.written and self.after > self.before
+
+
+def start(name: str, wrong: str, into: Path) -> Path:
+    """The shipped sensor file, or one with wrong lights in `into`."""
+    path = assets.sensor_path(name)
+    if not wrong:
+        return path
+    sensor, _ = loading.read_sensor(path)
+    leds = sensor.leds or ()
+    lights, changes = [led.light for led in leds], dict[KeyPath, Any]()
+    if wrong == "powers":
+        lights = [tuple(v * POWERS[k % 3] for v in light) for k, light in enumerate(lights)]
+        for k, led in enumerate(leds):
+            x, y, z = led.center_mm
+            changes["leds", k, "center_mm"] = [x, y, z + HIGHER * (-1) ** k]
+    elif wrong == "double":
+        lights = [tuple(2 * v for v in light) for light in lights]
+    else:  # every LED has the light of the next
+        lights = [*lights[1:], lights[0]]
+    for k, light in enumerate(lights):
+        changes["leds", k, "radiance"], changes["leds", k, "power"] = list(light), None
+    write_sensor(path, sensor, changes, into / f"{name}.yaml")
+    return into / f"{name}.yaml"
+
+
+def draws(presses: int, given: int, first: int, count: int) -> Iterator[tuple[int, list[int]]]:
+    """Seeds from `first` on, and the presses that each gives to the fit; a choice that came before is left out.
+
+    Of six presses, five can be given in six ways only.
+    """
+    seen: set[tuple[int, ...]] = set()
+    for seed in range(first + min(count, math.comb(presses, given)) * MOST_SEEDS):
+        some = tuple(sorted(np.random.default_rng(seed).permutation(presses)[:given].tolist()))
+        if some not in seen and seed >= first and count:
+            yield seed, list(some)
+            count -= 1
+        seen.add(some)
+
+
+def draw(unit: photographs.Unit, asked: argparse.Namespace, seed: int, given: list[int]) -> Drawn:
+    """Fit to some presses, and compare the start and the fit on the others."""
+    name = SENSOR[asked.unit]
+    some, others = (replace(unit, presses=tuple(p for k, p in enumerate(unit.presses) if (k in given) == chosen))
+                    for chosen in (True, False))  # fmt: skip
     with tempfile.TemporaryDirectory() as scratch:
-        lay_out(some, "background.png", Path(scratch) / "photos", [])
-        found = led_fit.optics(sensor, Path(scratch) / "photos", led_fit.FitLimits(bare=True, steps=steps))
-        out = Path(scratch) / "fitted.yaml"
+        folder = Path(scratch)
+        lay_out(some, "background.png", folder / "photos", [])
+        begun, begin = time.process_time(), start(name, asked.wrong, folder)
+        found = led_fit.optics(str(begin), folder / "photos", led_fit.FitLimits(bare=True, steps=asked.steps))
+        took, out = time.process_time() - begun, folder / "fitted.yaml"
         found.write(out)
-        before, after = normals(found.path, others), normals(out, others)
+        before, after = normals(begin, others), normals(out, others)
+        shipped = normals(assets.sensor_path(name), others) if asked.wrong else before
     written = not found.problem()
     print(f"draw {seed}: given {', '.join(press.name for press in some.presses)}")
     print(f"  by itself: {found.fitted.unseen}, ridge {found.fitted.ridge:g}: {'written' if written else 'refused'}")
-    print(f"  on the {len(others.presses)} others: {before:.1f} deg before, {after:.1f} deg after", flush=True)
-    return written and after > before
+    print(f"  on the {len(others.presses)} others: {before:.1f} deg before, {after:.1f} deg after; {took:.0f} s")
+    sys.stdout.flush()
+    return Drawn(written, before, after if written else before, shipped)
 
 
 def main() -> None:
@@ -77,7 +145,8 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, help="seed of the first draw")
     parser.add_argument("--unit", choices=SENSOR, default="gelsight_mini_unit2")
     parser.add_argument("--given", type=int, default=5, help="presses that a fit is given")
-    parser.add_argument("--steps", type=int, default=4, help="iterations of a fit at most")
+    parser.add_argument("--steps", type=int, default=10, help="tables of derivatives of a fit at most")
+    parser.add_argument("--wrong", choices=WRONG, default="", help="start from wrong lights")
     parser.add_argument(
         "--photos", type=Path, default=photographs.reference(), help="a folder, a unit in each folder of it"
     )
@@ -85,10 +154,16 @@ def main() -> None:
     unit = unit_of(asked.unit, asked.photos)
     if unit is None:
         sys.exit(f"no photographs of {asked.unit} in {asked.photos}")
-    seeds = range(asked.first, asked.first + asked.draws)
-    harmed = [draw(unit, SENSOR[asked.unit], asked.given, seed, asked.steps) for seed in seeds]
-    print(f"{asked.unit}: {sum(harmed)} of {len(harmed)} fits would be written and are worse on the other presses")
-    sys.exit(int(any(harmed)))
+    chosen = draws(len(unit.presses), asked.given, asked.first, asked.draws)
+    every = [draw(unit, asked, seed, given) for seed, given in chosen]
+    written, worse = sum(one.written for one in every), sum(one.worse for one in every)
+    before, after, shipped = (float(np.mean([getattr(one, k) for one in every]))
+                              for k in ("before", "after", "shipped"))  # fmt: skip
+    beside = f" (the shipped file: {shipped:.1f})" if asked.wrong else ""
+    print(f"{asked.unit}{f' from wrong lights ({asked.wrong})' if asked.wrong else ''}: {len(every)} draws, {written}"
+          f" written, {len(every) - written} refused, {worse} worse on the other presses; mean error of normals there"
+          f" {before:.2f} deg before, {after:.2f} after{beside}")  # fmt: skip
+    sys.exit(int(worse > 0))
 
 
 if __name__ == "__main__":

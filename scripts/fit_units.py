@@ -18,7 +18,8 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 from benchmarks import mini_units, photographs  # noqa: E402
 from tacgen.calibrate import led_fit, press_faces  # noqa: E402
-from tacgen.calibrate.clear_trials import RIDGES, Tolerance, Trials  # noqa: E402
+from tacgen.calibrate.clear_fits import RIDGES, Fits  # noqa: E402
+from tacgen.calibrate.clear_trials import Tolerance  # noqa: E402
 from tacgen.calibrate.photos import Photos  # noqa: E402
 from tacgen.calibrate.result import Fitted, digits, write_sensor  # noqa: E402
 from tacgen.recipe import assets, loading  # noqa: E402
@@ -38,7 +39,7 @@ def fit(sensor: LitSensor, unit: mini_units.MiniUnit, tolerance: float, steps: i
     """Fit to all presses of a unit; pixels that a dot hides are not compared."""
     photos = Photos(photographs.reference() / unit.name, unit.untouched, unit.presses)
     faces = [press_faces.face(sensor, press, {}) for press in unit.presses]
-    trial = Trials(sensor, photos, faces, Tolerance(tolerance, float(np.radians(ROTATED))), bare=True)
+    trial = Fits(sensor, photos, faces, Tolerance(tolerance, float(np.radians(ROTATED))), bare=True)
     eye = trial.sensor.camera
     for picture, hidden in zip(trial.pictures, (np.any(unit.hidden, axis=0), *unit.hidden), strict=True):
         cells = hidden.reshape(eye.height_px, hidden.shape[0] // eye.height_px, eye.width_px, -1)

@@ -27,7 +27,8 @@ NODES = 9  # depths at which each thickness is solved
 ANGLES = 16  # rays around the contact, along which the face is averaged
 SCALED = np.concatenate([np.linspace(0, 2, 81), np.geomspace(2, 12, 60)[1:]])  # radii over sqrt(ball radius x depth)
 POWER = 2 / 3  # F^(2/3) is nearly linear in the depth (Hertz)
-FINE, LEAST_BLUR = 1200, 0.3  # points of the radius on which slopes are smoothed, and the least width, in these points
+FINE, LEAST_BLUR = 1200, 0.3  # most points of the radius on which slopes are smoothed, and the least width in these
+SAMPLES = 10  # points per standard deviation of the smoothing, at least unless FINE limits them
 WIDE = 0.75  # deepest press times the ball's radius, over the square of the largest contact radius
 LARGEST_SHARE = 0.8  # of the ball's radius: deepest press
 
@@ -69,11 +70,12 @@ class Dents:
         w = float(np.clip((depth - self.depth[k]) / (self.depth[k + 1] - self.depth[k]), 0.0, 1.0))
         drop, slope = ((1 - w) * table[k] + w * table[k + 1] for table in (self.drop, self.slope))
         reach = np.sqrt(self.ball * depth)
-        fine = np.linspace(0, SCALED[-1], FINE)
+        width = blur / reach  # in scaled radii
+        fine = np.linspace(0, SCALED[-1], min(FINE, 2 + int(SAMPLES * SCALED[-1] / width)) if width else FINE)
         radial = np.interp(fine, SCALED, slope)
-        if (width := blur / reach / fine[1]) > LEAST_BLUR:
+        if width > LEAST_BLUR * fine[1]:
             both = np.concatenate([-radial[:0:-1], radial])  # odd in the radius
-            radial = gaussian_filter1d(both, width)[FINE - 1 :]
+            radial = gaussian_filter1d(both, width / fine[1])[len(fine) - 1 :]
         return (depth * np.interp(r / reach, SCALED, drop, right=0.0),
                 np.sqrt(depth / self.ball) * np.interp(r / reach, fine, radial, right=0.0))  # fmt: skip
 

@@ -6,16 +6,16 @@ the sensor file. Presses are compared by their change against the untouched pict
 errors of the background do not affect them.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from scipy.optimize import least_squares, nnls
+from scipy.optimize import nnls
 
 from tacgen.calibrate.photos import PhotographedPress, Photos
-from tacgen.calibrate.result import Fitted, rgb, rms
-from tacgen.calibrate.unseen import determined
+from tacgen.calibrate.result import rgb
 from tacgen.errors import UserError
 from tacgen.optics import camera_response, coating, strip_light
 from tacgen.optics.camera_view import CameraView, Samples
@@ -36,12 +36,12 @@ SHEET = 0.2  # node spacing of the face [mm]
 ALONG, ACROSS = 3.0, 1.5  # largest distance of the points that stand for an LED, along and across it [mm]
 NEAR = 0.97  # contact radii within which a press is compared: there the face is the ball's surface
 REACH = 3.7  # the same for a press of known depth, whose face is solved and right beyond the contact too [mm]
+AROUND = 1.4  # contact radii, at least, within which such a press is compared if its contact is known too
 WEIGHT = 2.0  # weight of a press's pixel over one of the untouched picture
-SOFT = 15.0  # scale of the soft-l1 loss, for marks and dust [counts]
-RIDGES = (300.0, 30.0, 3.0)  # tried penalties of a parameter at the end of its tolerance, over all pixels [counts]
 STRAY = 0.02  # change of stray light that costs the same [full scale]
 POWER = 0.5  # change of radiance that costs the same, over the LED's strongest channel
-FOLD_STEPS = 3  # Jacobians at most, for each ridge, of a fit that judges
+KEPT = 4  # sets of parameters whose light is kept: those about which derivatives are taken, and trials of steps
+EVEN = 1200  # pixels of the untouched picture that are compared, about, beside those of the presses
 BRIGHT = 0.95  # of full scale; brighter pixels are not compared
 STEEPEST = 1500.0  # largest slope of the response, which limits the weight of dark pixels [counts per unit of light]
 PARTS = 6  # parameters of an LED: position, tilt about its length, turn about its upright, log of its length
@@ -92,27 +92,37 @@ class Trials:
     """Misfit between photographs and trial sensors."""
 
     def __init__(
-        self, sensor: LitSensor, photos: Photos, faces: list[Surface], tolerance: Tolerance, bare: bool
+        self,
+        sensor: LitSensor,
+        photos: Photos,
+        faces: Sequence[Surface],
+        tolerance: Tolerance,
+        bare: bool,
+        untouched: float = 1.0,
     ) -> None:
-        """`faces`: those of the presses; `bare`: the photographed gel has no markers, whatever the file says."""
+        """`faces`: those of the presses; `bare`: the photographed gel has no markers, whatever the file says;
+        `untouched`: weight of a pixel of that picture."""
         self.tolerance = tolerance
         columns = max(min(LEAST_WIDTH, sensor.camera.width_px), sensor.camera.width_px // SHRINK)
         self.sensor = traced_maps.zoomed(sensor, columns)
-        self.sheet, untouched = Sheet.over(sensor.gel, SHEET), Untouched.of(sensor.gel)
+        self.sheet, rest = Sheet.over(sensor.gel, SHEET), Untouched.of(sensor.gel)
         self._bounce = Radiosity(self.sensor)
         sides = np.array([sensor.gel.width_mm, sensor.gel.height_mm]) / 2 + sensor.walls.margin_mm
         self._room = np.array([*sides, bottom_depth(sensor)]) - CLEAR  # half the housing's sides, and its depth [mm]
-        self._look = lru_cache(64)(self._looked)
-        self._around = lru_cache(128 * len(sensor.leds))(self._bounced)
-        self._column = lru_cache(128 * len(sensor.leds) * (1 + len(faces)))(self._lit)
-        everywhere = np.ones(self.sensor.camera.width_px * self.sensor.camera.height_px, bool)
-        self.pictures = [self._picture("untouched", photos.untouched, everywhere, untouched)]
-        for press, face in zip(photos.presses, faces, strict=True):
-            self.pictures.append(self._picture(press.name, press.picture, self._near(press), face))
+        self._look = lru_cache(KEPT * (1 + len(faces)))(self._looked)
+        self._around = lru_cache(KEPT * len(sensor.leds))(self._bounced)
+        self._column = lru_cache(KEPT * len(sensor.leds) * (1 + len(faces)))(self._lit)
+        self._sparse = max(1, round(np.sqrt(self.sensor.camera.width_px * self.sensor.camera.height_px / EVEN)))
+        self._even, self._first_weight = self._grid(), untouched * self._sparse
+        near = [self._near(press) for press in photos.presses]
+        needed = np.any([self._even, *near], axis=0)
+        self.pictures = [self._picture("untouched", photos.untouched, needed, rest)]
+        for press, face, here in zip(photos.presses, faces, near, strict=True):
+            self.pictures.append(self._picture(press.name, press.picture, here, face))
         if not bare and sensor.markers is not None:
             for number, picture in enumerate(self.pictures):
-                rest = self._look(number, (0.0, 0.0)).at.rest
-                dots = coating.paint(sensor.markers, rest, 3 * self.sensor.camera.mm_per_px)
+                points = self._look(number, (0.0, 0.0)).at.rest
+                dots = coating.paint(sensor.markers, points, 3 * self.sensor.camera.mm_per_px)
                 np.logical_and(picture.counts, np.nan_to_num(dots, nan=1.0) == 0, out=picture.counts)
         empty = [picture.name for picture in self.pictures if not picture.counts.any()]
         if empty:
@@ -132,12 +142,20 @@ class Trials:
         counts = counts & (light < BRIGHT).all(axis=1)
         return Picture(name, light, np.minimum(255 * camera_response.slope(light, eye), STEEPEST), counts, face)
 
+    def _grid(self) -> Array:
+        """The pixels of the untouched picture that are compared, on an even grid (pixels,) bool; each stands for the
+        square of `_sparse`."""
+        eye = self.sensor.camera
+        y, x = np.mgrid[: eye.height_px, : eye.width_px]
+        return np.asarray(((x % self._sparse == self._sparse // 2) & (y % self._sparse == self._sparse // 2)).ravel())
+
     def _near(self, press: PhotographedPress) -> Array:
         eye = self.sensor.camera
         shrink = press.picture.shape[1] / eye.width_px
         y, x = np.mgrid[: eye.height_px, : eye.width_px] + 0.5
         away = np.hypot(x * shrink - press.center[0], y * shrink - press.center[1])
-        reach = REACH / eye.mm_per_px * shrink if press.solved else NEAR * (press.contact or 0.0)
+        contact = press.contact or 0.0
+        reach = max(REACH / eye.mm_per_px * shrink, AROUND * contact) if press.solved else NEAR * contact
         return np.asarray((away < reach).ravel())
 
     def _ranges(self) -> tuple[Array, Array, Array]:
@@ -227,23 +245,25 @@ class Trials:
         out = []
         for k in chosen:
             picture, first = self.pictures[k], self.pictures[0]
-            here = picture.counts
-            change, wanted = columns[k], picture.light[here]
+            here = picture.counts & (first.counts if k else self._even)
+            change, wanted = columns[k][:, here[picture.counts]], picture.light[here]
             if k:
-                both = here & first.counts
-                own, base = both[here], both[first.counts]
-                change, wanted = columns[k][:, own] - columns[0][:, base], picture.light[both] - first.light[both]
-                here = both
+                change, wanted = change - columns[0][:, here[first.counts]], wanted - first.light[here]
             slope = picture.slope[here]
             channels = [np.column_stack([change[c] * slope[:, c, None], wanted[:, c] * slope[:, c]]) for c in range(3)]
             out.append(np.concatenate(channels))
         return out
 
+    def weighed(self, rows: list[Array], chosen: list[int]) -> Array:
+        """Equations of the chosen pictures, one under the other, as the fit weighs them."""
+        return np.concatenate(
+            [(WEIGHT if k else self._first_weight) * row for k, row in zip(chosen, rows, strict=True)]
+        )
+
     def lights(self, rows: list[Array], chosen: list[int], ridge: float) -> Array:
         """Best radiances (3, LEDs + 1), stray light last, held to the file's."""
-        weighed = [(WEIGHT if k else 1.0) * row for k, row in zip(chosen, rows, strict=True)]
         hold = np.column_stack([np.diag(ridge / self._power.ravel()), (ridge * self.own / self._power).ravel()])
-        stacked = np.concatenate([*weighed, hold])
+        stacked = np.concatenate([self.weighed(rows, chosen), hold])
         return np.asarray(nnls(stacked[:, :-1], stacked[:, -1])[0].reshape(3, -1))
 
     def misfits(self, rows: list[Array], lights: Array) -> list[Array]:
@@ -253,96 +273,6 @@ class Trials:
     def all_columns(self, v: Array, chosen: list[int]) -> list[Array]:
         """Columns of the chosen pictures; others are left empty."""
         return [self.columns(v, k) if k in chosen else np.zeros(0) for k in range(len(self.pictures))]
-
-    def whole(self, ridge: float, steps: int) -> Fitted:
-        """The fit to all pictures."""
-        every, begin = list(range(len(self.pictures))), self._start
-        for hold in RIDGES[: RIDGES.index(ridge) + 1]:
-            begin = self._search(begin, every, hold, steps if hold == ridge else FOLD_STEPS)
-        rows = self.rows(self.all_columns(begin, every), every)
-        lights = self.lights(rows, every, ridge)
-        misfits = self.misfits(rows, lights)
-        shown = self.misfits(self.rows([self.columns(self._start, 0)], [0]), self.own)
-        return Fitted(
-            self._sensor(begin, lights), rms(misfits[:1]), rms(shown), rms(misfits[1:]) if len(every) > 1 else None,
-            ridge=ridge, determined=self._determined(begin, lights, every, ridge),
-        )  # fmt: skip
-
-    def judged(self, groups: list[list[int]], steps: int) -> tuple[Array, list[list[LitSensor]]]:
-        """Misfit of presses that are not seen [counts], of the file and then of fits with each of RIDGES, (1 + RIDGES,
-        presses); and those fits by ridge, then by group."""
-        counts: list[list[float]] = [[] for _ in range(1 + len(RIDGES))]
-        made: list[list[LitSensor]] = [[] for _ in RIDGES]
-        for held_out in groups:
-            seen = [k for k in range(len(self.pictures)) if k not in held_out]
-            v, lights = self._start, self.own
-            for number in range(1 + len(RIDGES)):
-                if number:
-                    ridge = RIDGES[number - 1]
-                    v = self._search(v, seen, ridge, min(steps, FOLD_STEPS))
-                    lights = self.lights(self.rows(self.all_columns(v, seen), seen), seen, ridge)
-                    made[number - 1].append(self._sensor(v, lights))
-                left = self.misfits(self.rows(self.all_columns(v, [0, *held_out]), held_out), lights)
-                counts[number] += [rms([one]) for one in left]
-        return np.array(counts), made
-
-    def _free(self, seen: list[int]) -> Array:
-        """Numbers of the parameters that vary; a background and one press determine only radiances."""
-        return np.flatnonzero(self._most > self._least) if len(seen) > 2 else np.zeros(0, int)
-
-    def _search(self, begin: Array, seen: list[int], ridge: float, steps: int) -> Array:
-        """The parameters with the smallest misfit of some pictures, with the best radiances for each trial."""
-        free = self._free(seen)
-        if not len(free):
-            return begin
-        span = (self._most - self._least)[free]
-
-        def numbers(u: Array) -> Array:
-            v = self._start.copy()
-            v[free] = self._least[free] + (u - 1) / 2 * span
-            return v
-
-        def left(u: Array) -> Array:
-            rows = self.rows(self.all_columns(numbers(u), seen), seen)
-            lights = self.lights(rows, seen, ridge)
-            weighed = [(WEIGHT if k else 1.0) * m for k, m in zip(seen, self.misfits(rows, lights), strict=True)]
-            held = ridge * 2 * (numbers(u) - self._start)[free] / span
-            return np.concatenate([*weighed, held, ridge * ((lights - self.own) / self._power).ravel()])
-
-        def loss(z: Array) -> Array:
-            """Soft l1 for pixels; the ridge at the end is quadratic."""
-            root = np.sqrt(1 + z)
-            rho = np.array([2 * (root - 1), 1 / root, -0.5 / root**3])
-            ridged = slice(-len(free) - self.own.size, None)
-            rho[:, ridged] = z[ridged], np.ones_like(z[ridged]), np.zeros_like(z[ridged])
-            return rho
-
-        start = np.clip(1 + 2 * (begin - self._least)[free] / span, 1.02, 2.98)  # from 1 to 3 over the range
-        how: Any = {"bounds": (1, 3), "diff_step": 0.02, "max_nfev": steps, "loss": loss, "f_scale": SOFT}
-        return numbers(least_squares(left, start, **how).x)
-
-    def _determined(self, v: Array, lights: Array, seen: list[int], ridge: float) -> dict[str, float]:
-        """Share of each parameter that the pictures determine against the ridge, by name."""
-        weight = [WEIGHT if k else 1.0 for k in seen]
-
-        def rows(at: Array) -> Array:
-            parts = self.rows(self.all_columns(at, seen), seen)
-            return np.concatenate([w * row for w, row in zip(weight, parts, strict=True)])
-
-        here, by, slopes = rows(v), np.append(lights, -1.0), []
-        free = self._free(seen)
-        for k in free:
-            half = (self._most - self._least)[k] / 2
-            step = 0.02 * half * (-1 if v[k] + 0.02 * half > self._most[k] else 1)
-            moved = v.copy()
-            moved[k] += step
-            slopes.append((rows(moved) @ by - here @ by) * half / step)
-        table = np.column_stack([*slopes, here[:, :-1] * self._power.ravel()])
-        names = self._names()
-        chosen = [*(names[k] for k in free), *names[len(v) :]]
-        shares = dict(zip(chosen, map(float, determined(table, ridge)), strict=True))
-        absent = self.sensor.camera.vignette_mm is None
-        return {name: share for name, share in shares.items() if not (absent and name.startswith("vignette"))}
 
     def _names(self) -> list[str]:
         """Names of the parameters, and of the radiances and stray light of each channel."""

@@ -30,6 +30,7 @@ FACTORS = (0.5, 0.63, 0.8, 1.0, 1.26, 1.6, 2.0)  # thicknesses that are tried, o
 FINE = 2000  # points between them at which the misfit is interpolated
 SPREAD = 0.05  # standard error of the thickness's logarithm that the method has by itself, from synthetic units
 ABRUPT = 0.03  # of the largest force: change between readings from which its error by the lag exceeds all others
+OWN = 8  # unseen pictures from which they tell their own colours
 LATEST = 0.2  # [s]: largest lag of a gauge, either way
 
 
@@ -220,15 +221,16 @@ class Judged:
     """Readings (n,) [N] of presses that a fit has not seen, and what it says to them from the pictures alone."""
 
     force: Array
-    predicted: Array  # with the gauge's lag of the judged recording, one number fitted to its readings, if it has times
+    predicted: Array  # with the gauge's lag of the judged recordings, fitted to their readings, if they have times
     unaligned: Array  # without any lag
+    foreign: Array  # with the colours of the seen presses, where `predicted` has those that the judged pictures tell
     floor: Array  # the mean of the forces that the fit has seen
     ceiling: Array  # a rising curve over the predicted forces, fitted to the judged readings themselves
     name: str = ""  # of what is held out
 
     def plain(self) -> dict[str, Any]:
         """As JSON values."""
-        parts = {key: getattr(self, key) for key in ("predicted", "unaligned", "floor", "ceiling")}
+        parts = {key: getattr(self, key) for key in ("predicted", "unaligned", "foreign", "floor", "ceiling")}
         return {"name": self.name, "force_n": self.force.tolist(), "predicted_n": self.predicted.tolist(),
                 "mae_n": {key: self.mae(part) for key, part in parts.items()}}  # fmt: skip
 
@@ -237,15 +239,24 @@ class Judged:
         return float(np.abs(said - self.force).mean())
 
 
-def predict(fitted: UnitFit, view: PressView, pictures: Pictures, dents: Tried) -> Array:
-    """Forces (n,) [N] of unseen pictures, without the gauge's zero."""
+def predict(fitted: UnitFit, view: PressView, pictures: Pictures, dents: Tried) -> tuple[Array, Array]:
+    """Forces (n,) [N] of unseen pictures, without the gauge's zero: with colours that these pictures themselves tell if
+    they are many, and with those of the seen pictures.
+
+    Contrast varies over the pad, and presses at one place do not tell it at another.
+    """
     optics, start = fitted.optics, view.starts(pictures)
     near = optics.between(optics.best)[0]
-    seen = [
-        located(view, pictures, each, start, one.blur, optics.rich, one.colours) if k in (near, near + 1) else None
-        for k, (one, each) in enumerate(zip(optics.placed, dents, strict=True))
-    ]
-    return fitted.modulus.value * unit_forces(optics, seen, pictures, dents, optics.best)
+    seen: list[Placed | None] = [None] * len(dents)
+    for k in {near, min(near + 1, len(dents) - 1)}:
+        one = optics.placed[k]
+        seen[k] = located(view, pictures, dents[k], start, one.blur, optics.rich, one.colours)
+    own = seen
+    if len(pictures) >= OWN:
+        own = [None if one is None else located(view, pictures, each, one.at, one.blur, optics.rich)
+               for one, each in zip(seen, dents, strict=True)]  # fmt: skip
+    forces = [fitted.modulus.value * unit_forces(optics, one, pictures, dents, optics.best) for one in (own, seen)]
+    return forces[0], forces[1]
 
 
 def judge(view: PressView, pictures: Pictures, dents: Tried, gauge: Gauge, held: Array) -> tuple[UnitFit, Judged]:
@@ -253,13 +264,18 @@ def judge(view: PressView, pictures: Pictures, dents: Tried, gauge: Gauge, held:
     seen, unseen = ([p for p, chosen in zip(pictures, w, strict=True) if chosen] for w in (~held, held))
     known, asked = gauge.part(~held), gauge.part(held)
     fitted = fit(optics(view, seen, dents), seen, dents, known)
-    said = fitted.zero.value + predict(fitted, view, unseen, dents)
-    lags = {k: _lag(asked, said, k) for k in asked.timed}
-    late = asked.late(said, lags) if lags else said
+    said, foreign = (fitted.zero.value + forces for forces in predict(fitted, view, unseen, dents))
+    late = _late(asked, said)
     order = np.argsort(late, kind="stable")
     rising = np.empty_like(late)
     rising[order] = isotonic_regression(asked.force[order]).x
-    return fitted, Judged(asked.force, late, said, np.full(len(late), known.force.mean()), rising)
+    floor = np.full(len(late), known.force.mean())
+    return fitted, Judged(asked.force, late, said, _late(asked, foreign), floor, rising)
+
+
+def _late(gauge: Gauge, said: Array) -> Array:
+    """Forces as the gauge reads them, with the lag of each timed recording that suits its readings."""
+    return gauge.late(said, {k: _lag(gauge, said, k) for k in gauge.timed})
 
 
 def _lag(gauge: Gauge, said: Array, recording: int) -> float:

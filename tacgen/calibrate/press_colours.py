@@ -110,10 +110,10 @@ class PressView:
     def columns(self, dents: Dents, at: Array, blur: float, rich: bool) -> Array:
         """Terms (p, columns), each with mean 0, in which the colours of a press at (depth, x, y) [mm] are linear."""
         z = self._face.height(self.level)
-        for _ in range(2):
+        for smooth in (0.0, blur):  # the drop is not smoothed
             xy = self._hit(z)
             away = np.hypot(*(xy - at[1:]).T)
-            drop, slope = dents.face(float(at[0]), away, blur)
+            drop, slope = dents.face(float(at[0]), away, smooth)
             z = self._face.height(xy) + drop
         s = (slope / np.maximum(away, 1e-9))[:, None] * (xy - at[1:])
         square, drop = np.column_stack([s**2, s[:, 0] * s[:, 1]]), drop[:, None]

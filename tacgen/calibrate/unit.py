@@ -109,10 +109,12 @@ class Unit:
             yield "not judged: too few presses to hold any out"
             return
         for one in self.judged:
-            timed = "" if one.unaligned is one.predicted else (
-                f" (as recorded, without alignment in time: {one.mae(one.unaligned):.2f})")  # fmt: skip
+            others = {"as recorded, without alignment in time": one.unaligned,
+                      "with the colours of the seen presses": one.foreign}  # fmt: skip
+            beside = [f"{how}: {one.mae(said):.2f}" for how, said in others.items() if (said != one.predicted).any()]
+            told = f" ({'; '.join(beside)})" if beside else ""
             yield (f"forces of {len(one.force)} presses not seen by the fit ({one.name}): off by"
-                   f" {one.mae(one.predicted):.2f} N{timed}; mean of the seen forces: {one.mae(one.floor):.2f} N; best"
+                   f" {one.mae(one.predicted):.2f} N{told}; mean of the seen forces: {one.mae(one.floor):.2f} N; best"
                    f" rising curve over the found depth: {one.mae(one.ceiling):.2f} N")  # fmt: skip
 
     def plain(self) -> dict[str, Any]:

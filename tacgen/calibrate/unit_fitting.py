@@ -12,9 +12,11 @@ from tacgen.calibrate.photos import TABLE, PhotographedPress, Photos
 from tacgen.calibrate.press_colours import PressPicture, PressView
 from tacgen.calibrate.result import Fitted
 from tacgen.calibrate.unit import DEEP, Asked
+from tacgen.calibrate.unit_bias import DentFace
 from tacgen.calibrate.unit_photos import UnitPhotos
 from tacgen.errors import UserError
 from tacgen.optics.camera import PinholeCamera
+from tacgen.optics.surface_grid import Untouched
 from tacgen.sensor.model import LitSensor
 
 WIDER, GRADE = 1.2, 1.25  # contact radius that is solved, over the largest rough one; and its steps
@@ -105,14 +107,26 @@ class Work:
         return with_thickness(self.sensor, fitted.thickness.value) if self.asked.thickness else self.sensor
 
     def lights(self, fitted: UnitFit) -> Fitted:
-        """The lights of the sensor with the fitted thickness, fitted to some of the presses at their found depths."""
-        sensor, (untouched, presses) = self.at_thickness(fitted), self._shown(fitted)
-        return fit_clear.fit(sensor, Photos(self.photos.folder, untouched, presses), {}, self.asked.limits)
+        """The lights of the sensor with the fitted thickness, fitted to how some of the presses at their found depths
+        change the picture: the untouched one, with its glare, can be the background of rendered pictures."""
+        sensor, some, first = self.at_thickness(fitted), self._some(fitted), self.photos.presses[0].untouched
+        photos = Photos(self.photos.folder, first, self._shown(fitted, some))
+        k, w = fitted.optics.between(fitted.optics.best)
+        faces = []
+        for n in some:
+            both = [self.dents[j][self.pictures[n].ball] for j in (k, min(k + 1, len(self.dents) - 1))]
+            at = float(fitted.depth[n]), *(float(v) for v in fitted.optics.placed[k].at[n, 1:])
+            faces.append(DentFace(Untouched.of(sensor.gel), (both[0], both[1]), w, (at[0], at[1], at[2]), 0.0))
+        return fit_clear.fit_faces(sensor, photos, faces, self.asked.limits, changes=True)
 
-    def _shown(self, fitted: UnitFit) -> tuple[np.ndarray, tuple[PhotographedPress, ...]]:
-        """The first untouched picture, and presses of different depths, shown as changes of that."""
+    @staticmethod
+    def _some(fitted: UnitFit) -> list[int]:
+        """Numbers of presses of different depths."""
         deep = [k for k in np.argsort(fitted.depth) if fitted.depth[k] > DEEPER * fitted.depth.max()]
-        some = [deep[round(k)] for k in np.linspace(0, len(deep) - 1, min(SHOWN, len(deep)))]
+        return [int(deep[round(k)]) for k in np.linspace(0, len(deep) - 1, min(SHOWN, len(deep)))]
+
+    def _shown(self, fitted: UnitFit, some: list[int]) -> tuple[PhotographedPress, ...]:
+        """Some presses, shown as changes of the first untouched picture."""
         best, camera = fitted.optics.between(fitted.optics.best)[0], PinholeCamera.from_sensor(self.sensor)
         first, out = self.photos.presses[0].untouched, []
         for k in some:
@@ -123,4 +137,4 @@ class Work:
             out.append(
                 PhotographedPress(press.name, shown, press.ball, (float(center[0]), float(center[1])), contact, depth)
             )
-        return first, tuple(out)
+        return tuple(out)

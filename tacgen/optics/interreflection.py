@@ -15,7 +15,7 @@ from tacgen.optics.shadows import Terrain
 from tacgen.optics.surface_grid import Sheet, Untouched
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
@@ -67,6 +67,7 @@ class Radiosity:
         self._patches = strip_light.StripPoints(self._at, self._normals, area, np.sqrt(area) / 2, every, 0 * every)
         self._slab = strip_light.Slab.of(sensor)
         self._form_factors = self._gather(self._patches, len(area))
+        self._factors: dict[tuple[float, float], tuple[Floats, tuple[Floats, NDArray[np.int32]]]] = {}
         turned = []
         for by in ((TILT, 0.0), (-TILT, 0.0), (0.0, TILT), (0.0, -TILT)):
             side = facing[:, :2] + by
@@ -82,13 +83,24 @@ class Radiosity:
 
     def added(self, sensor: "LitSensor", points: strip_light.StripPoints) -> "Floats":
         """Interreflected radiance (coating patches, leds, TERMS, 3) in the gel, per unit radiance of each LED."""
-        coat, first, out = sensor.coating, self._gather(points, len(sensor.leds), sensor.leds), []
-        for albedo in coat.albedo:
-            rho = np.full((len(first), 1), sensor.walls.albedo)
-            rho[: self._coat] = (1 - coat.specular) * albedo + coat.specular * coating.METAL
-            total = np.linalg.solve(np.eye(len(first)) - rho * self._form_factors, rho * first)
-            out.append(rho[0] * np.moveaxis(self._form_factor_terms @ total, 0, -1))
-        return np.stack(out, axis=-1)
+        coat, first = sensor.coating, self._gather(points, len(sensor.leds), sensor.leds)
+        out: dict[float, Floats] = {}
+        for albedo in set(coat.albedo):
+            reflected = (1 - coat.specular) * albedo + coat.specular * coating.METAL
+            total = self._all_reflections(reflected, sensor.walls.albedo)(first)
+            out[albedo] = reflected * np.moveaxis(self._form_factor_terms @ total, 0, -1)
+        return np.stack([out[albedo] for albedo in coat.albedo], axis=-1)
+
+    def _all_reflections(self, coat: float, walls: float) -> "Callable[[Floats], Floats]":
+        """Radiance (patches, n) after all reflections, from the first (patches, n); the system's factor is kept."""
+        from scipy.linalg import lu_factor, lu_solve
+
+        if (coat, walls) not in self._factors:
+            rho = np.full((len(self._at), 1), walls)
+            rho[: self._coat] = coat
+            self._factors[coat, walls] = rho, lu_factor(np.eye(len(rho)) - rho * self._form_factors)
+        rho, factor = self._factors[coat, walls]
+        return lambda first: np.asarray(lu_solve(factor, rho * first))
 
     def glow(self, values: "Floats", view: "CameraView") -> Glow:
         """Values (coat patches, TERMS, 3) as the camera sees them; off the pad its edge."""
@@ -96,13 +108,15 @@ class Radiosity:
 
         at = view.look(self._face)
         rest, normal = at.rest, np.nan_to_num(at.normal[:, :2])
-        grid = finer(values.reshape(*self.sheet.shape, -1))
+        alike = (values[..., :1] == values).all()  # the same in each colour
+        grid = finer(values[..., : 1 if alike else None].reshape(*self.sheet.shape, -1))
         rows, columns, count = grid.shape
         grid_at = np.nan_to_num(((rest / self.sheet.size + 0.5) * [columns - 1, rows - 1]).T[::-1])
         terms, passed = np.empty((len(rest), count), np.float32), view.transmission()
         for c in range(count):
             terms[:, c] = passed * map_coordinates(grid[..., c], grid_at, order=1)
-        return Glow(terms.reshape(len(terms), TERMS, 3), normal)
+        shaped = terms.reshape(len(terms), TERMS, -1)
+        return Glow(np.repeat(shaped, 3, axis=2) if alike else shaped, normal)
 
     def _gather(
         self,

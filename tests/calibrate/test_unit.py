@@ -111,6 +111,21 @@ def test_the_lag_of_a_gauge_is_found_and_does_not_shift_the_modulus(unit: LitSen
     assert np.abs(gauge.late(true, {0: lag}) - gauge.force).mean() < 1e-9 < early
 
 
+def test_a_recording_with_another_contrast_tells_it_by_its_own_pictures(unit: LitSensor) -> None:
+    view, thick, random = PressView(unit), 3.0, np.random.default_rng(0)
+    dents = [{BALL: formula(with_thickness(unit, f * 3.0), BALL)} for f in fit_unit.FACTORS[1:4]]
+    depths = np.tile(np.linspace(0.2, 0.9, 8), 2)
+    force = MODULUS * formula(with_thickness(unit, thick), BALL).force_at(depths)
+    second = np.arange(16) >= 8
+    changes = painted(unit, thick, presses(depths))
+    pictures = [view.picture((0.9 if late else 1.0) * c + random.normal(0, 1.5, c.shape), 0 * c, BALL, int(late))
+                for c, late in zip(changes, second, strict=True)]  # fmt: skip
+    gauge = Gauge(force, second.astype(int), np.full(16, np.nan))
+    _, found = fit_unit.judge(view, pictures, dents, gauge, second)
+    assert found.mae(found.predicted) < 0.5 * found.mae(found.foreign)
+    assert found.mae(found.predicted) < 0.05 * force.max()
+
+
 def test_a_face_is_that_of_its_depth_and_blur_softens_its_rim_alone(unit: LitSensor) -> None:
     dents, r = formula(unit, BALL), np.linspace(0, 4, 400)
     drop, slope = dents.face(0.6, r)

@@ -1,5 +1,6 @@
 """A fit is judged by presses that it has not seen, and one that does not help is not written."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from tacgen import cli
-from tacgen.calibrate import led_fit, photos, press_faces, unseen
+from tacgen.calibrate import fit_clear, led_fit, photos, press_faces, unseen
 from tacgen.errors import UserError
 from tacgen.mechanics import NotConverged
 from tacgen.recipe import loading
@@ -138,3 +139,23 @@ def test_the_report_is_json(tmp_path: Path) -> None:
     found = led_fit.optics(str(path), folder, led_fit.FitLimits(0, 0)).plain()
     assert found["unseen"]["presses"] == ["press_0.png", "press_1.png"]
     assert np.shape(found["unseen"]["counts"]) == np.shape(found["unseen"]["degrees"]) == (2, 2)
+
+
+def test_glare_in_the_untouched_picture_does_not_spoil_lights_fitted_to_changes(tmp_path: Path) -> None:
+    camera = {**FINE, "response": "linear"}
+    file = sensor(camera=camera, markers=None)
+    unit = sensor(leds=[{**led, "power": 0.7} for led in PLAIN["leds"]], camera=camera, markers=None)
+    folder = photographed(unit, tmp_path / "unit", PRESSES[:3])
+    glare = np.linspace(80, 0, FINE["width_px"])[None, :, None]  # [counts]
+    for picture in folder.glob("*.png"):
+        seen = np.asarray(Image.open(picture)) + glare
+        Image.fromarray(np.clip(seen, 0, 255).astype(np.uint8)).save(picture)
+    read = photos.read(folder, file.camera)
+    faces = [press_faces.face(file, press, {}) for press in read.presses]
+    read = replace(read, presses=tuple(replace(press, contact=None, depth=0.5) for press in read.presses))
+
+    def off(changes: bool) -> float:
+        made = fit_clear.fit_faces(file, read, faces, led_fit.FitLimits(0, 0), changes=changes)
+        return float(np.abs([sum(led.light) / 6.3 - 1 for led in made.sensor.leds]).max())
+
+    assert off(True) < 0.1 < off(False)
