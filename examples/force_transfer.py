@@ -22,6 +22,7 @@ shifted in time as suits its forces best. In the folder: `results.json`, `table.
 """
 
 import argparse
+import csv
 import json
 import sys
 from collections.abc import Iterator
@@ -35,8 +36,7 @@ from PIL import Image
 from torch import nn
 from torch.nn import functional as F
 
-from tacgen import csv_table
-from tacgen.errors import UserError
+import tacgen
 from tacgen.torch import TactileDataset
 
 Array = np.ndarray
@@ -84,24 +84,35 @@ def rendered(folder: Path) -> Presses:
     return Presses(torch.cat(pictures), torch.tensor(forces))
 
 
+def number(text: str | None) -> float:
+    """A cell as a number; nan if it is none."""
+    try:
+        return float(text or "nan")
+    except ValueError:
+        return float("nan")
+
+
 def photographed(folder: Path) -> Presses:
-    """The photographs of a folder. Raises UserError: a table or a picture that cannot be read."""
-    wrong: list[str] = []
-    rows = [row for _, row in csv_table.rows(folder / "presses.csv", ("file", "force_n"), (), wrong)]
-    if wrong or not rows:
-        raise UserError(wrong or f"{folder / 'presses.csv'}: has no presses")
+    """The photographs of a folder. Raises tacgen.UserError: a table or a picture that cannot be read."""
+    try:
+        with (folder / "presses.csv").open(newline="", encoding="utf-8-sig") as file:
+            rows = list(csv.DictReader(file))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise tacgen.UserError(f"{folder / 'presses.csv'}: cannot be read as a table: {error}") from None
+    if not rows or not {"file", "force_n"} <= rows[0].keys():
+        raise tacgen.UserError(f"{folder / 'presses.csv'}: needs the columns file and force_n, and a press")
 
     def pixels(name: str) -> torch.Tensor:
         try:
             with Image.open(folder / name) as picture:
                 return torch.from_numpy(np.asarray(picture.convert("RGB"), np.float32)).movedim(-1, 0)
         except OSError as error:
-            raise UserError(f"{folder / name}: cannot be read as a picture: {error}") from None
+            raise tacgen.UserError(f"{folder / name}: cannot be read as a picture: {error}") from None
 
     changes = [pixels(row["file"]) - pixels(row.get("untouched") or "background.png") for row in rows]
-    force, time = (np.array([csv_table.number(row.get(key, "")) for row in rows]) for key in ("force_n", "time_s"))
+    force, time = (np.array([number(row.get(key)) for row in rows]) for key in ("force_n", "time_s"))
     if not np.isfinite(force).all():
-        raise UserError(f"{folder / 'presses.csv'}: force_n: must be numbers")
+        raise tacgen.UserError(f"{folder / 'presses.csv'}: force_n: must be numbers")
     recording = np.array([row.get("recording", "") for row in rows])
     return Presses(seen(torch.stack(changes)), torch.from_numpy(force).float(), recording, time)
 
@@ -244,6 +255,6 @@ def main() -> None:
 if __name__ == "__main__":
     try:
         main()
-    except UserError as error:
+    except tacgen.UserError as error:
         print(error, file=sys.stderr)
         raise SystemExit(2) from None

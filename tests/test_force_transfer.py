@@ -80,8 +80,8 @@ def test_the_gauges_lag_is_found_for_each_recording(transfer: ModuleType) -> Non
 def test_a_table_or_picture_that_cannot_be_read_ends_in_a_line(transfer: ModuleType, tmp_path: Path) -> None:
     Image.new("RGB", (40, 32)).save(tmp_path / "background.png")
     for text, said in (
-        ("file,ball_radius_mm\nbackground.png,4\n", "has no column force_n"),
-        ("file,force_n\n", "has no presses"),
+        ("file,ball_radius_mm\nbackground.png,4\n", "needs the columns file and force_n"),
+        ("file,force_n\n", "needs the columns file and force_n, and a press"),
         ("file,force_n\nbackground.png,x\n", "force_n: must be numbers"),
         ("file,force_n\ngone.png,1\n", r"gone\.png: cannot be read as a picture"),
     ):

@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 from helpers.program import loaded
 
-EXAMPLES = sorted(path for path in (Path(__file__).parents[1] / "examples").glob("*.py") if path.stem != "baselines")
+PROGRAMS = {"baselines", "force_transfer"}  # of their own, with tests of their own
+EXAMPLES = sorted(path for path in (Path(__file__).parents[1] / "examples").glob("*.py") if path.stem not in PROGRAMS)
 COARSE = {"edge_mm": 0.75, "dhat_mm": 0.1, "spp": 4}
 FEW = {"steps": 2, "frames_held": 2, "samples": 2, "sensors": ("gelsight_mini",)}
 # several scenes each, images, and processes that start; the others cover the same calls
