@@ -18,6 +18,7 @@ from tacgen.tensor_engine.contact import Contacts, Forces, slip
 from tacgen.tensor_engine.contact_newton import at_nodes
 from tacgen.tensor_engine.indices import listed
 from tacgen.tensor_engine.inversion import least_jacobian
+from tacgen.tensor_engine.load_step import blocked
 
 Array = np.ndarray
 
@@ -33,7 +34,7 @@ def admit(b: Batch, s: Tensor) -> list[Outcome]:
     residual, balance = _imbalance(b, s, x, contact, forces)
     inside = _depth_inside(b, s, x, contact)
     figures = torch.stack([least_gap, least_J, residual, balance, inside, b.reach[s]], 1)
-    outcomes, recorded = [], []
+    outcomes, recorded, through = [], [], blocked(b, s, x).tolist()
     for k, (row, each) in enumerate(zip(listed(s), figures.tolist(), strict=True)):
         course, (gap, J, off, unequal, deep, reach) = b.courses[row], each
         course.solves, course.steps = course.solves + 1, course.steps + course.newton_steps
@@ -49,6 +50,9 @@ def admit(b: Batch, s: Tensor) -> list[Outcome]:
             outcomes.append(Outcome.failure)
         elif J <= 0:
             course.failure = NotConverged(Failure.inverted, least_J=J)
+            outcomes.append(Outcome.failure)
+        elif through[k]:
+            course.failure = NotConverged(Failure.too_far)
             outcomes.append(Outcome.failure)
         elif deep > INSIDE * reach:
             edge = course.problem.edge

@@ -9,6 +9,7 @@ from tacgen import mechanics
 from tacgen.fem.materials import NeoHooke
 from tacgen.geometry.analytic_sdf import Shape
 from tacgen.geometry.gel import GelBody, GelLayer
+from tacgen.geometry.sdf_grid import Field
 from tacgen.mechanics import mesh
 from tacgen.mechanics.scene import Scene
 from tacgen.outputs import gel_surface
@@ -64,3 +65,19 @@ def run(made: Scene, footprint: Footprint | None = None, grid: mesh.GelMesh | No
     grid = grid or mesh.build(made.gel, footprint or mesh.footprint(made), made.edge)
     problem = mechanics.Problem.of(made, grid)
     return Run(made, problem, list(mechanics.states(made, problem)))
+
+
+def thin_plate(side: float = 2.0, thickness: float = 0.1, cell: float = 0.0234) -> Field:
+    """A plate whose lowest point is at the origin, by its distance on a grid that its thickness spans four times."""
+    half = np.array([side, side, thickness]) / 2
+    low, high = -half - [4 * cell, 4 * cell, 3 * cell + half[2]], half + 4 * cell
+    counts = np.ceil((high - low) / cell).astype(int)
+    grid = np.stack(
+        np.meshgrid(*(a + cell * np.arange(n) for a, n in zip(low, counts, strict=True)), indexing="ij"), -1
+    )
+    q = np.abs(grid) - half
+    d = np.linalg.norm(np.maximum(q, 0), axis=-1) + np.minimum(q.max(-1), 0)
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (0, 2)]) * half
+    return Field.through(
+        d, low + np.array([0, 0, half[2]]), cell, smallest_radius=2 * cell, corners=corners, blunt=True
+    )

@@ -1,7 +1,10 @@
 """An indenter that could pass through the gel unseen is seen."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from helpers.presses import gel, poses, scene, thin_plate
 from helpers.small import block, patch, whole
 
 from tacgen.fem.assembly import pattern
@@ -10,6 +13,7 @@ from tacgen.fem.elements import hexes
 from tacgen.fem.materials import NeoHooke
 from tacgen.geometry.analytic_sdf import CapsuleSdf, CylinderSdf, Shape, SphereSdf, WedgeSdf
 from tacgen.geometry.pose import Pose
+from tacgen.mechanics import Problem, mesh, states
 from tacgen.mechanics.barrier import Contact, Faces
 from tacgen.mechanics.tunnelling import blocked, depth_inside, overlap
 
@@ -74,3 +78,13 @@ def test_what_cuts_in_between_the_points_of_contact_is_reported(nodes: int) -> N
     sagitta = 2 * 0.25**2 / 8  # two sides of a cell of .5 mm
     assert 0.01 * sagitta < found < 0.05 * sagitta if nodes == 6 else found == pytest.approx(sagitta, rel=0.1)
     assert overlap(contact.moved(Pose(np.eye(3), np.array([0.0, 0.0, 1.0])), 0.0), points) == 0
+
+
+def test_a_plate_that_is_pressed_to_its_middle_does_not_leave_the_gel_on_its_far_side() -> None:
+    """A halved step ends in the middle of the plate, from where points may be pushed out on either side."""
+    made = replace(scene(thin_plate(), poses([(0, 0, -0.2)]), pad=gel(6, 6, 2.0), edge=0.8), dhat=0.01)
+    few = replace(made, poses=poses([(0, 0, -0.2 * k / 8) for k in range(1, 9)]), segment=np.zeros(8, int))
+    at_once, slowly = ([*states(one, Problem.of(one, mesh.of(one)))][-1] for one in (made, few))
+    force = -float(slowly.traction_force[..., 2].sum())
+    assert force > 0.1
+    assert -float(at_once.traction_force[..., 2].sum()) == pytest.approx(force, rel=1e-3)

@@ -5,7 +5,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 import torch
-from helpers.presses import gel, poses, scene
+from helpers.presses import gel, poses, scene, thin_plate
 
 from tacgen.fem.materials import EXAMPLES
 from tacgen.geometry.analytic_sdf import BoxSdf, ConeSdf, CylinderSdf, SphereSdf, Triangles
@@ -131,6 +131,15 @@ def test_meshes_embedded_in_one_pattern_with_multifrontal_factors(dtype: torch.d
             assert np.linalg.norm(force - right) < tolerance * np.linalg.norm(right)
             assert state.x.shape == expected.x.shape
             assert state.x == pytest.approx(expected.x, abs=max(tolerance, 1e-8))
+
+
+def test_a_plate_that_is_pressed_to_its_middle_has_the_cpu_engines_force() -> None:
+    made = replace(scene(thin_plate(), poses([(0, 0, -0.2)]), pad=gel(6, 6, 2.0), edge=0.8), dhat=0.01)
+    ((_, solved),) = pool.solved([made], dtype=torch.float64, least=1)
+    assert solved.why is None
+    force, right = (state.traction_force.sum((0, 1)) for state in (solved.states[0], whole(made)[0]))
+    assert right[2] < -0.1
+    assert np.linalg.norm(force - right) < 1e-6
 
 
 def whole(made: Scene) -> list[State]:
