@@ -20,10 +20,11 @@ def damped(b: Batch, s: Tensor) -> Tensor:
     """Schur complements (s, k, k) with each scene's damping times that at rest."""
     t, k = b.t, 3 * b.width(s)
     S = b.read("S", s, k, k)
-    damping = torch.tensor([b.courses[row].inner_damping for row in listed(s)], dtype=S.dtype, device=S.device)
-    needed = damping > 0
-    if not bool(needed.any()):
+    each = [b.courses[row].inner_damping for row in listed(s)]
+    if not any(each):
         return S
+    damping = torch.tensor(each, dtype=S.dtype, device=S.device)
+    needed = damping > 0
     if len(new := s[needed & ~t.rested[s]]):
         hexes, at, _, _ = b.bulk(new, b.X[new])
         rest = b.factors.schur(hexes.tangents(at, dtype=b.factors.dtype), t.nodes[new, : b.width(new)])[1]
