@@ -48,8 +48,8 @@ def changes(renderer, untouched):
 
 
 def test_the_camera_mixes_the_colours(changes):
-    """Green and blue rise along the pixels' x and y as photographed: counts of blue lose a share of the green light, and
-    so turn away from the green LED. Without the matrix rendered green is 26 deg off here."""
+    """In the contact, green and blue rise in the same direction as photographed: each channel has a share of the
+    others, some negative. Without the matrix rendered green is 27 deg off here."""
     press, *both = changes
     down, across = np.mgrid[:320, :240] + 0.5
     off = np.stack([across - press.center[0], down - press.center[1]], axis=2) / press.contact
