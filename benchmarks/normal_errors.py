@@ -2,12 +2,13 @@
 
     python -m benchmarks.normal_errors
 
-One network, trained on dents of the unit's sensor file, judges rendered presses at the places of the photographed ones:
-without noise, with the camera's, with the coating's grain too, and solved faces whose contact circles are found in the
-picture as they are in photographs. What photographs have beyond that is the sensor file's.
+A network that is trained on dents of the unit's sensor file judges rendered presses at the places of the photographed
+ones: without noise, with the camera's, with the coating's grain too, and solved faces whose contact circles are found
+in the picture as they are in photographs. What photographs have beyond that is the sensor file's.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
@@ -25,15 +26,25 @@ from tacgen.sensor.imperfections import Grain
 from tacgen.sensor.model import LitSensor
 
 Array = np.ndarray
-HEADS = ("rendered, no noise: .1f", "with the camera's noise: .1f", "and grain: .1f", "and circles found: .1f",
-         "of these, centres shifted: .1f", "photographs: .1f", "of these, centres shifted: .1f ", "shift, rms [px]: .1f",
-         "pixel noise rendered: .1f", "of photographs: .1f")  # fmt: skip
+HEADS = (
+    "rendered, no noise: .1f",
+    "and the camera's noise: .1f",
+    "and grain: .1f",
+    "and circles found: .1f",
+    "these, centres shifted: .1f",
+    "photographs: .1f",
+    "photographs, centres shifted: .1f",
+    "their shift, rms [px]: .1f",
+    "pixel noise rendered: .1f",
+    "of photographs: .1f",
+)
 NOTE = (
-    "Mean error of normals inside the contact circles [deg] by the network that was trained on dents of the unit's file."
-    " Grain as measured below. Circles found: faces solved at `draft` at the depth of the photographed press, whose"
-    " circle is found in the picture; on DIGIT circles are not found so. Centres shifted: each circle moved to where the"
-    " network's normals fit best, which removes an error of the label, and of the lights where they act alike. Pixel"
-    f" noise: rms of what a Gaussian of {normal_net.SMOOTH:g} px removes from the change of colour [counts]."
+    "Mean error of normals inside the contact circles [deg], by a network trained on dents of the file that was fitted"
+    " to the unit. Grain: as measured (below). Circles found: faces solved at `draft`, as deep as the photographed"
+    " presses, whose circles are then found in the picture; DIGIT's are not found so. Centres shifted: each circle is"
+    " moved to where the ball's normals fit the network's best, which removes errors of labels, and of lights where"
+    f" they look alike. Pixel noise: rms of what a Gaussian of {normal_net.SMOOTH:g} px removes from the change of colour"
+    " [counts]."
 )
 
 
@@ -101,7 +112,7 @@ def _found(
     depth = -float(face.at(np.array([face.center]))[0, 2])
     (solved,) = press_faces.solved(compared.sensor, press, [depth], {}, "draft")
     picture = compared.picture(solved, random)
-    circle = mini_units.refined(PhotographedPress(**(vars(press) | {"picture": picture})), compared.flat, hidden)
+    circle = mini_units.refined(replace(press, picture=picture), compared.flat, hidden)
     return compared.photographed(circle, press_faces.face(compared.sensor, circle, {}), compared.flat)
 
 
@@ -117,4 +128,4 @@ def _noise(presses: Sequence[PictureOfPress]) -> float:
 
 
 if __name__ == "__main__":
-    print(*table(print).rows, sep="\n")
+    table(print)

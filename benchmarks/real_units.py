@@ -24,10 +24,8 @@ FILES = {  # folder of a unit's photographs: name of the sensor file that was fi
     "gelsight_mini_unit2": "gelsight_mini_second",
     "gelsight_mini_dotted": "gelsight_mini_third",
 }
-DENTS = 3  # of each drawn unit
-OWN = 96  # dents of a unit's own file
+DENTS = 4  # of each drawn unit
 PARTS = 3  # into which a unit's presses are divided, to train on the others
-DEEPEST = 0.9  # contact radius over the ball's that dents reach; that of the dotted unit's presses is up to 0.85
 HEADS = ("other units' population", "whole population", "own file", "own photographs, left out")
 NOTE = (
     "Mean error of the normals inside the contact circles [deg], by a network trained on dents of the units that"
@@ -50,10 +48,17 @@ class Samples(NamedTuple):
         some = np.random.default_rng(0).permutation(len(press.slopes))[:most]
         return cls(press.features[some], press.slopes[some])
 
+    @property
+    def steepest(self) -> float:
+        """Largest slope: hardly less than the contact radius over the ball's."""
+        return float(np.linalg.norm(self.slopes, axis=1).max())
+
 
 def trained(seen: Sequence[Samples]) -> NormalNet:
     """A network trained on presses."""
-    return NormalNet.trained(np.concatenate([one.features for one in seen]), np.concatenate([one.slopes for one in seen]))
+    return NormalNet.trained(
+        np.concatenate([one.features for one in seen]), np.concatenate([one.slopes for one in seen])
+    )
 
 
 def off(net: NormalNet, presses: Iterable[Samples]) -> float:
@@ -62,20 +67,21 @@ def off(net: NormalNet, presses: Iterable[Samples]) -> float:
     return float(np.mean(each))
 
 
-def drawn(sensor: LitSensor, count: int, seed: int) -> list[Samples]:
-    """Dents of a unit."""
-    dents = Comparison(sensor).dents(DEEPEST, count, seed)
-    return [Samples.of(one, likeness.PIXELS) for one in dents]
+def drawn(sensor: LitSensor, count: int, seed: int, deepest: float) -> list[Samples]:
+    """Dents of a unit, up to a contact radius over the ball's."""
+    return [Samples.of(one, likeness.PIXELS) for one in Comparison(sensor).dents(deepest, count, seed)]
 
 
-def photographed(name: str, sensor: LitSensor) -> tuple[list[Samples], float]:
-    """The presses of a unit, seen by the camera of a sensor file; and the error of the flat face [deg]."""
+def photographed(name: str, sensor: LitSensor) -> tuple[list[Samples], float, float]:
+    """The presses of a unit, seen by the camera of a sensor file; the error of the flat face [deg]; and the contact
+    radius over the ball's that dents reach which stand for them."""
     unit, compared = mini_units.unit(name), Comparison(sensor)
     presses = [
         mini_units.without(compared.photographed(press, press_faces.face(sensor, press, {}), unit.untouched), hidden)
         for press, hidden in zip(unit.presses, unit.hidden, strict=True)
     ]
-    return [Samples.of(one) for one in presses], float(np.mean([one.off(one.flat) for one in presses]))
+    flat = float(np.mean([one.off(one.flat) for one in presses]))
+    return [Samples.of(one) for one in presses], flat, compared.deepest(unit.presses)
 
 
 def left_out(presses: Sequence[Samples]) -> float:
@@ -88,18 +94,17 @@ def left_out(presses: Sequence[Samples]) -> float:
 
 def table(say: Say) -> Table:
     """Errors on each unit of networks trained without it, with it, and on it alone."""
-    rows = plan.load(assets.recipe_path(RECIPE)).rows
-    units: dict[str, list[Samples]] = {name: [] for name in FILES.values()}
-    for row in rows:
-        units[row.sensor.name] += drawn(cast(LitSensor, row.sensor), DENTS, row.index)
+    rows, shipped = plan.load(assets.recipe_path(RECIPE)).rows, sensor_of(FILES["gelsight_mini"])
+    real = {name: photographed(name, shipped) for name in FILES}
+    most = max(deepest for _, _, deepest in real.values())
+    dents = [(row.sensor.name, drawn(cast(LitSensor, row.sensor), DENTS, row.index, most)) for row in rows]
     say(f"{len(rows)} units drawn")
-    shipped = sensor_of(FILES["gelsight_mini"])
     found: list[list[Cell]] = []
     for name, file in FILES.items():
-        presses, flat = photographed(name, shipped)
-        own = drawn(sensor_of(file), OWN, 0)
-        others = [one for unit, seen in units.items() if unit != file for one in seen]
-        every = [one for seen in units.values() for one in seen]
+        presses, flat, deepest = real[name]
+        own = drawn(sensor_of(file), likeness.DENTS, 0, deepest)
+        seen = [(unit, one) for unit, made in dents for one in made if one.steepest <= deepest]
+        others, every = [one for unit, one in seen if unit != file], [one for _, one in seen]
         cells: list[Cell] = [name, len(presses), flat]
         cells += [off(trained(seen), presses) for seen in (others, every, own)]
         cells.append(left_out(presses))

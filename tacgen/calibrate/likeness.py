@@ -21,7 +21,7 @@ Array = np.ndarray
 WITHIN = 0.95  # contact radii within which the slopes are the ball's
 WEAK = 15.0  # changes below this are too noisy for a ratio [counts per slope]
 AROUND = 1.7  # contact radii within which changes are correlated
-DENTS = 96  # rendered dents that a network is trained on
+DENTS = 192  # rendered dents that a network is trained on
 BALLS, SHARE, WIDEST = (1.5, 5.5), (0.3, 0.75), 3.5  # radii [mm], contact radius over that, at most [mm]
 PIXELS = 300  # pixels of each dent
 SPP = 16  # samples a pixel
@@ -138,8 +138,11 @@ class Comparison:
 
     def net(self, presses: Sequence[PhotographedPress]) -> NormalNet:
         """A network trained on rendered dents with the camera's noise, at least as deep as presses."""
-        deepest = max((press.contact or 0.0) * self.sensor.camera.mm_per_px / press.ball for press in presses)
-        return learned(list(self.dents(max(SHARE[1], deepest))))
+        return learned(list(self.dents(self.deepest(presses))))
+
+    def deepest(self, presses: Sequence[PhotographedPress]) -> float:
+        """Contact radius over the ball's that dents reach which stand for presses."""
+        return max(SHARE[1], *((press.contact or 0.0) * self.sensor.camera.mm_per_px / press.ball for press in presses))
 
     def likeness(self, presses: Sequence[PhotographedPress], faces: Sequence[Surface], untouched: Array) -> Likeness:
         """Likeness over presses with known contact circles."""

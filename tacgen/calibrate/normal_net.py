@@ -1,9 +1,9 @@
 """The photometric-stereo network that users of such sensors train: change of colour and pixel position -> normal.
 
-Three hidden layers of 64 rectified units, as in GelSight's own SDK (gelsightinc/gsrobotics, RGB2NormNet), for pictures
-smoothed by a Gaussian; fitted by L-BFGS to least squares with a little weight decay. Small enough for NumPy, and the same
-bytes for the same samples. Layers, decay and smoothing were chosen by the error on rendered dents with the camera's noise
-that the network had not seen (docs/OPTICS.md).
+Three hidden layers of 64 rectified units, as in the SDK of the Mini's maker (gelsightinc/gsrobotics, RGB2NormNet), for
+pictures smoothed by a Gaussian; fitted by L-BFGS to least squares with a little weight decay. Small enough for NumPy,
+and the same bytes for the same samples. Layers, decay, smoothing and number of dents were chosen by the error on
+rendered dents with the camera's noise that the network had not seen (docs/OPTICS.md).
 """
 
 from dataclasses import dataclass
