@@ -43,8 +43,8 @@ NOTE = (
     " to the unit. Grain: as measured (below). Circles found: faces solved at `draft`, as deep as the photographed"
     " presses, whose circles are then found in the picture; DIGIT's are not found so. Centres shifted: each circle is"
     " moved to where the ball's normals fit the network's best, which removes errors of labels, and of lights where"
-    f" they look alike. Pixel noise: rms of what a Gaussian of {normal_net.SMOOTH:g} px removes from the change of colour"
-    " [counts]."
+    f" they look alike. Pixel noise: rms of what a Gaussian of {normal_net.SMOOTH:g} px removes from the change of"
+    " colour [counts]."
 )
 
 

@@ -1,5 +1,6 @@
 """The population is drawn around three units, and its networks are scored on presses that they have not seen."""
 
+from collections.abc import Sequence
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,6 +10,7 @@ from benchmarks import real_units
 from benchmarks.real_units import Samples
 from tacgen.calibrate import normal_net
 from tacgen.calibrate.likeness import Comparison
+from tacgen.calibrate.normal_net import NormalNet
 from tacgen.recipe import assets, plan
 from tacgen.recipe.row import Row
 from tacgen.sensor.model import LitSensor
@@ -70,6 +72,13 @@ def test_a_unit_is_scored_by_those_drawn_around_the_others(rows: list[Row], monk
         last = name == names[2]
         return [pressed(99 + k, 3.0 if last else 1.0) for k in range(3)], 20.0, 0.9 if last else 0.75
 
+    learnt, steepest = real_units.trained, []
+
+    def trained(seen: Sequence[Samples]) -> NormalNet:
+        steepest.append(max(one.steepest for one in seen))
+        return learnt(seen)
+
+    monkeypatch.setattr(real_units, "trained", trained)
     monkeypatch.setattr(real_units, "drawn", drawn)
     monkeypatch.setattr(real_units, "photographed", photographed)
     monkeypatch.setattr(real_units.plan, "load", lambda path: SimpleNamespace(rows=rows))
@@ -83,6 +92,8 @@ def test_a_unit_is_scored_by_those_drawn_around_the_others(rows: list[Row], monk
     assert others > 8 > 3 > own
     assert left_out < 3
     assert errors[names[0]][0] < others
+    each = len(steepest) // len(names)
+    assert max(steepest[:-each]) <= 0.75 < max(steepest[-each:])  # dents of a network are as deep as its presses
 
 
 def test_dents_of_a_seed_are_the_same_and_of_another_are_not() -> None:
