@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from benchmarks import real_units
+from benchmarks import real_units, summary
 from benchmarks.real_units import Samples
 from tacgen.calibrate import normal_net
 from tacgen.calibrate.likeness import Comparison
@@ -104,3 +104,13 @@ def test_dents_of_a_seed_are_the_same_and_of_another_are_not() -> None:
     made = Samples.of(one, 50)
     assert made.slopes.shape == (50, 2)
     assert made.features.shape == (50, 5)
+
+
+def test_the_summary_tells_populations_and_the_profile_of_9dtact() -> None:
+    errors = {"flat": 19.6, "other units' population": 5.0, "own file": 4.2, "own photographs, left out": 6.4}
+    tables = {
+        "A population on a unit that it has not seen": [errors, errors],
+        "Depth from grey": [{"profile off, of peak": 0.013}],
+    }
+    told = [text for _, text in summary._real(tables)]
+    assert told == ["19.6 / 5.0 / 4.2 / 6.4, 19.6 / 5.0 / 4.2 / 6.4", "9DTact 1.3%"]
