@@ -139,12 +139,6 @@ def _real(tables: Tables) -> Told:
             "error of real normals [deg]: flat / trained on rendered / the same on rendered presses / trained on real",
             _by_sensor(rows, lambda row: " / ".join(f"{row[head]:.1f}" for head in heads if row[head] is not None)),
         )
-    heads = ("flat", "other units' population", "own file", "own photographs, left out")
-    if rows := tables.get("A population on a unit that it has not seen", []):
-        yield (
-            "the same on three Minis [deg]: flat / a population of the others / its own file / its own photographs",
-            ", ".join(" / ".join(f"{row[head]:.1f}" for head in heads) for row in rows),
-        )
     for row in tables.get("Depth from grey", []):
         yield "profile of a real press, off by, of its peak", f"9DTact {row['profile off, of peak']:.1%}"
 
