@@ -58,20 +58,25 @@ def unit(name: str) -> MiniUnit:
         presses = tuple(marked)
     if name == FOLDERS[2]:
         hidden = tuple(dark(untouched) | dark(press.picture) for press in presses)
-        presses = tuple(_refined(press, untouched, where) for press, where in zip(presses, hidden, strict=True))
+        presses = tuple(refined(press, untouched, where) for press, where in zip(presses, hidden, strict=True))
         return MiniUnit(name, untouched, presses, hidden)
     if name != FOLDERS[0]:  # whose circles are refined already
         presses = tuple(contact_circle.refined(press, untouched) for press in presses)
     return MiniUnit(name, untouched, presses, tuple(np.zeros(untouched.shape[:2], bool) for _ in presses))
 
 
-def _refined(press: PhotographedPress, untouched: Array, hidden: Array) -> PhotographedPress:
+def refined(press: PhotographedPress, untouched: Array, hidden: Array) -> PhotographedPress:
     """The press with its contact circle, found in a picture whose dots are filled from around them."""
-    change, seen = press.picture.astype(float) - untouched, (~hidden).astype(float)[..., None]
-    around = [ndimage.gaussian_filter(part, (FILL, FILL, 0)) for part in (change * seen, seen)]
-    filled = np.where(hidden[..., None], around[0] / np.maximum(around[1], 1e-9), change)
-    found = contact_circle.refined(replace(press, picture=untouched + filled), untouched)
+    change = filled(press.picture.astype(float) - untouched, hidden)
+    found = contact_circle.refined(replace(press, picture=untouched + change), untouched)
     return replace(found, picture=press.picture)
+
+
+def filled(change: Array, hidden: Array) -> Array:
+    """A change of colour (H, W, 3) with hidden pixels (H, W) filled from around them."""
+    seen = (~hidden).astype(float)[..., None]
+    around = [ndimage.gaussian_filter(part, (FILL, FILL, 0)) for part in (change * seen, seen)]
+    return np.where(hidden[..., None], around[0] / np.maximum(around[1], 1e-9), change)
 
 
 def dark(picture: Array) -> Array:
@@ -82,6 +87,6 @@ def dark(picture: Array) -> Array:
 
 
 def without(press: PictureOfPress, hidden: Array) -> PictureOfPress:
-    """A press without the pixels that are hidden."""
-    kept = ~hidden[press.where]
-    return replace(press, where=press.where & ~hidden, slopes=press.slopes[kept], flat=press.flat[kept])
+    """A press without the pixels that are hidden; their change is filled, so that smoothing does not spread it."""
+    kept, change = ~hidden[press.where], filled(press.change, hidden)
+    return PictureOfPress(change, press.where & ~hidden, press.slopes[kept], press.flat[kept])

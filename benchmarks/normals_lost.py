@@ -52,7 +52,7 @@ def lines(sensor: LitSensor, unit: photographs.Unit) -> Sequence[tuple[str, Arra
     real = [compared.photographed(p, f, unit.untouched) for p, f in zip(unit.presses, faces, strict=True)]
     made = [compared.rendered(p, f) for p, f in zip(unit.presses, faces, strict=True)]
     noisy = [compared.rendered(p, f, random) for p, f in zip(unit.presses, faces, strict=True)]
-    net = compared.net(max((p.contact or 0.0) * sensor.camera.mm_per_px / p.ball for p in unit.presses))
+    net = compared.net(unit.presses)
     core = [near(press, CORE)[..., None] for press in unit.presses]
     number = range(len(real))
 

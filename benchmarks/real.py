@@ -6,7 +6,7 @@ from typing import cast
 
 import numpy as np
 
-from benchmarks import mini_units, photographs, real_dots, real_grain, real_rim, real_units, wedge
+from benchmarks import mini_units, normal_errors, photographs, real_dots, real_grain, real_rim, real_units, wedge
 from benchmarks.photographs import Unit
 from benchmarks.results_page import Absent, Cell, Level, Result, Say, Table, columns
 from tacgen.calibrate import likeness, press_faces
@@ -20,12 +20,13 @@ from tacgen.sensor.model import LitSensor
 Array = np.ndarray
 ABOUT = (
     "Rendered pictures against photographs of balls pressed into one real unit of each sensor. Normals: mean angle"
-    " inside the contact circle between the ball's normals and those of a network (colour change and position to"
-    " slopes, two layers) trained on rendered dents; beside it, of the same network on the same presses rendered with"
-    " the camera's noise (what a perfect sensor file would reach), of a network trained on the unit's other presses,"
-    " and of the flat face. Contrast: change of colour per slope of the ball, rendered over real. The LEDs of the"
-    " shipped files were fitted to some of these presses, as stated there. SSIM of whole pictures hardly shows these"
-    " differences; it is given with a lower reference, the untouched photograph, and an upper one."
+    " inside the contact circle between the ball's normals and those of a network (smoothed change of colour and"
+    " position to slopes, three layers as in the SDK of the Mini's maker) trained on rendered dents; beside it, of the"
+    " same network on the same presses rendered with the camera's noise (what a perfect sensor file would reach), of a"
+    " network trained on the unit's other presses, and of the flat face. Contrast: change of colour per slope of the"
+    " ball, rendered over real. The LEDs of the shipped files were fitted to some of these presses, as stated there."
+    " SSIM of whole pictures hardly shows these differences; it is given with a lower reference, the untouched"
+    " photograph, and an upper one."
 )
 CLEAR = ("gelsight_mini", "digit")
 HEADS = ("contrast red: .2f", "green: .2f", "blue: .2f", "turned red [deg]: .0f", "green [deg]: .0f", "blue [deg]: .0f",
@@ -72,7 +73,7 @@ def bench(level: Level, say: Say) -> Result:
         tables += real_rim.tables(mini, units["gelsight_mini"], say)
         tables += filter(None, [real_dots.table(mini, level, say)])
         if mini_units.here():
-            tables += [real_units.table(say), real_grain.table(mini, say)]
+            tables += [normal_errors.table(say), real_units.table(say), real_grain.table(mini, say)]
     if "ninedtact" in units and level != "smoke":
         tables.append(_depth(units["ninedtact"], say))
     if level != "smoke" and wedge.here():

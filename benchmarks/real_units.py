@@ -8,7 +8,6 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple, cast
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
 
 from benchmarks import mini_units
 from benchmarks.results_page import Cell, Say, Table, columns
@@ -25,96 +24,94 @@ FILES = {  # folder of a unit's photographs: name of the sensor file that was fi
     "gelsight_mini_unit2": "gelsight_mini_second",
     "gelsight_mini_dotted": "gelsight_mini_third",
 }
-DENTS = 3  # of each drawn unit
-OWN = 96  # dents of a unit's own file
+DENTS = 4  # of each drawn unit
 PARTS = 3  # into which a unit's presses are divided, to train on the others
-SOFT = 0.0, 1.0  # standard deviations of the Gaussian by which the networks' pictures are smoothed [px]
 HEADS = ("other units' population", "whole population", "own file", "own photographs, left out")
 NOTE = (
     "Mean error of the normals inside the contact circles [deg], by a network trained on dents of the units that"
     f" {RECIPE} draws around the files of the two other units; around all three; of the file that was fitted to the"
     " unit itself (its presses seen); and on the unit's own photographs, each third of them left out once. Plate,"
-    " lobes and colour matrix of all files were found on the first unit. Smoothed: all pictures by a Gaussian of 1 px,"
-    " which lowers the noise of pixels. Pixels that a dot hides are left out; the contact circles of the dotted unit"
-    " were drawn by hand, up to 0.85 of the ball's radius."
+    " lobes and colour matrix of all files were found on the first unit. Pixels that a dot hides are left out; the"
+    " contact circles of the dotted unit were drawn by hand, up to 0.85 of the ball's radius."
 )
 
 
 class Samples(NamedTuple):
-    """Pixels inside one contact circle, as a network sees them, for each of SOFT."""
+    """Pixels inside one contact circle, as a network sees them."""
 
-    features: tuple[Array, ...]  # (n, 5) each
+    features: Array  # (n, 5)
     slopes: Array  # x and y of the unit normals (n, 2)
 
     @classmethod
     def of(cls, press: PictureOfPress, most: int | None = None) -> "Samples":
         """At most so many pixels of a press, at random."""
         some = np.random.default_rng(0).permutation(len(press.slopes))[:most]
-        made = [normal_net.features(gaussian_filter(press.change, (soft, soft, 0)), press.where)[some] for soft in SOFT]
-        return cls(tuple(made), press.slopes[some])
+        return cls(press.features[some], press.slopes[some])
+
+    @property
+    def steepest(self) -> float:
+        """Largest slope: hardly less than the contact radius over the ball's."""
+        return float(np.linalg.norm(self.slopes, axis=1).max())
 
 
-def trained(seen: Sequence[Samples], soft: int) -> NormalNet:
-    """A network for pictures that are smoothed by the Gaussian number `soft`."""
+def trained(seen: Sequence[Samples]) -> NormalNet:
+    """A network trained on presses."""
     return NormalNet.trained(
-        np.concatenate([one.features[soft] for one in seen]), np.concatenate([one.slopes for one in seen])
+        np.concatenate([one.features for one in seen]), np.concatenate([one.slopes for one in seen])
     )
 
 
-def off(net: NormalNet, presses: Iterable[Samples], soft: int) -> float:
+def off(net: NormalNet, presses: Iterable[Samples]) -> float:
     """Mean error of the normals [deg], each press weighing the same."""
-    each = [normal_net.degrees_apart(one.slopes, net.normals(one.features[soft])).mean() for one in presses]
+    each = [normal_net.degrees_apart(one.slopes, net.normals(one.features)).mean() for one in presses]
     return float(np.mean(each))
 
 
-def drawn(sensor: LitSensor, count: int, seed: int) -> list[Samples]:
-    """Dents of a unit."""
-    dents = Comparison(sensor).dents(likeness.SHARE[1], count, seed)
-    return [Samples.of(one, likeness.PIXELS) for one in dents]
+def drawn(sensor: LitSensor, count: int, seed: int, deepest: float) -> list[Samples]:
+    """Dents of a unit, up to a contact radius over the ball's."""
+    return [Samples.of(one, likeness.PIXELS) for one in Comparison(sensor).dents(deepest, count, seed)]
 
 
-def photographed(name: str, sensor: LitSensor) -> tuple[list[Samples], float]:
-    """The presses of a unit, seen by the camera of a sensor file; and the error of the flat face [deg]."""
+def photographed(name: str, sensor: LitSensor) -> tuple[list[Samples], float, float]:
+    """The presses of a unit, seen by the camera of a sensor file; the error of the flat face [deg]; and the contact
+    radius over the ball's that dents reach which stand for them."""
     unit, compared = mini_units.unit(name), Comparison(sensor)
     presses = [
         mini_units.without(compared.photographed(press, press_faces.face(sensor, press, {}), unit.untouched), hidden)
         for press, hidden in zip(unit.presses, unit.hidden, strict=True)
     ]
-    return [Samples.of(one) for one in presses], float(np.mean([one.off(one.flat) for one in presses]))
+    flat = float(np.mean([one.off(one.flat) for one in presses]))
+    return [Samples.of(one) for one in presses], flat, compared.deepest(unit.presses)
 
 
-def left_out(presses: Sequence[Samples], soft: int) -> float:
+def left_out(presses: Sequence[Samples]) -> float:
     """Error of networks trained on a unit's own photographs, each part of them left out once [deg]."""
     parts = [presses[k::PARTS] for k in range(PARTS)]
-    nets = [trained([one for j, part in enumerate(parts) if j != k for one in part], soft) for k in range(PARTS)]
-    each = [off(net, [one], soft) for net, part in zip(nets, parts, strict=True) for one in part]
+    nets = [trained([one for j, part in enumerate(parts) if j != k for one in part]) for k in range(PARTS)]
+    each = [off(net, [one]) for net, part in zip(nets, parts, strict=True) for one in part]
     return float(np.mean(each))
 
 
 def table(say: Say) -> Table:
     """Errors on each unit of networks trained without it, with it, and on it alone."""
-    rows = plan.load(assets.recipe_path(RECIPE)).rows
-    units: dict[str, list[Samples]] = {name: [] for name in FILES.values()}
-    for row in rows:
-        units[row.sensor.name] += drawn(cast(LitSensor, row.sensor), DENTS, row.index)
+    rows, shipped = plan.load(assets.recipe_path(RECIPE)).rows, sensor_of(FILES["gelsight_mini"])
+    real = {name: photographed(name, shipped) for name in FILES}
+    most = max(deepest for _, _, deepest in real.values())
+    dents = [(row.sensor.name, drawn(cast(LitSensor, row.sensor), DENTS, row.index, most)) for row in rows]
     say(f"{len(rows)} units drawn")
-    shipped = sensor_of(FILES["gelsight_mini"])
     found: list[list[Cell]] = []
     for name, file in FILES.items():
-        presses, flat = photographed(name, shipped)
-        own = drawn(sensor_of(file), OWN, 0)
-        others = [one for unit, seen in units.items() if unit != file for one in seen]
-        every = [one for seen in units.values() for one in seen]
+        presses, flat, deepest = real[name]
+        own = drawn(sensor_of(file), likeness.DENTS, 0, deepest)
+        seen = [(unit, one) for unit, made in dents for one in made if one.steepest <= deepest]
+        others, every = [one for unit, one in seen if unit != file], [one for _, one in seen]
         cells: list[Cell] = [name, len(presses), flat]
-        for soft in range(len(SOFT)):
-            cells += [off(trained(seen, soft), presses, soft) for seen in (others, every, own)]
-            cells.append(left_out(presses, soft))
+        cells += [off(trained(seen), presses) for seen in (others, every, own)]
+        cells.append(left_out(presses))
         found.append(cells)
         say(f"{name}: {', '.join(f'{cell:.1f}' for cell in cells[2:] if isinstance(cell, float))}")
-    heads = [f"{what}{', smoothed' * (soft > 0)}: .1f" for soft in SOFT for what in HEADS]
-    return Table(
-        "A population on a unit that it has not seen", columns("unit", "presses", "flat: .1f", *heads), found, NOTE
-    )
+    heads = columns("unit", "presses", "flat: .1f", *(f"{what}: .1f" for what in HEADS))
+    return Table("A population on a unit that it has not seen", heads, found, NOTE)
 
 
 def sensor_of(name: str) -> LitSensor:

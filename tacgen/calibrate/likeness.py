@@ -21,7 +21,7 @@ Array = np.ndarray
 WITHIN = 0.95  # contact radii within which the slopes are the ball's
 WEAK = 15.0  # changes below this are too noisy for a ratio [counts per slope]
 AROUND = 1.7  # contact radii within which changes are correlated
-DENTS = 96  # rendered dents that a network is trained on
+DENTS = 192  # rendered dents that a network is trained on
 BALLS, SHARE, WIDEST = (1.5, 5.5), (0.3, 0.75), 3.5  # radii [mm], contact radius over that, at most [mm]
 PIXELS = 300  # pixels of each dent
 SPP = 16  # samples a pixel
@@ -119,7 +119,7 @@ class Comparison:
     def __init__(self, sensor: LitSensor) -> None:
         self.sensor, self._renderer = sensor, Renderer(sensor, SPP, 0, markers=False)
         self._view = CameraView(sensor, self._renderer.sheet, markers=False)
-        self._flat = self._renderer.develop(self._renderer.flat())
+        self.flat = self._renderer.develop(self._renderer.flat())  # untouched picture (H, W, 3)
         self._level = self._slopes(self._renderer.untouched)
 
     def photographed(self, press: PhotographedPress, face: Surface, untouched: Array) -> PictureOfPress:
@@ -130,13 +130,19 @@ class Comparison:
         self, press: PhotographedPress, face: Surface, random: np.random.Generator | None = None
     ) -> PictureOfPress:
         """A rendered picture of a press, with the camera's noise if `random` is given."""
-        made = self._renderer.develop(self._renderer.image(face), random)
-        return self._seen(made, self._flat, face, press.center, press.contact or 0.0)
+        return self._seen(self.picture(face, random), self.flat, face, press.center, press.contact or 0.0)
 
-    def net(self, deepest: float = 0.0) -> NormalNet:
-        """A network trained on rendered dents with the camera's noise; `deepest`: contact radius over the ball's that
-        they reach at least."""
-        return learned(list(self.dents(max(SHARE[1], deepest))))
+    def picture(self, face: Surface, random: np.random.Generator | None = None) -> Array:
+        """Rendered picture (H, W, 3) of 8 bit of a face, with the camera's noise if `random` is given."""
+        return self._renderer.develop(self._renderer.image(face), random)
+
+    def net(self, presses: Sequence[PhotographedPress]) -> NormalNet:
+        """A network trained on rendered dents with the camera's noise, at least as deep as presses."""
+        return learned(list(self.dents(self.deepest(presses))))
+
+    def deepest(self, presses: Sequence[PhotographedPress]) -> float:
+        """Contact radius over the ball's that dents reach which stand for presses."""
+        return max(SHARE[1], *((press.contact or 0.0) * self.sensor.camera.mm_per_px / press.ball for press in presses))
 
     def likeness(self, presses: Sequence[PhotographedPress], faces: Sequence[Surface], untouched: Array) -> Likeness:
         """Likeness over presses with known contact circles."""
@@ -152,8 +158,7 @@ class Comparison:
             [np.corrcoef(real.change[around][:, c], made.change[around][:, c])[0, 1] for c in range(3)]
             for real, made, around in pairs
         ]
-        deepest = max((press.contact or 0.0) * self.sensor.camera.mm_per_px / press.ball for press in presses)
-        net, random = self.net(deepest), np.random.default_rng(0)
+        net, random = self.net(presses), np.random.default_rng(0)
         noisy = [self.rendered(press, face, random) for press, face in zip(presses, faces, strict=True)]
         each = np.array([real.off(net.normals(real.features)) for real, _, _ in pairs])
         return Likeness(
@@ -167,16 +172,15 @@ class Comparison:
     def dents(self, deepest: float, count: int = DENTS, seed: int = 0) -> Iterator[PictureOfPress]:
         """Rendered dents of balls of random size and place with the camera's noise; `deepest`: largest contact radius
         over the ball's."""
-        random, renderer = np.random.default_rng(seed), self._renderer
-        camera, gel = PinholeCamera.from_sensor(self.sensor), self.sensor.gel
+        random, camera = np.random.default_rng(seed), PinholeCamera.from_sensor(self.sensor)
+        gel, untouched = self.sensor.gel, self._renderer.untouched
         for _ in range(count):
             ball = float(np.exp(random.uniform(*np.log(BALLS))))
             contact = min(ball * random.uniform(SHARE[0], deepest), WIDEST) / camera.mm_per_px
             center = tuple(float(random.uniform(0, side)) for side in camera.shape[::-1])
             bend = 0.0 if gel.dome is None else (1 / gel.dome.radius_x_mm + 1 / gel.dome.radius_y_mm) / 2
-            face = BallDent.seen(camera, ball, (center[0], center[1]), contact, renderer.untouched, bend)
-            picture = renderer.develop(renderer.image(face), random)
-            yield self._seen(picture, self._flat, face, (center[0], center[1]), contact)
+            face = BallDent.seen(camera, ball, (center[0], center[1]), contact, untouched, bend)
+            yield self._seen(self.picture(face, random), self.flat, face, (center[0], center[1]), contact)
 
     def _seen(
         self, picture: Array, untouched: Array, face: Surface, center: tuple[float, float], contact: float

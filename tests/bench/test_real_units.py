@@ -1,14 +1,16 @@
 """The population is drawn around three units, and its networks are scored on presses that they have not seen."""
 
+from collections.abc import Sequence
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from benchmarks import real_units
+from benchmarks import real_units, summary
 from benchmarks.real_units import Samples
 from tacgen.calibrate import normal_net
 from tacgen.calibrate.likeness import Comparison
+from tacgen.calibrate.normal_net import NormalNet
 from tacgen.recipe import assets, plan
 from tacgen.recipe.row import Row
 from tacgen.sensor.model import LitSensor
@@ -22,7 +24,7 @@ def pressed(seed: int, gain: float = 1.0) -> Samples:
     slopes = random.uniform(-0.5, 0.5, (400, 2))
     change = gain * np.column_stack([slopes, slopes.sum(axis=1)])
     features = np.column_stack([change, random.uniform(-1, 1, (400, 2))])
-    return Samples((features, 2 * features), slopes)
+    return Samples(features, slopes)
 
 
 @pytest.fixture(scope="module")
@@ -32,17 +34,16 @@ def rows() -> list[Row]:
 
 
 def test_a_network_learns_one_unit_and_fails_on_one_of_another_contrast() -> None:
-    net = real_units.trained([pressed(k) for k in range(6)], 0)
-    assert real_units.off(net, [pressed(9)], 0) < 1.5
-    assert real_units.off(net, [pressed(9, gain=2.0)], 0) > 8
-    assert real_units.off(net, [pressed(9)], 1) > 8  # pictures smoothed otherwise
+    net = real_units.trained([pressed(k) for k in range(6)])
+    assert real_units.off(net, [pressed(9)]) < 1.5
+    assert real_units.off(net, [pressed(9, gain=2.0)]) > 8
 
 
 def test_own_photographs_are_left_out_in_turn() -> None:
     """The odd one of six is unlike all others: no network that has not seen it suits it."""
     presses = [pressed(k) for k in range(5)]
-    even = real_units.left_out(presses, 0)
-    odd = real_units.left_out([*presses, pressed(5, gain=-1.0)], 0)
+    even = real_units.left_out(presses)
+    odd = real_units.left_out([*presses, pressed(5, gain=-1.0)])
     assert even < 2
     assert odd > even + 4
 
@@ -61,15 +62,25 @@ def test_a_unit_is_scored_by_those_drawn_around_the_others(rows: list[Row], monk
     """The last of three units has another contrast: only networks that have seen its file suit it."""
     names = list(real_units.FILES)
 
-    def drawn(sensor: LitSensor, count: int, seed: int) -> list[Samples]:
-        return [pressed(seed, 3.0 if sensor.name == real_units.FILES[names[2]] else 1.0)]
+    def drawn(sensor: LitSensor, count: int, seed: int, deepest: float) -> list[Samples]:
+        """Dents steeper than the presses of two units are unlike those."""
+        gain = 3.0 if sensor.name == real_units.FILES[names[2]] else 1.0
+        steep = Samples(pressed(seed, -1.0).features, 1.2 * pressed(seed).slopes)
+        return [pressed(seed, gain), steep] if deepest > 0.8 and gain == 1.0 else [pressed(seed, gain)]
 
-    def photographed(name: str, sensor: LitSensor) -> tuple[list[Samples], float]:
-        return [pressed(99 + k, 3.0 if name == names[2] else 1.0) for k in range(3)], 20.0
+    def photographed(name: str, sensor: LitSensor) -> tuple[list[Samples], float, float]:
+        last = name == names[2]
+        return [pressed(99 + k, 3.0 if last else 1.0) for k in range(3)], 20.0, 0.9 if last else 0.75
 
+    learnt, steepest = real_units.trained, []
+
+    def trained(seen: Sequence[Samples]) -> NormalNet:
+        steepest.append(max(one.steepest for one in seen))
+        return learnt(seen)
+
+    monkeypatch.setattr(real_units, "trained", trained)
     monkeypatch.setattr(real_units, "drawn", drawn)
     monkeypatch.setattr(real_units, "photographed", photographed)
-    monkeypatch.setattr(real_units, "SOFT", (0.0,))
     monkeypatch.setattr(real_units.plan, "load", lambda path: SimpleNamespace(rows=rows))
     monkeypatch.setattr(normal_net, "MOST", 500)
     monkeypatch.setattr(normal_net, "STEPS", 100)
@@ -81,6 +92,8 @@ def test_a_unit_is_scored_by_those_drawn_around_the_others(rows: list[Row], monk
     assert others > 8 > 3 > own
     assert left_out < 3
     assert errors[names[0]][0] < others
+    each = len(steepest) // len(names)
+    assert max(steepest[:-each]) <= 0.75 < max(steepest[-each:])  # dents of a network are as deep as its presses
 
 
 def test_dents_of_a_seed_are_the_same_and_of_another_are_not() -> None:
@@ -90,5 +103,9 @@ def test_dents_of_a_seed_are_the_same_and_of_another_are_not() -> None:
     assert one.slopes.shape != other.slopes.shape
     made = Samples.of(one, 50)
     assert made.slopes.shape == (50, 2)
-    assert made.features[1][:, :3].std() < made.features[0][:, :3].std()
-    assert made.features[0][:, 3:] == pytest.approx(made.features[1][:, 3:])
+    assert made.features.shape == (50, 5)
+
+
+def test_the_summary_tells_the_profile_of_9dtact() -> None:
+    told = [text for _, text in summary._real({"Depth from grey": [{"profile off, of peak": 0.013}]})]
+    assert told == ["9DTact 1.3%"]

@@ -52,6 +52,7 @@ def test_half_the_change_is_reported(compared, unit):
 
 def test_the_nets_slope_is_that_of_its_loss(monkeypatch):
     """Against a plain function: a net learns it, and without steps it does not."""
+    monkeypatch.setattr(normal_net, "STEPS", 300)
     random = np.random.default_rng(1)
     features = random.uniform(-1, 1, (600, 5))
     wanted = np.column_stack([np.tanh(features[:, 0] - features[:, 3]), 0.5 * features[:, 1] ** 2])
@@ -59,6 +60,15 @@ def test_the_nets_slope_is_that_of_its_loss(monkeypatch):
     assert off < 0.04
     monkeypatch.setattr(normal_net, "STEPS", 0)
     assert np.abs(normal_net.NormalNet.trained(features, wanted).normals(features) - wanted).mean() > 5 * off
+
+
+def test_changes_are_smoothed_and_places_are_not():
+    """White noise has 1 / (2 sqrt(pi) SMOOTH) of its standard deviation left."""
+    noise = np.random.default_rng(0).normal(0, normal_net.COUNTS, (80, 100, 3))
+    found = normal_net.features(noise, np.ones((80, 100), bool))
+    assert found[:, :3].std() == pytest.approx(1 / (2 * np.sqrt(np.pi) * normal_net.SMOOTH), rel=0.1)
+    assert (found[0, 3], found[-1, 3]) == pytest.approx((-0.99, 0.99))
+    assert (found[0, 4], found[-1, 4]) == pytest.approx((-0.79, 0.79))
 
 
 def test_degrees_apart():

@@ -1,0 +1,11 @@
+"""Networks for normals are trained in fewer steps here."""
+
+import pytest
+
+from tacgen.calibrate import normal_net
+
+
+@pytest.fixture(autouse=True)
+def few_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A fifth of the steps; what the tests compare is several times larger than the loss of accuracy."""
+    monkeypatch.setattr(normal_net, "STEPS", 60)
