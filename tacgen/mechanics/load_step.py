@@ -110,13 +110,12 @@ class LoadStep:
         return replace(self, coupled=solution.contact.stiffened(STIFFER) if contact else solution.contact, bulk=bulk)
 
     def wrong(self, solution: Found) -> NotConverged | None:
-        """The failure where the gel is far inside the indenter or has passed through it: from the middle of a thin wall
-        points may be pushed out on the far side."""
-        contact, problem, history = solution.contact.contact.distance, self.problem, self.history
+        """The failure where some of the gel's body is far inside the indenter: it cuts in between contact points, or they
+        have passed through it and the gel encloses it."""
+        contact, problem = solution.contact.contact.distance, self.problem
         reach = contact.shape.reach
-        if blocked(contact, history.pose, history.x, history.gap, solution.x):
-            return NotConverged(Failure.too_far)
-        if (deep := depth_inside(contact, problem.elastic, solution.x)) > INSIDE * reach:
+        deep = depth_inside(contact, problem.elastic, solution.x, INSIDE * reach)
+        if deep > INSIDE * reach:
             return NotConverged(Failure.inside, width=2 * reach, depth=deep, edge=problem.edge)
         return None
 

@@ -5,13 +5,14 @@ from collections.abc import Iterable
 import numpy as np
 
 from tacgen.fem.elasticity import Elastic
-from tacgen.fem.elements import QUAD_CORNERS, barycentric
+from tacgen.fem.elements import QUAD_CORNERS, barycentric, eighths
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics.barrier import Contact
 
 Array = np.ndarray
 DEEPEST = 0.75  # depth over the indenter's reach [-] beyond which a point has tunnelled, anywhere in its step
 BETWEEN = 6  # intervals along a facet's side: the overlap is sampled at their ends
+FINEST = 0.1  # size of the smallest parts of an element that are searched, over the depth looked for [-]
 TURN = 0.25  # -cos of the angle between the outward normals at entry and later [-]: beyond it a point has tunnelled
 
 
@@ -41,13 +42,24 @@ def blocked(contact: Contact, was: Pose, before: Array, gap: Array, x: Array) ->
     return False
 
 
-def depth_inside(contact: Contact, elastic: Iterable[Elastic], x: Array) -> float:
-    """Largest penetration of the gel into the shrunk indenter [mm], at the integration points."""
-    least = 0.0
+def depth_inside(contact: Contact, elastic: Iterable[Elastic], x: Array, least: float) -> float:
+    """Largest penetration of the gel's body into the shrunk indenter [mm], if some point is deeper than `least` [mm] by
+    more than FINEST of it; else at most that.
+
+    A search of all points of the elements by branch and bound: the distance changes by no more than the way, so a part
+    of an element whose nodes are all within r of its middle is no deeper than the middle by more than r.
+    """
+    deepest = 0.0
     for part in elastic:
-        at = np.einsum("qa,eai->eqi", part.elements.shape, x[part.elements.conn]).reshape(-1, 3)
-        least = min(least, float(contact.shape.distance(contact.pose.local(at))[0].min()) + contact.offset)
-    return -least
+        cells, split = x[part.elements.conn], eighths(part.elements.conn.shape[1])
+        while len(cells):
+            middle = cells.mean(1)
+            r = np.linalg.norm(cells - middle[:, None], axis=-1).max(1)
+            depth = -contact.offset - contact.shape.distance(contact.pose.local(middle))[0]
+            deepest = max(deepest, float(depth.max()))
+            deeper = (depth + r > max(deepest, least)) & (r > FINEST * least)
+            cells = (split @ cells[deeper, None]).reshape(-1, *cells.shape[1:])
+    return deepest
 
 
 def overlap(contact: Contact, x: Array) -> float:
