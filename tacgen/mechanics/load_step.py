@@ -27,7 +27,9 @@ from tacgen.mechanics.tunnelling import blocked, depth_inside
 
 Array = np.ndarray
 Result = tuple[Outcome, SolveState]
-INSIDE = 0.45  # largest depth of the gel inside the indenter, over its reach [-]; at 1 it may come out on the far side
+# depth of the gel inside the indenter, over its reach, at which a load step fails [-]; half as much again is sure to be
+# found, and at 1 the gel may come out on the far side
+INSIDE = 0.3
 STIFFER = 4.0  # factor of a barrier that does not suffice [-]
 
 

@@ -12,7 +12,7 @@ from tacgen.mechanics.barrier import Contact
 Array = np.ndarray
 DEEPEST = 0.75  # depth over the indenter's reach [-] beyond which a point has tunnelled, anywhere in its step
 BETWEEN = 6  # intervals along a facet's side: the overlap is sampled at their ends
-FINEST = 0.1  # size of the smallest parts of an element that are searched, over the depth looked for [-]
+FINEST = 0.5  # size of the parts of an element that are not divided further, over the depth that is looked for [-]
 TURN = 0.25  # -cos of the angle between the outward normals at entry and later [-]: beyond it a point has tunnelled
 
 
@@ -42,9 +42,9 @@ def blocked(contact: Contact, was: Pose, before: Array, gap: Array, x: Array) ->
     return False
 
 
-def depth_inside(contact: Contact, elastic: Iterable[Elastic], x: Array, least: float) -> float:
-    """Largest penetration of the gel's body into the shrunk indenter [mm], if some point is deeper than `least` [mm] by
-    more than FINEST of it; else at most that.
+def depth_inside(contact: Contact, elastic: Iterable[Elastic], x: Array, most: float) -> float:
+    """Depth of a point of the gel's body inside the shrunk indenter [mm]: more than `most` [mm] if any point is deeper
+    than (1 + FINEST) most, else the largest that was seen.
 
     A search of all points of the elements by branch and bound: the distance changes by no more than the way, so a part
     of an element whose nodes are all within r of its middle is no deeper than the middle by more than r.
@@ -52,13 +52,12 @@ def depth_inside(contact: Contact, elastic: Iterable[Elastic], x: Array, least: 
     deepest = 0.0
     for part in elastic:
         cells, split = x[part.elements.conn], eighths(part.elements.conn.shape[1])
-        while len(cells):
+        while len(cells) and deepest <= most:
             middle = cells.mean(1)
             r = np.linalg.norm(cells - middle[:, None], axis=-1).max(1)
             depth = -contact.offset - contact.shape.distance(contact.pose.local(middle))[0]
             deepest = max(deepest, float(depth.max()))
-            deeper = (depth + r > max(deepest, least)) & (r > FINEST * least)
-            cells = (split @ cells[deeper, None]).reshape(-1, *cells.shape[1:])
+            cells = (split @ cells[(depth + r > most) & (r > FINEST * most), None]).reshape(-1, *cells.shape[1:])
     return deepest
 
 

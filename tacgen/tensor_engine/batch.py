@@ -131,8 +131,7 @@ class Batch:
 
     X (B, n, 3) nodes at rest [mm]; exists (B, e); used (B, n) bool: nodes of cells that exist; free (n,) bool: nodes
     above the bonded base; N (q, 4) shape functions at a facet's points, areas (B, f, q) [mm^2]; (B,): dhat, eps, edge
-    and reach [mm], friction; corners (q, 8): shape functions of a cell; patch (n,) bool: nodes to which `factors` can
-    condense.
+    and reach [mm], friction; patch (n,) bool: nodes to which `factors` can condense.
     """
 
     topology: Topology
@@ -147,7 +146,6 @@ class Batch:
     folding: FoldingBarriers
     shapes: Shapes
     N: Tensor
-    corners: Tensor
     areas: Tensor
     dhat: Tensor
     eps: Tensor
@@ -202,8 +200,7 @@ class Batch:
             topology, problems[0].options, factors, [Course(*each) for each in zip(problems, places, strict=True)],
             nodes, there, used.to(device), free.to(device), hexes, folding,
             Shapes.of([c.shape for c in contacts], FLOAT, device), number(contacts[0].faces.N),
-            number(problems[0].elastic[0].elements.shape), number(areas), dhat,
-            problems[0].options.slip * dhat, number([p.edge for p in problems]),
+            number(areas), dhat, problems[0].options.slip * dhat, number([p.edge for p in problems]),
             number([c.shape.reach for c in contacts]), number([p.friction for p in problems]), can.to(device),
         )  # fmt: skip
         batch.t = batch.empty()
