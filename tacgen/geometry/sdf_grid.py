@@ -140,7 +140,7 @@ class Field:
                 mean = ndimage.correlate1d(mean, np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16, axis=axis, mode="nearest")
             smooth = np.exp(-((_second_differences(mean) / (MEAN_EDGE_BEND * cell)) ** 2))
             spline = smooth * spline + (1 - smooth) * mean
-        return cls(spline, np.asarray(origin, float), cell, smallest_radius, _half_thickness(d, cell), corners)
+        return cls(spline, np.asarray(origin, float), cell, smallest_radius, _reach(d, spline, cell), corners)
 
     def distance(self, p: Array) -> tuple[Array, Array, Array]:
         """Signed distance [mm] (n,), its gradient (n, 3) and Hessian [1/mm] (n, 3, 3) at points p (n, 3) [mm]."""
@@ -159,10 +159,13 @@ def _second_differences(d: Array) -> Array:
     return np.asarray(sum(ndimage.correlate1d(d, [1.0, -2.0, 1.0], axis=a, mode="nearest") for a in range(3)))
 
 
-def _half_thickness(distances: Array, cell: float) -> float:
-    """Half the thinnest wall [mm]: the least depth of points that are equally far from two sides."""
-    slope = np.sqrt(sum(g**2 for g in np.gradient(np.asarray(distances, float), cell)))
+def _reach(distances: Array, spline: Array, cell: float) -> float:
+    """Depth [mm] of the spline with these coefficients (i, j, k) in the middle of the thinnest wall, where points are
+    equally far from two sides: somewhat less than half the wall, as the spline rounds."""
+    slope = np.sqrt(sum(g**2 for g in np.gradient(distances, cell)))
     # the slope is 0.7 between faces at a right angle, 0 between parallel faces
     middle = (slope < 0.4) & (distances < -cell)
-    depth = -distances[middle].max() if middle.any() else -distances.min()
-    return float(max(depth, cell))
+    for axis in range(3):
+        spline = ndimage.correlate1d(spline, np.array([1.0, 4.0, 1.0]) / 6, axis=axis, mode="nearest")
+    depth = -spline[middle].max() if middle.any() else -spline.min()
+    return float(max(depth, 0.0))

@@ -27,9 +27,9 @@ from tacgen.mechanics.tunnelling import blocked, depth_inside
 
 Array = np.ndarray
 Result = tuple[Outcome, SolveState]
-# depth of the gel inside the indenter, over its reach, at which a load step fails [-]; half as much again is sure to be
-# found, and at 1 the gel may come out on the far side
-INSIDE = 0.3
+# depth of the gel inside the shrunk indenter, over the most that a point can have in its thinnest wall, at which a load
+# step fails [-]; half as much again is sure to be found
+INSIDE = 0.45
 STIFFER = 4.0  # factor of a barrier that does not suffice [-]
 
 
@@ -112,12 +112,12 @@ class LoadStep:
         return replace(self, coupled=solution.contact.stiffened(STIFFER) if contact else solution.contact, bulk=bulk)
 
     def wrong(self, solution: Found) -> NotConverged | None:
-        """The failure where some of the gel's body is far inside the indenter: it cuts in between contact points, or they
-        have passed through it and the gel encloses it."""
+        """The failure where some of the gel's body is far inside the indenter: it cuts in between points of contact, or
+        they have passed through it and the gel encloses it."""
         contact, problem = solution.contact.contact.distance, self.problem
         reach = contact.shape.reach
-        deep = depth_inside(contact, problem.elastic, solution.x, INSIDE * reach)
-        if deep > INSIDE * reach:
+        most = INSIDE * (reach - contact.offset)
+        if (deep := depth_inside(contact, problem.elastic, solution.x, most)) > most:
             return NotConverged(Failure.inside, width=2 * reach, depth=deep, edge=problem.edge)
         return None
 

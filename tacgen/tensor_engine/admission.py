@@ -33,11 +33,12 @@ def admit(b: Batch, s: Tensor) -> list[Outcome]:
     least_gap = forces.gap.flatten(1).amin(1)
     least_J = least_jacobian(b.X[s], x, b.topology, b.exists[s])
     residual, balance = _imbalance(b, s, x, contact, forces)
-    inside = _depth_inside(b, s, x, contact, INSIDE * b.reach[s])
-    figures = torch.stack([least_gap, least_J, residual, balance, inside, b.reach[s]], 1)
+    most_inside = INSIDE * (b.reach[s] - contact.offset)
+    inside = _depth_inside(b, s, x, contact, most_inside)
+    figures = torch.stack([least_gap, least_J, residual, balance, inside, most_inside], 1)
     outcomes, recorded = [], []
     for k, (row, each) in enumerate(zip(listed(s), figures.tolist(), strict=True)):
-        course, (gap, J, off, unequal, deep, reach) = b.courses[row], each
+        course, (gap, J, off, unequal, deep, most_deep) = b.courses[row], each
         course.solves, course.steps = course.solves + 1, course.steps + course.newton_steps
         course.damped += course.newton_damped
         touching, inverted = not gap > 0, not J > 0
@@ -52,9 +53,10 @@ def admit(b: Batch, s: Tensor) -> list[Outcome]:
         elif J <= 0:
             course.failure = NotConverged(Failure.inverted, least_J=J)
             outcomes.append(Outcome.failure)
-        elif deep > INSIDE * reach:
-            edge = course.problem.edge
-            course.failure = NotConverged(Failure.inside, width=2 * reach, depth=deep, edge=edge)
+        elif deep > most_deep:
+            problem = course.problem
+            width = 2 * problem.contact.shape.reach
+            course.failure = NotConverged(Failure.inside, width=width, depth=deep, edge=problem.edge)
             outcomes.append(Outcome.failure)
         else:
             recorded.append(k)

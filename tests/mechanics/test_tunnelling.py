@@ -57,7 +57,7 @@ def test_a_step_that_goes_too_far_is_reported(shape: Shape, start: Pose, end: Po
 @pytest.mark.parametrize("nodes", [8, 4, 10])
 @pytest.mark.parametrize("radius", [0.3, 0.02])
 def test_what_lies_inside_the_gel_is_found(nodes: int, radius: float) -> None:
-    """A needle within a block, far thinner than its elements or as thick: as deep as its radius; and what lies on it."""
+    """A needle within a block, far thinner than its elements or as thick as they are; and one that lies on it."""
     points, cells = block(2) if nodes == 8 else tetrahedral(*block(2), nodes)
     elastic = [Elastic.on(whole(cells, len(points)), elements(points, cells), NeoHooke(0.05, 0.5))]
     middle, above = (Pose(np.eye(3), np.array([0.41, 0.52, z])) for z in (0.47 - radius, 1.001))
@@ -97,7 +97,7 @@ def test_a_plate_that_is_pressed_to_its_middle_does_not_leave_the_gel_on_its_far
 
 
 def test_gel_that_springs_back_below_a_lifted_indenter_is_not_taken_for_passed_through() -> None:
-    """A bar that has dragged the gel is lifted clear of it; the straight way back of some points leads through the bar."""
+    """A bar that has dragged the gel is lifted clear of it; the straight way of some points leads through the bar."""
     made = scene(CapsuleSdf(0.3, 2.0), poses([(0, 0, 0.02)]), pad=gel(4, 4, 1.0), edge=0.5)
     problem = Problem.of(made, mesh.of(made))
     rest, below = problem.rest(at(0, 0.02)), at(0, -0.35)
