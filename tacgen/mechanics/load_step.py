@@ -23,12 +23,12 @@ from tacgen.mechanics.predictor import Prediction, predict
 from tacgen.mechanics.problem import Problem
 from tacgen.mechanics.solve_state import Found, SolveState, known
 from tacgen.mechanics.state import History
-from tacgen.mechanics.tunnelling import blocked, depth_inside
+from tacgen.mechanics.tunnelling import blocked, depth_inside, half_wall
 
 Array = np.ndarray
 Result = tuple[Outcome, SolveState]
-# depth of the gel inside the shrunk indenter, over the most that a point can have in its thinnest wall, at which a load
-# step fails [-]; half as much again is sure to be found
+# depth of the gel inside the shrunk indenter, over that of its thinnest wall's middle, at which a load step fails [-]; half
+# as much again is sure to be found
 INSIDE = 0.45
 STIFFER = 4.0  # factor of a barrier that does not suffice [-]
 
@@ -115,10 +115,10 @@ class LoadStep:
         """The failure where some of the gel's body is far inside the indenter: it cuts in between points of contact, or
         they have passed through it and the gel encloses it."""
         contact, problem = solution.contact.contact.distance, self.problem
-        reach = contact.shape.reach
-        most = INSIDE * (reach - contact.offset)
+        half = half_wall(contact.shape)
+        most = INSIDE * (half - contact.offset)
         if (deep := depth_inside(contact, problem.elastic, solution.x, most)) > most:
-            return NotConverged(Failure.inside, width=2 * reach, depth=deep, edge=problem.edge)
+            return NotConverged(Failure.inside, width=2 * half, depth=deep, edge=problem.edge)
         return None
 
 

@@ -6,7 +6,9 @@ import numpy as np
 
 from tacgen.fem.elasticity import Elastic
 from tacgen.fem.elements import QUAD_CORNERS, barycentric, eighths
+from tacgen.geometry.analytic_sdf import Shape
 from tacgen.geometry.pose import Pose
+from tacgen.geometry.sdf_grid import Field
 from tacgen.mechanics.barrier import Contact
 
 Array = np.ndarray
@@ -40,6 +42,11 @@ def blocked(contact: Contact, was: Pose, before: Array, gap: Array, x: Array) ->
             return True
         entered &= inside
     return False
+
+
+def half_wall(shape: Shape) -> float:
+    """Depth of the middle of an indenter's thinnest wall [mm]."""
+    return shape.depth if isinstance(shape, Field) else shape.reach
 
 
 def depth_inside(contact: Contact, elastic: Iterable[Elastic], x: Array, most: float) -> float:

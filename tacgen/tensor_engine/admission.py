@@ -14,7 +14,7 @@ from tacgen.mechanics.load_step import INSIDE, STIFFER
 from tacgen.mechanics.load_stepping import FOLD_HALVINGS, TOO_FAR
 from tacgen.mechanics.phases import Outcome
 from tacgen.mechanics.state import History, State, joined
-from tacgen.mechanics.tunnelling import FINEST
+from tacgen.mechanics.tunnelling import FINEST, half_wall
 from tacgen.tensor_engine.batch import Batch
 from tacgen.tensor_engine.contact import Contacts, Forces, slip
 from tacgen.tensor_engine.contact_newton import at_nodes
@@ -33,7 +33,7 @@ def admit(b: Batch, s: Tensor) -> list[Outcome]:
     least_gap = forces.gap.flatten(1).amin(1)
     least_J = least_jacobian(b.X[s], x, b.topology, b.exists[s])
     residual, balance = _imbalance(b, s, x, contact, forces)
-    most_inside = INSIDE * (b.reach[s] - contact.offset)
+    most_inside = INSIDE * (b.half_wall[s] - contact.offset)
     inside = _depth_inside(b, s, x, contact, most_inside)
     figures = torch.stack([least_gap, least_J, residual, balance, inside, most_inside], 1)
     outcomes, recorded = [], []
@@ -55,7 +55,7 @@ def admit(b: Batch, s: Tensor) -> list[Outcome]:
             outcomes.append(Outcome.failure)
         elif deep > most_deep:
             problem = course.problem
-            width = 2 * problem.contact.shape.reach
+            width = 2 * half_wall(problem.contact.shape)
             course.failure = NotConverged(Failure.inside, width=width, depth=deep, edge=problem.edge)
             outcomes.append(Outcome.failure)
         else:

@@ -115,11 +115,11 @@ def test_reach_is_half_the_thinnest_wall():
     assert BLOCK.reach == pytest.approx(2.0, abs=0.1)
 
 
-def test_in_a_thin_wall_no_point_is_asked_to_be_deeper_than_the_rounded_one_is() -> None:
+def test_the_depth_of_a_thin_wall_is_what_the_rounded_one_has() -> None:
     plate = thin_plate(thickness=0.1, cell=0.0234)  # rounded by half its thickness
     deepest = -plate.distance(np.array([[0.0, 0.0, 0.05]]))[0][0]
     assert deepest < 0.035
-    assert 0.75 * deepest < plate.reach < deepest
+    assert 0.75 * deepest < plate.depth < deepest < 0.9 * plate.reach
 
 
 def test_an_invalid_number_stays_none():
