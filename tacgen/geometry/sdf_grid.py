@@ -99,10 +99,10 @@ def _evaluate(p: Array, c: Array, origin: Array, cell: float, d: Array, g: Array
 class Field:
     """A rigid indenter given by its signed distance on a grid; fits `analytic_sdf.Shape`.
 
-    coefficients (i, j, k) of the spline [mm], the first at `origin` (3,) [mm], `cell` apart [mm]; reach: half the body's
-    thinnest wall, depth: what the spline has of it [mm]; corners (h, 3) of the body's convex hull [mm]. Outside the grid
-    the distance is a lower bound: the surface that can touch the gel must be inside, at least the contact range from
-    the grid's boundary.
+    coefficients (i, j, k) of the spline [mm], the first at `origin` (3,) [mm], `cell` apart [mm]; reach: half the
+    body's thinnest wall, depth: what the spline has of it [mm]; corners (h, 3) of the body's convex hull [mm]. Outside
+    the grid the distance is a lower bound: the surface that can touch the gel must be inside, at least the contact
+    range from the grid's boundary.
     """
 
     coefficients: Array

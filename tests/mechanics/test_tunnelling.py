@@ -96,6 +96,17 @@ def test_a_plate_that_is_pressed_to_its_middle_does_not_leave_the_gel_on_its_far
     assert -float(at_once.traction_force[..., 2].sum()) == pytest.approx(force, rel=1e-3)
 
 
+def test_a_wall_of_three_cells_that_the_gel_encloses_is_found() -> None:
+    """The thinnest that is not refused: its spline is less than half as deep as the wall."""
+    made = scene(thin_plate(thickness=0.09, cell=0.03), poses([(0, 0, -0.5)]), pad=gel(6, 6, 2.0), edge=0.8)
+    problem = Problem.of(replace(made, dhat=0.01), mesh.of(made))
+    rest = problem.rest(at(0, 0.1))
+    for z, encloses in ((-0.5, True), (0.001, False)):
+        step = LoadStep.of(problem, rest, at(0, z), np.inf).anchored()
+        assert step.coupled is not None
+        assert (step.wrong(Found.coupled(rest.x, step.coupled, 0)) is not None) == encloses
+
+
 def test_gel_that_springs_back_below_a_lifted_indenter_is_not_taken_for_passed_through() -> None:
     """A bar that has dragged the gel is lifted clear of it; the straight way of some points leads through the bar."""
     made = scene(CapsuleSdf(0.3, 2.0), poses([(0, 0, 0.02)]), pad=gel(4, 4, 1.0), edge=0.5)
