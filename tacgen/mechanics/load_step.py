@@ -115,10 +115,9 @@ class LoadStep:
         """The failure where some of the gel's body is far inside the indenter: it cuts in between points of contact, or
         they have passed through it and the gel encloses it."""
         contact, problem = solution.contact.contact.distance, self.problem
-        half = half_wall(contact.shape)
-        most = INSIDE * (half - contact.offset)
+        most = INSIDE * (half_wall(contact.shape) - contact.offset)
         if (deep := depth_inside(contact, problem.elastic, solution.x, most)) > most:
-            return NotConverged(Failure.inside, width=2 * half, depth=deep, edge=problem.edge)
+            return NotConverged(Failure.inside, width=2 * contact.shape.reach, depth=deep, edge=problem.edge)
         return None
 
 

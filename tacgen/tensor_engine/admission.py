@@ -14,7 +14,7 @@ from tacgen.mechanics.load_step import INSIDE, STIFFER
 from tacgen.mechanics.load_stepping import FOLD_HALVINGS, TOO_FAR
 from tacgen.mechanics.phases import Outcome
 from tacgen.mechanics.state import History, State, joined
-from tacgen.mechanics.tunnelling import FINEST, half_wall
+from tacgen.mechanics.tunnelling import FINEST
 from tacgen.tensor_engine.batch import Batch
 from tacgen.tensor_engine.contact import Contacts, Forces, slip
 from tacgen.tensor_engine.contact_newton import at_nodes
@@ -55,7 +55,7 @@ def admit(b: Batch, s: Tensor) -> list[Outcome]:
             outcomes.append(Outcome.failure)
         elif deep > most_deep:
             problem = course.problem
-            width = 2 * half_wall(problem.contact.shape)
+            width = 2 * problem.contact.shape.reach
             course.failure = NotConverged(Failure.inside, width=width, depth=deep, edge=problem.edge)
             outcomes.append(Outcome.failure)
         else:
