@@ -28,8 +28,8 @@ from tacgen.mechanics.tunnelling import blocked, depth_inside, half_wall
 Array = np.ndarray
 Result = tuple[Outcome, SolveState]
 # depth of the gel inside the shrunk indenter, over that of the middle of its thinnest wall, at which a load step fails
-# [-]; half as much again is sure to be found
-INSIDE = 0.45
+# [-]; a quarter more is sure to be found, so a wall that the gel encloses is
+INSIDE = 0.75
 STIFFER = 4.0  # factor of a barrier that does not suffice [-]
 
 

@@ -14,7 +14,7 @@ from tacgen.mechanics.barrier import Contact
 Array = np.ndarray
 DEEPEST = 0.75  # depth over the indenter's reach [-] beyond which a point has tunnelled, anywhere in its step
 BETWEEN = 6  # intervals along a facet's side: the overlap is sampled at their ends
-FINEST = 0.5  # size of the parts of an element that are not divided further, over the depth that is looked for [-]
+FINEST = 0.25  # size of the parts of an element that are not divided further, over the depth that is looked for [-]
 TURN = 0.25  # -cos of the angle between the outward normals at entry and later [-]: beyond it a point has tunnelled
 
 
