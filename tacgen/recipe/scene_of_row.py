@@ -53,9 +53,9 @@ def shape_of(row: Row) -> Shape:
     grid = mesh_import.field(solid, cell=SDF_CELL * edge, height=height, half=half)
     if row.recipe.contact.formulation == "distance":
         mesh_import.refuse_thin_walls(solid, grid.cell, height, edge)
-        if grid.depth < dhat:  # contact shrinks the indenter by most of dhat: nothing would be left to press
-            text = f"has no point deeper inside than {grid.depth:.2g} mm, too thin for contact over {dhat:g} mm"
-            raise UserError(f"{solid.name}: {text}: ask for quality: {{dhat_mm: {grid.depth / 3:.1g}}}")
+        if grid.reach < dhat:  # contact shrinks the indenter by most of dhat: nothing would be left to press
+            text = f"has no point deeper inside than {grid.reach:.2g} mm, too thin for contact over {dhat:g} mm"
+            raise UserError(f"{solid.name}: {text}: ask for quality: {{dhat_mm: {grid.reach / 3:.1g}}}")
     return grid
 
 
