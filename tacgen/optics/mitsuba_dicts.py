@@ -36,6 +36,24 @@ def diffuse(albedo: "float | Sequence[float]") -> dict[str, Any]:
     return {"type": "diffuse", "reflectance": {"type": "rgb", "value": rgb}}
 
 
+def absorbing(bsdf: dict[str, Any]) -> dict[str, Any]:
+    """A Lambertian surface (see diffuse) at which the absorbed share of the paths ends, instead of all going on with
+    less light; other BSDFs as they are. The mean is the same, and none of the long paths hardly carries light.
+
+    What ends a path is an interface between equal media, which reflects nothing, and here transmits nothing. A lobe
+    that reflects would add light: Mitsuba weights each direction by all lobes that lead there.
+    """
+    if bsdf["type"] != "diffuse" or not (most := max(bsdf["reflectance"]["value"])):
+        return bsdf
+    black = {"specular_reflectance": 0.0, "specular_transmittance": 0.0}
+    return {
+        "type": "blendbsdf",
+        "weight": most,
+        "ends": {"type": "dielectric", "int_ior": 1.0, "ext_ior": 1.0, **black},
+        "goes_on": diffuse([albedo / most for albedo in bsdf["reflectance"]["value"]]),
+    }
+
+
 def lights(sensor: "LitSensor") -> dict[str, dict[str, Any]]:
     """The LED strips by name.
 

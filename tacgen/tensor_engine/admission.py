@@ -6,6 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from tacgen.fem.elements import eighths
 from tacgen.geometry.pose import Pose, between
 from tacgen.mechanics.admission import NEGLIGIBLE, STIFFENINGS, rounded
 from tacgen.mechanics.failures import Failure, NotConverged
@@ -13,12 +14,12 @@ from tacgen.mechanics.load_step import INSIDE, STIFFER
 from tacgen.mechanics.load_stepping import FOLD_HALVINGS, TOO_FAR
 from tacgen.mechanics.phases import Outcome
 from tacgen.mechanics.state import History, State, joined
+from tacgen.mechanics.tunnelling import FINEST
 from tacgen.tensor_engine.batch import Batch
 from tacgen.tensor_engine.contact import Contacts, Forces, slip
 from tacgen.tensor_engine.contact_newton import at_nodes
-from tacgen.tensor_engine.indices import listed
+from tacgen.tensor_engine.indices import constant, listed
 from tacgen.tensor_engine.inversion import least_jacobian
-from tacgen.tensor_engine.load_step import blocked
 
 Array = np.ndarray
 
@@ -32,11 +33,12 @@ def admit(b: Batch, s: Tensor) -> list[Outcome]:
     least_gap = forces.gap.flatten(1).amin(1)
     least_J = least_jacobian(b.X[s], x, b.topology, b.exists[s])
     residual, balance = _imbalance(b, s, x, contact, forces)
-    inside = _depth_inside(b, s, x, contact)
-    figures = torch.stack([least_gap, least_J, residual, balance, inside, b.reach[s]], 1)
-    outcomes, recorded, through = [], [], blocked(b, s, x).tolist()
+    most_inside = INSIDE * (b.half_wall[s] - contact.offset)
+    inside = _depth_inside(b, s, x, contact, most_inside)
+    figures = torch.stack([least_gap, least_J, residual, balance, inside, most_inside], 1)
+    outcomes, recorded = [], []
     for k, (row, each) in enumerate(zip(listed(s), figures.tolist(), strict=True)):
-        course, (gap, J, off, unequal, deep, reach) = b.courses[row], each
+        course, (gap, J, off, unequal, deep, most_deep) = b.courses[row], each
         course.solves, course.steps = course.solves + 1, course.steps + course.newton_steps
         course.damped += course.newton_damped
         touching, inverted = not gap > 0, not J > 0
@@ -51,12 +53,10 @@ def admit(b: Batch, s: Tensor) -> list[Outcome]:
         elif J <= 0:
             course.failure = NotConverged(Failure.inverted, least_J=J)
             outcomes.append(Outcome.failure)
-        elif through[k]:
-            course.failure = NotConverged(Failure.too_far)
-            outcomes.append(Outcome.failure)
-        elif deep > INSIDE * reach:
-            edge = course.problem.edge
-            course.failure = NotConverged(Failure.inside, width=2 * reach, depth=deep, edge=edge)
+        elif deep > most_deep:
+            problem = course.problem
+            width = 2 * problem.contact.shape.reach
+            course.failure = NotConverged(Failure.inside, width=width, depth=deep, edge=problem.edge)
             outcomes.append(Outcome.failure)
         else:
             recorded.append(k)
@@ -78,11 +78,21 @@ def _imbalance(b: Batch, s: Tensor, x: Tensor, contact: Contacts, forces: Forces
     return residual / force, torch.linalg.norm(pushed - reaction, dim=1) / force
 
 
-def _depth_inside(b: Batch, s: Tensor, x: Tensor, contact: Contacts) -> Tensor:
-    """Largest penetration (s,) of the gel into the shrunk indenter at the integration points [mm]; 0 without any."""
-    at = (b.corners @ x[:, b.topology.conn]).flatten(1, 2)
-    d = contact.shapes.values_at(contact.local(at)).view(len(s), -1, len(b.corners)) + contact.offset[:, None, None]
-    return -torch.where(b.exists[s][..., None], d, 0.0).flatten(1).amin(1).clamp(max=0.0)
+def _depth_inside(b: Batch, s: Tensor, x: Tensor, contact: Contacts, most: Tensor) -> Tensor:
+    """Depth (s,) of a point of each gel's body inside the shrunk indenter [mm], for `most` (s,); see
+    mechanics.tunnelling.depth_inside."""
+    cells, there, deepest = x[:, b.topology.conn], b.exists[s], torch.zeros_like(most)
+    split, offset = constant(eighths(8), x), contact.offset[:, None]
+    while cells.shape[1]:
+        middle = cells.mean(2)
+        r = torch.linalg.norm(cells - middle[:, :, None], dim=-1).amax(-1)
+        depth = torch.where(there, -offset - contact.shapes.values_at(contact.local(middle)), -torch.inf)
+        deepest = torch.maximum(deepest, depth.amax(1))
+        finer = (depth + r > most[:, None]) & (r > FINEST * most[:, None]) & (deepest <= most)[:, None]
+        there, which = finer.to(torch.uint8).topk(int(finer.sum(1).max()), dim=1)
+        kept = cells.gather(1, which[..., None, None].expand(-1, -1, 8, 3))
+        cells, there = (split @ kept[:, :, None]).flatten(1, 2), there.bool().repeat_interleave(8, 1)
+    return deepest
 
 
 def _record(b: Batch, s: Tensor, contact: Contacts, forces: Forces, figures: list[list[float]]) -> None:

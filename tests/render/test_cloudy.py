@@ -5,11 +5,11 @@ import pytest
 from helpers.tiny import cloudy as sensor
 from scipy.ndimage import gaussian_filter
 
-from tacgen.optics import scattering
+from tacgen.optics import coating, mitsuba_dicts, scattering
 from tacgen.optics.hertz_dent import BallDent
-from tacgen.optics.surface_grid import Untouched
+from tacgen.optics.surface_grid import Sheet, Untouched
 from tacgen.recipe import assets, loading
-from tacgen.render import images, mitsuba_variants, traced_maps
+from tacgen.render import images, mitsuba_path, mitsuba_variants, traced_maps
 from tacgen.render.mitsuba_path import PathTracer
 from tacgen.sensor.model import Sensor
 
@@ -167,3 +167,25 @@ def test_light_feels_the_thickness_around():
     bright = scattering.Brightness(np.array([0.1, 1.0]), np.array([[0.4] * 3, [1.0] * 3]))
     picture = bright.at(blurred.ravel()).reshape(40, 40, 3)
     assert scattering.fitted_reach(bright, share, 0.5, picture) == pytest.approx(1.5, rel=0.02)
+
+
+@pytest.mark.parametrize("albedo", [(0.03, 0.03, 0.03), (0.5, 0.2, 0.1), (0.0, 0.0, 0.0)])
+def test_a_skin_that_ends_the_paths_it_absorbs_reflects_as_much(albedo: tuple[float, ...]) -> None:
+    mi = mitsuba_path.mitsuba(mitsuba_variants.SCALAR)
+    plain = mitsuba_dicts.diffuse(albedo)
+    ending, whole = (mi.load_dict(mitsuba_path.realise(mi, one)) for one in (mitsuba_dicts.absorbing(plain), plain))
+    at, context = mi.SurfaceInteraction3f(), mi.BSDFContext()
+    at.wi = mi.Vector3f(0.6, 0.0, 0.8)
+    points = (np.arange(200) + 0.5) / 200, ((0.1, 0.3), (0.7, 0.2), (0.4, 0.9))
+    found = np.array([ending.sample(context, at, a, mi.Point2f(*b))[1] for a in points[0] for b in points[1]])
+    assert found.mean(0) == pytest.approx(albedo, rel=1e-5)
+    assert (found > 0).any(1).mean() == pytest.approx(max(albedo))
+    away = mi.Vector3f(0.0, 0.6, 0.8)
+    assert np.array(ending.eval(context, at, away)) == pytest.approx(np.array(whole.eval(context, at, away)))
+
+
+def test_paths_end_at_the_skin_where_they_are_long() -> None:
+    clear = loading.read_sensor(assets.sensor_path("digit"))[0]
+    for made, ends in ((sensor(), True), (clear, False)):
+        _, coat = mitsuba_path.description(made, Sheet.over(made.gel, 1.0), False)
+        assert (coat != coating.bsdf(made.coating)) == ends
