@@ -186,18 +186,17 @@ def _gels(row: Row, clock: Clock, solution: SolvedScene | None = None) -> tuple[
     """The gels of a row of the plan, meshed, and what will be found at each frame."""
     if row.other is not None:
         return _grasped(row, clock)
+    known = solution if solution and solution.states else None
     with clock.stage("mesh"):
         built = scene_of_row.build(row)
     if built.forced is not None:
         with clock.stage("presolve"):
-            done = bool(solution and solution.states)
-            built = presolve.refined(built, solution.heights) if done else presolve.presolved(built)
+            built = presolve.refined(built, known.heights) if known else presolve.presolved(built)
     with clock.stage("mesh"):
         # a trial of a prescribed force may fold where its solution does not: such a scene is stopped by its frames
         through = row.recipe.folds == "keep" or built.forced is not None
         problem = mechanics.Problem.of(built, mesh.of(built), replace(mechanics.DEFAULT, through_folds=through))
-    known = solution.states if solution else ()
-    states = iter(known) if known else mechanics.states(built, problem)
+    states = iter(known.states) if known else mechanics.states(built, problem)
     return ((row, built, problem),), (((state, None),) for state in states)
 
 

@@ -37,7 +37,7 @@ def to_pose(
 
 
 def at_once(history: History, b: Array, index: int, duration: float = math.inf, **how: Any) -> SolveState:
-    """Before one load step, which is not halved, from `history` to pose b (4, 4) in `duration` [s]; how: see to_pose."""
+    """Before a load step, which is not halved, from `history` to pose b (4, 4) in `duration` [s]; how: as to_pose."""
     leg = Leg(b, b, np.zeros(3), duration, budget="effort" not in how)
     return SolveState(index, history, (leg,), may_halve=False, **how)
 

@@ -27,9 +27,8 @@ def presolved(scene: Scene) -> Scene:
         return scene
     coarse = rough(scene)
     try:
-        heights = [
-            state.pose[2, 3] for state in mechanics.states(coarse, mechanics.Problem.of(coarse, mesh.of(coarse)))
-        ]
+        found = mechanics.states(coarse, mechanics.Problem.of(coarse, mesh.of(coarse)))
+        heights = [state.pose[2, 3] for state in found]
     except NotConverged as error:
         if error.failure != Failure.too_much or error.data["asked"] < HOPELESS * error.data["most"]:
             return scene

@@ -1,16 +1,14 @@
 """The checks of a load step of many scenes, its record, and what follows a failure."""
 
-from dataclasses import replace
-
 import numpy as np
 import torch
 from torch import Tensor
 
-from tacgen.geometry.pose import Pose, between
+from tacgen.geometry.pose import Pose
 from tacgen.mechanics.admission import NEGLIGIBLE, STIFFENINGS, rounded
 from tacgen.mechanics.failures import Failure, NotConverged
 from tacgen.mechanics.load_step import INSIDE, STIFFER
-from tacgen.mechanics.load_stepping import FOLD_HALVINGS, TOO_FAR
+from tacgen.mechanics.load_stepping import halved
 from tacgen.mechanics.phases import Outcome
 from tacgen.mechanics.state import History, State, joined
 from tacgen.tensor_engine.batch import Batch
@@ -99,8 +97,8 @@ def _record(b: Batch, s: Tensor, contact: Contacts, forces: Forces, figures: lis
     flat = forces.normal.flatten(1, 2) @ contact.rotation
     x, normal = t.x[s], flat.view_as(forces.normal)
     t.put(
-        s, h_error=x - t.first_order[s], h_motion=t.motion[s], h_x=x, h_offset=t.offset[s], h_N=N, h_normal=normal,
-        h_anchor=anchor, h_gap=forces.gap, h_kappa=t.kappa[s], h_rotation=t.rotation[s], h_position=t.position[s],
+        s, h_error=x - t.first_order[s], h_motion=t.motion[s], h_x=x, h_offset=t.offset[s], h_N=N, h_anchor=anchor,
+        h_gap=forces.gap, h_kappa=t.kappa[s], h_rotation=t.rotation[s], h_position=t.position[s],
         h_least=torch.maximum(t.h_least[s], NEGLIGIBLE * forces.total),
     )  # fmt: skip
     parts = (x, N, forces.normal, normal, friction, sliding, anchor, forces.gap, t.offset[s], t.kappa[s], t.h_least[s])
@@ -129,7 +127,6 @@ def _recorded(b: Batch, row: int, arrays: list[Array], mean: float, figures: lis
         offset, mean, least_gap, residual, balance, least_J, course.damped,
         rounded=rounded(problem, before, after), after=after,
     )  # fmt: skip
-    course.error = course.predicted
     course.state = state if course.state is None else joined(course.state, state)
     course.history, course.legs = after, course.legs[1:]
 
@@ -140,36 +137,21 @@ def halve(b: Batch, s: Tensor) -> list[Outcome]:
     for row in listed(s):
         course = b.courses[row]
         assert course.failure is not None
-        course.usable, failure, leg = False, course.failure.failure, course.legs[0]
-        farther = failure == Failure.too_far
-        most = FOLD_HALVINGS if failure == Failure.folds else b.options.halvings
-        if (leg.far == TOO_FAR if farther else leg.halved >= most) or failure == Failure.effort:
-            outcomes.append(Outcome.failure)
-            continue
-        middle, halved, far = between(leg.a, leg.b, leg.turn, 0.5), leg.halved + (not farther), leg.far + farther
-        half = leg._replace(turn=leg.turn / 2, duration=leg.duration / 2, halved=halved, far=far, budget=False)
-        course.legs = (half._replace(b=middle), half._replace(a=middle), *course.legs[1:])
-        outcomes.append(Outcome.more)
+        halves = halved(course.legs[0], course.failure.failure, b.options) if course.may_halve else ()
+        course.usable, course.legs = False, (*halves, *course.legs[1:])
+        outcomes.append(Outcome.more if halves else Outcome.failure)
     return outcomes
 
 
-def rest(b: Batch, s: Tensor, poses: Array) -> None:
-    """The untouched gels below indenters at poses (s, 4, 4)."""
-    t = b.t
-    for row, pose in zip(listed(s), poses, strict=True):
-        course = b.courses[row]
-        history = course.problem.rest(Pose.of(pose))
-        course.history = replace(history, internal={})
-        course.usable = course.error = course.left = False
-        place = course.place
-        single = {"h_offset": history.offset, "h_kappa": history.kappa, "h_least": history.least_force}
-        for name, value in single.items():
-            getattr(t, name)[row] = value
-        face = {"h_N": history.normal_force, "h_gap": history.gap, "h_normal": history.normal}
-        for name, part in {**face, "h_anchor": history.anchor}.items():
-            getattr(t, name)[row] = 0.0
-            getattr(t, name)[row, b.slots(place.facets.tolist())] = torch.as_tensor(part, device=s.device)
-        t.h_x[row] = b.X[row]
-        t.h_rotation[row] = torch.as_tensor(history.pose.rotation.copy(), device=s.device)
-        t.h_position[row] = torch.as_tensor(history.pose.position.copy(), device=s.device)
-        t.h_error[row], t.h_motion[row] = 0.0, 0.0
+def rest(b: Batch, row: int, history: History) -> None:
+    """The row of a scene whose gel is untouched."""
+    course, faces = b.courses[row], b.slots(b.courses[row].place.facets.tolist())
+    course.history, course.usable, course.left = history, False, False
+    pose, one = history.pose, {"offset": history.offset, "kappa": history.kappa, "least": history.least_force}
+    one |= {"x": b.X[row], "rotation": pose.rotation, "position": pose.position, "error": 0.0, "motion": 0.0}
+    for name, value in one.items():
+        getattr(b.t, f"h_{name}")[row] = torch.as_tensor(value)
+    for name, part in {"N": history.normal_force, "gap": history.gap, "anchor": history.anchor}.items():
+        rows = getattr(b.t, f"h_{name}")
+        rows[row] = 0.0
+        rows[row, faces] = torch.as_tensor(part, device=rows.device)

@@ -73,6 +73,8 @@ class Course:
     phase: Phase = Phase.begin
     index: int = 0
     legs: tuple[Leg, ...] = ()
+    near: bool = False  # whether x has a solution nearby, to start from
+    may_halve: bool = True
     effort: int = 0
     state: State | None = None
     states: list[State] = field(default_factory=list)
@@ -81,7 +83,6 @@ class Course:
     failure: NotConverged | None = None
     usable: bool = False  # whether the kept factor serves
     left: bool = False  # whether its contact is where the factors cannot be condensed to
-    error: bool = False  # whether the last step's prediction has an error to learn from
     nodes: int = 0  # condensed ones, and facets with them
     facets: int = 0
     # of the load step
@@ -221,7 +222,7 @@ class Batch:
         def index(*shape: int) -> Tensor:
             return zeros(*shape, dtype=torch.long)
 
-        of_face = {"h_N": (f, q), "h_gap": (f, q), "h_normal": (f, q, 3), "h_anchor": (f, q, 3), "anchor": (f, q, 3)}
+        of_face = {"h_N": (f, q), "h_gap": (f, q), "h_anchor": (f, q, 3), "anchor": (f, q, 3)}
         of_face |= {"h_motion": (f, q, 3), "motion": (f, q, 3)}
         of_nodes = ["h_x", "h_error", "ahead", "first_order", "begins", "x", "stepped", "g", "y"]
         alone = ["h_offset", "h_kappa", "h_least", "offset", "kappa", "folds", "energy", "stepped_energy"]

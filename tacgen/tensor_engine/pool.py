@@ -16,7 +16,7 @@ from tacgen.mechanics import mesh
 from tacgen.mechanics.phases import FINAL, Phase
 from tacgen.mechanics.problem import Problem, by_distance
 from tacgen.mechanics.scene import Scene
-from tacgen.tensor_engine import admission, engine, grids, refill, scheduler
+from tacgen.tensor_engine import engine, grids, refill, scheduler
 from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine.batch import Batch, Place
 from tacgen.tensor_engine.condensed import Condensed
@@ -28,8 +28,8 @@ from tacgen.tensor_engine.multifrontal import Multifrontal
 
 MOST_SLOTS = 1024  # more scenes at once are hardly faster
 LEAST_SHARED = 64  # scenes of a pattern below which it is merged with others: smaller batches do not fill a GPU
-# Kernel calls of a scene for each of its frames, on average, after which it is left to the CPU engine: ordinary frames
-# take 40, and a few scenes that go on for long would keep a batch from ending
+# Kernel calls of a scene for each of its frames and further trials of a force, on average, after which it is left to
+# the CPU engine: ordinary frames take 40, and a few scenes that go on for long would keep a batch from ending
 MOST_CALLS = 150
 WIDE = 900  # unknowns condensed to in the largest contact, for the estimate of memory
 CELL, UNKNOWN = 2500, 100  # bytes of tables, of a cell and of an unknown
@@ -117,7 +117,6 @@ class ScenePool:
         """Put a scene into an empty slot, before its first frame."""
         if self._first.pop(slot, None) is not scene:
             refill.fill(self.batch, slot, scene.problem, scene.place, scene.grid.points)
-        admission.rest(self.batch, self.batch.slots([slot]), scene.scene.start[None])
         self._frames[slot] = engine.frames(self.batch, slot, scene.scene)
         self._calls[slot] = MOST_CALLS * len(scene.scene.poses)
         next(self._frames[slot], None)
@@ -128,8 +127,11 @@ class ScenePool:
         if self._calls[slot] <= 0 and course.phase not in FINAL:
             course.why = f"more than {MOST_CALLS} kernel calls a frame"
             return None
-        if course.phase in FINAL and next(self._frames[slot], None) is None:
-            return None
+        if course.phase in FINAL:
+            before, index = course.index, next(self._frames[slot], None)
+            if index is None:
+                return None
+            self._calls[slot] += MOST_CALLS * (index == before)
         return course.phase
 
     def size(self, slot: int) -> int:

@@ -12,7 +12,7 @@ from tacgen.geometry.pose import about
 from tacgen.mechanics import DEFAULT, Problem, SolverOptions, mesh, states
 from tacgen.mechanics.phases import FINAL, Phase
 from tacgen.mechanics.scene import Scene
-from tacgen.tensor_engine import admission, engine
+from tacgen.tensor_engine import engine
 from tacgen.tensor_engine.batch import Batch, Place
 from tacgen.tensor_engine.elements import Topology
 from tacgen.tensor_engine.engine import Solved
@@ -57,7 +57,6 @@ def batch(scenes: Sequence[Scene], options: SolverOptions = DEFAULT) -> Batch:
 
 def solve(b: Batch, scenes: Sequence[Scene]) -> list[Solved]:
     """The frames of all scenes, in each slot one. The kernel for which most scenes wait is called next."""
-    admission.rest(b, b.slots(range(len(scenes))), np.array([one.start for one in scenes]))
     paths = [engine.frames(b, row, one) for row, one in enumerate(scenes)]
     going = {row for row, frames in enumerate(paths) if next(frames, None) is not None}
     while going:
