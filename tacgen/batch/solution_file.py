@@ -36,7 +36,7 @@ def read(path: Path) -> SolvedScene | None:
         arrays = {name: found[name] for name in NAMES if name in found}
         frames = len(arrays["index"]) if arrays else 0
         states = [State(**{name: _at(arrays, name, k) for name in NAMES}) for k in range(frames)]
-        return SolvedScene(str(found["/engine"]), states, str(found["/why"]), found["/heights"].tolist())
+        return SolvedScene(str(found["/engine"]), states, str(found["/why"]), tuple(found["/heights"].tolist()))
 
 
 def _at(arrays: dict[str, np.ndarray], name: str, frame: int) -> Any:

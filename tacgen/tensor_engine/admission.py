@@ -145,13 +145,13 @@ def halve(b: Batch, s: Tensor) -> list[Outcome]:
 
 def rest(b: Batch, row: int, history: History) -> None:
     """The row of a scene whose gel is untouched."""
-    course, faces = b.courses[row], b.slots(b.courses[row].place.facets.tolist())
+    t, course, pose = b.t, b.courses[row], history.pose
     course.history, course.usable, course.left = history, False, False
-    pose, one = history.pose, {"offset": history.offset, "kappa": history.kappa, "least": history.least_force}
-    one |= {"x": b.X[row], "rotation": pose.rotation, "position": pose.position, "error": 0.0, "motion": 0.0}
-    for name, value in one.items():
-        getattr(b.t, f"h_{name}")[row] = torch.as_tensor(value)
-    for name, part in {"N": history.normal_force, "gap": history.gap, "anchor": history.anchor}.items():
-        rows = getattr(b.t, f"h_{name}")
+    t.h_x[row], t.h_error[row], t.h_motion[row] = b.X[row], 0.0, 0.0
+    t.h_offset[row], t.h_kappa[row], t.h_least[row] = history.offset, history.kappa, history.least_force
+    faces = b.slots(course.place.facets.tolist())
+    for rows, part in ((t.h_N, history.normal_force), (t.h_gap, history.gap), (t.h_anchor, history.anchor)):
         rows[row] = 0.0
         rows[row, faces] = torch.as_tensor(part, device=rows.device)
+    for rows, part in ((t.h_rotation, pose.rotation), (t.h_position, pose.position)):
+        rows[row] = torch.as_tensor(part.copy(), device=rows.device)

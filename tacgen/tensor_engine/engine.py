@@ -13,7 +13,7 @@ from tacgen.mechanics.scene import Scene
 from tacgen.mechanics.solve_state import SolveState
 from tacgen.mechanics.state import State
 from tacgen.tensor_engine import admission, bulk_newton, load_step
-from tacgen.tensor_engine.batch import Batch, Course
+from tacgen.tensor_engine.batch import Batch
 from tacgen.tensor_engine.laws import numbers
 from tacgen.tensor_engine.shapes import known
 

@@ -136,8 +136,12 @@ def foresee(b: Batch, s: Tensor) -> list[Outcome]:
     pairs = ((motion, before), (motion, motion), (before, before))
     along, now, then = ((p * q * both).flatten(1).sum(1) for p, q in pairs)
     part = torch.where(along > PARALLEL * torch.sqrt(now * then), (along / then.clamp(min=1e-300)).clamp(max=1.0), 0.0)
-    t.put(s, first_order=first, ahead=first + (part**2)[:, None, None] * t.h_error[s],
-        motion=torch.where(good[:, None, None, None], motion, 0.0))
+    t.put(
+        s,
+        first_order=first,
+        ahead=first + (part**2)[:, None, None] * t.h_error[s],
+        motion=torch.where(good[:, None, None, None], motion, 0.0),
+    )
     for r, fine in zip(listed(s), good.tolist(), strict=True):
         b.courses[r].predicted = fine
     return [Outcome.ready] * len(s)
