@@ -177,7 +177,7 @@ def start(b: Batch, s: Tensor) -> list[Outcome]:
     t.put(s, begins=t.x[s], energy=b.bulk(s, t.x[s])[3], J=b.hexes.rows(s).evaluate(t.h_x[s]).J)
     for course in courses:
         course.new, course.residual, course.rate, course.damping = not b.options.keep_tangent, np.inf, RATE_GUESS, 0.0
-        course.newton_steps, course.newton_damped, course.near = 0, 0, False
+        course.newton_steps = course.newton_damped = 0
     return outcomes
 
 

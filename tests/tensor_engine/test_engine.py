@@ -70,6 +70,11 @@ def test_slide_twist_tilt_and_release_with_friction() -> None:
     assert not states[-1].normal_force.any()  # released
 
 
+def test_a_step_without_contact_leaves_the_next_prediction_no_error_to_learn_from() -> None:
+    made = small(BALL, path((0, 0, -0.3), (0, 0, 0.5), (0, 0, -0.3), (0, 0, -0.2)))
+    all_same([made], solve(batch([made]), [made]), 1e-11)
+
+
 def test_a_scene_that_fails_leaves_the_others_alone() -> None:
     scenes = [small(BALL, path((0, 0, -0.3))), small(SphereSdf(1.2), path((0, 0, -0.2), (0, 0, -1.9)), friction=1.0)]
     options = replace(DEFAULT, max_effort=4, halvings=1)

@@ -1,6 +1,6 @@
 """Prescribed forces in the batch engine: it makes the trials of the CPU engine's search, each from the same history."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -9,12 +9,16 @@ import pytest
 import torch
 
 from tacgen.geometry.analytic_sdf import CylinderSdf, SphereSdf
-from tacgen.mechanics import DEFAULT, NotConverged, Problem, mesh, normal_force, states
+from tacgen.geometry.pose import Pose
+from tacgen.mechanics import DEFAULT, NotConverged, Problem, normal_force, solver, states
 from tacgen.mechanics.failures import Failure
+from tacgen.mechanics.frames import Task
+from tacgen.mechanics.load_stepping import at_once, to_pose
 from tacgen.mechanics.scene import Forced, Scene
-from tacgen.tensor_engine import pool
+from tacgen.mechanics.solve_state import SolveState
+from tacgen.tensor_engine import engine, pool
 from tacgen.tensor_engine.engine import Solved
-from tensor_engine.batches import alone, batch, path, small, solve
+from tensor_engine.batches import alone, batch, path, problem, small, solve
 from tensor_engine.test_engine import all_same, same
 
 torch.set_num_threads(1)
@@ -59,6 +63,43 @@ def test_trials_that_do_not_converge_at_once_go_in_steps() -> None:
         same(a, b, 1e-8)
 
 
+def test_a_trial_begins_near_another_one_is_not_halved_and_shares_its_count_of_steps(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of four trials from one history the second and the fourth fail."""
+
+    def trials(made: Scene, problem: Problem) -> Iterator[Task]:
+        history = problem.rest(Pose.of(made.start))
+        first = Task(problem, at_once(history, made.poses[0], 0))
+        yield first
+        yield Task(problem, at_once(history, made.poses[1], 1))
+        yield Task(problem, at_once(history, made.poses[2], 2, near=first.now.state))
+        effort = problem.options.max_effort - 1
+        yield Task(problem, to_pose(problem, history, made.start, made.poses[2], np.zeros(3), 3, 0.0, effort=effort))
+
+    made = small(BALL, path((0, 0, -0.3), (0, 0, -1.2), (0, 0, -0.32)))
+    options, made = replace(DEFAULT, max_newton=4), forced(made, [np.nan] * 3)
+    ends: dict[str, list[SolveState]] = {"one": [], "many": []}
+
+    def noted(made: Scene, problem: Problem) -> Iterator[Task]:
+        for task in trials(made, problem):
+            yield task
+            ends["many"].append(task.now)
+
+    monkeypatch.setattr(engine, "path", noted)
+    solve(batch([made], options), [made])
+    for task in trials(made, problem(made, options)):
+        task.now = solver.solve(task.problem, task.now)
+        ends["one"].append(task.now)
+    assert [str(now.failure) for now in ends["many"]] == [str(now.failure) for now in ends["one"]]
+    assert [now.failure is None for now in ends["one"]] == [True, False, True, False]
+    for one, many in zip(ends["one"], ends["many"], strict=True):
+        assert many.effort == one.effort
+        assert (one.state is None) == (many.state is None)
+        if one.state is not None and many.state is not None:
+            same(one.state, many.state, 1e-9)
+
+
 HARD = path((0, 0, -0.2), (0, 0, -0.5))
 NO_MORE = NotConverged(Failure.hopeless, why="no")
 FAILURES = {  # what is asked for, how, and the options
@@ -76,7 +117,7 @@ def test_a_force_that_cannot_be_met_fails_as_in_the_cpu_engine(failure: Failure)
     made = forced(small(BALL, HARD), asked, **how)
     ((solved,), one, why) = solve(batch([made], options), [made]), [], None
     try:
-        one += states(made, Problem.of(made, mesh.build(made.gel, (-1.5, 1.5, -1.5, 1.5), 1.0), options))
+        one += states(made, problem(made, options))
     except NotConverged as error:
         why = error
     assert isinstance(solved.why, NotConverged)
