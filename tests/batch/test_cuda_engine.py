@@ -1,5 +1,6 @@
 """Runs with the batch engine, here on PyTorch's CPU backend: bundles, what falls back, what is left behind."""
 
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from tacgen import batch
 from tacgen.batch import cuda_engine, solution_file
 from tacgen.bundle.bundle import read
 from tacgen.errors import UserError
+from tacgen.mechanics import presolve
 from tacgen.mechanics.solved_scene import SolvedScene
 from tacgen.recipe import plan
 from tacgen.recipe.plan import Plan
@@ -66,6 +68,17 @@ def test_forces_are_those_of_the_local_engine(on_cpu: None, tmp_path: Path) -> N
     force, expected = one["/frames/force"][:], right["/frames/force"][:]
     assert force[0, 2] == pytest.approx(-1.5, rel=5e-3)
     assert force == pytest.approx(expected, rel=1e-5, abs=1e-6)
+
+
+def test_a_solution_is_labelled_without_another_coarse_solve(
+    on_cpu: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (row,) = planned(tmp_path, "press: {force_n: 1, frames: 1}").rows
+    (tmp_path / cuda_engine.FOLDER).mkdir()
+    with ThreadPoolExecutor(1) as solving:
+        assert not cuda_engine._solve_all([row], tmp_path, ["cpu"], solving, 1, map)
+    monkeypatch.setattr(presolve, "presolved", lambda scene: pytest.fail("solved again"))
+    assert cuda_engine.run_scene(row, tmp_path).status == "ok"
 
 
 def test_finished_scenes_are_not_solved_again(on_cpu: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

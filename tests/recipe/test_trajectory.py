@@ -113,6 +113,17 @@ def test_an_absurd_force_is_refused_on_the_coarse_mesh(tmp_path: Path, monkeypat
     assert solved_on.count(0.65) == 1
 
 
+def test_a_coarse_solve_ends_with_the_last_force_and_a_tolerance_may_be_given(tmp_path: Path) -> None:
+    moves = "press: {force_n: 1, frames: 1}\nslide: {x_mm: 0.2, frames: 1}"
+    rough = presolve.rough(scene_of_row.build(row(tmp_path, moves, "quality.edge_mm=1.5")))
+    problem = mechanics.Problem.of(rough, mesh.of(rough))
+    assert len(list(mechanics.states(rough, problem))) == 1
+    assert rough.forced is not None
+    fine = replace(rough, forced=replace(rough.forced, tol=1e-6))
+    (found,) = mechanics.states(fine, problem)
+    assert mechanics.normal_force(found) == pytest.approx(1, rel=1e-6)
+
+
 def test_what_follows_a_force_goes_on_from_its_depth(tmp_path: Path) -> None:
     """Held, slid askew, twisted and lifted: the depth that was found is kept until the release, at the poses asked."""
     segments = """
