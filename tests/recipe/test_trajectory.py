@@ -124,6 +124,14 @@ def test_a_coarse_solve_ends_with_the_last_force_and_a_tolerance_may_be_given(tm
     assert mechanics.normal_force(found) == pytest.approx(1, rel=1e-6)
 
 
+def test_a_force_asked_for_on_several_sensors_is_met_more_closely_in_every_frame(tmp_path: Path) -> None:
+    one = row(tmp_path, "press: {force_n: 1, frames: 2}")
+    alone, paired = (scene_of_row.build(each).forced for each in (one, replace(one, pair=0)))
+    assert alone is not None
+    assert paired is not None
+    assert (alone.tol, paired.tol) == (None, 2e-3)
+
+
 def test_what_follows_a_force_goes_on_from_its_depth(tmp_path: Path) -> None:
     """Held, slid askew, twisted and lifted: the depth that was found is kept until the release, at the poses asked."""
     segments = """
