@@ -71,8 +71,8 @@ def test_slide_twist_tilt_and_release_with_friction() -> None:
 
 
 @pytest.mark.parametrize("frames", [2, 3])
-def test_a_step_from_no_contact_leaves_no_error_of_a_prediction_to_learn_from(frames: int) -> None:
-    made = small(BALL, path((0, 0, -0.3), (0, 0, 0.5), (0, 0, -0.3))[:frames])
+def test_a_step_without_contact_leaves_no_error_of_a_prediction_to_learn_from(frames: int) -> None:
+    made = small(BALL, path((0, 0, -0.3), (0, 0, 0.5), (0, 0, 0.6))[:frames])
     b = batch([made])
     all_same([made], solve(b, [made]))
     assert bool(b.t.h_motion.any()) == (frames == 2)
