@@ -60,6 +60,10 @@ class Shapes:
         shapes = (*self.all[:slot], shape, *self.all[slot + 1 :])
         return Shapes.of(shapes, self.values.dtype, str(self.values.device))
 
+    def each(self) -> list[Shape]:
+        """The indenters (s,)."""
+        return [self.all[k] for k in self.numbers.tolist()]
+
     def values_at(self, p: Tensor) -> Tensor:
         """Signed distance [mm] (s, k) alone."""
         return self.distance(p)[0]
@@ -71,7 +75,7 @@ class Shapes:
             from tacgen.tensor_engine import gpu_distance
 
             return gpu_distance.distances(p, self.kinds, self.table, self.values)
-        found = [self.all[k].distance(at) for k, at in zip(self.numbers.tolist(), p.double().numpy(), strict=True)]
+        found = [shape.distance(at) for shape, at in zip(self.each(), p.double().numpy(), strict=True)]
         d, g, H = (torch.stack([torch.from_numpy(one[k]) for one in found]).to(p.dtype) for k in range(3))
         return d, g, H
 
