@@ -149,7 +149,7 @@ def rest(b: Batch, row: int, history: History) -> None:
     course.history, course.usable, course.left = history, False, False
     t.h_x[row], t.h_error[row], t.h_motion[row] = b.X[row], 0.0, 0.0
     t.h_offset[row], t.h_kappa[row], t.h_least[row] = history.offset, history.kappa, history.least_force
-    faces = b.slots(course.place.facets.tolist())
+    faces = torch.as_tensor(course.place.facets, device=b.X.device)
     for rows, part in ((t.h_N, history.normal_force), (t.h_gap, history.gap), (t.h_anchor, history.anchor)):
         rows[row] = 0.0
         rows[row, faces] = torch.as_tensor(part, device=rows.device)

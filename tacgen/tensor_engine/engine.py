@@ -86,7 +86,8 @@ def frames(b: Batch, row: int, scene: Scene) -> Iterator[int]:
             for name in SHARED:
                 setattr(course, name, getattr(now, name))
             if now.near is not None:
-                b.t.x[row, b.slots(course.place.nodes.tolist())] = torch.as_tensor(now.near.x, device=b.X.device)
+                nodes, x = (torch.as_tensor(part, device=b.X.device) for part in (course.place.nodes, now.near.x))
+                b.t.x[row, nodes] = x
             course.near = now.near is not None
             yield course.index
             if course.left:
