@@ -20,6 +20,7 @@ from tacgen.mechanics.solve_state import RATE_GUESS, Leg
 from tacgen.mechanics.state import History, State
 from tacgen.tensor_engine.contact import Contacts
 from tacgen.tensor_engine.elements import Hexes, HexPoints, Topology
+from tacgen.tensor_engine.grids import Place
 from tacgen.tensor_engine.indices import index_of, listed
 from tacgen.tensor_engine.inversion import Folding, FoldingBarriers
 from tacgen.tensor_engine.laws import Laws, numbers
@@ -53,15 +54,6 @@ class Factors(Protocol):
 
     def expand(self, slots: Tensor, u: Tensor, y: Tensor) -> Tensor:
         """The step (s, n, 3) of all nodes for the condensed step u (s, 3m) and the gradient's first half y."""
-
-
-@dataclass(frozen=True)
-class Place:
-    """Where a scene's mesh is within the numbering of its batch: numbers of its nodes (m,), cells and facets."""
-
-    nodes: Array
-    cells: Array
-    facets: Array
 
 
 @dataclass
@@ -164,12 +156,11 @@ class Batch:
         problems: Sequence[Problem],
         places: Sequence[Place],
         topology: Topology,
-        X: Array,
         factors: Factors,
         patch: Array,
         device: str = "cpu",
     ) -> "Batch":
-        """Scenes before their first load step; X (B, n, 3) [mm], of void nodes too; patch (k,): node numbers.
+        """Scenes before their first load step; patch (k,): node numbers.
 
         All have the same options and points in a facet; see `engine.lacks` for scenes that have no place in a batch.
         """
@@ -188,7 +179,7 @@ class Batch:
             laws = [numbers(part.law) for part in problem.elastic]
             table[k, place.cells] = np.array(laws)[problem.mesh.layer]
             moduli[k, place.cells] = np.array([part.law.mu for part in problem.elastic])[problem.mesh.layer]
-        nodes = number(X)
+        nodes = number([place.points for place in places])
         there = torch.as_tensor(exists, device=device)
         hexes = Hexes.on(topology, nodes, there, Laws.of(number(np.moveaxis(table, -1, 0)[..., None])))
         folding = FoldingBarriers.on(topology, nodes, hexes.weights.sum(-1), number(moduli))

@@ -17,7 +17,7 @@ from tacgen.mechanics.problem import Problem, by_distance
 from tacgen.mechanics.scene import Scene
 from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine import engine, grids, refill, scheduler
-from tacgen.tensor_engine.batch import Batch, Place
+from tacgen.tensor_engine.batch import Batch
 from tacgen.tensor_engine.condensed import Condensed
 from tacgen.tensor_engine.dissection import Dissection, dissected
 from tacgen.tensor_engine.elements import Topology
@@ -84,11 +84,6 @@ class PreparedScene:
         problem = _unassembled(plan.scene, mesh.on(plan.axes, plan.scene.gel))
         return cls(plan.number, plan.scene, problem, grids.placed(plan.axes, plan.scene, plan.pattern))
 
-    @property
-    def place(self) -> Place:
-        """Where the mesh is within the batch's numbering."""
-        return Place(self.grid.nodes, self.grid.cells, self.grid.facets)
-
 
 def _unassembled(scene: Scene, grid: mesh.GelMesh) -> Problem:
     """The problem of a scene on its mesh without the tables of the CPU's sparse stiffness, which take most of the time
@@ -108,16 +103,16 @@ class ScenePool:
         """As many slots as there are scenes, which come first into them, in this order."""
         pattern, self.count, self._first = tree.pattern, len(first), dict(enumerate(first))
         topology = Topology.of(pattern.hexes, pattern.facets, pattern.size, device)
-        factors, X = Condensed(Multifrontal(tree, device, dtype), self.count), np.array([s.grid.points for s in first])
-        problems, places = [scene.problem for scene in first], [scene.place for scene in first]
-        self.batch = Batch.of(problems, places, topology, X, factors, pattern.patch, device)
+        factors = Condensed(Multifrontal(tree, device, dtype), self.count)
+        problems, places = zip(*((scene.problem, scene.grid) for scene in first), strict=True)
+        self.batch = Batch.of(problems, places, topology, factors, pattern.patch, device)
         self._frames: dict[int, Iterator[int]] = {}
         self._calls: dict[int, int] = {}  # that a scene may still have
 
     def enter(self, slot: int, scene: PreparedScene) -> None:
         """Put a scene into an empty slot, before its first frame."""
         if self._first.pop(slot, None) is not scene:
-            refill.fill(self.batch, slot, scene.problem, scene.place, scene.grid.points)
+            refill.fill(self.batch, slot, scene.problem, scene.grid)
         self._frames[slot] = engine.frames(self.batch, slot, scene.scene)
         self._calls[slot] = MOST_CALLS * len(scene.scene.poses)
         next(self._frames[slot], None)
