@@ -95,4 +95,4 @@ def frames(b: Batch, row: int, scene: Scene) -> Iterator[int]:
                 return
             each.now = SolveState(**{name: getattr(course, name) for name in SHARED})
     except NotConverged as error:
-        course.why = error
+        course.why, course.phase = error, Phase.failed

@@ -135,6 +135,13 @@ def test_each_trial_has_kernel_calls_of_its_own(monkeypatch: pytest.MonkeyPatch)
     assert normal_force(solved.states[0]) == pytest.approx(0.3, rel=DEFAULT.force_tol)
 
 
+def test_a_scene_without_a_first_frame_leaves_its_slot() -> None:
+    made = forced(small(BALL, HARD), [1.0, 1.0], hopeless=(0, NO_MORE))
+    found = dict(pool.solved([made, small(BALL, path((0, 0, -0.2)))], slots=1, least=1))
+    assert found[0] == Solved([], NO_MORE)
+    assert found[1].why is None
+
+
 def test_tighter_tolerances_are_left_to_the_cpu_engine() -> None:
     """With which it searches on where a force is too small for the usual ones; a batch has one."""
     made = forced(small(BALL, path((0, 0, -0.2))), [0.3], tol=1e-15)
