@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from tacgen.render.pictures import Pictures
 
 DENT = 0.05  # [mm] deep, of the face whose picture is rendered only to compile what renders it
-MATCHED = 2e-3  # of a force that is asked for on several sensors: within this part of it in every frame [-]
 TRACED = ("untouched", "table")  # entries of the cache that take long, and that come first of a sensor's images
 OnEvent = Callable[[dict[str, Any]], None]
 Data = TypeVar("Data", SceneData, FrameData)
@@ -187,17 +186,17 @@ def _gels(row: Row, clock: Clock, solution: SolvedScene | None = None) -> tuple[
     """The gels of a row of the plan, meshed, and what will be found at each frame."""
     if row.other is not None:
         return _grasped(row, clock)
+    known = solution if solution and solution.states else None
     with clock.stage("mesh"):
         built = scene_of_row.build(row)
     if built.forced is not None:
         with clock.stage("presolve"):
-            built = presolve.presolved(built)
+            built = presolve.refined(built, known.heights) if known else presolve.presolved(built)
     with clock.stage("mesh"):
         # a trial of a prescribed force may fold where its solution does not: such a scene is stopped by its frames
         through = row.recipe.folds == "keep" or built.forced is not None
         problem = mechanics.Problem.of(built, mesh.of(built), replace(mechanics.DEFAULT, through_folds=through))
-    known = solution.states if solution else ()
-    states = iter(known) if known else mechanics.states(built, problem, tol=None if row.pair is None else MATCHED)
+    states = iter(known.states) if known else mechanics.states(built, problem)
     return ((row, built, problem),), (((state, None),) for state in states)
 
 

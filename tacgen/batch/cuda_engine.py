@@ -5,14 +5,15 @@ something, or which it does not solve, is solved by its worker as without a GPU,
 """
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager, suppress
 from importlib.metadata import version
+from itertools import cycle
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from tacgen import __version__
 from tacgen.batch import solution_file
@@ -21,9 +22,14 @@ from tacgen.batch.worker_process import Limits
 from tacgen.bundle import resume
 from tacgen.bundle.resume import SceneResult
 from tacgen.errors import UserError
+from tacgen.mechanics import presolve
 from tacgen.mechanics.scene import Scene
 from tacgen.mechanics.solved_scene import SolvedScene
 from tacgen.recipe.row import Row
+
+if TYPE_CHECKING:
+    from tacgen.tensor_engine.engine import Solved
+    from tacgen.tensor_engine.pool import Planned
 
 CHUNK = 1024  # scenes that are solved before the first of them is written: some 3 MB of solution each
 EACH = 8  # processes at most that solve on one GPU
@@ -138,12 +144,13 @@ def _solve_all(
         return []
     from tacgen.tensor_engine.pool import divided
 
-    parts = divided(list(mapped(_pattern, rows)), count) if count > 1 else [list(range(len(rows)))]
+    plans = list(mapped(_planned, enumerate(rows)))
+    parts = divided([plan.pattern for plan in plans], count)
     share, notes = -(-count // len(devices)), list[str]()
     try:
         begun = [
-            solving.submit(_solve, [rows[k] for k in part], folder, devices[number % len(devices)], share)
-            for number, part in enumerate(parts)
+            solving.submit(_solve, {k: rows[k] for k in part}, [plans[k] for k in part], folder, device, share)
+            for part, device in zip(parts, cycle(devices), strict=False)
         ]
         notes += [note for part in begun for note in part.result()]
     except BrokenProcessPool:
@@ -155,37 +162,49 @@ def _solve_all(
     return notes
 
 
-def _pattern(row: Row) -> Any:
-    """The pattern of a row's scene, if the batch engine solves it."""
+def _planned(numbered: tuple[int, Row]) -> "Planned":
+    """A row's scene with its pattern; one with forces on its coarse mesh, which comes first."""
     from tacgen.tensor_engine.pool import Planned
 
-    return Planned.of((0, scene)).pattern if isinstance(scene := scene_of(row), Scene) else None
+    number, row = numbered
+    if isinstance(scene := scene_of(row), str):
+        return Planned(number, why=scene)
+    return Planned.of((number, scene if scene.forced is None else presolve.rough(scene)))
 
 
-def _solve(rows: Sequence[Row], folder: Path, device: str, share: int) -> list[str]:
+def _solve(rows: Mapping[int, Row], plans: Sequence["Planned"], folder: Path, device: str, share: int) -> list[str]:
     """Write a solution for each of some rows, or why there is none; `share`: processes that share the device."""
-    from tacgen.tensor_engine import pool
     from tacgen.tensor_engine.device import chosen, named
 
-    found = [scene_of(row) for row in rows]
-    scenes = {k: scene for k, scene in enumerate(found) if isinstance(scene, Scene)}
     versions = ", ".join(f"{package} {version(package)}" for package in ("numpy", "scipy", "numba"))
-    numbers, by = list(scenes), f"batch engine on {named(device)}, {versions}"
-    why = {k: one for k, one in enumerate(found) if isinstance(one, str)}
+    by = f"batch engine on {named(device)}, {versions}"
     try:
-        memory = MEMORY / share * chosen(device)
-        for number, solved in pool.solved(scenes.values(), device, memory=memory):
-            k = numbers[number]
-            if solved.why is None:
-                solution_file.write(_place(folder, rows[k]), SolvedScene(by, solved.states))
-            else:
-                why[k] = str(solved.why)
+        for k, solved, heights in _solutions(rows, plans, device, MEMORY / share * chosen(device)):
+            solution = SolvedScene(by, solved.states, heights=heights)
+            if solved.why is not None:
+                solution = SolvedScene(by, why=f"solved by the CPU engine: {solved.why}")
+            solution_file.write(_place(folder, rows[k]), solution)
     except RuntimeError as error:  # PyTorch's, as when the GPU's memory is full: the workers solve what is left
         return [f"the batch engine stopped: {str(error).splitlines()[0]}; the other scenes are solved on the CPU"]
-    finally:
-        for k, said in why.items():
-            solution_file.write(_place(folder, rows[k]), SolvedScene(by, why=f"solved by the CPU engine: {said}"))
     return []
+
+
+def _solutions(
+    rows: Mapping[int, Row], plans: Sequence["Planned"], device: str, memory: float
+) -> Iterator[tuple[int, "Solved", Sequence[float]]]:
+    """Solutions of some rows by their numbers, with the heights that presolve found."""
+    from tacgen.tensor_engine import pool
+
+    rough = {plan.number for plan in plans if plan.scene and plan.scene.forced}
+    ready, heights = [plan for plan in plans if plan.number not in rough], dict[int, list[float]]()
+    for k, solved in pool.solved([plan for plan in plans if plan.number in rough], device, memory=memory):
+        if solved.why is None and isinstance(scene := scene_of(rows[k]), Scene):
+            heights[k] = [float(state.pose[2, 3]) for state in solved.states]
+            ready.append(pool.Planned.of((k, presolve.refined(scene, heights[k]))))
+        else:
+            yield k, solved, ()
+    for k, solved in pool.solved(ready, device, memory=memory):
+        yield k, solved, heights.get(k, ())
 
 
 def _place(folder: Path, row: Row) -> Path:

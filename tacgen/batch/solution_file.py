@@ -18,6 +18,7 @@ NAMES = [field.name for field in fields(State) if field.name not in LEFT_OUT]
 def write(path: Path, solution: SolvedScene) -> None:
     """Write a solution, in whole or not at all. Without friction, what only friction has is left out."""
     found: dict[str, np.ndarray] = {"/engine": np.array(solution.engine), "/why": np.array(solution.why)}
+    found["/heights"] = np.array(solution.heights)
     for name in NAMES if solution.states else ():
         values = [getattr(state, name) for state in solution.states]
         if values[0] is not None:
@@ -35,7 +36,7 @@ def read(path: Path) -> SolvedScene | None:
         arrays = {name: found[name] for name in NAMES if name in found}
         frames = len(arrays["index"]) if arrays else 0
         states = [State(**{name: _at(arrays, name, k) for name in NAMES}) for k in range(frames)]
-        return SolvedScene(str(found["/engine"]), states, str(found["/why"]))
+        return SolvedScene(str(found["/engine"]), states, str(found["/why"]), tuple(found["/heights"].tolist()))
 
 
 def _at(arrays: dict[str, np.ndarray], name: str, frame: int) -> Any:

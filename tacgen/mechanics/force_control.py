@@ -1,11 +1,13 @@
 """Root of an increasing function in few evaluations: a secant method that is kept inside the known bracket."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from enum import Enum
+from typing import TypeVar
 
 POWER = 2 / 3  # exponent of the value that makes it linear in u for a ball pressed in by u (Hertz) [-]
 AT_END = 1e-12  # distance of u from an end at which it counts as the end
 TRIALS = 30  # most evaluations
+T = TypeVar("T")
 
 
 class End(Enum):
@@ -18,7 +20,7 @@ class End(Enum):
 
 
 def meet(
-    f: Callable[[float], float | None],
+    f: Callable[[float], Generator[T, None, float | None]],
     target: float,
     *,
     known: tuple[float, float],
@@ -26,11 +28,12 @@ def meet(
     low: float,
     high: float,
     tol: float,
-) -> End:
+) -> Generator[T, None, End]:
     """Evaluate an increasing f until f(u) is `target` within the relative tolerance `tol`; the last u is the result.
 
     Args:
-        f: may return nan where it has no value, which counts as above the target, or None to stop the search.
+        f: yields what it needs done, which is passed on, and returns its value; nan where it has none, which counts as
+            above the target; or None to stop the search.
         known: (u, f(u)), not evaluated again. guess: first u. low, high: the interval; f(low) < target.
     """
     bounded = known[1] >= target  # whether an evaluation is an upper bound
@@ -40,7 +43,7 @@ def meet(
         inside = below[0] < u < above[0] or (u == high and not bounded)
         if not inside or step % 6 == 5:  # bisection, if the secant approaches from one side only
             u = (below[0] + above[0]) / 2
-        if (v := f(u)) is None:
+        if (v := (yield from f(u))) is None:
             return End.stopped
         if abs(v - target) <= tol * target:
             return End.met

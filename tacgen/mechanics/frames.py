@@ -1,11 +1,11 @@
 """The states of all frames along the path.
 
 Each frame is at exactly the given pose, or at the height of the prescribed force. If a frame has no solution the
-scene is rejected.
+scene is rejected. `path` says what is to be solved, and whichever engine there is solves it.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -14,15 +14,25 @@ import numpy as np
 from tacgen.geometry.pose import Pose, shortest_turn
 from tacgen.mechanics.failures import Failure, NotConverged
 from tacgen.mechanics.force_control import POWER, End, meet
+from tacgen.mechanics.load_stepping import at_once, to_pose
 from tacgen.mechanics.options import DEFAULT, tighter
 from tacgen.mechanics.problem import Problem
 from tacgen.mechanics.scene import FORCE_DEPTH, Scene
 from tacgen.mechanics.solve_state import SolveState
-from tacgen.mechanics.solver import advance, equilibrium
+from tacgen.mechanics.solver import solve
 from tacgen.mechanics.state import History, State
 
 Array = np.ndarray
+ON_THE_WAY = 1e-2  # tolerance of a force in the frames before the end of a movement [-]
 RISE = np.outer(np.eye(4)[2], np.eye(4)[3])  # added to a pose: 1 mm along z
+
+
+@dataclass
+class Task:
+    """A solve that a path needs: its problem, and its record, for which whoever solves it puts that at its end."""
+
+    problem: Problem
+    now: SolveState
 
 
 @dataclass(frozen=True)
@@ -38,8 +48,8 @@ class Aim:
 
 def _reach_force(
     problem: Problem, history: History, last: Array, guess: Array, index: int, duration: float, aim: Aim
-) -> SolveState:
-    """From pose `last` to the height with the force aimed at, else at pose `guess`.
+) -> Generator[Task, None, SolveState]:
+    """From pose `last` to the height with the force aimed at, else at pose `guess`: the last of the tasks.
 
     Every trial starts from the same history, so that rejected trials do not influence friction; all trials share one
     budget of Newton steps. Raises NotConverged: no height has that force.
@@ -47,11 +57,12 @@ def _reach_force(
     target, before, floor = aim.target, aim.before, aim.floor
     trials: list[SolveState] = []
 
-    def force_at(u: float) -> float | None:
+    def force_at(u: float) -> Generator[Task, None, float | None]:
         pose = guess.copy()
         pose[2, 3] = -u
         near = next((t.state for t in reversed(trials) if t.failure is None), None)
-        trials.append(trial(problem, history, last, pose, index, duration, near, trials[-1].effort if trials else 0))
+        effort = trials[-1].effort if trials else 0
+        trials.append((yield from trial(problem, history, last, pose, index, duration, near, effort)))
         if (failure := trials[-1].failure) is not None:
             return None if failure.failure is Failure.effort else math.nan
         return normal_force(trials[-1].reached()[1])
@@ -63,7 +74,7 @@ def _reach_force(
     if elsewhere:
         known = -face, 0.0
     low = -max(last[2, 3], guess[2, 3], floor + problem.thickness)
-    end = meet(force_at, target, known=known, guess=at, low=low, high=-floor, tol=aim.tol)
+    end = yield from meet(force_at, target, known=known, guess=at, low=low, high=-floor, tol=aim.tol)
     found = [t.reached()[1] for t in trials if t.failure is None]
     if end is End.met:
         history, state = trials[-1].reached()
@@ -77,7 +88,7 @@ def _reach_force(
         raise NotConverged(Failure.force_effort, asked=target, why=refused[-1], most=most)
     if not refused and problem.options.step_tol >= DEFAULT.step_tol:  # tolerances are large beside light forces
         finer = replace(problem, options=tighter(problem.options))
-        return _reach_force(finer, history, last, guess, index, duration, aim)
+        return (yield from _reach_force(finer, history, last, guess, index, duration, aim))
     why = refused[-1] if refused else f"not met within {aim.tol:g} of it in {len(trials)} trials"
     raise NotConverged(Failure.force, asked=target, most=most, why=why)
 
@@ -85,14 +96,18 @@ def _reach_force(
 def trial(
     problem: Problem, history: History, last: Array, pose: Array, index: int, duration: float, near: State | None,
     effort: int = 0,
-) -> SolveState:  # fmt: skip
+) -> Generator[Task, None, SolveState]:  # fmt: skip
     """From pose `last` to `pose`, counting Newton steps from `effort`; at once from a solution nearby if that does."""
     if near is not None and near.substeps == 1:
-        now = equilibrium(problem, history, pose, index, duration, near=near, effort=effort)
-        if now.failure is None or now.failure.failure is Failure.effort:
-            return now
-        effort = now.effort
-    return advance(problem, history, last, pose, shortest_turn(last, pose), index, duration, effort=effort)
+        task = Task(problem, at_once(history, pose, index, duration, near=near, effort=effort))
+        yield task
+        if task.now.failure is None or task.now.failure.failure is Failure.effort:
+            return task.now
+        effort = task.now.effort
+    turn = shortest_turn(last, pose)
+    task = Task(problem, to_pose(problem, history, last, pose, turn, index, duration, effort=effort))
+    yield task
+    return task.now
 
 
 def normal_force(state: State) -> float:
@@ -100,20 +115,26 @@ def normal_force(state: State) -> float:
     return -float(state.traction_force[..., 2].sum())
 
 
-def states(scene: Scene, problem: Problem, *, tol: float | None = None) -> Iterator[State]:
+def states(scene: Scene, problem: Problem) -> Iterator[State]:
     """The gel at every frame of the path, in order.
-
-    Forces have the relative tolerance `tol` in every frame; without `tol`, the options' `force_tol` at the end of a
-    movement and 1e-2 in the frames before.
 
     Raises:
         NotConverged: a frame has no solution; it and all later frames are missing, since each depends on the last.
     """
+    for each in path(scene, problem):
+        if isinstance(each, State):
+            yield each
+        else:
+            each.now = solve(each.problem, each.now)
+
+
+def path(scene: Scene, problem: Problem) -> Iterator[Task | State]:
+    """The solves of a scene, each of which must be done before the next one is asked for, and the states of its frames,
+    each behind its solves. Raises NotConverged: a frame has no solution."""
     history, last = problem.rest(Pose.of(scene.start)), scene.start
-    end_tol, way_tol = (problem.options.force_tol, 1e-2) if tol is None else (tol, tol)
     forced, shift, before, start_force = scene.forced, 0.0, 0.0, 0.0
     previous: State | None = None
-    for index, pose in enumerate(scene.poses):
+    for index, pose in enumerate(scene.poses[: forced.end if forced else None]):
         duration = math.inf if scene.duration is None else float(scene.duration[index])
         if forced is not None and forced.hopeless is not None and forced.hopeless[0] == index:
             raise forced.hopeless[1]
@@ -121,9 +142,10 @@ def states(scene: Scene, problem: Problem, *, tol: float | None = None) -> Itera
             start_force = before
         if forced is not None and np.isfinite(asked := forced.asked[index]):
             target = start_force + forced.part[index] * (asked - start_force)
-            part_tol = end_tol if forced.part[index] == 1 else way_tol
-            aim = Aim(target, before, forced.floor[index], part_tol)
-            history, state = _reach_force(problem, history, last, pose, index, duration, aim).reached()
+            tol = forced.tol or (problem.options.force_tol if forced.part[index] == 1 else ON_THE_WAY)
+            aim = Aim(target, before, forced.floor[index], tol)
+            found = yield from _reach_force(problem, history, last, pose, index, duration, aim)
+            history, state = found.reached()
             shift = state.pose[2, 3] - pose[2, 3]
             if -shift > forced.below[index] + 1e-9:
                 raise NotConverged(Failure.deeper, asked=target, depth=-shift)
@@ -131,7 +153,9 @@ def states(scene: Scene, problem: Problem, *, tol: float | None = None) -> Itera
             if forced is not None and shift:
                 pose = pose + forced.carry[index] * shift * RISE
             turn = shortest_turn(last, pose) if scene.turns is None else scene.turns[index]
-            history, state = advance(problem, history, last, pose, turn, index, duration).reached()
+            task = Task(problem, to_pose(problem, history, last, pose, turn, index, duration))
+            yield task
+            history, state = task.now.reached()
         if forced is not None:
             before = normal_force(state)
         previous = state.following(previous)

@@ -25,6 +25,7 @@ from tacgen.mechanics.presolve import COARSE
 from tacgen.mechanics.problem import Problem
 from tacgen.mechanics.rigid_stiffness import stiffness
 from tacgen.mechanics.scene import Scene
+from tacgen.mechanics.solver import solve
 from tacgen.mechanics.state import History, State
 
 Array = np.ndarray
@@ -202,7 +203,9 @@ class Frame:
         for side, problem in enumerate(self.problems):
             there, before = seen_from(side, width, pose), seen_from(side, self.last.width, self.last.pose)
             close = None if near is None else near.gels[side][1]
-            gels.append(trial(problem, self.last.gels[side][0], before, there, self.index, math.inf, close).reached())
+            for task in trial(problem, self.last.gels[side][0], before, there, self.index, math.inf, close):
+                task.now = solve(problem, task.now)
+            gels.append(task.now.reached())
             state, look = gels[-1][1], LOOKS[side]
             force = state.traction_force @ look.T
             at = problem.contact.faces.at(state.x) @ look.T + finger(side, width)[:3, 3]

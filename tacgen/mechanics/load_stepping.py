@@ -3,12 +3,14 @@
 import math
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
 from tacgen.geometry.pose import Pose, along, between
 from tacgen.mechanics.admission import sharp
 from tacgen.mechanics.failures import Failure
+from tacgen.mechanics.options import SolverOptions
 from tacgen.mechanics.phases import Outcome
 from tacgen.mechanics.problem import Problem
 from tacgen.mechanics.solve_state import Leg, SolveState, known
@@ -19,29 +21,46 @@ FOLD_HALVINGS = 2  # most halvings of a load step until a damped step counts as 
 TOO_FAR = 12  # most halvings of a load step in which the indenter might tunnel through the gel
 
 
-def divided(
-    problem: Problem, history: History, a: Array, b: Array, turn: Array, duration: float, shared: bool = False
-) -> tuple[Leg, ...]:
-    """The load steps from pose a to pose b; `shared`: they share their count of Newton steps with what came before."""
+def to_pose(
+    problem: Problem, history: History, a: Array, b: Array, turn: Array, index: int, duration: float, **how: Any
+) -> SolveState:
+    """Before the first load step from pose a to pose b (4, 4) at constant speed, rotating by `turn` (3,) [rad], in
+    `duration` [s].
+
+    how: other fields of SolveState; with an `effort`, all load steps share the count of Newton steps, which begins
+    with it.
+    """
     n = max(problem.steps(duration), steps_needed(problem, history, a, b, turn))
     poses = pairwise([a, *along(a, b, turn, n)])
-    return tuple(Leg(start, end, turn / n, duration / n, budget=not shared) for start, end in poses)
+    legs = tuple(Leg(start, end, turn / n, duration / n, budget="effort" not in how) for start, end in poses)
+    return SolveState(index, history, legs, **how)
+
+
+def at_once(history: History, b: Array, index: int, duration: float = math.inf, **how: Any) -> SolveState:
+    """Before a load step, which is not halved, from `history` to pose b (4, 4) in `duration` [s]; how: as to_pose."""
+    leg = Leg(b, b, np.zeros(3), duration, budget="effort" not in how)
+    return SolveState(index, history, (leg,), may_halve=False, **how)
 
 
 def halve(problem: Problem, now: SolveState) -> tuple[Outcome, SolveState]:
     """The failed load step as two halves, unless it has been halved as often as its failure allows."""
     if problem.condensed:
         problem.tangent.condensation.usable = False
-    now, failure, leg = now.between(), known(now.failure).failure, now.legs[0]
-    farther = failure == Failure.too_far
-    most = FOLD_HALVINGS if failure == Failure.folds else problem.options.halvings
-    spent = leg.far == TOO_FAR if farther else leg.halved >= most
-    if spent or not now.may_halve or failure == Failure.effort:
+    now = now.between()
+    if not (halves := halved(now.legs[0], known(now.failure).failure, problem.options)) or not now.may_halve:
         return Outcome.failure, now
-    turn, middle = leg.turn / 2, between(leg.a, leg.b, leg.turn, 0.5)
-    halved, far = leg.halved + (not farther), leg.far + farther
-    half = leg._replace(turn=turn, duration=leg.duration / 2, halved=halved, far=far, budget=False)
-    return Outcome.more, replace(now, legs=(half._replace(b=middle), half._replace(a=middle), *now.legs[1:]))
+    return Outcome.more, replace(now, legs=(*halves, *now.legs[1:]))
+
+
+def halved(leg: Leg, failure: Failure, options: SolverOptions) -> tuple[Leg, ...]:
+    """Two halves of a load step that failed; none if it has been halved as often as its failure allows."""
+    farther = failure == Failure.too_far
+    most = FOLD_HALVINGS if failure == Failure.folds else options.halvings
+    if (leg.far == TOO_FAR if farther else leg.halved >= most) or failure == Failure.effort:
+        return ()
+    middle, times, far = between(leg.a, leg.b, leg.turn, 0.5), leg.halved + (not farther), leg.far + farther
+    half = leg._replace(turn=leg.turn / 2, duration=leg.duration / 2, halved=times, far=far, budget=False)
+    return half._replace(b=middle), half._replace(a=middle)
 
 
 def steps_needed(problem: Problem, history: History, a: Array, b: Array, turn: Array) -> int:

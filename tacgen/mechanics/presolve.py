@@ -1,5 +1,6 @@
 """Depths of frames with a prescribed force, by a solve on a coarse mesh: the final mesh is made fine there."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -24,24 +25,39 @@ def presolved(scene: Scene) -> Scene:
     forced = scene.forced
     if forced is None:
         return scene
-    end = int(np.flatnonzero(np.isfinite(forced.asked))[-1]) + 1
-    edge = max(scene.edge, scene.gel.thickness / COARSE)
-    rough = replace(scene, edge=edge, dhat=max(scene.dhat, 0.05), surface=None)
-    problem = mechanics.Problem.of(rough, mesh.of(rough))
-    poses, below, shift = scene.poses.copy(), forced.below.copy(), 0.0
+    coarse = rough(scene)
     try:
-        heights = [
-            state.pose[2, 3] for _, state in zip(range(end), mechanics.states(rough, problem, tol=0.05), strict=False)
-        ]
+        found = mechanics.states(coarse, mechanics.Problem.of(coarse, mesh.of(coarse)))
+        heights = [state.pose[2, 3] for state in found]
     except NotConverged as error:
         if error.failure != Failure.too_much or error.data["asked"] < HOPELESS * error.data["most"]:
             return scene
         hopeless = error.data["index"], NotConverged(Failure.hopeless, why=error)
-        return replace(scene, forced=replace(forced, below=np.zeros_like(below), hopeless=hopeless))
+        return replace(scene, forced=replace(forced, below=np.zeros_like(forced.below), hopeless=hopeless))
+    return refined(scene, heights)
+
+
+def rough(scene: Scene) -> Scene:
+    """A scene with forces on a coarse mesh, up to the last force, to some percent of it."""
+    forced = scene.forced
+    assert forced is not None
+    forced = replace(forced, tol=0.05, end=int(np.flatnonzero(np.isfinite(forced.asked))[-1]) + 1)
+    return replace(scene, edge=_coarse(scene), dhat=max(scene.dhat, 0.05), surface=None, forced=forced)
+
+
+def _coarse(scene: Scene) -> float:
+    return max(scene.edge, scene.gel.thickness / COARSE)
+
+
+def refined(scene: Scene, heights: Sequence[float]) -> Scene:
+    """A scene with the heights [mm] at which its rough one has the forces, as guesses."""
+    forced = scene.forced
+    assert forced is not None
+    poses, below, shift = scene.poses.copy(), forced.below.copy(), 0.0
     for i in range(len(poses)):
         if np.isfinite(forced.asked[i]):
             shift = heights[i] - poses[i, 2, 3]
             depth = forced.floor[i] + FORCE_DEPTH * scene.gel.thickness - heights[i]
-            below[i] = min(0.25 * depth + edge / 4, heights[i] - forced.floor[i])
+            below[i] = min(0.25 * depth + _coarse(scene) / 4, heights[i] - forced.floor[i])
         poses[i, 2, 3] += forced.carry[i] * shift
     return replace(scene, poses=poses, forced=replace(forced, below=below))

@@ -22,8 +22,9 @@ class Forced:
     asked: force at the end of the segment [N], nan where the height is given; part: fraction of the segment's change of
     force that is reached at a frame [-]; carry: fraction of the difference between the last found height and its guess
     that is added to a later pose [-]; floor: lowest height of the indenter's origin in the search [mm]; below: largest
-    depth of a frame below its guess [mm], which the fine part of the mesh allows for; hopeless: a frame whose force the
-    gel cannot bear, and the failure.
+    depth of a frame below its guess [mm], which the fine part of the mesh allows for; tol: relative tolerance of every
+    force; None: the options' `force_tol` at the end of a movement, and more on the way there; end: number of frames to
+    solve, all unless given; hopeless: a frame whose force the gel cannot bear, and the failure.
     """
 
     asked: Array
@@ -31,6 +32,8 @@ class Forced:
     carry: Array
     floor: Array
     below: Array
+    tol: float | None = None
+    end: int | None = None
     hopeless: "tuple[int, NotConverged] | None" = None
 
     @property

@@ -9,8 +9,9 @@ from tacgen.mechanics.state import State
 @dataclass(frozen=True)
 class SolvedScene:
     """States of all frames, and the engine and its versions, as bundles name them; or no state, and `why` there is
-    none."""
+    none. heights: those that presolve found, for a scene with forces [mm]."""
 
     engine: str
     states: Sequence[State] = ()
     why: str = ""
+    heights: Sequence[float] = ()

@@ -1,6 +1,7 @@
 """The scene of one row of a plan: gel, laws, indenter, path and tolerances as arrays and numbers."""
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from tacgen.sensor.model import Sensor
 
 Array = np.ndarray
 TONNES_PER_MM3 = 1e-12  # 1 kg/m^3 in t/mm^3
+MATCHED = 2e-3  # of a force that is asked for on several sensors: within this part of it in every frame [-]
 SDF_CELL = 0.25  # cell of a mesh's signed distance over the element edge [-]; edges are rounded by about two cells
 
 
@@ -101,7 +103,10 @@ def build(row: Row) -> Scene:
     if len(off_face):
         x, y = off_face[0]
         raise UserError(f"trajectory: would carry the indenter's axis off the gel's coated face, to ({x:g}, {y:g})")
-    more = (path.forced, _dynamics(recipe), _durations(row, path), element, _surface(row, shape), path.turns)
+    forced = path.forced
+    if forced is not None and row.pair is not None:
+        forced = replace(forced, tol=MATCHED)
+    more = (forced, _dynamics(recipe), _durations(row, path), element, _surface(row, shape), path.turns)
     return Scene(gel, shape, path.poses, path.start, path.segment, friction, edge, dhat, *more)
 
 

@@ -21,6 +21,7 @@ from tacgen.mechanics.state import History, State
 from tacgen.mechanics.tunnelling import half_wall
 from tacgen.tensor_engine.contact import Contacts
 from tacgen.tensor_engine.elements import Hexes, HexPoints, Topology
+from tacgen.tensor_engine.grids import Place
 from tacgen.tensor_engine.indices import index_of, listed
 from tacgen.tensor_engine.inversion import Folding, FoldingBarriers
 from tacgen.tensor_engine.laws import Laws, numbers
@@ -56,15 +57,6 @@ class Factors(Protocol):
         """The step (s, n, 3) of all nodes for the condensed step u (s, 3m) and the gradient's first half y."""
 
 
-@dataclass(frozen=True)
-class Place:
-    """Where a scene's mesh is within the numbering of its batch: numbers of its nodes (m,), cells and facets."""
-
-    nodes: Array
-    cells: Array
-    facets: Array
-
-
 @dataclass
 class Course:
     """How far a scene's solve is: as SolveState, BulkIterate and Linearised say it, but for arrays."""
@@ -74,6 +66,8 @@ class Course:
     phase: Phase = Phase.begin
     index: int = 0
     legs: tuple[Leg, ...] = ()
+    near: bool = False  # whether x has a solution nearby, to start from
+    may_halve: bool = True
     effort: int = 0
     state: State | None = None
     states: list[State] = field(default_factory=list)
@@ -82,7 +76,6 @@ class Course:
     failure: NotConverged | None = None
     usable: bool = False  # whether the kept factor serves
     left: bool = False  # whether its contact is where the factors cannot be condensed to
-    error: bool = False  # whether the last step's prediction has an error to learn from
     nodes: int = 0  # condensed ones, and facets with them
     facets: int = 0
     # of the load step
@@ -163,12 +156,11 @@ class Batch:
         problems: Sequence[Problem],
         places: Sequence[Place],
         topology: Topology,
-        X: Array,
         factors: Factors,
         patch: Array,
         device: str = "cpu",
     ) -> "Batch":
-        """Scenes before their first load step; X (B, n, 3) [mm], of void nodes too; patch (k,): node numbers.
+        """Scenes before their first load step; patch (k,): node numbers.
 
         All have the same options and points in a facet; see `engine.lacks` for scenes that have no place in a batch.
         """
@@ -187,7 +179,7 @@ class Batch:
             laws = [numbers(part.law) for part in problem.elastic]
             table[k, place.cells] = np.array(laws)[problem.mesh.layer]
             moduli[k, place.cells] = np.array([part.law.mu for part in problem.elastic])[problem.mesh.layer]
-        nodes = number(X)
+        nodes = number([place.points for place in places])
         there = torch.as_tensor(exists, device=device)
         hexes = Hexes.on(topology, nodes, there, Laws.of(number(np.moveaxis(table, -1, 0)[..., None])))
         folding = FoldingBarriers.on(topology, nodes, hexes.weights.sum(-1), number(moduli))
@@ -221,7 +213,7 @@ class Batch:
         def index(*shape: int) -> Tensor:
             return zeros(*shape, dtype=torch.long)
 
-        of_face = {"h_N": (f, q), "h_gap": (f, q), "h_normal": (f, q, 3), "h_anchor": (f, q, 3), "anchor": (f, q, 3)}
+        of_face = {"h_N": (f, q), "h_gap": (f, q), "h_anchor": (f, q, 3), "anchor": (f, q, 3)}
         of_face |= {"h_motion": (f, q, 3), "motion": (f, q, 3)}
         of_nodes = ["h_x", "h_error", "ahead", "first_order", "begins", "x", "stepped", "g", "y"]
         alone = ["h_offset", "h_kappa", "h_least", "offset", "kappa", "folds", "energy", "stepped_energy"]

@@ -1,40 +1,31 @@
 """Contact and Coulomb friction of many scenes: forces, tangents and the merit function at the points of facets.
 
-Formulas as in mechanics.barrier and mechanics.coupled. Points are (s, f, q, 3), in the sensor's frame.
+On a GPU by kernels, elsewhere by mechanics.coupled. Points are (s, f, q, 3), in the sensor's frame.
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from tacgen.mechanics.barrier import SOFT
-from tacgen.tensor_engine.products import outer, product, times
+from tacgen.geometry.pose import Pose
+from tacgen.mechanics.barrier import SOFT, Contact, Faces
+from tacgen.mechanics.coupled import CoupledContact
 from tacgen.tensor_engine.shapes import Shapes
 
 NOWHERE = 1e9  # gap of facets that do not exist [mm]
+NO_SLOTS = np.zeros((0, 0), np.int32)  # of a sparse matrix, which there is none
 
 
 def barrier(d: Tensor, dhat: Tensor) -> Tensor:
     """Clamped log barrier [mm] at gaps d [mm]; see mechanics.barrier.barrier."""
-    t, r, ln, below = _clamped(d, dhat)
-    first, second = 2 * r * ln - r**2 / t, -2 * ln + 4 * r / t + (r / t) ** 2
-    return dhat * (first * below + second / 2 * below**2 - r**2 * ln)
-
-
-def barrier_slopes(d: Tensor, dhat: Tensor) -> tuple[Tensor, Tensor]:
-    """Its derivatives db/dd [-] and d2b/dd2 [1/mm]."""
-    t, r, ln, below = _clamped(d, dhat)
-    part = r / t
-    second = part * (4 + part) - 2 * ln
-    return r * (2 * ln - part) + second * below, second / dhat
-
-
-def _clamped(d: Tensor, dhat: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """The gap over dhat where the barrier is a logarithm, 1 less it, its logarithm, and what is below that range."""
     s = d / dhat
     t = s.clamp(SOFT, 1.0)
-    return t, 1 - t, torch.log(t), (s - SOFT).clamp(max=0.0)
+    r, ln, below = 1 - t, torch.log(t), (s - SOFT).clamp(max=0.0)
+    first, second = 2 * r * ln - r**2 / t, -2 * ln + 4 * r / t + (r / t) ** 2
+    return dhat * (first * below + second / 2 * below**2 - r**2 * ln)
 
 
 def slip(x: Tensor, anchor: Tensor, normal: Tensor) -> Tensor:
@@ -48,28 +39,23 @@ def smooth(u: Tensor, eps: Tensor) -> Tensor:
     return torch.where(u < eps, u**2 * (eps - u / 3) / eps**2, u - eps / 3)
 
 
-def smooth_slope(u: Tensor, eps: Tensor) -> Tensor:
-    """f0'/|u| at slip lengths u [mm]."""
-    return torch.where(u < eps, (2 - u / eps) / eps, 1 / torch.maximum(u, 1e-12 * eps))
-
-
 @dataclass(frozen=True)
 class Forces:
     """Contact at given positions: gap (s, f, q) [mm], `at` and normal (s, f, q, 3), normal force N (s, f, q) [N], force
-    on the gel (s, f, q, 3) [N]; and where they were asked for its negative derivative `tangent` (s, f, q, 3, 3), and
-    `definite`; see mechanics.coupled.ContactForces."""
+    on the gel (s, f, q, 3) [N], its negative derivative `tangent` (s, f, q, 3, 3), and `definite`; see
+    mechanics.coupled.ContactForces."""
 
     gap: Tensor
     at: Tensor
     normal: Tensor
     N: Tensor
     force: Tensor
-    tangent: Tensor | None = None
-    definite: Tensor | None = None
+    tangent: Tensor
+    definite: Tensor
 
     def rows(self, which: Tensor) -> "Forces":
         """Only some scenes."""
-        return Forces(*(None if part is None else part[which] for part in vars(self).values()))
+        return Forces(*(part[which] for part in vars(self).values()))
 
     @property
     def total(self) -> Tensor:
@@ -80,6 +66,9 @@ class Forces:
     def mean_gap(self) -> Tensor:
         """Force-weighted mean gap (s,) [mm]; 0 without contact."""
         return (self.N * self.gap).sum((1, 2)) / self.total.clamp(min=1e-300)
+
+
+NAMES = [field.name for field in fields(Forces)]
 
 
 @dataclass(frozen=True)
@@ -139,39 +128,32 @@ class Contacts:
         shape = (len(at), *(1,) * (at.dim() - 4), *self.areas.shape[1:])
         return torch.where(self.areas.view(shape) > 0, d + self.offset.view(-1, *(1,) * (d.dim() - 1)), NOWHERE)
 
-    def gaps(self, at: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Gap (s, f, q), gradient (s, f, q, 3) and Hessian (s, f, q, 3, 3) at points, in the sensor's frame."""
-        shape = at.shape
-        d, n, H = self.shapes.distance(self.local(at).flatten(1, 2))
-        d, n, H = d.view(shape[:3]), n.view(shape), H.view(*shape, 3)
-        return _in_sensor(d, n, H, self.rotation[:, None, None], self.offset[:, None, None], self.areas)
-
     def _numbers(self) -> tuple[Tensor, ...]:
         """Weights kappa A (s, f, q), and dhat, eps and friction (s, 1, 1)."""
         dhat, eps, friction = (part[:, None, None] for part in (self.dhat, self.eps, self.friction))
         return self.kappa[:, None, None] * self.areas, dhat, eps, friction
 
     def evaluate(self, x: Tensor) -> Forces:
-        """Forces at nodes x (s, n, 3)."""
+        """Forces and tangents at nodes x (s, n, 3); where points overlap, without the rotation of the normal."""
         if x.is_cuda:
-            return self._on_gpu(x)
-        at = self.points(x)
-        d, g, _ = self.gaps(at)
-        return Forces(d, at, *_forces(d, g, at - self.anchor, *self._numbers()))
+            from tacgen.tensor_engine import gpu_contact
 
-    def tangents(self, x: Tensor) -> Forces:
-        """Forces with tangents at nodes x (s, n, 3); where points overlap, without the rotation of the normal."""
-        if x.is_cuda:
-            return self._on_gpu(x)
-        at = self.points(x)
-        d, g, H = self.gaps(at)
-        u, numbers = at - self.anchor, self._numbers()
-        return Forces(d, at, *_forces(d, g, u, *numbers), *_tangents(d, g, H, u, *numbers))
+            return Forces(*gpu_contact.forces(self, x))
+        found = [one.evaluate(at) for one, at in zip(self._alone(), x.double().numpy(), strict=True)]
+        parts = {name: torch.from_numpy(np.stack([getattr(one, name) for one in found])) for name in NAMES}
+        return Forces(**parts | {"gap": torch.where(self.areas > 0, parts["gap"], NOWHERE)})
 
-    def _on_gpu(self, x: Tensor) -> Forces:
-        from tacgen.tensor_engine import gpu_contact
+    def _alone(self) -> Iterator[CoupledContact]:
+        """The contact of each scene alone."""
+        for k, shape in enumerate(self.shapes.each()):
+            faces = Faces(self.conn[k].numpy(), self.N.numpy(), self.areas[k].numpy(), NO_SLOTS)
+            pose = Pose(self.rotation[k].numpy(), self.position[k].numpy())
+            numbers = (self.dhat, self.kappa, self.offset, self.friction, self.eps)
+            dhat, kappa, offset, friction, eps = (part[k].item() for part in numbers)
+            contact = Contact(faces, shape, pose, dhat, kappa, offset)
+            yield CoupledContact(contact, friction, self.anchor[k].numpy(), eps)
 
-        return Forces(*gpu_contact.forces(self, x))
+    tangents = evaluate
 
     def merits(self, x: Tensor, p: Tensor, fractions: Tensor, frozen: Forces) -> Tensor:
         """Energy (s, t) [N mm] of the barrier and of friction after fractions (s, t) of steps p (s, n, 3) from x, with
@@ -197,53 +179,6 @@ class Contacts:
         way = torch.linalg.norm(self.points(p), dim=-1)
         allowed = gap.clamp(min=0.0) + reach[:, None, None] / 2
         return (allowed / way.clamp(min=1e-300)).flatten(1).amin(1).clamp(max=1.0)
-
-
-def _in_sensor(
-    d: Tensor, n: Tensor, H: Tensor, R: Tensor, offset: Tensor, areas: Tensor
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Gaps, gradients and Hessians in the sensor's frame, of distances in the indenter's."""
-    d = torch.where(areas > 0, d + offset, NOWHERE)
-    return d, times(R, n), product(product(R, H), R.mT)
-
-
-def _forces(
-    d: Tensor, g: Tensor, u: Tensor, weight: Tensor, dhat: Tensor, eps: Tensor, mu: Tensor
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Normals, normal forces and forces, from gaps and their gradients, the way u from the anchors, weights kappa A,
-    and numbers of the contact; see mechanics.coupled."""
-    size = torch.linalg.vector_norm(g, dim=-1).clamp(min=1e-12)
-    n, N = g / size[..., None], -weight * barrier_slopes(d, dhat)[0] * size
-    t = u - (u * n).sum(-1)[..., None] * n
-    slope = smooth_slope(torch.linalg.vector_norm(t, dim=-1), eps)
-    return n, N, N[..., None] * n - (mu * N * slope)[..., None] * t
-
-
-def _tangents(
-    d: Tensor, g: Tensor, H: Tensor, u: Tensor, weight: Tensor, dhat: Tensor, eps: Tensor, mu: Tensor
-) -> tuple[Tensor, Tensor]:
-    """tangent and definite of Forces, with Hessians H of the gaps; the rest as in _forces."""
-    db, ddb = barrier_slopes(d, dhat)
-    touching = (db != 0)[..., None, None]
-    H = torch.where((d < 0)[..., None, None], 0.0, H)
-    size = torch.linalg.vector_norm(g, dim=-1).clamp(min=1e-12)
-    n, N = g / size[..., None], -weight * db * size
-    normal = (weight * ddb)[..., None, None] * outer(g, g)
-    un = (u * n).sum(-1)[..., None]
-    t = u - un * n
-    length = torch.linalg.vector_norm(t, dim=-1)
-    slope, v = smooth_slope(length, eps), torch.maximum(length, 1e-12 * eps)
-    bend = torch.where(length < eps, -1 / (eps**2 * v), -1 / v**3)
-    slope, bend, force = slope[..., None, None], bend[..., None, None], (mu * N)[..., None, None]
-    across = torch.eye(3, dtype=g.dtype, device=g.device) - outer(n, n)
-    definite = normal + force * (slope * across + bend * outer(t, t))
-    Hn, Ht = times(H, n), times(H, t) / size[..., None]
-    turned = un[..., None] * (H - outer(n, Hn)) / size[..., None, None] + outer(n, Ht)
-    P = across - turned
-    v = slope * P + bend * outer(t, times(P.mT, t))
-    dN = -weight[..., None] * ((ddb * size)[..., None] * g + db[..., None] * Hn)
-    tangent = normal + (weight * db)[..., None, None] * H + force * v + mu[..., None, None] * slope * outer(t, dN)
-    return torch.where(touching, tangent, 0.0), torch.where(touching, definite, 0.0)
 
 
 def _merit(

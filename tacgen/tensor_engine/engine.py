@@ -1,24 +1,23 @@
 """The batch engine: the method's table run for all scenes of a batch, kernel by kernel."""
 
-import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-import numpy as np
+import torch
 from torch import Tensor
 
-from tacgen.geometry.pose import shortest_turn
 from tacgen.mechanics.failures import NotConverged
-from tacgen.mechanics.load_stepping import divided
+from tacgen.mechanics.frames import path
 from tacgen.mechanics.phases import TRANSITIONS, Outcome, Phase
 from tacgen.mechanics.scene import Scene
+from tacgen.mechanics.solve_state import SolveState
 from tacgen.mechanics.state import State
 from tacgen.tensor_engine import admission, bulk_newton, load_step
-from tacgen.tensor_engine.batch import Batch, Course
+from tacgen.tensor_engine.batch import Batch
 from tacgen.tensor_engine.laws import numbers
 from tacgen.tensor_engine.shapes import known
 
-Array = np.ndarray
+SHARED = ("index", "history", "legs", "may_halve", "effort", "phase", "state", "failure")  # by Course and SolveState
 KERNELS: dict[Phase, Callable[[Batch, Tensor], list[Outcome]]] = {
     Phase.begin: load_step.begin,
     Phase.renew: load_step.renew,
@@ -41,7 +40,6 @@ def lacks(scene: Scene) -> str | None:
     wanted = {
         "a mesh of tets": scene.element != "hex",
         "contact between meshes": scene.surface is not None,
-        "a prescribed force": scene.forced is not None,
         "inertia": scene.dynamics is not None,
         "a viscous gel": scene.duration is not None and any(layer.prony for layer in scene.gel.layers),
         "this material law": any(numbers(layer.law) is None for layer in scene.gel.layers),
@@ -67,26 +65,34 @@ def advance(b: Batch, phase: Phase, rows: list[int]) -> None:
 
 
 def frames(b: Batch, row: int, scene: Scene) -> Iterator[int]:
-    """Puts frame after frame before the first kernel, each time the one before is solved; yields their numbers."""
-    course, last = b.courses[row], scene.start
-    previous: State | None = None
-    for index, pose in enumerate(scene.poses):
-        turn = shortest_turn(last, pose) if scene.turns is None else scene.turns[index]
-        duration = math.inf if scene.duration is None else float(scene.duration[index])
-        assert course.history is not None
-        course.legs = divided(course.problem, course.history, last, pose, turn, duration)
-        course.phase, course.index, course.effort, course.state = Phase.begin, index, 0, None
-        yield index
-        previous = _reached(course, previous)
-        if previous is None:
-            return
-        last = previous.pose
-
-
-def _reached(course: Course, previous: State | None) -> State | None:
-    """The state of the frame that is over, after that of the one before; None: it has no solution, and why is noted."""
-    if course.phase is Phase.failed or course.state is None:
-        course.why = "the contact leaves the fine part of the mesh" if course.left else course.failure
-        return None
-    course.states.append(course.state.following(previous))
-    return course.states[-1]
+    """Puts solve after solve of a scene's path before the first kernel, each time the one before is over; yields the
+    numbers of their frames."""
+    course, kept = b.courses[row], dict[str, Tensor]()
+    try:
+        for each in path(scene, course.problem):
+            if isinstance(each, State):
+                course.states.append(each)
+                continue
+            now = each.now
+            if each.problem is not course.problem:
+                course.why = "a force that is small beside the tolerances"
+                return
+            if course.history is None:
+                admission.rest(b, row, now.history)
+            if course.history is not now.history:  # one more trial of a force, from where the first began
+                b.t.put(b.slots([row]), **kept)
+            elif scene.forced is not None:
+                kept = {name: rows[[row]] for name, rows in vars(b.t).items() if name.startswith("h_")}
+            for name in SHARED:
+                setattr(course, name, getattr(now, name))
+            if now.near is not None:
+                nodes, x = (torch.as_tensor(part, device=b.X.device) for part in (course.place.nodes, now.near.x))
+                b.t.x[row, nodes] = x
+            course.near = now.near is not None
+            yield course.index
+            if course.left:
+                course.why = "the contact leaves the fine part of the mesh"
+                return
+            each.now = SolveState(**{name: getattr(course, name) for name in SHARED})
+    except NotConverged as error:
+        course.why, course.phase = error, Phase.failed

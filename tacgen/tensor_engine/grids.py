@@ -73,21 +73,24 @@ class GridPattern:
 
 
 @dataclass(frozen=True)
-class Embedded:
-    """A scene's mesh within a pattern: points (n, 3) [mm] of all nodes, void ones beside the gel; whether each cell
-    (e,) exists; its layer (e,), 0 if void; the pattern's number of each node of the mesh (m,) and of each cell."""
+class Place:
+    """Where a scene's mesh is within a batch's numbering: numbers of its nodes (m,), cells and coated facets, in their
+    order; points (n, 3) [mm] of all nodes at rest, void ones too."""
 
-    pattern: GridPattern
-    points: Array
-    exists: Array
-    layer: Array
     nodes: Array
     cells: Array
+    facets: Array
+    points: Array
 
-    @property
-    def facets(self) -> Array:
-        """The pattern's numbers of the mesh's coated facets, in their order."""
-        return np.flatnonzero(self.exists.reshape(-1, self.pattern.cells[2])[:, -1])
+
+@dataclass(frozen=True)
+class Embedded(Place):
+    """A scene's mesh within a pattern, with void nodes beside the gel; whether each cell (e,) exists, and its layer
+    (e,), 0 if void."""
+
+    pattern: GridPattern
+    exists: Array
+    layer: Array
 
     @property
     def used(self) -> Array:
@@ -131,7 +134,8 @@ def placed(axes: mesh.Axes, scene: Scene, pattern: GridPattern) -> Embedded:
     exists[ox : ox + len(axes.x) - 1, oy : oy + len(axes.y) - 1] = axes.inside(scene.gel)[:, :, None]
     cells = np.flatnonzero(exists.ravel())
     layer, points = np.where(exists, axes.layer, 0).ravel(), replace(axes, x=x, y=y).points(scene.gel)
-    return Embedded(pattern, points, exists.ravel(), layer, np.unique(pattern.hexes[cells]), cells)
+    nodes, facets = np.unique(pattern.hexes[cells]), np.flatnonzero(exists[:, :, -1])
+    return Embedded(nodes, cells, facets, points, pattern, exists.ravel(), layer)
 
 
 def merged(wanted: Mapping[GridPattern, int], least: int) -> dict[GridPattern, GridPattern]:

@@ -29,7 +29,7 @@ def begin(b: Batch, s: Tensor) -> list[Outcome]:
     poses = torch.as_tensor(np.array([course.legs[0].b for course in courses]), device=s.device)
     t.put(
         s, rotation=poses[:, :3, :3], position=poses[:, :3, 3], offset=t.h_offset[s], kappa=t.h_kappa[s],
-        folds=torch.ones_like(t.folds[s]),
+        folds=torch.ones_like(t.folds[s]), motion=torch.zeros_like(t.motion[s]),
     )  # fmt: skip
     contact = b.face(s, t.offset[s])
     gap = contact.gap(contact.points(t.h_x[s]))
@@ -135,10 +135,13 @@ def foresee(b: Batch, s: Tensor) -> list[Outcome]:
     both = (touching & before.any(-1))[..., None]
     pairs = ((motion, before), (motion, motion), (before, before))
     along, now, then = ((p * q * both).flatten(1).sum(1) for p, q in pairs)
-    steady = along > PARALLEL * torch.sqrt(now * then)
-    steady = steady & torch.tensor([b.courses[r].error for r in listed(s)], device=s.device)
-    part = torch.where(steady, (along / then.clamp(min=1e-300)).clamp(max=1.0), 0.0)
-    t.put(s, first_order=first, ahead=first + (part**2)[:, None, None] * t.h_error[s], motion=motion)
+    part = torch.where(along > PARALLEL * torch.sqrt(now * then), (along / then.clamp(min=1e-300)).clamp(max=1.0), 0.0)
+    t.put(
+        s,
+        first_order=first,
+        ahead=first + (part**2)[:, None, None] * t.h_error[s],
+        motion=torch.where(good[:, None, None, None], motion, 0.0),
+    )
     for r, fine in zip(listed(s), good.tolist(), strict=True):
         b.courses[r].predicted = fine
     return [Outcome.ready] * len(s)
@@ -151,24 +154,26 @@ def _last_local(b: Batch, s: Tensor, at: Tensor) -> Tensor:
 
 
 def start(b: Batch, s: Tensor) -> list[Outcome]:
-    """Newton's method at its start: what a softer barrier found, else the prediction or the last positions, the first
-    of them in which nothing tunnels and no cell is inverted; and anchors of new points where they first touch."""
+    """Newton's method at its start: what a softer barrier found, else a solution nearby, the prediction or the last
+    positions, the first of them in which nothing tunnels and no cell is inverted; and anchors of new points where they
+    first touch."""
     t, courses = b.t, [b.courses[k] for k in listed(s)]
     outcomes = [Outcome.ready] * len(s)
     if new := [k for k, course in enumerate(courses) if not course.found]:
+        left, predicted = new, [course.predicted for course in courses]
+        choices = (t.x, [course.near for course in courses]), (t.ahead, predicted), (t.h_x, [True] * len(courses))
+        for rows, there in choices:
+            if tried := [k for k in left if there[k]]:
+                x = rows[s[tried]]
+                good = _clear(b, s[tried], x)
+                t.put(s[tried][good], x=x[good])
+                fine = {k for k, is_so in zip(tried, good.tolist(), strict=True) if is_so}
+                left = [k for k in left if k not in fine]
         some = s[new]
-        predicted = torch.tensor([courses[k].predicted for k in new], device=s.device)
-        last, ahead = t.h_x[some], t.ahead[some]
-        use = predicted & _clear(b, some, ahead)
-        x = torch.where(use[:, None, None], ahead, last)
-        good = use.clone()
-        if not bool(use.all()):
-            good = use | _clear(b, some, last)
-        t.put(some, x=x)
-        _anchor(b, some, torch.where(predicted[:, None, None], ahead, last))
-        for k, fine in zip(new, good.tolist(), strict=True):
-            if not fine:
-                courses[k].failure, outcomes[k] = NotConverged(Failure.too_far), Outcome.failure
+        foreseen = torch.tensor([predicted[k] for k in new], device=s.device)[:, None, None]
+        _anchor(b, some, torch.where(foreseen, t.ahead[some], t.h_x[some]))
+        for k in left:
+            courses[k].failure, outcomes[k] = NotConverged(Failure.too_far), Outcome.failure
     t.put(s, begins=t.x[s], energy=b.bulk(s, t.x[s])[3], J=b.hexes.rows(s).evaluate(t.h_x[s]).J)
     for course in courses:
         course.new, course.residual, course.rate, course.damping = not b.options.keep_tangent, np.inf, RATE_GUESS, 0.0

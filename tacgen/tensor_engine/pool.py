@@ -1,8 +1,7 @@
 """Scenes of one pattern in the slots of one batch, refilled; and many scenes, pattern after pattern."""
 
-import gc
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, islice
 
@@ -16,9 +15,9 @@ from tacgen.mechanics import mesh
 from tacgen.mechanics.phases import FINAL, Phase
 from tacgen.mechanics.problem import Problem, by_distance
 from tacgen.mechanics.scene import Scene
-from tacgen.tensor_engine import admission, engine, grids, refill, scheduler
 from tacgen.tensor_engine import device as devices
-from tacgen.tensor_engine.batch import Batch, Place
+from tacgen.tensor_engine import engine, grids, refill, scheduler
+from tacgen.tensor_engine.batch import Batch
 from tacgen.tensor_engine.condensed import Condensed
 from tacgen.tensor_engine.dissection import Dissection, dissected
 from tacgen.tensor_engine.elements import Topology
@@ -28,8 +27,8 @@ from tacgen.tensor_engine.multifrontal import Multifrontal
 
 MOST_SLOTS = 1024  # more scenes at once are hardly faster
 LEAST_SHARED = 64  # scenes of a pattern below which it is merged with others: smaller batches do not fill a GPU
-# Kernel calls of a scene for each of its frames, on average, after which it is left to the CPU engine: ordinary frames
-# take 40, and a few scenes that go on for long would keep a batch from ending
+# Kernel calls of a scene for each of its frames and further trials of a force, on average, after which it is left to
+# the CPU engine: ordinary frames take 40, and a few scenes that go on for long would keep a batch from ending
 MOST_CALLS = 150
 WIDE = 900  # unknowns condensed to in the largest contact, for the estimate of memory
 CELL, UNKNOWN = 2500, 100  # bytes of tables, of a cell and of an unknown
@@ -42,10 +41,10 @@ HEAVY = (Phase.start, Phase.load, Phase.search, Phase.measure, Phase.admit)  # k
 
 @dataclass(frozen=True)
 class Planned:
-    """A scene, its number, the grid of its mesh and the pattern for it, if it has one; why: what prevents that."""
+    """A scene's number; the scene, the grid of its mesh and the pattern for it, or why the engine does not solve it."""
 
     number: int
-    scene: Scene
+    scene: Scene | None = None
     axes: mesh.Axes | None = None
     pattern: GridPattern | None = None
     why: str = ""
@@ -55,15 +54,16 @@ class Planned:
         """With the smallest pattern."""
         number, scene = numbered
         if (why := engine.lacks(scene)) is not None:
-            return cls(number, scene, why=why)
+            return cls(number, why=why)
         axes = grids.axes_of(scene)
-        pattern = grids.smallest(axes)
-        return cls(number, scene, axes, pattern, "" if pattern else "a contact larger than all patterns")
+        if (pattern := grids.smallest(axes)) is None:
+            return cls(number, why="a contact larger than all patterns")
+        return cls(number, scene, axes, pattern)
 
     @property
     def thin(self) -> bool:
         """Whether facets have more contact points; see problem.POINTS_IF_THIN."""
-        return 2 * self.scene.shape.reach < self.scene.edge
+        return self.scene is not None and 2 * self.scene.shape.reach < self.scene.edge
 
 
 @dataclass(frozen=True)
@@ -78,15 +78,11 @@ class PreparedScene:
     @classmethod
     def of(cls, plan: "Planned") -> "PreparedScene":
         """Raises ValueError: the pattern does not hold the scene's mesh."""
+        assert plan.scene is not None
         assert plan.axes is not None
         assert plan.pattern is not None
         problem = _unassembled(plan.scene, mesh.on(plan.axes, plan.scene.gel))
         return cls(plan.number, plan.scene, problem, grids.placed(plan.axes, plan.scene, plan.pattern))
-
-    @property
-    def place(self) -> Place:
-        """Where the mesh is within the batch's numbering."""
-        return Place(self.grid.nodes, self.grid.cells, self.grid.facets)
 
 
 def _unassembled(scene: Scene, grid: mesh.GelMesh) -> Problem:
@@ -107,17 +103,16 @@ class ScenePool:
         """As many slots as there are scenes, which come first into them, in this order."""
         pattern, self.count, self._first = tree.pattern, len(first), dict(enumerate(first))
         topology = Topology.of(pattern.hexes, pattern.facets, pattern.size, device)
-        factors, X = Condensed(Multifrontal(tree, device, dtype), self.count), np.array([s.grid.points for s in first])
-        problems, places = [scene.problem for scene in first], [scene.place for scene in first]
-        self.batch = Batch.of(problems, places, topology, X, factors, pattern.patch, device)
+        factors = Condensed(Multifrontal(tree, device, dtype), self.count)
+        problems, places = zip(*((scene.problem, scene.grid) for scene in first), strict=True)
+        self.batch = Batch.of(problems, places, topology, factors, pattern.patch, device)
         self._frames: dict[int, Iterator[int]] = {}
         self._calls: dict[int, int] = {}  # that a scene may still have
 
     def enter(self, slot: int, scene: PreparedScene) -> None:
         """Put a scene into an empty slot, before its first frame."""
         if self._first.pop(slot, None) is not scene:
-            refill.fill(self.batch, slot, scene.problem, scene.place, scene.grid.points)
-        admission.rest(self.batch, self.batch.slots([slot]), scene.scene.start[None])
+            refill.fill(self.batch, slot, scene.problem, scene.grid)
         self._frames[slot] = engine.frames(self.batch, slot, scene.scene)
         self._calls[slot] = MOST_CALLS * len(scene.scene.poses)
         next(self._frames[slot], None)
@@ -128,8 +123,11 @@ class ScenePool:
         if self._calls[slot] <= 0 and course.phase not in FINAL:
             course.why = f"more than {MOST_CALLS} kernel calls a frame"
             return None
-        if course.phase in FINAL and next(self._frames[slot], None) is None:
-            return None
+        if course.phase in FINAL:
+            before, index = course.index, next(self._frames[slot], None)
+            if index is None:
+                return None
+            self._calls[slot] += MOST_CALLS * (index == before)
         return course.phase
 
     def size(self, slot: int) -> int:
@@ -151,24 +149,23 @@ class ScenePool:
 
 
 def solved(
-    scenes: Iterable[Scene],
+    scenes: Iterable[Scene | Planned],
     device: str = "cpu",
     *,
     dtype: torch.dtype = torch.float32,
     slots: int = MOST_SLOTS,
     least: int = LEAST_SHARED,
     memory: float | None = None,
-    mapped: Callable[[Callable, Iterable], Iterable] = map,
     use: scheduler.Use | None = None,
 ) -> Iterator[tuple[int, Solved]]:
-    """Numbers of scenes and their solutions, in the order in which they end; those that the batch engine lacks
-    something for, which have no state, come first.
+    """Numbers of scenes, in their order or as they were planned, and their solutions, in the order in which they end;
+    those that the batch engine lacks something for, which have no state, come first.
 
     dtype: of the factors. slots: most scenes at once. least: scenes of a pattern below which it is merged with others.
-    memory: [bytes] to use, by default most of what the GPU has free. mapped: applies a function
-    to scenes, one by one or ahead in other processes, as `multiprocessing.Pool.imap`. use: where calls are counted.
+    memory: [bytes] to use, by default all that the device has. use: where calls are counted.
     """
-    plans = list(mapped(Planned.of, enumerate(scenes)))
+    plans = [each if isinstance(each, Planned) else Planned.of((k, each)) for k, each in enumerate(scenes)]
+    memory = devices.chosen(device) if memory is None else memory
     yield from ((plan.number, Solved([], plan.why)) for plan in plans if plan.pattern is None)
     shared = grids.merged(Counter(plan.pattern for plan in plans if plan.pattern), least)
     groups: dict[tuple[GridPattern, bool], list[Planned]] = {}
@@ -177,8 +174,8 @@ def solved(
             pattern = shared[plan.pattern]
             groups.setdefault((pattern, plan.thin), []).append(replace(plan, pattern=pattern))
     for (pattern, _), group in groups.items():  # each pool is gone before the next one is made
-        tree, ready = dissected(pattern), iter(mapped(PreparedScene.of, group))
-        count, limits = room(tree, free_memory(device) if memory is None else memory)
+        tree, ready = dissected(pattern), map(PreparedScene.of, group)
+        count, limits = room(tree, memory)
         yield from _solved(tree, ready, min(count, slots), limits, device, dtype, use)
 
 
@@ -217,12 +214,3 @@ def room(tree: Dissection, memory: float) -> tuple[int, dict[Phase, int]]:
     work = dict.fromkeys(HEAVY, float(WORK * cells))
     work |= dict.fromkeys((Phase.factor, Phase.renew), 8.0 * tree.work + TANGENT * cells)
     return max(1, int(0.6 * memory / own)), {phase: max(1, int(0.25 * memory / each)) for phase, each in work.items()}
-
-
-def free_memory(device: str) -> float:
-    """Bytes that a batch may use."""
-    if not device.startswith("cuda"):
-        return devices.CPU_MEMORY
-    gc.collect()
-    torch.cuda.empty_cache()  # of the pool before
-    return float(torch.cuda.mem_get_info(device)[0])

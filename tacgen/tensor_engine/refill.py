@@ -5,21 +5,21 @@ from dataclasses import replace
 import torch
 
 from tacgen.mechanics.problem import Problem
-from tacgen.tensor_engine.batch import WIDE, Batch, Place
-from tacgen.tensor_engine.grids import Array
+from tacgen.tensor_engine.batch import WIDE, Batch
+from tacgen.tensor_engine.grids import Place
 
 ROWS = ("X", "exists", "used", "areas", "dhat", "eps", "edge", "reach", "friction")
 
 
-def fill(b: Batch, slot: int, problem: Problem, place: Place, X: Array) -> None:
-    """Put a scene, before its first load step, into a slot of a batch; X (n, 3): the nodes at rest [mm].
+def fill(b: Batch, slot: int, problem: Problem, place: Place) -> None:
+    """Put a scene, before its first load step, into a slot of a batch.
 
     Raises ValueError: its facets have another number of contact points than those of the batch.
     """
     if problem.contact.faces.areas.shape[1] != b.areas.shape[2]:
         raise ValueError("scenes of one batch have equally many contact points in a facet")
     patch = torch.nonzero(b.patch).squeeze(1).cpu().numpy()
-    one = Batch.of([problem], [place], b.topology, X[None], b.factors, patch, str(b.X.device))
+    one = Batch.of([problem], [place], b.topology, b.factors, patch, str(b.X.device))
     for name in ROWS:
         getattr(b, name)[slot] = getattr(one, name)[0]
     b.free &= one.free  # bonded nodes that no scene before has had

@@ -1,5 +1,6 @@
 """Runs with the batch engine, here on PyTorch's CPU backend: bundles, what falls back, what is left behind."""
 
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from tacgen import batch
 from tacgen.batch import cuda_engine, solution_file
 from tacgen.bundle.bundle import read
 from tacgen.errors import UserError
+from tacgen.mechanics import presolve
 from tacgen.mechanics.solved_scene import SolvedScene
 from tacgen.recipe import plan
 from tacgen.recipe.plan import Plan
@@ -49,11 +51,34 @@ def test_bundles_are_those_of_the_local_engine_and_say_who_solved_them(on_cpu: N
 
 
 def test_what_the_batch_engine_lacks_is_solved_on_the_cpu_and_said(on_cpu: None, tmp_path: Path) -> None:
-    made = planned(tmp_path, "press: {force_n: 0.5, frames: 1}")
+    made = planned(tmp_path, more="mesh: tet\n")
     batch.run(made, tmp_path / "out", engine="cuda")
     bundle = read(tmp_path / "out" / "scene-00000.h5")
     assert not bundle.attrs["solver"].startswith("batch engine")
-    assert "solved by the CPU engine: a prescribed force" in bundle.attrs["notes"]
+    assert "solved by the CPU engine: a mesh of tets" in bundle.attrs["notes"]
+
+
+def test_forces_are_those_of_the_local_engine(on_cpu: None, tmp_path: Path) -> None:
+    """On both sides in a mesh that is fine where a coarse one has the force."""
+    made = planned(tmp_path, "press: {force_n: 1.5, frames: 1}, slide: {x_mm: 0.3, frames: 1}, release: {frames: 1}")
+    ours, theirs = tmp_path / "cuda", tmp_path / "local"
+    assert [batch.run(made, folder, engine=folder.name)[0].status for folder in (ours, theirs)] == ["ok", "ok"]
+    one, right = (read(folder / "scene-00000.h5") for folder in (ours, theirs))
+    assert one.attrs["solver"].startswith("batch engine on cpu, torch ")
+    force, expected = one["/frames/force"][:], right["/frames/force"][:]
+    assert force[0, 2] == pytest.approx(-1.5, rel=5e-3)
+    assert force == pytest.approx(expected, rel=1e-5, abs=1e-6)
+
+
+def test_a_solution_is_labelled_without_another_coarse_solve(
+    on_cpu: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (row,) = planned(tmp_path, "press: {force_n: 1, frames: 1}").rows
+    (tmp_path / cuda_engine.FOLDER).mkdir()
+    with ThreadPoolExecutor(1) as solving:
+        assert not cuda_engine._solve_all([row], tmp_path, ["cpu"], solving, 1, map)
+    monkeypatch.setattr(presolve, "presolved", lambda scene: pytest.fail("solved again"))
+    assert cuda_engine.run_scene(row, tmp_path).status == "ok"
 
 
 def test_finished_scenes_are_not_solved_again(on_cpu: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from helpers.load_steps import watched
 from helpers.presses import gel, poses, run, scene
+from helpers.solves import equilibrium
 
 from tacgen.fem.elasticity import Elastic
 from tacgen.fem.jacobian import least_jacobian
@@ -25,7 +26,6 @@ from tacgen.mechanics import (
 )
 from tacgen.mechanics.scene import Forced, Scene
 from tacgen.mechanics.solve_state import SolveState
-from tacgen.mechanics.solver import equilibrium
 
 Array = np.ndarray
 USUAL = SolverOptions()

@@ -9,6 +9,7 @@ import pytest
 from helpers import small_recipe
 from helpers.load_steps import watched
 from helpers.presses import gel, poses, scene
+from helpers.solves import advance
 from scipy.spatial.transform import Rotation
 
 from tacgen.geometry.analytic_sdf import BoxSdf, Shape, SphereSdf
@@ -17,7 +18,6 @@ from tacgen.mechanics import Failure, NotConverged, Problem, SolverOptions, mesh
 from tacgen.mechanics.load_stepping import steps_needed
 from tacgen.mechanics.scene import Scene
 from tacgen.mechanics.solve_state import Leg, SolveState
-from tacgen.mechanics.solver import advance
 from tacgen.mechanics.state import History
 from tacgen.recipe import scene_of_row
 

@@ -14,7 +14,7 @@ from tacgen.geometry.analytic_sdf import BoxSdf, CylinderSdf, Shape, SphereSdf
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics import NotConverged, Problem, SolverOptions, mesh, phases, plain, solver
 from tacgen.mechanics.linear_solvers import NotPositiveDefinite
-from tacgen.mechanics.load_stepping import divided
+from tacgen.mechanics.load_stepping import to_pose
 from tacgen.mechanics.phases import COUNTED, FINAL, TRANSITIONS, Outcome, Phase
 from tacgen.mechanics.solve_state import SolveState
 
@@ -58,8 +58,7 @@ def begun(shape: Shape, options: SolverOptions, depth: float, x: float = 0.0) ->
     made = scene(shape, poses([(x, 0.0, -depth)]), pad=gel(8, 8, 2.0), friction=0.6, edge=1.0)
     problem = Problem.of(made, mesh.build(made.gel, (-2, 2, -2, 2), made.edge), options)
     rest = problem.rest(Pose.of(made.start))
-    legs = divided(problem, rest, made.start, made.poses[0], np.zeros(3), np.inf)
-    return problem, SolveState(0, rest, legs)
+    return problem, to_pose(problem, rest, made.start, made.poses[0], np.zeros(3), 0, np.inf)
 
 
 def indefinite(*_: object) -> None:

@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 from helpers.presses import gel, poses, scene
+from helpers.solves import advance, equilibrium
 
 from tacgen.geometry.analytic_sdf import SphereSdf
 from tacgen.geometry.pose import Pose, about, shortest_turn
 from tacgen.mechanics import Problem, mesh
 from tacgen.mechanics.rigid_stiffness import stiffness
-from tacgen.mechanics.solver import advance, equilibrium
 from tacgen.mechanics.state import State
 
 Array = np.ndarray

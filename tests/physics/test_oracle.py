@@ -6,6 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 from helpers.presses import poses, run, scene
+from helpers.solves import equilibrium
 
 from benchmarks.reference_runs import row_of
 from tacgen import mechanics
@@ -17,7 +18,7 @@ from tacgen.mechanics.mesh import GelMesh
 from tacgen.mechanics.phases import Phase
 from tacgen.mechanics.scene import Scene
 from tacgen.mechanics.solve_state import Found, Leg, SolveState
-from tacgen.mechanics.solver import equilibrium, solve
+from tacgen.mechanics.solver import solve
 from tacgen.mechanics.state import History
 from tacgen.recipe import scene_of_row
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers.presses import Run, poses, run, scene
+from helpers.solves import advance
 
 from benchmarks.cases import PLAIN
 from benchmarks.reference_runs import row_of
@@ -15,7 +16,7 @@ from tacgen.mechanics.load_step import LoadStep
 from tacgen.mechanics.phases import Phase
 from tacgen.mechanics.predictor import Prediction
 from tacgen.mechanics.solve_state import Leg, SolveState
-from tacgen.mechanics.solver import advance, solve
+from tacgen.mechanics.solver import solve
 from tacgen.mechanics.state import History
 from tacgen.recipe import scene_of_row
 

@@ -1,5 +1,6 @@
 """Trajectories: a force is reached and its depth kept, closed paths of movements return."""
 
+from collections.abc import Callable, Generator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -97,19 +98,38 @@ def test_a_force_the_gel_cannot_give_is_refused(tmp_path: Path, monkeypatch: pyt
 def test_an_absurd_force_is_refused_on_the_coarse_mesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """And what comes before it is kept."""
     segments = "press: {depth_mm: 0.3, frames: 1}\npress: {force_n: 500, frames: 1}\nrelease: {frames: 1}"
-    solved_on, usual = [], frames.advance
+    solved_on, usual = [], frames.to_pose
 
     def watched(problem, *rest, **how):  # type: ignore[no-untyped-def]
         solved_on.append(problem.edge)
         return usual(problem, *rest, **how)
 
-    monkeypatch.setattr(frames, "advance", watched)
+    monkeypatch.setattr(frames, "to_pose", watched)
     found = pipeline.run_scene(row(tmp_path, segments, "quality.edge_mm=0.65"), tmp_path / "out")
     assert found.status == "rejected"
     assert found.reason.startswith("frame 2 of 3: 500 N asked for, and 80% of the gel's thickness gives ")
     assert found.reason.endswith(" N, as a coarse mesh has it")
     assert bundle.read(found.path).frames == 1
     assert solved_on.count(0.65) == 1
+
+
+def test_a_coarse_solve_ends_with_the_last_force_and_a_tolerance_may_be_given(tmp_path: Path) -> None:
+    moves = "press: {force_n: 1, frames: 1}\nslide: {x_mm: 0.2, frames: 1}"
+    rough = presolve.rough(scene_of_row.build(row(tmp_path, moves, "quality.edge_mm=1.5")))
+    problem = mechanics.Problem.of(rough, mesh.of(rough))
+    assert len(list(mechanics.states(rough, problem))) == 1
+    assert rough.forced is not None
+    fine = replace(rough, forced=replace(rough.forced, tol=1e-6))
+    (found,) = mechanics.states(fine, problem)
+    assert mechanics.normal_force(found) == pytest.approx(1, rel=1e-6)
+
+
+def test_a_force_asked_for_on_several_sensors_is_met_more_closely_in_every_frame(tmp_path: Path) -> None:
+    one = row(tmp_path, "press: {force_n: 1, frames: 2}")
+    alone, paired = (scene_of_row.build(each).forced for each in (one, replace(one, pair=0)))
+    assert alone is not None
+    assert paired is not None
+    assert (alone.tol, paired.tol) == (None, 2e-3)
 
 
 def test_what_follows_a_force_goes_on_from_its_depth(tmp_path: Path) -> None:
@@ -250,11 +270,27 @@ def test_a_rising_function_is_met_in_few_evaluations(power: float, guess: float)
         seen.append(u)
         return u**power if u < 2.5 else float("nan")
 
-    assert meet(f, 1.3, known=(0, 0), guess=guess, low=0, high=3, tol=1e-3) is End.met
+    assert searched(f, 1.3, known=(0, 0), guess=guess, low=0, high=3) is End.met
     assert seen[-1] ** power == pytest.approx(1.3, rel=1e-3)
     assert len(seen) < 16
-    assert meet(f, 0.2, known=(1, 1), guess=guess, low=0, high=3, tol=1e-3) is End.met
+    assert searched(f, 0.2, known=(1, 1), guess=guess, low=0, high=3) is End.met
     assert seen[-1] ** power == pytest.approx(0.2, rel=1e-3)
-    assert meet(lambda u: u, 5, known=(0, 0), guess=0.1, low=0, high=2, tol=1e-3) is End.out_of_reach
-    assert meet(lambda u: None, 5, known=(0, 0), guess=0.1, low=0, high=2, tol=1e-3) is End.stopped
-    assert meet(lambda u: float(u > 1), 0.5, known=(0, 0), guess=0.1, low=0, high=2, tol=1e-3) is End.not_found
+    assert searched(lambda u: u, 5, known=(0, 0), guess=0.1, low=0, high=2) is End.out_of_reach
+    assert searched(lambda u: None, 5, known=(0, 0), guess=0.1, low=0, high=2) is End.stopped
+    assert searched(lambda u: float(u > 1), 0.5, known=(0, 0), guess=0.1, low=0, high=2) is End.not_found
+
+
+def searched(f: Callable[[float], float | None], target: float, **how: Any) -> End:
+    """How a search ends, of which each evaluation needs two things done."""
+
+    def asking(u: float) -> Generator[float, None, float | None]:
+        yield from (u, u)
+        return f(u)
+
+    search, asked = meet(asking, target, tol=1e-3, **how), list[float]()
+    while True:
+        try:
+            asked.append(next(search))
+        except StopIteration as end:
+            assert asked[::2] == asked[1::2]
+            return End(end.value)

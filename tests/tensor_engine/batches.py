@@ -12,10 +12,11 @@ from tacgen.geometry.pose import about
 from tacgen.mechanics import DEFAULT, Problem, SolverOptions, mesh, states
 from tacgen.mechanics.phases import FINAL, Phase
 from tacgen.mechanics.scene import Scene
-from tacgen.tensor_engine import admission, engine
-from tacgen.tensor_engine.batch import Batch, Place
+from tacgen.tensor_engine import engine
+from tacgen.tensor_engine.batch import Batch
 from tacgen.tensor_engine.elements import Topology
 from tacgen.tensor_engine.engine import Solved
+from tacgen.tensor_engine.grids import Place
 from tensor_engine.dense import Dense
 
 Array = np.ndarray
@@ -50,14 +51,13 @@ def batch(scenes: Sequence[Scene], options: SolverOptions = DEFAULT) -> Batch:
     topology = Topology.of(grid.cells, facets, n)
     free = torch.ones(n, dtype=torch.bool)
     free[np.unique(grid.facets["bonded"])] = False
-    place = Place(np.arange(n), np.arange(len(grid.cells)), np.arange(len(facets)))
-    X = np.array([one.mesh.points for one in problems])
-    return Batch.of(problems, [place] * len(scenes), topology, X, Dense(topology.conn, free), np.unique(facets))
+    numbers = np.arange(n), np.arange(len(grid.cells)), np.arange(len(facets))
+    places = [Place(*numbers, one.mesh.points) for one in problems]
+    return Batch.of(problems, places, topology, Dense(topology.conn, free), np.unique(facets))
 
 
 def solve(b: Batch, scenes: Sequence[Scene]) -> list[Solved]:
     """The frames of all scenes, in each slot one. The kernel for which most scenes wait is called next."""
-    admission.rest(b, b.slots(range(len(scenes))), np.array([one.start for one in scenes]))
     paths = [engine.frames(b, row, one) for row, one in enumerate(scenes)]
     going = {row for row, frames in enumerate(paths) if next(frames, None) is not None}
     while going:

@@ -12,7 +12,7 @@ from tacgen.geometry.analytic_sdf import BoxSdf, ConeSdf, CylinderSdf, SphereSdf
 from tacgen.geometry.gel import GelBody, GelLayer
 from tacgen.mechanics import DEFAULT, State, solver
 from tacgen.mechanics.phases import FINAL, TRANSITIONS, Outcome, Phase
-from tacgen.mechanics.scene import Forced, GelDynamics, Scene
+from tacgen.mechanics.scene import GelDynamics, Scene
 from tacgen.tensor_engine import bulk_newton, engine, load_step, pool
 from tacgen.tensor_engine.engine import KERNELS, Solved, lacks
 from tensor_engine.batches import alone, batch, path, small, solve
@@ -68,6 +68,14 @@ def test_slide_twist_tilt_and_release_with_friction() -> None:
     assert any(state.sliding[state.normal_force > 0].all() for state in rubbed)
     assert any(not state.sliding.any() for state in rubbed)
     assert not states[-1].normal_force.any()  # released
+
+
+@pytest.mark.parametrize("frames", [2, 3])
+def test_a_step_without_contact_leaves_no_error_of_a_prediction_to_learn_from(frames: int) -> None:
+    made = small(BALL, path((0, 0, -0.3), (0, 0, 0.5), (0, 0, 0.6))[:frames])
+    b = batch([made])
+    all_same([made], solve(b, [made]))
+    assert bool(b.t.h_motion.any()) == (frames == 2)
 
 
 def test_a_scene_that_fails_leaves_the_others_alone() -> None:
@@ -150,7 +158,6 @@ def whole(made: Scene) -> list[State]:
 
 def test_what_the_engine_lacks_is_said() -> None:
     made = small(BALL, path((0, 0, -0.2)))
-    none = np.zeros(1)
     viscous = GelBody(6.0, 6.0, layers=(GelLayer(2.0, EXAMPLES["yeoh"], 0.15, ((0.2, 0.1),)),))
     triangles = Triangles(np.zeros((3, 3)), np.arange(3)[None], np.zeros((3, 3)))
     assert lacks(made) is None
@@ -158,7 +165,6 @@ def test_what_the_engine_lacks_is_said() -> None:
     for changed, said in (
         (replace(made, element="tet"), "a mesh of tets"),
         (replace(made, surface=triangles), "contact between meshes"),
-        (replace(made, forced=Forced(none, none, none, none, none)), "a prescribed force"),
         (replace(made, dynamics=GelDynamics(1e-9, 0.0, 0.0, 1e-3)), "inertia"),
         (replace(made, gel=viscous, duration=np.ones(1)), "a viscous gel"),
         (replace(made, shape=object()), "this indenter"),

@@ -79,7 +79,7 @@ def test_a_scene_with_other_contact_points_is_refused():
     first, other = (pool.PreparedScene.of(plan) for plan in plans)
     slots = pool.ScenePool([first], dissected(first.grid.pattern), "cpu", torch.float64)
     with pytest.raises(ValueError, match="contact points"):
-        refill.fill(slots.batch, 0, other.problem, other.place, other.grid.points)
+        refill.fill(slots.batch, 0, other.problem, other.grid)
 
 
 def test_a_scene_that_goes_on_for_long_is_left_to_the_cpu_engine(monkeypatch):
