@@ -205,20 +205,21 @@ def batched(solver: Multifrontal, matrix: Matrix, batch: int, count: int, end: f
     elements = torch.as_tensor(matrix.elements, dtype=dtype, device=device) * scale[:, None, None, None]
     nodes = torch.as_tensor(matrix.contact(count), device=device).expand(batch, -1)
     slots, kept = torch.arange(batch, device=device), Condensed(solver, batch)
+    kept.reserve(nodes.shape[1])
     data = solver.assembled(elements)
     flops = sum(group.flops for group in solver.tree.groups)
     rates = Rates(batch, device.type, end)
     rates.of("assembled", lambda: solver.assembled(elements))
     seconds = rates.of("factor with S of the patch", lambda: solver.factor(data))
-    rates.of("all, condensed and kept", lambda: kept.factor(slots, elements, nodes))
+    rates.of("all, condensed and kept", lambda: kept.factor(slots, elements, nodes, count))
     g = torch.ones((batch, solver.nodes, 3), dtype=dtype, device=device)
-    y, load = kept.forward(slots, g)
-    rates.of("forward", lambda: kept.forward(slots, g))
+    y, load = kept.forward(slots, g, nodes.shape[1])
+    rates.of("forward", lambda: kept.forward(slots, g, nodes.shape[1]))
     rates.of("back", lambda: kept.expand(slots, load, y))
-    S = kept.schur(elements, nodes)[1]
+    S = kept.schur(elements, nodes, count)[1]
     active = torch.arange(S.shape[1], device=device).expand(batch, -1) < S.shape[1] // 2
-    contact = reduced(S, active)[0]
-    rates.of("contact reduced to half", lambda: reduced(S, active))
+    contact = reduced(S, active, S.shape[1] // 2)[0]
+    rates.of("contact reduced to half", lambda: reduced(S, active, S.shape[1] // 2))
     rates.of(f"LU of {contact.K.shape[-1]}", lambda: contact.solve(contact.K, load, False))
     rates.of("Cholesky", lambda: contact.solve(contact.K, load, True))
     memory = f", {torch.cuda.max_memory_allocated() / 1e9:.1f} GB" if device.type == "cuda" else ""
@@ -235,7 +236,7 @@ def residuals(
     times = partial(product, elements.double(), torch.as_tensor(matrix.grid.pattern.hexes, device=g.device))
 
     def solve(b: Tensor) -> Tensor:
-        y, load = kept.forward(slots, b)
+        y, load = kept.forward(slots, b, S.shape[1] // 3)
         return -kept.expand(slots, -torch.cholesky_solve(load[:, :, None], L).squeeze(-1), y)
 
     for rounds in range(3):

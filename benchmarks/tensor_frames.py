@@ -26,6 +26,7 @@ from benchmarks import results_page
 from benchmarks.draws import drawn
 from benchmarks.reference_runs import row_of
 from tacgen import mechanics
+from tacgen.batch.cuda_engine import MEMORY
 from tacgen.errors import UserError
 from tacgen.mechanics import mesh
 from tacgen.mechanics.phases import Phase
@@ -37,6 +38,7 @@ from tacgen.tensor_engine.batch import Batch
 from tacgen.tensor_engine.grids import GridPattern
 
 Array = np.ndarray
+WINDOW = 10  # [s] in which frames are counted: at the end few scenes are left
 BEGUN: list[int] = []  # draws that the CPU engine has solved in this process
 
 
@@ -94,11 +96,12 @@ def scene_of(index: int) -> Scene | None:
 
 @dataclass
 class Report:
-    """What one process has solved: forces (frames, 3) [N] by draw, of ended scenes; frames, those of other scenes too;
-    seconds of each kernel, and its calls; seconds in all; why scenes did not end; the most memory used [bytes]."""
+    """What one process has solved: forces (frames, 3) [N] by draw, of ended scenes; frames by the second of the clock
+    in which they were solved, those of other scenes too; seconds of each kernel, and its calls; seconds in all; why
+    scenes did not end; the most memory used [bytes]."""
 
     forces: dict[int, Array] = field(default_factory=dict)
-    frames: int = 0
+    frames: Counter[int] = field(default_factory=Counter)
     seconds: Counter[Phase] = field(default_factory=Counter)
     use: scheduler.Use = field(default_factory=scheduler.Use)
     elapsed: float = 0.0
@@ -114,7 +117,7 @@ class Report:
             if cuda:
                 torch.cuda.synchronize()
             self.seconds[phase] += time.perf_counter() - start  # type: ignore[assignment]
-            self.frames += sum(batch.courses[row].phase is Phase.done for row in rows)
+            self.frames[int(time.time())] += sum(batch.courses[row].phase is Phase.done for row in rows)
 
         return watched
 
@@ -122,29 +125,21 @@ class Report:
 def batched(scenes: dict[int, Scene], told: argparse.Namespace) -> Report:
     """Solve scenes by the batch engine; prints as it goes."""
     usable = [told.device] if told.device else (device.usable() or ["cpu"])
-    memory, dtype, out = 0.9 * device.chosen(usable[0]) / told.processes, getattr(torch, told.dtype), Report()
+    memory, dtype, out = device.chosen(usable[0], MEMORY / told.processes), getattr(torch, told.dtype), Report()
     torch.set_num_threads(1)
     for _ in pool.solved(list(scenes.values())[: told.warm], usable[0], dtype=dtype, memory=memory):
         pass  # loads libraries, and compiles
     cuda, keys = usable[0].startswith("cuda"), list(scenes)
     engine.advance = out.watch(engine.advance, cuda)  # type: ignore[assignment]
-    start = said = time.perf_counter()
-    before, sizes = 0, {"slots": told.slots, "least": told.least, "memory": memory}
+    start, sizes = time.perf_counter(), {"slots": told.slots, "least": told.least, "memory": memory}
     for number, found in pool.solved(scenes.values(), usable[0], dtype=dtype, use=out.use, **sizes):
         out.forces[keys[number]] = forces_of(found.states)
         if found.why is not None:
             out.why[str(found.why)[:70]] += 1
-        now = time.perf_counter()
-        if now - said > 10:
-            rate = (out.frames - before) / (now - said)
-            print(
-                f"  {now - start:.0f} s: {len(out.forces)} scenes, {out.frames} frames, {rate:.1f} a second", flush=True
-            )
-            said, before = now, out.frames
-        if now - start > told.seconds:
+        if time.perf_counter() - start > told.seconds:
             print("  out of time")
             break
-    out.elapsed, out.memory = time.perf_counter() - start, torch.cuda.max_memory_allocated() if cuda else 0.0
+    out.elapsed, out.memory = time.perf_counter() - start, torch.cuda.max_memory_reserved() if cuda else 0.0
     return out
 
 
@@ -156,11 +151,13 @@ def merged(found: list[Report]) -> dict[int, Array]:
             of_all.update(mine)
         why.update(report.why)
     forces, total = {k: v for report in found for k, v in report.forces.items()}, sum(seconds.values())
-    frames, elapsed = sum(report.frames for report in found), max(report.elapsed for report in found)
+    frames, elapsed = sum((report.frames for report in found), Counter[int]()), max(r.elapsed for r in found)
+    busiest = max(sum(frames[second + k] for k in range(WINDOW)) / WINDOW for second in frames)
     mean, memory = scenes.total() / max(calls.total(), 1), sum(report.memory for report in found) / 1e9
     print(
-        f"batch engine, {len(found)} processes: {len(forces)} scenes, {why.total()} of them not to their end, {frames}"
-        f" frames in {elapsed:.1f} s: {frames / elapsed:.1f} a second; {mean:.1f} scenes a call, {memory:.1f} GB"
+        f"batch engine, {len(found)} processes: {len(forces)} scenes, {why.total()} of them not to their end,"
+        f" {frames.total()} frames in {elapsed:.1f} s: {frames.total() / elapsed:.1f} a second, {busiest:.1f} in the"
+        f" best {WINDOW} s; {mean:.1f} scenes a call, {memory:.1f} GB"
     )
     for phase, time_ in seconds.most_common():
         print(

@@ -32,8 +32,8 @@ if TYPE_CHECKING:
     from tacgen.tensor_engine.pool import Planned
 
 CHUNK = 1024  # scenes that are solved before the first of them is written: some 3 MB of solution each
-EACH = 8  # processes at most that solve on one GPU
-MEMORY = 0.9  # part of a GPU's memory that they share
+EACH = 4  # processes at most that solve on one GPU: more of them have fewer scenes in a call
+MEMORY = 0.85  # part of a GPU's memory that they share
 FOLDER = ".solved"
 Mapped = Callable[[Callable, Iterable], Iterable]
 SOLVED = f"{__name__}:run_scene"
@@ -179,7 +179,7 @@ def _solve(rows: Mapping[int, Row], plans: Sequence["Planned"], folder: Path, de
     versions = ", ".join(f"{package} {version(package)}" for package in ("numpy", "scipy", "numba"))
     by = f"batch engine on {named(device)}, {versions}"
     try:
-        for k, solved, heights in _solutions(rows, plans, device, MEMORY / share * chosen(device)):
+        for k, solved, heights in _solutions(rows, plans, device, chosen(device, MEMORY / share)):
             solution = SolvedScene(by, solved.states, heights=heights)
             if solved.why is not None:
                 solution = SolvedScene(by, why=f"solved by the CPU engine: {solved.why}")

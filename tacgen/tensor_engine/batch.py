@@ -5,13 +5,14 @@ mechanics.solve_state.SolveState holds of one scene is here a row of `Tensors` a
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Protocol
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from tacgen.geometry.analytic_sdf import Shape
 from tacgen.mechanics.failures import NotConverged
 from tacgen.mechanics.options import SolverOptions
 from tacgen.mechanics.phases import Phase
@@ -25,14 +26,38 @@ from tacgen.tensor_engine.grids import Place
 from tacgen.tensor_engine.indices import index_of, listed
 from tacgen.tensor_engine.inversion import Folding, FoldingBarriers
 from tacgen.tensor_engine.laws import Laws, numbers
+from tacgen.tensor_engine.replay import Replays
 from tacgen.tensor_engine.shapes import Shapes
 
 Array = np.ndarray
 FLOAT = torch.float64
 GROW = 48  # sizes of WIDE are multiples of it
+CLASSES = (72, 162)  # nodes of contacts that are solved together
+LARGER = 64  # of more nodes, multiples of it
+KEPT = 144  # unknowns on which contact acts, and others, come in multiples of it
 # rows as wide as the largest contact so far, of k unknowns: the Schur complements now and at rest, the load on them,
 # and their reduction to a unknowns (see reduction.Reduction)
-WIDE = {"S": "kk", "S_0": "kk", "load": "k", "active": "k", "G": "kk", "X": "ka", "K": "aa", "kept": "a", "place": "k"}
+WIDE = {"S": "kk", "S_0": "kk", "load": "k", "active": "k", "wanted": "k", "G": "kk", "X": "ka", "K": "aa"}
+WIDE |= {"kept": "a", "place": "k"}
+
+
+class Sizes(NamedTuple):
+    """Sizes of a call: condensed nodes of the scene with most of them, unknowns kept of that with most, and condensed
+    nodes of that with fewest. Where work is recorded they are rounded, so that few occur."""
+
+    nodes: int
+    kept: int
+    fewest: int
+
+    @property
+    def unknowns(self) -> int:
+        """Unknowns of the condensed nodes."""
+        return 3 * self.nodes
+
+
+def width_class(nodes: int) -> int:
+    """The size of contacts with which one of so many nodes is solved."""
+    return next((c for c in CLASSES if nodes <= c), -(-nodes // LARGER) * LARGER)
 
 
 class Factors(Protocol):
@@ -43,15 +68,18 @@ class Factors(Protocol):
 
     dtype: torch.dtype
 
-    def factor(self, slots: Tensor, K: Tensor, nodes: Tensor) -> tuple[Tensor, Tensor]:
-        """Keeps the factors of the cells' tangents K (s, e, 24, 24): which are positive definite away from the nodes
-        (s,), and the Schur complements."""
+    def reserve(self, nodes: int) -> bool:
+        """Make room for so many nodes of a scene; whether tensors have moved for that."""
 
-    def schur(self, K: Tensor, nodes: Tensor) -> tuple[Tensor, Tensor]:
+    def factor(self, slots: Tensor, K: Tensor, nodes: Tensor, fewest: int = 0) -> tuple[Tensor, Tensor]:
+        """Keeps the factors of the cells' tangents K (s, e, 24, 24): which are positive definite away from the nodes
+        (s,), and the Schur complements; fewest: nodes that each scene has at least."""
+
+    def schur(self, K: Tensor, nodes: Tensor, fewest: int = 0) -> tuple[Tensor, Tensor]:
         """As `factor`, and nothing is kept."""
 
-    def forward(self, slots: Tensor, g: Tensor) -> tuple[Tensor, Tensor]:
-        """A first half of the solution for a gradient g (s, n, 3), and g condensed (s, 3m)."""
+    def forward(self, slots: Tensor, g: Tensor, nodes: int) -> tuple[Tensor, Tensor]:
+        """A first half of the solution for a gradient g (s, n, 3), and g condensed to so many nodes (s, 3 nodes)."""
 
     def expand(self, slots: Tensor, u: Tensor, y: Tensor) -> Tensor:
         """The step (s, n, 3) of all nodes for the condensed step u (s, 3m) and the gradient's first half y."""
@@ -66,7 +94,7 @@ class Course:
     phase: Phase = Phase.begin
     index: int = 0
     legs: tuple[Leg, ...] = ()
-    near: bool = False  # whether x has a solution nearby, to start from
+    near: bool = False  # whether `begins` has a solution nearby
     may_halve: bool = True
     effort: int = 0
     state: State | None = None
@@ -75,12 +103,11 @@ class Course:
     history: History | None = None
     failure: NotConverged | None = None
     usable: bool = False  # whether the kept factor serves
+    rested: bool = False  # whether there is the Schur complement at rest
     left: bool = False  # whether its contact is where the factors cannot be condensed to
-    nodes: int = 0  # condensed ones, and facets with them
-    facets: int = 0
+    nodes: int = 0  # condensed ones
     # of the load step
     predicted: bool = False
-    anchored: bool = False
     found: bool = False
     solves: int = 0
     steps: int = 0
@@ -100,7 +127,7 @@ class Course:
 
     def fresh(self) -> None:
         """Forget all that belongs to one load step."""
-        self.predicted = self.anchored = self.found = False
+        self.predicted = self.found = False
         self.solves = self.steps = self.damped = 0
 
 
@@ -148,6 +175,7 @@ class Batch:
     half_wall: Tensor
     friction: Tensor
     patch: Tensor
+    replays: Replays
     t: Tensors = field(init=False)
 
     @classmethod
@@ -196,7 +224,7 @@ class Batch:
             Shapes.of([c.shape for c in contacts], FLOAT, device), number(contacts[0].faces.N),
             number(areas), dhat, problems[0].options.slip * dhat, number([p.edge for p in problems]),
             number([c.shape.reach for c in contacts]), number([half_wall(c.shape) for c in contacts]),
-            number([p.friction for p in problems]), can.to(device),
+            number([p.friction for p in problems]), can.to(device), Replays(nodes.device),
         )  # fmt: skip
         batch.t = batch.empty()
         return batch
@@ -223,14 +251,14 @@ class Batch:
             **{name: zeros() for name in alone},
             h_rotation=zeros(3, 3), h_position=zeros(3), rotation=zeros(3, 3), position=zeros(3),
             J=zeros(*F[1:]), taken=zeros(*F[1:], 3, 3), c_steps=index(), c_status=index(),
-            nodes=index(m) - 1, local=index(n) - 1, faces=index(f) - 1, rested=zeros(dtype=torch.bool),
+            nodes=index(m) - 1, local=index(n) - 1, faces=index(f) - 1,
             c_x=zeros(m, 3), **{name: self._blank(name, B, [0] * len(axes)) for name, axes in WIDE.items()},
         )  # fmt: skip
 
     def _blank(self, name: str, count: int, sizes: Sequence[int]) -> Tensor:
         """Rows of padding of one of WIDE."""
-        padding = {"active": False, "kept": -1, "place": -1}.get(name, 0.0)
-        types = {"active": torch.bool, "kept": torch.long, "place": torch.long, "load": FLOAT}
+        padding = {"active": False, "wanted": False, "kept": -1, "place": -1}.get(name, 0.0)
+        types = {"active": torch.bool, "wanted": torch.bool, "kept": torch.long, "place": torch.long, "load": FLOAT}
         out = torch.full((count, *sizes), padding, dtype=types.get(name, self.factors.dtype), device=self.X.device)
         if name in ("S", "S_0", "K"):
             out.diagonal(dim1=1, dim2=2).fill_(1.0)
@@ -244,7 +272,21 @@ class Batch:
             old, store = store, self._blank(name, len(store), wider)
             store[(slice(None), *map(slice, old.shape[1:]))] = old
             setattr(self.t, name, store)
+            self.replays.forget()
         return store
+
+    def sizes(self, s: Tensor) -> Sizes:
+        """Sizes of a call, for which there is room afterwards."""
+        each = [self.courses[row] for row in listed(s)]
+        nodes, kept, fewest = (max(c.nodes for c in each), max(c.kept for c in each), min(c.nodes for c in each))
+        if self.replays.on:
+            nodes = min(width_class(nodes), self.t.nodes.shape[1])
+            kept, fewest = min(-(-kept // KEPT) * KEPT, 3 * nodes), 3 * fewest // KEPT * KEPT // 3
+        for name, axes in WIDE.items():
+            self._widen(name, [3 * nodes if axis == "k" else kept for axis in axes])
+        if self.factors.reserve(nodes):
+            self.replays.forget()
+        return Sizes(nodes, kept, fewest)
 
     def keep(self, s: Tensor, **parts: Tensor) -> None:
         """Write rows of WIDE, which grow where they are too narrow and are padded where they are wider."""
@@ -257,6 +299,18 @@ class Batch:
     def read(self, name: str, s: Tensor, *sizes: int) -> Tensor:
         """Rows of one of WIDE, as wide as `sizes`."""
         return self._widen(name, sizes)[(s, *map(slice, sizes))]
+
+    def indent(self, slot: int, shape: Shape) -> None:
+        """Another indenter for one scene, in the place of the last where there is room."""
+        old, new = self.shapes, self.shapes.replaced(slot, shape)
+        count = new.values.numel()
+        if count > old.values.numel():
+            self.shapes = replace(new, values=torch.cat([new.values, torch.zeros_like(new.values)]))
+            self.replays.forget()
+            return
+        for mine, other in ((old.kinds, new.kinds), (old.table, new.table), (old.values[:count], new.values)):
+            mine.copy_(other)
+        self.shapes = replace(old, all=new.all)
 
     def slots(self, rows: Sequence[int]) -> Tensor:
         """Numbers of slots as an index."""
@@ -285,22 +339,17 @@ class Batch:
             t.kappa[s], offset, self.friction[s], self.eps[s], t.anchor[s],
         )  # fmt: skip
 
-    def near(self, s: Tensor, offset: Tensor) -> Contacts:
-        """Contact of the facets that are condensed, with the numbers of the condensed nodes."""
+    def near(self, s: Tensor, offset: Tensor, nodes: int) -> Contacts:
+        """Contact of the facets that are condensed, fewer than so many nodes, with the numbers of these nodes."""
         whole, t = self.face(s, offset), self.t
-        count = max(self.courses[row].facets for row in listed(s))
-        faces = t.faces[s, :count]
+        faces = t.faces[s, :nodes]
         row, pad = torch.arange(len(s), device=s.device)[:, None], faces < 0
         conn = t.local[s][row[..., None], self.topology.facets[faces]]
         areas = torch.where(pad[..., None], 0.0, whole.areas[row, faces])
         return whole.only(torch.where(pad[..., None], 0, conn), areas, whole.anchor[row, faces])
 
-    def width(self, s: Tensor) -> int:
-        """Most condensed nodes of these scenes."""
-        return max(self.courses[row].nodes for row in listed(s))
-
-    def at_condensed(self, s: Tensor, x: Tensor) -> Tensor:
-        """Rows (s, m, 3) of x (s, n, 3) at the condensed nodes; 0 where padded, in a call of any width."""
-        nodes = self.t.nodes[s, : self.width(s)]
-        rows = x[torch.arange(len(s), device=s.device)[:, None], nodes.clamp(min=0)]
-        return torch.where(nodes[..., None] >= 0, rows, 0.0)
+    def at_condensed(self, s: Tensor, x: Tensor, nodes: int) -> Tensor:
+        """Rows (s, nodes, 3) of x (s, n, 3) at the condensed nodes; 0 where padded."""
+        at = self.t.nodes[s, :nodes]
+        rows = x[torch.arange(len(s), device=s.device)[:, None], at.clamp(min=0)]
+        return torch.where(at[..., None] >= 0, rows, 0.0)

@@ -4,6 +4,7 @@ Each kernel does for all scenes `s` of a batch what that of mechanics.bulk_newto
 for each. Quantities on which the next phase depends are read from the device once a call.
 """
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -16,13 +17,15 @@ from tacgen.mechanics.failures import SQUEEZED, Failure, NotConverged
 from tacgen.mechanics.options import SolverOptions
 from tacgen.mechanics.phases import Outcome
 from tacgen.tensor_engine import contact_newton
-from tacgen.tensor_engine.batch import Batch, Course
-from tacgen.tensor_engine.condensation import condensed, more, reduced_to
-from tacgen.tensor_engine.contact import Contacts
-from tacgen.tensor_engine.contact_newton import CONVERGED, RUNNING, UNSTABLE, Iterates, at_nodes
+from tacgen.tensor_engine.batch import Batch, Course, Sizes
+from tacgen.tensor_engine.condensation import acted, condensed, damping, more, reduce, reduction
+from tacgen.tensor_engine.contact_newton import CONVERGED, RUNNING, UNSTABLE, Iterates, at_nodes, shrunk
 from tacgen.tensor_engine.elements import determinant
 from tacgen.tensor_engine.indices import listed
 from tacgen.tensor_engine.load_step import cover, covers, take
+from tacgen.tensor_engine.replay import rare, recording
+
+RECORDED = 0.25  # the shortest part of a step that a recorded line search tries; shorter ones are rare
 
 
 def begin_step(b: Batch, s: Tensor) -> list[Outcome]:
@@ -40,7 +43,7 @@ def begin_step(b: Batch, s: Tensor) -> list[Outcome]:
             going.append(k)
     if going:
         some = s[going]
-        facets = touched(b, some)
+        facets = touched(b, some, b.t.x[some], b.t.offset[some])
         cover(b, some, facets, ~covers(b, some, facets))
     for k, row in enumerate(listed(s)):
         course = b.courses[row]
@@ -50,11 +53,11 @@ def begin_step(b: Batch, s: Tensor) -> list[Outcome]:
     return outcomes
 
 
-def touched(b: Batch, s: Tensor) -> Tensor:
-    """The facets (s, f) on which the indenter acts at the iterate; if none, those on which it acted last, or the
+def touched(b: Batch, s: Tensor, x: Tensor, offset: Tensor) -> Tensor:
+    """The facets (s, f) on which the indenter acts at x (s, n, 3); if none, those on which it acted last, or the
     nearest."""
-    contact = b.face(s, b.t.offset[s])
-    gap = contact.gap(contact.points(b.t.x[s]))
+    contact = b.face(s, offset)
+    gap = contact.gap(contact.points(x))
     now, last = (gap < contact.dhat[:, None, None]).any(-1), (b.t.h_N[s] > 0).any(-1)
     nearest = gap.amin(-1) <= gap.flatten(1).amin(1, keepdim=True)
     out = torch.where(last.any(1, keepdim=True), last, nearest)
@@ -63,7 +66,7 @@ def touched(b: Batch, s: Tensor) -> Tensor:
 
 def factor(b: Batch, s: Tensor) -> list[Outcome]:
     """The tangents at the iterates, with the pressures predicted."""
-    good = take(b, s, b.t.x[s], b.t.J[s] if b.options.mixed_pressure else None)
+    good = take(b, s, "x", b.options.mixed_pressure)
     for row, fine in zip(listed(s), good, strict=True):
         if not fine:
             fail(b, row, b.t.begins[row], 0)
@@ -72,43 +75,74 @@ def factor(b: Batch, s: Tensor) -> list[Outcome]:
 
 def load(b: Batch, s: Tensor) -> list[Outcome]:
     """The unbalanced forces, condensed, and the contact before its first step."""
-    t = b.t
-    hexes, at, folding, _ = b.bulk(s, t.x[s])
-    g = hexes.mixed_forces(at, t.J[s], t.taken[s])
-    folding.add_forces(g)
-    y, load = b.factors.forward(s, g)
-    b.keep(s, load=load.to(g.dtype))
-    t.put(s, g=g, y=y.to(g.dtype))
-    _untouched(b, s)
+    sizes = b.sizes(s)
+    b.replays(("load", sizes.nodes, b.hexes.laws.two_invariants), partial(_load, b, sizes), s)
     for row in listed(s):
         b.courses[row].inner_damping = b.courses[row].damping
     return [Outcome.ready] * len(s)
 
 
-def _untouched(b: Batch, s: Tensor) -> None:
+def _load(b: Batch, sizes: Sizes, s: Tensor) -> tuple[()]:
+    t = b.t
+    hexes, at, folding, _ = b.bulk(s, t.x[s])
+    g = hexes.mixed_forces(at, t.J[s], t.taken[s])
+    folding.add_forces(g)
+    y, load = b.factors.forward(s, g, sizes.nodes)
+    b.keep(s, load=load.to(g.dtype))
+    t.put(s, g=g, y=y.to(g.dtype))
+    _untouched(b, sizes, s)
+    return ()
+
+
+def _untouched(b: Batch, sizes: Sizes, s: Tensor) -> None:
     """The contact before its first step."""
     t = b.t
     x = torch.zeros_like(t.c_x[s])
-    x[:, : b.width(s)] = b.at_condensed(s, t.x[s])
+    x[:, : sizes.nodes] = b.at_condensed(s, t.x[s], sizes.nodes)
     zero = torch.zeros_like(t.c_drift[s])
     t.put(s, c_x=x, c_offset=t.offset[s], c_length=zero + torch.inf, c_drift=zero, c_gap=zero - 1, c_steps=zero.long())
 
 
 def contact(b: Batch, s: Tensor) -> list[Outcome]:
     """One step of the contact."""
-    t, m, near = b.t, b.width(s), b.near(s, b.t.c_offset[s])
-    now = Iterates(t.c_x[s, :m], near, t.c_steps[s], t.c_length[s], t.c_drift[s], t.c_gap[s], t.c_status[s])
-    after = contact_newton.step(
-        partial(reduced_to, b, s, near.conn), now, b.reach[s], step_end(b, s), b.edge[s], b.options.max_contact
-    )
-    x = t.c_x[s]
-    x[:, :m] = after.x
+    t, rows = b.t, listed(s)
+    sizes, courses = b.sizes(s), [b.courses[row] for row in rows]
+    valid = [float(course.reduced == course.inner_damping) for course in courses]
+    acted, count = b.replays(("acted", sizes.nodes), partial(_acted, b, sizes), s, valid)
+    if stale := [k for k, more in enumerate(acted.tolist()) if more]:
+        many = count.tolist()
+        reduce(b, b.slots([rows[k] for k in stale]), [many[k] for k in stale])
+    sizes, damped = b.sizes(s), damping(b, s)
+    key = "contact", sizes.nodes, sizes.kept, bool(damped)
+    x, offset, steps, length, drift, gap, status = b.replays(key, partial(_contact, b, sizes), s, *damped)
     t.put(
-        s, c_x=x, c_offset=after.contact.offset, c_steps=after.steps, c_length=after.length, c_drift=after.drift,
-        c_gap=after.gap, c_status=after.status,
+        s, c_x=x, c_offset=offset, c_steps=steps, c_length=length, c_drift=drift, c_gap=gap, c_status=status,
     )  # fmt: skip
     ends = {RUNNING: Outcome.more, UNSTABLE: Outcome.unstable}
-    return [ends.get(status, Outcome.ended) for status in after.status.tolist()]
+    return [ends.get(status, Outcome.ended) for status in status.tolist()]
+
+
+def _iterates(b: Batch, sizes: Sizes, s: Tensor) -> Iterates:
+    t, near = b.t, b.near(s, b.t.c_offset[s], sizes.nodes)
+    x = t.c_x[s, : sizes.nodes]
+    return Iterates(x, near, t.c_steps[s], t.c_length[s], t.c_drift[s], t.c_gap[s], t.c_status[s])
+
+
+def _acted(b: Batch, sizes: Sizes, s: Tensor, valid: Tensor) -> tuple[Tensor, ...]:
+    """As condensation.acted, for the facets that the indenter touches."""
+    now = _iterates(b, sizes, s)
+    facets = (shrunk(now)[0].evaluate(now.x).N > 0).any(-1)
+    return acted(b, sizes, s, now.contact.conn, facets, valid)
+
+
+def _contact(b: Batch, sizes: Sizes, s: Tensor, *damping: Tensor) -> tuple[Tensor, ...]:
+    """The contact's tensors after a step, in the order of contact_newton.Iterates."""
+    bulk = replace(condensed(b, sizes, s, *damping), reduction=reduction(b, sizes, s))
+    now = _iterates(b, sizes, s)
+    after = contact_newton.step(bulk, now, b.reach[s], step_end(b, s), b.edge[s], b.options.max_contact)
+    x = b.t.c_x[s]
+    x[:, : sizes.nodes] = after.x
+    return x, after.contact.offset, after.steps, after.length, after.drift, after.gap, after.status
 
 
 def damp(b: Batch, s: Tensor) -> list[Outcome]:
@@ -127,55 +161,55 @@ def damp(b: Batch, s: Tensor) -> list[Outcome]:
             again.append(row)
             outcomes.append(Outcome.ready)
     if again:
-        _untouched(b, b.slots(again))
+        some = b.slots(again)
+        _untouched(b, b.sizes(some), some)
     return outcomes
 
 
 def search(b: Batch, s: Tensor) -> list[Outcome]:
     """Line search: the first of the whole step, a half, a quarter... that lowers the energy, normal forces frozen."""
-    t, bulk, near = b.t, condensed(b, s), b.near(s, b.t.c_offset[s])
-    m, x = bulk.start.shape[1], t.x[s]
-    inner = t.c_x[s, :m]
-    u = (inner - bulk.start).flatten(1)
-    p = b.factors.expand(s, u, t.y[s]).to(x.dtype)
-    forces = near.evaluate(inner)
-    before = near.merit(bulk.start, forces)
-    change = near.merit_at(forces, forces) - before
-    # of the bulk g.p + p.Kp/2 = (g.p + p.(g + Kp))/2; g + Kp is 0 but for the condensed unknowns
-    condensed_gradient = (bulk.S @ u[..., None]).squeeze(-1) + bulk.load
-    model = ((t.g[s] * p).sum((1, 2)) + (u * condensed_gradient).sum(1)) / 2 + change
-    energy = t.energy[s]
-    rounding = step_end(b, s) * t.h_least[s] + ROUNDING * energy.abs()
-    part, there = torch.zeros_like(energy), energy.clone()
-    open_, fraction = torch.arange(len(s), device=s.device), 1.0
-    while len(open_) and fraction >= SHORTEST:
-        at = x[open_] + fraction * p[open_]
-        value = b.bulk(s[open_], at)[3]
-        of_contact = change[open_]
-        if fraction < 1:
-            touch = bulk.start[open_] + fraction * (inner - bulk.start)[open_]
-            of_contact = near.rows(open_).merit(touch, forces.rows(open_)) - before[open_]
-        total = value - energy[open_] + of_contact
-        share = total / torch.minimum(fraction * model[open_], -rounding[open_])
-        share = torch.where(total.abs() <= rounding[open_], 1.0, share)
-        good = share >= MIN_GAIN
-        done = open_[good]
-        part[done], there[done] = fraction, value[good]
-        open_, fraction = open_[~good], fraction / 2
-    t.put(s, stepped=x + part[:, None, None] * p, stepped_energy=there, c_x=_partly(b, s, bulk.start, inner, part))
+    sizes, damped = b.sizes(s), damping(b, s)
+    key = "search", sizes.nodes, bool(damped), b.hexes.laws.two_invariants
+    x, there, inner, part = b.replays(key, partial(_search, b, sizes), s, *damped)
+    b.t.put(s, stepped=x, stepped_energy=there, c_x=inner)
     taken = part.tolist()
     for row, fraction in zip(listed(s), taken, strict=True):
         b.courses[row].part = fraction
     return [Outcome.ready if fraction > 0 else Outcome.higher for fraction in taken]
 
 
-def _partly(b: Batch, s: Tensor, start: Tensor, inner: Tensor, part: Tensor) -> Tensor:
-    """Condensed positions (s, most, 3) after a part of the step."""
-    x = b.t.c_x[s]
-    x[:, : start.shape[1]] = torch.where(
-        (part < 1)[:, None, None], start + part[:, None, None] * (inner - start), inner
-    )
-    return x
+def _search(b: Batch, sizes: Sizes, s: Tensor, *damping: Tensor) -> tuple[Tensor, ...]:
+    """Nodes (s, n, 3) and energies after the step, condensed positions (s, most, 3), and the part (s,) of it taken."""
+    t, bulk, near = b.t, condensed(b, sizes, s, *damping), b.near(s, b.t.c_offset[s], sizes.nodes)
+    x, c_x = t.x[s], t.c_x[s]
+    inner = c_x[:, : sizes.nodes]
+    u = (inner - bulk.start).flatten(1)
+    p = b.factors.expand(s, u, t.y[s]).to(x.dtype)
+    forces = near.evaluate(inner)
+    before = near.merit(bulk.start, forces)
+    whole = near.merit_at(forces, forces) - before
+    # of the bulk g.p + p.Kp/2 = (g.p + p.(g + Kp))/2; g + Kp is 0 but for the condensed unknowns
+    condensed_gradient = (bulk.S @ u[..., None]).squeeze(-1) + bulk.load
+    model = ((t.g[s] * p).sum((1, 2)) + (u * condensed_gradient).sum(1)) / 2 + whole
+    energy = t.energy[s]
+    rounding = step_end(b, s) * t.h_least[s] + ROUNDING * energy.abs()
+    part, there, fraction = torch.zeros_like(energy), energy, 1.0
+    while fraction >= SHORTEST:
+        value = b.bulk(s, x + fraction * p)[3]
+        of_contact = whole
+        if fraction < 1:
+            of_contact = near.merit(bulk.start + fraction * (inner - bulk.start), forces) - before
+        total = value - energy + of_contact
+        share = total / torch.minimum(fraction * model, -rounding)
+        share = torch.where(total.abs() <= rounding, 1.0, share)
+        good = (share >= MIN_GAIN) & (part == 0)
+        part, there = torch.where(good, fraction, part), torch.where(good, value, there)
+        fraction /= 2
+        if (not recording() or fraction < RECORDED) and not rare(part == 0):
+            break
+    some = part[:, None, None]
+    left = torch.where(some < 1, bulk.start + some * (inner - bulk.start), inner)
+    return x + some * p, there, torch.cat([left, c_x[:, sizes.nodes :]], 1), part
 
 
 def step_end(b: Batch, s: Tensor) -> Tensor:
@@ -185,6 +219,16 @@ def step_end(b: Batch, s: Tensor) -> Tensor:
 
 def measure(b: Batch, s: Tensor) -> list[Outcome]:
     """The residual after a step: whether it is small enough, and else the damping and the tangent of the next one."""
+    sizes = b.sizes(s)
+    key = "measure", sizes.nodes, b.hexes.laws.two_invariants
+    J, figures = b.replays(key, partial(_measure, b, sizes), s)
+    b.t.put(s, x=b.t.stepped[s], energy=b.t.stepped_energy[s], J=J, offset=b.t.c_offset[s])
+    each = zip(listed(s), figures.tolist(), strict=True)
+    return [_measured(b.options, b.courses[row], *numbers) for row, numbers in each]
+
+
+def _measure(b: Batch, sizes: Sizes, s: Tensor) -> tuple[Tensor, Tensor]:
+    """J at the end of the step as the next one predicts it, and figures (s, 5) for `_measured`."""
     t, options = b.t, b.options
     x, there = t.x[s], t.stepped[s]
     moved = (there - x).abs().flatten(1).amax(1)
@@ -195,22 +239,18 @@ def measure(b: Batch, s: Tensor) -> list[Outcome]:
         J = hexes.predicted(F, determinant(F), after.F, t.taken[s])
     gradient = hexes.forces(after)
     folding.add_forces(gradient)
-    near = b.near(s, t.c_offset[s])
-    forces = near.evaluate(t.c_x[s, : b.width(s)])
-    residual = torch.linalg.norm(_unbalanced(b, s, gradient, near, forces.force).flatten(1), dim=1)
-    residual = residual / torch.maximum(forces.total, t.h_least[s])
-    t.put(s, x=there, energy=t.stepped_energy[s], J=J, offset=t.c_offset[s])
-    covered = covers(b, s, touched(b, s))
+    near = b.near(s, t.c_offset[s], sizes.nodes)
+    forces = near.evaluate(t.c_x[s, : sizes.nodes])
+    unbalanced = _unbalanced(b, t.nodes[s, : sizes.nodes], s, gradient, at_nodes(near, forces.force, sizes.nodes))
+    residual = torch.linalg.norm(unbalanced.flatten(1), dim=1) / torch.maximum(forces.total, t.h_least[s])
+    covered = covers(b, s, touched(b, s, there, t.c_offset[s]))
     still = moved <= step_end(b, s)
     columns = (residual, still, covered, t.c_status[s] == CONVERGED, t.c_steps[s])
-    figures = torch.stack([part.to(residual.dtype) for part in columns], 1).tolist()
-    return [_measured(options, b.courses[row], *each) for row, each in zip(listed(s), figures, strict=True)]
+    return J, torch.stack([part.to(residual.dtype) for part in columns], 1)
 
 
-def _unbalanced(b: Batch, s: Tensor, gradient: Tensor, near: Contacts, force: Tensor) -> Tensor:
-    """Forces (s, n, 3) at the free nodes, gradient less what contact (near, at its points) exerts; 0 at the others."""
-    nodes = b.t.nodes[s, : b.width(s)]
-    push = at_nodes(near, force, nodes.shape[1])
+def _unbalanced(b: Batch, nodes: Tensor, s: Tensor, gradient: Tensor, push: Tensor) -> Tensor:
+    """Forces (s, n, 3) at the free nodes, gradient less what contact exerts on `nodes`; 0 at the others."""
     at = nodes.clamp(min=0)[..., None].expand_as(push)
     r = gradient.scatter_add(1, at, torch.where(nodes[..., None] >= 0, -push, 0.0))
     return r * (b.free & b.used[s])[..., None]

@@ -1,14 +1,18 @@
 """The condensed bulk of the scenes of a batch: Schur complements with damping, reduced to what contact acts on."""
 
+from functools import partial
+
 import torch
 from torch import Tensor
 
 from tacgen.mechanics.bulk_newton import DAMPING_MAX
 from tacgen.mechanics.condensation import DAMPING_FACTOR, LEAST_DAMPING
-from tacgen.tensor_engine.batch import Batch
+from tacgen.tensor_engine.batch import Batch, Sizes
 from tacgen.tensor_engine.contact_newton import Quadratics
 from tacgen.tensor_engine.indices import listed
 from tacgen.tensor_engine.reduction import Reduction, reduced
+
+Damping = tuple[list[float], ...]  # of each scene of a call; empty if no scene is damped
 
 
 def more(damping: float) -> float:
@@ -16,64 +20,88 @@ def more(damping: float) -> float:
     return max(DAMPING_FACTOR * damping, LEAST_DAMPING)
 
 
-def damped(b: Batch, s: Tensor) -> Tensor:
+def damping(b: Batch, s: Tensor) -> Damping:
+    """The damping of each scene, for which there is the Schur complement at rest afterwards."""
+    courses = {row: b.courses[row] for row in listed(s)}
+    new = [row for row, course in courses.items() if course.inner_damping > 0 and not course.rested]
+    if new:
+        some = b.slots(new)
+        sizes = b.sizes(some)
+        hexes, at, _, _ = b.bulk(some, b.X[some])
+        K = hexes.tangents(at, dtype=b.factors.dtype)
+        b.keep(some, S_0=b.factors.schur(K, b.t.nodes[some, : sizes.nodes], sizes.fewest)[1])
+        for row in new:
+            courses[row].rested = True
+    each = [course.inner_damping for course in courses.values()]
+    return (each,) if any(each) else ()
+
+
+def condensed(b: Batch, sizes: Sizes, s: Tensor, *damping: Tensor) -> Quadratics:
+    """The condensed bulk of each scene with its damping (s,), if one is damped; not reduced."""
+    S = _damped(b, sizes, s, *damping).to(b.t.x.dtype)
+    return Quadratics(b.at_condensed(s, b.t.x[s], sizes.nodes), S, b.read("load", s, sizes.unknowns))
+
+
+def _damped(b: Batch, sizes: Sizes, s: Tensor, *damping: Tensor) -> Tensor:
     """Schur complements (s, k, k) with each scene's damping times that at rest."""
-    t, k = b.t, 3 * b.width(s)
+    k = sizes.unknowns
     S = b.read("S", s, k, k)
-    each = [b.courses[row].inner_damping for row in listed(s)]
-    if not any(each):
+    if not damping:
         return S
-    damping = torch.tensor(each, dtype=S.dtype, device=S.device)
-    needed = damping > 0
-    if len(new := s[needed & ~t.rested[s]]):
-        hexes, at, _, _ = b.bulk(new, b.X[new])
-        rest = b.factors.schur(hexes.tangents(at, dtype=b.factors.dtype), t.nodes[new, : b.width(new)])[1]
-        b.keep(new, S_0=rest)
-        t.rested[new] = True
-    return torch.where(needed[:, None, None], S + damping[:, None, None] * b.read("S_0", s, k, k), S)
+    factor = damping[0].to(S.dtype)[:, None, None]
+    return torch.where(factor > 0, S + factor * b.read("S_0", s, k, k), S)
 
 
-def condensed(b: Batch, s: Tensor) -> Quadratics:
-    """The condensed bulk of each scene, not reduced."""
-    S = damped(b, s).to(b.t.x.dtype)
-    return Quadratics(b.at_condensed(s, b.t.x[s]), S, b.read("load", s, S.shape[1]))
-
-
-def reduced_to(b: Batch, s: Tensor, conn: Tensor, facets: Tensor) -> Quadratics:
-    """The condensed bulk of each scene, reduced to all unknowns on which contact has acted since its tangent or its
-    damping was last changed, and those of marked facets (s, f) of conn (s, f, 4).
+def reduce(b: Batch, s: Tensor, count: list[int]) -> None:
+    """Reduce the condensed bulk of each scene to its `wanted` unknowns, of which there are so many.
 
     What is eliminated must be positive definite: a scene's damping is increased until it is.
     """
-    courses, k = [b.courses[row] for row in listed(s)], 3 * b.width(s)
-    own = torch.zeros(len(s), k // 3 + 1, dtype=torch.bool, device=s.device)
-    own.scatter_(1, torch.where(facets[..., None], conn, k // 3).flatten(1), True)
-    new = own[:, :-1].repeat_interleave(3, 1)
-    kept = torch.tensor([course.reduced == course.inner_damping for course in courses], device=s.device)
-    active = b.read("active", s, k)
-    wanted = new | (active & kept[:, None])
-    stale = torch.nonzero(~kept | (new & ~active).any(1)).squeeze(1)
-    while len(stale):
-        some, unknowns = s[stale], wanted[stale]
-        S = damped(b, some)
-        part, definite = reduced(S, unknowns[:, : S.shape[1]])
-        none = {"kept": torch.where(part.kept == S.shape[1], -1, part.kept)}
-        none["place"] = torch.where(part.place == part.kept.shape[1], -1, part.place)
-        b.keep(some, G=part.G, X=part.X, K=part.K, active=unknowns, **none)
+    while len(s):
+        sizes, rows, damped = b.sizes(s), listed(s), damping(b, s)
+        for row, kept in zip(rows, count, strict=True):
+            b.courses[row].kept = kept
+        sizes = b.sizes(s)
+        work = partial(_reduce, b, sizes)
+        (definite,) = b.replays(("reduce", sizes.nodes, sizes.kept, bool(damped)), work, s, *damped)
         again = []
-        for row, fine in zip(stale.tolist(), definite.tolist(), strict=True):
-            courses[row].reduced, courses[row].kept = courses[row].inner_damping, part.kept.shape[1]
-            if not fine and courses[row].inner_damping <= DAMPING_MAX:
-                courses[row].inner_damping = more(courses[row].inner_damping)
-                again.append(row)
-        stale = b.slots(again)
-    bulk = condensed(b, s)
-    return Quadratics(bulk.start, bulk.S, bulk.load, _reduction(b, s, k))
+        for k, (row, fine) in enumerate(zip(rows, definite.tolist(), strict=True)):
+            course = b.courses[row]
+            course.reduced = course.inner_damping
+            if not fine and course.inner_damping <= DAMPING_MAX:
+                course.inner_damping = more(course.inner_damping)
+                again.append(k)
+        s, count = b.slots([rows[k] for k in again]), [count[k] for k in again]
 
 
-def _reduction(b: Batch, s: Tensor, k: int) -> Reduction:
-    """The reductions that are kept, in the widths of these scenes."""
-    a = max(b.courses[row].kept for row in listed(s))
+def _reduce(b: Batch, sizes: Sizes, s: Tensor, *damping: Tensor) -> tuple[Tensor]:
+    """Keeps what `reduction.reduced` gives, and where what is eliminated is positive definite (s,)."""
+    k, wanted = sizes.unknowns, b.read("wanted", s, sizes.unknowns)
+    part, definite = reduced(_damped(b, sizes, s, *damping), wanted, sizes.kept)
+    none = {"kept": torch.where(part.kept == k, -1, part.kept)}
+    none["place"] = torch.where(part.place == part.kept.shape[1], -1, part.place)
+    b.keep(s, G=part.G, X=part.X, K=part.K, active=wanted, **none)
+    return (definite,)
+
+
+def reduction(b: Batch, sizes: Sizes, s: Tensor) -> Reduction:
+    """The reductions that are kept, in the sizes of a call."""
+    k, a = sizes.unknowns, sizes.kept
     kept, place = b.read("kept", s, a), b.read("place", s, k)
     parts = b.read("G", s, k, k), b.read("X", s, k, a), b.read("K", s, a, a)
     return Reduction(torch.where(kept < 0, k, kept), torch.where(place < 0, a, place), *parts)
+
+
+def acted(b: Batch, sizes: Sizes, s: Tensor, conn: Tensor, facets: Tensor, kept: Tensor) -> tuple[Tensor, ...]:
+    """Marks as `wanted` the unknowns on which contact has acted since the last tangent or change of damping, if those
+    of the reduction are `kept` (s,), and those of marked facets (s, f) of conn (s, f, 4).
+
+    Returns where they are more than those to which the bulk is reduced (s,) bool, and how many they are (s,).
+    """
+    k = sizes.unknowns
+    own = torch.zeros(len(s), k // 3 + 1, dtype=torch.bool, device=s.device)
+    own = own.scatter(1, torch.where(facets[..., None], conn, k // 3).flatten(1), True)
+    new, active = own[:, :-1].repeat_interleave(3, 1), b.read("active", s, k)
+    wanted = new | (active & (kept > 0)[:, None])
+    b.keep(s, wanted=wanted)
+    return (kept == 0) | (new & ~active).any(1), wanted.sum(1)

@@ -43,38 +43,43 @@ class Condensed:
         self._local = torch.full((solver.nodes + 1,), len(solver.patch), device=solver.device)
         self._local[solver.patch] = torch.arange(len(solver.patch), device=solver.device)
         self._order, self._outer = self._numbers(capacity, k), self._numbers(capacity, 0)
-        self._inner, self._width = self._numbers(capacity, 1), torch.zeros(capacity, dtype=torch.int64)
+        self._inner = self._numbers(capacity, 1)
         self._inverse, self._coupling = self._zeros(capacity, k, k), self._zeros(capacity, k, 0)
 
-    def factor(self, slots: Tensor, elements: Tensor, nodes: Tensor) -> tuple[Tensor, Tensor]:
-        """Factorise tangents, keep the factors in these slots, and return which are positive definite away from the
-        condensed nodes (s,), and the Schur complements S (s, 3m, 3m), with the unit matrix where padded.
+    def reserve(self, nodes: int) -> bool:
+        """Make room for couplings to so many nodes; whether tensors have moved for that."""
+        more = 3 * nodes - int(self._outer.shape[1])
+        if more > 0:
+            self._outer = torch.nn.functional.pad(self._outer, (0, more), value=self._k)
+            self._coupling = torch.nn.functional.pad(self._coupling, (0, more))
+        return more > 0
 
-        Raises ValueError: a node is not in the patch.
-        """
+    def factor(self, slots: Tensor, elements: Tensor, nodes: Tensor, fewest: int = 0) -> tuple[Tensor, Tensor]:
+        """Factorise tangents, keep the factors in these slots, and return which are positive definite away from the
+        condensed nodes (s,), and the Schur complements S (s, 3m, 3m), with the unit matrix where padded. fewest: nodes
+        that each slot has at least."""
         found = self.solver.factor(self.solver.assembled(elements.to(self.solver.dtype)))
-        patch = self._divided(found.S, nodes)
+        patch = self._divided(found.S, nodes, fewest)
         for kept, new in zip(self._panels, found.panels, strict=True):
             kept.inverse[slots], kept.below[slots] = new.inverse, new.below
         o, width = patch.coupling.shape[1:]
-        self._widen(width)
-        self._order[slots], self._inner[slots], self._width[slots.cpu()] = patch.order, patch.inner, width
+        self._order[slots], self._inner[slots] = patch.order, patch.inner
         self._outer[slots] = torch.nn.functional.pad(patch.outer, (0, self._outer.shape[1] - width), value=self._k)
         self._inverse[slots] = torch.nn.functional.pad(patch.inverse, (0, self._k - o, 0, self._k - o))
         beyond = self._coupling.shape[2] - width
         self._coupling[slots] = torch.nn.functional.pad(patch.coupling, (0, beyond, 0, self._k - o))
         return patch.definite & ~found.indefinite, patch.S
 
-    def schur(self, elements: Tensor, nodes: Tensor) -> tuple[Tensor, Tensor]:
+    def schur(self, elements: Tensor, nodes: Tensor, fewest: int = 0) -> tuple[Tensor, Tensor]:
         """As `factor`, without keeping anything."""
         found = self.solver.factor(self.solver.assembled(elements.to(self.solver.dtype)))
-        patch = self._divided(found.S, nodes)
+        patch = self._divided(found.S, nodes, fewest)
         return patch.definite & ~found.indefinite, patch.S
 
-    def forward(self, slots: Tensor, g: Tensor) -> tuple[Tensor, Tensor]:
-        """Forward substitution of vectors g (s, n, 3), for `expand`, and g condensed (s, 3m), m being that of the slot
-        with most nodes: g_c - K_co K_oo^-1 g_o."""
-        width = int(self._width[slots.cpu()].max())
+    def forward(self, slots: Tensor, g: Tensor, nodes: int) -> tuple[Tensor, Tensor]:
+        """Forward substitution of vectors g (s, n, 3), for `expand`, and g condensed (s, 3 nodes), where no slot has
+        more nodes: g_c - K_co K_oo^-1 g_o."""
+        width = 3 * nodes
         y = self.solver.forward(self._panels, slots, g)
         b, outer = self._of_patch(y), self._outer[slots, :width]
         solved = slot_times(self._inverse, slots, b.gather(1, self._order[slots]) * self._first(slots))
@@ -103,28 +108,19 @@ class Condensed:
         """1 at the places (s, k) in the order of unknowns that are eliminated, else 0."""
         return (torch.arange(self._k, device=self.solver.device) < self._inner[slots]).to(self.solver.dtype)
 
-    def _divided(self, S: Tensor, nodes: Tensor) -> _Patch:
-        """The patch's stiffness S (s, k, k) condensed to nodes (s, m)."""
+    def _divided(self, S: Tensor, nodes: Tensor, fewest: int) -> _Patch:
+        """The patch's stiffness S (s, k, k) condensed to nodes (s, m), at least `fewest` of each."""
         k, local = self._k, self._local[nodes]
-        if ((local == k // 3) & (nodes >= 0)).any():
-            raise ValueError("nodes to condense to must lie in the pattern's patch")
         outer = torch.clamp(3 * local[:, :, None] + torch.arange(3, device=S.device), max=k).flatten(1)
         apart = torch.zeros((len(S), k + 1), dtype=torch.int8, device=S.device).scatter_(1, outer, 1)[:, :k]
         order, inner = torch.argsort(apart, dim=1, stable=True), k - apart.sum(1, dtype=torch.int64)
-        o = int(inner.max())
+        o = k - 3 * fewest
         rows = torch.where(torch.arange(o, device=S.device) < inner[:, None], order[:, :o], k)
         inverse = _part(S, rows, rows, 1.0)
         info = invert_factor(inverse)
         coupling = inverse @ _part(S, rows, outer, 0.0)
         left = _part(S, outer, outer, 1.0) - coupling.mT @ coupling
         return _Patch(order, inner[:, None], outer, inverse, coupling, left, info == 0)
-
-    def _widen(self, width: int) -> None:
-        """Make room for couplings to so many unknowns."""
-        more = width - self._outer.shape[1]
-        if more > 0:
-            self._outer = torch.nn.functional.pad(self._outer, (0, more), value=self._k)
-            self._coupling = torch.nn.functional.pad(self._coupling, (0, more))
 
     def _numbers(self, *shape: int) -> Tensor:
         return torch.zeros(shape, dtype=torch.int64, device=self.solver.device)

@@ -53,10 +53,6 @@ class Forces:
     tangent: Tensor
     definite: Tensor
 
-    def rows(self, which: Tensor) -> "Forces":
-        """Only some scenes."""
-        return Forces(*(part[which] for part in vars(self).values()))
-
     @property
     def total(self) -> Tensor:
         """Sum of the normal forces (s,) [N]."""
@@ -92,12 +88,6 @@ class Contacts:
     friction: Tensor
     eps: Tensor
     anchor: Tensor
-
-    def rows(self, which: Tensor) -> "Contacts":
-        """Only some scenes (r,)."""
-        same = {"shapes": self.shapes.rows(which), "N": self.N}
-        parts = {k: v[which] for k, v in vars(self).items() if k not in same}
-        return replace(self, **same, **parts)
 
     def shrunk(self, offset: Tensor) -> "Contacts":
         """With indenters shrunk by other offsets (s,) [mm]."""
@@ -152,8 +142,6 @@ class Contacts:
             dhat, kappa, offset, friction, eps = (part[k].item() for part in numbers)
             contact = Contact(faces, shape, pose, dhat, kappa, offset)
             yield CoupledContact(contact, friction, self.anchor[k].numpy(), eps)
-
-    tangents = evaluate
 
     def merits(self, x: Tensor, p: Tensor, fractions: Tensor, frozen: Forces) -> Tensor:
         """Energy (s, t) [N mm] of the barrier and of friction after fractions (s, t) of steps p (s, n, 3) from x, with

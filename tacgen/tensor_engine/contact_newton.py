@@ -4,7 +4,6 @@ Each scene takes the step that mechanics.contact_newton would take: the coupled 
 else along it, or along the symmetric one, by Armijo's rule.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,8 +13,8 @@ from torch import Tensor
 from tacgen.mechanics.contact_newton import FULL_STEP, MIN_COUPLED, ROUNDING, SHORTEST
 from tacgen.mechanics.line_search import ARMIJO
 from tacgen.tensor_engine.contact import Contacts, Forces
-from tacgen.tensor_engine.indices import index_of
 from tacgen.tensor_engine.reduction import Reduction, with_points
+from tacgen.tensor_engine.replay import recording
 
 RUNNING, CONVERGED, STOPPED, UNSTABLE = range(4)  # see mechanics.contact_newton.ContactStatus
 
@@ -30,11 +29,6 @@ class Quadratics:
     S: Tensor
     load: Tensor
     reduction: Reduction | None = None
-
-    def rows(self, which: Tensor) -> "Quadratics":
-        """Only some scenes."""
-        reduction = None if self.reduction is None else self.reduction.rows(which)
-        return Quadratics(self.start[which], self.S[which], self.load[which], reduction)
 
     def at(self, x: Tensor) -> tuple[Tensor, Tensor]:
         """Energy (s,) and gradient (s, m, 3) at positions x (s, m, 3)."""
@@ -85,34 +79,32 @@ class Iterates:
     status: Tensor
 
 
-def step(
-    reduced: Callable[[Tensor], Quadratics], now: Iterates, reach: Tensor, xtol: Tensor, radius: Tensor, max_steps: int
-) -> Iterates:
+def shrunk(now: Iterates) -> tuple[Contacts, Tensor]:
+    """Contacts whose indenters are shrunk by the mean gap, and by how much it was off."""
+    near = (now.length <= now.contact.dhat) & (now.gap >= 0)  # far from the solution the mean gap is meaningless
+    drift = torch.where(near, now.gap - now.contact.offset, now.drift)
+    return now.contact.shrunk(torch.where(near, now.gap, now.contact.offset)), drift
+
+
+def step(bulk: Quadratics, now: Iterates, reach: Tensor, xtol: Tensor, radius: Tensor, max_steps: int) -> Iterates:
     """One step of each scene towards the equilibrium of bulk, barrier and friction, with indenters shrunk by the mean
     gap; see mechanics.contact_newton.contact_step.
 
-    reduced: gives the bulk reduced to what the facets marked in (s, f) bool act on; reach, xtol, radius (s,) [mm].
+    bulk: reduced to what contact acts on; reach, xtol, radius (s,) [mm].
     """
-    x, contact, length = now.x, now.contact, now.length
-    near = (length <= contact.dhat) & (now.gap >= 0)  # far from the solution the mean gap is meaningless
-    drift = torch.where(near, now.gap - contact.offset, now.drift)
-    contact = contact.shrunk(torch.where(near, now.gap, contact.offset))
-    forces = contact.tangents(x)
-    assert forces.tangent is not None
-    bulk = reduced((forces.N > 0).any(-1))
+    x, length, (contact, drift) = now.x, now.length, shrunk(now)
+    forces = contact.evaluate(x)
     g = bulk.residual(contact, forces, x)
     going = now.steps < max_steps
-    p, full = bulk.solve(contact, forces.tangent, g, False)
-    coupled = full
-    full = full & (contact.max_step(forces.gap, p, reach) >= 1)
+    p, coupled = bulk.solve(contact, forces.tangent, g, False)
+    full = coupled & (contact.max_step(forces.gap, p, reach) >= 1)
     there = x + p
     felt = contact.evaluate(there)
     full = full & (_norm(bulk.residual(contact, felt, there)) <= FULL_STEP * _norm(g))
-    fraction = torch.ones_like(length)
-    some = index_of(torch.nonzero(going & ~full).flatten().tolist(), x.device)
-    if len(some):
-        part = bulk.rows(some), contact.rows(some), forces.rows(some)
-        fraction[some], p[some] = _downhill(*part, x[some], g[some], p[some], coupled[some], reach[some])
+    fraction, trying = torch.ones_like(length), going & ~full
+    if recording() or bool(trying.any()):
+        some, other = _downhill(bulk, contact, forces, x, g, p, coupled, trying, reach)
+        fraction, p = torch.where(trying, some, fraction), torch.where(trying[:, None, None], other, p)
         there = x + fraction[:, None, None] * p
         felt = contact.evaluate(there)
     longest = p.abs().flatten(1).amax(1)
@@ -145,10 +137,18 @@ def _to_radius(gone: Tensor, step: Tensor, radius: Tensor) -> Tensor:
 
 
 def _downhill(
-    bulk: Quadratics, contact: Contacts, forces: Forces, x: Tensor, g: Tensor, p: Tensor, exists: Tensor, reach: Tensor
+    bulk: Quadratics,
+    contact: Contacts,
+    forces: Forces,
+    x: Tensor,
+    g: Tensor,
+    p: Tensor,
+    exists: Tensor,
+    trying: Tensor,
+    reach: Tensor,
 ) -> tuple[Tensor, Tensor]:
-    """Fractions (s,) and steps that lower the merit function: the coupled step p or, if less than MIN_COUPLED of it
-    does, the symmetric one; 0 if neither does."""
+    """Fractions (s,) and steps that lower the merit function of scenes that are `trying` (s,): the coupled step p or,
+    if less than MIN_COUPLED of it does, the symmetric one; 0 if neither does."""
     energy, gradient = bulk.at(x)
     here = energy + contact.merit_at(forces, forces)
 
@@ -163,9 +163,8 @@ def _downhill(
         return first_of(fractions, (merit <= most) & (allowed & (slope <= 0))[:, None] & (fractions >= least))
 
     fraction = decreasing(p, MIN_COUPLED, exists)
-    if bool((fraction > 0).all()):
+    if not recording() and bool(((fraction > 0) | ~trying).all()):
         return fraction, p
-    assert forces.definite is not None
     other, definite = bulk.solve(contact, forces.definite, g, True)
     second = decreasing(other, SHORTEST, definite & (fraction == 0))
     use = (fraction == 0)[:, None, None]

@@ -1,5 +1,7 @@
 """The devices that the batch engine runs on."""
 
+import gc
+
 import torch
 
 CPU_MEMORY = 4e9  # [bytes] used where there is no GPU
@@ -10,12 +12,20 @@ def usable() -> list[str]:
     return [f"cuda:{k}" for k in range(torch.cuda.device_count())]
 
 
-def chosen(device: str) -> float:
-    """Work on this device from now on in this process; returns the bytes that it has."""
+def chosen(device: str, part: float = 1.0) -> float:
+    """Work on this device from now on in this process, with a part of its memory; returns its bytes."""
     if not device.startswith("cuda"):
-        return CPU_MEMORY
+        return part * CPU_MEMORY
     torch.cuda.set_device(device)
-    return float(torch.cuda.mem_get_info()[1])
+    torch.cuda.set_per_process_memory_fraction(part)
+    return part * float(torch.cuda.mem_get_info()[1])
+
+
+def cleared(device: str) -> None:
+    """Give back the memory of what is no longer used, recordings among it."""
+    gc.collect()
+    if device.startswith("cuda"):
+        torch.cuda.empty_cache()
 
 
 def named(device: str) -> str:

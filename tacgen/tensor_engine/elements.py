@@ -166,8 +166,8 @@ def mapped(corners: Tensor, dN: Array) -> tuple[Tensor, Tensor]:
     """dN/dX (..., q, 8, 3) and det(dX/dxi) (..., q) of hexes with corners (..., 8, 3); dN (q, 8, 3), a constant."""
     local = constant(dN, corners)
     jacobian = torch.einsum("qaj,...ai->...qij", local, corners)
-    volume = torch.linalg.det(jacobian)
-    return torch.einsum("qaj,...qjI->...qaI", local, torch.linalg.inv(jacobian)), volume
+    volume = determinant(jacobian)
+    return torch.einsum("qaj,...qIj->...qaI", local, cofactor(jacobian) / volume[..., None, None]), volume
 
 
 def stiffness(B: Tensor, weights: Tensor, D: Tensor) -> Tensor:

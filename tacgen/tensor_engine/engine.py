@@ -87,7 +87,7 @@ def frames(b: Batch, row: int, scene: Scene) -> Iterator[int]:
                 setattr(course, name, getattr(now, name))
             if now.near is not None:
                 nodes, x = (torch.as_tensor(part, device=b.X.device) for part in (course.place.nodes, now.near.x))
-                b.t.x[row, nodes] = x
+                b.t.begins[row, nodes] = x
             course.near = now.near is not None
             yield course.index
             if course.left:

@@ -1,6 +1,6 @@
 """Contact and friction at the points of facets in one launch, by Triton; imported only where there is a GPU.
 
-The formulas, and the names in them, are those of contact.py. A program takes points of one scene.
+The formulas, and the names in them, are those of mechanics.coupled. A program takes points of one scene.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Signed distances of the indenters of many scenes in one launch, by Triton; imported only where there is a GPU.
 
-The formulas, and the names in them, are those of shapes.py; in plain operations they take hundreds of launches, which
-cost more than the work. A program takes points of one scene, so that its kind of indenter is a real branch.
+The formulas, and the names in them, are those of geometry.analytic_sdf and sdf_grid. A program takes points of one
+scene, so that its kind of indenter is a real branch.
 """
 
 import torch

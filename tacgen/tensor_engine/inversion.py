@@ -12,16 +12,20 @@ from torch import Tensor
 from tacgen.fem.elasticity import SMALLEST_J
 from tacgen.fem.elements import grid_points
 from tacgen.fem.folding_barrier import J0, STIFFNESS
-from tacgen.fem.jacobian import DEPTH, MOST, TABLES
+from tacgen.fem.jacobian import DEPTH, TABLES
 from tacgen.fem.potential import Projection
-from tacgen.tensor_engine.elements import Topology, clamped, cofactor, mapped, slopes, stiffness
+from tacgen.tensor_engine.elements import Topology, clamped, cofactor, determinant, mapped, slopes, stiffness
 from tacgen.tensor_engine.indices import constant
 from tacgen.tensor_engine.laws import clamped_log
+from tacgen.tensor_engine.replay import rare, recording
 
 DENSE = grid_points(8)[1]  # dN (q, 8, 3) at the points where it is looked for
 TABLE = TABLES[8]
 ONE = np.eye(len(TABLE.share))[TABLE.monomial.ravel()] * TABLE.share  # coefficients (27,) of the triples (64, 27)
 PARTS = TABLE.pieces.reshape(-1, len(TABLE.share))
+ELSEWHERE = np.where(TABLE.share == 1, 0.0, np.inf)  # added to the coefficients, leaves those at corners
+FOLDED = 16  # cells of a scene on which a recorded barrier acts at most
+DIVIDED, RECORDED = 4096, 16  # pieces of a scene that are divided at once at most, and in a recording
 
 
 @dataclass(frozen=True)
@@ -82,15 +86,20 @@ class FoldingBarriers:
         """At positions x (s, n, 3), with the stiffness of each scene multiplied by `times` (s,)."""
         corners = x[:, self.topology.conn]
         low = (_determinants(corners) / self.rest).amin(-1)
-        scene, cell = torch.nonzero((low < J0) & (self.volume > 0), as_tuple=True)
-        if not len(cell):
-            none = x.new_zeros(0)
-            return Folding(self.topology, scene, cell, none, none, none, none, none, x.new_zeros(len(x)))
+        folded = (low < J0) & (self.volume > 0)
+        if recording() and not rare(folded.sum(1) > FOLDED):  # the lowest; it is 0 where they are above J0
+            cell = torch.where(self.volume > 0, low, torch.inf).topk(FOLDED, largest=False).indices.flatten()
+            scene = torch.arange(len(x), device=x.device).repeat_interleave(FOLDED)
+        elif rare(folded):
+            scene, cell = torch.nonzero(folded, as_tuple=True)
+        else:
+            none, cell = x.new_zeros(0), self.topology.conn.new_zeros(0)
+            return Folding(self.topology, cell, cell, none, none, none, none, none, x.new_zeros(len(x)))
         B, _ = mapped(self.X[scene[:, None], self.topology.conn[cell]], DENSE)
         q = len(DENSE)
         weights = (self.volume[scene, cell] / q)[:, None].expand(-1, q)
         F = torch.einsum("kai,kqaJ->kqiJ", corners[scene, cell], B)
-        J = torch.linalg.det(F)
+        J = determinant(F)
         good = J > SMALLEST_J
         stiff = (STIFFNESS * times[scene] * self.mu[scene, cell])[:, None]
         U, slope, bend = clamped_log(stiff, torch.where(good, J, 1.0))
@@ -115,24 +124,26 @@ def coefficients(corners: Tensor) -> Tensor:
 
 def least_jacobian(X: Tensor, x: Tensor, topology: Topology, exists: Tensor, tol: float = 0.01) -> Tensor:
     """Lower bounds (s,) of J at all points of all cells that exist (s, e); see fem.jacobian.least_jacobian."""
-    scene, cell = torch.nonzero(exists, as_tuple=True)
-    nodes = topology.conn[cell]
-    volume = coefficients(X[scene[:, None], nodes]).mean(1)
-    pieces = coefficients(x[scene[:, None], nodes]) / volume[:, None]
-    count, to = len(x), {"dtype": x.dtype, "device": x.device}
-    corners = torch.as_tensor(TABLE.share == 1, device=x.device)
-    parts = constant(PARTS, x)
-    finite = torch.isfinite(x).all(-1).all(-1)
-    bound, attained = torch.full((count,), torch.inf, **to), torch.full((count,), torch.inf, **to)
+    corners, parts, there = constant(ELSEWHERE, x), constant(PARTS, x).T, exists
+    volume = torch.where(exists, coefficients(X[:, topology.conn]).mean(-1), 1.0)
+    pieces = coefficients(x[:, topology.conn]) / volume[..., None]
+    bound = attained = torch.full_like(x[:, 0, 0], torch.inf)
     for depth in range(DEPTH + 1):
-        attained = attained.scatter_reduce(0, scene, pieces[:, corners].amin(1), "amin")
-        low = pieces.amin(1)
-        open_ = low < attained[scene] - tol
-        many = torch.zeros(count, device=x.device, dtype=torch.long).index_add_(0, scene, open_.long())
-        divide = open_ & (many <= MOST)[scene] if depth < DEPTH else torch.zeros_like(open_)
-        bound = bound.scatter_reduce(0, scene, torch.where(divide, torch.inf, low), "amin")
-        if not divide.any():
+        at_corners = (pieces + corners).amin(-1)
+        attained = torch.minimum(attained, torch.where(there, at_corners, torch.inf).amin(1))
+        low = torch.where(there, pieces.amin(-1), torch.inf)
+        open_ = low < attained[:, None] - tol
+        if depth == DEPTH or not (recording() or bool(open_.any())):
+            bound = torch.minimum(bound, low.amin(1))
             break
-        pieces = (pieces[divide] @ parts.T).reshape(-1, pieces.shape[1])
-        scene = scene[divide].repeat_interleave(len(TABLE.pieces))
-    return torch.where(finite, bound, -torch.inf)
+        count = min(RECORDED if recording() else DIVIDED, low.shape[1])
+        if recording():
+            rare(open_.sum(1) > count)
+        which = low.topk(count, largest=False).indices
+        there = open_.gather(1, which)
+        left = low.scatter(1, which, torch.where(there, torch.inf, low.gather(1, which)))
+        bound = torch.minimum(bound, left.amin(1))
+        pieces = pieces.gather(1, which[..., None].expand(-1, -1, pieces.shape[2]))
+        pieces = (pieces @ parts).view(len(x), -1, pieces.shape[2])
+        there = there.repeat_interleave(len(TABLE.pieces), 1)
+    return torch.where(torch.isfinite(x).all(-1).all(-1), bound, -torch.inf)

@@ -4,6 +4,8 @@ Each kernel does for all scenes `s` of a batch what that of mechanics.load_step 
 each.
 """
 
+from functools import partial
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -14,10 +16,13 @@ from tacgen.mechanics.phases import Outcome
 from tacgen.mechanics.predictor import PARALLEL, TIE
 from tacgen.mechanics.solve_state import RATE_GUESS
 from tacgen.mechanics.tunnelling import DEEPEST, TURN
-from tacgen.tensor_engine.batch import Batch
+from tacgen.tensor_engine.batch import Batch, Sizes
 from tacgen.tensor_engine.contact_newton import at_nodes
 from tacgen.tensor_engine.indices import listed
 from tacgen.tensor_engine.reduction import solved_by_root, with_points
+from tacgen.tensor_engine.replay import rare, recording
+
+PARTS = 4  # of a way along which a recording looks for a tunnel; longer ways are rare
 
 
 def begin(b: Batch, s: Tensor) -> list[Outcome]:
@@ -61,11 +66,10 @@ def cover(b: Batch, s: Tensor, facets: Tensor, which: Tensor) -> None:
     faces = (local[:, table] >= 0).all(-1) & real
     t = b.t
     t.put(s, local=local, nodes=_numbers(marked, t.nodes.shape[1]), faces=_numbers(faces, t.faces.shape[1]))
-    t.rested[s] = False
-    counts = torch.stack([marked.sum(1), faces.sum(1), (own & ~b.patch).sum(1)], 1).tolist()
-    for row, (nodes, count, outside) in zip(listed(s), counts, strict=True):
+    counts = torch.stack([marked.sum(1), (own & ~b.patch).sum(1)], 1).tolist()
+    for row, (nodes, outside) in zip(listed(s), counts, strict=True):
         course = b.courses[row]
-        course.usable, course.left, course.nodes, course.facets = False, outside > 0, nodes, count
+        course.usable, course.rested, course.left, course.nodes = False, False, outside > 0, nodes
 
 
 def _nodes_of(b: Batch, facets: Tensor) -> Tensor:
@@ -83,45 +87,63 @@ def _numbers(marked: Tensor, most: int) -> Tensor:
     return torch.where(torch.arange(most, device=marked.device) < marked.sum(1, keepdim=True), order, -1)
 
 
-def take(b: Batch, s: Tensor, x: Tensor, J: Tensor | None, projection: Projection = Projection.NONE) -> list[bool]:
-    """Factorise the tangents at x (s, n, 3), with pressures at the predicted J if given; where one is not positive
-    definite, with projected tangents of the cells. Which have a factor."""
-    hexes, at, folding, _ = b.bulk(s, x)
-    K = hexes.tangents(at, J, projection, b.factors.dtype)
-    folding.add_tangents(K, projection)
-    good, S = b.factors.factor(s, K, b.t.nodes[s, : b.width(s)])
-    b.keep(s, S=S)
-    b.t.put(s, taken=at.F)
+def take(b: Batch, s: Tensor, at: str, mixed: bool, projection: Projection = Projection.NONE) -> list[bool]:
+    """Factorise the tangents at the positions of this name, with pressures at the predicted J if `mixed`; where one is
+    not positive definite, with projected tangents of the cells. Which have a factor."""
+    sizes = b.sizes(s)
+    work = partial(_taken, b, sizes, at, mixed, projection)
+    if projection is Projection.NONE:
+        (good,) = b.replays(("factor", sizes.nodes, sizes.fewest, at, mixed, b.hexes.laws.two_invariants), work, s)
+    else:
+        (good,) = work(s)
     out: list[bool] = good.tolist()
     for row, fine in zip(listed(s), out, strict=True):
         b.courses[row].usable, b.courses[row].reduced = fine, -1.0
     if projection is not Projection.FULL and not all(out):
-        bad = torch.nonzero(~good).squeeze(1)
-        again = take(b, s[bad], x[bad], None if J is None else J[bad], Projection(projection + 1))
-        for row, fine in zip(bad.tolist(), again, strict=True):
-            out[row] = fine
+        bad = [k for k, fine in enumerate(out) if not fine]
+        again = take(b, b.slots([listed(s)[k] for k in bad]), at, mixed, Projection(projection + 1))
+        for k, fine in zip(bad, again, strict=True):
+            out[k] = fine
     return out
+
+
+def _taken(b: Batch, sizes: Sizes, at: str, mixed: bool, projection: Projection, s: Tensor) -> tuple[Tensor]:
+    """Keeps the factors of tangents, and which there are (s,)."""
+    hexes, here, folding, _ = b.bulk(s, getattr(b.t, at)[s])
+    K = hexes.tangents(here, b.t.J[s] if mixed else None, projection, b.factors.dtype)
+    folding.add_tangents(K, projection)
+    good, S = b.factors.factor(s, K, b.t.nodes[s, : sizes.nodes], sizes.fewest)
+    b.keep(s, S=S)
+    b.t.put(s, taken=here.F)
+    return (good,)
 
 
 def renew(b: Batch, s: Tensor) -> list[Outcome]:
     """The tangents at the last equilibrium."""
-    return [Outcome.ready if fine else Outcome.indefinite for fine in take(b, s, b.t.h_x[s], None)]
+    return [Outcome.ready if fine else Outcome.indefinite for fine in take(b, s, "h_x", False)]
 
 
 def foresee(b: Batch, s: Tensor) -> list[Outcome]:
     """The prediction: points that touch move with the indenter, the rest of the gel by the tangent; see
     mechanics.predictor."""
-    t, x = b.t, b.t.h_x[s]
-    if not b.options.predict:
-        return [Outcome.ready] * len(s)
-    contact, face = b.near(s, t.offset[s]), b.face(s, t.offset[s])
+    if b.options.predict:
+        sizes = b.sizes(s)
+        (good,) = b.replays(("predict", sizes.nodes), partial(_foresee, b, sizes), s)
+        for row, fine in zip(listed(s), good.tolist(), strict=True):
+            b.courses[row].predicted = fine
+    return [Outcome.ready] * len(s)
+
+
+def _foresee(b: Batch, sizes: Sizes, s: Tensor) -> tuple[Tensor]:
+    """Predicts. Which are predicted (s,)."""
+    t, x, k = b.t, b.t.h_x[s], sizes.unknowns
+    contact, face = b.near(s, t.offset[s], sizes.nodes), b.face(s, t.offset[s])
     touching = t.h_N[s] > 0
     at = face.points(x)
     motion = torch.where(touching[..., None], face.world(_last_local(b, s, at)) - at, 0.0)
     count = contact.conn.shape[1]
     row, faces = torch.arange(len(s), device=s.device)[:, None], t.faces[s, :count].clamp(min=0)
     ties = torch.where(contact.areas > 0, TIE * t.h_N[s][row, faces] / contact.dhat[:, None, None], 0.0)[..., None]
-    k = 3 * b.width(s)
     eye = torch.eye(3, dtype=x.dtype, device=x.device)
     place = torch.arange(k, device=s.device).expand(len(s), -1)
     S = b.read("S", s, k, k)
@@ -136,15 +158,9 @@ def foresee(b: Batch, s: Tensor) -> list[Outcome]:
     pairs = ((motion, before), (motion, motion), (before, before))
     along, now, then = ((p * q * both).flatten(1).sum(1) for p, q in pairs)
     part = torch.where(along > PARALLEL * torch.sqrt(now * then), (along / then.clamp(min=1e-300)).clamp(max=1.0), 0.0)
-    t.put(
-        s,
-        first_order=first,
-        ahead=first + (part**2)[:, None, None] * t.h_error[s],
-        motion=torch.where(good[:, None, None, None], motion, 0.0),
-    )
-    for r, fine in zip(listed(s), good.tolist(), strict=True):
-        b.courses[r].predicted = fine
-    return [Outcome.ready] * len(s)
+    ahead, motion = first + (part**2)[:, None, None] * t.h_error[s], torch.where(good[:, None, None, None], motion, 0.0)
+    t.put(s, first_order=first, ahead=ahead, motion=motion)
+    return (good,)
 
 
 def _last_local(b: Batch, s: Tensor, at: Tensor) -> Tensor:
@@ -157,28 +173,43 @@ def start(b: Batch, s: Tensor) -> list[Outcome]:
     """Newton's method at its start: what a softer barrier found, else a solution nearby, the prediction or the last
     positions, the first of them in which nothing tunnels and no cell is inverted; and anchors of new points where they
     first touch."""
-    t, courses = b.t, [b.courses[k] for k in listed(s)]
-    outcomes = [Outcome.ready] * len(s)
-    if new := [k for k, course in enumerate(courses) if not course.found]:
-        left, predicted = new, [course.predicted for course in courses]
-        choices = (t.x, [course.near for course in courses]), (t.ahead, predicted), (t.h_x, [True] * len(courses))
-        for rows, there in choices:
-            if tried := [k for k in left if there[k]]:
-                x = rows[s[tried]]
-                good = _clear(b, s[tried], x)
-                t.put(s[tried][good], x=x[good])
-                fine = {k for k, is_so in zip(tried, good.tolist(), strict=True) if is_so}
-                left = [k for k in left if k not in fine]
-        some = s[new]
-        foreseen = torch.tensor([predicted[k] for k in new], device=s.device)[:, None, None]
-        _anchor(b, some, torch.where(foreseen, t.ahead[some], t.h_x[some]))
-        for k in left:
-            courses[k].failure, outcomes[k] = NotConverged(Failure.too_far), Outcome.failure
-    t.put(s, begins=t.x[s], energy=b.bulk(s, t.x[s])[3], J=b.hexes.rows(s).evaluate(t.h_x[s]).J)
-    for course in courses:
+    rows, laws = listed(s), b.hexes.laws.two_invariants
+    courses, failed = [b.courses[row] for row in rows], set[int]()
+    if new := [row for row, course in zip(rows, courses, strict=True) if not course.found]:
+        predicted, near = ([float(getattr(b.courses[row], name)) for row in new] for name in ("predicted", "near"))
+        flags = (predicted, near) if any(near) else (predicted,)
+        (good,) = b.replays(("begin", laws, len(flags)), partial(_begin, b), b.slots(new), *flags)
+        failed = {row for row, fine in zip(new, good.tolist(), strict=True) if not fine}
+    b.replays(("start", laws), partial(_start, b), s)
+    for row, course in zip(rows, courses, strict=True):
+        if row in failed:
+            course.failure = NotConverged(Failure.too_far)
         course.new, course.residual, course.rate, course.damping = not b.options.keep_tangent, np.inf, RATE_GUESS, 0.0
         course.newton_steps = course.newton_damped = 0
-    return outcomes
+    return [Outcome.failure if row in failed else Outcome.ready for row in rows]
+
+
+def _begin(b: Batch, s: Tensor, predicted: Tensor, *near: Tensor) -> tuple[Tensor]:
+    """Where Newton's method begins, and which scenes (s,) have such a place; near: which have a solution nearby, if one
+    has."""
+    t, guessed = b.t, predicted > 0
+    last, ahead = t.h_x[s], t.ahead[s]
+    use = guessed & _clear(b, s, ahead)
+    good, x = use, torch.where(use[:, None, None], ahead, last)
+    if recording() or not bool(use.all()):
+        good = use | _clear(b, s, last)
+    for known in near:
+        close = (known > 0) & _clear(b, s, t.begins[s])
+        good, x = good | close, torch.where(close[:, None, None], t.begins[s], x)
+    t.put(s, x=x)
+    _anchor(b, s, torch.where(guessed[:, None, None], ahead, last))
+    return (good,)
+
+
+def _start(b: Batch, s: Tensor) -> tuple[()]:
+    t, x = b.t, b.t.x[s]
+    t.put(s, begins=x, energy=b.bulk(s, x)[3], J=b.hexes.rows(s).evaluate(t.h_x[s]).J)
+    return ()
 
 
 def _anchor(b: Batch, s: Tensor, x: Tensor) -> None:
@@ -211,7 +242,12 @@ def blocked(b: Batch, s: Tensor, x: Tensor) -> Tensor:
     parts = torch.ceil(4 * longest / reach).clamp(min=2)
     entered, entry = torch.zeros_like(near), torch.zeros_like(first)
     out = torch.zeros(len(s), dtype=torch.bool, device=s.device)
-    for k in range(int(parts.max()) + 1 if bool(near.any()) else 0):
+    if recording():
+        rare(parts > PARTS)
+        most = PARTS
+    else:
+        most = int(parts.max()) if bool(near.any()) else -1
+    for k in range(most + 1):
         at = first + (k / parts)[:, None, None, None] * way
         d, n, _ = contact.shapes.distance(at.flatten(1, 2))
         d, n = d.view(near.shape), n.view(at.shape)

@@ -17,13 +17,14 @@ from tacgen.mechanics.problem import Problem, by_distance
 from tacgen.mechanics.scene import Scene
 from tacgen.tensor_engine import device as devices
 from tacgen.tensor_engine import engine, grids, refill, scheduler
-from tacgen.tensor_engine.batch import Batch
+from tacgen.tensor_engine.batch import Batch, width_class
 from tacgen.tensor_engine.condensed import Condensed
 from tacgen.tensor_engine.dissection import Dissection, dissected
 from tacgen.tensor_engine.elements import Topology
 from tacgen.tensor_engine.engine import Solved
 from tacgen.tensor_engine.grids import Embedded, GridPattern
 from tacgen.tensor_engine.multifrontal import Multifrontal
+from tacgen.tensor_engine.replay import recorded
 
 MOST_SLOTS = 1024  # more scenes at once are hardly faster
 LEAST_SHARED = 64  # scenes of a pattern below which it is merged with others: smaller batches do not fill a GPU
@@ -33,8 +34,9 @@ MOST_CALLS = 150
 WIDE = 900  # unknowns condensed to in the largest contact, for the estimate of memory
 CELL, UNKNOWN = 2500, 100  # bytes of tables, of a cell and of an unknown
 WORK, TANGENT = 15_000, 30_000  # bytes of a cell for the work of a kernel, and of one that makes tangents
+MATRIX = 64  # bytes for the work of a kernel, of an entry of a matrix of a contact's unknowns
 DENSE = (Phase.contact, Phase.predict)
-CLASSES = (72, 162)  # nodes of contacts that are solved together
+DAMPED = (Phase.contact, Phase.search)  # kernels that have more to do for a scene that is damped
 NONE = Pattern(*(np.zeros(0, np.int32),) * 3, 0, *(np.zeros(0, np.int32),) * 2)  # of no sparse matrix
 HEAVY = (Phase.start, Phase.load, Phase.search, Phase.measure, Phase.admit)  # kernels that evaluate all cells
 
@@ -131,9 +133,10 @@ class ScenePool:
         return course.phase
 
     def size(self, slot: int) -> int:
-        """For kernels of dense matrices of a contact's nodes, the smallest of CLASSES that holds them."""
+        """For kernels of dense matrices of a contact's nodes, their class; negative if the scene is damped."""
         course = self.batch.courses[slot]
-        return next((c for c in CLASSES if course.nodes <= c), 0) if course.phase in DENSE else 0
+        width = width_class(course.nodes) if course.phase in DENSE else 1
+        return -width if course.phase in DAMPED and course.inner_damping > 0 else width
 
     def advance(self, phase: Phase, slots: list[int]) -> None:
         """Call a kernel for scenes that wait for it."""
@@ -155,17 +158,16 @@ def solved(
     dtype: torch.dtype = torch.float32,
     slots: int = MOST_SLOTS,
     least: int = LEAST_SHARED,
-    memory: float | None = None,
+    memory: float = devices.CPU_MEMORY,
     use: scheduler.Use | None = None,
 ) -> Iterator[tuple[int, Solved]]:
     """Numbers of scenes, in their order or as they were planned, and their solutions, in the order in which they end;
     those that the batch engine lacks something for, which have no state, come first.
 
     dtype: of the factors. slots: most scenes at once. least: scenes of a pattern below which it is merged with others.
-    memory: [bytes] to use, by default all that the device has. use: where calls are counted.
+    memory: [bytes] to use. use: where calls are counted.
     """
     plans = [each if isinstance(each, Planned) else Planned.of((k, each)) for k, each in enumerate(scenes)]
-    memory = devices.chosen(device) if memory is None else memory
     yield from ((plan.number, Solved([], plan.why)) for plan in plans if plan.pattern is None)
     shared = grids.merged(Counter(plan.pattern for plan in plans if plan.pattern), least)
     groups: dict[tuple[GridPattern, bool], list[Planned]] = {}
@@ -175,8 +177,9 @@ def solved(
             groups.setdefault((pattern, plan.thin), []).append(replace(plan, pattern=pattern))
     for (pattern, _), group in groups.items():  # each pool is gone before the next one is made
         tree, ready = dissected(pattern), map(PreparedScene.of, group)
-        count, limits = room(tree, memory)
-        yield from _solved(tree, ready, min(count, slots), limits, device, dtype, use)
+        devices.cleared(device)
+        room = Room.of(tree, memory)
+        yield from _solved(tree, ready, min(room.slots, slots), room, device, dtype, use)
 
 
 def divided(patterns: Sequence[GridPattern | None], parts: int) -> list[list[int]]:
@@ -195,7 +198,7 @@ def _solved(
     tree: Dissection,
     ready: Iterator[PreparedScene],
     count: int,
-    limits: dict[Phase, int],
+    room: "Room",
     device: str,
     dtype: torch.dtype,
     use: scheduler.Use | None,
@@ -203,14 +206,31 @@ def _solved(
     """Numbers of scenes of one pattern and their solutions."""
     first = list(islice(ready, count))
     pool = ScenePool(first, tree, device, dtype)
-    for scene, found in scheduler.run(pool, chain(first, ready), limits, use):
+    for scene, found in scheduler.run(pool, chain(first, ready), room.most, use):
         yield scene.number, found
 
 
-def room(tree: Dissection, memory: float) -> tuple[int, dict[Phase, int]]:
-    """How many scenes of a pattern have room in so many bytes, and how many a call of some kernels may have."""
-    cells, k = len(tree.pattern.hexes), 3 * len(tree.patch)
-    own = 4.0 * (tree.kept + k * k + k * WIDE + 5 * WIDE**2) + CELL * cells + UNKNOWN * 3 * tree.pattern.size
-    work = dict.fromkeys(HEAVY, float(WORK * cells))
-    work |= dict.fromkeys((Phase.factor, Phase.renew), 8.0 * tree.work + TANGENT * cells)
-    return max(1, int(0.6 * memory / own)), {phase: max(1, int(0.25 * memory / each)) for phase, each in work.items()}
+@dataclass(frozen=True)
+class Room:
+    """How many scenes of a pattern have room (`slots`), and what a call of some kernels needs for each [bytes].
+
+    work: bytes for a call; its work needs them twice, in a recording and without.
+    """
+
+    slots: int
+    each: dict[Phase, float]
+    work: float
+
+    @classmethod
+    def of(cls, tree: Dissection, memory: float) -> "Room":
+        """Room in so many bytes."""
+        cells, k = len(tree.pattern.hexes), 3 * len(tree.patch)
+        own = 4.0 * (tree.kept + k * k + k * WIDE + 5 * WIDE**2) + CELL * cells + UNKNOWN * 3 * tree.pattern.size
+        each = dict.fromkeys(HEAVY, float(WORK * cells))
+        each |= dict.fromkeys((Phase.factor, Phase.renew), 8.0 * tree.work + TANGENT * cells)
+        return cls(max(1, int(0.4 * memory / own)), each, 0.15 * memory)
+
+    def most(self, phase: Phase, size: int) -> int:
+        """Scenes that a call of a kernel may have, of a class of sizes: as a recording has, at least the smallest."""
+        each = MATRIX * (3 * size) ** 2 if phase in DENSE else self.each.get(phase, 0.0)
+        return recorded(min(int(self.work / max(each, 1.0)), MOST_SLOTS))

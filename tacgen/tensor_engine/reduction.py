@@ -10,9 +10,9 @@ import torch
 from torch import Tensor
 
 from tacgen.tensor_engine.multifrontal import BASE, invert_factor
+from tacgen.tensor_engine.replay import rare
 
 EXACT = 1e-3  # largest residual of a solution without pivots, over the largest entry of the right-hand side [-]
-MULTIPLE = 12  # sizes of reduced matrices are multiples of it, so that few sizes occur
 
 
 @dataclass(frozen=True)
@@ -26,10 +26,6 @@ class Reduction:
     G: Tensor
     X: Tensor
     K: Tensor
-
-    def rows(self, which: Tensor) -> "Reduction":
-        """Only some scenes."""
-        return Reduction(*(part[which] for part in vars(self).values()))
 
     def solve(self, K: Tensor, b: Tensor, symmetric: bool) -> tuple[Tensor, Tensor]:
         """x (s, k) of (S + contact) x = b (s, k), with K (s, a, a) of both on the kept unknowns, and which exist (s,):
@@ -67,7 +63,8 @@ def solved_by_inverse(K: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
     invert(inverse)
     x = inverse @ b
     good = (b - K @ x).abs().amax((1, 2)) <= EXACT * b.abs().amax((1, 2))
-    if len(bad := torch.nonzero(~good).squeeze(1)):  # not a number is not small
+    if rare(~good):  # not a number is not small
+        bad = torch.nonzero(~good).squeeze(1)
         some, regular = solved(K[bad].double(), b[bad].double())
         x[bad], good[bad] = some.to(x.dtype), regular
     return x, good
@@ -100,11 +97,11 @@ def _padded(b: Tensor) -> Tensor:
     return torch.nn.functional.pad(b, (0, 1))
 
 
-def reduced(S: Tensor, active: Tensor) -> tuple[Reduction, Tensor]:
-    """S (s, k, k) reduced to the `active` unknowns (s, k) bool, and where what is eliminated is positive definite."""
+def reduced(S: Tensor, active: Tensor, a: int) -> tuple[Reduction, Tensor]:
+    """S (s, k, k) reduced to the `active` unknowns (s, k) bool, of which there are at most `a`, and where what is
+    eliminated is positive definite."""
     k = active.shape[1]
     count = active.sum(1)
-    a = min(-(-int(count.max()) // MULTIPLE) * MULTIPLE, k)
     order = torch.argsort((~active).to(torch.int8), dim=1, stable=True)[:, :a]
     kept = torch.where(torch.arange(a, device=S.device) < count[:, None], order, k)
     place = torch.where(active, active.long().cumsum(1) - 1, a)

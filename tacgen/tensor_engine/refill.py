@@ -8,7 +8,7 @@ from tacgen.mechanics.problem import Problem
 from tacgen.tensor_engine.batch import WIDE, Batch
 from tacgen.tensor_engine.grids import Place
 
-ROWS = ("X", "exists", "used", "areas", "dhat", "eps", "edge", "reach", "friction")
+ROWS = ("X", "exists", "used", "areas", "dhat", "eps", "edge", "reach", "half_wall", "friction")
 
 
 def fill(b: Batch, slot: int, problem: Problem, place: Place) -> None:
@@ -31,4 +31,4 @@ def fill(b: Batch, slot: int, problem: Problem, place: Place) -> None:
     b.courses[slot] = one.courses[0]
     for name, rows in vars(b.t).items():
         rows[slot] = b._blank(name, 1, rows.shape[1:])[0] if name in WIDE else getattr(one.t, name)[0]
-    b.shapes = b.shapes.replaced(slot, one.shapes.all[0])
+    b.indent(slot, one.shapes.all[0])

@@ -6,7 +6,7 @@ ended makes room for the next at once, so that slots stay full until no scene is
 """
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Protocol, TypeVar
 
@@ -60,14 +60,14 @@ class Use:
 def run(
     slots: Slots[Scene, Result],
     scenes: Iterable[Scene],
-    most: Mapping[Phase, int] | None = None,
+    most: Callable[[Phase, int], int] | None = None,
     use: Use | None = None,
 ) -> Iterator[tuple[Scene, Result]]:
     """Scenes with their results, in the order in which they end. `scenes` is read only as slots become free.
 
-    most: largest number of scenes in a call of kernels whose work needs much memory. use: where calls are counted.
+    most: largest number of scenes in a call of a kernel for a class of sizes. use: where calls are counted.
     """
-    waiting, free, most = iter(scenes), list(range(slots.count))[::-1], most or {}
+    waiting, free = iter(scenes), list(range(slots.count))[::-1]
     inside: dict[int, Scene] = {}
     while True:
         while free and (scene := next(waiting, None)) is not None:
@@ -87,8 +87,8 @@ def run(
             free.append(slot)
         if ended:
             continue
-        (phase, _), queue = max(queues.items(), key=lambda each: len(each[1]))
-        some = queue[: most.get(phase, len(queue))]
+        (phase, size), queue = max(queues.items(), key=lambda each: len(each[1]))
+        some = queue if most is None else queue[: most(phase, size)]
         if use is not None:
             use.add(phase, len(some))
         slots.advance(phase, some)

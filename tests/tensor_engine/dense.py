@@ -29,24 +29,26 @@ class Dense:
         self.factored += 1
         return not int(info), S, (first, last, L, W)
 
-    def factor(self, slots: Tensor, K: Tensor, nodes: Tensor) -> tuple[Tensor, Tensor]:
+    def reserve(self, nodes: int) -> bool:
+        return False
+
+    def factor(self, slots: Tensor, K: Tensor, nodes: Tensor, fewest: int = 0) -> tuple[Tensor, Tensor]:
         each = [self._eliminated(k, m) for k, m in zip(K, nodes, strict=True)]
         self.kept |= {slot: parts for slot, (_, _, parts) in zip(slots.tolist(), each, strict=True)}
         return torch.tensor([good for good, _, _ in each]), torch.stack([S for _, S, _ in each])
 
-    def schur(self, K: Tensor, nodes: Tensor) -> tuple[Tensor, Tensor]:
+    def schur(self, K: Tensor, nodes: Tensor, fewest: int = 0) -> tuple[Tensor, Tensor]:
         each = [self._eliminated(k, m) for k, m in zip(K, nodes, strict=True)]
         return torch.tensor([good for good, _, _ in each]), torch.stack([S for _, S, _ in each])
 
-    def forward(self, slots: Tensor, g: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(self, slots: Tensor, g: Tensor, nodes: int) -> tuple[Tensor, Tensor]:
         y, loads = torch.zeros_like(g), []
-        most = max(len(self.kept[k][1]) for k in slots.tolist())
         for row, (slot, flat) in enumerate(zip(slots.tolist(), g.flatten(1), strict=True)):
             first, last, L, W = self.kept[slot]
             part = torch.linalg.solve_triangular(L, flat[first, None], upper=False).squeeze(1)
             y[row].view(-1)[first] = part
             load = flat[last] - W.T @ part
-            loads.append(torch.nn.functional.pad(load, (0, most - len(load))))
+            loads.append(torch.nn.functional.pad(load, (0, 3 * nodes - len(load))))
         return y, torch.stack(loads)
 
     def expand(self, slots: Tensor, u: Tensor, y: Tensor) -> Tensor:

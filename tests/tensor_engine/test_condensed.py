@@ -26,8 +26,9 @@ def kept():
     for row, some in zip(nodes, own, strict=True):
         row[: len(some)] = some
     condensed, slots = Condensed(Multifrontal(dissected(PATTERN), dtype=D), 5), torch.tensor([4, 0, 2])
+    condensed.reserve(9)
     first = condensed.factor(slots[:2], elements[:2], nodes[:2, :3])
-    second = condensed.factor(slots[2:], elements[2:], nodes[2:])
+    second = condensed.factor(slots[2:], elements[2:], nodes[2:], 9)
     return condensed, slots, K, own, [*first[1], *second[1]], torch.cat([first[0], second[0]])
 
 
@@ -55,7 +56,7 @@ def test_substitutions_are_those_of_the_whole_matrix_in_any_order_of_slots(kept)
     g, u = torch.randn((3, PATTERN.size, 3), dtype=D), torch.randn((3, 27), dtype=D)
     for i, scene in enumerate(which):
         u[i, 3 * len(own[scene]) :] = 0
-    y, load = condensed.forward(slots[which], g)
+    y, load = condensed.forward(slots[which], g, 9)
     p = condensed.expand(slots[which], u, y)
     alone = condensed.expand(slots[which], u, torch.zeros_like(y))
     for i, scene in enumerate(which):
@@ -82,10 +83,3 @@ def test_a_matrix_that_is_indefinite_away_from_the_contact_is_told(kept):
     ok, found = condensed.schur(elements, nodes)
     assert ok.tolist() == [True, False, False]
     assert torch.allclose(found[0], S[0])
-
-
-def test_nodes_outside_the_patch_are_refused(kept):
-    condensed, slots, _, _, _, _ = kept
-    elements, _ = matrices(PATTERN, batch=1)
-    with pytest.raises(ValueError, match="patch"):
-        condensed.factor(slots[:1], elements, torch.tensor([[1]]))

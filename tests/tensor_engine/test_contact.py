@@ -111,7 +111,7 @@ def close(many: object, one: Array, relative: float = 1e-11) -> bool:
                          ids=["sliding", "sticking", "frictionless"])  # fmt: skip
 def test_forces_and_tangents_are_those_of_the_cpu(slide: float, friction: bool) -> None:
     case = Case(slide, friction)
-    found = case.many.tangents(case.X)
+    found = case.many.evaluate(case.X)
     lengths = []
     for row, (one, x) in enumerate(zip(case.one, case.x, strict=True)):
         alone = one.evaluate(x)
@@ -148,7 +148,7 @@ def test_tangents_are_slopes_of_the_forces() -> None:
     many = case.many.shrunk(case.many.offset + 0.2)
     many = replace(many, dhat=many.dhat + 0.3)
     p = torch.tensor(np.random.default_rng(1).normal(size=case.X.shape))
-    here = many.tangents(case.X)
+    here = many.evaluate(case.X)
     slope = (many.evaluate(case.X + h * p).force - many.evaluate(case.X - h * p).force) / (2 * h)
     along = -(here.tangent @ many.points(p)[..., None]).squeeze(-1)
     smooth = ((here.gap > 0) & (here.N > 0))[..., None]

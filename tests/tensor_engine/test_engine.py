@@ -94,16 +94,17 @@ def test_a_tangent_that_is_not_definite_is_projected_in_its_scene_alone(monkeypa
     solve(b, scenes)
     factor, calls = b.factors.factor, []
 
-    def refusing(slots: torch.Tensor, K: torch.Tensor, nodes: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def refusing(
+        slots: torch.Tensor, K: torch.Tensor, nodes: torch.Tensor, fewest: int
+    ) -> tuple[torch.Tensor, torch.Tensor]:
         calls.append((slots.tolist(), float(torch.linalg.eigvalsh(K).min())))
         good, S = factor(slots, K, nodes)
         return good & (slots == 0) if len(calls) < 3 else good, S
 
     monkeypatch.setattr(b.factors, "factor", refusing)
     s = b.slots([0, 1])
-    x = b.t.x[s]
-    x[1, :, 2] *= 0.8  # squeezed
-    assert load_step.take(b, s, x, None) == [True, True]
+    b.t.x[1, :, 2] *= 0.8  # squeezed
+    assert load_step.take(b, s, "x", False) == [True, True]
     assert [slots for slots, _ in calls] == [[0, 1], [1], [1]]
     least = [value for _, value in calls]
     assert least[0] < -1e-3

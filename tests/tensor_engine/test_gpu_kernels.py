@@ -46,7 +46,7 @@ def test_forces_tangents_and_merits(slide: float, friction: bool) -> None:
     areas = case.many.areas.clone()
     areas[:, 3] = 0.0  # a facet that does not exist
     many, r = case.many.only(case.many.conn, areas, case.many.anchor), np.random.default_rng(3)
-    wanted = many.tangents(case.X)
+    wanted = many.evaluate(case.X)
     names = ("gap", "at", "normal", "N", "force", "tangent", "definite")
     for name, found in zip(names, gpu_contact.forces(many, case.X), strict=True):
         assert close(found, getattr(wanted, name)), name

@@ -12,6 +12,7 @@ from helpers.presses import gel, scene
 from tacgen.geometry.analytic_sdf import BoxSdf, SphereSdf
 from tacgen.mechanics import Problem, mesh, states
 from tacgen.mechanics.phases import Phase
+from tacgen.mechanics.tunnelling import half_wall
 from tacgen.tensor_engine import grids, pool, refill, scheduler
 from tacgen.tensor_engine.dissection import dissected
 from tacgen.tensor_engine.grids import GridPattern
@@ -63,7 +64,8 @@ def test_indenters_on_grids_follow_each_other_in_a_slot():
         slots.enter(0, each)
         found = slots.batch.shapes.distance(at)[0][0]
         assert found.numpy() == pytest.approx(each.scene.shape.distance(at[0].numpy())[0], abs=1e-12)
-    assert len(slots.batch.shapes.values) == small.coefficients.size
+        assert float(slots.batch.half_wall[0]) == half_wall(each.scene.shape)
+    assert len(slots.batch.shapes.values) <= 2 * small.coefficients.size  # room that is used again
 
 
 def test_meshes_of_unlike_sizes_share_one_batch():
@@ -93,12 +95,13 @@ def test_a_scene_that_goes_on_for_long_is_left_to_the_cpu_engine(monkeypatch):
 
 def test_less_memory_has_room_for_fewer_scenes():
     tree = dissected(grids.GridPattern((18, 18, 5)))
-    (many, most), (few, least) = pool.room(tree, 1e10), pool.room(tree, 1e6)
-    assert few == 1
-    assert set(least.values()) == {1}
-    assert many > 50
-    assert 10 < most[Phase.factor] < most[Phase.load]
-    assert pool.room(tree, 2e10)[0] == pytest.approx(2 * many, abs=1)
+    large, small = pool.Room.of(tree, 1e10), pool.Room.of(tree, 1e6)
+    assert small.slots == 1
+    assert small.most(Phase.factor, 1) == small.most(Phase.contact, 72) == 2
+    assert large.slots > 50
+    assert 8 <= large.most(Phase.factor, 1) < large.most(Phase.load, 1) < large.most(Phase.begin, 1)
+    assert 8 <= large.most(Phase.contact, -256) < large.most(Phase.contact, 72)
+    assert pool.Room.of(tree, 2e10).slots == pytest.approx(2 * large.slots, abs=1)
 
 
 def test_factorisations_at_once_are_bounded_by_memory(monkeypatch):
@@ -108,7 +111,7 @@ def test_factorisations_at_once_are_bounded_by_memory(monkeypatch):
         calls.append((phase, len(rows)))
         advance(batch, phase, rows)
 
-    monkeypatch.setattr(pool, "room", lambda tree, memory: (8, {Phase.factor: 1}))
+    monkeypatch.setattr(pool.Room, "most", lambda room, phase, size: 1 if phase is Phase.factor else 9)
     monkeypatch.setattr(pool.engine, "advance", watched)
     assert len(list(pool.solved(SCENES[:3]))) == 3
     assert {count for phase, count in calls if phase is Phase.factor} == {1}

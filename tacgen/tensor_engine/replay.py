@@ -1,0 +1,144 @@
+"""Work on rows of a batch recorded once, as a CUDA graph, and replayed: hundreds of launches become one.
+
+For some dozens of scenes a GPU takes less time for an operation than its host to launch it. Work is a function of slots
+(s,) that reads and writes a batch's tensors, and never waits for the device: where it goes on otherwise for a few
+scenes, it asks `rare`, and is done again without a recording if one of them was met. So work must not read what it
+writes.
+"""
+
+import gc
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from tacgen.tensor_engine.device import cleared
+from tacgen.tensor_engine.indices import listed
+
+Outputs = tuple[Tensor, ...]
+Work = Callable[..., Outputs]  # of slots (s,) and numbers (s,); outputs have a row for each
+_noted: list[Tensor] | None = None  # what was assumed not to occur, while work is recorded
+
+
+def padded(rows: int) -> int:
+    """Rows of the recording for so many: few sizes, as each takes the time of some calls to record."""
+    return 2 << 2 * ((max(rows, 2) - 1).bit_length() // 2)
+
+
+def recorded(most: int) -> int:
+    """Rows of the largest recording with at most so many, or of the smallest."""
+    return 2 << 2 * ((max(most, 2).bit_length() - 2) // 2)
+
+
+def rare(mask: Tensor) -> bool:
+    """Whether a mask is set anywhere. While work is recorded False: where that was wrong, the work is done again."""
+    if _noted is None:
+        return bool(mask.any())
+    _noted.append(mask.any())
+    return False
+
+
+def recording() -> bool:
+    """Whether work is recorded, and must not wait for the device."""
+    return _noted is not None
+
+
+@contextmanager
+def _noting() -> Iterator[list[Tensor]]:
+    global _noted
+    notes: list[Tensor] = []
+    _noted = notes
+    try:
+        yield notes
+    finally:
+        _noted = None
+
+
+class Replays:
+    """Recordings of a batch's work on its device.
+
+    on: whether work is padded and recorded; on a CPU it is then padded alone, for tests.
+    """
+
+    def __init__(self, device: torch.device, on: bool | None = None) -> None:
+        self.device, self.on = device, device.type == "cuda" if on is None else on
+        self.count = 0  # calls that were replays
+        self._recorded: dict[Hashable, _Recording | None] = {}
+        self._where: Any = None  # stream and pool of memory, which recordings share since they never run at once
+
+    def forget(self) -> None:
+        """Tensors have moved: what was recorded is useless."""
+        if self._recorded:
+            self._recorded, self._where = {}, None
+            cleared(str(self.device))
+
+    def __call__(self, key: Hashable, work: Work, s: Tensor, *numbers: Sequence[float]) -> Outputs:
+        """Outputs of work for slots s and numbers of them, to be used before the next call; key: all else that it
+        depends on. The first call with a key and a size of call is not recorded: libraries and constants are made."""
+        if not self.on:
+            return self._eagerly(work, s, numbers)
+        rows = listed(s)
+        key = key, (size := padded(len(rows)))
+        if key not in self._recorded:
+            self._recorded[key] = None
+            return self._eagerly(work, s, numbers)
+        if (recorded := self._recorded[key]) is None:
+            if self._where is None and self.device.type == "cuda":
+                self._where = torch.cuda.Stream(), torch.cuda.graph_pool_handle()
+            recorded = self._recorded[key] = _Recording(work, size, len(numbers), self.device, self._where)
+        out = recorded.replay(rows, numbers)
+        if out is None:
+            return self._eagerly(work, s, numbers)
+        self.count += 1
+        return out
+
+    def _eagerly(self, work: Work, s: Tensor, numbers: Sequence[Sequence[float]]) -> Outputs:
+        return work(s, *(torch.tensor(each, dtype=torch.float64, device=self.device) for each in numbers))
+
+
+class _Recording:
+    """Work for a number of rows, on a GPU as a graph; a call with fewer repeats its first row."""
+
+    def __init__(self, work: Work, size: int, numbers: int, device: torch.device, where: Any) -> None:
+        self.size, self.graph = size, torch.cuda.CUDAGraph() if device.type == "cuda" else None
+        self.run = partial(self._run, work)
+        self.slots = torch.zeros(size, dtype=torch.long, device=device)
+        self.numbers = torch.zeros(numbers, size, dtype=torch.float64, device=device)
+        if self.graph is not None:
+            self._capture(self.graph, *where)
+            del self.run  # which holds the batch
+
+    def _run(self, work: Work) -> None:
+        with _noting() as notes:
+            self.out = work(self.slots, *self.numbers)
+            self.missed = torch.stack(notes).any() if notes else None
+
+    def _capture(self, graph: Any, stream: Any, pool: Any) -> None:
+        now = torch.cuda.current_stream()
+        stream.wait_stream(now)
+        gc.disable()  # what it may delete must not be deleted meanwhile
+        try:
+            with torch.cuda.stream(stream):
+                graph.capture_begin(pool=pool, capture_error_mode="thread_local")
+                self.run()
+                graph.capture_end()
+        finally:
+            gc.enable()
+        now.wait_stream(stream)
+
+    def replay(self, rows: list[int], numbers: Sequence[Sequence[float]]) -> Outputs | None:
+        """Outputs for these rows; None: something rare was met."""
+        more = self.size - len(rows)
+        self.slots.copy_(torch.tensor(rows + rows[:1] * more))
+        for at, each in zip(self.numbers, numbers, strict=True):
+            at.copy_(torch.tensor([*each, *[each[0]] * more], dtype=torch.float64))
+        if self.graph is None:
+            self.run()
+        else:
+            self.graph.replay()
+        if self.missed is not None and bool(self.missed):
+            return None
+        return tuple(part[: len(rows)] for part in self.out)

@@ -1,0 +1,156 @@
+"""Recorded work does what work does, for calls of any size, and never waits for the device while it is recorded."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from torch.utils._python_dispatch import TorchDispatchMode, _disable_current_modes
+
+import tacgen.tensor_engine.batch
+from tacgen.geometry.analytic_sdf import SphereSdf
+from tacgen.tensor_engine import inversion, pool, replay
+from tacgen.tensor_engine.contact import Contacts
+from tacgen.tensor_engine.indices import index_of
+from tacgen.tensor_engine.replay import Replays, padded, rare, recorded
+from tacgen.tensor_engine.shapes import Shapes
+from tensor_engine.batches import batch, path, small, solve
+from tensor_engine.dense import Dense
+from tensor_engine.test_forces import forced
+from tensor_engine.test_pool import SCENES
+
+CPU = torch.device("cpu")
+# operations whose result is needed on the host before the next one can be launched
+WAITING = {"_local_scalar_dense", "nonzero", "masked_select", "is_nonzero", "unique_consecutive", "_unique2", "equal"}
+
+
+class NeverWaiting(TorchDispatchMode):
+    """Fails where work would wait for the device."""
+
+    def __torch_dispatch__(self, func: Any, types: Any, args: tuple = (), kwargs: dict | None = None) -> Any:
+        name = func.overloadpacket.__name__
+        indices = args[1] if name in ("index", "index_put", "index_put_", "_index_put_impl_") else ()
+        masks = any(part is not None and part.dtype == torch.bool for part in indices)
+        assert name not in WAITING, f"{name} while work is recorded"
+        assert not masks, f"{name} with a mask while work is recorded"
+        return func(*args, **(kwargs or {}))
+
+
+def excused(function: Callable) -> Callable:
+    """A function that may wait: on a GPU it is a kernel, or another class."""
+
+    def alone(*args: Any, **kwargs: Any) -> Any:
+        with _disable_current_modes():
+            return function(*args, **kwargs)
+
+    return alone
+
+
+@pytest.fixture
+def watched(monkeypatch: pytest.MonkeyPatch) -> None:
+    names = [(Contacts, "evaluate"), (Contacts, "merits"), (Shapes, "distance")]
+    for owner, name in [*names, *((Dense, each) for each in ("factor", "schur", "forward", "expand"))]:
+        monkeypatch.setattr(owner, name, excused(getattr(owner, name)))
+    noting = replay._noting
+
+    @contextmanager
+    def noting_without_waiting() -> Iterator[list]:
+        with noting() as notes, NeverWaiting():
+            yield notes
+
+    monkeypatch.setattr(replay, "_noting", noting_without_waiting)
+
+
+def test_calls_of_any_size_have_the_outputs_of_the_work() -> None:
+    rows, replays = torch.arange(40.0), Replays(CPU, on=True)
+    for slots in ([3], [5, 1], [7, 2, 9], [4, 0, 8], list(range(30)), [1] * 9):
+        some, times = index_of(slots, CPU), [float(k) for k in slots]
+        once, twice = replays("twice", lambda s, k: (rows[s], k * rows[s]), some, times)
+        assert once.tolist() == [float(k) for k in slots]
+        assert twice.tolist() == [float(k) ** 2 for k in slots]
+    assert replays.count == 3  # of 2 rows, 8 and 32, each the second time
+
+
+def test_sizes_of_recordings_are_few_and_large_enough() -> None:
+    sizes = [padded(k) for k in range(1, 500)]
+    assert sorted(set(sizes)) == [2, 8, 32, 128, 512]
+    assert all(size >= k for k, size in enumerate(sizes, 1))
+    assert [recorded(k) for k in (0, 2, 7, 8, 31, 32, 500, 512)] == [2, 2, 2, 8, 8, 32, 128, 512]
+
+
+def test_work_that_meets_something_rare_is_done_again() -> None:
+    rows, replays, done = torch.tensor([1.0, 4.0, -9.0]), Replays(CPU, on=True), []
+
+    def roots(s: torch.Tensor) -> tuple[torch.Tensor]:
+        done.append(replay.recording())
+        return (rows[s].abs().sqrt(),) if rare(rows[s] < 0) else (rows[s].sqrt(),)
+
+    found = [replays("roots", roots, index_of(slots, CPU))[0].tolist() for slots in ([0], [1], [2], [0])]
+    assert found == [[1.0], [2.0], [3.0], [1.0]]
+    assert done == [False, True, True, False, True]
+    assert replays.count == 2
+    replays.forget()
+    replays("roots", roots, index_of([0], CPU))
+    assert done[-1] is False
+
+
+@pytest.mark.usefixtures("watched")
+def test_scenes_solved_by_recorded_work_end_where_others_do() -> None:
+    slide = path((0, 0, -0.3), (0.25, 0.1, -0.35))
+    scenes = [small(SphereSdf(1.5), slide, friction=0.5), small(SphereSdf(1.2), path((0, 0, -0.2)), friction=0.3)]
+    scenes.append(forced(small(SphereSdf(1.5), slide, friction=0.5), [0.1, 0.15]))  # trials begin near each other
+    wanted, recorded = solve(batch(scenes), scenes), batch(scenes)
+    recorded.replays = Replays(CPU, on=True)
+    for one, other in zip(solve(recorded, scenes), wanted, strict=True):
+        assert one.why is None
+        for state, same in zip(one.states, other.states, strict=True):
+            assert np.abs(state.normal_force - same.normal_force).max() < 1e-9 * same.normal_force.max()
+            assert np.abs(state.x - same.x).max() < 1e-9
+            assert state.least_J == pytest.approx(same.least_J, abs=0.01)
+    assert recorded.replays.count > 50
+
+
+@pytest.mark.usefixtures("watched")
+def test_scenes_in_refilled_slots_end_the_same_by_recorded_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    scenes, made = SCENES[:3], []
+    wanted = dict(pool.solved(scenes, slots=2, dtype=torch.float64))
+
+    def replays(device: torch.device) -> Replays:
+        made.append(Replays(device, on=True))
+        return made[-1]
+
+    monkeypatch.setattr(tacgen.tensor_engine.batch, "Replays", replays)
+    for number, found in pool.solved(scenes, slots=2, dtype=torch.float64):
+        assert found.why is None
+        assert len(found.states) == len(wanted[number].states)
+        for state, same in zip(found.states, wanted[number].states, strict=True):
+            force = max(float(same.normal_force.sum()), 1e-6)
+            assert np.abs(state.normal_force - same.normal_force).max() < 1e-9 * force
+    assert sum(each.count for each in made) > 50
+
+
+@pytest.mark.usefixtures("watched")
+def test_folded_cells_are_in_recordings_up_to_their_number(monkeypatch: pytest.MonkeyPatch) -> None:
+    scenes = [small(SphereSdf(1.5), path((0, 0, -0.3)))] * 2
+    b, s = batch(scenes), index_of([0, 1], CPU)
+    b.t.x[:] = b.X
+    b.t.x[1, :, 2] *= 0.55  # all cells squeezed below J0
+    b.t.x[0, int(b.topology.conn[4, 6])] -= 0.4
+    eager = b.gradient(s, b.t.x[s])
+    b.replays = Replays(CPU, on=True)
+
+    def work(s: torch.Tensor) -> tuple[torch.Tensor]:
+        return (b.gradient(s, b.t.x[s]),)
+
+    for most, replayed in ((4, 0), (len(b.topology.conn), 1)):
+        monkeypatch.setattr(inversion, "FOLDED", most)
+        b.replays.forget()
+        b.replays.count = 0
+        for _ in range(2):
+            (found,) = b.replays("forces", work, s)
+            assert (found - eager).abs().max() < 1e-12 * eager.abs().max()
+        assert b.replays.count == replayed
