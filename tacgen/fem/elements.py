@@ -1,7 +1,6 @@
 """Element tables: connectivity, shape-function gradients and weights at the integration points."""
 
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 
@@ -17,10 +16,6 @@ GAUSS2 = np.array([-1.0, 1.0]) / np.sqrt(3.0)
 # Gauss-Legendre points and weights on [-1, 1], by number of points
 GAUSS = {2: (GAUSS2, np.ones(2)), 3: (np.array([-1.0, 0, 1]) * np.sqrt(0.6), np.array([5.0, 8, 5]) / 9)}
 TET_EDGES = np.array([(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)])
-# the parts at the corners, and those of the octahedron between them around its diagonal 4-9; nodes as in `tets`
-TET_PARTS = np.array(
-    [(0, 4, 6, 7), (4, 1, 5, 8), (6, 5, 2, 9), (7, 8, 9, 3), (4, 9, 5, 6), (4, 9, 6, 7), (4, 9, 7, 8), (4, 9, 8, 5)]
-)
 TRIANGLE_EDGES = np.array([(0, 1), (1, 2), (2, 0)])
 TET4 = (5 - np.sqrt(5.0)) / 20  # the smaller barycentric coordinate of the 4-point rule of degree 2 for tets
 POINTWISE = 25.0  # Elements.pointwise of quadratic tets [-]: inf was 2.7 % too stiff at nu 0.4995, 0 was 2.6 % too soft
@@ -133,16 +128,6 @@ def grid_points(nodes: int) -> tuple[Array, Array]:
     corners = np.eye(4)
     N, dL = barycentric(np.concatenate([corners, corners[TET_EDGES].mean(1)])[:nodes], nodes)
     return N, dL[..., 1:] - dL[..., :1]
-
-
-@cache
-def eighths(nodes: int) -> Array:
-    """Shape functions (8, a, a) at the nodes of the eight parts into which the middles of its edges divide an element:
-    with node positions x (a, 3), `eighths(a) @ x` are those of the parts."""
-    if nodes == 8:
-        return np.stack([trilinear((HEX_CORNERS + corner) / 2)[0] for corner in HEX_CORNERS])
-    at = np.concatenate([np.eye(4), np.eye(4)[TET_EDGES].mean(1)])
-    return np.stack([barycentric(at[:nodes] @ at[part], nodes)[0] for part in TET_PARTS])
 
 
 def dense_points(points: Array, elements: Elements) -> Elements:

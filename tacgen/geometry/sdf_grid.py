@@ -99,10 +99,9 @@ def _evaluate(p: Array, c: Array, origin: Array, cell: float, d: Array, g: Array
 class Field:
     """A rigid indenter given by its signed distance on a grid; fits `analytic_sdf.Shape`.
 
-    coefficients (i, j, k) of the spline [mm], the first at `origin` (3,) [mm], `cell` apart [mm]; reach: half the
-    body's thinnest wall, depth: what the spline has of it [mm]; corners (h, 3) of the body's convex hull [mm]. Outside
-    the grid the distance is a lower bound: the surface that can touch the gel must be inside, at least the contact
-    range from the grid's boundary.
+    coefficients (i, j, k) of the spline [mm], the first at `origin` (3,) [mm], `cell` apart [mm]; corners (h, 3) of the
+    body's convex hull [mm]. Outside the grid the distance is a lower bound: the surface that can touch the gel must be
+    inside, at least the contact range from the grid's boundary.
     """
 
     coefficients: Array
@@ -110,7 +109,6 @@ class Field:
     cell: float
     smallest_radius: float
     reach: float
-    depth: float
     corners: Array
 
     @classmethod
@@ -142,7 +140,7 @@ class Field:
                 mean = ndimage.correlate1d(mean, np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16, axis=axis, mode="nearest")
             smooth = np.exp(-((_second_differences(mean) / (MEAN_EDGE_BEND * cell)) ** 2))
             spline = smooth * spline + (1 - smooth) * mean
-        return cls(spline, np.asarray(origin, float), cell, smallest_radius, *_half_thickness(d, spline, cell), corners)
+        return cls(spline, np.asarray(origin, float), cell, smallest_radius, _half_thickness(d, cell), corners)
 
     def distance(self, p: Array) -> tuple[Array, Array, Array]:
         """Signed distance [mm] (n,), its gradient (n, 3) and Hessian [1/mm] (n, 3, 3) at points p (n, 3) [mm]."""
@@ -161,14 +159,10 @@ def _second_differences(d: Array) -> Array:
     return np.asarray(sum(ndimage.correlate1d(d, [1.0, -2.0, 1.0], axis=a, mode="nearest") for a in range(3)))
 
 
-def _half_thickness(distances: Array, spline: Array, cell: float) -> tuple[float, float]:
-    """Half the thinnest wall [mm]: the least depth of points that are equally far from two sides; and the least depth
-    there by the spline with these coefficients (i, j, k), which rounds thin walls."""
-    slope = np.sqrt(sum(g**2 for g in np.gradient(distances, cell)))
+def _half_thickness(distances: Array, cell: float) -> float:
+    """Half the thinnest wall [mm]: the least depth of points that are equally far from two sides."""
+    slope = np.sqrt(sum(g**2 for g in np.gradient(np.asarray(distances, float), cell)))
     # the slope is 0.7 between faces at a right angle, 0 between parallel faces
     middle = (slope < 0.4) & (distances < -cell)
-    if not middle.any():
-        middle = distances == distances.min()
-    for axis in range(3):
-        spline = ndimage.correlate1d(spline, np.array([1.0, 4.0, 1.0]) / 6, axis=axis, mode="nearest")
-    return float(max(-distances[middle].max(), cell)), float(max(-spline[middle].max(), 0.0))
+    depth = -distances[middle].max() if middle.any() else -distances.min()
+    return float(max(depth, cell))

@@ -23,13 +23,11 @@ from tacgen.mechanics.predictor import Prediction, predict
 from tacgen.mechanics.problem import Problem
 from tacgen.mechanics.solve_state import Found, SolveState, known
 from tacgen.mechanics.state import History
-from tacgen.mechanics.tunnelling import blocked, depth_inside, half_wall
+from tacgen.mechanics.tunnelling import blocked, depth_inside
 
 Array = np.ndarray
 Result = tuple[Outcome, SolveState]
-# depth of the gel inside the shrunk indenter, over that of the middle of its thinnest wall, at which a load step fails
-# [-]; a quarter more is sure to be found, so a wall that the gel encloses is
-INSIDE = 0.75
+INSIDE = 0.45  # largest depth of the gel inside the indenter, over its reach [-]; at 1 it may come out on the far side
 STIFFER = 4.0  # factor of a barrier that does not suffice [-]
 
 
@@ -112,12 +110,14 @@ class LoadStep:
         return replace(self, coupled=solution.contact.stiffened(STIFFER) if contact else solution.contact, bulk=bulk)
 
     def wrong(self, solution: Found) -> NotConverged | None:
-        """The failure where some of the gel's body is far inside the indenter: it cuts in between points of contact, or
-        they have passed through it and the gel encloses it."""
-        contact, problem = solution.contact.contact.distance, self.problem
-        most = INSIDE * (half_wall(contact.shape) - contact.offset)
-        if (deep := depth_inside(contact, problem.elastic, solution.x, most)) > most:
-            return NotConverged(Failure.inside, width=2 * contact.shape.reach, depth=deep, edge=problem.edge)
+        """The failure where the gel is far inside the indenter or has passed through it: from the middle of a thin wall
+        points may be pushed out on the far side."""
+        contact, problem, history = solution.contact.contact.distance, self.problem, self.history
+        reach = contact.shape.reach
+        if blocked(contact, history.pose, history.x, history.gap, solution.x):
+            return NotConverged(Failure.too_far)
+        if (deep := depth_inside(contact, problem.elastic, solution.x)) > INSIDE * reach:
+            return NotConverged(Failure.inside, width=2 * reach, depth=deep, edge=problem.edge)
         return None
 
 

@@ -5,16 +5,13 @@ from collections.abc import Iterable
 import numpy as np
 
 from tacgen.fem.elasticity import Elastic
-from tacgen.fem.elements import QUAD_CORNERS, barycentric, eighths
-from tacgen.geometry.analytic_sdf import Shape
+from tacgen.fem.elements import QUAD_CORNERS, barycentric
 from tacgen.geometry.pose import Pose
-from tacgen.geometry.sdf_grid import Field
 from tacgen.mechanics.barrier import Contact
 
 Array = np.ndarray
 DEEPEST = 0.75  # depth over the indenter's reach [-] beyond which a point has tunnelled, anywhere in its step
 BETWEEN = 6  # intervals along a facet's side: the overlap is sampled at their ends
-FINEST = 0.25  # size of the parts of an element that are not divided further, over the depth that is looked for [-]
 TURN = 0.25  # -cos of the angle between the outward normals at entry and later [-]: beyond it a point has tunnelled
 
 
@@ -44,28 +41,13 @@ def blocked(contact: Contact, was: Pose, before: Array, gap: Array, x: Array) ->
     return False
 
 
-def half_wall(shape: Shape) -> float:
-    """Depth of the middle of an indenter's thinnest wall [mm]."""
-    return shape.depth if isinstance(shape, Field) else shape.reach
-
-
-def depth_inside(contact: Contact, elastic: Iterable[Elastic], x: Array, most: float) -> float:
-    """Depth of a point of the gel's body inside the shrunk indenter [mm]: more than `most` [mm] if any point is deeper
-    than (1 + FINEST) most, else the largest that was seen.
-
-    A search of all points of the elements by branch and bound: the distance changes by no more than the way, so a part
-    of an element whose nodes are all within r of its middle is no deeper than the middle by more than r.
-    """
-    deepest = 0.0
+def depth_inside(contact: Contact, elastic: Iterable[Elastic], x: Array) -> float:
+    """Largest penetration of the gel into the shrunk indenter [mm], at the integration points."""
+    least = 0.0
     for part in elastic:
-        cells, split = x[part.elements.conn], eighths(part.elements.conn.shape[1])
-        while len(cells) and deepest <= most:
-            middle = cells.mean(1)
-            r = np.linalg.norm(cells - middle[:, None], axis=-1).max(1)
-            depth = -contact.offset - contact.shape.distance(contact.pose.local(middle))[0]
-            deepest = max(deepest, float(depth.max()))
-            cells = (split @ cells[(depth + r > most) & (r > FINEST * most), None]).reshape(-1, *cells.shape[1:])
-    return deepest
+        at = np.einsum("qa,eai->eqi", part.elements.shape, x[part.elements.conn]).reshape(-1, 3)
+        least = min(least, float(contact.shape.distance(contact.pose.local(at))[0].min()) + contact.offset)
+    return -least
 
 
 def overlap(contact: Contact, x: Array) -> float:

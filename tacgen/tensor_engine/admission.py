@@ -6,7 +6,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from tacgen.fem.elements import eighths
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics.admission import NEGLIGIBLE, STIFFENINGS, rounded
 from tacgen.mechanics.failures import Failure, NotConverged
@@ -14,17 +13,14 @@ from tacgen.mechanics.load_step import INSIDE, STIFFER
 from tacgen.mechanics.load_stepping import halved
 from tacgen.mechanics.phases import Outcome
 from tacgen.mechanics.state import History, State, joined
-from tacgen.mechanics.tunnelling import FINEST
 from tacgen.tensor_engine.batch import Batch
 from tacgen.tensor_engine.contact import Contacts, Forces, slip
 from tacgen.tensor_engine.contact_newton import at_nodes
-from tacgen.tensor_engine.indices import constant, listed
+from tacgen.tensor_engine.indices import listed
 from tacgen.tensor_engine.inversion import least_jacobian
-from tacgen.tensor_engine.replay import rare, recording
+from tacgen.tensor_engine.load_step import blocked
 
 Array = np.ndarray
-# parts of elements of a scene that a recorded search of its body divides at once, and how often
-RECORDED_PARTS, RECORDED_LEVELS = 16, 5
 
 
 def admit(b: Batch, s: Tensor) -> list[Outcome]:
@@ -34,7 +30,7 @@ def admit(b: Batch, s: Tensor) -> list[Outcome]:
     (found,) = b.replays(("admit", b.hexes.laws.two_invariants), partial(_figures, b), s)
     figures, outcomes, recorded = found.tolist(), [], []
     for k, (row, each) in enumerate(zip(rows, figures, strict=True)):
-        course, (gap, J, off, unequal, deep, most_deep) = b.courses[row], each
+        course, (gap, J, off, unequal, deep, reach, through) = b.courses[row], each
         course.solves, course.steps = course.solves + 1, course.steps + course.newton_steps
         course.damped += course.newton_damped
         touching, inverted = not gap > 0, not J > 0
@@ -49,10 +45,12 @@ def admit(b: Batch, s: Tensor) -> list[Outcome]:
         elif J <= 0:
             course.failure = NotConverged(Failure.inverted, least_J=J)
             outcomes.append(Outcome.failure)
-        elif deep > most_deep:
-            problem = course.problem
-            width = 2 * problem.contact.shape.reach
-            course.failure = NotConverged(Failure.inside, width=width, depth=deep, edge=problem.edge)
+        elif through:
+            course.failure = NotConverged(Failure.too_far)
+            outcomes.append(Outcome.failure)
+        elif deep > INSIDE * reach:
+            edge = course.problem.edge
+            course.failure = NotConverged(Failure.inside, width=2 * reach, depth=deep, edge=edge)
             outcomes.append(Outcome.failure)
         else:
             recorded.append(k)
@@ -63,15 +61,15 @@ def admit(b: Batch, s: Tensor) -> list[Outcome]:
 
 
 def _figures(b: Batch, s: Tensor) -> tuple[Tensor]:
-    """By scene (s, 6): smallest gap, least J, residual and imbalance of the forces, depth inside the indenter, and how
-    deep is too deep."""
+    """By scene (s, 7): smallest gap, least J, residual and imbalance of the forces, depth inside the indenter, its
+    reach, and whether a point has passed through it."""
     x, contact = b.t.x[s], b.face(s, b.t.offset[s])
     forces = contact.evaluate(x)
     least_J = least_jacobian(b.X[s], x, b.topology, b.exists[s])
     residual, balance = _imbalance(b, s, x, contact, forces)
-    most = INSIDE * (b.half_wall[s] - contact.offset)
-    inside = _depth_inside(b, s, x, contact, most)
-    return (torch.stack([forces.gap.flatten(1).amin(1), least_J, residual, balance, inside, most], 1),)
+    inside, through = _depth_inside(b, s, x, contact), blocked(b, s, x)
+    columns = forces.gap.flatten(1).amin(1), least_J, residual, balance, inside, b.reach[s], through.to(x.dtype)
+    return (torch.stack(columns, 1),)
 
 
 def _imbalance(b: Batch, s: Tensor, x: Tensor, contact: Contacts, forces: Forces) -> tuple[Tensor, Tensor]:
@@ -85,24 +83,11 @@ def _imbalance(b: Batch, s: Tensor, x: Tensor, contact: Contacts, forces: Forces
     return residual / force, torch.linalg.norm(pushed - reaction, dim=1) / force
 
 
-def _depth_inside(b: Batch, s: Tensor, x: Tensor, contact: Contacts, most: Tensor) -> Tensor:
-    """Depth (s,) of a point of each gel's body inside the shrunk indenter [mm], for `most` (s,); see
-    mechanics.tunnelling.depth_inside."""
-    cells, there, deepest = x[:, b.topology.conn], b.exists[s], torch.zeros_like(most)
-    split, offset = constant(eighths(8), x), contact.offset[:, None]
-    for level in range(RECORDED_LEVELS + 1 if recording() else 100):
-        middle = cells.mean(2)
-        r = torch.linalg.norm(cells - middle[:, :, None], dim=-1).amax(-1)
-        depth = torch.where(there, -offset - contact.shapes.values_at(contact.local(middle)), -torch.inf)
-        deepest = torch.maximum(deepest, depth.amax(1))
-        finer = there & (depth + r > most[:, None]) & (r > FINEST * most[:, None]) & (deepest <= most)[:, None]
-        count = min(RECORDED_PARTS, finer.shape[1]) if recording() else int(finer.sum(1).max())
-        if not count or (recording() and rare(finer.sum(1) > (count if level < RECORDED_LEVELS else 0))):
-            break
-        there, which = finer.to(torch.uint8).topk(count, dim=1)
-        kept = cells.gather(1, which[..., None, None].expand(-1, -1, 8, 3))
-        cells, there = (split @ kept[:, :, None]).flatten(1, 2), there.bool().repeat_interleave(8, 1)
-    return deepest
+def _depth_inside(b: Batch, s: Tensor, x: Tensor, contact: Contacts) -> Tensor:
+    """Largest penetration (s,) of the gel into the shrunk indenter at the integration points [mm]; 0 without any."""
+    at = (b.corners @ x[:, b.topology.conn]).flatten(1, 2)
+    d = contact.shapes.values_at(contact.local(at)).view(len(s), -1, len(b.corners)) + contact.offset[:, None, None]
+    return -torch.where(b.exists[s][..., None], d, 0.0).flatten(1).amin(1).clamp(max=0.0)
 
 
 def _record(b: Batch, s: Tensor, figures: list[list[float]]) -> None:

@@ -19,7 +19,6 @@ from tacgen.mechanics.phases import Phase
 from tacgen.mechanics.problem import Problem
 from tacgen.mechanics.solve_state import RATE_GUESS, Leg
 from tacgen.mechanics.state import History, State
-from tacgen.mechanics.tunnelling import half_wall
 from tacgen.tensor_engine.contact import Contacts
 from tacgen.tensor_engine.elements import Hexes, HexPoints, Topology
 from tacgen.tensor_engine.grids import Place
@@ -152,7 +151,8 @@ class Batch:
 
     X (B, n, 3) nodes at rest [mm]; exists (B, e); used (B, n) bool: nodes of cells that exist; free (n,) bool: nodes
     above the bonded base; N (q, 4) shape functions at a facet's points, areas (B, f, q) [mm^2]; (B,): dhat, eps, edge,
-    reach and half_wall [mm], friction; patch (n,) bool: nodes to which `factors` can condense.
+    reach [mm], friction; corners (q, 8): shape functions of a cell; patch (n,) bool: nodes to which `factors` can
+    condense.
     """
 
     topology: Topology
@@ -167,12 +167,12 @@ class Batch:
     folding: FoldingBarriers
     shapes: Shapes
     N: Tensor
+    corners: Tensor
     areas: Tensor
     dhat: Tensor
     eps: Tensor
     edge: Tensor
     reach: Tensor
-    half_wall: Tensor
     friction: Tensor
     patch: Tensor
     replays: Replays
@@ -222,9 +222,10 @@ class Batch:
             topology, problems[0].options, factors, [Course(*each) for each in zip(problems, places, strict=True)],
             nodes, there, used.to(device), free.to(device), hexes, folding,
             Shapes.of([c.shape for c in contacts], FLOAT, device), number(contacts[0].faces.N),
-            number(areas), dhat, problems[0].options.slip * dhat, number([p.edge for p in problems]),
-            number([c.shape.reach for c in contacts]), number([half_wall(c.shape) for c in contacts]),
-            number([p.friction for p in problems]), can.to(device), Replays(nodes.device),
+            number(problems[0].elastic[0].elements.shape), number(areas), dhat,
+            problems[0].options.slip * dhat, number([p.edge for p in problems]),
+            number([c.shape.reach for c in contacts]), number([p.friction for p in problems]), can.to(device),
+            Replays(nodes.device),
         )  # fmt: skip
         batch.t = batch.empty()
         return batch

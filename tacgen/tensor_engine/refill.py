@@ -8,7 +8,7 @@ from tacgen.mechanics.problem import Problem
 from tacgen.tensor_engine.batch import WIDE, Batch
 from tacgen.tensor_engine.grids import Place
 
-ROWS = ("X", "exists", "used", "areas", "dhat", "eps", "edge", "reach", "half_wall", "friction")
+ROWS = ("X", "exists", "used", "areas", "dhat", "eps", "edge", "reach", "friction")
 
 
 def fill(b: Batch, slot: int, problem: Problem, place: Place) -> None:

@@ -2,18 +2,9 @@
 
 import numpy as np
 import pytest
-from helpers.small import distorted, full, patch, slope, tetrahedral
+from helpers.small import full, patch, slope
 
-from tacgen.fem.elements import (
-    eighths,
-    elements,
-    facet_areas,
-    facet_corners,
-    facet_hats,
-    facet_points,
-    facet_shares,
-    triangles,
-)
+from tacgen.fem.elements import facet_areas, facet_corners, facet_hats, facet_points, facet_shares, triangles
 from tacgen.geometry.analytic_sdf import SphereSdf
 from tacgen.geometry.pose import Pose
 from tacgen.mechanics.barrier import Contact
@@ -21,20 +12,6 @@ from tacgen.mechanics.coupled import CoupledContact
 
 Array = np.ndarray
 KINDS = pytest.mark.parametrize("nodes", [4, 3, 6])
-
-
-@pytest.mark.parametrize("nodes", [8, 4, 10])
-def test_the_eighths_of_an_element_fill_it(nodes: int) -> None:
-    """None is inverted, and together they have its volume and its centre."""
-    points, cells = distorted() if nodes == 8 else tetrahedral(*distorted(), nodes)
-    parts = (eighths(nodes) @ points[cells][:, None]).reshape(-1, 3)
-
-    def moments(x: Array, conn: Array) -> Array:
-        part = elements(x, conn)
-        at = np.einsum("qa,eai->eqi", part.shape, x[conn])
-        return np.einsum("eq,eqi->i", part.weights, np.concatenate([at, np.ones_like(at[..., :1])], -1))
-
-    assert moments(parts, np.arange(len(parts)).reshape(-1, nodes)) == pytest.approx(moments(points, cells), rel=1e-12)
 
 
 @KINDS

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from helpers.presses import thin_plate
 
 from tacgen.geometry.sdf_grid import Field
 
@@ -113,13 +112,6 @@ def test_reach_is_half_the_thinnest_wall():
 
     assert field_of(plate, [-4, -1, -1], [4, 1, 3], 0.1).reach == pytest.approx(0.5, abs=0.06)
     assert BLOCK.reach == pytest.approx(2.0, abs=0.1)
-
-
-def test_the_depth_of_a_thin_wall_is_what_the_rounded_one_has() -> None:
-    plate = thin_plate(thickness=0.1, cell=0.0234)  # rounded by half its thickness
-    deepest = -plate.distance(np.array([[0.0, 0.0, 0.05]]))[0][0]
-    assert deepest < 0.035
-    assert 0.75 * deepest < plate.depth < deepest < 0.9 * plate.reach
 
 
 def test_an_invalid_number_stays_none():

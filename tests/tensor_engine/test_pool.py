@@ -12,7 +12,6 @@ from helpers.presses import gel, scene
 from tacgen.geometry.analytic_sdf import BoxSdf, SphereSdf
 from tacgen.mechanics import Problem, mesh, states
 from tacgen.mechanics.phases import Phase
-from tacgen.mechanics.tunnelling import half_wall
 from tacgen.tensor_engine import grids, pool, refill, scheduler
 from tacgen.tensor_engine.dissection import dissected
 from tacgen.tensor_engine.grids import GridPattern
@@ -64,7 +63,7 @@ def test_indenters_on_grids_follow_each_other_in_a_slot():
         slots.enter(0, each)
         found = slots.batch.shapes.distance(at)[0][0]
         assert found.numpy() == pytest.approx(each.scene.shape.distance(at[0].numpy())[0], abs=1e-12)
-        assert float(slots.batch.half_wall[0]) == half_wall(each.scene.shape)
+        assert float(slots.batch.reach[0]) == each.scene.shape.reach
     assert len(slots.batch.shapes.values) <= 2 * small.coefficients.size  # room that is used again
 
 
