@@ -58,7 +58,7 @@ def reduce(b: Batch, s: Tensor, count: list[int]) -> None:
     What is eliminated must be positive definite: a scene's damping is increased until it is.
     """
     while len(s):
-        sizes, rows, damped = b.sizes(s), listed(s), damping(b, s)
+        rows, damped = listed(s), damping(b, s)
         for row, kept in zip(rows, count, strict=True):
             b.courses[row].kept = kept
         sizes = b.sizes(s)
