@@ -20,7 +20,7 @@ from tacgen.mechanics.problem import Problem
 from tacgen.mechanics.solve_state import RATE_GUESS, Leg
 from tacgen.mechanics.state import History, State
 from tacgen.tensor_engine.contact import Contacts
-from tacgen.tensor_engine.elements import Hexes, HexPoints, Topology
+from tacgen.tensor_engine.elements import SHAPE, Hexes, HexPoints, Topology
 from tacgen.tensor_engine.grids import Place
 from tacgen.tensor_engine.indices import index_of, listed
 from tacgen.tensor_engine.inversion import Folding, FoldingBarriers
@@ -32,6 +32,7 @@ Array = np.ndarray
 FLOAT = torch.float64
 GROW = 48  # sizes of WIDE are multiples of it
 CLASSES = (72, 162)  # nodes of contacts that are solved together
+AT_FIRST = 3 * CLASSES[-1]  # unknowns for which there is room from the start: where rows grow, recordings are lost
 LARGER = 64  # of more nodes, multiples of it
 KEPT = 144  # unknowns on which contact acts, and others, come in multiples of it
 # rows as wide as the largest contact so far, of k unknowns: the Schur complements now and at rest, the load on them,
@@ -222,7 +223,7 @@ class Batch:
             topology, problems[0].options, factors, [Course(*each) for each in zip(problems, places, strict=True)],
             nodes, there, used.to(device), free.to(device), hexes, folding,
             Shapes.of([c.shape for c in contacts], FLOAT, device), number(contacts[0].faces.N),
-            number(problems[0].elastic[0].elements.shape), number(areas), dhat,
+            number(SHAPE), number(areas), dhat,
             problems[0].options.slip * dhat, number([p.edge for p in problems]),
             number([c.shape.reach for c in contacts]), number([p.friction for p in problems]), can.to(device),
             Replays(nodes.device),
@@ -235,6 +236,7 @@ class Batch:
         B, n, _ = self.X.shape
         _, f, q = self.areas.shape
         m, F = int(self.patch.sum()), self.hexes.weights.shape
+        first = min(3 * m, AT_FIRST) if self.replays.on else 0
 
         def zeros(*shape: int, dtype: torch.dtype = FLOAT) -> Tensor:
             return torch.zeros((B, *shape), dtype=dtype, device=self.X.device)
@@ -253,7 +255,7 @@ class Batch:
             h_rotation=zeros(3, 3), h_position=zeros(3), rotation=zeros(3, 3), position=zeros(3),
             J=zeros(*F[1:]), taken=zeros(*F[1:], 3, 3), c_steps=index(), c_status=index(),
             nodes=index(m) - 1, local=index(n) - 1, faces=index(f) - 1,
-            c_x=zeros(m, 3), **{name: self._blank(name, B, [0] * len(axes)) for name, axes in WIDE.items()},
+            c_x=zeros(m, 3), **{name: self._blank(name, B, [first] * len(axes)) for name, axes in WIDE.items()},
         )  # fmt: skip
 
     def _blank(self, name: str, count: int, sizes: Sequence[int]) -> Tensor:
@@ -269,7 +271,8 @@ class Batch:
         """The rows of one of WIDE, at least as wide as `sizes`."""
         store = getattr(self.t, name)
         if any(new > old for new, old in zip(sizes, store.shape[1:], strict=True)):
-            wider = [max(-(-new // GROW) * GROW, old) for new, old in zip(sizes, store.shape[1:], strict=True)]
+            most, each = 3 * self.t.nodes.shape[1], zip(sizes, store.shape[1:], strict=True)
+            wider = [min(-(-int(1.3 * new) // GROW) * GROW, most) if new > old else old for new, old in each]
             old, store = store, self._blank(name, len(store), wider)
             store[(slice(None), *map(slice, old.shape[1:]))] = old
             setattr(self.t, name, store)
@@ -285,7 +288,7 @@ class Batch:
             kept, fewest = min(-(-kept // KEPT) * KEPT, 3 * nodes), 3 * fewest // KEPT * KEPT // 3
         for name, axes in WIDE.items():
             self._widen(name, [3 * nodes if axis == "k" else kept for axis in axes])
-        if self.factors.reserve(nodes):
+        if self.factors.reserve(self.t.S.shape[1] // 3):
             self.replays.forget()
         return Sizes(nodes, kept, fewest)
 

@@ -16,7 +16,7 @@ from tacgen.tensor_engine.contact import Contacts, Forces
 from tacgen.tensor_engine.reduction import Reduction, with_points
 from tacgen.tensor_engine.replay import recording
 
-RUNNING, CONVERGED, STOPPED, UNSTABLE = range(4)  # see mechanics.contact_newton.ContactStatus
+RUNNING, CONVERGED, STOPPED, UNSTABLE, SEARCHING = range(5)  # see mechanics.contact_newton.ContactStatus
 
 
 @dataclass(frozen=True)
@@ -86,11 +86,14 @@ def shrunk(now: Iterates) -> tuple[Contacts, Tensor]:
     return now.contact.shrunk(torch.where(near, now.gap, now.contact.offset)), drift
 
 
-def step(bulk: Quadratics, now: Iterates, reach: Tensor, xtol: Tensor, radius: Tensor, max_steps: int) -> Iterates:
+def step(
+    bulk: Quadratics, now: Iterates, reach: Tensor, xtol: Tensor, radius: Tensor, max_steps: int, search: bool
+) -> Iterates:
     """One step of each scene towards the equilibrium of bulk, barrier and friction, with indenters shrunk by the mean
     gap; see mechanics.contact_newton.contact_step.
 
-    bulk: reduced to what contact acts on; reach, xtol, radius (s,) [mm].
+    bulk: reduced to what contact acts on; reach, xtol, radius (s,) [mm]. search: whether scenes that cannot take the
+    whole coupled step, which are few, search along it; otherwise they stay as they are, but SEARCHING.
     """
     x, length, (contact, drift) = now.x, now.length, shrunk(now)
     forces = contact.evaluate(x)
@@ -101,11 +104,11 @@ def step(bulk: Quadratics, now: Iterates, reach: Tensor, xtol: Tensor, radius: T
     there = x + p
     felt = contact.evaluate(there)
     full = full & (_norm(bulk.residual(contact, felt, there)) <= FULL_STEP * _norm(g))
-    fraction, trying = torch.ones_like(length), going & ~full
-    if recording() or bool(trying.any()):
-        some, other = _downhill(bulk, contact, forces, x, g, p, coupled, trying, reach)
-        fraction, p = torch.where(trying, some, fraction), torch.where(trying[:, None, None], other, p)
-        there = x + fraction[:, None, None] * p
+    fraction, waits = torch.ones_like(length), going & ~full
+    if search:
+        some, other = _downhill(bulk, contact, forces, x, g, p, coupled, waits, reach)
+        fraction, p = torch.where(waits, some, fraction), torch.where(waits[:, None, None], other, p)
+        there, waits = x + fraction[:, None, None] * p, torch.zeros_like(waits)
         felt = contact.evaluate(there)
     longest = p.abs().flatten(1).amax(1)
     stuck = fraction == 0
@@ -118,10 +121,11 @@ def step(bulk: Quadratics, now: Iterates, reach: Tensor, xtol: Tensor, radius: T
     stalled = ~done & (fraction * longest < SHORTEST * xtol)
     status = torch.where(done | (stalled & small), CONVERGED, torch.where(stalled, STOPPED, RUNNING))
     status = torch.where(going, torch.where(stuck | gone, UNSTABLE, status), STOPPED)
-    moved = going & ~stuck
+    moved, old = going & ~stuck & ~waits, now.contact.offset
     return Iterates(
-        torch.where(moved[:, None, None], there, x), contact, now.steps + going,
-        torch.where(moved & ~gone, longest, length), drift, gap, status,
+        torch.where(moved[:, None, None], there, x), contact.shrunk(torch.where(waits, old, contact.offset)),
+        now.steps + (going & ~waits), torch.where(moved & ~gone, longest, length),
+        torch.where(waits, now.drift, drift), torch.where(waits, now.gap, gap), torch.where(waits, SEARCHING, status),
     )  # fmt: skip
 
 

@@ -19,8 +19,9 @@ from tacgen.tensor_engine.laws import Laws, isochoric, volumetric
 from tacgen.tensor_engine.products import outer, product
 
 Array = np.ndarray
-MOST = 2**14  # matrices whose eigenvalues are found at once: cuSOLVER fails above 2^15
-GAUSS = trilinear(np.array([[a, b, c] for c in GAUSS2 for b in GAUSS2 for a in GAUSS2]))[1]  # dN (q, 8, 3)
+MOST = 2**11  # matrices whose eigenvalues are found at once: cuSOLVER needs some 300 kB for each, and fails above 2^15
+# N (q, 8) and dN (q, 8, 3) at the integration points
+SHAPE, GAUSS = trilinear(np.array([[a, b, c] for c in GAUSS2 for b in GAUSS2 for a in GAUSS2]))
 
 
 def cofactor(F: Tensor) -> Tensor:
@@ -252,6 +253,10 @@ def clamped(D: Tensor, F: Tensor, projection: Projection) -> Tensor:
 
 def _nearest(D: Tensor) -> Tensor:
     """Symmetric D (k, 9, 9) without negative eigenvalues."""
-    values, vectors = torch.linalg.eigh(D)
-    nearest: Tensor = (vectors * values.clamp(min=0.0)[..., None, :]) @ vectors.mT
+    size = D.abs().amax((1, 2), keepdim=True).clamp(min=1e-30)
+    try:
+        values, vectors = torch.linalg.eigh(D / size)
+    except torch.linalg.LinAlgError:  # a GPU's iteration did not converge for one of them
+        values, vectors = (part.to(D.device) for part in torch.linalg.eigh((D / size).cpu()))
+    nearest: Tensor = size * ((vectors * values.clamp(min=0.0)[..., None, :]) @ vectors.mT)
     return nearest

@@ -10,7 +10,7 @@ import torch
 
 from tacgen.fem.assembly import Pattern
 from tacgen.fem.elasticity import Elastic
-from tacgen.fem.elements import elements
+from tacgen.fem.elements import Elements
 from tacgen.mechanics import mesh
 from tacgen.mechanics.phases import FINAL, Phase
 from tacgen.mechanics.problem import Problem, by_distance
@@ -20,7 +20,7 @@ from tacgen.tensor_engine import engine, grids, refill, scheduler
 from tacgen.tensor_engine.batch import Batch, width_class
 from tacgen.tensor_engine.condensed import Condensed
 from tacgen.tensor_engine.dissection import Dissection, dissected
-from tacgen.tensor_engine.elements import Topology
+from tacgen.tensor_engine.elements import SHAPE, Topology
 from tacgen.tensor_engine.engine import Solved
 from tacgen.tensor_engine.grids import Embedded, GridPattern
 from tacgen.tensor_engine.multifrontal import Multifrontal
@@ -88,12 +88,10 @@ class PreparedScene:
 
 
 def _unassembled(scene: Scene, grid: mesh.GelMesh) -> Problem:
-    """The problem of a scene on its mesh without the tables of the CPU's sparse stiffness, which take most of the time
-    to make."""
-    elastic = tuple(
-        Elastic(elements(grid.points, grid.cells[grid.layer == number]), layer.law)
-        for number, layer in enumerate(scene.gel.layers)
-    )
+    """The problem of a scene on its mesh without the CPU engine's tables, which take most of the time to make: those of
+    elements, and of the sparse stiffness."""
+    none = Elements(grid.cells[:0], np.zeros((0, 8, 8, 3)), np.zeros((0, 8)), 0.0, SHAPE)
+    elastic = tuple(Elastic(none, layer.law) for layer in scene.gel.layers)
     contact = by_distance(scene, grid, None)
     return Problem(grid, elastic, (), contact, NONE, scene.friction, scene.edge)
 
@@ -225,7 +223,8 @@ class Room:
     def of(cls, tree: Dissection, memory: float) -> "Room":
         """Room in so many bytes."""
         cells, k = len(tree.pattern.hexes), 3 * len(tree.patch)
-        own = 4.0 * (tree.kept + k * k + k * WIDE + 5 * WIDE**2) + CELL * cells + UNKNOWN * 3 * tree.pattern.size
+        wide = min(k, WIDE)
+        own = 4.0 * (tree.kept + k * k + k * wide + 5 * wide**2) + CELL * cells + UNKNOWN * 3 * tree.pattern.size
         each = dict.fromkeys(HEAVY, float(WORK * cells))
         each |= dict.fromkeys((Phase.factor, Phase.renew), 8.0 * tree.work + TANGENT * cells)
         return cls(max(1, int(0.4 * memory / own)), each, 0.15 * memory)
