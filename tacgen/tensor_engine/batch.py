@@ -31,9 +31,8 @@ from tacgen.tensor_engine.shapes import Shapes
 Array = np.ndarray
 FLOAT = torch.float64
 GROW = 48  # sizes of WIDE are multiples of it
-CLASSES = (72, 162)  # nodes of contacts that are solved together
-AT_FIRST = 3 * CLASSES[-1]  # unknowns for which there is room from the start: where rows grow, recordings are lost
-LARGER = 64  # of more nodes, multiples of it
+CLASS = 162  # nodes of the smallest class of contacts that are solved together; each is twice as large as the last
+AT_FIRST = 3 * CLASS  # unknowns for which there is room from the start: where rows grow, recordings are lost
 KEPT = 144  # unknowns on which contact acts, and others, come in multiples of it
 # rows as wide as the largest contact so far, of k unknowns: the Schur complements now and at rest, the load on them,
 # and their reduction to a unknowns (see reduction.Reduction)
@@ -57,7 +56,7 @@ class Sizes(NamedTuple):
 
 def width_class(nodes: int) -> int:
     """The size of contacts with which one of so many nodes is solved."""
-    return next((c for c in CLASSES if nodes <= c), -(-nodes // LARGER) * LARGER)
+    return CLASS << max(0, (nodes - 1) // CLASS).bit_length()
 
 
 class Factors(Protocol):

@@ -36,7 +36,6 @@ CELL, UNKNOWN = 2500, 100  # bytes of tables, of a cell and of an unknown
 WORK, TANGENT = 15_000, 30_000  # bytes of a cell for the work of a kernel, and of one that makes tangents
 MATRIX = 64  # bytes for the work of a kernel, of an entry of a matrix of a contact's unknowns
 DENSE = (Phase.contact, Phase.predict)
-DAMPED = (Phase.contact, Phase.search)  # kernels that have more to do for a scene that is damped
 NONE = Pattern(*(np.zeros(0, np.int32),) * 3, 0, *(np.zeros(0, np.int32),) * 2)  # of no sparse matrix
 HEAVY = (Phase.start, Phase.load, Phase.search, Phase.measure, Phase.admit)  # kernels that evaluate all cells
 
@@ -131,10 +130,9 @@ class ScenePool:
         return course.phase
 
     def size(self, slot: int) -> int:
-        """For kernels of dense matrices of a contact's nodes, their class; negative if the scene is damped."""
+        """For kernels of dense matrices of a contact's nodes, their class."""
         course = self.batch.courses[slot]
-        width = width_class(course.nodes) if course.phase in DENSE else 1
-        return -width if course.phase in DAMPED and course.inner_damping > 0 else width
+        return width_class(course.nodes) if course.phase in DENSE else 1
 
     def advance(self, phase: Phase, slots: list[int]) -> None:
         """Call a kernel for scenes that wait for it."""
@@ -227,7 +225,7 @@ class Room:
         own = 4.0 * (tree.kept + k * k + k * wide + 5 * wide**2) + CELL * cells + UNKNOWN * 3 * tree.pattern.size
         each = dict.fromkeys(HEAVY, float(WORK * cells))
         each |= dict.fromkeys((Phase.factor, Phase.renew), 8.0 * tree.work + TANGENT * cells)
-        return cls(max(1, int(0.4 * memory / own)), each, 0.15 * memory)
+        return cls(max(1, int(0.4 * memory / own)), each, 0.2 * memory)
 
     def most(self, phase: Phase, size: int) -> int:
         """Scenes that a call of a kernel may have, of a class of sizes: as a recording has, at least the smallest."""
