@@ -136,7 +136,13 @@ class _Batch:
     """The waiting jobs and the results of a call of `Pool.run`."""
 
     def __init__(
-        self, rows: Sequence[Row], folder: Path, on_event: OnEvent, ready: Callable[[Row], bool], *, in_order: bool
+        self,
+        rows: Sequence[Row],
+        folder: Path,
+        on_event: OnEvent,
+        ready: Callable[[Row], bool] = lambda row: True,
+        *,
+        in_order: bool,
     ) -> None:
         self.waiting = deque(Job(rows, place) for place in range(len(rows)))
         self.results: dict[int, SceneResult] = {}  # by place among the rows
