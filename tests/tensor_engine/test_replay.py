@@ -67,7 +67,7 @@ def watched(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_calls_of_any_size_have_the_outputs_of_the_work() -> None:
     rows, replays = torch.arange(40.0), Replays(CPU, on=True)
-    for slots in ([3], [5, 1], [7, 2, 9], [4, 0, 8], list(range(30)), [1] * 9):
+    for slots in ([3], [5, 1], [7, 2, 9], [4, 0, 8], list(range(30)), [1] * 17):
         some, times = index_of(slots, CPU), [float(k) for k in slots]
         once, twice = replays("twice", lambda s, k: (rows[s], k * rows[s]), some, times)
         assert once.tolist() == [float(k) for k in slots]
@@ -77,9 +77,9 @@ def test_calls_of_any_size_have_the_outputs_of_the_work() -> None:
 
 def test_sizes_of_recordings_are_few_and_large_enough() -> None:
     sizes = [padded(k) for k in range(1, 500)]
-    assert sorted(set(sizes)) == [2, 8, 32, 128, 512]
+    assert sorted(set(sizes)) == [2, 8, 16, 32, 64, 128, 256, 512]
     assert all(size >= k for k, size in enumerate(sizes, 1))
-    assert [recorded(k) for k in (0, 2, 7, 8, 31, 32, 500, 512)] == [2, 2, 2, 8, 8, 32, 128, 512]
+    assert [recorded(k) for k in (0, 2, 7, 8, 31, 32, 500, 512)] == [2, 2, 2, 8, 16, 32, 256, 512]
 
 
 def test_scenes_that_meet_something_rare_are_done_again() -> None:
