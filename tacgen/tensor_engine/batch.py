@@ -20,7 +20,7 @@ from tacgen.mechanics.problem import Problem
 from tacgen.mechanics.solve_state import RATE_GUESS, Leg
 from tacgen.mechanics.state import History, State
 from tacgen.tensor_engine.contact import Contacts
-from tacgen.tensor_engine.elements import SHAPE, Hexes, HexPoints, Topology
+from tacgen.tensor_engine.elements import SHAPE, Hexes, Topology
 from tacgen.tensor_engine.grids import Place
 from tacgen.tensor_engine.indices import index_of, listed
 from tacgen.tensor_engine.inversion import Folding, FoldingBarriers
@@ -319,19 +319,19 @@ class Batch:
         """Numbers of slots as an index."""
         return index_of(rows, self.X.device)
 
-    def bulk(self, s: Tensor, x: Tensor) -> tuple[Hexes, HexPoints, Folding, Tensor]:
-        """The cells of scenes s, and at x (s, n, 3) their state, the barrier against inversion and the energy (s,)."""
-        hexes = self.hexes.rows(s)
-        at = hexes.evaluate(x)
-        folding = self.folding.rows(s).evaluate(x, self.t.folds[s])
-        return hexes, at, folding, at.energy + folding.energy
+    def folded(self, s: Tensor, x: Tensor) -> Folding:
+        """The barrier against inversion in scenes s at x (s, n, 3)."""
+        return self.folding.rows(s).evaluate(x, self.t.folds[s])
 
-    def gradient(self, s: Tensor, x: Tensor) -> Tensor:
-        """Gradient of the energy (s, n, 3) [N]."""
-        hexes, at, folding, _ = self.bulk(s, x)
-        out = hexes.forces(at)
-        folding.add_forces(out)
-        return out
+    def energy(self, s: Tensor, x: Tensor) -> Tensor:
+        """Energy (s,) of the bulk [N mm] at x (s, n, 3), inf if a cell is inverted."""
+        return self.hexes.rows(s).energy(x) + self.folded(s, x).energy
+
+    def gradient(self, s: Tensor, x: Tensor) -> tuple[Tensor, Tensor]:
+        """J (s, e, q), and the gradient of the energy (s, n, 3) [N]."""
+        J, out = self.hexes.rows(s).gradient(x)
+        self.folded(s, x).add_forces(out)
+        return J, out
 
     def face(self, s: Tensor, offset: Tensor) -> Contacts:
         """Contact of the whole face at the pose of the load step."""

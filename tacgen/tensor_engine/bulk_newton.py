@@ -20,7 +20,6 @@ from tacgen.tensor_engine import contact_newton
 from tacgen.tensor_engine.batch import Batch, Course, Sizes
 from tacgen.tensor_engine.condensation import acted, condensed, damping, more, reduce, reduction
 from tacgen.tensor_engine.contact_newton import CONVERGED, RUNNING, SEARCHING, UNSTABLE, Iterates, at_nodes, shrunk
-from tacgen.tensor_engine.elements import determinant
 from tacgen.tensor_engine.indices import listed
 from tacgen.tensor_engine.load_step import cover, covers, take
 
@@ -81,9 +80,9 @@ def load(b: Batch, s: Tensor) -> list[Outcome]:
 
 def _load(b: Batch, sizes: Sizes, s: Tensor) -> tuple[()]:
     t = b.t
-    hexes, at, folding, _ = b.bulk(s, t.x[s])
-    g = hexes.mixed_forces(at, t.J[s], t.taken[s])
-    folding.add_forces(g)
+    x = t.x[s]
+    g = b.hexes.rows(s).mixed_forces(x, t.J[s], t.taken[s])
+    b.folded(s, x).add_forces(g)
     y, load = b.factors.forward(s, g, sizes.nodes)
     b.keep(s, load=load.to(g.dtype))
     t.put(s, g=g, y=y.to(g.dtype))
@@ -207,7 +206,7 @@ def _search(b: Batch, sizes: Sizes, s: Tensor, part: Tensor, *damping: Tensor) -
     rounding = step_end(b, s) * t.h_least[s] + ROUNDING * energy.abs()
     fraction = part[:, None, None]
     there = x + fraction * p
-    value, left = b.bulk(s, there)[3], torch.where(fraction < 1, bulk.start + fraction * (inner - bulk.start), inner)
+    value, left = b.energy(s, there), torch.where(fraction < 1, bulk.start + fraction * (inner - bulk.start), inner)
     total = value - energy + torch.where(part < 1, near.merit(left, forces) - before, whole)
     share = total / torch.minimum(part * model, -rounding)
     lower = torch.where(total.abs() <= rounding, 1.0, share) >= MIN_GAIN
@@ -235,13 +234,9 @@ def _measure(b: Batch, sizes: Sizes, s: Tensor) -> tuple[Tensor, Tensor]:
     t, options = b.t, b.options
     x, there = t.x[s], t.stepped[s]
     moved = (there - x).abs().flatten(1).amax(1)
-    hexes, after, folding, _ = b.bulk(s, there)
-    J = after.J
+    J, gradient = b.gradient(s, there)
     if options.mixed_pressure:
-        F = hexes.deformation(x)
-        J = hexes.predicted(F, determinant(F), after.F, t.taken[s])
-    gradient = hexes.forces(after)
-    folding.add_forces(gradient)
+        J = b.hexes.rows(s).predicted(x, there, t.taken[s])
     near = b.near(s, t.c_offset[s], sizes.nodes)
     forces = near.evaluate(t.c_x[s, : sizes.nodes])
     unbalanced = _unbalanced(b, t.nodes[s, : sizes.nodes], s, gradient, at_nodes(near, forces.force, sizes.nodes))
@@ -295,7 +290,7 @@ def fail(b: Batch, row: int, x: Tensor, steps: int) -> None:
     """No equilibrium in so many steps, which ended at x (n, 3)."""
     s = b.slots([row])
     hexes = b.hexes.rows(s)
-    J = hexes.evaluate(x[None]).J[hexes.weights > 0]
+    J = hexes.evaluate(x[None]).J[hexes.own[1] > 0]
     least = float(J.min())
     failure = Failure.squeezed if least < SQUEEZED else Failure.newton
     b.courses[row].failure = NotConverged(failure, steps=steps, least_J=least)

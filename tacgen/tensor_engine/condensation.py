@@ -27,8 +27,8 @@ def damping(b: Batch, s: Tensor) -> Damping:
     if new:
         some = b.slots(new)
         sizes = b.sizes(some)
-        hexes, at, _, _ = b.bulk(some, b.X[some])
-        K = hexes.tangents(at, dtype=b.factors.dtype)
+        hexes = b.hexes.rows(some)
+        K = hexes.tangents(hexes.evaluate(b.X[some]), dtype=b.factors.dtype)
         b.keep(some, S_0=b.factors.schur(K, b.t.nodes[some, : sizes.nodes], sizes.fewest)[1])
         for row in new:
             courses[row].rested = True

@@ -86,8 +86,7 @@ class FoldingBarriers:
 
     def evaluate(self, x: Tensor, times: Tensor) -> Folding:
         """At positions x (s, n, 3), with the stiffness of each scene multiplied by `times` (s,)."""
-        corners = x[:, self.topology.conn]
-        low = (_determinants(corners) / self.rest).amin(-1)
+        corners, low = x[:, self.topology.conn], self._lowest(x)
         folded = (low < J0) & (self.volume > 0)
         if recording() and not rare(folded.sum(1) > FOLDED):  # the lowest; it is 0 where they are above J0
             most = min(FOLDED, low.shape[1])
@@ -109,6 +108,14 @@ class FoldingBarriers:
         energy = torch.where(good, weights * U, torch.inf).sum(1)
         total = x.new_zeros(len(x)).index_put_((scene,), energy, accumulate=True)
         return Folding(self.topology, scene, cell, B, weights, F, slope, bend, total)
+
+    def _lowest(self, x: Tensor) -> Tensor:
+        """The lowest J of each cell (s, e) at the dense points."""
+        if x.is_cuda:
+            from tacgen.tensor_engine import gpu_elements
+
+            return gpu_elements.lowest(self.topology, x, self.rest)
+        return (_determinants(x[:, self.topology.conn]) / self.rest).amin(-1)
 
 
 def _determinants(corners: Tensor) -> Tensor:
