@@ -299,9 +299,13 @@ class Batch:
             row[(slice(None), *map(slice, value.shape[1:]))] = value
             store[s] = row
 
+    def wide(self, name: str, *sizes: int) -> Tensor:
+        """All rows of one of WIDE, as wide as `sizes`."""
+        return self._widen(name, sizes)[(slice(None), *map(slice, sizes))]
+
     def read(self, name: str, s: Tensor, *sizes: int) -> Tensor:
         """Rows of one of WIDE, as wide as `sizes`."""
-        return self._widen(name, sizes)[(s, *map(slice, sizes))]
+        return self.wide(name, *sizes)[s]
 
     def indent(self, slot: int, shape: Shape) -> None:
         """Another indenter for one scene, in the place of the last where there is room."""

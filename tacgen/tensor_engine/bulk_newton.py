@@ -200,7 +200,7 @@ def _search(b: Batch, sizes: Sizes, s: Tensor, part: Tensor, *damping: Tensor) -
     before = near.merit(bulk.start, forces)
     whole = near.merit_at(forces, forces) - before
     # of the bulk g.p + p.Kp/2 = (g.p + p.(g + Kp))/2; g + Kp is 0 but for the condensed unknowns
-    condensed_gradient = (bulk.S @ u[..., None]).squeeze(-1) + bulk.load
+    condensed_gradient = bulk.times(u) + bulk.load
     model = ((t.g[s] * p).sum((1, 2)) + (u * condensed_gradient).sum(1)) / 2 + whole
     energy = t.energy[s]
     rounding = step_end(b, s) * t.h_least[s] + ROUNDING * energy.abs()

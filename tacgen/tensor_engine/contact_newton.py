@@ -4,6 +4,7 @@ Each scene takes the step that mechanics.contact_newton would take: the coupled 
 else along it, or along the symmetric one, by Armijo's rule.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,18 +23,19 @@ RUNNING, CONVERGED, STOPPED, UNSTABLE, SEARCHING = range(5)  # see mechanics.con
 @dataclass(frozen=True)
 class Quadratics:
     """The condensed bulk of each scene: u . load + u . S u / 2 of displacements u (s, k) from `start` (s, m, 3), with
-    S (s, k, k) [N/mm] and load (s, k) [N]; k = 3 m, padded with a unit matrix. reduction: of S to what contact acts on.
+    the product `times` of S (s, k, k) [N/mm] and u, and load (s, k) [N]; k = 3 m, padded with a unit matrix.
+    reduction: of S to what contact acts on.
     """
 
     start: Tensor
-    S: Tensor
+    times: Callable[[Tensor], Tensor]
     load: Tensor
     reduction: Reduction | None = None
 
     def at(self, x: Tensor) -> tuple[Tensor, Tensor]:
         """Energy (s,) and gradient (s, m, 3) at positions x (s, m, 3)."""
         u = (x - self.start).flatten(1)
-        g = _times(self.S, u) + self.load
+        g = self.times(u) + self.load
         return (u * (g + self.load)).sum(1) / 2, g.view_as(x)
 
     def residual(self, contact: Contacts, forces: Forces, x: Tensor) -> Tensor:
@@ -47,10 +49,6 @@ class Quadratics:
         K = with_points(K, self.reduction.place, contact.conn, contact.N.to(K.dtype), D.to(K.dtype))
         p, good = self.reduction.solve(K, -g.flatten(1), symmetric)
         return p.view_as(g), good
-
-
-def _times(S: Tensor, u: Tensor) -> Tensor:
-    return (S @ u[..., None]).squeeze(-1)
 
 
 def at_nodes(contact: Contacts, forces: Tensor, nodes: int) -> Tensor:
@@ -158,7 +156,7 @@ def _downhill(
 
     def decreasing(p: Tensor, least: float, allowed: Tensor) -> Tensor:
         slope, v = (g * p).sum((1, 2)), p.flatten(1)
-        first, second = (gradient * p).sum((1, 2)), (v * _times(bulk.S, v)).sum(1)
+        first, second = (gradient * p).sum((1, 2)), (v * bulk.times(v)).sum(1)
 
         fractions = halves(contact.max_step(forces.gap, p, reach), least)
         merit = energy[:, None] + fractions * first[:, None] + fractions**2 * second[:, None] / 2

@@ -10,7 +10,7 @@ if not torch.cuda.is_available():
     os.environ["TRITON_INTERPRET"] = "1"  # read when the kernels are defined
 pytest.importorskip("triton")
 
-from tacgen.tensor_engine import gpu_blocks, gpu_contact, gpu_distance, gpu_elements
+from tacgen.tensor_engine import gpu_blocks, gpu_contact, gpu_distance, gpu_elements, products
 from tacgen.tensor_engine.elements import Hexes
 from tacgen.tensor_engine.inversion import FoldingBarriers
 from tacgen.tensor_engine.shapes import Shapes
@@ -122,3 +122,17 @@ def test_lowest_jacobians_of_cells() -> None:
     x, one = case.tensor(case.x), torch.ones(case.exists.shape, dtype=torch.float64)
     barriers = FoldingBarriers.on(case.topology, case.X, one, one)
     assert close(gpu_elements.lowest(case.topology, x, barriers.rest), barriers._lowest(x))
+
+
+@pytest.mark.parametrize("shape", [(6, 70, 100), (6, 3, 20, 5), (6, 3, 0, 5)])
+@pytest.mark.parametrize("transposed", [False, True])
+def test_products_of_matrices_in_slots(shape: tuple[int, ...], transposed: bool) -> None:
+    r = np.random.default_rng(7)
+    A = torch.tensor(r.normal(size=(*shape[:-1], shape[-1] + 7)), dtype=torch.float32)[..., : shape[-1]]
+    x = torch.tensor(r.normal(size=(2, *shape[1:-2], shape[-2 if transposed else -1])))
+    slots = torch.tensor([4, 1])
+    wanted = products.slot_times(A, slots, x, transposed)
+    parts = (part.to(DEVICE) for part in (A, slots, x))
+    found = gpu_blocks.slot_times(*parts, transposed)
+    assert found.shape == wanted.shape
+    assert not wanted.numel() or close(found, wanted, 1e-12)
