@@ -28,8 +28,7 @@ def damping(b: Batch, s: Tensor) -> Damping:
     if new:
         some = b.slots(new)
         sizes = b.sizes(some)
-        hexes = b.hexes.rows(some)
-        K = hexes.tangents(hexes.evaluate(b.X[some]), dtype=b.factors.dtype)
+        K = b.hexes.rows(some).tangents(b.X[some], dtype=b.factors.dtype)[1]
         b.keep(some, S_0=b.factors.schur(K, b.t.nodes[some, : sizes.nodes], sizes.fewest)[1])
         for row in new:
             courses[row].rested = True

@@ -186,13 +186,18 @@ class Hexes:
 
     def tangents(
         self,
-        at: HexPoints,
+        x: Tensor,
         J: Tensor | None = None,
         projection: Projection = Projection.NONE,
         dtype: torch.dtype = torch.float64,
-    ) -> Tensor:
-        """d2E/dx2 of each cell (s, e, 24, 24), rows and columns 3 corner + direction; with the pressure at the
-        predicted J if given. dtype: in which they are computed."""
+    ) -> tuple[Tensor, Tensor]:
+        """F (s, e, q, 3, 3) at x (s, n, 3) and d2E/dx2 of each cell (s, e, 24, 24), rows and columns 3 corner +
+        direction; with the pressure at the predicted J if given. dtype: in which they are computed."""
+        if x.is_cuda and projection is Projection.NONE and dtype is torch.float32:
+            from tacgen.tensor_engine import gpu_tangents
+
+            return gpu_tangents.tangents(self, x, J)
+        at = self.evaluate(x)
         first = at.first if J is None else self._with_pressure(at, J)
         B, weights, _ = self.own
         F, I1, weights, B, dilatation = (p.to(dtype) for p in (at.F, at.I1, weights, B, at.dilatation))
@@ -202,7 +207,7 @@ class Hexes:
             D = clamped(D, F, projection)
         K = stiffness(B.movedim(-3, -2), weights, D)
         g = (B.flatten(-2) @ (weights[..., None, None] * cofactor(F)).mT.flatten(2, 3)).flatten(-2)
-        return K.addcmul_(dilatation[..., None, None] * g[..., :, None], g[..., None, :])
+        return at.F, K.addcmul_(dilatation[..., None, None] * g[..., :, None], g[..., None, :])
 
 
 def mapped(corners: Tensor, dN: Array) -> tuple[Tensor, Tensor]:

@@ -26,7 +26,7 @@ COUNTS = ("cells", "nodes", "capacity")  # no code of its own for each value tha
 
 
 @triton.jit
-def _cross(a, b, c, d, e, f):
+def cross(a, b, c, d, e, f):
     return b * f - c * e, c * d - a * f, a * e - b * d
 
 
@@ -63,7 +63,7 @@ def _determinant(x, y, z, bx, by, bz):
     a, b, c = _row(x, bx, by, bz)
     d, e, f = _row(y, bx, by, bz)
     g, h, i = _row(z, bx, by, bz)
-    p, q, r = _cross(d, e, f, g, h, i)
+    p, q, r = cross(d, e, f, g, h, i)
     return a * p + b * q + c * r
 
 
@@ -74,7 +74,7 @@ def _turned(T, p, q, r, bx, by, bz):
 
 
 @triton.jit
-def _law(LAWS, number, at, capacity, cells, inside):
+def law(LAWS, number, at, capacity, cells, inside):
     return tl.load(LAWS + number * capacity * cells + at, mask=inside, other=0.0)
 
 
@@ -113,10 +113,10 @@ def _states(
     void = total <= 0
     volume = tl.where(void, 1.0, total)
     mean = tl.where(void, 1.0, mean / volume)
-    c10, c01 = _law(LAWS, 0, first, capacity, cells, inside), _law(LAWS, 1, first, capacity, cells, inside)
-    c20, c30 = _law(LAWS, 2, first, capacity, cells, inside), _law(LAWS, 3, first, capacity, cells, inside)
-    raw, kappa = _law(LAWS, 4, first, capacity, cells, inside), _law(LAWS, 5, first, capacity, cells, inside)
-    lam, slope = _law(LAWS, 6, first, capacity, cells, inside), _law(LAWS, 7, first, capacity, cells, inside)
+    c10, c01 = law(LAWS, 0, first, capacity, cells, inside), law(LAWS, 1, first, capacity, cells, inside)
+    c20, c30 = law(LAWS, 2, first, capacity, cells, inside), law(LAWS, 3, first, capacity, cells, inside)
+    raw, kappa = law(LAWS, 4, first, capacity, cells, inside), law(LAWS, 5, first, capacity, cells, inside)
+    lam, slope = law(LAWS, 6, first, capacity, cells, inside), law(LAWS, 7, first, capacity, cells, inside)
     e = mean - 1
     energy = total * (kappa / 2 * (e + e * e / 2 - _log1p(e)) + lam / 2 * e * e - slope * e)
     pressure = kappa / 2 * (mean - 1 / mean) + lam * e - slope
@@ -132,9 +132,9 @@ def _states(
         a, b, c = _row(x, bx, by, bz)
         d, f, g = _row(y, bx, by, bz)
         h, i, j = _row(z, bx, by, bz)
-        ca, cb, cc = _cross(d, f, g, h, i, j)
-        cd, cf, cg = _cross(h, i, j, a, b, c)
-        ch, ci, cj = _cross(a, b, c, d, f, g)
+        ca, cb, cc = cross(d, f, g, h, i, j)
+        cd, cf, cg = cross(h, i, j, a, b, c)
+        ch, ci, cj = cross(a, b, c, d, f, g)
         J = a * ca + b * cb + c * cc
         J = tl.where(J > LEAST, J, 1.0)
         I1 = a * a + b * b + c * c + d * d + f * f + g * g + h * h + i * i + j * j
@@ -161,9 +161,9 @@ def _states(
                 ka, kb, kc = tl.load(T, mask=inside), tl.load(T + 1, mask=inside), tl.load(T + 2, mask=inside)
                 kd, kf, kg = tl.load(T + 3, mask=inside), tl.load(T + 4, mask=inside), tl.load(T + 5, mask=inside)
                 kh, ki, kj = tl.load(T + 6, mask=inside), tl.load(T + 7, mask=inside), tl.load(T + 8, mask=inside)
-                ta, tb, tc = _cross(kd, kf, kg, kh, ki, kj)
-                td, tf, tg = _cross(kh, ki, kj, ka, kb, kc)
-                th, ti, tj = _cross(ka, kb, kc, kd, kf, kg)
+                ta, tb, tc = cross(kd, kf, kg, kh, ki, kj)
+                td, tf, tg = cross(kh, ki, kj, ka, kb, kc)
+                th, ti, tj = cross(ka, kb, kc, kd, kf, kg)
                 ka, kb, kc, kd, kf, kg, kh, ki, kj = ta, tb, tc, td, tf, tg, th, ti, tj
             fx = _turned(fx, u * a + v * ca + r * ka + m * (a * xx + b * xy + c * xz),
                          u * b + v * cb + r * kb + m * (a * xy + b * yy + c * yz),
@@ -198,13 +198,13 @@ def _predictions(X, TO, CONN, B, SLOTS, TAKEN, OUT, cells, nodes, capacity, SIZE
         d, e, f = tl.load(T + 3, mask=inside), tl.load(T + 4, mask=inside), tl.load(T + 5, mask=inside)
         g, h, i = tl.load(T + 6, mask=inside), tl.load(T + 7, mask=inside), tl.load(T + 8, mask=inside)
         out = _determinant(x, y, z, bx, by, bz)
-        p, q, r = _cross(d, e, f, g, h, i)
+        p, q, r = cross(d, e, f, g, h, i)
         u, v, w = _row(px - x, bx, by, bz)
         out += p * u + q * v + r * w
-        p, q, r = _cross(g, h, i, a, b, c)
+        p, q, r = cross(g, h, i, a, b, c)
         u, v, w = _row(py - y, bx, by, bz)
         out += p * u + q * v + r * w
-        p, q, r = _cross(a, b, c, d, e, f)
+        p, q, r = cross(a, b, c, d, e, f)
         u, v, w = _row(pz - z, bx, by, bz)
         out += p * u + q * v + r * w
         tl.store(OUT + 8 * own + k, out, mask=inside)

@@ -109,13 +109,12 @@ def take(b: Batch, s: Tensor, at: str, mixed: bool, projection: Projection = Pro
 
 def _taken(b: Batch, sizes: Sizes, at: str, mixed: bool, projection: Projection, s: Tensor) -> tuple[Tensor]:
     """Keeps the factors of tangents, and which there are (s,)."""
-    x, hexes = getattr(b.t, at)[s], b.hexes.rows(s)
-    here = hexes.evaluate(x)
-    K = hexes.tangents(here, b.t.J[s] if mixed else None, projection, b.factors.dtype)
+    x = getattr(b.t, at)[s]
+    F, K = b.hexes.rows(s).tangents(x, b.t.J[s] if mixed else None, projection, b.factors.dtype)
     b.folded(s, x).add_tangents(K, projection)
     good, S = b.factors.factor(s, K, b.t.nodes[s, : sizes.nodes], sizes.fewest)
     b.keep(s, S=S)
-    b.t.put(s, taken=here.F)
+    b.t.put(s, taken=F)
     return (good,)
 
 

@@ -10,7 +10,7 @@ if not torch.cuda.is_available():
     os.environ["TRITON_INTERPRET"] = "1"  # read when the kernels are defined
 pytest.importorskip("triton")
 
-from tacgen.tensor_engine import gpu_blocks, gpu_contact, gpu_distance, gpu_elements, products
+from tacgen.tensor_engine import gpu_blocks, gpu_contact, gpu_distance, gpu_elements, gpu_tangents, products
 from tacgen.tensor_engine.elements import Hexes
 from tacgen.tensor_engine.inversion import FoldingBarriers
 from tacgen.tensor_engine.shapes import Shapes
@@ -115,6 +115,19 @@ def test_energy_and_forces_of_cells() -> None:
     wanted = hexes.mixed_forces(x, ahead, taken)
     assert close(mixed[:4], wanted[:4])
     assert not close(mixed[:4], forces[:4], 1e-3)
+
+
+@pytest.mark.skipif(DEVICE == "cuda", reason="the plain formulas run on a CPU alone")
+@pytest.mark.parametrize("mixed", [False, True])
+def test_tangents_of_cells(mixed: bool) -> None:
+    case, slots = test_elements.Case(), torch.tensor([3, 1, 0])
+    hexes = Hexes.on(case.topology, case.X, case.exists, case.laws).rows(slots)
+    x, there = case.tensor(case.x)[slots], case.tensor(case.taken)[slots]
+    J = hexes.predicted(there, x, hexes.deformation(there)) if mixed else None
+    F, wanted = hexes.tangents(x, J)
+    found, K = gpu_tangents.tangents(hexes, x, J)
+    assert close(found, F)
+    assert close(K, wanted, 1e-6)
 
 
 def test_lowest_jacobians_of_cells() -> None:
