@@ -40,9 +40,9 @@ def one_network(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_network_learns_one_unit_and_fails_on_one_of_another_contrast() -> None:
-    net = NormalNet.trained([pressed(k) for k in range(60)])
-    assert real_units.off(net, [pressed(99)]) < 1.5
-    assert real_units.off(net, [pressed(99, gain=2.0)]) > 8
+    net = NormalNet.trained([pressed(k) for k in range(192)])
+    assert real_units.off(net, [pressed(999)]) < 1.5
+    assert real_units.off(net, [pressed(999, gain=2.0)]) > 8
 
 
 def test_own_photographs_are_left_out_in_turn() -> None:
