@@ -387,7 +387,7 @@ def test_markers_beside_the_face_are_refused(recipe: Path, tmp_path: Path) -> No
 
 def test_hexagonal_markers_are_where_the_image_shows_dots_and_move_with_the_flow(recipe: Path, tmp_path: Path) -> None:
     text = assets.sensor_path("gelsight_mini").read_text()
-    grid = "  columns: 9\n  rows: 7\n  pitch_mm: [2.0625, 2.0625]\n"
+    grid = "  columns: 9\n  rows: 7\n  pitch_mm: [2.0, 1.94]\n"
     assert grid in text
     (tmp_path / "hexagonal.yaml").write_text(text.replace(grid, "  layout: hexagonal\n  rings: 3\n  pitch_mm: 2.0\n"))
     recipe.write_text(RECIPE.replace("gelsight_mini", "hexagonal.yaml"))

@@ -151,7 +151,7 @@ def sensor_text() -> str:
         ("corner_radius_mm: 1.5", "corner_radius_mm: 15",
          "gel.corner_radius_mm: must be at most half the pad's shorter"),
         ("mm_per_px: 0.0634", "mm_per_px: 60", "camera.mm_per_px: leaves 0.35 pixels for the gel, 20.75 mm"),
-        ("diameter_mm: 0.74", "diameter_mm: 7.4", "markers.diameter_mm: dots of 7.4 mm touch at a pitch of 2.0625 mm"),
+        ("diameter_mm: 0.74", "diameter_mm: 7.4", "markers.diameter_mm: dots of 7.4 mm touch at a pitch of 1.94 mm"),
         ("columns: 9", "rings: 3",
          "markers.rings: is a key of layout: hexagonal, and layout is grid here: leave it out"),
         ("law: neo_hooke", "c10_mpa: 1", "c10_mpa: is a key of law: mooney_rivlin and yeoh, and law is neo_hooke here"),
@@ -326,7 +326,7 @@ def test_markers_need_a_sensor_with_markers(tmp_path: Path):
     )
 
 
-@pytest.mark.parametrize("change", ["sensor.gel.width_mm=12", "sensor.markers.rows=12", "sensor.gel.height_mm=12"])
+@pytest.mark.parametrize("change", ["sensor.gel.width_mm=12", "sensor.markers.rows=12", "sensor.gel.height_mm=11"])
 def test_markers_lie_on_the_gel(tmp_path: Path, change: str):
     (told,) = lines_of(tmp_path, GOOD.replace("[force]", "[markers]"), (change,))
     assert told.endswith("some of the sensor gelsight_mini would lie beside its gel: fewer, or closer ones")

@@ -32,7 +32,8 @@ def test_dots_are_as_large_and_as_dark_as_on_a_real_gel():
     share = renderer.develop(renderer.flat()).mean(axis=2) / bare.develop(bare.flat()).mean(axis=2)
     y, x = np.mgrid[:240, :320] + 0.5
     cell = (np.abs(x - 160) < 16) & (np.abs(y - 120) < 16)  # around the middle dot
-    across, pitch = np.sqrt(4 / np.pi * (share[cell] < 0.6).sum()), 2.0625 / renderer.sensor.camera.mm_per_px
+    sensor, across = renderer.sensor, np.sqrt(4 / np.pi * (share[cell] < 0.6).sum())
+    pitch = sensor.markers.pitch_mm[0] / sensor.camera.mm_per_px
     assert across / pitch == pytest.approx(11.34 / 32.3, rel=0.05)
     assert share[cell].min() == pytest.approx(0.38, abs=0.04)
 
