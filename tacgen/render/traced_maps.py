@@ -40,7 +40,7 @@ LINEAR = {
     "jpeg_quality",
 }  # of the camera: what is laid over a picture's light
 PATTERN = {"grain", "marks", "wear"}  # of the coating: the same
-MAP_VERSION = 9  # of how the maps are made; part of their cache key
+MAP_VERSION = 10  # of how the maps are made; part of their cache key
 SCATTERED_VERSION = 1  # of how `scattered` is made; part of its key in the cache
 CHANGED = 0.01  # share of the thickness by which a dent that is traced has changed a pixel, at least
 
