@@ -157,8 +157,8 @@ def scatters(sensor: "LitSensor") -> bool:
 
 
 def interfaces(sensor: "LitSensor") -> dict[str, dict[str, Any]]:
-    """Interfaces from the air inward; none between equal media. An LED that lies in the plate's air face takes the place
-    of that part of it: paths then meet one surface there instead of two."""
+    """Interfaces from the air inward; none between equal media. An LED that lies in the plate's air face takes the
+    place of that part of it: paths then meet one surface there instead of two."""
     w, h = (size + 2 * sensor.walls.margin_mm for size in (sensor.gel.width_mm, sensor.gel.height_mm))
     z, outside, around, made = -bottom_depth(sensor), 1.0, None, {}
     sampled = any(not light.lobe and in_sight(sensor, light) for light in sensor.leds)
