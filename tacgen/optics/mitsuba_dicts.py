@@ -4,6 +4,7 @@
 the renderer's types.
 """
 
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,12 +12,13 @@ import numpy as np
 from tacgen.optics.housing import WALL_RISE, Floats, bottom_depth, frame, outline
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from tacgen.sensor.layers import Scattering
     from tacgen.sensor.model import Led, LitSensor
 
 LOBE_ROWS = 4097  # latitudes at which a lobe is tabulated; interpolation is off by 3e-6 of the peak at most
+TOUCHING = 1e-6  # distance at which an LED lies in the plate's air face [mm]
 FAR = (0.0, 0.0, 1e3)  # a place outside every housing [mm]
 
 
@@ -60,10 +62,10 @@ def lights(sensor: "LitSensor") -> dict[str, dict[str, Any]]:
     A renderer that samples directions toward emitters finds none behind an interface that refracts; such LEDs, and
     those with a lobe, have no weight among the sampled emitters. Rays that meet them see them all the same.
     """
-    sampled = [not light.lobe and in_sight(sensor, light) for light in sensor.leds]
-    made = {f"led_{i}": led(light, sensor.walls.albedo, sampled[i]) for i, light in enumerate(sensor.leds)}
+    weights = [not light.lobe and in_sight(sensor, light) for light in sensor.leds]
+    made = {f"led_{i}": led(sensor, light, weights[i]) for i, light in enumerate(sensor.leds)}
     lit = [any(light.light) for light in sensor.leds]
-    if any(lit) and not np.any(np.logical_and(sampled, lit)):
+    if any(lit) and not np.any(np.logical_and(weights, lit)):
         # one emitter must have a weight; this one is dark and costs no shadow rays
         made["unlit"] = {
             "type": "rectangle",
@@ -81,17 +83,31 @@ def in_sight(sensor: "LitSensor", light: "Led") -> bool:
     return len({layer.refractive_index for layer, z in zip(layers, tops, strict=True) if z > light.center_mm[2]}) < 2
 
 
-def led(light: "Led", wall_albedo: float, sampled: bool) -> dict[str, Any]:
-    """One LED strip: it radiates from its front, and reflects as the walls do or, with `see_through`, is invisible."""
+def led(sensor: "LitSensor", light: "Led", sampled: bool) -> dict[str, Any]:
+    """One LED strip: it radiates from its front, and reflects as the walls do or, with `see_through`, lets light pass:
+    as the plate's air face does if it lies in it, else as if nothing were there."""
     radiance = [float(v) for v in light.light]
     even = {"type": "area", "radiance": {"type": "rgb", "value": radiance}}
     emitter = {**(lobed(radiance, light.lobe) if light.lobe else even), "sampling_weight": float(sampled)}
+    clear = air_face(sensor) if in_air_face(sensor, light) else {"type": "null"}
     return {
         "type": "rectangle",
         "to_world": rectangle(light.center_mm, light.normal, light.up, light.size_mm),
-        "bsdf": {"type": "null"} if light.see_through else diffuse(wall_albedo),
+        "bsdf": clear if light.see_through else wall(sensor),
         **({"emitter": emitter} if any(light.light) else {}),  # a dark one would only draw random numbers
     }
+
+
+def in_air_face(sensor: "LitSensor", light: "Led") -> bool:
+    """Whether an LED lies in the plate's air face, shines into the plate and has its sides along x and y."""
+    axes = frame(light.normal, light.up)
+    aligned = np.isclose(axes[2, 2], 1.0) and np.isclose(np.abs(axes[:2, :2]).max(), 1.0)
+    return bool(aligned and np.isclose(light.center_mm[2], -bottom_depth(sensor), rtol=0, atol=TOUCHING))
+
+
+def air_face(sensor: "LitSensor") -> dict[str, Any]:
+    """The interface to the air below the plate, whose front is the plate's side."""
+    return {"type": "dielectric", "int_ior": 1.0, "ext_ior": sensor.plate.refractive_index}
 
 
 def lobed(radiance: "Sequence[float]", lobe: int) -> dict[str, Any]:
@@ -124,38 +140,70 @@ def housing(sensor: "LitSensor") -> dict[str, dict[str, Any]]:
         walls[f"wall_{k}"] = {
             "type": "rectangle",
             "to_world": rectangle(center, inward, (0, 0, 1), (length, tall)),
-            "bsdf": diffuse(sensor.walls.albedo),
+            "bsdf": wall(sensor),
         }
     return walls
 
 
+def wall(sensor: "LitSensor") -> dict[str, Any]:
+    """The surface of the housing; in a gel that scatters it ends the paths that it absorbs."""
+    plain = diffuse(sensor.walls.albedo)
+    return absorbing(plain) if scatters(sensor) else plain
+
+
+def scatters(sensor: "LitSensor") -> bool:
+    """Whether a clear layer has particles."""
+    return any(layer.scattering for layer in sensor.gel.clear_layers)
+
+
 def interfaces(sensor: "LitSensor") -> dict[str, dict[str, Any]]:
-    """Interfaces from the air inward; none between equal media."""
+    """Interfaces from the air inward; none between equal media. An LED that lies in the plate's air face takes the
+    place of that part of it: paths then meet one surface there instead of two."""
     w, h = (size + 2 * sensor.walls.margin_mm for size in (sensor.gel.width_mm, sensor.gel.height_mm))
     z, outside, around, made = -bottom_depth(sensor), 1.0, None, {}
+    sampled = any(not light.lobe and in_sight(sensor, light) for light in sensor.leds)
+    holes = [light for light in sensor.leds if in_air_face(sensor, light)]
     bodies = [
         ("plate", sensor.plate.thickness_mm, sensor.plate.refractive_index, None),
         *((x.name, x.thickness_mm, x.refractive_index, x.scattering) for x in sensor.gel.clear_layers),
     ]
     for name, thickness, index, scattering in bodies:
         if index != outside or scattering != around:
-            bends = {"type": "dielectric", "int_ior": index, "ext_ior": outside}
-            made[f"into_{name}"] = {
+            bends = {"type": "dielectric", "int_ior": outside, "ext_ior": index}
+            shared = {
                 "type": "rectangle",
-                "to_world": rectangle((0, 0, z), (0, 0, -1), (0, 1, 0), (w, h)),
                 "bsdf": bends if index != outside else {"type": "null"},
-                **({"interior": medium(scattering)} if scattering else {}),
-                **({"exterior": medium(around)} if around else {}),
+                **({"interior": medium(around, sampled)} if around else {}),
+                **({"exterior": medium(scattering, sampled)} if scattering else {}),
             }
+            for k, (x, y, *size) in enumerate(pieces(w, h, holes if name == "plate" else [])):
+                place = rectangle((x, y, z), (0, 0, 1), (0, 1, 0), (size[0], size[1]))
+                made[f"into_{name}_{k}" if k else f"into_{name}"] = {**shared, "to_world": place}
         z, outside, around = z + thickness, index, scattering
     return made
 
 
-def medium(scattering: "Scattering") -> dict[str, Any]:
-    """The inside of a layer with particles."""
+def pieces(w: float, h: float, holes: "Sequence[Led]") -> "Iterator[tuple[float, float, float, float]]":
+    """Middle and size (x, y, width, height) [mm] of the rectangles that cover a face of w x h around LEDs in it."""
+    middles = np.array([light.center_mm[:2] for light in holes]).reshape(-1, 1, 2)
+    sides = np.array([np.abs(frame(x.normal, x.up)[:2, :2]) @ x.size_mm for x in holes]).reshape(-1, 1, 2)
+    ends = middles + sides * [[-0.5], [0.5]]  # (leds, 2 ends, x and y)
+    x, y = (np.unique(np.round([-s / 2, s / 2, *ends[..., k].flat], 9)) for k, s in enumerate((w, h)))
+    for left, right in pairwise(x.tolist()):
+        for top, bottom in pairwise(y.tolist()):
+            at = (left + right) / 2, (top + bottom) / 2
+            if not np.any(np.all(np.abs(at - middles[:, 0]) < sides[:, 0] / 2, axis=1)):
+                yield *at, right - left, bottom - top
+
+
+def medium(scattering: "Scattering", sampled: bool) -> dict[str, Any]:
+    """The inside of a layer with particles; whether directions toward LEDs are sampled there."""
+    phase = {"type": "hg", "g": scattering.forward} if scattering.forward else {"type": "isotropic"}
     return {
         "type": "homogeneous",
         "sigma_t": scattering.extinction_per_mm,
         "albedo": {"type": "rgb", "value": list(scattering.albedo)},
-        "phase": {"type": "hg", "g": scattering.forward},
+        "phase": phase,
+        "sample_emitters": sampled,
+        "has_spectral_extinction": False,  # one extinction for all colours needs no weights
     }

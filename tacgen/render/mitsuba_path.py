@@ -75,21 +75,16 @@ def description(sensor: "LitSensor", sheet: Sheet, markers: bool) -> tuple[dict[
         **mitsuba_dicts.lights(sensor),
     }
     coat = coating.bsdf(sensor.coating)
-    if scatters(sensor):  # paths are long
+    if mitsuba_dicts.scatters(sensor):  # paths are long
         coat = mitsuba_dicts.absorbing(coat)
     if markers and sensor.markers is not None:
         coat = coating.dotted(coat, sensor.markers, coating.mask(sensor.markers, sheet.size, MASK_PIXEL))
     return scene, coat
 
 
-def scatters(sensor: "LitSensor") -> bool:
-    """Whether a clear layer has particles."""
-    return any(layer.scattering for layer in sensor.gel.clear_layers)
-
-
 def integrator(sensor: "LitSensor") -> dict[str, Any]:
     """`path`, or `volpath` where a layer scatters, or light goes through an LED."""
-    if scatters(sensor):
+    if mitsuba_dicts.scatters(sensor):
         return {"type": "volpath", "max_depth": MAX_DEPTH_SCATTERING, "rr_depth": MAX_DEPTH}
     return {"type": "volpath" if any(led.see_through for led in sensor.leds) else "path", "max_depth": MAX_DEPTH}
 

@@ -184,8 +184,58 @@ def test_a_skin_that_ends_the_paths_it_absorbs_reflects_as_much(albedo: tuple[fl
     assert np.array(ending.eval(context, at, away)) == pytest.approx(np.array(whole.eval(context, at, away)))
 
 
-def test_paths_end_at_the_skin_where_they_are_long() -> None:
+def test_paths_end_at_skin_and_walls_where_they_are_long() -> None:
     clear = loading.read_sensor(assets.sensor_path("digit"))[0]
     for made, ends in ((sensor(), True), (clear, False)):
-        _, coat = mitsuba_path.description(made, Sheet.over(made.gel, 1.0), False)
+        scene, coat = mitsuba_path.description(made, Sheet.over(made.gel, 1.0), False)
         assert (coat != coating.bsdf(made.coating)) == ends
+        assert (scene["wall_0"]["bsdf"] != mitsuba_dicts.diffuse(made.walls.albedo)) == ends
+
+
+def panels(z: float) -> Sensor:
+    """Two of unequal size and light above a face of 12 x 10 mm, one of them turned, with a gap around them."""
+    panel = sensor().leds[0].model_dump()
+    left = {**panel, "center_mm": (-3, 1, z), "size_mm": (4, 6), "radiance": (3, 1, 2)}
+    right = {**panel, "center_mm": (2.5, -1, z), "size_mm": (5, 3), "up": (1, 0, 0)}
+    return sensor(leds=[left, right])
+
+
+def test_leds_in_the_air_face_take_its_place() -> None:
+    made = panels(-4.3)
+    scene, _ = mitsuba_path.description(made, Sheet.over(made.gel, 1.0), False)
+    face = [v for k, v in scene.items() if k.startswith(("into_plate", "led_"))]
+    assert all(one["bsdf"] == mitsuba_dicts.air_face(made) for one in face)
+    x, y = np.random.default_rng(0).uniform(-0.5, 0.5, (2, 1000, 1)) * [[[12.0]], [[10.0]]]
+    places = np.array([one["to_world"] for one in face])
+    middle, half = places[:, :2, 3], np.abs(places[:, :2, :2]).sum(axis=2)
+    covers = (np.abs(x - middle[:, 0]) < half[:, 0]) & (np.abs(y - middle[:, 1]) < half[:, 1])
+    assert (covers.sum(axis=1) == 1).all()
+    assert {one["to_world"][2, 2] for one in face} == {1.0}
+    assert {one["to_world"][2, 3] for one in face} == {-4.3}
+    assert mitsuba_dicts.led(panels(-4.25), panels(-4.25).leds[0], False)["bsdf"] == {"type": "null"}
+    assert [k for k in mitsuba_dicts.interfaces(panels(-4.25)) if k.startswith("into_plate")] == ["into_plate"]
+
+
+def test_light_from_the_air_face_is_that_of_leds_just_above_it() -> None:
+    """It was traced so before, with two surfaces where there is one now."""
+    light = []
+    for z in (-4.3, -4.2999):
+        tracer = PathTracer(panels(z), Sheet.over(sensor().gel, 1.0), False, mitsuba_variants.SCALAR)
+        light.append([tracer.radiance(FACE, 144, k).reshape(2, 16, 2, 20, 3).mean((1, 3)) for k in range(4)])
+    noise = np.std(light, axis=1, ddof=1).mean() / np.sqrt(2)
+    assert np.subtract(*np.mean(light, axis=1)) == pytest.approx(0.0, abs=5 * noise)
+    assert 5 * noise < 0.05 * np.mean(light)
+
+
+def test_sampling_directions_toward_leds_changes_only_the_noise_of_a_gel_that_scatters(monkeypatch) -> None:
+    """They are sampled where no interface refracts: a path that meets such an LED must not count it again."""
+    even = panels(-4.3).model_copy(update={"plate": sensor(plate={"refractive_index": 1.41}).plate})
+    light = []
+    for sampled in (True, False):
+        monkeypatch.setattr(mitsuba_dicts, "in_sight", lambda *_, sampled=sampled: sampled)
+        assert mitsuba_dicts.interfaces(even)["into_base"]["exterior"]["sample_emitters"] == sampled
+        tracer = PathTracer(even, Sheet.over(even.gel, 1.0), False, mitsuba_variants.SCALAR)
+        light.append([tracer.radiance(FACE, 64, k).mean() for k in range(4)])
+    noise = np.std(light, axis=1, ddof=1).max() / np.sqrt(2)
+    assert np.subtract(*np.mean(light, axis=1)) == pytest.approx(0.0, abs=5 * noise)
+    assert 5 * noise < 0.05 * np.mean(light)
