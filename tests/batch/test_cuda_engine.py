@@ -17,6 +17,7 @@ from tacgen.mechanics.solved_scene import SolvedScene
 from tacgen.recipe import plan
 from tacgen.recipe.plan import Plan
 
+pytestmark = pytest.mark.usefixtures("kept_workers")
 TWO = """vary: {samples: 2, seed: 1, over: {indenter.radius_mm: {uniform: [2.5, 3.5]}}}
 contact: {friction: 0.4}
 """
