@@ -22,7 +22,7 @@ def scene(folder: Path, number: int) -> Path:
         arrays["/frames/radiance"] = arrays["/frames/rgb"] / 255
 
     known = {"scene_index": number, "sensor_document": SENSOR}
-    return write(folder / f"scene-{number:05d}.h5", shape=SHAPE, outputs=OUTPUTS, edit=edit, **known)
+    return write(folder / f"scene-{number:05d}.h5", shape=SHAPE, outputs=OUTPUTS, frames=6, edit=edit, **known)
 
 
 @pytest.fixture(scope="module")

@@ -139,13 +139,14 @@ def write(
     *,
     outputs: frozenset[str] = OUTPUTS,
     shape: tuple[int, int] = (48, 64),
+    frames: int | None = None,
     stop: int | None = None,
     edit: Callable[[int, dict[str, Any]], None] | None = None,
     reference_height: np.ndarray | None = None,
     **changes: Any,
 ) -> Path:
-    """Write a bundle. `edit(index, arrays)` may spoil a frame; `stop` rejects the scene at that frame."""
-    rows = states()
+    """Write a bundle of the first `frames`. `edit(index, arrays)` may spoil one; `stop` rejects the scene there."""
+    rows = states()[:frames]
     with Writer(path, attributes(**changes), frames=len(rows)) as writer:
         if "rgb" in outputs:
             writer.put("/reference/rgb", image(shape, 0.0, 0.0, 0.0))
