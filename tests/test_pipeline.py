@@ -115,7 +115,7 @@ def version(name):
     return known(name)
 importlib.metadata.version = version
 sets = ["outputs=[rgb]", "quality={{edge_mm: 2.0, dhat_mm: 0.2, spp: 4}}"]
-sets += ["trajectory=[{{press: {{depth_mm: 0.3, frames: 1}}}}]"]
+sets += ["trajectory=[{{press: {{depth_mm: 0.3, frames: 1}}}}]", *{SMALL_CAMERA}]
 row = plan.load(Path({str(assets.recipe_path("quickstart"))!r}), sets).rows[0]
 print(pipeline.run_scene(row, Path({str(tmp_path)!r}) / "out").status)
 """
