@@ -24,7 +24,7 @@ def command(*args: object) -> tuple[int, str]:
 def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("source")
     for number in range(2):
-        write(folder / f"scene-{number:05d}.h5", scene_index=number)
+        write(folder / f"scene-{number:05d}.h5", frames=3, scene_index=number)
     return folder
 
 

@@ -236,7 +236,7 @@ def test_chosen_pixels_stand_for_the_picture() -> None:
     assert decibel(picture, [truth, truth], camera, noisy=False) == only
 
 
-SLOW = {"mechanics", "ordinary", "pipeline", "pay", "optics", "real", "load"}  # several scenes or processes each
+SLOW = {"mechanics", "ordinary", "pipeline", "pay", "optics", "real", "load", "cost", "scaling"}  # several scenes each
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n in SLOW else n for n in bench.BENCHES])

@@ -39,8 +39,10 @@ def test_a_network_learns_one_unit_and_fails_on_one_of_another_contrast() -> Non
     assert real_units.off(net, [pressed(9, gain=2.0)]) > 8
 
 
-def test_own_photographs_are_left_out_in_turn() -> None:
+def test_own_photographs_are_left_out_in_turn(monkeypatch: pytest.MonkeyPatch) -> None:
     """The odd one of six is unlike all others: no network that has not seen it suits it."""
+    monkeypatch.setattr(normal_net, "MOST", 500)
+    monkeypatch.setattr(normal_net, "STEPS", 100)
     presses = [pressed(k) for k in range(5)]
     even = real_units.left_out(presses)
     odd = real_units.left_out([*presses, pressed(5, gain=-1.0)])

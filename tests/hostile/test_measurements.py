@@ -99,6 +99,7 @@ def test_damaged_measurements(
     for name, few in (("likeness.DENTS", 2), ("normal_net.MOST", 100), ("normal_net.STEPS", 2)):
         monkeypatch.setattr(f"tacgen.calibrate.{name}", few)
     monkeypatch.setattr(press_forces, "solved", lambda row, depths: np.maximum(depths, 0) ** 1.5)
+    calibrated(source, source / kind)  # what it imports and compiles, each child has
     bad, outcomes = [], set()
     for seed in range(count):
         folder, note = tmp_path / f"{kind}{'x' * (seed % 2)}{seed}", tmp_path / f"note{seed}"
