@@ -194,9 +194,8 @@ def test_imports_point_up_the_layers() -> None:
         for module, _ in imports(path, hints=own in LIBRARIES):
             if module.split(".")[0] != "tacgen" or (target := layer(module)) in ("", own):
                 continue
-            if LAYERS.index(target) >= LAYERS.index(own):
-                wrong.append(f"{name} imports {module}")
-            elif own in LIBRARIES and target not in LIBRARIES[own] | IN_HINTS.get(own, set()):
+            foreign = own in LIBRARIES and target not in LIBRARIES[own] | IN_HINTS.get(own, set())
+            if foreign or LAYERS.index(target) >= LAYERS.index(own):
                 wrong.append(f"{name} imports {module}")
     assert wrong == []
 
@@ -209,9 +208,8 @@ def test_libraries_need_numerics_only() -> None:
         for module, _ in imports(path):
             package, target = module.split(".")[0], layer(module)
             allowed = sys.stdlib_module_names | ALLOWED_IN_LIBRARIES | {"tacgen"}
-            if package == "tacgen" and target not in {"", own, *LIBRARIES[own]}:
-                wrong.append(f"{name} imports {module}")
-            elif package not in allowed and name not in HOMES.get(package, ()):
+            foreign = package == "tacgen" and target not in {"", own, *LIBRARIES[own]}
+            if foreign or (package not in allowed and name not in HOMES.get(package, ())):
                 wrong.append(f"{name} imports {module}")
     assert wrong == []
 
