@@ -41,8 +41,9 @@ class Direct:
         self.sensor, self.sheet, self._tolerance = sensor, sheet, tolerance
         self.view = CameraView(sensor, sheet, markers, samples)
         self._untouched = heights(sheet, sheet.at(untouched))
-        alike = [led.model_copy(update={"radiance": (1.0, 1.0, 1.0), "power": 1.0}) for led in sensor.leds]
-        self._columns = _columns(sensor.model_copy(update={"leds": tuple(alike)}), sheet, untouched, pieces)
+        leds = tuple(led.model_copy(update={"radiance": (1.0, 1.0, 1.0), "power": 1.0}) for led in sensor.leds)
+        even = sensor.model_copy(update={"leds": leds})
+        self._columns = _columns(even, sheet, untouched, pieces)  # type: ignore[arg-type]
         self._toward, self._seen = self.view.toward_camera(), self.view.transmission()
 
     def light(self, at: Samples) -> "Floats":
