@@ -42,8 +42,8 @@ class Direct:
         self.view = CameraView(sensor, sheet, markers, samples)
         self._untouched = heights(sheet, sheet.at(untouched))
         leds = tuple(led.model_copy(update={"radiance": (1.0, 1.0, 1.0), "power": 1.0}) for led in sensor.leds)
-        even = sensor.model_copy(update={"leds": leds})
-        self._columns = _columns(even, sheet, untouched, pieces)  # type: ignore[arg-type]
+        lamps = sensor.model_copy(update={"leds": leds, "markers": None})
+        self._columns = _columns(lamps, sheet, untouched, pieces)  # type: ignore[arg-type]
         self._toward, self._seen = self.view.toward_camera(), self.view.transmission()
 
     def light(self, at: Samples) -> "Floats":
@@ -98,7 +98,7 @@ class Direct:
 
 @lru_cache(maxsize=1)
 def _columns(sensor: "LitSensor", sheet: Sheet, untouched: Surface, pieces: int) -> Columns:
-    """Sensors whose lights differ in radiance alone share it, as in a calibration."""
+    """Sensors that differ in radiance or markers share it, as in a calibration."""
     return Columns.of(sensor, pieces, Terrain.of(heights(sheet, sheet.at(untouched)), sheet.size))
 
 
